@@ -1,0 +1,43 @@
+"""Rigid poses: `T_a_b` takes points from frame b to frame a, as 4x4 float64 matrices in mm."""
+
+from __future__ import annotations
+
+import numpy as np
+import numpy.typing as npt
+from scipy.spatial.transform import Rotation
+
+Float64 = npt.NDArray[np.float64]
+
+
+def pose_matrix(translation_mm: npt.ArrayLike, quaternion_xyzw: npt.ArrayLike) -> Float64:
+    """Return the 4x4 pose of a translation (mm) and a quaternion (x y z w, normalised here).
+
+    Raises ValueError if a value is not finite or the quaternion is not a rotation (norm off 1 by > 1 %).
+    """
+    translation = np.asarray(translation_mm, dtype=np.float64)
+    quaternion = np.asarray(quaternion_xyzw, dtype=np.float64)
+    if translation.shape != (3,) or quaternion.shape != (4,):
+        raise ValueError("a pose needs 3 translations in mm and 4 quaternion components x y z w")
+    if not (np.isfinite(translation).all() and np.isfinite(quaternion).all()):
+        raise ValueError("a pose must be finite")
+    norm = float(np.linalg.norm(quaternion))
+    if abs(norm - 1.0) > 0.01:
+        raise ValueError(f"the quaternion's norm is {norm:.4f}, not 1: it is no rotation")
+    T_a_b = np.eye(4)
+    T_a_b[:3, :3] = Rotation.from_quat(quaternion / norm).as_matrix()
+    T_a_b[:3, 3] = translation
+    return T_a_b
+
+
+def invert(T_a_b: Float64) -> Float64:
+    """Return T_b_a of a rigid T_a_b."""
+    R = T_a_b[:3, :3]
+    T_b_a = np.eye(4)
+    T_b_a[:3, :3] = R.T
+    T_b_a[:3, 3] = -R.T @ T_a_b[:3, 3]
+    return T_b_a
+
+
+def transform(T_a_b: Float64, points_b: Float64) -> Float64:
+    """Return points (..., 3) of frame b in frame a."""
+    return np.asarray(points_b @ T_a_b[:3, :3].T + T_a_b[:3, 3])

@@ -1,0 +1,57 @@
+"""The laser sheet: where it lies and how its irradiance falls off."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from noise_model.frames import Float64
+
+
+@dataclass(frozen=True)
+class Laser:
+    """A sheet that fans out from `origin_in_tool_mm` along -z of the tool frame.
+
+    `plane_in_tool` is (n_x, n_y, n_z, d) with n.p + d = 0 in mm, `stripe_sigma_mm` the sheet's 1 sigma
+    half-thickness at tool height, `peak_e` the stripe's peak before the point-spread function on a flat
+    plate at tool height, level pose, middle column.
+    """
+
+    wavelength_nm: float
+    plane_in_tool: tuple[float, float, float, float]
+    origin_in_tool_mm: tuple[float, float, float]
+    stripe_sigma_mm: float
+    peak_e: float
+
+    def __post_init__(self) -> None:
+        for name in ("wavelength_nm", "stripe_sigma_mm", "peak_e"):
+            if not getattr(self, name) > 0:
+                raise ValueError(f"[laser] {name} = {getattr(self, name)}: must be > 0")
+        if not self.origin_in_tool_mm[2] > 0:
+            raise ValueError("[laser] origin_in_tool_mm: the laser must stand above the tool's origin")
+        norm = float(np.linalg.norm(self.plane_in_tool[:3]))
+        if abs(norm - 1.0) > 1e-3:
+            raise ValueError(f"[laser] plane_in_tool: the normal's length is {norm:.4f}, not 1")
+
+
+def irradiance(points_tool: Float64, normals_tool: Float64, laser: Laser) -> Float64:
+    """Return the sheet's irradiance at points (N, 3) mm with unit normals (N, 3), relative to its peak.
+
+    exp(-1/2 (x' / (sigma z/h))^2) (h/z)^2 cos(theta_i) / cos(psi): x' the distance from the plane, z the depth
+    below the origin, h the origin's height, psi the angle of the point's ray to the axis, theta_i its
+    incidence. 1 on the axis at tool height for a level plate. Hidden points are the caller's to exclude.
+    """
+    origin = np.asarray(laser.origin_in_tool_mm)
+    plane = np.asarray(laser.plane_in_tool)
+    h = origin[2]
+    towards = origin - points_tool
+    z = towards[..., 2]
+    distance = np.linalg.norm(towards, axis=-1)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        cos_psi = z / distance
+        cos_theta_i = np.sum(towards * normals_tool, axis=-1) / distance
+        x_prime = points_tool @ plane[:3] + plane[3]
+        sheet = np.exp(-0.5 * (x_prime / (laser.stripe_sigma_mm * z / h)) ** 2)
+        value = sheet * (h / z) ** 2 * cos_theta_i / cos_psi
+    return np.where((z > 0) & (cos_theta_i > 0), value, 0.0)

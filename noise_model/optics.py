@@ -1,0 +1,108 @@
+"""Image formation: pinhole, lens distortion, cos^4 fall-off (Eq. 18) and the point-spread function."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import cv2
+import numpy as np
+import numpy.typing as npt
+
+from noise_model.frames import Float64
+
+Float32 = npt.NDArray[np.float32]
+
+
+@dataclass(frozen=True)
+class Camera:
+    """The camera as stated: OpenCV's axes and intrinsics, pixel centres at integers.
+
+    `psf_sigma_px` is a Gaussian that includes the pixel's own aperture; `T_tool_camera` is in mm.
+    """
+
+    width: int
+    height: int
+    fx: float
+    fy: float
+    cx: float
+    cy: float
+    T_tool_camera: Float64
+    distortion: tuple[float, ...] = (0.0, 0.0, 0.0, 0.0, 0.0)
+    focal_length_mm: float = 16.0
+    f_number: float = 8.0
+    psf_sigma_px: float = 0.7
+    exposure_s: float = 0.005
+    pixel_format: str = "mono8"
+
+    def __post_init__(self) -> None:
+        if self.width < 1 or self.height < 1:
+            raise ValueError(f"[camera] width, height: {self.width} x {self.height} is no image")
+        for name in ("fx", "fy", "focal_length_mm", "f_number", "exposure_s"):
+            if not getattr(self, name) > 0:
+                raise ValueError(f"[camera] {name} = {getattr(self, name)}: must be > 0")
+        if not self.psf_sigma_px >= 0:
+            raise ValueError(f"[camera] psf_sigma_px = {self.psf_sigma_px}: must be >= 0")
+        if len(self.distortion) != 5:
+            raise ValueError("[camera] distortion: needs the five values k1 k2 p1 p2 k3")
+
+    @property
+    def matrix(self) -> Float64:
+        """The 3x3 intrinsic matrix, px."""
+        return np.array([[self.fx, 0.0, self.cx], [0.0, self.fy, self.cy], [0.0, 0.0, 1.0]])
+
+    def normalised(self, points_px: npt.ArrayLike) -> Float64:
+        """Return the undistorted normalised coordinates (N, 2) of image points (N, 2): the ray is (x, y, 1)."""
+        points = np.ascontiguousarray(points_px, dtype=np.float64).reshape(-1, 1, 2)
+        if not any(self.distortion):
+            flat = points[:, 0]
+            return np.column_stack([(flat[:, 0] - self.cx) / self.fx, (flat[:, 1] - self.cy) / self.fy])
+        criteria = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 50, 1e-12)
+        undistorted = cv2.undistortPointsIter(
+            points, self.matrix, np.asarray(self.distortion), np.eye(3), np.eye(3), criteria
+        )
+        return np.asarray(undistorted, dtype=np.float64)[:, 0]
+
+    def project(self, points_camera: Float64) -> Float64:
+        """Return the image points (N, 2), px, of camera-frame points (N, 3), mm, in front of the camera."""
+        image, _ = cv2.projectPoints(
+            np.ascontiguousarray(points_camera, dtype=np.float64).reshape(-1, 1, 3),
+            np.zeros(3),
+            np.zeros(3),
+            self.matrix,
+            np.asarray(self.distortion),
+        )
+        return np.asarray(image, dtype=np.float64)[:, 0]
+
+
+@dataclass(frozen=True)
+class Rays:
+    """Every pixel's viewing ray in the camera frame.
+
+    `xy` is (H, W, 2) float32: the ray is (x, y, 1), not normalised; `cos4` is (H, W) float32, the lens'
+    fall-off cos^4 of the field angle, 1 on the optical axis (Eq. 18).
+    """
+
+    xy: Float32
+    cos4: Float32 = field(repr=False)
+
+    @classmethod
+    def of(cls, camera: Camera) -> Rays:
+        """Trace every pixel centre of a camera."""
+        v, u = np.mgrid[: camera.height, : camera.width]
+        xy = camera.normalised(np.column_stack([u.ravel(), v.ravel()]))
+        cos4 = (1.0 + np.sum(xy**2, axis=1)) ** -2.0
+        shape = (camera.height, camera.width)
+        return cls(
+            np.ascontiguousarray(xy.reshape(*shape, 2).astype(np.float32)),
+            np.ascontiguousarray(cos4.reshape(shape).astype(np.float32)),
+        )
+
+
+def blur(image: Float32, psf_sigma_px: float) -> Float32:
+    """Convolve an image (H, W) with the Gaussian point-spread function; the rim is reflected."""
+    if psf_sigma_px == 0.0:
+        return image
+    radius = max(1, int(np.ceil(4.0 * psf_sigma_px)))
+    size = (2 * radius + 1, 2 * radius + 1)
+    blurred = cv2.GaussianBlur(image, size, psf_sigma_px, borderType=cv2.BORDER_REFLECT_101)
+    return np.asarray(blurred, dtype=np.float32)

@@ -1,0 +1,49 @@
+"""The whole nominal setup: each part is typed beside its physics and put together here."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+from noise_model.arc import Arc
+from noise_model.brdf import Material
+from noise_model.laser import Laser
+from noise_model.optics import Camera
+from noise_model.sensor import Sensor
+from noise_model.spectrum import Filter
+from noise_model.surface import Joint
+
+
+@dataclass(frozen=True)
+class Tolerance:
+    """1 sigma of what a careful user cannot know better; `seam_mm` is what the weld can bear.
+
+    `seam_mm` is arctrack's own key: a track's confidence is the probability that the lateral and the
+    vertical error both stay below it.
+    """
+
+    arc_level_rel: float = 0.1
+    laser_level_rel: float = 0.05
+    hand_eye_deg: float = 0.05
+    hand_eye_mm: float = 0.05
+    black_level_dn: float = 0.3
+    read_noise_rel: float = 0.05
+    seam_mm: float = 0.25
+
+    def __post_init__(self) -> None:
+        for name, value in vars(self).items():
+            if not value >= 0:
+                raise ValueError(f"[tolerance] {name} = {value}: must be >= 0")
+
+
+@dataclass(frozen=True)
+class Setup:
+    """What is known of the sensor, the light and the part before the first frame."""
+
+    camera: Camera
+    sensor: Sensor
+    filter: Filter
+    laser: Laser
+    arc: Arc
+    material: Material
+    joint: Joint
+    tolerance: Tolerance = field(default_factory=Tolerance)

@@ -1,0 +1,132 @@
+"""The joint's surface: a cross-section drawn along the seam, raised by a corrugation where there is one.
+
+Joint frame J: origin on the nominal seam line beside base's origin, x along travel, y to the left of travel,
+z out of the workpiece. A section is a polyline in (y, z), its ends running on to infinity; a corrugation
+adds c(x) to every height. Surfaces hide what is behind them from either side.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+from noise_model.frames import Float64
+
+REACH_MM = 1.0e4
+"""How far the plates run on to either side of the seam."""
+
+DIMENSIONS: Mapping[str, tuple[str, ...]] = {
+    "flat": (),
+    "v_groove": ("included_angle_deg", "depth_mm", "root_gap_mm"),
+    "lap": ("thickness_mm",),
+    "corrugation": ("thickness_mm", "pitch_mm", "height_mm", "width_mm"),
+}
+"""The dimensions that each type of joint needs."""
+
+
+@dataclass(frozen=True)
+class Joint:
+    """The joint as stated: its type, its dimensions (mm, deg) by name and its nominal seam line in base."""
+
+    type: str
+    dimensions: Mapping[str, float]
+    seam_in_base_mm: tuple[tuple[float, float, float], ...]
+    surface_normal_in_base: tuple[float, float, float] = (0.0, 0.0, 1.0)
+
+    def __post_init__(self) -> None:
+        if self.type not in DIMENSIONS:
+            raise ValueError(f"[joint] type = {self.type!r}: known are {', '.join(DIMENSIONS)}")
+        for name in DIMENSIONS[self.type]:
+            if name not in self.dimensions:
+                raise ValueError(f"[joint] {name}: missing, a {self.type} needs it")
+            minimum_is_open = name != "root_gap_mm"
+            value = self.dimensions[name]
+            if not (value > 0 if minimum_is_open else value >= 0):
+                raise ValueError(f"[joint] {name} = {value}: must be {'> 0' if minimum_is_open else '>= 0'}")
+        if self.type == "v_groove" and not self.dimensions["included_angle_deg"] < 180:
+            raise ValueError("[joint] included_angle_deg: must be below 180")
+        if self.type == "corrugation" and self.dimensions["width_mm"] > self.dimensions["pitch_mm"]:
+            raise ValueError("[joint] width_mm: a corrugation cannot be wider than its pitch_mm")
+        points = np.asarray(self.seam_in_base_mm, dtype=np.float64)
+        if points.ndim != 2 or points.shape[0] < 2 or points.shape[1] != 3:
+            raise ValueError("[joint] seam_in_base_mm: needs at least two points of x, y, z")
+        if not (np.linalg.norm(np.diff(points, axis=0), axis=1) > 1e-6).all():
+            raise ValueError("[joint] seam_in_base_mm: two points of the line coincide")
+        normal = np.asarray(self.surface_normal_in_base, dtype=np.float64)
+        if abs(float(np.linalg.norm(normal)) - 1.0) > 1e-3:
+            raise ValueError("[joint] surface_normal_in_base: its length is not 1")
+        steps = np.diff(points, axis=0)
+        if (np.linalg.norm(np.cross(steps, normal), axis=1) < 1e-3 * np.linalg.norm(steps, axis=1)).any():
+            raise ValueError("[joint] surface_normal_in_base: is parallel to the seam line")
+
+
+@dataclass(frozen=True)
+class Section:
+    """The surface's shape for the kernels.
+
+    `vertices` is (n, 2) float64, the polyline's (y, z) in mm from y = -REACH to +REACH;
+    `corrugation` is (3,) float64: height, width, pitch in mm, height 0 where there is none.
+    """
+
+    vertices: Float64
+    corrugation: Float64
+
+
+def section(joint: Joint) -> Section:
+    """Return a joint's cross-section as RECORDING.md draws it, seam point at y = 0."""
+    size = joint.dimensions
+    corrugation = np.zeros(3)
+    if joint.type == "flat":
+        inner = [(0.0, 0.0)]
+    elif joint.type == "v_groove":
+        half_gap = size["root_gap_mm"] / 2.0
+        half_mouth = half_gap + size["depth_mm"] * math.tan(math.radians(size["included_angle_deg"] / 2.0))
+        inner = [(-half_mouth, 0.0), (-half_gap, -size["depth_mm"])]
+        inner += [(-y, z) for y, z in reversed(inner)]
+        if half_gap == 0.0:
+            del inner[1]
+    else:
+        inner = [(0.0, size["thickness_mm"]), (0.0, 0.0)]
+        if joint.type == "corrugation":
+            corrugation[:] = size["height_mm"], size["width_mm"], size["pitch_mm"]
+    ends = [(-REACH_MM, inner[0][1]), (REACH_MM, inner[-1][1])]
+    return Section(np.array([ends[0], *inner, ends[1]], dtype=np.float64), corrugation)
+
+
+def seam_height_mm(joint: Joint) -> float:
+    """Return the height of the seam point over the reference surface: the root of a V, else 0."""
+    return -joint.dimensions["depth_mm"] if joint.type == "v_groove" else 0.0
+
+
+def corrugation_height(x_mm: Float64, corrugation: Float64) -> Float64:
+    """Return c(x) = height/2 (1 + cos(2 pi u / width)) for |u| < width/2, u = x to the nearest pitch; mm."""
+    height, width, pitch = corrugation
+    if height == 0.0:
+        return np.zeros_like(np.asarray(x_mm, dtype=np.float64))
+    u = x_mm - pitch * np.rint(x_mm / pitch)
+    return np.where(np.abs(u) < width / 2.0, height / 2.0 * (1.0 + np.cos(2.0 * np.pi * u / width)), 0.0)
+
+
+def seam_frame(joint: Joint, point_base_mm: Float64) -> Float64:
+    """Return T_base_joint of the line segment nearest to a point of base.
+
+    Its origin is the foot of base's origin on that segment's line, so x along a straight seam counts as
+    base's does and a corrugation keeps its place.
+    """
+    points = np.asarray(joint.seam_in_base_mm, dtype=np.float64)
+    starts, steps = points[:-1], np.diff(points, axis=0)
+    along = np.einsum("ij,ij->i", point_base_mm - starts, steps) / np.einsum("ij,ij->i", steps, steps)
+    feet = starts + np.clip(along, 0.0, 1.0)[:, None] * steps
+    nearest = int(np.argmin(np.linalg.norm(point_base_mm - feet, axis=1)))
+    x_axis = steps[nearest] / np.linalg.norm(steps[nearest])
+    normal = np.asarray(joint.surface_normal_in_base, dtype=np.float64)
+    y_axis = np.cross(normal, x_axis)
+    y_axis /= np.linalg.norm(y_axis)
+    T_base_joint = np.eye(4)
+    T_base_joint[:3, :3] = np.column_stack([x_axis, y_axis, np.cross(x_axis, y_axis)])
+    start = starts[nearest]
+    T_base_joint[:3, 3] = start - (start @ x_axis) * x_axis
+    return T_base_joint

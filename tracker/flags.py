@@ -1,0 +1,62 @@
+"""The one registry of quality flags: bit, name, meaning; it makes the decoder and the documentation.
+
+A flag that invalidates says that the seam of that frame must not be used; the others say what was seen.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+
+@dataclass(frozen=True)
+class Flag:
+    """One quality flag."""
+
+    bit: int
+    name: str
+    meaning: str
+    invalidates: bool = False
+
+    @property
+    def mask(self) -> int:
+        """The flag's bit as an integer mask."""
+        return 1 << self.bit
+
+
+FRAME_UNREADABLE = Flag(0, "frame_unreadable", "the frame could not be read or has the wrong size or type", True)
+LASER_OFF = Flag(1, "laser_off", "the frame was taken with the laser off: there is no stripe to read", True)
+POSE_REFUSED = Flag(2, "pose_refused", "no pose is near enough in time", True)
+POSE_EXTRAPOLATED = Flag(3, "pose_extrapolated", "the pose was extrapolated from the last two")
+STRIPE_LOST = Flag(4, "stripe_lost", "too few columns hold a stripe", True)
+STRIPE_PARTIAL = Flag(5, "stripe_partial", "more than a quarter of the columns hold no stripe")
+SATURATED = Flag(6, "saturated", "saturated pixels were censored within the stripe")
+ARC_OFF = Flag(7, "arc_off", "no arc light was found in the frame")
+MAP_MISFIT = Flag(8, "map_misfit", "the arc map does not explain the frame within its stated uncertainty")
+JOINT_NOT_FOUND = Flag(9, "joint_not_found", "the profile does not determine the joint", True)
+JOINT_MISFIT = Flag(10, "joint_misfit", "the profile departs from the joint's shape beyond its noise")
+SEAM_OUT_OF_VIEW = Flag(11, "seam_out_of_view", "the joint lies at or beyond the rim of the profile", True)
+SEAM_JUMP = Flag(12, "seam_jump", "the seam departs from where the earlier frames put it beyond its noise", True)
+SEARCHED = Flag(13, "searched", "the stripe was searched over the whole frame")
+OFFSET_EXTRAPOLATED = Flag(14, "offset_extrapolated", "the torch stands outside the measured stretch of the seam")
+OFFSET_UNKNOWN = Flag(15, "offset_unknown", "the torch stands too far from the measured stretch of the seam")
+BELOW_SURFACE = Flag(16, "below_surface", "the camera or the laser stands below the surface at this pose", True)
+
+FLAGS: tuple[Flag, ...] = tuple(value for value in list(globals().values()) if isinstance(value, Flag))
+"""Every flag, in order of its bit."""
+
+INVALIDATING = sum(flag.mask for flag in FLAGS if flag.invalidates)
+"""The mask of all flags that invalidate a frame's seam."""
+
+
+def names(flags: int) -> tuple[str, ...]:
+    """Return the names of the flags that are set, in order of their bits."""
+    return tuple(flag.name for flag in FLAGS if flags & flag.mask)
+
+
+def mask(flag_names: tuple[str, ...]) -> int:
+    """Return the bits of flag names; KeyError for a name that the registry does not hold."""
+    by_name = {flag.name: flag.mask for flag in FLAGS}
+    total = 0
+    for name in flag_names:
+        total |= by_name[name]
+    return total

@@ -1,0 +1,93 @@
+"""What goes into a step and what comes out of it, and the frozen state that it hands on."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field
+
+import numpy as np
+import numpy.typing as npt
+
+from tracker import flags
+
+Float64 = npt.NDArray[np.float64]
+NAN = math.nan
+
+
+@dataclass(frozen=True)
+class Frame:
+    """One raw frame (H, W), uint8 or uint16, and the condition it was taken under.
+
+    `timestamp_s` is mid-exposure; `current_a` is NaN where nobody knows it.
+    """
+
+    index: int
+    timestamp_s: float
+    image_dn: npt.NDArray[np.integer] = field(repr=False)
+    exposure_s: float
+    current_a: float = NAN
+    laser_on: bool = True
+    arc_on: bool = True
+
+
+@dataclass(frozen=True)
+class Pose:
+    """T_base_tool (4, 4), mm, at a frame's time."""
+
+    T_base_tool: Float64
+    extrapolated: bool = False
+
+
+@dataclass(frozen=True)
+class Stripe:
+    """The stripe per scan line, the image's columns if the stripe runs along its rows.
+
+    `position_px` (n,) is NaN where there is no stripe; `sigma_px` its 1 sigma; `amplitude_e` the peak over
+    the background; `saturated` says where pixels were censored.
+    """
+
+    position_px: Float64
+    sigma_px: Float64
+    amplitude_e: Float64
+    saturated: npt.NDArray[np.bool_]
+    along_rows: bool
+
+
+@dataclass(frozen=True)
+class Track:
+    """One frame's result; what is not known is NaN with a flag that says why.
+
+    `seam_tool_mm` is the seam point in the laser plane, tool frame. `sigma_y_mm` and `sigma_z_mm` are its
+    1 sigma across and along the surface normal, the stated hand-eye tolerance included. The offsets are the
+    seam's displacement from the programmed path in S at the torch's station, valid at `valid_at_s`.
+    `arc_level` is the arc's output over what the setup expects for the frame's current and exposure;
+    `map_misfit` is the robust RMS of the arc residual over its stated uncertainty, 1 where the map is right.
+    """
+
+    frame: int
+    timestamp_s: float
+    flags: int
+    seam_tool_mm: tuple[float, float, float] = (NAN, NAN, NAN)
+    sigma_y_mm: float = NAN
+    sigma_z_mm: float = NAN
+    offset_y_mm: float = NAN
+    offset_z_mm: float = NAN
+    offset_sigma_y_mm: float = NAN
+    offset_sigma_z_mm: float = NAN
+    valid_at_s: float = NAN
+    gap_mm: float = NAN
+    mismatch_mm: float = NAN
+    confidence: float = NAN
+    arc_level: float = NAN
+    map_misfit: float = NAN
+    stripe: Stripe | None = field(default=None, repr=False)
+
+    @property
+    def valid(self) -> bool:
+        """Whether the seam point may be used."""
+        return not self.flags & flags.INVALIDATING and math.isfinite(self.seam_tool_mm[1])
+
+    @property
+    def flag_names(self) -> tuple[str, ...]:
+        """The names of the flags that are set."""
+        return flags.names(self.flags)
