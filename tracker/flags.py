@@ -23,7 +23,9 @@ class Flag:
         return 1 << self.bit
 
 
-FRAME_UNREADABLE = Flag(0, "frame_unreadable", "the frame could not be read or has the wrong size or type", True)
+FRAME_UNREADABLE = Flag(
+    0, "frame_unreadable", "the frame could not be read or has the wrong size or type", True
+)
 LASER_OFF = Flag(1, "laser_off", "the frame was taken with the laser off: there is no stripe to read", True)
 POSE_REFUSED = Flag(2, "pose_refused", "no pose is near enough in time", True)
 POSE_EXTRAPOLATED = Flag(3, "pose_extrapolated", "the pose was extrapolated from the last two")
@@ -35,11 +37,17 @@ MAP_MISFIT = Flag(8, "map_misfit", "the arc map does not explain the frame withi
 JOINT_NOT_FOUND = Flag(9, "joint_not_found", "the profile does not determine the joint", True)
 JOINT_MISFIT = Flag(10, "joint_misfit", "the profile departs from the joint's shape beyond its noise")
 SEAM_OUT_OF_VIEW = Flag(11, "seam_out_of_view", "the joint lies at or beyond the rim of the profile", True)
-SEAM_JUMP = Flag(12, "seam_jump", "the seam departs from where the earlier frames put it beyond its noise", True)
+SEAM_JUMP = Flag(
+    12, "seam_jump", "the seam departs from where the earlier frames put it beyond its noise", True
+)
 SEARCHED = Flag(13, "searched", "the stripe was searched over the whole frame")
-OFFSET_EXTRAPOLATED = Flag(14, "offset_extrapolated", "the torch stands outside the measured stretch of the seam")
+OFFSET_EXTRAPOLATED = Flag(
+    14, "offset_extrapolated", "the torch stands outside the measured stretch of the seam"
+)
 OFFSET_UNKNOWN = Flag(15, "offset_unknown", "the torch stands too far from the measured stretch of the seam")
-BELOW_SURFACE = Flag(16, "below_surface", "the camera or the laser stands below the surface at this pose", True)
+BELOW_SURFACE = Flag(
+    16, "below_surface", "the camera or the laser stands below the surface at this pose", True
+)
 
 FLAGS: tuple[Flag, ...] = tuple(value for value in list(globals().values()) if isinstance(value, Flag))
 """Every flag, in order of its bit."""

@@ -1,0 +1,409 @@
+"""The arc map: per pixel the mean of the arc's light for the robot's present pose (Eq. 8-14, 18).
+
+The arc is a Lambertian emitter, so L cos(phi) dA / r^2 is L d(omega) and a pixel receives
+
+    radiance_e cos^4 * integral over the visible directions of f_r(omega, omega_r) cos(theta_i) d(omega).
+
+From a surface point P the sphere's outline is a circle. With e_w towards the centre, e_u level and e_v
+upright, directions are omega = e_w + tan(beta) (p e_u + q e_v), (p, q) in the unit disc, and
+d(omega) = tan(beta)^2 (1 + tan(beta)^2 (p^2 + q^2))^(-3/2) dp dq, sin(beta) = R / distance. The luminous upper half
+ends at the near arc of the equator, an ellipse q_0(p) in closed form; whatever hides the arc cuts the disc
+along straight lines (`visibility.sky_planes`). So for each p the open range of q is known exactly and what is
+left is a smooth integral: Chebyshev nodes of the second kind in p, Gauss-Legendre in q.
+"""
+
+from __future__ import annotations
+
+import functools
+import math
+from dataclasses import dataclass
+
+import numba
+import numpy as np
+import numpy.typing as npt
+
+from noise_model.brdf import alpha_squared
+from noise_model.frames import Float64, invert
+from noise_model.setup import Setup
+from noise_model.surface import Section, corrugation_height, seam_frame, section
+from noise_model.visibility import MAX_PLANES, MISS, face_normal, first_hit, horizon_tables, ridge, sky_planes
+
+Float32 = npt.NDArray[np.float32]
+Int64 = npt.NDArray[np.int64]
+
+NODES_P, NODES_Q = 6, 4
+"""Nodes across and up; where something cuts the disc, `CUT_FACTOR` times as many across."""
+
+CUT_FACTOR = 2
+
+
+@dataclass(frozen=True)
+class Scene:
+    """Camera, arc and surface of one pose in the joint frame, as the kernels take them.
+
+    `T_joint_camera` (4, 4) mm, `T_joint_tool` (4, 4) mm, `center_mm` (3,) the arc's centre, `shape` the
+    section, `horizon_start` and `horizons` the corrugation's horizon tables.
+    """
+
+    T_joint_tool: Float64
+    T_joint_camera: Float64
+    center_mm: Float64
+    shape: Section
+    horizon_start: float
+    horizons: Float64
+
+    @property
+    def below_surface(self) -> bool:
+        """Whether the camera stands in or under the workpiece, where no prediction makes sense."""
+        x, y, z = self.T_joint_camera[:3, 3]
+        plain = float(np.interp(y, self.shape.vertices[:, 0], self.shape.vertices[:, 1]))
+        return bool(z <= plain + float(corrugation_height(np.array(x), self.shape.corrugation)))
+
+
+@functools.lru_cache(maxsize=8)
+def _disc_nodes(n_p: int, n_q: int) -> tuple[Float64, Float64, Float64, Float64]:
+    """Return p nodes and weights on [-1, 1] and q nodes and weights on [0, 1]."""
+    angle = np.pi * np.arange(1, n_p + 1) / (n_p + 1)
+    # Chebyshev's rule carries the weight sqrt(1 - p^2); divided out, it integrates a chord's length exactly.
+    p, p_weight = np.cos(angle), np.pi / (n_p + 1) * np.sin(angle)
+    q, q_weight = np.polynomial.legendre.leggauss(n_q)
+    return p, p_weight, (q + 1.0) / 2.0, q_weight / 2.0
+
+
+def scene(setup: Setup, T_base_tool: Float64, seam_y_mm: float = 0.0, seam_z_mm: float = 0.0) -> Scene:
+    """Put camera, arc and surface of a pose into the joint frame.
+
+    `seam_y_mm` and `seam_z_mm` are where the true seam lies off its nominal line, in the joint frame; the
+    whole section moves with it, and the arc stands on it.
+    """
+    T_base_joint = seam_frame(setup.joint, _ahead(setup, T_base_tool)).copy()
+    T_base_joint[:3, 3] += T_base_joint[:3, :3] @ np.array([0.0, seam_y_mm, seam_z_mm])
+    T_joint_tool = invert(T_base_joint) @ T_base_tool
+    T_joint_camera = T_joint_tool @ setup.camera.T_tool_camera
+    shape = section(setup.joint)
+    offset = np.asarray(setup.arc.center_in_tool_mm)
+    center = T_joint_tool[:3, :3] @ offset + T_joint_tool[:3, 3]
+    if setup.arc.on_surface:
+        # Over the surface the arc keeps its height, and a tilted tool carries its foot sideways.
+        center[2] = offset[2] + float(corrugation_height(center[0], shape.corrugation))
+    x_range = _footprint(setup, T_joint_camera, float(shape.corrugation[0]))
+    start, horizons = horizon_tables(shape, x_range, float(center[0]), setup.arc.radius_mm)
+    return Scene(T_joint_tool, T_joint_camera, center, shape, start, horizons)
+
+
+def _ahead(setup: Setup, T_base_tool: Float64) -> Float64:
+    """Return the point of base below the laser, by which the seam's line segment is chosen."""
+    x, y, _ = setup.laser.origin_in_tool_mm
+    return np.asarray(T_base_tool[:3, :3] @ np.array([x, y, 0.0]) + T_base_tool[:3, 3])
+
+
+def _footprint(setup: Setup, T_joint_camera: Float64, height_mm: float) -> tuple[float, float]:
+    """Return the stations between which the camera sees the plate, whatever its height."""
+    camera = setup.camera
+    w, h = camera.width - 1.0, camera.height - 1.0
+    corners = camera.normalised([[0.0, 0.0], [w, 0.0], [0.0, h], [w, h]])
+    d = np.column_stack([corners, np.ones(4)]) @ T_joint_camera[:3, :3].T
+    origin = T_joint_camera[:3, 3]
+    # A ray that does not go down meets no plate: it is followed to a slope of 1 in 10 at most.
+    down = np.minimum(d[:, 2], -0.1 * np.linalg.norm(d, axis=1))
+    x = [origin[0] + (level - origin[2]) / down * d[:, 0] for level in (0.0, height_mm)]
+    return float(np.min(x)), float(np.max(x))
+
+
+@numba.njit(inline="always")
+def _way_to_sphere(square: float, distance: float, radius: float) -> float:
+    """Return how far the sphere is along omega = e_w + tan(beta) (...), in units of omega; square = omega^2."""
+    # t^2 square - 2 t d + d^2 - R^2 = 0, the nearer root.
+    return (
+        distance - math.sqrt(max(0.0, distance * distance - square * (distance * distance - radius * radius)))
+    ) / square
+
+
+@numba.njit(inline="always")
+def _edge_clearance(
+    P: Float64,
+    ox: float,
+    oy: float,
+    oz: float,
+    t_arc: float,
+    corrugation: Float64,
+    edge_y: float,
+    edge_step: float,
+) -> float:
+    """Return how far a ray from P passes over a corrugated upper sheet's edge, mm; huge if the arc is nearer."""
+    if oy >= 0.0:
+        return 1e9
+    t = (edge_y - P[1]) / oy
+    if t >= t_arc:
+        return 1e9
+    c, _ = ridge(P[0] + t * ox, corrugation)
+    return P[2] + t * oz - c - edge_step
+
+
+@numba.njit
+def arc_light(
+    P: Float64,
+    normal: Float64,
+    omega_r: Float64,
+    center: Float64,
+    radius: float,
+    planes: Float64,
+    n_planes: int,
+    corrugation: Float64,
+    edge_y: float,
+    edge_step: float,
+    edge_hides: bool,
+    kappa_diff: float,
+    kappa_spec: float,
+    c2: float,
+    p_nodes: Float64,
+    p_weights: Float64,
+    q_nodes: Float64,
+    q_weights: Float64,
+) -> float:
+    """Return integral f_r cos(theta_i) d(omega) over the part of the luminous half-sphere that P sees.
+
+    `planes` are the half-spaces m.omega > 0 that are open (`visibility.sky_planes`). Nodes of the arc that lie
+    within a corrugation (its sheets `edge_step` apart at `edge_y`) do not shine; `edge_hides` says that P
+    lies on the lower sheet, so that the upper one's edge may stand in the way.
+    """
+    wx, wy, wz = center[0] - P[0], center[1] - P[1], center[2] - P[2]
+    distance = math.sqrt(wx * wx + wy * wy + wz * wz)
+    if distance <= radius * (1.0 + 1e-9):
+        return 0.0
+    wx, wy, wz = wx / distance, wy / distance, wz / distance
+    cos_e = math.sqrt(wx * wx + wy * wy)
+    if cos_e > 1e-9:
+        ux, uy = -wy / cos_e, wx / cos_e
+    else:
+        ux, uy, cos_e = 1.0, 0.0, 1e-9
+    vx, vy, vz = -wz * uy, wz * ux, wx * uy - wy * ux
+    if vz < 0.0:
+        ux, uy, vx, vy, vz = -ux, -uy, -vx, -vy, -vz
+    sin_b = radius / distance
+    tan_b = sin_b / math.sqrt(1.0 - sin_b * sin_b)
+
+    # Where the equator leaves the outline: beyond it the chord is whole (P above) or dark (P below).
+    sin_corner = tan_b * wz / cos_e
+    if sin_corner >= 1.0:
+        return 0.0
+    below = wz > 0.0
+    p_max = math.sqrt(1.0 - sin_corner * sin_corner) if below else 1.0
+    cos_psi_0 = sin_b / cos_e
+
+    total = 0.0
+    for i in range(p_nodes.shape[0]):
+        p = p_max * p_nodes[i]
+        chord = math.sqrt(max(0.0, 1.0 - p * p))
+        low, high = -chord, chord
+        # The equator at this p: R sin(psi) = p tan(beta) (d - R cos(psi) cos(e)).
+        b = p * tan_b * cos_e
+        k = p * tan_b / sin_b
+        rest = 1.0 + b * b - k * k
+        if rest >= 0.0:
+            cos_psi = (k * b + math.sqrt(rest)) / (1.0 + b * b)
+            if cos_psi >= cos_psi_0 - 1e-12:
+                low = sin_b * cos_psi * wz / ((1.0 - sin_b * cos_psi * cos_e) * tan_b)
+            elif below:
+                continue
+        elif below:
+            continue
+        for j in range(n_planes):
+            m_w = planes[j, 0] * wx + planes[j, 1] * wy + planes[j, 2] * wz
+            m_u = planes[j, 0] * ux + planes[j, 1] * uy
+            m_v = planes[j, 0] * vx + planes[j, 1] * vy + planes[j, 2] * vz
+            at_p = m_w / tan_b + m_u * p
+            if m_v > 1e-12:
+                low = max(low, -at_p / m_v)
+            elif m_v < -1e-12:
+                high = min(high, -at_p / m_v)
+            elif at_p <= 0.0:
+                high = low
+        if edge_hides and high > low:
+            # The lowest q whose ray passes over the edge, by bisection: the clearance grows with q.
+            hidden, free = low, high
+            for j in range(20):
+                q = low if j == 0 else (high if j == 1 else 0.5 * (hidden + free))
+                square = 1.0 + tan_b * tan_b * (p * p + q * q)
+                clearance = _edge_clearance(
+                    P,
+                    wx + tan_b * (p * ux + q * vx),
+                    wy + tan_b * (p * uy + q * vy),
+                    wz + tan_b * q * vz,
+                    _way_to_sphere(square, distance, radius),
+                    corrugation,
+                    edge_y,
+                    edge_step,
+                )
+                if j == 0 and clearance >= 0.0:
+                    break
+                if j == 1 and clearance <= 0.0:
+                    low = high
+                    break
+                if j > 1 and clearance < 0.0:
+                    hidden = q
+                elif j > 1:
+                    free = q
+                low = free if j == 19 else low
+        if high <= low:
+            continue
+        column = 0.0
+        for j in range(q_nodes.shape[0]):
+            q = low + (high - low) * q_nodes[j]
+            ox = wx + tan_b * (p * ux + q * vx)
+            oy = wy + tan_b * (p * uy + q * vy)
+            oz = wz + tan_b * q * vz
+            square = 1.0 + tan_b * tan_b * (p * p + q * q)
+            length = math.sqrt(square)
+            ox, oy, oz = ox / length, oy / length, oz / length
+            cos_i = ox * normal[0] + oy * normal[1] + oz * normal[2]
+            cos_r = omega_r[0] * normal[0] + omega_r[1] * normal[1] + omega_r[2] * normal[2]
+            if cos_i <= 0.0 or cos_r <= 0.0:
+                continue
+            if corrugation[0] > 0.0:
+                t = _way_to_sphere(square, distance, radius) * length
+                c, _ = ridge(P[0] + t * ox, corrugation)
+                if P[1] + t * oy < edge_y:
+                    c += edge_step
+                if P[2] + t * oz < c:
+                    continue
+            hx, hy, hz = ox + omega_r[0], oy + omega_r[1], oz + omega_r[2]
+            h = math.sqrt(hx * hx + hy * hy + hz * hz)
+            cos_alpha = (hx * normal[0] + hy * normal[1] + hz * normal[2]) / h
+            cos_beta = 0.5 * h
+            shadowing = min(1.0, 2.0 * cos_alpha * min(cos_i, cos_r) / cos_beta)
+            f_r = kappa_diff + kappa_spec * shadowing / cos_r * math.exp(-c2 * alpha_squared(cos_alpha))
+            column += q_weights[j] * f_r * cos_i / (square * length)
+        total += p_weights[i] * (high - low) * column
+    return total * p_max * tan_b * tan_b
+
+
+@numba.njit(nogil=True)
+def arc_pixels(
+    xy: Float32,
+    cos4: Float32,
+    pixels: Int64,
+    T_joint_camera: Float64,
+    center: Float64,
+    radius: float,
+    radiance_e: float,
+    vertices: Float64,
+    corrugation: Float64,
+    horizon_start: float,
+    horizons: Float64,
+    kappa_diff: float,
+    kappa_spec: float,
+    c2: float,
+    nodes: tuple[Float64, Float64, Float64, Float64],
+    nodes_cut: tuple[Float64, Float64, Float64, Float64],
+    mean_e: Float32,
+    faces: npt.NDArray[np.int32],
+) -> None:
+    """Predict the arc's light, e-, at some pixels (n,), before the point-spread function.
+
+    `xy` (H W, 2) and `cos4` (H W,) are the camera's rays; written are `mean_e` (n,), NaN for a pixel that
+    looks past the workpiece, and `faces` (n,).
+    """
+    d, P, normal, omega_r = np.empty(3), np.empty(3), np.empty(3), np.empty(3)
+    planes = np.empty((MAX_PLANES, 3))
+    origin = T_joint_camera[:3, 3].copy()
+    edge_y = vertices[1, 0]
+    edge_step = vertices[1, 1] - vertices[vertices.shape[0] - 2, 1]
+    for i in range(pixels.shape[0]):
+        x, y = xy[pixels[i], 0], xy[pixels[i], 1]
+        for j in range(3):
+            d[j] = T_joint_camera[j, 0] * x + T_joint_camera[j, 1] * y + T_joint_camera[j, 2]
+        t, face = first_hit(origin, d, vertices, corrugation)
+        faces[i] = face
+        if face == MISS:
+            mean_e[i] = np.nan
+            continue
+        length = math.sqrt(d[0] * d[0] + d[1] * d[1] + d[2] * d[2])
+        for j in range(3):
+            P[j] = origin[j] + t * d[j]
+            omega_r[j] = -d[j] / length
+        face_normal(face, P[0], vertices, corrugation, normal)
+        count = sky_planes(
+            P, normal, face, center, radius, vertices, corrugation, horizon_start, horizons, planes
+        )
+        chosen = nodes
+        edge_hides = False
+        if corrugation[0] > 0.0 and face == 2 and center[1] - radius < edge_y:
+            c, _ = ridge(center[0], corrugation)
+            edge_hides = P[2] < c + edge_step
+            chosen = nodes_cut
+        for j in range(count):
+            m_w = 0.0
+            size = 0.0
+            for a in range(3):
+                m_w += planes[j, a] * (center[a] - P[a])
+                size += planes[j, a] * planes[j, a]
+            # Does this plane come within the arc's radius of its centre?
+            if m_w < 1.001 * radius * math.sqrt(size) and not (
+                j == 0 and m_w > -1e-9 and normal[2] > 1.0 - 1e-12
+            ):
+                chosen = nodes_cut
+        light = arc_light(
+            P,
+            normal,
+            omega_r,
+            center,
+            radius,
+            planes,
+            count,
+            corrugation,
+            edge_y,
+            edge_step,
+            edge_hides,
+            kappa_diff,
+            kappa_spec,
+            c2,
+            chosen[0],
+            chosen[1],
+            chosen[2],
+            chosen[3],
+        )
+        mean_e[i] = radiance_e * cos4[pixels[i]] * light
+
+
+def arc_at(
+    setup: Setup,
+    view: Scene,
+    xy: Float32,
+    cos4: Float32,
+    pixels: Int64,
+    level: float = 1.0,
+    nodes: tuple[int, int] = (NODES_P, NODES_Q),
+) -> tuple[Float32, npt.NDArray[np.int32]]:
+    """Return the arc's mean, e- for `camera.exposure_s`, and the face seen at some pixels (n,).
+
+    `xy` (H W, 2) and `cos4` (H W,) are the flattened `optics.Rays`, `level` the arc's output over the
+    nominal one. Before the point-spread function; NaN where a pixel looks past the workpiece. Raises
+    ValueError for a pose whose camera stands below the surface.
+    """
+    if view.below_surface:
+        raise ValueError("the camera stands below the surface at this pose")
+    mean_e = np.empty(len(pixels), dtype=np.float32)
+    faces = np.empty(len(pixels), dtype=np.int32)
+    arc, material = setup.arc, setup.material
+    arc_pixels(
+        xy,
+        cos4,
+        pixels,
+        view.T_joint_camera,
+        view.center_mm,
+        arc.radius_mm,
+        arc.radiance_e * level,
+        view.shape.vertices,
+        view.shape.corrugation,
+        view.horizon_start,
+        view.horizons,
+        material.kappa_diff,
+        material.kappa_spec,
+        material.c2,
+        _disc_nodes(*nodes),
+        _disc_nodes(CUT_FACTOR * nodes[0], nodes[1]),
+        mean_e,
+        faces,
+    )
+    return mean_e, faces

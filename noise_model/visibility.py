@@ -1,0 +1,341 @@
+"""What a ray meets and what hides the arc: kernels over a section that is drawn along the seam.
+
+Because a section runs straight along x and a corrugation straight along y, whatever hides a part of the sky
+from a surface point does so along a plane through that point: its own tangent plane, the plane through a
+section's vertex line, the plane that touches a corrugation. Visibility of the arc is therefore a short list
+of half-spaces of directions, exact for plain sections and to first order where a vertex line follows a
+corrugation.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numba
+import numpy as np
+import numpy.typing as npt
+
+from noise_model.frames import Float64
+from noise_model.surface import Section, corrugation_height
+
+MISS = -1
+"""The face of a ray that looks past the workpiece."""
+
+MAX_PLANES = 12
+"""Room for the half-spaces of one surface point."""
+
+HORIZON_STEP_MM = 0.25
+"""The horizon table's step along x; the touching point is a maximum, so the error is of second order."""
+
+
+@numba.njit(inline="always")
+def ridge(x: float, corrugation: Float64) -> tuple[float, float]:
+    """Return the corrugation's height c(x), mm, and its slope c'(x)."""
+    height, width, pitch = corrugation[0], corrugation[1], corrugation[2]
+    if height == 0.0:
+        return 0.0, 0.0
+    u = x - pitch * math.floor(x / pitch + 0.5)
+    if abs(u) >= 0.5 * width:
+        return 0.0, 0.0
+    omega = 2.0 * math.pi / width
+    return 0.5 * height * (1.0 + math.cos(omega * u)), -0.5 * height * omega * math.sin(omega * u)
+
+
+@numba.njit
+def _meet_ridge(
+    origin: Float64,
+    d: Float64,
+    y_k: float,
+    z_k: float,
+    slope: float,
+    t_top: float,
+    t_base: float,
+    corrugation: Float64,
+) -> float:
+    """Return where a ray first meets a corrugated strip between its raised plane and its base, or inf."""
+    steps = 1
+    steepest = math.pi * corrugation[0] / corrugation[1]
+    if abs(d[0]) * steepest >= abs(d[2] - slope * d[1]):
+        steps = 64
+    near = t_top
+    for i in range(steps):
+        far = t_top + (t_base - t_top) * (i + 1) / steps
+        c, dc = ridge(origin[0] + far * d[0], corrugation)
+        gap = origin[2] + far * d[2] - c - z_k - slope * (origin[1] + far * d[1] - y_k)
+        if gap > 1e-9 * t_base:
+            near = far
+            continue
+        low, high, t = near, far, far
+        for _ in range(40):
+            slope_gap = d[2] - dc * d[0] - slope * d[1]
+            step = t - gap / slope_gap if slope_gap < 0.0 else low
+            t_next = step if low < step < high else 0.5 * (low + high)
+            if abs(t_next - t) < 1e-9 * t_base:
+                return t_next
+            t = t_next
+            c, dc = ridge(origin[0] + t * d[0], corrugation)
+            gap = origin[2] + t * d[2] - c - z_k - slope * (origin[1] + t * d[1] - y_k)
+            if gap > 0.0:
+                low = t
+            else:
+                high = t
+        return t
+    return math.inf
+
+
+@numba.njit
+def first_hit(origin: Float64, d: Float64, vertices: Float64, corrugation: Float64) -> tuple[float, int]:
+    """Return how far along a ray (joint frame, mm) the surface is met, in units of d, and on which face.
+
+    The face is the number of the section's strip, MISS where the ray looks past the workpiece.
+    """
+    best, face = math.inf, MISS
+    for k in range(vertices.shape[0] - 1):
+        y_k, z_k = vertices[k, 0], vertices[k, 1]
+        width, rise = vertices[k + 1, 0] - y_k, vertices[k + 1, 1] - z_k
+        across = d[2] * width - d[1] * rise
+        if across == 0.0:
+            continue
+        t = -((origin[2] - z_k) * width - (origin[1] - y_k) * rise) / across
+        if corrugation[0] > 0.0:
+            if width > 0.0:
+                if across >= 0.0:
+                    continue
+                t_top = max(0.0, t + corrugation[0] * width / across)
+                t = _meet_ridge(origin, d, y_k, z_k, rise / width, t_top, t, corrugation)
+            else:
+                c, _ = ridge(origin[0] + t * d[0], corrugation)
+                z = origin[2] + t * d[2] - c
+                if not min(z_k, z_k + rise) <= z <= max(z_k, z_k + rise):
+                    continue
+        if not 0.0 < t < best:
+            continue
+        if width > abs(rise):
+            share = (origin[1] + t * d[1] - y_k) / width
+        elif corrugation[0] > 0.0 and width == 0.0:
+            share = 0.0
+        else:
+            share = (origin[2] + t * d[2] - z_k) / rise
+        if 0.0 <= share <= 1.0:
+            best, face = t, k
+    return best, face
+
+
+@numba.njit(inline="always")
+def face_normal(face: int, x: float, vertices: Float64, corrugation: Float64, normal: Float64) -> None:
+    """Write the unit normal of a face at station x (joint frame) into `normal` (3,)."""
+    width = vertices[face + 1, 0] - vertices[face, 0]
+    rise = vertices[face + 1, 1] - vertices[face, 1]
+    along = 0.0
+    if width > 0.0:
+        _, slope = ridge(x, corrugation)
+        along = -slope * width
+    length = math.sqrt(along * along + rise * rise + width * width)
+    normal[0], normal[1], normal[2] = along / length, -rise / length, width / length
+
+
+@numba.njit
+def trace(
+    xy: Float64,
+    pixels: Float64,
+    T_joint_camera: Float64,
+    vertices: Float64,
+    corrugation: Float64,
+    points: Float64,
+    normals: Float64,
+    faces: Float64,
+) -> None:
+    """Follow the rays of some pixels to the surface.
+
+    `xy` (H W, 2) are the camera's normalised rays, `pixels` (n,) indices into it. Written are, in the joint
+    frame, `points` (n, 3) mm and `normals` (n, 3), NaN for a miss, and `faces` (n,) int32.
+    """
+    d = np.empty(3)
+    origin = T_joint_camera[:3, 3].copy()
+    for i in range(pixels.shape[0]):
+        x, y = xy[pixels[i], 0], xy[pixels[i], 1]
+        for j in range(3):
+            d[j] = T_joint_camera[j, 0] * x + T_joint_camera[j, 1] * y + T_joint_camera[j, 2]
+        t, face = first_hit(origin, d, vertices, corrugation)
+        faces[i] = face
+        if face == MISS:
+            points[i, :] = np.nan
+            normals[i, :] = np.nan
+            continue
+        for j in range(3):
+            points[i, j] = origin[j] + t * d[j]
+        face_normal(face, points[i, 0], vertices, corrugation, normals[i])
+
+
+@numba.njit
+def horizon_table(
+    x_start: float, n: int, center_x: float, radius: float, corrugation: Float64, lift: float
+) -> Float64:
+    """Return (n, 2): per station of the corrugation the steepest slope on the way to the arc, and where it is.
+
+    Seen from height c(x) towards the arc's near side, for terrain that lies `lift` mm higher than the surface
+    the point is on. -inf where nothing lies between.
+    """
+    table = np.empty((n, 2))
+    heights = np.empty(n)
+    for i in range(n):
+        heights[i] = ridge(x_start + i * HORIZON_STEP_MM, corrugation)[0]
+    for i in range(n):
+        x = x_start + i * HORIZON_STEP_MM
+        steepest, where = -math.inf, math.nan
+        step = -1 if x > center_x else 1
+        j = i + step
+        while 0 <= j < n:
+            x_j = x_start + j * HORIZON_STEP_MM
+            if (center_x - x_j) * step < radius:
+                break
+            slope = (heights[j] + lift - heights[i]) / ((x_j - x) * step)
+            if slope > steepest:
+                steepest, where = slope, x_j
+            j += step
+        table[i, 0], table[i, 1] = steepest, where
+    return table
+
+
+@numba.njit(inline="always")
+def _touch(horizon: Float64, x_start: float, x: float) -> tuple[float, float]:
+    """Look a station up in a horizon table: slope (interpolated) and place of the touching point."""
+    position = (x - x_start) / HORIZON_STEP_MM
+    i = int(position)
+    if i < 0 or i >= horizon.shape[0] - 1:
+        return -math.inf, math.nan
+    share = position - i
+    if horizon[i, 0] == -math.inf or horizon[i + 1, 0] == -math.inf:
+        return horizon[i, 0], horizon[i, 1]
+    slope = (1.0 - share) * horizon[i, 0] + share * horizon[i + 1, 0]
+    return slope, (1.0 - share) * horizon[i, 1] + share * horizon[i + 1, 1]
+
+
+@numba.njit
+def sky_planes(
+    P: Float64,
+    normal: Float64,
+    face: int,
+    center: Float64,
+    radius: float,
+    vertices: Float64,
+    corrugation: Float64,
+    horizon_start: float,
+    horizons: Float64,
+    planes: Float64,
+) -> int:
+    """Write the half-spaces m.omega > 0 of directions in which P sees the arc; return how many.
+
+    `planes` (MAX_PLANES, 3). The first is P's own horizon. `horizons` (2, n, 2) are `horizon_table`s for
+    terrain as high as P's sheet and lower by the step of the sheets.
+    """
+    count = 1
+    planes[0, 0], planes[0, 1], planes[0, 2] = normal[0], normal[1], normal[2]
+    corrugated = corrugation[0] > 0.0
+    for k in range(1, vertices.shape[0] - 1):
+        # A corrugated lap's edge is no straight line: `arc_map` follows it ray by ray.
+        if corrugated or k in (face, face + 1):
+            continue
+        y_k, z_k = vertices[k, 0], vertices[k, 1]
+        # A vertex no higher than the arc's foot hides nothing that stands before it, and nothing at all from
+        # a point above it; a higher one is taken to stand clear of the arc.
+        low_vertex = z_k <= center[2] + 1e-9
+        if low_vertex and P[2] >= z_k:
+            continue
+        dy, dz = y_k - P[1], z_k - P[2]
+        side = 1.0 if dy > 0.0 else -1.0
+        beyond = center[1] + side * (radius if low_vertex else -radius)
+        # What lies below P's own horizon hides nothing more, and its half-space would cut the other side.
+        if (beyond - y_k) * side <= 0.0 or dy * normal[1] + dz * normal[2] <= 1e-9:
+            continue
+        planes[count, 0], planes[count, 1], planes[count, 2] = 0.0, -side * dz, side * dy
+        count += 1
+    if corrugated and abs(center[0] - P[0]) > radius:
+        towards = 1.0 if center[0] > P[0] else -1.0
+        # Only a lap is corrugated: vertex 1 is the upper sheet's edge, vertex 2 its foot.
+        edge_y = vertices[1, 0]
+        on_upper = face == 0
+        crosses = (center[1] - edge_y) * (P[1] - edge_y) < 0.0
+        share = (edge_y - P[1]) / (center[1] - P[1]) if crosses else 1.0
+        x_edge = P[0] + share * (center[0] - P[0])
+        for which in range(2):
+            # From the upper sheet: it hides up to its edge, beyond the edge the lower one does.
+            if which == 1 and not (on_upper and crosses):
+                continue
+            slope, where = _touch(horizons[which], horizon_start, P[0])
+            if slope == -math.inf or towards * normal[0] + slope * normal[2] <= 1e-9:
+                continue
+            if which == 0 and on_upper and crosses and (x_edge - where) * towards < 0.0:
+                continue
+            planes[count, 0], planes[count, 1], planes[count, 2] = -towards * slope, 0.0, 1.0
+            count += 1
+    return count
+
+
+def horizon_tables(
+    shape: Section, x_range_mm: tuple[float, float], center_x: float, radius: float
+) -> tuple[float, Float64]:
+    """Return the start (mm) and the (2, n, 2) horizon tables of a corrugated lap; empty for plain sections."""
+    if shape.corrugation[0] == 0.0:
+        return 0.0, np.empty((2, 0, 2))
+    low = min(x_range_mm[0], center_x) - HORIZON_STEP_MM
+    high = max(x_range_mm[1], center_x) + HORIZON_STEP_MM
+    n = int(math.ceil((high - low) / HORIZON_STEP_MM)) + 1
+    step = float(shape.vertices[1, 1] - shape.vertices[2, 1])
+    lifts = (0.0, -step)
+    return low, np.stack([horizon_table(low, n, center_x, radius, shape.corrugation, lift) for lift in lifts])
+
+
+def surface_height(points: Float64, shape: Section) -> Float64:
+    """Return the surface's height (mm) over or under points (..., 3) of the joint frame."""
+    plain = np.interp(points[..., 1], shape.vertices[:, 0], shape.vertices[:, 1])
+    return np.asarray(plain + corrugation_height(points[..., 0], shape.corrugation))
+
+
+def is_open(points: Float64, targets: Float64, shape: Section, steps: int = 4000) -> npt.NDArray[np.bool_]:
+    """Say for each pair whether the straight way from a point (n, 3) to a target (n, 3) is free.
+
+    The plain twin of the half-spaces: it walks the way in small steps and looks whether it runs below the
+    surface. The ends themselves are left out by a thousandth of a millimetre.
+    """
+    share = (np.arange(steps) + 0.5) / steps
+    free = np.ones(len(points), dtype=bool)
+    for s in share:
+        walk = points + s * (targets - points)
+        free &= walk[:, 2] > surface_height(walk, shape) - 1e-6
+    return free
+
+
+@numba.njit
+def way_is_open(P: Float64, Q: Float64, vertices: Float64, corrugation: Float64) -> bool:
+    """Say whether the straight way from a surface point P up to a point Q, both (3,) mm, is free."""
+    for k in range(1, vertices.shape[0] - 1):
+        y_k = vertices[k, 0]
+        if not min(P[1], Q[1]) < y_k < max(P[1], Q[1]):
+            continue
+        share = (y_k - P[1]) / (Q[1] - P[1])
+        c, _ = ridge(P[0] + share * (Q[0] - P[0]), corrugation)
+        if P[2] + share * (Q[2] - P[2]) < vertices[k, 1] + c - 1e-9:
+            return False
+    if corrugation[0] == 0.0:
+        return True
+    steps = 64
+    top = corrugation[0] + vertices[:, 1].max()
+    reach = min(1.0, max(0.0, (top - P[2]) / (Q[2] - P[2]))) if Q[2] > P[2] else 1.0
+    foot, _ = ridge(P[0], corrugation)
+    sheet = P[2] - foot
+    for i in range(1, steps + 1):
+        share = reach * i / steps
+        c, _ = ridge(P[0] + share * (Q[0] - P[0]), corrugation)
+        if P[2] + share * (Q[2] - P[2]) < sheet + c - 1e-6:
+            return False
+    return True
+
+
+@numba.njit
+def ways_are_open(
+    points: Float64, Q: Float64, vertices: Float64, corrugation: Float64, is_free: npt.NDArray[np.bool_]
+) -> None:
+    """Write for each surface point (n, 3) whether its way up to Q is free."""
+    for i in range(points.shape[0]):
+        is_free[i] = way_is_open(points[i], Q, vertices, corrugation)
