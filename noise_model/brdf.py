@@ -1,12 +1,18 @@
-"""Reflectance of the base metal: Lambert + Torrance-Sparrow as the paper prints it (Eq. 5 and 7)."""
+"""Reflectance of the base metal: Lambert + Torrance-Sparrow (Eq. 5, 7) and the mirror spike (Eq. 6).
+
+docs/paper.md lists where the printed equations and these functions part, and why.
+"""
 
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
+from enum import Enum
 
 import numba
 import numpy as np
+import numpy.typing as npt
 
 from noise_model.frames import Float64
 
@@ -33,9 +39,45 @@ class Material:
             raise ValueError(f"[material] c2 = {self.c2}: must be > 0")
 
 
+@dataclass(frozen=True)
+class Mirror:
+    """A surface so smooth that it only mirrors, with the reflectance `rho` in (0, 1]."""
+
+    name: str
+    rho: float
+
+    def __post_init__(self) -> None:
+        if not 0 < self.rho <= 1:
+            raise ValueError(f"[material] rho = {self.rho}: a mirror's reflectance lies in (0, 1]")
+
+
 MILD_STEEL = Material("mild_steel", 0.021, 0.326, 112.0)
 ZN_COATED = Material("zn_coated", 0.495, 0.153, 8.331)
 TABLE_1 = {material.name: material for material in (MILD_STEEL, ZN_COATED)}
+
+SUS304 = Mirror("sus304", 1.0)
+"""Stainless steel as the paper treats it: Eq. 6 has no reflectance, so rho is 1, relative like the kappas."""
+
+
+def geometrical_attenuation(omega_i: Float64, omega_r: Float64, normal: Float64) -> Float64:
+    """Return G (...,) of Torrance and Sparrow (1967) for unit vectors (..., 3), Eq. 5.
+
+    G = min(1, 2 cos(alpha) cos(theta_r) / cos(beta), 2 cos(alpha) cos(theta_i) / cos(beta)), with the half
+    vector h, cos(alpha) = n.h and cos(beta) = omega_i.h. Stands for both directions above the surface.
+    """
+    cos_alpha, cos_beta = _half_angle_cosines(omega_i, omega_r, normal)
+    cos_lower = np.minimum(np.sum(omega_i * normal, axis=-1), np.sum(omega_r * normal, axis=-1))
+    with np.errstate(divide="ignore", invalid="ignore"):
+        return np.asarray(np.minimum(1.0, 2.0 * cos_alpha * cos_lower / cos_beta))
+
+
+def _half_angle_cosines(omega_i: Float64, omega_r: Float64, normal: Float64) -> tuple[Float64, Float64]:
+    """Return cos(alpha) = n.h and cos(beta) = omega_i.h of the half vector h; NaN for opposite directions."""
+    half = omega_i + omega_r
+    with np.errstate(invalid="ignore"):
+        half = half / np.linalg.norm(half, axis=-1, keepdims=True)
+    cos_alpha = np.clip(np.sum(half * normal, axis=-1), -1.0, 1.0)
+    return cos_alpha, np.sum(half * omega_i, axis=-1)
 
 
 def reflectance(
@@ -43,23 +85,87 @@ def reflectance(
 ) -> Float64:
     """Return f_r (...,), 1/sr, for unit vectors (..., 3) towards the source and the viewer (Eq. 7).
 
-    G = min(1, 2 cos(alpha) cos(theta_r) / cos(beta), 2 cos(alpha) cos(theta_i) / cos(beta)) (Eq. 5), with the
-    half vector h, cos(alpha) = n.h and cos(beta) = omega_i.h. 0 where either direction is below the surface.
+    f_r = kappa_diff + kappa_spec G / cos(theta_r) exp(-c2 alpha^2); 0 where either direction is below the
+    surface.
 
     As printed the lobe lacks Torrance and Sparrow's 1/cos(theta_i) and so is not reciprocal. It is kept so
     because Table 1's values were fitted with it.
     """
     cos_i = np.sum(omega_i * normal, axis=-1)
     cos_r = np.sum(omega_r * normal, axis=-1)
-    half = omega_i + omega_r
+    cos_alpha, _ = _half_angle_cosines(omega_i, omega_r, normal)
+    attenuation = geometrical_attenuation(omega_i, omega_r, normal)
     with np.errstate(divide="ignore", invalid="ignore"):
-        half = half / np.linalg.norm(half, axis=-1, keepdims=True)
-        cos_alpha = np.clip(np.sum(half * normal, axis=-1), -1.0, 1.0)
-        cos_beta = np.sum(half * omega_i, axis=-1)
-        shadowing = 2.0 * cos_alpha * np.minimum(cos_i, cos_r) / cos_beta
-        lobe = np.minimum(1.0, shadowing) / cos_r * np.exp(-c2 * np.arccos(cos_alpha) ** 2)
+        lobe = attenuation / cos_r * np.exp(-c2 * np.arccos(cos_alpha) ** 2)
         value = kappa_diff + kappa_spec * lobe
     return np.where((cos_i > 0) & (cos_r > 0), value, 0.0)
+
+
+def mirror_direction(omega: Float64, normal: Float64) -> Float64:
+    """Return the unit vectors (..., 3) that mirror `omega` about the unit normal: 2 (n.omega) n - omega."""
+    return np.asarray(2.0 * np.sum(omega * normal, axis=-1, keepdims=True) * normal - omega)
+
+
+def spike_radiance(
+    mirror: Mirror, omega_r: Float64, normal: Float64, incoming: Callable[[Float64], Float64]
+) -> Float64:
+    """Return the radiance (...,) that a mirror sends towards `omega_r` (..., 3), Eq. 6 made a BRDF.
+
+    `incoming` gives the radiance (...,) that arrives from unit directions (..., 3). With
+    f_rs = rho delta(omega_r - mirror(omega_i)) / cos(theta_i), the integral of f_rs L_i cos(theta_i) d omega
+    leaves L_r(omega_r) = rho L_i(mirror(omega_r)): an extended source seen in a mirror keeps its radiance,
+    times rho, at any distance. 0 below the surface.
+    """
+    arriving = mirror.rho * incoming(mirror_direction(omega_r, normal))
+    return np.where(np.sum(omega_r * normal, axis=-1) > 0, arriving, 0.0)
+
+
+class Regime(Enum):
+    """Which parts of the specular reflection a surface shows."""
+
+    SPIKE = "spike"
+    BOTH = "both"
+    LOBE = "lobe"
+
+
+SPIKE_ONLY_BELOW = 0.025
+LOBE_ONLY_ABOVE = 1.5
+
+
+def regime(R_q_um: float, wavelength_um: float) -> Regime:
+    """Return the regime of a surface of RMS roughness R_q at a wavelength, both in um.
+
+    The limits of R_q / lambda, 0.025 and 1.5, are those that go with the framework of spike, lobe and diffuse
+    lobe of Nayar, Ikeuchi and Kanade (1991, IEEE TPAMI 13(7) 611-634). `coherent_share` says what they mean:
+    at 0.025 the spike still holds 91 % of the light at normal incidence, at 1.5 less than 1e-4 up to 80 deg.
+
+    Raises ValueError for a roughness < 0 or a wavelength <= 0.
+    """
+    if not R_q_um >= 0:
+        raise ValueError(f"R_q = {R_q_um} um: a roughness is >= 0")
+    if not wavelength_um > 0:
+        raise ValueError(f"lambda = {wavelength_um} um: a wavelength is > 0")
+    ratio = R_q_um / wavelength_um
+    if ratio < SPIKE_ONLY_BELOW:
+        return Regime.SPIKE
+    return Regime.LOBE if ratio > LOBE_ONLY_ABOVE else Regime.BOTH
+
+
+def coherent_share(
+    R_q_um: npt.ArrayLike, wavelength_um: npt.ArrayLike, cos_theta_i: npt.ArrayLike
+) -> Float64:
+    """Return the share of the specular light that stays in the spike.
+
+    exp(-g) with g = (4 pi R_q cos(theta_i) / lambda)^2, for heights of Gaussian distribution (Bennett and
+    Porteus 1961; g as in Beckmann and Spizzichino 1963). Arguments broadcast; lengths in um.
+    """
+    phase = 4.0 * np.pi * np.asarray(R_q_um) * np.asarray(cos_theta_i) / np.asarray(wavelength_um)
+    return np.asarray(np.exp(-(phase**2)))
+
+
+def reflecting_parts(rough: Material, mirror: Mirror, of_regime: Regime) -> tuple[Material | Mirror, ...]:
+    """Return what a surface reflects with: radiances of the parts add, each with its own measured weight."""
+    return {Regime.SPIKE: (mirror,), Regime.BOTH: (rough, mirror), Regime.LOBE: (rough,)}[of_regime]
 
 
 @numba.njit(inline="always")
