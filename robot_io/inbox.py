@@ -1,0 +1,93 @@
+"""From raw frames to accepted messages: only what is ours, passes E2E and decodes gets through."""
+
+from __future__ import annotations
+
+from collections import Counter
+from dataclasses import dataclass
+from enum import Enum
+from typing import TypeVar
+
+import can
+
+from robot_io.codec import FRAME_LENGTH, CodecError, decode, message_type_of
+from robot_io.dbc import cycle_time_s, e2e_data_id, message_layout
+from robot_io.messages import BusMessage
+from robot_io.protect import MAX_DELTA_COUNTER, Checker, CheckStatus, counter_of
+
+M = TypeVar("M", bound=BusMessage)
+
+STALE_PERIODS = 10
+"""A message is stale when its newest accepted frame is older than this many of its cycle times."""
+
+
+class SkipReason(Enum):
+    """Why a frame did not become a message."""
+
+    FOREIGN = "foreign"
+    WRONG_LENGTH = "wrong_length"
+    E2E_ERROR = "e2e_error"
+    REPEATED = "repeated"
+    WRONG_SEQUENCE = "wrong_sequence"
+    UNDECODABLE = "undecodable"
+
+
+_SKIPS = {
+    CheckStatus.ERROR: SkipReason.E2E_ERROR,
+    CheckStatus.REPEATED: SkipReason.REPEATED,
+    CheckStatus.WRONG_SEQUENCE: SkipReason.WRONG_SEQUENCE,
+}
+
+
+@dataclass(frozen=True)
+class Received:
+    """An accepted message, its time (s, the frame's own timestamp) and its E2E counter."""
+
+    timestamp_s: float
+    message: BusMessage
+    counter: int
+
+
+class Inbox:
+    """Checks and decodes frames, keeps the latest message of each type, counts what it skipped and why."""
+
+    def __init__(self, max_delta_counter: int = MAX_DELTA_COUNTER) -> None:
+        self._checker = Checker(max_delta_counter)
+        self._latest: dict[type[BusMessage], Received] = {}
+        self.skipped: Counter[SkipReason] = Counter()
+
+    def receive(self, frame: can.Message) -> Received | None:
+        """Return the message of a frame, or None (counted in `skipped`) if it must not update any state."""
+        outcome = self._examine(frame)
+        if isinstance(outcome, SkipReason):
+            self.skipped[outcome] += 1
+            return None
+        self._latest[type(outcome.message)] = outcome
+        return outcome
+
+    def latest(self, message_type: type[M], now_s: float) -> M | None:
+        """Return the newest message of a type, or None if there is none or it is stale at `now_s`.
+
+        `now_s` is on the clock of the frames' timestamps.
+        """
+        received = self._latest.get(message_type)
+        stale_after_s = STALE_PERIODS * cycle_time_s(message_layout(message_type.__name__))
+        if received is None or now_s - received.timestamp_s > stale_after_s:
+            return None
+        assert isinstance(received.message, message_type)
+        return received.message
+
+    def _examine(self, frame: can.Message) -> Received | SkipReason:
+        message_type = message_type_of(frame.arbitration_id)
+        special = frame.is_extended_id or frame.is_remote_frame or frame.is_error_frame or frame.is_fd
+        if message_type is None or special:
+            return SkipReason.FOREIGN
+        if len(frame.data) != FRAME_LENGTH:
+            return SkipReason.WRONG_LENGTH
+        status = self._checker.check(e2e_data_id(message_layout(message_type.__name__)), frame.data)
+        if not status.accepted:
+            return _SKIPS[status]
+        try:
+            message = decode(frame.arbitration_id, frame.data)
+        except CodecError:
+            return SkipReason.UNDECODABLE
+        return Received(frame.timestamp, message, counter_of(frame.data))

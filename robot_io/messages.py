@@ -1,0 +1,286 @@
+"""What goes over the bus, as frozen dataclasses in physical units.
+
+The fields bear the names of the signals in `arctrack.dbc`, units included. A number that is not known is NaN,
+a count that is not known is None, a state that is not known is its enumeration's UNKNOWN: never 0.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from enum import IntEnum
+
+
+class PoseKind(IntEnum):
+    """Whether a pose is where the TCP is, or where the programmed path has it."""
+
+    ACTUAL = 0
+    PROGRAMMED = 1
+
+
+class QuaternionComponent(IntEnum):
+    """A component of a quaternion in the order x y z w."""
+
+    X = 0
+    Y = 1
+    Z = 2
+    W = 3
+
+
+class Validity(IntEnum):
+    """What an offset may be used for."""
+
+    VALID = 0
+    HELD = 1
+    REFUSED = 2
+    UNKNOWN = 7
+
+
+class RobotMode(IntEnum):
+    """Operating mode of the controller."""
+
+    MANUAL = 0
+    AUTOMATIC = 1
+    DRY_RUN = 2
+    UNKNOWN = 7
+
+
+class MotionState(IntEnum):
+    """Motion along the programmed path."""
+
+    STOPPED = 0
+    MOVING = 1
+    PAUSED = 2
+    RETRACTING = 3
+    UNKNOWN = 7
+
+
+class WeldingState(IntEnum):
+    """Step of the welding sequence."""
+
+    OFF = 0
+    GAS_PREFLOW = 1
+    IGNITING = 2
+    WELDING = 3
+    CRATER_FILL = 4
+    GAS_POSTFLOW = 5
+    FAULT = 6
+    UNKNOWN = 7
+
+
+class Switch(IntEnum):
+    """On, off, or not known."""
+
+    OFF = 0
+    ON = 1
+    UNKNOWN = 3
+
+
+class Command(IntEnum):
+    """What the robot wants of the tracker."""
+
+    DISARM = 0
+    ARM = 1
+    RESET = 2
+
+
+class JointType(IntEnum):
+    """Type of joint that a measurement stands on."""
+
+    FLAT = 0
+    V_GROOVE = 1
+    LAP = 2
+    CORRUGATION = 3
+    BUTT = 4
+    FILLET = 5
+    UNKNOWN = 15
+
+
+class TrackerState(IntEnum):
+    """State of the tracker."""
+
+    STARTING = 0
+    DISARMED = 1
+    SEARCHING = 2
+    TRACKING = 3
+    HOLDING = 4
+    FAULT = 5
+    UNKNOWN = 15
+
+
+class GateReason(IntEnum):
+    """Why the gate did not let an offset through."""
+
+    NONE = 0
+    NOT_ARMED = 1
+    ROBOT_STATUS_STALE = 2
+    EMERGENCY_STOP = 3
+    NOT_AUTOMATIC = 4
+    CORRECTION_OFF = 5
+    ARC_OFF = 6
+    NO_AXIS_ENABLED = 7
+    NOT_MEASURED = 8
+    CAPTURE_IN_FUTURE = 9
+    CAPTURE_TOO_OLD = 10
+    LOW_CONFIDENCE = 11
+    SIGMA_TOO_LARGE = 12
+    OUT_OF_RANGE = 13
+    RATE_TOO_HIGH = 14
+    UNKNOWN = 31
+
+
+@dataclass(frozen=True)
+class BusMessage:
+    """Any message of the bus."""
+
+
+@dataclass(frozen=True)
+class RobotPosePosition(BusMessage):
+    """Position of the TCP in base, mm; one half of a pose."""
+
+    x_mm: float
+    y_mm: float
+    z_mm: float
+    kind: PoseKind
+
+
+@dataclass(frozen=True)
+class RobotPoseRotation(BusMessage):
+    """Rotation of T_base_tool as the three smaller components of its unit quaternion; one half of a pose.
+
+    `sample_age_ms` is the time from the controller's sample to the sending of this frame.
+    """
+
+    largest: QuaternionComponent
+    small_a: float
+    small_b: float
+    small_c: float
+    sample_age_ms: float
+
+    @classmethod
+    def from_quaternion(
+        cls, quaternion_xyzw: tuple[float, float, float, float], sample_age_ms: float = math.nan
+    ) -> RobotPoseRotation:
+        """Return the message of a unit quaternion x y z w.
+
+        Raises ValueError if the quaternion is not finite or its norm is off 1 by more than 0.001.
+        """
+        norm = math.hypot(*quaternion_xyzw)
+        if not abs(norm - 1.0) <= 1e-3:
+            raise ValueError(f"quaternion {quaternion_xyzw}: norm {norm:.6g} is not 1; normalise it first")
+        largest = max(QuaternionComponent, key=lambda component: abs(quaternion_xyzw[component]))
+        factor = math.copysign(1.0 / norm, quaternion_xyzw[largest])
+        small = [factor * quaternion_xyzw[c] for c in QuaternionComponent if c is not largest]
+        return cls(largest, small[0], small[1], small[2], sample_age_ms)
+
+    @property
+    def quaternion_xyzw(self) -> tuple[float, float, float, float]:
+        """The unit quaternion x y z w; all NaN if unknown, or if the three cannot be the smaller ones."""
+        small = (self.small_a, self.small_b, self.small_c)
+        rest = 1.0 - math.fsum(component**2 for component in small)
+        # The largest of four components is at least 1/2; 1 % of slack covers the rounding of the other three.
+        if not rest >= 0.2475:
+            return (math.nan, math.nan, math.nan, math.nan)
+        whole = list(small)
+        whole.insert(self.largest, math.sqrt(rest))
+        return (whole[0], whole[1], whole[2], whole[3])
+
+
+@dataclass(frozen=True)
+class SeamOffset(BusMessage):
+    """Absolute displacement of the true seam from the programmed path, mm in S (y left, z out of the work).
+
+    `capture_age_ms` runs from mid-exposure to sending, `confidence` is a probability 0 … 1.
+    """
+
+    offset_y_mm: float
+    offset_z_mm: float
+    capture_age_ms: float
+    confidence: float
+    validity: Validity
+
+
+@dataclass(frozen=True)
+class RobotStatus(BusMessage):
+    """What the robot and the power source are doing."""
+
+    mode: RobotMode
+    motion: MotionState
+    welding: WeldingState
+    arc: Switch
+    emergency_stop: Switch
+    correction: Switch
+    weave: Switch
+    current_a: float
+    travel_speed_mm_s: float
+    path_section: int | None
+
+
+@dataclass(frozen=True)
+class TrackerCommand(BusMessage):
+    """What the robot wants of the tracker; the latest one holds."""
+
+    command: Command
+    enable_y: bool
+    enable_z: bool
+    request_number: int
+    job_number: int | None
+    program_number: int | None
+
+
+@dataclass(frozen=True)
+class SeamGeometry(BusMessage):
+    """What was measured of the joint: gap ≥ 0, mismatch (left minus right), 1 σ of the seam point; all mm."""
+
+    gap_mm: float
+    mismatch_mm: float
+    sigma_y_mm: float
+    sigma_z_mm: float
+    joint: JointType
+
+
+@dataclass(frozen=True)
+class TrackerStatus(BusMessage):
+    """How the tracker is.
+
+    `arc_level` is the arc's output over what the setup expects, `map_misfit` the RMS of the arc residual over
+    its stated uncertainty.
+    """
+
+    state: TrackerState
+    gate_reason: GateReason
+    frame_unreadable: bool
+    stripe_lost: bool
+    joint_not_found: bool
+    saturated: bool
+    arc_map_distrusted: bool
+    pose_extrapolated: bool
+    pose_refused: bool
+    robot_stale: bool
+    arc_level: float
+    map_misfit: float
+    dropped_frames_mod256: int
+    latency_ms: float
+
+
+@dataclass(frozen=True)
+class DbcVersion(BusMessage):
+    """Which layout of the bus the tracker speaks."""
+
+    major: int
+    minor: int
+    patch: int
+    layout_checksum: int
+
+
+MESSAGE_TYPES: tuple[type[BusMessage], ...] = (
+    RobotPosePosition,
+    RobotPoseRotation,
+    SeamOffset,
+    RobotStatus,
+    TrackerCommand,
+    SeamGeometry,
+    TrackerStatus,
+    DbcVersion,
+)
+"""Every message type, in order of its id on the bus."""

@@ -1,0 +1,92 @@
+"""End-to-end protection of every frame: AUTOSAR E2E profile 11, data ID mode BOTH, one data id per message.
+
+Byte 0 holds the CRC-8 over the data id and the rest of the frame, the low nibble of byte 1 a counter 0 … 14.
+"""
+
+from __future__ import annotations
+
+from enum import Enum
+
+from e2e.p11 import e2e_p11_check, e2e_p11_protect
+
+from robot_io.codec import encode
+from robot_io.dbc import e2e_data_id, message_layout
+from robot_io.messages import BusMessage, RobotPosePosition, RobotPoseRotation
+
+COUNTER_MODULUS = 15
+"""The counter runs 0 … 14; 15 never appears on the bus."""
+
+MAX_DELTA_COUNTER = 3
+"""A message may be the third after the last one: two may be lost in a row before the sequence is broken."""
+
+
+class CheckStatus(Enum):
+    """What the check of a frame says, as AUTOSAR names it."""
+
+    OK = "ok"
+    OK_SOME_LOST = "ok_some_lost"
+    REPEATED = "repeated"
+    WRONG_SEQUENCE = "wrong_sequence"
+    ERROR = "error"
+
+    @property
+    def accepted(self) -> bool:
+        """True if the frame may update state."""
+        return self in (CheckStatus.OK, CheckStatus.OK_SOME_LOST)
+
+
+class Protector:
+    """The sending side: one counter per message, from 0.
+
+    A RobotPoseRotation carries the counter of the last RobotPosePosition: by it the two halves of a pose find
+    each other, and a half that failed to go out cannot put the later pairs out of step.
+    """
+
+    def __init__(self) -> None:
+        self._counters: dict[str, int] = {}
+
+    def protect(self, message: BusMessage) -> tuple[int, bytes]:
+        """Return the identifier and the 8 protected bytes of a message; CodecError as `encode`."""
+        arbitration_id, frame = encode(message)
+        name = type(message).__name__
+        if isinstance(message, RobotPoseRotation):
+            counter = self._counters.get(RobotPosePosition.__name__, 0)
+        else:
+            counter = (self._counters.get(name, -1) + 1) % COUNTER_MODULUS
+            self._counters[name] = counter
+        frame[1] = (frame[1] & 0xF0) | counter
+        e2e_p11_protect(frame, e2e_data_id(message_layout(name)), increment_counter=False)
+        return arbitration_id, bytes(frame)
+
+
+class Checker:
+    """The receiving side: CRC and counter of one stream of messages per data id.
+
+    As in AUTOSAR, a fresh checker stands one before 0, so that it takes a fresh sender's first frame; one
+    that joins a running sender takes the second frame at the latest. A wrong sequence is not accepted but
+    becomes the new reference; a CRC error leaves the reference where it was.
+    """
+
+    def __init__(self, max_delta_counter: int = MAX_DELTA_COUNTER) -> None:
+        if not 1 <= max_delta_counter < COUNTER_MODULUS:
+            raise ValueError(f"max_delta_counter {max_delta_counter}: must be 1 to {COUNTER_MODULUS - 1}")
+        self._max_delta_counter = max_delta_counter
+        self._last_counters: dict[int, int] = {}
+
+    def check(self, data_id: int, frame: bytes | bytearray) -> CheckStatus:
+        """Return what CRC and counter of a frame say, and remember its counter unless the CRC is wrong."""
+        if not e2e_p11_check(bytearray(frame), data_id):
+            return CheckStatus.ERROR
+        counter = counter_of(frame)
+        delta = (counter - self._last_counters.get(data_id, COUNTER_MODULUS - 1)) % COUNTER_MODULUS
+        self._last_counters[data_id] = counter
+        if delta == 0:
+            return CheckStatus.REPEATED
+        if delta > self._max_delta_counter:
+            return CheckStatus.WRONG_SEQUENCE
+        return CheckStatus.OK if delta == 1 else CheckStatus.OK_SOME_LOST
+
+
+def counter_of(frame: bytes | bytearray) -> int:
+    """Return the E2E counter of a frame."""
+    return frame[1] & 0x0F

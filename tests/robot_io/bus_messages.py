@@ -1,0 +1,94 @@
+"""Hypothesis strategies for the bus: any message of each type, and one plain example of each."""
+
+from __future__ import annotations
+
+import math
+from enum import IntEnum
+from typing import get_args, get_type_hints
+
+from hypothesis import strategies as st
+
+from robot_io.dbc import invalid_raw, message_layout
+from robot_io.messages import (
+    MESSAGE_TYPES,
+    BusMessage,
+    Command,
+    DbcVersion,
+    GateReason,
+    JointType,
+    MotionState,
+    PoseKind,
+    RobotMode,
+    RobotPosePosition,
+    RobotPoseRotation,
+    RobotStatus,
+    SeamGeometry,
+    SeamOffset,
+    Switch,
+    TrackerCommand,
+    TrackerState,
+    TrackerStatus,
+    Validity,
+    WeldingState,
+)
+
+EXAMPLES: tuple[BusMessage, ...] = (
+    RobotPosePosition(412.5, -88.025, 3.0, PoseKind.ACTUAL),
+    RobotPoseRotation.from_quaternion((0.6, 0.0, -0.8, 0.0), 2.0),
+    SeamOffset(0.123, -0.045, 12.0, 0.97, Validity.VALID),
+    RobotStatus(
+        RobotMode.AUTOMATIC,
+        MotionState.MOVING,
+        WeldingState.WELDING,
+        Switch.ON,
+        Switch.OFF,
+        Switch.ON,
+        Switch.OFF,
+        120.0,
+        2.5,
+        4,
+    ),
+    TrackerCommand(Command.ARM, True, True, 7, 12, None),
+    SeamGeometry(0.4, -0.05, 0.012, math.nan, JointType.V_GROOVE),
+    TrackerStatus(
+        TrackerState.TRACKING,
+        GateReason.NONE,
+        False,
+        False,
+        False,
+        True,
+        False,
+        True,
+        False,
+        False,
+        1.02,
+        0.95,
+        3,
+        12.25,
+    ),
+    DbcVersion(1, 0, 0, 0x57CDBC),
+)
+
+
+def messages_of(message_type: type[BusMessage]) -> st.SearchStrategy[BusMessage]:
+    hints = get_type_hints(message_type)
+    layout = message_layout(message_type.__name__)
+    fields = {name: _values(hint, layout.get_signal_by_name(name)) for name, hint in hints.items()}
+    return st.builds(message_type, **fields)
+
+
+def any_message() -> st.SearchStrategy[BusMessage]:
+    return st.one_of([messages_of(message_type) for message_type in MESSAGE_TYPES])
+
+
+def _values(hint, signal):
+    kind = next((arm for arm in get_args(hint) if arm is not type(None)), hint)
+    if kind is bool:
+        return st.booleans()
+    if issubclass(kind, IntEnum):
+        return st.sampled_from(kind)
+    if kind is float:
+        known = st.floats(signal.minimum, signal.maximum)
+        return known if invalid_raw(signal) is None else known | st.just(math.nan)
+    known = st.integers(int(signal.minimum), int(signal.maximum))
+    return known if invalid_raw(signal) is None else known | st.none()

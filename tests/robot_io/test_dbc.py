@@ -1,0 +1,102 @@
+from __future__ import annotations
+
+import dataclasses
+from enum import IntEnum
+from pathlib import Path
+from typing import get_type_hints
+
+import pytest
+from e2e.p11 import e2e_p11_protect
+
+from robot_io.dbc import (
+    HEADER_SIGNALS,
+    cycle_time_s,
+    database,
+    dbc_version,
+    e2e_data_id,
+    invalid_raw,
+    layout_checksum,
+    messages_table,
+    payload_signals,
+)
+from robot_io.messages import MESSAGE_TYPES
+
+LAYOUTS = database().messages
+DOCS = Path(__file__).parents[2] / "docs" / "can.md"
+
+
+def test_layout_and_dataclasses_name_the_same_signals():
+    assert {layout.name for layout in LAYOUTS} == {t.__name__ for t in MESSAGE_TYPES}
+    for message_type in MESSAGE_TYPES:
+        layout = database().get_message_by_name(message_type.__name__)
+        assert [s.name for s in payload_signals(layout)] == [f.name for f in dataclasses.fields(message_type)]
+
+
+def test_value_tables_are_the_enumerations():
+    for message_type in MESSAGE_TYPES:
+        hints = get_type_hints(message_type)
+        for signal in payload_signals(database().get_message_by_name(message_type.__name__)):
+            hint = hints[signal.name]
+            members = (
+                {m.value: m.name for m in hint}
+                if isinstance(hint, type) and issubclass(hint, IntEnum)
+                else None
+            )
+            choices = {k: str(v) for k, v in signal.choices.items()} if signal.choices else None
+            assert choices == members
+            if members and "UNKNOWN" in members.values():
+                assert invalid_raw(signal) == hint.UNKNOWN
+
+
+@pytest.mark.parametrize("layout", LAYOUTS, ids=lambda layout: layout.name)
+def test_every_message_is_classic_intel_with_the_e2e_header(layout):
+    assert layout.length == 8
+    assert not layout.is_extended_frame
+    assert not layout.is_fd
+    assert 0x110 <= layout.frame_id <= 0x11F
+    assert {s.byte_order for s in layout.signals} == {"little_endian"}
+    header = [layout.get_signal_by_name(name) for name in HEADER_SIGNALS]
+    assert [(s.start, s.length) for s in header] == [(0, 8), (8, 4)]
+    assert layout.comment
+    assert cycle_time_s(layout) > 0.0
+    assert all(s.comment and len(s.name) <= 32 for s in payload_signals(layout))
+
+
+@pytest.mark.parametrize("layout", LAYOUTS, ids=lambda layout: layout.name)
+def test_unknown_codes_are_the_extreme_ones_and_outside_the_range(layout):
+    for signal in payload_signals(layout):
+        unknown = invalid_raw(signal)
+        if unknown is None:
+            continue
+        most_negative, all_ones = -(1 << (signal.length - 1)), (1 << signal.length) - 1
+        assert unknown == (most_negative if signal.is_signed else all_ones)
+        if not signal.choices:
+            assert not signal.minimum <= unknown * signal.scale + signal.offset <= signal.maximum
+
+
+def test_no_message_can_pass_for_another():
+    # Two data ids with the same CRC contribution would let one message be taken for the other.
+    crcs = set()
+    for layout in LAYOUTS:
+        frame = bytearray(8)
+        e2e_p11_protect(frame, e2e_data_id(layout), increment_counter=False)
+        crcs.add(frame[0])
+    assert len(crcs) == len(LAYOUTS)
+
+
+def test_layout_changes_only_together_with_the_version():
+    # A new layout needs a new version in arctrack.dbc and a new line here; the old lines stay.
+    checksums = {(1, 0, 0): LAYOUT_1_0_0}
+    version = dbc_version()
+    assert checksums[version.major, version.minor, version.patch] == layout_checksum()
+
+
+def test_docs_show_the_layout():
+    text = DOCS.read_text(encoding="utf-8")
+    table = text.split("<!-- messages: begin -->\n")[1].split("<!-- messages: end -->")[0]
+    assert table == messages_table(), (
+        "docs/can.md: put the output of robot_io.messages_table() between its marks"
+    )
+
+
+LAYOUT_1_0_0 = 0xF5A298
