@@ -1,0 +1,232 @@
+"""The robot's pose at the time of a frame, by one causal rule that a replay and a live run share.
+
+A frame waits at most one nominal period for the pose after it. So a later pose counts only if its own time is
+within one period of the frame's: a replay, which has every pose, then sees what the live run saw.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from enum import Enum
+
+import numpy as np
+import numpy.typing as npt
+from scipy.spatial.transform import Rotation
+
+Float64 = npt.NDArray[np.float64]
+
+PERIOD_INTERVALS = 31
+"""The nominal period is the median of this many last intervals."""
+
+GAP_PERIODS = 4.0
+"""Two neighbouring poses further apart than this many periods say nothing about the time between them."""
+
+ROTATION_TOLERANCE = 1e-3
+"""How far a quaternion's norm may be off 1, and R Rᵀ off the identity, for what a controller rounds off."""
+
+
+class PoseError(ValueError):
+    """A pose that is no pose, or times that run backwards."""
+
+
+class PoseStatus(Enum):
+    """Where a pose comes from."""
+
+    INTERPOLATED = "interpolated"
+    EXTRAPOLATED = "extrapolated"
+    REFUSED = "refused"
+
+
+class PoseRefusal(Enum):
+    """Why there is no pose."""
+
+    TOO_FEW_POSES = "fewer than two poses at or before this time"
+    BEFORE_BUFFER = "older than the buffer reaches back"
+    GAP = "in or just after a gap between poses"
+    POSES_STOPPED = "too long after the last pose"
+
+
+@dataclass(frozen=True, eq=False)
+class PoseAt:
+    """The pose at one time; a refused one is all NaN and says why.
+
+    `T_base_tool` is 4x4 in mm, the velocities are the TCP's in base (mm/s, rad/s), `period_s` is the nominal
+    period that the rule used.
+    """
+
+    timestamp_s: float
+    status: PoseStatus
+    refusal: PoseRefusal | None
+    T_base_tool: Float64
+    velocity_base_mm_s: Float64
+    angular_velocity_base_rad_s: Float64
+    period_s: float
+
+    @property
+    def pose_extrapolated(self) -> bool:
+        """True if the pose was extrapolated from earlier ones."""
+        return self.status is PoseStatus.EXTRAPOLATED
+
+
+class PoseBuffer:
+    """The last `capacity` poses T_base_tool, and the pose at any time among them."""
+
+    def __init__(self, capacity: int = 1024, max_extrapolation_periods: float = 3.0) -> None:
+        if capacity < 2:
+            raise ValueError(f"pose buffer capacity {capacity}: two poses are the least to work with")
+        if not max_extrapolation_periods >= 0.0:
+            raise ValueError(f"max_extrapolation_periods {max_extrapolation_periods}: must not be negative")
+        self._capacity = capacity
+        self._max_extrapolation_periods = max_extrapolation_periods
+        # Twice the room: the poses stay contiguous, and are moved to the front once in `capacity` pushes.
+        self._times_s = np.empty(2 * capacity)
+        self._positions_base_mm = np.empty((2 * capacity, 3))
+        self._quaternions_xyzw = np.empty((2 * capacity, 4))
+        self._start = 0
+        self._stop = 0
+        self._forgot = False
+
+    @classmethod
+    def of_recording(
+        cls,
+        timestamps_s: npt.ArrayLike,
+        positions_base_mm: npt.ArrayLike,
+        quaternions_xyzw: npt.ArrayLike,
+        max_extrapolation_periods: float = 3.0,
+    ) -> PoseBuffer:
+        """Return a buffer that holds all poses of a recording: (n,) s, (n, 3) mm in base, (n, 4) x y z w.
+
+        Raises PoseError as `push_quaternion`.
+        """
+        times_s = np.asarray(timestamps_s, dtype=np.float64)
+        positions = np.asarray(positions_base_mm, dtype=np.float64)
+        quaternions = np.asarray(quaternions_xyzw, dtype=np.float64)
+        if positions.shape != (times_s.size, 3) or quaternions.shape != (times_s.size, 4):
+            raise PoseError(f"{times_s.size} pose times need as many positions (3) and quaternions (4) each")
+        buffer = cls(max(2, times_s.size), max_extrapolation_periods)
+        for timestamp_s, position, quaternion in zip(times_s, positions, quaternions, strict=True):
+            buffer.push_quaternion(float(timestamp_s), position, quaternion)
+        return buffer
+
+    def __len__(self) -> int:
+        return self._stop - self._start
+
+    def push(self, timestamp_s: float, T_base_tool: npt.ArrayLike) -> None:
+        """Add a pose as a 4x4 matrix (mm). Raises PoseError if it is no rigid pose, or not after the last."""
+        pose = np.asarray(T_base_tool, dtype=np.float64)
+        if pose.shape != (4, 4) or not np.array_equal(pose[3], (0.0, 0.0, 0.0, 1.0)):
+            raise PoseError(f"pose at {timestamp_s:.6f} s: not a 4x4 matrix with last row 0 0 0 1")
+        R = pose[:3, :3]
+        rigid = np.allclose(R @ R.T, np.eye(3), rtol=0.0, atol=ROTATION_TOLERANCE) and np.linalg.det(R) > 0.0
+        if not rigid:
+            raise PoseError(f"pose at {timestamp_s:.6f} s: its 3x3 part is no rotation")
+        self.push_quaternion(timestamp_s, pose[:3, 3], Rotation.from_matrix(R).as_quat())
+
+    def push_quaternion(
+        self, timestamp_s: float, position_base_mm: npt.ArrayLike, quaternion_xyzw: npt.ArrayLike
+    ) -> None:
+        """Add a pose as position in base (3, mm) and unit quaternion (4, x y z w).
+
+        Raises PoseError if a value is not finite, the quaternion's norm is not 1, or the time is not after
+        that of the last pose.
+        """
+        position = np.asarray(position_base_mm, dtype=np.float64)
+        quaternion = np.asarray(quaternion_xyzw, dtype=np.float64)
+        if position.shape != (3,) or quaternion.shape != (4,):
+            raise PoseError(f"pose at {timestamp_s:.6f} s: needs 3 coordinates and 4 quaternion components")
+        if not (np.isfinite(timestamp_s) and np.isfinite(position).all() and np.isfinite(quaternion).all()):
+            raise PoseError(f"pose at {timestamp_s:.6f} s: a value is not finite; leave unknown poses out")
+        norm = float(np.linalg.norm(quaternion))
+        if abs(norm - 1.0) > ROTATION_TOLERANCE:
+            raise PoseError(
+                f"pose at {timestamp_s:.6f} s: quaternion norm {norm:.6g} is not 1, so it is no rotation"
+            )
+        if len(self) and timestamp_s <= self._times_s[self._stop - 1]:
+            last_s = self._times_s[self._stop - 1]
+            raise PoseError(
+                f"pose times run backwards: {timestamp_s:.6f} s after {last_s:.6f} s; sort the poses"
+            )
+        self._make_room()
+        self._times_s[self._stop] = timestamp_s
+        self._positions_base_mm[self._stop] = position
+        self._quaternions_xyzw[self._stop] = quaternion / norm
+        self._stop += 1
+
+    def at(self, t_s: float) -> PoseAt:
+        """Return the pose at a time (s, the clock of the pushed poses).
+
+        Interpolated (position linearly, rotation along the arc) where the next pose is known and lies within
+        one nominal period of `t_s`; else extrapolated at constant velocity and angular velocity, at most
+        `max_extrapolation_periods` beyond the last pose at or before `t_s`; else refused. Never raises for
+        a lack of poses; ValueError only if `t_s` is not finite.
+        """
+        if not np.isfinite(t_s):
+            raise ValueError(f"pose asked for at {t_s}: the time must be finite")
+        times_s = self._times_s[self._start : self._stop]
+        known = int(np.searchsorted(times_s, t_s, side="right"))
+        if known < 2:
+            refusal = PoseRefusal.BEFORE_BUFFER if self._forgot else PoseRefusal.TOO_FEW_POSES
+            return _refused(t_s, refusal, np.nan)
+        # From poses at or before t alone: what comes later must not change the answer for t.
+        period_s = float(np.median(np.diff(times_s[max(0, known - 1 - PERIOD_INTERVALS) : known])))
+        last = known - 1
+        if known < times_s.size and times_s[known] <= t_s + period_s:
+            last = known
+        beyond_s = t_s - times_s[last]
+        if beyond_s > self._max_extrapolation_periods * period_s:
+            return _refused(t_s, PoseRefusal.POSES_STOPPED, period_s)
+        if times_s[last] - times_s[last - 1] > GAP_PERIODS * period_s and beyond_s != 0.0:
+            return _refused(t_s, PoseRefusal.GAP, period_s)
+        if beyond_s > 0.0:
+            first = self._twist_start(times_s, last, period_s)
+            return self._along(first, last, t_s, PoseStatus.EXTRAPOLATED, period_s)
+        return self._along(last - 1, last, t_s, PoseStatus.INTERPOLATED, period_s)
+
+    def _twist_start(self, times_s: Float64, last: int, period_s: float) -> int:
+        # Two poses almost at once say nothing about speed: over a tiny interval rounding looks like speed.
+        apart = int(np.searchsorted(times_s, times_s[last] - 0.5 * period_s, side="right")) - 1
+        return min(max(apart, 0), last - 1)
+
+    def _along(self, first: int, last: int, t_s: float, status: PoseStatus, period_s: float) -> PoseAt:
+        i, k = self._start + first, self._start + last
+        dt_s = self._times_s[k] - self._times_s[i]
+        R_first, R_last = Rotation.from_quat(self._quaternions_xyzw[[i, k]])
+        velocity_base_mm_s = (self._positions_base_mm[k] - self._positions_base_mm[i]) / dt_s
+        angular_velocity_base_rad_s = (R_last * R_first.inv()).as_rotvec() / dt_s
+        beyond_s = t_s - self._times_s[k]
+        T_base_tool = np.eye(4)
+        T_base_tool[:3, :3] = (
+            Rotation.from_rotvec(angular_velocity_base_rad_s * beyond_s) * R_last
+        ).as_matrix()
+        T_base_tool[:3, 3] = self._positions_base_mm[k] + velocity_base_mm_s * beyond_s
+        return PoseAt(
+            timestamp_s=t_s,
+            status=status,
+            refusal=None,
+            T_base_tool=T_base_tool,
+            velocity_base_mm_s=velocity_base_mm_s,
+            angular_velocity_base_rad_s=angular_velocity_base_rad_s,
+            period_s=period_s,
+        )
+
+    def _make_room(self) -> None:
+        if self._stop == 2 * self._capacity:
+            for rows in (self._times_s, self._positions_base_mm, self._quaternions_xyzw):
+                rows[: self._capacity - 1] = rows[self._stop - self._capacity + 1 : self._stop]
+            self._start, self._stop = 0, self._capacity - 1
+            self._forgot = True
+        elif len(self) == self._capacity:
+            self._start += 1
+            self._forgot = True
+
+
+def _refused(t_s: float, refusal: PoseRefusal, period_s: float) -> PoseAt:
+    return PoseAt(
+        timestamp_s=t_s,
+        status=PoseStatus.REFUSED,
+        refusal=refusal,
+        T_base_tool=np.full((4, 4), np.nan),
+        velocity_base_mm_s=np.full(3, np.nan),
+        angular_velocity_base_rad_s=np.full(3, np.nan),
+        period_s=period_s,
+    )
