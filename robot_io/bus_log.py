@@ -1,0 +1,147 @@
+"""Logs of the bus, `.blf`, `.asc` or `.log`: written so that the times come back, read as accepted messages.
+
+A log holds either wall-clock times (Unix seconds) or recording times (seconds from a recording's zero). The
+formats store times relative to a start: here that start is 0 for recording times and a whole second for
+wall-clock times, so that nothing is lost to the start's own resolution of a millisecond.
+"""
+
+from __future__ import annotations
+
+import copy
+import math
+import struct
+import zlib
+from collections import Counter
+from collections.abc import Iterator
+from pathlib import Path
+
+import can
+from can.io.blf import BLFParseError
+
+from robot_io.inbox import Inbox, Received, SkipReason
+
+LOG_SUFFIXES = (".asc", ".blf", ".log")
+"""The formats that are written and read."""
+
+UNIX_TIME_FROM_S = 631_152_000.0
+"""Times from here on (1990-01-01) are taken for wall-clock times, as python-can's BLF writer does."""
+
+_BLF_CONTAINER_BYTES = 4096
+"""A BLF file is written in containers; a small one loses little if the process is killed."""
+
+
+class BusLogError(ValueError):
+    """A log that cannot be written or read."""
+
+
+class BusLogWriter:
+    """Writes frames to one log file; `close` it, or use it as a context manager."""
+
+    def __init__(self, path: Path) -> None:
+        _require_suffix(path)
+        self.path = path
+        self._start_s: float | None = None
+        self._writer: can.BLFWriter | can.ASCWriter | can.CanutilsLogWriter
+        try:
+            if path.suffix == ".blf":
+                self._writer = can.BLFWriter(path, max_container_size=_BLF_CONTAINER_BYTES)
+            elif path.suffix == ".asc":
+                self._writer = can.ASCWriter(path)
+            else:
+                self._writer = can.CanutilsLogWriter(path)
+        except OSError as error:
+            raise BusLogError(f"log {path}: {error.strerror}; choose a folder that can be written") from error
+
+    def __enter__(self) -> BusLogWriter:
+        return self
+
+    def __exit__(self, *_exception: object) -> None:
+        self.close()
+
+    def require(self, timestamp_s: float) -> None:
+        """Raise BusLogError if a frame of this time cannot be logged with its time."""
+        if not math.isfinite(timestamp_s):
+            raise BusLogError(f"log {self.path}: time {timestamp_s} s; a frame's time must be finite")
+        start_s = self._start(timestamp_s)
+        if timestamp_s < start_s:
+            raise BusLogError(
+                f"log {self.path}: time {timestamp_s:.6f} s is before the log's start at {start_s:g} s; "
+                "keep one clock in a log, from 0 on"
+            )
+
+    def write(self, frame: can.Message) -> None:
+        """Write a frame; one from before the log's start gets the start's time."""
+        start_s = self._start(frame.timestamp)
+        entry = copy.copy(frame)
+        entry.timestamp = max(frame.timestamp, start_s)
+        # The writers make a channel number of a name's trailing digits, which need not fit.
+        entry.channel = 0
+        self._writer.on_message_received(entry)
+        self._writer.file.flush()
+
+    def close(self) -> None:
+        """Finish the file."""
+        self._writer.stop()
+
+    def _start(self, timestamp_s: float) -> float:
+        if self._start_s is None:
+            self._start_s = 0.0 if timestamp_s < UNIX_TIME_FROM_S else math.floor(timestamp_s) - 1.0
+            if isinstance(self._writer, can.BLFWriter):
+                self._writer.start_timestamp = self._start_s
+            elif isinstance(self._writer, can.ASCWriter):
+                self._writer.log_event("Start of measurement", self._start_s)
+        return self._start_s
+
+
+class BusLogReader:
+    """Iterates over the accepted messages of a log; `skipped` counts the frames left out, by reason.
+
+    Every pass over it reads the file anew, with fresh counters. Times are those that were logged: wall-clock
+    seconds, or recording seconds where the log's start is not a wall-clock time. An `.asc` file states its
+    start in local time: read it in the time zone in which it was written, or use `.blf`.
+    """
+
+    def __init__(self, path: Path) -> None:
+        _require_suffix(path)
+        if not path.is_file():
+            raise BusLogError(f"log {path}: no such file; check the path")
+        self.path = path
+        self.skipped: Counter[SkipReason] = Counter()
+
+    def __iter__(self) -> Iterator[Received]:
+        inbox = Inbox()
+        self.skipped = inbox.skipped
+        try:
+            for frame in _frames(self.path):
+                received = inbox.receive(frame)
+                if received is not None:
+                    yield received
+        except (OSError, ValueError, LookupError, struct.error, zlib.error, BLFParseError) as error:
+            reason = " ".join(str(error).split()) or type(error).__name__
+            raise BusLogError(f"log {self.path}: cannot be read ({reason}); is it a whole log?") from error
+
+
+def _frames(path: Path) -> Iterator[can.Message]:
+    if path.suffix == ".asc":
+        yield from _asc_frames(path)
+    elif path.suffix == ".blf":
+        # Opened here: the reader leaves the file open when its header is not a log's.
+        with path.open("rb") as file:
+            yield from can.BLFReader(file)
+    else:
+        with can.CanutilsLogReader(path) as log:
+            yield from log
+
+
+def _asc_frames(path: Path) -> Iterator[can.Message]:
+    with can.ASCReader(path, relative_timestamp=False) as asc:
+        for frame in asc:
+            if asc.start_time < UNIX_TIME_FROM_S:
+                # To the nanosecond: the file holds microseconds, the sum with the start has rounded them.
+                frame.timestamp = round(frame.timestamp - asc.start_time, 9)
+            yield frame
+
+
+def _require_suffix(path: Path) -> None:
+    if path.suffix not in LOG_SUFFIXES:
+        raise BusLogError(f"log {path}: unknown format '{path.suffix}'; use one of {', '.join(LOG_SUFFIXES)}")

@@ -1,0 +1,161 @@
+"""The bus itself: any python-can interface, protected messages out, accepted messages in, all logged."""
+
+from __future__ import annotations
+
+import time
+from collections import deque
+from collections.abc import Iterator, Sequence
+from contextlib import ExitStack
+from pathlib import Path
+from threading import Lock
+from typing import Any
+
+import can
+
+from robot_io.bus_log import BusLogWriter
+from robot_io.inbox import Inbox, Received
+from robot_io.messages import BusMessage
+from robot_io.protect import Protector
+
+_CURES = {
+    "socketcan": "bring it up (ip link set CHANNEL up type can bitrate 500000)",
+    "slcan": "check the serial port and its permissions, and that pyserial is installed (python-can[serial])",
+    "udp_multicast": (
+        "give a multicast address such as 239.74.163.2, and install msgpack (python-can[multicast])"
+    ),
+}
+_ECHOING = ("udp_multicast",)
+"""Interfaces that hand a sender its own frames back."""
+
+_ECHOES_KEPT = 256
+
+_FAILURES = (can.CanError, OSError, ImportError, ValueError, TypeError, NotImplementedError)
+
+
+class LinkError(ValueError):
+    """The bus cannot be opened, or failed while in use."""
+
+
+class Link:
+    """A place on the bus. `close` it, or use it as a context manager.
+
+    `interface` and `channel` are python-can's (`virtual`, `udp_multicast`, `socketcan`, `slcan` …), and so
+    are further `bus_options`; `bitrate_bit_s` is for interfaces that set it themselves. Everything that goes
+    over the bus, foreign frames included, is written to each of `log_paths` (`.blf`, `.asc`, `.log`). One
+    thread may send while another receives. Raises LinkError, BusLogError.
+    """
+
+    def __init__(
+        self,
+        interface: str = "virtual",
+        channel: str = "arctrack",
+        *,
+        bitrate_bit_s: int | None = None,
+        log_paths: Sequence[Path] = (),
+        **bus_options: Any,
+    ) -> None:
+        self.interface = interface
+        self.channel = channel
+        self.inbox = Inbox()
+        self._protector = Protector()
+        self._lock = Lock()
+        self._echoes: deque[tuple[int, bytes]] = deque(maxlen=_ECHOES_KEPT)
+        if bitrate_bit_s is not None:
+            bus_options["bitrate"] = bitrate_bit_s
+        if interface == "virtual":
+            bus_options.setdefault("preserve_timestamps", True)
+        with ExitStack() as opened:
+            self._logs = [opened.enter_context(BusLogWriter(path)) for path in log_paths]
+            self._bus = self._open(bus_options)
+            opened.callback(self._bus.shutdown)
+            self._opened = opened.pop_all()
+
+    def __enter__(self) -> Link:
+        return self
+
+    def __exit__(self, *_exception: object) -> None:
+        self.close()
+
+    def close(self) -> None:
+        """Leave the bus and finish the logs."""
+        self._opened.close()
+
+    def send(self, message: BusMessage, timestamp_s: float | None = None) -> None:
+        """Protect a message, send it and log it.
+
+        `timestamp_s` is the time that the log (and the `virtual` bus) gives the frame: a replay's recording
+        time; by default the wall clock. Raises CodecError if a signal cannot carry its value, LinkError if
+        the bus fails, BusLogError if a log cannot hold that time; nothing is sent then.
+        """
+        sent_at_s = time.time() if timestamp_s is None else timestamp_s
+        for log in self._logs:
+            log.require(sent_at_s)
+        arbitration_id, payload = self._protector.protect(message)
+        frame = can.Message(
+            timestamp=sent_at_s,
+            arbitration_id=arbitration_id,
+            is_extended_id=False,
+            data=payload,
+            is_rx=False,
+        )
+        if self.interface in _ECHOING:
+            with self._lock:
+                self._echoes.append((arbitration_id, payload))
+        try:
+            self._bus.send(frame)
+        except _FAILURES as error:
+            raise self._error("send", error) from error
+        self._log(frame)
+
+    def receive(self, timeout_s: float | None = None) -> Iterator[Received]:
+        """Yield accepted messages until none has come for `timeout_s` s (0: what waits; None: for ever).
+
+        What is not ours, fails E2E or cannot be decoded is logged and counted in `inbox.skipped`, no more.
+        Raises LinkError if the bus fails.
+        """
+        deadline_s = _deadline_s(timeout_s)
+        while True:
+            left_s = None if deadline_s is None else max(0.0, deadline_s - time.monotonic())
+            try:
+                frame = self._bus.recv(left_s)
+            except _FAILURES as error:
+                raise self._error("receive", error) from error
+            if frame is None:
+                return
+            if self._is_echo(frame):
+                continue
+            self._log(frame)
+            received = self.inbox.receive(frame)
+            if received is not None:
+                yield received
+                deadline_s = _deadline_s(timeout_s)
+
+    def _open(self, bus_options: dict[str, Any]) -> can.BusABC:
+        try:
+            # Configuration files of the machine must not change what was asked for here.
+            return can.Bus(interface=self.interface, channel=self.channel, ignore_config=True, **bus_options)
+        except _FAILURES as error:
+            raise self._error("open", error) from error
+
+    def _log(self, frame: can.Message) -> None:
+        with self._lock:
+            for log in self._logs:
+                log.write(frame)
+
+    def _is_echo(self, frame: can.Message) -> bool:
+        key = (frame.arbitration_id, bytes(frame.data))
+        with self._lock:
+            if key not in self._echoes:
+                return False
+            self._echoes.remove(key)
+        return True
+
+    def _error(self, doing: str, error: Exception) -> LinkError:
+        reason = " ".join(str(error).split()) or type(error).__name__
+        cure = _CURES.get(self.interface, "check the interface's name and channel in python-can's list")
+        cure = cure.replace("CHANNEL", self.channel)
+        return LinkError(f"CAN {self.interface}:{self.channel}: cannot {doing} ({reason}); {cure}")
+
+
+def _deadline_s(timeout_s: float | None) -> float | None:
+    return None if timeout_s is None else time.monotonic() + timeout_s

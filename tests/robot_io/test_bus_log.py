@@ -1,0 +1,131 @@
+from __future__ import annotations
+
+import can
+import pytest
+from bus_messages import EXAMPLES
+
+from robot_io.bus_log import BusLogError, BusLogReader, BusLogWriter
+from robot_io.codec import decode, encode
+from robot_io.inbox import SkipReason
+from robot_io.protect import Protector
+
+SUFFIXES = [".blf", ".asc", ".log"]
+# What the format itself can tell apart, s.
+RESOLUTION_S = {".blf": 2e-9, ".asc": 1e-6, ".log": 1e-6}
+
+
+def frames(times_s):
+    protector = Protector()
+    for i, t_s in enumerate(times_s):
+        arbitration_id, payload = protector.protect(EXAMPLES[i % len(EXAMPLES)])
+        yield can.Message(
+            timestamp=t_s,
+            arbitration_id=arbitration_id,
+            data=payload,
+            is_extended_id=False,
+            channel="lab99999",
+            is_rx=i % 2 == 0,
+        )
+
+
+def write(path, times_s):
+    with BusLogWriter(path) as log:
+        for frame in frames(times_s):
+            log.write(frame)
+
+
+def on_the_bus(message):
+    return decode(*encode(message))
+
+
+@pytest.mark.parametrize("suffix", SUFFIXES)
+@pytest.mark.parametrize(
+    "first_s", [0.0, 0.1234567, 3.0e4, 1_790_000_000.987654], ids=["zero", "soon", "late", "wall clock"]
+)
+def test_round_trip_of_messages_and_times(tmp_path, suffix, first_s):
+    times_s = [first_s + 0.0123457 * i for i in range(40)]
+    path = tmp_path / f"bus{suffix}"
+    write(path, times_s)
+    log = BusLogReader(path)
+    received = list(log)
+    # Float seconds of the wall clock are themselves good to some 0.2 µs only.
+    tolerance_s = RESOLUTION_S[suffix] + (5e-7 if first_s > 1e9 else 0.0)
+    assert [r.timestamp_s for r in received] == pytest.approx(times_s, abs=tolerance_s, rel=0.0)
+    expected = [on_the_bus(EXAMPLES[i % len(EXAMPLES)]) for i in range(40)]
+    assert [encode(r.message) for r in received] == [encode(message) for message in expected]
+    assert not log.skipped
+    assert [r.timestamp_s for r in log] == [r.timestamp_s for r in received]
+
+
+@pytest.mark.parametrize("suffix", SUFFIXES)
+def test_what_is_not_ours_or_fails_is_skipped_and_counted(tmp_path, suffix):
+    path = tmp_path / f"bus{suffix}"
+    with BusLogWriter(path) as log:
+        for frame in frames([0.1, 0.2, 0.3]):
+            if frame.timestamp == 0.2:
+                frame.data[3] ^= 0x04
+            log.write(frame)
+            log.write(can.Message(timestamp=frame.timestamp, arbitration_id=0x18FEF100, data=b"\x01\x02"))
+        log.write(can.Message(timestamp=0.5, is_error_frame=True))
+    reader = BusLogReader(path)
+    assert [r.timestamp_s for r in reader] == [0.1, 0.3]
+    assert reader.skipped[SkipReason.E2E_ERROR] == 1
+    assert reader.skipped[SkipReason.FOREIGN] >= 3
+
+
+@pytest.mark.parametrize("suffix", SUFFIXES)
+def test_times_before_the_start_are_refused(tmp_path, suffix):
+    with BusLogWriter(tmp_path / f"bus{suffix}") as log:
+        log.require(0.0)
+        with pytest.raises(BusLogError, match=r"time -0\.400000 s is before the log's start at 0 s"):
+            log.require(-0.4)
+        with pytest.raises(BusLogError, match="must be finite"):
+            log.require(float("nan"))
+
+
+def test_a_received_frame_from_before_the_start_gets_the_start(tmp_path):
+    path = tmp_path / "bus.asc"
+    write(path, [1_790_000_000.5, 1_789_999_000.0])
+    assert [r.timestamp_s for r in BusLogReader(path)] == [1_790_000_000.5, 1_789_999_999.0]
+
+
+@pytest.mark.parametrize("path", ["bus.csv", "bus"])
+def test_unknown_formats(tmp_path, path):
+    for kind in (BusLogWriter, BusLogReader):
+        with pytest.raises(BusLogError, match=r"unknown format .*; use one of \.asc, \.blf, \.log"):
+            kind(tmp_path / path)
+
+
+def test_missing_file_and_folder(tmp_path):
+    with pytest.raises(BusLogError, match="no such file"):
+        BusLogReader(tmp_path / "bus.blf")
+    with pytest.raises(BusLogError, match="No such file or directory"):
+        BusLogWriter(tmp_path / "nowhere" / "bus.blf")
+
+
+@pytest.mark.parametrize(
+    ("name", "content"),
+    [
+        ("bus.blf", b"not a log at all"),
+        ("bus.blf", b"\x00" * 400),
+        ("bus.asc", b"date Mi Okt 40 99:00:00 2026\nbase hex  timestamps absolute\n"),
+        ("bus.log", b"(x) can0 110#00\n"),
+        ("bus.log", b"\xff\xfe\x00"),
+    ],
+)
+def test_a_file_that_is_no_log_is_one_clear_line(tmp_path, name, content):
+    path = tmp_path / name
+    path.write_bytes(content)
+    with pytest.raises(BusLogError, match=r"bus\.\w+: cannot be read") as caught:
+        list(BusLogReader(path))
+    assert "\n" not in str(caught.value)
+
+
+def test_a_killed_writer_loses_little(tmp_path):
+    path = tmp_path / "bus.blf"
+    with BusLogWriter(path) as log:
+        for frame in frames([0.01 * i for i in range(1000)]):
+            log.write(frame)
+        on_disk = path.read_bytes()
+    (tmp_path / "killed.blf").write_bytes(on_disk)
+    assert len(list(BusLogReader(tmp_path / "killed.blf"))) > 850

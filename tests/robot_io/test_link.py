@@ -1,0 +1,227 @@
+from __future__ import annotations
+
+import importlib.util
+import itertools
+import math
+import os
+import select
+import sys
+import threading
+import time
+
+import can
+import pytest
+from bus_messages import EXAMPLES
+
+from robot_io.bus_log import BusLogError, BusLogReader
+from robot_io.codec import CodecError, decode, encode
+from robot_io.inbox import SkipReason
+from robot_io.link import Link, LinkError
+from robot_io.messages import SeamOffset, Validity
+from robot_io.pose_assembler import PoseAssembler
+
+OFFSET = EXAMPLES[2]
+GROUP = "239.74.163.2"
+CHANNELS = (f"test_link_{n}" for n in itertools.count())
+
+
+def as_bytes(messages):
+    # NaN is not equal to itself; its code on the bus is.
+    return [encode(decode(*encode(message))) for message in messages]
+
+
+def exchange(sender, receiver, timeout_s=0.5):
+    for message in EXAMPLES:
+        sender.send(message)
+    return [r.message for r in itertools.islice(receiver.receive(timeout_s), len(EXAMPLES))]
+
+
+def test_virtual_both_ways():
+    channel = next(CHANNELS)
+    with Link("virtual", channel) as robot, Link("virtual", channel) as tracker:
+        assert as_bytes(exchange(robot, tracker)) == as_bytes(EXAMPLES)
+        assert as_bytes(exchange(tracker, robot)) == as_bytes(EXAMPLES)
+        assert list(robot.receive(0.0)) == []
+        assert tracker.inbox.latest(SeamOffset, time.time()) == OFFSET
+
+
+def test_recording_time_reaches_the_receiver_and_the_logs(tmp_path):
+    channel = next(CHANNELS)
+    logs = [tmp_path / "bus.blf", tmp_path / "bus.asc", tmp_path / "bus.log"]
+    with Link("virtual", channel) as listener:
+        with Link("virtual", channel, log_paths=logs) as link:
+            for i, message in enumerate(EXAMPLES):
+                link.send(message, timestamp_s=0.25 * i)
+        received = list(listener.receive(0.0))
+    assert [r.timestamp_s for r in received] == [0.25 * i for i in range(len(EXAMPLES))]
+    for path in logs:
+        logged = list(BusLogReader(path))
+        assert [r.timestamp_s for r in logged] == [r.timestamp_s for r in received]
+        assert as_bytes(r.message for r in logged) == as_bytes(EXAMPLES)
+
+
+def test_everything_on_the_bus_is_logged_foreign_frames_too(tmp_path):
+    channel = next(CHANNELS)
+    path = tmp_path / "bus.blf"
+    with (
+        can.Bus(interface="virtual", channel=channel, ignore_config=True) as other,
+        Link("virtual", channel) as robot,
+        Link("virtual", channel, log_paths=[path]) as tracker,
+    ):
+        other.send(can.Message(arbitration_id=0x700, data=b"\x01", is_extended_id=False))
+        robot.send(EXAMPLES[0])
+        assert [r.message for r in tracker.receive(0.0)] == [EXAMPLES[0]]
+        tracker.send(OFFSET)
+        assert tracker.inbox.skipped == {SkipReason.FOREIGN: 1}
+    with can.BLFReader(path) as log:
+        assert [frame.arbitration_id for frame in log] == [0x700, 0x110, 0x112]
+
+
+def test_poses_go_over_the_bus_whole():
+    channel = next(CHANNELS)
+    assembler = PoseAssembler()
+    with Link("virtual", channel) as robot, Link("virtual", channel) as tracker:
+        for i in range(20):
+            robot.send(EXAMPLES[0], timestamp_s=0.01 * i)
+            robot.send(EXAMPLES[1], timestamp_s=0.01 * i)
+        poses = [pose for r in tracker.receive(0.0) if (pose := assembler.push(r))]
+    assert [pose.timestamp_s for pose in poses] == pytest.approx([0.01 * i - 0.002 for i in range(20)])
+    assert poses[0].position_base_mm == pytest.approx((412.5, -88.025, 3.0))
+    assert poses[0].quaternion_xyzw == pytest.approx((-0.6, 0.0, 0.8, 0.0), abs=1e-4)
+
+
+def test_what_cannot_be_sent_does_not_go_out(tmp_path):
+    channel = next(CHANNELS)
+    with (
+        Link("virtual", channel, log_paths=[tmp_path / "bus.blf"]) as tracker,
+        Link("virtual", channel) as robot,
+    ):
+        with pytest.raises(CodecError, match=r"SeamOffset\.offset_y_mm"):
+            tracker.send(SeamOffset(40.0, 0.0, 0.0, 1.0, Validity.VALID))
+        with pytest.raises(BusLogError, match="before the log's start"):
+            tracker.send(OFFSET, timestamp_s=-1.0)
+        assert list(robot.receive(0.0)) == []
+        tracker.send(OFFSET)
+        assert len(list(robot.receive(0.0))) == 1
+
+
+@pytest.mark.parametrize(
+    ("interface", "channel", "cure"),
+    [
+        ("carrier_pigeon", "coop", "check the interface's name"),
+        ("socketcan", "nosuchcan0", "ip link set nosuchcan0 up"),
+        ("slcan", "/dev/nosuchtty", "serial port"),
+        ("udp_multicast", "10.0.0.1", "multicast address"),
+    ],
+)
+def test_a_bus_that_cannot_be_opened_is_one_clear_line(tmp_path, interface, channel, cure):
+    with pytest.raises(LinkError) as caught:
+        Link(interface, channel, log_paths=[tmp_path / "bus.asc"])
+    text = str(caught.value)
+    assert text.startswith(f"CAN {interface}:{channel}: cannot open (")
+    assert cure in text
+    assert "\n" not in text
+
+
+def test_a_bus_that_fails_in_use_is_one_clear_line():
+    channel = next(CHANNELS)
+    link = Link("virtual", channel)
+    link.close()
+    with pytest.raises(LinkError, match=f"CAN virtual:{channel}: cannot send"):
+        link.send(OFFSET)
+    with pytest.raises(LinkError, match=f"CAN virtual:{channel}: cannot receive"):
+        next(link.receive(0.0))
+
+
+def multicast_works(port):
+    """Return why UDP multicast cannot be tested here, or None."""
+    if importlib.util.find_spec("msgpack") is None:
+        return "msgpack is not installed"
+    try:
+        with (
+            can.Bus(interface="udp_multicast", channel=GROUP, port=port, ignore_config=True) as one,
+            can.Bus(interface="udp_multicast", channel=GROUP, port=port, ignore_config=True) as other,
+        ):
+            one.send(can.Message(arbitration_id=0x700, data=b"", is_extended_id=False))
+            return None if other.recv(0.5) is not None else "multicast frames do not arrive on this machine"
+    except (OSError, can.CanError) as error:
+        return f"no multicast on this machine: {error}"
+
+
+def test_udp_multicast_between_two_links(tmp_path):
+    # A port of this process: other runs on the same machine must not be heard.
+    port = 20_000 + os.getpid() % 20_000
+    if reason := multicast_works(port):
+        pytest.skip(reason)
+    path = tmp_path / "bus.blf"
+    with (
+        Link("udp_multicast", GROUP, port=port, hop_limit=0) as robot,
+        Link("udp_multicast", GROUP, port=port, hop_limit=0, log_paths=[path]) as tracker,
+    ):
+        assert as_bytes(exchange(robot, tracker)) == as_bytes(EXAMPLES)
+        assert as_bytes(exchange(tracker, robot)) == as_bytes(EXAMPLES)
+        # Multicast hands a sender its own frames back: they are no messages.
+        assert list(tracker.receive(0.05)) == []
+        assert not tracker.inbox.skipped
+        assert not robot.inbox.skipped
+    with can.BLFReader(path) as log:
+        assert len(list(log)) == 2 * len(EXAMPLES)
+
+
+class SlcanAdapters:
+    """Two serial CAN adapters on one wire: what one is told to send, the other reports as received."""
+
+    def __init__(self):
+        self._ends = [os.openpty() for _ in range(2)]
+        self.ports = [os.ttyname(slave) for _, slave in self._ends]
+        self.heard = [b"", b""]
+        self._stop_read, self._stop_write = os.pipe()
+        self._thread = threading.Thread(target=self._run)
+
+    def __enter__(self):
+        self._thread.start()
+        return self
+
+    def __exit__(self, *_exception):
+        os.write(self._stop_write, b"x")
+        self._thread.join()
+        for fd in (self._stop_read, self._stop_write, *itertools.chain(*self._ends)):
+            os.close(fd)
+
+    def _run(self):
+        masters = [master for master, _ in self._ends]
+        pending = [b"", b""]
+        while True:
+            ready, _, _ = select.select([*masters, self._stop_read], [], [])
+            if self._stop_read in ready:
+                return
+            for i in (i for i, master in enumerate(masters) if master in ready):
+                data = os.read(masters[i], 4096)
+                self.heard[i] += data
+                *lines, pending[i] = (pending[i] + data).split(b"\r")
+                for line in lines:
+                    if line.startswith(b"t"):
+                        os.write(masters[1 - i], line + b"\r")
+
+
+@pytest.mark.skipif(importlib.util.find_spec("serial") is None, reason="pyserial is not installed")
+@pytest.mark.skipif(sys.platform == "win32", reason="Windows has no pseudo terminals")
+def test_slcan_between_two_links():
+    options = {"bitrate_bit_s": 500_000, "sleep_after_open": 0.0}
+    with (
+        SlcanAdapters() as adapters,
+        Link("slcan", adapters.ports[0], **options) as robot,
+        Link("slcan", adapters.ports[1], **options) as tracker,
+    ):
+        assert as_bytes(exchange(robot, tracker)) == as_bytes(EXAMPLES)
+        assert as_bytes(exchange(tracker, robot)) == as_bytes(EXAMPLES)
+        assert b"S6\r" in adapters.heard[0]
+
+
+def test_unknown_offsets_stay_unknown():
+    channel = next(CHANNELS)
+    with Link("virtual", channel) as tracker, Link("virtual", channel) as robot:
+        tracker.send(SeamOffset(math.nan, math.nan, math.nan, math.nan, Validity.REFUSED))
+        (received,) = robot.receive(0.0)
+    assert math.isnan(received.message.offset_y_mm)
+    assert received.message.validity is Validity.REFUSED
