@@ -51,7 +51,7 @@ class Camera:
         return np.array([[self.fx, 0.0, self.cx], [0.0, self.fy, self.cy], [0.0, 0.0, 1.0]])
 
     def normalised(self, points_px: npt.ArrayLike) -> Float64:
-        """Return the undistorted normalised coordinates (N, 2) of image points (N, 2): the ray is (x, y, 1)."""
+        """Return the undistorted normalised coordinates (N, 2) of points (N, 2), px: the ray is (x, y, 1)."""
         points = np.ascontiguousarray(points_px, dtype=np.float64).reshape(-1, 1, 2)
         if not any(self.distortion):
             flat = points[:, 0]
@@ -99,7 +99,11 @@ class Rays:
 
 
 def blur(image: Float32, psf_sigma_px: float) -> Float32:
-    """Convolve an image (H, W) with the Gaussian point-spread function; the rim is reflected."""
+    """Convolve an image (H, W) with the Gaussian point-spread function; the rim is reflected.
+
+    The Gaussian is sampled at the pixel centres: its variance is psf_sigma_px^2 within 1 % from 0.65 px on;
+    below, the pixel grid undersamples it (14 % short at 0.5 px).
+    """
     if psf_sigma_px == 0.0:
         return image
     radius = max(1, int(np.ceil(4.0 * psf_sigma_px)))

@@ -83,7 +83,7 @@ def variance_e2(mean_e: npt.ArrayLike, sensor: Sensor) -> Float64:
 
 def saturation_dn(sensor: Sensor) -> int:
     """Return the lowest DN that says no more than 'at least this bright'."""
-    return int(min(np.floor(respond(sensor.full_well_e, sensor)), sensor.max_dn))
+    return min(round(float(respond(sensor.full_well_e, sensor))), sensor.max_dn)
 
 
 def expose(mean_e: Float64, sensor: Sensor, rng: np.random.Generator) -> npt.NDArray[np.integer]:

@@ -1,0 +1,161 @@
+import dataclasses
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from noise_model.sensor import (
+    Sensor,
+    electrons_per_dn,
+    expose,
+    linearise,
+    respond,
+    saturation_dn,
+    variance_e2,
+)
+
+LINEAR = Sensor(
+    bits=8, gain_e_per_dn=80.0, black_level_dn=8.0, read_noise_e=40.0, full_well_e=20000.0, gamma=1.0
+)
+GAMMAS = [0.45, 0.7, 1.0, 1.6]
+
+
+@st.composite
+def sensors(draw):
+    return Sensor(
+        bits=draw(st.integers(8, 16)),
+        gain_e_per_dn=draw(st.floats(0.05, 200.0)),
+        black_level_dn=draw(st.floats(0.0, 64.0)),
+        read_noise_e=draw(st.floats(0.0, 100.0)),
+        full_well_e=draw(st.floats(1e3, 2e5)),
+        gamma=draw(st.floats(0.4, 2.5)),
+    )
+
+
+@given(sensors(), st.floats(-0.2, 1.0))
+def test_linearise_undoes_respond(sensor, share):
+    electrons = share * sensor.full_well_e
+    # A DN of black level and more has 1e-16 of its own size, which the root turns into electrons.
+    lost_dn = 4e-16 * (sensor.black_level_dn + abs(float(respond(electrons, sensor))))
+    lost = sensor.full_well_e * (lost_dn * sensor.gain_e_per_dn / sensor.full_well_e) ** min(
+        1.0, 1.0 / sensor.gamma
+    )
+    assert linearise(respond(electrons, sensor), sensor) == pytest.approx(
+        electrons, rel=1e-9, abs=10.0 * lost
+    )
+
+
+@given(sensors())
+def test_the_response_rises_from_the_black_level_to_the_full_well(sensor):
+    electrons = np.linspace(-0.1, 1.0, 200) * sensor.full_well_e
+    assert (np.diff(respond(electrons, sensor)) > 0).all()
+    assert respond(0.0, sensor) == sensor.black_level_dn
+    assert respond(sensor.full_well_e, sensor) == pytest.approx(
+        sensor.black_level_dn + sensor.full_well_e / sensor.gain_e_per_dn
+    )
+
+
+@pytest.mark.parametrize("gamma", GAMMAS)
+def test_negative_electrons_mirror_positive_ones_about_the_black_level(gamma):
+    sensor = dataclasses.replace(LINEAR, gamma=gamma)
+    above = respond(300.0, sensor) - sensor.black_level_dn
+    assert above > 0
+    assert respond(-300.0, sensor) == pytest.approx(sensor.black_level_dn - above)
+    assert linearise(respond(-300.0, sensor), sensor) == pytest.approx(-300.0)
+
+
+@pytest.mark.parametrize("gamma", GAMMAS)
+def test_electrons_per_dn_is_the_slope(gamma):
+    sensor = dataclasses.replace(LINEAR, gamma=gamma)
+    for electrons in (100.0, 3000.0, 15000.0):
+        rise = respond(electrons + 0.5, sensor) - respond(electrons - 0.5, sensor)
+        assert electrons_per_dn(electrons, sensor) == pytest.approx(1.0 / rise, rel=1e-4)
+    assert np.isfinite(electrons_per_dn(0.0, sensor))
+
+
+@pytest.mark.parametrize("gamma", GAMMAS)
+@pytest.mark.parametrize("mean_e", [600.0, 4000.0, 12000.0])
+def test_the_variance_is_that_of_drawn_frames(gamma, mean_e):
+    sensor = dataclasses.replace(LINEAR, bits=12, gain_e_per_dn=20.0, black_level_dn=100.0, gamma=gamma)
+    count = 200_000
+    # Spread over three codes: a code wider than the noise is a twelfth only on average over its width.
+    width = 3.0 * electrons_per_dn(mean_e, sensor)
+    means = mean_e + width * np.random.default_rng(19).uniform(-0.5, 0.5, count)
+    residual = linearise(expose(means, sensor, np.random.default_rng(20)), sensor) - means
+    predicted = float(np.mean(variance_e2(means, sensor)))
+    # Normal draws scatter by sqrt(2 / count) in variance: 5 sigma. A curved response adds terms of the order
+    # of the relative variance, which the prediction leaves out.
+    bound = 5.0 * np.sqrt(2.0 / count) + (0.0 if gamma == 1.0 else 3.0 * predicted / mean_e**2)
+    assert residual.var() == pytest.approx(predicted, rel=bound)
+    # The curve shifts the mean by about half the variance times f'' / f', (gamma - 1) / (2 e) of it.
+    assert abs(residual.mean()) < 5.0 * np.sqrt(predicted / count) + 0.1 * predicted / mean_e
+
+
+def test_coarse_steps_add_their_twelfth():
+    sensor = dataclasses.replace(LINEAR, read_noise_e=30.0)
+    mean_e = np.random.default_rng(1).uniform(5.0, 15.0, 200_000) * sensor.gain_e_per_dn
+    residual = linearise(expose(mean_e, sensor, np.random.default_rng(2)), sensor) - mean_e
+    predicted = float(np.mean(variance_e2(mean_e, sensor)))
+    assert sensor.gain_e_per_dn**2 / 12.0 > 0.2 * predicted
+    assert residual.var() == pytest.approx(predicted, rel=0.02)
+
+
+def test_the_variance_of_darkness_is_read_noise_and_steps():
+    expected = 40.0**2 + 80.0**2 / 12.0
+    assert variance_e2(0.0, LINEAR) == pytest.approx(expected)
+    assert variance_e2(-50.0, LINEAR) == pytest.approx(expected)
+    frame = expose(np.zeros(200_000), LINEAR, np.random.default_rng(3))
+    assert frame.mean() == pytest.approx(LINEAR.black_level_dn, abs=0.01)
+    assert linearise(frame, LINEAR).min() < 0.0
+
+
+@given(sensors())
+def test_saturation_is_the_code_of_a_full_pixel_and_of_no_lesser_one(sensor):
+    full = expose(np.array([1e3 * sensor.full_well_e]), sensor, np.random.default_rng(0))[0]
+    assert saturation_dn(sensor) == full
+    edge_dn = saturation_dn(sensor) - 1
+    if edge_dn >= respond(0.0, sensor):
+        assert linearise(edge_dn, sensor) < sensor.full_well_e
+
+
+@pytest.mark.parametrize(
+    ("black_level_dn", "full_well_e", "expected"),
+    [(8.0, 16000.0, 208), (8.7, 16000.0, 209), (8.0, 40000.0, 255)],
+)
+def test_saturation_by_the_well_or_by_the_code(black_level_dn, full_well_e, expected):
+    sensor = dataclasses.replace(LINEAR, black_level_dn=black_level_dn, full_well_e=full_well_e)
+    assert saturation_dn(sensor) == expected
+
+
+@pytest.mark.parametrize(("bits", "dtype"), [(8, np.uint8), (10, np.uint16), (16, np.uint16)])
+def test_frames_have_the_sensors_depth(bits, dtype):
+    sensor = dataclasses.replace(LINEAR, bits=bits, gain_e_per_dn=0.1)
+    frame = expose(np.full((3, 4), 1e9), sensor, np.random.default_rng(0))
+    assert frame.dtype == dtype
+    assert frame.shape == (3, 4)
+    assert (frame == 2**bits - 1).all()
+
+
+def test_the_same_seed_draws_the_same_frame():
+    mean_e = np.linspace(0.0, 1e4, 100)
+    first, second = (expose(mean_e, LINEAR, np.random.default_rng(9)) for _ in range(2))
+    np.testing.assert_array_equal(first, second)
+
+
+@pytest.mark.parametrize(
+    ("key", "value"),
+    [
+        ("gamma", 0.0),
+        ("gamma", -1.0),
+        ("gamma", np.nan),
+        ("gain_e_per_dn", 0.0),
+        ("full_well_e", -1.0),
+        ("read_noise_e", -0.1),
+        ("bits", 7),
+        ("bits", 17),
+    ],
+)
+def test_an_impossible_sensor_is_refused(key, value):
+    with pytest.raises(ValueError, match=key):
+        dataclasses.replace(LINEAR, **{key: value})
