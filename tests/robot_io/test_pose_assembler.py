@@ -5,7 +5,7 @@ import math
 import can
 import pytest
 from bus_messages import EXAMPLES
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
@@ -67,6 +67,7 @@ def test_undisturbed_every_pose_arrives_with_the_time_of_its_sample():
         assert pose.sample_age_s == pytest.approx(0.002)
 
 
+@settings(deadline=None)
 @given(
     dropped=st.sets(st.integers(0, 119), max_size=110),
     duplicated=st.sets(st.integers(0, 119), max_size=20),
@@ -80,6 +81,7 @@ def test_never_a_mixture(dropped, duplicated, delays):
     assert len(numbers) == len(set(numbers))
 
 
+@settings(deadline=None)
 @given(st.sets(st.integers(0, 119), max_size=30))
 def test_a_lost_half_costs_its_own_pose_only(dropped):
     sent = frames(60)

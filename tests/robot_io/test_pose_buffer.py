@@ -2,7 +2,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
@@ -80,6 +80,7 @@ def test_a_later_pose_counts_only_within_one_period():
     assert buffer.at(0.4951).status is PoseStatus.INTERPOLATED
 
 
+@settings(deadline=None)
 @given(
     jitter=st.lists(st.floats(-0.004, 0.004), min_size=40, max_size=40),
     dropped=st.sets(st.integers(2, 38), max_size=12),
@@ -94,6 +95,7 @@ def test_replay_sees_what_live_saw(jitter, dropped, t_s):
     assert same(replay, live)
 
 
+@settings(deadline=None)
 @given(
     intervals=st.lists(st.floats(0.0005, 0.03), min_size=5, max_size=60),
     fraction=st.floats(0.0, 1.0),
@@ -151,6 +153,7 @@ def test_memory_is_bounded_and_says_so():
     assert buffer.at(9.0).refusal is PoseRefusal.BEFORE_BUFFER
 
 
+@settings(deadline=None)
 @given(st.integers(2, 9), st.integers(2, 60))
 def test_a_small_buffer_agrees_with_a_large_one(capacity, count):
     times_s = 0.01 * np.arange(count)
