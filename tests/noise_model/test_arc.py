@@ -282,6 +282,36 @@ def test_the_distance_from_which_the_point_source_is_good_enough():
     assert np.abs(just_there) == pytest.approx(0.01, rel=0.02)
 
 
+def mirror_geometry(H, theta_deg):
+    """Patches level with the centre that see the arc's middle, and look back, at theta in one plane."""
+    points = at(H, 90.0)
+    towards = -unit(points)
+    theta = np.radians(theta_deg)
+    normals = np.cos(theta) * towards + np.sin(theta) * UP
+    omega_r = 2.0 * np.sum(towards * normals, axis=1, keepdims=True) * normals - towards
+    return points, normals, omega_r
+
+
+def test_f_r_belongs_inside_the_integral():
+    points, normals, omega_r = mirror_geometry(np.array([3.0, 10.0, 50.0]), 60.0)
+    kappas = MILD_STEEL.kappa_diff, MILD_STEEL.kappa_spec, MILD_STEEL.c2
+    outside = reflectance(-unit(points), omega_r, normals, *kappas) * irradiance_extended(
+        points, normals, ARC
+    )
+    inside = reflected_radiance_extended(points, normals, omega_r, ARC, MILD_STEEL, nodes=48)
+    np.testing.assert_allclose(outside / inside, [5.45, 1.35, 1.01], rtol=0.01)
+
+
+def test_a_narrow_lobe_needs_the_extended_source_much_farther_out():
+    points, normals, omega_r = mirror_geometry(np.array([1.0]), 60.0)
+    in_the_lobe = point_source_distance(points[0] / R, normals[0], omega_r[0], ARC, MILD_STEEL, 0.1)
+    on_a_plate = point_source_distance(
+        points[0] / R, UP, unit(np.array([0.36, 0.0, 1.0])), ARC, MILD_STEEL, 0.1
+    )
+    assert in_the_lobe / R == pytest.approx(16.8, abs=0.2)
+    assert on_a_plate / R == pytest.approx(2.36, abs=0.05)
+
+
 def test_a_distance_that_does_not_exist_is_refused():
     x, z = np.array([1.0, 0.0, 0.0]), UP
     with pytest.raises(ValueError, match="does not light"):
