@@ -6,10 +6,13 @@ The arc is a Lambertian emitter, so L cos(phi) dA / r^2 is L d(omega) and a pixe
 
 From a surface point P the sphere's outline is a circle. With e_w towards the centre, e_u level and e_v
 upright, directions are omega = e_w + tan(beta) (p e_u + q e_v), (p, q) in the unit disc, and
-d(omega) = tan(beta)^2 (1 + tan(beta)^2 (p^2 + q^2))^(-3/2) dp dq, sin(beta) = R / distance. The luminous upper half
-ends at the near arc of the equator, an ellipse q_0(p) in closed form; whatever hides the arc cuts the disc
-along straight lines (`visibility.sky_planes`). So for each p the open range of q is known exactly and what is
-left is a smooth integral: Chebyshev nodes of the second kind in p, Gauss-Legendre in q.
+d(omega) = tan(beta)^2 (1 + tan(beta)^2 (p^2 + q^2))^(-3/2) dp dq, sin(beta) = R / distance. The luminous
+upper half ends at the near arc of the equator, an ellipse q_0(p) in closed form; whatever hides the arc cuts
+the disc along straight lines (`visibility.sky_planes`). So for each p the open range of q is known exactly
+and what is left is a smooth integral: Chebyshev nodes of the second kind in p, Gauss-Legendre in q.
+
+Over the image the map is smooth on each face, so a band or a whole frame is filled cell by cell: corners and
+centre are computed, and where they agree with a bilinear surface the rest is read off it (`arc_band`).
 """
 
 from __future__ import annotations
@@ -17,6 +20,7 @@ from __future__ import annotations
 import functools
 import math
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numba
 import numpy as np
@@ -29,7 +33,9 @@ from noise_model.surface import Section, corrugation_height, seam_frame, section
 from noise_model.visibility import MAX_PLANES, MISS, face_normal, first_hit, horizon_tables, ridge, sky_planes
 
 Float32 = npt.NDArray[np.float32]
+Int32 = npt.NDArray[np.int32]
 Int64 = npt.NDArray[np.int64]
+Nodes = tuple[Float64, Float64, Float64, Float64]
 
 NODES_P, NODES_Q = 6, 4
 """Nodes across and up; where something cuts the disc, `CUT_FACTOR` times as many across."""
@@ -61,7 +67,7 @@ class Scene:
 
 
 @functools.lru_cache(maxsize=8)
-def _disc_nodes(n_p: int, n_q: int) -> tuple[Float64, Float64, Float64, Float64]:
+def _disc_nodes(n_p: int, n_q: int) -> Nodes:
     """Return p nodes and weights on [-1, 1] and q nodes and weights on [0, 1]."""
     angle = np.pi * np.arange(1, n_p + 1) / (n_p + 1)
     # Chebyshev's rule carries the weight sqrt(1 - p^2); divided out, it integrates a chord's length exactly.
@@ -110,7 +116,7 @@ def _footprint(setup: Setup, T_joint_camera: Float64, height_mm: float) -> tuple
     return float(np.min(x)), float(np.max(x))
 
 
-@numba.njit(inline="always")
+@numba.njit(cache=True, inline="always")
 def _way_to_sphere(square: float, distance: float, radius: float) -> float:
     """Return how far the sphere is along omega = e_w + tan(beta) (...), in units of omega; square = omega^2."""
     # t^2 square - 2 t d + d^2 - R^2 = 0, the nearer root.
@@ -119,7 +125,7 @@ def _way_to_sphere(square: float, distance: float, radius: float) -> float:
     ) / square
 
 
-@numba.njit(inline="always")
+@numba.njit(cache=True, inline="always")
 def _edge_clearance(
     P: Float64,
     ox: float,
@@ -130,7 +136,7 @@ def _edge_clearance(
     edge_y: float,
     edge_step: float,
 ) -> float:
-    """Return how far a ray from P passes over a corrugated upper sheet's edge, mm; huge if the arc is nearer."""
+    """Return how far a ray from P passes over a corrugated sheet's edge, mm; huge if the arc is nearer."""
     if oy >= 0.0:
         return 1e9
     t = (edge_y - P[1]) / oy
@@ -140,7 +146,7 @@ def _edge_clearance(
     return P[2] + t * oz - c - edge_step
 
 
-@numba.njit
+@numba.njit(cache=True, nogil=True)
 def arc_light(
     P: Float64,
     normal: Float64,
@@ -156,18 +162,16 @@ def arc_light(
     kappa_diff: float,
     kappa_spec: float,
     c2: float,
-    p_nodes: Float64,
-    p_weights: Float64,
-    q_nodes: Float64,
-    q_weights: Float64,
+    nodes: Nodes,
 ) -> float:
     """Return integral f_r cos(theta_i) d(omega) over the part of the luminous half-sphere that P sees.
 
-    `planes` are the half-spaces m.omega > 0 that are open (`visibility.sky_planes`). Nodes of the arc that lie
-    within a corrugation (its sheets `edge_step` apart at `edge_y`) do not shine; `edge_hides` says that P
-    lies on the lower sheet, so that the upper one's edge may stand in the way.
+    `planes` are the half-spaces m.omega > 0 that are open (`visibility.sky_planes`). Nodes of the arc that
+    lie within a corrugation (its sheets `edge_step` apart at `edge_y`) do not shine; `edge_hides` says that
+    P lies on the lower sheet, so that the upper one's edge may stand in the way.
     """
     wx, wy, wz = center[0] - P[0], center[1] - P[1], center[2] - P[2]
+    p_nodes, p_weights, q_nodes, q_weights = nodes
     distance = math.sqrt(wx * wx + wy * wy + wz * wz)
     if distance <= radius * (1.0 + 1e-9):
         return 0.0
@@ -278,132 +282,266 @@ def arc_light(
     return total * p_max * tan_b * tan_b
 
 
-@numba.njit(nogil=True)
-def arc_pixels(
-    xy: Float32,
-    cos4: Float32,
-    pixels: Int64,
-    T_joint_camera: Float64,
-    center: Float64,
-    radius: float,
-    radiance_e: float,
-    vertices: Float64,
-    corrugation: Float64,
-    horizon_start: float,
-    horizons: Float64,
-    kappa_diff: float,
-    kappa_spec: float,
-    c2: float,
-    nodes: tuple[Float64, Float64, Float64, Float64],
-    nodes_cut: tuple[Float64, Float64, Float64, Float64],
-    mean_e: Float32,
-    faces: npt.NDArray[np.int32],
-) -> None:
-    """Predict the arc's light, e-, at some pixels (n,), before the point-spread function.
+class ArcKernel(NamedTuple):
+    """A scene's numbers as the kernels take them, see `Scene` and `arc_light`."""
 
-    `xy` (H W, 2) and `cos4` (H W,) are the camera's rays; written are `mean_e` (n,), NaN for a pixel that
-    looks past the workpiece, and `faces` (n,).
-    """
-    d, P, normal, omega_r = np.empty(3), np.empty(3), np.empty(3), np.empty(3)
-    planes = np.empty((MAX_PLANES, 3))
-    origin = T_joint_camera[:3, 3].copy()
-    edge_y = vertices[1, 0]
-    edge_step = vertices[1, 1] - vertices[vertices.shape[0] - 2, 1]
-    for i in range(pixels.shape[0]):
-        x, y = xy[pixels[i], 0], xy[pixels[i], 1]
-        for j in range(3):
-            d[j] = T_joint_camera[j, 0] * x + T_joint_camera[j, 1] * y + T_joint_camera[j, 2]
-        t, face = first_hit(origin, d, vertices, corrugation)
-        faces[i] = face
-        if face == MISS:
-            mean_e[i] = np.nan
-            continue
-        length = math.sqrt(d[0] * d[0] + d[1] * d[1] + d[2] * d[2])
-        for j in range(3):
-            P[j] = origin[j] + t * d[j]
-            omega_r[j] = -d[j] / length
-        face_normal(face, P[0], vertices, corrugation, normal)
-        count = sky_planes(
-            P, normal, face, center, radius, vertices, corrugation, horizon_start, horizons, planes
-        )
-        chosen = nodes
-        edge_hides = False
-        if corrugation[0] > 0.0 and face == 2 and center[1] - radius < edge_y:
-            c, _ = ridge(center[0], corrugation)
-            edge_hides = P[2] < c + edge_step
-            chosen = nodes_cut
-        for j in range(count):
-            m_w = 0.0
-            size = 0.0
-            for a in range(3):
-                m_w += planes[j, a] * (center[a] - P[a])
-                size += planes[j, a] * planes[j, a]
-            # Does this plane come within the arc's radius of its centre?
-            if m_w < 1.001 * radius * math.sqrt(size) and not (
-                j == 0 and m_w > -1e-9 and normal[2] > 1.0 - 1e-12
-            ):
-                chosen = nodes_cut
-        light = arc_light(
-            P,
-            normal,
-            omega_r,
-            center,
-            radius,
-            planes,
-            count,
-            corrugation,
-            edge_y,
-            edge_step,
-            edge_hides,
-            kappa_diff,
-            kappa_spec,
-            c2,
-            chosen[0],
-            chosen[1],
-            chosen[2],
-            chosen[3],
-        )
-        mean_e[i] = radiance_e * cos4[pixels[i]] * light
+    T_joint_camera: Float64
+    center_mm: Float64
+    radius_mm: float
+    radiance_e: float
+    vertices: Float64
+    corrugation: Float64
+    horizon_start: float
+    horizons: Float64
+    kappa_diff: float
+    kappa_spec: float
+    c2: float
+    nodes: Nodes
+    nodes_cut: Nodes
 
 
-def arc_at(
-    setup: Setup,
-    view: Scene,
-    xy: Float32,
-    cos4: Float32,
-    pixels: Int64,
-    level: float = 1.0,
-    nodes: tuple[int, int] = (NODES_P, NODES_Q),
-) -> tuple[Float32, npt.NDArray[np.int32]]:
-    """Return the arc's mean, e- for `camera.exposure_s`, and the face seen at some pixels (n,).
+def arc_kernel(
+    setup: Setup, view: Scene, level: float = 1.0, nodes: tuple[int, int] = (NODES_P, NODES_Q)
+) -> ArcKernel:
+    """Gather a scene for the kernels; `level` is the arc's output over the nominal one.
 
-    `xy` (H W, 2) and `cos4` (H W,) are the flattened `optics.Rays`, `level` the arc's output over the
-    nominal one. Before the point-spread function; NaN where a pixel looks past the workpiece. Raises
-    ValueError for a pose whose camera stands below the surface.
+    Raises ValueError for a pose whose camera stands below the surface.
     """
     if view.below_surface:
         raise ValueError("the camera stands below the surface at this pose")
-    mean_e = np.empty(len(pixels), dtype=np.float32)
-    faces = np.empty(len(pixels), dtype=np.int32)
-    arc, material = setup.arc, setup.material
-    arc_pixels(
-        xy,
-        cos4,
-        pixels,
-        view.T_joint_camera,
+    return ArcKernel(
+        np.ascontiguousarray(view.T_joint_camera),
         view.center_mm,
-        arc.radius_mm,
-        arc.radiance_e * level,
+        setup.arc.radius_mm,
+        setup.arc.radiance_e * level,
         view.shape.vertices,
         view.shape.corrugation,
         view.horizon_start,
         view.horizons,
-        material.kappa_diff,
-        material.kappa_spec,
-        material.c2,
+        setup.material.kappa_diff,
+        setup.material.kappa_spec,
+        setup.material.c2,
         _disc_nodes(*nodes),
         _disc_nodes(CUT_FACTOR * nodes[0], nodes[1]),
-        mean_e,
-        faces,
     )
+
+
+@numba.njit(cache=True, nogil=True)
+def arc_at_ray(k: ArcKernel, x: float, y: float, scratch: Float64) -> tuple[float, int]:
+    """Return the arc's light, e- without the lens' fall-off, on a ray (x, y, 1), and the face it meets.
+
+    NaN and MISS for a ray that looks past the workpiece; `scratch` is (MAX_PLANES + 4, 3).
+    """
+    planes, d = scratch[:MAX_PLANES], scratch[MAX_PLANES]
+    P, normal, omega_r = scratch[MAX_PLANES + 1], scratch[MAX_PLANES + 2], scratch[MAX_PLANES + 3]
+    origin = k.T_joint_camera[:3, 3]
+    for j in range(3):
+        d[j] = k.T_joint_camera[j, 0] * x + k.T_joint_camera[j, 1] * y + k.T_joint_camera[j, 2]
+    t, face = first_hit(origin, d, k.vertices, k.corrugation)
+    if face == MISS:
+        return math.nan, face
+    length = math.sqrt(d[0] * d[0] + d[1] * d[1] + d[2] * d[2])
+    for j in range(3):
+        P[j] = origin[j] + t * d[j]
+        omega_r[j] = -d[j] / length
+    face_normal(face, P[0], k.vertices, k.corrugation, normal)
+    count = sky_planes(
+        P,
+        normal,
+        face,
+        k.center_mm,
+        k.radius_mm,
+        k.vertices,
+        k.corrugation,
+        k.horizon_start,
+        k.horizons,
+        planes,
+    )
+    edge_y = k.vertices[1, 0]
+    edge_step = k.vertices[1, 1] - k.vertices[k.vertices.shape[0] - 2, 1]
+    nodes = k.nodes
+    edge_hides = False
+    if k.corrugation[0] > 0.0 and face == 2 and k.center_mm[1] - k.radius_mm < edge_y:
+        c, _ = ridge(k.center_mm[0], k.corrugation)
+        edge_hides = P[2] < c + edge_step
+        nodes = k.nodes_cut
+    for j in range(count):
+        ahead = 0.0
+        square = 0.0
+        for a in range(3):
+            ahead += planes[j, a] * (k.center_mm[a] - P[a])
+            square += planes[j, a] * planes[j, a]
+        # A plane through the centre's own level cuts nothing off the upper half.
+        level_with_center = j == 0 and ahead > -1e-9 and normal[2] > 1.0 - 1e-12
+        if ahead < 1.001 * k.radius_mm * math.sqrt(square) and not level_with_center:
+            nodes = k.nodes_cut
+    light = arc_light(
+        P,
+        normal,
+        omega_r,
+        k.center_mm,
+        k.radius_mm,
+        planes,
+        count,
+        k.corrugation,
+        edge_y,
+        edge_step,
+        edge_hides,
+        k.kappa_diff,
+        k.kappa_spec,
+        k.c2,
+        nodes,
+    )
+    return k.radiance_e * light, face
+
+
+@numba.njit(cache=True, nogil=True)
+def _arc_pixels(
+    k: ArcKernel, xy: Float32, cos4: Float32, pixels: Int64, mean_e: Float32, faces: Int32
+) -> None:
+    """Fill `mean_e` and `faces` (n,) of some pixels (n,), see `arc_at`."""
+    scratch = np.empty((MAX_PLANES + 4, 3))
+    for i in range(pixels.shape[0]):
+        light, face = arc_at_ray(k, xy[pixels[i], 0], xy[pixels[i], 1], scratch)
+        mean_e[i] = cos4[pixels[i]] * light
+        faces[i] = face
+
+
+def arc_at(kernel: ArcKernel, xy: Float32, cos4: Float32, pixels: Int64) -> tuple[Float32, Int32]:
+    """Return the arc's mean, e- for `camera.exposure_s`, and the face seen at some pixels (n,).
+
+    `xy` (H W, 2) and `cos4` (H W,) are the flattened `optics.Rays`. Before the point-spread function; NaN
+    where a pixel looks past the workpiece.
+    """
+    mean_e = np.empty(len(pixels), dtype=np.float32)
+    faces = np.empty(len(pixels), dtype=np.int32)
+    _arc_pixels(kernel, xy, cos4, pixels, mean_e, faces)
     return mean_e, faces
+
+
+@numba.njit(cache=True, nogil=True)
+def _fill_cell(
+    k: ArcKernel,
+    xy: Float32,
+    cos4: Float32,
+    n_pos: int,
+    scan: int,
+    first: int,
+    low: int,
+    s_size: int,
+    r_size: int,
+    tolerance: float,
+    floor_e: float,
+    band_e: Float32,
+    scratch: Float64,
+    corners: Float64,
+) -> bool:
+    """Try to fill one cell of a band from its corners and centre; False if it is not that smooth.
+
+    The cell spans scan lines scan ... scan + s_size - 1 and places first ... first + r_size - 1 of the band,
+    whose place 0 is position `low` of the image.
+    """
+    if s_size < 3 or r_size < 3:
+        return False
+    face_0 = MISS
+    for i in range(4):
+        s = scan + (i // 2) * (s_size - 1)
+        r = low + first + (i % 2) * (r_size - 1)
+        corners[i], face = arc_at_ray(k, xy[s * n_pos + r, 0], xy[s * n_pos + r, 1], scratch)
+        if i == 0:
+            face_0 = face
+        if face != face_0 or face == MISS:
+            return False
+    s_mid, r_mid = s_size // 2, r_size // 2
+    pixel = (scan + s_mid) * n_pos + low + first + r_mid
+    center, face = arc_at_ray(k, xy[pixel, 0], xy[pixel, 1], scratch)
+    a, b = s_mid / (s_size - 1), r_mid / (r_size - 1)
+    near = corners[0] * (1.0 - b) + corners[1] * b
+    far = corners[2] * (1.0 - b) + corners[3] * b
+    flat = near * (1.0 - a) + far * a
+    if face != face_0 or abs(flat - center) > tolerance * center + floor_e:
+        return False
+    # What is left at the centre is put back as a bump that vanishes on the rim.
+    bump = (center - flat) / (16.0 * a * (1.0 - a) * b * (1.0 - b))
+    for i in range(s_size):
+        a = i / (s_size - 1)
+        for j in range(r_size):
+            b = j / (r_size - 1)
+            near = corners[0] * (1.0 - b) + corners[1] * b
+            far = corners[2] * (1.0 - b) + corners[3] * b
+            value = near * (1.0 - a) + far * a + bump * 16.0 * a * (1.0 - a) * b * (1.0 - b)
+            band_e[scan + i, first + j] = value * cos4[(scan + i) * n_pos + low + first + j]
+    return True
+
+
+@numba.njit(cache=True, nogil=True)
+def _arc_band(
+    k: ArcKernel,
+    xy: Float32,
+    cos4: Float32,
+    n_pos: int,
+    lows: Int64,
+    cell: int,
+    tolerance: float,
+    floor_e: float,
+    band_e: Float32,
+) -> None:
+    """Fill a band (n_scan, depth), see `arc_band`."""
+    n_scan, depth = band_e.shape
+    scratch = np.empty((MAX_PLANES + 4, 3))
+    corners = np.empty(4)
+    half = cell // 2
+    for scan in range(0, n_scan, cell):
+        low = lows[scan // cell]
+        s_size = min(cell, n_scan - scan)
+        for first in range(0, depth, cell):
+            r_size = min(cell, depth - first)
+            if _fill_cell(
+                k, xy, cos4, n_pos, scan, first, low, s_size, r_size, tolerance, floor_e, band_e, scratch, corners
+            ):
+                continue
+            for ds in range(0, s_size, half):
+                for dr in range(0, r_size, half):
+                    s_half, r_half = min(half, s_size - ds), min(half, r_size - dr)
+                    s, r = scan + ds, first + dr
+                    if _fill_cell(
+                        k, xy, cos4, n_pos, s, r, low, s_half, r_half, tolerance, floor_e, band_e, scratch, corners
+                    ):
+                        continue
+                    for i in range(s, s + s_half):
+                        for j in range(r, r + r_half):
+                            pixel = i * n_pos + low + j
+                            light, _ = arc_at_ray(k, xy[pixel, 0], xy[pixel, 1], scratch)
+                            band_e[i, j] = light * cos4[pixel]
+
+
+CELL = 8
+"""The side of the cells that a band is filled by, px."""
+
+
+def arc_band(
+    kernel: ArcKernel,
+    xy: Float32,
+    cos4: Float32,
+    lows: Int64,
+    band_e: Float32,
+    tolerance: float = 0.004,
+    floor_e: float = 10.0,
+) -> None:
+    """Fill a band of the arc map (n_scan, depth), e-, NaN where a pixel looks past the workpiece.
+
+    `xy` (n_scan n_pos, 2) and `cos4` are the camera's rays by scan line, `lows` (ceil(n_scan / CELL),) the
+    position of the image at which the band begins for each CELL scan lines. A cell is read off its corners
+    and centre where a bilinear surface misses the centre by no more than `tolerance` of its value plus
+    `floor_e`; the miss itself is put back as a bump, so the error is smaller still.
+    """
+    n_pos = len(cos4) // band_e.shape[0]
+    _arc_band(kernel, xy, cos4, n_pos, lows, CELL, tolerance, floor_e, band_e)
+
+
+def arc_frame(kernel: ArcKernel, xy: Float32, cos4: Float32, shape: tuple[int, int]) -> Float32:
+    """Return the whole arc map (H, W), e-; NaN where a pixel looks past the workpiece."""
+    frame_e = np.empty(shape, dtype=np.float32)
+    lows = np.zeros(-(-shape[0] // CELL), dtype=np.int64)
+    arc_band(kernel, xy, cos4, lows, frame_e)
+    return frame_e

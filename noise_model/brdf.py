@@ -168,7 +168,7 @@ def reflecting_parts(rough: Material, mirror: Mirror, of_regime: Regime) -> tupl
     return {Regime.SPIKE: (mirror,), Regime.BOTH: (rough, mirror), Regime.LOBE: (rough,)}[of_regime]
 
 
-@numba.njit(inline="always")
+@numba.njit(cache=True, inline="always")
 def alpha_squared(cos_alpha: float) -> float:
     """Return arccos(cos_alpha)^2 to 1e-6 relative.
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from noise_model.arc_map import Float32, Scene, arc_at, scene
+from noise_model.arc_map import Float32, Scene, arc_at, arc_kernel, scene
 from noise_model.brdf import reflectance
 from noise_model.frames import Float64, invert, transform
 from noise_model.laser import irradiance
@@ -39,8 +39,9 @@ def render(
     shape = rays.cos4.shape
     mean_e = np.zeros(shape, dtype=np.float32)
     if arc_level > 0.0:
+        kernel = arc_kernel(setup, view, arc_level)
         pixels = np.arange(rays.cos4.size)
-        arc_e, _ = arc_at(setup, view, rays.xy.reshape(-1, 2), rays.cos4.reshape(-1), pixels, arc_level)
+        arc_e, _ = arc_at(kernel, rays.xy.reshape(-1, 2), rays.cos4.reshape(-1), pixels)
         mean_e += np.nan_to_num(arc_e).reshape(shape)
     if laser_level > 0.0:
         mean_e += laser_level * stripe(setup, view, rays)

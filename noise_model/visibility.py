@@ -28,7 +28,7 @@ HORIZON_STEP_MM = 0.25
 """The horizon table's step along x; the touching point is a maximum, so the error is of second order."""
 
 
-@numba.njit(inline="always")
+@numba.njit(cache=True, inline="always")
 def ridge(x: float, corrugation: Float64) -> tuple[float, float]:
     """Return the corrugation's height c(x), mm, and its slope c'(x)."""
     height, width, pitch = corrugation[0], corrugation[1], corrugation[2]
@@ -41,7 +41,7 @@ def ridge(x: float, corrugation: Float64) -> tuple[float, float]:
     return 0.5 * height * (1.0 + math.cos(omega * u)), -0.5 * height * omega * math.sin(omega * u)
 
 
-@numba.njit
+@numba.njit(cache=True, nogil=True)
 def _meet_ridge(
     origin: Float64,
     d: Float64,
@@ -83,7 +83,7 @@ def _meet_ridge(
     return math.inf
 
 
-@numba.njit
+@numba.njit(cache=True, nogil=True)
 def first_hit(origin: Float64, d: Float64, vertices: Float64, corrugation: Float64) -> tuple[float, int]:
     """Return how far along a ray (joint frame, mm) the surface is met, in units of d, and on which face.
 
@@ -121,7 +121,7 @@ def first_hit(origin: Float64, d: Float64, vertices: Float64, corrugation: Float
     return best, face
 
 
-@numba.njit(inline="always")
+@numba.njit(cache=True, inline="always")
 def face_normal(face: int, x: float, vertices: Float64, corrugation: Float64, normal: Float64) -> None:
     """Write the unit normal of a face at station x (joint frame) into `normal` (3,)."""
     width = vertices[face + 1, 0] - vertices[face, 0]
@@ -134,7 +134,7 @@ def face_normal(face: int, x: float, vertices: Float64, corrugation: Float64, no
     normal[0], normal[1], normal[2] = along / length, -rise / length, width / length
 
 
-@numba.njit
+@numba.njit(cache=True, nogil=True)
 def trace(
     xy: Float64,
     pixels: Float64,
@@ -167,7 +167,7 @@ def trace(
         face_normal(face, points[i, 0], vertices, corrugation, normals[i])
 
 
-@numba.njit
+@numba.njit(cache=True, nogil=True)
 def horizon_table(
     x_start: float, n: int, center_x: float, radius: float, corrugation: Float64, lift: float
 ) -> Float64:
@@ -197,7 +197,7 @@ def horizon_table(
     return table
 
 
-@numba.njit(inline="always")
+@numba.njit(cache=True, inline="always")
 def _touch(horizon: Float64, x_start: float, x: float) -> tuple[float, float]:
     """Look a station up in a horizon table: slope (interpolated) and place of the touching point."""
     position = (x - x_start) / HORIZON_STEP_MM
@@ -211,7 +211,7 @@ def _touch(horizon: Float64, x_start: float, x: float) -> tuple[float, float]:
     return slope, (1.0 - share) * horizon[i, 1] + share * horizon[i + 1, 1]
 
 
-@numba.njit
+@numba.njit(cache=True, nogil=True)
 def sky_planes(
     P: Float64,
     normal: Float64,
@@ -306,7 +306,7 @@ def is_open(points: Float64, targets: Float64, shape: Section, steps: int = 4000
     return free
 
 
-@numba.njit
+@numba.njit(cache=True, nogil=True)
 def way_is_open(P: Float64, Q: Float64, vertices: Float64, corrugation: Float64) -> bool:
     """Say whether the straight way from a surface point P up to a point Q, both (3,) mm, is free."""
     for k in range(1, vertices.shape[0] - 1):
@@ -332,7 +332,7 @@ def way_is_open(P: Float64, Q: Float64, vertices: Float64, corrugation: Float64)
     return True
 
 
-@numba.njit
+@numba.njit(cache=True, nogil=True)
 def ways_are_open(
     points: Float64, Q: Float64, vertices: Float64, corrugation: Float64, is_free: npt.NDArray[np.bool_]
 ) -> None:

@@ -1,0 +1,88 @@
+"""The arc's output and the map's fit, from pixels off the stripe, robustly: an arc breathes."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from noise_model.arc_map import ArcKernel, arc_at
+from noise_model.frames import Float64
+from tracker.geometry import SensorGeometry
+
+LATTICE_PX = 16
+"""The spacing of the pixels that are looked at."""
+
+MAP_SIGMA = 0.05
+"""The map's stated relative 1 sigma: hand-eye, material and arc shape within their tolerance."""
+
+HUBER = 2.0
+"""Residuals beyond this many sigmas pull no harder."""
+
+MIN_PIXELS = 40
+
+
+@dataclass(frozen=True)
+class ArcLevel:
+    """The arc's output over the expected one, its 1 sigma, the offset of the black level (e-) and the misfit.
+
+    `misfit` is the robust RMS of the residual over its stated uncertainty, 1 or less where the map is right;
+    NaN all through where too few pixels can be used.
+    """
+
+    level: float
+    sigma: float
+    black_e: float
+    misfit: float
+
+
+UNKNOWN = ArcLevel(np.nan, np.nan, 0.0, np.nan)
+
+
+def estimate_arc_level(
+    geometry: SensorGeometry,
+    kernel: ArcKernel,
+    image_dn: npt.NDArray[np.integer],
+    stripe_px: Float64 | None,
+    keep_off_px: float,
+) -> ArcLevel:
+    """Fit charge = level * map + black to a lattice of pixels farther than `keep_off_px` from the stripe.
+
+    `kernel` predicts the arc at its expected output. Weighted least squares with Huber weights; the variance
+    is the pixel's at the fitted mean plus (MAP_SIGMA level map)^2, the black level has its tolerance as prior.
+    """
+    scan = np.arange(LATTICE_PX // 2, geometry.n_scan, LATTICE_PX)
+    position = np.arange(LATTICE_PX // 2, geometry.n_pos, LATTICE_PX)
+    s, r = (grid.ravel() for grid in np.meshgrid(scan, position, indexing="ij"))
+    if stripe_px is not None:
+        clear = np.abs(r - stripe_px[s]) > keep_off_px
+        s, r = s[clear], r[clear]
+    dn = image_dn[r, s] if geometry.along_rows else image_dn[s, r]
+    open_well = dn < geometry.saturation_dn
+    s, r, dn = s[open_well], r[open_well], dn[open_well]
+    predicted, _ = arc_at(kernel, geometry.xy, geometry.cos4, s * geometry.n_pos + r)
+    seen = np.isfinite(predicted)
+    m, e = predicted[seen].astype(np.float64), geometry.charge_e[dn[seen]].astype(np.float64)
+    if len(m) < MIN_PIXELS or not (m > 0.0).any():
+        return UNKNOWN
+    sensor, tolerance = geometry.setup.sensor, geometry.setup.tolerance
+    black_sigma = max(tolerance.black_level_dn * sensor.gain_e_per_dn, 1e-3)
+    A = np.column_stack([m, np.ones_like(m)])
+    prior = np.diag([0.0, black_sigma**-2])
+    x = np.array([max(0.0, float(np.median(e)) / float(np.median(m) + 1e-9)), 0.0])
+    information = prior
+    scaled = np.zeros_like(m)
+    for _ in range(20):
+        mean = A @ x
+        sigma = np.sqrt(np.maximum(mean, 0.0) + geometry.dark_variance_e2 + (MAP_SIGMA * x[0] * m) ** 2)
+        scaled = (e - mean) / sigma
+        weight = np.minimum(1.0, HUBER / np.maximum(np.abs(scaled), 1e-9)) / sigma**2
+        information = A.T @ (weight[:, None] * A) + prior
+        step = np.linalg.solve(information, A.T @ (weight * (e - mean)) - prior @ x)
+        x = x + step
+        x[0] = max(x[0], 0.0)
+        if np.abs(step[0]) < 1e-6 * max(x[0], 1e-3):
+            break
+    misfit = 1.4826 * float(np.median(np.abs(scaled)))
+    return ArcLevel(float(x[0]), float(np.sqrt(np.linalg.inv(information)[0, 0])), float(x[1]), misfit)

@@ -1,0 +1,97 @@
+"""What a setup fixes once and for all for the tracker: scan lines, rays, the charge of each code.
+
+A scan line crosses the stripe. If the stripe runs along the image's rows the scan lines are its columns,
+otherwise its rows; positions along a scan line are pixels. All kernels see the image scan line by scan line.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from noise_model.frames import Float64, invert, transform
+from noise_model.optics import Rays
+from noise_model.sensor import linearise, saturation_dn, variance_e2
+from noise_model.setup import Setup
+
+Float32 = npt.NDArray[np.float32]
+
+
+@dataclass(frozen=True)
+class SensorGeometry:
+    """A setup's tables, by scan line.
+
+    `xy` (n_scan n_pos, 2) float32 the normalised rays, `cos4` (n_scan n_pos,) float32; `charge_e` (codes,)
+    float32 the electrons of each DN; `saturation_dn` the lowest code that is censored; `dark_variance_e2` the
+    variance of an unlit pixel. The setup's exposure is that of `camera.exposure_s`.
+    """
+
+    setup: Setup
+    along_rows: bool
+    n_scan: int
+    n_pos: int
+    xy: Float32
+    cos4: Float32
+    charge_e: Float32
+    saturation_dn: int
+    dark_variance_e2: float
+
+    @classmethod
+    def of(cls, setup: Setup) -> SensorGeometry:
+        """Derive the tables; raises ValueError if the stripe is not in view at tool height."""
+        rays = Rays.of(setup.camera)
+        along_rows = _stripe_runs_along_rows(setup)
+        xy, cos4 = (rays.xy.swapaxes(0, 1), rays.cos4.T) if along_rows else (rays.xy, rays.cos4)
+        charge = linearise(np.arange(setup.sensor.max_dn + 1), setup.sensor).astype(np.float32)
+        return cls(
+            setup=setup,
+            along_rows=along_rows,
+            n_scan=xy.shape[0],
+            n_pos=xy.shape[1],
+            xy=np.ascontiguousarray(xy).reshape(-1, 2),
+            cos4=np.ascontiguousarray(cos4).reshape(-1),
+            charge_e=charge,
+            saturation_dn=saturation_dn(setup.sensor),
+            dark_variance_e2=float(variance_e2(0.0, setup.sensor)),
+        )
+
+    def image_points(self, scan: Float64, position: Float64) -> Float64:
+        """Return image points (n, 2) as (u, v) of scan lines and positions (n,)."""
+        return np.column_stack([scan, position] if self.along_rows else [position, scan])
+
+    def scan_points(self, points_px: Float64) -> Float64:
+        """Return (n, 2) as (scan, position) of image points (n, 2) as (u, v)."""
+        return points_px if self.along_rows else points_px[:, ::-1]
+
+
+def _stripe_runs_along_rows(setup: Setup) -> bool:
+    """Say whether the laser plane's trace on a plate at tool height runs along the image's rows."""
+    normal = np.asarray(setup.laser.plane_in_tool[:3])
+    origin = np.asarray(setup.laser.origin_in_tool_mm) * np.array([1.0, 1.0, 0.0])
+    along = np.cross(normal, [0.0, 0.0, 1.0])
+    if np.linalg.norm(along) < 1e-6:
+        raise ValueError("[laser] plane_in_tool: the sheet lies parallel to the plate")
+    ends_tool = np.stack([origin - along, origin + along])
+    ends_camera = transform(invert(setup.camera.T_tool_camera), ends_tool)
+    if (ends_camera[:, 2] <= 0.0).any():
+        raise ValueError("[camera.pose_in_tool]: the stripe at tool height lies behind the camera")
+    du, dv = np.abs(np.diff(setup.camera.project(ends_camera), axis=0))[0]
+    return bool(du >= dv)
+
+
+def to_laser_plane(geometry: SensorGeometry, image_points_px: Float64) -> tuple[Float64, Float64]:
+    """Return where image points (n, 2) meet the laser plane: points (n, 3), mm, tool frame, and the rays (n, 3).
+
+    A ray that runs away from the plane gives NaN.
+    """
+    camera = geometry.setup.camera
+    plane = np.asarray(geometry.setup.laser.plane_in_tool)
+    xy = camera.normalised(image_points_px)
+    rays_tool = np.column_stack([xy, np.ones(len(xy))]) @ camera.T_tool_camera[:3, :3].T
+    origin = camera.T_tool_camera[:3, 3]
+    with np.errstate(divide="ignore", invalid="ignore"):
+        t = -(plane[:3] @ origin + plane[3]) / (rays_tool @ plane[:3])
+    t = np.where(t > 0.0, t, np.nan)
+    return origin + t[:, None] * rays_tool, rays_tool

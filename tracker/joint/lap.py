@@ -1,0 +1,70 @@
+"""The lap, plain or corrugated: the upper sheet's edge over the lower sheet; the seam point is its foot."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from noise_model.frames import Float64
+from noise_model.surface import Joint, section
+from tracker.joint.measured import MeasuredJoint, fit_shape, place_by_template
+from tracker.profile import Profile
+
+SEARCH_STEP_MM = 0.1
+CLEAR_OF_EDGE_MM = 0.4
+"""Points nearer to the edge than this may belong to either sheet and wait for the sheets' lines."""
+
+PRIOR_SIGMA = np.array([5.0, 0.5, 0.03, 0.03])
+"""1 sigma of the lower sheet's height, the step (mm), both sheets' slopes."""
+
+
+def fit_lap(profile: Profile, joint: Joint, camera_mm: Float64, laser_mm: Float64) -> MeasuredJoint | None:
+    """Return the lap that a profile shows, or None where one of its sheets is not seen beside the edge.
+
+    The sheets' lines are fitted clear of the edge; then each point near it belongs to the line it lies on,
+    and the edge lies between the last point of the upper and the first of the lower sheet, less what it
+    hides of that one. `camera_mm` and `laser_mm` (3,) say from where, joint frame.
+    """
+    thickness = joint.dimensions["thickness_mm"]
+    vertices = section(joint).vertices
+
+    def nominal(y: Float64) -> Float64:
+        return np.where(y < 0.0, vertices[1, 1], vertices[2, 1])
+
+    y_0, z_0 = place_by_template(profile, nominal, SEARCH_STEP_MM, 0.25 * thickness)
+
+    def sheets(parameters: Float64, y: Float64) -> Float64:
+        z, step, slope_lower, slope_upper = parameters
+        return np.where(y < y_0, z + step + slope_upper * (y - y_0), z + slope_lower * (y - y_0))
+
+    clear = np.abs(profile.y_mm - y_0) > CLEAR_OF_EDGE_MM
+    upper, lower = clear & (profile.y_mm < y_0), clear & (profile.y_mm > y_0)
+    if upper.sum() < 10 or lower.sum() < 10:
+        return None
+    shape = fit_shape(profile, sheets, np.array([z_0, thickness, 0.0, 0.0]), PRIOR_SIGMA, clear)
+    if shape is None:
+        return None
+    z_s, step, slope_lower, slope_upper = (float(p) for p in shape.parameters)
+    y = profile.y_mm - y_0
+    over_lower = profile.z_mm - (z_s + slope_lower * y)
+    over_upper = profile.z_mm - (z_s + step + slope_upper * y)
+    on_sheet = 0.25 * step
+    near = np.abs(y) < 5.0 * CLEAR_OF_EDGE_MM
+    on_upper = near & (np.abs(over_upper) < on_sheet)
+    on_lower = near & (np.abs(over_lower) < on_sheet)
+    if not on_upper.any() or not on_lower.any() or step <= 0.0:
+        return None
+    last_upper, first_lower = float(profile.y_mm[on_upper].max()), float(profile.y_mm[on_lower].min())
+    # The upper sheet is seen up to its edge; of the lower one the edge may hide a strip from camera or laser.
+    first_lower -= max(_hidden_strip(source, y_0, z_s + step, step) for source in (camera_mm, laser_mm))
+    edge = 0.5 * (last_upper + first_lower)
+    spread = max(abs(first_lower - last_upper), profile.column_mm)
+    z_edge = z_s + slope_lower * (edge - y_0)
+    at_edge = np.array([1.0, 0.0, edge - y_0, 0.0])
+    covariance = np.diag([spread**2 / 12.0, float(at_edge @ shape.covariance @ at_edge)])
+    return MeasuredJoint(edge, z_edge, covariance, max(step - thickness, 0.0), -step, shape.chi2)
+
+
+def _hidden_strip(source_mm: Float64, edge_y_mm: float, edge_z_mm: float, step_mm: float) -> float:
+    """Return how much of the lower sheet beside the foot the edge hides from a point (3,), mm."""
+    _, y, z = source_mm
+    return float(max(0.0, (edge_y_mm - y) / (z - edge_z_mm) * step_mm))
