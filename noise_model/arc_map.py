@@ -29,7 +29,7 @@ import numpy.typing as npt
 from noise_model.brdf import alpha_squared
 from noise_model.frames import Float64, invert
 from noise_model.setup import Setup
-from noise_model.surface import Section, corrugation_height, seam_frame, section
+from noise_model.surface import NOMINAL_SEAM, SeamLine, Section, corrugation_height, seam_frame, section
 from noise_model.visibility import MAX_PLANES, MISS, face_normal, first_hit, horizon_tables, ridge, sky_planes
 
 Float32 = npt.NDArray[np.float32]
@@ -76,14 +76,13 @@ def _disc_nodes(n_p: int, n_q: int) -> Nodes:
     return p, p_weight, (q + 1.0) / 2.0, q_weight / 2.0
 
 
-def scene(setup: Setup, T_base_tool: Float64, seam_y_mm: float = 0.0, seam_z_mm: float = 0.0) -> Scene:
+def scene(setup: Setup, T_base_tool: Float64, seam: SeamLine = NOMINAL_SEAM) -> Scene:
     """Put camera, arc and surface of a pose into the joint frame.
 
-    `seam_y_mm` and `seam_z_mm` are where the true seam lies off its nominal line, in the joint frame; the
-    whole section moves with it, and the arc stands on it.
+    Where the true seam runs beside its nominal line, the joint frame, the section and the arc that stands on
+    it go with it.
     """
-    T_base_joint = seam_frame(setup.joint, _ahead(setup, T_base_tool)).copy()
-    T_base_joint[:3, 3] += T_base_joint[:3, :3] @ np.array([0.0, seam_y_mm, seam_z_mm])
+    T_base_joint = seam_frame(setup.joint, _ahead(setup, T_base_tool)) @ seam.frame()
     T_joint_tool = invert(T_base_joint) @ T_base_tool
     T_joint_camera = T_joint_tool @ setup.camera.T_tool_camera
     shape = section(setup.joint)

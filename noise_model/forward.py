@@ -11,6 +11,7 @@ from noise_model.laser import irradiance
 from noise_model.optics import Rays, blur
 from noise_model.sensor import variance_e2
 from noise_model.setup import Setup
+from noise_model.surface import NOMINAL_SEAM, SeamLine
 from noise_model.visibility import trace, ways_are_open
 
 SHEET_REACH = 6.0
@@ -24,18 +25,17 @@ def render(
     laser_level: float,
     arc_level: float,
     exposure_s: float,
-    seam_y_mm: float = 0.0,
-    seam_z_mm: float = 0.0,
+    seam: SeamLine = NOMINAL_SEAM,
     rays: Rays | None = None,
 ) -> Float32:
     """Return the expected charge (H, W), e-, of a frame taken at a pose, the black level not counted.
 
-    `laser_level` and `arc_level` are outputs over the nominal ones, 0 for off; `seam_y_mm` and `seam_z_mm`
-    put the true seam off its nominal line. Pixels that look past the workpiece are dark. `rays` spares
+    `laser_level` and `arc_level` are outputs over the nominal ones, 0 for off; `seam` puts the true seam off
+    its nominal line. Pixels that look past the workpiece are dark. `rays` spares
     tracing the camera's rays anew for each frame.
     """
     rays = Rays.of(setup.camera) if rays is None else rays
-    view = scene(setup, T_base_tool, seam_y_mm, seam_z_mm)
+    view = scene(setup, T_base_tool, seam)
     shape = rays.cos4.shape
     mean_e = np.zeros(shape, dtype=np.float32)
     if arc_level > 0.0:
@@ -85,7 +85,7 @@ def stripe(setup: Setup, view: Scene, rays: Rays) -> Float32:
     f_r = reflectance(omega_i, omega_r, normals_tool, material.kappa_diff, material.kappa_spec, material.c2)
     is_free = np.empty(len(near), dtype=np.bool_)
     origin_joint = transform(view.T_joint_tool, np.asarray(laser.origin_in_tool_mm))
-    ways_are_open(points[near], origin_joint, view.shape.vertices, view.shape.corrugation, is_free)
+    ways_are_open(points[near], origin_joint, shape.vertices, shape.corrugation, is_free)
     image = np.zeros(n, dtype=np.float32)
     image[near] = (
         light * f_r * rays.cos4.reshape(-1)[near] * is_free * (laser.peak_e / stripe_reference(setup))

@@ -96,6 +96,36 @@ def section(joint: Joint) -> Section:
     return Section(np.array([ends[0], *inner, ends[1]], dtype=np.float64), corrugation)
 
 
+@dataclass(frozen=True)
+class SeamLine:
+    """Where the true seam runs beside its nominal line: a straight stretch about one station.
+
+    At `station_mm` of the joint frame it lies `y_mm` to the left and `z_mm` higher, and it leaves the nominal
+    direction by `slope_y` = dy/dx and `slope_z` = dz/dx.
+    """
+
+    station_mm: float = 0.0
+    y_mm: float = 0.0
+    z_mm: float = 0.0
+    slope_y: float = 0.0
+    slope_z: float = 0.0
+
+    def frame(self) -> Float64:
+        """Return T_nominal_true (4, 4), mm: the joint frame turned about the station and moved on to the seam."""
+        x_axis = np.array([1.0, self.slope_y, self.slope_z])
+        x_axis /= np.linalg.norm(x_axis)
+        y_axis = np.cross([0.0, 0.0, 1.0], x_axis)
+        y_axis /= np.linalg.norm(y_axis)
+        T_nominal_true = np.eye(4)
+        T_nominal_true[:3, :3] = np.column_stack([x_axis, y_axis, np.cross(x_axis, y_axis)])
+        at = np.array([self.station_mm, self.y_mm, self.z_mm])
+        T_nominal_true[:3, 3] = at - T_nominal_true[:3, 0] * self.station_mm
+        return T_nominal_true
+
+
+NOMINAL_SEAM = SeamLine()
+
+
 def seam_height_mm(joint: Joint) -> float:
     """Return the height of the seam point over the reference surface: the root of a V, else 0."""
     return -joint.dimensions["depth_mm"] if joint.type == "v_groove" else 0.0

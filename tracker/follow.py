@@ -17,6 +17,7 @@ import numpy as np
 from scipy.linalg import cho_solve
 
 from noise_model.frames import Float64
+from noise_model.surface import SeamLine
 
 CAPACITY = 96
 """How many measurements are kept."""
@@ -54,11 +55,13 @@ class SeamHistory:
         """Say whether a station lies within the measured stretch."""
         return len(self) > 0 and self.stations_mm.min() <= station_mm <= self.stations_mm.max()
 
-    def slope_at(self, station_mm: float) -> Float64:
-        """Return how the displacement (y, z) changes along the seam at a station, mm/mm (2,)."""
+    def line_at(self, station_mm: float) -> tuple[SeamLine, Float64]:
+        """Return the seam as a straight stretch about a station, and the 1 sigma (2,) of its y and z there, mm."""
+        here, sigma = self.at(station_mm)
         ahead, _ = self.at(station_mm + 1.0)
         behind, _ = self.at(station_mm - 1.0)
-        return 0.5 * (ahead - behind)
+        slope_y, slope_z = 0.5 * (ahead - behind)
+        return SeamLine(station_mm, float(here[0]), float(here[1]), float(slope_y), float(slope_z)), sigma
 
     def at(self, station_mm: float) -> tuple[Float64, Float64]:
         """Return the displacement (2,) as (y, z), mm, and its 1 sigma (2,) at a station."""

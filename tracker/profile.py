@@ -35,15 +35,12 @@ def triangulate(
     view: Scene,
     position_px: Float64,
     sigma_px: Float64,
-    seam_slope: Float64,
-    station_mm: float,
 ) -> Profile:
     """Return the profile of a stripe given per scan line (n_scan,), NaN where there is none.
 
     The camera's ray through the stripe's centre meets the laser plane in the point; the same half a pixel
-    further says how the point moves with the centre, which is all its first-order covariance. A seam that
-    runs askew by `seam_slope` (2,), dy/dx and dz/dx, carries points of other stations along: they are moved to
-    `station_mm`.
+    further says how the point moves with the centre, which is all its first-order covariance. `view` should
+    run along the seam as it is expected, for a section seen askew is another section.
     """
     scan = np.flatnonzero(np.isfinite(position_px)).astype(np.float64)
     position, sigma = position_px[scan.astype(int)], sigma_px[scan.astype(int)]
@@ -52,7 +49,6 @@ def triangulate(
         points_tool, _ = to_laser_plane(geometry, geometry.image_points(scan, position + shift))
         points_joint = transform(view.T_joint_tool, points_tool)
         points_joint[:, 2] -= corrugation_height(points_joint[:, 0], view.shape.corrugation)
-        points_joint[:, 1:] -= (points_joint[:, :1] - station_mm) * seam_slope
         points.append(points_joint)
     before, at, after = points
     good = np.isfinite(before).all(axis=1) & np.isfinite(after).all(axis=1)

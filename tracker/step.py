@@ -109,9 +109,8 @@ def step(
     found = flags.POSE_EXTRAPOLATED.mask if pose.extrapolated else 0
 
     nominal = scene(geometry.setup, pose.T_base_tool)
-    station = float(transform(nominal.T_joint_tool, _sensor_point(geometry.setup))[0])
-    seam, seam_sigma = state.history.at(station)
-    view = scene(geometry.setup, pose.T_base_tool, float(seam[0]), float(seam[1]))
+    seam, seam_sigma = _expected_seam(geometry.setup, nominal, state.history)
+    view = scene(geometry.setup, pose.T_base_tool, seam)
     expected = None if view.below_surface else expect_stripe(geometry, view)
     if expected is None:
         below = flags.BELOW_SURFACE.mask if view.below_surface else flags.STRIPE_LOST.mask
@@ -138,17 +137,14 @@ def step(
         return state, replace(track, flags=found | flags.STRIPE_LOST.mask)
     found |= flags.STRIPE_PARTIAL.mask if share < GOOD_SHARE else 0
 
-    slope = state.history.slope_at(station)
-    centers = stripe.position_px - expected.lean_px
-    profile = triangulate(geometry, nominal, centers, stripe.sigma_px, slope, station)
-    laser_mm = transform(nominal.T_joint_tool, np.asarray(geometry.setup.laser.origin_in_tool_mm))
-    joint = fit_joint(profile, geometry.setup.joint, nominal.T_joint_camera[:3, 3], laser_mm)
+    profile = triangulate(geometry, view, stripe.position_px - expected.lean_px, stripe.sigma_px)
+    joint = fit_joint(profile, geometry.setup.joint, *_sources(geometry.setup, view, seam.station_mm))
     if joint is None:
         return state, replace(track, flags=found | flags.JOINT_NOT_FOUND.mask)
     if not profile.y_mm[0] + 1.0 < joint.y_mm < profile.y_mm[-1] - 1.0:
         return state, replace(track, flags=found | flags.SEAM_OUT_OF_VIEW.mask)
     found |= flags.JOINT_MISFIT.mask if joint.chi2 > JOINT_CHI2_LIMIT else 0
-    return _follow(geometry, state, track, found, nominal, joint, station, seam, seam_sigma)
+    return _follow(geometry, state, track, found, nominal, view, joint, seam_sigma)
 
 
 def _follow(
@@ -157,16 +153,18 @@ def _follow(
     track: Track,
     found: int,
     nominal: Scene,
+    view: Scene,
     joint: MeasuredJoint,
-    station: float,
-    seam: Float64,
     seam_sigma: Float64,
 ) -> tuple[TrackerState, Track]:
     """Judge a measured joint against the earlier ones, and turn it into seam point, offset and confidence."""
     setup = geometry.setup
-    displacement = np.array([joint.y_mm, joint.z_mm - seam_height_mm(setup.joint)])
+    seam_tool = seam_point_tool(setup, view, joint.y_mm, joint.z_mm)
+    station, y, z = transform(nominal.T_joint_tool, seam_tool)
+    height = seam_height_mm(setup.joint) + float(corrugation_height(station, nominal.shape.corrugation))
+    displacement = np.array([y, z - height])
     variance = np.diag(joint.covariance_mm2)
-    surprise = np.abs(displacement - seam)
+    surprise = np.abs([joint.y_mm, joint.z_mm - seam_height_mm(setup.joint)])
     limit = np.maximum(JUMP_SIGMAS * np.sqrt(seam_sigma**2 + variance), JUMP_FLOOR_MM)
     history, jumps = state.history, 0
     if len(history) and (surprise > limit).any():
@@ -175,7 +173,7 @@ def _follow(
         if jumps >= JUMPS_TO_RELEARN:
             history, jumps = SeamHistory(), 0
     else:
-        history = history.with_measurement(station, displacement, variance)
+        history = history.with_measurement(float(station), displacement, variance)
     state = replace(state, history=history, jumps=jumps)
 
     torch_station = float(nominal.T_joint_tool[0, 3])
@@ -186,10 +184,9 @@ def _follow(
         found |= flags.OFFSET_UNKNOWN.mask
         offset, offset_sigma = np.full(2, np.nan), np.full(2, np.nan)
 
-    sigma = np.sqrt(variance + _hand_eye_variance(geometry, nominal, joint))
+    sigma = np.sqrt(variance + _hand_eye_variance(geometry, nominal, seam_tool))
     tolerance = setup.tolerance.seam_mm
     confidence = float(np.prod(erf(tolerance / (math.sqrt(2.0) * sigma))))
-    seam_tool = seam_point_tool(setup, nominal, joint.y_mm, joint.z_mm)
     return state, replace(
         track,
         flags=found,
@@ -277,6 +274,26 @@ def _read_stripe(
     return Stripe(fits[:, 0], fits[:, 1], fits[:, 2], saturated, geometry.along_rows)
 
 
+def _expected_seam(setup: Setup, nominal: Scene, history: SeamHistory) -> tuple[SeamLine, Float64]:
+    """Return the seam where it should meet the laser plane, and the 1 sigma (2,) of its y and z, mm."""
+    station = float(transform(nominal.T_joint_tool, _sensor_point(setup))[0])
+    seam, _ = history.at(station)
+    # The plane may lean: the root of a groove is met elsewhere than the plate is.
+    point = seam_point_tool(setup, nominal, float(seam[0]), float(seam[1]) + seam_height_mm(setup.joint))
+    return history.line_at(float(transform(nominal.T_joint_tool, point)[0]))
+
+
+def _sources(setup: Setup, view: Scene, station: float) -> tuple[Float64, Float64]:
+    """Return where camera and laser stand, (3,) mm, with the corrugation's tangent plane at a station levelled."""
+    corrugation = view.shape.corrugation
+    ahead, here, behind = corrugation_height(station + np.array([0.5, 0.0, -0.5]), corrugation)
+    laser_mm = transform(view.T_joint_tool, np.asarray(setup.laser.origin_in_tool_mm))
+    sources = view.T_joint_camera[:3, 3].copy(), laser_mm
+    for source in sources:
+        source[2] -= here + (ahead - behind) * (source[0] - station)
+    return sources
+
+
 def _expected_output(setup: Setup, frame: Frame) -> float:
     """Return what the setup expects of the arc for a frame's current and exposure, over the nominal output.
 
@@ -313,31 +330,30 @@ def _pixels_per_mm(geometry: SensorGeometry, view: Scene) -> float:
     return float(np.abs(scan_points[1:, 1] - scan_points[0, 1]).max())
 
 
-def seam_point_tool(setup: Setup, nominal: Scene, y_mm: float, z_mm: float) -> Float64:
-    """Return the point (3,), tool frame, where the seam through (y, z) of the joint frame meets the laser plane.
+def seam_point_tool(setup: Setup, view: Scene, y_mm: float, z_mm: float) -> Float64:
+    """Return the point (3,), tool frame, where the seam through (y, z) of a scene's joint frame meets the sheet.
 
     `z_mm` counts from a corrugation's own height, which is added at the station that is found.
     """
-    T_tool_joint = invert(nominal.T_joint_tool)
+    T_tool_joint = invert(view.T_joint_tool)
     plane = np.asarray(setup.laser.plane_in_tool)
     direction = T_tool_joint[:3, 0]
-    x = float(transform(nominal.T_joint_tool, _sensor_point(setup))[0])
+    x = float(transform(view.T_joint_tool, _sensor_point(setup))[0])
     point = np.zeros(3)
     for _ in range(20):
-        height = float(corrugation_height(np.array(x), nominal.shape.corrugation))
+        height = float(corrugation_height(np.array(x), view.shape.corrugation))
         point = transform(T_tool_joint, np.array([x, y_mm, z_mm + height]))
         x -= float((plane[:3] @ point + plane[3]) / (plane[:3] @ direction))
     return point
 
 
-def _hand_eye_variance(geometry: SensorGeometry, nominal: Scene, joint: MeasuredJoint) -> Float64:
+def _hand_eye_variance(geometry: SensorGeometry, nominal: Scene, seam_tool: Float64) -> Float64:
     """Return the variance (2,) of the seam's (y, z), mm^2, that the stated hand-eye tolerance leaves.
 
     Each of the camera's three rotations and translations is off by its 1 sigma in turn; what is seen is kept.
     """
     camera, tolerance = geometry.setup.camera, geometry.setup.tolerance
-    seam = seam_point_tool(geometry.setup, nominal, joint.y_mm, joint.z_mm)
-    image = camera.project(transform(invert(camera.T_tool_camera), seam[None, :]))
+    image = camera.project(transform(invert(camera.T_tool_camera), seam_tool[None, :]))
     total = np.zeros(2)
     R_joint_tool = nominal.T_joint_tool[:3, :3]
     angle = math.radians(tolerance.hand_eye_deg)
@@ -352,7 +368,7 @@ def _hand_eye_variance(geometry: SensorGeometry, nominal: Scene, joint: Measured
             geometry, setup=replace(geometry.setup, camera=replace(camera, T_tool_camera=camera.T_tool_camera @ T_camera_moved))
         )
         point, _ = to_laser_plane(moved, image)
-        shift = R_joint_tool @ (point[0] - seam)
+        shift = R_joint_tool @ (point[0] - seam_tool)
         total += shift[1:] ** 2
     return total
 

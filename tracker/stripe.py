@@ -40,6 +40,9 @@ WIDTH_SIGMA_LN = 0.1
 CORRELATION_PX = 30.0
 """Over how many pixels the map's error changes: its slope's 1 sigma is the level's over this."""
 
+EDGE_PX = 3
+"""How far off, in scan lines, the map's edges may lie: hand-eye and the seam's direction."""
+
 MIN_SIGNIFICANCE = 5.0
 """A stripe counts from this amplitude over its 1 sigma."""
 
@@ -196,12 +199,14 @@ def fit_line(
     dark_variance: float,
     map_sigma: float,
     base_sigma: float,
+    edge_e: float,
     out: Float64,
 ) -> bool:
     """Fit one scan line by Gauss-Newton on the likelihood; write (position, sigma, amplitude, width, chi2).
 
     `charge`, `background` (depth,) are the linearised pixels and the arc map at its level, e-; `start` and
-    `width` px; `map_sigma` the map's relative 1 sigma, `base_sigma` the black level's, e-. False if there is no
+    `width` px; `map_sigma` the map's relative 1 sigma, `base_sigma` the black level's, e-, `edge_e` by how much
+    the map changes to the neighbouring lines: an edge that may cut across this one. False if there is no
     stripe there. The position is relative to the scan line's start.
     """
     depth = charge.shape[0]
@@ -216,8 +221,9 @@ def fit_line(
             return False
         level += background[r]
     level /= high - low + 1
-    sigma_b0 = math.hypot(map_sigma * level, base_sigma)
-    sigma_b1 = sigma_b0 / CORRELATION_PX
+    smooth = math.hypot(map_sigma * level, base_sigma)
+    sigma_b0 = math.hypot(smooth, edge_e)
+    sigma_b1 = math.hypot(smooth / CORRELATION_PX, edge_e / half)
 
     # Start: amplitude by least squares at the given place.
     top, bottom = 0.0, 0.0
@@ -300,6 +306,20 @@ def fit_line(
 
 
 @numba.njit(cache=True, nogil=True)
+def _map_edge(background: Float32, lows: Int64, cell: int, s: int, position: float) -> float:
+    """Return how much the map changes, e-, over EDGE_PX scan lines to either side at a position."""
+    n_scan, depth = background.shape
+    middle = background[s, min(max(int(position) - lows[s // cell], 0), depth - 1)]
+    change = 0.0
+    for other in (s - EDGE_PX, s + EDGE_PX):
+        if 0 <= other < n_scan:
+            r = min(max(int(position) - lows[other // cell], 0), depth - 1)
+            if not math.isnan(background[other, r]):
+                change = max(change, abs(background[other, r] - middle))
+    return change
+
+
+@numba.njit(cache=True, nogil=True)
 def fit_lines(
     charge: Float32,
     background: Float32,
@@ -330,6 +350,7 @@ def fit_lines(
                 dark_variance,
                 map_sigma,
                 base_sigma,
+                _map_edge(background, lows, cell, s, start[s]),
                 fits[s],
             )
             if found:
