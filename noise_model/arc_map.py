@@ -117,11 +117,10 @@ def _footprint(setup: Setup, T_joint_camera: Float64, height_mm: float) -> tuple
 
 @numba.njit(cache=True, inline="always")
 def _way_to_sphere(square: float, distance: float, radius: float) -> float:
-    """Return how far the sphere is along omega = e_w + tan(beta) (...), in units of omega; square = omega^2."""
+    """Return how far the sphere is along omega, in units of omega; omega.e_w = 1, `square` is omega^2."""
     # t^2 square - 2 t d + d^2 - R^2 = 0, the nearer root.
-    return (
-        distance - math.sqrt(max(0.0, distance * distance - square * (distance * distance - radius * radius)))
-    ) / square
+    root: float = math.sqrt(max(0.0, distance * distance - square * (distance * distance - radius * radius)))
+    return (distance - root) / square
 
 
 @numba.njit(cache=True, inline="always")
@@ -496,7 +495,20 @@ def _arc_band(
         for first in range(0, depth, cell):
             r_size = min(cell, depth - first)
             if _fill_cell(
-                k, xy, cos4, n_pos, scan, first, low, s_size, r_size, tolerance, floor_e, band_e, scratch, corners
+                k,
+                xy,
+                cos4,
+                n_pos,
+                scan,
+                first,
+                low,
+                s_size,
+                r_size,
+                tolerance,
+                floor_e,
+                band_e,
+                scratch,
+                corners,
             ):
                 continue
             for ds in range(0, s_size, half):
@@ -504,7 +516,20 @@ def _arc_band(
                     s_half, r_half = min(half, s_size - ds), min(half, r_size - dr)
                     s, r = scan + ds, first + dr
                     if _fill_cell(
-                        k, xy, cos4, n_pos, s, r, low, s_half, r_half, tolerance, floor_e, band_e, scratch, corners
+                        k,
+                        xy,
+                        cos4,
+                        n_pos,
+                        s,
+                        r,
+                        low,
+                        s_half,
+                        r_half,
+                        tolerance,
+                        floor_e,
+                        band_e,
+                        scratch,
+                        corners,
                     ):
                         continue
                     for i in range(s, s + s_half):

@@ -85,7 +85,7 @@ def stripe(setup: Setup, view: Scene, rays: Rays) -> Float32:
     f_r = reflectance(omega_i, omega_r, normals_tool, material.kappa_diff, material.kappa_spec, material.c2)
     is_free = np.empty(len(near), dtype=np.bool_)
     origin_joint = transform(view.T_joint_tool, np.asarray(laser.origin_in_tool_mm))
-    ways_are_open(points[near], origin_joint, shape.vertices, shape.corrugation, is_free)
+    ways_are_open(points[near], origin_joint, view.shape.vertices, view.shape.corrugation, is_free)
     image = np.zeros(n, dtype=np.float32)
     image[near] = (
         light * f_r * rays.cos4.reshape(-1)[near] * is_free * (laser.peak_e / stripe_reference(setup))

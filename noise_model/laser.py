@@ -38,8 +38,8 @@ class Laser:
 def irradiance(points_tool: Float64, normals_tool: Float64, laser: Laser) -> Float64:
     """Return the sheet's irradiance at points (N, 3) mm with unit normals (N, 3), relative to its peak.
 
-    exp(-1/2 (x' / (sigma z/h))^2) (h/z)^2 cos(theta_i) / cos(psi): x' the distance from the plane, z the depth
-    below the origin, h the origin's height, psi the angle of the point's ray to the axis, theta_i its
+    exp(-1/2 (x' / (sigma z/h))^2) (h/z)^2 cos(theta_i) / cos(psi): x' the distance from the plane, z the
+    depth below the origin, h the origin's height, psi the angle of the point's ray to the axis, theta_i its
     incidence. 1 on the axis at tool height for a level plate. Hidden points are the caller's to exclude.
     """
     origin = np.asarray(laser.origin_in_tool_mm)

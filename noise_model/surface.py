@@ -111,7 +111,7 @@ class SeamLine:
     slope_z: float = 0.0
 
     def frame(self) -> Float64:
-        """Return T_nominal_true (4, 4), mm: the joint frame turned about the station and moved on to the seam."""
+        """Return T_nominal_true (4, 4), mm: the joint frame turned about the station, moved to the seam."""
         x_axis = np.array([1.0, self.slope_y, self.slope_z])
         x_axis /= np.linalg.norm(x_axis)
         y_axis = np.cross([0.0, 0.0, 1.0], x_axis)

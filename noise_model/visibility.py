@@ -171,7 +171,7 @@ def trace(
 def horizon_table(
     x_start: float, n: int, center_x: float, radius: float, corrugation: Float64, lift: float
 ) -> Float64:
-    """Return (n, 2): per station of the corrugation the steepest slope on the way to the arc, and where it is.
+    """Return (n, 2): per station of the corrugation the steepest slope on the way to the arc, and its place.
 
     Seen from height c(x) towards the arc's near side, for terrain that lies `lift` mm higher than the surface
     the point is on. -inf where nothing lies between.
@@ -275,12 +275,12 @@ def sky_planes(
 def horizon_tables(
     shape: Section, x_range_mm: tuple[float, float], center_x: float, radius: float
 ) -> tuple[float, Float64]:
-    """Return the start (mm) and the (2, n, 2) horizon tables of a corrugated lap; empty for plain sections."""
+    """Return the start (mm) and the (2, n, 2) horizon tables of a corrugated lap, else empty ones."""
     if shape.corrugation[0] == 0.0:
         return 0.0, np.empty((2, 0, 2))
     low = min(x_range_mm[0], center_x) - HORIZON_STEP_MM
     high = max(x_range_mm[1], center_x) + HORIZON_STEP_MM
-    n = int(math.ceil((high - low) / HORIZON_STEP_MM)) + 1
+    n = math.ceil((high - low) / HORIZON_STEP_MM) + 1
     step = float(shape.vertices[1, 1] - shape.vertices[2, 1])
     lifts = (0.0, -step)
     return low, np.stack([horizon_table(low, n, center_x, radius, shape.corrugation, lift) for lift in lifts])

@@ -25,10 +25,10 @@ MIN_PIXELS = 40
 
 @dataclass(frozen=True)
 class ArcLevel:
-    """The arc's output over the expected one, its 1 sigma, the offset of the black level (e-) and the misfit.
+    """The arc's output over the expected one, its 1 sigma, the black level's offset (e-) and the misfit.
 
     `misfit` is the robust RMS of the residual over its stated uncertainty, 1 or less where the map is right;
-    NaN all through where too few pixels can be used.
+    NaN where too few pixels can be used.
     """
 
     level: float
@@ -50,7 +50,7 @@ def estimate_arc_level(
     """Fit charge = level * map + black to a lattice of pixels farther than `keep_off_px` from the stripe.
 
     `kernel` predicts the arc at its expected output. Weighted least squares with Huber weights; the variance
-    is the pixel's at the fitted mean plus (MAP_SIGMA level map)^2, the black level has its tolerance as prior.
+    is the pixel's at the fitted mean plus (MAP_SIGMA level map)^2, the black level's prior is its tolerance.
     """
     scan = np.arange(LATTICE_PX // 2, geometry.n_scan, LATTICE_PX)
     position = np.arange(LATTICE_PX // 2, geometry.n_pos, LATTICE_PX)

@@ -45,7 +45,7 @@ def place(center_px: Float64, n_pos: int, half_px: int) -> tuple[Int64, int]:
 
 @numba.njit(cache=True, nogil=True)
 def median_background(band: Float32, half: int, background: Float32) -> None:
-    """Write the running median over 2 half + 1 pixels of each scan line: the background without an arc map."""
+    """Write the running median over 2 half + 1 pixels of each scan line: a background without an arc map."""
     n_scan, depth = band.shape
     for s in range(n_scan):
         for j in range(depth):

@@ -38,16 +38,18 @@ def expect_stripe(geometry: SensorGeometry, view: Scene) -> ExpectedStripe | Non
 
     The sheet's middle and its two one-sigma planes are cut with the section, projected into the image and
     read off per scan line; beyond what is seen the ends are held. A Gaussian stripe whose strength varies as
-    exp(k v) is that Gaussian moved by k sigma^2. One that is wider on one side by the surface's curve, v = a x +
-    b x^2, moves the least-squares centre by 3/2 b sigma_x^2, as its third-order term v^3 projects on the derivative
-    of the Gaussian. Both together are the lean, with the light's model for k.
+    exp(k v) is that Gaussian moved by k sigma^2. One that is wider on one side by the surface's curve,
+    v = a x + b x^2, moves the least-squares centre by 3/2 b sigma_x^2, as its third-order term projects on
+    the derivative of the Gaussian. Both together are the lean, with k from the model of the light.
     """
     setup = geometry.setup
     T_tool_joint = invert(view.T_joint_tool)
     scan = np.arange(geometry.n_scan, dtype=np.float64)
     position, strength, strips = [], [], []
     for side in (-1.0, 0.0, 1.0):
-        points_joint, normals_joint, strip = _cut(setup.laser.plane_in_tool, side * setup.laser.stripe_sigma_mm, view)
+        points_joint, normals_joint, strip = _cut(
+            setup.laser.plane_in_tool, side * setup.laser.stripe_sigma_mm, view
+        )
         points_tool = transform(T_tool_joint, points_joint)
         points_camera = transform(invert(setup.camera.T_tool_camera), points_tool)
         if not (points_camera[:, 2] > 1.0).all():
@@ -78,7 +80,7 @@ def expect_stripe(geometry: SensorGeometry, view: Scene) -> ExpectedStripe | Non
 
 
 def _from_same_face(values: Float64, strip: npt.NDArray[np.intp], good: npt.NDArray[np.bool_]) -> Float64:
-    """Replace values beside a corner, where the sheet's flanks lie on two faces, by the face's nearest good one."""
+    """Replace values beside a corner, where the sheet's flanks lie on two faces, by the nearest good one."""
     if not good.any():
         return values
     filled = values.copy()

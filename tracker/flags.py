@@ -48,6 +48,7 @@ OFFSET_UNKNOWN = Flag(15, "offset_unknown", "the torch stands too far from the m
 BELOW_SURFACE = Flag(
     16, "below_surface", "the camera or the laser stands below the surface at this pose", True
 )
+ARC_LEVEL_UNKNOWN = Flag(17, "arc_level_unknown", "too few pixels off the stripe to tell the arc's output")
 
 FLAGS: tuple[Flag, ...] = tuple(value for value in list(globals().values()) if isinstance(value, Flag))
 """Every flag, in order of its bit."""

@@ -1,11 +1,11 @@
 """From seam points ahead of the torch to the offset at the torch: a Gaussian process along the seam.
 
 The seam's displacement from the programmed path is a smooth function of the station x along it. With the
-prior covariance k(x, x') = s_0^2 + s_1^2 (1 + r) exp(-r), r = sqrt(3) |x - x'| / l (Matern 3/2: a seam that bends, but not
-sharply; Rasmussen and Williams, Gaussian Processes for Machine Learning, Eq. 4.17) the best estimate at any
-station from noisy measurements and its covariance are closed forms. It smooths where there are many
-measurements, interpolates the look-ahead from sensor to torch, and says by its own sigma when the torch
-stands where nothing has been measured.
+prior covariance k(x, x') = s_0^2 + s_1^2 (1 + r) exp(-r), r = sqrt(3) |x - x'| / l (Matern 3/2: a seam that
+bends, but not sharply; Rasmussen and Williams, Gaussian Processes for Machine Learning, Eq. 4.17) the best
+estimate at any station from noisy measurements and its covariance are closed forms. It smooths where there
+are many measurements, interpolates the look-ahead from sensor to torch, and says by its own sigma when the
+torch stands where nothing has been measured.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ MODEL_SIGMA_MM = 0.01
 
 @dataclass(frozen=True)
 class SeamHistory:
-    """The latest measurements: stations x (n,), displacements (n, 2) as (y, z), variances (n, 2); mm, joint frame."""
+    """Latest measurements, joint frame, mm: stations x (n,), displacements (n, 2) as (y, z), variances."""
 
     stations_mm: Float64 = field(default_factory=lambda: np.empty(0))
     displacements_mm: Float64 = field(default_factory=lambda: np.empty((0, 2)))
@@ -43,7 +43,9 @@ class SeamHistory:
     def __len__(self) -> int:
         return len(self.stations_mm)
 
-    def with_measurement(self, station_mm: float, displacement_mm: Float64, variance_mm2: Float64) -> SeamHistory:
+    def with_measurement(
+        self, station_mm: float, displacement_mm: Float64, variance_mm2: Float64
+    ) -> SeamHistory:
         """Return the history with one more measurement, the oldest dropped beyond CAPACITY."""
         return SeamHistory(
             np.append(self.stations_mm, station_mm)[-CAPACITY:],
@@ -56,7 +58,7 @@ class SeamHistory:
         return len(self) > 0 and self.stations_mm.min() <= station_mm <= self.stations_mm.max()
 
     def line_at(self, station_mm: float) -> tuple[SeamLine, Float64]:
-        """Return the seam as a straight stretch about a station, and the 1 sigma (2,) of its y and z there, mm."""
+        """Return the seam as a straight stretch about a station, and the 1 sigma (2,) of its y and z, mm."""
         here, sigma = self.at(station_mm)
         ahead, _ = self.at(station_mm + 1.0)
         behind, _ = self.at(station_mm - 1.0)

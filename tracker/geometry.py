@@ -82,7 +82,7 @@ def _stripe_runs_along_rows(setup: Setup) -> bool:
 
 
 def to_laser_plane(geometry: SensorGeometry, image_points_px: Float64) -> tuple[Float64, Float64]:
-    """Return where image points (n, 2) meet the laser plane: points (n, 3), mm, tool frame, and the rays (n, 3).
+    """Return where image points (n, 2) meet the laser plane, (n, 3) mm, tool frame, and their rays (n, 3).
 
     A ray that runs away from the plane gives NaN.
     """

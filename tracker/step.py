@@ -9,33 +9,29 @@ import math
 from dataclasses import dataclass, field, replace
 
 import numpy as np
-import numpy.typing as npt
 from scipy.special import erf
 
 from noise_model.arc import level as current_level
-from noise_model.arc_map import CELL, ArcKernel, Scene, arc_band, arc_kernel, scene
-from noise_model.frames import Float64, invert, transform
+from noise_model.arc_map import Scene, arc_kernel, scene
+from noise_model.frames import Float64, transform
 from noise_model.setup import Setup
 from noise_model.surface import corrugation_height, seam_height_mm
 from tracker import flags
-from tracker.arc_level import MAP_SIGMA, UNKNOWN, ArcLevel, estimate_arc_level
-from tracker.band import gather, median_background, place
-from tracker.expected import ExpectedStripe, expect_stripe
+from tracker.arc_level import UNKNOWN, ArcLevel, estimate_arc_level
+from tracker.expected import expect_stripe
 from tracker.follow import SeamHistory
-from tracker.geometry import SensorGeometry, to_laser_plane
+from tracker.geometry import SensorGeometry
 from tracker.joint import MeasuredJoint, fit_joint
 from tracker.profile import triangulate
-from tracker.state import Frame, Pose, Stripe, Track
-from tracker.stripe import OFFSET_STEP, best_path, fit_lines, matched_filter
+from tracker.read import FIT_SIGMAS, Work, read_stripe
+from tracker.seam import expected_seam, hand_eye_variance, pixels_per_mm, seam_point_tool, sources
+from tracker.state import Frame, Pose, Track
 
 SEARCH_REACH_MM = 5.0
 """How far off its nominal place the seam is first looked for."""
 
 TRACK_REACH_MM = 1.0
 """How far from its expected place it is looked for once it is known, beyond three sigmas of that place."""
-
-FIT_SIGMAS = 4.0
-"""How many stripe sigmas of background the band holds beyond that reach."""
 
 MIN_SHARE, GOOD_SHARE = 0.2, 0.75
 """The share of scan lines that must hold a stripe, and below which it is called partial."""
@@ -50,8 +46,6 @@ JUMPS_TO_RELEARN = 3
 OFFSET_SIGMA_LIMIT_MM = 0.5
 """An offset less certain than this is not known."""
 
-MEDIAN_HALF_PX = 30
-
 
 @dataclass(frozen=True)
 class TrackerState:
@@ -60,29 +54,6 @@ class TrackerState:
     history: SeamHistory = field(default_factory=SeamHistory)
     jumps: int = 0
     frames: int = 0
-
-
-@dataclass
-class Work:
-    """Preallocated scratch whose contents never matter, for bands up to `depth` pixels."""
-
-    charge: npt.NDArray[np.float32]
-    background: npt.NDArray[np.float32]
-    censored: npt.NDArray[np.bool_]
-
-    @classmethod
-    def of(cls, geometry: SensorGeometry) -> Work:
-        """Make room for the widest band of a sensor."""
-        shape = (geometry.n_scan, geometry.n_pos)
-        return cls(np.empty(shape, np.float32), np.empty(shape, np.float32), np.empty(shape, np.bool_))
-
-    def band(self, depth: int) -> Work:
-        """Return contiguous views (n_scan, depth) of the scratch."""
-        n = len(self.charge) * depth
-        charge, background, censored = (
-            array.reshape(-1)[:n].reshape(-1, depth) for array in (self.charge, self.background, self.censored)
-        )
-        return Work(charge, background, censored)
 
 
 def step(
@@ -109,7 +80,7 @@ def step(
     found = flags.POSE_EXTRAPOLATED.mask if pose.extrapolated else 0
 
     nominal = scene(geometry.setup, pose.T_base_tool)
-    seam, seam_sigma = _expected_seam(geometry.setup, nominal, state.history)
+    seam, seam_sigma = expected_seam(geometry.setup, nominal, state.history)
     view = scene(geometry.setup, pose.T_base_tool, seam)
     expected = None if view.below_surface else expect_stripe(geometry, view)
     if expected is None:
@@ -118,7 +89,7 @@ def step(
     reach_mm = min(SEARCH_REACH_MM, TRACK_REACH_MM + 3.0 * float(seam_sigma.max()))
     if reach_mm == SEARCH_REACH_MM:
         found |= flags.SEARCHED.mask
-    reach_px = reach_mm * _pixels_per_mm(geometry, view)
+    reach_px = reach_mm * pixels_per_mm(geometry, view)
 
     kernel = arc_kernel(geometry.setup, view, _expected_output(geometry.setup, frame))
     keep_off = reach_px + FIT_SIGMAS * float(expected.sigma_px.max())
@@ -129,7 +100,7 @@ def step(
     if not frame.laser_on:
         return state, replace(track, flags=found | flags.LASER_OFF.mask)
 
-    stripe = _read_stripe(geometry, kernel, arc, frame, expected, reach_px, work, use_arc_map)
+    stripe = read_stripe(geometry, kernel, arc, frame, expected, reach_px, work, use_arc_map)
     track = replace(track, stripe=stripe)
     share = float(np.mean(np.isfinite(stripe.position_px)))
     found |= flags.SATURATED.mask if stripe.saturated.any() else 0
@@ -138,7 +109,7 @@ def step(
     found |= flags.STRIPE_PARTIAL.mask if share < GOOD_SHARE else 0
 
     profile = triangulate(geometry, view, stripe.position_px - expected.lean_px, stripe.sigma_px)
-    joint = fit_joint(profile, geometry.setup.joint, *_sources(geometry.setup, view, seam.station_mm))
+    joint = fit_joint(profile, geometry.setup.joint, *sources(geometry.setup, view, seam.station_mm))
     if joint is None:
         return state, replace(track, flags=found | flags.JOINT_NOT_FOUND.mask)
     if not profile.y_mm[0] + 1.0 < joint.y_mm < profile.y_mm[-1] - 1.0:
@@ -184,7 +155,7 @@ def _follow(
         found |= flags.OFFSET_UNKNOWN.mask
         offset, offset_sigma = np.full(2, np.nan), np.full(2, np.nan)
 
-    sigma = np.sqrt(variance + _hand_eye_variance(geometry, nominal, seam_tool))
+    sigma = np.sqrt(variance + hand_eye_variance(geometry, nominal, seam_tool))
     tolerance = setup.tolerance.seam_mm
     confidence = float(np.prod(erf(tolerance / (math.sqrt(2.0) * sigma))))
     return state, replace(
@@ -204,96 +175,6 @@ def _follow(
     )
 
 
-def _read_stripe(
-    geometry: SensorGeometry,
-    kernel: ArcKernel,
-    arc: ArcLevel,
-    frame: Frame,
-    expected: ExpectedStripe,
-    reach_px: float,
-    work: Work,
-    use_arc_map: bool,
-) -> Stripe:
-    """Find the stripe within `reach_px` of its expected place and fit its centre in every scan line."""
-    half = math.ceil(reach_px + FIT_SIGMAS * float(expected.sigma_px.max()))
-    lows, depth = place(expected.position_px, geometry.n_pos, half)
-    band = work.band(depth)
-    gather(
-        frame.image_dn,
-        geometry.along_rows,
-        lows,
-        geometry.charge_e,
-        geometry.saturation_dn,
-        band.charge,
-        band.censored,
-    )
-    level = arc.level if math.isfinite(arc.level) else 1.0
-    misfit = max(1.0, arc.misfit) if math.isfinite(arc.misfit) else 1.0
-    map_sigma = MAP_SIGMA * misfit
-    base_sigma = geometry.setup.tolerance.black_level_dn * geometry.setup.sensor.gain_e_per_dn
-    dark_variance = geometry.dark_variance_e2
-    if use_arc_map and level > 0.0:
-        arc_band(kernel, geometry.xy, geometry.cos4, lows, band.background)
-        band.background *= np.float32(level)
-        band.background += np.float32(arc.black_e)
-        variance = np.maximum(band.background, 0.0) + np.float32(dark_variance)
-    elif use_arc_map:
-        band.background[:] = arc.black_e
-        variance = np.full_like(band.charge, dark_variance)
-    else:
-        median_background(band.charge, MEDIAN_HALF_PX, band.background)
-        spread = 1.4826 * float(np.median(np.abs(band.charge - band.background)))
-        # One variance for all pixels: so large that the signal's own shot noise does not count beside it.
-        dark_variance = max(spread**2, dark_variance)
-        variance = np.full_like(band.charge, dark_variance)
-
-    offsets = np.arange(-math.floor(reach_px), math.floor(reach_px) + 1, OFFSET_STEP)
-    score = np.empty((geometry.n_scan, len(offsets)), dtype=np.float32)
-    matched_filter(
-        band.charge - band.background, variance, expected.position_px, expected.sigma_px, lows, CELL, offsets, score
-    )
-    choice = np.empty(geometry.n_scan, dtype=np.int64)
-    best_path(score, choice)
-    start = np.where(choice >= 0, np.rint(expected.position_px) + offsets[choice], np.nan)
-    fits = np.empty((geometry.n_scan, 5))
-    saturated = np.empty(geometry.n_scan, dtype=np.bool_)
-    fit_lines(
-        band.charge,
-        band.background,
-        band.censored,
-        start,
-        expected.sigma_px,
-        lows,
-        CELL,
-        dark_variance,
-        map_sigma,
-        base_sigma,
-        fits,
-        saturated,
-    )
-    return Stripe(fits[:, 0], fits[:, 1], fits[:, 2], saturated, geometry.along_rows)
-
-
-def _expected_seam(setup: Setup, nominal: Scene, history: SeamHistory) -> tuple[SeamLine, Float64]:
-    """Return the seam where it should meet the laser plane, and the 1 sigma (2,) of its y and z, mm."""
-    station = float(transform(nominal.T_joint_tool, _sensor_point(setup))[0])
-    seam, _ = history.at(station)
-    # The plane may lean: the root of a groove is met elsewhere than the plate is.
-    point = seam_point_tool(setup, nominal, float(seam[0]), float(seam[1]) + seam_height_mm(setup.joint))
-    return history.line_at(float(transform(nominal.T_joint_tool, point)[0]))
-
-
-def _sources(setup: Setup, view: Scene, station: float) -> tuple[Float64, Float64]:
-    """Return where camera and laser stand, (3,) mm, with the corrugation's tangent plane at a station levelled."""
-    corrugation = view.shape.corrugation
-    ahead, here, behind = corrugation_height(station + np.array([0.5, 0.0, -0.5]), corrugation)
-    laser_mm = transform(view.T_joint_tool, np.asarray(setup.laser.origin_in_tool_mm))
-    sources = view.T_joint_camera[:3, 3].copy(), laser_mm
-    for source in sources:
-        source[2] -= here + (ahead - behind) * (source[0] - station)
-    return sources
-
-
 def _expected_output(setup: Setup, frame: Frame) -> float:
     """Return what the setup expects of the arc for a frame's current and exposure, over the nominal output.
 
@@ -307,70 +188,10 @@ def _expected_output(setup: Setup, frame: Frame) -> float:
 def _arc_flags(arc: ArcLevel) -> int:
     """Return the flags that the arc's level and misfit raise."""
     if arc is UNKNOWN:
-        return 0
+        return flags.ARC_LEVEL_UNKNOWN.mask
     if arc.level < ARC_OFF_SIGMAS * arc.sigma:
         return flags.ARC_OFF.mask
     return flags.MAP_MISFIT.mask if arc.misfit > MISFIT_LIMIT else 0
-
-
-def _sensor_point(setup: Setup) -> Float64:
-    """Return the point of the laser plane below the laser at tool height, tool frame, mm."""
-    x, y, _ = setup.laser.origin_in_tool_mm
-    plane = np.asarray(setup.laser.plane_in_tool)
-    point = np.array([x, y, 0.0])
-    return point - (plane[:3] @ point + plane[3]) * plane[:3]
-
-
-def _pixels_per_mm(geometry: SensorGeometry, view: Scene) -> float:
-    """Return how far the stripe moves, px, per mm of height or of lateral place, whichever is more."""
-    camera = geometry.setup.camera
-    at = _sensor_point(geometry.setup)
-    points = np.stack([at, at + [0.0, 0.0, 1.0], at + [0.0, 1.0, 0.0]])
-    scan_points = geometry.scan_points(camera.project(transform(invert(camera.T_tool_camera), points)))
-    return float(np.abs(scan_points[1:, 1] - scan_points[0, 1]).max())
-
-
-def seam_point_tool(setup: Setup, view: Scene, y_mm: float, z_mm: float) -> Float64:
-    """Return the point (3,), tool frame, where the seam through (y, z) of a scene's joint frame meets the sheet.
-
-    `z_mm` counts from a corrugation's own height, which is added at the station that is found.
-    """
-    T_tool_joint = invert(view.T_joint_tool)
-    plane = np.asarray(setup.laser.plane_in_tool)
-    direction = T_tool_joint[:3, 0]
-    x = float(transform(view.T_joint_tool, _sensor_point(setup))[0])
-    point = np.zeros(3)
-    for _ in range(20):
-        height = float(corrugation_height(np.array(x), view.shape.corrugation))
-        point = transform(T_tool_joint, np.array([x, y_mm, z_mm + height]))
-        x -= float((plane[:3] @ point + plane[3]) / (plane[:3] @ direction))
-    return point
-
-
-def _hand_eye_variance(geometry: SensorGeometry, nominal: Scene, seam_tool: Float64) -> Float64:
-    """Return the variance (2,) of the seam's (y, z), mm^2, that the stated hand-eye tolerance leaves.
-
-    Each of the camera's three rotations and translations is off by its 1 sigma in turn; what is seen is kept.
-    """
-    camera, tolerance = geometry.setup.camera, geometry.setup.tolerance
-    image = camera.project(transform(invert(camera.T_tool_camera), seam_tool[None, :]))
-    total = np.zeros(2)
-    R_joint_tool = nominal.T_joint_tool[:3, :3]
-    angle = math.radians(tolerance.hand_eye_deg)
-    for axis in range(6):
-        T_camera_moved = np.eye(4)
-        if axis < 3:
-            a, b = [(1, 2), (2, 0), (0, 1)][axis]
-            T_camera_moved[a, b], T_camera_moved[b, a] = -angle, angle
-        else:
-            T_camera_moved[axis - 3, 3] = tolerance.hand_eye_mm
-        moved = replace(
-            geometry, setup=replace(geometry.setup, camera=replace(camera, T_tool_camera=camera.T_tool_camera @ T_camera_moved))
-        )
-        point, _ = to_laser_plane(moved, image)
-        shift = R_joint_tool @ (point[0] - seam_tool)
-        total += shift[1:] ** 2
-    return total
 
 
 class Tracker:

@@ -1,16 +1,15 @@
 """The stripe under arc light: candidates by a matched filter, their path, the maximum-likelihood centre.
 
-Along a scan line the charge is d(r) = A exp(-1/2 ((r - r_0)/w)^2) + L m(r) + b_0 + b_1 (r - r_0) + noise, m the arc
-map, with the variance of a pixel at its *fitted* mean (never the observed one: that would favour dark
-pixels). b_0 and b_1 are what the map may be wrong by, with a prior from its stated uncertainty; ln w has one
-from the stripe that the setup predicts. A saturated pixel is censored: it says no more than 'at least this',
-so it pulls only where the model lies below it.
+Along a scan line the charge is d(r) = A exp(-1/2 ((r - r_0)/w)^2) + L m(r) + b_0 + b_1 (r - r_0) + noise, m
+the arc map, with the variance of a pixel at its *fitted* mean (never the observed one: that would favour
+dark pixels). b_0 and b_1 are what the map may be wrong by, with a prior from its stated uncertainty; ln w has
+one from the stripe that the setup predicts. A saturated pixel is censored: it says no more than 'at least
+this', so it pulls only where the model lies below it.
 """
 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 
 import numba
 import numpy as np
@@ -50,22 +49,6 @@ WIDTH_LIMIT_LN = 0.35
 """A fitted width further off than this is two faces or no stripe."""
 
 
-@dataclass(frozen=True)
-class StripeFit:
-    """The stripe per scan line (n_scan,): NaN where there is none.
-
-    `position_px`, `sigma_px` (1 sigma, model misfit included), `amplitude_e`, `width_px`, `chi2` per degree of
-    freedom, `saturated` where pixels were censored.
-    """
-
-    position_px: Float64
-    sigma_px: Float64
-    amplitude_e: Float64
-    width_px: Float64
-    chi2: Float64
-    saturated: npt.NDArray[np.bool_]
-
-
 @numba.njit(cache=True, nogil=True)
 def matched_filter(
     residual_e: Float32,
@@ -86,7 +69,7 @@ def matched_filter(
     n_scan, depth = residual_e.shape
     for s in range(n_scan):
         w = width[s]
-        half = int(math.ceil(2.5 * w))
+        half = math.ceil(2.5 * w)
         template = np.empty(2 * half + 1)
         mean = 0.0
         for j in range(-half, half + 1):
@@ -97,7 +80,7 @@ def matched_filter(
         for j in range(2 * half + 1):
             template[j] -= mean
             energy += template[j] * template[j]
-        base = int(round(center[s])) - lows[s // cell]
+        base = round(center[s]) - lows[s // cell]
         for i in range(offsets.shape[0]):
             at = base + offsets[i]
             if at - half < 0 or at + half >= depth:
@@ -164,7 +147,7 @@ def best_path(score: Float32, choice: Int64) -> None:
 
 @numba.njit(cache=True, nogil=True)
 def _solve(H: Float64, g: Float64, step: Float64) -> bool:
-    """Solve H step = g for a symmetric positive H (5, 5) by Cholesky, in place; False if it is not positive."""
+    """Solve H step = g for a symmetric H (5, 5) by Cholesky, in place; False if it is not positive."""
     for i in range(N_PARAMETERS):
         for j in range(i + 1):
             total = H[i, j]
@@ -196,6 +179,7 @@ def fit_line(
     censored: npt.NDArray[np.bool_],
     start: float,
     width: float,
+    shot: float,
     dark_variance: float,
     map_sigma: float,
     base_sigma: float,
@@ -205,13 +189,14 @@ def fit_line(
     """Fit one scan line by Gauss-Newton on the likelihood; write (position, sigma, amplitude, width, chi2).
 
     `charge`, `background` (depth,) are the linearised pixels and the arc map at its level, e-; `start` and
-    `width` px; `map_sigma` the map's relative 1 sigma, `base_sigma` the black level's, e-, `edge_e` by how much
-    the map changes to the neighbouring lines: an edge that may cut across this one. False if there is no
-    stripe there. The position is relative to the scan line's start.
+    `width` px. The variance of a pixel is `shot` (1, or 0 for one variance for all) times its mean plus
+    `dark_variance`, e-^2. `map_sigma` is the map's relative 1 sigma, `base_sigma` the black level's, e-,
+    `edge_e` by how much the map changes to the neighbouring lines: an edge that may cut across this one.
+    False if there is no stripe there. The position is relative to the band's start.
     """
     depth = charge.shape[0]
     half = WINDOW_SIGMAS * width
-    middle = int(round(start))
+    middle = round(start)
     low, high = max(0, int(start - half)), min(depth - 1, int(start + half) + 1)
     if high - low < 2.0 * width or not low < middle < high:
         return False
@@ -236,7 +221,7 @@ def fit_line(
     H, g_vector, step = np.empty((5, 5)), np.empty(5), np.empty(5)
     J = np.empty(5)
     chi2, used = 0.0, 0
-    for iteration in range(12):
+    for _ in range(12):
         for i in range(5):
             g_vector[i] = 0.0
             for j in range(5):
@@ -248,10 +233,9 @@ def fit_line(
             shape = math.exp(-0.5 * t * t)
             mean = amplitude * shape + background[r] + b0 + b1 * (r - position)
             residual = charge[r] - mean
-            if censored[r]:
-                if residual <= 0.0:
-                    continue
-            weight = 1.0 / (max(mean, 0.0) + dark_variance)
+            if censored[r] and residual <= 0.0:
+                continue
+            weight = 1.0 / (shot * max(mean, 0.0) + dark_variance)
             J[0] = shape
             J[1] = amplitude * shape * t / w - b1
             J[2] = amplitude * shape * t * t
@@ -328,6 +312,7 @@ def fit_lines(
     width: Float64,
     lows: Int64,
     cell: int,
+    shot: float,
     dark_variance: float,
     map_sigma: float,
     base_sigma: float,
@@ -347,6 +332,7 @@ def fit_lines(
                 censored[s],
                 start[s] - low,
                 width[s],
+                shot,
                 dark_variance,
                 map_sigma,
                 base_sigma,

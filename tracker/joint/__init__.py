@@ -15,9 +15,7 @@ from tracker.profile import Profile
 __all__ = ["MeasuredJoint", "fit_joint"]
 
 
-def fit_joint(
-    profile: Profile, joint: Joint, camera_mm: Float64, laser_mm: Float64
-) -> MeasuredJoint | None:
+def fit_joint(profile: Profile, joint: Joint, camera_mm: Float64, laser_mm: Float64) -> MeasuredJoint | None:
     """Return the joint that a profile shows, or None where it does not determine one.
 
     `camera_mm` and `laser_mm` (3,), joint frame: what stands between them and a point hides it.

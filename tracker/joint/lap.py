@@ -28,13 +28,14 @@ def fit_lap(profile: Profile, joint: Joint, camera_mm: Float64, laser_mm: Float6
     vertices = section(joint).vertices
 
     def nominal(y: Float64) -> Float64:
-        return np.where(y < 0.0, vertices[1, 1], vertices[2, 1])
+        return np.asarray(np.where(y < 0.0, vertices[1, 1], vertices[2, 1]))
 
     y_0, z_0 = place_by_template(profile, nominal, SEARCH_STEP_MM, 0.25 * thickness)
 
     def sheets(parameters: Float64, y: Float64) -> Float64:
         z, step, slope_lower, slope_upper = parameters
-        return np.where(y < y_0, z + step + slope_upper * (y - y_0), z + slope_lower * (y - y_0))
+        upper, lower = z + step + slope_upper * (y - y_0), z + slope_lower * (y - y_0)
+        return np.asarray(np.where(y < y_0, upper, lower))
 
     clear = np.abs(profile.y_mm - y_0) > CLEAR_OF_EDGE_MM
     upper, lower = clear & (profile.y_mm < y_0), clear & (profile.y_mm > y_0)

@@ -92,11 +92,10 @@ def fit_shape(
     r = residual(parameters)
     freedom = max(float(weights.sum()) - len(start), 1.0)
     chi2 = float(np.sum(weights * r**2) / freedom)
-    covariance = np.linalg.inv(information) * max(1.0, chi2)
+    covariance = np.asarray(np.linalg.inv(information) * max(1.0, chi2), dtype=np.float64)
     if not np.isfinite(parameters).all():
         return None
-    return ShapeFit(parameters, covariance, chi2, weights)
-
+    return ShapeFit(parameters, covariance, chi2, np.asarray(weights, dtype=np.float64))
 
 
 def place_by_template(

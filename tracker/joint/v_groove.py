@@ -11,7 +11,7 @@ from tracker.profile import Profile
 
 SEARCH_STEP_MM = 0.2
 PRIOR_SIGMA = np.array([5.0, 5.0, 0.3, 0.04, 0.04, 0.3, 0.3, 0.03, 0.03])
-"""1 sigma of y, z, gap, both tan(bevel), both depths (mm), both plate slopes: what a prepared edge may be off."""
+"""1 sigma of y, z, gap, both tan(bevel), both depths (mm), both plate slopes: how far an edge may be off."""
 
 
 def groove_height(parameters: Float64, y: Float64) -> Float64:
@@ -48,9 +48,10 @@ def fit_v_groove(profile: Profile, joint: Joint) -> MeasuredJoint | None:
     y_s, z_s, gap_mm, _, _, depth_left, depth_right, _, _ = (float(p) for p in shape.parameters)
     half_mouth = 0.5 * gap + depth * tan
     inside = np.abs(profile.y_mm - y_s) < half_mouth
-    if shape.weights[inside & (profile.y_mm > y_s)].sum() < 5.0 or shape.weights[
-        inside & (profile.y_mm < y_s)
-    ].sum() < 5.0:
+    if (
+        shape.weights[inside & (profile.y_mm > y_s)].sum() < 5.0
+        or shape.weights[inside & (profile.y_mm < y_s)].sum() < 5.0
+    ):
         return None
     return MeasuredJoint(
         y_s, z_s, shape.covariance[:2, :2], max(gap_mm, 0.0), depth_left - depth_right, shape.chi2

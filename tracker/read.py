@@ -1,0 +1,142 @@
+"""Reading the stripe: the band around its expected place, the background beside it, path and fit."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from noise_model.arc_map import CELL, ArcKernel, arc_band
+from tracker.arc_level import MAP_SIGMA, ArcLevel
+from tracker.band import gather, median_background, place
+from tracker.expected import ExpectedStripe
+from tracker.geometry import SensorGeometry
+from tracker.state import Frame, Stripe
+from tracker.stripe import OFFSET_STEP, best_path, fit_lines, matched_filter
+
+FIT_SIGMAS = 4.0
+"""How many stripe sigmas of background the band holds beyond the reach of the search."""
+
+MEDIAN_HALF_PX = 30
+MEDIAN_SIGMA = 1.0
+"""Without an arc map: half the running median's length, and its background's relative 1 sigma (anything)."""
+
+
+@dataclass
+class Work:
+    """Preallocated scratch (n_scan, n_pos) whose contents never matter."""
+
+    charge: npt.NDArray[np.float32]
+    background: npt.NDArray[np.float32]
+    variance: npt.NDArray[np.float32]
+    censored: npt.NDArray[np.bool_]
+
+    @classmethod
+    def of(cls, geometry: SensorGeometry) -> Work:
+        """Make room for the widest band of a sensor."""
+        charge, background, variance = np.empty((3, geometry.n_scan, geometry.n_pos), np.float32)
+        return cls(charge, background, variance, np.empty(charge.shape, np.bool_))
+
+    def band(self, depth: int) -> Work:
+        """Return contiguous views (n_scan, depth) of the scratch."""
+        n_scan = len(self.charge)
+        n = n_scan * depth
+        return Work(
+            self.charge.reshape(-1)[:n].reshape(n_scan, depth),
+            self.background.reshape(-1)[:n].reshape(n_scan, depth),
+            self.variance.reshape(-1)[:n].reshape(n_scan, depth),
+            self.censored.reshape(-1)[:n].reshape(n_scan, depth),
+        )
+
+
+def read_stripe(
+    geometry: SensorGeometry,
+    kernel: ArcKernel,
+    arc: ArcLevel,
+    frame: Frame,
+    expected: ExpectedStripe,
+    reach_px: float,
+    work: Work,
+    use_arc_map: bool,
+) -> Stripe:
+    """Find the stripe within `reach_px` of its expected place and fit its centre in every scan line."""
+    half = math.ceil(reach_px + FIT_SIGMAS * float(expected.sigma_px.max()))
+    lows, depth = place(expected.position_px, geometry.n_pos, half)
+    band = work.band(depth)
+    gather(
+        frame.image_dn,
+        geometry.along_rows,
+        lows,
+        geometry.charge_e,
+        geometry.saturation_dn,
+        band.charge,
+        band.censored,
+    )
+    shot, dark_variance = 1.0, geometry.dark_variance_e2
+    level_known = math.isfinite(arc.level)
+    level = arc.level if level_known else 1.0
+    level_sigma = 0.0 if level_known else geometry.setup.tolerance.arc_level_rel
+    map_sigma = math.hypot(MAP_SIGMA * max(1.0, arc.misfit if level_known else 1.0), level_sigma)
+    if use_arc_map:
+        _predict_background(geometry, kernel, level, arc.black_e, lows, band)
+    else:
+        median_background(band.charge, MEDIAN_HALF_PX, band.background)
+        spread = 1.4826 * float(np.median(np.abs(band.charge - band.background)))
+        shot, map_sigma, dark_variance = 0.0, MEDIAN_SIGMA, max(spread**2, dark_variance)
+    np.maximum(band.background, 0.0, out=band.variance)
+    band.variance *= np.float32(shot)
+    band.variance += np.float32(dark_variance)
+    base_sigma = geometry.setup.tolerance.black_level_dn * geometry.setup.sensor.gain_e_per_dn
+
+    offsets = np.arange(-math.floor(reach_px), math.floor(reach_px) + 1, OFFSET_STEP)
+    score = np.empty((geometry.n_scan, len(offsets)), dtype=np.float32)
+    matched_filter(
+        band.charge - band.background,
+        band.variance,
+        expected.position_px,
+        expected.sigma_px,
+        lows,
+        CELL,
+        offsets,
+        score,
+    )
+    choice = np.empty(geometry.n_scan, dtype=np.int64)
+    best_path(score, choice)
+    start = np.where(choice >= 0, np.rint(expected.position_px) + offsets[choice], np.nan)
+    fits = np.empty((geometry.n_scan, 5))
+    saturated = np.empty(geometry.n_scan, dtype=np.bool_)
+    fit_lines(
+        band.charge,
+        band.background,
+        band.censored,
+        start,
+        expected.sigma_px,
+        lows,
+        CELL,
+        shot,
+        dark_variance,
+        map_sigma,
+        base_sigma,
+        fits,
+        saturated,
+    )
+    return Stripe(fits[:, 0], fits[:, 1], fits[:, 2], saturated, geometry.along_rows)
+
+
+def _predict_background(
+    geometry: SensorGeometry,
+    kernel: ArcKernel,
+    level: float,
+    black_e: float,
+    lows: npt.NDArray[np.int64],
+    band: Work,
+) -> None:
+    """Write the arc map at the frame's own level into the band; without an arc, the black level's offset."""
+    if level == 0.0:
+        band.background[:] = black_e
+        return
+    arc_band(kernel, geometry.xy, geometry.cos4, lows, band.background)
+    band.background *= np.float32(level)
+    band.background += np.float32(black_e)

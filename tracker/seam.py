@@ -1,0 +1,97 @@
+"""Where the seam is beside the sensor: expected, found, and how far the hand-eye tolerance lets it be off."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import numpy as np
+
+from noise_model.arc_map import Scene
+from noise_model.frames import Float64, invert, transform
+from noise_model.setup import Setup
+from noise_model.surface import SeamLine, corrugation_height, seam_height_mm
+from tracker.follow import SeamHistory
+from tracker.geometry import SensorGeometry, to_laser_plane
+
+
+def expected_seam(setup: Setup, nominal: Scene, history: SeamHistory) -> tuple[SeamLine, Float64]:
+    """Return the seam where it should meet the laser plane, and the 1 sigma (2,) of its y and z, mm."""
+    station = float(transform(nominal.T_joint_tool, _sensor_point(setup))[0])
+    seam, _ = history.at(station)
+    # The plane may lean: the root of a groove is met elsewhere than the plate is.
+    point = seam_point_tool(setup, nominal, float(seam[0]), float(seam[1]) + seam_height_mm(setup.joint))
+    return history.line_at(float(transform(nominal.T_joint_tool, point)[0]))
+
+
+def sources(setup: Setup, view: Scene, station: float) -> tuple[Float64, Float64]:
+    """Return where camera and laser stand, (3,) mm, a corrugation's tangent plane at a station levelled."""
+    corrugation = view.shape.corrugation
+    ahead, here, behind = corrugation_height(station + np.array([0.5, 0.0, -0.5]), corrugation)
+    laser_mm = transform(view.T_joint_tool, np.asarray(setup.laser.origin_in_tool_mm))
+    sources = view.T_joint_camera[:3, 3].copy(), laser_mm
+    for source in sources:
+        source[2] -= here + (ahead - behind) * (source[0] - station)
+    return sources
+
+
+def _sensor_point(setup: Setup) -> Float64:
+    """Return the point of the laser plane below the laser at tool height, tool frame, mm."""
+    x, y, _ = setup.laser.origin_in_tool_mm
+    plane = np.asarray(setup.laser.plane_in_tool)
+    point = np.array([x, y, 0.0])
+    return np.asarray(point - (plane[:3] @ point + plane[3]) * plane[:3])
+
+
+def pixels_per_mm(geometry: SensorGeometry, view: Scene) -> float:
+    """Return how far the stripe moves, px, per mm of height or of lateral place, whichever is more."""
+    camera = geometry.setup.camera
+    points = _sensor_point(geometry.setup) + np.array([[0.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.0, 1.0, 0.0]])
+    scan_points = geometry.scan_points(camera.project(transform(invert(camera.T_tool_camera), points)))
+    return float(np.abs(scan_points[1:, 1] - scan_points[0, 1]).max())
+
+
+def seam_point_tool(setup: Setup, view: Scene, y_mm: float, z_mm: float) -> Float64:
+    """Return the point (3,), tool frame, where the seam through (y, z) of a scene's frame meets the sheet.
+
+    `z_mm` counts from a corrugation's own height, which is added at the station that is found.
+    """
+    T_tool_joint = invert(view.T_joint_tool)
+    plane = np.asarray(setup.laser.plane_in_tool)
+    direction = T_tool_joint[:3, 0]
+    x = float(transform(view.T_joint_tool, _sensor_point(setup))[0])
+    point = np.zeros(3)
+    for _ in range(20):
+        height = float(corrugation_height(np.array(x), view.shape.corrugation))
+        point = transform(T_tool_joint, np.array([x, y_mm, z_mm + height]))
+        x -= float((plane[:3] @ point + plane[3]) / (plane[:3] @ direction))
+    return point
+
+
+def hand_eye_variance(geometry: SensorGeometry, nominal: Scene, seam_tool: Float64) -> Float64:
+    """Return the variance (2,) of the seam's (y, z), mm^2, that the stated hand-eye tolerance leaves.
+
+    Each of the camera's three rotations and translations is off by its 1 sigma in turn; what is seen is kept.
+    """
+    camera, tolerance = geometry.setup.camera, geometry.setup.tolerance
+    image = camera.project(transform(invert(camera.T_tool_camera), seam_tool[None, :]))
+    total = np.zeros(2)
+    R_joint_tool = nominal.T_joint_tool[:3, :3]
+    angle = math.radians(tolerance.hand_eye_deg)
+    for axis in range(6):
+        T_camera_moved = np.eye(4)
+        if axis < 3:
+            a, b = [(1, 2), (2, 0), (0, 1)][axis]
+            T_camera_moved[a, b], T_camera_moved[b, a] = -angle, angle
+        else:
+            T_camera_moved[axis - 3, 3] = tolerance.hand_eye_mm
+        moved = replace(
+            geometry,
+            setup=replace(
+                geometry.setup, camera=replace(camera, T_tool_camera=camera.T_tool_camera @ T_camera_moved)
+            ),
+        )
+        point, _ = to_laser_plane(moved, image)
+        shift = R_joint_tool @ (point[0] - seam_tool)
+        total += shift[1:] ** 2
+    return total
