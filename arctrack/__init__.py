@@ -1,0 +1,1 @@
+"""arctrack meets the world: recordings, replay, pictures and the command line."""

@@ -1,0 +1,18 @@
+"""The one error that a user meets: a single line with the file, the key or line in it, and the cure."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+
+class ArctrackError(Exception):
+    """Bad input or a wish that cannot be met; its text is one line, fit for the command line."""
+
+    def __init__(self, message: str) -> None:
+        super().__init__(" ".join(message.split()))
+
+
+def in_file(path: Path, problem: str, *, line: int | None = None) -> ArctrackError:
+    """Return the error that a file, at a line (counted from 1) if one is to blame, makes."""
+    place = str(path) if line is None else f"{path}, line {line}"
+    return ArctrackError(f"{place}: {problem}")

@@ -1,0 +1,92 @@
+"""Nominal setups to start from: one sensor, placed for each joint so that it sees the stripe.
+
+A 690 nm sheet stands 35 mm ahead of the torch. A groove and a corrugation are seen from ahead, back towards
+the arc; a lap from behind the torch, forward: there its upper sheet does not mirror the arc into the lens.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from noise_model.arc import Arc
+from noise_model.brdf import TABLE_1
+from noise_model.frames import Float64
+from noise_model.laser import Laser
+from noise_model.optics import Camera
+from noise_model.sensor import Sensor
+from noise_model.setup import Setup
+from noise_model.spectrum import Filter
+from noise_model.surface import Joint
+
+DIMENSIONS: dict[str, dict[str, float]] = {
+    "v_groove": {"included_angle_deg": 60.0, "depth_mm": 4.0, "root_gap_mm": 1.0},
+    "lap": {"thickness_mm": 2.0},
+    "corrugation": {"thickness_mm": 1.6, "pitch_mm": 60.0, "height_mm": 8.0, "width_mm": 30.0},
+}
+"""The dimensions, mm and deg, of the joints that a setup can be made for."""
+
+MATERIALS = tuple(TABLE_1)
+
+_CAMERA_IN_TOOL_MM = {
+    "v_groove": (95.0, 0.0, 130.0),
+    "lap": (-20.0, 0.0, 135.0),
+    "corrugation": (95.0, 0.0, 130.0),
+}
+_AIM_IN_TOOL_MM = (36.0, 0.0, 0.0)
+_ARC_HEIGHT_MM = {"v_groove": 0.0, "lap": 2.0, "corrugation": 1.6}
+
+
+def nominal_setup(joint_type: str, material_name: str, *, width: int = 640, height: int = 480) -> Setup:
+    """Return a setup for a joint of `DIMENSIONS` and a material of Table 1.
+
+    Other image sizes keep the field of view. `[arc] radiance_e` is 1 here: how bright the arc may be depends
+    on aperture and filter, see `arctrack.simulate.balance`.
+    """
+    focal_px = 2190.0 * width / 640.0
+    camera = Camera(
+        width=width,
+        height=height,
+        fx=focal_px,
+        fy=focal_px,
+        cx=(width - 1) / 2.0,
+        cy=(height - 1) / 2.0,
+        T_tool_camera=looking_at(_CAMERA_IN_TOOL_MM[joint_type], _AIM_IN_TOOL_MM),
+        focal_length_mm=16.2,
+    )
+    return Setup(
+        camera=camera,
+        sensor=Sensor(bits=8, gain_e_per_dn=80.0, black_level_dn=4.0, read_noise_e=45.0, full_well_e=20400.0),
+        filter=Filter(center_nm=690.0, fwhm_nm=10.0, effective_index=1.8),
+        laser=Laser(
+            wavelength_nm=690.0,
+            plane_in_tool=(1.0, 0.0, 0.0, -35.0),
+            origin_in_tool_mm=(35.0, 0.0, 140.0),
+            stripe_sigma_mm=0.45,
+            peak_e=5000.0,
+        ),
+        arc=Arc(
+            radius_mm=3.0,
+            center_in_tool_mm=(0.0, 0.0, _ARC_HEIGHT_MM[joint_type]),
+            radiance_e=1.0,
+            current_a=100.0,
+            current_exponent=1.3,
+        ),
+        material=TABLE_1[material_name],
+        joint=Joint(
+            type=joint_type,
+            dimensions=dict(DIMENSIONS[joint_type]),
+            seam_in_base_mm=((-100.0, 0.0, 0.0), (1000.0, 0.0, 0.0)),
+        ),
+    )
+
+
+def looking_at(camera_mm: tuple[float, float, float], aim_mm: tuple[float, float, float]) -> Float64:
+    """Return T_tool_camera, mm, of a camera that looks at a point; its x axis runs along -y."""
+    z_axis = np.subtract(aim_mm, camera_mm) / math.dist(aim_mm, camera_mm)
+    x_axis = np.array([0.0, -1.0, 0.0])
+    T_tool_camera = np.eye(4)
+    T_tool_camera[:3, :3] = np.column_stack([x_axis, np.cross(z_axis, x_axis), z_axis])
+    T_tool_camera[:3, 3] = camera_mm
+    return T_tool_camera

@@ -1,0 +1,173 @@
+"""FFV1 video, bit exact: grey frames of 8 or 16 bits in a Matroska file, one packet a frame."""
+
+from __future__ import annotations
+
+import zlib
+from collections.abc import Iterable, Iterator
+from fractions import Fraction
+from pathlib import Path
+from types import TracebackType
+from typing import Self
+
+import av
+import numpy as np
+import numpy.typing as npt
+from av.video.codeccontext import VideoCodecContext
+from av.video.stream import VideoStream
+
+from arctrack.errors import in_file
+
+PIXEL_FORMATS = {"gray": np.uint8, "gray16le": np.uint16}
+
+_FOOTER_BYTES = 8
+_REVERSED_BITS = bytes(int(f"{byte:08b}"[::-1], 2) for byte in range(256))
+
+
+def open_video(path: Path) -> av.container.InputContainer:
+    """Open a video; ArctrackError unless it is grey FFV1."""
+    try:
+        container = av.open(str(path), mode="r")
+    except FileNotFoundError:
+        raise in_file(path, "there is no such file") from None
+    except (av.error.FFmpegError, OSError) as error:
+        raise in_file(path, f"cannot be read as a video: {error.strerror}") from None
+    streams = container.streams.video
+    if not streams:
+        container.close()
+        raise in_file(path, "holds no video")
+    codec = streams[0].codec_context
+    pixel_format = codec.format.name if codec.format is not None else "unknown pixels"
+    if codec.name != "ffv1" or pixel_format not in PIXEL_FORMATS:
+        container.close()
+        raise in_file(
+            path,
+            f"holds {codec.name} with {pixel_format}: must be ffv1 with gray or gray16le, which is exact",
+        )
+    return container
+
+
+def read_video(path: Path, positions: Iterable[int]) -> Iterator[npt.NDArray[np.integer] | str]:
+    """Yield the frames (H, W) at rising positions (from 0), or what is wrong with one, as text."""
+    with open_video(path) as container:
+        stream = container.streams.video[0]
+        # Frame threads delay the output; with one thread a packet in is a frame out.
+        stream.codec_context.thread_count = 1
+        packets = _Packets(container, stream)
+        for position in positions:
+            yield packets.frame(position)
+
+
+def count_frames(path: Path) -> int:
+    """Return how many frames a video holds, without decoding them."""
+    with open_video(path) as container:
+        packets = _Packets(container, container.streams.video[0])
+        return packets.skip_all()
+
+
+class _Packets:
+    """Walks through a video's packets; its state is the place in the file."""
+
+    def __init__(self, container: av.container.InputContainer, stream: VideoStream) -> None:
+        self._demuxer = container.demux(stream)
+        self._codec: VideoCodecContext = stream.codec_context
+        self._next = 0
+        self._has_checksums = False
+        self._broken_until_keyframe = False
+
+    def frame(self, position: int) -> npt.NDArray[np.integer] | str:
+        while True:
+            packet = self._packet()
+            if packet is None:
+                return f"the video ends after {self._next} frames"
+            self._next += 1
+            wanted = self._next > position
+            # A frame that no other builds on need not be decoded to be passed over.
+            if wanted or not packet.is_keyframe or self._broken_until_keyframe:
+                decoded = self._decode(packet)
+                if wanted:
+                    return decoded
+
+    def skip_all(self) -> int:
+        while self._packet() is not None:
+            self._next += 1
+        return self._next
+
+    def _packet(self) -> av.Packet[VideoStream] | None:
+        try:
+            for packet in self._demuxer:
+                if packet.size > 0:
+                    return packet
+        except av.error.FFmpegError:
+            # The container breaks off here: nothing behind this can be found again.
+            return None
+        return None
+
+    def _decode(self, packet: av.Packet[VideoStream]) -> npt.NDArray[np.integer] | str:
+        intact = checksums_hold(bytes(packet))
+        self._has_checksums |= intact
+        damaged = self._has_checksums and not intact
+        if packet.is_keyframe:
+            self._broken_until_keyframe = False
+        try:
+            frames = self._codec.decode(packet)
+        except av.error.FFmpegError as error:
+            self._broken_until_keyframe = True
+            return f"frame {self._next - 1} of the video is damaged: {error.strerror}"
+        if damaged or self._broken_until_keyframe or len(frames) != 1 or frames[0].is_corrupt:
+            self._broken_until_keyframe = True
+            return f"frame {self._next - 1} of the video is damaged"
+        pixels = frames[0].to_ndarray()
+        return np.ascontiguousarray(pixels, dtype=PIXEL_FORMATS[frames[0].format.name])
+
+
+def checksums_hold(packet: bytes) -> bool:
+    """Return whether a packet is a chain of FFV1 slices whose CRC-32s are all right (RFC 9043, 4.9).
+
+    libavcodec's decoder only logs a wrong one and fills the slice with something. A slice's footer is its
+    size (3 bytes), an error status (1) and a CRC (4) which makes that of the whole slice 0; its bits run the
+    other way round than zlib's. A file without checksums gives False for every packet.
+    """
+    end = len(packet)
+    while end >= _FOOTER_BYTES:
+        size = int.from_bytes(packet[end - _FOOTER_BYTES : end - _FOOTER_BYTES + 3], "big") + _FOOTER_BYTES
+        if size > end:
+            return False
+        reflected = packet[end - size : end].translate(_REVERSED_BITS)
+        if zlib.crc32(reflected, 0xFFFFFFFF) != 0xFFFFFFFF:
+            return False
+        end -= size
+    return end == 0 and len(packet) > 0
+
+
+class VideoWriter:
+    """Writes frames to an FFV1 video; every frame stands alone and carries checksums."""
+
+    def __init__(self, path: Path, width: int, height: int, dtype: npt.DTypeLike, rate_hz: float) -> None:
+        self._format = "gray" if np.dtype(dtype) == np.uint8 else "gray16le"
+        self._container = av.open(str(path), mode="w")
+        rate = Fraction(rate_hz).limit_denominator(1000)
+        self._stream: VideoStream = self._container.add_stream("ffv1", rate=rate)
+        self._stream.width, self._stream.height = width, height
+        self._stream.pix_fmt = self._format
+        self._stream.options = {"level": "3", "slicecrc": "1", "g": "1"}
+        self._count = 0
+
+    def write(self, image_dn: npt.NDArray[np.integer]) -> None:
+        """Append a frame (H, W) of the type that was announced."""
+        frame = av.VideoFrame.from_ndarray(np.ascontiguousarray(image_dn), format=self._format)
+        frame.pts = self._count
+        self._count += 1
+        self._container.mux(self._stream.encode(frame))
+
+    def close(self) -> None:
+        """Write what is buffered and close the file."""
+        self._container.mux(self._stream.encode())
+        self._container.close()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()

@@ -1,0 +1,112 @@
+"""Where the robot was: poses.csv, or the pose messages of a CAN log, as T_base_tool over time."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+
+from arctrack.errors import in_file
+from arctrack.recording.tables import PoseTable, read_poses_csv
+from noise_model.frames import Float64, invert, pose_matrix
+from robot_io import BusLogError, BusLogReader, PoseAssembler, PoseBuffer, PoseKind, PoseStatus
+from tracker.state import Pose
+
+CSV_NAME = "poses.csv"
+LOG_NAMES = ("can.asc", "can.blf", "can.log")
+
+COVERAGE_PERIODS = 3.0
+"""The poses may end this many of their periods before the last frame."""
+
+
+def read_poses(recording: Path, T_tool_controllertool: Float64 | None) -> tuple[PoseTable, list[str]]:
+    """Read poses.csv, or else the CAN log; return T_base_tool and warnings.
+
+    Raises ArctrackError if there is neither. `T_tool_controllertool` turns the poses of a controller
+    whose tool frame is another one.
+    """
+    csv_path = recording / CSV_NAME
+    logs = [recording / name for name in LOG_NAMES if (recording / name).exists()]
+    warnings: list[str] = []
+    if csv_path.exists() or not logs:
+        if not csv_path.exists():
+            raise in_file(
+                csv_path, f"there are no poses: neither this file nor {', '.join(LOG_NAMES)} exists"
+            )
+        poses, unknown = read_poses_csv(csv_path)
+        warnings += [f"{csv_path}: the column {name} is not known" for name in unknown]
+    else:
+        poses, skipped = _read_log(logs[0])
+        if skipped:
+            warnings.append(f"{logs[0]}: {skipped} frames of the bus were left out: foreign, damaged or lost")
+    if T_tool_controllertool is None:
+        return poses, warnings
+    T_base_tool = poses.T_base_tool @ invert(T_tool_controllertool)
+    return PoseTable(poses.path, poses.timestamps_s, T_base_tool), warnings
+
+
+def check_coverage(poses: PoseTable, first_frame_s: float, last_frame_s: float) -> list[str]:
+    """Return warnings on frames before the first pose; ArctrackError if the poses do not reach the frames."""
+    first_s, last_s = float(poses.timestamps_s[0]), float(poses.timestamps_s[-1])
+    if len(poses.timestamps_s) < 2:
+        raise in_file(poses.path, "holds a single pose; two are the least to work with")
+    if last_frame_s - last_s > COVERAGE_PERIODS * poses.period_s:
+        raise in_file(
+            poses.path,
+            f"the poses stop before the frames: the last pose is at {last_s:.6f} s, the last frame at "
+            f"{last_frame_s:.6f} s; record poses for as long as frames",
+        )
+    if first_s > last_frame_s:
+        raise in_file(
+            poses.path,
+            f"the poses start after the frames: the first pose is at {first_s:.6f} s, the last frame at "
+            f"{last_frame_s:.6f} s; both need one clock",
+        )
+    if first_s > first_frame_s:
+        return [
+            f"{poses.path}: the first pose is at {first_s:.6f} s, the first frame at {first_frame_s:.6f} s: "
+            "frames before two poses have none"
+        ]
+    return []
+
+
+def pose_buffer(poses: PoseTable) -> PoseBuffer:
+    """Return the buffer that answers as the live run would have."""
+    buffer = PoseBuffer(max(2, len(poses.timestamps_s)))
+    for timestamp_s, T_base_tool in zip(poses.timestamps_s, poses.T_base_tool, strict=True):
+        buffer.push(float(timestamp_s), T_base_tool)
+    return buffer
+
+
+def pose_at(buffer: PoseBuffer, timestamp_s: float) -> Pose | None:
+    """Return the pose at a time, None where the buffer refuses one."""
+    found = buffer.at(timestamp_s)
+    if found.status is PoseStatus.REFUSED:
+        return None
+    return Pose(found.T_base_tool, extrapolated=found.status is PoseStatus.EXTRAPOLATED)
+
+
+def _read_log(path: Path) -> tuple[PoseTable, int]:
+    """Return the actual poses that a CAN log holds, and how many of its frames were left out."""
+    assembler = PoseAssembler()
+    times_s: list[float] = []
+    poses: list[Float64] = []
+    reader = BusLogReader(path)
+    try:
+        for received in reader:
+            sample = assembler.push(received)
+            if sample is None or sample.kind is not PoseKind.ACTUAL:
+                continue
+            if times_s and sample.timestamp_s <= times_s[-1]:
+                raise in_file(
+                    path,
+                    f"the pose at {sample.timestamp_s:.6f} s does not come after {times_s[-1]:.6f}: "
+                    "times must rise",
+                )
+            times_s.append(sample.timestamp_s)
+            poses.append(pose_matrix(sample.position_base_mm, sample.quaternion_xyzw))
+    except BusLogError as error:
+        raise in_file(path, str(error).removeprefix(f"log {path}: ")) from None
+    if not poses:
+        raise in_file(path, "holds no whole pose of arctrack.dbc; were the pose messages logged?")
+    return PoseTable(path, np.array(times_s), np.array(poses)), sum(reader.skipped.values())

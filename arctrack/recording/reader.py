@@ -1,0 +1,118 @@
+"""The one reader of recordings."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from arctrack.errors import in_file
+from arctrack.recording import setup_file
+from arctrack.recording.frames import BadFrame, check_source, read_frames
+from arctrack.recording.poses import check_coverage, pose_buffer, read_poses
+from arctrack.recording.tables import FrameRow, PoseTable, Truth, read_frame_rows, read_truth_csv
+from noise_model.setup import Setup
+from robot_io import PoseBuffer
+from tracker.state import Frame
+
+FRAMES_CSV, TRUTH_CSV = "frames.csv", "truth.csv"
+UNFINISHED_SUFFIX = ".unfinished"
+
+
+@dataclass(frozen=True)
+class Recording:
+    """A recording, checked but for its frames, which are read one at a time.
+
+    `rows` are the lines of frames.csv, `poses` T_base_tool over time, `effects` the raw `[effects.ID]`
+    tables, `unknown_keys` what recording.toml holds that means nothing here, `warnings` one line each.
+    """
+
+    path: Path
+    setup: Setup
+    effects: Mapping[str, Mapping[str, Any]]
+    robot: Mapping[str, Any]
+    unknown_keys: tuple[str, ...]
+    rows: tuple[FrameRow, ...]
+    poses: PoseTable
+    frame_source: Path
+    warnings: tuple[str, ...]
+
+    @property
+    def name(self) -> str:
+        """The folder's name."""
+        return self.path.resolve().name
+
+    @property
+    def has_truth(self) -> bool:
+        """Whether truth.csv lies beside the frames."""
+        return (self.path / TRUTH_CSV).exists()
+
+    @property
+    def frame_rate_hz(self) -> float:
+        """The mean frame rate; NaN for a single frame."""
+        span_s = self.rows[-1].timestamp_s - self.rows[0].timestamp_s
+        return (len(self.rows) - 1) / span_s if span_s > 0 else float("nan")
+
+    def frames(self, positions: Sequence[int] | None = None) -> Iterator[Frame | BadFrame]:
+        """Yield the frames of all rows, or of the rows at rising positions, one at a time.
+
+        A frame that cannot be read, or does not fit the setup, comes as a BadFrame.
+        """
+        return read_frames(self.frame_source, self.rows, self.setup, positions)
+
+    def pose_buffer(self) -> PoseBuffer:
+        """Return the poses in the buffer that answers as the live run would have."""
+        return pose_buffer(self.poses)
+
+
+def read_recording(path: Path | str) -> Recording:
+    """Read and check all of a recording but its frames.
+
+    Raises ArctrackError, naming the file and the key or line, for a missing file, key or column, a value of
+    the wrong type or not finite, times that run backwards, a pose that is no rotation, poses that stop
+    before the frames.
+    """
+    folder = Path(path)
+    _check_folder(folder)
+    stated = setup_file.read_setup_file(folder / setup_file.FILE_NAME)
+    rows, unknown_columns = read_frame_rows(folder / FRAMES_CSV)
+    poses, pose_warnings = read_poses(folder, stated.T_tool_controllertool)
+    source, source_warnings = check_source(folder, rows, stated.setup)
+    coverage_warnings = check_coverage(poses, rows[0].timestamp_s, rows[-1].timestamp_s)
+    toml_path = folder / setup_file.FILE_NAME
+    warnings = [f"{toml_path}: {key} is not known and has no effect" for key in stated.unknown_keys]
+    warnings += [
+        f"{toml_path}: [effects.{name}] is kept, frames are predicted without it" for name in stated.effects
+    ]
+    warnings += [f"{folder / FRAMES_CSV}: the column {name} is not known" for name in unknown_columns]
+    return Recording(
+        path=folder,
+        setup=stated.setup,
+        effects=stated.effects,
+        robot=stated.robot,
+        unknown_keys=stated.unknown_keys,
+        rows=rows,
+        poses=poses,
+        frame_source=source,
+        warnings=tuple(warnings + pose_warnings + source_warnings + coverage_warnings),
+    )
+
+
+def read_truth(path: Path | str) -> Truth | None:
+    """Read a recording's truth.csv, None if there is none.
+
+    For scoring alone: nothing that tracks or diagnoses may call it.
+    """
+    truth = Path(path) / TRUTH_CSV
+    return read_truth_csv(truth) if truth.exists() else None
+
+
+def _check_folder(folder: Path) -> None:
+    if not folder.is_dir():
+        problem = "is a file; give the folder that holds it" if folder.exists() else "there is no such folder"
+        raise in_file(folder, problem)
+    if folder.resolve().name.endswith(UNFINISHED_SUFFIX):
+        raise in_file(
+            folder, f"was not written to its end; take {UNFINISHED_SUFFIX} off its name to read it so"
+        )

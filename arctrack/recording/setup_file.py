@@ -1,0 +1,123 @@
+"""recording.toml, read and written: pydantic models at the file's edge, `noise_model.setup.Setup` inside."""
+
+from __future__ import annotations
+
+import tomllib
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import tomlkit
+from pydantic import ValidationError
+from scipy.spatial.transform import Rotation
+
+from arctrack.errors import in_file
+from arctrack.recording.setup_model import FORMAT, UNITS, RecordingToml, describe, unknown_keys
+from noise_model.frames import Float64
+from noise_model.setup import Setup
+
+FILE_NAME = "recording.toml"
+
+
+@dataclass(frozen=True)
+class SetupFile:
+    """What recording.toml says.
+
+    `effects` and `robot` are the raw tables; `T_tool_controllertool` (4, 4), mm, takes points of the
+    controller's own tool frame to arctrack's, None if they are the same; `unknown_keys` are the keys that
+    mean nothing here: they are reported and otherwise without effect.
+    """
+
+    setup: Setup
+    effects: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
+    robot: Mapping[str, Any] = field(default_factory=dict)
+    T_tool_controllertool: Float64 | None = None
+    unknown_keys: tuple[str, ...] = ()
+
+
+def read_setup_file(path: Path) -> SetupFile:
+    """Read a recording.toml; ArctrackError names the file and the key or line that is wrong."""
+    try:
+        text = path.read_text(encoding="utf-8")
+    except FileNotFoundError:
+        raise in_file(path, "there is no such file; a recording needs one") from None
+    except (OSError, UnicodeDecodeError) as error:
+        raise in_file(path, f"cannot be read: {error}") from None
+    return parse_setup(text, path)
+
+
+def parse_setup(text: str, path: Path) -> SetupFile:
+    """Parse the text of a recording.toml; `path` is for the messages."""
+    try:
+        document = tomllib.loads(text)
+    except (tomllib.TOMLDecodeError, RecursionError) as error:
+        raise in_file(path, f"is no valid TOML: {error}") from None
+    try:
+        model = RecordingToml.model_validate(document)
+    except ValidationError as error:
+        raise in_file(path, describe(error)) from None
+    controllertool = None if model.robot is None else model.robot.controllertool_to_tool
+    try:
+        return SetupFile(
+            setup=model.to_setup(),
+            effects=model.effects,
+            robot=document.get("robot", {}),
+            T_tool_controllertool=None
+            if controllertool is None
+            else controllertool.matrix("robot.controllertool_to_tool"),
+            unknown_keys=unknown_keys(model),
+        )
+    except ValueError as error:
+        raise in_file(path, str(error)) from None
+
+
+def format_setup(setup: Setup, effects: Mapping[str, Mapping[str, Any]] | None = None) -> str:
+    """Return the text of a recording.toml that reads back as the same setup."""
+    document = tomlkit.document()
+    document["format"] = FORMAT
+    document["units"] = UNITS
+    for name, table in _tables(setup).items():
+        document[name] = table
+    if effects:
+        document["effects"] = {name: dict(table) for name, table in effects.items()}
+    return tomlkit.dumps(document)
+
+
+def pose_table(T_a_b: Float64) -> dict[str, list[float]]:
+    """Return a pose as the file states it: translation in mm, unit quaternion x y z w with w >= 0."""
+    # Twelve decimals: what rounding left behind the last ones does not come back the same.
+    quaternion = Rotation.from_matrix(T_a_b[:3, :3]).as_quat(canonical=True).round(12)
+    return {
+        "translation_mm": [float(value) for value in T_a_b[:3, 3]],
+        "quaternion_xyzw": [float(value) for value in quaternion],
+    }
+
+
+def _tables(setup: Setup) -> dict[str, dict[str, Any]]:
+    camera = {name: value for name, value in vars(setup.camera).items() if name != "T_tool_camera"}
+    joint = {
+        "type": setup.joint.type,
+        **setup.joint.dimensions,
+        "seam_in_base_mm": [list(point) for point in setup.joint.seam_in_base_mm],
+        "surface_normal_in_base": setup.joint.surface_normal_in_base,
+    }
+    tables: dict[str, dict[str, Any]] = {
+        "camera": camera,
+        "sensor": dict(vars(setup.sensor)),
+        "filter": dict(vars(setup.filter)),
+        "laser": dict(vars(setup.laser)),
+        "arc": dict(vars(setup.arc)),
+        "material": dict(vars(setup.material)),
+        "tolerance": dict(vars(setup.tolerance)),
+        "joint": joint,
+    }
+    plain = {name: {key: _plain(value) for key, value in table.items()} for name, table in tables.items()}
+    plain["camera"]["pose_in_tool"] = pose_table(setup.camera.T_tool_camera)
+    return plain
+
+
+def _plain(value: Any) -> Any:
+    if isinstance(value, tuple):
+        return list(value)
+    return value.item() if hasattr(value, "item") else value

@@ -1,0 +1,258 @@
+"""recording.toml's keys and types; what the values must be beyond that is said beside the physics."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import Annotated, Any, Literal
+
+from pydantic import BaseModel, ConfigDict, Field, FiniteFloat, ValidationError
+
+from noise_model.arc import Arc
+from noise_model.brdf import Material
+from noise_model.frames import Float64, pose_matrix
+from noise_model.laser import Laser
+from noise_model.optics import Camera
+from noise_model.sensor import Sensor
+from noise_model.setup import Setup, Tolerance
+from noise_model.spectrum import Filter
+from noise_model.surface import DIMENSIONS, Joint
+
+FORMAT = "joint-tracking-recording/1"
+UNITS = "mm, s, deg, e-, DN"
+
+Vector3 = Annotated[list[FiniteFloat], Field(min_length=3, max_length=3)]
+Vector4 = Annotated[list[FiniteFloat], Field(min_length=4, max_length=4)]
+Vector5 = Annotated[list[FiniteFloat], Field(min_length=5, max_length=5)]
+
+
+class Table(BaseModel):
+    """A table of the file: strict types, unknown keys kept."""
+
+    model_config = ConfigDict(strict=True, extra="allow")
+
+
+class PoseTable(Table):
+    """A rigid pose: translation in mm, quaternion x y z w."""
+
+    translation_mm: Vector3
+    quaternion_xyzw: Vector4
+
+    def matrix(self, place: str) -> Float64:
+        """Return the pose as a 4x4 matrix; ValueError names `place` if it is no rotation."""
+        try:
+            return pose_matrix(self.translation_mm, self.quaternion_xyzw)
+        except ValueError as error:
+            raise ValueError(f"[{place}] quaternion_xyzw: {error}") from None
+
+
+class CameraTable(Table):
+    """[camera]."""
+
+    width: int
+    height: int
+    fx: FiniteFloat
+    fy: FiniteFloat
+    cx: FiniteFloat
+    cy: FiniteFloat
+    distortion: Vector5
+    focal_length_mm: FiniteFloat
+    f_number: FiniteFloat
+    psf_sigma_px: FiniteFloat
+    exposure_s: FiniteFloat
+    pixel_format: str
+    pose_in_tool: PoseTable
+
+
+class SensorTable(Table):
+    """[sensor]."""
+
+    bits: int
+    gain_e_per_dn: FiniteFloat
+    black_level_dn: FiniteFloat
+    read_noise_e: FiniteFloat
+    full_well_e: FiniteFloat
+    gamma: FiniteFloat
+
+
+class FilterTable(Table):
+    """[filter]."""
+
+    center_nm: FiniteFloat
+    fwhm_nm: FiniteFloat
+    effective_index: FiniteFloat
+
+
+class LaserTable(Table):
+    """[laser]."""
+
+    wavelength_nm: FiniteFloat
+    plane_in_tool: Vector4
+    origin_in_tool_mm: Vector3
+    stripe_sigma_mm: FiniteFloat
+    peak_e: FiniteFloat
+
+
+class ArcTable(Table):
+    """[arc]."""
+
+    shape: str
+    radius_mm: FiniteFloat
+    center_in_tool_mm: Vector3
+    on_surface: bool
+    radiance_e: FiniteFloat
+    current_a: FiniteFloat
+    current_exponent: FiniteFloat
+
+
+class MaterialTable(Table):
+    """[material]."""
+
+    name: str
+    kappa_diff: FiniteFloat
+    kappa_spec: FiniteFloat
+    c2: FiniteFloat
+
+
+class JointTable(Table):
+    """[joint]; the dimensions are extra keys, which ones depends on the type."""
+
+    type: str
+    seam_in_base_mm: list[Vector3]
+    surface_normal_in_base: Vector3
+
+    def dimensions(self) -> dict[str, float]:
+        """Return the dimensions that this type of joint needs and the file gives."""
+        found: dict[str, float] = {}
+        for name in DIMENSIONS.get(self.type, ()):
+            value = (self.model_extra or {}).get(name)
+            if value is None:
+                continue
+            if isinstance(value, bool) or not isinstance(value, int | float):
+                raise ValueError(f"[joint] {name} = {value!r}: must be a number")
+            if value - value != 0:
+                raise ValueError(f"[joint] {name} = {value}: must be a finite number")
+            found[name] = float(value)
+        return found
+
+
+class ToleranceTable(Table):
+    """[tolerance], every key optional."""
+
+    arc_level_rel: FiniteFloat = Tolerance.arc_level_rel
+    laser_level_rel: FiniteFloat = Tolerance.laser_level_rel
+    hand_eye_deg: FiniteFloat = Tolerance.hand_eye_deg
+    hand_eye_mm: FiniteFloat = Tolerance.hand_eye_mm
+    black_level_dn: FiniteFloat = Tolerance.black_level_dn
+    read_noise_rel: FiniteFloat = Tolerance.read_noise_rel
+    seam_mm: FiniteFloat = Tolerance.seam_mm
+
+
+class RobotTable(Table):
+    """[robot], optional: what is particular to the controller."""
+
+    controllertool_to_tool: PoseTable | None = None
+
+
+class RecordingToml(Table):
+    """The whole file."""
+
+    format: Literal["joint-tracking-recording/1"]
+    units: str
+    camera: CameraTable
+    sensor: SensorTable
+    filter: FilterTable
+    laser: LaserTable
+    arc: ArcTable
+    material: MaterialTable
+    joint: JointTable
+    tolerance: ToleranceTable = Field(default_factory=ToleranceTable)
+    robot: RobotTable | None = None
+    effects: dict[str, dict[str, Any]] = Field(default_factory=dict)
+
+    def to_setup(self) -> Setup:
+        """Return the typed setup; ValueError names the table and key of a value that cannot be."""
+        return Setup(
+            camera=self._camera(),
+            sensor=Sensor(**_known(self.sensor)),
+            filter=Filter(**_known(self.filter)),
+            laser=Laser(
+                wavelength_nm=self.laser.wavelength_nm,
+                plane_in_tool=_four(self.laser.plane_in_tool),
+                origin_in_tool_mm=_three(self.laser.origin_in_tool_mm),
+                stripe_sigma_mm=self.laser.stripe_sigma_mm,
+                peak_e=self.laser.peak_e,
+            ),
+            arc=Arc(**{**_known(self.arc), "center_in_tool_mm": _three(self.arc.center_in_tool_mm)}),
+            material=Material(**_known(self.material)),
+            joint=Joint(
+                type=self.joint.type,
+                dimensions=self.joint.dimensions(),
+                seam_in_base_mm=tuple(_three(point) for point in self.joint.seam_in_base_mm),
+                surface_normal_in_base=_three(self.joint.surface_normal_in_base),
+            ),
+            tolerance=Tolerance(**_known(self.tolerance)),
+        )
+
+    def _camera(self) -> Camera:
+        values = _known(self.camera)
+        del values["pose_in_tool"]
+        values["distortion"] = tuple(self.camera.distortion)
+        T_tool_camera = self.camera.pose_in_tool.matrix("camera.pose_in_tool")
+        return Camera(T_tool_camera=T_tool_camera, **values)
+
+
+def describe(error: ValidationError) -> str:
+    """Return one line that names the first wrong key, what it holds and what it should, and how many more."""
+    problems = error.errors(include_url=False)
+    first = problems[0]
+    place = _place(first["loc"])
+    if first["type"] == "missing":
+        text = f"{place}: missing"
+    elif first["type"] == "finite_number":
+        text = f"{place} = {first['input']}: must be a finite number"
+    elif first["type"] == "literal_error":
+        text = f"{place} = {first['input']!r}: must be {first['ctx']['expected']}"
+    else:
+        shown = repr(first["input"])
+        held = f"{place} = {shown}" if len(shown) <= 40 else place
+        text = f"{held}: {first['msg'][:1].lower()}{first['msg'][1:]}"
+    more = len(problems) - 1
+    return text if not more else f"{text} (and {more} more)"
+
+
+def unknown_keys(model: RecordingToml) -> tuple[str, ...]:
+    """Return the keys that are kept but mean nothing here, as `[table] key`."""
+    return tuple(_place(location) for location in _unknown(model, ()))
+
+
+def _unknown(table: Table, location: tuple[str | int, ...]) -> Iterator[tuple[str | int, ...]]:
+    extras = table.model_extra or {}
+    meant = DIMENSIONS.get(table.type, ()) if isinstance(table, JointTable) else ()
+    for name in extras:
+        # [robot] belongs to each controller's own description, its keys are not ours to know.
+        if name not in meant and not isinstance(table, RobotTable):
+            yield (*location, name)
+    for name in type(table).model_fields:
+        value = getattr(table, name)
+        if isinstance(value, Table):
+            yield from _unknown(value, (*location, name))
+
+
+def _place(location: tuple[str | int, ...]) -> str:
+    names = [str(part) for part in location if isinstance(part, str)]
+    indices = "".join(f"[{part}]" for part in location if isinstance(part, int))
+    if len(names) == 1:
+        return (names[0] if names[0] in ("format", "units") else f"[{names[0]}]") + indices
+    return f"[{'.'.join(names[:-1])}] {names[-1]}{indices}"
+
+
+def _known(table: Table) -> dict[str, Any]:
+    return {name: getattr(table, name) for name in type(table).model_fields}
+
+
+def _three(values: list[float]) -> tuple[float, float, float]:
+    return (values[0], values[1], values[2])
+
+
+def _four(values: list[float]) -> tuple[float, float, float, float]:
+    return (values[0], values[1], values[2], values[3])

@@ -1,0 +1,142 @@
+"""The one writer of recordings.
+
+A recording grows in a folder named `NAME.unfinished`, line by line and frame by frame, and gets its own name
+when it is closed: what was cut short keeps what it has and cannot be taken for whole.
+"""
+
+from __future__ import annotations
+
+import csv
+import math
+from collections.abc import Iterable, Mapping
+from contextlib import ExitStack
+from dataclasses import dataclass
+from pathlib import Path
+from types import TracebackType
+from typing import Any, Self, TextIO
+
+import numpy as np
+
+from arctrack.errors import in_file
+from arctrack.recording import ffv1, frames, png, setup_file, tables
+from arctrack.recording.poses import CSV_NAME as POSES_CSV
+from arctrack.recording.reader import FRAMES_CSV, TRUTH_CSV, UNFINISHED_SUFFIX
+from noise_model.frames import Float64
+from noise_model.setup import Setup
+from tracker.state import Frame
+
+
+@dataclass(frozen=True)
+class VideoFormat:
+    """Frames go to one lossless video, played at this rate, instead of to PNGs."""
+
+    rate_hz: float
+
+
+class RecordingWriter:
+    """Writes one recording; use it as a context manager, an exception leaves the folder unfinished."""
+
+    def __init__(
+        self,
+        path: Path | str,
+        setup: Setup,
+        *,
+        effects: Mapping[str, Mapping[str, Any]] | None = None,
+        video: VideoFormat | None = None,
+    ) -> None:
+        self.path = Path(path)
+        self._setup = setup
+        self._folder = self.path.with_name(self.path.name + UNFINISHED_SUFFIX)
+        for folder in (self.path, self._folder):
+            if folder.exists() and not (folder.is_dir() and not any(folder.iterdir())):
+                raise in_file(folder, "exists already; remove it or choose another name")
+        try:
+            (self._folder / frames.FOLDER_NAME if video is None else self._folder).mkdir(
+                parents=True, exist_ok=True
+            )
+        except OSError as error:
+            raise in_file(self._folder, f"cannot be made: {error.strerror}") from None
+        toml = setup_file.format_setup(setup, effects)
+        (self._folder / setup_file.FILE_NAME).write_text(toml, encoding="utf-8")
+        self._opened = ExitStack()
+        self._tables: dict[str, TextIO] = {}
+        self._video: ffv1.VideoWriter | None = None
+        if video is not None:
+            camera = setup.camera
+            self._video = ffv1.VideoWriter(
+                self._folder / frames.VIDEO_NAME,
+                camera.width,
+                camera.height,
+                setup.sensor.dtype,
+                video.rate_hz,
+            )
+            self._opened.enter_context(self._video)
+
+    def write_frame(self, frame: Frame) -> None:
+        """Append a frame and its line in frames.csv."""
+        camera = self._setup.camera
+        if frame.image_dn.shape != (camera.height, camera.width):
+            raise ValueError(
+                f"frame {frame.index} is {frame.image_dn.shape}, not {camera.height, camera.width}"
+            )
+        if frame.image_dn.dtype != np.dtype(self._setup.sensor.dtype):
+            raise ValueError(f"frame {frame.index} is {frame.image_dn.dtype}, not {self._setup.sensor.dtype}")
+        if self._video is not None:
+            self._video.write(frame.image_dn)
+        else:
+            path = frames.png_path(self._folder / frames.FOLDER_NAME, frame.index)
+            path.write_bytes(png.encode(frame.image_dn))
+        current_a = "" if math.isnan(frame.current_a) else f"{frame.current_a:.10g}"
+        self._append(
+            FRAMES_CSV,
+            tables.FRAME_COLUMNS,
+            (
+                str(frame.index),
+                f"{frame.timestamp_s:.6f}",
+                str(int(frame.laser_on)),
+                str(int(frame.arc_on)),
+                current_a,
+                f"{frame.exposure_s:.10g}",
+            ),
+        )
+
+    def write_pose(self, timestamp_s: float, T_base_tool: Float64) -> None:
+        """Append a line to poses.csv."""
+        pose = setup_file.pose_table(T_base_tool)
+        values = [f"{timestamp_s:.6f}"]
+        values += [f"{value:.6f}" for value in pose["translation_mm"]]
+        # Nine decimals turn by less than 1e-7 degrees.
+        values += [f"{value:.9f}" for value in pose["quaternion_xyzw"]]
+        self._append(POSES_CSV, tables.POSE_COLUMNS, values)
+
+    def write_truth(self, frame: int, seam_tool_mm: Float64) -> None:
+        """Append a line to truth.csv."""
+        values = [str(frame), *(f"{value:.5f}" for value in seam_tool_mm)]
+        self._append(TRUTH_CSV, tables.TRUTH_COLUMNS, values)
+
+    def close(self) -> None:
+        """Finish all files and give the folder its name."""
+        self._opened.close()
+        if self.path.exists():
+            self.path.rmdir()
+        self._folder.rename(self.path)
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        if kind is None:
+            self.close()
+        else:
+            self._opened.close()
+
+    def _append(self, name: str, columns: Iterable[str], values: Iterable[str]) -> None:
+        file = self._tables.get(name)
+        if file is None:
+            file = self._opened.enter_context((self._folder / name).open("w", encoding="utf-8", newline=""))
+            self._tables[name] = file
+            csv.writer(file, lineterminator="\n").writerow(columns)
+        csv.writer(file, lineterminator="\n").writerow(values)
+        file.flush()

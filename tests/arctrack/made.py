@@ -1,0 +1,78 @@
+"""Small recordings for the tests, and ways to spoil them."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+from arctrack.nominal import nominal_setup
+from arctrack.recording import RecordingWriter, VideoFormat
+from noise_model.setup import Setup
+from tracker.state import Frame
+
+WIDTH, HEIGHT = 48, 36
+
+
+def small_setup(bits: int = 8) -> Setup:
+    setup = nominal_setup("v_groove", "mild_steel", width=WIDTH, height=HEIGHT)
+    return replace(setup, sensor=replace(setup.sensor, bits=bits))
+
+
+def noise_frames(setup: Setup, n: int, seed: int = 0) -> list[Frame]:
+    """Return frames of pure noise over all codes, one each 0.1 s."""
+    rng = np.random.default_rng(seed)
+    shape = (setup.camera.height, setup.camera.width)
+    return [
+        Frame(
+            index=i,
+            timestamp_s=0.1 * i,
+            image_dn=rng.integers(0, setup.sensor.max_dn + 1, shape).astype(setup.sensor.dtype),
+            exposure_s=0.005 if i % 2 else 0.0025,
+            current_a=float("nan") if i == 3 else 100.0,
+            laser_on=i != 0,
+            arc_on=i != 1,
+        )
+        for i in range(n)
+    ]
+
+
+def level_pose(timestamp_s: float) -> np.ndarray:
+    """Return T_base_tool of a level tool that travels at 8 mm/s, 1 mm high."""
+    T_base_tool = np.eye(4)
+    T_base_tool[:3, 3] = 8.0 * timestamp_s, 0.0, 1.0
+    return T_base_tool
+
+
+def write(
+    path: Path,
+    setup: Setup,
+    frames: Sequence[Frame],
+    *,
+    video: VideoFormat | None = None,
+    poses_until_s: float | None = None,
+) -> Path:
+    """Write a recording with poses at 100 Hz."""
+    end_s = frames[-1].timestamp_s + 0.05 if poses_until_s is None else poses_until_s
+    with RecordingWriter(path, setup, video=video) as writer:
+        for frame in frames:
+            writer.write_frame(frame)
+        for timestamp_s in np.arange(-0.2, end_s, 0.01):
+            writer.write_pose(float(timestamp_s), level_pose(float(timestamp_s)))
+    return path
+
+
+def replace_in(path: Path, old: str, new: str) -> None:
+    """Replace text that must be there once."""
+    text = path.read_text()
+    assert text.count(old) == 1, (path, old, text.count(old))
+    path.write_text(text.replace(old, new))
+
+
+def replace_line(path: Path, line: int, new: str) -> None:
+    """Replace a line, counted from 1."""
+    lines = path.read_text().splitlines()
+    lines[line - 1] = new
+    path.write_text("\n".join(lines) + "\n")

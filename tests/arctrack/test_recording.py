@@ -1,0 +1,296 @@
+import math
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+
+import can
+import numpy as np
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+from made import HEIGHT, WIDTH, level_pose, noise_frames, replace_in, small_setup, write
+
+from arctrack.errors import ArctrackError
+from arctrack.recording import (
+    BadFrame,
+    RecordingWriter,
+    VideoFormat,
+    format_setup,
+    pose_at,
+    read_recording,
+    read_truth,
+)
+from arctrack.recording.ffv1 import checksums_hold, count_frames, read_video
+from arctrack.recording.png import decode, encode, problem_of
+from arctrack.recording.setup_file import parse_setup
+from arctrack.recording.tables import read_frame_rows, read_poses_csv
+from noise_model.setup import Setup
+from robot_io import BusLogWriter, PoseKind, Protector, RobotPosePosition, RobotPoseRotation
+
+
+def same_setup(a: Setup, b: Setup) -> bool:
+    plain_a, plain_b = (replace(s, camera=replace(s.camera, T_tool_camera=np.eye(4))) for s in (a, b))
+    return np.allclose(a.camera.T_tool_camera, b.camera.T_tool_camera, atol=1e-12) and repr(plain_a) == repr(
+        plain_b
+    )
+
+
+def complaint_of(function: Callable[..., object], *arguments: object) -> str | None:
+    """Return the text of the ArctrackError that a call raises, if it does."""
+    try:
+        function(*arguments)
+    except ArctrackError as error:
+        return str(error)
+    return None
+
+
+@pytest.mark.parametrize("bits", [8, 10, 16])
+@pytest.mark.parametrize("video", [None, VideoFormat(rate_hz=10.0)])
+def test_what_was_written_is_read_bit_for_bit(tmp_path: Path, bits: int, video: VideoFormat | None) -> None:
+    setup = small_setup(bits)
+    frames = noise_frames(setup, 6)
+    recording = read_recording(write(tmp_path / "r", setup, frames, video=video))
+    assert same_setup(recording.setup, setup)
+    assert recording.warnings == ()
+    for _ in range(2):
+        read = list(recording.frames())
+        for frame, written in zip(read, frames, strict=True):
+            assert not isinstance(frame, BadFrame), frame.message
+            assert frame.image_dn.dtype == written.image_dn.dtype
+            np.testing.assert_array_equal(frame.image_dn, written.image_dn)
+            assert repr(replace(frame, timestamp_s=0.0)) == repr(replace(written, timestamp_s=0.0))
+            assert frame.timestamp_s == pytest.approx(written.timestamp_s)
+
+
+@pytest.mark.parametrize("video", [None, VideoFormat(rate_hz=10.0)])
+def test_chosen_frames_are_the_same_ones(tmp_path: Path, video: VideoFormat | None) -> None:
+    setup = small_setup()
+    recording = read_recording(write(tmp_path / "r", setup, noise_frames(setup, 6), video=video))
+    whole = list(recording.frames())
+    for n, frame in zip([1, 4, 5], recording.frames([1, 4, 5]), strict=True):
+        expected = whole[n]
+        assert not isinstance(frame, BadFrame)
+        assert not isinstance(expected, BadFrame)
+        assert frame.index == n
+        np.testing.assert_array_equal(frame.image_dn, expected.image_dn)
+
+
+def test_setup_text_comes_back(tmp_path: Path) -> None:
+    setup = small_setup()
+    text = format_setup(setup, effects={"gamma": {"gamma": 0.7}})
+    stated = parse_setup(text + "\n[robot]\neuler_order = 'zyx'\n", tmp_path / "recording.toml")
+    assert same_setup(stated.setup, setup)
+    assert stated.effects == {"gamma": {"gamma": 0.7}}
+    assert stated.robot == {"euler_order": "zyx"}
+    assert stated.unknown_keys == ()
+    assert format_setup(stated.setup, stated.effects) == text
+
+
+def test_unknown_keys_are_kept_and_reported(tmp_path: Path) -> None:
+    setup = small_setup()
+    path = write(tmp_path / "r", setup, noise_frames(setup, 3))
+    replace_in(path / "recording.toml", "gamma = 1.0", "gamma = 1.0\ncolour = 'grey'")
+    with (path / "recording.toml").open("a") as file:
+        file.write("wobble_mm = 1.0\n\n[operator]\nname = 'somebody'\n")
+    text = (path / "frames.csv").read_text().splitlines()
+    (path / "frames.csv").write_text("\n".join([text[0] + ",mood", *(line + ",good" for line in text[1:])]))
+    recording = read_recording(path)
+    assert recording.unknown_keys == ("[operator]", "[sensor] colour", "[joint] wobble_mm")
+    assert len(recording.warnings) == 4
+    assert "the column mood" in recording.warnings[3]
+
+
+def test_controller_with_its_own_tool_frame(tmp_path: Path) -> None:
+    setup = small_setup()
+    path = write(tmp_path / "r", setup, noise_frames(setup, 3))
+    plain = read_recording(path).poses.T_base_tool
+    with (path / "recording.toml").open("a") as file:
+        file.write("\n[robot.controllertool_to_tool]\n")
+        file.write("translation_mm = [0, 0, 0]\nquaternion_xyzw = [1, 0, 0, 0]\n")
+    turned = read_recording(path).poses.T_base_tool
+    # The controller's z points into the work: half a turn about x brings it to ours.
+    np.testing.assert_allclose(turned, plain @ np.diag([1.0, -1.0, -1.0, 1.0]), atol=1e-12)
+
+
+def test_poses_of_a_can_log(tmp_path: Path) -> None:
+    setup = small_setup()
+    path = write(tmp_path / "r", setup, noise_frames(setup, 3))
+    expected = read_recording(path).poses
+    (path / "poses.csv").unlink()
+    protector = Protector()
+    with BusLogWriter(path / "can.blf") as log:
+        log.write(can.Message(timestamp=0.0, arbitration_id=0x7E0, is_extended_id=False, data=b"foreign"))
+        for timestamp_s, T_base_tool in zip(expected.timestamps_s, expected.T_base_tool, strict=True):
+            for message in (
+                RobotPosePosition(*(float(v) for v in T_base_tool[:3, 3]), kind=PoseKind.ACTUAL),
+                RobotPoseRotation.from_quaternion((0.0, 0.0, 0.0, 1.0), sample_age_ms=0.0),
+            ):
+                identifier, payload = protector.protect(message)
+                sent_at_s = float(timestamp_s) + 1.0
+                log.write(
+                    can.Message(
+                        timestamp=sent_at_s, arbitration_id=identifier, is_extended_id=False, data=payload
+                    )
+                )
+    replaced = [f"{line[0]},{float(line[2:10]) + 1.0:.6f}{line[10:]}" for line in _lines(path / "frames.csv")]
+    (path / "frames.csv").write_text("\n".join([_header(path / "frames.csv"), *replaced]))
+    recording = read_recording(path)
+    assert "1 frames of the bus were left out" in recording.warnings[0]
+    np.testing.assert_allclose(recording.poses.timestamps_s, expected.timestamps_s + 1.0, atol=1e-6)
+    np.testing.assert_allclose(recording.poses.T_base_tool, expected.T_base_tool, atol=0.01)
+    pose = pose_at(recording.pose_buffer(), 1.1)
+    assert pose is not None
+    np.testing.assert_allclose(pose.T_base_tool, level_pose(0.1), atol=0.01)
+
+
+def _lines(path: Path) -> list[str]:
+    return path.read_text().splitlines()[1:]
+
+
+def _header(path: Path) -> str:
+    return path.read_text().splitlines()[0]
+
+
+def test_truth_is_read_by_its_own_function_alone(tmp_path: Path) -> None:
+    setup = small_setup()
+    with RecordingWriter(tmp_path / "r", setup) as writer:
+        for frame in noise_frames(setup, 2):
+            writer.write_frame(frame)
+            writer.write_truth(frame.index, np.array([35.0, 0.1, -0.2]))
+        for timestamp_s in (-0.1, 0.0, 0.1, 0.2):
+            writer.write_pose(timestamp_s, level_pose(timestamp_s))
+    truth = read_truth(tmp_path / "r")
+    assert truth is not None
+    np.testing.assert_allclose(truth.seam_tool_mm, [[35.0, 0.1, -0.2]] * 2)
+    (tmp_path / "r" / "truth.csv").write_text("not for those who track")
+    assert len(list(read_recording(tmp_path / "r").frames())) == 2
+    (tmp_path / "r" / "truth.csv").unlink()
+    assert read_truth(tmp_path / "r") is None
+
+
+def test_a_recording_cut_short_says_so(tmp_path: Path) -> None:
+    setup = small_setup()
+    frames = noise_frames(setup, 3)
+
+    def cut_short() -> None:
+        with RecordingWriter(tmp_path / "r", setup) as writer:
+            for timestamp_s in (-0.1, 0.0, 0.1, 0.2, 0.3):
+                writer.write_pose(timestamp_s, level_pose(timestamp_s))
+            writer.write_frame(frames[0])
+            writer.write_frame(frames[1])
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        cut_short()
+    assert not (tmp_path / "r").exists()
+    with pytest.raises(ArctrackError, match=r"r\.unfinished: was not written to its end"):
+        read_recording(tmp_path / "r.unfinished")
+    with pytest.raises(ArctrackError, match="exists already"):
+        RecordingWriter(tmp_path / "r", setup)
+    (tmp_path / "r.unfinished").rename(tmp_path / "kept")
+    assert len(list(read_recording(tmp_path / "kept").frames())) == 2
+
+
+def test_bad_pngs_in_the_middle_do_not_stop_the_reading(tmp_path: Path) -> None:
+    setup = small_setup()
+    path = write(tmp_path / "r", setup, noise_frames(setup, 8)) / "frames"
+    whole = (path / "000001.png").read_bytes()
+    (path / "000001.png").write_bytes(whole[: len(whole) // 2])
+    (path / "000002.png").write_bytes(whole[:200] + bytes([whole[200] ^ 1]) + whole[201:])
+    (path / "000003.png").write_bytes(b"")
+    (path / "000004.png").unlink()
+    (path / "000005.png").write_bytes(encode(np.zeros((HEIGHT, WIDTH + 1), np.uint8)))
+    (path / "000006.png").write_bytes(encode(np.zeros((HEIGHT, WIDTH), np.uint16)))
+    (path / "000007.png").write_bytes(encode(np.zeros((HEIGHT, WIDTH, 3), np.uint8)))
+    first, *bad = read_recording(tmp_path / "r").frames()
+    assert not isinstance(first, BadFrame)
+    expected = ["truncated", "damaged", "empty", "no such file", "49 x 36", "16 bits", "3 channels"]
+    for n, (frame, problem) in enumerate(zip(bad, expected, strict=True), start=1):
+        assert isinstance(frame, BadFrame)
+        assert problem in frame.message
+        assert f"00000{n}.png" in frame.message
+
+
+def test_bad_video_frames_do_not_stop_the_reading(tmp_path: Path) -> None:
+    setup = small_setup()
+    path = write(tmp_path / "r", setup, noise_frames(setup, 8), video=VideoFormat(10.0)) / "frames.mkv"
+    whole = bytearray(path.read_bytes())
+    whole[len(whole) * 55 // 100] ^= 0xFF
+    path.write_bytes(whole[: len(whole) * 80 // 100])
+    good = {f.index for f in read_recording(tmp_path / "r").frames() if not isinstance(f, BadFrame)}
+    bad = [f for f in read_recording(tmp_path / "r").frames() if isinstance(f, BadFrame)]
+    assert good == {0, 1, 2, 3, 5}
+    assert "frame 4 of the video is damaged" in bad[0].message
+    assert "the video ends after 6 frames" in bad[-1].message
+
+
+def test_video_with_more_frames_than_rows(tmp_path: Path) -> None:
+    setup = small_setup()
+    path = write(tmp_path / "r", setup, noise_frames(setup, 4), video=VideoFormat(10.0))
+    lines = (path / "frames.csv").read_text().splitlines()
+    (path / "frames.csv").write_text("\n".join(lines[:-1]))
+    assert count_frames(path / "frames.mkv") == 4
+    with pytest.raises(ArctrackError, match=r"frames\.mkv: holds 4 frames where frames\.csv has 3 rows"):
+        list(read_recording(path).frames())
+
+
+def test_checksums_of_a_packet() -> None:
+    assert not checksums_hold(b"")
+    assert not checksums_hold(bytes(range(64)))
+
+
+def test_unreadable_videos(tmp_path: Path) -> None:
+    (tmp_path / "no.mkv").write_bytes(b"this is no video")
+    with pytest.raises(ArctrackError, match=r"no\.mkv: cannot be read as a video"):
+        list(read_video(tmp_path / "no.mkv", [0]))
+    with pytest.raises(ArctrackError, match=r"gone\.mkv: there is no such file"):
+        list(read_video(tmp_path / "gone.mkv", [0]))
+
+
+@given(cut=st.integers(0, 10_000), flip=st.integers(0, 10_000))
+def test_no_damage_to_a_png_goes_unnoticed(cut: int, flip: int) -> None:
+    image = np.random.default_rng(1).integers(0, 65536, (12, 16)).astype(np.uint16)
+    whole = encode(image)
+    np.testing.assert_array_equal(decode(whole), image)
+    short = whole[: cut % len(whole)]
+    assert problem_of(short) is not None
+    flipped = bytearray(whole)
+    flipped[flip % len(whole)] ^= 0x10
+    assert problem_of(bytes(flipped)) is not None
+    with pytest.raises(ValueError, match="is "):
+        decode(bytes(flipped))
+
+
+@settings(suppress_health_check=[HealthCheck.function_scoped_fixture], deadline=None)
+@given(text=st.text(alphabet="0123456789.,-+einaf\n\r\"' x_y", max_size=120), header=st.booleans())
+def test_csv_parsers_answer_or_complain_but_never_break(tmp_path: Path, text: str, header: bool) -> None:
+    path = tmp_path / "any.csv"
+    for read, columns in (
+        (read_frame_rows, "frame,timestamp_s,laser_on,arc_on,current_a,exposure_s"),
+        (read_poses_csv, "timestamp_s,x_mm,y_mm,z_mm,qx,qy,qz,qw"),
+    ):
+        path.write_text((columns + "\n" if header else "") + text)
+        complaint = complaint_of(read, path)
+        assert complaint is None or complaint.startswith(str(path))
+        assert "\n" not in (complaint or "")
+
+
+@settings(deadline=None)
+@given(
+    old=st.sampled_from(["c2 = 112.0", "bits = 8", "fx = 164.25", "[arc]", "radius_mm = 3.0", "units ="]),
+    new=st.text(alphabet="0123456789.[]{}=\"'\n -+einaftrus#", max_size=30),
+)
+def test_setup_parser_answers_or_complains_but_never_breaks(old: str, new: str) -> None:
+    text = format_setup(small_setup())
+    assert old in text
+    complaint = complaint_of(parse_setup, text.replace(old, new), Path("recording.toml"))
+    assert complaint is None or complaint.startswith("recording.toml: ")
+    assert "\n" not in (complaint or "")
+
+
+def test_conditions_compare_where_the_current_is_unknown(tmp_path: Path) -> None:
+    setup = small_setup()
+    rows = read_recording(write(tmp_path / "r", setup, noise_frames(setup, 6))).rows
+    assert math.isnan(rows[3].current_a)
+    assert rows[3].condition == replace(rows[3]).condition
+    assert rows[3].condition != rows[5].condition
