@@ -1,0 +1,1 @@
+"""Calibrations, one file each: arrays in, result objects out."""

@@ -1,0 +1,95 @@
+"""How well the predicted arc images agree with the recorded ones, after one level per recording.
+
+The measure is free of the prediction's own noise model: ratios of block means, away from edges of the joint,
+from saturation and from darkness.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+import numpy.typing as npt
+
+from noise_model.arc import level as current_level
+from noise_model.arc_map import arc_at, arc_kernel, scene
+from noise_model.frames import Float64
+from noise_model.optics import Rays, blur
+from noise_model.sensor import linearise, saturation_dn
+from noise_model.setup import Setup
+from tracker.state import Frame, Pose
+
+BLOCK_PX = 9
+"""The side of the blocks that are averaged; also how far a block must lie from edges and saturation."""
+
+DARK_E = 100.0
+"""Blocks predicted darker than this say nothing about a ratio."""
+
+
+@dataclass(frozen=True)
+class Agreement:
+    """Per frame: its index, the median ratio of recorded over predicted blocks, the share within 5 %.
+
+    `level` is the arc's output over the nominal one, one for all frames; `blocks` (n_frames,) how many blocks
+    were compared.
+    """
+
+    level: float
+    frames: npt.NDArray[np.int64]
+    median_ratio: Float64
+    within_5_percent: Float64
+    blocks: npt.NDArray[np.int64]
+
+
+def arc_agreement(setup: Setup, frames: Sequence[tuple[Frame, Pose]]) -> Agreement:
+    """Compare the frames that have the arc on and the laser off with their prediction.
+
+    Raises ValueError if there is no such frame, or none with enough light.
+    """
+    lit = [(f, p) for f, p in frames if f.arc_on and not f.laser_on and f.current_a > 0.0]
+    rays = Rays.of(setup.camera)
+    indices, ratios = [], []
+    for frame, pose in lit:
+        recorded, predicted = _blocks(setup, frame, pose, rays)
+        if len(recorded):
+            indices.append(frame.index)
+            ratios.append(recorded / predicted)
+    if not ratios:
+        raise ValueError("no frame shows the arc alone brightly enough to be compared")
+    level = float(np.median(np.concatenate(ratios)))
+    return Agreement(
+        level,
+        np.array(indices),
+        np.array([float(np.median(r)) / level for r in ratios]),
+        np.array([float(np.mean(np.abs(r / level - 1.0) < 0.05)) for r in ratios]),
+        np.array([len(r) for r in ratios]),
+    )
+
+
+def _blocks(setup: Setup, frame: Frame, pose: Pose, rays: Rays) -> tuple[Float64, Float64]:
+    """Return the block means (n,) of one frame, recorded and predicted, e-."""
+    view = scene(setup, pose.T_base_tool)
+    output = current_level(setup.arc, frame.current_a) * frame.exposure_s / setup.camera.exposure_s
+    shape = rays.cos4.shape
+    pixels = np.arange(rays.cos4.size)
+    kernel = arc_kernel(setup, view, output)
+    arc_e, faces = arc_at(kernel, rays.xy.reshape(-1, 2), rays.cos4.reshape(-1), pixels)
+    predicted = blur(np.nan_to_num(arc_e).reshape(shape), setup.camera.psf_sigma_px)
+    recorded = linearise(frame.image_dn, setup.sensor)
+    around = np.ones((BLOCK_PX, BLOCK_PX), dtype=np.uint8)
+    face = faces.reshape(shape).astype(np.float32)
+    edge = cv2.dilate(face, around) != cv2.erode(face, around)
+    full = (frame.image_dn >= saturation_dn(setup.sensor)).astype(np.uint8)
+    bad = edge | (cv2.dilate(full, around) > 0) | (face < 0)
+    recorded_mean, predicted_mean = _block_mean(recorded), _block_mean(predicted)
+    good = (_block_mean(bad) == 0.0) & (predicted_mean > DARK_E)
+    return recorded_mean[good], predicted_mean[good]
+
+
+def _block_mean(image: npt.NDArray[np.generic]) -> Float64:
+    """Return the means of whole blocks of an image (H, W); a rest at the rim is left out."""
+    h, w = image.shape[0] // BLOCK_PX, image.shape[1] // BLOCK_PX
+    cut = image[: h * BLOCK_PX, : w * BLOCK_PX].astype(np.float64)
+    return np.asarray(cut.reshape(h, BLOCK_PX, w, BLOCK_PX).mean(axis=(1, 3)))
