@@ -1,0 +1,62 @@
+"""The command line: one thin file a command; heavy things are loaded by the command that needs them."""
+
+from __future__ import annotations
+
+import sys
+from importlib.metadata import PackageNotFoundError, version
+from typing import Annotated
+
+import typer
+
+from arctrack.cli.inspect import inspect
+from arctrack.cli.replay import replay
+from arctrack.cli.simulate import simulate
+from arctrack.errors import ArctrackError
+
+BAD_INPUT = 2
+"""The exit code of an input that cannot be used; the shell's own for a command line that makes no sense."""
+
+app = typer.Typer(
+    name="arctrack",
+    help="Seam tracking for GTAW under reflected arc light.",
+    no_args_is_help=True,
+    add_completion=False,
+    rich_markup_mode="rich",
+    pretty_exceptions_enable=False,
+)
+app.command(epilog="Example: arctrack replay examples/v_groove --out /tmp/results")(replay)
+app.command(epilog="Example: arctrack inspect examples/v_groove --out /tmp/v_groove.png")(inspect)
+app.command(epilog="Example: arctrack simulate /tmp/lap --joint lap --material zn_coated --seed 7")(simulate)
+
+
+def _print_version(wanted: bool) -> None:
+    if wanted:
+        typer.echo(f"arctrack {installed_version()}")
+        raise typer.Exit
+
+
+@app.callback(epilog="Example: arctrack replay examples/v_groove")
+def _arctrack(
+    _version: Annotated[
+        bool, typer.Option("--version", help="Print the version.", callback=_print_version, is_eager=True)
+    ] = False,
+) -> None:
+    """Seam tracking for GTAW under reflected arc light."""
+
+
+def installed_version() -> str:
+    """Return the version of the installed distribution, `unknown` if it runs from a bare tree."""
+    try:
+        return version("arctrack")
+    except PackageNotFoundError:
+        return "unknown"
+
+
+def main() -> None:
+    """Run the command line; what is wrong with the input is one line on stderr and exit code 2."""
+    try:
+        app(prog_name="arctrack")
+    except ArctrackError as error:
+        sys.stdout.flush()
+        print(f"arctrack: error: {error}", file=sys.stderr)
+        sys.exit(BAD_INPUT)

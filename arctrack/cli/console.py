@@ -1,0 +1,62 @@
+"""What all commands say in the same way: warnings, progress, tables."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Callable, Iterable
+
+from rich.console import Console
+from rich.progress import (
+    BarColumn,
+    MofNCompleteColumn,
+    Progress,
+    ProgressColumn,
+    Task,
+    TextColumn,
+    TimeElapsedColumn,
+    TimeRemainingColumn,
+)
+from rich.text import Text
+
+PLAIN_WIDTH = 160
+"""Columns of a table that goes to a file or a pipe, where nobody knows a width."""
+
+
+def tables() -> Console:
+    """Return the console for results, on stdout."""
+    console = Console(highlight=False)
+    return console if console.is_terminal else Console(highlight=False, width=PLAIN_WIDTH)
+
+
+def warn(messages: Iterable[str]) -> None:
+    """Print warnings on stderr, one line each."""
+    for message in messages:
+        print(f"arctrack: warning: {message}", file=sys.stderr)
+
+
+def progress() -> Progress:
+    """Return a progress bar over frames with rate and time left, on stderr; silent where nobody watches."""
+    console = Console(stderr=True)
+    return Progress(
+        TextColumn("{task.description}"),
+        BarColumn(),
+        MofNCompleteColumn(),
+        _Rate(),
+        TextColumn("ETA"),
+        TimeRemainingColumn(),
+        TimeElapsedColumn(),
+        console=console,
+        disable=not console.is_terminal,
+    )
+
+
+def track(bar: Progress, name: str, frames: int) -> Callable[[int], None]:
+    """Add a bar over frames and return the function that moves it to a number of them."""
+    task = bar.add_task(name, total=frames)
+    return lambda done: bar.update(task, completed=done)
+
+
+class _Rate(ProgressColumn):
+    def render(self, task: Task) -> Text:
+        speed = task.finished_speed or task.speed
+        return Text("– frames/s" if speed is None else f"{speed:.1f} frames/s")

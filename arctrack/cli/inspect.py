@@ -1,0 +1,50 @@
+"""`arctrack inspect`: what a recording holds, in words and one picture."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from arctrack.errors import ArctrackError, in_file
+
+PICTURE = "inspect.png"
+
+
+def inspect(
+    recording: Annotated[Path, typer.Argument(help="Folder that holds a recording.")],
+    out: Annotated[
+        Path | None,
+        typer.Option(help=f"Where the picture goes; default: results/{PICTURE} in the recording."),
+    ] = None,
+) -> None:
+    """Say what a recording holds: sensor, joint, conditions, poses, unknown keys; and draw it.
+
+    The picture shows one frame of each condition, with the stripe where the nominal setup expects it,
+    and the robot's path.
+    """
+    from arctrack.cli import console
+    from arctrack.cli.inspect_text import print_survey
+    from arctrack.recording import read_recording
+    from arctrack.replay import RESULTS_FOLDER
+    from arctrack.report.inspection import draw
+    from arctrack.survey import survey
+
+    read = read_recording(recording)
+    console.warn(read.warnings)
+    with console.progress() as bar:
+        found = survey(read, console.track(bar, read.name, len(read.rows)))
+    print_survey(console.tables(), read, found)
+    picture = out or recording / RESULTS_FOLDER / PICTURE
+    try:
+        picture.parent.mkdir(parents=True, exist_ok=True)
+        draw(read, found).savefig(picture)
+    except (OSError, ValueError) as error:
+        raise in_file(picture, f"cannot be written: {error}; give a .png or .pdf with --out") from None
+    typer.echo(f"picture  {picture}")
+    if found.bad_frames:
+        raise ArctrackError(
+            f"{found.bad_frames[0].message}; "
+            f"{len(found.bad_frames)} of {len(read.rows)} frames could not be used"
+        )

@@ -1,0 +1,128 @@
+"""A recording in words."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from rich.console import Console
+from rich.table import Table
+
+from arctrack.recording import Recording
+from arctrack.survey import Condition, Motion, Survey
+from noise_model.setup import Setup
+
+
+def print_survey(console: Console, recording: Recording, found: Survey) -> None:
+    """Print what a recording holds: its setup, its conditions, its poses."""
+    lines = [("recording", _extent(recording)), *setup_lines(recording.setup), *motion_lines(found.motion)]
+    if recording.has_truth:
+        lines.append(("truth", "truth.csv holds the true seam points, for scoring"))
+    if recording.effects:
+        lines.append(("effects", f"known beforehand: {', '.join(recording.effects)}"))
+    lines.append(("unknown keys", ", ".join(recording.unknown_keys) or "none"))
+    lines.append(("warnings", str(len(recording.warnings)) if recording.warnings else "none"))
+    width = max(len(name) for name, _ in lines)
+    for name, text in lines:
+        console.print(f"[bold]{name:<{width}}[/bold]  ", end="")
+        console.print(text, markup=False, soft_wrap=True)
+    console.print(condition_table(found.conditions))
+
+
+def setup_lines(setup: Setup) -> list[tuple[str, str]]:
+    """Return what the nominal setup says, a line a part."""
+    camera, sensor, laser, arc = setup.camera, setup.sensor, setup.laser, setup.arc
+    fields_deg = [
+        math.degrees(2.0 * math.atan(size / 2.0 / focal))
+        for size, focal in ((camera.width, camera.fx), (camera.height, camera.fy))
+    ]
+    x_mm, y_mm, z_mm = camera.T_tool_camera[:3, 3]
+    down_deg = math.degrees(math.acos(np.clip(-camera.T_tool_camera[2, 2], -1.0, 1.0)))
+    material, joint, tolerance = setup.material, setup.joint, setup.tolerance
+    size = ", ".join(f"{name} {value:g}" for name, value in joint.dimensions.items())
+    length_mm = np.linalg.norm(np.diff(np.asarray(joint.seam_in_base_mm), axis=0), axis=1).sum()
+    plane = " ".join(f"{value:g}" for value in laser.plane_in_tool)
+    return [
+        (
+            "camera",
+            f"{camera.width} x {camera.height} px, {camera.focal_length_mm:g} mm f/{camera.f_number:g}, "
+            f"field {fields_deg[0]:.1f} x {fields_deg[1]:.1f} deg, PSF {camera.psf_sigma_px:g} px; "
+            f"at ({x_mm:.1f}, {y_mm:.1f}, {z_mm:.1f}) mm in tool, {down_deg:.1f} deg off straight down",
+        ),
+        (
+            "sensor",
+            f"{sensor.bits} bit, {sensor.gain_e_per_dn:g} e-/DN, black {sensor.black_level_dn:g} DN, "
+            f"read noise {sensor.read_noise_e:g} e-, full well {sensor.full_well_e:g} e-, "
+            f"gamma {sensor.gamma:g}",
+        ),
+        ("filter", f"{setup.filter.center_nm:g} nm, {setup.filter.fwhm_nm:g} nm wide"),
+        (
+            "laser",
+            f"{laser.wavelength_nm:g} nm, plane [{plane}] in tool, stripe sigma "
+            f"{laser.stripe_sigma_mm:g} mm, peak {laser.peak_e:g} e-",
+        ),
+        (
+            "arc",
+            f"{arc.shape} of {arc.radius_mm:g} mm, radiance {arc.radiance_e:.3g} e- at {arc.current_a:g} A, "
+            f"~ current^{arc.current_exponent:g}",
+        ),
+        (
+            "material",
+            f"{material.name}: kappa_diff {material.kappa_diff:g}, kappa_spec {material.kappa_spec:g}, "
+            f"c2 {material.c2:g}",
+        ),
+        ("joint", f"{joint.type}{': ' if size else ''}{size}; nominal seam {length_mm:.0f} mm long"),
+        (
+            "tolerance",
+            f"hand-eye {tolerance.hand_eye_deg:g} deg and {tolerance.hand_eye_mm:g} mm, "
+            f"arc {100 * tolerance.arc_level_rel:g} %, laser {100 * tolerance.laser_level_rel:g} %; "
+            f"the weld bears {tolerance.seam_mm:g} mm",
+        ),
+    ]
+
+
+def motion_lines(motion: Motion) -> list[tuple[str, str]]:
+    """Return how the robot moved, in two lines."""
+    return [
+        (
+            "poses",
+            f"{motion.rate_hz:.1f} Hz from {motion.first_s:.3f} to {motion.last_s:.3f} s, jitter "
+            f"{1000 * motion.jitter_s:.2f} ms, longest gap {1000 * motion.longest_gap_s:.1f} ms",
+        ),
+        (
+            "motion",
+            f"{motion.travel_mm:.1f} mm at {motion.travel_speed_mm_s:.2f} mm/s; tool "
+            f"{motion.lateral_mm[0]:+.2f} to {motion.lateral_mm[1]:+.2f} mm beside the nominal seam, "
+            f"{motion.height_mm[0]:.2f} to {motion.height_mm[1]:.2f} mm above it, "
+            f"tilted up to {motion.tilt_deg:.1f} deg",
+        ),
+    ]
+
+
+def condition_table(conditions: tuple[Condition, ...]) -> Table:
+    """Return one row a condition."""
+    table = Table(title="Conditions", title_justify="left")
+    for name in ("laser", "arc"):
+        table.add_column(name)
+    for name in ("current A", "exposure ms", "frames", "mean DN", "max DN", "saturated %"):
+        table.add_column(name, justify="right")
+    for condition in conditions:
+        usable = condition.sample is not None
+        table.add_row(
+            "on" if condition.laser_on else "off",
+            "on" if condition.arc_on else "off",
+            f"{condition.current_a:g}" if math.isfinite(condition.current_a) else "?",
+            f"{1000 * condition.exposure_s:g}",
+            str(condition.frames),
+            f"{condition.mean_dn:.1f}" if usable else "",
+            str(condition.brightest_dn) if usable else "",
+            f"{100 * condition.saturated_share:.2f}" if usable else "",
+        )
+    return table
+
+
+def _extent(recording: Recording) -> str:
+    rows = recording.rows
+    rate = recording.frame_rate_hz
+    span = f", {rows[-1].timestamp_s - rows[0].timestamp_s:.2f} s at {rate:.2f} Hz" if rate == rate else ""
+    return f"{recording.path}: {len(rows)} frames in {recording.frame_source.name}{span}"

@@ -1,0 +1,101 @@
+"""`arctrack simulate`: a recording from the forward model."""
+
+from __future__ import annotations
+
+from enum import StrEnum
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from arctrack.errors import in_file
+
+if TYPE_CHECKING:
+    from noise_model.setup import Setup
+
+
+class JointName(StrEnum):
+    """The joints that a nominal setup is at hand for."""
+
+    V_GROOVE = "v_groove"
+    LAP = "lap"
+    CORRUGATION = "corrugation"
+
+
+class MaterialName(StrEnum):
+    """The materials of the paper's Table 1 that do not mirror."""
+
+    MILD_STEEL = "mild_steel"
+    ZN_COATED = "zn_coated"
+
+
+def simulate(
+    out: Annotated[Path, typer.Argument(help="Folder for the recording; must not exist yet.")],
+    setup: Annotated[
+        Path | None, typer.Option(help="A recording.toml, or a recording, whose nominal setup to use.")
+    ] = None,
+    joint: Annotated[JointName, typer.Option(help="Without --setup: the joint.")] = JointName.V_GROOVE,
+    material: Annotated[
+        MaterialName, typer.Option(help="Without --setup: the base metal.")
+    ] = MaterialName.MILD_STEEL,
+    width: Annotated[int, typer.Option(help="Without --setup: image width, px.", min=32)] = 640,
+    height: Annotated[int, typer.Option(help="Without --setup: image height, px.", min=24)] = 480,
+    frames: Annotated[int, typer.Option(help="How many frames.", min=1)] = 24,
+    fps: Annotated[float, typer.Option(help="Frames a second.")] = 10.0,
+    speed_mm_s: Annotated[float, typer.Option(help="Travel speed.")] = 8.0,
+    seam_wander_mm: Annotated[
+        float, typer.Option(help="How far the true seam leaves its nominal line.", min=0.0)
+    ] = 0.5,
+    weave_mm: Annotated[float, typer.Option(help="How far the tool weaves to either side.", min=0.0)] = 1.5,
+    tilt_deg: Annotated[float, typer.Option(help="How far the tool tilts.", min=0.0)] = 4.0,
+    seed: Annotated[int, typer.Option(help="Same seed, same recording.", min=0)] = 0,
+    production: Annotated[
+        bool, typer.Option("--production", help="Laser and arc on in every frame; else all conditions.")
+    ] = False,
+    exact: Annotated[
+        bool, typer.Option("--exact", help="True values are the nominal ones, else drawn within [tolerance].")
+    ] = False,
+    video: Annotated[bool, typer.Option("--video", help="Write frames.mkv (FFV1) instead of PNGs.")] = False,
+) -> None:
+    """Make a recording, with its truth, from arctrack's own forward model: stripe, arc, sensor noise."""
+    from arctrack import simulate as engine
+    from arctrack.cli import console
+
+    plan = engine.SimulationPlan(
+        frames=frames,
+        rate_hz=fps,
+        travel_speed_mm_s=speed_mm_s,
+        seed=seed,
+        seam_wander_mm=seam_wander_mm,
+        weave_mm=weave_mm,
+        tilt_deg=tilt_deg,
+        production=production,
+        exact=exact,
+        video=video,
+    )
+    nominal = _nominal(joint, material, width, height) if setup is None else _read(setup)
+    with console.progress() as bar:
+        engine.simulate_recording(out, nominal, plan, console.track(bar, out.name, frames))
+    typer.echo(f"{out}: {frames} frames of a {nominal.joint.type} in {nominal.material.name}")
+
+
+def _nominal(joint: JointName, material: MaterialName, width: int, height: int) -> Setup:
+    from arctrack.nominal import nominal_setup
+    from arctrack.simulate import balance
+
+    return balance(nominal_setup(joint.value, material.value, width=width, height=height))
+
+
+def _read(path: Path) -> Setup:
+    from arctrack.cli import console
+    from arctrack.recording import read_setup_file
+    from arctrack.recording.setup_file import FILE_NAME
+
+    file = path / FILE_NAME if path.is_dir() else path
+    stated = read_setup_file(file)
+    console.warn(f"{file}: {key} is not known and has no effect" for key in stated.unknown_keys)
+    if stated.effects:
+        raise in_file(
+            file, f"[effects.{next(iter(stated.effects))}]: effects cannot be simulated; take it out"
+        )
+    return stated.setup

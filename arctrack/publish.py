@@ -1,0 +1,134 @@
+"""Tracks onto the bus: every one passes the gate, and what the gate decides is what the robot hears."""
+
+from __future__ import annotations
+
+import math
+from collections import Counter
+from dataclasses import dataclass
+
+from robot_io import (
+    Conditions,
+    Decision,
+    GateLimits,
+    GateReason,
+    JointType,
+    LastSent,
+    Link,
+    Proposal,
+    RobotStatus,
+    SeamGeometry,
+    SeamOffset,
+    TrackerState,
+    TrackerStatus,
+    Verdict,
+    dbc_version,
+    decide,
+    out_of_range_as_unknown,
+)
+from tracker import flags
+from tracker.state import Track
+
+LIMITS = GateLimits(
+    range_y_mm=10.0,
+    range_z_mm=10.0,
+    rate_y_mm_s=20.0,
+    rate_z_mm_s=20.0,
+    capture_age_s=0.2,
+    confidence=0.1,
+    hold_s=1.0,
+)
+"""What an offset must keep to unless the user says otherwise.
+
+The confidence asked for is low on purpose: a hand-eye tolerance of some 0.05 degrees alone holds that of a
+perfect measurement near a half, and that part of the error is constant.
+"""
+
+
+@dataclass(frozen=True)
+class Moment:
+    """When a track is published, s, on the clock of the captures, and what the robot then does.
+
+    `latency_ms` is how long the track took, NaN if nobody timed it.
+    """
+
+    now_s: float
+    robot: RobotStatus | None
+    latency_ms: float = math.nan
+
+
+class Publisher:
+    """Sends seam offset, seam geometry and tracker status for each track; its state is the gate's memory."""
+
+    def __init__(self, link: Link, joint_type: str, limits: GateLimits = LIMITS) -> None:
+        self._link = link
+        self._joint = JointType[joint_type.upper()]
+        self._limits = limits
+        self._last_sent = LastSent()
+        self._introduced = False
+        self.verdicts: Counter[Verdict] = Counter()
+        self.reasons: Counter[GateReason] = Counter()
+
+    def publish(self, track: Track, moment: Moment) -> SeamOffset:
+        """Send a track's messages and return the offset as it went out; LinkError if the bus fails."""
+        if not self._introduced:
+            self._link.send(dbc_version(), moment.now_s)
+            self._introduced = True
+        decision = self._decide(track, moment)
+        self._last_sent = decision.last_sent
+        self.verdicts[decision.verdict] += 1
+        if decision.reason is not GateReason.NONE:
+            self.reasons[decision.reason] += 1
+        for message in (decision.message, self._geometry(track), _status(track, decision, moment)):
+            self._link.send(message, moment.now_s)
+        return decision.message
+
+    def _decide(self, track: Track, moment: Moment) -> Decision:
+        proposal = Proposal(
+            captured_at_s=track.timestamp_s,
+            offset_y_mm=track.offset_y_mm if track.valid else math.nan,
+            offset_z_mm=track.offset_z_mm if track.valid else math.nan,
+            confidence=track.confidence,
+            sigma_y_mm=track.offset_sigma_y_mm,
+            sigma_z_mm=track.offset_sigma_z_mm,
+        )
+        conditions = Conditions(armed=True, enable_y=True, enable_z=True, robot=moment.robot)
+        return decide(proposal, conditions, self._limits, self._last_sent, moment.now_s)
+
+    def _geometry(self, track: Track) -> SeamGeometry:
+        measured = SeamGeometry(
+            gap_mm=track.gap_mm,
+            mismatch_mm=track.mismatch_mm,
+            sigma_y_mm=track.sigma_y_mm,
+            sigma_z_mm=track.sigma_z_mm,
+            joint=self._joint if track.valid else JointType.UNKNOWN,
+        )
+        return out_of_range_as_unknown(measured)
+
+
+def _status(track: Track, decision: Decision, moment: Moment) -> TrackerStatus:
+    def has(flag: flags.Flag) -> bool:
+        return bool(track.flags & flag.mask)
+
+    status = TrackerStatus(
+        state=_state(track, decision),
+        gate_reason=decision.reason,
+        frame_unreadable=has(flags.FRAME_UNREADABLE),
+        stripe_lost=has(flags.STRIPE_LOST),
+        joint_not_found=has(flags.JOINT_NOT_FOUND),
+        saturated=has(flags.SATURATED),
+        arc_map_distrusted=has(flags.MAP_MISFIT),
+        pose_extrapolated=has(flags.POSE_EXTRAPOLATED),
+        pose_refused=has(flags.POSE_REFUSED),
+        robot_stale=moment.robot is None,
+        arc_level=track.arc_level,
+        map_misfit=track.map_misfit,
+        dropped_frames_mod256=0,
+        latency_ms=moment.latency_ms,
+    )
+    return out_of_range_as_unknown(status)
+
+
+def _state(track: Track, decision: Decision) -> TrackerState:
+    if decision.verdict is Verdict.HOLD:
+        return TrackerState.HOLDING
+    return TrackerState.TRACKING if track.valid else TrackerState.SEARCHING

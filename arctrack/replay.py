@@ -1,0 +1,259 @@
+"""A recording through the tracker: offsets onto the bus, results, pictures.
+
+Replay calls the same step as the live service, with poses from the same causal buffer. Results go to disk
+frame by frame; a frame that cannot be read becomes a row with its flag, and the tracking goes on.
+"""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import ExitStack, contextmanager
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from arctrack.errors import ArctrackError
+from arctrack.publish import LIMITS, Moment, Publisher
+from arctrack.recording import BadFrame, FrameRow, Recording, pose_at, read_truth
+from arctrack.recording.results import (
+    BUS_LOG,
+    Latency,
+    ResultsWriter,
+    Summary,
+    count_flags,
+    make_results_folder,
+)
+from arctrack.recording.score import score
+from robot_io import (
+    BusLogError,
+    GateLimits,
+    Link,
+    LinkError,
+    MotionState,
+    PoseBuffer,
+    RobotMode,
+    RobotStatus,
+    Switch,
+    Verdict,
+    WeldingState,
+)
+from tracker import flags
+from tracker.state import NAN, Frame, Track
+from tracker.step import Tracker
+
+if TYPE_CHECKING:
+    from arctrack.report.replay_pictures import ReplayPictures
+
+DEFAULT_BUS = "virtual:arctrack"
+RESULTS_FOLDER = "results"
+
+
+@dataclass(frozen=True)
+class ReplayOptions:
+    """How to replay: `bus` is python-can's interface and channel, joined by a colon."""
+
+    bus: str = DEFAULT_BUS
+    use_arc_map: bool = True
+    pictures: bool = True
+    limits: GateLimits = LIMITS
+
+
+@dataclass(frozen=True)
+class Replay:
+    """What came out of a replay; the tracks are without their stripes."""
+
+    recording: Recording
+    folder: Path
+    summary: Summary
+    tracks: tuple[Track, ...]
+    bad_frames: tuple[BadFrame, ...]
+
+    @property
+    def complaint(self) -> str | None:
+        """One line on the frames that could not be read, None if all could."""
+        if not self.bad_frames:
+            return None
+        count = len(self.bad_frames)
+        return (
+            f"{self.bad_frames[0].message}; {count} of {len(self.tracks)} frames could not be used, "
+            f"their rows carry {flags.FRAME_UNREADABLE.name}, the others are in {self.folder}"
+        )
+
+
+@dataclass(frozen=True)
+class Step:
+    """One row of frames.csv after the tracker saw it; `took_ms` is NaN where there was no frame to step."""
+
+    row: FrameRow
+    frame: Frame | BadFrame
+    track: Track
+    took_ms: float
+
+
+def replay_recording(
+    recording: Recording,
+    folder: Path | None = None,
+    options: ReplayOptions | None = None,
+    on_frame: Callable[[int], None] | None = None,
+) -> Replay:
+    """Replay a recording into a folder (default: `results` in the recording's own).
+
+    `on_frame` hears the number of frames done. Raises ArctrackError if the folder or the bus fails.
+    """
+    options = options or ReplayOptions()
+    folder = recording.path / RESULTS_FOLDER if folder is None else folder
+    make_results_folder(folder)
+    interface, channel = parse_bus(options.bus)
+    tracks: list[Track] = []
+    compute_ms: list[float] = []
+    bad_frames: list[BadFrame] = []
+    started_s = time.monotonic()
+    with ExitStack() as opened:
+        results = opened.enter_context(ResultsWriter(folder))
+        opened.enter_context(_bus_errors())
+        link = opened.enter_context(Link(interface, channel, log_paths=(folder / BUS_LOG,)))
+        publisher = Publisher(link, recording.setup.joint.type, options.limits)
+        pace = no_pace if interface == "virtual" else recorded_pace(recording.rows[0])
+        pictures = _pictures(recording, folder, opened) if options.pictures else None
+        for step in _steps(recording, options.use_arc_map):
+            pace(step.row)
+            offset = publisher.publish(step.track, _moment(step))
+            results.write(step.track, offset, step.took_ms)
+            if pictures is not None:
+                pictures.draw(None if isinstance(step.frame, BadFrame) else step.frame, step.track, offset)
+            tracks.append(replace(step.track, stripe=None))
+            compute_ms.append(step.took_ms)
+            if isinstance(step.frame, BadFrame):
+                bad_frames.append(step.frame)
+            if on_frame is not None:
+                on_frame(len(tracks))
+    summary = replace(
+        _summary(recording, options.use_arc_map, tracks, compute_ms, time.monotonic() - started_s),
+        offsets={verdict.value: publisher.verdicts[verdict] for verdict in Verdict},
+        refusals={reason.name.lower(): count for reason, count in sorted(publisher.reasons.items())},
+    )
+    summary.write(folder)
+    return Replay(recording, folder, summary, tuple(tracks), tuple(bad_frames))
+
+
+def track_alone(
+    recording: Recording, use_arc_map: bool, on_frame: Callable[[int], None] | None = None
+) -> Summary:
+    """Track a recording without bus, files and pictures, and return the numbers: for comparison."""
+    tracks: list[Track] = []
+    compute_ms: list[float] = []
+    started_s = time.monotonic()
+    for step in _steps(recording, use_arc_map):
+        tracks.append(replace(step.track, stripe=None))
+        compute_ms.append(step.took_ms)
+        if on_frame is not None:
+            on_frame(len(tracks))
+    return _summary(recording, use_arc_map, tracks, compute_ms, time.monotonic() - started_s)
+
+
+def parse_bus(text: str) -> tuple[str, str]:
+    """Split `interface:channel`; ArctrackError if it is none."""
+    interface, colon, channel = text.partition(":")
+    if not (interface and colon and channel):
+        raise ArctrackError(
+            f"--bus {text!r}: give interface:channel, such as {DEFAULT_BUS} or socketcan:can0"
+        )
+    return interface, channel
+
+
+def _steps(recording: Recording, use_arc_map: bool) -> Iterator[Step]:
+    poses = recording.pose_buffer()
+    _warm_up(recording, poses, use_arc_map)
+    tracker = Tracker(recording.setup, use_arc_map)
+    for row, frame in zip(recording.rows, recording.frames(), strict=True):
+        if isinstance(frame, BadFrame):
+            yield Step(row, frame, Track(row.index, row.timestamp_s, flags.FRAME_UNREADABLE.mask), NAN)
+            continue
+        pose = pose_at(poses, frame.timestamp_s)
+        began_ns = time.perf_counter_ns()
+        track = tracker.step(frame, pose)
+        yield Step(row, frame, track, (time.perf_counter_ns() - began_ns) / 1e6)
+
+
+def _summary(
+    recording: Recording,
+    use_arc_map: bool,
+    tracks: Sequence[Track],
+    compute_ms: Sequence[float],
+    elapsed_s: float,
+) -> Summary:
+    truth = read_truth(recording.path)
+    return Summary(
+        recording=recording.name,
+        use_arc_map=use_arc_map,
+        frames=len(tracks),
+        valid=sum(track.valid for track in tracks),
+        flags=count_flags(tracks),
+        offsets={},
+        refusals={},
+        recorded_rate_hz=recording.frame_rate_hz,
+        replayed_rate_hz=len(tracks) / elapsed_s,
+        latency_ms=Latency.of(compute_ms),
+        score=None if truth is None else score(tracks, truth, recording.setup.tolerance.seam_mm),
+    )
+
+
+def _warm_up(recording: Recording, poses: PoseBuffer, use_arc_map: bool) -> None:
+    """Compile what a step needs before time is taken, on a tracker that is then thrown away."""
+    rows = recording.rows
+    lit = max(range(len(rows)), key=lambda n: (rows[n].laser_on, rows[n].arc_on))
+    for frame in recording.frames([lit]):
+        if not isinstance(frame, BadFrame):
+            Tracker(recording.setup, use_arc_map).step(frame, pose_at(poses, frame.timestamp_s))
+
+
+def _moment(step: Step) -> Moment:
+    """Return a frame's end of exposure, and a robot that is welding automatically if its arc burnt then.
+
+    Computing counts as instantaneous here: a replay must send the same offsets on every machine.
+    """
+    row = step.row
+    robot = RobotStatus(
+        mode=RobotMode.AUTOMATIC,
+        motion=MotionState.MOVING,
+        welding=WeldingState.WELDING if row.arc_on else WeldingState.OFF,
+        arc=Switch.ON if row.arc_on else Switch.OFF,
+        emergency_stop=Switch.OFF,
+        correction=Switch.ON,
+        weave=Switch.UNKNOWN,
+        current_a=row.current_a,
+        travel_speed_mm_s=math.nan,
+        path_section=None,
+    )
+    return Moment(row.timestamp_s + row.exposure_s / 2.0, robot, step.took_ms)
+
+
+def _pictures(recording: Recording, folder: Path, opened: ExitStack) -> ReplayPictures:
+    # Matplotlib takes a while to load: only those who want pictures wait for it.
+    from arctrack.report.replay_pictures import ReplayPictures
+
+    return opened.enter_context(ReplayPictures(recording, folder))
+
+
+def no_pace(_row: FrameRow) -> None:
+    """Go as fast as one can: nobody in real time listens."""
+
+
+def recorded_pace(first: FrameRow) -> Callable[[FrameRow], None]:
+    """Return a function that waits until a frame's time has come: a real bus carries no more."""
+    began_s = time.monotonic()
+
+    def wait(row: FrameRow) -> None:
+        time.sleep(max(0.0, row.timestamp_s - first.timestamp_s - (time.monotonic() - began_s)))
+
+    return wait
+
+
+@contextmanager
+def _bus_errors() -> Iterator[None]:
+    try:
+        yield
+    except (LinkError, BusLogError) as error:
+        raise ArctrackError(str(error)) from error

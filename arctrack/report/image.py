@@ -1,0 +1,57 @@
+"""Frames as people want to see them: dark things visible, stripe and seam drawn over them."""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+import numpy.typing as npt
+
+from noise_model.frames import invert, transform
+from noise_model.optics import Camera
+from noise_model.sensor import Sensor
+from tracker.state import Stripe, Track
+
+UInt8 = npt.NDArray[np.uint8]
+
+STRIPE_BGR = (0, 159, 230)
+SEAM_BGR = (233, 180, 86)
+
+
+def visible(image_dn: npt.NDArray[np.integer], sensor: Sensor) -> UInt8:
+    """Return a raw frame (H, W) as 8-bit grey, by the square root, which shows the noise alike everywhere."""
+    signal = np.maximum(image_dn.astype(np.float32) - sensor.black_level_dn, 0.0)
+    scaled = 255.0 * np.sqrt(signal / max(1.0, sensor.max_dn - sensor.black_level_dn))
+    grey: UInt8 = np.clip(np.rint(scaled), 0, 255).astype(np.uint8)
+    return grey
+
+
+def stripe_points_px(stripe: Stripe) -> npt.NDArray[np.float64]:
+    """Return where the stripe was found, image points (n, 2) x y."""
+    lines = np.flatnonzero(np.isfinite(stripe.position_px))
+    positions = stripe.position_px[lines]
+    return np.column_stack([lines, positions] if stripe.along_rows else [positions, lines]).astype(float)
+
+
+def seam_point_px(track: Track, camera: Camera) -> npt.NDArray[np.float64] | None:
+    """Return the image point x y of a valid track's seam, None if it is not valid or out of the image."""
+    if not track.valid:
+        return None
+    seam_camera = transform(invert(camera.T_tool_camera), np.asarray(track.seam_tool_mm)[None, :])
+    point = camera.project(seam_camera)[0]
+    inside = (point >= -0.5).all() and point[0] < camera.width and point[1] < camera.height
+    return np.asarray(point) if inside else None
+
+
+def annotate(grey: UInt8, track: Track, camera: Camera) -> UInt8:
+    """Return a grey picture (H, W) in colour (H, W, 3) BGR with the fitted stripe and a cross on the seam."""
+    picture = cv2.cvtColor(grey, cv2.COLOR_GRAY2BGR)
+    if track.stripe is not None:
+        for x, y in np.rint(stripe_points_px(track.stripe)).astype(int):
+            if 0 <= y < picture.shape[0] and 0 <= x < picture.shape[1]:
+                picture[y, x] = STRIPE_BGR
+    point = seam_point_px(track, camera)
+    if point is not None:
+        size = max(8, camera.width // 20)
+        cross = (round(point[0]), round(point[1]))
+        cv2.drawMarker(picture, cross, SEAM_BGR, cv2.MARKER_CROSS, size, 2, cv2.LINE_AA)
+    return np.asarray(picture, dtype=np.uint8)

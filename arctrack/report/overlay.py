@@ -1,0 +1,96 @@
+"""overlay.mp4: every frame with what the tracker saw in it."""
+
+from __future__ import annotations
+
+import math
+from fractions import Fraction
+from pathlib import Path
+from types import TracebackType
+from typing import Self
+
+import av
+import cv2
+import numpy as np
+from av.video.stream import VideoStream
+
+from arctrack.report.image import UInt8, annotate, visible
+from noise_model.setup import Setup
+from robot_io import SeamOffset, Validity
+from tracker.state import Frame, Track
+
+MIN_WIDTH = 640
+LINE_PX, LINES = 20, 3
+INK, FAINT = (255, 255, 255), (160, 160, 160)
+
+
+class OverlayVideo:
+    """Writes the video frame by frame; what was written before a crash can be played once it is closed."""
+
+    def __init__(self, path: Path, setup: Setup, rate_hz: float) -> None:
+        self._setup = setup
+        self._zoom = max(1, math.ceil(MIN_WIDTH / setup.camera.width))
+        height = setup.camera.height * self._zoom + LINES * LINE_PX + 8
+        self._container = av.open(str(path), mode="w")
+        rate = rate_hz if math.isfinite(rate_hz) else 10.0
+        self._stream: VideoStream = self._container.add_stream(
+            "libx264", rate=Fraction(min(max(rate, 1.0), 60.0)).limit_denominator(1000)
+        )
+        # yuv420p, which every player knows, halves both sides of its colour.
+        self._stream.width = _even(setup.camera.width * self._zoom)
+        self._stream.height = _even(height)
+        self._stream.pix_fmt = "yuv420p"
+        self._stream.options = {"crf": "23", "preset": "veryfast"}
+
+    def write(self, frame: Frame | None, track: Track, offset: SeamOffset) -> None:
+        """Append a frame, None if it could not be read."""
+        camera = self._setup.camera
+        if frame is None:
+            picture = np.zeros((camera.height, camera.width, 3), dtype=np.uint8)
+        else:
+            picture = annotate(visible(frame.image_dn, self._setup.sensor), track, camera)
+        if self._zoom > 1:
+            picture = np.repeat(np.repeat(picture, self._zoom, axis=0), self._zoom, axis=1)
+        canvas = np.zeros((self._stream.height, self._stream.width, 3), dtype=np.uint8)
+        canvas[: picture.shape[0], : picture.shape[1]] = picture
+        _write_lines(canvas, picture.shape[0], caption(frame, track, offset))
+        self._container.mux(self._stream.encode(av.VideoFrame.from_ndarray(canvas, format="bgr24")))
+
+    def close(self) -> None:
+        """Write what is buffered and close the file."""
+        self._container.mux(self._stream.encode())
+        self._container.close()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()
+
+
+def caption(frame: Frame | None, track: Track, offset: SeamOffset) -> tuple[str, str, str]:
+    """Return three lines: the frame's condition, seam and offset, flags."""
+    condition = f"frame {track.frame}   t {track.timestamp_s:.3f} s"
+    if frame is not None:
+        lit = [name for name, on in (("laser", frame.laser_on), ("arc", frame.arc_on)) if on]
+        current = f" {frame.current_a:.0f} A" if frame.arc_on and math.isfinite(frame.current_a) else ""
+        condition += f"   {' + '.join(lit) or 'dark'}{current}   {1000 * frame.exposure_s:g} ms"
+    seam = "seam unknown"
+    if track.valid:
+        seam = f"seam y {track.seam_tool_mm[1]:+.2f}  z {track.seam_tool_mm[2]:+.2f} mm"
+    word = {Validity.VALID: "sent", Validity.HELD: "held"}.get(offset.validity)
+    sent = "no offset"
+    if word is not None:
+        sent = f"offset {word} y {offset.offset_y_mm:+.2f}  z {offset.offset_z_mm:+.2f} mm"
+    return condition, f"{seam}   {sent}", ", ".join(track.flag_names) or "no flags"
+
+
+def _write_lines(canvas: UInt8, top_px: int, lines: tuple[str, str, str]) -> None:
+    for n, (line, colour) in enumerate(zip(lines, (INK, INK, FAINT), strict=True)):
+        at = (8, top_px + (n + 1) * LINE_PX - 2)
+        cv2.putText(canvas, line, at, cv2.FONT_HERSHEY_SIMPLEX, 0.5, colour, 1, cv2.LINE_AA)
+
+
+def _even(size: int) -> int:
+    return size + size % 2

@@ -1,0 +1,29 @@
+"""How all pictures look: Okabe and Ito's colours, which the colour-blind tell apart, and plain axes."""
+
+from __future__ import annotations
+
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+BLUE, VERMILLION, GREEN, ORANGE, SKY = "#0072B2", "#D55E00", "#009E73", "#E69F00", "#56B4E9"
+GREY, BLACK = "#7F7F7F", "#000000"
+
+DOTS_PER_INCH = 110
+
+
+def new_figure(width_inch: float, height_inch: float, title: str) -> Figure:
+    """Return an empty figure that arranges itself, without pyplot and its state."""
+    figure = Figure(figsize=(width_inch, height_inch), dpi=DOTS_PER_INCH, layout="constrained")
+    figure.suptitle(title, fontsize=12, fontweight="bold", x=0.01, ha="left")
+    return figure
+
+
+def plain(axes: Axes, xlabel: str, ylabel: str, title: str = "") -> Axes:
+    """Label axes and take what is not needed off them."""
+    axes.set_xlabel(xlabel)
+    axes.set_ylabel(ylabel)
+    axes.set_title(title, loc="left", fontsize=10)
+    axes.grid(visible=True, color="#DDDDDD", linewidth=0.6)
+    axes.spines[["top", "right"]].set_visible(False)
+    axes.set_axisbelow(True)
+    return axes

@@ -1,0 +1,268 @@
+"""Recordings from arctrack's own forward model: stripe, arc light, sensor noise; with their truth.
+
+The robot follows a straight nominal seam, weaves, rises and tilts within what the sensor sees. The true seam
+leaves its nominal line. True values differ from the nominal ones by about the setup's tolerance.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+from scipy.optimize import brentq
+from scipy.spatial.transform import Rotation
+
+from arctrack.errors import ArctrackError
+from arctrack.recording import RecordingWriter, VideoFormat
+from noise_model.arc import level as arc_level
+from noise_model.forward import render
+from noise_model.frames import Float64, invert, transform
+from noise_model.optics import Rays
+from noise_model.sensor import expose
+from noise_model.setup import Setup
+from noise_model.surface import SeamLine, corrugation_height, seam_frame, seam_height_mm, section
+from tracker.state import Frame
+
+WEAVE_PERIOD_S, HEIGHT_PERIOD_S, TILT_PERIODS_S = 1.7, 2.4, (2.9, 1.9)
+WANDER_PERIODS_MM = (100.0, 140.0)
+POSE_LEAD_S, POSE_TAIL_S = 0.4, 0.5
+HIGH_CURRENT, SHORT_EXPOSURE = 1.4, 0.5
+"""The second current and the second exposure, over the nominal ones."""
+
+LEAST_FRAMES = 12
+ARC_SHARE = 0.15
+"""The mean arc light of a frame over full well that `balance` sets."""
+
+
+@dataclass(frozen=True)
+class SimulationPlan:
+    """What to simulate. Lengths mm, angles degrees; `height_mm` is low and high over the nominal seam.
+
+    `seam_wander_mm` is how far the true seam leaves its nominal line to the side, half of it up and down.
+    `production` has laser and arc on in every frame; `exact` keeps the nominal values for the true ones.
+    """
+
+    frames: int = 24
+    rate_hz: float = 10.0
+    travel_speed_mm_s: float = 8.0
+    seed: int = 0
+    seam_wander_mm: float = 0.5
+    weave_mm: float = 1.5
+    height_mm: tuple[float, float] = (0.1, 2.5)
+    tilt_deg: float = 4.0
+    pose_rate_hz: float = 100.0
+    pose_jitter_s: float = 0.0015
+    production: bool = False
+    exact: bool = False
+    video: bool = False
+
+    def __post_init__(self) -> None:
+        least = 1 if self.production else LEAST_FRAMES
+        if self.frames < least:
+            cure = "" if self.production else "; with --production a single one will do"
+            raise ArctrackError(f"--frames {self.frames}: at least {least} are needed{cure}")
+        if not self.rate_hz > 0:
+            raise ArctrackError(f"--fps {self.rate_hz}: must be > 0")
+
+
+@dataclass(frozen=True)
+class Condition:
+    """What is on in a frame."""
+
+    laser_on: bool
+    arc_on: bool
+    current_a: float
+    exposure_s: float
+
+
+def simulate_recording(
+    path: Path | str,
+    setup: Setup,
+    plan: SimulationPlan | None = None,
+    on_frame: Callable[[int], None] | None = None,
+) -> Path:
+    """Write a recording of a nominal setup to `path`, which must not exist yet, and return it.
+
+    `on_frame` hears the number of frames done. Raises ArctrackError if the setup's seam is not straight.
+    """
+    plan = plan or SimulationPlan()
+    if len(setup.joint.seam_in_base_mm) != 2:
+        raise ArctrackError("[joint] seam_in_base_mm: only a straight seam of two points can be simulated")
+    draw_setup, draw_motion, draw_order, draw_noise = (
+        np.random.default_rng([plan.seed, n]) for n in range(4)
+    )
+    true_setup = setup if plan.exact else true_values(setup, draw_setup)
+    motion = Motion(setup, plan, draw_motion)
+    rays = Rays.of(true_setup.camera)
+    video = VideoFormat(plan.rate_hz) if plan.video else None
+    with RecordingWriter(path, setup, video=video) as writer:
+        for timestamp_s in _pose_times_s(plan, draw_motion):
+            writer.write_pose(timestamp_s, motion.T_base_tool(timestamp_s))
+        for n, condition in enumerate(conditions(setup, plan, draw_order)):
+            timestamp_s = n / plan.rate_hz
+            T_base_tool = motion.T_base_tool(timestamp_s)
+            seam, seam_tool_mm = motion.true_seam(T_base_tool)
+            mean_e = render(
+                true_setup,
+                T_base_tool,
+                laser_level=float(condition.laser_on),
+                arc_level=arc_level(setup.arc, condition.current_a),
+                exposure_s=condition.exposure_s,
+                seam=seam,
+                rays=rays,
+            )
+            image_dn = expose(mean_e.astype(np.float64), true_setup.sensor, draw_noise)
+            writer.write_frame(
+                Frame(
+                    index=n,
+                    timestamp_s=timestamp_s,
+                    image_dn=image_dn,
+                    exposure_s=condition.exposure_s,
+                    current_a=condition.current_a,
+                    laser_on=condition.laser_on,
+                    arc_on=condition.arc_on,
+                )
+            )
+            writer.write_truth(n, seam_tool_mm)
+            if on_frame is not None:
+                on_frame(n + 1)
+    return Path(path)
+
+
+def balance(setup: Setup) -> Setup:
+    """Return the setup with the `[arc] radiance_e` that a user's aperture and filter would give it.
+
+    The arc's light then fills on average `ARC_SHARE` of full well in a frame at its nominal current.
+    """
+    T_base_tool = Motion(
+        setup, SimulationPlan(weave_mm=0.0, tilt_deg=0.0), np.random.default_rng(0)
+    ).T_base_tool(0.0)
+    light_e = render(setup, T_base_tool, laser_level=0.0, arc_level=1.0, exposure_s=setup.camera.exposure_s)
+    mean_e = float(light_e.mean())
+    if not mean_e > 0.0:
+        raise ArctrackError("[camera.pose_in_tool]: the camera sees no arc light at all")
+    radiance_e = setup.arc.radiance_e * ARC_SHARE * setup.sensor.full_well_e / mean_e
+    # Three digits: nobody knows it better, and the file stays readable.
+    return replace(setup, arc=replace(setup.arc, radiance_e=float(f"{radiance_e:.3g}")))
+
+
+def true_values(setup: Setup, draw: np.random.Generator) -> Setup:
+    """Return what is really there: every value off the nominal one by a draw from its tolerance."""
+    tolerance = setup.tolerance
+    T_camera_moved = np.eye(4)
+    turn_rad = math.radians(tolerance.hand_eye_deg) * draw.standard_normal(3)
+    T_camera_moved[:3, :3] = Rotation.from_rotvec(turn_rad).as_matrix()
+    T_camera_moved[:3, 3] = tolerance.hand_eye_mm * draw.standard_normal(3)
+
+    def near_one(tolerance_rel: float) -> float:
+        return math.exp(tolerance_rel * float(draw.standard_normal()))
+
+    camera, sensor = setup.camera, setup.sensor
+    return replace(
+        setup,
+        camera=replace(camera, T_tool_camera=camera.T_tool_camera @ T_camera_moved),
+        arc=replace(setup.arc, radiance_e=setup.arc.radiance_e * near_one(tolerance.arc_level_rel)),
+        laser=replace(setup.laser, peak_e=setup.laser.peak_e * near_one(tolerance.laser_level_rel)),
+        sensor=replace(
+            sensor,
+            black_level_dn=sensor.black_level_dn + tolerance.black_level_dn * float(draw.standard_normal()),
+            read_noise_e=sensor.read_noise_e * near_one(tolerance.read_noise_rel),
+        ),
+    )
+
+
+def conditions(setup: Setup, plan: SimulationPlan, draw: np.random.Generator) -> list[Condition]:
+    """Return what is on in each frame.
+
+    For diagnosis: dark, laser alone, arc alone, both, two currents, two exposures; the frames without arc
+    at either end, since an arc is struck once.
+    """
+    current_a, exposure_s = setup.arc.current_a, setup.camera.exposure_s
+    short_s, high_a = SHORT_EXPOSURE * exposure_s, HIGH_CURRENT * current_a
+    both = Condition(True, True, current_a, exposure_s)
+    if plan.production:
+        return [both] * plan.frames
+    both_high, both_short = replace(both, current_a=high_a), replace(both, exposure_s=short_s)
+    arc, arc_high, arc_short = (replace(c, laser_on=False) for c in (both, both_high, both_short))
+    laser = Condition(True, False, 0.0, exposure_s)
+    dark = replace(laser, laser_on=False)
+    ends = [dark, laser, replace(laser, exposure_s=short_s)]
+    middle = [both, both_high, both_short, arc, arc_high, arc_short]
+    more = [both, both_high, both, both_short, arc]
+    middle += [more[n % len(more)] for n in range(plan.frames - LEAST_FRAMES)]
+    order = draw.permutation(len(middle))
+    return [*ends, *(middle[n] for n in order), *reversed(ends)]
+
+
+class Motion:
+    """Where the tool is at a time and where the true seam runs; phases are drawn once."""
+
+    def __init__(self, setup: Setup, plan: SimulationPlan, draw: np.random.Generator) -> None:
+        self._setup, self._plan = setup, plan
+        self._phases = draw.uniform(0.0, 2.0 * np.pi, 6)
+        self._corrugation = section(setup.joint).corrugation
+        self._T_base_joint = seam_frame(setup.joint, np.asarray(setup.joint.seam_in_base_mm[0]))
+        ends_mm = transform(invert(self._T_base_joint), np.asarray(setup.joint.seam_in_base_mm))[:, 0]
+        # The path starts where base's x is 0, if the seam runs there.
+        self._start_mm = 0.0 if ends_mm[0] <= 0.0 <= ends_mm[1] else float(ends_mm[0])
+
+    def T_base_tool(self, timestamp_s: float) -> Float64:
+        """Return the tool's pose, (4, 4) mm."""
+        plan = self._plan
+        x_mm = self._start_mm + plan.travel_speed_mm_s * timestamp_s
+        low_mm, high_mm = plan.height_mm
+        height_mm = 0.5 * (low_mm + high_mm)
+        height_mm += 0.5 * (high_mm - low_mm) * self._wave(timestamp_s / HEIGHT_PERIOD_S, 1)
+        # The torch keeps its distance to a corrugated sheet.
+        height_mm += float(corrugation_height(np.array(x_mm), self._corrugation))
+        tilts_deg = [
+            plan.tilt_deg * self._wave(timestamp_s / period_s, 2 + n)
+            for n, period_s in enumerate(TILT_PERIODS_S)
+        ]
+        T_joint_tool = np.eye(4)
+        T_joint_tool[:3, :3] = Rotation.from_euler("xy", tilts_deg, degrees=True).as_matrix()
+        lateral_mm = plan.weave_mm * self._wave(timestamp_s / WEAVE_PERIOD_S, 0)
+        T_joint_tool[:3, 3] = x_mm, lateral_mm, height_mm
+        return self._T_base_joint @ T_joint_tool
+
+    def true_seam(self, T_base_tool: Float64) -> tuple[SeamLine, Float64]:
+        """Return the true seam where it meets the laser plane, and that point (3,), tool frame, mm."""
+        T_tool_joint = invert(T_base_tool) @ self._T_base_joint
+        plane = np.asarray(self._setup.laser.plane_in_tool)
+
+        def point_tool(station_mm: float) -> Float64:
+            height_mm = seam_height_mm(self._setup.joint)
+            height_mm += float(corrugation_height(np.array(station_mm), self._corrugation))
+            point_joint = transform(self._line(station_mm).frame(), np.array([station_mm, 0.0, height_mm]))
+            return transform(T_tool_joint, point_joint)
+
+        def distance_mm(station_mm: float) -> float:
+            return float(plane[:3] @ point_tool(station_mm) + plane[3])
+
+        origin_mm = transform(invert(T_tool_joint), np.asarray(self._setup.laser.origin_in_tool_mm))[0]
+        station_mm = float(brentq(distance_mm, origin_mm - 100.0, origin_mm + 100.0, xtol=1e-9))
+        return self._line(station_mm), point_tool(station_mm)
+
+    def _line(self, station_mm: float) -> SeamLine:
+        wander = np.array([self._plan.seam_wander_mm, 0.5 * self._plan.seam_wander_mm])
+        wave_number = 2.0 * np.pi / np.array(WANDER_PERIODS_MM)
+        phase = wave_number * station_mm + self._phases[4:]
+        place = wander * np.sin(phase)
+        slope = wander * wave_number * np.cos(phase)
+        return SeamLine(station_mm, float(place[0]), float(place[1]), float(slope[0]), float(slope[1]))
+
+    def _wave(self, turns: float, phase: int) -> float:
+        return math.sin(2.0 * math.pi * turns + float(self._phases[phase]))
+
+
+def _pose_times_s(plan: SimulationPlan, draw: np.random.Generator) -> list[float]:
+    """Return the controller's times from before the first frame to after the last, jittered, rising."""
+    period_s = 1.0 / plan.pose_rate_hz
+    last_s = (plan.frames - 1) / plan.rate_hz
+    regular_s = np.arange(-POSE_LEAD_S, last_s + POSE_TAIL_S, period_s)
+    limit_s = 0.45 * period_s
+    jitter_s = np.clip(plan.pose_jitter_s * draw.standard_normal(len(regular_s)), -limit_s, limit_s)
+    return [float(t) for t in np.round(regular_s + jitter_s, 6)]

@@ -1,0 +1,160 @@
+"""What a recording holds, in words and numbers, without tracking it."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from arctrack.recording import BadFrame, FrameRow, PoseTable, Recording
+from noise_model.frames import Float64, invert, transform
+from noise_model.sensor import saturation_dn
+from noise_model.setup import Setup
+from noise_model.surface import seam_frame
+from tracker.state import Frame
+
+
+@dataclass(frozen=True)
+class Condition:
+    """All frames taken under one condition; the grey levels are over those that can be used.
+
+    `sample` is the middle one of the usable frames.
+    """
+
+    laser_on: bool
+    arc_on: bool
+    current_a: float
+    exposure_s: float
+    frames: int
+    mean_dn: float
+    brightest_dn: int
+    saturated_share: float
+    sample: Frame | None = field(repr=False)
+
+    @property
+    def name(self) -> str:
+        """The condition in words."""
+        lit = [name for name, on in (("laser", self.laser_on), ("arc", self.arc_on)) if on]
+        current = f" {self.current_a:g} A" if self.arc_on and math.isfinite(self.current_a) else ""
+        return f"{' + '.join(lit) or 'dark'}{current}, {1000 * self.exposure_s:g} ms"
+
+
+@dataclass(frozen=True)
+class Motion:
+    """How the robot moved, from its poses.
+
+    `jitter_s` is the standard deviation of the time between two poses, `longest_gap_s` the longest. Lateral
+    place and height are those of the tool's origin over the nominal seam line (low, high), mm; `tilt_deg` is
+    its largest angle to the surface normal.
+    """
+
+    first_s: float
+    last_s: float
+    rate_hz: float
+    jitter_s: float
+    longest_gap_s: float
+    travel_mm: float
+    travel_speed_mm_s: float
+    lateral_mm: tuple[float, float]
+    height_mm: tuple[float, float]
+    tilt_deg: float
+
+
+@dataclass(frozen=True)
+class Survey:
+    """A whole recording."""
+
+    conditions: tuple[Condition, ...]
+    motion: Motion
+    bad_frames: tuple[BadFrame, ...]
+
+
+def survey(recording: Recording, on_frame: Callable[[int], None] | None = None) -> Survey:
+    """Look at every frame and pose of a recording; `on_frame` hears the number of frames seen."""
+    tallies: dict[tuple[bool, bool, float, float], _Tally] = {}
+    middles = _middles(recording.rows)
+    bad_frames: list[BadFrame] = []
+    for n, frame in enumerate(recording.frames()):
+        tally = tallies.setdefault(recording.rows[n].condition, _Tally(recording.rows[n]))
+        tally.frames += 1
+        if isinstance(frame, BadFrame):
+            bad_frames.append(frame)
+        else:
+            tally.add(frame, recording.setup, n <= middles[recording.rows[n].condition])
+        if on_frame is not None:
+            on_frame(n + 1)
+    conditions = tuple(tallies[key].condition() for key in sorted(tallies))
+    return Survey(conditions, motion_of(recording.poses, recording.setup), tuple(bad_frames))
+
+
+def path_over_seam(poses: PoseTable, setup: Setup) -> Float64:
+    """Return the tool's origin (n, 3), mm, over the nominal seam: along it, to its left, above it.
+
+    Along a line of several segments it is the distance from base's origin along the one that is nearest.
+    """
+    origins = poses.T_base_tool[:, :3, 3]
+    return np.array([transform(invert(seam_frame(setup.joint, at)), at[None, :])[0] for at in origins])
+
+
+def motion_of(poses: PoseTable, setup: Setup) -> Motion:
+    """Return how the robot moved."""
+    gaps_s = np.diff(poses.timestamps_s)
+    over_seam = path_over_seam(poses, setup)
+    travel_mm = float(np.linalg.norm(poses.T_base_tool[-1, :3, 3] - poses.T_base_tool[0, :3, 3]))
+    normal = np.asarray(setup.joint.surface_normal_in_base)
+    upright = np.clip(poses.T_base_tool[:, :3, 2] @ normal, -1.0, 1.0)
+    span_s = float(poses.timestamps_s[-1] - poses.timestamps_s[0])
+    return Motion(
+        first_s=float(poses.timestamps_s[0]),
+        last_s=float(poses.timestamps_s[-1]),
+        rate_hz=1.0 / poses.period_s,
+        jitter_s=float(gaps_s.std()),
+        longest_gap_s=float(gaps_s.max()),
+        travel_mm=travel_mm,
+        travel_speed_mm_s=travel_mm / span_s,
+        lateral_mm=(float(over_seam[:, 1].min()), float(over_seam[:, 1].max())),
+        height_mm=(float(over_seam[:, 2].min()), float(over_seam[:, 2].max())),
+        tilt_deg=float(np.degrees(np.arccos(upright)).max()),
+    )
+
+
+class _Tally:
+    """What adds up over the frames of one condition."""
+
+    def __init__(self, row: FrameRow) -> None:
+        self.row = row
+        self.frames = 0
+        self.means_dn: list[float] = []
+        self.brightest_dn = 0
+        self.saturated: list[float] = []
+        self.sample: Frame | None = None
+
+    def add(self, frame: Frame, setup: Setup, up_to_middle: bool) -> None:
+        self.means_dn.append(float(frame.image_dn.mean()))
+        self.brightest_dn = max(self.brightest_dn, int(frame.image_dn.max()))
+        self.saturated.append(float((frame.image_dn >= saturation_dn(setup.sensor)).mean()))
+        if self.sample is None or up_to_middle:
+            self.sample = frame
+
+    def condition(self) -> Condition:
+        return Condition(
+            laser_on=self.row.laser_on,
+            arc_on=self.row.arc_on,
+            current_a=self.row.current_a,
+            exposure_s=self.row.exposure_s,
+            frames=self.frames,
+            mean_dn=float(np.mean(self.means_dn)) if self.means_dn else math.nan,
+            brightest_dn=self.brightest_dn,
+            saturated_share=float(np.mean(self.saturated)) if self.saturated else math.nan,
+            sample=self.sample,
+        )
+
+
+def _middles(rows: tuple[FrameRow, ...]) -> dict[tuple[bool, bool, float, float], int]:
+    """Return the position of each condition's middle frame."""
+    positions: dict[tuple[bool, bool, float, float], list[int]] = {}
+    for n, row in enumerate(rows):
+        positions.setdefault(row.condition, []).append(n)
+    return {condition: found[len(found) // 2] for condition, found in positions.items()}

@@ -1,0 +1,212 @@
+import csv
+import json
+import shutil
+import time
+from dataclasses import replace
+from pathlib import Path
+
+import av
+import cv2
+import numpy as np
+import pytest
+from made import noise_frames, small_setup, write
+
+from arctrack.errors import ArctrackError
+from arctrack.recording import Truth, read_recording
+from arctrack.recording.results import COLUMNS, Latency
+from arctrack.recording.score import score
+from arctrack.replay import ReplayOptions, parse_bus, recorded_pace, replay_recording, track_alone
+from robot_io import BusLogReader, SeamOffset, TrackerStatus, Validity
+from tracker.state import Track
+
+QUICK = ReplayOptions(pictures=False)
+
+
+def rows_of(folder: Path) -> list[dict[str, str]]:
+    with (folder / "results.csv").open() as file:
+        return list(csv.DictReader(file))
+
+
+def test_a_replay_tracks_and_writes_every_file(simulated: Path, tmp_path: Path) -> None:
+    recording = read_recording(simulated)
+    seen: list[int] = []
+    done = replay_recording(recording, tmp_path, on_frame=seen.append)
+    assert seen == list(range(1, 15))
+    assert done.complaint is None
+    assert sorted(path.name for path in tmp_path.iterdir()) == [
+        "bus.blf",
+        "overlay.mp4",
+        "overview.png",
+        "results.csv",
+        "summary.json",
+    ]
+    rows = rows_of(tmp_path)
+    assert tuple(rows[0]) == COLUMNS
+    lit = [row.laser_on for row in recording.rows]
+    assert [row["valid"] == "1" for row in rows] == lit
+    assert [row["seam_y_mm"] != "" for row in rows] == lit
+    assert all("laser_off" in row["flags"].split("|") for row, on in zip(rows, lit, strict=True) if not on)
+    summary = json.loads((tmp_path / "summary.json").read_text())
+    assert summary["frames"] == {"total": 14, "valid": sum(lit), "invalid": 14 - sum(lit), "unreadable": 0}
+    assert summary["flags"]["laser_off"] == 14 - sum(lit)
+    assert summary["error_mm"]["valid_frames_beyond_limit"] == 0
+    assert summary["error_mm"]["lateral"]["with_constant_part_removed"]["rms"] < 0.1
+    assert summary["latency_ms"]["p50"] <= summary["latency_ms"]["max"]
+    with av.open(str(tmp_path / "overlay.mp4")) as video:
+        stream = video.streams.video[0]
+        assert stream.codec_context.name == "h264"
+        assert stream.codec_context.format.name == "yuv420p"
+        assert stream.width % 2 == stream.height % 2 == 0
+        assert sum(1 for _ in video.decode(stream)) == 14
+    assert cv2.imread(str(tmp_path / "overview.png")).shape[1] > 1000
+
+
+def test_what_is_in_the_results_went_over_the_bus(simulated: Path, tmp_path: Path) -> None:
+    recording = read_recording(simulated)
+    replay_recording(recording, tmp_path, QUICK)
+    received = list(BusLogReader(tmp_path / "bus.blf"))
+    offsets = [r for r in received if isinstance(r.message, SeamOffset)]
+    assert sum(isinstance(r.message, TrackerStatus) for r in received) == len(recording.rows)
+    for row, frame, entry in zip(rows_of(tmp_path), recording.rows, offsets, strict=True):
+        assert entry.timestamp_s == pytest.approx(frame.timestamp_s + frame.exposure_s / 2.0, abs=1e-5)
+        message = entry.message
+        assert isinstance(message, SeamOffset)
+        if message.validity is Validity.REFUSED:
+            assert row["offset_y_mm"] == row["offset_z_mm"] == ""
+        else:
+            assert float(row["offset_y_mm"]) == pytest.approx(message.offset_y_mm, abs=1e-3)
+            assert float(row["offset_z_mm"]) == pytest.approx(message.offset_z_mm, abs=1e-3)
+    assert any(row["offset_y_mm"] for row in rows_of(tmp_path))
+
+
+def test_a_second_replay_gives_the_same_numbers(simulated: Path, tmp_path: Path) -> None:
+    def without_wall_time(folder: Path) -> list[dict[str, str]]:
+        replay_recording(read_recording(simulated), folder, QUICK)
+        return [{k: v for k, v in row.items() if k != "compute_ms"} for row in rows_of(folder)]
+
+    assert without_wall_time(tmp_path / "a") == without_wall_time(tmp_path / "b")
+
+
+def test_the_truth_never_reaches_the_tracker(simulated: Path, tmp_path: Path) -> None:
+    shutil.copytree(simulated, tmp_path / "r")
+    (tmp_path / "r" / "truth.csv").unlink()
+    blind = replay_recording(read_recording(tmp_path / "r"), tmp_path / "blind", QUICK)
+    seeing = replay_recording(read_recording(simulated), tmp_path / "seeing", QUICK)
+    assert repr(blind.tracks) == repr(seeing.tracks)
+    assert blind.summary.score is None
+    assert "error_mm" not in json.loads((tmp_path / "blind" / "summary.json").read_text())
+
+
+def test_without_the_arc_map_it_runs_as_well(simulated: Path, tmp_path: Path) -> None:
+    recording = read_recording(simulated)
+    done = replay_recording(recording, tmp_path, replace(QUICK, use_arc_map=False))
+    assert not done.summary.use_arc_map
+    assert json.loads((tmp_path / "summary.json").read_text())["arc_map"] is False
+    beside = track_alone(recording, True)
+    assert beside.use_arc_map
+    assert beside.score is not None
+
+
+def test_bad_frames_are_flagged_and_the_tracking_goes_on(simulated: Path, tmp_path: Path) -> None:
+    path = Path(shutil.copytree(simulated, tmp_path / "r"))
+    expected = replay_recording(read_recording(path), tmp_path / "whole", QUICK)
+    frame = path / "frames" / "000005.png"
+    frame.write_bytes(frame.read_bytes()[:500])
+    done = replay_recording(read_recording(path), tmp_path / "cut")
+    rows = rows_of(tmp_path / "cut")
+    assert rows[5] == {name: "" for name in COLUMNS} | {
+        "frame": "5",
+        "timestamp_s": "0.500000",
+        "valid": "0",
+        "flags": "frame_unreadable",
+        "offset_y_mm": rows[5]["offset_y_mm"],
+        "offset_z_mm": rows[5]["offset_z_mm"],
+    }
+    assert [t.valid for t in done.tracks[6:]] == [t.valid for t in expected.tracks[6:]]
+    assert done.complaint is not None
+    assert "000005.png: is truncated after 500 bytes; 1 of 14 frames" in done.complaint
+    assert json.loads((tmp_path / "cut" / "summary.json").read_text())["frames"]["unreadable"] == 1
+
+
+def test_frames_before_the_poses_are_refused(simulated: Path, tmp_path: Path) -> None:
+    path = Path(shutil.copytree(simulated, tmp_path / "r"))
+    lines = (path / "poses.csv").read_text().splitlines()
+    late = [line for line in lines[1:] if float(line.split(",")[0]) > 0.35]
+    (path / "poses.csv").write_text("\n".join([lines[0], *late]))
+    recording = read_recording(path)
+    assert len(recording.warnings) == 1
+    done = replay_recording(recording, tmp_path / "out", QUICK)
+    assert [("pose_refused" in t.flag_names) for t in done.tracks] == [True] * 4 + [False] * 10
+
+
+def test_rows_before_a_crash_are_kept(simulated: Path, tmp_path: Path) -> None:
+    def crash(done: int) -> None:
+        if done == 6:
+            assert len(rows_of(tmp_path)) == 6
+            raise KeyboardInterrupt
+
+    (tmp_path / "summary.json").write_text("from an earlier replay")
+    with pytest.raises(KeyboardInterrupt):
+        replay_recording(read_recording(simulated), tmp_path, on_frame=crash)
+    assert len(rows_of(tmp_path)) == 6
+    assert len([r for r in BusLogReader(tmp_path / "bus.blf") if isinstance(r.message, SeamOffset)]) == 6
+    with av.open(str(tmp_path / "overlay.mp4")) as video:
+        assert sum(1 for _ in video.decode(video=0)) == 6
+    assert not (tmp_path / "summary.json").exists()
+
+
+def test_noise_is_tracked_without_complaint(tmp_path: Path) -> None:
+    setup = small_setup(bits=12)
+    recording = read_recording(write(tmp_path / "r", setup, noise_frames(setup, 4)))
+    done = replay_recording(recording)
+    assert done.folder == tmp_path / "r" / "results"
+    assert (done.folder / "overview.png").exists()
+    assert len(rows_of(done.folder)) == 4
+
+
+def test_buses(simulated: Path, tmp_path: Path) -> None:
+    assert parse_bus("socketcan:can0") == ("socketcan", "can0")
+    assert parse_bus("slcan:/dev/ttyACM0@115200:x") == ("slcan", "/dev/ttyACM0@115200:x")
+    for text in ("virtual", ":x", "x:", ""):
+        with pytest.raises(ArctrackError, match="interface:channel"):
+            parse_bus(text)
+    with pytest.raises(ArctrackError, match="nosuchbus"):
+        replay_recording(read_recording(simulated), tmp_path, replace(QUICK, bus="nosuchbus:1"))
+
+
+def test_a_real_bus_hears_at_the_recorded_pace(simulated: Path) -> None:
+    rows = read_recording(simulated).rows
+    pace = recorded_pace(rows[0])
+    began_s = time.monotonic()
+    for row in rows[:3]:
+        pace(row)
+    assert time.monotonic() - began_s >= rows[2].timestamp_s - rows[0].timestamp_s
+
+
+def test_a_folder_that_cannot_be_written(simulated: Path, tmp_path: Path) -> None:
+    (tmp_path / "file").write_text("in the way")
+    with pytest.raises(ArctrackError, match="choose another with --out"):
+        replay_recording(read_recording(simulated), tmp_path / "file" / "out", QUICK)
+
+
+def test_score_by_hand() -> None:
+    truth = Truth(np.array([0, 1, 2, 3]), np.zeros((4, 3)))
+    seams = [(0.0, 0.1, 0.0), (0.0, 0.3, 0.0), (0.0, 0.2, -0.3), (0.0, float("nan"), float("nan"))]
+    tracks = [Track(n, 0.1 * n, 0, seam_tool_mm=seam) for n, seam in enumerate(seams)]
+    tracks.append(Track(9, 0.9, 0, seam_tool_mm=(0.0, 5.0, 5.0)))
+    scored = score(tracks, truth, 0.25)
+    assert scored is not None
+    assert scored.frames == 3
+    assert scored.beyond_limit == 2
+    assert scored.lateral.constant_mm == pytest.approx(0.2)
+    assert scored.lateral.whole.rms == pytest.approx(np.sqrt((0.01 + 0.09 + 0.04) / 3))
+    assert scored.lateral.whole.median == pytest.approx(0.2)
+    assert scored.lateral.whole.max == pytest.approx(0.3)
+    assert scored.lateral.without_constant.rms == pytest.approx(np.sqrt(0.02 / 3))
+    assert scored.vertical.whole.max == pytest.approx(0.3)
+    assert score(tracks[3:], truth, 0.25) is None
+
+
+def test_latency_of_nothing_is_unknown() -> None:
+    assert np.isnan(Latency.of([float("nan")]).p50)
+    assert Latency.of([1.0, float("nan"), 3.0]).max == 3.0
