@@ -54,7 +54,7 @@ class SimulationPlan:
     height_mm: tuple[float, float] = (0.1, 2.5)
     tilt_deg: float = 4.0
     pose_rate_hz: float = 100.0
-    pose_jitter_s: float = 0.0015
+    pose_jitter_s: float = 0.0011
     production: bool = False
     exact: bool = False
     video: bool = False

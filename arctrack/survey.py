@@ -45,8 +45,9 @@ class Condition:
 class Motion:
     """How the robot moved, from its poses.
 
-    `jitter_s` is the standard deviation of the time between two poses, `longest_gap_s` the longest. Lateral
-    place and height are those of the tool's origin over the nominal seam line (low, high), mm; `tilt_deg` is
+    `jitter_s` is the standard deviation of the time between two poses, `longest_gap_s` the longest;
+    `travel_mm` is the distance from the first pose to the last, the speed that along the seam. Lateral place
+    and height are those of the tool's origin over the nominal seam line (low, high), mm; `tilt_deg` is
     its largest angle to the surface normal.
     """
 
@@ -105,7 +106,6 @@ def motion_of(poses: PoseTable, setup: Setup) -> Motion:
     travel_mm = float(np.linalg.norm(poses.T_base_tool[-1, :3, 3] - poses.T_base_tool[0, :3, 3]))
     normal = np.asarray(setup.joint.surface_normal_in_base)
     upright = np.clip(poses.T_base_tool[:, :3, 2] @ normal, -1.0, 1.0)
-    span_s = float(poses.timestamps_s[-1] - poses.timestamps_s[0])
     return Motion(
         first_s=float(poses.timestamps_s[0]),
         last_s=float(poses.timestamps_s[-1]),
@@ -113,7 +113,8 @@ def motion_of(poses: PoseTable, setup: Setup) -> Motion:
         jitter_s=float(gaps_s.std()),
         longest_gap_s=float(gaps_s.max()),
         travel_mm=travel_mm,
-        travel_speed_mm_s=travel_mm / span_s,
+        # The median holds against a jump in the station where one segment of the seam meets the next.
+        travel_speed_mm_s=abs(float(np.median(np.diff(over_seam[:, 0]) / gaps_s))),
         lateral_mm=(float(over_seam[:, 1].min()), float(over_seam[:, 1].max())),
         height_mm=(float(over_seam[:, 2].min()), float(over_seam[:, 2].max())),
         tilt_deg=float(np.degrees(np.arccos(upright)).max()),

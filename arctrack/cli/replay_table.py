@@ -14,12 +14,17 @@ from arctrack.recording.score import AxisScore, Score
 NO_VALUE = "–"
 
 
-def one_table(summaries: Sequence[Summary]) -> Table:
-    """Return one recording's errors in full, a line an axis; `summaries` are its replays."""
+def one_table(summaries: Sequence[Summary]) -> Table | str:
+    """Return one recording's errors in full, a line an axis; `summaries` are its replays.
+
+    Without truth, or without a valid frame, there is but a line of words.
+    """
     first = summaries[0]
-    table = Table(title=_in_words(first), title_justify="left", title_style="bold", box=box.SIMPLE_HEAD)
+    words = f"{first.recording}: {first.valid} of {first.frames} frames valid"
     if first.score is None:
-        return table
+        return f"{words}, {_latency(first)} ms a frame; nothing to score against truth.csv"
+    title = f"{words}; errors against truth.csv"
+    table = Table(title=title, title_justify="left", title_style="bold", box=box.SIMPLE_HEAD)
     table.add_column("arc map")
     table.add_column("error, mm")
     for name in ("RMS", "median", "p95", "max", "constant part", "RMS without it"):
@@ -61,13 +66,6 @@ def many_table(summaries: Sequence[Summary]) -> Table:
             cells += _short(summary.score)
         table.add_row(*cells, _latency(summary))
     return table
-
-
-def _in_words(summary: Summary) -> str:
-    text = f"{summary.recording}: {summary.valid} of {summary.frames} frames valid"
-    if summary.score is None:
-        return f"{text}, {_latency(summary)} ms a frame; no truth.csv to score against"
-    return f"{text}; errors against truth.csv"
 
 
 def _map(summary: Summary) -> str:

@@ -1,0 +1,154 @@
+"""Every bad input is one line on stderr that names the file and the key or line, and exit code 2."""
+
+import shutil
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+from made import noise_frames, replace_in, replace_line, small_setup, write
+
+from arctrack import cli
+from arctrack.recording import VideoFormat
+from arctrack.recording.png import encode
+
+
+@pytest.fixture(scope="module")
+def recording(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    setup = small_setup()
+    return write(tmp_path_factory.mktemp("good") / "r", setup, noise_frames(setup, 4))
+
+
+def toml(old: str, new: str) -> Callable[[Path], None]:
+    return lambda path: replace_in(path / "recording.toml", old, new)
+
+
+def line(file: str, number: int, text: str) -> Callable[[Path], None]:
+    return lambda path: replace_line(path / file, number, text)
+
+
+def gone(name: str) -> Callable[[Path], None]:
+    def remove(path: Path) -> None:
+        target = path / name
+        shutil.rmtree(target) if target.is_dir() else target.unlink()
+
+    return remove
+
+
+def cut_poses(path: Path) -> None:
+    lines = (path / "poses.csv").read_text().splitlines()
+    (path / "poses.csv").write_text("\n".join(lines[:25]))
+
+
+def cut_png(path: Path) -> None:
+    png = path / "frames" / "000002.png"
+    png.write_bytes(png.read_bytes()[:-30])
+
+
+def small_png(path: Path) -> None:
+    (path / "frames" / "000001.png").write_bytes(encode(np.zeros((10, 12), np.uint8)))
+
+
+BAD_INPUTS: dict[str, tuple[Callable[[Path], None], str, str]] = {
+    "no setup": (gone("recording.toml"), "recording.toml", "no such file"),
+    "no frames.csv": (gone("frames.csv"), "frames.csv", "no such file"),
+    "no poses": (gone("poses.csv"), "poses.csv", "no poses"),
+    "no frames": (gone("frames"), "frames", "no frames"),
+    "one frame gone": (gone("frames/000002.png"), "000002.png", "no such file"),
+    "no key": (toml("c2 = 112.0\n", ""), "recording.toml", "[material] c2: missing"),
+    "no table": (toml("[material]", "[metal]"), "recording.toml", "[material]: missing"),
+    "no dimension": (toml("depth_mm = 4.0\n", ""), "recording.toml", "[joint] depth_mm: missing"),
+    "wrong type": (toml("bits = 8", "bits = 'eight'"), "recording.toml", "[sensor] bits = 'eight'"),
+    "nan in setup": (toml("c2 = 112.0", "c2 = nan"), "recording.toml", "[material] c2 = nan"),
+    "c2 zero": (toml("c2 = 112.0", "c2 = 0.0"), "recording.toml", "[material] c2 = 0.0: must be > 0"),
+    "c2 negative": (toml("c2 = 112.0", "c2 = -1"), "recording.toml", "[material] c2 = -1.0: must be > 0"),
+    "no toml": (toml("[laser]", "[laser"), "recording.toml", "line"),
+    "other format": (toml("recording/1", "recording/9"), "recording.toml", "format = "),
+    "no rotation": (
+        toml("quaternion_xyzw = [0.69", "quaternion_xyzw = [1.69"),
+        "recording.toml",
+        "[camera.pose_in_tool] quaternion_xyzw",
+    ),
+    "unknown joint": (toml('"v_groove"', '"zigzag"'), "recording.toml", "[joint] type = 'zigzag'"),
+    "frame times fall": (
+        line("frames.csv", 4, "2,0.05,1,1,100,0.005"),
+        "frames.csv, line 4",
+        "times must rise",
+    ),
+    "frame time nan": (
+        line("frames.csv", 3, "1,nan,1,1,100,0.005"),
+        "frames.csv, line 3",
+        "timestamp_s = 'nan'",
+    ),
+    "current nan": (line("frames.csv", 3, "1,0.1,1,1,nan,0.005"), "frames.csv, line 3", "current_a = 'nan'"),
+    "no exposure": (line("frames.csv", 3, "1,0.1,1,1,100,0"), "frames.csv, line 3", "exposure_s = 0"),
+    "short line": (line("frames.csv", 3, "1,0.1,1,1"), "frames.csv, line 3", "4 values"),
+    "no column": (
+        line("frames.csv", 1, "frame,timestamp_s,laser_on,arc_on,current,exposure_s"),
+        "frames.csv, line 1",
+        "current_a is missing",
+    ),
+    "laser half on": (line("frames.csv", 2, "0,0,0.5,1,100,0.005"), "frames.csv, line 2", "laser_on = '0.5'"),
+    "pose times fall": (line("poses.csv", 9, "-1,0,0,1,0,0,0,1"), "poses.csv, line 9", "times must rise"),
+    "pose nan": (line("poses.csv", 2, "-0.2,0,nan,1,0,0,0,1"), "poses.csv, line 2", "y_mm = 'nan'"),
+    "pose no rotation": (line("poses.csv", 2, "-0.2,0,0,1,0,0,0,2"), "poses.csv, line 2", "no rotation"),
+    "poses stop early": (cut_poses, "poses.csv", "poses stop before the frames"),
+    "png truncated": (cut_png, "000002.png", "truncated"),
+    "frame of another size": (small_png, "000001.png", "12 x 10, [camera] width and height say 48 x 36"),
+}
+
+
+@pytest.mark.parametrize("name", BAD_INPUTS)
+@pytest.mark.parametrize("command", ["replay", "inspect"])
+def test_bad_input(
+    command: str,
+    name: str,
+    recording: Path,
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    spoil, file, problem = BAD_INPUTS[name]
+    path = Path(shutil.copytree(recording, tmp_path / "r"))
+    spoil(path)
+    arguments = ["arctrack", command, str(path)]
+    monkeypatch.setattr("sys.argv", [*arguments, "--no-pictures"] if command == "replay" else arguments)
+    with pytest.raises(SystemExit) as exit_info:
+        cli.main()
+    assert exit_info.value.code == 2
+    (error,) = capsys.readouterr().err.splitlines()
+    assert error.startswith(f"arctrack: error: {path}")
+    assert file in error
+    assert problem in error
+
+
+def test_a_video_of_another_size(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    setup = small_setup()
+    path = write(tmp_path / "r", setup, noise_frames(setup, 3), video=VideoFormat(10.0))
+    replace_in(path / "recording.toml", "width = 48", "width = 64")
+    monkeypatch.setattr("sys.argv", ["arctrack", "replay", str(path)])
+    with pytest.raises(SystemExit, match="2"):
+        cli.main()
+    (error,) = capsys.readouterr().err.splitlines()
+    assert "frames.mkv: is 48 x 36, [camera] width and height in recording.toml say 64 x 36" in error
+
+
+def test_rows_of_a_recording_with_a_bad_frame_are_all_there(
+    recording: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path = Path(shutil.copytree(recording, tmp_path / "r"))
+    cut_png(path)
+    monkeypatch.setattr("sys.argv", ["arctrack", "replay", str(path), str(recording), "--out", str(tmp_path)])
+    with pytest.raises(SystemExit, match="2"):
+        cli.main()
+    assert "its results would replace others" in capsys.readouterr().err
+    monkeypatch.setattr("sys.argv", ["arctrack", "replay", str(path), "--out", str(tmp_path / "out")])
+    with pytest.raises(SystemExit, match="2"):
+        cli.main()
+    rows = (tmp_path / "out" / "results.csv").read_text().splitlines()
+    assert len(rows) == 5
+    assert "frame_unreadable" in rows[3]
+    assert (tmp_path / "out" / "summary.json").exists()
+    assert (tmp_path / "out" / "overview.png").exists()

@@ -1,0 +1,146 @@
+import json
+import os
+import shutil
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import cv2
+import pytest
+from typer.testing import CliRunner
+
+import arctrack
+from arctrack.cli import app, installed_version
+from arctrack.recording import read_recording
+
+RUNNER = CliRunner(env={"COLUMNS": "120", "TERM": "dumb", "NO_COLOR": "1"})
+ROOT = Path(arctrack.__file__).parents[1]
+COMMAND = [sys.executable, "-c", "from arctrack.cli import main; main()"]
+
+
+def run(*arguments: str) -> subprocess.CompletedProcess[str]:
+    environment = os.environ | {"PYTHONPATH": str(ROOT)}
+    return subprocess.run(
+        [*COMMAND, *arguments], capture_output=True, text=True, env=environment, check=False
+    )
+
+
+def test_help_has_an_example_and_loads_nothing_heavy() -> None:
+    for command in ([], ["replay"], ["inspect"], ["simulate"]):
+        result = RUNNER.invoke(app, [*command, "--help"])
+        assert result.exit_code == 0
+        assert "Example: arctrack" in result.output
+    code = (
+        "import sys; import arctrack.cli; "
+        "print([m for m in ('numba', 'matplotlib', 'numpy', 'cv2', 'can', 'av') if m in sys.modules])"
+    )
+    environment = os.environ | {"PYTHONPATH": str(ROOT)}
+    loaded = subprocess.run(
+        [sys.executable, "-c", code], capture_output=True, text=True, env=environment, check=True
+    )
+    assert loaded.stdout.strip() == "[]"
+
+
+def test_version() -> None:
+    result = RUNNER.invoke(app, ["--version"])
+    assert result.exit_code == 0
+    assert result.output.strip() == f"arctrack {installed_version()}"
+
+
+def test_simulate_replay_inspect_in_a_row(tmp_path: Path) -> None:
+    path = tmp_path / "lap"
+    options = ["--joint", "lap", "--material", "zn_coated", "--width", "160", "--height", "120"]
+    made = RUNNER.invoke(app, ["simulate", str(path), *options, "--frames", "13", "--seed", "3", "--video"])
+    assert made.exit_code == 0, made.output
+    assert (path / "frames.mkv").exists()
+    again = RUNNER.invoke(app, ["simulate", str(tmp_path / "again"), "--setup", str(path), "--frames", "12"])
+    assert again.exit_code == 0, again.output
+    assert read_recording(tmp_path / "again").setup.joint == read_recording(path).setup.joint
+
+    replayed = RUNNER.invoke(
+        app, ["replay", str(path), str(tmp_path / "again"), "--out", str(tmp_path / "out"), "--no-pictures"]
+    )
+    assert replayed.exit_code == 0, replayed.output
+    for name in ("lap", "again"):
+        assert (tmp_path / "out" / name / "results.csv").exists()
+        assert name in replayed.output
+    assert "RMS" in replayed.output
+
+    seen = RUNNER.invoke(app, ["inspect", str(path), "--out", str(tmp_path / "lap.png")])
+    assert seen.exit_code == 0, seen.output
+    for text in ("160 x 120 px", "lap: thickness_mm 2", "zn_coated", " Hz from -0.4", "at 8.00 mm/s", "140"):
+        assert text in seen.output
+    assert cv2.imread(str(tmp_path / "lap.png")).shape[1] > 1000
+
+
+def test_without_the_arc_map_both_are_shown_side_by_side(simulated: Path, tmp_path: Path) -> None:
+    result = RUNNER.invoke(
+        app, ["replay", str(simulated), "--no-arc-map", "--no-pictures", "--out", str(tmp_path)]
+    )
+    assert result.exit_code == 0, result.output
+    lines = [line.split() for line in result.output.splitlines()]
+    assert [line[0] for line in lines if line[1:2] == ["lateral"]] == ["no", "yes"]
+    assert json.loads((tmp_path / "summary.json").read_text())["arc_map"] is False
+
+
+def test_a_recording_without_truth_has_no_error_table(simulated: Path, tmp_path: Path) -> None:
+    path = Path(shutil.copytree(simulated, tmp_path / "r"))
+    (path / "truth.csv").unlink()
+    result = RUNNER.invoke(app, ["replay", str(path), "--no-pictures"])
+    assert result.exit_code == 0, result.output
+    assert "nothing to score" in result.output
+    assert (path / "results" / "results.csv").exists()
+
+
+def test_warnings_are_one_line_each(simulated: Path, tmp_path: Path) -> None:
+    path = Path(shutil.copytree(simulated, tmp_path / "r"))
+    with (path / "recording.toml").open("a") as file:
+        file.write("\n[effects.gamma]\ngamma = 0.7\n[extra]\nkey = 1\n")
+    result = RUNNER.invoke(app, ["inspect", str(path)])
+    assert result.exit_code == 0, result.output
+    warnings = result.stderr.splitlines()
+    assert len(warnings) == 2
+    assert all(line.startswith("arctrack: warning: ") for line in warnings)
+    assert "[extra] is not known" in warnings[0]
+    assert "[effects.gamma] is kept" in warnings[1]
+    assert "known beforehand: gamma" in result.stdout
+    refused = RUNNER.invoke(app, ["simulate", str(tmp_path / "s"), "--setup", str(path)])
+    assert "effects cannot be simulated" in str(refused.exception)
+
+
+def test_the_installed_way(simulated: Path, tmp_path: Path) -> None:
+    done = run("replay", str(simulated), "--out", str(tmp_path), "--no-pictures")
+    assert done.returncode == 0, done.stderr
+    assert done.stderr == ""
+    assert "lateral" in done.stdout
+    bad = run("replay", str(tmp_path / "nowhere"))
+    assert bad.returncode == 2
+    assert bad.stderr == f"arctrack: error: {tmp_path / 'nowhere'}: there is no such folder\n"
+    assert bad.stdout == ""
+
+
+@pytest.mark.skipif(not hasattr(signal, "SIGKILL"), reason="needs SIGKILL")
+def test_a_killed_replay_leaves_its_rows(simulated: Path, tmp_path: Path) -> None:
+    results = tmp_path / "results.csv"
+    # Each frame is slowed down so that the kill strikes in the middle.
+    code = (
+        "import sys, time; from pathlib import Path; from arctrack.recording import read_recording; "
+        "from arctrack.replay import replay_recording; "
+        "replay_recording(read_recording(sys.argv[1]), Path(sys.argv[2]), on_frame=lambda n: time.sleep(0.2))"
+    )
+    environment = os.environ | {"PYTHONPATH": str(ROOT)}
+    process = subprocess.Popen([sys.executable, "-c", code, str(simulated), str(tmp_path)], env=environment)
+    try:
+        deadline_s = time.monotonic() + 30.0
+        while time.monotonic() < deadline_s and process.poll() is None:
+            if results.exists() and results.read_bytes().count(b"\n") >= 4:
+                break
+            time.sleep(0.02)
+    finally:
+        process.kill()
+        process.wait()
+    rows = results.read_bytes()
+    assert rows.endswith(b"\n")
+    assert 4 <= rows.count(b"\n") < 15

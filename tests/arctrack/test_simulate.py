@@ -1,0 +1,131 @@
+from collections import Counter
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from arctrack.errors import ArctrackError
+from arctrack.nominal import DIMENSIONS, MATERIALS, nominal_setup
+from arctrack.recording import BadFrame, read_recording, read_truth
+from arctrack.simulate import Motion, SimulationPlan, balance, conditions, simulate_recording, true_values
+from noise_model.frames import invert, transform
+from noise_model.sensor import linearise
+from noise_model.setup import Setup
+from noise_model.surface import Joint, seam_height_mm
+from tracker.geometry import SensorGeometry
+
+
+def test_the_same_seed_makes_the_same_recording(seen_setup: Setup, tmp_path: Path) -> None:
+    plan = SimulationPlan(frames=3, production=True, seed=5)
+    first = simulate_recording(tmp_path / "a", seen_setup, plan)
+    second = simulate_recording(tmp_path / "b", seen_setup, replace(plan, video=True))
+    third = simulate_recording(tmp_path / "c", seen_setup, replace(plan, seed=6))
+    for name in ("recording.toml", "frames.csv", "poses.csv", "truth.csv"):
+        assert (first / name).read_bytes() == (second / name).read_bytes()
+        assert (
+            name in ("recording.toml", "frames.csv")
+            or (first / name).read_bytes() != (third / name).read_bytes()
+        )
+    for a, b in zip(read_recording(first).frames(), read_recording(second).frames(), strict=True):
+        assert not isinstance(a, BadFrame)
+        assert not isinstance(b, BadFrame)
+        np.testing.assert_array_equal(a.image_dn, b.image_dn)
+
+
+def test_the_conditions_are_those_of_a_diagnosis(seen_setup: Setup) -> None:
+    found = conditions(seen_setup, SimulationPlan(frames=24), np.random.default_rng(0))
+    assert len(found) == 24
+    counts = Counter((c.laser_on, c.arc_on, c.current_a, c.exposure_s) for c in found)
+    assert set(counts) == {
+        (False, False, 0.0, 0.005),
+        (True, False, 0.0, 0.005),
+        (True, False, 0.0, 0.0025),
+        (False, True, 100.0, 0.005),
+        (False, True, 140.0, 0.005),
+        (False, True, 100.0, 0.0025),
+        (True, True, 100.0, 0.005),
+        (True, True, 140.0, 0.005),
+        (True, True, 100.0, 0.0025),
+    }
+    assert [c.arc_on for c in found[:3] + found[-3:]] == [False] * 6
+    assert all(c.arc_on for c in found[3:-3])
+
+
+@pytest.mark.parametrize(("frames", "rate_hz"), [(11, 10.0), (24, 0.0), (24, float("nan"))])
+def test_plans_that_make_no_recording(frames: int, rate_hz: float) -> None:
+    with pytest.raises(ArctrackError, match=r"--frames 11|--fps"):
+        SimulationPlan(frames=frames, rate_hz=rate_hz)
+
+
+def test_a_bent_seam_cannot_be_simulated(seen_setup: Setup, tmp_path: Path) -> None:
+    points = (*seen_setup.joint.seam_in_base_mm, (1100.0, 50.0, 0.0))
+    bent = replace(seen_setup, joint=replace(seen_setup.joint, seam_in_base_mm=points))
+    with pytest.raises(ArctrackError, match="straight seam"):
+        simulate_recording(tmp_path / "r", bent)
+    assert not list(tmp_path.iterdir())
+
+
+@settings(deadline=None)
+@given(
+    joint_type=st.sampled_from(sorted(DIMENSIONS)),
+    seed=st.integers(0, 1000),
+    timestamp_s=st.floats(0.0, 60.0),
+    wander_mm=st.floats(0.0, 3.0),
+)
+def test_the_true_seam_point_lies_in_the_laser_plane_and_on_the_seam(
+    joint_type: str, seed: int, timestamp_s: float, wander_mm: float
+) -> None:
+    setup = nominal_setup(joint_type, "mild_steel")
+    plan = SimulationPlan(seam_wander_mm=wander_mm)
+    motion = Motion(setup, plan, np.random.default_rng(seed))
+    T_base_tool = motion.T_base_tool(timestamp_s)
+    seam, point_tool = motion.true_seam(T_base_tool)
+    plane = np.asarray(setup.laser.plane_in_tool)
+    assert abs(plane[:3] @ point_tool + plane[3]) < 1e-6
+    x, y, z = transform(T_base_tool, point_tool)
+    # A slope leans the section: what lies below the surface line moves along the seam by less than this.
+    assert abs(y) <= wander_mm + 0.5
+    corrugation_mm = setup.joint.dimensions.get("height_mm", 0.0)
+    low_mm = seam_height_mm(setup.joint) - 0.5 * wander_mm - 0.1
+    assert low_mm <= z <= seam_height_mm(setup.joint) + 0.5 * wander_mm + corrugation_mm + 0.1
+    assert seam.station_mm == pytest.approx(x, abs=0.1 + 0.2 * wander_mm)
+
+
+def test_a_seam_that_runs_elsewhere(seen_setup: Setup, tmp_path: Path) -> None:
+    away = Joint(
+        type="v_groove",
+        dimensions=seen_setup.joint.dimensions,
+        seam_in_base_mm=((500.0, 300.0, 20.0), (500.0, 900.0, 20.0)),
+    )
+    plan = SimulationPlan(frames=1, production=True, weave_mm=0.0, tilt_deg=0.0, seam_wander_mm=0.0)
+    path = simulate_recording(tmp_path / "r", replace(seen_setup, joint=away), plan)
+    recording, truth = read_recording(path), read_truth(path)
+    assert truth is not None
+    at_start = np.argmin(np.abs(recording.poses.timestamps_s))
+    np.testing.assert_allclose(recording.poses.T_base_tool[at_start, :2, 3], [500.0, 300.0], atol=0.1)
+    np.testing.assert_allclose(truth.seam_tool_mm[0, :2], [35.0, 0.0], atol=1e-4)
+
+
+def test_true_values_stay_near_the_nominal_ones(seen_setup: Setup) -> None:
+    draws = [true_values(seen_setup, np.random.default_rng(n)) for n in range(200)]
+    tolerance = seen_setup.tolerance
+    moved = [invert(seen_setup.camera.T_tool_camera) @ d.camera.T_tool_camera for d in draws]
+    assert np.std([m[:3, 3] for m in moved]) == pytest.approx(tolerance.hand_eye_mm, rel=0.15)
+    arc = [d.arc.radiance_e / seen_setup.arc.radiance_e for d in draws]
+    assert np.std(np.log(arc)) == pytest.approx(tolerance.arc_level_rel, rel=0.2)
+    assert all(d.joint == seen_setup.joint and d.material == seen_setup.material for d in draws)
+
+
+@pytest.mark.parametrize("joint_type", sorted(DIMENSIONS))
+@pytest.mark.parametrize("material", MATERIALS)
+def test_nominal_setups_see_stripe_and_arc(joint_type: str, material: str, tmp_path: Path) -> None:
+    setup = balance(nominal_setup(joint_type, material, width=160, height=120))
+    assert SensorGeometry.of(setup).along_rows
+    plan = SimulationPlan(frames=1, production=True, exact=True, weave_mm=0.0, tilt_deg=0.0)
+    (frame,) = read_recording(simulate_recording(tmp_path / "r", setup, plan)).frames()
+    assert not isinstance(frame, BadFrame)
+    mean_e = linearise(frame.image_dn, setup.sensor).mean() / setup.sensor.full_well_e
+    assert 0.08 < mean_e < 0.25
