@@ -14,7 +14,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from arctrack.errors import ArctrackError
+from arctrack.errors import ArctrackError, in_file
 from arctrack.publish import LIMITS, Moment, Publisher
 from arctrack.recording import BadFrame, FrameRow, Recording, pose_at, read_truth
 from arctrack.recording.results import (
@@ -166,7 +166,7 @@ def parse_bus(text: str) -> tuple[str, str]:
 def _steps(recording: Recording, use_arc_map: bool) -> Iterator[Step]:
     poses = recording.pose_buffer()
     _warm_up(recording, poses, use_arc_map)
-    tracker = Tracker(recording.setup, use_arc_map)
+    tracker = _tracker(recording, use_arc_map)
     for row, frame in zip(recording.rows, recording.frames(), strict=True):
         if isinstance(frame, BadFrame):
             yield Step(row, frame, Track(row.index, row.timestamp_s, flags.FRAME_UNREADABLE.mask), NAN)
@@ -206,7 +206,14 @@ def _warm_up(recording: Recording, poses: PoseBuffer, use_arc_map: bool) -> None
     lit = max(range(len(rows)), key=lambda n: (rows[n].laser_on, rows[n].arc_on))
     for frame in recording.frames([lit]):
         if not isinstance(frame, BadFrame):
-            Tracker(recording.setup, use_arc_map).step(frame, pose_at(poses, frame.timestamp_s))
+            _tracker(recording, use_arc_map).step(frame, pose_at(poses, frame.timestamp_s))
+
+
+def _tracker(recording: Recording, use_arc_map: bool) -> Tracker:
+    try:
+        return Tracker(recording.setup, use_arc_map)
+    except ValueError as error:
+        raise in_file(recording.setup_path, str(error)) from error
 
 
 def _moment(step: Step) -> Moment:

@@ -18,7 +18,7 @@ from scipy.spatial.transform import Rotation
 from arctrack.errors import ArctrackError
 from arctrack.recording import RecordingWriter, VideoFormat
 from noise_model.arc import level as arc_level
-from noise_model.forward import render
+from noise_model.forward import render, stripe_reference
 from noise_model.frames import Float64, invert, transform
 from noise_model.optics import Rays
 from noise_model.sensor import expose
@@ -91,6 +91,10 @@ def simulate_recording(
     plan = plan or SimulationPlan()
     if len(setup.joint.seam_in_base_mm) != 2:
         raise ArctrackError("[joint] seam_in_base_mm: only a straight seam of two points can be simulated")
+    try:
+        stripe_reference(setup)
+    except ValueError as error:
+        raise ArctrackError(str(error)) from error
     draw_setup, draw_motion, draw_order, draw_noise = (
         np.random.default_rng([plan.seed, n]) for n in range(4)
     )

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import sys
 from importlib.metadata import PackageNotFoundError, version
-from typing import Annotated
+from typing import Annotated, NoReturn
 
 import typer
 
@@ -57,6 +57,12 @@ def main() -> None:
     try:
         app(prog_name="arctrack")
     except ArctrackError as error:
-        sys.stdout.flush()
-        print(f"arctrack: error: {error}", file=sys.stderr)
-        sys.exit(BAD_INPUT)
+        _complain(str(error))
+    except OSError as error:
+        # A disk that is full, a folder that went away: what was written stays.
+        _complain(f"{error.filename or 'file'}: {error.strerror or error}")
+
+
+def _complain(problem: str) -> NoReturn:
+    print(f"arctrack: error: {problem}", file=sys.stderr)
+    sys.exit(BAD_INPUT)

@@ -42,7 +42,7 @@ def replay(
     """
     from arctrack import replay as engine
     from arctrack.cli import console
-    from arctrack.cli.replay_table import many_table, one_table
+    from arctrack.cli.replay_table import in_words, many_table, one_table
     from arctrack.recording import read_recording
 
     read = [read_recording(path) for path in recordings]
@@ -62,9 +62,15 @@ def replay(
             if done.complaint is not None:
                 complaints.append(done.complaint)
     screen = console.tables()
-    screen.print(one_table(summaries) if len(read) == 1 else many_table(summaries))
+    if len(read) > 1:
+        screen.print(many_table(summaries))
+    else:
+        if summaries[0].score is not None:
+            screen.print(one_table(summaries))
+        for summary in summaries:
+            screen.print(in_words(summary), markup=False, soft_wrap=True)
     for recording, folder in zip(read, folders, strict=True):
-        screen.print(f"{recording.name}: results in {folder}", soft_wrap=True)
+        screen.print(f"{recording.name}: results in {folder}", markup=False, soft_wrap=True)
     if complaints:
         raise ArctrackError("; ".join(complaints))
 

@@ -1,4 +1,4 @@
-"""The tables at the end of a replay."""
+"""The tables at the end of a replay, narrow enough for a terminal of 80 columns."""
 
 from __future__ import annotations
 
@@ -6,74 +6,79 @@ import math
 from collections.abc import Sequence
 
 from rich import box
+from rich.markup import escape
 from rich.table import Table
 
 from arctrack.recording.results import Summary
 from arctrack.recording.score import AxisScore, Score
 
 NO_VALUE = "–"
+CONSTANT_REMOVED = "RMS*: with the constant part removed"
 
 
-def one_table(summaries: Sequence[Summary]) -> Table | str:
-    """Return one recording's errors in full, a line an axis; `summaries` are its replays.
-
-    Without truth, or without a valid frame, there is but a line of words.
-    """
-    first = summaries[0]
-    words = f"{first.recording}: {first.valid} of {first.frames} frames valid"
-    if first.score is None:
-        return f"{words}, {_latency(first)} ms a frame; nothing to score against truth.csv"
-    title = f"{words}; errors against truth.csv"
-    table = Table(title=title, title_justify="left", title_style="bold", box=box.SIMPLE_HEAD)
+def one_table(summaries: Sequence[Summary]) -> Table:
+    """Return one recording's errors in full, a line an axis; `summaries` are its replays."""
+    table = _table(f"{escape(summaries[0].recording)}: seam error against truth.csv over valid frames, mm")
     table.add_column("arc map")
-    table.add_column("error, mm")
-    for name in ("RMS", "median", "p95", "max", "constant part", "RMS without it"):
-        table.add_column(name, justify="right")
-    for name in ("valid", f"beyond {first.score.limit_mm:g} mm", "ms a frame"):
-        table.add_column(name, justify="right")
+    table.add_column("error")
+    for name in ("RMS", "median", "p95", "max", "constant", "RMS*"):
+        table.add_column(name, justify="right", no_wrap=True)
     for summary in summaries:
         if summary.score is not None:
-            lead = _map(summary)
-            tail = [f"{summary.valid}/{summary.frames}", str(summary.score.beyond_limit), _latency(summary)]
-            table.add_row(lead, "lateral", *_axis(summary.score.lateral), *tail)
+            table.add_row(_map(summary), "lateral", *_axis(summary.score.lateral))
             table.add_row("", "vertical", *_axis(summary.score.vertical))
+    table.caption = CONSTANT_REMOVED
     return table
 
 
 def many_table(summaries: Sequence[Summary]) -> Table:
     """Return several recordings' errors in short, a row a replay."""
     scored = any(summary.score is not None for summary in summaries)
-    table = Table(
-        title="Seam error against truth.csv over valid frames, mm" if scored else "Replays",
-        title_justify="left",
-        title_style="bold",
-        box=box.SIMPLE_HEAD,
-    )
-    table.add_column("recording", no_wrap=True)
-    table.add_column("arc\nmap")
-    table.add_column("valid", justify="right")
+    table = _table("Seam error against truth.csv over valid frames, mm" if scored else "Replays")
+    table.add_column("recording", overflow="fold")
+    table.add_column("map")
+    table.add_column("valid", justify="right", no_wrap=True)
     if scored:
-        for axis in ("lateral", "vertical"):
+        for axis in ("y", "z"):
             for name in ("RMS", "max", "RMS*"):
                 table.add_column(f"{axis}\n{name}", justify="right", no_wrap=True)
-        table.add_column("beyond\nlimit", justify="right")
-        table.caption = "RMS*: constant part removed"
-        table.caption_justify = "left"
-    table.add_column("ms a\nframe", justify="right")
+        table.add_column("over\nlimit", justify="right")
+        table.caption = f"y: lateral, z: vertical; {CONSTANT_REMOVED}"
+    table.add_column("ms a\nframe", justify="right", no_wrap=True)
     for summary in summaries:
-        cells = [summary.recording, _map(summary), f"{summary.valid}/{summary.frames}"]
+        cells = [escape(summary.recording), _map(summary), f"{summary.valid}/{summary.frames}"]
         if scored:
             cells += _short(summary.score)
-        table.add_row(*cells, _latency(summary))
+        table.add_row(*cells, _number(summary.latency_ms.p50, 1))
     return table
+
+
+def _table(title: str) -> Table:
+    return Table(
+        title=title,
+        title_justify="left",
+        title_style="bold",
+        caption_justify="left",
+        caption_style="",
+        box=box.SIMPLE_HEAD,
+        padding=(0, 1, 0, 0),
+    )
+
+
+def in_words(summary: Summary) -> str:
+    """Return a replay's counts and times in one line."""
+    lead = "with the arc map" if summary.use_arc_map else "without the arc map"
+    text = f"{lead}: {summary.valid} of {summary.frames} frames valid"
+    if summary.score is not None:
+        text += f", {summary.score.beyond_limit} of them beyond {summary.score.limit_mm:g} mm"
+    else:
+        text += ", nothing to score against truth.csv"
+    latency = summary.latency_ms
+    return f"{text}; {_number(latency.p50, 1)} ms a frame, p99 {_number(latency.p99, 1)}"
 
 
 def _map(summary: Summary) -> str:
     return "yes" if summary.use_arc_map else "no"
-
-
-def _latency(summary: Summary) -> str:
-    return _number(summary.latency_ms.p50, 1)
 
 
 def _axis(axis: AxisScore) -> list[str]:

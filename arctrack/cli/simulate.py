@@ -53,7 +53,8 @@ def simulate(
         bool, typer.Option("--production", help="Laser and arc on in every frame; else all conditions.")
     ] = False,
     exact: Annotated[
-        bool, typer.Option("--exact", help="True values are the nominal ones, else drawn within [tolerance].")
+        bool,
+        typer.Option("--exact", help="True values are the nominal ones, else drawn within its tolerance."),
     ] = False,
     video: Annotated[bool, typer.Option("--video", help="Write frames.mkv (FFV1) instead of PNGs.")] = False,
 ) -> None:

@@ -44,6 +44,11 @@ class Recording:
         return self.path.resolve().name
 
     @property
+    def setup_path(self) -> Path:
+        """The file that the setup came from."""
+        return self.path / setup_file.FILE_NAME
+
+    @property
     def has_truth(self) -> bool:
         """Whether truth.csv lies beside the frames."""
         return (self.path / TRUTH_CSV).exists()

@@ -8,6 +8,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure, SubFigure
 
+from arctrack.errors import in_file
 from arctrack.recording import Recording, pose_at
 from arctrack.report import style
 from arctrack.report.image import visible
@@ -23,7 +24,10 @@ COLUMNS = 5
 
 
 def draw(recording: Recording, found: Survey) -> Figure:
-    """Return the picture; dashed lines are where the nominal joint, at its nominal place, puts the stripe."""
+    """Return the picture; dashed lines are where the nominal joint, at its nominal place, puts the stripe.
+
+    ArctrackError if the setup's stripe is not in view.
+    """
     rows = math.ceil(len(found.conditions) / COLUMNS)
     camera = recording.setup.camera
     cell_inch = 2.8 * camera.height / camera.width + 0.35
@@ -33,7 +37,11 @@ def draw(recording: Recording, found: Survey) -> Figure:
     figure = style.new_figure(13.5, rows * cell_inch + 4.6, title)
     grid = figure.add_gridspec(2, 1, height_ratios=(rows * cell_inch, 4.2))
     sheet, paths = figure.add_subfigure(grid[0]), figure.add_subfigure(grid[1])
-    geometry, poses = SensorGeometry.of(recording.setup), recording.pose_buffer()
+    try:
+        geometry = SensorGeometry.of(recording.setup)
+    except ValueError as error:
+        raise in_file(recording.setup_path, str(error)) from error
+    poses = recording.pose_buffer()
     cells = sheet.subplots(rows, COLUMNS, squeeze=False).ravel()
     for axes in cells:
         axes.set_axis_off()

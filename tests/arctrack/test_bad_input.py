@@ -69,6 +69,11 @@ BAD_INPUTS: dict[str, tuple[Callable[[Path], None], str, str]] = {
         "recording.toml",
         "[camera.pose_in_tool] quaternion_xyzw",
     ),
+    "level laser": (
+        toml("plane_in_tool = [1.0, 0.0, 0.0, -35.0]", "plane_in_tool = [0.0, 0.0, 1.0, 0.0]"),
+        "recording.toml",
+        "[laser] plane_in_tool",
+    ),
     "unknown joint": (toml('"v_groove"', '"zigzag"'), "recording.toml", "[joint] type = 'zigzag'"),
     "frame times fall": (
         line("frames.csv", 4, "2,0.05,1,1,100,0.005"),
@@ -120,6 +125,20 @@ def test_bad_input(
     assert error.startswith(f"arctrack: error: {path}")
     assert file in error
     assert problem in error
+
+
+def test_a_disk_that_is_full(
+    recording: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def full(*_: object) -> None:
+        raise OSError(28, "No space left on device", str(tmp_path / "results.csv"))
+
+    monkeypatch.setattr("arctrack.recording.results.ResultsWriter.write", full)
+    monkeypatch.setattr("sys.argv", ["arctrack", "replay", str(recording), "--out", str(tmp_path)])
+    with pytest.raises(SystemExit, match="2"):
+        cli.main()
+    (error,) = capsys.readouterr().err.splitlines()
+    assert error == f"arctrack: error: {tmp_path}/results.csv: No space left on device"
 
 
 def test_a_video_of_another_size(

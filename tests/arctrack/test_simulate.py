@@ -68,6 +68,13 @@ def test_a_bent_seam_cannot_be_simulated(seen_setup: Setup, tmp_path: Path) -> N
     assert not list(tmp_path.iterdir())
 
 
+def test_a_stripe_out_of_view_cannot_be_simulated(seen_setup: Setup, tmp_path: Path) -> None:
+    away = replace(seen_setup, laser=replace(seen_setup.laser, plane_in_tool=(1.0, 0.0, 0.0, -350.0)))
+    with pytest.raises(ArctrackError, match=r"\[laser\] plane_in_tool"):
+        simulate_recording(tmp_path / "r", away)
+    assert not list(tmp_path.iterdir())
+
+
 @settings(deadline=None)
 @given(
     joint_type=st.sampled_from(sorted(DIMENSIONS)),
