@@ -294,3 +294,17 @@ def test_conditions_compare_where_the_current_is_unknown(tmp_path: Path) -> None
     assert math.isnan(rows[3].current_a)
     assert rows[3].condition == replace(rows[3]).condition
     assert rows[3].condition != rows[5].condition
+
+
+SHARED = Path(__file__).parents[3] / "shared" / "recordings"
+
+
+@pytest.mark.skipif(not SHARED.is_dir(), reason="the shared recordings are not here")
+def test_recordings_of_others_are_read_without_a_word() -> None:
+    paths = sorted(path.parent for path in SHARED.glob("*/recording.toml"))
+    assert paths
+    for path in paths:
+        recording = read_recording(path)
+        assert recording.warnings == ()
+        assert not any(isinstance(frame, BadFrame) for frame in recording.frames())
+        assert read_truth(path) is not None
