@@ -1,0 +1,74 @@
+"""The camera's pose from the arc's light: one that is off is found, what cannot be trusted is refused."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from arctrack.nominal import nominal_setup
+from calibration.hand_eye import estimate_hand_eye, moved_camera
+from noise_model.forward import render
+from noise_model.sensor import expose
+from noise_model.setup import Setup
+from noise_model.surface import SeamLine
+from tracker.state import Frame, Pose
+
+CHANGE = np.array([0.04, -0.09, 0.03, 0.03, 0.04, -0.03])
+LATTICE_PX = 6
+
+
+def small_setup() -> Setup:
+    setup = nominal_setup("v_groove", "mild_steel", width=320, height=240)
+    return replace(setup, arc=replace(setup.arc, radiance_e=1.6e8))
+
+
+def frames(seen_by: Setup, seam: SeamLine, arc_on: bool = True) -> list[tuple[Frame, Pose]]:
+    """Render a few frames of a straight seam, each with another pose of the tool."""
+    rng = np.random.default_rng(7)
+    made = []
+    for i in range(6):
+        T_base_tool = np.eye(4)
+        T_base_tool[:3, :3] = Rotation.from_euler("xyz", rng.uniform(-2.0, 2.0, 3), degrees=True).as_matrix()
+        T_base_tool[:3, 3] = [4.0 * i, rng.uniform(-0.8, 0.8), rng.uniform(-0.5, 1.5)]
+        mean_e = render(
+            seen_by,
+            T_base_tool,
+            laser_level=float(i % 2),
+            arc_level=1.05 if arc_on else 0.0,
+            exposure_s=0.005,
+            seam=seam,
+        )
+        image = expose(mean_e.astype(np.float64), seen_by.sensor, rng)
+        frame = Frame(i, 0.1 * i, image, 0.005, 100.0 if arc_on else 0.0, bool(i % 2), arc_on)
+        made.append((frame, Pose(T_base_tool)))
+    return made
+
+
+def test_a_camera_that_is_off_is_found() -> None:
+    setup = small_setup()
+    true_pose = moved_camera(setup.camera.T_tool_camera, CHANGE)
+    true_setup = replace(setup, camera=replace(setup.camera, T_tool_camera=true_pose))
+    found = estimate_hand_eye(setup, frames(true_setup, SeamLine(45.0, 0.4, -0.2)), lattice_px=LATTICE_PX)
+    pull = (found.fit.values[:6] - CHANGE) / found.fit.sigmas[:6]
+    assert np.abs(pull).max() < 3.0
+    # Across the seam the arc's fall-off is steep: there six small frames are enough to learn from.
+    assert found.fit.sigma("rot_y") < 0.5 * setup.tolerance.hand_eye_deg
+    assert found.fit.value("rot_y") == pytest.approx(CHANGE[1], abs=0.4 * abs(CHANGE[1]))
+    assert found.fit.value("ln_arc_level") == pytest.approx(np.log(1.05), abs=0.02)
+
+
+def test_a_camera_far_beyond_its_tolerance_is_refused() -> None:
+    setup = small_setup()
+    far = moved_camera(setup.camera.T_tool_camera, 15.0 * CHANGE)
+    far_setup = replace(setup, camera=replace(setup.camera, T_tool_camera=far))
+    with pytest.raises(ValueError, match="of its stated sigmas"):
+        estimate_hand_eye(setup, frames(far_setup, SeamLine()), lattice_px=LATTICE_PX)
+
+
+def test_without_arc_there_is_nothing_to_go_by() -> None:
+    setup = small_setup()
+    with pytest.raises(ValueError, match="no frame has the arc on"):
+        estimate_hand_eye(setup, frames(setup, SeamLine(), arc_on=False), lattice_px=LATTICE_PX)
