@@ -9,7 +9,7 @@ upright, directions are omega = e_w + tan(beta) (p e_u + q e_v), (p, q) in the u
 d(omega) = tan(beta)^2 (1 + tan(beta)^2 (p^2 + q^2))^(-3/2) dp dq, sin(beta) = R / distance. The luminous
 upper half ends at the near arc of the equator, an ellipse q_0(p) in closed form; whatever hides the arc cuts
 the disc along straight lines (`visibility.sky_planes`). So for each p the open range of q is known exactly
-and what is left is a smooth integral: Chebyshev nodes of the second kind in p, Gauss-Legendre in q.
+and what is left is a smooth integral: Gauss-Legendre in the angle s of p = cos(s) and in q.
 
 Over the image the map is smooth on each face, so a band or a whole frame is filled cell by cell: corners and
 centre are computed, and where they agree with a bilinear surface the rest is read off it (`arc_band`).
@@ -30,17 +30,31 @@ from noise_model.brdf import alpha_squared
 from noise_model.frames import Float64, invert
 from noise_model.setup import Setup
 from noise_model.surface import NOMINAL_SEAM, SeamLine, Section, corrugation_height, seam_frame, section
-from noise_model.visibility import MAX_PLANES, MISS, face_normal, first_hit, horizon_tables, ridge, sky_planes
+from noise_model.visibility import (
+    MAX_PLANES,
+    MISS,
+    face_normal,
+    first_hit,
+    horizon_tables,
+    ridge,
+    sky_planes,
+    touch,
+)
 
 Float32 = npt.NDArray[np.float32]
 Int32 = npt.NDArray[np.int32]
 Int64 = npt.NDArray[np.int64]
 Nodes = tuple[Float64, Float64, Float64, Float64]
+Axes = tuple[float, float, float, float, float, float, float, float]
+"""e_w, the two level components of e_u, and e_v."""
 
 NODES_P, NODES_Q = 6, 4
 """Nodes across and up; where something cuts the disc, `CUT_FACTOR` times as many across."""
 
 CUT_FACTOR = 2
+
+RIM_STEPS = 8
+"""In how many steps the outline is searched for where a corrugated edge crosses it."""
 
 
 @dataclass(frozen=True)
@@ -69,9 +83,10 @@ class Scene:
 @functools.lru_cache(maxsize=8)
 def _disc_nodes(n_p: int, n_q: int) -> Nodes:
     """Return p nodes and weights on [-1, 1] and q nodes and weights on [0, 1]."""
-    angle = np.pi * np.arange(1, n_p + 1) / (n_p + 1)
-    # Chebyshev's rule carries the weight sqrt(1 - p^2); divided out, it integrates a chord's length exactly.
-    p, p_weight = np.cos(angle), np.pi / (n_p + 1) * np.sin(angle)
+    # Gauss-Legendre in the angle s of p = cos(s): chords end like sin(s) at the outline, like 1 at a cut.
+    s, s_weight = np.polynomial.legendre.leggauss(n_p)
+    angle = np.pi / 2.0 * (s + 1.0)
+    p, p_weight = np.cos(angle), np.pi / 2.0 * s_weight * np.sin(angle)
     q, q_weight = np.polynomial.legendre.leggauss(n_q)
     return p, p_weight, (q + 1.0) / 2.0, q_weight / 2.0
 
@@ -92,7 +107,7 @@ def scene(setup: Setup, T_base_tool: Float64, seam: SeamLine = NOMINAL_SEAM) -> 
         # Over the surface the arc keeps its height, and a tilted tool carries its foot sideways.
         center[2] = offset[2] + float(corrugation_height(center[0], shape.corrugation))
     x_range = _footprint(setup, T_joint_camera, float(shape.corrugation[0]))
-    start, horizons = horizon_tables(shape, x_range, float(center[0]), setup.arc.radius_mm)
+    start, horizons = horizon_tables(shape, x_range, center, setup.arc.radius_mm)
     return Scene(T_joint_tool, T_joint_camera, center, shape, start, horizons)
 
 
@@ -126,22 +141,76 @@ def _way_to_sphere(square: float, distance: float, radius: float) -> float:
 @numba.njit(cache=True, inline="always")
 def _edge_clearance(
     P: Float64,
-    ox: float,
-    oy: float,
-    oz: float,
-    t_arc: float,
+    axes: Axes,
+    tan_b: float,
+    p: float,
+    q: float,
+    distance: float,
+    radius: float,
     corrugation: Float64,
     edge_y: float,
     edge_step: float,
+    crest_x: float,
 ) -> float:
-    """Return how far a ray from P passes over a corrugated sheet's edge, mm; huge if the arc is nearer."""
+    """Return how far a ray from P passes over a corrugated lap's upper sheet, mm; huge if the arc is nearer.
+
+    Looked at are the sheet's edge and, where the ray is over the sheet by then, the station `crest_x`.
+    """
+    wx, wy, wz, ux, uy, vx, vy, vz = axes
+    oy = wy + tan_b * (p * uy + q * vy)
     if oy >= 0.0:
         return 1e9
+    t_arc = _way_to_sphere(1.0 + tan_b * tan_b * (p * p + q * q), distance, radius)
     t = (edge_y - P[1]) / oy
     if t >= t_arc:
         return 1e9
+    ox, oz = wx + tan_b * (p * ux + q * vx), wz + tan_b * q * vz
     c, _ = ridge(P[0] + t * ox, corrugation)
-    return P[2] + t * oz - c - edge_step
+    clearance: float = P[2] + t * oz - c - edge_step
+    if (crest_x - P[0]) * ox > t * ox * ox and (crest_x - P[0]) * ox < t_arc * ox * ox:
+        c, _ = ridge(crest_x, corrugation)
+        clearance = min(clearance, P[2] + (crest_x - P[0]) / ox * oz - c - edge_step)
+    return clearance
+
+
+@numba.njit(cache=True, nogil=True)
+def _over_edge(
+    P: Float64,
+    axes: Axes,
+    tan_b: float,
+    p: tuple[float, float],
+    q: tuple[float, float],
+    on_rim: bool,
+    distance: float,
+    radius: float,
+    corrugation: Float64,
+    edge_y: float,
+    edge_step: float,
+    crest_x: float,
+) -> float:
+    """Return at which share of the way from (p[0], q[0]) to (p[1], q[1]) rays clear the upper sheet.
+
+    0 if they do from the start, 1 if the end is hidden too. `on_rim` goes from p[0] to p[1] along the upper
+    rim of the disc instead.
+    """
+    hidden, free = 0.0, 1.0
+    share = 0.0
+    for i in range(20):
+        p_i = p[0] + share * (p[1] - p[0])
+        q_i = math.sqrt(max(0.0, 1.0 - p_i * p_i)) if on_rim else q[0] + share * (q[1] - q[0])
+        clearance = _edge_clearance(
+            P, axes, tan_b, p_i, q_i, distance, radius, corrugation, edge_y, edge_step, crest_x
+        )
+        if i == 0 and clearance >= 0.0:
+            return 0.0
+        if i == 1 and clearance <= 0.0:
+            return 1.0
+        if clearance < 0.0:
+            hidden = share
+        else:
+            free = share
+        share = 1.0 if i == 0 else 0.5 * (hidden + free)
+    return free
 
 
 @numba.njit(cache=True, nogil=True)
@@ -157,6 +226,7 @@ def arc_light(
     edge_y: float,
     edge_step: float,
     edge_hides: bool,
+    crest_x: float,
     kappa_diff: float,
     kappa_spec: float,
     c2: float,
@@ -166,7 +236,7 @@ def arc_light(
 
     `planes` are the half-spaces m.omega > 0 that are open (`visibility.sky_planes`). Nodes of the arc that
     lie within a corrugation (its sheets `edge_step` apart at `edge_y`) do not shine; `edge_hides` says that
-    P lies on the lower sheet, so that the upper one's edge may stand in the way.
+    P lies on the lower sheet, so that the upper one may stand in the way: its edge, or the station `crest_x`.
     """
     wx, wy, wz = center[0] - P[0], center[1] - P[1], center[2] - P[2]
     p_nodes, p_weights, q_nodes, q_weights = nodes
@@ -193,9 +263,64 @@ def arc_light(
     p_max = math.sqrt(1.0 - sin_corner * sin_corner) if below else 1.0
     cos_psi_0 = sin_b / cos_e
 
+    # A cut takes whole chords off at the side: their p must not be among the nodes.
+    p_low, p_high = -p_max, p_max
+    for j in range(n_planes):
+        m_w = (planes[j, 0] * wx + planes[j, 1] * wy + planes[j, 2] * wz) / tan_b
+        m_u = planes[j, 0] * ux + planes[j, 1] * uy
+        m_v = planes[j, 0] * vx + planes[j, 1] * vy + planes[j, 2] * vz
+        reach = math.sqrt(m_u * m_u + m_v * m_v)
+        if m_w <= -reach:
+            return 0.0
+        if m_w >= reach:
+            continue
+        # Where the line m_w + m_u p + m_v q = 0 meets the unit circle.
+        middle = -m_w * m_u / (reach * reach)
+        half = math.sqrt(reach * reach - m_w * m_w) * abs(m_v) / (reach * reach)
+        if m_w + m_u <= 0.0:
+            p_high = min(p_high, middle + half)
+        if m_w - m_u <= 0.0:
+            p_low = max(p_low, middle - half)
+    axes = (wx, wy, wz, ux, uy, vx, vy, vz)
+    if edge_hides and p_high > p_low:
+        # So does the edge: the outermost chords whose tops are open lie between two steps along the rim.
+        start, step = p_low, (p_high - p_low) / RIM_STEPS
+        first, last = RIM_STEPS + 1, -1
+        for i in range(RIM_STEPS + 1):
+            p = start + i * step
+            q = math.sqrt(max(0.0, 1.0 - p * p))
+            clearance = _edge_clearance(
+                P, axes, tan_b, p, q, distance, radius, corrugation, edge_y, edge_step, crest_x
+            )
+            if clearance >= 0.0:
+                first, last = min(first, i), i
+        for side in range(2):
+            i_open, i_hidden = (first, first - 1) if side == 0 else (last, last + 1)
+            if not (0 <= i_open <= RIM_STEPS and 0 <= i_hidden <= RIM_STEPS):
+                continue
+            p_hidden, p_open = start + i_hidden * step, start + i_open * step
+            share = _over_edge(
+                P,
+                axes,
+                tan_b,
+                (p_hidden, p_open),
+                (0.0, 0.0),
+                True,
+                distance,
+                radius,
+                corrugation,
+                edge_y,
+                edge_step,
+                crest_x,
+            )
+            p = p_hidden + share * (p_open - p_hidden)
+            p_low, p_high = (p, p_high) if side == 0 else (p_low, p)
+    if p_high <= p_low:
+        return 0.0
+
     total = 0.0
     for i in range(p_nodes.shape[0]):
-        p = p_max * p_nodes[i]
+        p = 0.5 * (p_low + p_high + (p_high - p_low) * p_nodes[i])
         chord = math.sqrt(max(0.0, 1.0 - p * p))
         low, high = -chord, chord
         # The equator at this p: R sin(psi) = p tan(beta) (d - R cos(psi) cos(e)).
@@ -223,30 +348,20 @@ def arc_light(
                 high = low
         if edge_hides and high > low:
             # The lowest q whose ray passes over the edge, by bisection: the clearance grows with q.
-            hidden, free = low, high
-            for j in range(20):
-                q = low if j == 0 else (high if j == 1 else 0.5 * (hidden + free))
-                square = 1.0 + tan_b * tan_b * (p * p + q * q)
-                clearance = _edge_clearance(
-                    P,
-                    wx + tan_b * (p * ux + q * vx),
-                    wy + tan_b * (p * uy + q * vy),
-                    wz + tan_b * q * vz,
-                    _way_to_sphere(square, distance, radius),
-                    corrugation,
-                    edge_y,
-                    edge_step,
-                )
-                if j == 0 and clearance >= 0.0:
-                    break
-                if j == 1 and clearance <= 0.0:
-                    low = high
-                    break
-                if j > 1 and clearance < 0.0:
-                    hidden = q
-                elif j > 1:
-                    free = q
-                low = free if j == 19 else low
+            low += (high - low) * _over_edge(
+                P,
+                axes,
+                tan_b,
+                (p, p),
+                (low, high),
+                False,
+                distance,
+                radius,
+                corrugation,
+                edge_y,
+                edge_step,
+                crest_x,
+            )
         if high <= low:
             continue
         column = 0.0
@@ -277,7 +392,7 @@ def arc_light(
             f_r = kappa_diff + kappa_spec * shadowing / cos_r * math.exp(-c2 * alpha_squared(cos_alpha))
             column += q_weights[j] * f_r * cos_i / (square * length)
         total += p_weights[i] * (high - low) * column
-    return total * p_max * tan_b * tan_b
+    return total * 0.5 * (p_high - p_low) * tan_b * tan_b
 
 
 class ArcKernel(NamedTuple):
@@ -358,10 +473,10 @@ def arc_at_ray(k: ArcKernel, x: float, y: float, scratch: Float64) -> tuple[floa
     edge_y = k.vertices[1, 0]
     edge_step = k.vertices[1, 1] - k.vertices[k.vertices.shape[0] - 2, 1]
     nodes = k.nodes
-    edge_hides = False
+    edge_hides, crest_x = False, math.nan
     if k.corrugation[0] > 0.0 and face == 2 and k.center_mm[1] - k.radius_mm < edge_y:
-        c, _ = ridge(k.center_mm[0], k.corrugation)
-        edge_hides = P[2] < c + edge_step
+        edge_hides = True
+        _, crest_x = touch(k.horizons[0], k.horizon_start, P[0])
         nodes = k.nodes_cut
     for j in range(count):
         ahead = 0.0
@@ -385,6 +500,7 @@ def arc_at_ray(k: ArcKernel, x: float, y: float, scratch: Float64) -> tuple[floa
         edge_y,
         edge_step,
         edge_hides,
+        crest_x,
         k.kappa_diff,
         k.kappa_spec,
         k.c2,

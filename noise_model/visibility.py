@@ -169,12 +169,14 @@ def trace(
 
 @numba.njit(cache=True, nogil=True)
 def horizon_table(
-    x_start: float, n: int, center_x: float, radius: float, corrugation: Float64, lift: float
+    x_start: float, n: int, center_x: float, radius: float, corrugation: Float64, lift: float, foot: float
 ) -> Float64:
-    """Return (n, 2): per station of the corrugation the steepest slope on the way to the arc, and its place.
+    """Return (n, 2): per station the steepest slope of the corrugation towards the arc, and where it is.
 
-    Seen from height c(x) towards the arc's near side, for terrain that lies `lift` mm higher than the surface
-    the point is on. -inf where nothing lies between.
+    Seen from height c(x) for terrain that lies `lift` mm higher than the surface the point is on: all of it
+    up to the arc's near side, and up to its far side what rises towards it to no more than c = `foot`, the
+    arc's own level: no part of the arc stands in front of that and below its top. -inf where nothing lies
+    between.
     """
     table = np.empty((n, 2))
     heights = np.empty(n)
@@ -187,10 +189,11 @@ def horizon_table(
         j = i + step
         while 0 <= j < n:
             x_j = x_start + j * HORIZON_STEP_MM
-            if (center_x - x_j) * step < radius:
+            if (center_x - x_j) * step < -radius:
                 break
             slope = (heights[j] + lift - heights[i]) / ((x_j - x) * step)
-            if slope > steepest:
+            counts = (center_x - x_j) * step >= radius or (slope > 0.0 and heights[j] <= foot)
+            if counts and slope > steepest:
                 steepest, where = slope, x_j
             j += step
         table[i, 0], table[i, 1] = steepest, where
@@ -198,7 +201,7 @@ def horizon_table(
 
 
 @numba.njit(cache=True, inline="always")
-def _touch(horizon: Float64, x_start: float, x: float) -> tuple[float, float]:
+def touch(horizon: Float64, x_start: float, x: float) -> tuple[float, float]:
     """Look a station up in a horizon table: slope (interpolated) and place of the touching point."""
     position = (x - x_start) / HORIZON_STEP_MM
     i = int(position)
@@ -262,8 +265,14 @@ def sky_planes(
             # From the upper sheet: it hides up to its edge, beyond the edge the lower one does.
             if which == 1 and not (on_upper and crosses):
                 continue
-            slope, where = _touch(horizons[which], horizon_start, P[0])
-            if slope == -math.inf or towards * normal[0] + slope * normal[2] <= 1e-9:
+            slope, where = touch(horizons[which], horizon_start, P[0])
+            if slope == -math.inf:
+                continue
+            if face == 1:
+                # The edge's own height over the lower sheet lowers what it sees.
+                foot, _ = ridge(P[0], corrugation)
+                slope -= (P[2] - vertices[2, 1] - foot) / abs(where - P[0])
+            elif towards * normal[0] + slope * normal[2] <= 1e-9:
                 continue
             if which == 0 and on_upper and crosses and (x_edge - where) * towards < 0.0:
                 continue
@@ -273,17 +282,21 @@ def sky_planes(
 
 
 def horizon_tables(
-    shape: Section, x_range_mm: tuple[float, float], center_x: float, radius: float
+    shape: Section, x_range_mm: tuple[float, float], center: Float64, radius: float
 ) -> tuple[float, Float64]:
     """Return the start (mm) and the (2, n, 2) horizon tables of a corrugated lap, else empty ones."""
     if shape.corrugation[0] == 0.0:
         return 0.0, np.empty((2, 0, 2))
-    low = min(x_range_mm[0], center_x) - HORIZON_STEP_MM
-    high = max(x_range_mm[1], center_x) + HORIZON_STEP_MM
+    center_x = float(center[0])
+    low = min(x_range_mm[0], center_x - radius) - HORIZON_STEP_MM
+    high = max(x_range_mm[1], center_x + radius) + HORIZON_STEP_MM
     n = math.ceil((high - low) / HORIZON_STEP_MM) + 1
-    step = float(shape.vertices[1, 1] - shape.vertices[2, 1])
-    lifts = (0.0, -step)
-    return low, np.stack([horizon_table(low, n, center_x, radius, shape.corrugation, lift) for lift in lifts])
+    upper, lower = shape.vertices[1, 1], shape.vertices[2, 1]
+    tables = [
+        horizon_table(low, n, center_x, radius, shape.corrugation, lift, float(center[2] - terrain))
+        for lift, terrain in ((0.0, upper), (lower - upper, lower))
+    ]
+    return low, np.stack(tables)
 
 
 def surface_height(points: Float64, shape: Section) -> Float64:
