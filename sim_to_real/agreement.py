@@ -1,13 +1,13 @@
 """How well the predicted arc images agree with the recorded ones, after one level per recording.
 
 The measure is free of the prediction's own noise model: ratios of block means, away from edges of the joint,
-from saturation and from darkness.
+from saturation and from darkness. The black level is the dark frames' own where there are any.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import cv2
 import numpy as np
@@ -50,6 +50,7 @@ def arc_agreement(setup: Setup, frames: Sequence[tuple[Frame, Pose]]) -> Agreeme
     """
     lit = [(f, p) for f, p in frames if f.arc_on and not f.laser_on and f.current_a > 0.0]
     rays = Rays.of(setup.camera)
+    setup = _with_black_level(setup, [f for f, _ in frames if not f.arc_on and not f.laser_on])
     indices, ratios = [], []
     for frame, pose in lit:
         recorded, predicted = _blocks(setup, frame, pose, rays)
@@ -66,6 +67,14 @@ def arc_agreement(setup: Setup, frames: Sequence[tuple[Frame, Pose]]) -> Agreeme
         np.array([float(np.mean(np.abs(r / level - 1.0) < 0.05)) for r in ratios]),
         np.array([len(r) for r in ratios]),
     )
+
+
+def _with_black_level(setup: Setup, dark: Sequence[Frame]) -> Setup:
+    """Return the setup with the black level of the dark frames; as it is where there are none."""
+    if not dark:
+        return setup
+    black_dn = float(np.mean([frame.image_dn.mean() for frame in dark]))
+    return replace(setup, sensor=replace(setup.sensor, black_level_dn=black_dn))
 
 
 def _blocks(setup: Setup, frame: Frame, pose: Pose, rays: Rays) -> tuple[Float64, Float64]:

@@ -20,6 +20,9 @@ def replay(
         Path | None,
         typer.Option(help="Where results go; default: results/ in the recording. A folder each for several."),
     ] = None,
+    setup: Annotated[
+        Path | None, typer.Option(help="A recording.toml to use instead of each recording's own.")
+    ] = None,
     bus: Annotated[
         str, typer.Option(help="CAN bus for the offsets, python-can's interface:channel.")
     ] = "virtual:arctrack",
@@ -45,7 +48,7 @@ def replay(
     from arctrack.cli.replay_table import in_words, many_table, one_table
     from arctrack.recording import read_recording
 
-    read = [read_recording(path) for path in recordings]
+    read = [read_recording(path, setup) for path in recordings]
     folders = results_folders(read, out)
     options = engine.ReplayOptions(bus=bus, use_arc_map=arc_map, pictures=pictures)
     complaints: list[str] = []

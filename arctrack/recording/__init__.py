@@ -3,7 +3,7 @@
 from arctrack.recording.frames import BadFrame
 from arctrack.recording.poses import pose_at
 from arctrack.recording.reader import Recording, read_recording, read_truth
-from arctrack.recording.setup_file import SetupFile, format_setup, read_setup_file
+from arctrack.recording.setup_file import SetupFile, format_setup, read_setup_file, with_camera_pose
 from arctrack.recording.tables import FrameRow, PoseTable, Truth
 from arctrack.recording.writer import RecordingWriter, VideoFormat
 
@@ -21,4 +21,5 @@ __all__ = [
     "read_recording",
     "read_setup_file",
     "read_truth",
+    "with_camera_pose",
 ]

@@ -71,8 +71,10 @@ class Recording:
         return pose_buffer(self.poses)
 
 
-def read_recording(path: Path | str) -> Recording:
+def read_recording(path: Path | str, setup_path: Path | None = None) -> Recording:
     """Read and check all of a recording but its frames.
+
+    `setup_path` is a file to take the setup from instead of the recording's own recording.toml.
 
     Raises ArctrackError, naming the file and the key or line, for a missing file, key or column, a value of
     the wrong type or not finite, times that run backwards, a pose that is no rotation, poses that stop
@@ -80,12 +82,12 @@ def read_recording(path: Path | str) -> Recording:
     """
     folder = Path(path)
     _check_folder(folder)
-    stated = setup_file.read_setup_file(folder / setup_file.FILE_NAME)
+    toml_path = folder / setup_file.FILE_NAME if setup_path is None else setup_path
+    stated = setup_file.read_setup_file(toml_path)
     rows, unknown_columns = read_frame_rows(folder / FRAMES_CSV)
     poses, pose_warnings = read_poses(folder, stated.T_tool_controllertool)
     source, source_warnings = check_source(folder, rows, stated.setup)
     coverage_warnings = check_coverage(poses, rows[0].timestamp_s, rows[-1].timestamp_s)
-    toml_path = folder / setup_file.FILE_NAME
     warnings = [f"{toml_path}: {key} is not known and has no effect" for key in stated.unknown_keys]
     warnings += [
         f"{toml_path}: [effects.{name}] is kept, frames are predicted without it" for name in stated.effects

@@ -84,6 +84,16 @@ def format_setup(setup: Setup, effects: Mapping[str, Mapping[str, Any]] | None =
     return tomlkit.dumps(document)
 
 
+def with_camera_pose(path: Path, T_tool_camera: Float64) -> str:
+    """Return a recording.toml's text with another camera pose; all else, comments included, stays as it is."""
+    read_setup_file(path)
+    document = tomlkit.parse(path.read_text(encoding="utf-8"))
+    camera = document["camera"]
+    for key, value in pose_table(T_tool_camera).items():
+        camera["pose_in_tool"][key] = value
+    return tomlkit.dumps(document)
+
+
 def pose_table(T_a_b: Float64) -> dict[str, list[float]]:
     """Return a pose as the file states it: translation in mm, unit quaternion x y z w with w >= 0."""
     # Twelve decimals: what rounding left behind the last ones does not come back the same.

@@ -1,0 +1,52 @@
+"""`arctrack calibrate hand-eye`: the camera's pose in the tool from the arc's own light."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from arctrack.errors import ArctrackError
+
+
+def hand_eye(
+    recording: Annotated[Path, typer.Argument(help="A recording of a straight seam, with the arc on.")],
+    out: Annotated[Path, typer.Option(help="Where to write recording.toml with the pose that was found.")],
+) -> None:
+    """Find the camera's pose in the tool from the arc's own light, within its stated tolerance.
+
+    The arc burns below the torch; how its reflected light falls off over the image says where the camera
+    stands beside it. Use the file with `replay --setup`. A seam that is not straight, or an arc or material
+    other than stated, is refused where it would move the camera too far.
+    """
+    from arctrack.cli import console
+    from arctrack.recording import BadFrame, pose_at, read_recording, with_camera_pose
+    from arctrack.recording.setup_file import FILE_NAME
+    from calibration.hand_eye import estimate_hand_eye
+
+    read = read_recording(recording)
+    console.warn(read.warnings)
+    if out.exists() and out.resolve() == (read.path / FILE_NAME).resolve():
+        raise ArctrackError(f"{out}: is the recording's own setup; give --out another file")
+    buffer = read.pose_buffer()
+    frames = [
+        (frame, pose)
+        for frame in read.frames()
+        if not isinstance(frame, BadFrame) and (pose := pose_at(buffer, frame.timestamp_s)) is not None
+    ]
+    with console.progress() as bar:
+        task = bar.add_task("rounds", total=None)
+        try:
+            found = estimate_hand_eye(
+                read.setup, frames, lambda done, total: bar.update(task, completed=done, total=total)
+            )
+        except ValueError as error:
+            raise ArctrackError(f"{read.path}: {error}") from None
+    out.write_text(with_camera_pose(read.path / FILE_NAME, found.T_tool_camera), encoding="utf-8")
+    screen = console.tables()
+    for parameter, value, sigma in zip(found.fit.parameters, found.fit.values, found.fit.sigmas, strict=True):
+        screen.print(f"{parameter.name:13} {value:9.4f} ± {sigma:.4f} {parameter.unit}", markup=False)
+    if found.fit.not_learned:
+        screen.print(f"learned little about: {', '.join(found.fit.not_learned)}", markup=False)
+    screen.print(f"{out}: the setup with the pose found", markup=False, soft_wrap=True)
