@@ -85,7 +85,7 @@ def format_setup(setup: Setup, effects: Mapping[str, Mapping[str, Any]] | None =
 
 
 def with_camera_pose(path: Path, T_tool_camera: Float64) -> str:
-    """Return a recording.toml's text with another camera pose; all else, comments included, stays as it is."""
+    """Return a recording.toml's text with another camera pose; all else, comments included, stays."""
     read_setup_file(path)
     document = tomlkit.parse(path.read_text(encoding="utf-8"))
     camera = document["camera"]
