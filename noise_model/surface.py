@@ -44,8 +44,9 @@ class Joint:
                 raise ValueError(f"[joint] {name}: missing, a {self.type} needs it")
             minimum_is_open = name != "root_gap_mm"
             value = self.dimensions[name]
-            if not (value > 0 if minimum_is_open else value >= 0):
-                raise ValueError(f"[joint] {name} = {value}: must be {'> 0' if minimum_is_open else '>= 0'}")
+            if not (value > 0 if minimum_is_open else value >= 0) or math.isinf(value):
+                bound = "> 0" if minimum_is_open else ">= 0"
+                raise ValueError(f"[joint] {name} = {value}: must be {bound} and finite")
         if self.type == "v_groove" and not self.dimensions["included_angle_deg"] < 180:
             raise ValueError("[joint] included_angle_deg: must be below 180")
         if self.type == "corrugation" and self.dimensions["width_mm"] > self.dimensions["pitch_mm"]:
@@ -53,10 +54,12 @@ class Joint:
         points = np.asarray(self.seam_in_base_mm, dtype=np.float64)
         if points.ndim != 2 or points.shape[0] < 2 or points.shape[1] != 3:
             raise ValueError("[joint] seam_in_base_mm: needs at least two points of x, y, z")
+        if not np.isfinite(points).all():
+            raise ValueError("[joint] seam_in_base_mm: holds a number that is not finite")
         if not (np.linalg.norm(np.diff(points, axis=0), axis=1) > 1e-6).all():
             raise ValueError("[joint] seam_in_base_mm: two points of the line coincide")
         normal = np.asarray(self.surface_normal_in_base, dtype=np.float64)
-        if abs(float(np.linalg.norm(normal)) - 1.0) > 1e-3:
+        if not abs(float(np.linalg.norm(normal)) - 1.0) <= 1e-3:
             raise ValueError("[joint] surface_normal_in_base: its length is not 1")
         steps = np.diff(points, axis=0)
         if (np.linalg.norm(np.cross(steps, normal), axis=1) < 1e-3 * np.linalg.norm(steps, axis=1)).any():
