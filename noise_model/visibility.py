@@ -21,6 +21,9 @@ from noise_model.surface import Section, corrugation_height
 MISS = -1
 """The face of a ray that looks past the workpiece."""
 
+RIDGE_STEPS = 64
+"""In how many steps per width of a corrugation a ray that may meet it more than once is followed."""
+
 MAX_PLANES = 12
 """Room for the half-spaces of one surface point."""
 
@@ -43,38 +46,59 @@ def ridge(x: float, corrugation: Float64) -> tuple[float, float]:
 
 @numba.njit(cache=True, nogil=True)
 def _meet_ridge(
-    origin: Float64,
-    d: Float64,
-    y_k: float,
-    z_k: float,
-    slope: float,
-    t_top: float,
-    t_base: float,
-    corrugation: Float64,
+    origin: Float64, d: Float64, y_k: float, width: float, z_k: float, slope: float, corrugation: Float64
 ) -> float:
-    """Return where a ray first meets a corrugated strip between its raised plane and its base, or inf."""
-    steps = 1
-    steepest = math.pi * corrugation[0] / corrugation[1]
-    if abs(d[0]) * steepest >= abs(d[2] - slope * d[1]):
-        steps = 64
-    near = t_top
-    for i in range(steps):
-        far = t_top + (t_base - t_top) * (i + 1) / steps
-        c, dc = ridge(origin[0] + far * d[0], corrugation)
-        gap = origin[2] + far * d[2] - c - z_k - slope * (origin[1] + far * d[1] - y_k)
-        if gap > 1e-9 * t_base:
-            near = far
+    """Return where a ray first meets a corrugated strip, in units of d, or inf.
+
+    Looked at is the ray's way beside the strip, between its base and its raised plane.
+    """
+    height = corrugation[0]
+    base, climb = origin[2] - z_k - slope * (origin[1] - y_k), d[2] - slope * d[1]
+    near, far = 0.0, math.inf
+    for speed, to_low, to_high in (
+        (d[1], y_k - origin[1], y_k + width - origin[1]),
+        (climb, -base, height - base),
+    ):
+        if speed == 0.0:
+            if not to_low <= 0.0 <= to_high:
+                return math.inf
             continue
-        low, high, t = near, far, far
+        t_low, t_high = to_low / speed, to_high / speed
+        near, far = max(near, min(t_low, t_high)), min(far, max(t_low, t_high))
+    if near > far:
+        return math.inf
+    steps = 1
+    if abs(d[0]) * math.pi * height / corrugation[1] >= abs(climb):
+        # Level along the strip it meets within a pitch what it ever meets.
+        far = min(far, near + corrugation[2] / abs(d[0])) if climb == 0.0 else far
+        share = abs(d[0]) * (far - near) / corrugation[1] if d[0] != 0.0 else 0.0
+        steps = min(4096, 1 + int(RIDGE_STEPS * share))
+    elif far == math.inf:
+        return math.inf
+    c, _ = ridge(origin[0] + near * d[0], corrugation)
+    gap = base + near * climb - c
+    from_below = gap < 0.0 or (climb > 0.0 and base + near * climb <= 1e-9)
+    sign = -1.0 if from_below else 1.0
+    if sign * gap <= 1e-9 and near > 0.0:
+        return near
+    last = near
+    for i in range(steps):
+        t = near + (far - near) * (i + 1) / steps
+        c, dc = ridge(origin[0] + t * d[0], corrugation)
+        gap = sign * (base + t * climb - c)
+        if gap > 1e-9:
+            last = t
+            continue
+        low, high = last, t
         for _ in range(40):
-            slope_gap = d[2] - dc * d[0] - slope * d[1]
+            slope_gap = sign * (climb - dc * d[0])
             step = t - gap / slope_gap if slope_gap < 0.0 else low
             t_next = step if low < step < high else 0.5 * (low + high)
-            if abs(t_next - t) < 1e-9 * t_base:
+            if abs(t_next - t) < 1e-9 * far:
                 return t_next
             t = t_next
             c, dc = ridge(origin[0] + t * d[0], corrugation)
-            gap = origin[2] + t * d[2] - c - z_k - slope * (origin[1] + t * d[1] - y_k)
+            gap = sign * (base + t * climb - c)
             if gap > 0.0:
                 low = t
             else:
@@ -93,29 +117,22 @@ def first_hit(origin: Float64, d: Float64, vertices: Float64, corrugation: Float
     for k in range(vertices.shape[0] - 1):
         y_k, z_k = vertices[k, 0], vertices[k, 1]
         width, rise = vertices[k + 1, 0] - y_k, vertices[k + 1, 1] - z_k
+        if corrugation[0] > 0.0 and width > 0.0:
+            t = _meet_ridge(origin, d, y_k, width, z_k, rise / width, corrugation)
+            if 0.0 < t < best:
+                best, face = t, k
+            continue
         across = d[2] * width - d[1] * rise
         if across == 0.0:
             continue
         t = -((origin[2] - z_k) * width - (origin[1] - y_k) * rise) / across
-        if corrugation[0] > 0.0:
-            if width > 0.0:
-                if across >= 0.0:
-                    continue
-                t_top = max(0.0, t + corrugation[0] * width / across)
-                t = _meet_ridge(origin, d, y_k, z_k, rise / width, t_top, t, corrugation)
-            else:
-                c, _ = ridge(origin[0] + t * d[0], corrugation)
-                z = origin[2] + t * d[2] - c
-                if not min(z_k, z_k + rise) <= z <= max(z_k, z_k + rise):
-                    continue
         if not 0.0 < t < best:
             continue
         if width > abs(rise):
             share = (origin[1] + t * d[1] - y_k) / width
-        elif corrugation[0] > 0.0 and width == 0.0:
-            share = 0.0
         else:
-            share = (origin[2] + t * d[2] - z_k) / rise
+            c, _ = ridge(origin[0] + t * d[0], corrugation)
+            share = (origin[2] + t * d[2] - c - z_k) / rise
         if 0.0 <= share <= 1.0:
             best, face = t, k
     return best, face
@@ -335,11 +352,11 @@ def way_is_open(P: Float64, Q: Float64, vertices: Float64, corrugation: Float64)
     steps = 64
     top = corrugation[0] + vertices[:, 1].max()
     reach = min(1.0, max(0.0, (top - P[2]) / (Q[2] - P[2]))) if Q[2] > P[2] else 1.0
-    foot, _ = ridge(P[0], corrugation)
-    sheet = P[2] - foot
     for i in range(1, steps + 1):
         share = reach * i / steps
         c, _ = ridge(P[0] + share * (Q[0] - P[0]), corrugation)
+        # Only a lap is corrugated: its upper sheet ends at vertex 1.
+        sheet = vertices[1, 1] if P[1] + share * (Q[1] - P[1]) < vertices[1, 0] else vertices[2, 1]
         if P[2] + share * (Q[2] - P[2]) < sheet + c - 1e-6:
             return False
     return True
