@@ -1,0 +1,254 @@
+"""Small setups of every joint, and the surfaces of RECORDING.md once more, marched along in plain NumPy.
+
+The twins here know nothing of strips, half-spaces, tables or discs: a surface is a height over (x, y) that
+jumps at a lap's edge, what hides something is found by walking there, and the arc is a sum over its surface.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import numpy.typing as npt
+from scipy.spatial.transform import Rotation
+
+from noise_model.arc import Arc
+from noise_model.brdf import TABLE_1, Material
+from noise_model.laser import Laser
+from noise_model.optics import Camera
+from noise_model.sensor import Sensor
+from noise_model.setup import Setup
+from noise_model.spectrum import Filter
+from noise_model.surface import Joint
+
+Float64 = npt.NDArray[np.float64]
+Bool = npt.NDArray[np.bool_]
+
+JOINTS = {
+    "flat": Joint("flat", {}, ((-300.0, 0.0, 0.0), (300.0, 0.0, 0.0))),
+    "v_groove": Joint(
+        "v_groove",
+        {"included_angle_deg": 70.0, "depth_mm": 4.0, "root_gap_mm": 1.0},
+        ((-300.0, 0.0, 0.0), (300.0, 0.0, 0.0)),
+    ),
+    "lap": Joint("lap", {"thickness_mm": 2.0}, ((-300.0, 0.0, 0.0), (300.0, 0.0, 0.0))),
+    "corrugation": Joint(
+        "corrugation",
+        {"thickness_mm": 1.5, "pitch_mm": 60.0, "height_mm": 8.0, "width_mm": 30.0},
+        ((-300.0, 0.0, 0.0), (300.0, 0.0, 0.0)),
+    ),
+}
+ARC_HEIGHT_MM = {"flat": 0.0, "v_groove": 0.0, "lap": 2.0, "corrugation": 1.5}
+RADIANCE_E = {"mild_steel": 2.0e8, "zn_coated": 8.0e6}
+
+AHEAD = ((95.0, 0.0, 130.0), (36.0, 0.0, 0.0))
+BEHIND = ((-20.0, 0.0, 135.0), (36.0, 0.0, 0.0))
+
+
+def camera(
+    view: tuple[tuple[float, float, float], tuple[float, float, float]] = AHEAD,
+    width: int = 160,
+    height: int = 120,
+    psf_sigma_px: float = 0.7,
+) -> Camera:
+    """A camera of 17 x 13 degrees that stands at view[0] and looks at view[1], tool frame, x to the right."""
+    eye, target = np.asarray(view[0]), np.asarray(view[1])
+    z_axis = (target - eye) / np.linalg.norm(target - eye)
+    x_axis = np.array([0.0, -1.0, 0.0]) + z_axis[1] * z_axis
+    x_axis /= np.linalg.norm(x_axis)
+    T_tool_camera = np.eye(4)
+    T_tool_camera[:3, :3] = np.column_stack([x_axis, np.cross(z_axis, x_axis), z_axis])
+    T_tool_camera[:3, 3] = eye
+    f = 547.5 * width / 160.0
+    center = (width - 1) / 2.0, (height - 1) / 2.0
+    return Camera(width, height, f, f, *center, T_tool_camera, psf_sigma_px=psf_sigma_px)
+
+
+def setup(
+    joint: str | Joint,
+    material: str | Material = "zn_coated",
+    *,
+    of_camera: Camera | None = None,
+    arc_center_mm: tuple[float, float, float] | None = None,
+) -> Setup:
+    """A whole nominal setup, its laser 35 mm ahead of the torch."""
+    joint = JOINTS[joint] if isinstance(joint, str) else joint
+    material = TABLE_1[material] if isinstance(material, str) else material
+    center = (0.0, 0.0, ARC_HEIGHT_MM[joint.type]) if arc_center_mm is None else arc_center_mm
+    return Setup(
+        camera=camera() if of_camera is None else of_camera,
+        sensor=Sensor(8, 80.0, 4.0, 45.0, 20400.0),
+        filter=Filter(690.0, 10.0, 1.8),
+        laser=Laser(690.0, (1.0, 0.0, 0.0, -35.0), (35.0, 0.0, 140.0), 0.45, 5000.0),
+        arc=Arc(3.0, center, RADIANCE_E.get(material.name, 1.0e7), 100.0, 1.3),
+        material=material,
+        joint=joint,
+    )
+
+
+def pose(
+    translation_mm: tuple[float, float, float] = (0.0, 0.0, 0.0),
+    turn_deg: tuple[float, float, float] = (0.0, 0.0, 0.0),
+) -> Float64:
+    """T_base_tool (or any other pose) of a shift and a rotation vector."""
+    T = np.eye(4)
+    T[:3, :3] = Rotation.from_rotvec(turn_deg, degrees=True).as_matrix()
+    T[:3, 3] = translation_mm
+    return T
+
+
+def height(joint: Joint, x: Float64, y: Float64) -> Float64:
+    """The surface's height, mm, after RECORDING.md's cross-sections; on a lap's edge the lower one."""
+    size = joint.dimensions
+    if joint.type == "flat":
+        return np.zeros(np.broadcast(x, y).shape)
+    if joint.type == "v_groove":
+        tangent = math.tan(math.radians(size["included_angle_deg"]) / 2.0)
+        above_root = np.maximum(np.abs(y) - size["root_gap_mm"] / 2.0, 0.0) / tangent
+        return np.minimum(above_root - size["depth_mm"], 0.0) + 0.0 * x
+    step = np.where(y < 0.0, size["thickness_mm"], 0.0)
+    return step + (corrugation(joint, x) if joint.type == "corrugation" else 0.0 * x)
+
+
+def corrugation(joint: Joint, x: Float64) -> Float64:
+    """height/2 (1 + cos(2 pi u / width)) for |u| < width/2, u = x to the nearest multiple of pitch."""
+    size = joint.dimensions
+    u = np.remainder(x + size["pitch_mm"] / 2.0, size["pitch_mm"]) - size["pitch_mm"] / 2.0
+    wave = size["height_mm"] * np.cos(np.pi * u / size["width_mm"]) ** 2
+    return np.where(np.abs(u) < size["width_mm"] / 2.0, wave, 0.0)
+
+
+def top_and_bottom(joint: Joint) -> tuple[float, float]:
+    """The highest and the lowest level of the surface, mm."""
+    size = joint.dimensions
+    top = size.get("thickness_mm", 0.0) + (size["height_mm"] if joint.type == "corrugation" else 0.0)
+    return top, -size.get("depth_mm", 0.0)
+
+
+def march(joint: Joint, origin: Float64, d: Float64, steps: int = 20000) -> float:
+    """How far along a ray the surface's height first crosses it, in units of d; inf where it never does."""
+    top, bottom = top_and_bottom(joint)
+    if d[2] == 0.0:
+        ends = [0.0, 300.0 / float(np.linalg.norm(d))]
+    else:
+        ends = sorted(max(0.0, (level - origin[2]) / d[2]) for level in (top + 1e-3, bottom - 1e-3))
+    if ends[1] == 0.0:
+        return math.inf
+    t = np.linspace(*ends, steps + 1)
+
+    def is_above(t: Float64) -> Bool:
+        walk = origin + np.multiply.outer(t, d)
+        return walk[..., 2] > height(joint, walk[..., 0], walk[..., 1])
+
+    changes = np.flatnonzero(np.diff(is_above(t)))
+    if not changes.size:
+        return math.inf
+    low, high = t[changes[0]], t[changes[0] + 1]
+    was_above = is_above(low)
+    for _ in range(60):
+        middle = 0.5 * (low + high)
+        low, high = (middle, high) if is_above(middle) == was_above else (low, middle)
+    return float(high)
+
+
+def normal_at(joint: Joint, P: Float64) -> Float64:
+    """The surface's unit normal from the height's differences; a lap's edge faces the lower sheet."""
+    x, y, z = P
+    if joint.type in ("lap", "corrugation") and abs(y) < 1e-6 and z > height(joint, x, y) + 1e-6:
+        return np.array([0.0, 1.0, 0.0])
+    e = 1e-5
+    slope_x = (height(joint, x + e, y) - height(joint, x - e, y)) / (2.0 * e)
+    slope_y = (height(joint, x, y + e) - height(joint, x, y - e)) / (2.0 * e)
+    normal = np.array([-float(slope_x), -float(slope_y), 1.0])
+    return normal / np.linalg.norm(normal)
+
+
+def clearance(joint: Joint, P: Float64, targets: Float64, steps: int = 400) -> Float64:
+    """How far the straight ways (N,) from P to targets (N, 3) stay above the surface at the least, mm.
+
+    The walk ends where nothing is high enough to hide; a plain section is looked at where it bends only.
+    """
+    way = targets - P
+    lowest = np.full(len(targets), np.inf)
+    bends = [0.0] if joint.type != "flat" else []
+    if joint.type == "v_groove":
+        half_gap = joint.dimensions["root_gap_mm"] / 2.0
+        tangent = math.tan(math.radians(joint.dimensions["included_angle_deg"]) / 2.0)
+        half_mouth = half_gap + joint.dimensions["depth_mm"] * tangent
+        bends = [-half_mouth, -half_gap, half_gap, half_mouth]
+    for bend in bends:
+        if abs(P[1] - bend) < 1e-9:
+            continue
+        with np.errstate(divide="ignore", invalid="ignore"):
+            share = (bend - P[1]) / way[:, 1]
+        at = P + np.where((share > 0) & (share < 1), share, 0.0)[:, np.newaxis] * way
+        # A lap's edge is reached from either side, so that the higher sheet counts.
+        edge = np.maximum(height(joint, at[:, 0], bend + 1e-12), height(joint, at[:, 0], bend - 1e-12))
+        lowest = np.minimum(lowest, np.where((share > 0) & (share < 1), at[:, 2] - edge, np.inf))
+    if joint.type == "corrugation":
+        top, _ = top_and_bottom(joint)
+        with np.errstate(divide="ignore"):
+            reach = np.where(way[:, 2] > 0, np.clip((top - P[2]) / way[:, 2], 0.0, 1.0), 1.0)
+        for share in (np.arange(steps) + 1.0) / steps:
+            walk = P + (share * reach)[:, np.newaxis] * way
+            lowest = np.minimum(lowest, walk[:, 2] - height(joint, walk[:, 0], walk[:, 1]))
+    return lowest
+
+
+def f_r(omega_i: Float64, omega_r: Float64, normal: Float64, material: Material) -> Float64:
+    """Eq. 5 and 7 for unit vectors omega_i (N, 3) above the surface, written out in angles."""
+    half = omega_i + omega_r
+    half /= np.linalg.norm(half, axis=1, keepdims=True)
+    cos_i, cos_r = omega_i @ normal, float(omega_r @ normal)
+    alpha = np.arctan2(np.linalg.norm(np.cross(half, normal), axis=1), half @ normal)
+    beta = np.arccos(np.clip(np.sum(half * omega_i, axis=1), -1.0, 1.0))
+    masking = 2.0 * np.cos(alpha) * np.minimum(cos_i, cos_r) / np.cos(beta)
+    G = np.minimum(1.0, masking)
+    return material.kappa_diff + material.kappa_spec * G / cos_r * np.exp(-material.c2 * alpha**2)
+
+
+def arc_light(
+    joint: Joint,
+    P: Float64,
+    normal: Float64,
+    omega_r: Float64,
+    center: Float64,
+    radius: float,
+    material: Material,
+    nodes: tuple[int, int] = (10946, 6765),
+) -> float:
+    """The integral of f_r cos(phi) cos(theta_i) / r^2 dA over what P sees of the upper half, node by node.
+
+    The nodes are a Fibonacci lattice on the cap that faces P, spread evenly over its apparent disc.
+    """
+    n, generator = nodes
+    towards = center - P
+    distance = float(np.linalg.norm(towards))
+    if distance <= radius:
+        return 0.0
+    w = towards / distance
+    side = np.cross(w, [1.0, 0.0, 0.0] if abs(w[0]) < 0.9 else [0.0, 1.0, 0.0])
+    side /= np.linalg.norm(side)
+    i = np.arange(n)
+    share, azimuth = (i + 0.5) / n, 2.0 * np.pi * np.remainder(i * generator / n, 1.0)
+    cos_rim = radius / distance
+    sin2 = share * (1.0 - cos_rim**2)
+    cos_sigma, sin_sigma = np.sqrt(1.0 - sin2), np.sqrt(sin2)
+    around = np.outer(np.cos(azimuth), side) + np.outer(np.sin(azimuth), np.cross(w, side))
+    outward = -cos_sigma[:, np.newaxis] * w + sin_sigma[:, np.newaxis] * around
+    shines = outward[:, 2] > 0
+    outward, cos_sigma = outward[shines], cos_sigma[shines]
+    on_arc = center + radius * outward
+    omega_i = on_arc - P
+    r = np.linalg.norm(omega_i, axis=1)
+    omega_i /= r[:, np.newaxis]
+    cos_phi, cos_i = -np.sum(omega_i * outward, axis=1), omega_i @ normal
+    # dA = R^2 sin(sigma) d(sigma) d(azimuth), and d(sin^2 sigma) = 2 sin(sigma) cos(sigma) d(sigma).
+    dA = np.pi * radius**2 * (1.0 - cos_rim**2) / (n * cos_sigma)
+    seen = (cos_phi > 0) & (cos_i > 0)
+    on_arc, omega_i, weight = on_arc[seen], omega_i[seen], (cos_phi * cos_i / r**2 * dA)[seen]
+    if joint.type in ("lap", "corrugation", "v_groove"):
+        inside = on_arc[:, 2] < height(joint, on_arc[:, 0], on_arc[:, 1]) - 1e-9
+        free = ~inside & (clearance(joint, P, on_arc) > -1e-6)
+        omega_i, weight = omega_i[free], weight[free]
+    return float(np.sum(f_r(omega_i, omega_r, normal, material) * weight))
