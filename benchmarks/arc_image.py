@@ -39,9 +39,9 @@ def row(name: str, camera: str, setup: Setup, frames: Sequence[tuple[Frame, Pose
 
 def main(paths: list[str]) -> None:
     print(
-        f"{'recording':20} {'camera':10} {'level':>8} {'median ratio':>14} {'within 5 %':>12} {'':>12} {'frames':>7}"
+        f"{'recording':20} {'camera':10} {'level':>8} {'median ratio':>14} {'blocks within 5 %':>25} {'frames':>7}"
     )
-    print(f"{'':20} {'':10} {'':>8} {'worst frame':>14} {'all blocks':>12} {'worst frame':>12}")
+    print(f"{'':39} {'worst frame':>14} {'all':>12} {'worst frame':>12}")
     for path in paths:
         name, setup, frames = read(path)
         row(name, "stated", setup, frames)
