@@ -1,0 +1,70 @@
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from arctrack.errors import ArctrackError
+from arctrack.filter_file import read_filter_curve
+from noise_model.spectrum import transmission
+
+DENSITIES = """wavelength_nm,optical_density
+680,4.1
+684,0.35
+690,0.011
+696,0.342
+697,1.008
+700,4.2
+"""
+
+
+def written(folder: Path, text: str) -> Path:
+    path = folder / "690fs10.csv"
+    path.write_text(text)
+    return path
+
+
+def test_density_and_transmission_are_the_same_curve(tmp_path: Path) -> None:
+    by_density = read_filter_curve(written(tmp_path, DENSITIES), 1.8)
+    lines = DENSITIES.split()[1:]
+    rows = [f"{nm},x,{10.0 ** -float(od)!r}" for nm, od in (line.split(",") for line in lines)]
+    text = "\n".join(["wavelength_nm,note,transmission", *rows])
+    by_transmission = read_filter_curve(written(tmp_path, text), 1.8)
+    np.testing.assert_allclose(by_transmission.transmission, by_density.transmission)
+    np.testing.assert_allclose(transmission(by_density, [690.0, 696.0]), [10**-0.011, 10**-0.342])
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "message"),
+    [
+        ("684,", "679,", "line 3: wavelength 679 nm does not come after"),
+        ("690,0.011", "690,-0.011", "line 4: transmission 1.02565: must be <= 1, an optical density >= 0"),
+        ("690,0.011", "690,-999", "line 4: transmission inf"),
+        ("696,0.342", "696,nan", "line 5: optical_density = 'nan'"),
+        ("696,0.342", "696", "line 5: has 1 values"),
+        ("700,4.2\n", "", "line 6: the curve does not cover the band"),
+        ("optical_density", "od", "line 1: has neither of the columns transmission and optical_density"),
+        ("wavelength_nm", "nm", "line 1: the column wavelength_nm is missing"),
+    ],
+)
+def test_what_is_wrong_is_named_with_its_line(tmp_path: Path, old: str, new: str, message: str) -> None:
+    path = written(tmp_path, DENSITIES.replace(old, new))
+    with pytest.raises(ArctrackError) as caught:
+        read_filter_curve(path, 1.8)
+    assert f"{path}, {message}" in str(caught.value)
+
+
+def test_a_negative_transmission_is_refused(tmp_path: Path) -> None:
+    path = written(tmp_path, "wavelength_nm,transmission\n680,0\n690,0.9\n699,-0.001\n700,0\n")
+    with pytest.raises(ArctrackError, match=r"line 4: transmission -0\.001: must be >= 0"):
+        read_filter_curve(path, 1.8)
+
+
+def test_both_columns_leave_it_open(tmp_path: Path) -> None:
+    path = written(tmp_path, "wavelength_nm,transmission,optical_density\n680,0,9\n690,1,0\n700,0,9\n")
+    with pytest.raises(ArctrackError, match="line 1: has both of the columns"):
+        read_filter_curve(path, 1.8)
+
+
+def test_a_missing_file_is_named(tmp_path: Path) -> None:
+    with pytest.raises(ArctrackError, match=r"none\.csv: there is no such file"):
+        read_filter_curve(tmp_path / "none.csv", 1.8)
