@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import argparse
 import time
-from dataclasses import replace
 
 import cv2
 import numpy as np
@@ -32,8 +31,7 @@ def main() -> None:
     cv2.setNumThreads(1)
     print(f"{'joint':14} {'p50, ms':>9} {'p99, ms':>9} {'max, ms':>9} {'p50 / one pass':>16}")
     for joint, material in JOINTS:
-        setup = nominal_setup(joint, material)
-        setup = replace(setup, arc=replace(setup.arc, radiance_e=balance(setup)))
+        setup = balance(nominal_setup(joint, material))
         rng = np.random.default_rng(0)
         frames = []
         for i in range(FRAMES):
