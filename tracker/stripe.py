@@ -39,6 +39,9 @@ WIDTH_SIGMA_LN = 0.1
 CORRELATION_PX = 30.0
 """Over how many pixels the map's error changes: its slope's 1 sigma is the level's over this."""
 
+MIN_SIGMA_E = 1e-3
+"""The least 1 sigma of the background: a black level may be stated as exact."""
+
 EDGE_PX = 3
 """How far off, in scan lines, the map's edges may lie: hand-eye and the seam's direction."""
 
@@ -206,7 +209,7 @@ def fit_line(
             return False
         level += background[r]
     level /= high - low + 1
-    smooth = math.hypot(map_sigma * level, base_sigma)
+    smooth = max(math.hypot(map_sigma * level, base_sigma), MIN_SIGMA_E)
     sigma_b0 = math.hypot(smooth, edge_e)
     sigma_b1 = math.hypot(smooth / CORRELATION_PX, edge_e / half)
 
@@ -253,6 +256,7 @@ def fit_line(
         g_vector[3] -= b0 / sigma_b0**2
         H[4, 4] += 1.0 / sigma_b1**2
         g_vector[4] -= b1 / sigma_b1**2
+        chi2 += ((ln_w0 - ln_w) / WIDTH_SIGMA_LN) ** 2 + (b0 / sigma_b0) ** 2 + (b1 / sigma_b1) ** 2
         if used < 8 or not _solve(H, g_vector, step):
             return False
         move = min(max(step[1], -width), width)
@@ -278,11 +282,16 @@ def fit_line(
         variance[which] = 0.0
         for i in range(5):
             variance[which] += step[i] * step[i]
-    chi2 /= max(used - 5, 1)
-    if amplitude < MIN_SIGNIFICANCE * math.sqrt(variance[0]) or abs(ln_w - ln_w0) > WIDTH_LIMIT_LN:
+    # Three of the five parameters brought a prior, whose term is counted too.
+    freedom = used - 2
+    chi2 /= freedom
+    # Only what chi2 shows beyond its own scatter widens the sigmas: else chance alone would, on average.
+    excess = max(chi2 - math.sqrt(2.0 / freedom), 1.0)
+    significance = amplitude / math.sqrt(variance[0] * excess)
+    if significance < MIN_SIGNIFICANCE or abs(ln_w - ln_w0) > WIDTH_LIMIT_LN:
         return False
     out[0] = position
-    out[1] = math.sqrt(variance[1] * max(chi2, 1.0))
+    out[1] = math.sqrt(variance[1] * excess)
     out[2] = amplitude
     out[3] = math.exp(ln_w)
     out[4] = chi2
