@@ -23,13 +23,17 @@ def gather(
     band: Float32,
     censored: npt.NDArray[np.bool_],
 ) -> None:
-    """Copy a band (n_scan, depth) out of an image, linearised by the table `charge_e`."""
+    """Copy a band (n_scan, depth) out of an image, linearised by the table `charge_e`.
+
+    A code beyond the sensor's bits counts as the table's last.
+    """
     n_scan, depth = band.shape
+    max_dn = len(charge_e) - 1
     for s in range(n_scan):
         low = lows[s // CELL]
         for j in range(depth):
             dn = image_dn[low + j, s] if along_rows else image_dn[s, low + j]
-            band[s, j] = charge_e[dn]
+            band[s, j] = charge_e[min(dn, max_dn)]
             censored[s, j] = dn >= saturation_dn
 
 
