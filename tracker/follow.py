@@ -22,6 +22,9 @@ from noise_model.surface import SeamLine
 CAPACITY = 96
 """How many measurements are kept."""
 
+SPACING_MM = 1.0
+"""What lies nearer to the latest measurement is averaged with it, so a high frame rate forgets nothing."""
+
 WIDE_SIGMA_MM = 5.0
 """s_0: how far a whole seam may lie off its programmed path."""
 
@@ -47,10 +50,19 @@ class SeamHistory:
         self, station_mm: float, displacement_mm: Float64, variance_mm2: Float64
     ) -> SeamHistory:
         """Return the history with one more measurement, the oldest dropped beyond CAPACITY."""
+        kept = slice(1 - CAPACITY, None)
+        variance = variance_mm2 + MODEL_SIGMA_MM**2
+        if len(self) and abs(station_mm - self.stations_mm[-1]) < SPACING_MM:
+            kept = slice(-1)
+            last = self.displacements_mm[-1]
+            share = self.variances_mm2[-1] / (self.variances_mm2[-1] + variance)
+            station_mm = float(self.stations_mm[-1] + share.mean() * (station_mm - self.stations_mm[-1]))
+            displacement_mm = last + share * (displacement_mm - last)
+            variance = np.maximum(share * variance, MODEL_SIGMA_MM**2)
         return SeamHistory(
-            np.append(self.stations_mm, station_mm)[-CAPACITY:],
-            np.vstack([self.displacements_mm, displacement_mm])[-CAPACITY:],
-            np.vstack([self.variances_mm2, variance_mm2 + MODEL_SIGMA_MM**2])[-CAPACITY:],
+            np.append(self.stations_mm[kept], station_mm),
+            np.vstack([self.displacements_mm[kept], displacement_mm]),
+            np.vstack([self.variances_mm2[kept], variance]),
         )
 
     def is_measured(self, station_mm: float) -> bool:
