@@ -48,15 +48,18 @@ def fit_lap(profile: Profile, joint: Joint, camera_mm: Float64, laser_mm: Float6
     y = profile.y_mm - y_0
     over_lower = profile.z_mm - (z_s + slope_lower * y)
     over_upper = profile.z_mm - (z_s + step + slope_upper * y)
-    on_sheet = 0.25 * step
     near = np.abs(y) < 5.0 * CLEAR_OF_EDGE_MM
-    on_upper = near & (np.abs(over_upper) < on_sheet)
-    on_lower = near & (np.abs(over_lower) < on_sheet)
-    if not on_upper.any() or not on_lower.any() or step <= 0.0:
+    on_upper = near & (np.abs(over_upper) < 0.25 * step)
+    on_lower = near & (np.abs(over_lower) < 0.25 * step)
+    # The changes that put most points on their own side: one on the other sheet's line by chance is outvoted.
+    votes = np.cumsum(on_upper.astype(int) - on_lower.astype(int))
+    first, last = np.flatnonzero(votes == votes.max())[[0, -1]] + 1
+    upper_y, lower_y = profile.y_mm[:first][on_upper[:first]], profile.y_mm[last:][on_lower[last:]]
+    if not upper_y.size or not lower_y.size:
         return None
-    last_upper, first_lower = float(profile.y_mm[on_upper].max()), float(profile.y_mm[on_lower].min())
     # The upper sheet is seen up to its edge; of the lower one the edge may hide a strip from camera or laser.
-    first_lower -= max(_hidden_strip(source, y_0, z_s + step, step) for source in (camera_mm, laser_mm))
+    hidden = max(_hidden_strip(source, y_0, z_s + step, step) for source in (camera_mm, laser_mm))
+    last_upper, first_lower = float(upper_y.max()), float(lower_y.min()) - hidden
     edge = 0.5 * (last_upper + first_lower)
     spread = max(abs(first_lower - last_upper), profile.column_mm)
     z_edge = z_s + slope_lower * (edge - y_0)

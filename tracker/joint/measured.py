@@ -20,6 +20,9 @@ STEP = 1e-5
 BISQUARE_WIDTH = 4.685
 """Tukey's tuning constant: 95 % efficiency on Gaussian residuals."""
 
+START_SIGMA_MM = 0.3
+"""How far off the nominal shape a point may lie at first; halved with every step of the fit."""
+
 
 @dataclass(frozen=True)
 class MeasuredJoint:
@@ -57,6 +60,7 @@ def fit_shape(
 
     A point's residual is how far its stripe centre would have to move to lie on the shape: (z - f(y)) /
     (dz - f'(y) dy). Gauss-Newton with numerical derivatives, Tukey's bisquare weights about a robust scale.
+    That begins wide: a narrow one would cut off the few points that tell, such as a root's, for good.
     """
     y, z = profile.y_mm, profile.z_mm
     sigma = np.hypot(profile.sigma_px, SIGMA_FLOOR_PX)
@@ -75,20 +79,19 @@ def fit_shape(
     weights = mask.astype(np.float64)
     information = np.eye(len(start))
     scale = 1.0
-    for iteration in range(15):
+    wide = START_SIGMA_MM / max(float(np.median((np.abs(profile.dz_mm) * sigma)[mask])), 1e-6)
+    for _ in range(20):
         r = residual(parameters)
         J = np.column_stack([(residual(parameters + move) - r) / STEP for move in STEP * np.eye(len(start))])
-        scale = max(1.0, 1.4826 * float(np.median(np.abs(r[mask]))))
+        scale = max(1.0, 1.4826 * float(np.median(np.abs(r[mask]))), wide)
         weights = np.where(mask, np.maximum(0.0, 1.0 - (r / (BISQUARE_WIDTH * scale)) ** 2) ** 2, 0.0)
-        if iteration == 0:
-            # Far from the solution a redescending weight may cut off half the profile.
-            weights = np.where(mask, 1.0 / np.maximum(1.0, np.abs(r) / (2.0 * scale)), 0.0)
         information = J.T @ (weights[:, None] * J) + np.diag((scale / prior_sigma) ** 2)
         gradient = J.T @ (weights * r) + (scale / prior_sigma) ** 2 * (parameters - start)
         step = np.linalg.solve(information, -gradient)
         parameters = parameters + step
-        if np.max(np.abs(step)) < 1e-6:
+        if wide < 1.0 and np.max(np.abs(step)) < 1e-6:
             break
+        wide /= 2.0
     r = residual(parameters)
     freedom = max(float(weights.sum()) - len(start), 1.0)
     chi2 = float(np.sum(weights * r**2) / freedom)
