@@ -61,7 +61,7 @@ class Track:
     1 sigma across and along the surface normal, the stated hand-eye tolerance included. The offsets are the
     seam's displacement from the programmed path in S at the torch's station, valid at `valid_at_s`.
     `arc_level` is the arc's output over what the setup expects for the frame's current and exposure;
-    `map_misfit` is the robust RMS of the arc residual over its stated uncertainty, 1 where the map is right.
+    `map_misfit` is the arc residual over its stated uncertainty, robustly, 1 or less where the map is right.
     """
 
     frame: int
