@@ -67,8 +67,8 @@ def expect_stripe(geometry: SensorGeometry, view: Scene) -> ExpectedStripe | Non
     behind, middle, ahead = position
     half_width = 0.5 * (ahead - behind)
     with np.errstate(divide="ignore", invalid="ignore"):
-        k = np.log(strength[2] / strength[0]) / (2.0 * half_width)
-    shading = np.where(np.isfinite(k), k * half_width**2, 0.0)
+        shading = 0.5 * half_width * np.log(strength[2] / strength[0])
+    shading = np.where(np.isfinite(shading), shading, 0.0)
     curve = 1.5 * (0.5 * (ahead + behind) - middle)
     on_one_face = (strips[0] == strips[1]) & (strips[2] == strips[1]) & (strips[1] >= 0)
     width = np.hypot(half_width, setup.camera.psf_sigma_px)
@@ -133,4 +133,5 @@ def _strength(geometry: SensorGeometry, points_tool: Float64, normals_tool: Floa
     omega_r = omega_r / np.linalg.norm(omega_r, axis=1, keepdims=True)
     material = setup.material
     f_r = reflectance(omega_i, omega_r, normals_tool, material.kappa_diff, material.kappa_spec, material.c2)
-    return np.asarray(irradiance(points_tool, normals_tool, setup.laser) * f_r / sheet)
+    light = irradiance(points_tool, normals_tool, setup.laser) * f_r
+    return np.asarray(np.divide(light, sheet, out=np.zeros_like(sheet), where=sheet > 0.0))

@@ -10,9 +10,31 @@ import numpy as np
 from noise_model.arc_map import Scene
 from noise_model.frames import Float64, invert, transform
 from noise_model.setup import Setup
-from noise_model.surface import SeamLine, corrugation_height, seam_height_mm
+from noise_model.surface import SeamLine, corrugation_height, seam_frame, seam_height_mm
+from tracker import flags
 from tracker.follow import SeamHistory
 from tracker.geometry import SensorGeometry, to_laser_plane
+
+MIN_CROSSING = 0.3
+"""The least cosine between the sheet's normal and the seam: below, it shows no section of the joint."""
+
+MAX_HEIGHT = 2.0
+"""How high the laser may stand over the surface, over its height above the tool's origin."""
+
+
+def pose_flags(setup: Setup, T_base_tool: Float64) -> int:
+    """Return the flags of a pose from which the joint cannot be seen, 0 where it can."""
+    if not np.isfinite(T_base_tool).all():
+        return flags.POSE_REFUSED.mask
+    laser_tool = np.asarray(setup.laser.origin_in_tool_mm)
+    T_joint_tool = invert(seam_frame(setup.joint, transform(T_base_tool, laser_tool))) @ T_base_tool
+    height = float(transform(T_joint_tool, laser_tool)[2])
+    if height <= 0.0:
+        return flags.BELOW_SURFACE.mask
+    crossing = abs(float(T_joint_tool[0, :3] @ np.asarray(setup.laser.plane_in_tool[:3])))
+    if height > MAX_HEIGHT * laser_tool[2] or crossing < MIN_CROSSING:
+        return flags.SEAM_OUT_OF_VIEW.mask
+    return 0
 
 
 def expected_seam(setup: Setup, nominal: Scene, history: SeamHistory) -> tuple[SeamLine, Float64]:
@@ -43,7 +65,7 @@ def _sensor_point(setup: Setup) -> Float64:
     return np.asarray(point - (plane[:3] @ point + plane[3]) * plane[:3])
 
 
-def pixels_per_mm(geometry: SensorGeometry, view: Scene) -> float:
+def pixels_per_mm(geometry: SensorGeometry) -> float:
     """Return how far the stripe moves, px, per mm of height or of lateral place, whichever is more."""
     camera = geometry.setup.camera
     points = _sensor_point(geometry.setup) + np.array([[0.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.0, 1.0, 0.0]])

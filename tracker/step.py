@@ -15,7 +15,7 @@ from noise_model.arc import level as current_level
 from noise_model.arc_map import Scene, arc_kernel, scene
 from noise_model.frames import Float64, transform
 from noise_model.setup import Setup
-from noise_model.surface import corrugation_height, seam_height_mm
+from noise_model.surface import SeamLine, corrugation_height, seam_height_mm
 from tracker import flags
 from tracker.arc_level import UNKNOWN, ArcLevel, estimate_arc_level
 from tracker.expected import expect_stripe
@@ -24,8 +24,15 @@ from tracker.geometry import SensorGeometry
 from tracker.joint import MeasuredJoint, fit_joint
 from tracker.profile import triangulate
 from tracker.read import FIT_SIGMAS, Work, read_stripe
-from tracker.seam import expected_seam, hand_eye_variance, pixels_per_mm, seam_point_tool, sources
-from tracker.state import Frame, Pose, Track
+from tracker.seam import (
+    expected_seam,
+    hand_eye_variance,
+    pixels_per_mm,
+    pose_flags,
+    seam_point_tool,
+    sources,
+)
+from tracker.state import Frame, Pose, Stripe, Track
 
 SEARCH_REACH_MM = 5.0
 """How far off its nominal place the seam is first looked for."""
@@ -36,6 +43,9 @@ TRACK_REACH_MM = 1.0
 MIN_SHARE, GOOD_SHARE = 0.2, 0.75
 """The share of scan lines that must hold a stripe, and below which it is called partial."""
 
+MAP_NODES = (4, 2)
+"""The arc map's nodes: 0.3 % of the light, far below the map's stated uncertainty."""
+
 ARC_OFF_SIGMAS = 5.0
 MISFIT_LIMIT = 2.0
 JOINT_CHI2_LIMIT = 9.0
@@ -43,16 +53,23 @@ JUMP_SIGMAS, JUMP_FLOOR_MM = 5.0, 0.3
 JUMPS_TO_RELEARN = 3
 """So many jumps in a row are the seam's new place."""
 
+LOST_TO_SEARCH = 3
+"""So many frames without a joint widen the search to what it was at first."""
+
 OFFSET_SIGMA_LIMIT_MM = 0.5
 """An offset less certain than this is not known."""
 
 
 @dataclass(frozen=True)
 class TrackerState:
-    """What one step hands to the next; it can be saved with a recording."""
+    """What one step hands to the next; it can be saved with a recording.
+
+    `jumps` and `lost` count frames in a row whose joint was elsewhere or not found, `frames` all of them.
+    """
 
     history: SeamHistory = field(default_factory=SeamHistory)
     jumps: int = 0
+    lost: int = 0
     frames: int = 0
 
 
@@ -78,44 +95,114 @@ def step(
     if pose is None:
         return state, replace(track, flags=flags.POSE_REFUSED.mask)
     found = flags.POSE_EXTRAPOLATED.mask if pose.extrapolated else 0
+    blind = pose_flags(geometry.setup, pose.T_base_tool)
+    if blind:
+        return state, replace(track, flags=found | blind)
 
     nominal = scene(geometry.setup, pose.T_base_tool)
     seam, seam_sigma = expected_seam(geometry.setup, nominal, state.history)
-    view = scene(geometry.setup, pose.T_base_tool, seam)
-    expected = None if view.below_surface else expect_stripe(geometry, view)
-    if expected is None:
-        below = flags.BELOW_SURFACE.mask if view.below_surface else flags.STRIPE_LOST.mask
-        return state, replace(track, flags=found | below)
     reach_mm = min(SEARCH_REACH_MM, TRACK_REACH_MM + 3.0 * float(seam_sigma.max()))
+    if state.lost >= LOST_TO_SEARCH:
+        reach_mm = SEARCH_REACH_MM
+    reading = _read(geometry, frame, pose, seam, reach_mm, work, use_arc_map)
     if reach_mm == SEARCH_REACH_MM:
         found |= flags.SEARCHED.mask
-    reach_px = reach_mm * pixels_per_mm(geometry, view)
+        reading = _read_again(geometry, frame, pose, nominal, seam, reading, work, use_arc_map)
+    found |= reading.flags
+    track = replace(track, arc_level=reading.arc.level, map_misfit=reading.arc.misfit, stripe=reading.stripe)
+    if reading.joint is None:
+        lost = state.lost + (reading.stripe is not None)
+        return replace(state, lost=lost), replace(track, flags=found)
+    return _follow(geometry, state, track, found, nominal, reading.view, reading.joint)
 
+
+@dataclass(frozen=True)
+class _Reading:
+    """What one look at a frame, about an expected seam, has found."""
+
+    flags: int
+    view: Scene
+    arc: ArcLevel = UNKNOWN
+    stripe: Stripe | None = None
+    joint: MeasuredJoint | None = None
+
+
+def _read(
+    geometry: SensorGeometry,
+    frame: Frame,
+    pose: Pose,
+    seam: SeamLine,
+    reach_mm: float,
+    work: Work,
+    use_arc_map: bool,
+) -> _Reading:
+    """Look for arc, stripe and joint about a seam."""
+    view = scene(geometry.setup, pose.T_base_tool, seam)
+    if view.below_surface:
+        return _Reading(flags.BELOW_SURFACE.mask, view)
+    expected = expect_stripe(geometry, view)
+    if expected is None:
+        return _Reading(flags.STRIPE_LOST.mask, view)
+    reach_px = reach_mm * pixels_per_mm(geometry)
     kernel = arc_kernel(geometry.setup, view, _expected_output(geometry.setup, frame))
     keep_off = reach_px + FIT_SIGMAS * float(expected.sigma_px.max())
     stripe_px = expected.position_px if frame.laser_on else None
     arc = estimate_arc_level(geometry, kernel, frame.image_dn, stripe_px, keep_off)
-    found |= _arc_flags(arc)
-    track = replace(track, arc_level=arc.level, map_misfit=arc.misfit)
+    found = _arc_flags(arc)
     if not frame.laser_on:
-        return state, replace(track, flags=found | flags.LASER_OFF.mask)
+        return _Reading(found | flags.LASER_OFF.mask, view, arc)
 
     stripe = read_stripe(geometry, kernel, arc, frame, expected, reach_px, work, use_arc_map)
-    track = replace(track, stripe=stripe)
     share = float(np.mean(np.isfinite(stripe.position_px)))
     found |= flags.SATURATED.mask if stripe.saturated.any() else 0
     if share < MIN_SHARE:
-        return state, replace(track, flags=found | flags.STRIPE_LOST.mask)
+        return _Reading(found | flags.STRIPE_LOST.mask, view, arc, stripe)
     found |= flags.STRIPE_PARTIAL.mask if share < GOOD_SHARE else 0
 
     profile = triangulate(geometry, view, stripe.position_px - expected.lean_px, stripe.sigma_px)
     joint = fit_joint(profile, geometry.setup.joint, *sources(geometry.setup, view, seam.station_mm))
     if joint is None:
-        return state, replace(track, flags=found | flags.JOINT_NOT_FOUND.mask)
+        return _Reading(found | flags.JOINT_NOT_FOUND.mask, view, arc, stripe)
     if not profile.y_mm[0] + 1.0 < joint.y_mm < profile.y_mm[-1] - 1.0:
-        return state, replace(track, flags=found | flags.SEAM_OUT_OF_VIEW.mask)
+        return _Reading(found | flags.SEAM_OUT_OF_VIEW.mask, view, arc, stripe)
     found |= flags.JOINT_MISFIT.mask if joint.chi2 > JOINT_CHI2_LIMIT else 0
-    return _follow(geometry, state, track, found, nominal, view, joint, seam_sigma)
+    return _Reading(found, view, arc, stripe, joint)
+
+
+def _read_again(
+    geometry: SensorGeometry,
+    frame: Frame,
+    pose: Pose,
+    nominal: Scene,
+    seam: SeamLine,
+    first: _Reading,
+    work: Work,
+    use_arc_map: bool,
+) -> _Reading:
+    """Look again where a search has found the joint: the map for another place misleads, near its edges most.
+
+    If the map misled the search itself, the joint is placed without it.
+    """
+    placed = first
+    if first.joint is None and first.stripe is not None and use_arc_map:
+        placed = _read(geometry, frame, pose, seam, SEARCH_REACH_MM, work, False)
+    if placed.joint is None:
+        return first
+    setup = geometry.setup
+    _, station, displacement = _locate(setup, nominal, placed.view, placed.joint)
+    there = replace(seam, station_mm=station, y_mm=float(displacement[0]), z_mm=float(displacement[1]))
+    again = _read(geometry, frame, pose, there, TRACK_REACH_MM, work, use_arc_map)
+    return first if again.joint is None else again
+
+
+def _locate(
+    setup: Setup, nominal: Scene, view: Scene, joint: MeasuredJoint
+) -> tuple[Float64, float, Float64]:
+    """Return the seam point (3,), tool frame, its station and its displacement (2,) from the path, mm."""
+    seam_tool = seam_point_tool(setup, view, joint.y_mm, joint.z_mm)
+    station, y, z = transform(nominal.T_joint_tool, seam_tool)
+    height = seam_height_mm(setup.joint) + float(corrugation_height(station, nominal.shape.corrugation))
+    return seam_tool, float(station), np.array([y, z - height])
 
 
 def _follow(
@@ -126,26 +213,22 @@ def _follow(
     nominal: Scene,
     view: Scene,
     joint: MeasuredJoint,
-    seam_sigma: Float64,
 ) -> tuple[TrackerState, Track]:
     """Judge a measured joint against the earlier ones, and turn it into seam point, offset and confidence."""
     setup = geometry.setup
-    seam_tool = seam_point_tool(setup, view, joint.y_mm, joint.z_mm)
-    station, y, z = transform(nominal.T_joint_tool, seam_tool)
-    height = seam_height_mm(setup.joint) + float(corrugation_height(station, nominal.shape.corrugation))
-    displacement = np.array([y, z - height])
+    seam_tool, station, displacement = _locate(setup, nominal, view, joint)
     variance = np.diag(joint.covariance_mm2)
-    surprise = np.abs([joint.y_mm, joint.z_mm - seam_height_mm(setup.joint)])
-    limit = np.maximum(JUMP_SIGMAS * np.sqrt(seam_sigma**2 + variance), JUMP_FLOOR_MM)
-    history, jumps = state.history, 0
-    if len(history) and (surprise > limit).any():
+    expected, expected_sigma = state.history.at(station)
+    limit = np.maximum(JUMP_SIGMAS * np.sqrt(expected_sigma**2 + variance), JUMP_FLOOR_MM)
+    history, jumps, lost = state.history, 0, 0
+    if len(history) and (np.abs(displacement - expected) > limit).any():
         found |= flags.SEAM_JUMP.mask
-        jumps = state.jumps + 1
+        jumps, lost = state.jumps + 1, state.lost
         if jumps >= JUMPS_TO_RELEARN:
-            history, jumps = SeamHistory(), 0
+            history, jumps, lost = SeamHistory(), 0, 0
     else:
-        history = history.with_measurement(float(station), displacement, variance)
-    state = replace(state, history=history, jumps=jumps)
+        history = history.with_measurement(station, displacement, variance)
+    state = replace(state, history=history, jumps=jumps, lost=lost)
 
     torch_station = float(nominal.T_joint_tool[0, 3])
     offset, offset_sigma = history.at(torch_station)
