@@ -69,3 +69,25 @@ def mask(flag_names: tuple[str, ...]) -> int:
     for name in flag_names:
         total |= by_name[name]
     return total
+
+
+def flags_table() -> str:
+    """Return docs/flags.md: every flag's bit, name and meaning as a table."""
+    lines = [
+        "# Flags",
+        "",
+        "What a track says of its frame, from `tracker.flags`; `python -m tracker.flags` prints this page.",
+        "A frame with a flag that invalidates has no seam to use.",
+        "",
+        "| bit | name | meaning | invalidates |",
+        "| --- | --- | --- | --- |",
+    ]
+    lines += [
+        f"| {flag.bit} | `{flag.name}` | {flag.meaning} | {'yes' if flag.invalidates else ''} |"
+        for flag in FLAGS
+    ]
+    return "\n".join(lines) + "\n"
+
+
+if __name__ == "__main__":
+    print(flags_table(), end="")
