@@ -1,0 +1,104 @@
+"""Profiles cut from a section by rays, as a sensor measures them; they know nothing of the joints' fits."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import numpy.typing as npt
+
+from tracker.profile import Profile
+
+Float64 = npt.NDArray[np.float64]
+
+COLUMN_MM, PX_MM = 0.07, (0.012, 0.075)
+"""The columns' spacing in y, and how far (y, z) a point moves per px of its stripe centre."""
+
+REACH_MM = 18.0
+
+
+def groove(
+    angle_deg: tuple[float, float], depth_mm: tuple[float, float], gap_mm: float, tilt: float = 0.0
+) -> Float64:
+    """The corners (n, 2) of a V whose left and right sides differ, its root's middle at 0, 0."""
+    left, right = (d * math.tan(math.radians(a)) for a, d in zip(angle_deg, depth_mm, strict=True))
+    far = 60.0
+    corners = [
+        (far, depth_mm[0] + tilt * (far - left)),
+        (gap_mm / 2.0 + left, depth_mm[0]),
+        (gap_mm / 2.0, 0.0),
+        (-gap_mm / 2.0, 0.0),
+        (-gap_mm / 2.0 - right, depth_mm[1]),
+        (-far, depth_mm[1] - tilt * (far - right)),
+    ]
+    return np.array(corners[::-1])
+
+
+def lap(step_mm: float, slope_lower: float = 0.0, slope_upper: float = 0.0) -> Float64:
+    """The corners of an upper sheet at y < 0 over a lower one, the edge's foot at 0, 0."""
+    far = 60.0
+    return np.array(
+        [(-far, step_mm - far * slope_upper), (0.0, step_mm), (0.0, 0.0), (far, far * slope_lower)]
+    )
+
+
+def measure(
+    corners: Float64,
+    seam_mm: tuple[float, float],
+    rng: np.random.Generator,
+    *,
+    sigma_px: float = 0.05,
+    noise: bool = True,
+    hidden_mm: tuple[float, float] | None = None,
+) -> Profile:
+    """The points that columns see of a section put at `seam_mm`, each moved along its own ray by the noise.
+
+    A point's stated sigma is `sigma_px`; the profile spans REACH_MM to either side of its middle, and what
+    lies in `hidden_mm` beside the seam is not seen.
+    """
+    y = np.arange(-REACH_MM, REACH_MM, COLUMN_MM) + rng.uniform(0.0, COLUMN_MM)
+    if hidden_mm is not None:
+        beside = y - seam_mm[0]
+        y = y[(beside < hidden_mm[0]) | (beside > hidden_mm[1])]
+    z = np.interp(y - seam_mm[0], corners[:, 0], corners[:, 1]) + seam_mm[1]
+    error = sigma_px * rng.normal(size=len(y)) if noise else np.zeros(len(y))
+    y, z = y + PX_MM[0] * error, z + PX_MM[1] * error
+    order = np.argsort(y, kind="stable")
+    n = np.ones(len(y))
+    return Profile(
+        y[order],
+        z[order],
+        PX_MM[0] * n,
+        PX_MM[1] * n,
+        sigma_px * n,
+        np.arange(len(y), dtype=float),
+        COLUMN_MM,
+    )
+
+
+def spoil(profile: Profile, share: float, rng: np.random.Generator) -> Profile:
+    """Throw a share of the points anywhere within 4 mm of the profile's heights."""
+    wrong = rng.random(len(profile.y_mm)) < share
+    anywhere = rng.uniform(profile.z_mm.min() - 4.0, profile.z_mm.max() + 4.0, len(profile.y_mm))
+    return Profile(
+        profile.y_mm,
+        np.where(wrong, anywhere, profile.z_mm),
+        profile.dy_mm,
+        profile.dz_mm,
+        profile.sigma_px,
+        profile.scan,
+        profile.column_mm,
+    )
+
+
+def only(profile: Profile, seen: npt.NDArray[np.bool_]) -> Profile:
+    """The part of a profile that is seen."""
+    return Profile(
+        profile.y_mm[seen],
+        profile.z_mm[seen],
+        profile.dy_mm[seen],
+        profile.dz_mm[seen],
+        profile.sigma_px[seen],
+        profile.scan[seen],
+        profile.column_mm,
+    )

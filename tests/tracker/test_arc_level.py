@@ -1,0 +1,126 @@
+"""The arc's level on simulated frames: right, robust, and honest about what it does not know."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from rendered import SEED, frame_of, pose_at, small_setup
+
+from noise_model.arc_map import arc_kernel, scene
+from noise_model.forward import render
+from noise_model.sensor import expose
+from noise_model.setup import Setup
+from tracker.arc_level import UNKNOWN, ArcLevel, estimate_arc_level
+from tracker.expected import expect_stripe
+from tracker.geometry import SensorGeometry
+from tracker.state import Frame, Pose
+
+POSE = pose_at(3.0)
+
+
+@pytest.fixture(scope="module")
+def setup() -> Setup:
+    return small_setup("v_groove")
+
+
+@pytest.fixture(scope="module")
+def geometry(setup: Setup) -> SensorGeometry:
+    return SensorGeometry.of(setup)
+
+
+def estimate(geometry: SensorGeometry, frame: Frame, pose: Pose = POSE) -> ArcLevel:
+    view = scene(geometry.setup, pose.T_base_tool)
+    expected = expect_stripe(geometry, view)
+    assert expected is not None
+    stripe_px = expected.position_px if frame.laser_on else None
+    return estimate_arc_level(geometry, arc_kernel(geometry.setup, view), frame.image_dn, stripe_px, 30.0)
+
+
+@pytest.mark.parametrize("laser", [0.0, 1.0])
+@pytest.mark.parametrize("level", [0.3, 1.0, 2.5])
+def test_the_level_is_found_within_its_sigma(geometry: SensorGeometry, level: float, laser: float) -> None:
+    setup = geometry.setup
+    mean = render(setup, POSE.T_base_tool, laser_level=laser, arc_level=level, exposure_s=0.005)
+    found = []
+    for draw in range(12):
+        image = expose(mean, setup.sensor, np.random.default_rng(SEED + draw))
+        found.append(estimate(geometry, Frame(0, 0.0, image, 0.005, laser_on=laser > 0.0)))
+    errors = np.array([arc.level - level for arc in found])
+    sigmas = np.array([arc.sigma for arc in found])
+    print(
+        f"level {level}: mean error {errors.mean():.5f}, spread {errors.std():.5f}, sigma {sigmas.mean():.5f}"
+    )
+    assert (np.abs(errors) < 4.0 * sigmas).all()
+    assert (sigmas < 0.03 * level).all()
+    assert max(arc.misfit for arc in found) < 1.1
+
+
+def test_spatter_does_not_move_it(geometry: SensorGeometry) -> None:
+    frame = frame_of(geometry.setup, POSE)
+    clean = estimate(geometry, frame)
+    rng = np.random.default_rng(5)
+    image = frame.image_dn.copy()
+    image[rng.random(image.shape) < 0.05] = 240
+    spattered = estimate(geometry, replace(frame, image_dn=image))
+    print(f"level {clean.level:.4f} clean, {spattered.level:.4f} under 5 % spatter, sigma {clean.sigma:.4f}")
+    assert abs(spattered.level - clean.level) < 0.02
+    assert spattered.misfit < 1.5
+
+
+def test_the_black_level_is_told_from_the_arc(geometry: SensorGeometry) -> None:
+    setup = geometry.setup
+    shifted = replace(setup, sensor=replace(setup.sensor, black_level_dn=setup.sensor.black_level_dn + 0.5))
+    frame = frame_of(shifted, POSE)
+    found = estimate(geometry, frame)
+    assert found.black_e == pytest.approx(0.5 * setup.sensor.gain_e_per_dn, abs=15.0)
+    assert found.level == pytest.approx(1.0, abs=0.02)
+
+
+def test_dark_frames_hold_no_arc(geometry: SensorGeometry) -> None:
+    for draw in range(20):
+        frame = frame_of(geometry.setup, POSE, arc=0.0, index=draw)
+        found = estimate(geometry, frame)
+        assert found.level < 5.0 * found.sigma
+        assert found.misfit < 1.1
+        assert abs(found.black_e) < 20.0
+
+
+@pytest.mark.parametrize("code", [0, 255])
+def test_black_and_white_frames_give_no_nonsense(geometry: SensorGeometry, code: int) -> None:
+    image = np.full((geometry.setup.camera.height, geometry.setup.camera.width), code, dtype=np.uint8)
+    found = estimate(geometry, Frame(0, 0.0, image, 0.005, laser_on=False))
+    if code == 255:
+        assert found is UNKNOWN
+        assert np.isnan(found.level)
+        assert np.isnan(found.misfit)
+    else:
+        assert found.level == 0.0
+
+
+def test_another_material_does_not_fit() -> None:
+    """A coating whose lobe is brighter, on a corrugation's flanks that mirror the arc into the lens."""
+    geometry = SensorGeometry.of(small_setup("corrugation"))
+    setup = geometry.setup
+    glossy = replace(setup, material=replace(setup.material, kappa_spec=3.0, c2=12.0))
+    found = estimate(geometry, frame_of(setup, POSE, laser=0.0, of=glossy))
+    assert found.misfit > 5.0
+    assert estimate(geometry, frame_of(setup, POSE, laser=0.0)).misfit < 1.0
+
+
+def test_an_arc_of_another_height_does_not_fit() -> None:
+    """The upper sheet's shadow on the lower one lies elsewhere."""
+    geometry = SensorGeometry.of(small_setup("lap"))
+    setup = geometry.setup
+    x, y, z = setup.arc.center_in_tool_mm
+    for higher_mm in (-1.0, 2.0):
+        moved = replace(setup, arc=replace(setup.arc, center_in_tool_mm=(x, y, z + higher_mm)))
+        found = estimate(geometry, frame_of(setup, POSE, laser=0.0, arc=2.0, of=moved))
+        assert found.misfit > 2.0
+    assert estimate(geometry, frame_of(setup, POSE, laser=0.0, arc=2.0)).misfit < 1.0
+
+
+def test_the_stripe_is_left_out(geometry: SensorGeometry) -> None:
+    bright = frame_of(geometry.setup, POSE, laser=3.0, arc=0.5)
+    assert estimate(geometry, bright).level == pytest.approx(0.5, abs=0.01)

@@ -1,0 +1,78 @@
+"""The band's kernels against their twins, and where a band is placed."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import twins
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from tracker.band import gather, median_background, place
+
+CELL = 8
+seeds = st.integers(0, 2**32 - 1)
+
+
+@settings(deadline=None, max_examples=30)
+@given(seeds, st.booleans(), st.sampled_from([np.uint8, np.uint16]), st.booleans())
+def test_gather_is_its_twin(seed: int, along_rows: bool, dtype: type, is_view: bool) -> None:
+    rng = np.random.default_rng(seed)
+    height, width = rng.integers(3, 40, 2)
+    codes = 256 if dtype is np.uint8 else 4096
+    image = rng.integers(0, codes, (height, 2 * width if is_view else width)).astype(dtype)
+    image = image[:, ::2] if is_view else image
+    n_scan, n_pos = image.shape[::-1] if along_rows else image.shape
+    depth = int(rng.integers(1, n_pos + 1))
+    lows = rng.integers(0, n_pos - depth + 1, -(-n_scan // CELL))
+    charge = rng.uniform(-10.0, 1e4, codes).astype(np.float32)
+    band, censored = np.full((n_scan, depth), np.nan, np.float32), np.empty((n_scan, depth), bool)
+    gather(image, along_rows, lows, charge, codes - 20, band, censored)
+    twin = twins.gather(image, along_rows, lows, CELL, depth)
+    np.testing.assert_array_equal(band, charge[twin])
+    np.testing.assert_array_equal(censored, twin >= codes - 20)
+
+
+def test_codes_beyond_the_sensors_bits_are_its_last_one() -> None:
+    image = np.array([[0, 4095, 4096, 65535]], dtype=np.uint16)
+    charge = np.arange(4096, dtype=np.float32)
+    band, censored = np.empty((1, 4), np.float32), np.empty((1, 4), bool)
+    gather(image, False, np.zeros(1, np.int64), charge, 4090, band, censored)
+    np.testing.assert_array_equal(band[0], [0.0, 4095.0, 4095.0, 4095.0])
+    np.testing.assert_array_equal(censored[0], [False, True, True, True])
+
+
+@settings(deadline=None, max_examples=20)
+@given(seeds, st.integers(0, 12))
+def test_the_running_median_is_its_twin(seed: int, half: int) -> None:
+    rng = np.random.default_rng(seed)
+    band = rng.normal(0.0, 100.0, (rng.integers(1, 6), rng.integers(1, 30))).astype(np.float32)
+    background = np.full_like(band, np.nan)
+    median_background(band, half, background)
+    np.testing.assert_allclose(background, twins.running_median(band, half), rtol=1e-6)
+
+
+@settings(deadline=None)
+@given(seeds, st.integers(1, 60))
+def test_a_band_lies_in_the_image_and_holds_what_it_should(seed: int, half: int) -> None:
+    rng = np.random.default_rng(seed)
+    n_scan, n_pos = int(rng.integers(1, 80)), int(rng.integers(16, 300))
+    slope = rng.uniform(-1.0, 1.0)
+    center = rng.uniform(-50.0, n_pos + 50.0) + slope * np.arange(n_scan)
+    lows, depth = place(center, n_pos, half)
+    assert lows.shape == (-(-n_scan // CELL),)
+    assert depth <= n_pos
+    assert (lows >= 0).all()
+    assert (lows + depth <= n_pos).all()
+    begin = np.repeat(lows, CELL)[:n_scan]
+    # To a pixel; what reaches beyond the image, or hangs off a line steeper than the band, cannot be held.
+    if 7 * abs(slope) <= half:
+        assert (begin <= np.clip(center - half + 1.0, 0.0, n_pos)).all()
+        assert (begin + depth - 1 >= np.clip(center + half - 1.0, 0.0, n_pos - 1)).all()
+
+
+@pytest.mark.parametrize("at", [-1e6, 1e6])
+def test_a_band_far_off_the_image_is_held_at_its_rim(at: float) -> None:
+    lows, depth = place(np.full(10, at), 100, 20)
+    assert depth == 41
+    assert (lows == (0 if at < 0.0 else 59)).all()

@@ -1,0 +1,90 @@
+"""The expected stripe against what the forward model draws."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from rendered import pose_at, small_setup
+from scipy.optimize import least_squares
+
+from noise_model.arc_map import scene
+from noise_model.forward import render
+from noise_model.surface import SeamLine
+from tracker.expected import expect_stripe
+from tracker.geometry import SensorGeometry
+
+SEAM = SeamLine(0.0, 0.8, -0.4, 0.01, 0.002)
+
+
+def drawn(setup, pose, geometry: SensorGeometry) -> tuple[np.ndarray, np.ndarray]:
+    """Centre and sigma of a Gaussian fitted to the noise-free stripe of every tenth scan line."""
+    image = render(setup, pose.T_base_tool, laser_level=1.0, arc_level=0.0, exposure_s=0.005, seam=SEAM)
+    lines = image.T if geometry.along_rows else image
+    center, sigma = np.full(len(lines), np.nan), np.full(len(lines), np.nan)
+    place = np.arange(lines.shape[1], dtype=float)
+    for s in range(5, len(lines), 10):
+        line = lines[s].astype(np.float64)
+        peak = int(np.argmax(line))
+        if line[peak] < 100.0:
+            continue
+        part = slice(max(0, peak - 12), peak + 13)
+        found = least_squares(
+            lambda x, r=place[part], e=line[part]: x[0] * np.exp(-0.5 * ((r - x[1]) / x[2]) ** 2) - e,
+            [line[peak], float(peak), 3.0],
+        )
+        center[s], sigma[s] = found.x[1], abs(found.x[2])
+    return center, sigma
+
+
+@pytest.mark.parametrize("upright", [False, True])
+@pytest.mark.parametrize("joint", ["v_groove", "lap", "corrugation"])
+def test_it_lies_where_the_forward_model_draws_it(joint: str, upright: bool) -> None:
+    setup = small_setup(joint, upright=upright)
+    geometry = SensorGeometry.of(setup)
+    assert geometry.along_rows is not upright
+    pose = pose_at(3.0, turn_deg=(1.0, -2.0, 3.0))
+    expected = expect_stripe(geometry, scene(setup, pose.T_base_tool, SEAM))
+    assert expected is not None
+    center, sigma = drawn(setup, pose, geometry)
+    off = center - expected.position_px - expected.lean_px
+    wide = sigma / expected.sigma_px
+    seen = np.isfinite(off)
+    print(
+        f"{joint}: {seen.sum()} lines, centre off by {np.nanmedian(np.abs(off)):.4f} px, 90 % below "
+        f"{np.nanquantile(np.abs(off), 0.9):.4f} px, width ratio {np.nanmedian(wide):.4f}"
+    )
+    assert seen.sum() >= 20
+    # Lines on whose flanks another face begins are neither Gaussian nor asked for.
+    assert np.nanmedian(np.abs(off)) < 0.02
+    assert np.nanquantile(np.abs(off), 0.75) < 0.05
+    assert np.nanmedian(wide) == pytest.approx(1.0, abs=0.03)
+
+
+def test_the_lean_matters() -> None:
+    setup = small_setup("corrugation")
+    geometry = SensorGeometry.of(setup)
+    pose = pose_at(12.0)
+    expected = expect_stripe(geometry, scene(setup, pose.T_base_tool, SEAM))
+    assert expected is not None
+    center, _ = drawn(setup, pose, geometry)
+    without = np.nanmedian(np.abs(center - expected.position_px))
+    with_lean = np.nanmedian(np.abs(center - expected.position_px - expected.lean_px))
+    print(f"corrugation's flank: off by {without:.3f} px without the lean, {with_lean:.3f} px with it")
+    assert with_lean < 0.3 * without
+
+
+def test_out_of_view_is_none() -> None:
+    setup = small_setup("v_groove")
+    aside = setup.camera.T_tool_camera.copy()
+    aside[1, 3] += 200.0
+    geometry = SensorGeometry.of(replace(setup, camera=replace(setup.camera, T_tool_camera=aside)))
+    assert expect_stripe(geometry, scene(geometry.setup, pose_at(0.0).T_base_tool)) is None
+
+
+def test_a_stripe_that_cannot_be_seen_is_no_setup() -> None:
+    setup = small_setup("v_groove")
+    flat = replace(setup, laser=replace(setup.laser, plane_in_tool=(0.0, 0.0, 1.0, 0.0)))
+    with pytest.raises(ValueError, match="plane_in_tool"):
+        SensorGeometry.of(flat)

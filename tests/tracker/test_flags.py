@@ -1,0 +1,37 @@
+"""The registry of flags: its bits, its decoder and the documentation that it makes."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from tracker import flags
+
+DOCS = Path(__file__).parents[2] / "docs" / "flags.md"
+
+
+def test_bits_and_names_are_unique_and_in_order() -> None:
+    assert [flag.bit for flag in flags.FLAGS] == list(range(len(flags.FLAGS)))
+    assert len({flag.name for flag in flags.FLAGS}) == len(flags.FLAGS)
+    assert all(getattr(flags, flag.name.upper()) is flag for flag in flags.FLAGS)
+
+
+@given(st.sets(st.sampled_from(flags.FLAGS)))
+def test_names_and_mask_undo_each_other(chosen: set[flags.Flag]) -> None:
+    bits = sum(flag.mask for flag in chosen)
+    assert flags.mask(flags.names(bits)) == bits
+    assert set(flags.names(bits)) == {flag.name for flag in chosen}
+    assert bool(bits & flags.INVALIDATING) == any(flag.invalidates for flag in chosen)
+
+
+def test_an_unknown_name_is_an_error() -> None:
+    with pytest.raises(KeyError, match="stripe_found"):
+        flags.mask(("stripe_lost", "stripe_found"))
+
+
+def test_the_documentation_is_in_step() -> None:
+    """Regenerate with: python -m tracker.flags > docs/flags.md."""
+    assert DOCS.read_text() == flags.flags_table()

@@ -1,0 +1,110 @@
+"""The lap on profiles cut from known sections."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from profiles import COLUMN_MM, lap, measure, only, spoil
+
+from noise_model.surface import Joint
+from tracker.joint import MeasuredJoint, fit_joint
+from tracker.joint.measured import SIGMA_FLOOR_PX
+
+LINE = ((-100.0, 0.0, 0.0), (100.0, 0.0, 0.0))
+STATED = Joint("lap", {"thickness_mm": 2.0}, LINE)
+CAMERA_MM, LASER_MM = np.array([-55.0, 0.0, 135.0]), np.array([0.0, 0.0, 140.0])
+TRUE_SIGMA_PX = float(np.hypot(0.05, SIGMA_FLOOR_PX))
+
+
+def fit(profile, camera_mm: np.ndarray = CAMERA_MM, laser_mm: np.ndarray = LASER_MM) -> MeasuredJoint | None:
+    return fit_joint(profile, STATED, camera_mm, laser_mm)
+
+
+@pytest.mark.parametrize("seam", [(0.0, 0.0), (4.3, -1.0), (-5.1, 1.5)])
+@pytest.mark.parametrize(("step", "slopes"), [(2.0, (0.0, 0.0)), (2.4, (0.02, 0.0)), (2.1, (-0.01, 0.02))])
+def test_an_exact_lap_is_read_exactly(
+    seam: tuple[float, float], step: float, slopes: tuple[float, float]
+) -> None:
+    above = np.array([0.0, seam[0], 0.0])
+    profile = measure(lap(step, *slopes), seam, np.random.default_rng(0), noise=False)
+    found = fit(profile, CAMERA_MM + above, LASER_MM + above)
+    assert found is not None
+    assert found.y_mm == pytest.approx(seam[0], abs=0.5 * COLUMN_MM + 1e-6)
+    assert found.z_mm == pytest.approx(seam[1], abs=0.005)
+    assert found.gap_mm == pytest.approx(step - 2.0, abs=0.01)
+    assert found.mismatch_mm == pytest.approx(-step, abs=0.01)
+    assert found.chi2 < 0.05
+
+
+@pytest.mark.parametrize("y_mm", [-20.0, -40.0])
+def test_what_the_edge_hides_does_not_move_the_foot(y_mm: float) -> None:
+    camera, laser = np.array([0.0, y_mm, 135.0]), np.array([0.0, y_mm / 2.0, 140.0])
+    strip = max(-source[1] / (source[2] - 2.0) * 2.0 for source in (camera, laser))
+    rng = np.random.default_rng(1)
+    found = fit(measure(lap(2.0), (0.0, 0.0), rng, hidden_mm=(0.0, strip)), camera, laser)
+    assert found is not None
+    assert strip > 3.0 * COLUMN_MM
+    assert found.y_mm == pytest.approx(0.0, abs=COLUMN_MM)
+    assert found.z_mm == pytest.approx(0.0, abs=0.01)
+
+
+def test_its_covariance_is_honest() -> None:
+    rng = np.random.default_rng(20)
+    errors, scaled, chi2 = [], [], []
+    for _ in range(400):
+        seam = (rng.uniform(-1.0, 1.0), 0.5)
+        profile = measure(lap(2.2, 0.01, -0.01), seam, rng, sigma_px=TRUE_SIGMA_PX)
+        profile.sigma_px[:] = 0.05
+        above = np.array([0.0, seam[0], 0.0])
+        found = fit(profile, CAMERA_MM + above, LASER_MM + above)
+        assert found is not None
+        errors.append((found.y_mm - seam[0], found.z_mm - seam[1]))
+        scaled.append(np.square(errors[-1]) / np.diag(found.covariance_mm2))
+        chi2.append(found.chi2)
+    scatter = np.std(errors, axis=0)
+    print(
+        f"lap: rms {scatter} mm, mean {np.mean(errors, axis=0)}, chi2 of y, z {np.mean(scaled, axis=0)}, "
+        f"of the fit {np.mean(chi2):.3f}"
+    )
+    assert ((np.mean(scaled, axis=0) > 0.75) & (np.mean(scaled, axis=0) < 1.25)).all()
+    assert (np.abs(np.mean(errors, axis=0)) < 4.0 * scatter / np.sqrt(len(errors))).all()
+
+
+def test_three_wrong_points_in_ten_do_not_move_it() -> None:
+    rng = np.random.default_rng(3)
+    errors = []
+    for _ in range(60):
+        found = fit(spoil(measure(lap(2.0), (0.0, 0.0), rng), 0.3, rng))
+        assert found is not None
+        errors.append((found.y_mm, found.z_mm))
+    errors = np.abs(errors)
+    print(
+        f"lap, 30 % outliers: 90 % below {np.quantile(errors, 0.9, axis=0)}, largest {errors.max(axis=0)} mm"
+    )
+    assert errors[:, 1].max() < 0.02
+    assert np.quantile(errors[:, 0], 0.9) < 0.25
+    assert errors[:, 0].max() < 0.5
+
+
+@pytest.mark.parametrize("kept", ["upper", "lower", "no edge", "upper and a little"])
+def test_half_a_lap_is_none_or_says_how_unsure_it_is(kept: str) -> None:
+    rng = np.random.default_rng(4)
+    for _ in range(10):
+        whole = measure(lap(2.0), (0.0, 0.0), rng)
+        seen = {
+            "upper": whole.y_mm < 0.0,
+            "lower": whole.y_mm > 0.0,
+            "no edge": np.abs(whole.y_mm) > 1.5,
+            "upper and a little": whole.y_mm < 0.5,
+        }[kept]
+        found = fit(only(whole, seen))
+        if found is not None:
+            sigma = np.sqrt(np.diag(found.covariance_mm2))
+            assert (np.abs([found.y_mm, found.z_mm]) < 5.0 * sigma + 0.02).all(), kept
+
+
+def test_a_flat_plate_is_no_lap() -> None:
+    rng = np.random.default_rng(6)
+    for _ in range(10):
+        found = fit(measure(np.array([(-60.0, 0.0), (60.0, 0.0)]), (0.0, 0.0), rng))
+        assert found is None or found.chi2 > 9.0

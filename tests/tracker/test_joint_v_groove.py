@@ -1,0 +1,131 @@
+"""The V-groove on profiles cut from known sections."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from profiles import groove, measure, only, spoil
+
+from noise_model.surface import Joint
+from tracker.joint import MeasuredJoint, fit_joint
+from tracker.joint.measured import SIGMA_FLOOR_PX
+
+CAMERA_MM, LASER_MM = np.array([60.0, 0.0, 130.0]), np.array([0.0, 0.0, 140.0])
+LINE = ((-100.0, 0.0, 0.0), (100.0, 0.0, 0.0))
+STATED = Joint("v_groove", {"included_angle_deg": 60.0, "depth_mm": 4.0, "root_gap_mm": 1.0}, LINE)
+TRUE_SIGMA_PX = float(np.hypot(0.05, SIGMA_FLOOR_PX))
+
+
+def fit(profile, joint: Joint = STATED) -> MeasuredJoint | None:
+    return fit_joint(profile, joint, CAMERA_MM, LASER_MM)
+
+
+@pytest.mark.parametrize("seam", [(0.0, -4.0), (4.3, -6.0), (-5.1, -2.5)])
+@pytest.mark.parametrize(
+    ("angles", "depths", "gap", "tilt"),
+    [
+        ((30.0, 30.0), (4.0, 4.0), 1.0, 0.0),
+        ((30.0, 30.0), (4.4, 3.9), 1.3, 0.0),
+        ((31.0, 28.5), (4.0, 4.2), 0.7, 0.02),
+    ],
+)
+def test_an_exact_groove_is_read_exactly(
+    seam: tuple[float, float],
+    angles: tuple[float, float],
+    depths: tuple[float, float],
+    gap: float,
+    tilt: float,
+) -> None:
+    profile = measure(groove(angles, depths, gap, tilt), seam, np.random.default_rng(0), noise=False)
+    found = fit(profile)
+    assert found is not None
+    assert (found.y_mm, found.z_mm) == pytest.approx(seam, abs=0.003)
+    assert found.gap_mm == pytest.approx(gap, abs=0.01)
+    assert found.mismatch_mm == pytest.approx(depths[0] - depths[1], abs=0.01)
+    assert found.chi2 < 0.05
+
+
+def test_its_covariance_is_honest() -> None:
+    rng = np.random.default_rng(1)
+    seam = (2.0, -4.5)
+    errors, scaled, chi2 = [], [], []
+    for _ in range(120):
+        profile = measure(groove((30.0, 30.0), (4.2, 4.0), 1.1), seam, rng, sigma_px=TRUE_SIGMA_PX)
+        profile = only(profile, np.ones(len(profile.y_mm), dtype=bool))
+        profile.sigma_px[:] = 0.05
+        found = fit(profile)
+        assert found is not None
+        error = np.array([found.y_mm, found.z_mm]) - seam
+        errors.append(error)
+        scaled.append(error @ np.linalg.solve(found.covariance_mm2, error))
+        chi2.append(found.chi2)
+    errors = np.array(errors)
+    print(
+        f"V: rms {errors.std(axis=0)} mm, mean {errors.mean(axis=0)}, chi2 {np.mean(scaled) / 2.0:.3f}, "
+        f"of the fit {np.mean(chi2):.3f}"
+    )
+    assert 0.7 < np.mean(scaled) / 2.0 < 1.2
+    assert (np.abs(errors.mean(axis=0)) < 4.0 * errors.std(axis=0) / np.sqrt(len(errors))).all()
+
+
+def test_a_sharp_root_keeps_its_height() -> None:
+    """Without a root gap the two bevels meet in a point: it is the seam, whatever gap the fit plays with."""
+    joint = Joint("v_groove", {**STATED.dimensions, "root_gap_mm": 0.0}, LINE)
+    rng = np.random.default_rng(2)
+    scaled, errors = [], []
+    for _ in range(60):
+        profile = measure(groove((30.0, 30.0), (4.0, 4.0), 0.0), (1.0, -4.0), rng, sigma_px=TRUE_SIGMA_PX)
+        profile.sigma_px[:] = 0.05
+        found = fit(profile, joint)
+        assert found is not None
+        assert found.gap_mm >= 0.0
+        errors.append((found.y_mm - 1.0, found.z_mm + 4.0))
+        scaled.append(np.square(errors[-1]) / np.diag(found.covariance_mm2))
+    print(f"sharp V: rms {np.std(errors, axis=0)} mm, chi2 {np.mean(scaled, axis=0)}")
+    assert (np.abs(errors) < 0.06).all()
+    assert (np.mean(scaled, axis=0) < 1.5).all()
+
+
+def test_three_wrong_points_in_ten_do_not_move_it() -> None:
+    rng = np.random.default_rng(3)
+    errors = []
+    for _ in range(40):
+        profile = spoil(measure(groove((30.0, 30.0), (4.0, 4.0), 1.0), (1.5, -4.0), rng), 0.3, rng)
+        found = fit(profile)
+        assert found is not None
+        errors.append((found.y_mm - 1.5, found.z_mm + 4.0))
+    print(f"V, 30 % outliers: largest error {np.abs(errors).max(axis=0)} mm")
+    assert np.abs(errors).max() < 0.05
+
+
+@pytest.mark.parametrize("kept", ["left", "right", "left of the bevel", "no root"])
+def test_half_a_groove_is_none_or_says_how_unsure_it_is(kept: str) -> None:
+    rng = np.random.default_rng(4)
+    for _ in range(10):
+        whole = measure(groove((30.0, 30.0), (4.0, 4.0), 1.0), (1.0, -4.0), rng)
+        beside = whole.y_mm - 1.0
+        seen = {
+            "left": beside > 0.0,
+            "right": beside < 0.0,
+            "left of the bevel": beside > 3.5,
+            "no root": np.abs(beside) > 1.0,
+        }[kept]
+        found = fit(only(whole, seen))
+        if found is not None:
+            error = np.array([found.y_mm - 1.0, found.z_mm + 4.0])
+            assert (np.abs(error) < 5.0 * np.sqrt(np.diag(found.covariance_mm2)) + 0.02).all(), kept
+
+
+def test_too_little_is_none() -> None:
+    rng = np.random.default_rng(5)
+    whole = measure(groove((30.0, 30.0), (4.0, 4.0), 1.0), (0.0, -4.0), rng)
+    assert fit(only(whole, np.arange(len(whole.y_mm)) < 15)) is None
+    assert fit(only(whole, whole.y_mm > 6.0)) is None
+
+
+def test_a_flat_plate_is_no_groove() -> None:
+    rng = np.random.default_rng(6)
+    for _ in range(10):
+        flat = measure(np.array([(-60.0, 0.0), (60.0, 0.0)]), (0.0, 0.0), rng)
+        found = fit(flat)
+        assert found is None or found.chi2 > 9.0

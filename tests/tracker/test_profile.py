@@ -1,0 +1,81 @@
+"""Triangulation against points put into the laser plane by hand."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from rendered import pose_at, small_setup
+
+from noise_model.arc_map import scene
+from noise_model.frames import invert, transform
+from noise_model.surface import SeamLine
+from tracker.geometry import SensorGeometry, to_laser_plane
+from tracker.profile import triangulate
+
+DISTORTION = (-0.12, 0.03, 0.001, -0.002, 0.0)
+
+
+def distorted(upright: bool) -> SensorGeometry:
+    setup = small_setup("v_groove", upright=upright)
+    return SensorGeometry.of(replace(setup, camera=replace(setup.camera, distortion=DISTORTION)))
+
+
+@pytest.mark.parametrize("upright", [False, True])
+def test_points_of_the_sheet_come_back(upright: bool) -> None:
+    geometry = distorted(upright)
+    y, z = np.meshgrid(np.linspace(-8.0, 8.0, 9), np.linspace(-5.0, 3.0, 5))
+    points_tool = np.column_stack([np.full(y.size, 35.0), y.ravel(), z.ravel()])
+    camera = geometry.setup.camera
+    found, _ = to_laser_plane(geometry, camera.project(transform(invert(camera.T_tool_camera), points_tool)))
+    np.testing.assert_allclose(found, points_tool, atol=1e-6)
+
+
+@pytest.mark.parametrize("upright", [False, True])
+def test_a_profile_lies_on_its_surface_and_knows_how_it_moves(upright: bool) -> None:
+    geometry = distorted(upright)
+    seam = SeamLine(0.0, 1.5, 0.7, 0.02, -0.01)
+    view = scene(geometry.setup, pose_at(11.0, 2.0, -1.0, (2.0, -1.0, 5.0)).T_base_tool, seam)
+    scan = np.arange(geometry.n_scan, dtype=float)
+    position = np.full(geometry.n_scan, np.nan)
+    y_true = np.full(geometry.n_scan, np.nan)
+    # Walk the plate beside the groove: where the sheet meets z = 0 of the seam's frame.
+    plane = np.asarray(geometry.setup.laser.plane_in_tool)
+    R, t = view.T_joint_tool[:3, :3], view.T_joint_tool[:3, 3]
+    normal, d = R @ plane[:3], plane[3] - R @ plane[:3] @ t
+    y = np.linspace(-30.0, 30.0, 3001)
+    points_joint = np.column_stack([-(normal[1] * y + d) / normal[0], y, np.zeros_like(y)])
+    camera = geometry.setup.camera
+    T_camera_joint = invert(view.T_joint_camera)
+    at = geometry.scan_points(camera.project(transform(T_camera_joint, points_joint)))
+    order = np.argsort(at[:, 0])
+    position[:] = np.interp(scan, at[order, 0], at[order, 1], left=np.nan, right=np.nan)
+    y_true[:] = np.interp(scan, at[order, 0], y[order])
+    position[7] = np.nan
+    profile = triangulate(geometry, view, position, np.full(geometry.n_scan, 0.1))
+    assert 7 not in profile.scan
+    assert len(profile.y_mm) == np.isfinite(position).sum()
+    assert (np.diff(profile.y_mm) > 0.0).all()
+    np.testing.assert_allclose(profile.z_mm, 0.0, atol=2e-3)
+    np.testing.assert_allclose(profile.y_mm, y_true[profile.scan.astype(int)], atol=2e-3)
+    assert profile.column_mm == pytest.approx(np.median(np.abs(np.diff(y_true))), rel=0.05)
+    moved = triangulate(geometry, view, position + 0.01, np.full(geometry.n_scan, 0.1))
+    np.testing.assert_allclose((moved.z_mm - profile.z_mm) / 0.01, profile.dz_mm, rtol=1e-3, atol=1e-5)
+    np.testing.assert_allclose((moved.y_mm - profile.y_mm) / 0.01, profile.dy_mm, rtol=1e-3, atol=1e-5)
+
+
+def test_a_single_point_has_no_spacing() -> None:
+    geometry = distorted(False)
+    position = np.full(geometry.n_scan, np.nan)
+    position[5] = 100.0
+    profile = triangulate(geometry, scene(geometry.setup, np.eye(4)), position, np.ones(geometry.n_scan))
+    assert len(profile.y_mm) == 1
+    assert np.isnan(profile.column_mm)
+
+
+def test_rays_that_run_away_from_the_sheet_are_nan() -> None:
+    geometry = SensorGeometry.of(small_setup("v_groove"))
+    points, _ = to_laser_plane(geometry, np.array([[160.0, -1e5], [160.0, 120.0], [160.0, 1e5]]))
+    assert np.isfinite(points[1]).all()
+    assert np.isnan(points).any()

@@ -1,0 +1,203 @@
+"""Plain NumPy and scipy twins of the tracker's kernels, written from their contracts, not their code."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import numpy.typing as npt
+from scipy.optimize import minimize
+
+from tracker.stripe import (
+    CORRELATION_PX,
+    EDGE_PX,
+    GAIN_CAP,
+    JUMP_COST,
+    JUMP_COST_CAP,
+    MISSING_COST,
+    WIDTH_SIGMA_LN,
+)
+
+Float64 = npt.NDArray[np.float64]
+Bool = npt.NDArray[np.bool_]
+
+
+def gather(image: npt.NDArray[np.integer], along_rows: bool, lows: Float64, cell: int, depth: int) -> Float64:
+    """The codes of a band, scan line by scan line."""
+    lines = image.T if along_rows else image
+    return np.stack([line[lows[s // cell] : lows[s // cell] + depth] for s, line in enumerate(lines)])
+
+
+def running_median(band: Float64, half: int) -> Float64:
+    """The median of what lies within `half` places, line by line."""
+    places = np.arange(band.shape[1])
+    near = np.abs(places[:, None] - places) <= half
+    return np.stack([[np.median(line[row]) for row in near] for line in band])
+
+
+def matched_filter(
+    residual: Float64, variance: Float64, center: Float64, width: Float64, lows: Float64, offsets: Float64
+) -> Float64:
+    """The amplitude of a Gaussian without its mean over its 1 sigma, 0 where it does not fit in."""
+    score = np.zeros((len(residual), len(offsets)))
+    for s, line in enumerate(residual):
+        half = math.ceil(2.5 * width[s])
+        template = np.exp(-0.5 * (np.arange(-half, half + 1) / width[s]) ** 2)
+        template -= template.mean()
+        for i, offset in enumerate(offsets):
+            first = int(np.rint(center[s])) - lows[s] + offset - half
+            if first < 0 or first + len(template) > len(line):
+                continue
+            part = slice(first, first + len(template))
+            seen = ~np.isnan(line[part])
+            noise = np.sum((template**2 * variance[s, part])[seen])
+            if noise > 0.0:
+                score[s, i] = np.sum((template * line[part])[seen]) / np.sqrt(noise)
+    return score
+
+
+def path_costs(n: int) -> Float64:
+    """What it costs to go from each of n offsets and 'none' (the last) to each, (n + 1, n + 1)."""
+    state = np.arange(n)
+    change = np.full((n + 1, n + 1), JUMP_COST_CAP)
+    change[:n, :n] = np.minimum(JUMP_COST * np.abs(state[:, None] - state), JUMP_COST_CAP)
+    change[n, n] = 0.0
+    return change
+
+
+def path_gains(score: Float64) -> Float64:
+    """What each state of each line earns, (n_scan, n + 1)."""
+    gains = np.minimum(0.5 * np.maximum(score, 0.0) ** 2, GAIN_CAP)
+    return np.column_stack([gains, np.full(len(score), MISSING_COST)])
+
+
+def path_cost(score: Float64, choice: npt.NDArray[np.int64]) -> float:
+    """The cost of a path of offsets, -1 for none."""
+    n = score.shape[1]
+    states = np.where(choice < 0, n, choice)
+    return float(
+        path_costs(n)[states[:-1], states[1:]].sum() - path_gains(score)[np.arange(len(score)), states].sum()
+    )
+
+
+def best_path_cost(score: Float64) -> float:
+    """The lowest cost of all paths, by dynamic programming over the full matrix of changes."""
+    change, gains = path_costs(score.shape[1]), path_gains(score)
+    cost = -gains[0]
+    for gain in gains[1:]:
+        cost = (cost[:, None] + change).min(axis=0) - gain
+    return float(cost.min())
+
+
+def map_edge(background: Float64, lows: Float64, s: int, position: float) -> float:
+    """The larger change of the map to the lines EDGE_PX away, at the same pixel of the image."""
+
+    def value(line: int) -> float:
+        place = np.clip(int(position) - lows[line], 0, background.shape[1] - 1)
+        return float(background[line, place])
+
+    others = [value(line) for line in (s - EDGE_PX, s + EDGE_PX) if 0 <= line < len(background)]
+    return float(np.nanmax([0.0, *(abs(other - value(s)) for other in others)]))
+
+
+class LineModel:
+    """One scan line's stripe over the map: its penalised likelihood and what that says of each parameter.
+
+    The pixel's law is the quasi-likelihood whose variance is mean + dark (a Poisson count with dark noise on
+    top), -integral (d - mu) / V(mu) d(mu); a censored pixel that lies below the model says nothing.
+    Parameters: amplitude, position, ln width, offset and slope of the background at that position.
+    """
+
+    def __init__(
+        self,
+        charge: Float64,
+        background: Float64,
+        censored: Bool,
+        width: float,
+        dark: float,
+        map_sigma: float,
+        base_sigma: float,
+        edge: float,
+        window: tuple[int, int],
+    ) -> None:
+        self.r = np.arange(window[0], window[1] + 1, dtype=np.float64)
+        part = slice(window[0], window[1] + 1)
+        self.charge, self.censored = charge[part].astype(np.float64), censored[part]
+        self.background = background[part].astype(np.float64)
+        self.dark, self.ln_width = dark, math.log(width)
+        smooth = math.hypot(map_sigma * float(self.background.mean()), base_sigma)
+        slope = math.hypot(smooth / CORRELATION_PX, edge / (3.0 * width))
+        self.prior = np.array([0.0, 0.0, WIDTH_SIGMA_LN**-2, math.hypot(smooth, edge) ** -2, slope**-2])
+
+    def mean(self, x: Float64) -> Float64:
+        away = self.r - x[1]
+        return x[0] * np.exp(-0.5 * (away / np.exp(x[2])) ** 2) + self.background + x[3] + x[4] * away
+
+    def cost(self, x: Float64) -> float:
+        mean = self.mean(x)
+        mean = np.where(self.censored, np.minimum(mean, self.charge), mean)
+        lit, dim = np.maximum(mean, 0.0), np.minimum(mean, 0.0)
+        gained = (self.charge + self.dark) * np.log1p(lit / self.dark) - lit
+        gained += (self.charge * dim - 0.5 * dim**2) / self.dark
+        off = x - np.array([0.0, 0.0, self.ln_width, 0.0, 0.0])
+        return float(0.5 * self.prior @ off**2 - gained.sum())
+
+    def information(self, x: Float64) -> Float64:
+        """The Fisher information (5, 5) at x, priors included, by numerical derivatives of the mean."""
+        steps = np.maximum(np.abs(x), 1.0) * 1e-6
+        moves = np.diag(steps)
+        columns = [(self.mean(x + move) - self.mean(x - move)) / (2.0 * move.sum()) for move in moves]
+        J, mean = np.stack(columns, axis=1), self.mean(x)
+        counts = ~(self.censored & (self.charge <= mean))
+        weight = counts / (np.maximum(mean, 0.0) + self.dark)
+        return J.T @ (weight[:, None] * J) + np.diag(self.prior)
+
+    def fit(self, start: Float64) -> Float64:
+        """The parameters of the lowest cost, sought from a start near it."""
+        scale = np.sqrt(np.diag(np.linalg.inv(self.information(start))))
+        at = start
+        for _ in range(3):
+            found = minimize(
+                lambda t, at=at: self.cost(at + scale * t) - self.cost(at),
+                np.zeros(5),
+                method="Nelder-Mead",
+                options={"xatol": 1e-7, "fatol": 1e-12, "maxiter": 6000, "maxfev": 6000},
+            )
+            at = at + scale * found.x
+        return at
+
+
+def line_bound(
+    amplitude: float,
+    width: float,
+    level: float,
+    dark: float,
+    map_sigma: float,
+    base_sigma: float,
+    reach_sigmas: float,
+) -> float:
+    """The Cramer-Rao bound of the position, px: all else unknown, width, offset and slope with priors.
+
+    Read from the pixels within `reach_sigmas` of a stripe that stands on a level map.
+    """
+    reach = int(reach_sigmas * width)
+    r = np.arange(-reach, reach + 1)
+    model = LineModel(
+        np.zeros(len(r)),
+        np.full(len(r), level),
+        np.zeros(len(r), dtype=bool),
+        width,
+        dark,
+        map_sigma,
+        base_sigma,
+        0.0,
+        (0, len(r) - 1),
+    )
+    at = np.array([amplitude, float(reach), math.log(width), 0.0, 0.0])
+    return float(np.sqrt(np.linalg.inv(model.information(at))[1, 1]))
+
+
+def seam_prior(apart_mm: Float64, wide: float, bend: float, length: float) -> Float64:
+    """The covariance of a seam's displacements, written as the Matern 3/2 kernel stands in the book."""
+    r = np.sqrt(3.0) * np.abs(apart_mm) / length
+    return wide**2 + bend**2 * (1.0 + r) * np.exp(-r)
