@@ -232,6 +232,21 @@ def touch(horizon: Float64, x_start: float, x: float) -> tuple[float, float]:
 
 
 @numba.njit(cache=True, nogil=True)
+def _steepest(P: Float64, sheet_z: float, center: Float64, radius: float, corrugation: Float64) -> float:
+    """Return the steepest slope from P over one sheet on the way to the arc, as in `horizon_table`."""
+    towards = 1.0 if center[0] > P[0] else -1.0
+    steepest = -math.inf
+    for j in range(1, int((abs(center[0] - P[0]) + radius) / HORIZON_STEP_MM) + 1):
+        x = P[0] + towards * j * HORIZON_STEP_MM
+        c, _ = ridge(x, corrugation)
+        slope = (sheet_z + c - P[2]) / (j * HORIZON_STEP_MM)
+        counts = (center[0] - x) * towards >= radius or (slope > 0.0 and sheet_z + c <= center[2])
+        if counts and slope > steepest:
+            steepest = slope
+    return steepest
+
+
+@numba.njit(cache=True, nogil=True)
 def sky_planes(
     P: Float64,
     normal: Float64,
@@ -282,14 +297,12 @@ def sky_planes(
             # From the upper sheet: it hides up to its edge, beyond the edge the lower one does.
             if which == 1 and not (on_upper and crosses):
                 continue
-            slope, where = touch(horizons[which], horizon_start, P[0])
-            if slope == -math.inf:
-                continue
             if face == 1:
-                # The edge's own height over the lower sheet lowers what it sees.
-                foot, _ = ridge(P[0], corrugation)
-                slope -= (P[2] - vertices[2, 1] - foot) / abs(where - P[0])
-            elif towards * normal[0] + slope * normal[2] <= 1e-9:
+                # A point of the edge stands over the sheet that the table is for.
+                slope, where = _steepest(P, vertices[2, 1], center, radius, corrugation), math.nan
+            else:
+                slope, where = touch(horizons[which], horizon_start, P[0])
+            if slope == -math.inf or (face != 1 and towards * normal[0] + slope * normal[2] <= 1e-9):
                 continue
             if which == 0 and on_upper and crosses and (x_edge - where) * towards < 0.0:
                 continue
