@@ -50,8 +50,12 @@ def camera(
     width: int = 160,
     height: int = 120,
     psf_sigma_px: float = 0.7,
+    focal_px: float | None = None,
 ) -> Camera:
-    """A camera of 17 x 13 degrees that stands at view[0] and looks at view[1], tool frame, x to the right."""
+    """A camera that stands at view[0] and looks at view[1], tool frame, x to the right.
+
+    It is 17 degrees wide, unless another focal length is given; 2190 px is that of a full-sized camera.
+    """
     eye, target = np.asarray(view[0]), np.asarray(view[1])
     z_axis = (target - eye) / np.linalg.norm(target - eye)
     x_axis = np.array([0.0, -1.0, 0.0]) + z_axis[1] * z_axis
@@ -59,7 +63,7 @@ def camera(
     T_tool_camera = np.eye(4)
     T_tool_camera[:3, :3] = np.column_stack([x_axis, np.cross(z_axis, x_axis), z_axis])
     T_tool_camera[:3, 3] = eye
-    f = 547.5 * width / 160.0
+    f = 547.5 * width / 160.0 if focal_px is None else focal_px
     center = (width - 1) / 2.0, (height - 1) / 2.0
     return Camera(width, height, f, f, *center, T_tool_camera, psf_sigma_px=psf_sigma_px)
 
@@ -207,25 +211,16 @@ def f_r(omega_i: Float64, omega_r: Float64, normal: Float64, material: Material)
     return material.kappa_diff + material.kappa_spec * G / cos_r * np.exp(-material.c2 * alpha**2)
 
 
-def arc_light(
-    joint: Joint,
-    P: Float64,
-    normal: Float64,
-    omega_r: Float64,
-    center: Float64,
-    radius: float,
-    material: Material,
-    nodes: tuple[int, int] = (10946, 6765),
-) -> float:
-    """The integral of f_r cos(phi) cos(theta_i) / r^2 dA over what P sees of the upper half, node by node.
+def arc_nodes(
+    P: Float64, center: Float64, radius: float, nodes: tuple[int, int] = (10946, 6765)
+) -> tuple[Float64, Float64, Float64]:
+    """Points (N, 3) on the luminous side that faces P, the directions to them, and cos(phi) / r^2 dA (N,).
 
-    The nodes are a Fibonacci lattice on the cap that faces P, spread evenly over its apparent disc.
+    They are a Fibonacci lattice on the cap that faces P, spread evenly over its apparent disc.
     """
     n, generator = nodes
     towards = center - P
     distance = float(np.linalg.norm(towards))
-    if distance <= radius:
-        return 0.0
     w = towards / distance
     side = np.cross(w, [1.0, 0.0, 0.0] if abs(w[0]) < 0.9 else [0.0, 1.0, 0.0])
     side /= np.linalg.norm(side)
@@ -242,13 +237,29 @@ def arc_light(
     omega_i = on_arc - P
     r = np.linalg.norm(omega_i, axis=1)
     omega_i /= r[:, np.newaxis]
-    cos_phi, cos_i = -np.sum(omega_i * outward, axis=1), omega_i @ normal
+    cos_phi = -np.sum(omega_i * outward, axis=1)
     # dA = R^2 sin(sigma) d(sigma) d(azimuth), and d(sin^2 sigma) = 2 sin(sigma) cos(sigma) d(sigma).
     dA = np.pi * radius**2 * (1.0 - cos_rim**2) / (n * cos_sigma)
-    seen = (cos_phi > 0) & (cos_i > 0)
-    on_arc, omega_i, weight = on_arc[seen], omega_i[seen], (cos_phi * cos_i / r**2 * dA)[seen]
-    if joint.type in ("lap", "corrugation", "v_groove"):
+    return on_arc, omega_i, np.maximum(cos_phi, 0.0) / r**2 * dA
+
+
+def arc_light(
+    joint: Joint,
+    P: Float64,
+    normal: Float64,
+    omega_r: Float64,
+    center: Float64,
+    radius: float,
+    material: Material,
+) -> float:
+    """The integral of f_r cos(phi) cos(theta_i) / r^2 dA over what P sees of the upper half, node by node."""
+    if np.linalg.norm(center - P) <= radius:
+        return 0.0
+    on_arc, omega_i, weight = arc_nodes(P, center, radius)
+    seen = omega_i @ normal > 0
+    on_arc, omega_i, weight = on_arc[seen], omega_i[seen], weight[seen]
+    if joint.type != "flat":
         inside = on_arc[:, 2] < height(joint, on_arc[:, 0], on_arc[:, 1]) - 1e-9
         free = ~inside & (clearance(joint, P, on_arc) > -1e-6)
         omega_i, weight = omega_i[free], weight[free]
-    return float(np.sum(f_r(omega_i, omega_r, normal, material) * weight))
+    return float(np.sum(f_r(omega_i, omega_r, normal, material) * (omega_i @ normal) * weight))

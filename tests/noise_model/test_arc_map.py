@@ -1,0 +1,375 @@
+import dataclasses
+import functools
+import math
+
+import numpy as np
+import pytest
+import scenes
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from noise_model.arc import Hemisphere, irradiance_extended, reflected_radiance_extended
+from noise_model.arc_map import (
+    CELL,
+    CUT_FACTOR,
+    NODES_P,
+    NODES_Q,
+    _disc_nodes,
+    arc_at,
+    arc_band,
+    arc_frame,
+    arc_kernel,
+    arc_light,
+    scene,
+)
+from noise_model.brdf import TABLE_1, Material
+from noise_model.frames import invert
+from noise_model.optics import Rays
+from noise_model.surface import SeamLine
+from noise_model.visibility import MISS
+
+UP = np.array([0.0, 0.0, 1.0])
+QUARTER_DN_E = 20.0
+LAMBERT = Material("lambert", 1.0, 0.0, 1.0)
+
+
+def arc_at_pixels(setup, T_base_tool, pixels=None, seam=None, level=1.0, nodes=(NODES_P, NODES_Q)):
+    """The arc's light and the faces at some pixels (or all), flattened."""
+    rays = Rays.of(setup.camera)
+    view = scene(setup, T_base_tool) if seam is None else scene(setup, T_base_tool, seam)
+    pixels = np.arange(rays.cos4.size) if pixels is None else pixels
+    kernel = arc_kernel(setup, view, level, nodes)
+    return arc_at(kernel, rays.xy.reshape(-1, 2), rays.cos4.reshape(-1), pixels)
+
+
+def center_after_recording_md(setup, T_base_tool):
+    """Below the tool's origin, x and y of center_in_tool_mm turned with it; for a seam along base's x."""
+    offset = np.asarray(setup.arc.center_in_tool_mm)
+    x, y, _ = T_base_tool[:3, 3] + T_base_tool[:3, :3] @ offset
+    ridge = scenes.corrugation(setup.joint, x) if setup.joint.type == "corrugation" else 0.0
+    return np.array([x, y, offset[2] + float(ridge)])
+
+
+def twin_at_pixels(setup, T_base_tool, pixels):
+    """The same, marched: where each pixel's ray ends and what the twin's arc sends there."""
+    camera = setup.camera
+    T_base_camera = T_base_tool @ camera.T_tool_camera
+    center = center_after_recording_md(setup, T_base_tool)
+    mean_e, points = np.zeros(len(pixels)), np.empty((len(pixels), 3))
+    for i, pixel in enumerate(pixels):
+        row, column = divmod(int(pixel), camera.width)
+        ray = np.array([(column - camera.cx) / camera.fx, (row - camera.cy) / camera.fy, 1.0])
+        d = T_base_camera[:3, :3] @ ray
+        P = T_base_camera[:3, 3] + scenes.march(setup.joint, T_base_camera[:3, 3], d, steps=2000) * d
+        omega_r = -d / np.linalg.norm(d)
+        normal = scenes.normal_at(setup.joint, P)
+        light = scenes.arc_light(setup.joint, P, normal, omega_r, center, setup.arc.radius_mm, setup.material)
+        mean_e[i] = setup.arc.radiance_e * light / float(ray @ ray) ** 2
+        points[i] = P
+    return mean_e, points
+
+
+def off_by(got, want):
+    """Relative errors; none where it is below a quarter of a DN."""
+    error = np.abs(got - want)
+    return np.where(error < QUARTER_DN_E, 0.0, error / np.maximum(want, 1.0))
+
+
+def some_pixels(setup, T_base_tool, count, seed):
+    """Random pixels, every other one of them within 2 mm of the seam, where shadows begin."""
+    rng = np.random.default_rng(seed)
+    camera = setup.camera
+    pixels = rng.choice(camera.width * camera.height, 40 * count, replace=False)
+    T_base_camera = T_base_tool @ camera.T_tool_camera
+    rows, columns = np.divmod(pixels, camera.width)
+    rays = np.column_stack(
+        [(columns - camera.cx) / camera.fx, (rows - camera.cy) / camera.fy, np.ones(len(pixels))]
+    )
+    d = rays @ T_base_camera[:3, :3].T
+    y = T_base_camera[1, 3] - T_base_camera[2, 3] / d[:, 2] * d[:, 1]
+    return np.concatenate([pixels[np.abs(y) < 2.0][: count // 2], pixels[: count - count // 2]])
+
+
+POSES = {
+    "level": scenes.pose(),
+    "turned": scenes.pose((10.0, -1.0, 2.0), (2.0, -3.0, 8.0)),
+    "aside": scenes.pose((-24.0, 2.0, 3.0), (-5.0, 4.0, -10.0)),
+    "over the sheet": scenes.pose((28.0, -4.0, 1.0), (4.0, 0.0, 5.0)),
+}
+
+
+@pytest.mark.parametrize("material", TABLE_1)
+@pytest.mark.parametrize("center_mm", [(0.0, 0.0, 0.0), (3.0, -2.0, 1.5), (0.0, 0.0, -1.0)])
+def test_a_plate_shows_the_references_arc(material, center_mm):
+    setup = scenes.setup("flat", material, arc_center_mm=center_mm)
+    T = POSES["turned"]
+    pixels = np.arange(0, 160 * 120, 37)
+    got, faces = arc_at_pixels(setup, T, pixels)
+    rays, T_base_camera = Rays.of(setup.camera), T @ setup.camera.T_tool_camera
+    d = np.column_stack([rays.xy.reshape(-1, 2)[pixels], np.ones(len(pixels))]) @ T_base_camera[:3, :3].T
+    points = T_base_camera[:3, 3] - T_base_camera[2, 3] / d[:, 2:] * d
+    arc = Hemisphere(center_after_recording_md(setup, T), setup.arc.radius_mm, UP)
+    omega_r = -d / np.linalg.norm(d, axis=1, keepdims=True)
+    normals = np.broadcast_to(UP, points.shape)
+    L_r = reflected_radiance_extended(points, normals, omega_r, arc, setup.material)
+    want = setup.arc.radiance_e * L_r * rays.cos4.reshape(-1)[pixels]
+    np.testing.assert_allclose(got, want, rtol=2e-4)
+    assert set(faces) <= {0, 1}
+
+
+def disc_light(P, normal, omega_r, center, material, nodes, planes=()):
+    """`arc_light` of a patch that nothing but its own horizon and `planes` shades."""
+    cuts = np.vstack([normal, *planes])
+    return arc_light(
+        P, normal, omega_r, center, 3.0, cuts, len(cuts), np.zeros(3), 0.0, 0.0, False, math.nan,
+        material.kappa_diff, material.kappa_spec, material.c2, _disc_nodes(*nodes),
+    )  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    ("a_mm", "nodes", "tolerance"),
+    [
+        (3.3, (24, 8), 2e-5),
+        (4.5, (24, 8), 1e-9),
+        (4.5, (NODES_P, NODES_Q), 1e-2),
+        (9.0, (NODES_P, NODES_Q), 5e-4),
+        (35.0, (NODES_P, NODES_Q), 1e-4),
+        (120.0, (NODES_P, NODES_Q), 1e-4),
+    ],
+)
+def test_a_plate_through_the_centre_gets_the_closed_form(a_mm, nodes, tolerance):
+    H = a_mm / 3.0
+    root = math.sqrt(H**2 - 1.0)
+    P = a_mm * np.array([0.6, -0.8, 0.0])
+    level = disc_light(P, UP, UP, np.zeros(3), LAMBERT, nodes)
+    assert level == pytest.approx(math.atan(1.0 / root) - root / H**2, rel=tolerance)
+    facing = disc_light(P, -P / a_mm, -P / a_mm, np.zeros(3), LAMBERT, nodes)
+    assert facing == pytest.approx(math.pi / (2.0 * H**2), rel=tolerance)
+
+
+def test_any_patch_gets_the_references_light():
+    rng = np.random.default_rng(8)
+    nodes = (CUT_FACTOR * NODES_P, NODES_Q)
+    n = 400
+    a = 3.0 * np.exp(rng.uniform(np.log(1.5), np.log(20.0), n))
+    points = rng.normal(size=(n, 3))
+    points *= a[:, np.newaxis] / np.linalg.norm(points, axis=1, keepdims=True)
+    normals = rng.normal(size=(n, 3))
+    normals /= np.linalg.norm(normals, axis=1, keepdims=True)
+    arc = Hemisphere(np.zeros(3), 3.0, UP)
+    want = irradiance_extended(points, normals, arc)
+    got = np.array(
+        [disc_light(p, m, m, np.zeros(3), LAMBERT, nodes) for p, m in zip(points, normals, strict=True)]
+    )
+    # Next to nothing is left where the horizon hides almost all of it: what counts is the whole disc's light.
+    whole = np.pi * 9.0 / a**2
+    assert np.max(np.abs(got - want) / whole) < 3e-3
+    assert np.quantile(np.abs(got - want) / whole, 0.95) < 5e-4
+    assert np.all(got[want == 0.0] == 0.0)
+
+
+def test_no_light_inside_the_arc():
+    assert disc_light(np.array([1.0, 0.0, 0.0]), UP, UP, np.zeros(3), LAMBERT, (NODES_P, NODES_Q)) == 0.0
+
+
+@pytest.mark.parametrize("turn_deg", [0.0, 3.0, 15.0, 40.0, 65.0, 80.0, 90.0, 130.0, 177.0])
+@pytest.mark.parametrize("at", [-0.7, -0.2, 0.0, 0.5])
+def test_a_cut_across_the_disc_at_any_angle(turn_deg, at):
+    """However steep what hides the arc stands: along the chords as across them."""
+    P, center = np.array([0.0, 0.0, 0.0]), np.array([30.0, 0.0, 2.0])
+    turn = math.radians(turn_deg)
+    towards = center / np.linalg.norm(center)
+    upright = np.array([-towards[2], 0.0, towards[0]])
+    cut = math.cos(turn) * np.array([0.0, 1.0, 0.0]) + math.sin(turn) * upright - at * 3.0 / 30.0 * towards
+    got = disc_light(P, UP, UP, center, LAMBERT, (CUT_FACTOR * NODES_P, NODES_Q), [cut])
+    _, omega_i, weight = scenes.arc_nodes(P, center, 3.0)
+    whole = np.sum(weight * omega_i[:, 2])
+    want = np.sum((weight * omega_i[:, 2])[omega_i @ cut > 0])
+    assert abs(got - want) < 4e-3 * whole
+
+
+@pytest.mark.parametrize("name", ["v_groove", "lap"])
+@pytest.mark.parametrize("material", TABLE_1)
+@pytest.mark.parametrize("pose", POSES)
+def test_joints_show_the_arc_that_a_walk_finds(name, material, pose):
+    """All within 1 % or 0.25 DN, but for penumbrae at a lap's edge: 2 % there."""
+    setup = scenes.setup(name, material)
+    pixels = some_pixels(setup, POSES[pose], 100, seed=9)
+    got, _ = arc_at_pixels(setup, POSES[pose], pixels)
+    want, _ = twin_at_pixels(setup, POSES[pose], pixels)
+    error = off_by(got, want)
+    assert want.max() > 1000.0
+    assert np.median(np.abs(got - want) / np.maximum(want, 1.0)) < 1e-3
+    assert np.quantile(error, 0.98) < 0.01
+    assert error.max() < 0.02
+
+
+@pytest.mark.parametrize("pose", POSES)
+def test_a_corrugated_lap_shows_the_arc_that_a_walk_finds(pose):
+    """Within 1 % or 0.25 DN, but for what two things shade at once: 2 % there."""
+    setup = scenes.setup("corrugation", "zn_coated")
+    pixels = some_pixels(setup, POSES[pose], 40, seed=10)
+    got, _ = arc_at_pixels(setup, POSES[pose], pixels)
+    want, _ = twin_at_pixels(setup, POSES[pose], pixels)
+    error = off_by(got, want)
+    assert np.quantile(error, 0.97) < 0.01
+    assert error.max() < 0.02
+
+
+def test_a_corrugated_laps_edge_lies_in_the_ridges_shadow():
+    """The arc stands behind a ridge: from the face of the sheet's edge, seen here from the left, as well."""
+    setup = scenes.setup("corrugation", of_camera=scenes.camera(((95.0, 60.0, 110.0), (36.0, 0.0, 0.0))))
+    T = scenes.pose((-30.0, 2.0, 0.0))
+    got, faces = arc_at_pixels(setup, T)
+    on_edge = np.flatnonzero(faces == 1)
+    assert len(on_edge) > 100
+    chosen = on_edge[:: len(on_edge) // 25]
+    want, points = twin_at_pixels(setup, T, chosen)
+    np.testing.assert_allclose(points[:, 1], 0.0, atol=1e-6)
+    assert np.count_nonzero(want == 0.0) > 5
+    assert np.count_nonzero(want > 100.0) > 5
+    assert off_by(got[chosen], want).max() < 0.02
+
+
+def test_it_scales_with_level_and_radiance():
+    setup = scenes.setup("lap")
+    pixels = np.arange(0, 160 * 120, 53)
+    nominal, _ = arc_at_pixels(setup, POSES["turned"], pixels)
+    bright, _ = arc_at_pixels(setup, POSES["turned"], pixels, level=1.7)
+    np.testing.assert_allclose(bright, 1.7 * nominal, rtol=1e-6)
+    louder = dataclasses.replace(
+        setup, arc=dataclasses.replace(setup.arc, radiance_e=2.0 * setup.arc.radiance_e)
+    )
+    np.testing.assert_allclose(arc_at_pixels(louder, POSES["turned"], pixels)[0], 2.0 * nominal, rtol=1e-6)
+
+
+@pytest.mark.parametrize("name", scenes.JOINTS)
+def test_a_seam_off_its_line_is_the_tool_off_the_seam(name):
+    setup = scenes.setup(name)
+    seam = SeamLine(y_mm=0.8, z_mm=-0.4)
+    pixels = np.arange(0, 160 * 120, 53)
+    moved, faces = arc_at_pixels(setup, POSES["turned"], pixels, seam)
+    T = scenes.pose((0.0, -0.8, 0.4)) @ POSES["turned"]
+    want, want_faces = arc_at_pixels(setup, T, pixels)
+    np.testing.assert_allclose(moved, want, rtol=1e-5)
+    np.testing.assert_array_equal(faces, want_faces)
+
+
+@pytest.mark.parametrize("name", scenes.JOINTS)
+def test_it_matters_not_where_base_lies(name):
+    setup = scenes.setup(name)
+    turn = scenes.pose(turn_deg=(20.0, -10.0, 50.0))
+    ends = [tuple(turn[:3, :3] @ point) for point in setup.joint.seam_in_base_mm]
+    joint = dataclasses.replace(
+        setup.joint, seam_in_base_mm=tuple(ends), surface_normal_in_base=tuple(turn[:3, 2])
+    )
+    pixels = np.arange(0, 160 * 120, 53)
+    turned, _ = arc_at_pixels(dataclasses.replace(setup, joint=joint), turn @ POSES["turned"], pixels)
+    np.testing.assert_allclose(turned, arc_at_pixels(setup, POSES["turned"], pixels)[0], rtol=1e-4)
+
+
+@given(
+    st.sampled_from(list(scenes.JOINTS)),
+    st.tuples(*[st.floats(-20.0, 20.0)] * 3),
+    st.tuples(*[st.floats(-15.0, 15.0)] * 3),
+    st.tuples(*[st.floats(-5.0, 5.0)] * 2, st.floats(0.0, 5.0)),
+)
+@settings(deadline=None)
+def test_on_the_surface_the_arc_stands_below_the_tool(name, shift, turn_deg, center_mm):
+    setup = scenes.setup(name, arc_center_mm=center_mm)
+    T = scenes.pose(shift, turn_deg)
+    want = center_after_recording_md(setup, T)
+    view = scene(setup, T)
+    np.testing.assert_allclose(view.center_mm, want, atol=1e-9)
+
+
+def test_off_the_surface_the_arc_goes_with_the_tool():
+    setup = scenes.setup("flat", arc_center_mm=(1.0, 2.0, 4.0))
+    setup = dataclasses.replace(setup, arc=dataclasses.replace(setup.arc, on_surface=False))
+    T = POSES["turned"]
+    np.testing.assert_allclose(scene(setup, T).center_mm, (T @ [1.0, 2.0, 4.0, 1.0])[:3], atol=1e-12)
+
+
+def test_a_tilted_camera_sees_nan_past_the_workpiece():
+    setup = scenes.setup("lap", of_camera=scenes.camera(((0.0, 0.0, 60.0), (60.0, 0.0, 57.0))))
+    mean_e, faces = arc_at_pixels(setup, scenes.pose())
+    above = np.isnan(mean_e).reshape(120, 160)
+    np.testing.assert_array_equal(above.reshape(-1), faces == MISS)
+    assert above[0].all()
+    assert not above[-1].any()
+    frame = arc_frame_of(setup, scenes.pose())
+    np.testing.assert_array_equal(np.isnan(frame), above)
+
+
+@pytest.mark.parametrize("z_mm", [-0.5, -130.0, -500.0])
+def test_a_camera_below_the_surface_is_refused(z_mm):
+    setup = scenes.setup("lap")
+    T = scenes.pose((0.0, 0.0, z_mm - 130.0))
+    with pytest.raises(ValueError, match="below the surface"):
+        arc_kernel(setup, scene(setup, T))
+
+
+def test_below_the_surface_is_where_the_surface_is():
+    setup = scenes.setup("corrugation", of_camera=scenes.camera(((60.0, -5.0, 5.0), (36.0, 0.0, 0.0))))
+    assert scene(setup, scenes.pose((0.0, 0.0, 4.4))).below_surface
+    assert not scene(setup, scenes.pose((0.0, 0.0, 4.6))).below_surface
+    assert not scene(setup, scenes.pose((0.0, 6.0, 3.1))).below_surface
+
+
+def arc_frame_of(setup, T_base_tool):
+    rays = Rays.of(setup.camera)
+    kernel = arc_kernel(setup, scene(setup, T_base_tool))
+    return arc_frame(kernel, rays.xy.reshape(-1, 2), rays.cos4.reshape(-1), rays.cos4.shape)
+
+
+@functools.cache
+def whole_frame(name, pose, width, height):
+    """A frame at a full-sized camera's pixel pitch, pixel by pixel."""
+    setup = scenes.setup(name, of_camera=scenes.camera(width=width, height=height, focal_px=2190.0))
+    mean_e, _ = arc_at_pixels(setup, POSES[pose])
+    return setup, mean_e.reshape(height, width)
+
+
+def check_filled(got, want):
+    """Within 0.5 % or 0.25 DN; where a shadow begins in a cell, 1 % of the pixels may be 2 % or 0.5 DN off."""
+    error = np.abs(got - want)
+    assert np.mean(error > np.maximum(0.005 * want, QUARTER_DN_E)) <= 0.01
+    assert np.all(error < np.maximum(0.02 * want, 2.0 * QUARTER_DN_E))
+
+
+@pytest.mark.parametrize("name", scenes.JOINTS)
+@pytest.mark.parametrize("pose", ["level", "aside"])
+@pytest.mark.parametrize(("width", "height"), [(320, 240), (157, 119)])
+def test_a_frame_filled_by_cells_is_the_frame_pixel_by_pixel(name, pose, width, height):
+    setup, want = whole_frame(name, pose, width, height)
+    check_filled(arc_frame_of(setup, POSES[pose]), want)
+
+
+@pytest.mark.parametrize("name", ["lap", "corrugation"])
+def test_a_band_is_that_part_of_the_frame(name):
+    setup, want = whole_frame(name, "aside", 157, 119)
+    rays = Rays.of(setup.camera)
+    kernel = arc_kernel(setup, scene(setup, POSES["aside"]))
+    lows = np.arange(-(-119 // CELL), dtype=np.int64) * 5 % 108
+    band = np.full((119, 49), np.nan, dtype=np.float32)
+    arc_band(kernel, rays.xy.reshape(-1, 2), rays.cos4.reshape(-1), lows, band)
+    check_filled(band, np.array([want[i, lows[i // CELL] : lows[i // CELL] + 49] for i in range(119)]))
+
+
+def test_a_band_of_no_tolerance_is_exact():
+    setup, want = whole_frame("lap", "aside", 157, 119)
+    rays = Rays.of(setup.camera)
+    kernel = arc_kernel(setup, scene(setup, POSES["aside"]))
+    band = np.empty((119, 157), dtype=np.float32)
+    lows = np.zeros(-(-119 // CELL), dtype=np.int64)
+    arc_band(kernel, rays.xy.reshape(-1, 2), rays.cos4.reshape(-1), lows, band, tolerance=0.0, floor_e=-1.0)
+    np.testing.assert_allclose(band, want, rtol=1e-6)
+
+
+def test_the_tool_frame_is_the_joints_beside_its_pose():
+    setup = scenes.setup("lap")
+    view = scene(setup, POSES["turned"])
+    np.testing.assert_allclose(view.T_joint_tool, POSES["turned"], atol=1e-12)
+    np.testing.assert_allclose(
+        invert(view.T_joint_tool) @ view.T_joint_camera, setup.camera.T_tool_camera, atol=1e-9
+    )
