@@ -8,6 +8,7 @@ from typing import Annotated, NoReturn
 
 import typer
 
+from arctrack.cli.figures import figures
 from arctrack.cli.inspect import inspect
 from arctrack.cli.replay import replay
 from arctrack.cli.simulate import simulate
@@ -27,6 +28,7 @@ app = typer.Typer(
 app.command(epilog="Example: arctrack replay examples/v_groove --out /tmp/results")(replay)
 app.command(epilog="Example: arctrack inspect examples/v_groove --out /tmp/v_groove.png")(inspect)
 app.command(epilog="Example: arctrack simulate /tmp/lap --joint lap --material zn_coated --seed 7")(simulate)
+app.add_typer(figures)
 
 
 def _print_version(wanted: bool) -> None:
