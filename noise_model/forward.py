@@ -94,10 +94,16 @@ def stripe(setup: Setup, view: Scene, rays: Rays) -> Float32:
 
 
 def stripe_reference(setup: Setup) -> float:
-    """Return irradiance f_r cos^4 at the stripe's peak on a flat plate at tool height, middle column."""
+    """Return irradiance f_r cos^4 at the stripe's peak on a flat plate at tool height, middle column.
+
+    The middle row it is where the stripe runs along columns. Raises ValueError if the stripe is not there.
+    """
     camera, laser, material = setup.camera, setup.laser, setup.material
-    rows = np.arange(camera.height, dtype=np.float64)
-    xy = camera.normalised(np.column_stack([np.full(camera.height, (camera.width - 1) / 2.0), rows]))
+    if _runs_along_rows(setup):
+        u, v = np.full(camera.height, (camera.width - 1) / 2.0), np.arange(camera.height, dtype=np.float64)
+    else:
+        u, v = np.arange(camera.width, dtype=np.float64), np.full(camera.width, (camera.height - 1) / 2.0)
+    xy = camera.normalised(np.column_stack([u, v]))
     rays_tool = np.column_stack([xy, np.ones(len(xy))]) @ camera.T_tool_camera[:3, :3].T
     origin = camera.T_tool_camera[:3, 3]
     with np.errstate(divide="ignore", invalid="ignore"):
@@ -116,6 +122,17 @@ def stripe_reference(setup: Setup) -> float:
             "[laser] plane_in_tool: the stripe does not cross the camera's middle column at tool height"
         )
     return peak
+
+
+def _runs_along_rows(setup: Setup) -> bool:
+    """Say whether the stripe on a plate at tool height runs along the image's rows, not its columns."""
+    camera, laser = setup.camera, setup.laser
+    R_camera_tool = camera.T_tool_camera[:3, :3].T
+    along = R_camera_tool @ np.cross(laser.plane_in_tool[:3], [0.0, 0.0, 1.0])
+    foot = np.array([*laser.origin_in_tool_mm[:2], 0.0]) - camera.T_tool_camera[:3, 3]
+    x, y, z = R_camera_tool @ foot
+    # d(x/z) and d(y/z) along the stripe, times z^2.
+    return bool(camera.fx * abs(along[0] * z - x * along[2]) >= camera.fy * abs(along[1] * z - y * along[2]))
 
 
 def noise_variance(mean_e: Float32, setup: Setup) -> Float64:

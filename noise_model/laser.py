@@ -31,8 +31,10 @@ class Laser:
         if not self.origin_in_tool_mm[2] > 0:
             raise ValueError("[laser] origin_in_tool_mm: the laser must stand above the tool's origin")
         norm = float(np.linalg.norm(self.plane_in_tool[:3]))
-        if abs(norm - 1.0) > 1e-3:
+        if not abs(norm - 1.0) <= 1e-3:
             raise ValueError(f"[laser] plane_in_tool: the normal's length is {norm:.4f}, not 1")
+        if not (np.isfinite(self.plane_in_tool).all() and np.isfinite(self.origin_in_tool_mm).all()):
+            raise ValueError("[laser] plane_in_tool, origin_in_tool_mm: must be finite")
 
 
 def irradiance(points_tool: Float64, normals_tool: Float64, laser: Laser) -> Float64:
