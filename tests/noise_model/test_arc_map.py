@@ -331,7 +331,7 @@ def whole_frame(name, pose, width, height):
 
 
 def check_filled(got, want):
-    """Within 0.5 % or 0.25 DN; where a shadow begins in a cell, 1 % of the pixels may be 2 % or 0.5 DN off."""
+    """Within 0.5 % or 0.25 DN; where shadows begin in a cell, 1 % of the pixels may be 2 % or 0.5 DN off."""
     error = np.abs(got - want)
     assert np.mean(error > np.maximum(0.005 * want, QUARTER_DN_E)) <= 0.01
     assert np.all(error < np.maximum(0.02 * want, 2.0 * QUARTER_DN_E))

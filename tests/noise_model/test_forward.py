@@ -1,0 +1,237 @@
+import dataclasses
+import math
+
+import cv2
+import numpy as np
+import pytest
+import scenes
+
+from noise_model.arc_map import arc_at, arc_kernel, scene
+from noise_model.forward import noise_variance, render, stripe_reference
+from noise_model.frames import invert
+from noise_model.optics import Camera, Rays
+from noise_model.sensor import expose, linearise
+from noise_model.surface import SeamLine
+
+LEVEL = scenes.pose()
+TURNED = scenes.pose((4.0, 0.5, 1.0), (3.0, -2.0, 4.0))
+EXPOSURE_S = 0.005
+
+
+def stripe_alone(setup, T_base_tool=LEVEL, **changes):
+    settings = {"laser_level": 1.0, "arc_level": 0.0, "exposure_s": EXPOSURE_S} | changes
+    return render(setup, T_base_tool, **settings).astype(np.float64)
+
+
+def sharp(**changes):
+    return scenes.camera(psf_sigma_px=0.0, **changes)
+
+
+def peak_rows(image, columns):
+    """The stripe's centre in each column by a parabola through the logarithms of its three highest rows."""
+    rows = np.argmax(image[:, columns], axis=0)
+    low, mid, high = (np.log(image[rows + i, columns]) for i in (-1, 0, 1))
+    return rows + 0.5 * (low - high) / (low - 2.0 * mid + high)
+
+
+def project(camera: Camera, points_tool):
+    """Pinhole and OpenCV's distortion by OpenCV itself; (u, v) of points (N, 3) of the tool frame."""
+    T = np.linalg.inv(camera.T_tool_camera)
+    rotation, _ = cv2.Rodrigues(T[:3, :3])
+    matrix = np.array([[camera.fx, 0.0, camera.cx], [0.0, camera.fy, camera.cy], [0.0, 0.0, 1.0]])
+    uv, _ = cv2.projectPoints(points_tool, rotation, T[:3, 3], matrix, np.array(camera.distortion))
+    return uv[:, 0]
+
+
+@pytest.mark.parametrize("material", ["mild_steel", "zn_coated"])
+def test_the_stripes_peak_is_peak_e(material):
+    setup = scenes.setup("flat", material, of_camera=sharp(width=161, height=121))
+    assert stripe_alone(setup)[:, 80].max() == pytest.approx(5000.0, rel=1e-5)
+
+
+def test_an_even_width_has_its_middle_between_two_columns():
+    setup = scenes.setup("flat", of_camera=sharp())
+    image = stripe_alone(setup)
+    assert 0.5 * (image[:, 79].max() + image[:, 80].max()) == pytest.approx(5000.0, rel=1e-4)
+
+
+def test_a_camera_on_its_side_sees_the_same_stripe():
+    """The stripe runs along columns then: its peak counts in the middle row."""
+    upright = scenes.camera(psf_sigma_px=0.0, width=161, height=121)
+    T_tool_camera = upright.T_tool_camera.copy()
+    T_tool_camera[:3, :3] = upright.T_tool_camera[:3, :3] @ np.array(
+        [[0.0, 1.0, 0.0], [-1.0, 0.0, 0.0], [0.0, 0.0, 1.0]]
+    )
+    on_side = dataclasses.replace(
+        upright, width=121, height=161, cx=upright.cy, cy=upright.cx, T_tool_camera=T_tool_camera
+    )
+    seen = stripe_alone(scenes.setup("v_groove", of_camera=on_side))
+    want = stripe_alone(scenes.setup("v_groove", of_camera=upright))
+    np.testing.assert_allclose(np.rot90(seen), want, rtol=1e-3, atol=1e-3)
+
+
+def test_a_stripe_that_the_middle_column_never_sees_is_refused():
+    setup = scenes.setup("flat", of_camera=scenes.camera(((95.0, 0.0, 130.0), (90.0, 0.0, 0.0))))
+    with pytest.raises(ValueError, match=r"^\[laser\] plane_in_tool"):
+        stripe_reference(setup)
+
+
+@pytest.mark.parametrize("z_mm", [-3.0, 0.0, 6.0])
+@pytest.mark.parametrize("distortion", [(0.0,) * 5, (-0.2, 0.1, 0.002, -0.001, 0.0)])
+def test_the_stripe_lies_where_plane_and_plate_meet(z_mm, distortion):
+    camera = dataclasses.replace(sharp(), distortion=distortion)
+    setup = scenes.setup("flat", of_camera=camera)
+    image = stripe_alone(setup, scenes.pose((0.0, 0.0, -z_mm)))
+    y = np.linspace(-30.0, 30.0, 2001)
+    u, v = project(camera, np.column_stack([np.full(2001, 35.0), y, np.full(2001, z_mm)])).T
+    columns = np.arange(10, 150)
+    order = np.argsort(u)
+    # What pulls the peak off the sheet's middle is how brightness changes across it: 1e-2 px here.
+    np.testing.assert_allclose(peak_rows(image, columns), np.interp(columns, u[order], v[order]), atol=0.02)
+
+
+def test_the_stripe_follows_a_v_groove():
+    setup = scenes.setup("v_groove", of_camera=sharp())
+    image = stripe_alone(setup)
+    y = np.linspace(-20.0, 20.0, 4001)
+    z = scenes.height(setup.joint, np.zeros(4001), y)
+    u, v = project(setup.camera, np.column_stack([np.full(4001, 35.0), y, z])).T
+    # Columns all of whose stripe lies on one face.
+    for low, high in ((-18.0, -4.2), (-2.8, -0.9), (0.9, 2.8), (4.2, 18.0)):
+        inside = (y > low) & (y < high)
+        columns = np.arange(math.ceil(u[inside].min()), math.floor(u[inside].max()) + 1)
+        assert len(columns) >= 3
+        order = np.argsort(u[inside])
+        want = np.interp(columns, u[inside][order], v[inside][order])
+        np.testing.assert_allclose(peak_rows(image, columns), want, atol=0.03)
+
+
+@pytest.mark.parametrize("name", scenes.JOINTS)
+@pytest.mark.parametrize("material", ["mild_steel", "zn_coated"])
+def test_the_stripe_pixel_by_pixel(name, material):
+    """Ray, irradiance, reflectance, shadow and lens written once more, the rays marched."""
+    setup = scenes.setup(name, material, of_camera=sharp(width=161, height=121))
+    camera, laser = setup.camera, setup.laser
+
+    def light(T_base_tool, joint, row, column):
+        T_tool_base, T_base_camera = invert(T_base_tool), T_base_tool @ camera.T_tool_camera
+        ray = np.array([(column - camera.cx) / camera.fx, (row - camera.cy) / camera.fy, 1.0])
+        d = T_base_camera[:3, :3] @ ray
+        P = T_base_camera[:3, 3] + scenes.march(joint, T_base_camera[:3, 3], d, steps=1000) * d
+        normal = scenes.normal_at(joint, P)
+        Q = (T_base_tool @ [*laser.origin_in_tool_mm, 1.0])[:3]
+        omega_i = (Q - P) / np.linalg.norm(Q - P)
+        if omega_i @ normal <= 0.0 or scenes.clearance(joint, P, Q[np.newaxis])[0] < -1e-6:
+            return 0.0
+        x, y, z = (T_tool_base @ [*P, 1.0])[:3]
+        ratio = (140.0 - z) / 140.0
+        psi = math.atan2(math.hypot(x - 35.0, y), 140.0 - z)
+        sheet = math.exp(-0.5 * ((x - 35.0) / (0.45 * ratio)) ** 2) / ratio**2
+        f_r = scenes.f_r(omega_i[np.newaxis], -d / np.linalg.norm(d), normal, setup.material)[0]
+        return sheet * float(omega_i @ normal) / math.cos(psi) * f_r / float(ray @ ray) ** 2
+
+    peak = max(light(LEVEL, scenes.JOINTS["flat"], row, 80) for row in range(50, 75))
+    image = stripe_alone(setup, TURNED)
+    rng = np.random.default_rng(3)
+    rows, columns = np.nonzero(image > 50.0)
+    chosen = rng.choice(len(rows), 60, replace=False)
+    want = [5000.0 / peak * light(TURNED, setup.joint, rows[i], columns[i]) for i in chosen]
+    np.testing.assert_allclose(image[rows[chosen], columns[chosen]], want, rtol=1e-3)
+
+
+def test_a_laps_edge_throws_a_shadow():
+    """From y = -60 the sheet's edge hides the foot up to 2 mm * 60 / 138 beside it."""
+    setup = scenes.setup("lap", of_camera=sharp(width=640, height=480))
+    laser = dataclasses.replace(setup.laser, origin_in_tool_mm=(35.0, -60.0, 140.0))
+    setup = dataclasses.replace(setup, laser=laser)
+    image = stripe_alone(setup)
+    u, _ = project(setup.camera, np.array([[35.0, 0.0, 0.0], [35.0, 120.0 / 138.0, 0.0]])).T
+    brightest = image.max(axis=0)
+    # The image's columns run against y.
+    np.testing.assert_array_equal(brightest[math.ceil(u[1]) : math.floor(u[0])], 0.0)
+    assert brightest[math.floor(u[1]) - 1] > 3000.0
+    # The upper sheet, to the right of its edge, is lit.
+    assert brightest[math.ceil(u[0]) + 2] > 3000.0
+
+
+def test_nothing_shines_no_light():
+    image = render(scenes.setup("lap"), LEVEL, laser_level=0.0, arc_level=0.0, exposure_s=EXPOSURE_S)
+    np.testing.assert_array_equal(image, 0.0)
+
+
+def test_light_scales_and_adds():
+    setup = scenes.setup("corrugation")
+    laser = stripe_alone(setup, TURNED)
+    arc = stripe_alone(setup, TURNED, laser_level=0.0, arc_level=1.0)
+    both = stripe_alone(setup, TURNED, laser_level=0.7, arc_level=1.3, exposure_s=2.0 * EXPOSURE_S)
+    np.testing.assert_allclose(both, 2.0 * (0.7 * laser + 1.3 * arc), rtol=1e-4, atol=1e-2)
+    np.testing.assert_array_equal(
+        both, stripe_alone(setup, TURNED, laser_level=0.7, arc_level=1.3, exposure_s=0.01)
+    )
+
+
+def test_rays_traced_before_are_the_same():
+    setup = scenes.setup("lap")
+    np.testing.assert_array_equal(stripe_alone(setup, rays=Rays.of(setup.camera)), stripe_alone(setup))
+
+
+def test_the_arc_is_the_arc_maps():
+    setup = scenes.setup("v_groove", of_camera=sharp())
+    rays = Rays.of(setup.camera)
+    kernel = arc_kernel(setup, scene(setup, TURNED))
+    mean_e, _ = arc_at(kernel, rays.xy.reshape(-1, 2), rays.cos4.reshape(-1), np.arange(rays.cos4.size))
+    image = stripe_alone(setup, TURNED, laser_level=0.0, arc_level=1.0)
+    np.testing.assert_allclose(image, mean_e.reshape(120, 160), rtol=1e-6)
+
+
+def test_the_psf_keeps_the_light_and_widens_the_stripe():
+    of_sharp = stripe_alone(scenes.setup("flat", of_camera=sharp()))
+    blurred = stripe_alone(scenes.setup("flat"))
+    np.testing.assert_allclose(blurred.sum(axis=0), of_sharp.sum(axis=0), rtol=1e-3)
+    rows = np.arange(120)
+
+    def variance(column):
+        middle = np.sum(rows * column) / np.sum(column)
+        return np.sum((rows - middle) ** 2 * column) / np.sum(column)
+
+    assert variance(blurred[:, 80]) - variance(of_sharp[:, 80]) == pytest.approx(0.49, rel=0.02)
+
+
+def test_a_seam_off_its_line_moves_the_groove():
+    setup = scenes.setup("v_groove", of_camera=sharp())
+    moved = stripe_alone(setup, seam=SeamLine(y_mm=0.8, z_mm=0.3))
+    np.testing.assert_allclose(
+        moved, stripe_alone(setup, scenes.pose((0.0, -0.8, -0.3))), rtol=1e-3, atol=1e-2
+    )
+
+
+def test_past_the_workpiece_it_is_dark():
+    setup = scenes.setup(
+        "lap", of_camera=scenes.camera(((0.0, 0.0, 60.0), (60.0, 0.0, 57.0)), psf_sigma_px=0.0)
+    )
+    image = stripe_alone(setup, laser_level=0.0, arc_level=1.0)
+    assert np.isfinite(image).all()
+    np.testing.assert_array_equal(image[0], 0.0)
+
+
+def test_many_frames_have_the_renders_mean_and_variance():
+    """Whitened residuals of noisy frames: mean 0, variance 1, within what so many draws leave open."""
+    setup = scenes.setup("v_groove")
+    sensor = dataclasses.replace(
+        setup.sensor, bits=12, gain_e_per_dn=10.0, full_well_e=40000.0, black_level_dn=64.0
+    )
+    setup = dataclasses.replace(setup, sensor=sensor)
+    mean_e = render(setup, TURNED, laser_level=1.0, arc_level=0.3, exposure_s=EXPOSURE_S)
+    inside = mean_e < 30000.0
+    assert np.mean(inside) > 0.9
+    rng = np.random.default_rng(2)
+    sigma = np.sqrt(noise_variance(mean_e, setup))
+    n = 24
+    residuals = np.array(
+        [((linearise(expose(mean_e, sensor, rng), sensor) - mean_e) / sigma)[inside] for _ in range(n)]
+    )
+    count = residuals.size
+    assert abs(residuals.mean()) < 4.0 / math.sqrt(count)
+    assert abs(np.mean(residuals**2) - 1.0) < 4.0 * math.sqrt(2.0 / count)
+    # Pixel by pixel the frames' mean is the render's.
+    assert np.mean(residuals.mean(axis=0) ** 2) * n == pytest.approx(1.0, abs=0.05)

@@ -1,0 +1,102 @@
+import dataclasses
+import math
+
+import numpy as np
+import pytest
+import scenes
+from hypothesis import given
+from hypothesis import strategies as st
+
+from noise_model.laser import Laser, irradiance
+
+LASER = scenes.setup("flat").laser
+UP = np.array([[0.0, 0.0, 1.0]])
+
+
+def one(point, normal=(0.0, 0.0, 1.0), laser=LASER):
+    return float(irradiance(np.array([point]), np.array([normal]), laser)[0])
+
+
+@given(
+    st.floats(-1.5, 1.5),
+    st.floats(-40.0, 40.0),
+    st.floats(-20.0, 60.0),
+    st.floats(-0.9, 0.9),
+    st.floats(-0.9, 0.9),
+)
+def test_the_sheet_as_recording_md_states_it(across, y, z, lean_x, lean_y):
+    """In angles: psi of the ray to the axis, theta_i to the normal."""
+    point, origin = np.array([35.0 + across, y, z]), np.array([35.0, 0.0, 140.0])
+    normal = np.array([lean_x, lean_y, 1.0]) / math.sqrt(1.0 + lean_x**2 + lean_y**2)
+    depth = 140.0 - z
+    ray = point - origin
+    psi = math.atan2(math.hypot(ray[0], ray[1]), depth)
+    theta_i = math.acos(max(-1.0, min(1.0, float(-ray @ normal) / float(np.linalg.norm(ray)))))
+    sigma = 0.45 * depth / 140.0
+    want = 0.0
+    if theta_i < math.pi / 2.0:
+        fall_off = (140.0 / depth) ** 2 * math.cos(theta_i) / math.cos(psi)
+        want = math.exp(-((across / sigma) ** 2) / 2.0) * fall_off
+    assert one(point, normal) == pytest.approx(want, rel=1e-9, abs=1e-12)
+
+
+def test_it_is_one_all_along_a_level_plate_at_tool_height():
+    y = np.linspace(-30.0, 30.0, 7)
+    points = np.column_stack([np.full(7, 35.0), y, np.zeros(7)])
+    np.testing.assert_allclose(irradiance(points, np.broadcast_to(UP, (7, 3)), LASER), 1.0)
+
+
+def test_by_hand():
+    assert one((35.45, 0.0, 0.0)) == pytest.approx(math.exp(-0.5))
+    # Half way up the sheet is half as wide and four times as bright.
+    assert one((35.0, 0.0, 70.0)) == pytest.approx(4.0)
+    assert one((35.225, 0.0, 70.0)) == pytest.approx(4.0 * math.exp(-0.5))
+    # A face that leans by 60 degrees takes half of it.
+    assert one((35.0, 0.0, 0.0), (0.0, math.sqrt(0.75), 0.5)) == pytest.approx(0.5)
+
+
+def test_a_leaning_sheet():
+    lean = math.radians(20.0)
+    normal = (math.cos(lean), 0.0, math.sin(lean))
+    d = -(normal[0] * 35.0 + normal[2] * 140.0)
+    laser = dataclasses.replace(LASER, plane_in_tool=(*normal, d))
+    on_sheet = (35.0 + 140.0 * math.tan(lean), 0.0, 0.0)
+    beside = (on_sheet[0] + 0.45 / math.cos(lean), 0.0, 0.0)
+    # cos(theta_i) is cos(psi) on a level plate, however far the ray leans.
+    assert one(on_sheet, laser=laser) == pytest.approx(1.0)
+    assert one(beside, laser=laser) == pytest.approx(math.exp(-0.5))
+
+
+@pytest.mark.parametrize(
+    ("point", "normal"),
+    [
+        ((35.0, 0.0, 0.0), (0.0, 0.0, -1.0)),
+        ((35.0, 0.0, 150.0), (0.0, 0.0, -1.0)),
+        ((35.0, 0.0, 140.0), (0.0, 0.0, 1.0)),
+    ],
+)
+def test_dark_from_behind_and_above(point, normal):
+    assert one(point, normal) == 0.0
+
+
+@pytest.mark.parametrize(
+    ("key", "value"),
+    [
+        ("wavelength_nm", 0.0),
+        ("stripe_sigma_mm", -0.1),
+        ("peak_e", math.nan),
+        ("origin_in_tool_mm", (35.0, 0.0, 0.0)),
+        ("origin_in_tool_mm", (35.0, 0.0, -140.0)),
+        ("plane_in_tool", (2.0, 0.0, 0.0, -35.0)),
+        ("plane_in_tool", (0.0, 0.0, 0.0, -35.0)),
+        ("plane_in_tool", (math.nan, 0.0, 0.0, -35.0)),
+        ("plane_in_tool", (1.0, 0.0, 0.0, math.nan)),
+    ],
+)
+def test_a_laser_that_cannot_be_names_its_key(key, value):
+    with pytest.raises(ValueError, match=rf"^\[laser\] {key}"):
+        dataclasses.replace(LASER, **{key: value})
+
+
+def test_a_laser_is_what_it_was_told():
+    assert Laser(690.0, (1.0, 0.0, 0.0, -35.0), (35.0, 0.0, 140.0), 0.45, 5000.0) == LASER
