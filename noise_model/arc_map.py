@@ -31,6 +31,7 @@ from noise_model.frames import Float64, invert
 from noise_model.setup import Setup
 from noise_model.surface import NOMINAL_SEAM, SeamLine, Section, corrugation_height, seam_frame, section
 from noise_model.visibility import (
+    MAX_LEDGES,
     MAX_PLANES,
     MISS,
     face_normal,
@@ -55,6 +56,9 @@ CUT_FACTOR = 2
 
 RIM_STEPS = 8
 """In how many steps the outline is searched for where a corrugated edge crosses it."""
+
+SCRATCH_ROWS = MAX_PLANES + 2 * MAX_LEDGES + 4
+"""What `arc_at_ray` needs: half-spaces, ledges, and four vectors of its own."""
 
 
 @dataclass(frozen=True)
@@ -214,6 +218,45 @@ def _over_edge(
 
 
 @numba.njit(cache=True, nogil=True)
+def _behind(
+    P: Float64,
+    axes: Axes,
+    tan_b: float,
+    p: tuple[float, float],
+    q: tuple[float, float],
+    across: bool,
+    distance: float,
+    radius: float,
+    wall: Float64,
+) -> float:
+    """Return from which q on, from q[0] to q[1], the arc lies behind a face (n_y, n_z, c); q[1] if nowhere.
+
+    `across` goes over the chords instead, a third of the way up the disc's upper half, and returns a p.
+    """
+    before, behind = 0.0, 1.0
+    share = 0.0
+    for i in range(20):
+        p_i = p[0] + share * (p[1] - p[0])
+        q_i = math.sqrt(max(0.0, 1.0 - p_i * p_i)) / 3.0 if across else q[0] + share * (q[1] - q[0])
+        t = _way_to_sphere(1.0 + tan_b * tan_b * (p_i * p_i + q_i * q_i), distance, radius)
+        _, wy, wz, _, uy, _, vy, vz = axes
+        y = P[1] + t * (wy + tan_b * (p_i * uy + q_i * vy))
+        z = P[2] + t * (wz + tan_b * q_i * vz)
+        is_behind = wall[0] * y + wall[1] * z < wall[2]
+        if i == 0 and is_behind:
+            behind = 0.0
+            break
+        if i == 1 and not is_behind:
+            break
+        if is_behind:
+            behind = share
+        else:
+            before = share
+        share = 1.0 if i == 0 else 0.5 * (before + behind)
+    return p[0] + behind * (p[1] - p[0]) if across else q[0] + behind * (q[1] - q[0])
+
+
+@numba.njit(cache=True, nogil=True)
 def arc_light(
     P: Float64,
     normal: Float64,
@@ -222,6 +265,8 @@ def arc_light(
     radius: float,
     planes: Float64,
     n_planes: int,
+    ledges: Float64,
+    n_ledges: int,
     corrugation: Float64,
     edge_y: float,
     edge_step: float,
@@ -234,7 +279,8 @@ def arc_light(
 ) -> float:
     """Return integral f_r cos(theta_i) d(omega) over the part of the luminous half-sphere that P sees.
 
-    `planes` are the half-spaces m.omega > 0 that are open (`visibility.sky_planes`). Nodes of the arc that
+    `planes` are the half-spaces m.omega > 0 that are open and `ledges` what cuts into the arc
+    (`visibility.sky_planes`). Nodes of the arc that
     lie within a corrugation (its sheets `edge_step` apart at `edge_y`) do not shine; `edge_hides` says that
     P lies on the lower sheet, so that the upper one may stand in the way: its edge, or the station `crest_x`.
     """
@@ -318,81 +364,115 @@ def arc_light(
     if p_high <= p_low:
         return 0.0
 
+    # Seen along a face that cuts into the arc, whole chords begin to lie behind it at one p.
+    split = p_low, p_low
+    for j in range(n_ledges):
+        wall = ledges[2 * j + 1]
+        p = _behind(P, axes, tan_b, (p_low, p_high), (0.0, 0.0), True, distance, radius, wall)
+        if p in (p_low, p_high):
+            p = _behind(P, axes, tan_b, (p_high, p_low), (0.0, 0.0), True, distance, radius, wall)
+        split = (p, split[1]) if j == 0 else (min(p, split[0]), max(p, split[0]))
+
     total = 0.0
-    for i in range(p_nodes.shape[0]):
-        p = 0.5 * (p_low + p_high + (p_high - p_low) * p_nodes[i])
-        chord = math.sqrt(max(0.0, 1.0 - p * p))
-        low, high = -chord, chord
-        # The equator at this p: R sin(psi) = p tan(beta) (d - R cos(psi) cos(e)).
-        b = p * tan_b * cos_e
-        k = p * tan_b / sin_b
-        rest = 1.0 + b * b - k * k
-        if rest >= 0.0:
-            cos_psi = (k * b + math.sqrt(rest)) / (1.0 + b * b)
-            if cos_psi >= cos_psi_0 - 1e-12:
-                low = sin_b * cos_psi * wz / ((1.0 - sin_b * cos_psi * cos_e) * tan_b)
+    for piece in range(1 + n_ledges):
+        left = p_low if piece == 0 else split[piece - 1]
+        right = p_high if piece == n_ledges else split[piece]
+        if right <= left:
+            continue
+        for i in range(p_nodes.shape[0]):
+            p = 0.5 * (left + right + (right - left) * p_nodes[i])
+            chord = math.sqrt(max(0.0, 1.0 - p * p))
+            low, high = -chord, chord
+            # The equator at this p: R sin(psi) = p tan(beta) (d - R cos(psi) cos(e)).
+            b = p * tan_b * cos_e
+            k = p * tan_b / sin_b
+            rest = 1.0 + b * b - k * k
+            if rest >= 0.0:
+                cos_psi = (k * b + math.sqrt(rest)) / (1.0 + b * b)
+                if cos_psi >= cos_psi_0 - 1e-12:
+                    low = sin_b * cos_psi * wz / ((1.0 - sin_b * cos_psi * cos_e) * tan_b)
+                elif below:
+                    continue
             elif below:
                 continue
-        elif below:
-            continue
-        for j in range(n_planes):
-            m_w = planes[j, 0] * wx + planes[j, 1] * wy + planes[j, 2] * wz
-            m_u = planes[j, 0] * ux + planes[j, 1] * uy
-            m_v = planes[j, 0] * vx + planes[j, 1] * vy + planes[j, 2] * vz
-            at_p = m_w / tan_b + m_u * p
-            if m_v > 1e-12:
-                low = max(low, -at_p / m_v)
-            elif m_v < -1e-12:
-                high = min(high, -at_p / m_v)
-            elif at_p <= 0.0:
-                high = low
-        if edge_hides and high > low:
-            # The lowest q whose ray passes over the edge, by bisection: the clearance grows with q.
-            low += (high - low) * _over_edge(
-                P,
-                axes,
-                tan_b,
-                (p, p),
-                (low, high),
-                False,
-                distance,
-                radius,
-                corrugation,
-                edge_y,
-                edge_step,
-                crest_x,
-            )
-        if high <= low:
-            continue
-        column = 0.0
-        for j in range(q_nodes.shape[0]):
-            q = low + (high - low) * q_nodes[j]
-            ox = wx + tan_b * (p * ux + q * vx)
-            oy = wy + tan_b * (p * uy + q * vy)
-            oz = wz + tan_b * q * vz
-            square = 1.0 + tan_b * tan_b * (p * p + q * q)
-            length = math.sqrt(square)
-            ox, oy, oz = ox / length, oy / length, oz / length
-            cos_i = ox * normal[0] + oy * normal[1] + oz * normal[2]
-            cos_r = omega_r[0] * normal[0] + omega_r[1] * normal[1] + omega_r[2] * normal[2]
-            if cos_i <= 0.0 or cos_r <= 0.0:
+            for j in range(n_planes):
+                m_w = planes[j, 0] * wx + planes[j, 1] * wy + planes[j, 2] * wz
+                m_u = planes[j, 0] * ux + planes[j, 1] * uy
+                m_v = planes[j, 0] * vx + planes[j, 1] * vy + planes[j, 2] * vz
+                at_p = m_w / tan_b + m_u * p
+                if m_v > 1e-12:
+                    low = max(low, -at_p / m_v)
+                elif m_v < -1e-12:
+                    high = min(high, -at_p / m_v)
+                elif at_p <= 0.0:
+                    high = low
+            if edge_hides and high > low:
+                # The lowest q whose ray passes over the edge, by bisection: the clearance grows with q.
+                low += (high - low) * _over_edge(
+                    P,
+                    axes,
+                    tan_b,
+                    (p, p),
+                    (low, high),
+                    False,
+                    distance,
+                    radius,
+                    corrugation,
+                    edge_y,
+                    edge_step,
+                    crest_x,
+                )
+            if high <= low:
                 continue
-            if corrugation[0] > 0.0:
-                t = _way_to_sphere(square, distance, radius) * length
-                c, _ = ridge(P[0] + t * ox, corrugation)
-                if P[1] + t * oy < edge_y:
-                    c += edge_step
-                if P[2] + t * oz < c:
-                    continue
-            hx, hy, hz = ox + omega_r[0], oy + omega_r[1], oz + omega_r[2]
-            h = math.sqrt(hx * hx + hy * hy + hz * hz)
-            cos_alpha = (hx * normal[0] + hy * normal[1] + hz * normal[2]) / h
-            cos_beta = 0.5 * h
-            shadowing = min(1.0, 2.0 * cos_alpha * min(cos_i, cos_r) / cos_beta)
-            f_r = kappa_diff + kappa_spec * shadowing / cos_r * math.exp(-c2 * alpha_squared(cos_alpha))
-            column += q_weights[j] * f_r * cos_i / (square * length)
-        total += p_weights[i] * (high - low) * column
-    return total * 0.5 * (p_high - p_low) * tan_b * tan_b
+            # All of the chord, less what lies behind a ledge and below its rim.
+            for part in range(1 + n_ledges):
+                begin, end, sign = low, high, 1.0
+                if part > 0:
+                    rim, wall = ledges[2 * part - 2], ledges[2 * part - 1]
+                    sign = -1.0
+                    begin = _behind(P, axes, tan_b, (p, p), (low, high), False, distance, radius, wall)
+                    if begin == low:
+                        # A face that leans away from the arc: the chord rises out from behind it.
+                        end = _behind(P, axes, tan_b, (p, p), (high, low), False, distance, radius, wall)
+                    at_p = (rim[1] * wy + rim[2] * wz) / tan_b + rim[1] * p * uy
+                    m_v = rim[1] * vy + rim[2] * vz
+                    if m_v > 1e-12:
+                        end = min(end, -at_p / m_v)
+                    elif at_p > 0.0:
+                        end = begin
+                    if end <= begin:
+                        continue
+                column = 0.0
+                for j in range(q_nodes.shape[0]):
+                    q = begin + (end - begin) * q_nodes[j]
+                    ox = wx + tan_b * (p * ux + q * vx)
+                    oy = wy + tan_b * (p * uy + q * vy)
+                    oz = wz + tan_b * q * vz
+                    square = 1.0 + tan_b * tan_b * (p * p + q * q)
+                    length = math.sqrt(square)
+                    ox, oy, oz = ox / length, oy / length, oz / length
+                    cos_i = ox * normal[0] + oy * normal[1] + oz * normal[2]
+                    cos_r = omega_r[0] * normal[0] + omega_r[1] * normal[1] + omega_r[2] * normal[2]
+                    if cos_i <= 0.0 or cos_r <= 0.0:
+                        continue
+                    if corrugation[0] > 0.0:
+                        t = _way_to_sphere(square, distance, radius) * length
+                        c, _ = ridge(P[0] + t * ox, corrugation)
+                        if P[1] + t * oy < edge_y:
+                            c += edge_step
+                        if P[2] + t * oz < c:
+                            continue
+                    hx, hy, hz = ox + omega_r[0], oy + omega_r[1], oz + omega_r[2]
+                    h = math.sqrt(hx * hx + hy * hy + hz * hz)
+                    cos_alpha = (hx * normal[0] + hy * normal[1] + hz * normal[2]) / h
+                    cos_beta = 0.5 * h
+                    shadowing = min(1.0, 2.0 * cos_alpha * min(cos_i, cos_r) / cos_beta)
+                    f_r = kappa_diff + kappa_spec * shadowing / cos_r * math.exp(
+                        -c2 * alpha_squared(cos_alpha)
+                    )
+                    column += q_weights[j] * f_r * cos_i / (square * length)
+                total += 0.5 * (right - left) * sign * p_weights[i] * (end - begin) * column
+    return total * tan_b * tan_b
 
 
 class ArcKernel(NamedTuple):
@@ -443,10 +523,10 @@ def arc_kernel(
 def arc_at_ray(k: ArcKernel, x: float, y: float, scratch: Float64) -> tuple[float, int]:
     """Return the arc's light, e- without the lens' fall-off, on a ray (x, y, 1), and the face it meets.
 
-    NaN and MISS for a ray that looks past the workpiece; `scratch` is (MAX_PLANES + 4, 3).
+    NaN and MISS for a ray that looks past the workpiece; `scratch` is (SCRATCH_ROWS, 3).
     """
-    planes, d = scratch[:MAX_PLANES], scratch[MAX_PLANES]
-    P, normal, omega_r = scratch[MAX_PLANES + 1], scratch[MAX_PLANES + 2], scratch[MAX_PLANES + 3]
+    d, P, normal, omega_r = scratch[0], scratch[1], scratch[2], scratch[3]
+    planes, ledges = scratch[4 : 4 + MAX_PLANES], scratch[4 + MAX_PLANES :]
     origin = k.T_joint_camera[:3, 3]
     for j in range(3):
         d[j] = k.T_joint_camera[j, 0] * x + k.T_joint_camera[j, 1] * y + k.T_joint_camera[j, 2]
@@ -458,7 +538,7 @@ def arc_at_ray(k: ArcKernel, x: float, y: float, scratch: Float64) -> tuple[floa
         P[j] = origin[j] + t * d[j]
         omega_r[j] = -d[j] / length
     face_normal(face, P[0], k.vertices, k.corrugation, normal)
-    count = sky_planes(
+    count, n_ledges = sky_planes(
         P,
         normal,
         face,
@@ -469,6 +549,7 @@ def arc_at_ray(k: ArcKernel, x: float, y: float, scratch: Float64) -> tuple[floa
         k.horizon_start,
         k.horizons,
         planes,
+        ledges,
     )
     edge_y = k.vertices[1, 0]
     edge_step = k.vertices[1, 1] - k.vertices[k.vertices.shape[0] - 2, 1]
@@ -477,6 +558,8 @@ def arc_at_ray(k: ArcKernel, x: float, y: float, scratch: Float64) -> tuple[floa
     if k.corrugation[0] > 0.0 and face == 2 and k.center_mm[1] - k.radius_mm < edge_y:
         edge_hides = True
         _, crest_x = touch(k.horizons[0], k.horizon_start, P[0])
+        nodes = k.nodes_cut
+    if n_ledges > 0:
         nodes = k.nodes_cut
     for j in range(count):
         ahead = 0.0
@@ -496,6 +579,8 @@ def arc_at_ray(k: ArcKernel, x: float, y: float, scratch: Float64) -> tuple[floa
         k.radius_mm,
         planes,
         count,
+        ledges,
+        n_ledges,
         k.corrugation,
         edge_y,
         edge_step,
@@ -514,7 +599,7 @@ def _arc_pixels(
     k: ArcKernel, xy: Float32, cos4: Float32, pixels: Int64, mean_e: Float32, faces: Int32
 ) -> None:
     """Fill `mean_e` and `faces` (n,) of some pixels (n,), see `arc_at`."""
-    scratch = np.empty((MAX_PLANES + 4, 3))
+    scratch = np.empty((SCRATCH_ROWS, 3))
     for i in range(pixels.shape[0]):
         light, face = arc_at_ray(k, xy[pixels[i], 0], xy[pixels[i], 1], scratch)
         mean_e[i] = cos4[pixels[i]] * light
@@ -602,7 +687,7 @@ def _arc_band(
 ) -> None:
     """Fill a band (n_scan, depth), see `arc_band`."""
     n_scan, depth = band_e.shape
-    scratch = np.empty((MAX_PLANES + 4, 3))
+    scratch = np.empty((SCRATCH_ROWS, 3))
     corners = np.empty(4)
     half = cell // 2
     for scan in range(0, n_scan, cell):

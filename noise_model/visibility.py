@@ -27,6 +27,9 @@ RIDGE_STEPS = 64
 MAX_PLANES = 12
 """Room for the half-spaces of one surface point."""
 
+MAX_LEDGES = 2
+"""Room for the faces that cut into the arc, as one surface point sees them: one on either side."""
+
 HORIZON_STEP_MM = 0.25
 """The horizon table's step along x; the touching point is a maximum, so the error is of second order."""
 
@@ -258,13 +261,16 @@ def sky_planes(
     horizon_start: float,
     horizons: Float64,
     planes: Float64,
-) -> int:
-    """Write the half-spaces m.omega > 0 of directions in which P sees the arc; return how many.
+    ledges: Float64,
+) -> tuple[int, int]:
+    """Write the half-spaces m.omega > 0 of directions in which P sees the arc; return how many, and ledges.
 
     `planes` (MAX_PLANES, 3). The first is P's own horizon. `horizons` (2, n, 2) are `horizon_table`s for
-    terrain as high as P's sheet and lower by the step of the sheets.
+    terrain as high as P's sheet and lower by the step of the sheets. `ledges` (2 MAX_LEDGES, 3) are pairs of
+    a half-space and a face (n_y, n_z, c) that cuts into the arc: what lies behind it, n_y y + n_z z < c, is
+    seen in the half-space alone.
     """
-    count = 1
+    count, n_ledges = 1, 0
     planes[0, 0], planes[0, 1], planes[0, 2] = normal[0], normal[1], normal[2]
     corrugated = corrugation[0] > 0.0
     for k in range(1, vertices.shape[0] - 1):
@@ -273,16 +279,31 @@ def sky_planes(
             continue
         y_k, z_k = vertices[k, 0], vertices[k, 1]
         # A vertex no higher than the arc's foot hides nothing that stands before it, and nothing at all from
-        # a point above it; a higher one is taken to stand clear of the arc.
+        # a point above it.
         low_vertex = z_k <= center[2] + 1e-9
-        if low_vertex and P[2] >= z_k:
-            continue
         dy, dz = y_k - P[1], z_k - P[2]
-        side = 1.0 if dy > 0.0 else -1.0
-        beyond = center[1] + side * (radius if low_vertex else -radius)
         # What lies below P's own horizon hides nothing more, and its half-space would cut the other side.
-        if (beyond - y_k) * side <= 0.0 or dy * normal[1] + dz * normal[2] <= 1e-9:
+        if (low_vertex and dz <= 0.0) or dy * normal[1] + dz * normal[2] <= 1e-9:
             continue
+        side = 1.0 if dy > 0.0 else -1.0
+        if low_vertex:
+            if (center[1] + side * radius - y_k) * side <= 0.0:
+                continue
+        else:
+            # The face below a higher one, on P's side.
+            low = k - 1 if side > 0.0 else k
+            width, rise = vertices[low + 1, 0] - vertices[low, 0], vertices[low + 1, 1] - vertices[low, 1]
+            length = math.sqrt(width * width + rise * rise)
+            n_y, n_z = -rise / length, width / length
+            before = n_y * (center[1] - y_k) + n_z * (center[2] - z_k)
+            if before >= radius:
+                continue
+            if before > -radius:
+                ledge = ledges[2 * n_ledges], ledges[2 * n_ledges + 1]
+                ledge[0][0], ledge[0][1], ledge[0][2] = 0.0, -side * dz, side * dy
+                ledge[1][0], ledge[1][1], ledge[1][2] = n_y, n_z, n_y * y_k + n_z * z_k
+                n_ledges += 1
+                continue
         planes[count, 0], planes[count, 1], planes[count, 2] = 0.0, -side * dz, side * dy
         count += 1
     if corrugated and abs(center[0] - P[0]) > radius:
@@ -308,7 +329,7 @@ def sky_planes(
                 continue
             planes[count, 0], planes[count, 1], planes[count, 2] = -towards * slope, 0.0, 1.0
             count += 1
-    return count
+    return count, n_ledges
 
 
 def horizon_tables(

@@ -9,6 +9,7 @@ from hypothesis import strategies as st
 from noise_model.surface import section
 from noise_model.visibility import (
     HORIZON_STEP_MM,
+    MAX_LEDGES,
     MAX_PLANES,
     MISS,
     face_normal,
@@ -83,6 +84,7 @@ def test_a_ray_from_below_stops_at_the_surfaces_other_side(name, x, y, z, to_x, 
         assert hit(scenes.JOINTS[name], origin, d)[1] != MISS
 
 
+@settings(deadline=None)
 @given(names, stations, sides, st.floats(12.0, 160.0), st.floats(-1.0, 1.0), st.floats(-1.0, 1.0), unit_share)
 def test_a_ray_that_leaves_the_workpiece_meets_nothing(name, x, y, z, d_x, d_y, d_z):
     assert hit(scenes.JOINTS[name], np.array([x, y, z]), np.array([d_x, d_y, d_z])) == (math.inf, MISS)
@@ -109,6 +111,7 @@ def test_nothing_slips_through_where_faces_meet():
 
 
 @given(names, stations, sides)
+@settings(deadline=None)
 def test_a_faces_normal_is_the_surfaces(name, x, y):
     joint = scenes.JOINTS[name]
     shape = section(joint)
@@ -196,19 +199,32 @@ def test_ways_are_open_is_way_is_open_for_many():
         ("lap", (0.0, -2.0, 2.0)),
         ("lap", (0.0, 4.0, 0.5)),
         ("lap", (0.0, -5.0, 4.0)),
+        ("lap", (0.0, 0.5, 0.0)),
+        ("lap", (0.0, -1.0, 1.0)),
+        ("v_groove", (0.0, 0.3, -2.0)),
     ],
 )
 def test_half_spaces_open_the_arc_as_a_walk_does(name, center):
     joint, rng = scenes.JOINTS[name], np.random.default_rng(6)
     shape, center = section(joint), np.array(center)
-    planes = np.empty((MAX_PLANES, 3))
+    planes, ledges = np.empty((MAX_PLANES, 3)), np.empty((2 * MAX_LEDGES, 3))
     n_hidden = 0
     for P, face, normal in surface_points(joint, rng, 150):
         if np.linalg.norm(P - center) < 1.05 * RADIUS_MM:
             continue
         start, horizons = horizon_tables(shape, (-70.0, 90.0), center, RADIUS_MM)
-        count = sky_planes(
-            P, normal, face, center, RADIUS_MM, shape.vertices, shape.corrugation, start, horizons, planes
+        count, n_ledges = sky_planes(
+            P,
+            normal,
+            face,
+            center,
+            RADIUS_MM,
+            shape.vertices,
+            shape.corrugation,
+            start,
+            horizons,
+            planes,
+            ledges,
         )
         outward = rng.normal(size=(40, 3))
         outward /= np.linalg.norm(outward, axis=1, keepdims=True)
@@ -216,12 +232,16 @@ def test_half_spaces_open_the_arc_as_a_walk_does(name, center):
         on_arc = center + RADIUS_MM * outward
         on_arc = on_arc[np.sum((P - on_arc) * outward, axis=1) > 0]
         open_by_planes = ((on_arc - P) @ planes[:count].T > 0).all(axis=1)
+        for rim, (n_y, n_z, c) in zip(ledges[: 2 * n_ledges : 2], ledges[1 : 2 * n_ledges : 2], strict=True):
+            behind = n_y * on_arc[:, 1] + n_z * on_arc[:, 2] < c
+            open_by_planes &= ~behind | ((on_arc - P) @ rim > 0)
         clearance = scenes.clearance(joint, P, on_arc)
-        open_by_walk = (clearance > 0) & ((on_arc - P) @ normal > 0)
+        inside = on_arc[:, 2] < scenes.height(joint, on_arc[:, 0], on_arc[:, 1])
+        open_by_walk = (clearance > 0) & ~inside & ((on_arc - P) @ normal > 0)
         sure = np.abs(clearance) > 1e-6
         np.testing.assert_array_equal(open_by_planes[sure], open_by_walk[sure])
         walked = is_open(np.broadcast_to(P, on_arc.shape), on_arc, shape, steps=200)
-        seen = sure & ((on_arc - P) @ normal > 1e-3) & (np.abs(clearance) > 0.05)
+        seen = sure & ~inside & ((on_arc - P) @ normal > 1e-3) & (np.abs(clearance) > 0.05)
         np.testing.assert_array_equal(walked[seen], open_by_walk[seen])
         n_hidden += np.count_nonzero(~open_by_walk)
     assert n_hidden > 0
@@ -259,7 +279,7 @@ def test_a_ridge_hides_the_arc_as_a_walk_finds_it(station_mm, arc_height_mm):
         [station_mm, 12.0, arc_height_mm + float(scenes.corrugation(joint, np.array(station_mm)))]
     )
     start, horizons = horizon_tables(shape, (-70.0, 90.0), center, RADIUS_MM)
-    planes = np.empty((MAX_PLANES, 3))
+    planes, ledges = np.empty((MAX_PLANES, 3)), np.empty((2 * MAX_LEDGES, 3))
     n_wrong = n_hidden = n_looked = 0
     for _ in range(120):
         x, y = rng.uniform(-65.0, 85.0), rng.uniform(4.0, 20.0)
@@ -267,8 +287,18 @@ def test_a_ridge_hides_the_arc_as_a_walk_finds_it(station_mm, arc_height_mm):
         if abs(x - station_mm) < 2.0 * RADIUS_MM:
             continue
         normal = scenes.normal_at(joint, P)
-        count = sky_planes(
-            P, normal, 2, center, RADIUS_MM, shape.vertices, shape.corrugation, start, horizons, planes
+        count, _ = sky_planes(
+            P,
+            normal,
+            2,
+            center,
+            RADIUS_MM,
+            shape.vertices,
+            shape.corrugation,
+            start,
+            horizons,
+            planes,
+            ledges,
         )
         outward = rng.normal(size=(60, 3))
         outward /= np.linalg.norm(outward, axis=1, keepdims=True)
