@@ -70,14 +70,14 @@ def _meet_ridge(
         near, far = max(near, min(t_low, t_high)), min(far, max(t_low, t_high))
     if near > far:
         return math.inf
+    if climb == 0.0 and d[0] != 0.0:
+        # Level along the strip it meets within a pitch what it ever meets.
+        far = min(far, near + corrugation[2] / abs(d[0]))
+    if far == math.inf:
+        return math.inf
     steps = 1
     if abs(d[0]) * math.pi * height / corrugation[1] >= abs(climb):
-        # Level along the strip it meets within a pitch what it ever meets.
-        far = min(far, near + corrugation[2] / abs(d[0])) if climb == 0.0 else far
-        share = abs(d[0]) * (far - near) / corrugation[1] if d[0] != 0.0 else 0.0
-        steps = min(4096, 1 + int(RIDGE_STEPS * share))
-    elif far == math.inf:
-        return math.inf
+        steps = min(4096, 1 + int(RIDGE_STEPS * abs(d[0]) * (far - near) / corrugation[1]))
     c, _ = ridge(origin[0] + near * d[0], corrugation)
     gap = base + near * climb - c
     from_below = gap < 0.0 or (climb > 0.0 and base + near * climb <= 1e-9)

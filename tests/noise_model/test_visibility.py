@@ -100,6 +100,13 @@ def test_hits_agree_with_a_marched_ray(name):
         assert t == pytest.approx(scenes.march(joint, origin, d, steps=4000), abs=1e-9)
 
 
+@pytest.mark.parametrize("d", [(0.0, -1.0, 0.0), (0.0, 1.0, 0.0), (1.0, 0.0, 0.0), (0.0, 0.0, -1.0)])
+@pytest.mark.parametrize("name", scenes.JOINTS)
+def test_a_ray_along_an_axis_is_a_ray_too(name, d):
+    check_hit(scenes.JOINTS[name], np.array([22.0, 4.5, 1.0]), np.array(d))
+    assert hit(scenes.JOINTS[name], np.array([22.0, 4.5, 1.0]), np.zeros(3))[1] == MISS
+
+
 def test_nothing_slips_through_where_faces_meet():
     for joint in scenes.JOINTS.values():
         origin = np.array([70.0, 0.0, 120.0])
