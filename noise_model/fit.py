@@ -77,7 +77,9 @@ class Fit:
     `freedom` = n less the number of parameters that were learned: a parameter held by its prior costs none.
     `condition` is that of the information scaled to a unit diagonal, `converged` the optimiser's word.
     `undetermined` names the parameters in a combination that neither data nor priors see, `alike` the pairs
-    that these cannot tell apart. `t_freedom` is Student's, inf as long as the whitening is trusted.
+    that these cannot tell apart. `residuals` (n,) are those at the values, `leverage` (n,) the share, 0 to 1,
+    of each that the fit takes up: r / sqrt(1 - leverage) has unit variance. `t_freedom` is Student's, inf as
+    long as the whitening is trusted.
     """
 
     parameters: tuple[Parameter, ...]
@@ -85,12 +87,18 @@ class Fit:
     covariance: Float64
     chi2: float
     freedom: float
-    n_residuals: int
+    residuals: Float64
+    leverage: Float64
     condition: float
     converged: bool
     undetermined: tuple[str, ...]
     alike: tuple[tuple[str, str], ...]
     t_freedom: float = math.inf
+
+    @property
+    def n_residuals(self) -> int:
+        """The number of residuals n, priors not counted."""
+        return len(self.residuals)
 
     @property
     def sigmas(self) -> Float64:
@@ -275,15 +283,16 @@ def _assess(problem: _Problem, x: Float64, n: int, converged: bool) -> Fit:
     covariance = inverse @ (m_2 * information + P) @ inverse
     names = [p.name for p in problem.parameters]
     pairs = np.argwhere(np.triu(np.abs(correlation(covariance)) > ALIKE, 1))
-    learned = float(np.trace(inverse @ (m_1 * information)))
-    freedom = n - learned
+    leverage = m_1 * np.einsum("ij,jk,ik->i", J, inverse, J)
+    freedom = n - float(leverage.sum())
     return Fit(
         parameters=problem.parameters,
         values=x,
         covariance=_unknown(covariance, in_unseen),
         chi2=float(np.sum(psi**2) / (expected_psi2 * freedom)) if freedom > 0.5 else math.nan,
         freedom=freedom,
-        n_residuals=n,
+        residuals=r,
+        leverage=leverage,
         condition=float(eigenvalues[-1] / eigenvalues[0]) if eigenvalues[0] > 0 else math.inf,
         converged=converged,
         undetermined=tuple(name for name, is_in in zip(names, in_unseen, strict=True) if is_in),

@@ -38,6 +38,9 @@ def test_a_line_is_weighted_least_squares() -> None:
     assert found.freedom == pytest.approx(X.size - 2)
     residual = noise - A @ covariance @ A.T @ noise
     assert found.chi2 == pytest.approx(residual @ residual / (X.size - 2), rel=1e-6)
+    np.testing.assert_allclose(found.residuals, residual, atol=1e-6)
+    np.testing.assert_allclose(found.leverage, np.diag(A @ covariance @ A.T), rtol=1e-6)
+    assert found.n_residuals == X.size
     assert found.converged
     assert (found.undetermined, found.alike, found.not_learned, found.at_bounds) == ((), (), (), ())
 
