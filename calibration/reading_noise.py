@@ -1,0 +1,61 @@
+"""The noise of a reading: a constant part and one that grows with the signal, estimated from scatter."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.optimize import nnls
+
+from noise_model.frames import Float64
+
+ROUNDS = 12
+
+LEAST_FREEDOM = 1e-6
+"""A residual that the fit takes up whole says nothing of the noise."""
+
+FLOOR = 1e-6
+"""The least noise, in parts of the largest signal: keeps the weights of noise-free data finite."""
+
+
+@dataclass(frozen=True)
+class ReadingNoise:
+    """A reading's variance: additive_dn^2 + (relative x signal)^2, the signal in DN above black.
+
+    The additive part is the sensor's read noise and rounding; the relative one is the source's flicker,
+    which gamma leaves relative. Photon noise lies between both and is covered by their sum over a range of
+    signals; it is not a parameter of its own because scatter hardly tells three apart.
+    """
+
+    additive_dn: float
+    relative: float
+
+    def __post_init__(self) -> None:
+        if not (0 <= self.additive_dn < math.inf and 0 <= self.relative < math.inf):
+            raise ValueError(f"a noise of {self.additive_dn} DN and {self.relative}: both must be >= 0")
+
+    def variance(self, signal_dn: Float64) -> Float64:
+        """Return the variance (m,), DN^2, of readings of a mean signal (m,)."""
+        return np.asarray(self.additive_dn**2 + (self.relative * signal_dn) ** 2)
+
+
+def estimate_noise(signal_dn: Float64, squares: Float64, freedom: Float64) -> ReadingNoise:
+    """Estimate the noise from squares (k,), DN^2, each of a mean `variance` with its degrees of freedom (k,).
+
+    Pooled over all signals by maximum likelihood, squares x freedom / variance being chi-squared: Fisher
+    scoring, its linear steps kept non-negative. A setting's own scatter is a poor weight, with 20 repeats
+    still 16 % wrong, and weights by it make intervals too narrow.
+    """
+    used = freedom > LEAST_FREEDOM
+    signal_dn, squares, freedom = signal_dn[used], squares[used], freedom[used]
+    floor = (FLOOR * max(float(np.max(np.abs(signal_dn))), np.finfo(float).tiny)) ** 2
+    terms = np.column_stack([np.ones_like(signal_dn), signal_dn**2])
+    variance = np.full(len(squares), max(float(np.average(squares, weights=freedom)), floor))
+    parts = np.zeros(2)
+    for _ in range(ROUNDS):
+        weight = np.sqrt(freedom) / variance
+        unit = np.linalg.norm(weight[:, np.newaxis] * terms, axis=0)
+        parts = nnls(weight[:, np.newaxis] * terms / unit, weight * squares)[0] / unit
+        variance = np.maximum(terms @ parts, floor)
+    return ReadingNoise(math.sqrt(max(parts[0], floor)), math.sqrt(parts[1]))

@@ -1,0 +1,145 @@
+"""kappa_diff, kappa_spec and c2 of a base metal from goniometer readings.
+
+Readings determine s kappa_diff, s kappa_spec and c2 (`reflectance_model`): brightness has no unit. The
+factor s is settled by
+
+- readings of a white standard under the same source and camera, f_r = albedo / pi: kappas in 1/sr; or
+- a convention, kappa_diff + kappa_spec = total, which is f_r in the mirror direction at normal incidence.
+  Only their ratio was measured then, and their intervals are two views of its one.
+
+The weights come from the noise of all repeats and residuals pooled, the sigmas from the scatter of the
+settings' means about the model with Student's t: what differs from setting to setting (angles, texture, slow
+drift) is in there, while the repeats of one setting never see it.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from calibration.goniometer import Readings, Response
+from calibration.reading_noise import ReadingNoise
+from calibration.reflectance_limits import refuse_if_undetermined, refuse_if_unfit
+from calibration.reflectance_model import White, fit_readings, readings_model
+from calibration.scatter import Scatter, compare
+from noise_model.brdf import Material
+from noise_model.fit import Fit, correlation, student_t
+from noise_model.frames import Float64
+
+CONFIDENCE = 0.95
+
+
+@dataclass(frozen=True, eq=False)
+class Reflectance:
+    """The result: the material, its parameters' uncertainty, and how well the readings agree with it.
+
+    `covariance` (3, 3) and `intervals` (3, 2), 95 %, are of kappa_diff, kappa_spec, c2. `absolute` if the
+    kappas are in 1/sr by a white standard, else their sum is a convention. `scale` is s. `predicted` and
+    `sigma` (m,) are the settings' mean grey levels by the fit and their standard errors by the scatter,
+    `residuals` (m,) read less predicted, DN, `studentised` (m,) these over the sigma that the fit leaves
+    them, NaN where it leaves nothing. `fit` is the one behind it, in s kappa.
+    """
+
+    material: Material
+    absolute: bool
+    scale: float
+    covariance: Float64
+    intervals: Float64
+    predicted: Float64
+    sigma: Float64
+    residuals: Float64
+    studentised: Float64
+    noise: ReadingNoise
+    scatter: Scatter
+    fit: Fit
+
+    @property
+    def values(self) -> Float64:
+        """The three values (3,)."""
+        return np.array([self.material.kappa_diff, self.material.kappa_spec, self.material.c2])
+
+    @property
+    def sigmas(self) -> Float64:
+        """Their 1 sigma (3,)."""
+        return np.sqrt(np.diag(self.covariance))
+
+    @property
+    def correlation(self) -> Float64:
+        """Their correlations (3, 3)."""
+        return correlation(self.covariance)
+
+
+def identify_reflectance(
+    sample: Readings,
+    response: Response,
+    *,
+    white: White | None = None,
+    total: float = 1.0,
+    name: str = "sample",
+) -> Reflectance:
+    """Fit kappa_diff, kappa_spec and c2 to a sample's averaged readings.
+
+    `white` makes the kappas absolute; without it kappa_diff + kappa_spec = `total`. The intervals are 95 %:
+    value -+ t sigma for the kappas, cut at 0, and value e^(-+ t sigma / value) for c2. Raises ValueError,
+    which says why, if the readings cannot determine all three.
+    """
+    if not 0 < total < math.inf:
+        raise ValueError(f"total = {total}: kappa_diff + kappa_spec must be > 0")
+    refuse_if_unfit(sample, response)
+    model = readings_model(sample, response, white)
+    fitted = fit_readings(model)
+    found = fitted.fit.scaled_by_scatter()
+    values, jacobian = _in_kappas(found.values, total)
+    covariance = jacobian @ found.covariance @ jacobian.T
+    half = student_t(CONFIDENCE, found.t_freedom) * np.sqrt(np.diag(covariance))
+    scatter = compare(model, fitted)
+    refuse_if_undetermined(sample, model, fitted, scatter, values, half)
+    m = len(sample.settings)
+    sigma = fitted.sigma * math.sqrt(found.chi2)
+    predicted = model.level(found.values)
+    residuals = model.gray_level - predicted
+    return Reflectance(
+        material=Material(name, *values.tolist()),
+        absolute=white is not None,
+        scale=float(found.values[3]) if white is not None else float(found.values[:2].sum()) / total,
+        covariance=covariance,
+        intervals=_intervals(values, half),
+        predicted=predicted[:m],
+        sigma=sigma[:m],
+        residuals=residuals[:m],
+        studentised=_studentised(residuals / sigma, found.leverage)[:m],
+        noise=fitted.noise,
+        scatter=scatter,
+        fit=found,
+    )
+
+
+def _in_kappas(p: Float64, total: float) -> tuple[Float64, Float64]:
+    """Return kappa_diff, kappa_spec, c2 of what was fitted (k,) and the derivatives (3, k)."""
+    a_diff, a_spec, c2 = p[:3]
+    if len(p) == 4:
+        s = p[3]
+        values = np.array([a_diff / s, a_spec / s, c2])
+        jacobian = [[1.0 / s, 0.0, 0.0, -a_diff / s**2], [0.0, 1.0 / s, 0.0, -a_spec / s**2], [0, 0, 1.0, 0]]
+        return values, np.array(jacobian)
+    both = a_diff + a_spec
+    slope = total / both**2
+    values = np.array([total * a_diff / both, total * a_spec / both, c2])
+    return values, np.array(
+        [[slope * a_spec, -slope * a_diff, 0.0], [-slope * a_spec, slope * a_diff, 0.0], [0.0, 0.0, 1.0]]
+    )
+
+
+def _intervals(values: Float64, half: Float64) -> Float64:
+    lower, upper = np.maximum(values - half, 0.0), values + half
+    factor = math.exp(half[2] / values[2])
+    lower[2], upper[2] = values[2] / factor, values[2] * factor
+    return np.column_stack([lower, upper])
+
+
+def _studentised(residuals: Float64, leverage: Float64) -> Float64:
+    """Return residuals in sigmas over what the fit leaves of them; NaN where it takes a reading up whole."""
+    left = 1.0 - leverage
+    return np.divide(residuals, np.sqrt(np.abs(left)), out=np.full_like(left, np.nan), where=left > 1e-6)
