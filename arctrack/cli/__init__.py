@@ -8,6 +8,7 @@ from typing import Annotated, NoReturn
 
 import typer
 
+from arctrack.cli.calibrate import calibrate
 from arctrack.cli.figures import figures
 from arctrack.cli.inspect import inspect
 from arctrack.cli.replay import replay
@@ -28,6 +29,7 @@ app = typer.Typer(
 app.command(epilog="Example: arctrack replay examples/v_groove --out /tmp/results")(replay)
 app.command(epilog="Example: arctrack inspect examples/v_groove --out /tmp/v_groove.png")(inspect)
 app.command(epilog="Example: arctrack simulate /tmp/lap --joint lap --material zn_coated --seed 7")(simulate)
+app.add_typer(calibrate)
 app.add_typer(figures)
 
 

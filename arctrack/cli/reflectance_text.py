@@ -1,0 +1,94 @@
+"""A reflectance in words: values with their intervals, what they rest on, what to beware of."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+
+import numpy as np
+from rich.console import Console
+from rich.table import Table
+
+from arctrack.goniometer_file import GoniometerFile
+from arctrack.reflectance_files import material_toml, scale_sentence
+from calibration.reflectance import Reflectance
+from calibration.reflectance_model import NAMES
+
+FAR_OFF = 4.0
+"""A studentised residual beyond this is named."""
+
+
+def print_result(console: Console, result: Reflectance, sample: GoniometerFile) -> None:
+    """Print the table, how well the readings agree with it, and the [material] table to paste."""
+    console.print(_table(result))
+    for label, text in _lines(result, sample):
+        console.print(f"[bold]{label:<12}[/bold]", end="")
+        console.print(text, markup=False, soft_wrap=True)
+    console.print()
+    console.print(material_toml(result), markup=False, soft_wrap=True, end="")
+
+
+def warnings(result: Reflectance, sample: GoniometerFile, standard: GoniometerFile | None) -> Iterator[str]:
+    """Yield what the user should know before trusting the intervals."""
+    for file in (sample, standard):
+        if file is not None and file.unknown_columns:
+            yield f"{file.path}: unknown columns {', '.join(file.unknown_columns)} have no effect"
+    scatter = result.scatter
+    if math.isnan(scatter.ratio):
+        yield (
+            f"{sample.path}: no setting was read twice, so that the residuals alone tell the noise; "
+            "the intervals then hold the truth some 93 % to 95 % of the time"
+        )
+    elif scatter.is_unlikely:
+        yield (
+            f"{sample.path}: settings scatter {scatter.ratio:.1f} times as much about the fit as their "
+            "repeats allow: angles, light or surface change between them, or gamma, black or the lobe's form "
+            "is another; the intervals count this as if it were random"
+        )
+    for i in np.flatnonzero(np.abs(result.studentised) > FAR_OFF):
+        yield (
+            f"{sample.path}, line {sample.lines[i]}: {result.studentised[i]:+.1f} standard errors off the fit"
+        )
+
+
+def _table(result: Reflectance) -> Table:
+    table = Table(title=result.material.name, title_justify="left", title_style="bold")
+    for heading in ("", "value", "1 sigma", "95 %", "unit", *(f"r {name}" for name in NAMES[:2])):
+        table.add_column(heading, justify="right" if heading else "left", no_wrap=True)
+    units = [*("1/sr" if result.absolute else "relative",) * 2, "1/rad²"]
+    for i, name in enumerate(NAMES):
+        low, high = result.intervals[i]
+        table.add_row(
+            name,
+            f"{result.values[i]:.4g}",
+            f"{result.sigmas[i]:.2g}",
+            f"{low:.4g} to {high:.4g}",
+            units[i],
+            *(f"{result.correlation[i, j]:+.2f}" if j < i else "" for j in range(2)),
+        )
+    return table
+
+
+def _lines(result: Reflectance, sample: GoniometerFile) -> list[tuple[str, str]]:
+    readings = sample.readings
+    fewest, most = int(readings.repeats.min()), int(readings.repeats.max())
+    each = f"{most}" if fewest == most else f"{fewest} to {most}"
+    apart = "" if math.isnan(sample.interval_s) else f", {sample.interval_s:g} s apart"
+    noise, scatter = result.noise, result.scatter
+    fit = "no repeats to compare the scatter with"
+    if not math.isnan(scatter.ratio):
+        fit = (
+            f"settings scatter {scatter.ratio:.2f} times as much as repeats allow, p = {scatter.p_value:.2g}"
+        )
+    return [
+        (
+            "readings",
+            f"{int(readings.repeats.sum())} at {len(readings.settings)} settings, {each} each{apart}",
+        ),
+        (
+            "noise",
+            f"{noise.additive_dn:.2g} DN and {100 * noise.relative:.2g} % of the signal a reading",
+        ),
+        ("fit", f"{fit}; Student's t of {result.fit.t_freedom:.0f} degrees of freedom"),
+        ("scale", scale_sentence(result)),
+    ]

@@ -1,0 +1,111 @@
+"""Goniometer readings as CSV: a row a grey level, rows of equal settings averaged."""
+
+from __future__ import annotations
+
+import csv
+import math
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import numpy.typing as npt
+
+from arctrack.errors import in_file
+from arctrack.recording.csv_file import CsvTable, read_csv
+from calibration.goniometer import Readings, Response, Settings, average
+
+NEEDED = ("theta_i_deg", "theta_r_deg", "phi_r_deg", "gray_level")
+SOURCE = ("distance_mm", "intensity")
+"""The source's distance a and intensity I, each in one unit for all files that are compared; 1 if absent."""
+
+TIME, REPEAT = "time_s", "repeat"
+
+READING_INTERVAL_S = 0.2
+"""The paper's interval between the 20 readings of a setting."""
+
+Float64 = npt.NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class GoniometerFile:
+    """The averaged readings of a file.
+
+    `lines` (m,) is where each setting first occurs, `source_columns` those of `SOURCE` that the file has,
+    `interval_s` the median time between successive readings of one setting, NaN if unknown.
+    """
+
+    path: Path
+    readings: Readings
+    lines: tuple[int, ...]
+    source_columns: tuple[str, ...]
+    interval_s: float
+    unknown_columns: tuple[str, ...]
+
+
+def read_goniometer(path: Path, response: Response) -> GoniometerFile:
+    """Read and average a file; ArctrackError names the file and the line that is wrong.
+
+    A saturated reading is refused: it says no more than 'at least this bright', and without it the mean of
+    its setting would be too low.
+    """
+    if not path.is_file():
+        raise in_file(path, "there is no such file")
+    optional = [name for name in (*SOURCE, TIME) if name in read_csv(path, NEEDED).unknown_columns]
+    table = read_csv(path, (*NEEDED, *optional))
+    column = {name: _numbers(table, i) for i, name in enumerate(table.columns)}
+    _check(table, column, response)
+    ones = np.ones(len(table.rows))
+    source = column.get("intensity", ones) / column.get("distance_mm", ones) ** 2
+    settings = Settings(column["theta_i_deg"], column["theta_r_deg"], column["phi_r_deg"], source)
+    readings = average(settings, column["gray_level"])
+    return GoniometerFile(
+        path,
+        readings,
+        lines=tuple(table.lines[i] for i in np.unique(readings.group, return_index=True)[1]),
+        source_columns=tuple(name for name in SOURCE if name in column),
+        interval_s=_interval_s(column[TIME], readings.group) if TIME in column else math.nan,
+        unknown_columns=tuple(name for name in table.unknown_columns if name != REPEAT),
+    )
+
+
+def write_goniometer(path: Path, settings: Settings, gray_level: Float64) -> None:
+    """Write readings (N,), taken `READING_INTERVAL_S` apart, under a source at one distance."""
+    with path.open("w", encoding="utf-8", newline="") as file:
+        writer = csv.writer(file, lineterminator="\n")
+        writer.writerow([TIME, *NEEDED])
+        columns = (settings.theta_i_deg, settings.theta_r_deg, settings.phi_r_deg, gray_level)
+        for n, row in enumerate(zip(*columns, strict=True)):
+            writer.writerow([f"{n * READING_INTERVAL_S:.1f}", *(f"{value:g}" for value in row)])
+
+
+def _numbers(table: CsvTable, column: int) -> Float64:
+    return np.array([table.number(row, column) for row in range(len(table.rows))])
+
+
+def _check(table: CsvTable, column: dict[str, Float64], response: Response) -> None:
+    gray_level = column["gray_level"]
+    limits = [
+        (
+            "theta_i_deg",
+            (column["theta_i_deg"] < 0) | (column["theta_i_deg"] >= 90),
+            "lies from 0 to below 90",
+        ),
+        ("theta_r_deg", np.abs(column["theta_r_deg"]) >= 90, "lies between -90 and 90"),
+        ("gray_level", gray_level < 0, "must be >= 0"),
+        (
+            "gray_level",
+            gray_level >= response.saturation_dn,
+            f"is saturated (at {response.saturation_dn:g}): lower the exposure or state --saturation",
+        ),
+        *((name, column[name] <= 0, "must be > 0") for name in SOURCE if name in column),
+    ]
+    for name, wrong, problem in limits:
+        if wrong.any():
+            row = int(np.argmax(wrong))
+            raise in_file(table.path, f"{name} = {column[name][row]:g} {problem}", line=table.lines[row])
+
+
+def _interval_s(time_s: Float64, group: npt.NDArray[np.intp]) -> float:
+    order = np.lexsort((time_s, group))
+    steps = np.diff(time_s[order])[np.diff(group[order]) == 0]
+    return float(np.median(steps)) if len(steps) else math.nan
