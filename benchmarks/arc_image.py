@@ -31,6 +31,13 @@ def row(name: str, camera: str, setup: Setup, frames: Sequence[tuple[Frame, Pose
     agreement = arc_agreement(setup, frames)
     worst = agreement.median_ratio[np.argmax(np.abs(agreement.median_ratio - 1.0))]
     share = agreement.within_5_percent
+    print(
+        f"{name:20} {camera:10} {agreement.level:8.4f} {worst:14.4f} "
+        f"{np.average(share, weights=agreement.blocks):12.1%} {share.min():12.1%} {len(agreement.frames):7d}"
+    )
+
+
+def main(paths: list[str]) -> None:
     print(f"{'':39} {'median ratio':>14} {'blocks within 5 %':>25}")
     print(
         f"{'recording':20} {'camera':10} {'level':>8} {'worst frame':>14} {'all':>12} {'worst frame':>12} "

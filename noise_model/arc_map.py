@@ -54,6 +54,12 @@ NODES_P, NODES_Q = 6, 4
 
 CUT_FACTOR = 2
 
+CELL, CELL_DEPTH, SMALLEST = 8, 24, 4
+"""The cells that a band is filled by, px: scan lines and depth at first, and the size that is not halved."""
+
+EDGE_STEPS, TURNED_AWAY_MM = 8, 1e6
+"""Steps of the search for an edge's shadow; a larger clearance is of a ray that never comes to the edge."""
+
 RIM_STEPS = 8
 """In how many steps the outline is searched for where a corrugated edge crosses it."""
 
@@ -198,8 +204,9 @@ def _over_edge(
     rim of the disc instead.
     """
     hidden, free = 0.0, 1.0
+    below, above = 0.0, 0.0
     share = 0.0
-    for i in range(20):
+    for i in range(2 + EDGE_STEPS):
         p_i = p[0] + share * (p[1] - p[0])
         q_i = math.sqrt(max(0.0, 1.0 - p_i * p_i)) if on_rim else q[0] + share * (q[1] - q[0])
         clearance = _edge_clearance(
@@ -210,10 +217,18 @@ def _over_edge(
         if i == 1 and clearance <= 0.0:
             return 1.0
         if clearance < 0.0:
-            hidden = share
+            hidden, below = share, clearance
+            above *= 0.5 if i > 2 else 1.0
         else:
-            free = share
-        share = 1.0 if i == 0 else 0.5 * (hidden + free)
+            free, above = share, clearance
+            below *= 0.5 if i > 2 else 1.0
+        if i == 0:
+            share = 1.0
+        elif above > TURNED_AWAY_MM:
+            share = 0.5 * (hidden + free)
+        else:
+            # Regula falsi with halved weights (Illinois): the clearance is nearly straight.
+            share = (hidden * above - free * below) / (above - below)
     return free
 
 
@@ -689,59 +704,49 @@ def _arc_band(
     n_scan, depth = band_e.shape
     scratch = np.empty((SCRATCH_ROWS, 3))
     corners = np.empty(4)
-    half = cell // 2
+    # Cells still to be filled, the one on top next: scan, first, their sizes.
+    stack = np.empty((64, 4), dtype=np.int64)
     for scan in range(0, n_scan, cell):
         low = lows[scan // cell]
-        s_size = min(cell, n_scan - scan)
-        for first in range(0, depth, cell):
-            r_size = min(cell, depth - first)
-            if _fill_cell(
-                k,
-                xy,
-                cos4,
-                n_pos,
-                scan,
-                first,
-                low,
-                s_size,
-                r_size,
-                tolerance,
-                floor_e,
-                band_e,
-                scratch,
-                corners,
-            ):
-                continue
-            for ds in range(0, s_size, half):
-                for dr in range(0, r_size, half):
-                    s_half, r_half = min(half, s_size - ds), min(half, r_size - dr)
-                    s, r = scan + ds, first + dr
-                    if _fill_cell(
-                        k,
-                        xy,
-                        cos4,
-                        n_pos,
-                        s,
-                        r,
-                        low,
-                        s_half,
-                        r_half,
-                        tolerance,
-                        floor_e,
-                        band_e,
-                        scratch,
-                        corners,
-                    ):
-                        continue
-                    for i in range(s, s + s_half):
-                        for j in range(r, r + r_half):
+        for first in range(0, depth, CELL_DEPTH):
+            stack[0, 0], stack[0, 1] = scan, first
+            stack[0, 2], stack[0, 3] = min(cell, n_scan - scan), min(CELL_DEPTH, depth - first)
+            waiting = 1
+            while waiting > 0:
+                waiting -= 1
+                s, r, s_size, r_size = stack[waiting]
+                if _fill_cell(
+                    k,
+                    xy,
+                    cos4,
+                    n_pos,
+                    s,
+                    r,
+                    low,
+                    s_size,
+                    r_size,
+                    tolerance,
+                    floor_e,
+                    band_e,
+                    scratch,
+                    corners,
+                ):
+                    continue
+                if s_size <= SMALLEST and r_size <= SMALLEST:
+                    for i in range(s, s + s_size):
+                        for j in range(r, r + r_size):
                             pixel = i * n_pos + low + j
                             light, _ = arc_at_ray(k, xy[pixel, 0], xy[pixel, 1], scratch)
                             band_e[i, j] = light * cos4[pixel]
-
-
-CELL = 8
-"""The side of the cells that a band is filled by, px."""
+                    continue
+                s_part = s_size if s_size <= SMALLEST else (s_size + 1) // 2
+                r_part = r_size if r_size <= SMALLEST else (r_size + 1) // 2
+                for ds in range(0, s_size, s_part):
+                    for dr in range(0, r_size, r_part):
+                        stack[waiting, 0], stack[waiting, 1] = s + ds, r + dr
+                        stack[waiting, 2] = min(s_part, s_size - ds)
+                        stack[waiting, 3] = min(r_part, r_size - dr)
+                        waiting += 1
 
 
 def arc_band(
@@ -756,9 +761,10 @@ def arc_band(
     """Fill a band of the arc map (n_scan, depth), e-, NaN where a pixel looks past the workpiece.
 
     `xy` (n_scan n_pos, 2) and `cos4` are the camera's rays by scan line, `lows` (ceil(n_scan / CELL),) the
-    position of the image at which the band begins for each CELL scan lines. A cell is read off its corners
-    and centre where a bilinear surface misses the centre by no more than `tolerance` of its value plus
-    `floor_e`; the miss itself is put back as a bump, so the error is smaller still.
+    position of the image at which the band begins for each CELL scan lines. A cell of CELL by CELL_DEPTH
+    pixels, or a half or quarter of one, is read off its corners and centre where a bilinear surface misses
+    the centre by no more than `tolerance` of its value plus `floor_e`; the miss itself is put back as a bump,
+    so the error is smaller still.
     """
     n_pos = len(cos4) // band_e.shape[0]
     _arc_band(kernel, xy, cos4, n_pos, lows, CELL, tolerance, floor_e, band_e)

@@ -19,6 +19,9 @@ from tracker.stripe import OFFSET_STEP, best_path, fit_lines, matched_filter
 FIT_SIGMAS = 4.0
 """How many stripe sigmas of background the band holds beyond the reach of the search."""
 
+MAP_TOLERANCE, MAP_FLOOR_E = 0.01, 20.0
+"""How far the band's map may be off where it is read off its cells: relative, and in electrons."""
+
 MEDIAN_HALF_PX = 30
 MEDIAN_SIGMA = 1.0
 """Without an arc map: half the running median's length, and its background's relative 1 sigma (anything)."""
@@ -137,6 +140,6 @@ def _predict_background(
     if level == 0.0:
         band.background[:] = black_e
         return
-    arc_band(kernel, geometry.xy, geometry.cos4, lows, band.background)
+    arc_band(kernel, geometry.xy, geometry.cos4, lows, band.background, MAP_TOLERANCE, MAP_FLOOR_E)
     band.background *= np.float32(level)
     band.background += np.float32(black_e)

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from arctrack.cli.calibrate_hand_eye import hand_eye
 from arctrack.errors import ArctrackError, in_file
 
 if TYPE_CHECKING:
@@ -19,6 +20,11 @@ calibrate = typer.Typer(
 )
 
 EXAMPLE = "Example: arctrack calibrate reflectance examples/goniometer_mild_steel.csv --out /tmp/steel"
+
+
+calibrate.command(
+    "hand-eye", epilog="Example: arctrack calibrate hand-eye examples/v_groove --out /tmp/found.toml"
+)(hand_eye)
 
 
 @calibrate.callback(epilog=EXAMPLE)

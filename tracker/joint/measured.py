@@ -17,6 +17,9 @@ SIGMA_FLOOR_PX = 0.05
 STEP = 1e-5
 """The step of the numerical derivatives, in each parameter's unit."""
 
+CONVERGED = 1e-5
+"""A step smaller than this in every parameter's unit ends the fit."""
+
 BISQUARE_WIDTH = 4.685
 """Tukey's tuning constant: 95 % efficiency on Gaussian residuals."""
 
@@ -60,7 +63,8 @@ def fit_shape(
 
     A point's residual is how far its stripe centre would have to move to lie on the shape: (z - f(y)) /
     (dz - f'(y) dy). Gauss-Newton with numerical derivatives, Tukey's bisquare weights about a robust scale.
-    That begins wide: a narrow one would cut off the few points that tell, such as a root's, for good.
+    `height` must take parameters (p,), and (p, m, 1) for m sets of them at once. The scale begins wide: a
+    narrow one would cut off the few points that tell, such as a root's, for good.
     """
     y, z = profile.y_mm, profile.z_mm
     sigma = np.hypot(profile.sigma_px, SIGMA_FLOOR_PX)
@@ -70,29 +74,30 @@ def fit_shape(
     parameters = start.copy()
     h_y = 1e-4
 
-    def residual(p: Float64) -> Float64:
+    def sigma_z(p: Float64) -> Float64:
         slope = (height(p, y + h_y) - height(p, y - h_y)) / (2.0 * h_y)
         along = profile.dz_mm - slope * profile.dy_mm
-        along = np.where(np.abs(along) < 1e-6, 1e-6, along)
-        return np.asarray((z - height(p, y)) / along / sigma)
+        return np.where(np.abs(along) < 1e-6, 1e-6, along) * sigma
 
     weights = mask.astype(np.float64)
     information = np.eye(len(start))
     scale = 1.0
     wide = START_SIGMA_MM / max(float(np.median((np.abs(profile.dz_mm) * sigma)[mask])), 1e-6)
     for _ in range(20):
-        r = residual(parameters)
-        J = np.column_stack([(residual(parameters + move) - r) / STEP for move in STEP * np.eye(len(start))])
+        at, unit = height(parameters, y), sigma_z(parameters)
+        r = (z - at) / unit
+        moved = parameters[:, None, None] + STEP * np.eye(len(start))[:, :, None]
+        J = ((at - height(moved, y)) / (STEP * unit)).T
         scale = max(1.0, 1.4826 * float(np.median(np.abs(r[mask]))), wide)
         weights = np.where(mask, np.maximum(0.0, 1.0 - (r / (BISQUARE_WIDTH * scale)) ** 2) ** 2, 0.0)
         information = J.T @ (weights[:, None] * J) + np.diag((scale / prior_sigma) ** 2)
         gradient = J.T @ (weights * r) + (scale / prior_sigma) ** 2 * (parameters - start)
         step = np.linalg.solve(information, -gradient)
         parameters = parameters + step
-        if wide < 1.0 and np.max(np.abs(step)) < 1e-6:
+        if wide < 1.0 and np.max(np.abs(step)) < CONVERGED:
             break
         wide /= 2.0
-    r = residual(parameters)
+    r = (z - height(parameters, y)) / sigma_z(parameters)
     freedom = max(float(weights.sum()) - len(start), 1.0)
     chi2 = float(np.sum(weights * r**2) / freedom)
     covariance = np.asarray(np.linalg.inv(information) * max(1.0, chi2), dtype=np.float64)
