@@ -60,16 +60,6 @@ class HandEye:
     T_tool_camera: Float64
     fit: Fit
 
-    @property
-    def rotation_deg(self) -> float:
-        """By how much the camera was found turned."""
-        return float(np.linalg.norm(self.fit.values[:3]))
-
-    @property
-    def translation_mm(self) -> float:
-        """By how much the camera was found moved."""
-        return float(np.linalg.norm(self.fit.values[3:6]))
-
 
 def moved_camera(T_tool_camera: Float64, change: Float64) -> Float64:
     """Return a camera's pose turned by `change[:3]` (rotation vector, deg) and moved by `change[3:6]` (mm).

@@ -99,7 +99,7 @@ def stripe_reference(setup: Setup) -> float:
     The middle row it is where the stripe runs along columns. Raises ValueError if the stripe is not there.
     """
     camera, laser, material = setup.camera, setup.laser, setup.material
-    if _runs_along_rows(setup):
+    if stripe_runs_along_rows(setup):
         u, v = np.full(camera.height, (camera.width - 1) / 2.0), np.arange(camera.height, dtype=np.float64)
     else:
         u, v = np.arange(camera.width, dtype=np.float64), np.full(camera.width, (camera.height - 1) / 2.0)
@@ -124,15 +124,22 @@ def stripe_reference(setup: Setup) -> float:
     return peak
 
 
-def _runs_along_rows(setup: Setup) -> bool:
-    """Say whether the stripe on a plate at tool height runs along the image's rows, not its columns."""
-    camera, laser = setup.camera, setup.laser
-    R_camera_tool = camera.T_tool_camera[:3, :3].T
-    along = R_camera_tool @ np.cross(laser.plane_in_tool[:3], [0.0, 0.0, 1.0])
-    foot = np.array([*laser.origin_in_tool_mm[:2], 0.0]) - camera.T_tool_camera[:3, 3]
-    x, y, z = R_camera_tool @ foot
-    # d(x/z) and d(y/z) along the stripe, times z^2.
-    return bool(camera.fx * abs(along[0] * z - x * along[2]) >= camera.fy * abs(along[1] * z - y * along[2]))
+def stripe_runs_along_rows(setup: Setup) -> bool:
+    """Say whether the laser plane's trace on a plate at tool height runs along the image's rows.
+
+    Raises ValueError for a sheet parallel to the plate, or a stripe behind the camera.
+    """
+    normal = np.asarray(setup.laser.plane_in_tool[:3])
+    origin = np.asarray(setup.laser.origin_in_tool_mm) * np.array([1.0, 1.0, 0.0])
+    along = np.cross(normal, [0.0, 0.0, 1.0])
+    if np.linalg.norm(along) < 1e-6:
+        raise ValueError("[laser] plane_in_tool: the sheet lies parallel to the plate")
+    ends_tool = np.stack([origin - along, origin + along])
+    ends_camera = transform(invert(setup.camera.T_tool_camera), ends_tool)
+    if (ends_camera[:, 2] <= 0.0).any():
+        raise ValueError("[camera.pose_in_tool]: the stripe at tool height lies behind the camera")
+    du, dv = np.abs(np.diff(setup.camera.project(ends_camera), axis=0))[0]
+    return bool(du >= dv)
 
 
 def noise_variance(mean_e: Float32, setup: Setup) -> Float64:

@@ -11,7 +11,8 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from noise_model.frames import Float64, invert, transform
+from noise_model.forward import stripe_runs_along_rows
+from noise_model.frames import Float64
 from noise_model.optics import Rays
 from noise_model.sensor import linearise, saturation_dn, variance_e2
 from noise_model.setup import Setup
@@ -42,7 +43,7 @@ class SensorGeometry:
     def of(cls, setup: Setup) -> SensorGeometry:
         """Derive the tables; raises ValueError if the stripe is not in view at tool height."""
         rays = Rays.of(setup.camera)
-        along_rows = _stripe_runs_along_rows(setup)
+        along_rows = stripe_runs_along_rows(setup)
         xy, cos4 = (rays.xy.swapaxes(0, 1), rays.cos4.T) if along_rows else (rays.xy, rays.cos4)
         charge = linearise(np.arange(setup.sensor.max_dn + 1), setup.sensor).astype(np.float32)
         return cls(
@@ -64,21 +65,6 @@ class SensorGeometry:
     def scan_points(self, points_px: Float64) -> Float64:
         """Return (n, 2) as (scan, position) of image points (n, 2) as (u, v)."""
         return points_px if self.along_rows else points_px[:, ::-1]
-
-
-def _stripe_runs_along_rows(setup: Setup) -> bool:
-    """Say whether the laser plane's trace on a plate at tool height runs along the image's rows."""
-    normal = np.asarray(setup.laser.plane_in_tool[:3])
-    origin = np.asarray(setup.laser.origin_in_tool_mm) * np.array([1.0, 1.0, 0.0])
-    along = np.cross(normal, [0.0, 0.0, 1.0])
-    if np.linalg.norm(along) < 1e-6:
-        raise ValueError("[laser] plane_in_tool: the sheet lies parallel to the plate")
-    ends_tool = np.stack([origin - along, origin + along])
-    ends_camera = transform(invert(setup.camera.T_tool_camera), ends_tool)
-    if (ends_camera[:, 2] <= 0.0).any():
-        raise ValueError("[camera.pose_in_tool]: the stripe at tool height lies behind the camera")
-    du, dv = np.abs(np.diff(setup.camera.project(ends_camera), axis=0))[0]
-    return bool(du >= dv)
 
 
 def to_laser_plane(geometry: SensorGeometry, image_points_px: Float64) -> tuple[Float64, Float64]:
