@@ -139,6 +139,7 @@ def reflected_radiance_extended(
             surface.kappa_diff,
             surface.kappa_spec,
             surface.c2,
+            surface.lobe,
         )
         L_r[part] = np.bincount(lit.patch, f_r * lit.weight, minlength=len(points_mm[part]))
     return radiance * L_r
@@ -201,7 +202,9 @@ def reflected_radiance_point(
 ) -> Float64:
     """Return the radiance (N,) along omega_r (N, 3) under a point source: f_r I cos(theta_i)/r^2 (Eq. 17)."""
     omega_i, _ = _unit(source.position_mm - points_mm)
-    f_r = reflectance(omega_i, omega_r, normals, material.kappa_diff, material.kappa_spec, material.c2)
+    f_r = reflectance(
+        omega_i, omega_r, normals, material.kappa_diff, material.kappa_spec, material.c2, material.lobe
+    )
     return f_r * irradiance_point(points_mm, normals, source)
 
 

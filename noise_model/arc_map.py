@@ -26,7 +26,7 @@ import numba
 import numpy as np
 import numpy.typing as npt
 
-from noise_model.brdf import alpha_squared
+from noise_model.brdf import LobeNumbers, lobe_fall, lobe_numbers
 from noise_model.frames import Float64, invert
 from noise_model.setup import Setup
 from noise_model.surface import NOMINAL_SEAM, SeamLine, Section, corrugation_height, seam_frame, section
@@ -287,9 +287,7 @@ def arc_light(
     edge_step: float,
     edge_hides: bool,
     crest_x: float,
-    kappa_diff: float,
-    kappa_spec: float,
-    c2: float,
+    material: LobeNumbers,
     nodes: Nodes,
 ) -> float:
     """Return integral f_r cos(theta_i) d(omega) over the part of the luminous half-sphere that P sees.
@@ -482,9 +480,8 @@ def arc_light(
                     cos_alpha = (hx * normal[0] + hy * normal[1] + hz * normal[2]) / h
                     cos_beta = 0.5 * h
                     shadowing = min(1.0, 2.0 * cos_alpha * min(cos_i, cos_r) / cos_beta)
-                    f_r = kappa_diff + kappa_spec * shadowing / cos_r * math.exp(
-                        -c2 * alpha_squared(cos_alpha)
-                    )
+                    fall = lobe_fall(material, hx, hy, hz, normal[0], normal[1], normal[2], h, cos_alpha)
+                    f_r = material[0] + material[1] * shadowing / cos_r * fall
                     column += q_weights[j] * f_r * cos_i / (square * length)
                 total += 0.5 * (right - left) * sign * p_weights[i] * (end - begin) * column
     return total * tan_b * tan_b
@@ -501,9 +498,7 @@ class ArcKernel(NamedTuple):
     corrugation: Float64
     horizon_start: float
     horizons: Float64
-    kappa_diff: float
-    kappa_spec: float
-    c2: float
+    material: LobeNumbers
     nodes: Nodes
     nodes_cut: Nodes
 
@@ -526,9 +521,7 @@ def arc_kernel(
         view.shape.corrugation,
         view.horizon_start,
         view.horizons,
-        setup.material.kappa_diff,
-        setup.material.kappa_spec,
-        setup.material.c2,
+        lobe_numbers(setup.material),
         _disc_nodes(*nodes),
         _disc_nodes(CUT_FACTOR * nodes[0], nodes[1]),
     )
@@ -601,9 +594,7 @@ def arc_at_ray(k: ArcKernel, x: float, y: float, scratch: Float64) -> tuple[floa
         edge_step,
         edge_hides,
         crest_x,
-        k.kappa_diff,
-        k.kappa_spec,
-        k.c2,
+        k.material,
         nodes,
     )
     return k.radiance_e * light, face

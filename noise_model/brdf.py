@@ -18,16 +18,50 @@ from noise_model.frames import Float64
 
 
 @dataclass(frozen=True)
+class Lobe:
+    """How a lobe departs from the paper's round Gaussian exp(-c2 alpha^2); the neutral values are that one.
+
+    `tail` nu >= 0 makes it (1 + nu c2 alpha^2)^(-1/nu): the slopes follow Student's t instead of a Gaussian,
+    as on many rough surfaces (Ribardiere et al. 2017, Computer Graphics Forum 36(2) 421-429), nu = 1/2 and 1
+    are the forms of Trowbridge and Reitz (1975) and of Cauchy. `anisotropy` a and `marks_deg` make it
+    elliptical, as Ward (1992, SIGGRAPH 26(2) 265-272) does: c2 is exp(a) times as large where the half vector
+    leans along the rolling marks and exp(-a) times across them; the marks lie at `marks_deg` to the left of
+    travel on the plate, and on a tilted face along their projection.
+    """
+
+    tail: float = 0.0
+    anisotropy: float = 0.0
+    marks_deg: float = 0.0
+
+    def __post_init__(self) -> None:
+        if not 0 <= self.tail < math.inf:
+            raise ValueError(f"lobe tail = {self.tail}: must be >= 0 and finite")
+        if not (math.isfinite(self.anisotropy) and math.isfinite(self.marks_deg)):
+            raise ValueError("lobe anisotropy, marks_deg: must be finite")
+
+    @property
+    def marks(self) -> tuple[float, float]:
+        """The marks' direction (x, y) in the joint frame."""
+        angle = math.radians(self.marks_deg)
+        return math.cos(angle), math.sin(angle)
+
+
+GAUSSIAN = Lobe()
+
+
+@dataclass(frozen=True)
 class Material:
     """A row of the paper's Table 1: f_r = kappa_diff + kappa_spec G / cos(theta_r) exp(-c2 alpha^2), 1/sr.
 
-    alpha is in radians. The kappas are relative: the paper normalised its grey levels.
+    alpha is in radians. The kappas are relative: the paper normalised its grey levels. `lobe` is what the
+    paper leaves out of the lobe's shape.
     """
 
     name: str
     kappa_diff: float
     kappa_spec: float
     c2: float
+    lobe: Lobe = GAUSSIAN
 
     def __post_init__(self) -> None:
         for name in ("kappa_diff", "kappa_spec"):
@@ -81,12 +115,18 @@ def _half_angle_cosines(omega_i: Float64, omega_r: Float64, normal: Float64) -> 
 
 
 def reflectance(
-    omega_i: Float64, omega_r: Float64, normal: Float64, kappa_diff: float, kappa_spec: float, c2: float
+    omega_i: Float64,
+    omega_r: Float64,
+    normal: Float64,
+    kappa_diff: float,
+    kappa_spec: float,
+    c2: float,
+    lobe: Lobe = GAUSSIAN,
 ) -> Float64:
     """Return f_r (...,), 1/sr, for unit vectors (..., 3) towards the source and the viewer (Eq. 7).
 
     f_r = kappa_diff + kappa_spec G / cos(theta_r) exp(-c2 alpha^2); 0 where either direction is below the
-    surface.
+    surface. `lobe` gives the exponential another shape; with rolling marks the vectors are the joint frame's.
 
     As printed the lobe lacks Torrance and Sparrow's 1/cos(theta_i) and so is not reciprocal. It is kept so
     because Table 1's values were fitted with it.
@@ -96,9 +136,25 @@ def reflectance(
     cos_alpha, _ = _half_angle_cosines(omega_i, omega_r, normal)
     attenuation = geometrical_attenuation(omega_i, omega_r, normal)
     with np.errstate(divide="ignore", invalid="ignore"):
-        lobe = attenuation / cos_r * np.exp(-c2 * np.arccos(cos_alpha) ** 2)
-        value = kappa_diff + kappa_spec * lobe
+        exponent = c2 * np.arccos(cos_alpha) ** 2
+        if lobe.anisotropy != 0.0:
+            exponent = exponent * _marks_factor(omega_i + omega_r, normal, lobe)
+        fall = np.exp(-exponent) if lobe.tail == 0.0 else (1.0 + lobe.tail * exponent) ** (-1.0 / lobe.tail)
+        value = kappa_diff + kappa_spec * attenuation / cos_r * fall
     return np.where((cos_i > 0) & (cos_r > 0), value, 0.0)
+
+
+def _marks_factor(half: Float64, normal: Float64, lobe: Lobe) -> Float64:
+    """Return by what rolling marks multiply c2 (...,): exp(a) cos^2(psi) + exp(-a) sin^2(psi).
+
+    psi is the azimuth of the half vector's tangential part from the marks' projection onto the face.
+    """
+    marks = np.array([*lobe.marks, 0.0])
+    marks = marks - np.sum(marks * normal, axis=-1, keepdims=True) * normal
+    lean = half - np.sum(half * normal, axis=-1, keepdims=True) * normal
+    length = np.linalg.norm(marks, axis=-1) * np.linalg.norm(lean, axis=-1)
+    cos_psi = np.sum(marks * lean, axis=-1) / np.maximum(length, 1e-300)
+    return np.asarray(np.exp(-lobe.anisotropy) + 2.0 * np.sinh(lobe.anisotropy) * cos_psi**2)
 
 
 def mirror_direction(omega: Float64, normal: Float64) -> Float64:
@@ -181,3 +237,51 @@ def alpha_squared(cos_alpha: float) -> float:
     x = 1.0 - min(cos_alpha, 1.0)
     tail = 8.0 / 1575.0 + x * (4.0 / 2079.0 + x * (16.0 / 21021.0 + x * (2.0 / 6435.0)))
     return 2.0 * x * (1.0 + x * (1.0 / 6.0 + x * (2.0 / 45.0 + x * (1.0 / 70.0 + x * tail))))
+
+
+LobeNumbers = tuple[float, float, float, float, float, float, float]
+"""kappa_diff, kappa_spec, c2, tail, anisotropy and the marks' x and y, as the kernels take them."""
+
+
+def lobe_numbers(material: Material) -> LobeNumbers:
+    """Gather a material for the kernels."""
+    lobe = material.lobe
+    return (
+        material.kappa_diff,
+        material.kappa_spec,
+        material.c2,
+        lobe.tail,
+        lobe.anisotropy,
+        *lobe.marks,
+    )
+
+
+@numba.njit(cache=True, inline="always")
+def lobe_fall(
+    numbers: LobeNumbers,
+    hx: float,
+    hy: float,
+    hz: float,
+    nx: float,
+    ny: float,
+    nz: float,
+    h: float,
+    cos_alpha: float,
+) -> float:
+    """Return the lobe's fall, 1 at its middle: the kernels' twin of `reflectance`'s.
+
+    (hx, hy, hz) is the half vector of length h, (nx, ny, nz) the normal.
+    """
+    _, _, c2, tail, anisotropy, mx, my = numbers
+    exponent = c2 * alpha_squared(cos_alpha)
+    if anisotropy != 0.0:
+        m_n, h_n = mx * nx + my * ny, h * cos_alpha
+        # |m|^2 = 1: what is left of it and of h in the face.
+        square = (1.0 - m_n * m_n) * (h * h - h_n * h_n)
+        along = mx * hx + my * hy - m_n * h_n
+        cos2_psi = along * along / max(square, 1e-300)
+        exponent *= math.exp(-anisotropy) + 2.0 * math.sinh(anisotropy) * min(1.0, cos2_psi)
+    if tail == 0.0:
+        return math.exp(-exponent)
+    fall: float = (1.0 + tail * exponent) ** (-1.0 / tail)
+    return fall

@@ -77,14 +77,21 @@ def stripe(setup: Setup, view: Scene, rays: Rays) -> Float32:
         reach = SHEET_REACH * laser.stripe_sigma_mm * np.abs(depth) / laser.origin_in_tool_mm[2]
         near = np.flatnonzero(np.abs(points_tool @ plane[:3] + plane[3]) < reach)
     light = irradiance(points_tool[near], normals[near] @ T_tool_joint[:3, :3].T, laser)
-    omega_i = np.asarray(laser.origin_in_tool_mm) - points_tool[near]
-    omega_i /= np.linalg.norm(omega_i, axis=1, keepdims=True)
-    omega_r = setup.camera.T_tool_camera[:3, 3] - points_tool[near]
-    omega_r /= np.linalg.norm(omega_r, axis=1, keepdims=True)
-    normals_tool = normals[near] @ T_tool_joint[:3, :3].T
-    f_r = reflectance(omega_i, omega_r, normals_tool, material.kappa_diff, material.kappa_spec, material.c2)
-    is_free = np.empty(len(near), dtype=np.bool_)
     origin_joint = transform(view.T_joint_tool, np.asarray(laser.origin_in_tool_mm))
+    omega_i = origin_joint - points[near]
+    omega_i /= np.linalg.norm(omega_i, axis=1, keepdims=True)
+    omega_r = view.T_joint_camera[:3, 3] - points[near]
+    omega_r /= np.linalg.norm(omega_r, axis=1, keepdims=True)
+    f_r = reflectance(
+        omega_i,
+        omega_r,
+        normals[near],
+        material.kappa_diff,
+        material.kappa_spec,
+        material.c2,
+        material.lobe,
+    )
+    is_free = np.empty(len(near), dtype=np.bool_)
     ways_are_open(points[near], origin_joint, view.shape.vertices, view.shape.corrugation, is_free)
     image = np.zeros(n, dtype=np.float32)
     image[near] = (
@@ -114,7 +121,10 @@ def stripe_reference(setup: Setup) -> float:
     omega_r = origin - points
     omega_i = omega_i / np.linalg.norm(omega_i, axis=1, keepdims=True)
     omega_r = omega_r / np.linalg.norm(omega_r, axis=1, keepdims=True)
-    f_r = reflectance(omega_i, omega_r, up, material.kappa_diff, material.kappa_spec, material.c2)
+    # Under a level pose the tool's axes are the joint's.
+    f_r = reflectance(
+        omega_i, omega_r, up, material.kappa_diff, material.kappa_spec, material.c2, material.lobe
+    )
     cos4 = (1.0 + np.sum(xy[rays_tool[:, 2] < 0.0] ** 2, axis=1)) ** -2.0
     peak = float(np.max(irradiance(points, up, laser) * f_r * cos4, initial=0.0))
     if not peak > 0.0:

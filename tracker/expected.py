@@ -59,7 +59,7 @@ def expect_stripe(geometry: SensorGeometry, view: Scene) -> ExpectedStripe | Non
         if at[order[-1], 0] < 0.0 or at[order[0], 0] > geometry.n_scan - 1:
             return None
         position.append(np.interp(scan, at[order, 0], at[order, 1]))
-        light = _strength(geometry, points_tool, normals_joint @ T_tool_joint[:3, :3].T)
+        light = _strength(geometry, points_tool, normals_joint, T_tool_joint)
         strength.append(np.interp(scan, at[order, 0], light[order]))
         after = np.clip(np.searchsorted(at[order, 0], scan), 1, len(order) - 1)
         left, right = strip[order][after - 1], strip[order][after]
@@ -122,8 +122,11 @@ def _cut(
     return np.column_stack([x, y, z]), normals, strip
 
 
-def _strength(geometry: SensorGeometry, points_tool: Float64, normals_tool: Float64) -> Float64:
+def _strength(
+    geometry: SensorGeometry, points_tool: Float64, normals_joint: Float64, T_tool_joint: Float64
+) -> Float64:
     """Return the stripe's light at points (n, 3), the sheet's own Gaussian divided out."""
+    R_tool_joint = T_tool_joint[:3, :3]
     setup = geometry.setup
     origin, plane = np.asarray(setup.laser.origin_in_tool_mm), np.asarray(setup.laser.plane_in_tool)
     local_sigma = setup.laser.stripe_sigma_mm * (origin[2] - points_tool[:, 2]) / origin[2]
@@ -132,6 +135,15 @@ def _strength(geometry: SensorGeometry, points_tool: Float64, normals_tool: Floa
     omega_i = omega_i / np.linalg.norm(omega_i, axis=1, keepdims=True)
     omega_r = omega_r / np.linalg.norm(omega_r, axis=1, keepdims=True)
     material = setup.material
-    f_r = reflectance(omega_i, omega_r, normals_tool, material.kappa_diff, material.kappa_spec, material.c2)
-    light = irradiance(points_tool, normals_tool, setup.laser) * f_r
+    # Rolling marks lie in the joint's frame.
+    f_r = reflectance(
+        omega_i @ R_tool_joint,
+        omega_r @ R_tool_joint,
+        normals_joint,
+        material.kappa_diff,
+        material.kappa_spec,
+        material.c2,
+        material.lobe,
+    )
+    light = irradiance(points_tool, normals_joint @ R_tool_joint.T, setup.laser) * f_r
     return np.asarray(np.divide(light, sheet, out=np.zeros_like(sheet), where=sheet > 0.0))

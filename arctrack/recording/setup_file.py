@@ -118,7 +118,7 @@ def _tables(setup: Setup) -> dict[str, dict[str, Any]]:
         "filter": dict(vars(setup.filter)),
         "laser": dict(vars(setup.laser)),
         "arc": dict(vars(setup.arc)),
-        "material": dict(vars(setup.material)),
+        "material": {name: value for name, value in vars(setup.material).items() if name != "lobe"},
         "tolerance": dict(vars(setup.tolerance)),
         "joint": joint,
     }

@@ -208,7 +208,23 @@ def f_r(omega_i: Float64, omega_r: Float64, normal: Float64, material: Material)
     beta = np.arccos(np.clip(np.sum(half * omega_i, axis=1), -1.0, 1.0))
     masking = 2.0 * np.cos(alpha) * np.minimum(cos_i, cos_r) / np.cos(beta)
     G = np.minimum(1.0, masking)
-    return material.kappa_diff + material.kappa_spec * G / cos_r * np.exp(-material.c2 * alpha**2)
+    return material.kappa_diff + material.kappa_spec * G / cos_r * fall(alpha, half, normal, material)
+
+
+def fall(alpha: Float64, half: Float64, normal: Float64, material: Material) -> Float64:
+    """The lobe over the half vector's angle and its azimuth from the rolling marks, in the face."""
+    lobe = material.lobe
+    across = np.cross(
+        normal, [math.cos(math.radians(lobe.marks_deg)), math.sin(math.radians(lobe.marks_deg)), 0.0]
+    )
+    across /= np.linalg.norm(across)
+    psi = np.arctan2(half @ across, half @ np.cross(across, normal))
+    c2 = material.c2 * (
+        math.exp(lobe.anisotropy) * np.cos(psi) ** 2 + math.exp(-lobe.anisotropy) * np.sin(psi) ** 2
+    )
+    if lobe.tail == 0.0:
+        return np.exp(-c2 * alpha**2)
+    return np.exp(-np.log1p(lobe.tail * c2 * alpha**2) / lobe.tail)
 
 
 def arc_nodes(

@@ -22,7 +22,7 @@ from noise_model.arc_map import (
     arc_light,
     scene,
 )
-from noise_model.brdf import TABLE_1, Material
+from noise_model.brdf import TABLE_1, Lobe, Material, lobe_numbers
 from noise_model.frames import invert
 from noise_model.optics import Rays
 from noise_model.surface import SeamLine
@@ -98,6 +98,24 @@ POSES = {
 }
 
 
+@pytest.mark.parametrize(
+    "lobe", [Lobe(tail=0.7), Lobe(anisotropy=0.5, marks_deg=25.0), Lobe(0.4, -0.3, 80.0)]
+)
+@pytest.mark.parametrize("joint", ["v_groove", "corrugation"])
+def test_a_lobe_of_another_shape_is_the_twins(joint, lobe):
+    plain = dataclasses.replace(
+        scenes.setup(joint, "mild_steel"), material=Material("lobe", 0.002, 0.5, 20.0)
+    )
+    setup = dataclasses.replace(plain, material=dataclasses.replace(plain.material, lobe=lobe))
+    T = POSES["turned"]
+    pixels = some_pixels(setup, T, 24, seed=5)
+    got, _ = arc_at_pixels(setup, T, pixels)
+    want, _ = twin_at_pixels(setup, T, pixels)
+    assert np.quantile(off_by(got, want), 0.9) < 0.01
+    nominal, _ = arc_at_pixels(plain, T, pixels)
+    assert np.quantile(off_by(nominal, want), 0.9) > 0.1
+
+
 @pytest.mark.parametrize("material", TABLE_1)
 @pytest.mark.parametrize("center_mm", [(0.0, 0.0, 0.0), (3.0, -2.0, 1.5), (0.0, 0.0, -1.0)])
 def test_a_plate_shows_the_references_arc(material, center_mm):
@@ -123,7 +141,7 @@ def disc_light(P, normal, omega_r, center, material, nodes, planes=()):
     return arc_light(
         P, normal, omega_r, center, 3.0, cuts, len(cuts), np.empty((0, 3)), 0,
         np.zeros(3), 0.0, 0.0, False, math.nan,
-        material.kappa_diff, material.kappa_spec, material.c2, _disc_nodes(*nodes),
+        lobe_numbers(material), _disc_nodes(*nodes),
     )  # fmt: skip
 
 

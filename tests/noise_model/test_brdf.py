@@ -11,6 +11,7 @@ from noise_model.brdf import (
     SUS304,
     TABLE_1,
     ZN_COATED,
+    Lobe,
     Material,
     Mirror,
     Regime,
@@ -53,6 +54,48 @@ def test_reflectance_is_the_printed_formula(material):
         -material.c2 * alpha**2
     )
     assert f_r(material, direction(40.0, 180.0), direction(55.0)) == pytest.approx(expected, rel=1e-12)
+
+
+def shaped(lobe, omega_i, omega_r, normal=NORMAL):
+    return reflectance(omega_i, omega_r, normal, 0.1, 0.3, 40.0, lobe)
+
+
+def test_a_short_tail_is_the_gaussian_and_a_long_one_falls_as_a_power():
+    omega_i, omega_r = upper_directions(200, 1), upper_directions(200, 2)
+    np.testing.assert_allclose(
+        shaped(Lobe(tail=1e-8), omega_i, omega_r), shaped(Lobe(), omega_i, omega_r), rtol=1e-5
+    )
+    # nu = 1 is Cauchy's 1 / (1 + c2 alpha^2); at 20 degrees off the mirror alpha is 10 degrees.
+    lobe = shaped(Lobe(tail=1.0), direction(30.0, 180.0), direction(50.0)) - 0.1
+    expected = 0.3 / math.cos(math.radians(50.0)) / (1.0 + 40.0 * math.radians(10.0) ** 2)
+    assert lobe == pytest.approx(expected, rel=1e-12)
+
+
+def test_marks_narrow_the_lobe_along_them_and_widen_it_across():
+    lobe = Lobe(anisotropy=0.6, marks_deg=90.0)
+    # The half vector of a pair in the plane of azimuth psi leans by 8 degrees in that plane.
+    for azimuth, factor in ((90.0, math.exp(0.6)), (0.0, math.exp(-0.6)), (45.0, math.cosh(0.6))):
+        value = shaped(lobe, direction(20.0, azimuth + 180.0), direction(36.0, azimuth)) - 0.1
+        expected = 0.3 / math.cos(math.radians(36.0)) * math.exp(-40.0 * factor * math.radians(8.0) ** 2)
+        assert value == pytest.approx(expected, rel=1e-9)
+
+
+def test_marks_go_with_a_tilted_face():
+    # A turn of everything but the marks about the marks' own axis changes nothing.
+    turn = np.array([[1.0, 0.0, 0.0], [0.0, 0.8, -0.6], [0.0, 0.6, 0.8]])
+    omega_i, omega_r = upper_directions(100, 3), upper_directions(100, 4)
+    lobe = Lobe(tail=0.5, anisotropy=0.8)
+    np.testing.assert_allclose(
+        shaped(lobe, omega_i @ turn.T, omega_r @ turn.T, turn @ NORMAL),
+        shaped(lobe, omega_i, omega_r),
+        rtol=1e-9,
+    )
+
+
+@pytest.mark.parametrize("wrong", [{"tail": -0.1}, {"tail": math.inf}, {"anisotropy": math.nan}])
+def test_a_lobe_that_cannot_be_is_refused(wrong):
+    with pytest.raises(ValueError, match="lobe"):
+        Lobe(**wrong)
 
 
 def test_mirror_direction_has_the_highest_exponent():
