@@ -104,8 +104,8 @@ def speckle_image_sigma_mm(wavelength_mm: float, image_f_number: float, contrast
     """Return the same uncertainty as a displacement in the image, mm: C lambda / (2 pi sin(u')).
 
     By Abbe's sine condition sin(u_obs) = m sin(u') with m the magnification, and a height delta_z moves the
-    image by m sin(theta) delta_z. sin(u') = 1 / (2 N'), N' = N (1 + m) the working f-number. It is a floor: the
-    centroid of a stripe of 1 sigma w, much wider than a speckle s = lambda N', wanders by
+    image by m sin(theta) delta_z. sin(u') = 1 / (2 N'), N' = N (1 + m) the working f-number. It is a floor:
+    the centroid of a stripe of 1 sigma w, much wider than a speckle s = lambda N', wanders by
     C sqrt(s w / (4 sqrt(pi))); both agree at w = 0.72 s.
     """
     return contrast * wavelength_mm * image_f_number / math.pi
