@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING
 
 from arctrack.errors import ArctrackError, in_file
 from arctrack.publish import LIMITS, Moment, Publisher
-from arctrack.recording import BadFrame, FrameRow, Recording, pose_at, read_truth
+from arctrack.recording import BadFrame, FrameRow, Recording, read_truth
 from arctrack.recording.results import (
     BUS_LOG,
     Latency,
@@ -171,7 +171,7 @@ def _steps(recording: Recording, use_arc_map: bool) -> Iterator[Step]:
         if isinstance(frame, BadFrame):
             yield Step(row, frame, Track(row.index, row.timestamp_s, flags.FRAME_UNREADABLE.mask), NAN)
             continue
-        pose = pose_at(poses, frame.timestamp_s)
+        pose = recording.pose_at(poses, frame.timestamp_s)
         began_ns = time.perf_counter_ns()
         track = tracker.step(frame, pose)
         yield Step(row, frame, track, (time.perf_counter_ns() - began_ns) / 1e6)
@@ -206,7 +206,7 @@ def _warm_up(recording: Recording, poses: PoseBuffer, use_arc_map: bool) -> None
     lit = max(range(len(rows)), key=lambda n: (rows[n].laser_on, rows[n].arc_on))
     for frame in recording.frames([lit]):
         if not isinstance(frame, BadFrame):
-            _tracker(recording, use_arc_map).step(frame, pose_at(poses, frame.timestamp_s))
+            _tracker(recording, use_arc_map).step(frame, recording.pose_at(poses, frame.timestamp_s))
 
 
 def _tracker(recording: Recording, use_arc_map: bool) -> Tracker:

@@ -7,7 +7,7 @@ leaves its nominal line. True values differ from the nominal ones by about the s
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -17,13 +17,12 @@ from scipy.spatial.transform import Rotation
 
 from arctrack.errors import ArctrackError
 from arctrack.recording import RecordingWriter, VideoFormat
-from noise_model.arc import level as arc_level
-from noise_model.forward import render, stripe_reference
+from noise_model.condition import Condition
+from noise_model.effects import Values, pose_time_s, really
+from noise_model.forward import Renderer, draw_frame, predict, stripe_reference
 from noise_model.frames import Float64, invert, transform
-from noise_model.optics import Rays
-from noise_model.sensor import expose
 from noise_model.setup import Setup
-from noise_model.surface import SeamLine, corrugation_height, seam_frame, seam_height_mm, section
+from noise_model.surface import Joint, SeamLine, corrugation_height, seam_frame, seam_height_mm, section
 from tracker.state import Frame
 
 WEAVE_PERIOD_S, HEIGHT_PERIOD_S, TILT_PERIODS_S = 1.7, 2.4, (2.9, 1.9)
@@ -69,7 +68,7 @@ class SimulationPlan:
 
 
 @dataclass(frozen=True)
-class Condition:
+class Switches:
     """What is on in a frame."""
 
     laser_on: bool
@@ -83,10 +82,12 @@ def simulate_recording(
     setup: Setup,
     plan: SimulationPlan | None = None,
     on_frame: Callable[[int], None] | None = None,
+    hidden_effects: Mapping[str, Values] | None = None,
 ) -> Path:
     """Write a recording of a nominal setup to `path`, which must not exist yet, and return it.
 
-    `on_frame` hears the number of frames done. Raises ArctrackError if the setup's seam is not straight.
+    `on_frame` hears the number of frames done. `hidden_effects` act beside those of the setup, but the setup
+    that is written does not name them. Raises ArctrackError if the setup's seam is not straight.
     """
     plan = plan or SimulationPlan()
     if len(setup.joint.seam_in_base_mm) != 2:
@@ -99,35 +100,27 @@ def simulate_recording(
         np.random.default_rng([plan.seed, n]) for n in range(4)
     )
     true_setup = setup if plan.exact else true_values(setup, draw_setup)
-    motion = Motion(setup, plan, draw_motion)
-    rays = Rays.of(true_setup.camera)
+    true_setup = replace(true_setup, effects={**setup.effects, **(hidden_effects or {})})
+    motion = Motion(setup, plan, draw_motion, really(true_setup).joint)
+    renderer = Renderer()
     video = VideoFormat(plan.rate_hz) if plan.video else None
     with RecordingWriter(path, setup, video=video) as writer:
         for timestamp_s in _pose_times_s(plan, draw_motion):
             writer.write_pose(timestamp_s, motion.T_base_tool(timestamp_s))
-        for n, condition in enumerate(conditions(setup, plan, draw_order)):
+        for n, switches in enumerate(conditions(setup, plan, draw_order)):
             timestamp_s = n / plan.rate_hz
-            T_base_tool = motion.T_base_tool(timestamp_s)
+            T_base_tool = motion.T_base_tool(pose_time_s(true_setup, timestamp_s))
             seam, seam_tool_mm = motion.true_seam(T_base_tool)
-            mean_e = render(
-                true_setup,
-                T_base_tool,
-                laser_level=float(condition.laser_on),
-                arc_level=arc_level(setup.arc, condition.current_a),
-                exposure_s=condition.exposure_s,
-                seam=seam,
-                rays=rays,
+            condition = Condition.of(setup, **vars(switches), timestamp_s=timestamp_s)
+            image_dn = draw_frame(
+                true_setup, T_base_tool, condition, draw_noise, seam=seam, renderer=renderer
             )
-            image_dn = expose(mean_e.astype(np.float64), true_setup.sensor, draw_noise)
             writer.write_frame(
                 Frame(
                     index=n,
                     timestamp_s=timestamp_s,
                     image_dn=image_dn,
-                    exposure_s=condition.exposure_s,
-                    current_a=condition.current_a,
-                    laser_on=condition.laser_on,
-                    arc_on=condition.arc_on,
+                    **vars(switches),
                 )
             )
             writer.write_truth(n, seam_tool_mm)
@@ -144,8 +137,8 @@ def balance(setup: Setup) -> Setup:
     T_base_tool = Motion(
         setup, SimulationPlan(weave_mm=0.0, tilt_deg=0.0), np.random.default_rng(0)
     ).T_base_tool(0.0)
-    light_e = render(setup, T_base_tool, laser_level=0.0, arc_level=1.0, exposure_s=setup.camera.exposure_s)
-    mean_e = float(light_e.mean())
+    arc_alone = Condition(laser_level=0.0, arc_level=1.0, exposure_s=setup.camera.exposure_s)
+    mean_e = float(predict(setup, T_base_tool, arc_alone).mean_e.mean())
     if not mean_e > 0.0:
         raise ArctrackError("[camera.pose_in_tool]: the camera sees no arc light at all")
     radiance_e = setup.arc.radiance_e * ARC_SHARE * setup.sensor.full_well_e / mean_e
@@ -178,7 +171,7 @@ def true_values(setup: Setup, draw: np.random.Generator) -> Setup:
     )
 
 
-def conditions(setup: Setup, plan: SimulationPlan, draw: np.random.Generator) -> list[Condition]:
+def conditions(setup: Setup, plan: SimulationPlan, rng: np.random.Generator) -> list[Switches]:
     """Return what is on in each frame.
 
     For diagnosis: dark, laser alone, arc alone, both, two currents, two exposures; the frames without arc
@@ -186,26 +179,37 @@ def conditions(setup: Setup, plan: SimulationPlan, draw: np.random.Generator) ->
     """
     current_a, exposure_s = setup.arc.current_a, setup.camera.exposure_s
     short_s, high_a = SHORT_EXPOSURE * exposure_s, HIGH_CURRENT * current_a
-    both = Condition(True, True, current_a, exposure_s)
+    both = Switches(True, True, current_a, exposure_s)
     if plan.production:
         return [both] * plan.frames
     both_high, both_short = replace(both, current_a=high_a), replace(both, exposure_s=short_s)
     arc, arc_high, arc_short = (replace(c, laser_on=False) for c in (both, both_high, both_short))
-    laser = Condition(True, False, 0.0, exposure_s)
+    laser = Switches(True, False, 0.0, exposure_s)
     dark = replace(laser, laser_on=False)
     ends = [dark, laser, replace(laser, exposure_s=short_s)]
     middle = [both, both_high, both_short, arc, arc_high, arc_short]
     more = [both, both_high, both, both_short, arc]
     middle += [more[n % len(more)] for n in range(plan.frames - LEAST_FRAMES)]
-    order = draw.permutation(len(middle))
+    order = rng.permutation(len(middle))
     return [*ends, *(middle[n] for n in order), *reversed(ends)]
 
 
 class Motion:
-    """Where the tool is at a time and where the true seam runs; phases are drawn once."""
+    """Where the tool is at a time and where the true seam runs; phases are drawn once.
 
-    def __init__(self, setup: Setup, plan: SimulationPlan, draw: np.random.Generator) -> None:
+    The tool follows the setup's joint, the true seam runs along `true_joint`, the same without it.
+    """
+
+    def __init__(
+        self,
+        setup: Setup,
+        plan: SimulationPlan,
+        draw: np.random.Generator,
+        true_joint: Joint | None = None,
+    ) -> None:
         self._setup, self._plan = setup, plan
+        start_mm = np.asarray((true_joint or setup.joint).seam_in_base_mm[0])
+        self._T_base_true = seam_frame(true_joint or setup.joint, start_mm)
         self._phases = draw.uniform(0.0, 2.0 * np.pi, 6)
         self._corrugation = section(setup.joint).corrugation
         self._T_base_joint = seam_frame(setup.joint, np.asarray(setup.joint.seam_in_base_mm[0]))
@@ -234,7 +238,7 @@ class Motion:
 
     def true_seam(self, T_base_tool: Float64) -> tuple[SeamLine, Float64]:
         """Return the true seam where it meets the laser plane, and that point (3,), tool frame, mm."""
-        T_tool_joint = invert(T_base_tool) @ self._T_base_joint
+        T_tool_joint = invert(T_base_tool) @ self._T_base_true
         plane = np.asarray(self._setup.laser.plane_in_tool)
 
         def point_tool(station_mm: float) -> Float64:

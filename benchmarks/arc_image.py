@@ -13,7 +13,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from arctrack.recording import BadFrame, pose_at, read_recording
+from arctrack.recording import BadFrame, read_recording
 from calibration.hand_eye import estimate_hand_eye
 from noise_model.setup import Setup
 from sim_to_real.agreement import arc_agreement
@@ -23,7 +23,11 @@ from tracker.state import Frame, Pose
 def read(path: str) -> tuple[str, Setup, list[tuple[Frame, Pose]]]:
     recording = read_recording(path)
     buffer = recording.pose_buffer()
-    posed = [(f, pose_at(buffer, f.timestamp_s)) for f in recording.frames() if not isinstance(f, BadFrame)]
+    posed = [
+        (f, recording.pose_at(buffer, f.timestamp_s))
+        for f in recording.frames()
+        if not isinstance(f, BadFrame)
+    ]
     return recording.name, recording.setup, [(frame, pose) for frame, pose in posed if pose is not None]
 
 

@@ -15,8 +15,8 @@ import numpy as np
 
 from arctrack.nominal import nominal_setup
 from arctrack.simulate import balance
-from noise_model.forward import render
-from noise_model.sensor import expose
+from noise_model.condition import Condition
+from noise_model.forward import draw_frame
 from tracker.state import Frame, Pose
 from tracker.step import Tracker
 
@@ -37,8 +37,7 @@ def main() -> None:
         for i in range(FRAMES):
             T_base_tool = np.eye(4)
             T_base_tool[:3, 3] = [2.0 * i, rng.uniform(-1.0, 1.0), rng.uniform(0.0, 1.0)]
-            mean_e = render(setup, T_base_tool, laser_level=1.0, arc_level=1.0, exposure_s=0.005)
-            image = expose(mean_e.astype(np.float64), setup.sensor, rng)
+            image = draw_frame(setup, T_base_tool, Condition(1.0, 1.0, 0.005), rng)
             frames.append((Frame(i, 0.1 * i, image, 0.005, 100.0), Pose(T_base_tool)))
         tracker = Tracker(setup)
         for frame, pose in frames:

@@ -13,7 +13,7 @@ from pathlib import Path
 
 import numpy as np
 
-from arctrack.recording import BadFrame, pose_at, read_recording, read_truth
+from arctrack.recording import BadFrame, read_recording, read_truth
 from calibration.hand_eye import estimate_hand_eye
 from noise_model.setup import Setup
 from tracker.state import Frame, Pose
@@ -23,7 +23,11 @@ from tracker.step import Tracker
 def frames_of(path: str) -> tuple[Setup, list[tuple[Frame, Pose | None]]]:
     recording = read_recording(path)
     buffer = recording.pose_buffer()
-    frames = [(f, pose_at(buffer, f.timestamp_s)) for f in recording.frames() if not isinstance(f, BadFrame)]
+    frames = [
+        (f, recording.pose_at(buffer, f.timestamp_s))
+        for f in recording.frames()
+        if not isinstance(f, BadFrame)
+    ]
     return recording.setup, frames
 
 

@@ -19,6 +19,7 @@ from scipy.spatial.transform import Rotation
 
 from noise_model.arc import level as current_level
 from noise_model.arc_map import arc_at, arc_kernel, scene
+from noise_model.effects import really
 from noise_model.fit import Fit, Parameter, fit
 from noise_model.frames import Float64
 from noise_model.setup import Setup
@@ -26,6 +27,7 @@ from noise_model.surface import SeamLine
 from tracker.arc_level import HUBER
 from tracker.expected import expect_stripe
 from tracker.geometry import SensorGeometry
+from tracker.passage import Passage, seen_arc
 from tracker.state import Frame, Pose
 from tracker.step import Tracker
 
@@ -132,6 +134,7 @@ class _View:
 
     geometry: SensorGeometry
     pose: Pose
+    timestamp_s: float
     pixels: npt.NDArray[np.int64]
     charge_e: Float64
     output: float
@@ -139,6 +142,7 @@ class _View:
     @classmethod
     def of(cls, setup: Setup, frame: Frame, pose: Pose, seam: SeamLine, lattice_px: int) -> _View:
         geometry = SensorGeometry.of(setup)
+        setup = geometry.setup
         scan = np.arange(lattice_px // 2, geometry.n_scan, lattice_px)
         position = np.arange(lattice_px // 2, geometry.n_pos, lattice_px)
         s, r = (grid.ravel() for grid in np.meshgrid(scan, position, indexing="ij"))
@@ -160,13 +164,19 @@ class _View:
                 keep &= (near_face == face) & (np.abs(near - predicted) <= STEEPEST * predicted)
         output = current_level(setup.arc, frame.current_a) * frame.exposure_s / setup.camera.exposure_s
         pixels = (s * geometry.n_pos + r)[keep]
-        return cls(geometry, pose, pixels, geometry.charge_e[dn[keep]].astype(np.float64), output)
+        return cls(
+            geometry, pose, frame.timestamp_s, pixels, geometry.charge_e[dn[keep]].astype(np.float64), output
+        )
 
     def residual(self, setup: Setup, level: float, black_e: float, seam: SeamLine) -> Float64:
         """Return the whitened residuals (n,) against a setup; past the part no light is expected."""
-        kernel = arc_kernel(setup, scene(setup, self.pose.T_base_tool, seam), level * self.output)
-        arc_e, _ = arc_at(kernel, self.geometry.xy, self.geometry.cos4, self.pixels)
-        mean = np.nan_to_num(arc_e.astype(np.float64)) + black_e
+        true = really(setup)
+        view = scene(true, self.pose.T_base_tool, seam)
+        output = level * self.output
+        kernel = arc_kernel(true, view, output)
+        passage = Passage.of(self.geometry, view, kernel, output, self.timestamp_s)
+        arc_e, other_e = seen_arc(self.geometry, kernel, passage, self.pixels)
+        mean = np.nan_to_num(arc_e) + other_e + black_e
         variance = np.maximum(mean, 0.0) + self.geometry.dark_variance_e2 + (MAP_SIGMA * mean) ** 2
         return np.asarray((self.charge_e - mean) / np.sqrt(variance))
 

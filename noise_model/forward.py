@@ -1,75 +1,223 @@
-"""The forward model of a frame: mean and variance of stripe and arc light through lens and sensor."""
+"""The forward model of a frame: mean and variance of what the sensor says, for setup, pose and condition.
+
+Light goes source, illumination, surface, medium, optics, sensor; at each stage the effects of `setup.effects`
+act. What geometry, source and surface make of a pose is rendered once and remembered (`Renderer`): what
+changes only the image does not render it again.
+"""
 
 from __future__ import annotations
 
-import numpy as np
+from collections import OrderedDict
+from dataclasses import dataclass
+from functools import cached_property
+from typing import TypeVar
 
-from noise_model.arc_map import Float32, Scene, arc_at, arc_kernel, scene
+import numpy as np
+import numpy.typing as npt
+
+from noise_model.arc_map import Float32, arc_at, arc_kernel
 from noise_model.brdf import reflectance
+from noise_model.condition import Condition
+from noise_model.effects import acting, really, really_on
+from noise_model.effects.effect import Draw
+from noise_model.effects.light import Light
 from noise_model.frames import Float64, invert, transform
 from noise_model.laser import irradiance
 from noise_model.optics import Rays, blur
-from noise_model.sensor import variance_e2
+from noise_model.sensor import expose, respond_moments, saturation_dn
 from noise_model.setup import Setup
 from noise_model.surface import NOMINAL_SEAM, SeamLine
-from noise_model.visibility import trace, ways_are_open
+from noise_model.view import View
+from noise_model.visibility import ways_are_open
 
 SHEET_REACH = 6.0
 """How many sigmas of the sheet are rendered: its irradiance has fallen to 1.5e-8 there."""
 
+REMEMBERED = 4
+"""How many poses a renderer remembers."""
 
-def render(
+
+Kept = TypeVar("Kept")
+
+
+@dataclass(frozen=True, eq=False)
+class Prediction:
+    """What is expected of the pixels (...,) of a frame.
+
+    `mean_e` and `variance_e2` are the charge's: shot noise, read noise and the effects' own scatter.
+    `mean_dn` and `variance_dn2` are those of the number that the sensor gives: response, full well and
+    quantisation. `saturated` says that the mean lies at the end of the scale. `modes_e` are charges (...,)
+    that go up and down together, by one unit-variance number a frame each; `variance_e2` does not hold them.
+    """
+
+    mean_e: Float32
+    variance_e2: Float32
+    mean_dn: Float64
+    variance_dn2: Float64
+    saturated: npt.NDArray[np.bool_]
+    modes_e: dict[str, Float32]
+
+
+@dataclass(frozen=True, eq=False)
+class Layers:
+    """What a pose shows before any effect acts on the image, rendered when first asked for."""
+
+    view: View
+
+    @cached_property
+    def arc_e(self) -> Float32:
+        """The arc's light (...,), e- for `camera.exposure_s`, at its nominal output; 0 past the workpiece."""
+        view = self.view
+        kernel = arc_kernel(view.setup, view.scene)
+        xy = np.ascontiguousarray(view.xy.reshape(-1, 2))
+        arc_e, _ = arc_at(kernel, xy, view.cos4.reshape(-1), np.arange(view.cos4.size))
+        return np.nan_to_num(arc_e).reshape(view.shape)
+
+    @cached_property
+    def laser_e(self) -> Float32:
+        """The laser stripe (...,), e- for `camera.exposure_s`, at its nominal output."""
+        return stripe_light(self.view)
+
+
+class Renderer:
+    """Renders a pose's layers and remembers those of the last `REMEMBERED` poses."""
+
+    def __init__(self) -> None:
+        self._rays: OrderedDict[tuple[object, ...], Rays] = OrderedDict()
+        self._layers: OrderedDict[tuple[object, ...], Layers] = OrderedDict()
+
+    def layers(
+        self,
+        setup: Setup,
+        T_base_tool: Float64,
+        seam: SeamLine = NOMINAL_SEAM,
+        pixels: npt.NDArray[np.integer] | None = None,
+    ) -> Layers:
+        """Return the layers of a pose; `setup` is what is really there (`effects.really`)."""
+        of_pixels = None if pixels is None else np.asarray(pixels).tobytes()
+        key = (*_rendered_with(setup), T_base_tool.tobytes(), seam, of_pixels)
+        if key not in self._layers:
+            view = View.of(setup, T_base_tool, seam, self._rays_of(setup), pixels)
+            _remember(self._layers, key, Layers(view))
+        self._layers.move_to_end(key)
+        return self._layers[key]
+
+    def _rays_of(self, setup: Setup) -> Rays:
+        camera = setup.camera
+        key = (camera.width, camera.height, camera.fx, camera.fy, camera.cx, camera.cy, camera.distortion)
+        if key not in self._rays:
+            _remember(self._rays, key, Rays.of(camera))
+        return self._rays[key]
+
+
+def _remember(kept: OrderedDict[tuple[object, ...], Kept], key: tuple[object, ...], value: Kept) -> None:
+    kept[key] = value
+    while len(kept) > REMEMBERED:
+        kept.popitem(last=False)
+
+
+def _rendered_with(setup: Setup) -> tuple[object, ...]:
+    """Return all of a setup that a pose's layers depend on, to compare by."""
+    camera, joint = setup.camera, setup.joint
+    return (
+        (camera.width, camera.height, camera.fx, camera.fy, camera.cx, camera.cy, camera.distortion),
+        camera.T_tool_camera.tobytes(),
+        setup.filter,
+        setup.laser,
+        setup.arc,
+        setup.material,
+        (joint.type, *sorted(joint.dimensions.items()), joint.seam_in_base_mm, joint.surface_normal_in_base),
+    )
+
+
+def predict(
     setup: Setup,
     T_base_tool: Float64,
+    condition: Condition,
     *,
-    laser_level: float,
-    arc_level: float,
-    exposure_s: float,
     seam: SeamLine = NOMINAL_SEAM,
-    rays: Rays | None = None,
-) -> Float32:
-    """Return the expected charge (H, W), e-, of a frame taken at a pose, the black level not counted.
+    renderer: Renderer | None = None,
+    pixels: npt.NDArray[np.integer] | None = None,
+) -> Prediction:
+    """Return mean and variance of a frame, or of some `pixels` (n,) of it, indices into the flattened image.
 
-    `laser_level` and `arc_level` are outputs over the nominal ones, 0 for off; `seam` puts the true seam off
-    its nominal line. Pixels that look past the workpiece are dark. `rays` spares
-    tracing the camera's rays anew for each frame.
+    `seam` puts the true seam off its nominal line; `renderer` remembers what was rendered. Pixels that look
+    past the workpiece are dark. Some pixels alone are predicted without point-spread function and blooming,
+    and light that spreads over the image comes from their own mean: take an even sample.
+
+    Raises ValueError for a pose whose camera stands below the surface and for effects that cannot be.
     """
-    rays = Rays.of(setup.camera) if rays is None else rays
-    view = scene(setup, T_base_tool, seam)
-    shape = rays.cos4.shape
-    mean_e = np.zeros(shape, dtype=np.float32)
-    if arc_level > 0.0:
-        kernel = arc_kernel(setup, view, arc_level)
-        pixels = np.arange(rays.cos4.size)
-        arc_e, _ = arc_at(kernel, rays.xy.reshape(-1, 2), rays.cos4.reshape(-1), pixels)
-        mean_e += np.nan_to_num(arc_e).reshape(shape)
-    if laser_level > 0.0:
-        mean_e += laser_level * stripe(setup, view, rays)
-    mean_e *= exposure_s / setup.camera.exposure_s
-    return blur(mean_e, setup.camera.psf_sigma_px)
+    true, light = _light(setup, T_base_tool, condition, seam, renderer, pixels, None)
+    mean_e = light.total
+    variance_e2 = np.maximum(mean_e, 0.0) + light.variance_e2 + np.float32(true.sensor.read_noise_e**2)
+    mean_dn, variance_dn2 = respond_moments(mean_e, variance_e2, true.sensor)
+    saturated = mean_dn >= saturation_dn(true.sensor) - 0.5
+    return Prediction(mean_e, variance_e2, mean_dn, variance_dn2, saturated, light.modes)
 
 
-def stripe(setup: Setup, view: Scene, rays: Rays) -> Float32:
-    """Return the laser stripe (H, W), e- for `camera.exposure_s`, before the point-spread function.
+def draw_frame(
+    setup: Setup,
+    T_base_tool: Float64,
+    condition: Condition,
+    rng: np.random.Generator,
+    *,
+    seam: SeamLine = NOMINAL_SEAM,
+    renderer: Renderer | None = None,
+) -> npt.NDArray[np.integer]:
+    """Draw one frame (H, W), DN in the sensor's type: random effects, shot noise, read noise, response."""
+    true, light = _light(setup, T_base_tool, condition, seam, renderer, None, rng)
+    return expose(light.total.astype(np.float64), true.sensor, rng)
+
+
+def _light(
+    setup: Setup,
+    T_base_tool: Float64,
+    condition: Condition,
+    seam: SeamLine,
+    renderer: Renderer | None,
+    pixels: npt.NDArray[np.integer] | None,
+    rng: Draw,
+) -> tuple[Setup, Light]:
+    """Return the setup that is really there and the charge (...,) that reaches the pixels."""
+    true = really(setup)
+    condition = really_on(true, condition)
+    layers = (renderer or Renderer()).layers(true, T_base_tool, seam, pixels)
+    dark = np.zeros(layers.view.shape, dtype=np.float32)
+    light = Light.of(
+        np.float32(condition.arc_level) * layers.arc_e if condition.arc_level > 0.0 else dark,
+        np.float32(condition.laser_level) * layers.laser_e if condition.laser_level > 0.0 else dark,
+    )
+    pass_on(true, light, layers.view, condition, rng)
+    return true, light
+
+
+def pass_on(true: Setup, light: Light, view: View, condition: Condition, rng: Draw = None) -> None:
+    """Let light go through the effects, the lens' point-spread function and the exposure, in their order.
+
+    `true` and `condition` are what is really there; `light` is e- for `camera.exposure_s` and becomes that of
+    the condition's exposure. `rng` draws the random effects, without it they add to the variance.
+    """
+    for effect, values in acting(true):
+        if effect.light is not None:
+            effect.light(light, view, condition, values, rng)
+    if view.is_frame:
+        light.pass_through(lambda image: blur(image, true.camera.psf_sigma_px))
+    light.scale(condition.exposure_s / true.camera.exposure_s)
+    for effect, values in acting(true):
+        if effect.image is not None:
+            effect.image(light, view, condition, values, rng)
+
+
+def stripe_light(view: View) -> Float32:
+    """Return the laser stripe (...,), e- for `camera.exposure_s`, before the point-spread function.
 
     The sheet's irradiance times f_r towards the camera, scaled so that a flat plate at tool height under a
     level pose peaks at `peak_e` in the middle column.
     """
+    setup, where = view.setup, view.scene
     laser, material = setup.laser, setup.material
-    n = rays.cos4.size
-    points, normals, faces = np.empty((n, 3)), np.empty((n, 3)), np.empty(n, dtype=np.int32)
-    xy = rays.xy.reshape(-1, 2)
-    trace(
-        xy,
-        np.arange(n),
-        view.T_joint_camera,
-        view.shape.vertices,
-        view.shape.corrugation,
-        points,
-        normals,
-        faces,
-    )
-    T_tool_joint = invert(view.T_joint_tool)
+    points, normals = (values.reshape(-1, 3) for values in view.surface[:2])
+    T_tool_joint = invert(where.T_joint_tool)
     points_tool = transform(T_tool_joint, points)
     plane = np.asarray(laser.plane_in_tool)
     with np.errstate(invalid="ignore"):
@@ -77,10 +225,10 @@ def stripe(setup: Setup, view: Scene, rays: Rays) -> Float32:
         reach = SHEET_REACH * laser.stripe_sigma_mm * np.abs(depth) / laser.origin_in_tool_mm[2]
         near = np.flatnonzero(np.abs(points_tool @ plane[:3] + plane[3]) < reach)
     light = irradiance(points_tool[near], normals[near] @ T_tool_joint[:3, :3].T, laser)
-    origin_joint = transform(view.T_joint_tool, np.asarray(laser.origin_in_tool_mm))
+    origin_joint = transform(where.T_joint_tool, np.asarray(laser.origin_in_tool_mm))
     omega_i = origin_joint - points[near]
     omega_i /= np.linalg.norm(omega_i, axis=1, keepdims=True)
-    omega_r = view.T_joint_camera[:3, 3] - points[near]
+    omega_r = where.T_joint_camera[:3, 3] - points[near]
     omega_r /= np.linalg.norm(omega_r, axis=1, keepdims=True)
     f_r = reflectance(
         omega_i,
@@ -92,12 +240,12 @@ def stripe(setup: Setup, view: Scene, rays: Rays) -> Float32:
         material.lobe,
     )
     is_free = np.empty(len(near), dtype=np.bool_)
-    ways_are_open(points[near], origin_joint, view.shape.vertices, view.shape.corrugation, is_free)
-    image = np.zeros(n, dtype=np.float32)
+    ways_are_open(points[near], origin_joint, where.shape.vertices, where.shape.corrugation, is_free)
+    image = np.zeros(view.cos4.size, dtype=np.float32)
     image[near] = (
-        light * f_r * rays.cos4.reshape(-1)[near] * is_free * (laser.peak_e / stripe_reference(setup))
+        light * f_r * view.cos4.reshape(-1)[near] * is_free * (laser.peak_e / stripe_reference(setup))
     )
-    return image.reshape(rays.cos4.shape)
+    return image.reshape(view.shape)
 
 
 def stripe_reference(setup: Setup) -> float:
@@ -150,8 +298,3 @@ def stripe_runs_along_rows(setup: Setup) -> bool:
         raise ValueError("[camera.pose_in_tool]: the stripe at tool height lies behind the camera")
     du, dv = np.abs(np.diff(setup.camera.project(ends_camera), axis=0))[0]
     return bool(du >= dv)
-
-
-def noise_variance(mean_e: Float32, setup: Setup) -> Float64:
-    """Return the variance (H, W), e-^2, of a linearised frame of this mean: shot, read, quantisation."""
-    return variance_e2(mean_e, setup.sensor)

@@ -81,6 +81,39 @@ def variance_e2(mean_e: npt.ArrayLike, sensor: Sensor) -> Float64:
     return np.asarray(np.maximum(mean, 0.0) + sensor.read_noise_e**2 + step**2 / 12.0)
 
 
+RESPONSE_NODES = 7
+"""Gauss-Hermite nodes of a pixel's charge."""
+
+
+def respond_moments(
+    mean_e: npt.ArrayLike, variance_e2: npt.ArrayLike, sensor: Sensor
+) -> tuple[Float64, Float64]:
+    """Return mean, DN, and variance, DN^2, of what a pixel of this charge reads, rounding included.
+
+    A linear response far from full well keeps mean and variance. Elsewhere, where gamma bends the response or
+    full well and the last code cut it, both are taken over a normal distribution of the charge by
+    Gauss-Hermite nodes.
+    """
+    mean = np.asarray(mean_e, dtype=np.float64)
+    variance = np.asarray(variance_e2, dtype=np.float64)
+    top_e = min(sensor.full_well_e, float(linearise(sensor.max_dn, sensor)))
+    bottom_e = float(linearise(0, sensor))
+    spread = 4.0 * np.sqrt(variance)
+    bent = (mean + spread > top_e) | (mean - spread < bottom_e)
+    if sensor.gamma != 1.0:
+        bent = np.ones_like(bent)
+    of_mean = np.asarray(respond(mean, sensor))
+    of_variance = variance / sensor.gain_e_per_dn**2
+    if bent.any():
+        x, w = np.polynomial.hermite_e.hermegauss(RESPONSE_NODES)
+        w = w / w.sum()
+        nodes_e = mean[bent] + np.sqrt(variance[bent]) * x[:, np.newaxis]
+        dn = np.clip(respond(nodes_e, sensor), 0.0, sensor.max_dn)
+        of_mean[bent] = w @ dn
+        of_variance[bent] = w @ (dn - of_mean[bent]) ** 2
+    return of_mean, of_variance + 1.0 / 12.0
+
+
 def saturation_dn(sensor: Sensor) -> int:
     """Return the lowest DN that says no more than 'at least this bright'."""
     return min(round(float(respond(sensor.full_well_e, sensor))), sensor.max_dn)

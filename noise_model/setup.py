@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 
 from noise_model.arc import Arc
@@ -37,7 +38,10 @@ class Tolerance:
 
 @dataclass(frozen=True)
 class Setup:
-    """What is known of the sensor, the light and the part before the first frame."""
+    """What is known of the sensor, the light and the part before the first frame.
+
+    `effects` are those that are known to act, by id, with their parameters by name (`noise_model.effects`).
+    """
 
     camera: Camera
     sensor: Sensor
@@ -47,3 +51,4 @@ class Setup:
     material: Material
     joint: Joint
     tolerance: Tolerance = field(default_factory=Tolerance)
+    effects: Mapping[str, Mapping[str, float]] = field(default_factory=dict)

@@ -13,10 +13,10 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
-from noise_model.arc import level as current_level
-from noise_model.arc_map import arc_at, arc_kernel, scene
+from noise_model.condition import Condition
+from noise_model.effects import really
+from noise_model.forward import Renderer, predict
 from noise_model.frames import Float64
-from noise_model.optics import Rays, blur
 from noise_model.sensor import linearise, saturation_dn
 from noise_model.setup import Setup
 from tracker.state import Frame, Pose
@@ -49,11 +49,11 @@ def arc_agreement(setup: Setup, frames: Sequence[tuple[Frame, Pose]]) -> Agreeme
     Raises ValueError if there is no such frame, or none with enough light.
     """
     lit = [(f, p) for f, p in frames if f.arc_on and not f.laser_on and f.current_a > 0.0]
-    rays = Rays.of(setup.camera)
+    renderer = Renderer()
     setup = _with_black_level(setup, [f for f, _ in frames if not f.arc_on and not f.laser_on])
     indices, ratios = [], []
     for frame, pose in lit:
-        recorded, predicted = _blocks(setup, frame, pose, rays)
+        recorded, predicted = _blocks(setup, frame, pose, renderer)
         if len(recorded):
             indices.append(frame.index)
             ratios.append(recorded / predicted)
@@ -77,20 +77,24 @@ def _with_black_level(setup: Setup, dark: Sequence[Frame]) -> Setup:
     return replace(setup, sensor=replace(setup.sensor, black_level_dn=black_dn))
 
 
-def _blocks(setup: Setup, frame: Frame, pose: Pose, rays: Rays) -> tuple[Float64, Float64]:
+def _blocks(setup: Setup, frame: Frame, pose: Pose, renderer: Renderer) -> tuple[Float64, Float64]:
     """Return the block means (n,) of one frame, recorded and predicted, e-."""
-    view = scene(setup, pose.T_base_tool)
-    output = current_level(setup.arc, frame.current_a) * frame.exposure_s / setup.camera.exposure_s
-    shape = rays.cos4.shape
-    pixels = np.arange(rays.cos4.size)
-    kernel = arc_kernel(setup, view, output)
-    arc_e, faces = arc_at(kernel, rays.xy.reshape(-1, 2), rays.cos4.reshape(-1), pixels)
-    predicted = blur(np.nan_to_num(arc_e).reshape(shape), setup.camera.psf_sigma_px)
-    recorded = linearise(frame.image_dn, setup.sensor)
+    true = really(setup)
+    condition = Condition.of(
+        setup,
+        laser_on=False,
+        arc_on=True,
+        current_a=frame.current_a,
+        exposure_s=frame.exposure_s,
+        timestamp_s=frame.timestamp_s,
+    )
+    predicted = predict(setup, pose.T_base_tool, condition, renderer=renderer).mean_e
+    _, _, faces = renderer.layers(true, pose.T_base_tool).view.surface
+    recorded = linearise(frame.image_dn, true.sensor)
     around = np.ones((BLOCK_PX, BLOCK_PX), dtype=np.uint8)
-    face = faces.reshape(shape).astype(np.float32)
+    face = faces.astype(np.float32)
     edge = cv2.dilate(face, around) != cv2.erode(face, around)
-    full = (frame.image_dn >= saturation_dn(setup.sensor)).astype(np.uint8)
+    full = (frame.image_dn >= saturation_dn(true.sensor)).astype(np.uint8)
     bad = edge | (cv2.dilate(full, around) > 0) | (face < 0)
     recorded_mean, predicted_mean = _block_mean(recorded), _block_mean(predicted)
     good = (_block_mean(bad) == 0.0) & (predicted_mean > DARK_E)

@@ -7,9 +7,10 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from noise_model.arc_map import ArcKernel, arc_at
+from noise_model.arc_map import ArcKernel
 from noise_model.frames import Float64
 from tracker.geometry import SensorGeometry
+from tracker.passage import Passage, seen_arc
 
 LATTICE_PX = 16
 """The spacing of the pixels that are looked at."""
@@ -47,14 +48,16 @@ UNKNOWN = ArcLevel(np.nan, np.nan, 0.0, np.nan)
 def estimate_arc_level(
     geometry: SensorGeometry,
     kernel: ArcKernel,
+    passage: Passage | None,
     image_dn: npt.NDArray[np.integer],
     stripe_px: Float64 | None,
     keep_off_px: float,
 ) -> ArcLevel:
     """Fit charge = level * map + black to a lattice of pixels farther than `keep_off_px` from the stripe.
 
-    `kernel` predicts the arc at its expected output. Weighted least squares with Huber weights; the variance
-    is the pixel's at the fitted mean plus (MAP_SIGMA level map)^2, the black level's prior is its tolerance.
+    `kernel` predicts the arc at its expected output, `passage` what effects make of it. Weighted least
+    squares with Huber weights; the variance is the pixel's at the fitted mean plus (MAP_SIGMA level map)^2,
+    the black level's prior is its tolerance.
     """
     scan = np.arange(LATTICE_PX // 2, geometry.n_scan, LATTICE_PX)
     position = np.arange(LATTICE_PX // 2, geometry.n_pos, LATTICE_PX)
@@ -65,9 +68,9 @@ def estimate_arc_level(
     dn = image_dn[r, s] if geometry.along_rows else image_dn[s, r]
     open_well = dn < geometry.saturation_dn
     s, r, dn = s[open_well], r[open_well], dn[open_well]
-    predicted, _ = arc_at(kernel, geometry.xy, geometry.cos4, s * geometry.n_pos + r)
+    predicted, other = seen_arc(geometry, kernel, passage, s * geometry.n_pos + r)
     seen = np.isfinite(predicted)
-    m, e = predicted[seen].astype(np.float64), geometry.charge_e[dn[seen]].astype(np.float64)
+    m, e = predicted[seen], geometry.charge_e[dn[seen]].astype(np.float64) - other[seen]
     if len(m) < MIN_PIXELS or not (m > 0.0).any():
         return UNKNOWN
     sensor, tolerance = geometry.setup.sensor, geometry.setup.tolerance

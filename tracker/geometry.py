@@ -11,6 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
+from noise_model.effects import really
 from noise_model.forward import stripe_runs_along_rows
 from noise_model.frames import Float64
 from noise_model.optics import Rays
@@ -24,6 +25,7 @@ Float32 = npt.NDArray[np.float32]
 class SensorGeometry:
     """A setup's tables, by scan line.
 
+    `setup` is what is really there: effects that change it are applied (`effects.really`).
     `xy` (n_scan n_pos, 2) float32 the normalised rays, `cos4` (n_scan n_pos,) float32; `charge_e` (codes,)
     float32 the electrons of each DN; `saturation_dn` the lowest code that is censored; `dark_variance_e2` the
     variance of an unlit pixel. The setup's exposure is that of `camera.exposure_s`.
@@ -42,6 +44,7 @@ class SensorGeometry:
     @classmethod
     def of(cls, setup: Setup) -> SensorGeometry:
         """Derive the tables; raises ValueError if the stripe is not in view at tool height."""
+        setup = really(setup)
         rays = Rays.of(setup.camera)
         along_rows = stripe_runs_along_rows(setup)
         xy, cos4 = (rays.xy.swapaxes(0, 1), rays.cos4.T) if along_rows else (rays.xy, rays.cos4)

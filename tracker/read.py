@@ -13,6 +13,7 @@ from tracker.arc_level import MAP_SIGMA, ArcLevel
 from tracker.band import gather, median_background, place
 from tracker.expected import ExpectedStripe
 from tracker.geometry import SensorGeometry
+from tracker.passage import Passage
 from tracker.state import Frame, Stripe
 from tracker.stripe import OFFSET_STEP, best_path, fit_lines, matched_filter
 
@@ -57,6 +58,7 @@ class Work:
 def read_stripe(
     geometry: SensorGeometry,
     kernel: ArcKernel,
+    passage: Passage | None,
     arc: ArcLevel,
     frame: Frame,
     expected: ExpectedStripe,
@@ -83,7 +85,7 @@ def read_stripe(
     level_sigma = 0.0 if level_known else geometry.setup.tolerance.arc_level_rel
     map_sigma = math.hypot(MAP_SIGMA * max(1.0, arc.misfit if level_known else 1.0), level_sigma)
     if use_arc_map:
-        _predict_background(geometry, kernel, level, arc.black_e, lows, band)
+        _predict_background(geometry, kernel, passage, level, arc.black_e, lows, band)
     else:
         median_background(band.charge, MEDIAN_HALF_PX, band.background)
         spread = 1.4826 * float(np.median(np.abs(band.charge - band.background)))
@@ -131,6 +133,7 @@ def read_stripe(
 def _predict_background(
     geometry: SensorGeometry,
     kernel: ArcKernel,
+    passage: Passage | None,
     level: float,
     black_e: float,
     lows: npt.NDArray[np.int64],
@@ -141,5 +144,12 @@ def _predict_background(
         band.background[:] = black_e
         return
     arc_band(kernel, geometry.xy, geometry.cos4, lows, band.background, MAP_TOLERANCE, MAP_FLOOR_E)
-    band.background *= np.float32(level)
+    if passage is None:
+        band.background *= np.float32(level)
+    else:
+        n_scan, depth = band.background.shape
+        first = np.arange(n_scan) * geometry.n_pos + lows[np.arange(n_scan) // CELL]
+        pixels = (first[:, None] + np.arange(depth)).ravel()
+        arc_e, other_e = passage.through(pixels, band.background.ravel())
+        band.background[:] = (np.float32(level) * arc_e + other_e).reshape(n_scan, depth)
     band.background += np.float32(black_e)

@@ -22,6 +22,7 @@ from tracker.expected import expect_stripe
 from tracker.follow import SeamHistory
 from tracker.geometry import SensorGeometry
 from tracker.joint import MeasuredJoint, fit_joint
+from tracker.passage import Passage
 from tracker.profile import triangulate
 from tracker.read import FIT_SIGMAS, Work, read_stripe
 from tracker.seam import (
@@ -144,15 +145,17 @@ def _read(
     if expected is None:
         return _Reading(flags.STRIPE_LOST.mask, view)
     reach_px = reach_mm * pixels_per_mm(geometry)
-    kernel = arc_kernel(geometry.setup, view, _expected_output(geometry.setup, frame))
+    output = _expected_output(geometry.setup, frame)
+    kernel = arc_kernel(geometry.setup, view, output)
     keep_off = reach_px + FIT_SIGMAS * float(expected.sigma_px.max())
     stripe_px = expected.position_px if frame.laser_on else None
-    arc = estimate_arc_level(geometry, kernel, frame.image_dn, stripe_px, keep_off)
+    passage = Passage.of(geometry, view, kernel, output, frame.timestamp_s)
+    arc = estimate_arc_level(geometry, kernel, passage, frame.image_dn, stripe_px, keep_off)
     found = _arc_flags(arc)
     if not frame.laser_on:
         return _Reading(found | flags.LASER_OFF.mask, view, arc)
 
-    stripe = read_stripe(geometry, kernel, arc, frame, expected, reach_px, work, use_arc_map)
+    stripe = read_stripe(geometry, kernel, passage, arc, frame, expected, reach_px, work, use_arc_map)
     share = float(np.mean(np.isfinite(stripe.position_px)))
     found |= flags.SATURATED.mask if stripe.saturated.any() else 0
     if share < MIN_SHARE:

@@ -21,7 +21,7 @@ def hand_eye(
     other than stated, is refused where it would move the camera too far.
     """
     from arctrack.cli import console
-    from arctrack.recording import BadFrame, pose_at, read_recording, with_camera_pose
+    from arctrack.recording import BadFrame, read_recording, with_camera_pose
     from arctrack.recording.setup_file import FILE_NAME
     from calibration.hand_eye import estimate_hand_eye
 
@@ -33,7 +33,7 @@ def hand_eye(
     frames = [
         (frame, pose)
         for frame in read.frames()
-        if not isinstance(frame, BadFrame) and (pose := pose_at(buffer, frame.timestamp_s)) is not None
+        if not isinstance(frame, BadFrame) and (pose := read.pose_at(buffer, frame.timestamp_s)) is not None
     ]
     with console.progress() as bar:
         task = bar.add_task("rounds", total=None)

@@ -18,8 +18,8 @@ def print_survey(console: Console, recording: Recording, found: Survey) -> None:
     lines = [("recording", _extent(recording)), *setup_lines(recording.setup), *motion_lines(found.motion)]
     if recording.has_truth:
         lines.append(("truth", "truth.csv holds the true seam points, for scoring"))
-    if recording.effects:
-        lines.append(("effects", f"known beforehand: {', '.join(recording.effects)}"))
+    if recording.setup.effects:
+        lines.append(("effects", f"known beforehand: {', '.join(recording.setup.effects)}"))
     lines.append(("unknown keys", ", ".join(recording.unknown_keys) or "none"))
     lines.append(("warnings", str(len(recording.warnings)) if recording.warnings else "none"))
     width = max(len(name) for name, _ in lines)

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from arctrack.errors import in_file
+from arctrack.errors import ArctrackError
 
 if TYPE_CHECKING:
     from noise_model.setup import Setup
@@ -57,6 +57,12 @@ def simulate(
         typer.Option("--exact", help="True values are the nominal ones, else drawn within its tolerance."),
     ] = False,
     video: Annotated[bool, typer.Option("--video", help="Write frames.mkv (FFV1) instead of PNGs.")] = False,
+    effect: Annotated[
+        list[str] | None,
+        typer.Option(
+            help="ID.PARAMETER=VALUE: an effect that acts and is not in the setup that is written; repeat."
+        ),
+    ] = None,
 ) -> None:
     """Make a recording, with its truth, from arctrack's own forward model: stripe, arc, sensor noise."""
     from arctrack import simulate as engine
@@ -75,8 +81,9 @@ def simulate(
         video=video,
     )
     nominal = _nominal(joint, material, width, height) if setup is None else _read(setup)
+    hidden = _effects(effect or [])
     with console.progress() as bar:
-        engine.simulate_recording(out, nominal, plan, console.track(bar, out.name, frames))
+        engine.simulate_recording(out, nominal, plan, console.track(bar, out.name, frames), hidden)
     typer.echo(f"{out}: {frames} frames of a {nominal.joint.type} in {nominal.material.name}")
 
 
@@ -87,6 +94,26 @@ def _nominal(joint: JointName, material: MaterialName, width: int, height: int) 
     return balance(nominal_setup(joint.value, material.value, width=width, height=height))
 
 
+def _effects(texts: list[str]) -> dict[str, dict[str, float]]:
+    from noise_model.effects import checked
+
+    stated: dict[str, dict[str, float]] = {}
+    for text in texts:
+        name, equals, value = text.partition("=")
+        effect_id, dot, parameter = name.partition(".")
+        try:
+            number = float(value)
+        except ValueError:
+            equals = ""
+        if not (equals and dot):
+            raise ArctrackError(f"--effect {text}: give ID.PARAMETER=VALUE, such as gamma.gamma=0.8")
+        stated.setdefault(effect_id, {})[parameter] = number
+    try:
+        return checked(stated)
+    except ValueError as error:
+        raise ArctrackError(f"--effect: {error}") from error
+
+
 def _read(path: Path) -> Setup:
     from arctrack.cli import console
     from arctrack.recording import read_setup_file
@@ -95,8 +122,4 @@ def _read(path: Path) -> Setup:
     file = path / FILE_NAME if path.is_dir() else path
     stated = read_setup_file(file)
     console.warn(f"{file}: {key} is not known and has no effect" for key in stated.unknown_keys)
-    if stated.effects:
-        raise in_file(
-            file, f"[effects.{next(iter(stated.effects))}]: effects cannot be simulated; take it out"
-        )
     return stated.setup

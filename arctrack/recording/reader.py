@@ -10,11 +10,12 @@ from typing import Any
 from arctrack.errors import in_file
 from arctrack.recording import setup_file
 from arctrack.recording.frames import BadFrame, check_source, read_frames
-from arctrack.recording.poses import check_coverage, pose_buffer, read_poses
+from arctrack.recording.poses import check_coverage, pose_at, pose_buffer, read_poses
 from arctrack.recording.tables import FrameRow, PoseTable, Truth, read_frame_rows, read_truth_csv
+from noise_model.effects import pose_time_s
 from noise_model.setup import Setup
 from robot_io import PoseBuffer
-from tracker.state import Frame
+from tracker.state import Frame, Pose
 
 FRAMES_CSV, TRUTH_CSV = "frames.csv", "truth.csv"
 UNFINISHED_SUFFIX = ".unfinished"
@@ -24,13 +25,12 @@ UNFINISHED_SUFFIX = ".unfinished"
 class Recording:
     """A recording, checked but for its frames, which are read one at a time.
 
-    `rows` are the lines of frames.csv, `poses` T_base_tool over time, `effects` the raw `[effects.ID]`
-    tables, `unknown_keys` what recording.toml holds that means nothing here, `warnings` one line each.
+    `rows` are the lines of frames.csv, `poses` T_base_tool over time, `unknown_keys` what recording.toml
+    holds that means nothing here, `warnings` one line each.
     """
 
     path: Path
     setup: Setup
-    effects: Mapping[str, Mapping[str, Any]]
     robot: Mapping[str, Any]
     unknown_keys: tuple[str, ...]
     rows: tuple[FrameRow, ...]
@@ -66,6 +66,10 @@ class Recording:
         """
         return read_frames(self.frame_source, self.rows, self.setup, positions)
 
+    def pose_at(self, poses: PoseBuffer, timestamp_s: float) -> Pose | None:
+        """Return the tool's pose at a frame's time, None where the buffer refuses one."""
+        return pose_at(poses, pose_time_s(self.setup, timestamp_s))
+
     def pose_buffer(self) -> PoseBuffer:
         """Return the poses in the buffer that answers as the live run would have."""
         return pose_buffer(self.poses)
@@ -89,14 +93,10 @@ def read_recording(path: Path | str, setup_path: Path | None = None) -> Recordin
     source, source_warnings = check_source(folder, rows, stated.setup)
     coverage_warnings = check_coverage(poses, rows[0].timestamp_s, rows[-1].timestamp_s)
     warnings = [f"{toml_path}: {key} is not known and has no effect" for key in stated.unknown_keys]
-    warnings += [
-        f"{toml_path}: [effects.{name}] is kept, frames are predicted without it" for name in stated.effects
-    ]
     warnings += [f"{folder / FRAMES_CSV}: the column {name} is not known" for name in unknown_columns]
     return Recording(
         path=folder,
         setup=stated.setup,
-        effects=stated.effects,
         robot=stated.robot,
         unknown_keys=stated.unknown_keys,
         rows=rows,

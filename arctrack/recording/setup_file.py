@@ -24,13 +24,12 @@ FILE_NAME = "recording.toml"
 class SetupFile:
     """What recording.toml says.
 
-    `effects` and `robot` are the raw tables; `T_tool_controllertool` (4, 4), mm, takes points of the
-    controller's own tool frame to arctrack's, None if they are the same; `unknown_keys` are the keys that
-    mean nothing here: they are reported and otherwise without effect.
+    `robot` is the raw table; `T_tool_controllertool` (4, 4), mm, takes points of the controller's own tool
+    frame to arctrack's, None if they are the same; `unknown_keys` are the keys that mean nothing here: they
+    are reported and otherwise without effect.
     """
 
     setup: Setup
-    effects: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
     robot: Mapping[str, Any] = field(default_factory=dict)
     T_tool_controllertool: Float64 | None = None
     unknown_keys: tuple[str, ...] = ()
@@ -61,7 +60,6 @@ def parse_setup(text: str, path: Path) -> SetupFile:
     try:
         return SetupFile(
             setup=model.to_setup(),
-            effects=model.effects,
             robot=document.get("robot", {}),
             T_tool_controllertool=None
             if controllertool is None
@@ -72,15 +70,15 @@ def parse_setup(text: str, path: Path) -> SetupFile:
         raise in_file(path, str(error)) from None
 
 
-def format_setup(setup: Setup, effects: Mapping[str, Mapping[str, Any]] | None = None) -> str:
+def format_setup(setup: Setup) -> str:
     """Return the text of a recording.toml that reads back as the same setup."""
     document = tomlkit.document()
     document["format"] = FORMAT
     document["units"] = UNITS
     for name, table in _tables(setup).items():
         document[name] = table
-    if effects:
-        document["effects"] = {name: dict(table) for name, table in effects.items()}
+    if setup.effects:
+        document["effects"] = {name: dict(table) for name, table in setup.effects.items()}
     return tomlkit.dumps(document)
 
 

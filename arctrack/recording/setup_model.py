@@ -9,6 +9,7 @@ from pydantic import BaseModel, ConfigDict, Field, FiniteFloat, ValidationError
 
 from noise_model.arc import Arc
 from noise_model.brdf import Material
+from noise_model.effects import REGISTRY, checked
 from noise_model.frames import Float64, pose_matrix
 from noise_model.laser import Laser
 from noise_model.optics import Camera
@@ -167,7 +168,7 @@ class RecordingToml(Table):
     joint: JointTable
     tolerance: ToleranceTable = Field(default_factory=ToleranceTable)
     robot: RobotTable | None = None
-    effects: dict[str, dict[str, Any]] = Field(default_factory=dict)
+    effects: dict[str, dict[str, FiniteFloat]] = Field(default_factory=dict)
 
     def to_setup(self) -> Setup:
         """Return the typed setup; ValueError names the table and key of a value that cannot be."""
@@ -191,7 +192,16 @@ class RecordingToml(Table):
                 surface_normal_in_base=_three(self.joint.surface_normal_in_base),
             ),
             tolerance=Tolerance(**_known(self.tolerance)),
+            effects=checked(self._known_effects()),
         )
+
+    def _known_effects(self) -> dict[str, dict[str, float]]:
+        """Return the effects that are known, with their parameters that are."""
+        found: dict[str, dict[str, float]] = {}
+        for name, table in self.effects.items():
+            if name in REGISTRY:
+                found[name] = {key: table[key] for key in REGISTRY[name].neutral if key in table}
+        return found
 
     def _camera(self) -> Camera:
         values = _known(self.camera)
@@ -222,7 +232,13 @@ def describe(error: ValidationError) -> str:
 
 def unknown_keys(model: RecordingToml) -> tuple[str, ...]:
     """Return the keys that are kept but mean nothing here, as `[table] key`."""
-    return tuple(_place(location) for location in _unknown(model, ()))
+    unknown = [_place(location) for location in _unknown(model, ())]
+    for name, table in model.effects.items():
+        if name not in REGISTRY:
+            unknown.append(f"[effects.{name}]")
+        else:
+            unknown += [f"[effects.{name}] {key}" for key in table if key not in REGISTRY[name].neutral]
+    return tuple(unknown)
 
 
 def _unknown(table: Table, location: tuple[str | int, ...]) -> Iterator[tuple[str | int, ...]]:

@@ -8,12 +8,12 @@ from __future__ import annotations
 
 import csv
 import math
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable
 from contextlib import ExitStack
 from dataclasses import dataclass
 from pathlib import Path
 from types import TracebackType
-from typing import Any, Self, TextIO
+from typing import Self, TextIO
 
 import numpy as np
 
@@ -41,7 +41,6 @@ class RecordingWriter:
         path: Path | str,
         setup: Setup,
         *,
-        effects: Mapping[str, Mapping[str, Any]] | None = None,
         video: VideoFormat | None = None,
     ) -> None:
         self.path = Path(path)
@@ -56,7 +55,7 @@ class RecordingWriter:
             )
         except OSError as error:
             raise in_file(self._folder, f"cannot be made: {error.strerror}") from None
-        toml = setup_file.format_setup(setup, effects)
+        toml = setup_file.format_setup(setup)
         (self._folder / setup_file.FILE_NAME).write_text(toml, encoding="utf-8")
         self._opened = ExitStack()
         self._tables: dict[str, TextIO] = {}

@@ -9,7 +9,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure, SubFigure
 
 from arctrack.errors import in_file
-from arctrack.recording import Recording, pose_at
+from arctrack.recording import Recording
 from arctrack.report import style
 from arctrack.report.image import visible
 from arctrack.survey import Condition, Survey, path_over_seam
@@ -51,9 +51,11 @@ def draw(recording: Recording, found: Survey) -> Figure:
     return figure
 
 
-def expected_stripe_px(geometry: SensorGeometry, poses: PoseBuffer, frame: Frame) -> Float64 | None:
+def expected_stripe_px(
+    recording: Recording, geometry: SensorGeometry, poses: PoseBuffer, frame: Frame
+) -> Float64 | None:
     """Return the image points (n, 2) x y of the nominal stripe, None where there is no pose or no stripe."""
-    pose = pose_at(poses, frame.timestamp_s)
+    pose = recording.pose_at(poses, frame.timestamp_s)
     if pose is None:
         return None
     view = scene(geometry.setup, pose.T_base_tool)
@@ -74,7 +76,7 @@ def _frame(
         return
     sensor, camera = recording.setup.sensor, recording.setup.camera
     axes.imshow(visible(frame.image_dn, sensor), cmap="gray", vmin=0, vmax=255, interpolation="antialiased")
-    stripe = expected_stripe_px(geometry, poses, frame) if condition.laser_on else None
+    stripe = expected_stripe_px(recording, geometry, poses, frame) if condition.laser_on else None
     if stripe is not None:
         axes.plot(*stripe.T, color=style.ORANGE, linewidth=0.9, dashes=(6, 4))
     axes.set_xlim(-0.5, camera.width - 0.5)

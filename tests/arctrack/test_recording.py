@@ -24,6 +24,7 @@ from arctrack.recording.ffv1 import checksums_hold, count_frames, read_video
 from arctrack.recording.png import decode, encode, problem_of
 from arctrack.recording.setup_file import parse_setup
 from arctrack.recording.tables import read_frame_rows, read_poses_csv
+from noise_model.effects import checked
 from noise_model.setup import Setup
 from robot_io import BusLogWriter, PoseKind, Protector, RobotPosePosition, RobotPoseRotation
 
@@ -76,14 +77,37 @@ def test_chosen_frames_are_the_same_ones(tmp_path: Path, video: VideoFormat | No
 
 
 def test_setup_text_comes_back(tmp_path: Path) -> None:
-    setup = small_setup()
-    text = format_setup(setup, effects={"gamma": {"gamma": 0.7}})
+    setup = replace(small_setup(), effects={"vignetting": {"loss": 0.2}, "gamma": {"gamma": 0.7}})
+    text = format_setup(setup)
     stated = parse_setup(text + "\n[robot]\neuler_order = 'zyx'\n", tmp_path / "recording.toml")
     assert same_setup(stated.setup, setup)
-    assert stated.effects == {"gamma": {"gamma": 0.7}}
+    assert stated.setup.effects == setup.effects
     assert stated.robot == {"euler_order": "zyx"}
     assert stated.unknown_keys == ()
-    assert format_setup(stated.setup, stated.effects) == text
+    assert format_setup(stated.setup) == text
+
+
+def test_unknown_effects_and_parameters_are_reported(tmp_path: Path) -> None:
+    text = (
+        format_setup(small_setup()) + "[effects.moonlight]\nglow = 1\n[effects.spatter]\nrate_per_frame = 2\n"
+    )
+    stated = parse_setup(text + "colour = 3\n", tmp_path / "recording.toml")
+    assert stated.unknown_keys == ("[effects.moonlight]", "[effects.spatter] colour")
+    # What the file does not say of an effect is the effect's own prior.
+    assert stated.setup.effects == checked({"spatter": {"rate_per_frame": 2.0}})
+
+
+@pytest.mark.parametrize(
+    ("table", "named"),
+    [
+        ("[effects.gamma]\ngamma = 0.0\n", r"\[effects.gamma\] gamma = 0: must lie from 0.2 to 5"),
+        ("[effects.gamma]\ngamma = 'low'\n", r"\[effects.gamma\] gamma = 'low'"),
+        ("[effects.gamma]\ngamma = nan\n", r"\[effects.gamma\] gamma = nan: must be a finite number"),
+    ],
+)
+def test_an_effect_that_cannot_be_is_refused(tmp_path: Path, table: str, named: str) -> None:
+    with pytest.raises(ArctrackError, match=f"recording.toml: {named}"):
+        parse_setup(format_setup(small_setup()) + table, tmp_path / "recording.toml")
 
 
 def test_unknown_keys_are_kept_and_reported(tmp_path: Path) -> None:
@@ -261,7 +285,7 @@ def test_no_damage_to_a_png_goes_unnoticed(cut: int, flip: int) -> None:
         decode(bytes(flipped))
 
 
-@settings(suppress_health_check=[HealthCheck.function_scoped_fixture], deadline=None)
+@settings(suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(text=st.text(alphabet="0123456789.,-+einaf\n\r\"' x_y", max_size=120), header=st.booleans())
 def test_csv_parsers_answer_or_complain_but_never_break(tmp_path: Path, text: str, header: bool) -> None:
     path = tmp_path / "any.csv"
@@ -275,7 +299,6 @@ def test_csv_parsers_answer_or_complain_but_never_break(tmp_path: Path, text: st
         assert "\n" not in (complaint or "")
 
 
-@settings(deadline=None)
 @given(
     old=st.sampled_from(["c2 = 112.0", "bits = 8", "fx = 164.25", "[arc]", "radius_mm = 3.0", "units ="]),
     new=st.text(alphabet="0123456789.[]{}=\"'\n -+einaftrus#", max_size=30),

@@ -4,18 +4,20 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from arctrack.errors import ArctrackError
 from arctrack.nominal import DIMENSIONS, MATERIALS, nominal_setup
 from arctrack.recording import BadFrame, read_recording, read_truth
 from arctrack.simulate import Motion, SimulationPlan, balance, conditions, simulate_recording, true_values
+from noise_model.effects import checked, really
 from noise_model.frames import invert, transform
 from noise_model.sensor import linearise
 from noise_model.setup import Setup
 from noise_model.surface import Joint, seam_height_mm
 from tracker.geometry import SensorGeometry
+from tracker.step import Tracker
 
 
 def test_the_same_seed_makes_the_same_recording(seen_setup: Setup, tmp_path: Path) -> None:
@@ -75,7 +77,6 @@ def test_a_stripe_out_of_view_cannot_be_simulated(seen_setup: Setup, tmp_path: P
     assert not list(tmp_path.iterdir())
 
 
-@settings(deadline=None)
 @given(
     joint_type=st.sampled_from(sorted(DIMENSIONS)),
     seed=st.integers(0, 1000),
@@ -136,3 +137,59 @@ def test_nominal_setups_see_stripe_and_arc(joint_type: str, material: str, tmp_p
     assert not isinstance(frame, BadFrame)
     mean_e = linearise(frame.image_dn, setup.sensor).mean() / setup.sensor.full_well_e
     assert 0.08 < mean_e < 0.25
+
+
+def fit_of_the_arc(path: Path, setup: Setup, effects: dict[str, dict[str, float]]) -> list[float]:
+    """How far the arc's light is off what a tracker expects that knows of these effects, per frame."""
+    recording, tracker = read_recording(path), Tracker(replace(setup, effects=effects))
+    poses = recording.pose_buffer()
+    found = []
+    for frame in recording.frames():
+        assert not isinstance(frame, BadFrame)
+        found.append(tracker.step(frame, recording.pose_at(poses, frame.timestamp_s)).map_misfit)
+    return found
+
+
+@pytest.mark.parametrize(
+    ("effect", "values"),
+    [
+        ("veiling_glare", {"share": 0.3}),
+        ("vignetting", {"loss": 0.6}),
+        ("gamma", {"gamma": 0.8}),
+        ("arc_length", {"height_mm": 2.0}),
+        ("hot_metal_glow", {"peak_e": 8000.0, "radius_mm": 35.0}),
+        ("fume", {"extinction_per_m": 3.0, "scatter": 0.05}),
+    ],
+)
+def test_a_known_effect_is_honoured_by_the_tracker(
+    tmp_path: Path, effect: str, values: dict[str, float]
+) -> None:
+    setup = balance(nominal_setup("v_groove", "mild_steel", width=320, height=240))
+    plan = SimulationPlan(frames=2, production=True, exact=True, seed=2, seam_wander_mm=0.0)
+    path = simulate_recording(tmp_path / "r", setup, plan, hidden_effects={effect: values})
+    assert read_recording(path).setup.effects == {}
+    unaware, aware = (fit_of_the_arc(path, setup, e) for e in ({}, checked({effect: values})))
+    assert max(aware) < 1.0
+    assert min(unaware) > 1.3 * max(aware)
+
+
+def test_a_known_pose_delay_takes_the_pose_of_another_time(seen_setup: Setup, tmp_path: Path) -> None:
+    plan = SimulationPlan(frames=2, production=True, exact=True, travel_speed_mm_s=20.0)
+    late = replace(seen_setup, effects=checked({"pose_delay": {"delay_s": 0.2}}))
+    recording = read_recording(simulate_recording(tmp_path / "r", late, plan))
+    poses = recording.pose_buffer()
+    x_mm = [pose.T_base_tool[0, 3] for t in (0.0, 0.1) if (pose := recording.pose_at(poses, t)) is not None]
+    np.testing.assert_allclose(x_mm, [4.0, 6.0], atol=0.05)
+
+
+def test_the_true_seam_of_a_tilted_plate(seen_setup: Setup) -> None:
+    tilted = really(replace(seen_setup, effects=checked({"surface_tilt": {"roll_deg": 10.0}})))
+    plan = SimulationPlan(seam_wander_mm=0.0, weave_mm=0.0, tilt_deg=0.0)
+    motion = Motion(seen_setup, plan, np.random.default_rng(0), tilted.joint)
+    T_base_tool = motion.T_base_tool(0.0)
+    _, point_tool = motion.true_seam(T_base_tool)
+    depth = seen_setup.joint.dimensions["depth_mm"]
+    root = transform(T_base_tool, point_tool)
+    np.testing.assert_allclose(
+        root[1:], [depth * np.sin(np.radians(10.0)), -depth * np.cos(np.radians(10.0))], atol=1e-6
+    )

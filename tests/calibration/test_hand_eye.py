@@ -10,8 +10,8 @@ from scipy.spatial.transform import Rotation
 
 from arctrack.nominal import nominal_setup
 from calibration.hand_eye import estimate_hand_eye, moved_camera
-from noise_model.forward import render
-from noise_model.sensor import expose
+from noise_model.condition import Condition
+from noise_model.forward import draw_frame
 from noise_model.setup import Setup
 from noise_model.surface import SeamLine
 from tracker.state import Frame, Pose
@@ -33,15 +33,8 @@ def frames(seen_by: Setup, seam: SeamLine, arc_on: bool = True) -> list[tuple[Fr
         T_base_tool = np.eye(4)
         T_base_tool[:3, :3] = Rotation.from_euler("xyz", rng.uniform(-2.0, 2.0, 3), degrees=True).as_matrix()
         T_base_tool[:3, 3] = [4.0 * i, rng.uniform(-0.8, 0.8), rng.uniform(-0.5, 1.5)]
-        mean_e = render(
-            seen_by,
-            T_base_tool,
-            laser_level=float(i % 2),
-            arc_level=1.05 if arc_on else 0.0,
-            exposure_s=0.005,
-            seam=seam,
-        )
-        image = expose(mean_e.astype(np.float64), seen_by.sensor, rng)
+        condition = Condition(laser_level=float(i % 2), arc_level=1.05 if arc_on else 0.0, exposure_s=0.005)
+        image = draw_frame(seen_by, T_base_tool, condition, rng, seam=seam)
         frame = Frame(i, 0.1 * i, image, 0.005, 100.0 if arc_on else 0.0, bool(i % 2), arc_on)
         made.append((frame, Pose(T_base_tool)))
     return made

@@ -6,21 +6,23 @@ import numpy as np
 import pytest
 import scenes
 
+from noise_model import forward
 from noise_model.arc_map import arc_at, arc_kernel, scene
-from noise_model.forward import noise_variance, render, stripe_reference
+from noise_model.condition import Condition
+from noise_model.effects import REGISTRY, checked
+from noise_model.forward import Renderer, draw_frame, predict, stripe_reference
 from noise_model.frames import invert
 from noise_model.optics import Camera, Rays
-from noise_model.sensor import expose, linearise
-from noise_model.surface import SeamLine
+from noise_model.surface import NOMINAL_SEAM, SeamLine
 
 LEVEL = scenes.pose()
 TURNED = scenes.pose((4.0, 0.5, 1.0), (3.0, -2.0, 4.0))
 EXPOSURE_S = 0.005
 
 
-def stripe_alone(setup, T_base_tool=LEVEL, **changes):
-    settings = {"laser_level": 1.0, "arc_level": 0.0, "exposure_s": EXPOSURE_S} | changes
-    return render(setup, T_base_tool, **settings).astype(np.float64)
+def stripe_alone(setup, T_base_tool=LEVEL, seam=NOMINAL_SEAM, **changes):
+    condition = Condition(**({"laser_level": 1.0, "arc_level": 0.0, "exposure_s": EXPOSURE_S} | changes))
+    return predict(setup, T_base_tool, condition, seam=seam).mean_e.astype(np.float64)
 
 
 def sharp(**changes):
@@ -155,7 +157,7 @@ def test_a_laps_edge_throws_a_shadow():
 
 
 def test_nothing_shines_no_light():
-    image = render(scenes.setup("lap"), LEVEL, laser_level=0.0, arc_level=0.0, exposure_s=EXPOSURE_S)
+    image = stripe_alone(scenes.setup("lap"), laser_level=0.0)
     np.testing.assert_array_equal(image, 0.0)
 
 
@@ -170,9 +172,39 @@ def test_light_scales_and_adds():
     )
 
 
-def test_rays_traced_before_are_the_same():
-    setup = scenes.setup("lap")
-    np.testing.assert_array_equal(stripe_alone(setup, rays=Rays.of(setup.camera)), stripe_alone(setup))
+def test_what_only_the_image_shows_renders_nothing_anew(monkeypatch):
+    """Levels, exposure, sensor, point-spread function and effects on the image reuse what was rendered."""
+    rendered = []
+    for name in ("arc_at", "stripe_light"):
+        original = getattr(forward, name)
+        monkeypatch.setattr(
+            forward, name, lambda *args, original=original: rendered.append(1) or original(*args)
+        )
+    setup, renderer = scenes.setup("lap"), Renderer()
+    both = Condition(1.0, 1.0, EXPOSURE_S)
+    first = predict(setup, TURNED, both, renderer=renderer)
+    assert len(rendered) == 2
+    for effect in REGISTRY.values():
+        if effect.setup is None or effect.id in ("defocus", "gamma", "black_level", "read_noise"):
+            changed = dataclasses.replace(setup, effects=checked({effect.id: effect.typical}))
+            predict(changed, TURNED, Condition(0.7, 0.8, 2.0 * EXPOSURE_S, 1.0), renderer=renderer)
+    assert len(rendered) == 2
+    again = predict(setup, TURNED, both, renderer=renderer)
+    np.testing.assert_array_equal(again.mean_dn, first.mean_dn)
+    predict(setup, LEVEL, both, renderer=renderer)
+    assert len(rendered) == 4
+
+
+def test_some_pixels_are_those_of_the_frame():
+    """Without a point-spread function, which needs the neighbours."""
+    setup = scenes.setup("corrugation", of_camera=sharp())
+    both = Condition(1.0, 1.0, EXPOSURE_S)
+    pixels = np.arange(7, 160 * 120, 113)
+    whole, some = predict(setup, TURNED, both), predict(setup, TURNED, both, pixels=pixels)
+    for name in ("mean_e", "variance_e2", "mean_dn", "variance_dn2"):
+        np.testing.assert_allclose(
+            getattr(some, name), getattr(whole, name).reshape(-1)[pixels], rtol=1e-6, atol=1e-6
+        )
 
 
 def test_the_arc_is_the_arc_maps():
@@ -214,22 +246,24 @@ def test_past_the_workpiece_it_is_dark():
     np.testing.assert_array_equal(image[0], 0.0)
 
 
-def test_many_frames_have_the_renders_mean_and_variance():
+@pytest.mark.parametrize("gamma", [1.0, 0.6])
+def test_many_frames_have_the_predictions_mean_and_variance(gamma):
     """Whitened residuals of noisy frames: mean 0, variance 1, within what so many draws leave open."""
     setup = scenes.setup("v_groove")
     sensor = dataclasses.replace(
-        setup.sensor, bits=12, gain_e_per_dn=10.0, full_well_e=40000.0, black_level_dn=64.0
+        setup.sensor, bits=12, gain_e_per_dn=10.0, full_well_e=40000.0, black_level_dn=64.0, gamma=gamma
     )
     setup = dataclasses.replace(setup, sensor=sensor)
-    mean_e = render(setup, TURNED, laser_level=1.0, arc_level=0.3, exposure_s=EXPOSURE_S)
-    inside = mean_e < 30000.0
+    condition = Condition(laser_level=1.0, arc_level=0.3, exposure_s=EXPOSURE_S)
+    renderer = Renderer()
+    expected = predict(setup, TURNED, condition, renderer=renderer)
+    inside = ~expected.saturated
     assert np.mean(inside) > 0.9
     rng = np.random.default_rng(2)
-    sigma = np.sqrt(noise_variance(mean_e, setup))
+    sigma = np.sqrt(expected.variance_dn2)
     n = 24
-    residuals = np.array(
-        [((linearise(expose(mean_e, sensor, rng), sensor) - mean_e) / sigma)[inside] for _ in range(n)]
-    )
+    frames = [draw_frame(setup, TURNED, condition, rng, renderer=renderer) for _ in range(n)]
+    residuals = np.array([((frame - expected.mean_dn) / sigma)[inside] for frame in frames])
     count = residuals.size
     assert abs(residuals.mean()) < 4.0 / math.sqrt(count)
     assert abs(np.mean(residuals**2) - 1.0) < 4.0 * math.sqrt(2.0 / count)

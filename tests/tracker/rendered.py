@@ -10,7 +10,8 @@ import numpy.typing as npt
 from scipy.spatial.transform import Rotation
 
 from arctrack.nominal import nominal_setup
-from noise_model.forward import render
+from noise_model.condition import Condition
+from noise_model.forward import predict
 from noise_model.sensor import expose
 from noise_model.setup import Setup
 from noise_model.surface import NOMINAL_SEAM, SeamLine, seam_height_mm
@@ -65,9 +66,8 @@ def frame_of(
     of: Setup | None = None,
 ) -> Frame:
     """One frame as the sensor draws it; `of` is the true setup where it is not the one that is stated."""
-    mean = render(
-        of or setup, pose.T_base_tool, laser_level=laser, arc_level=arc, exposure_s=EXPOSURE_S, seam=seam
-    )
+    condition = Condition(laser_level=laser, arc_level=arc, exposure_s=EXPOSURE_S)
+    mean = predict(of or setup, pose.T_base_tool, condition, seam=seam).mean_e
     image = expose(mean, setup.sensor, np.random.default_rng(SEED + index))
     return Frame(index, 0.1 * index, image, EXPOSURE_S, CURRENT_A, laser > 0.0, arc > 0.0)
 

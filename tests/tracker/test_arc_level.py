@@ -9,7 +9,8 @@ import pytest
 from rendered import SEED, frame_of, pose_at, small_setup
 
 from noise_model.arc_map import arc_kernel, scene
-from noise_model.forward import render
+from noise_model.condition import Condition
+from noise_model.forward import predict
 from noise_model.sensor import expose
 from noise_model.setup import Setup
 from tracker.arc_level import UNKNOWN, ArcLevel, estimate_arc_level
@@ -35,14 +36,16 @@ def estimate(geometry: SensorGeometry, frame: Frame, pose: Pose = POSE) -> ArcLe
     expected = expect_stripe(geometry, view)
     assert expected is not None
     stripe_px = expected.position_px if frame.laser_on else None
-    return estimate_arc_level(geometry, arc_kernel(geometry.setup, view), frame.image_dn, stripe_px, 30.0)
+    return estimate_arc_level(
+        geometry, arc_kernel(geometry.setup, view), None, frame.image_dn, stripe_px, 30.0
+    )
 
 
 @pytest.mark.parametrize("laser", [0.0, 1.0])
 @pytest.mark.parametrize("level", [0.3, 1.0, 2.5])
 def test_the_level_is_found_within_its_sigma(geometry: SensorGeometry, level: float, laser: float) -> None:
     setup = geometry.setup
-    mean = render(setup, POSE.T_base_tool, laser_level=laser, arc_level=level, exposure_s=0.005)
+    mean = predict(setup, POSE.T_base_tool, Condition(laser, level, 0.005)).mean_e
     found = []
     for draw in range(12):
         image = expose(mean, setup.sensor, np.random.default_rng(SEED + draw))

@@ -10,7 +10,8 @@ from rendered import pose_at, small_setup
 from scipy.optimize import least_squares
 
 from noise_model.arc_map import scene
-from noise_model.forward import render
+from noise_model.condition import Condition
+from noise_model.forward import predict
 from noise_model.surface import SeamLine
 from tracker.expected import expect_stripe
 from tracker.geometry import SensorGeometry
@@ -20,7 +21,7 @@ SEAM = SeamLine(0.0, 0.8, -0.4, 0.01, 0.002)
 
 def drawn(setup, pose, geometry: SensorGeometry) -> tuple[np.ndarray, np.ndarray]:
     """Centre and sigma of a Gaussian fitted to the noise-free stripe of every tenth scan line."""
-    image = render(setup, pose.T_base_tool, laser_level=1.0, arc_level=0.0, exposure_s=0.005, seam=SEAM)
+    image = predict(setup, pose.T_base_tool, Condition(1.0, 0.0, 0.005), seam=SEAM).mean_e
     lines = image.T if geometry.along_rows else image
     center, sigma = np.full(len(lines), np.nan), np.full(len(lines), np.nan)
     place = np.arange(lines.shape[1], dtype=float)

@@ -1,0 +1,75 @@
+"""The effects that the nominal model leaves out: one file a stage, this one registry.
+
+They act in the order light takes: source, illumination, surface, medium, optics, sensor; geometry and timing
+change what is rendered. `noise_model.forward` applies them.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from dataclasses import replace
+
+from noise_model.condition import Condition
+from noise_model.effects import (
+    geometry,
+    illumination,
+    medium,
+    optics,
+    sensor,
+    source,
+    surface,
+    timing,
+)
+from noise_model.effects.effect import Effect, Stage, Values
+from noise_model.setup import Setup
+
+__all__ = ["REGISTRY", "Effect", "Stage", "Values", "acting", "checked", "pose_time_s", "really", "really_on"]
+
+REGISTRY: Mapping[str, Effect] = {
+    effect.id: effect
+    for stage in (source, illumination, surface, medium, optics, sensor, geometry, timing)
+    for effect in stage.EFFECTS
+}
+"""All effects by id, in the order in which they act within one frame."""
+
+
+def checked(effects: Mapping[str, Values]) -> dict[str, dict[str, float]]:
+    """Return effects with all their parameters, in the registry's order.
+
+    Raises ValueError for an unknown id, an unknown parameter or a value out of its bounds.
+    """
+    for name in effects:
+        if name not in REGISTRY:
+            raise ValueError(f"[effects.{name}]: unknown, there are {', '.join(REGISTRY)}")
+    return {name: effect.complete(effects[name]) for name, effect in REGISTRY.items() if name in effects}
+
+
+def acting(setup: Setup) -> Iterator[tuple[Effect, dict[str, float]]]:
+    """Yield the effects of a setup and their parameters, in the registry's order."""
+    for name, values in checked(setup.effects).items():
+        yield REGISTRY[name], values
+
+
+def really(setup: Setup) -> Setup:
+    """Return the setup that is really there: the effects that change it are applied and listed no more.
+
+    Those that act on levels, light, image or the poses' clock stay listed.
+    """
+    true = setup
+    for effect, values in acting(setup):
+        if effect.setup is not None:
+            true = effect.setup(true, values)
+    return replace(true, effects={e.id: values for e, values in acting(setup) if e.setup is None})
+
+
+def really_on(setup: Setup, condition: Condition) -> Condition:
+    """Return the levels and the exposure that a frame of this stated condition really has."""
+    for effect, values in acting(setup):
+        if effect.condition is not None:
+            condition = effect.condition(condition, values)
+    return condition
+
+
+def pose_time_s(setup: Setup, timestamp_s: float) -> float:
+    """Return when the controller stamped the pose that a frame of this time was taken at."""
+    return timestamp_s + setup.effects.get("pose_delay", {}).get("delay_s", 0.0)

@@ -1,0 +1,91 @@
+"""What an effect is: an id, a stage, parameters, and where it acts on the way from source to pixel."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from enum import Enum
+
+import numpy as np
+
+from noise_model.condition import Condition
+from noise_model.effects.light import Light
+from noise_model.fit import Parameter
+from noise_model.setup import Setup
+from noise_model.view import View
+
+Values = Mapping[str, float]
+"""An effect's parameters by name, all of them."""
+
+Draw = np.random.Generator | None
+"""None for the mean and variance of a random effect; a generator for one realisation of it."""
+
+OnLight = Callable[[Light, View, Condition, Values, Draw], None]
+
+
+class Stage(Enum):
+    """Where an effect sits, in the order light takes; geometry and timing change what is rendered."""
+
+    SOURCE = "source"
+    ILLUMINATION = "illumination"
+    SURFACE = "surface"
+    MEDIUM = "medium"
+    OPTICS = "optics"
+    SENSOR = "sensor"
+    GEOMETRY = "geometry"
+    TIMING = "timing"
+
+
+@dataclass(frozen=True)
+class Effect:
+    """One thing that the nominal model leaves out.
+
+    `summary` says what, `equation` how it is modelled and `source` after whom. A parameter's `start` is its
+    neutral value, at which the effect vanishes. `typical` are the values that the documentation shows it
+    with. Of the places where an effect may act those are given that it needs:
+
+    - `setup`: returns the setup that is really there. What it changes in sensor, point-spread function or
+      exposure needs no new rendering;
+    - `condition`: returns the frame's real levels and exposure;
+    - `light`: changes the light before the lens' point-spread function, e- for `camera.exposure_s`;
+    - `image`: changes the charge behind it, e- for the frame's own exposure.
+    """
+
+    id: str
+    stage: Stage
+    summary: str
+    equation: str
+    source: str
+    parameters: tuple[Parameter, ...]
+    typical: Values
+    setup: Callable[[Setup, Values], Setup] | None = None
+    condition: Callable[[Condition, Values], Condition] | None = None
+    light: OnLight | None = None
+    image: OnLight | None = None
+
+    def __post_init__(self) -> None:
+        names = {parameter.name for parameter in self.parameters}
+        if len(names) < len(self.parameters) or not set(self.typical) <= names:
+            raise ValueError(f"{self.id}: its parameters' names do not fit")
+
+    @property
+    def neutral(self) -> dict[str, float]:
+        """The parameters' neutral values."""
+        return {parameter.name: parameter.start for parameter in self.parameters}
+
+    def complete(self, values: Values) -> dict[str, float]:
+        """Return all parameters, those not given neutral.
+
+        Raises ValueError for an unknown name and for a value that is no finite number within its bounds.
+        """
+        known = {parameter.name: parameter for parameter in self.parameters}
+        for name, value in values.items():
+            if name not in known:
+                raise ValueError(f"[effects.{self.id}] {name}: unknown, it has {', '.join(known)}")
+            low, high = known[name].lower, known[name].upper
+            if not low <= value <= high:
+                unit = f" {known[name].unit}" if known[name].unit else ""
+                raise ValueError(
+                    f"[effects.{self.id}] {name} = {value:g}: must lie from {low:g} to {high:g}{unit}"
+                )
+        return self.neutral | {name: float(value) for name, value in values.items()}

@@ -1,0 +1,93 @@
+"""Geometry: where camera and plate really are, and how the lens really projects."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from noise_model.effects.effect import Effect, Stage, Values
+from noise_model.fit import Parameter
+from noise_model.frames import invert, transform
+from noise_model.setup import Setup
+from noise_model.surface import seam_frame
+
+
+def _hand_eye(setup: Setup, values: Values) -> Setup:
+    T_camera_moved = np.eye(4)
+    turn_deg = [values["rot_x_deg"], values["rot_y_deg"], values["rot_z_deg"]]
+    T_camera_moved[:3, :3] = Rotation.from_rotvec(turn_deg, degrees=True).as_matrix()
+    T_camera_moved[:3, 3] = values["move_x_mm"], values["move_y_mm"], values["move_z_mm"]
+    camera = setup.camera
+    return replace(setup, camera=replace(camera, T_tool_camera=camera.T_tool_camera @ T_camera_moved))
+
+
+def _surface_tilt(setup: Setup, values: Values) -> Setup:
+    joint = setup.joint
+    T_base_joint = seam_frame(joint, np.asarray(joint.seam_in_base_mm[0]))
+    T_joint_tilted = np.eye(4)
+    turn_deg = [values["roll_deg"], values["pitch_deg"], 0.0]
+    T_joint_tilted[:3, :3] = Rotation.from_rotvec(turn_deg, degrees=True).as_matrix()
+    T_base_tilted = T_base_joint @ T_joint_tilted @ invert(T_base_joint)
+    seam = transform(T_base_tilted, np.asarray(joint.seam_in_base_mm))
+    nx, ny, nz = T_base_tilted[:3, :3] @ np.asarray(joint.surface_normal_in_base)
+    return replace(
+        setup,
+        joint=replace(
+            joint,
+            seam_in_base_mm=tuple((float(x), float(y), float(z)) for x, y, z in seam),
+            surface_normal_in_base=(float(nx), float(ny), float(nz)),
+        ),
+    )
+
+
+def _lens_distortion(setup: Setup, values: Values) -> Setup:
+    k1, k2, p1, p2, k3 = setup.camera.distortion
+    changed = (k1 + values["k1"], k2 + values["k2"], p1 + values["p1"], p2 + values["p2"], k3)
+    return replace(setup, camera=replace(setup.camera, distortion=changed))
+
+
+EFFECTS = (
+    Effect(
+        id="hand_eye",
+        stage=Stage.GEOMETRY,
+        summary="the camera's pose in the tool is off",
+        equation="T_tool_camera' = T_tool_camera exp(turn, move), both in the camera's own frame",
+        source="Tsai and Lenz 1989: hand-eye calibration",
+        parameters=(
+            *(Parameter(f"rot_{axis}_deg", "deg", 0.0, 0.5, -10.0, 10.0, 0.01) for axis in "xyz"),
+            *(Parameter(f"move_{axis}_mm", "mm", 0.0, 0.5, -20.0, 20.0, 0.01) for axis in "xyz"),
+        ),
+        typical={"rot_x_deg": 0.5, "rot_z_deg": 0.5, "move_x_mm": 0.8},
+        setup=_hand_eye,
+    ),
+    Effect(
+        id="surface_tilt",
+        stage=Stage.GEOMETRY,
+        summary="the plate is tilted",
+        equation="the joint turned by roll about travel and pitch about the left, at the joint's origin",
+        source="a rigid turn",
+        parameters=(
+            Parameter("roll_deg", "deg", 0.0, 1.0, -20.0, 20.0, 0.02),
+            Parameter("pitch_deg", "deg", 0.0, 1.0, -20.0, 20.0, 0.02),
+        ),
+        typical={"roll_deg": 3.0, "pitch_deg": 2.0},
+        setup=_surface_tilt,
+    ),
+    Effect(
+        id="lens_distortion",
+        stage=Stage.GEOMETRY,
+        summary="distortion is not the stated one",
+        equation="OpenCV's k1, k2, p1, p2, added to the stated",
+        source="Brown 1966; OpenCV's calib3d",
+        parameters=(
+            Parameter("k1", "", 0.0, 0.2, -3.0, 3.0, 0.002),
+            Parameter("k2", "", 0.0, 1.0, -30.0, 30.0, 0.02),
+            Parameter("p1", "", 0.0, 0.01, -0.2, 0.2, 0.0002),
+            Parameter("p2", "", 0.0, 0.01, -0.2, 0.2, 0.0002),
+        ),
+        typical={"k1": -0.8},
+        setup=_lens_distortion,
+    ),
+)

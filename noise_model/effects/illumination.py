@@ -1,0 +1,68 @@
+"""Illumination: the laser's power and its granularity."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import numpy as np
+
+from noise_model.arc_map import Float32
+from noise_model.condition import Condition
+from noise_model.effects.effect import Draw, Effect, Stage, Values
+from noise_model.effects.light import Light
+from noise_model.fit import Parameter
+from noise_model.optics import blur
+from noise_model.view import View
+
+
+def _laser_power_drift(condition: Condition, values: Values) -> Condition:
+    factor = math.exp(values["rate_per_s"] * condition.timestamp_s)
+    return replace(condition, laser_level=condition.laser_level * factor)
+
+
+def _laser_speckle(light: Light, view: View, condition: Condition, values: Values, draw: Draw) -> None:
+    contrast = np.float32(values["contrast"])
+    if draw is None:
+        light.variance_e2 = light.variance_e2 + (contrast * light.laser) ** 2
+    else:
+        light.laser = light.laser * _granularity(view.shape, float(contrast), values["grain_px"], draw)
+
+
+def _granularity(
+    shape: tuple[int, ...], contrast: float, grain_px: float, draw: np.random.Generator
+) -> Float32:
+    """Return a field of mean 1 and standard deviation `contrast`, correlated over a grain, never negative."""
+    white = draw.standard_normal(shape).astype(np.float32)
+    field = blur(white, grain_px) if len(shape) == 2 else white
+    normal = field / max(float(field.std()), 1e-6)
+    spread = math.sqrt(math.log1p(contrast**2))
+    return np.asarray(np.exp(np.float32(spread) * normal - np.float32(0.5 * spread**2)))
+
+
+EFFECTS = (
+    Effect(
+        id="laser_power_drift",
+        stage=Stage.ILLUMINATION,
+        summary="the stripe's power changes over the recording",
+        equation="laser' = laser exp(rate_per_s t), t since the first frame",
+        source="a diode's output falls by about 1 % per kelvin while it warms up, exponentially over T_0",
+        parameters=(Parameter("rate_per_s", "1/s", 0.0, 0.05, -1.0, 1.0, 0.001),),
+        typical={"rate_per_s": -0.2},
+        condition=_laser_power_drift,
+    ),
+    Effect(
+        id="laser_speckle",
+        stage=Stage.ILLUMINATION,
+        summary="coherent granularity of the stripe",
+        equation="variance += (contrast laser)^2 in the image behind lens and pixel; a realisation is "
+        "log-normal, correlated over grain_px",
+        source="Goodman, Speckle Phenomena in Optics; Dorsch, Haeusler, Herrmann 1994, Appl. Opt. 33, 1306",
+        parameters=(
+            Parameter("contrast", "", 0.0, 0.2, 0.0, 1.0, 0.005),
+            Parameter("grain_px", "px", 1.0, 0.5, 0.3, 10.0, 0.05),
+        ),
+        typical={"contrast": 0.3, "grain_px": 1.0},
+        image=_laser_speckle,
+    ),
+)

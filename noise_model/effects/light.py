@@ -1,0 +1,46 @@
+"""The light of a frame on its way from the source to the pixel, kept apart by where it came from."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from noise_model.arc_map import Float32
+
+
+@dataclass(eq=False)
+class Light:
+    """Charges (...,), e-, of the view's pixels.
+
+    `arc` is proportional to the arc's output, `laser` to the laser's, `other` to neither. `variance_e2` is
+    what scatters independently from pixel to pixel beyond shot noise, zero at first. `modes` are the charges
+    (...,) that go up and down together by one unit-variance number a frame: the arc's flicker.
+    """
+
+    arc: Float32
+    laser: Float32
+    other: Float32
+    variance_e2: Float32
+    modes: dict[str, Float32] = field(default_factory=dict)
+
+    @classmethod
+    def of(cls, arc: Float32, laser: Float32) -> Light:
+        """Start from the arc's and the laser's own charge."""
+        return cls(arc, laser, np.zeros_like(arc), np.zeros_like(arc))
+
+    @property
+    def total(self) -> Float32:
+        """All of it."""
+        return self.arc + self.laser + self.other
+
+    def pass_through(self, operator: Callable[[Float32], Float32]) -> None:
+        """Apply a linear operator on images to the light of every source."""
+        self.arc, self.laser, self.other = operator(self.arc), operator(self.laser), operator(self.other)
+        self.modes = {name: operator(mode) for name, mode in self.modes.items()}
+
+    def scale(self, factor: float | Float32) -> None:
+        """Multiply the light of every source; what scatters goes with the square."""
+        self.pass_through(lambda image: np.asarray(image * factor, dtype=np.float32))
+        self.variance_e2 = np.asarray(self.variance_e2 * factor**2, dtype=np.float32)

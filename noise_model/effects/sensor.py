@@ -1,0 +1,133 @@
+"""Sensor: from the light that arrives to digital numbers."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import numpy as np
+from scipy.ndimage import correlate1d
+
+from noise_model.condition import Condition
+from noise_model.effects.effect import Draw, Effect, Stage, Values
+from noise_model.effects.light import Light
+from noise_model.fit import Parameter
+from noise_model.setup import Setup
+from noise_model.view import View
+
+PATTERN_SEED = 20_261
+"""One chip, one pattern: the same in every frame."""
+
+
+def _exposure_drift(condition: Condition, values: Values) -> Condition:
+    factor = math.exp(values["rate_per_s"] * condition.timestamp_s)
+    return replace(condition, exposure_s=condition.exposure_s * factor)
+
+
+def _fixed_pattern(light: Light, view: View, condition: Condition, values: Values, draw: Draw) -> None:
+    sigma = np.float32(values["sigma_rel"])
+    if draw is None:
+        light.variance_e2 = light.variance_e2 + (sigma * light.total) ** 2
+        return
+    camera = view.setup.camera
+    pattern = np.random.default_rng(PATTERN_SEED).standard_normal((camera.height, camera.width))
+    u, v = (view.uv_px[..., i].astype(np.intp) for i in range(2))
+    light.scale(np.maximum(1.0 + sigma * pattern[v, u], 0.0).astype(np.float32))
+
+
+def _blooming(light: Light, view: View, condition: Condition, values: Values, draw: Draw) -> None:
+    if not view.is_frame:
+        return
+    well = np.float32(view.setup.sensor.full_well_e)
+    excess = np.maximum(light.total - well, 0.0)
+    if not excess.any():
+        return
+    reach = values["reach_px"]
+    away = np.arange(1, max(2, math.ceil(8.0 * reach)))
+    fall = np.exp(-away / reach)
+    fall *= 0.5 * values["spill"] / fall.sum()
+    weights = np.concatenate([fall[::-1], [0.0], fall])
+    light.other = light.other + correlate1d(excess, weights, axis=0, mode="constant").astype(np.float32)
+
+
+def _gamma(setup: Setup, values: Values) -> Setup:
+    sensor = setup.sensor
+    return replace(setup, sensor=replace(sensor, gamma=sensor.gamma * values["gamma"]))
+
+
+def _black_level(setup: Setup, values: Values) -> Setup:
+    sensor = setup.sensor
+    return replace(setup, sensor=replace(sensor, black_level_dn=sensor.black_level_dn + values["offset_dn"]))
+
+
+def _read_noise(setup: Setup, values: Values) -> Setup:
+    sensor = setup.sensor
+    return replace(setup, sensor=replace(sensor, read_noise_e=sensor.read_noise_e * values["noise_ratio"]))
+
+
+EFFECTS = (
+    Effect(
+        id="exposure_drift",
+        stage=Stage.SENSOR,
+        summary="gain or exposure changes over the recording",
+        equation="all charge x exp(rate_per_s t), t since the first frame",
+        source="a camera's automatic exposure or gain left on; black level and read noise stay",
+        parameters=(Parameter("rate_per_s", "1/s", 0.0, 0.05, -1.0, 1.0, 0.001),),
+        typical={"rate_per_s": 0.2},
+        condition=_exposure_drift,
+    ),
+    Effect(
+        id="fixed_pattern",
+        stage=Stage.SENSOR,
+        summary="pixel gains differ (PRNU)",
+        equation="variance += (sigma_rel charge)^2, the same numbers in every frame",
+        source="EMVA 1288, photo response non-uniformity",
+        parameters=(Parameter("sigma_rel", "", 0.0, 0.02, 0.0, 0.5, 0.0005),),
+        typical={"sigma_rel": 0.05},
+        image=_fixed_pattern,
+    ),
+    Effect(
+        id="blooming",
+        stage=Stage.SENSOR,
+        summary="saturated pixels spill along columns",
+        equation="of each pixel's charge beyond full well the share spill goes up and down its column, "
+        "falling as exp(-distance / reach_px)",
+        source="Theuwissen, Solid-State Imaging with Charge-Coupled Devices, ch. 6",
+        parameters=(
+            Parameter("spill", "", 0.0, 0.3, 0.0, 1.0, 0.005),
+            Parameter("reach_px", "px", 20.0, 15.0, 0.5, 400.0, 0.5),
+        ),
+        typical={"spill": 0.8, "reach_px": 30.0},
+        image=_blooming,
+    ),
+    Effect(
+        id="gamma",
+        stage=Stage.SENSOR,
+        summary="the response is not the stated power",
+        equation="DN ~ e^(gamma' ), gamma' = gamma_stated x gamma",
+        source="Eq. 20",
+        parameters=(Parameter("gamma", "", 1.0, 0.2, 0.2, 5.0, 0.002),),
+        typical={"gamma": 0.7},
+        setup=_gamma,
+    ),
+    Effect(
+        id="black_level",
+        stage=Stage.SENSOR,
+        summary="another offset",
+        equation="black_level' = black_level + offset_dn",
+        source="EMVA 1288, dark signal",
+        parameters=(Parameter("offset_dn", "DN", 0.0, 3.0, -100.0, 1000.0, 0.02),),
+        typical={"offset_dn": 8.0},
+        setup=_black_level,
+    ),
+    Effect(
+        id="read_noise",
+        stage=Stage.SENSOR,
+        summary="more noise than stated",
+        equation="read_noise' = noise_ratio read_noise",
+        source="EMVA 1288, temporal dark noise",
+        parameters=(Parameter("noise_ratio", "", 1.0, 0.5, 0.05, 30.0, 0.01),),
+        typical={"noise_ratio": 3.0},
+        setup=_read_noise,
+    ),
+)

@@ -1,0 +1,90 @@
+"""Surface: what the metal does that the stated reflectance does not say."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+from noise_model.effects.effect import Effect, Stage, Values
+from noise_model.fit import Parameter
+from noise_model.setup import Setup
+
+
+def _wrong_material(setup: Setup, values: Values) -> Setup:
+    material = setup.material
+    return replace(
+        setup,
+        material=replace(
+            material,
+            kappa_diff=material.kappa_diff * math.exp(values["kappa_diff_ln"]),
+            kappa_spec=material.kappa_spec * math.exp(values["kappa_spec_ln"]),
+        ),
+    )
+
+
+def _roughness_change(setup: Setup, values: Values) -> Setup:
+    material = setup.material
+    return replace(setup, material=replace(material, c2=material.c2 * math.exp(values["c2_ln"])))
+
+
+def _brdf_tail(setup: Setup, values: Values) -> Setup:
+    material = setup.material
+    return replace(setup, material=replace(material, lobe=replace(material.lobe, tail=values["tail"])))
+
+
+def _rolling_marks(setup: Setup, values: Values) -> Setup:
+    material = setup.material
+    lobe = replace(material.lobe, anisotropy=values["anisotropy"], marks_deg=values["marks_deg"])
+    return replace(setup, material=replace(material, lobe=lobe))
+
+
+EFFECTS = (
+    Effect(
+        id="wrong_material",
+        stage=Stage.SURFACE,
+        summary="kappa_diff and kappa_spec are another material's",
+        equation="kappa_diff' = kappa_diff exp(kappa_diff_ln), kappa_spec' = kappa_spec exp(kappa_spec_ln); "
+        "the stripe's peak_e stays what is seen on the real plate",
+        source="Table 1: mild steel and Zn-coated steel differ by a factor of 24 and 1/2",
+        parameters=(
+            Parameter("kappa_diff_ln", "", 0.0, 1.0, -5.0, 5.0, 0.01),
+            Parameter("kappa_spec_ln", "", 0.0, 1.0, -5.0, 5.0, 0.01),
+        ),
+        typical={"kappa_diff_ln": 1.5, "kappa_spec_ln": -0.7},
+        setup=_wrong_material,
+    ),
+    Effect(
+        id="roughness_change",
+        stage=Stage.SURFACE,
+        summary="another c2: the lobe is wider or narrower",
+        equation="c2' = c2 exp(c2_ln); c2 = 1 / (2 s^2), s the facets' slope",
+        source="Torrance and Sparrow 1967; Table 1 spans 8 to 112",
+        parameters=(Parameter("c2_ln", "", 0.0, 0.7, -4.0, 4.0, 0.01),),
+        typical={"c2_ln": -0.9},
+        setup=_roughness_change,
+    ),
+    Effect(
+        id="brdf_tail",
+        stage=Stage.SURFACE,
+        summary="the lobe's tail is not Gaussian",
+        equation="exp(-c2 alpha^2) becomes (1 + tail c2 alpha^2)^(-1 / tail)",
+        source="Student's t of the facets' slopes: Ribardiere et al. 2017, Comput. Graph. Forum 36(2), 421",
+        parameters=(Parameter("tail", "", 0.0, 0.5, 0.0, 4.0, 0.01),),
+        typical={"tail": 0.6},
+        setup=_brdf_tail,
+    ),
+    Effect(
+        id="rolling_marks",
+        stage=Stage.SURFACE,
+        summary="the lobe is anisotropic, fixed to the part",
+        equation="c2' = c2 (exp(a) cos^2 psi + exp(-a) sin^2 psi), psi the half vector's azimuth from the "
+        "marks, which lie marks_deg to the left of travel",
+        source="Ward 1992, SIGGRAPH Comput. Graph. 26(2), 265",
+        parameters=(
+            Parameter("anisotropy", "", 0.0, 0.5, -3.0, 3.0, 0.01),
+            Parameter("marks_deg", "deg", 0.0, 60.0, -90.0, 90.0, 0.5),
+        ),
+        typical={"anisotropy": 0.8, "marks_deg": 0.0},
+        setup=_rolling_marks,
+    ),
+)

@@ -1,0 +1,109 @@
+"""What the camera looks at from one pose: pixels, rays, and lazily the surface that they meet."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from functools import cached_property
+from typing import TypeVar, cast
+
+import numpy as np
+import numpy.typing as npt
+
+from noise_model.arc_map import Float32, Scene, scene
+from noise_model.frames import Float64
+from noise_model.optics import Rays
+from noise_model.setup import Setup
+from noise_model.surface import NOMINAL_SEAM, SeamLine
+from noise_model.visibility import trace
+
+Kept = TypeVar("Kept")
+
+
+@dataclass(frozen=True, eq=False)
+class View:
+    """The pixels (...,) that are predicted, from one pose: a whole image (H, W) or some of it, (n,).
+
+    `setup` is what is really there, its effects on geometry and surface applied; `scene` that of the pose;
+    `uv_px` (..., 2) the pixels' places as (u, v), `xy` (..., 2) their normalised rays, `cos4` (...,) the
+    lens' fall-off. `is_frame` says that the pixels are a whole frame in image order; of others the first
+    `n_even` are an even sample of it, all of them if it is None.
+    """
+
+    setup: Setup
+    scene: Scene
+    uv_px: Float32
+    xy: Float32
+    cos4: Float32
+    is_frame: bool
+    n_even: int | None = None
+    _kept: dict[str, object] = field(default_factory=dict, repr=False)
+
+    @classmethod
+    def of(
+        cls,
+        setup: Setup,
+        T_base_tool: Float64,
+        seam: SeamLine = NOMINAL_SEAM,
+        rays: Rays | None = None,
+        pixels: npt.NDArray[np.integer] | None = None,
+    ) -> View:
+        """Look from a pose; `pixels` (n,) are indices into the flattened image, all of it without them.
+
+        `rays` spares tracing the camera's rays anew.
+        """
+        rays = Rays.of(setup.camera) if rays is None else rays
+        height, width = rays.cos4.shape
+        where = scene(setup, T_base_tool, seam)
+        if pixels is None:
+            v, u = np.mgrid[:height, :width].astype(np.float32)
+            return cls(setup, where, np.stack([u, v], axis=-1), rays.xy, rays.cos4, True)
+        v_of, u_of = np.divmod(pixels, width)
+        uv = np.column_stack([u_of, v_of]).astype(np.float32)
+        return cls(setup, where, uv, rays.xy.reshape(-1, 2)[pixels], rays.cos4.reshape(-1)[pixels], False)
+
+    @property
+    def shape(self) -> tuple[int, ...]:
+        """The pixels' shape."""
+        return self.cos4.shape
+
+    @cached_property
+    def theta(self) -> Float64:
+        """The field angle (...,), rad: between a pixel's ray and the optical axis."""
+        return np.arctan(np.hypot(self.xy[..., 0], self.xy[..., 1]).astype(np.float64))
+
+    @cached_property
+    def surface(self) -> tuple[Float64, Float64, npt.NDArray[np.int32]]:
+        """Where the rays end in the joint frame: points (..., 3), mm, unit normals (..., 3), faces (...,).
+
+        NaN, NaN and `visibility.MISS` for a ray that looks past the workpiece.
+        """
+        n = self.cos4.size
+        points, normals, faces = np.empty((n, 3)), np.empty((n, 3)), np.empty(n, dtype=np.int32)
+        where = self.scene
+        trace(
+            np.ascontiguousarray(self.xy.reshape(-1, 2)),
+            np.arange(n),
+            where.T_joint_camera,
+            where.shape.vertices,
+            where.shape.corrugation,
+            points,
+            normals,
+            faces,
+        )
+        return points.reshape(*self.shape, 3), normals.reshape(*self.shape, 3), faces.reshape(self.shape)
+
+    @cached_property
+    def distance_mm(self) -> Float64:
+        """How far the surface is from the camera along each ray (...,), mm; NaN past the workpiece."""
+        return np.asarray(np.linalg.norm(self.surface[0] - self.scene.T_joint_camera[:3, 3], axis=-1))
+
+    def mean(self, image: Float32) -> np.float32:
+        """Return the frame's mean of an image (...,) of the view's pixels."""
+        return np.float32(image.reshape(-1)[: self.n_even].mean(dtype=np.float64))
+
+    def keep(self, name: str, compute: Callable[[], Kept]) -> Kept:
+        """Return what was computed under a name before, or compute and keep it: it goes with the view."""
+        if name not in self._kept:
+            self._kept[name] = compute()
+        return cast(Kept, self._kept[name])
