@@ -182,6 +182,8 @@ def _light(
     true = really(setup)
     condition = really_on(true, condition)
     layers = (renderer or Renderer()).layers(true, T_base_tool, seam, pixels)
+    if layers.view.scene.below_surface:
+        raise ValueError("the camera stands below the surface at this pose")
     dark = np.zeros(layers.view.shape, dtype=np.float32)
     light = Light.of(
         np.float32(condition.arc_level) * layers.arc_e if condition.arc_level > 0.0 else dark,

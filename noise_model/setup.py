@@ -10,7 +10,7 @@ from noise_model.brdf import Material
 from noise_model.laser import Laser
 from noise_model.optics import Camera
 from noise_model.sensor import Sensor
-from noise_model.spectrum import Filter
+from noise_model.spectrum import Filter, FilterCurve
 from noise_model.surface import Joint
 
 
@@ -45,7 +45,7 @@ class Setup:
 
     camera: Camera
     sensor: Sensor
-    filter: Filter
+    filter: Filter | FilterCurve
     laser: Laser
     arc: Arc
     material: Material

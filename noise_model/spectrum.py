@@ -13,6 +13,7 @@ import numpy as np
 import numpy.typing as npt
 from scipy import constants
 from scipy.interpolate import PchipInterpolator
+from scipy.optimize import brentq
 
 from noise_model.argon import AR_I, REFERENCE_NM, Line, line_weights
 from noise_model.frames import Float64
@@ -97,6 +98,33 @@ class FilterCurve:
     def edges_nm(self) -> Float64:
         """Return wavelengths between which the transmission is smooth; outside nothing passes."""
         return self.wavelength_nm
+
+    @property
+    def center_nm(self) -> float:
+        """The middle between the two wavelengths where half of the peak passes."""
+        return float(np.mean(self._half_maximum_nm))
+
+    @property
+    def fwhm_nm(self) -> float:
+        """How far the two wavelengths lie apart where half of the peak passes."""
+        return float(np.diff(self._half_maximum_nm)[0])
+
+    @cached_property
+    def _half_maximum_nm(self) -> tuple[float, float]:
+        """The outermost wavelengths at which half of the highest sample passes."""
+        half = 0.5 * float(self.transmission.max())
+        above = np.flatnonzero(self.transmission >= half)
+
+        def over_half(wavelength_nm: float) -> float:
+            return float(self.at_normal(np.float64(wavelength_nm))) - half
+
+        first, last = int(above[0]), int(above[-1])
+        nm = self.wavelength_nm
+        # A curve that covers its band passes less than half at both ends.
+        return (
+            float(brentq(over_half, nm[first - 1], nm[first])),
+            float(brentq(over_half, nm[last], nm[last + 1])),
+        )
 
     @cached_property
     def _density(self) -> PchipInterpolator:

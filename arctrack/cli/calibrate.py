@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from arctrack.cli.calibrate_filter import filter_curve
 from arctrack.cli.calibrate_hand_eye import hand_eye
 from arctrack.errors import ArctrackError, in_file
 
@@ -22,6 +23,11 @@ calibrate = typer.Typer(
 EXAMPLE = "Example: arctrack calibrate reflectance examples/goniometer_mild_steel.csv --out /tmp/steel"
 
 
+calibrate.command(
+    "filter",
+    epilog="Example: arctrack calibrate filter examples/filter_690_10.csv --setup examples/v_groove "
+    "--out /tmp/filtered.toml",
+)(filter_curve)
 calibrate.command(
     "hand-eye", epilog="Example: arctrack calibrate hand-eye examples/v_groove --out /tmp/found.toml"
 )(hand_eye)

@@ -3,7 +3,13 @@
 from arctrack.recording.frames import BadFrame
 from arctrack.recording.poses import pose_at
 from arctrack.recording.reader import Recording, read_recording, read_truth
-from arctrack.recording.setup_file import SetupFile, format_setup, read_setup_file, with_camera_pose
+from arctrack.recording.setup_file import (
+    SetupFile,
+    format_setup,
+    read_setup_file,
+    with_camera_pose,
+    with_filter_curve,
+)
 from arctrack.recording.tables import FrameRow, PoseTable, Truth
 from arctrack.recording.writer import RecordingWriter, VideoFormat
 
@@ -22,4 +28,5 @@ __all__ = [
     "read_setup_file",
     "read_truth",
     "with_camera_pose",
+    "with_filter_curve",
 ]

@@ -16,6 +16,7 @@ from arctrack.errors import in_file
 from arctrack.recording.setup_model import FORMAT, UNITS, RecordingToml, describe, unknown_keys
 from noise_model.frames import Float64
 from noise_model.setup import Setup
+from noise_model.spectrum import Filter, FilterCurve
 
 FILE_NAME = "recording.toml"
 
@@ -102,6 +103,28 @@ def pose_table(T_a_b: Float64) -> dict[str, list[float]]:
     }
 
 
+def with_filter_curve(path: Path, curve: FilterCurve) -> str:
+    """Return a recording.toml's text with a filter's measured curve; all else, comments included, stays."""
+    read_setup_file(path)
+    document = tomlkit.parse(path.read_text(encoding="utf-8"))
+    for key, value in _filter_table(curve).items():
+        document["filter"][key] = value
+    return tomlkit.dumps(document)
+
+
+def _filter_table(of_filter: Filter | FilterCurve) -> dict[str, Any]:
+    table: dict[str, Any] = {
+        "center_nm": of_filter.center_nm,
+        "fwhm_nm": of_filter.fwhm_nm,
+        "effective_index": of_filter.effective_index,
+    }
+    if isinstance(of_filter, FilterCurve):
+        table["center_nm"], table["fwhm_nm"] = round(of_filter.center_nm, 3), round(of_filter.fwhm_nm, 3)
+        table["curve_wavelength_nm"] = of_filter.wavelength_nm.tolist()
+        table["curve_transmission"] = of_filter.transmission.tolist()
+    return table
+
+
 def _tables(setup: Setup) -> dict[str, dict[str, Any]]:
     camera = {name: value for name, value in vars(setup.camera).items() if name != "T_tool_camera"}
     joint = {
@@ -113,7 +136,7 @@ def _tables(setup: Setup) -> dict[str, dict[str, Any]]:
     tables: dict[str, dict[str, Any]] = {
         "camera": camera,
         "sensor": dict(vars(setup.sensor)),
-        "filter": dict(vars(setup.filter)),
+        "filter": _filter_table(setup.filter),
         "laser": dict(vars(setup.laser)),
         "arc": dict(vars(setup.arc)),
         "material": {name: value for name, value in vars(setup.material).items() if name != "lobe"},

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from typing import Annotated, Any, Literal
 
+import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, FiniteFloat, ValidationError
 
 from noise_model.arc import Arc
@@ -15,7 +16,7 @@ from noise_model.laser import Laser
 from noise_model.optics import Camera
 from noise_model.sensor import Sensor
 from noise_model.setup import Setup, Tolerance
-from noise_model.spectrum import Filter
+from noise_model.spectrum import CurveError, Filter, FilterCurve
 from noise_model.surface import DIMENSIONS, Joint
 
 FORMAT = "joint-tracking-recording/1"
@@ -76,11 +77,27 @@ class SensorTable(Table):
 
 
 class FilterTable(Table):
-    """[filter]."""
+    """[filter]; a measured curve, where there is one, stands in for centre and width."""
 
     center_nm: FiniteFloat
     fwhm_nm: FiniteFloat
     effective_index: FiniteFloat
+    curve_wavelength_nm: list[FiniteFloat] | None = None
+    curve_transmission: list[FiniteFloat] | None = None
+
+    def to_filter(self) -> Filter | FilterCurve:
+        """Return the filter; ValueError names the key of a curve that cannot be."""
+        wavelengths, transmission = self.curve_wavelength_nm, self.curve_transmission
+        if wavelengths is None and transmission is None:
+            return Filter(self.center_nm, self.fwhm_nm, self.effective_index)
+        if wavelengths is None or transmission is None:
+            raise ValueError(
+                "[filter] curve_wavelength_nm, curve_transmission: one is given without the other"
+            )
+        try:
+            return FilterCurve(np.array(wavelengths), np.array(transmission), self.effective_index)
+        except CurveError as error:
+            raise ValueError(f"[filter] curve_wavelength_nm, curve_transmission: {error}") from None
 
 
 class LaserTable(Table):
@@ -175,7 +192,7 @@ class RecordingToml(Table):
         return Setup(
             camera=self._camera(),
             sensor=Sensor(**_known(self.sensor)),
-            filter=Filter(**_known(self.filter)),
+            filter=self.filter.to_filter(),
             laser=Laser(
                 wavelength_nm=self.laser.wavelength_nm,
                 plane_in_tool=_four(self.laser.plane_in_tool),

@@ -2,10 +2,15 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from typer.testing import CliRunner
 
+from arctrack.cli import app
 from arctrack.errors import ArctrackError
 from arctrack.filter_file import read_filter_curve
-from noise_model.spectrum import transmission
+from arctrack.nominal import nominal_setup
+from arctrack.recording import format_setup
+from arctrack.recording.setup_file import parse_setup, read_setup_file
+from noise_model.spectrum import FilterCurve, transmission
 
 DENSITIES = """wavelength_nm,optical_density
 680,4.1
@@ -68,3 +73,40 @@ def test_both_columns_leave_it_open(tmp_path: Path) -> None:
 def test_a_missing_file_is_named(tmp_path: Path) -> None:
     with pytest.raises(ArctrackError, match=r"none\.csv: there is no such file"):
         read_filter_curve(tmp_path / "none.csv", 1.8)
+
+
+def test_a_curve_goes_into_a_setup_and_comes_back(tmp_path: Path) -> None:
+    setup_file, out = tmp_path / "recording.toml", tmp_path / "filtered.toml"
+    setup_file.write_text("# the cell by the door\n" + format_setup(nominal_setup("lap", "mild_steel")))
+    arguments = [str(written(tmp_path, DENSITIES)), "--setup", str(setup_file), "--out", str(out)]
+    done = CliRunner().invoke(app, ["calibrate", "filter", *arguments])
+    assert done.exit_code == 0, done.output
+    assert "# the cell by the door" in out.read_text()
+    found = read_setup_file(out)
+    assert found.unknown_keys == ()
+    curve = found.setup.filter
+    assert isinstance(curve, FilterCurve)
+    np.testing.assert_allclose(
+        transmission(curve, [690.0, 696.0, 697.0]), 10.0 ** -np.array([0.011, 0.342, 1.008])
+    )
+    # Half of the peak, optical density 0.312, lies just before 696 nm and soon after 684 nm.
+    assert 694.0 < curve.center_nm + 0.5 * curve.fwhm_nm < 696.0
+    assert 684.0 < curve.center_nm - 0.5 * curve.fwhm_nm < 685.0
+    text = format_setup(found.setup)
+    assert format_setup(parse_setup(text, out).setup) == text
+
+
+@pytest.mark.parametrize(
+    ("keys", "named"),
+    [
+        ("curve_wavelength_nm = [680, 690, 700]\n", "one is given without the other"),
+        (
+            "curve_wavelength_nm = [680, 690, 700]\ncurve_transmission = [0, 0.9, 0.8]\n",
+            "does not cover the band",
+        ),
+    ],
+)
+def test_a_curve_in_a_setup_that_cannot_be(tmp_path: Path, keys: str, named: str) -> None:
+    text = format_setup(nominal_setup("lap", "mild_steel")).replace("[filter]\n", "[filter]\n" + keys)
+    with pytest.raises(ArctrackError, match=rf"recording.toml: \[filter\] curve_wavelength_nm.*{named}"):
+        parse_setup(text, tmp_path / "recording.toml")

@@ -237,6 +237,12 @@ def test_a_seam_off_its_line_moves_the_groove():
     )
 
 
+@pytest.mark.parametrize("on", [(0.0, 0.0), (1.0, 0.0), (0.0, 1.0)])
+def test_a_camera_below_the_surface_is_refused(on):
+    with pytest.raises(ValueError, match="below the surface"):
+        predict(scenes.setup("v_groove"), scenes.pose((0.0, 0.0, -140.0)), Condition(*on, EXPOSURE_S))
+
+
 def test_past_the_workpiece_it_is_dark():
     setup = scenes.setup(
         "lap", of_camera=scenes.camera(((0.0, 0.0, 60.0), (60.0, 0.0, 57.0)), psf_sigma_px=0.0)

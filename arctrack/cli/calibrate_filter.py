@@ -1,0 +1,61 @@
+"""`arctrack calibrate filter`: a filter's measured curve into a setup."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from arctrack.errors import ArctrackError, in_file
+
+
+def filter_curve(
+    data: Annotated[Path, typer.Argument(help="CSV: wavelength_nm and transmission or optical_density.")],
+    setup: Annotated[Path, typer.Option(help="A recording.toml, or a recording, that it belongs to.")],
+    out: Annotated[Path, typer.Option(help="Where to write recording.toml with the curve in [filter].")],
+    effective_index: Annotated[
+        float | None, typer.Option(help="The maker's n_eff for light off the axis; default: the setup's.")
+    ] = None,
+) -> None:
+    """Put a filter's measured curve into a setup and say what it passes over the field.
+
+    Printed are centre and width, how much of the laser's line and of the arc's continuum passes on the axis
+    and at the image's corner, and how bright the argon lines are behind it beside the continuum.
+    """
+    import numpy as np
+
+    from arctrack.cli import console
+    from arctrack.filter_file import read_filter_curve
+    from arctrack.recording import read_setup_file, with_filter_curve
+    from arctrack.recording.setup_file import FILE_NAME
+    from noise_model.optics import Rays
+    from noise_model.spectrum import ArcSpectrum, laser_transmission, line_to_continuum, passed_continuum
+
+    file = setup / FILE_NAME if setup.is_dir() else setup
+    stated = read_setup_file(file).setup
+    if out.exists() and out.resolve() == file.resolve():
+        raise ArctrackError(f"{out}: is the setup itself; give --out another file")
+    index = stated.filter.effective_index if effective_index is None else effective_index
+    try:
+        curve = read_filter_curve(data, index)
+        xy = Rays.of(stated.camera).xy.reshape(-1, 2)
+        corner = float(np.arctan(np.hypot(xy[:, 0], xy[:, 1]).max()))
+        angles = np.array([0.0, corner])
+        laser = laser_transmission(curve, stated.laser.wavelength_nm, angles)
+    except ValueError as error:
+        raise in_file(data, str(error)) from None
+    spectrum = ArcSpectrum()
+    continuum = passed_continuum(curve, spectrum, angles)
+    lines = line_to_continuum(curve, spectrum, angles)
+    out.write_text(with_filter_curve(file, curve), encoding="utf-8")
+    screen = console.tables()
+    for text in (
+        f"centre {curve.center_nm:.2f} nm, {curve.fwhm_nm:.2f} nm wide at half of its peak",
+        f"at the image's corner, {np.degrees(corner):.1f} deg off the axis, over what passes on it: "
+        f"laser {laser[1]:.3f}, the arc's continuum {continuum[1] / continuum[0]:.3f}",
+        f"argon lines over continuum, if Ar I 696.54 is {spectrum.line_width_nm:g} nm wide: "
+        f"{lines[0]:.2f} on the axis, {lines[1]:.2f} at the corner",
+        f"{out}: the setup with the curve",
+    ):
+        screen.print(text, markup=False, soft_wrap=True, highlight=False)
