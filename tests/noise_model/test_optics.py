@@ -72,7 +72,7 @@ def point_image(size=61):
     return image
 
 
-@pytest.mark.parametrize("psf_sigma_px", [0.65, 0.7, 1.0, 2.0, 3.5])
+@pytest.mark.parametrize("psf_sigma_px", [0.2, 0.5, 0.65, 0.7, 1.0, 2.0, 3.5])
 def test_blur_keeps_energy_and_spreads_by_the_psf(psf_sigma_px):
     image = blur(point_image(), psf_sigma_px).astype(np.float64)
     offset = np.arange(61) - 30.0
