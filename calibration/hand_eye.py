@@ -15,13 +15,12 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 import numpy.typing as npt
-from scipy.spatial.transform import Rotation
 
 from noise_model.arc import level as current_level
 from noise_model.arc_map import arc_at, arc_kernel, scene
 from noise_model.effects import really
 from noise_model.fit import Fit, Parameter, fit
-from noise_model.frames import Float64
+from noise_model.frames import Float64, moved
 from noise_model.setup import Setup
 from noise_model.surface import SeamLine
 from tracker.arc_level import HUBER
@@ -63,17 +62,6 @@ class HandEye:
     fit: Fit
 
 
-def moved_camera(T_tool_camera: Float64, change: Float64) -> Float64:
-    """Return a camera's pose turned by `change[:3]` (rotation vector, deg) and moved by `change[3:6]` (mm).
-
-    Both in the camera's own frame.
-    """
-    T_camera_moved = np.eye(4)
-    T_camera_moved[:3, :3] = Rotation.from_rotvec(np.radians(change[:3])).as_matrix()
-    T_camera_moved[:3, 3] = change[3:6]
-    return T_tool_camera @ T_camera_moved
-
-
 def estimate_hand_eye(
     setup: Setup,
     frames: Sequence[tuple[Frame, Pose]],
@@ -107,7 +95,7 @@ def estimate_hand_eye(
             f"the camera would have to be off by {far:.0f} of its stated sigmas: the seam is not straight, "
             "arc or material are not as stated, or [tolerance] hand_eye_deg and hand_eye_mm are too small"
         )
-    return HandEye(moved_camera(setup.camera.T_tool_camera, change), result)
+    return HandEye(moved(setup.camera.T_tool_camera, change[:3], change[3:6]), result)
 
 
 def _straight_seam(setup: Setup, frames: Sequence[tuple[Frame, Pose]]) -> SeamLine:
@@ -125,7 +113,7 @@ def _straight_seam(setup: Setup, frames: Sequence[tuple[Frame, Pose]]) -> SeamLi
 def _with_camera(setup: Setup, change: Float64) -> Setup:
     """Return the setup with its camera turned and moved."""
     camera = setup.camera
-    return replace(setup, camera=replace(camera, T_tool_camera=moved_camera(camera.T_tool_camera, change)))
+    return replace(setup, camera=replace(camera, T_tool_camera=moved(camera.T_tool_camera, change[:3], change[3:6])))
 
 
 @dataclass(frozen=True)

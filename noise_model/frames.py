@@ -38,6 +38,14 @@ def invert(T_a_b: Float64) -> Float64:
     return T_b_a
 
 
+def moved(T_a_b: Float64, turn_deg: npt.ArrayLike, move_mm: npt.ArrayLike) -> Float64:
+    """Return T_a_b turned by a rotation vector (3,), deg, and moved by (3,) mm, both in b's own frame."""
+    T_b_moved = np.eye(4)
+    T_b_moved[:3, :3] = Rotation.from_rotvec(np.asarray(turn_deg), degrees=True).as_matrix()
+    T_b_moved[:3, 3] = move_mm
+    return np.asarray(T_a_b @ T_b_moved)
+
+
 def transform(T_a_b: Float64, points_b: Float64) -> Float64:
     """Return points (..., 3) of frame b in frame a."""
     return np.asarray(points_b @ T_a_b[:3, :3].T + T_a_b[:3, 3])

@@ -9,9 +9,10 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from arctrack.nominal import nominal_setup
-from calibration.hand_eye import estimate_hand_eye, moved_camera
+from calibration.hand_eye import estimate_hand_eye
 from noise_model.condition import Condition
 from noise_model.forward import draw_frame
+from noise_model.frames import moved
 from noise_model.setup import Setup
 from noise_model.surface import SeamLine
 from tracker.state import Frame, Pose
@@ -42,7 +43,7 @@ def frames(seen_by: Setup, seam: SeamLine, arc_on: bool = True) -> list[tuple[Fr
 
 def test_a_camera_that_is_off_is_found() -> None:
     setup = small_setup()
-    true_pose = moved_camera(setup.camera.T_tool_camera, CHANGE)
+    true_pose = moved(setup.camera.T_tool_camera, CHANGE[:3], CHANGE[3:6])
     true_setup = replace(setup, camera=replace(setup.camera, T_tool_camera=true_pose))
     found = estimate_hand_eye(setup, frames(true_setup, SeamLine(45.0, 0.4, -0.2)), lattice_px=LATTICE_PX)
     pull = (found.fit.values[:6] - CHANGE) / found.fit.sigmas[:6]
@@ -55,7 +56,7 @@ def test_a_camera_that_is_off_is_found() -> None:
 
 def test_a_camera_far_beyond_its_tolerance_is_refused() -> None:
     setup = small_setup()
-    far = moved_camera(setup.camera.T_tool_camera, 15.0 * CHANGE)
+    far = moved(setup.camera.T_tool_camera, 15.0 * CHANGE[:3], 15.0 * CHANGE[3:6])
     far_setup = replace(setup, camera=replace(setup.camera, T_tool_camera=far))
     with pytest.raises(ValueError, match="of its stated sigmas"):
         estimate_hand_eye(setup, frames(far_setup, SeamLine()), lattice_px=LATTICE_PX)
