@@ -113,7 +113,9 @@ def _straight_seam(setup: Setup, frames: Sequence[tuple[Frame, Pose]]) -> SeamLi
 def _with_camera(setup: Setup, change: Float64) -> Setup:
     """Return the setup with its camera turned and moved."""
     camera = setup.camera
-    return replace(setup, camera=replace(camera, T_tool_camera=moved(camera.T_tool_camera, change[:3], change[3:6])))
+    return replace(
+        setup, camera=replace(camera, T_tool_camera=moved(camera.T_tool_camera, change[:3], change[3:6]))
+    )
 
 
 @dataclass(frozen=True)
