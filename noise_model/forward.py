@@ -8,7 +8,7 @@ changes only the image does not render it again.
 from __future__ import annotations
 
 from collections import OrderedDict
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import TypeVar
 
@@ -189,7 +189,8 @@ def _light(
         np.float32(condition.arc_level) * layers.arc_e if condition.arc_level > 0.0 else dark,
         np.float32(condition.laser_level) * layers.laser_e if condition.laser_level > 0.0 else dark,
     )
-    pass_on(true, light, layers.view, condition, rng)
+    # The remembered view may be another setup's that renders alike, with another sensor or lens.
+    pass_on(true, light, replace(layers.view, setup=true), condition, rng)
     return true, light
 
 

@@ -10,6 +10,8 @@ from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
+from scipy.ndimage import map_coordinates
+from scipy.special import ndtr
 
 Float64 = npt.NDArray[np.float64]
 
@@ -47,7 +49,13 @@ class Sensor:
 
 def respond(electrons: npt.ArrayLike, sensor: Sensor) -> Float64:
     """Return the noise-free, unrounded, unclipped DN of a charge (Eq. 20: G_I = p E^gamma)."""
-    e = np.minimum(np.asarray(electrons, dtype=np.float64), sensor.full_well_e)
+    return _unbounded(np.minimum(np.asarray(electrons, dtype=np.float64), sensor.full_well_e), sensor)
+
+
+def _unbounded(e: Float64, sensor: Sensor) -> Float64:
+    """Return the DN of a charge that no full well ends."""
+    if sensor.gamma == 1.0:
+        return np.asarray(sensor.black_level_dn + e / sensor.gain_e_per_dn)
     scale = sensor.full_well_e / sensor.gain_e_per_dn
     shaped = np.sign(e) * (np.abs(e) / sensor.full_well_e) ** sensor.gamma
     return np.asarray(sensor.black_level_dn + scale * shaped)
@@ -81,37 +89,100 @@ def variance_e2(mean_e: npt.ArrayLike, sensor: Sensor) -> Float64:
     return np.asarray(np.maximum(mean, 0.0) + sensor.read_noise_e**2 + step**2 / 12.0)
 
 
-RESPONSE_NODES = 7
-"""Gauss-Hermite nodes of a pixel's charge."""
+SMOOTH_FROM = 6.0
+"""How many of its sigmas a charge must lie from zero for a bent response to be smooth over its noise."""
+
+ENDS_WITHIN = 6.0
+"""How many sigmas from an end of the scale a reading counts as cut by it."""
+
+TABLE_STEPS = (0.0625, 0.05)
+"""Steps of the table of moments near zero charge: in z = mean / sigma and in ln(sigma)."""
+
+TABLE_REACH, TABLE_NODES = 7.0, 32
+"""How many sigmas of the charge that table integrates over, and the nodes between two kinks."""
 
 
 def respond_moments(
     mean_e: npt.ArrayLike, variance_e2: npt.ArrayLike, sensor: Sensor
 ) -> tuple[Float64, Float64]:
-    """Return mean, DN, and variance, DN^2, of what a pixel of this charge reads, rounding included.
+    """Return mean, DN, and variance, DN^2, (...,) of what a pixel reads whose charge is normal.
 
-    A linear response far from full well keeps mean and variance. Elsewhere, where gamma bends the response or
-    full well and the last code cut it, both are taken over a normal distribution of the charge by
-    Gauss-Hermite nodes.
+    Rounding adds its twelfth to the variance and nothing to the mean: codes wider than the noise are not
+    followed, and where an end of the scale holds a pixel to one code the variance is too large by as much.
+    Within `ENDS_WITHIN` sigmas of an end a reading is a normal variable cut there (`cut_moments`). Where
+    gamma bends the response, three Gauss-Hermite nodes are exact enough as long as the charge lies
+    `SMOOTH_FROM` sigmas from zero; nearer, where a power has no slope or an infinite one, moments come from
+    a table over mean / sigma and sigma.
     """
-    mean = np.asarray(mean_e, dtype=np.float64)
-    variance = np.asarray(variance_e2, dtype=np.float64)
-    top_e = min(sensor.full_well_e, float(linearise(sensor.max_dn, sensor)))
-    bottom_e = float(linearise(0, sensor))
-    spread = 4.0 * np.sqrt(variance)
-    bent = (mean + spread > top_e) | (mean - spread < bottom_e)
-    if sensor.gamma != 1.0:
-        bent = np.ones_like(bent)
-    of_mean = np.asarray(respond(mean, sensor))
-    of_variance = variance / sensor.gain_e_per_dn**2
-    if bent.any():
-        x, w = np.polynomial.hermite_e.hermegauss(RESPONSE_NODES)
-        w = w / w.sum()
-        nodes_e = mean[bent] + np.sqrt(variance[bent]) * x[:, np.newaxis]
-        dn = np.clip(respond(nodes_e, sensor), 0.0, sensor.max_dn)
-        of_mean[bent] = w @ dn
-        of_variance[bent] = w @ (dn - of_mean[bent]) ** 2
-    return of_mean, of_variance + 1.0 / 12.0
+    shape = np.shape(mean_e)
+    mean = np.atleast_1d(np.asarray(mean_e, dtype=np.float64))
+    sigma = np.sqrt(np.maximum(np.asarray(variance_e2, dtype=np.float64), 1e-12)).reshape(mean.shape)
+    if sensor.gamma == 1.0:
+        near_zero = np.zeros(mean.shape, dtype=np.bool_)
+        of_mean, of_variance = _unbounded(mean, sensor), (sigma / sensor.gain_e_per_dn) ** 2
+    else:
+        near_zero = np.abs(mean) < SMOOTH_FROM * sigma
+        aside = np.sqrt(3.0) * sigma
+        low, middle, high = (_unbounded(e, sensor) for e in (mean - aside, mean, mean + aside))
+        of_mean = (low + 4.0 * middle + high) / 6.0
+        of_variance = ((low - of_mean) ** 2 + 4.0 * (middle - of_mean) ** 2 + (high - of_mean) ** 2) / 6.0
+    top_dn = min(float(respond(sensor.full_well_e, sensor)), float(sensor.max_dn))
+    reach = ENDS_WITHIN * np.sqrt(of_variance)
+    cut = ~near_zero & ((of_mean + reach > top_dn) | (of_mean < reach))
+    if cut.any():
+        of_mean[cut], of_variance[cut] = cut_moments(of_mean[cut], of_variance[cut], 0.0, top_dn)
+    if near_zero.any():
+        of_mean[near_zero], of_variance[near_zero] = _read_table(mean[near_zero], sigma[near_zero], sensor)
+    return of_mean.reshape(shape), of_variance.reshape(shape) + 1.0 / 12.0
+
+
+def cut_moments(mean: Float64, variance: Float64, low: float, high: float) -> tuple[Float64, Float64]:
+    """Return mean and variance (...,) of normal variables that are cut to lie from `low` to `high`.
+
+    With a, b the ends in sigmas from the mean, Phi and phi the normal distribution and its density, the
+    departure d from the mean has <d> = sigma (a Phi(a) + b Phi(-b) + phi(a) - phi(b)) and
+    <d^2> = sigma^2 (a^2 Phi(a) + b^2 Phi(-b) + Phi(b) - Phi(a) + a phi(a) - b phi(b)).
+    """
+    sigma = np.sqrt(variance)
+    a, b = (low - mean) / sigma, (high - mean) / sigma
+    below, above = ndtr(a), ndtr(-b)
+    at_a, at_b = np.exp(-0.5 * a**2) / np.sqrt(2.0 * np.pi), np.exp(-0.5 * b**2) / np.sqrt(2.0 * np.pi)
+    first = a * below + b * above + at_a - at_b
+    second = a**2 * below + b**2 * above + (1.0 - below - above) + a * at_a - b * at_b
+    return mean + sigma * first, variance * np.maximum(second - first**2, 0.0)
+
+
+def _read_table(mean: Float64, sigma: Float64, sensor: Sensor) -> tuple[Float64, Float64]:
+    """Return the unrounded DN's moments (n,) of charges near zero, linear between a table's nodes."""
+    ln_sigma = np.log(sigma)
+    first = float(ln_sigma.min())
+    z = np.arange(-SMOOTH_FROM, SMOOTH_FROM + TABLE_STEPS[0], TABLE_STEPS[0])
+    lns = first + TABLE_STEPS[1] * np.arange(2 + int((float(ln_sigma.max()) - first) / TABLE_STEPS[1]))
+    place = np.stack([(mean / sigma - z[0]) / TABLE_STEPS[0], (ln_sigma - first) / TABLE_STEPS[1]])
+    table = _table(z, np.exp(lns), sensor)
+    of_mean, of_variance = (map_coordinates(values, place, order=1, mode="nearest") for values in table)
+    return of_mean, of_variance
+
+
+def _table(z: Float64, sigma: Float64, sensor: Sensor) -> tuple[Float64, Float64]:
+    """Return the unrounded DN's mean and variance (len(z), len(sigma)) of charges (z + n) sigma, n normal.
+
+    Gauss-Legendre from kink to kink: zero charge, full well and the ends of the scale.
+    """
+    kinks_e = np.array([0.0, sensor.full_well_e, *np.asarray(linearise([0, sensor.max_dn], sensor))])
+    edges = np.empty((len(z), len(sigma), len(kinks_e) + 2))
+    edges[..., 0], edges[..., -1] = -TABLE_REACH, TABLE_REACH
+    edges[..., 1:-1] = kinks_e / sigma[:, np.newaxis] - z[:, np.newaxis, np.newaxis]
+    edges = np.sort(np.clip(edges, -TABLE_REACH, TABLE_REACH), axis=-1)
+    x, w = np.polynomial.legendre.leggauss(TABLE_NODES)
+    half = 0.5 * np.diff(edges)[..., np.newaxis]
+    n = 0.5 * (edges[..., 1:] + edges[..., :-1])[..., np.newaxis] + half * x
+    weight = half * w * np.exp(-0.5 * n**2)
+    weight /= weight.sum(axis=(-2, -1), keepdims=True)
+    charge = (z[:, np.newaxis, np.newaxis, np.newaxis] + n) * sigma[:, np.newaxis, np.newaxis]
+    dn = np.clip(respond(charge, sensor), 0.0, sensor.max_dn)
+    of_mean = np.sum(weight * dn, axis=(-2, -1))
+    return of_mean, np.sum(weight * (dn - of_mean[..., np.newaxis, np.newaxis]) ** 2, axis=(-2, -1))
 
 
 def saturation_dn(sensor: Sensor) -> int:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, field
-from functools import cached_property
 from typing import TypeVar, cast
 
 import numpy as np
@@ -67,17 +66,32 @@ class View:
         """The pixels' shape."""
         return self.cos4.shape
 
-    @cached_property
+    @property
     def theta(self) -> Float64:
         """The field angle (...,), rad: between a pixel's ray and the optical axis."""
-        return np.arctan(np.hypot(self.xy[..., 0], self.xy[..., 1]).astype(np.float64))
+        return self.keep(
+            "theta", lambda: np.arctan(np.hypot(self.xy[..., 0], self.xy[..., 1]).astype(np.float64))
+        )
 
-    @cached_property
+    @property
+    def directions(self) -> Float64:
+        """The pixels' viewing directions (..., 3), unit vectors of the joint frame."""
+        return self.keep("directions", self._directions)
+
+    def _directions(self) -> Float64:
+        rays = np.concatenate([self.xy, np.ones((*self.shape, 1), dtype=np.float32)], axis=-1)
+        rays_joint = rays.astype(np.float64) @ self.scene.T_joint_camera[:3, :3].T
+        return np.asarray(rays_joint / np.linalg.norm(rays_joint, axis=-1, keepdims=True))
+
+    @property
     def surface(self) -> tuple[Float64, Float64, npt.NDArray[np.int32]]:
         """Where the rays end in the joint frame: points (..., 3), mm, unit normals (..., 3), faces (...,).
 
         NaN, NaN and `visibility.MISS` for a ray that looks past the workpiece.
         """
+        return self.keep("surface", self._surface)
+
+    def _surface(self) -> tuple[Float64, Float64, npt.NDArray[np.int32]]:
         n = self.cos4.size
         points, normals, faces = np.empty((n, 3)), np.empty((n, 3)), np.empty(n, dtype=np.int32)
         where = self.scene
@@ -93,9 +107,12 @@ class View:
         )
         return points.reshape(*self.shape, 3), normals.reshape(*self.shape, 3), faces.reshape(self.shape)
 
-    @cached_property
+    @property
     def distance_mm(self) -> Float64:
         """How far the surface is from the camera along each ray (...,), mm; NaN past the workpiece."""
+        return self.keep("distance_mm", self._distance_mm)
+
+    def _distance_mm(self) -> Float64:
         return np.asarray(np.linalg.norm(self.surface[0] - self.scene.T_joint_camera[:3, 3], axis=-1))
 
     def mean(self, image: Float32) -> np.float32:
@@ -103,7 +120,11 @@ class View:
         return np.float32(image.reshape(-1)[: self.n_even].mean(dtype=np.float64))
 
     def keep(self, name: str, compute: Callable[[], Kept]) -> Kept:
-        """Return what was computed under a name before, or compute and keep it: it goes with the view."""
+        """Return what was computed under a name before, or compute and keep it.
+
+        It goes with the pose: `dataclasses.replace` of a setup that renders alike hands it on. What is kept
+        may depend on that setup's geometry, source, surface and filter, not on effects on the image.
+        """
         if name not in self._kept:
             self._kept[name] = compute()
         return cast(Kept, self._kept[name])

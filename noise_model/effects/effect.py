@@ -44,8 +44,8 @@ class Effect:
     neutral value, at which the effect vanishes. `typical` are the values that the documentation shows it
     with. Of the places where an effect may act those are given that it needs:
 
-    - `setup`: returns the setup that is really there. What it changes in sensor, point-spread function or
-      exposure needs no new rendering;
+    - `setup`: returns the setup that is really there, and is the only place then. What it changes in sensor,
+      point-spread function or exposure needs no new rendering;
     - `condition`: returns the frame's real levels and exposure;
     - `light`: changes the light before the lens' point-spread function, e- for `camera.exposure_s`;
     - `image`: changes the charge behind it, e- for the frame's own exposure.
@@ -67,6 +67,8 @@ class Effect:
         names = {parameter.name for parameter in self.parameters}
         if len(names) < len(self.parameters) or not set(self.typical) <= names:
             raise ValueError(f"{self.id}: its parameters' names do not fit")
+        if self.setup is not None and (self.condition or self.light or self.image):
+            raise ValueError(f"{self.id}: what changes the setup is applied once and acts nowhere else")
 
     @property
     def neutral(self) -> dict[str, float]:

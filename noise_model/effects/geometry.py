@@ -5,31 +5,26 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from noise_model.effects.effect import Effect, Stage, Values
 from noise_model.fit import Parameter
-from noise_model.frames import invert, transform
+from noise_model.frames import invert, moved, transform
 from noise_model.setup import Setup
 from noise_model.surface import seam_frame
 
 
 def _hand_eye(setup: Setup, values: Values) -> Setup:
-    T_camera_moved = np.eye(4)
-    turn_deg = [values["rot_x_deg"], values["rot_y_deg"], values["rot_z_deg"]]
-    T_camera_moved[:3, :3] = Rotation.from_rotvec(turn_deg, degrees=True).as_matrix()
-    T_camera_moved[:3, 3] = values["move_x_mm"], values["move_y_mm"], values["move_z_mm"]
-    camera = setup.camera
-    return replace(setup, camera=replace(camera, T_tool_camera=camera.T_tool_camera @ T_camera_moved))
+    turn_deg = [values[f"rot_{axis}_deg"] for axis in "xyz"]
+    move_mm = [values[f"move_{axis}_mm"] for axis in "xyz"]
+    T_tool_camera = moved(setup.camera.T_tool_camera, turn_deg, move_mm)
+    return replace(setup, camera=replace(setup.camera, T_tool_camera=T_tool_camera))
 
 
 def _surface_tilt(setup: Setup, values: Values) -> Setup:
     joint = setup.joint
     T_base_joint = seam_frame(joint, np.asarray(joint.seam_in_base_mm[0]))
-    T_joint_tilted = np.eye(4)
     turn_deg = [values["roll_deg"], values["pitch_deg"], 0.0]
-    T_joint_tilted[:3, :3] = Rotation.from_rotvec(turn_deg, degrees=True).as_matrix()
-    T_base_tilted = T_base_joint @ T_joint_tilted @ invert(T_base_joint)
+    T_base_tilted = moved(T_base_joint, turn_deg, np.zeros(3)) @ invert(T_base_joint)
     seam = transform(T_base_tilted, np.asarray(joint.seam_in_base_mm))
     nx, ny, nz = T_base_tilted[:3, :3] @ np.asarray(joint.surface_normal_in_base)
     return replace(

@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from noise_model.arc_map import Float32
-from noise_model.condition import Condition
+from noise_model.condition import Condition, settling
 from noise_model.effects.effect import Draw, Effect, Stage, Values
 from noise_model.effects.light import Light
 from noise_model.fit import Parameter
@@ -17,7 +17,7 @@ from noise_model.view import View
 
 
 def _laser_power_drift(condition: Condition, values: Values) -> Condition:
-    factor = math.exp(values["rate_per_s"] * condition.timestamp_s)
+    factor = settling(values["rate_per_s"], values["settle_s"], condition.timestamp_s)
     return replace(condition, laser_level=condition.laser_level * factor)
 
 
@@ -32,12 +32,19 @@ def _laser_speckle(light: Light, view: View, condition: Condition, values: Value
 def _granularity(
     shape: tuple[int, ...], contrast: float, grain_px: float, draw: np.random.Generator
 ) -> Float32:
-    """Return a field of mean 1 and standard deviation `contrast`, correlated over a grain, never negative."""
-    white = draw.standard_normal(shape).astype(np.float32)
-    field = blur(white, grain_px) if len(shape) == 2 else white
-    normal = field / max(float(field.std()), 1e-6)
+    """Return a field (H, W) of mean 1 and standard deviation `contrast`, never negative.
+
+    Log-normal; its logarithm is white noise behind a Gaussian of 1 sigma `grain_px`.
+    """
+    # Beyond the rim there is speckle too: a reflected rim would count its own grains twice.
+    rim = max(1, math.ceil(4.0 * grain_px))
+    wide = draw.standard_normal((shape[0] + 2 * rim, shape[1] + 2 * rim)).astype(np.float32)
+    field = blur(wide, grain_px)[rim : rim + shape[0], rim : rim + shape[1]]
+    grain = np.zeros((4 * rim + 1, 4 * rim + 1), dtype=np.float32)
+    grain[2 * rim, 2 * rim] = 1.0
+    unit = field / np.linalg.norm(blur(grain, grain_px))
     spread = math.sqrt(math.log1p(contrast**2))
-    return np.asarray(np.exp(np.float32(spread) * normal - np.float32(0.5 * spread**2)))
+    return np.asarray(np.exp(np.float32(spread) * unit - np.float32(0.5 * spread**2)), dtype=np.float32)
 
 
 EFFECTS = (
@@ -45,9 +52,13 @@ EFFECTS = (
         id="laser_power_drift",
         stage=Stage.ILLUMINATION,
         summary="the stripe's power changes over the recording",
-        equation="laser' = laser exp(rate_per_s t), t since the first frame",
-        source="a diode's output falls by about 1 % per kelvin while it warms up, exponentially over T_0",
-        parameters=(Parameter("rate_per_s", "1/s", 0.0, 0.05, -1.0, 1.0, 0.001),),
+        equation="laser' = laser exp(rate_per_s settle_s (1 - exp(-t / settle_s))), t since the first frame",
+        source="a diode's threshold current rises as exp(T / T_0), T_0 some 100 K: at a steady current its "
+        "power falls while it warms up, and rests when it is warm",
+        parameters=(
+            Parameter("rate_per_s", "1/s", 0.0, 0.05, -1.0, 1.0, 0.001),
+            Parameter("settle_s", "s", 30.0, 30.0, 0.2, 1000.0, 0.1),
+        ),
         typical={"rate_per_s": -0.2},
         condition=_laser_power_drift,
     ),

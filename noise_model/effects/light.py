@@ -44,3 +44,16 @@ class Light:
         """Multiply the light of every source; what scatters goes with the square."""
         self.pass_through(lambda image: np.asarray(image * factor, dtype=np.float32))
         self.variance_e2 = np.asarray(self.variance_e2 * factor**2, dtype=np.float32)
+
+    def spread(
+        self,
+        passed: np.float32 | Float32,
+        spread: np.float32 | Float32,
+        mean: Callable[[Float32], np.float32],
+    ) -> None:
+        """Pass a share of the light of every source and spread a share of its mean over the image.
+
+        What scatters from pixel to pixel is lost in a mean.
+        """
+        self.pass_through(lambda image: np.asarray(passed * image + spread * mean(image), dtype=np.float32))
+        self.variance_e2 = np.asarray(self.variance_e2 * passed**2, dtype=np.float32)

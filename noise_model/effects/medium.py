@@ -1,4 +1,4 @@
-"""Medium: what is in the air between part and camera, and what glows by itself."""
+"""Medium: what glows by itself, and what is in the air between part and camera."""
 
 from __future__ import annotations
 
@@ -19,44 +19,54 @@ from noise_model.view import View
 MELTING_K = 1800.0
 """Where the glow's radius is taken: steel melts between 1670 and 1810 K."""
 
+HC_OVER_K_NM_K = float(1e9 * constants.h * constants.c / constants.k)
+
+STREAK_REACH = 5.0
+"""How many widths beside a streak are drawn: it has fallen to 4e-6 there."""
+
 
 def airlight_integral(
-    origin_mm: Float64, direction: Float64, length_mm: Float64, source_mm: Float64
+    origin_mm: Float64, direction: Float64, length_mm: Float64, source_mm: Float64, radius_mm: float
 ) -> Float64:
     """Return integral dt / r^2 (...,), 1/mm, along rays from `origin_mm` (3,) over `length_mm` (...,).
 
     r is the distance of the ray's point from `source_mm` (3,); `direction` (..., 3) are unit vectors. With D
     the ray's closest distance and t_0 where, it is (atan((l - t_0) / D) + atan(t_0 / D)) / D: single
     scattering of a point source in thin haze (Sun, Ramamoorthi, Narasimhan and Nayar 2005, without the
-    attenuation along the way).
+    attenuation along the way). D is held at the source's `radius_mm`: there is no haze within.
     """
     towards = source_mm - origin_mm
     t_0 = direction @ towards
-    D = np.sqrt(np.maximum(towards @ towards - t_0**2, 1e-12))
+    D = np.sqrt(np.maximum(towards @ towards - t_0**2, radius_mm**2))
     return np.asarray((np.arctan((length_mm - t_0) / D) + np.arctan(t_0 / D)) / D)
 
 
 def _fume(light: Light, view: View, condition: Condition, values: Values, draw: Draw) -> None:
     beta = values["extinction_per_m"] * 1e-3
-    where, arc = view.scene, view.setup.arc
-    # Where nothing is met the air goes on as far as the camera's working distance.
-    camera = where.T_joint_camera[:3, 3]
-    length = np.nan_to_num(view.distance_mm, nan=float(np.linalg.norm(camera)))
-    passed = np.exp(-beta * length)
-    light.laser = light.laser * passed.astype(np.float32)
-    light.other = light.other * passed.astype(np.float32)
-    arc_e = light.arc * passed
+    arc = view.setup.arc
+    light.scale(np.exp(-beta * view.keep("fume_depth", lambda: _fume_depth_mm(view))).astype(np.float32))
     if condition.arc_level > 0.0:
-        rays = np.concatenate([view.xy, np.ones((*view.shape, 1), dtype=np.float32)], axis=-1)
-        direction = rays.astype(np.float64) @ where.T_joint_camera[:3, :3].T
-        direction /= np.linalg.norm(direction, axis=-1, keepdims=True)
-        to_camera = (camera - where.center_mm) / np.linalg.norm(camera - where.center_mm)
-        # The luminous half's projected area towards the air before the camera, as in arc.apparent_area.
-        area = 0.5 * math.pi * arc.radius_mm**2 * (1.0 + to_camera[2])
-        along = airlight_integral(camera, direction, length, where.center_mm)
-        scattered = values["scatter"] * beta / (4.0 * math.pi) * area * along
-        arc_e = arc_e + condition.arc_level * arc.radiance_e * view.cos4 * scattered
-    light.arc = arc_e.astype(np.float32)
+        # What one unit of albedo and of extinction, 1/mm, scatters into the pixels of a unit of radiance.
+        unit = view.keep("fume_airlight", lambda: _airlight(view))
+        scattered = condition.arc_level * arc.radiance_e * values["scatter"] * beta
+        light.arc = light.arc + np.float32(scattered) * unit
+
+
+def _fume_depth_mm(view: View) -> Float64:
+    # Where nothing is met the air goes on as far as the arc is from the camera.
+    where = view.scene
+    to_arc = float(np.linalg.norm(where.center_mm - where.T_joint_camera[:3, 3]))
+    return np.nan_to_num(view.distance_mm, nan=to_arc)
+
+
+def _airlight(view: View) -> Float32:
+    where, radius = view.scene, view.setup.arc.radius_mm
+    camera = where.T_joint_camera[:3, 3]
+    to_camera = (camera - where.center_mm) / np.linalg.norm(camera - where.center_mm)
+    # The luminous half's projected area towards the air before the camera, as in arc.apparent_area.
+    area = 0.5 * math.pi * radius**2 * (1.0 + to_camera[2])
+    along = airlight_integral(camera, view.directions, _fume_depth_mm(view), where.center_mm, radius)
+    return np.asarray(view.cos4 * area / (4.0 * math.pi) * along, dtype=np.float32)
 
 
 def streak_moments(length_px: float, width_px: float) -> tuple[float, float]:
@@ -80,16 +90,27 @@ def _spatter(light: Light, view: View, condition: Condition, values: Values, dra
     rate, peak_e = values["rate_per_frame"], values["peak_e"]
     length, width = values["length_px"], values["width_px"]
     if draw is None:
-        first, second = streak_moments(length, width)
+        # The lens widens a streak and keeps its light; the mean square is that behind it.
+        seen = math.hypot(width, camera.psf_sigma_px) if view.is_frame else width
+        first, _ = streak_moments(length, width)
+        _, second = streak_moments(length, seen)
         density = rate / (camera.width * camera.height)
         # Campbell's theorem; the peaks are exponential, so their mean square is 2 peak_e^2.
         light.other = light.other + np.float32(density * peak_e * first)
-        light.variance_e2 = light.variance_e2 + np.float32(density * 2.0 * peak_e**2 * second)
+        light.variance_e2 = light.variance_e2 + np.float32(
+            density * 2.0 * (peak_e * width / seen) ** 2 * second
+        )
         return
-    for _ in range(int(draw.poisson(rate))):
-        u, v = draw.uniform(0.0, camera.width), draw.uniform(0.0, camera.height)
+    # Streaks whose middle lies beside the image reach into it.
+    rim = 0.5 * length + STREAK_REACH * width
+    wide, high = camera.width + 2.0 * rim, camera.height + 2.0 * rim
+    light.other = light.other.copy()
+    for _ in range(int(draw.poisson(rate * wide * high / (camera.width * camera.height)))):
+        u, v = draw.uniform(0.0, wide) - rim, draw.uniform(0.0, high) - rim
         angle, peak = draw.uniform(0.0, math.pi), draw.exponential(peak_e)
-        light.other = light.other + np.float32(peak) * _streak(view.uv_px, u, v, angle, length, width)
+        across, down = (slice(max(0, math.floor(at - rim)), max(0, math.ceil(at + rim) + 1)) for at in (u, v))
+        uv = view.uv_px[down, across]
+        light.other[down, across] += np.float32(peak) * _streak(uv, u, v, angle, length, width)
 
 
 def _streak(uv_px: Float32, u: float, v: float, angle: float, length: float, width: float) -> Float32:
@@ -102,33 +123,34 @@ def _streak(uv_px: Float32, u: float, v: float, angle: float, length: float, wid
 def _hot_metal_glow(light: Light, view: View, condition: Condition, values: Values, draw: Draw) -> None:
     if condition.arc_level == 0.0:
         return
-    points, _, _ = view.surface
-    rho = np.linalg.norm((points - view.scene.center_mm)[..., :2], axis=-1)
-    lift = second_radiation_nm_k() / (view.setup.laser.wavelength_nm * MELTING_K)
-    hot = np.exp(-lift * np.maximum(rho / values["radius_mm"] - 1.0, 0.0))
-    light.other = light.other + (values["peak_e"] * view.cos4 * np.nan_to_num(hot)).astype(np.float32)
+    rho = view.keep("rho_from_arc", lambda: _rho_mm(view))
+    lift = HC_OVER_K_NM_K / (view.setup.laser.wavelength_nm * MELTING_K)
+    hot = np.exp(np.float32(-lift) * np.maximum(rho / np.float32(values["radius_mm"]) - 1, 0))
+    light.other = light.other + np.float32(values["peak_e"]) * view.cos4 * hot
 
 
-def second_radiation_nm_k() -> float:
-    """Return h c / k, nm K."""
-    return float(1e9 * constants.h * constants.c / constants.k)
+def _rho_mm(view: View) -> Float32:
+    """Return the distance along the plate from the arc (...,), mm; inf past the workpiece: no glow."""
+    beside = (view.surface[0] - view.scene.center_mm)[..., :2]
+    rho = np.linalg.norm(beside, axis=-1).astype(np.float32)
+    return np.where(np.isnan(rho), np.float32(np.inf), rho)
 
 
 EFFECTS = (
     Effect(
-        id="fume",
+        id="hot_metal_glow",
         stage=Stage.MEDIUM,
-        summary="welding fume dims what passes it and scatters the arc's light",
-        equation="all light x exp(-beta d), d from part to camera; arc += radiance scatter beta / (4 pi) "
-        "A_eff integral dt / r^2 along the ray, scatter the fume's albedo in the relative units of kappa",
-        source="Sun, Ramamoorthi, Narasimhan and Nayar 2005 (ACM TOG 24(3), 1040): single scattering, here "
-        "thin; A_eff as in Eq. 15",
+        summary="thermal emission near the arc, whatever the current and the viewing angle",
+        equation="other += peak_e cos^4 exp(-h c / (lambda k T_m) (rho / radius_mm - 1)) beyond radius_mm "
+        "from the arc, T = T_m radius_mm / rho; peak_e within",
+        source="Rosenthal 1946, Trans. ASME 68, 849: T ~ 1 / rho round a point source at rest on a thick "
+        "plate, here over 0 K; Wien's law at the laser's wavelength, T_m = 1800 K",
         parameters=(
-            Parameter("extinction_per_m", "1/m", 0.0, 1.0, 0.0, 20.0, 0.01),
-            Parameter("scatter", "", 0.05, 0.05, 0.0, 3.0, 0.001),
+            Parameter("peak_e", "e-", 0.0, 5000.0, 0.0, 1e6, 20.0),
+            Parameter("radius_mm", "mm", 15.0, 10.0, 1.0, 80.0, 0.1),
         ),
-        typical={"extinction_per_m": 2.0, "scatter": 0.05},
-        light=_fume,
+        typical={"peak_e": 6000.0, "radius_mm": 25.0},
+        light=_hot_metal_glow,
     ),
     Effect(
         id="spatter",
@@ -136,7 +158,7 @@ EFFECTS = (
         summary="bright streaks in single frames",
         equation="a Poisson number of streaks a frame, uniform in place and direction, exponential in peak: "
         "mean and variance by Campbell's theorem",
-        source="Campbell 1909; Rice 1944, Bell Syst. Tech. J. 23, 282",
+        source="Campbell 1909, Proc. Camb. Phil. Soc. 15, 117; Rice 1944, Bell Syst. Tech. J. 23, 282",
         parameters=(
             Parameter("rate_per_frame", "", 0.0, 5.0, 0.0, 200.0, 0.1),
             Parameter("peak_e", "e-", 10_000.0, 10_000.0, 0.0, 1e6, 100.0),
@@ -147,18 +169,19 @@ EFFECTS = (
         light=_spatter,
     ),
     Effect(
-        id="hot_metal_glow",
+        id="fume",
         stage=Stage.MEDIUM,
-        summary="thermal emission near the arc, whatever the current and the viewing angle",
-        equation="other += peak_e cos^4 exp(-h c / (lambda k T_m) (rho / radius_mm - 1)) beyond radius_mm "
-        "from the arc, T = T_m radius_mm / rho; peak_e within",
-        source="Rosenthal 1946: T ~ 1 / rho round a point source at rest on a plate; Wien's law at the "
-        "laser's wavelength, T_m = 1800 K",
+        summary="welding fume dims what passes it and scatters the arc's light",
+        equation="all light x exp(-beta d), d from part to camera; arc += radiance scatter beta / (4 pi) "
+        "A_eff integral dt / r^2 along the ray, scatter the fume's albedo in the relative units of kappa; on "
+        "the ways to the part the fume is left out",
+        source="Beer and Lambert; Sun, Ramamoorthi, Narasimhan and Nayar 2005 (ACM TOG 24(3), 1040): single "
+        "scattering, here thin; A_eff as in Eq. 15",
         parameters=(
-            Parameter("peak_e", "e-", 0.0, 5000.0, 0.0, 1e6, 20.0),
-            Parameter("radius_mm", "mm", 15.0, 10.0, 1.0, 80.0, 0.1),
+            Parameter("extinction_per_m", "1/m", 0.0, 1.0, 0.0, 20.0, 0.01),
+            Parameter("scatter", "", 0.05, 0.5, 0.0, 5.0, 0.001),
         ),
-        typical={"peak_e": 6000.0, "radius_mm": 25.0},
-        light=_hot_metal_glow,
+        typical={"extinction_per_m": 2.0, "scatter": 0.05},
+        light=_fume,
     ),
 )

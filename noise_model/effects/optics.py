@@ -12,29 +12,66 @@ from noise_model.condition import Condition
 from noise_model.effects.effect import Draw, Effect, Stage, Values
 from noise_model.effects.light import Light
 from noise_model.fit import Parameter
-from noise_model.frames import Float64
 from noise_model.setup import Setup
 from noise_model.spectrum import ArcSpectrum, laser_transmission, passed_continuum
 from noise_model.view import View
 
 CONTINUUM = ArcSpectrum(line_width_nm=0.0)
 
+SHIFT_LIMIT = 0.99
+"""The largest sin(theta) / n_eff: beyond no share of the shift goes."""
+
+PATCHES = (1, 2, 3)
+"""How many patches a window has."""
+
 PROFILE_ANGLES = 64
 """Angles between which a filter's transmission is interpolated over the field."""
 
 
-def half_diagonals(view: View) -> tuple[Float64, Float64]:
-    """Return the pixels' places (...,) right of and below the image's middle, in half diagonals."""
+def half_diagonals(view: View, u_px: float, v_px: float) -> tuple[Float32, Float32]:
+    """Return the pixels' places (...,) right of and below (u, v), px, in halves of the image's diagonal."""
     camera = view.setup.camera
-    half = 0.5 * math.hypot(camera.width, camera.height)
-    u = (view.uv_px[..., 0].astype(np.float64) - 0.5 * (camera.width - 1)) / half
-    v = (view.uv_px[..., 1].astype(np.float64) - 0.5 * (camera.height - 1)) / half
-    return u, v
+    half = np.float32(0.5 * math.hypot(camera.width, camera.height))
+    return (view.uv_px[..., 0] - np.float32(u_px)) / half, (view.uv_px[..., 1] - np.float32(v_px)) / half
 
 
-def _veiling_glare(light: Light, view: View, condition: Condition, values: Values, draw: Draw) -> None:
-    share = np.float32(values["share"])
-    light.pass_through(lambda image: (1 - share) * image + share * view.mean(image))
+def _dirty_window(light: Light, view: View, condition: Condition, values: Values, draw: Draw) -> None:
+    camera = view.setup.camera
+    u, v = half_diagonals(view, 0.5 * (camera.width - 1), 0.5 * (camera.height - 1))
+    passed, scattered = np.ones(view.shape, dtype=np.float32), np.zeros(view.shape, dtype=np.float32)
+    for n in PATCHES:
+        dimming, scatter = np.float32(values[f"dimming_{n}"]), np.float32(values[f"scatter_{n}"])
+        if dimming == 0.0 and scatter == 0.0:
+            continue
+        square = (u - np.float32(values[f"u_{n}"])) ** 2 + (v - np.float32(values[f"v_{n}"])) ** 2
+        patch = np.exp(np.float32(-0.5 / values[f"radius_{n}"] ** 2) * square)
+        passed *= 1 - dimming * patch
+        scattered += scatter * patch
+    light.spread(passed, scattered, view.mean)
+
+
+def _filter_shift(light: Light, view: View, condition: Condition, values: Values, draw: Draw) -> None:
+    of_filter = view.setup.filter
+    # lambda_theta depends on sin^2(theta) / n_eff^2 alone: a share of the shift is another index.
+    share = values["shift_share"]
+    shifted = replace(of_filter, effective_index=1.0)
+    sin = math.sqrt(share) / of_filter.effective_index * np.sin(view.theta)
+    angle = np.arcsin(np.minimum(sin, SHIFT_LIMIT))
+    profile = np.linspace(0.0, float(angle.max(initial=0.0)), PROFILE_ANGLES)
+    laser = laser_transmission(shifted, view.setup.laser.wavelength_nm, angle)
+    continuum = passed_continuum(shifted, CONTINUUM, profile)
+    # What is neither the laser's nor the arc's glows: a continuum like the arc's.
+    of_continuum = np.interp(angle, profile, continuum / continuum[0])
+    light.scale(of_continuum.astype(np.float32))
+    light.laser = light.laser * (laser / of_continuum).astype(np.float32)
+
+
+def _vignetting(light: Light, view: View, condition: Condition, values: Values, draw: Draw) -> None:
+    # About the optical axis, as cos^4 is.
+    u, v = half_diagonals(view, view.setup.camera.cx, view.setup.camera.cy)
+    square = u**2 + v**2
+    lost = np.float32(values["loss"]) * square + np.float32(values["corner_loss"]) * square**2
+    light.scale(np.maximum(1 - lost, 0))
 
 
 def _defocus(setup: Setup, values: Values) -> Setup:
@@ -44,46 +81,52 @@ def _defocus(setup: Setup, values: Values) -> Setup:
     )
 
 
-def _vignetting(light: Light, view: View, condition: Condition, values: Values, draw: Draw) -> None:
-    u, v = half_diagonals(view)
-    light.scale((1.0 - values["loss"] * (u**2 + v**2)).astype(np.float32))
-
-
-def _dirty_window(light: Light, view: View, condition: Condition, values: Values, draw: Draw) -> None:
-    u, v = half_diagonals(view)
-    square = ((u - values["u"]) ** 2 + (v - values["v"]) ** 2) / values["radius"] ** 2
-    patch = np.exp(-0.5 * square).astype(np.float32)
-    dim, scatter = np.float32(values["dimming"]) * patch, np.float32(values["scatter"]) * patch
-
-    def through(image: Float32) -> Float32:
-        return (1 - dim) * image + scatter * view.mean(image)
-
-    light.pass_through(through)
-
-
-def _filter_shift(light: Light, view: View, condition: Condition, values: Values, draw: Draw) -> None:
-    of_filter = view.setup.filter
-    # lambda_theta depends on sin^2(theta) / n_eff^2 alone: a share of the shift is another index.
-    share = values["shift_share"]
-    if share == 0.0:
-        return
-    shifted = replace(of_filter, effective_index=1.0)
-    sin = math.sqrt(share) / of_filter.effective_index * np.sin(view.theta)
-    angle = np.arcsin(np.minimum(sin, 0.99))
-    laser = laser_transmission(shifted, view.setup.laser.wavelength_nm, angle)
-    light.laser = light.laser * laser.astype(np.float32)
-    profile = np.linspace(0.0, float(angle.max(initial=0.0)), PROFILE_ANGLES)
-    continuum = passed_continuum(shifted, CONTINUUM, profile)
-    light.arc = light.arc * np.interp(angle, profile, continuum / continuum[0]).astype(np.float32)
+def _veiling_glare(light: Light, view: View, condition: Condition, values: Values, draw: Draw) -> None:
+    share = np.float32(values["share"])
+    light.spread(np.float32(1) - share, share, view.mean)
 
 
 EFFECTS = (
+    Effect(
+        id="dirty_window",
+        stage=Stage.OPTICS,
+        summary="patches fixed in the image that dim and scatter",
+        equation="all light x product (1 - dimming g) + mean x sum scatter g over up to three patches, g a "
+        "Gaussian of 1 sigma radius about (u, v): right of and below the image's middle, in half diagonals",
+        source="Gu, Ramamoorthi, Belhumeur and Nayar 2009 (ACM TOG 28(5), 144): attenuation and scatter maps "
+        "of dirty lenses, smooth because out of focus",
+        parameters=tuple(
+            parameter
+            for n, (u, v) in zip(PATCHES, ((-0.4, -0.3), (0.4, -0.3), (0.0, 0.3)), strict=True)
+            for parameter in (
+                Parameter(f"u_{n}", "", u, 0.5, -1.0, 1.0, 0.01),
+                Parameter(f"v_{n}", "", v, 0.4, -1.0, 1.0, 0.01),
+                Parameter(f"radius_{n}", "", 0.2, 0.1, 0.02, 2.0, 0.01),
+                Parameter(f"dimming_{n}", "", 0.0, 0.3, 0.0, 1.0, 0.005),
+                Parameter(f"scatter_{n}", "", 0.0, 0.2, 0.0, 2.0, 0.005),
+            )
+        ),
+        typical={
+            "u_1": -0.3,
+            "v_1": 0.2,
+            "radius_1": 0.15,
+            "dimming_1": 0.5,
+            "scatter_1": 0.1,
+            "u_2": 0.45,
+            "v_2": -0.15,
+            "radius_2": 0.1,
+            "dimming_2": 0.3,
+            "scatter_2": 0.05,
+        },
+        light=_dirty_window,
+    ),
     Effect(
         id="filter_shift",
         stage=Stage.OPTICS,
         summary="the passband moves to shorter wavelengths off axis: the laser line dims towards the rim, "
         "the arc's continuum hardly",
-        equation="laser' = laser T(lambda / s) / T(lambda), s = sqrt(1 - shift_share sin^2 theta / n_eff^2)",
+        equation="laser' = laser T(lambda / s) / T(lambda), s = sqrt(1 - shift_share sin^2 theta / n_eff^2); "
+        "arc' = arc integral B(lambda) T(lambda / s) d lambda over the same at s = 1",
         source="Smith, Modern Optical Engineering, ch. 11; 1 is the whole shift of the stated filter",
         parameters=(Parameter("shift_share", "", 0.0, 0.5, 0.0, 6.0, 0.01),),
         typical={"shift_share": 1.0},
@@ -93,29 +136,16 @@ EFFECTS = (
         id="vignetting",
         stage=Stage.OPTICS,
         summary="more fall-off than cos^4",
-        equation="all light x (1 - loss rho^2), rho the distance from the image's middle in half diagonals",
-        source="Kang and Weiss 2000 (ECCV): the geometric factor beside cos^4",
-        parameters=(Parameter("loss", "", 0.0, 0.1, 0.0, 0.95, 0.002),),
+        equation="all light x (1 - loss rho^2 - corner_loss rho^4), at least 0; rho the distance from the "
+        "principal point in half diagonals",
+        source="Goldman and Chen 2005 (ICCV): even powers of the radius; Kang and Weiss 2000 (ECCV) take "
+        "1 - alpha r beside cos^4",
+        parameters=(
+            Parameter("loss", "", 0.0, 0.1, -0.5, 0.95, 0.002),
+            Parameter("corner_loss", "", 0.0, 0.1, -0.5, 0.95, 0.002),
+        ),
         typical={"loss": 0.4},
         light=_vignetting,
-    ),
-    Effect(
-        id="dirty_window",
-        stage=Stage.OPTICS,
-        summary="patches fixed in the image that dim and scatter",
-        equation="all light x (1 - dimming g) + scatter g mean, g a Gaussian patch at (u, v) of 1 sigma "
-        "radius, all in half diagonals from the image's middle",
-        source="Gu, Ramamoorthi, Belhumeur and Nayar 2009 (ACM TOG 28(5), 144): attenuation and scatter maps "
-        "of dirty lenses",
-        parameters=(
-            Parameter("u", "", 0.0, 0.5, -1.0, 1.0, 0.01),
-            Parameter("v", "", 0.0, 0.4, -1.0, 1.0, 0.01),
-            Parameter("radius", "", 0.2, 0.1, 0.02, 2.0, 0.01),
-            Parameter("dimming", "", 0.0, 0.3, 0.0, 1.0, 0.005),
-            Parameter("scatter", "", 0.0, 0.2, 0.0, 2.0, 0.005),
-        ),
-        typical={"u": -0.3, "v": 0.2, "radius": 0.15, "dimming": 0.5, "scatter": 0.1},
-        light=_dirty_window,
     ),
     Effect(
         id="defocus",

@@ -6,9 +6,9 @@ import math
 from dataclasses import replace
 
 import numpy as np
-from scipy.ndimage import correlate1d
+from scipy.signal import lfilter
 
-from noise_model.condition import Condition
+from noise_model.condition import Condition, settling
 from noise_model.effects.effect import Draw, Effect, Stage, Values
 from noise_model.effects.light import Light
 from noise_model.fit import Parameter
@@ -20,7 +20,7 @@ PATTERN_SEED = 20_261
 
 
 def _exposure_drift(condition: Condition, values: Values) -> Condition:
-    factor = math.exp(values["rate_per_s"] * condition.timestamp_s)
+    factor = settling(values["rate_per_s"], values["settle_s"], condition.timestamp_s)
     return replace(condition, exposure_s=condition.exposure_s * factor)
 
 
@@ -31,8 +31,7 @@ def _fixed_pattern(light: Light, view: View, condition: Condition, values: Value
         return
     camera = view.setup.camera
     pattern = np.random.default_rng(PATTERN_SEED).standard_normal((camera.height, camera.width))
-    u, v = (view.uv_px[..., i].astype(np.intp) for i in range(2))
-    light.scale(np.maximum(1.0 + sigma * pattern[v, u], 0.0).astype(np.float32))
+    light.scale(np.maximum(1.0 + sigma * pattern, 0.0).astype(np.float32))
 
 
 def _blooming(light: Light, view: View, condition: Condition, values: Values, draw: Draw) -> None:
@@ -42,12 +41,16 @@ def _blooming(light: Light, view: View, condition: Condition, values: Values, dr
     excess = np.maximum(light.total - well, 0.0)
     if not excess.any():
         return
-    reach = values["reach_px"]
-    away = np.arange(1, max(2, math.ceil(8.0 * reach)))
-    fall = np.exp(-away / reach)
-    fall *= 0.5 * values["spill"] / fall.sum()
-    weights = np.concatenate([fall[::-1], [0.0], fall])
-    light.other = light.other + correlate1d(excess, weights, axis=0, mode="constant").astype(np.float32)
+    columns = np.flatnonzero(excess.any(axis=0))
+    fall = math.exp(-1.0 / values["reach_px"])
+    # A recursive filter: each pixel hands on the share `fall` of what came to it and of its own excess.
+    gain = 0.5 * values["spill"] * (1.0 - fall) / fall
+    full = excess[:, columns].astype(np.float64)
+    down = lfilter([0.0, gain * fall], [1.0, -fall], full, axis=0)
+    up = lfilter([0.0, gain * fall], [1.0, -fall], full[::-1], axis=0)[::-1]
+    spilled = light.other.copy()
+    spilled[:, columns] += (down + up).astype(np.float32)
+    light.other = spilled
 
 
 def _gamma(setup: Setup, values: Values) -> Setup:
@@ -70,9 +73,12 @@ EFFECTS = (
         id="exposure_drift",
         stage=Stage.SENSOR,
         summary="gain or exposure changes over the recording",
-        equation="all charge x exp(rate_per_s t), t since the first frame",
+        equation="all charge x exp(rate_per_s settle_s (1 - exp(-t / settle_s))), t since the first frame",
         source="a camera's automatic exposure or gain left on; black level and read noise stay",
-        parameters=(Parameter("rate_per_s", "1/s", 0.0, 0.05, -1.0, 1.0, 0.001),),
+        parameters=(
+            Parameter("rate_per_s", "1/s", 0.0, 0.05, -1.0, 1.0, 0.001),
+            Parameter("settle_s", "s", 30.0, 30.0, 0.2, 1000.0, 0.1),
+        ),
         typical={"rate_per_s": 0.2},
         condition=_exposure_drift,
     ),
@@ -91,8 +97,9 @@ EFFECTS = (
         stage=Stage.SENSOR,
         summary="saturated pixels spill along columns",
         equation="of each pixel's charge beyond full well the share spill goes up and down its column, "
-        "falling as exp(-distance / reach_px)",
-        source="Theuwissen, Solid-State Imaging with Charge-Coupled Devices, ch. 6",
+        "falling as exp(-distance / reach_px); what passes the image's rim is lost",
+        source="Theuwissen 1995, Solid-State Imaging with Charge-Coupled Devices: a full well overflows into "
+        "its column's neighbours, where the barriers are lowest; the exponential is a form of our own",
         parameters=(
             Parameter("spill", "", 0.0, 0.3, 0.0, 1.0, 0.005),
             Parameter("reach_px", "px", 20.0, 15.0, 0.5, 400.0, 0.5),

@@ -36,6 +36,7 @@ def _arc_radius(setup: Setup, values: Values) -> Setup:
 
 
 def _arc_flicker(light: Light, view: View, condition: Condition, values: Values, draw: Draw) -> None:
+    # Behind the lens, where all of the arc's light is together: what lies before takes it by its factors.
     sigma = values["sigma_rel"]
     if draw is None:
         light.modes["arc_flicker"] = np.float32(sigma) * light.arc
@@ -58,8 +59,8 @@ EFFECTS = (
         stage=Stage.SOURCE,
         summary="the arc's centre stands higher than stated",
         equation="center_z' = center_z + height_mm",
-        source="the arc's light comes from where the plasma is hottest, whose height goes with the arc gap "
-        "and voltage (Hsu, Etemadi and Pfender 1983, J. Appl. Phys. 54, 1293)",
+        source="the plasma is hottest, and so brightest, near the cathode (Hsu, Etemadi and Pfender 1983, "
+        "J. Appl. Phys. 54, 1293): the light's height goes with the arc gap",
         parameters=(Parameter("height_mm", "mm", 0.0, 1.0, -3.0, 8.0, 0.02),),
         typical={"height_mm": 1.5},
         setup=_arc_length,
@@ -96,7 +97,7 @@ EFFECTS = (
         source="ripple and pulsing of the current pass into the light (Eq. 15: L ~ I^n)",
         parameters=(Parameter("sigma_rel", "", 0.0, 0.2, 0.0, 1.0, 0.005),),
         typical={"sigma_rel": 0.2},
-        light=_arc_flicker,
+        image=_arc_flicker,
     ),
     Effect(
         id="argon_line_leak",
