@@ -39,3 +39,21 @@ def paper(
             typer.echo(f"{path} and .csv")
     except OSError as error:
         raise in_file(out, f"cannot be written: {error}") from None
+
+
+@figures.command(epilog="Example: arctrack figures effects --out /tmp/effects")
+def effects(
+    out: Annotated[Path, typer.Option(help="Folder for effects.md and figures/effects/; made if missing.")],
+) -> None:
+    """Write the page on effects, effects.md, and draw each of them as figures/effects/ID.png beside it."""
+    from arctrack.cli import console
+    from arctrack.report import effects_page
+    from noise_model.effects import REGISTRY
+
+    try:
+        with console.progress() as bar:
+            task = bar.add_task("effects", total=len(REGISTRY))
+            effects_page.write(out, REGISTRY, lambda path: bar.advance(task))
+    except OSError as error:
+        raise in_file(out, f"cannot be written: {error}") from None
+    typer.echo(f"{out / effects_page.PAGE} and its pictures, {out / effects_page.PICTURES}/*.png")
