@@ -147,8 +147,8 @@ def seam_covariance_mm2(
     good = np.isfinite(gradient).all(axis=1) & np.isfinite(weight)
     information = (gradient[good] * weight[good, np.newaxis]).T @ gradient[good]
     information[0, 0] += edge_sigma_mm**-2
-    # 1e-9 of the larger: a direction that no line sees, but for rounding.
-    if not np.linalg.eigvalsh(information)[0] > 1e-9 * np.trace(information):
+    # A direction that no line sees, but for rounding.
+    if not np.linalg.det(information) > 1e-9 * np.trace(information) ** 2:
         return np.full((2, 2), np.nan)
     return np.linalg.inv(information)
 

@@ -11,6 +11,7 @@ import typer
 from arctrack.cli.calibrate import calibrate
 from arctrack.cli.figures import figures
 from arctrack.cli.inspect import inspect
+from arctrack.cli.plan import plan
 from arctrack.cli.replay import replay
 from arctrack.cli.simulate import simulate
 from arctrack.errors import ArctrackError
@@ -29,6 +30,7 @@ app = typer.Typer(
 app.command(epilog="Example: arctrack replay examples/v_groove --out /tmp/results")(replay)
 app.command(epilog="Example: arctrack inspect examples/v_groove --out /tmp/v_groove.png")(inspect)
 app.command(epilog="Example: arctrack simulate /tmp/lap --joint lap --material zn_coated --seed 7")(simulate)
+app.command(epilog="Example: arctrack plan examples/v_groove --out /tmp/plan")(plan)
 app.add_typer(calibrate)
 app.add_typer(figures)
 

@@ -1,0 +1,133 @@
+"""`arctrack plan`: where to put camera and laser, and where along the path the noise will blind them."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from arctrack.errors import ArctrackError, in_file
+
+if TYPE_CHECKING:
+    from noise_model.frames import Float64
+    from noise_model.planning import Plan, PlanOptions
+    from noise_model.setup import Setup
+
+Pair = tuple[float, float]
+
+
+def plan(
+    source: Annotated[Path, typer.Argument(help="A recording, or a folder or file with a recording.toml.")],
+    out: Annotated[Path, typer.Option(help="Folder for tables and pictures; made if missing.")],
+    recorded: Annotated[
+        bool, typer.Option("--recorded", help="Follow the recording's own poses, not the nominal seam.")
+    ] = False,
+    tilt: Annotated[Pair, typer.Option(help="Tilts of the camera to try, deg: least and most.")] = (
+        10.0,
+        60.0,
+    ),
+    azimuth: Annotated[
+        Pair | None, typer.Option(help="Azimuths to try, deg, 0 ahead of the stripe; default: all around.")
+    ] = None,
+    preview: Annotated[Pair, typer.Option(help="Torch to stripe, mm: least and most.")] = (20.0, 50.0),
+    stand_off: Annotated[Pair, typer.Option(help="Camera to plate, mm: least and most.")] = (100.0, 250.0),
+    filter_nm: Annotated[
+        list[float] | None, typer.Option(help="A filter's width to try, nm; repeat it. Default: 5, 10, 20.")
+    ] = None,
+    exposure_ms: Annotated[
+        float | None, typer.Option(help="The longest exposure to try; default: twice the setup's.")
+    ] = None,
+    lean: Annotated[
+        float, typer.Option(help="How far the torch may lean where the sensor is blind, deg.")
+    ] = 10.0,
+    torch_radius: Annotated[
+        float, typer.Option(help="The torch's radius, mm, that the camera must look past; 0: no matter.")
+    ] = 12.5,
+    limit: Annotated[
+        float | None,
+        typer.Option(
+            help="A larger 1 sigma of the seam, mm, is blind; default: half of [tolerance] seam_mm."
+        ),
+    ] = None,
+    speckle: Annotated[
+        float, typer.Option(help="Speckle contrast of the laser, 0 to 1; 0 leaves the speckle floor out.")
+    ] = 1.0,
+) -> None:
+    """Search sensor designs for the least expected error of the seam; say where along the path it is blind.
+
+    The error is the Cramer-Rao bound under the predicted noise of stripe and arc, with the speckle floor.
+    """
+    from arctrack.cli import console
+    from arctrack.cli.plan_text import print_plan
+    from noise_model.plan_noise import Surroundings
+    from noise_model.planning import PlanOptions
+
+    setup, poses = _read(source, recorded)
+    try:
+        options = PlanOptions(
+            tilt_deg=tilt,
+            azimuth_deg=azimuth,
+            preview_mm=preview,
+            stand_off_mm=stand_off,
+            filters_nm=tuple(filter_nm or PlanOptions.filters_nm),
+            most_exposure_s=None if exposure_ms is None else 1e-3 * exposure_ms,
+            lean_deg=lean,
+            torch_radius_mm=torch_radius,
+            limit_mm=limit,
+            around=Surroundings(speckle_contrast=speckle),
+        )
+    except ValueError as error:
+        raise ArctrackError(str(error)) from None
+    if setup.effects:
+        console.warn([f"{source}: [effects] have no part in a plan: {', '.join(setup.effects)}"])
+    made = _plan(source, setup, options, poses)
+    print_plan(console.tables(), made)
+    _write(made, torch_radius, out)
+    typer.echo(f"tables and pictures in {out}")
+
+
+def _read(source: Path, recorded: bool) -> tuple[Setup, list[Float64] | None]:
+    from arctrack.cli import console
+    from arctrack.recording import read_recording, read_setup_file
+    from arctrack.recording.setup_file import FILE_NAME
+
+    if recorded:
+        read = read_recording(source)
+        console.warn(read.warnings)
+        return read.setup, list(read.poses.T_base_tool)
+    file = source / FILE_NAME if source.is_dir() else source
+    stated = read_setup_file(file)
+    console.warn(f"{file}: {key} is not known and has no effect" for key in stated.unknown_keys)
+    return stated.setup, None
+
+
+def _plan(source: Path, setup: Setup, options: PlanOptions, poses: list[Float64] | None) -> Plan:
+    from arctrack.cli import console
+    from noise_model.planning import make_plan
+
+    with console.progress() as bar:
+        tasks = {}
+
+        def tell(stage: str, done: int, of: int) -> None:
+            if stage not in tasks:
+                tasks[stage] = bar.add_task(stage, total=of)
+            bar.update(tasks[stage], completed=done)
+
+        try:
+            return make_plan(setup, options, poses, tell)
+        except ValueError as error:
+            raise in_file(source, str(error)) from None
+
+
+def _write(made: Plan, torch_radius_mm: float, out: Path) -> None:
+    from arctrack.report.plan import draw_designs, draw_path
+    from arctrack.report.plan_files import PATH_PICTURE, PLAN_PICTURE, write_tables
+
+    write_tables(made, out)
+    pictures = {PLAN_PICTURE: draw_designs(made, torch_radius_mm), PATH_PICTURE: draw_path(made)}
+    for name, figure in pictures.items():
+        try:
+            figure.savefig(out / name)
+        except OSError as error:
+            raise in_file(out / name, f"cannot be written: {error.strerror}") from None

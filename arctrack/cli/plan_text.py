@@ -1,0 +1,136 @@
+"""A plan in words: the designs worth a look, the paper's two rules, where the sensor is blind."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+
+import numpy as np
+from rich.console import Console
+from rich.table import Table
+
+from noise_model.plan_avoid import Cure
+from noise_model.plan_rules import Rule
+from noise_model.plan_search import Candidate
+from noise_model.planning import Plan
+
+MOST_STRETCHES = 12
+"""Blind stretches that are printed; path.csv has them all."""
+
+
+def print_plan(console: Console, plan: Plan) -> None:
+    """Print the tables."""
+    console.print(_designs(plan))
+    for rule_lines in (_rules(plan), _path(plan)):
+        console.print()
+        for text in rule_lines:
+            console.print(text, markup=False, soft_wrap=True)
+    if plan.cures:
+        console.print(_cures(plan))
+    if len(plan.cures) > MOST_STRETCHES:
+        console.print(f"and {len(plan.cures) - MOST_STRETCHES} more stretches, see path.csv", markup=False)
+
+
+def _designs(plan: Plan) -> Table:
+    table = Table(
+        title="sensor designs: 1 sigma of the seam against preview and stand-off",
+        title_justify="left",
+        title_style="bold",
+    )
+    headings = ("", "σ mm", "σ y", "σ z", "tilt", "azimuth", "preview", "stand-off", "filter", "exposure")
+    for heading in (*headings, "triang.", "σ px", "arc/stripe", "blind"):
+        table.add_column(heading, justify="right" if heading else "left", no_wrap=True)
+    for name, candidate in [("yours", plan.own), *(("", c) for c in plan.front)]:
+        table.add_row(name, *_cells(candidate))
+    return table
+
+
+def _cells(candidate: Candidate) -> Iterator[str]:
+    design = candidate.design
+    yield from (_number(v) for v in (candidate.sigma_mm, candidate.sigma_y_mm, candidate.sigma_z_mm))
+    yield f"{design.tilt_deg:.0f}°"
+    yield f"{design.azimuth_deg:.0f}°"
+    yield f"{design.preview_mm:.0f} mm"
+    yield f"{design.stand_off_mm:.0f} mm"
+    yield f"{design.filter_fwhm_nm:g} nm"
+    yield f"{1e3 * design.exposure_s:.2f} ms"
+    yield f"{design.triangulation_deg:.0f}°"
+    yield _number(candidate.sigma_px)
+    yield _number(candidate.arc_over_stripe)
+    yield f"{100.0 * candidate.blind_share:.0f} %"
+
+
+def _rules(plan: Plan) -> Iterator[str]:
+    """Yield the paper's rules as outcomes for the user's material."""
+    rules = plan.rules
+    yield f"the paper's rules, for {plan.setup.material.name} and this joint:"
+    yield f"  small tilt: {_outcomes(rules.tilt, 'tilt')}"
+    yield f"  small tilt of the whole head, laser included: {_outcomes(rules.head, 'tilt')}"
+    yield f"  out of the plane of incidence: {_outcomes(rules.azimuth, 'azimuth')}"
+    for name, rule in (("tilt", rules.tilt), ("head", rules.head), ("azimuth", rules.azimuth)):
+        yield f"  {name:8}" + "".join(f"{angle:>9.0f}°" for angle in rule.angles_deg)
+        yield "  arc/str." + "".join(f"{_number(c.arc_over_stripe):>10}" for c in rule.tried)
+        yield "  σ mm    " + "".join(f"{_number(c.sigma_mm):>10}" for c in rule.tried)
+        yield "  σ z mm  " + "".join(f"{_number(c.sigma_z_mm):>10}" for c in rule.tried)
+
+
+def _outcomes(rule: Rule, angle: str) -> str:
+    if math.isnan(rule.light_ratio):
+        return "cannot be told: fewer than two angles show the whole path"
+    return (
+        f"for the light it {rule.light.value} (arc over stripe at {angle} {rule.broken_deg:.0f}° is "
+        f"{_number(rule.light_ratio)} times that at {rule.kept_deg:.0f}°), for the seam it {rule.seam.value} "
+        f"(σ {_number(rule.seam_ratio)} times; least at {rule.best_deg:.0f}°)"
+    )
+
+
+def _path(plan: Plan) -> Iterator[str]:
+    along = plan.along
+    station, sigma = along.path.station_mm, along.column("sigma_mm")
+    known = sigma[np.isfinite(sigma)]
+    reach = f"{station[0]:.0f} to {station[-1]:.0f} mm of {along.path.length_mm:.0f} mm"
+    yield f"path: {len(station)} stations, {reach}"
+    if len(known):
+        median, most = (_number(float(value)) for value in (np.median(known), known.max()))
+        yield f"  seam's σ {median} mm in the median, {most} mm at most"
+    blind = sum(cure.last - cure.first + 1 for cure in plan.cures)
+    if not blind:
+        yield f"  nowhere blind: σ is below {plan.limit_mm:g} mm at every station"
+    else:
+        yield (
+            f"  blind (σ above {plan.limit_mm:g} mm or unknown) at {blind} of {len(station)} stations; "
+            "what helps, each by itself, and the σ that it leaves:"
+        )
+
+
+def _cures(plan: Plan) -> Table:
+    table = Table()
+    for heading in (
+        "torch at mm",
+        "shorter exposure",
+        "σ mm",
+        "torch lean travel, work",
+        "σ mm",
+        "camera",
+        "σ mm",
+    ):
+        table.add_column(heading, justify="right", no_wrap=True)
+    station = plan.along.path.station_mm
+    for cure in plan.cures[:MOST_STRETCHES]:
+        table.add_row(f"{station[cure.first]:.0f} to {station[cure.last]:.0f}", *_cure_cells(cure))
+    return table
+
+
+def _cure_cells(cure: Cure) -> Iterator[str]:
+    moved = cure.moved.design
+    yield from _if_seen(f"{1e3 * cure.exposed.design.exposure_s:.2f} ms", cure.exposed)
+    yield from _if_seen(f"{cure.lean_deg[0]:+.0f}°, {cure.lean_deg[1]:+.0f}°", cure.leaned)
+    yield from _if_seen(f"tilt {moved.tilt_deg:.0f}°, azimuth {moved.azimuth_deg:.0f}°", cure.moved)
+
+
+def _if_seen(cure: str, candidate: Candidate) -> tuple[str, str]:
+    return (cure, _number(candidate.sigma_mm)) if math.isfinite(candidate.sigma_mm) else ("none", "–")
+
+
+def _number(value: float) -> str:
+    return f"{value:.2g}" if math.isfinite(value) else "–"

@@ -1,0 +1,224 @@
+"""How well one pose shows the seam: each scan line's bound in its expected noise, and all together."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field
+
+import numpy as np
+import numpy.typing as npt
+
+from noise_model.bound import (
+    AMPLITUDE,
+    POSITION,
+    pixel_contrast,
+    sampled_edge_sigma_mm,
+    seam_covariance_mm2,
+    speckle_image_sigma_mm,
+    stripe_sigmas,
+)
+from noise_model.frames import Float64
+from noise_model.plan import design_of, filter_gains
+from noise_model.plan_light import ARC_PLACES, HALF_WINDOW_SIGMAS, StripeLight
+from noise_model.sensor import Sensor, linearise, saturation_dn, variance_e2
+from noise_model.setup import Setup
+from noise_model.spectrum import ArcSpectrum, Filter, FilterCurve
+from noise_model.surface import Joint, section
+
+Bool = npt.NDArray[np.bool_]
+
+NODES = 33
+"""Nodes across a scan line's window: a quarter of the stripe's sigma apart, as good as an integral."""
+
+DETECT_SIGMAS = 5.0
+"""A stripe fainter than this many of its amplitude's own bounds is not found among false ones."""
+
+LEAST_LINES = 5.0
+"""Scan lines that must be read on either side of the seam before it can be told."""
+
+HEADROOM_SIGMAS = 4.0
+"""How far below saturation the longest exposure keeps the brightest expected pixel, in its own noise."""
+
+_T = np.linspace(-HALF_WINDOW_SIGMAS, HALF_WINDOW_SIGMAS, NODES)
+_PLACES = np.linspace(-HALF_WINDOW_SIGMAS, HALF_WINDOW_SIGMAS, ARC_PLACES)
+_TO_NODES = np.array([np.interp(_T, _PLACES, unit) for unit in np.eye(ARC_PLACES)])
+
+
+@dataclass(frozen=True)
+class Surroundings:
+    """What a plan takes for granted beside the setup.
+
+    `speckle_contrast` of the laser before the pixels average it, 1 for a coherent one on a rough surface, 0
+    to leave the floor out; `spectrum` of the arc.
+    """
+
+    speckle_contrast: float = 1.0
+    spectrum: ArcSpectrum = field(default_factory=ArcSpectrum)
+
+    def __post_init__(self) -> None:
+        if not 0.0 <= self.speckle_contrast <= 1.0:
+            raise ValueError(f"speckle contrast {self.speckle_contrast:g}: must be 0 to 1")
+
+
+@dataclass(frozen=True, eq=False)
+class ExpectedPixels:
+    """What n rays' pixels are expected to hold at the setup's exposure, e-.
+
+    `stripe_e` (n,) the stripe's peak, `arc_e` (n, NODES) the arc's light across the window.
+    """
+
+    stripe_e: Float64
+    arc_e: Float64
+
+    @property
+    def mean_e(self) -> Float64:
+        """Stripe and arc across the window (n, NODES)."""
+        return self.stripe_e[:, np.newaxis] * np.exp(-0.5 * _T**2) + self.arc_e
+
+
+@dataclass(frozen=True, eq=False)
+class LineBounds:
+    """The rays of a `StripeLight` as read: per ray (n,).
+
+    `sigma_px` the bound of the stripe's position, NaN where it cannot be read; `readable`; `saturated`;
+    `arc_over_stripe` at the stripe's centre, NaN where unseen.
+    """
+
+    sigma_px: Float64
+    readable: Bool
+    saturated: Bool
+    arc_over_stripe: Float64
+
+
+@dataclass(frozen=True)
+class SeamNoise:
+    """What one pose shows of the seam, 1 sigma: `sigma_y_mm` to the side, `sigma_z_mm` in height.
+
+    `sigma_mm` is the root of their squares' sum; all NaN where the seam cannot be told. `sigma_px` is
+    the median over the scan lines within reach that can be read and `arc_over_stripe` over those that are
+    seen, NaN where there is none; `blind_share` is the share of lines that cannot be read: hidden, out of the
+    image, drowned or saturated, the last also alone.
+    """
+
+    sigma_y_mm: float
+    sigma_z_mm: float
+    sigma_px: float
+    arc_over_stripe: float
+    blind_share: float
+    saturated_share: float
+
+    @property
+    def sigma_mm(self) -> float:
+        """The root of the sum of both squares."""
+        return math.hypot(self.sigma_y_mm, self.sigma_z_mm)
+
+
+BLIND = SeamNoise(math.nan, math.nan, math.nan, math.nan, 1.0, 0.0)
+
+
+def speckle_floor_px(setup: Setup, contrast: float) -> float:
+    """Return the speckle floor of a scan line's position, px, for the lens at the setup's stand-off.
+
+    Dorsch et al. 1994 in the image, `bound.speckle_image_sigma_mm`, with N' = N (1 + m) of a thin lens
+    focused on the plate, and the contrast that a pixel's width along the stripe leaves.
+    """
+    camera = setup.camera
+    f = camera.focal_length_mm
+    magnification = f / max(design_of(setup).stand_off_mm - f, f)
+    image_f_number = camera.f_number * (1.0 + magnification)
+    pixel_mm = f / math.sqrt(camera.fx * camera.fy)
+    wavelength_mm = 1e-6 * setup.laser.wavelength_nm
+    left = contrast * pixel_contrast(wavelength_mm, image_f_number, pixel_mm)
+    return speckle_image_sigma_mm(wavelength_mm, image_f_number, left) / pixel_mm
+
+
+def saturation_e(sensor: Sensor) -> float:
+    """Return the charge from which on a pixel says no more than 'at least this bright'."""
+    return min(sensor.full_well_e, float(linearise(saturation_dn(sensor), sensor)))
+
+
+def expected_pixels(
+    light: StripeLight, setup: Setup, around: Surroundings, optics: Filter | FilterCurve | None = None
+) -> ExpectedPixels:
+    """Return the expected pixels of a light behind a filter, the setup's own if none is given."""
+    laser_nm = setup.laser.wavelength_nm
+    gains = filter_gains(setup.filter, optics or setup.filter, laser_nm, around.spectrum, light.theta)
+    stripe = np.where(light.seen, light.stripe_e, 0.0) * gains[0]
+    return ExpectedPixels(stripe, (light.arc_e * gains[1][:, np.newaxis]) @ _TO_NODES)
+
+
+def line_bounds(
+    light: StripeLight, pixels: ExpectedPixels, sensor: Sensor, floor_px: float, exposure: float = 1.0
+) -> LineBounds:
+    """Return how well each ray's scan lines can be read at an exposure over the setup's.
+
+    The noise is that of the expected pixels: shot noise of stripe and arc, read noise, quantisation.
+    """
+    stripe = pixels.stripe_e * exposure
+    mean = exposure * pixels.mean_e
+    width = np.where(light.seen, light.width_px, 1.0)
+    spacing = width * (_T[1] - _T[0])
+    sigmas = stripe_sigmas(width[:, np.newaxis] * _T, stripe, width, variance_e2(mean, sensor), spacing)
+    saturated = light.seen & (mean.max(axis=1, initial=0.0) >= saturation_e(sensor))
+    with np.errstate(divide="ignore", invalid="ignore"):
+        found = stripe > DETECT_SIGMAS * sigmas[:, AMPLITUDE]
+        ratio = np.where(light.seen, pixels.arc_e[:, NODES // 2] / pixels.stripe_e, np.nan)
+    readable = light.seen & found & ~saturated
+    sigma = np.where(readable, np.hypot(sigmas[:, POSITION], floor_px), np.nan)
+    return LineBounds(sigma, readable, saturated, ratio)
+
+
+def seam_noise(light: StripeLight, bounds: LineBounds, joint: Joint) -> SeamNoise:
+    """Return what the scan lines make of the seam point."""
+    lines = float(light.lines.sum())
+    if not lines > 0.0:
+        return BLIND
+    read = bounds.readable
+    share = float(light.lines[read].sum()) / lines
+    saturated = float(light.lines[bounds.saturated].sum()) / lines
+    ratio = float(np.median(bounds.arc_over_stripe[light.seen])) if light.seen.any() else math.nan
+    if not read.any():
+        return SeamNoise(math.nan, math.nan, math.nan, ratio, 1.0, saturated)
+    y = light.points[:, 1]
+    sides = [read & (side * y > 0.0) & (np.abs(y) < _half_mouth_mm(joint)) for side in (-1.0, 1.0)]
+    sigma_y = sigma_z = math.nan
+    if min(float(light.lines[side].sum()) for side in sides) >= LEAST_LINES:
+        covariance = seam_covariance_mm2(
+            light.normals, light.moves, bounds.sigma_px, light.lines, _edge_sigma_mm(light, read, joint)
+        )
+        sigma_y, sigma_z = (float(v) for v in np.sqrt(np.diagonal(covariance)))
+    return SeamNoise(sigma_y, sigma_z, float(np.median(bounds.sigma_px[read])), ratio, 1.0 - share, saturated)
+
+
+def longest_exposure(brightest_e: float, sensor: Sensor) -> float:
+    """Return the longest exposure, over that which gives `brightest_e`, that saturates nothing expected."""
+    full = saturation_e(sensor)
+    noise = math.sqrt(float(variance_e2(full, sensor)))
+    return max(full - HEADROOM_SIGMAS * noise, 0.1 * full) / max(brightest_e, 1e-9)
+
+
+def _half_mouth_mm(joint: Joint) -> float:
+    """Return within how far of the seam the joint's own shape lies: a groove's bevels, else anywhere."""
+    if joint.type != "v_groove":
+        return math.inf
+    vertices = section(joint).vertices
+    return float(vertices[-2, 0])
+
+
+def _edge_sigma_mm(light: StripeLight, read: Bool, joint: Joint) -> float:
+    """Return what a section's upright edge tells of y: it lies between two scan lines that are read.
+
+    Lines between them that could not be read make that wider; what the edge hides can be reckoned with, and
+    the edge's own face says nothing that its rim does not.
+    """
+    vertices = section(joint).vertices
+    upright = np.flatnonzero(np.diff(vertices[:, 0]) == 0.0)
+    if not len(upright):
+        return math.inf
+    y, edge = light.points[:, 1], float(vertices[upright[0], 0])
+    left, right = read & (y < edge), read & (y > edge)
+    if not (left.any() and right.any()):
+        return math.inf
+    between = light.seen & ~read & (light.normals[:, 2] > 1e-6) & (y > y[left].max()) & (y < y[right].min())
+    mm_per_line = float(np.median(light.length_mm[read] / light.lines[read]))
+    return sampled_edge_sigma_mm((1.0 + float(light.lines[between].sum())) * mm_per_line)

@@ -1,0 +1,150 @@
+"""Designs and the setups they make, held against vectors written out and against rendered frames."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from plan_setups import SETUPS, expected_e, steel_groove
+from scipy.constants import c, h, k
+
+from noise_model.forward import stripe_reference
+from noise_model.plan import SensorDesign, clears_torch, design_of, filter_gains, filter_of, with_design
+from noise_model.spectrum import ArcSpectrum, Filter, FilterCurve
+
+DESIGNS = st.builds(
+    SensorDesign,
+    tilt_deg=st.floats(1.0, 65.0),
+    azimuth_deg=st.floats(-179.0, 180.0),
+    preview_mm=st.floats(15.0, 60.0),
+    stand_off_mm=st.floats(80.0, 300.0),
+    lean_deg=st.floats(-30.0, 30.0),
+    filter_fwhm_nm=st.floats(2.0, 30.0),
+    exposure_s=st.floats(1e-4, 2e-2),
+)
+
+
+@pytest.mark.parametrize("name", SETUPS)
+def test_a_setups_own_design_gives_it_back(name: str) -> None:
+    setup = SETUPS[name]
+    made = with_design(setup, design_of(setup))
+    np.testing.assert_allclose(made.camera.T_tool_camera, setup.camera.T_tool_camera, atol=1e-9)
+    np.testing.assert_allclose(made.laser.plane_in_tool, setup.laser.plane_in_tool, atol=1e-12)
+    np.testing.assert_allclose(made.laser.origin_in_tool_mm, setup.laser.origin_in_tool_mm, atol=1e-9)
+    assert made.laser.peak_e == pytest.approx(setup.laser.peak_e, rel=1e-12)
+    assert made.arc.radiance_e == pytest.approx(setup.arc.radiance_e, rel=1e-12)
+
+
+@given(DESIGNS)
+@settings(max_examples=60, deadline=None)
+def test_a_design_is_read_back_from_what_it_made(design: SensorDesign) -> None:
+    made = with_design(steel_groove(), design)
+    found = design_of(made)
+    assert math.remainder(found.azimuth_deg - design.azimuth_deg, 360.0) == pytest.approx(0.0, abs=1e-6)
+    for name in ("tilt_deg", "preview_mm", "stand_off_mm", "lean_deg", "filter_fwhm_nm", "exposure_s"):
+        assert getattr(found, name) == pytest.approx(getattr(design, name), abs=1e-6)
+    # The axis' angle to the plane, and the roll: the stripe along the image's rows.
+    axis, plane = made.camera.T_tool_camera[:3, 2], np.asarray(made.laser.plane_in_tool)
+    assert design.triangulation_deg == pytest.approx(
+        math.degrees(math.asin(min(1.0, abs(float(axis @ plane[:3]))))), abs=1e-6
+    )
+    assert float(made.camera.T_tool_camera[:3, 1] @ [0.0, 1.0, 0.0]) == pytest.approx(0.0, abs=1e-9)
+    # The laser stands as far from the stripe's foot as it did, and in its own plane.
+    origin = np.asarray(made.laser.origin_in_tool_mm)
+    assert np.linalg.norm(origin - [design.preview_mm, 0.0, 0.0]) == pytest.approx(140.0, abs=1e-9)
+    assert plane[:3] @ origin + plane[3] == pytest.approx(0.0, abs=1e-9)
+
+
+def test_a_diffuse_plate_is_as_bright_from_any_distance_and_dimmer_under_a_leaning_sheet() -> None:
+    setup = steel_groove()
+    setup = replace(
+        setup,
+        material=replace(setup.material, kappa_spec=0.0),
+        joint=replace(setup.joint, type="flat"),
+        camera=replace(setup.camera, psf_sigma_px=0.0),
+    )
+    own = design_of(setup)
+
+    def peak(design: SensorDesign) -> float:
+        return float(expected_e(with_design(setup, design), np.eye(4), laser=1.0).max())
+
+    near = peak(replace(own, stand_off_mm=100.0))
+    assert peak(replace(own, stand_off_mm=220.0, preview_mm=50.0)) == pytest.approx(near, rel=0.01)
+    assert peak(replace(own, lean_deg=-25.0)) == pytest.approx(near * math.cos(math.radians(25.0)), rel=0.02)
+    assert peak(replace(own, exposure_s=0.5 * own.exposure_s)) == pytest.approx(0.5 * near, rel=0.01)
+
+
+def test_a_filters_share_of_the_arc_is_its_integral_and_the_laser_drops_off_axis() -> None:
+    wide, narrow = Filter(690.0, 10.0, 1.8), Filter(690.0, 4.0, 1.8)
+    theta = math.radians(9.0)
+    bare = ArcSpectrum(line_width_nm=0.0)
+    laser, arc = filter_gains(wide, narrow, 690.0, bare, np.array([0.0, theta]))
+    fine = np.linspace(640.0, 740.0, 200001)
+    planck = fine**-5.0 / np.expm1(h * c / (fine * 1e-9 * k * 12000.0))
+
+    def passed(fwhm: float, shift: float) -> float:
+        return float(np.sum(planck * 2.0 ** -(((fine / shift - 690.0) / (0.5 * fwhm)) ** 2)))
+
+    shift = math.sqrt(1.0 - (math.sin(theta) / 1.8) ** 2)
+    assert arc[0] == pytest.approx(passed(4.0, 1.0) / passed(10.0, 1.0), rel=1e-6)
+    assert arc[1] == pytest.approx(passed(4.0, shift) / passed(10.0, 1.0), rel=1e-3)
+    assert laser[0] == pytest.approx(1.0)
+    assert laser[1] == pytest.approx(2.0 ** -(((690.0 / shift - 690.0) / 2.0) ** 2), rel=0.02)
+    # With lines 6 nm beside the laser a wide filter passes more than its share of continuum.
+    assert filter_gains(wide, narrow, 690.0, ArcSpectrum(), 0.0)[1] < arc[0]
+
+
+def test_a_measured_curve_is_kept_at_its_own_width_and_else_replaced() -> None:
+    wavelength = np.linspace(670.0, 710.0, 401)
+    curve = FilterCurve(wavelength, 0.8 * np.exp2(-(((wavelength - 691.0) / 4.0) ** 2)), 1.8)
+    setup = replace(steel_groove(), filter=curve)
+    own = design_of(setup)
+    assert own.filter_fwhm_nm == pytest.approx(8.0, abs=0.05)
+    assert filter_of(setup, own.filter_fwhm_nm) is curve
+    other = filter_of(setup, 5.0)
+    assert isinstance(other, Filter)
+    assert (other.fwhm_nm, other.center_nm) == (5.0, pytest.approx(691.0, abs=0.05))
+    assert with_design(setup, replace(own, filter_fwhm_nm=5.0)).filter == other
+
+
+@given(DESIGNS, st.floats(1.0, 30.0))
+@settings(max_examples=100, deadline=None)
+def test_the_torch_is_where_the_axis_comes_near_it(design: SensorDesign, radius: float) -> None:
+    tilt, azimuth = math.radians(design.tilt_deg), math.radians(design.azimuth_deg)
+    up = np.array([math.sin(tilt) * math.cos(azimuth), math.sin(tilt) * math.sin(azimuth), math.cos(tilt)])
+    walk = np.array([design.preview_mm, 0.0, 0.0]) + np.linspace(0, design.stand_off_mm, 20001)[:, None] * up
+    nearest = float(np.hypot(*walk[walk[:, 2] > 10.0, :2].T).min())
+    if abs(nearest - radius) > 0.05:
+        assert clears_torch(design, radius) == (nearest > radius)
+    assert clears_torch(design, 0.0)
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"tilt_deg": 86.0}, "tilt"),
+        ({"lean_deg": -90.0}, "lean"),
+        ({"stand_off_mm": 0.0}, "stand_off_mm"),
+        ({"exposure_s": math.nan}, "exposure_s"),
+        ({"preview_mm": math.inf}, "preview_mm"),
+    ],
+)
+def test_a_design_that_cannot_be_is_refused(changes: dict[str, float], message: str) -> None:
+    with pytest.raises(ValueError, match=message):
+        replace(design_of(steel_groove()), **changes)
+
+
+def test_setups_without_a_design_are_refused() -> None:
+    setup = steel_groove()
+    along = replace(setup, laser=replace(setup.laser, plane_in_tool=(0.0, 1.0, 0.0, 0.0)))
+    with pytest.raises(ValueError, match="along the seam"):
+        design_of(along)
+    upward = setup.camera.T_tool_camera.copy()
+    upward[:3, 1:3] *= -1.0
+    with pytest.raises(ValueError, match="look down"):
+        design_of(replace(setup, camera=replace(setup.camera, T_tool_camera=upward)))
+    assert stripe_reference(setup) > 0.0
