@@ -36,7 +36,8 @@ GREYS, CHANGE, SCATTER = "gray", "RdBu_r", "viridis"
 """The colour maps of frames, differences and standard deviations."""
 
 WIDTH_INCH = 8.4
-CAPTION_LETTERS = 138
+TITLE_LETTERS, CAPTION_LETTERS = 88, 138
+TITLE_INCH, CAPTION_INCH = 0.2, 0.15
 CLIPPED_PERCENT = 99.5
 """The colours of a difference reach as far as this share of its pixels."""
 
@@ -288,9 +289,12 @@ def _in_turn(effect: Effect, shown: Shown) -> Figure:
 
 
 def _page(effect: Effect, height_inch: float, caption: str) -> Figure:
-    figure = style.new_figure(WIDTH_INCH, height_inch, f"{effect.id}: {stated(effect)}".replace("-", "−"))
-    lines = "\n".join(textwrap.wrap(caption, CAPTION_LETTERS))
-    figure.supxlabel(lines, x=0.01, ha="left", fontsize=8.5)
+    """Return an empty figure; `height_inch` is that with a title and a caption of one line each."""
+    title = textwrap.wrap(f"{effect.id}: {stated(effect)}".replace("-", "−"), TITLE_LETTERS)
+    lines = textwrap.wrap(caption, CAPTION_LETTERS)
+    height_inch += TITLE_INCH * (len(title) - 1) + CAPTION_INCH * (len(lines) - 1)
+    figure = style.new_figure(WIDTH_INCH, height_inch, "\n".join(title))
+    figure.supxlabel("\n".join(lines), x=0.01, ha="left", fontsize=8.5)
     return figure
 
 

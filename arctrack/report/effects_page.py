@@ -14,6 +14,7 @@ from noise_model.forward import Renderer
 PAGE = "effects.md"
 PICTURES = Path("figures") / "effects"
 COLUMNS = 110
+UNBROKEN = "\N{NO-BREAK SPACE}"
 
 STAGES = {
     Stage.SOURCE: "the arc itself",
@@ -125,7 +126,7 @@ def _section(effect: Effect) -> Iterator[str]:
     yield ""
     yield from _wrapped(f"Source: {effect.source}.")
     yield ""
-    values = ", ".join(f"`{value}`" for value in _toml(effect))
+    values = ", ".join(f"`{value}`".replace(" ", UNBROKEN) for value in _toml(effect))
     yield from _wrapped(f"Shown: {values}; {chosen.scene}; {chosen.form.value}.")
     yield ""
     yield f"![{effect.id}: {effect.summary}]({(PICTURES / effect.id).as_posix()}.png)"
@@ -153,4 +154,5 @@ def _cell(text: str) -> str:
 
 
 def _wrapped(text: str) -> list[str]:
-    return textwrap.wrap(text, COLUMNS, break_long_words=False, break_on_hyphens=False)
+    lines = textwrap.wrap(text, COLUMNS, break_long_words=False, break_on_hyphens=False)
+    return [line.replace(UNBROKEN, " ") for line in lines]
