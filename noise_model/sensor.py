@@ -161,12 +161,14 @@ def _read_table(mean: Float64, sigma: Float64, sensor: Sensor) -> tuple[Float64,
     place = np.stack([(mean / sigma - z[0]) / TABLE_STEPS[0], (ln_sigma - first) / TABLE_STEPS[1]])
     table = _table(z, np.exp(lns), sensor)
     of_mean, of_variance = (map_coordinates(values, place, order=1, mode="nearest") for values in table)
-    return of_mean, of_variance
+    unit = sigma**sensor.gamma
+    return sensor.black_level_dn + unit * of_mean, unit**2 * of_variance
 
 
 def _table(z: Float64, sigma: Float64, sensor: Sensor) -> tuple[Float64, Float64]:
-    """Return the unrounded DN's mean and variance (len(z), len(sigma)) of charges (z + n) sigma, n normal.
+    """Return the unrounded DN's mean over black and variance (len(z), len(sigma)) of charges (z + n) sigma.
 
+    n is normal; in units of sigma^gamma and of its square, on which they hardly depend on sigma any more.
     Gauss-Legendre from kink to kink: zero charge, full well and the ends of the scale.
     """
     kinks_e = np.array([0.0, sensor.full_well_e, *np.asarray(linearise([0, sensor.max_dn], sensor))])
@@ -180,9 +182,11 @@ def _table(z: Float64, sigma: Float64, sensor: Sensor) -> tuple[Float64, Float64
     weight = half * w * np.exp(-0.5 * n**2)
     weight /= weight.sum(axis=(-2, -1), keepdims=True)
     charge = (z[:, np.newaxis, np.newaxis, np.newaxis] + n) * sigma[:, np.newaxis, np.newaxis]
-    dn = np.clip(respond(charge, sensor), 0.0, sensor.max_dn)
-    of_mean = np.sum(weight * dn, axis=(-2, -1))
-    return of_mean, np.sum(weight * (dn - of_mean[..., np.newaxis, np.newaxis]) ** 2, axis=(-2, -1))
+    over_black = np.clip(respond(charge, sensor), 0.0, sensor.max_dn) - sensor.black_level_dn
+    over_black /= sigma[:, np.newaxis, np.newaxis] ** sensor.gamma
+    of_mean = np.sum(weight * over_black, axis=(-2, -1))
+    departure = over_black - of_mean[..., np.newaxis, np.newaxis]
+    return of_mean, np.sum(weight * departure**2, axis=(-2, -1))
 
 
 def saturation_dn(sensor: Sensor) -> int:

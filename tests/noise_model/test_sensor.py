@@ -4,13 +4,17 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from scipy.integrate import quad
+from scipy.stats import norm
 
 from noise_model.sensor import (
     Sensor,
+    cut_moments,
     electrons_per_dn,
     expose,
     linearise,
     respond,
+    respond_moments,
     saturation_dn,
     variance_e2,
 )
@@ -103,6 +107,71 @@ def test_the_variance_of_darkness_is_read_noise_and_steps():
     frame = expose(np.zeros(200_000), LINEAR, np.random.default_rng(3))
     assert frame.mean() == pytest.approx(LINEAR.black_level_dn, abs=0.01)
     assert linearise(frame, LINEAR).min() < 0.0
+
+
+FINE = Sensor(16, gain_e_per_dn=0.5, black_level_dn=100.0, read_noise_e=45.0, full_well_e=20000.0)
+
+
+@pytest.mark.parametrize("gamma", [0.5, 0.8, 1.0, 1.8])
+@pytest.mark.parametrize("black_level_dn", [0.0, 100.0, 3000.0])
+@pytest.mark.parametrize("mean_e", [0.0, 20.0, 100.0, 270.0, 400.0, 3000.0, 19500.0, 20000.0, 20300.0])
+def test_readings_have_their_moments_near_black_and_near_full_well(gamma, black_level_dn, mean_e):
+    """Eq. 20 of drawn charges, cut and not rounded; a variance scatters by their own fourth moment."""
+    sensor = dataclasses.replace(FINE, gamma=gamma, black_level_dn=black_level_dn)
+    count = 400_000
+    rng = np.random.default_rng(31)
+    e = np.minimum(rng.poisson(mean_e, count) + rng.normal(0.0, 45.0, count), 20000.0)
+    drawn = np.clip(black_level_dn + 40000.0 * np.sign(e) * (np.abs(e) / 20000.0) ** gamma, 0.0, 65535.0)
+    mean, variance = respond_moments(mean_e, mean_e + sensor.read_noise_e**2, sensor)
+    departure = drawn - drawn.mean()
+    error = np.std(departure**2) / np.sqrt(count)
+    # A Poisson charge is not quite normal: a few thousandths.
+    assert mean == pytest.approx(drawn.mean(), abs=5.0 * drawn.std() / np.sqrt(count) + 2e-3 * drawn.std())
+    assert variance - 1.0 / 12.0 == pytest.approx(drawn.var(), abs=5.0 * error + 5e-3 * drawn.var())
+
+
+@pytest.mark.parametrize("gamma", [0.6, 1.0, 1.7])
+def test_a_whole_image_of_moments_is_that_of_its_pixels(gamma):
+    """Charges and sigmas of all sizes at once: what is tabled together agrees with what stands alone."""
+    sensor = dataclasses.replace(FINE, gamma=gamma)
+    rng = np.random.default_rng(12)
+    mean = rng.choice([0.0, 30.0, 500.0, 5000.0, 20000.0], (6, 5)) * rng.uniform(0.5, 1.0, (6, 5))
+    variance = (mean + 45.0**2) * rng.uniform(1.0, 20.0, (6, 5))
+    together = respond_moments(mean, variance, sensor)
+    assert together[0].shape == (6, 5)
+    for at in np.ndindex(6, 5):
+        alone = respond_moments(mean[at], variance[at], sensor)
+        sigma = float(np.sqrt(alone[1]))
+        assert together[0][at] == pytest.approx(float(alone[0]), abs=2e-3 * sigma)
+        assert together[1][at] == pytest.approx(float(alone[1]), rel=1e-3)
+
+
+@given(
+    st.floats(-50.0, 150.0),
+    st.floats(0.5, 40.0),
+    st.floats(0.0, 40.0),
+    st.floats(60.0, 100.0),
+)
+def test_the_moments_of_a_cut_normal_variable_are_its_integrals(mean, sigma, low, high):
+    got_mean, got_variance = cut_moments(np.array(mean), np.array(sigma**2), low, high)
+    below, above = norm.cdf(low, mean, sigma), norm.sf(high, mean, sigma)
+
+    def integral(of):
+        inside = quad(lambda x: of(x) * norm.pdf(x, mean, sigma), low, high, limit=200, epsabs=1e-12)[0]
+        return of(low) * below + inside + of(high) * above
+
+    wanted = integral(lambda x: x)
+    assert got_mean == pytest.approx(wanted, abs=1e-6)
+    assert got_variance == pytest.approx(integral(lambda x: (x - wanted) ** 2), abs=1e-5 * sigma**2)
+
+
+def test_moments_without_any_noise_are_the_response():
+    for gamma in GAMMAS:
+        sensor = dataclasses.replace(LINEAR, gamma=gamma, read_noise_e=0.0)
+        e = np.array([0.0, 10.0, 5000.0, 19999.0, 30000.0])
+        mean, variance = respond_moments(e, np.zeros(5), sensor)
+        np.testing.assert_allclose(mean, np.minimum(respond(e, sensor), 255.0), atol=1e-5)
+        np.testing.assert_allclose(variance, 1.0 / 12.0, atol=1e-4)
 
 
 @given(sensors())

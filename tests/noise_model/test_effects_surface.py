@@ -1,0 +1,223 @@
+"""Surface and medium against formulas written out here."""
+
+import dataclasses
+import math
+
+import numpy as np
+import pytest
+import scenes
+from effect_scenes import (
+    CONDITIONS,
+    EXPOSURE_S,
+    affected,
+    charge,
+    cos4,
+    light_of,
+    nominal,
+    on_the_plate,
+    passed,
+)
+from scipy.integrate import quad
+
+from noise_model.brdf import Lobe, Material
+from noise_model.condition import Condition
+from noise_model.effects.medium import airlight_integral, streak_moments
+from noise_model.forward import predict, stripe_reference
+from noise_model.spectrum import planck
+
+ARC, LASER = CONDITIONS["arc"], CONDITIONS["laser"]
+
+
+@pytest.mark.parametrize(
+    ("effect", "values", "changes", "lobe"),
+    [
+        (
+            "wrong_material",
+            {"kappa_diff_ln": 1.5, "kappa_spec_ln": -0.7},
+            (math.exp(1.5), math.exp(-0.7), 1.0),
+            {},
+        ),
+        ("roughness_change", {"c2_ln": -0.9}, (1.0, 1.0, math.exp(-0.9)), {}),
+        ("brdf_tail", {"tail": 0.6}, (1.0, 1.0, 1.0), {"tail": 0.6}),
+        (
+            "rolling_marks",
+            {"anisotropy": 0.8, "marks_deg": 30.0},
+            (1.0, 1.0, 1.0),
+            {"anisotropy": 0.8, "marks_deg": 30.0},
+        ),
+    ],
+)
+@pytest.mark.parametrize("joint", ["flat", "lap"])
+def test_the_arc_on_another_surface_node_by_node(effect, values, changes, lobe, joint):
+    """The reflectance and the sum over the arc are written out in `scenes`."""
+    stated = Material("glossy", 0.03, 0.3, 12.0)
+    setup = nominal(joint, stated, psf_sigma_px=0.0)
+    kappa_diff, kappa_spec, c2 = changes
+    material = Material(
+        "", stated.kappa_diff * kappa_diff, stated.kappa_spec * kappa_spec, stated.c2 * c2, Lobe(**lobe)
+    )
+    got = charge(affected(setup, **{effect: values}), ARC)
+    before = charge(setup, ARC)
+    camera = setup.camera
+    eye = camera.T_tool_camera[:3, 3]
+    center = np.array([0.0, 0.0, scenes.ARC_HEIGHT_MM[joint]])
+    changed = 0
+    for row, column in ((5, 10), (20, 60), (30, 40), (45, 15), (55, 70)):
+        ray = np.array([(column - camera.cx) / camera.fx, (row - camera.cy) / camera.fy, 1.0])
+        d = camera.T_tool_camera[:3, :3] @ ray
+        P = eye + scenes.march(setup.joint, eye, d) * d
+        normal = scenes.normal_at(setup.joint, P)
+        light = scenes.arc_light(setup.joint, P, normal, -d / np.linalg.norm(d), center, 3.0, material)
+        wanted = setup.arc.radiance_e * light / float(ray @ ray) ** 2
+        assert got[row, column] == pytest.approx(wanted, rel=5e-3)
+        changed += abs(wanted / before[row, column] - 1.0) > 0.02
+    assert changed >= 2
+
+
+def test_the_stripe_keeps_its_stated_peak_on_another_metal():
+    setup = nominal("flat", psf_sigma_px=0.0, width=81, height=61)
+    for effects in ({"wrong_material": {"kappa_diff_ln": 1.5}}, {"roughness_change": {"c2_ln": 1.0}}):
+        assert charge(affected(setup, **effects), LASER)[:, 40].max() == pytest.approx(5000.0, rel=1e-4)
+    assert stripe_reference(setup) > 0.0
+
+
+def test_the_airlight_integral_is_that_of_quadrature():
+    rng = np.random.default_rng(6)
+    origin, source = np.array([95.0, 0.0, 130.0]), np.array([0.0, 1.0, 2.0])
+    directions = rng.normal(size=(20, 3)) + np.array([-1.0, 0.0, -2.0])
+    directions /= np.linalg.norm(directions, axis=1, keepdims=True)
+    length = rng.uniform(20.0, 200.0, 20)
+    got = airlight_integral(origin, directions, length, source, 3.0)
+    for i in range(20):
+        D = np.linalg.norm(np.cross(directions[i], source - origin))
+        assert D > 3.0
+
+        def falls(t, d=directions[i]):
+            return 1.0 / float(np.sum((origin + t * d - source) ** 2))
+
+        nearest = float(np.clip((source - origin) @ directions[i], 0.0, length[i]))
+        wanted = sum(quad(falls, *ends)[0] for ends in ((0.0, nearest), (nearest, length[i])))
+        assert got[i] == pytest.approx(wanted, rel=1e-8)
+    # Through the source itself it stays finite.
+    straight = (source - origin) / np.linalg.norm(source - origin)
+    assert airlight_integral(origin, straight, np.array(200.0), source, 3.0) < math.pi / 3.0
+
+
+def test_the_fume_dims_by_beer_and_lambert():
+    setup = nominal("flat", psf_sigma_px=0.0)
+    points, _ = on_the_plate(setup.camera)
+    d = np.linalg.norm(points - setup.camera.T_tool_camera[:3, 3], axis=-1)
+    in_fume = affected(setup, fume={"extinction_per_m": 3.0, "scatter": 0.5})
+    ratio = charge(in_fume, LASER) / np.maximum(charge(setup, LASER), 1e-9)
+    lit = charge(setup, LASER) > 10.0
+    np.testing.assert_allclose(ratio[lit], np.exp(-0.003 * d)[lit], rtol=1e-4)
+
+
+def test_the_fume_scatters_the_arcs_light():
+    """In proportion to its output, by the definition of albedo, and nothing of it in the laser's frames."""
+    setup = nominal("flat", psf_sigma_px=0.0)
+    beta, albedo = 0.002, 0.7
+    in_fume = affected(setup, fume={"extinction_per_m": 1000.0 * beta, "scatter": albedo})
+    got, before = charge(in_fume, ARC), charge(setup, ARC)
+    points, omega_r = on_the_plate(setup.camera)
+    eye = setup.camera.T_tool_camera[:3, 3]
+    tau_p = math.acos(eye[2] / np.linalg.norm(eye))
+    A_eff = math.pi * 9.0 / 2.0 * (1.0 + math.cos(tau_p))
+    for row, column in ((3, 5), (30, 40), (50, 70)):
+        P, d = points[row, column], -omega_r[row, column]
+        length = float(np.linalg.norm(P - eye))
+
+        def irradiance(t, d=d):
+            return A_eff / float(np.sum((eye + t * d) ** 2))
+
+        scattered = albedo * beta / (4.0 * math.pi) * quad(irradiance, 0.0, length)[0]
+        wanted = before[row, column] * math.exp(-beta * length)
+        wanted += setup.arc.radiance_e * cos4(setup.camera)[row, column] * scattered
+        assert got[row, column] == pytest.approx(wanted, rel=1e-4)
+    half = Condition(0.0, 0.5, EXPOSURE_S)
+    np.testing.assert_allclose(charge(in_fume, half), 0.5 * got, rtol=1e-5)
+
+
+@pytest.mark.parametrize(("length", "width"), [(40.0, 2.0), (0.1, 3.0), (5.0, 5.0)])
+def test_a_streaks_moments_are_sums_over_it(length, width):
+    x = np.arange(-60.0, 60.0, 0.25)
+    along = [
+        0.5
+        * (
+            math.erf((t + length / 2) / width / math.sqrt(2))
+            - math.erf((t - length / 2) / width / math.sqrt(2))
+        )
+        for t in x
+    ]
+    streak = np.multiply.outer(along, np.exp(-0.5 * (x / width) ** 2))
+    first, second = streak_moments(length, width)
+    assert first == pytest.approx(streak.sum() / 16.0, rel=1e-4)
+    assert second == pytest.approx((streak**2).sum() / 16.0, rel=1e-4)
+
+
+@pytest.mark.parametrize("psf_sigma_px", [0.0, 2.0])
+def test_many_frames_of_spatter_have_campbells_mean_and_variance(psf_sigma_px):
+    """At the rim as in the middle, behind lens, glare and exposure."""
+    values = {"rate_per_frame": 6.0, "peak_e": 1000.0, "length_px": 12.0, "width_px": 1.5}
+    setup = affected(nominal("flat", psf_sigma_px=psf_sigma_px), spatter=values, vignetting={"loss": 0.5})
+    dark, long = np.zeros((60, 80)), Condition(0.0, 1.0, 2.0 * EXPOSURE_S)
+    expected = passed(setup, light_of(dark), long)
+    rng = np.random.default_rng(4)
+    n = 800
+    drawn = np.array([passed(setup, light_of(dark), long, rng).other for _ in range(n)], dtype=np.float64)
+    v, u = np.mgrid[:60, :80]
+    rim = (np.minimum(u, 79 - u) < 6) | (np.minimum(v, 59 - v) < 6)
+    for where in (rim, ~rim):
+        for power, wanted in ((1, expected.other), (2, expected.variance_e2 + expected.other**2)):
+            frames = np.mean(drawn[:, where] ** power / wanted[where], axis=1)
+            assert frames.mean() == pytest.approx(1.0, abs=4.0 * frames.std() / math.sqrt(n))
+            assert frames.std() / math.sqrt(n) < 0.08
+
+
+def test_spatter_is_the_arcs():
+    setup = affected(nominal(), spatter={"rate_per_frame": 20.0})
+    for name in ("dark", "laser"):
+        np.testing.assert_array_equal(
+            predict(setup, scenes.pose(), CONDITIONS[name]).variance_dn2,
+            predict(nominal(), scenes.pose(), CONDITIONS[name]).variance_dn2,
+        )
+
+
+def test_hot_metal_glows_as_planck_says():
+    """T = T_m radius / rho along the plate, on a tilted plate too; the melt as bright as at its rim."""
+    tilt = {"roll_deg": 10.0, "pitch_deg": -5.0}
+    for effects in ({}, {"surface_tilt": tilt}):
+        setup = nominal("flat", psf_sigma_px=0.0)
+        glowing = affected(setup, hot_metal_glow={"peak_e": 6000.0, "radius_mm": 20.0}, **effects)
+        glow = charge(glowing, ARC) - charge(affected(setup, **effects), ARC)
+        normal = scenes.pose(turn_deg=(10.0, -5.0, 0.0))[:3, 2] if effects else np.array([0.0, 0.0, 1.0])
+        eye = setup.camera.T_tool_camera[:3, 3]
+        _, omega_r = on_the_plate(setup.camera)
+        points = eye - ((eye @ normal) / (omega_r @ normal))[..., np.newaxis] * omega_r
+        # The arc's centre is the foot of the tool's origin on the plate, which is that origin.
+        rho = np.linalg.norm(points, axis=-1)
+        for row, column in np.ndindex(8, 8):
+            at = 7 * row + 3, 10 * column + 4
+            T = 1800.0 * min(1.0, 20.0 / rho[at])
+            wanted = 6000.0 * cos4(setup.camera)[at] * planck(690.0, T) / planck(690.0, 1800.0)
+            assert glow[at] == pytest.approx(wanted, rel=1e-3, abs=0.02)
+        assert glow.min() < 0.5 * glow.max()
+
+
+def test_the_glow_knows_no_current_and_no_laser():
+    setup = nominal()
+    glowing = affected(setup, hot_metal_glow={"peak_e": 6000.0, "radius_mm": 25.0})
+    glow = [
+        charge(glowing, Condition(1.0, level, EXPOSURE_S)) - charge(setup, Condition(1.0, level, EXPOSURE_S))
+        for level in (0.3, 1.0)
+    ]
+    np.testing.assert_allclose(glow[0], glow[1], atol=0.01)
+    assert glow[0].max() > 1000.0
+
+
+def test_an_arc_blown_aside_heats_where_it_stands():
+    glow = {"peak_e": 6000.0, "radius_mm": 20.0}
+    setup = nominal("flat", psf_sigma_px=0.0)
+    blown = affected(setup, hot_metal_glow=glow, arc_deflection={"x_mm": 8.0})
+    moved = dataclasses.replace(setup, arc=dataclasses.replace(setup.arc, center_in_tool_mm=(8.0, 0.0, 0.0)))
+    np.testing.assert_array_equal(charge(blown, ARC), charge(affected(moved, hot_metal_glow=glow), ARC))
