@@ -1,0 +1,1 @@
+"""Predictions held against renderers that are not ours."""
