@@ -34,12 +34,13 @@ def line(x: Float64, A: float, x_0: float, w: float, b_0: float, b_1: float) -> 
     st.floats(5.0, 300.0),
 )
 def test_white_noise_in_closed_form(w: float, shift: float, a: float, A: float, noise: float) -> None:
-    half = math.ceil(a * w)
-    x = np.arange(-half, half + 1) - 0.0
-    # The window of whole pixels reaches half a pixel beyond its outermost centres.
-    sigmas = stripe_sigmas(x[None, :], np.array([A]), np.array([w]), np.full((1, len(x)), noise**2))
-    assert sigmas[0, POSITION] == pytest.approx(white_position_sigma_px(A, w, noise, half + 0.5), rel=6e-3)
-    # Off the grid and with a known slope the long window's law holds.
+    # Nodes so fine that their sum is the integral, a twentieth of the width apart.
+    half, n = a * w, round(40 * a)
+    step = 2 * half / n
+    x = (np.arange(n) + 0.5) * step - half
+    sigmas = stripe_sigmas(x[None, :], np.array([A]), np.array([w]), np.full((1, n), noise**2), step)
+    assert sigmas[0, POSITION] == pytest.approx(white_position_sigma_px(A, w, noise, half), rel=1e-3)
+    # In whole pixels and with a known slope the long window's law holds, wherever the stripe lies.
     wide = np.arange(-100, 101) - shift
     known = stripe_sigmas(
         wide[None, :],
