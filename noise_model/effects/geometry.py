@@ -64,8 +64,8 @@ EFFECTS = (
         equation="the joint turned by roll about travel and pitch about the left, at the joint's origin",
         source="a rigid turn",
         parameters=(
-            Parameter("roll_deg", "deg", 0.0, 1.0, -20.0, 20.0, 0.02),
-            Parameter("pitch_deg", "deg", 0.0, 1.0, -20.0, 20.0, 0.02),
+            Parameter("roll_deg", "deg", 0.0, 2.0, -20.0, 20.0, 0.02),
+            Parameter("pitch_deg", "deg", 0.0, 2.0, -20.0, 20.0, 0.02),
         ),
         typical={"roll_deg": 3.0, "pitch_deg": 2.0},
         setup=_surface_tilt,
@@ -77,7 +77,7 @@ EFFECTS = (
         equation="OpenCV's k1, k2, p1, p2, added to the stated",
         source="Brown 1966; OpenCV's calib3d",
         parameters=(
-            Parameter("k1", "", 0.0, 0.2, -3.0, 3.0, 0.002),
+            Parameter("k1", "", 0.0, 0.4, -3.0, 3.0, 0.002),
             Parameter("k2", "", 0.0, 1.0, -30.0, 30.0, 0.02),
             Parameter("p1", "", 0.0, 0.01, -0.2, 0.2, 0.0002),
             Parameter("p2", "", 0.0, 0.01, -0.2, 0.2, 0.0002),

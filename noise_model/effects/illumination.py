@@ -56,7 +56,7 @@ EFFECTS = (
         source="a diode's threshold current rises as exp(T / T_0), T_0 some 100 K: at a steady current its "
         "power falls while it warms up, and rests when it is warm",
         parameters=(
-            Parameter("rate_per_s", "1/s", 0.0, 0.05, -1.0, 1.0, 0.001),
+            Parameter("rate_per_s", "1/s", 0.0, 0.1, -1.0, 1.0, 0.001),
             Parameter("settle_s", "s", 30.0, 30.0, 0.2, 1000.0, 0.1),
         ),
         typical={"rate_per_s": -0.2},

@@ -106,18 +106,7 @@ EFFECTS = (
                 Parameter(f"scatter_{n}", "", 0.0, 0.2, 0.0, 2.0, 0.005),
             )
         ),
-        typical={
-            "u_1": -0.3,
-            "v_1": 0.2,
-            "radius_1": 0.15,
-            "dimming_1": 0.5,
-            "scatter_1": 0.1,
-            "u_2": 0.45,
-            "v_2": -0.15,
-            "radius_2": 0.1,
-            "dimming_2": 0.3,
-            "scatter_2": 0.05,
-        },
+        typical={"dimming_1": 0.5, "scatter_1": 0.1, "dimming_2": 0.3},
         light=_dirty_window,
     ),
     Effect(
@@ -128,7 +117,7 @@ EFFECTS = (
         equation="laser' = laser T(lambda / s) / T(lambda), s = sqrt(1 - shift_share sin^2 theta / n_eff^2); "
         "arc' = arc integral B(lambda) T(lambda / s) d lambda over the same at s = 1",
         source="Smith, Modern Optical Engineering, ch. 11; 1 is the whole shift of the stated filter",
-        parameters=(Parameter("shift_share", "", 0.0, 0.5, 0.0, 6.0, 0.01),),
+        parameters=(Parameter("shift_share", "", 0.0, 1.0, 0.0, 6.0, 0.01),),
         typical={"shift_share": 1.0},
         light=_filter_shift,
     ),
@@ -141,8 +130,8 @@ EFFECTS = (
         source="Goldman and Chen 2005 (ICCV): even powers of the radius; Kang and Weiss 2000 (ECCV) take "
         "1 - alpha r beside cos^4",
         parameters=(
-            Parameter("loss", "", 0.0, 0.1, -0.5, 0.95, 0.002),
-            Parameter("corner_loss", "", 0.0, 0.1, -0.5, 0.95, 0.002),
+            Parameter("loss", "", 0.0, 0.3, -0.5, 0.95, 0.002),
+            Parameter("corner_loss", "", 0.0, 0.3, -0.5, 0.95, 0.002),
         ),
         typical={"loss": 0.4},
         light=_vignetting,
@@ -153,7 +142,7 @@ EFFECTS = (
         summary="a wider point-spread function",
         equation="psf_sigma' = sqrt(psf_sigma^2 + sigma_px^2)",
         source="the blur disc of radius c has the variance c^2 / 4 along each axis; variances add",
-        parameters=(Parameter("sigma_px", "px", 0.0, 1.0, 0.0, 20.0, 0.02),),
+        parameters=(Parameter("sigma_px", "px", 0.0, 2.0, 0.0, 20.0, 0.1),),
         typical={"sigma_px": 4.0},
         setup=_defocus,
     ),
@@ -163,7 +152,7 @@ EFFECTS = (
         summary="a share of the scene's light spreads over the whole image",
         equation="E' = (1 - share) E + share mean(E)",
         source="ISO 9358: the veiling glare index; an even spread is its simplest form",
-        parameters=(Parameter("share", "", 0.0, 0.05, 0.0, 0.9, 0.002),),
+        parameters=(Parameter("share", "", 0.0, 0.1, 0.0, 0.9, 0.002),),
         typical={"share": 0.15},
         light=_veiling_glare,
     ),

@@ -115,6 +115,9 @@ def test_an_effect_says_what_it_is(name):
             if parameter.name.endswith(f"_{unit}") and not parameter.name.endswith(f"_per_{unit}"):
                 expected = {"e": "e-", "dn": "DN", "per_s": "1/s", "per_m": "1/m"}.get(unit, unit)
                 assert parameter.unit == expected
+        # What is shown as typical is not far out in the prior.
+        typical = effect.typical.get(parameter.name, parameter.start)
+        assert abs(typical - parameter.start) <= 2.0 * parameter.prior_sigma
     assert effect.typical
     assert effect.complete(effect.typical) != effect.neutral
     assert effect.complete({}) == effect.neutral
