@@ -34,7 +34,7 @@ HORIZON_STEP_MM = 0.25
 """The horizon table's step along x; the touching point is a maximum, so the error is of second order."""
 
 
-@numba.njit(cache=True, inline="always")
+@numba.njit(cache=True, _nrt=False, error_model="numpy", inline="always")
 def ridge(x: float, corrugation: Float64) -> tuple[float, float]:
     """Return the corrugation's height c(x), mm, and its slope c'(x)."""
     height, width, pitch = corrugation[0], corrugation[1], corrugation[2]
@@ -47,7 +47,7 @@ def ridge(x: float, corrugation: Float64) -> tuple[float, float]:
     return 0.5 * height * (1.0 + math.cos(omega * u)), -0.5 * height * omega * math.sin(omega * u)
 
 
-@numba.njit(cache=True, nogil=True)
+@numba.njit(cache=True, nogil=True, _nrt=False, error_model="numpy")
 def _meet_ridge(
     origin: Float64, d: Float64, y_k: float, width: float, z_k: float, slope: float, corrugation: Float64
 ) -> float:
@@ -110,7 +110,7 @@ def _meet_ridge(
     return math.inf
 
 
-@numba.njit(cache=True, nogil=True)
+@numba.njit(cache=True, nogil=True, _nrt=False, error_model="numpy")
 def first_hit(origin: Float64, d: Float64, vertices: Float64, corrugation: Float64) -> tuple[float, int]:
     """Return how far along a ray (joint frame, mm) the surface is met, in units of d, and on which face.
 
@@ -141,9 +141,9 @@ def first_hit(origin: Float64, d: Float64, vertices: Float64, corrugation: Float
     return best, face
 
 
-@numba.njit(cache=True, inline="always")
-def face_normal(face: int, x: float, vertices: Float64, corrugation: Float64, normal: Float64) -> None:
-    """Write the unit normal of a face at station x (joint frame) into `normal` (3,)."""
+@numba.njit(cache=True, _nrt=False, error_model="numpy", inline="always")
+def face_normal(face: int, x: float, vertices: Float64, corrugation: Float64) -> tuple[float, float, float]:
+    """Return the unit normal of a face at station x, joint frame."""
     width = vertices[face + 1, 0] - vertices[face, 0]
     rise = vertices[face + 1, 1] - vertices[face, 1]
     along = 0.0
@@ -151,10 +151,10 @@ def face_normal(face: int, x: float, vertices: Float64, corrugation: Float64, no
         _, slope = ridge(x, corrugation)
         along = -slope * width
     length = math.sqrt(along * along + rise * rise + width * width)
-    normal[0], normal[1], normal[2] = along / length, -rise / length, width / length
+    return along / length, -rise / length, width / length
 
 
-@numba.njit(cache=True, nogil=True)
+@numba.njit(cache=True, nogil=True, error_model="numpy")
 def trace(
     xy: Float64,
     pixels: Float64,
@@ -184,10 +184,11 @@ def trace(
             continue
         for j in range(3):
             points[i, j] = origin[j] + t * d[j]
-        face_normal(face, points[i, 0], vertices, corrugation, normals[i])
+        nx, ny, nz = face_normal(face, points[i, 0], vertices, corrugation)
+        normals[i, 0], normals[i, 1], normals[i, 2] = nx, ny, nz
 
 
-@numba.njit(cache=True, nogil=True)
+@numba.njit(cache=True, nogil=True, error_model="numpy")
 def horizon_table(
     x_start: float, n: int, center_x: float, radius: float, corrugation: Float64, lift: float, foot: float
 ) -> Float64:
@@ -220,7 +221,7 @@ def horizon_table(
     return table
 
 
-@numba.njit(cache=True, inline="always")
+@numba.njit(cache=True, _nrt=False, error_model="numpy", inline="always")
 def touch(horizon: Float64, x_start: float, x: float) -> tuple[float, float]:
     """Look a station up in a horizon table: slope (interpolated) and place of the touching point."""
     position = (x - x_start) / HORIZON_STEP_MM
@@ -234,7 +235,7 @@ def touch(horizon: Float64, x_start: float, x: float) -> tuple[float, float]:
     return slope, (1.0 - share) * horizon[i, 1] + share * horizon[i + 1, 1]
 
 
-@numba.njit(cache=True, nogil=True)
+@numba.njit(cache=True, nogil=True, _nrt=False, error_model="numpy")
 def _steepest(P: Float64, sheet_z: float, center: Float64, radius: float, corrugation: Float64) -> float:
     """Return the steepest slope from P over one sheet on the way to the arc, as in `horizon_table`."""
     towards = 1.0 if center[0] > P[0] else -1.0
@@ -249,7 +250,7 @@ def _steepest(P: Float64, sheet_z: float, center: Float64, radius: float, corrug
     return steepest
 
 
-@numba.njit(cache=True, nogil=True)
+@numba.njit(cache=True, nogil=True, _nrt=False, error_model="numpy")
 def sky_planes(
     P: Float64,
     normal: Float64,
@@ -285,7 +286,8 @@ def sky_planes(
         # What lies below P's own horizon hides nothing more, and its half-space would cut the other side.
         if (low_vertex and dz <= 0.0) or dy * normal[1] + dz * normal[2] <= 1e-9:
             continue
-        side = 1.0 if dy > 0.0 else -1.0
+        # By the faces' order, so that it holds on a face's plane beyond its edges too.
+        side = 1.0 if k > face else -1.0
         if low_vertex:
             if (center[1] + side * radius - y_k) * side <= 0.0:
                 continue
@@ -299,9 +301,9 @@ def sky_planes(
             if before >= radius:
                 continue
             if before > -radius:
-                ledge = ledges[2 * n_ledges], ledges[2 * n_ledges + 1]
-                ledge[0][0], ledge[0][1], ledge[0][2] = 0.0, -side * dz, side * dy
-                ledge[1][0], ledge[1][1], ledge[1][2] = n_y, n_z, n_y * y_k + n_z * z_k
+                i = 2 * n_ledges
+                ledges[i, 0], ledges[i, 1], ledges[i, 2] = 0.0, -side * dz, side * dy
+                ledges[i + 1, 0], ledges[i + 1, 1], ledges[i + 1, 2] = n_y, n_z, n_y * y_k + n_z * z_k
                 n_ledges += 1
                 continue
         planes[count, 0], planes[count, 1], planes[count, 2] = 0.0, -side * dz, side * dy
@@ -370,7 +372,7 @@ def is_open(points: Float64, targets: Float64, shape: Section, steps: int = 4000
     return free
 
 
-@numba.njit(cache=True, nogil=True)
+@numba.njit(cache=True, nogil=True, error_model="numpy")
 def way_is_open(P: Float64, Q: Float64, vertices: Float64, corrugation: Float64) -> bool:
     """Say whether the straight way from a surface point P up to a point Q, both (3,) mm, is free."""
     for k in range(1, vertices.shape[0] - 1):
@@ -396,7 +398,7 @@ def way_is_open(P: Float64, Q: Float64, vertices: Float64, corrugation: Float64)
     return True
 
 
-@numba.njit(cache=True, nogil=True)
+@numba.njit(cache=True, nogil=True, error_model="numpy")
 def ways_are_open(
     points: Float64, Q: Float64, vertices: Float64, corrugation: Float64, is_free: npt.NDArray[np.bool_]
 ) -> None:

@@ -9,19 +9,18 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from noise_model.arc import Hemisphere, irradiance_extended, reflected_radiance_extended
+from noise_model.arc_integral import arc_light, gauss_nodes
 from noise_model.arc_map import (
     CELL,
-    CUT_FACTOR,
     NODES_P,
     NODES_Q,
-    _disc_nodes,
     arc_at,
     arc_band,
     arc_frame,
     arc_kernel,
-    arc_light,
     scene,
 )
+from noise_model.arc_ray import scratch
 from noise_model.brdf import TABLE_1, Lobe, Material, lobe_numbers
 from noise_model.frames import invert
 from noise_model.optics import Rays
@@ -138,10 +137,11 @@ def test_a_plate_shows_the_references_arc(material, center_mm):
 def disc_light(P, normal, omega_r, center, material, nodes, planes=()):
     """`arc_light` of a patch that nothing but its own horizon and `planes` shades."""
     cuts = np.vstack([normal, *planes])
+    vectors = [tuple(float(c) for c in vector) for vector in (P, normal, omega_r, center)]
+    no_metal = (0.0, 0.0, 0.0, 0.0, 0.0, math.nan, False, False)
     return arc_light(
-        P, normal, omega_r, center, 3.0, cuts, len(cuts), np.empty((0, 3)), 0,
-        np.zeros(3), 0.0, 0.0, False, math.nan,
-        lobe_numbers(material), _disc_nodes(*nodes),
+        *vectors, 3.0, cuts, len(cuts), np.empty((0, 3)), 0, no_metal,
+        lobe_numbers(material), gauss_nodes(), *nodes, *scratch()[:4],
     )  # fmt: skip
 
 
@@ -168,7 +168,7 @@ def test_a_plate_through_the_centre_gets_the_closed_form(a_mm, nodes, tolerance)
 
 def test_any_patch_gets_the_references_light():
     rng = np.random.default_rng(8)
-    nodes = (CUT_FACTOR * NODES_P, NODES_Q)
+    nodes = (2 * NODES_P, NODES_Q)
     n = 400
     a = 3.0 * np.exp(rng.uniform(np.log(1.5), np.log(20.0), n))
     points = rng.normal(size=(n, 3))
@@ -200,7 +200,7 @@ def test_a_cut_across_the_disc_at_any_angle(turn_deg, at):
     towards = center / np.linalg.norm(center)
     upright = np.array([-towards[2], 0.0, towards[0]])
     cut = math.cos(turn) * np.array([0.0, 1.0, 0.0]) + math.sin(turn) * upright - at * 3.0 / 30.0 * towards
-    got = disc_light(P, UP, UP, center, LAMBERT, (CUT_FACTOR * NODES_P, NODES_Q), [cut])
+    got = disc_light(P, UP, UP, center, LAMBERT, (2 * NODES_P, NODES_Q), [cut])
     _, omega_i, weight = scenes.arc_nodes(P, center, 3.0)
     whole = np.sum(weight * omega_i[:, 2])
     want = np.sum((weight * omega_i[:, 2])[omega_i @ cut > 0])

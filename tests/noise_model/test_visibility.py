@@ -127,8 +127,7 @@ def test_a_faces_normal_is_the_surfaces(name, x, y):
         # Where a corrugation ends its curvature jumps, and differences straddle it.
         assume(scenes.corrugation(joint, np.array(x)) > 1e-3)
     _, face = hit(joint, np.array([x, y, 50.0]), np.array([0.0, 0.0, -1.0]))
-    normal = np.empty(3)
-    face_normal(face, x, shape.vertices, shape.corrugation, normal)
+    normal = face_normal(face, x, shape.vertices, shape.corrugation)
     P = np.array([x, y, float(scenes.height(joint, x, y))])
     np.testing.assert_allclose(normal, scenes.normal_at(joint, P), atol=1e-5)
 
@@ -136,8 +135,7 @@ def test_a_faces_normal_is_the_surfaces(name, x, y):
 def test_a_laps_edge_faces_the_lower_sheet():
     for name in ("lap", "corrugation"):
         shape = section(scenes.JOINTS[name])
-        normal = np.empty(3)
-        face_normal(1, 7.0, shape.vertices, shape.corrugation, normal)
+        normal = face_normal(1, 7.0, shape.vertices, shape.corrugation)
         np.testing.assert_array_equal(normal, [0.0, 1.0, 0.0])
 
 

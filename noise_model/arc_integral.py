@@ -1,0 +1,327 @@
+"""The arc's light on one surface point: the integral over the part of the luminous half-sphere it sees.
+
+From a point P the sphere's outline is a circle. With e_w towards the centre, e_u level and e_v upright,
+directions are omega = e_w + tan(beta) (p e_u + q e_v), (p, q) in the unit disc, and
+d(omega) = tan(beta)^2 (1 + tan(beta)^2 (p^2 + q^2))^(-3/2) dp dq, sin(beta) = R / distance. The luminous
+upper half ends at the near arc of the equator, an ellipse q_0(p) in closed form; whatever hides the arc cuts
+the disc along straight lines (`visibility.sky_planes`). Where two of these borders cross, the open chord
+changes its form: the disc is cut there (`crossings`), in each piece the chord's ends are smooth, and
+Gauss-Legendre in the angle s of p = cos(s) and in q converges fast.
+"""
+
+from __future__ import annotations
+
+import functools
+import math
+
+import numba
+import numpy as np
+
+from noise_model.arc_disc import (
+    MAX_PARTS,
+    Axes,
+    crossings,
+    disc_lines,
+    equator_q,
+    insert,
+    ledge_crossings,
+    wall_parts,
+)
+from noise_model.arc_metal import Metal, chord_parts, open_range
+from noise_model.brdf import LobeNumbers, lobe_fall
+from noise_model.frames import Float64
+
+MAX_NODES_P, MAX_NODES_Q = 32, 16
+"""The most nodes across one piece of the disc and up one chord."""
+
+MAX_POINTS = 2048
+"""Room for the nodes of one point's integral; what would not fit is not summed in one go."""
+
+PIECE_FLOOR = 0.5
+"""A narrow piece of the disc still gets this share of the whole disc's nodes across."""
+
+CURVED_FACTOR = 2
+"""So many times the nodes across where walls or a corrugated lap's metal cut into the arc."""
+
+NEAR_ARC = 0.35
+"""From this sine of the arc's half-angle on there are more nodes, the more the nearer the point."""
+
+WORK_ROWS = 8
+"""Rows of the scratch: nodes and weights, lines, crossings, parts of a chord."""
+
+EXP_LIMIT = 40.0
+"""Beyond exp(-40) a lobe is dark."""
+
+
+@functools.lru_cache(maxsize=1)
+def gauss_nodes() -> Float64:
+    """Return Gauss-Legendre rules by number of nodes: (4, MAX_NODES_P + 1, MAX_NODES_P).
+
+    Row 0 and 1 are p = cos(s) on [-1, 1] and its weights with dp/ds, row 2 and 3 nodes and weights on [0, 1].
+    """
+    rules = np.zeros((4, MAX_NODES_P + 1, MAX_NODES_P))
+    for n in range(1, MAX_NODES_P + 1):
+        x, weight = np.polynomial.legendre.leggauss(n)
+        angle = np.pi / 2.0 * (x + 1.0)
+        rules[0, n, :n], rules[1, n, :n] = np.cos(angle), np.pi / 2.0 * weight * np.sin(angle)
+        rules[2, n, :n], rules[3, n, :n] = 0.5 * (x + 1.0), 0.5 * weight
+    return rules
+
+
+@numba.njit(
+    cache=True, nogil=True, _nrt=False, error_model="numpy", fastmath={"reassoc", "contract", "arcp", "nsz"}
+)
+def _sum_round(
+    points: Float64,
+    n: int,
+    tan_b: float,
+    n_w: float,
+    n_u: float,
+    n_v: float,
+    r_w: float,
+    r_u: float,
+    r_v: float,
+    cos_r: float,
+    kappa_diff: float,
+    kappa_spec: float,
+    c2: float,
+) -> float:
+    """Return the weighted sum of f_r cos(theta_i) (1 + tan^2 (p^2 + q^2))^(-3/2) for a round Gaussian lobe.
+
+    Written without branches or calls so that it runs four nodes at a time: alpha^2 is `brdf.alpha_squared`'s
+    series, exp(-y) is its Taylor polynomial at y / 64, squared six times (2e-8 relative at y = 5).
+    """
+    total = 0.0
+    inverse_cos_r = 1.0 / cos_r
+    for i in range(n):
+        p, q = tan_b * points[0, i], tan_b * points[1, i]
+        inverse = 1.0 / math.sqrt(1.0 + p * p + q * q)
+        cos_i = max(0.0, (n_w + p * n_u + q * n_v) * inverse)
+        inverse_h = 1.0 / math.sqrt(2.0 + 2.0 * (r_w + p * r_u + q * r_v) * inverse)
+        cos_alpha = min(1.0, (cos_i + cos_r) * inverse_h)
+        x = 1.0 - cos_alpha
+        tail = 8.0 / 1575.0 + x * (4.0 / 2079.0 + x * (16.0 / 21021.0 + x * (2.0 / 6435.0)))
+        alpha_2 = 2.0 * x * (1.0 + x * (1.0 / 6.0 + x * (2.0 / 45.0 + x * (1.0 / 70.0 + x * tail))))
+        y = min(c2 * alpha_2, EXP_LIMIT) * (-1.0 / 64.0)
+        fall = 1.0 + y * (1.0 + y * (0.5 + y * (1.0 / 6.0 + y * (1.0 / 24.0 + y * (1.0 / 120.0)))))
+        fall *= fall
+        fall *= fall
+        fall *= fall
+        fall *= fall
+        fall *= fall
+        fall *= fall
+        # G with cos(beta) = |h| / 2.
+        attenuation = min(1.0, 4.0 * cos_alpha * min(cos_i, cos_r) * inverse_h)
+        f_r = kappa_diff + kappa_spec * attenuation * inverse_cos_r * fall
+        total += points[2, i] * f_r * cos_i * inverse * inverse * inverse
+    return total
+
+
+@numba.njit(cache=True, nogil=True, _nrt=False, error_model="numpy")
+def _sum_any(
+    points: Float64,
+    n: int,
+    tan_b: float,
+    axes: Axes,
+    normal: tuple[float, float, float],
+    omega_r: tuple[float, float, float],
+    material: LobeNumbers,
+) -> float:
+    """Return the same for a lobe of any shape."""
+    wx, wy, wz, ux, uy, vx, vy, vz = axes
+    nx, ny, nz = normal
+    rx, ry, rz = omega_r
+    cos_r = nx * rx + ny * ry + nz * rz
+    total = 0.0
+    for i in range(n):
+        p, q = tan_b * points[0, i], tan_b * points[1, i]
+        inverse = 1.0 / math.sqrt(1.0 + p * p + q * q)
+        ox, oy, oz = (
+            inverse * (wx + p * ux + q * vx),
+            inverse * (wy + p * uy + q * vy),
+            inverse * (wz + q * vz),
+        )
+        cos_i = max(0.0, ox * nx + oy * ny + oz * nz)
+        hx, hy, hz = ox + rx, oy + ry, oz + rz
+        h = math.sqrt(hx * hx + hy * hy + hz * hz)
+        cos_alpha = (cos_i + cos_r) / h
+        attenuation = min(1.0, 4.0 * cos_alpha * min(cos_i, cos_r) / h)
+        fall = lobe_fall(material, hx, hy, hz, nx, ny, nz, h, cos_alpha)
+        f_r = material[0] + material[1] * attenuation / cos_r * fall
+        total += points[2, i] * f_r * cos_i * inverse * inverse * inverse
+    return total
+
+
+@numba.njit(cache=True, nogil=True, _nrt=False, error_model="numpy")
+def _sum(
+    points: Float64,
+    n: int,
+    tan_b: float,
+    axes: Axes,
+    normal: tuple[float, float, float],
+    omega_r: tuple[float, float, float],
+    material: LobeNumbers,
+) -> float:
+    """Return the weighted sum over n nodes: `points` rows 0 to 2 are p, q and weight."""
+    if n == 0:
+        return 0.0
+    if material[3] != 0.0 or material[4] != 0.0:
+        any_shape: float = _sum_any(points, n, tan_b, axes, normal, omega_r, material)
+        return any_shape
+    wx, wy, wz, ux, uy, vx, vy, vz = axes
+    nx, ny, nz = normal
+    rx, ry, rz = omega_r
+    round_shape: float = _sum_round(
+        points,
+        n,
+        tan_b,
+        nx * wx + ny * wy + nz * wz,
+        nx * ux + ny * uy,
+        nx * vx + ny * vy + nz * vz,
+        rx * wx + ry * wy + rz * wz,
+        rx * ux + ry * uy,
+        rx * vx + ry * vy + rz * vz,
+        nx * rx + ny * ry + nz * rz,
+        material[0],
+        material[1],
+        material[2],
+    )
+    return round_shape
+
+
+@numba.njit(cache=True, nogil=True, _nrt=False, error_model="numpy")
+def arc_light(
+    P: tuple[float, float, float],
+    normal: tuple[float, float, float],
+    omega_r: tuple[float, float, float],
+    center: tuple[float, float, float],
+    radius: float,
+    planes: Float64,
+    n_planes: int,
+    ledges: Float64,
+    n_ledges: int,
+    metal: Metal,
+    material: LobeNumbers,
+    rules: Float64,
+    n_p: int,
+    n_q: int,
+    nodes: Float64,
+    cuts: Float64,
+    breaks: Float64,
+    parts: Float64,
+) -> float:
+    """Return integral f_r cos(theta_i) d(omega) over the part of the luminous half-sphere that P sees.
+
+    `planes` are the half-spaces m.omega > 0 that are open, `ledges` what cuts into the arc
+    (`visibility.sky_planes`) and `metal` a corrugated lap's sheets. `n_p` nodes across the disc and `n_q` up
+    a chord, of `rules` (`gauss_nodes`); `work` is (WORK_ROWS, MAX_POINTS) scratch.
+    """
+    wx, wy, wz = center[0] - P[0], center[1] - P[1], center[2] - P[2]
+    distance = math.sqrt(wx * wx + wy * wy + wz * wz)
+    nx, ny, nz = normal
+    rx, ry, rz = omega_r
+    cos_r = nx * rx + ny * ry + nz * rz
+    if distance <= radius * (1.0 + 1e-9) or cos_r <= 0.0:
+        return 0.0
+    wx, wy, wz = wx / distance, wy / distance, wz / distance
+    cos_e = math.sqrt(wx * wx + wy * wy)
+    if cos_e > 1e-9:
+        ux, uy = -wy / cos_e, wx / cos_e
+    else:
+        ux, uy, cos_e = 1.0, 0.0, 1e-9
+    vx, vy, vz = -wz * uy, wz * ux, wx * uy - wy * ux
+    axes = (wx, wy, wz, ux, uy, vx, vy, vz)
+    sin_b = radius / distance
+    cos_b = math.sqrt(1.0 - sin_b * sin_b)
+    tan_b = sin_b / cos_b
+
+    # Where the equator leaves the outline: beyond it the chord is whole (P above) or dark (P below).
+    sin_corner = tan_b * wz / cos_e
+    if sin_corner >= 1.0:
+        return 0.0
+    below = wz > 0.0
+    corner = math.sqrt(max(0.0, 1.0 - sin_corner * sin_corner))
+    p_max = corner if below else 1.0
+
+    n_cuts = disc_lines(planes, n_planes, axes, tan_b, cuts)
+    if n_cuts < 0:
+        return 0.0
+    arc = (sin_b, cos_b, tan_b, cos_e, wz)
+    n_breaks = crossings(cuts, n_cuts, p_max, corner, arc, breaks)
+    for j in range(n_ledges):
+        n_breaks = ledge_crossings(
+            ledges[2 * j], ledges[2 * j + 1], P, axes, center, radius, arc, breaks, n_breaks
+        )
+    rays = (
+        P[0],
+        P[1],
+        P[2],
+        wx,
+        wy,
+        wz,
+        tan_b * ux,
+        tan_b * uy,
+        0.0,
+        tan_b * vx,
+        tan_b * vy,
+        tan_b * vz,
+        distance,
+        radius,
+    )
+    has_metal = metal[6] or metal[7]
+    p_first, p_last = -p_max, p_max
+    if has_metal:
+        p_first, p_last = open_range(-p_max, p_max, rays, metal)
+        n_breaks = insert(breaks, n_breaks, p_first)
+        n_breaks = insert(breaks, n_breaks, p_last)
+
+    near = 1.0 + 2.0 * max(0.0, sin_b - NEAR_ARC)
+    n_q = min(MAX_NODES_Q, math.ceil(n_q * near))
+    # Borders that are no lines have crossings that are not looked for.
+    n_p = CURVED_FACTOR * n_p if has_metal or n_ledges > 0 else n_p
+    total = 0.0
+    n = 0
+    for piece in range(n_breaks - 1):
+        left, right = breaks[piece], breaks[piece + 1]
+        middle, half = 0.5 * (left + right), 0.5 * (right - left)
+        if half < 1e-9 or not p_first < middle < p_last:
+            continue
+        share = half / p_max
+        m = min(MAX_NODES_P, math.ceil(n_p * near * (share + PIECE_FLOOR * (1.0 - share))))
+        for i in range(-1, m):
+            # The piece's middle first: nothing crosses within a piece, so it is open or dark as a whole.
+            p = middle if i < 0 else middle + half * rules[0, m, i]
+            high = math.sqrt(max(0.0, 1.0 - p * p))
+            low = max(-high, equator_q(p, arc, high if below else -high))
+            for j in range(n_cuts):
+                if cuts[j, 2] > 1e-12:
+                    low = max(low, -(cuts[j, 0] + cuts[j, 1] * p) / cuts[j, 2])
+                elif cuts[j, 2] < -1e-12:
+                    high = min(high, -(cuts[j, 0] + cuts[j, 1] * p) / cuts[j, 2])
+                elif cuts[j, 0] + cuts[j, 1] * p <= 0.0:
+                    high = low
+            if high <= low:
+                if i < 0:
+                    break
+                continue
+            if i < 0:
+                continue
+            weight = half * rules[1, m, i]
+            parts[0, 0], parts[0, 1] = low, high
+            n_parts = 1
+            if n_ledges > 0:
+                n_parts = wall_parts(p, low, high, P, axes, tan_b, distance, radius, ledges, n_ledges, parts)
+            elif has_metal:
+                n_parts = chord_parts(p, low, high, rays, metal, parts)
+            for k in range(n_parts):
+                begin, length = parts[k, 0], parts[k, 1] - parts[k, 0]
+                for j in range(n_q):
+                    nodes[0, n], nodes[1, n] = p, begin + length * rules[2, n_q, j]
+                    nodes[2, n] = weight * length * rules[3, n_q, j]
+                    n += 1
+            if n > MAX_POINTS - MAX_PARTS * MAX_NODES_Q:
+                total += _sum(nodes, n, tan_b, axes, normal, omega_r, material)
+                n = 0
+    total += _sum(nodes, n, tan_b, axes, normal, omega_r, material)
+    light: float = total * tan_b * tan_b
+    return light

@@ -1,0 +1,157 @@
+"""What of the arc a corrugated lap hides that no plane through P describes, chord by chord.
+
+The upper sheet's edge follows the corrugation, so from the lower sheet it is no straight line; and where the
+torch stands on a ridge's flank, the sheets themselves cut into the arc.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numba
+
+from noise_model.frames import Float64
+
+RIM_STEPS = 8
+"""In how many steps the disc's rims are searched for where the open part begins and ends."""
+
+CHORD_STEPS = 4
+"""In how many steps a chord is searched for where it leaves the metal."""
+
+ROOT_STEPS, ROOT_MM = 16, 1e-4
+"""At the most so many steps to a border, and how near to it in clearance is near enough."""
+
+TURNED_AWAY_MM = 1e6
+"""A larger clearance is of a ray that never comes to the edge."""
+
+Metal = tuple[float, float, float, float, float, float, bool, bool]
+"""Height, width and pitch of the corrugation; y of the upper sheet's edge, its height over the lower sheet;
+a station `crest_x` at which the upper sheet may hide more than at its edge; whether the edge hides a part of
+the arc from P, and whether the sheets cut into the arc."""
+
+Rays = tuple[float, float, float, float, float, float, float, float, float, float, float, float, float, float]
+"""P, e_w, tan(beta) e_u, tan(beta) e_v, distance and radius: what a chord's rays need."""
+
+
+@numba.njit(cache=True, nogil=True, _nrt=False, error_model="numpy", inline="always")
+def _wave(x: float, metal: Metal) -> float:
+    """Return the corrugation's height at station x."""
+    u = x - metal[2] * math.floor(x / metal[2] + 0.5)
+    if abs(u) >= 0.5 * metal[1]:
+        return 0.0
+    return 0.5 * metal[0] * (1.0 + math.cos(2.0 * math.pi / metal[1] * u))
+
+
+@numba.njit(cache=True, nogil=True, _nrt=False, error_model="numpy")
+def clearance(p: float, q: float, rays: Rays, metal: Metal) -> float:
+    """Return by how much the ray to the arc's point at (p, q) passes over the metal, mm.
+
+    Looked at are the upper sheet's edge and, where the ray is over that sheet by then, the station `crest_x`;
+    and the arc's point itself. Huge where neither can hide it.
+    """
+    Px, Py, Pz, wx, wy, wz, ux, uy, uz, vx, vy, vz, distance, radius = rays
+    _, _, _, edge_y, edge_step, crest_x, edge_hides, cuts = metal
+    oy = wy + p * uy + q * vy
+    if not cuts and oy >= 0.0:
+        return 1e9
+    ox, oz = wx + p * ux + q * vx, wz + p * uz + q * vz
+    square = ox * ox + oy * oy + oz * oz
+    # t^2 square - 2 t d + d^2 - R^2 = 0, the nearer root.
+    root = math.sqrt(max(0.0, distance * distance - square * (distance * distance - radius * radius)))
+    t_arc = (distance - root) / square
+    free = 1e9
+    if cuts:
+        level = _wave(Px + t_arc * ox, metal) + (edge_step if Py + t_arc * oy < edge_y else 0.0)
+        free = Pz + t_arc * oz - level
+    if edge_hides and oy < 0.0:
+        t = (edge_y - Py) / oy
+        if t < t_arc:
+            free = min(free, Pz + t * oz - _wave(Px + t * ox, metal) - edge_step)
+            way = (crest_x - Px) * ox
+            if t * ox * ox < way < t_arc * ox * ox:
+                free = min(free, Pz + way / (ox * ox) * oz - _wave(crest_x, metal) - edge_step)
+    return free
+
+
+@numba.njit(cache=True, nogil=True, _nrt=False, error_model="numpy")
+def border(
+    p: tuple[float, float],
+    q: tuple[float, float],
+    on_rim: bool,
+    at_ends: tuple[float, float],
+    rays: Rays,
+    metal: Metal,
+) -> float:
+    """Return at which share of the way from (p[0], q[0]) to (p[1], q[1]) the clearance changes its sign.
+
+    `at_ends` are the clearances there, of unlike signs. `on_rim` goes from p[0] to p[1] along the upper rim
+    of the disc instead.
+    """
+    low, high = 0.0, 1.0
+    below, above = at_ends
+    share = 0.5
+    for i in range(ROOT_STEPS):
+        if max(abs(below), abs(above)) > TURNED_AWAY_MM or i % 4 == 3:
+            share = 0.5 * (low + high)
+        else:
+            # Regula falsi with halved weights (Illinois): the clearance is nearly straight.
+            share = (low * above - high * below) / (above - below)
+        p_i = p[0] + share * (p[1] - p[0])
+        q_i = math.sqrt(max(0.0, 1.0 - p_i * p_i)) if on_rim else q[0] + share * (q[1] - q[0])
+        free = clearance(p_i, q_i, rays, metal)
+        if abs(free) < ROOT_MM:
+            break
+        if (free < 0.0) == (below < 0.0):
+            low, below = share, free
+            above *= 0.5
+        else:
+            high, above = share, free
+            below *= 0.5
+    return share
+
+
+@numba.njit(cache=True, nogil=True, _nrt=False, error_model="numpy")
+def chord_parts(p: float, low: float, high: float, rays: Rays, metal: Metal, parts: Float64) -> int:
+    """Write the parts (n, 2) of a chord on which the arc passes over the metal; return how many."""
+    count = 0
+    before = clearance(p, low, rays, metal)
+    begin, q_before = low, low
+    for i in range(CHORD_STEPS):
+        q = low + (high - low) * (i + 1) / CHORD_STEPS
+        free = clearance(p, q, rays, metal)
+        if (free < 0.0) != (before < 0.0):
+            share = border((p, p), (q_before, q), False, (before, free), rays, metal)
+            at = q_before + share * (q - q_before)
+            if free < 0.0:
+                parts[count, 0], parts[count, 1] = begin, at
+                count += 1
+            begin = at
+        before, q_before = free, q
+    if before >= 0.0 and high > begin:
+        parts[count, 0], parts[count, 1] = begin, high
+        count += 1
+    return count
+
+
+@numba.njit(cache=True, nogil=True, _nrt=False, error_model="numpy")
+def open_range(p_low: float, p_high: float, rays: Rays, metal: Metal) -> tuple[float, float]:
+    """Return between which p the tops of the chords are open; an empty range where none is."""
+    first, last = RIM_STEPS + 1, -1
+    start, step = p_low, (p_high - p_low) / RIM_STEPS
+    for i in range(RIM_STEPS + 1):
+        p = start + i * step
+        if clearance(p, math.sqrt(max(0.0, 1.0 - p * p)), rays, metal) >= 0.0:
+            first, last = min(first, i), i
+    if last < 0:
+        return p_high, p_low
+    for i_open, i_hidden in ((first, first - 1), (last, last + 1)):
+        if not 0 <= i_hidden <= RIM_STEPS:
+            continue
+        p_hidden, p_open = start + i_hidden * step, start + i_open * step
+        ends = (
+            clearance(p_hidden, math.sqrt(max(0.0, 1.0 - p_hidden * p_hidden)), rays, metal),
+            clearance(p_open, math.sqrt(max(0.0, 1.0 - p_open * p_open)), rays, metal),
+        )
+        p = p_hidden + border((p_hidden, p_open), (0.0, 0.0), True, ends, rays, metal) * (p_open - p_hidden)
+        p_low, p_high = (p, p_high) if i_hidden < i_open else (p_low, p)
+    return p_low, p_high
