@@ -82,8 +82,8 @@ def estimate_hand_eye(
     change = np.zeros(6)
     for done in range(ROUNDS):
         progress(done, ROUNDS)
-        moved = _with_camera(setup, change)
-        views = [_View.of(moved, frame, pose, seam, lattice_px) for frame, pose in lit]
+        turned = _with_camera(setup, change)
+        views = [_View.of(turned, frame, pose, seam, lattice_px) for frame, pose in lit]
         result = _fit(setup, views, seam)
         change = result.values[:6]
         seam = SeamLine(seam.station_mm, *(float(value) for value in result.values[8:]))
@@ -187,10 +187,10 @@ def _fit(setup: Setup, views: Sequence[_View], seam: SeamLine) -> Fit:
     ]
 
     def residuals(x: Float64) -> Float64:
-        moved, line = (
+        turned, line = (
             _with_camera(setup, x[:6]),
             SeamLine(seam.station_mm, *(float(value) for value in x[8:])),
         )
-        return np.concatenate([view.residual(moved, math.exp(x[6]), x[7], line) for view in views])
+        return np.concatenate([view.residual(turned, math.exp(x[6]), x[7], line) for view in views])
 
     return fit(parameters, residuals, huber=HUBER)

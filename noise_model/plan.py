@@ -35,8 +35,6 @@ LARGEST_FIELD_ANGLE = 0.6
 
 PROFILE_NODES = 61
 
-CURVE_SAMPLES = 4001
-
 NOZZLE_HEIGHT_MM = 10.0
 """How high above the plate the torch's nozzle begins."""
 
@@ -98,7 +96,7 @@ def design_of(setup: Setup) -> SensorDesign:
         stand_off_mm=float(-origin[2] / axis[2]),
         # The sheet rises along n x y: (-n_z, 0, n_x).
         lean_deg=math.degrees(math.atan2(-plane[2] * np.sign(plane[0]), abs(plane[0]))) + 0.0,
-        filter_fwhm_nm=band_nm(setup.filter)[1],
+        filter_fwhm_nm=setup.filter.fwhm_nm,
         exposure_s=float(setup.camera.exposure_s),
     )
 
@@ -121,20 +119,10 @@ def clears_torch(design: SensorDesign, torch_radius_mm: float) -> bool:
     return math.hypot(x, y) > torch_radius_mm
 
 
-def band_nm(optics: Filter | FilterCurve) -> tuple[float, float]:
-    """Return a filter's centre and full width at half maximum, nm, of a curve its outermost halves."""
-    if isinstance(optics, Filter):
-        return optics.center_nm, optics.fwhm_nm
-    fine = np.linspace(optics.wavelength_nm[0], optics.wavelength_nm[-1], CURVE_SAMPLES)
-    passed = optics.at_normal(fine)
-    half = fine[passed >= 0.5 * passed.max()]
-    return float(0.5 * (half[0] + half[-1])), float(half[-1] - half[0])
-
-
 def filter_of(setup: Setup, fwhm_nm: float) -> Filter | FilterCurve:
     """Return the setup's own filter if that is its width, else a Gaussian one about the same centre."""
-    center, own = band_nm(setup.filter)
-    return setup.filter if fwhm_nm == own else Filter(center, fwhm_nm, setup.filter.effective_index)
+    own = setup.filter
+    return own if fwhm_nm == own.fwhm_nm else Filter(own.center_nm, fwhm_nm, own.effective_index)
 
 
 def with_design(setup: Setup, design: SensorDesign, spectrum: ArcSpectrum | None = None) -> Setup:

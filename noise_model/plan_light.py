@@ -14,10 +14,13 @@ import numpy.typing as npt
 
 from noise_model.arc_map import Scene, arc_at, arc_kernel, scene
 from noise_model.brdf import reflectance
-from noise_model.forward import stripe_reference, stripe_runs_along_rows
+from noise_model.condition import Condition
+from noise_model.effects.light import Light
+from noise_model.forward import pass_on, stripe_reference, stripe_runs_along_rows
 from noise_model.frames import Float64, invert, transform
 from noise_model.laser import irradiance
 from noise_model.setup import Setup
+from noise_model.view import View
 from noise_model.visibility import trace, ways_are_open
 
 Bool = npt.NDArray[np.bool_]
@@ -77,8 +80,7 @@ def stripe_light(setup: Setup, T_base_tool: Float64, level_e: float) -> StripeLi
     if not len(points):
         raise ValueError("the laser does not meet the joint at this pose")
     looks = _look(setup, view, points, normals)
-    stripe = level_e * _stripe(setup, view, points, normals, looks)
-    arc = _arc(setup, view, looks)
+    stripe, arc = _light_at(setup, view, looks, level_e * _stripe(setup, view, points, normals, looks))
     return StripeLight(
         points=points,
         normals=normals,
@@ -198,8 +200,12 @@ def _stripe(setup: Setup, view: Scene, points: Float64, normals: Float64, looks:
     return np.asarray(light * f_r * np.cos(looks.theta) ** 4 * looks.sheet_share)
 
 
-def _arc(setup: Setup, view: Scene, looks: _Looks) -> Float64:
-    """Return the arc's light (n, ARC_PLACES), e-, across the windows; 0 past the workpiece and unseen."""
+def _light_at(setup: Setup, view: Scene, looks: _Looks, stripe_e: Float64) -> tuple[Float64, Float64]:
+    """Return the stripe's peak (n,), e-, and the other light (n, ARC_PLACES), e-, across the windows.
+
+    `stripe_e` (n,) is the peak before the setup's effects on the light; they are applied here, to both. 0
+    past the workpiece and where it is not seen.
+    """
     arc_e = np.zeros((len(looks.seen), ARC_PLACES))
     seen = np.flatnonzero(looks.seen)
     t = np.linspace(-HALF_WINDOW_SIGMAS, HALF_WINDOW_SIGMAS, ARC_PLACES)
@@ -210,5 +216,11 @@ def _arc(setup: Setup, view: Scene, looks: _Looks) -> Float64:
     light, _ = arc_at(
         arc_kernel(setup, view), xy.astype(np.float32), cos4, np.arange(len(xy), dtype=np.int64)
     )
-    arc_e[seen] = np.nan_to_num(light.astype(np.float64)).reshape(-1, ARC_PLACES)
-    return arc_e
+    laser = (stripe_e[seen, np.newaxis] * np.exp(-0.5 * t**2)).astype(np.float32)
+    of_both = Light.of(np.nan_to_num(light), laser.ravel())
+    pixels = View(setup, view, image.astype(np.float32), xy.astype(np.float32), cos4, is_frame=False)
+    pass_on(setup, of_both, pixels, Condition(1.0, 1.0, setup.camera.exposure_s))
+    arc_e[seen] = (of_both.arc + of_both.other).reshape(-1, ARC_PLACES)
+    peak_e = np.zeros(len(looks.seen))
+    peak_e[seen] = of_both.laser.reshape(-1, ARC_PLACES)[:, ARC_PLACES // 2]
+    return peak_e, arc_e

@@ -8,6 +8,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
+from noise_model.effects import really
 from noise_model.frames import Float64
 from noise_model.plan import SensorDesign, design_of
 from noise_model.plan_avoid import Cure, find_cures
@@ -111,11 +112,13 @@ def make_plan(
     """Plan a sensor for a setup's material, joint and path.
 
     Designs are compared over one pitch of a corrugation, else at one pose; the path is that of the recorded
-    poses T_base_tool if given, else the nominal one. Raises ValueError for a joint without a seam point or a
-    setup whose sensor sees no stripe on a plate.
+    poses T_base_tool if given, else the nominal one. The setup's effects act, on the light of the stripe's
+    own pixels: what spreads over the image is taken from them. Raises ValueError for a joint without a seam
+    point or a setup whose sensor sees no stripe on a plate.
     """
     if setup.joint.type == "flat":
         raise ValueError("[joint] type = 'flat': has no seam point to plan for")
+    setup = really(setup)
     tell = progress or (lambda _stage, _done, _total: None)
     own, around = design_of(setup), options.around
     space, poses = search_space(setup, options), search_path(setup).T_base_tool

@@ -116,7 +116,7 @@ class FilterCurve:
         above = np.flatnonzero(self.transmission >= half)
 
         def over_half(wavelength_nm: float) -> float:
-            return float(self.at_normal(np.float64(wavelength_nm))) - half
+            return float(self.at_normal(np.asarray(wavelength_nm))) - half
 
         first, last = int(above[0]), int(above[-1])
         nm = self.wavelength_nm

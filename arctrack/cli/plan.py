@@ -79,8 +79,6 @@ def plan(
         )
     except ValueError as error:
         raise ArctrackError(str(error)) from None
-    if setup.effects:
-        console.warn([f"{source}: [effects] have no part in a plan: {', '.join(setup.effects)}"])
     made = _plan(source, setup, options, poses)
     print_plan(console.tables(), made)
     _write(made, torch_radius, out)

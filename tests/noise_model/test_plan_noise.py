@@ -13,6 +13,7 @@ from scipy.spatial.transform import Rotation
 
 from noise_model.arc_map import scene
 from noise_model.bound import POSITION, stripe_sigmas
+from noise_model.effects import checked
 from noise_model.frames import invert, transform
 from noise_model.plan import design_of, with_design
 from noise_model.plan_light import REACH_MM, StripeLight, stripe_level_e, stripe_light
@@ -222,3 +223,17 @@ def test_a_laps_edge_lies_between_two_scan_lines() -> None:
 def test_a_contrast_that_cannot_be_is_refused() -> None:
     with pytest.raises(ValueError, match="contrast"):
         Surroundings(speckle_contrast=1.5)
+
+
+def test_known_effects_act_on_the_light() -> None:
+    """Vignetting by hand where the points lie in the image; glow adds to the arc's light alone."""
+    setup, T_base_tool = steel_groove(), tool()
+    effects = checked({"vignetting": {"loss": 0.8}, "hot_metal_glow": {"peak_e": 3e4}})
+    plain, seen = lit(setup, T_base_tool), lit(replace(setup, effects=effects), T_base_tool)
+    u, v = image_points(setup, T_base_tool, plain).T
+    half = 0.5 * math.hypot(400.0, 300.0)
+    factor = 1.0 - 0.8 * ((u - 199.5) ** 2 + (v - 149.5) ** 2) / half**2
+    good = plain.seen
+    np.testing.assert_allclose(seen.stripe_e[good], (plain.stripe_e * factor)[good], rtol=1e-4)
+    middle = plain.arc_e[good][:, plain.arc_e.shape[1] // 2] * factor[good]
+    assert (seen.arc_e[good][:, plain.arc_e.shape[1] // 2] > middle).all()
