@@ -49,11 +49,11 @@ class Light:
         self,
         passed: np.float32 | Float32,
         spread: np.float32 | Float32,
-        mean: Callable[[Float32], np.float32],
+        mean: Callable[[Float32], np.float32 | Float32],
     ) -> None:
         """Pass a share of the light of every source and spread a share of its mean over the image.
 
-        What scatters from pixel to pixel is lost in a mean.
+        What scatters from pixel to pixel is lost in a mean, a wide one about each pixel too.
         """
         self.pass_through(lambda image: np.asarray(passed * image + spread * mean(image), dtype=np.float32))
         self.variance_e2 = np.asarray(self.variance_e2 * passed**2, dtype=np.float32)

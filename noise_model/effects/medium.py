@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from scipy import constants
 from scipy.special import ndtr
 
 from noise_model.arc_map import Float32
@@ -15,11 +14,6 @@ from noise_model.effects.light import Light
 from noise_model.fit import Parameter
 from noise_model.frames import Float64
 from noise_model.view import View
-
-MELTING_K = 1800.0
-"""Where the glow's radius is taken: steel melts between 1670 and 1810 K."""
-
-HC_OVER_K_NM_K = float(1e9 * constants.h * constants.c / constants.k)
 
 STREAK_REACH = 5.0
 """How many widths beside a streak are drawn: it has fallen to 4e-6 there."""
@@ -124,8 +118,7 @@ def _hot_metal_glow(light: Light, view: View, condition: Condition, values: Valu
     if condition.arc_level == 0.0:
         return
     rho = view.keep("rho_from_arc", lambda: _rho_mm(view))
-    lift = HC_OVER_K_NM_K / (view.setup.laser.wavelength_nm * MELTING_K)
-    hot = np.exp(np.float32(-lift) * np.maximum(rho / np.float32(values["radius_mm"]) - 1, 0))
+    hot = np.exp(rho / np.float32(-values["length_mm"]))
     light.other = light.other + np.float32(values["peak_e"]) * view.cos4 * hot
 
 
@@ -141,15 +134,14 @@ EFFECTS = (
         id="hot_metal_glow",
         stage=Stage.MEDIUM,
         summary="thermal emission near the arc, whatever the current and the viewing angle",
-        equation="other += peak_e cos^4 exp(-h c / (lambda k T_m) (rho / radius_mm - 1)) beyond radius_mm "
-        "from the arc, T = T_m radius_mm / rho; peak_e within",
-        source="Rosenthal 1946, Trans. ASME 68, 849: T ~ 1 / rho round a point source at rest on a thick "
-        "plate, here over 0 K; Wien's law at the laser's wavelength, T_m = 1800 K",
+        equation="other += peak_e cos^4 exp(-rho / length_mm), rho the distance along the plate from the arc",
+        source="Wien's law, exp(-h c / (lambda k T)), where 1 / T grows evenly away from the pool, by "
+        "lambda k / (h c length_mm); the plate radiates as Lambert's law says",
         parameters=(
-            Parameter("peak_e", "e-", 0.0, 5000.0, 0.0, 1e6, 20.0),
-            Parameter("radius_mm", "mm", 15.0, 10.0, 1.0, 80.0, 0.1),
+            Parameter("peak_e", "e-", 0.0, 20_000.0, 0.0, 1e7, 50.0),
+            Parameter("length_mm", "mm", 10.0, 10.0, 0.5, 100.0, 0.05),
         ),
-        typical={"peak_e": 6000.0, "radius_mm": 25.0},
+        typical={"peak_e": 30_000.0, "length_mm": 15.0},
         light=_hot_metal_glow,
     ),
     Effect(

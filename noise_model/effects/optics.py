@@ -5,7 +5,9 @@ from __future__ import annotations
 import math
 from dataclasses import replace
 
+import cv2
 import numpy as np
+from scipy.ndimage import gaussian_filter1d
 
 from noise_model.arc_map import Float32
 from noise_model.condition import Condition
@@ -15,6 +17,12 @@ from noise_model.fit import Parameter
 from noise_model.setup import Setup
 from noise_model.spectrum import ArcSpectrum, laser_transmission, passed_continuum
 from noise_model.view import View
+
+EVEN_SPREAD = 3.0
+"""From this 1 sigma on, in half diagonals, glare is even."""
+
+SPREAD_NODES = 8.0
+"""Pixels to a wide Gaussian's sigma after an image is shrunk for it."""
 
 CONTINUUM = ArcSpectrum(line_width_nm=0.0)
 
@@ -81,9 +89,25 @@ def _defocus(setup: Setup, values: Values) -> Setup:
     )
 
 
+def wide_blur(image: Float32, sigma_px: float) -> Float32:
+    """Convolve an image (H, W) with a wide Gaussian, the rim reflected: shrunk, convolved and enlarged."""
+    shrink = max(1.0, sigma_px / SPREAD_NODES)
+    height, width = image.shape
+    size = max(1, round(width / shrink)), max(1, round(height / shrink))
+    small = cv2.resize(image, size, interpolation=cv2.INTER_AREA)
+    sigma_x, sigma_y = sigma_px * size[0] / width, sigma_px * size[1] / height
+    for axis, sigma in ((1, sigma_x), (0, sigma_y)):
+        small = gaussian_filter1d(small, sigma, axis=axis, mode="reflect")
+    return np.asarray(cv2.resize(small, (width, height), interpolation=cv2.INTER_LINEAR), dtype=np.float32)
+
+
 def _veiling_glare(light: Light, view: View, condition: Condition, values: Values, draw: Draw) -> None:
     share = np.float32(values["share"])
-    light.spread(np.float32(1) - share, share, view.mean)
+    spread_px = values["spread"] * 0.5 * math.hypot(view.setup.camera.width, view.setup.camera.height)
+    if values["spread"] >= EVEN_SPREAD or not view.is_frame:
+        light.spread(np.float32(1) - share, share, view.mean)
+    else:
+        light.spread(np.float32(1) - share, share, lambda image: wide_blur(image, spread_px))
 
 
 EFFECTS = (
@@ -150,9 +174,14 @@ EFFECTS = (
         id="veiling_glare",
         stage=Stage.OPTICS,
         summary="a share of the scene's light spreads over the whole image",
-        equation="E' = (1 - share) E + share mean(E)",
-        source="ISO 9358: the veiling glare index; an even spread is its simplest form",
-        parameters=(Parameter("share", "", 0.0, 0.1, 0.0, 0.9, 0.002),),
+        equation="E' = (1 - share) E + share (E convolved with a Gaussian of 1 sigma spread, in half "
+        "diagonals, the rim reflected); from spread 3 on share mean(E)",
+        source="ISO 9358: the veiling glare index; McCann and Rizzi 2007 (J. SID 15(9), 721): glare falls "
+        "off from its source over the whole image. Some pixels alone take their even mean",
+        parameters=(
+            Parameter("share", "", 0.0, 0.1, 0.0, 0.9, 0.002),
+            Parameter("spread", "", EVEN_SPREAD, 2.0, 0.1, 5.0, 0.02),
+        ),
         typical={"share": 0.15},
         light=_veiling_glare,
     ),

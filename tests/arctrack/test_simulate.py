@@ -157,7 +157,7 @@ def fit_of_the_arc(path: Path, setup: Setup, effects: dict[str, dict[str, float]
         ("vignetting", {"loss": 0.6}),
         ("gamma", {"gamma": 0.8}),
         ("arc_length", {"height_mm": 2.0}),
-        ("hot_metal_glow", {"peak_e": 8000.0, "radius_mm": 35.0}),
+        ("hot_metal_glow", {"peak_e": 60000.0, "length_mm": 15.0}),
         ("fume", {"extinction_per_m": 3.0, "scatter": 0.05}),
     ],
 )

@@ -263,7 +263,7 @@ def test_glare_comes_after_vignetting():
 
 def test_the_fume_dims_what_glows():
     setup = nominal("flat", psf_sigma_px=0.0)
-    glow = {"peak_e": 5000.0, "radius_mm": 30.0}
+    glow = {"peak_e": 20000.0, "length_mm": 20.0}
     condition = CONDITIONS["arc"]
     dark = light_of(np.zeros((60, 80)))
     alone = passed(affected(setup, hot_metal_glow=glow), dark, condition).other

@@ -88,6 +88,32 @@ def test_glare_keeps_all_light_and_spreads_its_share():
         np.testing.assert_allclose(image, 0.8 * before + 0.2 * before.mean(), rtol=1e-4)
 
 
+@pytest.mark.parametrize("spread", [0.2, 0.5, 1.5])
+def test_glare_that_falls_off_is_a_gaussian_about_its_source(spread):
+    """Against the whole convolution, pixel by pixel, of the image continued by its mirror images."""
+    image = np.zeros((60, 80))
+    image[12, 20], image[40:43, 50:70] = 1e5, 5e3
+    got = passed(affected(sharp(), veiling_glare={"share": 0.3, "spread": spread}), light_of(image)).arc
+    sigma = spread * 50.0
+    wanted = np.zeros_like(image)
+    v, u = np.mgrid[:60, :80]
+    for row, column in zip(*np.nonzero(image), strict=True):
+        along = sum(
+            np.exp(-0.5 * ((u - x) / sigma) ** 2)
+            for turn in range(-4, 5)
+            for x in (column + 160 * turn, -1 - column + 160 * turn)
+        )
+        down = sum(
+            np.exp(-0.5 * ((v - y) / sigma) ** 2)
+            for turn in range(-5, 6)
+            for y in (row + 120 * turn, -1 - row + 120 * turn)
+        )
+        wanted += image[row, column] * along * down / (2.0 * np.pi * sigma**2)
+    dark = image == 0.0
+    np.testing.assert_allclose(got[dark], 0.3 * wanted[dark], rtol=0.01, atol=0.006 * wanted.max())
+    assert got.sum(dtype=np.float64) == pytest.approx(image.sum(), rel=0.005)
+
+
 def test_what_scatters_is_dimmed_with_the_square():
     """Vignetting, window, glare and fume, one after the other, on a variance that came before them."""
     setup = affected(

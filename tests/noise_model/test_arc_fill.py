@@ -1,0 +1,125 @@
+import dataclasses
+import math
+
+import numpy as np
+import pytest
+import scenes
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from noise_model.arc_disc import MAX_PIECES, crossings, equator_q
+from noise_model.arc_map import CELL, arc_at, arc_band, arc_frame, arc_kernel, scene
+from noise_model.arc_table import across, face_point
+from noise_model.optics import Rays
+from noise_model.surface import section
+
+QUARTER_DN_E = 20.0
+
+
+def over_limit(setup, T_base_tool):
+    """Errors of a filled frame over 0.5 % or 0.25 DN, whichever is more, against each pixel's own integral."""
+    rays = Rays.of(setup.camera)
+    kernel = arc_kernel(setup, scene(setup, T_base_tool))
+    xy, cos4 = rays.xy.reshape(-1, 2), rays.cos4.reshape(-1)
+    want, _ = arc_at(kernel, xy, cos4, np.arange(cos4.size))
+    got = arc_frame(kernel, xy, cos4, rays.cos4.shape).reshape(-1)
+    np.testing.assert_array_equal(np.isnan(got), np.isnan(want))
+    return np.abs(got - want) / np.maximum(0.005 * want, QUARTER_DN_E)
+
+
+shifts = st.tuples(st.floats(-30.0, 30.0), st.floats(-4.0, 4.0), st.floats(-3.0, 8.0))
+turns = st.tuples(*[st.floats(-10.0, 10.0)] * 3)
+
+
+@given(st.sampled_from(["flat", "v_groove", "lap"]), st.sampled_from(list(scenes.TABLE_1)), shifts, turns)
+@settings(max_examples=25, deadline=None)
+def test_a_filled_frame_is_each_pixels_own_light(name, material, shift, turn_deg):
+    of_camera = scenes.camera(width=320, height=240, focal_px=2190.0)
+    error = over_limit(scenes.setup(name, material, of_camera=of_camera), scenes.pose(shift, turn_deg))
+    assert np.mean(error > 1.0) < 0.003
+    assert np.quantile(error, 0.99) < 0.8
+
+
+@given(st.sampled_from(list(scenes.TABLE_1)), shifts, turns)
+@settings(max_examples=6, deadline=None)
+def test_a_filled_corrugation_is_each_pixels_own_light(material, shift, turn_deg):
+    of_camera = scenes.camera(width=200, height=150, focal_px=2190.0)
+    error = over_limit(
+        scenes.setup("corrugation", material, of_camera=of_camera), scenes.pose(shift, turn_deg)
+    )
+    assert np.mean(error > 1.0) < 0.005
+
+
+@pytest.mark.parametrize("name", ["v_groove", "lap"])
+def test_a_lens_that_distorts_is_filled_as_well(name):
+    camera = dataclasses.replace(
+        scenes.camera(width=320, height=240, focal_px=2190.0), distortion=(-0.4, 0.6, 0.002, -0.003, 0.0)
+    )
+    error = over_limit(scenes.setup(name, of_camera=camera), scenes.pose((3.0, 1.0, 0.0), (2.0, -3.0, 20.0)))
+    assert error.max() < 1.5
+    assert np.mean(error > 1.0) < 0.003
+
+
+def test_a_pixels_light_does_not_depend_on_the_band_it_is_in():
+    setup = scenes.setup("lap", of_camera=scenes.camera(width=200, height=152, focal_px=2190.0))
+    rays = Rays.of(setup.camera)
+    kernel = arc_kernel(setup, scene(setup, scenes.pose()))
+    xy, cos4 = rays.xy.reshape(-1, 2), rays.cos4.reshape(-1)
+    frame = arc_frame(kernel, xy, cos4, (152, 200))
+    lows = np.arange(152 // CELL, dtype=np.int64) * 7 % 120
+    band = np.empty((152, 77), dtype=np.float32)
+    arc_band(kernel, xy, cos4, lows, band)
+    part = np.array([frame[i, lows[i // CELL] : lows[i // CELL] + 77] for i in range(152)])
+    np.testing.assert_allclose(band, part, rtol=1e-5)
+
+
+@given(st.sampled_from(list(scenes.JOINTS)), st.floats(-80.0, 80.0), st.floats(0.0, 1.0))
+def test_a_faces_coordinates_are_those_of_its_points(name, x, share):
+    shape = section(scenes.JOINTS[name])
+    for face in range(len(shape.vertices) - 1):
+        length = float(np.linalg.norm(np.diff(np.clip(shape.vertices[face : face + 2], -30.0, 30.0), axis=0)))
+        s = -share * length if face == 0 else share * length
+        P = face_point(face, x, s, shape.vertices, shape.corrugation)
+        assert across(face, P, shape.vertices, shape.corrugation) == pytest.approx(s, abs=1e-9)
+        if name in ("flat", "v_groove") or face != 1:
+            assert P[2] == pytest.approx(float(scenes.height(scenes.JOINTS[name], x, P[1])), abs=1e-9)
+
+
+@given(
+    st.floats(1.05, 30.0),
+    st.floats(-1.2, 1.2),
+    st.lists(st.tuples(st.floats(-1.0, 1.0), st.floats(-3.2, 3.2)), min_size=1, max_size=3),
+)
+@settings(max_examples=300, deadline=None)
+def test_between_two_crossings_a_chord_keeps_its_borders(distance, elevation, lines):
+    """The same border above and the same below at every p of a piece, and open or dark as a whole."""
+    sin_b = 1.0 / distance
+    cos_b = math.sqrt(1.0 - sin_b**2)
+    arc = (sin_b, cos_b, sin_b / cos_b, math.cos(elevation), math.sin(elevation))
+    sin_corner = arc[2] * arc[4] / arc[3]
+    if sin_corner >= 1.0:
+        return
+    corner = math.sqrt(max(0.0, 1.0 - sin_corner**2))
+    p_max = corner if arc[4] > 0.0 else 1.0
+    cuts = np.array([[a, math.cos(turn), math.sin(turn)] for a, turn in lines])
+    breaks = np.empty(MAX_PIECES)
+    n = crossings(cuts, len(cuts), p_max, corner, arc, breaks)
+    assert np.all(np.diff(breaks[:n]) >= 0.0)
+    for left, right in zip(breaks[: n - 1], breaks[1:n], strict=True):
+        if right - left < 1e-6:
+            continue
+        found = set()
+        for p in left + (right - left) * np.linspace(0.02, 0.98, 15):
+            high = math.sqrt(1.0 - p * p)
+            below = {-1: max(-high, equator_q(p, arc, -high))}
+            above = {-1: high}
+            for j, (a, b, c) in enumerate(cuts):
+                if abs(c) > 1e-9:
+                    (below if c > 0.0 else above)[j] = -(a + b * p) / c
+            low, top = max(below, key=below.get), min(above, key=above.get)
+            gap = above[top] - below[low]
+            if gap > 1e-9:
+                found.add((low, top))
+            elif gap < -1e-9:
+                found.add(None)
+        assert len(found) <= 1
