@@ -177,7 +177,7 @@ EFFECTS = (
         equation="E' = (1 - share) E + share (E convolved with a Gaussian of 1 sigma spread, in half "
         "diagonals, the rim reflected); from spread 3 on share mean(E)",
         source="ISO 9358: the veiling glare index; McCann and Rizzi 2007 (J. SID 15(9), 721): glare falls "
-        "off from its source over the whole image. Some pixels alone take their even mean",
+        "off from its source. Some pixels alone take their even mean",
         parameters=(
             Parameter("share", "", 0.0, 0.1, 0.0, 0.9, 0.002),
             Parameter("spread", "", EVEN_SPREAD, 2.0, 0.1, 5.0, 0.02),
