@@ -27,7 +27,7 @@ from noise_model.arc_disc import (
     ledge_crossings,
     wall_parts,
 )
-from noise_model.arc_metal import Metal, chord_parts, open_range
+from noise_model.arc_metal import Metal, chord_parts, is_clear, open_range
 from noise_model.brdf import LobeNumbers, lobe_fall
 from noise_model.frames import Float64
 
@@ -40,7 +40,7 @@ MAX_POINTS = 2048
 PIECE_FLOOR = 0.5
 """A narrow piece of the disc still gets this share of the whole disc's nodes across."""
 
-CURVED_FACTOR = 2
+CURVED_FACTOR = 1.5
 """So many times the nodes across where walls or a corrugated lap's metal cut into the arc."""
 
 NEAR_ARC = 0.35
@@ -268,7 +268,7 @@ def arc_light(
         distance,
         radius,
     )
-    has_metal = metal[6] or metal[7]
+    has_metal = (metal[6] or metal[7]) and not is_clear(p_max, arc, rays, metal)
     p_first, p_last = -p_max, p_max
     if has_metal:
         p_first, p_last = open_range(-p_max, p_max, rays, metal)
@@ -278,7 +278,7 @@ def arc_light(
     near = 1.0 + 2.0 * max(0.0, sin_b - NEAR_ARC)
     n_q = min(MAX_NODES_Q, math.ceil(n_q * near))
     # Borders that are no lines have crossings that are not looked for.
-    n_p = CURVED_FACTOR * n_p if has_metal or n_ledges > 0 else n_p
+    n_p = math.ceil(CURVED_FACTOR * n_p) if has_metal or n_ledges > 0 else n_p
     total = 0.0
     n = 0
     for piece in range(n_breaks - 1):

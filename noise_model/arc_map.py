@@ -25,7 +25,7 @@ from noise_model.brdf import lobe_numbers
 from noise_model.frames import Float64, invert
 from noise_model.setup import Setup
 from noise_model.surface import NOMINAL_SEAM, SeamLine, Section, corrugation_height, seam_frame, section
-from noise_model.visibility import MISS, horizon_tables
+from noise_model.visibility import MISS, horizon_tables, surface_height
 
 Float32 = npt.NDArray[np.float32]
 Int32 = npt.NDArray[np.int32]
@@ -110,6 +110,17 @@ def _footprint(setup: Setup, T_joint_camera: Float64, levels_mm: tuple[float, fl
     return np.array([np.min(ends, axis=(0, 1)), np.max(ends, axis=(0, 1))]).T
 
 
+def _metal_cuts(radius: float, view: Scene) -> bool:
+    """Say whether a corrugated lap's sheets may cut into the luminous half-sphere."""
+    if view.shape.corrugation[0] == 0.0:
+        return False
+    tau, delta = np.meshgrid(np.linspace(0.0, 0.5 * np.pi, 10), np.linspace(0.0, 2.0 * np.pi, 24))
+    sin = np.sin(tau)
+    outward = np.stack([sin * np.cos(delta), sin * np.sin(delta), np.cos(tau)], axis=-1)
+    on_arc = view.center_mm + radius * outward
+    return bool((on_arc[..., 2] < surface_height(on_arc, view.shape) - 1e-6).any())
+
+
 def arc_kernel(
     setup: Setup, view: Scene, level: float = 1.0, nodes: tuple[int, int] = (NODES_P, NODES_Q)
 ) -> ArcKernel:
@@ -130,7 +141,7 @@ def arc_kernel(
         view.shape.corrugation,
         view.horizon_start,
         view.horizons,
-        view.shape.corrugation[0] > 0.0,
+        _metal_cuts(setup.arc.radius_mm, view),
         (*view.footprint_mm[0], *view.footprint_mm[1]),
         lobe_numbers(setup.material),
         gauss_nodes(),

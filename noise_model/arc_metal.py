@@ -10,10 +10,14 @@ import math
 
 import numba
 
+from noise_model.arc_disc import Shape, equator_q
 from noise_model.frames import Float64
 
 RIM_STEPS = 8
 """In how many steps the disc's rims are searched for where the open part begins and ends."""
+
+CLEAR_STEPS = 4
+"""In how many steps to either side an arc is looked at that may be clear of the metal."""
 
 CHORD_STEPS = 4
 """In how many steps a chord is searched for where it leaves the metal."""
@@ -131,6 +135,18 @@ def chord_parts(p: float, low: float, high: float, rays: Rays, metal: Metal, par
         parts[count, 0], parts[count, 1] = begin, high
         count += 1
     return count
+
+
+@numba.njit(cache=True, nogil=True, _nrt=False, error_model="numpy")
+def is_clear(p_max: float, arc: Shape, rays: Rays, metal: Metal) -> bool:
+    """Say whether the whole arc passes over the metal: looked at are its lower rim and its top."""
+    for i in range(-CLEAR_STEPS, CLEAR_STEPS + 1):
+        p = p_max * i / CLEAR_STEPS
+        high = math.sqrt(max(0.0, 1.0 - p * p))
+        low = max(-high, equator_q(p, arc, -high))
+        if clearance(p, low, rays, metal) < 0.0 or clearance(p, 0.5 * (low + high), rays, metal) < 0.0:
+            return False
+    return True
 
 
 @numba.njit(cache=True, nogil=True, _nrt=False, error_model="numpy")

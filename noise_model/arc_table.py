@@ -8,7 +8,7 @@ at the cost of a few multiplications a pixel.
 
 A patch's cells hold polynomials of degree 4 in x and s on 5 by 5 equidistant nodes; a cell whose highest
 Chebyshev coefficient is too large, or that misses the light between its nodes, is halved. A
-cell that is still not smooth at `SMALLEST_MM` holds no polynomial: its light is integrated where asked for.
+cell that is still rough at `SMALLEST_MM` holds no polynomial: its light is integrated where asked for.
 """
 
 from __future__ import annotations
@@ -36,6 +36,9 @@ PATCH_MM = 16.0
 
 SMALLEST_MM = 0.3
 """A cell this small is not halved any more."""
+
+ROUGH = 4.0
+"""In a cell this small the polynomial may be off by so many times what it may elsewhere."""
 
 MERGE_MM = 0.2
 """Borders nearer to each other than this are one."""
@@ -230,9 +233,13 @@ def _make_patch(
                     break
         if along < 2:
             half = half_x if along == 0 else half_s
-            if half < 0.5 * SMALLEST_MM or n + 2 > MAX_WAITING or n_cells[0] + 2 > MAX_CELLS:
+            if half < 0.5 * SMALLEST_MM and max(worst_x, worst_s) <= ROUGH * allowed:
+                along = 2
+                _fit(values, to_powers, powers[cell])
+            elif half < 0.5 * SMALLEST_MM or n + 2 > MAX_WAITING or n_cells[0] + 2 > MAX_CELLS:
                 axis[cell] = 3
                 continue
+        if along < 2:
             axis[cell], child[cell] = along, n_cells[0]
             for side in range(2):
                 half_cell = waiting[MAX_WAITING + side]
