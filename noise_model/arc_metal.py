@@ -28,10 +28,10 @@ ROOT_STEPS, ROOT_MM = 16, 1e-4
 TURNED_AWAY_MM = 1e6
 """A larger clearance is of a ray that never comes to the edge."""
 
-Metal = tuple[float, float, float, float, float, float, bool, bool]
+Metal = tuple[float, float, float, float, float, float, bool, bool, bool]
 """Height, width and pitch of the corrugation; y of the upper sheet's edge, its height over the lower sheet;
-a station `crest_x` at which the upper sheet may hide more than at its edge; whether the edge hides a part of
-the arc from P, and whether the sheets cut into the arc."""
+a station `crest_x` at which the upper sheet may hide more than at its edge; whether the edge may hide a part
+of the arc from P, whether the sheets may cut into the arc, and whether P is on the upper sheet."""
 
 Rays = tuple[float, float, float, float, float, float, float, float, float, float, float, float, float, float]
 """P, e_w, tan(beta) e_u, tan(beta) e_v, distance and radius: what a chord's rays need."""
@@ -54,9 +54,9 @@ def clearance(p: float, q: float, rays: Rays, metal: Metal) -> float:
     and the arc's point itself. Huge where neither can hide it.
     """
     Px, Py, Pz, wx, wy, wz, ux, uy, uz, vx, vy, vz, distance, radius = rays
-    _, _, _, edge_y, edge_step, crest_x, edge_hides, cuts = metal
+    _, _, _, edge_y, edge_step, crest_x, edge_hides, cuts, from_upper = metal
     oy = wy + p * uy + q * vy
-    if not cuts and oy >= 0.0:
+    if not cuts and not from_upper and oy >= 0.0:
         return 1e9
     ox, oz = wx + p * ux + q * vx, wz + p * uz + q * vz
     square = ox * ox + oy * oy + oz * oz
@@ -67,13 +67,15 @@ def clearance(p: float, q: float, rays: Rays, metal: Metal) -> float:
     if cuts:
         level = _wave(Px + t_arc * ox, metal) + (edge_step if Py + t_arc * oy < edge_y else 0.0)
         free = Pz + t_arc * oz - level
-    if edge_hides and oy < 0.0:
-        t = (edge_y - Py) / oy
+    if edge_hides:
+        # Over the upper sheet the ray is before it comes to the edge, or after.
+        t = (edge_y - Py) / oy if (oy > 0.0) == from_upper and oy != 0.0 else math.inf
+        first, last = (0.0, min(t, t_arc)) if from_upper else (t, t_arc)
         if t < t_arc:
             free = min(free, Pz + t * oz - _wave(Px + t * ox, metal) - edge_step)
-            way = (crest_x - Px) * ox
-            if t * ox * ox < way < t_arc * ox * ox:
-                free = min(free, Pz + way / (ox * ox) * oz - _wave(crest_x, metal) - edge_step)
+        way = (crest_x - Px) * ox
+        if first * ox * ox < way < last * ox * ox:
+            free = min(free, Pz + way / (ox * ox) * oz - _wave(crest_x, metal) - edge_step)
     return free
 
 

@@ -89,7 +89,9 @@ def light_at(k: ArcKernel, P: Point, face: int, scratch: Scratch) -> float:
     if corrugation[0] > 0.0:
         edge_y = vertices[1, 0]
         edge_step = vertices[1, 1] - vertices[vertices.shape[0] - 2, 1]
-        edge_hides = face == 2 and center[1] - radius < edge_y
+        edge_hides = (face == 2 and center[1] - radius < edge_y) or (
+            face == 0 and center[1] + radius > edge_y
+        )
         if edge_hides:
             _, crest_x = touch(k.horizons[0], k.horizon_start, P[0])
     metal = (
@@ -101,6 +103,7 @@ def light_at(k: ArcKernel, P: Point, face: int, scratch: Scratch) -> float:
         crest_x,
         edge_hides,
         k.metal_cuts,
+        face == 0,
     )
     light = arc_light(
         P,

@@ -437,6 +437,8 @@ def new_table(k: ArcKernel, margin_mm: float, rel: float, floor_e: float, to_pow
     vertices, corrugation = k.vertices, k.corrugation
     x_low, x_high, y_low, y_high = k.reach
     n_faces = vertices.shape[0] - 1
+    # A corrugated lap's faces are read where they are seen alone, and end where their shadows change.
+    margin_mm = margin_mm if corrugation[0] == 0.0 else 1e-9
     borders = np.empty(MAX_BORDERS)
     borders[0], borders[1] = x_low, x_high
     n_x = 2

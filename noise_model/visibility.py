@@ -314,20 +314,19 @@ def sky_planes(
         edge_y = vertices[1, 0]
         on_upper = face == 0
         crosses = (center[1] - edge_y) * (P[1] - edge_y) < 0.0
-        share = (edge_y - P[1]) / (center[1] - P[1]) if crosses else 1.0
-        x_edge = P[0] + share * (center[0] - P[0])
         for which in range(2):
             # From the upper sheet: it hides up to its edge, beyond the edge the lower one does.
             if which == 1 and not (on_upper and crosses):
                 continue
             if face == 1:
                 # A point of the edge stands over the sheet that the table is for.
-                slope, where = _steepest(P, vertices[2, 1], center, radius, corrugation), math.nan
+                slope = _steepest(P, vertices[2, 1], center, radius, corrugation)
             else:
-                slope, where = touch(horizons[which], horizon_start, P[0])
+                slope, _ = touch(horizons[which], horizon_start, P[0])
             if slope == -math.inf or (face != 1 and towards * normal[0] + slope * normal[2] <= 1e-9):
                 continue
-            if which == 0 and on_upper and crosses and (x_edge - where) * towards < 0.0:
+            # Past the edge the upper sheet hides nothing: `arc_metal` follows such rays one by one.
+            if which == 0 and on_upper and center[1] + radius > edge_y:
                 continue
             planes[count, 0], planes[count, 1], planes[count, 2] = -towards * slope, 0.0, 1.0
             count += 1
@@ -341,7 +340,8 @@ def horizon_tables(
     if shape.corrugation[0] == 0.0:
         return 0.0, np.empty((2, 0, 2))
     center_x = float(center[0])
-    low = min(x_range_mm[0], center_x - radius) - HORIZON_STEP_MM
+    # At multiples of the step, so that a pose a little on has the same stations.
+    low = HORIZON_STEP_MM * (math.floor(min(x_range_mm[0], center_x - radius) / HORIZON_STEP_MM) - 1)
     high = max(x_range_mm[1], center_x + radius) + HORIZON_STEP_MM
     n = math.ceil((high - low) / HORIZON_STEP_MM) + 1
     upper, lower = shape.vertices[1, 1], shape.vertices[2, 1]

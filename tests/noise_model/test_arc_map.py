@@ -138,7 +138,7 @@ def disc_light(P, normal, omega_r, center, material, nodes, planes=()):
     """`arc_light` of a patch that nothing but its own horizon and `planes` shades."""
     cuts = np.vstack([normal, *planes])
     vectors = [tuple(float(c) for c in vector) for vector in (P, normal, omega_r, center)]
-    no_metal = (0.0, 0.0, 0.0, 0.0, 0.0, math.nan, False, False)
+    no_metal = (0.0, 0.0, 0.0, 0.0, 0.0, math.nan, False, False, False)
     return arc_light(
         *vectors, 3.0, cuts, len(cuts), np.empty((0, 3)), 0, no_metal,
         lobe_numbers(material), gauss_nodes(), *nodes, *scratch()[:4],
@@ -250,6 +250,19 @@ def test_a_corrugated_lap_shows_the_arc_that_a_walk_finds(pose):
     error = off_by(got, want)
     assert np.quantile(error, 0.97) < 0.01
     assert error.max() < 0.02
+
+
+def test_a_ridge_hides_the_arc_from_the_upper_sheet_before_the_edge_does():
+    """The torch stands on a ridge's flank, beside the edge; rays leave the upper sheet on the way to it."""
+    setup = scenes.setup("corrugation", "mild_steel")
+    T = scenes.pose((-5.1, 2.7, 0.0))
+    pixels = some_pixels(setup, T, 40, seed=12)
+    got, faces = arc_at_pixels(setup, T, pixels)
+    want, _ = twin_at_pixels(setup, T, pixels)
+    assert np.count_nonzero(faces == 0) > 8
+    assert np.count_nonzero(want == 0.0) + np.count_nonzero(want < 2000.0) > 3
+    assert np.quantile(off_by(got, want), 0.97) < 0.01
+    assert off_by(got, want).max() < 0.02
 
 
 def test_a_corrugated_laps_edge_lies_in_the_ridges_shadow():
