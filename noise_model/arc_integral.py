@@ -20,6 +20,7 @@ import numpy as np
 from noise_model.arc_disc import (
     MAX_PARTS,
     Axes,
+    Shape,
     crossings,
     disc_lines,
     equator_q,
@@ -40,7 +41,7 @@ MAX_POINTS = 2048
 PIECE_FLOOR = 0.5
 """A narrow piece of the disc still gets this share of the whole disc's nodes across."""
 
-CURVED_FACTOR = 1.5
+CURVED_FACTOR = 2.0
 """So many times the nodes across where walls or a corrugated lap's metal cut into the arc."""
 
 NEAR_ARC = 0.35
@@ -189,6 +190,21 @@ def _sum(
     return round_shape
 
 
+@numba.njit(cache=True, nogil=True, _nrt=False, error_model="numpy", inline="always")
+def _chord(p: float, arc: Shape, below: bool, cuts: Float64, n_cuts: int) -> tuple[float, float]:
+    """Return between which q a chord of the disc is open, but for ledges and metal; none if low >= high."""
+    high = math.sqrt(max(0.0, 1.0 - p * p))
+    low = max(-high, equator_q(p, arc, high if below else -high))
+    for j in range(n_cuts):
+        if cuts[j, 2] > 1e-12:
+            low = max(low, -(cuts[j, 0] + cuts[j, 1] * p) / cuts[j, 2])
+        elif cuts[j, 2] < -1e-12:
+            high = min(high, -(cuts[j, 0] + cuts[j, 1] * p) / cuts[j, 2])
+        elif cuts[j, 0] + cuts[j, 1] * p <= 0.0:
+            high = low
+    return low, high
+
+
 @numba.njit(cache=True, nogil=True, _nrt=False, error_model="numpy")
 def arc_light(
     P: tuple[float, float, float],
@@ -271,7 +287,15 @@ def arc_light(
     has_metal = (metal[6] or metal[7]) and not is_clear(p_max, arc, rays, metal)
     p_first, p_last = -p_max, p_max
     if has_metal:
-        p_first, p_last = open_range(-p_max, p_max, rays, metal)
+        # Searched is what the planes leave open: a sliver is narrow against the whole disc.
+        p_first, p_last = p_max, -p_max
+        for piece in range(n_breaks - 1):
+            low, high = _chord(0.5 * (breaks[piece] + breaks[piece + 1]), arc, below, cuts, n_cuts)
+            if high > low:
+                p_first, p_last = min(p_first, breaks[piece]), max(p_last, breaks[piece + 1])
+        if p_last <= p_first:
+            return 0.0
+        p_first, p_last = open_range(p_first, p_last, rays, metal)
         n_breaks = insert(breaks, n_breaks, p_first)
         n_breaks = insert(breaks, n_breaks, p_last)
 
@@ -291,15 +315,7 @@ def arc_light(
         for i in range(-1, m):
             # The piece's middle first: nothing crosses within a piece, so it is open or dark as a whole.
             p = middle if i < 0 else middle + half * rules[0, m, i]
-            high = math.sqrt(max(0.0, 1.0 - p * p))
-            low = max(-high, equator_q(p, arc, high if below else -high))
-            for j in range(n_cuts):
-                if cuts[j, 2] > 1e-12:
-                    low = max(low, -(cuts[j, 0] + cuts[j, 1] * p) / cuts[j, 2])
-                elif cuts[j, 2] < -1e-12:
-                    high = min(high, -(cuts[j, 0] + cuts[j, 1] * p) / cuts[j, 2])
-                elif cuts[j, 0] + cuts[j, 1] * p <= 0.0:
-                    high = low
+            low, high = _chord(p, arc, below, cuts, n_cuts)
             if high <= low:
                 if i < 0:
                     break

@@ -155,9 +155,10 @@ def is_clear(p_max: float, arc: Shape, rays: Rays, metal: Metal) -> bool:
 def open_range(p_low: float, p_high: float, rays: Rays, metal: Metal) -> tuple[float, float]:
     """Return between which p the tops of the chords are open; an empty range where none is."""
     first, last = RIM_STEPS + 1, -1
-    start, step = p_low, (p_high - p_low) / RIM_STEPS
+    middle, half = 0.5 * (p_low + p_high), 0.5 * (p_high - p_low)
     for i in range(RIM_STEPS + 1):
-        p = start + i * step
+        # Even in the angle: a sliver of the arc that is left to see lies at one end, where chords are short.
+        p = middle - half * math.cos(math.pi * i / RIM_STEPS)
         if clearance(p, math.sqrt(max(0.0, 1.0 - p * p)), rays, metal) >= 0.0:
             first, last = min(first, i), i
     if last < 0:
@@ -165,7 +166,8 @@ def open_range(p_low: float, p_high: float, rays: Rays, metal: Metal) -> tuple[f
     for i_open, i_hidden in ((first, first - 1), (last, last + 1)):
         if not 0 <= i_hidden <= RIM_STEPS:
             continue
-        p_hidden, p_open = start + i_hidden * step, start + i_open * step
+        p_hidden = middle - half * math.cos(math.pi * i_hidden / RIM_STEPS)
+        p_open = middle - half * math.cos(math.pi * i_open / RIM_STEPS)
         ends = (
             clearance(p_hidden, math.sqrt(max(0.0, 1.0 - p_hidden * p_hidden)), rays, metal),
             clearance(p_open, math.sqrt(max(0.0, 1.0 - p_open * p_open)), rays, metal),

@@ -422,3 +422,21 @@ def test_the_tool_frame_is_the_joints_beside_its_pose():
     np.testing.assert_allclose(
         invert(view.T_joint_tool) @ view.T_joint_camera, setup.camera.T_tool_camera, atol=1e-9
     )
+
+
+def test_a_sliver_of_the_arc_past_a_crest_is_seen():
+    """Beside a corrugated lap's edge a few hundredths of the arc are left at one end of its disc."""
+    setup = scenes.setup("corrugation", "zn_coated")
+    T = scenes.pose((8.0, -3.5, 2.0), (-3.0, 4.0, -8.0))
+    _, faces = arc_at_pixels(setup, T)
+    rays = Rays.of(setup.camera).xy.reshape(-1, 2)
+    d = np.column_stack([rays, np.ones(len(rays))]) @ (T @ setup.camera.T_tool_camera)[:3, :3].T
+    origin = (T @ setup.camera.T_tool_camera)[:3, 3]
+    y = origin[1] - origin[2] / d[:, 2] * d[:, 1]
+    beside = np.flatnonzero((faces == 2) & (np.abs(y) < 0.6))
+    pixels = beside[:: max(1, len(beside) // 40)]
+    got, _ = arc_at_pixels(setup, T, pixels)
+    want, _ = twin_at_pixels(setup, T, pixels)
+    slivers = (want > 30.0) & (want < 0.1 * np.median(want[want > 0.0]))
+    assert slivers.any()
+    assert (got[slivers] > 0.8 * want[slivers]).all()
