@@ -1,0 +1,224 @@
+"""The kernels that follow bounced light: from the source over the joint's points to the camera."""
+
+from __future__ import annotations
+
+import numba
+import numpy as np
+
+from noise_model.arc_map import Int64
+from noise_model.frames import Float64
+from noise_model.interreflection_lattice import Lattice, around
+from noise_model.interreflection_light import Place, arc_leaving, laser_leaving, reflected
+from noise_model.interreflection_nodes import (
+    COLUMNS,
+    FACE,
+    OMEGA,
+    ROOM,
+    WEIGHT,
+    Focus,
+    Rules,
+    look_around,
+    strip,
+)
+from noise_model.visibility import ridge
+
+ORDERS = 6
+"""How many bounces are followed."""
+
+
+@numba.njit(cache=True, nogil=True)
+def gather_first(
+    k: Place, seen: Lattice, camera: Float64, focus: Focus, of_laser: bool, fine: Rules
+) -> Float64:
+    """Return what points of a lattice (n, 1) send to the camera of once-bounced light, source's output 1."""
+    nodes, omega = np.empty((ROOM, COLUMNS)), np.empty(3)
+    sent = np.zeros((len(seen.faces), 1))
+    for i in range(len(seen.faces)):
+        P, normal = seen.points[i], seen.normals[i]
+        _towards(P, camera, omega)
+        n = look_around(k, P, normal, seen.faces[i], focus, of_laser, fine, nodes)
+        for j in range(n):
+            o = nodes[j, OMEGA : OMEGA + 3]
+            f_r = reflected(
+                k.material, o[0], o[1], o[2], omega[0], omega[1], omega[2], normal[0], normal[1], normal[2]
+            )
+            sent[i, 0] += f_r * nodes[j, WEIGHT] * _leaving(k, nodes[j], of_laser)
+    return sent
+
+
+@numba.njit(cache=True, inline="always")
+def _towards(P: Float64, Q: Float64, omega: Float64) -> None:
+    """Write the unit vector from P to Q."""
+    r = 0.0
+    for a in range(3):
+        omega[a] = Q[a] - P[a]
+        r += omega[a] * omega[a]
+    r = r**0.5
+    for a in range(3):
+        omega[a] /= r
+
+
+@numba.njit(cache=True, nogil=True)
+def _leaving(k: Place, node: Float64, of_laser: bool) -> float:
+    """Return what a node sends of the source's own light to the point that looks at it."""
+    Q, normal, o = node[:3], node[3:OMEGA], node[OMEGA : OMEGA + 3]
+    leaving: float = (
+        laser_leaving(k, Q, normal, -o[0], -o[1], -o[2])
+        if of_laser
+        else arc_leaving(k, Q, normal, -o[0], -o[1], -o[2])
+    )
+    return leaving
+
+
+@numba.njit(cache=True, nogil=True)
+def arriving(
+    k: Place, passing: Lattice, focus: Focus, of_laser: bool, coarse: Rules
+) -> tuple[Int64, Float64, Float64]:
+    """Return from where how much light comes to the points of a lattice.
+
+    Point i remembers the directions `omega` (n, 3) from start[i] to start[i + 1] and the irradiance (n,
+    ORDERS - 1) that comes along each, after 1, 2, … reflections, at the source's output 1.
+    """
+    n_points = len(passing.faces)
+    start = np.zeros(n_points + 1, dtype=np.int64)
+    found, used = np.empty((1024, COLUMNS)), 0
+    struck = np.zeros(n_points, dtype=np.int64)
+    nodes = np.empty((ROOM, COLUMNS))
+    for i in range(n_points):
+        # The laser's own light comes from its stripe, what it sends further comes from all faces.
+        for of_stripe in (True, False):
+            if of_stripe and not of_laser:
+                continue
+            n = look_around(
+                k, passing.points[i], passing.normals[i], passing.faces[i], focus, of_stripe, coarse, nodes
+            )
+            if used + n > len(found):
+                larger = np.empty((2 * len(found) + n, COLUMNS))
+                larger[:used] = found[:used]
+                found = larger
+            found[used : used + n] = nodes[:n]
+            used += n
+            if of_stripe or not of_laser:
+                struck[i] = n
+        start[i + 1] = used
+    found = found[:used]
+    omega = found[:, OMEGA : OMEGA + 3].copy()
+    irradiance = np.zeros((used, ORDERS - 1))
+    for i in range(n_points):
+        for j in range(start[i], start[i] + struck[i]):
+            irradiance[j, 0] = found[j, WEIGHT] * _leaving(k, found[j], of_laser)
+    _pass_on(k, passing, start, struck if of_laser else np.zeros_like(struck), found, omega, irradiance)
+    return start, omega, irradiance
+
+
+@numba.njit(cache=True, nogil=True)
+def _pass_on(
+    k: Place,
+    passing: Lattice,
+    start: Int64,
+    first: Int64,
+    found: Float64,
+    omega: Float64,
+    irradiance: Float64,
+) -> None:
+    """Fill the irradiance after 2, 3, … reflections from that after one, over nodes from start + first on."""
+    which, weights = np.empty(8, dtype=np.int64), np.empty(8)
+    # Which share of what arrives along each remembered direction leaves towards the node's point.
+    most = 0
+    for i in range(len(first)):
+        for j in range(start[i] + first[i], start[i + 1]):
+            for a in range(_about(k, passing, found[j], which, weights)):
+                most += start[which[a] + 1] - start[which[a]]
+    shares = np.empty(most, dtype=np.float32)
+    for order in range(ORDERS - 1):
+        at = 0
+        for i in range(len(first)):
+            for j in range(start[i] + first[i], start[i + 1]):
+                o = found[j, OMEGA : OMEGA + 3]
+                total = 0.0
+                for a in range(_about(k, passing, found[j], which, weights)):
+                    n = passing.normals[which[a]]
+                    for m in range(start[which[a]], start[which[a] + 1]):
+                        if order == 0:
+                            shares[at] = weights[a] * reflected(
+                                k.material,
+                                omega[m, 0],
+                                omega[m, 1],
+                                omega[m, 2],
+                                -o[0],
+                                -o[1],
+                                -o[2],
+                                n[0],
+                                n[1],
+                                n[2],
+                            )
+                        else:
+                            total += shares[at] * irradiance[m, order - 1]
+                        at += 1
+                if order > 0:
+                    irradiance[j, order] = found[j, WEIGHT] * total
+
+
+@numba.njit(cache=True, inline="always")
+def _about(k: Place, passing: Lattice, node: Float64, which: Int64, weights: Float64) -> int:
+    """Write the lattice's points about a node and their weights; return how many."""
+    face = int(node[FACE])
+    y_0, z_0, ty, tz, _ = strip(k.vertices, face)
+    c, _ = ridge(node[0], k.corrugation)
+    s = (node[1] - y_0) * ty + (node[2] - c - z_0) * tz
+    count: int = around(passing, face, s, node[0], which, weights)
+    return count
+
+
+@numba.njit(cache=True, nogil=True)
+def gather_further(
+    k: Place,
+    seen: Lattice,
+    camera: Float64,
+    focus: Focus,
+    passing: Lattice,
+    coarse: Rules,
+    start: Int64,
+    omega: Float64,
+    irradiance: Float64,
+) -> Float64:
+    """Return what points of a lattice (n, ORDERS - 1) send to the camera after 2, 3, … bounces."""
+    nodes, to_camera = np.empty((ROOM, COLUMNS)), np.empty(3)
+    which, weights = np.empty(8, dtype=np.int64), np.empty(8)
+    sent = np.zeros((len(seen.faces), ORDERS - 1))
+    for i in range(len(seen.faces)):
+        P, normal = seen.points[i], seen.normals[i]
+        _towards(P, camera, to_camera)
+        count = look_around(k, P, normal, seen.faces[i], focus, False, coarse, nodes)
+        for j in range(count):
+            o = nodes[j, OMEGA : OMEGA + 3]
+            onward = nodes[j, WEIGHT] * reflected(
+                k.material,
+                o[0],
+                o[1],
+                o[2],
+                to_camera[0],
+                to_camera[1],
+                to_camera[2],
+                normal[0],
+                normal[1],
+                normal[2],
+            )
+            for a in range(_about(k, passing, nodes[j], which, weights)):
+                n = passing.normals[which[a]]
+                for m in range(start[which[a]], start[which[a] + 1]):
+                    f_r = reflected(
+                        k.material,
+                        omega[m, 0],
+                        omega[m, 1],
+                        omega[m, 2],
+                        -o[0],
+                        -o[1],
+                        -o[2],
+                        n[0],
+                        n[1],
+                        n[2],
+                    )
+                    for order in range(ORDERS - 1):
+                        sent[i, order] += onward * weights[a] * f_r * irradiance[m, order]
+    return sent

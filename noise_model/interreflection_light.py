@@ -1,0 +1,301 @@
+"""What leaves a point of the joint after one reflection, and whether two points of it see each other."""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numba
+import numpy as np
+
+from noise_model.arc_map import Scene
+from noise_model.brdf import LobeNumbers, lobe_fall, lobe_numbers
+from noise_model.frames import Float64, transform
+from noise_model.setup import Setup
+from noise_model.visibility import ridge
+
+DiscNodes = tuple[Float64, Float64, Float64, Float64]
+
+DISC_FAR, DISC_NEAR = (4, 3), (8, 6)
+"""Nodes across and up the arc's disc: where it looks small, and from closer than `NEAR_RADII`."""
+
+NEAR_RADII = 4.0
+
+
+class Place(NamedTuple):
+    """A pose's surface and sources in the joint frame, as the kernels take them; mm.
+
+    `plane` (4,) is the laser's n.p + d = 0 and `tool_up` (3,) the tool's z axis; `sigma` the sheet's
+    half-thickness at tool height and `stand` the origin's height over it.
+    """
+
+    vertices: Float64
+    corrugation: Float64
+    material: LobeNumbers
+    center: Float64
+    radius: float
+    origin: Float64
+    plane: Float64
+    tool_up: Float64
+    sigma: float
+    stand: float
+    far: DiscNodes
+    near: DiscNodes
+
+
+def place(setup: Setup, where: Scene) -> Place:
+    """Gather a scene for the kernels."""
+    laser, R = setup.laser, where.T_joint_tool[:3, :3]
+    normal = R @ np.asarray(laser.plane_in_tool[:3])
+    offset = laser.plane_in_tool[3] - float(normal @ where.T_joint_tool[:3, 3])
+    return Place(
+        where.shape.vertices,
+        where.shape.corrugation,
+        lobe_numbers(setup.material),
+        where.center_mm,
+        setup.arc.radius_mm,
+        transform(where.T_joint_tool, np.asarray(laser.origin_in_tool_mm)),
+        np.array([*normal, offset]),
+        np.ascontiguousarray(R[:, 2]),
+        laser.stripe_sigma_mm,
+        laser.origin_in_tool_mm[2],
+        _disc_nodes(*DISC_FAR),
+        _disc_nodes(*DISC_NEAR),
+    )
+
+
+def _disc_nodes(n_p: int, n_q: int) -> DiscNodes:
+    """Return Gauss-Legendre nodes and weights: p on [-1, 1] in the angle of p = cos(s), q on [0, 1]."""
+    s, s_weight = np.polynomial.legendre.leggauss(n_p)
+    angle = np.pi / 2.0 * (s + 1.0)
+    q, q_weight = np.polynomial.legendre.leggauss(n_q)
+    return np.cos(angle), np.pi / 2.0 * s_weight * np.sin(angle), (q + 1.0) / 2.0, q_weight / 2.0
+
+
+@numba.njit(cache=True, nogil=True)
+def sees(
+    px: float,
+    py: float,
+    pz: float,
+    qx: float,
+    qy: float,
+    qz: float,
+    vertices: Float64,
+    corrugation: Float64,
+) -> bool:
+    """Say whether nothing stands between P and Q, neither of which lies below the surface.
+
+    A polyline is highest over a straight way at its vertices. A corrugation is highest over it at the ends,
+    at a sheet's edge, or where its bumps' convex upper halves run parallel to it, a closed form: exact.
+    """
+    dx, dy, dz = qx - px, qy - py, qz - pz
+    for k in range(1, vertices.shape[0] - 1):
+        y_k = vertices[k, 0]
+        if not min(py, qy) < y_k < max(py, qy):
+            continue
+        t = (y_k - py) / dy
+        c, _ = ridge(px + t * dx, corrugation)
+        if pz + t * dz < vertices[k, 1] + c - 1e-9:
+            return False
+    height, width, pitch = corrugation[0], corrugation[1], corrugation[2]
+    if height == 0.0 or abs(dx) < 1e-12:
+        return True
+    omega = 2.0 * math.pi / width
+    # The bump's slope is -height omega/2 sin(omega u): where it is the way's.
+    sine = -2.0 * dz / dx / (height * omega)
+    if abs(sine) >= 1.0:
+        return True
+    u = math.asin(sine) / omega
+    crest = 0.5 * height * (1.0 + math.sqrt(1.0 - sine * sine))
+    first, last = math.ceil((min(px, qx) - u) / pitch), math.floor((max(px, qx) - u) / pitch)
+    for bump in range(first, last + 1):
+        t = (bump * pitch + u - px) / dx
+        if not 1e-9 < t < 1.0 - 1e-9:
+            continue
+        # Only a lap is corrugated: its upper sheet ends at vertex 1.
+        y = py + t * dy
+        sheet = vertices[1, 1] if y < vertices[1, 0] - 1e-12 else vertices[2, 1]
+        if pz + t * dz < sheet + crest - 1e-9:
+            return False
+    return True
+
+
+@numba.njit(cache=True, inline="always")
+def below_surface(x: float, y: float, z: float, vertices: Float64, corrugation: Float64) -> bool:
+    """Say whether a point lies in the workpiece."""
+    c, _ = ridge(x, corrugation)
+    for k in range(vertices.shape[0] - 1):
+        width = vertices[k + 1, 0] - vertices[k, 0]
+        if width > 0.0 and vertices[k, 0] <= y <= vertices[k + 1, 0]:
+            share = (y - vertices[k, 0]) / width
+            return bool(z < vertices[k, 1] + share * (vertices[k + 1, 1] - vertices[k, 1]) + c - 1e-9)
+    return False
+
+
+@numba.njit(cache=True, inline="always")
+def reflected(
+    material: LobeNumbers,
+    ix: float,
+    iy: float,
+    iz: float,
+    rx: float,
+    ry: float,
+    rz: float,
+    nx: float,
+    ny: float,
+    nz: float,
+) -> float:
+    """Return f_r for unit vectors towards source, viewer and along the normal: the twin of `reflectance`."""
+    cos_i, cos_r = ix * nx + iy * ny + iz * nz, rx * nx + ry * ny + rz * nz
+    if cos_i <= 0.0 or cos_r <= 0.0:
+        return 0.0
+    hx, hy, hz = ix + rx, iy + ry, iz + rz
+    h = math.sqrt(hx * hx + hy * hy + hz * hz)
+    cos_alpha = (cos_i + cos_r) / h
+    attenuation = min(1.0, 4.0 * cos_alpha * min(cos_i, cos_r) / h)
+    fall: float = lobe_fall(material, hx, hy, hz, nx, ny, nz, h, cos_alpha)
+    return material[0] + material[1] * attenuation / cos_r * fall
+
+
+@numba.njit(cache=True, nogil=True)
+def _borders(k: Place, Q: Float64, normal: Float64, borders: Float64) -> int:
+    """Write the half-spaces m.omega > 0 in which Q sees the arc, as far as they are exact; return how many.
+
+    They are Q's own horizon and the planes through those vertices of a straight section that stand between Q
+    and the arc and are no higher than its foot (`visibility.sky_planes`).
+    """
+    borders[0, 0], borders[0, 1], borders[0, 2] = normal[0], normal[1], normal[2]
+    count = 1
+    if k.corrugation[0] > 0.0:
+        return count
+    for i in range(1, k.vertices.shape[0] - 1):
+        dy, dz = k.vertices[i, 0] - Q[1], k.vertices[i, 1] - Q[2]
+        if k.vertices[i, 1] > k.center[2] + 1e-9 or dz <= 1e-9 or dy * normal[1] + dz * normal[2] <= 1e-9:
+            continue
+        side = 1.0 if dy > 0.0 else -1.0
+        if (k.center[1] - k.vertices[i, 0]) * side + k.radius > 0.0:
+            borders[count, 0], borders[count, 1], borders[count, 2] = 0.0, -side * dz, side * dy
+            count += 1
+    return count
+
+
+@numba.njit(cache=True, nogil=True)
+def arc_leaving(k: Place, Q: Float64, normal: Float64, rx: float, ry: float, rz: float) -> float:
+    """Return what Q sends of the arc's light along (rx, ry, rz): integral f_r cos(theta_i) d(omega).
+
+    In units of the arc's radiance, over the part of the luminous half that Q sees, by the disc of `arc_map`.
+    What hides it otherwise than along a straight border is looked up node by node.
+    """
+    nx, ny, nz = normal[0], normal[1], normal[2]
+    if rx * nx + ry * ny + rz * nz <= 0.0:
+        return 0.0
+    wx, wy, wz = k.center[0] - Q[0], k.center[1] - Q[1], k.center[2] - Q[2]
+    distance = math.sqrt(wx * wx + wy * wy + wz * wz)
+    radius = k.radius
+    if distance <= radius * (1.0 + 1e-9) or nx * wx + ny * wy + nz * wz <= -radius:
+        return 0.0
+    p_nodes, p_weights, q_nodes, q_weights = k.near if distance < NEAR_RADII * radius else k.far
+    wx, wy, wz = wx / distance, wy / distance, wz / distance
+    cos_e = max(1e-9, math.sqrt(wx * wx + wy * wy))
+    ux, uy = -wy / cos_e, wx / cos_e
+    if cos_e == 1e-9:
+        ux, uy = 1.0, 0.0
+    vx, vy, vz = -wz * uy, wz * ux, wx * uy - wy * ux
+    if vz < 0.0:
+        ux, uy, vx, vy, vz = -ux, -uy, -vx, -vy, -vz
+    sin_b = radius / distance
+    tan_b = sin_b / math.sqrt(1.0 - sin_b * sin_b)
+    sin_corner = tan_b * wz / cos_e
+    if sin_corner >= 1.0:
+        return 0.0
+    below = wz > 0.0
+    p_high = math.sqrt(1.0 - sin_corner * sin_corner) if below else 1.0
+    p_low = -p_high
+    # Straight borders m_w + m_u p + m_v q > 0: chords that lie beyond one as a whole are left out.
+    borders = np.empty((k.vertices.shape[0], 3))
+    n_borders = _borders(k, Q, normal, borders)
+    for j in range(n_borders):
+        x, y, z = borders[j]
+        m_w, m_u, m_v = (x * wx + y * wy + z * wz) / tan_b, x * ux + y * uy, x * vx + y * vy + z * vz
+        borders[j, 0], borders[j, 1], borders[j, 2] = m_w, m_u, m_v
+        reach = math.sqrt(m_u * m_u + m_v * m_v)
+        if m_w <= -reach:
+            return 0.0
+        if m_w >= reach:
+            continue
+        middle = -m_w * m_u / (reach * reach)
+        half = math.sqrt(reach * reach - m_w * m_w) * abs(m_v) / (reach * reach)
+        if m_w + m_u <= 0.0:
+            p_high = min(p_high, middle + half)
+        if m_w - m_u <= 0.0:
+            p_low = max(p_low, middle - half)
+    if p_high <= p_low:
+        return 0.0
+    total = 0.0
+    for i in range(p_nodes.shape[0]):
+        p = 0.5 * (p_low + p_high + (p_high - p_low) * p_nodes[i])
+        high = math.sqrt(max(0.0, 1.0 - p * p))
+        low = -high
+        # The equator's near arc, `arc_map.arc_light`: R sin(psi) = p tan(beta) (d - R cos(psi) cos(e)).
+        b, a = p * tan_b * cos_e, p * tan_b / sin_b
+        rest = 1.0 + b * b - a * a
+        cos_psi = (a * b + math.sqrt(rest)) / (1.0 + b * b) if rest >= 0.0 else -1.0
+        if cos_psi >= sin_b / cos_e - 1e-12:
+            low = sin_b * cos_psi * wz / ((1.0 - sin_b * cos_psi * cos_e) * tan_b)
+        elif below:
+            continue
+        for j in range(n_borders):
+            m_v, at_p = borders[j, 2], borders[j, 0] + borders[j, 1] * p
+            if m_v > 1e-12:
+                low = max(low, -at_p / m_v)
+            elif m_v < -1e-12:
+                high = min(high, -at_p / m_v)
+            elif at_p <= 0.0:
+                high = low
+        if high <= low:
+            continue
+        column = 0.0
+        for j in range(q_nodes.shape[0]):
+            q = low + (high - low) * q_nodes[j]
+            ox = wx + tan_b * (p * ux + q * vx)
+            oy = wy + tan_b * (p * uy + q * vy)
+            oz = wz + tan_b * q * vz
+            square = 1.0 + tan_b * tan_b * (p * p + q * q)
+            length = math.sqrt(square)
+            cos_i = (ox * nx + oy * ny + oz * nz) / length
+            if cos_i <= 0.0:
+                continue
+            root = math.sqrt(max(0.0, distance * distance - square * (distance * distance - radius * radius)))
+            t = (distance - root) / square
+            ax, ay, az = Q[0] + t * ox, Q[1] + t * oy, Q[2] + t * oz
+            if below_surface(ax, ay, az, k.vertices, k.corrugation):
+                continue
+            if not sees(Q[0], Q[1], Q[2], ax, ay, az, k.vertices, k.corrugation):
+                continue
+            f_r = reflected(k.material, ox / length, oy / length, oz / length, rx, ry, rz, nx, ny, nz)
+            column += q_weights[j] * f_r * cos_i / (square * length)
+        total += 0.5 * (p_high - p_low) * p_weights[i] * (high - low) * column
+    return total * tan_b * tan_b
+
+
+@numba.njit(cache=True, nogil=True)
+def laser_leaving(k: Place, Q: Float64, normal: Float64, rx: float, ry: float, rz: float) -> float:
+    """Return what Q sends of the laser's light along (rx, ry, rz): `laser.irradiance` times f_r."""
+    wx, wy, wz = k.origin[0] - Q[0], k.origin[1] - Q[1], k.origin[2] - Q[2]
+    depth = wx * k.tool_up[0] + wy * k.tool_up[1] + wz * k.tool_up[2]
+    distance = math.sqrt(wx * wx + wy * wy + wz * wz)
+    wx, wy, wz = wx / distance, wy / distance, wz / distance
+    cos_i = wx * normal[0] + wy * normal[1] + wz * normal[2]
+    if depth <= 0.0 or cos_i <= 0.0:
+        return 0.0
+    off = k.plane[0] * Q[0] + k.plane[1] * Q[1] + k.plane[2] * Q[2] + k.plane[3]
+    off /= k.sigma * depth / k.stand
+    if abs(off) > 6.0:
+        return 0.0
+    f_r: float = reflected(k.material, wx, wy, wz, rx, ry, rz, normal[0], normal[1], normal[2])
+    if f_r == 0.0:
+        return 0.0
+    if not sees(Q[0], Q[1], Q[2], k.origin[0], k.origin[1], k.origin[2], k.vertices, k.corrugation):
+        return 0.0
+    sheet: float = math.exp(-0.5 * off * off) * (k.stand / depth) ** 2 * cos_i * distance / depth
+    return f_r * sheet
