@@ -17,6 +17,9 @@ from noise_model.visibility import ridge
 GRADING = 3.0
 """The power by which a lattice is drawn together towards a corner that faces enclose."""
 
+FAR_MM = 150.0
+"""How far along the seam from the source light that bounces is followed closely."""
+
 OFF_CORNER_MM = 0.003
 """How far from a face's ends its points keep: in the corner itself the other face is not seen."""
 
@@ -86,16 +89,24 @@ def _encloses(vertices: Float64, i: int) -> bool:
 
 
 def stations(focus_x: float, x_range: tuple[float, float], finest: float, coarsest: float) -> Float64:
-    """Return stations over a range, `finest` apart at the focus, a quarter of the way there elsewhere; mm."""
-    x = [focus_x]
-    while x[-1] < x_range[1]:
-        x.append(x[-1] + min(coarsest, max(finest, 0.25 * (x[-1] - focus_x))))
-    while x[0] > x_range[0]:
-        x.insert(0, x[0] - min(coarsest, max(finest, 0.25 * (focus_x - x[0]))))
-    kept = np.array(x)
+    """Return stations over a range, `finest` apart at the focus, a quarter of the way there elsewhere; mm.
+
+    No more than `coarsest` apart up to `FAR_MM` from the focus; beyond, where hardly any light bounces, a
+    quarter of the way there again.
+    """
+
+    def step(away: float) -> float:
+        return max(min(coarsest, max(finest, 0.25 * away)), 0.25 * (away - FAR_MM))
+
+    ahead, behind = [focus_x], [focus_x]
+    while ahead[-1] < x_range[1]:
+        ahead.append(ahead[-1] + step(ahead[-1] - focus_x))
+    while behind[-1] > x_range[0]:
+        behind.append(behind[-1] - step(focus_x - behind[-1]))
+    kept = np.array([*behind[:0:-1], *ahead])
     inside = np.flatnonzero((kept >= x_range[0]) & (kept <= x_range[1]))
     # One station beyond either end, and never fewer than a cubic needs.
-    low, high = max(0, int(inside[0]) - 1), min(len(x), int(inside[-1]) + 2)
+    low, high = max(0, int(inside[0]) - 1), min(len(kept), int(inside[-1]) + 2)
     return kept[low:high]
 
 

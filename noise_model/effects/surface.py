@@ -5,9 +5,15 @@ from __future__ import annotations
 import math
 from dataclasses import replace
 
-from noise_model.effects.effect import Effect, Stage, Values
+import numpy as np
+
+from noise_model.condition import Condition
+from noise_model.effects.effect import Draw, Effect, Stage, Values
+from noise_model.effects.light import Light
 from noise_model.fit import Parameter
+from noise_model.interreflection import bounced_light
 from noise_model.setup import Setup
+from noise_model.view import View
 
 
 def _wrong_material(setup: Setup, values: Values) -> Setup:
@@ -36,6 +42,17 @@ def _rolling_marks(setup: Setup, values: Values) -> Setup:
     material = setup.material
     lobe = replace(material.lobe, anisotropy=values["anisotropy"], marks_deg=values["marks_deg"])
     return replace(setup, material=replace(material, lobe=lobe))
+
+
+def _interreflection(light: Light, view: View, condition: Condition, values: Values, draw: Draw) -> None:
+    scale = values["albedo_scale"]
+    if scale == 0.0:
+        return
+    bounced = view.keep("bounced_light", lambda: bounced_light(view))
+    if condition.arc_level > 0.0:
+        light.arc = light.arc + np.float32(condition.arc_level) * bounced.arc_e(scale)
+    if condition.laser_level > 0.0:
+        light.laser = light.laser + np.float32(condition.laser_level) * bounced.laser_e(scale)
 
 
 EFFECTS = (
@@ -86,5 +103,16 @@ EFFECTS = (
         ),
         typical={"anisotropy": 0.8, "marks_deg": 0.0},
         setup=_rolling_marks,
+    ),
+    Effect(
+        id="interreflection",
+        stage=Stage.SURFACE,
+        summary="light bounces between the faces of the joint",
+        equation="the Neumann series of the rendering equation: light that has met n faces before goes with "
+        "albedo_scale^n, the absolute reflectance being albedo_scale f_r",
+        source="Kajiya 1986, SIGGRAPH Comput. Graph. 20(4), 143; `noise_model.interreflection`",
+        parameters=(Parameter("albedo_scale", "", 0.0, 0.3, 0.0, 2.0, 0.01),),
+        typical={"albedo_scale": 0.4},
+        light=_interreflection,
     ),
 )

@@ -74,7 +74,7 @@ def numbers(setup, condition, renderer=None):
 def test_the_contracts_effects_are_there_and_in_their_stages():
     wanted = {name: stage for stage, names in CONTRACT.items() for name in names}
     assert len(wanted) == 30
-    assert set(wanted) - set(REGISTRY) <= {"interreflection"}
+    assert set(wanted) == set(REGISTRY)
     for name, effect in REGISTRY.items():
         assert effect.id == name
         assert effect.stage.value == wanted[name]
@@ -198,8 +198,9 @@ def test_a_small_step_changes_little_and_in_proportion(name, renderer):
     """The step is the one that derivatives are taken with; a variance goes with the square of a sigma."""
     if name == "pose_delay":
         return
-    # Bright enough to bloom, on a plate without edges.
-    setup, bright = nominal("flat"), Condition(1.0, 1.0, 4.0 * EXPOSURE_S, LATE_S)
+    # Bright enough to bloom, on a plate without edges; on a plate nothing bounces.
+    joint = "v_groove" if name == "interreflection" else "flat"
+    setup, bright = nominal(joint), Condition(1.0, 1.0, 4.0 * EXPOSURE_S, LATE_S)
     at_rest = numbers(setup, bright, renderer)
     moved = 0
     for parameter in REGISTRY[name].parameters:
@@ -295,8 +296,10 @@ def test_some_pixels_are_those_of_the_frame(name):
     pixels = np.arange(5, 80 * 60, 37)
     whole = predict(setup, TURNED, CONDITIONS["both"])
     some = predict(setup, TURNED, CONDITIONS["both"], pixels=pixels)
-    np.testing.assert_allclose(some.mean_e, whole.mean_e.ravel()[pixels], rtol=1e-5, atol=1e-3)
-    np.testing.assert_allclose(some.variance_dn2, whole.variance_dn2.ravel()[pixels], rtol=1e-5, atol=1e-3)
+    # Bounced light is interpolated between points that are spread over what the pixels show.
+    rtol = 5e-3 if name == "interreflection" else 1e-5
+    np.testing.assert_allclose(some.mean_e, whole.mean_e.ravel()[pixels], rtol=rtol, atol=1e-3)
+    np.testing.assert_allclose(some.variance_dn2, whole.variance_dn2.ravel()[pixels], rtol=rtol, atol=1e-3)
 
 
 def test_spread_light_of_some_pixels_is_that_of_their_own_mean():
