@@ -44,9 +44,6 @@ TRACK_REACH_MM = 1.0
 MIN_SHARE, GOOD_SHARE = 0.2, 0.75
 """The share of scan lines that must hold a stripe, and below which it is called partial."""
 
-MAP_NODES = (4, 2)
-"""The arc map's nodes: 0.3 % of the light, far below the map's stated uncertainty."""
-
 ARC_OFF_SIGMAS = 5.0
 MISFIT_LIMIT = 2.0
 JOINT_CHI2_LIMIT = 9.0
