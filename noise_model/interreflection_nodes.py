@@ -193,15 +193,13 @@ def _from_strip(
             cuts = _cuts(np.array([0.0, math.atan((x_stripe - P[0]) / rho)]), low, high)
             psi_rule = rules.across
         else:
-            near = math.atan((focus.x - focus.extent - P[0]) / rho)
-            far = math.atan((focus.x + focus.extent - P[0]) / rho)
-            at = math.atan((focus.x - P[0]) / rho)
             right = 0.5 * math.pi
+            knots = np.zeros(10)
+            knots[0] = math.atan((focus.x - P[0]) / rho)
             if rules.closely:
-                knots = np.array([-2.0, -1.0, 0.0, 1.0, 2.0, 0.0, 0.0, 0.0]) * (right / 3.0)
-                knots[5], knots[6], knots[7] = near, at, far
-            else:
-                knots = np.array([0.0, at])
+                for j, share in enumerate((-2.0, -1.0, 1.0, 2.0)):
+                    knots[j + 1] = share * right / 3.0
+                    knots[j + 5] = math.atan((focus.x + 0.5 * share * focus.extent - P[0]) / rho)
             cuts = _cuts(knots, -right, right)
             psi_rule = rules.psi
         for piece in range(len(cuts) - 1):
