@@ -34,7 +34,7 @@ SHEET_REACH = 6.0
 """How many sigmas of the sheet are rendered: its irradiance has fallen to 1.5e-8 there."""
 
 REMEMBERED = 4
-"""How many poses a renderer remembers."""
+"""How many poses a renderer remembers if it is not told otherwise."""
 
 
 Kept = TypeVar("Kept")
@@ -80,9 +80,10 @@ class Layers:
 
 
 class Renderer:
-    """Renders a pose's layers and remembers those of the last `REMEMBERED` poses."""
+    """Renders a pose's layers and remembers those of the last poses, `remembered` of them."""
 
-    def __init__(self) -> None:
+    def __init__(self, remembered: int = REMEMBERED) -> None:
+        self._remembered = remembered
         self._rays: OrderedDict[tuple[object, ...], Rays] = OrderedDict()
         self._layers: OrderedDict[tuple[object, ...], Layers] = OrderedDict()
 
@@ -98,7 +99,7 @@ class Renderer:
         key = (*_rendered_with(setup), T_base_tool.tobytes(), seam, of_pixels)
         if key not in self._layers:
             view = View.of(setup, T_base_tool, seam, self._rays_of(setup), pixels)
-            _remember(self._layers, key, Layers(view))
+            _remember(self._layers, key, Layers(view), self._remembered)
         self._layers.move_to_end(key)
         return self._layers[key]
 
@@ -106,13 +107,15 @@ class Renderer:
         camera = setup.camera
         key = (camera.width, camera.height, camera.fx, camera.fy, camera.cx, camera.cy, camera.distortion)
         if key not in self._rays:
-            _remember(self._rays, key, Rays.of(camera))
+            _remember(self._rays, key, Rays.of(camera), self._remembered)
         return self._rays[key]
 
 
-def _remember(kept: OrderedDict[tuple[object, ...], Kept], key: tuple[object, ...], value: Kept) -> None:
+def _remember(
+    kept: OrderedDict[tuple[object, ...], Kept], key: tuple[object, ...], value: Kept, most: int
+) -> None:
     kept[key] = value
-    while len(kept) > REMEMBERED:
+    while len(kept) > most:
         kept.popitem(last=False)
 
 
