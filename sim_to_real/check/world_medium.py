@@ -1,0 +1,156 @@
+"""Hidden effects of the medium: fume, spatter and the glow of hot metal."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+
+import numpy as np
+
+from noise_model.frames import Float64
+from noise_model.setup import Setup
+from sim_to_real.check.world_effect import (
+    CATALOGUE,
+    Form,
+    FrameLight,
+    Generator,
+    Values,
+    direction,
+    magnitude,
+)
+
+STEPS = 24
+"""Points along a ray at which fume is summed."""
+
+
+def _draw_fume(draw: Generator, strength: float, setup: Setup) -> dict[str, float]:
+    return {
+        "extinction_per_m": magnitude(strength, 0.5, 3.0),
+        "airlight_share": magnitude(strength, 0.015, 0.12),
+    }
+
+
+def _draw_plume(draw: Generator, strength: float, setup: Setup) -> dict[str, float]:
+    return {"width_mm": draw.uniform(20.0, 45.0), **_draw_fume(draw, strength, setup)}
+
+
+def _even_fume(frame: FrameLight, p: Values) -> None:
+    _fume(frame, p, lambda r: np.ones_like(r))
+
+
+def _plume(frame: FrameLight, p: Values) -> None:
+    _fume(frame, p, lambda r: 3.0 * np.exp(-0.5 * (r / p["width_mm"]) ** 2))
+
+
+def _fume(frame: FrameLight, p: Values, density: Callable[[Float64], Float64]) -> None:
+    """Dim and scatter: sums of the fume's density at a distance from the arc along every ray.
+
+    The airlight in the middle of the image is `airlight_share` of full well at the nominal current.
+    """
+    sight, body = frame.sight, frame.body
+    far = float(np.linalg.norm(body.center_mm - sight.eye_mm))
+    length = np.nan_to_num(sight.distance_mm.ravel(), nan=far)
+    optical, air = np.zeros(len(length)), np.zeros(len(length))
+    for step in (np.arange(STEPS) + 0.5) / STEPS:
+        at = sight.eye_mm + (step * length)[:, np.newaxis] * sight.directions
+        r = np.linalg.norm(at - body.center_mm, axis=1)
+        rho = density(r) * length / STEPS
+        optical += rho
+        air += rho / np.maximum(r, body.radius_mm) ** 2
+    optical, air = optical.reshape(sight.shape), sight.cos4.reshape(sight.shape) * air.reshape(sight.shape)
+    full_well_e = frame.studio.world.setup.sensor.full_well_e
+    middle = air[sight.shape[0] // 2, sight.shape[1] // 2]
+    frame.scale(np.exp(-1e-3 * p["extinction_per_m"] * optical))
+    frame.arc = frame.arc + frame.moment.arc_level * p["airlight_share"] * full_well_e * air / middle
+
+
+def _draw_spatter(draw: Generator, strength: float, setup: Setup) -> dict[str, float]:
+    return {
+        "rate_per_frame": magnitude(strength, 1.0, 10.0),
+        "peak_e": draw.uniform(4000.0, 15000.0),
+        "length_px": draw.uniform(20.0, 80.0),
+        "width_px": draw.uniform(1.0, 2.5),
+    }
+
+
+def _straight_spatter(frame: FrameLight, p: Values) -> None:
+    _spatter(frame, p, bend=0.0, peak=lambda: frame.draw.exponential(p["peak_e"]))
+
+
+def _curved_spatter(frame: FrameLight, p: Values) -> None:
+    # A heavy tail of the same mean: few drops are large.
+    _spatter(frame, p, bend=0.5, peak=lambda: 0.5 * p["peak_e"] * (1.0 + frame.draw.pareto(2.0)))
+
+
+def _spatter(frame: FrameLight, p: Values, bend: float, peak: Callable[[], float]) -> None:
+    """Draw streaks as chains of dots along a line or a parabola, each dot a Gaussian."""
+    if frame.moment.arc_level == 0.0:
+        return
+    height, width = frame.sight.shape
+    image = np.zeros((height, width))
+    reach = math.ceil(4.0 * p["width_px"])
+    for _ in range(frame.draw.poisson(p["rate_per_frame"])):
+        u, v = frame.draw.uniform(0.0, width), frame.draw.uniform(0.0, height)
+        du, dv = direction(frame.draw, 1.0)
+        curve, bright = bend * frame.draw.uniform(-1.0, 1.0), peak()
+        t = np.arange(-0.5 * p["length_px"], 0.5 * p["length_px"])
+        off = curve * t**2 / p["length_px"]
+        for x, y in zip(u + du * t - dv * off, v + dv * t + du * off, strict=True):
+            rows = np.arange(max(0, int(y) - reach), min(height, int(y) + reach + 1))
+            columns = np.arange(max(0, int(x) - reach), min(width, int(x) + reach + 1))
+            across, down = (
+                np.exp(-0.5 * ((n - at) / p["width_px"]) ** 2) for n, at in ((columns, x), (rows, y))
+            )
+            # A chain of unit steps adds up to sqrt(2 pi) width at its middle.
+            image[np.ix_(rows, columns)] += (
+                bright * np.outer(down, across) / (math.sqrt(2.0 * math.pi) * p["width_px"])
+            )
+    frame.other = frame.other + image
+
+
+def _draw_glow(draw: Generator, strength: float, setup: Setup) -> dict[str, float]:
+    return {"brightest_e": magnitude(strength, 350.0, 5000.0), "length_mm": draw.uniform(7.0, 20.0)}
+
+
+def _from_arc_mm(frame: FrameLight) -> Float64:
+    aside = frame.sight.points[:, :2] - frame.body.center_mm[:2]
+    return np.asarray(np.linalg.norm(aside, axis=1)).reshape(frame.sight.shape)
+
+
+def _glow(frame: FrameLight, p: Values, fall: Callable[[Float64], Float64]) -> None:
+    """Add the glow, whatever the current: `brightest_e` where the image comes nearest to the arc."""
+    if frame.moment.arc_level == 0.0:
+        return
+    rho = _from_arc_mm(frame)
+    hot = np.nan_to_num(fall(rho) / fall(np.asarray(np.nanmin(rho))))
+    frame.other = frame.other + p["brightest_e"] * hot * frame.sight.cos4.reshape(frame.sight.shape)
+
+
+def _exponential_glow(frame: FrameLight, p: Values) -> None:
+    _glow(frame, p, lambda rho: np.exp(-rho / p["length_mm"]))
+
+
+def _disc_glow(frame: FrameLight, p: Values) -> None:
+    _glow(frame, p, lambda rho: np.exp(-0.5 * (rho / (1.5 * p["length_mm"])) ** 2))
+
+
+FORMS: dict[str, tuple[Form, ...]] = {
+    "hot_metal_glow": (
+        Form(CATALOGUE, "exp(-rho / length_mm) about the arc", _draw_glow, light=_exponential_glow),
+        Form("disc", "a Gaussian of 1 sigma 1.5 length_mm about the arc", _draw_glow, light=_disc_glow),
+    ),
+    "spatter": (
+        Form(
+            CATALOGUE, "straight streaks, exponential in their peaks", _draw_spatter, light=_straight_spatter
+        ),
+        Form("curved", "parabolas, their peaks of a power law", _draw_spatter, light=_curved_spatter),
+    ),
+    "fume": (
+        Form(
+            CATALOGUE, "even fume: exp(-beta d); airlight ~ integral dt / r^2", _draw_fume, light=_even_fume
+        ),
+        Form(
+            "plume", "the same with a Gaussian plume about the arc, 3 beta in it", _draw_plume, light=_plume
+        ),
+    ),
+}

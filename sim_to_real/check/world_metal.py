@@ -1,0 +1,84 @@
+"""The metal's reflectance for the made recordings, in Dr.Jit: the stated lobe and others it may really have.
+
+f_r = kappa_diff + kappa_spec S, S = G / cos(theta_r) fall(h), theta_r towards the camera (RECORDING.md,
+`[material]`). The parts are kept apart, so that another metal's kappas need no new rendering.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Any
+
+import drjit as dr
+
+
+@dataclass(frozen=True)
+class LobeShape:
+    """How the lobe falls with the half vector's lean alpha from the normal.
+
+    With X = c2 alpha^2 and t = tan(alpha):
+
+    - `gaussian`: exp(-X), the stated one;
+    - `student`: (1 + a X)^(-1/a), a tail of power law;
+    - `two_lobes`: (1 - a) exp(-X) + a exp(-X / b^2), the second b times as wide;
+    - `ggx`: (1 - a) exp(-X) + a / (1 + c2 t^2 / 2)^2, Walter et al. 2007;
+    - `ward`: exp(-X (e^a cos^2 psi + e^-a sin^2 psi)), psi the lean's azimuth from the marks, b in degrees;
+    - `slopes`: exp(-c2 (e^a p^2 + e^-a q^2)), p and q the half vector's slopes along and across the marks.
+
+    For the last two the marks run at b degrees to the left of travel on the plate.
+    """
+
+    kind: str = "gaussian"
+    a: float = 0.0
+    b: float = 0.0
+
+
+STATED_LOBE = LobeShape()
+
+
+def specular(c2: float, shape: LobeShape, n: Any, omega_i: Any, omega_r: Any) -> Any:
+    """Return S = G / cos(theta_r) fall of unit vectors (Dr.Jit); 0 where either direction is below.
+
+    G = min(1, 2 cos(alpha) cos(theta) / cos(beta)) with the smaller of the two cosines (Eq. 5).
+    """
+    cos_i, cos_r = dr.dot(omega_i, n), dr.dot(omega_r, n)
+    h = dr.normalize(omega_i + omega_r)
+    cos_alpha = dr.dot(h, n)
+    attenuation = dr.minimum(1.0, 2.0 * cos_alpha * dr.minimum(cos_i, cos_r) / dr.dot(h, omega_i))
+    value = attenuation / cos_r * _fall(c2, shape, n, h, cos_alpha)
+    return dr.select((cos_i > 0.0) & (cos_r > 0.0), value, 0.0)
+
+
+def _fall(c2: float, shape: LobeShape, n: Any, h: Any, cos_alpha: Any) -> Any:
+    lean = h - n * cos_alpha
+    sin2 = dr.dot(lean, lean)
+    # From sine and cosine: in float32 an arccosine loses small angles.
+    alpha = dr.atan2(dr.sqrt(sin2), cos_alpha)
+    X = c2 * alpha * alpha
+    tan2 = sin2 / (cos_alpha * cos_alpha)
+    match shape.kind:
+        case "gaussian":
+            return dr.exp(-X)
+        case "student":
+            return dr.power(1.0 + shape.a * X, -1.0 / shape.a)
+        case "two_lobes":
+            return (1.0 - shape.a) * dr.exp(-X) + shape.a * dr.exp(-X / shape.b**2)
+        case "ggx":
+            wide = 1.0 + 0.5 * c2 * tan2
+            return (1.0 - shape.a) * dr.exp(-X) + shape.a / (wide * wide)
+        case "ward" | "slopes":
+            along2 = _along_marks2(shape, n, lean)
+            stretched = math.exp(shape.a) * along2 + math.exp(-shape.a) * (sin2 - along2)
+            if shape.kind == "slopes":
+                return dr.exp(-c2 * stretched / (cos_alpha * cos_alpha))
+            return dr.exp(-X * dr.select(sin2 > 0.0, stretched / sin2, 1.0))
+    raise ValueError(f"lobe shape {shape.kind!r} is not known")
+
+
+def _along_marks2(shape: LobeShape, n: Any, lean: Any) -> Any:
+    """Return the square of the lean's part along the marks' projection on the face."""
+    mx, my = math.cos(math.radians(shape.b)), math.sin(math.radians(shape.b))
+    m_n = mx * n.x + my * n.y
+    along = mx * lean.x + my * lean.y
+    return along * along / dr.maximum(1.0 - m_n * m_n, 1e-12)

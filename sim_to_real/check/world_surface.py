@@ -1,0 +1,138 @@
+"""The true joint of a made recording: its cross-section, the seam's departure, mesh and exact surface.
+
+Joint frame, mm: x along the nominal seam, y to its left, z out of the metal. The true surface is the nominal
+cross-section moved at each station x by y = y_amp sin(2 pi x / y_period) and z = z_slope x, and raised by a
+corrugation's c(x). Nothing of `noise_model.surface` but the record of a joint is used.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from noise_model.frames import Float64
+from noise_model.surface import Joint
+
+Int64 = npt.NDArray[np.int64]
+
+ACROSS_MM = 400.0
+"""How far the plates go to either side of the seam."""
+
+CHORD_MM, BENT_CHORD_MM = 0.5, 0.1
+"""Stations of the mesh: chords leave a wandering seam by 1e-4 mm, a ridge 8 mm high by 2e-4 mm."""
+
+NEWTON_STEPS = 1
+"""From a chord within 2e-4 mm one step ends within 1e-7 mm."""
+
+
+@dataclass(frozen=True)
+class Departure:
+    """How the true seam leaves its nominal line: y = y_amp sin(2 pi x / y_period), z = z_slope x."""
+
+    y_amp_mm: float = 0.0
+    y_period_mm: float = 100.0
+    z_slope: float = 0.0
+
+    def y_mm(self, x_mm: Float64) -> tuple[Float64, Float64]:
+        """Return the departure to the left (...,), mm, and its slope (...,)."""
+        k = 2.0 * math.pi / self.y_period_mm
+        return self.y_amp_mm * np.sin(k * x_mm), self.y_amp_mm * k * np.cos(k * x_mm)
+
+
+@dataclass(frozen=True)
+class TrueSurface:
+    """The metal as it really is, in the joint frame."""
+
+    joint: Joint
+    departure: Departure
+
+    def outline_mm(self) -> Float64:
+        """Return the corners (n, 2) of the cross-section, (y, z) from left to right."""
+        size = self.joint.dimensions
+        match self.joint.type:
+            case "flat":
+                inner = [(0.0, 0.0)]
+            case "v_groove":
+                half = math.radians(0.5 * size["included_angle_deg"])
+                root, depth = 0.5 * size["root_gap_mm"], size["depth_mm"]
+                mouth = root + depth * math.tan(half)
+                inner = [(-mouth, 0.0), (-root, -depth), (root, -depth), (mouth, 0.0)]
+                if root == 0.0:
+                    del inner[1]
+            case _:
+                inner = [(0.0, size["thickness_mm"]), (0.0, 0.0)]
+        ends = (-ACROSS_MM, inner[0][1]), (ACROSS_MM, inner[-1][1])
+        return np.array([ends[0], *inner, ends[1]])
+
+    def lift_mm(self, x_mm: Float64) -> tuple[Float64, Float64]:
+        """Return by how much a station is raised (...,), mm, and the slope of it: corrugation and z_slope."""
+        x = np.asarray(x_mm, dtype=np.float64)
+        z, slope = self.departure.z_slope * x, np.full_like(x, self.departure.z_slope)
+        if self.joint.type != "corrugation":
+            return z, slope
+        size = self.joint.dimensions
+        height, width, pitch = size["height_mm"], size["width_mm"], size["pitch_mm"]
+        u = np.mod(x + 0.5 * pitch, pitch) - 0.5 * pitch
+        ridge = np.abs(u) < 0.5 * width
+        turn = 2.0 * math.pi / width
+        z = z + np.where(ridge, 0.5 * height * (1.0 + np.cos(turn * u)), 0.0)
+        return z, slope - np.where(ridge, 0.5 * height * turn * np.sin(turn * u), 0.0)
+
+    def seam_point(self, x_mm: float) -> Float64:
+        """Return the true seam point (3,), mm, of a station: the root's middle, or the edge's foot."""
+        y, _ = self.departure.y_mm(np.asarray(x_mm))
+        z, _ = self.lift_mm(np.asarray(x_mm))
+        depth = self.joint.dimensions["depth_mm"] if self.joint.type == "v_groove" else 0.0
+        return np.array([x_mm, float(y), float(z) - depth])
+
+    def mesh(self, from_x_mm: float, to_x_mm: float) -> tuple[Float64, Int64, Int64]:
+        """Return vertices (n, 3), mm, triangles (m, 3) and each triangle's face (m,), left to right."""
+        chord = BENT_CHORD_MM if self.joint.type == "corrugation" else CHORD_MM
+        x = np.linspace(from_x_mm, to_x_mm, 2 + int((to_x_mm - from_x_mm) / chord))
+        aside, lift = self.departure.y_mm(x)[0], self.lift_mm(x)[0]
+        outline = self.outline_mm()
+        rows = [np.column_stack([x, y + aside, z + lift]) for y, z in outline]
+        first = np.arange(len(x) - 1)
+        triangles, faces = [], []
+        for face in range(len(outline) - 1):
+            left, right = face * len(x) + first, (face + 1) * len(x) + first
+            triangles += [
+                np.column_stack([left, left + 1, right + 1]),
+                np.column_stack([left, right + 1, right]),
+            ]
+            faces += [np.full(2 * len(first), face)]
+        return np.concatenate(rows), np.concatenate(triangles), np.concatenate(faces)
+
+    def settle(
+        self, origin_mm: Float64, directions: Float64, length_mm: Float64, faces: Int64
+    ) -> tuple[Float64, Float64]:
+        """Return points (n, 3), mm, exactly on faces (n,) along rays (n, 3) from (3,), and the unit normals.
+
+        `length_mm` (n,) is where the mesh was met; the exact length is Newton's root of the face's equation.
+        """
+        length = length_mm.astype(np.float64)
+        for _ in range(NEWTON_STEPS):
+            value, gradient = self.level(origin_mm + length[:, np.newaxis] * directions, faces)
+            length = length - value / np.sum(gradient * directions, axis=1)
+        points = origin_mm + length[:, np.newaxis] * directions
+        _, gradient = self.level(points, faces)
+        return points, gradient / np.linalg.norm(gradient, axis=1, keepdims=True)
+
+    def level(self, points_mm: Float64, faces: Int64) -> tuple[Float64, Float64]:
+        """Return the signed level (n,) of points (n, 3) over their faces' equations and its gradient (n, 3).
+
+        A face is where (y - y_a) (-dz) + (z - z_a) dy = 0 for the edge from a by (dy, dz), y and z counted
+        from the departed, raised cross-section; it grows out of the metal.
+        """
+        outline = self.outline_mm()
+        a, step = outline[:-1][faces], np.diff(outline, axis=0)[faces]
+        step = step / np.linalg.norm(step, axis=1, keepdims=True)
+        x = points_mm[:, 0]
+        (aside, aside_slope), (lift, lift_slope) = self.departure.y_mm(x), self.lift_mm(x)
+        y, z = points_mm[:, 1] - aside - a[:, 0], points_mm[:, 2] - lift - a[:, 1]
+        dy, dz = step[:, 0], step[:, 1]
+        gradient = np.column_stack([dz * aside_slope - dy * lift_slope, -dz, dy])
+        return -y * dz + z * dy, gradient

@@ -1,0 +1,162 @@
+"""Scenarios of the blind check: tiers, draws, truth, and what a recording is written from."""
+
+import dataclasses
+import json
+
+import numpy as np
+import pytest
+
+from arctrack.recording import RecordingWriter, read_recording
+from noise_model.frames import transform
+from sim_to_real.check.scenario import TIERS, draw, make, true_seam_tool_mm
+from sim_to_real.check.world import FORMS
+from sim_to_real.check.world_effect import CATALOGUE
+from sim_to_real.check.world_light import Studio, TrueWorld
+from sim_to_real.check.world_stated import JOINTS
+
+pytestmark = pytest.mark.usefixtures("mitsuba")
+
+
+def small(scenario):
+    """The same with an image of 80 x 60 px."""
+
+    def shrunk(setup):
+        camera = setup.camera
+        camera = dataclasses.replace(
+            camera, width=80, height=60, fx=camera.fx / 8, fy=camera.fy / 8, cx=39.5, cy=29.5
+        )
+        return dataclasses.replace(setup, camera=camera)
+
+    world = dataclasses.replace(scenario.world, setup=shrunk(scenario.world.setup))
+    return dataclasses.replace(scenario, stated=shrunk(scenario.stated), world=world)
+
+
+def short(scenario):
+    """The same with eight frames."""
+    return dataclasses.replace(scenario, switches=scenario.switches[:8])
+
+
+@pytest.fixture(scope="module")
+def nominal(mitsuba):
+    return draw(3, "E", joint="v_groove")
+
+
+def test_a_scenario_repeats_and_a_world_can_be_shared(nominal):
+    again = draw(3, "E", joint="v_groove")
+    assert again.labels == nominal.labels
+    other = draw(8, "A", joint="v_groove", world_seed=3, effects=["gamma"])
+    assert other.stated.joint == nominal.stated.joint
+    assert other.stated.arc == nominal.stated.arc
+    assert other.motion == nominal.motion
+    np.testing.assert_array_equal(
+        other.world.setup.camera.T_tool_camera, nominal.world.setup.camera.T_tool_camera
+    )
+    assert other.world.setup.arc.radiance_e != nominal.world.setup.arc.radiance_e
+
+
+@pytest.mark.parametrize("tier", TIERS)
+def test_a_tier_hides_as_many_effects_of_its_form(tier):
+    scenario = draw(11, tier)
+    assert len(scenario.effects) == TIERS[tier] == len({one.id for one in scenario.effects})
+    for one in scenario.effects:
+        assert (one.form == CATALOGUE) == (tier != "C")
+        assert one.form in FORMS[one.id]
+    assert scenario.stated.joint.type in JOINTS
+    assert json.loads(json.dumps(scenario.labels)) == scenario.labels
+
+
+def test_true_values_are_off_by_the_tolerance(nominal):
+    stated, true = nominal.stated, nominal.world.setup
+    turn = stated.camera.T_tool_camera[:3, :3].T @ true.camera.T_tool_camera[:3, :3]
+    assert 0.0 < np.degrees(np.arccos(0.5 * (np.trace(turn) - 1.0))) < 0.3
+    move = true.camera.T_tool_camera[:3, 3] - stated.camera.T_tool_camera[:3, 3]
+    assert 0.0 < np.linalg.norm(move) < 0.3
+    assert 0.0 < abs(np.log(true.arc.radiance_e / stated.arc.radiance_e)) < 0.4
+    assert 0.0 < abs(np.log(true.laser.peak_e / stated.laser.peak_e)) < 0.2
+    assert 0.0 < abs(true.sensor.black_level_dn - stated.sensor.black_level_dn) < 1.2
+    assert 0.0 < abs(np.log(true.sensor.read_noise_e / stated.sensor.read_noise_e)) < 0.2
+
+
+def test_the_frames_are_those_of_a_recording_meant_for_diagnosis(nominal):
+    switches = nominal.switches
+    assert len(switches) == 24
+    kinds = {(s.laser_on, s.arc_on, s.current_a, s.exposure_s) for s in switches}
+    assert len(kinds) == 9
+    assert [s.arc_on for s in switches[:3] + switches[-3:]] == 6 * [False]
+    assert not switches[0].laser_on
+    assert not switches[-1].laser_on
+
+
+@pytest.mark.parametrize(("joint", "seed"), [("v_groove", 3), ("lap", 4), ("corrugation", 5)])
+def test_the_nominal_arc_fills_a_part_of_the_well(joint, seed):
+    scenario = small(draw(seed, "E", joint=joint))
+    setup, motion = scenario.stated, scenario.motion
+    studio = Studio(TrueWorld(setup, np.eye(4)), (0.0, 25.0))
+    light = []
+    for time_s in (0.3, 1.2, 2.0):
+        sight = studio.sight(motion.T_base_tool(time_s))
+        light.append(studio.arc_light(sight, studio.arc_body(sight, (0.0, 0.0, 0.0))))
+    share = np.stack(light) / setup.sensor.full_well_e
+    assert 0.04 < share.mean() < 0.16
+    assert np.mean(share > 1.0) < 0.02
+
+
+def test_a_recording_repeats_is_written_and_read(nominal, tmp_path):
+    scenario = short(small(nominal))
+    recorded, again = make(scenario, tmp_path / "kept"), make(scenario)
+    for one, two in zip(recorded.frames, again.frames, strict=True):
+        np.testing.assert_array_equal(one.image_dn, two.image_dn)
+        assert one.image_dn.dtype == np.uint8
+    times_s = np.array([timestamp_s for timestamp_s, _ in recorded.poses])
+    assert times_s[0] < -0.3
+    assert times_s[-1] > recorded.frames[-1].timestamp_s + 0.3
+    assert (np.diff(times_s) > 0.0).all()
+    assert 0.0005 < np.std(np.diff(times_s)) < 0.003
+    with RecordingWriter(tmp_path / "made", recorded.setup) as writer:
+        for pose in recorded.poses:
+            writer.write_pose(*pose)
+        for frame, seam_tool_mm in zip(recorded.frames, recorded.truth, strict=True):
+            writer.write_frame(frame)
+            writer.write_truth(frame.index, seam_tool_mm)
+    read = read_recording(tmp_path / "made")
+    assert read.setup.joint == scenario.stated.joint
+    assert [frame.timestamp_s for frame in read.frames()] == [f.timestamp_s for f in recorded.frames]
+
+
+@pytest.mark.parametrize("joint", JOINTS)
+def test_the_truth_lies_in_the_laser_plane_on_the_true_seam(joint):
+    scenario = draw(6, "A", joint=joint, effects=["surface_tilt"], strength=0.5)
+    T_base_tool = scenario.motion.T_base_tool(1.3)
+    seam_tool_mm = true_seam_tool_mm(scenario.world, T_base_tool)
+    assert seam_tool_mm[0] == pytest.approx(35.0, abs=1e-6)
+    x, y, z = transform(T_base_tool, seam_tool_mm)
+    departure, size = scenario.world.departure, scenario.stated.joint.dimensions
+    assert y == pytest.approx(departure.y_amp_mm * np.sin(2.0 * np.pi * x / departure.y_period_mm))
+    ridge = 0.0
+    if joint == "corrugation" and abs(x - 60.0 * np.rint(x / 60.0)) < 15.0:
+        ridge = 4.0 * (1.0 + np.cos(2.0 * np.pi * x / 30.0))
+    assert z == pytest.approx(departure.z_slope * x - size.get("depth_mm", 0.0) + ridge, abs=1e-6)
+
+
+def test_a_late_clock_shows_the_pose_of_another_time(nominal):
+    late = draw(3, "A", joint="v_groove", effects=["pose_delay"], strength=1.0)
+    delay_s = late.effects[0].values["delay_s"]
+    made, plain = make(short(small(late))), make(short(small(nominal)))
+    want = true_seam_tool_mm(late.world, late.motion.T_base_tool(0.2 + delay_s))
+    np.testing.assert_allclose(made.truth[2], want)
+    assert np.abs(made.truth[2] - plain.truth[2]).max() > 0.05
+    assert made.poses[10][0] == plain.poses[10][0]
+    np.testing.assert_array_equal(made.poses[10][1], plain.poses[10][1])
+
+
+def test_what_cannot_be_is_named():
+    with pytest.raises(ValueError, match="tier 'Z' is not known"):
+        draw(1, "Z")
+    with pytest.raises(ValueError, match="joint 'tee' is not known"):
+        draw(1, "E", joint="tee")
+    with pytest.raises(ValueError, match="tier D hides 2 effects, not 1"):
+        draw(1, "D", effects=["gamma"])
+    with pytest.raises(ValueError, match="arc_radius cannot be hidden in tier C"):
+        draw(1, "C", effects=["arc_radius"])
+    with pytest.raises(ValueError, match="gamma has no form 'log'"):
+        draw(1, "C", effects=["gamma"], form="log")

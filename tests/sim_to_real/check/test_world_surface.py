@@ -1,0 +1,86 @@
+"""The true joint against RECORDING.md's cross-sections, by heights alone."""
+
+import math
+
+import numpy as np
+import pytest
+
+from noise_model.surface import Joint
+from sim_to_real.check.world_surface import Departure, TrueSurface
+
+SEAM = ((-90.0, 0.0, 0.0), (230.0, 0.0, 0.0))
+JOINTS = {
+    "flat": {},
+    "v_groove": {"included_angle_deg": 70.0, "depth_mm": 4.0, "root_gap_mm": 1.0},
+    "lap": {"thickness_mm": 2.0},
+    "corrugation": {"thickness_mm": 1.5, "pitch_mm": 60.0, "height_mm": 8.0, "width_mm": 30.0},
+}
+DEPARTURE = Departure(0.9, 110.0, 0.01)
+
+
+def height(joint_type, x, y):
+    """RECORDING.md's height over the plane z = 0, the seam moved."""
+    size = JOINTS[joint_type]
+    y = y - 0.9 * np.sin(2.0 * np.pi * x / 110.0)
+    z = 0.01 * x
+    if joint_type == "v_groove":
+        run = (np.abs(y) - 0.5) / math.tan(math.radians(35.0))
+        return z + np.minimum(np.maximum(run, 0.0) - 4.0, 0.0)
+    if joint_type in ("lap", "corrugation"):
+        z = z + np.where(y < 0.0, size["thickness_mm"], 0.0)
+    if joint_type == "corrugation":
+        u = x - 60.0 * np.rint(x / 60.0)
+        z = z + np.where(np.abs(u) < 15.0, 4.0 * (1.0 + np.cos(2.0 * np.pi * u / 30.0)), 0.0)
+    return z
+
+
+def surface_of(joint_type, departure=DEPARTURE):
+    return TrueSurface(Joint(joint_type, JOINTS[joint_type], SEAM), departure)
+
+
+@pytest.mark.parametrize("joint_type", JOINTS)
+def test_the_mesh_is_the_joint_moved(joint_type):
+    vertices, triangles, faces = surface_of(joint_type).mesh(-30.0, 60.0)
+    assert len(triangles) == len(faces)
+    corners = vertices[triangles]
+    area = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    weights = np.random.default_rng(1).dirichlet([1.0, 1.0, 1.0], len(corners))
+    x, y, z = np.einsum("ij,ijk->ki", weights, corners)
+    stands = np.abs(area[:, 2]) < 1e-9
+    np.testing.assert_allclose(z[~stands], height(joint_type, x, y)[~stands], atol=1e-3)
+    # Out of the metal: up, and at a lap's edge towards the lower sheet.
+    assert (area[~stands, 2] > 0.0).all()
+    assert (area[stands, 1] > 0.0).all()
+    assert stands.any() == (joint_type in ("lap", "corrugation"))
+
+
+@pytest.mark.parametrize("joint_type", JOINTS)
+def test_hits_settle_on_the_exact_surface_with_its_normals(joint_type):
+    surface = surface_of(joint_type)
+    draw = np.random.default_rng(2)
+    eye = np.array([30.0, 3.0, 120.0])
+    vertices, triangles, faces = surface.mesh(-30.0, 60.0)
+    some = draw.choice(len(triangles), 300)
+    middle = vertices[triangles[some]].mean(axis=1)
+    way = middle - eye
+    length = np.linalg.norm(way, axis=1)
+    points, normals = surface.settle(eye, way / length[:, None], length, faces[some])
+    stands = np.abs(normals[:, 2]) < 1e-6
+    x, y, z = points[~stands].T
+    np.testing.assert_allclose(z, height(joint_type, x, y), atol=1e-6)
+    step = 1e-5
+    dz_dx = (height(joint_type, x + step, y) - height(joint_type, x - step, y)) / (2.0 * step)
+    dz_dy = (height(joint_type, x, y + step) - height(joint_type, x, y - step)) / (2.0 * step)
+    want = np.column_stack([-dz_dx, -dz_dy, np.ones(len(x))])
+    want /= np.linalg.norm(want, axis=1, keepdims=True)
+    np.testing.assert_allclose(normals[~stands], want, atol=1e-5)
+    edge = points[stands]
+    np.testing.assert_allclose(edge[:, 1], 0.9 * np.sin(2.0 * np.pi * edge[:, 0] / 110.0), atol=1e-6)
+    assert (normals[stands, 1] > 0.99).all()
+
+
+@pytest.mark.parametrize(("joint_type", "over"), [("v_groove", -4.0), ("lap", 0.0), ("corrugation", 8.0)])
+def test_the_seam_point_is_the_root_or_the_foot(joint_type, over):
+    x, y, z = surface_of(joint_type).seam_point(60.0)
+    assert (x, y) == (60.0, pytest.approx(0.9 * math.sin(2.0 * math.pi * 60.0 / 110.0)))
+    assert z == pytest.approx(over + 0.6)
