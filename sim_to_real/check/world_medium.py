@@ -26,7 +26,7 @@ STEPS = 24
 def _draw_fume(draw: Generator, strength: float, setup: Setup) -> dict[str, float]:
     return {
         "extinction_per_m": magnitude(strength, 0.5, 3.0),
-        "airlight_share": magnitude(strength, 0.015, 0.12),
+        "airlight_share": magnitude(strength, 0.006, 0.12),
     }
 
 
@@ -67,7 +67,7 @@ def _fume(frame: FrameLight, p: Values, density: Callable[[Float64], Float64]) -
 def _draw_spatter(draw: Generator, strength: float, setup: Setup) -> dict[str, float]:
     return {
         "rate_per_frame": magnitude(strength, 1.0, 10.0),
-        "peak_e": draw.uniform(4000.0, 15000.0),
+        "peak_e": magnitude(strength, 800.0, 15000.0),
         "length_px": draw.uniform(20.0, 80.0),
         "width_px": draw.uniform(1.0, 2.5),
     }

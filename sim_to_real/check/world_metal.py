@@ -1,7 +1,8 @@
 """The metal's reflectance for the made recordings, in Dr.Jit: the stated lobe and others it may really have.
 
 f_r = kappa_diff + kappa_spec S, S = G / cos(theta_r) fall(h), theta_r towards the camera (RECORDING.md,
-`[material]`). The parts are kept apart, so that another metal's kappas need no new rendering.
+`[material]`). The parts are kept apart, so that another metal's kappas need no new rendering. Nothing of
+Dr.Jit is imported until it is called.
 """
 
 from __future__ import annotations
@@ -9,8 +10,6 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from typing import Any
-
-import drjit as dr
 
 
 @dataclass(frozen=True)
@@ -42,6 +41,8 @@ def specular(c2: float, shape: LobeShape, n: Any, omega_i: Any, omega_r: Any) ->
 
     G = min(1, 2 cos(alpha) cos(theta) / cos(beta)) with the smaller of the two cosines (Eq. 5).
     """
+    import drjit as dr
+
     cos_i, cos_r = dr.dot(omega_i, n), dr.dot(omega_r, n)
     h = dr.normalize(omega_i + omega_r)
     cos_alpha = dr.dot(h, n)
@@ -51,6 +52,8 @@ def specular(c2: float, shape: LobeShape, n: Any, omega_i: Any, omega_r: Any) ->
 
 
 def _fall(c2: float, shape: LobeShape, n: Any, h: Any, cos_alpha: Any) -> Any:
+    import drjit as dr
+
     lean = h - n * cos_alpha
     sin2 = dr.dot(lean, lean)
     # From sine and cosine: in float32 an arccosine loses small angles.
@@ -78,6 +81,8 @@ def _fall(c2: float, shape: LobeShape, n: Any, h: Any, cos_alpha: Any) -> Any:
 
 def _along_marks2(shape: LobeShape, n: Any, lean: Any) -> Any:
     """Return the square of the lean's part along the marks' projection on the face."""
+    import drjit as dr
+
     mx, my = math.cos(math.radians(shape.b)), math.sin(math.radians(shape.b))
     m_n = mx * n.x + my * n.y
     along = mx * lean.x + my * lean.y

@@ -38,7 +38,7 @@ def _half_diagonals(frame: FrameLight) -> tuple[Float64, Float64]:
 
 
 def _draw_glare(draw: Generator, strength: float, setup: Setup) -> dict[str, float]:
-    return {"share": magnitude(strength, 0.03, 0.2)}
+    return {"share": magnitude(strength, 0.02, 0.2)}
 
 
 def _even_glare(frame: FrameLight, p: Values) -> None:
@@ -109,8 +109,8 @@ def _hard_vignetting(frame: FrameLight, p: Values) -> None:
 def _draw_dirt(draw: Generator, strength: float, setup: Setup) -> dict[str, float]:
     return {
         "patches": float(draw.integers(1, MOST_PATCHES + 1)),
-        "dimming": magnitude(strength, 0.08, 0.5),
-        "scatter": magnitude(strength, 0.01, 0.1),
+        "dimming": magnitude(strength, 0.05, 0.5),
+        "scatter": magnitude(strength, 0.005, 0.1),
         "radius": draw.uniform(0.12, 0.35),
         "seed": drawn_seed(draw),
     }
@@ -149,7 +149,7 @@ def _fingerprint(frame: FrameLight, p: Values) -> None:
 
 
 def _draw_shift(draw: Generator, strength: float, setup: Setup) -> dict[str, float]:
-    return {"share": magnitude(strength, 0.5, 2.5)}
+    return {"share": magnitude(strength, 0.8, 3.0)}
 
 
 def _gaussian_shift(frame: FrameLight, p: Values) -> None:

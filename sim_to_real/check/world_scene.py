@@ -49,7 +49,7 @@ def _wrong_material(world: TrueWorld, p: Values) -> TrueWorld:
 def _draw_blend(draw: Generator, strength: float, setup: Setup) -> dict[str, float]:
     # A little zinc on steel says much, a little steel in zinc hardly anything.
     is_steel = setup.material.kappa_diff < setup.material.kappa_spec
-    return {"share": magnitude(strength, 0.02, 0.2) if is_steel else magnitude(strength, 0.3, 0.9)}
+    return {"share": magnitude(strength, 0.01, 0.1) if is_steel else magnitude(strength, 0.3, 0.9)}
 
 
 def _blended_material(world: TrueWorld, p: Values) -> TrueWorld:
@@ -83,7 +83,7 @@ def _draw_ggx(draw: Generator, strength: float, setup: Setup) -> dict[str, float
 
 
 def _draw_marks(draw: Generator, strength: float, setup: Setup) -> dict[str, float]:
-    return {"anisotropy": magnitude(strength, 0.15, 0.9), "marks_deg": draw.uniform(-90.0, 90.0)}
+    return {"anisotropy": magnitude(strength, 0.15, 1.3), "marks_deg": draw.uniform(-90.0, 90.0)}
 
 
 def _draw_bounces(draw: Generator, strength: float, setup: Setup) -> dict[str, float]:
@@ -98,8 +98,8 @@ def _bounced(frame: FrameLight, bounces: Bounces) -> None:
 
 def _draw_hand_eye(draw: Generator, strength: float, setup: Setup) -> dict[str, float]:
     turn, move = draw.standard_normal(3), draw.standard_normal(3)
-    turn *= magnitude(strength, 0.25, 1.2) / np.linalg.norm(turn)
-    move *= magnitude(strength, 0.25, 1.5) / np.linalg.norm(move)
+    turn *= magnitude(strength, 0.15, 1.2) / np.linalg.norm(turn)
+    move *= magnitude(strength, 0.15, 1.5) / np.linalg.norm(move)
     values = {f"rot_{axis}_deg": float(value) for axis, value in zip("xyz", turn, strict=True)}
     return values | {f"move_{axis}_mm": float(value) for axis, value in zip("xyz", move, strict=True)}
 
@@ -112,7 +112,7 @@ def _hand_eye(world: TrueWorld, p: Values) -> TrueWorld:
 
 
 def _draw_tilt(draw: Generator, strength: float, setup: Setup) -> dict[str, float]:
-    roll, pitch = direction(draw, magnitude(strength, 0.4, 4.0))
+    roll, pitch = direction(draw, magnitude(strength, 0.25, 4.0))
     return {"roll_deg": roll, "pitch_deg": pitch}
 
 
@@ -123,7 +123,7 @@ def _tilted(world: TrueWorld, p: Values) -> TrueWorld:
 
 
 def _draw_hinge(draw: Generator, strength: float, setup: Setup) -> dict[str, float]:
-    return {"roll_deg": signed(draw, magnitude(strength, 0.4, 3.0)), "clamp_y_mm": signed(draw, 30.0)}
+    return {"roll_deg": signed(draw, magnitude(strength, 0.25, 3.0)), "clamp_y_mm": signed(draw, 30.0)}
 
 
 def _hinged(world: TrueWorld, p: Values) -> TrueWorld:
@@ -134,15 +134,15 @@ def _hinged(world: TrueWorld, p: Values) -> TrueWorld:
 
 def _draw_distortion(draw: Generator, strength: float, setup: Setup) -> dict[str, float]:
     # At 0.18 focal lengths, the image's corner, k1 = 0.1 moves a point by 1.3 px.
-    return {"k1": signed(draw, magnitude(strength, 0.12, 0.9))}
+    return {"k1": signed(draw, magnitude(strength, 0.15, 1.2))}
 
 
 def _draw_bent_distortion(draw: Generator, strength: float, setup: Setup) -> dict[str, float]:
-    return {"k1": signed(draw, magnitude(strength, 0.12, 0.9)), "k2": draw.uniform(-5.0, 5.0)}
+    return {"k1": signed(draw, magnitude(strength, 0.15, 1.2)), "k2": draw.uniform(-5.0, 5.0)}
 
 
 def _draw_delay(draw: Generator, strength: float, setup: Setup) -> dict[str, float]:
-    return {"delay_s": signed(draw, magnitude(strength, 0.015, 0.08))}
+    return {"delay_s": signed(draw, magnitude(strength, 0.008, 0.08))}
 
 
 def _delayed(moment: Moment, p: Values) -> Moment:
@@ -150,7 +150,7 @@ def _delayed(moment: Moment, p: Values) -> Moment:
 
 
 def _draw_wandering_clock(draw: Generator, strength: float, setup: Setup) -> dict[str, float]:
-    delay_s = signed(draw, magnitude(strength, 0.015, 0.08))
+    delay_s = signed(draw, magnitude(strength, 0.008, 0.08))
     skew = draw.uniform(-0.3, 0.3) * abs(delay_s)
     return {"delay_s": delay_s, "skew": skew, "jitter_s": 0.1 * abs(delay_s), "seed": drawn_seed(draw)}
 

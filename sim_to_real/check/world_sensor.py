@@ -42,11 +42,11 @@ def _scaled_exposure(moment: Moment, factor: float) -> Moment:
 
 
 def _draw_exposure_settling(draw: Generator, strength: float, setup: Setup) -> dict[str, float]:
-    return draw_settling(draw, magnitude(strength, 0.04, 0.4))
+    return draw_settling(draw, magnitude(strength, 0.03, 0.4))
 
 
 def _draw_exposure_swing(draw: Generator, strength: float, setup: Setup) -> dict[str, float]:
-    return draw_swing(draw, magnitude(strength, 0.03, 0.2))
+    return draw_swing(draw, magnitude(strength, 0.02, 0.2))
 
 
 def _draw_pattern(draw: Generator, strength: float, setup: Setup) -> dict[str, float]:
@@ -135,7 +135,7 @@ def _sloping_black(moment: Moment, shape: tuple[int, int], p: Values) -> Float64
 
 
 def _draw_read_noise(draw: Generator, strength: float, setup: Setup) -> dict[str, float]:
-    return {"noise_ratio": magnitude(strength, 1.25, 4.0)}
+    return {"noise_ratio": magnitude(strength, 1.2, 4.0)}
 
 
 def _gaussian_noise(draw: Generator, shape: tuple[int, int], sigma_e: float, p: Values) -> Float64:

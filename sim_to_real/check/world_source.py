@@ -49,7 +49,7 @@ def _moved_arc(world: TrueWorld, x: float, y: float, z: float) -> TrueWorld:
 
 
 def _draw_arc_length(draw: Generator, strength: float, setup: Setup) -> dict[str, float]:
-    return {"height_mm": magnitude(strength, 0.3, 2.0)}
+    return {"height_mm": magnitude(strength, 0.15, 2.0)}
 
 
 def _arc_length(world: TrueWorld, p: Values) -> TrueWorld:
@@ -57,7 +57,7 @@ def _arc_length(world: TrueWorld, p: Values) -> TrueWorld:
 
 
 def _draw_arc_rides(draw: Generator, strength: float, setup: Setup) -> dict[str, float]:
-    return {"share": magnitude(strength, 0.3, 1.0)}
+    return {"share": magnitude(strength, 0.1, 1.0)}
 
 
 def _arc_rides(moment: Moment, p: Values) -> Moment:
@@ -66,7 +66,7 @@ def _arc_rides(moment: Moment, p: Values) -> Moment:
 
 
 def _draw_deflection(draw: Generator, strength: float, setup: Setup) -> dict[str, float]:
-    x, y = direction(draw, magnitude(strength, 0.4, 2.5))
+    x, y = direction(draw, magnitude(strength, 0.25, 2.5))
     return {"x_mm": x, "y_mm": y}
 
 
@@ -91,7 +91,7 @@ def _arc_radius(world: TrueWorld, p: Values) -> TrueWorld:
 
 
 def _draw_flicker(draw: Generator, strength: float, setup: Setup) -> dict[str, float]:
-    return {"sigma_rel": magnitude(strength, 0.03, 0.3), "seed": drawn_seed(draw)}
+    return {"sigma_rel": magnitude(strength, 0.015, 0.3), "seed": drawn_seed(draw)}
 
 
 def _flicker(moment: Moment, p: Values) -> Moment:
@@ -101,7 +101,7 @@ def _flicker(moment: Moment, p: Values) -> Moment:
 
 
 def _draw_wave(draw: Generator, strength: float, setup: Setup) -> dict[str, float]:
-    amplitude, hz = magnitude(strength, 0.05, 0.4), draw.uniform(1.0, 60.0)
+    amplitude, hz = magnitude(strength, 0.025, 0.4), draw.uniform(1.0, 60.0)
     return {"amplitude": amplitude, "frequency_hz": hz, "phase_rad": draw.uniform(0.0, 2.0 * math.pi)}
 
 
@@ -123,7 +123,7 @@ def _walking_flicker(moment: Moment, p: Values) -> Moment:
 
 
 def _draw_argon(draw: Generator, strength: float, setup: Setup) -> dict[str, float]:
-    return {"on_axis": magnitude(strength, 0.1, 0.8)}
+    return {"on_axis": magnitude(strength, 0.06, 0.8)}
 
 
 def _argon_edge(frame: FrameLight, p: Values) -> None:
@@ -193,7 +193,7 @@ def _gamma_speckle(frame: FrameLight, p: Values) -> None:
 
 
 def _draw_laser_settling(draw: Generator, strength: float, setup: Setup) -> dict[str, float]:
-    return draw_settling(draw, magnitude(strength, 0.05, 0.4))
+    return draw_settling(draw, magnitude(strength, 0.08, 0.4))
 
 
 def _draw_laser_swing(draw: Generator, strength: float, setup: Setup) -> dict[str, float]:
