@@ -1,0 +1,102 @@
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from noise_model.fit import Parameter
+from sim_to_real.free_term import HeldOut, free_term, hats, hats_of_two
+from tests.sim_to_real.test_covariates import planted
+
+TRAINING = np.arange(24) % 3 != 0
+
+
+def noise(of, seed=1):
+    return np.random.default_rng(seed).standard_normal(len(of.frame))
+
+
+def test_hats_interpolate_lines_exactly_and_leave_out_what_is_unknown():
+    values = np.random.default_rng(3).gamma(2.0, 5.0, 4000).astype(np.float32)
+    values[::50] = np.nan
+    X = hats(values)
+    known = np.isfinite(values)
+    np.testing.assert_allclose(X.sum(axis=1), known, atol=1e-6)
+    line = 3.0 - 0.7 * values[known]
+    c, *_ = np.linalg.lstsq(X[known], line, rcond=None)
+    np.testing.assert_allclose(X[known] @ c, line, atol=1e-3)
+    assert hats(np.full(5, 2.0, dtype=np.float32)).shape == (5, 1)
+    # 24 frames' times: a third as many knots, not one for each.
+    assert hats(np.arange(24, dtype=np.float32)).shape == (24, 8)
+
+
+def test_hats_of_row_and_column_interpolate_their_product():
+    of = planted(2)
+    X = hats_of_two(of)
+    product = of.values["row"] * of.values["column"]
+    c, *_ = np.linalg.lstsq(X, product, rcond=None)
+    np.testing.assert_allclose(X @ c, product, atol=0.05)
+
+
+@pytest.mark.parametrize(
+    ("covariate", "form", "gap"),
+    [
+        ("distance", "adds", lambda of: 60.0 / np.nan_to_num(of.values["distance"], nan=np.inf)),
+        ("column", "times_laser", lambda of: 0.1 * of.laser_dn * np.sin(of.values["column"] / 4.0)),
+        ("half_angle", "times_arc", lambda of: 0.1 * of.arc_dn * np.cos(of.values["half_angle"] / 9.0)),
+    ],
+)
+def test_the_function_that_was_planted_closes_the_gap(covariate, form, gap):
+    of = planted()
+    terms = free_term(of, noise(of) + gap(of), TRAINING)
+    assert (terms[0].covariate, terms[0].form) == (covariate, form)
+    assert terms[0].name == f"{covariate} {form}"
+    assert terms[0].closed > 0.75
+    assert [term.closed for term in terms] == sorted((term.closed for term in terms), reverse=True)
+
+
+def test_of_noise_and_of_frames_own_levels_no_function_closes_anything():
+    of = planted()
+    for term in free_term(of, 1.2 * noise(of), TRAINING):
+        assert term.closed < 0.03, term.name
+    levels = np.random.default_rng(7).standard_normal(24)
+    terms = free_term(of, noise(of) + 2.0 * levels[of.frame] * (of.arc_dn > 0.0), TRAINING)
+    assert terms[0].closed < 0.15
+
+
+def test_two_coordinates_are_needed_for_a_patch():
+    of = planted()
+    row, column = of.values["row"], of.values["column"]
+    patch = np.exp(-((row - 8.0) ** 2 + (column - 22.0) ** 2) / 40.0)
+    terms = free_term(of, noise(of) - 0.8 * patch * of.light_dn, TRAINING)
+    assert (terms[0].covariate, terms[0].form) == ("row, column", "times_light")
+    assert terms[0].closed > 0.6
+
+
+def test_what_nuisances_did_in_vain_is_undone_first():
+    of = planted()
+    slope = of.arc_dn / 20.0 * np.sin(of.values["column"] / 8.0)
+    bent = replace(of, tangents=np.column_stack([slope, *[0.0 * slope] * 8]).astype(np.float32))
+    gap = 2.0 * np.sin(of.values["gray_level"] / 40.0)
+    # The fit has taken the nuisance to 0.4 though it is 0: that lies within its prior.
+    bent = replace(bent, anchor=np.array([0.4, *[0.0] * 8]))
+    r = noise(of) + gap - 0.4 * slope
+    bent_fit, blind_fit = HeldOut.of(bent, r), HeldOut.of(of, r)
+    X = hats(bent_fit.covariates.values["gray_level"])
+    assert bent_fit.share(bent_fit.gain(X)) > 0.9
+    assert blind_fit.share(blind_fit.gain(X)) < 0.8
+
+
+def test_nuisances_stay_within_their_bounds_unless_let_go():
+    of = planted()
+    slope = (of.arc_dn / 10.0).astype(np.float32)
+    tangents = np.zeros((len(slope), 9), dtype=np.float32)
+    tangents[:, 0] = slope
+    narrow = (Parameter("level", "", 0.0, 0.1, -0.3, 0.3, 0.01), *of.nuisances[1:])
+    of = replace(of, tangents=tangents, nuisances=narrow)
+    r = noise(of) + 2.0 * slope
+
+    def moved(fit):
+        A, b = fit.moments(fit.covariates.tangents)
+        return fit.solved(A.sum(axis=0), b.sum(axis=0))[0]
+
+    assert moved(HeldOut.of(of, r)) == pytest.approx(0.3)
+    assert moved(HeldOut.of(of, r, free=(0,))) == pytest.approx(2.0, rel=0.05)

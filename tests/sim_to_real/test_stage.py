@@ -1,0 +1,127 @@
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from arctrack.recording import read_recording
+from arctrack.recording.poses import pose_at
+from noise_model.optics import Camera
+from sim_to_real.covariates import Start, covariates
+from sim_to_real.expected import Expected
+from sim_to_real.free_term import HeldOut
+from sim_to_real.observed import observe
+from sim_to_real.refit import refit
+from sim_to_real.stage import (
+    FORMS,
+    LEVELS,
+    forms_explained,
+    linear_columns,
+    ranked,
+    stages,
+    unsmooth_explained,
+)
+from tests.sim_to_real.test_covariates import planted, small_recording
+
+SHARED = Path(__file__).parents[3] / "shared" / "recordings"
+CAMERA = Camera(32, 24, 300.0, 300.0, 15.5, 11.5, np.eye(4))
+LINEAR = [form for form in FORMS if form[1] != "lobe and diffuse"]
+
+
+def noise(of, seed=1):
+    return np.random.default_rng(seed).standard_normal(len(of.frame))
+
+
+def first(of, r):
+    """The stage and the form that come first of those that need no rendering, and all stages' shares."""
+    held = HeldOut.of(of, r, free=LEVELS)
+    columns = linear_columns(held.covariates, of, held.chosen, CAMERA)
+    found = ranked(forms_explained(held, columns, LINEAR) + unsmooth_explained(held, of, r))
+    return found[0].stage, found[0].form, {of_stage.stage: of_stage.share for of_stage in found}
+
+
+def level(of, seed=8):
+    return 0.2 * np.random.default_rng(seed).standard_normal(of.n_frames)[of.frame]
+
+
+def patches(of):
+    row, column = of.values["row"], of.values["column"]
+    return np.cos(row / 4.0) * np.sin(column / 6.0)
+
+
+PLANTED = {
+    ("sensor", "grey level"): lambda of: 4.0 * np.sin(of.values["gray_level"] / 50.0),
+    ("sensor", ""): lambda of: 0.1 * of.values["time"] * of.light_dn,
+    ("sensor", "level of each frame"): lambda of: level(of) * of.light_dn,
+    ("sensor", "noise"): lambda of: 2.0 * noise(of, 3),
+    ("optics", "fall-off"): lambda of: -of.light_dn * (of.values["radius"] / 30.0) ** 2,
+    ("optics", "factor over the image"): lambda of: 0.3 * of.light_dn * patches(of),
+    ("illumination", ""): lambda of: 0.1 * of.values["time"] * of.laser_dn,
+    ("illumination", "laser's level of each frame"): lambda of: level(of) * of.laser_dn,
+    ("illumination", "laser along its fan"): lambda of: 0.01 * of.values["column"] * of.laser_dn,
+    ("illumination", "grain"): lambda of: 0.2 * of.laser_dn * noise(of, 3),
+    ("source", "arc's level of each frame"): lambda of: level(of) * of.arc_dn,
+    ("source", "arc over the field"): lambda of: of.arc_dn * (of.values["radius"] / 40.0) ** 2,
+    ("source", ""): lambda of: of.arc_dn * (of.values["current"] > 120.0) * 0.3,
+    ("surface", "arc over half angle"): lambda of: of.arc_dn * np.sin(of.values["half_angle"] / 9.0),
+    ("medium", "glow about the arc"): lambda of: np.where(
+        of.values["current"] > 0.0,
+        of.values["exposure"] * 60000.0 / np.nan_to_num(of.values["distance"], nan=1.0),
+        0.0,
+    ),
+}
+
+
+@pytest.mark.parametrize(("stage", "form"), PLANTED)
+def test_the_stage_of_a_planted_residual_comes_first(stage, form):
+    of = planted()
+    found, found_form, shares = first(of, noise(of) + PLANTED[stage, form](of))
+    assert found == stage
+    # What goes with time or current is a level of each frame, too.
+    assert found_form == form or not form
+    assert shares[stage] > 0.8
+
+
+def test_of_noise_no_stage_explains_much_and_of_a_brighter_lamp_only_its_own():
+    of = planted()
+    assert max(first(of, noise(of))[2].values()) < 0.15
+    tangents = np.zeros_like(of.tangents)
+    tangents[:, 0], tangents[:, 1] = of.arc_dn, of.laser_dn
+    lamps = tuple(replace(p, prior_sigma=0.1, lower=-0.3, upper=0.3) for p in of.nuisances[:2])
+    of = replace(of, tangents=tangents, nuisances=(*lamps, *of.nuisances[2:]))
+    assert first(of, noise(of) + 0.8 * of.arc_dn)[:2] == ("source", "arc's output")
+    assert first(of, noise(of) + 0.8 * of.laser_dn)[:2] == ("illumination", "laser's output")
+
+
+def test_every_stage_is_ranked_and_shares_lie_between_nought_and_one():
+    of = planted()
+    _, _, shares = first(of, 30.0 * noise(of) + 9.0 * of.light_dn)
+    assert len(shares) == 8
+    assert all(0.0 <= share <= 1.0 for share in shares.values())
+
+
+@pytest.mark.parametrize(
+    ("stage", "effects"),
+    [
+        ("source", {"arc_length": {"height_mm": 1.0}}),
+        ("geometry", {"surface_tilt": {"roll_deg": 1.5}}),
+        ("timing", {"pose_delay": {"delay_s": 0.06}}),
+    ],
+)
+def test_what_moves_is_found_by_rendering(stage, effects, tmp_path):
+    expected = small_recording(tmp_path / "moved", effects)
+    start = Start.of(expected)
+    found = stages(expected, start, covariates(expected, start))
+    assert found[0].stage == stage
+    assert found[0].share > 0.5
+
+
+@pytest.mark.skipif(not SHARED.is_dir(), reason="the shared recordings are not here")
+def test_another_renderers_hand_eye_error_is_geometry():
+    recording = read_recording(SHARED / "v_hand_eye")
+    poses = recording.pose_buffer()
+    frames = [frame for frame in recording.frames() if frame.index % 2 == 0]
+    expected = Expected(observe(recording.setup, frames, lambda t: pose_at(poses, t)))
+    expected.take_tangents(expected.neutral, {})
+    fit = refit(expected, {}, expected.neutral)
+    assert stages(expected, fit, covariates(expected, fit))[0].stage == "geometry"
