@@ -69,11 +69,13 @@ class Scene:
         return bool(z <= plain + float(corrugation_height(np.array(x), self.shape.corrugation)))
 
 
-def scene(setup: Setup, T_base_tool: Float64, seam: SeamLine = NOMINAL_SEAM) -> Scene:
+def scene(
+    setup: Setup, T_base_tool: Float64, seam: SeamLine = NOMINAL_SEAM, ground: SeamLine | None = None
+) -> Scene:
     """Put camera, arc and surface of a pose into the joint frame.
 
     Where the true seam runs beside its nominal line, the joint frame, the section and the arc that stands on
-    it go with it.
+    it go with it. `ground` is another stretch of a bent seam, on whose surface the arc stands.
     """
     T_base_joint = seam_frame(setup.joint, _ahead(setup, T_base_tool)) @ seam.frame()
     T_joint_tool = invert(T_base_joint) @ T_base_tool
@@ -84,11 +86,20 @@ def scene(setup: Setup, T_base_tool: Float64, seam: SeamLine = NOMINAL_SEAM) -> 
     if setup.arc.on_surface:
         # Over the surface the arc keeps its height, and a tilted tool carries its foot sideways.
         center[2] = offset[2] + float(corrugation_height(center[0], shape.corrugation))
+        if ground is not None:
+            center[2] += _higher_mm(seam, ground, center)
     footprint = _footprint(
         setup, T_joint_camera, (shape.vertices[:, 1].min(), shape.vertices[:, 1].max() + shape.corrugation[0])
     )
     start, horizons = horizon_tables(shape, (footprint[0, 0], footprint[0, 1]), center, setup.arc.radius_mm)
     return Scene(T_joint_tool, T_joint_camera, center, shape, start, horizons, footprint)
+
+
+def _higher_mm(seam: SeamLine, ground: SeamLine, point_mm: Float64) -> float:
+    """Return how much higher another stretch's plate lies than the seam's own, at a point of its frame."""
+    T_seam_ground = invert(seam.frame()) @ ground.frame()
+    up, origin = T_seam_ground[:3, 2], T_seam_ground[:3, 3]
+    return float(origin[2] - (up[:2] @ (point_mm[:2] - origin[:2])) / up[2])
 
 
 def _ahead(setup: Setup, T_base_tool: Float64) -> Float64:

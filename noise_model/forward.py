@@ -8,6 +8,7 @@ changes only the image does not render it again.
 from __future__ import annotations
 
 from collections import OrderedDict
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import TypeVar
@@ -26,7 +27,7 @@ from noise_model.laser import irradiance
 from noise_model.optics import Rays, blur
 from noise_model.sensor import expose, respond_moments, saturation_dn
 from noise_model.setup import Setup
-from noise_model.surface import NOMINAL_SEAM, SeamLine
+from noise_model.surface import NOMINAL_SEAM, Seam, SeamLine
 from noise_model.view import View
 from noise_model.visibility import ways_are_open
 
@@ -60,23 +61,39 @@ class Prediction:
 
 @dataclass(frozen=True, eq=False)
 class Layers:
-    """What a pose shows before any effect acts on the image, rendered when first asked for."""
+    """What a pose shows before any effect acts on the image, rendered when first asked for.
+
+    Of a bent seam `view` is that of its middle stretch, and `stretches` are views of some pixels each, with
+    their places in the flattened image.
+    """
 
     view: View
+    stretches: tuple[tuple[npt.NDArray[np.integer], View], ...] = ()
 
     @cached_property
     def arc_e(self) -> Float32:
         """The arc's light (...,), e- for `camera.exposure_s`, at its nominal output; 0 past the workpiece."""
-        view = self.view
-        kernel = arc_kernel(view.setup, view.scene)
-        xy = np.ascontiguousarray(view.xy.reshape(-1, 2))
-        arc_e, _ = arc_at(kernel, xy, view.cos4.reshape(-1), np.arange(view.cos4.size))
-        return np.nan_to_num(arc_e).reshape(view.shape)
+        return self._of_stretches(_arc_light)
 
     @cached_property
     def laser_e(self) -> Float32:
         """The laser stripe (...,), e- for `camera.exposure_s`, at its nominal output."""
-        return stripe_light(self.view)
+        return self._of_stretches(stripe_light)
+
+    def _of_stretches(self, light: Callable[[View], Float32]) -> Float32:
+        if not self.stretches:
+            return light(self.view)
+        image = np.zeros(self.view.cos4.size, dtype=np.float32)
+        for pixels, view in self.stretches:
+            image[pixels] = light(view)
+        return image.reshape(self.view.shape)
+
+
+def _arc_light(view: View) -> Float32:
+    kernel = arc_kernel(view.setup, view.scene)
+    xy = np.ascontiguousarray(view.xy.reshape(-1, 2))
+    arc_e, _ = arc_at(kernel, xy, view.cos4.reshape(-1), np.arange(view.cos4.size))
+    return np.nan_to_num(arc_e).reshape(view.shape)
 
 
 class Renderer:
@@ -91,15 +108,15 @@ class Renderer:
         self,
         setup: Setup,
         T_base_tool: Float64,
-        seam: SeamLine = NOMINAL_SEAM,
+        seam: Seam = NOMINAL_SEAM,
         pixels: npt.NDArray[np.integer] | None = None,
     ) -> Layers:
         """Return the layers of a pose; `setup` is what is really there (`effects.really`)."""
         of_pixels = None if pixels is None else np.asarray(pixels).tobytes()
-        key = (*_rendered_with(setup), T_base_tool.tobytes(), seam, of_pixels)
+        key = (*rendered_with(setup), T_base_tool.tobytes(), seam, of_pixels)
         if key not in self._layers:
-            view = View.of(setup, T_base_tool, seam, self._rays_of(setup), pixels)
-            _remember(self._layers, key, Layers(view), self._remembered)
+            layers = look(setup, T_base_tool, seam, self._rays_of(setup), pixels)
+            _remember(self._layers, key, layers, self._remembered)
         self._layers.move_to_end(key)
         return self._layers[key]
 
@@ -111,6 +128,28 @@ class Renderer:
         return self._rays[key]
 
 
+def look(
+    setup: Setup,
+    T_base_tool: Float64,
+    seam: Seam,
+    rays: Rays,
+    pixels: npt.NDArray[np.integer] | None = None,
+) -> Layers:
+    """Return the layers of a pose; `setup` is what is really there, `rays` are its camera's."""
+    if isinstance(seam, SeamLine):
+        return Layers(View.of(setup, T_base_tool, seam, rays, pixels))
+    view = View.of(setup, T_base_tool, seam.middle, rays, pixels, ground=seam.ground)
+    stretch = seam.stretch_at(view.surface[0][..., 0].reshape(-1))
+    all_pixels = np.arange(view.cos4.size) if pixels is None else np.asarray(pixels)
+    stretches = []
+    for i, line in enumerate(seam.lines):
+        where = np.flatnonzero(stretch == i)
+        if len(where):
+            of_line = View.of(setup, T_base_tool, line, rays, all_pixels[where], ground=seam.ground)
+            stretches.append((where, of_line))
+    return Layers(view, tuple(stretches))
+
+
 def _remember(
     kept: OrderedDict[tuple[object, ...], Kept], key: tuple[object, ...], value: Kept, most: int
 ) -> None:
@@ -119,7 +158,7 @@ def _remember(
         kept.popitem(last=False)
 
 
-def _rendered_with(setup: Setup) -> tuple[object, ...]:
+def rendered_with(setup: Setup) -> tuple[object, ...]:
     """Return all of a setup that a pose's layers depend on, to compare by."""
     camera, joint = setup.camera, setup.joint
     return (
@@ -138,7 +177,7 @@ def predict(
     T_base_tool: Float64,
     condition: Condition,
     *,
-    seam: SeamLine = NOMINAL_SEAM,
+    seam: Seam = NOMINAL_SEAM,
     renderer: Renderer | None = None,
     pixels: npt.NDArray[np.integer] | None = None,
 ) -> Prediction:
@@ -164,7 +203,7 @@ def draw_frame(
     condition: Condition,
     rng: np.random.Generator,
     *,
-    seam: SeamLine = NOMINAL_SEAM,
+    seam: Seam = NOMINAL_SEAM,
     renderer: Renderer | None = None,
 ) -> npt.NDArray[np.integer]:
     """Draw one frame (H, W), DN in the sensor's type: random effects, shot noise, read noise, response."""
@@ -176,7 +215,7 @@ def _light(
     setup: Setup,
     T_base_tool: Float64,
     condition: Condition,
-    seam: SeamLine,
+    seam: Seam,
     renderer: Renderer | None,
     pixels: npt.NDArray[np.integer] | None,
     rng: Draw,

@@ -12,6 +12,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
+import numpy.typing as npt
 
 from noise_model.frames import Float64
 
@@ -127,6 +128,37 @@ class SeamLine:
 
 
 NOMINAL_SEAM = SeamLine()
+
+
+@dataclass(frozen=True)
+class BentSeam:
+    """A seam that bends: straight stretches, each of which stands for what lies nearest to its station.
+
+    `lines` come in rising order of their stations. The arc stands on the plate of `ground`.
+    """
+
+    lines: tuple[SeamLine, ...]
+    ground: SeamLine
+
+    def __post_init__(self) -> None:
+        stations = [line.station_mm for line in self.lines]
+        if not stations or (np.diff(stations) <= 0.0).any():
+            raise ValueError("a bent seam needs stretches in rising order of their stations")
+
+    @property
+    def middle(self) -> SeamLine:
+        """The stretch in the middle."""
+        return self.lines[len(self.lines) // 2]
+
+    def stretch_at(self, stations_mm: Float64) -> npt.NDArray[np.int64]:
+        """Return the index of the stretch that stands for each station (...,); the middle's for a NaN."""
+        stations = np.array([line.station_mm for line in self.lines])
+        index = np.searchsorted(0.5 * (stations[1:] + stations[:-1]), stations_mm)
+        return np.where(np.isnan(stations_mm), len(self.lines) // 2, index)
+
+
+Seam = SeamLine | BentSeam
+"""Where the true seam runs."""
 
 
 def seam_height_mm(joint: Joint) -> float:

@@ -46,14 +46,15 @@ class View:
         seam: SeamLine = NOMINAL_SEAM,
         rays: Rays | None = None,
         pixels: npt.NDArray[np.integer] | None = None,
+        ground: SeamLine | None = None,
     ) -> View:
         """Look from a pose; `pixels` (n,) are indices into the flattened image, all of it without them.
 
-        `rays` spares tracing the camera's rays anew.
+        `rays` spares tracing the camera's rays anew; `ground` is that of `arc_map.scene`.
         """
         rays = Rays.of(setup.camera) if rays is None else rays
         height, width = rays.cos4.shape
-        where = scene(setup, T_base_tool, seam)
+        where = scene(setup, T_base_tool, seam, ground)
         if pixels is None:
             v, u = np.mgrid[:height, :width].astype(np.float32)
             return cls(setup, where, np.stack([u, v], axis=-1), rays.xy, rays.cos4, True)

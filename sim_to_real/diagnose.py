@@ -1,0 +1,152 @@
+"""The diagnosis of a recording: is there a gap, which effects cause it, how far it shrinks with them."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping, Sequence
+
+from noise_model.effects import REGISTRY
+from noise_model.frames import Float64
+from noise_model.setup import Setup
+from sim_to_real.covariates import covariates
+from sim_to_real.diagnosis import Diagnosis, Estimate, Gap, Named, Ranked, Verdict
+from sim_to_real.expected import Effects, Expected
+from sim_to_real.held import excess_map, measure, predict_held
+from sim_to_real.locate import locate
+from sim_to_real.observed import Observed, PoseAt, observe
+from sim_to_real.refit import Refit, refit
+from sim_to_real.seam_error import seam_error_mm
+from sim_to_real.select import Candidate, judged
+from sim_to_real.split import held_out
+from sim_to_real.stage import stages
+from sim_to_real.verdict import Decision, decide, shares
+from tracker.state import Frame
+
+HELD, LEFT_ASIDE = 0.25, 0.34
+"""The share of frames held out of everything, and of the others that which is left out while choosing."""
+
+ROUNDS = 2
+"""How often light is rendered about a fit of all frames."""
+
+OnStage = Callable[[str, float], None]
+
+
+def diagnose(
+    setup: Setup,
+    frames: Sequence[Frame],
+    pose_at: PoseAt,
+    *,
+    without: Sequence[str] = (),
+    on_stage: OnStage | None = None,
+) -> Diagnosis:
+    """Diagnose a recording's frames; `without` takes effects out of the catalogue.
+
+    `on_stage` hears what is being done and how much of all is done. Raises ValueError for an unknown effect
+    and if no frame has a pose.
+    """
+    for name in without:
+        if name not in REGISTRY:
+            raise ValueError(f"{name}: no such effect, there are {', '.join(REGISTRY)}")
+    heard = on_stage or _silent
+    heard("tracking the seam", 0.0)
+    observed = observe(setup, frames, pose_at)
+    held = held_out(observed, HELD)
+    train = observed.some(~held)
+    choosing, baseline = _baseline(train.some(~held_out(train, LEFT_ASIDE)))
+    heard("fitting what is no gap", 0.08)
+    decision = decide(choosing, baseline, without, lambda text, share: heard(text, 0.1 + 0.5 * share))
+    share = shares(choosing, baseline, decision.chosen)
+
+    heard("fitting all frames", 0.65)
+    expected = Expected(train)
+    before = _settled(expected, {}, baseline.refit.nuisance)
+    named = decision.chosen.refit.effects
+    after = _settled(expected, named, decision.chosen.refit.nuisance) if named else before
+    heard("predicting the frames held out", 0.75)
+    predicted = predict_held(
+        observed.some(held), expected, before, after, lambda done: heard("predicting", 0.75 + 0.15 * done)
+    )
+    sizes = measure(predicted, setup)
+    heard("saying where", 0.9)
+    of_bins = covariates(expected, before)
+    simplest = stages(expected, before, of_bins)[0].stage
+    where = locate(of_bins, before.residuals, simplest, excess_map(predicted))
+    is_named = decision.verdict in (Verdict.EFFECTS, Verdict.AMBIGUOUS)
+    seam_mm = tuple(
+        seam_error_mm(setup, effects, frames, pose_at, expected, after) for effects in ({}, named)
+    )
+    heard("done", 1.0)
+    return Diagnosis(
+        decision.verdict,
+        _named(decision, after, share) if is_named else (),
+        _ranking(decision, baseline),
+        decision.ambiguous,
+        Gap(
+            sizes.before,
+            sizes.after,
+            sizes.floor,
+            sizes.closed,
+            sizes.ci95,
+            sizes.rms_dn,
+            (seam_mm[0], seam_mm[1]),
+        ),
+        where,
+        None,
+        (),
+        {},
+        None,
+        predicted,
+    )
+
+
+def _silent(text: str, share: float) -> None:
+    pass
+
+
+def _baseline(observed: Observed) -> tuple[Expected, Candidate]:
+    """Fit what is off within its tolerance, and nothing else."""
+    expected = Expected(observed)
+    expected.take_tangents(expected.neutral, {})
+    fitted = refit(expected, {}, expected.neutral)
+    expected.allow_for_bends(fitted.nuisance, {})
+    expected.take_tangents(fitted.nuisance, {})
+    return expected, judged(expected, refit(expected, {}, fitted.nuisance))
+
+
+def _settled(expected: Expected, effects: Effects, nuisance: Float64) -> Refit:
+    """Fit all frames, with the derivatives of light taken again where the fit came to."""
+    fitted = None
+    for _ in range(ROUNDS):
+        expected.take_tangents(nuisance, effects)
+        fitted = refit(expected, effects, nuisance)
+        nuisance, effects = fitted.nuisance, fitted.effects
+    assert fitted is not None
+    return fitted
+
+
+def _named(decision: Decision, after: Refit, share: Mapping[str, float]) -> tuple[Named, ...]:
+    """Return the effects of the best fit with their parameters."""
+    sigmas = after.sigmas
+    return tuple(
+        Named(
+            name,
+            REGISTRY[name].stage.value,
+            float(decision.confidence[0]),
+            share[name],
+            {
+                parameter.name: Estimate(values[parameter.name], sigmas[name][parameter.name], parameter.unit)
+                for parameter in REGISTRY[name].parameters
+            },
+        )
+        for name, values in after.effects.items()
+    )
+
+
+def _ranking(decision: Decision, baseline: Candidate) -> tuple[Ranked, ...]:
+    """Return all single effects, best first, with the share of the gap's size that each closes."""
+    size = math.sqrt(max(baseline.left - 1.0, 0.0))
+    ranked = []
+    for single, confidence in zip(decision.singles, decision.confidence, strict=True):
+        left = math.sqrt(max(single.left - 1.0, 0.0))
+        ranked.append(Ranked(single.ids[-1], float(confidence), 1.0 - left / size if size else math.nan))
+    return tuple(ranked)

@@ -1,0 +1,150 @@
+"""What a diagnosis says: is there a gap, where, what causes it, how far it shrinks, what to do next."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from enum import Enum
+
+import numpy as np
+import numpy.typing as npt
+
+from noise_model.frames import Float64
+
+Float32 = npt.NDArray[np.float32]
+
+
+class Verdict(Enum):
+    """What the recording says about the catalogue of effects."""
+
+    NO_GAP = "no_gap"
+    EFFECTS = "effects"
+    AMBIGUOUS = "ambiguous"
+    UNKNOWN = "unknown"
+
+
+@dataclass(frozen=True)
+class Estimate:
+    """A fitted parameter."""
+
+    value: float
+    sigma: float
+    unit: str
+
+
+@dataclass(frozen=True)
+class Named:
+    """An effect that the verdict names; `share`, 0 to 1, is of the gap that all named close together."""
+
+    id: str
+    stage: str
+    confidence: float
+    share: float
+    parameters: Mapping[str, Estimate]
+
+
+@dataclass(frozen=True)
+class Ranked:
+    """A candidate that was refitted: how probable it is, and which share of the gap it closes by itself."""
+
+    id: str
+    confidence: float
+    gap_closed: float
+
+
+@dataclass(frozen=True)
+class Gap:
+    """sqrt(mean r^2 - 1) of whitened residuals on frames held out of the fit, and their rms, DN.
+
+    `floor` is what the model may be off without any gap. `closed` = (before - after) / (before - floor), with
+    its 95 % interval over frames; NaN without a gap. `seam_mm` is how far the seam point moves.
+    """
+
+    before: float
+    after: float
+    floor: float
+    closed: float
+    ci95: tuple[float, float]
+    rms_dn: tuple[float, float]
+    seam_mm: tuple[float, float]
+
+
+@dataclass(frozen=True, eq=False)
+class Curve:
+    """The residual along a covariate, in groups (g,) of bins: mean and 95 % band over frames, in sigmas.
+
+    `log_ratio` is the median of ln(recorded / predicted light) in the groups, NaN where it is dark.
+    """
+
+    name: str
+    unit: str
+    r2: float
+    centers: Float64
+    mean: Float64
+    low: Float64
+    high: Float64
+    log_ratio: Float64
+
+
+@dataclass(frozen=True, eq=False)
+class Where:
+    """Where the gap lies.
+
+    `stage` is the one at which the residual becomes simplest; `covariates` explain the largest share first;
+    `image` holds the shares of patterns in the image (row, column, radial, mirrored, fixed, stripe_band);
+    `strata` the gap of dark, laser, arc, both frames and of the stripe's band. `z` (H, W): by how many sigmas
+    the held-out residual at each pixel exceeds its noise.
+    """
+
+    stage: str
+    covariates: tuple[Curve, ...]
+    image: Mapping[str, float]
+    strata: Mapping[str, float]
+    z: Float32
+
+
+@dataclass(frozen=True)
+class Next:
+    """The measurement that would tell apart what this recording cannot; `resolves` says whether any would."""
+
+    experiment: str
+    separates: tuple[str, ...]
+    resolves: bool
+
+
+@dataclass(frozen=True, eq=False)
+class Predicted:
+    """Held-out frames (n,) as predicted before and after, DN, with the variances (n, H, W), DN^2.
+
+    A variance is inf where a pixel does not count: saturated, on an edge, past the workpiece.
+    """
+
+    frames: npt.NDArray[np.int64]
+    recorded: npt.NDArray[np.integer]
+    before: Float32
+    after: Float32
+    variance: Float32
+    variance_after: Float32
+
+
+@dataclass(frozen=True, eq=False)
+class Diagnosis:
+    """A recording's diagnosis.
+
+    `effects` are those the verdict names, `ranking` all that were refitted, best first. `ambiguous_with` are
+    sets that explain the gap equally well, `not_resolvable` pairs that this recording cannot separate
+    whatever it holds, `smallest` the least magnitude of each effect that it would show. `left_over` is the
+    share of the gap that a free function of one covariate closes beyond the catalogue, with its name.
+    """
+
+    verdict: Verdict
+    effects: tuple[Named, ...]
+    ranking: tuple[Ranked, ...]
+    ambiguous_with: tuple[tuple[str, ...], ...]
+    gap: Gap
+    where: Where
+    next: Next | None
+    not_resolvable: tuple[tuple[str, str], ...]
+    smallest: Mapping[str, Estimate]
+    left_over: tuple[str, float] | None
+    predicted: Predicted

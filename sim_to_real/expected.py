@@ -1,0 +1,393 @@
+"""What the model expects of all frames of a recording, for nuisances and effects, and what is left of them.
+
+Frames are rendered and passed through the effects at an anchor, the nuisances of the last fit; from there the
+bins that count are continued along the nuisances: levels multiply, the black level adds, and what moves
+camera or seam by its tolerance changes light along its derivatives (`Tangents`). So a fit renders nothing but
+what an effect itself moves.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass, replace
+from typing import TypeVar
+
+import numpy as np
+import numpy.typing as npt
+from scipy.ndimage import distance_transform_edt
+
+from noise_model.condition import Condition
+from noise_model.effects import REGISTRY, Stage, Values, pose_time_s, really, really_on
+from noise_model.effects.light import Light
+from noise_model.fit import Parameter
+from noise_model.forward import Layers, look, pass_on
+from noise_model.frames import Float64, moved
+from noise_model.optics import Camera, Rays
+from noise_model.sensor import Sensor, respond_moments
+from noise_model.setup import Setup
+from noise_model.surface import BentSeam
+from noise_model.view import View
+from sim_to_real.observed import Bool, Float32, Observed, ObservedFrame
+from sim_to_real.seam_curve import MODES
+
+Effects = Mapping[str, Values]
+
+Item = TypeVar("Item")
+Result = TypeVar("Result")
+
+WITHIN_SIGMAS = 3.0
+"""So many tolerances a nuisance may be off; what lies beyond is a gap."""
+
+N_LEVELS, N_CAMERA = 3, 6
+"""The first nuisances are levels, then come those of the camera's pose and of the seam."""
+
+SEAM_WITHIN = 30.0
+"""How many of its sigmas a seam may lie from where the tracker sees it: finding it is the daily work."""
+
+SEAM_STEPS = (("y_mm", 0.02), ("z_mm", 0.02), ("slope_y", 5e-4), ("slope_z", 5e-4))
+"""Steps of the derivatives with a seam's place and direction."""
+
+GROUND_STEP_MM = 0.02
+"""Step of the derivative with the height of the plate under the arc."""
+
+CHARGE_STEP_E = 1.0
+"""Step of the derivative with charge."""
+
+MOST_FACTOR = 4.0
+"""No effect and no exposure passes more of a unit of light."""
+
+LEAST_STRAY_MM = 0.03
+"""A seam that strays less from its tangent is straight."""
+
+SURE = 2.0
+"""So many sigmas of a fitted seam are believed when its bends are allowed for: a gap may have bent it."""
+
+REMEMBERED = 8
+"""How often a recording's frames are kept as rendered."""
+
+RENDERING = frozenset(
+    name for name, effect in REGISTRY.items() if effect.setup is not None or effect.stage is Stage.TIMING
+) - {"gamma", "black_level", "read_noise", "defocus"}
+"""The effects that change what a pose shows before anything acts on the image."""
+
+THREADS = 2
+"""Frames that are predicted at once: rendering lets go of the interpreter."""
+
+
+def nuisances(observed: Observed) -> tuple[Parameter, ...]:
+    """Return what is off its nominal value in every recording, and no gap.
+
+    Within their tolerance one arc level and one laser level for the whole recording, the black level and the
+    camera's pose; and how the seam runs besides what the tracker says.
+    """
+    tolerance = observed.setup.tolerance
+    return (
+        _nuisance("arc_level_ln", "", tolerance.arc_level_rel, 1e-3),
+        _nuisance("laser_level_ln", "", tolerance.laser_level_rel, 1e-3),
+        _nuisance("black_dn", "DN", tolerance.black_level_dn, 0.01),
+        *(_nuisance(f"rot_{axis}_deg", "deg", tolerance.hand_eye_deg, 0.01) for axis in "xyz"),
+        *(_nuisance(f"move_{axis}_mm", "mm", tolerance.hand_eye_mm, 0.02) for axis in "xyz"),
+        *(
+            Parameter(f"seam_{n}", "", 0.0, 1.0, -SEAM_WITHIN, SEAM_WITHIN, 0.05)
+            for n in range(observed.seam.n_modes)
+        ),
+    )
+
+
+def _nuisance(name: str, unit: str, sigma: float, step: float) -> Parameter:
+    # A tolerance of nought would leave no room for a derivative.
+    sigma = max(sigma, 1e-6)
+    reach = WITHIN_SIGMAS * sigma
+    return Parameter(name, unit, 0.0, sigma, -reach, reach, min(step, 0.5 * reach))
+
+
+def really_there(stated: Setup, nuisance: Float64) -> Setup:
+    """Return the setup with camera and black level as nuisances (p,) say."""
+    camera, sensor = stated.camera, stated.sensor
+    T_tool_camera = moved(camera.T_tool_camera, nuisance[3:6], nuisance[6:9])
+    black_dn = sensor.black_level_dn + float(nuisance[2])
+    return replace(
+        stated,
+        camera=replace(camera, T_tool_camera=T_tool_camera),
+        sensor=replace(sensor, black_level_dn=black_dn),
+    )
+
+
+def really_lit(stated: Condition, nuisance: Float64) -> Condition:
+    """Return a condition with the levels as nuisances (p,) say."""
+    arc, laser = math.exp(float(nuisance[0])), math.exp(float(nuisance[1]))
+    return replace(stated, arc_level=arc * stated.arc_level, laser_level=laser * stated.laser_level)
+
+
+@dataclass(frozen=True, eq=False)
+class Rendered:
+    """What a pose shows (h, w), e- for the nominal exposure and output, before any effect on the image.
+
+    Light is rendered in the bins that count; the others take that of the nearest.
+    """
+
+    view: View
+    arc_e: Float32
+    laser_e: Float32
+
+
+@dataclass(frozen=True, eq=False)
+class Passed:
+    """The light of a frame's bins that count (n,), e-, that has passed effects, lens and exposure.
+
+    `arc_factor` and `laser_factor` (n,) are what became of one unit of the rendered light; `black_dn` comes
+    on top of the sensor's own.
+    """
+
+    sensor: Sensor
+    arc_e: Float32
+    laser_e: Float32
+    other_e: Float32
+    arc_factor: Float32
+    laser_factor: Float32
+    black_dn: float = 0.0
+
+    def mean_dn(self, more_e: float = 0.0) -> Float64:
+        """Return the mean DN (n,), of somewhat more light if that is asked for."""
+        mean_e = self.arc_e + self.laser_e + self.other_e + np.float32(more_e)
+        # A bin is a mean of pixels: each of them rounds and is cut with a pixel's noise.
+        noise_e2 = np.maximum(mean_e, 0.0) + self.sensor.read_noise_e**2
+        return respond_moments(mean_e, noise_e2, self.sensor)[0] + self.black_dn
+
+
+@dataclass(frozen=True, eq=False)
+class Tangents:
+    """Derivatives of the light of a frame's bins that count (n_moving, n), e-; None for a source off."""
+
+    arc_e: Float32 | None
+    laser_e: Float32 | None
+
+
+class Expected:
+    """The model held against a recording: remembers what it has rendered."""
+
+    def __init__(self, observed: Observed) -> None:
+        self.observed = observed
+        self.nuisances = nuisances(observed)
+        self.neutral = np.zeros(len(self.nuisances))
+        self._tangents: list[Tangents] | None = None
+        self._rendered: dict[tuple[object, ...], Rendered] = {}
+        self._nearest = [_nearest(frame.keep) for frame in observed.frames]
+        self._rays: dict[tuple[object, ...], Rays] = {}
+        self._threads = ThreadPoolExecutor(THREADS)
+
+    def take_tangents(self, anchor: Float64, effects: Effects) -> None:
+        """Take the derivatives of light about nuisances (p,) and effects."""
+        self._tangents = self.over_frames(lambda frame: self._tangents_of(frame, anchor, effects))
+
+    def allow_for_bends(self, nuisance: Float64, effects: Effects) -> None:
+        """Widen the noise of what the arc lights past walls that are taken to be straight and are not.
+
+        Where the seam strays from its tangent on its way to the torch, the arc shines into a groove as if it
+        stood as far beside it. Half of what that would change is the model's 1 sigma.
+        """
+        frames = self.over_frames(lambda frame: self._with_bend(frame, nuisance, effects))
+        self.observed = replace(self.observed, frames=tuple(frames))
+
+    def _with_bend(self, frame: ObservedFrame, nuisance: Float64, effects: Effects) -> ObservedFrame:
+        first, last, torch = frame.stations_mm
+        seam = self.observed.seam
+        coefficients = np.clip(self.seam_coefficients(nuisance), -SURE, SURE)
+        strays = seam.strays_mm(coefficients, 0.5 * (first + last), torch)
+        if strays < LEAST_STRAY_MM or frame.condition.arc_level == 0.0:
+            return frame
+        setup = really(self._setup(effects, nuisance))
+        T_base_tool = frame.pose_at(pose_time_s(setup, frame.timestamp_s))
+        x, y, z = setup.arc.center_in_tool_mm
+        light = [
+            look(
+                replace(setup, arc=replace(setup.arc, center_in_tool_mm=(x, y + beside, z))),
+                T_base_tool,
+                self.seam(frame, nuisance),
+                self._rays_of(setup.camera),
+                np.flatnonzero(frame.keep),
+            ).arc_e
+            for beside in (0.0, strays, -strays)
+        ]
+        spread_e = 0.5 * np.maximum(np.abs(light[1] - light[0]), np.abs(light[2] - light[0]))
+        passed = self._passed(frame, setup, nuisance, effects)
+        dn_per_e = (passed.mean_dn(CHARGE_STEP_E) - passed.mean_dn()) / CHARGE_STEP_E
+        spread_dn = dn_per_e * passed.arc_factor * spread_e
+        return replace(frame, sigma_dn=np.hypot(frame.sigma_dn, spread_dn))
+
+    def over_frames(self, of_frame: Callable[[ObservedFrame], Result]) -> list[Result]:
+        """Return a function's result for each frame, in order; some are computed at once."""
+        return list(self._threads.map(of_frame, self.observed.frames))
+
+    def passed(self, anchor: Float64, effects: Effects) -> list[Passed]:
+        """Return what reaches the bins of each frame at nuisances (p,) and effects."""
+        true = really(self._setup(effects, anchor))
+        return self.over_frames(lambda frame: self._passed(frame, true, anchor, effects))
+
+    def residuals(self, passed: Sequence[Passed]) -> Float64:
+        """Return the whitened residuals (n,) of all bins that count, frame after frame."""
+        return np.concatenate(
+            [
+                (frame.kept_dn - light.mean_dn()) / frame.sigma_dn
+                for frame, light in zip(self.observed.frames, passed, strict=True)
+            ]
+        )
+
+    def nuisance_columns(self, passed: Sequence[Passed]) -> Float64:
+        """Return the derivatives (n, p) of these residuals with the nuisances."""
+        assert self._tangents is not None
+        parts = []
+        for frame, light, tangents in zip(self.observed.frames, passed, self._tangents, strict=True):
+            J = np.zeros((len(frame.sigma_dn), len(self.nuisances)))
+            dn_per_e = (light.mean_dn(CHARGE_STEP_E) - light.mean_dn()) / CHARGE_STEP_E
+            J[:, 0], J[:, 1], J[:, 2] = dn_per_e * light.arc_e, dn_per_e * light.laser_e, 1.0
+            if tangents.arc_e is not None:
+                J[:, N_LEVELS:] += (dn_per_e * light.arc_factor)[:, np.newaxis] * tangents.arc_e.T
+            if tangents.laser_e is not None:
+                J[:, N_LEVELS:] += (dn_per_e * light.laser_factor)[:, np.newaxis] * tangents.laser_e.T
+            parts.append(J / -frame.sigma_dn[:, np.newaxis])
+        return np.concatenate(parts)
+
+    def seam(self, frame: ObservedFrame, nuisance: Float64) -> BentSeam:
+        """Return the seam that a frame sees as nuisances (p,) say."""
+        return self.observed.seam.bent(self.seam_coefficients(nuisance), *frame.stations_mm)
+
+    def seam_coefficients(self, nuisance: Float64) -> Float64:
+        """Return those of the nuisances (p,) that say how the seam runs (m,)."""
+        return nuisance[N_LEVELS + N_CAMERA :]
+
+    def moved(self, frame: ObservedFrame, light: Passed, by: Float64) -> Passed:
+        """Return a frame's light with nuisances moved `by` (p,) from where it was rendered."""
+        if not by.any():
+            return light
+        levels = np.exp(by[:2]).astype(np.float32)
+        moving = by[N_LEVELS:].astype(np.float32)
+        arc_e, laser_e = light.arc_e, light.laser_e
+        if self._tangents is not None:
+            tangents = self._tangents[frame.position]
+            if tangents.arc_e is not None:
+                arc_e = arc_e + light.arc_factor * (moving @ tangents.arc_e)
+            if tangents.laser_e is not None:
+                laser_e = laser_e + light.laser_factor * (moving @ tangents.laser_e)
+        return replace(
+            light,
+            arc_e=levels[0] * arc_e,
+            laser_e=levels[1] * laser_e,
+            arc_factor=levels[0] * light.arc_factor,
+            laser_factor=levels[1] * light.laser_factor,
+            black_dn=light.black_dn + float(by[2]),
+        )
+
+    def _setup(self, effects: Effects, nuisance: Float64) -> Setup:
+        stated = self.observed.binned
+        return replace(really_there(stated, nuisance), effects={**stated.effects, **effects})
+
+    def _rays_of(self, camera: Camera) -> Rays:
+        # The camera's pose does not change its rays.
+        key = (camera.fx, camera.fy, camera.cx, camera.cy, camera.distortion)
+        if key not in self._rays:
+            self._rays[key] = Rays.of(camera)
+        return self._rays[key]
+
+    def _render(self, frame: ObservedFrame, anchor: Float64, effects: Effects) -> Rendered:
+        rendering = tuple(
+            (name, tuple(values.values())) for name, values in effects.items() if name in RENDERING
+        )
+        key = (frame.position, anchor[N_LEVELS:].tobytes(), rendering)
+        if key not in self._rendered:
+            while len(self._rendered) > REMEMBERED * len(self.observed.frames):
+                self._rendered.pop(next(iter(self._rendered)), None)
+            setup = really(self._setup(effects, anchor))
+            T_base_tool = frame.pose_at(pose_time_s(setup, frame.timestamp_s))
+            seam = self.seam(frame, anchor)
+            rays = self._rays_of(setup.camera)
+            layers = look(setup, T_base_tool, seam, rays, np.flatnonzero(frame.keep))
+            nearest = self._nearest[frame.position]
+            dark = np.zeros(nearest.shape, dtype=np.float32)
+            self._rendered[key] = Rendered(
+                View.of(setup, T_base_tool, seam.middle, rays, ground=seam.ground),
+                layers.arc_e[nearest] if frame.condition.arc_level > 0.0 else dark,
+                layers.laser_e[nearest] if frame.condition.laser_level > 0.0 else dark,
+            )
+        return self._rendered[key]
+
+    def _passed(self, frame: ObservedFrame, true: Setup, anchor: Float64, effects: Effects) -> Passed:
+        rendered = self._render(frame, anchor, effects)
+        condition = really_on(true, really_lit(frame.condition, anchor))
+        light = Light.of(
+            np.float32(condition.arc_level) * rendered.arc_e,
+            np.float32(condition.laser_level) * rendered.laser_e,
+        )
+        pass_on(true, light, replace(rendered.view, setup=true), condition)
+        keep = frame.keep
+        return Passed(
+            true.sensor,
+            light.arc[keep],
+            light.laser[keep],
+            light.other[keep],
+            _factor(light.arc[keep], rendered.arc_e[keep]),
+            _factor(light.laser[keep], rendered.laser_e[keep]),
+        )
+
+    def _tangents_of(self, frame: ObservedFrame, anchor: Float64, effects: Effects) -> Tangents:
+        setup = self._setup(effects, anchor)
+        T_base_tool = frame.pose_at(pose_time_s(setup, frame.timestamp_s))
+        seam = self.seam(frame, anchor)
+        bins = np.flatnonzero(frame.keep)
+
+        def rendered(setup: Setup, seam: BentSeam) -> Layers:
+            true = really(setup)
+            return look(true, T_base_tool, seam, self._rays_of(true.camera), bins)
+
+        here = rendered(setup, seam)
+        steps = []
+        for j, parameter in enumerate(self.nuisances[N_LEVELS : N_LEVELS + N_CAMERA], N_LEVELS):
+            there = anchor.copy()
+            there[j] += -parameter.step if anchor[j] > 0.0 else parameter.step
+            steps.append((rendered(self._setup(effects, there), seam), there[j] - anchor[j]))
+        for name, step in SEAM_STEPS:
+            steps.append((rendered(setup, _shifted(seam, name, step)), step))
+        raised = replace(seam, ground=replace(seam.ground, z_mm=seam.ground.z_mm + GROUND_STEP_MM))
+        steps.append((rendered(setup, raised), GROUND_STEP_MM))
+        # A mode moves each pixel's own stretch of the seam, and turns it about its middle.
+        stations = np.array([line.station_mm for line in seam.lines])
+        of_bins = stations[seam.stretch_at(here.view.surface[0][..., 0])]
+        curve = self.observed.seam
+        modes = [curve.mode_at(n, of_bins) for n in range(curve.n_modes)]
+        at_torch = [curve.mode_at(n, np.array(frame.stations_mm[2]))[0] for n in range(curve.n_modes)]
+
+        def of_source(light: Callable[[Layers], Float32]) -> Float32:
+            by_step = [(light(there) - light(here)) / np.float32(step) for there, step in steps]
+            by_y, by_z, by_slope_y, by_slope_z, by_ground = by_step[N_CAMERA:]
+            by_mode = []
+            for n, (at, slope) in enumerate(modes):
+                is_y = n < MODES[0]
+                by_place, by_slope = (by_y, by_slope_y) if is_y else (by_z, by_slope_z)
+                change = at.astype(np.float32) * by_place + slope.astype(np.float32) * by_slope
+                by_mode.append(change if is_y else change + np.float32(at_torch[n]) * by_ground)
+            return np.stack([*by_step[:N_CAMERA], *by_mode])
+
+        return Tangents(
+            of_source(lambda layers: layers.arc_e) if frame.condition.arc_level > 0.0 else None,
+            of_source(lambda layers: layers.laser_e) if frame.condition.laser_level > 0.0 else None,
+        )
+
+
+def _nearest(keep: Bool) -> npt.NDArray[np.intp]:
+    """Return for each bin (h, w) which of those that count is nearest; its own if it counts."""
+    number = np.cumsum(keep).reshape(keep.shape) - 1
+    _, (rows, columns) = distance_transform_edt(~keep, return_indices=True)
+    return np.asarray(number[rows, columns])
+
+
+def _factor(passed_e: Float32, rendered_e: Float32) -> Float32:
+    """Return what became of a unit of light (n,); what comes from elsewhere to where it is dark is not it."""
+    with np.errstate(divide="ignore", invalid="ignore"):
+        return np.asarray(np.nan_to_num(np.clip(passed_e / rendered_e, 0.0, MOST_FACTOR)), dtype=np.float32)
+
+
+def _shifted(seam: BentSeam, name: str, by: float) -> BentSeam:
+    lines = tuple(replace(line, **{name: getattr(line, name) + by}) for line in seam.lines)
+    return BentSeam(lines, seam.ground)

@@ -1,0 +1,215 @@
+"""The frames that were held back, pixel by pixel before and after: the gap as anyone may recompute it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+
+import cv2
+import numpy as np
+import numpy.typing as npt
+
+from noise_model.effects import pose_time_s, really
+from noise_model.forward import Prediction, Renderer, predict
+from noise_model.frames import Float64
+from noise_model.sensor import saturation_dn
+from noise_model.setup import Setup
+from sim_to_real.diagnosis import Float32, Predicted
+from sim_to_real.expected import Expected, really_lit, really_there
+from sim_to_real.observed import FLOOR_DN, FLOOR_REL, Bool, Observed, ObservedFrame
+from sim_to_real.refit import FLICKER, Refit
+
+EDGE_PX = 6
+"""So far from an edge of the joint or of a shadow a pixel counts."""
+
+STEEP = 0.1
+"""A shadow's edge: the arc's light changes by more than this share from pixel to pixel."""
+
+LEVEL_ROUNDS = 3
+"""How often a frame's own level of the arc is refined."""
+
+SMOOTH_PX = 4.0
+"""1 sigma over which the map of the gap is smoothed."""
+
+LEVEL_STEP = 0.01
+"""Step of the derivative with that level."""
+
+BLOCK_PX = 40
+"""The side of the blocks that are drawn again and again for an interval."""
+
+DRAWS = 400
+"""How often."""
+
+
+def predict_held(
+    held: Observed, expected: Expected, before: Refit, after: Refit, on_frame: Callable[[float], None]
+) -> Predicted:
+    """Return held-out frames as two fits predict them."""
+    recorded, pairs, counts = [], [], []
+    renderer = Renderer(2)
+    for n, frame in enumerate(held.frames):
+        first = _predict(held.setup, expected, frame, before, renderer)
+        second = first if after is before else _predict(held.setup, expected, frame, after, renderer)
+        recorded.append(frame.image_dn)
+        pairs.append((first, second))
+        counts.append(_counts(held.setup, expected, frame, after, renderer))
+        on_frame((n + 1.0) / len(held.frames))
+    return Predicted(
+        np.array([frame.index for frame in held.frames]),
+        np.array(recorded),
+        np.array([first.mean_dn for first, _ in pairs], dtype=np.float32),
+        np.array([second.mean_dn for _, second in pairs], dtype=np.float32),
+        _variances([first for first, _ in pairs], counts),
+        _variances([second for _, second in pairs], counts),
+    )
+
+
+def _variances(of: Sequence[Prediction], counts: Sequence[Bool]) -> Float32:
+    return np.array(
+        [np.where(use, one.variance_dn2, np.inf) for one, use in zip(of, counts, strict=True)],
+        dtype=np.float32,
+    )
+
+
+def _stated(setup: Setup, fitted: Refit) -> Setup:
+    return replace(really_there(setup, fitted.nuisance), effects={**setup.effects, **fitted.effects})
+
+
+def _predict(
+    setup: Setup, expected: Expected, frame: ObservedFrame, fitted: Refit, renderer: Renderer
+) -> Prediction:
+    stated = _stated(setup, fitted)
+    pose = frame.pose_at(pose_time_s(stated, frame.timestamp_s))
+    seam = expected.seam(frame, fitted.nuisance)
+    condition = really_lit(frame.condition, fitted.nuisance)
+    found = predict(stated, pose, condition, seam=seam, renderer=renderer)
+    if FLICKER not in fitted.ids or condition.arc_level == 0.0:
+        return found
+
+    def at(level: float) -> Prediction:
+        lit = replace(condition, arc_level=condition.arc_level * level)
+        return predict(stated, pose, lit, seam=seam, renderer=renderer)
+
+    return _with_own_level(frame.image_dn, at)
+
+
+def _with_own_level(recorded: npt.NDArray[np.integer], at: Callable[[float], Prediction]) -> Prediction:
+    """Return a frame with the arc's own level: of every other block for those between, and the other way."""
+    height, width = recorded.shape
+    row, column = np.mgrid[:height, :width] // BLOCK_PX
+    is_even = (row + column) % 2 == 0
+    levels = []
+    for of in (is_even, ~is_even):
+        level = 1.0
+        for _ in range(LEVEL_ROUNDS):
+            here, there = at(level), at(level * (1.0 + LEVEL_STEP))
+            slope = (there.mean_dn - here.mean_dn)[of] / LEVEL_STEP
+            weight = np.where(here.saturated, 0.0, 1.0 / here.variance_dn2)[of]
+            gain = np.sum(weight * slope * (recorded - here.mean_dn)[of])
+            level *= float(np.clip(1.0 + gain / max(np.sum(weight * slope**2), 1e-12), 0.5, 2.0))
+        levels.append(level)
+    of_odd, of_even = at(levels[1]), at(levels[0])
+    return replace(
+        of_even,
+        mean_dn=np.where(is_even, of_odd.mean_dn, of_even.mean_dn),
+        variance_dn2=np.where(is_even, of_odd.variance_dn2, of_even.variance_dn2),
+    )
+
+
+def _counts(
+    setup: Setup, expected: Expected, frame: ObservedFrame, fitted: Refit, renderer: Renderer
+) -> Bool:
+    """Return the pixels (H, W) that count: on one face, off shadows' edges, not saturated."""
+    true = really(_stated(setup, fitted))
+    pose = frame.pose_at(pose_time_s(true, frame.timestamp_s))
+    layers = renderer.layers(true, pose, expected.seam(frame, fitted.nuisance))
+    faces = layers.view.surface[2].astype(np.float32)
+    around = np.ones((2 * EDGE_PX + 1, 2 * EDGE_PX + 1), dtype=np.uint8)
+    bad = (cv2.dilate(faces, around) != cv2.erode(faces, around)) | (faces < 0)
+    if frame.condition.arc_level > 0.0:
+        arc = layers.arc_e
+        steep = np.maximum(*(np.abs(np.gradient(arc, axis=axis)) for axis in (0, 1))) > STEEP * arc
+        bad |= cv2.dilate((steep & (arc > 0.0)).astype(np.uint8), around) > 0
+    full = (frame.image_dn >= saturation_dn(setup.sensor)).astype(np.uint8)
+    return np.asarray(~bad & (cv2.dilate(full, np.ones((3, 3), dtype=np.uint8)) == 0))
+
+
+@dataclass(frozen=True)
+class Sizes:
+    """The gap on held-out frames: in sigmas before, after and of the floor; the share closed."""
+
+    before: float
+    after: float
+    floor: float
+    closed: float
+    ci95: tuple[float, float]
+    rms_dn: tuple[float, float]
+
+
+def measure(predicted: Predicted, setup: Setup, seed: int = 0) -> Sizes:
+    """Measure the gap: sqrt(mean r^2 - 1) of the pixels that count, its interval by blocks drawn again."""
+    counts = np.isfinite(predicted.variance)
+    light_dn = predicted.after.astype(np.float64) - setup.sensor.black_level_dn
+    squares = np.stack(
+        [
+            _squares(predicted.recorded - predicted.before, predicted.variance, counts),
+            _squares(predicted.recorded - predicted.after, predicted.variance_after, counts),
+            _squares(np.hypot(FLOOR_REL * light_dn, FLOOR_DN), predicted.variance_after, counts),
+            counts.astype(np.float64),
+        ]
+    )
+    blocks = _block_sums(squares)
+    before, after, floor = _gaps(blocks.sum(axis=1))
+    draws = np.random.default_rng(seed).integers(0, blocks.shape[1], (DRAWS, blocks.shape[1]))
+    drawn = np.array([_closed(*_gaps(blocks[:, draw].sum(axis=1))) for draw in draws])
+    low, high = np.nanpercentile(drawn, [2.5, 97.5]) if np.isfinite(drawn).any() else (np.nan, np.nan)
+    rms = [
+        float(np.sqrt(np.mean((predicted.recorded - mean)[counts] ** 2)))
+        for mean in (predicted.before, predicted.after)
+    ]
+    closed = _closed(before, after, floor)
+    return Sizes(before, after, floor, closed, (float(low), float(high)), (rms[0], rms[1]))
+
+
+def _squares(of_dn: Float64 | Float32, variance: Float32, counts: Bool) -> Float64:
+    return np.where(counts, np.square(of_dn, dtype=np.float64) / np.where(counts, variance, 1.0), 0.0)
+
+
+def _gaps(sums: Float64) -> tuple[float, float, float]:
+    """Return before, after and floor of the sums (4,) of their squares and of the counts."""
+    if sums[3] == 0.0:
+        return np.nan, np.nan, np.nan
+    before, after, floor = sums[:3] / sums[3]
+    return (
+        float(np.sqrt(max(before - 1.0, 0.0))),
+        float(np.sqrt(max(after - 1.0, 0.0))),
+        float(np.sqrt(floor)),
+    )
+
+
+def _closed(before: float, after: float, floor: float) -> float:
+    """Return (before - after) / (before - floor); NaN where there is no gap above the floor."""
+    return (before - after) / (before - floor) if before > floor else np.nan
+
+
+def _block_sums(images: Float64) -> Float64:
+    """Return the sums (k, n_blocks) over blocks of images (k, n, H, W)."""
+    k, n, height, width = images.shape
+    h, w = height // BLOCK_PX, width // BLOCK_PX
+    cut = images[:, :, : h * BLOCK_PX, : w * BLOCK_PX].reshape(k, n, h, BLOCK_PX, w, BLOCK_PX)
+    return np.asarray(cut.sum(axis=(3, 5)).reshape(k, -1))
+
+
+def excess_map(predicted: Predicted) -> Float32:
+    """Return by how many sigmas the residual exceeds its noise (H, W), smoothed, signed as its mean."""
+    counts = np.isfinite(predicted.variance)
+    sigma = np.sqrt(np.where(counts, predicted.variance, 1.0))
+    r = np.where(counts, (predicted.recorded - predicted.before) / sigma, 0.0)
+    weight, first, second = (
+        cv2.GaussianBlur(image.sum(axis=0).astype(np.float32), (0, 0), SMOOTH_PX)
+        for image in (counts, r, r**2)
+    )
+    seen = weight > 0.1
+    with np.errstate(invalid="ignore", divide="ignore"):
+        excess = np.sqrt(np.maximum(second / weight - 1.0, 0.0)) * np.sign(first)
+    return np.where(seen, excess, np.nan).astype(np.float32)

@@ -1,0 +1,272 @@
+"""A recording as the diagnosis sees it: frames binned, with their poses, seams and usable pixels."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from functools import lru_cache
+
+import cv2
+import numpy as np
+import numpy.typing as npt
+
+from noise_model.arc_map import scene
+from noise_model.condition import Condition
+from noise_model.effects import really
+from noise_model.forward import Layers, Renderer
+from noise_model.frames import Float64
+from noise_model.optics import Camera
+from noise_model.sensor import linearise, respond_moments, saturation_dn
+from noise_model.setup import Setup
+from sim_to_real.seam_curve import SeamCurve
+from tracker.state import Frame, Pose
+from tracker.step import Tracker
+
+Bool = npt.NDArray[np.bool_]
+Float32 = npt.NDArray[np.float32]
+
+PoseAt = Callable[[float], Pose | None]
+"""The tool's pose as the controller stamped it for a time, None where there is none."""
+
+BINNED_WIDTH = 160
+"""About how many bins an image is wide: light and stripe are resolved, a frame is predicted in a blink."""
+
+FLOOR_REL, FLOOR_DN = 0.006, 0.05
+"""What the model may be off in a bin without any gap: relative to its light, and in DN."""
+
+STEEPEST = 0.5
+"""A bin counts if the arc's light changes to its neighbours by a smaller share: shadow edges move by less."""
+
+THIN = 3
+"""Off the stripe every so many bins of a row and column count: neighbours there say the same."""
+
+STRIPE_SHARE = 0.02
+"""A bin is the stripe's if the laser puts more than this share of its peak there."""
+
+STRATA = ("dark", "laser", "arc", "both")
+"""What is on."""
+
+
+@dataclass(frozen=True, eq=False)
+class ObservedFrame:
+    """One frame.
+
+    `stratum` is what is on, `condition` the stated one, `stations_mm` the first and last
+    station of the seam that are seen, and the torch's.
+    `image_dn` (H, W) is the frame, `binned_dn` (h, w) its means over bins. `keep` (h, w) are the bins that
+    count: unsaturated, off edges of joint and shadow, thinned off the stripe; `kept_dn` (n,) their means,
+    `sigma_dn` (n,) the noise of these with the model's floor, `in_stripe` (n,) whether the laser lights them.
+    """
+
+    position: int
+    index: int
+    timestamp_s: float
+    stratum: str
+    condition: Condition
+    pose_at: Callable[[float], Float64]
+    stations_mm: tuple[float, float, float]
+    image_dn: npt.NDArray[np.integer]
+    binned_dn: Float32
+    keep: Bool
+    sigma_dn: Float64
+    in_stripe: Bool
+
+    @property
+    def kept_dn(self) -> Float64:
+        """The means of the bins that count (n,)."""
+        return self.binned_dn[self.keep].astype(np.float64)
+
+    @property
+    def T_base_tool(self) -> Float64:
+        """The pose that the controller stamped for the frame's own time."""
+        return self.pose_at(self.timestamp_s)
+
+
+@dataclass(frozen=True, eq=False)
+class Observed:
+    """A recording's frames, and its seam as the tracker found it.
+
+    `setup` is as stated, `binned` the same with a camera of `bin_px` wide bins.
+    """
+
+    setup: Setup
+    binned: Setup
+    bin_px: int
+    seam: SeamCurve
+    frames: tuple[ObservedFrame, ...]
+
+    def some(self, chosen: npt.NDArray[np.bool_]) -> Observed:
+        """Return a recording of some of the frames (n_frames,)."""
+        frames = [frame for frame, is_in in zip(self.frames, chosen, strict=True) if is_in]
+        return replace(self, frames=tuple(replace(f, position=n) for n, f in enumerate(frames)))
+
+    @property
+    def strata(self) -> npt.NDArray[np.str_]:
+        """The frames' strata (n_frames,)."""
+        return np.array([frame.stratum for frame in self.frames])
+
+
+def observe(setup: Setup, frames: Sequence[Frame], pose_at: PoseAt) -> Observed:
+    """Gather a recording's frames for the diagnosis; those without a pose are left out.
+
+    The seam is taken where the tracker finds it, frame by frame along its history. Raises ValueError if no
+    frame has a pose.
+    """
+    posed = [frame for frame in frames if pose_at(frame.timestamp_s) is not None]
+    if not posed:
+        raise ValueError("no frame has a pose: there is nothing to compare with a prediction")
+    seam = _seam(setup, posed, pose_at)
+    bin_px = max(1, round(setup.camera.width / BINNED_WIDTH))
+    binned = replace(setup, camera=binned_camera(setup.camera, bin_px))
+    return Observed(
+        setup,
+        binned,
+        bin_px,
+        seam,
+        tuple(
+            _observed(setup, binned, bin_px, position, frame, pose_at, seam)
+            for position, frame in enumerate(posed)
+        ),
+    )
+
+
+def binned_camera(camera: Camera, bin_px: int) -> Camera:
+    """Return the camera whose pixels are bins of bin_px by bin_px; a rest at the rim is left out.
+
+    A bin's box widens the point-spread function by (bin_px^2 - 1) / 12 px^2.
+    """
+    variance_px2 = camera.psf_sigma_px**2 + (bin_px**2 - 1) / 12.0
+    return replace(
+        camera,
+        width=camera.width // bin_px,
+        height=camera.height // bin_px,
+        fx=camera.fx / bin_px,
+        fy=camera.fy / bin_px,
+        cx=(camera.cx + 0.5) / bin_px - 0.5,
+        cy=(camera.cy + 0.5) / bin_px - 0.5,
+        psf_sigma_px=float(np.sqrt(variance_px2)) / bin_px,
+    )
+
+
+def binned_mean(image: npt.NDArray[np.generic], bin_px: int) -> Float32:
+    """Return the means (h, w) of an image's whole bins (H, W)."""
+    h, w = image.shape[0] // bin_px, image.shape[1] // bin_px
+    cut = image[: h * bin_px, : w * bin_px].reshape(h, bin_px, w, bin_px)
+    return np.asarray(cut.mean(axis=(1, 3), dtype=np.float64), dtype=np.float32)
+
+
+def _observed(
+    setup: Setup,
+    binned: Setup,
+    bin_px: int,
+    position: int,
+    frame: Frame,
+    pose_at: PoseAt,
+    seam: SeamCurve,
+) -> ObservedFrame:
+    @lru_cache
+    def T_base_tool(timestamp_s: float) -> Float64:
+        pose = pose_at(timestamp_s)
+        # Before the first pose and after the last one the frame's own stands.
+        pose = pose_at(frame.timestamp_s) if pose is None else pose
+        assert pose is not None
+        return pose.T_base_tool
+
+    condition = Condition.of(
+        setup,
+        laser_on=frame.laser_on,
+        arc_on=frame.arc_on and frame.current_a > 0.0,
+        current_a=frame.current_a,
+        exposure_s=frame.exposure_s,
+        timestamp_s=frame.timestamp_s,
+    )
+    pose = T_base_tool(frame.timestamp_s)
+    stations_mm = stations(setup, pose)
+    layers = Renderer().layers(really(binned), pose, seam.bent(np.zeros(seam.n_modes), *stations_mm))
+    keep, in_stripe = _keep(binned, layers, condition, _usable(frame.image_dn, setup, bin_px))
+    binned_dn = binned_mean(frame.image_dn, bin_px)
+    return ObservedFrame(
+        position,
+        frame.index,
+        frame.timestamp_s,
+        STRATA[int(condition.laser_level > 0.0) + 2 * int(condition.arc_level > 0.0)],
+        condition,
+        T_base_tool,
+        stations_mm,
+        frame.image_dn,
+        binned_dn,
+        keep,
+        _sigma_dn(binned_dn, setup, bin_px)[keep],
+        in_stripe[keep],
+    )
+
+
+def _usable(image_dn: npt.NDArray[np.integer], setup: Setup, bin_px: int) -> Bool:
+    """Return the bins (h, w) none of whose pixels is saturated."""
+    full = (image_dn >= saturation_dn(setup.sensor)).astype(np.float32)
+    return np.asarray(binned_mean(full, bin_px) == 0.0)
+
+
+def _sigma_dn(binned_dn: Float32, setup: Setup, bin_px: int) -> Float64:
+    """Return the noise (h, w) of bins with the model's floor, from the light that is seen.
+
+    Seen, not predicted: every candidate explains the same data with the same weights.
+    """
+    seen_dn = cv2.blur(binned_dn, (3, 3)).astype(np.float64)
+    electrons = np.maximum(linearise(seen_dn, setup.sensor), 0.0)
+    _, variance_dn2 = respond_moments(electrons, electrons + setup.sensor.read_noise_e**2, setup.sensor)
+    light_dn = seen_dn - setup.sensor.black_level_dn
+    return np.asarray(np.sqrt(variance_dn2 / bin_px**2 + (FLOOR_REL * light_dn) ** 2 + FLOOR_DN**2))
+
+
+def _keep(setup: Setup, layers: Layers, condition: Condition, usable: Bool) -> tuple[Bool, Bool]:
+    """Return the bins (h, w) that count, and those in the stripe."""
+    keep = usable & one_face(layers.view.surface[2])
+    thin = np.zeros_like(keep)
+    thin[::THIN, ::THIN] = True
+    if condition.arc_level > 0.0:
+        keep &= _gentle(layers.arc_e)
+    in_stripe = np.zeros_like(keep)
+    if condition.laser_level > 0.0:
+        in_stripe = layers.laser_e > STRIPE_SHARE * setup.laser.peak_e
+    return keep & (thin | in_stripe), in_stripe
+
+
+def _seam(setup: Setup, frames: Sequence[Frame], pose_at: PoseAt) -> SeamCurve:
+    """Track the recording twice, so that its first frames too know where the seam is."""
+    tracker = Tracker(setup)
+    seen = []
+    for _ in range(2):
+        for frame in frames:
+            pose = pose_at(frame.timestamp_s)
+            if pose is not None:
+                seen.append(stations(setup, pose.T_base_tool))
+            if frame.laser_on:
+                tracker.step(frame, pose)
+    return SeamCurve.of(tracker.state.history, float(np.min(seen)), float(np.max(seen)))
+
+
+def stations(setup: Setup, T_base_tool: Float64) -> tuple[float, float, float]:
+    """Return from which station to which the camera sees the nominal plate, and the torch's, mm."""
+    where = scene(really(setup), T_base_tool)
+    first, last = where.footprint_mm[0]
+    return float(first), float(last), float(where.T_joint_tool[0, 3])
+
+
+def one_face(faces: npt.NDArray[np.integer]) -> Bool:
+    """Return which bins (h, w) see one face of the joint, as their neighbours do."""
+    same = faces >= 0
+    for axis in (0, 1):
+        for shift in (-1, 1):
+            same &= np.roll(faces, shift, axis=axis) == faces
+    return np.asarray(same)
+
+
+def _gentle(image: Float32) -> Bool:
+    """Return where an image (h, w) changes by less than `STEEPEST` of itself to each neighbour."""
+    gentle = np.ones(image.shape, dtype=bool)
+    for axis in (0, 1):
+        for shift in (-1, 1):
+            gentle &= np.abs(np.roll(image, shift, axis=axis) - image) <= STEEPEST * image
+    gentle[[0, -1], :] = gentle[:, [0, -1]] = True
+    return gentle

@@ -1,0 +1,90 @@
+"""A fit's cost about its optimum as a quadratic of each frame: what any choice of frames would have found.
+
+With r the whitened residuals, J their derivatives and w Huber's weights, all at x_0, a frame's cost at x is
+
+    c - 2 b d + d A d,   A = J^T w J,   b = -J^T w r,   c = r^T w r,   d = x - x_0,
+
+and a sum over frames, with the priors', is minimised within the bounds without predicting anything anew.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+from scipy.optimize import lsq_linear
+
+from noise_model.fit import Parameter
+from noise_model.frames import Float64
+
+RIDGE = 1e-9
+"""What is added to the information's diagonal, relative: directions that nothing sees stay where they are."""
+
+
+@dataclass(frozen=True, eq=False)
+class Quadratic:
+    """Costs (n_frames,) of parameters (p,) about `x`: information (f, p, p), gradient (f, p), chi2 (f,).
+
+    `counts` (f,) are the frames' numbers of residuals.
+    """
+
+    parameters: tuple[Parameter, ...]
+    x: Float64
+    information: Float64
+    gradient: Float64
+    chi2: Float64
+    counts: npt.NDArray[np.int64]
+
+    @classmethod
+    def of(
+        cls,
+        parameters: Sequence[Parameter],
+        x: Float64,
+        residuals: Float64,
+        jacobian: Float64,
+        weights: Float64,
+        counts: npt.NDArray[np.int64],
+    ) -> Quadratic:
+        """Sum residuals (n,), their derivatives (n, p) and weights (n,) frame by frame."""
+        p, ends = len(x), np.cumsum(counts)
+        information = np.empty((len(counts), p, p))
+        gradient, chi2 = np.empty((len(counts), p)), np.empty(len(counts))
+        for f, (start, end) in enumerate(zip(ends - counts, ends, strict=True)):
+            r, J, w = residuals[start:end], jacobian[start:end], weights[start:end]
+            wJ = w[:, np.newaxis] * J
+            information[f], gradient[f], chi2[f] = J.T @ wJ, -(wJ.T @ r), float(r @ (w * r))
+        return cls(tuple(parameters), x, information, gradient, chi2, counts)
+
+    def solve(self, frames: npt.NDArray[np.bool_], damping: float = 0.0) -> Float64:
+        """Return the parameters (p,) that chosen frames (n_frames,) and the priors like best.
+
+        `damping` adds so much of the information's diagonal (Levenberg and Marquardt).
+        """
+        A, b = self.information[frames].sum(axis=0), self.gradient[frames].sum(axis=0)
+        prior = np.array([1.0 / parameter.prior_sigma**2 for parameter in self.parameters])
+        starts = np.array([parameter.start for parameter in self.parameters])
+        A = A + np.diag(prior)
+        b = b - prior * (self.x - starts)
+        scale = np.sqrt(np.maximum(np.diag(A), 1e-300))
+        scaled = A / np.outer(scale, scale) + (RIDGE + damping) * np.eye(len(b))
+        factor = np.linalg.cholesky(scaled)
+        lower = np.array([parameter.lower for parameter in self.parameters]) - self.x
+        upper = np.array([parameter.upper for parameter in self.parameters]) - self.x
+        target = np.linalg.solve(factor, b / scale)
+        free = np.linalg.solve(factor.T, target) / scale
+        if (free >= lower).all() and (free <= upper).all():
+            return np.asarray(self.x + free)
+        # A bound that x lies on may be missed by rounding: the solver wants room.
+        room = np.maximum(np.maximum(upper, 0.0) - np.minimum(lower, 0.0), 1e-12) * scale
+        low, high = np.minimum(lower, 0.0) * scale, np.minimum(lower, 0.0) * scale + room
+        found = lsq_linear(factor.T, target, (low, high), method="bvls")
+        return np.asarray(self.x + found.x / scale)
+
+    def costs(self, x: Float64) -> Float64:
+        """Return each frame's weighted sum of squares (n_frames,) at parameters (p,)."""
+        d = x - self.x
+        return np.asarray(
+            self.chi2 - 2.0 * self.gradient @ d + np.einsum("i,fij,j->f", d, self.information, d)
+        )

@@ -1,0 +1,258 @@
+"""Effects and nuisances fitted together to all frames of a recording: Gauss, Newton, Levenberg, Marquardt."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from noise_model.effects import REGISTRY, Values
+from noise_model.fit import Parameter
+from noise_model.frames import Float64
+from sim_to_real.expected import RENDERING, Expected, Passed
+from sim_to_real.quadratic import Quadratic
+
+HUBER = 3.0
+"""Residuals beyond so many of their own robust sigmas pull no harder."""
+
+MAD_SIGMA = 1.4826
+"""A normal distribution's sigma over its median absolute deviation."""
+
+N_EFFECTIVE = 100.0
+"""How many residuals say something of their own."""
+
+ITERATIONS = 8
+"""Steps at most."""
+
+SETTLED = 1e-3
+"""A step that lowers the cost by a smaller share is the last."""
+
+DAMPING, LEAST_DAMPING, DAMPED_MOST, EASED = 1e-3, 1e-9, 1e3, 0.1
+"""Where damping starts, its ends, and by what it changes with a step that helps or does not."""
+
+FLICKER, LEVEL_SIGMA = "arc_flicker", 0.2
+"""The effect whose realisation is fitted, frame by frame, and the prior of a frame's ln level."""
+
+Int64 = npt.NDArray[np.int64]
+
+
+@dataclass(frozen=True, eq=False)
+class Refit:
+    """A fit with some effects: `x` (p,) nuisances and behind them what is fitted of the effects.
+
+    `passed` is the light of each frame there, `residuals` (n,) plain, their derivatives (n, p), Huber's
+    `weights` (n,), and the `quadratic` cost of all frames about x. `effects` have all their parameters;
+    `arc_ln` (n_frames,) are the frames' own ln levels of the arc.
+    """
+
+    ids: tuple[str, ...]
+    x: Float64
+    n_nuisances: int
+    effects: dict[str, dict[str, float]]
+    arc_ln: Float64
+    residuals: Float64
+    jacobian: Float64
+    weights: Float64
+    quadratic: Quadratic
+    passed: tuple[Passed, ...]
+
+    @property
+    def nuisance(self) -> Float64:
+        """The nuisances."""
+        return self.x[: self.n_nuisances]
+
+    @property
+    def sigmas(self) -> dict[str, dict[str, float]]:
+        """The effects' parameters' 1 sigma, the residuals' own spread taken for that of the noise.
+
+        As if `N_EFFECTIVE` of the residuals were independent: neighbours share the model's error.
+        """
+        prior = np.diag([1.0 / parameter.prior_sigma**2 for parameter in self.quadratic.parameters])
+        n = float(self.quadratic.counts.sum())
+        share = min(1.0, N_EFFECTIVE / n) / max(self.mean_square, 1e-12)
+        covariance = np.linalg.pinv(share * self.quadratic.information.sum(axis=0) + prior)
+        sigma, at, found = np.sqrt(np.maximum(np.diag(covariance), 0.0)), self.n_nuisances, {}
+        for name in self.ids:
+            if name == FLICKER:
+                lit = max(int(np.count_nonzero(self.arc_ln)), 2)
+                found[name] = {"sigma_rel": self.effects[name]["sigma_rel"] / math.sqrt(2.0 * (lit - 1))}
+                at += len(self.arc_ln)
+                continue
+            names = [parameter.name for parameter in REGISTRY[name].parameters]
+            found[name] = dict(zip(names, sigma[at : at + len(names)].tolist(), strict=True))
+            at += len(names)
+        return found
+
+    @property
+    def mean_square(self) -> float:
+        """The residuals' weighted mean square."""
+        return float(self.quadratic.chi2.sum() / self.quadratic.counts.sum())
+
+
+def refit(expected: Expected, effects: Mapping[str, Values], nuisance: Float64) -> Refit:
+    """Fit nuisances (p,) and parameters of effects to all frames, from where they start.
+
+    Light is rendered at the nuisances given and continued along the tangents; if an effect makes it be
+    rendered at every step anyway, at each step's own.
+    """
+    problem = _Problem(expected, tuple(effects), None if RENDERING & set(effects) else nuisance)
+    x = problem.start(effects, nuisance)
+    passed = problem.passed(x)
+    r = problem.residuals(passed)
+    damping = DAMPING
+    for _ in range(ITERATIONS):
+        J, bound = problem.jacobian(x, passed, r), huber_bound(r)
+        quadratic = problem.quadratic(x, r, J, bound)
+        cost = problem.cost(x, r, bound)
+        gained = 0.0
+        while damping < DAMPED_MOST:
+            x_new = problem.clipped(quadratic.solve(problem.all_frames, damping))
+            passed_new = problem.passed(x_new)
+            r_new = problem.residuals(passed_new)
+            new = problem.cost(x_new, r_new, bound)
+            if new < cost:
+                gained = (cost - new) / cost
+                x, r, passed = x_new, r_new, passed_new
+                damping = max(damping * EASED, LEAST_DAMPING)
+                break
+            damping /= EASED
+        if gained < SETTLED:
+            break
+    J, bound = problem.jacobian(x, passed, r), huber_bound(r)
+    return Refit(
+        problem.ids,
+        x,
+        len(nuisance),
+        problem.effects(x),
+        problem.arc_ln(x),
+        r,
+        J,
+        huber_weights(r, bound),
+        problem.quadratic(x, r, J, bound),
+        tuple(passed),
+    )
+
+
+def huber_bound(r: Float64) -> float:
+    """Return Huber's bound for residuals (n,): it goes with their own spread."""
+    return HUBER * max(1.0, MAD_SIGMA * float(np.median(np.abs(r))))
+
+
+def huber_weights(r: Float64, bound: float) -> Float64:
+    """Return Huber's weights (n,)."""
+    return np.asarray(np.minimum(1.0, bound / np.maximum(np.abs(r), bound)))
+
+
+@dataclass(frozen=True)
+class _Problem:
+    expected: Expected
+    ids: tuple[str, ...]
+    anchor: Float64 | None
+
+    @property
+    def all_frames(self) -> npt.NDArray[np.bool_]:
+        return np.ones(len(self.expected.observed.frames), dtype=bool)
+
+    @property
+    def counts(self) -> Int64:
+        return np.array([int(frame.keep.sum()) for frame in self.expected.observed.frames])
+
+    @property
+    def parameters(self) -> tuple[Parameter, ...]:
+        blocks = (self._block(name) for name in self.ids)
+        return (*self.expected.nuisances, *(parameter for block in blocks for parameter in block))
+
+    def _block(self, name: str) -> tuple[Parameter, ...]:
+        """Return what is fitted of an effect: its parameters, but of the arc's flicker each frame's level."""
+        if name != FLICKER:
+            return REGISTRY[name].parameters
+        return tuple(
+            Parameter(f"arc_ln_{frame.position}", "", 0.0, LEVEL_SIGMA, -3.0, 3.0, 1e-3)
+            for frame in self.expected.observed.frames
+        )
+
+    def start(self, effects: Mapping[str, Values], nuisance: Float64) -> Float64:
+        values = [
+            np.zeros(len(self.counts)) if name == FLICKER else list(REGISTRY[name].complete(of).values())
+            for name, of in effects.items()
+        ]
+        return self.clipped(np.concatenate([nuisance, *values]))
+
+    def clipped(self, x: Float64) -> Float64:
+        lower, upper = zip(*((p.lower, p.upper) for p in self.parameters), strict=True)
+        return np.clip(x, lower, upper)
+
+    def effects(self, x: Float64) -> dict[str, dict[str, float]]:
+        effects, at = {}, len(self.expected.nuisances)
+        for name in self.ids:
+            block = self._block(name)
+            if name == FLICKER:
+                effects[name] = {"sigma_rel": flicker(self.expected, x[at : at + len(block)])}
+            else:
+                effects[name] = {p.name: float(v) for p, v in zip(block, x[at:], strict=False)}
+            at += len(block)
+        return effects
+
+    def arc_ln(self, x: Float64) -> Float64:
+        at = len(self.expected.nuisances)
+        for name in self.ids:
+            if name == FLICKER:
+                return x[at : at + len(self.counts)]
+            at += len(self._block(name))
+        return np.zeros(len(self.counts))
+
+    def passed(self, x: Float64) -> list[Passed]:
+        """Return the light at parameters (p,): rendered at the anchor, moved on from there."""
+        m = len(self.expected.nuisances)
+        anchor = x[:m] if self.anchor is None else self.anchor
+        passed = self.expected.passed(anchor, self.effects(x))
+        by = np.tile(x[:m] - anchor, (len(passed), 1))
+        by[:, 0] += self.arc_ln(x)
+        frames = self.expected.observed.frames
+        return [self.expected.moved(*of) for of in zip(frames, passed, by, strict=True)]
+
+    def residuals(self, passed: list[Passed]) -> Float64:
+        return self.expected.residuals(passed)
+
+    def jacobian(self, x: Float64, passed: list[Passed], r: Float64) -> Float64:
+        """Return the derivatives (n, p) of the residuals r (n,) at x (p,)."""
+        columns = [self.expected.nuisance_columns(passed)]
+        at = len(self.expected.nuisances)
+        for name in self.ids:
+            block = self._block(name)
+            if name == FLICKER:
+                frame = np.repeat(np.arange(len(self.counts)), self.counts)
+                columns.append(
+                    np.where(frame[:, np.newaxis] == np.arange(len(block)), columns[0][:, :1], 0.0)
+                )
+            else:
+                columns += [self._column(x, r, i, p) for i, p in enumerate(block, at)]
+            at += len(block)
+        return np.hstack(columns)
+
+    def _column(self, x: Float64, r: Float64, i: int, parameter: Parameter) -> Float64:
+        moved = x.copy()
+        moved[i] += -parameter.step if x[i] + parameter.step > parameter.upper else parameter.step
+        change = self.residuals(self.passed(moved)) - r
+        return np.asarray(change[:, np.newaxis] / (moved[i] - x[i]))
+
+    def quadratic(self, x: Float64, r: Float64, J: Float64, bound: float) -> Quadratic:
+        """Return the cost about x."""
+        return Quadratic.of(self.parameters, x, r, J, huber_weights(r, bound), self.counts)
+
+    def cost(self, x: Float64, r: Float64, bound: float) -> float:
+        """Return Huber's loss of residuals (n,) and the priors' pulls."""
+        size = np.abs(r)
+        of_data = np.sum(np.where(size > bound, 2.0 * bound * size - bound**2, size**2))
+        starts = np.array([p.start for p in self.parameters])
+        sigmas = np.array([p.prior_sigma for p in self.parameters])
+        return float(of_data + np.sum(((x - starts) / sigmas) ** 2))
+
+
+def flicker(expected: Expected, arc_ln: Float64) -> float:
+    """Return the relative standard deviation of the arc's output in the frames that show it."""
+    lit = [frame.condition.arc_level > 0.0 for frame in expected.observed.frames]
+    return float(np.std(np.exp(arc_ln[lit]))) if any(lit) else 0.0

@@ -1,0 +1,181 @@
+"""The first look at every candidate: how much of the gap it would close, from a few places of its parameters.
+
+The frames are predicted at some places of an effect's parameters. Between the baseline and each of them the
+residual is taken to go straight, r_0 + sum_k t_k (r_k - r_0), and nuisances along their derivatives; what is
+left at the best t and nuisances is a closed form. It is the score test with the nuisances projected out, for
+effects that are too large for a derivative.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from noise_model.effects import REGISTRY, Values
+from noise_model.fit import Parameter
+from noise_model.frames import Float64
+from sim_to_real.expected import Expected, Passed
+from sim_to_real.quadratic import Quadratic
+from sim_to_real.refit import Refit
+
+LEAST = 0.05
+"""A fit starts at least so far, of a place's distance, from neutral: some effects have no slope there."""
+
+FARTHEST = 3.0
+"""How far beyond its place a straight line is followed."""
+
+
+@dataclass(frozen=True)
+class Family:
+    """Places of an effect's parameters that are tried together: `shape` holds for all of them."""
+
+    places: tuple[Values, ...]
+    shape: Values = field(default_factory=dict)
+
+
+def _each(*places: Values) -> tuple[Family, ...]:
+    """Return a family for each place."""
+    return tuple(Family((place,)) for place in places)
+
+
+def _drifts() -> tuple[Family, ...]:
+    return tuple(Family(({"rate_per_s": 0.2 / min(s, 2.0)},), {"settle_s": s}) for s in (0.4, 1.5, 100.0))
+
+
+def _patches() -> tuple[Family, ...]:
+    """Patches of two sizes all over the image."""
+    small = [(0.12, u, v) for u in (-0.7, -0.42, -0.14, 0.14, 0.42, 0.7) for v in (-0.45, -0.15, 0.15, 0.45)]
+    wide = [(0.3, u, v) for u in (-0.5, 0.0, 0.5) for v in (-0.3, 0.3)]
+    return tuple(
+        Family(({"dimming_1": 0.2}, {"scatter_1": 0.1}), {"u_1": u, "v_1": v, "radius_1": radius})
+        for radius, u, v in (*small, *wide)
+    )
+
+
+FAMILIES: Mapping[str, tuple[Family, ...]] = {
+    "arc_length": _each({"height_mm": 0.7}, {"height_mm": -0.7}),
+    "arc_deflection": (Family(({"x_mm": 0.7}, {"y_mm": 0.7})), Family(({"x_mm": -0.7}, {"y_mm": -0.7}))),
+    "arc_radius": _each({"radius_ratio": 1.3}, {"radius_ratio": 0.75}),
+    "argon_line_leak": _each({"line_width_nm": 3.0}, {"line_width_nm": 30.0}),
+    "laser_power_drift": _drifts(),
+    "wrong_material": (
+        Family(({"kappa_diff_ln": 0.3}, {"kappa_spec_ln": 0.3})),
+        *_each(
+            {"kappa_diff_ln": 3.0, "kappa_spec_ln": -0.7},
+            {"kappa_diff_ln": -3.0, "kappa_spec_ln": 0.7},
+            {"kappa_diff_ln": 1.0},
+            {"kappa_diff_ln": -1.0},
+            {"kappa_spec_ln": 1.0},
+            {"kappa_spec_ln": -1.0},
+        ),
+    ),
+    "roughness_change": _each({"c2_ln": 0.3}, {"c2_ln": -0.3}, {"c2_ln": 1.2}, {"c2_ln": -1.2}),
+    "brdf_tail": _each({"tail": 0.15}, {"tail": 0.8}),
+    "rolling_marks": tuple(
+        Family(({"anisotropy": size},), {"marks_deg": deg}) for deg in (0.0, 45.0) for size in (0.4, -0.4)
+    ),
+    "interreflection": _each({"albedo_scale": 0.3}),
+    "hot_metal_glow": tuple(
+        Family(({"peak_e": 2e4},), {"length_mm": length}) for length in (5.0, 10.0, 20.0, 40.0)
+    ),
+    "fume": tuple(
+        Family(({"extinction_per_m": 0.5},), {"scatter": scatter}) for scatter in (0.0, 0.03, 0.3, 3.0)
+    ),
+    "dirty_window": _patches(),
+    "filter_shift": _each({"shift_share": 0.5}, {"shift_share": 2.0}),
+    "vignetting": (Family(({"loss": 0.1}, {"corner_loss": 0.1})),),
+    "defocus": _each({"sigma_px": 1.5}, {"sigma_px": 4.0}),
+    "veiling_glare": tuple(Family(({"share": 0.05},), {"spread": spread}) for spread in (0.1, 0.3, 0.8, 3.0)),
+    "exposure_drift": _drifts(),
+    "blooming": tuple(Family(({"spill": 0.3},), {"reach_px": reach}) for reach in (5.0, 30.0, 150.0)),
+    "gamma": _each({"gamma": 0.85}, {"gamma": 1.2}),
+    "black_level": _each({"offset_dn": 2.0}),
+    "hand_eye": (
+        Family(
+            (
+                *({f"rot_{axis}_deg": 0.1} for axis in "xyz"),
+                *({f"move_{axis}_mm": 0.3} for axis in "xyz"),
+            )
+        ),
+    ),
+    "surface_tilt": (Family(({"roll_deg": 0.5}, {"pitch_deg": 0.5})),),
+    "lens_distortion": (Family(({"k1": 0.1}, {"k2": 2.0}, {"p1": 0.003}, {"p2": 0.003})),),
+    "pose_delay": _each({"delay_s": 0.01}, {"delay_s": -0.01}),
+}
+"""Where each effect that changes a frame's mean is tried; the random ones show in its scatter."""
+
+
+@dataclass(frozen=True)
+class Screened:
+    """A candidate after the first look: the share of the cost that is left, and where a fit should start."""
+
+    id: str
+    left: float
+    start: dict[str, float]
+
+
+def screen(expected: Expected, baseline: Refit, ids: Sequence[str]) -> list[Screened]:
+    """Return candidates to add to the baseline's effects, those that leave least first."""
+    r = expected.residuals(_rendered(expected, baseline, baseline.effects))
+    found = [
+        min((_tried(expected, baseline, r, name, family) for family in FAMILIES[name]), key=lambda s: s.left)
+        for name in ids
+    ]
+    return sorted(found, key=lambda screened: screened.left)
+
+
+def _rendered(expected: Expected, baseline: Refit, effects: Mapping[str, Values]) -> list[Passed]:
+    """Return the light at the baseline's nuisances with other effects."""
+    by = np.zeros((len(baseline.arc_ln), baseline.n_nuisances))
+    by[:, 0] = baseline.arc_ln
+    passed = expected.passed(baseline.nuisance, effects)
+    return [expected.moved(*of) for of in zip(expected.observed.frames, passed, by, strict=True)]
+
+
+def _tried(expected: Expected, baseline: Refit, r: Float64, name: str, family: Family) -> Screened:
+    effect = REGISTRY[name]
+    shaped = {**effect.neutral, **family.shape}
+    columns = []
+    for place in family.places:
+        passed = _rendered(expected, baseline, {**baseline.effects, name: {**shaped, **place}})
+        columns.append(expected.residuals(passed) - r)
+    names = [parameter.name for parameter in effect.parameters]
+    start = np.array([shaped[key] for key in names])
+    steps = np.array(
+        [
+            [place.get(key, value) - value for key, value in zip(names, start, strict=True)]
+            for place in family.places
+        ]
+    )
+    t_bounds = [_reach(effect.parameters, start, step) for step in steps]
+    t = [
+        Parameter(f"t_{k}", "", 0.0, np.inf, low, high, 1e-3 * (high - low))
+        for k, (low, high) in enumerate(t_bounds)
+    ]
+    quadratic = Quadratic.of(
+        (*baseline.quadratic.parameters, *t),
+        np.concatenate([baseline.x, np.zeros(len(t))]),
+        r,
+        np.hstack([baseline.jacobian, np.column_stack(columns)]),
+        baseline.weights,
+        baseline.quadratic.counts,
+    )
+    x = quadratic.solve(np.ones(len(baseline.quadratic.counts), dtype=bool))
+    left = float(quadratic.costs(x).sum() / quadratic.chi2.sum())
+    along = x[len(baseline.x) :]
+    if not np.abs(along).max() > LEAST:
+        along = np.full(len(t), LEAST)
+    values = start + along @ steps
+    return Screened(name, left, dict(zip(names, values.tolist(), strict=True)))
+
+
+def _reach(parameters: Sequence[Parameter], start: Float64, step: Float64) -> tuple[float, float]:
+    """Return how far along a step (p,) one may go, backward and forward, within the parameters' bounds."""
+    low, high = -FARTHEST, FARTHEST
+    for parameter, at, by in zip(parameters, start, step, strict=True):
+        if by != 0.0:
+            ends = sorted(((parameter.lower - at) / by, (parameter.upper - at) / by))
+            low, high = max(low, ends[0]), min(high, ends[1])
+    return low, high

@@ -1,0 +1,131 @@
+"""The seam of a recording as a curve: where the tracker found it, and how it may run besides.
+
+What the tracker does not know of the seam is its posterior covariance along the stations, and what a wrong
+camera adds to it, a constant and a slope. Its Karhunen-Loeve modes, each with a coefficient of unit variance,
+are the fewest numbers that say how the seam really runs.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.linalg import cho_factor, cho_solve
+
+from noise_model.frames import Float64
+from noise_model.surface import BentSeam, SeamLine
+from tracker.follow import SeamHistory
+
+OFF_MM, OFF_SLOPE = 5.0, 0.05
+"""1 sigma of how far a whole seam may lie off its nominal line, and of its slope against it."""
+
+BEND_MM, BEND_LENGTH_MM = (1.0, 0.02), 30.0
+"""1 sigma of how far a seam wanders sideways and in height, and over what length; it bends without corners.
+
+Plates are straight: a height that bent between view and torch would look like the arc's.
+"""
+
+SYSTEMATIC_MM, SYSTEMATIC_SLOPE = 0.3, 0.01
+"""1 sigma of what the tracker's seam is off all along, by the camera's pose: in place and in slope."""
+
+MODES = (5, 3)
+"""Modes of either axis: what the others would add is below what a stripe shows."""
+
+GRID_MM = 1.0
+"""Stations at which curves are held."""
+
+STRETCH_TURNS, STRETCH_MM = 0.006, 4.0
+"""By what slope a bent seam turns from one straight stretch to the next, and the least length of these."""
+
+SCATTER_MM = 0.04
+"""1 sigma of the tracker's points about a smooth seam beyond what they state: tilt makes them wander."""
+
+
+@dataclass(frozen=True, eq=False)
+class SeamCurve:
+    """Displacement from the nominal line at `stations_mm` (g,), joint frame, mm.
+
+    `mean_mm` (2, g) as y and z, `modes_mm` (m, g) by which they change for one unit of a coefficient; those
+    of y come first, `MODES` of either.
+    """
+
+    stations_mm: Float64
+    mean_mm: Float64
+    modes_mm: Float64
+
+    @classmethod
+    def of(cls, history: SeamHistory, first_mm: float, last_mm: float) -> SeamCurve:
+        """Return what a tracked history says of the stations from first to last."""
+        stations = np.arange(first_mm, last_mm + GRID_MM, GRID_MM)
+        middle = 0.5 * (first_mm + last_mm)
+        mean, modes = np.zeros((2, len(stations))), []
+        for axis in range(2):
+            left = _prior(stations, stations, middle, BEND_MM[axis])
+            if len(history):
+                seen = _prior(history.stations_mm, history.stations_mm, middle, BEND_MM[axis])
+                factor = cho_factor(seen + np.diag(history.variances_mm2[:, axis] + SCATTER_MM**2))
+                across = _prior(history.stations_mm, stations, middle, BEND_MM[axis])
+                gain = cho_solve(factor, across)
+                mean[axis] = gain.T @ history.displacements_mm[:, axis]
+                left = left - across.T @ gain
+            systematic = np.outer(stations - middle, stations - middle) * SYSTEMATIC_SLOPE**2
+            values, vectors = np.linalg.eigh(left + SYSTEMATIC_MM**2 + systematic)
+            largest = vectors[np.argmax(np.abs(vectors), axis=0), np.arange(len(stations))]
+            scaled = np.sqrt(np.maximum(values, 0.0)) * np.sign(largest) * vectors
+            modes.append(scaled[:, ::-1].T[: MODES[axis]])
+        return cls(stations, mean, np.concatenate(modes))
+
+    @property
+    def n_modes(self) -> int:
+        """The number of coefficients."""
+        return len(self.modes_mm)
+
+    def at(self, coefficients: Float64) -> tuple[Float64, Float64]:
+        """Return displacement and slope (2, g) for coefficients (m,)."""
+        of_y = MODES[0]
+        y = self.mean_mm[0] + coefficients[:of_y] @ self.modes_mm[:of_y]
+        z = self.mean_mm[1] + coefficients[of_y:] @ self.modes_mm[of_y:]
+        y_z = np.stack([y, z])
+        return y_z, np.gradient(y_z, self.stations_mm, axis=1)
+
+    def mode_at(self, mode: int, stations_mm: Float64) -> tuple[Float64, Float64]:
+        """Return displacement and slope (...,) of one mode, 0 to m - 1, at stations (...,)."""
+        values = self.modes_mm[mode]
+        slopes = np.gradient(values, self.stations_mm)
+        return (
+            np.interp(stations_mm, self.stations_mm, values),
+            np.interp(stations_mm, self.stations_mm, slopes),
+        )
+
+    def strays_mm(self, coefficients: Float64, station_mm: float, torch_mm: float) -> float:
+        """Return how far the seam strays sideways, from a station to the torch, from its tangent there."""
+        (y, _), (slope, _) = self.at(coefficients)
+        ends = sorted((station_mm, torch_mm))
+        between = (self.stations_mm >= ends[0]) & (self.stations_mm <= ends[1])
+        x = self.stations_mm[between]
+        y_here, slope_here = (float(np.interp(station_mm, self.stations_mm, of)) for of in (y, slope))
+        return float(np.abs(y[between] - y_here - slope_here * (x - station_mm)).max(initial=0.0))
+
+    def bent(self, coefficients: Float64, first_mm: float, last_mm: float, torch_mm: float) -> BentSeam:
+        """Return the seam from first to last as straight stretches, tangents at their middles.
+
+        The arc stands at the height that the seam has at the torch's station.
+        """
+        (y, z), (slope_y, slope_z) = self.at(coefficients)
+        seen = (self.stations_mm >= first_mm) & (self.stations_mm <= last_mm)
+        turns = max(float(np.ptp(slope[seen])) for slope in (slope_y, slope_z))
+        count = min(1 + int(turns / STRETCH_TURNS), round((last_mm - first_mm) / STRETCH_MM))
+        step = (last_mm - first_mm) / count
+        lines = []
+        for station in first_mm + step * (np.arange(count) + 0.5):
+            here = [float(np.interp(station, self.stations_mm, of)) for of in (y, z, slope_y, slope_z)]
+            lines.append(SeamLine(float(station), *here))
+        ground = SeamLine(torch_mm, 0.0, float(np.interp(torch_mm, self.stations_mm, z)))
+        return BentSeam(tuple(lines), ground)
+
+
+def _prior(x_mm: Float64, other_mm: Float64, middle_mm: float, bend_mm: float) -> Float64:
+    """Return the prior covariance (n, m), mm^2, of the displacements at stations (n,) and (m,)."""
+    apart = x_mm[:, None] - other_mm[None, :]
+    slope = np.outer(x_mm - middle_mm, other_mm - middle_mm) * OFF_SLOPE**2
+    return np.asarray(OFF_MM**2 + slope + bend_mm**2 * np.exp(-0.5 * (apart / BEND_LENGTH_MM) ** 2))

@@ -1,0 +1,111 @@
+"""Which effects explain a gap: candidates refitted, judged by frames that were held out, added and dropped.
+
+A candidate's score is the mean square R of the residuals in frames that its fit did not see. As if
+N_EFFECTIVE residuals were independent and of unknown scale, their likelihood is R^(-N_EFFECTIVE / 2), and
+a parameter costs what it costs in Schwarz's criterion (1978, Ann. Statist. 6, 461): neighbouring bins share
+the model's error, so the number of bins says nothing about how sure one may be.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from noise_model.effects import REGISTRY
+from noise_model.frames import Float64
+from sim_to_real.expected import Expected
+from sim_to_real.quadratic import Quadratic
+from sim_to_real.refit import FLICKER, N_EFFECTIVE, Refit, huber_weights, refit
+from sim_to_real.screen import FAMILIES, screen
+from sim_to_real.split import folds
+
+JUDGED_WITHIN = 10.0
+"""Residuals beyond so many sigmas count as if they pulled no harder: a streak is no more than a streak."""
+
+FOLDS = 5
+"""So many times some of the frames are held out."""
+
+REFITTED = 8
+"""How many candidates are refitted after the first look."""
+
+
+@dataclass(frozen=True, eq=False)
+class Candidate:
+    """Effects fitted together: `costs` (n_frames,) are the sums of squares of frames held out of the fit."""
+
+    refit: Refit
+    costs: Float64
+
+    @property
+    def ids(self) -> tuple[str, ...]:
+        """The effects."""
+        return self.refit.ids
+
+    @property
+    def left(self) -> float:
+        """The mean square of the residuals in frames held out."""
+        return float(self.costs.sum() / self.refit.quadratic.counts.sum())
+
+    @property
+    def evidence(self) -> float:
+        """The logarithm of the candidate's likelihood, less what its parameters cost."""
+        n_parameters = len(self.refit.x) - self.refit.n_nuisances
+        return -0.5 * N_EFFECTIVE * math.log(max(self.left, 1.0)) - 0.5 * n_parameters * math.log(N_EFFECTIVE)
+
+
+def judged(expected: Expected, fitted: Refit) -> Candidate:
+    """Return a fit with the costs of its frames, each as the other folds' fit predicts it."""
+    # All candidates are judged by one loss: each was fitted with a bound of its own.
+    plain = Quadratic.of(
+        fitted.quadratic.parameters,
+        fitted.x,
+        fitted.residuals,
+        fitted.jacobian,
+        huber_weights(fitted.residuals, JUDGED_WITHIN),
+        fitted.quadratic.counts,
+    )
+    if FLICKER in fitted.ids:
+        # A level of its own needs the frame itself; thousands of bins share that one number.
+        return Candidate(fitted, plain.chi2)
+    fold = folds(expected.observed, FOLDS)
+    costs = np.zeros(len(fold))
+    for k in range(FOLDS):
+        held = fold == k
+        if held.any() and not held.all():
+            costs[held] = plain.costs(fitted.quadratic.solve(~held))[held]
+    return Candidate(fitted, costs)
+
+
+def candidates(
+    expected: Expected,
+    baseline: Refit,
+    without: Sequence[str],
+    on_stage: Callable[[str, float], None],
+) -> list[Candidate]:
+    """Return the best candidates to add one effect to a baseline, most likely first."""
+    ids = [name for name in FAMILIES if name not in without and name not in baseline.ids]
+    on_stage("looking at every effect", 0.0)
+    screened = screen(expected, baseline, ids)[:REFITTED]
+    starts: dict[str, Mapping[str, float]] = {one.id: one.start for one in screened}
+    if FLICKER not in without and FLICKER not in baseline.ids and _shows_arc(expected):
+        starts[FLICKER] = REGISTRY[FLICKER].neutral
+    found = []
+    for n, (name, start) in enumerate(starts.items()):
+        on_stage(f"fitting {name}", n / len(starts))
+        fitted = refit(expected, {**baseline.effects, name: start}, baseline.nuisance)
+        found.append(judged(expected, fitted))
+    return sorted(found, key=lambda candidate: -candidate.evidence)
+
+
+def _shows_arc(expected: Expected) -> bool:
+    return sum(frame.condition.arc_level > 0.0 for frame in expected.observed.frames) > 2
+
+
+def confidences(of: Sequence[Candidate]) -> Float64:
+    """Return how probable each candidate (n,) is, if one of them is right."""
+    evidence = np.array([candidate.evidence for candidate in of])
+    weight = np.exp(evidence - evidence.max())
+    return np.asarray(weight / weight.sum())

@@ -1,0 +1,126 @@
+"""No gap, named effects, an ambiguity set, or unknown: what the candidates' scores amount to.
+
+All scores are mean squares R of residuals that are whitened with noise and the model's floor: 1 is a model
+without a gap, however little below it a fit may come. The gap that is left is (R - 1) / (R_0 - 1).
+"""
+
+from __future__ import annotations
+
+import itertools
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from noise_model.frames import Float64
+from sim_to_real.diagnosis import Verdict
+from sim_to_real.expected import Expected
+from sim_to_real.refit import refit
+from sim_to_real.select import Candidate, candidates, confidences, judged
+
+GAP_FROM = 3.0
+"""Evidence, nats, by which the best candidate must beat the baseline."""
+
+EXPLAINED = 0.12
+"""A gap of which more is left is not explained."""
+
+WORTH = 0.5
+"""A further effect must close this share of what the others leave."""
+
+UNEXPLAINED_FROM = 2.0
+"""A mean square from which there is a gap though nothing in the catalogue helps."""
+
+MOST_EFFECTS = 3
+"""So many effects are named at most."""
+
+SURE = 0.9
+"""A candidate that is less probable than this is not named alone."""
+
+IN_SET = 0.05
+"""Candidates that are at least as probable are in the ambiguity set."""
+
+
+@dataclass(frozen=True, eq=False)
+class Decision:
+    """The verdict, the candidate that it rests on, and all single effects that were fitted, best first."""
+
+    verdict: Verdict
+    chosen: Candidate
+    singles: tuple[Candidate, ...]
+    confidence: Float64
+    ambiguous: tuple[tuple[str, ...], ...]
+
+
+def left_over(candidate: Candidate, baseline: Candidate) -> float:
+    """Return the share of the baseline's gap that a candidate leaves, 0 to 1; NaN without a gap."""
+    gap = max(baseline.left - 1.0, 0.0)
+    return min(max(candidate.left - 1.0, 0.0) / gap, 1.0) if gap > 0.0 else math.nan
+
+
+def decide(
+    expected: Expected, baseline: Candidate, without: Sequence[str], on_stage: Callable[[str, float], None]
+) -> Decision:
+    """Look for the effects that explain what a baseline leaves."""
+    singles = tuple(candidates(expected, baseline.refit, without, on_stage))
+    p = confidences(singles)
+    best = singles[0]
+    if best.evidence - baseline.evidence < GAP_FROM:
+        # Nothing in the catalogue helps. If there is much to be helped, it is something else.
+        verdict = Verdict.NO_GAP if baseline.left < UNEXPLAINED_FROM else Verdict.UNKNOWN
+        return Decision(verdict, baseline, singles, p, ())
+    if left_over(best, baseline) <= EXPLAINED:
+        likely = tuple(one.ids[0] for one, share in zip(singles, p, strict=True) if share >= IN_SET)
+        if p[0] >= SURE or len(likely) == 1:
+            return Decision(Verdict.EFFECTS, best, singles, p, ())
+        return Decision(Verdict.AMBIGUOUS, best, singles, p, (likely,))
+    several = _several(expected, baseline, best, without, on_stage)
+    if several is None:
+        return Decision(Verdict.UNKNOWN, best, singles, p, ())
+    return Decision(Verdict.EFFECTS, several, singles, p, ())
+
+
+def _several(
+    expected: Expected,
+    baseline: Candidate,
+    best: Candidate,
+    without: Sequence[str],
+    on_stage: Callable[[str, float], None],
+) -> Candidate | None:
+    """Return effects that explain the gap together, None if none do: forward steps, then backward."""
+    chosen = best
+    while len(chosen.ids) < MOST_EFFECTS and left_over(chosen, baseline) > EXPLAINED:
+        further = candidates(expected, chosen.refit, without, on_stage)
+        if not further or further[0].evidence - chosen.evidence < GAP_FROM:
+            return None
+        if left_over(further[0], baseline) > (1.0 - WORTH) * left_over(chosen, baseline):
+            return None
+        chosen = further[0]
+    if left_over(chosen, baseline) > EXPLAINED:
+        return None
+    for name in chosen.ids[:-1]:
+        fewer = {other: values for other, values in chosen.refit.effects.items() if other != name}
+        without_it = judged(expected, refit(expected, fewer, chosen.refit.nuisance))
+        if chosen.evidence - without_it.evidence < GAP_FROM:
+            chosen = without_it
+    return chosen
+
+
+def shares(expected: Expected, baseline: Candidate, chosen: Candidate) -> dict[str, float]:
+    """Return each chosen effect's share of the gap that they close together: Shapley's value (1953)."""
+    names = chosen.ids
+    if len(names) < 2:
+        return {name: 1.0 for name in names}
+    left: dict[frozenset[str], float] = {frozenset(): baseline.left, frozenset(names): chosen.left}
+    for size in range(1, len(names)):
+        for some in itertools.combinations(names, size):
+            effects = {name: chosen.refit.effects[name] for name in some}
+            left[frozenset(some)] = judged(expected, refit(expected, effects, chosen.refit.nuisance)).left
+    closed = {of: math.sqrt(max(value - 1.0, 0.0)) for of, value in left.items()}
+    total = closed[frozenset()] - closed[frozenset(names)]
+    value = dict.fromkeys(names, 0.0)
+    for order in itertools.permutations(names):
+        for n, name in enumerate(order):
+            value[name] += closed[frozenset(order[:n])] - closed[frozenset(order[: n + 1])]
+    n_orders = math.factorial(len(names))
+    return {name: float(np.clip(of / n_orders / total, 0.0, 1.0)) for name, of in value.items()}

@@ -1,0 +1,51 @@
+"""The cost of a fit as a quadratic of each frame."""
+
+import numpy as np
+import pytest
+from scipy.optimize import least_squares
+
+from noise_model.fit import Parameter
+from sim_to_real.quadratic import Quadratic
+
+COUNTS = np.array([30, 50, 40])
+
+
+def problem(seed, bounds=(-np.inf, np.inf)):
+    rng = np.random.default_rng(seed)
+    J = rng.standard_normal((COUNTS.sum(), 3))
+    r = rng.standard_normal(COUNTS.sum()) + J @ [0.5, -1.0, 2.0]
+    w = rng.uniform(0.2, 1.0, COUNTS.sum())
+    parameters = tuple(Parameter(f"p{i}", "", 0.1 * i, 2.0, *bounds) for i in range(3))
+    return parameters, np.array([0.0, 0.1, 0.2]), r, J, w
+
+
+@pytest.mark.parametrize("bounds", [(-np.inf, np.inf), (-0.4, 0.9)])
+def test_the_minimum_is_that_of_plain_least_squares(bounds):
+    parameters, x, r, J, w = problem(1, bounds)
+    chosen = np.array([True, False, True])
+    rows = np.repeat(chosen, COUNTS)
+    starts, sigmas = np.array([0.0, 0.1, 0.2]), 2.0
+
+    def residuals(value):
+        return np.concatenate([np.sqrt(w[rows]) * (r + J @ (value - x))[rows], (value - starts) / sigmas])
+
+    expected = least_squares(residuals, np.clip(x, *bounds), bounds=bounds, xtol=1e-14, ftol=1e-14).x
+    found = Quadratic.of(parameters, x, r, J, w, COUNTS).solve(chosen)
+    np.testing.assert_allclose(found, expected, atol=1e-6)
+
+
+def test_costs_are_the_weighted_squares_of_each_frame():
+    parameters, x, r, J, w = problem(2)
+    value = np.array([0.3, -0.2, 1.0])
+    there = w * (r + J @ (value - x)) ** 2
+    expected = [part.sum() for part in np.split(there, np.cumsum(COUNTS)[:-1])]
+    np.testing.assert_allclose(Quadratic.of(parameters, x, r, J, w, COUNTS).costs(value), expected)
+
+
+def test_a_direction_that_nothing_sees_stays_where_it_is():
+    parameters, x, r, J, w = problem(3)
+    free = tuple(Parameter(p.name, "", p.start) for p in parameters)
+    J[:, 2] = 0.0
+    found = Quadratic.of(free, x, r, J, w, COUNTS).solve(np.ones(3, dtype=bool))
+    assert found[2] == x[2]
+    assert np.isfinite(found).all()

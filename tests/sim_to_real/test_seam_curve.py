@@ -1,0 +1,56 @@
+"""The seam as a curve, and what the tracker does not know of it."""
+
+import numpy as np
+import pytest
+
+from sim_to_real.seam_curve import MODES, SeamCurve
+from tracker.follow import SeamHistory
+
+
+def tracked(y_of, sigma_mm=0.01):
+    history = SeamHistory()
+    for station in np.arange(30.0, 60.0, 1.5):
+        history = history.with_measurement(station, np.array([y_of(station), 0.2]), np.full(2, sigma_mm**2))
+    return history
+
+
+def test_the_curve_runs_through_what_was_tracked():
+    def y(station):
+        return 0.8 * np.sin(2.0 * np.pi * station / 100.0)
+
+    curve = SeamCurve.of(tracked(y), 0.0, 70.0)
+    (found, height), (slope, _) = curve.at(np.zeros(curve.n_modes))
+    inside = (curve.stations_mm >= 32.0) & (curve.stations_mm <= 58.0)
+    np.testing.assert_allclose(found[inside], y(curve.stations_mm[inside]), atol=0.02)
+    np.testing.assert_allclose(height, 0.2, atol=0.02)
+    true_slope = 0.8 * 2.0 * np.pi / 100.0 * np.cos(2.0 * np.pi * curve.stations_mm / 100.0)
+    np.testing.assert_allclose(slope[inside], true_slope[inside], atol=0.006)
+
+
+def test_modes_are_small_where_the_seam_was_seen():
+    curve = SeamCurve.of(tracked(lambda station: 0.0), 0.0, 70.0)
+    spread = np.sqrt(np.sum(curve.modes_mm[: MODES[0]] ** 2, axis=0))
+    assert spread[curve.stations_mm == 45.0][0] < 0.5 * spread[curve.stations_mm == 0.0][0]
+
+
+def test_a_seam_that_was_never_seen_is_the_nominal_one_give_or_take():
+    curve = SeamCurve.of(SeamHistory(), 0.0, 50.0)
+    np.testing.assert_array_equal(curve.mean_mm, 0.0)
+    assert np.abs(curve.modes_mm[0]).max() > 1.0
+
+
+def test_stretches_are_tangents_and_more_where_it_turns():
+    straight = SeamCurve.of(tracked(lambda station: 0.1), 0.0, 70.0)
+    bent = SeamCurve.of(tracked(lambda station: 2e-3 * (station - 45.0) ** 2), 0.0, 70.0)
+    none = np.zeros(straight.n_modes)
+    assert len(straight.bent(none, 30.0, 60.0, 0.0).lines) == 1
+    lines = bent.bent(none, 30.0, 60.0, 0.0).lines
+    assert len(lines) > 3
+    for line in lines:
+        assert line.slope_y == pytest.approx(4e-3 * (line.station_mm - 45.0), abs=0.01)
+
+
+def test_it_strays_as_far_as_a_parabola_leaves_its_tangent():
+    curve = SeamCurve.of(tracked(lambda station: 2e-3 * (station - 45.0) ** 2), 0.0, 70.0)
+    strays = curve.strays_mm(np.zeros(curve.n_modes), 55.0, 35.0)
+    assert strays == pytest.approx(2e-3 * 20.0**2, rel=0.05)
