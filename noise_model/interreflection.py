@@ -31,6 +31,7 @@ from noise_model.interreflection_bounces import ORDERS, arriving, gather_first, 
 from noise_model.interreflection_lattice import Lattice, interpolate, lattice, stations
 from noise_model.interreflection_light import Place, place
 from noise_model.interreflection_nodes import Focus, Rules, rules, strip, stripe_at
+from noise_model.stripe import stripe_reference
 from noise_model.surface import corrugation_height
 from noise_model.view import View
 
@@ -106,9 +107,6 @@ class BouncedLight:
 
         Raises ValueError for a sheet that runs along the seam.
         """
-        # The module of frames imports the effects, and one of them this module.
-        from noise_model.forward import stripe_reference
-
         setup = self.view.setup
         k = place(setup, self.view.scene)
         x, _ = stripe_at(k, len(k.vertices) - 2, 0.0)

@@ -12,11 +12,11 @@ import numpy as np
 import numpy.typing as npt
 
 from noise_model.effects import really
-from noise_model.forward import stripe_runs_along_rows
 from noise_model.frames import Float64
 from noise_model.optics import Rays
 from noise_model.sensor import linearise, saturation_dn, variance_e2
 from noise_model.setup import Setup
+from noise_model.stripe import stripe_runs_along_rows
 
 Float32 = npt.NDArray[np.float32]
 

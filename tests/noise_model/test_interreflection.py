@@ -12,7 +12,7 @@ from noise_model import interreflection
 from noise_model.arc import level
 from noise_model.arc_map import arc_at, arc_kernel
 from noise_model.brdf import TABLE_1, Material, reflectance
-from noise_model.forward import Layers, stripe_reference
+from noise_model.forward import Layers
 from noise_model.frames import invert, transform
 from noise_model.interreflection import Grain, bounced_light
 from noise_model.interreflection_bounces import ORDERS
@@ -20,6 +20,7 @@ from noise_model.interreflection_light import arc_leaving, place, sees
 from noise_model.interreflection_nodes import COLUMNS, FACE, ROOM, WEIGHT, Focus, look_around, rules
 from noise_model.laser import irradiance
 from noise_model.optics import blur
+from noise_model.stripe import stripe_reference
 from noise_model.surface import Joint
 from noise_model.view import View
 from tests.noise_model import scenes
