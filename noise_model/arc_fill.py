@@ -12,13 +12,13 @@ from __future__ import annotations
 import functools
 import math
 
-import numba
 import numpy as np
 import numpy.typing as npt
 
 from noise_model.arc_ray import ArcKernel, Scratch, follow, scratch
 from noise_model.arc_table import TO_POWERS, FaceTable, light_on_plane, light_on_rays, new_table
 from noise_model.frames import Float64
+from noise_model.kernel import kernel
 from noise_model.visibility import MISS
 
 Float32 = npt.NDArray[np.float32]
@@ -62,7 +62,7 @@ def node_rules() -> tuple[Int64, Float64]:
     return places, rules
 
 
-@numba.njit(cache=True, nogil=True, _nrt=False, error_model="numpy")
+@kernel
 def _to_powers(
     values: Float64, rules: Float64, size: tuple[int, int], powers: Float64
 ) -> tuple[float, float]:
@@ -98,7 +98,7 @@ def _to_powers(
     return highest, least
 
 
-@numba.njit(cache=True, nogil=True, _nrt=False, error_model="numpy", inline="always")
+@kernel(inline=True)
 def _fill_row(
     powers: Float64,
     t: float,
@@ -121,7 +121,7 @@ def _fill_row(
         out[row, first + j] = c_0 + u * (c_1 + u * (c_2 + u * c_3))
 
 
-@numba.njit(cache=True, nogil=True, _nrt=False, error_model="numpy", fastmath={"contract"})
+@kernel(fastmath={"contract"})
 def _fill_smooth(powers: Float64, box: Box, lows: Int64, group: int, ramp: Float32, band_e: Float32) -> None:
     """Fill the part of a cell that lies in the band from its coefficients."""
     scan, pos, n_s, n_p = box
@@ -138,7 +138,7 @@ def _fill_smooth(powers: Float64, box: Box, lows: Int64, group: int, ramp: Float
             _fill_row(powers, -1.0 + t_step * i, u_step, pos - low, ramp, band_e, scan + i, first, last)
 
 
-@numba.njit(cache=True, nogil=True, _nrt=False, error_model="numpy")
+@kernel
 def _fill_run(
     k: ArcKernel,
     table: FaceTable,
@@ -161,7 +161,7 @@ def _fill_run(
         out[first - low + j] = light_e[j]
 
 
-@numba.njit(cache=True, nogil=True, _nrt=False, error_model="numpy")
+@kernel
 def _node_pixels(n_pos: int, box: Box, places: Int64, pixels: Int64) -> None:
     """Write the pixels (16,) of a cell's nodes."""
     scan, pos, n_s, n_p = box
@@ -170,7 +170,7 @@ def _node_pixels(n_pos: int, box: Box, places: Int64, pixels: Int64) -> None:
             pixels[N * i + j] = (scan + places[n_s, i]) * n_pos + pos + places[n_p, j]
 
 
-@numba.njit(cache=True, nogil=True, _nrt=False, error_model="numpy")
+@kernel
 def _fill_mixed(
     k: ArcKernel,
     table: FaceTable,
@@ -250,7 +250,7 @@ def _fill_mixed(
     return True
 
 
-@numba.njit(cache=True, nogil=True, _nrt=False, error_model="numpy")
+@kernel
 def _fill_cell(
     k: ArcKernel,
     table: FaceTable,
@@ -299,7 +299,7 @@ def _fill_cell(
     return True
 
 
-@numba.njit(cache=True, nogil=True, error_model="numpy")
+@kernel(allocates=True)
 def _fill_band(
     k: ArcKernel,
     table: FaceTable,

@@ -14,7 +14,6 @@ from __future__ import annotations
 import functools
 import math
 
-import numba
 import numpy as np
 
 from noise_model.arc_disc import (
@@ -31,6 +30,7 @@ from noise_model.arc_disc import (
 from noise_model.arc_metal import Metal, chord_parts, is_clear, open_range
 from noise_model.brdf import LobeNumbers, lobe_fall
 from noise_model.frames import Float64
+from noise_model.kernel import kernel
 
 MAX_NODES_P, MAX_NODES_Q = 32, 16
 """The most nodes across one piece of the disc and up one chord."""
@@ -69,9 +69,7 @@ def gauss_nodes() -> Float64:
     return rules
 
 
-@numba.njit(
-    cache=True, nogil=True, _nrt=False, error_model="numpy", fastmath={"reassoc", "contract", "arcp", "nsz"}
-)
+@kernel(fastmath={"reassoc", "contract", "arcp", "nsz"})
 def _sum_round(
     points: Float64,
     n: int,
@@ -118,7 +116,7 @@ def _sum_round(
     return total
 
 
-@numba.njit(cache=True, nogil=True, _nrt=False, error_model="numpy")
+@kernel
 def _sum_any(
     points: Float64,
     n: int,
@@ -153,7 +151,7 @@ def _sum_any(
     return total
 
 
-@numba.njit(cache=True, nogil=True, _nrt=False, error_model="numpy")
+@kernel
 def _sum(
     points: Float64,
     n: int,
@@ -167,12 +165,11 @@ def _sum(
     if n == 0:
         return 0.0
     if material[3] != 0.0 or material[4] != 0.0:
-        any_shape: float = _sum_any(points, n, tan_b, axes, normal, omega_r, material)
-        return any_shape
+        return _sum_any(points, n, tan_b, axes, normal, omega_r, material)
     wx, wy, wz, ux, uy, vx, vy, vz = axes
     nx, ny, nz = normal
     rx, ry, rz = omega_r
-    round_shape: float = _sum_round(
+    return _sum_round(
         points,
         n,
         tan_b,
@@ -187,10 +184,9 @@ def _sum(
         material[1],
         material[2],
     )
-    return round_shape
 
 
-@numba.njit(cache=True, nogil=True, _nrt=False, error_model="numpy", inline="always")
+@kernel(inline=True)
 def _chord(p: float, arc: Shape, below: bool, cuts: Float64, n_cuts: int) -> tuple[float, float]:
     """Return between which q a chord of the disc is open, but for ledges and metal; none if low >= high."""
     high = math.sqrt(max(0.0, 1.0 - p * p))
@@ -205,7 +201,7 @@ def _chord(p: float, arc: Shape, below: bool, cuts: Float64, n_cuts: int) -> tup
     return low, high
 
 
-@numba.njit(cache=True, nogil=True, _nrt=False, error_model="numpy")
+@kernel
 def arc_light(
     P: tuple[float, float, float],
     normal: tuple[float, float, float],
@@ -339,5 +335,4 @@ def arc_light(
                 total += _sum(nodes, n, tan_b, axes, normal, omega_r, material)
                 n = 0
     total += _sum(nodes, n, tan_b, axes, normal, omega_r, material)
-    light: float = total * tan_b * tan_b
-    return light
+    return total * tan_b * tan_b

@@ -5,13 +5,13 @@ from __future__ import annotations
 import math
 from typing import NamedTuple
 
-import numba
 import numpy as np
 
 from noise_model.arc_disc import MAX_PARTS, MAX_PIECES
 from noise_model.arc_integral import MAX_POINTS, arc_light
 from noise_model.brdf import LobeNumbers
 from noise_model.frames import Float64
+from noise_model.kernel import kernel
 from noise_model.visibility import MAX_LEDGES, MAX_PLANES, MISS, face_normal, first_hit, sky_planes, touch
 
 Point = tuple[float, float, float]
@@ -20,7 +20,7 @@ Scratch = tuple[Float64, Float64, Float64, Float64, Float64, Float64]
 """What a point's integral needs room for, see `scratch`."""
 
 
-@numba.njit(cache=True, nogil=True, error_model="numpy")
+@kernel(allocates=True)
 def scratch() -> Scratch:
     """Return room for nodes and weights, lines of the disc, crossings, a chord's parts, planes and ledges."""
     return (
@@ -59,7 +59,7 @@ class ArcKernel(NamedTuple):
     n_q: int
 
 
-@numba.njit(cache=True, nogil=True, _nrt=False, error_model="numpy")
+@kernel
 def light_at(k: ArcKernel, P: Point, face: int, scratch: Scratch) -> float:
     """Return the arc's light, e- without the lens' fall-off, that a point of a face sends to the camera.
 
@@ -125,11 +125,10 @@ def light_at(k: ArcKernel, P: Point, face: int, scratch: Scratch) -> float:
         breaks,
         parts,
     )
-    light_e: float = k.radiance_e * light
-    return light_e
+    return k.radiance_e * light
 
 
-@numba.njit(cache=True, nogil=True, _nrt=False, error_model="numpy")
+@kernel
 def follow(k: ArcKernel, x: float, y: float) -> tuple[Point, int]:
     """Return where a ray (x, y, 1) of the camera ends, joint frame, mm, and the face; MISS for none."""
     R = k.rotation

@@ -16,12 +16,12 @@ from __future__ import annotations
 import math
 from typing import NamedTuple
 
-import numba
 import numpy as np
 import numpy.typing as npt
 
 from noise_model.arc_ray import ArcKernel, Point, Scratch, follow, light_at
 from noise_model.frames import Float64
+from noise_model.kernel import kernel
 from noise_model.visibility import MISS, ridge
 
 Float32 = npt.NDArray[np.float32]
@@ -88,7 +88,7 @@ class FaceTable(NamedTuple):
     floor_e: float
 
 
-@numba.njit(cache=True, nogil=True, _nrt=False, error_model="numpy")
+@kernel
 def face_frame(face: int, vertices: Float64) -> tuple[float, float, float, float]:
     """Return a face's origin (y, z) and its unit direction (y, z): s runs along it, y does not decrease."""
     k = max(face, 1)
@@ -97,7 +97,7 @@ def face_frame(face: int, vertices: Float64) -> tuple[float, float, float, float
     return vertices[k, 0], vertices[k, 1], dy / length, dz / length
 
 
-@numba.njit(cache=True, nogil=True, _nrt=False, error_model="numpy")
+@kernel
 def face_point(face: int, x: float, s: float, vertices: Float64, corrugation: Float64) -> Point:
     """Return the point (mm, joint frame) of a face's coordinates."""
     y, z, dy, dz = face_frame(face, vertices)
@@ -105,19 +105,17 @@ def face_point(face: int, x: float, s: float, vertices: Float64, corrugation: Fl
     return x, y + s * dy, z + s * dz + c
 
 
-@numba.njit(cache=True, nogil=True, _nrt=False, error_model="numpy")
+@kernel
 def across(face: int, P: Point, vertices: Float64, corrugation: Float64) -> float:
     """Return a point's coordinate s on a face."""
     y, z, dy, dz = face_frame(face, vertices)
     if dz == 0.0:
-        level: float = (P[1] - y) * dy
-        return level
+        return (P[1] - y) * dy
     c, _ = ridge(P[0], corrugation)
-    way: float = (P[1] - y) * dy + (P[2] - c - z) * dz
-    return way
+    return (P[1] - y) * dy + (P[2] - c - z) * dz
 
 
-@numba.njit(cache=True, nogil=True, _nrt=False, error_model="numpy", inline="always")
+@kernel(inline=True)
 def _place(borders: Float64, n: int, at: float) -> int:
     """Return in which of the n - 1 intervals between sorted borders `at` lies, -1 for none."""
     if not borders[0] <= at <= borders[n - 1]:
@@ -132,7 +130,7 @@ def _place(borders: Float64, n: int, at: float) -> int:
     return low
 
 
-@numba.njit(cache=True, nogil=True, _nrt=False, error_model="numpy")
+@kernel
 def _highest(values: Float64) -> tuple[float, float]:
     """Return the largest Chebyshev coefficients of degree 4 along x and along s of a cell's values (25,)."""
     worst_x, worst_s = 0.0, 0.0
@@ -144,7 +142,7 @@ def _highest(values: Float64) -> tuple[float, float]:
     return worst_x, worst_s
 
 
-@numba.njit(cache=True, nogil=True, _nrt=False, error_model="numpy")
+@kernel
 def _fit(values: Float64, to_powers: Float64, powers: Float64) -> None:
     """Write the coefficients (5, 5) of the polynomial through a cell's values (25,)."""
     for a in range(NODES):
@@ -165,7 +163,7 @@ def _fit(values: Float64, to_powers: Float64, powers: Float64) -> None:
             )
 
 
-@numba.njit(cache=True, nogil=True, _nrt=False, error_model="numpy", inline="always")
+@kernel(inline=True)
 def _value(powers: Float64, cell: int, t: float, u: float) -> float:
     """Return a cell's polynomial at (t, u), each -1 to 1."""
     value = 0.0
@@ -176,7 +174,7 @@ def _value(powers: Float64, cell: int, t: float, u: float) -> float:
     return value
 
 
-@numba.njit(cache=True, nogil=True, _nrt=False, error_model="numpy")
+@kernel
 def _make_patch(
     k: ArcKernel, table: FaceTable, face: int, x: tuple[float, float], s: tuple[float, float], work: Scratch
 ) -> int:
@@ -265,7 +263,7 @@ def _make_patch(
     return root
 
 
-@numba.njit(cache=True, nogil=True, _nrt=False, error_model="numpy", inline="always")
+@kernel(inline=True)
 def _light_on(k: ArcKernel, table: FaceTable, face: int, x: float, s: float, work: Scratch) -> float:
     """Return the arc's light, e- without the lens' fall-off, at a face's coordinates; NaN off the table."""
     i, j = (
@@ -277,8 +275,7 @@ def _light_on(k: ArcKernel, table: FaceTable, face: int, x: float, s: float, wor
     cell = table.roots[face, i, j]
     if cell < 0:
         if table.n_cells[0] >= MAX_CELLS:
-            full: float = light_at(k, face_point(face, x, s, k.vertices, k.corrugation), face, work)
-            return full
+            return light_at(k, face_point(face, x, s, k.vertices, k.corrugation), face, work)
         borders = table.s_borders[face]
         cell = _make_patch(
             k,
@@ -295,15 +292,13 @@ def _light_on(k: ArcKernel, table: FaceTable, face: int, x: float, s: float, wor
         cell = table.child[cell] + (1 if at > table.middle[cell, along] else 0)
         along = table.axis[cell]
     if along == 3:
-        direct: float = light_at(k, face_point(face, x, s, k.vertices, k.corrugation), face, work)
-        return direct
+        return light_at(k, face_point(face, x, s, k.vertices, k.corrugation), face, work)
     t = (x - table.middle[cell, 0]) * table.inverse[cell, 0]
     u = (s - table.middle[cell, 1]) * table.inverse[cell, 1]
-    value: float = _value(table.powers, cell, t, u)
-    return value
+    return _value(table.powers, cell, t, u)
 
 
-@numba.njit(cache=True, nogil=True, _nrt=False, error_model="numpy")
+@kernel
 def light_on_rays(
     k: ArcKernel,
     table: FaceTable,
@@ -332,7 +327,7 @@ def light_on_rays(
         light_e[i] = cos4[pixel] * light
 
 
-@numba.njit(cache=True, nogil=True, _nrt=False, error_model="numpy")
+@kernel
 def light_on_plane(
     k: ArcKernel,
     table: FaceTable,
@@ -363,7 +358,7 @@ def light_on_plane(
         light_e[i] = cos4[pixel] * light
 
 
-@numba.njit(cache=True, nogil=True, _nrt=False, error_model="numpy")
+@kernel
 def _add_border(borders: Float64, n: int, at: float) -> int:
     """Put a border among the n sorted ones unless it is outside or too near to one of them."""
     if n >= borders.shape[0]:
@@ -381,7 +376,7 @@ def _add_border(borders: Float64, n: int, at: float) -> int:
     return n + 1
 
 
-@numba.njit(cache=True, nogil=True, _nrt=False, error_model="numpy")
+@kernel
 def _fill_in(borders: Float64, n: int) -> int:
     """Add borders until no interval is wider than `PATCH_MM`."""
     i = 0
@@ -393,7 +388,7 @@ def _fill_in(borders: Float64, n: int) -> int:
     return n
 
 
-@numba.njit(cache=True, nogil=True, _nrt=False, error_model="numpy")
+@kernel
 def _penumbrae(k: ArcKernel, face: int, borders: Float64, n: int) -> int:
     """Add the borders of the penumbrae that a plain section's vertices cast on a face.
 
@@ -428,7 +423,7 @@ def _penumbrae(k: ArcKernel, face: int, borders: Float64, n: int) -> int:
     return n
 
 
-@numba.njit(cache=True, nogil=True, error_model="numpy")
+@kernel(allocates=True)
 def new_table(k: ArcKernel, margin_mm: float, rel: float, floor_e: float, to_powers: Float64) -> FaceTable:
     """Return an empty table for what the camera sees (`ArcKernel.reach`), faces continued by a margin.
 

@@ -10,11 +10,11 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from enum import Enum
 
-import numba
 import numpy as np
 import numpy.typing as npt
 
 from noise_model.frames import Float64
+from noise_model.kernel import kernel
 
 
 @dataclass(frozen=True)
@@ -224,7 +224,7 @@ def reflecting_parts(rough: Material, mirror: Mirror, of_regime: Regime) -> tupl
     return {Regime.SPIKE: (mirror,), Regime.BOTH: (rough, mirror), Regime.LOBE: (rough,)}[of_regime]
 
 
-@numba.njit(cache=True, inline="always")
+@kernel(inline=True)
 def alpha_squared(cos_alpha: float) -> float:
     """Return arccos(cos_alpha)^2 to 1e-6 relative.
 
@@ -256,7 +256,7 @@ def lobe_numbers(material: Material) -> LobeNumbers:
     )
 
 
-@numba.njit(cache=True, inline="always")
+@kernel(inline=True)
 def lobe_fall(
     numbers: LobeNumbers,
     hx: float,

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import numba
 import numpy as np
 
 from noise_model.arc_map import Int64
@@ -20,13 +19,14 @@ from noise_model.interreflection_nodes import (
     look_around,
     strip,
 )
+from noise_model.kernel import kernel
 from noise_model.visibility import ridge
 
 ORDERS = 6
 """How many bounces are followed."""
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel(allocates=True)
 def gather_first(
     k: Place, seen: Lattice, camera: Float64, focus: Focus, of_laser: bool, fine: Rules
 ) -> Float64:
@@ -46,7 +46,7 @@ def gather_first(
     return sent
 
 
-@numba.njit(cache=True, inline="always")
+@kernel(inline=True)
 def _towards(P: Float64, Q: Float64, omega: Float64) -> None:
     """Write the unit vector from P to Q."""
     r = 0.0
@@ -58,19 +58,16 @@ def _towards(P: Float64, Q: Float64, omega: Float64) -> None:
         omega[a] /= r
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel(allocates=True)
 def _leaving(k: Place, node: Float64, of_laser: bool) -> float:
     """Return what a node sends of the source's own light to the point that looks at it."""
     Q, normal, o = node[:3], node[3:OMEGA], node[OMEGA : OMEGA + 3]
-    leaving: float = (
-        laser_leaving(k, Q, normal, -o[0], -o[1], -o[2])
-        if of_laser
-        else arc_leaving(k, Q, normal, -o[0], -o[1], -o[2])
-    )
-    return leaving
+    if of_laser:
+        return laser_leaving(k, Q, normal, -o[0], -o[1], -o[2])
+    return arc_leaving(k, Q, normal, -o[0], -o[1], -o[2])
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel(allocates=True)
 def arriving(
     k: Place, passing: Lattice, focus: Focus, of_laser: bool, coarse: Rules
 ) -> tuple[Int64, Float64, Float64]:
@@ -111,7 +108,7 @@ def arriving(
     return start, omega, irradiance
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel(allocates=True)
 def _pass_on(
     k: Place,
     passing: Lattice,
@@ -159,18 +156,17 @@ def _pass_on(
                     irradiance[j, order] = found[j, WEIGHT] * total
 
 
-@numba.njit(cache=True, inline="always")
+@kernel(inline=True)
 def _about(k: Place, passing: Lattice, node: Float64, which: Int64, weights: Float64) -> int:
     """Write the lattice's points about a node and their weights; return how many."""
     face = int(node[FACE])
     y_0, z_0, ty, tz, _ = strip(k.vertices, face)
     c, _ = ridge(node[0], k.corrugation)
     s = (node[1] - y_0) * ty + (node[2] - c - z_0) * tz
-    count: int = around(passing, face, s, node[0], which, weights)
-    return count
+    return around(passing, face, s, node[0], which, weights)
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel(allocates=True)
 def gather_further(
     k: Place,
     seen: Lattice,

@@ -5,13 +5,13 @@ from __future__ import annotations
 import math
 from typing import NamedTuple
 
-import numba
 import numpy as np
 import numpy.typing as npt
 
 from noise_model.arc_map import Float32, Int32, Int64
 from noise_model.frames import Float64
 from noise_model.interreflection_nodes import strip
+from noise_model.kernel import kernel
 from noise_model.visibility import ridge
 
 GRADING = 3.0
@@ -110,7 +110,7 @@ def stations(focus_x: float, x_range: tuple[float, float], finest: float, coarse
     return kept[low:high]
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel
 def _place(
     x: Float64,
     s: Float64,
@@ -133,7 +133,7 @@ def _place(
                 normals[at, 0], normals[at, 1], normals[at, 2] = -slope * ty / area, -tz / area, ty / area
 
 
-@numba.njit(cache=True, inline="always")
+@kernel(inline=True)
 def _cell(grid: Float64, n: int, at: float) -> tuple[int, float]:
     """Return the cell of a grid's first n values that a value lies in, and where in it; -1 outside."""
     if at < grid[0] or at > grid[n - 1]:
@@ -148,7 +148,7 @@ def _cell(grid: Float64, n: int, at: float) -> tuple[int, float]:
     return low, (at - grid[low]) / (grid[low + 1] - grid[low])
 
 
-@numba.njit(cache=True, inline="always")
+@kernel(inline=True)
 def _cubic(grid: Float64, n: int, at: float, weights: Float64) -> int:
     """Write Lagrange's weights of the four values of a grid about one; return the first of them."""
     low, high = 0, n - 1
@@ -168,7 +168,7 @@ def _cubic(grid: Float64, n: int, at: float, weights: Float64) -> int:
     return first
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel
 def around(at: Lattice, face: int, s: float, x: float, which: Int64, weights: Float64) -> int:
     """Write the eight points of a lattice about a place and their weights; return how many, 8, or 0 outside.
 
@@ -189,7 +189,7 @@ def around(at: Lattice, face: int, s: float, x: float, which: Int64, weights: Fl
     return 8
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel(allocates=True)
 def interpolate(
     at: Lattice,
     values: Float64,

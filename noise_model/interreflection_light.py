@@ -5,12 +5,12 @@ from __future__ import annotations
 import math
 from typing import NamedTuple
 
-import numba
 import numpy as np
 
 from noise_model.arc_map import Scene
 from noise_model.brdf import LobeNumbers, lobe_fall, lobe_numbers
 from noise_model.frames import Float64, transform
+from noise_model.kernel import kernel
 from noise_model.setup import Setup
 from noise_model.visibility import ridge
 
@@ -72,7 +72,7 @@ def _disc_nodes(n_p: int, n_q: int) -> DiscNodes:
     return np.cos(angle), np.pi / 2.0 * s_weight * np.sin(angle), (q + 1.0) / 2.0, q_weight / 2.0
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel
 def sees(
     px: float,
     py: float,
@@ -120,7 +120,7 @@ def sees(
     return True
 
 
-@numba.njit(cache=True, inline="always")
+@kernel(inline=True)
 def below_surface(x: float, y: float, z: float, vertices: Float64, corrugation: Float64) -> bool:
     """Say whether a point lies in the workpiece."""
     c, _ = ridge(x, corrugation)
@@ -132,7 +132,7 @@ def below_surface(x: float, y: float, z: float, vertices: Float64, corrugation: 
     return False
 
 
-@numba.njit(cache=True, inline="always")
+@kernel(inline=True)
 def reflected(
     material: LobeNumbers,
     ix: float,
@@ -153,11 +153,11 @@ def reflected(
     h = math.sqrt(hx * hx + hy * hy + hz * hz)
     cos_alpha = (cos_i + cos_r) / h
     attenuation = min(1.0, 4.0 * cos_alpha * min(cos_i, cos_r) / h)
-    fall: float = lobe_fall(material, hx, hy, hz, nx, ny, nz, h, cos_alpha)
+    fall = lobe_fall(material, hx, hy, hz, nx, ny, nz, h, cos_alpha)
     return material[0] + material[1] * attenuation / cos_r * fall
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel
 def _borders(k: Place, Q: Float64, normal: Float64, borders: Float64) -> int:
     """Write the half-spaces m.omega > 0 in which Q sees the arc, as far as they are exact; return how many.
 
@@ -179,7 +179,7 @@ def _borders(k: Place, Q: Float64, normal: Float64, borders: Float64) -> int:
     return count
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel(allocates=True)
 def arc_leaving(k: Place, Q: Float64, normal: Float64, rx: float, ry: float, rz: float) -> float:
     """Return what Q sends of the arc's light along (rx, ry, rz): integral f_r cos(theta_i) d(omega).
 
@@ -278,7 +278,7 @@ def arc_leaving(k: Place, Q: Float64, normal: Float64, rx: float, ry: float, rz:
     return total * tan_b * tan_b
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel
 def laser_leaving(k: Place, Q: Float64, normal: Float64, rx: float, ry: float, rz: float) -> float:
     """Return what Q sends of the laser's light along (rx, ry, rz): `laser.irradiance` times f_r."""
     wx, wy, wz = k.origin[0] - Q[0], k.origin[1] - Q[1], k.origin[2] - Q[2]
@@ -292,7 +292,7 @@ def laser_leaving(k: Place, Q: Float64, normal: Float64, rx: float, ry: float, r
     off /= k.sigma * depth / k.stand
     if abs(off) > 6.0:
         return 0.0
-    f_r: float = reflected(k.material, wx, wy, wz, rx, ry, rz, normal[0], normal[1], normal[2])
+    f_r = reflected(k.material, wx, wy, wz, rx, ry, rz, normal[0], normal[1], normal[2])
     if f_r == 0.0:
         return 0.0
     if not sees(Q[0], Q[1], Q[2], k.origin[0], k.origin[1], k.origin[2], k.vertices, k.corrugation):

@@ -17,11 +17,11 @@ from __future__ import annotations
 import math
 from typing import NamedTuple
 
-import numba
 import numpy as np
 
 from noise_model.frames import Float64
 from noise_model.interreflection_light import Place, sees
+from noise_model.kernel import kernel
 from noise_model.visibility import ridge
 
 Rule = tuple[Float64, Float64]
@@ -71,7 +71,7 @@ class Focus(NamedTuple):
     extent: float
 
 
-@numba.njit(cache=True, inline="always")
+@kernel(inline=True)
 def strip(vertices: Float64, face: int) -> tuple[float, float, float, float, float]:
     """Return a face's first vertex (y, z), its unit direction (y, z) in the section and its width, mm."""
     y_0, z_0 = vertices[face, 0], vertices[face, 1]
@@ -80,7 +80,7 @@ def strip(vertices: Float64, face: int) -> tuple[float, float, float, float, flo
     return y_0, z_0, dy / width, dz / width, width
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel
 def _add(
     k: Place,
     P: Float64,
@@ -118,7 +118,7 @@ def _add(
     return count + 1
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel
 def stripe_at(k: Place, face: int, s: float) -> tuple[float, float]:
     """Return the station at which the laser's sheet meets a line of a face, and its sigma along x; mm.
 
@@ -144,7 +144,7 @@ def stripe_at(k: Place, face: int, s: float) -> tuple[float, float]:
     return x, k.sigma * depth / k.stand / abs(climb)
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel(allocates=True)
 def _cuts(knots: Float64, low: float, high: float) -> Float64:
     """Return the borders of the pieces that knots cut a range into."""
     inner = np.unique(knots[(knots > low + 1e-9) & (knots < high - 1e-9)])
@@ -154,7 +154,7 @@ def _cuts(knots: Float64, low: float, high: float) -> Float64:
     return cuts
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel(allocates=True)
 def _from_strip(
     k: Place,
     P: Float64,
@@ -212,7 +212,7 @@ def _from_strip(
     return count
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel(allocates=True)
 def _from_sheet(
     k: Place,
     P: Float64,
@@ -271,7 +271,7 @@ def _from_sheet(
     return count
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel(allocates=True)
 def _from_stripe_on_sheet(
     k: Place, P: Float64, normal: Float64, face: int, rules: Rules, nodes: Float64, count: int
 ) -> int:
@@ -300,7 +300,7 @@ def _from_stripe_on_sheet(
     return count
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel(allocates=True)
 def look_around(
     k: Place,
     P: Float64,
