@@ -19,10 +19,11 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from noise_model.arc_ray import ArcKernel, Point, Scratch, follow, light_at
+from noise_model.arc_ray import ArcKernel, Scratch, follow, light_at
+from noise_model.faces import Strip, across, face_point, strip
 from noise_model.frames import Float64
 from noise_model.kernel import kernel
-from noise_model.visibility import MISS, ridge
+from noise_model.visibility import MISS
 
 Float32 = npt.NDArray[np.float32]
 Int32 = npt.NDArray[np.int32]
@@ -88,31 +89,13 @@ class FaceTable(NamedTuple):
     floor_e: float
 
 
-@kernel
-def face_frame(face: int, vertices: Float64) -> tuple[float, float, float, float]:
-    """Return a face's origin (y, z) and its unit direction (y, z): s runs along it, y does not decrease."""
-    k = max(face, 1)
-    dy, dz = vertices[face + 1, 0] - vertices[face, 0], vertices[face + 1, 1] - vertices[face, 1]
-    length = math.sqrt(dy * dy + dz * dz)
-    return vertices[k, 0], vertices[k, 1], dy / length, dz / length
-
-
-@kernel
-def face_point(face: int, x: float, s: float, vertices: Float64, corrugation: Float64) -> Point:
-    """Return the point (mm, joint frame) of a face's coordinates."""
-    y, z, dy, dz = face_frame(face, vertices)
-    c, _ = ridge(x, corrugation)
-    return x, y + s * dy, z + s * dz + c
-
-
-@kernel
-def across(face: int, P: Point, vertices: Float64, corrugation: Float64) -> float:
-    """Return a point's coordinate s on a face."""
-    y, z, dy, dz = face_frame(face, vertices)
-    if dz == 0.0:
-        return (P[1] - y) * dy
-    c, _ = ridge(P[0], corrugation)
-    return (P[1] - y) * dy + (P[2] - c - z) * dz
+@kernel(inline=True)
+def seen_strip(face: int, vertices: Float64) -> Strip:
+    """Return a face's strip, s of the first face counted from its edge: its other end is far away."""
+    y_0, z_0, ty, tz, width = strip(face, vertices)
+    if face == 0:
+        return vertices[1, 0], vertices[1, 1], ty, tz, width
+    return y_0, z_0, ty, tz, width
 
 
 @kernel(inline=True)
@@ -181,7 +164,7 @@ def _make_patch(
     """Make the cells of a patch and return its first one."""
     axis, child, middle, inverse = table.axis, table.child, table.middle, table.inverse
     n_cells, waiting, powers, to_powers = table.n_cells, table.waiting, table.powers, table.to_powers
-    vertices, corrugation = k.vertices, k.corrugation
+    on, corrugation = seen_strip(face, k.vertices), k.corrugation
     root: int = n_cells[0]
     n_cells[0] += 1
     # Waiting cells: number, half widths, which nodes are missing (all, every other along x, or along s).
@@ -202,13 +185,9 @@ def _make_patch(
         for i in range(NODES):
             for j in range(NODES):
                 if missing == 2 or (missing == 0 and i % 2 == 1) or (missing == 1 and j % 2 == 1):
-                    P = face_point(
-                        face,
-                        middle[cell, 0] + 0.5 * (i - 2) * half_x,
-                        middle[cell, 1] + 0.5 * (j - 2) * half_s,
-                        vertices,
-                        corrugation,
-                    )
+                    x_node = middle[cell, 0] + 0.5 * (i - 2) * half_x
+                    s_node = middle[cell, 1] + 0.5 * (j - 2) * half_s
+                    P = face_point(x_node, s_node, on, corrugation)
                     values[5 * i + j] = light_at(k, P, face, work)
                 least = min(least, values[5 * i + j])
         allowed = SHARE * max(table.rel * least, table.floor_e)
@@ -219,13 +198,8 @@ def _make_patch(
             _fit(values, to_powers, powers[cell])
             along_if_off, along = along, 2
             for at in (-CHECK, CHECK):
-                P = face_point(
-                    face,
-                    middle[cell, 0] + at * half_x,
-                    middle[cell, 1] + at * half_s,
-                    vertices,
-                    corrugation,
-                )
+                x_node, s_node = middle[cell, 0] + at * half_x, middle[cell, 1] + at * half_s
+                P = face_point(x_node, s_node, on, corrugation)
                 if abs(_value(powers, cell, at, at) - light_at(k, P, face, work)) > allowed:
                     along = along_if_off
                     break
@@ -275,7 +249,7 @@ def _light_on(k: ArcKernel, table: FaceTable, face: int, x: float, s: float, wor
     cell = table.roots[face, i, j]
     if cell < 0:
         if table.n_cells[0] >= MAX_CELLS:
-            return light_at(k, face_point(face, x, s, k.vertices, k.corrugation), face, work)
+            return light_at(k, face_point(x, s, seen_strip(face, k.vertices), k.corrugation), face, work)
         borders = table.s_borders[face]
         cell = _make_patch(
             k,
@@ -292,7 +266,7 @@ def _light_on(k: ArcKernel, table: FaceTable, face: int, x: float, s: float, wor
         cell = table.child[cell] + (1 if at > table.middle[cell, along] else 0)
         along = table.axis[cell]
     if along == 3:
-        return light_at(k, face_point(face, x, s, k.vertices, k.corrugation), face, work)
+        return light_at(k, face_point(x, s, seen_strip(face, k.vertices), k.corrugation), face, work)
     t = (x - table.middle[cell, 0]) * table.inverse[cell, 0]
     u = (s - table.middle[cell, 1]) * table.inverse[cell, 1]
     return _value(table.powers, cell, t, u)
@@ -320,7 +294,7 @@ def light_on_rays(
         faces[i] = face
         light = math.nan
         if face != MISS:
-            s = across(face, P, k.vertices, k.corrugation)
+            s = across(P, seen_strip(face, k.vertices), k.corrugation)
             light = _light_on(k, table, face, P[0], s, work)
             if math.isnan(light):
                 light = light_at(k, P, face, work)
@@ -344,7 +318,7 @@ def light_on_plane(
     NaN where a ray runs away from it or meets it off the table.
     """
     R, eye = k.rotation, k.eye
-    y_0, z_0, dy, dz = face_frame(face, k.vertices)
+    y_0, z_0, dy, dz, _ = seen_strip(face, k.vertices)
     for i in range(n):
         pixel = pixels[i]
         x, y = xy[pixel, 0], xy[pixel, 1]
@@ -396,7 +370,7 @@ def _penumbrae(k: ArcKernel, face: int, borders: Float64, n: int) -> int:
     diameter. Where they meet the face, beyond the vertex, a shadow begins or ends.
     """
     _, cy, cz = k.center
-    y_0, z_0, dy, dz = face_frame(face, k.vertices)
+    y_0, z_0, dy, dz, _ = seen_strip(face, k.vertices)
     for j in range(1, k.vertices.shape[0] - 1):
         if j in (face, face + 1):
             continue
@@ -447,10 +421,7 @@ def new_table(k: ArcKernel, margin_mm: float, rel: float, floor_e: float, to_pow
     n_x = _fill_in(borders, n_x)
     s_borders, n_s = np.empty((n_faces, MAX_BORDERS)), np.empty(n_faces, dtype=np.int32)
     for face in range(n_faces):
-        y, _, _, _ = face_frame(face, vertices)
-        length = math.hypot(
-            vertices[face + 1, 0] - vertices[face, 0], vertices[face + 1, 1] - vertices[face, 1]
-        )
+        y, _, _, _, length = seen_strip(face, vertices)
         s_borders[face, 0] = min(y_low - y, -1.0) if face == 0 else -margin_mm
         s_borders[face, 1] = max(y_high - y, 1.0) if face == n_faces - 1 else length + margin_mm
         if face == 0:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from noise_model.arc_map import Int64
+from noise_model.faces import across, strip
 from noise_model.frames import Float64
 from noise_model.interreflection_lattice import Lattice, around
 from noise_model.interreflection_light import Place, arc_leaving, laser_leaving, reflected
@@ -17,10 +18,8 @@ from noise_model.interreflection_nodes import (
     Focus,
     Rules,
     look_around,
-    strip,
 )
 from noise_model.kernel import kernel
-from noise_model.visibility import ridge
 
 ORDERS = 6
 """How many bounces are followed."""
@@ -160,9 +159,7 @@ def _pass_on(
 def _about(k: Place, passing: Lattice, node: Float64, which: Int64, weights: Float64) -> int:
     """Write the lattice's points about a node and their weights; return how many."""
     face = int(node[FACE])
-    y_0, z_0, ty, tz, _ = strip(k.vertices, face)
-    c, _ = ridge(node[0], k.corrugation)
-    s = (node[1] - y_0) * ty + (node[2] - c - z_0) * tz
+    s = across(node, strip(face, k.vertices), k.corrugation)
     return around(passing, face, s, node[0], which, weights)
 
 

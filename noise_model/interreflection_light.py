@@ -9,10 +9,10 @@ import numpy as np
 
 from noise_model.arc_map import Scene
 from noise_model.brdf import LobeNumbers, lobe_fall, lobe_numbers
+from noise_model.faces import ridge
 from noise_model.frames import Float64, transform
 from noise_model.kernel import kernel
 from noise_model.setup import Setup
-from noise_model.visibility import ridge
 
 DiscNodes = tuple[Float64, Float64, Float64, Float64]
 

@@ -19,10 +19,10 @@ from typing import NamedTuple
 
 import numpy as np
 
+from noise_model.faces import face_point, ridge, slanted, strip
 from noise_model.frames import Float64
 from noise_model.interreflection_light import Place, sees
 from noise_model.kernel import kernel
-from noise_model.visibility import ridge
 
 Rule = tuple[Float64, Float64]
 
@@ -71,15 +71,6 @@ class Focus(NamedTuple):
     extent: float
 
 
-@kernel(inline=True)
-def strip(vertices: Float64, face: int) -> tuple[float, float, float, float, float]:
-    """Return a face's first vertex (y, z), its unit direction (y, z) in the section and its width, mm."""
-    y_0, z_0 = vertices[face, 0], vertices[face, 1]
-    dy, dz = vertices[face + 1, 0] - y_0, vertices[face + 1, 1] - z_0
-    width = math.sqrt(dy * dy + dz * dz)
-    return y_0, z_0, dy / width, dz / width, width
-
-
 @kernel
 def _add(
     k: Place,
@@ -93,15 +84,14 @@ def _add(
     count: int,
 ) -> int:
     """Write the node at (s, x) of a face if P sees it; `measure` is ds dx. Return how many there are then."""
-    y_0, z_0, ty, tz, _ = strip(k.vertices, face)
-    c, slope = ridge(x, k.corrugation)
-    qy, qz = y_0 + s * ty, z_0 + s * tz + c
+    on = strip(face, k.vertices)
+    _, qy, qz = face_point(x, s, on, k.corrugation)
     dx, dy, dz = x - P[0], qy - P[1], qz - P[2]
     square = dx * dx + dy * dy + dz * dz
     if square < 1e-18 or count >= ROOM:
         return count
-    area = math.sqrt(1.0 + ty * ty * slope * slope)
-    nx, ny, nz = -slope * ty / area, -tz / area, ty / area
+    _, slope = ridge(x, k.corrugation)
+    (nx, ny, nz), area = slanted(slope, on)
     r = math.sqrt(square)
     cos_p = (dx * normal[0] + dy * normal[1] + dz * normal[2]) / r
     cos_q = -(dx * nx + dy * ny + dz * nz) / r
@@ -124,7 +114,7 @@ def stripe_at(k: Place, face: int, s: float) -> tuple[float, float]:
 
     NaN where the sheet runs along that line.
     """
-    y_0, z_0, ty, tz, _ = strip(k.vertices, face)
+    y_0, z_0, ty, tz, _ = strip(face, k.vertices)
     y, z = y_0 + s * ty, z_0 + s * tz
     n_x, n_z = k.plane[0], k.plane[2]
     at_zero = k.plane[1] * y + n_z * z + k.plane[3]
@@ -167,7 +157,7 @@ def _from_strip(
     count: int,
 ) -> int:
     """Write the nodes on a strip along x that P does not lie on."""
-    y_0, z_0, ty, tz, width = strip(k.vertices, face)
+    y_0, z_0, ty, tz, width = strip(face, k.vertices)
     c, _ = ridge(P[0], k.corrugation)
     py, pz = P[1] - y_0, P[2] - c - z_0
     s_0, d = py * ty + pz * tz, pz * ty - py * tz
@@ -225,7 +215,7 @@ def _from_sheet(
     count: int,
 ) -> int:
     """Write the nodes on a corrugated sheet, that of P (face `on`) or the other one."""
-    y_0, z_0, _, _, width = strip(k.vertices, face)
+    y_0, z_0, _, _, width = strip(face, k.vertices)
     _, bump, pitch = k.corrugation
     knots, sides = np.empty(36), np.empty(5)
     n = 0
@@ -276,7 +266,7 @@ def _from_stripe_on_sheet(
     k: Place, P: Float64, normal: Float64, face: int, rules: Rules, nodes: Float64, count: int
 ) -> int:
     """Write the nodes across the stripe on a corrugated sheet."""
-    y_0, z_0, _, _, width = strip(k.vertices, face)
+    y_0, z_0, _, _, width = strip(face, k.vertices)
     x_stripe, sigma = stripe_at(k, face, min(max(P[1] - y_0, 0.0), width))
     if math.isnan(x_stripe):
         return count

@@ -14,12 +14,10 @@ import math
 import numpy as np
 import numpy.typing as npt
 
+from noise_model.faces import Vector, face_normal, ridge
 from noise_model.frames import Float64
 from noise_model.kernel import kernel
 from noise_model.surface import Section, corrugation_height
-
-Vector = Float64 | tuple[float, float, float]
-"""x, y and z, as an array or one by one."""
 
 MISS = -1
 """The face of a ray that looks past the workpiece."""
@@ -35,19 +33,6 @@ MAX_LEDGES = 2
 
 HORIZON_STEP_MM = 0.25
 """The horizon table's step along x; the touching point is a maximum, so the error is of second order."""
-
-
-@kernel(inline=True)
-def ridge(x: float, corrugation: Float64) -> tuple[float, float]:
-    """Return the corrugation's height c(x), mm, and its slope c'(x)."""
-    height, width, pitch = corrugation[0], corrugation[1], corrugation[2]
-    if height == 0.0:
-        return 0.0, 0.0
-    u = x - pitch * math.floor(x / pitch + 0.5)
-    if abs(u) >= 0.5 * width:
-        return 0.0, 0.0
-    omega = 2.0 * math.pi / width
-    return 0.5 * height * (1.0 + math.cos(omega * u)), -0.5 * height * omega * math.sin(omega * u)
 
 
 @kernel
@@ -142,19 +127,6 @@ def first_hit(origin: Vector, d: Vector, vertices: Float64, corrugation: Float64
         if 0.0 <= share <= 1.0:
             best, face = t, k
     return best, face
-
-
-@kernel(inline=True)
-def face_normal(face: int, x: float, vertices: Float64, corrugation: Float64) -> tuple[float, float, float]:
-    """Return the unit normal of a face at station x, joint frame."""
-    width = vertices[face + 1, 0] - vertices[face, 0]
-    rise = vertices[face + 1, 1] - vertices[face, 1]
-    along = 0.0
-    if width > 0.0:
-        _, slope = ridge(x, corrugation)
-        along = -slope * width
-    length = math.sqrt(along * along + rise * rise + width * width)
-    return along / length, -rise / length, width / length
 
 
 @kernel(allocates=True)
