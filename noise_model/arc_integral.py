@@ -28,7 +28,7 @@ from noise_model.arc_disc import (
     wall_parts,
 )
 from noise_model.arc_metal import Metal, chord_parts, is_clear, open_range
-from noise_model.brdf import LobeNumbers, lobe_fall
+from noise_model.brdf import LobeNumbers, reflected
 from noise_model.frames import Float64
 from noise_model.kernel import kernel
 
@@ -46,9 +46,6 @@ CURVED_FACTOR = 2.0
 
 NEAR_ARC = 0.35
 """From this sine of the arc's half-angle on there are more nodes, the more the nearer the point."""
-
-WORK_ROWS = 8
-"""Rows of the scratch: nodes and weights, lines, crossings, parts of a chord."""
 
 EXP_LIMIT = 40.0
 """Beyond exp(-40) a lobe is dark."""
@@ -129,8 +126,6 @@ def _sum_any(
     """Return the same for a lobe of any shape."""
     wx, wy, wz, ux, uy, vx, vy, vz = axes
     nx, ny, nz = normal
-    rx, ry, rz = omega_r
-    cos_r = nx * rx + ny * ry + nz * rz
     total = 0.0
     for i in range(n):
         p, q = tan_b * points[0, i], tan_b * points[1, i]
@@ -140,13 +135,8 @@ def _sum_any(
             inverse * (wy + p * uy + q * vy),
             inverse * (wz + q * vz),
         )
-        cos_i = max(0.0, ox * nx + oy * ny + oz * nz)
-        hx, hy, hz = ox + rx, oy + ry, oz + rz
-        h = math.sqrt(hx * hx + hy * hy + hz * hz)
-        cos_alpha = (cos_i + cos_r) / h
-        attenuation = min(1.0, 4.0 * cos_alpha * min(cos_i, cos_r) / h)
-        fall = lobe_fall(material, hx, hy, hz, nx, ny, nz, h, cos_alpha)
-        f_r = material[0] + material[1] * attenuation / cos_r * fall
+        f_r = reflected(material, (ox, oy, oz), omega_r, normal)
+        cos_i = ox * nx + oy * ny + oz * nz
         total += points[2, i] * f_r * cos_i * inverse * inverse * inverse
     return total
 

@@ -10,8 +10,8 @@ import numpy as np
 from noise_model.arc_disc import MAX_PARTS, MAX_PIECES
 from noise_model.arc_integral import MAX_POINTS, arc_light
 from noise_model.brdf import LobeNumbers
-from noise_model.faces import Point, face_normal
-from noise_model.frames import Float64
+from noise_model.faces import face_normal
+from noise_model.frames import Float64, Point
 from noise_model.kernel import kernel
 from noise_model.visibility import MAX_LEDGES, MAX_PLANES, MISS, first_hit, sky_planes, touch
 

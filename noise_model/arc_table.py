@@ -19,6 +19,7 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
+from noise_model.arc_disc import insert
 from noise_model.arc_ray import ArcKernel, Scratch, follow, light_at
 from noise_model.faces import Strip, across, face_point, strip
 from noise_model.frames import Float64
@@ -335,19 +336,10 @@ def light_on_plane(
 @kernel
 def _add_border(borders: Float64, n: int, at: float) -> int:
     """Put a border among the n sorted ones unless it is outside or too near to one of them."""
-    if n >= borders.shape[0]:
-        return n
     for i in range(n):
         if abs(borders[i] - at) < MERGE_MM:
             return n
-    if not borders[0] < at < borders[n - 1]:
-        return n
-    i = n
-    while borders[i - 1] > at:
-        borders[i] = borders[i - 1]
-        i -= 1
-    borders[i] = at
-    return n + 1
+    return insert(borders, n, at)
 
 
 @kernel

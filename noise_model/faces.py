@@ -8,13 +8,8 @@ from __future__ import annotations
 
 import math
 
-from noise_model.frames import Float64
+from noise_model.frames import Float64, Point, Vector
 from noise_model.kernel import kernel
-
-Point = tuple[float, float, float]
-
-Vector = Float64 | Point
-"""x, y and z, as an array or one by one."""
 
 Strip = tuple[float, float, float, float, float]
 """Where s = 0 (y, z), s' unit direction (y, z) in the section, and the face's width, mm."""

@@ -5,10 +5,11 @@ from __future__ import annotations
 import numpy as np
 
 from noise_model.arc_map import Int64
+from noise_model.brdf import reflected
 from noise_model.faces import across, strip
 from noise_model.frames import Float64
 from noise_model.interreflection_lattice import Lattice, around
-from noise_model.interreflection_light import Place, arc_leaving, laser_leaving, reflected
+from noise_model.interreflection_light import Place, arc_leaving, laser_leaving
 from noise_model.interreflection_nodes import (
     COLUMNS,
     FACE,
@@ -38,9 +39,7 @@ def gather_first(
         n = look_around(k, P, normal, seen.faces[i], focus, of_laser, fine, nodes)
         for j in range(n):
             o = nodes[j, OMEGA : OMEGA + 3]
-            f_r = reflected(
-                k.material, o[0], o[1], o[2], omega[0], omega[1], omega[2], normal[0], normal[1], normal[2]
-            )
+            f_r = reflected(k.material, o, omega, normal)
             sent[i, 0] += f_r * nodes[j, WEIGHT] * _leaving(k, nodes[j], of_laser)
     return sent
 
@@ -61,9 +60,8 @@ def _towards(P: Float64, Q: Float64, omega: Float64) -> None:
 def _leaving(k: Place, node: Float64, of_laser: bool) -> float:
     """Return what a node sends of the source's own light to the point that looks at it."""
     Q, normal, o = node[:3], node[3:OMEGA], node[OMEGA : OMEGA + 3]
-    if of_laser:
-        return laser_leaving(k, Q, normal, -o[0], -o[1], -o[2])
-    return arc_leaving(k, Q, normal, -o[0], -o[1], -o[2])
+    back = (-o[0], -o[1], -o[2])
+    return laser_leaving(k, Q, normal, back) if of_laser else arc_leaving(k, Q, normal, back)
 
 
 @kernel(allocates=True)
@@ -130,24 +128,13 @@ def _pass_on(
         at = 0
         for i in range(len(first)):
             for j in range(start[i] + first[i], start[i + 1]):
-                o = found[j, OMEGA : OMEGA + 3]
+                back = (-found[j, OMEGA], -found[j, OMEGA + 1], -found[j, OMEGA + 2])
                 total = 0.0
                 for a in range(_about(k, passing, found[j], which, weights)):
                     n = passing.normals[which[a]]
                     for m in range(start[which[a]], start[which[a] + 1]):
                         if order == 0:
-                            shares[at] = weights[a] * reflected(
-                                k.material,
-                                omega[m, 0],
-                                omega[m, 1],
-                                omega[m, 2],
-                                -o[0],
-                                -o[1],
-                                -o[2],
-                                n[0],
-                                n[1],
-                                n[2],
-                            )
+                            shares[at] = weights[a] * reflected(k.material, omega[m], back, n)
                         else:
                             total += shares[at] * irradiance[m, order - 1]
                         at += 1
@@ -185,33 +172,12 @@ def gather_further(
         count = look_around(k, P, normal, seen.faces[i], focus, False, coarse, nodes)
         for j in range(count):
             o = nodes[j, OMEGA : OMEGA + 3]
-            onward = nodes[j, WEIGHT] * reflected(
-                k.material,
-                o[0],
-                o[1],
-                o[2],
-                to_camera[0],
-                to_camera[1],
-                to_camera[2],
-                normal[0],
-                normal[1],
-                normal[2],
-            )
+            onward = nodes[j, WEIGHT] * reflected(k.material, o, to_camera, normal)
+            back = (-o[0], -o[1], -o[2])
             for a in range(_about(k, passing, nodes[j], which, weights)):
                 n = passing.normals[which[a]]
                 for m in range(start[which[a]], start[which[a] + 1]):
-                    f_r = reflected(
-                        k.material,
-                        omega[m, 0],
-                        omega[m, 1],
-                        omega[m, 2],
-                        -o[0],
-                        -o[1],
-                        -o[2],
-                        n[0],
-                        n[1],
-                        n[2],
-                    )
+                    f_r = reflected(k.material, omega[m], back, n)
                     for order in range(ORDERS - 1):
                         sent[i, order] += onward * weights[a] * f_r * irradiance[m, order]
     return sent

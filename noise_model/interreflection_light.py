@@ -7,10 +7,11 @@ from typing import NamedTuple
 
 import numpy as np
 
+from noise_model.arc_integral import gauss_nodes
 from noise_model.arc_map import Scene
-from noise_model.brdf import LobeNumbers, lobe_fall, lobe_numbers
+from noise_model.brdf import LobeNumbers, lobe_numbers, reflected
 from noise_model.faces import ridge
-from noise_model.frames import Float64, transform
+from noise_model.frames import Float64, Point, transform
 from noise_model.kernel import kernel
 from noise_model.setup import Setup
 
@@ -66,10 +67,8 @@ def place(setup: Setup, where: Scene) -> Place:
 
 def _disc_nodes(n_p: int, n_q: int) -> DiscNodes:
     """Return Gauss-Legendre nodes and weights: p on [-1, 1] in the angle of p = cos(s), q on [0, 1]."""
-    s, s_weight = np.polynomial.legendre.leggauss(n_p)
-    angle = np.pi / 2.0 * (s + 1.0)
-    q, q_weight = np.polynomial.legendre.leggauss(n_q)
-    return np.cos(angle), np.pi / 2.0 * s_weight * np.sin(angle), (q + 1.0) / 2.0, q_weight / 2.0
+    rules = gauss_nodes()
+    return rules[0, n_p, :n_p], rules[1, n_p, :n_p], rules[2, n_q, :n_q], rules[3, n_q, :n_q]
 
 
 @kernel
@@ -132,31 +131,6 @@ def below_surface(x: float, y: float, z: float, vertices: Float64, corrugation: 
     return False
 
 
-@kernel(inline=True)
-def reflected(
-    material: LobeNumbers,
-    ix: float,
-    iy: float,
-    iz: float,
-    rx: float,
-    ry: float,
-    rz: float,
-    nx: float,
-    ny: float,
-    nz: float,
-) -> float:
-    """Return f_r for unit vectors towards source, viewer and along the normal: the twin of `reflectance`."""
-    cos_i, cos_r = ix * nx + iy * ny + iz * nz, rx * nx + ry * ny + rz * nz
-    if cos_i <= 0.0 or cos_r <= 0.0:
-        return 0.0
-    hx, hy, hz = ix + rx, iy + ry, iz + rz
-    h = math.sqrt(hx * hx + hy * hy + hz * hz)
-    cos_alpha = (cos_i + cos_r) / h
-    attenuation = min(1.0, 4.0 * cos_alpha * min(cos_i, cos_r) / h)
-    fall = lobe_fall(material, hx, hy, hz, nx, ny, nz, h, cos_alpha)
-    return material[0] + material[1] * attenuation / cos_r * fall
-
-
 @kernel
 def _borders(k: Place, Q: Float64, normal: Float64, borders: Float64) -> int:
     """Write the half-spaces m.omega > 0 in which Q sees the arc, as far as they are exact; return how many.
@@ -180,14 +154,14 @@ def _borders(k: Place, Q: Float64, normal: Float64, borders: Float64) -> int:
 
 
 @kernel(allocates=True)
-def arc_leaving(k: Place, Q: Float64, normal: Float64, rx: float, ry: float, rz: float) -> float:
-    """Return what Q sends of the arc's light along (rx, ry, rz): integral f_r cos(theta_i) d(omega).
+def arc_leaving(k: Place, Q: Float64, normal: Float64, omega_r: Point) -> float:
+    """Return what Q sends of the arc's light along `omega_r`: integral f_r cos(theta_i) d(omega).
 
     In units of the arc's radiance, over the part of the luminous half that Q sees, by the disc of `arc_map`.
     What hides it otherwise than along a straight border is looked up node by node.
     """
     nx, ny, nz = normal[0], normal[1], normal[2]
-    if rx * nx + ry * ny + rz * nz <= 0.0:
+    if omega_r[0] * nx + omega_r[1] * ny + omega_r[2] * nz <= 0.0:
         return 0.0
     wx, wy, wz = k.center[0] - Q[0], k.center[1] - Q[1], k.center[2] - Q[2]
     distance = math.sqrt(wx * wx + wy * wy + wz * wz)
@@ -272,15 +246,15 @@ def arc_leaving(k: Place, Q: Float64, normal: Float64, rx: float, ry: float, rz:
                 continue
             if not sees(Q[0], Q[1], Q[2], ax, ay, az, k.vertices, k.corrugation):
                 continue
-            f_r = reflected(k.material, ox / length, oy / length, oz / length, rx, ry, rz, nx, ny, nz)
+            f_r = reflected(k.material, (ox / length, oy / length, oz / length), omega_r, normal)
             column += q_weights[j] * f_r * cos_i / (square * length)
         total += 0.5 * (p_high - p_low) * p_weights[i] * (high - low) * column
     return total * tan_b * tan_b
 
 
 @kernel
-def laser_leaving(k: Place, Q: Float64, normal: Float64, rx: float, ry: float, rz: float) -> float:
-    """Return what Q sends of the laser's light along (rx, ry, rz): `laser.irradiance` times f_r."""
+def laser_leaving(k: Place, Q: Float64, normal: Float64, omega_r: Point) -> float:
+    """Return what Q sends of the laser's light along `omega_r`: `laser.irradiance` times f_r."""
     wx, wy, wz = k.origin[0] - Q[0], k.origin[1] - Q[1], k.origin[2] - Q[2]
     depth = wx * k.tool_up[0] + wy * k.tool_up[1] + wz * k.tool_up[2]
     distance = math.sqrt(wx * wx + wy * wy + wz * wz)
@@ -292,7 +266,7 @@ def laser_leaving(k: Place, Q: Float64, normal: Float64, rx: float, ry: float, r
     off /= k.sigma * depth / k.stand
     if abs(off) > 6.0:
         return 0.0
-    f_r = reflected(k.material, wx, wy, wz, rx, ry, rz, normal[0], normal[1], normal[2])
+    f_r = reflected(k.material, (wx, wy, wz), omega_r, normal)
     if f_r == 0.0:
         return 0.0
     if not sees(Q[0], Q[1], Q[2], k.origin[0], k.origin[1], k.origin[2], k.vertices, k.corrugation):

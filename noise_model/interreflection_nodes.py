@@ -19,6 +19,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from noise_model.arc_integral import gauss_nodes
 from noise_model.faces import face_point, ridge, slanted, strip
 from noise_model.frames import Float64
 from noise_model.interreflection_light import Place, sees
@@ -57,8 +58,7 @@ def rules(phi: int, psi: int, x: int, y: int, across: int, closely: bool) -> Rul
     """Return the rules with so many nodes each."""
 
     def gauss(n: int) -> Rule:
-        nodes, weights = np.polynomial.legendre.leggauss(n)
-        return (nodes + 1.0) / 2.0, weights / 2.0
+        return gauss_nodes()[2, n, :n], gauss_nodes()[3, n, :n]
 
     return Rules(gauss(phi), gauss(psi), gauss(x), gauss(y), gauss(across), closely)
 

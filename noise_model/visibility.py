@@ -14,8 +14,8 @@ import math
 import numpy as np
 import numpy.typing as npt
 
-from noise_model.faces import Vector, face_normal, ridge
-from noise_model.frames import Float64
+from noise_model.faces import face_normal, ridge
+from noise_model.frames import Float64, Vector
 from noise_model.kernel import kernel
 from noise_model.surface import Section, corrugation_height
 

@@ -190,7 +190,7 @@ def test_what_leaves_towards_the_camera_is_the_arc_map(joint, material):
     k, camera = place(view.setup, view.scene), view.scene.T_joint_camera[:3, 3]
     points, normals = (values.reshape(-1, 3)[pixels] for values in view.surface[:2])
     towards = (camera - points) / np.linalg.norm(camera - points, axis=1, keepdims=True)
-    got = [arc_leaving(k, P, n, *omega) for P, n, omega in zip(points, normals, towards, strict=True)]
+    got = [arc_leaving(k, P, n, tuple(omega)) for P, n, omega in zip(points, normals, towards, strict=True)]
     got_e = np.array(got) * view.setup.arc.radiance_e * view.cos4.reshape(-1)[pixels]
     lit = want > 0.05 * np.nanmax(want)
     assert np.quantile(np.abs(got_e[lit] / want[lit] - 1.0), 0.8) < 0.03
