@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 
-from noise_model.frames import Float64
+from noise_model.frames import Float64, Vector
 from noise_model.kernel import kernel
 
 MAX_PIECES = 40
@@ -22,6 +22,36 @@ Axes = tuple[float, float, float, float, float, float, float, float]
 
 Shape = tuple[float, float, float, float, float]
 """sin(beta), cos(beta), tan(beta), and of e_w the level part and the upright one."""
+
+
+@kernel(inline=True)
+def disc(P: Vector, center: Vector, radius: float) -> tuple[float, Axes, Shape]:
+    """Return the arc's distance, mm, and axes and shape of the disc that P sees; NaN inside the sphere."""
+    wx, wy, wz = center[0] - P[0], center[1] - P[1], center[2] - P[2]
+    distance = math.sqrt(wx * wx + wy * wy + wz * wz)
+    wx, wy, wz = wx / distance, wy / distance, wz / distance
+    cos_e = math.sqrt(wx * wx + wy * wy)
+    if cos_e > 1e-9:
+        ux, uy = -wy / cos_e, wx / cos_e
+    else:
+        ux, uy, cos_e = 1.0, 0.0, 1e-9
+    sin_b = radius / distance
+    cos_b = math.sqrt(1.0 - sin_b * sin_b)
+    axes = (wx, wy, wz, ux, uy, -wz * uy, wz * ux, wx * uy - wy * ux)
+    return distance, axes, (sin_b, cos_b, sin_b / cos_b, cos_e, wz)
+
+
+@kernel(inline=True)
+def corner_p(arc: Shape) -> float:
+    """Return the p at which the equator leaves the outline, -1 where none of the luminous half is seen.
+
+    Beyond it the chord is whole (P above the equator) or dark (P below).
+    """
+    _, _, tan_b, cos_e, wz = arc
+    sin_corner = tan_b * wz / cos_e
+    if sin_corner >= 1.0:
+        return -1.0
+    return math.sqrt(max(0.0, 1.0 - sin_corner * sin_corner))
 
 
 @kernel
@@ -261,3 +291,18 @@ def disc_lines(planes: Float64, n_planes: int, axes: Axes, tan_b: float, cuts: F
         cuts[n, 0], cuts[n, 1], cuts[n, 2] = a, b, c
         n += 1
     return n
+
+
+@kernel(inline=True)
+def chord(p: float, arc: Shape, below: bool, cuts: Float64, n_cuts: int) -> tuple[float, float]:
+    """Return between which q a chord of the disc is open, but for ledges and metal; none if low >= high."""
+    high = math.sqrt(max(0.0, 1.0 - p * p))
+    low = max(-high, equator_q(p, arc, high if below else -high))
+    for j in range(n_cuts):
+        if cuts[j, 2] > 1e-12:
+            low = max(low, -(cuts[j, 0] + cuts[j, 1] * p) / cuts[j, 2])
+        elif cuts[j, 2] < -1e-12:
+            high = min(high, -(cuts[j, 0] + cuts[j, 1] * p) / cuts[j, 2])
+        elif cuts[j, 0] + cuts[j, 1] * p <= 0.0:
+            high = low
+    return low, high

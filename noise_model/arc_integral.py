@@ -19,10 +19,11 @@ import numpy as np
 from noise_model.arc_disc import (
     MAX_PARTS,
     Axes,
-    Shape,
+    chord,
+    corner_p,
     crossings,
+    disc,
     disc_lines,
-    equator_q,
     insert,
     ledge_crossings,
     wall_parts,
@@ -176,21 +177,6 @@ def _sum(
     )
 
 
-@kernel(inline=True)
-def _chord(p: float, arc: Shape, below: bool, cuts: Float64, n_cuts: int) -> tuple[float, float]:
-    """Return between which q a chord of the disc is open, but for ledges and metal; none if low >= high."""
-    high = math.sqrt(max(0.0, 1.0 - p * p))
-    low = max(-high, equator_q(p, arc, high if below else -high))
-    for j in range(n_cuts):
-        if cuts[j, 2] > 1e-12:
-            low = max(low, -(cuts[j, 0] + cuts[j, 1] * p) / cuts[j, 2])
-        elif cuts[j, 2] < -1e-12:
-            high = min(high, -(cuts[j, 0] + cuts[j, 1] * p) / cuts[j, 2])
-        elif cuts[j, 0] + cuts[j, 1] * p <= 0.0:
-            high = low
-    return low, high
-
-
 @kernel
 def arc_light(
     P: tuple[float, float, float],
@@ -216,39 +202,24 @@ def arc_light(
 
     `planes` are the half-spaces m.omega > 0 that are open, `ledges` what cuts into the arc
     (`visibility.sky_planes`) and `metal` a corrugated lap's sheets. `n_p` nodes across the disc and `n_q` up
-    a chord, of `rules` (`gauss_nodes`); `work` is (WORK_ROWS, MAX_POINTS) scratch.
+    a chord, of `rules` (`gauss_nodes`); `nodes` (3, MAX_POINTS) and what follows are scratch.
     """
-    wx, wy, wz = center[0] - P[0], center[1] - P[1], center[2] - P[2]
-    distance = math.sqrt(wx * wx + wy * wy + wz * wz)
     nx, ny, nz = normal
     rx, ry, rz = omega_r
-    cos_r = nx * rx + ny * ry + nz * rz
-    if distance <= radius * (1.0 + 1e-9) or cos_r <= 0.0:
+    distance, axes, arc = disc(P, center, radius)
+    if distance <= radius * (1.0 + 1e-9) or nx * rx + ny * ry + nz * rz <= 0.0:
         return 0.0
-    wx, wy, wz = wx / distance, wy / distance, wz / distance
-    cos_e = math.sqrt(wx * wx + wy * wy)
-    if cos_e > 1e-9:
-        ux, uy = -wy / cos_e, wx / cos_e
-    else:
-        ux, uy, cos_e = 1.0, 0.0, 1e-9
-    vx, vy, vz = -wz * uy, wz * ux, wx * uy - wy * ux
-    axes = (wx, wy, wz, ux, uy, vx, vy, vz)
-    sin_b = radius / distance
-    cos_b = math.sqrt(1.0 - sin_b * sin_b)
-    tan_b = sin_b / cos_b
-
-    # Where the equator leaves the outline: beyond it the chord is whole (P above) or dark (P below).
-    sin_corner = tan_b * wz / cos_e
-    if sin_corner >= 1.0:
+    corner = corner_p(arc)
+    if corner < 0.0:
         return 0.0
+    wx, wy, wz, ux, uy, vx, vy, vz = axes
+    sin_b, _, tan_b, _, _ = arc
     below = wz > 0.0
-    corner = math.sqrt(max(0.0, 1.0 - sin_corner * sin_corner))
     p_max = corner if below else 1.0
 
     n_cuts = disc_lines(planes, n_planes, axes, tan_b, cuts)
     if n_cuts < 0:
         return 0.0
-    arc = (sin_b, cos_b, tan_b, cos_e, wz)
     n_breaks = crossings(cuts, n_cuts, p_max, corner, arc, breaks)
     for j in range(n_ledges):
         n_breaks = ledge_crossings(
@@ -276,7 +247,7 @@ def arc_light(
         # Searched is what the planes leave open: a sliver is narrow against the whole disc.
         p_first, p_last = p_max, -p_max
         for piece in range(n_breaks - 1):
-            low, high = _chord(0.5 * (breaks[piece] + breaks[piece + 1]), arc, below, cuts, n_cuts)
+            low, high = chord(0.5 * (breaks[piece] + breaks[piece + 1]), arc, below, cuts, n_cuts)
             if high > low:
                 p_first, p_last = min(p_first, breaks[piece]), max(p_last, breaks[piece + 1])
         if p_last <= p_first:
@@ -301,7 +272,7 @@ def arc_light(
         for i in range(-1, m):
             # The piece's middle first: nothing crosses within a piece, so it is open or dark as a whole.
             p = middle if i < 0 else middle + half * rules[0, m, i]
-            low, high = _chord(p, arc, below, cuts, n_cuts)
+            low, high = chord(p, arc, below, cuts, n_cuts)
             if high <= low:
                 if i < 0:
                     break

@@ -62,8 +62,7 @@ class ArcKernel(NamedTuple):
 def light_at(k: ArcKernel, P: Point, face: int, scratch: Scratch) -> float:
     """Return the arc's light, e- without the lens' fall-off, that a point of a face sends to the camera.
 
-    `P` may lie on the face's plane beyond its edges. `work` (WORK_ROWS, MAX_POINTS), `planes`
-    (MAX_PLANES, 3) and `ledges` (2 MAX_LEDGES, 3) are scratch.
+    `P` may lie on the face's plane beyond its edges.
     """
     nodes, cuts, breaks, parts, planes, ledges = scratch
     vertices, corrugation, center, radius = k.vertices, k.corrugation, k.center, k.radius

@@ -7,6 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from noise_model.arc_disc import chord, corner_p, disc, disc_lines
 from noise_model.arc_integral import gauss_nodes
 from noise_model.arc_map import Scene
 from noise_model.brdf import LobeNumbers, lobe_numbers, reflected
@@ -163,42 +164,28 @@ def arc_leaving(k: Place, Q: Float64, normal: Float64, omega_r: Point) -> float:
     nx, ny, nz = normal[0], normal[1], normal[2]
     if omega_r[0] * nx + omega_r[1] * ny + omega_r[2] * nz <= 0.0:
         return 0.0
-    wx, wy, wz = k.center[0] - Q[0], k.center[1] - Q[1], k.center[2] - Q[2]
-    distance = math.sqrt(wx * wx + wy * wy + wz * wz)
     radius = k.radius
-    if distance <= radius * (1.0 + 1e-9) or nx * wx + ny * wy + nz * wz <= -radius:
+    distance, axes, arc = disc(Q, k.center, radius)
+    wx, wy, wz, ux, uy, vx, vy, vz = axes
+    if distance <= radius * (1.0 + 1e-9) or (nx * wx + ny * wy + nz * wz) * distance <= -radius:
         return 0.0
     p_nodes, p_weights, q_nodes, q_weights = k.near if distance < NEAR_RADII * radius else k.far
-    wx, wy, wz = wx / distance, wy / distance, wz / distance
-    cos_e = max(1e-9, math.sqrt(wx * wx + wy * wy))
-    ux, uy = -wy / cos_e, wx / cos_e
-    if cos_e == 1e-9:
-        ux, uy = 1.0, 0.0
-    vx, vy, vz = -wz * uy, wz * ux, wx * uy - wy * ux
-    if vz < 0.0:
-        ux, uy, vx, vy, vz = -ux, -uy, -vx, -vy, -vz
-    sin_b = radius / distance
-    tan_b = sin_b / math.sqrt(1.0 - sin_b * sin_b)
-    sin_corner = tan_b * wz / cos_e
-    if sin_corner >= 1.0:
+    corner = corner_p(arc)
+    if corner < 0.0:
         return 0.0
-    below = wz > 0.0
-    p_high = math.sqrt(1.0 - sin_corner * sin_corner) if below else 1.0
+    below, tan_b = wz > 0.0, arc[2]
+    p_high = corner if below else 1.0
     p_low = -p_high
-    # Straight borders m_w + m_u p + m_v q > 0: chords that lie beyond one as a whole are left out.
     borders = np.empty((k.vertices.shape[0], 3))
-    n_borders = _borders(k, Q, normal, borders)
+    n_borders = disc_lines(borders, _borders(k, Q, normal, borders), axes, tan_b, borders)
+    if n_borders < 0:
+        return 0.0
+    # Chords that lie beyond one of the lines as a whole are left out.
     for j in range(n_borders):
-        x, y, z = borders[j]
-        m_w, m_u, m_v = (x * wx + y * wy + z * wz) / tan_b, x * ux + y * uy, x * vx + y * vy + z * vz
-        borders[j, 0], borders[j, 1], borders[j, 2] = m_w, m_u, m_v
-        reach = math.sqrt(m_u * m_u + m_v * m_v)
-        if m_w <= -reach:
-            return 0.0
-        if m_w >= reach:
-            continue
-        middle = -m_w * m_u / (reach * reach)
-        half = math.sqrt(reach * reach - m_w * m_w) * abs(m_v) / (reach * reach)
+        m_w, m_u, m_v = borders[j]
+        square = m_u * m_u + m_v * m_v
+        middle = -m_w * m_u / square
+        half = math.sqrt(square - m_w * m_w) * abs(m_v) / square
         if m_w + m_u <= 0.0:
             p_high = min(p_high, middle + half)
         if m_w - m_u <= 0.0:
@@ -208,24 +195,7 @@ def arc_leaving(k: Place, Q: Float64, normal: Float64, omega_r: Point) -> float:
     total = 0.0
     for i in range(p_nodes.shape[0]):
         p = 0.5 * (p_low + p_high + (p_high - p_low) * p_nodes[i])
-        high = math.sqrt(max(0.0, 1.0 - p * p))
-        low = -high
-        # The equator's near arc, `arc_map.arc_light`: R sin(psi) = p tan(beta) (d - R cos(psi) cos(e)).
-        b, a = p * tan_b * cos_e, p * tan_b / sin_b
-        rest = 1.0 + b * b - a * a
-        cos_psi = (a * b + math.sqrt(rest)) / (1.0 + b * b) if rest >= 0.0 else -1.0
-        if cos_psi >= sin_b / cos_e - 1e-12:
-            low = sin_b * cos_psi * wz / ((1.0 - sin_b * cos_psi * cos_e) * tan_b)
-        elif below:
-            continue
-        for j in range(n_borders):
-            m_v, at_p = borders[j, 2], borders[j, 0] + borders[j, 1] * p
-            if m_v > 1e-12:
-                low = max(low, -at_p / m_v)
-            elif m_v < -1e-12:
-                high = min(high, -at_p / m_v)
-            elif at_p <= 0.0:
-                high = low
+        low, high = chord(p, arc, below, borders, n_borders)
         if high <= low:
             continue
         column = 0.0
