@@ -19,9 +19,9 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from noise_model.arc_disc import insert
+from noise_model.arc_borders import MAX_BORDERS, borders_across, borders_along, seen_strip
 from noise_model.arc_ray import ArcKernel, Scratch, follow, light_at
-from noise_model.faces import Strip, across, face_point, strip
+from noise_model.faces import across, face_point
 from noise_model.frames import Float64
 from noise_model.kernel import kernel
 from noise_model.visibility import MISS
@@ -33,23 +33,14 @@ Int64 = npt.NDArray[np.int64]
 DEGREE = 4
 NODES = DEGREE + 1
 
-PATCH_MM = 16.0
-"""The largest patch."""
-
 SMALLEST_MM = 0.3
 """A cell this small is not halved any more."""
 
 ROUGH = 4.0
 """In a cell this small the polynomial may be off by so many times what it may elsewhere."""
 
-MERGE_MM = 0.2
-"""Borders nearer to each other than this are one."""
-
 MAX_CELLS = 6000
 """Room for the cells of all faces; where it is used up, light is integrated point by point."""
-
-MAX_BORDERS = 64
-"""Room for the borders between patches, along each coordinate."""
 
 MAX_WAITING = 64
 """Room for the cells that wait while a patch is made."""
@@ -88,15 +79,6 @@ class FaceTable(NamedTuple):
     to_powers: Float64
     rel: float
     floor_e: float
-
-
-@kernel(inline=True)
-def seen_strip(face: int, vertices: Float64) -> Strip:
-    """Return a face's strip, s of the first face counted from its edge: its other end is far away."""
-    y_0, z_0, ty, tz, width = strip(face, vertices)
-    if face == 0:
-        return vertices[1, 0], vertices[1, 1], ty, tz, width
-    return y_0, z_0, ty, tz, width
 
 
 @kernel(inline=True)
@@ -333,100 +315,22 @@ def light_on_plane(
         light_e[i] = cos4[pixel] * light
 
 
-@kernel
-def _add_border(borders: Float64, n: int, at: float) -> int:
-    """Put a border among the n sorted ones unless it is outside or too near to one of them."""
-    for i in range(n):
-        if abs(borders[i] - at) < MERGE_MM:
-            return n
-    return insert(borders, n, at)
-
-
-@kernel
-def _fill_in(borders: Float64, n: int) -> int:
-    """Add borders until no interval is wider than `PATCH_MM`."""
-    i = 0
-    while i < n - 1 and n < borders.shape[0]:
-        width = borders[i + 1] - borders[i]
-        if width > PATCH_MM:
-            n = _add_border(borders, n, borders[i] + width / math.ceil(width / PATCH_MM))
-        i += 1
-    return n
-
-
-@kernel
-def _penumbrae(k: ArcKernel, face: int, borders: Float64, n: int) -> int:
-    """Add the borders of the penumbrae that a plain section's vertices cast on a face.
-
-    In the section the arc is a disc; from a vertex two lines touch it and two pass the ends of its level
-    diameter. Where they meet the face, beyond the vertex, a shadow begins or ends.
-    """
-    _, cy, cz = k.center
-    y_0, z_0, dy, dz, _ = seen_strip(face, k.vertices)
-    for j in range(1, k.vertices.shape[0] - 1):
-        if j in (face, face + 1):
-            continue
-        vy, vz = k.vertices[j, 0], k.vertices[j, 1]
-        to_y, to_z = cy - vy, cz - vz
-        square = to_y * to_y + to_z * to_z
-        for which in range(4):
-            sign = 1.0 if which % 2 == 0 else -1.0
-            if which < 2:
-                if square <= k.radius * k.radius:
-                    continue
-                # The direction to the centre, turned by asin(R / distance).
-                cos_t, sin_t = math.sqrt(square - k.radius * k.radius), sign * k.radius
-                ly, lz = to_y * cos_t - to_z * sin_t, to_y * sin_t + to_z * cos_t
-            else:
-                ly, lz = to_y + sign * k.radius, to_z
-            turn = ly * dz - lz * dy
-            if abs(turn) < 1e-12:
-                continue
-            s = ((z_0 - vz) * ly - (y_0 - vy) * lz) / -turn
-            way = (y_0 + s * dy - vy) * ly + (z_0 + s * dz - vz) * lz
-            s = s if way < 0.0 else math.nan
-            n = _add_border(borders, n, s)
-    return n
-
-
 @kernel(allocates=True)
 def new_table(k: ArcKernel, margin_mm: float, rel: float, floor_e: float, to_powers: Float64) -> FaceTable:
     """Return an empty table for what the camera sees (`ArcKernel.reach`), faces continued by a margin.
 
     Cells may be off by `SHARE` of `rel` of their least light or of `floor_e`, whichever is more.
     """
-    vertices, corrugation = k.vertices, k.corrugation
-    x_low, x_high, y_low, y_high = k.reach
-    n_faces = vertices.shape[0] - 1
-    # A corrugated lap's faces are read where they are seen alone, and end where their shadows change.
-    margin_mm = margin_mm if corrugation[0] == 0.0 else 1e-9
-    borders = np.empty(MAX_BORDERS)
-    borders[0], borders[1] = x_low, x_high
-    n_x = 2
-    if corrugation[0] > 0.0:
-        _, width, pitch = corrugation
-        for i in range(math.floor(x_low / pitch) - 1, math.ceil(x_high / pitch) + 2):
-            for side in (-0.5, 0.5):
-                n_x = _add_border(borders, n_x, i * pitch + side * width)
-        for side in (-1.0, 1.0):
-            n_x = _add_border(borders, n_x, k.center[0] + side * k.radius)
-    n_x = _fill_in(borders, n_x)
+    n_faces = k.vertices.shape[0] - 1
+    x_borders = borders_along(k)
     s_borders, n_s = np.empty((n_faces, MAX_BORDERS)), np.empty(n_faces, dtype=np.int32)
     for face in range(n_faces):
-        y, _, _, _, length = seen_strip(face, vertices)
-        s_borders[face, 0] = min(y_low - y, -1.0) if face == 0 else -margin_mm
-        s_borders[face, 1] = max(y_high - y, 1.0) if face == n_faces - 1 else length + margin_mm
-        if face == 0:
-            s_borders[face, 1] = margin_mm
-        n = 2
-        if corrugation[0] == 0.0:
-            n = _penumbrae(k, face, s_borders[face], n)
-        n_s[face] = _fill_in(s_borders[face], n)
+        n_s[face] = borders_across(k, face, margin_mm, s_borders[face])
     return FaceTable(
-        borders[:n_x].copy(),
+        x_borders,
         s_borders,
         n_s,
-        np.full((n_faces, n_x, MAX_BORDERS), -1, dtype=np.int32),
+        np.full((n_faces, len(x_borders), MAX_BORDERS), -1, dtype=np.int32),
         np.empty(MAX_CELLS, dtype=np.int32),
         np.empty(MAX_CELLS, dtype=np.int32),
         np.empty((MAX_CELLS, 2)),

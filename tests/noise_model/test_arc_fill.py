@@ -8,9 +8,9 @@ import scenes
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from noise_model.arc_borders import seen_strip
 from noise_model.arc_disc import MAX_PIECES, crossings, equator_q
 from noise_model.arc_map import CELL, arc_at, arc_band, arc_frame, arc_kernel, scene
-from noise_model.arc_table import seen_strip
 from noise_model.faces import across, face_point
 from noise_model.optics import Rays
 from noise_model.surface import section
