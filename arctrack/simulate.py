@@ -19,9 +19,10 @@ from arctrack.errors import ArctrackError
 from arctrack.recording import RecordingWriter, VideoFormat
 from noise_model.condition import Condition
 from noise_model.effects import Values, pose_time_s, really
-from noise_model.forward import Renderer, draw_frame, predict, stripe_reference
+from noise_model.forward import Renderer, draw_frame, predict
 from noise_model.frames import Float64, invert, transform
 from noise_model.setup import Setup
+from noise_model.stripe import stripe_reference
 from noise_model.surface import Joint, SeamLine, corrugation_height, seam_frame, seam_height_mm, section
 from tracker.state import Frame
 

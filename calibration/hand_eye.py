@@ -25,13 +25,10 @@ from noise_model.setup import Setup
 from noise_model.surface import SeamLine
 from tracker.arc_level import HUBER
 from tracker.expected import expect_stripe
-from tracker.geometry import SensorGeometry
+from tracker.geometry import LATTICE_PX, SensorGeometry
 from tracker.passage import Passage, seen_arc
 from tracker.state import Frame, Pose
 from tracker.step import Tracker
-
-LATTICE_PX = 16
-"""The spacing of the pixels that are compared."""
 
 MAP_SIGMA = 0.02
 """What the arc's light may be off from pixel to pixel beyond its noise, relative."""
@@ -133,9 +130,7 @@ class _View:
     def of(cls, setup: Setup, frame: Frame, pose: Pose, seam: SeamLine, lattice_px: int) -> _View:
         geometry = SensorGeometry.of(setup)
         setup = geometry.setup
-        scan = np.arange(lattice_px // 2, geometry.n_scan, lattice_px)
-        position = np.arange(lattice_px // 2, geometry.n_pos, lattice_px)
-        s, r = (grid.ravel() for grid in np.meshgrid(scan, position, indexing="ij"))
+        s, r = geometry.lattice(lattice_px)
         view = scene(setup, pose.T_base_tool, seam)
         kernel = arc_kernel(setup, view)
         keep = np.ones(len(s), dtype=bool)

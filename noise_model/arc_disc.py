@@ -8,9 +8,8 @@ from __future__ import annotations
 
 import math
 
-import numba
-
-from noise_model.frames import Float64
+from noise_model.frames import Float64, Vector
+from noise_model.kernel import kernel
 
 MAX_PIECES = 40
 """Room for the borders' crossings."""
@@ -25,7 +24,37 @@ Shape = tuple[float, float, float, float, float]
 """sin(beta), cos(beta), tan(beta), and of e_w the level part and the upright one."""
 
 
-@numba.njit(cache=True, nogil=True, _nrt=False, error_model="numpy")
+@kernel(inline=True)
+def disc(P: Vector, center: Vector, radius: float) -> tuple[float, Axes, Shape]:
+    """Return the arc's distance, mm, and axes and shape of the disc that P sees; NaN inside the sphere."""
+    wx, wy, wz = center[0] - P[0], center[1] - P[1], center[2] - P[2]
+    distance = math.sqrt(wx * wx + wy * wy + wz * wz)
+    wx, wy, wz = wx / distance, wy / distance, wz / distance
+    cos_e = math.sqrt(wx * wx + wy * wy)
+    if cos_e > 1e-9:
+        ux, uy = -wy / cos_e, wx / cos_e
+    else:
+        ux, uy, cos_e = 1.0, 0.0, 1e-9
+    sin_b = radius / distance
+    cos_b = math.sqrt(1.0 - sin_b * sin_b)
+    axes = (wx, wy, wz, ux, uy, -wz * uy, wz * ux, wx * uy - wy * ux)
+    return distance, axes, (sin_b, cos_b, sin_b / cos_b, cos_e, wz)
+
+
+@kernel(inline=True)
+def corner_p(arc: Shape) -> float:
+    """Return the p at which the equator leaves the outline, -1 where none of the luminous half is seen.
+
+    Beyond it the chord is whole (P above the equator) or dark (P below).
+    """
+    _, _, tan_b, cos_e, wz = arc
+    sin_corner = tan_b * wz / cos_e
+    if sin_corner >= 1.0:
+        return -1.0
+    return math.sqrt(max(0.0, 1.0 - sin_corner * sin_corner))
+
+
+@kernel
 def insert(breaks: Float64, n: int, p: float) -> int:
     """Put a crossing in its place among the n sorted ones (the last of them is the range's end)."""
     if n >= breaks.shape[0] or not breaks[0] < p < breaks[n - 1]:
@@ -38,7 +67,7 @@ def insert(breaks: Float64, n: int, p: float) -> int:
     return n + 1
 
 
-@numba.njit(cache=True, nogil=True, _nrt=False, error_model="numpy")
+@kernel
 def equator_q(p: float, arc: Shape, whole: float) -> float:
     """Return q_0(p) of the equator's near arc, `whole` where the chord does not cross it."""
     sin_b, _, tan_b, cos_e, wz = arc
@@ -53,7 +82,7 @@ def equator_q(p: float, arc: Shape, whole: float) -> float:
     return sin_b * cos_psi * wz / ((1.0 - sin_b * cos_psi * cos_e) * tan_b)
 
 
-@numba.njit(cache=True, nogil=True, _nrt=False, error_model="numpy")
+@kernel
 def _on_equator(a: float, b: float, c: float, arc: Shape, breaks: Float64, n: int) -> int:
     """Add the p at which the line a + b p + c q = 0 crosses the equator's near arc."""
     sin_b, cos_b, tan_b, cos_e, wz = arc
@@ -72,7 +101,7 @@ def _on_equator(a: float, b: float, c: float, arc: Shape, breaks: Float64, n: in
     return n
 
 
-@numba.njit(cache=True, nogil=True, _nrt=False, error_model="numpy")
+@kernel
 def on_outline(a: float, b: float, c: float, arc: Shape, breaks: Float64, n: int) -> int:
     """Add the p at which the line a + b p + c q = 0 crosses the unit circle where it shines."""
     square = b * b + c * c
@@ -86,7 +115,7 @@ def on_outline(a: float, b: float, c: float, arc: Shape, breaks: Float64, n: int
     return n
 
 
-@numba.njit(cache=True, nogil=True, _nrt=False, error_model="numpy")
+@kernel
 def crossings(
     cuts: Float64,
     n_cuts: int,
@@ -120,7 +149,7 @@ def crossings(
     return n
 
 
-@numba.njit(cache=True, nogil=True, _nrt=False, error_model="numpy")
+@kernel
 def _project(
     x: float, y: float, z: float, P: tuple[float, float, float], axes: Axes, tan_b: float
 ) -> tuple[float, float]:
@@ -131,7 +160,7 @@ def _project(
     return (dx * ux + dy * uy) / along, (dx * vx + dy * vy + dz * vz) / along
 
 
-@numba.njit(cache=True, nogil=True, _nrt=False, error_model="numpy")
+@kernel
 def ledge_crossings(
     rim: Float64,
     wall: Float64,
@@ -168,13 +197,10 @@ def ledge_crossings(
                 n = insert(breaks, n, p)
     # Points of the outline are C + R (-sin(beta) e_w + cos(beta) (cos(f) e_u + sin(f) e_v)).
     a = n_y * cy + n_z * cz - radius * sin_b * (n_y * wy + n_z * wz) - c
-    n_more: int = on_outline(
-        a, radius * cos_b * n_y * uy, radius * cos_b * (n_y * vy + n_z * vz), arc, breaks, n
-    )
-    return n_more
+    return on_outline(a, radius * cos_b * n_y * uy, radius * cos_b * (n_y * vy + n_z * vz), arc, breaks, n)
 
 
-@numba.njit(cache=True, nogil=True, _nrt=False, error_model="numpy")
+@kernel
 def wall_parts(
     p: float,
     low: float,
@@ -244,7 +270,7 @@ def wall_parts(
     return count
 
 
-@numba.njit(cache=True, nogil=True, _nrt=False, error_model="numpy")
+@kernel
 def disc_lines(planes: Float64, n_planes: int, axes: Axes, tan_b: float, cuts: Float64) -> int:
     """Write half-spaces as lines a + b p + c q > 0 of the disc; those it lies within are left out.
 
@@ -265,3 +291,18 @@ def disc_lines(planes: Float64, n_planes: int, axes: Axes, tan_b: float, cuts: F
         cuts[n, 0], cuts[n, 1], cuts[n, 2] = a, b, c
         n += 1
     return n
+
+
+@kernel(inline=True)
+def chord(p: float, arc: Shape, below: bool, cuts: Float64, n_cuts: int) -> tuple[float, float]:
+    """Return between which q a chord of the disc is open, but for ledges and metal; none if low >= high."""
+    high = math.sqrt(max(0.0, 1.0 - p * p))
+    low = max(-high, equator_q(p, arc, high if below else -high))
+    for j in range(n_cuts):
+        if cuts[j, 2] > 1e-12:
+            low = max(low, -(cuts[j, 0] + cuts[j, 1] * p) / cuts[j, 2])
+        elif cuts[j, 2] < -1e-12:
+            high = min(high, -(cuts[j, 0] + cuts[j, 1] * p) / cuts[j, 2])
+        elif cuts[j, 0] + cuts[j, 1] * p <= 0.0:
+            high = low
+    return low, high

@@ -12,13 +12,13 @@ from __future__ import annotations
 import functools
 import math
 
-import numba
 import numpy as np
 import numpy.typing as npt
 
 from noise_model.arc_ray import ArcKernel, Scratch, follow, scratch
 from noise_model.arc_table import TO_POWERS, FaceTable, light_on_plane, light_on_rays, new_table
 from noise_model.frames import Float64
+from noise_model.kernel import kernel
 from noise_model.visibility import MISS
 
 Float32 = npt.NDArray[np.float32]
@@ -62,7 +62,7 @@ def node_rules() -> tuple[Int64, Float64]:
     return places, rules
 
 
-@numba.njit(cache=True, nogil=True, _nrt=False, error_model="numpy")
+@kernel
 def _to_powers(
     values: Float64, rules: Float64, size: tuple[int, int], powers: Float64
 ) -> tuple[float, float]:
@@ -98,7 +98,7 @@ def _to_powers(
     return highest, least
 
 
-@numba.njit(cache=True, nogil=True, _nrt=False, error_model="numpy", inline="always")
+@kernel(inline=True)
 def _fill_row(
     powers: Float64,
     t: float,
@@ -121,24 +121,32 @@ def _fill_row(
         out[row, first + j] = c_0 + u * (c_1 + u * (c_2 + u * c_3))
 
 
-@numba.njit(cache=True, nogil=True, _nrt=False, error_model="numpy", fastmath={"contract"})
+@kernel(inline=True)
+def _line_in_band(box: Box, i: int, lows: Int64, group: int, depth: int) -> tuple[int, int, int]:
+    """Return where the band begins on a cell's i-th line, and which positions of the cell lie in it."""
+    scan, pos, _, n_p = box
+    low = lows[(scan + i) // group]
+    return low, max(pos, low), min(pos + n_p, low + depth)
+
+
+@kernel(fastmath={"contract"})
 def _fill_smooth(powers: Float64, box: Box, lows: Int64, group: int, ramp: Float32, band_e: Float32) -> None:
     """Fill the part of a cell that lies in the band from its coefficients."""
     scan, pos, n_s, n_p = box
     depth = band_e.shape[1]
     t_step, u_step = 2.0 / (n_s - 1), 2.0 / (n_p - 1)
     for i in range(n_s):
-        low = lows[(scan + i) // group]
-        first, last = max(pos, low) - low, min(pos + n_p, low + depth) - low
-        if first == pos - low and last - first == LARGEST:
+        low, first, last = _line_in_band(box, i, lows, group, depth)
+        t = -1.0 + t_step * i
+        if first == pos and last - first == LARGEST:
             # The usual case, of a length that the compiler knows.
-            t = -1.0 + t_step * i
-            _fill_row(powers, t, u_step, first, ramp, band_e, scan + i, first, first + LARGEST)
+            at = first - low
+            _fill_row(powers, t, u_step, at, ramp, band_e, scan + i, at, at + LARGEST)
         else:
-            _fill_row(powers, -1.0 + t_step * i, u_step, pos - low, ramp, band_e, scan + i, first, last)
+            _fill_row(powers, t, u_step, pos - low, ramp, band_e, scan + i, first - low, last - low)
 
 
-@numba.njit(cache=True, nogil=True, _nrt=False, error_model="numpy")
+@kernel
 def _fill_run(
     k: ArcKernel,
     table: FaceTable,
@@ -161,7 +169,7 @@ def _fill_run(
         out[first - low + j] = light_e[j]
 
 
-@numba.njit(cache=True, nogil=True, _nrt=False, error_model="numpy")
+@kernel
 def _node_pixels(n_pos: int, box: Box, places: Int64, pixels: Int64) -> None:
     """Write the pixels (16,) of a cell's nodes."""
     scan, pos, n_s, n_p = box
@@ -170,7 +178,7 @@ def _node_pixels(n_pos: int, box: Box, places: Int64, pixels: Int64) -> None:
             pixels[N * i + j] = (scan + places[n_s, i]) * n_pos + pos + places[n_p, j]
 
 
-@numba.njit(cache=True, nogil=True, _nrt=False, error_model="numpy")
+@kernel
 def _fill_mixed(
     k: ArcKernel,
     table: FaceTable,
@@ -206,8 +214,7 @@ def _fill_mixed(
         guess[i] = -1
     for i in range(n_s):
         row = (scan + i) * n_pos
-        low = lows[(scan + i) // group]
-        first, end = max(pos, low), min(pos + n_p, low + depth)
+        low, first, end = _line_in_band(box, i, lows, group, depth)
         if first >= end:
             continue
         _, face = follow(k, xy[row + first, 0], xy[row + first, 1])
@@ -250,7 +257,7 @@ def _fill_mixed(
     return True
 
 
-@numba.njit(cache=True, nogil=True, _nrt=False, error_model="numpy")
+@kernel
 def _fill_cell(
     k: ArcKernel,
     table: FaceTable,
@@ -267,8 +274,7 @@ def _fill_cell(
     """Try to fill one cell; False if it has to be halved."""
     xy, cos4, n_pos = rays
     pixels, light_e, faces, seen, _, powers, ramp = room
-    scan, pos, n_s, n_p = box
-    depth = band_e.shape[1]
+    scan, _, n_s, n_p = box
     if n_s >= N and n_p >= N:
         _node_pixels(n_pos, box, places, pixels)
         light_on_rays(k, table, xy, cos4, pixels, N * N, light_e, faces, work)
@@ -293,13 +299,12 @@ def _fill_cell(
     if n_s > SMALLEST or n_p > SMALLEST:
         return False
     for i in range(n_s):
-        low = lows[(scan + i) // group]
-        first, last = max(pos, low), min(pos + n_p, low + depth)
+        low, first, last = _line_in_band(box, i, lows, group, band_e.shape[1])
         _fill_run(k, table, rays, scan + i, low, first, last, band_e[scan + i], room, work)
     return True
 
 
-@numba.njit(cache=True, nogil=True, error_model="numpy")
+@kernel(allocates=True)
 def _fill_band(
     k: ArcKernel,
     table: FaceTable,

@@ -14,23 +14,24 @@ from __future__ import annotations
 import functools
 import math
 
-import numba
 import numpy as np
 
 from noise_model.arc_disc import (
     MAX_PARTS,
     Axes,
-    Shape,
+    chord,
+    corner_p,
     crossings,
+    disc,
     disc_lines,
-    equator_q,
     insert,
     ledge_crossings,
     wall_parts,
 )
 from noise_model.arc_metal import Metal, chord_parts, is_clear, open_range
-from noise_model.brdf import LobeNumbers, lobe_fall
+from noise_model.brdf import LobeNumbers, reflected
 from noise_model.frames import Float64
+from noise_model.kernel import kernel
 
 MAX_NODES_P, MAX_NODES_Q = 32, 16
 """The most nodes across one piece of the disc and up one chord."""
@@ -46,9 +47,6 @@ CURVED_FACTOR = 2.0
 
 NEAR_ARC = 0.35
 """From this sine of the arc's half-angle on there are more nodes, the more the nearer the point."""
-
-WORK_ROWS = 8
-"""Rows of the scratch: nodes and weights, lines, crossings, parts of a chord."""
 
 EXP_LIMIT = 40.0
 """Beyond exp(-40) a lobe is dark."""
@@ -69,9 +67,7 @@ def gauss_nodes() -> Float64:
     return rules
 
 
-@numba.njit(
-    cache=True, nogil=True, _nrt=False, error_model="numpy", fastmath={"reassoc", "contract", "arcp", "nsz"}
-)
+@kernel(fastmath={"reassoc", "contract", "arcp", "nsz"})
 def _sum_round(
     points: Float64,
     n: int,
@@ -118,7 +114,7 @@ def _sum_round(
     return total
 
 
-@numba.njit(cache=True, nogil=True, _nrt=False, error_model="numpy")
+@kernel
 def _sum_any(
     points: Float64,
     n: int,
@@ -131,8 +127,6 @@ def _sum_any(
     """Return the same for a lobe of any shape."""
     wx, wy, wz, ux, uy, vx, vy, vz = axes
     nx, ny, nz = normal
-    rx, ry, rz = omega_r
-    cos_r = nx * rx + ny * ry + nz * rz
     total = 0.0
     for i in range(n):
         p, q = tan_b * points[0, i], tan_b * points[1, i]
@@ -142,18 +136,13 @@ def _sum_any(
             inverse * (wy + p * uy + q * vy),
             inverse * (wz + q * vz),
         )
-        cos_i = max(0.0, ox * nx + oy * ny + oz * nz)
-        hx, hy, hz = ox + rx, oy + ry, oz + rz
-        h = math.sqrt(hx * hx + hy * hy + hz * hz)
-        cos_alpha = (cos_i + cos_r) / h
-        attenuation = min(1.0, 4.0 * cos_alpha * min(cos_i, cos_r) / h)
-        fall = lobe_fall(material, hx, hy, hz, nx, ny, nz, h, cos_alpha)
-        f_r = material[0] + material[1] * attenuation / cos_r * fall
+        f_r = reflected(material, (ox, oy, oz), omega_r, normal)
+        cos_i = ox * nx + oy * ny + oz * nz
         total += points[2, i] * f_r * cos_i * inverse * inverse * inverse
     return total
 
 
-@numba.njit(cache=True, nogil=True, _nrt=False, error_model="numpy")
+@kernel
 def _sum(
     points: Float64,
     n: int,
@@ -167,12 +156,11 @@ def _sum(
     if n == 0:
         return 0.0
     if material[3] != 0.0 or material[4] != 0.0:
-        any_shape: float = _sum_any(points, n, tan_b, axes, normal, omega_r, material)
-        return any_shape
+        return _sum_any(points, n, tan_b, axes, normal, omega_r, material)
     wx, wy, wz, ux, uy, vx, vy, vz = axes
     nx, ny, nz = normal
     rx, ry, rz = omega_r
-    round_shape: float = _sum_round(
+    return _sum_round(
         points,
         n,
         tan_b,
@@ -187,25 +175,9 @@ def _sum(
         material[1],
         material[2],
     )
-    return round_shape
 
 
-@numba.njit(cache=True, nogil=True, _nrt=False, error_model="numpy", inline="always")
-def _chord(p: float, arc: Shape, below: bool, cuts: Float64, n_cuts: int) -> tuple[float, float]:
-    """Return between which q a chord of the disc is open, but for ledges and metal; none if low >= high."""
-    high = math.sqrt(max(0.0, 1.0 - p * p))
-    low = max(-high, equator_q(p, arc, high if below else -high))
-    for j in range(n_cuts):
-        if cuts[j, 2] > 1e-12:
-            low = max(low, -(cuts[j, 0] + cuts[j, 1] * p) / cuts[j, 2])
-        elif cuts[j, 2] < -1e-12:
-            high = min(high, -(cuts[j, 0] + cuts[j, 1] * p) / cuts[j, 2])
-        elif cuts[j, 0] + cuts[j, 1] * p <= 0.0:
-            high = low
-    return low, high
-
-
-@numba.njit(cache=True, nogil=True, _nrt=False, error_model="numpy")
+@kernel
 def arc_light(
     P: tuple[float, float, float],
     normal: tuple[float, float, float],
@@ -230,39 +202,24 @@ def arc_light(
 
     `planes` are the half-spaces m.omega > 0 that are open, `ledges` what cuts into the arc
     (`visibility.sky_planes`) and `metal` a corrugated lap's sheets. `n_p` nodes across the disc and `n_q` up
-    a chord, of `rules` (`gauss_nodes`); `work` is (WORK_ROWS, MAX_POINTS) scratch.
+    a chord, of `rules` (`gauss_nodes`); `nodes` (3, MAX_POINTS) and what follows are scratch.
     """
-    wx, wy, wz = center[0] - P[0], center[1] - P[1], center[2] - P[2]
-    distance = math.sqrt(wx * wx + wy * wy + wz * wz)
     nx, ny, nz = normal
     rx, ry, rz = omega_r
-    cos_r = nx * rx + ny * ry + nz * rz
-    if distance <= radius * (1.0 + 1e-9) or cos_r <= 0.0:
+    distance, axes, arc = disc(P, center, radius)
+    if distance <= radius * (1.0 + 1e-9) or nx * rx + ny * ry + nz * rz <= 0.0:
         return 0.0
-    wx, wy, wz = wx / distance, wy / distance, wz / distance
-    cos_e = math.sqrt(wx * wx + wy * wy)
-    if cos_e > 1e-9:
-        ux, uy = -wy / cos_e, wx / cos_e
-    else:
-        ux, uy, cos_e = 1.0, 0.0, 1e-9
-    vx, vy, vz = -wz * uy, wz * ux, wx * uy - wy * ux
-    axes = (wx, wy, wz, ux, uy, vx, vy, vz)
-    sin_b = radius / distance
-    cos_b = math.sqrt(1.0 - sin_b * sin_b)
-    tan_b = sin_b / cos_b
-
-    # Where the equator leaves the outline: beyond it the chord is whole (P above) or dark (P below).
-    sin_corner = tan_b * wz / cos_e
-    if sin_corner >= 1.0:
+    corner = corner_p(arc)
+    if corner < 0.0:
         return 0.0
+    wx, wy, wz, ux, uy, vx, vy, vz = axes
+    sin_b, _, tan_b, _, _ = arc
     below = wz > 0.0
-    corner = math.sqrt(max(0.0, 1.0 - sin_corner * sin_corner))
     p_max = corner if below else 1.0
 
     n_cuts = disc_lines(planes, n_planes, axes, tan_b, cuts)
     if n_cuts < 0:
         return 0.0
-    arc = (sin_b, cos_b, tan_b, cos_e, wz)
     n_breaks = crossings(cuts, n_cuts, p_max, corner, arc, breaks)
     for j in range(n_ledges):
         n_breaks = ledge_crossings(
@@ -290,7 +247,7 @@ def arc_light(
         # Searched is what the planes leave open: a sliver is narrow against the whole disc.
         p_first, p_last = p_max, -p_max
         for piece in range(n_breaks - 1):
-            low, high = _chord(0.5 * (breaks[piece] + breaks[piece + 1]), arc, below, cuts, n_cuts)
+            low, high = chord(0.5 * (breaks[piece] + breaks[piece + 1]), arc, below, cuts, n_cuts)
             if high > low:
                 p_first, p_last = min(p_first, breaks[piece]), max(p_last, breaks[piece + 1])
         if p_last <= p_first:
@@ -315,7 +272,7 @@ def arc_light(
         for i in range(-1, m):
             # The piece's middle first: nothing crosses within a piece, so it is open or dark as a whole.
             p = middle if i < 0 else middle + half * rules[0, m, i]
-            low, high = _chord(p, arc, below, cuts, n_cuts)
+            low, high = chord(p, arc, below, cuts, n_cuts)
             if high <= low:
                 if i < 0:
                     break
@@ -339,5 +296,4 @@ def arc_light(
                 total += _sum(nodes, n, tan_b, axes, normal, omega_r, material)
                 n = 0
     total += _sum(nodes, n, tan_b, axes, normal, omega_r, material)
-    light: float = total * tan_b * tan_b
-    return light
+    return total * tan_b * tan_b

@@ -13,7 +13,6 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
-import numba
 import numpy as np
 import numpy.typing as npt
 
@@ -23,6 +22,7 @@ from noise_model.arc_ray import ArcKernel as ArcKernel
 from noise_model.arc_ray import follow, light_at, scratch
 from noise_model.brdf import lobe_numbers
 from noise_model.frames import Float64, invert
+from noise_model.kernel import kernel
 from noise_model.setup import Setup
 from noise_model.surface import NOMINAL_SEAM, SeamLine, Section, corrugation_height, seam_frame, section
 from noise_model.visibility import MISS, horizon_tables, surface_height
@@ -160,7 +160,7 @@ def arc_kernel(
     )
 
 
-@numba.njit(cache=True, nogil=True, error_model="numpy")
+@kernel(allocates=True)
 def _arc_pixels(
     k: ArcKernel, xy: Float32, cos4: Float32, pixels: Int64, mean_e: Float32, faces: Int32
 ) -> None:

@@ -8,10 +8,9 @@ from __future__ import annotations
 
 import math
 
-import numba
-
 from noise_model.arc_disc import Shape, equator_q
 from noise_model.frames import Float64
+from noise_model.kernel import kernel
 
 RIM_STEPS = 8
 """In how many steps the disc's rims are searched for where the open part begins and ends."""
@@ -37,7 +36,7 @@ Rays = tuple[float, float, float, float, float, float, float, float, float, floa
 """P, e_w, tan(beta) e_u, tan(beta) e_v, distance and radius: what a chord's rays need."""
 
 
-@numba.njit(cache=True, nogil=True, _nrt=False, error_model="numpy", inline="always")
+@kernel(inline=True)
 def _wave(x: float, metal: Metal) -> float:
     """Return the corrugation's height at station x."""
     u = x - metal[2] * math.floor(x / metal[2] + 0.5)
@@ -46,7 +45,7 @@ def _wave(x: float, metal: Metal) -> float:
     return 0.5 * metal[0] * (1.0 + math.cos(2.0 * math.pi / metal[1] * u))
 
 
-@numba.njit(cache=True, nogil=True, _nrt=False, error_model="numpy")
+@kernel
 def clearance(p: float, q: float, rays: Rays, metal: Metal) -> float:
     """Return by how much the ray to the arc's point at (p, q) passes over the metal, mm.
 
@@ -79,7 +78,7 @@ def clearance(p: float, q: float, rays: Rays, metal: Metal) -> float:
     return free
 
 
-@numba.njit(cache=True, nogil=True, _nrt=False, error_model="numpy")
+@kernel
 def border(
     p: tuple[float, float],
     q: tuple[float, float],
@@ -116,7 +115,7 @@ def border(
     return share
 
 
-@numba.njit(cache=True, nogil=True, _nrt=False, error_model="numpy")
+@kernel
 def chord_parts(p: float, low: float, high: float, rays: Rays, metal: Metal, parts: Float64) -> int:
     """Write the parts (n, 2) of a chord on which the arc passes over the metal; return how many."""
     count = 0
@@ -139,7 +138,7 @@ def chord_parts(p: float, low: float, high: float, rays: Rays, metal: Metal, par
     return count
 
 
-@numba.njit(cache=True, nogil=True, _nrt=False, error_model="numpy")
+@kernel
 def is_clear(p_max: float, arc: Shape, rays: Rays, metal: Metal) -> bool:
     """Say whether the whole arc passes over the metal: looked at are its lower rim and its top."""
     for i in range(-CLEAR_STEPS, CLEAR_STEPS + 1):
@@ -151,7 +150,7 @@ def is_clear(p_max: float, arc: Shape, rays: Rays, metal: Metal) -> bool:
     return True
 
 
-@numba.njit(cache=True, nogil=True, _nrt=False, error_model="numpy")
+@kernel
 def open_range(p_low: float, p_high: float, rays: Rays, metal: Metal) -> tuple[float, float]:
     """Return between which p the tops of the chords are open; an empty range where none is."""
     first, last = RIM_STEPS + 1, -1

@@ -5,22 +5,21 @@ from __future__ import annotations
 import math
 from typing import NamedTuple
 
-import numba
 import numpy as np
 
 from noise_model.arc_disc import MAX_PARTS, MAX_PIECES
 from noise_model.arc_integral import MAX_POINTS, arc_light
 from noise_model.brdf import LobeNumbers
-from noise_model.frames import Float64
-from noise_model.visibility import MAX_LEDGES, MAX_PLANES, MISS, face_normal, first_hit, sky_planes, touch
-
-Point = tuple[float, float, float]
+from noise_model.faces import face_normal
+from noise_model.frames import Float64, Point
+from noise_model.kernel import kernel
+from noise_model.visibility import MAX_LEDGES, MAX_PLANES, MISS, first_hit, sky_planes, touch
 
 Scratch = tuple[Float64, Float64, Float64, Float64, Float64, Float64]
 """What a point's integral needs room for, see `scratch`."""
 
 
-@numba.njit(cache=True, nogil=True, error_model="numpy")
+@kernel(allocates=True)
 def scratch() -> Scratch:
     """Return room for nodes and weights, lines of the disc, crossings, a chord's parts, planes and ledges."""
     return (
@@ -59,12 +58,11 @@ class ArcKernel(NamedTuple):
     n_q: int
 
 
-@numba.njit(cache=True, nogil=True, _nrt=False, error_model="numpy")
+@kernel
 def light_at(k: ArcKernel, P: Point, face: int, scratch: Scratch) -> float:
     """Return the arc's light, e- without the lens' fall-off, that a point of a face sends to the camera.
 
-    `P` may lie on the face's plane beyond its edges. `work` (WORK_ROWS, MAX_POINTS), `planes`
-    (MAX_PLANES, 3) and `ledges` (2 MAX_LEDGES, 3) are scratch.
+    `P` may lie on the face's plane beyond its edges.
     """
     nodes, cuts, breaks, parts, planes, ledges = scratch
     vertices, corrugation, center, radius = k.vertices, k.corrugation, k.center, k.radius
@@ -125,11 +123,10 @@ def light_at(k: ArcKernel, P: Point, face: int, scratch: Scratch) -> float:
         breaks,
         parts,
     )
-    light_e: float = k.radiance_e * light
-    return light_e
+    return k.radiance_e * light
 
 
-@numba.njit(cache=True, nogil=True, _nrt=False, error_model="numpy")
+@kernel
 def follow(k: ArcKernel, x: float, y: float) -> tuple[Point, int]:
     """Return where a ray (x, y, 1) of the camera ends, joint frame, mm, and the face; MISS for none."""
     R = k.rotation

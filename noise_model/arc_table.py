@@ -16,13 +16,15 @@ from __future__ import annotations
 import math
 from typing import NamedTuple
 
-import numba
 import numpy as np
 import numpy.typing as npt
 
-from noise_model.arc_ray import ArcKernel, Point, Scratch, follow, light_at
+from noise_model.arc_borders import MAX_BORDERS, borders_across, borders_along, seen_strip
+from noise_model.arc_ray import ArcKernel, Scratch, follow, light_at
+from noise_model.faces import across, face_point
 from noise_model.frames import Float64
-from noise_model.visibility import MISS, ridge
+from noise_model.kernel import kernel
+from noise_model.visibility import MISS
 
 Float32 = npt.NDArray[np.float32]
 Int32 = npt.NDArray[np.int32]
@@ -31,23 +33,14 @@ Int64 = npt.NDArray[np.int64]
 DEGREE = 4
 NODES = DEGREE + 1
 
-PATCH_MM = 16.0
-"""The largest patch."""
-
 SMALLEST_MM = 0.3
 """A cell this small is not halved any more."""
 
 ROUGH = 4.0
 """In a cell this small the polynomial may be off by so many times what it may elsewhere."""
 
-MERGE_MM = 0.2
-"""Borders nearer to each other than this are one."""
-
 MAX_CELLS = 6000
 """Room for the cells of all faces; where it is used up, light is integrated point by point."""
-
-MAX_BORDERS = 64
-"""Room for the borders between patches, along each coordinate."""
 
 MAX_WAITING = 64
 """Room for the cells that wait while a patch is made."""
@@ -88,36 +81,7 @@ class FaceTable(NamedTuple):
     floor_e: float
 
 
-@numba.njit(cache=True, nogil=True, _nrt=False, error_model="numpy")
-def face_frame(face: int, vertices: Float64) -> tuple[float, float, float, float]:
-    """Return a face's origin (y, z) and its unit direction (y, z): s runs along it, y does not decrease."""
-    k = max(face, 1)
-    dy, dz = vertices[face + 1, 0] - vertices[face, 0], vertices[face + 1, 1] - vertices[face, 1]
-    length = math.sqrt(dy * dy + dz * dz)
-    return vertices[k, 0], vertices[k, 1], dy / length, dz / length
-
-
-@numba.njit(cache=True, nogil=True, _nrt=False, error_model="numpy")
-def face_point(face: int, x: float, s: float, vertices: Float64, corrugation: Float64) -> Point:
-    """Return the point (mm, joint frame) of a face's coordinates."""
-    y, z, dy, dz = face_frame(face, vertices)
-    c, _ = ridge(x, corrugation)
-    return x, y + s * dy, z + s * dz + c
-
-
-@numba.njit(cache=True, nogil=True, _nrt=False, error_model="numpy")
-def across(face: int, P: Point, vertices: Float64, corrugation: Float64) -> float:
-    """Return a point's coordinate s on a face."""
-    y, z, dy, dz = face_frame(face, vertices)
-    if dz == 0.0:
-        level: float = (P[1] - y) * dy
-        return level
-    c, _ = ridge(P[0], corrugation)
-    way: float = (P[1] - y) * dy + (P[2] - c - z) * dz
-    return way
-
-
-@numba.njit(cache=True, nogil=True, _nrt=False, error_model="numpy", inline="always")
+@kernel(inline=True)
 def _place(borders: Float64, n: int, at: float) -> int:
     """Return in which of the n - 1 intervals between sorted borders `at` lies, -1 for none."""
     if not borders[0] <= at <= borders[n - 1]:
@@ -132,7 +96,7 @@ def _place(borders: Float64, n: int, at: float) -> int:
     return low
 
 
-@numba.njit(cache=True, nogil=True, _nrt=False, error_model="numpy")
+@kernel
 def _highest(values: Float64) -> tuple[float, float]:
     """Return the largest Chebyshev coefficients of degree 4 along x and along s of a cell's values (25,)."""
     worst_x, worst_s = 0.0, 0.0
@@ -144,7 +108,7 @@ def _highest(values: Float64) -> tuple[float, float]:
     return worst_x, worst_s
 
 
-@numba.njit(cache=True, nogil=True, _nrt=False, error_model="numpy")
+@kernel
 def _fit(values: Float64, to_powers: Float64, powers: Float64) -> None:
     """Write the coefficients (5, 5) of the polynomial through a cell's values (25,)."""
     for a in range(NODES):
@@ -165,7 +129,7 @@ def _fit(values: Float64, to_powers: Float64, powers: Float64) -> None:
             )
 
 
-@numba.njit(cache=True, nogil=True, _nrt=False, error_model="numpy", inline="always")
+@kernel(inline=True)
 def _value(powers: Float64, cell: int, t: float, u: float) -> float:
     """Return a cell's polynomial at (t, u), each -1 to 1."""
     value = 0.0
@@ -176,14 +140,14 @@ def _value(powers: Float64, cell: int, t: float, u: float) -> float:
     return value
 
 
-@numba.njit(cache=True, nogil=True, _nrt=False, error_model="numpy")
+@kernel
 def _make_patch(
     k: ArcKernel, table: FaceTable, face: int, x: tuple[float, float], s: tuple[float, float], work: Scratch
 ) -> int:
     """Make the cells of a patch and return its first one."""
     axis, child, middle, inverse = table.axis, table.child, table.middle, table.inverse
     n_cells, waiting, powers, to_powers = table.n_cells, table.waiting, table.powers, table.to_powers
-    vertices, corrugation = k.vertices, k.corrugation
+    on, corrugation = seen_strip(face, k.vertices), k.corrugation
     root: int = n_cells[0]
     n_cells[0] += 1
     # Waiting cells: number, half widths, which nodes are missing (all, every other along x, or along s).
@@ -204,13 +168,9 @@ def _make_patch(
         for i in range(NODES):
             for j in range(NODES):
                 if missing == 2 or (missing == 0 and i % 2 == 1) or (missing == 1 and j % 2 == 1):
-                    P = face_point(
-                        face,
-                        middle[cell, 0] + 0.5 * (i - 2) * half_x,
-                        middle[cell, 1] + 0.5 * (j - 2) * half_s,
-                        vertices,
-                        corrugation,
-                    )
+                    x_node = middle[cell, 0] + 0.5 * (i - 2) * half_x
+                    s_node = middle[cell, 1] + 0.5 * (j - 2) * half_s
+                    P = face_point(x_node, s_node, on, corrugation)
                     values[5 * i + j] = light_at(k, P, face, work)
                 least = min(least, values[5 * i + j])
         allowed = SHARE * max(table.rel * least, table.floor_e)
@@ -221,13 +181,8 @@ def _make_patch(
             _fit(values, to_powers, powers[cell])
             along_if_off, along = along, 2
             for at in (-CHECK, CHECK):
-                P = face_point(
-                    face,
-                    middle[cell, 0] + at * half_x,
-                    middle[cell, 1] + at * half_s,
-                    vertices,
-                    corrugation,
-                )
+                x_node, s_node = middle[cell, 0] + at * half_x, middle[cell, 1] + at * half_s
+                P = face_point(x_node, s_node, on, corrugation)
                 if abs(_value(powers, cell, at, at) - light_at(k, P, face, work)) > allowed:
                     along = along_if_off
                     break
@@ -265,7 +220,7 @@ def _make_patch(
     return root
 
 
-@numba.njit(cache=True, nogil=True, _nrt=False, error_model="numpy", inline="always")
+@kernel(inline=True)
 def _light_on(k: ArcKernel, table: FaceTable, face: int, x: float, s: float, work: Scratch) -> float:
     """Return the arc's light, e- without the lens' fall-off, at a face's coordinates; NaN off the table."""
     i, j = (
@@ -277,8 +232,7 @@ def _light_on(k: ArcKernel, table: FaceTable, face: int, x: float, s: float, wor
     cell = table.roots[face, i, j]
     if cell < 0:
         if table.n_cells[0] >= MAX_CELLS:
-            full: float = light_at(k, face_point(face, x, s, k.vertices, k.corrugation), face, work)
-            return full
+            return light_at(k, face_point(x, s, seen_strip(face, k.vertices), k.corrugation), face, work)
         borders = table.s_borders[face]
         cell = _make_patch(
             k,
@@ -295,15 +249,13 @@ def _light_on(k: ArcKernel, table: FaceTable, face: int, x: float, s: float, wor
         cell = table.child[cell] + (1 if at > table.middle[cell, along] else 0)
         along = table.axis[cell]
     if along == 3:
-        direct: float = light_at(k, face_point(face, x, s, k.vertices, k.corrugation), face, work)
-        return direct
+        return light_at(k, face_point(x, s, seen_strip(face, k.vertices), k.corrugation), face, work)
     t = (x - table.middle[cell, 0]) * table.inverse[cell, 0]
     u = (s - table.middle[cell, 1]) * table.inverse[cell, 1]
-    value: float = _value(table.powers, cell, t, u)
-    return value
+    return _value(table.powers, cell, t, u)
 
 
-@numba.njit(cache=True, nogil=True, _nrt=False, error_model="numpy")
+@kernel
 def light_on_rays(
     k: ArcKernel,
     table: FaceTable,
@@ -325,14 +277,14 @@ def light_on_rays(
         faces[i] = face
         light = math.nan
         if face != MISS:
-            s = across(face, P, k.vertices, k.corrugation)
+            s = across(P, seen_strip(face, k.vertices), k.corrugation)
             light = _light_on(k, table, face, P[0], s, work)
             if math.isnan(light):
                 light = light_at(k, P, face, work)
         light_e[i] = cos4[pixel] * light
 
 
-@numba.njit(cache=True, nogil=True, _nrt=False, error_model="numpy")
+@kernel
 def light_on_plane(
     k: ArcKernel,
     table: FaceTable,
@@ -349,7 +301,7 @@ def light_on_plane(
     NaN where a ray runs away from it or meets it off the table.
     """
     R, eye = k.rotation, k.eye
-    y_0, z_0, dy, dz = face_frame(face, k.vertices)
+    y_0, z_0, dy, dz, _ = seen_strip(face, k.vertices)
     for i in range(n):
         pixel = pixels[i]
         x, y = xy[pixel, 0], xy[pixel, 1]
@@ -363,112 +315,22 @@ def light_on_plane(
         light_e[i] = cos4[pixel] * light
 
 
-@numba.njit(cache=True, nogil=True, _nrt=False, error_model="numpy")
-def _add_border(borders: Float64, n: int, at: float) -> int:
-    """Put a border among the n sorted ones unless it is outside or too near to one of them."""
-    if n >= borders.shape[0]:
-        return n
-    for i in range(n):
-        if abs(borders[i] - at) < MERGE_MM:
-            return n
-    if not borders[0] < at < borders[n - 1]:
-        return n
-    i = n
-    while borders[i - 1] > at:
-        borders[i] = borders[i - 1]
-        i -= 1
-    borders[i] = at
-    return n + 1
-
-
-@numba.njit(cache=True, nogil=True, _nrt=False, error_model="numpy")
-def _fill_in(borders: Float64, n: int) -> int:
-    """Add borders until no interval is wider than `PATCH_MM`."""
-    i = 0
-    while i < n - 1 and n < borders.shape[0]:
-        width = borders[i + 1] - borders[i]
-        if width > PATCH_MM:
-            n = _add_border(borders, n, borders[i] + width / math.ceil(width / PATCH_MM))
-        i += 1
-    return n
-
-
-@numba.njit(cache=True, nogil=True, _nrt=False, error_model="numpy")
-def _penumbrae(k: ArcKernel, face: int, borders: Float64, n: int) -> int:
-    """Add the borders of the penumbrae that a plain section's vertices cast on a face.
-
-    In the section the arc is a disc; from a vertex two lines touch it and two pass the ends of its level
-    diameter. Where they meet the face, beyond the vertex, a shadow begins or ends.
-    """
-    _, cy, cz = k.center
-    y_0, z_0, dy, dz = face_frame(face, k.vertices)
-    for j in range(1, k.vertices.shape[0] - 1):
-        if j in (face, face + 1):
-            continue
-        vy, vz = k.vertices[j, 0], k.vertices[j, 1]
-        to_y, to_z = cy - vy, cz - vz
-        square = to_y * to_y + to_z * to_z
-        for which in range(4):
-            sign = 1.0 if which % 2 == 0 else -1.0
-            if which < 2:
-                if square <= k.radius * k.radius:
-                    continue
-                # The direction to the centre, turned by asin(R / distance).
-                cos_t, sin_t = math.sqrt(square - k.radius * k.radius), sign * k.radius
-                ly, lz = to_y * cos_t - to_z * sin_t, to_y * sin_t + to_z * cos_t
-            else:
-                ly, lz = to_y + sign * k.radius, to_z
-            turn = ly * dz - lz * dy
-            if abs(turn) < 1e-12:
-                continue
-            s = ((z_0 - vz) * ly - (y_0 - vy) * lz) / -turn
-            way = (y_0 + s * dy - vy) * ly + (z_0 + s * dz - vz) * lz
-            s = s if way < 0.0 else math.nan
-            n = _add_border(borders, n, s)
-    return n
-
-
-@numba.njit(cache=True, nogil=True, error_model="numpy")
+@kernel(allocates=True)
 def new_table(k: ArcKernel, margin_mm: float, rel: float, floor_e: float, to_powers: Float64) -> FaceTable:
     """Return an empty table for what the camera sees (`ArcKernel.reach`), faces continued by a margin.
 
     Cells may be off by `SHARE` of `rel` of their least light or of `floor_e`, whichever is more.
     """
-    vertices, corrugation = k.vertices, k.corrugation
-    x_low, x_high, y_low, y_high = k.reach
-    n_faces = vertices.shape[0] - 1
-    # A corrugated lap's faces are read where they are seen alone, and end where their shadows change.
-    margin_mm = margin_mm if corrugation[0] == 0.0 else 1e-9
-    borders = np.empty(MAX_BORDERS)
-    borders[0], borders[1] = x_low, x_high
-    n_x = 2
-    if corrugation[0] > 0.0:
-        _, width, pitch = corrugation
-        for i in range(math.floor(x_low / pitch) - 1, math.ceil(x_high / pitch) + 2):
-            for side in (-0.5, 0.5):
-                n_x = _add_border(borders, n_x, i * pitch + side * width)
-        for side in (-1.0, 1.0):
-            n_x = _add_border(borders, n_x, k.center[0] + side * k.radius)
-    n_x = _fill_in(borders, n_x)
+    n_faces = k.vertices.shape[0] - 1
+    x_borders = borders_along(k)
     s_borders, n_s = np.empty((n_faces, MAX_BORDERS)), np.empty(n_faces, dtype=np.int32)
     for face in range(n_faces):
-        y, _, _, _ = face_frame(face, vertices)
-        length = math.hypot(
-            vertices[face + 1, 0] - vertices[face, 0], vertices[face + 1, 1] - vertices[face, 1]
-        )
-        s_borders[face, 0] = min(y_low - y, -1.0) if face == 0 else -margin_mm
-        s_borders[face, 1] = max(y_high - y, 1.0) if face == n_faces - 1 else length + margin_mm
-        if face == 0:
-            s_borders[face, 1] = margin_mm
-        n = 2
-        if corrugation[0] == 0.0:
-            n = _penumbrae(k, face, s_borders[face], n)
-        n_s[face] = _fill_in(s_borders[face], n)
+        n_s[face] = borders_across(k, face, margin_mm, s_borders[face])
     return FaceTable(
-        borders[:n_x].copy(),
+        x_borders,
         s_borders,
         n_s,
-        np.full((n_faces, n_x, MAX_BORDERS), -1, dtype=np.int32),
+        np.full((n_faces, len(x_borders), MAX_BORDERS), -1, dtype=np.int32),
         np.empty(MAX_CELLS, dtype=np.int32),
         np.empty(MAX_CELLS, dtype=np.int32),
         np.empty((MAX_CELLS, 2)),

@@ -10,11 +10,11 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from enum import Enum
 
-import numba
 import numpy as np
 import numpy.typing as npt
 
-from noise_model.frames import Float64
+from noise_model.frames import Float64, Vector
+from noise_model.kernel import kernel
 
 
 @dataclass(frozen=True)
@@ -224,7 +224,7 @@ def reflecting_parts(rough: Material, mirror: Mirror, of_regime: Regime) -> tupl
     return {Regime.SPIKE: (mirror,), Regime.BOTH: (rough, mirror), Regime.LOBE: (rough,)}[of_regime]
 
 
-@numba.njit(cache=True, inline="always")
+@kernel(inline=True)
 def alpha_squared(cos_alpha: float) -> float:
     """Return arccos(cos_alpha)^2 to 1e-6 relative.
 
@@ -256,7 +256,7 @@ def lobe_numbers(material: Material) -> LobeNumbers:
     )
 
 
-@numba.njit(cache=True, inline="always")
+@kernel(inline=True)
 def lobe_fall(
     numbers: LobeNumbers,
     hx: float,
@@ -285,3 +285,19 @@ def lobe_fall(
         return math.exp(-exponent)
     fall: float = (1.0 + tail * exponent) ** (-1.0 / tail)
     return fall
+
+
+@kernel(inline=True)
+def reflected(numbers: LobeNumbers, omega_i: Vector, omega_r: Vector, normal: Vector) -> float:
+    """Return f_r for unit vectors towards source, viewer and along the normal: the twin of `reflectance`."""
+    nx, ny, nz = normal[0], normal[1], normal[2]
+    cos_i = omega_i[0] * nx + omega_i[1] * ny + omega_i[2] * nz
+    cos_r = omega_r[0] * nx + omega_r[1] * ny + omega_r[2] * nz
+    if cos_i <= 0.0 or cos_r <= 0.0:
+        return 0.0
+    hx, hy, hz = omega_i[0] + omega_r[0], omega_i[1] + omega_r[1], omega_i[2] + omega_r[2]
+    h = math.sqrt(hx * hx + hy * hy + hz * hz)
+    cos_alpha = (cos_i + cos_r) / h
+    attenuation = min(1.0, 4.0 * cos_alpha * min(cos_i, cos_r) / h)
+    fall = lobe_fall(numbers, hx, hy, hz, nx, ny, nz, h, cos_alpha)
+    return numbers[0] + numbers[1] * attenuation / cos_r * fall

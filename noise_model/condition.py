@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 
 from noise_model.arc import level as current_level
@@ -43,17 +42,3 @@ class Condition:
         """Return what a setup expects of a frame: (I / I_0)^n of the arc's output at a current I."""
         arc_level = current_level(setup.arc, current_a) if arc_on else 0.0
         return cls(float(laser_on), arc_level, exposure_s, timestamp_s)
-
-
-LIMIT_LN = 4.0
-"""A drift's logarithm is held here: no source gets fifty times as bright or as dim while it settles."""
-
-
-def settling(rate_per_s: float, settle_s: float, timestamp_s: float) -> float:
-    """Return the factor by which an output has drifted at a time since the first frame: 1 at 0 s.
-
-    exp(rate settle (1 - exp(-t / settle))): it starts at `rate_per_s` and comes to rest over `settle_s`, as
-    what warms up does. The logarithm is held at `LIMIT_LN`.
-    """
-    ln = rate_per_s * settle_s * -math.expm1(-timestamp_s / settle_s)
-    return math.exp(min(max(ln, -LIMIT_LN), LIMIT_LN))

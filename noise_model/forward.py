@@ -17,22 +17,17 @@ import numpy as np
 import numpy.typing as npt
 
 from noise_model.arc_map import Float32, arc_at, arc_kernel
-from noise_model.brdf import reflectance
 from noise_model.condition import Condition
 from noise_model.effects import acting, really, really_on
 from noise_model.effects.effect import Draw
 from noise_model.effects.light import Light
-from noise_model.frames import Float64, invert, transform
-from noise_model.laser import irradiance
-from noise_model.optics import Rays, blur
+from noise_model.frames import Float64
+from noise_model.optics import Camera, Rays, blur
 from noise_model.sensor import expose, respond_moments, saturation_dn
 from noise_model.setup import Setup
+from noise_model.stripe import stripe_light
 from noise_model.surface import NOMINAL_SEAM, Seam, SeamLine
 from noise_model.view import View
-from noise_model.visibility import ways_are_open
-
-SHEET_REACH = 6.0
-"""How many sigmas of the sheet are rendered: its irradiance has fallen to 1.5e-8 there."""
 
 REMEMBERED = 4
 """How many poses a renderer remembers if it is not told otherwise."""
@@ -113,7 +108,7 @@ class Renderer:
     ) -> Layers:
         """Return the layers of a pose; `setup` is what is really there (`effects.really`)."""
         of_pixels = None if pixels is None else np.asarray(pixels).tobytes()
-        key = (*rendered_with(setup), T_base_tool.tobytes(), seam, of_pixels)
+        key = (*_rendered_with(setup), T_base_tool.tobytes(), seam, of_pixels)
         if key not in self._layers:
             layers = look(setup, T_base_tool, seam, self._rays_of(setup), pixels)
             _remember(self._layers, key, layers, self._remembered)
@@ -121,10 +116,9 @@ class Renderer:
         return self._layers[key]
 
     def _rays_of(self, setup: Setup) -> Rays:
-        camera = setup.camera
-        key = (camera.width, camera.height, camera.fx, camera.fy, camera.cx, camera.cy, camera.distortion)
+        key = _rays_from(setup.camera)
         if key not in self._rays:
-            _remember(self._rays, key, Rays.of(camera), self._remembered)
+            _remember(self._rays, key, Rays.of(setup.camera), self._remembered)
         return self._rays[key]
 
 
@@ -158,12 +152,17 @@ def _remember(
         kept.popitem(last=False)
 
 
-def rendered_with(setup: Setup) -> tuple[object, ...]:
+def _rays_from(camera: Camera) -> tuple[object, ...]:
+    """Return all of a camera that its rays depend on, to compare by."""
+    return camera.width, camera.height, camera.fx, camera.fy, camera.cx, camera.cy, camera.distortion
+
+
+def _rendered_with(setup: Setup) -> tuple[object, ...]:
     """Return all of a setup that a pose's layers depend on, to compare by."""
-    camera, joint = setup.camera, setup.joint
+    joint = setup.joint
     return (
-        (camera.width, camera.height, camera.fx, camera.fy, camera.cx, camera.cy, camera.distortion),
-        camera.T_tool_camera.tobytes(),
+        _rays_from(setup.camera),
+        setup.camera.T_tool_camera.tobytes(),
         setup.filter,
         setup.laser,
         setup.arc,
@@ -251,95 +250,3 @@ def pass_on(true: Setup, light: Light, view: View, condition: Condition, rng: Dr
     for effect, values in acting(true):
         if effect.image is not None:
             effect.image(light, view, condition, values, rng)
-
-
-def stripe_light(view: View) -> Float32:
-    """Return the laser stripe (...,), e- for `camera.exposure_s`, before the point-spread function.
-
-    The sheet's irradiance times f_r towards the camera, scaled so that a flat plate at tool height under a
-    level pose peaks at `peak_e` in the middle column.
-    """
-    setup, where = view.setup, view.scene
-    laser, material = setup.laser, setup.material
-    points, normals = (values.reshape(-1, 3) for values in view.surface[:2])
-    T_tool_joint = invert(where.T_joint_tool)
-    points_tool = transform(T_tool_joint, points)
-    plane = np.asarray(laser.plane_in_tool)
-    with np.errstate(invalid="ignore"):
-        depth = laser.origin_in_tool_mm[2] - points_tool[:, 2]
-        reach = SHEET_REACH * laser.stripe_sigma_mm * np.abs(depth) / laser.origin_in_tool_mm[2]
-        near = np.flatnonzero(np.abs(points_tool @ plane[:3] + plane[3]) < reach)
-    light = irradiance(points_tool[near], normals[near] @ T_tool_joint[:3, :3].T, laser)
-    origin_joint = transform(where.T_joint_tool, np.asarray(laser.origin_in_tool_mm))
-    omega_i = origin_joint - points[near]
-    omega_i /= np.linalg.norm(omega_i, axis=1, keepdims=True)
-    omega_r = where.T_joint_camera[:3, 3] - points[near]
-    omega_r /= np.linalg.norm(omega_r, axis=1, keepdims=True)
-    f_r = reflectance(
-        omega_i,
-        omega_r,
-        normals[near],
-        material.kappa_diff,
-        material.kappa_spec,
-        material.c2,
-        material.lobe,
-    )
-    is_free = np.empty(len(near), dtype=np.bool_)
-    ways_are_open(points[near], origin_joint, where.shape.vertices, where.shape.corrugation, is_free)
-    image = np.zeros(view.cos4.size, dtype=np.float32)
-    image[near] = (
-        light * f_r * view.cos4.reshape(-1)[near] * is_free * (laser.peak_e / stripe_reference(setup))
-    )
-    return image.reshape(view.shape)
-
-
-def stripe_reference(setup: Setup) -> float:
-    """Return irradiance f_r cos^4 at the stripe's peak on a flat plate at tool height, middle column.
-
-    The middle row it is where the stripe runs along columns. Raises ValueError if the stripe is not there.
-    """
-    camera, laser, material = setup.camera, setup.laser, setup.material
-    if stripe_runs_along_rows(setup):
-        u, v = np.full(camera.height, (camera.width - 1) / 2.0), np.arange(camera.height, dtype=np.float64)
-    else:
-        u, v = np.arange(camera.width, dtype=np.float64), np.full(camera.width, (camera.height - 1) / 2.0)
-    xy = camera.normalised(np.column_stack([u, v]))
-    rays_tool = np.column_stack([xy, np.ones(len(xy))]) @ camera.T_tool_camera[:3, :3].T
-    origin = camera.T_tool_camera[:3, 3]
-    with np.errstate(divide="ignore", invalid="ignore"):
-        points = origin - origin[2] / rays_tool[:, 2:] * rays_tool
-    points = points[rays_tool[:, 2] < 0.0]
-    up = np.broadcast_to(np.array([0.0, 0.0, 1.0]), points.shape)
-    omega_i = np.asarray(laser.origin_in_tool_mm) - points
-    omega_r = origin - points
-    omega_i = omega_i / np.linalg.norm(omega_i, axis=1, keepdims=True)
-    omega_r = omega_r / np.linalg.norm(omega_r, axis=1, keepdims=True)
-    # Under a level pose the tool's axes are the joint's.
-    f_r = reflectance(
-        omega_i, omega_r, up, material.kappa_diff, material.kappa_spec, material.c2, material.lobe
-    )
-    cos4 = (1.0 + np.sum(xy[rays_tool[:, 2] < 0.0] ** 2, axis=1)) ** -2.0
-    peak = float(np.max(irradiance(points, up, laser) * f_r * cos4, initial=0.0))
-    if not peak > 0.0:
-        raise ValueError(
-            "[laser] plane_in_tool: the stripe does not cross the camera's middle column at tool height"
-        )
-    return peak
-
-
-def stripe_runs_along_rows(setup: Setup) -> bool:
-    """Say whether the laser plane's trace on a plate at tool height runs along the image's rows.
-
-    Raises ValueError for a sheet parallel to the plate, or a stripe behind the camera.
-    """
-    normal = np.asarray(setup.laser.plane_in_tool[:3])
-    origin = np.asarray(setup.laser.origin_in_tool_mm) * np.array([1.0, 1.0, 0.0])
-    along = np.cross(normal, [0.0, 0.0, 1.0])
-    if np.linalg.norm(along) < 1e-6:
-        raise ValueError("[laser] plane_in_tool: the sheet lies parallel to the plate")
-    ends_tool = np.stack([origin - along, origin + along])
-    ends_camera = transform(invert(setup.camera.T_tool_camera), ends_tool)
-    if (ends_camera[:, 2] <= 0.0).any():
-        raise ValueError("[camera.pose_in_tool]: the stripe at tool height lies behind the camera")
-    du, dv = np.abs(np.diff(setup.camera.project(ends_camera), axis=0))[0]
-    return bool(du >= dv)

@@ -8,6 +8,11 @@ from scipy.spatial.transform import Rotation
 
 Float64 = npt.NDArray[np.float64]
 
+Point = tuple[float, float, float]
+
+Vector = Float64 | Point
+"""x, y and z, as an array or one by one."""
+
 
 def pose_matrix(translation_mm: npt.ArrayLike, quaternion_xyzw: npt.ArrayLike) -> Float64:
     """Return the 4x4 pose of a translation (mm) and a quaternion (x y z w, normalised here).

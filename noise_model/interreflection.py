@@ -26,11 +26,13 @@ import numpy.typing as npt
 
 from noise_model.arc_map import Float32, Int32
 from noise_model.brdf import Material
+from noise_model.faces import strip
 from noise_model.frames import Float64
 from noise_model.interreflection_bounces import ORDERS, arriving, gather_first, gather_further
 from noise_model.interreflection_lattice import Lattice, interpolate, lattice, stations
 from noise_model.interreflection_light import Place, place
-from noise_model.interreflection_nodes import Focus, Rules, rules, strip, stripe_at
+from noise_model.interreflection_nodes import Focus, Rules, rules, stripe_at
+from noise_model.stripe import stripe_reference
 from noise_model.surface import corrugation_height
 from noise_model.view import View
 
@@ -106,9 +108,6 @@ class BouncedLight:
 
         Raises ValueError for a sheet that runs along the seam.
         """
-        # The module of frames imports the effects, and one of them this module.
-        from noise_model.forward import stripe_reference
-
         setup = self.view.setup
         k = place(setup, self.view.scene)
         x, _ = stripe_at(k, len(k.vertices) - 2, 0.0)
@@ -170,7 +169,7 @@ def _seen(k: Place, points: Float64, faces: Int32, facing: Bool, focus: Focus, g
         here = points[faces == face]
         if not len(here):
             continue
-        y_0, z_0, ty, tz, width = strip(k.vertices, int(face))
+        y_0, z_0, ty, tz, width = strip(int(face), k.vertices)
         c = corrugation_height(here[:, 0], k.corrugation)
         s = (here[:, 1] - y_0) * ty + (here[:, 2] - c - z_0) * tz
         ranges[face] = max(0.0, float(s.min()) - PAD_MM), min(width, float(s.max()) + PAD_MM)
@@ -210,7 +209,7 @@ def _passing(k: Place, x_seen: Float64, facing: Bool, focus: Focus) -> Lattice:
     n_faces = len(k.vertices) - 1
     ranges = np.zeros((n_faces, 2))
     for face in np.flatnonzero(facing):
-        width = strip(k.vertices, int(face))[4]
+        width = strip(int(face), k.vertices)[4]
         ranges[face] = 0.0, width
         if face == 0:
             ranges[face, 0] = width - min(width, BEYOND_MM)

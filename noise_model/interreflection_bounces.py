@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-import numba
 import numpy as np
 
 from noise_model.arc_map import Int64
+from noise_model.brdf import reflected
+from noise_model.faces import across, strip
 from noise_model.frames import Float64
 from noise_model.interreflection_lattice import Lattice, around
-from noise_model.interreflection_light import Place, arc_leaving, laser_leaving, reflected
+from noise_model.interreflection_light import Place, arc_leaving, laser_leaving
 from noise_model.interreflection_nodes import (
     COLUMNS,
     FACE,
@@ -18,15 +19,14 @@ from noise_model.interreflection_nodes import (
     Focus,
     Rules,
     look_around,
-    strip,
 )
-from noise_model.visibility import ridge
+from noise_model.kernel import kernel
 
 ORDERS = 6
 """How many bounces are followed."""
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel(allocates=True)
 def gather_first(
     k: Place, seen: Lattice, camera: Float64, focus: Focus, of_laser: bool, fine: Rules
 ) -> Float64:
@@ -39,14 +39,12 @@ def gather_first(
         n = look_around(k, P, normal, seen.faces[i], focus, of_laser, fine, nodes)
         for j in range(n):
             o = nodes[j, OMEGA : OMEGA + 3]
-            f_r = reflected(
-                k.material, o[0], o[1], o[2], omega[0], omega[1], omega[2], normal[0], normal[1], normal[2]
-            )
+            f_r = reflected(k.material, o, omega, normal)
             sent[i, 0] += f_r * nodes[j, WEIGHT] * _leaving(k, nodes[j], of_laser)
     return sent
 
 
-@numba.njit(cache=True, inline="always")
+@kernel(inline=True)
 def _towards(P: Float64, Q: Float64, omega: Float64) -> None:
     """Write the unit vector from P to Q."""
     r = 0.0
@@ -58,19 +56,15 @@ def _towards(P: Float64, Q: Float64, omega: Float64) -> None:
         omega[a] /= r
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel(allocates=True)
 def _leaving(k: Place, node: Float64, of_laser: bool) -> float:
     """Return what a node sends of the source's own light to the point that looks at it."""
     Q, normal, o = node[:3], node[3:OMEGA], node[OMEGA : OMEGA + 3]
-    leaving: float = (
-        laser_leaving(k, Q, normal, -o[0], -o[1], -o[2])
-        if of_laser
-        else arc_leaving(k, Q, normal, -o[0], -o[1], -o[2])
-    )
-    return leaving
+    back = (-o[0], -o[1], -o[2])
+    return laser_leaving(k, Q, normal, back) if of_laser else arc_leaving(k, Q, normal, back)
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel(allocates=True)
 def arriving(
     k: Place, passing: Lattice, focus: Focus, of_laser: bool, coarse: Rules
 ) -> tuple[Int64, Float64, Float64]:
@@ -111,7 +105,7 @@ def arriving(
     return start, omega, irradiance
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel(allocates=True)
 def _pass_on(
     k: Place,
     passing: Lattice,
@@ -134,24 +128,13 @@ def _pass_on(
         at = 0
         for i in range(len(first)):
             for j in range(start[i] + first[i], start[i + 1]):
-                o = found[j, OMEGA : OMEGA + 3]
+                back = (-found[j, OMEGA], -found[j, OMEGA + 1], -found[j, OMEGA + 2])
                 total = 0.0
                 for a in range(_about(k, passing, found[j], which, weights)):
                     n = passing.normals[which[a]]
                     for m in range(start[which[a]], start[which[a] + 1]):
                         if order == 0:
-                            shares[at] = weights[a] * reflected(
-                                k.material,
-                                omega[m, 0],
-                                omega[m, 1],
-                                omega[m, 2],
-                                -o[0],
-                                -o[1],
-                                -o[2],
-                                n[0],
-                                n[1],
-                                n[2],
-                            )
+                            shares[at] = weights[a] * reflected(k.material, omega[m], back, n)
                         else:
                             total += shares[at] * irradiance[m, order - 1]
                         at += 1
@@ -159,18 +142,15 @@ def _pass_on(
                     irradiance[j, order] = found[j, WEIGHT] * total
 
 
-@numba.njit(cache=True, inline="always")
+@kernel(inline=True)
 def _about(k: Place, passing: Lattice, node: Float64, which: Int64, weights: Float64) -> int:
     """Write the lattice's points about a node and their weights; return how many."""
     face = int(node[FACE])
-    y_0, z_0, ty, tz, _ = strip(k.vertices, face)
-    c, _ = ridge(node[0], k.corrugation)
-    s = (node[1] - y_0) * ty + (node[2] - c - z_0) * tz
-    count: int = around(passing, face, s, node[0], which, weights)
-    return count
+    s = across(node, strip(face, k.vertices), k.corrugation)
+    return around(passing, face, s, node[0], which, weights)
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel(allocates=True)
 def gather_further(
     k: Place,
     seen: Lattice,
@@ -192,33 +172,12 @@ def gather_further(
         count = look_around(k, P, normal, seen.faces[i], focus, False, coarse, nodes)
         for j in range(count):
             o = nodes[j, OMEGA : OMEGA + 3]
-            onward = nodes[j, WEIGHT] * reflected(
-                k.material,
-                o[0],
-                o[1],
-                o[2],
-                to_camera[0],
-                to_camera[1],
-                to_camera[2],
-                normal[0],
-                normal[1],
-                normal[2],
-            )
+            onward = nodes[j, WEIGHT] * reflected(k.material, o, to_camera, normal)
+            back = (-o[0], -o[1], -o[2])
             for a in range(_about(k, passing, nodes[j], which, weights)):
                 n = passing.normals[which[a]]
                 for m in range(start[which[a]], start[which[a] + 1]):
-                    f_r = reflected(
-                        k.material,
-                        omega[m, 0],
-                        omega[m, 1],
-                        omega[m, 2],
-                        -o[0],
-                        -o[1],
-                        -o[2],
-                        n[0],
-                        n[1],
-                        n[2],
-                    )
+                    f_r = reflected(k.material, omega[m], back, n)
                     for order in range(ORDERS - 1):
                         sent[i, order] += onward * weights[a] * f_r * irradiance[m, order]
     return sent

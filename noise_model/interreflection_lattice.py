@@ -2,17 +2,15 @@
 
 from __future__ import annotations
 
-import math
 from typing import NamedTuple
 
-import numba
 import numpy as np
 import numpy.typing as npt
 
 from noise_model.arc_map import Float32, Int32, Int64
+from noise_model.faces import across, face_point, ridge, slanted, strip
 from noise_model.frames import Float64
-from noise_model.interreflection_nodes import strip
-from noise_model.visibility import ridge
+from noise_model.kernel import kernel
 
 GRADING = 3.0
 """The power by which a lattice is drawn together towards a corner that faces enclose."""
@@ -110,7 +108,7 @@ def stations(focus_x: float, x_range: tuple[float, float], finest: float, coarse
     return kept[low:high]
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel
 def _place(
     x: Float64,
     s: Float64,
@@ -122,18 +120,17 @@ def _place(
     normals: Float64,
 ) -> None:
     for face in range(n_s.shape[0]):
-        y_0, z_0, ty, tz, _ = strip(vertices, face)
+        on = strip(face, vertices)
         for i in range(x.shape[0]):
-            c, slope = ridge(x[i], corrugation)
-            area = math.sqrt(1.0 + ty * ty * slope * slope)
+            _, slope = ridge(x[i], corrugation)
+            normal, _ = slanted(slope, on)
             for j in range(n_s[face]):
                 at = start[face] + i * n_s[face] + j
-                points[at, 0], points[at, 1] = x[i], y_0 + s[face, j] * ty
-                points[at, 2] = z_0 + s[face, j] * tz + c
-                normals[at, 0], normals[at, 1], normals[at, 2] = -slope * ty / area, -tz / area, ty / area
+                points[at, 0], points[at, 1], points[at, 2] = face_point(x[i], s[face, j], on, corrugation)
+                normals[at, 0], normals[at, 1], normals[at, 2] = normal
 
 
-@numba.njit(cache=True, inline="always")
+@kernel(inline=True)
 def _cell(grid: Float64, n: int, at: float) -> tuple[int, float]:
     """Return the cell of a grid's first n values that a value lies in, and where in it; -1 outside."""
     if at < grid[0] or at > grid[n - 1]:
@@ -148,7 +145,7 @@ def _cell(grid: Float64, n: int, at: float) -> tuple[int, float]:
     return low, (at - grid[low]) / (grid[low + 1] - grid[low])
 
 
-@numba.njit(cache=True, inline="always")
+@kernel(inline=True)
 def _cubic(grid: Float64, n: int, at: float, weights: Float64) -> int:
     """Write Lagrange's weights of the four values of a grid about one; return the first of them."""
     low, high = 0, n - 1
@@ -168,7 +165,7 @@ def _cubic(grid: Float64, n: int, at: float, weights: Float64) -> int:
     return first
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel
 def around(at: Lattice, face: int, s: float, x: float, which: Int64, weights: Float64) -> int:
     """Write the eight points of a lattice about a place and their weights; return how many, 8, or 0 outside.
 
@@ -189,7 +186,7 @@ def around(at: Lattice, face: int, s: float, x: float, which: Int64, weights: Fl
     return 8
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel(allocates=True)
 def interpolate(
     at: Lattice,
     values: Float64,
@@ -210,9 +207,7 @@ def interpolate(
         if face < 0 or at.n_s[face] < 4:
             continue
         n = at.n_s[face]
-        y_0, z_0, ty, tz, _ = strip(vertices, face)
-        c, _ = ridge(points[i, 0], corrugation)
-        s = (points[i, 1] - y_0) * ty + (points[i, 2] - c - z_0) * tz
+        s = across(points[i], strip(face, vertices), corrugation)
         first_x = _cubic(at.x, at.x.shape[0], points[i, 0], x_weights)
         first_s = _cubic(at.s[face], n, s, s_weights)
         for a in range(4):

@@ -5,14 +5,16 @@ from __future__ import annotations
 import math
 from typing import NamedTuple
 
-import numba
 import numpy as np
 
+from noise_model.arc_disc import chord, corner_p, disc, disc_lines
+from noise_model.arc_integral import gauss_nodes
 from noise_model.arc_map import Scene
-from noise_model.brdf import LobeNumbers, lobe_fall, lobe_numbers
-from noise_model.frames import Float64, transform
+from noise_model.brdf import LobeNumbers, lobe_numbers, reflected
+from noise_model.faces import ridge
+from noise_model.frames import Float64, Point, transform
+from noise_model.kernel import kernel
 from noise_model.setup import Setup
-from noise_model.visibility import ridge
 
 DiscNodes = tuple[Float64, Float64, Float64, Float64]
 
@@ -66,13 +68,11 @@ def place(setup: Setup, where: Scene) -> Place:
 
 def _disc_nodes(n_p: int, n_q: int) -> DiscNodes:
     """Return Gauss-Legendre nodes and weights: p on [-1, 1] in the angle of p = cos(s), q on [0, 1]."""
-    s, s_weight = np.polynomial.legendre.leggauss(n_p)
-    angle = np.pi / 2.0 * (s + 1.0)
-    q, q_weight = np.polynomial.legendre.leggauss(n_q)
-    return np.cos(angle), np.pi / 2.0 * s_weight * np.sin(angle), (q + 1.0) / 2.0, q_weight / 2.0
+    rules = gauss_nodes()
+    return rules[0, n_p, :n_p], rules[1, n_p, :n_p], rules[2, n_q, :n_q], rules[3, n_q, :n_q]
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel
 def sees(
     px: float,
     py: float,
@@ -120,7 +120,7 @@ def sees(
     return True
 
 
-@numba.njit(cache=True, inline="always")
+@kernel(inline=True)
 def below_surface(x: float, y: float, z: float, vertices: Float64, corrugation: Float64) -> bool:
     """Say whether a point lies in the workpiece."""
     c, _ = ridge(x, corrugation)
@@ -132,32 +132,7 @@ def below_surface(x: float, y: float, z: float, vertices: Float64, corrugation: 
     return False
 
 
-@numba.njit(cache=True, inline="always")
-def reflected(
-    material: LobeNumbers,
-    ix: float,
-    iy: float,
-    iz: float,
-    rx: float,
-    ry: float,
-    rz: float,
-    nx: float,
-    ny: float,
-    nz: float,
-) -> float:
-    """Return f_r for unit vectors towards source, viewer and along the normal: the twin of `reflectance`."""
-    cos_i, cos_r = ix * nx + iy * ny + iz * nz, rx * nx + ry * ny + rz * nz
-    if cos_i <= 0.0 or cos_r <= 0.0:
-        return 0.0
-    hx, hy, hz = ix + rx, iy + ry, iz + rz
-    h = math.sqrt(hx * hx + hy * hy + hz * hz)
-    cos_alpha = (cos_i + cos_r) / h
-    attenuation = min(1.0, 4.0 * cos_alpha * min(cos_i, cos_r) / h)
-    fall: float = lobe_fall(material, hx, hy, hz, nx, ny, nz, h, cos_alpha)
-    return material[0] + material[1] * attenuation / cos_r * fall
-
-
-@numba.njit(cache=True, nogil=True)
+@kernel
 def _borders(k: Place, Q: Float64, normal: Float64, borders: Float64) -> int:
     """Write the half-spaces m.omega > 0 in which Q sees the arc, as far as they are exact; return how many.
 
@@ -179,52 +154,38 @@ def _borders(k: Place, Q: Float64, normal: Float64, borders: Float64) -> int:
     return count
 
 
-@numba.njit(cache=True, nogil=True)
-def arc_leaving(k: Place, Q: Float64, normal: Float64, rx: float, ry: float, rz: float) -> float:
-    """Return what Q sends of the arc's light along (rx, ry, rz): integral f_r cos(theta_i) d(omega).
+@kernel(allocates=True)
+def arc_leaving(k: Place, Q: Float64, normal: Float64, omega_r: Point) -> float:
+    """Return what Q sends of the arc's light along `omega_r`: integral f_r cos(theta_i) d(omega).
 
     In units of the arc's radiance, over the part of the luminous half that Q sees, by the disc of `arc_map`.
     What hides it otherwise than along a straight border is looked up node by node.
     """
     nx, ny, nz = normal[0], normal[1], normal[2]
-    if rx * nx + ry * ny + rz * nz <= 0.0:
+    if omega_r[0] * nx + omega_r[1] * ny + omega_r[2] * nz <= 0.0:
         return 0.0
-    wx, wy, wz = k.center[0] - Q[0], k.center[1] - Q[1], k.center[2] - Q[2]
-    distance = math.sqrt(wx * wx + wy * wy + wz * wz)
     radius = k.radius
-    if distance <= radius * (1.0 + 1e-9) or nx * wx + ny * wy + nz * wz <= -radius:
+    distance, axes, arc = disc(Q, k.center, radius)
+    wx, wy, wz, ux, uy, vx, vy, vz = axes
+    if distance <= radius * (1.0 + 1e-9) or (nx * wx + ny * wy + nz * wz) * distance <= -radius:
         return 0.0
     p_nodes, p_weights, q_nodes, q_weights = k.near if distance < NEAR_RADII * radius else k.far
-    wx, wy, wz = wx / distance, wy / distance, wz / distance
-    cos_e = max(1e-9, math.sqrt(wx * wx + wy * wy))
-    ux, uy = -wy / cos_e, wx / cos_e
-    if cos_e == 1e-9:
-        ux, uy = 1.0, 0.0
-    vx, vy, vz = -wz * uy, wz * ux, wx * uy - wy * ux
-    if vz < 0.0:
-        ux, uy, vx, vy, vz = -ux, -uy, -vx, -vy, -vz
-    sin_b = radius / distance
-    tan_b = sin_b / math.sqrt(1.0 - sin_b * sin_b)
-    sin_corner = tan_b * wz / cos_e
-    if sin_corner >= 1.0:
+    corner = corner_p(arc)
+    if corner < 0.0:
         return 0.0
-    below = wz > 0.0
-    p_high = math.sqrt(1.0 - sin_corner * sin_corner) if below else 1.0
+    below, tan_b = wz > 0.0, arc[2]
+    p_high = corner if below else 1.0
     p_low = -p_high
-    # Straight borders m_w + m_u p + m_v q > 0: chords that lie beyond one as a whole are left out.
     borders = np.empty((k.vertices.shape[0], 3))
-    n_borders = _borders(k, Q, normal, borders)
+    n_borders = disc_lines(borders, _borders(k, Q, normal, borders), axes, tan_b, borders)
+    if n_borders < 0:
+        return 0.0
+    # Chords that lie beyond one of the lines as a whole are left out.
     for j in range(n_borders):
-        x, y, z = borders[j]
-        m_w, m_u, m_v = (x * wx + y * wy + z * wz) / tan_b, x * ux + y * uy, x * vx + y * vy + z * vz
-        borders[j, 0], borders[j, 1], borders[j, 2] = m_w, m_u, m_v
-        reach = math.sqrt(m_u * m_u + m_v * m_v)
-        if m_w <= -reach:
-            return 0.0
-        if m_w >= reach:
-            continue
-        middle = -m_w * m_u / (reach * reach)
-        half = math.sqrt(reach * reach - m_w * m_w) * abs(m_v) / (reach * reach)
+        m_w, m_u, m_v = borders[j]
+        square = m_u * m_u + m_v * m_v
+        middle = -m_w * m_u / square
+        half = math.sqrt(square - m_w * m_w) * abs(m_v) / square
         if m_w + m_u <= 0.0:
             p_high = min(p_high, middle + half)
         if m_w - m_u <= 0.0:
@@ -234,24 +195,7 @@ def arc_leaving(k: Place, Q: Float64, normal: Float64, rx: float, ry: float, rz:
     total = 0.0
     for i in range(p_nodes.shape[0]):
         p = 0.5 * (p_low + p_high + (p_high - p_low) * p_nodes[i])
-        high = math.sqrt(max(0.0, 1.0 - p * p))
-        low = -high
-        # The equator's near arc, `arc_map.arc_light`: R sin(psi) = p tan(beta) (d - R cos(psi) cos(e)).
-        b, a = p * tan_b * cos_e, p * tan_b / sin_b
-        rest = 1.0 + b * b - a * a
-        cos_psi = (a * b + math.sqrt(rest)) / (1.0 + b * b) if rest >= 0.0 else -1.0
-        if cos_psi >= sin_b / cos_e - 1e-12:
-            low = sin_b * cos_psi * wz / ((1.0 - sin_b * cos_psi * cos_e) * tan_b)
-        elif below:
-            continue
-        for j in range(n_borders):
-            m_v, at_p = borders[j, 2], borders[j, 0] + borders[j, 1] * p
-            if m_v > 1e-12:
-                low = max(low, -at_p / m_v)
-            elif m_v < -1e-12:
-                high = min(high, -at_p / m_v)
-            elif at_p <= 0.0:
-                high = low
+        low, high = chord(p, arc, below, borders, n_borders)
         if high <= low:
             continue
         column = 0.0
@@ -272,15 +216,15 @@ def arc_leaving(k: Place, Q: Float64, normal: Float64, rx: float, ry: float, rz:
                 continue
             if not sees(Q[0], Q[1], Q[2], ax, ay, az, k.vertices, k.corrugation):
                 continue
-            f_r = reflected(k.material, ox / length, oy / length, oz / length, rx, ry, rz, nx, ny, nz)
+            f_r = reflected(k.material, (ox / length, oy / length, oz / length), omega_r, normal)
             column += q_weights[j] * f_r * cos_i / (square * length)
         total += 0.5 * (p_high - p_low) * p_weights[i] * (high - low) * column
     return total * tan_b * tan_b
 
 
-@numba.njit(cache=True, nogil=True)
-def laser_leaving(k: Place, Q: Float64, normal: Float64, rx: float, ry: float, rz: float) -> float:
-    """Return what Q sends of the laser's light along (rx, ry, rz): `laser.irradiance` times f_r."""
+@kernel
+def laser_leaving(k: Place, Q: Float64, normal: Float64, omega_r: Point) -> float:
+    """Return what Q sends of the laser's light along `omega_r`: `laser.irradiance` times f_r."""
     wx, wy, wz = k.origin[0] - Q[0], k.origin[1] - Q[1], k.origin[2] - Q[2]
     depth = wx * k.tool_up[0] + wy * k.tool_up[1] + wz * k.tool_up[2]
     distance = math.sqrt(wx * wx + wy * wy + wz * wz)
@@ -292,7 +236,7 @@ def laser_leaving(k: Place, Q: Float64, normal: Float64, rx: float, ry: float, r
     off /= k.sigma * depth / k.stand
     if abs(off) > 6.0:
         return 0.0
-    f_r: float = reflected(k.material, wx, wy, wz, rx, ry, rz, normal[0], normal[1], normal[2])
+    f_r = reflected(k.material, (wx, wy, wz), omega_r, normal)
     if f_r == 0.0:
         return 0.0
     if not sees(Q[0], Q[1], Q[2], k.origin[0], k.origin[1], k.origin[2], k.vertices, k.corrugation):

@@ -17,12 +17,13 @@ from __future__ import annotations
 import math
 from typing import NamedTuple
 
-import numba
 import numpy as np
 
+from noise_model.arc_integral import gauss_nodes
+from noise_model.faces import face_point, ridge, slanted, strip
 from noise_model.frames import Float64
 from noise_model.interreflection_light import Place, sees
-from noise_model.visibility import ridge
+from noise_model.kernel import kernel
 
 Rule = tuple[Float64, Float64]
 
@@ -57,8 +58,7 @@ def rules(phi: int, psi: int, x: int, y: int, across: int, closely: bool) -> Rul
     """Return the rules with so many nodes each."""
 
     def gauss(n: int) -> Rule:
-        nodes, weights = np.polynomial.legendre.leggauss(n)
-        return (nodes + 1.0) / 2.0, weights / 2.0
+        return gauss_nodes()[2, n, :n], gauss_nodes()[3, n, :n]
 
     return Rules(gauss(phi), gauss(psi), gauss(x), gauss(y), gauss(across), closely)
 
@@ -71,16 +71,7 @@ class Focus(NamedTuple):
     extent: float
 
 
-@numba.njit(cache=True, inline="always")
-def strip(vertices: Float64, face: int) -> tuple[float, float, float, float, float]:
-    """Return a face's first vertex (y, z), its unit direction (y, z) in the section and its width, mm."""
-    y_0, z_0 = vertices[face, 0], vertices[face, 1]
-    dy, dz = vertices[face + 1, 0] - y_0, vertices[face + 1, 1] - z_0
-    width = math.sqrt(dy * dy + dz * dz)
-    return y_0, z_0, dy / width, dz / width, width
-
-
-@numba.njit(cache=True, nogil=True)
+@kernel
 def _add(
     k: Place,
     P: Float64,
@@ -93,15 +84,14 @@ def _add(
     count: int,
 ) -> int:
     """Write the node at (s, x) of a face if P sees it; `measure` is ds dx. Return how many there are then."""
-    y_0, z_0, ty, tz, _ = strip(k.vertices, face)
-    c, slope = ridge(x, k.corrugation)
-    qy, qz = y_0 + s * ty, z_0 + s * tz + c
+    on = strip(face, k.vertices)
+    _, qy, qz = face_point(x, s, on, k.corrugation)
     dx, dy, dz = x - P[0], qy - P[1], qz - P[2]
     square = dx * dx + dy * dy + dz * dz
     if square < 1e-18 or count >= ROOM:
         return count
-    area = math.sqrt(1.0 + ty * ty * slope * slope)
-    nx, ny, nz = -slope * ty / area, -tz / area, ty / area
+    _, slope = ridge(x, k.corrugation)
+    (nx, ny, nz), area = slanted(slope, on)
     r = math.sqrt(square)
     cos_p = (dx * normal[0] + dy * normal[1] + dz * normal[2]) / r
     cos_q = -(dx * nx + dy * ny + dz * nz) / r
@@ -118,13 +108,13 @@ def _add(
     return count + 1
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel
 def stripe_at(k: Place, face: int, s: float) -> tuple[float, float]:
     """Return the station at which the laser's sheet meets a line of a face, and its sigma along x; mm.
 
     NaN where the sheet runs along that line.
     """
-    y_0, z_0, ty, tz, _ = strip(k.vertices, face)
+    y_0, z_0, ty, tz, _ = strip(face, k.vertices)
     y, z = y_0 + s * ty, z_0 + s * tz
     n_x, n_z = k.plane[0], k.plane[2]
     at_zero = k.plane[1] * y + n_z * z + k.plane[3]
@@ -144,7 +134,7 @@ def stripe_at(k: Place, face: int, s: float) -> tuple[float, float]:
     return x, k.sigma * depth / k.stand / abs(climb)
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel(allocates=True)
 def _cuts(knots: Float64, low: float, high: float) -> Float64:
     """Return the borders of the pieces that knots cut a range into."""
     inner = np.unique(knots[(knots > low + 1e-9) & (knots < high - 1e-9)])
@@ -154,7 +144,7 @@ def _cuts(knots: Float64, low: float, high: float) -> Float64:
     return cuts
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel(allocates=True)
 def _from_strip(
     k: Place,
     P: Float64,
@@ -167,7 +157,7 @@ def _from_strip(
     count: int,
 ) -> int:
     """Write the nodes on a strip along x that P does not lie on."""
-    y_0, z_0, ty, tz, width = strip(k.vertices, face)
+    y_0, z_0, ty, tz, width = strip(face, k.vertices)
     c, _ = ridge(P[0], k.corrugation)
     py, pz = P[1] - y_0, P[2] - c - z_0
     s_0, d = py * ty + pz * tz, pz * ty - py * tz
@@ -212,7 +202,7 @@ def _from_strip(
     return count
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel(allocates=True)
 def _from_sheet(
     k: Place,
     P: Float64,
@@ -225,7 +215,7 @@ def _from_sheet(
     count: int,
 ) -> int:
     """Write the nodes on a corrugated sheet, that of P (face `on`) or the other one."""
-    y_0, z_0, _, _, width = strip(k.vertices, face)
+    y_0, z_0, _, _, width = strip(face, k.vertices)
     _, bump, pitch = k.corrugation
     knots, sides = np.empty(36), np.empty(5)
     n = 0
@@ -271,12 +261,12 @@ def _from_sheet(
     return count
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel(allocates=True)
 def _from_stripe_on_sheet(
     k: Place, P: Float64, normal: Float64, face: int, rules: Rules, nodes: Float64, count: int
 ) -> int:
     """Write the nodes across the stripe on a corrugated sheet."""
-    y_0, z_0, _, _, width = strip(k.vertices, face)
+    y_0, z_0, _, _, width = strip(face, k.vertices)
     x_stripe, sigma = stripe_at(k, face, min(max(P[1] - y_0, 0.0), width))
     if math.isnan(x_stripe):
         return count
@@ -300,7 +290,7 @@ def _from_stripe_on_sheet(
     return count
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel(allocates=True)
 def look_around(
     k: Place,
     P: Float64,

@@ -13,14 +13,6 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from noise_model.arc import (
-    Hemisphere,
-    irradiance_extended,
-    irradiance_point,
-    point_source,
-    reflected_radiance_extended,
-    reflected_radiance_point,
-)
 from noise_model.brdf import (
     MILD_STEEL,
     SUS304,
@@ -31,6 +23,14 @@ from noise_model.brdf import (
     reflectance,
 )
 from noise_model.frames import Float64
+from noise_model.hemisphere import (
+    Hemisphere,
+    irradiance_extended,
+    irradiance_point,
+    point_source,
+    reflected_radiance_extended,
+    reflected_radiance_point,
+)
 
 UP = np.array([0.0, 0.0, 1.0])
 RADIUS_MM = 2.0

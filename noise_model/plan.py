@@ -17,7 +17,6 @@ import numpy as np
 import numpy.typing as npt
 from scipy.spatial.transform import Rotation
 
-from noise_model.forward import stripe_reference
 from noise_model.frames import Float64, transform
 from noise_model.setup import Setup
 from noise_model.spectrum import (
@@ -29,6 +28,7 @@ from noise_model.spectrum import (
     passed_lines,
     transmission,
 )
+from noise_model.stripe import stripe_reference
 
 LARGEST_FIELD_ANGLE = 0.6
 """Up to which angle from the axis, rad, a filter's passband is followed."""

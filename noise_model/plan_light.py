@@ -13,13 +13,12 @@ import numpy as np
 import numpy.typing as npt
 
 from noise_model.arc_map import Scene, arc_at, arc_kernel, scene
-from noise_model.brdf import reflectance
 from noise_model.condition import Condition
 from noise_model.effects.light import Light
-from noise_model.forward import pass_on, stripe_reference, stripe_runs_along_rows
+from noise_model.forward import pass_on
 from noise_model.frames import Float64, invert, transform
-from noise_model.laser import irradiance
 from noise_model.setup import Setup
+from noise_model.stripe import reflected_sheet, stripe_reference, stripe_runs_along_rows
 from noise_model.view import View
 from noise_model.visibility import trace, ways_are_open
 
@@ -188,16 +187,8 @@ def _look(setup: Setup, view: Scene, points: Float64, normals: Float64) -> _Look
 
 def _stripe(setup: Setup, view: Scene, points: Float64, normals: Float64, looks: _Looks) -> Float64:
     """Return irradiance f_r cos^4 at the stripe's peak (n,) behind the point-spread function."""
-    laser, material = setup.laser, setup.material
-    T_tool_joint = invert(view.T_joint_tool)
-    light = irradiance(transform(T_tool_joint, points), normals @ T_tool_joint[:3, :3].T, laser)
-    omega_i = transform(view.T_joint_tool, np.asarray(laser.origin_in_tool_mm)) - points
-    omega_r = view.T_joint_camera[:3, 3] - points
-    omega_i /= np.linalg.norm(omega_i, axis=1, keepdims=True)
-    omega_r /= np.linalg.norm(omega_r, axis=1, keepdims=True)
-    kappas = material.kappa_diff, material.kappa_spec, material.c2
-    f_r = reflectance(omega_i, omega_r, normals, *kappas, material.lobe)
-    return np.asarray(light * f_r * np.cos(looks.theta) ** 4 * looks.sheet_share)
+    light = reflected_sheet(setup, points, normals, view.T_joint_tool)
+    return np.asarray(light * np.cos(looks.theta) ** 4 * looks.sheet_share)
 
 
 def _light_at(setup: Setup, view: Scene, looks: _Looks, stripe_e: Float64) -> tuple[Float64, Float64]:

@@ -6,6 +6,7 @@ wavelengths. All radiances are per unit of power, not of photons: over a passban
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -26,6 +27,9 @@ END_SHARE = 0.01
 
 PASSBAND_FWHM = 3.0
 """Half the width, in FWHM, over which a Gaussian is integrated: it has fallen to 1.5e-11 there."""
+
+PROFILE_ANGLES = 64
+"""Angles between which a filter's transmission is interpolated over the field."""
 
 NODES = 8
 """Gauss-Legendre nodes in each piece of a passband."""
@@ -231,8 +235,8 @@ def passed_continuum(
     """Return the continuum's radiance behind the filter (...,), W/(m^2 sr), at angles theta (...,), rad.
 
     The integral of B(lambda) T_theta(lambda) d lambda = s times that of B(s u) T_0(u) du, by Gauss-Legendre
-    nodes between the wavelengths where T_0 changes its form: some hundred values for each angle. A whole
-    image is better interpolated from a profile of angles.
+    nodes between the wavelengths where T_0 changes its form: some hundred values for each angle. For a whole
+    image see `over_field`.
     """
     x, w = np.polynomial.legendre.leggauss(NODES)
     edges = optics.edges_nm()
@@ -259,6 +263,12 @@ def line_to_continuum(
 ) -> Float64:
     """Return how much of lines there is behind the filter for each unit of continuum (...,)."""
     return passed_lines(optics, spectrum, theta) / passed_continuum(optics, spectrum, theta)
+
+
+def over_field(of_angle: Callable[[Float64], Float64], theta: Float64) -> Float64:
+    """Return a smooth function of the angle at theta (...,), rad, between `PROFILE_ANGLES` of its values."""
+    profile = np.linspace(0.0, float(theta.max(initial=0.0)), PROFILE_ANGLES)
+    return np.interp(theta, profile, of_angle(profile))
 
 
 def _check_index(effective_index: float) -> None:

@@ -11,11 +11,12 @@ from __future__ import annotations
 
 import math
 
-import numba
 import numpy as np
 import numpy.typing as npt
 
-from noise_model.frames import Float64
+from noise_model.faces import face_normal, ridge
+from noise_model.frames import Float64, Vector
+from noise_model.kernel import kernel
 from noise_model.surface import Section, corrugation_height
 
 MISS = -1
@@ -34,22 +35,9 @@ HORIZON_STEP_MM = 0.25
 """The horizon table's step along x; the touching point is a maximum, so the error is of second order."""
 
 
-@numba.njit(cache=True, _nrt=False, error_model="numpy", inline="always")
-def ridge(x: float, corrugation: Float64) -> tuple[float, float]:
-    """Return the corrugation's height c(x), mm, and its slope c'(x)."""
-    height, width, pitch = corrugation[0], corrugation[1], corrugation[2]
-    if height == 0.0:
-        return 0.0, 0.0
-    u = x - pitch * math.floor(x / pitch + 0.5)
-    if abs(u) >= 0.5 * width:
-        return 0.0, 0.0
-    omega = 2.0 * math.pi / width
-    return 0.5 * height * (1.0 + math.cos(omega * u)), -0.5 * height * omega * math.sin(omega * u)
-
-
-@numba.njit(cache=True, nogil=True, _nrt=False, error_model="numpy")
+@kernel
 def _meet_ridge(
-    origin: Float64, d: Float64, y_k: float, width: float, z_k: float, slope: float, corrugation: Float64
+    origin: Vector, d: Vector, y_k: float, width: float, z_k: float, slope: float, corrugation: Float64
 ) -> float:
     """Return where a ray first meets a corrugated strip, in units of d, or inf.
 
@@ -110,8 +98,8 @@ def _meet_ridge(
     return math.inf
 
 
-@numba.njit(cache=True, nogil=True, _nrt=False, error_model="numpy")
-def first_hit(origin: Float64, d: Float64, vertices: Float64, corrugation: Float64) -> tuple[float, int]:
+@kernel
+def first_hit(origin: Vector, d: Vector, vertices: Float64, corrugation: Float64) -> tuple[float, int]:
     """Return how far along a ray (joint frame, mm) the surface is met, in units of d, and on which face.
 
     The face is the number of the section's strip, MISS where the ray looks past the workpiece.
@@ -141,29 +129,16 @@ def first_hit(origin: Float64, d: Float64, vertices: Float64, corrugation: Float
     return best, face
 
 
-@numba.njit(cache=True, _nrt=False, error_model="numpy", inline="always")
-def face_normal(face: int, x: float, vertices: Float64, corrugation: Float64) -> tuple[float, float, float]:
-    """Return the unit normal of a face at station x, joint frame."""
-    width = vertices[face + 1, 0] - vertices[face, 0]
-    rise = vertices[face + 1, 1] - vertices[face, 1]
-    along = 0.0
-    if width > 0.0:
-        _, slope = ridge(x, corrugation)
-        along = -slope * width
-    length = math.sqrt(along * along + rise * rise + width * width)
-    return along / length, -rise / length, width / length
-
-
-@numba.njit(cache=True, nogil=True, error_model="numpy")
+@kernel(allocates=True)
 def trace(
-    xy: Float64,
-    pixels: Float64,
+    xy: npt.NDArray[np.floating],
+    pixels: npt.NDArray[np.integer],
     T_joint_camera: Float64,
     vertices: Float64,
     corrugation: Float64,
     points: Float64,
     normals: Float64,
-    faces: Float64,
+    faces: npt.NDArray[np.int32],
 ) -> None:
     """Follow the rays of some pixels to the surface.
 
@@ -188,7 +163,7 @@ def trace(
         normals[i, 0], normals[i, 1], normals[i, 2] = nx, ny, nz
 
 
-@numba.njit(cache=True, nogil=True, error_model="numpy")
+@kernel(allocates=True)
 def horizon_table(
     x_start: float, n: int, center_x: float, radius: float, corrugation: Float64, lift: float, foot: float
 ) -> Float64:
@@ -221,7 +196,7 @@ def horizon_table(
     return table
 
 
-@numba.njit(cache=True, _nrt=False, error_model="numpy", inline="always")
+@kernel(inline=True)
 def touch(horizon: Float64, x_start: float, x: float) -> tuple[float, float]:
     """Look a station up in a horizon table: slope (interpolated) and place of the touching point."""
     position = (x - x_start) / HORIZON_STEP_MM
@@ -235,8 +210,8 @@ def touch(horizon: Float64, x_start: float, x: float) -> tuple[float, float]:
     return slope, (1.0 - share) * horizon[i, 1] + share * horizon[i + 1, 1]
 
 
-@numba.njit(cache=True, nogil=True, _nrt=False, error_model="numpy")
-def _steepest(P: Float64, sheet_z: float, center: Float64, radius: float, corrugation: Float64) -> float:
+@kernel
+def _steepest(P: Vector, sheet_z: float, center: Vector, radius: float, corrugation: Float64) -> float:
     """Return the steepest slope from P over one sheet on the way to the arc, as in `horizon_table`."""
     towards = 1.0 if center[0] > P[0] else -1.0
     steepest = -math.inf
@@ -250,12 +225,12 @@ def _steepest(P: Float64, sheet_z: float, center: Float64, radius: float, corrug
     return steepest
 
 
-@numba.njit(cache=True, nogil=True, _nrt=False, error_model="numpy")
+@kernel
 def sky_planes(
-    P: Float64,
-    normal: Float64,
+    P: Vector,
+    normal: Vector,
     face: int,
-    center: Float64,
+    center: Vector,
     radius: float,
     vertices: Float64,
     corrugation: Float64,
@@ -372,7 +347,7 @@ def is_open(points: Float64, targets: Float64, shape: Section, steps: int = 4000
     return free
 
 
-@numba.njit(cache=True, nogil=True, error_model="numpy")
+@kernel(allocates=True)
 def way_is_open(P: Float64, Q: Float64, vertices: Float64, corrugation: Float64) -> bool:
     """Say whether the straight way from a surface point P up to a point Q, both (3,) mm, is free."""
     for k in range(1, vertices.shape[0] - 1):
@@ -398,7 +373,7 @@ def way_is_open(P: Float64, Q: Float64, vertices: Float64, corrugation: Float64)
     return True
 
 
-@numba.njit(cache=True, nogil=True, error_model="numpy")
+@kernel(allocates=True)
 def ways_are_open(
     points: Float64, Q: Float64, vertices: Float64, corrugation: Float64, is_free: npt.NDArray[np.bool_]
 ) -> None:

@@ -12,9 +12,6 @@ from noise_model.frames import Float64
 from tracker.geometry import SensorGeometry
 from tracker.passage import Passage, seen_arc
 
-LATTICE_PX = 16
-"""The spacing of the pixels that are looked at."""
-
 MAP_SIGMA = 0.05
 """The map's stated relative 1 sigma: hand-eye, material and arc shape within their tolerance."""
 
@@ -59,9 +56,7 @@ def estimate_arc_level(
     squares with Huber weights; the variance is the pixel's at the fitted mean plus (MAP_SIGMA level map)^2,
     the black level's prior is its tolerance.
     """
-    scan = np.arange(LATTICE_PX // 2, geometry.n_scan, LATTICE_PX)
-    position = np.arange(LATTICE_PX // 2, geometry.n_pos, LATTICE_PX)
-    s, r = (grid.ravel() for grid in np.meshgrid(scan, position, indexing="ij"))
+    s, r = geometry.lattice()
     if stripe_px is not None:
         clear = np.abs(r - stripe_px[s]) > keep_off_px
         s, r = s[clear], r[clear]

@@ -2,18 +2,18 @@
 
 from __future__ import annotations
 
-import numba
 import numpy as np
 import numpy.typing as npt
 
 from noise_model.arc_map import CELL
 from noise_model.frames import Float64
+from noise_model.kernel import kernel
 
 Float32 = npt.NDArray[np.float32]
 Int64 = npt.NDArray[np.int64]
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel
 def gather(
     image_dn: npt.NDArray[np.integer],
     along_rows: bool,
@@ -47,7 +47,7 @@ def place(center_px: Float64, n_pos: int, half_px: int) -> tuple[Int64, int]:
     return lows, depth
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel(allocates=True)
 def median_background(band: Float32, half: int, background: Float32) -> None:
     """Write the running median over 2 half + 1 pixels of each scan line: a background without an arc map."""
     n_scan, depth = band.shape

@@ -8,9 +8,9 @@ import numpy as np
 import numpy.typing as npt
 
 from noise_model.arc_map import Scene
-from noise_model.brdf import reflectance
 from noise_model.frames import Float64, invert, transform
-from noise_model.laser import irradiance
+from noise_model.setup import Setup
+from noise_model.stripe import reflected_sheet
 from noise_model.surface import corrugation_height
 from tracker.geometry import SensorGeometry
 
@@ -59,7 +59,7 @@ def expect_stripe(geometry: SensorGeometry, view: Scene) -> ExpectedStripe | Non
         if at[order[-1], 0] < 0.0 or at[order[0], 0] > geometry.n_scan - 1:
             return None
         position.append(np.interp(scan, at[order, 0], at[order, 1]))
-        light = _strength(geometry, points_tool, normals_joint, T_tool_joint)
+        light = _strength(setup, points_joint, points_tool, normals_joint, view.T_joint_tool)
         strength.append(np.interp(scan, at[order, 0], light[order]))
         after = np.clip(np.searchsorted(at[order, 0], scan), 1, len(order) - 1)
         left, right = strip[order][after - 1], strip[order][after]
@@ -123,27 +123,11 @@ def _cut(
 
 
 def _strength(
-    geometry: SensorGeometry, points_tool: Float64, normals_joint: Float64, T_tool_joint: Float64
+    setup: Setup, points_joint: Float64, points_tool: Float64, normals_joint: Float64, T_joint_tool: Float64
 ) -> Float64:
     """Return the stripe's light at points (n, 3), the sheet's own Gaussian divided out."""
-    R_tool_joint = T_tool_joint[:3, :3]
-    setup = geometry.setup
     origin, plane = np.asarray(setup.laser.origin_in_tool_mm), np.asarray(setup.laser.plane_in_tool)
     local_sigma = setup.laser.stripe_sigma_mm * (origin[2] - points_tool[:, 2]) / origin[2]
     sheet = np.exp(-0.5 * ((points_tool @ plane[:3] + plane[3]) / local_sigma) ** 2)
-    omega_i, omega_r = origin - points_tool, setup.camera.T_tool_camera[:3, 3] - points_tool
-    omega_i = omega_i / np.linalg.norm(omega_i, axis=1, keepdims=True)
-    omega_r = omega_r / np.linalg.norm(omega_r, axis=1, keepdims=True)
-    material = setup.material
-    # Rolling marks lie in the joint's frame.
-    f_r = reflectance(
-        omega_i @ R_tool_joint,
-        omega_r @ R_tool_joint,
-        normals_joint,
-        material.kappa_diff,
-        material.kappa_spec,
-        material.c2,
-        material.lobe,
-    )
-    light = irradiance(points_tool, normals_joint @ R_tool_joint.T, setup.laser) * f_r
+    light = reflected_sheet(setup, points_joint, normals_joint, T_joint_tool)
     return np.asarray(np.divide(light, sheet, out=np.zeros_like(sheet), where=sheet > 0.0))

@@ -12,13 +12,17 @@ import numpy as np
 import numpy.typing as npt
 
 from noise_model.effects import really
-from noise_model.forward import stripe_runs_along_rows
 from noise_model.frames import Float64
 from noise_model.optics import Rays
 from noise_model.sensor import linearise, saturation_dn, variance_e2
 from noise_model.setup import Setup
+from noise_model.stripe import stripe_runs_along_rows
 
 Float32 = npt.NDArray[np.float32]
+Int64 = npt.NDArray[np.int64]
+
+LATTICE_PX = 16
+"""The spacing of an even sample of the image."""
 
 
 @dataclass(frozen=True)
@@ -60,6 +64,13 @@ class SensorGeometry:
             saturation_dn=saturation_dn(setup.sensor),
             dark_variance_e2=float(variance_e2(0.0, setup.sensor)),
         )
+
+    def lattice(self, spacing_px: int = LATTICE_PX) -> tuple[Int64, Int64]:
+        """Return scan lines and positions (n,) of an even sample of the image's pixels."""
+        scan = np.arange(spacing_px // 2, self.n_scan, spacing_px)
+        position = np.arange(spacing_px // 2, self.n_pos, spacing_px)
+        s, r = np.meshgrid(scan, position, indexing="ij")
+        return s.ravel(), r.ravel()
 
     def image_points(self, scan: Float64, position: Float64) -> Float64:
         """Return image points (n, 2) as (u, v) of scan lines and positions (n,)."""

@@ -16,15 +16,13 @@ from noise_model.frames import Float64
 from noise_model.view import View
 from tracker.geometry import Float32, SensorGeometry
 
-LATTICE_PX = 16
-"""The spacing of the even sample of pixels that light which spreads over the image is taken from."""
-
 
 @dataclass(frozen=True, eq=False)
 class Passage:
     """What a frame's effects make of the arc's light.
 
-    `even` are the pixels (n,) of an even sample, by scan line, `even_arc_e` (n,) the arc's light there.
+    `even` are the pixels (n,) of an even sample, by scan line, which light that spreads over the image is
+    taken from, `even_arc_e` (n,) the arc's light there.
     """
 
     geometry: SensorGeometry
@@ -47,12 +45,8 @@ class Passage:
         stated = Condition(0.0, output, setup.camera.exposure_s, timestamp_s)
         # The exposure is in the output already, and the arc's own level is measured in each frame.
         condition = replace(really_on(setup, stated), exposure_s=setup.camera.exposure_s)
-        grid = np.meshgrid(
-            np.arange(LATTICE_PX // 2, geometry.n_scan, LATTICE_PX),
-            np.arange(LATTICE_PX // 2, geometry.n_pos, LATTICE_PX),
-            indexing="ij",
-        )
-        even = (grid[0] * geometry.n_pos + grid[1]).ravel()
+        scan, position = geometry.lattice()
+        even = scan * geometry.n_pos + position
         arc_e, _ = arc_at(kernel, geometry.xy, geometry.cos4, even)
         return cls(geometry, view, condition, even, np.nan_to_num(arc_e))
 

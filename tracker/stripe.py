@@ -11,11 +11,11 @@ from __future__ import annotations
 
 import math
 
-import numba
 import numpy as np
 import numpy.typing as npt
 
 from noise_model.frames import Float64
+from noise_model.kernel import kernel
 
 Float32 = npt.NDArray[np.float32]
 Int64 = npt.NDArray[np.int64]
@@ -52,7 +52,7 @@ WIDTH_LIMIT_LN = 0.35
 """A fitted width further off than this is two faces or no stripe."""
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel(allocates=True)
 def matched_filter(
     residual_e: Float32,
     variance_e2: Float32,
@@ -99,7 +99,7 @@ def matched_filter(
             score[s, i] = total / math.sqrt(noise) if noise > 0.0 else 0.0
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel(allocates=True)
 def best_path(score: Float32, choice: Int64) -> None:
     """Find the likeliest path of offsets through the scores (n_scan, n); write its indices, -1 for no stripe.
 
@@ -148,7 +148,7 @@ def best_path(score: Float32, choice: Int64) -> None:
         at = back[s, at]
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel
 def _solve(H: Float64, g: Float64, step: Float64) -> bool:
     """Solve H step = g for a symmetric H (5, 5) by Cholesky, in place; False if it is not positive."""
     for i in range(N_PARAMETERS):
@@ -175,7 +175,7 @@ def _solve(H: Float64, g: Float64, step: Float64) -> bool:
     return True
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel(allocates=True)
 def fit_line(
     charge: Float32,
     background: Float32,
@@ -298,7 +298,7 @@ def fit_line(
     return True
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel
 def _map_edge(background: Float32, lows: Int64, cell: int, s: int, position: float) -> float:
     """Return how much the map changes, e-, over EDGE_PX scan lines to either side at a position."""
     n_scan, depth = background.shape
@@ -312,7 +312,7 @@ def _map_edge(background: Float32, lows: Int64, cell: int, s: int, position: flo
     return change
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel(allocates=True)
 def fit_lines(
     charge: Float32,
     background: Float32,

@@ -7,7 +7,8 @@ from typing import Annotated
 
 import typer
 
-from arctrack.errors import ArctrackError, in_file
+from arctrack.cli.setups import check_is_another, read_setup
+from arctrack.errors import in_file
 
 
 def filter_curve(
@@ -27,15 +28,13 @@ def filter_curve(
 
     from arctrack.cli import console
     from arctrack.filter_file import read_filter_curve
-    from arctrack.recording import read_setup_file, with_filter_curve
-    from arctrack.recording.setup_file import FILE_NAME
+    from arctrack.recording import with_filter_curve
     from noise_model.optics import Rays
     from noise_model.spectrum import ArcSpectrum, laser_transmission, line_to_continuum, passed_continuum
 
-    file = setup / FILE_NAME if setup.is_dir() else setup
-    stated = read_setup_file(file).setup
-    if out.exists() and out.resolve() == file.resolve():
-        raise ArctrackError(f"{out}: is the setup itself; give --out another file")
+    read = read_setup(setup)
+    stated = read.setup
+    check_is_another(out, read.path)
     index = stated.filter.effective_index if effective_index is None else effective_index
     try:
         curve = read_filter_curve(data, index)
@@ -48,7 +47,7 @@ def filter_curve(
     spectrum = ArcSpectrum()
     continuum = passed_continuum(curve, spectrum, angles)
     lines = line_to_continuum(curve, spectrum, angles)
-    out.write_text(with_filter_curve(file, curve), encoding="utf-8")
+    out.write_text(with_filter_curve(read.path, curve), encoding="utf-8")
     screen = console.tables()
     for text in (
         f"centre {curve.center_nm:.2f} nm, {curve.fwhm_nm:.2f} nm wide at half of its peak",

@@ -7,6 +7,7 @@ from typing import Annotated
 
 import typer
 
+from arctrack.cli.setups import check_is_another
 from arctrack.errors import ArctrackError
 
 
@@ -22,13 +23,11 @@ def hand_eye(
     """
     from arctrack.cli import console
     from arctrack.recording import BadFrame, read_recording, with_camera_pose
-    from arctrack.recording.setup_file import FILE_NAME
     from calibration.hand_eye import estimate_hand_eye
 
     read = read_recording(recording)
     console.warn(read.warnings)
-    if out.exists() and out.resolve() == (read.path / FILE_NAME).resolve():
-        raise ArctrackError(f"{out}: is the recording's own setup; give --out another file")
+    check_is_another(out, read.setup_path)
     buffer = read.pose_buffer()
     frames = [
         (frame, pose)
@@ -43,7 +42,7 @@ def hand_eye(
             )
         except ValueError as error:
             raise ArctrackError(f"{read.path}: {error}") from None
-    out.write_text(with_camera_pose(read.path / FILE_NAME, found.T_tool_camera), encoding="utf-8")
+    out.write_text(with_camera_pose(read.setup_path, found.T_tool_camera), encoding="utf-8")
     screen = console.tables()
     for parameter, value, sigma in zip(found.fit.parameters, found.fit.values, found.fit.sigmas, strict=True):
         screen.print(f"{parameter.name:13} {value:9.4f} ± {sigma:.4f} {parameter.unit}", markup=False)

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from arctrack.cli.setups import read_setup
 from arctrack.errors import ArctrackError, in_file
 
 if TYPE_CHECKING:
@@ -87,17 +88,13 @@ def plan(
 
 def _read(source: Path, recorded: bool) -> tuple[Setup, list[Float64] | None]:
     from arctrack.cli import console
-    from arctrack.recording import read_recording, read_setup_file
-    from arctrack.recording.setup_file import FILE_NAME
+    from arctrack.recording import read_recording
 
     if recorded:
         read = read_recording(source)
         console.warn(read.warnings)
         return read.setup, list(read.poses.T_base_tool)
-    file = source / FILE_NAME if source.is_dir() else source
-    stated = read_setup_file(file)
-    console.warn(f"{file}: {key} is not known and has no effect" for key in stated.unknown_keys)
-    return stated.setup, None
+    return read_setup(source).setup, None
 
 
 def _plan(source: Path, setup: Setup, options: PlanOptions, poses: list[Float64] | None) -> Plan:

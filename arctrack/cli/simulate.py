@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from arctrack.cli.setups import read_setup
 from arctrack.errors import ArctrackError
 
 if TYPE_CHECKING:
@@ -80,7 +81,7 @@ def simulate(
         exact=exact,
         video=video,
     )
-    nominal = _nominal(joint, material, width, height) if setup is None else _read(setup)
+    nominal = _nominal(joint, material, width, height) if setup is None else read_setup(setup).setup
     hidden = _effects(effect or [])
     with console.progress() as bar:
         engine.simulate_recording(out, nominal, plan, console.track(bar, out.name, frames), hidden)
@@ -112,14 +113,3 @@ def _effects(texts: list[str]) -> dict[str, dict[str, float]]:
         return checked(stated)
     except ValueError as error:
         raise ArctrackError(f"--effect: {error}") from error
-
-
-def _read(path: Path) -> Setup:
-    from arctrack.cli import console
-    from arctrack.recording import read_setup_file
-    from arctrack.recording.setup_file import FILE_NAME
-
-    file = path / FILE_NAME if path.is_dir() else path
-    stated = read_setup_file(file)
-    console.warn(f"{file}: {key} is not known and has no effect" for key in stated.unknown_keys)
-    return stated.setup

@@ -25,11 +25,12 @@ UNFINISHED_SUFFIX = ".unfinished"
 class Recording:
     """A recording, checked but for its frames, which are read one at a time.
 
-    `rows` are the lines of frames.csv, `poses` T_base_tool over time, `unknown_keys` what recording.toml
-    holds that means nothing here, `warnings` one line each.
+    `setup_path` is the file that the setup came from; `rows` are the lines of frames.csv, `poses` T_base_tool
+    over time, `unknown_keys` what recording.toml holds that means nothing here, `warnings` one line each.
     """
 
     path: Path
+    setup_path: Path
     setup: Setup
     robot: Mapping[str, Any]
     unknown_keys: tuple[str, ...]
@@ -42,11 +43,6 @@ class Recording:
     def name(self) -> str:
         """The folder's name."""
         return self.path.resolve().name
-
-    @property
-    def setup_path(self) -> Path:
-        """The file that the setup came from."""
-        return self.path / setup_file.FILE_NAME
 
     @property
     def has_truth(self) -> bool:
@@ -86,23 +82,28 @@ def read_recording(path: Path | str, setup_path: Path | None = None) -> Recordin
     """
     folder = Path(path)
     _check_folder(folder)
-    toml_path = folder / setup_file.FILE_NAME if setup_path is None else setup_path
-    stated = setup_file.read_setup_file(toml_path)
+    stated = setup_file.read_setup_file(folder / setup_file.FILE_NAME if setup_path is None else setup_path)
     rows, unknown_columns = read_frame_rows(folder / FRAMES_CSV)
     poses, pose_warnings = read_poses(folder, stated.T_tool_controllertool)
     source, source_warnings = check_source(folder, rows, stated.setup)
     coverage_warnings = check_coverage(poses, rows[0].timestamp_s, rows[-1].timestamp_s)
-    warnings = [f"{toml_path}: {key} is not known and has no effect" for key in stated.unknown_keys]
-    warnings += [f"{folder / FRAMES_CSV}: the column {name} is not known" for name in unknown_columns]
+    column_warnings = [f"{folder / FRAMES_CSV}: the column {name} is not known" for name in unknown_columns]
     return Recording(
         path=folder,
+        setup_path=stated.path,
         setup=stated.setup,
         robot=stated.robot,
         unknown_keys=stated.unknown_keys,
         rows=rows,
         poses=poses,
         frame_source=source,
-        warnings=tuple(warnings + pose_warnings + source_warnings + coverage_warnings),
+        warnings=(
+            *stated.warnings,
+            *column_warnings,
+            *pose_warnings,
+            *source_warnings,
+            *coverage_warnings,
+        ),
     )
 
 

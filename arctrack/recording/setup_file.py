@@ -23,17 +23,23 @@ FILE_NAME = "recording.toml"
 
 @dataclass(frozen=True)
 class SetupFile:
-    """What recording.toml says.
+    """What the recording.toml at `path` says.
 
     `robot` is the raw table; `T_tool_controllertool` (4, 4), mm, takes points of the controller's own tool
     frame to arctrack's, None if they are the same; `unknown_keys` are the keys that mean nothing here: they
     are reported and otherwise without effect.
     """
 
+    path: Path
     setup: Setup
     robot: Mapping[str, Any] = field(default_factory=dict)
     T_tool_controllertool: Float64 | None = None
     unknown_keys: tuple[str, ...] = ()
+
+    @property
+    def warnings(self) -> tuple[str, ...]:
+        """What to tell a user of it, one line each."""
+        return tuple(f"{self.path}: {key} is not known and has no effect" for key in self.unknown_keys)
 
 
 def read_setup_file(path: Path) -> SetupFile:
@@ -60,6 +66,7 @@ def parse_setup(text: str, path: Path) -> SetupFile:
     controllertool = None if model.robot is None else model.robot.controllertool_to_tool
     try:
         return SetupFile(
+            path=path,
             setup=model.to_setup(),
             robot=document.get("robot", {}),
             T_tool_controllertool=None

@@ -8,7 +8,8 @@ from dataclasses import replace
 import numpy as np
 
 from noise_model.arc_map import Float32
-from noise_model.condition import Condition, settling
+from noise_model.condition import Condition
+from noise_model.effects import drift
 from noise_model.effects.effect import Draw, Effect, Stage, Values
 from noise_model.effects.light import Light
 from noise_model.fit import Parameter
@@ -17,7 +18,7 @@ from noise_model.view import View
 
 
 def _laser_power_drift(condition: Condition, values: Values) -> Condition:
-    factor = settling(values["rate_per_s"], values["settle_s"], condition.timestamp_s)
+    factor = drift.settling(values, condition.timestamp_s)
     return replace(condition, laser_level=condition.laser_level * factor)
 
 
@@ -52,13 +53,10 @@ EFFECTS = (
         id="laser_power_drift",
         stage=Stage.ILLUMINATION,
         summary="the stripe's power changes over the recording",
-        equation="laser' = laser exp(rate_per_s settle_s (1 - exp(-t / settle_s))), t since the first frame",
+        equation="laser' = laser " + drift.EQUATION,
         source="a diode's threshold current rises as exp(T / T_0), T_0 some 100 K: at a steady current its "
         "power falls while it warms up, and rests when it is warm",
-        parameters=(
-            Parameter("rate_per_s", "1/s", 0.0, 0.1, -1.0, 1.0, 0.001),
-            Parameter("settle_s", "s", 30.0, 30.0, 0.2, 1000.0, 0.1),
-        ),
+        parameters=drift.PARAMETERS,
         typical={"rate_per_s": -0.2},
         condition=_laser_power_drift,
     ),

@@ -57,7 +57,7 @@ def _airlight(view: View) -> Float32:
     where, radius = view.scene, view.setup.arc.radius_mm
     camera = where.T_joint_camera[:3, 3]
     to_camera = (camera - where.center_mm) / np.linalg.norm(camera - where.center_mm)
-    # The luminous half's projected area towards the air before the camera, as in arc.apparent_area.
+    # The luminous half's projected area towards the air before the camera, as in hemisphere.apparent_area.
     area = 0.5 * math.pi * radius**2 * (1.0 + to_camera[2])
     along = airlight_integral(camera, view.directions, _fume_depth_mm(view), where.center_mm, radius)
     return np.asarray(view.cos4 * area / (4.0 * math.pi) * along, dtype=np.float32)

@@ -15,7 +15,7 @@ from noise_model.effects.effect import Draw, Effect, Stage, Values
 from noise_model.effects.light import Light
 from noise_model.fit import Parameter
 from noise_model.setup import Setup
-from noise_model.spectrum import ArcSpectrum, laser_transmission, passed_continuum
+from noise_model.spectrum import ArcSpectrum, laser_transmission, over_field, passed_continuum
 from noise_model.view import View
 
 EVEN_SPREAD = 3.0
@@ -31,9 +31,6 @@ SHIFT_LIMIT = 0.99
 
 PATCHES = (1, 2, 3)
 """How many patches a window has."""
-
-PROFILE_ANGLES = 64
-"""Angles between which a filter's transmission is interpolated over the field."""
 
 
 def half_diagonals(view: View, u_px: float, v_px: float) -> tuple[Float32, Float32]:
@@ -65,11 +62,10 @@ def _filter_shift(light: Light, view: View, condition: Condition, values: Values
     shifted = replace(of_filter, effective_index=1.0)
     sin = math.sqrt(share) / of_filter.effective_index * np.sin(view.theta)
     angle = np.arcsin(np.minimum(sin, SHIFT_LIMIT))
-    profile = np.linspace(0.0, float(angle.max(initial=0.0)), PROFILE_ANGLES)
     laser = laser_transmission(shifted, view.setup.laser.wavelength_nm, angle)
-    continuum = passed_continuum(shifted, CONTINUUM, profile)
+    on_axis = passed_continuum(shifted, CONTINUUM)
     # What is neither the laser's nor the arc's glows: a continuum like the arc's.
-    of_continuum = np.interp(angle, profile, continuum / continuum[0])
+    of_continuum = over_field(lambda theta: passed_continuum(shifted, CONTINUUM, theta) / on_axis, angle)
     light.scale(of_continuum.astype(np.float32))
     light.laser = light.laser * (laser / of_continuum).astype(np.float32)
 

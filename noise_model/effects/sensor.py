@@ -8,7 +8,8 @@ from dataclasses import replace
 import numpy as np
 from scipy.signal import lfilter
 
-from noise_model.condition import Condition, settling
+from noise_model.condition import Condition
+from noise_model.effects import drift
 from noise_model.effects.effect import Draw, Effect, Stage, Values
 from noise_model.effects.light import Light
 from noise_model.fit import Parameter
@@ -20,7 +21,7 @@ PATTERN_SEED = 20_261
 
 
 def _exposure_drift(condition: Condition, values: Values) -> Condition:
-    factor = settling(values["rate_per_s"], values["settle_s"], condition.timestamp_s)
+    factor = drift.settling(values, condition.timestamp_s)
     return replace(condition, exposure_s=condition.exposure_s * factor)
 
 
@@ -73,12 +74,9 @@ EFFECTS = (
         id="exposure_drift",
         stage=Stage.SENSOR,
         summary="gain or exposure changes over the recording",
-        equation="all charge x exp(rate_per_s settle_s (1 - exp(-t / settle_s))), t since the first frame",
+        equation="all charge x " + drift.EQUATION,
         source="a camera's automatic exposure or gain left on; black level and read noise stay",
-        parameters=(
-            Parameter("rate_per_s", "1/s", 0.0, 0.1, -1.0, 1.0, 0.001),
-            Parameter("settle_s", "s", 30.0, 30.0, 0.2, 1000.0, 0.1),
-        ),
+        parameters=drift.PARAMETERS,
         typical={"rate_per_s": 0.2},
         condition=_exposure_drift,
     ),

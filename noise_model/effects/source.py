@@ -11,11 +11,8 @@ from noise_model.effects.effect import Draw, Effect, Stage, Values
 from noise_model.effects.light import Light
 from noise_model.fit import Parameter
 from noise_model.setup import Setup
-from noise_model.spectrum import ArcSpectrum, line_to_continuum
+from noise_model.spectrum import ArcSpectrum, line_to_continuum, over_field
 from noise_model.view import View
-
-PROFILE_ANGLES = 64
-"""Angles between which a filter's transmission is interpolated over the field."""
 
 
 def _moved_arc(setup: Setup, x_mm: float, y_mm: float, z_mm: float) -> Setup:
@@ -48,8 +45,7 @@ def _arc_flicker(light: Light, view: View, condition: Condition, values: Values,
 
 def _argon_line_leak(light: Light, view: View, condition: Condition, values: Values, draw: Draw) -> None:
     spectrum = ArcSpectrum(line_width_nm=values["line_width_nm"])
-    profile = np.linspace(0.0, float(view.theta.max(initial=0.0)), PROFILE_ANGLES)
-    extra = np.interp(view.theta, profile, line_to_continuum(view.setup.filter, spectrum, profile))
+    extra = over_field(lambda theta: line_to_continuum(view.setup.filter, spectrum, theta), view.theta)
     light.arc = light.arc * (1.0 + extra).astype(np.float32)
 
 

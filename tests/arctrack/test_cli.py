@@ -13,6 +13,7 @@ from typer.testing import CliRunner
 
 import arctrack
 from arctrack.cli import app, installed_version
+from arctrack.errors import ArctrackError
 from arctrack.recording import read_recording
 
 RUNNER = CliRunner(env={"COLUMNS": "120", "TERM": "dumb", "NO_COLOR": "1"})
@@ -105,6 +106,16 @@ def test_warnings_are_one_line_each(simulated: Path, tmp_path: Path) -> None:
     assert all(line.startswith("arctrack: warning: ") for line in warnings)
     assert "[extra] is not known" in warnings[0]
     assert "known beforehand: gamma" in result.stdout
+
+
+def test_a_recordings_setup_is_not_written_over(simulated: Path, tmp_path: Path) -> None:
+    path = Path(shutil.copytree(simulated, tmp_path / "r"))
+    own = path / "recording.toml"
+    before = own.read_text()
+    result = RUNNER.invoke(app, ["calibrate", "hand-eye", str(path), "--out", str(own)])
+    assert isinstance(result.exception, ArctrackError)
+    assert "give --out another file" in str(result.exception)
+    assert own.read_text() == before
 
 
 def test_the_installed_way(simulated: Path, tmp_path: Path) -> None:

@@ -96,6 +96,33 @@ def test_a_curve_goes_into_a_setup_and_comes_back(tmp_path: Path) -> None:
     assert format_setup(parse_setup(text, out).setup) == text
 
 
+def test_keys_that_mean_nothing_are_told(tmp_path: Path) -> None:
+    (tmp_path / "recording.toml").write_text(
+        format_setup(nominal_setup("lap", "mild_steel")) + "[door]\nside = 1\n"
+    )
+    arguments = [
+        str(written(tmp_path, DENSITIES)),
+        "--setup",
+        str(tmp_path),
+        "--out",
+        str(tmp_path / "out.toml"),
+    ]
+    done = CliRunner().invoke(app, ["calibrate", "filter", *arguments])
+    assert done.exit_code == 0, done.output
+    assert "recording.toml: [door] is not known" in done.stderr
+
+
+def test_a_setup_is_not_written_over_itself(tmp_path: Path) -> None:
+    setup_file = tmp_path / "recording.toml"
+    setup_file.write_text(format_setup(nominal_setup("lap", "mild_steel")))
+    before = setup_file.read_text()
+    arguments = [str(written(tmp_path, DENSITIES)), "--setup", str(tmp_path), "--out", str(setup_file)]
+    done = CliRunner().invoke(app, ["calibrate", "filter", *arguments])
+    assert isinstance(done.exception, ArctrackError)
+    assert "give --out another file" in str(done.exception)
+    assert setup_file.read_text() == before
+
+
 @pytest.mark.parametrize(
     ("keys", "named"),
     [

@@ -3,15 +3,15 @@ import dataclasses
 import numpy as np
 import pytest
 
-from noise_model.arc import (
-    Arc,
+from noise_model.arc import Arc, level
+from noise_model.brdf import MILD_STEEL, SUS304, TABLE_1, ZN_COATED, Material, Mirror, reflectance
+from noise_model.hemisphere import (
     Hemisphere,
     PointSource,
     apparent_area,
     irradiance_extended,
     irradiance_point,
     is_seen,
-    level,
     point_source,
     point_source_criterion,
     point_source_distance,
@@ -19,7 +19,6 @@ from noise_model.arc import (
     reflected_radiance_extended,
     reflected_radiance_point,
 )
-from noise_model.brdf import MILD_STEEL, SUS304, TABLE_1, ZN_COATED, Material, Mirror, reflectance
 
 UP = np.array([0.0, 0.0, 1.0])
 R = 2.0

@@ -8,9 +8,10 @@ import scenes
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from noise_model.arc_borders import seen_strip
 from noise_model.arc_disc import MAX_PIECES, crossings, equator_q
 from noise_model.arc_map import CELL, arc_at, arc_band, arc_frame, arc_kernel, scene
-from noise_model.arc_table import across, face_point
+from noise_model.faces import across, face_point
 from noise_model.optics import Rays
 from noise_model.surface import section
 
@@ -80,8 +81,9 @@ def test_a_faces_coordinates_are_those_of_its_points(name, x, share):
     for face in range(len(shape.vertices) - 1):
         length = float(np.linalg.norm(np.diff(np.clip(shape.vertices[face : face + 2], -30.0, 30.0), axis=0)))
         s = -share * length if face == 0 else share * length
-        P = face_point(face, x, s, shape.vertices, shape.corrugation)
-        assert across(face, P, shape.vertices, shape.corrugation) == pytest.approx(s, abs=1e-9)
+        on = seen_strip(face, shape.vertices)
+        P = face_point(x, s, on, shape.corrugation)
+        assert across(P, on, shape.corrugation) == pytest.approx(s, abs=1e-9)
         if name in ("flat", "v_groove") or face != 1:
             assert P[2] == pytest.approx(float(scenes.height(scenes.JOINTS[name], x, P[1])), abs=1e-9)
 

@@ -8,7 +8,6 @@ import scenes
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from noise_model.arc import Hemisphere, irradiance_extended, reflected_radiance_extended
 from noise_model.arc_integral import arc_light, gauss_nodes
 from noise_model.arc_map import (
     CELL,
@@ -23,6 +22,7 @@ from noise_model.arc_map import (
 from noise_model.arc_ray import scratch
 from noise_model.brdf import TABLE_1, Lobe, Material, lobe_numbers
 from noise_model.frames import invert
+from noise_model.hemisphere import Hemisphere, irradiance_extended, reflected_radiance_extended
 from noise_model.optics import Rays
 from noise_model.surface import SeamLine
 from noise_model.visibility import MISS

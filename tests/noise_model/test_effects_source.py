@@ -19,11 +19,11 @@ from effect_scenes import (
     passed,
 )
 
-from noise_model.arc import Hemisphere, reflected_radiance_extended
 from noise_model.argon import AR_I, line_weights
 from noise_model.condition import Condition
 from noise_model.effects import REGISTRY
 from noise_model.forward import Renderer, predict
+from noise_model.hemisphere import Hemisphere, reflected_radiance_extended
 from noise_model.spectrum import FilterCurve
 
 ARC = CONDITIONS["arc"]

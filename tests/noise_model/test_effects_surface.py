@@ -22,8 +22,9 @@ from scipy.integrate import quad
 from noise_model.brdf import Lobe, Material
 from noise_model.condition import Condition
 from noise_model.effects.medium import airlight_integral, streak_moments
-from noise_model.forward import predict, stripe_reference
+from noise_model.forward import predict
 from noise_model.spectrum import planck
+from noise_model.stripe import stripe_reference
 
 ARC, LASER = CONDITIONS["arc"], CONDITIONS["laser"]
 

@@ -10,9 +10,10 @@ from noise_model import forward
 from noise_model.arc_map import arc_at, arc_kernel, scene
 from noise_model.condition import Condition
 from noise_model.effects import REGISTRY, checked
-from noise_model.forward import Renderer, draw_frame, predict, stripe_reference
+from noise_model.forward import Renderer, draw_frame, predict
 from noise_model.frames import invert
 from noise_model.optics import Camera, Rays
+from noise_model.stripe import stripe_reference
 from noise_model.surface import NOMINAL_SEAM, SeamLine
 
 LEVEL = scenes.pose()

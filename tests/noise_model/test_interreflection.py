@@ -12,7 +12,7 @@ from noise_model import interreflection
 from noise_model.arc import level
 from noise_model.arc_map import arc_at, arc_kernel
 from noise_model.brdf import TABLE_1, Material, reflectance
-from noise_model.forward import Layers, stripe_reference
+from noise_model.forward import Layers
 from noise_model.frames import invert, transform
 from noise_model.interreflection import Grain, bounced_light
 from noise_model.interreflection_bounces import ORDERS
@@ -20,6 +20,7 @@ from noise_model.interreflection_light import arc_leaving, place, sees
 from noise_model.interreflection_nodes import COLUMNS, FACE, ROOM, WEIGHT, Focus, look_around, rules
 from noise_model.laser import irradiance
 from noise_model.optics import blur
+from noise_model.stripe import stripe_reference
 from noise_model.surface import Joint
 from noise_model.view import View
 from tests.noise_model import scenes
@@ -189,7 +190,7 @@ def test_what_leaves_towards_the_camera_is_the_arc_map(joint, material):
     k, camera = place(view.setup, view.scene), view.scene.T_joint_camera[:3, 3]
     points, normals = (values.reshape(-1, 3)[pixels] for values in view.surface[:2])
     towards = (camera - points) / np.linalg.norm(camera - points, axis=1, keepdims=True)
-    got = [arc_leaving(k, P, n, *omega) for P, n, omega in zip(points, normals, towards, strict=True)]
+    got = [arc_leaving(k, P, n, tuple(omega)) for P, n, omega in zip(points, normals, towards, strict=True)]
     got_e = np.array(got) * view.setup.arc.radiance_e * view.cos4.reshape(-1)[pixels]
     lit = want > 0.05 * np.nanmax(want)
     assert np.quantile(np.abs(got_e[lit] / want[lit] - 1.0), 0.8) < 0.03

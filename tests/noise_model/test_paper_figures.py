@@ -4,12 +4,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from noise_model.arc import (
-    irradiance_extended,
-    point_source_distance,
-    reflected_radiance_extended,
-)
 from noise_model.brdf import MILD_STEEL, SUS304, ZN_COATED, mirror_direction, reflectance
+from noise_model.hemisphere import irradiance_extended, point_source_distance, reflected_radiance_extended
 from noise_model.paper_figures import (
     ARC,
     DISTANCE_MM,

@@ -12,9 +12,9 @@ from hypothesis import strategies as st
 from plan_setups import SETUPS, expected_e, steel_groove
 from scipy.constants import c, h, k
 
-from noise_model.forward import stripe_reference
 from noise_model.plan import SensorDesign, clears_torch, design_of, filter_gains, filter_of, with_design
 from noise_model.spectrum import ArcSpectrum, Filter, FilterCurve
+from noise_model.stripe import stripe_reference
 
 DESIGNS = st.builds(
     SensorDesign,

@@ -6,13 +6,13 @@ import scenes
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
+from noise_model.faces import face_normal
 from noise_model.surface import section
 from noise_model.visibility import (
     HORIZON_STEP_MM,
     MAX_LEDGES,
     MAX_PLANES,
     MISS,
-    face_normal,
     first_hit,
     horizon_table,
     horizon_tables,

@@ -11,9 +11,9 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 from arctrack.nominal import looking_at, nominal_setup
-from noise_model.arc import Hemisphere, irradiance_extended
 from noise_model.arc_map import arc_at, arc_frame, arc_kernel, scene
 from noise_model.brdf import TABLE_1, Lobe, Material
+from noise_model.hemisphere import Hemisphere, irradiance_extended
 from noise_model.optics import Rays
 from noise_model.surface import Joint
 from sim_to_real.check.blocks import BLOCK_PX, compare_blocks

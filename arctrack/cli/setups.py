@@ -1,0 +1,28 @@
+"""What the commands that read a setup, or write one, share."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from arctrack.errors import ArctrackError
+
+if TYPE_CHECKING:
+    from arctrack.recording import SetupFile
+
+
+def read_setup(source: Path) -> SetupFile:
+    """Read a recording.toml, or that of a recording's folder; warn of keys that mean nothing in it."""
+    from arctrack.cli import console
+    from arctrack.recording import read_setup_file
+    from arctrack.recording.setup_file import FILE_NAME
+
+    stated = read_setup_file(source / FILE_NAME if source.is_dir() else source)
+    console.warn(stated.warnings)
+    return stated
+
+
+def check_is_another(out: Path, setup: Path) -> None:
+    """Raise ArctrackError if what a command is to write would replace the setup that it reads."""
+    if out.exists() and out.resolve() == setup.resolve():
+        raise ArctrackError(f"{out}: is the setup itself; give --out another file")

@@ -1,0 +1,71 @@
+"""The joint's faces as the kernels take them: a section's strips, drawn along the seam and corrugated.
+
+A place on a face is the station x and the way s across it, mm, joint frame. A corrugation raises the whole
+section by c(x), so s is counted along the plain strip.
+"""
+
+from __future__ import annotations
+
+import math
+
+from noise_model.frames import Float64, Point, Vector
+from noise_model.kernel import kernel
+
+Strip = tuple[float, float, float, float, float]
+"""Where s = 0 (y, z), s' unit direction (y, z) in the section, and the face's width, mm."""
+
+
+@kernel(inline=True)
+def ridge(x: float, corrugation: Float64) -> tuple[float, float]:
+    """Return the corrugation's height c(x), mm, and its slope c'(x)."""
+    height, width, pitch = corrugation[0], corrugation[1], corrugation[2]
+    if height == 0.0:
+        return 0.0, 0.0
+    u = x - pitch * math.floor(x / pitch + 0.5)
+    if abs(u) >= 0.5 * width:
+        return 0.0, 0.0
+    omega = 2.0 * math.pi / width
+    return 0.5 * height * (1.0 + math.cos(omega * u)), -0.5 * height * omega * math.sin(omega * u)
+
+
+@kernel(inline=True)
+def strip(face: int, vertices: Float64) -> Strip:
+    """Return a face's strip, s counted from its first vertex; y does not decrease along s."""
+    y_0, z_0 = vertices[face, 0], vertices[face, 1]
+    dy, dz = vertices[face + 1, 0] - y_0, vertices[face + 1, 1] - z_0
+    width = math.sqrt(dy * dy + dz * dz)
+    return y_0, z_0, dy / width, dz / width, width
+
+
+@kernel
+def across(P: Vector, on: Strip, corrugation: Float64) -> float:
+    """Return a point's way s across a strip."""
+    y_0, z_0, ty, tz, _ = on
+    if tz == 0.0:
+        return (P[1] - y_0) * ty
+    c, _ = ridge(P[0], corrugation)
+    return (P[1] - y_0) * ty + (P[2] - c - z_0) * tz
+
+
+@kernel
+def face_point(x: float, s: float, on: Strip, corrugation: Float64) -> Point:
+    """Return the point (mm, joint frame) of a place on a strip."""
+    y_0, z_0, ty, tz, _ = on
+    c, _ = ridge(x, corrugation)
+    return x, y_0 + s * ty, z_0 + s * tz + c
+
+
+@kernel(inline=True)
+def slanted(slope: float, on: Strip) -> tuple[Point, float]:
+    """Return a strip's unit normal where the corrugation has a slope, and its area over dx ds."""
+    _, _, ty, tz, _ = on
+    area = math.sqrt(1.0 + ty * ty * slope * slope)
+    return (-slope * ty / area, -tz / area, ty / area), area
+
+
+@kernel(inline=True)
+def face_normal(face: int, x: float, vertices: Float64, corrugation: Float64) -> Point:
+    """Return the unit normal of a face at station x, joint frame."""
+    _, slope = ridge(x, corrugation)
+    normal, _ = slanted(slope, strip(face, vertices))
+    return normal

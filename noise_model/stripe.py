@@ -1,0 +1,104 @@
+"""The laser stripe: how much of the sheet's light the surface sends to the camera."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from noise_model.arc_map import Float32
+from noise_model.brdf import reflectance
+from noise_model.frames import Float64, invert, transform
+from noise_model.laser import irradiance
+from noise_model.setup import Setup
+from noise_model.view import View
+from noise_model.visibility import ways_are_open
+
+SHEET_REACH = 6.0
+"""How many sigmas of the sheet are rendered: its irradiance has fallen to 1.5e-8 there."""
+
+
+def reflected_sheet(setup: Setup, points: Float64, normals: Float64, T_joint_tool: Float64) -> Float64:
+    """Return the sheet's irradiance times f_r towards the camera (n,), relative to the sheet's peak.
+
+    `points` (n, 3), mm, and unit `normals` (n, 3) are in the joint frame. Hidden points are the caller's to
+    exclude.
+    """
+    material = setup.material
+    T_tool_joint = invert(T_joint_tool)
+    light = irradiance(transform(T_tool_joint, points), normals @ T_tool_joint[:3, :3].T, setup.laser)
+    omega_i = transform(T_joint_tool, np.asarray(setup.laser.origin_in_tool_mm)) - points
+    omega_i /= np.linalg.norm(omega_i, axis=1, keepdims=True)
+    omega_r = (T_joint_tool @ setup.camera.T_tool_camera)[:3, 3] - points
+    omega_r /= np.linalg.norm(omega_r, axis=1, keepdims=True)
+    f_r = reflectance(
+        omega_i, omega_r, normals, material.kappa_diff, material.kappa_spec, material.c2, material.lobe
+    )
+    return light * f_r
+
+
+def stripe_light(view: View) -> Float32:
+    """Return the laser stripe (...,), e- for `camera.exposure_s`, before the point-spread function.
+
+    The sheet's irradiance times f_r towards the camera, scaled so that a flat plate at tool height under a
+    level pose peaks at `peak_e` in the middle column.
+    """
+    setup, where = view.setup, view.scene
+    laser = setup.laser
+    points, normals = (values.reshape(-1, 3) for values in view.surface[:2])
+    points_tool = transform(invert(where.T_joint_tool), points)
+    plane = np.asarray(laser.plane_in_tool)
+    with np.errstate(invalid="ignore"):
+        depth = laser.origin_in_tool_mm[2] - points_tool[:, 2]
+        reach = SHEET_REACH * laser.stripe_sigma_mm * np.abs(depth) / laser.origin_in_tool_mm[2]
+        near = np.flatnonzero(np.abs(points_tool @ plane[:3] + plane[3]) < reach)
+    light = reflected_sheet(setup, points[near], normals[near], where.T_joint_tool)
+    origin_joint = transform(where.T_joint_tool, np.asarray(laser.origin_in_tool_mm))
+    is_free = np.empty(len(near), dtype=np.bool_)
+    ways_are_open(points[near], origin_joint, where.shape.vertices, where.shape.corrugation, is_free)
+    image = np.zeros(view.cos4.size, dtype=np.float32)
+    image[near] = light * view.cos4.reshape(-1)[near] * is_free * (laser.peak_e / stripe_reference(setup))
+    return image.reshape(view.shape)
+
+
+def stripe_reference(setup: Setup) -> float:
+    """Return irradiance f_r cos^4 at the stripe's peak on a flat plate at tool height, middle column.
+
+    The middle row it is where the stripe runs along columns. Raises ValueError if the stripe is not there.
+    """
+    camera = setup.camera
+    if stripe_runs_along_rows(setup):
+        u, v = np.full(camera.height, (camera.width - 1) / 2.0), np.arange(camera.height, dtype=np.float64)
+    else:
+        u, v = np.arange(camera.width, dtype=np.float64), np.full(camera.width, (camera.height - 1) / 2.0)
+    xy = camera.normalised(np.column_stack([u, v]))
+    rays_tool = np.column_stack([xy, np.ones(len(xy))]) @ camera.T_tool_camera[:3, :3].T
+    origin = camera.T_tool_camera[:3, 3]
+    with np.errstate(divide="ignore", invalid="ignore"):
+        points = origin - origin[2] / rays_tool[:, 2:] * rays_tool
+    points = points[rays_tool[:, 2] < 0.0]
+    up = np.broadcast_to(np.array([0.0, 0.0, 1.0]), points.shape)
+    cos4 = (1.0 + np.sum(xy[rays_tool[:, 2] < 0.0] ** 2, axis=1)) ** -2.0
+    # Under a level pose the tool's axes are the joint's.
+    peak = float(np.max(reflected_sheet(setup, points, up, np.eye(4)) * cos4, initial=0.0))
+    if not peak > 0.0:
+        raise ValueError(
+            "[laser] plane_in_tool: the stripe does not cross the camera's middle column at tool height"
+        )
+    return peak
+
+
+def stripe_runs_along_rows(setup: Setup) -> bool:
+    """Say whether the laser plane's trace on a plate at tool height runs along the image's rows.
+
+    Raises ValueError for a sheet parallel to the plate, or a stripe behind the camera.
+    """
+    normal = np.asarray(setup.laser.plane_in_tool[:3])
+    origin = np.asarray(setup.laser.origin_in_tool_mm) * np.array([1.0, 1.0, 0.0])
+    along = np.cross(normal, [0.0, 0.0, 1.0])
+    if np.linalg.norm(along) < 1e-6:
+        raise ValueError("[laser] plane_in_tool: the sheet lies parallel to the plate")
+    ends_tool = np.stack([origin - along, origin + along])
+    ends_camera = transform(invert(setup.camera.T_tool_camera), ends_tool)
+    if (ends_camera[:, 2] <= 0.0).any():
+        raise ValueError("[camera.pose_in_tool]: the stripe at tool height lies behind the camera")
+    du, dv = np.abs(np.diff(setup.camera.project(ends_camera), axis=0))[0]
+    return bool(du >= dv)
