@@ -9,6 +9,7 @@ from typing import Annotated, NoReturn
 import typer
 
 from arctrack.cli.calibrate import calibrate
+from arctrack.cli.diagnose import diagnose
 from arctrack.cli.figures import figures
 from arctrack.cli.inspect import inspect
 from arctrack.cli.plan import plan
@@ -31,6 +32,7 @@ app.command(epilog="Example: arctrack replay examples/v_groove --out /tmp/result
 app.command(epilog="Example: arctrack inspect examples/v_groove --out /tmp/v_groove.png")(inspect)
 app.command(epilog="Example: arctrack simulate /tmp/lap --joint lap --material zn_coated --seed 7")(simulate)
 app.command(epilog="Example: arctrack plan examples/v_groove --out /tmp/plan")(plan)
+app.command(epilog="Example: arctrack diagnose monday tuesday --workers 2")(diagnose)
 app.add_typer(calibrate)
 app.add_typer(figures)
 

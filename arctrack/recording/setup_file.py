@@ -2,21 +2,26 @@
 
 from __future__ import annotations
 
+import math
 import tomllib
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import tomlkit
 from pydantic import ValidationError
 from scipy.spatial.transform import Rotation
+from tomlkit.items import Table
 
 from arctrack.errors import in_file
 from arctrack.recording.setup_model import FORMAT, UNITS, RecordingToml, describe, unknown_keys
 from noise_model.frames import Float64
 from noise_model.setup import Setup
 from noise_model.spectrum import Filter, FilterCurve
+
+if TYPE_CHECKING:
+    from sim_to_real.diagnosis import Named
 
 FILE_NAME = "recording.toml"
 
@@ -117,6 +122,28 @@ def with_filter_curve(path: Path, curve: FilterCurve) -> str:
     for key, value in _filter_table(curve).items():
         document["filter"][key] = value
     return tomlkit.dumps(document)
+
+
+def with_effects(path: Path, effects: Sequence[Named]) -> str:
+    """Return a recording.toml's text that names effects which were found; all else, comments included, stays.
+
+    Raises ArctrackError for a file that cannot be read, and for a value that it could not hold.
+    """
+    read_setup_file(path)
+    document = tomlkit.parse(path.read_text(encoding="utf-8"))
+    named = document.setdefault("effects", tomlkit.table(is_super_table=True))
+    for effect in effects:
+        table = named.setdefault(effect.id, tomlkit.table())
+        for key, estimate in effect.parameters.items():
+            # Six digits: nobody knows it better, and the file stays readable.
+            table[key] = float(f"{estimate.value:.6g}")
+            # A table on one line has no room for comments.
+            if isinstance(table, Table):
+                within = f"± {estimate.sigma:.2g}, " if math.isfinite(estimate.sigma) else ""
+                table[key].comment(f"{within}found by arctrack diagnose")
+    text = tomlkit.dumps(document)
+    parse_setup(text, path)
+    return text
 
 
 def _filter_table(of_filter: Filter | FilterCurve) -> dict[str, Any]:

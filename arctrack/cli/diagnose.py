@@ -1,0 +1,130 @@
+"""`arctrack diagnose`: is there a gap between recording and model, which effect is it, what to do."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from arctrack.errors import ArctrackError
+
+if TYPE_CHECKING:
+    from rich.progress import Progress
+
+    from arctrack.diagnose import Diagnosed, Job, OnStage, Outcome
+
+
+def diagnose(
+    recordings: Annotated[list[Path], typer.Argument(help="Folders that hold a recording each.")],
+    out: Annotated[
+        Path | None,
+        typer.Option(help="Where files go; default: diagnosis/ in the recording. A folder each for several."),
+    ] = None,
+    without: Annotated[
+        list[str] | None,
+        typer.Option(metavar="EFFECT", help="Leave an effect out of the catalogue; repeat it for more."),
+    ] = None,
+    setup: Annotated[
+        Path | None, typer.Option(help="A recording.toml to use instead of each recording's own.")
+    ] = None,
+    apply: Annotated[
+        bool, typer.Option("--apply", help="Write the effects that were found into recording.toml.")
+    ] = False,
+    workers: Annotated[int, typer.Option(min=1, help="Recordings diagnosed at once, a process each.")] = 1,
+    scheduler: Annotated[
+        str | None,
+        typer.Option(
+            metavar="ADDRESS",
+            help="A Dask cluster's scheduler, to diagnose recordings there; needs arctrack[cluster].",
+        ),
+    ] = None,
+) -> None:
+    """Compare recordings with the model: is there a gap, where, which effect causes it, how far it closes.
+
+    Writes report.html, report.json, where.npz and predicted.npz. A recording that fails does not stop the
+    others; the exit code is then 2.
+    """
+    from arctrack.cli.diagnose_text import print_many, print_one
+    from arctrack.diagnose import Diagnosed, Failed, jobs_for
+
+    if apply and setup is not None:
+        raise ArctrackError("--apply writes into the recording's own recording.toml: leave --setup out")
+    if scheduler is not None and workers > 1:
+        raise ArctrackError("--workers and --scheduler: take one of them")
+    jobs = jobs_for(recordings, out, setup, without or ())
+    outcomes = sorted(_outcomes(jobs, workers, scheduler), key=lambda outcome: jobs.index(outcome.job))
+    done = [outcome for outcome in outcomes if isinstance(outcome, Diagnosed)]
+    failed = [outcome for outcome in outcomes if isinstance(outcome, Failed)]
+    if done:
+        (print_one if len(jobs) == 1 else print_many)(done)
+    complaints = [*(failure.problem for failure in failed), *(d.complaint for d in done if d.complaint)]
+    if apply:
+        complaints += _apply(done)
+    for complaint in complaints:
+        print(f"arctrack: error: {complaint}", file=sys.stderr)
+    for failure in failed:
+        if not failure.foreseen:
+            raise failure.error
+    if complaints:
+        from arctrack.cli import BAD_INPUT
+
+        raise typer.Exit(BAD_INPUT)
+
+
+def _outcomes(jobs: list[Job], workers: int, scheduler: str | None) -> Iterator[Outcome]:
+    """Yield what becomes of each recording, and show how far it is."""
+    from arctrack import diagnose as engine
+
+    with _progress() as bar:
+        if scheduler is None and min(workers, len(jobs)) == 1:
+            yield from engine.in_turn(jobs, lambda job: _stages(bar, job))
+            return
+        executor = (
+            engine.processes(min(workers, len(jobs))) if scheduler is None else engine.cluster(scheduler)
+        )
+        task = bar.add_task("recordings", total=len(jobs))
+        with executor as ready:
+            for outcome in engine.at_once(jobs, ready):
+                bar.advance(task)
+                yield outcome
+
+
+def _apply(done: list[Diagnosed]) -> list[str]:
+    """Write what was found into each recording; return a line for each that got nothing."""
+    from arctrack.diagnose import apply
+
+    complaints = []
+    for diagnosed in done:
+        try:
+            typer.echo(apply(diagnosed))
+        except ArctrackError as error:
+            complaints.append(str(error))
+    return complaints
+
+
+def _progress() -> Progress:
+    """Return a bar over stages with the time that they took, on stderr; silent where nobody watches."""
+    from rich.console import Console
+    from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, TimeElapsedColumn
+
+    console = Console(stderr=True)
+    return Progress(
+        TextColumn("{task.description}", markup=False),
+        BarColumn(),
+        TaskProgressColumn(),
+        TimeElapsedColumn(),
+        console=console,
+        disable=not console.is_terminal,
+    )
+
+
+def _stages(bar: Progress, job: Job) -> OnStage:
+    task = bar.add_task(job.name, total=1.0)
+
+    def on_stage(stage: str, share_done: float) -> None:
+        bar.update(task, description=f"{job.name}: {stage}", completed=share_done)
+
+    return on_stage

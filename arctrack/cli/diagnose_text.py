@@ -1,0 +1,118 @@
+"""Diagnoses on the terminal: one on a screen, several as a table."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+
+from rich import box
+from rich.markup import escape
+from rich.table import Table
+
+from arctrack.cli import console
+from arctrack.diagnose import Diagnosed
+from arctrack.recording.diagnosis_files import REPORT_PAGE
+from arctrack.report import diagnosis_words as words
+from sim_to_real.diagnosis import Diagnosis, Verdict
+
+MOST_RANKED = 5
+MOST_PAIRS = 4
+"""Pairs that cannot be told apart here; the page has them all."""
+
+
+def print_one(done: Sequence[Diagnosed]) -> None:
+    """Print one diagnosis: verdict, gap, parameters, ranking, what is open, what to measure next."""
+    screen = console.tables()
+    for diagnosed in done:
+        console.warn(diagnosed.warnings)
+        diagnosis = diagnosed.diagnosis
+        screen.print(words.headline(diagnosis), style="bold", markup=False, soft_wrap=True)
+        for text in (words.how_far(diagnosis), _seam(diagnosed)):
+            screen.print(text, markup=False, soft_wrap=True)
+        lines = list(_lines(diagnosis))
+        width = max((len(name) for name, _ in lines), default=0)
+        for name, text in lines:
+            screen.print(f"[bold]{escape(name):<{width}}[/bold]  ", end="")
+            screen.print(text, markup=False, soft_wrap=True)
+        if diagnosis.ranking and diagnosis.verdict is not Verdict.NO_GAP:
+            screen.print(_ranking(diagnosis))
+        screen.print(f"report in {diagnosed.job.folder / REPORT_PAGE}", markup=False, soft_wrap=True)
+
+
+def print_many(done: Sequence[Diagnosed]) -> None:
+    """Print several diagnoses, a line each."""
+    table = Table(box=box.SIMPLE_HEAD, padding=(0, 1, 0, 0))
+    table.add_column("recording", overflow="fold")
+    table.add_column("verdict", no_wrap=True)
+    for name in ("before σ", "after σ", "closed"):
+        table.add_column(name, justify="right", no_wrap=True)
+    table.add_column("effects", overflow="fold")
+    for diagnosed in done:
+        console.warn(diagnosed.warnings)
+        diagnosis = diagnosed.diagnosis
+        table.add_row(
+            escape(diagnosed.job.name),
+            diagnosis.verdict.value,
+            words.number(diagnosis.gap.before),
+            words.number(diagnosis.gap.after),
+            words.percent(diagnosis.gap.closed),
+            _named(diagnosis),
+        )
+    screen = console.tables()
+    screen.print(table)
+    for diagnosed in done:
+        page = diagnosed.job.folder / REPORT_PAGE
+        screen.print(f"{diagnosed.job.name}: report in {page}", markup=False, soft_wrap=True)
+
+
+def _seam(diagnosed: Diagnosed) -> str:
+    return words.seam_sentence(diagnosed.diagnosis, diagnosed.setup.tolerance.seam_mm)
+
+
+def _named(diagnosis: Diagnosis) -> str:
+    if diagnosis.verdict is Verdict.AMBIGUOUS:
+        return "; ".join(words.listed(ids, "or") for ids in diagnosis.ambiguous_with)
+    return ", ".join(effect.id for effect in diagnosis.effects)
+
+
+def _lines(diagnosis: Diagnosis) -> Iterator[tuple[str, str]]:
+    """Yield names and texts of what else there is to say."""
+    gap, where = diagnosis.gap, diagnosis.where
+    if diagnosis.verdict is Verdict.NO_GAP:
+        yield "residual", f"{words.number(gap.rms_dn[0])} DN rms"
+    else:
+        yield "residual", f"{' → '.join(words.number(value) for value in gap.rms_dn)} DN rms"
+        curves = [f"{words.quantity(c.name)} ({words.percent(c.r2)})" for c in where.covariates[:3]]
+        follows = f"; follows {words.listed(curves, 'and')}" if curves else ""
+        yield "where", f"{where.stage}: {words.PLACES.get(where.stage, '')}{follows}"
+    for effect in diagnosis.effects:
+        values = [f"{name} = {words.estimate(value)}" for name, value in effect.parameters.items()]
+        yield effect.id if diagnosis.verdict is Verdict.EFFECTS else f"if {effect.id}", ", ".join(values)
+    if diagnosis.verdict is Verdict.UNKNOWN and diagnosis.left_over is not None:
+        name, share = diagnosis.left_over
+        yield (
+            "left over",
+            f"{words.free_function(name)} would close {words.percent(share)} more",
+        )
+    if diagnosis.not_resolvable:
+        pairs = [" | ".join(pair) for pair in diagnosis.not_resolvable[:MOST_PAIRS]]
+        more = len(diagnosis.not_resolvable) - len(pairs)
+        yield "not told apart here", "; ".join(pairs) + (f"; and {more} more pairs" if more else "")
+    if diagnosis.next is not None:
+        separates = words.listed(diagnosis.next.separates, "from")
+        yield "measure next", diagnosis.next.experiment + (f" (tells {separates})" if separates else "")
+
+
+def _ranking(diagnosis: Diagnosis) -> Table:
+    table = Table(box=box.SIMPLE_HEAD, padding=(0, 1, 0, 0))
+    table.add_column("effect", no_wrap=True)
+    for name in ("closes", "probable"):
+        table.add_column(name, justify="right", no_wrap=True)
+    table.add_column("what it is")
+    for candidate in diagnosis.ranking[:MOST_RANKED]:
+        table.add_row(
+            candidate.id,
+            words.percent(candidate.gap_closed),
+            words.probability(candidate.confidence),
+            escape(words.summary(candidate.id)),
+        )
+    return table

@@ -1,0 +1,273 @@
+"""Recordings diagnosed: read, compared with the model, written down; one at a time or many at once."""
+
+from __future__ import annotations
+
+import difflib
+import multiprocessing
+import os
+import shutil
+import tempfile
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from concurrent.futures import BrokenExecutor, Executor, ProcessPoolExecutor, as_completed
+from contextlib import contextmanager
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+
+from arctrack.errors import ArctrackError, in_file
+from arctrack.recording import BadFrame, Recording, pose_at, read_recording
+from arctrack.recording.diagnosis_files import REPORT_PAGE, make_diagnosis_folder, write_numbers
+from arctrack.recording.setup_file import FILE_NAME, with_effects
+from noise_model.effects import REGISTRY
+from noise_model.setup import Setup
+from sim_to_real.diagnosis import Diagnosis, Named, Predicted, Verdict
+from tracker.state import Frame
+
+DIAGNOSIS_FOLDER = "diagnosis"
+
+CONNECT_S = 10.0
+"""How long a cluster's scheduler may take to answer."""
+
+OnStage = Callable[[str, float], None]
+"""Hears what a diagnosis does now, and which share of it is done."""
+
+
+@dataclass(frozen=True)
+class Job:
+    """One recording to diagnose: where its files go, another setup than its own, effects left out."""
+
+    recording: Path
+    folder: Path
+    setup_path: Path | None = None
+    without: tuple[str, ...] = ()
+
+    @property
+    def name(self) -> str:
+        """The recording's name."""
+        return self.recording.resolve().name
+
+
+@dataclass(frozen=True, eq=False)
+class Diagnosed:
+    """A recording after its diagnosis, which comes without its images: those are in the folder.
+
+    `setup` is the one that the recording was held against; `complaint` is one line on frames that could not
+    be read, None if all could.
+    """
+
+    job: Job
+    setup: Setup
+    diagnosis: Diagnosis
+    warnings: tuple[str, ...]
+    complaint: str | None
+
+
+@dataclass(frozen=True)
+class Failed:
+    """A recording that could not be diagnosed, and why."""
+
+    job: Job
+    error: Exception
+
+    @property
+    def problem(self) -> str:
+        """One line for people."""
+        if isinstance(self.error, ArctrackError):
+            return str(self.error)
+        if isinstance(self.error, BrokenExecutor):
+            return f"{self.job.recording}: its process ended, for want of memory perhaps; try fewer --workers"
+        if isinstance(self.error, OSError):
+            return f"{self.error.filename or self.job.recording}: {self.error.strerror or self.error}"
+        return f"{self.job.recording}: {type(self.error).__name__}: {self.error}"
+
+    @property
+    def foreseen(self) -> bool:
+        """Whether the user can mend it; else it is a fault of arctrack's."""
+        return isinstance(self.error, ArctrackError | BrokenExecutor | OSError)
+
+
+Outcome = Diagnosed | Failed
+
+
+def jobs_for(
+    recordings: Sequence[Path],
+    out: Path | None = None,
+    setup_path: Path | None = None,
+    without: Sequence[str] = (),
+) -> list[Job]:
+    """Return what there is to do; ArctrackError for an unknown effect and for folders that would be shared.
+
+    Paths come out absolute: a process elsewhere has its own working directory.
+    """
+    _check_effects(without)
+    setup = None if setup_path is None else setup_path.absolute()
+    jobs: list[Job] = []
+    for path in (recording.absolute() for recording in recordings):
+        if out is None:
+            folder = path / DIAGNOSIS_FOLDER
+        else:
+            folder = out.absolute() if len(recordings) == 1 else out.absolute() / path.resolve().name
+        if folder.resolve() in [job.folder.resolve() for job in jobs]:
+            raise ArctrackError(f"{path}: its diagnosis would replace another in {folder}")
+        jobs.append(Job(path, folder, setup, tuple(without)))
+    return jobs
+
+
+def diagnose_recording(job: Job, on_stage: OnStage | None = None) -> Diagnosed:
+    """Diagnose a recording and write report.json, where.npz, predicted.npz and report.html.
+
+    Raises ArctrackError for what the user can mend.
+    """
+    from arctrack.report.diagnosis import write_page
+    from sim_to_real.diagnose import diagnose
+
+    recording = read_recording(job.recording, job.setup_path)
+    make_diagnosis_folder(job.folder)
+    frames, bad_frames = _frames(recording)
+    poses = recording.pose_buffer()
+    try:
+        # The clock's delay is the diagnosis' to find: poses are those of the time it asks for.
+        found = diagnose(
+            recording.setup,
+            frames,
+            lambda timestamp_s: pose_at(poses, timestamp_s),
+            without=job.without,
+            on_stage=on_stage,
+        )
+    except ValueError as error:
+        raise in_file(job.recording, str(error)) from error
+    # Numbers first: whatever happens to the page, the work is not lost.
+    write_numbers(found, job.folder)
+    write_page(found, recording, job.without, job.folder / REPORT_PAGE)
+    return Diagnosed(
+        job, recording.setup, without_images(found), recording.warnings, _complaint(recording, bad_frames)
+    )
+
+
+def in_turn(jobs: Iterable[Job], on_stage: Callable[[Job], OnStage]) -> Iterator[Outcome]:
+    """Diagnose recordings one after another in this process; one that fails does not stop the others."""
+    for job in jobs:
+        try:
+            yield diagnose_recording(job, on_stage(job))
+        except Exception as error:
+            yield Failed(job, error)
+
+
+def at_once(jobs: Iterable[Job], executor: Executor) -> Iterator[Outcome]:
+    """Diagnose recordings wherever an executor runs them, and yield each as it comes."""
+    futures = {executor.submit(diagnose_recording, job): job for job in jobs}
+    for future in as_completed(futures):
+        try:
+            yield future.result()
+        except Exception as error:
+            yield Failed(futures[future], error)
+
+
+@contextmanager
+def processes(count: int) -> Iterator[Executor]:
+    """Give an executor of so many processes on this machine."""
+    # A forked process would inherit the locks of threads that it does not have.
+    executor = ProcessPoolExecutor(count, mp_context=multiprocessing.get_context("spawn"))
+    try:
+        yield executor
+    finally:
+        executor.shutdown(cancel_futures=True)
+
+
+@contextmanager
+def cluster(address: str) -> Iterator[Executor]:
+    """Give an executor on a Dask cluster, whose workers must see the recordings under the same paths.
+
+    ArctrackError if Dask is not installed or no scheduler answers.
+    """
+    try:
+        from distributed import Client
+    except ImportError:
+        raise ArctrackError("--scheduler needs Dask: pip install 'arctrack[cluster]'") from None
+    try:
+        client = Client(address, timeout=CONNECT_S)
+    except (OSError, ValueError) as error:
+        raise ArctrackError(f"--scheduler {address}: no scheduler answers there: {error}") from None
+    with client, client.get_executor(pure=False) as executor:
+        yield executor
+
+
+def apply(diagnosed: Diagnosed) -> str:
+    """Write the effects that a verdict names into the recording's recording.toml; return a note of it.
+
+    The file is replaced at once, or not at all. ArctrackError, and nothing is written, if the verdict is
+    that the recording cannot say which effect it is, or that none fits.
+    """
+    job, diagnosis = diagnosed.job, diagnosed.diagnosis
+    path = job.recording / FILE_NAME
+    if diagnosis.verdict is Verdict.NO_GAP:
+        return f"{path}: no gap, so there is nothing to write"
+    if diagnosis.verdict is not Verdict.EFFECTS or not diagnosis.effects:
+        raise in_file(
+            path,
+            f"nothing was written: --apply writes effects that a verdict names, this one is "
+            f"{diagnosis.verdict.value!r}",
+        )
+    _replace(path, with_effects(path, diagnosis.effects))
+    return f"{path}: wrote {', '.join(map(_table, diagnosis.effects))}"
+
+
+def without_images(diagnosis: Diagnosis) -> Diagnosis:
+    """Return a diagnosis that is small enough to hand from process to process."""
+    none = np.empty((0, 0, 0), dtype=np.float32)
+    predicted = Predicted(
+        diagnosis.predicted.frames, np.empty((0, 0, 0), dtype=np.uint8), none, none, none, none
+    )
+    where = replace(diagnosis.where, z=np.empty((0, 0), dtype=np.float32))
+    return replace(diagnosis, where=where, predicted=predicted)
+
+
+def _check_effects(ids: Iterable[str]) -> None:
+    for name in ids:
+        if name not in REGISTRY:
+            near = difflib.get_close_matches(name, REGISTRY, n=1)
+            cure = f"is {near[0]} meant?" if near else f"there are {', '.join(REGISTRY)}"
+            raise ArctrackError(f"--without {name}: there is no such effect; {cure}")
+
+
+def _frames(recording: Recording) -> tuple[list[Frame], list[BadFrame]]:
+    frames: list[Frame] = []
+    bad: list[BadFrame] = []
+    for frame in recording.frames():
+        if isinstance(frame, BadFrame):
+            bad.append(frame)
+        else:
+            frames.append(frame)
+    if not frames:
+        raise ArctrackError(f"{bad[0].message}; no frame of {recording.path} can be read")
+    return frames, bad
+
+
+def _complaint(recording: Recording, bad_frames: Sequence[BadFrame]) -> str | None:
+    if not bad_frames:
+        return None
+    count = f"{len(bad_frames)} of {len(recording.rows)} frames could not be used"
+    return f"{bad_frames[0].message}; {count}, the diagnosis is that of the others"
+
+
+def _table(effect: Named) -> str:
+    values = ", ".join(f"{name} = {estimate.value:.6g}" for name, estimate in effect.parameters.items())
+    return f"[effects.{effect.id}] {values}"
+
+
+def _replace(path: Path, text: str) -> None:
+    """Replace a file's text at once; its permissions stay, and a link still points at it."""
+    target = path.resolve()
+    try:
+        descriptor, name = tempfile.mkstemp(prefix=f".{target.name}.", dir=target.parent)
+        draft = Path(name)
+        try:
+            with os.fdopen(descriptor, "w", encoding="utf-8") as file:
+                file.write(text)
+            shutil.copymode(target, draft)
+            draft.replace(target)
+        finally:
+            draft.unlink(missing_ok=True)
+    except OSError as error:
+        raise in_file(path, f"cannot be written: {error.strerror}") from None

@@ -1,0 +1,128 @@
+"""What a diagnosis writes for programs: report.json, where.npz and predicted.npz."""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Mapping
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from arctrack.errors import in_file
+from sim_to_real.diagnosis import Diagnosis, Named, Next, Predicted, Where
+
+FORMAT = "arctrack-diagnosis/1"
+REPORT_JSON, WHERE_NPZ, PREDICTED_NPZ = "report.json", "where.npz", "predicted.npz"
+REPORT_PAGE = "report.html"
+FILES = (REPORT_JSON, WHERE_NPZ, PREDICTED_NPZ, REPORT_PAGE)
+"""Every file that a diagnosis writes."""
+
+DIGITS = 6
+"""Significant digits of a number in report.json."""
+
+
+def make_diagnosis_folder(folder: Path) -> None:
+    """Make the folder and take an earlier diagnosis' files out of it, so that no two are ever mixed."""
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        for name in FILES:
+            (folder / name).unlink(missing_ok=True)
+    except OSError as error:
+        raise in_file(folder, f"cannot be written: {error.strerror}; choose another with --out") from None
+
+
+def write_numbers(diagnosis: Diagnosis, folder: Path) -> None:
+    """Write where.npz, predicted.npz and report.json; who sees report.json finds the arrays whole."""
+    np.savez_compressed(folder / WHERE_NPZ, z=diagnosis.where.z.astype(np.float32))
+    _write_predicted(diagnosis.predicted, folder / PREDICTED_NPZ)
+    text = json.dumps(report(diagnosis), indent=2, allow_nan=False)
+    (folder / REPORT_JSON).write_text(text + "\n", encoding="utf-8")
+
+
+def report(diagnosis: Diagnosis) -> dict[str, Any]:
+    """Return the content of report.json; what is not known is null."""
+    gap = diagnosis.gap
+    content = {
+        "format": FORMAT,
+        "verdict": diagnosis.verdict.value,
+        "effects": [_named(effect) for effect in diagnosis.effects],
+        "ranking": [asdict(candidate) for candidate in diagnosis.ranking],
+        "ambiguous_with": diagnosis.ambiguous_with,
+        "gap": {
+            "before": gap.before,
+            "after": gap.after,
+            "floor": gap.floor,
+            "closed": gap.closed,
+            "ci95": gap.ci95,
+            "rms_dn": _before_after(gap.rms_dn),
+            "seam_mm": _before_after(gap.seam_mm),
+        },
+        "where": _where(diagnosis.where),
+        "next": _next(diagnosis.next),
+        "not_resolvable": diagnosis.not_resolvable,
+        "smallest_detectable": {name: asdict(least) for name, least in diagnosis.smallest.items()},
+        "left_over": _left_over(diagnosis.left_over),
+    }
+    plain: dict[str, Any] = _plain(content)
+    return plain
+
+
+def _named(effect: Named) -> dict[str, Any]:
+    parameters = {name: asdict(estimate) for name, estimate in effect.parameters.items()}
+    return {
+        "id": effect.id,
+        "stage": effect.stage,
+        "confidence": effect.confidence,
+        "share": effect.share,
+        "parameters": parameters,
+    }
+
+
+def _before_after(values: tuple[float, float]) -> dict[str, float]:
+    return dict(zip(("before", "after"), values, strict=True))
+
+
+def _where(where: Where) -> dict[str, Any]:
+    return {
+        "stage": where.stage,
+        "covariates": [{"name": curve.name, "r2": curve.r2} for curve in where.covariates],
+        "strata": where.strata,
+        "image": where.image,
+        "map": WHERE_NPZ,
+    }
+
+
+def _next(measurement: Next | None) -> dict[str, Any] | None:
+    if measurement is None:
+        return None
+    return {"experiment": measurement.experiment, "separates": measurement.separates}
+
+
+def _left_over(left_over: tuple[str, float] | None) -> dict[str, Any] | None:
+    return None if left_over is None else {"covariate": left_over[0], "share": left_over[1]}
+
+
+def _write_predicted(predicted: Predicted, path: Path) -> None:
+    np.savez_compressed(
+        path,
+        frames=predicted.frames,
+        before=predicted.before.astype(np.float32),
+        after=predicted.after.astype(np.float32),
+        variance=predicted.variance.astype(np.float32),
+        variance_after=predicted.variance_after.astype(np.float32),
+        recorded=predicted.recorded,
+    )
+
+
+def _plain(value: Any) -> Any:
+    """Return JSON's own types: lists for tuples, null for what is not finite, numbers in a few digits."""
+    if isinstance(value, Mapping):
+        return {key: _plain(item) for key, item in value.items()}
+    if isinstance(value, tuple | list):
+        return [_plain(item) for item in value]
+    if isinstance(value, float | np.floating):
+        return float(f"{value:.{DIGITS}g}") if math.isfinite(value) else None
+    return value

@@ -1,0 +1,141 @@
+"""Diagnoses made by hand from predicted and drawn frames, for the tests of what is written about them."""
+
+import math
+from collections.abc import Mapping
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from made import level_pose
+
+from noise_model.condition import Condition
+from noise_model.effects import REGISTRY, checked
+from noise_model.forward import draw_frame, predict
+from noise_model.setup import Setup
+from sim_to_real.diagnosis import (
+    Curve,
+    Diagnosis,
+    Estimate,
+    Gap,
+    Named,
+    Next,
+    Predicted,
+    Ranked,
+    Verdict,
+    Where,
+)
+
+GAMMA = {"gamma": {"gamma": 0.74}}
+GLARE = {"veiling_glare": {"share": 0.15, "spread": 0.6}}
+DELAY = {"pose_delay": {"delay_s": 0.031}}
+
+Effects = Mapping[str, Mapping[str, float]]
+
+
+def example(verdict: Verdict, setup: Setup, effects: Effects = GAMMA) -> Diagnosis:
+    """Return a diagnosis whose images really show the effects, and whose gap is that of its images."""
+    really = {} if verdict is Verdict.NO_GAP else effects
+    found = {} if verdict is Verdict.UNKNOWN else really
+    predicted = predicted_frames(setup, really, found)
+    before = gap_of(predicted.recorded, predicted.before, predicted.variance)
+    after = gap_of(predicted.recorded, predicted.after, predicted.variance_after)
+    is_gap = verdict is not Verdict.NO_GAP
+    stage = REGISTRY[next(iter(effects))].stage.value
+    named = [
+        Named(name, REGISTRY[name].stage.value, 0.997, 1.0 / len(effects), estimates(name, values))
+        for name, values in effects.items()
+    ]
+    return Diagnosis(
+        verdict=verdict,
+        effects=tuple(named) if verdict in (Verdict.EFFECTS, Verdict.AMBIGUOUS) else (),
+        ranking=ranking(effects, verdict),
+        ambiguous_with=((next(iter(effects)), "black_level"),) if verdict is Verdict.AMBIGUOUS else (),
+        gap=Gap(
+            before,
+            after,
+            0.3,
+            (before - after) / (before - 0.3) if is_gap else math.nan,
+            (0.94, 0.97) if is_gap else (math.nan, math.nan),
+            (rms(predicted.recorded, predicted.before), rms(predicted.recorded, predicted.after)),
+            (0.21, 0.05) if is_gap else (0.01, 0.01),
+        ),
+        where=where(predicted, stage, is_gap),
+        next=Next("two exposures, arc off", (next(iter(effects)), "exposure_drift"), True)
+        if is_gap
+        else None,
+        not_resolvable=(("wrong_material", "fume"), ("arc_length", "arc_radius")),
+        smallest={"gamma": Estimate(0.02, math.nan, ""), "arc_length": Estimate(0.3, math.nan, "mm")},
+        left_over=("half_angle times_arc", 0.62) if verdict is Verdict.UNKNOWN else None,
+        predicted=predicted,
+    )
+
+
+def estimates(name: str, values: Mapping[str, float]) -> dict[str, Estimate]:
+    units = {parameter.name: parameter.unit for parameter in REGISTRY[name].parameters}
+    complete = REGISTRY[name].complete(values)
+    return {key: Estimate(value, max(0.01 * abs(value), 1e-3), units[key]) for key, value in complete.items()}
+
+
+def ranking(effects: Effects, verdict: Verdict) -> tuple[Ranked, ...]:
+    closed = {Verdict.NO_GAP: 0.0, Verdict.UNKNOWN: 0.22}.get(verdict, 0.96)
+    others = ("black_level", "exposure_drift", "hot_metal_glow", "fume", "vignetting", "arc_length")
+    best = [Ranked(name, 0.997, closed) for name in effects]
+    return (*best, *(Ranked(name, 0.4**n / 9.0, closed * 0.8**n) for n, name in enumerate(others, 1)))
+
+
+def predicted_frames(setup: Setup, really: Effects, found: Effects) -> Predicted:
+    rng = np.random.default_rng(5)
+    changed, fitted = (replace(setup, effects=checked(effects)) for effects in (really, found))
+    exposure_s = setup.camera.exposure_s
+    recorded, before, after, variance, variance_after = [], [], [], [], []
+    for n, (laser, arc) in enumerate(((0.0, 0.0), (1.0, 0.0), (0.0, 1.0), (1.0, 1.0))):
+        condition = Condition(laser, arc, exposure_s, 0.1 * n)
+        T_base_tool = level_pose(0.1 * n)
+        recorded.append(draw_frame(changed, T_base_tool, condition, rng))
+        for of_setup, mean, spread in ((setup, before, variance), (fitted, after, variance_after)):
+            frame = predict(of_setup, T_base_tool, condition)
+            mean.append(frame.mean_dn)
+            spread.append(np.where(frame.saturated, np.inf, frame.variance_dn2))
+    arrays = (np.array(part, dtype=np.float32) for part in (before, after, variance, variance_after))
+    return Predicted(np.array([3, 7, 11, 15]), np.array(recorded), *arrays)
+
+
+def where(predicted: Predicted, stage: str, is_gap: bool) -> Where:
+    r = (predicted.recorded - predicted.before) / np.sqrt(predicted.variance)
+    z = r.sum(axis=0) / math.sqrt(len(r))
+    z[np.isinf(predicted.variance).any(axis=0)] = np.nan
+    centers = np.linspace(5.0, 200.0, 12)
+    size = 4.0 if is_gap else 0.1
+    mean = size * np.sin(centers / 60.0)
+    log_ratio = np.where(centers > 20.0, 0.1 * mean, np.nan)
+    curve = Curve("gray_level", "DN", 0.81, centers, mean, mean - 0.4, mean + 0.4, log_ratio)
+    signs = np.array([-1.0, 1.0])
+    weave = Curve("velocity_sign", "", 0.14, signs, signs, signs - 0.2, signs + 0.2, np.full(2, np.nan))
+    return Where(
+        stage=stage,
+        covariates=(curve, weave),
+        image={"row": 0.1, "radial": 0.24, "stripe_band": math.nan},
+        strata={"dark": 0.0, "laser": 0.9, "arc": size, "both": 3.0, "stripe_band": math.nan},
+        z=z.astype(np.float32),
+    )
+
+
+def gap_of(recorded: np.ndarray, mean: np.ndarray, variance: np.ndarray) -> float:
+    counts = np.isfinite(variance)
+    r2 = (recorded - mean)[counts] ** 2 / variance[counts]
+    return math.sqrt(max(float(r2.mean(dtype=np.float64)) - 1.0, 0.0))
+
+
+def rms(recorded: np.ndarray, mean: np.ndarray) -> float:
+    return float(np.sqrt(np.mean((recorded - mean) ** 2)))
+
+
+@pytest.mark.parametrize("verdict", Verdict)
+def test_the_examples_show_what_they_say(verdict: Verdict, seen_setup: Setup) -> None:
+    gap = example(verdict, seen_setup).gap
+    if verdict is Verdict.NO_GAP:
+        assert gap.before < 0.3
+    elif verdict is Verdict.UNKNOWN:
+        assert gap.after == gap.before > 1.0
+    else:
+        assert gap.after < 0.3 < 1.0 < gap.before

@@ -1,0 +1,101 @@
+"""report.json, where.npz and predicted.npz against the contract."""
+
+import json
+import math
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from test_diagnosis_examples import GAMMA, GLARE, example, gap_of
+
+from arctrack.errors import ArctrackError
+from arctrack.recording.diagnosis_files import FILES, make_diagnosis_folder, report, write_numbers
+from noise_model.effects import Stage
+from noise_model.setup import Setup
+from sim_to_real.diagnosis import Verdict
+
+KEYS = ["format", "verdict", "effects", "ranking", "ambiguous_with", "gap", "where", "next", "not_resolvable"]
+MORE_KEYS = ["smallest_detectable", "left_over"]
+
+
+@pytest.mark.parametrize("verdict", Verdict)
+def test_keys_and_types(verdict: Verdict, seen_setup: Setup, tmp_path: Path) -> None:
+    write_numbers(example(verdict, seen_setup), tmp_path)
+    content = json.loads((tmp_path / "report.json").read_text(), parse_constant=pytest.fail)
+    assert list(content) == [*KEYS, *MORE_KEYS]
+    assert content["format"] == "arctrack-diagnosis/1"
+    assert content["verdict"] == verdict.value
+    for candidate in content["ranking"]:
+        assert list(candidate) == ["id", "confidence", "gap_closed"]
+    gap = content["gap"]
+    assert list(gap) == ["before", "after", "floor", "closed", "ci95", "rms_dn", "seam_mm"]
+    assert all(list(gap[name]) == ["before", "after"] for name in ("rms_dn", "seam_mm"))
+    where = content["where"]
+    assert list(where) == ["stage", "covariates", "strata", "image", "map"]
+    assert where["stage"] in {stage.value for stage in Stage}
+    assert where["covariates"][0] == {"name": "gray_level", "r2": 0.81}
+    assert where["map"] == "where.npz"
+    assert content["not_resolvable"] == [["wrong_material", "fume"], ["arc_length", "arc_radius"]]
+
+
+def test_what_the_verdict_names(seen_setup: Setup) -> None:
+    content = report(example(Verdict.EFFECTS, seen_setup, GAMMA | GLARE))
+    assert [effect["id"] for effect in content["effects"]] == ["gamma", "veiling_glare"]
+    assert content["effects"][0] == {
+        "id": "gamma",
+        "stage": "sensor",
+        "confidence": 0.997,
+        "share": 0.5,
+        "parameters": {"gamma": {"value": 0.74, "sigma": 0.0074, "unit": ""}},
+    }
+    assert list(content["next"]) == ["experiment", "separates"]
+    assert content["left_over"] is None
+    ambiguous = report(example(Verdict.AMBIGUOUS, seen_setup))
+    assert ambiguous["ambiguous_with"] == [["gamma", "black_level"]]
+    unknown = report(example(Verdict.UNKNOWN, seen_setup))
+    assert unknown["left_over"] == {"covariate": "half_angle times_arc", "share": 0.62}
+
+
+def test_what_is_not_known_is_null(seen_setup: Setup) -> None:
+    content = report(example(Verdict.NO_GAP, seen_setup))
+    assert content["gap"]["closed"] is None
+    assert content["gap"]["ci95"] == [None, None]
+    assert content["where"]["strata"]["stripe_band"] is None
+    assert content["smallest_detectable"]["arc_length"] == {"value": 0.3, "sigma": None, "unit": "mm"}
+    assert content["next"] is None
+    inf = example(Verdict.EFFECTS, seen_setup)
+    inf = replace(inf, gap=replace(inf.gap, seam_mm=(np.float32(0.5), math.inf)))
+    assert report(inf)["gap"]["seam_mm"] == {"before": 0.5, "after": None}
+
+
+def test_anyone_can_recompute_the_gap(seen_setup: Setup, tmp_path: Path) -> None:
+    diagnosis = example(Verdict.EFFECTS, seen_setup)
+    write_numbers(diagnosis, tmp_path)
+    with np.load(tmp_path / "predicted.npz") as held_out:
+        arrays = dict(held_out)
+    shape = (4, seen_setup.camera.height, seen_setup.camera.width)
+    assert arrays["frames"].tolist() == [3, 7, 11, 15]
+    for name in ("before", "after", "variance", "variance_after"):
+        assert arrays[name].dtype == np.float32
+        assert arrays[name].shape == shape
+    assert arrays["recorded"].dtype == np.uint8
+    assert np.isinf(arrays["variance"]).any()
+    gap = json.loads((tmp_path / "report.json").read_text())["gap"]
+    before = gap_of(arrays["recorded"], arrays["before"], arrays["variance"])
+    after = gap_of(arrays["recorded"], arrays["after"], arrays["variance_after"])
+    assert [before, after] == pytest.approx([gap["before"], gap["after"]], rel=1e-5, abs=1e-5)
+    with np.load(tmp_path / "where.npz") as where:
+        assert where["z"].dtype == np.float32
+        assert where["z"].shape == shape[1:]
+
+
+def test_an_earlier_diagnosis_is_gone(tmp_path: Path) -> None:
+    folder = tmp_path / "made" / "anew"
+    make_diagnosis_folder(folder)
+    for name in (*FILES, "notes.txt"):
+        (folder / name).write_text("old")
+    make_diagnosis_folder(folder)
+    assert [path.name for path in folder.iterdir()] == ["notes.txt"]
+    with pytest.raises(ArctrackError, match=r"notes.txt: cannot be written: .*choose another with --out"):
+        make_diagnosis_folder(folder / "notes.txt")

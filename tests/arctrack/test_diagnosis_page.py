@@ -1,0 +1,188 @@
+"""report.html: self-contained, and says what was found."""
+
+import contextlib
+import io
+import re
+from dataclasses import replace
+from html.parser import HTMLParser
+from pathlib import Path
+
+import numpy as np
+import pytest
+from made import small_setup
+from test_diagnosis_examples import GAMMA, GLARE, example
+
+from arctrack.recording import Recording, read_recording
+from arctrack.recording.diagnosis_files import write_numbers
+from arctrack.report import diagnosis_words as words
+from arctrack.report.diagnosis import RECOMPUTE, page
+from arctrack.report.diagnosis_advice import ADVICE
+from arctrack.report.diagnosis_pictures import nice_limit, telling_frame
+from noise_model.effects import REGISTRY
+from noise_model.setup import Setup
+from sim_to_real.diagnosis import Estimate, Verdict
+
+VOID = {"meta", "img", "br", "rect"}
+
+
+class Reader(HTMLParser):
+    """Gathers a page's text and what it refers to, and sees that its tags fit."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.open: list[str] = []
+        self.references: list[str] = []
+        self.text = ""
+
+    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        if tag not in VOID:
+            self.open.append(tag)
+        self.references += [value or "" for key, value in attrs if key in ("src", "href", "data", "action")]
+        assert tag != "img" or "alt" in dict(attrs)
+
+    def handle_endtag(self, tag: str) -> None:
+        assert self.open.pop() == tag
+
+    def handle_startendtag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        pass
+
+    def handle_data(self, data: str) -> None:
+        if self.open and self.open[-1] != "style":
+            self.text += data
+
+
+def read(html: str) -> Reader:
+    reader = Reader()
+    reader.feed(html)
+    assert reader.open == []
+    reader.text = " ".join(reader.text.split())
+    return reader
+
+
+@pytest.fixture(scope="module")
+def recording(simulated: Path) -> Recording:
+    return read_recording(simulated)
+
+
+@pytest.mark.parametrize("verdict", Verdict)
+def test_the_page_is_self_contained(verdict: Verdict, seen_setup: Setup, recording: Recording) -> None:
+    html = page(example(verdict, seen_setup), recording)
+    reader = read(html)
+    assert reader.references
+    assert all(reference.startswith("data:image/") for reference in reader.references)
+    assert "url(" not in html
+    assert "@import" not in html
+    assert "<script" not in html
+    assert "nan" not in re.findall(r"[a-z]+", reader.text)
+
+
+def test_effects_are_named_with_numbers_and_cure(seen_setup: Setup, recording: Recording) -> None:
+    reader = read(page(example(Verdict.EFFECTS, seen_setup, GAMMA | GLARE), recording))
+    for text in (
+        "2 effects explain the gap together: gamma (the response is not the stated power) and veiling_glare",
+        "0.7400 ± 0.0074",
+        ADVICE["gamma"],
+        "moves the seam point by 0.21 mm, less than the 0.25 mm that the weld bears; 0.05 mm are left",
+        "predicted after, with gamma and veiling_glare",
+        "two exposures, arc off. It tells gamma from exposure_drift",
+        f"arctrack diagnose {recording.path} --apply",
+        "wrong_material and fume",
+        "[effects.gamma] gamma = 0.74",
+    ):
+        assert text in reader.text
+    # Five pictures of a frame and their scale, the map and its scale, two curves.
+    assert len(reader.references) == 10
+
+
+def test_what_is_open_is_said(seen_setup: Setup, recording: Recording) -> None:
+    ambiguous = read(page(example(Verdict.AMBIGUOUS, seen_setup), recording))
+    assert "cannot tell which it is: gamma (the response is not the stated power) or bl" in ambiguous.text
+    assert f"If it is black_level: {ADVICE['black_level']}" in ambiguous.text
+    unknown = read(page(example(Verdict.UNKNOWN, seen_setup, GLARE), recording, ["veiling_glare"]))
+    assert "nothing in the catalogue of effects closes" in unknown.text
+    assert "Left out of the catalogue: veiling_glare" in unknown.text
+    function = "a free function of angle off the mirror direction that multiplies the arc's light"
+    assert f"{function} closes 62 % of the gap beyond it" in unknown.text
+    assert "What it may be" in ambiguous.text
+    assert "What is wrong" not in ambiguous.text
+    assert "predicted after" not in unknown.text
+    for reader in (ambiguous, unknown):
+        assert "--apply" not in reader.text
+    no_gap = read(page(example(Verdict.NO_GAP, seen_setup), recording))
+    assert "No gap: the recording agrees" in no_gap.text
+    assert "predicted after" not in no_gap.text
+
+
+def test_a_name_is_no_markup(seen_setup: Setup, recording: Recording) -> None:
+    odd = replace(recording, path=recording.path.parent / "<b> & co")
+    html = page(example(Verdict.EFFECTS, seen_setup), odd)
+    assert "&lt;b&gt; &amp; co" in html
+    assert "arctrack diagnose &#39;" in html
+
+
+def test_a_diagnosis_without_held_out_frames_has_a_page(seen_setup: Setup, recording: Recording) -> None:
+    diagnosis = example(Verdict.UNKNOWN, seen_setup)
+    none = diagnosis.predicted.before[:0]
+    empty = replace(diagnosis.predicted, frames=np.empty(0, np.int64), before=none, after=none)
+    where = replace(diagnosis.where, covariates=(), z=np.full_like(diagnosis.where.z, np.nan))
+    reader = read(page(replace(diagnosis, predicted=empty, where=where), recording))
+    assert reader.references == []
+
+
+def test_the_same_diagnosis_makes_the_same_page(recording: Recording) -> None:
+    setup = small_setup()
+    assert page(example(Verdict.EFFECTS, setup), recording) == page(
+        example(Verdict.EFFECTS, setup), recording
+    )
+
+
+def test_the_python_on_the_page_computes_the_gap(
+    seen_setup: Setup, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    diagnosis = example(Verdict.EFFECTS, seen_setup)
+    write_numbers(diagnosis, tmp_path)
+    monkeypatch.chdir(tmp_path)
+    printed = io.StringIO()
+    with contextlib.redirect_stdout(printed):
+        exec(RECOMPUTE, {})
+    names, values = zip(*(line.split() for line in printed.getvalue().splitlines()), strict=True)
+    assert names == ("before", "after")
+    expected = [diagnosis.gap.before, diagnosis.gap.after]
+    assert [float(value) for value in values] == pytest.approx(expected, rel=1e-3, abs=1e-3)
+
+
+def test_the_frame_that_tells_most_is_shown(seen_setup: Setup) -> None:
+    predicted = example(Verdict.EFFECTS, seen_setup).predicted
+    only_second = predicted.after.copy()
+    only_second[[0, 2, 3]] = predicted.before[[0, 2, 3]]
+    assert telling_frame(replace(predicted, after=only_second, variance_after=predicted.variance)) == 1
+
+
+def test_the_ends_of_a_scale() -> None:
+    values = np.linspace(-6.2, 6.2, 1001, dtype=np.float32)
+    assert nice_limit(values, 1.0) == 8.0
+    assert nice_limit(0.01 * values, 1.0) == 1.0
+    assert nice_limit(np.full(3, np.nan, np.float32), 3.0) == 3.0
+
+
+def test_there_is_advice_on_every_effect() -> None:
+    assert set(ADVICE) == set(REGISTRY)
+
+
+def test_numbers_in_words() -> None:
+    assert words.estimate(Estimate(-1.23456, 0.0123, "mm")) == "−1.235 ± 0.012 mm"
+    assert words.estimate(Estimate(30512.0, 1234.0, "e-")) == "30512 ± 1234 e-"
+    assert words.estimate(Estimate(0.5, float("nan"), "")) == "0.5"
+    assert words.estimate(Estimate(float("nan"), 0.1, "")) == "–"
+    assert words.as_factor("c2_ln", Estimate(0.5, 0.1, "")) == "× 1.65"
+    assert words.as_factor("gamma", Estimate(0.5, 0.1, "")) == ""
+    assert words.number(float("inf")) == "–"
+    assert words.number(123.4) == "123"
+    assert words.probability(0.9999) == "> 99 %"
+    assert words.probability(0.001) == "< 1 %"
+    assert words.probability(float("nan")) == "–"
+    assert words.free_function("row, column adds") == (
+        "a free function of row and column that adds to the image"
+    )
+    assert words.free_function("row") == "a free function of row"
+    assert words.listed(["a", "b", "c"], "or") == "a, b or c"
