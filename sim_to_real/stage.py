@@ -14,7 +14,7 @@ None of this looks into the catalogue of effects, so it stands where the catalog
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -50,6 +50,10 @@ BLOCKS, BLOCK_BINS = 4, 20
 
 Int64 = npt.NDArray[np.int64]
 
+Form = tuple[Stage, str, tuple[str, ...]]
+
+Found = list[tuple[Stage, str, float]]
+
 
 @dataclass(frozen=True)
 class StageShare:
@@ -81,7 +85,7 @@ pitch (deg), the delay (s). The camera's tangents are those of its nuisances."""
 CAMERA_COLUMNS = slice(3, 9)
 """Where the camera's pose is among the nuisances."""
 
-FORMS: tuple[tuple[Stage, str, tuple[str, ...]], ...] = (
+FORMS: tuple[Form, ...] = (
     (Stage.SOURCE, "arc over the field", ("arc_radial",)),
     (Stage.SOURCE, "arc over time", ("arc_time",)),
     (Stage.SOURCE, "arc over current", ("arc_current",)),
@@ -113,6 +117,22 @@ FORMS: tuple[tuple[Stage, str, tuple[str, ...]], ...] = (
 
 def stages(expected: Expected, fit: Fitted, covariates: Covariates) -> tuple[StageShare, ...]:
     """Return all stages, the one at which the residuals of a fit are simplest first."""
+    return _explained(expected, fit, covariates)[0]
+
+
+def stages_of_either(expected: Expected, fits: Sequence[tuple[Fitted, Covariates]]) -> tuple[StageShare, ...]:
+    """Return the stages for that one of several fits whose simplest form leaves least.
+
+    A large gap pulls the nuisances of a fit so far that nothing about it is simple: then the stated values
+    (`covariates.Start`) are nearer the truth. They are not where the seam or the camera is off.
+    """
+    return min((_explained(expected, *fit) for fit in fits), key=lambda explained: explained[1])[0]
+
+
+def _explained(
+    expected: Expected, fit: Fitted, covariates: Covariates
+) -> tuple[tuple[StageShare, ...], float]:
+    """Return all stages, and what the best form leaves of the excess of the mean square over noise."""
     held = HeldOut.of(covariates, fit.residuals, free=LEVELS)
     views = _Views(expected, fit, held)
     columns = linear_columns(held.covariates, covariates, held.chosen, expected.observed.setup.camera)
@@ -122,10 +142,13 @@ def stages(expected: Expected, fit: Fitted, covariates: Covariates) -> tuple[Sta
     for name, moving in MOVED.items():
         columns[name] = np.hstack([tangents[name], views.secant(name, tangents[name])])
         forms.append((moving.stage, name, (name,)))
-    return ranked(forms_explained(held, columns, forms) + unsmooth_explained(held, covariates, fit.residuals))
+    found = ranked(
+        forms_explained(held, columns, forms) + unsmooth_explained(held, covariates, fit.residuals)
+    )
+    return found, max(held.mean_square - held.alone - 1.0, 0.0) * (1.0 - found[0].share)
 
 
-def ranked(found: list[tuple[Stage, str, float]]) -> tuple[StageShare, ...]:
+def ranked(found: Found) -> tuple[StageShare, ...]:
     """Return the best form of each stage, best stage first, shares held to 0 to 1."""
     best: dict[Stage, tuple[str, float]] = {stage: ("", 0.0) for stage in Stage}
     for stage, name, explained in found:
@@ -135,11 +158,7 @@ def ranked(found: list[tuple[Stage, str, float]]) -> tuple[StageShare, ...]:
     return tuple(sorted(shares, key=lambda of_stage: -best[Stage(of_stage.stage)][1]))
 
 
-def forms_explained(
-    held: HeldOut,
-    columns: Mapping[str, Float32],
-    forms: list[tuple[Stage, str, tuple[str, ...]]],
-) -> list[tuple[Stage, str, float]]:
+def forms_explained(held: HeldOut, columns: Mapping[str, Float32], forms: Sequence[Form]) -> Found:
     """Return each form's share of the excess over noise beyond what nuisances explain."""
     p = len(held.covariates.nuisances)
     places, start = {}, p
@@ -232,14 +251,18 @@ def _distortion(chosen: Covariates, camera: Camera) -> Float32:
     return np.asarray(columns / np.maximum(np.abs(columns).max(axis=0, initial=0.0), 1e-9), dtype=np.float32)
 
 
-def unsmooth_explained(
-    held: HeldOut, covariates: Covariates, residuals: Float64
-) -> list[tuple[Stage, str, float]]:
-    """Return the shares that no function of coordinates explains: levels of frames, noise, sparks."""
-    return _levels_explained(held) + _lamps_explained(held) + _noise_explained(covariates, residuals)
+def unsmooth_explained(held: HeldOut, covariates: Covariates, residuals: Float64) -> Found:
+    """Return the shares that no function of coordinates explains: levels of frames, lamps, noise, sparks."""
+    shares = noise_shares(covariates, residuals)
+    noise = [
+        (Stage.SENSOR, "noise", shares.rest),
+        (Stage.ILLUMINATION, "grain", shares.stripe_band),
+        (Stage.MEDIUM, "sparks", shares.sparks),
+    ]
+    return _levels_explained(held) + _lamps_explained(held) + noise
 
 
-def _levels_explained(held: HeldOut) -> list[tuple[Stage, str, float]]:
+def _levels_explained(held: HeldOut) -> Found:
     """Return what a level for each frame explains on blocks of the frame that it was not told from."""
     c = held.covariates
     rows, columns = np.divmod(c.bins, c.shape[1])
@@ -262,7 +285,7 @@ def _levels_explained(held: HeldOut) -> list[tuple[Stage, str, float]]:
     return found
 
 
-def _lamps_explained(held: HeldOut) -> list[tuple[Stage, str, float]]:
+def _lamps_explained(held: HeldOut) -> Found:
     """Return what a lamp's output beyond its tolerance explains, if that leaves nothing else to explain."""
     if held.mean_square - held.alone - 1.0 > LEAST_EXCESS:
         return []
@@ -273,16 +296,6 @@ def _lamps_explained(held: HeldOut) -> list[tuple[Stage, str, float]]:
             (Stage.SOURCE, "arc's output", LEVELS[0]),
             (Stage.ILLUMINATION, "laser's output", LEVELS[1]),
         )
-    ]
-
-
-def _noise_explained(covariates: Covariates, residuals: Float64) -> list[tuple[Stage, str, float]]:
-    """Return what noise from bin to bin explains: the sensor's, the laser's grain, sparks."""
-    shares = noise_shares(covariates, residuals)
-    return [
-        (Stage.SENSOR, "noise", shares.rest),
-        (Stage.ILLUMINATION, "grain", shares.stripe_band),
-        (Stage.MEDIUM, "sparks", shares.sparks),
     ]
 
 
