@@ -54,7 +54,7 @@ def print_many(done: Sequence[Diagnosed]) -> None:
             diagnosis.verdict.value,
             words.number(diagnosis.gap.before),
             words.number(diagnosis.gap.after),
-            words.percent(diagnosis.gap.closed),
+            words.percent(min(diagnosis.gap.closed, 1.0)),
             _named(diagnosis),
         )
     screen = console.tables()

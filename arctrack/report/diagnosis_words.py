@@ -118,10 +118,10 @@ def summary(effect_id: str) -> str:
 
 
 def closed_share(gap: Gap) -> str:
-    """Return the share of the gap that is closed, with its 95 % interval."""
-    low, high = gap.ci95
-    text = percent(gap.closed)
-    if math.isfinite(low) and math.isfinite(high):
+    """Return the share of the gap that is closed, with its 95 % interval; below the floor all of it is."""
+    low, high = (min(end, 1.0) for end in gap.ci95)
+    text = percent(min(gap.closed, 1.0))
+    if math.isfinite(low) and math.isfinite(high) and low < high:
         text += f" ({100.0 * low:.0f} to {percent(high)})"
     return text
 
@@ -137,7 +137,8 @@ def number(value: float, digits: int = 2) -> str:
         return NO_VALUE
     if 10**digits <= abs(value) < 1e5:
         return f"{value:.0f}".replace("-", "−")
-    return f"{value:.{digits}g}".replace("-", "−")
+    # The trailing zeros of 4.0 count, the point behind 18 does not.
+    return f"{value:#.{digits}g}".rstrip(".").replace("-", "−")
 
 
 def percent(share: float) -> str:

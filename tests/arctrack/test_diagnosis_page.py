@@ -2,6 +2,7 @@
 
 import contextlib
 import io
+import math
 import re
 from dataclasses import replace
 from html.parser import HTMLParser
@@ -20,7 +21,7 @@ from arctrack.report.diagnosis_advice import ADVICE
 from arctrack.report.diagnosis_pictures import nice_limit, telling_frame
 from noise_model.effects import REGISTRY
 from noise_model.setup import Setup
-from sim_to_real.diagnosis import Estimate, Verdict
+from sim_to_real.diagnosis import Estimate, Gap, Verdict
 
 VOID = {"meta", "img", "br", "rect"}
 
@@ -82,7 +83,7 @@ def test_effects_are_named_with_numbers_and_cure(seen_setup: Setup, recording: R
         "2 effects explain the gap together: gamma (the response is not the stated power) and veiling_glare",
         "0.7400 ± 0.0074",
         ADVICE["gamma"],
-        "moves the seam point by 0.21 mm, less than the 0.25 mm that the weld bears; 0.05 mm are left",
+        "moves the seam point by 0.21 mm, less than the 0.25 mm that the weld bears; 0.050 mm are left",
         "predicted after, with gamma and veiling_glare",
         "two exposures, arc off. It tells gamma from exposure_drift",
         f"arctrack diagnose {recording.path} --apply",
@@ -172,12 +173,16 @@ def test_there_is_advice_on_every_effect() -> None:
 def test_numbers_in_words() -> None:
     assert words.estimate(Estimate(-1.23456, 0.0123, "mm")) == "−1.235 ± 0.012 mm"
     assert words.estimate(Estimate(30512.0, 1234.0, "e-")) == "30512 ± 1234 e-"
-    assert words.estimate(Estimate(0.5, float("nan"), "")) == "0.5"
+    assert words.estimate(Estimate(0.5, float("nan"), "")) == "0.500"
     assert words.estimate(Estimate(float("nan"), 0.1, "")) == "–"
     assert words.as_factor("c2_ln", Estimate(0.5, 0.1, "")) == "× 1.65"
     assert words.as_factor("gamma", Estimate(0.5, 0.1, "")) == ""
     assert words.number(float("inf")) == "–"
-    assert words.number(123.4) == "123"
+    assert [words.number(value) for value in (123.4, 18.2, -3.98, 0.0)] == ["123", "18", "−4.0", "0.0"]
+    gap = Gap(4.0, 0.0, 0.2, 1.05, (1.04, 1.06), (5.0, 1.0), (0.1, 0.0))
+    assert words.closed_share(gap) == "100 %"
+    assert words.closed_share(replace(gap, closed=0.93, ci95=(0.9, 0.95))) == "93 % (90 to 95 %)"
+    assert words.closed_share(replace(gap, closed=math.nan, ci95=(math.nan, math.nan))) == "–"
     assert words.probability(0.9999) == "> 99 %"
     assert words.probability(0.001) == "< 1 %"
     assert words.probability(float("nan")) == "–"
