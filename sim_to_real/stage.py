@@ -253,13 +253,9 @@ def _distortion(chosen: Covariates, camera: Camera) -> Float32:
 
 def unsmooth_explained(held: HeldOut, covariates: Covariates, residuals: Float64) -> Found:
     """Return the shares that no function of coordinates explains: levels of frames, lamps, noise, sparks."""
-    shares = noise_shares(covariates, residuals)
-    noise = [
-        (Stage.SENSOR, "noise", shares.rest),
-        (Stage.ILLUMINATION, "grain", shares.stripe_band),
-        (Stage.MEDIUM, "sparks", shares.sparks),
-    ]
-    return _levels_explained(held) + _lamps_explained(held) + noise
+    of = noise_shares(covariates, residuals)
+    noise = [(Stage.SENSOR, "noise", of.rest), (Stage.ILLUMINATION, "grain", of.stripe_band)]
+    return _levels_explained(held) + _lamps_explained(held) + [*noise, (Stage.MEDIUM, "sparks", of.sparks)]
 
 
 def _levels_explained(held: HeldOut) -> Found:
