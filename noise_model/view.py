@@ -26,7 +26,8 @@ class View:
     `setup` is what is really there, its effects on geometry and surface applied; `scene` that of the pose;
     `uv_px` (..., 2) the pixels' places as (u, v), `xy` (..., 2) their normalised rays, `cos4` (...,) the
     lens' fall-off. `is_frame` says that the pixels are a whole frame in image order; of others the first
-    `n_even` are an even sample of it, all of them if it is None.
+    `n_even` are an even sample of it, all of them if it is None. `coarse` lets what is dear and smooth, light
+    that bounces, be followed at fewer points.
     """
 
     setup: Setup
@@ -36,6 +37,7 @@ class View:
     cos4: Float32
     is_frame: bool
     n_even: int | None = None
+    coarse: bool = False
     _kept: dict[str, object] = field(default_factory=dict, repr=False)
 
     @classmethod
@@ -47,20 +49,22 @@ class View:
         rays: Rays | None = None,
         pixels: npt.NDArray[np.integer] | None = None,
         ground: SeamLine | None = None,
+        coarse: bool = False,
     ) -> View:
         """Look from a pose; `pixels` (n,) are indices into the flattened image, all of it without them.
 
-        `rays` spares tracing the camera's rays anew; `ground` is that of `arc_map.scene`.
+        `rays` spares tracing the camera's rays anew; `ground` is that of `arc_map.scene`, `coarse` as above.
         """
         rays = Rays.of(setup.camera) if rays is None else rays
         height, width = rays.cos4.shape
         where = scene(setup, T_base_tool, seam, ground)
         if pixels is None:
             v, u = np.mgrid[:height, :width].astype(np.float32)
-            return cls(setup, where, np.stack([u, v], axis=-1), rays.xy, rays.cos4, True)
+            return cls(setup, where, np.stack([u, v], axis=-1), rays.xy, rays.cos4, True, coarse=coarse)
         v_of, u_of = np.divmod(pixels, width)
         uv = np.column_stack([u_of, v_of]).astype(np.float32)
-        return cls(setup, where, uv, rays.xy.reshape(-1, 2)[pixels], rays.cos4.reshape(-1)[pixels], False)
+        xy, cos4 = rays.xy.reshape(-1, 2)[pixels], rays.cos4.reshape(-1)[pixels]
+        return cls(setup, where, uv, xy, cos4, False, coarse=coarse)
 
     @property
     def shape(self) -> tuple[int, ...]:

@@ -15,15 +15,19 @@ from sim_to_real.held import excess_map, measure, predict_held
 from sim_to_real.locate import locate
 from sim_to_real.observed import Observed, PoseAt, observe
 from sim_to_real.refit import Refit, refit
+from sim_to_real.scatter import Scatter, scatter
 from sim_to_real.seam_error import seam_error_mm
 from sim_to_real.select import Candidate, judged
 from sim_to_real.split import held_out
 from sim_to_real.stage import stages
-from sim_to_real.verdict import Decision, decide, shares
+from sim_to_real.verdict import Decision, decide, shares, with_random
 from tracker.state import Frame
 
 HELD, LEFT_ASIDE = 0.25, 0.34
 """The share of frames held out of everything, and of the others that which is left out while choosing."""
+
+RANDOM_CONFIDENCE = 0.95
+"""How sure a random effect is that stands out by its variance: no other in the catalogue has its pattern."""
 
 ROUNDS = 2
 """How often light is rendered about a fit of all frames."""
@@ -52,19 +56,25 @@ def diagnose(
     observed = observe(setup, frames, pose_at)
     held = held_out(observed, HELD)
     train = observed.some(~held)
-    choosing, baseline = _baseline(train.some(~held_out(train, LEFT_ASIDE)))
-    heard("fitting what is no gap", 0.08)
+    heard("fitting what is no gap", 0.05)
+    choosing, baseline, random = _baseline(train.some(~held_out(train, LEFT_ASIDE)), without)
     decision = decide(choosing, baseline, without, lambda text, share: heard(text, 0.1 + 0.5 * share))
-    share = shares(choosing, baseline, decision.chosen)
+    decision = with_random(decision, baseline, random)
+    share = shares(choosing, baseline, decision.chosen, random.excess)
 
     heard("fitting all frames", 0.65)
     expected = Expected(train)
     before = _settled(expected, {}, baseline.refit.nuisance)
     named = decision.chosen.refit.effects
     after = _settled(expected, named, decision.chosen.refit.nuisance) if named else before
+    random = scatter(expected, after, without)
     heard("predicting the frames held out", 0.75)
     predicted = predict_held(
-        observed.some(held), expected, before, after, lambda done: heard("predicting", 0.75 + 0.15 * done)
+        observed.some(held),
+        expected,
+        (before, {}),
+        (after, random.effects),
+        lambda done: heard("predicting the frames held out", 0.75 + 0.15 * done),
     )
     sizes = measure(predicted, setup)
     heard("saying where", 0.9)
@@ -78,7 +88,7 @@ def diagnose(
     heard("done", 1.0)
     return Diagnosis(
         decision.verdict,
-        _named(decision, after, share) if is_named else (),
+        _named(decision, after, random, share) if is_named else (),
         _ranking(decision, baseline),
         decision.ambiguous,
         Gap(
@@ -103,14 +113,19 @@ def _silent(text: str, share: float) -> None:
     pass
 
 
-def _baseline(observed: Observed) -> tuple[Expected, Candidate]:
-    """Fit what is off within its tolerance, and nothing else."""
+def _baseline(observed: Observed, without: Sequence[str]) -> tuple[Expected, Candidate, Scatter]:
+    """Fit what is off within its tolerance, and nothing else; what scatters is taken for noise."""
     expected = Expected(observed)
     expected.take_tangents(expected.neutral, {})
     fitted = refit(expected, {}, expected.neutral)
     expected.allow_for_bends(fitted.nuisance, {})
     expected.take_tangents(fitted.nuisance, {})
-    return expected, judged(expected, refit(expected, {}, fitted.nuisance))
+    fitted = refit(expected, {}, fitted.nuisance)
+    random = scatter(expected, fitted, without)
+    if random.effects:
+        expected.take_noise(random.sigmas_dn)
+        fitted = refit(expected, {}, fitted.nuisance)
+    return expected, judged(expected, fitted), random
 
 
 def _settled(expected: Expected, effects: Effects, nuisance: Float64) -> Refit:
@@ -124,21 +139,25 @@ def _settled(expected: Expected, effects: Effects, nuisance: Float64) -> Refit:
     return fitted
 
 
-def _named(decision: Decision, after: Refit, share: Mapping[str, float]) -> tuple[Named, ...]:
-    """Return the effects of the best fit with their parameters."""
-    sigmas = after.sigmas
+def _named(
+    decision: Decision, after: Refit, random: Scatter, share: Mapping[str, float]
+) -> tuple[Named, ...]:
+    """Return the effects of the best fit, and those that scatter, with their parameters."""
+    sigmas = {**after.sigmas, **random.sigmas}
+    confidence = {name: float(decision.confidence[0]) for name in after.ids}
     return tuple(
         Named(
             name,
             REGISTRY[name].stage.value,
-            float(decision.confidence[0]),
-            share[name],
+            confidence.get(name, RANDOM_CONFIDENCE),
+            share.get(name, 0.0),
             {
                 parameter.name: Estimate(values[parameter.name], sigmas[name][parameter.name], parameter.unit)
                 for parameter in REGISTRY[name].parameters
+                if parameter.name in values
             },
         )
-        for name, values in after.effects.items()
+        for name, values in {**after.effects, **random.effects}.items()
     )
 
 

@@ -191,6 +191,14 @@ class Expected:
         frames = self.over_frames(lambda frame: self._with_bend(frame, nuisance, effects))
         self.observed = replace(self.observed, frames=tuple(frames))
 
+    def take_noise(self, sigmas_dn: Sequence[Float64]) -> None:
+        """Take other noise of the bins that count, (n,) for each frame; inf leaves a bin out."""
+        frames = [
+            replace(frame, sigma_dn=sigma_dn)
+            for frame, sigma_dn in zip(self.observed.frames, sigmas_dn, strict=True)
+        ]
+        self.observed = replace(self.observed, frames=tuple(frames))
+
     def _with_bend(self, frame: ObservedFrame, nuisance: Float64, effects: Effects) -> ObservedFrame:
         first, last, torch = frame.stations_mm
         seam = self.observed.seam
@@ -307,7 +315,7 @@ class Expected:
             nearest = self._nearest[frame.position]
             dark = np.zeros(nearest.shape, dtype=np.float32)
             self._rendered[key] = Rendered(
-                View.of(setup, T_base_tool, seam.middle, rays, ground=seam.ground),
+                View.of(setup, T_base_tool, seam.middle, rays, ground=seam.ground, coarse=True),
                 layers.arc_e[nearest] if frame.condition.arc_level > 0.0 else dark,
                 layers.laser_e[nearest] if frame.condition.laser_level > 0.0 else dark,
             )

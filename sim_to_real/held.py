@@ -15,7 +15,7 @@ from noise_model.frames import Float64
 from noise_model.sensor import saturation_dn
 from noise_model.setup import Setup
 from sim_to_real.diagnosis import Float32, Predicted
-from sim_to_real.expected import Expected, really_lit, really_there
+from sim_to_real.expected import Effects, Expected, really_lit, really_there
 from sim_to_real.observed import FLOOR_DN, FLOOR_REL, Bool, Observed, ObservedFrame
 from sim_to_real.refit import FLICKER, Refit
 
@@ -42,17 +42,21 @@ DRAWS = 400
 
 
 def predict_held(
-    held: Observed, expected: Expected, before: Refit, after: Refit, on_frame: Callable[[float], None]
+    held: Observed,
+    expected: Expected,
+    before: tuple[Refit, Effects],
+    after: tuple[Refit, Effects],
+    on_frame: Callable[[float], None],
 ) -> Predicted:
-    """Return held-out frames as two fits predict them."""
+    """Return held-out frames as two fits predict them, each with random effects besides."""
     recorded, pairs, counts = [], [], []
     renderer = Renderer(2)
     for n, frame in enumerate(held.frames):
-        first = _predict(held.setup, expected, frame, before, renderer)
-        second = first if after is before else _predict(held.setup, expected, frame, after, renderer)
+        first = _predict(held.setup, expected, frame, *before, renderer)
+        second = first if after == before else _predict(held.setup, expected, frame, *after, renderer)
         recorded.append(frame.image_dn)
         pairs.append((first, second))
-        counts.append(_counts(held.setup, expected, frame, after, renderer))
+        counts.append(_counts(held.setup, expected, frame, after[0], renderer))
         on_frame((n + 1.0) / len(held.frames))
     return Predicted(
         np.array([frame.index for frame in held.frames]),
@@ -76,9 +80,15 @@ def _stated(setup: Setup, fitted: Refit) -> Setup:
 
 
 def _predict(
-    setup: Setup, expected: Expected, frame: ObservedFrame, fitted: Refit, renderer: Renderer
+    setup: Setup,
+    expected: Expected,
+    frame: ObservedFrame,
+    fitted: Refit,
+    random: Effects,
+    renderer: Renderer,
 ) -> Prediction:
     stated = _stated(setup, fitted)
+    stated = replace(stated, effects={**stated.effects, **random})
     pose = frame.pose_at(pose_time_s(stated, frame.timestamp_s))
     seam = expected.seam(frame, fitted.nuisance)
     condition = really_lit(frame.condition, fitted.nuisance)

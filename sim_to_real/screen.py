@@ -76,7 +76,6 @@ FAMILIES: Mapping[str, tuple[Family, ...]] = {
     "rolling_marks": tuple(
         Family(({"anisotropy": size},), {"marks_deg": deg}) for deg in (0.0, 45.0) for size in (0.4, -0.4)
     ),
-    "interreflection": _each({"albedo_scale": 0.3}),
     "hot_metal_glow": tuple(
         Family(({"peak_e": 2e4},), {"length_mm": length}) for length in (5.0, 10.0, 20.0, 40.0)
     ),
@@ -105,6 +104,9 @@ FAMILIES: Mapping[str, tuple[Family, ...]] = {
     "pose_delay": _each({"delay_s": 0.01}, {"delay_s": -0.01}),
 }
 """Where each effect that changes a frame's mean is tried; the random ones show in its scatter."""
+
+DEAR: Mapping[str, Values] = {"interreflection": {"albedo_scale": 0.2}}
+"""Effects that take longer than all others together, and where their fit starts: tried if no other does."""
 
 
 @dataclass(frozen=True)

@@ -8,8 +8,8 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -17,6 +17,7 @@ from noise_model.frames import Float64
 from sim_to_real.diagnosis import Verdict
 from sim_to_real.expected import Expected
 from sim_to_real.refit import refit
+from sim_to_real.scatter import Scatter
 from sim_to_real.select import Candidate, candidates, confidences, judged
 
 GAP_FROM = 3.0
@@ -30,6 +31,9 @@ WORTH = 0.5
 
 UNEXPLAINED_FROM = 2.0
 """A mean square from which there is a gap though nothing in the catalogue helps."""
+
+MOSTLY_RANDOM = 1.0
+"""What is left beside random effects is theirs if it is no larger, times this, than what they add."""
 
 MOST_EFFECTS = 3
 """So many effects are named at most."""
@@ -80,6 +84,16 @@ def decide(
     return Decision(Verdict.EFFECTS, several, singles, p, ())
 
 
+def with_random(decision: Decision, baseline: Candidate, random: Scatter) -> Decision:
+    """Return the verdict with what scatters: it is named beside others, or alone if it is most of the gap."""
+    if not random.effects or decision.verdict in (Verdict.EFFECTS, Verdict.AMBIGUOUS):
+        return decision
+    coherent = max(baseline.left - 1.0, 0.0)
+    if decision.verdict is Verdict.UNKNOWN and coherent > MOSTLY_RANDOM * sum(random.excess.values()):
+        return decision
+    return replace(decision, verdict=Verdict.EFFECTS, chosen=baseline)
+
+
 def _several(
     expected: Expected,
     baseline: Candidate,
@@ -106,11 +120,27 @@ def _several(
     return chosen
 
 
-def shares(expected: Expected, baseline: Candidate, chosen: Candidate) -> dict[str, float]:
-    """Return each chosen effect's share of the gap that they close together: Shapley's value (1953)."""
+def shares(
+    expected: Expected, baseline: Candidate, chosen: Candidate, random: Mapping[str, float]
+) -> dict[str, float]:
+    """Return each effect's share of the gap that all close together: Shapley's value (1953).
+
+    `random` are the effects that scatter with what they add to r^2: sums, whose shares are their own.
+    """
+    mean = _shares_of_mean(expected, baseline, chosen)
+    closed = baseline.left - max(chosen.left, 1.0)
+    scattered = sum(random.values())
+    total = max(closed, 0.0) + scattered
+    if total <= 0.0:
+        return mean
+    shares = {name: of * max(closed, 0.0) / total for name, of in mean.items()}
+    return {**shares, **{name: excess / total for name, excess in random.items()}}
+
+
+def _shares_of_mean(expected: Expected, baseline: Candidate, chosen: Candidate) -> dict[str, float]:
     names = chosen.ids
     if len(names) < 2:
-        return {name: 1.0 for name in names}
+        return dict.fromkeys(names, 1.0)
     left: dict[frozenset[str], float] = {frozenset(): baseline.left, frozenset(names): chosen.left}
     for size in range(1, len(names)):
         for some in itertools.combinations(names, size):
