@@ -10,6 +10,7 @@ import typer
 
 from arctrack.cli.calibrate import calibrate
 from arctrack.cli.diagnose import diagnose
+from arctrack.cli.diagnose_check import TwoWordGroup, check
 from arctrack.cli.figures import figures
 from arctrack.cli.inspect import inspect
 from arctrack.cli.plan import plan
@@ -22,6 +23,7 @@ BAD_INPUT = 2
 
 app = typer.Typer(
     name="arctrack",
+    cls=TwoWordGroup,
     help="Seam tracking for GTAW under reflected arc light.",
     no_args_is_help=True,
     add_completion=False,
@@ -33,6 +35,7 @@ app.command(epilog="Example: arctrack inspect examples/v_groove --out /tmp/v_gro
 app.command(epilog="Example: arctrack simulate /tmp/lap --joint lap --material zn_coated --seed 7")(simulate)
 app.command(epilog="Example: arctrack plan examples/v_groove --out /tmp/plan")(plan)
 app.command(epilog="Example: arctrack diagnose monday tuesday --workers 2")(diagnose)
+app.add_typer(check)
 app.add_typer(calibrate)
 app.add_typer(figures)
 

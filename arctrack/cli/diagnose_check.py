@@ -1,0 +1,86 @@
+"""`arctrack diagnose check`: recordings with sealed effects are made, diagnosed, and the labels opened."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+from typer.core import TyperGroup
+
+from arctrack.errors import in_file
+
+NAME = "diagnose check"
+
+check = typer.Typer(
+    name=NAME, help="Check the diagnosis on recordings with sealed effects.", no_args_is_help=True
+)
+
+Folder = Annotated[Path, typer.Argument(metavar="DIR", help="The check's folder.")]
+Workers = Annotated[int, typer.Option(min=1, help="Recordings worked on at once, a process each.")]
+
+
+class TwoWordGroup(TyperGroup):
+    """A group with commands of two words, beside the command that the first word alone is."""
+
+    def resolve_command(self, ctx: Any, args: list[str]) -> Any:
+        """Take the first two words for one where they are a command."""
+        both = " ".join(args[:2])
+        return super().resolve_command(ctx, [both, *args[2:]] if both in self.commands else args)
+
+
+@check.callback(epilog="Example: arctrack diagnose check make --out /tmp/check --draws 1 --tiers AE")
+def _check() -> None:
+    """Check the diagnosis on recordings with sealed effects: make them, run it, open the labels."""
+
+
+@check.command(epilog="Example: arctrack diagnose check make --out /tmp/check --draws 3 --workers 2")
+def make(
+    out: Annotated[Path, typer.Option(help="The check's folder; made if missing.")],
+    draws: Annotated[int, typer.Option(min=0, help="Recordings of each effect in tiers A, C and D.")] = 3,
+    quiet_draws: Annotated[int, typer.Option(min=0, help="Recordings of tier E, without any effect.")] = 50,
+    tiers: Annotated[
+        str,
+        typer.Option(
+            help="A: one effect; B: A's again, it withheld; C: one of another form; D: two; E: none."
+        ),
+    ] = "ABCDE",
+    seed: Annotated[int, typer.Option(min=0, help="Of all that is drawn.")] = 0,
+    workers: Workers = 1,
+) -> None:
+    """Make recordings with hidden effects and seal their labels; what is there is not made again."""
+    from arctrack import diagnose_check as engine
+
+    engine.make(out, engine.Asked(draws, quiet_draws, tiers, seed), workers, _say)
+    typer.echo(f"{out / engine.SEALED}: all labels are sealed; arctrack diagnose check run {out}")
+
+
+@check.command(epilog="Example: arctrack diagnose check run /tmp/check --workers 2")
+def run(folder: Folder, workers: Workers = 1) -> None:
+    """Diagnose the recordings, their labels closed; what is diagnosed is not diagnosed again."""
+    from arctrack import diagnose_check as engine
+
+    engine.run(folder, workers, _say)
+    typer.echo(f"{folder / engine.RESULTS}: all is diagnosed; arctrack diagnose check open {folder}")
+
+
+@check.command("open", epilog="Example: arctrack diagnose check open /tmp/check")
+def open_labels(folder: Folder) -> None:
+    """Open the labels; print the scores with their 95 % bounds, write table.md and scores.json."""
+    from arctrack import diagnose_check as engine
+    from arctrack.cli.diagnose_check_table import table
+
+    opened = engine.open_labels(folder)
+    text = table(opened)
+    try:
+        (folder / "table.md").write_text(text, encoding="utf-8")
+        content = json.dumps(engine.scores_json(opened), indent=1, allow_nan=False)
+        (folder / "scores.json").write_text(content + "\n", encoding="utf-8")
+    except OSError as error:
+        raise in_file(folder, f"cannot be written: {error.strerror}") from None
+    typer.echo(text)
+
+
+def _say(what: str, done: int, of: int) -> None:
+    typer.echo(f"{done} of {of}: {what}", err=True)

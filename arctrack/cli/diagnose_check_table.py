@@ -1,0 +1,77 @@
+"""The blind check's scores as Markdown."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Sequence
+
+from arctrack.diagnose_check import Opened
+from sim_to_real.check.case import VERDICTS
+from sim_to_real.check.score import Confusion, Rate, Scores
+
+NONE = "–"
+
+
+def table(opened: Opened) -> str:
+    """Return all scores, a table an effect's and what went wrong, as Markdown."""
+    scores = opened.scores
+    options = " ".join(f"--{name.replace('_', '-')} {value}" for name, value in vars(opened.asked).items())
+    parts = [
+        f"`{options}`: {opened.n_planned} recordings planned, {opened.n_made} made, "
+        f"{len(scores.failures)} diagnoses failed or missing, counted as wrong.",
+        _rows(("tier", "score", "right", "rate", "95 % bounds", "cosine"), _rates(scores)),
+        _rows(("tiers", "figure", "n", "value", "95 % bounds", "cosine"), _figures(scores)),
+        _rows(("tier", "effect", "n", "named first", "best three", "cosine", *VERDICTS), _by_effect(scores)),
+    ]
+    if scores.confusions:
+        parts += ["Wrong answers:", _rows(("recording", "tier", "hidden", "answered"), _confusions(scores))]
+    if scores.failures:
+        parts += ["Without a diagnosis:", "\n".join(f"- {name}: {why}" for name, why in scores.failures)]
+    return "\n\n".join(parts) + "\n"
+
+
+def _rows(head: Sequence[str], lines: Iterable[Sequence[str]]) -> str:
+    every = [head, ["---"] * len(head), *lines]
+    return "\n".join(f"| {' | '.join(line)} |" for line in every)
+
+
+def _rates(scores: Scores) -> Iterable[Sequence[str]]:
+    for one in scores.rates:
+        rate = one.rate
+        bounds = " to ".join(map(_percent, rate.bounds)) if rate.of else NONE
+        yield one.tiers, one.text, _count(rate), _percent(rate.share), bounds, _percent(one.cosine.share)
+
+
+def _figures(scores: Scores) -> Iterable[Sequence[str]]:
+    for one in scores.figures:
+        bounds = " to ".join(map(_number, one.bounds)) if one.of else NONE
+        yield one.tiers, one.text, str(one.of), _number(one.value), bounds, _number(one.cosine)
+
+
+def _by_effect(scores: Scores) -> Iterable[Sequence[str]]:
+    for one in scores.by_effect:
+        counts = [str(one.verdicts[verdict] or "") for verdict in VERDICTS]
+        rights = [str(rate.right) for rate in (one.top1, one.top3, one.cosine)]
+        yield one.tier, one.effect, str(one.top1.of), *rights, *counts
+
+
+def _confusions(scores: Scores) -> Iterable[Sequence[str]]:
+    for one in scores.confusions:
+        yield one.name, one.tier, " + ".join(one.hidden) or "nothing", _answered(one)
+
+
+def _answered(one: Confusion) -> str:
+    apart = ", a pair declared not resolvable" if one.unresolvable else ""
+    return " ".join((one.verdict, " + ".join(one.named))).strip() + apart
+
+
+def _count(rate: Rate) -> str:
+    return f"{rate.right} of {rate.of}"
+
+
+def _percent(share: float) -> str:
+    return NONE if math.isnan(share) else f"{100.0 * share:.0f} %"
+
+
+def _number(value: float) -> str:
+    return NONE if math.isnan(value) else f"{value:.3g}"

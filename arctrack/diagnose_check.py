@@ -1,0 +1,338 @@
+"""The blind check of the diagnosis: recordings with sealed effects made, diagnosed, and the labels opened.
+
+A check is a folder. `make` writes `recordings/`, `labels.json` and `sealed.json`, which holds the SHA-256 of
+each label with its salt; `run` sees recordings and seals alone and writes `results/`; `open_labels` holds the
+labels against their seals and the results against the labels. Each step goes on where it was cut short.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import math
+import os
+import secrets
+import shutil
+import time
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from concurrent.futures import BrokenExecutor, as_completed
+from dataclasses import asdict, dataclass
+from functools import partial
+from pathlib import Path
+from typing import Any, TypeVar
+
+from arctrack.diagnose import processes
+from arctrack.errors import ArctrackError, in_file
+from arctrack.recording import BadFrame, RecordingWriter, pose_at, read_recording
+from arctrack.recording.diagnosis_files import report
+from arctrack.recording.reader import UNFINISHED_SUFFIX
+from sim_to_real.check.case import FAILED, Answer, Case
+from sim_to_real.check.plan import Planned, plan
+from sim_to_real.check.score import Scores, score
+
+SEALED, LABELS = "sealed.json", "labels.json"
+RECORDINGS, RESULTS, CACHE = "recordings", "results", "cache"
+
+Item = TypeVar("Item")
+Result = TypeVar("Result")
+
+OnDone = Callable[[str, int, int], None]
+"""Hears what is done, how many of how many are."""
+
+
+@dataclass(frozen=True)
+class Asked:
+    """What a check is made of: recordings an effect, recordings without any, tiers, and the seed of all."""
+
+    draws: int
+    quiet_draws: int
+    tiers: str
+    seed: int
+
+    def plan(self) -> tuple[Planned, ...]:
+        """Return the recordings that are to be made; ArctrackError for tiers that there are not."""
+        try:
+            return plan(self.draws, self.quiet_draws, self.tiers, self.seed)
+        except ValueError as error:
+            raise ArctrackError(f"--tiers {self.tiers}: {error}") from None
+
+
+@dataclass(frozen=True)
+class Run:
+    """A recording to diagnose, and what is left out of the catalogue; `seal` is its label's."""
+
+    name: str
+    seal: str
+    without: tuple[str, ...] = ()
+
+    @property
+    def file_name(self) -> str:
+        """Where its result goes."""
+        return "-without-".join((self.name, *self.without)) + ".json"
+
+
+@dataclass(frozen=True)
+class Opened:
+    """What came of a check: how many recordings were planned and made, and the scores."""
+
+    asked: Asked
+    n_planned: int
+    n_made: int
+    scores: Scores
+
+
+def make(folder: Path, asked: Asked, workers: int, on_done: OnDone) -> None:
+    """Render the recordings of a check that are not there yet, and seal their labels.
+
+    Raises ArctrackError if the folder holds another check, and if Mitsuba is missing.
+    """
+    planned = {f"{one.number:04d}": one for one in asked.plan()}
+    secret, sealed = _begun(folder, asked)
+    missing = [(name, one) for name, one in planned.items() if name not in sealed["recordings"]]
+    # Light is rendered once for each world: no two workers shall begin with the same.
+    missing.sort(key=lambda pair: _turn_of_world(pair[0], planned))
+    for (name, one), label in _over(partial(_render, folder), missing, workers):
+        salt = secrets.token_hex(16)
+        secret["labels"][name] = {"salt": salt, "label": label}
+        seal = {"sha256": _seal(salt, label), "again": one.tier == "A" and "B" in asked.tiers}
+        sealed["recordings"][name] = seal
+        _write(folder / LABELS, secret)
+        _write(folder / SEALED, sealed)
+        on_done(f"{name} made", len(sealed["recordings"]), len(planned))
+
+
+def run(folder: Path, workers: int, on_done: OnDone) -> None:
+    """Diagnose what is sealed and not diagnosed yet; then again, without the effect that was named alone.
+
+    The labels stay closed. A recording whose diagnosis fails gets a result that says why.
+    """
+    sealed = _read(folder / SEALED, "run `arctrack diagnose check make` first")["recordings"]
+    first = [Run(name, seal["sha256"]) for name, seal in sealed.items()]
+    _diagnose_all(folder, first, workers, on_done)
+    again = []
+    for one in first:
+        if sealed[one.name]["again"]:
+            alone = answer_of(_read(folder / RESULTS / one.file_name)).alone
+            again += [] if alone is None else [Run(one.name, one.seal, (alone,))]
+    _diagnose_all(folder, again, workers, on_done)
+
+
+def open_labels(folder: Path) -> Opened:
+    """Verify the labels and score the results; writes nothing.
+
+    Raises ArctrackError if a label is not the one that was sealed, or a result not that of this seal.
+    """
+    sealed = _read(folder / SEALED, "run `arctrack diagnose check make` first")["recordings"]
+    secret = _read(folder / LABELS, "without the labels there is nothing to open")
+    asked = Asked(**secret["asked"])
+    for name in sorted(sealed.keys() | secret["labels"].keys()):
+        kept = secret["labels"].get(name)
+        # A label without a seal is that of a recording whose making was cut short.
+        if name in sealed and (kept is None or _seal(**kept) != sealed[name]["sha256"]):
+            raise in_file(folder / LABELS, f"the label of {name} is not the one that was sealed")
+    cases = [
+        _case(folder, Run(name, seal["sha256"]), seal["again"], secret["labels"][name]["label"])
+        for name, seal in sorted(sealed.items())
+    ]
+    return Opened(asked, len(asked.plan()), len(sealed), score(cases, asked.tiers))
+
+
+def scores_json(opened: Opened) -> dict[str, Any]:
+    """Return what scores.json holds; what is not known is null."""
+    scores = opened.scores
+    content: dict[str, Any] = _plain(asdict(opened))
+    for kept, rate in zip(content["scores"]["rates"], scores.rates, strict=True):
+        kept["rate"] |= {"share": _plain(rate.rate.share), "bounds": _plain(rate.rate.bounds)}
+    return content
+
+
+def answer_of(result: Mapping[str, Any]) -> Answer:
+    """Return the answer that a result's file holds."""
+    times = {name: result[name] for name in ("wall_s", "cpu_s")}
+    if result["problem"] is not None:
+        return Answer(FAILED, problem=result["problem"], **times)
+    said = result["report"]
+    named = sorted(said["effects"], key=lambda effect: -(effect["share"] or 0.0))
+    ranking, gap = said["ranking"], said["gap"]
+    return Answer(
+        said["verdict"],
+        tuple(effect["id"] for effect in named),
+        tuple(one["id"] for one in ranking),
+        _known(ranking[0]["confidence"]) if ranking else math.nan,
+        {one["id"]: _known(one["gap_closed"]) for one in ranking},
+        said["where"]["stage"],
+        _known(gap["before"]),
+        _known(gap["floor"]),
+        _known(gap["closed"]),
+        frozenset(frozenset(pair) for pair in said["not_resolvable"]),
+        **times,
+    )
+
+
+def _begun(folder: Path, asked: Asked) -> tuple[dict[str, Any], dict[str, Any]]:
+    """Return labels and seals as far as they are there."""
+    if not (folder / LABELS).exists():
+        (folder / RECORDINGS).mkdir(parents=True, exist_ok=True)
+        return {"asked": asdict(asked), "labels": {}}, {"recordings": {}}
+    secret = _read(folder / LABELS)
+    if secret["asked"] != asdict(asked):
+        before = ", ".join(f"{key} = {value}" for key, value in secret["asked"].items())
+        raise in_file(folder, f"holds a check of {before}; repeat these, or choose another --out")
+    sealed = _read(folder / SEALED) if (folder / SEALED).exists() else {"recordings": {}}
+    return secret, sealed
+
+
+def _turn_of_world(name: str, planned: Mapping[str, Planned]) -> int:
+    """Return how many recordings with the same world come before one."""
+    world = planned[name].world_seed
+    return sum(other < name and one.world_seed == world for other, one in planned.items())
+
+
+def _render(folder: Path, named: tuple[str, Planned]) -> dict[str, Any]:
+    """Make a recording, if it is not there, and return its label. The truth is not written beside it."""
+    from sim_to_real.check.scenario import draw, make
+
+    name, one = named
+    try:
+        scenario = draw(
+            one.seed, one.tier, world_seed=one.world_seed, joint=one.joint, effects=one.effects, form=one.form
+        )
+        path = folder / RECORDINGS / name
+        if not path.exists():
+            recorded = make(scenario, folder / CACHE)
+            shutil.rmtree(path.with_name(name + UNFINISHED_SUFFIX), ignore_errors=True)
+            with RecordingWriter(path, recorded.setup) as writer:
+                for timestamp_s, T_base_tool in recorded.poses:
+                    writer.write_pose(timestamp_s, T_base_tool)
+                for frame in recorded.frames:
+                    writer.write_frame(frame)
+    except ImportError as error:
+        raise ArctrackError(
+            f"the check's renderer needs pip install 'arctrack[reference]': {error}"
+        ) from None
+    return scenario.labels
+
+
+def _diagnose_all(folder: Path, runs: Sequence[Run], workers: int, on_done: OnDone) -> None:
+    results = folder / RESULTS
+    results.mkdir(exist_ok=True)
+    missing = [one for one in runs if not (results / one.file_name).exists()]
+    n_done = len(runs) - len(missing)
+    for one, result in _over(partial(_diagnosed, folder), missing, workers):
+        _write(results / one.file_name, result)
+        n_done += 1
+        left_out = f" without {one.without[0]}" if one.without else ""
+        on_done(f"{one.name}{left_out}: {_in_words(answer_of(result))}", n_done, len(runs))
+
+
+def _in_words(answer: Answer) -> str:
+    if answer.problem:
+        return f"{answer.verdict}: {answer.problem}"
+    return " ".join((answer.verdict, *answer.named, f"({answer.wall_s:.0f} s)"))
+
+
+def _diagnosed(folder: Path, one: Run) -> dict[str, Any]:
+    """Return a run's result: the report, the baseline, the times, and the problem if there is one."""
+    from sim_to_real.check.cosine import cosines
+    from sim_to_real.diagnose import diagnose
+
+    result: dict[str, Any] = {
+        "recording": one.name,
+        "sealed": one.seal,
+        "without": list(one.without),
+        "problem": None,
+        "cosines": None,
+    }
+    started = time.perf_counter(), time.process_time()
+    try:
+        recording = read_recording(folder / RECORDINGS / one.name)
+        frames = [frame for frame in recording.frames() if not isinstance(frame, BadFrame)]
+        at = partial(pose_at, recording.pose_buffer())
+        result["report"] = report(diagnose(recording.setup, frames, at, without=one.without))
+        result |= _since(*started)
+        if not one.without:
+            result["cosines"] = _plain(cosines(recording.setup, frames, at))
+    except Exception as error:
+        # One recording that fails is a wrong answer, not the end of the check.
+        result |= {"problem": f"{type(error).__name__}: {error}", **_since(*started)}
+    return result
+
+
+def _since(wall_s: float, cpu_s: float) -> dict[str, float]:
+    return {"wall_s": time.perf_counter() - wall_s, "cpu_s": time.process_time() - cpu_s}
+
+
+def _case(folder: Path, one: Run, is_again: bool, label: Mapping[str, Any]) -> Case:
+    result = _result(folder, one)
+    answer = answer_of(result)
+    again = None
+    if is_again and answer.alone is not None:
+        again = answer_of(_result(folder, Run(one.name, one.seal, (answer.alone,))))
+    likeness = [(name, value) for name, value in (result["cosines"] or {}).items() if value is not None]
+    likeness.sort(key=lambda pair: -abs(pair[1]))
+    return Case(one.name, label["tier"], tuple(label["effects"]), answer, tuple(likeness), again)
+
+
+def _result(folder: Path, one: Run) -> dict[str, Any]:
+    """Return a run's result; one that is missing is a failure."""
+    path = folder / RESULTS / one.file_name
+    if not path.exists():
+        return {"problem": "not diagnosed", "wall_s": math.nan, "cpu_s": math.nan, "cosines": None}
+    result = _read(path)
+    if result["sealed"] != one.seal:
+        raise in_file(path, "is the result of a recording with another seal; remove it and run again")
+    return result
+
+
+def _over(
+    work: Callable[[Item], Result], items: Iterable[Item], workers: int
+) -> Iterator[tuple[Item, Result]]:
+    """Yield items with what work makes of them, as they come."""
+    if workers == 1:
+        for item in items:
+            yield item, work(item)
+        return
+    with processes(workers) as executor:
+        futures = {executor.submit(work, item): item for item in items}
+        try:
+            for future in as_completed(futures):
+                yield futures[future], future.result()
+        except BrokenExecutor:
+            raise ArctrackError(
+                "a process ended, for want of memory perhaps; run again with fewer --workers"
+            ) from None
+
+
+def _seal(salt: str, label: Mapping[str, Any]) -> str:
+    """Return the SHA-256 of a salt and a label."""
+    return hashlib.sha256((salt + json.dumps(label, sort_keys=True)).encode()).hexdigest()
+
+
+def _read(path: Path, cure: str = "it was there before") -> dict[str, Any]:
+    try:
+        content: dict[str, Any] = json.loads(path.read_text(encoding="utf-8"))
+    except FileNotFoundError:
+        raise in_file(path, f"is missing; {cure}") from None
+    except ValueError as error:
+        raise in_file(path, f"is no JSON: {error}") from None
+    return content
+
+
+def _write(path: Path, content: Mapping[str, Any]) -> None:
+    """Write JSON whole or not at all."""
+    part = path.with_suffix(".part")
+    part.write_text(json.dumps(content, indent=1, allow_nan=False) + "\n", encoding="utf-8")
+    os.replace(part, path)
+
+
+def _known(value: float | None) -> float:
+    return math.nan if value is None else value
+
+
+def _plain(value: Any) -> Any:
+    """Return JSON's own types; null for what is not finite."""
+    if isinstance(value, Mapping):
+        return {key: _plain(item) for key, item in value.items()}
+    if isinstance(value, tuple | list):
+        return [_plain(item) for item in value]
+    return None if isinstance(value, float) and not math.isfinite(value) else value

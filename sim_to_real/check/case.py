@@ -1,0 +1,117 @@
+"""A recording of the blind check: what it hides, what was answered, what the baseline says."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field
+
+from noise_model.effects import REGISTRY
+
+FAILED = "failed"
+"""Stands for the verdict of a recording without a diagnosis."""
+
+VERDICTS = ("effects", "ambiguous", "unknown", "no_gap", FAILED)
+
+CLEAR = 3.0
+"""A gap of so many floors is one that must be found."""
+
+
+@dataclass(frozen=True)
+class Answer:
+    """What a diagnosis said: the `verdict`, the effects that it `named`, the largest share first.
+
+    `ranked` are the candidates, best first, `confidence` is the first one's, `closes` the share of the gap
+    that each closes by itself. `gap_before`, `gap_floor` and `gap_closed` are of held-out frames, NaN where
+    not known; `unresolvable` pairs were declared so before any fit. Times are wall and processor. A `problem`
+    says why there is no diagnosis.
+    """
+
+    verdict: str
+    named: tuple[str, ...] = ()
+    ranked: tuple[str, ...] = ()
+    confidence: float = math.nan
+    closes: Mapping[str, float] = field(default_factory=dict)
+    stage: str = ""
+    gap_before: float = math.nan
+    gap_floor: float = math.nan
+    gap_closed: float = math.nan
+    unresolvable: frozenset[frozenset[str]] = frozenset()
+    wall_s: float = math.nan
+    cpu_s: float = math.nan
+    problem: str = ""
+
+    @property
+    def first(self) -> str | None:
+        """The effect that the verdict names first."""
+        return self.named[0] if self.named else None
+
+    @property
+    def alone(self) -> str | None:
+        """The effect that the verdict names alone and for sure."""
+        return self.named[0] if self.verdict == "effects" and len(self.named) == 1 else None
+
+    @property
+    def is_clear(self) -> bool:
+        """Whether the gap is one that must be found."""
+        return self.gap_before >= CLEAR * self.gap_floor
+
+    @property
+    def says_gap(self) -> bool:
+        """Whether a gap was found at all."""
+        return self.verdict in ("effects", "ambiguous", "unknown")
+
+
+@dataclass(frozen=True)
+class Case:
+    """A recording: its hidden `effects`, the answer, and the cosine baseline's effects, best first.
+
+    `again` is the answer with the effect withheld that the first one named alone, None if it named none.
+    """
+
+    name: str
+    tier: str
+    effects: tuple[str, ...]
+    answer: Answer
+    cosines: tuple[tuple[str, float], ...] = ()
+    again: Answer | None = None
+
+    @property
+    def cosine_first(self) -> str | None:
+        """What the baseline answers."""
+        return self.cosines[0][0] if self.cosines else None
+
+    @property
+    def named_first(self) -> bool:
+        """Whether the verdict names the hidden effect, or one of them, first."""
+        return self.answer.first in self.effects
+
+    @property
+    def in_best_three(self) -> bool:
+        """Whether a gap was found and the hidden effect is among the three best candidates."""
+        return self.answer.says_gap and self.effects[0] in self.answer.ranked[:3]
+
+    @property
+    def ranked_first(self) -> bool:
+        """Whether the best candidate is hidden, whatever the verdict."""
+        return bool(self.answer.ranked) and self.answer.ranked[0] in self.effects
+
+    @property
+    def cosine_named_first(self) -> bool:
+        """Whether the baseline answers the hidden effect, or one of them."""
+        return self.cosine_first in self.effects
+
+    @property
+    def cosine_in_best_three(self) -> bool:
+        """Whether the hidden effect is among the baseline's three best."""
+        return self.effects[0] in [name for name, _ in self.cosines[:3]]
+
+    def is_unresolvable(self, named: Iterable[str]) -> bool:
+        """Say whether a hidden effect and one of those named were a pair declared not resolvable."""
+        pairs = self.answer.unresolvable
+        return any(frozenset((hidden, name)) in pairs for hidden in self.effects for name in named)
+
+
+def stage_of(effect: str | None) -> str | None:
+    """Return the stage at which an effect acts."""
+    return None if effect is None else REGISTRY[effect].stage.value

@@ -1,0 +1,88 @@
+"""Which recordings a blind check is made of: effects, forms, pairs and worlds, dealt out evenly."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from sim_to_real.check.world import FORMS
+from sim_to_real.check.world_effect import CATALOGUE
+from sim_to_real.check.world_stated import JOINTS, draw_stated
+
+TIERS = "ABCDE"
+"""B has no recordings of its own: it diagnoses those of A again, what they hide withheld."""
+
+N_WORLDS = 12
+"""So many joints, metals and motions are shared by all recordings, and with them the rendered light."""
+
+SEEDS = 1_000_000
+"""So many seeds of recordings belong to each seed of a check."""
+
+
+@dataclass(frozen=True)
+class Planned:
+    """A recording that is to be made: the arguments of `scenario.draw`, and a number that tells nothing."""
+
+    number: int
+    seed: int
+    tier: str
+    world_seed: int
+    joint: str
+    effects: tuple[str, ...]
+    form: str | None = None
+
+
+def plan(draws: int, quiet_draws: int, tiers: str = TIERS, seed: int = 0) -> tuple[Planned, ...]:
+    """Return what to make, by number.
+
+    Tier A hides each effect `draws` times, C each that has another form than the catalogue's, D deals all
+    effects out in pairs so often; E hides nothing in `quiet_draws` recordings. Equal arguments give an equal
+    plan. Raises ValueError for a tier that there is not and for B without A.
+    """
+    for tier in tiers:
+        if tier not in TIERS:
+            raise ValueError(f"tier {tier!r} is not known: there are {', '.join(TIERS)}")
+    if "B" in tiers and "A" not in tiers:
+        raise ValueError("tier B diagnoses the recordings of A again: name both")
+    shuffle = np.random.default_rng([seed, 0])
+    planned = []
+    for n, (tier, effects, form, turn) in enumerate(_contents(draws, quiet_draws, tiers, shuffle)):
+        world_seed, joint = _world(seed, turn, effects)
+        planned.append(Planned(n, SEEDS * seed + n, tier, world_seed, joint, effects, form))
+    numbers = shuffle.permutation(len(planned)) + 1
+    numbered = [replace(one, number=int(n)) for one, n in zip(planned, numbers, strict=True)]
+    return tuple(sorted(numbered, key=lambda one: one.number))
+
+
+def _contents(
+    draws: int, quiet_draws: int, tiers: str, shuffle: np.random.Generator
+) -> Iterator[tuple[str, tuple[str, ...], str | None, int]]:
+    """Yield tier, effects, form and the turn in which the worlds are taken."""
+    ids = list(FORMS)
+    for turn in range(draws):
+        for n, effect in enumerate(ids):
+            others = [form for form in FORMS[effect] if form != CATALOGUE]
+            if "A" in tiers:
+                yield "A", (effect,), None, n + turn
+            if "C" in tiers and others:
+                yield "C", (effect,), others[turn % len(others)], n + turn
+        if "D" in tiers:
+            order = shuffle.permutation(len(ids))
+            for n, (i, j) in enumerate(zip(order[::2], order[1::2], strict=False)):
+                yield "D", (ids[i], ids[j]), None, n + turn
+    for turn in range(quiet_draws if "E" in tiers else 0):
+        yield "E", (), None, turn
+
+
+def _world(seed: int, turn: int, effects: Sequence[str]) -> tuple[int, str]:
+    """Return the seed and the joint of the next world, from a turn on, in which effects can be seen."""
+    for n in range(turn, turn + N_WORLDS):
+        world = n % N_WORLDS
+        world_seed, joint = N_WORLDS * seed + world, JOINTS[world % len(JOINTS)]
+        stated, _ = draw_stated(np.random.default_rng([world_seed, 0]), joint)
+        # Light bounces between the faces of a bright metal only.
+        if "interreflection" not in effects or stated.material.kappa_diff > stated.material.kappa_spec:
+            return world_seed, joint
+    raise AssertionError("two of three joints are always of the bright metal")

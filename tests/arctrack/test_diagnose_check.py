@@ -1,0 +1,318 @@
+"""The blind check: labels sealed, recordings diagnosed without them, opened and scored; a stub renders."""
+
+import json
+import sys
+import types
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import Executor, ThreadPoolExecutor
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+import pytest
+from made import level_pose, noise_frames, small_setup
+from test_diagnosis_examples import GAMMA, example
+from typer.testing import CliRunner, Result
+
+from arctrack import cli, diagnose_check
+from arctrack.diagnose_check import Asked, make, open_labels, run, scores_json
+from arctrack.errors import ArctrackError
+from noise_model.setup import Setup
+from sim_to_real.check.plan import Planned
+from sim_to_real.diagnosis import Diagnosis, Verdict
+from tracker.state import Frame
+
+RUNNER = CliRunner(env={"COLUMNS": "120", "TERM": "dumb", "NO_COLOR": "1"})
+ASKED = Asked(1, 1, "ABE", 3)
+PLANNED = (
+    Planned(1, 31, "A", 7, "v_groove", ("gamma",)),
+    Planned(2, 32, "E", 8, "v_groove", ()),
+)
+MARK = 201
+"""The first pixel of a frame that hides gamma, for the stub to find."""
+
+HEARD: list[str] | None = None
+
+
+def _hear(event: str, arguments: tuple[object, ...]) -> None:
+    if event == "open" and HEARD is not None:
+        HEARD.append(str(arguments[0]))
+
+
+sys.addaudithook(_hear)
+
+
+@contextmanager
+def listening() -> Iterator[list[str]]:
+    """Give the names of all files that are opened."""
+    global HEARD
+    HEARD = heard = []
+    try:
+        yield heard
+    finally:
+        HEARD = None
+
+
+@dataclass
+class Calls:
+    """What the stubs were asked for; `fault` is raised by the diagnosis of what hides gamma."""
+
+    made: list[int] = field(default_factory=list)
+    diagnosed: list[tuple[str, ...]] = field(default_factory=list)
+    fault: Exception | None = None
+
+
+@pytest.fixture(autouse=True)
+def calls(monkeypatch: pytest.MonkeyPatch) -> Calls:
+    """Let stubs draw, render and diagnose."""
+    calls = Calls()
+    renderer, diagnosis, baseline = (
+        types.ModuleType(f"sim_to_real.{name}") for name in ("check.scenario", "diagnose", "check.cosine")
+    )
+
+    def draw(seed: int, tier: str, **of: object) -> types.SimpleNamespace:
+        return types.SimpleNamespace(
+            seed=seed, labels={"tier": tier, "effects": list(of["effects"]), "parameters": [0.1 / 3.0]}
+        )
+
+    def render(scenario: types.SimpleNamespace, cache_dir: Path) -> types.SimpleNamespace:
+        calls.made.append(scenario.seed)
+        setup = small_setup()
+        frames = noise_frames(setup, 4, scenario.seed)
+        frames[0].image_dn[0, 0] = MARK if scenario.labels["effects"] else 0
+        poses = [(float(t), level_pose(float(t))) for t in np.arange(-0.2, 0.6, 0.01)]
+        return types.SimpleNamespace(setup=setup, frames=frames, poses=poses, labels=scenario.labels)
+
+    def diagnose(
+        setup: Setup,
+        frames: Sequence[Frame],
+        pose_at: Callable[[float], object],
+        *,
+        without: Sequence[str],
+    ) -> Diagnosis:
+        assert pose_at(0.1) is not None
+        calls.diagnosed.append(tuple(without))
+        hides = frames[0].image_dn[0, 0] == MARK
+        if hides and calls.fault is not None:
+            raise calls.fault
+        if "gamma" in without:
+            return example(Verdict.UNKNOWN, setup, GAMMA)
+        return example(Verdict.EFFECTS if hides else Verdict.NO_GAP, setup, GAMMA)
+
+    def cosines(setup: Setup, frames: Sequence[Frame], pose_at: object) -> dict[str, float]:
+        return {"fume": -0.9, "gamma": 0.3, "spatter": float("nan")}
+
+    renderer.draw, renderer.make = draw, render
+    diagnosis.diagnose, baseline.cosines = diagnose, cosines
+    for module in (renderer, diagnosis, baseline):
+        monkeypatch.setitem(sys.modules, module.__name__, module)
+    monkeypatch.setattr(diagnose_check, "plan", lambda *asked: PLANNED)
+    return calls
+
+
+def quiet(what: str, done: int, of: int) -> None:
+    pass
+
+
+@pytest.fixture
+def made(tmp_path: Path) -> Path:
+    make(tmp_path / "check", ASKED, 1, quiet)
+    return tmp_path / "check"
+
+
+def command(*arguments: object) -> Result:
+    return RUNNER.invoke(cli.app, ["diagnose", "check", *map(str, arguments)], catch_exceptions=False)
+
+
+def change(path: Path, edit: Callable[[dict], None]) -> None:
+    content = json.loads(path.read_text())
+    edit(content)
+    path.write_text(json.dumps(content))
+
+
+def test_from_the_making_to_the_table(tmp_path: Path, calls: Calls) -> None:
+    folder = tmp_path / "check"
+    result = command("make", "--out", folder, "--draws", 1, "--quiet-draws", 1, "--tiers", "ABE", "--seed", 3)
+    assert result.exit_code == 0, result.output
+    assert "2 of 2: 000" in result.stderr
+    sealed = (folder / "sealed.json").read_text()
+    assert "gamma" not in sealed
+    assert sorted(json.loads(sealed)["recordings"]) == ["0001", "0002"]
+    assert not (folder / "recordings" / "0001" / "truth.csv").exists()
+    result = command("run", folder)
+    assert result.exit_code == 0, result.output
+    assert "0001: effects gamma" in result.stderr
+    assert "0001 without gamma: unknown" in result.stderr
+    assert sorted(calls.diagnosed) == [(), (), ("gamma",)]
+    result = command("open", folder)
+    assert result.exit_code == 0, result.output
+    assert result.stdout.strip() == (folder / "table.md").read_text().strip()
+    lines = result.stdout.splitlines()
+    assert "2 recordings planned, 2 made, 0 diagnoses failed" in lines[0]
+    assert "| A | named first | 1 of 1 | 100 % | 21 % to 100 % | 0 % |" in lines
+    assert "| B | unknown where the effect is withheld | 1 of 1 | 100 % | 21 % to 100 % | 0 % |" in lines
+    assert any(line.startswith("| E | false alarms") and "| 0 of 1 | 0 %" in line for line in lines)
+    assert "| A | gamma | 1 | 1 | 1 | 0 | 1 |  |  |  |  |" in lines
+    content = json.loads((folder / "scores.json").read_text())
+    rate = content["scores"]["rates"][0]["rate"]
+    assert (rate["right"], rate["of"], rate["share"]) == (1, 1, 1.0)
+    assert rate["bounds"] == pytest.approx([0.20654931, 1.0])
+
+
+def test_the_diagnosis_never_opens_the_labels(made: Path) -> None:
+    with listening() as heard:
+        run(made, 1, quiet)
+    assert any(name.endswith("sealed.json") for name in heard)
+    assert not [name for name in heard if "labels" in name]
+    with listening() as heard:
+        open_labels(made)
+    assert any(name.endswith("labels.json") for name in heard)
+
+
+def test_nothing_is_diagnosed_that_is_not_sealed(made: Path, calls: Calls) -> None:
+    change(made / "sealed.json", lambda content: content["recordings"].pop("0002"))
+    run(made, 1, quiet)
+    assert sorted(calls.diagnosed) == [(), ("gamma",)]
+
+
+def test_an_altered_label_is_found(made: Path) -> None:
+    run(made, 1, quiet)
+
+    def alter(content: dict) -> None:
+        content["labels"]["0001"]["label"]["effects"] = ["fume"]
+
+    change(made / "labels.json", alter)
+    with pytest.raises(
+        ArctrackError, match=r"labels\.json: the label of 0001 is not the one that was sealed"
+    ):
+        open_labels(made)
+
+
+def test_a_label_sealed_anew_is_found(made: Path) -> None:
+    run(made, 1, quiet)
+    label = {"tier": "A", "effects": ["fume"]}
+
+    def relabel(content: dict) -> None:
+        content["labels"]["0001"] = {"salt": "00", "label": label}
+
+    def reseal(content: dict) -> None:
+        content["recordings"]["0001"]["sha256"] = diagnose_check._seal("00", label)
+
+    change(made / "labels.json", relabel)
+    change(made / "sealed.json", reseal)
+    with pytest.raises(ArctrackError, match=r"0001\.json: is the result of a recording with another seal"):
+        open_labels(made)
+
+
+def test_a_lost_label_is_found(made: Path) -> None:
+    change(made / "labels.json", lambda content: content["labels"].pop("0002"))
+    with pytest.raises(ArctrackError, match="the label of 0002"):
+        open_labels(made)
+
+
+def test_equal_labels_have_different_seals(made: Path, tmp_path: Path) -> None:
+    make(tmp_path / "other", ASKED, 1, quiet)
+    seals = [json.loads((folder / "sealed.json").read_text()) for folder in (made, tmp_path / "other")]
+    assert seals[0]["recordings"]["0001"] != seals[1]["recordings"]["0001"]
+
+
+def test_making_goes_on_where_it_was_cut_short(tmp_path: Path, calls: Calls) -> None:
+    folder = tmp_path / "check"
+
+    def cut(what: str, done: int, of: int) -> None:
+        raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        make(folder, ASKED, 1, cut)
+    assert calls.made == [31]
+    kept = json.loads((folder / "labels.json").read_text())["labels"]["0001"]
+    (folder / "recordings" / "0002.unfinished" / "frames").mkdir(parents=True)
+    (folder / "recordings" / "0002.unfinished" / "frames" / "000000.png").write_bytes(b"half")
+    make(folder, ASKED, 1, quiet)
+    make(folder, ASKED, 1, quiet)
+    assert calls.made == [31, 32]
+    assert json.loads((folder / "labels.json").read_text())["labels"]["0001"] == kept
+    assert sorted(path.name for path in (folder / "recordings").iterdir()) == ["0001", "0002"]
+    run(folder, 1, quiet)
+    assert open_labels(folder).n_made == 2
+
+
+def test_diagnosing_goes_on_where_it_was_cut_short(made: Path, calls: Calls) -> None:
+    def cut(what: str, done: int, of: int) -> None:
+        raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        run(made, 1, cut)
+    assert len(calls.diagnosed) == 1
+    run(made, 1, quiet)
+    run(made, 1, quiet)
+    assert len(calls.diagnosed) == 3
+
+
+def test_another_check_in_the_same_folder_is_refused(made: Path) -> None:
+    with pytest.raises(ArctrackError, match="holds a check of draws = 1, quiet_draws = 1, tiers = ABE, seed"):
+        make(made, Asked(2, 1, "ABE", 3), 1, quiet)
+
+
+def test_a_failure_is_a_wrong_answer_and_says_why(made: Path, calls: Calls) -> None:
+    calls.fault = TypeError("a fault")
+    run(made, 1, quiet)
+    opened = open_labels(made)
+    assert opened.scores.failures == (("0001", "TypeError: a fault"),)
+    rates = {one.id: one.rate for one in opened.scores.rates}
+    assert (rates["top1_A"].right, rates["top1_A"].of) == (0, 1)
+    assert (rates["false_alarm"].right, rates["false_alarm"].of) == (0, 1)
+    assert rates["unknown_B"].of == 0
+    assert rates["not_withheld_B"].right == 1
+    json.dumps(scores_json(opened), allow_nan=False)
+
+
+def test_what_was_not_diagnosed_counts_as_wrong(made: Path) -> None:
+    run(made, 1, quiet)
+    for name in ("0001-without-gamma.json", "0002.json"):
+        (made / "results" / name).unlink()
+    scores = open_labels(made).scores
+    assert scores.failures == (("0002", "not diagnosed"), ("0001 without gamma", "not diagnosed"))
+    rates = {one.id: one.rate for one in scores.rates}
+    assert (rates["unknown_B"].right, rates["unknown_B"].of) == (0, 1)
+    assert (rates["false_alarm"].right, rates["false_alarm"].of) == (1, 1)
+
+
+def test_several_at_once(made: Path, monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    @contextmanager
+    def threads(count: int) -> Iterator[Executor]:
+        with ThreadPoolExecutor(count) as executor:
+            yield executor
+
+    monkeypatch.setattr(diagnose_check, "processes", threads)
+    make(tmp_path / "other", ASKED, 2, quiet)
+    run(tmp_path / "other", 2, quiet)
+    run(made, 1, quiet)
+    one, other = (open_labels(folder).scores.rates for folder in (made, tmp_path / "other"))
+    assert one == other
+
+
+def test_without_the_renderer(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def missing(*of: object, **other: object) -> None:
+        raise ImportError("No module named 'mitsuba'")
+
+    sys.modules["sim_to_real.check.scenario"].draw = missing
+    with pytest.raises(ArctrackError, match=r"pip install 'arctrack\[reference\]'"):
+        make(tmp_path / "check", ASKED, 1, quiet)
+
+
+def test_what_is_missing_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    with pytest.raises(ArctrackError, match=r"sealed\.json: is missing; run `arctrack diagnose check make`"):
+        command("run", tmp_path)
+    monkeypatch.undo()
+    with pytest.raises(ArctrackError, match="--tiers AX: tier 'X' is not known"):
+        command("make", "--out", tmp_path / "x", "--tiers", "AX")
+
+
+def test_a_folder_named_check_is_a_recording_too(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    result = RUNNER.invoke(cli.app, ["diagnose", "./check"])
+    assert "check: there is no such folder" in result.stderr
+    result = RUNNER.invoke(cli.app, ["diagnose", "check", "--help"])
+    assert "Example: arctrack diagnose check make" in result.output

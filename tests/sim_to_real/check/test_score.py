@@ -1,0 +1,201 @@
+"""Scores of answers made by hand, all of whose rates are known; bounds against another derivation."""
+
+import math
+
+import numpy as np
+import pytest
+
+from sim_to_real.check.case import FAILED, Answer, Case
+from sim_to_real.check.score import Z95, Rate, expected_calibration_error, score
+
+ONE = {
+    "stage": "sensor",
+    "gap_before": 3.0,
+    "gap_floor": 0.5,
+    "gap_closed": 0.9,
+    "wall_s": 30.0,
+    "cpu_s": 20.0,
+}
+
+
+def sure(*named, ranked=(), confidence=0.95, **other):
+    """An answer that names effects for sure."""
+    ranked = (*named, *ranked)
+    closes = {name: 0.8 - 0.1 * n for n, name in enumerate(ranked)}
+    return Answer("effects", named, ranked, confidence, closes, **(ONE | other))
+
+
+def silent(verdict, ranked=(), **other):
+    """An answer that names nothing."""
+    return Answer(verdict, (), ranked, 0.4, **(ONE | other))
+
+
+def failed(problem="ValueError: no frame has a pose"):
+    return Answer(FAILED, problem=problem)
+
+
+def likeness(*names):
+    return tuple((name, 0.9 - 0.1 * n) for n, name in enumerate(names))
+
+
+PAIR = frozenset({frozenset({"gamma", "exposure_drift"})})
+
+A_CASES = [
+    # Right, and unknown once it is withheld.
+    Case("01", "A", ("gamma",), sure("gamma"), likeness("gamma", "fume"), silent("unknown")),
+    # Right; once withheld, an effect is named that was declared not to be told apart.
+    Case(
+        "02",
+        "A",
+        ("gamma",),
+        sure("gamma", unresolvable=PAIR),
+        likeness("fume", "gamma"),
+        sure("exposure_drift"),
+    ),
+    # Right; once withheld, another is named.
+    Case("03", "A", ("fume",), sure("fume", stage="medium"), likeness("spatter"), sure("veiling_glare")),
+    # Wrong, the hidden one is third; what was withheld was not what is hidden.
+    Case(
+        "04",
+        "A",
+        ("defocus",),
+        sure("gamma", ranked=("fume", "defocus"), confidence=0.92, stage="optics"),
+        likeness("gamma", "fume", "spatter", "defocus"),
+        silent("unknown"),
+    ),
+    # Wrong, but one of a pair declared not to be told apart.
+    Case(
+        "05",
+        "A",
+        ("exposure_drift",),
+        sure("gamma", unresolvable=PAIR, gap_before=1.0),
+        likeness("exposure_drift"),
+        silent("no_gap"),
+    ),
+    # Ambiguous with the right one first: no answer is withheld.
+    Case(
+        "06",
+        "A",
+        ("gamma",),
+        Answer("ambiguous", ("gamma",), ("gamma", "black_level"), 0.55, **(ONE | {"gap_closed": 0.7})),
+        likeness("gamma"),
+    ),
+    Case("07", "A", ("spatter",), silent("unknown", ("spatter", "fume"), stage="medium"), likeness("fume")),
+    Case("08", "A", ("vignetting",), silent("no_gap", ("vignetting",), gap_before=0.6), likeness("fume")),
+    Case("09", "A", ("gamma",), failed(), ()),
+]
+OTHERS = [
+    Case("10", "C", ("gamma",), sure("gamma"), likeness("gamma")),
+    Case("11", "C", ("gamma",), silent("unknown", ("black_level", "gamma")), likeness("gamma")),
+    Case("12", "D", ("gamma", "fume"), sure("fume", "gamma"), likeness("gamma", "fume", "spatter")),
+    Case("13", "D", ("gamma", "fume"), sure("fume"), likeness("gamma", "spatter", "fume")),
+    Case("14", "D", ("gamma", "fume"), sure("fume", "gamma", "spatter"), likeness("spatter")),
+    Case("15", "E", (), silent("no_gap", ("gamma",)), likeness("gamma")),
+    Case("16", "E", (), silent("unknown", ("gamma",)), likeness("gamma")),
+    Case("17", "E", (), sure("gamma"), likeness("gamma")),
+    Case("18", "E", (), failed("not diagnosed")),
+]
+
+
+@pytest.fixture(scope="module")
+def scores():
+    return score(A_CASES + OTHERS, "ABCDE")
+
+
+@pytest.mark.parametrize(
+    ("name", "right", "of", "cosine"),
+    [
+        ("top1_A", 4, 9, (3, 9)),
+        ("top3_A", 6, 9, (4, 9)),
+        ("alone_A", 3, 9, (3, 9)),
+        ("best_ranked_A", 6, 9, (3, 9)),
+        # The fifth is left out.
+        ("top1_resolvable_A", 4, 8, (2, 8)),
+        # The fifth and the eighth have small gaps.
+        ("top1_clear_A", 4, 7, (2, 7)),
+        ("detected_clear_A", 6, 7, (7, 7)),
+        ("stage_A", 7, 9, (5, 9)),
+        ("false_unknown_A", 1, 9, (0, 9)),
+        ("unknown_B", 1, 2, (0, 2)),
+        ("apart_B", 1, 3, (0, 0)),
+        ("wrongly_withheld_B", 2, 9, (0, 0)),
+        ("not_withheld_B", 4, 9, (0, 0)),
+        ("top1_C", 1, 2, (2, 2)),
+        ("top3_C", 2, 2, (2, 2)),
+        ("false_unknown_C", 1, 2, (0, 2)),
+        ("exact_D", 1, 3, (1, 3)),
+        ("top1_D", 3, 3, (2, 3)),
+        ("detected_D", 3, 3, (3, 3)),
+        ("false_alarm", 3, 4, (4, 4)),
+        ("false_name", 1, 4, (4, 4)),
+    ],
+)
+def test_rates_are_those_counted_by_hand(scores, name, right, of, cosine):
+    found = {one.id: one for one in scores.rates}[name]
+    assert (found.rate.right, found.rate.of) == (right, of)
+    assert (found.cosine.right, found.cosine.of) == cosine
+
+
+def test_figures(scores):
+    found = {one.id: one for one in scores.figures}
+    # Clear gaps in A: 1 to 4 close 0.9, the ambiguous one 0.7, the unknown 0.9.
+    assert found["gap_closed"].of == 6
+    assert found["gap_closed"].value == pytest.approx(0.9)
+    # Only the fourth's best candidate is not the hidden one: 0.8 over 0.6.
+    assert found["closed_over_true"].of == 4
+    assert found["closed_over_true"].value == pytest.approx(1.0)
+    assert found["closed_over_true"].bounds[1] == pytest.approx(0.8 / 0.6, abs=0.2)
+    # Named in A, C, E: 0.95 right in 01 02 03 10, wrong in 05 17, 0.92 wrong in 04; 0.55 right in 06.
+    off = abs(4 - (6 * 0.95 + 0.92)) + abs(1 - 0.55)
+    assert found["calibration_error"].of == 8
+    assert found["calibration_error"].value == pytest.approx(off / 8.0)
+    assert found["wall_s"].of == 16
+    assert found["wall_s"].value == pytest.approx(30.0)
+    low, high = found["calibration_error"].bounds
+    assert 0.0 <= low < off / 8.0 < high <= 1.0
+
+
+def test_every_wrong_answer_and_every_failure_is_listed(scores):
+    wrong = {one.name: one for one in scores.confusions}
+    assert set(wrong) == {"04", "05", "07", "08", "09", "11", "13", "14", "16", "17", "18"}
+    assert wrong["05"].unresolvable
+    assert not wrong["04"].unresolvable
+    assert wrong["04"].named == ("gamma",)
+    assert scores.failures == (("09", "ValueError: no frame has a pose"), ("18", "not diagnosed"))
+
+
+def test_an_effects_line(scores):
+    (gamma,) = [one for one in scores.by_effect if (one.tier, one.effect) == ("A", "gamma")]
+    assert (gamma.top1, gamma.cosine) == (Rate(3, 4), Rate(2, 4))
+    assert gamma.verdicts == {"effects": 2, "ambiguous": 1, "unknown": 0, "no_gap": 0, FAILED: 1}
+
+
+def test_a_missing_second_run_is_a_wrong_answer():
+    case = Case("01", "A", ("gamma",), sure("gamma"), (), failed("not diagnosed"))
+    found = score([case], "AB")
+    rate = {one.id: one.rate for one in found.rates}
+    assert rate["unknown_B"] == Rate(0, 1)
+    assert found.failures == (("01 without gamma", "not diagnosed"),)
+
+
+def test_scores_of_nothing():
+    found = score([], "ABCDE")
+    assert all(math.isnan(one.rate.share) for one in found.rates)
+    assert all(math.isnan(one.value) for one in found.figures)
+
+
+@pytest.mark.parametrize(("right", "of"), [(0, 5), (5, 5), (3, 10), (89, 90), (1, 1)])
+def test_wilsons_bounds_solve_the_score_equation(right, of):
+    # (p_hat - p)^2 = z^2 p (1 - p) / n, as a quadratic in p.
+    p_hat, z2 = right / of, Z95**2
+    roots = np.roots([1.0 + z2 / of, -2.0 * p_hat - z2 / of, p_hat**2])
+    np.testing.assert_allclose(Rate(right, of).bounds, np.clip(np.sort(roots.real), 0.0, 1.0), atol=1e-9)
+
+
+def test_the_calibration_error_of_known_confidences():
+    # 0.8 and 0.6 in bins of their own, right in 8 of 10 and in 9 of 10.
+    confidence = np.repeat([0.81, 0.65], 10)
+    is_right = np.concatenate([np.arange(10) < 8, np.arange(10) < 9]).astype(float)
+    assert expected_calibration_error(confidence, is_right) == pytest.approx(0.5 * (0.01 + 0.25))
+    assert expected_calibration_error(np.ones(3), np.ones(3)) == pytest.approx(0.0)
+    assert math.isnan(expected_calibration_error(np.empty(0), np.empty(0)))
