@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
 
 from noise_model.effects import REGISTRY
 from noise_model.frames import Float64
@@ -11,6 +12,7 @@ from noise_model.setup import Setup
 from sim_to_real.covariates import covariates
 from sim_to_real.diagnosis import Diagnosis, Estimate, Gap, Named, Ranked, Verdict
 from sim_to_real.expected import Effects, Expected
+from sim_to_real.free_term import free_term
 from sim_to_real.held import excess_map, measure, predict_held
 from sim_to_real.locate import locate
 from sim_to_real.observed import Observed, PoseAt, observe
@@ -20,7 +22,7 @@ from sim_to_real.seam_error import seam_error_mm
 from sim_to_real.select import Candidate, judged
 from sim_to_real.split import held_out
 from sim_to_real.stage import stages
-from sim_to_real.verdict import Decision, decide, shares, with_random
+from sim_to_real.verdict import LEAST_SHARE, Decision, decide, shares, with_random
 from tracker.state import Frame
 
 HELD, LEFT_ASIDE = 0.25, 0.34
@@ -61,6 +63,11 @@ def diagnose(
     decision = decide(choosing, baseline, without, lambda text, share: heard(text, 0.1 + 0.5 * share))
     decision = with_random(decision, baseline, random)
     share = shares(choosing, baseline, decision.chosen, random.excess)
+    worth = {name: of for name, of in decision.chosen.refit.effects.items() if share[name] >= LEAST_SHARE}
+    if len(worth) < len(decision.chosen.ids) and worth:
+        chosen = judged(choosing, refit(choosing, worth, decision.chosen.refit.nuisance))
+        decision = replace(decision, chosen=chosen)
+        share = shares(choosing, baseline, chosen, random.excess)
 
     heard("fitting all frames", 0.65)
     expected = Expected(train)
@@ -81,6 +88,7 @@ def diagnose(
     of_bins = covariates(expected, before)
     simplest = stages(expected, before, of_bins)[0].stage
     where = locate(of_bins, before.residuals, simplest, excess_map(predicted))
+    free = free_term(covariates(expected, after), after.residuals, ~held_out(train, LEFT_ASIDE))[0]
     is_named = decision.verdict in (Verdict.EFFECTS, Verdict.AMBIGUOUS)
     seam_mm = tuple(
         seam_error_mm(setup, effects, frames, pose_at, expected, after) for effects in ({}, named)
@@ -104,7 +112,7 @@ def diagnose(
         None,
         (),
         {},
-        None,
+        (free.name, free.closed),
         predicted,
     )
 

@@ -124,11 +124,12 @@ class _Found:
 
 
 def _read_noise(size: float, error: float, seen: Sequence[_Frame], tolerance: float) -> _Found | None:
-    ratio = math.sqrt(max(1.0 + size, 0.0))
-    excess = _mean([abs(size) * of.read / of.predicted for of in seen])
-    if abs(ratio - 1.0) < READ_WITHIN * tolerance or excess < LEAST_EXCESS:
+    # Less noise than stated is no gap: where a response is flat, there is less.
+    ratio = math.sqrt(1.0 + max(size, 0.0))
+    excess = _mean([size * of.read / of.predicted for of in seen])
+    if ratio - 1.0 < READ_WITHIN * tolerance or excess < LEAST_EXCESS:
         return None
-    sigma = 0.5 * error / max(ratio, 0.05)
+    sigma = 0.5 * error / ratio
     return _Found(
         "read_noise",
         {"noise_ratio": ratio},

@@ -16,7 +16,7 @@ import numpy as np
 
 from noise_model.effects import REGISTRY
 from noise_model.frames import Float64
-from sim_to_real.expected import Expected
+from sim_to_real.expected import RENDERING, Expected
 from sim_to_real.quadratic import Quadratic
 from sim_to_real.refit import FLICKER, N_EFFECTIVE, Refit, huber_weights, refit
 from sim_to_real.screen import DEAR, FAMILIES, screen
@@ -90,6 +90,9 @@ def candidates(
 ) -> list[Candidate]:
     """Return the best candidates to add one effect to a baseline, most likely first."""
     ids = [name for name in FAMILIES if name not in without and name not in baseline.ids]
+    if set(DEAR) & set(baseline.ids):
+        # What is dear would be computed anew for whatever is rendered.
+        ids = [name for name in ids if name not in RENDERING]
     on_stage("looking at every effect", 0.0)
     screened = screen(expected, baseline, ids)[:REFITTED]
     starts: dict[str, Mapping[str, float]] = {one.id: one.start for one in screened}
@@ -115,6 +118,14 @@ def _has_corners(expected: Expected) -> bool:
 
 def _shows_arc(expected: Expected) -> bool:
     return sum(frame.condition.arc_level > 0.0 for frame in expected.observed.frames) > 2
+
+
+def settled(expected: Expected, candidate: Candidate) -> Candidate:
+    """Return a candidate fitted again with light rendered, and its derivatives taken, where it came to."""
+    if not set(DEAR) & set(candidate.ids):
+        expected.take_tangents(candidate.refit.nuisance, candidate.refit.effects)
+    again = judged(expected, refit(expected, candidate.refit.effects, candidate.refit.nuisance))
+    return again if again.evidence > candidate.evidence else candidate
 
 
 def confidences(of: Sequence[Candidate]) -> Float64:

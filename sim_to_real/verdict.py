@@ -18,13 +18,16 @@ from sim_to_real.diagnosis import Verdict
 from sim_to_real.expected import Expected
 from sim_to_real.refit import refit
 from sim_to_real.scatter import Scatter
-from sim_to_real.select import Candidate, candidates, confidences, judged
+from sim_to_real.select import Candidate, candidates, confidences, judged, settled
 
 GAP_FROM = 3.0
 """Evidence, nats, by which the best candidate must beat the baseline."""
 
 EXPLAINED = 0.12
 """A gap of which more is left is not explained."""
+
+LEAST_SHARE = 0.15
+"""An effect with a smaller share of what is closed is not named beside others."""
 
 WORTH = 0.5
 """A further effect must close this share of what the others leave."""
@@ -73,6 +76,7 @@ def decide(
         # Nothing in the catalogue helps. If there is much to be helped, it is something else.
         verdict = Verdict.NO_GAP if baseline.left < UNEXPLAINED_FROM else Verdict.UNKNOWN
         return Decision(verdict, baseline, singles, p, ())
+    best = settled(expected, best)
     if left_over(best, baseline) <= EXPLAINED:
         likely = tuple(one.ids[0] for one, share in zip(singles, p, strict=True) if share >= IN_SET)
         if p[0] >= SURE or len(likely) == 1:
@@ -109,7 +113,7 @@ def _several(
             return None
         if left_over(further[0], baseline) > (1.0 - WORTH) * left_over(chosen, baseline):
             return None
-        chosen = further[0]
+        chosen = settled(expected, further[0])
     if left_over(chosen, baseline) > EXPLAINED:
         return None
     for name in chosen.ids[:-1]:

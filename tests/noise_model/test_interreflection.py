@@ -14,7 +14,7 @@ from noise_model.arc_map import arc_at, arc_kernel
 from noise_model.brdf import TABLE_1, Material, reflectance
 from noise_model.forward import Layers
 from noise_model.frames import invert, transform
-from noise_model.interreflection import Grain, bounced_light
+from noise_model.interreflection import FINE, Grain, Grains, bounced_light
 from noise_model.interreflection_bounces import ORDERS
 from noise_model.interreflection_light import arc_leaving, place, sees
 from noise_model.interreflection_nodes import COLUMNS, FACE, ROOM, WEIGHT, Focus, look_around, rules
@@ -146,15 +146,23 @@ def test_some_pixels_are_those_of_the_frame():
 def test_a_finer_grain_changes_little(joint, material, monkeypatch):
     """The once-bounced light and all of it at half the albedo, within 4 % nearly everywhere."""
     usual = bounced_light(view_of(joint, material)).arc_orders_e
-    monkeypatch.setattr(interreflection, "SEEN", Grain((16, 22), 0.3, 1.2, 40, 16))
+    finer = Grains(Grain((16, 22), 0.3, 1.2, 40, 16), FINE.seen_further, Grain((9, 16), 0.8, 3.0, 12, 9))
+    monkeypatch.setattr(interreflection, "FINE", finer)
     monkeypatch.setattr(interreflection, "_first_rules", lambda _: rules(16, 6, 3, 5, 6, True))
-    monkeypatch.setattr(interreflection, "PASSING", Grain((9, 16), 0.8, 3.0, 12, 9))
     fine = bounced_light(view_of(joint, material)).arc_orders_e
     scale = {"zn_coated": 0.3, "mild_steel": 3.0}[material]
     powers = scale ** np.arange(1.0, 1.0 + ORDERS)
     for got, want in ((usual[0], fine[0]), (np.tensordot(powers, usual, 1), np.tensordot(powers, fine, 1))):
         lit = want > 0.1 * want.max()
         assert np.quantile(np.abs(got[lit] / want[lit] - 1.0), 0.9) < 0.04
+
+
+@pytest.mark.parametrize(("joint", "material"), [("v_groove", "mild_steel"), ("lap", "zn_coated")])
+def test_a_coarse_view_is_a_few_percent_off_the_brightest(joint, material):
+    view = view_of(joint, material)
+    fine, coarse = (bounced_light(v).arc_e(0.3) for v in (view, dataclasses.replace(view, coarse=True)))
+    assert np.quantile(np.abs(coarse - fine), 0.99) < 0.03 * fine.max()
+    assert not np.array_equal(coarse, fine)
 
 
 # Twins of the pieces.
