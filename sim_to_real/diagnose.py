@@ -10,11 +10,12 @@ from noise_model.effects import REGISTRY
 from noise_model.frames import Float64
 from noise_model.setup import Setup
 from sim_to_real.covariates import covariates
-from sim_to_real.diagnosis import Diagnosis, Estimate, Gap, Named, Ranked, Verdict
+from sim_to_real.diagnosis import Diagnosis, Estimate, Gap, Named, Next, Ranked, Verdict
 from sim_to_real.expected import Effects, Expected
 from sim_to_real.free_term import free_term
 from sim_to_real.held import excess_map, measure, predict_held
 from sim_to_real.locate import locate
+from sim_to_real.next import best_measurement, not_resolvable, own_signatures, smallest
 from sim_to_real.observed import Observed, PoseAt, observe
 from sim_to_real.refit import Refit, refit
 from sim_to_real.scatter import Scatter, scatter
@@ -69,6 +70,9 @@ def diagnose(
         decision = replace(decision, chosen=chosen)
         share = shares(choosing, baseline, chosen, random.excess)
 
+    signatures = own_signatures(baseline.refit, decision.screened)
+    alike = not_resolvable(signatures)
+
     heard("fitting all frames", 0.65)
     expected = Expected(train)
     before = _settled(expected, {}, baseline.refit.nuisance)
@@ -109,9 +113,9 @@ def diagnose(
             (seam_mm[0], seam_mm[1]),
         ),
         where,
-        None,
-        (),
-        {},
+        _next(choosing, decision, alike),
+        alike,
+        smallest(signatures, decision.screened),
         (free.name, free.closed),
         predicted,
     )
@@ -145,6 +149,20 @@ def _settled(expected: Expected, effects: Effects, nuisance: Float64) -> Refit:
         nuisance, effects = fitted.nuisance, fitted.effects
     assert fitted is not None
     return fitted
+
+
+def _next(expected: Expected, decision: Decision, alike: Sequence[tuple[str, str]]) -> Next | None:
+    """Return the measurement that would settle what is open; None if nothing is."""
+    if decision.verdict is Verdict.NO_GAP or len(decision.singles) < 2:
+        return None
+    best, second = decision.singles[:2]
+    if decision.verdict is Verdict.EFFECTS:
+        like = {name for pair in alike if best.ids[-1] in pair for name in pair} - set(best.ids)
+        others = [single for single in decision.singles[1:] if single.ids[-1] in like]
+        if not others:
+            return None
+        second = others[0]
+    return best_measurement(expected, best.refit, second.refit)
 
 
 def _named(

@@ -109,13 +109,18 @@ DEAR: Mapping[str, Values] = {"interreflection": {"albedo_scale": 0.2}}
 """Effects that take longer than all others together, and where their fit starts: tried if no other does."""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Screened:
-    """A candidate after the first look: the share of the cost that is left, and where a fit should start."""
+    """A candidate after the first look: the share of the cost that is left, and where a fit should start.
+
+    `signature` (n, k) is what its places do to the residuals, `place` the first one's parameter and step.
+    """
 
     id: str
     left: float
     start: dict[str, float]
+    signature: Float64
+    place: tuple[str, float]
 
 
 def screen(expected: Expected, baseline: Refit, ids: Sequence[str]) -> list[Screened]:
@@ -170,7 +175,14 @@ def _tried(expected: Expected, baseline: Refit, r: Float64, name: str, family: F
     if not np.abs(along).max() > LEAST:
         along = np.full(len(t), LEAST)
     values = start + along @ steps
-    return Screened(name, left, dict(zip(names, values.tolist(), strict=True)))
+    moving, value = next(iter(family.places[0].items()))
+    return Screened(
+        name,
+        left,
+        dict(zip(names, values.tolist(), strict=True)),
+        np.column_stack(columns),
+        (moving, value - shaped[moving]),
+    )
 
 
 def _reach(parameters: Sequence[Parameter], start: Float64, step: Float64) -> tuple[float, float]:

@@ -19,7 +19,7 @@ from noise_model.frames import Float64
 from sim_to_real.expected import RENDERING, Expected
 from sim_to_real.quadratic import Quadratic
 from sim_to_real.refit import FLICKER, N_EFFECTIVE, Refit, huber_weights, refit
-from sim_to_real.screen import DEAR, FAMILIES, screen
+from sim_to_real.screen import DEAR, FAMILIES, Screened, screen
 from sim_to_real.split import folds
 
 JUDGED_WITHIN = 10.0
@@ -87,15 +87,15 @@ def candidates(
     baseline: Refit,
     without: Sequence[str],
     on_stage: Callable[[str, float], None],
-) -> list[Candidate]:
-    """Return the best candidates to add one effect to a baseline, most likely first."""
+) -> tuple[list[Candidate], list[Screened]]:
+    """Return the best candidates to add one effect to a baseline, likeliest first, and the look at all."""
     ids = [name for name in FAMILIES if name not in without and name not in baseline.ids]
     if set(DEAR) & set(baseline.ids):
         # What is dear would be computed anew for whatever is rendered.
         ids = [name for name in ids if name not in RENDERING]
     on_stage("looking at every effect", 0.0)
-    screened = screen(expected, baseline, ids)[:REFITTED]
-    starts: dict[str, Mapping[str, float]] = {one.id: one.start for one in screened}
+    screened = screen(expected, baseline, ids)
+    starts: dict[str, Mapping[str, float]] = {one.id: one.start for one in screened[:REFITTED]}
     if FLICKER not in without and FLICKER not in baseline.ids and _shows_arc(expected):
         starts[FLICKER] = REGISTRY[FLICKER].neutral
     found = []
@@ -109,7 +109,7 @@ def candidates(
                 on_stage(f"fitting {name}", 0.9)
                 fitted = refit(expected, {**baseline.effects, name: start}, baseline.nuisance)
                 found.append(judged(expected, fitted))
-    return sorted(found, key=lambda candidate: -candidate.evidence)
+    return sorted(found, key=lambda candidate: -candidate.evidence), screened
 
 
 def _has_corners(expected: Expected) -> bool:

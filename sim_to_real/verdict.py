@@ -18,6 +18,7 @@ from sim_to_real.diagnosis import Verdict
 from sim_to_real.expected import Expected
 from sim_to_real.refit import refit
 from sim_to_real.scatter import Scatter
+from sim_to_real.screen import Screened
 from sim_to_real.select import Candidate, candidates, confidences, judged, settled
 
 GAP_FROM = 3.0
@@ -50,13 +51,14 @@ IN_SET = 0.05
 
 @dataclass(frozen=True, eq=False)
 class Decision:
-    """The verdict, the candidate that it rests on, and all single effects that were fitted, best first."""
+    """The verdict, the candidate it rests on, all single effects that were fitted, the look at all."""
 
     verdict: Verdict
     chosen: Candidate
     singles: tuple[Candidate, ...]
     confidence: Float64
     ambiguous: tuple[tuple[str, ...], ...]
+    screened: tuple[Screened, ...]
 
 
 def left_over(candidate: Candidate, baseline: Candidate) -> float:
@@ -69,23 +71,25 @@ def decide(
     expected: Expected, baseline: Candidate, without: Sequence[str], on_stage: Callable[[str, float], None]
 ) -> Decision:
     """Look for the effects that explain what a baseline leaves."""
-    singles = tuple(candidates(expected, baseline.refit, without, on_stage))
+    found, screened = candidates(expected, baseline.refit, without, on_stage)
+    singles, looked = tuple(found), tuple(screened)
     p = confidences(singles)
     best = singles[0]
     if best.evidence - baseline.evidence < GAP_FROM:
         # Nothing in the catalogue helps. If there is much to be helped, it is something else.
         verdict = Verdict.NO_GAP if baseline.left < UNEXPLAINED_FROM else Verdict.UNKNOWN
-        return Decision(verdict, baseline, singles, p, ())
+        return Decision(verdict, baseline, singles, p, (), looked)
     best = settled(expected, best)
+    singles = (best, *singles[1:])
     if left_over(best, baseline) <= EXPLAINED:
         likely = tuple(one.ids[0] for one, share in zip(singles, p, strict=True) if share >= IN_SET)
         if p[0] >= SURE or len(likely) == 1:
-            return Decision(Verdict.EFFECTS, best, singles, p, ())
-        return Decision(Verdict.AMBIGUOUS, best, singles, p, (likely,))
+            return Decision(Verdict.EFFECTS, best, singles, p, (), looked)
+        return Decision(Verdict.AMBIGUOUS, best, singles, p, (likely,), looked)
     several = _several(expected, baseline, best, without, on_stage)
     if several is None:
-        return Decision(Verdict.UNKNOWN, best, singles, p, ())
-    return Decision(Verdict.EFFECTS, several, singles, p, ())
+        return Decision(Verdict.UNKNOWN, best, singles, p, (), looked)
+    return Decision(Verdict.EFFECTS, several, singles, p, (), looked)
 
 
 def with_random(decision: Decision, baseline: Candidate, random: Scatter) -> Decision:
@@ -108,7 +112,7 @@ def _several(
     """Return effects that explain the gap together, None if none do: forward steps, then backward."""
     chosen = best
     while len(chosen.ids) < MOST_EFFECTS and left_over(chosen, baseline) > EXPLAINED:
-        further = candidates(expected, chosen.refit, without, on_stage)
+        further, _ = candidates(expected, chosen.refit, without, on_stage)
         if not further or further[0].evidence - chosen.evidence < GAP_FROM:
             return None
         if left_over(further[0], baseline) > (1.0 - WORTH) * left_over(chosen, baseline):
