@@ -169,7 +169,7 @@ def measure(predicted: Predicted, setup: Setup, seed: int = 0) -> Sizes:
         ]
     )
     blocks = _block_sums(squares)
-    before, after, floor = _gaps(blocks.sum(axis=1))
+    before, after, floor = _gaps(squares.sum(axis=(1, 2, 3)))
     draws = np.random.default_rng(seed).integers(0, blocks.shape[1], (DRAWS, blocks.shape[1]))
     drawn = np.array([_closed(*_gaps(blocks[:, draw].sum(axis=1))) for draw in draws])
     low, high = np.nanpercentile(drawn, [2.5, 97.5]) if np.isfinite(drawn).any() else (np.nan, np.nan)

@@ -31,6 +31,9 @@ PoseAt = Callable[[float], Pose | None]
 BINNED_WIDTH = 160
 """About how many bins an image is wide: light and stripe are resolved, a frame is predicted in a blink."""
 
+LEAST_BIN_PX = 2
+"""Bins of a small image: their pixels' scatter must be seen."""
+
 FLOOR_REL, FLOOR_DN = 0.006, 0.05
 """What the model may be off in a bin without any gap: relative to its light, and in DN."""
 
@@ -116,7 +119,7 @@ def observe(setup: Setup, frames: Sequence[Frame], pose_at: PoseAt) -> Observed:
     if not posed:
         raise ValueError("no frame has a pose: there is nothing to compare with a prediction")
     seam = _seam(setup, posed, pose_at)
-    bin_px = max(1, round(setup.camera.width / BINNED_WIDTH))
+    bin_px = max(LEAST_BIN_PX, round(setup.camera.width / BINNED_WIDTH))
     binned = replace(setup, camera=binned_camera(setup.camera, bin_px))
     return Observed(
         setup,

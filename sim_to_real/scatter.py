@@ -234,16 +234,18 @@ def _comes_back(seen: Sequence[_Frame], frames: Sequence[ObservedFrame]) -> floa
     """Return the relative variance of gains that stay with their pixels."""
     shape = frames[0].keep.shape
     n_details = seen[0].details.shape[1]
-    first, second, squares = (np.zeros((*shape, n_details)) for _ in range(3))
+    first, squares = np.zeros((*shape, n_details)), np.zeros((*shape, n_details))
+    light, light_squares = np.zeros(shape), np.zeros(shape)
     for frame, of in zip(frames, seen, strict=True):
         weighted = of.details * (of.light_dn / of.predicted)[:, np.newaxis]
         first[frame.keep] += weighted
         squares[frame.keep] += weighted**2
-        second[frame.keep] += (of.light_dn**2 / of.predicted)[:, np.newaxis]
+        light[frame.keep] += of.light_dn**2 / of.predicted
+        light_squares[frame.keep] += (of.light_dn**2 / of.predicted) ** 2
     # Products of different frames only: their noise does not come back.
-    pairs = first**2 - squares
-    lit = second > 0.0
-    return float(max(pairs[lit].sum() / max((second[lit] ** 2).sum(), 1e-12), 0.0))
+    over = float(np.sum(first**2 - squares))
+    under = n_details * float(np.sum(light**2 - light_squares))
+    return max(over / under, 0.0) if under > 0.0 else 0.0
 
 
 def _laser_between_bins(expected: Expected, fitted: Refit, seen: Sequence[_Frame]) -> float:

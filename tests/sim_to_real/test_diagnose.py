@@ -1,0 +1,84 @@
+"""A recording with a hidden effect is diagnosed: what it is, how large, how far the gap shrinks."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from arctrack.recording import pose_at, read_recording
+from arctrack.simulate import SimulationPlan, simulate_recording
+from sim_to_real.diagnose import diagnose
+from sim_to_real.diagnosis import Verdict
+from tests.sim_to_real.test_covariates import EXAMPLE, SMALL
+
+
+def recorded(path, effects):
+    """A small recording: a quarter of the camera's resolution, true values off by their tolerance."""
+    setup = read_recording(EXAMPLE).setup
+    camera = setup.camera
+    coarse = replace(
+        camera,
+        width=camera.width // SMALL,
+        height=camera.height // SMALL,
+        fx=camera.fx / SMALL,
+        fy=camera.fy / SMALL,
+        cx=(camera.cx + 0.5) / SMALL - 0.5,
+        cy=(camera.cy + 0.5) / SMALL - 0.5,
+    )
+    plan = SimulationPlan(frames=16, seam_wander_mm=0.1, seed=3)
+    simulate_recording(path, replace(setup, camera=coarse), plan, hidden_effects=effects)
+    recording = read_recording(path)
+    return recording, recording.pose_buffer()
+
+
+@pytest.fixture(scope="module")
+def with_gamma(tmp_path_factory):
+    recording, poses = recorded(tmp_path_factory.mktemp("diagnose") / "gamma", {"gamma": {"gamma": 1.3}})
+    heard = []
+    found = diagnose(
+        recording.setup,
+        list(recording.frames()),
+        lambda t: pose_at(poses, t),
+        on_stage=lambda text, share: heard.append((text, share)),
+    )
+    return found, heard
+
+
+def test_a_hidden_gamma_is_named_alone_with_its_value(with_gamma):
+    found, _ = with_gamma
+    assert found.verdict is Verdict.EFFECTS
+    assert [effect.id for effect in found.effects] == ["gamma"]
+    assert found.effects[0].parameters["gamma"].value == pytest.approx(1.3, abs=0.03)
+    assert found.effects[0].share == pytest.approx(1.0)
+    assert found.ranking[0].id == "gamma"
+
+
+def test_the_gap_can_be_computed_again_from_what_was_predicted(with_gamma):
+    found, _ = with_gamma
+    predicted = found.predicted
+    counts = np.isfinite(predicted.variance)
+    r = ((predicted.recorded - predicted.before) ** 2 / predicted.variance)[counts]
+    assert found.gap.before == pytest.approx(np.sqrt(r.mean() - 1.0), rel=1e-4)
+    assert found.gap.before > 5.0 * max(found.gap.after, 0.1)
+    assert found.gap.ci95[0] <= found.gap.closed <= found.gap.ci95[1]
+    assert found.gap.rms_dn[1] < found.gap.rms_dn[0]
+
+
+def test_it_says_where_and_how_far_it_is(with_gamma):
+    found, heard = with_gamma
+    assert found.where.stage == "sensor"
+    assert found.where.z.shape == found.predicted.before.shape[1:]
+    shares = [share for _, share in heard]
+    assert shares == sorted(shares)
+    assert shares[-1] == 1.0
+
+
+def test_no_frame_with_a_pose_is_refused(tmp_path):
+    recording, _ = recorded(tmp_path / "no_pose", {})
+    with pytest.raises(ValueError, match="no frame has a pose"):
+        diagnose(recording.setup, list(recording.frames()), lambda t: None)
+
+
+def test_an_effect_that_is_not_known_is_refused(tmp_path):
+    with pytest.raises(ValueError, match="gama: no such effect"):
+        diagnose(read_recording(EXAMPLE).setup, [], lambda t: None, without=("gama",))

@@ -1,0 +1,31 @@
+"""Frames held back and folds: every kind of condition on either side."""
+
+from types import SimpleNamespace
+
+import numpy as np
+from hypothesis import given
+from hypothesis import strategies as st
+
+from sim_to_real.split import folds, held_out
+
+KINDS = st.lists(st.sampled_from(["dark", "laser", "arc", "both"]), min_size=1, max_size=40)
+
+
+def recording(kinds):
+    return SimpleNamespace(frames=[SimpleNamespace(position=n, stratum=kind) for n, kind in enumerate(kinds)])
+
+
+@given(KINDS, st.floats(0.05, 0.5))
+def test_every_kind_is_left_to_fit(kinds, share):
+    held = held_out(recording(kinds), share)
+    assert {kind for kind, is_held in zip(kinds, held, strict=True) if not is_held} == set(kinds)
+    for kind in set(kinds):
+        of_kind = np.array(kinds) == kind
+        assert held[of_kind].sum() == min(of_kind.sum() - 1, round(share * of_kind.sum()))
+
+
+@given(KINDS, st.integers(2, 6))
+def test_folds_share_the_frames_evenly(kinds, count):
+    fold = folds(recording(kinds), count)
+    sizes = np.bincount(fold, minlength=count)
+    assert sizes.max() - sizes.min() <= 1
