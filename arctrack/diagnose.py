@@ -14,6 +14,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
+from threadpoolctl import threadpool_limits
 
 from arctrack.errors import ArctrackError, in_file
 from arctrack.recording import BadFrame, Recording, pose_at, read_recording
@@ -127,14 +128,16 @@ def diagnose_recording(job: Job, on_stage: OnStage | None = None) -> Diagnosed:
     frames, bad_frames = _frames(recording)
     poses = recording.pose_buffer()
     try:
-        # The clock's delay is the diagnosis' to find: poses are those of the time it asks for.
-        found = diagnose(
-            recording.setup,
-            frames,
-            lambda timestamp_s: pose_at(poses, timestamp_s),
-            without=job.without,
-            on_stage=on_stage,
-        )
+        # Its many small matrices are no work for BLAS' threads: waiting for each other costs them more.
+        with threadpool_limits(1, user_api="blas"):
+            # The clock's delay is the diagnosis' to find: poses are those of the time it asks for.
+            found = diagnose(
+                recording.setup,
+                frames,
+                lambda timestamp_s: pose_at(poses, timestamp_s),
+                without=job.without,
+                on_stage=on_stage,
+            )
     except ValueError as error:
         raise in_file(job.recording, str(error)) from error
     # Numbers first: whatever happens to the page, the work is not lost.
