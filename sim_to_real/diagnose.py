@@ -70,7 +70,7 @@ def diagnose(
         decision = replace(decision, chosen=chosen)
         share = shares(choosing, baseline, chosen, random.excess)
 
-    signatures = own_signatures(baseline.refit, decision.screened)
+    signatures = own_signatures(decision.start, decision.screened)
     alike = not_resolvable(signatures)
 
     heard("fitting all frames", 0.65)

@@ -92,18 +92,20 @@ class Refit:
         return float(self.quadratic.chi2.sum() / self.quadratic.counts.sum())
 
 
-def refit(expected: Expected, effects: Mapping[str, Values], nuisance: Float64) -> Refit:
+def refit(
+    expected: Expected, effects: Mapping[str, Values], nuisance: Float64, steps: int = ITERATIONS
+) -> Refit:
     """Fit nuisances (p,) and parameters of effects to all frames, from where they start.
 
     Light is rendered at the nuisances given and continued along the tangents; if an effect makes it be
-    rendered at every step anyway, at each step's own.
+    rendered at every step anyway, at each step's own. With no `steps` it says what is left where it starts.
     """
     problem = _Problem(expected, tuple(effects), None if RENDERING & set(effects) else nuisance)
     x = problem.start(effects, nuisance)
     passed = problem.passed(x)
     r = problem.residuals(passed)
     damping = DAMPING
-    for _ in range(ITERATIONS):
+    for _ in range(steps):
         J, bound = problem.jacobian(x, passed, r), huber_bound(r)
         quadratic = problem.quadratic(x, r, J, bound)
         cost = problem.cost(x, r, bound)

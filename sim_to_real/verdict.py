@@ -16,10 +16,10 @@ import numpy as np
 from noise_model.frames import Float64
 from sim_to_real.diagnosis import Verdict
 from sim_to_real.expected import Expected
-from sim_to_real.refit import refit
+from sim_to_real.refit import Refit, refit
 from sim_to_real.scatter import Scatter
 from sim_to_real.screen import Screened
-from sim_to_real.select import Candidate, candidates, confidences, judged, settled
+from sim_to_real.select import Candidate, candidates, confidences, judged
 
 GAP_FROM = 3.0
 """Evidence, nats, by which the best candidate must beat the baseline."""
@@ -32,6 +32,9 @@ LEAST_SHARE = 0.15
 
 WORTH = 0.5
 """A further effect must close this share of what the others leave."""
+
+PULLED_FROM = 2.0
+"""A mean square from which the baseline's nuisances are not believed."""
 
 UNEXPLAINED_FROM = 2.0
 """A mean square from which there is a gap though nothing in the catalogue helps."""
@@ -51,7 +54,10 @@ IN_SET = 0.05
 
 @dataclass(frozen=True, eq=False)
 class Decision:
-    """The verdict, the candidate it rests on, all single effects that were fitted, the look at all."""
+    """The verdict, the candidate it rests on, all single effects that were fitted, the look at all.
+
+    `start` is what was left where they all started.
+    """
 
     verdict: Verdict
     chosen: Candidate
@@ -59,6 +65,7 @@ class Decision:
     confidence: Float64
     ambiguous: tuple[tuple[str, ...], ...]
     screened: tuple[Screened, ...]
+    start: Refit
 
 
 def left_over(candidate: Candidate, baseline: Candidate) -> float:
@@ -71,25 +78,28 @@ def decide(
     expected: Expected, baseline: Candidate, without: Sequence[str], on_stage: Callable[[str, float], None]
 ) -> Decision:
     """Look for the effects that explain what a baseline leaves."""
-    found, screened = candidates(expected, baseline.refit, without, on_stage)
+    start = baseline.refit
+    if baseline.left > PULLED_FROM:
+        # A large gap pulls nuisances far off, where no effect could fit: candidates start from the stated.
+        expected.take_tangents(expected.neutral, {})
+        start = refit(expected, {}, expected.neutral, steps=0)
+    found, screened = candidates(expected, start, without, on_stage)
     singles, looked = tuple(found), tuple(screened)
     p = confidences(singles)
     best = singles[0]
     if best.evidence - baseline.evidence < GAP_FROM:
         # Nothing in the catalogue helps. If there is much to be helped, it is something else.
         verdict = Verdict.NO_GAP if baseline.left < UNEXPLAINED_FROM else Verdict.UNKNOWN
-        return Decision(verdict, baseline, singles, p, (), looked)
-    best = settled(expected, best)
-    singles = (best, *singles[1:])
+        return Decision(verdict, baseline, singles, p, (), looked, start)
     if left_over(best, baseline) <= EXPLAINED:
         likely = tuple(one.ids[0] for one, share in zip(singles, p, strict=True) if share >= IN_SET)
         if p[0] >= SURE or len(likely) == 1:
-            return Decision(Verdict.EFFECTS, best, singles, p, (), looked)
-        return Decision(Verdict.AMBIGUOUS, best, singles, p, (likely,), looked)
+            return Decision(Verdict.EFFECTS, best, singles, p, (), looked, start)
+        return Decision(Verdict.AMBIGUOUS, best, singles, p, (likely,), looked, start)
     several = _several(expected, baseline, best, without, on_stage)
     if several is None:
-        return Decision(Verdict.UNKNOWN, best, singles, p, (), looked)
-    return Decision(Verdict.EFFECTS, several, singles, p, (), looked)
+        return Decision(Verdict.UNKNOWN, best, singles, p, (), looked, start)
+    return Decision(Verdict.EFFECTS, several, singles, p, (), looked, start)
 
 
 def with_random(decision: Decision, baseline: Candidate, random: Scatter) -> Decision:
@@ -117,7 +127,7 @@ def _several(
             return None
         if left_over(further[0], baseline) > (1.0 - WORTH) * left_over(chosen, baseline):
             return None
-        chosen = settled(expected, further[0])
+        chosen = further[0]
     if left_over(chosen, baseline) > EXPLAINED:
         return None
     for name in chosen.ids[:-1]:
