@@ -21,6 +21,8 @@ from functools import partial
 from pathlib import Path
 from typing import Any, TypeVar
 
+from threadpoolctl import threadpool_limits
+
 from arctrack.diagnose import processes
 from arctrack.errors import ArctrackError, in_file
 from arctrack.recording import BadFrame, RecordingWriter, pose_at, read_recording
@@ -158,7 +160,7 @@ def answer_of(result: Mapping[str, Any]) -> Answer:
         said["verdict"],
         tuple(effect["id"] for effect in named),
         tuple(one["id"] for one in ranking),
-        _known(ranking[0]["confidence"]) if ranking else math.nan,
+        next((_known(one["confidence"]) for one in (*named, *ranking)), math.nan),
         {one["id"]: _known(one["gap_closed"]) for one in ranking},
         said["where"]["stage"],
         _known(gap["before"]),
@@ -248,7 +250,9 @@ def _diagnosed(folder: Path, one: Run) -> dict[str, Any]:
         recording = read_recording(folder / RECORDINGS / one.name)
         frames = [frame for frame in recording.frames() if not isinstance(frame, BadFrame)]
         at = partial(pose_at, recording.pose_buffer())
-        result["report"] = report(diagnose(recording.setup, frames, at, without=one.without))
+        # As in `diagnose_recording`: BLAS' threads would wait for each other.
+        with threadpool_limits(1, user_api="blas"):
+            result["report"] = report(diagnose(recording.setup, frames, at, without=one.without))
         result |= _since(*started)
         if not one.without:
             result["cosines"] = _plain(cosines(recording.setup, frames, at))

@@ -232,6 +232,9 @@ class Expected:
     def passed(self, anchor: Float64, effects: Effects) -> list[Passed]:
         """Return what reaches the bins of each frame at nuisances (p,) and effects."""
         true = really(self._setup(effects, anchor))
+        # Here and not where frames are rendered: several of them are at work at once there.
+        for oldest in list(self._rendered)[: -REMEMBERED * len(self.observed.frames)]:
+            del self._rendered[oldest]
         return self.over_frames(lambda frame: self._passed(frame, true, anchor, effects))
 
     def residuals(self, passed: Sequence[Passed]) -> Float64:
@@ -305,8 +308,6 @@ class Expected:
         )
         key = (frame.position, anchor[N_LEVELS:].tobytes(), rendering)
         if key not in self._rendered:
-            while len(self._rendered) > REMEMBERED * len(self.observed.frames):
-                self._rendered.pop(next(iter(self._rendered)), None)
             setup = really(self._setup(effects, anchor))
             T_base_tool = frame.pose_at(pose_time_s(setup, frame.timestamp_s))
             seam = self.seam(frame, anchor)

@@ -38,7 +38,7 @@ def diagnose(
         str | None,
         typer.Option(
             metavar="ADDRESS",
-            help="A Dask cluster's scheduler, to diagnose recordings there; needs arctrack[cluster].",
+            help="A Dask cluster's scheduler, to diagnose recordings there; needs the extra cluster.",
         ),
     ] = None,
 ) -> None:

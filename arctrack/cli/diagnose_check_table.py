@@ -17,8 +17,8 @@ def table(opened: Opened) -> str:
     scores = opened.scores
     options = " ".join(f"--{name.replace('_', '-')} {value}" for name, value in vars(opened.asked).items())
     parts = [
-        f"`{options}`: {opened.n_planned} recordings planned, {opened.n_made} made, "
-        f"{len(scores.failures)} diagnoses failed or missing, counted as wrong.",
+        f"`{options}`: {opened.n_planned} recordings planned, {opened.n_made} made; "
+        f"diagnoses that failed or are missing, counted as wrong: {len(scores.failures)}.",
         _rows(("tier", "score", "right", "rate", "95 % bounds", "cosine"), _rates(scores)),
         _rows(("tiers", "figure", "n", "value", "95 % bounds", "cosine"), _figures(scores)),
         _rows(("tier", "effect", "n", "named first", "best three", "cosine", *VERDICTS), _by_effect(scores)),

@@ -21,10 +21,10 @@ CLEAR = 3.0
 class Answer:
     """What a diagnosis said: the `verdict`, the effects that it `named`, the largest share first.
 
-    `ranked` are the candidates, best first, `confidence` is the first one's, `closes` the share of the gap
-    that each closes by itself. `gap_before`, `gap_floor` and `gap_closed` are of held-out frames, NaN where
-    not known; `unresolvable` pairs were declared so before any fit. Times are wall and processor. A `problem`
-    says why there is no diagnosis.
+    `ranked` are the candidates, best first, `closes` the share of the gap that each closes by itself,
+    `confidence` that of the `best`. `gap_before`, `gap_floor` and `gap_closed` are of held-out frames, NaN
+    where not known; `unresolvable` pairs were declared so before any fit. Times are wall and processor. A
+    `problem` says why there is no diagnosis.
     """
 
     verdict: str
@@ -45,6 +45,11 @@ class Answer:
     def first(self) -> str | None:
         """The effect that the verdict names first."""
         return self.named[0] if self.named else None
+
+    @property
+    def best(self) -> str | None:
+        """The effect that is named first, or ranked first where none is named."""
+        return next(iter((*self.named, *self.ranked)), None)
 
     @property
     def alone(self) -> str | None:
@@ -88,13 +93,14 @@ class Case:
 
     @property
     def in_best_three(self) -> bool:
-        """Whether a gap was found and the hidden effect is among the three best candidates."""
-        return self.answer.says_gap and self.effects[0] in self.answer.ranked[:3]
+        """Whether a gap was found and the hidden effect is of the first three, named before ranked."""
+        first_three = list(dict.fromkeys((*self.answer.named, *self.answer.ranked)))[:3]
+        return self.answer.says_gap and self.effects[0] in first_three
 
     @property
-    def ranked_first(self) -> bool:
-        """Whether the best candidate is hidden, whatever the verdict."""
-        return bool(self.answer.ranked) and self.answer.ranked[0] in self.effects
+    def best_is_hidden(self) -> bool:
+        """Whether what is named first, or ranked first where nothing is named, is hidden."""
+        return self.answer.best in self.effects
 
     @property
     def cosine_named_first(self) -> bool:

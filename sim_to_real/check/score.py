@@ -27,7 +27,7 @@ BINS = 10
 DRAWS = 1000
 """How often cases are drawn again for an interval that has no closed form."""
 
-NAMED_FIRST, IN_THREE, RANKED_FIRST = map(attrgetter, ("named_first", "in_best_three", "ranked_first"))
+NAMED_FIRST, IN_THREE, BEST = map(attrgetter, ("named_first", "in_best_three", "best_is_hidden"))
 COSINE_FIRST, COSINE_THREE = map(attrgetter, ("cosine_named_first", "cosine_in_best_three"))
 
 
@@ -176,7 +176,7 @@ def _one_effect(tier: str, cases: list[Case]) -> list[Score]:
         row("top1", "named first", cases, NAMED_FIRST, cosine),
         row("top3", "among the best three", cases, IN_THREE, _rate(cases, COSINE_THREE)),
         row("alone", "named alone and for sure", cases, lambda c: c.answer.alone == c.effects[0], cosine),
-        row("best_ranked", "ranked first, whatever the verdict", cases, RANKED_FIRST, cosine),
+        row("best", "named first, or ranked first where nothing is named", cases, BEST, cosine),
         row(
             "top1_resolvable",
             "named first, but for pairs declared not resolvable",
@@ -294,7 +294,7 @@ def _figures(cases: Sequence[Case]) -> list[Figure]:
     ratio = [_closed_over_true(c) for c in hiding]
     # Two hidden effects share one ranking: which of them a confidence is about cannot be said.
     claims = [case for case in cases if case.tier != "D" and case.answer.named]
-    is_right = np.array([case.ranked_first for case in claims], dtype=np.float64)
+    is_right = np.array([case.named_first for case in claims], dtype=np.float64)
     likeness = [case for case in cases if case.tier != "D" and case.cosines]
     cosine_error = expected_calibration_error(
         np.array([abs(case.cosines[0][1]) for case in likeness]),
@@ -306,7 +306,7 @@ def _figures(cases: Sequence[Case]) -> list[Figure]:
         _figure(
             "closed_over_true",
             "A",
-            "share closed by the best ranked over that by the hidden effect, median, gap ≥ 3 floors",
+            "share closed by the best over that by the hidden effect, median, gap ≥ 3 floors",
             ratio,
         ),
         Figure(
@@ -324,11 +324,11 @@ def _figures(cases: Sequence[Case]) -> list[Figure]:
 
 
 def _closed_over_true(case: Case) -> float:
-    """Return what the best ranked effect closes over what the hidden one does, NaN if it was not fitted."""
+    """Return what the best effect closes over what the hidden one does, NaN if one was not fitted."""
     closes, hidden = case.answer.closes, case.effects[0]
     if hidden not in closes or not closes[hidden] > 0.0:
         return math.nan
-    return closes[case.answer.ranked[0]] / closes[hidden]
+    return closes.get(case.answer.best or hidden, math.nan) / closes[hidden]
 
 
 def _figure(name: str, tiers: str, text: str, values: Sequence[float]) -> Figure:

@@ -35,7 +35,7 @@ def test_a_cosine_is_that_of_the_angle():
     assert np.isnan(cosine(a, np.zeros(3)))
 
 
-@pytest.mark.parametrize("planted", [{"veiling_glare": {"share": 0.1}}, {"arc_length": {"height_mm": -1.0}}])
+@pytest.mark.parametrize("planted", [{"gamma": {"gamma": 1.2}}, {"arc_length": {"height_mm": -1.0}}])
 def test_a_planted_signature_is_found(planted, tmp_path, monkeypatch):
     monkeypatch.setattr(module, "REGISTRY", {name: REGISTRY[name] for name in TRIED})
     monkeypatch.setattr(module, "DEAR", {"fume"})
@@ -50,4 +50,4 @@ def test_a_planted_signature_is_found(planted, tmp_path, monkeypatch):
     assert np.isnan(found.pop("arc_flicker"))
     name = next(iter(planted))
     assert max(found, key=lambda of: abs(np.nan_to_num(found[of]))) == name
-    assert abs(found[name]) > 0.9
+    assert abs(found[name]) > 0.8

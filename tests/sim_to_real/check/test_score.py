@@ -108,7 +108,7 @@ def scores():
         ("top1_A", 4, 9, (3, 9)),
         ("top3_A", 6, 9, (4, 9)),
         ("alone_A", 3, 9, (3, 9)),
-        ("best_ranked_A", 6, 9, (3, 9)),
+        ("best_A", 6, 9, (3, 9)),
         # The fifth is left out.
         ("top1_resolvable_A", 4, 8, (2, 8)),
         # The fifth and the eighth have small gaps.
@@ -176,6 +176,12 @@ def test_a_missing_second_run_is_a_wrong_answer():
     rate = {one.id: one.rate for one in found.rates}
     assert rate["unknown_B"] == Rate(0, 1)
     assert found.failures == (("01 without gamma", "not diagnosed"),)
+
+
+def test_an_effect_that_is_named_but_not_ranked_counts_as_first():
+    answer = Answer("effects", ("read_noise",), ("fume", "gamma", "defocus"), 0.9, {"fume": 0.1}, **ONE)
+    rate = {one.id: one.rate for one in score([Case("01", "A", ("read_noise",), answer)], "A").rates}
+    assert rate["top1_A"] == rate["top3_A"] == rate["best_A"] == Rate(1, 1)
 
 
 def test_scores_of_nothing():
