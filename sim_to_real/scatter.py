@@ -30,14 +30,20 @@ from sim_to_real.refit import Refit
 CAP = 5.0
 """Details beyond so many sigmas are cut: a streak is not noise."""
 
-READ_WITHIN = 3.0
+READ_WITHIN = 5.0
 """Of its tolerance the read noise may be off so many times without being an effect."""
 
 LEAST_EXCESS = 0.1
 """An effect is there if it adds this share of the predicted variance where it acts."""
 
-LEAST_SPECKLE = 1.5e-3
+LEAST_SPECKLE = 8e-4
 """And the square of what it adds to a bin, over the laser's light: below lies what the model may be off."""
+
+SMOOTH_FROM = 2.0
+"""If bins twice as far apart differ by so many times the variance, what is left is smooth."""
+
+LARGEST_GRAIN, LIGHTS_OWN = 0.1, 0.01
+"""Relative variances of the laser's light: beyond which differences are cut, and which all bins have."""
 
 SPECKLE_SIGMAS = 0.05, 0.2
 """1 sigma of speckle's contrast and grain, relative: its two statistics are no sharper than its form."""
@@ -93,7 +99,7 @@ def scatter(expected: Expected, fitted: Refit, without: Sequence[str]) -> Scatte
     found = [
         _read_noise(read, error[0], seen, expected.observed.setup.tolerance.read_noise_rel),
         _fixed_pattern(light, error[1], seen, _comes_back(seen, frames)),
-        _laser_speckle(laser, _laser_between_bins(expected, fitted, seen), seen, frames, bin_px),
+        _laser_speckle(laser, _laser_between_bins(expected, fitted, seen, read, light), seen, frames, bin_px),
     ]
     kept = [one for one in found if one is not None and one.id not in without]
     sigmas_dn = []
@@ -248,26 +254,39 @@ def _comes_back(seen: Sequence[_Frame], frames: Sequence[ObservedFrame]) -> floa
     return max(over / under, 0.0) if under > 0.0 else 0.0
 
 
-def _laser_between_bins(expected: Expected, fitted: Refit, seen: Sequence[_Frame]) -> float:
-    """Return what the laser's square adds to the variance of a bin's mean."""
-    over, under = 0.0, 0.0
+def _laser_between_bins(
+    expected: Expected, fitted: Refit, seen: Sequence[_Frame], read: float, gain: float
+) -> float:
+    """Return what the laser's square adds to the variance of a bin's mean; 0 if what is left is no grain.
+
+    `read` and `gain` are the sizes of what scatters besides. Of grains, bins twice as far apart differ as
+    much; of what a wrong mean leaves they differ more.
+    """
     n_pixels = expected.observed.bin_px**2
+    over, under = np.zeros(2), np.zeros(2)
     for frame, light, of in zip(expected.observed.frames, fitted.passed, seen, strict=True):
         if frame.condition.laser_level == 0.0 or not frame.in_stripe.any():
             continue
         left_dn = np.full(frame.keep.shape, np.nan)
         left_dn[frame.keep] = np.where(frame.in_stripe, frame.kept_dn - light.mean_dn(), np.nan)
         variance, laser = np.zeros(frame.keep.shape), np.zeros(frame.keep.shape)
-        variance[frame.keep], laser[frame.keep] = of.predicted / n_pixels, of.laser
-        change = (left_dn[:, :-2] - 2.0 * left_dn[:, 1:-1] + left_dn[:, 2:]) / math.sqrt(6.0)
-        good = np.isfinite(change)
-        v, template = variance[:, 1:-1][good], laser[:, 1:-1][good]
-        change = np.clip(change[good], -CAP * np.sqrt(v + 0.1 * template), CAP * np.sqrt(v + 0.1 * template))
-        # Noise as large as the light's own floor: bins in full light do not count more than they know.
-        weight = template / (v + 0.01 * template) ** 2
-        over += float(np.sum(weight * (change**2 - v)))
-        under += float(np.sum(weight * template))
-    return max(over / under, 0.0) if under > 0.0 else 0.0
+        of_pixel = of.predicted + max(read, 0.0) * of.read + gain * of.light
+        variance[frame.keep], laser[frame.keep] = of_pixel / n_pixels, of.laser
+        for n, apart in enumerate((1, 2)):
+            middle = slice(apart, -apart)
+            change = left_dn[:, : -2 * apart] - 2.0 * left_dn[:, middle] + left_dn[:, 2 * apart :]
+            good = np.isfinite(change)
+            v, template = variance[:, middle][good], laser[:, middle][good]
+            most = CAP * np.sqrt(v + LARGEST_GRAIN * template)
+            square = np.clip(change[good] / math.sqrt(6.0), -most, most) ** 2
+            # Bins in full light do not count more than they know.
+            weight = template / (v + LIGHTS_OWN * template) ** 2
+            over[n] += float(np.sum(weight * (square - v)))
+            under[n] += float(np.sum(weight * template))
+    if not (under > 0.0).all() or over[0] <= 0.0:
+        return 0.0
+    near, far = over / under
+    return float(near) if far < SMOOTH_FROM * near else 0.0
 
 
 def left_of_grain(grain_px: float, bin_px: int) -> tuple[float, float]:
