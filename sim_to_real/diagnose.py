@@ -20,7 +20,7 @@ from sim_to_real.observed import Observed, PoseAt, observe
 from sim_to_real.refit import Refit, refit
 from sim_to_real.scatter import Scatter, scatter
 from sim_to_real.seam_error import seam_error_mm
-from sim_to_real.select import Candidate, judged
+from sim_to_real.select import WORTHWHILE, Candidate, judged
 from sim_to_real.split import held_out
 from sim_to_real.stage import stages
 from sim_to_real.verdict import LEAST_SHARE, Decision, decide, shares, with_random
@@ -32,8 +32,8 @@ HELD, LEFT_ASIDE = 0.25, 0.34
 RANDOM_CONFIDENCE = 0.95
 """How sure a random effect is that stands out by its variance: no other in the catalogue has its pattern."""
 
-ROUNDS = 2
-"""How often light is rendered about a fit of all frames."""
+ROUNDS = 4
+"""How often at most light is rendered about a fit of all frames."""
 
 OnStage = Callable[[str, float], None]
 
@@ -54,7 +54,7 @@ def diagnose(
     for name in without:
         if name not in REGISTRY:
             raise ValueError(f"{name}: no such effect, there are {', '.join(REGISTRY)}")
-    heard = on_stage or _silent
+    heard = _rising(on_stage or _silent)
     heard("tracking the seam", 0.0)
     observed = observe(setup, frames, pose_at)
     held = held_out(observed, HELD)
@@ -125,6 +125,18 @@ def _silent(text: str, share: float) -> None:
     pass
 
 
+def _rising(on_stage: OnStage) -> OnStage:
+    """Return a listener that never hears of less than before: a search may go round once more."""
+    most = 0.0
+
+    def heard(text: str, share: float) -> None:
+        nonlocal most
+        most = max(most, share)
+        on_stage(text, most)
+
+    return heard
+
+
 def _baseline(observed: Observed, without: Sequence[str]) -> tuple[Expected, Candidate, Scatter]:
     """Fit what is off within its tolerance, and nothing else; what scatters is taken for noise."""
     expected = Expected(observed)
@@ -145,8 +157,10 @@ def _settled(expected: Expected, effects: Effects, nuisance: Float64) -> Refit:
     fitted = None
     for _ in range(ROUNDS):
         expected.take_tangents(nuisance, effects)
-        fitted = refit(expected, effects, nuisance)
-        nuisance, effects = fitted.nuisance, fitted.effects
+        again = refit(expected, effects, nuisance)
+        if fitted is not None and again.mean_square > (1.0 - WORTHWHILE) * fitted.mean_square:
+            return again
+        fitted, nuisance, effects = again, again.nuisance, again.effects
     assert fitted is not None
     return fitted
 
