@@ -78,7 +78,9 @@ def diagnose(
     before = _settled(expected, {}, baseline.refit.nuisance)
     named = decision.chosen.refit.effects
     after = _settled(expected, named, decision.chosen.refit.nuisance) if named else before
-    random = scatter(expected, after, without)
+    # What scatters was decided before; all frames only say how much.
+    undecided = set(REGISTRY) - set(random.effects)
+    random = scatter(expected, after, (*without, *undecided))
     heard("predicting the frames held out", 0.75)
     predicted = predict_held(
         observed.some(held),
