@@ -9,13 +9,14 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
-from noise_model.effects import pose_time_s, really
+from noise_model.effects import really
 from noise_model.forward import Prediction, Renderer, predict
 from noise_model.frames import Float64
 from noise_model.sensor import saturation_dn
 from noise_model.setup import Setup
 from sim_to_real.diagnosis import Float32, Predicted
-from sim_to_real.expected import Effects, Expected, really_lit, really_there
+from sim_to_real.expected import Effects, Expected
+from sim_to_real.nuisances import really_lit, really_there
 from sim_to_real.observed import FLOOR_DN, FLOOR_REL, Bool, Observed, ObservedFrame
 from sim_to_real.refit import FLICKER, Refit
 
@@ -89,7 +90,7 @@ def _predict(
 ) -> Prediction:
     stated = _stated(setup, fitted)
     stated = replace(stated, effects={**stated.effects, **random})
-    pose = frame.pose_at(pose_time_s(stated, frame.timestamp_s))
+    pose = frame.T_base_tool_in(stated)
     seam = expected.seam(frame, fitted.nuisance)
     condition = really_lit(frame.condition, fitted.nuisance)
     found = predict(stated, pose, condition, seam=seam, renderer=renderer)
@@ -131,7 +132,7 @@ def _counts(
 ) -> Bool:
     """Return the pixels (H, W) that count: on one face, off shadows' edges, not saturated."""
     true = really(_stated(setup, fitted))
-    pose = frame.pose_at(pose_time_s(true, frame.timestamp_s))
+    pose = frame.T_base_tool_in(true)
     layers = renderer.layers(true, pose, expected.seam(frame, fitted.nuisance))
     faces = layers.view.surface[2].astype(np.float32)
     around = np.ones((2 * EDGE_PX + 1, 2 * EDGE_PX + 1), dtype=np.uint8)

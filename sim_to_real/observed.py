@@ -12,7 +12,7 @@ import numpy.typing as npt
 
 from noise_model.arc_map import scene
 from noise_model.condition import Condition
-from noise_model.effects import really
+from noise_model.effects import pose_time_s, really
 from noise_model.forward import Layers, Renderer
 from noise_model.frames import Float64
 from noise_model.optics import Camera
@@ -79,10 +79,9 @@ class ObservedFrame:
         """The means of the bins that count (n,)."""
         return self.binned_dn[self.keep].astype(np.float64)
 
-    @property
-    def T_base_tool(self) -> Float64:
-        """The pose that the controller stamped for the frame's own time."""
-        return self.pose_at(self.timestamp_s)
+    def T_base_tool_in(self, setup: Setup, later_s: float = 0.0) -> Float64:
+        """Return the tool's pose as the frame was taken, by a setup's clocks, or somewhat later."""
+        return self.pose_at(pose_time_s(setup, self.timestamp_s) + later_s)
 
 
 @dataclass(frozen=True, eq=False)

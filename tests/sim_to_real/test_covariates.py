@@ -112,14 +112,15 @@ def test_angles_and_distances_on_the_plate_are_those_of_rays_and_a_plane(nominal
     setup = expected.observed.setup
     frame = next(frame for frame in expected.observed.frames if frame.stratum == "arc")
     chosen = np.flatnonzero((of.frame == frame.position) & (of.values["concavity"] == 0.0))[::7]
-    T_base_camera = frame.T_base_tool @ setup.camera.T_tool_camera
+    T_base_tool = frame.T_base_tool_in(setup)
+    T_base_camera = T_base_tool @ setup.camera.T_tool_camera
     eye = T_base_camera[:3, 3]
     px = np.column_stack([of.values["column"][chosen], of.values["row"][chosen]])
     xy = (px - [setup.camera.cx, setup.camera.cy]) / [setup.camera.fx, setup.camera.fy]
     rays = np.column_stack([xy, np.ones(len(xy))]) @ T_base_camera[:3, :3].T
     points = eye - eye[2] / rays[:, 2:] * rays
     # The torch stands over the plate at the height that the setup states, wherever the tool is.
-    center = frame.T_base_tool[:3, :3] @ setup.arc.center_in_tool_mm + frame.T_base_tool[:3, 3]
+    center = T_base_tool[:3, :3] @ setup.arc.center_in_tool_mm + T_base_tool[:3, 3]
     center[2] = setup.arc.center_in_tool_mm[2]
     to_arc = center + np.array([0.0, 0.0, setup.arc.radius_mm / 2.0]) - points
     to_eye = eye - points
