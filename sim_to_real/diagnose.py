@@ -10,7 +10,7 @@ from noise_model.effects import REGISTRY
 from noise_model.frames import Float64
 from noise_model.setup import Setup
 from sim_to_real.covariates import covariates
-from sim_to_real.diagnosis import Diagnosis, Estimate, Gap, Named, Next, Ranked, Verdict
+from sim_to_real.diagnosis import Diagnosis, Estimate, Named, Next, Ranked, Verdict
 from sim_to_real.expected import Effects, Expected
 from sim_to_real.free_term import free_term
 from sim_to_real.held import excess_map, measure, predict_held
@@ -89,15 +89,15 @@ def diagnose(
         (after, random.effects),
         lambda done: heard("predicting the frames held out", 0.75 + 0.15 * done),
     )
-    sizes = measure(predicted, setup)
     heard("saying where", 0.9)
     of_bins = covariates(expected, before)
     simplest = stages(expected, before, of_bins)[0].stage
     where = locate(of_bins, before.residuals, simplest, excess_map(predicted))
     free = free_term(covariates(expected, after), after.residuals, ~held_out(train, LEFT_ASIDE))[0]
     is_named = decision.verdict in (Verdict.EFFECTS, Verdict.AMBIGUOUS)
-    seam_mm = tuple(
-        seam_error_mm(setup, effects, frames, pose_at, expected, after) for effects in ({}, named)
+    seam_mm = (
+        seam_error_mm(setup, {}, frames, pose_at, expected, after),
+        seam_error_mm(setup, named, frames, pose_at, expected, after),
     )
     heard("done", 1.0)
     return Diagnosis(
@@ -105,15 +105,7 @@ def diagnose(
         _named(decision, after, random, share) if is_named else (),
         _ranking(decision, baseline),
         decision.ambiguous,
-        Gap(
-            sizes.before,
-            sizes.after,
-            sizes.floor,
-            sizes.closed,
-            sizes.ci95,
-            sizes.rms_dn,
-            (seam_mm[0], seam_mm[1]),
-        ),
+        measure(predicted, setup, seam_mm),
         where,
         _next(choosing, decision, alike),
         alike,

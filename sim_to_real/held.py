@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import cv2
 import numpy as np
@@ -14,7 +14,7 @@ from noise_model.forward import Prediction, Renderer, predict
 from noise_model.frames import Float64
 from noise_model.sensor import saturation_dn
 from noise_model.setup import Setup
-from sim_to_real.diagnosis import Float32, Predicted
+from sim_to_real.diagnosis import Float32, Gap, Predicted
 from sim_to_real.expected import Effects, Expected
 from sim_to_real.nuisances import really_lit, really_there
 from sim_to_real.observed import FLOOR_DN, FLOOR_REL, Bool, Observed, ObservedFrame
@@ -145,20 +145,11 @@ def _counts(
     return np.asarray(~bad & (cv2.dilate(full, np.ones((3, 3), dtype=np.uint8)) == 0))
 
 
-@dataclass(frozen=True)
-class Sizes:
-    """The gap on held-out frames: in sigmas before, after and of the floor; the share closed."""
+def measure(predicted: Predicted, setup: Setup, seam_mm: tuple[float, float], seed: int = 0) -> Gap:
+    """Measure the gap: sqrt(mean r^2 - 1) of the pixels that count, its interval by blocks drawn again.
 
-    before: float
-    after: float
-    floor: float
-    closed: float
-    ci95: tuple[float, float]
-    rms_dn: tuple[float, float]
-
-
-def measure(predicted: Predicted, setup: Setup, seed: int = 0) -> Sizes:
-    """Measure the gap: sqrt(mean r^2 - 1) of the pixels that count, its interval by blocks drawn again."""
+    `seam_mm` is passed on: how far the seam point moves before and after.
+    """
     counts = np.isfinite(predicted.variance)
     light_dn = predicted.after.astype(np.float64) - setup.sensor.black_level_dn
     squares = np.stack(
@@ -179,7 +170,7 @@ def measure(predicted: Predicted, setup: Setup, seed: int = 0) -> Sizes:
         for mean in (predicted.before, predicted.after)
     ]
     closed = _closed(before, after, floor)
-    return Sizes(before, after, floor, closed, (float(low), float(high)), (rms[0], rms[1]))
+    return Gap(before, after, floor, closed, (float(low), float(high)), (rms[0], rms[1]), seam_mm)
 
 
 def _squares(of_dn: Float64 | Float32, variance: Float32, counts: Bool) -> Float64:
