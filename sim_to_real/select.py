@@ -62,7 +62,12 @@ class Candidate:
     def evidence(self) -> float:
         """The logarithm of the candidate's likelihood, less what its parameters cost."""
         n_parameters = len(self.refit.x) - self.refit.n_nuisances
-        return -0.5 * N_EFFECTIVE * math.log(max(self.left, 1.0)) - 0.5 * n_parameters * math.log(N_EFFECTIVE)
+        return -0.5 * N_EFFECTIVE * math.log(max(self.left, 1.0)) - cost_nats(n_parameters)
+
+
+def cost_nats(n_parameters: int) -> float:
+    """Return what parameters cost of the evidence."""
+    return 0.5 * n_parameters * math.log(N_EFFECTIVE)
 
 
 def judged(expected: Expected, fitted: Refit) -> Candidate:
