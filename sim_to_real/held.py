@@ -18,6 +18,7 @@ from sim_to_real.diagnosis import Float32, Gap, Predicted
 from sim_to_real.expected import Effects, Expected
 from sim_to_real.nuisances import really_lit, really_there
 from sim_to_real.observed import FLOOR_DN, FLOOR_REL, Bool, Observed, ObservedFrame
+from sim_to_real.pixels import cut, off_faces, within
 from sim_to_real.refit import FLICKER, Refit
 
 EDGE_PX = 6
@@ -134,15 +135,12 @@ def _counts(
     true = really(_stated(setup, fitted))
     pose = frame.T_base_tool_in(true)
     layers = renderer.layers(true, pose, expected.seam(frame, fitted.nuisance))
-    faces = layers.view.surface[2].astype(np.float32)
-    around = np.ones((2 * EDGE_PX + 1, 2 * EDGE_PX + 1), dtype=np.uint8)
-    bad = (cv2.dilate(faces, around) != cv2.erode(faces, around)) | (faces < 0)
+    bad = off_faces(layers.view.surface[2], 2 * EDGE_PX + 1)
     if frame.condition.arc_level > 0.0:
         arc = layers.arc_e
         steep = np.maximum(*(np.abs(np.gradient(arc, axis=axis)) for axis in (0, 1))) > STEEP * arc
-        bad |= cv2.dilate((steep & (arc > 0.0)).astype(np.uint8), around) > 0
-    full = (frame.image_dn >= saturation_dn(setup.sensor)).astype(np.uint8)
-    return np.asarray(~bad & (cv2.dilate(full, np.ones((3, 3), dtype=np.uint8)) == 0))
+        bad |= within(steep & (arc > 0.0), 2 * EDGE_PX + 1)
+    return ~bad & ~within(frame.image_dn >= saturation_dn(setup.sensor), 3)
 
 
 def measure(predicted: Predicted, setup: Setup, seam_mm: tuple[float, float], seed: int = 0) -> Gap:
@@ -160,7 +158,7 @@ def measure(predicted: Predicted, setup: Setup, seam_mm: tuple[float, float], se
             counts.astype(np.float64),
         ]
     )
-    blocks = _block_sums(squares)
+    blocks = cut(squares, BLOCK_PX).sum(axis=(-3, -1)).reshape(len(squares), -1)
     before, after, floor = _gaps(squares.sum(axis=(1, 2, 3)))
     draws = np.random.default_rng(seed).integers(0, blocks.shape[1], (DRAWS, blocks.shape[1]))
     drawn = np.array([_closed(*_gaps(blocks[:, draw].sum(axis=1))) for draw in draws])
@@ -192,14 +190,6 @@ def _gaps(sums: Float64) -> tuple[float, float, float]:
 def _closed(before: float, after: float, floor: float) -> float:
     """Return (before - after) / (before - floor); NaN where there is no gap above the floor."""
     return (before - after) / (before - floor) if before > floor else np.nan
-
-
-def _block_sums(images: Float64) -> Float64:
-    """Return the sums (k, n_blocks) over blocks of images (k, n, H, W)."""
-    k, n, height, width = images.shape
-    h, w = height // BLOCK_PX, width // BLOCK_PX
-    cut = images[:, :, : h * BLOCK_PX, : w * BLOCK_PX].reshape(k, n, h, BLOCK_PX, w, BLOCK_PX)
-    return np.asarray(cut.sum(axis=(3, 5)).reshape(k, -1))
 
 
 def excess_map(predicted: Predicted) -> Float32:

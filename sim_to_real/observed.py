@@ -18,6 +18,7 @@ from noise_model.frames import Float64
 from noise_model.optics import Camera
 from noise_model.sensor import linearise, respond_moments, saturation_dn
 from noise_model.setup import Setup
+from sim_to_real.pixels import block_means
 from sim_to_real.seam_curve import SeamCurve
 from tracker.state import Frame, Pose
 from tracker.step import Tracker
@@ -102,11 +103,6 @@ class Observed:
         frames = [frame for frame, is_in in zip(self.frames, chosen, strict=True) if is_in]
         return replace(self, frames=tuple(replace(f, position=n) for n, f in enumerate(frames)))
 
-    @property
-    def strata(self) -> npt.NDArray[np.str_]:
-        """The frames' strata (n_frames,)."""
-        return np.array([frame.stratum for frame in self.frames])
-
 
 def observe(setup: Setup, frames: Sequence[Frame], pose_at: PoseAt) -> Observed:
     """Gather a recording's frames for the diagnosis; those without a pose are left out.
@@ -150,13 +146,6 @@ def binned_camera(camera: Camera, bin_px: int) -> Camera:
     )
 
 
-def binned_mean(image: npt.NDArray[np.generic], bin_px: int) -> Float32:
-    """Return the means (h, w) of an image's whole bins (H, W)."""
-    h, w = image.shape[0] // bin_px, image.shape[1] // bin_px
-    cut = image[: h * bin_px, : w * bin_px].reshape(h, bin_px, w, bin_px)
-    return np.asarray(cut.mean(axis=(1, 3), dtype=np.float64), dtype=np.float32)
-
-
 def _observed(
     setup: Setup,
     binned: Setup,
@@ -186,7 +175,7 @@ def _observed(
     stations_mm = stations(setup, pose)
     layers = Renderer().layers(really(binned), pose, seam.bent(np.zeros(seam.n_modes), *stations_mm))
     keep, in_stripe = _keep(binned, layers, condition, _usable(frame.image_dn, setup, bin_px))
-    binned_dn = binned_mean(frame.image_dn, bin_px)
+    binned_dn = block_means(frame.image_dn, bin_px).astype(np.float32)
     return ObservedFrame(
         position,
         frame.index,
@@ -205,8 +194,7 @@ def _observed(
 
 def _usable(image_dn: npt.NDArray[np.integer], setup: Setup, bin_px: int) -> Bool:
     """Return the bins (h, w) none of whose pixels is saturated."""
-    full = (image_dn >= saturation_dn(setup.sensor)).astype(np.float32)
-    return np.asarray(binned_mean(full, bin_px) == 0.0)
+    return np.asarray(block_means(image_dn >= saturation_dn(setup.sensor), bin_px) == 0.0)
 
 
 def _sigma_dn(binned_dn: Float32, setup: Setup, bin_px: int) -> Float64:
