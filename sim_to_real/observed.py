@@ -134,16 +134,7 @@ def binned_camera(camera: Camera, bin_px: int) -> Camera:
     A bin's box widens the point-spread function by (bin_px^2 - 1) / 12 px^2.
     """
     variance_px2 = camera.psf_sigma_px**2 + (bin_px**2 - 1) / 12.0
-    return replace(
-        camera,
-        width=camera.width // bin_px,
-        height=camera.height // bin_px,
-        fx=camera.fx / bin_px,
-        fy=camera.fy / bin_px,
-        cx=(camera.cx + 0.5) / bin_px - 0.5,
-        cy=(camera.cy + 0.5) / bin_px - 0.5,
-        psf_sigma_px=float(np.sqrt(variance_px2)) / bin_px,
-    )
+    return replace(camera.coarser(bin_px), psf_sigma_px=float(np.sqrt(variance_px2)) / bin_px)
 
 
 def _observed(
