@@ -6,6 +6,8 @@ import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 
+from threadpoolctl import threadpool_limits
+
 from noise_model.effects import REGISTRY
 from noise_model.frames import Float64
 from noise_model.setup import Setup
@@ -54,7 +56,14 @@ def diagnose(
     for name in without:
         if name not in REGISTRY:
             raise ValueError(f"{name}: no such effect, there are {', '.join(REGISTRY)}")
-    heard = _rising(on_stage or _silent)
+    # Its many small matrices are no work for BLAS' threads: waiting for each other costs them more.
+    with threadpool_limits(1, user_api="blas"):
+        return _diagnosed(setup, frames, pose_at, without, _rising(on_stage or _silent))
+
+
+def _diagnosed(
+    setup: Setup, frames: Sequence[Frame], pose_at: PoseAt, without: Sequence[str], heard: OnStage
+) -> Diagnosis:
     heard("tracking the seam", 0.0)
     observed = observe(setup, frames, pose_at)
     held = held_out(observed, HELD)

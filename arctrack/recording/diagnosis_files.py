@@ -20,8 +20,8 @@ REPORT_PAGE = "report.html"
 FILES = (REPORT_JSON, WHERE_NPZ, PREDICTED_NPZ, REPORT_PAGE)
 """Every file that a diagnosis writes."""
 
-DIGITS = 6
-"""Significant digits of a number in report.json."""
+DIGITS, ALL_DIGITS = 6, 17
+"""Significant digits of a number in report.json, and those that say a float exactly."""
 
 
 def make_diagnosis_folder(folder: Path) -> None:
@@ -66,8 +66,8 @@ def report(diagnosis: Diagnosis) -> dict[str, Any]:
         "smallest_detectable": {name: asdict(least) for name, least in diagnosis.smallest.items()},
         "left_over": _left_over(diagnosis.left_over),
     }
-    plain: dict[str, Any] = _plain(content)
-    return plain
+    rounded: dict[str, Any] = plain(content, DIGITS)
+    return rounded
 
 
 def _named(effect: Named) -> dict[str, Any]:
@@ -117,12 +117,12 @@ def _write_predicted(predicted: Predicted, path: Path) -> None:
     )
 
 
-def _plain(value: Any) -> Any:
-    """Return JSON's own types: lists for tuples, null for what is not finite, numbers in a few digits."""
+def plain(value: Any, digits: int = ALL_DIGITS) -> Any:
+    """Return JSON's own types: lists for tuples, null for what is not finite, numbers in so many digits."""
     if isinstance(value, Mapping):
-        return {key: _plain(item) for key, item in value.items()}
+        return {key: plain(item, digits) for key, item in value.items()}
     if isinstance(value, tuple | list):
-        return [_plain(item) for item in value]
+        return [plain(item, digits) for item in value]
     if isinstance(value, float | np.floating):
-        return float(f"{value:.{DIGITS}g}") if math.isfinite(value) else None
+        return float(f"{value:.{digits}g}") if math.isfinite(value) else None
     return value
