@@ -9,20 +9,19 @@ from dataclasses import replace
 from threadpoolctl import threadpool_limits
 
 from noise_model.effects import REGISTRY
-from noise_model.frames import Float64
 from noise_model.setup import Setup
 from sim_to_real.covariates import covariates
 from sim_to_real.diagnosis import Diagnosis, Estimate, Named, Next, Ranked, Verdict
-from sim_to_real.expected import Effects, Expected
+from sim_to_real.expected import Expected
 from sim_to_real.free_term import free_term
 from sim_to_real.held import excess_map, measure, predict_held
 from sim_to_real.locate import locate
 from sim_to_real.next import best_measurement, not_resolvable, own_signatures, smallest
-from sim_to_real.observed import Observed, PoseAt, observe
-from sim_to_real.refit import Refit, refit
+from sim_to_real.observed import PoseAt, observe
+from sim_to_real.refit import Refit, refit, settled
 from sim_to_real.scatter import Scatter, scatter
 from sim_to_real.seam_error import seam_error_mm
-from sim_to_real.select import WORTHWHILE, Candidate, judged
+from sim_to_real.select import Candidate, judged
 from sim_to_real.split import held_out
 from sim_to_real.stage import stages
 from sim_to_real.verdict import LEAST_SHARE, Decision, decide, shares, with_random
@@ -33,9 +32,6 @@ HELD, LEFT_ASIDE = 0.25, 0.34
 
 RANDOM_CONFIDENCE = 0.95
 """How sure a random effect is that stands out by its variance: no other in the catalogue has its pattern."""
-
-ROUNDS = 4
-"""How often at most light is rendered about a fit of all frames."""
 
 OnStage = Callable[[str, float], None]
 
@@ -69,7 +65,10 @@ def _diagnosed(
     held = held_out(observed, HELD)
     train = observed.some(~held)
     heard("fitting what is no gap", 0.05)
-    choosing, baseline, random = _baseline(train.some(~held_out(train, LEFT_ASIDE)), without)
+    expected = Expected(train)
+    before, random = _baseline(expected, without)
+    choosing = expected.some(~held_out(train, LEFT_ASIDE))
+    baseline = judged(choosing, refit(choosing, {}, before.nuisance))
     decision = decide(choosing, baseline, without, lambda text, share: heard(text, 0.1 + 0.5 * share))
     decision = with_random(decision, baseline, random)
     share = shares(choosing, baseline, decision.chosen, random.excess)
@@ -83,10 +82,10 @@ def _diagnosed(
     alike = not_resolvable(signatures)
 
     heard("fitting all frames", 0.65)
-    expected = Expected(train)
-    before = _settled(expected, {}, baseline.refit.nuisance)
     named = decision.chosen.refit.effects
-    after = _settled(expected, named, decision.chosen.refit.nuisance) if named else before
+    after = before
+    if named:
+        after = settled(expected, refit(expected, named, decision.chosen.refit.nuisance, steps=0))
     # What scatters was decided before; all frames only say how much.
     undecided = set(REGISTRY) - set(random.effects)
     random = scatter(expected, after, (*without, *undecided))
@@ -140,9 +139,8 @@ def _rising(on_stage: OnStage) -> OnStage:
     return heard
 
 
-def _baseline(observed: Observed, without: Sequence[str]) -> tuple[Expected, Candidate, Scatter]:
+def _baseline(expected: Expected, without: Sequence[str]) -> tuple[Refit, Scatter]:
     """Fit what is off within its tolerance, and nothing else; what scatters is taken for noise."""
-    expected = Expected(observed)
     expected.take_tangents(expected.neutral, {})
     fitted = refit(expected, {}, expected.neutral)
     expected.allow_for_bends(fitted.nuisance, {})
@@ -152,20 +150,7 @@ def _baseline(observed: Observed, without: Sequence[str]) -> tuple[Expected, Can
     if random.effects:
         expected.take_noise(random.sigmas_dn)
         fitted = refit(expected, {}, fitted.nuisance)
-    return expected, judged(expected, fitted), random
-
-
-def _settled(expected: Expected, effects: Effects, nuisance: Float64) -> Refit:
-    """Fit all frames, with the derivatives of light taken again where the fit came to."""
-    fitted = None
-    for _ in range(ROUNDS):
-        expected.take_tangents(nuisance, effects)
-        again = refit(expected, effects, nuisance)
-        if fitted is not None and again.mean_square > (1.0 - WORTHWHILE) * fitted.mean_square:
-            return again
-        fitted, nuisance, effects = again, again.nuisance, again.effects
-    assert fitted is not None
-    return fitted
+    return fitted, random
 
 
 def _next(expected: Expected, decision: Decision, alike: Sequence[tuple[str, str]]) -> Next | None:

@@ -21,6 +21,7 @@ from noise_model.effects import REGISTRY, Stage, Values, really, really_on
 from noise_model.effects.light import Light
 from noise_model.forward import Layers, look, pass_on
 from noise_model.frames import Float64
+from noise_model.interreflection import BouncedLight, bounced_light
 from noise_model.optics import Camera, Rays
 from noise_model.sensor import Sensor, respond_moments
 from noise_model.setup import Setup
@@ -59,6 +60,9 @@ RENDERING = frozenset(
     name for name, effect in REGISTRY.items() if effect.setup is not None or effect.stage is Stage.TIMING
 ) - {"gamma", "black_level", "read_noise", "defocus"}
 """The effects that change what a pose shows before anything acts on the image."""
+
+BOUNCING = "interreflection"
+"""The effect whose light takes longer than all else together."""
 
 THREADS = 2
 """Frames that are predicted at once: rendering lets go of the interpreter."""
@@ -120,8 +124,9 @@ class Expected:
         self.nuisances = nuisances(observed)
         self.neutral = np.zeros(len(self.nuisances))
         self._tangents: list[Tangents] | None = None
-        self._rendered: dict[tuple[object, ...], Rendered] = {}
+        self._rendered: dict[tuple[int, bytes, object], Rendered] = {}
         self._nearest = [_nearest(frame.keep) for frame in observed.frames]
+        self._bounced: dict[int, BouncedLight] = {}
         self._rays: dict[tuple[object, ...], Rays] = {}
         self._threads = ThreadPoolExecutor(THREADS)
 
@@ -137,6 +142,19 @@ class Expected:
         """
         frames = self.over_frames(lambda frame: self._with_bend(frame, nuisance, effects))
         self.observed = replace(self.observed, frames=tuple(frames))
+
+    def some(self, chosen: Bool) -> Expected:
+        """Return the same held against some of the frames (n_frames,), with what is known of those."""
+        fewer = Expected(self.observed.some(chosen))
+        fewer._rays = self._rays
+        position = {old: new for new, old in enumerate(np.flatnonzero(chosen).tolist())}
+        if self._tangents is not None:
+            fewer._tangents = [self._tangents[old] for old in position]
+        for (old, anchor, effects), rendered in self._rendered.items():
+            if old in position:
+                fewer._rendered[position[old], anchor, effects] = rendered
+        fewer._bounced = {position[old]: light for old, light in self._bounced.items() if old in position}
+        return fewer
 
     def take_noise(self, sigmas_dn: Sequence[Float64]) -> None:
         """Take other noise of the bins that count, (n,) for each frame; inf leaves a bin out."""
@@ -275,7 +293,11 @@ class Expected:
             np.float32(condition.arc_level) * rendered.arc_e,
             np.float32(condition.laser_level) * rendered.laser_e,
         )
-        pass_on(true, light, replace(rendered.view, setup=true), condition)
+        view = replace(rendered.view, setup=true)
+        if BOUNCING in effects:
+            # What bounces is smooth: where it was computed first it may stay, for all that nuisances move.
+            self._bounced[frame.position] = bounced_light(view, self._bounced.get(frame.position))
+        pass_on(true, light, view, condition)
         keep = frame.keep
         return Passed(
             true.sensor,

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 
 import cv2
@@ -15,7 +16,7 @@ from noise_model.frames import Float64
 from noise_model.sensor import saturation_dn
 from noise_model.setup import Setup
 from sim_to_real.diagnosis import Float32, Gap, Predicted
-from sim_to_real.expected import Effects, Expected
+from sim_to_real.expected import THREADS, Effects, Expected
 from sim_to_real.nuisances import really_lit, really_there
 from sim_to_real.observed import FLOOR_DN, FLOOR_REL, Bool, Observed, ObservedFrame
 from sim_to_real.pixels import cut, off_faces, within
@@ -51,22 +52,25 @@ def predict_held(
     on_frame: Callable[[float], None],
 ) -> Predicted:
     """Return held-out frames as two fits predict them, each with random effects besides."""
-    recorded, pairs, counts = [], [], []
-    renderer = Renderer(2)
-    for n, frame in enumerate(held.frames):
+
+    def predicted(frame: ObservedFrame) -> tuple[Prediction, Prediction, Bool]:
+        renderer = Renderer(2)
         first = _predict(held.setup, expected, frame, *before, renderer)
         second = first if after == before else _predict(held.setup, expected, frame, *after, renderer)
-        recorded.append(frame.image_dn)
-        pairs.append((first, second))
-        counts.append(_counts(held.setup, expected, frame, after[0], renderer))
-        on_frame((n + 1.0) / len(held.frames))
+        return first, second, _counts(held.setup, expected, frame, after[0], renderer)
+
+    found = []
+    with ThreadPoolExecutor(THREADS) as threads:
+        for n, of_frame in enumerate(threads.map(predicted, held.frames)):
+            found.append(of_frame)
+            on_frame((n + 1.0) / len(held.frames))
     return Predicted(
         np.array([frame.index for frame in held.frames]),
-        np.array(recorded),
-        np.array([first.mean_dn for first, _ in pairs], dtype=np.float32),
-        np.array([second.mean_dn for _, second in pairs], dtype=np.float32),
-        _variances([first for first, _ in pairs], counts),
-        _variances([second for _, second in pairs], counts),
+        np.array([frame.image_dn for frame in held.frames]),
+        np.array([first.mean_dn for first, _, _ in found], dtype=np.float32),
+        np.array([second.mean_dn for _, second, _ in found], dtype=np.float32),
+        _variances([first for first, _, _ in found], [counts for _, _, counts in found]),
+        _variances([second for _, second, _ in found], [counts for _, _, counts in found]),
     )
 
 

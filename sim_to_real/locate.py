@@ -136,7 +136,8 @@ def _log_ratios(
 ) -> Float64:
     """Return the median of ln(recorded / predicted light) in groups (g,), NaN where it is dark."""
     light, noise = covariates.light_dn, covariates.sigma_dn
-    recorded = light + residuals * noise
+    # The noise of what a streak hides is infinite, its residual nought.
+    recorded = light + np.where(np.isfinite(noise), residuals, 0.0) * np.nan_to_num(noise, posinf=0.0)
     clear = (light > CLEAR * noise) & (recorded > CLEAR * noise)
     log_ratio = np.log(np.where(clear, recorded / np.where(clear, light, 1.0), 1.0))
     medians = np.full(n_groups, np.nan)

@@ -41,7 +41,7 @@ FLOOR_REL, FLOOR_DN = 0.006, 0.05
 STEEPEST = 0.5
 """A bin counts if the arc's light changes to its neighbours by a smaller share: shadow edges move by less."""
 
-THIN = 3
+THIN = 4
 """Off the stripe every so many bins of a row and column count: neighbours there say the same."""
 
 STRIPE_SHARE = 0.02

@@ -33,6 +33,9 @@ SETTLED = 1e-3
 DAMPING, LEAST_DAMPING, DAMPED_MOST, EASED = 1e-3, 1e-9, 1e3, 0.1
 """Where damping starts, its ends, and by what it changes with a step that helps or does not."""
 
+ROUNDS, WORTHWHILE = 3, 0.1
+"""Light is rendered anew about a fit so often at most, while the mean square falls by this share."""
+
 FLICKER, LEVEL_SIGMA = "arc_flicker", 0.2
 """The effect whose realisation is fitted, frame by frame, and the prior of a frame's ln level."""
 
@@ -147,6 +150,17 @@ def _blocks(ids: Sequence[str], n_nuisances: int, n_frames: int) -> Iterator[tup
 def _by_name(effect: str, values: Float64) -> dict[str, float]:
     names = [parameter.name for parameter in REGISTRY[effect].parameters]
     return dict(zip(names, values.tolist(), strict=True))
+
+
+def settled(expected: Expected, fitted: Refit) -> Refit:
+    """Return a fit done again with light rendered, and its derivatives taken, where it came to."""
+    for _ in range(ROUNDS):
+        expected.take_tangents(fitted.nuisance, fitted.effects)
+        again = refit(expected, fitted.effects, fitted.nuisance)
+        if again.mean_square > (1.0 - WORTHWHILE) * fitted.mean_square:
+            return min(again, fitted, key=lambda fit: fit.mean_square)
+        fitted = again
+    return fitted
 
 
 def huber_bound(r: Float64) -> float:
