@@ -13,10 +13,10 @@ from pathlib import Path
 import numpy as np
 
 from arctrack.errors import ArctrackError, in_file
+from arctrack.output import make_folder, write_whole
 from arctrack.recording import BadFrame, Recording, pose_at, read_recording
-from arctrack.recording.diagnosis_files import REPORT_PAGE, make_diagnosis_folder, write_numbers
+from arctrack.recording.diagnosis_files import FILES, REPORT_PAGE, write_numbers
 from arctrack.recording.setup_file import FILE_NAME, with_effects
-from arctrack.whole_file import write_whole
 from noise_model.effects import REGISTRY
 from noise_model.setup import Setup
 from sim_to_real.diagnosis import Diagnosis, Named, Predicted, Verdict
@@ -121,7 +121,7 @@ def diagnose_recording(job: Job, on_stage: OnStage | None = None) -> Diagnosed:
     from sim_to_real.diagnose import diagnose
 
     recording = read_recording(job.recording, job.setup_path)
-    make_diagnosis_folder(job.folder)
+    make_folder(job.folder, FILES)
     frames, bad_frames = _frames(recording)
     poses = recording.pose_buffer()
     try:

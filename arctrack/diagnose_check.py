@@ -22,10 +22,10 @@ from typing import Any, TypeVar
 
 from arctrack.diagnose import processes
 from arctrack.errors import ArctrackError, in_file
+from arctrack.output import write_whole
 from arctrack.recording import BadFrame, RecordingWriter, pose_at, read_recording
 from arctrack.recording.diagnosis_files import plain, report
 from arctrack.recording.reader import UNFINISHED_SUFFIX
-from arctrack.whole_file import write_whole
 from sim_to_real.check.case import FAILED, Answer, Case
 from sim_to_real.check.plan import Planned, plan
 from sim_to_real.check.score import Scores, score

@@ -12,12 +12,12 @@ from dataclasses import dataclass, replace
 import numpy as np
 import numpy.typing as npt
 
-from noise_model.condition import Condition
 from noise_model.effects import really
 from noise_model.forward import Renderer, predict
 from noise_model.frames import Float64
 from noise_model.sensor import linearise, saturation_dn
 from noise_model.setup import Setup
+from sim_to_real.observed import stated_condition
 from sim_to_real.pixels import block_means, off_faces, within
 from tracker.state import Frame, Pose
 
@@ -80,14 +80,7 @@ def _with_black_level(setup: Setup, dark: Sequence[Frame]) -> Setup:
 def _blocks(setup: Setup, frame: Frame, pose: Pose, renderer: Renderer) -> tuple[Float64, Float64]:
     """Return the block means (n,) of one frame, recorded and predicted, e-."""
     true = really(setup)
-    condition = Condition.of(
-        setup,
-        laser_on=False,
-        arc_on=True,
-        current_a=frame.current_a,
-        exposure_s=frame.exposure_s,
-        timestamp_s=frame.timestamp_s,
-    )
+    condition = stated_condition(setup, frame)
     predicted = predict(setup, pose.T_base_tool, condition, renderer=renderer).mean_e
     _, _, faces = renderer.layers(true, pose.T_base_tool).view.surface
     recorded = linearise(frame.image_dn, true.sensor)

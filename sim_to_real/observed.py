@@ -128,6 +128,18 @@ def observe(setup: Setup, frames: Sequence[Frame], pose_at: PoseAt) -> Observed:
     )
 
 
+def stated_condition(setup: Setup, frame: Frame) -> Condition:
+    """Return what a setup expects of a frame; an arc without a current is off."""
+    return Condition.of(
+        setup,
+        laser_on=frame.laser_on,
+        arc_on=frame.arc_on and frame.current_a > 0.0,
+        current_a=frame.current_a,
+        exposure_s=frame.exposure_s,
+        timestamp_s=frame.timestamp_s,
+    )
+
+
 def binned_camera(camera: Camera, bin_px: int) -> Camera:
     """Return the camera whose pixels are bins of bin_px by bin_px; a rest at the rim is left out.
 
@@ -154,14 +166,7 @@ def _observed(
         assert pose is not None
         return pose.T_base_tool
 
-    condition = Condition.of(
-        setup,
-        laser_on=frame.laser_on,
-        arc_on=frame.arc_on and frame.current_a > 0.0,
-        current_a=frame.current_a,
-        exposure_s=frame.exposure_s,
-        timestamp_s=frame.timestamp_s,
-    )
+    condition = stated_condition(setup, frame)
     pose = T_base_tool(frame.timestamp_s)
     stations_mm = stations(setup, pose)
     layers = Renderer().layers(really(binned), pose, seam.bent(np.zeros(seam.n_modes), *stations_mm))

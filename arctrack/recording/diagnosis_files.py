@@ -11,7 +11,6 @@ from typing import Any
 
 import numpy as np
 
-from arctrack.errors import in_file
 from sim_to_real.diagnosis import Diagnosis, Named, Next, Predicted, Where
 
 FORMAT = "arctrack-diagnosis/1"
@@ -22,16 +21,6 @@ FILES = (REPORT_JSON, WHERE_NPZ, PREDICTED_NPZ, REPORT_PAGE)
 
 DIGITS, ALL_DIGITS = 6, 17
 """Significant digits of a number in report.json, and those that say a float exactly."""
-
-
-def make_diagnosis_folder(folder: Path) -> None:
-    """Make the folder and take an earlier diagnosis' files out of it, so that no two are ever mixed."""
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-        for name in FILES:
-            (folder / name).unlink(missing_ok=True)
-    except OSError as error:
-        raise in_file(folder, f"cannot be written: {error.strerror}; choose another with --out") from None
 
 
 def write_numbers(diagnosis: Diagnosis, folder: Path) -> None:

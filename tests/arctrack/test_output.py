@@ -3,7 +3,18 @@ from pathlib import Path
 import pytest
 
 from arctrack.errors import ArctrackError
-from arctrack.whole_file import write_whole
+from arctrack.output import make_folder, write_whole
+
+
+def test_an_earlier_runs_files_are_gone(tmp_path: Path) -> None:
+    folder = tmp_path / "made" / "anew"
+    make_folder(folder, ["a", "b"])
+    for name in ("a", "b", "notes.txt"):
+        (folder / name).write_text("old")
+    make_folder(folder, ["a", "b"])
+    assert [path.name for path in folder.iterdir()] == ["notes.txt"]
+    with pytest.raises(ArctrackError, match=r"notes.txt: cannot be written: .*choose another with --out"):
+        make_folder(folder / "notes.txt", [])
 
 
 def test_what_a_link_points_at_is_replaced_and_keeps_its_permissions(tmp_path: Path) -> None:
