@@ -134,7 +134,7 @@ def bounced_light(view: View, near: BouncedLight | None = None) -> BouncedLight:
 
     `near` is that of a view that looks nearly alike, taken for this one's.
     """
-    return view.keep("bounced_light", lambda: near or BouncedLight(view))
+    return view.keep(f"bounced_light, {view.coarse}", lambda: near or BouncedLight(view))
 
 
 def _sum(orders_e: Float32, scale: float) -> Float32:

@@ -116,16 +116,25 @@ class SeamLine:
     slope_z: float = 0.0
 
     def frame(self) -> Float64:
-        """Return T_nominal_true (4, 4), mm: the joint frame turned about the station, moved to the seam."""
-        x_axis = np.array([1.0, self.slope_y, self.slope_z])
-        x_axis /= np.linalg.norm(x_axis)
-        y_axis = cross((0.0, 0.0, 1.0), x_axis)
-        y_axis /= np.linalg.norm(y_axis)
-        T_nominal_true = np.eye(4)
-        T_nominal_true[:3, :3] = np.transpose([x_axis, y_axis, cross(x_axis, y_axis)])
-        at = np.array([self.station_mm, self.y_mm, self.z_mm])
-        T_nominal_true[:3, 3] = at - T_nominal_true[:3, 0] * self.station_mm
-        return T_nominal_true
+        """Return T_nominal_true (4, 4), mm: the joint frame turned about the station, moved to the seam.
+
+        One array for all who ask: it is not to be written to.
+        """
+        return _seam_line_frame(self)
+
+
+@lru_cache(maxsize=1024)
+def _seam_line_frame(line: SeamLine) -> Float64:
+    x_axis = np.array([1.0, line.slope_y, line.slope_z])
+    x_axis /= np.linalg.norm(x_axis)
+    y_axis = cross((0.0, 0.0, 1.0), x_axis)
+    y_axis /= np.linalg.norm(y_axis)
+    T_nominal_true = np.eye(4)
+    T_nominal_true[:3, :3] = np.transpose([x_axis, y_axis, cross(x_axis, y_axis)])
+    at = np.array([line.station_mm, line.y_mm, line.z_mm])
+    T_nominal_true[:3, 3] = at - T_nominal_true[:3, 0] * line.station_mm
+    T_nominal_true.flags.writeable = False
+    return T_nominal_true
 
 
 NOMINAL_SEAM = SeamLine()
