@@ -4,13 +4,12 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import replace
 
 from threadpoolctl import threadpool_limits
 
 from noise_model.effects import REGISTRY
 from noise_model.setup import Setup
-from sim_to_real.covariates import covariates
+from sim_to_real.covariates import Covariates, Start, covariates
 from sim_to_real.diagnosis import Diagnosis, Estimate, Named, Next, Ranked, Verdict
 from sim_to_real.expected import Expected
 from sim_to_real.free_term import free_term
@@ -23,8 +22,8 @@ from sim_to_real.scatter import Scatter, scatter
 from sim_to_real.seam_error import seam_error_mm
 from sim_to_real.select import Candidate, judged
 from sim_to_real.split import held_out
-from sim_to_real.stage import stages
-from sim_to_real.verdict import LEAST_SHARE, Decision, decide, shares, with_random
+from sim_to_real.stage import stages_of_either
+from sim_to_real.verdict import Decision, decide, with_random, with_shares
 from tracker.state import Frame
 
 HELD, LEFT_ASIDE = 0.25, 0.34
@@ -71,13 +70,7 @@ def _diagnosed(
     baseline = judged(choosing, refit(choosing, {}, before.nuisance))
     decision = decide(choosing, baseline, without, lambda text, share: heard(text, 0.1 + 0.5 * share))
     decision = with_random(decision, baseline, random)
-    share = shares(choosing, baseline, decision.chosen, random.excess)
-    worth = {name: of for name, of in decision.chosen.refit.effects.items() if share[name] >= LEAST_SHARE}
-    if len(worth) < len(decision.chosen.ids) and worth:
-        chosen = judged(choosing, refit(choosing, worth, decision.chosen.refit.nuisance))
-        decision = replace(decision, chosen=chosen)
-        share = shares(choosing, baseline, chosen, random.excess)
-
+    decision, share = with_shares(choosing, baseline, decision, random.excess)
     signatures = own_signatures(decision.start, decision.screened)
     alike = not_resolvable(signatures)
 
@@ -99,10 +92,11 @@ def _diagnosed(
     )
     heard("saying where", 0.9)
     of_bins = covariates(expected, before)
-    simplest = stages(expected, before, of_bins)[0].stage
-    where = locate(of_bins, before.residuals, simplest, excess_map(predicted))
-    free = free_term(covariates(expected, after), after.residuals, ~held_out(train, LEFT_ASIDE))[0]
     is_named = decision.verdict in (Verdict.EFFECTS, Verdict.AMBIGUOUS)
+    effects = _named(decision, after, random, share) if is_named else ()
+    stage = effects[0].stage if effects else _simplest_stage(expected, before, of_bins)
+    where = locate(of_bins, before.residuals, stage, excess_map(predicted))
+    free = free_term(covariates(expected, after), after.residuals, ~held_out(train, LEFT_ASIDE))[0]
     seam_mm = (
         seam_error_mm(setup, {}, frames, pose_at, expected, after),
         seam_error_mm(setup, named, frames, pose_at, expected, after),
@@ -110,7 +104,7 @@ def _diagnosed(
     heard("done", 1.0)
     return Diagnosis(
         decision.verdict,
-        _named(decision, after, random, share) if is_named else (),
+        effects,
         _ranking(decision, baseline),
         decision.ambiguous,
         measure(predicted, setup, seam_mm),
@@ -153,6 +147,13 @@ def _baseline(expected: Expected, without: Sequence[str]) -> tuple[Refit, Scatte
     return fitted, random
 
 
+def _simplest_stage(expected: Expected, before: Refit, of_bins: Covariates) -> str:
+    """Return the stage at which the residual is simplest, of the fit or of the stated values."""
+    expected.take_tangents(expected.neutral, {})
+    start = Start.of(expected)
+    return stages_of_either(expected, [(before, of_bins), (start, covariates(expected, start))])[0].stage
+
+
 def _next(expected: Expected, decision: Decision, alike: Sequence[tuple[str, str]]) -> Next | None:
     """Return the measurement that would settle what is open; None if nothing is."""
     if decision.verdict is Verdict.NO_GAP or len(decision.singles) < 2:
@@ -170,10 +171,10 @@ def _next(expected: Expected, decision: Decision, alike: Sequence[tuple[str, str
 def _named(
     decision: Decision, after: Refit, random: Scatter, share: Mapping[str, float]
 ) -> tuple[Named, ...]:
-    """Return the effects of the best fit, and those that scatter, with their parameters."""
+    """Return the effects of the best fit, and those that scatter, the largest share first."""
     sigmas = {**after.sigmas, **random.sigmas}
     confidence = {name: float(decision.confidence[0]) for name in after.ids}
-    return tuple(
+    named = [
         Named(
             name,
             REGISTRY[name].stage.value,
@@ -186,7 +187,8 @@ def _named(
             },
         )
         for name, values in {**after.effects, **random.effects}.items()
-    )
+    ]
+    return tuple(sorted(named, key=lambda of: -of.share))
 
 
 def _ranking(decision: Decision, baseline: Candidate) -> tuple[Ranked, ...]:

@@ -138,6 +138,18 @@ def _several(
     return chosen
 
 
+def with_shares(
+    expected: Expected, baseline: Candidate, decision: Decision, random: Mapping[str, float]
+) -> tuple[Decision, dict[str, float]]:
+    """Return the verdict without effects whose share is small, and each effect's share."""
+    share = shares(expected, baseline, decision.chosen, random)
+    worth = {name: of for name, of in decision.chosen.refit.effects.items() if share[name] >= LEAST_SHARE}
+    if not worth or len(worth) == len(decision.chosen.ids):
+        return decision, share
+    chosen = judged(expected, refit(expected, worth, decision.chosen.refit.nuisance))
+    return replace(decision, chosen=chosen), shares(expected, baseline, chosen, random)
+
+
 def shares(
     expected: Expected, baseline: Candidate, chosen: Candidate, random: Mapping[str, float]
 ) -> dict[str, float]:
