@@ -4,9 +4,6 @@ from __future__ import annotations
 
 import difflib
 import multiprocessing
-import os
-import shutil
-import tempfile
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import BrokenExecutor, Executor, ProcessPoolExecutor, as_completed
 from contextlib import contextmanager
@@ -14,11 +11,11 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
-from threadpoolctl import threadpool_limits
 
 from arctrack.errors import ArctrackError, in_file
+from arctrack.output import make_folder, write_whole
 from arctrack.recording import BadFrame, Recording, pose_at, read_recording
-from arctrack.recording.diagnosis_files import REPORT_PAGE, make_diagnosis_folder, write_numbers
+from arctrack.recording.diagnosis_files import FILES, REPORT_PAGE, write_numbers
 from arctrack.recording.setup_file import FILE_NAME, with_effects
 from noise_model.effects import REGISTRY
 from noise_model.setup import Setup
@@ -124,20 +121,18 @@ def diagnose_recording(job: Job, on_stage: OnStage | None = None) -> Diagnosed:
     from sim_to_real.diagnose import diagnose
 
     recording = read_recording(job.recording, job.setup_path)
-    make_diagnosis_folder(job.folder)
+    make_folder(job.folder, FILES)
     frames, bad_frames = _frames(recording)
     poses = recording.pose_buffer()
     try:
-        # Its many small matrices are no work for BLAS' threads: waiting for each other costs them more.
-        with threadpool_limits(1, user_api="blas"):
-            # The clock's delay is the diagnosis' to find: poses are those of the time it asks for.
-            found = diagnose(
-                recording.setup,
-                frames,
-                lambda timestamp_s: pose_at(poses, timestamp_s),
-                without=job.without,
-                on_stage=on_stage,
-            )
+        # The clock's delay is the diagnosis' to find: poses are those of the time it asks for.
+        found = diagnose(
+            recording.setup,
+            frames,
+            lambda timestamp_s: pose_at(poses, timestamp_s),
+            without=job.without,
+            on_stage=on_stage,
+        )
     except ValueError as error:
         raise in_file(job.recording, str(error)) from error
     # Numbers first: whatever happens to the page, the work is not lost.
@@ -212,7 +207,7 @@ def apply(diagnosed: Diagnosed) -> str:
             f"nothing was written: --apply writes effects that a verdict names, this one is "
             f"{diagnosis.verdict.value!r}",
         )
-    _replace(path, with_effects(path, diagnosis.effects))
+    write_whole(path, with_effects(path, diagnosis.effects))
     return f"{path}: wrote {', '.join(map(_table, diagnosis.effects))}"
 
 
@@ -257,20 +252,3 @@ def _complaint(recording: Recording, bad_frames: Sequence[BadFrame]) -> str | No
 def _table(effect: Named) -> str:
     values = ", ".join(f"{name} = {estimate.value:.6g}" for name, estimate in effect.parameters.items())
     return f"[effects.{effect.id}] {values}"
-
-
-def _replace(path: Path, text: str) -> None:
-    """Replace a file's text at once; its permissions stay, and a link still points at it."""
-    target = path.resolve()
-    try:
-        descriptor, name = tempfile.mkstemp(prefix=f".{target.name}.", dir=target.parent)
-        draft = Path(name)
-        try:
-            with os.fdopen(descriptor, "w", encoding="utf-8") as file:
-                file.write(text)
-            shutil.copymode(target, draft)
-            draft.replace(target)
-        finally:
-            draft.unlink(missing_ok=True)
-    except OSError as error:
-        raise in_file(path, f"cannot be written: {error.strerror}") from None

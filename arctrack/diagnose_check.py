@@ -10,7 +10,6 @@ from __future__ import annotations
 import hashlib
 import json
 import math
-import os
 import secrets
 import shutil
 import time
@@ -21,12 +20,11 @@ from functools import partial
 from pathlib import Path
 from typing import Any, TypeVar
 
-from threadpoolctl import threadpool_limits
-
 from arctrack.diagnose import processes
 from arctrack.errors import ArctrackError, in_file
+from arctrack.output import write_whole
 from arctrack.recording import BadFrame, RecordingWriter, pose_at, read_recording
-from arctrack.recording.diagnosis_files import report
+from arctrack.recording.diagnosis_files import plain, report
 from arctrack.recording.reader import UNFINISHED_SUFFIX
 from sim_to_real.check.case import FAILED, Answer, Case
 from sim_to_real.check.plan import Planned, plan
@@ -142,9 +140,9 @@ def open_labels(folder: Path) -> Opened:
 def scores_json(opened: Opened) -> dict[str, Any]:
     """Return what scores.json holds; what is not known is null."""
     scores = opened.scores
-    content: dict[str, Any] = _plain(asdict(opened))
+    content: dict[str, Any] = plain(asdict(opened))
     for kept, rate in zip(content["scores"]["rates"], scores.rates, strict=True):
-        kept["rate"] |= {"share": _plain(rate.rate.share), "bounds": _plain(rate.rate.bounds)}
+        kept["rate"] |= {"share": plain(rate.rate.share), "bounds": plain(rate.rate.bounds)}
     return content
 
 
@@ -250,12 +248,10 @@ def _diagnosed(folder: Path, one: Run) -> dict[str, Any]:
         recording = read_recording(folder / RECORDINGS / one.name)
         frames = [frame for frame in recording.frames() if not isinstance(frame, BadFrame)]
         at = partial(pose_at, recording.pose_buffer())
-        # As in `diagnose_recording`: BLAS' threads would wait for each other.
-        with threadpool_limits(1, user_api="blas"):
-            result["report"] = report(diagnose(recording.setup, frames, at, without=one.without))
+        result["report"] = report(diagnose(recording.setup, frames, at, without=one.without))
         result |= _since(*started)
         if not one.without:
-            result["cosines"] = _plain(cosines(recording.setup, frames, at))
+            result["cosines"] = plain(cosines(recording.setup, frames, at))
     except Exception as error:
         # One recording that fails is a wrong answer, not the end of the check.
         result |= {"problem": f"{type(error).__name__}: {error}", **_since(*started)}
@@ -323,20 +319,8 @@ def _read(path: Path, cure: str = "it was there before") -> dict[str, Any]:
 
 
 def _write(path: Path, content: Mapping[str, Any]) -> None:
-    """Write JSON whole or not at all."""
-    part = path.with_suffix(".part")
-    part.write_text(json.dumps(content, indent=1, allow_nan=False) + "\n", encoding="utf-8")
-    os.replace(part, path)
+    write_whole(path, json.dumps(content, indent=1, allow_nan=False) + "\n")
 
 
 def _known(value: float | None) -> float:
     return math.nan if value is None else value
-
-
-def _plain(value: Any) -> Any:
-    """Return JSON's own types; null for what is not finite."""
-    if isinstance(value, Mapping):
-        return {key: _plain(item) for key, item in value.items()}
-    if isinstance(value, tuple | list):
-        return [_plain(item) for item in value]
-    return None if isinstance(value, float) and not math.isfinite(value) else value

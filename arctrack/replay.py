@@ -15,15 +15,16 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from arctrack.errors import ArctrackError, in_file
+from arctrack.output import make_folder
 from arctrack.publish import LIMITS, Moment, Publisher
 from arctrack.recording import BadFrame, FrameRow, Recording, read_truth
 from arctrack.recording.results import (
     BUS_LOG,
+    FILES,
     Latency,
     ResultsWriter,
     Summary,
     count_flags,
-    make_results_folder,
 )
 from arctrack.recording.score import score
 from robot_io import (
@@ -104,7 +105,7 @@ def replay_recording(
     """
     options = options or ReplayOptions()
     folder = recording.path / RESULTS_FOLDER if folder is None else folder
-    make_results_folder(folder)
+    make_folder(folder, FILES)
     interface, channel = parse_bus(options.bus)
     tracks: list[Track] = []
     compute_ms: list[float] = []

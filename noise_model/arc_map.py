@@ -12,6 +12,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 import numpy.typing as npt
@@ -23,6 +24,7 @@ from noise_model.arc_ray import follow, light_at, scratch
 from noise_model.brdf import lobe_numbers
 from noise_model.frames import Float64, invert
 from noise_model.kernel import kernel
+from noise_model.optics import Camera
 from noise_model.setup import Setup
 from noise_model.surface import NOMINAL_SEAM, SeamLine, Section, corrugation_height, seam_frame, section
 from noise_model.visibility import MISS, horizon_tables, surface_height
@@ -111,14 +113,27 @@ def _ahead(setup: Setup, T_base_tool: Float64) -> Float64:
 def _footprint(setup: Setup, T_joint_camera: Float64, levels_mm: tuple[float, float]) -> Float64:
     """Return (2, 2): between which x and y, mm, joint frame, the camera sees the plate at two levels."""
     camera = setup.camera
-    u, v = np.meshgrid([0.0, 0.5 * (camera.width - 1.0), camera.width - 1.0], [0.0, 0.5, 1.0])
-    rim = camera.normalised(np.column_stack([u.ravel(), v.ravel() * (camera.height - 1.0)]))
-    d = np.column_stack([rim, np.ones(len(rim))]) @ T_joint_camera[:3, :3].T
+    size = camera.width, camera.height
+    d = _rim_rays(size, (camera.fx, camera.fy, camera.cx, camera.cy), camera.distortion)
+    d = d @ T_joint_camera[:3, :3].T
     origin = T_joint_camera[:3, 3]
     # A ray that does not go down meets no plate: it is followed to a slope of 1 in 10 at most.
-    down = np.minimum(d[:, 2], -0.1 * np.linalg.norm(d, axis=1))
-    ends = [origin[:2] + ((level - origin[2]) / down)[:, None] * d[:, :2] for level in levels_mm]
-    return np.array([np.min(ends, axis=(0, 1)), np.max(ends, axis=(0, 1))]).T
+    down = np.minimum(d[:, 2], -0.1 * np.sqrt(np.einsum("ij,ij->i", d, d)))
+    ends = np.concatenate(
+        [origin[:2] + ((level - origin[2]) / down)[:, np.newaxis] * d[:, :2] for level in levels_mm]
+    )
+    return np.stack([ends.min(axis=0), ends.max(axis=0)], axis=1)
+
+
+@lru_cache
+def _rim_rays(
+    size_px: tuple[int, int], intrinsics_px: tuple[float, float, float, float], distortion: tuple[float, ...]
+) -> Float64:
+    """Return rays (9, 3) of the image's corners, its sides' middles and its own, camera frame."""
+    camera = Camera(*size_px, *intrinsics_px, np.eye(4), distortion)
+    u, v = np.meshgrid([0.0, 0.5 * (camera.width - 1.0), camera.width - 1.0], [0.0, 0.5, 1.0])
+    rim = camera.normalised(np.column_stack([u.ravel(), v.ravel() * (camera.height - 1.0)]))
+    return np.column_stack([rim, np.ones(len(rim))])
 
 
 def _metal_cuts(radius: float, view: Scene) -> bool:

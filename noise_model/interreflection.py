@@ -129,9 +129,12 @@ class BouncedLight:
         return _orders(self.view, focus, True, setup.laser.peak_e / stripe_reference(setup))
 
 
-def bounced_light(view: View) -> BouncedLight:
-    """Return the light that bounces between the faces on its way to the pixels of a view."""
-    return BouncedLight(view)
+def bounced_light(view: View, near: BouncedLight | None = None) -> BouncedLight:
+    """Return the light that bounces between the faces on its way to the pixels of a view, which keeps it.
+
+    `near` is that of a view that looks nearly alike, taken for this one's.
+    """
+    return view.keep(f"bounced_light, {view.coarse}", lambda: near or BouncedLight(view))
 
 
 def _sum(orders_e: Float32, scale: float) -> Float32:

@@ -131,10 +131,8 @@ def _place(
 
 
 @kernel(inline=True)
-def _cell(grid: Float64, n: int, at: float) -> tuple[int, float]:
-    """Return the cell of a grid's first n values that a value lies in, and where in it; -1 outside."""
-    if at < grid[0] or at > grid[n - 1]:
-        return -1, 0.0
+def _left_of(grid: Float64, n: int, at: float) -> int:
+    """Return which of a grid's first n - 1 values is the last not above one; 0 if all are above."""
     low, high = 0, n - 1
     while high - low > 1:
         middle = (low + high) // 2
@@ -142,20 +140,22 @@ def _cell(grid: Float64, n: int, at: float) -> tuple[int, float]:
             low = middle
         else:
             high = middle
+    return low
+
+
+@kernel(inline=True)
+def _cell(grid: Float64, n: int, at: float) -> tuple[int, float]:
+    """Return the cell of a grid's first n values that a value lies in, and where in it; -1 outside."""
+    if at < grid[0] or at > grid[n - 1]:
+        return -1, 0.0
+    low = _left_of(grid, n, at)
     return low, (at - grid[low]) / (grid[low + 1] - grid[low])
 
 
 @kernel(inline=True)
 def _cubic(grid: Float64, n: int, at: float, weights: Float64) -> int:
     """Write Lagrange's weights of the four values of a grid about one; return the first of them."""
-    low, high = 0, n - 1
-    while high - low > 1:
-        middle = (low + high) // 2
-        if grid[middle] <= at:
-            low = middle
-        else:
-            high = middle
-    first = min(max(low - 1, 0), n - 4)
+    first = min(max(_left_of(grid, n, at) - 1, 0), n - 4)
     for i in range(4):
         weight = 1.0
         for j in range(4):

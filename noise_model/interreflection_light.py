@@ -12,8 +12,9 @@ from noise_model.arc_integral import gauss_nodes
 from noise_model.arc_map import Scene
 from noise_model.brdf import LobeNumbers, lobe_numbers, reflected
 from noise_model.faces import ridge
-from noise_model.frames import Float64, Point, transform
+from noise_model.frames import Float64, Point
 from noise_model.kernel import kernel
+from noise_model.laser import SHEET_REACH, Sheet, sheet_of, sheet_reflected
 from noise_model.setup import Setup
 
 DiscNodes = tuple[Float64, Float64, Float64, Float64]
@@ -27,8 +28,7 @@ NEAR_RADII = 4.0
 class Place(NamedTuple):
     """A pose's surface and sources in the joint frame, as the kernels take them; mm.
 
-    `plane` (4,) is the laser's n.p + d = 0 and `tool_up` (3,) the tool's z axis; `sigma` the sheet's
-    half-thickness at tool height and `stand` the origin's height over it.
+    `center` (3,) is the arc's, `far` and `near` the nodes on its disc.
     """
 
     vertices: Float64
@@ -36,31 +36,20 @@ class Place(NamedTuple):
     material: LobeNumbers
     center: Float64
     radius: float
-    origin: Float64
-    plane: Float64
-    tool_up: Float64
-    sigma: float
-    stand: float
+    sheet: Sheet
     far: DiscNodes
     near: DiscNodes
 
 
 def place(setup: Setup, where: Scene) -> Place:
     """Gather a scene for the kernels."""
-    laser, R = setup.laser, where.T_joint_tool[:3, :3]
-    normal = R @ np.asarray(laser.plane_in_tool[:3])
-    offset = laser.plane_in_tool[3] - float(normal @ where.T_joint_tool[:3, 3])
     return Place(
         where.shape.vertices,
         where.shape.corrugation,
         lobe_numbers(setup.material),
         where.center_mm,
         setup.arc.radius_mm,
-        transform(where.T_joint_tool, np.asarray(laser.origin_in_tool_mm)),
-        np.array([*normal, offset]),
-        np.ascontiguousarray(R[:, 2]),
-        laser.stripe_sigma_mm,
-        laser.origin_in_tool_mm[2],
+        sheet_of(setup.laser, where.T_joint_tool),
         _disc_nodes(*DISC_FAR),
         _disc_nodes(*DISC_NEAR),
     )
@@ -225,21 +214,8 @@ def arc_leaving(k: Place, Q: Float64, normal: Float64, omega_r: Point) -> float:
 @kernel
 def laser_leaving(k: Place, Q: Float64, normal: Float64, omega_r: Point) -> float:
     """Return what Q sends of the laser's light along `omega_r`: `laser.irradiance` times f_r."""
-    wx, wy, wz = k.origin[0] - Q[0], k.origin[1] - Q[1], k.origin[2] - Q[2]
-    depth = wx * k.tool_up[0] + wy * k.tool_up[1] + wz * k.tool_up[2]
-    distance = math.sqrt(wx * wx + wy * wy + wz * wz)
-    wx, wy, wz = wx / distance, wy / distance, wz / distance
-    cos_i = wx * normal[0] + wy * normal[1] + wz * normal[2]
-    if depth <= 0.0 or cos_i <= 0.0:
+    light: float = sheet_reflected(k.sheet, k.material, Q, normal, omega_r, SHEET_REACH)
+    if light == 0.0:
         return 0.0
-    off = k.plane[0] * Q[0] + k.plane[1] * Q[1] + k.plane[2] * Q[2] + k.plane[3]
-    off /= k.sigma * depth / k.stand
-    if abs(off) > 6.0:
-        return 0.0
-    f_r = reflected(k.material, (wx, wy, wz), omega_r, normal)
-    if f_r == 0.0:
-        return 0.0
-    if not sees(Q[0], Q[1], Q[2], k.origin[0], k.origin[1], k.origin[2], k.vertices, k.corrugation):
-        return 0.0
-    sheet: float = math.exp(-0.5 * off * off) * (k.stand / depth) ** 2 * cos_i * distance / depth
-    return f_r * sheet
+    x, y, z = k.sheet.origin
+    return light if sees(Q[0], Q[1], Q[2], x, y, z, k.vertices, k.corrugation) else 0.0

@@ -116,8 +116,8 @@ def stripe_at(k: Place, face: int, s: float) -> tuple[float, float]:
     """
     y_0, z_0, ty, tz, _ = strip(face, k.vertices)
     y, z = y_0 + s * ty, z_0 + s * tz
-    n_x, n_z = k.plane[0], k.plane[2]
-    at_zero = k.plane[1] * y + n_z * z + k.plane[3]
+    n_x, n_z = k.sheet.plane[0], k.sheet.plane[2]
+    at_zero = k.sheet.plane[1] * y + n_z * z + k.sheet.plane[3]
     if abs(n_x) < LEAST_SLOPE:
         return math.nan, math.nan
     x = -at_zero / n_x
@@ -129,9 +129,13 @@ def stripe_at(k: Place, face: int, s: float) -> tuple[float, float]:
         if abs(climb) < LEAST_SLOPE:
             return math.nan, math.nan
         x -= (n_x * x + n_z * c + at_zero) / climb
-    up = k.tool_up
-    depth = (k.origin[0] - x) * up[0] + (k.origin[1] - y) * up[1] + (k.origin[2] - z - c) * up[2]
-    return x, k.sigma * depth / k.stand / abs(climb)
+    up = k.sheet.tool_up
+    depth = (
+        (k.sheet.origin[0] - x) * up[0]
+        + (k.sheet.origin[1] - y) * up[1]
+        + (k.sheet.origin[2] - z - c) * up[2]
+    )
+    return x, k.sheet.sigma * depth / k.sheet.stand / abs(climb)
 
 
 @kernel(allocates=True)

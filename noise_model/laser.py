@@ -2,11 +2,18 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
-from noise_model.frames import Float64
+from noise_model.brdf import LobeNumbers, reflected
+from noise_model.frames import Float64, Vector, transform
+from noise_model.kernel import kernel
+
+SHEET_REACH = 6.0
+"""How many sigmas of the sheet are rendered: its irradiance has fallen to 1.5e-8 there."""
 
 
 @dataclass(frozen=True)
@@ -35,6 +42,58 @@ class Laser:
             raise ValueError(f"[laser] plane_in_tool: the normal's length is {norm:.4f}, not 1")
         if not (np.isfinite(self.plane_in_tool).all() and np.isfinite(self.origin_in_tool_mm).all()):
             raise ValueError("[laser] plane_in_tool, origin_in_tool_mm: must be finite")
+
+
+class Sheet(NamedTuple):
+    """A pose's laser sheet in the joint frame, as the kernels take it; mm.
+
+    `plane` (4,) is n.p + d = 0 and `tool_up` (3,) the tool's z axis; `sigma` the sheet's half-thickness at
+    tool height and `stand` the height of its `origin` (3,) over it.
+    """
+
+    origin: Float64
+    plane: Float64
+    tool_up: Float64
+    sigma: float
+    stand: float
+
+
+def sheet_of(laser: Laser, T_joint_tool: Float64) -> Sheet:
+    """Put a laser's sheet into the joint frame."""
+    R, origin = T_joint_tool[:3, :3], np.asarray(laser.origin_in_tool_mm)
+    normal = R @ np.asarray(laser.plane_in_tool[:3])
+    offset = laser.plane_in_tool[3] - float(normal @ T_joint_tool[:3, 3])
+    return Sheet(
+        transform(T_joint_tool, origin),
+        np.array([*normal, offset]),
+        np.ascontiguousarray(R[:, 2]),
+        laser.stripe_sigma_mm,
+        laser.origin_in_tool_mm[2],
+    )
+
+
+@kernel
+def sheet_reflected(
+    sheet: Sheet, material: LobeNumbers, Q: Vector, normal: Vector, omega_r: Vector, reach: float = math.inf
+) -> float:
+    """Return what a point Q sends of the sheet along `omega_r`: `irradiance` times f_r.
+
+    It is 0 more than `reach` sigmas of the sheet away. Hidden points are the caller's to exclude.
+    """
+    wx, wy, wz = sheet.origin[0] - Q[0], sheet.origin[1] - Q[1], sheet.origin[2] - Q[2]
+    depth = wx * sheet.tool_up[0] + wy * sheet.tool_up[1] + wz * sheet.tool_up[2]
+    distance = math.sqrt(wx * wx + wy * wy + wz * wz)
+    wx, wy, wz = wx / distance, wy / distance, wz / distance
+    cos_i = wx * normal[0] + wy * normal[1] + wz * normal[2]
+    # A point past the workpiece is NaN, and dark.
+    if not (depth > 0.0 and cos_i > 0.0):
+        return 0.0
+    off = sheet.plane[0] * Q[0] + sheet.plane[1] * Q[1] + sheet.plane[2] * Q[2] + sheet.plane[3]
+    off /= sheet.sigma * depth / sheet.stand
+    if abs(off) > reach:
+        return 0.0
+    light: float = math.exp(-0.5 * off * off) * (sheet.stand / depth) ** 2 * cos_i * distance / depth
+    return light * reflected(material, (wx, wy, wz), omega_r, normal)
 
 
 def irradiance(points_tool: Float64, normals_tool: Float64, laser: Laser) -> Float64:

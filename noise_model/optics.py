@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import cv2
 import numpy as np
@@ -52,6 +52,21 @@ class Camera:
     def matrix(self) -> Float64:
         """The 3x3 intrinsic matrix, px."""
         return np.array([[self.fx, 0.0, self.cx], [0.0, self.fy, self.cy], [0.0, 0.0, 1.0]])
+
+    def coarser(self, by: int) -> Camera:
+        """Return the camera with so many times larger pixels; a rest at the rim that fills none is left out.
+
+        The point-spread function stays as many pixels wide.
+        """
+        return replace(
+            self,
+            width=self.width // by,
+            height=self.height // by,
+            fx=self.fx / by,
+            fy=self.fy / by,
+            cx=(self.cx + 0.5) / by - 0.5,
+            cy=(self.cy + 0.5) / by - 0.5,
+        )
 
     def normalised(self, points_px: npt.ArrayLike) -> Float64:
         """Return the undistorted normalised coordinates (N, 2) of points (N, 2), px: the ray is (x, y, 1)."""

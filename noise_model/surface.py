@@ -10,11 +10,12 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 import numpy.typing as npt
 
-from noise_model.frames import Float64
+from noise_model.frames import Float64, Point, cross
 
 REACH_MM = 1.0e4
 """How far the plates run on to either side of the seam."""
@@ -115,16 +116,25 @@ class SeamLine:
     slope_z: float = 0.0
 
     def frame(self) -> Float64:
-        """Return T_nominal_true (4, 4), mm: the joint frame turned about the station, moved to the seam."""
-        x_axis = np.array([1.0, self.slope_y, self.slope_z])
-        x_axis /= np.linalg.norm(x_axis)
-        y_axis = np.cross([0.0, 0.0, 1.0], x_axis)
-        y_axis /= np.linalg.norm(y_axis)
-        T_nominal_true = np.eye(4)
-        T_nominal_true[:3, :3] = np.column_stack([x_axis, y_axis, np.cross(x_axis, y_axis)])
-        at = np.array([self.station_mm, self.y_mm, self.z_mm])
-        T_nominal_true[:3, 3] = at - T_nominal_true[:3, 0] * self.station_mm
-        return T_nominal_true
+        """Return T_nominal_true (4, 4), mm: the joint frame turned about the station, moved to the seam.
+
+        One array for all who ask: it is not to be written to.
+        """
+        return _seam_line_frame(self)
+
+
+@lru_cache(maxsize=1024)
+def _seam_line_frame(line: SeamLine) -> Float64:
+    x_axis = np.array([1.0, line.slope_y, line.slope_z])
+    x_axis /= np.linalg.norm(x_axis)
+    y_axis = cross((0.0, 0.0, 1.0), x_axis)
+    y_axis /= np.linalg.norm(y_axis)
+    T_nominal_true = np.eye(4)
+    T_nominal_true[:3, :3] = np.transpose([x_axis, y_axis, cross(x_axis, y_axis)])
+    at = np.array([line.station_mm, line.y_mm, line.z_mm])
+    T_nominal_true[:3, 3] = at - T_nominal_true[:3, 0] * line.station_mm
+    T_nominal_true.flags.writeable = False
+    return T_nominal_true
 
 
 NOMINAL_SEAM = SeamLine()
@@ -181,17 +191,27 @@ def seam_frame(joint: Joint, point_base_mm: Float64) -> Float64:
     Its origin is the foot of base's origin on that segment's line, so x along a straight seam counts as
     base's does and a corrugation keeps its place.
     """
+    frames = _segment_frames(joint.seam_in_base_mm, joint.surface_normal_in_base)
+    if len(frames) == 1:
+        return frames[0].copy()
     points = np.asarray(joint.seam_in_base_mm, dtype=np.float64)
     starts, steps = points[:-1], np.diff(points, axis=0)
     along = np.einsum("ij,ij->i", point_base_mm - starts, steps) / np.einsum("ij,ij->i", steps, steps)
     feet = starts + np.clip(along, 0.0, 1.0)[:, None] * steps
-    nearest = int(np.argmin(np.linalg.norm(point_base_mm - feet, axis=1)))
-    x_axis = steps[nearest] / np.linalg.norm(steps[nearest])
-    normal = np.asarray(joint.surface_normal_in_base, dtype=np.float64)
-    y_axis = np.cross(normal, x_axis)
-    y_axis /= np.linalg.norm(y_axis)
-    T_base_joint = np.eye(4)
-    T_base_joint[:3, :3] = np.column_stack([x_axis, y_axis, np.cross(x_axis, y_axis)])
-    start = starts[nearest]
-    T_base_joint[:3, 3] = start - (start @ x_axis) * x_axis
-    return T_base_joint
+    return frames[int(np.argmin(np.linalg.norm(point_base_mm - feet, axis=1)))].copy()
+
+
+@lru_cache
+def _segment_frames(seam_in_base_mm: tuple[Point, ...], normal_in_base: Point) -> list[Float64]:
+    """Return T_base_joint of each segment of a seam line: every look at a pose asks for one."""
+    points = np.asarray(seam_in_base_mm, dtype=np.float64)
+    frames = []
+    for start, step in zip(points[:-1], np.diff(points, axis=0), strict=True):
+        x_axis = step / np.linalg.norm(step)
+        y_axis = cross(normal_in_base, x_axis)
+        y_axis /= np.linalg.norm(y_axis)
+        T_base_joint = np.eye(4)
+        T_base_joint[:3, :3] = np.transpose([x_axis, y_axis, cross(x_axis, y_axis)])
+        T_base_joint[:3, 3] = start - (start @ x_axis) * x_axis
+        frames.append(T_base_joint)
+    return frames

@@ -27,7 +27,7 @@ class View:
     `uv_px` (..., 2) the pixels' places as (u, v), `xy` (..., 2) their normalised rays, `cos4` (...,) the
     lens' fall-off. `is_frame` says that the pixels are a whole frame in image order; of others the first
     `n_even` are an even sample of it, all of them if it is None. `coarse` lets what is dear and smooth, light
-    that bounces, be followed at fewer points.
+    that bounces, be followed at fewer points, and the laser's not at all.
     """
 
     setup: Setup

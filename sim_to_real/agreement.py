@@ -9,16 +9,16 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
-import cv2
 import numpy as np
 import numpy.typing as npt
 
-from noise_model.condition import Condition
 from noise_model.effects import really
 from noise_model.forward import Renderer, predict
 from noise_model.frames import Float64
 from noise_model.sensor import linearise, saturation_dn
 from noise_model.setup import Setup
+from sim_to_real.observed import stated_condition
+from sim_to_real.pixels import block_means, off_faces, within
 from tracker.state import Frame, Pose
 
 BLOCK_PX = 9
@@ -80,29 +80,11 @@ def _with_black_level(setup: Setup, dark: Sequence[Frame]) -> Setup:
 def _blocks(setup: Setup, frame: Frame, pose: Pose, renderer: Renderer) -> tuple[Float64, Float64]:
     """Return the block means (n,) of one frame, recorded and predicted, e-."""
     true = really(setup)
-    condition = Condition.of(
-        setup,
-        laser_on=False,
-        arc_on=True,
-        current_a=frame.current_a,
-        exposure_s=frame.exposure_s,
-        timestamp_s=frame.timestamp_s,
-    )
+    condition = stated_condition(setup, frame)
     predicted = predict(setup, pose.T_base_tool, condition, renderer=renderer).mean_e
     _, _, faces = renderer.layers(true, pose.T_base_tool).view.surface
     recorded = linearise(frame.image_dn, true.sensor)
-    around = np.ones((BLOCK_PX, BLOCK_PX), dtype=np.uint8)
-    face = faces.astype(np.float32)
-    edge = cv2.dilate(face, around) != cv2.erode(face, around)
-    full = (frame.image_dn >= saturation_dn(true.sensor)).astype(np.uint8)
-    bad = edge | (cv2.dilate(full, around) > 0) | (face < 0)
-    recorded_mean, predicted_mean = _block_mean(recorded), _block_mean(predicted)
-    good = (_block_mean(bad) == 0.0) & (predicted_mean > DARK_E)
+    bad = off_faces(faces, BLOCK_PX) | within(frame.image_dn >= saturation_dn(true.sensor), BLOCK_PX)
+    recorded_mean, predicted_mean = block_means(recorded, BLOCK_PX), block_means(predicted, BLOCK_PX)
+    good = (block_means(bad, BLOCK_PX) == 0.0) & (predicted_mean > DARK_E)
     return recorded_mean[good], predicted_mean[good]
-
-
-def _block_mean(image: npt.NDArray[np.generic]) -> Float64:
-    """Return the means of whole blocks of an image (H, W); a rest at the rim is left out."""
-    h, w = image.shape[0] // BLOCK_PX, image.shape[1] // BLOCK_PX
-    cut = image[: h * BLOCK_PX, : w * BLOCK_PX].astype(np.float64)
-    return np.asarray(cut.reshape(h, BLOCK_PX, w, BLOCK_PX).mean(axis=(1, 3)))

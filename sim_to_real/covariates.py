@@ -9,14 +9,15 @@ from typing import Any, Protocol
 import numpy as np
 import numpy.typing as npt
 
-from noise_model.effects import pose_time_s, really
+from noise_model.effects import really
 from noise_model.fit import Parameter
 from noise_model.frames import Float64
 from noise_model.optics import Rays
 from noise_model.setup import Setup
 from noise_model.surface import Section, corrugation_height
 from noise_model.view import View
-from sim_to_real.expected import Expected, Passed, really_there
+from sim_to_real.expected import Expected, Passed
+from sim_to_real.nuisances import really_there
 from sim_to_real.observed import STRATA, Bool, Float32, Observed, ObservedFrame
 
 UNITS: Mapping[str, str] = {
@@ -169,7 +170,7 @@ def covariates(expected: Expected, fit: Fitted) -> Covariates:
     parts = []
     for frame, light in zip(observed.frames, fit.passed, strict=True):
         seam = expected.seam(frame, anchor)
-        T_base_tool = frame.pose_at(pose_time_s(true, frame.timestamp_s))
+        T_base_tool = frame.T_base_tool_in(true)
         bins = np.flatnonzero(frame.keep)
         view = View.of(true, T_base_tool, seam.middle, rays, bins, ground=seam.ground)
         values = _of_surface(view) | _of_frame(observed, frame, true, len(bins)) | _of_image(observed, view)
@@ -278,8 +279,7 @@ def _of_frame(observed: Observed, frame: ObservedFrame, true: Setup, n: int) -> 
 
 def velocity_sign(frame: ObservedFrame, true: Setup) -> float:
     """Return 1 if the tool goes to the left of travel while a frame is taken, -1 to the right, 0 neither."""
-    here_s = pose_time_s(true, frame.timestamp_s)
-    before, after = (frame.pose_at(here_s + by * VELOCITY_SPAN_S) for by in (-0.5, 0.5))
+    before, after = (frame.T_base_tool_in(true, by * VELOCITY_SPAN_S) for by in (-0.5, 0.5))
     step_base = after[:3, 3] - before[:3, 3]
     start, end = (np.asarray(point) for point in true.joint.seam_in_base_mm[:2])
     left = np.cross(true.joint.surface_normal_in_base, end - start)

@@ -25,6 +25,7 @@ from noise_model.frames import Float64
 from noise_model.sensor import linearise, respond_moments
 from sim_to_real.expected import CHARGE_STEP_E, Passed
 from sim_to_real.observed import Bool, Float32, ObservedFrame
+from sim_to_real.pixels import cut
 
 CAP = 5.0
 """Details beyond so many sigmas are cut: a spark is not noise."""
@@ -123,11 +124,10 @@ def details(frame: ObservedFrame, light: Passed, bin_px: int) -> Details:
 def in_bins(image: Float32, weights: Float32, bin_px: int) -> Float32:
     """Return the weighted sums (h, w, m) of the squares of pixels (k, k) that lie in each bin of an image."""
     side = len(weights)
-    h, w, n = image.shape[0] // bin_px, image.shape[1] // bin_px, bin_px // side
-    summed = np.asarray(cv2.filter2D(image, -1, weights, anchor=(0, 0)), dtype=np.float32)
-    cut = summed[: h * bin_px, : w * bin_px].reshape(h, bin_px, w, bin_px)
-    cut = cut[:, : n * side : side, :, : n * side : side]
-    return np.ascontiguousarray(cut.transpose(0, 2, 1, 3)).reshape(h, w, n * n)
+    n = bin_px // side
+    bins = cut(np.asarray(cv2.filter2D(image, -1, weights, anchor=(0, 0)), dtype=np.float32), bin_px)
+    chosen = bins[:, : n * side : side, :, : n * side : side].transpose(0, 2, 1, 3)
+    return np.ascontiguousarray(chosen).reshape(*chosen.shape[:2], n * n)
 
 
 def _twist(binned_dn: Float32, bin_px: int) -> Float32:

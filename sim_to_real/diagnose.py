@@ -6,21 +6,22 @@ import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 
+from threadpoolctl import threadpool_limits
+
 from noise_model.effects import REGISTRY
-from noise_model.frames import Float64
 from noise_model.setup import Setup
 from sim_to_real.covariates import covariates
-from sim_to_real.diagnosis import Diagnosis, Estimate, Gap, Named, Next, Ranked, Verdict
-from sim_to_real.expected import Effects, Expected
+from sim_to_real.diagnosis import Diagnosis, Estimate, Named, Next, Ranked, Verdict
+from sim_to_real.expected import Expected
 from sim_to_real.free_term import free_term
 from sim_to_real.held import excess_map, measure, predict_held
 from sim_to_real.locate import locate
 from sim_to_real.next import best_measurement, not_resolvable, own_signatures, smallest
-from sim_to_real.observed import Observed, PoseAt, observe
-from sim_to_real.refit import Refit, refit
+from sim_to_real.observed import PoseAt, observe
+from sim_to_real.refit import Refit, refit, settled
 from sim_to_real.scatter import Scatter, scatter
 from sim_to_real.seam_error import seam_error_mm
-from sim_to_real.select import WORTHWHILE, Candidate, judged
+from sim_to_real.select import Candidate, judged
 from sim_to_real.split import held_out
 from sim_to_real.stage import stages
 from sim_to_real.verdict import LEAST_SHARE, Decision, decide, shares, with_random
@@ -31,9 +32,6 @@ HELD, LEFT_ASIDE = 0.25, 0.34
 
 RANDOM_CONFIDENCE = 0.95
 """How sure a random effect is that stands out by its variance: no other in the catalogue has its pattern."""
-
-ROUNDS = 4
-"""How often at most light is rendered about a fit of all frames."""
 
 OnStage = Callable[[str, float], None]
 
@@ -54,13 +52,23 @@ def diagnose(
     for name in without:
         if name not in REGISTRY:
             raise ValueError(f"{name}: no such effect, there are {', '.join(REGISTRY)}")
-    heard = _rising(on_stage or _silent)
+    # Its many small matrices are no work for BLAS' threads: waiting for each other costs them more.
+    with threadpool_limits(1, user_api="blas"):
+        return _diagnosed(setup, frames, pose_at, without, _rising(on_stage or _silent))
+
+
+def _diagnosed(
+    setup: Setup, frames: Sequence[Frame], pose_at: PoseAt, without: Sequence[str], heard: OnStage
+) -> Diagnosis:
     heard("tracking the seam", 0.0)
     observed = observe(setup, frames, pose_at)
     held = held_out(observed, HELD)
     train = observed.some(~held)
     heard("fitting what is no gap", 0.05)
-    choosing, baseline, random = _baseline(train.some(~held_out(train, LEFT_ASIDE)), without)
+    expected = Expected(train)
+    before, random = _baseline(expected, without)
+    choosing = expected.some(~held_out(train, LEFT_ASIDE))
+    baseline = judged(choosing, refit(choosing, {}, before.nuisance))
     decision = decide(choosing, baseline, without, lambda text, share: heard(text, 0.1 + 0.5 * share))
     decision = with_random(decision, baseline, random)
     share = shares(choosing, baseline, decision.chosen, random.excess)
@@ -74,10 +82,10 @@ def diagnose(
     alike = not_resolvable(signatures)
 
     heard("fitting all frames", 0.65)
-    expected = Expected(train)
-    before = _settled(expected, {}, baseline.refit.nuisance)
     named = decision.chosen.refit.effects
-    after = _settled(expected, named, decision.chosen.refit.nuisance) if named else before
+    after = before
+    if named:
+        after = settled(expected, refit(expected, named, decision.chosen.refit.nuisance, steps=0))
     # What scatters was decided before; all frames only say how much.
     undecided = set(REGISTRY) - set(random.effects)
     random = scatter(expected, after, (*without, *undecided))
@@ -89,15 +97,15 @@ def diagnose(
         (after, random.effects),
         lambda done: heard("predicting the frames held out", 0.75 + 0.15 * done),
     )
-    sizes = measure(predicted, setup)
     heard("saying where", 0.9)
     of_bins = covariates(expected, before)
     simplest = stages(expected, before, of_bins)[0].stage
     where = locate(of_bins, before.residuals, simplest, excess_map(predicted))
     free = free_term(covariates(expected, after), after.residuals, ~held_out(train, LEFT_ASIDE))[0]
     is_named = decision.verdict in (Verdict.EFFECTS, Verdict.AMBIGUOUS)
-    seam_mm = tuple(
-        seam_error_mm(setup, effects, frames, pose_at, expected, after) for effects in ({}, named)
+    seam_mm = (
+        seam_error_mm(setup, {}, frames, pose_at, expected, after),
+        seam_error_mm(setup, named, frames, pose_at, expected, after),
     )
     heard("done", 1.0)
     return Diagnosis(
@@ -105,15 +113,7 @@ def diagnose(
         _named(decision, after, random, share) if is_named else (),
         _ranking(decision, baseline),
         decision.ambiguous,
-        Gap(
-            sizes.before,
-            sizes.after,
-            sizes.floor,
-            sizes.closed,
-            sizes.ci95,
-            sizes.rms_dn,
-            (seam_mm[0], seam_mm[1]),
-        ),
+        measure(predicted, setup, seam_mm),
         where,
         _next(choosing, decision, alike),
         alike,
@@ -139,9 +139,8 @@ def _rising(on_stage: OnStage) -> OnStage:
     return heard
 
 
-def _baseline(observed: Observed, without: Sequence[str]) -> tuple[Expected, Candidate, Scatter]:
+def _baseline(expected: Expected, without: Sequence[str]) -> tuple[Refit, Scatter]:
     """Fit what is off within its tolerance, and nothing else; what scatters is taken for noise."""
-    expected = Expected(observed)
     expected.take_tangents(expected.neutral, {})
     fitted = refit(expected, {}, expected.neutral)
     expected.allow_for_bends(fitted.nuisance, {})
@@ -151,20 +150,7 @@ def _baseline(observed: Observed, without: Sequence[str]) -> tuple[Expected, Can
     if random.effects:
         expected.take_noise(random.sigmas_dn)
         fitted = refit(expected, {}, fitted.nuisance)
-    return expected, judged(expected, fitted), random
-
-
-def _settled(expected: Expected, effects: Effects, nuisance: Float64) -> Refit:
-    """Fit all frames, with the derivatives of light taken again where the fit came to."""
-    fitted = None
-    for _ in range(ROUNDS):
-        expected.take_tangents(nuisance, effects)
-        again = refit(expected, effects, nuisance)
-        if fitted is not None and again.mean_square > (1.0 - WORTHWHILE) * fitted.mean_square:
-            return again
-        fitted, nuisance, effects = again, again.nuisance, again.effects
-    assert fitted is not None
-    return fitted
+    return fitted, random
 
 
 def _next(expected: Expected, decision: Decision, alike: Sequence[tuple[str, str]]) -> Next | None:

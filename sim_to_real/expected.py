@@ -8,7 +8,6 @@ what an effect itself moves.
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
@@ -18,33 +17,23 @@ import numpy as np
 import numpy.typing as npt
 from scipy.ndimage import distance_transform_edt
 
-from noise_model.condition import Condition
-from noise_model.effects import REGISTRY, Stage, Values, pose_time_s, really, really_on
+from noise_model.effects import REGISTRY, Stage, Values, really, really_on
 from noise_model.effects.light import Light
-from noise_model.fit import Parameter
 from noise_model.forward import Layers, look, pass_on
-from noise_model.frames import Float64, moved
+from noise_model.frames import Float64
+from noise_model.interreflection import BouncedLight, bounced_light
 from noise_model.optics import Camera, Rays
 from noise_model.sensor import Sensor, respond_moments
 from noise_model.setup import Setup
 from noise_model.surface import BentSeam
 from noise_model.view import View
+from sim_to_real.nuisances import N_CAMERA, N_LEVELS, nuisances, really_lit, really_there
 from sim_to_real.observed import Bool, Float32, Observed, ObservedFrame
 from sim_to_real.seam_curve import MODES
 
 Effects = Mapping[str, Values]
 
-Item = TypeVar("Item")
 Result = TypeVar("Result")
-
-WITHIN_SIGMAS = 3.0
-"""So many tolerances a nuisance may be off; what lies beyond is a gap."""
-
-N_LEVELS, N_CAMERA = 3, 6
-"""The first nuisances are levels, then come those of the camera's pose and of the seam."""
-
-SEAM_WITHIN = 30.0
-"""How many of its sigmas a seam may lie from where the tracker sees it: finding it is the daily work."""
 
 SEAM_STEPS = (("y_mm", 0.02), ("z_mm", 0.02), ("slope_y", 5e-4), ("slope_z", 5e-4))
 """Steps of the derivatives with a seam's place and direction."""
@@ -72,53 +61,11 @@ RENDERING = frozenset(
 ) - {"gamma", "black_level", "read_noise", "defocus"}
 """The effects that change what a pose shows before anything acts on the image."""
 
+BOUNCING = "interreflection"
+"""The effect whose light takes longer than all else together."""
+
 THREADS = 2
 """Frames that are predicted at once: rendering lets go of the interpreter."""
-
-
-def nuisances(observed: Observed) -> tuple[Parameter, ...]:
-    """Return what is off its nominal value in every recording, and no gap.
-
-    Within their tolerance one arc level and one laser level for the whole recording, the black level and the
-    camera's pose; and how the seam runs besides what the tracker says.
-    """
-    tolerance = observed.setup.tolerance
-    return (
-        _nuisance("arc_level_ln", "", tolerance.arc_level_rel, 1e-3),
-        _nuisance("laser_level_ln", "", tolerance.laser_level_rel, 1e-3),
-        _nuisance("black_dn", "DN", tolerance.black_level_dn, 0.01),
-        *(_nuisance(f"rot_{axis}_deg", "deg", tolerance.hand_eye_deg, 0.01) for axis in "xyz"),
-        *(_nuisance(f"move_{axis}_mm", "mm", tolerance.hand_eye_mm, 0.02) for axis in "xyz"),
-        *(
-            Parameter(f"seam_{n}", "", 0.0, 1.0, -SEAM_WITHIN, SEAM_WITHIN, 0.05)
-            for n in range(observed.seam.n_modes)
-        ),
-    )
-
-
-def _nuisance(name: str, unit: str, sigma: float, step: float) -> Parameter:
-    # A tolerance of nought would leave no room for a derivative.
-    sigma = max(sigma, 1e-6)
-    reach = WITHIN_SIGMAS * sigma
-    return Parameter(name, unit, 0.0, sigma, -reach, reach, min(step, 0.5 * reach))
-
-
-def really_there(stated: Setup, nuisance: Float64) -> Setup:
-    """Return the setup with camera and black level as nuisances (p,) say."""
-    camera, sensor = stated.camera, stated.sensor
-    T_tool_camera = moved(camera.T_tool_camera, nuisance[3:6], nuisance[6:9])
-    black_dn = sensor.black_level_dn + float(nuisance[2])
-    return replace(
-        stated,
-        camera=replace(camera, T_tool_camera=T_tool_camera),
-        sensor=replace(sensor, black_level_dn=black_dn),
-    )
-
-
-def really_lit(stated: Condition, nuisance: Float64) -> Condition:
-    """Return a condition with the levels as nuisances (p,) say."""
-    arc, laser = math.exp(float(nuisance[0])), math.exp(float(nuisance[1]))
-    return replace(stated, arc_level=arc * stated.arc_level, laser_level=laser * stated.laser_level)
 
 
 @dataclass(frozen=True, eq=False)
@@ -156,6 +103,10 @@ class Passed:
         noise_e2 = np.maximum(mean_e, 0.0) + self.sensor.read_noise_e**2
         return respond_moments(mean_e, noise_e2, self.sensor)[0] + self.black_dn
 
+    def dn_per_e(self) -> Float64:
+        """Return the derivatives of the mean with charge (n,), DN/e-."""
+        return (self.mean_dn(CHARGE_STEP_E) - self.mean_dn()) / CHARGE_STEP_E
+
 
 @dataclass(frozen=True, eq=False)
 class Tangents:
@@ -173,8 +124,9 @@ class Expected:
         self.nuisances = nuisances(observed)
         self.neutral = np.zeros(len(self.nuisances))
         self._tangents: list[Tangents] | None = None
-        self._rendered: dict[tuple[object, ...], Rendered] = {}
+        self._rendered: dict[tuple[int, bytes, object], Rendered] = {}
         self._nearest = [_nearest(frame.keep) for frame in observed.frames]
+        self._bounced: dict[int, BouncedLight] = {}
         self._rays: dict[tuple[object, ...], Rays] = {}
         self._threads = ThreadPoolExecutor(THREADS)
 
@@ -190,6 +142,19 @@ class Expected:
         """
         frames = self.over_frames(lambda frame: self._with_bend(frame, nuisance, effects))
         self.observed = replace(self.observed, frames=tuple(frames))
+
+    def some(self, chosen: Bool) -> Expected:
+        """Return the same held against some of the frames (n_frames,), with what is known of those."""
+        fewer = Expected(self.observed.some(chosen))
+        fewer._rays = self._rays
+        position = {old: new for new, old in enumerate(np.flatnonzero(chosen).tolist())}
+        if self._tangents is not None:
+            fewer._tangents = [self._tangents[old] for old in position]
+        for (old, anchor, effects), rendered in self._rendered.items():
+            if old in position:
+                fewer._rendered[position[old], anchor, effects] = rendered
+        fewer._bounced = {position[old]: light for old, light in self._bounced.items() if old in position}
+        return fewer
 
     def take_noise(self, sigmas_dn: Sequence[Float64]) -> None:
         """Take other noise of the bins that count, (n,) for each frame; inf leaves a bin out."""
@@ -207,7 +172,7 @@ class Expected:
         if strays < LEAST_STRAY_MM or frame.condition.arc_level == 0.0:
             return frame
         setup = really(self._setup(effects, nuisance))
-        T_base_tool = frame.pose_at(pose_time_s(setup, frame.timestamp_s))
+        T_base_tool = frame.T_base_tool_in(setup)
         x, y, z = setup.arc.center_in_tool_mm
         light = [
             look(
@@ -221,8 +186,7 @@ class Expected:
         ]
         spread_e = 0.5 * np.maximum(np.abs(light[1] - light[0]), np.abs(light[2] - light[0]))
         passed = self._passed(frame, setup, nuisance, effects)
-        dn_per_e = (passed.mean_dn(CHARGE_STEP_E) - passed.mean_dn()) / CHARGE_STEP_E
-        spread_dn = dn_per_e * passed.arc_factor * spread_e
+        spread_dn = passed.dn_per_e() * passed.arc_factor * spread_e
         return replace(frame, sigma_dn=np.hypot(frame.sigma_dn, spread_dn))
 
     def over_frames(self, of_frame: Callable[[ObservedFrame], Result]) -> list[Result]:
@@ -252,7 +216,7 @@ class Expected:
         parts = []
         for frame, light, tangents in zip(self.observed.frames, passed, self._tangents, strict=True):
             J = np.zeros((len(frame.sigma_dn), len(self.nuisances)))
-            dn_per_e = (light.mean_dn(CHARGE_STEP_E) - light.mean_dn()) / CHARGE_STEP_E
+            dn_per_e = light.dn_per_e()
             J[:, 0], J[:, 1], J[:, 2] = dn_per_e * light.arc_e, dn_per_e * light.laser_e, 1.0
             if tangents.arc_e is not None:
                 J[:, N_LEVELS:] += (dn_per_e * light.arc_factor)[:, np.newaxis] * tangents.arc_e.T
@@ -309,7 +273,7 @@ class Expected:
         key = (frame.position, anchor[N_LEVELS:].tobytes(), rendering)
         if key not in self._rendered:
             setup = really(self._setup(effects, anchor))
-            T_base_tool = frame.pose_at(pose_time_s(setup, frame.timestamp_s))
+            T_base_tool = frame.T_base_tool_in(setup)
             seam = self.seam(frame, anchor)
             rays = self._rays_of(setup.camera)
             layers = look(setup, T_base_tool, seam, rays, np.flatnonzero(frame.keep))
@@ -329,7 +293,11 @@ class Expected:
             np.float32(condition.arc_level) * rendered.arc_e,
             np.float32(condition.laser_level) * rendered.laser_e,
         )
-        pass_on(true, light, replace(rendered.view, setup=true), condition)
+        view = replace(rendered.view, setup=true)
+        if BOUNCING in effects:
+            # What bounces is smooth: where it was computed first it may stay, for all that nuisances move.
+            self._bounced[frame.position] = bounced_light(view, self._bounced.get(frame.position))
+        pass_on(true, light, view, condition)
         keep = frame.keep
         return Passed(
             true.sensor,
@@ -342,7 +310,7 @@ class Expected:
 
     def _tangents_of(self, frame: ObservedFrame, anchor: Float64, effects: Effects) -> Tangents:
         setup = self._setup(effects, anchor)
-        T_base_tool = frame.pose_at(pose_time_s(setup, frame.timestamp_s))
+        T_base_tool = frame.T_base_tool_in(setup)
         seam = self.seam(frame, anchor)
         bins = np.flatnonzero(frame.keep)
 

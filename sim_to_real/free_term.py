@@ -137,7 +137,7 @@ def hats_of_two(covariates: Covariates, knots: tuple[int, int] = KNOTS_OF_TWO) -
     return np.asarray(product.reshape(len(product), -1))
 
 
-def folds(frame: npt.NDArray[np.integer]) -> Int64:
+def folds_by_turn(frame: npt.NDArray[np.integer]) -> Int64:
     """Return which fold, 0 to `FOLDS` - 1, each bin (n,) of a frame is in; frames take turns."""
     return np.asarray(frame % FOLDS, dtype=np.int64)
 
@@ -177,7 +177,7 @@ class HeldOut:
         draw = np.random.default_rng(SEED)
         chosen = np.flatnonzero(draw.random(len(residuals)) < 1.0 / EVERY)
         of_chosen = covariates.at(chosen)
-        fold = folds(of_chosen.frame) if fold is None else fold[chosen]
+        fold = folds_by_turn(of_chosen.frame) if fold is None else fold[chosen]
         r = residuals[chosen]
         weights = huber_weights(r, huber_bound(r))
         sigmas = np.array([p.prior_sigma for p in covariates.nuisances])

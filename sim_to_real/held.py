@@ -3,20 +3,23 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
 
 import cv2
 import numpy as np
 import numpy.typing as npt
 
-from noise_model.effects import pose_time_s, really
+from noise_model.effects import really
 from noise_model.forward import Prediction, Renderer, predict
 from noise_model.frames import Float64
 from noise_model.sensor import saturation_dn
 from noise_model.setup import Setup
-from sim_to_real.diagnosis import Float32, Predicted
-from sim_to_real.expected import Effects, Expected, really_lit, really_there
+from sim_to_real.diagnosis import Float32, Gap, Predicted
+from sim_to_real.expected import THREADS, Effects, Expected
+from sim_to_real.nuisances import really_lit, really_there
 from sim_to_real.observed import FLOOR_DN, FLOOR_REL, Bool, Observed, ObservedFrame
+from sim_to_real.pixels import cut, off_faces, within
 from sim_to_real.refit import FLICKER, Refit
 
 EDGE_PX = 6
@@ -49,22 +52,25 @@ def predict_held(
     on_frame: Callable[[float], None],
 ) -> Predicted:
     """Return held-out frames as two fits predict them, each with random effects besides."""
-    recorded, pairs, counts = [], [], []
-    renderer = Renderer(2)
-    for n, frame in enumerate(held.frames):
+
+    def predicted(frame: ObservedFrame) -> tuple[Prediction, Prediction, Bool]:
+        renderer = Renderer(2)
         first = _predict(held.setup, expected, frame, *before, renderer)
         second = first if after == before else _predict(held.setup, expected, frame, *after, renderer)
-        recorded.append(frame.image_dn)
-        pairs.append((first, second))
-        counts.append(_counts(held.setup, expected, frame, after[0], renderer))
-        on_frame((n + 1.0) / len(held.frames))
+        return first, second, _counts(held.setup, expected, frame, after[0], renderer)
+
+    found = []
+    with ThreadPoolExecutor(THREADS) as threads:
+        for n, of_frame in enumerate(threads.map(predicted, held.frames)):
+            found.append(of_frame)
+            on_frame((n + 1.0) / len(held.frames))
     return Predicted(
         np.array([frame.index for frame in held.frames]),
-        np.array(recorded),
-        np.array([first.mean_dn for first, _ in pairs], dtype=np.float32),
-        np.array([second.mean_dn for _, second in pairs], dtype=np.float32),
-        _variances([first for first, _ in pairs], counts),
-        _variances([second for _, second in pairs], counts),
+        np.array([frame.image_dn for frame in held.frames]),
+        np.array([first.mean_dn for first, _, _ in found], dtype=np.float32),
+        np.array([second.mean_dn for _, second, _ in found], dtype=np.float32),
+        _variances([first for first, _, _ in found], [counts for _, _, counts in found]),
+        _variances([second for _, second, _ in found], [counts for _, _, counts in found]),
     )
 
 
@@ -89,7 +95,7 @@ def _predict(
 ) -> Prediction:
     stated = _stated(setup, fitted)
     stated = replace(stated, effects={**stated.effects, **random})
-    pose = frame.pose_at(pose_time_s(stated, frame.timestamp_s))
+    pose = frame.T_base_tool_in(stated)
     seam = expected.seam(frame, fitted.nuisance)
     condition = really_lit(frame.condition, fitted.nuisance)
     found = predict(stated, pose, condition, seam=seam, renderer=renderer)
@@ -131,33 +137,21 @@ def _counts(
 ) -> Bool:
     """Return the pixels (H, W) that count: on one face, off shadows' edges, not saturated."""
     true = really(_stated(setup, fitted))
-    pose = frame.pose_at(pose_time_s(true, frame.timestamp_s))
+    pose = frame.T_base_tool_in(true)
     layers = renderer.layers(true, pose, expected.seam(frame, fitted.nuisance))
-    faces = layers.view.surface[2].astype(np.float32)
-    around = np.ones((2 * EDGE_PX + 1, 2 * EDGE_PX + 1), dtype=np.uint8)
-    bad = (cv2.dilate(faces, around) != cv2.erode(faces, around)) | (faces < 0)
+    bad = off_faces(layers.view.surface[2], 2 * EDGE_PX + 1)
     if frame.condition.arc_level > 0.0:
         arc = layers.arc_e
         steep = np.maximum(*(np.abs(np.gradient(arc, axis=axis)) for axis in (0, 1))) > STEEP * arc
-        bad |= cv2.dilate((steep & (arc > 0.0)).astype(np.uint8), around) > 0
-    full = (frame.image_dn >= saturation_dn(setup.sensor)).astype(np.uint8)
-    return np.asarray(~bad & (cv2.dilate(full, np.ones((3, 3), dtype=np.uint8)) == 0))
+        bad |= within(steep & (arc > 0.0), 2 * EDGE_PX + 1)
+    return ~bad & ~within(frame.image_dn >= saturation_dn(setup.sensor), 3)
 
 
-@dataclass(frozen=True)
-class Sizes:
-    """The gap on held-out frames: in sigmas before, after and of the floor; the share closed."""
+def measure(predicted: Predicted, setup: Setup, seam_mm: tuple[float, float], seed: int = 0) -> Gap:
+    """Measure the gap: sqrt(mean r^2 - 1) of the pixels that count, its interval by blocks drawn again.
 
-    before: float
-    after: float
-    floor: float
-    closed: float
-    ci95: tuple[float, float]
-    rms_dn: tuple[float, float]
-
-
-def measure(predicted: Predicted, setup: Setup, seed: int = 0) -> Sizes:
-    """Measure the gap: sqrt(mean r^2 - 1) of the pixels that count, its interval by blocks drawn again."""
+    `seam_mm` is passed on: how far the seam point moves before and after.
+    """
     counts = np.isfinite(predicted.variance)
     light_dn = predicted.after.astype(np.float64) - setup.sensor.black_level_dn
     squares = np.stack(
@@ -168,7 +162,7 @@ def measure(predicted: Predicted, setup: Setup, seed: int = 0) -> Sizes:
             counts.astype(np.float64),
         ]
     )
-    blocks = _block_sums(squares)
+    blocks = cut(squares, BLOCK_PX).sum(axis=(-3, -1)).reshape(len(squares), -1)
     before, after, floor = _gaps(squares.sum(axis=(1, 2, 3)))
     draws = np.random.default_rng(seed).integers(0, blocks.shape[1], (DRAWS, blocks.shape[1]))
     drawn = np.array([_closed(*_gaps(blocks[:, draw].sum(axis=1))) for draw in draws])
@@ -178,7 +172,7 @@ def measure(predicted: Predicted, setup: Setup, seed: int = 0) -> Sizes:
         for mean in (predicted.before, predicted.after)
     ]
     closed = _closed(before, after, floor)
-    return Sizes(before, after, floor, closed, (float(low), float(high)), (rms[0], rms[1]))
+    return Gap(before, after, floor, closed, (float(low), float(high)), (rms[0], rms[1]), seam_mm)
 
 
 def _squares(of_dn: Float64 | Float32, variance: Float32, counts: Bool) -> Float64:
@@ -200,14 +194,6 @@ def _gaps(sums: Float64) -> tuple[float, float, float]:
 def _closed(before: float, after: float, floor: float) -> float:
     """Return (before - after) / (before - floor); NaN where there is no gap above the floor."""
     return (before - after) / (before - floor) if before > floor else np.nan
-
-
-def _block_sums(images: Float64) -> Float64:
-    """Return the sums (k, n_blocks) over blocks of images (k, n, H, W)."""
-    k, n, height, width = images.shape
-    h, w = height // BLOCK_PX, width // BLOCK_PX
-    cut = images[:, :, : h * BLOCK_PX, : w * BLOCK_PX].reshape(k, n, h, BLOCK_PX, w, BLOCK_PX)
-    return np.asarray(cut.sum(axis=(3, 5)).reshape(k, -1))
 
 
 def excess_map(predicted: Predicted) -> Float32:

@@ -12,7 +12,7 @@ from scipy.ndimage import distance_transform_edt
 from noise_model.frames import Float64
 from sim_to_real.covariates import UNITS, Covariates
 from sim_to_real.diagnosis import Curve, Where
-from sim_to_real.free_term import FOLDS, FORMS, LEAST_EXCESS, HeldOut, folds, hats, share
+from sim_to_real.free_term import FOLDS, FORMS, LEAST_EXCESS, HeldOut, folds_by_turn, hats, share
 from sim_to_real.observed import STRATA, THIN, Bool, Float32
 from sim_to_real.refit import MAD_SIGMA
 
@@ -71,9 +71,8 @@ def curve_along(name: str, covariates: Covariates, residuals: Float64, fit: Held
     """Return the residual along a covariate.
 
     `r2` is the share of the excess over noise that a function of the covariate explains on frames that it was
-    not fitted to, be it that it adds DN or that it multiplies a
-    source's light. Bands draw whole frames anew: bins of
-    one frame are not independent.
+    not fitted to, be it that it adds DN or that it multiplies a source's light. Bands draw whole frames anew:
+    bins of one frame are not independent.
     """
     group, centers = _groups(covariates.values[name])
     mean, low, high = banded_means(residuals, group, len(centers), covariates.frame)
@@ -136,7 +135,8 @@ def _log_ratios(
 ) -> Float64:
     """Return the median of ln(recorded / predicted light) in groups (g,), NaN where it is dark."""
     light, noise = covariates.light_dn, covariates.sigma_dn
-    recorded = light + residuals * noise
+    # The noise of what a streak hides is infinite, its residual nought.
+    recorded = light + np.where(np.isfinite(noise), residuals, 0.0) * np.nan_to_num(noise, posinf=0.0)
     clear = (light > CLEAR * noise) & (recorded > CLEAR * noise)
     log_ratio = np.log(np.where(clear, recorded / np.where(clear, light, 1.0), 1.0))
     medians = np.full(n_groups, np.nan)
@@ -189,7 +189,7 @@ def _fixed(covariates: Covariates, residuals: Float64, weight: Float32) -> float
     variance what the training frames' squares exceed noise by.
     """
     n_bins = covariates.shape[0] * covariates.shape[1]
-    place = folds(covariates.frame) * n_bins + covariates.bins
+    place = folds_by_turn(covariates.frame) * n_bins + covariates.bins
     size = FOLDS * n_bins
     A = np.bincount(place, weight.astype(np.float64) ** 2, size).reshape(FOLDS, n_bins)
     b = np.bincount(place, weight * residuals, size).reshape(FOLDS, n_bins)

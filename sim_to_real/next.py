@@ -24,21 +24,20 @@ from sim_to_real.expected import Expected
 from sim_to_real.observed import ObservedFrame
 from sim_to_real.refit import N_EFFECTIVE, Refit
 from sim_to_real.screen import Screened
+from sim_to_real.select import cost_nats
+from sim_to_real.verdict import GAP_FROM
 
 ALIKE = 0.98
 """A signature of which this share, as a cosine, lies in another's span cannot be told from it."""
-
-SHOWS_FROM = 3.0
-"""Evidence, nats, from which an effect shows."""
 
 TILT_DEG, RAISE_MM, CURRENT, EXPOSURE, FASTER = 10.0, 2.0, 1.5, 0.5, 3.0
 """The changes that the menu's measurements make: angle, height, and factors of the rest."""
 
 
 def own_signatures(baseline: Refit, screened: Sequence[Screened]) -> dict[str, Float64]:
-    """Return orthonormal signatures (n, k) of each effect, scaled by their size for a unit of their places.
+    """Return effects' signatures (n, k): what their places do to residuals and, below, to priors' pulls.
 
-    Nuisances and what priors say of them are projected out.
+    What nuisances can do is projected out, within what priors let them.
     """
     priors = np.array([1.0 / parameter.prior_sigma for parameter in baseline.quadratic.parameters])
     known = np.vstack([baseline.jacobian, np.diag(priors)])
@@ -77,8 +76,8 @@ def smallest(signatures: Mapping[str, Float64], screened: Sequence[Screened]) ->
     for one in screened:
         n = len(one.signature)
         per_unit = float(np.sum(signatures[one.id][:, 0] ** 2)) / n
-        cost = 0.5 * math.log(N_EFFECTIVE) * len(REGISTRY[one.id].parameters)
-        needed = math.expm1(2.0 * (SHOWS_FROM + cost) / N_EFFECTIVE)
+        evidence = GAP_FROM + cost_nats(len(REGISTRY[one.id].parameters))
+        needed = math.expm1(2.0 * evidence / N_EFFECTIVE)
         if per_unit > 0.0:
             parameter, step = one.place
             unit = next(p.unit for p in REGISTRY[one.id].parameters if p.name == parameter)
@@ -167,7 +166,7 @@ def best_measurement(expected: Expected, one: Refit, other: Refit) -> Next:
     ]
     apart = [float(np.mean(((a - b) / template.sigma_dn) ** 2)) for a, b in zip(*means, strict=True)]
     best = int(np.argmax(apart))
-    resolves = 0.5 * N_EFFECTIVE * math.log1p(apart[best]) > SHOWS_FROM
+    resolves = 0.5 * N_EFFECTIVE * math.log1p(apart[best]) > GAP_FROM
     return Next(MENU[best].name, (*one.ids, *other.ids), resolves)
 
 

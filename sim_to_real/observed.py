@@ -12,12 +12,13 @@ import numpy.typing as npt
 
 from noise_model.arc_map import scene
 from noise_model.condition import Condition
-from noise_model.effects import really
+from noise_model.effects import pose_time_s, really
 from noise_model.forward import Layers, Renderer
 from noise_model.frames import Float64
 from noise_model.optics import Camera
 from noise_model.sensor import linearise, respond_moments, saturation_dn
 from noise_model.setup import Setup
+from sim_to_real.pixels import block_means
 from sim_to_real.seam_curve import SeamCurve
 from tracker.state import Frame, Pose
 from tracker.step import Tracker
@@ -40,7 +41,7 @@ FLOOR_REL, FLOOR_DN = 0.006, 0.05
 STEEPEST = 0.5
 """A bin counts if the arc's light changes to its neighbours by a smaller share: shadow edges move by less."""
 
-THIN = 3
+THIN = 4
 """Off the stripe every so many bins of a row and column count: neighbours there say the same."""
 
 STRIPE_SHARE = 0.02
@@ -81,10 +82,9 @@ class ObservedFrame:
         """The means of the bins that count (n,)."""
         return self.binned_dn[self.keep].astype(np.float64)
 
-    @property
-    def T_base_tool(self) -> Float64:
-        """The pose that the controller stamped for the frame's own time."""
-        return self.pose_at(self.timestamp_s)
+    def T_base_tool_in(self, setup: Setup, later_s: float = 0.0) -> Float64:
+        """Return the tool's pose as the frame was taken, by a setup's clocks, or somewhat later."""
+        return self.pose_at(pose_time_s(setup, self.timestamp_s) + later_s)
 
 
 @dataclass(frozen=True, eq=False)
@@ -104,11 +104,6 @@ class Observed:
         """Return a recording of some of the frames (n_frames,)."""
         frames = [frame for frame, is_in in zip(self.frames, chosen, strict=True) if is_in]
         return replace(self, frames=tuple(replace(f, position=n) for n, f in enumerate(frames)))
-
-    @property
-    def strata(self) -> npt.NDArray[np.str_]:
-        """The frames' strata (n_frames,)."""
-        return np.array([frame.stratum for frame in self.frames])
 
 
 def observe(setup: Setup, frames: Sequence[Frame], pose_at: PoseAt) -> Observed:
@@ -135,29 +130,25 @@ def observe(setup: Setup, frames: Sequence[Frame], pose_at: PoseAt) -> Observed:
     )
 
 
+def stated_condition(setup: Setup, frame: Frame) -> Condition:
+    """Return what a setup expects of a frame; an arc without a current is off."""
+    return Condition.of(
+        setup,
+        laser_on=frame.laser_on,
+        arc_on=frame.arc_on and frame.current_a > 0.0,
+        current_a=frame.current_a,
+        exposure_s=frame.exposure_s,
+        timestamp_s=frame.timestamp_s,
+    )
+
+
 def binned_camera(camera: Camera, bin_px: int) -> Camera:
     """Return the camera whose pixels are bins of bin_px by bin_px; a rest at the rim is left out.
 
     A bin's box widens the point-spread function by (bin_px^2 - 1) / 12 px^2.
     """
     variance_px2 = camera.psf_sigma_px**2 + (bin_px**2 - 1) / 12.0
-    return replace(
-        camera,
-        width=camera.width // bin_px,
-        height=camera.height // bin_px,
-        fx=camera.fx / bin_px,
-        fy=camera.fy / bin_px,
-        cx=(camera.cx + 0.5) / bin_px - 0.5,
-        cy=(camera.cy + 0.5) / bin_px - 0.5,
-        psf_sigma_px=float(np.sqrt(variance_px2)) / bin_px,
-    )
-
-
-def binned_mean(image: npt.NDArray[np.generic], bin_px: int) -> Float32:
-    """Return the means (h, w) of an image's whole bins (H, W)."""
-    h, w = image.shape[0] // bin_px, image.shape[1] // bin_px
-    cut = image[: h * bin_px, : w * bin_px].reshape(h, bin_px, w, bin_px)
-    return np.asarray(cut.mean(axis=(1, 3), dtype=np.float64), dtype=np.float32)
+    return replace(camera.coarser(bin_px), psf_sigma_px=float(np.sqrt(variance_px2)) / bin_px)
 
 
 def _observed(
@@ -177,19 +168,12 @@ def _observed(
         assert pose is not None
         return pose.T_base_tool
 
-    condition = Condition.of(
-        setup,
-        laser_on=frame.laser_on,
-        arc_on=frame.arc_on and frame.current_a > 0.0,
-        current_a=frame.current_a,
-        exposure_s=frame.exposure_s,
-        timestamp_s=frame.timestamp_s,
-    )
+    condition = stated_condition(setup, frame)
     pose = T_base_tool(frame.timestamp_s)
     stations_mm = stations(setup, pose)
     layers = Renderer().layers(really(binned), pose, seam.bent(np.zeros(seam.n_modes), *stations_mm))
     keep, in_stripe = _keep(binned, layers, condition, _usable(frame.image_dn, setup, bin_px))
-    binned_dn = binned_mean(frame.image_dn, bin_px)
+    binned_dn = block_means(frame.image_dn, bin_px).astype(np.float32)
     return ObservedFrame(
         position,
         frame.index,
@@ -219,8 +203,7 @@ def _stated_e(setup: Setup, layers: Layers, condition: Condition) -> Float32:
 
 def _usable(image_dn: npt.NDArray[np.integer], setup: Setup, bin_px: int) -> Bool:
     """Return the bins (h, w) none of whose pixels is saturated."""
-    full = (image_dn >= saturation_dn(setup.sensor)).astype(np.float32)
-    return np.asarray(binned_mean(full, bin_px) == 0.0)
+    return np.asarray(block_means(image_dn >= saturation_dn(setup.sensor), bin_px) == 0.0)
 
 
 def _sigma_dn(binned_dn: Float32, setup: Setup, bin_px: int) -> Float64:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -32,6 +32,9 @@ SETTLED = 1e-3
 
 DAMPING, LEAST_DAMPING, DAMPED_MOST, EASED = 1e-3, 1e-9, 1e3, 0.1
 """Where damping starts, its ends, and by what it changes with a step that helps or does not."""
+
+ROUNDS, WORTHWHILE = 3, 0.1
+"""Light is rendered anew about a fit so often at most, while the mean square falls by this share."""
 
 FLICKER, LEVEL_SIGMA = "arc_flicker", 0.2
 """The effect whose realisation is fitted, frame by frame, and the prior of a frame's ln level."""
@@ -74,16 +77,13 @@ class Refit:
         n = float(self.quadratic.counts.sum())
         share = min(1.0, N_EFFECTIVE / n) / max(self.mean_square, 1e-12)
         covariance = np.linalg.pinv(share * self.quadratic.information.sum(axis=0) + prior)
-        sigma, at, found = np.sqrt(np.maximum(np.diag(covariance), 0.0)), self.n_nuisances, {}
-        for name in self.ids:
+        sigma, found = np.sqrt(np.maximum(np.diag(covariance), 0.0)), {}
+        for name, at in _blocks(self.ids, self.n_nuisances, len(self.arc_ln)):
             if name == FLICKER:
                 lit = max(int(np.count_nonzero(self.arc_ln)), 2)
                 found[name] = {"sigma_rel": self.effects[name]["sigma_rel"] / math.sqrt(2.0 * (lit - 1))}
-                at += len(self.arc_ln)
-                continue
-            names = [parameter.name for parameter in REGISTRY[name].parameters]
-            found[name] = dict(zip(names, sigma[at : at + len(names)].tolist(), strict=True))
-            at += len(names)
+            else:
+                found[name] = _by_name(name, sigma[at])
         return found
 
     @property
@@ -103,7 +103,7 @@ def refit(
     problem = _Problem(expected, tuple(effects), None if RENDERING & set(effects) else nuisance)
     x = problem.start(effects, nuisance)
     passed = problem.passed(x)
-    r = problem.residuals(passed)
+    r = expected.residuals(passed)
     damping = DAMPING
     for _ in range(steps):
         J, bound = problem.jacobian(x, passed, r), huber_bound(r)
@@ -113,7 +113,7 @@ def refit(
         while damping < DAMPED_MOST:
             x_new = problem.clipped(quadratic.solve(problem.all_frames, damping))
             passed_new = problem.passed(x_new)
-            r_new = problem.residuals(passed_new)
+            r_new = expected.residuals(passed_new)
             new = problem.cost(x_new, r_new, bound)
             if new < cost:
                 gained = (cost - new) / cost
@@ -136,6 +136,31 @@ def refit(
         problem.quadratic(x, r, J, bound),
         tuple(passed),
     )
+
+
+def _blocks(ids: Sequence[str], n_nuisances: int, n_frames: int) -> Iterator[tuple[str, slice]]:
+    """Yield each effect with where in x stands what is fitted of it: its parameters, or frames' levels."""
+    start = n_nuisances
+    for name in ids:
+        end = start + (n_frames if name == FLICKER else len(REGISTRY[name].parameters))
+        yield name, slice(start, end)
+        start = end
+
+
+def _by_name(effect: str, values: Float64) -> dict[str, float]:
+    names = [parameter.name for parameter in REGISTRY[effect].parameters]
+    return dict(zip(names, values.tolist(), strict=True))
+
+
+def settled(expected: Expected, fitted: Refit) -> Refit:
+    """Return a fit done again with light rendered, and its derivatives taken, where it came to."""
+    for _ in range(ROUNDS):
+        expected.take_tangents(fitted.nuisance, fitted.effects)
+        again = refit(expected, fitted.effects, fitted.nuisance)
+        if again.mean_square > (1.0 - WORTHWHILE) * fitted.mean_square:
+            return min(again, fitted, key=lambda fit: fit.mean_square)
+        fitted = again
+    return fitted
 
 
 def huber_bound(r: Float64) -> float:
@@ -164,10 +189,13 @@ class _Problem:
 
     @property
     def parameters(self) -> tuple[Parameter, ...]:
-        blocks = (self._block(name) for name in self.ids)
-        return (*self.expected.nuisances, *(parameter for block in blocks for parameter in block))
+        return (*self.expected.nuisances, *(p for name in self.ids for p in self._fitted_of(name)))
 
-    def _block(self, name: str) -> tuple[Parameter, ...]:
+    @property
+    def blocks(self) -> Iterator[tuple[str, slice]]:
+        return _blocks(self.ids, len(self.expected.nuisances), len(self.counts))
+
+    def _fitted_of(self, name: str) -> tuple[Parameter, ...]:
         """Return what is fitted of an effect: its parameters, but of the arc's flicker each frame's level."""
         if name != FLICKER:
             return REGISTRY[name].parameters
@@ -188,23 +216,13 @@ class _Problem:
         return np.clip(x, lower, upper)
 
     def effects(self, x: Float64) -> dict[str, dict[str, float]]:
-        effects, at = {}, len(self.expected.nuisances)
-        for name in self.ids:
-            block = self._block(name)
-            if name == FLICKER:
-                effects[name] = {"sigma_rel": flicker(self.expected, x[at : at + len(block)])}
-            else:
-                effects[name] = {p.name: float(v) for p, v in zip(block, x[at:], strict=False)}
-            at += len(block)
-        return effects
+        return {
+            name: {"sigma_rel": flicker(self.expected, x[at])} if name == FLICKER else _by_name(name, x[at])
+            for name, at in self.blocks
+        }
 
     def arc_ln(self, x: Float64) -> Float64:
-        at = len(self.expected.nuisances)
-        for name in self.ids:
-            if name == FLICKER:
-                return x[at : at + len(self.counts)]
-            at += len(self._block(name))
-        return np.zeros(len(self.counts))
+        return next((x[at] for name, at in self.blocks if name == FLICKER), np.zeros(len(self.counts)))
 
     def passed(self, x: Float64) -> list[Passed]:
         """Return the light at parameters (p,): rendered at the anchor, moved on from there."""
@@ -216,29 +234,21 @@ class _Problem:
         frames = self.expected.observed.frames
         return [self.expected.moved(*of) for of in zip(frames, passed, by, strict=True)]
 
-    def residuals(self, passed: list[Passed]) -> Float64:
-        return self.expected.residuals(passed)
-
     def jacobian(self, x: Float64, passed: list[Passed], r: Float64) -> Float64:
         """Return the derivatives (n, p) of the residuals r (n,) at x (p,)."""
         columns = [self.expected.nuisance_columns(passed)]
-        at = len(self.expected.nuisances)
-        for name in self.ids:
-            block = self._block(name)
+        for name, at in self.blocks:
             if name == FLICKER:
-                frame = np.repeat(np.arange(len(self.counts)), self.counts)
-                columns.append(
-                    np.where(frame[:, np.newaxis] == np.arange(len(block)), columns[0][:, :1], 0.0)
-                )
+                frame = np.repeat(np.arange(len(self.counts)), self.counts)[:, np.newaxis]
+                columns.append(np.where(frame == np.arange(len(self.counts)), columns[0][:, :1], 0.0))
             else:
-                columns += [self._column(x, r, i, p) for i, p in enumerate(block, at)]
-            at += len(block)
+                columns += [self._column(x, r, i) for i in range(at.start, at.stop)]
         return np.hstack(columns)
 
-    def _column(self, x: Float64, r: Float64, i: int, parameter: Parameter) -> Float64:
-        moved = x.copy()
+    def _column(self, x: Float64, r: Float64, i: int) -> Float64:
+        parameter, moved = self.parameters[i], x.copy()
         moved[i] += -parameter.step if x[i] + parameter.step > parameter.upper else parameter.step
-        change = self.residuals(self.passed(moved)) - r
+        change = self.expected.residuals(self.passed(moved)) - r
         return np.asarray(change[:, np.newaxis] / (moved[i] - x[i]))
 
     def quadratic(self, x: Float64, r: Float64, J: Float64, bound: float) -> Quadratic:

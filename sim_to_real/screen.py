@@ -16,7 +16,7 @@ import numpy as np
 from noise_model.effects import REGISTRY, Values
 from noise_model.fit import Parameter
 from noise_model.frames import Float64
-from sim_to_real.expected import Expected, Passed
+from sim_to_real.expected import BOUNCING, Expected, Passed
 from sim_to_real.quadratic import Quadratic
 from sim_to_real.refit import Refit
 
@@ -105,7 +105,7 @@ FAMILIES: Mapping[str, tuple[Family, ...]] = {
 }
 """Where each effect that changes a frame's mean is tried; the random ones show in its scatter."""
 
-DEAR: Mapping[str, Values] = {"interreflection": {"albedo_scale": 0.2}}
+DEAR: Mapping[str, Values] = {BOUNCING: {"albedo_scale": 0.2}}
 """Effects that take longer than all others together, and where their fit starts: tried if no other does."""
 
 

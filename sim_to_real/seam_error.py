@@ -8,7 +8,8 @@ from dataclasses import replace
 import numpy as np
 
 from noise_model.setup import Setup
-from sim_to_real.expected import Effects, Expected, really_there
+from sim_to_real.expected import Effects, Expected
+from sim_to_real.nuisances import really_there
 from sim_to_real.observed import PoseAt
 from sim_to_real.refit import Refit
 from tracker.state import Frame

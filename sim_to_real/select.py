@@ -16,9 +16,9 @@ import numpy as np
 
 from noise_model.effects import REGISTRY
 from noise_model.frames import Float64
-from sim_to_real.expected import RENDERING, Expected
+from sim_to_real.expected import RENDERING, Effects, Expected
 from sim_to_real.quadratic import Quadratic
-from sim_to_real.refit import FLICKER, N_EFFECTIVE, Refit, huber_weights, refit
+from sim_to_real.refit import FLICKER, N_EFFECTIVE, Refit, huber_weights, refit, settled
 from sim_to_real.screen import DEAR, FAMILIES, Screened, screen
 from sim_to_real.split import folds
 
@@ -31,8 +31,11 @@ HELD_DAMPING = 0.03
 FOLDS = 5
 """So many times some of the frames are held out."""
 
-SETTLED, ROUNDS, WORTHWHILE = 3, 3, 0.1
-"""So many of the best are fitted again, so often at most, while the mean square falls by this share."""
+SETTLED = 3
+"""So many of the best are fitted again where they came to."""
+
+DEAR_FRAMES, DEAR_CLOSES = 4, 0.3
+"""What is dear is fitted to all frames if in so many of them it closes this share of the gap."""
 
 RESOLVED = 1.3
 """What leaves a mean square below this explains all that there is: nothing dear is tried."""
@@ -62,7 +65,12 @@ class Candidate:
     def evidence(self) -> float:
         """The logarithm of the candidate's likelihood, less what its parameters cost."""
         n_parameters = len(self.refit.x) - self.refit.n_nuisances
-        return -0.5 * N_EFFECTIVE * math.log(max(self.left, 1.0)) - 0.5 * n_parameters * math.log(N_EFFECTIVE)
+        return -0.5 * N_EFFECTIVE * math.log(max(self.left, 1.0)) - cost_nats(n_parameters)
+
+
+def cost_nats(n_parameters: int) -> float:
+    """Return what parameters cost of the evidence."""
+    return 0.5 * n_parameters * math.log(N_EFFECTIVE)
 
 
 def judged(expected: Expected, fitted: Refit) -> Candidate:
@@ -114,16 +122,31 @@ def candidates(
         # The best come nearer where light is rendered anew: which of them is best shows only then.
         for n in range(min(SETTLED, len(found))):
             on_stage(f"fitting {found[n].ids[-1]} again", 0.8 + 0.05 * n)
-            found[n] = settled(expected, found[n])
+            found[n] = judged(expected, settled(expected, found[n].refit))
         found = _best_first(found)
     if found[0].left > RESOLVED and _has_corners(expected):
+        expected.take_tangents(baseline.nuisance, baseline.effects)
         for name, start in DEAR.items():
-            if name not in without and name not in baseline.ids:
-                on_stage(f"fitting {name}", 0.95)
-                expected.take_tangents(baseline.nuisance, baseline.effects)
-                fitted = refit(expected, {**baseline.effects, name: start}, baseline.nuisance)
-                found.append(judged(expected, fitted))
+            on_stage(f"looking at {name}", 0.95)
+            effects = {**baseline.effects, name: start}
+            if name in without or name in baseline.ids or not _worth_it(expected, baseline, effects):
+                continue
+            fitted = refit(expected, effects, baseline.nuisance)
+            found.append(judged(expected, settled(expected, fitted)))
     return _best_first(found), screened
+
+
+def _worth_it(expected: Expected, baseline: Refit, effects: Effects) -> bool:
+    """Say whether effects close a good part of the gap in a few of the frames that the arc lights."""
+    lit = np.flatnonzero([frame.condition.arc_level > 0.0 for frame in expected.observed.frames])
+    if not len(lit):
+        return False
+    few = expected.some(
+        np.isin(np.arange(len(expected.observed.frames)), lit[:: -(-len(lit) // DEAR_FRAMES)])
+    )
+    before = refit(few, baseline.effects, baseline.nuisance).mean_square
+    after = refit(few, effects, baseline.nuisance).mean_square
+    return before - max(after, 1.0) > DEAR_CLOSES * (before - 1.0)
 
 
 def _best_first(found: Sequence[Candidate]) -> list[Candidate]:
@@ -136,19 +159,6 @@ def _has_corners(expected: Expected) -> bool:
 
 def _shows_arc(expected: Expected) -> bool:
     return sum(frame.condition.arc_level > 0.0 for frame in expected.observed.frames) > 2
-
-
-def settled(expected: Expected, candidate: Candidate) -> Candidate:
-    """Return a candidate fitted again with light rendered, and its derivatives taken, where it came to."""
-    best = candidate
-    for _ in range(ROUNDS):
-        if not set(DEAR) & set(best.ids):
-            expected.take_tangents(best.refit.nuisance, best.refit.effects)
-        again = judged(expected, refit(expected, best.refit.effects, best.refit.nuisance))
-        if again.left > best.left * (1.0 - WORTHWHILE):
-            return again if again.evidence > best.evidence else best
-        best = again
-    return best
 
 
 def confidences(of: Sequence[Candidate]) -> Float64:

@@ -23,6 +23,7 @@ from noise_model.sensor import Sensor, electrons_per_dn, linearise, saturation_d
 from sim_to_real.details import Sizes
 from sim_to_real.expected import Passed
 from sim_to_real.observed import Bool, Float32, Observed
+from sim_to_real.pixels import cut, within
 from sim_to_real.refit import MAD_SIGMA
 from sim_to_real.streaks import Line, Searched, passing, search
 
@@ -56,7 +57,8 @@ LEAST_WIDTH_PX, MEASURED_PX = 0.5, 0.3
 PARAMETERS = {parameter.name: parameter for parameter in REGISTRY["spatter"].parameters}
 """What the catalogue says of spatter."""
 
-AROUND = np.ones((3, 3), dtype=np.uint8)
+AROUND = 3
+"""The side of the square of bins about a line's that are still its own."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -111,17 +113,16 @@ def spatter(observed: Observed, passed: Sequence[Passed], sizes: Sizes) -> Spatt
 def _excess(observed: Observed, sensor: Sensor, searched: Sequence[Searched], hit: Sequence[Bool]) -> float:
     """Return what streaks add to the mean of r^2 of all pixels; light and noise are those beside them."""
     bin_px = observed.bin_px
-    h, w = hit[0].shape
     added = 0.0
     for frame, of, bins in zip(observed.frames, searched, hit, strict=True):
         if not bins.any():
             continue
         beside = [_from_beside(image, bins) for image in (of.light_dn, of.noise_dn**2)]
-        cut = frame.image_dn[: h * bin_px, : w * bin_px].reshape(h, bin_px, w, bin_px)
+        image_dn = cut(frame.image_dn, bin_px).transpose(0, 2, 1, 3)
         seen_dn = beside[0] + np.float32(sensor.black_level_dn)
-        left_dn = cut.transpose(0, 2, 1, 3)[bins] - seen_dn[:, np.newaxis, np.newaxis]
+        left_dn = image_dn[bins] - seen_dn[:, np.newaxis, np.newaxis]
         added += float(np.sum(np.mean(left_dn**2, axis=(1, 2)) / (bin_px**2 * beside[1]) - 1.0))
-    return float(added / (len(hit) * h * w))
+    return float(added / np.size(hit))
 
 
 def _from_beside(image: Float32, bins: Bool) -> Float32:
@@ -133,10 +134,10 @@ def _from_beside(image: Float32, bins: Bool) -> Float32:
 
 def _hit(observed: Observed, found: Sequence[Line]) -> tuple[Bool, ...]:
     """Return the bins (h, w) of each frame that lines reach."""
-    images = np.zeros((len(observed.frames), *observed.frames[0].keep.shape), dtype=np.uint8)
+    images = np.zeros((len(observed.frames), *observed.frames[0].keep.shape), dtype=np.bool_)
     for line in found:
-        images[line.position][tuple(line.bins.T)] = 1
-    return tuple(np.asarray(cv2.dilate(image, AROUND)) > 0 for image in images)
+        images[(line.position, *line.bins.T)] = True
+    return tuple(within(image, AROUND) for image in images)
 
 
 def _measured(observed: Observed, sensor: Sensor, of: Searched, line: Line) -> Streak | None:
@@ -146,12 +147,12 @@ def _measured(observed: Observed, sensor: Sensor, of: Searched, line: Line) -> S
     low = np.maximum(line.bins.min(axis=0) - RIM_BINS - 1, 0)
     high = np.minimum(line.bins.max(axis=0) + RIM_BINS + 2, shape)
     window = slice(low[0], high[0]), slice(low[1], high[1])
-    mask = np.zeros(high - low, dtype=np.uint8)
-    mask[tuple((line.bins - low).T)] = 1
-    support = cv2.dilate(mask, AROUND)
-    guard = cv2.dilate(support, AROUND)
+    mask = np.zeros(high - low, dtype=np.bool_)
+    mask[tuple((line.bins - low).T)] = True
+    support = within(mask, AROUND)
+    guard = within(support, AROUND)
     crop = frame.image_dn[low[0] * bin_px : high[0] * bin_px, low[1] * bin_px : high[1] * bin_px]
-    smooth = (guard == 0) & ~of.stripe[window]
+    smooth = ~guard & ~of.stripe[window]
     inside, beside = (np.kron(bins, np.ones((bin_px, bin_px))) > 0 for bins in (support, smooth))
     full = crop >= saturation_dn(sensor)
     electrons = linearise(crop, sensor)
@@ -166,7 +167,7 @@ def _measured(observed: Observed, sensor: Sensor, of: Searched, line: Line) -> S
         return None
     charge_e, along, across = moments
     own = of.own_dn[window] > of.limit_dn[window] - of.own_dn[window]
-    is_cut = (low == 0).any() or (high == shape).any() or bool((own & (guard > 0)).any())
+    is_cut = (low == 0).any() or (high == shape).any() or bool((own & guard).any())
     exposed = frame.condition.exposure_s / setup.camera.exposure_s
     length_px = math.sqrt(12.0 * (along - across))
     return Streak(line, length_px, across, charge_e / exposed, not is_cut, bool((full & inside).any()))

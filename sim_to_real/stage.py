@@ -23,7 +23,7 @@ import numpy as np
 import numpy.typing as npt
 
 from noise_model.brdf import Material
-from noise_model.effects import pose_time_s, really
+from noise_model.effects import really
 from noise_model.effects.effect import Stage
 from noise_model.forward import look
 from noise_model.frames import Float64, invert, moved
@@ -31,9 +31,10 @@ from noise_model.optics import Camera, Rays
 from noise_model.setup import Setup
 from noise_model.surface import BentSeam, seam_frame
 from sim_to_real.covariates import Covariates, Fitted
-from sim_to_real.expected import CHARGE_STEP_E, Expected, really_there
+from sim_to_real.expected import Expected
 from sim_to_real.free_term import LEAST_EXCESS, HeldOut, hats, hats_of_two
 from sim_to_real.locate import filled, noise_shares
+from sim_to_real.nuisances import N_CAMERA, N_LEVELS, really_there
 from sim_to_real.observed import THIN, Float32, ObservedFrame
 
 PER_COEFFICIENT = 0.002
@@ -82,7 +83,7 @@ MOVED: Mapping[str, Moved] = {
 """What is rendered: the arc's centre (mm) and ln radius, the camera's turn (deg) and move (mm), roll and
 pitch (deg), the delay (s). The camera's tangents are those of its nuisances."""
 
-CAMERA_COLUMNS = slice(3, 9)
+CAMERA_COLUMNS = slice(N_LEVELS, N_LEVELS + N_CAMERA)
 """Where the camera's pose is among the nuisances."""
 
 FORMS: tuple[Form, ...] = (
@@ -381,11 +382,10 @@ class _Views:
                 return dark, dark
             seam = self.expected.seam(frame, self.fit.nuisance)
             seam = BentSeam((seam.middle,), seam.ground)
-            T_base_tool = frame.pose_at(pose_time_s(true, frame.timestamp_s) + delay_s)
+            T_base_tool = frame.T_base_tool_in(true, delay_s)
             T_base_tool = T_base_tool if T_plate_base is None else T_plate_base @ T_base_tool
             layers = look(true, T_base_tool, seam, rays, np.flatnonzero(frame.keep)[place])
-            dn_per_e = (passed.mean_dn(CHARGE_STEP_E) - passed.mean_dn())[place] / CHARGE_STEP_E
-            whitened = (dn_per_e / frame.sigma_dn[place]).astype(np.float32)
+            whitened = (passed.dn_per_e()[place] / frame.sigma_dn[place]).astype(np.float32)
             return (
                 whitened * passed.arc_factor[place] * layers.arc_e if condition.arc_level > 0.0 else dark,
                 whitened * passed.laser_factor[place] * layers.laser_e

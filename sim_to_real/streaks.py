@@ -20,7 +20,8 @@ from noise_model.sensor import linearise, respond, respond_moments, saturation_d
 from noise_model.surface import seam_frame
 from sim_to_real.details import Sizes
 from sim_to_real.expected import Passed
-from sim_to_real.observed import FLOOR_DN, FLOOR_REL, Bool, Float32, Observed, ObservedFrame, binned_mean
+from sim_to_real.observed import FLOOR_DN, FLOOR_REL, Bool, Float32, Observed, ObservedFrame
+from sim_to_real.pixels import block_means, within
 from sim_to_real.ridges import ANGLES, NOISE, ridges
 
 FALSE_ALARMS = 1e-3
@@ -108,17 +109,15 @@ def _searched(frame: ObservedFrame, light: Passed, sizes: Sizes, sure: float, bi
     own_lines = np.maximum(np.maximum(own.bright, own.dark).max(axis=0), 0.0)
     own_dn = np.asarray(TRUSTED * cv2.dilate(own_lines, around), dtype=np.float32)
     limit_dn = np.asarray(sure * NOISE * np.hypot(noise_dn, floor_dn) + own_dn, dtype=np.float32)
-    full = (frame.image_dn >= saturation_dn(sensor)).astype(np.float32)
-    full = (binned_mean(full, bin_px) > 0.0).astype(np.uint8)
+    full = block_means(frame.image_dn >= saturation_dn(sensor), bin_px) > 0.0
     # What is saturated across several bins is no streak; narrower it may be one.
-    wide = cv2.morphologyEx(full, cv2.MORPH_OPEN, np.ones((WIDE, WIDE), np.uint8))
-    limit_dn[cv2.dilate(wide, around) > 0] = np.inf
-    lit = np.zeros(frame.keep.shape, dtype=np.uint8)
-    lit[frame.keep] = frame.in_stripe
+    wide = cv2.morphologyEx(full.astype(np.uint8), cv2.MORPH_OPEN, np.ones((WIDE, WIDE), np.uint8))
+    limit_dn[within(wide > 0, 2 * MISPLACED + 1)] = np.inf
+    stripe = np.zeros(frame.keep.shape, dtype=np.bool_)
+    stripe[frame.keep] = frame.in_stripe
+    stripe = within(stripe, 2 * MISPLACED + 1)
     found = ridges(frame.binned_dn)
-    return Searched(
-        light_dn, noise_dn, own_dn, limit_dn, cv2.dilate(lit, around) > 0, found.bright, found.dark
-    )
+    return Searched(light_dn, noise_dn, own_dn, limit_dn, stripe, found.bright, found.dark)
 
 
 def _noise_dn(frame: ObservedFrame, light: Passed, seen_dn: Float32, sizes: Sizes, bin_px: int) -> Float32:
@@ -182,11 +181,10 @@ def shadows(observed: Observed, dark: Sequence[Line], bright: Sequence[Line]) ->
 
     On a slope, what lies below a bright line is darker than the line and than what is above it.
     """
-    near = np.zeros((len(observed.frames), *observed.frames[0].keep.shape), dtype=np.uint8)
+    near = np.zeros((len(observed.frames), *observed.frames[0].keep.shape), dtype=np.bool_)
     for line in bright:
-        near[(line.position, *line.bins.T)] = 1
-    around = np.ones((2 * BESIDE + 1,) * 2, dtype=np.uint8)
-    near = np.stack([cv2.dilate(image, around) for image in near])
+        near[(line.position, *line.bins.T)] = True
+    near = np.stack([within(image, 2 * BESIDE + 1) for image in near])
     return np.array([near[(line.position, *line.bins.T)].any() for line in dark], dtype=bool)
 
 
@@ -228,7 +226,7 @@ def _on_part(observed: Observed, found: Sequence[Line]) -> Float64:
     camera, joint = observed.binned.camera, observed.setup.joint
     points = np.empty((len(found), 3))
     for n, line in enumerate(found):
-        T_base_tool = observed.frames[line.position].T_base_tool
+        T_base_tool = observed.frames[line.position].T_base_tool_in(observed.binned)
         T_base_joint = seam_frame(joint, T_base_tool[:3, 3])
         T_base_camera = T_base_tool @ camera.T_tool_camera
         ray = T_base_camera[:3, :3] @ np.append(camera.normalised([line.place[::-1]])[0], 1.0)
@@ -239,6 +237,6 @@ def _on_part(observed: Observed, found: Sequence[Line]) -> Float64:
 
 def _seen_at(observed: Observed, frame: ObservedFrame, points: Float64) -> npt.NDArray[np.int64]:
     """Return the bins (n, 2), row and column, in which a frame sees points (n, 3), mm, base frame."""
-    T_camera_base = invert(frame.T_base_tool @ observed.binned.camera.T_tool_camera)
+    T_camera_base = invert(frame.T_base_tool_in(observed.binned) @ observed.binned.camera.T_tool_camera)
     uv = observed.binned.camera.project(points @ T_camera_base[:3, :3].T + T_camera_base[:3, 3])
     return np.rint(np.clip(uv[:, ::-1], -1e6, 1e6)).astype(np.int64)

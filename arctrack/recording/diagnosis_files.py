@@ -11,7 +11,6 @@ from typing import Any
 
 import numpy as np
 
-from arctrack.errors import in_file
 from sim_to_real.diagnosis import Diagnosis, Named, Next, Predicted, Where
 
 FORMAT = "arctrack-diagnosis/1"
@@ -20,18 +19,8 @@ REPORT_PAGE = "report.html"
 FILES = (REPORT_JSON, WHERE_NPZ, PREDICTED_NPZ, REPORT_PAGE)
 """Every file that a diagnosis writes."""
 
-DIGITS = 6
-"""Significant digits of a number in report.json."""
-
-
-def make_diagnosis_folder(folder: Path) -> None:
-    """Make the folder and take an earlier diagnosis' files out of it, so that no two are ever mixed."""
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-        for name in FILES:
-            (folder / name).unlink(missing_ok=True)
-    except OSError as error:
-        raise in_file(folder, f"cannot be written: {error.strerror}; choose another with --out") from None
+DIGITS, ALL_DIGITS = 6, 17
+"""Significant digits of a number in report.json, and those that say a float exactly."""
 
 
 def write_numbers(diagnosis: Diagnosis, folder: Path) -> None:
@@ -66,8 +55,8 @@ def report(diagnosis: Diagnosis) -> dict[str, Any]:
         "smallest_detectable": {name: asdict(least) for name, least in diagnosis.smallest.items()},
         "left_over": _left_over(diagnosis.left_over),
     }
-    plain: dict[str, Any] = _plain(content)
-    return plain
+    rounded: dict[str, Any] = plain(content, DIGITS)
+    return rounded
 
 
 def _named(effect: Named) -> dict[str, Any]:
@@ -117,12 +106,12 @@ def _write_predicted(predicted: Predicted, path: Path) -> None:
     )
 
 
-def _plain(value: Any) -> Any:
-    """Return JSON's own types: lists for tuples, null for what is not finite, numbers in a few digits."""
+def plain(value: Any, digits: int = ALL_DIGITS) -> Any:
+    """Return JSON's own types: lists for tuples, null for what is not finite, numbers in so many digits."""
     if isinstance(value, Mapping):
-        return {key: _plain(item) for key, item in value.items()}
+        return {key: plain(item, digits) for key, item in value.items()}
     if isinstance(value, tuple | list):
-        return [_plain(item) for item in value]
+        return [plain(item, digits) for item in value]
     if isinstance(value, float | np.floating):
-        return float(f"{value:.{DIGITS}g}") if math.isfinite(value) else None
+        return float(f"{value:.{digits}g}") if math.isfinite(value) else None
     return value

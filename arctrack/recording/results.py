@@ -14,7 +14,6 @@ from typing import Any, Self
 
 import numpy as np
 
-from arctrack.errors import in_file
 from arctrack.recording.score import AxisScore, Score
 from robot_io import SeamOffset
 from tracker import flags
@@ -46,16 +45,6 @@ COLUMNS = (
     "map_misfit",
     "compute_ms",
 )
-
-
-def make_results_folder(folder: Path) -> None:
-    """Make the folder and take an earlier replay's files out of it, so that no two are ever mixed."""
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-        for name in FILES:
-            (folder / name).unlink(missing_ok=True)
-    except OSError as error:
-        raise in_file(folder, f"cannot be written: {error.strerror}; choose another with --out") from None
 
 
 class ResultsWriter:

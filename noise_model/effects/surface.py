@@ -48,10 +48,11 @@ def _interreflection(light: Light, view: View, condition: Condition, values: Val
     scale = values["albedo_scale"]
     if scale == 0.0:
         return
-    bounced = view.keep("bounced_light", lambda: bounced_light(view))
+    bounced = bounced_light(view)
     if condition.arc_level > 0.0:
         light.arc = light.arc + np.float32(condition.arc_level) * bounced.arc_e(scale)
-    if condition.laser_level > 0.0:
+    # Of the laser a hundredth as much bounces: a coarse view goes without.
+    if condition.laser_level > 0.0 and not view.coarse:
         light.laser = light.laser + np.float32(condition.laser_level) * bounced.laser_e(scale)
 
 

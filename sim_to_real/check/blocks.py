@@ -9,6 +9,7 @@ import numpy.typing as npt
 
 from noise_model.frames import Float64
 from sim_to_real.agreement import BLOCK_PX, DARK_E
+from sim_to_real.pixels import cut
 
 TOLERANCE, SIGMAS = 0.03, 3.0
 """A block agrees within this of the reference, beyond so many standard errors of its mean."""
@@ -38,7 +39,7 @@ def compare_blocks(
     Pixels that are NaN in both are left out; a block in which a pixel is NaN in one alone does not agree. A
     rest at the rim that fills no block is left out. Raises ValueError if every block is dark in both.
     """
-    predicted, reference, variance = (_cut(image) for image in (predicted_e, reference_e, sigma_e**2))
+    predicted, reference, variance = (_blocks(image) for image in (predicted_e, reference_e, sigma_e**2))
     both = np.isfinite(predicted) & np.isfinite(reference)
     one_alone = (np.isfinite(predicted) != np.isfinite(reference)).any(axis=-1)
     count = np.maximum(both.sum(axis=-1), 1)
@@ -61,8 +62,7 @@ def compare_blocks(
     )
 
 
-def _cut(image: npt.NDArray[np.floating]) -> Float64:
+def _blocks(image: npt.NDArray[np.floating]) -> Float64:
     """Return the whole blocks of an image (H, W) as (h, w, BLOCK_PX^2)."""
-    h, w = image.shape[0] // BLOCK_PX, image.shape[1] // BLOCK_PX
-    blocks = image[: h * BLOCK_PX, : w * BLOCK_PX].astype(np.float64).reshape(h, BLOCK_PX, w, BLOCK_PX)
-    return np.ascontiguousarray(blocks.swapaxes(1, 2)).reshape(h, w, BLOCK_PX * BLOCK_PX)
+    blocks = cut(image.astype(np.float64), BLOCK_PX).swapaxes(1, 2)
+    return np.ascontiguousarray(blocks).reshape(*blocks.shape[:2], BLOCK_PX**2)

@@ -16,10 +16,11 @@ from noise_model.frames import Float64
 from noise_model.setup import Setup
 from sim_to_real.expected import Effects, Expected
 from sim_to_real.observed import Observed, PoseAt, observe
+from sim_to_real.screen import DEAR
 from tracker.state import Frame
 
-DEAR, EVERY = frozenset({"interreflection"}), 6
-"""Effects that take longer than all others together are compared on every so many frames only."""
+EVERY = 6
+"""Effects that are dear are compared on every so many frames only."""
 
 
 def cosines(setup: Setup, frames: Sequence[Frame], pose_at: PoseAt) -> dict[str, float]:

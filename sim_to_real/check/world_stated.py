@@ -135,16 +135,7 @@ def balanced(stated: Setup, motion: Motion, times_s: tuple[float, ...]) -> Setup
 
     `times_s` are those at which the nominal arc is looked at.
     """
-    camera = stated.camera
-    small = replace(
-        camera,
-        width=camera.width // PREVIEW,
-        height=camera.height // PREVIEW,
-        fx=camera.fx / PREVIEW,
-        fy=camera.fy / PREVIEW,
-        cx=(camera.cx + 0.5) / PREVIEW - 0.5,
-        cy=(camera.cy + 0.5) / PREVIEW - 0.5,
-    )
+    small = stated.camera.coarser(PREVIEW)
     world = TrueWorld(replace(stated, camera=small, arc=replace(stated.arc, radiance_e=1.0)), np.eye(4))
     studio = Studio(world, (0.0, motion.speed_mm_s * max(times_s)))
     sights = [studio.sight(motion.T_base_tool(time_s)) for time_s in times_s]

@@ -9,8 +9,7 @@ import numpy as np
 import pytest
 from test_diagnosis_examples import GAMMA, GLARE, example, gap_of
 
-from arctrack.errors import ArctrackError
-from arctrack.recording.diagnosis_files import FILES, make_diagnosis_folder, report, write_numbers
+from arctrack.recording.diagnosis_files import report, write_numbers
 from noise_model.effects import Stage
 from noise_model.setup import Setup
 from sim_to_real.diagnosis import Verdict
@@ -88,14 +87,3 @@ def test_anyone_can_recompute_the_gap(seen_setup: Setup, tmp_path: Path) -> None
     with np.load(tmp_path / "where.npz") as where:
         assert where["z"].dtype == np.float32
         assert where["z"].shape == shape[1:]
-
-
-def test_an_earlier_diagnosis_is_gone(tmp_path: Path) -> None:
-    folder = tmp_path / "made" / "anew"
-    make_diagnosis_folder(folder)
-    for name in (*FILES, "notes.txt"):
-        (folder / name).write_text("old")
-    make_diagnosis_folder(folder)
-    assert [path.name for path in folder.iterdir()] == ["notes.txt"]
-    with pytest.raises(ArctrackError, match=r"notes.txt: cannot be written: .*choose another with --out"):
-        make_diagnosis_folder(folder / "notes.txt")

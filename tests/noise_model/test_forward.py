@@ -8,12 +8,13 @@ import scenes
 
 from noise_model import forward
 from noise_model.arc_map import arc_at, arc_kernel, scene
+from noise_model.brdf import Lobe
 from noise_model.condition import Condition
 from noise_model.effects import REGISTRY, checked
 from noise_model.forward import Renderer, draw_frame, predict
 from noise_model.frames import invert
 from noise_model.optics import Camera, Rays
-from noise_model.stripe import stripe_reference
+from noise_model.stripe import reflected_sheet, reflected_sheet_plain, stripe_reference
 from noise_model.surface import NOMINAL_SEAM, SeamLine
 
 LEVEL = scenes.pose()
@@ -140,6 +141,24 @@ def test_the_stripe_pixel_by_pixel(name, material):
     chosen = rng.choice(len(rows), 60, replace=False)
     want = [5000.0 / peak * light(TURNED, setup.joint, rows[i], columns[i]) for i in chosen]
     np.testing.assert_allclose(image[rows[chosen], columns[chosen]], want, rtol=1e-3)
+
+
+@pytest.mark.parametrize(
+    "lobe", [Lobe(), Lobe(tail=0.4), Lobe(anisotropy=0.6, marks_deg=30.0)], ids=["gauss", "tail", "marks"]
+)
+def test_the_sheets_kernel_is_its_plain_twin(lobe):
+    setup = scenes.setup("v_groove")
+    setup = dataclasses.replace(setup, material=dataclasses.replace(setup.material, lobe=lobe))
+    rng = np.random.default_rng(5)
+    points = rng.uniform((32.0, -15.0, -6.0), (38.0, 15.0, 3.0), (400, 3))
+    normals = rng.normal((0.0, 0.0, 1.0), (0.3, 0.5, 0.2), (400, 3))
+    normals /= np.linalg.norm(normals, axis=1, keepdims=True)
+    T_joint_tool = scenes.pose()
+    found = reflected_sheet(setup, points, normals, T_joint_tool)
+    plain = reflected_sheet_plain(setup, points, normals, T_joint_tool)
+    assert found == pytest.approx(plain, rel=1e-4, abs=1e-9 * plain.max())
+    assert np.count_nonzero(plain > 1e-6 * plain.max()) > 20
+    assert not reflected_sheet(setup, points * np.nan, normals, T_joint_tool).any()
 
 
 def test_a_laps_edge_throws_a_shadow():

@@ -33,6 +33,17 @@ def test_project_undoes_normalised(camera):
     np.testing.assert_allclose(camera.project(37.0 * rays), pixels, atol=1e-6)
 
 
+@pytest.mark.parametrize("by", [1, 5])
+def test_a_coarser_pixel_looks_where_its_fine_ones_do_on_average(by):
+    coarse = PLAIN.coarser(by)
+    assert (coarse.width, coarse.height) == (PLAIN.width // by, PLAIN.height // by)
+    fine = PLAIN.normalised(all_pixels(PLAIN)).reshape(PLAIN.height, PLAIN.width, 2)
+    whole = fine[: coarse.height * by, : coarse.width * by].reshape(coarse.height, by, coarse.width, by, 2)
+    np.testing.assert_allclose(
+        coarse.normalised(all_pixels(coarse)), whole.mean(axis=(1, 3)).reshape(-1, 2), atol=1e-12
+    )
+
+
 @given(st.floats(-0.3, 0.3), st.floats(-0.25, 0.25), st.floats(1.0, 500.0))
 def test_normalised_undoes_project(x, y, depth):
     point = depth * np.array([[x, y, 1.0]])

@@ -15,7 +15,8 @@ from scipy.ndimage import gaussian_filter
 from noise_model.condition import Condition
 from sim_to_real.details import Sizes
 from sim_to_real.expected import Passed
-from sim_to_real.observed import STRATA, Observed, ObservedFrame, binned_camera, binned_mean
+from sim_to_real.observed import STRATA, Observed, ObservedFrame, binned_camera
+from sim_to_real.pixels import block_means
 from tests.noise_model.scenes import camera, setup
 
 BIN_PX, WIDTH, HEIGHT = 4, 320, 240
@@ -97,10 +98,10 @@ def grains(rng, scattering):
 
 
 def observed_frame(n, image, arc, laser):
-    binned_dn = binned_mean(image, BIN_PX)
+    binned_dn = block_means(image, BIN_PX).astype(np.float32)
     keep = np.zeros(binned_dn.shape, dtype=bool)
     keep[::2, ::2] = True
-    in_stripe = binned_mean(laser, BIN_PX) > 0.02 * STRIPE_E
+    in_stripe = block_means(laser, BIN_PX) > 0.02 * STRIPE_E
     keep |= in_stripe
     T_base_tool = np.eye(4)
     T_base_tool[:3, 3] = TRAVEL_MM * n, 3.0 * math.sin(n), 0.0
@@ -117,11 +118,11 @@ def observed_frame(n, image, arc, laser):
         keep,
         np.full(int(keep.sum()), 0.5),
         in_stripe[keep],
-        binned_mean(arc + laser, BIN_PX),
+        block_means(arc + laser, BIN_PX).astype(np.float32),
     )
 
 
 def as_passed(nominal, frame, arc, laser):
-    arc_e, laser_e = (binned_mean(light, BIN_PX)[frame.keep] for light in (arc, laser))
+    arc_e, laser_e = (block_means(light, BIN_PX)[frame.keep].astype(np.float32) for light in (arc, laser))
     one = np.ones_like(arc_e)
     return Passed(nominal.sensor, arc_e, laser_e, np.zeros_like(arc_e), one, one)

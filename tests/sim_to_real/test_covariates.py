@@ -1,90 +1,9 @@
-from dataclasses import replace
-from pathlib import Path
-
 import numpy as np
 import pytest
 
-from arctrack.recording import read_recording
-from arctrack.recording.poses import pose_at
-from arctrack.simulate import SimulationPlan, simulate_recording
-from noise_model.fit import Parameter
 from noise_model.surface import Joint, section
-from sim_to_real.covariates import UNITS, Covariates, Start, concavity, covariates
-from sim_to_real.expected import Expected
-from sim_to_real.observed import observe
-
-EXAMPLE = Path(__file__).parents[2] / "examples" / "v_groove"
-SMALL = 6
-"""By so much the example's camera is coarser here."""
-
-
-def planted(n_frames=24, shape=(24, 32), seed=0):
-    """Covariates of made-up frames: arc light that falls off aside, a stripe across, every bin counted."""
-    draw = np.random.default_rng(seed)
-    n = shape[0] * shape[1]
-    row, column = (np.tile(part.ravel(), n_frames).astype(np.float32) for part in np.indices(shape))
-    frame = np.repeat(np.arange(n_frames), n)
-    arc_on, laser_on = frame % 6 >= 2, ~np.isin(frame % 6, (0, 2))
-    current = np.where(arc_on, np.where(frame % 3 == 0, 140.0, 100.0), 0.0)
-    place = 30.0 * draw.random(n_frames)[frame]
-    distance = 20.0 + np.hypot(column - place, 0.7 * row)
-    arc_dn = np.where(arc_on, current / 100.0 * 2e5 / distance**2.2, 0.0)
-    in_stripe = laser_on & (np.abs(row - 8.0 - 6.0 * draw.random(n_frames)[frame]) < 3.0)
-    laser_dn = np.where(in_stripe, 60.0 * (1.0 + 0.3 * np.sin(column / 6.0)), 0.0)
-    angles = {name: 20.0 + 40.0 * draw.random(len(frame)) for name in UNITS if UNITS[name] == "deg"}
-    radius = np.hypot(row - shape[0] / 2.0, column - shape[1] / 2.0)
-    values = angles | {
-        "distance": np.where(arc_on, distance, np.nan),
-        "field_angle": radius / 5.0,
-        "gray_level": 4.0 + arc_dn + laser_dn,
-        "exposure": np.where(frame % 5 == 0, 0.0025, 0.005),
-        "current": current,
-        "time": 0.1 * frame,
-        "velocity_sign": np.sign(np.sin(frame * 0.9)),
-        "concavity": np.where(column < 10, 0.4, 0.0),
-        "row": row,
-        "column": column,
-        "radius": radius,
-    }
-    return Covariates(
-        shape,
-        {name: values[name].astype(np.float32) for name in UNITS},
-        frame.astype(np.int32),
-        np.tile(np.arange(n, dtype=np.int32), n_frames),
-        (laser_on + 2 * arc_on).astype(np.int8),
-        in_stripe,
-        np.ones(len(frame), dtype=np.float32),
-        arc_dn.astype(np.float32),
-        laser_dn.astype(np.float32),
-        values["gray_level"].astype(np.float32),
-        np.zeros((len(frame), 9), dtype=np.float32),
-        tuple(Parameter(f"p{n}", "", 0.0, 1.0, -3.0, 3.0, 0.1) for n in range(9)),
-        np.zeros(9),
-    )
-
-
-def small_recording(path, effects):
-    """An expected recording of the example's sensor with a coarse camera, 12 frames, its seam nominal."""
-    setup = read_recording(EXAMPLE).setup
-    camera = setup.camera
-    coarse = replace(
-        camera,
-        width=camera.width // SMALL,
-        height=camera.height // SMALL,
-        fx=camera.fx / SMALL,
-        fy=camera.fy / SMALL,
-        cx=(camera.cx + 0.5) / SMALL - 0.5,
-        cy=(camera.cy + 0.5) / SMALL - 0.5,
-    )
-    plan = SimulationPlan(frames=12, seam_wander_mm=0.0, exact=True)
-    simulate_recording(path, replace(setup, camera=coarse), plan, hidden_effects=effects)
-    recording = read_recording(path)
-    poses = recording.pose_buffer()
-    observed = observe(recording.setup, list(recording.frames()), lambda t: pose_at(poses, t))
-    seam = replace(observed.seam, mean_mm=np.zeros_like(observed.seam.mean_mm))
-    expected = Expected(replace(observed, seam=seam))
-    expected.take_tangents(expected.neutral, {})
-    return expected
+from sim_to_real.covariates import Start, concavity, covariates
+from tests.sim_to_real.small import small_recording
 
 
 @pytest.fixture(scope="module")
@@ -112,14 +31,15 @@ def test_angles_and_distances_on_the_plate_are_those_of_rays_and_a_plane(nominal
     setup = expected.observed.setup
     frame = next(frame for frame in expected.observed.frames if frame.stratum == "arc")
     chosen = np.flatnonzero((of.frame == frame.position) & (of.values["concavity"] == 0.0))[::7]
-    T_base_camera = frame.T_base_tool @ setup.camera.T_tool_camera
+    T_base_tool = frame.T_base_tool_in(setup)
+    T_base_camera = T_base_tool @ setup.camera.T_tool_camera
     eye = T_base_camera[:3, 3]
     px = np.column_stack([of.values["column"][chosen], of.values["row"][chosen]])
     xy = (px - [setup.camera.cx, setup.camera.cy]) / [setup.camera.fx, setup.camera.fy]
     rays = np.column_stack([xy, np.ones(len(xy))]) @ T_base_camera[:3, :3].T
     points = eye - eye[2] / rays[:, 2:] * rays
     # The torch stands over the plate at the height that the setup states, wherever the tool is.
-    center = frame.T_base_tool[:3, :3] @ setup.arc.center_in_tool_mm + frame.T_base_tool[:3, 3]
+    center = T_base_tool[:3, :3] @ setup.arc.center_in_tool_mm + T_base_tool[:3, 3]
     center[2] = setup.arc.center_in_tool_mm[2]
     to_arc = center + np.array([0.0, 0.0, setup.arc.radius_mm / 2.0]) - points
     to_eye = eye - points

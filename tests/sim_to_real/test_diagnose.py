@@ -1,46 +1,22 @@
 """A recording with a hidden effect is diagnosed: what it is, how large, how far the gap shrinks."""
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 
-from arctrack.recording import pose_at, read_recording
-from arctrack.simulate import SimulationPlan, simulate_recording
+from arctrack.simulate import SimulationPlan
 from sim_to_real.diagnose import diagnose
 from sim_to_real.diagnosis import Verdict
-from tests.sim_to_real.test_covariates import EXAMPLE, SMALL
+from tests.sim_to_real.small import example_setup, recorded
 
-
-def recorded(path, effects):
-    """A small recording: a quarter of the camera's resolution, true values off by their tolerance."""
-    setup = read_recording(EXAMPLE).setup
-    camera = setup.camera
-    coarse = replace(
-        camera,
-        width=camera.width // SMALL,
-        height=camera.height // SMALL,
-        fx=camera.fx / SMALL,
-        fy=camera.fy / SMALL,
-        cx=(camera.cx + 0.5) / SMALL - 0.5,
-        cy=(camera.cy + 0.5) / SMALL - 0.5,
-    )
-    plan = SimulationPlan(frames=16, seam_wander_mm=0.1, seed=3)
-    simulate_recording(path, replace(setup, camera=coarse), plan, hidden_effects=effects)
-    recording = read_recording(path)
-    return recording, recording.pose_buffer()
+PLAN = SimulationPlan(frames=16, seam_wander_mm=0.1, seed=3)
+"""True values are off by their tolerance."""
 
 
 @pytest.fixture(scope="module")
 def with_gamma(tmp_path_factory):
-    recording, poses = recorded(tmp_path_factory.mktemp("diagnose") / "gamma", {"gamma": {"gamma": 1.3}})
+    of = recorded(tmp_path_factory.mktemp("diagnose") / "gamma", {"gamma": {"gamma": 1.3}}, PLAN)
     heard = []
-    found = diagnose(
-        recording.setup,
-        list(recording.frames()),
-        lambda t: pose_at(poses, t),
-        on_stage=lambda text, share: heard.append((text, share)),
-    )
+    found = diagnose(*of, on_stage=lambda text, share: heard.append((text, share)))
     return found, heard
 
 
@@ -75,11 +51,11 @@ def test_it_says_where_and_how_far_it_is(with_gamma):
 
 
 def test_no_frame_with_a_pose_is_refused(tmp_path):
-    recording, _ = recorded(tmp_path / "no_pose", {})
+    setup, frames, _ = recorded(tmp_path / "no_pose", {})
     with pytest.raises(ValueError, match="no frame has a pose"):
-        diagnose(recording.setup, list(recording.frames()), lambda t: None)
+        diagnose(setup, frames, lambda t: None)
 
 
-def test_an_effect_that_is_not_known_is_refused(tmp_path):
+def test_an_effect_that_is_not_known_is_refused():
     with pytest.raises(ValueError, match="gama: no such effect"):
-        diagnose(read_recording(EXAMPLE).setup, [], lambda t: None, without=("gama",))
+        diagnose(example_setup(), [], lambda t: None, without=("gama",))

@@ -5,7 +5,7 @@ import pytest
 
 from noise_model.fit import Parameter
 from sim_to_real.free_term import HeldOut, free_term, hats, hats_of_two
-from tests.sim_to_real.test_covariates import planted
+from tests.sim_to_real.planted import planted
 
 TRAINING = np.arange(24) % 3 != 0
 

@@ -14,7 +14,7 @@ from sim_to_real.locate import (
     strata_gaps,
 )
 from sim_to_real.observed import THIN
-from tests.sim_to_real.test_covariates import planted
+from tests.sim_to_real.planted import planted
 
 Z = np.zeros((2, 2), dtype=np.float32)
 

@@ -8,9 +8,8 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from scipy.spatial.transform import Rotation
 
-from arctrack.nominal import looking_at, nominal_setup
+from arctrack.nominal import looking_at
 from noise_model.arc_map import arc_at, arc_frame, arc_kernel, scene
 from noise_model.brdf import TABLE_1, Lobe, Material
 from noise_model.hemisphere import Hemisphere, irradiance_extended
@@ -19,6 +18,7 @@ from noise_model.surface import Joint
 from sim_to_real.check.blocks import BLOCK_PX, compare_blocks
 from sim_to_real.check.joint_mesh import REACH_MM, joint_mesh
 from sim_to_real.check.path_traced import load_mitsuba, path_traced_arc
+from tests.sim_to_real.check import worlds
 
 RADIANCE_E = {"mild_steel": 2.0e8, "zn_coated": 8.0e6}
 """Some 10^4 electrons a pixel, as a user would set the aperture."""
@@ -33,29 +33,8 @@ STRIP_EVERY = 12
 """One row of blocks in so many is compared: Mitsuba needs minutes for a whole frame."""
 
 
-@pytest.fixture(scope="module")
-def mitsuba():
-    try:
-        return load_mitsuba()
-    except ImportError as error:
-        pytest.skip(f"no path tracer to compare with: {error}")
-
-
-def setup_of(joint_type, material="zn_coated", width=640):
-    if joint_type != "flat":
-        setup = nominal_setup(joint_type, material, width=width, height=width * 3 // 4)
-    else:
-        setup = setup_of("v_groove", material, width)
-        setup = dataclasses.replace(setup, joint=Joint("flat", {}, setup.joint.seam_in_base_mm))
-    arc = dataclasses.replace(setup.arc, radiance_e=RADIANCE_E.get(material, 1.0e7))
-    return dataclasses.replace(setup, arc=arc)
-
-
-def pose(translation_mm=(0.0, 0.0, 0.0), turn_deg=(0.0, 0.0, 0.0)):
-    T_base_tool = np.eye(4)
-    T_base_tool[:3, :3] = Rotation.from_rotvec(turn_deg, degrees=True).as_matrix()
-    T_base_tool[:3, 3] = translation_mm
-    return T_base_tool
+def setup_of(joint, material="zn_coated", width=640):
+    return worlds.setup_of(joint, material, width, RADIANCE_E.get(material, 1.0e7))
 
 
 def arc_pixels(setup, T_base_tool, **nodes):
@@ -75,7 +54,7 @@ def test_the_arc_map_is_the_path_tracers(mitsuba, joint_type, material):
     strips = (rows % STRIP_EVERY == 0) & (rows < setup.camera.height // BLOCK_PX)
     predicted, traced, sigma = [], [], []
     for seed, at in enumerate(POSES.values()):
-        T_base_tool = pose(*at)
+        T_base_tool = worlds.pose(*at)
         kernel = arc_kernel(setup, scene(setup, T_base_tool))
         frame_e = arc_frame(kernel, rays.xy.reshape(-1, 2), rays.cos4.reshape(-1), rays.cos4.shape)
         mean_e, sigma_e = path_traced_arc(setup, T_base_tool, samples=256, seed=seed, xy=rays.xy[strips])
@@ -91,7 +70,7 @@ def test_the_arc_map_is_the_path_tracers(mitsuba, joint_type, material):
 def test_lit_by_the_bare_dome_a_lambertian_plate_shows_the_closed_forms(mitsuba):
     setup = setup_of("flat", width=32)
     setup = dataclasses.replace(setup, material=Material("lambert", 0.3, 0.0, 1.0))
-    T_base_tool = pose((7.0, -2.0, 0.0))
+    T_base_tool = worlds.pose((7.0, -2.0, 0.0), (0.0, 0.0, 0.0))
     mean_e, sigma_e = path_traced_arc(setup, T_base_tool, samples=4096)
     rays = Rays.of(setup.camera)
     T_base_camera = T_base_tool @ setup.camera.T_tool_camera
@@ -110,9 +89,9 @@ def test_the_arc_itself_hides_nothing(mitsuba):
     setup = setup_of("flat", width=64)
     low = dataclasses.replace(setup.camera, T_tool_camera=looking_at((-70.0, 0.0, 25.0), (8.0, 0.0, 0.0)))
     setup = dataclasses.replace(setup, camera=low)
-    mean_e, _ = path_traced_arc(setup, pose(), samples=1024)
+    mean_e, _ = path_traced_arc(setup, np.eye(4), samples=1024)
     # Beside the arc the map's usual nodes are too few.
-    want = arc_pixels(setup, pose(), nodes=(64, 64))
+    want = arc_pixels(setup, np.eye(4), nodes=(64, 64))
     ray = np.concatenate([Rays.of(low).xy, np.ones((48, 64, 1))], axis=-1) @ low.T_tool_camera[:3, :3].T
     eye = low.T_tool_camera[:3, 3]
     nearest = np.linalg.norm(np.cross(ray, eye), axis=-1) / np.linalg.norm(ray, axis=-1)
@@ -127,7 +106,7 @@ def test_a_lobe_of_another_shape_is_traced_too(mitsuba, lobe):
     setup = setup_of("v_groove", "mild_steel", width=128)
     plain = dataclasses.replace(setup, material=Material("plain", 0.002, 0.5, 20.0))
     shaped = dataclasses.replace(setup, material=Material("shaped", 0.002, 0.5, 20.0, lobe))
-    T_base_tool = pose(*POSES["arc on the left"])
+    T_base_tool = worlds.pose(*POSES["arc on the left"])
     traced = path_traced_arc(shaped, T_base_tool, samples=400)
     assert compare_blocks(arc_pixels(shaped, T_base_tool), *traced).within >= 0.95
     assert compare_blocks(arc_pixels(plain, T_base_tool), *traced).within < 0.7
@@ -135,7 +114,7 @@ def test_a_lobe_of_another_shape_is_traced_too(mitsuba, lobe):
 
 def test_a_seed_repeats_and_sigma_is_the_scatter_between_seeds(mitsuba):
     setup = setup_of("lap", width=64)
-    T_base_tool = pose(*POSES["arc on the right"])
+    T_base_tool = worlds.pose(*POSES["arc on the right"])
     first, again, other = (path_traced_arc(setup, T_base_tool, samples=256, seed=s) for s in (1, 1, 2))
     np.testing.assert_array_equal(first, again)
     lit = first[0] > 100.0
@@ -145,7 +124,7 @@ def test_a_seed_repeats_and_sigma_is_the_scatter_between_seeds(mitsuba):
 
 def test_no_paths_is_refused():
     with pytest.raises(ValueError, match="samples = 0"):
-        path_traced_arc(setup_of("flat", width=32), pose(), samples=0)
+        path_traced_arc(setup_of("flat", width=32), np.eye(4), samples=0)
 
 
 def test_without_mitsuba_the_cure_is_named(monkeypatch):

@@ -22,7 +22,8 @@ from sim_to_real.stage import (
     stages_of_either,
     unsmooth_explained,
 )
-from tests.sim_to_real.test_covariates import planted, small_recording
+from tests.sim_to_real.planted import planted
+from tests.sim_to_real.small import small_recording
 
 SHARED = Path(__file__).parents[3] / "shared" / "recordings"
 CAMERA = Camera(32, 24, 300.0, 300.0, 15.5, 11.5, np.eye(4))

@@ -57,7 +57,7 @@ def test_what_stays_on_the_part_lasts():
     camera = expected.observed.setup.camera
     drawn = nothing()
     for n, frame in enumerate(expected.observed.frames):
-        T_camera_base = invert(frame.T_base_tool @ camera.T_tool_camera)
+        T_camera_base = invert(frame.T_base_tool_in(expected.observed.setup) @ camera.T_tool_camera)
         ends = np.array([[40.0, 1.0, 0.0, 1.0], [41.0, 4.0, 0.0, 1.0]]) @ T_camera_base.T
         (u0, v0), (u1, v1) = ends[:, :2] / ends[:, 2:3] * camera.fx + (camera.cx, camera.cy)
         length = math.hypot(u1 - u0, v1 - v0)

@@ -1,20 +1,13 @@
 """The trivial baseline: likeness of the raw residual to each effect's signature."""
 
-from dataclasses import replace
-from functools import partial
-from pathlib import Path
-
 import numpy as np
 import pytest
 
-from arctrack.recording import pose_at, read_recording
-from arctrack.simulate import SimulationPlan, simulate_recording
 from noise_model.effects import REGISTRY
 from sim_to_real.check import cosine as module
 from sim_to_real.check.cosine import cosine, cosines
-from sim_to_real.observed import binned_camera
+from tests.sim_to_real.small import recorded
 
-EXAMPLE = Path(__file__).parents[3] / "examples" / "v_groove"
 TRIED = (
     "gamma",
     "black_level",
@@ -39,12 +32,7 @@ def test_a_cosine_is_that_of_the_angle():
 def test_a_planted_signature_is_found(planted, tmp_path, monkeypatch):
     monkeypatch.setattr(module, "REGISTRY", {name: REGISTRY[name] for name in TRIED})
     monkeypatch.setattr(module, "DEAR", {"fume"})
-    setup = read_recording(EXAMPLE).setup
-    coarse = replace(setup, camera=binned_camera(setup.camera, 6))
-    plan = SimulationPlan(frames=12, seam_wander_mm=0.0, exact=True)
-    simulate_recording(tmp_path / "made", coarse, plan, hidden_effects=planted)
-    recording = read_recording(tmp_path / "made")
-    found = cosines(recording.setup, list(recording.frames()), partial(pose_at, recording.pose_buffer()))
+    found = cosines(*recorded(tmp_path / "made", planted))
     assert list(found) == list(TRIED)
     # What only scatters frames about their mean has no signature.
     assert np.isnan(found.pop("arc_flicker"))

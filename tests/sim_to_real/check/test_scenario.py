@@ -21,11 +21,7 @@ def small(scenario):
     """The same with an image of 80 x 60 px."""
 
     def shrunk(setup):
-        camera = setup.camera
-        camera = dataclasses.replace(
-            camera, width=80, height=60, fx=camera.fx / 8, fy=camera.fy / 8, cx=39.5, cy=29.5
-        )
-        return dataclasses.replace(setup, camera=camera)
+        return dataclasses.replace(setup, camera=setup.camera.coarser(8))
 
     world = dataclasses.replace(scenario.world, setup=shrunk(scenario.world.setup))
     return dataclasses.replace(scenario, stated=shrunk(scenario.stated), world=world)

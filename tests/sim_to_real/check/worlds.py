@@ -17,13 +17,14 @@ RADIANCE_E = {"mild_steel": 2.0e8, "zn_coated": 6.0e6}
 DARK, LASER, ARC, BOTH = (0.0, 0.0), (1.0, 0.0), (0.0, 1.0), (1.0, 1.0)
 
 
-def setup_of(joint="v_groove", material="zn_coated", width=160):
+def setup_of(joint="v_groove", material="zn_coated", width=160, radiance_e=None):
     setup = nominal_setup(
         "v_groove" if joint == "flat" else joint, material, width=width, height=width * 3 // 4
     )
     if joint == "flat":
         setup = dataclasses.replace(setup, joint=Joint("flat", {}, setup.joint.seam_in_base_mm))
-    return dataclasses.replace(setup, arc=dataclasses.replace(setup.arc, radiance_e=RADIANCE_E[material]))
+    radiance_e = RADIANCE_E[material] if radiance_e is None else radiance_e
+    return dataclasses.replace(setup, arc=dataclasses.replace(setup.arc, radiance_e=radiance_e))
 
 
 def world_of(*args, **kwargs):

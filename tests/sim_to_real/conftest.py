@@ -10,4 +10,4 @@ def mitsuba():
     try:
         return load_mitsuba()
     except ImportError as error:
-        pytest.skip(f"no ray caster for the independent renderer: {error}")
+        pytest.skip(f"no Mitsuba to cast rays or trace paths with: {error}")

@@ -1,0 +1,39 @@
+"""Output: folders without an earlier run's files, files that are written whole or not at all."""
+
+from __future__ import annotations
+
+import os
+import shutil
+from collections.abc import Iterable
+from pathlib import Path
+
+from arctrack.errors import in_file
+
+
+def make_folder(folder: Path, files: Iterable[str]) -> None:
+    """Make a folder and take an earlier run's files out of it, so that no two are ever mixed."""
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        for name in files:
+            (folder / name).unlink(missing_ok=True)
+    except OSError as error:
+        raise in_file(folder, f"cannot be written: {error.strerror}; choose another with --out") from None
+
+
+def write_whole(path: Path, text: str) -> None:
+    """Write a file in one go; of one that is there the permissions stay, and a link still points at it.
+
+    Raises ArctrackError if it cannot be written; what was there is then as it was.
+    """
+    target = path.resolve()
+    draft = target.with_name(f".{target.name}.{os.getpid()}.part")
+    try:
+        try:
+            draft.write_text(text, encoding="utf-8")
+            if target.exists():
+                shutil.copymode(target, draft)
+            draft.replace(target)
+        finally:
+            draft.unlink(missing_ok=True)
+    except OSError as error:
+        raise in_file(path, f"cannot be written: {error.strerror}") from None

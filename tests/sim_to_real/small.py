@@ -1,0 +1,40 @@
+"""Recordings of the example's sensor with a coarse camera: quick to simulate, to render and to diagnose."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+from arctrack.recording import pose_at, read_recording
+from arctrack.simulate import SimulationPlan, simulate_recording
+from sim_to_real.expected import Expected
+from sim_to_real.observed import observe
+
+EXAMPLE = Path(__file__).parents[2] / "examples" / "v_groove"
+SMALL = 6
+"""By so much the example's camera is coarser here."""
+
+EXACT = SimulationPlan(frames=12, seam_wander_mm=0.0, exact=True)
+"""A run in which all is as stated."""
+
+
+def example_setup():
+    setup = read_recording(EXAMPLE).setup
+    return replace(setup, camera=setup.camera.coarser(SMALL))
+
+
+def recorded(path, effects, plan=EXACT):
+    """Simulate a recording with hidden effects; what `diagnose` takes of it: setup, frames and pose_at."""
+    simulate_recording(path, example_setup(), plan, hidden_effects=effects)
+    recording = read_recording(path)
+    poses = recording.pose_buffer()
+    return recording.setup, list(recording.frames()), lambda t: pose_at(poses, t)
+
+
+def small_recording(path, effects):
+    """The model held against such a recording, whose seam is taken to be nominal."""
+    observed = observe(*recorded(path, effects))
+    seam = replace(observed.seam, mean_mm=np.zeros_like(observed.seam.mean_mm))
+    expected = Expected(replace(observed, seam=seam))
+    expected.take_tangents(expected.neutral, {})
+    return expected
