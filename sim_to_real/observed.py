@@ -60,6 +60,7 @@ class ObservedFrame:
     `image_dn` (H, W) is the frame, `binned_dn` (h, w) its means over bins. `keep` (h, w) are the bins that
     count: unsaturated, off edges of joint and shadow, thinned off the stripe; `kept_dn` (n,) their means,
     `sigma_dn` (n,) the noise of these with the model's floor, `in_stripe` (n,) whether the laser lights them.
+    `stated_e` (h, w) is the light that the nominal setup puts there along the tracked seam, e-.
     """
 
     position: int
@@ -74,6 +75,7 @@ class ObservedFrame:
     keep: Bool
     sigma_dn: Float64
     in_stripe: Bool
+    stated_e: Float32
 
     @property
     def kept_dn(self) -> Float64:
@@ -185,7 +187,18 @@ def _observed(
         keep,
         _sigma_dn(binned_dn, setup, bin_px)[keep],
         in_stripe[keep],
+        _stated_e(setup, layers, condition),
     )
+
+
+def _stated_e(setup: Setup, layers: Layers, condition: Condition) -> Float32:
+    """Return the light (h, w), e-, of a frame before any effect on the image."""
+    light = np.zeros(layers.view.shape, dtype=np.float32)
+    if condition.arc_level > 0.0:
+        light += np.float32(condition.arc_level) * layers.arc_e
+    if condition.laser_level > 0.0:
+        light += np.float32(condition.laser_level) * layers.laser_e
+    return np.asarray(light * np.float32(condition.exposure_s / setup.camera.exposure_s))
 
 
 def _usable(image_dn: npt.NDArray[np.integer], setup: Setup, bin_px: int) -> Bool:

@@ -1,80 +1,148 @@
-"""What scatters from pixel to pixel, told by its variances."""
+"""What scatters: which effect it is, how much, how sure, and what it adds to the noise of bins."""
+
+import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
-from scipy.ndimage import gaussian_filter
+from scipy.integrate import quad
+from scipy.stats import norm
 
-from sim_to_real import scatter
-from sim_to_real.scatter import left_of_grain
+from noise_model.frames import Float64
+from sim_to_real import scatter as of_scatter
+from sim_to_real.scatter import NAMED_FROM, scatter
+from tests.sim_to_real.scattered import HEIGHT, WIDTH, Scattering, recorded, streak
 
-BIN_PX = 4
-
-
-@pytest.mark.parametrize("grain_px", [0.6, 1.0, 2.5])
-def test_what_is_left_of_speckle_is_what_a_drawn_field_leaves(grain_px):
-    """A white field behind a Gaussian, by scipy, its statistics counted."""
-    field = gaussian_filter(np.random.default_rng(1).standard_normal((1600, 1600)), grain_px)
-    field /= field.std()
-    detail = scatter._details(field, BIN_PX)
-    means = field.reshape(400, BIN_PX, 400, BIN_PX).mean(axis=(1, 3))
-    change = (means[:, :-2] - 2.0 * means[:, 1:-1] + means[:, 2:]) / np.sqrt(6.0)
-    within, between = left_of_grain(grain_px, BIN_PX)
-    # A sampled Gaussian is no Gaussian below a pixel: the correlation is the continuous one's.
-    tolerance = 0.25 if grain_px < 1.0 else 0.06
-    assert np.mean(detail**2) == pytest.approx(within, rel=tolerance)
-    assert np.mean(change**2) == pytest.approx(between, rel=tolerance)
+RANDOM = {"read_noise", "fixed_pattern", "laser_speckle", "spatter"}
+N_FRAMES = 18
 
 
-def test_details_do_not_see_a_plane_and_have_the_variance_of_white_noise():
-    row, column = np.mgrid[:40, :60]
-    assert np.abs(scatter._details(3.0 * row - 2.0 * column, BIN_PX)).max() < 1e-4
-    noise = np.random.default_rng(2).normal(0.0, 1.5, (800, 800))
-    details = scatter._details(noise, BIN_PX)
-    assert details.shape == (200, 200, 4)
-    assert np.mean(details**2) == pytest.approx(1.5**2, rel=0.01)
+def streaks(rng):
+    """A streak off the stripe in each frame with the arc on."""
+    drawn = np.zeros((N_FRAMES, HEIGHT, WIDTH))
+    for n in range(N_FRAMES):
+        if n % 6 > 1:
+            at = rng.uniform(30.0, WIDTH - 30.0), rng.uniform(125.0, HEIGHT - 30.0), rng.uniform(0.0, math.pi)
+            drawn[n] = streak(*at, 40.0, 1.8, 2000.0)
+    return drawn
 
 
-def made(rng, n, *, ratio=1.0, gain=0.0, speckle=0.0):
-    """A frame's bins of light 20 to 200 DN whose variance is known."""
-    light, laser = rng.uniform(20.0, 200.0, n), rng.uniform(0.0, 80.0, n)
-    read, predicted = np.full(n, 0.3), 0.3 + 0.01 * light + 0.08
-    true = predicted + (ratio**2 - 1.0) * read + (gain * light) ** 2 + (speckle * laser) ** 2
-    details = rng.normal(0.0, np.sqrt(true)[:, np.newaxis], (n, 4))
-    return scatter._Frame(np.mean(details**2, axis=1), predicted, read, light**2, laser**2, details, light)
+def made(effect):
+    """A recording with one effect, and what its parameters are."""
+    rng = np.random.default_rng(11)
+    of = {
+        "nothing": (Scattering(), {}),
+        "read_noise": (Scattering(ratio=1.8), {"noise_ratio": 1.8}),
+        "fixed_pattern": (Scattering(pixels=0.03), {"sigma_rel": 0.03}),
+        "laser_speckle": (Scattering(contrast=0.15, grain_px=1.0), {"contrast": 0.15, "grain_px": 1.0}),
+        "spatter": (Scattering(drawn=streaks(rng)), {"length_px": 40.0, "width_px": 1.8}),
+    }
+    scattering, values = of[effect]
+    return recorded(rng, scattering, N_FRAMES), values
 
 
-@pytest.mark.parametrize(
-    ("ratio", "gain", "speckle"), [(1.0, 0.0, 0.0), (2.0, 0.0, 0.0), (1.0, 0.02, 0.0), (1.5, 0.01, 0.05)]
-)
-def test_sizes_of_noise_gain_and_speckle_come_back(ratio, gain, speckle):
-    rng = np.random.default_rng(3)
-    seen = [made(rng, 20_000, ratio=ratio, gain=gain, speckle=speckle) for _ in range(4)]
-    read, light, laser, sigma = scatter._sizes(seen)
-    for found, true, error in zip(
-        (read, light, laser), (ratio**2 - 1.0, gain**2, speckle**2), sigma, strict=True
-    ):
-        # The sigma is that of the stated variance; the true one is larger.
-        assert found == pytest.approx(true, abs=25.0 * error)
+def test_nothing_is_found_where_nothing_is():
+    (expected, fitted), _ = made("nothing")
+    found = scatter(expected, fitted, ())
+    assert found.effects == {}
+    assert set(found.evidence) == set(found.confidence) == set(found.closed) == RANDOM
+    assert max(found.confidence.values()) < 0.5
+    for sigma_dn, frame in zip(found.sigmas_dn, expected.observed.frames, strict=True):
+        assert (sigma_dn == frame.sigma_dn).all()
 
 
-class Lit:
-    def __init__(self, shape):
-        self.keep = np.ones(shape, dtype=bool)
+@pytest.mark.parametrize("effect", sorted(RANDOM))
+def test_each_effect_is_found_alone_with_its_parameters(effect):
+    (expected, fitted), values = made(effect)
+    found = scatter(expected, fitted, ())
+    assert set(found.effects) == {effect}
+    for name, value in values.items():
+        # Read noise is known within its tolerance of 5 %.
+        assert found.effects[effect][name] == pytest.approx(value, abs=2.0 * found.sigmas[effect][name])
+        assert found.sigmas[effect][name] < 0.3 * value
+    assert found.confidence[effect] == pytest.approx(1.0 / (1.0 + math.exp(-found.evidence[effect])))
+    assert found.confidence[effect] > 1.0 / (1.0 + math.exp(-NAMED_FROM))
+    assert max(of for name, of in found.confidence.items() if name != effect) < 0.5
+    assert found.closed[effect] > 0.6
+    assert max(of for name, of in found.closed.items() if name != effect) < 0.2
 
 
-def test_a_pattern_comes_back_and_fresh_noise_does_not():
-    rng, shape, n_frames = np.random.default_rng(4), (60, 80), 10
-    n = 60 * 80
-    pattern = rng.standard_normal((n, 4))
-    fixed, fresh = [], []
-    for _ in range(n_frames):
-        light = rng.uniform(50.0, 150.0, n)
-        noise = rng.normal(0.0, 1.0, (n, 4))
-        for into, gains in ((fixed, pattern), (fresh, rng.standard_normal((n, 4)))):
-            details = noise + 0.02 * light[:, np.newaxis] * gains
-            into.append(
-                scatter._Frame(np.mean(details**2, axis=1), np.ones(n), *(np.ones(n),) * 3, details, light)
-            )
-    frames = [Lit(shape)] * n_frames
-    assert scatter._comes_back(fixed, frames) == pytest.approx(0.02**2, rel=0.05)
-    assert scatter._comes_back(fresh, frames) < 0.1 * 0.02**2
+def pixels_exceed(expected, fitted):
+    """By how much the mean square of pixels' residuals exceeds their stated noise, in the bins that count."""
+    ratios = []
+    for frame, light in zip(expected.observed.frames, fitted.passed, strict=True):
+        blocks = frame.image_dn.reshape(60, 4, 80, 4).transpose(0, 2, 1, 3)[frame.keep].reshape(-1, 16)
+        gain, read = light.sensor.gain_e_per_dn, light.sensor.read_noise_e
+        variance = (light.arc_e + light.laser_e + read**2) / gain**2 + 1.0 / 12.0
+        # Within a bin light has its own slope: neighbours along rows and columns say what is noise.
+        change = blocks[:, [1, 6, 9, 14]].astype(Float64.__args__[1].__args__[0]) - blocks[:, [2, 5, 10, 13]]
+        ratios.append(0.5 * np.mean(change**2, axis=1) / variance)
+    return float(np.mean(np.concatenate(ratios))) - 1.0
+
+
+@pytest.mark.parametrize("effect", ["read_noise", "fixed_pattern"])
+def test_what_an_effect_adds_is_what_pixels_exceed(effect):
+    (expected, fitted), _ = made(effect)
+    assert scatter(expected, fitted, ()).excess[effect] == pytest.approx(
+        pixels_exceed(expected, fitted), rel=0.1
+    )
+
+
+def test_noise_of_bins_is_what_bins_scatter_by():
+    (expected, fitted), _ = made("laser_speckle")
+    found = scatter(expected, fitted, ())
+    r = [
+        ((frame.kept_dn - light.mean_dn()) / sigma_dn)[frame.in_stripe & (light.laser_e > 2000.0)]
+        for frame, light, sigma_dn in zip(
+            expected.observed.frames, fitted.passed, found.sigmas_dn, strict=True
+        )
+    ]
+    # The floor of half a DN that the frames' noise has beside it is small here.
+    assert np.sqrt(np.mean(np.concatenate(r) ** 2)) == pytest.approx(1.0, abs=0.15)
+
+
+def test_bins_that_a_streak_reaches_do_not_count():
+    (expected, fitted), _ = made("spatter")
+    found = scatter(expected, fitted, ())
+    hit = [np.isinf(sigma_dn).any() for sigma_dn in found.sigmas_dn]
+    assert hit == [n % 6 > 1 for n in range(N_FRAMES)]
+
+
+def test_an_effect_out_of_the_catalogue_is_not_looked_for():
+    (expected, fitted), _ = made("fixed_pattern")
+    found = scatter(expected, fitted, ("fixed_pattern",))
+    assert found.effects == {}
+    assert set(found.confidence) == RANDOM - {"fixed_pattern"}
+
+
+def test_what_the_setup_states_is_noise_and_no_gap():
+    (expected, fitted), _ = made("fixed_pattern")
+    effects = {"fixed_pattern": {"sigma_rel": 0.03}}
+    stated = replace(expected.observed, setup=replace(expected.observed.setup, effects=effects))
+    found = scatter(type(expected)(observed=stated), fitted, ())
+    assert found.effects == {}
+    assert all(
+        (s > f.sigma_dn).any()
+        for s, f in zip(found.sigmas_dn[2:], stated.frames[2:], strict=True)
+        if f.condition.arc_level
+    )
+
+
+def test_effects_of_sources_that_are_hardly_on_are_not_looked_for():
+    (expected, fitted), _ = made("nothing")
+    dark = [0, 6, 12]
+    few = replace(
+        expected.observed,
+        frames=tuple(replace(expected.observed.frames[n], position=k) for k, n in enumerate(dark)),
+    )
+    fit = type(fitted)(passed=tuple(fitted.passed[n] for n in dark))
+    assert set(scatter(type(expected)(observed=few), fit, ()).confidence) == {"read_noise"}
+
+
+@pytest.mark.parametrize(("size", "error", "prior"), [(0.2, 0.06, 1.0), (0.0, 0.05, 1.0), (-0.1, 0.05, 0.5)])
+def test_the_evidence_is_the_ratio_of_two_integrals(size, error, prior):
+    with_it, _ = quad(
+        lambda x: norm.pdf(size, x, error) * 2.0 * norm.pdf(x, 0.0, prior), 0.0, 6.0, points=[max(size, 0.0)]
+    )
+    expected = math.log(with_it / norm.pdf(size, 0.0, error))
+    assert of_scatter._over_nought(size, error, prior) == pytest.approx(expected, rel=1e-6)
