@@ -1,4 +1,4 @@
-"""Spatter: bright streaks in single frames, told from all that lasts, and how many, how bright and how long.
+"""Streaks: bright lines in single frames, told from noise, the model's own lines and all that lasts.
 
 A line of the binned image is a streak's if it is brighter on both sides than noise and the model's own lines
 near by allow, and if no such line stands at the same place of the image or of the part in other frames.
@@ -155,7 +155,7 @@ def lines(position: int, responses: Float32, limit_dn: Float32) -> list[Line]:
     found = []
     for n, window in enumerate(find_objects(patches), 1):
         inside = patches[window] == n
-        over = np.where(inside, best[window] / limit_dn[window], 0.0)
+        over = np.divide(best[window], limit_dn[window], out=np.zeros(inside.shape), where=inside)
         if over.max() <= 1.0 or inside.sum() < LEAST_BINS:
             continue
         first = np.array([window[0].start, window[1].start])

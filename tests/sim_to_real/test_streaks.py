@@ -104,3 +104,11 @@ def test_dark_lines_are_told_apart_and_those_beside_a_streak_are_its_own():
     bright, dark = passing(expected.observed, searched)
     assert [line.position for line in bright] == [9]
     assert [line.position for line in dark] == [8]
+
+
+def test_a_streak_about_a_saturated_corner_is_found():
+    """Where neither a line can be told, for the rim, nor a limit, for saturation."""
+    drawn = nothing()
+    drawn[8, HEIGHT - 24 :, :24] = 40_000.0
+    drawn[8] += streak(47.0, HEIGHT - 47.0, 0.25 * math.pi, 115.0, 1.8, 3000.0)
+    assert [line.position for line in found_in(drawn)[0]] == [8]
