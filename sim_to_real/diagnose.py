@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
 
 from threadpoolctl import threadpool_limits
 
@@ -13,7 +14,7 @@ from sim_to_real.covariates import Covariates, Start, covariates
 from sim_to_real.diagnosis import Diagnosis, Estimate, Named, Next, Ranked, Verdict
 from sim_to_real.expected import Expected
 from sim_to_real.free_term import free_term
-from sim_to_real.held import excess_map, measure, predict_held
+from sim_to_real.held import closes, excess_map, measure, predict_held
 from sim_to_real.locate import locate
 from sim_to_real.next import best_measurement, not_resolvable, own_signatures, smallest
 from sim_to_real.observed import PoseAt, observe
@@ -23,14 +24,11 @@ from sim_to_real.seam_error import seam_error_mm
 from sim_to_real.select import Candidate, judged
 from sim_to_real.split import held_out
 from sim_to_real.stage import stages_of_either
-from sim_to_real.verdict import Decision, decide, with_random, with_shares
+from sim_to_real.verdict import Decision, decide, not_held_up, random_shares, with_random, with_shares
 from tracker.state import Frame
 
 HELD, LEFT_ASIDE = 0.25, 0.34
 """The share of frames held out of everything, and of the others that which is left out while choosing."""
-
-RANDOM_CONFIDENCE = 0.95
-"""How sure a random effect is that stands out by its variance: no other in the catalogue has its pattern."""
 
 OnStage = Callable[[str, float], None]
 
@@ -65,12 +63,12 @@ def _diagnosed(
     train = observed.some(~held)
     heard("fitting what is no gap", 0.05)
     expected = Expected(train)
-    before, random = _baseline(expected, without)
+    before, scattered = _baseline(expected, without)
     choosing = expected.some(~held_out(train, LEFT_ASIDE))
     baseline = judged(choosing, refit(choosing, {}, before.nuisance))
     decision = decide(choosing, baseline, without, lambda text, share: heard(text, 0.1 + 0.5 * share))
-    decision = with_random(decision, baseline, random)
-    decision, share = with_shares(choosing, baseline, decision, random.excess)
+    decision = with_random(decision, baseline, scattered)
+    decision, share = with_shares(choosing, baseline, decision)
     signatures = own_signatures(decision.start, decision.screened)
     alike = not_resolvable(signatures)
 
@@ -79,9 +77,7 @@ def _diagnosed(
     after = before
     if named:
         after = settled(expected, refit(expected, named, decision.chosen.refit.nuisance, steps=0))
-    # What scatters was decided before; all frames only say how much.
-    undecided = set(REGISTRY) - set(random.effects)
-    random = scatter(expected, after, (*without, *undecided))
+    random = scatter(expected, after, without)
     heard("predicting the frames held out", 0.75)
     predicted = predict_held(
         observed.some(held),
@@ -90,22 +86,27 @@ def _diagnosed(
         (after, random.effects),
         lambda done: heard("predicting the frames held out", 0.75 + 0.15 * done),
     )
-    heard("saying where", 0.9)
-    of_bins = covariates(expected, before)
-    is_named = decision.verdict in (Verdict.EFFECTS, Verdict.AMBIGUOUS)
-    effects = _named(decision, after, random, share) if is_named else ()
-    stage = effects[0].stage if effects else _simplest_stage(expected, before, of_bins)
-    where = locate(of_bins, before.residuals, stage, excess_map(predicted))
-    free = free_term(covariates(expected, after), after.residuals, ~held_out(train, LEFT_ASIDE))[0]
     seam_mm = (
         seam_error_mm(setup, {}, frames, pose_at, expected, after),
         seam_error_mm(setup, named, frames, pose_at, expected, after),
     )
+    if named and not closes(predicted):
+        decision, after, share = not_held_up(decision, baseline, scattered), before, {}
+        random = scatter(expected, after, without)
+        predicted = replace(predicted, after=predicted.before, variance_after=predicted.variance)
+        seam_mm = (seam_mm[0], seam_mm[0])
+    heard("saying where", 0.9)
+    of_bins = covariates(expected, before)
+    is_named = decision.verdict in (Verdict.EFFECTS, Verdict.AMBIGUOUS)
+    effects = _named(decision, after, random, _with_random(share, scattered, random)) if is_named else ()
+    stage = effects[0].stage if effects else _simplest_stage(expected, before, of_bins)
+    where = locate(of_bins, before.residuals, stage, excess_map(predicted))
+    free = free_term(covariates(expected, after), after.residuals, ~held_out(train, LEFT_ASIDE))[0]
     heard("done", 1.0)
     return Diagnosis(
         decision.verdict,
         effects,
-        _ranking(decision, baseline),
+        _ranking(decision, baseline, random),
         decision.ambiguous,
         measure(predicted, setup, seam_mm),
         where,
@@ -173,13 +174,13 @@ def _named(
 ) -> tuple[Named, ...]:
     """Return the effects of the best fit, and those that scatter, the largest share first."""
     sigmas = {**after.sigmas, **random.sigmas}
-    confidence = {name: float(decision.confidence[0]) for name in after.ids}
+    confidence = {**random.confidence, **{name: float(decision.confidence[0]) for name in after.ids}}
     named = [
         Named(
             name,
             REGISTRY[name].stage.value,
-            confidence.get(name, RANDOM_CONFIDENCE),
-            share.get(name, 0.0),
+            confidence[name],
+            share[name],
             {
                 parameter.name: Estimate(values[parameter.name], sigmas[name][parameter.name], parameter.unit)
                 for parameter in REGISTRY[name].parameters
@@ -191,11 +192,26 @@ def _named(
     return tuple(sorted(named, key=lambda of: -of.share))
 
 
-def _ranking(decision: Decision, baseline: Candidate) -> tuple[Ranked, ...]:
+def _with_random(share: Mapping[str, float], before: Scatter, random: Scatter) -> dict[str, float]:
+    """Return the shares of all that is named: what scatters has its share of the gap before any fit."""
+    scatters = {name: of for name, of in random_shares(before).items() if name in random.effects}
+    scatters = {name: scatters.get(name, 0.0) for name in random.effects}
+    rest = max(1.0 - sum(scatters.values()), 0.0) if share else 0.0
+    total = rest + sum(scatters.values())
+    of_all = {**{name: rest * of for name, of in share.items()}, **scatters}
+    return {name: of / total if total > 0.0 else math.nan for name, of in of_all.items()}
+
+
+def _ranking(decision: Decision, baseline: Candidate, random: Scatter) -> tuple[Ranked, ...]:
     """Return all single effects, best first, with the share of the gap's size that each closes."""
     size = math.sqrt(max(baseline.left - 1.0, 0.0))
-    ranked = []
+    ranked = [
+        (random.evidence[name], Ranked(name, random.confidence[name], random.closed[name]))
+        for name in random.evidence
+    ]
     for single, confidence in zip(decision.singles, decision.confidence, strict=True):
         left = math.sqrt(max(single.left - 1.0, 0.0))
-        ranked.append(Ranked(single.ids[-1], float(confidence), 1.0 - left / size if size else math.nan))
-    return tuple(ranked)
+        closed = 1.0 - left / size if size else math.nan
+        gained = single.evidence - baseline.evidence
+        ranked.append((gained, Ranked(single.ids[-1], float(confidence), closed)))
+    return tuple(one for _, one in sorted(ranked, key=lambda pair: -pair[0]))

@@ -90,10 +90,10 @@ class Curve:
 class Where:
     """Where the gap lies.
 
-    `stage` is that of what is named, else the one at which the residual becomes simplest; `covariates` explain the largest share first;
-    `image` holds the shares of patterns in the image (row, column, radial, mirrored, fixed, stripe_band);
-    `strata` the gap of dark, laser, arc, both frames and of the stripe's band. `z` (H, W): by how many sigmas
-    the held-out residual at each pixel exceeds its noise.
+    `stage` is that of what is named, else the one at which the residual becomes simplest; `covariates`
+    explain the largest share first; `image` holds the shares of patterns in the image (row, column, radial,
+    mirrored, fixed, stripe_band); `strata` the gap of dark, laser, arc, both frames and of the stripe's band.
+    `z` (H, W): by how many sigmas the held-out residual at each pixel exceeds its noise.
     """
 
     stage: str

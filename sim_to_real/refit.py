@@ -265,7 +265,7 @@ class _Problem:
 
 
 def flicker(expected: Expected, arc_ln: Float64) -> float:
-    """Return the relative standard deviation of the arc's output in the frames that show it, within bounds."""
+    """Return the relative standard deviation of the arc's output in the frames that show it."""
     lit = [frame.condition.arc_level > 0.0 for frame in expected.observed.frames]
     most = REGISTRY[FLICKER].parameters[0].upper
     return min(float(np.std(np.exp(arc_ln[lit]))), most) if any(lit) else 0.0

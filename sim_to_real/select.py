@@ -161,8 +161,8 @@ def _shows_arc(expected: Expected) -> bool:
     return sum(frame.condition.arc_level > 0.0 for frame in expected.observed.frames) > 2
 
 
-def confidences(of: Sequence[Candidate]) -> Float64:
-    """Return how probable each candidate (n,) is, if one of them is right."""
-    evidence = np.array([candidate.evidence for candidate in of])
+def confidences(of: Sequence[Candidate], baseline: Candidate) -> Float64:
+    """Return how probable each candidate (n,) is, if one of them is right or the baseline."""
+    evidence = np.array([*(candidate.evidence for candidate in of), baseline.evidence])
     weight = np.exp(evidence - evidence.max())
-    return np.asarray(weight / weight.sum())
+    return np.asarray(weight / weight.sum())[:-1]

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -39,8 +39,8 @@ PULLED_FROM = 2.0
 UNEXPLAINED_FROM = 2.0
 """A mean square from which there is a gap though nothing in the catalogue helps."""
 
-MOSTLY_RANDOM = 1.0
-"""What is left beside random effects is theirs if it is no larger, times this, than what they add."""
+MOSTLY_RANDOM = 0.5
+"""A gap that nothing else explains is that of random effects if they make up this share of it."""
 
 MOST_EFFECTS = 3
 """So many effects are named at most."""
@@ -85,7 +85,7 @@ def decide(
         start = refit(expected, {}, expected.neutral, steps=0)
     found, screened = candidates(expected, start, without, on_stage)
     singles, looked = tuple(found), tuple(screened)
-    p = confidences(singles)
+    p = confidences(singles, baseline)
     best = singles[0]
     if best.evidence - baseline.evidence < GAP_FROM:
         # Nothing in the catalogue helps. If there is much to be helped, it is something else.
@@ -106,10 +106,14 @@ def with_random(decision: Decision, baseline: Candidate, random: Scatter) -> Dec
     """Return the verdict with what scatters: it is named beside others, or alone if it is most of the gap."""
     if not random.effects or decision.verdict in (Verdict.EFFECTS, Verdict.AMBIGUOUS):
         return decision
-    coherent = max(baseline.left - 1.0, 0.0)
-    if decision.verdict is Verdict.UNKNOWN and coherent > MOSTLY_RANDOM * sum(random.excess.values()):
+    if decision.verdict is Verdict.UNKNOWN and sum(random_shares(random).values()) < MOSTLY_RANDOM:
         return decision
     return replace(decision, verdict=Verdict.EFFECTS, chosen=baseline)
+
+
+def random_shares(random: Scatter) -> dict[str, float]:
+    """Return the share of the mean of r^2 beyond noise that each random effect makes up."""
+    return {name: 1.0 - (1.0 - random.closed[name]) ** 2 for name in random.effects}
 
 
 def _several(
@@ -139,35 +143,26 @@ def _several(
 
 
 def with_shares(
-    expected: Expected, baseline: Candidate, decision: Decision, random: Mapping[str, float]
+    expected: Expected, baseline: Candidate, decision: Decision
 ) -> tuple[Decision, dict[str, float]]:
-    """Return the verdict without effects whose share is small, and each effect's share."""
-    share = shares(expected, baseline, decision.chosen, random)
+    """Return the verdict without effects whose share is small, and the share of each that is left."""
+    share = shares(expected, baseline, decision.chosen)
     worth = {name: of for name, of in decision.chosen.refit.effects.items() if share[name] >= LEAST_SHARE}
     if not worth or len(worth) == len(decision.chosen.ids):
         return decision, share
     chosen = judged(expected, refit(expected, worth, decision.chosen.refit.nuisance))
-    return replace(decision, chosen=chosen), shares(expected, baseline, chosen, random)
+    return replace(decision, chosen=chosen), shares(expected, baseline, chosen)
 
 
-def shares(
-    expected: Expected, baseline: Candidate, chosen: Candidate, random: Mapping[str, float]
-) -> dict[str, float]:
-    """Return each effect's share of the gap that all close together: Shapley's value (1953).
-
-    `random` are the effects that scatter with what they add to r^2: sums, whose shares are their own.
-    """
-    mean = _shares_of_mean(expected, baseline, chosen)
-    closed = baseline.left - max(chosen.left, 1.0)
-    scattered = sum(random.values())
-    total = max(closed, 0.0) + scattered
-    if total <= 0.0:
-        return mean
-    shares = {name: of * max(closed, 0.0) / total for name, of in mean.items()}
-    return {**shares, **{name: excess / total for name, excess in random.items()}}
+def not_held_up(decision: Decision, baseline: Candidate, random: Scatter) -> Decision:
+    """Return the verdict if what was chosen closes nothing in frames that nothing was fitted to."""
+    verdict = Verdict.NO_GAP if baseline.left < UNEXPLAINED_FROM else Verdict.UNKNOWN
+    found = replace(decision, verdict=verdict, chosen=baseline, ambiguous=())
+    return with_random(found, baseline, random)
 
 
-def _shares_of_mean(expected: Expected, baseline: Candidate, chosen: Candidate) -> dict[str, float]:
+def shares(expected: Expected, baseline: Candidate, chosen: Candidate) -> dict[str, float]:
+    """Return each effect's share of the gap that all close together: Shapley's value (1953)."""
     names = chosen.ids
     if len(names) < 2:
         return dict.fromkeys(names, 1.0)
