@@ -90,6 +90,9 @@ def scene(
         center[2] = offset[2] + float(corrugation_height(center[0], shape.corrugation))
         if ground is not None:
             center[2] += _higher_mm(seam, ground, center)
+            if shape.is_level:
+                # Light on level sheets asks where the edge is that hides the arc, not where the seam turns.
+                center[1] -= _beside_mm(seam, ground)
     footprint = _footprint(
         setup, T_joint_camera, (shape.vertices[:, 1].min(), shape.vertices[:, 1].max() + shape.corrugation[0])
     )
@@ -102,6 +105,11 @@ def _higher_mm(seam: SeamLine, ground: SeamLine, point_mm: Float64) -> float:
     T_seam_ground = invert(seam.frame()) @ ground.frame()
     up, origin = T_seam_ground[:3, 2], T_seam_ground[:3, 3]
     return float(origin[2] - (up[:2] @ (point_mm[:2] - origin[:2])) / up[2])
+
+
+def _beside_mm(seam: SeamLine, ground: SeamLine) -> float:
+    """Return how far to the left another stretch's seam runs of the line of a seam's own."""
+    return float((invert(seam.frame()) @ np.array([ground.station_mm, ground.y_mm, ground.z_mm, 1.0]))[1])
 
 
 def _ahead(setup: Setup, T_base_tool: Float64) -> Float64:

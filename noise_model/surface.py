@@ -79,6 +79,12 @@ class Section:
     vertices: Float64
     corrugation: Float64
 
+    @property
+    def is_level(self) -> bool:
+        """Whether all faces but walls are level across the seam, as a lap's are."""
+        width, rise = np.diff(self.vertices, axis=0).T
+        return bool(((width == 0.0) | (rise == 0.0)).all())
+
 
 def section(joint: Joint) -> Section:
     """Return a joint's cross-section as RECORDING.md draws it, seam point at y = 0."""
@@ -144,7 +150,7 @@ NOMINAL_SEAM = SeamLine()
 class BentSeam:
     """A seam that bends: straight stretches, each of which stands for what lies nearest to its station.
 
-    `lines` come in rising order of their stations. The arc stands on the plate of `ground`.
+    `lines` come in rising order of their stations. The arc stands on the plate of `ground`, and by its seam.
     """
 
     lines: tuple[SeamLine, ...]

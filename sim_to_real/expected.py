@@ -25,7 +25,7 @@ from noise_model.interreflection import BouncedLight, bounced_light
 from noise_model.optics import Camera, Rays
 from noise_model.sensor import Sensor, respond_moments
 from noise_model.setup import Setup
-from noise_model.surface import BentSeam
+from noise_model.surface import BentSeam, section
 from noise_model.view import View
 from sim_to_real.nuisances import N_CAMERA, N_LEVELS, nuisances, really_lit, really_there
 from sim_to_real.observed import Bool, Float32, Observed, ObservedFrame
@@ -39,7 +39,7 @@ SEAM_STEPS = (("y_mm", 0.02), ("z_mm", 0.02), ("slope_y", 5e-4), ("slope_z", 5e-
 """Steps of the derivatives with a seam's place and direction."""
 
 GROUND_STEP_MM = 0.02
-"""Step of the derivative with the height of the plate under the arc."""
+"""Step of the derivatives with the place of the seam under the arc."""
 
 CHARGE_STEP_E = 1.0
 """Step of the derivative with charge."""
@@ -166,9 +166,9 @@ class Expected:
 
     def _with_bend(self, frame: ObservedFrame, nuisance: Float64, effects: Effects) -> ObservedFrame:
         first, last, torch = frame.stations_mm
-        seam = self.observed.seam
+        seam, joint = self.observed.seam, self.observed.setup.joint
         coefficients = np.clip(self.seam_coefficients(nuisance), -SURE, SURE)
-        strays = seam.strays_mm(coefficients, 0.5 * (first + last), torch)
+        strays = seam.strays_mm(coefficients, 0.5 * (first + last), torch, section(joint).is_level)
         if strays < LEAST_STRAY_MM or frame.condition.arc_level == 0.0:
             return frame
         setup = really(self._setup(effects, nuisance))
@@ -326,8 +326,10 @@ class Expected:
             steps.append((rendered(self._setup(effects, there), seam), there[j] - anchor[j]))
         for name, step in SEAM_STEPS:
             steps.append((rendered(setup, _shifted(seam, name, step)), step))
-        raised = replace(seam, ground=replace(seam.ground, z_mm=seam.ground.z_mm + GROUND_STEP_MM))
-        steps.append((rendered(setup, raised), GROUND_STEP_MM))
+        for axis in ("y_mm", "z_mm"):
+            at = getattr(seam.ground, axis) + GROUND_STEP_MM
+            beside = replace(seam, ground=replace(seam.ground, **{axis: at}))
+            steps.append((rendered(setup, beside), GROUND_STEP_MM))
         # A mode moves each pixel's own stretch of the seam, and turns it about its middle.
         stations = np.array([line.station_mm for line in seam.lines])
         of_bins = stations[seam.stretch_at(here.view.surface[0][..., 0])]
@@ -337,13 +339,14 @@ class Expected:
 
         def of_source(light: Callable[[Layers], Float32]) -> Float32:
             by_step = [(light(there) - light(here)) / np.float32(step) for there, step in steps]
-            by_y, by_z, by_slope_y, by_slope_z, by_ground = by_step[N_CAMERA:]
+            by_y, by_z, by_slope_y, by_slope_z, by_ground_y, by_ground_z = by_step[N_CAMERA:]
             by_mode = []
             for n, (at, slope) in enumerate(modes):
                 is_y = n < MODES[0]
                 by_place, by_slope = (by_y, by_slope_y) if is_y else (by_z, by_slope_z)
+                by_ground = by_ground_y if is_y else by_ground_z
                 change = at.astype(np.float32) * by_place + slope.astype(np.float32) * by_slope
-                by_mode.append(change if is_y else change + np.float32(at_torch[n]) * by_ground)
+                by_mode.append(change + np.float32(at_torch[n]) * by_ground)
             return np.stack([*by_step[:N_CAMERA], *by_mode])
 
         return Tangents(

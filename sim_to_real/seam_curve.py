@@ -97,13 +97,18 @@ class SeamCurve:
             np.interp(stations_mm, self.stations_mm, slopes),
         )
 
-    def strays_mm(self, coefficients: Float64, station_mm: float, torch_mm: float) -> float:
-        """Return how far the seam strays sideways, from a station to the torch, from its tangent there."""
+    def strays_mm(self, coefficients: Float64, station_mm: float, torch_mm: float, of_chord: bool) -> float:
+        """Return how far the seam strays sideways, from a station to the torch, from its tangent there.
+
+        Or, `of_chord`, from the chord between the two.
+        """
         (y, _), (slope, _) = self.at(coefficients)
         ends = sorted((station_mm, torch_mm))
         between = (self.stations_mm >= ends[0]) & (self.stations_mm <= ends[1])
         x = self.stations_mm[between]
         y_here, slope_here = (float(np.interp(station_mm, self.stations_mm, of)) for of in (y, slope))
+        if of_chord and torch_mm != station_mm:
+            slope_here = (float(np.interp(torch_mm, self.stations_mm, y)) - y_here) / (torch_mm - station_mm)
         return float(np.abs(y[between] - y_here - slope_here * (x - station_mm)).max(initial=0.0))
 
     def bent(self, coefficients: Float64, first_mm: float, last_mm: float, torch_mm: float) -> BentSeam:
@@ -120,7 +125,8 @@ class SeamCurve:
         for station in first_mm + step * (np.arange(count) + 0.5):
             here = [float(np.interp(station, self.stations_mm, of)) for of in (y, z, slope_y, slope_z)]
             lines.append(SeamLine(float(station), *here))
-        ground = SeamLine(torch_mm, 0.0, float(np.interp(torch_mm, self.stations_mm, z)))
+        at_torch = [float(np.interp(torch_mm, self.stations_mm, of)) for of in (y, z)]
+        ground = SeamLine(torch_mm, *at_torch)
         return BentSeam(tuple(lines), ground)
 
 

@@ -48,6 +48,16 @@ def test_the_arc_stands_on_the_ground_that_is_named():
     assert not np.allclose(low.arc_e, high.arc_e)
 
 
+def test_an_edge_hides_the_arc_where_it_passes_it_not_where_a_tangent_points():
+    lap = nominal_setup("lap", "mild_steel", width=64, height=48)
+    line = SeamLine(35.0, 0.0, 0.0, 0.02)
+    # The tangent passes the torch 0.7 mm to the right, the seam itself 0.4 mm to the left.
+    bent = layers(BentSeam((line,), SeamLine(0.0, 0.4)), lap)
+    straight = layers(BentSeam((line,), SeamLine(0.0, -0.7)), lap)
+    np.testing.assert_allclose(straight.arc_e, layers(line, lap).arc_e, rtol=1e-3)
+    assert bent.view.scene.center_mm[1] - straight.view.scene.center_mm[1] == pytest.approx(-1.1, abs=1e-3)
+
+
 def test_stretches_out_of_order_are_refused():
     with pytest.raises(ValueError, match="rising order"):
         BentSeam((at(30.0), at(20.0)), SeamLine())

@@ -52,5 +52,7 @@ def test_stretches_are_tangents_and_more_where_it_turns():
 
 def test_it_strays_as_far_as_a_parabola_leaves_its_tangent():
     curve = SeamCurve.of(tracked(lambda station: 2e-3 * (station - 45.0) ** 2), 0.0, 70.0)
-    strays = curve.strays_mm(np.zeros(curve.n_modes), 55.0, 35.0)
+    strays = curve.strays_mm(np.zeros(curve.n_modes), 55.0, 35.0, False)
     assert strays == pytest.approx(2e-3 * 20.0**2, rel=0.05)
+    of_chord = curve.strays_mm(np.zeros(curve.n_modes), 55.0, 35.0, True)
+    assert of_chord == pytest.approx(2e-3 * 10.0**2, rel=0.05)
