@@ -80,14 +80,16 @@ class Spatter:
 class Streak:
     """What a line measures in its pixels.
 
-    `seen_px2` is the variance across it, `charge_e` the integral, e- of the nominal exposure. It `is_whole`
-    if neither the rim nor the model's own lines cut it, `is_full` if it saturates.
+    `seen_px2` is the variance across it, `charge_e` the integral, e- of the nominal exposure; `room_e` is
+    what saturates a pixel there. It `is_whole` if neither the rim nor the model's own lines cut it, `is_full`
+    if it saturates.
     """
 
     line: Line
     length_px: float
     seen_px2: float
     charge_e: float
+    room_e: float
     is_whole: bool
     is_full: bool
 
@@ -170,7 +172,9 @@ def _measured(observed: Observed, sensor: Sensor, of: Searched, line: Line) -> S
     is_cut = (low == 0).any() or (high == shape).any() or bool((own & guard).any())
     exposed = frame.condition.exposure_s / setup.camera.exposure_s
     length_px = math.sqrt(12.0 * (along - across))
-    return Streak(line, length_px, across, charge_e / exposed, not is_cut, bool((full & inside).any()))
+    room_e = float(linearise(saturation_dn(sensor), sensor)) - float(np.median(background_e[inside]))
+    is_full = bool((full & inside).any())
+    return Streak(line, length_px, across, charge_e / exposed, room_e / exposed, not is_cut, is_full)
 
 
 def _moments(place: Float64, charge: Float64) -> tuple[float, float, float] | None:
@@ -230,11 +234,15 @@ def _estimate(
     width_px = math.sqrt(max(float(np.median(across)), LEAST_WIDTH_PX**2))
     charge_e = np.array([s.charge_e / s.length_px for s in streaks])
     peak = charge_e / (width_px * math.sqrt(2.0 * math.pi))
+    # One that saturates says that its peak is no less than what does.
+    widened = math.hypot(width_px, observed.setup.camera.psf_sigma_px) / width_px
+    full = np.array([widened * s.room_e if s.is_full else math.inf for s in streaks])
+    peak = np.minimum(peak, full)
     limit = peak * np.array([s.line.limit_dn / s.line.response_dn for s in streaks])
-    # A peak that saturates says that it is no less: the mean of an exponential that is cut there.
+    # The mean of an exponential that is cut at either end.
     n_seen = max(sum(not s.is_full for s in streaks), 1)
     peak_e = float(np.sum(peak - limit)) / n_seen
-    searched_frames = _found_share(observed, searched, streaks, peak, peak_e)
+    searched_frames = _searched_frames(observed, searched, found, (streaks, peak), peak_e)
     # Those that are cut count for what is seen of them; an edge that one crosses may have made it longer.
     extent = np.array([line.extent for line in found]) / float(np.median([s.line.extent for s in whole]))
     n = float(np.sum(np.minimum(extent, 1.0)))
@@ -254,17 +262,24 @@ def _estimate(
     return {name: float(np.clip(value, *bounds[name])) for name, value in values.items()}, sigmas
 
 
-def _found_share(
-    observed: Observed, searched: Sequence[Searched], streaks: Sequence[Streak], peak: Float64, peak_e: float
+def _searched_frames(
+    observed: Observed,
+    searched: Sequence[Searched],
+    found: Sequence[Line],
+    peaks: tuple[Sequence[Streak], Float64],
+    peak_e: float,
 ) -> float:
-    """Return how many whole lit frames were searched: of each the area, for those peaks that are found."""
-    frames = observed.frames
+    """Return how many whole lit frames were searched: of each the area, for those peaks that are found.
+
+    One whose middle lies on another streak is not told from it.
+    """
+    frames, hit = observed.frames, _hit(observed, found)
     exposed = [frame.condition.exposure_s / observed.setup.camera.exposure_s for frame in frames]
-    response_dn = np.array([s.line.response_dn / exposed[s.line.position] for s in streaks])
-    dn_per_e = float(np.median(response_dn / peak))
+    response_dn = np.array([s.line.response_dn / exposed[s.line.position] for s in peaks[0]])
+    dn_per_e = float(np.median(response_dn / peaks[1]))
     return sum(
-        float(np.mean(np.exp(-of.limit_dn / (dn_per_e * by * peak_e))))
-        for of, by, frame in zip(searched, exposed, frames, strict=True)
+        float(np.mean(np.where(covered, 0.0, np.exp(-of.limit_dn / (dn_per_e * by * peak_e)))))
+        for of, covered, by, frame in zip(searched, hit, exposed, frames, strict=True)
         if frame.condition.arc_level > 0.0
     )
 

@@ -14,13 +14,13 @@ from tests.sim_to_real.scattered import HEIGHT, NO_MORE, SENSOR, WIDTH, Scatteri
 N_FRAMES, LENGTH_PX, WIDTH_PX, PEAK_E = 24, 40.0, 1.8, 3000.0
 
 
-def drawn(rng, rate):
+def drawn(rng, rate, peak_e=PEAK_E):
     """Streaks of the catalogue's kind in the frames with the arc on, and their peaks."""
     images, peaks = np.zeros((N_FRAMES, HEIGHT, WIDTH)), []
     for n, image in enumerate(images):
         for _ in range(rng.poisson(rate) if light_e(n)[0].any() else 0):
             at = rng.uniform(0.0, WIDTH), rng.uniform(0.0, HEIGHT), rng.uniform(0.0, math.pi)
-            peaks.append(rng.exponential(PEAK_E))
+            peaks.append(rng.exponential(peak_e))
             image += streak(*at, LENGTH_PX, WIDTH_PX, peaks[-1])
     return images, peaks
 
@@ -32,9 +32,10 @@ def found_of(images=None, seed=7):
     return spatter(expected.observed, fitted.passed, NO_MORE)
 
 
-@pytest.mark.parametrize(("seed", "rate"), [(1, 1.0), (2, 2.5)])
-def test_parameters_of_drawn_streaks_come_back(seed, rate):
-    images, peaks = drawn(np.random.default_rng(seed), rate)
+@pytest.mark.parametrize(("seed", "rate", "peak_e"), [(1, 1.0, PEAK_E), (2, 2.5, PEAK_E), (3, 1.5, 18_000.0)])
+def test_parameters_of_drawn_streaks_come_back(seed, rate, peak_e):
+    """Of peaks of 18 000 e- on average every other saturates."""
+    images, peaks = drawn(np.random.default_rng(seed), rate, peak_e)
     found = found_of(images)
     n_lit = sum(light_e(n)[0].any() for n in range(N_FRAMES))
     assert found.evidence > 5.0
