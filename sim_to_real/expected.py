@@ -17,7 +17,7 @@ import numpy as np
 import numpy.typing as npt
 from scipy.ndimage import distance_transform_edt
 
-from noise_model.effects import REGISTRY, Stage, Values, really, really_on
+from noise_model.effects import REGISTRY, Effect, Stage, Values, really, really_on
 from noise_model.effects.light import Light
 from noise_model.forward import Layers, look, pass_on
 from noise_model.frames import Float64
@@ -72,7 +72,7 @@ THREADS = 2
 class Rendered:
     """What a pose shows (h, w), e- for the nominal exposure and output, before any effect on the image.
 
-    Light is rendered in the bins that count; the others take that of the nearest.
+    Light is rendered in the bins that count and in saturated ones; the others take that of the nearest.
     """
 
     view: View
@@ -125,7 +125,7 @@ class Expected:
         self.neutral = np.zeros(len(self.nuisances))
         self._tangents: list[Tangents] | None = None
         self._rendered: dict[tuple[int, bytes, object], Rendered] = {}
-        self._nearest = [_nearest(frame.keep) for frame in observed.frames]
+        self._nearest = [_nearest(frame.rendered) for frame in observed.frames]
         self._bounced: dict[int, BouncedLight] = {}
         self._rays: dict[tuple[object, ...], Rays] = {}
         self._threads = ThreadPoolExecutor(THREADS)
@@ -256,8 +256,12 @@ class Expected:
         )
 
     def _setup(self, effects: Effects, nuisance: Float64) -> Setup:
-        stated = self.observed.binned
-        return replace(really_there(stated, nuisance), effects={**stated.effects, **effects})
+        stated, bin_px = self.observed.binned, self.observed.bin_px
+        acting = {
+            name: _in_bins(REGISTRY[name], values, bin_px)
+            for name, values in {**stated.effects, **effects}.items()
+        }
+        return replace(really_there(stated, nuisance), effects=acting)
 
     def _rays_of(self, camera: Camera) -> Rays:
         # The camera's pose does not change its rays.
@@ -276,7 +280,7 @@ class Expected:
             T_base_tool = frame.T_base_tool_in(setup)
             seam = self.seam(frame, anchor)
             rays = self._rays_of(setup.camera)
-            layers = look(setup, T_base_tool, seam, rays, np.flatnonzero(frame.keep))
+            layers = look(setup, T_base_tool, seam, rays, np.flatnonzero(frame.rendered))
             nearest = self._nearest[frame.position]
             dark = np.zeros(nearest.shape, dtype=np.float32)
             self._rendered[key] = Rendered(
@@ -355,11 +359,20 @@ class Expected:
         )
 
 
-def _nearest(keep: Bool) -> npt.NDArray[np.intp]:
-    """Return for each bin (h, w) which of those that count is nearest; its own if it counts."""
-    number = np.cumsum(keep).reshape(keep.shape) - 1
-    _, (rows, columns) = distance_transform_edt(~keep, return_indices=True)
+def _nearest(rendered: Bool) -> npt.NDArray[np.intp]:
+    """Return for each bin (h, w) which of those that are rendered is nearest; its own if it is."""
+    number = np.cumsum(rendered).reshape(rendered.shape) - 1
+    _, (rows, columns) = distance_transform_edt(~rendered, return_indices=True)
     return np.asarray(number[rows, columns])
+
+
+def _in_bins(effect: Effect, values: Values, bin_px: int) -> dict[str, float]:
+    """Return an effect's values with lengths in the image counted in bins."""
+    whole = effect.complete(values)
+    for parameter in effect.parameters:
+        if parameter.unit == "px":
+            whole[parameter.name] = max(whole[parameter.name] / bin_px, parameter.lower)
+    return whole
 
 
 def _factor(passed_e: Float32, rendered_e: Float32) -> Float32:

@@ -59,6 +59,7 @@ class ObservedFrame:
     station of the seam that are seen, and the torch's.
     `image_dn` (H, W) is the frame, `binned_dn` (h, w) its means over bins. `keep` (h, w) are the bins that
     count: unsaturated, off edges of joint and shadow, thinned off the stripe; `kept_dn` (n,) their means,
+    `rendered` (h, w) are those and the saturated ones, whose light may overflow;
     `sigma_dn` (n,) the noise of these with the model's floor, `in_stripe` (n,) whether the laser lights them.
     `stated_e` (h, w) is the light that the nominal setup puts there along the tracked seam, e-.
     """
@@ -73,6 +74,7 @@ class ObservedFrame:
     image_dn: npt.NDArray[np.integer]
     binned_dn: Float32
     keep: Bool
+    rendered: Bool
     sigma_dn: Float64
     in_stripe: Bool
     stated_e: Float32
@@ -172,7 +174,8 @@ def _observed(
     pose = T_base_tool(frame.timestamp_s)
     stations_mm = stations(setup, pose)
     layers = Renderer().layers(really(binned), pose, seam.bent(np.zeros(seam.n_modes), *stations_mm))
-    keep, in_stripe = _keep(binned, layers, condition, _usable(frame.image_dn, setup, bin_px))
+    usable = _usable(frame.image_dn, setup, bin_px)
+    keep, in_stripe = _keep(binned, layers, condition, usable)
     binned_dn = block_means(frame.image_dn, bin_px).astype(np.float32)
     return ObservedFrame(
         position,
@@ -185,6 +188,7 @@ def _observed(
         frame.image_dn,
         binned_dn,
         keep,
+        keep | ~usable,
         _sigma_dn(binned_dn, setup, bin_px)[keep],
         in_stripe[keep],
         _stated_e(setup, layers, condition),

@@ -37,7 +37,7 @@ SETTLED = 3
 DEAR_FRAMES, DEAR_CLOSES = 4, 0.3
 """What is dear is fitted to all frames if in so many of them it closes this share of the gap."""
 
-RESOLVED = 1.3
+RESOLVED = 1.1
 """What leaves a mean square below this explains all that there is: nothing dear is tried."""
 
 REFITTED = 8

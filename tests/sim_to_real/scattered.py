@@ -116,6 +116,7 @@ def observed_frame(n, image, arc, laser):
         image,
         binned_dn,
         keep,
+        keep,
         np.full(int(keep.sum()), 0.5),
         in_stripe[keep],
         block_means(arc + laser, BIN_PX).astype(np.float32),
