@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from noise_model.setup import Setup
-from sim_to_real.expected import Effects, Expected
+from sim_to_real.expected import BOUNCING, Effects, Expected
 from sim_to_real.nuisances import really_there
 from sim_to_real.observed import PoseAt
 from sim_to_real.refit import Refit
@@ -27,9 +27,11 @@ def seam_error_mm(
     """Return the rms distance, mm, of the tracker's seam from the best fit's; NaN where it sees none.
 
     The tracker takes the camera and black level of that fit, and the effects given: so that what remains is
-    what those effects do to it.
+    what those effects do to it. Light that bounces is left out: seconds for each frame, it is no light to
+    track by.
     """
-    taken = replace(really_there(setup, best.nuisance), effects={**setup.effects, **effects})
+    known = {name: values for name, values in effects.items() if name != BOUNCING}
+    taken = replace(really_there(setup, best.nuisance), effects={**setup.effects, **known})
     tracker = Tracker(taken)
     for frame in frames:
         if frame.laser_on:
