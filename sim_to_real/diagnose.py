@@ -24,7 +24,15 @@ from sim_to_real.seam_error import seam_error_mm
 from sim_to_real.select import Candidate, judged
 from sim_to_real.split import held_out
 from sim_to_real.stage import stages_of_either
-from sim_to_real.verdict import Decision, decide, not_held_up, random_shares, with_random, with_shares
+from sim_to_real.verdict import (
+    Decision,
+    closing,
+    decide,
+    not_held_up,
+    random_shares,
+    with_random,
+    with_shares,
+)
 from tracker.state import Frame
 
 HELD, LEFT_ASIDE = 0.25, 0.34
@@ -95,6 +103,8 @@ def _diagnosed(
         random = scatter(expected, after, without)
         predicted = replace(predicted, after=predicted.before, variance_after=predicted.variance)
         seam_mm = (seam_mm[0], seam_mm[0])
+    gap = measure(predicted, setup, seam_mm)
+    decision = closing(decision, gap)
     heard("saying where", 0.9)
     of_bins = covariates(expected, before)
     is_named = decision.verdict in (Verdict.EFFECTS, Verdict.AMBIGUOUS)
@@ -108,7 +118,7 @@ def _diagnosed(
         effects,
         _ranking(decision, baseline, random),
         decision.ambiguous,
-        measure(predicted, setup, seam_mm),
+        gap,
         where,
         _next(choosing, decision, alike),
         alike,

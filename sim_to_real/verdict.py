@@ -14,7 +14,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from noise_model.frames import Float64
-from sim_to_real.diagnosis import Verdict
+from sim_to_real.diagnosis import Gap, Verdict
 from sim_to_real.expected import Expected
 from sim_to_real.refit import Refit, refit
 from sim_to_real.scatter import Scatter
@@ -44,6 +44,9 @@ MOSTLY_RANDOM = 0.5
 
 MOST_EFFECTS = 3
 """So many effects are named at most."""
+
+CLOSES = 0.5
+"""The share of the gap on frames held out that effects must be able to close if they are named."""
 
 SURE = 0.9
 """A candidate that is less probable than this is not named alone."""
@@ -159,6 +162,13 @@ def not_held_up(decision: Decision, baseline: Candidate, random: Scatter) -> Dec
     verdict = Verdict.NO_GAP if baseline.left < UNEXPLAINED_FROM else Verdict.UNKNOWN
     found = replace(decision, verdict=verdict, chosen=baseline, ambiguous=())
     return with_random(found, baseline, random)
+
+
+def closing(decision: Decision, gap: Gap) -> Decision:
+    """Return the verdict; unknown if what is named surely closes less than half of the gap held out."""
+    if not decision.chosen.ids or not gap.ci95[1] < CLOSES:
+        return decision
+    return replace(decision, verdict=Verdict.UNKNOWN, ambiguous=())
 
 
 def shares(expected: Expected, baseline: Candidate, chosen: Candidate) -> dict[str, float]:
