@@ -48,6 +48,9 @@ MOST_EFFECTS = 3
 CLOSES = 0.5
 """The share of the gap on frames held out that effects must be able to close if they are named."""
 
+CLEAR_FLOORS = 3.0
+"""A gap of so many floors is clearly one."""
+
 SURE = 0.9
 """A candidate that is less probable than this is not named alone."""
 
@@ -166,9 +169,12 @@ def not_held_up(decision: Decision, baseline: Candidate, random: Scatter) -> Dec
 
 def closing(decision: Decision, gap: Gap) -> Decision:
     """Return the verdict; unknown if what is named surely closes less than half of the gap held out."""
-    if not decision.chosen.ids or not gap.ci95[1] < CLOSES:
-        return decision
-    return replace(decision, verdict=Verdict.UNKNOWN, ambiguous=())
+    ids = decision.chosen.ids
+    # Two or three effects can mimic much of another: they must leave no clear gap.
+    mimics = len(ids) > 1 and gap.after > CLEAR_FLOORS * gap.floor
+    if mimics or (ids and gap.ci95[1] < CLOSES):
+        return replace(decision, verdict=Verdict.UNKNOWN, ambiguous=())
+    return decision
 
 
 def shares(expected: Expected, baseline: Candidate, chosen: Candidate) -> dict[str, float]:
