@@ -32,6 +32,7 @@ from sim_to_real.verdict import (
     random_shares,
     with_random,
     with_shares,
+    with_withheld,
 )
 from tracker.state import Frame
 
@@ -105,6 +106,8 @@ def _diagnosed(
         seam_mm = (seam_mm[0], seam_mm[0])
     gap = measure(predicted, setup, seam_mm)
     decision = closing(decision, gap)
+    if without:
+        decision = with_withheld(decision, scatter(expected, before, ()), without)
     heard("saying where", 0.9)
     of_bins = covariates(expected, before)
     is_named = decision.verdict in (Verdict.EFFECTS, Verdict.AMBIGUOUS)

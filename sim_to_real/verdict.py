@@ -117,6 +117,16 @@ def with_random(decision: Decision, baseline: Candidate, random: Scatter) -> Dec
     return replace(decision, verdict=Verdict.EFFECTS, chosen=baseline)
 
 
+def with_withheld(decision: Decision, random: Scatter, without: Sequence[str]) -> Decision:
+    """Return the verdict; unknown if there is no gap but in what scatters, whose effect is withheld.
+
+    `random` is what scatters if nothing is withheld.
+    """
+    if decision.verdict is Verdict.NO_GAP and set(random.effects) & set(without):
+        return replace(decision, verdict=Verdict.UNKNOWN)
+    return decision
+
+
 def random_shares(random: Scatter) -> dict[str, float]:
     """Return the share of the mean of r^2 beyond noise that each random effect makes up."""
     return {name: 1.0 - (1.0 - random.closed[name]) ** 2 for name in random.effects}

@@ -1,0 +1,75 @@
+"""What becomes of a verdict when frames that nothing was fitted to have been looked at."""
+
+from dataclasses import dataclass, field
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from sim_to_real.diagnosis import Gap, Verdict
+from sim_to_real.verdict import Decision, closing, not_held_up, random_shares, with_random, with_withheld
+
+
+@dataclass
+class Scattering:
+    """The part of a `Scatter` that a verdict asks for."""
+
+    closed: dict[str, float] = field(default_factory=dict)
+
+    @property
+    def effects(self):
+        return dict.fromkeys(self.closed, {})
+
+
+def candidate(*ids, left=1.0):
+    return SimpleNamespace(ids=ids, left=left)
+
+
+def decision(verdict, *ids):
+    return Decision(verdict, candidate(*ids), (), np.empty(0), (), (), None)
+
+
+def gap(after, ci95, before=5.0, floor=0.2):
+    return Gap(before, after, floor, (before - after) / (before - floor), ci95, (1.0, 1.0), (0.0, 0.0))
+
+
+def test_an_effect_that_surely_closes_less_than_half_is_not_named():
+    named = decision(Verdict.EFFECTS, "gamma")
+    assert closing(named, gap(4.0, (0.1, 0.4))).verdict is Verdict.UNKNOWN
+    assert closing(named, gap(2.0, (0.4, 0.7))).verdict is Verdict.EFFECTS
+    assert closing(decision(Verdict.NO_GAP), gap(5.0, (0.0, 0.0))).verdict is Verdict.NO_GAP
+
+
+def test_several_effects_must_leave_no_clear_gap_and_one_may():
+    left = gap(0.9, (0.8, 0.9))
+    assert closing(decision(Verdict.EFFECTS, "fume", "gamma"), left).verdict is Verdict.UNKNOWN
+    assert closing(decision(Verdict.EFFECTS, "fume"), left).verdict is Verdict.EFFECTS
+    assert (
+        closing(decision(Verdict.EFFECTS, "fume", "gamma"), gap(0.5, (0.8, 1.0))).verdict is Verdict.EFFECTS
+    )
+
+
+@pytest.mark.parametrize(("left", "verdict"), [(1.2, Verdict.NO_GAP), (9.0, Verdict.UNKNOWN)])
+def test_what_does_not_hold_up_leaves_what_the_baseline_says(left, verdict):
+    found = not_held_up(decision(Verdict.EFFECTS, "gamma"), candidate(left=left), Scattering())
+    assert found.verdict is verdict
+    assert found.chosen.ids == ()
+
+
+def test_what_scatters_is_named_where_it_is_most_of_the_gap():
+    loud, faint = Scattering({"read_noise": 0.9}), Scattering({"read_noise": 0.1})
+    assert random_shares(loud)["read_noise"] == pytest.approx(0.99)
+    baseline = candidate()
+    assert with_random(decision(Verdict.UNKNOWN, "fume"), baseline, loud).verdict is Verdict.EFFECTS
+    assert with_random(decision(Verdict.UNKNOWN, "fume"), baseline, faint).verdict is Verdict.UNKNOWN
+    assert with_random(decision(Verdict.NO_GAP), baseline, faint).verdict is Verdict.EFFECTS
+    assert with_random(decision(Verdict.NO_GAP), baseline, Scattering()).verdict is Verdict.NO_GAP
+
+
+def test_what_scatters_and_is_withheld_is_unknown():
+    noise = Scattering({"read_noise": 0.9})
+    assert with_withheld(decision(Verdict.NO_GAP), noise, ("read_noise",)).verdict is Verdict.UNKNOWN
+    assert with_withheld(decision(Verdict.NO_GAP), noise, ("gamma",)).verdict is Verdict.NO_GAP
+    assert (
+        with_withheld(decision(Verdict.EFFECTS, "gamma"), noise, ("read_noise",)).verdict is Verdict.EFFECTS
+    )
