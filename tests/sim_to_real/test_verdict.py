@@ -18,7 +18,7 @@ class Scattering:
 
     @property
     def effects(self):
-        return dict.fromkeys(self.closed, {})
+        return {name: {} for name in self.closed}
 
 
 def candidate(*ids, left=1.0):
@@ -67,9 +67,7 @@ def test_what_scatters_is_named_where_it_is_most_of_the_gap():
 
 
 def test_what_scatters_and_is_withheld_is_unknown():
-    noise = Scattering({"read_noise": 0.9})
+    noise, named = Scattering({"read_noise": 0.9}), decision(Verdict.EFFECTS, "gamma")
     assert with_withheld(decision(Verdict.NO_GAP), noise, ("read_noise",)).verdict is Verdict.UNKNOWN
     assert with_withheld(decision(Verdict.NO_GAP), noise, ("gamma",)).verdict is Verdict.NO_GAP
-    assert (
-        with_withheld(decision(Verdict.EFFECTS, "gamma"), noise, ("read_noise",)).verdict is Verdict.EFFECTS
-    )
+    assert with_withheld(named, noise, ("read_noise",)).verdict is Verdict.EFFECTS
