@@ -22,7 +22,7 @@ from noise_model.arc_integral import gauss_nodes
 from noise_model.arc_ray import ArcKernel as ArcKernel
 from noise_model.arc_ray import follow, light_at, scratch
 from noise_model.brdf import lobe_numbers
-from noise_model.frames import Float64, invert
+from noise_model.frames import Float64, invert, transform
 from noise_model.kernel import kernel
 from noise_model.optics import Camera
 from noise_model.setup import Setup
@@ -109,7 +109,8 @@ def _higher_mm(seam: SeamLine, ground: SeamLine, point_mm: Float64) -> float:
 
 def _beside_mm(seam: SeamLine, ground: SeamLine) -> float:
     """Return how far to the left another stretch's seam runs of the line of a seam's own."""
-    return float((invert(seam.frame()) @ np.array([ground.station_mm, ground.y_mm, ground.z_mm, 1.0]))[1])
+    there = np.array([ground.station_mm, ground.y_mm, ground.z_mm])
+    return float(transform(invert(seam.frame()), there)[1])
 
 
 def _ahead(setup: Setup, T_base_tool: Float64) -> Float64:
@@ -120,10 +121,7 @@ def _ahead(setup: Setup, T_base_tool: Float64) -> Float64:
 
 def _footprint(setup: Setup, T_joint_camera: Float64, levels_mm: tuple[float, float]) -> Float64:
     """Return (2, 2): between which x and y, mm, joint frame, the camera sees the plate at two levels."""
-    camera = setup.camera
-    size = camera.width, camera.height
-    d = _rim_rays(size, (camera.fx, camera.fy, camera.cx, camera.cy), camera.distortion)
-    d = d @ T_joint_camera[:3, :3].T
+    d = _rim_rays(*setup.camera.geometry) @ T_joint_camera[:3, :3].T
     origin = T_joint_camera[:3, 3]
     # A ray that does not go down meets no plate: it is followed to a slope of 1 in 10 at most.
     down = np.minimum(d[:, 2], -0.1 * np.sqrt(np.einsum("ij,ij->i", d, d)))
@@ -135,12 +133,12 @@ def _footprint(setup: Setup, T_joint_camera: Float64, levels_mm: tuple[float, fl
 
 @lru_cache
 def _rim_rays(
-    size_px: tuple[int, int], intrinsics_px: tuple[float, float, float, float], distortion: tuple[float, ...]
+    width: int, height: int, fx: float, fy: float, cx: float, cy: float, distortion: tuple[float, ...]
 ) -> Float64:
     """Return rays (9, 3) of the image's corners, its sides' middles and its own, camera frame."""
-    camera = Camera(*size_px, *intrinsics_px, np.eye(4), distortion)
-    u, v = np.meshgrid([0.0, 0.5 * (camera.width - 1.0), camera.width - 1.0], [0.0, 0.5, 1.0])
-    rim = camera.normalised(np.column_stack([u.ravel(), v.ravel() * (camera.height - 1.0)]))
+    camera = Camera(width, height, fx, fy, cx, cy, np.eye(4), distortion)
+    u, v = np.meshgrid([0.0, 0.5 * (width - 1.0), width - 1.0], [0.0, 0.5, 1.0])
+    rim = camera.normalised(np.column_stack([u.ravel(), v.ravel() * (height - 1.0)]))
     return np.column_stack([rim, np.ones(len(rim))])
 
 

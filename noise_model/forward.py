@@ -22,7 +22,7 @@ from noise_model.effects import acting, really, really_on
 from noise_model.effects.effect import Draw
 from noise_model.effects.light import Light
 from noise_model.frames import Float64
-from noise_model.optics import Camera, Rays, blur
+from noise_model.optics import Rays, blur
 from noise_model.sensor import expose, respond_moments, saturation_dn
 from noise_model.setup import Setup
 from noise_model.stripe import stripe_light
@@ -116,7 +116,7 @@ class Renderer:
         return self._layers[key]
 
     def _rays_of(self, setup: Setup) -> Rays:
-        key = _rays_from(setup.camera)
+        key = setup.camera.geometry
         if key not in self._rays:
             _remember(self._rays, key, Rays.of(setup.camera), self._remembered)
         return self._rays[key]
@@ -152,16 +152,11 @@ def _remember(
         kept.popitem(last=False)
 
 
-def _rays_from(camera: Camera) -> tuple[object, ...]:
-    """Return all of a camera that its rays depend on, to compare by."""
-    return camera.width, camera.height, camera.fx, camera.fy, camera.cx, camera.cy, camera.distortion
-
-
 def _rendered_with(setup: Setup) -> tuple[object, ...]:
     """Return all of a setup that a pose's layers depend on, to compare by."""
     joint = setup.joint
     return (
-        _rays_from(setup.camera),
+        setup.camera.geometry,
         setup.camera.T_tool_camera.tobytes(),
         setup.filter,
         setup.laser,

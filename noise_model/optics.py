@@ -49,6 +49,11 @@ class Camera:
             raise ValueError("[camera] distortion: needs the five values k1 k2 p1 p2 k3")
 
     @property
+    def geometry(self) -> tuple[int, int, float, float, float, float, tuple[float, ...]]:
+        """All that its rays depend on, to compare by: size, fx, fy, cx, cy, distortion; its pose is not."""
+        return self.width, self.height, self.fx, self.fy, self.cx, self.cy, self.distortion
+
+    @property
     def matrix(self) -> Float64:
         """The 3x3 intrinsic matrix, px."""
         return np.array([[self.fx, 0.0, self.cx], [0.0, self.fy, self.cy], [0.0, 0.0, 1.0]])

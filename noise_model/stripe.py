@@ -87,10 +87,8 @@ def stripe_reference(setup: Setup) -> float:
 
     The middle row it is where the stripe runs along columns. Raises ValueError if the stripe is not there.
     """
-    camera = setup.camera
-    geometry = (camera.width, camera.height, camera.fx, camera.fy, camera.cx, camera.cy, camera.distortion)
-    pose = camera.T_tool_camera.tobytes()
-    return _reference(_Peaking((geometry, pose, setup.laser, setup.material), setup))
+    pose = setup.camera.T_tool_camera.tobytes()
+    return _reference(_Peaking((setup.camera.geometry, pose, setup.laser, setup.material), setup))
 
 
 @dataclass(frozen=True)

@@ -23,7 +23,7 @@ from sim_to_real.scatter import Scatter, scatter
 from sim_to_real.seam_error import seam_error_mm
 from sim_to_real.select import Candidate, judged
 from sim_to_real.split import held_out
-from sim_to_real.stage import stages_of_either
+from sim_to_real.stage import stages
 from sim_to_real.verdict import (
     Decision,
     closing,
@@ -95,16 +95,14 @@ def _diagnosed(
         (after, random.effects),
         lambda done: heard("predicting the frames held out", 0.75 + 0.15 * done),
     )
-    seam_mm = (
-        seam_error_mm(setup, {}, frames, pose_at, expected, after),
-        seam_error_mm(setup, named, frames, pose_at, expected, after),
-    )
+    off_mm = seam_error_mm(setup, {}, frames, pose_at, expected, after)
+    left_mm = seam_error_mm(setup, named, frames, pose_at, expected, after) if named else off_mm
     if named and not closes(predicted):
         decision, after, share = not_held_up(decision, baseline, scattered), before, {}
         random = scatter(expected, after, without)
         predicted = replace(predicted, after=predicted.before, variance_after=predicted.variance)
-        seam_mm = (seam_mm[0], seam_mm[0])
-    gap = measure(predicted, setup, seam_mm)
+        left_mm = off_mm
+    gap = measure(predicted, setup, (off_mm, left_mm))
     decision = closing(decision, gap)
     if without:
         decision = with_withheld(decision, scatter(expected, before, ()), without)
@@ -114,7 +112,8 @@ def _diagnosed(
     effects = _named(decision, after, random, _with_random(share, scattered, random)) if is_named else ()
     stage = effects[0].stage if effects else _simplest_stage(expected, before, of_bins)
     where = locate(of_bins, before.residuals, stage, excess_map(predicted))
-    free = free_term(covariates(expected, after), after.residuals, ~held_out(train, LEFT_ASIDE))[0]
+    of_after = of_bins if after is before else covariates(expected, after)
+    free = free_term(of_after, after.residuals, ~held_out(train, LEFT_ASIDE))[0]
     heard("done", 1.0)
     return Diagnosis(
         decision.verdict,
@@ -165,7 +164,7 @@ def _simplest_stage(expected: Expected, before: Refit, of_bins: Covariates) -> s
     """Return the stage at which the residual is simplest, of the fit or of the stated values."""
     expected.take_tangents(expected.neutral, {})
     start = Start.of(expected)
-    return stages_of_either(expected, [(before, of_bins), (start, covariates(expected, start))])[0].stage
+    return stages(expected, [(before, of_bins), (start, covariates(expected, start))])[0].stage
 
 
 def _next(expected: Expected, decision: Decision, alike: Sequence[tuple[str, str]]) -> Next | None:
@@ -207,8 +206,8 @@ def _named(
 
 def _with_random(share: Mapping[str, float], before: Scatter, random: Scatter) -> dict[str, float]:
     """Return the shares of all that is named: what scatters has its share of the gap before any fit."""
-    scatters = {name: of for name, of in random_shares(before).items() if name in random.effects}
-    scatters = {name: scatters.get(name, 0.0) for name in random.effects}
+    of_random = random_shares(before)
+    scatters = {name: of_random.get(name, 0.0) for name in random.effects}
     rest = max(1.0 - sum(scatters.values()), 0.0) if share else 0.0
     total = rest + sum(scatters.values())
     of_all = {**{name: rest * of for name, of in share.items()}, **scatters}

@@ -264,11 +264,9 @@ class Expected:
         return replace(really_there(stated, nuisance), effects=acting)
 
     def _rays_of(self, camera: Camera) -> Rays:
-        # The camera's pose does not change its rays.
-        key = (camera.fx, camera.fy, camera.cx, camera.cy, camera.distortion)
-        if key not in self._rays:
-            self._rays[key] = Rays.of(camera)
-        return self._rays[key]
+        if camera.geometry not in self._rays:
+            self._rays[camera.geometry] = Rays.of(camera)
+        return self._rays[camera.geometry]
 
     def _render(self, frame: ObservedFrame, anchor: Float64, effects: Effects) -> Rendered:
         rendering = tuple(

@@ -105,7 +105,7 @@ def candidates(
     """Return the best candidates to add one effect to a baseline, likeliest first, and the look at all."""
     ids = [name for name in FAMILIES if name not in without and name not in baseline.ids]
     if set(DEAR) & set(baseline.ids):
-        # What is dear would be computed anew for whatever is rendered.
+        # Bounced light stays as it was computed: it would not go with what changes what is rendered.
         ids = [name for name in ids if name not in RENDERING]
     on_stage("looking at every effect", 0.0)
     screened = screen(expected, baseline, ids)

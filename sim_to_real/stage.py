@@ -116,13 +116,10 @@ FORMS: tuple[Form, ...] = (
 """The stages' forms that are linear in the columns named."""
 
 
-def stages(expected: Expected, fit: Fitted, covariates: Covariates) -> tuple[StageShare, ...]:
-    """Return all stages, the one at which the residuals of a fit are simplest first."""
-    return _explained(expected, fit, covariates)[0]
+def stages(expected: Expected, fits: Sequence[tuple[Fitted, Covariates]]) -> tuple[StageShare, ...]:
+    """Return all stages, the one at which the residuals are simplest first.
 
-
-def stages_of_either(expected: Expected, fits: Sequence[tuple[Fitted, Covariates]]) -> tuple[StageShare, ...]:
-    """Return the stages for that one of several fits whose simplest form leaves least.
+    Of several fits it is those of the one whose simplest form leaves least.
 
     A large gap pulls the nuisances of a fit so far that nothing about it is simple: then the stated values
     (`covariates.Start`) are nearer the truth. They are not where the seam or the camera is off.

@@ -15,7 +15,7 @@ import numpy.typing as npt
 from scipy.ndimage import find_objects, label
 from scipy.stats import norm
 
-from noise_model.frames import Float64, invert
+from noise_model.frames import Float64, invert, transform
 from noise_model.sensor import linearise, respond, respond_moments, saturation_dn
 from noise_model.surface import seam_frame
 from sim_to_real.details import Sizes
@@ -238,5 +238,5 @@ def _on_part(observed: Observed, found: Sequence[Line]) -> Float64:
 def _seen_at(observed: Observed, frame: ObservedFrame, points: Float64) -> npt.NDArray[np.int64]:
     """Return the bins (n, 2), row and column, in which a frame sees points (n, 3), mm, base frame."""
     T_camera_base = invert(frame.T_base_tool_in(observed.binned) @ observed.binned.camera.T_tool_camera)
-    uv = observed.binned.camera.project(points @ T_camera_base[:3, :3].T + T_camera_base[:3, 3])
+    uv = observed.binned.camera.project(transform(T_camera_base, points))
     return np.rint(np.clip(uv[:, ::-1], -1e6, 1e6)).astype(np.int64)

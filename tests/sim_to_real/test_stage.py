@@ -19,7 +19,6 @@ from sim_to_real.stage import (
     linear_columns,
     ranked,
     stages,
-    stages_of_either,
     unsmooth_explained,
 )
 from tests.sim_to_real.planted import planted
@@ -110,7 +109,7 @@ def longer_arc(tmp_path_factory):
 
 def test_an_arc_that_stands_higher_is_found_by_rendering(longer_arc):
     expected, start = longer_arc
-    found = stages(expected, start, covariates(expected, start))
+    found = stages(expected, [(start, covariates(expected, start))])
     assert (found[0].stage, found[0].form) == ("source", "place of the arc")
     assert found[0].share > 0.8
 
@@ -122,7 +121,7 @@ def test_an_arc_that_stands_higher_is_found_by_rendering(longer_arc):
 def test_what_moves_otherwise_is_found_by_rendering(stage, effects, tmp_path):
     expected = small_recording(tmp_path / "moved", effects)
     start = Start.of(expected)
-    found = stages(expected, start, covariates(expected, start))
+    found = stages(expected, [(start, covariates(expected, start))])
     assert found[0].stage == stage
     assert found[0].share > 0.5
 
@@ -133,9 +132,9 @@ def test_of_two_fits_that_counts_which_leaves_less(longer_arc):
     # A fit astray: what it leaves goes with nothing that is there.
     spoiled = replace(start, residuals=start.residuals + 60.0 * level(good[1]) * noise(good[1]))
     bad = (spoiled, good[1])
-    best = stages(expected, *good)
-    assert stages(expected, *bad) != best
-    assert stages_of_either(expected, [bad, good]) == best == stages_of_either(expected, [good, bad])
+    best = stages(expected, [good])
+    assert stages(expected, [bad]) != best
+    assert stages(expected, [bad, good]) == best == stages(expected, [good, bad])
 
 
 @pytest.mark.skipif(not SHARED.is_dir(), reason="the shared recordings are not here")
@@ -146,4 +145,4 @@ def test_another_renderers_hand_eye_error_is_geometry():
     expected = Expected(observe(recording.setup, frames, lambda t: pose_at(poses, t)))
     expected.take_tangents(expected.neutral, {})
     fit = refit(expected, {}, expected.neutral)
-    assert stages(expected, fit, covariates(expected, fit))[0].stage == "geometry"
+    assert stages(expected, [(fit, covariates(expected, fit))])[0].stage == "geometry"
