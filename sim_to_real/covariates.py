@@ -169,7 +169,7 @@ def covariates(expected: Expected, fit: Fitted) -> Covariates:
     rays = Rays.of(true.camera)
     parts = []
     for frame, light in zip(observed.frames, fit.passed, strict=True):
-        seam = expected.seam(frame, anchor)
+        seam = expected.seam(frame, anchor, {})
         T_base_tool = frame.T_base_tool_in(true)
         bins = np.flatnonzero(frame.keep)
         view = View.of(true, T_base_tool, seam.middle, rays, bins, ground=seam.ground)

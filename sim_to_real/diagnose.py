@@ -9,12 +9,13 @@ from dataclasses import replace
 from threadpoolctl import threadpool_limits
 
 from noise_model.effects import REGISTRY
+from noise_model.frames import Float64
 from noise_model.setup import Setup
 from sim_to_real.covariates import Covariates, Start, covariates
 from sim_to_real.diagnosis import Diagnosis, Estimate, Named, Next, Ranked, Verdict
 from sim_to_real.expected import Expected
 from sim_to_real.free_term import free_term
-from sim_to_real.held import closes, excess_map, measure, predict_held
+from sim_to_real.held import closes, excess_map, left_in_pixels, measure, predict_held
 from sim_to_real.locate import locate
 from sim_to_real.next import best_measurement, not_resolvable, own_signatures, smallest
 from sim_to_real.observed import PoseAt, observe
@@ -73,9 +74,16 @@ def _diagnosed(
     heard("fitting what is no gap", 0.05)
     expected = Expected(train)
     before, scattered = _baseline(expected, without)
-    choosing = expected.some(~held_out(train, LEFT_ASIDE))
+    aside = held_out(train, LEFT_ASIDE)
+    choosing = expected.some(~aside)
     baseline = judged(choosing, refit(choosing, {}, before.nuisance))
-    decision = decide(choosing, baseline, without, lambda text, share: heard(text, 0.1 + 0.5 * share))
+
+    def in_pixels(fits: Sequence[Refit]) -> Float64:
+        return left_in_pixels(train.some(aside), choosing, fits, scattered.effects)
+
+    decision = decide(
+        choosing, baseline, without, in_pixels, lambda text, share: heard(text, 0.1 + 0.5 * share)
+    )
     decision = with_random(decision, baseline, scattered)
     decision, share = with_shares(choosing, baseline, decision)
     signatures = own_signatures(decision.start, decision.screened)
@@ -113,7 +121,7 @@ def _diagnosed(
     stage = effects[0].stage if effects else _simplest_stage(expected, before, of_bins)
     where = locate(of_bins, before.residuals, stage, excess_map(predicted))
     of_after = of_bins if after is before else covariates(expected, after)
-    free = free_term(of_after, after.residuals, ~held_out(train, LEFT_ASIDE))[0]
+    free = free_term(of_after, after.residuals, ~aside)[0]
     heard("done", 1.0)
     return Diagnosis(
         decision.verdict,

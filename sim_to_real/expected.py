@@ -29,7 +29,8 @@ from noise_model.surface import BentSeam, section
 from noise_model.view import View
 from sim_to_real.nuisances import N_CAMERA, N_LEVELS, nuisances, really_lit, really_there
 from sim_to_real.observed import Bool, Float32, Observed, ObservedFrame
-from sim_to_real.seam_curve import MODES
+from sim_to_real.seam_curve import MODES, SeamCurve
+from sim_to_real.sightings import MOVING
 
 Effects = Mapping[str, Values]
 
@@ -128,6 +129,7 @@ class Expected:
         self._nearest = [_nearest(frame.rendered) for frame in observed.frames]
         self._bounced: dict[int, BouncedLight] = {}
         self._rays: dict[tuple[object, ...], Rays] = {}
+        self._curves: dict[tuple[object, ...], SeamCurve] = {}
         self._threads = ThreadPoolExecutor(THREADS)
 
     def take_tangents(self, anchor: Float64, effects: Effects) -> None:
@@ -166,7 +168,7 @@ class Expected:
 
     def _with_bend(self, frame: ObservedFrame, nuisance: Float64, effects: Effects) -> ObservedFrame:
         first, last, torch = frame.stations_mm
-        seam, joint = self.observed.seam, self.observed.setup.joint
+        seam, joint = self.curve(effects), self.observed.setup.joint
         coefficients = np.clip(self.seam_coefficients(nuisance), -SURE, SURE)
         strays = seam.strays_mm(coefficients, 0.5 * (first + last), torch, section(joint).is_level)
         if strays < LEAST_STRAY_MM or frame.condition.arc_level == 0.0:
@@ -178,7 +180,7 @@ class Expected:
             look(
                 replace(setup, arc=replace(setup.arc, center_in_tool_mm=(x, y + beside, z))),
                 T_base_tool,
-                self.seam(frame, nuisance),
+                self.seam(frame, nuisance, effects),
                 self._rays_of(setup.camera),
                 np.flatnonzero(frame.keep),
             ).arc_e
@@ -225,9 +227,18 @@ class Expected:
             parts.append(J / -frame.sigma_dn[:, np.newaxis])
         return np.concatenate(parts)
 
-    def seam(self, frame: ObservedFrame, nuisance: Float64) -> BentSeam:
-        """Return the seam that a frame sees as nuisances (p,) say."""
-        return self.observed.seam.bent(self.seam_coefficients(nuisance), *frame.stations_mm)
+    def seam(self, frame: ObservedFrame, nuisance: Float64, effects: Effects) -> BentSeam:
+        """Return the seam that a frame sees as nuisances (p,) and effects say."""
+        return self.curve(effects).bent(self.seam_coefficients(nuisance), *frame.stations_mm)
+
+    def curve(self, effects: Effects) -> SeamCurve:
+        """Return the seam as the tracker finds it if it knows of effects."""
+        key = tuple((name, tuple(effects[name].items())) for name in sorted(MOVING & set(effects)))
+        if key not in self._curves:
+            if len(self._curves) >= REMEMBERED:
+                self._curves = {}
+            self._curves[key] = self.observed.seam_with(effects)
+        return self._curves[key]
 
     def seam_coefficients(self, nuisance: Float64) -> Float64:
         """Return those of the nuisances (p,) that say how the seam runs (m,)."""
@@ -276,7 +287,7 @@ class Expected:
         if key not in self._rendered:
             setup = really(self._setup(effects, anchor))
             T_base_tool = frame.T_base_tool_in(setup)
-            seam = self.seam(frame, anchor)
+            seam = self.seam(frame, anchor, effects)
             rays = self._rays_of(setup.camera)
             layers = look(setup, T_base_tool, seam, rays, np.flatnonzero(frame.rendered))
             nearest = self._nearest[frame.position]
@@ -313,7 +324,7 @@ class Expected:
     def _tangents_of(self, frame: ObservedFrame, anchor: Float64, effects: Effects) -> Tangents:
         setup = self._setup(effects, anchor)
         T_base_tool = frame.T_base_tool_in(setup)
-        seam = self.seam(frame, anchor)
+        seam = self.seam(frame, anchor, effects)
         bins = np.flatnonzero(frame.keep)
 
         def rendered(setup: Setup, seam: BentSeam) -> Layers:
@@ -335,7 +346,7 @@ class Expected:
         # A mode moves each pixel's own stretch of the seam, and turns it about its middle.
         stations = np.array([line.station_mm for line in seam.lines])
         of_bins = stations[seam.stretch_at(here.view.surface[0][..., 0])]
-        curve = self.observed.seam
+        curve = self.curve(effects)
         modes = [curve.mode_at(n, of_bins) for n in range(curve.n_modes)]
         at_torch = [curve.mode_at(n, np.array(frame.stations_mm[2]))[0] for n in range(curve.n_modes)]
 

@@ -60,7 +60,7 @@ def predict_held(
         renderer = Renderer(2)
         first = _predict(held.setup, expected, frame, *before, renderer)
         second = first if after == before else _predict(held.setup, expected, frame, *after, renderer)
-        return first, second, _counts(held.setup, expected, frame, after[0], renderer)
+        return first, second, _counts(held.setup, expected, frame, after[0], (first, second), renderer)
 
     found = []
     with ThreadPoolExecutor(THREADS) as threads:
@@ -75,6 +75,29 @@ def predict_held(
         _variances([first for first, _, _ in found], [counts for _, _, counts in found]),
         _variances([second for _, second, _ in found], [counts for _, _, counts in found]),
     )
+
+
+def left_in_pixels(aside: Observed, expected: Expected, fits: Sequence[Refit], random: Effects) -> Float64:
+    """Return what fits (n,) leave in pixels of other frames: r^2 beyond noise over that of the model's floor.
+
+    Each of `fits` is predicted with the effects that scatter besides.
+    """
+
+    def sums(frame: ObservedFrame) -> Float64:
+        renderer = Renderer(len(fits))
+        found = [_predict(aside.setup, expected, frame, fitted, random, renderer) for fitted in fits]
+        counts = _counts(aside.setup, expected, frame, fits[0], found, renderer)
+        light_dn = found[0].mean_dn - aside.setup.sensor.black_level_dn
+        floor = np.hypot(FLOOR_REL * light_dn, FLOOR_DN)
+        left = [
+            np.minimum(_squares(frame.image_dn - one.mean_dn, one.variance_dn2, counts), MOST_SQUARE).sum()
+            for one in found
+        ]
+        return np.array([*left, _squares(floor, found[0].variance_dn2, counts).sum(), counts.sum()])
+
+    with ThreadPoolExecutor(THREADS) as threads:
+        of_all = np.sum(list(threads.map(sums, aside.frames)), axis=0)
+    return np.asarray((of_all[:-2] - of_all[-1]) / of_all[-2])
 
 
 def _variances(of: Sequence[Prediction], counts: Sequence[Bool]) -> Float32:
@@ -99,7 +122,7 @@ def _predict(
     stated = _stated(setup, fitted)
     stated = replace(stated, effects={**stated.effects, **random})
     pose = frame.T_base_tool_in(stated)
-    seam = expected.seam(frame, fitted.nuisance)
+    seam = expected.seam(frame, fitted.nuisance, fitted.effects)
     condition = really_lit(frame.condition, fitted.nuisance)
     found = predict(stated, pose, condition, seam=seam, renderer=renderer)
     if FLICKER not in fitted.ids or condition.arc_level == 0.0:
@@ -136,17 +159,27 @@ def _with_own_level(recorded: npt.NDArray[np.integer], at: Callable[[float], Pre
 
 
 def _counts(
-    setup: Setup, expected: Expected, frame: ObservedFrame, fitted: Refit, renderer: Renderer
+    setup: Setup,
+    expected: Expected,
+    frame: ObservedFrame,
+    fitted: Refit,
+    predicted: Sequence[Prediction],
+    renderer: Renderer,
 ) -> Bool:
-    """Return the pixels (H, W) that count: on one face, off shadows' edges, not saturated."""
+    """Return the pixels (H, W) that count: on one face, off shadows' edges, not saturated.
+
+    What is predicted to be saturated has no spread of its own to be measured by.
+    """
     true = really(_stated(setup, fitted))
     pose = frame.T_base_tool_in(true)
-    layers = renderer.layers(true, pose, expected.seam(frame, fitted.nuisance))
+    layers = renderer.layers(true, pose, expected.seam(frame, fitted.nuisance, fitted.effects))
     bad = off_faces(layers.view.surface[2], 2 * EDGE_PX + 1)
     if frame.condition.arc_level > 0.0:
         arc = layers.arc_e
         steep = np.maximum(*(np.abs(np.gradient(arc, axis=axis)) for axis in (0, 1))) > STEEP * arc
         bad |= within(steep & (arc > 0.0), 2 * EDGE_PX + 1)
+    for one in predicted:
+        bad |= one.saturated
     return ~bad & ~within(frame.image_dn >= saturation_dn(setup.sensor), 3)
 
 
@@ -190,7 +223,7 @@ def closes(predicted: Predicted, seed: int = 0) -> bool:
     return bool(np.percentile(blocks[draws].sum(axis=1), 2.5) > 0.0)
 
 
-def _squares(of_dn: Float64 | Float32, variance: Float32, counts: Bool) -> Float64:
+def _squares(of_dn: Float64 | Float32, variance: Float64 | Float32, counts: Bool) -> Float64:
     return np.where(counts, np.square(of_dn, dtype=np.float64) / np.where(counts, variance, 1.0), 0.0)
 
 

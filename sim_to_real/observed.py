@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
 
@@ -12,7 +12,7 @@ import numpy.typing as npt
 
 from noise_model.arc_map import scene
 from noise_model.condition import Condition
-from noise_model.effects import pose_time_s, really
+from noise_model.effects import Values, pose_time_s, really
 from noise_model.forward import Layers, Renderer
 from noise_model.frames import Float64
 from noise_model.optics import Camera
@@ -20,8 +20,8 @@ from noise_model.sensor import linearise, respond_moments, saturation_dn
 from noise_model.setup import Setup
 from sim_to_real.pixels import block_means
 from sim_to_real.seam_curve import SeamCurve
+from sim_to_real.sightings import MOVING, Sightings
 from tracker.state import Frame, Pose
-from tracker.step import Tracker
 
 Bool = npt.NDArray[np.bool_]
 Float32 = npt.NDArray[np.float32]
@@ -91,7 +91,7 @@ class ObservedFrame:
 
 @dataclass(frozen=True, eq=False)
 class Observed:
-    """A recording's frames, and its seam as the tracker found it.
+    """A recording's frames, and its seam as the tracker found it by `sightings`.
 
     `setup` is as stated, `binned` the same with a camera of `bin_px` wide bins.
     """
@@ -100,7 +100,21 @@ class Observed:
     binned: Setup
     bin_px: int
     seam: SeamCurve
+    sightings: Sightings
     frames: tuple[ObservedFrame, ...]
+
+    def seam_with(self, effects: Mapping[str, Values]) -> SeamCurve:
+        """Return the seam as the tracker would have found it, had it known of effects."""
+        moving = {name: values for name, values in effects.items() if name in MOVING}
+        if not moving:
+            return self.seam
+        known = replace(self.setup, effects={**self.setup.effects, **moving})
+        ends = self.seam.stations_mm[0], self.seam.stations_mm[-1]
+        here, there = (
+            SeamCurve.of(*self.sightings.in_joint(setup), self.sightings.variances_mm2, ends)
+            for setup in (self.setup, known)
+        )
+        return replace(self.seam, mean_mm=self.seam.mean_mm + there.mean_mm - here.mean_mm)
 
     def some(self, chosen: npt.NDArray[np.bool_]) -> Observed:
         """Return a recording of some of the frames (n_frames,)."""
@@ -117,7 +131,10 @@ def observe(setup: Setup, frames: Sequence[Frame], pose_at: PoseAt) -> Observed:
     posed = [frame for frame in frames if pose_at(frame.timestamp_s) is not None]
     if not posed:
         raise ValueError("no frame has a pose: there is nothing to compare with a prediction")
-    seam = _seam(setup, posed, pose_at)
+    poses = [_tool(pose_at, frame) for frame in posed]
+    seen = [stations(setup, T(frame.timestamp_s)) for T, frame in zip(poses, posed, strict=True)]
+    sightings = Sightings.of(setup, posed, poses)
+    seam = SeamCurve.of(*sightings.in_joint(setup), sightings.variances_mm2, (np.min(seen), np.max(seen)))
     bin_px = max(LEAST_BIN_PX, round(setup.camera.width / BINNED_WIDTH))
     binned = replace(setup, camera=binned_camera(setup.camera, bin_px))
     return Observed(
@@ -125,9 +142,10 @@ def observe(setup: Setup, frames: Sequence[Frame], pose_at: PoseAt) -> Observed:
         binned,
         bin_px,
         seam,
+        sightings,
         tuple(
-            _observed(setup, binned, bin_px, position, frame, pose_at, seam)
-            for position, frame in enumerate(posed)
+            _observed(setup, binned, bin_px, position, frame, of_frame, seam)
+            for position, (frame, of_frame) in enumerate(zip(posed, poses, strict=True))
         ),
     )
 
@@ -153,15 +171,9 @@ def binned_camera(camera: Camera, bin_px: int) -> Camera:
     return replace(camera.coarser(bin_px), psf_sigma_px=float(np.sqrt(variance_px2)) / bin_px)
 
 
-def _observed(
-    setup: Setup,
-    binned: Setup,
-    bin_px: int,
-    position: int,
-    frame: Frame,
-    pose_at: PoseAt,
-    seam: SeamCurve,
-) -> ObservedFrame:
+def _tool(pose_at: PoseAt, frame: Frame) -> Callable[[float], Float64]:
+    """Return the tool's pose (4, 4) for a time about a frame's."""
+
     @lru_cache
     def T_base_tool(timestamp_s: float) -> Float64:
         pose = pose_at(timestamp_s)
@@ -170,6 +182,18 @@ def _observed(
         assert pose is not None
         return pose.T_base_tool
 
+    return T_base_tool
+
+
+def _observed(
+    setup: Setup,
+    binned: Setup,
+    bin_px: int,
+    position: int,
+    frame: Frame,
+    T_base_tool: Callable[[float], Float64],
+    seam: SeamCurve,
+) -> ObservedFrame:
     condition = stated_condition(setup, frame)
     pose = T_base_tool(frame.timestamp_s)
     stations_mm = stations(setup, pose)
@@ -233,20 +257,6 @@ def _keep(setup: Setup, layers: Layers, condition: Condition, usable: Bool) -> t
     if condition.laser_level > 0.0:
         in_stripe = layers.laser_e > STRIPE_SHARE * setup.laser.peak_e
     return keep & (thin | in_stripe), in_stripe
-
-
-def _seam(setup: Setup, frames: Sequence[Frame], pose_at: PoseAt) -> SeamCurve:
-    """Track the recording twice, so that its first frames too know where the seam is."""
-    tracker = Tracker(setup)
-    seen = []
-    for _ in range(2):
-        for frame in frames:
-            pose = pose_at(frame.timestamp_s)
-            if pose is not None:
-                seen.append(stations(setup, pose.T_base_tool))
-            if frame.laser_on:
-                tracker.step(frame, pose)
-    return SeamCurve.of(tracker.state.history, float(np.min(seen)), float(np.max(seen)))
 
 
 def stations(setup: Setup, T_base_tool: Float64) -> tuple[float, float, float]:

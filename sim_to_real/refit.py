@@ -104,9 +104,10 @@ def refit(
     x = problem.start(effects, nuisance)
     passed = problem.passed(x)
     r = expected.residuals(passed)
+    J, is_taken = problem.jacobian(x, passed, r), True
     damping = DAMPING
     for _ in range(steps):
-        J, bound = problem.jacobian(x, passed, r), huber_bound(r)
+        bound = huber_bound(r)
         quadratic = problem.quadratic(x, r, J, bound)
         cost = problem.cost(x, r, bound)
         gained = 0.0
@@ -117,13 +118,20 @@ def refit(
             new = problem.cost(x_new, r_new, bound)
             if new < cost:
                 gained = (cost - new) / cost
+                J = followed(J, x_new - x, r_new - r)
                 x, r, passed = x_new, r_new, passed_new
                 damping = max(damping * EASED, LEAST_DAMPING)
                 break
             damping /= EASED
-        if gained < SETTLED:
+        if gained < SETTLED and is_taken:
             break
-    J, bound = problem.jacobian(x, passed, r), huber_bound(r)
+        # Derivatives of what is rendered anew are dear: they are followed as long as they lead on.
+        is_taken = gained < SETTLED or not problem.is_rendered
+        if is_taken:
+            J, damping = problem.jacobian(x, passed, r), min(damping, DAMPING)
+    if not is_taken:
+        J = problem.jacobian(x, passed, r)
+    bound = huber_bound(r)
     return Refit(
         problem.ids,
         x,
@@ -163,6 +171,17 @@ def settled(expected: Expected, fitted: Refit) -> Refit:
     return fitted
 
 
+def followed(J: Float64, step: Float64, change: Float64) -> Float64:
+    """Return derivatives (n, p) after a step (p,) that changed the residuals by `change` (n,).
+
+    Broyden's update (1965, Math. Comp. 19, 577), parameters counted in what moves the residuals alike.
+    """
+    size = np.linalg.norm(J, axis=0)
+    weight = np.where(size > 0.0, size, 1.0) ** 2 * step
+    length = float(step @ weight)
+    return J + np.outer(change - J @ step, weight / length) if length > 0.0 else J
+
+
 def huber_bound(r: Float64) -> float:
     """Return Huber's bound for residuals (n,): it goes with their own spread."""
     return HUBER * max(1.0, MAD_SIGMA * float(np.median(np.abs(r))))
@@ -178,6 +197,10 @@ class _Problem:
     expected: Expected
     ids: tuple[str, ...]
     anchor: Float64 | None
+
+    @property
+    def is_rendered(self) -> bool:
+        return bool(RENDERING & set(self.ids))
 
     @property
     def all_frames(self) -> npt.NDArray[np.bool_]:

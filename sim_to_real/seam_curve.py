@@ -14,7 +14,6 @@ from scipy.linalg import cho_factor, cho_solve
 
 from noise_model.frames import Float64
 from noise_model.surface import BentSeam, SeamLine
-from tracker.follow import SeamHistory
 
 OFF_MM, OFF_SLOPE = 5.0, 0.05
 """1 sigma of how far a whole seam may lie off its nominal line, and of its slope against it."""
@@ -54,19 +53,29 @@ class SeamCurve:
     modes_mm: Float64
 
     @classmethod
-    def of(cls, history: SeamHistory, first_mm: float, last_mm: float) -> SeamCurve:
-        """Return what a tracked history says of the stations from first to last."""
+    def of(
+        cls,
+        seen_mm: Float64,
+        displacements_mm: Float64,
+        variances_mm2: Float64,
+        ends_mm: tuple[float, float],
+    ) -> SeamCurve:
+        """Return what sightings say of the stations between two ends.
+
+        They are displacements (n, 2) as y and z at stations (n,), with their variances (n, 2).
+        """
+        first_mm, last_mm = ends_mm
         stations = np.arange(first_mm, last_mm + GRID_MM, GRID_MM)
         middle = 0.5 * (first_mm + last_mm)
         mean, modes = np.zeros((2, len(stations))), []
         for axis in range(2):
             left = _prior(stations, stations, middle, BEND_MM[axis])
-            if len(history):
-                seen = _prior(history.stations_mm, history.stations_mm, middle, BEND_MM[axis])
-                factor = cho_factor(seen + np.diag(history.variances_mm2[:, axis] + SCATTER_MM**2))
-                across = _prior(history.stations_mm, stations, middle, BEND_MM[axis])
+            if len(seen_mm):
+                seen = _prior(seen_mm, seen_mm, middle, BEND_MM[axis])
+                factor = cho_factor(seen + np.diag(variances_mm2[:, axis] + SCATTER_MM**2))
+                across = _prior(seen_mm, stations, middle, BEND_MM[axis])
                 gain = cho_solve(factor, across)
-                mean[axis] = gain.T @ history.displacements_mm[:, axis]
+                mean[axis] = gain.T @ displacements_mm[:, axis]
                 left = left - across.T @ gain
             systematic = np.outer(stations - middle, stations - middle) * SYSTEMATIC_SLOPE**2
             values, vectors = np.linalg.eigh(left + SYSTEMATIC_MM**2 + systematic)

@@ -39,7 +39,7 @@ def seam_error_mm(
     history = tracker.state.history
     if len(history) == 0:
         return float("nan")
-    seam = expected.observed.seam
+    seam = expected.curve(best.effects)
     y_z, _ = seam.at(expected.seam_coefficients(best.nuisance))
     true = np.column_stack([np.interp(history.stations_mm, seam.stations_mm, of) for of in y_z])
     return float(np.sqrt(np.mean(np.sum((history.displacements_mm - true) ** 2, axis=1))))

@@ -9,12 +9,12 @@ the model's error, so the number of bins says nothing about how sure one may be.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 
-from noise_model.effects import REGISTRY
+from noise_model.effects import REGISTRY, Values
 from noise_model.frames import Float64
 from sim_to_real.expected import RENDERING, Effects, Expected
 from sim_to_real.quadratic import Quadratic
@@ -40,16 +40,28 @@ DEAR_FRAMES, DEAR_CLOSES = 4, 0.3
 RESOLVED = 1.1
 """What leaves a mean square below this explains all that there is: nothing dear is tried."""
 
-REFITTED = 8
-"""How many candidates are refitted after the first look."""
+REFITTED, REFITTED_BESIDE = 8, 4
+"""How many candidates are refitted after the first look, alone and beside effects that were chosen."""
+
+HOPELESS = 0.3
+"""What leaves this share of the gap at the first look is not refitted once another explains all of it."""
+
+ALIKE_NATS, MOST_ALIKE = 5.0, 3
+"""Candidates whose evidence in bins differs by less, so many at most, are compared in pixels."""
 
 
 @dataclass(frozen=True, eq=False)
 class Candidate:
-    """Effects fitted together: `costs` (n_frames,) are the sums of squares of frames held out of the fit."""
+    """Effects fitted together: `costs` (n_frames,) are the sums of squares of frames held out of the fit.
+
+    `left_in_pixels` is the mean square that they leave there if it was asked for, NaN if not, and `against`
+    what it says against them, nats: it sets apart those whose bins are alike.
+    """
 
     refit: Refit
     costs: Float64
+    left_in_pixels: float = math.nan
+    against: float = 0.0
 
     @property
     def ids(self) -> tuple[str, ...]:
@@ -65,7 +77,12 @@ class Candidate:
     def evidence(self) -> float:
         """The logarithm of the candidate's likelihood, less what its parameters cost."""
         n_parameters = len(self.refit.x) - self.refit.n_nuisances
-        return -0.5 * N_EFFECTIVE * math.log(max(self.left, 1.0)) - cost_nats(n_parameters)
+        return likelihood_nats(self.left) - cost_nats(n_parameters) - self.against
+
+
+def likelihood_nats(left: float) -> float:
+    """Return the logarithm of the likelihood of residuals' mean square: 1 is as good as can be."""
+    return -0.5 * N_EFFECTIVE * math.log(max(left, 1.0))
 
 
 def cost_nats(n_parameters: int) -> float:
@@ -96,35 +113,46 @@ def judged(expected: Expected, fitted: Refit) -> Candidate:
     return Candidate(fitted, costs)
 
 
-def candidates(
-    expected: Expected,
-    baseline: Refit,
-    without: Sequence[str],
-    on_stage: Callable[[str, float], None],
-) -> tuple[list[Candidate], list[Screened]]:
-    """Return the best candidates to add one effect to a baseline, likeliest first, and the look at all."""
+def looked(expected: Expected, baseline: Refit, without: Sequence[str]) -> list[Screened]:
+    """Look at every effect that might be added to a baseline; those that leave least first."""
     ids = [name for name in FAMILIES if name not in without and name not in baseline.ids]
     if set(DEAR) & set(baseline.ids):
         # Bounced light stays as it was computed: it would not go with what changes what is rendered.
         ids = [name for name in ids if name not in RENDERING]
-    on_stage("looking at every effect", 0.0)
-    screened = screen(expected, baseline, ids)
-    starts: dict[str, Mapping[str, float]] = {one.id: one.start for one in screened[:REFITTED]}
+    return screen(expected, baseline, ids)
+
+
+def candidates(
+    expected: Expected,
+    baseline: Refit,
+    screened: Sequence[Screened],
+    gap: float,
+    without: Sequence[str],
+    on_stage: Callable[[str, float], None],
+) -> list[Candidate]:
+    """Return the best candidates to add one effect to a baseline, likeliest first.
+
+    `gap` is what is left without any, R - 1: a baseline may stand where nuisances have not been fitted.
+    """
+    found: list[Candidate] = []
     if FLICKER not in without and FLICKER not in baseline.ids and _shows_arc(expected):
-        starts[FLICKER] = REGISTRY[FLICKER].neutral
-    found = []
-    for n, (name, start) in enumerate(starts.items()):
-        on_stage(f"fitting {name}", n / len(starts))
-        fitted = refit(expected, {**baseline.effects, name: start}, baseline.nuisance)
+        effects: dict[str, Values] = {**baseline.effects, FLICKER: REGISTRY[FLICKER].neutral}
+        found.append(judged(expected, refit(expected, effects, baseline.nuisance)))
+    most = REFITTED_BESIDE if baseline.ids else REFITTED
+    for n, one in enumerate(screened[:most]):
+        if _is_explained(found) and one.left * baseline.mean_square - 1.0 > HOPELESS * gap:
+            continue
+        on_stage(f"fitting {one.id}", 0.2 + 0.6 * n / most)
+        fitted = refit(expected, {**baseline.effects, one.id: one.start}, baseline.nuisance)
         found.append(judged(expected, fitted))
     found = _best_first(found)
-    if found[0].left > RESOLVED:
+    if not _is_explained(found):
         # The best come nearer where light is rendered anew: which of them is best shows only then.
         for n in range(min(SETTLED, len(found))):
             on_stage(f"fitting {found[n].ids[-1]} again", 0.8 + 0.05 * n)
             found[n] = judged(expected, settled(expected, found[n].refit))
         found = _best_first(found)
-    if found[0].left > RESOLVED and _has_corners(expected):
+    if not _is_explained(found) and _has_corners(expected):
         expected.take_tangents(baseline.nuisance, baseline.effects)
         for name, start in DEAR.items():
             on_stage(f"looking at {name}", 0.95)
@@ -133,7 +161,28 @@ def candidates(
                 continue
             fitted = refit(expected, effects, baseline.nuisance)
             found.append(judged(expected, settled(expected, fitted)))
-    return _best_first(found), screened
+    return _best_first(found)
+
+
+def told_apart(
+    found: Sequence[Candidate], in_pixels: Callable[[Sequence[Refit]], Float64]
+) -> list[Candidate]:
+    """Return candidates, likeliest first, those that bins find alike weighed by the pixels.
+
+    A bin sees no blur: what widens a stripe and what dims it are much the same to it. `in_pixels` gives the
+    mean squares (n,) that fits leave in pixels.
+    """
+    best = found[0].evidence
+    alike = [one for one in found if best - one.evidence < ALIKE_NATS][:MOST_ALIKE]
+    if len(alike) < 2 and _is_explained(found):
+        return list(found)
+    left = in_pixels([one.refit for one in alike]).tolist()
+    most = max(likelihood_nats(of) for of in left)
+    weighed = [
+        replace(one, left_in_pixels=of, against=most - likelihood_nats(of))
+        for one, of in zip(alike, left, strict=True)
+    ]
+    return _best_first([*weighed, *found[len(alike) :]])
 
 
 def _worth_it(expected: Expected, baseline: Refit, effects: Effects) -> bool:
@@ -147,6 +196,10 @@ def _worth_it(expected: Expected, baseline: Refit, effects: Effects) -> bool:
     before = refit(few, baseline.effects, baseline.nuisance).mean_square
     after = refit(few, effects, baseline.nuisance).mean_square
     return before - max(after, 1.0) > DEAR_CLOSES * (before - 1.0)
+
+
+def _is_explained(found: Sequence[Candidate]) -> bool:
+    return any(candidate.left <= RESOLVED for candidate in found)
 
 
 def _best_first(found: Sequence[Candidate]) -> list[Candidate]:

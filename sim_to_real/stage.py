@@ -377,7 +377,7 @@ class _Views:
             dark = np.zeros(len(place), dtype=np.float32)
             if condition.arc_level == 0.0 and condition.laser_level == 0.0:
                 return dark, dark
-            seam = self.expected.seam(frame, self.fit.nuisance)
+            seam = self.expected.seam(frame, self.fit.nuisance, {})
             seam = BentSeam((seam.middle,), seam.ground)
             T_base_tool = frame.T_base_tool_in(true, delay_s)
             T_base_tool = T_base_tool if T_plate_base is None else T_plate_base @ T_base_tool

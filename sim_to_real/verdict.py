@@ -19,7 +19,16 @@ from sim_to_real.expected import Expected
 from sim_to_real.refit import Refit, refit
 from sim_to_real.scatter import Scatter
 from sim_to_real.screen import Screened
-from sim_to_real.select import Candidate, candidates, confidences, judged
+from sim_to_real.select import (
+    RESOLVED,
+    Candidate,
+    candidates,
+    confidences,
+    cost_nats,
+    judged,
+    looked,
+    told_apart,
+)
 
 GAP_FROM = 3.0
 """Evidence, nats, by which the best candidate must beat the baseline."""
@@ -80,32 +89,49 @@ def left_over(candidate: Candidate, baseline: Candidate) -> float:
     return min(max(candidate.left - 1.0, 0.0) / gap, 1.0) if gap > 0.0 else math.nan
 
 
+def is_explained(candidate: Candidate, baseline: Candidate) -> bool:
+    """Say whether effects explain a gap: little is left of it in bins, or nothing clear in pixels."""
+    return left_over(candidate, baseline) <= EXPLAINED or candidate.left_in_pixels <= RESOLVED
+
+
 def decide(
-    expected: Expected, baseline: Candidate, without: Sequence[str], on_stage: Callable[[str, float], None]
+    expected: Expected,
+    baseline: Candidate,
+    without: Sequence[str],
+    in_pixels: Callable[[Sequence[Refit]], Float64],
+    on_stage: Callable[[str, float], None],
 ) -> Decision:
-    """Look for the effects that explain what a baseline leaves."""
+    """Look for the effects that explain what a baseline leaves.
+
+    `in_pixels` gives the mean squares (n,) that fits leave in the pixels of frames left aside.
+    """
     start = baseline.refit
     if baseline.left > PULLED_FROM:
         # A large gap pulls nuisances far off, where no effect could fit: candidates start from the stated.
         expected.take_tangents(expected.neutral, {})
         start = refit(expected, {}, expected.neutral, steps=0)
-    found, screened = candidates(expected, start, without, on_stage)
-    singles, looked = tuple(found), tuple(screened)
+    on_stage("looking at every effect", 0.0)
+    screened = tuple(looked(expected, start, without))
+    if -baseline.evidence - cost_nats(1) < GAP_FROM:
+        # Nothing could leave so little that it would be preferred.
+        return Decision(Verdict.NO_GAP, baseline, (), np.zeros(0), (), screened, start)
+    found = candidates(expected, start, screened, baseline.left - 1.0, without, on_stage)
+    singles = tuple(told_apart(found, in_pixels) if found[0].evidence > baseline.evidence else found)
     p = confidences(singles, baseline)
     best = singles[0]
     if best.evidence - baseline.evidence < GAP_FROM:
         # Nothing in the catalogue helps. If there is much to be helped, it is something else.
         verdict = Verdict.NO_GAP if baseline.left < UNEXPLAINED_FROM else Verdict.UNKNOWN
-        return Decision(verdict, baseline, singles, p, (), looked, start)
-    if left_over(best, baseline) <= EXPLAINED:
+        return Decision(verdict, baseline, singles, p, (), screened, start)
+    if is_explained(best, baseline):
         likely = tuple(one.ids[0] for one, share in zip(singles, p, strict=True) if share >= IN_SET)
         if p[0] >= SURE or len(likely) == 1:
-            return Decision(Verdict.EFFECTS, best, singles, p, (), looked, start)
-        return Decision(Verdict.AMBIGUOUS, best, singles, p, (likely,), looked, start)
+            return Decision(Verdict.EFFECTS, best, singles, p, (), screened, start)
+        return Decision(Verdict.AMBIGUOUS, best, singles, p, (likely,), screened, start)
     several = _several(expected, baseline, best, without, on_stage)
     if several is None:
-        return Decision(Verdict.UNKNOWN, best, singles, p, (), looked, start)
-    return Decision(Verdict.EFFECTS, several, singles, p, (), looked, start)
+        return Decision(Verdict.UNKNOWN, best, singles, p, (), screened, start)
+    return Decision(Verdict.EFFECTS, several, singles, p, (), screened, start)
 
 
 def with_random(decision: Decision, baseline: Candidate, random: Scatter) -> Decision:
@@ -142,7 +168,9 @@ def _several(
     """Return effects that explain the gap together, None if none do: forward steps, then backward."""
     chosen = best
     while len(chosen.ids) < MOST_EFFECTS and left_over(chosen, baseline) > EXPLAINED:
-        further, _ = candidates(expected, chosen.refit, without, on_stage)
+        on_stage("looking for further effects", 0.0)
+        screened = looked(expected, chosen.refit, without)
+        further = candidates(expected, chosen.refit, screened, chosen.left - 1.0, without, on_stage)
         if not further or further[0].evidence - chosen.evidence < GAP_FROM:
             return None
         if left_over(further[0], baseline) > (1.0 - WORTH) * left_over(chosen, baseline):

@@ -81,13 +81,13 @@ class SensorGeometry:
         return points_px if self.along_rows else points_px[:, ::-1]
 
 
-def to_laser_plane(geometry: SensorGeometry, image_points_px: Float64) -> tuple[Float64, Float64]:
+def to_laser_plane(setup: Setup, image_points_px: Float64) -> tuple[Float64, Float64]:
     """Return where image points (n, 2) meet the laser plane, (n, 3) mm, tool frame, and their rays (n, 3).
 
     A ray that runs away from the plane gives NaN.
     """
-    camera = geometry.setup.camera
-    plane = np.asarray(geometry.setup.laser.plane_in_tool)
+    camera = setup.camera
+    plane = np.asarray(setup.laser.plane_in_tool)
     xy = camera.normalised(image_points_px)
     rays_tool = np.column_stack([xy, np.ones(len(xy))]) @ camera.T_tool_camera[:3, :3].T
     origin = camera.T_tool_camera[:3, 3]

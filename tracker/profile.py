@@ -46,7 +46,7 @@ def triangulate(
     position, sigma = position_px[scan.astype(int)], sigma_px[scan.astype(int)]
     points = []
     for shift in (-0.5, 0.0, 0.5):
-        points_tool, _ = to_laser_plane(geometry, geometry.image_points(scan, position + shift))
+        points_tool, _ = to_laser_plane(geometry.setup, geometry.image_points(scan, position + shift))
         points_joint = transform(view.T_joint_tool, points_tool)
         points_joint[:, 2] -= corrugation_height(points_joint[:, 0], view.shape.corrugation)
         points.append(points_joint)

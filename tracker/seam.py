@@ -10,7 +10,7 @@ import numpy as np
 from noise_model.arc_map import Scene
 from noise_model.frames import Float64, invert, transform
 from noise_model.setup import Setup
-from noise_model.surface import SeamLine, corrugation_height, seam_frame, seam_height_mm
+from noise_model.surface import SeamLine, corrugation_height, seam_frame, seam_height_mm, section
 from tracker import flags
 from tracker.follow import SeamHistory
 from tracker.geometry import SensorGeometry, to_laser_plane
@@ -90,6 +90,15 @@ def seam_point_tool(setup: Setup, view: Scene, y_mm: float, z_mm: float) -> Floa
     return point
 
 
+def seam_displacement(setup: Setup, T_joint_tool: Float64, seam_tool: Float64) -> tuple[float, Float64]:
+    """Return the station of a seam point (3,), tool frame, and its displacement (2,) from the path, mm."""
+    station, y, z = transform(T_joint_tool, seam_tool)
+    height = seam_height_mm(setup.joint) + float(
+        corrugation_height(station, section(setup.joint).corrugation)
+    )
+    return float(station), np.array([y, z - height])
+
+
 def hand_eye_variance(geometry: SensorGeometry, nominal: Scene, seam_tool: Float64) -> Float64:
     """Return the variance (2,) of the seam's (y, z), mm^2, that the stated hand-eye tolerance leaves.
 
@@ -107,13 +116,8 @@ def hand_eye_variance(geometry: SensorGeometry, nominal: Scene, seam_tool: Float
             T_camera_moved[a, b], T_camera_moved[b, a] = -angle, angle
         else:
             T_camera_moved[axis - 3, 3] = tolerance.hand_eye_mm
-        moved = replace(
-            geometry,
-            setup=replace(
-                geometry.setup, camera=replace(camera, T_tool_camera=camera.T_tool_camera @ T_camera_moved)
-            ),
-        )
-        point, _ = to_laser_plane(moved, image)
+        turned = replace(camera, T_tool_camera=camera.T_tool_camera @ T_camera_moved)
+        point, _ = to_laser_plane(replace(geometry.setup, camera=turned), image)
         shift = R_joint_tool @ (point[0] - seam_tool)
         total += shift[1:] ** 2
     return total

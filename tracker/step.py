@@ -13,9 +13,9 @@ from scipy.special import erf
 
 from noise_model.arc import level as current_level
 from noise_model.arc_map import Scene, arc_kernel, scene
-from noise_model.frames import Float64, transform
+from noise_model.frames import Float64
 from noise_model.setup import Setup
-from noise_model.surface import SeamLine, corrugation_height, seam_height_mm
+from noise_model.surface import SeamLine
 from tracker import flags
 from tracker.arc_level import UNKNOWN, ArcLevel, estimate_arc_level
 from tracker.expected import expect_stripe
@@ -30,6 +30,7 @@ from tracker.seam import (
     hand_eye_variance,
     pixels_per_mm,
     pose_flags,
+    seam_displacement,
     seam_point_tool,
     sources,
 )
@@ -200,9 +201,7 @@ def _locate(
 ) -> tuple[Float64, float, Float64]:
     """Return the seam point (3,), tool frame, its station and its displacement (2,) from the path, mm."""
     seam_tool = seam_point_tool(setup, view, joint.y_mm, joint.z_mm)
-    station, y, z = transform(nominal.T_joint_tool, seam_tool)
-    height = seam_height_mm(setup.joint) + float(corrugation_height(station, nominal.shape.corrugation))
-    return seam_tool, float(station), np.array([y, z - height])
+    return seam_tool, *seam_displacement(setup, nominal.T_joint_tool, seam_tool)
 
 
 def _follow(

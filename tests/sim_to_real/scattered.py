@@ -86,7 +86,7 @@ def recorded(rng, scattering=NOTHING, n_frames=18, with_stripe=True):
         frames.append(observed_frame(n, image, arc, laser))
         passed.append(as_passed(nominal, frames[-1], arc, laser))
     binned = replace(nominal, camera=binned_camera(nominal.camera, BIN_PX))
-    observed = Observed(nominal, binned, BIN_PX, None, tuple(frames))
+    observed = Observed(nominal, binned, BIN_PX, None, None, tuple(frames))
     return SimpleNamespace(observed=observed), SimpleNamespace(passed=tuple(passed))
 
 

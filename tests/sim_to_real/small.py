@@ -2,6 +2,7 @@
 
 from dataclasses import replace
 from pathlib import Path
+from unittest.mock import patch
 
 import numpy as np
 
@@ -9,6 +10,7 @@ from arctrack.recording import pose_at, read_recording
 from arctrack.simulate import SimulationPlan, simulate_recording
 from sim_to_real.expected import Expected
 from sim_to_real.observed import observe
+from sim_to_real.sightings import Sightings
 
 EXAMPLE = Path(__file__).parents[2] / "examples" / "v_groove"
 SMALL = 6
@@ -33,8 +35,15 @@ def recorded(path, effects, plan=EXACT):
 
 def small_recording(path, effects):
     """The model held against such a recording, whose seam is taken to be nominal."""
-    observed = observe(*recorded(path, effects))
-    seam = replace(observed.seam, mean_mm=np.zeros_like(observed.seam.mean_mm))
-    expected = Expected(replace(observed, seam=seam))
+    in_joint = Sightings.in_joint
+
+    def nominal(sightings, setup):
+        stations, displacements = in_joint(sightings, setup)
+        return stations, np.zeros_like(displacements)
+
+    # Not the tracker's own error with so coarse a camera is looked at: a bin at an edge would show it.
+    with patch.object(Sightings, "in_joint", nominal):
+        observed = observe(*recorded(path, effects))
+    expected = Expected(observed)
     expected.take_tangents(expected.neutral, {})
     return expected

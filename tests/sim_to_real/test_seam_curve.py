@@ -4,21 +4,20 @@ import numpy as np
 import pytest
 
 from sim_to_real.seam_curve import MODES, SeamCurve
-from tracker.follow import SeamHistory
 
 
 def tracked(y_of, sigma_mm=0.01):
-    history = SeamHistory()
-    for station in np.arange(30.0, 60.0, 1.5):
-        history = history.with_measurement(station, np.array([y_of(station), 0.2]), np.full(2, sigma_mm**2))
-    return history
+    """The curve of a seam that was seen over a part of its stations."""
+    stations = np.arange(30.0, 60.0, 1.5)
+    displacements = np.column_stack([[y_of(station) for station in stations], np.full(len(stations), 0.2)])
+    return SeamCurve.of(stations, displacements, np.full_like(displacements, sigma_mm**2), (0.0, 70.0))
 
 
 def test_the_curve_runs_through_what_was_tracked():
     def y(station):
         return 0.8 * np.sin(2.0 * np.pi * station / 100.0)
 
-    curve = SeamCurve.of(tracked(y), 0.0, 70.0)
+    curve = tracked(y)
     (found, height), (slope, _) = curve.at(np.zeros(curve.n_modes))
     inside = (curve.stations_mm >= 32.0) & (curve.stations_mm <= 58.0)
     np.testing.assert_allclose(found[inside], y(curve.stations_mm[inside]), atol=0.02)
@@ -28,20 +27,20 @@ def test_the_curve_runs_through_what_was_tracked():
 
 
 def test_modes_are_small_where_the_seam_was_seen():
-    curve = SeamCurve.of(tracked(lambda station: 0.0), 0.0, 70.0)
+    curve = tracked(lambda station: 0.0)
     spread = np.sqrt(np.sum(curve.modes_mm[: MODES[0]] ** 2, axis=0))
     assert spread[curve.stations_mm == 45.0][0] < 0.5 * spread[curve.stations_mm == 0.0][0]
 
 
 def test_a_seam_that_was_never_seen_is_the_nominal_one_give_or_take():
-    curve = SeamCurve.of(SeamHistory(), 0.0, 50.0)
+    curve = SeamCurve.of(np.empty(0), np.empty((0, 2)), np.empty((0, 2)), (0.0, 50.0))
     np.testing.assert_array_equal(curve.mean_mm, 0.0)
     assert np.abs(curve.modes_mm[0]).max() > 1.0
 
 
 def test_stretches_are_tangents_and_more_where_it_turns():
-    straight = SeamCurve.of(tracked(lambda station: 0.1), 0.0, 70.0)
-    bent = SeamCurve.of(tracked(lambda station: 2e-3 * (station - 45.0) ** 2), 0.0, 70.0)
+    straight = tracked(lambda station: 0.1)
+    bent = tracked(lambda station: 2e-3 * (station - 45.0) ** 2)
     none = np.zeros(straight.n_modes)
     assert len(straight.bent(none, 30.0, 60.0, 0.0).lines) == 1
     lines = bent.bent(none, 30.0, 60.0, 0.0).lines
@@ -51,7 +50,7 @@ def test_stretches_are_tangents_and_more_where_it_turns():
 
 
 def test_it_strays_as_far_as_a_parabola_leaves_its_tangent():
-    curve = SeamCurve.of(tracked(lambda station: 2e-3 * (station - 45.0) ** 2), 0.0, 70.0)
+    curve = tracked(lambda station: 2e-3 * (station - 45.0) ** 2)
     strays = curve.strays_mm(np.zeros(curve.n_modes), 55.0, 35.0, False)
     assert strays == pytest.approx(2e-3 * 20.0**2, rel=0.05)
     of_chord = curve.strays_mm(np.zeros(curve.n_modes), 55.0, 35.0, True)

@@ -28,7 +28,9 @@ def test_points_of_the_sheet_come_back(upright: bool) -> None:
     y, z = np.meshgrid(np.linspace(-8.0, 8.0, 9), np.linspace(-5.0, 3.0, 5))
     points_tool = np.column_stack([np.full(y.size, 35.0), y.ravel(), z.ravel()])
     camera = geometry.setup.camera
-    found, _ = to_laser_plane(geometry, camera.project(transform(invert(camera.T_tool_camera), points_tool)))
+    found, _ = to_laser_plane(
+        geometry.setup, camera.project(transform(invert(camera.T_tool_camera), points_tool))
+    )
     np.testing.assert_allclose(found, points_tool, atol=1e-6)
 
 
@@ -76,6 +78,6 @@ def test_a_single_point_has_no_spacing() -> None:
 
 def test_rays_that_run_away_from_the_sheet_are_nan() -> None:
     geometry = SensorGeometry.of(small_setup("v_groove"))
-    points, _ = to_laser_plane(geometry, np.array([[160.0, -1e5], [160.0, 120.0], [160.0, 1e5]]))
+    points, _ = to_laser_plane(geometry.setup, np.array([[160.0, -1e5], [160.0, 120.0], [160.0, 1e5]]))
     assert np.isfinite(points[1]).all()
     assert np.isnan(points).any()
