@@ -43,6 +43,9 @@ BLOCK_PX = 40
 DRAWS = 400
 """How often."""
 
+CHANCE_SIGMAS = 3.0
+"""By so many sigmas a sum of squares may be off by chance."""
+
 MOST_SQUARE = 25.0
 """The largest square of a residual that counts when it is asked whether an effect helps: a streak is none."""
 
@@ -80,7 +83,8 @@ def predict_held(
 def left_in_pixels(aside: Observed, expected: Expected, fits: Sequence[Refit], random: Effects) -> Float64:
     """Return what fits (n,) leave in pixels of other frames: r^2 beyond noise over that of the model's floor.
 
-    Each of `fits` is predicted with the effects that scatter besides.
+    Each of `fits` is predicted with the effects that scatter besides. Of few pixels the mean of r^2 is off by
+    chance: that much is no gap either.
     """
 
     def sums(frame: ObservedFrame) -> Float64:
@@ -97,7 +101,8 @@ def left_in_pixels(aside: Observed, expected: Expected, fits: Sequence[Refit], r
 
     with ThreadPoolExecutor(THREADS) as threads:
         of_all = np.sum(list(threads.map(sums, aside.frames)), axis=0)
-    return np.asarray((of_all[:-2] - of_all[-1]) / of_all[-2])
+    by_chance = CHANCE_SIGMAS * np.sqrt(2.0 * of_all[-1])
+    return np.asarray((of_all[:-2] - of_all[-1]) / (of_all[-2] + by_chance))
 
 
 def _variances(of: Sequence[Prediction], counts: Sequence[Bool]) -> Float32:

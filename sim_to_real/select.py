@@ -34,6 +34,9 @@ FOLDS = 5
 SETTLED = 3
 """So many of the best are fitted again where they came to."""
 
+IN_REACH = 4.0
+"""But not if they leave so many times what the best one leaves of a gap."""
+
 DEAR_FRAMES, DEAR_CLOSES = 4, 0.3
 """What is dear is fitted to all frames if in so many of them it closes this share of the gap."""
 
@@ -148,20 +151,34 @@ def candidates(
     found = _best_first(found)
     if not _is_explained(found):
         # The best come nearer where light is rendered anew: which of them is best shows only then.
-        for n in range(min(SETTLED, len(found))):
-            on_stage(f"fitting {found[n].ids[-1]} again", 0.8 + 0.05 * n)
-            found[n] = judged(expected, settled(expected, found[n].refit))
-        found = _best_first(found)
-    if not _is_explained(found) and _has_corners(expected):
-        expected.take_tangents(baseline.nuisance, baseline.effects)
-        for name, start in DEAR.items():
-            on_stage(f"looking at {name}", 0.95)
-            effects = {**baseline.effects, name: start}
-            if name in without or name in baseline.ids or not _worth_it(expected, baseline, effects):
+        for n, near in enumerate(found[:SETTLED]):
+            if near.left - 1.0 > IN_REACH * (min(one.left for one in found) - 1.0):
                 continue
-            fitted = refit(expected, effects, baseline.nuisance)
-            found.append(judged(expected, settled(expected, fitted)))
+            on_stage(f"fitting {near.ids[-1]} again", 0.8 + 0.05 * n)
+            found[n] = judged(expected, settled(expected, near.refit))
     return _best_first(found)
+
+
+def with_dear(
+    expected: Expected,
+    baseline: Refit,
+    found: Sequence[Candidate],
+    without: Sequence[str],
+    on_stage: Callable[[str, float], None],
+) -> list[Candidate]:
+    """Return candidates, likeliest first, with those that take longer than all others together."""
+    every = list(found)
+    if expected.observed.setup.joint.type == "flat":
+        return every
+    expected.take_tangents(baseline.nuisance, baseline.effects)
+    for name, start in DEAR.items():
+        on_stage(f"looking at {name}", 0.95)
+        effects = {**baseline.effects, name: start}
+        if name in without or name in baseline.ids or not _worth_it(expected, baseline, effects):
+            continue
+        fitted = refit(expected, effects, baseline.nuisance)
+        every.append(judged(expected, settled(expected, fitted)))
+    return _best_first(every)
 
 
 def told_apart(
@@ -204,10 +221,6 @@ def _is_explained(found: Sequence[Candidate]) -> bool:
 
 def _best_first(found: Sequence[Candidate]) -> list[Candidate]:
     return sorted(found, key=lambda candidate: -candidate.evidence)
-
-
-def _has_corners(expected: Expected) -> bool:
-    return expected.observed.setup.joint.type != "flat"
 
 
 def _shows_arc(expected: Expected) -> bool:

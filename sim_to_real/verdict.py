@@ -28,6 +28,7 @@ from sim_to_real.select import (
     judged,
     looked,
     told_apart,
+    with_dear,
 )
 
 GAP_FROM = 3.0
@@ -112,11 +113,16 @@ def decide(
         start = refit(expected, {}, expected.neutral, steps=0)
     on_stage("looking at every effect", 0.0)
     screened = tuple(looked(expected, start, without))
-    if -baseline.evidence - cost_nats(1) < GAP_FROM:
-        # Nothing could leave so little that it would be preferred.
-        return Decision(Verdict.NO_GAP, baseline, (), np.zeros(0), (), screened, start)
+    if not screened or -baseline.evidence - cost_nats(1) < GAP_FROM:
+        # There is nothing to be tried, or none could leave so little that it would be preferred.
+        verdict = Verdict.NO_GAP if baseline.left < UNEXPLAINED_FROM else Verdict.UNKNOWN
+        return Decision(verdict, baseline, (), np.zeros(0), (), screened, start)
     found = candidates(expected, start, screened, baseline.left - 1.0, without, on_stage)
-    singles = tuple(told_apart(found, in_pixels) if found[0].evidence > baseline.evidence else found)
+    if found[0].evidence > baseline.evidence:
+        found = told_apart(found, in_pixels)
+    if found[0].left > RESOLVED and not is_explained(found[0], baseline):
+        found = with_dear(expected, start, found, without, on_stage)
+    singles = tuple(found)
     p = confidences(singles, baseline)
     best = singles[0]
     if best.evidence - baseline.evidence < GAP_FROM:
@@ -170,8 +176,12 @@ def _several(
     while len(chosen.ids) < MOST_EFFECTS and left_over(chosen, baseline) > EXPLAINED:
         on_stage("looking for further effects", 0.0)
         screened = looked(expected, chosen.refit, without)
+        if not screened:
+            return None
         further = candidates(expected, chosen.refit, screened, chosen.left - 1.0, without, on_stage)
-        if not further or further[0].evidence - chosen.evidence < GAP_FROM:
+        if further[0].left > RESOLVED and left_over(further[0], baseline) > EXPLAINED:
+            further = with_dear(expected, chosen.refit, further, without, on_stage)
+        if further[0].evidence - chosen.evidence < GAP_FROM:
             return None
         if left_over(further[0], baseline) > (1.0 - WORTH) * left_over(chosen, baseline):
             return None

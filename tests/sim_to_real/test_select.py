@@ -1,0 +1,89 @@
+"""Candidates that bins find alike are told apart by pixels; derivatives are followed from step to step."""
+
+import math
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from sim_to_real.held import left_in_pixels
+from sim_to_real.refit import followed, refit
+from sim_to_real.select import ALIKE_NATS, Candidate, likelihood_nats, told_apart
+from sim_to_real.verdict import is_explained
+from tests.sim_to_real.small import small_recording
+
+
+def candidate(name, left, n_parameters=1):
+    fit = SimpleNamespace(
+        ids=(name,),
+        x=np.zeros(n_parameters),
+        n_nuisances=0,
+        quadratic=SimpleNamespace(counts=np.array([50])),
+    )
+    return Candidate(fit, np.array([50.0 * left]))
+
+
+def ids(found):
+    return [one.ids[0] for one in found]
+
+
+def pixels(**left):
+    asked = []
+
+    def in_pixels(fits):
+        asked.append([fit.ids[0] for fit in fits])
+        return np.array([left[fit.ids[0]] for fit in fits])
+
+    return in_pixels, asked
+
+
+def test_pixels_decide_between_what_bins_find_alike():
+    in_pixels, asked = pixels(drift=4.0, defocus=0.8)
+    alike = [candidate("drift", 1.40), candidate("defocus", 1.45)]
+    found = told_apart([*alike, candidate("gamma", 9.0)], in_pixels)
+    assert asked == [["drift", "defocus"]]
+    assert ids(found) == ["defocus", "drift", "gamma"]
+    assert found[0].evidence - found[1].evidence == pytest.approx(
+        -likelihood_nats(4.0) + likelihood_nats(1.45) - likelihood_nats(1.40)
+    )
+
+
+def test_pixels_are_not_asked_where_one_explains_all_and_none_is_like_it():
+    in_pixels, asked = pixels(gamma=1.0)
+    found = told_apart([candidate("gamma", 1.0), candidate("fume", 9.0)], in_pixels)
+    assert asked == []
+    assert math.isnan(found[0].left_in_pixels)
+    assert candidate("fume", 9.0).evidence < candidate("gamma", 1.0).evidence - ALIKE_NATS
+
+
+def test_what_leaves_nothing_clear_in_pixels_explains_a_gap():
+    in_pixels, _ = pixels(defocus=0.9)
+    (found,) = told_apart([candidate("defocus", 2.0)], in_pixels)
+    baseline = candidate("", 5.0, 0)
+    assert is_explained(found, baseline)
+    assert not is_explained(candidate("defocus", 2.0), baseline)
+
+
+def test_followed_derivatives_tell_what_the_step_did_and_leave_the_rest():
+    rng = np.random.default_rng(3)
+    J, step = rng.standard_normal((40, 3)), np.array([0.3, 0.0, 0.0])
+    change = J @ step + rng.standard_normal(40)
+    after = followed(J, step, change)
+    np.testing.assert_allclose(after @ step, change)
+    np.testing.assert_array_equal(after[:, 1:], J[:, 1:])
+    np.testing.assert_array_equal(followed(J, np.zeros(3), change), J)
+
+
+def test_followed_derivatives_do_not_depend_on_units():
+    rng = np.random.default_rng(4)
+    J, step, change = rng.standard_normal((40, 3)), rng.standard_normal(3), rng.standard_normal(40)
+    units = np.array([1e-3, 1.0, 1e4])
+    np.testing.assert_allclose(followed(J * units, step / units, change) / units, followed(J, step, change))
+
+
+def test_in_pixels_the_right_effect_leaves_little_of_what_the_baseline_does(tmp_path):
+    expected = small_recording(tmp_path / "recording", {"gamma": {"gamma": 1.3}})
+    without = refit(expected, {}, expected.neutral)
+    with_it = refit(expected, {"gamma": {"gamma": 1.2}}, expected.neutral)
+    of_gap, of_right = left_in_pixels(expected.observed, expected, [without, with_it], {})
+    assert 20.0 * of_right < of_gap
