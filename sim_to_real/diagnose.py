@@ -23,7 +23,7 @@ from sim_to_real.refit import Refit, refit, settled
 from sim_to_real.scatter import Scatter, scatter
 from sim_to_real.seam_error import seam_error_mm
 from sim_to_real.select import Candidate, judged
-from sim_to_real.split import held_out
+from sim_to_real.split import held_out, one_of_each
 from sim_to_real.stage import stages
 from sim_to_real.verdict import (
     Decision,
@@ -78,8 +78,10 @@ def _diagnosed(
     choosing = expected.some(~aside)
     baseline = judged(choosing, refit(choosing, {}, before.nuisance))
 
+    looked_at = one_of_each(train.some(aside))
+
     def in_pixels(fits: Sequence[Refit]) -> Float64:
-        return left_in_pixels(train.some(aside), choosing, fits, scattered.effects)
+        return left_in_pixels(looked_at, choosing, fits, scattered.effects)
 
     decision = decide(
         choosing, baseline, without, in_pixels, lambda text, share: heard(text, 0.1 + 0.5 * share)
@@ -118,7 +120,12 @@ def _diagnosed(
     of_bins = covariates(expected, before)
     is_named = decision.verdict in (Verdict.EFFECTS, Verdict.AMBIGUOUS)
     effects = _named(decision, after, random, _with_random(share, scattered, random)) if is_named else ()
-    stage = effects[0].stage if effects else _simplest_stage(expected, before, of_bins)
+    if effects:
+        stage = effects[0].stage
+    elif decision.verdict is Verdict.NO_GAP:
+        stage = stages(expected, [(before, of_bins)])[0].stage
+    else:
+        stage = _simplest_stage(expected, before, of_bins)
     where = locate(of_bins, before.residuals, stage, excess_map(predicted))
     of_after = of_bins if after is before else covariates(expected, after)
     free = free_term(of_after, after.residuals, ~aside)[0]
@@ -159,8 +166,7 @@ def _baseline(expected: Expected, without: Sequence[str]) -> tuple[Refit, Scatte
     expected.take_tangents(expected.neutral, {})
     fitted = refit(expected, {}, expected.neutral)
     expected.allow_for_bends(fitted.nuisance, {})
-    expected.take_tangents(fitted.nuisance, {})
-    fitted = refit(expected, {}, fitted.nuisance)
+    fitted = settled(expected, fitted)
     random = scatter(expected, fitted, without)
     if random.effects:
         expected.take_noise(random.sigmas_dn)

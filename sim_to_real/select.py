@@ -49,6 +49,9 @@ REFITTED, REFITTED_BESIDE = 8, 4
 HOPELESS = 0.3
 """What leaves this share of the gap at the first look is not refitted once another explains all of it."""
 
+FIRST, HARDLY_CLOSES = 3, 0.95
+"""So many are refitted whatever they leave at the first look, others only if that is less of the gap."""
+
 ALIKE_NATS, MOST_ALIKE = 5.0, 3
 """Candidates whose evidence in bins differs by less, so many at most, are compared in pixels."""
 
@@ -143,7 +146,12 @@ def candidates(
         found.append(judged(expected, refit(expected, effects, baseline.nuisance)))
     most = REFITTED_BESIDE if baseline.ids else REFITTED
     for n, one in enumerate(screened[:most]):
-        if _is_explained(found) and one.left * baseline.mean_square - 1.0 > HOPELESS * gap:
+        left = one.left * baseline.mean_square - 1.0
+        if _is_explained(found):
+            is_hopeless = left > HOPELESS * gap
+        else:
+            is_hopeless = n >= FIRST and left > HARDLY_CLOSES * gap
+        if is_hopeless:
             continue
         on_stage(f"fitting {one.id}", 0.2 + 0.6 * n / most)
         fitted = refit(expected, {**baseline.effects, one.id: one.start}, baseline.nuisance)
@@ -152,7 +160,8 @@ def candidates(
     if not _is_explained(found):
         # The best come nearer where light is rendered anew: which of them is best shows only then.
         for n, near in enumerate(found[:SETTLED]):
-            if near.left - 1.0 > IN_REACH * (min(one.left for one in found) - 1.0):
+            reach = min(gap, IN_REACH * (min(one.left for one in found) - 1.0))
+            if near.left - 1.0 > reach:
                 continue
             on_stage(f"fitting {near.ids[-1]} again", 0.8 + 0.05 * n)
             found[n] = judged(expected, settled(expected, near.refit))
@@ -182,9 +191,9 @@ def with_dear(
 
 
 def told_apart(
-    found: Sequence[Candidate], in_pixels: Callable[[Sequence[Refit]], Float64]
-) -> list[Candidate]:
-    """Return candidates, likeliest first, those that bins find alike weighed by the pixels.
+    found: Sequence[Candidate], baseline: Candidate, in_pixels: Callable[[Sequence[Refit]], Float64]
+) -> tuple[list[Candidate], Candidate]:
+    """Return candidates, likeliest first, those that bins find alike weighed by the pixels; and the baseline.
 
     A bin sees no blur: what widens a stripe and what dims it are much the same to it. `in_pixels` gives the
     mean squares (n,) that fits leave in pixels.
@@ -192,14 +201,15 @@ def told_apart(
     best = found[0].evidence
     alike = [one for one in found if best - one.evidence < ALIKE_NATS][:MOST_ALIKE]
     if len(alike) < 2 and _is_explained(found):
-        return list(found)
-    left = in_pixels([one.refit for one in alike]).tolist()
+        return list(found), baseline
+    of_baseline, *left = in_pixels([one.refit for one in (baseline, *alike)]).tolist()
     most = max(likelihood_nats(of) for of in left)
     weighed = [
         replace(one, left_in_pixels=of, against=most - likelihood_nats(of))
         for one, of in zip(alike, left, strict=True)
     ]
-    return _best_first([*weighed, *found[len(alike) :]])
+    every = _best_first([*weighed, *found[len(alike) :]])
+    return every, replace(baseline, left_in_pixels=of_baseline)
 
 
 def _worth_it(expected: Expected, baseline: Refit, effects: Effects) -> bool:

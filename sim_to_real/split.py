@@ -27,6 +27,13 @@ def held_out(observed: Observed, share: float) -> Bool:
     return held
 
 
+def one_of_each(observed: Observed) -> Observed:
+    """Return the middle frame of each kind of condition."""
+    chosen = np.zeros(len(observed.frames), dtype=bool)
+    chosen[[members[len(members) // 2] for members in _kinds(observed)]] = True
+    return observed.some(chosen)
+
+
 def folds(observed: Observed, count: int) -> Int64:
     """Return each frame's fold (n_frames,), 0 to count - 1: those of a kind are dealt out in turn."""
     fold = np.zeros(len(observed.frames), dtype=np.int64)

@@ -37,6 +37,9 @@ GAP_FROM = 3.0
 EXPLAINED = 0.12
 """A gap of which more is left is not explained."""
 
+AT_FLOOR = 1.5
+"""What leaves less in pixels shows no gap there: the model's floor is 1."""
+
 LEAST_SHARE = 0.15
 """An effect with a smaller share of what is closed is not named beside others."""
 
@@ -91,8 +94,11 @@ def left_over(candidate: Candidate, baseline: Candidate) -> float:
 
 
 def is_explained(candidate: Candidate, baseline: Candidate) -> bool:
-    """Say whether effects explain a gap: little is left of it in bins, or nothing clear in pixels."""
-    return left_over(candidate, baseline) <= EXPLAINED or candidate.left_in_pixels <= RESOLVED
+    """Say whether effects explain a gap: little is left of it in bins, or in pixels if they show it."""
+    if left_over(candidate, baseline) <= EXPLAINED:
+        return True
+    shown = baseline.left_in_pixels - 1.0
+    return baseline.left_in_pixels > AT_FLOOR and candidate.left_in_pixels - 1.0 <= EXPLAINED * shown
 
 
 def decide(
@@ -119,12 +125,17 @@ def decide(
         return Decision(verdict, baseline, (), np.zeros(0), (), screened, start)
     found = candidates(expected, start, screened, baseline.left - 1.0, without, on_stage)
     if found[0].evidence > baseline.evidence:
-        found = told_apart(found, in_pixels)
-    if found[0].left > RESOLVED and not is_explained(found[0], baseline):
+        found, baseline = told_apart(found, baseline, in_pixels)
+    is_open = found[0].left > RESOLVED and not is_explained(found[0], baseline)
+    is_small = baseline.left < UNEXPLAINED_FROM and baseline.left_in_pixels <= AT_FLOOR
+    if is_open and not is_small:
         found = with_dear(expected, start, found, without, on_stage)
     singles = tuple(found)
     p = confidences(singles, baseline)
     best = singles[0]
+    if is_open and is_small:
+        # What bins still show and nothing explains is too little to be seen in pixels.
+        return Decision(Verdict.NO_GAP, baseline, singles, p, (), screened, start)
     if best.evidence - baseline.evidence < GAP_FROM:
         # Nothing in the catalogue helps. If there is much to be helped, it is something else.
         verdict = Verdict.NO_GAP if baseline.left < UNEXPLAINED_FROM else Verdict.UNKNOWN

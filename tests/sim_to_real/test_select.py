@@ -27,8 +27,12 @@ def ids(found):
     return [one.ids[0] for one in found]
 
 
+BASELINE = candidate("", 5.0, 0)
+
+
 def pixels(**left):
-    asked = []
+    """What pixels say of fits; of the baseline that it leaves 20."""
+    asked, left = [], {"": 20.0, **left}
 
     def in_pixels(fits):
         asked.append([fit.ids[0] for fit in fits])
@@ -40,8 +44,9 @@ def pixels(**left):
 def test_pixels_decide_between_what_bins_find_alike():
     in_pixels, asked = pixels(drift=4.0, defocus=0.8)
     alike = [candidate("drift", 1.40), candidate("defocus", 1.45)]
-    found = told_apart([*alike, candidate("gamma", 9.0)], in_pixels)
-    assert asked == [["drift", "defocus"]]
+    found, baseline = told_apart([*alike, candidate("gamma", 9.0)], BASELINE, in_pixels)
+    assert asked == [["", "drift", "defocus"]]
+    assert baseline.left_in_pixels == 20.0
     assert ids(found) == ["defocus", "drift", "gamma"]
     assert found[0].evidence - found[1].evidence == pytest.approx(
         -likelihood_nats(4.0) + likelihood_nats(1.45) - likelihood_nats(1.40)
@@ -50,18 +55,26 @@ def test_pixels_decide_between_what_bins_find_alike():
 
 def test_pixels_are_not_asked_where_one_explains_all_and_none_is_like_it():
     in_pixels, asked = pixels(gamma=1.0)
-    found = told_apart([candidate("gamma", 1.0), candidate("fume", 9.0)], in_pixels)
+    found, baseline = told_apart([candidate("gamma", 1.0), candidate("fume", 9.0)], BASELINE, in_pixels)
     assert asked == []
     assert math.isnan(found[0].left_in_pixels)
+    assert baseline is BASELINE
     assert candidate("fume", 9.0).evidence < candidate("gamma", 1.0).evidence - ALIKE_NATS
 
 
-def test_what_leaves_nothing_clear_in_pixels_explains_a_gap():
-    in_pixels, _ = pixels(defocus=0.9)
-    (found,) = told_apart([candidate("defocus", 2.0)], in_pixels)
-    baseline = candidate("", 5.0, 0)
+def test_what_leaves_little_of_what_pixels_show_explains_a_gap():
+    in_pixels, _ = pixels(defocus=0.9, fume=9.0)
+    (found,), baseline = told_apart([candidate("defocus", 2.0)], BASELINE, in_pixels)
     assert is_explained(found, baseline)
-    assert not is_explained(candidate("defocus", 2.0), baseline)
+    assert not is_explained(candidate("defocus", 2.0), BASELINE)
+    (found,), baseline = told_apart([candidate("fume", 2.0)], BASELINE, in_pixels)
+    assert not is_explained(found, baseline)
+
+
+def test_a_gap_that_pixels_do_not_show_is_not_explained_by_them():
+    in_pixels, _ = pixels(**{"": 1.3, "defocus": 0.9})
+    (found,), baseline = told_apart([candidate("defocus", 2.0)], BASELINE, in_pixels)
+    assert not is_explained(found, baseline)
 
 
 def test_followed_derivatives_tell_what_the_step_did_and_leave_the_rest():
