@@ -6,13 +6,14 @@ import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 
-from sim_to_real.split import folds, held_out
+from sim_to_real.split import folds, held_out, one_of_each
 
 KINDS = st.lists(st.sampled_from(["dark", "laser", "arc", "both"]), min_size=1, max_size=40)
 
 
 def recording(kinds):
-    return SimpleNamespace(frames=[SimpleNamespace(position=n, stratum=kind) for n, kind in enumerate(kinds)])
+    frames = [SimpleNamespace(position=n, stratum=kind) for n, kind in enumerate(kinds)]
+    return SimpleNamespace(frames=frames, some=lambda chosen: np.flatnonzero(chosen).tolist())
 
 
 @given(KINDS, st.floats(0.05, 0.5))
@@ -29,3 +30,12 @@ def test_folds_share_the_frames_evenly(kinds, count):
     fold = folds(recording(kinds), count)
     sizes = np.bincount(fold, minlength=count)
     assert sizes.max() - sizes.min() <= 1
+
+
+@given(KINDS)
+def test_the_middle_frame_of_each_kind_stands_for_it(kinds):
+    chosen = one_of_each(recording(kinds))
+    assert sorted(kinds[n] for n in chosen) == sorted(set(kinds))
+    for n in chosen:
+        before, behind = (sum(kind == kinds[n] for kind in of) for of in (kinds[:n], kinds[n + 1 :]))
+        assert behind in (before, before - 1)
