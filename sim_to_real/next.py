@@ -22,10 +22,9 @@ from noise_model.setup import Setup
 from sim_to_real.diagnosis import Estimate, Next
 from sim_to_real.expected import Expected
 from sim_to_real.observed import ObservedFrame
-from sim_to_real.refit import N_EFFECTIVE, Refit
+from sim_to_real.refit import N_EFFECTIVE, NAMED_FROM, Refit
 from sim_to_real.screen import Screened
 from sim_to_real.select import cost_nats
-from sim_to_real.verdict import GAP_FROM
 
 ALIKE = 0.98
 """A signature of which this share, as a cosine, lies in another's span cannot be told from it."""
@@ -76,7 +75,7 @@ def smallest(signatures: Mapping[str, Float64], screened: Sequence[Screened]) ->
     for one in screened:
         n = len(one.signature)
         per_unit = float(np.sum(signatures[one.id][:, 0] ** 2)) / n
-        evidence = GAP_FROM + cost_nats(len(REGISTRY[one.id].parameters))
+        evidence = NAMED_FROM + cost_nats(len(REGISTRY[one.id].parameters))
         needed = math.expm1(2.0 * evidence / N_EFFECTIVE)
         if per_unit > 0.0:
             parameter, step = one.place
@@ -166,7 +165,7 @@ def best_measurement(expected: Expected, one: Refit, other: Refit) -> Next:
     ]
     apart = [float(np.mean(((a - b) / template.sigma_dn) ** 2)) for a, b in zip(*means, strict=True)]
     best = int(np.argmax(apart))
-    resolves = 0.5 * N_EFFECTIVE * math.log1p(apart[best]) > GAP_FROM
+    resolves = 0.5 * N_EFFECTIVE * math.log1p(apart[best]) > NAMED_FROM
     return Next(MENU[best].name, (*one.ids, *other.ids), resolves)
 
 

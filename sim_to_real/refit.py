@@ -24,6 +24,9 @@ MAD_SIGMA = 1.4826
 N_EFFECTIVE = 100.0
 """How many residuals say something of their own."""
 
+NAMED_FROM = 3.0
+"""Evidence, nats, by which effects must beat their absence."""
+
 ITERATIONS = 8
 """Steps at most."""
 

@@ -20,12 +20,9 @@ from noise_model.frames import Float64
 from sim_to_real.details import Details, Sizes, details, pattern, sizes
 from sim_to_real.expected import Expected
 from sim_to_real.observed import Bool, Observed
-from sim_to_real.refit import Refit
+from sim_to_real.refit import NAMED_FROM, Refit
 from sim_to_real.spatter import Spatter, spatter
 from sim_to_real.speckle import WHITE_OFF, speckle
-
-NAMED_FROM = 3.0
-"""Evidence, nats, from which an effect is there."""
 
 VARIANCE_OFF = 0.02
 """1 sigma of what a predicted variance is off, relative: rounding, the response near black."""

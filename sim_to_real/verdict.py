@@ -16,7 +16,7 @@ import numpy as np
 from noise_model.frames import Float64
 from sim_to_real.diagnosis import Gap, Verdict
 from sim_to_real.expected import Expected
-from sim_to_real.refit import Refit, refit
+from sim_to_real.refit import NAMED_FROM, Refit, refit
 from sim_to_real.scatter import Scatter
 from sim_to_real.screen import Screened
 from sim_to_real.select import (
@@ -30,9 +30,6 @@ from sim_to_real.select import (
     told_apart,
     with_dear,
 )
-
-GAP_FROM = 3.0
-"""Evidence, nats, by which the best candidate must beat the baseline."""
 
 EXPLAINED = 0.12
 """A gap of which more is left is not explained."""
@@ -119,7 +116,7 @@ def decide(
         start = refit(expected, {}, expected.neutral, steps=0)
     on_stage("looking at every effect", 0.0)
     screened = tuple(looked(expected, start, without))
-    if not screened or -baseline.evidence - cost_nats(1) < GAP_FROM:
+    if not screened or -baseline.evidence - cost_nats(1) < NAMED_FROM:
         # There is nothing to be tried, or none could leave so little that it would be preferred.
         verdict = Verdict.NO_GAP if baseline.left < UNEXPLAINED_FROM else Verdict.UNKNOWN
         return Decision(verdict, baseline, (), np.zeros(0), (), screened, start)
@@ -136,7 +133,7 @@ def decide(
     if is_open and is_small:
         # What bins still show and nothing explains is too little to be seen in pixels.
         return Decision(Verdict.NO_GAP, baseline, singles, p, (), screened, start)
-    if best.evidence - baseline.evidence < GAP_FROM:
+    if best.evidence - baseline.evidence < NAMED_FROM:
         # Nothing in the catalogue helps. If there is much to be helped, it is something else.
         verdict = Verdict.NO_GAP if baseline.left < UNEXPLAINED_FROM else Verdict.UNKNOWN
         return Decision(verdict, baseline, singles, p, (), screened, start)
@@ -192,7 +189,7 @@ def _several(
         further = candidates(expected, chosen.refit, screened, chosen.left - 1.0, without, on_stage)
         if further[0].left > RESOLVED and left_over(further[0], baseline) > EXPLAINED:
             further = with_dear(expected, chosen.refit, further, without, on_stage)
-        if further[0].evidence - chosen.evidence < GAP_FROM:
+        if further[0].evidence - chosen.evidence < NAMED_FROM:
             return None
         if left_over(further[0], baseline) > (1.0 - WORTH) * left_over(chosen, baseline):
             return None
@@ -202,7 +199,7 @@ def _several(
     for name in chosen.ids[:-1]:
         fewer = {other: values for other, values in chosen.refit.effects.items() if other != name}
         without_it = judged(expected, refit(expected, fewer, chosen.refit.nuisance))
-        if chosen.evidence - without_it.evidence < GAP_FROM:
+        if chosen.evidence - without_it.evidence < NAMED_FROM:
             chosen = without_it
     return chosen
 
