@@ -68,6 +68,12 @@ class Parameter:
             raise ValueError(f"{self.name}: a step of {self.step} does not fit between its bounds")
 
 
+def within_bounds(parameters: Sequence[Parameter], x: Float64) -> Float64:
+    """Return values (p,) of parameters, those outside their bounds put on them."""
+    lower, upper = zip(*((p.lower, p.upper) for p in parameters), strict=True)
+    return np.clip(x, lower, upper)
+
+
 @dataclass(frozen=True, eq=False)
 class Fit:
     """The result of a fit of parameters (p,) to residuals (n,).

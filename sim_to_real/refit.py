@@ -10,7 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from noise_model.effects import REGISTRY, Values
-from noise_model.fit import Parameter
+from noise_model.fit import Parameter, within_bounds
 from noise_model.frames import Float64
 from sim_to_real.expected import RENDERING, Expected, Passed
 from sim_to_real.quadratic import Quadratic
@@ -115,7 +115,7 @@ def refit(
         cost = problem.cost(x, r, bound)
         gained = 0.0
         while damping < DAMPED_MOST:
-            x_new = problem.clipped(quadratic.solve(problem.all_frames, damping))
+            x_new = within_bounds(problem.parameters, quadratic.solve(problem.all_frames, damping))
             passed_new = problem.passed(x_new)
             r_new = expected.residuals(passed_new)
             new = problem.cost(x_new, r_new, bound)
@@ -235,11 +235,7 @@ class _Problem:
             np.zeros(len(self.counts)) if name == FLICKER else list(REGISTRY[name].complete(of).values())
             for name, of in effects.items()
         ]
-        return self.clipped(np.concatenate([nuisance, *values]))
-
-    def clipped(self, x: Float64) -> Float64:
-        lower, upper = zip(*((p.lower, p.upper) for p in self.parameters), strict=True)
-        return np.clip(x, lower, upper)
+        return within_bounds(self.parameters, np.concatenate([nuisance, *values]))
 
     def effects(self, x: Float64) -> dict[str, dict[str, float]]:
         return {

@@ -14,7 +14,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from noise_model.effects import REGISTRY, Values
-from noise_model.fit import Parameter
+from noise_model.fit import Parameter, within_bounds
 from noise_model.frames import Float64
 from sim_to_real.expected import BOUNCING, Expected, Passed
 from sim_to_real.quadratic import Quadratic
@@ -174,7 +174,8 @@ def _tried(expected: Expected, baseline: Refit, r: Float64, name: str, family: F
     along = x[len(baseline.x) :]
     if not np.abs(along).max() > LEAST:
         along = np.full(len(t), LEAST)
-    values = start + along @ steps
+    # On a bound by rounding is beyond it.
+    values = within_bounds(effect.parameters, start + along @ steps)
     moving, value = next(iter(family.places[0].items()))
     return Screened(
         name,

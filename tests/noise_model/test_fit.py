@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 from scipy.stats import norm, t
 
-from noise_model.fit import Fit, Parameter, correlation, fit, student_t
+from noise_model.fit import Fit, Parameter, correlation, fit, student_t, within_bounds
 
 Float64 = NDArray[np.float64]
 
@@ -256,3 +256,10 @@ def test_a_problem_that_cannot_be_posed_is_refused() -> None:
         fit(two, lambda p: p, huber=0.0)
     with pytest.raises(KeyError):
         fit(two, lambda p: p).value("c")
+
+
+def test_values_outside_their_bounds_are_put_on_them() -> None:
+    parameters = [Parameter("free", "", 0.0), Parameter("share", "", 0.5, lower=0.0, upper=1.0)]
+    np.testing.assert_array_equal(within_bounds(parameters, np.array([-7.0, -1e-18])), [-7.0, 0.0])
+    np.testing.assert_array_equal(within_bounds(parameters, np.array([7.0, 1.5])), [7.0, 1.0])
+    np.testing.assert_array_equal(within_bounds(parameters, np.array([7.0, 0.3])), [7.0, 0.3])
