@@ -75,6 +75,14 @@ class Layers:
         """The laser stripe (...,), e- for `camera.exposure_s`, at its nominal output."""
         return self._of_stretches(stripe_light)
 
+    @cached_property
+    def faces(self) -> npt.NDArray[np.integer]:
+        """The face that each pixel (...,) shows, `visibility.MISS` past the workpiece."""
+        faces = self.view.surface[2].copy()
+        for pixels, view in self.stretches:
+            faces.reshape(-1)[pixels] = view.surface[2].reshape(-1)
+        return faces
+
     def _of_stretches(self, light: Callable[[View], Float32]) -> Float32:
         if not self.stretches:
             return light(self.view)
@@ -128,12 +136,18 @@ def look(
     seam: Seam,
     rays: Rays,
     pixels: npt.NDArray[np.integer] | None = None,
+    stretch: npt.NDArray[np.integer] | None = None,
 ) -> Layers:
-    """Return the layers of a pose; `setup` is what is really there, `rays` are its camera's."""
+    """Return the layers of a pose; `setup` is what is really there, `rays` are its camera's.
+
+    `stretch` (n,) says which stretch of a bent seam each pixel shows, where that is not to be found anew:
+    light is not quite steady from one to the next, and a small step's difference would show it.
+    """
     if isinstance(seam, SeamLine):
         return Layers(View.of(setup, T_base_tool, seam, rays, pixels))
     view = View.of(setup, T_base_tool, seam.middle, rays, pixels, ground=seam.ground)
-    stretch = seam.stretch_at(view.surface[0][..., 0].reshape(-1))
+    if stretch is None:
+        stretch = seam.stretch_at(view.surface[0][..., 0].reshape(-1))
     all_pixels = np.arange(view.cos4.size) if pixels is None else np.asarray(pixels)
     stretches = []
     for i, line in enumerate(seam.lines):

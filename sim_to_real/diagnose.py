@@ -113,7 +113,7 @@ def _diagnosed(
         predicted = replace(predicted, after=predicted.before, variance_after=predicted.variance)
         left_mm = off_mm
     gap = measure(predicted, setup, (off_mm, left_mm))
-    decision = closing(decision, gap)
+    decision = closing(decision, baseline, gap)
     if without:
         decision = with_withheld(decision, scatter(expected, before, ()), without)
     heard("saying where", 0.9)
@@ -165,6 +165,7 @@ def _baseline(expected: Expected, without: Sequence[str]) -> tuple[Refit, Scatte
     """Fit what is off within its tolerance, and nothing else; what scatters is taken for noise."""
     expected.take_tangents(expected.neutral, {})
     fitted = refit(expected, {}, expected.neutral)
+    expected.leave_out_edges(fitted.nuisance, {})
     expected.allow_for_bends(fitted.nuisance, {})
     fitted = settled(expected, fitted)
     random = scatter(expected, fitted, without)
@@ -230,13 +231,15 @@ def _with_random(share: Mapping[str, float], before: Scatter, random: Scatter) -
 
 def _ranking(decision: Decision, baseline: Candidate, random: Scatter) -> tuple[Ranked, ...]:
     """Return all single effects, best first, with the share of the gap's size that each closes."""
-    size = math.sqrt(max(baseline.left - 1.0, 0.0))
+    # Below the model's floor the best closes all that there is.
+    floor = min([1.0, *(single.left for single in decision.singles)])
+    size = math.sqrt(max(baseline.left - floor, 0.0))
     ranked = [
         (random.evidence[name], Ranked(name, random.confidence[name], random.closed[name]))
         for name in random.evidence
     ]
     for single, confidence in zip(decision.singles, decision.confidence, strict=True):
-        left = math.sqrt(max(single.left - 1.0, 0.0))
+        left = math.sqrt(max(single.left - floor, 0.0))
         closed = 1.0 - left / size if size else math.nan
         gained = single.evidence - baseline.evidence
         ranked.append((gained, Ranked(single.ids[-1], float(confidence), closed)))

@@ -28,11 +28,13 @@ from noise_model.setup import Setup
 from noise_model.surface import BentSeam, section
 from noise_model.view import View
 from sim_to_real.nuisances import N_CAMERA, N_LEVELS, nuisances, really_lit, really_there
-from sim_to_real.observed import Bool, Float32, Observed, ObservedFrame
+from sim_to_real.observed import Bool, Float32, Observed, ObservedFrame, one_face
 from sim_to_real.seam_curve import MODES, SeamCurve
 from sim_to_real.sightings import MOVING
 
 Effects = Mapping[str, Values]
+
+Int64 = npt.NDArray[np.int64]
 
 Result = TypeVar("Result")
 
@@ -41,6 +43,9 @@ SEAM_STEPS = (("y_mm", 0.02), ("z_mm", 0.02), ("slope_y", 5e-4), ("slope_z", 5e-
 
 GROUND_STEP_MM = 0.02
 """Step of the derivatives with the place of the seam under the arc."""
+
+EDGE_SHARE, EDGE_E = 0.25, 50.0
+"""An edge is what changes a bin's light over such a step by more than this share of it and so many e-."""
 
 CHARGE_STEP_E = 1.0
 """Step of the derivative with charge."""
@@ -145,6 +150,10 @@ class Expected:
         frames = self.over_frames(lambda frame: self._with_bend(frame, nuisance, effects))
         self.observed = replace(self.observed, frames=tuple(frames))
 
+    def leave_out_edges(self, nuisance: Float64, effects: Effects) -> None:
+        """Leave out bins at the edges of faces as nuisances (p,) and effects put them."""
+        self.take_noise(self.over_frames(lambda frame: self._off_edges(frame, nuisance, effects)))
+
     def some(self, chosen: Bool) -> Expected:
         """Return the same held against some of the frames (n_frames,), with what is known of those."""
         fewer = Expected(self.observed.some(chosen))
@@ -165,6 +174,12 @@ class Expected:
             for frame, sigma_dn in zip(self.observed.frames, sigmas_dn, strict=True)
         ]
         self.observed = replace(self.observed, frames=tuple(frames))
+
+    def _off_edges(self, frame: ObservedFrame, nuisance: Float64, effects: Effects) -> Float64:
+        setup = really(self._setup(effects, nuisance))
+        seam = self.seam(frame, nuisance, effects)
+        faces = look(setup, frame.T_base_tool_in(setup), seam, self._rays_of(setup.camera)).faces
+        return np.where(one_face(faces)[frame.keep], frame.sigma_dn, np.inf)
 
     def _with_bend(self, frame: ObservedFrame, nuisance: Float64, effects: Effects) -> ObservedFrame:
         first, last, torch = frame.stations_mm
@@ -327,31 +342,32 @@ class Expected:
         seam = self.seam(frame, anchor, effects)
         bins = np.flatnonzero(frame.keep)
 
-        def rendered(setup: Setup, seam: BentSeam) -> Layers:
+        def rendered(setup: Setup, seam: BentSeam, stretch: Int64 | None) -> Layers:
             true = really(setup)
-            return look(true, T_base_tool, seam, self._rays_of(true.camera), bins)
+            return look(true, T_base_tool, seam, self._rays_of(true.camera), bins, stretch)
 
-        here = rendered(setup, seam)
+        here = rendered(setup, seam, None)
+        stretch = seam.stretch_at(here.view.surface[0][..., 0])
         steps = []
         for j, parameter in enumerate(self.nuisances[N_LEVELS : N_LEVELS + N_CAMERA], N_LEVELS):
             there = anchor.copy()
             there[j] += -parameter.step if anchor[j] > 0.0 else parameter.step
-            steps.append((rendered(self._setup(effects, there), seam), there[j] - anchor[j]))
+            steps.append((rendered(self._setup(effects, there), seam, stretch), there[j] - anchor[j]))
         for name, step in SEAM_STEPS:
-            steps.append((rendered(setup, _shifted(seam, name, step)), step))
+            steps.append((rendered(setup, _shifted(seam, name, step), stretch), step))
         for axis in ("y_mm", "z_mm"):
             at = getattr(seam.ground, axis) + GROUND_STEP_MM
             beside = replace(seam, ground=replace(seam.ground, **{axis: at}))
-            steps.append((rendered(setup, beside), GROUND_STEP_MM))
+            steps.append((rendered(setup, beside, stretch), GROUND_STEP_MM))
         # A mode moves each pixel's own stretch of the seam, and turns it about its middle.
         stations = np.array([line.station_mm for line in seam.lines])
-        of_bins = stations[seam.stretch_at(here.view.surface[0][..., 0])]
+        of_bins = stations[stretch]
         curve = self.curve(effects)
         modes = [curve.mode_at(n, of_bins) for n in range(curve.n_modes)]
         at_torch = [curve.mode_at(n, np.array(frame.stations_mm[2]))[0] for n in range(curve.n_modes)]
 
         def of_source(light: Callable[[Layers], Float32]) -> Float32:
-            by_step = [(light(there) - light(here)) / np.float32(step) for there, step in steps]
+            by_step = [_slope(light(here), light(there), step) for there, step in steps]
             by_y, by_z, by_slope_y, by_slope_z, by_ground_y, by_ground_z = by_step[N_CAMERA:]
             by_mode = []
             for n, (at, slope) in enumerate(modes):
@@ -388,6 +404,13 @@ def _factor(passed_e: Float32, rendered_e: Float32) -> Float32:
     """Return what became of a unit of light (n,); what comes from elsewhere to where it is dark is not it."""
     with np.errstate(divide="ignore", invalid="ignore"):
         return np.asarray(np.nan_to_num(np.clip(passed_e / rendered_e, 0.0, MOST_FACTOR)), dtype=np.float32)
+
+
+def _slope(here_e: Float32, there_e: Float32, step: float) -> Float32:
+    """Return the derivative (n,) of light over a small step; 0 where an edge passes through the bin."""
+    change = there_e - here_e
+    is_edge = np.abs(change) > EDGE_SHARE * np.maximum(here_e, there_e) + EDGE_E
+    return np.where(is_edge, np.float32(0.0), change / np.float32(step))
 
 
 def _shifted(seam: BentSeam, name: str, by: float) -> BentSeam:

@@ -178,7 +178,7 @@ def _counts(
     true = really(_stated(setup, fitted))
     pose = frame.T_base_tool_in(true)
     layers = renderer.layers(true, pose, expected.seam(frame, fitted.nuisance, fitted.effects))
-    bad = off_faces(layers.view.surface[2], 2 * EDGE_PX + 1)
+    bad = off_faces(layers.faces, 2 * EDGE_PX + 1)
     if frame.condition.arc_level > 0.0:
         arc = layers.arc_e
         steep = np.maximum(*(np.abs(np.gradient(arc, axis=axis)) for axis in (0, 1))) > STEEP * arc

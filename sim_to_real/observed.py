@@ -248,7 +248,7 @@ def _sigma_dn(binned_dn: Float32, setup: Setup, bin_px: int) -> Float64:
 
 def _keep(setup: Setup, layers: Layers, condition: Condition, usable: Bool) -> tuple[Bool, Bool]:
     """Return the bins (h, w) that count, and those in the stripe."""
-    keep = usable & one_face(layers.view.surface[2])
+    keep = usable & one_face(layers.faces)
     thin = np.zeros_like(keep)
     thin[::THIN, ::THIN] = True
     if condition.arc_level > 0.0:

@@ -23,7 +23,7 @@ from sim_to_real.screen import DEAR, FAMILIES, Screened, screen
 from sim_to_real.split import folds
 
 JUDGED_WITHIN = 10.0
-"""Residuals beyond so many sigmas count as if they pulled no harder: a streak is no more than a streak."""
+"""Residuals beyond so many sigmas count as if they were that large: a streak is no more than a streak."""
 
 HELD_DAMPING = 0.03
 """Fits to some of the frames are damped: where hardly anything is seen they would leave what is linear."""
@@ -41,7 +41,7 @@ DEAR_FRAMES, DEAR_CLOSES = 4, 0.3
 """What is dear is fitted to all frames if in so many of them it closes this share of the gap."""
 
 RESOLVED = 1.1
-"""What leaves a mean square below this explains all that there is: nothing dear is tried."""
+"""What leaves a mean square below this, and closes a good part of the gap, explains all that there is."""
 
 REFITTED, REFITTED_BESIDE = 8, 4
 """How many candidates are refitted after the first look, alone and beside effects that were chosen."""
@@ -49,8 +49,14 @@ REFITTED, REFITTED_BESIDE = 8, 4
 HOPELESS = 0.3
 """What leaves this share of the gap at the first look is not refitted once another explains all of it."""
 
-FIRST, HARDLY_CLOSES = 3, 0.95
-"""So many are refitted whatever they leave at the first look, others only if that is less of the gap."""
+HALF = 0.5
+"""A good part of the gap."""
+
+HARDLY_CLOSES = 0.9
+"""But for the first one, what leaves more of the gap at the first look is not refitted."""
+
+LEAST_LEFT = 0.6
+"""What leaves less leaves nothing. A model without a gap leaves 0.6 to 0.9: its floor is a generous one."""
 
 ALIKE_NATS, MOST_ALIKE = 5.0, 3
 """Candidates whose evidence in bins differs by less, so many at most, are compared in pixels."""
@@ -87,8 +93,8 @@ class Candidate:
 
 
 def likelihood_nats(left: float) -> float:
-    """Return the logarithm of the likelihood of residuals' mean square: 1 is as good as can be."""
-    return -0.5 * N_EFFECTIVE * math.log(max(left, 1.0))
+    """Return the logarithm of the likelihood of residuals' mean square: `LEAST_LEFT` is as good as can be."""
+    return -0.5 * N_EFFECTIVE * math.log(max(left, LEAST_LEFT))
 
 
 def cost_nats(n_parameters: int) -> float:
@@ -104,7 +110,7 @@ def judged(expected: Expected, fitted: Refit) -> Candidate:
         fitted.x,
         fitted.residuals,
         fitted.jacobian,
-        huber_weights(fitted.residuals, JUDGED_WITHIN),
+        huber_weights(fitted.residuals, JUDGED_WITHIN) ** 2,
         fitted.quadratic.counts,
     )
     if FLICKER in fitted.ids:
@@ -132,36 +138,34 @@ def candidates(
     expected: Expected,
     baseline: Refit,
     screened: Sequence[Screened],
-    gap: float,
+    left: float,
     without: Sequence[str],
     on_stage: Callable[[str, float], None],
 ) -> list[Candidate]:
     """Return the best candidates to add one effect to a baseline, likeliest first.
 
-    `gap` is what is left without any, R - 1: a baseline may stand where nuisances have not been fitted.
+    `left` is the mean square without any: a baseline may stand where nuisances have not been fitted.
     """
+    left = min(left, baseline.mean_square)
+    gap = left - LEAST_LEFT
     found: list[Candidate] = []
     if FLICKER not in without and FLICKER not in baseline.ids and _shows_arc(expected):
         effects: dict[str, Values] = {**baseline.effects, FLICKER: REGISTRY[FLICKER].neutral}
         found.append(judged(expected, refit(expected, effects, baseline.nuisance)))
     most = REFITTED_BESIDE if baseline.ids else REFITTED
     for n, one in enumerate(screened[:most]):
-        left = one.left * baseline.mean_square - 1.0
-        if _is_explained(found):
-            is_hopeless = left > HOPELESS * gap
-        else:
-            is_hopeless = n >= FIRST and left > HARDLY_CLOSES * gap
-        if is_hopeless:
+        of_gap = HOPELESS if _is_explained(found, left) else HARDLY_CLOSES
+        if n and one.left * baseline.mean_square - LEAST_LEFT > of_gap * gap:
             continue
         on_stage(f"fitting {one.id}", 0.2 + 0.6 * n / most)
         fitted = refit(expected, {**baseline.effects, one.id: one.start}, baseline.nuisance)
         found.append(judged(expected, fitted))
     found = _best_first(found)
-    if not _is_explained(found):
+    if not _is_explained(found, left):
         # The best come nearer where light is rendered anew: which of them is best shows only then.
         for n, near in enumerate(found[:SETTLED]):
-            reach = min(gap, IN_REACH * (min(one.left for one in found) - 1.0))
-            if near.left - 1.0 > reach:
+            reach = min(gap, IN_REACH * (min(one.left for one in found) - LEAST_LEFT))
+            if near.left - LEAST_LEFT > reach:
                 continue
             on_stage(f"fitting {near.ids[-1]} again", 0.8 + 0.05 * n)
             found[n] = judged(expected, settled(expected, near.refit))
@@ -200,13 +204,14 @@ def told_apart(
     """
     best = found[0].evidence
     alike = [one for one in found if best - one.evidence < ALIKE_NATS][:MOST_ALIKE]
-    if len(alike) < 2 and _is_explained(found):
+    if len(alike) < 2 and _is_explained(found, baseline.left):
         return list(found), baseline
     of_baseline, *left = in_pixels([one.refit for one in (baseline, *alike)]).tolist()
-    most = max(likelihood_nats(of) for of in left)
+    # In pixels 1 is the model's floor, and what lies below is chance.
+    nats = [likelihood_nats(max(of, 1.0)) for of in left]
     weighed = [
-        replace(one, left_in_pixels=of, against=most - likelihood_nats(of))
-        for one, of in zip(alike, left, strict=True)
+        replace(one, left_in_pixels=of, against=max(nats) - of_one)
+        for one, of, of_one in zip(alike, left, nats, strict=True)
     ]
     every = _best_first([*weighed, *found[len(alike) :]])
     return every, replace(baseline, left_in_pixels=of_baseline)
@@ -225,8 +230,10 @@ def _worth_it(expected: Expected, baseline: Refit, effects: Effects) -> bool:
     return before - max(after, 1.0) > DEAR_CLOSES * (before - 1.0)
 
 
-def _is_explained(found: Sequence[Candidate]) -> bool:
-    return any(candidate.left <= RESOLVED for candidate in found)
+def _is_explained(found: Sequence[Candidate], left: float) -> bool:
+    """Say whether one of the candidates leaves nothing worth looking for of what is left without it."""
+    most = min(RESOLVED, LEAST_LEFT + HALF * (left - LEAST_LEFT))
+    return any(candidate.left <= most for candidate in found)
 
 
 def _best_first(found: Sequence[Candidate]) -> list[Candidate]:

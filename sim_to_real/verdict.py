@@ -1,7 +1,7 @@
 """No gap, named effects, an ambiguity set, or unknown: what the candidates' scores amount to.
 
-All scores are mean squares R of residuals that are whitened with noise and the model's floor: 1 is a model
-without a gap, however little below it a fit may come. The gap that is left is (R - 1) / (R_0 - 1).
+All scores are mean squares R of residuals that are whitened with noise and the model's floor. The floor is a
+generous one: a model without a gap stays below 1. The gap that is left above it is (R - 1) / (R_0 - 1).
 """
 
 from __future__ import annotations
@@ -26,6 +26,7 @@ from sim_to_real.select import (
     confidences,
     cost_nats,
     judged,
+    likelihood_nats,
     looked,
     told_apart,
     with_dear,
@@ -85,9 +86,9 @@ class Decision:
 
 
 def left_over(candidate: Candidate, baseline: Candidate) -> float:
-    """Return the share of the baseline's gap that a candidate leaves, 0 to 1; NaN without a gap."""
+    """Return the share of the baseline's gap that a candidate leaves above the model's floor, 0 to 1."""
     gap = max(baseline.left - 1.0, 0.0)
-    return min(max(candidate.left - 1.0, 0.0) / gap, 1.0) if gap > 0.0 else math.nan
+    return min(max(candidate.left - 1.0, 0.0) / gap, 1.0) if gap > 0.0 else 0.0
 
 
 def is_explained(candidate: Candidate, baseline: Candidate) -> bool:
@@ -116,11 +117,11 @@ def decide(
         start = refit(expected, {}, expected.neutral, steps=0)
     on_stage("looking at every effect", 0.0)
     screened = tuple(looked(expected, start, without))
-    if not screened or -baseline.evidence - cost_nats(1) < NAMED_FROM:
+    if not screened or likelihood_nats(0.0) - cost_nats(1) - baseline.evidence < NAMED_FROM:
         # There is nothing to be tried, or none could leave so little that it would be preferred.
         verdict = Verdict.NO_GAP if baseline.left < UNEXPLAINED_FROM else Verdict.UNKNOWN
         return Decision(verdict, baseline, (), np.zeros(0), (), screened, start)
-    found = candidates(expected, start, screened, baseline.left - 1.0, without, on_stage)
+    found = candidates(expected, start, screened, baseline.left, without, on_stage)
     if found[0].evidence > baseline.evidence:
         found, baseline = told_apart(found, baseline, in_pixels)
     is_open = found[0].left > RESOLVED and not is_explained(found[0], baseline)
@@ -186,7 +187,7 @@ def _several(
         screened = looked(expected, chosen.refit, without)
         if not screened:
             return None
-        further = candidates(expected, chosen.refit, screened, chosen.left - 1.0, without, on_stage)
+        further = candidates(expected, chosen.refit, screened, chosen.left, without, on_stage)
         if further[0].left > RESOLVED and left_over(further[0], baseline) > EXPLAINED:
             further = with_dear(expected, chosen.refit, further, without, on_stage)
         if further[0].evidence - chosen.evidence < NAMED_FROM:
@@ -223,13 +224,17 @@ def not_held_up(decision: Decision, baseline: Candidate, random: Scatter) -> Dec
     return with_random(found, baseline, random)
 
 
-def closing(decision: Decision, gap: Gap) -> Decision:
-    """Return the verdict; unknown if what is named surely closes less than half of the gap held out."""
+def closing(decision: Decision, baseline: Candidate, gap: Gap) -> Decision:
+    """Return the verdict if what is named surely closes less than half of the gap held out.
+
+    It is unknown then; or no gap, if the baseline leaves no more than the model may be off.
+    """
     ids = decision.chosen.ids
     # Two or three effects can mimic much of another: they must leave no clear gap.
     mimics = len(ids) > 1 and gap.after > CLEAR_FLOORS * gap.floor
     if mimics or (ids and gap.ci95[1] < CLOSES):
-        return replace(decision, verdict=Verdict.UNKNOWN, ambiguous=())
+        verdict = Verdict.UNKNOWN if baseline.left > 1.0 else Verdict.NO_GAP
+        return replace(decision, verdict=verdict, ambiguous=())
     return decision
 
 

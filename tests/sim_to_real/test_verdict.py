@@ -34,19 +34,19 @@ def gap(after, ci95, before=5.0, floor=0.2):
 
 
 def test_an_effect_that_surely_closes_less_than_half_is_not_named():
-    named = decision(Verdict.EFFECTS, "gamma")
-    assert closing(named, gap(4.0, (0.1, 0.4))).verdict is Verdict.UNKNOWN
-    assert closing(named, gap(2.0, (0.4, 0.7))).verdict is Verdict.EFFECTS
-    assert closing(decision(Verdict.NO_GAP), gap(5.0, (0.0, 0.0))).verdict is Verdict.NO_GAP
+    named, baseline = decision(Verdict.EFFECTS, "gamma"), candidate(left=9.0)
+    assert closing(named, baseline, gap(4.0, (0.1, 0.4))).verdict is Verdict.UNKNOWN
+    assert closing(named, baseline, gap(2.0, (0.4, 0.7))).verdict is Verdict.EFFECTS
+    assert closing(decision(Verdict.NO_GAP), baseline, gap(5.0, (0.0, 0.0))).verdict is Verdict.NO_GAP
+    assert closing(named, candidate(left=0.9), gap(4.0, (0.1, 0.4))).verdict is Verdict.NO_GAP
 
 
 def test_several_effects_must_leave_no_clear_gap_and_one_may():
-    left = gap(0.9, (0.8, 0.9))
-    assert closing(decision(Verdict.EFFECTS, "fume", "gamma"), left).verdict is Verdict.UNKNOWN
-    assert closing(decision(Verdict.EFFECTS, "fume"), left).verdict is Verdict.EFFECTS
-    assert (
-        closing(decision(Verdict.EFFECTS, "fume", "gamma"), gap(0.5, (0.8, 1.0))).verdict is Verdict.EFFECTS
-    )
+    left, baseline = gap(0.9, (0.8, 0.9)), candidate(left=9.0)
+    one, two = decision(Verdict.EFFECTS, "fume"), decision(Verdict.EFFECTS, "fume", "gamma")
+    assert closing(two, baseline, left).verdict is Verdict.UNKNOWN
+    assert closing(one, baseline, left).verdict is Verdict.EFFECTS
+    assert closing(two, baseline, gap(0.5, (0.8, 1.0))).verdict is Verdict.EFFECTS
 
 
 @pytest.mark.parametrize(("left", "verdict"), [(1.2, Verdict.NO_GAP), (9.0, Verdict.UNKNOWN)])
