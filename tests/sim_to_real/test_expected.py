@@ -1,0 +1,79 @@
+"""The model held against a recording: derivatives foretell small moves, and edges do not count."""
+
+import numpy as np
+import pytest
+
+from noise_model.effects import really
+from noise_model.forward import look
+from noise_model.surface import BentSeam, SeamLine
+from sim_to_real.expected import EDGE_E, EDGE_SHARE
+from sim_to_real.nuisances import N_LEVELS
+from tests.sim_to_real.small import small_recording
+
+
+@pytest.fixture(scope="module")
+def expected(tmp_path_factory):
+    return small_recording(tmp_path_factory.mktemp("expected") / "recording", {})
+
+
+def test_derivatives_foretell_what_is_rendered_after_a_small_move(expected):
+    # Of the arc: a coarse bin's blur spreads a stripe, which derivatives of what is rendered do not know.
+    arc = expected.some(np.array([frame.stratum == "arc" for frame in expected.observed.frames]))
+    at = arc.neutral.copy()
+    at[N_LEVELS : N_LEVELS + 6] = 0.02, -0.02, 0.03, 0.03, -0.03, 0.02
+    here = arc.passed(arc.neutral, {})
+    followed = arc.residuals(
+        [arc.moved(frame, light, at) for frame, light in zip(arc.observed.frames, here, strict=True)]
+    )
+    rendered, stayed = arc.residuals(arc.passed(at, {})), arc.residuals(here)
+    moved, missed = np.abs(rendered - stayed), np.abs(rendered - followed)
+    assert np.percentile(moved, 90) > 0.1
+    assert np.percentile(missed, 90) < 0.1 * np.percentile(moved, 90)
+
+
+def test_no_derivative_is_that_of_an_edge(expected):
+    for frame, tangents in zip(expected.observed.frames, expected._tangents, strict=True):
+        if tangents.laser_e is not None and frame.condition.arc_level == 0.0:
+            light = expected.passed(expected.neutral, {})[frame.position].laser_e
+            by_step = np.abs(tangents.laser_e[:6]) * 0.01
+            assert (by_step <= 2.0 * EDGE_SHARE * light + 2.0 * EDGE_E).all()
+
+
+def test_bins_whose_neighbours_show_another_face_are_left_out(tmp_path):
+    expected = small_recording(tmp_path / "recording", {})
+    # The seam is moved to the side: edges lie where no mask has left them out.
+    aside = expected.neutral.copy()
+    aside[-expected.observed.seam.n_modes] = 3.0
+    expected.leave_out_edges(aside, {})
+    n_out = 0
+    for frame in expected.observed.frames:
+        setup = really(expected.observed.binned)
+        seam = expected.seam(frame, aside, {})
+        faces = look(setup, frame.T_base_tool_in(setup), seam, expected._rays_of(setup.camera)).faces
+        for (row, column), sigma in zip(np.argwhere(frame.keep), frame.sigma_dn, strict=True):
+            if 0 < row < len(faces) - 1 and 0 < column < faces.shape[1] - 1:
+                shown = {
+                    int(faces[row + dr, column + dc]) for dr, dc in ((0, 0), (1, 0), (-1, 0), (0, 1), (0, -1))
+                }
+                assert np.isinf(sigma) == (len(shown) > 1)
+                n_out += int(np.isinf(sigma))
+    assert n_out > 0
+
+
+def test_each_pixel_shows_the_face_of_its_own_stretch(expected):
+    frame, setup = expected.observed.frames[0], really(expected.observed.binned)
+    first, last, torch = frame.stations_mm
+    middle = 0.5 * (first + last)
+    lines = (SeamLine(0.5 * (first + middle), -1.5), SeamLine(0.5 * (middle + last), 1.5))
+    seam, rays = BentSeam(lines, SeamLine(torch)), expected._rays_of(setup.camera)
+    pose = frame.T_base_tool_in(setup)
+    layers = look(setup, pose, seam, rays)
+    alone = [look(setup, pose, line, rays).faces for line in lines]
+    assert (layers.faces != alone[0]).any()
+    assert (layers.faces != alone[1]).any()
+    assert ((layers.faces == alone[0]) | (layers.faces == alone[1])).all()
+    for n in (0, 1):
+        stretch = np.full(layers.faces.size, n)
+        all_pixels = np.arange(layers.faces.size)
+        told = look(setup, pose, seam, rays, all_pixels, stretch)
+        np.testing.assert_array_equal(told.faces.reshape(alone[n].shape), alone[n])
