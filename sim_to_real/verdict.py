@@ -92,11 +92,13 @@ def left_over(candidate: Candidate, baseline: Candidate) -> float:
 
 
 def is_explained(candidate: Candidate, baseline: Candidate) -> bool:
-    """Say whether effects explain a gap: little is left of it in bins, or in pixels if they show it."""
-    if left_over(candidate, baseline) <= EXPLAINED:
-        return True
-    shown = baseline.left_in_pixels - 1.0
-    return baseline.left_in_pixels > AT_FLOOR and candidate.left_in_pixels - 1.0 <= EXPLAINED * shown
+    """Say whether effects explain a gap: little is left of it in pixels, or in bins if pixels were not asked.
+
+    Nor do pixels say anything of a gap that they do not show. A bin does not see all that a pixel sees.
+    """
+    if baseline.left_in_pixels > AT_FLOOR:
+        return candidate.left_in_pixels - 1.0 <= EXPLAINED * (baseline.left_in_pixels - 1.0)
+    return left_over(candidate, baseline) <= EXPLAINED
 
 
 def decide(
@@ -182,7 +184,7 @@ def _several(
 ) -> Candidate | None:
     """Return effects that explain the gap together, None if none do: forward steps, then backward."""
     chosen = best
-    while len(chosen.ids) < MOST_EFFECTS and left_over(chosen, baseline) > EXPLAINED:
+    while chosen is best or (len(chosen.ids) < MOST_EFFECTS and left_over(chosen, baseline) > EXPLAINED):
         on_stage("looking for further effects", 0.0)
         screened = looked(expected, chosen.refit, without)
         if not screened:
