@@ -59,7 +59,10 @@ LEAST_LEFT = 0.6
 """What leaves less leaves nothing. A model without a gap leaves 0.6 to 0.9: its floor is a generous one."""
 
 ALIKE_NATS, MOST_ALIKE = 5.0, 3
-"""Candidates whose evidence in bins differs by less, so many at most, are compared in pixels."""
+"""Candidates whose evidence in bins differs by less, so many at most, are compared in pixels.
+
+If none explains the bins, the first ones are, however they differ.
+"""
 
 
 @dataclass(frozen=True, eq=False)
@@ -202,10 +205,11 @@ def told_apart(
     A bin sees no blur: what widens a stripe and what dims it are much the same to it. `in_pixels` gives the
     mean squares (n,) that fits leave in pixels.
     """
-    best = found[0].evidence
-    alike = [one for one in found if best - one.evidence < ALIKE_NATS][:MOST_ALIKE]
-    if len(alike) < 2 and _is_explained(found, baseline.left):
-        return list(found), baseline
+    best, alike = found[0].evidence, list(found[:MOST_ALIKE])
+    if _is_explained(found, baseline.left):
+        alike = [one for one in alike if best - one.evidence < ALIKE_NATS]
+        if len(alike) < 2:
+            return list(found), baseline
     of_baseline, *left = in_pixels([one.refit for one in (baseline, *alike)]).tolist()
     # In pixels 1 is the model's floor, and what lies below is chance.
     nats = [likelihood_nats(max(of, 1.0)) for of in left]

@@ -43,14 +43,22 @@ def pixels(**left):
 
 def test_pixels_decide_between_what_bins_find_alike():
     in_pixels, asked = pixels(drift=4.0, defocus=0.8)
-    alike = [candidate("drift", 1.40), candidate("defocus", 1.45)]
+    alike = [candidate("drift", 1.00), candidate("defocus", 1.05)]
     found, baseline = told_apart([*alike, candidate("gamma", 9.0)], BASELINE, in_pixels)
     assert asked == [["", "drift", "defocus"]]
     assert baseline.left_in_pixels == 20.0
     assert ids(found) == ["defocus", "drift", "gamma"]
     assert found[0].evidence - found[1].evidence == pytest.approx(
-        -likelihood_nats(4.0) + likelihood_nats(1.45) - likelihood_nats(1.40)
+        -likelihood_nats(4.0) + likelihood_nats(1.05) - likelihood_nats(1.00)
     )
+
+
+def test_where_nothing_explains_the_bins_pixels_are_asked_of_the_first_ones():
+    in_pixels, asked = pixels(gamma=4.0, defocus=0.8)
+    found, _ = told_apart([candidate("gamma", 1.5), candidate("defocus", 2.2)], BASELINE, in_pixels)
+    assert candidate("gamma", 1.5).evidence - candidate("defocus", 2.2).evidence > ALIKE_NATS
+    assert asked == [["", "gamma", "defocus"]]
+    assert ids(found) == ["defocus", "gamma"]
 
 
 def test_pixels_are_not_asked_where_one_explains_all_and_none_is_like_it():
