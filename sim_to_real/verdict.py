@@ -140,14 +140,17 @@ def decide(
         # Nothing in the catalogue helps. If there is much to be helped, it is something else.
         verdict = Verdict.NO_GAP if baseline.left < UNEXPLAINED_FROM else Verdict.UNKNOWN
         return Decision(verdict, baseline, singles, p, (), screened, start)
+    likely = tuple(one.ids[0] for one, share in zip(singles, p, strict=True) if share >= IN_SET)
     if is_explained(best, baseline):
-        likely = tuple(one.ids[0] for one, share in zip(singles, p, strict=True) if share >= IN_SET)
         if p[0] >= SURE or len(likely) == 1:
             return Decision(Verdict.EFFECTS, best, singles, p, (), screened, start)
         return Decision(Verdict.AMBIGUOUS, best, singles, p, (likely,), screened, start)
     several = _several(expected, baseline, best, without, on_stage)
     if several is None:
         return Decision(Verdict.UNKNOWN, best, singles, p, (), screened, start)
+    if len(several.ids) == 1 and len(likely) > 1:
+        # One is enough once it has been fitted beside another, but no likelier than that one.
+        return Decision(Verdict.AMBIGUOUS, several, singles, p, (likely,), screened, start)
     return Decision(Verdict.EFFECTS, several, singles, p, (), screened, start)
 
 
