@@ -35,6 +35,8 @@ REMEMBERED = 4
 
 Kept = TypeVar("Kept")
 
+Number = TypeVar("Number", np.float32, np.int32)
+
 
 @dataclass(frozen=True, eq=False)
 class Prediction:
@@ -78,17 +80,16 @@ class Layers:
     @cached_property
     def faces(self) -> npt.NDArray[np.integer]:
         """The face that each pixel (...,) shows, `visibility.MISS` past the workpiece."""
-        faces = self.view.surface[2].copy()
-        for pixels, view in self.stretches:
-            faces.reshape(-1)[pixels] = view.surface[2].reshape(-1)
-        return faces
+        return self._of_stretches(lambda view: view.surface[2])
 
-    def _of_stretches(self, light: Callable[[View], Float32]) -> Float32:
+    def _of_stretches(self, of: Callable[[View], npt.NDArray[Number]]) -> npt.NDArray[Number]:
         if not self.stretches:
-            return light(self.view)
-        image = np.zeros(self.view.cos4.size, dtype=np.float32)
-        for pixels, view in self.stretches:
-            image[pixels] = light(view)
+            return of(self.view)
+        parts = [(pixels, of(view)) for pixels, view in self.stretches]
+        # Each pixel shows one of the stretches.
+        image = np.empty(self.view.cos4.size, dtype=parts[0][1].dtype)
+        for pixels, part in parts:
+            image[pixels] = part
         return image.reshape(self.view.shape)
 
 

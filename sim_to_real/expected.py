@@ -147,8 +147,7 @@ class Expected:
         Where the seam strays from its tangent on its way to the torch, the arc shines into a groove as if it
         stood as far beside it. Half of what that would change is the model's 1 sigma.
         """
-        frames = self.over_frames(lambda frame: self._with_bend(frame, nuisance, effects))
-        self.observed = replace(self.observed, frames=tuple(frames))
+        self.take_noise(self.over_frames(lambda frame: self._with_bend(frame, nuisance, effects)))
 
     def leave_out_edges(self, nuisance: Float64, effects: Effects) -> None:
         """Leave out bins at the edges of faces as nuisances (p,) and effects put them."""
@@ -181,13 +180,13 @@ class Expected:
         faces = look(setup, frame.T_base_tool_in(setup), seam, self._rays_of(setup.camera)).faces
         return np.where(one_face(faces)[frame.keep], frame.sigma_dn, np.inf)
 
-    def _with_bend(self, frame: ObservedFrame, nuisance: Float64, effects: Effects) -> ObservedFrame:
+    def _with_bend(self, frame: ObservedFrame, nuisance: Float64, effects: Effects) -> Float64:
         first, last, torch = frame.stations_mm
         seam, joint = self.curve(effects), self.observed.setup.joint
         coefficients = np.clip(self.seam_coefficients(nuisance), -SURE, SURE)
         strays = seam.strays_mm(coefficients, 0.5 * (first + last), torch, section(joint).is_level)
         if strays < LEAST_STRAY_MM or frame.condition.arc_level == 0.0:
-            return frame
+            return frame.sigma_dn
         setup = really(self._setup(effects, nuisance))
         T_base_tool = frame.T_base_tool_in(setup)
         x, y, z = setup.arc.center_in_tool_mm
@@ -204,7 +203,7 @@ class Expected:
         spread_e = 0.5 * np.maximum(np.abs(light[1] - light[0]), np.abs(light[2] - light[0]))
         passed = self._passed(frame, setup, nuisance, effects)
         spread_dn = passed.dn_per_e() * passed.arc_factor * spread_e
-        return replace(frame, sigma_dn=np.hypot(frame.sigma_dn, spread_dn))
+        return np.asarray(np.hypot(frame.sigma_dn, spread_dn))
 
     def over_frames(self, of_frame: Callable[[ObservedFrame], Result]) -> list[Result]:
         """Return a function's result for each frame, in order; some are computed at once."""

@@ -109,12 +109,7 @@ class Observed:
         if not moving:
             return self.seam
         known = replace(self.setup, effects={**self.setup.effects, **moving})
-        ends = self.seam.stations_mm[0], self.seam.stations_mm[-1]
-        here, there = (
-            SeamCurve.of(*self.sightings.in_joint(setup), self.sightings.variances_mm2, ends)
-            for setup in (self.setup, known)
-        )
-        return replace(self.seam, mean_mm=self.seam.mean_mm + there.mean_mm - here.mean_mm)
+        return self.seam.through(*self.sightings.in_joint(known), self.sightings.variances_mm2)
 
     def some(self, chosen: npt.NDArray[np.bool_]) -> Observed:
         """Return a recording of some of the frames (n_frames,)."""

@@ -7,7 +7,7 @@ are the fewest numbers that say how the seam really runs.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.linalg import cho_factor, cho_solve
@@ -64,25 +64,24 @@ class SeamCurve:
 
         They are displacements (n, 2) as y and z at stations (n,), with their variances (n, 2).
         """
-        first_mm, last_mm = ends_mm
-        stations = np.arange(first_mm, last_mm + GRID_MM, GRID_MM)
-        middle = 0.5 * (first_mm + last_mm)
-        mean, modes = np.zeros((2, len(stations))), []
+        stations = np.arange(ends_mm[0], ends_mm[1] + GRID_MM, GRID_MM)
+        means, modes = [], []
         for axis in range(2):
-            left = _prior(stations, stations, middle, BEND_MM[axis])
-            if len(seen_mm):
-                seen = _prior(seen_mm, seen_mm, middle, BEND_MM[axis])
-                factor = cho_factor(seen + np.diag(variances_mm2[:, axis] + SCATTER_MM**2))
-                across = _prior(seen_mm, stations, middle, BEND_MM[axis])
-                gain = cho_solve(factor, across)
-                mean[axis] = gain.T @ displacements_mm[:, axis]
-                left = left - across.T @ gain
-            systematic = np.outer(stations - middle, stations - middle) * SYSTEMATIC_SLOPE**2
+            mean, left = _posterior(stations, axis, seen_mm, displacements_mm, variances_mm2)
+            along = stations - _middle(stations)
+            systematic = np.outer(along, along) * SYSTEMATIC_SLOPE**2
             values, vectors = np.linalg.eigh(left + SYSTEMATIC_MM**2 + systematic)
             largest = vectors[np.argmax(np.abs(vectors), axis=0), np.arange(len(stations))]
             scaled = np.sqrt(np.maximum(values, 0.0)) * np.sign(largest) * vectors
+            means.append(mean)
             modes.append(scaled[:, ::-1].T[: MODES[axis]])
-        return cls(stations, mean, np.concatenate(modes))
+        return cls(stations, np.array(means), np.concatenate(modes))
+
+    def through(self, seen_mm: Float64, displacements_mm: Float64, variances_mm2: Float64) -> SeamCurve:
+        """Return the curve through other sightings, see `of`; what is not known of it stays."""
+        seen = seen_mm, displacements_mm, variances_mm2
+        means = [_posterior(self.stations_mm, axis, *seen)[0] for axis in range(2)]
+        return replace(self, mean_mm=np.array(means))
 
     @property
     def n_modes(self) -> int:
@@ -137,6 +136,24 @@ class SeamCurve:
         at_torch = [float(np.interp(torch_mm, self.stations_mm, of)) for of in (y, z)]
         ground = SeamLine(torch_mm, *at_torch)
         return BentSeam(tuple(lines), ground)
+
+
+def _middle(stations_mm: Float64) -> float:
+    return 0.5 * float(stations_mm[0] + stations_mm[-1])
+
+
+def _posterior(
+    stations_mm: Float64, axis: int, seen_mm: Float64, displacements_mm: Float64, variances_mm2: Float64
+) -> tuple[Float64, Float64]:
+    """Return mean (g,), mm, and covariance (g, g), mm^2, at stations, of y or z as sightings leave them."""
+    middle, bend_mm = _middle(stations_mm), BEND_MM[axis]
+    prior = _prior(stations_mm, stations_mm, middle, bend_mm)
+    if not len(seen_mm):
+        return np.zeros(len(stations_mm)), prior
+    seen = _prior(seen_mm, seen_mm, middle, bend_mm) + np.diag(variances_mm2[:, axis] + SCATTER_MM**2)
+    across = _prior(seen_mm, stations_mm, middle, bend_mm)
+    gain = cho_solve(cho_factor(seen), across)
+    return gain.T @ displacements_mm[:, axis], prior - across.T @ gain
 
 
 def _prior(x_mm: Float64, other_mm: Float64, middle_mm: float, bend_mm: float) -> Float64:

@@ -157,14 +157,14 @@ def candidates(
         found.append(judged(expected, refit(expected, effects, baseline.nuisance)))
     most = REFITTED_BESIDE if baseline.ids else REFITTED
     for n, one in enumerate(screened[:most]):
-        of_gap = HOPELESS if _is_explained(found, left) else HARDLY_CLOSES
+        of_gap = HOPELESS if _is_resolved(found, left) else HARDLY_CLOSES
         if n and one.left * baseline.mean_square - LEAST_LEFT > of_gap * gap:
             continue
         on_stage(f"fitting {one.id}", 0.2 + 0.6 * n / most)
         fitted = refit(expected, {**baseline.effects, one.id: one.start}, baseline.nuisance)
         found.append(judged(expected, fitted))
     found = _best_first(found)
-    if not _is_explained(found, left):
+    if not _is_resolved(found, left):
         # The best come nearer where light is rendered anew: which of them is best shows only then.
         for n, near in enumerate(found[:SETTLED]):
             reach = min(gap, IN_REACH * (min(one.left for one in found) - LEAST_LEFT))
@@ -206,7 +206,7 @@ def told_apart(
     mean squares (n,) that fits leave in pixels.
     """
     best, alike = found[0].evidence, list(found[:MOST_ALIKE])
-    if _is_explained(found, baseline.left):
+    if _is_resolved(found, baseline.left):
         alike = [one for one in alike if best - one.evidence < ALIKE_NATS]
         if len(alike) < 2:
             return list(found), baseline
@@ -234,7 +234,7 @@ def _worth_it(expected: Expected, baseline: Refit, effects: Effects) -> bool:
     return before - max(after, 1.0) > DEAR_CLOSES * (before - 1.0)
 
 
-def _is_explained(found: Sequence[Candidate], left: float) -> bool:
+def _is_resolved(found: Sequence[Candidate], left: float) -> bool:
     """Say whether one of the candidates leaves nothing worth looking for of what is left without it."""
     most = min(RESOLVED, LEAST_LEFT + HALF * (left - LEAST_LEFT))
     return any(candidate.left <= most for candidate in found)

@@ -101,6 +101,11 @@ def is_explained(candidate: Candidate, baseline: Candidate) -> bool:
     return left_over(candidate, baseline) <= EXPLAINED
 
 
+def without_help(baseline: Candidate) -> Verdict:
+    """Return the verdict if nothing in the catalogue helps: a large gap is something else's."""
+    return Verdict.NO_GAP if baseline.left < UNEXPLAINED_FROM else Verdict.UNKNOWN
+
+
 def decide(
     expected: Expected,
     baseline: Candidate,
@@ -121,8 +126,7 @@ def decide(
     screened = tuple(looked(expected, start, without))
     if not screened or likelihood_nats(0.0) - cost_nats(1) - baseline.evidence < NAMED_FROM:
         # There is nothing to be tried, or none could leave so little that it would be preferred.
-        verdict = Verdict.NO_GAP if baseline.left < UNEXPLAINED_FROM else Verdict.UNKNOWN
-        return Decision(verdict, baseline, (), np.zeros(0), (), screened, start)
+        return Decision(without_help(baseline), baseline, (), np.zeros(0), (), screened, start)
     found = candidates(expected, start, screened, baseline.left, without, on_stage)
     if found[0].evidence > baseline.evidence:
         found, baseline = told_apart(found, baseline, in_pixels)
@@ -133,25 +137,26 @@ def decide(
     singles = tuple(found)
     p = confidences(singles, baseline)
     best = singles[0]
+
+    def said(verdict: Verdict, chosen: Candidate, *ambiguous: tuple[str, ...]) -> Decision:
+        return Decision(verdict, chosen, singles, p, ambiguous, screened, start)
+
     if is_open and is_small:
         # What bins still show and nothing explains is too little to be seen in pixels.
-        return Decision(Verdict.NO_GAP, baseline, singles, p, (), screened, start)
+        return said(Verdict.NO_GAP, baseline)
     if best.evidence - baseline.evidence < NAMED_FROM:
-        # Nothing in the catalogue helps. If there is much to be helped, it is something else.
-        verdict = Verdict.NO_GAP if baseline.left < UNEXPLAINED_FROM else Verdict.UNKNOWN
-        return Decision(verdict, baseline, singles, p, (), screened, start)
+        return said(without_help(baseline), baseline)
     likely = tuple(one.ids[0] for one, share in zip(singles, p, strict=True) if share >= IN_SET)
     if is_explained(best, baseline):
-        if p[0] >= SURE or len(likely) == 1:
-            return Decision(Verdict.EFFECTS, best, singles, p, (), screened, start)
-        return Decision(Verdict.AMBIGUOUS, best, singles, p, (likely,), screened, start)
+        is_sure = p[0] >= SURE or len(likely) == 1
+        return said(Verdict.EFFECTS, best) if is_sure else said(Verdict.AMBIGUOUS, best, likely)
     several = _several(expected, baseline, best, without, on_stage)
     if several is None:
-        return Decision(Verdict.UNKNOWN, best, singles, p, (), screened, start)
+        return said(Verdict.UNKNOWN, best)
     if len(several.ids) == 1 and len(likely) > 1:
         # One is enough once it has been fitted beside another, but no likelier than that one.
-        return Decision(Verdict.AMBIGUOUS, several, singles, p, (likely,), screened, start)
-    return Decision(Verdict.EFFECTS, several, singles, p, (), screened, start)
+        return said(Verdict.AMBIGUOUS, several, likely)
+    return said(Verdict.EFFECTS, several)
 
 
 def with_random(decision: Decision, baseline: Candidate, random: Scatter) -> Decision:
@@ -224,8 +229,7 @@ def with_shares(
 
 def not_held_up(decision: Decision, baseline: Candidate, random: Scatter) -> Decision:
     """Return the verdict if what was chosen closes nothing in frames that nothing was fitted to."""
-    verdict = Verdict.NO_GAP if baseline.left < UNEXPLAINED_FROM else Verdict.UNKNOWN
-    found = replace(decision, verdict=verdict, chosen=baseline, ambiguous=())
+    found = replace(decision, verdict=without_help(baseline), chosen=baseline, ambiguous=())
     return with_random(found, baseline, random)
 
 

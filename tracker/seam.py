@@ -99,12 +99,12 @@ def seam_displacement(setup: Setup, T_joint_tool: Float64, seam_tool: Float64) -
     return float(station), np.array([y, z - height])
 
 
-def hand_eye_variance(geometry: SensorGeometry, nominal: Scene, seam_tool: Float64) -> Float64:
+def hand_eye_variance(setup: Setup, nominal: Scene, seam_tool: Float64) -> Float64:
     """Return the variance (2,) of the seam's (y, z), mm^2, that the stated hand-eye tolerance leaves.
 
     Each of the camera's three rotations and translations is off by its 1 sigma in turn; what is seen is kept.
     """
-    camera, tolerance = geometry.setup.camera, geometry.setup.tolerance
+    camera, tolerance = setup.camera, setup.tolerance
     image = camera.project(transform(invert(camera.T_tool_camera), seam_tool[None, :]))
     total = np.zeros(2)
     R_joint_tool = nominal.T_joint_tool[:3, :3]
@@ -117,7 +117,7 @@ def hand_eye_variance(geometry: SensorGeometry, nominal: Scene, seam_tool: Float
         else:
             T_camera_moved[axis - 3, 3] = tolerance.hand_eye_mm
         turned = replace(camera, T_tool_camera=camera.T_tool_camera @ T_camera_moved)
-        point, _ = to_laser_plane(replace(geometry.setup, camera=turned), image)
+        point, _ = to_laser_plane(replace(setup, camera=turned), image)
         shift = R_joint_tool @ (point[0] - seam_tool)
         total += shift[1:] ** 2
     return total

@@ -237,7 +237,7 @@ def _follow(
         found |= flags.OFFSET_UNKNOWN.mask
         offset, offset_sigma = np.full(2, np.nan), np.full(2, np.nan)
 
-    sigma = np.sqrt(variance + hand_eye_variance(geometry, nominal, seam_tool))
+    sigma = np.sqrt(variance + hand_eye_variance(setup, nominal, seam_tool))
     tolerance = setup.tolerance.seam_mm
     confidence = float(np.prod(erf(tolerance / (math.sqrt(2.0) * sigma))))
     return state, replace(
