@@ -201,7 +201,7 @@ def _named(
 ) -> tuple[Named, ...]:
     """Return the effects of the best fit, and those that scatter, the largest share first."""
     sigmas = {**after.sigmas, **random.sigmas}
-    confidence = {**random.confidence, **{name: float(decision.confidence[0]) for name in after.ids}}
+    confidence = {**random.confidence, **dict.fromkeys(after.ids, decision.sure)}
     named = [
         Named(
             name,

@@ -73,11 +73,13 @@ IN_SET = 0.05
 class Decision:
     """The verdict, the candidate it rests on, all single effects that were fitted, the look at all.
 
-    `start` is what was left where they all started.
+    `confidence` (n,) is how probable each single effect is, `sure` how probable the candidate; `start` is
+    what was left where they all started.
     """
 
     verdict: Verdict
     chosen: Candidate
+    sure: float
     singles: tuple[Candidate, ...]
     confidence: Float64
     ambiguous: tuple[tuple[str, ...], ...]
@@ -126,7 +128,7 @@ def decide(
     screened = tuple(looked(expected, start, without))
     if not screened or likelihood_nats(0.0) - cost_nats(1) - baseline.evidence < NAMED_FROM:
         # There is nothing to be tried, or none could leave so little that it would be preferred.
-        return Decision(without_help(baseline), baseline, (), np.zeros(0), (), screened, start)
+        return Decision(without_help(baseline), baseline, math.nan, (), np.zeros(0), (), screened, start)
     found = candidates(expected, start, screened, baseline.left, without, on_stage)
     if found[0].evidence > baseline.evidence:
         found, baseline = told_apart(found, baseline, in_pixels)
@@ -139,7 +141,9 @@ def decide(
     best = singles[0]
 
     def said(verdict: Verdict, chosen: Candidate, *ambiguous: tuple[str, ...]) -> Decision:
-        return Decision(verdict, chosen, singles, p, ambiguous, screened, start)
+        others = [single for single in singles if single.ids != chosen.ids]
+        sure = float(confidences([chosen, *others], baseline)[0]) if chosen.ids else math.nan
+        return Decision(verdict, chosen, sure, singles, p, ambiguous, screened, start)
 
     if is_open and is_small:
         # What bins still show and nothing explains is too little to be seen in pixels.
@@ -155,7 +159,7 @@ def decide(
         return said(Verdict.UNKNOWN, best)
     if len(several.ids) == 1 and len(likely) > 1:
         # One is enough once it has been fitted beside another, but no likelier than that one.
-        return said(Verdict.AMBIGUOUS, several, likely)
+        return said(Verdict.AMBIGUOUS, several, tuple(dict.fromkeys((*several.ids, *likely))))
     return said(Verdict.EFFECTS, several)
 
 

@@ -6,8 +6,18 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+from sim_to_real import verdict as room
 from sim_to_real.diagnosis import Gap, Verdict
-from sim_to_real.verdict import Decision, closing, not_held_up, random_shares, with_random, with_withheld
+from sim_to_real.select import likelihood_nats
+from sim_to_real.verdict import (
+    Decision,
+    closing,
+    decide,
+    not_held_up,
+    random_shares,
+    with_random,
+    with_withheld,
+)
 
 
 @dataclass
@@ -22,11 +32,41 @@ class Scattering:
 
 
 def candidate(*ids, left=1.0):
-    return SimpleNamespace(ids=ids, left=left)
+    return SimpleNamespace(
+        ids=ids, left=left, left_in_pixels=np.nan, evidence=likelihood_nats(left), refit=None
+    )
 
 
 def decision(verdict, *ids):
-    return Decision(verdict, candidate(*ids), (), np.empty(0), (), (), None)
+    return Decision(verdict, candidate(*ids), 1.0, (), np.empty(0), (), (), None)
+
+
+def decided(monkeypatch, baseline, singles, several):
+    """Decide between fits that are handed in."""
+    answers = {"looked": ["a look"], "candidates": singles, "with_dear": singles, "_several": several}
+    for name, answer in answers.items():
+        monkeypatch.setattr(room, name, lambda *_, answer=answer: answer)
+    monkeypatch.setattr(room, "refit", lambda *_, **__: None)
+    monkeypatch.setattr(room, "told_apart", lambda *_: (singles, baseline))
+    return decide(SimpleNamespace(take_tangents=lambda *_: None, neutral=None), baseline, (), None, print)
+
+
+def test_one_that_is_enough_beside_likelier_ones_is_ambiguous_with_them(monkeypatch):
+    singles = [candidate("fume", left=2.5), candidate("dirty_window", left=2.51)]
+    found = decided(monkeypatch, candidate(left=9.0), singles, candidate("gamma", left=1.05))
+    assert found.verdict is Verdict.AMBIGUOUS
+    assert found.chosen.ids == ("gamma",)
+    assert found.ambiguous == (("gamma", "fume", "dirty_window"),)
+
+
+def test_how_sure_one_is_of_what_is_named_is_a_probability_of_that(monkeypatch):
+    singles = [candidate("fume", left=2.5), candidate("gamma", left=2.51)]
+    found = decided(monkeypatch, candidate(left=9.0), singles, candidate("fume", "gamma", left=1.05))
+    assert found.verdict is Verdict.EFFECTS
+    assert found.sure > 0.99 > found.confidence[0] > 0.5
+    assert found.confidence.sum() == pytest.approx(1.0)
+    alike = [candidate("fume", left=1.0), candidate("gamma", left=1.01)]
+    assert decided(monkeypatch, candidate(left=9.0), alike, None).sure == pytest.approx(0.62, abs=0.01)
 
 
 def gap(after, ci95, before=5.0, floor=0.2):
