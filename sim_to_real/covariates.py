@@ -18,7 +18,8 @@ from noise_model.surface import Section, corrugation_height
 from noise_model.view import View
 from sim_to_real.expected import Expected, Passed
 from sim_to_real.nuisances import really_there
-from sim_to_real.observed import STRATA, Bool, Float32, Observed, ObservedFrame
+from sim_to_real.observed import STRATA, Float32, Observed, ObservedFrame
+from sim_to_real.pixels import Bool
 
 UNITS: Mapping[str, str] = {
     "distance": "mm",

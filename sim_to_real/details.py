@@ -24,8 +24,8 @@ from scipy.optimize import nnls
 from noise_model.frames import Float64
 from noise_model.sensor import linearise, respond_moments
 from sim_to_real.expected import CHARGE_STEP_E, Passed
-from sim_to_real.observed import Bool, Float32, ObservedFrame
-from sim_to_real.pixels import cut
+from sim_to_real.observed import Float32, ObservedFrame
+from sim_to_real.pixels import Bool, cut
 
 CAP = 5.0
 """Details beyond so many sigmas are cut: a spark is not noise."""

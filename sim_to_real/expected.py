@@ -28,7 +28,8 @@ from noise_model.setup import Setup
 from noise_model.surface import BentSeam, section
 from noise_model.view import View
 from sim_to_real.nuisances import N_CAMERA, N_LEVELS, nuisances, really_lit, really_there
-from sim_to_real.observed import Bool, Float32, Observed, ObservedFrame, one_face
+from sim_to_real.observed import Float32, Observed, ObservedFrame, one_face
+from sim_to_real.pixels import Bool
 from sim_to_real.seam_curve import MODES, SeamCurve
 from sim_to_real.sightings import MOVING
 

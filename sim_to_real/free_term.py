@@ -16,7 +16,8 @@ import numpy.typing as npt
 
 from noise_model.frames import Float64
 from sim_to_real.covariates import UNITS, Covariates
-from sim_to_real.observed import Bool, Float32
+from sim_to_real.observed import Float32
+from sim_to_real.pixels import Bool
 from sim_to_real.refit import huber_bound, huber_weights
 
 KNOTS, KNOTS_OF_TWO = 9, (6, 7)

@@ -18,8 +18,8 @@ from noise_model.setup import Setup
 from sim_to_real.diagnosis import Float32, Gap, Predicted
 from sim_to_real.expected import THREADS, Effects, Expected
 from sim_to_real.nuisances import really_lit, really_there
-from sim_to_real.observed import FLOOR_DN, FLOOR_REL, Bool, Observed, ObservedFrame
-from sim_to_real.pixels import cut, off_faces, within
+from sim_to_real.observed import FLOOR_DN, FLOOR_REL, Observed, ObservedFrame
+from sim_to_real.pixels import Bool, cut, off_faces, within
 from sim_to_real.refit import FLICKER, Refit
 
 EDGE_PX = 6

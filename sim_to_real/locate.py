@@ -13,7 +13,8 @@ from noise_model.frames import Float64
 from sim_to_real.covariates import UNITS, Covariates
 from sim_to_real.diagnosis import Curve, Where
 from sim_to_real.free_term import FOLDS, FORMS, LEAST_EXCESS, HeldOut, folds_by_turn, hats, share
-from sim_to_real.observed import STRATA, THIN, Bool, Float32
+from sim_to_real.observed import STRATA, THIN, Float32
+from sim_to_real.pixels import Bool
 from sim_to_real.refit import MAD_SIGMA
 
 GROUPS = 12

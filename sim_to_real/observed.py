@@ -18,12 +18,12 @@ from noise_model.frames import Float64
 from noise_model.optics import Camera
 from noise_model.sensor import linearise, respond_moments, saturation_dn
 from noise_model.setup import Setup
-from sim_to_real.pixels import block_means
+from sim_to_real.photon_transfer import PhotonTransfer, photon_transfer
+from sim_to_real.pixels import Bool, block_means
 from sim_to_real.seam_curve import SeamCurve
 from sim_to_real.sightings import MOVING, Sightings
 from tracker.state import Frame, Pose
 
-Bool = npt.NDArray[np.bool_]
 Float32 = npt.NDArray[np.float32]
 
 PoseAt = Callable[[float], Pose | None]
@@ -132,6 +132,8 @@ def observe(setup: Setup, frames: Sequence[Frame], pose_at: PoseAt) -> Observed:
     seam = SeamCurve.of(*sightings.in_joint(setup), sightings.variances_mm2, (np.min(seen), np.max(seen)))
     bin_px = max(LEAST_BIN_PX, round(setup.camera.width / BINNED_WIDTH))
     binned = replace(setup, camera=binned_camera(setup.camera, bin_px))
+    usable = [_usable(frame.image_dn, setup, bin_px) for frame in posed]
+    transfer = photon_transfer([frame.image_dn for frame in posed], usable, bin_px)
     return Observed(
         setup,
         binned,
@@ -139,8 +141,8 @@ def observe(setup: Setup, frames: Sequence[Frame], pose_at: PoseAt) -> Observed:
         seam,
         sightings,
         tuple(
-            _observed(setup, binned, bin_px, position, frame, of_frame, seam)
-            for position, (frame, of_frame) in enumerate(zip(posed, poses, strict=True))
+            _observed(setup, binned, bin_px, position, frame, of_frame, seam, of_usable, transfer)
+            for position, (frame, of_frame, of_usable) in enumerate(zip(posed, poses, usable, strict=True))
         ),
     )
 
@@ -188,12 +190,13 @@ def _observed(
     frame: Frame,
     T_base_tool: Callable[[float], Float64],
     seam: SeamCurve,
+    usable: Bool,
+    transfer: PhotonTransfer,
 ) -> ObservedFrame:
     condition = stated_condition(setup, frame)
     pose = T_base_tool(frame.timestamp_s)
     stations_mm = stations(setup, pose)
     layers = Renderer().layers(really(binned), pose, seam.bent(np.zeros(seam.n_modes), *stations_mm))
-    usable = _usable(frame.image_dn, setup, bin_px)
     keep, in_stripe = _keep(binned, layers, condition, usable)
     binned_dn = block_means(frame.image_dn, bin_px).astype(np.float32)
     return ObservedFrame(
@@ -208,7 +211,7 @@ def _observed(
         binned_dn,
         keep,
         keep | ~usable,
-        _sigma_dn(binned_dn, setup, bin_px)[keep],
+        _sigma_dn(binned_dn, setup, bin_px, transfer)[keep],
         in_stripe[keep],
         _stated_e(setup, layers, condition),
     )
@@ -229,14 +232,16 @@ def _usable(image_dn: npt.NDArray[np.integer], setup: Setup, bin_px: int) -> Boo
     return np.asarray(block_means(image_dn >= saturation_dn(setup.sensor), bin_px) == 0.0)
 
 
-def _sigma_dn(binned_dn: Float32, setup: Setup, bin_px: int) -> Float64:
+def _sigma_dn(binned_dn: Float32, setup: Setup, bin_px: int, transfer: PhotonTransfer) -> Float64:
     """Return the noise (h, w) of bins with the model's floor, from the light that is seen.
 
-    Seen, not predicted: every candidate explains the same data with the same weights.
+    Seen, not predicted: every candidate explains the same data with the same weights. Of the stated noise and
+    that which the recording shows the larger counts.
     """
     seen_dn = cv2.blur(binned_dn, (3, 3)).astype(np.float64)
     electrons = np.maximum(linearise(seen_dn, setup.sensor), 0.0)
-    _, variance_dn2 = respond_moments(electrons, electrons + setup.sensor.read_noise_e**2, setup.sensor)
+    _, stated_dn2 = respond_moments(electrons, electrons + setup.sensor.read_noise_e**2, setup.sensor)
+    variance_dn2 = np.maximum(stated_dn2, transfer.at(seen_dn))
     light_dn = seen_dn - setup.sensor.black_level_dn
     return np.asarray(np.sqrt(variance_dn2 / bin_px**2 + (FLOOR_REL * light_dn) ** 2 + FLOOR_DN**2))
 

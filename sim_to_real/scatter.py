@@ -19,7 +19,8 @@ from noise_model.effects import REGISTRY
 from noise_model.frames import Float64
 from sim_to_real.details import Details, Sizes, details, pattern, sizes
 from sim_to_real.expected import Expected
-from sim_to_real.observed import Bool, Observed
+from sim_to_real.observed import Observed
+from sim_to_real.pixels import Bool
 from sim_to_real.refit import NAMED_FROM, Refit
 from sim_to_real.spatter import Spatter, spatter
 from sim_to_real.speckle import WHITE_OFF, speckle

@@ -58,7 +58,11 @@ FAMILIES: Mapping[str, tuple[Family, ...]] = {
     "arc_length": _each({"height_mm": 0.7}, {"height_mm": -0.7}),
     "arc_deflection": (Family(({"x_mm": 0.7}, {"y_mm": 0.7})), Family(({"x_mm": -0.7}, {"y_mm": -0.7}))),
     "arc_radius": _each({"radius_ratio": 1.3}, {"radius_ratio": 0.75}),
-    "argon_line_leak": _each({"line_width_nm": 3.0}, {"line_width_nm": 30.0}),
+    "argon_line_leak": tuple(
+        Family(({"line_width_nm": width},), {"edge_od_per_nm": edge})
+        for width in (3.0, 30.0)
+        for edge in (0.0, 0.5)
+    ),
     "laser_power_drift": _drifts(),
     "wrong_material": (
         Family(({"kappa_diff_ln": 0.3}, {"kappa_spec_ln": 0.3})),

@@ -151,6 +151,11 @@ def candidates(
     """
     left = min(left, baseline.mean_square)
     gap = left - LEAST_LEFT
+    # What no effect at all leaves at the first look, where nuisances were not fitted yet.
+    unaided = baseline.quadratic.costs(
+        baseline.quadratic.solve(np.ones(len(baseline.quadratic.counts), bool))
+    )
+    gap_at_look = max(float(unaided.sum() / baseline.quadratic.counts.sum()) - LEAST_LEFT, gap)
     found: list[Candidate] = []
     if FLICKER not in without and FLICKER not in baseline.ids and _shows_arc(expected):
         effects: dict[str, Values] = {**baseline.effects, FLICKER: REGISTRY[FLICKER].neutral}
@@ -158,7 +163,7 @@ def candidates(
     most = REFITTED_BESIDE if baseline.ids else REFITTED
     for n, one in enumerate(screened[:most]):
         of_gap = HOPELESS if _is_resolved(found, left) else HARDLY_CLOSES
-        if n and one.left * baseline.mean_square - LEAST_LEFT > of_gap * gap:
+        if n and one.left * baseline.mean_square - LEAST_LEFT > of_gap * gap_at_look:
             continue
         on_stage(f"fitting {one.id}", 0.2 + 0.6 * n / most)
         fitted = refit(expected, {**baseline.effects, one.id: one.start}, baseline.nuisance)

@@ -22,8 +22,8 @@ from noise_model.frames import Float64
 from noise_model.sensor import Sensor, electrons_per_dn, linearise, saturation_dn
 from sim_to_real.details import Sizes
 from sim_to_real.expected import Passed
-from sim_to_real.observed import Bool, Float32, Observed
-from sim_to_real.pixels import cut, within
+from sim_to_real.observed import Float32, Observed
+from sim_to_real.pixels import Bool, cut, within
 from sim_to_real.refit import MAD_SIGMA
 from sim_to_real.streaks import Line, Searched, passing, search
 

@@ -20,8 +20,8 @@ from noise_model.sensor import linearise, respond, respond_moments, saturation_d
 from noise_model.surface import seam_frame
 from sim_to_real.details import Sizes
 from sim_to_real.expected import Passed
-from sim_to_real.observed import FLOOR_DN, FLOOR_REL, Bool, Float32, Observed, ObservedFrame
-from sim_to_real.pixels import block_means, within
+from sim_to_real.observed import FLOOR_DN, FLOOR_REL, Float32, Observed, ObservedFrame
+from sim_to_real.pixels import Bool, block_means, within
 from sim_to_real.ridges import ANGLES, NOISE, ridges
 
 FALSE_ALARMS = 1e-3

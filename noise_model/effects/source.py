@@ -6,12 +6,14 @@ from dataclasses import replace
 
 import numpy as np
 
+from noise_model.argon import REFERENCE_NM
 from noise_model.condition import Condition
 from noise_model.effects.effect import Draw, Effect, Stage, Values
 from noise_model.effects.light import Light
 from noise_model.fit import Parameter
+from noise_model.frames import Float64
 from noise_model.setup import Setup
-from noise_model.spectrum import ArcSpectrum, line_to_continuum, over_field
+from noise_model.spectrum import ArcSpectrum, angle_shift, line_to_continuum, over_field
 from noise_model.view import View
 
 
@@ -44,9 +46,14 @@ def _arc_flicker(light: Light, view: View, condition: Condition, values: Values,
 
 
 def _argon_line_leak(light: Light, view: View, condition: Condition, values: Values, draw: Draw) -> None:
-    spectrum = ArcSpectrum(line_width_nm=values["line_width_nm"])
-    extra = over_field(lambda theta: line_to_continuum(view.setup.filter, spectrum, theta), view.theta)
-    light.arc = light.arc * (1.0 + extra).astype(np.float32)
+    spectrum, of_filter = ArcSpectrum(line_width_nm=values["line_width_nm"]), view.setup.filter
+
+    def over_continuum(theta: Float64) -> Float64:
+        moved_nm = REFERENCE_NM * (1.0 / angle_shift(theta, of_filter.effective_index) - 1.0)
+        steeper = 10.0 ** (-values["edge_od_per_nm"] * moved_nm)
+        return np.asarray(line_to_continuum(of_filter, spectrum, theta) * steeper)
+
+    light.arc = light.arc * (1.0 + over_field(over_continuum, view.theta)).astype(np.float32)
 
 
 EFFECTS = (
@@ -100,10 +107,15 @@ EFFECTS = (
         stage=Stage.SOURCE,
         summary="Ar I 696.54 nm passes the filter's edge, more on axis than off",
         equation="arc' = arc (1 + sum_lines W T_theta(lambda) / integral B T_theta d lambda / B), W the "
-        "line's equivalent width; T_theta shifts to shorter wavelengths off axis",
+        "line's equivalent width; T_theta shifts to shorter wavelengths off axis, and falls more steeply "
+        "than stated: times 10^(-edge_od_per_nm (696.54 nm / s(theta) - 696.54 nm)), s the filter's shift",
         source="spectrum.line_to_continuum; NIST ASD for the lines; filter shift after Smith, Modern Optical "
-        "Engineering, ch. 11",
-        parameters=(Parameter("line_width_nm", "nm", 0.0, 20.0, 0.0, 300.0, 0.2),),
+        "Engineering, ch. 11; a real 690/10 nm filter has densities of 0.342 at 696 nm and 1.008 at 697 nm, "
+        "0.5 per nm steeper there than a Gaussian of its width",
+        parameters=(
+            Parameter("line_width_nm", "nm", 0.0, 20.0, 0.0, 300.0, 0.2),
+            Parameter("edge_od_per_nm", "", 0.0, 0.5, -0.5, 3.0, 0.02),
+        ),
         typical={"line_width_nm": 20.0},
         light=_argon_line_leak,
     ),

@@ -152,6 +152,20 @@ def test_the_line_that_leaks_through_a_gaussian_filter():
     assert got[30, 40] > got[0, 0]
 
 
+def test_an_edge_steeper_than_stated_lets_less_of_the_line_through_off_axis():
+    """As a Gaussian with the real filter's slope: what is left falls by its densities from 696.54 nm on."""
+    setup = nominal("flat", psf_sigma_px=0.0)
+    ones = np.ones((60, 80))
+    stated, steep = (
+        passed(affected(setup, argon_line_leak={"line_width_nm": 20.0, **more}), light_of(ones)).arc - 1.0
+        for more in ({}, {"edge_od_per_nm": 0.5})
+    )
+    theta = math.atan(math.hypot(39.5 / setup.camera.fx, 29.5 / setup.camera.fy))
+    there_nm = 696.5431 / math.sqrt(1.0 - (math.sin(theta) / 1.8) ** 2)
+    assert steep[0, 0] / stated[0, 0] == pytest.approx(10.0 ** (-0.5 * (there_nm - 696.5431)), rel=1e-3)
+    assert steep[30, 40] / stated[30, 40] == pytest.approx(1.0, abs=1e-3)
+
+
 def test_the_line_that_leaks_through_a_measured_filter():
     """The lines through the densities, shifted by hand, over a continuum taken at the band's middle.
 
