@@ -22,7 +22,8 @@ from noise_model.setup import Setup
 from sim_to_real.diagnosis import Estimate, Next
 from sim_to_real.expected import Expected
 from sim_to_real.observed import ObservedFrame
-from sim_to_real.refit import N_EFFECTIVE, NAMED_FROM, Refit
+from sim_to_real.quadratic import N_EFFECTIVE
+from sim_to_real.refit import NAMED_FROM, Refit
 from sim_to_real.screen import Screened
 from sim_to_real.select import cost_nats
 

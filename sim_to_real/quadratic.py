@@ -19,6 +19,12 @@ from scipy.optimize import lsq_linear
 from noise_model.fit import Parameter
 from noise_model.frames import Float64
 
+N_EFFECTIVE = 100.0
+"""How many residuals say something of their own: neighbours share the model's error."""
+
+LEAST_WEIGHT = 1e-3
+"""The least weight of priors, where hardly anything is left."""
+
 RIDGE = 1e-9
 """What is added to the information's diagonal, relative: directions that nothing sees stay where they are."""
 
@@ -57,13 +63,23 @@ class Quadratic:
             information[f], gradient[f], chi2[f] = J.T @ wJ, -(wJ.T @ r), float(r @ (w * r))
         return cls(tuple(parameters), x, information, gradient, chi2, counts)
 
+    @property
+    def prior_weight(self) -> float:
+        """By how much priors count more than beside residuals that are independent and of unit variance.
+
+        As if `N_EFFECTIVE` of them were independent and their scale that which is left: where a model is
+        still far off, what is known before keeps the parameters near.
+        """
+        n = float(self.counts.sum())
+        return max(float(self.chi2.sum()) / min(n, N_EFFECTIVE), LEAST_WEIGHT)
+
     def solve(self, frames: npt.NDArray[np.bool_], damping: float = 0.0) -> Float64:
         """Return the parameters (p,) that chosen frames (n_frames,) and the priors like best.
 
         `damping` adds so much of the information's diagonal (Levenberg and Marquardt).
         """
         A, b = self.information[frames].sum(axis=0), self.gradient[frames].sum(axis=0)
-        prior = np.array([1.0 / parameter.prior_sigma**2 for parameter in self.parameters])
+        prior = self.prior_weight / np.array([parameter.prior_sigma**2 for parameter in self.parameters])
         starts = np.array([parameter.start for parameter in self.parameters])
         A = A + np.diag(prior)
         b = b - prior * (self.x - starts)

@@ -21,9 +21,6 @@ HUBER = 3.0
 MAD_SIGMA = 1.4826
 """A normal distribution's sigma over its median absolute deviation."""
 
-N_EFFECTIVE = 100.0
-"""How many residuals say something of their own."""
-
 NAMED_FROM = 3.0
 """Evidence, nats, by which effects must beat their absence."""
 
@@ -74,12 +71,11 @@ class Refit:
     def sigmas(self) -> dict[str, dict[str, float]]:
         """The effects' parameters' 1 sigma, the residuals' own spread taken for that of the noise.
 
-        As if `N_EFFECTIVE` of the residuals were independent: neighbours share the model's error.
+        As if `quadratic.N_EFFECTIVE` of the residuals were independent: neighbours share the model's error.
         """
         prior = np.diag([1.0 / parameter.prior_sigma**2 for parameter in self.quadratic.parameters])
-        n = float(self.quadratic.counts.sum())
-        share = min(1.0, N_EFFECTIVE / n) / max(self.mean_square, 1e-12)
-        covariance = np.linalg.pinv(share * self.quadratic.information.sum(axis=0) + prior)
+        information = self.quadratic.information.sum(axis=0) / self.quadratic.prior_weight
+        covariance = np.linalg.pinv(information + prior)
         sigma, found = np.sqrt(np.maximum(np.diag(covariance), 0.0)), {}
         for name, at in _blocks(self.ids, self.n_nuisances, len(self.arc_ln)):
             if name == FLICKER:
@@ -112,13 +108,14 @@ def refit(
     for _ in range(steps):
         bound = huber_bound(r)
         quadratic = problem.quadratic(x, r, J, bound)
-        cost = problem.cost(x, r, bound)
+        weight = quadratic.prior_weight
+        cost = problem.cost(x, r, bound, weight)
         gained = 0.0
         while damping < DAMPED_MOST:
             x_new = within_bounds(problem.parameters, quadratic.solve(problem.all_frames, damping))
             passed_new = problem.passed(x_new)
             r_new = expected.residuals(passed_new)
-            new = problem.cost(x_new, r_new, bound)
+            new = problem.cost(x_new, r_new, bound, weight)
             if new < cost:
                 gained = (cost - new) / cost
                 J = followed(J, x_new - x, r_new - r)
@@ -277,13 +274,13 @@ class _Problem:
         """Return the cost about x."""
         return Quadratic.of(self.parameters, x, r, J, huber_weights(r, bound), self.counts)
 
-    def cost(self, x: Float64, r: Float64, bound: float) -> float:
+    def cost(self, x: Float64, r: Float64, bound: float, prior_weight: float) -> float:
         """Return Huber's loss of residuals (n,) and the priors' pulls."""
         size = np.abs(r)
         of_data = np.sum(np.where(size > bound, 2.0 * bound * size - bound**2, size**2))
         starts = np.array([p.start for p in self.parameters])
         sigmas = np.array([p.prior_sigma for p in self.parameters])
-        return float(of_data + np.sum(((x - starts) / sigmas) ** 2))
+        return float(of_data + prior_weight * np.sum(((x - starts) / sigmas) ** 2))
 
 
 def flicker(expected: Expected, arc_ln: Float64) -> float:

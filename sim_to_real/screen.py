@@ -14,6 +14,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from noise_model.effects import REGISTRY, Values
+from noise_model.effects.optics import PATCHES
 from noise_model.fit import Parameter, within_bounds
 from noise_model.frames import Float64
 from sim_to_real.expected import BOUNCING, Expected, Passed
@@ -105,9 +106,15 @@ FAMILIES: Mapping[str, tuple[Family, ...]] = {
     ),
     "surface_tilt": (Family(({"roll_deg": 0.5}, {"pitch_deg": 0.5})),),
     "lens_distortion": (Family(({"k1": 0.1}, {"k2": 2.0}, {"p1": 0.003}, {"p2": 0.003})),),
-    "pose_delay": _each({"delay_s": 0.01}, {"delay_s": -0.01}),
+    "pose_delay": _each(*({"delay_s": sign * delay} for delay in (0.01, 0.05) for sign in (1.0, -1.0))),
 }
 """Where each effect that changes a frame's mean is tried; the random ones show in its scatter."""
+
+PARTS: Mapping[str, int] = {"dirty_window": len(PATCHES)}
+"""Effects of several alike parts: those beside the first are sought one after another."""
+
+ANOTHER_PART = 0.9
+"""One more of them must leave less than this share of what is left without it."""
 
 DEAR: Mapping[str, Values] = {BOUNCING: {"albedo_scale": 0.2}}
 """Effects that take longer than all others together, and where their fit starts: tried if no other does."""
@@ -130,10 +137,7 @@ class Screened:
 def screen(expected: Expected, baseline: Refit, ids: Sequence[str]) -> list[Screened]:
     """Return candidates to add to the baseline's effects, those that leave least first."""
     r = expected.residuals(_rendered(expected, baseline, baseline.effects))
-    found = [
-        min((_tried(expected, baseline, r, name, family) for family in FAMILIES[name]), key=lambda s: s.left)
-        for name in ids
-    ]
+    found = [_tried(expected, baseline, r, name) for name in ids]
     return sorted(found, key=lambda screened: screened.left)
 
 
@@ -145,20 +149,58 @@ def _rendered(expected: Expected, baseline: Refit, effects: Mapping[str, Values]
     return [expected.moved(*of) for of in zip(expected.observed.frames, passed, by, strict=True)]
 
 
-def _tried(expected: Expected, baseline: Refit, r: Float64, name: str, family: Family) -> Screened:
-    effect = REGISTRY[name]
-    shaped = {**effect.neutral, **family.shape}
-    columns = []
+@dataclass(frozen=True, eq=False)
+class _Look:
+    """A family's places as tried: `columns` (n, k) by which they change the residuals."""
+
+    family: Family
+    columns: Float64
+
+    def part(self, number: int) -> Family:
+        """Return the family as that of another of the effect's alike parts; the first one is 1."""
+
+        def renamed(values: Values) -> Values:
+            return {key.replace("_1", f"_{number}"): value for key, value in values.items()}
+
+        return Family(tuple(renamed(place) for place in self.family.places), renamed(self.family.shape))
+
+
+def _tried(expected: Expected, baseline: Refit, r: Float64, name: str) -> Screened:
+    """Look at the best of an effect's families; of an effect with alike parts, at the best for each part."""
+    looks = [_look(expected, baseline, r, name, family) for family in FAMILIES[name]]
+    chosen: list[_Look] = []
+    best: Screened | None = None
+    for _ in range(PARTS.get(name, 1)):
+        tried = [(_solved(baseline, r, name, [*chosen, look]), look) for look in looks]
+        screened, look = min(tried, key=lambda pair: pair[0].left)
+        if best is not None and screened.left > ANOTHER_PART * best.left:
+            break
+        best, chosen = screened, [*chosen, look]
+    assert best is not None
+    return best
+
+
+def _look(expected: Expected, baseline: Refit, r: Float64, name: str, family: Family) -> _Look:
+    shaped, columns = {**REGISTRY[name].neutral, **family.shape}, []
     for place in family.places:
         passed = _rendered(expected, baseline, {**baseline.effects, name: {**shaped, **place}})
         columns.append(expected.residuals(passed) - r)
+    return _Look(family, np.column_stack(columns))
+
+
+def _solved(baseline: Refit, r: Float64, name: str, looks: Sequence[_Look]) -> Screened:
+    """Go along the places of all looks, and along the nuisances, to where least is left."""
+    effect = REGISTRY[name]
+    families = [look.part(number) for number, look in enumerate(looks, 1)]
+    columns = np.hstack([look.columns for look in looks])
+    shaped = dict(effect.neutral)
+    for family in families:
+        shaped.update(family.shape)
+    places = [place for family in families for place in family.places]
     names = [parameter.name for parameter in effect.parameters]
     start = np.array([shaped[key] for key in names])
     steps = np.array(
-        [
-            [place.get(key, value) - value for key, value in zip(names, start, strict=True)]
-            for place in family.places
-        ]
+        [[place.get(key, value) - value for key, value in zip(names, start, strict=True)] for place in places]
     )
     t_bounds = [_reach(effect.parameters, start, step) for step in steps]
     t = [
@@ -169,7 +211,7 @@ def _tried(expected: Expected, baseline: Refit, r: Float64, name: str, family: F
         (*baseline.quadratic.parameters, *t),
         np.concatenate([baseline.x, np.zeros(len(t))]),
         r,
-        np.hstack([baseline.jacobian, np.column_stack(columns)]),
+        np.hstack([baseline.jacobian, columns]),
         baseline.weights,
         baseline.quadratic.counts,
     )
@@ -180,12 +222,12 @@ def _tried(expected: Expected, baseline: Refit, r: Float64, name: str, family: F
         along = np.full(len(t), LEAST)
     # On a bound by rounding is beyond it.
     values = within_bounds(effect.parameters, start + along @ steps)
-    moving, value = next(iter(family.places[0].items()))
+    moving, value = next(iter(places[0].items()))
     return Screened(
         name,
         left,
         dict(zip(names, values.tolist(), strict=True)),
-        np.column_stack(columns),
+        columns,
         (moving, value - shaped[moving]),
     )
 

@@ -17,8 +17,8 @@ import numpy as np
 from noise_model.effects import REGISTRY, Values
 from noise_model.frames import Float64
 from sim_to_real.expected import RENDERING, Effects, Expected
-from sim_to_real.quadratic import Quadratic
-from sim_to_real.refit import FLICKER, N_EFFECTIVE, Refit, huber_weights, refit, settled
+from sim_to_real.quadratic import N_EFFECTIVE, Quadratic
+from sim_to_real.refit import FLICKER, Refit, huber_weights, refit, settled
 from sim_to_real.screen import DEAR, FAMILIES, Screened, screen
 from sim_to_real.split import folds
 

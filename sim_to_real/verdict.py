@@ -38,11 +38,14 @@ EXPLAINED = 0.12
 AT_FLOOR = 1.5
 """What leaves less in pixels shows no gap there: the model's floor is 1."""
 
-LEAST_SHARE = 0.15
+LEAST_SHARE = 0.05
 """An effect with a smaller share of what is closed is not named beside others."""
 
-WORTH = 0.5
+WORTH = 0.7
 """A further effect must close this share of what the others leave."""
+
+CLEARLY_LEFT = 2.0
+"""A mean square from which there is more to be explained even where one effect explains most of a gap."""
 
 PULLED_FROM = 2.0
 """A mean square from which the baseline's nuisances are not believed."""
@@ -151,10 +154,13 @@ def decide(
     if best.evidence - baseline.evidence < NAMED_FROM:
         return said(without_help(baseline), baseline)
     likely = tuple(one.ids[0] for one, share in zip(singles, p, strict=True) if share >= IN_SET)
-    if is_explained(best, baseline):
+    explained = is_explained(best, baseline)
+    several = None
+    if not explained or best.left > CLEARLY_LEFT:
+        several = _several(expected, baseline, best, without, on_stage)
+    if explained and (several is None or len(several.ids) == 1):
         is_sure = p[0] >= SURE or len(likely) == 1
         return said(Verdict.EFFECTS, best) if is_sure else said(Verdict.AMBIGUOUS, best, likely)
-    several = _several(expected, baseline, best, without, on_stage)
     if several is None:
         return said(Verdict.UNKNOWN, best)
     if len(several.ids) == 1 and len(likely) > 1:

@@ -8,7 +8,7 @@ import pytest
 
 from noise_model.fit import Parameter
 from sim_to_real.next import not_resolvable, own_signatures, smallest
-from sim_to_real.refit import N_EFFECTIVE
+from sim_to_real.quadratic import N_EFFECTIVE
 from sim_to_real.screen import Screened
 
 N = 400

@@ -5,7 +5,7 @@ import pytest
 from scipy.optimize import least_squares
 
 from noise_model.fit import Parameter
-from sim_to_real.quadratic import Quadratic
+from sim_to_real.quadratic import N_EFFECTIVE, Quadratic
 
 COUNTS = np.array([30, 50, 40])
 
@@ -26,8 +26,12 @@ def test_the_minimum_is_that_of_plain_least_squares(bounds):
     rows = np.repeat(chosen, COUNTS)
     starts, sigmas = np.array([0.0, 0.1, 0.2]), 2.0
 
+    # Of all 120 residuals so many are independent, and what is left is their variance.
+    weight = (w @ r**2) / N_EFFECTIVE
+
     def residuals(value):
-        return np.concatenate([np.sqrt(w[rows]) * (r + J @ (value - x))[rows], (value - starts) / sigmas])
+        pulls = np.sqrt(weight) * (value - starts) / sigmas
+        return np.concatenate([np.sqrt(w[rows]) * (r + J @ (value - x))[rows], pulls])
 
     expected = least_squares(residuals, np.clip(x, *bounds), bounds=bounds, xtol=1e-14, ftol=1e-14).x
     found = Quadratic.of(parameters, x, r, J, w, COUNTS).solve(chosen)
@@ -40,6 +44,16 @@ def test_costs_are_the_weighted_squares_of_each_frame():
     there = w * (r + J @ (value - x)) ** 2
     expected = [part.sum() for part in np.split(there, np.cumsum(COUNTS)[:-1])]
     np.testing.assert_allclose(Quadratic.of(parameters, x, r, J, w, COUNTS).costs(value), expected)
+
+
+def test_what_is_known_before_counts_the_more_the_more_is_left():
+    """Residuals of ten times the size, the model off by as much: priors keep the parameters nearer."""
+    parameters, x, r, J, w = problem(4)
+    J = 0.05 * J
+    near, far = (Quadratic.of(parameters, x, scale * r, J, w, COUNTS) for scale in (1.0, 10.0))
+    assert far.prior_weight == pytest.approx(100.0 * near.prior_weight)
+    every = np.ones(3, dtype=bool)
+    assert np.linalg.norm(far.solve(every) - x) < 3.0 * np.linalg.norm(near.solve(every) - x)
 
 
 def test_a_direction_that_nothing_sees_stays_where_it_is():
