@@ -44,7 +44,7 @@ LEAST_SHARE = 0.05
 WORTH = 0.7
 """A further effect must close this share of what the others leave."""
 
-CLEARLY_LEFT = 2.0
+CLEARLY_LEFT = 1.3
 """A mean square from which there is more to be explained even where one effect explains most of a gap."""
 
 PULLED_FROM = 2.0
