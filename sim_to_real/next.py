@@ -37,9 +37,12 @@ TILT_DEG, RAISE_MM, CURRENT, EXPOSURE, FASTER = 10.0, 2.0, 1.5, 0.5, 3.0
 def own_signatures(baseline: Refit, screened: Sequence[Screened]) -> dict[str, Float64]:
     """Return effects' signatures (n, k): what their places do to residuals and, below, to priors' pulls.
 
-    What nuisances can do is projected out, within what priors let them.
+    What nuisances can do is projected out, within what priors let them if as much is left as the model may
+    be off, see `Quadratic.prior_weight`.
     """
-    priors = np.array([1.0 / parameter.prior_sigma for parameter in baseline.quadratic.parameters])
+    weight = max(len(baseline.jacobian) / N_EFFECTIVE, 1.0)
+    sigmas = np.array([parameter.prior_sigma for parameter in baseline.quadratic.parameters])
+    priors = math.sqrt(weight) / sigmas
     known = np.vstack([baseline.jacobian, np.diag(priors)])
     basis, _ = np.linalg.qr(known)
     found = {}
