@@ -24,6 +24,9 @@ from tracker.state import Frame
 
 DIAGNOSIS_FOLDER = "diagnosis"
 
+THREADS = 2
+"""Threads of a recording that is diagnosed alone: beside other processes one is best."""
+
 CONNECT_S = 10.0
 """How long a cluster's scheduler may take to answer."""
 
@@ -112,10 +115,10 @@ def jobs_for(
     return jobs
 
 
-def diagnose_recording(job: Job, on_stage: OnStage | None = None) -> Diagnosed:
+def diagnose_recording(job: Job, on_stage: OnStage | None = None, threads: int = THREADS) -> Diagnosed:
     """Diagnose a recording and write report.json, where.npz, predicted.npz and report.html.
 
-    Raises ArctrackError for what the user can mend.
+    So many `threads` predict frames at once. Raises ArctrackError for what the user can mend.
     """
     from arctrack.report.diagnosis import write_page
     from sim_to_real.diagnose import diagnose
@@ -132,6 +135,7 @@ def diagnose_recording(job: Job, on_stage: OnStage | None = None) -> Diagnosed:
             lambda timestamp_s: pose_at(poses, timestamp_s),
             without=job.without,
             on_stage=on_stage,
+            threads=threads,
         )
     except ValueError as error:
         raise in_file(job.recording, str(error)) from error
@@ -154,7 +158,7 @@ def in_turn(jobs: Iterable[Job], on_stage: Callable[[Job], OnStage]) -> Iterator
 
 def at_once(jobs: Iterable[Job], executor: Executor) -> Iterator[Outcome]:
     """Diagnose recordings wherever an executor runs them, and yield each as it comes."""
-    futures = {executor.submit(diagnose_recording, job): job for job in jobs}
+    futures = {executor.submit(diagnose_recording, job, threads=1): job for job in jobs}
     for future in as_completed(futures):
         try:
             yield future.result()

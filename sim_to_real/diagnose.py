@@ -50,29 +50,37 @@ def diagnose(
     *,
     without: Sequence[str] = (),
     on_stage: OnStage | None = None,
+    threads: int = 1,
 ) -> Diagnosis:
     """Diagnose a recording's frames; `without` takes effects out of the catalogue.
 
-    `on_stage` hears what is being done and how much of all is done. Raises ValueError for an unknown effect
-    and if no frame has a pose.
+    `on_stage` hears what is being done and how much of all is done. So many `threads`
+    predict frames at once: one is best where other processes are at work.
+
+    Raises ValueError for an unknown effect and if no frame has a pose.
     """
     for name in without:
         if name not in REGISTRY:
             raise ValueError(f"{name}: no such effect, there are {', '.join(REGISTRY)}")
     # Its many small matrices are no work for BLAS' threads: waiting for each other costs them more.
     with threadpool_limits(1, user_api="blas"):
-        return _diagnosed(setup, frames, pose_at, without, _rising(on_stage or _silent))
+        return _diagnosed(setup, frames, pose_at, without, _rising(on_stage or _silent), threads)
 
 
 def _diagnosed(
-    setup: Setup, frames: Sequence[Frame], pose_at: PoseAt, without: Sequence[str], heard: OnStage
+    setup: Setup,
+    frames: Sequence[Frame],
+    pose_at: PoseAt,
+    without: Sequence[str],
+    heard: OnStage,
+    threads: int,
 ) -> Diagnosis:
     heard("tracking the seam", 0.0)
     observed = observe(setup, frames, pose_at)
     held = held_out(observed, HELD)
     train = observed.some(~held)
     heard("fitting what is no gap", 0.05)
-    expected = Expected(train)
+    expected = Expected(train, threads)
     before, scattered = _baseline(expected, without)
     aside = held_out(train, LEFT_ASIDE)
     choosing = expected.some(~aside)

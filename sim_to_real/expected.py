@@ -71,9 +71,6 @@ RENDERING = frozenset(
 BOUNCING = "interreflection"
 """The effect whose light takes longer than all else together."""
 
-THREADS = 2
-"""Frames that are predicted at once: rendering lets go of the interpreter."""
-
 
 @dataclass(frozen=True, eq=False)
 class Rendered:
@@ -124,9 +121,12 @@ class Tangents:
 
 
 class Expected:
-    """The model held against a recording: remembers what it has rendered."""
+    """The model held against a recording: remembers what it has rendered.
 
-    def __init__(self, observed: Observed) -> None:
+    It predicts `threads` frames at once: rendering lets go of the interpreter.
+    """
+
+    def __init__(self, observed: Observed, threads: int = 1) -> None:
         self.observed = observed
         self.nuisances = nuisances(observed)
         self.neutral = np.zeros(len(self.nuisances))
@@ -136,7 +136,8 @@ class Expected:
         self._bounced: dict[int, BouncedLight] = {}
         self._rays: dict[tuple[object, ...], Rays] = {}
         self._curves: dict[tuple[object, ...], SeamCurve] = {}
-        self._threads = ThreadPoolExecutor(THREADS)
+        self.threads = threads
+        self._executor = ThreadPoolExecutor(threads)
 
     def take_tangents(self, anchor: Float64, effects: Effects) -> None:
         """Take the derivatives of light about nuisances (p,) and effects."""
@@ -156,7 +157,7 @@ class Expected:
 
     def some(self, chosen: Bool) -> Expected:
         """Return the same held against some of the frames (n_frames,), with what is known of those."""
-        fewer = Expected(self.observed.some(chosen))
+        fewer = Expected(self.observed.some(chosen), self.threads)
         fewer._rays = self._rays
         position = {old: new for new, old in enumerate(np.flatnonzero(chosen).tolist())}
         if self._tangents is not None:
@@ -208,7 +209,7 @@ class Expected:
 
     def over_frames(self, of_frame: Callable[[ObservedFrame], Result]) -> list[Result]:
         """Return a function's result for each frame, in order; some are computed at once."""
-        return list(self._threads.map(of_frame, self.observed.frames))
+        return list(self._executor.map(of_frame, self.observed.frames))
 
     def passed(self, anchor: Float64, effects: Effects) -> list[Passed]:
         """Return what reaches the bins of each frame at nuisances (p,) and effects."""

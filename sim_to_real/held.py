@@ -16,7 +16,7 @@ from noise_model.frames import Float64
 from noise_model.sensor import saturation_dn
 from noise_model.setup import Setup
 from sim_to_real.diagnosis import Float32, Gap, Predicted
-from sim_to_real.expected import THREADS, Effects, Expected
+from sim_to_real.expected import Effects, Expected
 from sim_to_real.nuisances import really_lit, really_there
 from sim_to_real.observed import FLOOR_DN, FLOOR_REL, Observed, ObservedFrame
 from sim_to_real.pixels import Bool, cut, off_faces, within
@@ -66,7 +66,7 @@ def predict_held(
         return first, second, _counts(held.setup, expected, frame, after[0], (first, second), renderer)
 
     found = []
-    with ThreadPoolExecutor(THREADS) as threads:
+    with ThreadPoolExecutor(expected.threads) as threads:
         for n, of_frame in enumerate(threads.map(predicted, held.frames)):
             found.append(of_frame)
             on_frame((n + 1.0) / len(held.frames))
@@ -99,7 +99,7 @@ def left_in_pixels(aside: Observed, expected: Expected, fits: Sequence[Refit], r
         ]
         return np.array([*left, _squares(floor, found[0].variance_dn2, counts).sum(), counts.sum()])
 
-    with ThreadPoolExecutor(THREADS) as threads:
+    with ThreadPoolExecutor(expected.threads) as threads:
         of_all = np.sum(list(threads.map(sums, aside.frames)), axis=0)
     by_chance = CHANCE_SIGMAS * np.sqrt(2.0 * of_all[-1])
     return np.asarray((of_all[:-2] - of_all[-1]) / (of_all[-2] + by_chance))
