@@ -42,7 +42,12 @@ def _each(*places: Values) -> tuple[Family, ...]:
 
 
 def _drifts() -> tuple[Family, ...]:
-    return tuple(Family(({"rate_per_s": 0.2 / min(s, 2.0)},), {"settle_s": s}) for s in (0.4, 1.5, 100.0))
+    settling = (Family(({"rate_per_s": 0.2 / min(s, 2.0)},), {"settle_s": s}) for s in (0.4, 1.5, 100.0))
+    swinging = (
+        Family(({"swing_sin": 0.1}, {"swing_cos": 0.1}), {"swing_hz": hz})
+        for hz in (0.3, 0.5, 0.8, 1.3, 2.1, 3.4)
+    )
+    return (*settling, *swinging)
 
 
 def _patches() -> tuple[Family, ...]:

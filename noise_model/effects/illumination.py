@@ -18,7 +18,7 @@ from noise_model.view import View
 
 
 def _laser_power_drift(condition: Condition, values: Values) -> Condition:
-    factor = drift.settling(values, condition.timestamp_s)
+    factor = drift.drifted(values, condition.timestamp_s)
     return replace(condition, laser_level=condition.laser_level * factor)
 
 

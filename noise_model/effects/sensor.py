@@ -21,7 +21,7 @@ PATTERN_SEED = 20_261
 
 
 def _exposure_drift(condition: Condition, values: Values) -> Condition:
-    factor = drift.settling(values, condition.timestamp_s)
+    factor = drift.drifted(values, condition.timestamp_s)
     return replace(condition, exposure_s=condition.exposure_s * factor)
 
 

@@ -22,7 +22,14 @@ from sim_to_real.check.world_effect import (
     signed,
 )
 from sim_to_real.check.world_light import TrueWorld
-from sim_to_real.check.world_source import draw_settling, draw_swing, settled, swinging
+from sim_to_real.check.world_source import (
+    draw_hop,
+    draw_settling,
+    draw_swing,
+    hopped,
+    settled,
+    swinging,
+)
 
 
 def stated_response(charge_e: Float64, sensor: Sensor) -> Float64:
@@ -47,6 +54,10 @@ def _draw_exposure_settling(draw: Generator, strength: float, setup: Setup) -> d
 
 def _draw_exposure_swing(draw: Generator, strength: float, setup: Setup) -> dict[str, float]:
     return draw_swing(draw, magnitude(strength, 0.02, 0.2))
+
+
+def _draw_exposure_hop(draw: Generator, strength: float, setup: Setup) -> dict[str, float]:
+    return draw_hop(draw, magnitude(strength, 0.03, 0.3))
 
 
 def _draw_pattern(draw: Generator, strength: float, setup: Setup) -> dict[str, float]:
@@ -160,6 +171,12 @@ FORMS: dict[str, tuple[Form, ...]] = {
             "exposure x (1 + amplitude sin(2 pi t / period + phase))",
             _draw_exposure_swing,
             moment=lambda moment, p: _scaled_exposure(moment, swinging(p, moment)),
+        ),
+        Form(
+            "hop",
+            "exposure x (1 + jump) from a moment on",
+            _draw_exposure_hop,
+            moment=lambda moment, p: _scaled_exposure(moment, hopped(p, moment)),
         ),
     ),
     "fixed_pattern": (

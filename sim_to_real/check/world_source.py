@@ -164,6 +164,16 @@ def draw_swing(draw: Generator, amplitude: float) -> dict[str, float]:
     return {"amplitude": amplitude, "period_s": period_s, "phase_rad": phase}
 
 
+def hopped(p: Values, moment: Moment) -> float:
+    """Return 1 + jump from `at_s` on, 1 before."""
+    return 1.0 + p["jump"] * (moment.time_s >= p["at_s"])
+
+
+def draw_hop(draw: Generator, jump: float) -> dict[str, float]:
+    """Draw a hop from one output to another, up or down."""
+    return {"jump": signed(draw, jump), "at_s": draw.uniform(0.5, 1.8)}
+
+
 def _scaled_laser(moment: Moment, factor: float) -> Moment:
     return replace(moment, laser_level=moment.laser_level * factor)
 
@@ -198,6 +208,10 @@ def _draw_laser_settling(draw: Generator, strength: float, setup: Setup) -> dict
 
 def _draw_laser_swing(draw: Generator, strength: float, setup: Setup) -> dict[str, float]:
     return draw_swing(draw, magnitude(strength, 0.04, 0.2))
+
+
+def _draw_laser_hop(draw: Generator, strength: float, setup: Setup) -> dict[str, float]:
+    return draw_hop(draw, magnitude(strength, 0.06, 0.3))
 
 
 FORMS: dict[str, tuple[Form, ...]] = {
@@ -256,6 +270,12 @@ FORMS: dict[str, tuple[Form, ...]] = {
             "laser x (1 + amplitude sin(2 pi t / period + phase))",
             _draw_laser_swing,
             moment=lambda moment, p: _scaled_laser(moment, swinging(p, moment)),
+        ),
+        Form(
+            "hop",
+            "laser x (1 + jump) from a moment on",
+            _draw_laser_hop,
+            moment=lambda moment, p: _scaled_laser(moment, hopped(p, moment)),
         ),
     ),
     "laser_speckle": (

@@ -217,6 +217,17 @@ def test_a_drift_settles():
             assert ratio[1] == pytest.approx(1.0 if laser_alone else ratio[0], rel=1e-5)
 
 
+def test_a_drift_swings():
+    """To and fro about its middle, at its frequency."""
+    swing = {"swing_sin": 0.06, "swing_cos": -0.08, "swing_hz": 2.5}
+    setup = affected(nominal(), laser_power_drift=swing)
+    for t, wanted in ((0.0, -0.08), (0.1, 0.06), (0.2, 0.08), (0.3, -0.06), (0.4, -0.08)):
+        on = Condition(1.0, 0.0, EXPOSURE_S, t)
+        assert charge(setup, on).sum() / charge(nominal(), on).sum() == pytest.approx(
+            math.exp(wanted), rel=1e-5
+        )
+
+
 def test_no_drift_runs_away():
     setup = affected(nominal(), exposure_drift={"rate_per_s": 1.0, "settle_s": 1000.0})
     hour = Condition(1.0, 1.0, EXPOSURE_S, 3600.0)
