@@ -47,7 +47,7 @@ WORTH = 0.7
 CLEARLY_LEFT = 1.3
 """A mean square from which there is more to be explained even where one effect explains most of a gap."""
 
-PULLED_FROM = 2.0
+PULLED_FROM = 10.0
 """A mean square from which the baseline's nuisances are not believed."""
 
 UNEXPLAINED_FROM = 2.0
