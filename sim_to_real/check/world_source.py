@@ -171,7 +171,7 @@ def hopped(p: Values, moment: Moment) -> float:
 
 def draw_hop(draw: Generator, jump: float) -> dict[str, float]:
     """Draw a hop from one output to another, up or down."""
-    return {"jump": signed(draw, jump), "at_s": draw.uniform(0.5, 1.8)}
+    return {"jump": signed(draw, jump), "at_s": draw.uniform(0.4, 1.0)}
 
 
 def _scaled_laser(moment: Moment, factor: float) -> Moment:
