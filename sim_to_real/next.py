@@ -9,18 +9,18 @@ one that they predict most differently (T-optimality: Atkinson and Fedorov 1975,
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
 
 import numpy as np
 
-from noise_model.arc import level
 from noise_model.condition import Condition
 from noise_model.effects import REGISTRY
 from noise_model.frames import Float64, moved
 from noise_model.setup import Setup
 from sim_to_real.diagnosis import Estimate, Next
 from sim_to_real.expected import Expected
+from sim_to_real.experiments import MENU, Experiment
 from sim_to_real.observed import ObservedFrame
 from sim_to_real.quadratic import N_EFFECTIVE
 from sim_to_real.refit import NAMED_FROM, Refit
@@ -29,9 +29,6 @@ from sim_to_real.select import cost_nats
 
 ALIKE = 0.98
 """A signature of which this share, as a cosine, lies in another's span cannot be told from it."""
-
-TILT_DEG, RAISE_MM, CURRENT, EXPOSURE, FASTER = 10.0, 2.0, 1.5, 0.5, 3.0
-"""The changes that the menu's measurements make: angle, height, and factors of the rest."""
 
 
 def own_signatures(baseline: Refit, screened: Sequence[Screened]) -> dict[str, Float64]:
@@ -88,81 +85,33 @@ def smallest(signatures: Mapping[str, Float64], screened: Sequence[Screened]) ->
     return found
 
 
-@dataclass(frozen=True)
-class Measurement:
-    """One of the menu: what to do, and the frame that it would give of one that there is."""
-
-    name: str
-    frame: Callable[[ObservedFrame, Setup], ObservedFrame]
-
-
-def _lit(**changes: float) -> Callable[[ObservedFrame, Setup], ObservedFrame]:
-    def frame(of: ObservedFrame, setup: Setup) -> ObservedFrame:
-        full = Condition(1.0, level(setup.arc, setup.arc.current_a), setup.camera.exposure_s, 0.0)
-        condition = replace(full, timestamp_s=of.condition.timestamp_s, **changes)
-        return replace(of, condition=condition)
-
-    return frame
-
-
-def _scaled(exposure: float = 1.0, current: float = 1.0) -> Callable[[ObservedFrame, Setup], ObservedFrame]:
-    def frame(of: ObservedFrame, setup: Setup) -> ObservedFrame:
-        lit = _lit()(of, setup)
-        condition = replace(
-            lit.condition,
-            exposure_s=exposure * lit.condition.exposure_s,
-            arc_level=level(setup.arc, current * setup.arc.current_a),
-        )
-        return replace(lit, condition=condition)
-
-    return frame
-
-
-def _posed(
-    turn_deg: Sequence[float], move_mm: Sequence[float]
-) -> Callable[[ObservedFrame, Setup], ObservedFrame]:
-    def frame(of: ObservedFrame, setup: Setup) -> ObservedFrame:
-        return replace(
-            _lit()(of, setup),
-            pose_at=lambda t: moved(of.pose_at(t), turn_deg, np.asarray(move_mm, dtype=np.float64)),
-        )
-
-    return frame
-
-
-def _faster(of: ObservedFrame, setup: Setup) -> ObservedFrame:
-    return replace(
-        _lit()(of, setup),
-        pose_at=lambda t: of.pose_at(of.timestamp_s + FASTER * (t - of.timestamp_s)),
+def planned_frame(experiment: Experiment, of: ObservedFrame, setup: Setup) -> ObservedFrame:
+    """Return the frame that an experiment would give at the time of one that there is."""
+    condition = Condition.of(
+        setup,
+        laser_on=experiment.laser_on,
+        arc_on=experiment.arc_on,
+        current_a=experiment.current * setup.arc.current_a,
+        exposure_s=experiment.exposure * setup.camera.exposure_s,
+        timestamp_s=of.condition.timestamp_s,
     )
 
+    def pose_at(timestamp_s: float) -> Float64:
+        run_s = of.timestamp_s + experiment.speed * (timestamp_s - of.timestamp_s)
+        return moved(of.pose_at(run_s), experiment.turn_deg, experiment.move_mm)
 
-MENU = (
-    Measurement("dark frames", _lit(laser_level=0.0, arc_level=0.0)),
-    Measurement("laser alone, arc off", _lit(arc_level=0.0)),
-    Measurement("arc alone, laser off", _lit(laser_level=0.0)),
-    Measurement("a second exposure, half as long", _scaled(exposure=EXPOSURE)),
-    Measurement("a second current, half as much again", _scaled(current=CURRENT)),
-    Measurement(f"the torch raised by {RAISE_MM:g} mm", _posed((0.0, 0.0, 0.0), (0.0, 0.0, RAISE_MM))),
-    Measurement(
-        f"the torch tilted sideways by {TILT_DEG:g} deg", _posed((TILT_DEG, 0.0, 0.0), (0.0, 0.0, 0.0))
-    ),
-    Measurement(
-        f"the torch tilted along the seam by {TILT_DEG:g} deg", _posed((0.0, TILT_DEG, 0.0), (0.0, 0.0, 0.0))
-    ),
-    Measurement(f"the same run {FASTER:g} times as fast", _faster),
-)
-"""What may be measured next."""
+    return replace(of, condition=condition, pose_at=pose_at)
 
 
 def best_measurement(expected: Expected, one: Refit, other: Refit) -> Next:
     """Return the measurement of the menu whose frame two fits predict most differently."""
     template = _template(expected)
     setup = expected.observed.setup
-    frames: list[ObservedFrame] = []
-    for measurement in MENU:
-        frames.append(replace(measurement.frame(template, setup), position=len(frames)))
-    planned = Expected(replace(expected.observed, frames=tuple(frames)))
+    frames = tuple(
+        replace(planned_frame(experiment, template, setup), position=position)
+        for position, experiment in enumerate(MENU)
+    )
+    planned = Expected(replace(expected.observed, frames=frames))
     means = [
         [light.mean_dn() for light in planned.passed(fitted.nuisance, fitted.effects)]
         for fitted in (one, other)

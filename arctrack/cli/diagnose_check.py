@@ -65,6 +65,15 @@ def run(folder: Folder, workers: Workers = 1) -> None:
     typer.echo(f"{folder / engine.RESULTS}: all is diagnosed; arctrack diagnose check open {folder}")
 
 
+@check.command(epilog="Example: arctrack diagnose check more /tmp/check --workers 2")
+def more(folder: Folder, workers: Workers = 1) -> None:
+    """Let recordings go on with the experiment asked for next, and diagnose them; what is there stays."""
+    from arctrack import diagnose_check as engine
+
+    engine.more(folder, workers, _say)
+    typer.echo(f"{folder / engine.RESULTS}: no experiment is left; arctrack diagnose check open {folder}")
+
+
 @check.command("open", epilog="Example: arctrack diagnose check open /tmp/check")
 def open_labels(folder: Folder) -> None:
     """Open the labels; print the scores with their 95 % bounds, write table.md and scores.json."""

@@ -23,7 +23,8 @@ class Answer:
 
     `ranked` are the candidates, best first, `closes` the share of the gap that each closes by itself,
     `confidence` that of the `best`. `gap_before`, `gap_floor` and `gap_closed` are of held-out frames, NaN
-    where not known; `unresolvable` pairs were declared so before any fit. Times are wall and processor. A
+    where not known; `unresolvable` pairs were declared so before any fit. `experiment` is what is to be
+    measured next, "" for nothing, and `separates` what it would tell apart. Times are wall and processor. A
     `problem` says why there is no diagnosis.
     """
 
@@ -37,6 +38,8 @@ class Answer:
     gap_floor: float = math.nan
     gap_closed: float = math.nan
     unresolvable: frozenset[frozenset[str]] = frozenset()
+    experiment: str = ""
+    separates: tuple[str, ...] = ()
     wall_s: float = math.nan
     cpu_s: float = math.nan
     problem: str = ""
@@ -71,7 +74,8 @@ class Answer:
 class Case:
     """A recording: its hidden `effects`, the answer, and the cosine baseline's effects, best first.
 
-    `again` is the answer with the effect withheld that the first one named alone, None if it named none.
+    `again` is the answer with the effect withheld that the first one named alone, None if it named none;
+    `longer` that to the recording with the frames of the experiment it asked for, None if there are none.
     """
 
     name: str
@@ -80,6 +84,7 @@ class Case:
     answer: Answer
     cosines: tuple[tuple[str, float], ...] = ()
     again: Answer | None = None
+    longer: Answer | None = None
 
     @property
     def cosine_first(self) -> str | None:
@@ -111,6 +116,20 @@ class Case:
     def cosine_in_best_three(self) -> bool:
         """Whether the hidden effect is among the baseline's three best."""
         return self.effects[0] in [name for name, _ in self.cosines[:3]]
+
+    @property
+    def asks_for_hidden(self) -> bool:
+        """Whether an experiment was asked for that would tell a hidden effect from another."""
+        return bool(self.answer.experiment) and not set(self.answer.separates).isdisjoint(self.effects)
+
+    @property
+    def is_resolved(self) -> bool:
+        """Whether the experiment's answer names the hidden effect first and for sure; of two, both alone."""
+        if self.longer is None or self.longer.verdict != "effects":
+            return False
+        if len(self.effects) > 1:
+            return set(self.longer.named) == set(self.effects)
+        return self.longer.first in self.effects
 
     def is_unresolvable(self, named: Iterable[str]) -> bool:
         """Say whether a hidden effect and one of those named were a pair declared not resolvable."""

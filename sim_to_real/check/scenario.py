@@ -2,6 +2,7 @@
 
 `draw` makes one up, `make` renders it. A scenario's *world* (joint, metal, camera's true pose, seam, motion)
 comes from its own seed, so that recordings with different effects can share one and its rendered layers.
+`followed_by` lets a scenario go on with an experiment that its diagnosis asked for.
 Tiers: `A` one effect in the catalogue's form, `C` one in another form, `D` two effects, `E` none. Every value
 that `[tolerance]` names is off by a draw from it in all of them.
 """
@@ -9,7 +10,7 @@ that `[tolerance]` names is off by a draw from it in all of them.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -22,8 +23,9 @@ from noise_model.setup import Setup
 from sim_to_real.check.world import FORMS, expected_charge, read_out, really, really_at
 from sim_to_real.check.world_effect import CATALOGUE, Generator, Hidden, Moment
 from sim_to_real.check.world_light import Studio, TrueWorld
-from sim_to_real.check.world_stated import CURRENT_A, EXPOSURE_S, Motion, balanced, draw_stated
+from sim_to_real.check.world_stated import CURRENT_A, EXPOSURE_S, Continued, Motion, balanced, draw_stated
 from sim_to_real.check.world_surface import Departure, TrueSurface
+from sim_to_real.experiments import Experiment
 from tracker.state import Frame
 
 TIERS = {"A": 1, "C": 1, "D": 2, "E": 0}
@@ -35,6 +37,13 @@ LOOKED_AT_S = (0.3, 1.2, 2.0)
 
 POSE_PERIOD_S, POSE_JITTER_S, POSE_LEAD_S, POSE_TAIL_S = 0.01, 0.0011, 0.4, 0.5
 HIGH_A, SHORT_S = 140.0, 0.0025
+
+N_MORE = 4
+"""Frames that are taken of an experiment."""
+
+MOVE_S = 0.6
+PAUSE_S = POSE_TAIL_S + MOVE_S + POSE_LEAD_S
+"""Between run and experiment the tool goes on as before, moves over, and goes on: no late clock sees that."""
 
 FULL_STRIPE_E = 30_000.0
 """The stripe's nominal peak where blooming is hidden: without saturation there is none."""
@@ -55,16 +64,31 @@ class Scenario:
     """All that a recording is made from.
 
     `stated` is the nominal setup, the only one that a diagnosis may know; `world` what is really there before
-    the hidden `effects`.
+    the hidden `effects`. Of `switches` the last `n_more` are of an experiment after the run, and a pause.
     """
 
     seed: int
     tier: str
     stated: Setup
     world: TrueWorld
-    motion: Motion
+    motion: Motion | Continued
     switches: tuple[Switches, ...]
     effects: tuple[Hidden, ...]
+    n_more: int = 0
+
+    @property
+    def n_run(self) -> int:
+        """How many frames the run itself has."""
+        return len(self.switches) - self.n_more
+
+    @property
+    def duration_s(self) -> float:
+        """The time from the run's first frame to its last."""
+        return (self.n_run - 1) / RATE_HZ
+
+    def time_s(self, index: int) -> float:
+        """Return when a frame is taken."""
+        return index / RATE_HZ + (PAUSE_S if index >= self.n_run else 0.0)
 
     @property
     def labels(self) -> dict[str, Any]:
@@ -140,39 +164,62 @@ def draw(
     return Scenario(seed, tier, stated, world, motion, _draw_switches(of_order), hidden)
 
 
-def make(scenario: Scenario, cache_dir: Path | None = None) -> Recorded:
-    """Render a scenario; layers of the arc's light are kept in `cache_dir`.
+def followed_by(scenario: Scenario, experiment: Experiment) -> Scenario:
+    """Return a scenario whose run is followed by an experiment; the run stays as it is, bit for bit.
+
+    The motion goes on over the same seam, effects that depend on time or on the frame's index go on as well.
+    """
+    assert isinstance(scenario.motion, Motion), "one experiment follows a run"
+    stated, from_s = scenario.stated, scenario.duration_s + POSE_TAIL_S
+    more = Switches(
+        experiment.laser_on,
+        experiment.arc_on,
+        experiment.current * stated.arc.current_a if experiment.arc_on else 0.0,
+        experiment.exposure * stated.camera.exposure_s,
+    )
+    return replace(
+        scenario,
+        motion=Continued(scenario.motion, experiment, from_s, from_s + MOVE_S),
+        switches=(*scenario.switches, *N_MORE * [more]),
+        n_more=N_MORE,
+    )
+
+
+def make(scenario: Scenario, cache_dir: Path | None = None, first: int = 0) -> Recorded:
+    """Render a scenario from a frame's index on; layers of the arc's light are kept in `cache_dir`.
 
     Equal scenarios give equal recordings, with and without what is kept. Raises ImportError where Mitsuba
     cannot start.
     """
-    motion, effects = scenario.motion, scenario.effects
+    effects = scenario.effects
     world = really(scenario.world, effects)
-    last_s = (len(scenario.switches) - 1) / RATE_HZ
-    stations = 0.0, motion.speed_mm_s * last_s
-    studio = Studio(world, stations, cache_dir)
-    frames, truth = [], np.empty((len(scenario.switches), 3))
-    for index, switches in enumerate(scenario.switches):
-        time_s = index / RATE_HZ
-        moment = really_at(stated_moment(scenario, index), effects)
-        T_base_tool = motion.T_base_tool(moment.pose_time_s)
-        noise = np.random.default_rng([scenario.seed, 4, index])
-        charge = expected_charge(studio, effects, moment, T_base_tool, noise)
-        image = read_out(world, effects, moment, charge, noise)
-        frames.append(Frame(index=index, timestamp_s=time_s, image_dn=image, **vars(switches)))
-        truth[index] = true_seam_tool_mm(world, T_base_tool)
-    return Recorded(scenario.stated, tuple(frames), _poses(scenario, last_s), truth, scenario.labels)
+    frames, truth = [], []
+    for part, stations in _parts(scenario):
+        indices = part[max(first - part.start, 0) :]
+        if not indices:
+            continue
+        studio = Studio(world, stations, cache_dir)
+        for index in indices:
+            moment = really_at(stated_moment(scenario, index), effects)
+            T_base_tool = scenario.motion.T_base_tool(moment.pose_time_s)
+            noise = np.random.default_rng([scenario.seed, 4, index])
+            charge = expected_charge(studio, effects, moment, T_base_tool, noise)
+            image_dn = read_out(world, effects, moment, charge, noise)
+            switches = vars(scenario.switches[index])
+            frames.append(Frame(index, scenario.time_s(index), image_dn, **switches))
+            truth.append(true_seam_tool_mm(world, T_base_tool))
+    return Recorded(scenario.stated, tuple(frames), _poses(scenario), np.array(truth), scenario.labels)
 
 
 def stated_moment(scenario: Scenario, index: int) -> Moment:
     """Return a frame's moment before any effect."""
     switches, arc = scenario.switches[index], scenario.world.setup.arc
-    time_s = index / RATE_HZ
+    time_s = scenario.time_s(index)
     output = (switches.current_a / arc.current_a) ** arc.current_exponent if switches.arc_on else 0.0
     return Moment(
         index=index,
         time_s=time_s,
-        duration_s=(len(scenario.switches) - 1) / RATE_HZ,
+        duration_s=scenario.duration_s,
         pose_time_s=time_s,
         laser_level=float(switches.laser_on),
         arc_level=output,
@@ -193,6 +240,18 @@ def true_seam_tool_mm(world: TrueWorld, T_base_tool: Float64) -> Float64:
     start = float(transform(invert(T_tool_joint), np.asarray(world.setup.laser.origin_in_tool_mm))[0])
     x_mm = float(brentq(over_plane, start - 80.0, start + 80.0, xtol=1e-9))
     return transform(T_tool_joint, surface.seam_point(x_mm))
+
+
+def _parts(scenario: Scenario) -> Iterator[tuple[range, tuple[float, float]]]:
+    """Yield indices of run and experiment, and the tool's first and last station, mm.
+
+    The mesh that the run is rendered on reaches as far as its own stations say, whatever follows.
+    """
+    for part in (range(scenario.n_run), range(scenario.n_run, len(scenario.switches))):
+        if part:
+            first_s, last_s = scenario.time_s(part[0]), scenario.time_s(part[-1])
+            motion = scenario.motion
+            yield part, (float(motion.T_base_tool(first_s)[0, 3]), float(motion.T_base_tool(last_s)[0, 3]))
 
 
 def _draw_camera(draw: Generator, stated: Setup) -> Float64:
@@ -268,8 +327,9 @@ def _draw_switches(draw: Generator) -> tuple[Switches, ...]:
     return (*ends, *(middle[n] for n in draw.permutation(len(middle))), *reversed(ends))
 
 
-def _poses(scenario: Scenario, last_s: float) -> tuple[tuple[float, Float64], ...]:
+def _poses(scenario: Scenario) -> tuple[tuple[float, Float64], ...]:
     """Return what the controller stamps, jittered, from before the first frame to after the last."""
+    last_s = scenario.time_s(len(scenario.switches) - 1)
     regular_s = np.arange(-POSE_LEAD_S, last_s + POSE_TAIL_S, POSE_PERIOD_S)
     jitter_s = POSE_JITTER_S * np.random.default_rng([scenario.seed, 5]).standard_normal(len(regular_s))
     limit_s = 0.4 * POSE_PERIOD_S

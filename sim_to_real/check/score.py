@@ -126,11 +126,18 @@ def score(cases: Sequence[Case], tiers: str) -> Scores:
         rates += _two_effects(_of(cases, "D"))
     if "E" in tiers:
         rates += _quiet(_of(cases, "E"))
+    if hiding := "".join(tier for tier in "ACD" if tier in tiers):
+        rates += _next_experiment(hiding, [case for case in cases if case.tier in hiding])
     failures = [(case.name, case.answer.problem) for case in cases if case.answer.verdict == FAILED]
     failures += [
         (f"{case.name} without {case.answer.alone}", case.again.problem)
         for case in cases
         if case.again is not None and case.again.verdict == FAILED
+    ]
+    failures += [
+        (f"{case.name} then {case.answer.experiment}", case.longer.problem)
+        for case in cases
+        if case.longer is not None and case.longer.verdict == FAILED
     ]
     return Scores(
         tuple(rates),
@@ -284,6 +291,41 @@ def _quiet(cases: list[Case]) -> list[Score]:
             "of these, an effect named (less is better)",
             _rate(cases, lambda c: bool(c.answer.named)),
             always,
+        ),
+    ]
+
+
+def _next_experiment(tiers: str, cases: list[Case]) -> list[Score]:
+    asked = [case for case in cases if case.answer.experiment]
+    telling = [case for case in asked if case.asks_for_hidden]
+    measured = [case for case in telling if case.longer is not None]
+    was_open = [case for case in measured if case.answer.verdict != "effects"]
+    n_neither, n_missing = len(asked) - len(telling), len(telling) - len(measured)
+
+    def row(name: str, text: str, rate: Rate) -> Score:
+        return Score(f"next_{name}", tiers, text, rate, Rate(0, 0))
+
+    return [
+        row(
+            "resolves",
+            "named first and for sure with the next experiment (D: both and no other)",
+            _rate(measured, attrgetter("is_resolved")),
+        ),
+        row(
+            "resolves_open",
+            "of these, where the first verdict was ambiguous or unknown",
+            _rate(was_open, attrgetter("is_resolved")),
+        ),
+        row("asked", "a next experiment asked for", Rate(len(asked), len(cases))),
+        row(
+            "neither",
+            "of those that asked, counted apart: neither effect that it would separate is hidden",
+            Rate(n_neither, len(asked)),
+        ),
+        row(
+            "missing",
+            "of those that asked, counted apart: one of them is hidden, but `more` has not measured it",
+            Rate(n_missing, len(asked)),
         ),
     ]
 

@@ -30,10 +30,10 @@ Generator = np.random.Generator
 class Moment:
     """One frame as it really is taken.
 
-    `time_s` counts from the first frame of `duration_s`; `pose_time_s` is when the controller stamped the
-    pose that the tool has. `laser_level` and `arc_level` are outputs over the true nominal ones, the current
-    included; `arc_shift_mm` moves the arc's centre in the tool's frame; `tool_height_mm` is the tool's height
-    over the nominal seam line.
+    `time_s` counts from the first frame of a run of `duration_s`, and on after it; `pose_time_s` is when the
+    controller stamped the pose that the tool has. `laser_level` and `arc_level` are outputs over the true
+    nominal ones, the current included; `arc_shift_mm` moves the arc's centre in the tool's frame;
+    `tool_height_mm` is the tool's height over the nominal seam line.
     """
 
     index: int

@@ -10,7 +10,7 @@ from scipy.spatial.transform import Rotation
 
 from noise_model.arc import Arc
 from noise_model.brdf import Material
-from noise_model.frames import Float64
+from noise_model.frames import Float64, moved
 from noise_model.laser import Laser
 from noise_model.optics import Camera
 from noise_model.sensor import Sensor
@@ -20,6 +20,7 @@ from noise_model.surface import Joint
 from sim_to_real.check.world_effect import Generator
 from sim_to_real.check.world_light import Studio, TrueWorld
 from sim_to_real.check.world_surface import Departure, TrueSurface
+from sim_to_real.experiments import Experiment
 
 JOINTS = ("v_groove", "lap", "corrugation")
 METALS = (Material("mild_steel", 0.021, 0.326, 112.0), Material("zn_coated", 0.495, 0.153, 8.331))
@@ -63,6 +64,43 @@ class Motion:
         T_base_tool[:3, :3] = Rotation.from_euler("ZYX", angles, degrees=True).as_matrix()
         T_base_tool[:3, 3] = x, _swing(self.weave, time_s), self.height_at_mm(time_s) + float(lift)
         return T_base_tool
+
+
+@dataclass(frozen=True)
+class Continued:
+    """A motion that goes on as an experiment says: `motion` until `from_s`, the experiment's from `to_s` on.
+
+    In between the tool takes speed, turn and move of the experiment up smoothly.
+    """
+
+    motion: Motion
+    experiment: Experiment
+    from_s: float
+    to_s: float
+
+    def height_at_mm(self, time_s: float) -> float:
+        """Return the tool's height over the nominal surface below it, mm; moved up, it is as much higher."""
+        unmoved = self.motion.T_base_tool(self._run_time_s(time_s))
+        raised_mm = float(self.T_base_tool(time_s)[2, 3] - unmoved[2, 3])
+        return self.motion.height_at_mm(self._run_time_s(time_s)) + raised_mm
+
+    def T_base_tool(self, time_s: float) -> Float64:
+        """Return the tool's pose (4, 4), mm."""
+        s = self._passed(time_s)
+        share = s * s * (3.0 - 2.0 * s)
+        turn_deg, move_mm = np.array(self.experiment.turn_deg), np.array(self.experiment.move_mm)
+        unmoved = self.motion.T_base_tool(self._run_time_s(time_s))
+        return moved(unmoved, share * turn_deg, share * move_mm)
+
+    def _run_time_s(self, time_s: float) -> float:
+        """Return when the tool would have been as far without the experiment."""
+        s, over_s = self._passed(time_s), max(time_s - self.to_s, 0.0)
+        # The integral of the share that T_base_tool takes: the speed rises as turn and move do.
+        ahead_s = (self.to_s - self.from_s) * (s**3 - 0.5 * s**4) + over_s
+        return time_s + (self.experiment.speed - 1.0) * ahead_s
+
+    def _passed(self, time_s: float) -> float:
+        return min(max((time_s - self.from_s) / (self.to_s - self.from_s), 0.0), 1.0)
 
 
 def draw_stated(draw: Generator, joint: str | None) -> tuple[Setup, Motion]:

@@ -6,7 +6,7 @@ import types
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import Executor, ThreadPoolExecutor
 from contextlib import contextmanager
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
@@ -16,11 +16,13 @@ from test_diagnosis_examples import GAMMA, example
 from typer.testing import CliRunner, Result
 
 from arctrack import cli, diagnose_check
-from arctrack.diagnose_check import Asked, make, open_labels, run, scores_json
+from arctrack.diagnose_check import Asked, make, more, open_labels, run, scores_json
 from arctrack.errors import ArctrackError
+from arctrack.recording import read_recording
 from noise_model.setup import Setup
 from sim_to_real.check.plan import Planned
-from sim_to_real.diagnosis import Diagnosis, Verdict
+from sim_to_real.diagnosis import Diagnosis, Next, Verdict
+from sim_to_real.experiments import BY_NAME, Experiment
 from tracker.state import Frame
 
 RUNNER = CliRunner(env={"COLUMNS": "120", "TERM": "dumb", "NO_COLOR": "1"})
@@ -56,11 +58,16 @@ def listening() -> Iterator[list[str]]:
 
 @dataclass
 class Calls:
-    """What the stubs were asked for; `fault` is raised by the diagnosis of what hides gamma."""
+    """What the stubs were asked for; `fault` is raised by the diagnosis of what hides gamma.
+
+    With `asks_for` every run of four frames is ambiguous, and that experiment is asked for.
+    """
 
     made: list[int] = field(default_factory=list)
+    continued: list[str] = field(default_factory=list)
     diagnosed: list[tuple[str, ...]] = field(default_factory=list)
     fault: Exception | None = None
+    asks_for: str | None = None
 
 
 @pytest.fixture(autouse=True)
@@ -73,16 +80,24 @@ def calls(monkeypatch: pytest.MonkeyPatch) -> Calls:
 
     def draw(seed: int, tier: str, **of: object) -> types.SimpleNamespace:
         return types.SimpleNamespace(
-            seed=seed, labels={"tier": tier, "effects": list(of["effects"]), "parameters": [0.1 / 3.0]}
+            seed=seed,
+            labels={"tier": tier, "effects": list(of["effects"]), "parameters": [0.1 / 3.0]},
+            n_run=4,
+            n_more=0,
         )
 
-    def render(scenario: types.SimpleNamespace, cache_dir: Path) -> types.SimpleNamespace:
+    def followed_by(scenario: types.SimpleNamespace, experiment: Experiment) -> types.SimpleNamespace:
+        calls.continued.append(experiment.key)
+        return types.SimpleNamespace(**vars(scenario) | {"n_more": 2})
+
+    def render(scenario: types.SimpleNamespace, cache_dir: Path, first: int = 0) -> types.SimpleNamespace:
         calls.made.append(scenario.seed)
         setup = small_setup()
-        frames = noise_frames(setup, 4, scenario.seed)
+        frames = noise_frames(setup, scenario.n_run + scenario.n_more, scenario.seed)
         frames[0].image_dn[0, 0] = MARK if scenario.labels["effects"] else 0
-        poses = [(float(t), level_pose(float(t))) for t in np.arange(-0.2, 0.6, 0.01)]
-        return types.SimpleNamespace(setup=setup, frames=frames, poses=poses, labels=scenario.labels)
+        times_s = np.arange(-0.2, frames[-1].timestamp_s + 0.3, 0.01)
+        poses = [(float(t), level_pose(float(t))) for t in times_s]
+        return types.SimpleNamespace(setup=setup, frames=frames[first:], poses=poses, labels=scenario.labels)
 
     def diagnose(
         setup: Setup,
@@ -96,6 +111,9 @@ def calls(monkeypatch: pytest.MonkeyPatch) -> Calls:
         hides = frames[0].image_dn[0, 0] == MARK
         if hides and calls.fault is not None:
             raise calls.fault
+        if calls.asks_for is not None and len(frames) == 4:
+            found = example(Verdict.AMBIGUOUS, setup, GAMMA)
+            return replace(found, next=Next(calls.asks_for, ("black_level", "gamma"), True))
         if "gamma" in without:
             return example(Verdict.UNKNOWN, setup, GAMMA)
         return example(Verdict.EFFECTS if hides else Verdict.NO_GAP, setup, GAMMA)
@@ -103,7 +121,7 @@ def calls(monkeypatch: pytest.MonkeyPatch) -> Calls:
     def cosines(setup: Setup, frames: Sequence[Frame], pose_at: object) -> dict[str, float]:
         return {"fume": -0.9, "gamma": 0.3, "spatter": float("nan")}
 
-    renderer.draw, renderer.make = draw, render
+    renderer.draw, renderer.make, renderer.followed_by = draw, render, followed_by
     diagnosis.diagnose, baseline.cosines = diagnose, cosines
     for module in (renderer, diagnosis, baseline):
         monkeypatch.setitem(sys.modules, module.__name__, module)
@@ -279,6 +297,136 @@ def test_what_was_not_diagnosed_counts_as_wrong(made: Path) -> None:
     rates = {one.id: one.rate for one in scores.rates}
     assert (rates["unknown_B"].right, rates["unknown_B"].of) == (0, 1)
     assert (rates["false_alarm"].right, rates["false_alarm"].of) == (1, 1)
+
+
+RAISED = "the torch raised by 2 mm"
+
+
+@pytest.fixture
+def asking(made: Path, calls: Calls) -> Path:
+    """A check whose diagnoses, of the quiet recording too, ask for an experiment."""
+    calls.asks_for = RAISED
+    run(made, 1, quiet)
+    return made
+
+
+def test_what_is_asked_for_is_measured_and_scored(asking: Path, calls: Calls) -> None:
+    result = command("more", asking, "--workers", 1)
+    assert result.exit_code == 0, result.output
+    assert f"1 of 1: 0001 then {RAISED}: effects gamma" in result.stderr
+    # What hides nothing is left out.
+    assert (calls.made, calls.continued) == ([31, 32, 31], ["raised"])
+    content = json.loads((asking / "results" / "0001-then-raised.json").read_text())
+    sealed = json.loads((asking / "sealed.json").read_text())["recordings"]["0001"]["sha256"]
+    assert (content["recording"], content["experiment"], content["without"]) == ("0001", RAISED, [])
+    assert (content["sealed"], content["problem"]) == (sealed, None)
+    result = command("open", asking)
+    lines = result.stdout.splitlines()
+    assert (
+        "| A | named first and for sure with the next experiment (D: both and no other) "
+        "| 1 of 1 | 100 % | 21 % to 100 % | – |" in lines
+    )
+    assert any("| a next experiment asked for | 1 of 1 |" in line for line in lines)
+
+
+def test_a_longer_recording_begins_with_the_recordings_own_frames(asking: Path) -> None:
+    more(asking, 1, quiet)
+    first, longer = (
+        list(read_recording(asking / path).frames())
+        for path in ("recordings/0001", "longer/0001-then-raised")
+    )
+    assert [frame.index for frame in longer] == [0, 1, 2, 3, 4, 5]
+    for one, two in zip(first, longer, strict=False):
+        np.testing.assert_array_equal(one.image_dn, two.image_dn)
+        assert one.timestamp_s == two.timestamp_s
+
+
+def test_what_is_measured_is_not_measured_again(asking: Path, calls: Calls) -> None:
+    more(asking, 1, quiet)
+    n_diagnosed = len(calls.diagnosed)
+    more(asking, 1, quiet)
+    assert (len(calls.continued), len(calls.diagnosed)) == (1, n_diagnosed)
+    (asking / "results" / "0001-then-raised.json").unlink()
+    more(asking, 1, quiet)
+    assert (len(calls.continued), len(calls.diagnosed)) == (1, n_diagnosed + 1)
+
+
+def test_without_more_nothing_is_measured(asking: Path) -> None:
+    rates = {one.id: one.rate for one in open_labels(asking).scores.rates}
+    assert (rates["next_resolves"].right, rates["next_resolves"].of) == (0, 0)
+    assert (rates["next_missing"].right, rates["next_missing"].of) == (1, 1)
+
+
+def test_an_experiment_that_is_not_on_the_menu_is_not_measured(made: Path, calls: Calls) -> None:
+    calls.asks_for = "look twice"
+    assert calls.asks_for not in BY_NAME
+    run(made, 1, quiet)
+    more(made, 1, quiet)
+    assert calls.continued == []
+    rates = {one.id: one.rate for one in open_labels(made).scores.rates}
+    assert (rates["next_asked"].right, rates["next_missing"].right) == (1, 1)
+
+
+def test_more_before_any_diagnosis_does_nothing(made: Path, calls: Calls) -> None:
+    more(made, 1, quiet)
+    assert (calls.continued, list((made / "results").iterdir())) == ([], [])
+
+
+@pytest.mark.parametrize("step", ["followed_by", "diagnose"])
+def test_a_failed_experiment_is_a_wrong_answer_and_says_why(asking: Path, calls: Calls, step: str) -> None:
+    def broken(*of: object) -> None:
+        raise TypeError("a fault")
+
+    if step == "diagnose":
+        calls.fault = TypeError("a fault")
+    else:
+        sys.modules["sim_to_real.check.scenario"].followed_by = broken
+    more(asking, 1, quiet)
+    scores = open_labels(asking).scores
+    assert scores.failures == ((f"0001 then {RAISED}", "TypeError: a fault"),)
+    rates = {one.id: one.rate for one in scores.rates}
+    assert (rates["next_resolves"].right, rates["next_resolves"].of) == (0, 1)
+
+
+def test_another_truth_than_the_sealed_one_is_not_measured(asking: Path, calls: Calls) -> None:
+    renderer = sys.modules["sim_to_real.check.scenario"]
+    drawn = renderer.draw
+
+    def draw(*of: object, **other: object) -> types.SimpleNamespace:
+        scenario = drawn(*of, **other)
+        scenario.labels["parameters"] = [0.5]
+        return scenario
+
+    renderer.draw = draw
+    more(asking, 1, quiet)
+    assert calls.continued == []
+    ((name, why),) = open_labels(asking).scores.failures
+    assert name == f"0001 then {RAISED}"
+    assert "the renderer has changed since" in why
+
+
+def test_a_result_under_another_seal_is_found(asking: Path) -> None:
+    more(asking, 1, quiet)
+    change(asking / "results" / "0001-then-raised.json", lambda content: content.update(sealed="00"))
+    with pytest.raises(ArctrackError, match=r"0001-then-raised\.json: is .* another seal"):
+        open_labels(asking)
+
+
+def test_more_holds_the_labels_against_their_seals(asking: Path, calls: Calls) -> None:
+    change(asking / "labels.json", lambda content: content["labels"]["0001"]["label"].update(effects=[]))
+    with pytest.raises(ArctrackError, match="the label of 0001 is not the one that was sealed"):
+        more(asking, 1, quiet)
+    assert calls.continued == []
+
+
+def test_more_without_the_renderer(asking: Path) -> None:
+    def missing(*of: object, **other: object) -> None:
+        raise ImportError("No module named 'mitsuba'")
+
+    sys.modules["sim_to_real.check.scenario"].draw = missing
+    with pytest.raises(ArctrackError, match=r"pip install 'arctrack\[reference\]'"):
+        more(asking, 1, quiet)
+    assert not (asking / "results" / "0001-then-raised.json").exists()
 
 
 def test_several_at_once(made: Path, monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:

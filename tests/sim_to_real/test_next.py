@@ -1,4 +1,4 @@
-"""What looks the same, and the least that shows."""
+"""What looks the same, the least that shows, and what an experiment would show."""
 
 import math
 from types import SimpleNamespace
@@ -6,8 +6,12 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+from arctrack.nominal import nominal_setup
+from noise_model.condition import Condition
 from noise_model.fit import Parameter
-from sim_to_real.next import not_resolvable, own_signatures, smallest
+from sim_to_real.experiments import BY_NAME, MENU
+from sim_to_real.next import not_resolvable, own_signatures, planned_frame, smallest
+from sim_to_real.observed import ObservedFrame
 from sim_to_real.quadratic import N_EFFECTIVE
 from sim_to_real.screen import Screened
 
@@ -55,3 +59,67 @@ def test_the_least_that_shows_outweighs_what_its_parameter_costs():
     added = (least.value / 0.5) ** 2 * float(A @ A) / N
     assert 0.5 * N_EFFECTIVE * math.log1p(added) == pytest.approx(3.0 + 0.5 * math.log(N_EFFECTIVE))
     assert least.unit == "mm"
+
+
+def travelling(timestamp_s):
+    """A tool that travels along x at 8 mm/s, turned about z by 90 deg."""
+    T_base_tool = np.eye(4)
+    T_base_tool[:2, :2] = [[0.0, -1.0], [1.0, 0.0]]
+    T_base_tool[:3, 3] = 8.0 * timestamp_s, 0.0, 1.0
+    return T_base_tool
+
+
+@pytest.fixture(scope="module")
+def planned():
+    """Frames of all experiments, at a dark frame's time and place."""
+    setup = nominal_setup("v_groove", "mild_steel", width=48, height=36)
+    dark = Condition(0.0, 0.0, 0.001, 1.1)
+    nothing = np.zeros((0, 0))
+    of = ObservedFrame(0, 11, 1.1, "dark", dark, travelling, (0.0, 0.0, 0.0), *7 * [nothing])
+    return {one.key: planned_frame(one, of, setup) for one in MENU}
+
+
+@pytest.mark.parametrize(
+    ("key", "laser_level", "current", "exposure"),
+    [
+        ("dark", 0.0, 0.0, 1.0),
+        ("laser", 1.0, 0.0, 1.0),
+        ("arc", 0.0, 1.0, 1.0),
+        ("exposure", 1.0, 1.0, 0.5),
+        ("current", 1.0, 1.5, 1.0),
+        ("raised", 1.0, 1.0, 1.0),
+        ("sideways", 1.0, 1.0, 1.0),
+        ("along", 1.0, 1.0, 1.0),
+        ("faster", 1.0, 1.0, 1.0),
+    ],
+)
+def test_an_experiment_takes_its_light_from_the_setup(planned, key, laser_level, current, exposure):
+    setup = nominal_setup("v_groove", "mild_steel", width=48, height=36)
+    condition = planned[key].condition
+    assert condition.laser_level == laser_level
+    assert condition.arc_level == pytest.approx(current**setup.arc.current_exponent)
+    assert condition.exposure_s == pytest.approx(exposure * setup.camera.exposure_s)
+    assert condition.timestamp_s == 1.1
+
+
+def test_an_experiment_moves_the_tool_in_its_own_frame(planned):
+    cos, sin = math.cos(math.radians(10.0)), math.sin(math.radians(10.0))
+    plain = travelling(1.2)
+    raised = plain.copy()
+    raised[2, 3] = 3.0
+    np.testing.assert_allclose(planned["raised"].pose_at(1.2), raised)
+    # The tool's x is base's y, its y is base's -x.
+    R = np.column_stack([[0.0, 1.0, 0.0], [-cos, 0.0, sin], [sin, 0.0, cos]])
+    np.testing.assert_allclose(planned["sideways"].pose_at(1.2)[:3, :3], R, atol=1e-12)
+    R = np.column_stack([[0.0, cos, -sin], [-1.0, 0.0, 0.0], [0.0, sin, cos]])
+    np.testing.assert_allclose(planned["along"].pose_at(1.2)[:3, :3], R, atol=1e-12)
+    for key in ("dark", "laser", "arc", "exposure", "current"):
+        np.testing.assert_allclose(planned[key].pose_at(1.2), plain)
+    np.testing.assert_allclose(planned["faster"].pose_at(1.1), travelling(1.1))
+    np.testing.assert_allclose(planned["faster"].pose_at(1.2), travelling(1.4))
+
+
+def test_the_menu_is_known_by_key_and_by_what_the_report_says():
+    assert len({one.key for one in MENU}) == len(MENU) == len(BY_NAME)
+    assert BY_NAME["the torch raised by 2 mm"].key == "raised"
+    assert BY_NAME["the same run 3 times as fast"].key == "faster"

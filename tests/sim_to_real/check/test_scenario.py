@@ -6,13 +6,33 @@ import json
 import numpy as np
 import pytest
 
-from arctrack.recording import RecordingWriter, read_recording
+from arctrack.recording import RecordingWriter, pose_at, read_recording
 from noise_model.frames import transform
-from sim_to_real.check.scenario import TIERS, draw, make, true_seam_tool_mm
-from sim_to_real.check.world import FORMS
+from sim_to_real.check.scenario import (
+    N_MORE,
+    TIERS,
+    draw,
+    followed_by,
+    make,
+    stated_moment,
+    true_seam_tool_mm,
+)
+from sim_to_real.check.world import FORMS, really_at
 from sim_to_real.check.world_effect import CATALOGUE
 from sim_to_real.check.world_light import Studio, TrueWorld
 from sim_to_real.check.world_stated import JOINTS
+from sim_to_real.experiments import MENU
+from tracker.state import Frame
+
+BY_KEY = {one.key: one for one in MENU}
+
+TIMED = {
+    "arc_deflection": "growing",
+    "arc_flicker": "walk",
+    "laser_power_drift": "swing",
+    "pose_delay": "wandering",
+}
+"""Forms that depend on the time, on the frame's index or on how long the run is."""
 
 pytestmark = pytest.mark.usefixtures("mitsuba")
 
@@ -156,3 +176,101 @@ def test_what_cannot_be_is_named():
         draw(1, "C", effects=["arc_radius"])
     with pytest.raises(ValueError, match="gamma has no form 'log'"):
         draw(1, "C", effects=["gamma"], form="log")
+
+
+@pytest.mark.parametrize(
+    ("key", "laser_on", "arc_on", "current_a", "exposure_s"),
+    [
+        ("dark", False, False, 0.0, 0.005),
+        ("laser", True, False, 0.0, 0.005),
+        ("arc", False, True, 100.0, 0.005),
+        ("exposure", True, True, 100.0, 0.0025),
+        ("current", True, True, 150.0, 0.005),
+        ("raised", True, True, 100.0, 0.005),
+        ("sideways", True, True, 100.0, 0.005),
+        ("along", True, True, 100.0, 0.005),
+        ("faster", True, True, 100.0, 0.005),
+    ],
+)
+def test_an_experiment_follows_the_run(nominal, key, laser_on, arc_on, current_a, exposure_s):
+    longer = followed_by(nominal, BY_KEY[key])
+    assert longer.switches[:24] == nominal.switches
+    assert longer.labels == nominal.labels
+    assert len(longer.switches) == 24 + N_MORE
+    for more in longer.switches[24:]:
+        assert vars(more) == {
+            "laser_on": laser_on,
+            "arc_on": arc_on,
+            "current_a": current_a,
+            "exposure_s": exposure_s,
+        }
+    assert [longer.time_s(n) for n in (0, 23)] == [0.0, 2.3]
+    np.testing.assert_allclose([longer.time_s(n) for n in range(24, 28)], [3.9, 4.0, 4.1, 4.2])
+    assert stated_moment(longer, 25).arc_level == pytest.approx((current_a / 100.0) ** 1.3)
+
+
+@pytest.mark.parametrize("effect", ["arc_deflection", "arc_flicker", "laser_power_drift", "pose_delay"])
+def test_effects_go_on_and_the_runs_frames_do_not_change(effect):
+    scenario = draw(7, "C", joint="v_groove", effects=[effect], form=TIMED[effect], strength=1.0)
+    longer = followed_by(scenario, BY_KEY["raised"])
+    at = [really_at(stated_moment(longer, n), longer.effects) for n in range(28)]
+    assert at[:24] == [really_at(stated_moment(scenario, n), scenario.effects) for n in range(24)]
+    run, more = at[23], at[27]
+    if effect == "arc_deflection":
+        np.testing.assert_allclose(more.arc_shift_mm, np.array(run.arc_shift_mm) * 4.2 / 2.3)
+    elif effect == "pose_delay":
+        delay_s = scenario.effects[0].values["delay_s"]
+        skew = scenario.effects[0].values["skew"]
+        late_s = more.pose_time_s - more.time_s
+        assert late_s == pytest.approx(delay_s + 4.2 * skew, abs=0.4 * abs(delay_s))
+        # The experiment is made at all times that the delay can mean.
+        assert longer.motion.to_s + 0.2 < more.pose_time_s < 4.2 + 0.5
+    else:
+        levels = [(one.arc_level, one.laser_level) for one in at[24:]]
+        assert len(set(levels)) == N_MORE
+
+
+def test_a_longer_recording_begins_with_the_same_frames(tmp_path):
+    scenario = short(small(draw(7, "C", joint="corrugation", effects=["arc_deflection"], strength=1.0)))
+    run = make(scenario, tmp_path)
+    longer = followed_by(scenario, BY_KEY["faster"])
+    whole, rest = make(longer, tmp_path), make(longer, first=8)
+    assert [frame.index for frame in whole.frames] == list(range(12))
+    assert [frame.index for frame in rest.frames] == [8, 9, 10, 11]
+    for one, two in zip(run.frames, whole.frames, strict=False):
+        np.testing.assert_array_equal(one.image_dn, two.image_dn)
+        assert one.timestamp_s == two.timestamp_s
+    for one, two in zip(rest.frames, whole.frames[8:], strict=True):
+        np.testing.assert_array_equal(one.image_dn, two.image_dn)
+    np.testing.assert_array_equal(whole.truth, [*run.truth, *rest.truth])
+    assert len({frame.image_dn.tobytes() for frame in whole.frames}) == 12
+    for frame, seam_tool_mm in zip(rest.frames, rest.truth, strict=True):
+        T_base_tool = longer.motion.T_base_tool(frame.timestamp_s)
+        np.testing.assert_allclose(seam_tool_mm, true_seam_tool_mm(scenario.world, T_base_tool))
+
+
+@pytest.mark.parametrize("key", ["raised", "along", "faster"])
+def test_the_poses_hold_the_experiments_motion(nominal, tmp_path, key):
+    scenario = short(small(nominal))
+    longer = followed_by(scenario, BY_KEY[key])
+    run, recorded = make(scenario, first=8), make(longer, first=12)
+    for one, two in zip(run.poses, recorded.poses, strict=False):
+        assert one[0] == two[0]
+        np.testing.assert_array_equal(one[1], two[1])
+    assert len(recorded.poses) > len(run.poses) + 150
+    frames = [
+        Frame(n, longer.time_s(n), np.zeros((60, 80), dtype=np.uint8), 0.005) for n in range(N_MORE + 8)
+    ]
+    with RecordingWriter(tmp_path / "made", recorded.setup) as writer:
+        for pose in recorded.poses:
+            writer.write_pose(*pose)
+        for frame in frames:
+            writer.write_frame(frame)
+    read = read_recording(tmp_path / "made")
+    buffer = read.pose_buffer()
+    for row in read.rows:
+        # A late clock looks up another time than the frame's.
+        for time_s in (row.timestamp_s - 0.1, row.timestamp_s, row.timestamp_s + 0.1):
+            found, want = pose_at(buffer, time_s), longer.motion.T_base_tool(time_s)
+            np.testing.assert_allclose(found.T_base_tool[:3, 3], want[:3, 3], atol=0.01)
+            np.testing.assert_allclose(found.T_base_tool[:3, :3], want[:3, :3], atol=2e-4)

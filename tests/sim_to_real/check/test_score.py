@@ -97,6 +97,28 @@ OTHERS = [
 ]
 
 
+RAISED = {"experiment": "the torch raised by 2 mm", "separates": ("gamma", "fume")}
+ASKED = [
+    # Ambiguous; then named for sure.
+    Case("21", "A", ("gamma",), silent("ambiguous", **RAISED), longer=sure("gamma", "spatter")),
+    # Unknown; then named, but not for sure.
+    Case("22", "A", ("fume",), silent("unknown", **RAISED), longer=Answer("ambiguous", ("fume",))),
+    # Named for sure, but another looks the same; then the other is named.
+    Case("23", "C", ("gamma",), sure("gamma", **RAISED), longer=sure("fume", "gamma")),
+    Case("24", "C", ("gamma",), sure("fume", **RAISED), longer=sure("gamma")),
+    # Neither of the two is hidden.
+    Case("25", "A", ("spatter",), silent("unknown", **RAISED), longer=sure("spatter")),
+    # One of the two is hidden, then both are named; then only one.
+    Case("26", "D", ("fume", "defocus"), silent("unknown", **RAISED), longer=sure("defocus", "fume")),
+    Case("27", "D", ("fume", "defocus"), silent("unknown", **RAISED), longer=sure("fume")),
+    # Not measured; measured in vain; nothing asked for.
+    Case("28", "D", ("gamma", "defocus"), silent("unknown", **RAISED)),
+    Case("29", "A", ("gamma",), silent("unknown", **RAISED), longer=failed()),
+    Case("30", "A", ("gamma",), sure("gamma")),
+    Case("31", "E", (), silent("unknown", **RAISED)),
+]
+
+
 @pytest.fixture(scope="module")
 def scores():
     return score(A_CASES + OTHERS, "ABCDE")
@@ -134,6 +156,29 @@ def test_rates_are_those_counted_by_hand(scores, name, right, of, cosine):
     found = {one.id: one for one in scores.rates}[name]
     assert (found.rate.right, found.rate.of) == (right, of)
     assert (found.cosine.right, found.cosine.of) == cosine
+
+
+def test_the_next_experiment_is_counted_where_it_could_tell():
+    found = {one.id: one for one in score(ASKED, "ACDE").rates}
+    assert found["next_resolves"].rate == Rate(3, 7)
+    assert found["next_resolves"].tiers == "ACD"
+    assert found["next_resolves_open"].rate == Rate(2, 5)
+    assert found["next_asked"].rate == Rate(9, 10)
+    assert found["next_neither"].rate == Rate(1, 9)
+    assert found["next_missing"].rate == Rate(1, 9)
+    assert ("29 then the torch raised by 2 mm", "ValueError: no frame has a pose") in score(
+        ASKED, "ACDE"
+    ).failures
+    alone = {one.id: one for one in score(ASKED, "AE").rates}
+    assert alone["next_resolves"].rate == Rate(1, 3)
+    assert alone["next_resolves"].tiers == "A"
+    assert not [one.id for one in score(ASKED, "E").rates if one.id.startswith("next")]
+
+
+def test_without_experiments_nothing_is_measured(scores):
+    found = {one.id: one.rate for one in scores.rates}
+    assert found["next_resolves"] == found["next_resolves_open"] == Rate(0, 0)
+    assert found["next_asked"] == Rate(0, 14)
 
 
 def test_figures(scores):
