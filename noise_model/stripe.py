@@ -17,6 +17,9 @@ from noise_model.setup import Setup
 from noise_model.view import View
 from noise_model.visibility import ways_are_open
 
+PEAK_STEPS = 16
+"""Steps to a pixel in which the peak of a stripe is looked for."""
+
 
 def reflected_sheet(setup: Setup, points: Float64, normals: Float64, T_joint_tool: Float64) -> Float64:
     """Return the sheet's irradiance times f_r towards the camera (n,), relative to the sheet's peak.
@@ -102,10 +105,13 @@ class _Peaking:
 @lru_cache(maxsize=256)
 def _reference(of: _Peaking) -> float:
     setup, camera = of.setup, of.setup.camera
+    # Between pixels too: a coarse camera's may all miss the peak.
     if stripe_runs_along_rows(setup):
-        u, v = np.full(camera.height, (camera.width - 1) / 2.0), np.arange(camera.height, dtype=np.float64)
+        v = np.linspace(0.0, camera.height - 1.0, PEAK_STEPS * camera.height)
+        u = np.full(len(v), (camera.width - 1) / 2.0)
     else:
-        u, v = np.arange(camera.width, dtype=np.float64), np.full(camera.width, (camera.height - 1) / 2.0)
+        u = np.linspace(0.0, camera.width - 1.0, PEAK_STEPS * camera.width)
+        v = np.full(len(u), (camera.height - 1) / 2.0)
     xy = camera.normalised(np.column_stack([u, v]))
     rays_tool = np.column_stack([xy, np.ones(len(xy))]) @ camera.T_tool_camera[:3, :3].T
     origin = camera.T_tool_camera[:3, 3]

@@ -82,11 +82,13 @@ def _diagnosed(
     heard("fitting what is no gap", 0.05)
     expected = Expected(train, threads)
     before, scattered = _baseline(expected, without)
+    # In pixels the read noise shows; that of bins is what they show anyway.
+    seen = observed.with_read_noise(scattered.read_ratio)
     aside = held_out(train, LEFT_ASIDE)
     choosing = expected.some(~aside)
     baseline = judged(choosing, refit(choosing, {}, before.nuisance))
 
-    looked_at = one_of_each(train.some(aside))
+    looked_at = one_of_each(seen.some(~held).some(aside))
 
     def in_pixels(fits: Sequence[Refit]) -> Float64:
         return left_in_pixels(looked_at, choosing, fits, scattered.effects)
@@ -107,7 +109,7 @@ def _diagnosed(
     random = scatter(expected, after, without)
     heard("predicting the frames held out", 0.75)
     predicted = predict_held(
-        observed.some(held),
+        seen.some(held),
         expected,
         (before, {}),
         (after, random.effects),

@@ -81,10 +81,11 @@ def predict_held(
 
 
 def left_in_pixels(aside: Observed, expected: Expected, fits: Sequence[Refit], random: Effects) -> Float64:
-    """Return what fits (n,) leave in pixels of other frames: r^2 beyond noise over that of the model's floor.
+    """Return what fits (n,) leave in pixels of other frames, over what the model's floor would leave.
 
-    Each of `fits` is predicted with the effects that scatter besides. Of few pixels the mean of r^2 is off by
-    chance: that much is no gap either.
+    It is the mean product of the residuals of neighbours, along rows and columns: noise that is not as stated
+    has none. Each of `fits` is predicted with the effects that scatter besides. Of few pixels such a mean is
+    off by chance: that much is no gap either.
     """
 
     def sums(frame: ObservedFrame) -> Float64:
@@ -93,16 +94,21 @@ def left_in_pixels(aside: Observed, expected: Expected, fits: Sequence[Refit], r
         counts = _counts(aside.setup, expected, frame, fits[0], found, renderer)
         light_dn = found[0].mean_dn - aside.setup.sensor.black_level_dn
         floor = np.hypot(FLOOR_REL * light_dn, FLOOR_DN)
-        left = [
-            np.minimum(_squares(frame.image_dn - one.mean_dn, one.variance_dn2, counts), MOST_SQUARE).sum()
-            for one in found
-        ]
-        return np.array([*left, _squares(floor, found[0].variance_dn2, counts).sum(), counts.sum()])
+        left = [_alike(frame.image_dn - one.mean_dn, one.variance_dn2, counts) for one in found]
+        return np.array([*left, _alike(floor, found[0].variance_dn2, counts), counts.sum()])
 
     with ThreadPoolExecutor(expected.threads) as threads:
         of_all = np.sum(list(threads.map(sums, aside.frames)), axis=0)
-    by_chance = CHANCE_SIGMAS * np.sqrt(2.0 * of_all[-1])
-    return np.asarray((of_all[:-2] - of_all[-1]) / (of_all[-2] + by_chance))
+    # Each pixel has two neighbours to make a product with, of variance 1 if they are noise.
+    by_chance = CHANCE_SIGMAS * np.sqrt(0.5 * of_all[-1])
+    return np.asarray(of_all[:-2] / (of_all[-2] + by_chance))
+
+
+def _alike(of_dn: Float64, variance: Float64, counts: Bool) -> float:
+    """Return the sum over pixels (H, W) of the mean product with the next ones in row and column."""
+    limit = np.sqrt(MOST_SQUARE)
+    r = np.where(counts, np.clip(of_dn / np.sqrt(np.where(counts, variance, 1.0)), -limit, limit), 0.0)
+    return 0.5 * float(np.sum(r[1:] * r[:-1]) + np.sum(r[:, 1:] * r[:, :-1]))
 
 
 def _variances(of: Sequence[Prediction], counts: Sequence[Bool]) -> Float32:

@@ -111,6 +111,11 @@ class Observed:
         known = replace(self.setup, effects={**self.setup.effects, **moving})
         return self.seam.through(*self.sightings.in_joint(known), self.sightings.variances_mm2)
 
+    def with_read_noise(self, ratio: float) -> Observed:
+        """Return the same with another read noise, over the stated one."""
+        sensor = replace(self.setup.sensor, read_noise_e=ratio * self.setup.sensor.read_noise_e)
+        return replace(self, setup=replace(self.setup, sensor=sensor))
+
     def some(self, chosen: npt.NDArray[np.bool_]) -> Observed:
         """Return a recording of some of the frames (n_frames,)."""
         frames = [frame for frame, is_in in zip(self.frames, chosen, strict=True) if is_in]

@@ -19,6 +19,7 @@ from noise_model.effects import REGISTRY
 from noise_model.frames import Float64
 from sim_to_real.details import Details, Sizes, details, pattern, sizes
 from sim_to_real.expected import Expected
+from sim_to_real.nuisances import WITHIN_SIGMAS
 from sim_to_real.observed import Observed
 from sim_to_real.pixels import Bool
 from sim_to_real.refit import NAMED_FROM, Refit
@@ -43,6 +44,8 @@ class Scatter:
     the others being fitted beside it; `confidence` the same as a probability, 1 / (1 + exp(-evidence));
     `closed` the share of the gap that it closes by itself. The gap is here sqrt(mean r^2 - 1) of all pixels
     in the bins that count: what all random effects add and what is left of the bins' means.
+
+    `read_ratio` is the read noise over the stated one as far as its tolerance explains it: 1 if it is named.
     """
 
     effects: dict[str, dict[str, float]]
@@ -52,6 +55,7 @@ class Scatter:
     evidence: dict[str, float]
     confidence: dict[str, float]
     closed: dict[str, float]
+    read_ratio: float = 1.0
 
 
 @dataclass(frozen=True)
@@ -103,7 +107,17 @@ def scatter(expected: Expected, fitted: Refit, without: Sequence[str]) -> Scatte
         {one.id: one.evidence for one in looked},
         {one.id: float(expit(one.evidence)) for one in looked},
         {one.id: _share(one.excess, gap) for one in looked},
+        1.0 if any(one.id == "read_noise" for one in acting) else _within_tolerance(found[0], observed),
     )
+
+
+def _within_tolerance(read_noise: _Candidate, observed: Observed) -> float:
+    """Return the likeliest read noise over the stated one, by what is seen and what is known before."""
+    known = observed.setup.tolerance.read_noise_rel
+    ratio = read_noise.values["noise_ratio"]
+    seen = math.sqrt(max(read_noise.sigmas["noise_ratio"] ** 2 - (known * ratio) ** 2, 1e-12))
+    reach = WITHIN_SIGMAS * known
+    return 1.0 + min(max((ratio - 1.0) * known**2 / (known**2 + seen**2), -reach), reach)
 
 
 def _share(excess: float, gap: float) -> float:
@@ -131,10 +145,10 @@ def _coherent(
 def _read_noise(fit: Sizes, pixels: Sequence[Details], observed: Observed) -> _Candidate:
     """Return the read noise; it is known within its tolerance, and less than stated is no gap."""
     tolerance = observed.setup.tolerance.read_noise_rel
-    ratio = math.sqrt(1.0 + max(fit.read, 0.0))
+    ratio = math.sqrt(max(1.0 + fit.read, 1e-3))
     # Of its square's sigma half is the ratio's own.
     error = 0.5 / ratio * math.hypot(math.sqrt(fit.covariance[0, 0]), _off(fit, pixels, "read"))
-    more = math.sqrt(1.0 + fit.read) - 1.0
+    more = ratio - 1.0
     return _Candidate(
         "read_noise",
         _over_nought(more, math.hypot(error, tolerance), _prior("read_noise")),

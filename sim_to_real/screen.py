@@ -9,7 +9,7 @@ effects that are too large for a derivative.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -118,6 +118,9 @@ FAMILIES: Mapping[str, tuple[Family, ...]] = {
 PARTS: Mapping[str, int] = {"dirty_window": len(PATCHES)}
 """Effects of several alike parts: those beside the first are sought one after another."""
 
+STARTS = 3
+"""So many of an effect's families a fit may start from."""
+
 ANOTHER_PART = 0.9
 """One more of them must leave less than this share of what is left without it."""
 
@@ -130,6 +133,7 @@ class Screened:
     """A candidate after the first look: the share of the cost that is left, and where a fit should start.
 
     `signature` (n, k) is what its places do to the residuals, `place` the first one's parameter and step.
+    `other_starts` are those of the next best families: light that is not rendered has valleys side by side.
     """
 
     id: str
@@ -137,6 +141,7 @@ class Screened:
     start: dict[str, float]
     signature: Float64
     place: tuple[str, float]
+    other_starts: tuple[dict[str, float], ...] = ()
 
 
 def screen(expected: Expected, baseline: Refit, ids: Sequence[str]) -> list[Screened]:
@@ -177,10 +182,12 @@ def _tried(expected: Expected, baseline: Refit, r: Float64, name: str) -> Screen
     best: Screened | None = None
     for _ in range(PARTS.get(name, 1)):
         tried = [(_solved(baseline, r, name, [*chosen, look]), look) for look in looks]
-        screened, look = min(tried, key=lambda pair: pair[0].left)
+        tried.sort(key=lambda pair: pair[0].left)
+        (screened, look), *others = tried
         if best is not None and screened.left > ANOTHER_PART * best.left:
             break
-        best, chosen = screened, [*chosen, look]
+        starts = tuple(other.start for other, _ in others[: STARTS - 1])
+        best, chosen = replace(screened, other_starts=starts), [*chosen, look]
     assert best is not None
     return best
 

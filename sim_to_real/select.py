@@ -166,8 +166,11 @@ def candidates(
         if n and one.left * baseline.mean_square - LEAST_LEFT > of_gap * gap_at_look:
             continue
         on_stage(f"fitting {one.id}", 0.2 + 0.6 * n / most)
-        fitted = refit(expected, {**baseline.effects, one.id: one.start}, baseline.nuisance)
-        found.append(judged(expected, fitted))
+        # What must be rendered for each step is dear: that is started once.
+        is_rendered = bool(RENDERING & {one.id, *baseline.ids})
+        starts = [one.start] if is_rendered else [one.start, *one.other_starts]
+        fits = [refit(expected, {**baseline.effects, one.id: start}, baseline.nuisance) for start in starts]
+        found.append(judged(expected, min(fits, key=lambda fit: fit.mean_square)))
     found = _best_first(found)
     if not _is_resolved(found, left):
         # The best come nearer where light is rendered anew: which of them is best shows only then.

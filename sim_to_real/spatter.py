@@ -54,6 +54,9 @@ CLEAR_FROM = 4.0
 LEAST_WIDTH_PX, MEASURED_PX = 0.5, 0.3
 """The narrowest streak, and 1 sigma of what the moments of any may be off."""
 
+LEAST_SEARCHED = 0.01
+"""Where hardly any of the streaks could have been found, so many whole frames count as searched."""
+
 PARAMETERS = {parameter.name: parameter for parameter in REGISTRY["spatter"].parameters}
 """What the catalogue says of spatter."""
 
@@ -242,7 +245,9 @@ def _estimate(
     # The mean of an exponential that is cut at either end.
     n_seen = max(sum(not s.is_full for s in streaks), 1)
     peak_e = float(np.sum(peak - limit)) / n_seen
-    searched_frames = _searched_frames(observed, searched, found, (streaks, peak), peak_e)
+    searched_frames = max(
+        _searched_frames(observed, searched, found, (streaks, peak), peak_e), LEAST_SEARCHED
+    )
     # Those that are cut count for what is seen of them; an edge that one crosses may have made it longer.
     extent = np.array([line.extent for line in found]) / float(np.median([s.line.extent for s in whole]))
     n = float(np.sum(np.minimum(extent, 1.0)))

@@ -45,6 +45,9 @@ MOVE_S = 0.6
 PAUSE_S = POSE_TAIL_S + MOVE_S + POSE_LEAD_S
 """Between run and experiment the tool goes on as before, moves over, and goes on: no late clock sees that."""
 
+WITHIN = 3.0
+"""So many of its tolerances a value may be off without being a gap."""
+
 FULL_STRIPE_E = 30_000.0
 """The stripe's nominal peak where blooming is hidden: without saturation there is none."""
 
@@ -257,15 +260,20 @@ def _parts(scenario: Scenario) -> Iterator[tuple[range, tuple[float, float]]]:
 def _draw_camera(draw: Generator, stated: Setup) -> Float64:
     tolerance = stated.tolerance
     turn, move = (
-        tolerance.hand_eye_deg * draw.standard_normal(3),
-        tolerance.hand_eye_mm * draw.standard_normal(3),
+        tolerance.hand_eye_deg * _within_tolerance(draw, 3),
+        tolerance.hand_eye_mm * _within_tolerance(draw, 3),
     )
     return moved(stated.camera.T_tool_camera, turn, move)
 
 
+def _within_tolerance(draw: Generator, count: int) -> Float64:
+    """Draw so many normal numbers; what lies beyond `WITHIN` is a gap, and stays on it."""
+    return np.clip(draw.standard_normal(count), -WITHIN, WITHIN)
+
+
 def _draw_true(draw: Generator, stated: Setup, T_tool_camera: Float64) -> Setup:
     tolerance, sensor = stated.tolerance, stated.sensor
-    arc, laser, read, black = draw.standard_normal(4)
+    arc, laser, read, black = _within_tolerance(draw, 4)
     return replace(
         stated,
         camera=replace(stated.camera, T_tool_camera=T_tool_camera),

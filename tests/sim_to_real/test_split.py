@@ -8,11 +8,18 @@ from hypothesis import strategies as st
 
 from sim_to_real.split import folds, held_out, one_of_each
 
-KINDS = st.lists(st.sampled_from(["dark", "laser", "arc", "both"]), min_size=1, max_size=40)
+STRATA = ["dark", "laser", "arc", "both"]
+KINDS = st.lists(st.sampled_from(STRATA), min_size=1, max_size=40)
+SHORT, LONG = 0.0025, 0.005
 
 
-def recording(kinds):
-    frames = [SimpleNamespace(position=n, stratum=kind) for n, kind in enumerate(kinds)]
+def recording(kinds, exposures_s=None):
+    frames = [
+        SimpleNamespace(
+            position=n, stratum=kind, condition=SimpleNamespace(exposure_s=exposure_s, arc_level=1.0)
+        )
+        for n, (kind, exposure_s) in enumerate(zip(kinds, exposures_s or [LONG] * len(kinds), strict=True))
+    ]
     return SimpleNamespace(frames=frames, some=lambda chosen: np.flatnonzero(chosen).tolist())
 
 
@@ -23,6 +30,21 @@ def test_every_kind_is_left_to_fit(kinds, share):
     for kind in set(kinds):
         of_kind = np.array(kinds) == kind
         assert held[of_kind].sum() == min(of_kind.sum() - 1, round(share * of_kind.sum()))
+
+
+@given(
+    st.lists(st.tuples(st.sampled_from(STRATA), st.sampled_from([SHORT, LONG])), min_size=1, max_size=40),
+    st.floats(0.05, 0.5),
+)
+def test_every_condition_is_left_to_fit_and_as_many_are_held_as_that_allows(conditions, share):
+    kinds, exposures_s = (list(of) for of in zip(*conditions, strict=True))
+    held = held_out(recording(kinds, exposures_s), share)
+    assert {one for one, is_held in zip(conditions, held, strict=True) if not is_held} == set(conditions)
+    for kind in set(kinds):
+        of_kind = np.array(kinds) == kind
+        n_conditions = len({one for one in conditions if one[0] == kind})
+        wanted = min(of_kind.sum() - n_conditions, round(share * of_kind.sum()))
+        assert held[of_kind].sum() == wanted
 
 
 @given(KINDS, st.integers(2, 6))
