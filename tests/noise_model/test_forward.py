@@ -31,6 +31,14 @@ def sharp(**changes):
     return scenes.camera(psf_sigma_px=0.0, **changes)
 
 
+@pytest.mark.parametrize("side", [2, 4, 7])
+def test_a_coarse_camera_s_stripe_peaks_as_high_as_a_fine_one_s(side):
+    """The peak is the light's, whether or not a pixel's middle lies on it: a sixteenth of one is far enough."""
+    fine = scenes.setup("flat", of_camera=scenes.camera(width=560, height=560, focal_px=1900.0))
+    coarse = dataclasses.replace(fine, camera=fine.camera.coarser(side))
+    assert stripe_reference(coarse) == pytest.approx(stripe_reference(fine), rel=1e-3)
+
+
 def peak_rows(image, columns):
     """The stripe's centre in each column by a parabola through the logarithms of its three highest rows."""
     rows = np.argmax(image[:, columns], axis=0)

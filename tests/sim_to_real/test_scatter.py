@@ -67,6 +67,19 @@ def test_each_effect_is_found_alone_with_its_parameters(effect):
     assert max(of for name, of in found.closed.items() if name != effect) < 0.2
 
 
+@pytest.mark.parametrize("ratio", [0.93, 1.07])
+def test_read_noise_within_its_tolerance_is_no_effect_but_known(ratio):
+    """A tolerance of 5 %: what is seen is surer than that."""
+    found = scatter(*recorded(np.random.default_rng(12), Scattering(ratio=ratio), N_FRAMES), ())
+    assert "read_noise" not in found.effects
+    assert found.read_ratio == pytest.approx(ratio, abs=0.03)
+
+
+def test_read_noise_that_is_named_is_not_counted_twice():
+    (expected, fitted), _ = made("read_noise")
+    assert scatter(expected, fitted, ()).read_ratio == 1.0
+
+
 def pixels_exceed(expected, fitted):
     """By how much the mean square of pixels' residuals exceeds their stated noise, in the bins that count."""
     ratios = []
