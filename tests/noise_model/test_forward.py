@@ -33,7 +33,7 @@ def sharp(**changes):
 
 @pytest.mark.parametrize("side", [2, 4, 7])
 def test_a_coarse_camera_s_stripe_peaks_as_high_as_a_fine_one_s(side):
-    """The peak is the light's, whether or not a pixel's middle lies on it: a sixteenth of one is far enough."""
+    """The peak is the light's, whether or not a pixel's middle lies on it."""
     fine = scenes.setup("flat", of_camera=scenes.camera(width=560, height=560, focal_px=1900.0))
     coarse = dataclasses.replace(fine, camera=fine.camera.coarser(side))
     assert stripe_reference(coarse) == pytest.approx(stripe_reference(fine), rel=1e-3)
