@@ -114,7 +114,7 @@ EFFECTS = (
         "0.5 per nm steeper there than a Gaussian of its width",
         parameters=(
             Parameter("line_width_nm", "nm", 0.0, 20.0, 0.0, 300.0, 0.2),
-            Parameter("edge_od_per_nm", "", 0.0, 0.5, -0.5, 3.0, 0.02),
+            Parameter("edge_od_per_nm", "", 0.0, 0.5, 0.0, 3.0, 0.02),
         ),
         typical={"line_width_nm": 20.0},
         light=_argon_line_leak,
