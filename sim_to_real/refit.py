@@ -236,12 +236,27 @@ class _Problem:
 
     def effects(self, x: Float64) -> dict[str, dict[str, float]]:
         return {
-            name: {"sigma_rel": flicker(self.expected, x[at])} if name == FLICKER else _by_name(name, x[at])
+            name: (
+                {"sigma_rel": flicker(self.expected, self.arc_ln(x))}
+                if name == FLICKER
+                else _by_name(name, x[at])
+            )
             for name, at in self.blocks
         }
 
+    @property
+    def about_mean(self) -> Float64:
+        """The matrix (f, f) that takes the mean off the frames that the arc lights, and all off the others.
+
+        A level that all frames share is no flicker but a nuisance, and known within its tolerance.
+        """
+        lit = np.array([frame.condition.arc_level > 0.0 for frame in self.expected.observed.frames])
+        return np.diag(lit.astype(np.float64)) - np.outer(lit, lit) / max(int(lit.sum()), 1)
+
     def arc_ln(self, x: Float64) -> Float64:
-        return next((x[at] for name, at in self.blocks if name == FLICKER), np.zeros(len(self.counts)))
+        """Return the arc's ln level of each frame (n_frames,), about their mean."""
+        levels = next((x[at] for name, at in self.blocks if name == FLICKER), None)
+        return np.zeros(len(self.counts)) if levels is None else self.about_mean @ levels
 
     def passed(self, x: Float64) -> list[Passed]:
         """Return the light at parameters (p,): rendered at the anchor, moved on from there."""
@@ -259,7 +274,8 @@ class _Problem:
         for name, at in self.blocks:
             if name == FLICKER:
                 frame = np.repeat(np.arange(len(self.counts)), self.counts)[:, np.newaxis]
-                columns.append(np.where(frame == np.arange(len(self.counts)), columns[0][:, :1], 0.0))
+                own = np.where(frame == np.arange(len(self.counts)), columns[0][:, :1], 0.0)
+                columns.append(own @ self.about_mean)
             else:
                 columns += [self._column(x, r, i) for i in range(at.start, at.stop)]
         return np.hstack(columns)

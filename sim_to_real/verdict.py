@@ -47,6 +47,9 @@ WORTH = 0.7
 CLEARLY_LEFT = 1.3
 """A mean square from which there is more to be explained even where one effect explains most of a gap."""
 
+SEVERAL_LEAVE = 1.2
+"""Several effects must explain all that there is: two or three mimic most of another one's gap."""
+
 PULLED_FROM = 10.0
 """A mean square from which the baseline's nuisances are not believed."""
 
@@ -215,7 +218,7 @@ def _several(
         if left_over(further[0], baseline) > (1.0 - WORTH) * left_over(chosen, baseline):
             return None
         chosen = further[0]
-    if left_over(chosen, baseline) > EXPLAINED:
+    if chosen.left > SEVERAL_LEAVE:
         return None
     for name in chosen.ids[:-1]:
         fewer = {other: values for other, values in chosen.refit.effects.items() if other != name}

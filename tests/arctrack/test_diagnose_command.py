@@ -42,6 +42,7 @@ def found(monkeypatch: pytest.MonkeyPatch) -> Found:
             *,
             without: Sequence[str],
             on_stage: object,
+            threads: int,
         ) -> Diagnosis:
             if len(frames) < 14:
                 raise ValueError("two frames of each kind are the least")
