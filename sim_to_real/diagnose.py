@@ -40,6 +40,12 @@ from tracker.state import Frame
 HELD, LEFT_ASIDE = 0.25, 0.34
 """The share of frames held out of everything, and of the others that which is left out while choosing."""
 
+RELIABLE = 0.9
+"""Of the effects that were named first and for sure in blind recordings about so many were there.
+
+Another form of an effect, or one outside the catalogue, can be mimicked: docs/blind_check.md has the figures.
+"""
+
 OnStage = Callable[[str, float], None]
 
 
@@ -209,14 +215,17 @@ def _next(expected: Expected, decision: Decision, alike: Sequence[tuple[str, str
 def _named(
     decision: Decision, after: Refit, random: Scatter, share: Mapping[str, float]
 ) -> tuple[Named, ...]:
-    """Return the effects of the best fit, and those that scatter, the largest share first."""
+    """Return the effects of the best fit, and those that scatter, the largest share first.
+
+    Nothing is surer than names have turned out to be.
+    """
     sigmas = {**after.sigmas, **random.sigmas}
     confidence = {**random.confidence, **dict.fromkeys(after.ids, decision.sure)}
     named = [
         Named(
             name,
             REGISTRY[name].stage.value,
-            confidence[name],
+            RELIABLE * confidence[name],
             share[name],
             {
                 parameter.name: Estimate(values[parameter.name], sigmas[name][parameter.name], parameter.unit)
@@ -240,17 +249,20 @@ def _with_random(share: Mapping[str, float], before: Scatter, random: Scatter) -
 
 
 def _ranking(decision: Decision, baseline: Candidate, random: Scatter) -> tuple[Ranked, ...]:
-    """Return all single effects, best first, with the share of the gap's size that each closes."""
+    """Return all single effects, best first, with the share of the gap's size that each closes.
+
+    How sure each is goes with `_named`.
+    """
     # Below the model's floor the best closes all that there is.
     floor = min([1.0, *(single.left for single in decision.singles)])
     size = math.sqrt(max(baseline.left - floor, 0.0))
     ranked = [
-        (random.evidence[name], Ranked(name, random.confidence[name], random.closed[name]))
+        (random.evidence[name], Ranked(name, RELIABLE * random.confidence[name], random.closed[name]))
         for name in random.evidence
     ]
     for single, confidence in zip(decision.singles, decision.confidence, strict=True):
         left = math.sqrt(max(single.left - floor, 0.0))
         closed = 1.0 - left / size if size else math.nan
         gained = single.evidence - baseline.evidence
-        ranked.append((gained, Ranked(single.ids[-1], float(confidence), closed)))
+        ranked.append((gained, Ranked(single.ids[-1], RELIABLE * float(confidence), closed)))
     return tuple(one for _, one in sorted(ranked, key=lambda pair: -pair[0]))
