@@ -38,6 +38,9 @@ EXPLAINED = 0.12
 AT_FLOOR = 1.5
 """What leaves less in pixels shows no gap there: the model's floor is 1."""
 
+SHOWN_FROM = 0.7
+"""What leaves less in pixels, and in bins no more than the model's floor, is no gap."""
+
 LEAST_SHARE = 0.05
 """An effect with a smaller share of what is closed is not named beside others."""
 
@@ -156,6 +159,10 @@ def decide(
         return said(Verdict.NO_GAP, baseline)
     if best.evidence - baseline.evidence < NAMED_FROM:
         return said(without_help(baseline), baseline)
+    # Below the floor one of many that are looked at is better by chance.
+    by_chance = best.evidence - baseline.evidence < NAMED_FROM + math.log(len(screened))
+    if baseline.left <= 1.0 and by_chance and not _shows_in_pixels(baseline, in_pixels):
+        return said(Verdict.NO_GAP, baseline)
     likely = tuple(one.ids[0] for one, share in zip(singles, p, strict=True) if share >= IN_SET)
     explained = is_explained(best, baseline)
     several = None
@@ -170,6 +177,12 @@ def decide(
         # One is enough once it has been fitted beside another, but no likelier than that one.
         return said(Verdict.AMBIGUOUS, several, tuple(dict.fromkeys((*several.ids, *likely))))
     return said(Verdict.EFFECTS, several)
+
+
+def _shows_in_pixels(baseline: Candidate, in_pixels: Callable[[Sequence[Refit]], Float64]) -> bool:
+    """Say whether pixels show something of a gap that bins show below the model's floor."""
+    left = baseline.left_in_pixels
+    return (float(in_pixels([baseline.refit])[0]) if math.isnan(left) else left) > SHOWN_FROM
 
 
 def with_random(decision: Decision, baseline: Candidate, random: Scatter) -> Decision:

@@ -41,14 +41,16 @@ def decision(verdict, *ids):
     return Decision(verdict, candidate(*ids), 1.0, (), np.empty(0), (), (), None)
 
 
-def decided(monkeypatch, baseline, singles, several):
+def decided(monkeypatch, baseline, singles, several, seen=0.0, looks=("a look",)):
     """Decide between fits that are handed in."""
-    answers = {"looked": ["a look"], "candidates": singles, "with_dear": singles, "_several": several}
+    answers = {"looked": looks, "candidates": singles, "with_dear": singles, "_several": several}
     for name, answer in answers.items():
         monkeypatch.setattr(room, name, lambda *_, answer=answer: answer)
     monkeypatch.setattr(room, "refit", lambda *_, **__: None)
     monkeypatch.setattr(room, "told_apart", lambda *_: (singles, baseline))
-    return decide(SimpleNamespace(take_tangents=lambda *_: None, neutral=None), baseline, (), None, print)
+    return decide(
+        SimpleNamespace(take_tangents=lambda *_: None, neutral=None), baseline, (), lambda _: [seen], print
+    )
 
 
 def test_one_that_is_enough_beside_likelier_ones_is_ambiguous_with_them(monkeypatch):
@@ -67,6 +69,17 @@ def test_how_sure_one_is_of_what_is_named_is_a_probability_of_that(monkeypatch):
     assert found.confidence.sum() == pytest.approx(1.0)
     alike = [candidate("fume", left=1.0), candidate("gamma", left=1.01)]
     assert decided(monkeypatch, candidate(left=9.0), alike, None).sure == pytest.approx(0.62, abs=0.01)
+
+
+@pytest.mark.parametrize(
+    ("seen", "left", "verdict"),
+    [(0.5, 0.88, Verdict.NO_GAP), (1.2, 0.88, Verdict.EFFECTS), (0.5, 0.7, Verdict.EFFECTS)],
+)
+def test_a_gap_below_the_floor_must_show_in_pixels_or_be_beyond_chance(monkeypatch, seen, left, verdict):
+    """Of 26 effects one is better by ln 26 = 3.3 nats by chance: 3.8 are not enough, 15 are."""
+    names = [f"a look at {n}" for n in range(26)]
+    found = decided(monkeypatch, candidate(left=0.95), [candidate("gamma", left=left)], None, seen, names)
+    assert found.verdict is verdict
 
 
 def gap(after, ci95, before=5.0, floor=0.2):
