@@ -104,29 +104,40 @@ class _Peaking:
 
 @lru_cache(maxsize=256)
 def _reference(of: _Peaking) -> float:
-    setup, camera = of.setup, of.setup.camera
+    camera = of.setup.camera
+    along_rows = stripe_runs_along_rows(of.setup)
+    across, along = (camera.height, camera.width) if along_rows else (camera.width, camera.height)
+
+    def light(places_px: Float64) -> Float64:
+        middle = np.full(len(places_px), (along - 1) / 2.0)
+        return _on_plate(
+            of.setup, np.column_stack([middle, places_px] if along_rows else [places_px, middle])
+        )
+
     # Between pixels too: a coarse camera's may all miss the peak.
-    if stripe_runs_along_rows(setup):
-        v = np.linspace(0.0, camera.height - 1.0, PEAK_STEPS * camera.height)
-        u = np.full(len(v), (camera.width - 1) / 2.0)
-    else:
-        u = np.linspace(0.0, camera.width - 1.0, PEAK_STEPS * camera.width)
-        v = np.full(len(u), (camera.height - 1) / 2.0)
-    xy = camera.normalised(np.column_stack([u, v]))
-    rays_tool = np.column_stack([xy, np.ones(len(xy))]) @ camera.T_tool_camera[:3, :3].T
-    origin = camera.T_tool_camera[:3, 3]
-    with np.errstate(divide="ignore", invalid="ignore"):
-        points = origin - origin[2] / rays_tool[:, 2:] * rays_tool
-    points = points[rays_tool[:, 2] < 0.0]
-    up = np.broadcast_to(np.array([0.0, 0.0, 1.0]), points.shape)
-    cos4 = (1.0 + np.sum(xy[rays_tool[:, 2] < 0.0] ** 2, axis=1)) ** -2.0
-    # Under a level pose the tool's axes are the joint's.
-    peak = float(np.max(reflected_sheet(setup, points, up, np.eye(4)) * cos4, initial=0.0))
+    places = np.arange(2 * across - 1) / 2.0
+    about = places[np.argmax(light(places))] + np.linspace(-0.5, 0.5, PEAK_STEPS + 1)
+    peak = float(light(np.clip(about, 0.0, across - 1.0)).max())
     if not peak > 0.0:
         raise ValueError(
             "[laser] plane_in_tool: the stripe does not cross the camera's middle column at tool height"
         )
     return peak
+
+
+def _on_plate(setup: Setup, uv_px: Float64) -> Float64:
+    """Return irradiance f_r cos^4 (n,) at image points (n, 2) of a flat plate at tool height, 0 above it."""
+    camera = setup.camera
+    xy = camera.normalised(uv_px)
+    rays_tool = np.column_stack([xy, np.ones(len(xy))]) @ camera.T_tool_camera[:3, :3].T
+    down = rays_tool[:, 2] < 0.0
+    origin = camera.T_tool_camera[:3, 3]
+    points = origin - origin[2] / rays_tool[down, 2:] * rays_tool[down]
+    up = np.broadcast_to(np.array([0.0, 0.0, 1.0]), points.shape)
+    light = np.zeros(len(xy))
+    # Under a level pose the tool's axes are the joint's.
+    light[down] = reflected_sheet(setup, points, up, np.eye(4))
+    return np.asarray(light * (1.0 + np.sum(xy**2, axis=1)) ** -2.0)
 
 
 def stripe_runs_along_rows(setup: Setup) -> bool:

@@ -25,7 +25,7 @@ from noise_model.frames import Float64
 from noise_model.sensor import linearise, respond_moments
 from sim_to_real.expected import CHARGE_STEP_E, Passed
 from sim_to_real.observed import Float32, ObservedFrame
-from sim_to_real.pixels import Bool, cut
+from sim_to_real.pixels import SMALL, Bool, in_bins
 
 CAP = 5.0
 """Details beyond so many sigmas are cut: a spark is not noise."""
@@ -44,10 +44,9 @@ LARGE_PX = 4
 
 _HALVES, _ENDS = np.array([1.0, 1.0, -1.0, -1.0]) / 2.0, np.array([1.0, -1.0, -1.0, 1.0]) / 2.0
 
-SMALL = np.array([[0.5, -0.5], [-0.5, 0.5]], dtype=np.float32)
 LARGE = np.outer(_HALVES, _HALVES).astype(np.float32)
 ACROSS = np.outer(np.full(LARGE_PX, 0.5), _ENDS).astype(np.float32)
-"""The details of pixels: their squares add up to one."""
+"""The larger details of pixels: as those of `SMALL`, their squares add up to one."""
 
 OF_COLUMNS = 4.0
 """What gains of columns add to the variance of `across`, over their own."""
@@ -119,15 +118,6 @@ def details(frame: ObservedFrame, light: Passed, bin_px: int) -> Details:
         (dn_per_e * mean_e) ** 2,
         (dn_per_e * light.laser_e) ** 2,
     )
-
-
-def in_bins(image: Float32, weights: Float32, bin_px: int) -> Float32:
-    """Return the weighted sums (h, w, m) of the squares of pixels (k, k) that lie in each bin of an image."""
-    side = len(weights)
-    n = bin_px // side
-    bins = cut(np.asarray(cv2.filter2D(image, -1, weights, anchor=(0, 0)), dtype=np.float32), bin_px)
-    chosen = bins[:, : n * side : side, :, : n * side : side].transpose(0, 2, 1, 3)
-    return np.ascontiguousarray(chosen).reshape(*chosen.shape[:2], n * n)
 
 
 def _twist(binned_dn: Float32, bin_px: int) -> Float32:

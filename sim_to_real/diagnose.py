@@ -60,8 +60,8 @@ def diagnose(
 ) -> Diagnosis:
     """Diagnose a recording's frames; `without` takes effects out of the catalogue.
 
-    `on_stage` hears what is being done and how much of all is done. So many `threads`
-    predict frames at once: one is best where other processes are at work.
+    `on_stage` hears what is being done and how much of all is done. So many `threads` predict frames at once:
+    one is best where other processes are at work.
 
     Raises ValueError for an unknown effect and if no frame has a pose.
     """

@@ -8,7 +8,7 @@ what an effect itself moves.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from typing import TypeVar
@@ -136,7 +136,7 @@ class Expected:
         self._bounced: dict[int, BouncedLight] = {}
         self._rays: dict[tuple[object, ...], Rays] = {}
         self._curves: dict[tuple[object, ...], SeamCurve] = {}
-        self.threads = threads
+        self._threads = threads
         self._executor = ThreadPoolExecutor(threads)
 
     def take_tangents(self, anchor: Float64, effects: Effects) -> None:
@@ -157,7 +157,7 @@ class Expected:
 
     def some(self, chosen: Bool) -> Expected:
         """Return the same held against some of the frames (n_frames,), with what is known of those."""
-        fewer = Expected(self.observed.some(chosen), self.threads)
+        fewer = Expected(self.observed.some(chosen), self._threads)
         fewer._rays = self._rays
         position = {old: new for new, old in enumerate(np.flatnonzero(chosen).tolist())}
         if self._tangents is not None:
@@ -208,8 +208,14 @@ class Expected:
         return np.asarray(np.hypot(frame.sigma_dn, spread_dn))
 
     def over_frames(self, of_frame: Callable[[ObservedFrame], Result]) -> list[Result]:
-        """Return a function's result for each frame, in order; some are computed at once."""
-        return list(self._executor.map(of_frame, self.observed.frames))
+        """Return a function's result for each frame, in order."""
+        return list(self.at_once(of_frame, self.observed.frames))
+
+    def at_once(
+        self, of_frame: Callable[[ObservedFrame], Result], frames: Sequence[ObservedFrame]
+    ) -> Iterator[Result]:
+        """Yield a function's result for each of some frames, in order; some are computed at once."""
+        return self._executor.map(of_frame, frames)
 
     def passed(self, anchor: Float64, effects: Effects) -> list[Passed]:
         """Return what reaches the bins of each frame at nuisances (p,) and effects."""

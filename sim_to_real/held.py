@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 
 import cv2
@@ -66,10 +65,9 @@ def predict_held(
         return first, second, _counts(held.setup, expected, frame, after[0], (first, second), renderer)
 
     found = []
-    with ThreadPoolExecutor(expected.threads) as threads:
-        for n, of_frame in enumerate(threads.map(predicted, held.frames)):
-            found.append(of_frame)
-            on_frame((n + 1.0) / len(held.frames))
+    for n, of_frame in enumerate(expected.at_once(predicted, held.frames)):
+        found.append(of_frame)
+        on_frame((n + 1.0) / len(held.frames))
     return Predicted(
         np.array([frame.index for frame in held.frames]),
         np.array([frame.image_dn for frame in held.frames]),
@@ -97,8 +95,7 @@ def left_in_pixels(aside: Observed, expected: Expected, fits: Sequence[Refit], r
         left = [_alike(frame.image_dn - one.mean_dn, one.variance_dn2, counts) for one in found]
         return np.array([*left, _alike(floor, found[0].variance_dn2, counts), counts.sum()])
 
-    with ThreadPoolExecutor(expected.threads) as threads:
-        of_all = np.sum(list(threads.map(sums, aside.frames)), axis=0)
+    of_all = np.sum(list(expected.at_once(sums, aside.frames)), axis=0)
     # Each pixel has two neighbours to make a product with, of variance 1 if they are noise.
     by_chance = CHANCE_SIGMAS * np.sqrt(0.5 * of_all[-1])
     return np.asarray(of_all[:-2] / (of_all[-2] + by_chance))

@@ -103,6 +103,11 @@ class Observed:
     sightings: Sightings
     frames: tuple[ObservedFrame, ...]
 
+    @property
+    def lit(self) -> Bool:
+        """The frames (n_frames,) that the arc lights."""
+        return np.array([frame.condition.arc_level > 0.0 for frame in self.frames], dtype=np.bool_)
+
     def seam_with(self, effects: Mapping[str, Values]) -> SeamCurve:
         """Return the seam as the tracker would have found it, had it known of effects."""
         moving = {name: values for name, values in effects.items() if name in MOVING}

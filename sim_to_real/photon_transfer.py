@@ -15,7 +15,7 @@ import numpy.typing as npt
 from scipy.stats import chi2
 
 from noise_model.frames import Float64
-from sim_to_real.pixels import Bool, cut
+from sim_to_real.pixels import SMALL, Bool, block_means, in_bins
 
 LEVELS, LEAST_BINS = 24, 500
 """Levels at which the noise is measured, each from so many bins at least."""
@@ -40,8 +40,8 @@ def photon_transfer(
 ) -> PhotonTransfer:
     """Measure the noise of frames (H, W) in bins `bin_px` wide; those count that are `usable` (h, w).
 
-    With a, b over c, d the four pixels of a square, var(a - b - c + d) = 4 sigma^2. At each level stands the
-    median over bins: stripes' flanks and edges scatter more, but are few.
+    At each level stands the median over bins of the mean square of their details: stripes' flanks and edges
+    scatter more, but are few.
     """
     level, variance = (
         np.concatenate(of)
@@ -64,8 +64,5 @@ def photon_transfer(
 
 def _of_bins(image_dn: npt.NDArray[np.integer], usable: Bool, bin_px: int) -> tuple[Float64, Float64]:
     """Return means (n,), DN, and variances (n,), DN^2, of a frame's bins that are usable."""
-    bins, within = cut(image_dn.astype(np.float64), bin_px), 2 * (bin_px // 2)
-    first, second = slice(0, within, 2), slice(1, within, 2)
-    mixed = bins[:, first, :, first] - bins[:, first, :, second]
-    mixed += bins[:, second, :, second] - bins[:, second, :, first]
-    return bins.mean(axis=(1, 3))[usable], 0.25 * np.mean(mixed**2, axis=(1, 3))[usable]
+    small = in_bins(image_dn.astype(np.float32), SMALL, bin_px)[usable]
+    return block_means(image_dn, bin_px)[usable], np.mean(small**2, axis=-1, dtype=np.float64)

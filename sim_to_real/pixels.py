@@ -12,7 +12,12 @@ from noise_model.frames import Float64
 
 Bool = npt.NDArray[np.bool_]
 
+Float32 = npt.NDArray[np.float32]
+
 Kind = TypeVar("Kind", bound=np.generic)
+
+SMALL = np.array([[0.5, -0.5], [-0.5, 0.5]], dtype=np.float32)
+"""The detail of 2 x 2 pixels that no smooth light has: its variance is that of a pixel's noise."""
 
 
 def cut(images: npt.NDArray[Kind], side_px: int) -> npt.NDArray[Kind]:
@@ -28,6 +33,15 @@ def cut(images: npt.NDArray[Kind], side_px: int) -> npt.NDArray[Kind]:
 def block_means(image: npt.NDArray[np.generic], side_px: int) -> Float64:
     """Return the means (h, w) of an image's (H, W) whole blocks."""
     return np.asarray(cut(image, side_px).mean(axis=(-3, -1), dtype=np.float64))
+
+
+def in_bins(image: Float32, weights: Float32, bin_px: int) -> Float32:
+    """Return the weighted sums (h, w, m) of the squares of pixels (k, k) that lie in each bin of an image."""
+    side = len(weights)
+    n = bin_px // side
+    bins = cut(np.asarray(cv2.filter2D(image, -1, weights, anchor=(0, 0)), dtype=np.float32), bin_px)
+    chosen = bins[:, : n * side : side, :, : n * side : side].transpose(0, 2, 1, 3)
+    return np.ascontiguousarray(chosen).reshape(*chosen.shape[:2], n * n)
 
 
 def within(mask: Bool, side_px: int) -> Bool:

@@ -73,12 +73,14 @@ class Quadratic:
         n = float(self.counts.sum())
         return max(float(self.chi2.sum()) / min(n, N_EFFECTIVE), LEAST_WEIGHT)
 
-    def solve(self, frames: npt.NDArray[np.bool_], damping: float = 0.0) -> Float64:
-        """Return the parameters (p,) that chosen frames (n_frames,) and the priors like best.
+    def solve(self, frames: npt.NDArray[np.bool_] | None = None, damping: float = 0.0) -> Float64:
+        """Return the parameters (p,) that frames and the priors like best.
 
-        `damping` adds so much of the information's diagonal (Levenberg and Marquardt).
+        `frames` (n_frames,) are the chosen ones, all without them. `damping` adds so much of the
+        information's diagonal (Levenberg and Marquardt).
         """
-        A, b = self.information[frames].sum(axis=0), self.gradient[frames].sum(axis=0)
+        chosen = slice(None) if frames is None else frames
+        A, b = self.information[chosen].sum(axis=0), self.gradient[chosen].sum(axis=0)
         prior = self.prior_weight / np.array([parameter.prior_sigma**2 for parameter in self.parameters])
         starts = np.array([parameter.start for parameter in self.parameters])
         A = A + np.diag(prior)

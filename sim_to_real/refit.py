@@ -112,7 +112,7 @@ def refit(
         cost = problem.cost(x, r, bound, weight)
         gained = 0.0
         while damping < DAMPED_MOST:
-            x_new = within_bounds(problem.parameters, quadratic.solve(problem.all_frames, damping))
+            x_new = within_bounds(problem.parameters, quadratic.solve(damping=damping))
             passed_new = problem.passed(x_new)
             r_new = expected.residuals(passed_new)
             new = problem.cost(x_new, r_new, bound, weight)
@@ -203,10 +203,6 @@ class _Problem:
         return bool(RENDERING & set(self.ids))
 
     @property
-    def all_frames(self) -> npt.NDArray[np.bool_]:
-        return np.ones(len(self.expected.observed.frames), dtype=bool)
-
-    @property
     def counts(self) -> Int64:
         return np.array([int(frame.keep.sum()) for frame in self.expected.observed.frames])
 
@@ -250,7 +246,7 @@ class _Problem:
 
         A level that all frames share is no flicker but a nuisance, and known within its tolerance.
         """
-        lit = np.array([frame.condition.arc_level > 0.0 for frame in self.expected.observed.frames])
+        lit = self.expected.observed.lit
         return np.diag(lit.astype(np.float64)) - np.outer(lit, lit) / max(int(lit.sum()), 1)
 
     def arc_ln(self, x: Float64) -> Float64:
@@ -301,6 +297,6 @@ class _Problem:
 
 def flicker(expected: Expected, arc_ln: Float64) -> float:
     """Return the relative standard deviation of the arc's output in the frames that show it."""
-    lit = [frame.condition.arc_level > 0.0 for frame in expected.observed.frames]
+    lit = expected.observed.lit
     most = REGISTRY[FLICKER].parameters[0].upper
-    return min(float(np.std(np.exp(arc_ln[lit]))), most) if any(lit) else 0.0
+    return min(float(np.std(np.exp(arc_ln[lit]))), most) if lit.any() else 0.0

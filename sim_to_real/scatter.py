@@ -83,8 +83,9 @@ def scatter(expected: Expected, fitted: Refit, without: Sequence[str]) -> Scatte
     left = [keep[frame.keep] for frame, keep in zip(frames, keeps, strict=True)]
     quiet = [of.some(use) for of, use in zip(pixels, left, strict=True)]
     fit = sizes(quiet)
+    read = _read_ratio(fit, quiet)
     found = [
-        _read_noise(fit, quiet, observed),
+        _read_noise(*read, fit, quiet, observed),
         *_fixed_pattern(fit, quiet, keeps, observed),
         *_laser_speckle(fit, quiet, observed),
         *_spatter(streaks, observed),
@@ -107,17 +108,15 @@ def scatter(expected: Expected, fitted: Refit, without: Sequence[str]) -> Scatte
         {one.id: one.evidence for one in looked},
         {one.id: float(expit(one.evidence)) for one in looked},
         {one.id: _share(one.excess, gap) for one in looked},
-        1.0 if any(one.id == "read_noise" for one in acting) else _within_tolerance(found[0], observed),
+        1.0 if any(one.id == "read_noise" for one in acting) else _within_tolerance(*read, observed),
     )
 
 
-def _within_tolerance(read_noise: _Candidate, observed: Observed) -> float:
+def _within_tolerance(ratio: float, error: float, observed: Observed) -> float:
     """Return the likeliest read noise over the stated one, by what is seen and what is known before."""
     known = observed.setup.tolerance.read_noise_rel
-    ratio = read_noise.values["noise_ratio"]
-    seen = math.sqrt(max(read_noise.sigmas["noise_ratio"] ** 2 - (known * ratio) ** 2, 1e-12))
     reach = WITHIN_SIGMAS * known
-    return 1.0 + min(max((ratio - 1.0) * known**2 / (known**2 + seen**2), -reach), reach)
+    return 1.0 + min(max((ratio - 1.0) * known**2 / (known**2 + error**2), -reach), reach)
 
 
 def _share(excess: float, gap: float) -> float:
@@ -142,13 +141,18 @@ def _coherent(
     return max(float(np.mean(np.concatenate(parts))), 0.0)
 
 
-def _read_noise(fit: Sizes, pixels: Sequence[Details], observed: Observed) -> _Candidate:
-    """Return the read noise; it is known within its tolerance, and less than stated is no gap."""
-    tolerance = observed.setup.tolerance.read_noise_rel
+def _read_ratio(fit: Sizes, pixels: Sequence[Details]) -> tuple[float, float]:
+    """Return the read noise over the stated one as it is seen, and 1 sigma."""
     ratio = math.sqrt(max(1.0 + fit.read, 1e-3))
     # Of its square's sigma half is the ratio's own.
-    error = 0.5 / ratio * math.hypot(math.sqrt(fit.covariance[0, 0]), _off(fit, pixels, "read"))
-    more = ratio - 1.0
+    return ratio, 0.5 / ratio * math.hypot(math.sqrt(fit.covariance[0, 0]), _off(fit, pixels, "read"))
+
+
+def _read_noise(
+    ratio: float, error: float, fit: Sizes, pixels: Sequence[Details], observed: Observed
+) -> _Candidate:
+    """Return the read noise; it is known within its tolerance, and less than stated is no gap."""
+    tolerance, more = observed.setup.tolerance.read_noise_rel, ratio - 1.0
     return _Candidate(
         "read_noise",
         _over_nought(more, math.hypot(error, tolerance), _prior("read_noise")),
@@ -204,7 +208,7 @@ def _laser_speckle(fit: Sizes, pixels: Sequence[Details], observed: Observed) ->
 
 def _spatter(streaks: Spatter, observed: Observed) -> list[_Candidate]:
     """Return the spatter, if there are frames with the arc on."""
-    if sum(frame.condition.arc_level > 0.0 for frame in observed.frames) < LEAST_LIT:
+    if observed.lit.sum() < LEAST_LIT:
         return []
     return [
         _Candidate(

@@ -227,7 +227,7 @@ def _solved(baseline: Refit, r: Float64, name: str, looks: Sequence[_Look]) -> S
         baseline.weights,
         baseline.quadratic.counts,
     )
-    x = quadratic.solve(np.ones(len(baseline.quadratic.counts), dtype=bool))
+    x = quadratic.solve()
     left = float(quadratic.costs(x).sum() / quadratic.chi2.sum())
     along = x[len(baseline.x) :]
     if not np.abs(along).max() > LEAST:

@@ -152,9 +152,7 @@ def candidates(
     left = min(left, baseline.mean_square)
     gap = left - LEAST_LEFT
     # What no effect at all leaves at the first look, where nuisances were not fitted yet.
-    unaided = baseline.quadratic.costs(
-        baseline.quadratic.solve(np.ones(len(baseline.quadratic.counts), bool))
-    )
+    unaided = baseline.quadratic.costs(baseline.quadratic.solve())
     gap_at_look = max(float(unaided.sum() / baseline.quadratic.counts.sum()) - LEAST_LEFT, gap)
     found: list[Candidate] = []
     if FLICKER not in without and FLICKER not in baseline.ids and _shows_arc(expected):
@@ -231,7 +229,7 @@ def told_apart(
 
 def _worth_it(expected: Expected, baseline: Refit, effects: Effects) -> bool:
     """Say whether effects close a good part of the gap in a few of the frames that the arc lights."""
-    lit = np.flatnonzero([frame.condition.arc_level > 0.0 for frame in expected.observed.frames])
+    lit = np.flatnonzero(expected.observed.lit)
     if not len(lit):
         return False
     few = expected.some(
@@ -253,7 +251,7 @@ def _best_first(found: Sequence[Candidate]) -> list[Candidate]:
 
 
 def _shows_arc(expected: Expected) -> bool:
-    return sum(frame.condition.arc_level > 0.0 for frame in expected.observed.frames) > 2
+    return bool(expected.observed.lit.sum() > 2)
 
 
 def confidences(of: Sequence[Candidate], baseline: Candidate) -> Float64:

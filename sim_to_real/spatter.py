@@ -101,7 +101,7 @@ def spatter(observed: Observed, passed: Sequence[Passed], sizes: Sizes) -> Spatt
     """Return the spatter that frames show; `sizes` are those of what scatters besides."""
     searched, sensor = search(observed, passed, sizes), passed[0].sensor
     bright, dark = passing(observed, searched)
-    lit = np.array([frame.condition.arc_level > 0.0 for frame in observed.frames])
+    lit = observed.lit
     found = [line for line in bright if lit[line.position]]
     measured = [_measured(observed, sensor, searched[line.position], line) for line in found]
     streaks = [streak for streak in measured if streak is not None]

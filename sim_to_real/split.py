@@ -8,8 +8,8 @@ import numpy as np
 import numpy.typing as npt
 
 from sim_to_real.observed import Observed, ObservedFrame
+from sim_to_real.pixels import Bool
 
-Bool = npt.NDArray[np.bool_]
 Int64 = npt.NDArray[np.int64]
 
 

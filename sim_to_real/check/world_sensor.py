@@ -22,14 +22,7 @@ from sim_to_real.check.world_effect import (
     signed,
 )
 from sim_to_real.check.world_light import TrueWorld
-from sim_to_real.check.world_source import (
-    draw_hop,
-    draw_settling,
-    draw_swing,
-    hopped,
-    settled,
-    swinging,
-)
+from sim_to_real.check.world_source import drift_forms
 
 
 def stated_response(charge_e: Float64, sensor: Sensor) -> Float64:
@@ -46,18 +39,6 @@ def digitised(over_black_dn: Float64, black_dn: Float64, sensor: Sensor) -> npt.
 
 def _scaled_exposure(moment: Moment, factor: float) -> Moment:
     return replace(moment, exposure_s=moment.exposure_s * factor)
-
-
-def _draw_exposure_settling(draw: Generator, strength: float, setup: Setup) -> dict[str, float]:
-    return draw_settling(draw, magnitude(strength, 0.03, 0.4))
-
-
-def _draw_exposure_swing(draw: Generator, strength: float, setup: Setup) -> dict[str, float]:
-    return draw_swing(draw, magnitude(strength, 0.02, 0.2))
-
-
-def _draw_exposure_hop(draw: Generator, strength: float, setup: Setup) -> dict[str, float]:
-    return draw_hop(draw, magnitude(strength, 0.03, 0.3))
 
 
 def _draw_pattern(draw: Generator, strength: float, setup: Setup) -> dict[str, float]:
@@ -159,25 +140,8 @@ def _heavy_noise(draw: Generator, shape: tuple[int, int], sigma_e: float, p: Val
 
 
 FORMS: dict[str, tuple[Form, ...]] = {
-    "exposure_drift": (
-        Form(
-            CATALOGUE,
-            "exposure x exp(rate settle (1 - exp(-t / settle)))",
-            _draw_exposure_settling,
-            moment=lambda moment, p: _scaled_exposure(moment, settled(p, moment.time_s)),
-        ),
-        Form(
-            "swing",
-            "exposure x (1 + amplitude sin(2 pi t / period + phase))",
-            _draw_exposure_swing,
-            moment=lambda moment, p: _scaled_exposure(moment, swinging(p, moment)),
-        ),
-        Form(
-            "hop",
-            "exposure x (1 + jump) from a moment on",
-            _draw_exposure_hop,
-            moment=lambda moment, p: _scaled_exposure(moment, hopped(p, moment)),
-        ),
+    "exposure_drift": drift_forms(
+        "exposure", _scaled_exposure, settling=(0.03, 0.4), swing=(0.02, 0.2), hop=(0.03, 0.3)
     ),
     "fixed_pattern": (
         Form(CATALOGUE, "charge x (1 + sigma_rel n), n normal", _draw_pattern, charge=_even_pattern),

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
@@ -140,9 +141,9 @@ def _argon_gauss(frame: FrameLight, p: Values) -> None:
     frame.arc = frame.arc * (1.0 + p["on_axis"] * passed)
 
 
-def settled(p: Values, time_s: float) -> float:
+def settled(p: Values, moment: Moment) -> float:
     """Return exp(rate settle (1 - exp(-t / settle)))."""
-    return math.exp(p["rate_per_s"] * p["settle_s"] * -math.expm1(-time_s / p["settle_s"]))
+    return math.exp(p["rate_per_s"] * p["settle_s"] * -math.expm1(-moment.time_s / p["settle_s"]))
 
 
 def draw_settling(draw: Generator, change: float) -> dict[str, float]:
@@ -174,6 +175,36 @@ def draw_hop(draw: Generator, jump: float) -> dict[str, float]:
     return {"jump": signed(draw, jump), "at_s": draw.uniform(0.4, 1.0)}
 
 
+def drift_forms(
+    what: str,
+    scaled: Callable[[Moment, float], Moment],
+    settling: tuple[float, float],
+    swing: tuple[float, float],
+    hop: tuple[float, float],
+) -> tuple[Form, ...]:
+    """Return the forms of a drift of an output, each with its magnitudes at strengths of 0 and 1."""
+
+    def form(
+        name: str,
+        factor: str,
+        draw_of: Callable[[Generator, float], dict[str, float]],
+        sizes: tuple[float, float],
+        of: Callable[[Values, Moment], float],
+    ) -> Form:
+        return Form(
+            name,
+            f"{what} x {factor}",
+            lambda draw, strength, setup: draw_of(draw, magnitude(strength, *sizes)),
+            moment=lambda moment, p: scaled(moment, of(p, moment)),
+        )
+
+    return (
+        form(CATALOGUE, "exp(rate settle (1 - exp(-t / settle)))", draw_settling, settling, settled),
+        form("swing", "(1 + amplitude sin(2 pi t / period + phase))", draw_swing, swing, swinging),
+        form("hop", "(1 + jump) from a moment on", draw_hop, hop, hopped),
+    )
+
+
 def _scaled_laser(moment: Moment, factor: float) -> Moment:
     return replace(moment, laser_level=moment.laser_level * factor)
 
@@ -200,18 +231,6 @@ def _gamma_speckle(frame: FrameLight, p: Values) -> None:
     height, width = frame.laser.shape
     coarse = frame.draw.gamma(looks, 1.0 / looks, (-(-height // block), -(-width // block)))
     frame.laser = frame.laser * np.kron(coarse, np.ones((block, block)))[:height, :width]
-
-
-def _draw_laser_settling(draw: Generator, strength: float, setup: Setup) -> dict[str, float]:
-    return draw_settling(draw, magnitude(strength, 0.08, 0.4))
-
-
-def _draw_laser_swing(draw: Generator, strength: float, setup: Setup) -> dict[str, float]:
-    return draw_swing(draw, magnitude(strength, 0.04, 0.2))
-
-
-def _draw_laser_hop(draw: Generator, strength: float, setup: Setup) -> dict[str, float]:
-    return draw_hop(draw, magnitude(strength, 0.06, 0.3))
 
 
 FORMS: dict[str, tuple[Form, ...]] = {
@@ -258,25 +277,8 @@ FORMS: dict[str, tuple[Form, ...]] = {
             "gauss", "the same with a Gaussian passband of the stated width", _draw_argon, light=_argon_gauss
         ),
     ),
-    "laser_power_drift": (
-        Form(
-            CATALOGUE,
-            "laser x exp(rate settle (1 - exp(-t / settle)))",
-            _draw_laser_settling,
-            moment=lambda moment, p: _scaled_laser(moment, settled(p, moment.time_s)),
-        ),
-        Form(
-            "swing",
-            "laser x (1 + amplitude sin(2 pi t / period + phase))",
-            _draw_laser_swing,
-            moment=lambda moment, p: _scaled_laser(moment, swinging(p, moment)),
-        ),
-        Form(
-            "hop",
-            "laser x (1 + jump) from a moment on",
-            _draw_laser_hop,
-            moment=lambda moment, p: _scaled_laser(moment, hopped(p, moment)),
-        ),
+    "laser_power_drift": drift_forms(
+        "laser", _scaled_laser, settling=(0.08, 0.4), swing=(0.04, 0.2), hop=(0.06, 0.3)
     ),
     "laser_speckle": (
         Form(CATALOGUE, "laser x log-normal grains of a Gaussian correlation", _draw_speckle, image=_speckle),

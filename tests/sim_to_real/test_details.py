@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 from sim_to_real import details as of_details
-from sim_to_real.details import ACROSS, LARGE, SMALL, Details, details, in_bins, pattern, sizes
+from sim_to_real.details import ACROSS, LARGE, Details, details, pattern, sizes
+from sim_to_real.pixels import SMALL, in_bins
 from tests.sim_to_real.scattered import BIN_PX, Scattering, recorded
 
 

@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 from scipy.ndimage import gaussian_filter
 
-from sim_to_real.details import LARGE, SMALL, Sizes, in_bins
+from sim_to_real.details import LARGE, Sizes
+from sim_to_real.pixels import SMALL, in_bins
 from sim_to_real.speckle import LARGE_WEIGHTS, SMALL_WEIGHTS, left_of_grain, speckle
 
 BIN_PX = 4
