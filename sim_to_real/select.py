@@ -28,6 +28,9 @@ JUDGED_WITHIN = 10.0
 HELD_DAMPING = 0.03
 """Fits to some of the frames are damped: where hardly anything is seen they would leave what is linear."""
 
+FORM_REL = 0.1
+"""An effect's form is known to this share of what it changes: catalogues simplify."""
+
 FOLDS = 5
 """So many times some of the frames are held out."""
 
@@ -93,6 +96,15 @@ class Candidate:
         """The logarithm of the candidate's likelihood, less what its parameters cost."""
         n_parameters = len(self.refit.x) - self.refit.n_nuisances
         return likelihood_nats(self.left) - cost_nats(n_parameters) - self.against
+
+
+def beyond_form(expected: Expected, candidate: Candidate) -> float:
+    """Return what a candidate leaves if what its effects change may be off by `FORM_REL` of it."""
+    fitted = candidate.refit
+    without = expected.residuals(expected.passed(fitted.nuisance, {}))
+    r = np.clip(fitted.residuals, -JUDGED_WITHIN, JUDGED_WITHIN)
+    off = FORM_REL * (without - fitted.residuals)
+    return candidate.left * float(np.sum(r**2 / (1.0 + off**2)) / np.sum(r**2))
 
 
 def likelihood_nats(left: float) -> float:

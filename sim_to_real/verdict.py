@@ -22,6 +22,7 @@ from sim_to_real.screen import Screened
 from sim_to_real.select import (
     RESOLVED,
     Candidate,
+    beyond_form,
     candidates,
     confidences,
     cost_nats,
@@ -33,7 +34,10 @@ from sim_to_real.select import (
 )
 
 EXPLAINED = 0.12
-"""A gap of which more is left is not explained."""
+"""A gap of which more is left is not explained by several effects."""
+
+ONE_EXPLAINS = 0.08
+"""Nor by one if more is left beyond what its form may be off."""
 
 AT_FLOOR = 1.5
 """What leaves less in pixels shows no gap there: the model's floor is 1."""
@@ -102,14 +106,9 @@ def left_over(candidate: Candidate, baseline: Candidate) -> float:
     return min(max(candidate.left - 1.0, 0.0) / gap, 1.0) if gap > 0.0 else 0.0
 
 
-def is_explained(candidate: Candidate, baseline: Candidate) -> bool:
-    """Say whether effects explain a gap: little is left of it in pixels, or in bins if pixels were not asked.
-
-    Nor do pixels say anything of a gap that they do not show. A bin does not see all that a pixel sees.
-    """
-    if baseline.left_in_pixels > AT_FLOOR:
-        return candidate.left_in_pixels - 1.0 <= EXPLAINED * (baseline.left_in_pixels - 1.0)
-    return left_over(candidate, baseline) <= EXPLAINED
+def is_explained(expected: Expected, candidate: Candidate, baseline: Candidate) -> bool:
+    """Say whether one effect explains a gap: it leaves little beyond what its form may be off."""
+    return beyond_form(expected, candidate) - 1.0 <= ONE_EXPLAINS * max(baseline.left - 1.0, 0.0)
 
 
 def without_help(baseline: Candidate) -> Verdict:
@@ -141,7 +140,7 @@ def decide(
     found = candidates(expected, start, screened, baseline.left, without, on_stage)
     if found[0].evidence > baseline.evidence:
         found, baseline = told_apart(found, baseline, in_pixels)
-    is_open = found[0].left > RESOLVED and not is_explained(found[0], baseline)
+    is_open = found[0].left > RESOLVED and not is_explained(expected, found[0], baseline)
     is_small = baseline.left < UNEXPLAINED_FROM and baseline.left_in_pixels <= AT_FLOOR
     if is_open and not is_small:
         found = with_dear(expected, start, found, without, on_stage)
@@ -164,7 +163,7 @@ def decide(
     if baseline.left <= 1.0 and by_chance and not _shows_in_pixels(baseline, in_pixels):
         return said(Verdict.NO_GAP, baseline)
     likely = tuple(one.ids[0] for one, share in zip(singles, p, strict=True) if share >= IN_SET)
-    explained = is_explained(best, baseline)
+    explained = is_explained(expected, best, baseline)
     several = None
     if not explained or best.left > CLEARLY_LEFT:
         several = _several(expected, baseline, best, without, on_stage)

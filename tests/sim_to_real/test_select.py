@@ -8,13 +8,15 @@ import pytest
 
 from sim_to_real.held import left_in_pixels
 from sim_to_real.refit import followed, refit
-from sim_to_real.select import ALIKE_NATS, Candidate, likelihood_nats, told_apart
+from sim_to_real.select import ALIKE_NATS, Candidate, beyond_form, likelihood_nats, told_apart
 from sim_to_real.verdict import is_explained
 from tests.sim_to_real.small import small_recording
 
 
 def candidate(name, left, n_parameters=1):
     fit = SimpleNamespace(
+        residuals=np.full(50, math.sqrt(left)),
+        nuisance=None,
         ids=(name,),
         x=np.zeros(n_parameters),
         n_nuisances=0,
@@ -70,19 +72,15 @@ def test_pixels_are_not_asked_where_one_explains_all_and_none_is_like_it():
     assert candidate("fume", 9.0).evidence < candidate("gamma", 1.0).evidence - ALIKE_NATS
 
 
-def test_what_leaves_little_of_what_pixels_show_explains_a_gap():
-    in_pixels, _ = pixels(defocus=0.9, fume=9.0)
-    (found,), baseline = told_apart([candidate("defocus", 2.0)], BASELINE, in_pixels)
-    assert is_explained(found, baseline)
-    assert not is_explained(candidate("defocus", 2.0), BASELINE)
-    (found,), baseline = told_apart([candidate("fume", 2.0)], BASELINE, in_pixels)
-    assert not is_explained(found, baseline)
-
-
-def test_a_gap_that_pixels_do_not_show_is_not_explained_by_them():
-    in_pixels, _ = pixels(**{"": 1.3, "defocus": 0.9})
-    (found,), baseline = told_apart([candidate("defocus", 2.0)], BASELINE, in_pixels)
-    assert not is_explained(found, baseline)
+def test_what_an_effect_changes_is_known_to_a_tenth():
+    found = candidate("gamma", 4.0)
+    # Each residual shrinks from 12 to 2, and the change of 10 has a sigma of 1 beside the noise's 1.
+    large = SimpleNamespace(passed=lambda *_: [], residuals=lambda _: np.full(50, 12.0))
+    assert beyond_form(large, found) == pytest.approx(4.0 / 2.0)
+    assert is_explained(large, found, candidate("", 144.0))
+    # The same is left of a gap that was hardly larger: the form is no excuse.
+    small = SimpleNamespace(passed=lambda *_: [], residuals=lambda _: np.full(50, 3.0))
+    assert not is_explained(small, found, candidate("", 9.0))
 
 
 def test_followed_derivatives_tell_what_the_step_did_and_leave_the_rest():

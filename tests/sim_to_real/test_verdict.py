@@ -32,8 +32,9 @@ class Scattering:
 
 
 def candidate(*ids, left=1.0):
+    fit = SimpleNamespace(residuals=np.full(4, np.sqrt(left)), nuisance=None)
     return SimpleNamespace(
-        ids=ids, left=left, left_in_pixels=np.nan, evidence=likelihood_nats(left), refit=None
+        ids=ids, left=left, left_in_pixels=np.nan, evidence=likelihood_nats(left), refit=fit
     )
 
 
@@ -48,9 +49,13 @@ def decided(monkeypatch, baseline, singles, several, seen=0.0, looks=("a look",)
         monkeypatch.setattr(room, name, lambda *_, answer=answer: answer)
     monkeypatch.setattr(room, "refit", lambda *_, **__: None)
     monkeypatch.setattr(room, "told_apart", lambda *_: (singles, baseline))
-    return decide(
-        SimpleNamespace(take_tangents=lambda *_: None, neutral=None), baseline, (), lambda _: [seen], print
+    expected = SimpleNamespace(
+        take_tangents=lambda *_: None,
+        neutral=None,
+        passed=lambda *_: [],
+        residuals=lambda _: baseline.refit.residuals,
     )
+    return decide(expected, baseline, (), lambda _: [seen], print)
 
 
 def test_one_that_is_enough_beside_likelier_ones_is_ambiguous_with_them(monkeypatch):
