@@ -235,9 +235,16 @@ def arc_band(
     )
 
 
-def arc_frame(kernel: ArcKernel, xy: Float32, cos4: Float32, shape: tuple[int, int]) -> Float32:
-    """Return the whole arc map (H, W), e-; NaN where a pixel looks past the workpiece."""
+def arc_frame(
+    kernel: ArcKernel,
+    xy: Float32,
+    cos4: Float32,
+    shape: tuple[int, int],
+    tolerance: float = TOLERANCE,
+    floor_e: float = FLOOR_E,
+) -> Float32:
+    """Return the whole arc map (H, W), e-, as `arc_band` does; NaN where a pixel looks past the workpiece."""
     frame_e = np.empty(shape, dtype=np.float32)
     lows = np.zeros(-(-shape[0] // CELL), dtype=np.int64)
-    arc_band(kernel, xy, cos4, lows, frame_e)
+    arc_band(kernel, xy, cos4, lows, frame_e, tolerance, floor_e)
     return frame_e

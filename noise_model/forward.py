@@ -16,7 +16,7 @@ from typing import TypeVar
 import numpy as np
 import numpy.typing as npt
 
-from noise_model.arc_map import Float32, arc_at, arc_kernel
+from noise_model.arc_map import Float32, Scene, arc_at, arc_frame, arc_kernel
 from noise_model.condition import Condition
 from noise_model.effects import acting, really, really_on
 from noise_model.effects.effect import Draw
@@ -28,6 +28,12 @@ from noise_model.setup import Setup
 from noise_model.stripe import stripe_light
 from noise_model.surface import NOMINAL_SEAM, Seam, SeamLine
 from noise_model.view import View
+
+FILL_TOLERANCE, FILL_FLOOR, FILL_SAMPLE = 3e-4, 1e-4, 101
+"""How closely a whole frame's arc map is filled: of its light, and of the brightest of every so many pixels.
+
+That is as closely as the pixels' own integrals are taken.
+"""
 
 REMEMBERED = 4
 """How many poses a renderer remembers if it is not told otherwise."""
@@ -70,7 +76,15 @@ class Layers:
     @cached_property
     def arc_e(self) -> Float32:
         """The arc's light (...,), e- for `camera.exposure_s`, at its nominal output; 0 past the workpiece."""
-        return self._of_stretches(_arc_light)
+        if not self.view.is_frame:
+            return self._of_stretches(_arc_light)
+        if not self.stretches:
+            return _filled(self.view, self.view.scene)
+        # The stretches of a whole frame are not filled by themselves: cells are squares.
+        image = np.empty(self.view.cos4.size, dtype=np.float32)
+        for pixels, view in self.stretches:
+            image[pixels] = _filled(self.view, view.scene).reshape(-1)[pixels]
+        return image.reshape(self.view.shape)
 
     @cached_property
     def laser_e(self) -> Float32:
@@ -98,6 +112,17 @@ def _arc_light(view: View) -> Float32:
     xy = np.ascontiguousarray(view.xy.reshape(-1, 2))
     arc_e, _ = arc_at(kernel, xy, view.cos4.reshape(-1), np.arange(view.cos4.size))
     return np.nan_to_num(arc_e).reshape(view.shape)
+
+
+def _filled(frame: View, where: Scene) -> Float32:
+    """Return the arc's light (H, W) of a whole frame in a scene."""
+    kernel, (height, width) = arc_kernel(frame.setup, where), frame.shape
+    xy, cos4 = np.ascontiguousarray(frame.xy.reshape(-1, 2)), frame.cos4.reshape(-1)
+    some_e, _ = arc_at(kernel, xy, cos4, np.arange(0, frame.cos4.size, FILL_SAMPLE))
+    floor_e = FILL_FLOOR * float(np.nan_to_num(some_e).max())
+    filled = arc_frame(kernel, xy, cos4, (height, width), FILL_TOLERANCE, floor_e)
+    # A polynomial through what is dark may swing below.
+    return np.maximum(np.nan_to_num(filled), np.float32(0.0))
 
 
 class Renderer:

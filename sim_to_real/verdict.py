@@ -39,11 +39,17 @@ EXPLAINED = 0.12
 ONE_EXPLAINS = 0.08
 """Nor by one if more is left beyond what its form may be off."""
 
+PIXELS_EXPLAINED = 0.05
+"""Of a gap that pixels show one effect may leave so much: bins are predicted by a coarse camera."""
+
 AT_FLOOR = 1.5
 """What leaves less in pixels shows no gap there: the model's floor is 1."""
 
 SHOWN_FROM = 0.7
 """What leaves less in pixels, and in bins no more than the model's floor, is no gap."""
+
+HALVES = 0.5
+"""Others beside an effect that explains what bins show must leave no more of what pixels still do."""
 
 LEAST_SHARE = 0.05
 """An effect with a smaller share of what is closed is not named beside others."""
@@ -109,9 +115,10 @@ def left_over(candidate: Candidate, baseline: Candidate) -> float:
 def is_explained(expected: Expected, candidate: Candidate, baseline: Candidate) -> bool:
     """Say whether one effect explains a gap: it leaves little beyond what its form may be off.
 
-    Or it leaves nothing in pixels, and they showed the gap: bins are predicted by a coarse camera.
+    Or it leaves hardly anything in pixels, and they showed the gap.
     """
-    if baseline.left_in_pixels > AT_FLOOR and candidate.left_in_pixels <= 1.0:
+    shown = baseline.left_in_pixels
+    if shown > AT_FLOOR and candidate.left_in_pixels - 1.0 <= PIXELS_EXPLAINED * (shown - 1.0):
         return True
     return beyond_form(expected, candidate) - 1.0 <= ONE_EXPLAINS * max(baseline.left - 1.0, 0.0)
 
@@ -165,13 +172,18 @@ def decide(
         return said(without_help(baseline), baseline)
     # Below the floor one of many that are looked at is better by chance.
     by_chance = best.evidence - baseline.evidence < NAMED_FROM + math.log(len(screened))
-    if baseline.left <= 1.0 and by_chance and not _shows_in_pixels(baseline, in_pixels):
+    if baseline.left <= 1.0 and by_chance and _left_in_pixels(baseline, in_pixels) <= SHOWN_FROM:
         return said(Verdict.NO_GAP, baseline)
     likely = tuple(one.ids[0] for one, share in zip(singles, p, strict=True) if share >= IN_SET)
     explained = is_explained(expected, best, baseline)
     several = None
     if not explained or best.left > CLEARLY_LEFT:
         several = _several(expected, baseline, best, without, on_stage)
+    elif (shown := _left_in_pixels(best, in_pixels)) > AT_FLOOR:
+        several = _several(expected, baseline, best, without, on_stage)
+        # If others do not halve it, it is the effect's form that pixels show.
+        if several is not None and _left_in_pixels(several, in_pixels) - 1.0 > HALVES * (shown - 1.0):
+            several = None
     if explained and (several is None or len(several.ids) == 1):
         is_sure = p[0] >= SURE or len(likely) == 1
         return said(Verdict.EFFECTS, best) if is_sure else said(Verdict.AMBIGUOUS, best, likely)
@@ -183,10 +195,9 @@ def decide(
     return said(Verdict.EFFECTS, several)
 
 
-def _shows_in_pixels(baseline: Candidate, in_pixels: Callable[[Sequence[Refit]], Float64]) -> bool:
-    """Say whether pixels show something of a gap that bins show below the model's floor."""
-    left = baseline.left_in_pixels
-    return (float(in_pixels([baseline.refit])[0]) if math.isnan(left) else left) > SHOWN_FROM
+def _left_in_pixels(of: Candidate, in_pixels: Callable[[Sequence[Refit]], Float64]) -> float:
+    """Return what a candidate leaves in pixels, which may not have been asked yet."""
+    return float(in_pixels([of.refit])[0]) if math.isnan(of.left_in_pixels) else of.left_in_pixels
 
 
 def with_random(decision: Decision, baseline: Candidate, random: Scatter) -> Decision:

@@ -54,7 +54,8 @@ def test_an_edge_hides_the_arc_where_it_passes_it_not_where_a_tangent_points():
     # The tangent passes the torch 0.7 mm to the right, the seam itself 0.4 mm to the left.
     bent = layers(BentSeam((line,), SeamLine(0.0, 0.4)), lap)
     straight = layers(BentSeam((line,), SeamLine(0.0, -0.7)), lap)
-    np.testing.assert_allclose(straight.arc_e, layers(line, lap).arc_e, rtol=1e-3)
+    whole = layers(line, lap).arc_e
+    np.testing.assert_allclose(straight.arc_e, whole, rtol=1e-3, atol=1e-3 * whole.max())
     assert bent.view.scene.center_mm[1] - straight.view.scene.center_mm[1] == pytest.approx(-1.1, abs=1e-3)
 
 

@@ -12,7 +12,7 @@ from noise_model.condition import Condition
 from noise_model.effects import REGISTRY, Stage, checked, pose_time_s, really, really_on
 from noise_model.effects.effect import Effect
 from noise_model.fit import Parameter
-from noise_model.forward import Renderer, predict
+from noise_model.forward import FILL_TOLERANCE, Renderer, predict
 
 CONTRACT = {
     "source": ["arc_length", "arc_deflection", "arc_radius", "arc_flicker", "argon_line_leak"],
@@ -298,8 +298,9 @@ def test_some_pixels_are_those_of_the_frame(name):
     pixels = np.arange(5, 80 * 60, 37)
     whole = predict(setup, TURNED, CONDITIONS["both"])
     some = predict(setup, TURNED, CONDITIONS["both"], pixels=pixels)
-    # Bounced light is interpolated between points that are spread over what the pixels show.
-    rtol = 0.02 if name == "interreflection" else 1e-5
+    # Bounced light is interpolated between points that are spread over what the pixels show; a whole frame's
+    # arc map is filled.
+    rtol = 0.02 if name == "interreflection" else 3.0 * FILL_TOLERANCE
     np.testing.assert_allclose(some.mean_e, whole.mean_e.ravel()[pixels], rtol=rtol, atol=1e-3)
     np.testing.assert_allclose(some.variance_dn2, whole.variance_dn2.ravel()[pixels], rtol=rtol, atol=1e-3)
 

@@ -11,7 +11,7 @@ from noise_model.arc_map import arc_at, arc_kernel, scene
 from noise_model.brdf import Lobe
 from noise_model.condition import Condition
 from noise_model.effects import REGISTRY, checked
-from noise_model.forward import Renderer, draw_frame, predict
+from noise_model.forward import FILL_TOLERANCE, Renderer, draw_frame, predict
 from noise_model.frames import invert
 from noise_model.optics import Camera, Rays
 from noise_model.stripe import reflected_sheet, reflected_sheet_plain, stripe_reference
@@ -212,7 +212,7 @@ def test_light_scales_and_adds():
 def test_what_only_the_image_shows_renders_nothing_anew(monkeypatch):
     """Levels, exposure, sensor, point-spread function and effects on the image reuse what was rendered."""
     rendered = []
-    for name in ("arc_at", "stripe_light"):
+    for name in ("arc_frame", "stripe_light"):
         original = getattr(forward, name)
         monkeypatch.setattr(
             forward, name, lambda *args, original=original: rendered.append(1) or original(*args)
@@ -233,15 +233,17 @@ def test_what_only_the_image_shows_renders_nothing_anew(monkeypatch):
 
 
 def test_some_pixels_are_those_of_the_frame():
-    """Without a point-spread function, which needs the neighbours."""
+    """Without a point-spread function, which needs the neighbours; a whole frame's arc map is filled."""
     setup = scenes.setup("corrugation", of_camera=sharp())
     both = Condition(1.0, 1.0, EXPOSURE_S)
     pixels = np.arange(7, 160 * 120, 113)
     whole, some = predict(setup, TURNED, both), predict(setup, TURNED, both, pixels=pixels)
     for name in ("mean_e", "variance_e2", "mean_dn", "variance_dn2"):
-        np.testing.assert_allclose(
-            getattr(some, name), getattr(whole, name).reshape(-1)[pixels], rtol=1e-6, atol=1e-6
-        )
+        of_some, of_whole = getattr(some, name), getattr(whole, name).reshape(-1)[pixels]
+        off = np.abs(of_some - of_whole) / (of_some + 1.0)
+        assert np.mean(off < FILL_TOLERANCE) > 0.97
+        # A ridge's shadow is read off a coarse cell.
+        assert off.max() < 10.0 * FILL_TOLERANCE
 
 
 def test_the_arc_is_the_arc_maps():
@@ -250,7 +252,7 @@ def test_the_arc_is_the_arc_maps():
     kernel = arc_kernel(setup, scene(setup, TURNED))
     mean_e, _ = arc_at(kernel, rays.xy.reshape(-1, 2), rays.cos4.reshape(-1), np.arange(rays.cos4.size))
     image = stripe_alone(setup, TURNED, laser_level=0.0, arc_level=1.0)
-    np.testing.assert_allclose(image, mean_e.reshape(120, 160), rtol=1e-6)
+    np.testing.assert_allclose(image, mean_e.reshape(120, 160), rtol=3.0 * FILL_TOLERANCE)
 
 
 def test_the_psf_keeps_the_light_and_widens_the_stripe():

@@ -83,9 +83,9 @@ def test_what_an_effect_changes_is_known_to_a_tenth():
     assert not is_explained(small, found, candidate("", 9.0))
 
 
-def test_what_leaves_nothing_of_what_pixels_show_explains_a_gap():
+def test_what_leaves_hardly_anything_of_what_pixels_show_explains_a_gap():
     unmoved = SimpleNamespace(passed=lambda *_: [], residuals=lambda _: np.full(50, math.sqrt(2.0)))
-    for shown, left, is_enough in ((20.0, 0.9, True), (20.0, 1.2, False), (1.3, 0.9, False)):
+    for shown, left, is_enough in ((20.0, 1.9, True), (20.0, 2.1, False), (1.3, 0.9, False)):
         in_pixels, _ = pixels(**{"": shown, "blooming": left})
         (found,), baseline = told_apart([candidate("blooming", 2.0)], BASELINE, in_pixels)
         assert is_explained(unmoved, found, baseline) is is_enough

@@ -32,7 +32,7 @@ class Scattering:
 
 
 def candidate(*ids, left=1.0):
-    fit = SimpleNamespace(residuals=np.full(4, np.sqrt(left)), nuisance=None)
+    fit = SimpleNamespace(ids=ids, residuals=np.full(4, np.sqrt(left)), nuisance=None)
     return SimpleNamespace(
         ids=ids, left=left, left_in_pixels=np.nan, evidence=likelihood_nats(left), refit=fit
     )
@@ -43,7 +43,8 @@ def decision(verdict, *ids):
 
 
 def decided(monkeypatch, baseline, singles, several, seen=0.0, looks=("a look",)):
-    """Decide between fits that are handed in."""
+    """Decide between fits that are handed in; `seen` is what all leave in pixels, or each by its effects."""
+    left = seen if isinstance(seen, dict) else {}
     answers = {"looked": looks, "candidates": singles, "with_dear": singles, "_several": several}
     for name, answer in answers.items():
         monkeypatch.setattr(room, name, lambda *_, answer=answer: answer)
@@ -55,7 +56,7 @@ def decided(monkeypatch, baseline, singles, several, seen=0.0, looks=("a look",)
         passed=lambda *_: [],
         residuals=lambda _: baseline.refit.residuals,
     )
-    return decide(expected, baseline, (), lambda _: [seen], print)
+    return decide(expected, baseline, (), lambda fits: [left.get(fit.ids, seen) for fit in fits], print)
 
 
 def test_one_that_is_enough_beside_likelier_ones_is_ambiguous_with_them(monkeypatch):
@@ -85,6 +86,20 @@ def test_a_gap_below_the_floor_must_show_in_pixels_or_be_beyond_chance(monkeypat
     names = [f"a look at {n}" for n in range(26)]
     found = decided(monkeypatch, candidate(left=0.95), [candidate("gamma", left=left)], None, seen, names)
     assert found.verdict is verdict
+
+
+@pytest.mark.parametrize(("left", "named"), [(4.9, ("gamma", "fume")), (5.1, ("gamma",))])
+def test_another_effect_must_halve_what_pixels_show_beside_one_that_explains_the_bins(
+    monkeypatch, left, named
+):
+    """Of 9 - 1 the pair may leave 4."""
+    seen = {("gamma",): 9.0, ("gamma", "fume"): left}
+    pair = candidate("gamma", "fume", left=0.7)
+    found = decided(monkeypatch, candidate(left=9.0), [candidate("gamma", left=1.0)], pair, seen)
+    assert (found.verdict, found.chosen.ids) == (Verdict.EFFECTS, named)
+    seen[("gamma",)] = 1.4
+    found = decided(monkeypatch, candidate(left=9.0), [candidate("gamma", left=1.0)], pair, seen)
+    assert found.chosen.ids == ("gamma",)
 
 
 def gap(after, ci95, before=5.0, floor=0.2):
