@@ -59,6 +59,9 @@ FORMS = {
 }
 """How a free function acts."""
 
+FORM_FLOORS = 2.0
+"""Where effects leave more floors than this, not all of the gap is explained: their form is another one."""
+
 CERTAIN_SHARE = 0.995
 """From here on a probability is said to be above 99 %."""
 
@@ -69,10 +72,11 @@ def headline(diagnosis: Diagnosis) -> str:
     if diagnosis.verdict is Verdict.NO_GAP:
         return "No gap: the recording agrees with the model within noise and stated tolerances."
     if diagnosis.verdict is Verdict.EFFECTS:
+        of = "most of the gap" if gap.after > FORM_FLOORS * gap.floor else "the gap"
         if len(diagnosis.effects) == 1:
-            return f"{diagnosis.effects[0].id} explains the gap: {summary(diagnosis.effects[0].id)}."
+            return f"{diagnosis.effects[0].id} explains {of}: {summary(diagnosis.effects[0].id)}."
         what = listed([f"{effect.id} ({summary(effect.id)})" for effect in diagnosis.effects], "and")
-        return f"{len(diagnosis.effects)} effects explain the gap together: {what}."
+        return f"{len(diagnosis.effects)} effects explain {of} together: {what}."
     if diagnosis.verdict is Verdict.AMBIGUOUS:
         alike = "; and ".join(_alternatives(ids) for ids in diagnosis.ambiguous_with)
         return f"There is a gap of {sigmas(gap.before)}, and this recording cannot tell which it is: {alike}."
@@ -88,7 +92,9 @@ def how_far(diagnosis: Diagnosis) -> str:
         )
     closed = f", {closed_share(gap)} of it is closed" if math.isfinite(gap.closed) else ""
     lead = f"With {added(diagnosis)} the gap shrinks from {sigmas(gap.before)} to {sigmas(gap.after)}{closed}"
-    return f"{lead}; {sigmas(gap.floor)} would be no gap."
+    lead += f"; {sigmas(gap.floor)} would be no gap."
+    is_left = diagnosis.verdict is Verdict.EFFECTS and gap.after > FORM_FLOORS * gap.floor
+    return f"{lead} What is left may be a form that the catalogue simplifies." if is_left else lead
 
 
 def added(diagnosis: Diagnosis) -> str:

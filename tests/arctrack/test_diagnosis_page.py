@@ -95,6 +95,16 @@ def test_effects_are_named_with_numbers_and_cure(seen_setup: Setup, recording: R
     assert len(reader.references) == 10
 
 
+def test_what_effects_leave_is_said(seen_setup: Setup) -> None:
+    found = example(Verdict.EFFECTS, seen_setup, GAMMA)
+    all_of_it = replace(found, gap=replace(found.gap, after=0.59, floor=0.3))
+    assert words.headline(all_of_it).startswith("gamma explains the gap: ")
+    assert words.how_far(all_of_it).endswith("would be no gap.")
+    most = replace(found, gap=replace(found.gap, after=0.61, floor=0.3))
+    assert words.headline(most).startswith("gamma explains most of the gap: ")
+    assert words.how_far(most).endswith("What is left may be a form that the catalogue simplifies.")
+
+
 def test_what_is_open_is_said(seen_setup: Setup, recording: Recording) -> None:
     ambiguous = read(page(example(Verdict.AMBIGUOUS, seen_setup), recording))
     assert "cannot tell which it is: gamma (the response is not the stated power) or bl" in ambiguous.text
