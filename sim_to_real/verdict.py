@@ -49,7 +49,7 @@ SHOWN_FROM = 0.7
 """What leaves less in pixels, and in bins no more than the model's floor, is no gap."""
 
 HALVES = 0.5
-"""Others beside an effect that explains what bins show must leave no more of what pixels still do."""
+"""What explains bins must leave no more of what pixels show; nor must others beside it of what it leaves."""
 
 LEAST_SHARE = 0.05
 """An effect with a smaller share of what is closed is not named beside others."""
@@ -115,11 +115,13 @@ def left_over(candidate: Candidate, baseline: Candidate) -> float:
 def is_explained(expected: Expected, candidate: Candidate, baseline: Candidate) -> bool:
     """Say whether one effect explains a gap: it leaves little beyond what its form may be off.
 
-    Or it leaves hardly anything in pixels, and they showed the gap.
+    Or it leaves hardly anything in pixels, and they showed the gap. If they were asked it must halve that.
     """
     shown = baseline.left_in_pixels
-    if shown > AT_FLOOR and candidate.left_in_pixels - 1.0 <= PIXELS_EXPLAINED * (shown - 1.0):
-        return True
+    if shown > AT_FLOOR and math.isfinite(candidate.left_in_pixels):
+        share = (candidate.left_in_pixels - 1.0) / (shown - 1.0)
+        if share <= PIXELS_EXPLAINED or share > HALVES:
+            return share <= PIXELS_EXPLAINED
     return beyond_form(expected, candidate) - 1.0 <= ONE_EXPLAINS * max(baseline.left - 1.0, 0.0)
 
 
@@ -174,7 +176,11 @@ def decide(
     by_chance = best.evidence - baseline.evidence < NAMED_FROM + math.log(len(screened))
     if baseline.left <= 1.0 and by_chance and _left_in_pixels(baseline, in_pixels) <= SHOWN_FROM:
         return said(Verdict.NO_GAP, baseline)
-    likely = tuple(one.ids[0] for one, share in zip(singles, p, strict=True) if share >= IN_SET)
+    # What explains all that there is stays in question where the likeliest does not, though it costs more.
+    rivals = [one.ids for one in singles if one.left <= RESOLVED] if best.left > CLEARLY_LEFT else []
+    likely = tuple(
+        one.ids[0] for one, share in zip(singles, p, strict=True) if share >= IN_SET or one.ids in rivals
+    )
     explained = is_explained(expected, best, baseline)
     several = None
     if not explained or best.left > CLEARLY_LEFT:
@@ -185,8 +191,11 @@ def decide(
         if several is not None and _left_in_pixels(several, in_pixels) - 1.0 > HALVES * (shown - 1.0):
             several = None
     if explained and (several is None or len(several.ids) == 1):
-        is_sure = p[0] >= SURE or len(likely) == 1
-        return said(Verdict.EFFECTS, best) if is_sure else said(Verdict.AMBIGUOUS, best, likely)
+        is_sure = not rivals and (p[0] >= SURE or len(likely) == 1)
+        if is_sure:
+            return said(Verdict.EFFECTS, best)
+        open_ = said(Verdict.AMBIGUOUS, best, likely)
+        return replace(open_, sure=open_.sure / (1.0 + len(rivals)))
     if several is None:
         return said(Verdict.UNKNOWN, best)
     if len(several.ids) == 1 and len(likely) > 1:

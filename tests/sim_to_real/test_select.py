@@ -91,6 +91,14 @@ def test_what_leaves_hardly_anything_of_what_pixels_show_explains_a_gap():
         assert is_explained(unmoved, found, baseline) is is_enough
 
 
+def test_what_pixels_do_not_show_halved_explains_no_gap():
+    large = SimpleNamespace(passed=lambda *_: [], residuals=lambda _: np.full(50, 12.0))
+    for left, is_enough in ((10.4, True), (10.6, False)):
+        in_pixels, _ = pixels(arc_radius=left)
+        (found,), baseline = told_apart([candidate("arc_radius", 1.2)], BASELINE, in_pixels)
+        assert is_explained(large, found, baseline) is is_enough
+
+
 def test_followed_derivatives_tell_what_the_step_did_and_leave_the_rest():
     rng = np.random.default_rng(3)
     J, step = rng.standard_normal((40, 3)), np.array([0.3, 0.0, 0.0])

@@ -88,6 +88,19 @@ def test_a_gap_below_the_floor_must_show_in_pixels_or_be_beyond_chance(monkeypat
     assert found.verdict is verdict
 
 
+@pytest.mark.parametrize(
+    ("left", "verdict", "ambiguous"),
+    [(1.09, Verdict.AMBIGUOUS, (("fume", "dirty_window"),)), (1.11, Verdict.EFFECTS, ())],
+)
+def test_what_explains_all_is_a_rival_of_what_is_likelier_and_does_not(monkeypatch, left, verdict, ambiguous):
+    rival = candidate("dirty_window", left=left)
+    rival.evidence = likelihood_nats(1.5) - 9.0
+    singles = [candidate("fume", left=1.5), rival]
+    found = decided(monkeypatch, candidate(left=9.0), singles, None)
+    assert (found.verdict, found.chosen.ids, found.ambiguous) == (verdict, ("fume",), ambiguous)
+    assert found.sure < 0.5 if ambiguous else found.sure > 0.9
+
+
 @pytest.mark.parametrize(("left", "named"), [(4.9, ("gamma", "fume")), (5.1, ("gamma",))])
 def test_another_effect_must_halve_what_pixels_show_beside_one_that_explains_the_bins(
     monkeypatch, left, named
