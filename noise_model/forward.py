@@ -8,7 +8,7 @@ changes only the image does not render it again.
 from __future__ import annotations
 
 from collections import OrderedDict
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import TypeVar
@@ -81,10 +81,9 @@ class Layers:
         if not self.stretches:
             return _filled(self.view, self.view.scene)
         # The stretches of a whole frame are not filled by themselves: cells are squares.
-        image = np.empty(self.view.cos4.size, dtype=np.float32)
-        for pixels, view in self.stretches:
-            image[pixels] = _filled(self.view, view.scene).reshape(-1)[pixels]
-        return image.reshape(self.view.shape)
+        return self._assembled(
+            [(pixels, _filled(self.view, view.scene).reshape(-1)[pixels]) for pixels, view in self.stretches]
+        )
 
     @cached_property
     def laser_e(self) -> Float32:
@@ -99,7 +98,11 @@ class Layers:
     def _of_stretches(self, of: Callable[[View], npt.NDArray[Number]]) -> npt.NDArray[Number]:
         if not self.stretches:
             return of(self.view)
-        parts = [(pixels, of(view)) for pixels, view in self.stretches]
+        return self._assembled([(pixels, of(view)) for pixels, view in self.stretches])
+
+    def _assembled(
+        self, parts: Sequence[tuple[npt.NDArray[np.integer], npt.NDArray[Number]]]
+    ) -> npt.NDArray[Number]:
         # Each pixel shows one of the stretches.
         image = np.empty(self.view.cos4.size, dtype=parts[0][1].dtype)
         for pixels, part in parts:

@@ -120,8 +120,10 @@ def is_explained(expected: Expected, candidate: Candidate, baseline: Candidate) 
     shown = baseline.left_in_pixels
     if shown > AT_FLOOR and math.isfinite(candidate.left_in_pixels):
         share = (candidate.left_in_pixels - 1.0) / (shown - 1.0)
-        if share <= PIXELS_EXPLAINED or share > HALVES:
-            return share <= PIXELS_EXPLAINED
+        if share <= PIXELS_EXPLAINED:
+            return True
+        if share > HALVES:
+            return False
     return beyond_form(expected, candidate) - 1.0 <= ONE_EXPLAINS * max(baseline.left - 1.0, 0.0)
 
 
@@ -154,10 +156,12 @@ def decide(
     found = candidates(expected, start, screened, baseline.left, without, on_stage)
     if found[0].evidence > baseline.evidence:
         found, baseline = told_apart(found, baseline, in_pixels)
-    is_open = found[0].left > RESOLVED and not is_explained(expected, found[0], baseline)
+    explained = is_explained(expected, found[0], baseline)
+    is_open = found[0].left > RESOLVED and not explained
     is_small = baseline.left < UNEXPLAINED_FROM and baseline.left_in_pixels <= AT_FLOOR
     if is_open and not is_small:
         found = with_dear(expected, start, found, without, on_stage)
+        explained = is_explained(expected, found[0], baseline)
     singles = tuple(found)
     p = confidences(singles, baseline)
     best = singles[0]
@@ -181,7 +185,6 @@ def decide(
     likely = tuple(
         one.ids[0] for one, share in zip(singles, p, strict=True) if share >= IN_SET or one.ids in rivals
     )
-    explained = is_explained(expected, best, baseline)
     several = None
     if not explained or best.left > CLEARLY_LEFT:
         several = _several(expected, baseline, best, without, on_stage)
@@ -191,8 +194,7 @@ def decide(
         if several is not None and _left_in_pixels(several, in_pixels) - 1.0 > HALVES * (shown - 1.0):
             several = None
     if explained and (several is None or len(several.ids) == 1):
-        is_sure = not rivals and (p[0] >= SURE or len(likely) == 1)
-        if is_sure:
+        if not rivals and (p[0] >= SURE or len(likely) == 1):
             return said(Verdict.EFFECTS, best)
         open_ = said(Verdict.AMBIGUOUS, best, likely)
         return replace(open_, sure=open_.sure / (1.0 + len(rivals)))

@@ -72,7 +72,7 @@ def headline(diagnosis: Diagnosis) -> str:
     if diagnosis.verdict is Verdict.NO_GAP:
         return "No gap: the recording agrees with the model within noise and stated tolerances."
     if diagnosis.verdict is Verdict.EFFECTS:
-        of = "most of the gap" if gap.after > FORM_FLOORS * gap.floor else "the gap"
+        of = "most of the gap" if _leaves_more(gap) else "the gap"
         if len(diagnosis.effects) == 1:
             return f"{diagnosis.effects[0].id} explains {of}: {summary(diagnosis.effects[0].id)}."
         what = listed([f"{effect.id} ({summary(effect.id)})" for effect in diagnosis.effects], "and")
@@ -93,8 +93,12 @@ def how_far(diagnosis: Diagnosis) -> str:
     closed = f", {closed_share(gap)} of it is closed" if math.isfinite(gap.closed) else ""
     lead = f"With {added(diagnosis)} the gap shrinks from {sigmas(gap.before)} to {sigmas(gap.after)}{closed}"
     lead += f"; {sigmas(gap.floor)} would be no gap."
-    is_left = diagnosis.verdict is Verdict.EFFECTS and gap.after > FORM_FLOORS * gap.floor
+    is_left = diagnosis.verdict is Verdict.EFFECTS and _leaves_more(gap)
     return f"{lead} What is left may be a form that the catalogue simplifies." if is_left else lead
+
+
+def _leaves_more(gap: Gap) -> bool:
+    return gap.after > FORM_FLOORS * gap.floor
 
 
 def added(diagnosis: Diagnosis) -> str:

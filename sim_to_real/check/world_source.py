@@ -141,36 +141,36 @@ def _argon_gauss(frame: FrameLight, p: Values) -> None:
     frame.arc = frame.arc * (1.0 + p["on_axis"] * passed)
 
 
-def settled(p: Values, moment: Moment) -> float:
+def _settled(p: Values, moment: Moment) -> float:
     """Return exp(rate settle (1 - exp(-t / settle)))."""
     return math.exp(p["rate_per_s"] * p["settle_s"] * -math.expm1(-moment.time_s / p["settle_s"]))
 
 
-def draw_settling(draw: Generator, change: float) -> dict[str, float]:
+def _draw_settling(draw: Generator, change: float) -> dict[str, float]:
     """Draw a drift that has changed an output by a relative `change` after 2.3 s."""
     settle_s = magnitude(draw.random(), 0.5, 20.0)
     rate = signed(draw, math.log1p(change)) / (settle_s * -math.expm1(-2.3 / settle_s))
     return {"rate_per_s": rate, "settle_s": settle_s}
 
 
-def swinging(p: Values, moment: Moment) -> float:
+def _swinging(p: Values, moment: Moment) -> float:
     """Return 1 + amplitude sin(2 pi t / period + phase)."""
     turn = 2.0 * math.pi * moment.time_s / p["period_s"] + p["phase_rad"]
     return 1.0 + p["amplitude"] * math.sin(turn)
 
 
-def draw_swing(draw: Generator, amplitude: float) -> dict[str, float]:
+def _draw_swing(draw: Generator, amplitude: float) -> dict[str, float]:
     """Draw a slow swing."""
     period_s, phase = draw.uniform(1.0, 3.0), draw.uniform(0.0, 2.0 * math.pi)
     return {"amplitude": amplitude, "period_s": period_s, "phase_rad": phase}
 
 
-def hopped(p: Values, moment: Moment) -> float:
+def _hopped(p: Values, moment: Moment) -> float:
     """Return 1 + jump from `at_s` on, 1 before."""
     return 1.0 + p["jump"] * (moment.time_s >= p["at_s"])
 
 
-def draw_hop(draw: Generator, jump: float) -> dict[str, float]:
+def _draw_hop(draw: Generator, jump: float) -> dict[str, float]:
     """Draw a hop from one output to another, up or down."""
     return {"jump": signed(draw, jump), "at_s": draw.uniform(0.4, 1.0)}
 
@@ -199,9 +199,9 @@ def drift_forms(
         )
 
     return (
-        form(CATALOGUE, "exp(rate settle (1 - exp(-t / settle)))", draw_settling, settling, settled),
-        form("swing", "(1 + amplitude sin(2 pi t / period + phase))", draw_swing, swing, swinging),
-        form("hop", "(1 + jump) from a moment on", draw_hop, hop, hopped),
+        form(CATALOGUE, "exp(rate settle (1 - exp(-t / settle)))", _draw_settling, settling, _settled),
+        form("swing", "(1 + amplitude sin(2 pi t / period + phase))", _draw_swing, swing, _swinging),
+        form("hop", "(1 + jump) from a moment on", _draw_hop, hop, _hopped),
     )
 
 
