@@ -21,7 +21,7 @@ from sim_to_real.next import best_measurement, not_resolvable, own_signatures, s
 from sim_to_real.observed import PoseAt, observe
 from sim_to_real.refit import Refit, refit, settled
 from sim_to_real.scatter import Scatter, scatter
-from sim_to_real.seam_error import seam_error_mm
+from sim_to_real.seam_error import seam_errors_mm
 from sim_to_real.select import Candidate, judged
 from sim_to_real.split import held_out, one_of_each
 from sim_to_real.stage import stages
@@ -121,8 +121,7 @@ def _diagnosed(
         (after, random.effects),
         lambda done: heard("predicting the frames held out", 0.75 + 0.15 * done),
     )
-    off_mm = seam_error_mm(setup, {}, frames, pose_at, expected, after)
-    left_mm = seam_error_mm(setup, named, frames, pose_at, expected, after) if named else off_mm
+    off_mm, left_mm = seam_errors_mm(setup, frames, pose_at, expected, after)
     if named and not closes(predicted):
         decision, after, share = not_held_up(decision, baseline, scattered), before, {}
         random = scatter(expected, after, without)

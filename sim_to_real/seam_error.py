@@ -16,21 +16,28 @@ from tracker.state import Frame
 from tracker.step import Tracker
 
 
-def seam_error_mm(
+def seam_errors_mm(
+    setup: Setup, frames: Sequence[Frame], pose_at: PoseAt, expected: Expected, best: Refit
+) -> tuple[float, float]:
+    """Return the rms distance, mm, of the tracker's seam from the best fit's; NaN where it sees none.
+
+    First of a tracker that takes the camera and black level of that fit and knows nothing of its effects,
+    then of one that knows them: the first is what those effects do to it. Light that bounces is left out:
+    seconds for each frame, it is no light to track by.
+    """
+    known = {name: values for name, values in best.effects.items() if name != BOUNCING}
+    off_mm = _seam_error_mm(setup, {}, frames, pose_at, expected, best)
+    return off_mm, _seam_error_mm(setup, known, frames, pose_at, expected, best) if known else off_mm
+
+
+def _seam_error_mm(
     setup: Setup,
-    effects: Effects,
+    known: Effects,
     frames: Sequence[Frame],
     pose_at: PoseAt,
     expected: Expected,
     best: Refit,
 ) -> float:
-    """Return the rms distance, mm, of the tracker's seam from the best fit's; NaN where it sees none.
-
-    The tracker takes the camera and black level of that fit, and the effects given: so that what remains is
-    what those effects do to it. Light that bounces is left out: seconds for each frame, it is no light to
-    track by.
-    """
-    known = {name: values for name, values in effects.items() if name != BOUNCING}
     taken = replace(really_there(setup, best.nuisance), effects={**setup.effects, **known})
     tracker = Tracker(taken)
     for frame in frames:

@@ -16,6 +16,7 @@ import numpy as np
 from noise_model.frames import Float64
 from sim_to_real.diagnosis import Gap, Verdict
 from sim_to_real.expected import Expected
+from sim_to_real.pixels import Bool
 from sim_to_real.refit import NAMED_FROM, Refit, refit
 from sim_to_real.scatter import Scatter
 from sim_to_real.screen import Screened
@@ -164,7 +165,9 @@ def decide(
         explained = is_explained(expected, found[0], baseline)
     singles = tuple(found)
     p = confidences(singles, baseline)
-    best = singles[0]
+    # Below the floor one of many that are looked at is better by chance.
+    gained = singles[0].evidence - baseline.evidence
+    by_chance = baseline.left <= 1.0 and gained < NAMED_FROM + math.log(len(screened))
 
     def said(verdict: Verdict, chosen: Candidate, *ambiguous: tuple[str, ...]) -> Decision:
         others = [single for single in singles if single.ids != chosen.ids]
@@ -174,36 +177,63 @@ def decide(
     if is_open and is_small:
         # What bins still show and nothing explains is too little to be seen in pixels.
         return said(Verdict.NO_GAP, baseline)
-    if best.evidence - baseline.evidence < NAMED_FROM:
+    if gained < NAMED_FROM:
         return said(without_help(baseline), baseline)
-    # Below the floor one of many that are looked at is better by chance.
-    by_chance = best.evidence - baseline.evidence < NAMED_FROM + math.log(len(screened))
-    if baseline.left <= 1.0 and by_chance and _left_in_pixels(baseline, in_pixels) <= SHOWN_FROM:
+    if by_chance and _left_in_pixels(baseline, in_pixels) <= SHOWN_FROM:
         return said(Verdict.NO_GAP, baseline)
-    # What explains all that there is stays in question where the likeliest does not, though it costs more.
-    rivals = [one.ids for one in singles if one.left <= RESOLVED] if best.left > CLEARLY_LEFT else []
-    likely = tuple(
-        one.ids[0] for one, share in zip(singles, p, strict=True) if share >= IN_SET or one.ids in rivals
-    )
-    several = None
-    if not explained or best.left > CLEARLY_LEFT:
-        several = _several(expected, baseline, best, without, on_stage)
-    elif (shown := _left_in_pixels(best, in_pixels)) > AT_FLOOR:
-        several = _several(expected, baseline, best, without, on_stage)
-        # If others do not halve it, it is the effect's form that pixels show.
-        if several is not None and _left_in_pixels(several, in_pixels) - 1.0 > HALVES * (shown - 1.0):
-            several = None
+    several = _beside(expected, baseline, singles[0], explained, without, in_pixels, on_stage)
+    rivals = rivals_of(singles)
+    is_likely = (p >= IN_SET) | rivals
+    likely = tuple(single.ids[0] for single, is_one in zip(singles, is_likely, strict=True) if is_one)
     if explained and (several is None or len(several.ids) == 1):
-        if not rivals and (p[0] >= SURE or len(likely) == 1):
-            return said(Verdict.EFFECTS, best)
-        open_ = said(Verdict.AMBIGUOUS, best, likely)
-        return replace(open_, sure=open_.sure / (1.0 + len(rivals)))
+        if len(likely) == 1 or (p[0] >= SURE and not rivals.any()):
+            return said(Verdict.EFFECTS, singles[0])
+        even = among_rivals(p, rivals)
+        return replace(said(Verdict.AMBIGUOUS, singles[0], likely), sure=float(even[0]), confidence=even)
     if several is None:
-        return said(Verdict.UNKNOWN, best)
+        return said(Verdict.UNKNOWN, singles[0])
     if len(several.ids) == 1 and len(likely) > 1:
         # One is enough once it has been fitted beside another, but no likelier than that one.
         return said(Verdict.AMBIGUOUS, several, tuple(dict.fromkeys((*several.ids, *likely))))
     return said(Verdict.EFFECTS, several)
+
+
+def rivals_of(singles: Sequence[Candidate]) -> Bool:
+    """Return which effects (n,) stay in question beside the likeliest, the first: what is said of likelihood.
+
+    They explain all that there is, though at a higher price, where the likeliest does not.
+    """
+    is_left = singles[0].left > CLEARLY_LEFT
+    return np.array([is_left and single.left <= RESOLVED for single in singles])
+
+
+def among_rivals(confidence: Float64, rivals: Bool) -> Float64:
+    """Return confidences (n,) in which the first has no more than each of its rivals: they share evenly."""
+    alike = rivals.copy()
+    alike[0] = True
+    return np.where(alike, confidence[alike].mean(), confidence)
+
+
+def _beside(
+    expected: Expected,
+    baseline: Candidate,
+    best: Candidate,
+    explained: bool,
+    without: Sequence[str],
+    in_pixels: Callable[[Sequence[Refit]], Float64],
+    on_stage: Callable[[str, float], None],
+) -> Candidate | None:
+    """Return what explains the gap together with the best effect, where that leaves something; or None."""
+    if not explained or best.left > CLEARLY_LEFT:
+        return _several(expected, baseline, best, without, on_stage)
+    shown = _left_in_pixels(best, in_pixels)
+    if shown <= AT_FLOOR:
+        return None
+    several = _several(expected, baseline, best, without, on_stage)
+    # If others do not halve it, it is the effect's form that pixels show.
+    if several is not None and _left_in_pixels(several, in_pixels) - 1.0 > HALVES * (shown - 1.0):
+        return None
+    return several
 
 
 def _left_in_pixels(of: Candidate, in_pixels: Callable[[Sequence[Refit]], Float64]) -> float:

@@ -98,7 +98,9 @@ def test_what_explains_all_is_a_rival_of_what_is_likelier_and_does_not(monkeypat
     singles = [candidate("fume", left=1.5), rival]
     found = decided(monkeypatch, candidate(left=9.0), singles, None)
     assert (found.verdict, found.chosen.ids, found.ambiguous) == (verdict, ("fume",), ambiguous)
-    assert found.sure < 0.5 if ambiguous else found.sure > 0.9
+    assert found.sure == found.confidence[0]
+    assert found.sure == (pytest.approx(0.5, abs=0.01) if ambiguous else pytest.approx(1.0, abs=0.01))
+    assert bool(found.confidence[1] == found.confidence[0]) is bool(ambiguous)
 
 
 @pytest.mark.parametrize(("left", "named"), [(4.9, ("gamma", "fume")), (5.1, ("gamma",))])
