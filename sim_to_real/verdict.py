@@ -17,7 +17,7 @@ from noise_model.frames import Float64
 from sim_to_real.diagnosis import Gap, Verdict
 from sim_to_real.expected import Expected
 from sim_to_real.pixels import Bool
-from sim_to_real.refit import NAMED_FROM, Refit, refit
+from sim_to_real.refit import NAMED_FROM, Refit, refit, settled
 from sim_to_real.scatter import Scatter
 from sim_to_real.screen import Screened
 from sim_to_real.select import (
@@ -181,17 +181,21 @@ def decide(
         return said(without_help(baseline), baseline)
     if by_chance and _left_in_pixels(baseline, in_pixels) <= SHOWN_FROM:
         return said(Verdict.NO_GAP, baseline)
-    several = _beside(expected, baseline, singles[0], explained, without, in_pixels, on_stage)
+    if explained and _left_in_pixels(singles[0], in_pixels) > AT_FLOOR:
+        # Pixels are finer than bins: a fit that has not quite settled shows in them.
+        singles = (_again(expected, singles[0]), *singles[1:])
+    best = singles[0]
+    several = _beside(expected, baseline, best, explained, without, in_pixels, on_stage)
     rivals = rivals_of(singles)
     is_likely = (p >= IN_SET) | rivals
     likely = tuple(single.ids[0] for single, is_one in zip(singles, is_likely, strict=True) if is_one)
     if explained and (several is None or len(several.ids) == 1):
         if len(likely) == 1 or (p[0] >= SURE and not rivals.any()):
-            return said(Verdict.EFFECTS, singles[0])
+            return said(Verdict.EFFECTS, best)
         even = among_rivals(p, rivals)
-        return replace(said(Verdict.AMBIGUOUS, singles[0], likely), sure=float(even[0]), confidence=even)
+        return replace(said(Verdict.AMBIGUOUS, best, likely), sure=float(even[0]), confidence=even)
     if several is None:
-        return said(Verdict.UNKNOWN, singles[0])
+        return said(Verdict.UNKNOWN, best)
     if len(several.ids) == 1 and len(likely) > 1:
         # One is enough once it has been fitted beside another, but no likelier than that one.
         return said(Verdict.AMBIGUOUS, several, tuple(dict.fromkeys((*several.ids, *likely))))
@@ -212,6 +216,11 @@ def among_rivals(confidence: Float64, rivals: Bool) -> Float64:
     alike = rivals.copy()
     alike[0] = True
     return np.where(alike, confidence[alike].mean(), confidence)
+
+
+def _again(expected: Expected, of: Candidate) -> Candidate:
+    """Return a candidate whose fit has settled."""
+    return replace(judged(expected, settled(expected, of.refit)), against=of.against)
 
 
 def _beside(

@@ -42,14 +42,18 @@ def decision(verdict, *ids):
     return Decision(verdict, candidate(*ids), 1.0, (), np.empty(0), (), (), None)
 
 
-def decided(monkeypatch, baseline, singles, several, seen=0.0, looks=("a look",)):
-    """Decide between fits that are handed in; `seen` is what all leave in pixels, or each by its effects."""
+def decided(monkeypatch, baseline, singles, several, seen=0.0, looks=("a look",), again=None):
+    """Decide between fits that are handed in; `seen` is what all leave in pixels, or each by its effects.
+
+    `again` is the likeliest one after it has settled.
+    """
     left = seen if isinstance(seen, dict) else {}
     answers = {"looked": looks, "candidates": singles, "with_dear": singles, "_several": several}
     for name, answer in answers.items():
         monkeypatch.setattr(room, name, lambda *_, answer=answer: answer)
     monkeypatch.setattr(room, "refit", lambda *_, **__: None)
     monkeypatch.setattr(room, "told_apart", lambda *_: (singles, baseline))
+    monkeypatch.setattr(room, "_again", lambda _, of: again or of)
     expected = SimpleNamespace(
         take_tangents=lambda *_: None,
         neutral=None,
@@ -115,6 +119,18 @@ def test_another_effect_must_halve_what_pixels_show_beside_one_that_explains_the
     seen[("gamma",)] = 1.4
     found = decided(monkeypatch, candidate(left=9.0), [candidate("gamma", left=1.0)], pair, seen)
     assert found.chosen.ids == ("gamma",)
+
+
+def test_what_pixels_show_of_a_fit_that_had_not_settled_is_no_other_effect(monkeypatch):
+    """The first fit leaves 9 in pixels, which a second effect would explain; settled it leaves 1."""
+    settled = candidate("gamma", left=0.9)
+    settled.left_in_pixels = 1.0
+    pair = candidate("gamma", "fume", left=0.7)
+    seen = {("gamma",): 9.0, ("gamma", "fume"): 1.0}
+    singles = [candidate("gamma", left=1.0)]
+    found = decided(monkeypatch, candidate(left=9.0), singles, pair, seen, again=settled)
+    assert found.chosen is settled
+    assert decided(monkeypatch, candidate(left=9.0), singles, pair, seen).chosen is pair
 
 
 def gap(after, ci95, before=5.0, floor=0.2):
