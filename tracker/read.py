@@ -15,7 +15,8 @@ from tracker.expected import ExpectedStripe
 from tracker.geometry import SensorGeometry
 from tracker.passage import Passage
 from tracker.state import Frame, Stripe
-from tracker.stripe import OFFSET_STEP, best_path, fit_lines, matched_filter
+from tracker.stripe_fit import fit_lines
+from tracker.stripe_path import OFFSET_STEP, best_path, matched_filter
 
 FIT_SIGMAS = 4.0
 """How many stripe sigmas of background the band holds beyond the reach of the search."""

@@ -11,15 +11,16 @@ import twins
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from tracker.stripe import (
+from tracker.stripe_fit import (
     CORRELATION_PX,
     WIDTH_SIGMA_LN,
+    WINDOW_SIGMAS,
+    _bell,
     _map_edge,
     _solve,
-    best_path,
     fit_lines,
-    matched_filter,
 )
+from tracker.stripe_path import best_path, matched_filter
 
 Float64 = npt.NDArray[np.float64]
 
@@ -78,7 +79,9 @@ class Lines:
         away = np.arange(depth) - self.true_px[:, None]
         mean = amplitude * np.exp(-0.5 * (away / np.exp(ln_width)[:, None]) ** 2) + level
         mean += offset[:, None] + slope[:, None] * away
-        electrons = rng.poisson(np.maximum(mean, 0.0)) + rng.normal(0.0, READ_E, mean.shape)
+        # A black level that is off may take away what light does not.
+        electrons = rng.poisson(np.maximum(mean, 0.0)) + np.minimum(mean, 0.0)
+        electrons += rng.normal(0.0, READ_E, mean.shape)
         self.charge = np.rint(electrons / GAIN) * GAIN
         self.background = np.full(mean.shape, level)
         self.start = np.rint(self.true_px + rng.normal(0.0, 1.0, n))
@@ -129,6 +132,12 @@ def test_a_path_without_evidence_holds_no_stripe() -> None:
     assert (choice == -1).all()
 
 
+def test_the_bell_is_a_gaussian() -> None:
+    t = np.linspace(-40.0, 40.0, 8001).astype(np.float32)
+    bell = np.array([_bell(one) for one in t])
+    np.testing.assert_allclose(bell, np.exp(-0.5 * t.astype(np.float64) ** 2), rtol=0.0, atol=1e-6)
+
+
 @settings(deadline=None, max_examples=40)
 @given(seeds, st.floats(-6.0, 6.0))
 def test_solve_is_the_linear_solver(seed: int, decades: float) -> None:
@@ -137,8 +146,11 @@ def test_solve_is_the_linear_solver(seed: int, decades: float) -> None:
     scale = 10.0 ** np.linspace(0.0, decades, 5)
     H = (root @ root.T + 0.1 * np.eye(5)) * np.outer(scale, scale)
     g, step = scale * rng.normal(0.0, 1.0, 5), np.empty(5)
-    assert _solve(H.copy(), g, step)
-    np.testing.assert_allclose(step * scale, np.linalg.solve(H, g) * scale, rtol=1e-6, atol=1e-6)
+    whitened = g.copy()
+    assert _solve(H.copy(), whitened, step)
+    exact = np.linalg.solve(H, g)
+    np.testing.assert_allclose(step * scale, exact * scale, rtol=1e-6, atol=1e-6)
+    assert whitened @ whitened == pytest.approx(g @ exact, rel=1e-6)
 
 
 def test_solve_refuses_what_is_not_positive() -> None:
@@ -183,8 +195,8 @@ def test_the_fit_is_the_most_likely_one(
     assert saturated[0] == censored.any()
     start = int(lines.start[0])
     window = (
-        max(0, math.floor(start - 3.0 * width)),
-        min(len(tilt) - 1, math.floor(start + 3.0 * width) + 1),
+        max(0, math.floor(start - WINDOW_SIGMAS * width)),
+        min(len(tilt) - 1, math.floor(start + WINDOW_SIGMAS * width) + 1),
     )
     model = twins.LineModel(
         charge[0], background[0], censored[0], width, DARK, MAP_SIGMA, BASE_SIGMA, 0.0, window
@@ -206,7 +218,7 @@ def test_the_fit_reaches_the_bound_and_says_so(width: float) -> None:
             error, sigma, found = lines.fit()
             bound, wide = (
                 twins.line_bound(amplitude, width, lines.level, DARK, MAP_SIGMA, BASE_SIGMA, reach)
-                for reach in (3.0, 6.0)
+                for reach in (WINDOW_SIGMAS, 6.0)
             )
             spread, chi2 = 1.4826 * np.median(np.abs(error)), np.mean((error / sigma) ** 2)
             report.append(
@@ -228,7 +240,7 @@ def test_the_place_within_the_pixel_does_not_matter() -> None:
     lines = Lines(3, 8000, 4000.0, 2.0, 1000.0)
     error, _, found = lines.fit()
     phase = np.remainder(lines.true_px[found], 1.0)
-    bound = twins.line_bound(4000.0, 2.0, 1000.0, DARK, MAP_SIGMA, BASE_SIGMA, 3.0)
+    bound = twins.line_bound(4000.0, 2.0, 1000.0, DARK, MAP_SIGMA, BASE_SIGMA, WINDOW_SIGMAS)
     bias = [error[np.digitize(phase, np.linspace(0.0, 1.0, 9)) == i].mean() for i in range(1, 9)]
     print("sub-pixel bias over the bound:", np.round(np.array(bias) / bound, 3))
     assert np.max(np.abs(bias)) < 0.2 * bound

@@ -8,15 +8,8 @@ import numpy as np
 import numpy.typing as npt
 from scipy.optimize import minimize
 
-from tracker.stripe import (
-    CORRELATION_PX,
-    EDGE_PX,
-    GAIN_CAP,
-    JUMP_COST,
-    JUMP_COST_CAP,
-    MISSING_COST,
-    WIDTH_SIGMA_LN,
-)
+from tracker.stripe_fit import CORRELATION_PX, EDGE_PX, WIDTH_SIGMA_LN, WINDOW_SIGMAS
+from tracker.stripe_path import GAIN_CAP, JUMP_COST, JUMP_COST_CAP, MISSING_COST
 
 Float64 = npt.NDArray[np.float64]
 Bool = npt.NDArray[np.bool_]
@@ -126,7 +119,7 @@ class LineModel:
         self.background = background[part].astype(np.float64)
         self.dark, self.ln_width = dark, math.log(width)
         smooth = math.hypot(map_sigma * float(self.background.mean()), base_sigma)
-        slope = math.hypot(smooth / CORRELATION_PX, edge / (3.0 * width))
+        slope = math.hypot(smooth / CORRELATION_PX, edge / (WINDOW_SIGMAS * width))
         self.prior = np.array([0.0, 0.0, WIDTH_SIGMA_LN**-2, math.hypot(smooth, edge) ** -2, slope**-2])
 
     def mean(self, x: Float64) -> Float64:

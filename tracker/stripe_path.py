@@ -1,0 +1,143 @@
+"""Where the stripe may lie along each scan line, by a matched filter, and the likeliest path through that."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import numpy.typing as npt
+
+from noise_model.frames import Float64
+from noise_model.kernel import kernel
+
+Float32 = npt.NDArray[np.float32]
+Int64 = npt.NDArray[np.int64]
+Pair = tuple[float, float]
+
+LIBERTIES = frozenset({"reassoc", "contract", "arcp", "nsz"})
+"""What LLVM may do with sums over pixels; NaN stays NaN."""
+
+TEMPLATE_SIGMAS = 2.5
+"""How far the matched filter's template reaches."""
+
+OFFSET_STEP = 2
+"""The path is sought on every second pixel; the fit starts from there."""
+
+GAIN_CAP = 60.0
+"""The most that one scan line's evidence counts in the path: a spatter streak cannot buy a detour."""
+
+JUMP_COST, JUMP_COST_CAP, MISSING_COST = 1.0, 12.0, 6.0
+"""Path costs in log-likelihood: per 2 px of change against the expected shape, at most, and for no stripe."""
+
+
+@kernel(fastmath=LIBERTIES)
+def _correlate(template: Float32, residual_e: Float32, variance_e2: Float32) -> Pair:
+    """Return a template's (n,) sum over residuals (n,) and that sum's variance; NaN if one of them is."""
+    total, noise = np.float32(0.0), np.float32(0.0)
+    for j in range(template.shape[0]):
+        total += template[j] * residual_e[j]
+        noise += template[j] * template[j] * variance_e2[j]
+    return float(total), float(noise)
+
+
+@kernel
+def _correlate_seen(template: Float32, residual_e: Float32, variance_e2: Float32) -> Pair:
+    """Return the same of the pixels that are not NaN."""
+    total, noise = 0.0, 0.0
+    for j in range(template.shape[0]):
+        if not math.isnan(residual_e[j]):
+            total += template[j] * residual_e[j]
+            noise += template[j] * template[j] * variance_e2[j]
+    return float(total), float(noise)
+
+
+@kernel(allocates=True)
+def matched_filter(
+    residual_e: Float32,
+    variance_e2: Float32,
+    center: Float64,
+    width: Float64,
+    lows: Int64,
+    cell: int,
+    offsets: Int64,
+    score: Float32,
+) -> None:
+    """Score a stripe of the expected width at offsets from its expected place, in sigmas of its amplitude.
+
+    `residual_e`, `variance_e2` (n_scan, depth) hold the charge less the arc's and the variance without a
+    stripe; `center`, `width` (n_scan,) are expected positions and sigmas; `score` (n_scan, n_offsets). The
+    template's mean is taken out, so a wrong level of the map scores nothing.
+    """
+    n_scan, depth = residual_e.shape
+    room = np.empty(2 * math.ceil(TEMPLATE_SIGMAS * width.max()) + 1, dtype=np.float32)
+    for s in range(n_scan):
+        w = width[s]
+        half = math.ceil(TEMPLATE_SIGMAS * w)
+        template = room[: 2 * half + 1]
+        mean = 0.0
+        for j in range(-half, half + 1):
+            template[j + half] = math.exp(-0.5 * (j / w) ** 2)
+            mean += template[j + half]
+        mean /= 2 * half + 1
+        for j in range(2 * half + 1):
+            template[j] -= mean
+        base = round(center[s]) - lows[s // cell]
+        for i in range(offsets.shape[0]):
+            low, high = base + offsets[i] - half, base + offsets[i] + half + 1
+            if low < 0 or high > depth:
+                score[s, i] = 0.0
+                continue
+            residual, variance = residual_e[s, low:high], variance_e2[s, low:high]
+            total, noise = _correlate(template, residual, variance)
+            if math.isnan(total):
+                total, noise = _correlate_seen(template, residual, variance)
+            score[s, i] = total / math.sqrt(noise) if noise > 0.0 else 0.0
+
+
+@kernel(allocates=True)
+def best_path(score: Float32, choice: Int64) -> None:
+    """Find the likeliest path of offsets through the scores (n_scan, n); write its indices, -1 for no stripe.
+
+    Viterbi: the gain is score^2 / 2 (capped), a change of offset costs its size up to a cap, so a step of a
+    lap may be taken, and 'no stripe' is a state of its own.
+    """
+    n_scan, n = score.shape
+    cost = np.zeros(n + 1)
+    back = np.empty((n_scan, n + 1), dtype=np.int32)
+    reach = np.empty(n)
+    source = np.empty(n, dtype=np.int32)
+    for s in range(n_scan):
+        # Lower envelope of cost[j] + JUMP_COST |i - j|, in two passes.
+        cheapest, cheapest_at = cost[0], 0
+        for i in range(n + 1):
+            if cost[i] < cheapest:
+                cheapest, cheapest_at = cost[i], i
+        for i in range(n):
+            reach[i], source[i] = cost[i], i
+            if i > 0 and reach[i - 1] + JUMP_COST < reach[i]:
+                reach[i], source[i] = reach[i - 1] + JUMP_COST, source[i - 1]
+        for i in range(n - 2, -1, -1):
+            if reach[i + 1] + JUMP_COST < reach[i]:
+                reach[i], source[i] = reach[i + 1] + JUMP_COST, source[i + 1]
+        lost = cost[n]
+        for i in range(n):
+            if cheapest + JUMP_COST_CAP < reach[i]:
+                reach[i], source[i] = cheapest + JUMP_COST_CAP, cheapest_at
+            gain = 0.0
+            if score[s, i] > 0.0:
+                gain = min(0.5 * score[s, i] * score[s, i], GAIN_CAP)
+            cost[i] = reach[i] - gain
+            back[s, i] = source[i]
+        if cheapest + JUMP_COST_CAP < lost:
+            lost = cheapest + JUMP_COST_CAP
+            back[s, n] = cheapest_at
+        else:
+            back[s, n] = n
+        cost[n] = lost - MISSING_COST
+    at = 0
+    for i in range(n + 1):
+        if cost[i] < cost[at]:
+            at = i
+    for s in range(n_scan - 1, -1, -1):
+        choice[s] = at if at < n else -1
+        at = back[s, at]
