@@ -6,6 +6,11 @@ bends, but not sharply; Rasmussen and Williams, Gaussian Processes for Machine L
 estimate at any station from noisy measurements and its covariance are closed forms. It smooths where there
 are many measurements, interpolates the look-ahead from sensor to torch, and says by its own sigma when the
 torch stands where nothing has been measured.
+
+This process is Markov in its value and slope (Hartikainen and Sarkka 2010, IEEE MLSP, 379): over a distance d
+both go by exp(-q d) [[1 + q d, d], [-q^2 d, 1 - q d]] with q = sqrt(3) / l. So a Kalman filter along the
+stations, which takes the state where the answer is asked for along with it, gives the process' own answer in
+a time that grows with the number of measurements and no faster.
 """
 
 from __future__ import annotations
@@ -14,9 +19,9 @@ import math
 from dataclasses import dataclass, field
 
 import numpy as np
-from scipy.linalg import cho_solve
 
 from noise_model.frames import Float64
+from noise_model.kernel import kernel
 from noise_model.surface import SeamLine
 
 CAPACITY = 96
@@ -71,29 +76,104 @@ class SeamHistory:
 
     def line_at(self, station_mm: float) -> tuple[SeamLine, Float64]:
         """Return the seam as a straight stretch about a station, and the 1 sigma (2,) of its y and z, mm."""
-        here, sigma = self.at(station_mm)
-        ahead, _ = self.at(station_mm + 1.0)
-        behind, _ = self.at(station_mm - 1.0)
-        slope_y, slope_z = 0.5 * (ahead - behind)
-        return SeamLine(station_mm, float(here[0]), float(here[1]), float(slope_y), float(slope_z)), sigma
+        here, sigma, slope = self._state_at(station_mm)
+        return SeamLine(station_mm, float(here[0]), float(here[1]), float(slope[0]), float(slope[1])), sigma
 
     def at(self, station_mm: float) -> tuple[Float64, Float64]:
         """Return the displacement (2,) as (y, z), mm, and its 1 sigma (2,) at a station."""
-        prior = WIDE_SIGMA_MM**2 + BEND_SIGMA_MM**2
-        if len(self) == 0:
-            return np.zeros(2), np.full(2, math.sqrt(prior))
-        between = _covariance(self.stations_mm[:, None] - self.stations_mm[None, :])
-        to_station = _covariance(self.stations_mm - station_mm)
-        value, sigma = np.empty(2), np.empty(2)
-        for axis in range(2):
-            factor = np.linalg.cholesky(between + np.diag(self.variances_mm2[:, axis]))
-            weights = cho_solve((factor, True), to_station)
-            value[axis] = weights @ self.displacements_mm[:, axis]
-            sigma[axis] = math.sqrt(max(prior - weights @ to_station, 0.0))
+        value, sigma, _ = self._state_at(station_mm)
         return value, sigma
 
+    def _state_at(self, station_mm: float) -> tuple[Float64, Float64, Float64]:
+        """Return the displacement, its 1 sigma and the seam's slope, (2,) each, at a station."""
+        order = np.argsort(self.stations_mm, kind="stable")
+        value, sigma, slope = np.empty((3, 2))
+        condition(
+            self.stations_mm[order],
+            self.displacements_mm[order],
+            self.variances_mm2[order],
+            station_mm,
+            value,
+            sigma,
+            slope,
+        )
+        return value, sigma, slope
 
-def _covariance(apart_mm: Float64) -> Float64:
-    """Return the prior covariance of displacements that lie `apart_mm` apart, mm^2."""
-    r = math.sqrt(3.0) * np.abs(apart_mm) / BEND_LENGTH_MM
-    return np.asarray(WIDE_SIGMA_MM**2 + BEND_SIGMA_MM**2 * (1.0 + r) * np.exp(-r))
+
+N_STATES = 5
+
+
+@kernel(allocates=True)
+def condition(
+    stations_mm: Float64,
+    displacements_mm: Float64,
+    variances_mm2: Float64,
+    station_mm: float,
+    value: Float64,
+    sigma: Float64,
+    slope: Float64,
+) -> None:
+    """Write displacement, 1 sigma and slope (2,) at a station, as measurements at stations (n,) leave them.
+
+    The stations rise; displacements and variances are (n, 2). The states are the bend, its slope, the whole
+    seam's displacement, and bend and slope where the answer is asked for, which stay once they are passed.
+    """
+    n = len(stations_mm)
+    decay = math.sqrt(3.0) / BEND_LENGTH_MM
+    m, gain, P, A = np.empty(N_STATES), np.empty(N_STATES), np.empty((N_STATES, N_STATES)), np.empty((2, 2))
+    for axis in range(2):
+        m[:] = 0.0
+        P[:] = 0.0
+        P[0, 0], P[1, 1], P[2, 2] = BEND_SIGMA_MM**2, (decay * BEND_SIGMA_MM) ** 2, WIDE_SIGMA_MM**2
+        is_passed = False
+        before = min(stations_mm[0], station_mm) if n else station_mm
+        i = 0
+        while i < n or not is_passed:
+            is_query = not is_passed and (i == n or station_mm <= stations_mm[i])
+            here = station_mm if is_query else stations_mm[i]
+            moved = here - before
+            before = here
+            if moved > 0.0:
+                _predict(m, P, A, decay, moved)
+            if is_query:
+                is_passed = True
+                for k in range(2):
+                    m[3 + k] = m[k]
+                    for j in range(3):
+                        P[3 + k, j] = P[j, 3 + k] = P[k, j]
+                for k in range(2):
+                    for j in range(2):
+                        P[3 + k, 3 + j] = P[k, j]
+                continue
+            spread = P[0, 0] + 2.0 * P[0, 2] + P[2, 2] + variances_mm2[i, axis]
+            innovation = displacements_mm[i, axis] - m[0] - m[2]
+            for k in range(N_STATES):
+                gain[k] = P[k, 0] + P[k, 2]
+            for k in range(N_STATES):
+                m[k] += gain[k] / spread * innovation
+                for j in range(N_STATES):
+                    P[k, j] -= gain[k] * gain[j] / spread
+            i += 1
+        value[axis] = m[3] + m[2]
+        sigma[axis] = math.sqrt(max(P[3, 3] + 2.0 * P[3, 2] + P[2, 2], 0.0))
+        slope[axis] = m[4]
+
+
+@kernel
+def _predict(m: Float64, P: Float64, A: Float64, decay: float, moved_mm: float) -> None:
+    """Take bend and slope on over a distance; `A` (2, 2) is scratch."""
+    fade = math.exp(-decay * moved_mm)
+    A[0, 0], A[0, 1] = fade * (1.0 + decay * moved_mm), fade * moved_mm
+    A[1, 0], A[1, 1] = -(decay**2) * fade * moved_mm, fade * (1.0 - decay * moved_mm)
+    m[0], m[1] = A[0, 0] * m[0] + A[0, 1] * m[1], A[1, 0] * m[0] + A[1, 1] * m[1]
+    for j in range(N_STATES):
+        P[0, j], P[1, j] = A[0, 0] * P[0, j] + A[0, 1] * P[1, j], A[1, 0] * P[0, j] + A[1, 1] * P[1, j]
+    for j in range(N_STATES):
+        P[j, 0], P[j, 1] = A[0, 0] * P[j, 0] + A[0, 1] * P[j, 1], A[1, 0] * P[j, 0] + A[1, 1] * P[j, 1]
+    # What the process gains is what the step takes from its stationary variance, diag(s^2, (lambda s)^2).
+    value, slope = BEND_SIGMA_MM**2, (decay * BEND_SIGMA_MM) ** 2
+    cross = A[0, 0] * A[1, 0] * value + A[0, 1] * A[1, 1] * slope
+    P[0, 0] += value - A[0, 0] ** 2 * value - A[0, 1] ** 2 * slope
+    P[1, 1] += slope - A[1, 0] ** 2 * value - A[1, 1] ** 2 * slope
+    P[0, 1] -= cross
+    P[1, 0] -= cross
