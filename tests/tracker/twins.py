@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 
 import numpy as np
 import numpy.typing as npt
@@ -194,3 +195,68 @@ def seam_prior(apart_mm: Float64, wide: float, bend: float, length: float) -> Fl
     """The covariance of a seam's displacements, written as the Matern 3/2 kernel stands in the book."""
     r = np.sqrt(3.0) * np.abs(apart_mm) / length
     return wide**2 + bend**2 * (1.0 + r) * np.exp(-r)
+
+
+def groove_height(p: Float64, y: Float64) -> Float64:
+    """The height of a groove's faces over y (n,): how far out of the root's middle a place lies decides."""
+    y_s, z_s, gap, tan_left, tan_right, depth_left, depth_right, slope_left, slope_right = p
+    left, outward = y >= y_s, np.abs(y - y_s)
+    tan, depth = np.where(left, tan_left, tan_right), np.where(left, depth_left, depth_right)
+    slope = np.where(left, slope_left, -slope_right)
+    shoulder = 0.5 * gap + depth * tan
+    wall = np.maximum(outward - 0.5 * gap, 0.0) / tan
+    return np.asarray(z_s + np.where(outward < shoulder, wall, depth + slope * (outward - shoulder)))
+
+
+def sheets_height(p: Float64, y: Float64) -> Float64:
+    """The height of an upper sheet before the step at p[4] and a lower one behind it."""
+    z, step, slope_lower, slope_upper, y_0 = p
+    return np.where(y < y_0, z + step + slope_upper * (y - y_0), z + slope_lower * (y - y_0))
+
+
+def bisquare_fit(
+    height: Callable[[Float64, Float64], Float64],
+    y: Float64,
+    z: Float64,
+    move: tuple[Float64, Float64],
+    sigma: Float64,
+    used: Bool,
+    start: Float64,
+    prior_sigma: Float64,
+    wide: float,
+) -> tuple[Float64, Float64, float, Float64]:
+    """Tukey's bisquare fit of heights, all derivatives numerical: parameters, covariance, chi2, weights."""
+    n, p, h = len(prior_sigma), start.copy(), 1e-5
+
+    def off(p: Float64) -> tuple[Float64, Float64]:
+        slope = (height(p, y + h) - height(p, y - h)) / (2.0 * h)
+        unit = (move[1] - slope * move[0]) * sigma
+        return (z - height(p, y)) / unit, unit
+
+    weights, information = used.astype(np.float64), np.eye(n)
+    for _ in range(20):
+        r, unit = off(p)
+        steps = h * np.eye(len(p))[:n]
+        J = np.stack([(height(p, y) - height(p + step, y)) / (h * unit) for step in steps], axis=1)
+        scale = max(1.0, 1.4826 * float(np.median(np.abs(r[used]))), wide)
+        weights = np.where(used, np.clip(1.0 - (r / (4.685 * scale)) ** 2, 0.0, None) ** 2, 0.0)
+        pull = (scale / prior_sigma) ** 2
+        information = J.T @ (weights[:, None] * J) + np.diag(pull)
+        step = np.linalg.solve(information, -J.T @ (weights * r) - pull * (p - start)[:n])
+        p[:n] += step
+        if wide < 1.0 and np.abs(step).max() < 1e-5:
+            break
+        wide /= 2.0
+    r, _ = off(p)
+    chi2 = float(np.sum(weights * r**2) / max(weights.sum() - n, 1.0))
+    return p, np.linalg.inv(information) * max(1.0, chi2), chi2, weights
+
+
+def best_shift(
+    y: Float64, z: Float64, corners: Float64, shifts: Float64, limit: float
+) -> tuple[float, float]:
+    """The shift of a polyline with the least sum of cut residuals about their own median."""
+    left_over = np.stack([z - np.interp(y - shift, corners[:, 0], corners[:, 1]) for shift in shifts])
+    rise = np.median(left_over, axis=1)
+    best = int(np.argmin(np.minimum(np.abs(left_over - rise[:, None]), limit).sum(axis=1)))
+    return float(shifts[best]), float(rise[best])

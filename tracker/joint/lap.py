@@ -6,7 +6,8 @@ import numpy as np
 
 from noise_model.frames import Float64
 from noise_model.surface import Joint, section
-from tracker.joint.measured import MeasuredJoint, fit_shape, place_by_template
+from tracker.joint.measured import MeasuredJoint, fit_shape, place
+from tracker.joint.section_fit import SHEETS
 from tracker.profile import Profile
 
 SEARCH_STEP_MM = 0.1
@@ -25,23 +26,12 @@ def fit_lap(profile: Profile, joint: Joint, camera_mm: Float64, laser_mm: Float6
     hides of that one. `camera_mm` and `laser_mm` (3,) say from where, joint frame.
     """
     thickness = joint.dimensions["thickness_mm"]
-    vertices = section(joint).vertices
-
-    def nominal(y: Float64) -> Float64:
-        return np.asarray(np.where(y < 0.0, vertices[1, 1], vertices[2, 1]))
-
-    y_0, z_0 = place_by_template(profile, nominal, SEARCH_STEP_MM, 0.25 * thickness)
-
-    def sheets(parameters: Float64, y: Float64) -> Float64:
-        z, step, slope_lower, slope_upper = parameters
-        upper, lower = z + step + slope_upper * (y - y_0), z + slope_lower * (y - y_0)
-        return np.asarray(np.where(y < y_0, upper, lower))
-
+    y_0, z_0 = place(profile, section(joint).vertices, SEARCH_STEP_MM, 0.25 * thickness)
     clear = np.abs(profile.y_mm - y_0) > CLEAR_OF_EDGE_MM
     upper, lower = clear & (profile.y_mm < y_0), clear & (profile.y_mm > y_0)
     if upper.sum() < 10 or lower.sum() < 10:
         return None
-    shape = fit_shape(profile, sheets, np.array([z_0, thickness, 0.0, 0.0]), PRIOR_SIGMA, clear)
+    shape = fit_shape(profile, SHEETS, np.array([z_0, thickness, 0.0, 0.0, y_0]), PRIOR_SIGMA, clear)
     if shape is None:
         return None
     z_s, step, slope_lower, slope_upper = (float(p) for p in shape.parameters)

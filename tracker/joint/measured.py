@@ -2,29 +2,24 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import math
 from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
 
 from noise_model.frames import Float64
+from tracker.joint.section_fit import best_shift, fit_section
 from tracker.profile import Profile
 
 SIGMA_FLOOR_PX = 0.05
 """What a stripe centre may be off beyond its noise: the surface's own roughness, pixels unlike each other."""
 
-STEP = 1e-5
-"""The step of the numerical derivatives, in each parameter's unit."""
-
-CONVERGED = 1e-5
-"""A step smaller than this in every parameter's unit ends the fit."""
-
-BISQUARE_WIDTH = 4.685
-"""Tukey's tuning constant: 95 % efficiency on Gaussian residuals."""
-
 START_SIGMA_MM = 0.3
 """How far off the nominal shape a point may lie at first; halved with every step of the fit."""
+
+PLACED_BY = 160
+"""So many of a profile's points, evenly chosen, place a section."""
 
 
 @dataclass(frozen=True)
@@ -54,72 +49,46 @@ class ShapeFit:
 
 def fit_shape(
     profile: Profile,
-    height: Callable[[Float64, Float64], Float64],
+    shape: int,
     start: Float64,
     prior_sigma: Float64,
     used: npt.NDArray[np.bool_] | None = None,
 ) -> ShapeFit | None:
-    """Fit z = height(parameters, y) to a profile, in pixels of stripe centre, with priors about `start`.
+    """Fit a shape of `section_fit` to a profile, in pixels of stripe centre, with priors about `start`.
 
-    A point's residual is how far its stripe centre would have to move to lie on the shape: (z - f(y)) /
-    (dz - f'(y) dy). Gauss-Newton with numerical derivatives, Tukey's bisquare weights about a robust scale.
-    `height` must take parameters (p,), and (p, m, 1) for m sets of them at once. The scale begins wide: a
-    narrow one would cut off the few points that tell, such as a root's, for good.
+    None where fewer points are `used` than the parameters need, and where the fit runs away. What `start` has
+    beyond `prior_sigma` (p,) stays as it is.
     """
-    y, z = profile.y_mm, profile.z_mm
     sigma = np.hypot(profile.sigma_px, SIGMA_FLOOR_PX)
-    mask = np.ones(len(y), dtype=bool) if used is None else used
-    if mask.sum() < len(start) + 3:
+    mask = np.ones(len(profile.y_mm), dtype=bool) if used is None else used
+    n = len(prior_sigma)
+    if mask.sum() < n + 3:
         return None
-    parameters = start.copy()
-    h_y = 1e-4
-
-    def sigma_z(p: Float64) -> Float64:
-        slope = (height(p, y + h_y) - height(p, y - h_y)) / (2.0 * h_y)
-        along = profile.dz_mm - slope * profile.dy_mm
-        return np.where(np.abs(along) < 1e-6, 1e-6, along) * sigma
-
-    weights = mask.astype(np.float64)
-    information = np.eye(len(start))
-    scale = 1.0
+    parameters, covariance = start.copy(), np.empty((n, n))
+    weights = np.empty(len(profile.y_mm))
     wide = START_SIGMA_MM / max(float(np.median((np.abs(profile.dz_mm) * sigma)[mask])), 1e-6)
-    for _ in range(20):
-        at, unit = height(parameters, y), sigma_z(parameters)
-        r = (z - at) / unit
-        moved = parameters[:, None, None] + STEP * np.eye(len(start))[:, :, None]
-        J = ((at - height(moved, y)) / (STEP * unit)).T
-        scale = max(1.0, 1.4826 * float(np.median(np.abs(r[mask]))), wide)
-        weights = np.where(mask, np.maximum(0.0, 1.0 - (r / (BISQUARE_WIDTH * scale)) ** 2) ** 2, 0.0)
-        information = J.T @ (weights[:, None] * J) + np.diag((scale / prior_sigma) ** 2)
-        gradient = J.T @ (weights * r) + (scale / prior_sigma) ** 2 * (parameters - start)
-        step = np.linalg.solve(information, -gradient)
-        parameters = parameters + step
-        if wide < 1.0 and np.max(np.abs(step)) < CONVERGED:
-            break
-        wide /= 2.0
-    r = (z - height(parameters, y)) / sigma_z(parameters)
-    freedom = max(float(weights.sum()) - len(start), 1.0)
-    chi2 = float(np.sum(weights * r**2) / freedom)
-    covariance = np.asarray(np.linalg.inv(information) * max(1.0, chi2), dtype=np.float64)
-    if not np.isfinite(parameters).all():
-        return None
-    return ShapeFit(parameters, covariance, chi2, np.asarray(weights, dtype=np.float64))
+    chi2 = fit_section(
+        shape,
+        profile.y_mm,
+        profile.z_mm,
+        profile.dy_mm,
+        profile.dz_mm,
+        sigma,
+        mask,
+        wide,
+        prior_sigma,
+        parameters,
+        covariance,
+        weights,
+    )
+    return ShapeFit(parameters[:n], covariance, chi2, weights) if math.isfinite(chi2) else None
 
 
-def place_by_template(
-    profile: Profile, height: Callable[[Float64], Float64], step_mm: float, limit_mm: float
-) -> tuple[float, float]:
-    """Return the shift (y, z) in mm of a nominal section that explains most of a profile.
+def place(profile: Profile, corners: Float64, step_mm: float, limit_mm: float) -> tuple[float, float]:
+    """Return the shift (y, z) in mm of nominal corners (k, 2) that explains most of a profile.
 
-    Every lateral shift on a grid gets its height as the median of what is left over, and is judged by the sum
-    of absolute residuals, each cut at `limit_mm`, so that spatter and false stripes count little.
+    Lateral shifts are tried by steps of `step_mm` all along the profile, see `best_shift`.
     """
-    y, z = profile.y_mm, profile.z_mm
-    shifts = np.arange(y[0], y[-1] + step_mm, step_mm)
-    every = max(1, len(y) // 160)
-    y, z = y[::every], z[::every]
-    left_over = z[None, :] - height(y[None, :] - shifts[:, None])
-    rise = np.median(left_over, axis=1)
-    cost = np.minimum(np.abs(left_over - rise[:, None]), limit_mm).sum(axis=1)
-    best = int(np.argmin(cost))
-    return float(shifts[best]), float(rise[best])
+    shifts = np.arange(profile.y_mm[0], profile.y_mm[-1] + step_mm, step_mm)
+    every = max(1, len(profile.y_mm) // PLACED_BY)
+    return best_shift(profile.y_mm[::every], profile.z_mm[::every], corners, shifts, limit_mm)

@@ -1,0 +1,224 @@
+"""A section's faces fitted to a profile: robust least squares in pixels of stripe centre, compiled.
+
+A section is a polyline over y whose corners follow from a few parameters. Between two corners a face is
+straight, z = (1 - s) z_a + s z_b with s = (y - y_a) / (y_b - y_a), and moves with its corners by
+
+    dz = (1 - s) (dz_a - m dy_a) + s (dz_b - m dy_b),    m its slope.
+
+So a face's points enter the normal equations by three sums of their weights, whatever the parameters are.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import numpy.typing as npt
+
+from noise_model.frames import Float64
+from noise_model.kernel import kernel
+
+GROOVE, SHEETS = 0, 1
+"""The shapes: a groove with two bevels and a root, and two sheets with a step between them."""
+
+N_CORNERS = (6, 4)
+"""The corners of each shape."""
+
+FAR_MM = 1000.0
+"""How far the outer faces reach."""
+
+STEP = 1e-6
+"""The step of the corners' derivatives, in each parameter's unit."""
+
+BISQUARE_WIDTH = 4.685
+"""Tukey's tuning constant: 95 % efficiency on Gaussian residuals."""
+
+MOST_STEPS, CONVERGED = 20, 1e-5
+"""Gauss-Newton steps at most; one smaller than this in every parameter's unit is the last."""
+
+MAD_SIGMA = 1.4826
+"""A normal distribution's sigma over its median absolute deviation."""
+
+LEAST_ALONG_MM = 1e-6
+"""No point moves less than this off a face with 1 px of its stripe centre."""
+
+
+@kernel
+def corners_of(shape: int, p: Float64, corners: Float64) -> None:
+    """Write the corners (n, 2) as (y, z), mm, y rising, that parameters put a shape's faces between.
+
+    Of a groove: root middle y and z, root gap, tan of the left and right bevel angle, left and right depth,
+    slopes of the left and right plate; the left is where y is larger. Of sheets: the lower one's z at the
+    step, the step, the slopes of the lower (larger y) and the upper sheet, and the step's y.
+    """
+    if shape == GROOVE:
+        y, z, gap = p[0], p[1], p[2]
+        # Less than no gap: the bevels meet above the root's place.
+        half, closed = 0.5 * max(gap, 0.0), 0.5 * max(-gap, 0.0)
+        left, right = y + 0.5 * gap + p[5] * p[3], y - 0.5 * gap - p[6] * p[4]
+        corners[0, 0], corners[0, 1] = right - FAR_MM, z + p[6] - p[8] * FAR_MM
+        corners[1, 0], corners[1, 1] = right, z + p[6]
+        corners[2, 0], corners[2, 1] = y - half, z + closed / p[4]
+        corners[3, 0], corners[3, 1] = y + half, z + closed / p[3]
+        corners[4, 0], corners[4, 1] = left, z + p[5]
+        corners[5, 0], corners[5, 1] = left + FAR_MM, z + p[5] + p[7] * FAR_MM
+    else:
+        z, step, y = p[0], p[1], p[4]
+        corners[0, 0], corners[0, 1] = y - FAR_MM, z + step - p[3] * FAR_MM
+        corners[1, 0], corners[1, 1] = y, z + step
+        corners[2, 0], corners[2, 1] = y, z
+        corners[3, 0], corners[3, 1] = y + FAR_MM, z + p[2] * FAR_MM
+
+
+@kernel
+def _residuals(
+    y: Float64,
+    z: Float64,
+    dy: Float64,
+    dz: Float64,
+    sigma: Float64,
+    corners: Float64,
+    r: Float64,
+    unit: Float64,
+    face: npt.NDArray[np.int64],
+) -> None:
+    """Write how far each point's centre lies off its face, in its sigmas, that unit in mm, and the face."""
+    k = 0
+    for i in range(y.shape[0]):
+        while k < corners.shape[0] - 2 and y[i] >= corners[k + 1, 0]:
+            k += 1
+        slope = (corners[k + 1, 1] - corners[k, 1]) / (corners[k + 1, 0] - corners[k, 0])
+        along = dz[i] - slope * dy[i]
+        if abs(along) < LEAST_ALONG_MM:
+            along = LEAST_ALONG_MM
+        unit[i] = along * sigma[i]
+        r[i] = (z[i] - corners[k, 1] - slope * (y[i] - corners[k, 0])) / unit[i]
+        face[i] = k
+
+
+@kernel(allocates=True)
+def fit_section(
+    shape: int,
+    y: Float64,
+    z: Float64,
+    dy: Float64,
+    dz: Float64,
+    sigma: Float64,
+    used: npt.NDArray[np.bool_],
+    start_scale: float,
+    prior_sigma: Float64,
+    p: Float64,
+    covariance: Float64,
+    weights: Float64,
+) -> float:
+    """Fit a section to points y, z (n,), y rising; return chi2 per degree of freedom, NaN if it cannot be.
+
+    A point moves by `dy`, `dz` (n,), mm, with 1 px of its stripe centre, whose 1 sigma is `sigma` (n,) px:
+    its residual is how far the centre would have to move to lie on the face, (z - f) / (dz - m dy). Only
+    `used` points count. `p` holds the start, about which the first len(prior_sigma) parameters have priors
+    and are fitted, and becomes the fit; `covariance` (m, m) and the points' Tukey `weights` (n,) are written.
+    The scale of these begins at `start_scale` sigmas and halves: a narrow one would cut off the few points
+    that tell, such as a root's, for good.
+    """
+    n, m = y.shape[0], prior_sigma.shape[0]
+    n_corners = N_CORNERS[shape]
+    corners, moved = np.empty((n_corners, 2)), np.empty((n_corners, 2))
+    start, J, sums = p.copy(), np.empty((n_corners, m, 2)), np.empty((n_corners - 1, 5))
+    r, unit, face = np.empty(n), np.empty(n), np.empty(n, dtype=np.int64)
+    information, gradient = np.empty((m, m)), np.empty(m)
+    sizes, at_a, at_b = np.empty(n), np.empty(m), np.empty(m)
+    wide = start_scale
+    for _ in range(MOST_STEPS):
+        corners_of(shape, p, corners)
+        for i in range(m):
+            kept = p[i]
+            p[i] = kept + STEP
+            corners_of(shape, p, moved)
+            p[i] = kept
+            for k in range(n_corners):
+                J[k, i, 0] = (moved[k, 0] - corners[k, 0]) / STEP
+                J[k, i, 1] = (moved[k, 1] - corners[k, 1]) / STEP
+        _residuals(y, z, dy, dz, sigma, corners, r, unit, face)
+        count = 0
+        for i in range(n):
+            if used[i]:
+                sizes[count] = abs(r[i])
+                count += 1
+        scale = max(1.0, MAD_SIGMA * np.median(sizes[:count]), wide)
+        sums[:] = 0.0
+        for i in range(n):
+            t = r[i] / (BISQUARE_WIDTH * scale)
+            weights[i] = (1.0 - t * t) ** 2 if used[i] and abs(t) < 1.0 else 0.0
+            k = face[i]
+            s = (y[i] - corners[k, 0]) / (corners[k + 1, 0] - corners[k, 0])
+            per_unit = weights[i] / (unit[i] * unit[i])
+            sums[k, 0] += per_unit * (1.0 - s) * (1.0 - s)
+            sums[k, 1] += per_unit * (1.0 - s) * s
+            sums[k, 2] += per_unit * s * s
+            sums[k, 3] += weights[i] * r[i] / unit[i] * (1.0 - s)
+            sums[k, 4] += weights[i] * r[i] / unit[i] * s
+        information[:] = 0.0
+        for i in range(m):
+            known = (scale / prior_sigma[i]) ** 2
+            information[i, i] = known
+            gradient[i] = known * (start[i] - p[i])
+        for k in range(n_corners - 1):
+            width = corners[k + 1, 0] - corners[k, 0]
+            slope = (corners[k + 1, 1] - corners[k, 1]) / width if width > 0.0 else 0.0
+            for i in range(m):
+                at_a[i] = J[k, i, 1] - slope * J[k, i, 0]
+                at_b[i] = J[k + 1, i, 1] - slope * J[k + 1, i, 0]
+            for i in range(m):
+                gradient[i] += sums[k, 3] * at_a[i] + sums[k, 4] * at_b[i]
+                for j in range(m):
+                    information[i, j] += sums[k, 0] * at_a[i] * at_a[j] + sums[k, 2] * at_b[i] * at_b[j]
+                    information[i, j] += sums[k, 1] * (at_a[i] * at_b[j] + at_b[i] * at_a[j])
+        # The priors make it positive; the solver would raise at a NaN.
+        if not math.isfinite(information.sum() + gradient.sum()):
+            return math.nan
+        step = np.linalg.solve(information, gradient)
+        largest = 0.0
+        for i in range(m):
+            p[i] += step[i]
+            largest = max(largest, abs(step[i]))
+        if wide < 1.0 and largest < CONVERGED:
+            break
+        wide /= 2.0
+    corners_of(shape, p, corners)
+    _residuals(y, z, dy, dz, sigma, corners, r, unit, face)
+    total, freedom = 0.0, -float(m)
+    for i in range(n):
+        total += weights[i] * r[i] * r[i]
+        freedom += weights[i]
+    chi2 = total / max(freedom, 1.0)
+    covariance[:] = np.linalg.inv(information) * max(1.0, chi2)
+    return float(chi2)
+
+
+@kernel(allocates=True)
+def best_shift(
+    y: Float64, z: Float64, corners: Float64, shifts: Float64, limit_mm: float
+) -> tuple[float, float]:
+    """Return the shift (y, z), mm, of nominal corners (k, 2) that explains most of a profile (n,), y rising.
+
+    Every lateral shift gets its height as the median of what is left over, and is judged by the sum of
+    absolute residuals, each cut at `limit_mm`, so that spatter and false stripes count little.
+    """
+    left_over = np.empty(y.shape[0])
+    best, best_shift_mm, best_rise = math.inf, 0.0, 0.0
+    for shift in shifts:
+        k = 0
+        for i in range(y.shape[0]):
+            at = y[i] - shift
+            while k < corners.shape[0] - 2 and at >= corners[k + 1, 0]:
+                k += 1
+            width = corners[k + 1, 0] - corners[k, 0]
+            slope = (corners[k + 1, 1] - corners[k, 1]) / width if width > 0.0 else 0.0
+            left_over[i] = z[i] - corners[k, 1] - slope * (at - corners[k, 0])
+        rise = float(np.median(left_over))
+        cost = 0.0
+        for i in range(y.shape[0]):
+            cost += min(abs(left_over[i] - rise), limit_mm)
+        if cost < best:
+            best, best_shift_mm, best_rise = cost, shift, rise
+    return best_shift_mm, best_rise
