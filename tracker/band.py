@@ -39,10 +39,11 @@ def gather(
 
 def place(center_px: Float64, n_pos: int, half_px: int) -> tuple[Int64, int]:
     """Return where the band begins for each CELL scan lines, and its depth, so that it holds +-half_px."""
-    groups = [center_px[i : i + CELL] for i in range(0, len(center_px), CELL)]
-    spread = max(float(np.ptp(group)) for group in groups)
+    starts = np.arange(0, len(center_px), CELL)
+    lowest, highest = np.minimum.reduceat(center_px, starts), np.maximum.reduceat(center_px, starts)
+    spread = float((highest - lowest).max())
     depth = min(n_pos, 2 * half_px + int(np.ceil(min(spread, half_px))) + 1)
-    middles = np.array([0.5 * (group.min() + group.max()) for group in groups])
+    middles = 0.5 * (lowest + highest)
     lows = np.clip(np.rint(middles - depth / 2.0), 0, n_pos - depth).astype(np.int64)
     return lows, depth
 

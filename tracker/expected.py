@@ -2,22 +2,40 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
 from noise_model.arc_map import Scene
-from noise_model.frames import Float64, invert, transform
-from noise_model.setup import Setup
-from noise_model.stripe import reflected_sheet
-from noise_model.surface import corrugation_height
+from noise_model.brdf import LobeNumbers, lobe_numbers
+from noise_model.frames import Float64, invert
+from noise_model.kernel import kernel
+from noise_model.laser import Sheet, sheet_of, sheet_reflected
+from noise_model.optics import Camera
 from tracker.geometry import SensorGeometry
+
+Int64 = npt.NDArray[np.int64]
+Bool = npt.NDArray[np.bool_]
 
 HALF_SPAN_MM = 60.0
 """How far to either side of the seam the stripe is followed."""
 
 SAMPLES = 481
+
+BESIDE_MM = 1e-6
+"""The stripe is looked at so near to either side of each corner."""
+
+RISE_STEP_MM = 1e-3
+"""The step of a corrugation's slope."""
+
+MOST_STEPS, MET_MM = 20, 1e-9
+"""Steps by which a plane is met on a corrugation at most; one that is shorter is the last."""
+
+NEAREST_MM = 1.0
+"""What comes nearer to the camera than this is not in view."""
 
 
 @dataclass(frozen=True)
@@ -33,6 +51,32 @@ class ExpectedStripe:
     lean_px: Float64
 
 
+class Lens(NamedTuple):
+    """A camera as the kernels take it: its pose (4, 4), OpenCV's intrinsics, px, and its place (3,), mm."""
+
+    T_camera_joint: Float64
+    fx: float
+    fy: float
+    cx: float
+    cy: float
+    distortion: tuple[float, float, float, float, float]
+    place: Float64
+
+
+def lens_of(camera: Camera, T_joint_camera: Float64) -> Lens:
+    """Put a camera into the joint frame."""
+    k1, k2, p1, p2, k3 = camera.distortion
+    return Lens(
+        invert(T_joint_camera),
+        camera.fx,
+        camera.fy,
+        camera.cx,
+        camera.cy,
+        (k1, k2, p1, p2, k3),
+        np.ascontiguousarray(T_joint_camera[:3, 3]),
+    )
+
+
 def expect_stripe(geometry: SensorGeometry, view: Scene) -> ExpectedStripe | None:
     """Return the expected stripe of a scene, or None where it is out of view.
 
@@ -43,91 +87,206 @@ def expect_stripe(geometry: SensorGeometry, view: Scene) -> ExpectedStripe | Non
     the derivative of the Gaussian. Both together are the lean, with k from the model of the light.
     """
     setup = geometry.setup
-    T_tool_joint = invert(view.T_joint_tool)
-    scan = np.arange(geometry.n_scan, dtype=np.float64)
-    position, strength, strips = [], [], []
-    for side in (-1.0, 0.0, 1.0):
-        points_joint, normals_joint, strip = _cut(
-            setup.laser.plane_in_tool, side * setup.laser.stripe_sigma_mm, view
-        )
-        points_tool = transform(T_tool_joint, points_joint)
-        points_camera = transform(invert(setup.camera.T_tool_camera), points_tool)
-        if not (points_camera[:, 2] > 1.0).all():
-            return None
-        at = geometry.scan_points(setup.camera.project(points_camera))
-        order = np.argsort(at[:, 0], kind="stable")
-        if at[order[-1], 0] < 0.0 or at[order[0], 0] > geometry.n_scan - 1:
-            return None
-        position.append(np.interp(scan, at[order, 0], at[order, 1]))
-        light = _strength(setup, points_joint, points_tool, normals_joint, view.T_joint_tool)
-        strength.append(np.interp(scan, at[order, 0], light[order]))
-        after = np.clip(np.searchsorted(at[order, 0], scan), 1, len(order) - 1)
-        left, right = strip[order][after - 1], strip[order][after]
-        strips.append(np.where(left == right, left, -1))
-    behind, middle, ahead = position
-    half_width = 0.5 * (ahead - behind)
-    with np.errstate(divide="ignore", invalid="ignore"):
-        shading = 0.5 * half_width * np.log(strength[2] / strength[0])
-    shading = np.where(np.isfinite(shading), shading, 0.0)
-    curve = 1.5 * (0.5 * (ahead + behind) - middle)
-    on_one_face = (strips[0] == strips[1]) & (strips[2] == strips[1]) & (strips[1] >= 0)
-    width = np.hypot(half_width, setup.camera.psf_sigma_px)
-    return ExpectedStripe(
-        middle,
-        _from_same_face(np.abs(width), strips[1], on_one_face),
-        _from_same_face(shading + curve, strips[1], on_one_face),
+    position, sigma, lean = np.empty((3, geometry.n_scan))
+    in_view = _expect(
+        view.shape.vertices,
+        view.shape.corrugation,
+        np.ascontiguousarray(view.T_joint_tool[:3, 3]),
+        sheet_of(setup.laser, view.T_joint_tool),
+        lens_of(setup.camera, view.T_joint_camera),
+        lobe_numbers(setup.material),
+        geometry.along_rows,
+        setup.camera.psf_sigma_px,
+        position,
+        sigma,
+        lean,
     )
+    return ExpectedStripe(position, sigma, lean) if in_view else None
 
 
-def _from_same_face(values: Float64, strip: npt.NDArray[np.intp], good: npt.NDArray[np.bool_]) -> Float64:
-    """Replace values beside a corner, where the sheet's flanks lie on two faces, by the nearest good one."""
-    if not good.any():
-        return values
-    filled = values.copy()
-    where = np.flatnonzero(good)
-    for s in np.flatnonzero(~good):
-        on_face = where[strip[where] == strip[s]]
-        candidates = on_face if len(on_face) else where
-        filled[s] = values[candidates[np.argmin(np.abs(candidates - s))]]
-    return filled
+@kernel
+def _height(x: float, corrugation: Float64) -> float:
+    """Return a corrugation's height, mm, see `noise_model.surface.corrugation_height`."""
+    height, width, pitch = corrugation[0], corrugation[1], corrugation[2]
+    if height == 0.0:
+        return 0.0
+    u = x - pitch * round(x / pitch)
+    if abs(u) >= 0.5 * width:
+        return 0.0
+    return float(0.5 * height * (1.0 + math.cos(2.0 * math.pi * u / width)))
 
 
-def _cut(
-    plane_in_tool: tuple[float, float, float, float], shift_mm: float, view: Scene
-) -> tuple[Float64, Float64, npt.NDArray[np.intp]]:
-    """Cut a plane parallel to the sheet with the section, in the joint frame.
+@kernel
+def _cut_and_project(
+    y: Float64,
+    strip: Int64,
+    vertices: Float64,
+    corrugation: Float64,
+    sheet: Sheet,
+    shift_mm: float,
+    start_x: float,
+    lens: Lens,
+    material: LobeNumbers,
+    along_rows: bool,
+    at: Float64,
+    light: Float64,
+) -> bool:
+    """Cut a plane `shift_mm` beside the sheet with the section at y (n,) and look at it.
 
-    Returns points (n, 3), mm, unit normals (n, 3) and the number of the strip (n,) that each lies on.
+    `strip` (n,) are the faces that the points lie on. Writes the image points `at` (n, 2) as (scan,
+    position) and the stripe's `light` there, the sheet's own Gaussian divided out. False if a point lies
+    behind the camera.
     """
-    plane_tool = np.asarray(plane_in_tool)
-    R, t = view.T_joint_tool[:3, :3], view.T_joint_tool[:3, 3]
-    n = R @ plane_tool[:3]
-    d = plane_tool[3] - n @ t - shift_mm
-    vertices, corrugation = view.shape.vertices, view.shape.corrugation
-    corners = np.unique(vertices[1:-1, 0])
-    reach = np.linspace(t[1] - HALF_SPAN_MM, t[1] + HALF_SPAN_MM, SAMPLES)
-    y = np.sort(np.concatenate([reach, corners - 1e-6, corners + 1e-6]))
-    plain = np.interp(y, vertices[:, 0], vertices[:, 1])
-    x = np.full_like(y, t[0])
-    for _ in range(20):
-        x = -(n[1] * y + n[2] * (plain + corrugation_height(x, corrugation)) + d) / n[0]
-    z = plain + corrugation_height(x, corrugation)
-    h = 1e-3
-    rise_x = (corrugation_height(x + h, corrugation) - corrugation_height(x - h, corrugation)) / (2.0 * h)
-    strip = np.clip(np.searchsorted(vertices[:, 0], y, side="right") - 1, 0, len(vertices) - 2)
-    width, rise = np.diff(vertices, axis=0)[strip].T
-    slope_y = np.where(width > 0.0, rise / np.where(width > 0.0, width, 1.0), 0.0)
-    normals = np.column_stack([-rise_x, -slope_y, np.ones_like(y)])
-    normals /= np.linalg.norm(normals, axis=1, keepdims=True)
-    return np.column_stack([x, y, z]), normals, strip
+    nx, ny, nz, d = sheet.plane[0], sheet.plane[1], sheet.plane[2], sheet.plane[3] - shift_mm
+    k1, k2, p1, p2, k3 = lens.distortion
+    x = start_x
+    for i in range(y.shape[0]):
+        k = strip[i]
+        width = vertices[k + 1, 0] - vertices[k, 0]
+        slope = (vertices[k + 1, 1] - vertices[k, 1]) / width if width > 0.0 else 0.0
+        plain = vertices[k, 1] + slope * (y[i] - vertices[k, 0])
+        for _ in range(MOST_STEPS):
+            met = -(ny * y[i] + nz * (plain + _height(x, corrugation)) + d) / nx
+            moved = abs(met - x)
+            x = met
+            if moved < MET_MM:
+                break
+        rise = _height(x + RISE_STEP_MM, corrugation) - _height(x - RISE_STEP_MM, corrugation)
+        slope_x = rise / (2.0 * RISE_STEP_MM)
+        length = math.sqrt(slope_x * slope_x + slope * slope + 1.0)
+        normal = (-slope_x / length, -slope / length, 1.0 / length)
+        P = (x, y[i], plain + _height(x, corrugation))
+
+        T = lens.T_camera_joint
+        depth = T[2, 0] * P[0] + T[2, 1] * P[1] + T[2, 2] * P[2] + T[2, 3]
+        if not depth > NEAREST_MM:
+            return False
+        a = (T[0, 0] * P[0] + T[0, 1] * P[1] + T[0, 2] * P[2] + T[0, 3]) / depth
+        b = (T[1, 0] * P[0] + T[1, 1] * P[1] + T[1, 2] * P[2] + T[1, 3]) / depth
+        q = a * a + b * b
+        radial = 1.0 + q * (k1 + q * (k2 + q * k3))
+        u = lens.fx * (a * radial + 2.0 * p1 * a * b + p2 * (q + 2.0 * a * a)) + lens.cx
+        v = lens.fy * (b * radial + p1 * (q + 2.0 * b * b) + 2.0 * p2 * a * b) + lens.cy
+        at[i, 0], at[i, 1] = (u, v) if along_rows else (v, u)
+
+        wx, wy, wz = lens.place[0] - P[0], lens.place[1] - P[1], lens.place[2] - P[2]
+        distance = math.sqrt(wx * wx + wy * wy + wz * wz)
+        omega_r = (wx / distance, wy / distance, wz / distance)
+        down = 0.0
+        for j in range(3):
+            down += (sheet.origin[j] - P[j]) * sheet.tool_up[j]
+        off = (nx * P[0] + ny * P[1] + nz * P[2] + sheet.plane[3]) * sheet.stand / (sheet.sigma * down)
+        gaussian = math.exp(-0.5 * off * off)
+        lit = sheet_reflected(sheet, material, P, normal, omega_r)
+        light[i] = lit / gaussian if gaussian > 0.0 else 0.0
+    return True
 
 
-def _strength(
-    setup: Setup, points_joint: Float64, points_tool: Float64, normals_joint: Float64, T_joint_tool: Float64
-) -> Float64:
-    """Return the stripe's light at points (n, 3), the sheet's own Gaussian divided out."""
-    origin, plane = np.asarray(setup.laser.origin_in_tool_mm), np.asarray(setup.laser.plane_in_tool)
-    local_sigma = setup.laser.stripe_sigma_mm * (origin[2] - points_tool[:, 2]) / origin[2]
-    sheet = np.exp(-0.5 * ((points_tool @ plane[:3] + plane[3]) / local_sigma) ** 2)
-    light = reflected_sheet(setup, points_joint, normals_joint, T_joint_tool)
-    return np.asarray(np.divide(light, sheet, out=np.zeros_like(sheet), where=sheet > 0.0))
+@kernel(allocates=True)
+def _samples(vertices: Float64, middle_mm: float, y: Float64, strip: Int64) -> None:
+    """Write the places y (n,), rising, at which the section is looked at, and the faces that they lie on."""
+    n_inner = vertices.shape[0] - 2
+    for i in range(SAMPLES):
+        y[i] = middle_mm + HALF_SPAN_MM * (2.0 * i / (SAMPLES - 1) - 1.0)
+    for k in range(n_inner):
+        y[SAMPLES + 2 * k] = vertices[k + 1, 0] - BESIDE_MM
+        y[SAMPLES + 2 * k + 1] = vertices[k + 1, 0] + BESIDE_MM
+    y.sort()
+    k = 0
+    for i in range(y.shape[0]):
+        while k < vertices.shape[0] - 2 and y[i] >= vertices[k + 1, 0]:
+            k += 1
+        strip[i] = k
+
+
+@kernel(allocates=True)
+def _per_line(
+    at: Float64, light: Float64, strip: Int64, position: Float64, strength: Float64, face: Int64
+) -> bool:
+    """Read a trace (n, 2) off at every scan line: place, light and face, -1 between two; ends are held.
+
+    False if no scan line meets it.
+    """
+    order = np.argsort(at[:, 0], kind="mergesort")
+    n, n_scan = len(order), position.shape[0]
+    if at[order[n - 1], 0] < 0.0 or at[order[0], 0] > n_scan - 1:
+        return False
+    after = 0
+    for s in range(n_scan):
+        while after < n and at[order[after], 0] < s:
+            after += 1
+        left, right = order[max(min(after, n - 1) - 1, 0)], order[max(min(after, n - 1), min(1, n - 1))]
+        span = at[right, 0] - at[left, 0]
+        share = min(max((s - at[left, 0]) / span, 0.0), 1.0) if span > 0.0 else 0.0
+        position[s] = (1.0 - share) * at[left, 1] + share * at[right, 1]
+        strength[s] = (1.0 - share) * light[left] + share * light[right]
+        face[s] = strip[left] if strip[left] == strip[right] else -1
+    return True
+
+
+@kernel(allocates=True)
+def _expect(
+    vertices: Float64,
+    corrugation: Float64,
+    tool_mm: Float64,
+    sheet: Sheet,
+    lens: Lens,
+    material: LobeNumbers,
+    along_rows: bool,
+    psf_sigma_px: float,
+    position: Float64,
+    sigma: Float64,
+    lean: Float64,
+) -> bool:
+    """Write an expected stripe (n_scan,), see `expect_stripe`; False where it is out of view."""
+    n_scan = position.shape[0]
+    n = SAMPLES + 2 * (vertices.shape[0] - 2)
+    y, strip = np.empty(n), np.empty(n, dtype=np.int64)
+    _samples(vertices, tool_mm[1], y, strip)
+    at, light = np.empty((n, 2)), np.empty(n)
+    places, strengths = np.empty((3, n_scan)), np.empty((3, n_scan))
+    faces = np.empty((3, n_scan), dtype=np.int64)
+    for side in range(3):
+        shift = (side - 1.0) * sheet.sigma
+        if not _cut_and_project(
+            y, strip, vertices, corrugation, sheet, shift, tool_mm[0], lens, material, along_rows, at, light
+        ):
+            return False
+        if not _per_line(at, light, strip, places[side], strengths[side], faces[side]):
+            return False
+    good = np.empty(n_scan, dtype=np.bool_)
+    for s in range(n_scan):
+        half_width = 0.5 * (places[2, s] - places[0, s])
+        position[s] = places[1, s]
+        sigma[s] = math.hypot(half_width, psf_sigma_px)
+        shading = 0.0
+        if strengths[0, s] > 0.0 and strengths[2, s] > 0.0:
+            shading = 0.5 * half_width * math.log(strengths[2, s] / strengths[0, s])
+        lean[s] = shading + 1.5 * (0.5 * (places[2, s] + places[0, s]) - places[1, s])
+        good[s] = faces[1, s] >= 0 and faces[0, s] == faces[1, s] and faces[2, s] == faces[1, s]
+    _take_from_same_face(sigma, lean, faces[1], good)
+    return True
+
+
+@kernel
+def _take_from_same_face(sigma: Float64, lean: Float64, face: Int64, good: Bool) -> None:
+    """Replace values (n,) beside a corner, where the flanks lie on two faces, by the nearest good ones.
+
+    By those of its own face if that has some.
+    """
+    n = len(good)
+    for s in range(n):
+        if good[s]:
+            continue
+        nearest, nearest_on_face = -1, -1
+        for away in range(1, n):
+            for other in (s - away, s + away):
+                if 0 <= other < n and good[other]:
+                    nearest = other if nearest < 0 else nearest
+                    if face[other] == face[s] and nearest_on_face < 0:
+                        nearest_on_face = other
+            if nearest_on_face >= 0:
+                break
+        take = nearest_on_face if nearest_on_face >= 0 else nearest
+        if take >= 0:
+            sigma[s], lean[s] = sigma[take], lean[take]

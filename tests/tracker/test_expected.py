@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from expected_twin import expect_stripe as expect_stripe_plain
 from rendered import pose_at, small_setup
 from scipy.optimize import least_squares
 
@@ -61,6 +62,22 @@ def test_it_lies_where_the_forward_model_draws_it(joint: str, upright: bool) -> 
     assert np.nanmedian(np.abs(off)) < 0.02
     assert np.nanquantile(np.abs(off), 0.75) < 0.05
     assert np.nanmedian(wide) == pytest.approx(1.0, abs=0.03)
+
+
+@pytest.mark.parametrize("distortion", [(0.0,) * 5, (-0.1, 0.02, 1e-3, -5e-4, 0.01)])
+@pytest.mark.parametrize("upright", [False, True])
+@pytest.mark.parametrize("joint", ["v_groove", "lap", "corrugation"])
+def test_it_is_its_twin(joint: str, upright: bool, distortion: tuple[float, ...]) -> None:
+    setup = small_setup(joint, upright=upright)
+    setup = replace(setup, camera=replace(setup.camera, distortion=distortion))
+    geometry = SensorGeometry.of(setup)
+    for station in (0.0, 12.0):
+        view = scene(setup, pose_at(station, turn_deg=(1.0, -2.0, 3.0)).T_base_tool, SEAM)
+        expected, twin = expect_stripe(geometry, view), expect_stripe_plain(geometry, view)
+        assert expected is not None
+        assert twin is not None
+        for name in ("position_px", "sigma_px", "lean_px"):
+            np.testing.assert_allclose(getattr(expected, name), getattr(twin, name), rtol=0.0, atol=1e-8)
 
 
 def test_the_lean_matters() -> None:

@@ -1,0 +1,107 @@
+"""The plain twin of the expected stripe: NumPy, scipy and OpenCV over all samples at once."""
+
+from __future__ import annotations
+
+import numpy as np
+import numpy.typing as npt
+
+from noise_model.arc_map import Scene
+from noise_model.frames import Float64, invert, transform
+from noise_model.setup import Setup
+from noise_model.stripe import reflected_sheet_plain
+from noise_model.surface import corrugation_height
+from tracker.expected import HALF_SPAN_MM, SAMPLES, ExpectedStripe
+from tracker.geometry import SensorGeometry
+
+
+def expect_stripe(geometry: SensorGeometry, view: Scene) -> ExpectedStripe | None:
+    """Return the expected stripe of a scene, or None where it is out of view."""
+    setup = geometry.setup
+    T_tool_joint = invert(view.T_joint_tool)
+    scan = np.arange(geometry.n_scan, dtype=np.float64)
+    position, strength, strips = [], [], []
+    for side in (-1.0, 0.0, 1.0):
+        points_joint, normals_joint, strip = _cut(
+            setup.laser.plane_in_tool, side * setup.laser.stripe_sigma_mm, view
+        )
+        points_tool = transform(T_tool_joint, points_joint)
+        points_camera = transform(invert(setup.camera.T_tool_camera), points_tool)
+        if not (points_camera[:, 2] > 1.0).all():
+            return None
+        at = geometry.scan_points(setup.camera.project(points_camera))
+        order = np.argsort(at[:, 0], kind="stable")
+        if at[order[-1], 0] < 0.0 or at[order[0], 0] > geometry.n_scan - 1:
+            return None
+        position.append(np.interp(scan, at[order, 0], at[order, 1]))
+        light = _strength(setup, points_joint, points_tool, normals_joint, view.T_joint_tool)
+        strength.append(np.interp(scan, at[order, 0], light[order]))
+        after = np.clip(np.searchsorted(at[order, 0], scan), 1, len(order) - 1)
+        left, right = strip[order][after - 1], strip[order][after]
+        strips.append(np.where(left == right, left, -1))
+    behind, middle, ahead = position
+    half_width = 0.5 * (ahead - behind)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        shading = 0.5 * half_width * np.log(strength[2] / strength[0])
+    shading = np.where(np.isfinite(shading), shading, 0.0)
+    curve = 1.5 * (0.5 * (ahead + behind) - middle)
+    on_one_face = (strips[0] == strips[1]) & (strips[2] == strips[1]) & (strips[1] >= 0)
+    width = np.hypot(half_width, setup.camera.psf_sigma_px)
+    return ExpectedStripe(
+        middle,
+        _from_same_face(np.abs(width), strips[1], on_one_face),
+        _from_same_face(shading + curve, strips[1], on_one_face),
+    )
+
+
+def _from_same_face(values: Float64, strip: npt.NDArray[np.intp], good: npt.NDArray[np.bool_]) -> Float64:
+    """Replace values beside a corner, where the sheet's flanks lie on two faces, by the nearest good one."""
+    if not good.any():
+        return values
+    filled = values.copy()
+    where = np.flatnonzero(good)
+    for s in np.flatnonzero(~good):
+        on_face = where[strip[where] == strip[s]]
+        candidates = on_face if len(on_face) else where
+        filled[s] = values[candidates[np.argmin(np.abs(candidates - s))]]
+    return filled
+
+
+def _cut(
+    plane_in_tool: tuple[float, float, float, float], shift_mm: float, view: Scene
+) -> tuple[Float64, Float64, npt.NDArray[np.intp]]:
+    """Cut a plane parallel to the sheet with the section, in the joint frame.
+
+    Returns points (n, 3), mm, unit normals (n, 3) and the number of the strip (n,) that each lies on.
+    """
+    plane_tool = np.asarray(plane_in_tool)
+    R, t = view.T_joint_tool[:3, :3], view.T_joint_tool[:3, 3]
+    n = R @ plane_tool[:3]
+    d = plane_tool[3] - n @ t - shift_mm
+    vertices, corrugation = view.shape.vertices, view.shape.corrugation
+    corners = np.unique(vertices[1:-1, 0])
+    reach = np.linspace(t[1] - HALF_SPAN_MM, t[1] + HALF_SPAN_MM, SAMPLES)
+    y = np.sort(np.concatenate([reach, corners - 1e-6, corners + 1e-6]))
+    plain = np.interp(y, vertices[:, 0], vertices[:, 1])
+    x = np.full_like(y, t[0])
+    for _ in range(20):
+        x = -(n[1] * y + n[2] * (plain + corrugation_height(x, corrugation)) + d) / n[0]
+    z = plain + corrugation_height(x, corrugation)
+    h = 1e-3
+    rise_x = (corrugation_height(x + h, corrugation) - corrugation_height(x - h, corrugation)) / (2.0 * h)
+    strip = np.clip(np.searchsorted(vertices[:, 0], y, side="right") - 1, 0, len(vertices) - 2)
+    width, rise = np.diff(vertices, axis=0)[strip].T
+    slope_y = np.where(width > 0.0, rise / np.where(width > 0.0, width, 1.0), 0.0)
+    normals = np.column_stack([-rise_x, -slope_y, np.ones_like(y)])
+    normals /= np.linalg.norm(normals, axis=1, keepdims=True)
+    return np.column_stack([x, y, z]), normals, strip
+
+
+def _strength(
+    setup: Setup, points_joint: Float64, points_tool: Float64, normals_joint: Float64, T_joint_tool: Float64
+) -> Float64:
+    """Return the stripe's light at points (n, 3), the sheet's own Gaussian divided out."""
+    origin, plane = np.asarray(setup.laser.origin_in_tool_mm), np.asarray(setup.laser.plane_in_tool)
+    local_sigma = setup.laser.stripe_sigma_mm * (origin[2] - points_tool[:, 2]) / origin[2]
+    sheet = np.exp(-0.5 * ((points_tool @ plane[:3] + plane[3]) / local_sigma) ** 2)
+    light = reflected_sheet_plain(setup, points_joint, normals_joint, T_joint_tool)
+    return np.asarray(np.divide(light, sheet, out=np.zeros_like(sheet), where=sheet > 0.0))
