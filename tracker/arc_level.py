@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -9,6 +10,7 @@ import numpy.typing as npt
 
 from noise_model.arc_map import ArcKernel
 from noise_model.frames import Float64
+from noise_model.kernel import kernel
 from tracker.geometry import SensorGeometry
 from tracker.passage import Passage, seen_arc
 
@@ -22,6 +24,10 @@ MISFIT_QUANTILE, NORMAL_QUANTILE = 0.9, 1.6449
 """The quantile of |residual| that the misfit is, and a normal law's."""
 
 MIN_PIXELS = 40
+"""Fewer pixels tell nothing of the arc."""
+
+MOST_STEPS, SETTLED = 20, 1e-6
+"""Steps of the level's fit at most, and the relative one that is the last."""
 
 
 @dataclass(frozen=True)
@@ -70,21 +76,49 @@ def estimate_arc_level(
         return UNKNOWN
     sensor, tolerance = geometry.setup.sensor, geometry.setup.tolerance
     black_sigma = max(tolerance.black_level_dn * sensor.gain_e_per_dn, 1e-3)
-    A = np.column_stack([m, np.ones_like(m)])
-    prior = np.diag([0.0, black_sigma**-2])
-    x = np.array([max(0.0, float(np.median(e)) / float(np.median(m) + 1e-9)), 0.0])
-    information = prior
-    scaled = np.zeros_like(m)
-    for _ in range(20):
-        mean = A @ x
-        sigma = np.sqrt(np.maximum(mean, 0.0) + geometry.dark_variance_e2 + (MAP_SIGMA * x[0] * m) ** 2)
-        scaled = (e - mean) / sigma
-        weight = np.minimum(1.0, HUBER / np.maximum(np.abs(scaled), 1e-9)) / sigma**2
-        information = A.T @ (weight[:, None] * A) + prior
-        step = np.linalg.solve(information, A.T @ (weight * (e - mean)) - prior @ x)
-        x = x + step
-        x[0] = max(x[0], 0.0)
-        if np.abs(step[0]) < 1e-6 * max(x[0], 1e-3):
+    size = np.empty(len(m))
+    start = max(0.0, float(np.median(e)) / float(np.median(m) + 1e-9))
+    level, sigma, black = _fit_level(m, e, geometry.dark_variance_e2, black_sigma, start, size)
+    misfit = float(np.quantile(size, MISFIT_QUANTILE)) / NORMAL_QUANTILE
+    return ArcLevel(level, sigma, black, misfit)
+
+
+@kernel
+def _fit_level(
+    map_e: Float64,
+    charge_e: Float64,
+    dark_variance_e2: float,
+    black_sigma_e: float,
+    start: float,
+    size: Float64,
+) -> tuple[float, float, float]:
+    """Fit charge = level * map + black to pixels (n,); return the level, its 1 sigma and the black level.
+
+    Weighted least squares with Huber weights; the black level's prior is 0 +- `black_sigma_e`. Writes the
+    residuals' `size` (n,), in their sigmas.
+    """
+    level, black = start, 0.0
+    prior = 1.0 / black_sigma_e**2
+    h_ll, determinant = 0.0, 1.0
+    h_bb = prior
+    for _ in range(MOST_STEPS):
+        h_ll, h_lb, h_bb, g_l, g_b = 0.0, 0.0, prior, 0.0, -prior * black
+        for i in range(map_e.shape[0]):
+            m = map_e[i]
+            mean = level * m + black
+            off = charge_e[i] - mean
+            variance = max(mean, 0.0) + dark_variance_e2 + (MAP_SIGMA * level * m) ** 2
+            size[i] = abs(off) / math.sqrt(variance)
+            weight = min(1.0, HUBER / max(size[i], 1e-9)) / variance
+            h_ll += weight * m * m
+            h_lb += weight * m
+            h_bb += weight
+            g_l += weight * m * off
+            g_b += weight * off
+        determinant = h_ll * h_bb - h_lb * h_lb
+        step = (h_bb * g_l - h_lb * g_b) / determinant
+        level = max(level + step, 0.0)
+        black += (h_ll * g_b - h_lb * g_l) / determinant
+        if abs(step) < SETTLED * max(level, 1e-3):
             break
-    misfit = float(np.quantile(np.abs(scaled), MISFIT_QUANTILE)) / NORMAL_QUANTILE
-    return ArcLevel(float(x[0]), float(np.sqrt(np.linalg.inv(information)[0, 0])), float(x[1]), misfit)
+    return level, math.sqrt(h_bb / determinant), black

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from dataclasses import replace
 
 import numpy as np
 
@@ -13,10 +12,13 @@ from noise_model.setup import Setup
 from noise_model.surface import SeamLine, corrugation_height, seam_frame, seam_height_mm, section
 from tracker import flags
 from tracker.follow import SeamHistory
-from tracker.geometry import SensorGeometry, to_laser_plane
+from tracker.geometry import SensorGeometry
 
 MIN_CROSSING = 0.3
 """The least cosine between the sheet's normal and the seam: below, it shows no section of the joint."""
+
+MOST_STEPS, MET_MM = 20, 1e-9
+"""Steps by which the sheet is met along a corrugated seam at most, and how near to it is on it."""
 
 MAX_HEIGHT = 2.0
 """How high the laser may stand over the surface, over its height above the tool's origin."""
@@ -83,10 +85,13 @@ def seam_point_tool(setup: Setup, view: Scene, y_mm: float, z_mm: float) -> Floa
     direction = T_tool_joint[:3, 0]
     x = float(transform(view.T_joint_tool, _sensor_point(setup))[0])
     point = np.zeros(3)
-    for _ in range(20):
+    for _ in range(MOST_STEPS):
         height = float(corrugation_height(np.array(x), view.shape.corrugation))
         point = transform(T_tool_joint, np.array([x, y_mm, z_mm + height]))
-        x -= float((plane[:3] @ point + plane[3]) / (plane[:3] @ direction))
+        step = float((plane[:3] @ point + plane[3]) / (plane[:3] @ direction))
+        if abs(step) < MET_MM:
+            break
+        x -= step
     return point
 
 
@@ -104,20 +109,14 @@ def hand_eye_variance(setup: Setup, nominal: Scene, seam_tool: Float64) -> Float
 
     Each of the camera's three rotations and translations is off by its 1 sigma in turn; what is seen is kept.
     """
-    camera, tolerance = setup.camera, setup.tolerance
-    image = camera.project(transform(invert(camera.T_tool_camera), seam_tool[None, :]))
-    total = np.zeros(2)
-    R_joint_tool = nominal.T_joint_tool[:3, :3]
-    angle = math.radians(tolerance.hand_eye_deg)
-    for axis in range(6):
-        T_camera_moved = np.eye(4)
-        if axis < 3:
-            a, b = [(1, 2), (2, 0), (0, 1)][axis]
-            T_camera_moved[a, b], T_camera_moved[b, a] = -angle, angle
-        else:
-            T_camera_moved[axis - 3, 3] = tolerance.hand_eye_mm
-        turned = replace(camera, T_tool_camera=camera.T_tool_camera @ T_camera_moved)
-        point, _ = to_laser_plane(replace(setup, camera=turned), image)
-        shift = R_joint_tool @ (point[0] - seam_tool)
-        total += shift[1:] ** 2
-    return total
+    tolerance, plane = setup.tolerance, np.asarray(setup.laser.plane_in_tool)
+    R_tool_camera, origin = setup.camera.T_tool_camera[:3, :3], setup.camera.T_tool_camera[:3, 3]
+    seen = (seam_tool - origin) @ R_tool_camera
+    # A camera that turns by a small angle about its axes turns the ray by their cross products with it.
+    turns = math.radians(tolerance.hand_eye_deg) * np.cross(np.eye(3), seen)
+    moved = tolerance.hand_eye_mm * np.eye(3)
+    origins = origin + np.concatenate([np.zeros((3, 3)), moved]) @ R_tool_camera.T
+    rays = (seen + np.concatenate([turns, np.zeros((3, 3))])) @ R_tool_camera.T
+    t = -(origins @ plane[:3] + plane[3]) / (rays @ plane[:3])
+    shifts = (origins + t[:, np.newaxis] * rays - seam_tool) @ nominal.T_joint_tool[:3, :3].T
+    return np.asarray(np.sum(shifts[:, 1:] ** 2, axis=0))

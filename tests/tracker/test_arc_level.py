@@ -6,6 +6,9 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+import twins
+from hypothesis import given, settings
+from hypothesis import strategies as st
 from rendered import SEED, frame_of, pose_at, small_setup
 
 from noise_model.arc_map import arc_kernel, scene
@@ -13,7 +16,7 @@ from noise_model.condition import Condition
 from noise_model.forward import predict
 from noise_model.sensor import expose
 from noise_model.setup import Setup
-from tracker.arc_level import UNKNOWN, ArcLevel, estimate_arc_level
+from tracker.arc_level import UNKNOWN, ArcLevel, _fit_level, estimate_arc_level
 from tracker.expected import expect_stripe
 from tracker.geometry import SensorGeometry
 from tracker.state import Frame, Pose
@@ -58,6 +61,21 @@ def test_the_level_is_found_within_its_sigma(geometry: SensorGeometry, level: fl
     assert (np.abs(errors) < 4.0 * sigmas).all()
     assert (sigmas < 0.03 * level).all()
     assert max(arc.misfit for arc in found) < 1.1
+
+
+@settings(deadline=None, max_examples=30)
+@given(st.integers(0, 2**32 - 1), st.floats(0.0, 2.0), st.floats(0.0, 0.1))
+def test_the_fit_is_its_twin(seed: int, level: float, spattered: float) -> None:
+    rng = np.random.default_rng(seed)
+    map_e = rng.uniform(10.0, 9000.0, 300)
+    charge = level * map_e + rng.normal(20.0, 1.0) + rng.normal(0.0, np.sqrt(level * map_e + 2500.0))
+    charge[rng.random(300) < spattered] = 2e4
+    size = np.empty(300)
+    *found, black = _fit_level(map_e, charge, 2500.0, 24.0, 1.0, size)
+    *twin, twin_black, twin_size = twins.arc_level(map_e, charge, 2500.0, 24.0, 1.0)
+    assert found == pytest.approx(twin, rel=1e-3, abs=1e-5)
+    assert black == pytest.approx(twin_black, abs=0.1)
+    np.testing.assert_allclose(size, twin_size, rtol=1e-2, atol=1e-2)
 
 
 def test_spatter_does_not_move_it(geometry: SensorGeometry) -> None:

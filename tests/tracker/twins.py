@@ -9,6 +9,7 @@ import numpy as np
 import numpy.typing as npt
 from scipy.optimize import minimize
 
+from tracker.arc_level import HUBER, MAP_SIGMA
 from tracker.stripe_fit import CORRELATION_PX, EDGE_PX, WIDTH_SIGMA_LN, WINDOW_SIGMAS
 from tracker.stripe_path import GAIN_CAP, JUMP_COST, JUMP_COST_CAP, MISSING_COST
 
@@ -260,3 +261,20 @@ def best_shift(
     rise = np.median(left_over, axis=1)
     best = int(np.argmin(np.minimum(np.abs(left_over - rise[:, None]), limit).sum(axis=1)))
     return float(shifts[best]), float(rise[best])
+
+
+def arc_level(
+    map_e: Float64, charge: Float64, dark: float, black_sigma: float, start: float
+) -> tuple[float, float, float, Float64]:
+    """Huber's fit of a level and a black level by matrices: level, its 1 sigma, black, |residual| / sigma."""
+    A, prior = np.column_stack([map_e, np.ones_like(map_e)]), np.diag([0.0, black_sigma**-2])
+    x, scaled, information = np.array([start, 0.0]), np.zeros_like(map_e), prior
+    for _ in range(100):
+        mean = A @ x
+        sigma = np.sqrt(np.maximum(mean, 0.0) + dark + (MAP_SIGMA * x[0] * map_e) ** 2)
+        scaled = (charge - mean) / sigma
+        weight = np.minimum(1.0, HUBER / np.maximum(np.abs(scaled), 1e-9)) / sigma**2
+        information = A.T @ (weight[:, None] * A) + prior
+        x = x + np.linalg.solve(information, A.T @ (weight * (charge - mean)) - prior @ x)
+        x[0] = max(x[0], 0.0)
+    return float(x[0]), float(np.linalg.inv(information)[0, 0] ** 0.5), float(x[1]), np.abs(scaled)
