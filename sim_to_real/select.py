@@ -249,7 +249,9 @@ def _worth_it(expected: Expected, baseline: Refit, effects: Effects) -> bool:
     )
     before = refit(few, baseline.effects, baseline.nuisance).mean_square
     after = refit(few, effects, baseline.nuisance).mean_square
-    return before - max(after, 1.0) > DEAR_CLOSES * (before - 1.0)
+    # To a few frames alone nuisances may be bent until they leave less than the model's floor.
+    least = 1.0 if before > 1.0 else 0.0
+    return before - max(after, least) > DEAR_CLOSES * (before - least)
 
 
 def _is_resolved(found: Sequence[Candidate], left: float) -> bool:

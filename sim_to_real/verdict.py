@@ -79,7 +79,7 @@ MOST_EFFECTS = 3
 CLOSES = 0.5
 """The share of the gap on frames held out that effects must be able to close if they are named."""
 
-CLEAR_FLOORS = 3.0
+CLEAR_FLOORS = 2.0
 """A gap of so many floors is clearly one."""
 
 SURE = 0.9
@@ -289,7 +289,8 @@ def _several(
         if not screened:
             return None
         further = candidates(expected, chosen.refit, screened, chosen.left, without, on_stage)
-        if further[0].left > RESOLVED and left_over(further[0], baseline) > EXPLAINED:
+        left = further[0].left
+        if left > CLEARLY_LEFT or (left > RESOLVED and left_over(further[0], baseline) > EXPLAINED):
             further = with_dear(expected, chosen.refit, further, without, on_stage)
         if further[0].evidence - chosen.evidence < NAMED_FROM:
             return None
@@ -327,8 +328,11 @@ def not_held_up(decision: Decision, baseline: Candidate, random: Scatter) -> Dec
 def closing(decision: Decision, baseline: Candidate, gap: Gap) -> Decision:
     """Return the verdict if what is named surely closes less than half of the gap held out.
 
-    It is unknown then; or no gap, if the baseline leaves no more than the model may be off.
+    It is unknown then; or no gap, if the baseline leaves no more than the model may be off. A gap that is no
+    larger than the floor is none, whatever would close it.
     """
+    if gap.before <= gap.floor:
+        return replace(decision, verdict=Verdict.NO_GAP, ambiguous=())
     ids = decision.chosen.ids
     # Two or three effects can mimic much of another: they must leave no clear gap.
     mimics = len(ids) > 1 and gap.after > CLEAR_FLOORS * gap.floor

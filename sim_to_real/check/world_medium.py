@@ -19,6 +19,9 @@ from sim_to_real.check.world_effect import (
     magnitude,
 )
 
+Density = Callable[[Float64], Float64]
+"""The fume's density over the even one's, at distances from the arc, mm."""
+
 STEPS = 24
 """Points along a ray at which fume is summed."""
 
@@ -42,26 +45,47 @@ def _plume(frame: FrameLight, p: Values) -> None:
     _fume(frame, p, lambda r: 3.0 * np.exp(-0.5 * (r / p["width_mm"]) ** 2))
 
 
-def _fume(frame: FrameLight, p: Values, density: Callable[[Float64], Float64]) -> None:
-    """Dim and scatter: sums of the fume's density at a distance from the arc along every ray.
+def _fume(frame: FrameLight, p: Values, density: Density) -> None:
+    """Dim and scatter by the fume along every ray.
 
-    The airlight in the middle of the image is `airlight_share` of full well at the nominal current.
+    From a level pose at nominal height the airlight in the middle of the image is `airlight_share` of full
+    well at the nominal current: how much the fume scatters does not change with the pose.
     """
-    sight, body = frame.sight, frame.body
+    sight, body, setup = frame.sight, frame.body, frame.studio.world.setup
     far = float(np.linalg.norm(body.center_mm - sight.eye_mm))
     length = np.nan_to_num(sight.distance_mm.ravel(), nan=far)
-    optical, air = np.zeros(len(length)), np.zeros(len(length))
-    for step in (np.arange(STEPS) + 0.5) / STEPS:
-        at = sight.eye_mm + (step * length)[:, np.newaxis] * sight.directions
-        r = np.linalg.norm(at - body.center_mm, axis=1)
-        rho = density(r) * length / STEPS
-        optical += rho
-        air += rho / np.maximum(r, body.radius_mm) ** 2
+    optical, air = fume_along(sight.eye_mm, sight.directions, length, body.center_mm, body.radius_mm, density)
     optical, air = optical.reshape(sight.shape), sight.cos4.reshape(sight.shape) * air.reshape(sight.shape)
-    full_well_e = frame.studio.world.setup.sensor.full_well_e
-    middle = air[sight.shape[0] // 2, sight.shape[1] // 2]
+
+    eye, axis = setup.camera.T_tool_camera[:3, 3], setup.camera.T_tool_camera[:3, 2]
+    to_plate = np.array([-eye[2] / axis[2]])
+    center = np.asarray(setup.arc.center_in_tool_mm)
+    _, middle = fume_along(eye, axis[np.newaxis], to_plate, center, setup.arc.radius_mm, density)
     frame.scale(np.exp(-1e-3 * p["extinction_per_m"] * optical))
-    frame.arc = frame.arc + frame.moment.arc_level * p["airlight_share"] * full_well_e * air / middle
+    scattered_e = p["airlight_share"] * setup.sensor.full_well_e / float(middle[0])
+    frame.arc = frame.arc + frame.moment.arc_level * scattered_e * air
+
+
+def fume_along(
+    eye_mm: Float64,
+    directions: Float64,
+    length_mm: Float64,
+    arc_mm: Float64,
+    arc_radius_mm: float,
+    density: Density,
+) -> tuple[Float64, Float64]:
+    """Return sums of the fume's density, mm, and of density / r^2, 1/mm, along rays (n, 3) of lengths (n,).
+
+    r is the distance from the arc, within whose radius there is no fume.
+    """
+    optical, air = np.zeros(len(length_mm)), np.zeros(len(length_mm))
+    for step in (np.arange(STEPS) + 0.5) / STEPS:
+        at = eye_mm + (step * length_mm)[:, np.newaxis] * directions
+        r = np.linalg.norm(at - arc_mm, axis=1)
+        rho = density(r) * length_mm / STEPS
+        optical += rho
+        air += rho / np.maximum(r, arc_radius_mm) ** 2
+    return optical, air
 
 
 def _draw_spatter(draw: Generator, strength: float, setup: Setup) -> dict[str, float]:

@@ -6,6 +6,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+from sim_to_real import select
 from sim_to_real.held import left_in_pixels
 from sim_to_real.refit import followed, refit
 from sim_to_real.select import ALIKE_NATS, Candidate, beyond_form, likelihood_nats, told_apart
@@ -122,3 +123,22 @@ def test_in_pixels_the_right_effect_leaves_little_of_what_the_baseline_does(tmp_
     with_it = refit(expected, {"gamma": {"gamma": 1.2}}, expected.neutral)
     of_gap, of_right = left_in_pixels(expected.observed, expected, [without, with_it], {})
     assert 20.0 * of_right < of_gap
+
+
+@pytest.mark.parametrize(
+    ("before", "after", "is_worth_it"),
+    [(5.0, 1.0, True), (5.0, 4.0, False), (1.5, 0.4, True), (0.93, 0.47, True), (0.93, 0.8, False)],
+)
+def test_what_is_dear_is_fitted_where_it_closes_a_good_part_in_a_few_frames(
+    monkeypatch, before, after, is_worth_it
+):
+    """Of a few frames the nuisances may leave less than the floor: then it is a part of all that is left."""
+    few = SimpleNamespace()
+    observed = SimpleNamespace(lit=np.ones(8, dtype=bool), frames=range(8))
+    expected = SimpleNamespace(observed=observed, some=lambda chosen: few)
+    left = {frozenset(): before, frozenset({"interreflection"}): after}
+    monkeypatch.setattr(
+        select, "refit", lambda of, effects, _: SimpleNamespace(mean_square=left[frozenset(effects)])
+    )
+    baseline = SimpleNamespace(effects={}, nuisance=None)
+    assert select._worth_it(expected, baseline, {"interreflection": {}}) is is_worth_it

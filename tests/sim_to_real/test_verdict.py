@@ -145,12 +145,20 @@ def test_an_effect_that_surely_closes_less_than_half_is_not_named():
     assert closing(named, candidate(left=0.9), gap(4.0, (0.1, 0.4))).verdict is Verdict.NO_GAP
 
 
+def test_a_gap_below_the_floor_is_none_whatever_closes_it():
+    small = gap(0.05, (0.9, 1.0), before=0.19)
+    for verdict in (Verdict.EFFECTS, Verdict.AMBIGUOUS, Verdict.UNKNOWN):
+        assert closing(decision(verdict, "fume"), candidate(left=1.2), small).verdict is Verdict.NO_GAP
+    seen = gap(0.05, (0.9, 1.0), before=0.21)
+    assert closing(decision(Verdict.EFFECTS, "fume"), candidate(left=1.2), seen).verdict is Verdict.EFFECTS
+
+
 def test_several_effects_must_leave_no_clear_gap_and_one_may():
     left, baseline = gap(0.9, (0.8, 0.9)), candidate(left=9.0)
     one, two = decision(Verdict.EFFECTS, "fume"), decision(Verdict.EFFECTS, "fume", "gamma")
     assert closing(two, baseline, left).verdict is Verdict.UNKNOWN
     assert closing(one, baseline, left).verdict is Verdict.EFFECTS
-    assert closing(two, baseline, gap(0.5, (0.8, 1.0))).verdict is Verdict.EFFECTS
+    assert closing(two, baseline, gap(0.39, (0.8, 1.0))).verdict is Verdict.EFFECTS
 
 
 @pytest.mark.parametrize(("left", "verdict"), [(1.2, Verdict.NO_GAP), (9.0, Verdict.UNKNOWN)])
