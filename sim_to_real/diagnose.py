@@ -40,7 +40,7 @@ from tracker.state import Frame
 HELD, LEFT_ASIDE = 0.25, 0.34
 """The share of frames held out of everything, and of the others that which is left out while choosing."""
 
-RELIABLE = 0.9
+RELIABLE = 0.95
 """Of the effects that were named first and for sure in blind recordings about so many were there.
 
 Another form of an effect, or one outside the catalogue, can be mimicked: docs/blind_check.md has the figures.

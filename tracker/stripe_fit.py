@@ -250,10 +250,10 @@ def fit_line(
 
     ln_w0 = math.log(width)
     position, ln_w, w, unit, b1 = start - low, ln_w0, width, width, 0.0
-    x[0], x[2], x[3] = max(amplitude, 1.0), ln_w, 0.0
+    x[0], x[3] = max(amplitude, 1.0), 0.0
     chi2, used = 0.0, 0.0
     for _ in range(MOST_STEPS):
-        x[1], x[4] = position / w, b1 * w
+        x[1], x[2], x[4] = position / w, ln_w, b1 * w
         chi2, used = _normal_equations(charge, background, censored, ramp, x, w, shot, dark_variance, H, g)
         off = (ln_w - ln_w0) / WIDTH_SIGMA_LN
         known_b0, known_b1 = 1.0 / sigma_b0**2, 1.0 / (sigma_b1 * w) ** 2
