@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 import twins
-from hypothesis import given, settings
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from profiles import groove, lap, measure, spoil
 
@@ -18,6 +18,7 @@ seeds = st.integers(0, 2**32 - 1)
 
 @settings(deadline=None, max_examples=25)
 @given(seeds, st.sampled_from([GROOVE, SHEETS]), st.floats(0.0, 0.2))
+@example(16040162, GROOVE, 0.0625)
 def test_the_fit_is_its_twin(seed: int, shape: int, wrong: float) -> None:
     rng = np.random.default_rng(seed)
     tan = float(np.tan(np.radians(30.0)))

@@ -227,7 +227,7 @@ def bisquare_fit(
     wide: float,
 ) -> tuple[Float64, Float64, float, Float64]:
     """Tukey's bisquare fit of heights, all derivatives numerical: parameters, covariance, chi2, weights."""
-    n, p, h = len(prior_sigma), start.copy(), 1e-5
+    n, p, h = len(prior_sigma), start.copy(), 1e-7
 
     def off(p: Float64) -> tuple[Float64, Float64]:
         slope = (height(p, y + h) - height(p, y - h)) / (2.0 * h)
