@@ -43,12 +43,11 @@ def steger(image: npt.NDArray[np.integer], width_px: float) -> Float64:
     is_line = (across < 0.0) & (np.abs(t * n_u) <= 0.6) & (np.abs(t * n_v) <= 0.6)
     strength = np.where(is_line, -across, -np.inf)
     row = np.argmax(strength, axis=0)
-    columns = np.arange(image.shape[1])
+    at = row, np.arange(image.shape[1])
+    t, n_u, n_v = t[at], n_u[at], n_v[at]
     # The line runs on through the column: its row there.
-    shift = (t * n_v)[row, columns] + (t * n_u)[row, columns] * (n_u / np.where(n_v == 0.0, 1.0, n_v))[
-        row, columns
-    ]
-    return np.where(np.isfinite(strength[row, columns]), row + shift, np.nan)
+    shift = t * n_v + t * n_u * n_u / np.where(n_v == 0.0, 1.0, n_v)
+    return np.where(np.isfinite(strength[at]), row + shift, np.nan)
 
 
 def centroid(image: npt.NDArray[np.integer], width_px: float) -> Float64:

@@ -31,7 +31,7 @@ from noise_model.arc_disc import (
 from noise_model.arc_metal import Metal, chord_parts, is_clear, open_range
 from noise_model.brdf import LobeNumbers, reflected
 from noise_model.frames import Float64
-from noise_model.kernel import kernel
+from noise_model.kernel import REDUCTION, kernel
 
 MAX_NODES_P, MAX_NODES_Q = 32, 16
 """The most nodes across one piece of the disc and up one chord."""
@@ -67,7 +67,7 @@ def gauss_nodes() -> Float64:
     return rules
 
 
-@kernel(fastmath={"reassoc", "contract", "arcp", "nsz"})
+@kernel(fastmath=REDUCTION)
 def _sum_round(
     points: Float64,
     n: int,

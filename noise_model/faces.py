@@ -38,6 +38,21 @@ def strip(face: int, vertices: Float64) -> Strip:
 
 
 @kernel
+def face_under(y: float, face: int, vertices: Float64) -> int:
+    """Return the face of a section (n, 2), y rising, under y; it is sought from one on that is not beyond."""
+    while face < vertices.shape[0] - 2 and y >= vertices[face + 1, 0]:
+        face += 1
+    return face
+
+
+@kernel
+def slope_across(face: int, vertices: Float64) -> float:
+    """Return dz/dy of a face, 0 of a wall."""
+    width = vertices[face + 1, 0] - vertices[face, 0]
+    return (vertices[face + 1, 1] - vertices[face, 1]) / width if width > 0.0 else 0.0
+
+
+@kernel
 def across(P: Vector, on: Strip, corrugation: Float64) -> float:
     """Return a point's way s across a strip."""
     y_0, z_0, ty, tz, _ = on

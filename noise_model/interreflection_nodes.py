@@ -24,6 +24,7 @@ from noise_model.faces import face_point, ridge, slanted, strip
 from noise_model.frames import Float64
 from noise_model.interreflection_light import Place, sees
 from noise_model.kernel import kernel
+from noise_model.laser import depth_below
 
 Rule = tuple[Float64, Float64]
 
@@ -129,12 +130,7 @@ def stripe_at(k: Place, face: int, s: float) -> tuple[float, float]:
         if abs(climb) < LEAST_SLOPE:
             return math.nan, math.nan
         x -= (n_x * x + n_z * c + at_zero) / climb
-    up = k.sheet.tool_up
-    depth = (
-        (k.sheet.origin[0] - x) * up[0]
-        + (k.sheet.origin[1] - y) * up[1]
-        + (k.sheet.origin[2] - z - c) * up[2]
-    )
+    depth = depth_below(k.sheet, (x, y, z + c))
     return x, k.sheet.sigma * depth / k.sheet.stand / abs(climb)
 
 

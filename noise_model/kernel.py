@@ -13,6 +13,9 @@ Function = TypeVar("Function", bound=Callable[..., Any])
 # is compiled with it must not make arrays.
 NO_REFERENCE_COUNTS = {"_nrt": False}
 
+REDUCTION = frozenset({"reassoc", "contract", "arcp", "nsz"})
+"""Liberties by which LLVM sums many terms at once; NaN stays NaN."""
+
 
 @overload
 def kernel(function: Function) -> Function: ...

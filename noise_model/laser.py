@@ -72,6 +72,14 @@ def sheet_of(laser: Laser, T_joint_tool: Float64) -> Sheet:
     )
 
 
+@kernel(inline=True)
+def depth_below(sheet: Sheet, Q: Vector) -> float:
+    """Return how far a point lies below the laser's origin along the tool's axis, mm."""
+    up, origin = sheet.tool_up, sheet.origin
+    depth: float = (origin[0] - Q[0]) * up[0] + (origin[1] - Q[1]) * up[1] + (origin[2] - Q[2]) * up[2]
+    return depth
+
+
 @kernel
 def sheet_reflected(
     sheet: Sheet, material: LobeNumbers, Q: Vector, normal: Vector, omega_r: Vector, reach: float = math.inf
@@ -81,7 +89,7 @@ def sheet_reflected(
     It is 0 more than `reach` sigmas of the sheet away. Hidden points are the caller's to exclude.
     """
     wx, wy, wz = sheet.origin[0] - Q[0], sheet.origin[1] - Q[1], sheet.origin[2] - Q[2]
-    depth = wx * sheet.tool_up[0] + wy * sheet.tool_up[1] + wz * sheet.tool_up[2]
+    depth = depth_below(sheet, Q)
     distance = math.sqrt(wx * wx + wy * wy + wz * wz)
     wx, wy, wz = wx / distance, wy / distance, wz / distance
     cos_i = wx * normal[0] + wy * normal[1] + wz * normal[2]

@@ -52,6 +52,10 @@ class Ranked:
     gap_closed: float
 
 
+CLEAR_FLOORS = 2.0
+"""A gap of more floors is clearly one."""
+
+
 @dataclass(frozen=True)
 class Gap:
     """sqrt(mean r^2 - 1) of whitened residuals on frames held out of the fit, and their rms, DN.
@@ -67,6 +71,11 @@ class Gap:
     ci95: tuple[float, float]
     rms_dn: tuple[float, float]
     seam_mm: tuple[float, float]
+
+    @property
+    def is_left(self) -> bool:
+        """Whether clearly a gap is left after."""
+        return self.after > CLEAR_FLOORS * self.floor
 
 
 @dataclass(frozen=True, eq=False)

@@ -79,9 +79,6 @@ MOST_EFFECTS = 3
 CLOSES = 0.5
 """The share of the gap on frames held out that effects must be able to close if they are named."""
 
-CLEAR_FLOORS = 2.0
-"""A gap of so many floors is clearly one."""
-
 SURE = 0.9
 """A candidate that is less probable than this is not named alone."""
 
@@ -179,20 +176,23 @@ def decide(
         return said(Verdict.NO_GAP, baseline)
     if gained < NAMED_FROM:
         return said(without_help(baseline), baseline)
-    if by_chance and _left_in_pixels(baseline, in_pixels) <= SHOWN_FROM:
+    if by_chance and _asked(baseline, in_pixels).left_in_pixels <= SHOWN_FROM:
         return said(Verdict.NO_GAP, baseline)
-    if explained and _left_in_pixels(singles[0], in_pixels) > AT_FLOOR:
-        # Pixels are finer than bins: a fit that has not quite settled shows in them.
-        singles = (_again(expected, singles[0]), *singles[1:])
     best = singles[0]
+    if explained:
+        best = _asked(best, in_pixels)
+        if best.left_in_pixels > AT_FLOOR:
+            # Pixels are finer than bins: a fit that has not quite settled shows in them.
+            best = _asked(_again(expected, best), in_pixels)
+        singles = (best, *singles[1:])
     several = _beside(expected, baseline, best, explained, without, in_pixels, on_stage)
-    rivals = rivals_of(singles)
+    rivals = _rivals(singles)
     is_likely = (p >= IN_SET) | rivals
     likely = tuple(single.ids[0] for single, is_one in zip(singles, is_likely, strict=True) if is_one)
     if explained and (several is None or len(several.ids) == 1):
         if len(likely) == 1 or (p[0] >= SURE and not rivals.any()):
             return said(Verdict.EFFECTS, best)
-        even = among_rivals(p, rivals)
+        even = _among_rivals(p, rivals)
         return replace(said(Verdict.AMBIGUOUS, best, likely), sure=float(even[0]), confidence=even)
     if several is None:
         return said(Verdict.UNKNOWN, best)
@@ -202,8 +202,8 @@ def decide(
     return said(Verdict.EFFECTS, several)
 
 
-def rivals_of(singles: Sequence[Candidate]) -> Bool:
-    """Return which effects (n,) stay in question beside the likeliest, the first: what is said of likelihood.
+def _rivals(singles: Sequence[Candidate]) -> Bool:
+    """Return which effects (n,) stay in question beside the likeliest, the first, however improbable.
 
     They explain all that there is, though at a higher price, where the likeliest does not.
     """
@@ -211,7 +211,7 @@ def rivals_of(singles: Sequence[Candidate]) -> Bool:
     return np.array([is_left and single.left <= RESOLVED for single in singles])
 
 
-def among_rivals(confidence: Float64, rivals: Bool) -> Float64:
+def _among_rivals(confidence: Float64, rivals: Bool) -> Float64:
     """Return confidences (n,) in which the first has no more than each of its rivals: they share evenly."""
     alike = rivals.copy()
     alike[0] = True
@@ -232,22 +232,27 @@ def _beside(
     in_pixels: Callable[[Sequence[Refit]], Float64],
     on_stage: Callable[[str, float], None],
 ) -> Candidate | None:
-    """Return what explains the gap together with the best effect, where that leaves something; or None."""
+    """Return what explains the gap together with the best effect, where that leaves something; or None.
+
+    Of a best effect that explains the gap the pixels have been asked.
+    """
     if not explained or best.left > CLEARLY_LEFT:
         return _several(expected, baseline, best, without, on_stage)
-    shown = _left_in_pixels(best, in_pixels)
-    if shown <= AT_FLOOR:
+    if best.left_in_pixels <= AT_FLOOR:
         return None
     several = _several(expected, baseline, best, without, on_stage)
-    # If others do not halve it, it is the effect's form that pixels show.
-    if several is not None and _left_in_pixels(several, in_pixels) - 1.0 > HALVES * (shown - 1.0):
+    if several is None:
         return None
-    return several
+    # If others do not halve it, it is the effect's form that pixels show.
+    left = _asked(several, in_pixels).left_in_pixels - 1.0
+    return None if left > HALVES * (best.left_in_pixels - 1.0) else several
 
 
-def _left_in_pixels(of: Candidate, in_pixels: Callable[[Sequence[Refit]], Float64]) -> float:
-    """Return what a candidate leaves in pixels, which may not have been asked yet."""
-    return float(in_pixels([of.refit])[0]) if math.isnan(of.left_in_pixels) else of.left_in_pixels
+def _asked(of: Candidate, in_pixels: Callable[[Sequence[Refit]], Float64]) -> Candidate:
+    """Return a candidate of which it is known what it leaves in pixels."""
+    if not math.isnan(of.left_in_pixels):
+        return of
+    return replace(of, left_in_pixels=float(in_pixels([of.refit])[0]))
 
 
 def with_random(decision: Decision, baseline: Candidate, random: Scatter) -> Decision:
@@ -335,7 +340,7 @@ def closing(decision: Decision, baseline: Candidate, gap: Gap) -> Decision:
         return replace(decision, verdict=Verdict.NO_GAP, ambiguous=())
     ids = decision.chosen.ids
     # Two or three effects can mimic much of another: they must leave no clear gap.
-    mimics = len(ids) > 1 and gap.after > CLEAR_FLOORS * gap.floor
+    mimics = len(ids) > 1 and gap.is_left
     if mimics or (ids and gap.ci95[1] < CLOSES):
         verdict = Verdict.UNKNOWN if baseline.left > 1.0 else Verdict.NO_GAP
         return replace(decision, verdict=verdict, ambiguous=())

@@ -11,9 +11,10 @@ import numpy.typing as npt
 
 from noise_model.arc_map import Scene
 from noise_model.brdf import LobeNumbers, lobe_numbers
+from noise_model.faces import face_normal, face_under, ridge, slope_across
 from noise_model.frames import Float64, invert
 from noise_model.kernel import kernel
-from noise_model.laser import Sheet, sheet_of, sheet_reflected
+from noise_model.laser import Sheet, depth_below, sheet_of, sheet_reflected
 from noise_model.optics import Camera
 from tracker.geometry import SensorGeometry
 
@@ -27,9 +28,6 @@ SAMPLES = 481
 
 BESIDE_MM = 1e-6
 """The stripe is looked at so near to either side of each corner."""
-
-RISE_STEP_MM = 1e-3
-"""The step of a corrugation's slope."""
 
 MOST_STEPS, MET_MM = 20, 1e-9
 """Steps by which a plane is met on a corrugation at most; one that is shorter is the last."""
@@ -105,21 +103,9 @@ def expect_stripe(geometry: SensorGeometry, view: Scene) -> ExpectedStripe | Non
 
 
 @kernel
-def _height(x: float, corrugation: Float64) -> float:
-    """Return a corrugation's height, mm, see `noise_model.surface.corrugation_height`."""
-    height, width, pitch = corrugation[0], corrugation[1], corrugation[2]
-    if height == 0.0:
-        return 0.0
-    u = x - pitch * round(x / pitch)
-    if abs(u) >= 0.5 * width:
-        return 0.0
-    return float(0.5 * height * (1.0 + math.cos(2.0 * math.pi * u / width)))
-
-
-@kernel
 def _cut_and_project(
     y: Float64,
-    strip: Int64,
+    face: Int64,
     vertices: Float64,
     corrugation: Float64,
     sheet: Sheet,
@@ -133,7 +119,7 @@ def _cut_and_project(
 ) -> bool:
     """Cut a plane `shift_mm` beside the sheet with the section at y (n,) and look at it.
 
-    `strip` (n,) are the faces that the points lie on. Writes the image points `at` (n, 2) as (scan,
+    `face` (n,) are the faces that the points lie on. Writes the image points `at` (n, 2) as (scan,
     position) and the stripe's `light` there, the sheet's own Gaussian divided out. False if a point lies
     behind the camera.
     """
@@ -141,21 +127,16 @@ def _cut_and_project(
     k1, k2, p1, p2, k3 = lens.distortion
     x = start_x
     for i in range(y.shape[0]):
-        k = strip[i]
-        width = vertices[k + 1, 0] - vertices[k, 0]
-        slope = (vertices[k + 1, 1] - vertices[k, 1]) / width if width > 0.0 else 0.0
-        plain = vertices[k, 1] + slope * (y[i] - vertices[k, 0])
+        k = face[i]
+        plain = vertices[k, 1] + slope_across(k, vertices) * (y[i] - vertices[k, 0])
         for _ in range(MOST_STEPS):
-            met = -(ny * y[i] + nz * (plain + _height(x, corrugation)) + d) / nx
+            met = -(ny * y[i] + nz * (plain + ridge(x, corrugation)[0]) + d) / nx
             moved = abs(met - x)
             x = met
             if moved < MET_MM:
                 break
-        rise = _height(x + RISE_STEP_MM, corrugation) - _height(x - RISE_STEP_MM, corrugation)
-        slope_x = rise / (2.0 * RISE_STEP_MM)
-        length = math.sqrt(slope_x * slope_x + slope * slope + 1.0)
-        normal = (-slope_x / length, -slope / length, 1.0 / length)
-        P = (x, y[i], plain + _height(x, corrugation))
+        normal = face_normal(k, x, vertices, corrugation)
+        P = (x, y[i], plain + ridge(x, corrugation)[0])
 
         T = lens.T_camera_joint
         depth = T[2, 0] * P[0] + T[2, 1] * P[1] + T[2, 2] * P[2] + T[2, 3]
@@ -172,10 +153,8 @@ def _cut_and_project(
         wx, wy, wz = lens.place[0] - P[0], lens.place[1] - P[1], lens.place[2] - P[2]
         distance = math.sqrt(wx * wx + wy * wy + wz * wz)
         omega_r = (wx / distance, wy / distance, wz / distance)
-        down = 0.0
-        for j in range(3):
-            down += (sheet.origin[j] - P[j]) * sheet.tool_up[j]
-        off = (nx * P[0] + ny * P[1] + nz * P[2] + sheet.plane[3]) * sheet.stand / (sheet.sigma * down)
+        off = nx * P[0] + ny * P[1] + nz * P[2] + sheet.plane[3]
+        off *= sheet.stand / (sheet.sigma * depth_below(sheet, P))
         gaussian = math.exp(-0.5 * off * off)
         lit = sheet_reflected(sheet, material, P, normal, omega_r)
         light[i] = lit / gaussian if gaussian > 0.0 else 0.0
@@ -183,7 +162,7 @@ def _cut_and_project(
 
 
 @kernel(allocates=True)
-def _samples(vertices: Float64, middle_mm: float, y: Float64, strip: Int64) -> None:
+def _samples(vertices: Float64, middle_mm: float, y: Float64, face: Int64) -> None:
     """Write the places y (n,), rising, at which the section is looked at, and the faces that they lie on."""
     n_inner = vertices.shape[0] - 2
     for i in range(SAMPLES):
@@ -192,16 +171,15 @@ def _samples(vertices: Float64, middle_mm: float, y: Float64, strip: Int64) -> N
         y[SAMPLES + 2 * k] = vertices[k + 1, 0] - BESIDE_MM
         y[SAMPLES + 2 * k + 1] = vertices[k + 1, 0] + BESIDE_MM
     y.sort()
-    k = 0
+    under = 0
     for i in range(y.shape[0]):
-        while k < vertices.shape[0] - 2 and y[i] >= vertices[k + 1, 0]:
-            k += 1
-        strip[i] = k
+        under = face_under(y[i], under, vertices)
+        face[i] = under
 
 
 @kernel(allocates=True)
 def _per_line(
-    at: Float64, light: Float64, strip: Int64, position: Float64, strength: Float64, face: Int64
+    at: Float64, light: Float64, face: Int64, position: Float64, strength: Float64, shown: Int64
 ) -> bool:
     """Read a trace (n, 2) off at every scan line: place, light and face, -1 between two; ends are held.
 
@@ -220,7 +198,7 @@ def _per_line(
         share = min(max((s - at[left, 0]) / span, 0.0), 1.0) if span > 0.0 else 0.0
         position[s] = (1.0 - share) * at[left, 1] + share * at[right, 1]
         strength[s] = (1.0 - share) * light[left] + share * light[right]
-        face[s] = strip[left] if strip[left] == strip[right] else -1
+        shown[s] = face[left] if face[left] == face[right] else -1
     return True
 
 
@@ -241,18 +219,18 @@ def _expect(
     """Write an expected stripe (n_scan,), see `expect_stripe`; False where it is out of view."""
     n_scan = position.shape[0]
     n = SAMPLES + 2 * (vertices.shape[0] - 2)
-    y, strip = np.empty(n), np.empty(n, dtype=np.int64)
-    _samples(vertices, tool_mm[1], y, strip)
+    y, face = np.empty(n), np.empty(n, dtype=np.int64)
+    _samples(vertices, tool_mm[1], y, face)
     at, light = np.empty((n, 2)), np.empty(n)
     places, strengths = np.empty((3, n_scan)), np.empty((3, n_scan))
     faces = np.empty((3, n_scan), dtype=np.int64)
     for side in range(3):
         shift = (side - 1.0) * sheet.sigma
         if not _cut_and_project(
-            y, strip, vertices, corrugation, sheet, shift, tool_mm[0], lens, material, along_rows, at, light
+            y, face, vertices, corrugation, sheet, shift, tool_mm[0], lens, material, along_rows, at, light
         ):
             return False
-        if not _per_line(at, light, strip, places[side], strengths[side], faces[side]):
+        if not _per_line(at, light, face, places[side], strengths[side], faces[side]):
             return False
     good = np.empty(n_scan, dtype=np.bool_)
     for s in range(n_scan):

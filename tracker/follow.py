@@ -88,7 +88,7 @@ class SeamHistory:
         """Return the displacement, its 1 sigma and the seam's slope, (2,) each, at a station."""
         order = np.argsort(self.stations_mm, kind="stable")
         value, sigma, slope = np.empty((3, 2))
-        condition(
+        _condition(
             self.stations_mm[order],
             self.displacements_mm[order],
             self.variances_mm2[order],
@@ -101,10 +101,11 @@ class SeamHistory:
 
 
 N_STATES = 5
+"""The bend and its slope, the whole seam's displacement, and bend and slope where the answer is asked for."""
 
 
 @kernel(allocates=True)
-def condition(
+def _condition(
     stations_mm: Float64,
     displacements_mm: Float64,
     variances_mm2: Float64,
@@ -115,8 +116,8 @@ def condition(
 ) -> None:
     """Write displacement, 1 sigma and slope (2,) at a station, as measurements at stations (n,) leave them.
 
-    The stations rise; displacements and variances are (n, 2). The states are the bend, its slope, the whole
-    seam's displacement, and bend and slope where the answer is asked for, which stay once they are passed.
+    The stations rise; displacements and variances are (n, 2). The last two of the states stay once the
+    station that is asked for is passed.
     """
     n = len(stations_mm)
     decay = math.sqrt(3.0) / BEND_LENGTH_MM
@@ -170,7 +171,7 @@ def _predict(m: Float64, P: Float64, A: Float64, decay: float, moved_mm: float) 
         P[0, j], P[1, j] = A[0, 0] * P[0, j] + A[0, 1] * P[1, j], A[1, 0] * P[0, j] + A[1, 1] * P[1, j]
     for j in range(N_STATES):
         P[j, 0], P[j, 1] = A[0, 0] * P[j, 0] + A[0, 1] * P[j, 1], A[1, 0] * P[j, 0] + A[1, 1] * P[j, 1]
-    # What the process gains is what the step takes from its stationary variance, diag(s^2, (lambda s)^2).
+    # What the process gains is what the step takes from its stationary variance, diag(s^2, (q s)^2).
     value, slope = BEND_SIGMA_MM**2, (decay * BEND_SIGMA_MM) ** 2
     cross = A[0, 0] * A[1, 0] * value + A[0, 1] * A[1, 1] * slope
     P[0, 0] += value - A[0, 0] ** 2 * value - A[0, 1] ** 2 * slope

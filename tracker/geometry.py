@@ -81,17 +81,24 @@ class SensorGeometry:
         return points_px if self.along_rows else points_px[:, ::-1]
 
 
+def meet_laser_plane(setup: Setup, origins_tool: Float64, rays_tool: Float64) -> Float64:
+    """Return where rays (n, 3) from origins (3,) or (n, 3), mm, meet the laser plane, tool frame.
+
+    A ray that runs away from the plane gives NaN.
+    """
+    plane = np.asarray(setup.laser.plane_in_tool)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        t = -(origins_tool @ plane[:3] + plane[3]) / (rays_tool @ plane[:3])
+    t = np.where(t > 0.0, t, np.nan)
+    return np.asarray(origins_tool + t[:, None] * rays_tool)
+
+
 def to_laser_plane(setup: Setup, image_points_px: Float64) -> tuple[Float64, Float64]:
     """Return where image points (n, 2) meet the laser plane, (n, 3) mm, tool frame, and their rays (n, 3).
 
     A ray that runs away from the plane gives NaN.
     """
     camera = setup.camera
-    plane = np.asarray(setup.laser.plane_in_tool)
     xy = camera.normalised(image_points_px)
     rays_tool = np.column_stack([xy, np.ones(len(xy))]) @ camera.T_tool_camera[:3, :3].T
-    origin = camera.T_tool_camera[:3, 3]
-    with np.errstate(divide="ignore", invalid="ignore"):
-        t = -(plane[:3] @ origin + plane[3]) / (rays_tool @ plane[:3])
-    t = np.where(t > 0.0, t, np.nan)
-    return origin + t[:, None] * rays_tool, rays_tool
+    return meet_laser_plane(setup, camera.T_tool_camera[:3, 3], rays_tool), rays_tool

@@ -12,7 +12,7 @@ from noise_model.setup import Setup
 from noise_model.surface import SeamLine, corrugation_height, seam_frame, seam_height_mm, section
 from tracker import flags
 from tracker.follow import SeamHistory
-from tracker.geometry import SensorGeometry
+from tracker.geometry import SensorGeometry, meet_laser_plane
 
 MIN_CROSSING = 0.3
 """The least cosine between the sheet's normal and the seam: below, it shows no section of the joint."""
@@ -109,7 +109,7 @@ def hand_eye_variance(setup: Setup, nominal: Scene, seam_tool: Float64) -> Float
 
     Each of the camera's three rotations and translations is off by its 1 sigma in turn; what is seen is kept.
     """
-    tolerance, plane = setup.tolerance, np.asarray(setup.laser.plane_in_tool)
+    tolerance = setup.tolerance
     R_tool_camera, origin = setup.camera.T_tool_camera[:3, :3], setup.camera.T_tool_camera[:3, 3]
     seen = (seam_tool - origin) @ R_tool_camera
     # A camera that turns by a small angle about its axes turns the ray by their cross products with it.
@@ -117,6 +117,6 @@ def hand_eye_variance(setup: Setup, nominal: Scene, seam_tool: Float64) -> Float
     moved = tolerance.hand_eye_mm * np.eye(3)
     origins = origin + np.concatenate([np.zeros((3, 3)), moved]) @ R_tool_camera.T
     rays = (seen + np.concatenate([turns, np.zeros((3, 3))])) @ R_tool_camera.T
-    t = -(origins @ plane[:3] + plane[3]) / (rays @ plane[:3])
-    shifts = (origins + t[:, np.newaxis] * rays - seam_tool) @ nominal.T_joint_tool[:3, :3].T
+    met = meet_laser_plane(setup, origins, rays)
+    shifts = (met - seam_tool) @ nominal.T_joint_tool[:3, :3].T
     return np.asarray(np.sum(shifts[:, 1:] ** 2, axis=0))

@@ -16,8 +16,8 @@ import numpy as np
 import numpy.typing as npt
 
 from noise_model.frames import Float64
-from noise_model.kernel import kernel
-from tracker.stripe_path import LIBERTIES, Float32, Int64, Pair
+from noise_model.kernel import REDUCTION, kernel
+from tracker.stripe_path import Float32, Int64, Pair
 
 N_PARAMETERS = 5
 WINDOW_SIGMAS = 4.0
@@ -77,7 +77,7 @@ def _bell(t: np.floating[Any]) -> np.floating[Any]:
     return bell * bell
 
 
-@kernel(fastmath=LIBERTIES)
+@kernel(fastmath=REDUCTION)
 def _window(charge: Float32, background: Float32, ramp: Float32, start: float, width: float) -> Pair:
     """Return the background's mean and a stripe's least-squares amplitude about a start, in one pass.
 
@@ -94,7 +94,7 @@ def _window(charge: Float32, background: Float32, ramp: Float32, start: float, w
     return float(level / charge.shape[0]), float(top / bottom)
 
 
-@kernel(fastmath=LIBERTIES)
+@kernel(fastmath=REDUCTION)
 def _normal_equations(
     charge: Float32,
     background: Float32,
@@ -362,5 +362,4 @@ def fit_lines(
                         saturated[s] = True
                 fits[s, 0] += low
         if not found:
-            for i in range(5):
-                fits[s, i] = np.nan
+            fits[s, :] = np.nan

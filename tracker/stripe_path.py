@@ -8,14 +8,11 @@ import numpy as np
 import numpy.typing as npt
 
 from noise_model.frames import Float64
-from noise_model.kernel import kernel
+from noise_model.kernel import REDUCTION, kernel
 
 Float32 = npt.NDArray[np.float32]
 Int64 = npt.NDArray[np.int64]
 Pair = tuple[float, float]
-
-LIBERTIES = frozenset({"reassoc", "contract", "arcp", "nsz"})
-"""What LLVM may do with sums over pixels; NaN stays NaN."""
 
 TEMPLATE_SIGMAS = 2.5
 """How far the matched filter's template reaches."""
@@ -30,7 +27,7 @@ JUMP_COST, JUMP_COST_CAP, MISSING_COST = 1.0, 12.0, 6.0
 """Path costs in log-likelihood: per 2 px of change against the expected shape, at most, and for no stripe."""
 
 
-@kernel(fastmath=LIBERTIES)
+@kernel(fastmath=REDUCTION)
 def _correlate(template: Float32, residual_e: Float32, variance_e2: Float32) -> Pair:
     """Return a template's (n,) sum over residuals (n,) and that sum's variance; NaN if one of them is."""
     total, noise = np.float32(0.0), np.float32(0.0)
@@ -48,7 +45,7 @@ def _correlate_seen(template: Float32, residual_e: Float32, variance_e2: Float32
         if not math.isnan(residual_e[j]):
             total += template[j] * residual_e[j]
             noise += template[j] * template[j] * variance_e2[j]
-    return float(total), float(noise)
+    return total, noise
 
 
 @kernel(allocates=True)

@@ -59,9 +59,6 @@ FORMS = {
 }
 """How a free function acts."""
 
-FORM_FLOORS = 2.0
-"""Where effects leave more floors than this, not all of the gap is explained: their form is another one."""
-
 CERTAIN_SHARE = 0.995
 """From here on a probability is said to be above 99 %."""
 
@@ -72,7 +69,7 @@ def headline(diagnosis: Diagnosis) -> str:
     if diagnosis.verdict is Verdict.NO_GAP:
         return "No gap: the recording agrees with the model within noise and stated tolerances."
     if diagnosis.verdict is Verdict.EFFECTS:
-        of = "most of the gap" if _leaves_more(gap) else "the gap"
+        of = "most of the gap" if gap.is_left else "the gap"
         if len(diagnosis.effects) == 1:
             return f"{diagnosis.effects[0].id} explains {of}: {summary(diagnosis.effects[0].id)}."
         what = listed([f"{effect.id} ({summary(effect.id)})" for effect in diagnosis.effects], "and")
@@ -93,12 +90,9 @@ def how_far(diagnosis: Diagnosis) -> str:
     closed = f", {closed_share(gap)} of it is closed" if math.isfinite(gap.closed) else ""
     lead = f"With {added(diagnosis)} the gap shrinks from {sigmas(gap.before)} to {sigmas(gap.after)}{closed}"
     lead += f"; {sigmas(gap.floor)} would be no gap."
-    is_left = diagnosis.verdict is Verdict.EFFECTS and _leaves_more(gap)
-    return f"{lead} What is left may be a form that the catalogue simplifies." if is_left else lead
-
-
-def _leaves_more(gap: Gap) -> bool:
-    return gap.after > FORM_FLOORS * gap.floor
+    if diagnosis.verdict is Verdict.EFFECTS and gap.is_left:
+        return f"{lead} What is left may be a form that the catalogue simplifies."
+    return lead
 
 
 def added(diagnosis: Diagnosis) -> str:

@@ -31,11 +31,20 @@ class Scattering:
         return {name: {} for name in self.closed}
 
 
+@dataclass
+class Fitted:
+    """The part of a `Candidate` that a verdict asks for."""
+
+    ids: tuple[str, ...]
+    left: float
+    refit: SimpleNamespace
+    evidence: float
+    left_in_pixels: float = np.nan
+
+
 def candidate(*ids, left=1.0):
     fit = SimpleNamespace(ids=ids, residuals=np.full(4, np.sqrt(left)), nuisance=None)
-    return SimpleNamespace(
-        ids=ids, left=left, left_in_pixels=np.nan, evidence=likelihood_nats(left), refit=fit
-    )
+    return Fitted(ids, left, fit, likelihood_nats(left))
 
 
 def decision(verdict, *ids):

@@ -15,6 +15,7 @@ import math
 import numpy as np
 import numpy.typing as npt
 
+from noise_model.faces import face_under, slope_across
 from noise_model.frames import Float64
 from noise_model.kernel import kernel
 
@@ -85,9 +86,8 @@ def _residuals(
     """Write how far each point's centre lies off its face, in its sigmas, that unit in mm, and the face."""
     k = 0
     for i in range(y.shape[0]):
-        while k < corners.shape[0] - 2 and y[i] >= corners[k + 1, 0]:
-            k += 1
-        slope = (corners[k + 1, 1] - corners[k, 1]) / (corners[k + 1, 0] - corners[k, 0])
+        k = face_under(y[i], k, corners)
+        slope = slope_across(k, corners)
         along = dz[i] - slope * dy[i]
         if abs(along) < LEAST_ALONG_MM:
             along = LEAST_ALONG_MM
@@ -163,8 +163,7 @@ def fit_section(
             information[i, i] = known
             gradient[i] = known * (start[i] - p[i])
         for k in range(n_corners - 1):
-            width = corners[k + 1, 0] - corners[k, 0]
-            slope = (corners[k + 1, 1] - corners[k, 1]) / width if width > 0.0 else 0.0
+            slope = slope_across(k, corners)
             for i in range(m):
                 at_a[i] = J[k, i, 1] - slope * J[k, i, 0]
                 at_b[i] = J[k + 1, i, 1] - slope * J[k + 1, i, 0]
@@ -210,11 +209,8 @@ def best_shift(
         k = 0
         for i in range(y.shape[0]):
             at = y[i] - shift
-            while k < corners.shape[0] - 2 and at >= corners[k + 1, 0]:
-                k += 1
-            width = corners[k + 1, 0] - corners[k, 0]
-            slope = (corners[k + 1, 1] - corners[k, 1]) / width if width > 0.0 else 0.0
-            left_over[i] = z[i] - corners[k, 1] - slope * (at - corners[k, 0])
+            k = face_under(at, k, corners)
+            left_over[i] = z[i] - corners[k, 1] - slope_across(k, corners) * (at - corners[k, 0])
         rise = float(np.median(left_over))
         cost = 0.0
         for i in range(y.shape[0]):
