@@ -63,7 +63,7 @@ def _penumbrae(k: ArcKernel, face: int, borders: Float64, n: int) -> int:
     In the section the arc is a disc; from a vertex two lines touch it and two pass the ends of its level
     diameter. Where they meet the face, beyond the vertex, a shadow begins or ends.
     """
-    _, cy, cz = k.center
+    cy, cz = k.center[1] - k.bend[1], k.center[2]
     y_0, z_0, dy, dz, _ = seen_strip(face, k.vertices)
     for j in range(1, k.vertices.shape[0] - 1):
         if j in (face, face + 1):

@@ -160,6 +160,13 @@ def _project(
     return (dx * ux + dy * uy) / along, (dx * vx + dy * vy + dz * vz) / along
 
 
+@kernel(inline=True)
+def sheared(axes: Axes, askew: float) -> Axes:
+    """Return axes in coordinates y - askew x."""
+    wx, wy, wz, ux, uy, vx, vy, vz = axes
+    return wx, wy - askew * wx, wz, ux, uy - askew * ux, vx, vy - askew * vx, vz
+
+
 @kernel
 def ledge_crossings(
     rim: Float64,
@@ -173,8 +180,9 @@ def ledge_crossings(
     n: int,
 ) -> int:
     """Add the p at which the circle that a wall cuts the arc in meets equator, rim and outline."""
-    cx, cy, cz = center
     n_y, n_z, c = wall[0], wall[1], wall[2]
+    axes = sheared(axes, rim[0])
+    cx, cy, cz = center[0], center[1] - rim[0] * (center[0] - P[0]), center[2]
     _, wy, wz, _, uy, _, vy, vz = axes
     sin_b, cos_b, tan_b, _, _ = arc
     # The rim's own line.
@@ -218,7 +226,6 @@ def wall_parts(
 
     `parts` (MAX_PARTS, 3) gets begin and end of each; its third column is scratch.
     """
-    _, wy, wz, _, uy, _, vy, vz = axes
     # The chord's crossings with the walls go into the third column, sorted.
     parts[0, 2], parts[1, 2] = low, high
     n = 1
@@ -226,6 +233,7 @@ def wall_parts(
     s_0, s_2 = 1.0 + tan_b * tan_b * p * p, tan_b * tan_b
     for j in range(n_ledges):
         n_y, n_z, c = ledges[2 * j + 1, 0], ledges[2 * j + 1, 1], ledges[2 * j + 1, 2]
+        _, wy, wz, _, uy, _, vy, vz = sheared(axes, ledges[2 * j, 0])
         # omega meets the wall at t = k / (n_0 + n_1 q), the sphere at t^2 |omega|^2 - 2 t d + d^2 - R^2 = 0.
         k = c - n_y * P[1] - n_z * P[2]
         n_0 = n_y * (wy + tan_b * p * uy) + n_z * wz
@@ -252,9 +260,10 @@ def wall_parts(
         q = 0.5 * (begin + end)
         square = s_0 + s_2 * q * q
         t = (distance - math.sqrt(max(0.0, distance * distance - square * tangent_2))) / square
-        y = P[1] + t * (wy + tan_b * (p * uy + q * vy))
-        z = P[2] + t * (wz + tan_b * q * vz)
         for j in range(n_ledges):
+            _, wy, wz, _, uy, _, vy, vz = sheared(axes, ledges[2 * j, 0])
+            y = P[1] + t * (wy + tan_b * (p * uy + q * vy))
+            z = P[2] + t * (wz + tan_b * q * vz)
             if ledges[2 * j + 1, 0] * y + ledges[2 * j + 1, 1] * z < ledges[2 * j + 1, 2]:
                 # Behind the wall the arc is seen above its rim alone.
                 m_y, m_z = ledges[2 * j, 1], ledges[2 * j, 2]

@@ -201,8 +201,9 @@ def arc_light(
     """Return integral f_r cos(theta_i) d(omega) over the part of the luminous half-sphere that P sees.
 
     `planes` are the half-spaces m.omega > 0 that are open, `ledges` what cuts into the arc
-    (`visibility.sky_planes`) and `metal` a corrugated lap's sheets. `n_p` nodes across the disc and `n_q` up
-    a chord, of `rules` (`gauss_nodes`); `nodes` (3, MAX_POINTS) and what follows are scratch.
+    (`visibility.sky_planes`) and `metal` a lap's sheets where planes do not say what they hide. `n_p` nodes
+    across the disc and `n_q` up a chord, of `rules` (`gauss_nodes`); `nodes` (3, MAX_POINTS) and what follows
+    are scratch.
     """
     nx, ny, nz = normal
     rx, ry, rz = omega_r
@@ -241,7 +242,7 @@ def arc_light(
         distance,
         radius,
     )
-    has_metal = (metal[6] or metal[7]) and not is_clear(p_max, arc, rays, metal)
+    has_metal = (metal[5] or metal[6]) and not is_clear(p_max, arc, rays, metal)
     p_first, p_last = -p_max, p_max
     if has_metal:
         # Searched is what the planes leave open: a sliver is narrow against the whole disc.
@@ -255,6 +256,13 @@ def arc_light(
         p_first, p_last = open_range(p_first, p_last, rays, metal)
         n_breaks = insert(breaks, n_breaks, p_first)
         n_breaks = insert(breaks, n_breaks, p_last)
+        edge_y, slope, curve, _ = metal[3]
+        square = 2.0 * curve * (edge_y - P[1])
+        if square > 0.0:
+            # Ways that touch a bent edge: those on one side of them miss it.
+            for sign in (-1.0, 1.0):
+                along = slope + sign * math.sqrt(square)
+                n_breaks = insert(breaks, n_breaks, -(wy - along * wx) / (tan_b * (uy - along * ux)))
 
     near = 1.0 + 2.0 * max(0.0, sin_b - NEAR_ARC)
     n_q = min(MAX_NODES_Q, math.ceil(n_q * near))

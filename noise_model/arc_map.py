@@ -11,7 +11,7 @@ piecewise polynomials and `arc_fill` the filling of bands and frames from them.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
 
 import numpy as np
@@ -22,12 +22,12 @@ from noise_model.arc_integral import gauss_nodes
 from noise_model.arc_ray import ArcKernel as ArcKernel
 from noise_model.arc_ray import follow, light_at, scratch
 from noise_model.brdf import lobe_numbers
-from noise_model.frames import Float64, invert, transform
+from noise_model.frames import Float64, invert
 from noise_model.kernel import kernel
 from noise_model.optics import Camera
 from noise_model.setup import Setup
 from noise_model.surface import NOMINAL_SEAM, SeamLine, Section, corrugation_height, seam_frame, section
-from noise_model.visibility import MISS, horizon_tables, surface_height
+from noise_model.visibility import MISS, has_sheets, horizon_tables, surface_height
 
 Float32 = npt.NDArray[np.float32]
 Int32 = npt.NDArray[np.int32]
@@ -52,7 +52,8 @@ class Scene:
 
     `T_joint_camera` (4, 4) mm, `T_joint_tool` (4, 4) mm, `center_mm` (3,) the arc's centre, `shape` the
     section, `horizon_start` and `horizons` the corrugation's horizon tables, `footprint_mm` (2, 2) between
-    which x and y the camera sees the plate.
+    which x and y the camera sees the plate. `bend` says how the section's edges leave the direction of x
+    on their way to the arc: their slope dy/dx at the section, how far to the left they run under the arc, mm.
     """
 
     T_joint_tool: Float64
@@ -62,6 +63,7 @@ class Scene:
     horizon_start: float
     horizons: Float64
     footprint_mm: Float64
+    bend: tuple[float, float] = (0.0, 0.0)
 
     @property
     def below_surface(self) -> bool:
@@ -77,9 +79,11 @@ def scene(
     """Put camera, arc and surface of a pose into the joint frame.
 
     Where the true seam runs beside its nominal line, the joint frame, the section and the arc that stands on
-    it go with it. `ground` is another stretch of a bent seam, on whose surface the arc stands.
+    it go with it; but ridges stay across the nominal line when the seam between them turns. `ground` is
+    another stretch of a bent seam, on whose surface the arc stands.
     """
-    T_base_joint = seam_frame(setup.joint, _ahead(setup, T_base_tool)) @ seam.frame()
+    laid = replace(seam, slope_y=0.0) if setup.joint.has_ridges and seam.slope_y != 0.0 else seam
+    T_base_joint = seam_frame(setup.joint, _ahead(setup, T_base_tool)) @ laid.frame()
     T_joint_tool = invert(T_base_joint) @ T_base_tool
     T_joint_camera = T_joint_tool @ setup.camera.T_tool_camera
     shape = section(setup.joint)
@@ -87,17 +91,17 @@ def scene(
     center = T_joint_tool[:3, :3] @ offset + T_joint_tool[:3, 3]
     if setup.arc.on_surface:
         # Over the surface the arc keeps its height, and a tilted tool carries its foot sideways.
-        center[2] = offset[2] + float(corrugation_height(center[0], shape.corrugation))
+        # A corrugation is upright: over an inclined sheet it leans, and so does the way down to it.
+        foot = center[0] - laid.slope_z * center[2]
+        center[2] = offset[2] + float(corrugation_height(foot, shape.corrugation))
         if ground is not None:
-            center[2] += _higher_mm(seam, ground, center)
-            if shape.is_level:
-                # Light on level sheets asks where the edge is that hides the arc, not where the seam turns.
-                center[1] -= _beside_mm(seam, ground)
+            center[2] += _higher_mm(laid, ground, center)
     footprint = _footprint(
         setup, T_joint_camera, (shape.vertices[:, 1].min(), shape.vertices[:, 1].max() + shape.corrugation[0])
     )
     start, horizons = horizon_tables(shape, (footprint[0, 0], footprint[0, 1]), center, setup.arc.radius_mm)
-    return Scene(T_joint_tool, T_joint_camera, center, shape, start, horizons, footprint)
+    bend = seam.slope_y - laid.slope_y, _beside_mm(laid, seam if ground is None else ground, center)
+    return Scene(T_joint_tool, T_joint_camera, center, shape, start, horizons, footprint, bend)
 
 
 def _higher_mm(seam: SeamLine, ground: SeamLine, point_mm: Float64) -> float:
@@ -107,10 +111,13 @@ def _higher_mm(seam: SeamLine, ground: SeamLine, point_mm: Float64) -> float:
     return float(origin[2] - (up[:2] @ (point_mm[:2] - origin[:2])) / up[2])
 
 
-def _beside_mm(seam: SeamLine, ground: SeamLine) -> float:
-    """Return how far to the left another stretch's seam runs of the line of a seam's own."""
-    there = np.array([ground.station_mm, ground.y_mm, ground.z_mm])
-    return float(transform(invert(seam.frame()), there)[1])
+def _beside_mm(seam: SeamLine, ground: SeamLine, point_mm: Float64) -> float:
+    """Return how far to the left another stretch's seam runs of a seam's own, at a point of its frame."""
+    if ground is seam:
+        return 0.0
+    T_seam_ground = invert(seam.frame()) @ ground.frame()
+    along, origin = T_seam_ground[:3, 0], T_seam_ground[:3, 3]
+    return float(origin[1] + along[1] / along[0] * (point_mm[0] - origin[0]))
 
 
 def _ahead(setup: Setup, T_base_tool: Float64) -> Float64:
@@ -143,13 +150,13 @@ def _rim_rays(
 
 
 def _metal_cuts(radius: float, view: Scene) -> bool:
-    """Say whether a corrugated lap's sheets may cut into the luminous half-sphere."""
-    if view.shape.corrugation[0] == 0.0:
+    """Say whether the sheets of a lap whose edge is not straight may cut into the luminous half-sphere."""
+    if not has_sheets(view.shape.vertices, view.shape.corrugation, view.bend):
         return False
     tau, delta = np.meshgrid(np.linspace(0.0, 0.5 * np.pi, 10), np.linspace(0.0, 2.0 * np.pi, 24))
     sin = np.sin(tau)
     outward = np.stack([sin * np.cos(delta), sin * np.sin(delta), np.cos(tau)], axis=-1)
-    on_arc = view.center_mm + radius * outward
+    on_arc = view.center_mm - np.array([0.0, view.bend[1], 0.0]) + radius * outward
     return bool((on_arc[..., 2] < surface_height(on_arc, view.shape) - 1e-6).any())
 
 
@@ -167,6 +174,7 @@ def arc_kernel(
         np.ascontiguousarray(view.T_joint_camera[:3, :3]),
         (float(x), float(y), float(z)),
         (float(view.center_mm[0]), float(view.center_mm[1]), float(view.center_mm[2])),
+        view.bend,
         setup.arc.radius_mm,
         setup.arc.radiance_e * level,
         view.shape.vertices,

@@ -1,7 +1,7 @@
-"""What of the arc a corrugated lap hides that no plane through P describes, chord by chord.
+"""What of the arc a lap hides that no plane through P describes, chord by chord.
 
-The upper sheet's edge follows the corrugation, so from the lower sheet it is no straight line; and where the
-torch stands on a ridge's flank, the sheets themselves cut into the arc.
+The upper sheet's edge follows a corrugation, or the seam's bend, so from the lower sheet it is no straight
+line; and where the torch stands on a ridge's flank, the sheets themselves cut into the arc.
 """
 
 from __future__ import annotations
@@ -27,10 +27,14 @@ ROOT_STEPS, ROOT_MM = 16, 1e-4
 TURNED_AWAY_MM = 1e6
 """A larger clearance is of a ray that never comes to the edge."""
 
-Metal = tuple[float, float, float, float, float, float, bool, bool, bool]
-"""Height, width and pitch of the corrugation; y of the upper sheet's edge, its height over the lower sheet;
-a station `crest_x` at which the upper sheet may hide more than at its edge; whether the edge may hide a part
-of the arc from P, whether the sheets may cut into the arc, and whether P is on the upper sheet."""
+Edge = tuple[float, float, float, float]
+"""The upper sheet's edge in plan, y = y_P + slope (x - x_P) + curve (x - x_P)^2 / 2: y_P, slope and curve;
+and its height over the lower sheet."""
+
+Metal = tuple[float, float, float, Edge, float, bool, bool, bool]
+"""Height, width and pitch of the corrugation; the upper sheet's edge; a station `crest_x` at which that sheet
+may hide more than at its edge; whether the edge may hide a part of the arc from P, whether the sheets may cut
+into the arc, and whether P is on the upper sheet."""
 
 Rays = tuple[float, float, float, float, float, float, float, float, float, float, float, float, float, float]
 """P, e_w, tan(beta) e_u, tan(beta) e_v, distance and radius: what a chord's rays need."""
@@ -39,10 +43,30 @@ Rays = tuple[float, float, float, float, float, float, float, float, float, floa
 @kernel(inline=True)
 def _wave(x: float, metal: Metal) -> float:
     """Return the corrugation's height at station x."""
+    if metal[0] == 0.0:
+        return 0.0
     u = x - metal[2] * math.floor(x / metal[2] + 0.5)
     if abs(u) >= 0.5 * metal[1]:
         return 0.0
     return 0.5 * metal[0] * (1.0 + math.cos(2.0 * math.pi / metal[1] * u))
+
+
+@kernel
+def passes_edge(over: float, across: float, bent: float, from_upper: bool) -> float:
+    """Return the first t at which over + across t - bent t^2 / 2, a way's distance from an edge, is 0."""
+    leaves = (across > 0.0) == from_upper and across != 0.0
+    if bent == 0.0 or (over == 0.0 and leaves):
+        return -over / across if leaves else math.inf
+    square = across * across + 2.0 * bent * over
+    if square < 0.0:
+        return math.inf
+    # Without differences of like numbers.
+    half = across + math.copysign(math.sqrt(square), across)
+    first = math.inf
+    for t in (half / bent, -2.0 * over / half if half != 0.0 else math.inf):
+        if 0.0 < t < first:
+            first = t
+    return first
 
 
 @kernel
@@ -53,22 +77,25 @@ def clearance(p: float, q: float, rays: Rays, metal: Metal) -> float:
     and the arc's point itself. Huge where neither can hide it.
     """
     Px, Py, Pz, wx, wy, wz, ux, uy, uz, vx, vy, vz, distance, radius = rays
-    _, _, _, edge_y, edge_step, crest_x, edge_hides, cuts, from_upper = metal
-    oy = wy + p * uy + q * vy
-    if not cuts and not from_upper and oy >= 0.0:
+    _, _, _, edge, crest_x, edge_hides, cuts, from_upper = metal
+    edge_y, slope, curve, edge_step = edge
+    ox, oy = wx + p * ux + q * vx, wy + p * uy + q * vy
+    across = oy - slope * ox
+    if not cuts and not from_upper and across >= 0.0 and curve <= 0.0:
         return 1e9
-    ox, oz = wx + p * ux + q * vx, wz + p * uz + q * vz
+    oz = wz + p * uz + q * vz
     square = ox * ox + oy * oy + oz * oz
     # t^2 square - 2 t d + d^2 - R^2 = 0, the nearer root.
     root = math.sqrt(max(0.0, distance * distance - square * (distance * distance - radius * radius)))
     t_arc = (distance - root) / square
     free = 1e9
     if cuts:
-        level = _wave(Px + t_arc * ox, metal) + (edge_step if Py + t_arc * oy < edge_y else 0.0)
+        over = Py - edge_y + t_arc * (across - 0.5 * curve * ox * ox * t_arc)
+        level = _wave(Px + t_arc * ox, metal) + (edge_step if over < 0.0 else 0.0)
         free = Pz + t_arc * oz - level
     if edge_hides:
         # Over the upper sheet the ray is before it comes to the edge, or after.
-        t = (edge_y - Py) / oy if (oy > 0.0) == from_upper and oy != 0.0 else math.inf
+        t = passes_edge(Py - edge_y, across, curve * ox * ox, from_upper)
         first, last = (0.0, min(t, t_arc)) if from_upper else (t, t_arc)
         if t < t_arc:
             free = min(free, Pz + t * oz - _wave(Px + t * ox, metal) - edge_step)

@@ -13,7 +13,17 @@ from noise_model.brdf import LobeNumbers
 from noise_model.faces import face_normal
 from noise_model.frames import Float64, Point
 from noise_model.kernel import kernel
-from noise_model.visibility import MAX_LEDGES, MAX_PLANES, MISS, first_hit, sky_planes, touch
+from noise_model.visibility import (
+    MAX_LEDGES,
+    MAX_PLANES,
+    MISS,
+    Bend,
+    bent,
+    first_hit,
+    has_sheets,
+    sky_planes,
+    touch,
+)
 
 Scratch = tuple[Float64, Float64, Float64, Float64, Float64, Float64]
 """What a point's integral needs room for, see `scratch`."""
@@ -36,14 +46,15 @@ class ArcKernel(NamedTuple):
     """A scene's numbers as the kernels take them.
 
     `rotation` (3, 3) and `eye` are the camera's in the joint frame, mm; `radiance_e` the arc's at its level;
-    `metal_cuts` says that a corrugation may cut into the arc; `reach` between which x and
-    which y the camera sees the plate, mm; `rules` are `arc_integral.gauss_nodes`, of
-    which `n_p` and `n_q` nodes are used.
+    `bend` is the scene's; `metal_cuts` says that a corrugation may cut into the arc; `reach` between which x
+    and which y the camera sees the plate, mm; `rules` are `arc_integral.gauss_nodes`, of which `n_p` and
+    `n_q` nodes are used.
     """
 
     rotation: Float64
     eye: Point
     center: Point
+    bend: Bend
     radius: float
     radiance_e: float
     vertices: Float64
@@ -76,6 +87,7 @@ def light_at(k: ArcKernel, P: Point, face: int, scratch: Scratch) -> float:
         face,
         center,
         radius,
+        k.bend,
         vertices,
         corrugation,
         k.horizon_start,
@@ -83,21 +95,21 @@ def light_at(k: ArcKernel, P: Point, face: int, scratch: Scratch) -> float:
         planes,
         ledges,
     )
-    edge_y, edge_step, crest_x, edge_hides = 0.0, 0.0, math.nan, False
-    if corrugation[0] > 0.0:
-        edge_y = vertices[1, 0]
-        edge_step = vertices[1, 1] - vertices[vertices.shape[0] - 2, 1]
-        edge_hides = (face == 2 and center[1] - radius < edge_y) or (
-            face == 0 and center[1] + radius > edge_y
+    edge, crest_x, edge_hides = (0.0, 0.0, 0.0, 0.0), math.nan, False
+    if has_sheets(vertices, corrugation, k.bend):
+        edge_y, edge_step = vertices[1, 0], vertices[1, 1] - vertices[2, 1]
+        slope, curve = bent(P, center, radius, k.bend)
+        edge = (edge_y, slope, curve, edge_step)
+        edge_hides = (face == 2 and (curve != 0.0 or center[1] - radius < edge_y + k.bend[1])) or (
+            face == 0 and (curve != 0.0 or center[1] + radius > edge_y + k.bend[1])
         )
-        if edge_hides:
+        if edge_hides and corrugation[0] > 0.0:
             _, crest_x = touch(k.horizons[0], k.horizon_start, P[0])
     metal = (
         corrugation[0],
         corrugation[1],
         corrugation[2],
-        edge_y,
-        edge_step,
+        edge,
         crest_x,
         edge_hides,
         k.metal_cuts,

@@ -67,6 +67,11 @@ class Joint:
         if (np.linalg.norm(np.cross(steps, normal), axis=1) < 1e-3 * np.linalg.norm(steps, axis=1)).any():
             raise ValueError("[joint] surface_normal_in_base: is parallel to the seam line")
 
+    @property
+    def has_ridges(self) -> bool:
+        """Whether ridges run across the nominal seam line; they stay so when the seam between them turns."""
+        return self.type == "corrugation"
+
 
 @dataclass(frozen=True)
 class Section:
@@ -78,12 +83,6 @@ class Section:
 
     vertices: Float64
     corrugation: Float64
-
-    @property
-    def is_level(self) -> bool:
-        """Whether all faces but walls are level across the seam, as a lap's are."""
-        width, rise = np.diff(self.vertices, axis=0).T
-        return bool(((width == 0.0) | (rise == 0.0)).all())
 
 
 def section(joint: Joint) -> Section:

@@ -19,6 +19,9 @@ from noise_model.frames import Float64, Vector
 from noise_model.kernel import kernel
 from noise_model.surface import Section, corrugation_height
 
+Bend = tuple[float, float]
+"""How edges leave the direction of x towards the arc: dy/dx at P, and how far to the left at the arc, mm."""
+
 MISS = -1
 """The face of a ray that looks past the workpiece."""
 
@@ -226,12 +229,58 @@ def _steepest(P: Vector, sheet_z: float, center: Vector, radius: float, corrugat
 
 
 @kernel
+def has_sheets(vertices: Float64, corrugation: Float64, bend: Bend) -> bool:
+    """Say whether a section is a lap whose edge is no straight line: `arc_metal` follows it ray by ray."""
+    is_lap = vertices.shape[0] == 4 and vertices[1, 0] == vertices[2, 0] and vertices[1, 1] > vertices[2, 1]
+    return is_lap and (corrugation[0] > 0.0 or bend[0] != 0.0 or bend[1] != 0.0)
+
+
+@kernel
+def bent(P: Vector, center: Vector, radius: float, bend: Bend) -> tuple[float, float]:
+    """Return slope and curve, 1/mm, of edges at P's station: the parabola that is `bend`'s under the arc."""
+    slope, beside = bend
+    way = center[0] - P[0]
+    if abs(way) <= radius:
+        return 0.0, 0.0
+    return slope, 2.0 * (beside - slope * way) / (way * way)
+
+
+@kernel
+def tangent(P: Vector, center: Vector, radius: float, edge_y: float, bend: Bend) -> tuple[float, float]:
+    """Return the slope dy/dx of an edge where the way from P to the arc's centre comes to it, and its place.
+
+    What a `bent` edge, at `edge_y` at P's station, hides is what its tangent does where it is passed, or
+    passed most closely; that tangent runs beside `edge_y` at P's station by the second number, mm.
+    """
+    slope, curve = bent(P, center, radius, bend)
+    if slope == 0.0 and curve == 0.0:
+        return 0.0, 0.0
+    way = center[0] - P[0]
+    over, towards = P[1] - edge_y, (center[1] - P[1]) / way - slope
+    # over + towards x - curve x^2 / 2 = 0, the way's first crossing.
+    root = towards * towards + 2.0 * curve * over
+    nearest = towards / curve if curve != 0.0 else math.inf
+    x = min(max(nearest / way, 0.0), 1.0) * way
+    if root >= 0.0:
+        first = math.inf
+        for sign in (-1.0, 1.0):
+            # Without a difference of like numbers, and for an edge that is straight too.
+            half = towards + sign * math.sqrt(root)
+            at = -2.0 * over / half if half != 0.0 else math.inf
+            if 0.0 < at / way < min(first, 1.0):
+                first = at / way
+        x = first * way if first < math.inf else x
+    return slope + curve * x, -0.5 * curve * x * x
+
+
+@kernel
 def sky_planes(
     P: Vector,
     normal: Vector,
     face: int,
     center: Vector,
     radius: float,
+    bend: Bend,
     vertices: Float64,
     corrugation: Float64,
     horizon_start: float,
@@ -244,27 +293,34 @@ def sky_planes(
     `planes` (MAX_PLANES, 3). The first is P's own horizon. `horizons` (2, n, 2) are `horizon_table`s for
     terrain as high as P's sheet and lower by the step of the sheets. `ledges` (2 MAX_LEDGES, 3) are pairs of
     a half-space and a face (n_y, n_z, c) that cuts into the arc: what lies behind it, n_y y + n_z z < c, is
-    seen in the half-space alone.
+    seen in the half-space alone. Edges that `bend` are taken along their `tangent`; a ledge is written as if
+    that ran along x, in coordinates y - askew (x - P_x), with askew in place of the half-space's m_x.
     """
     count, n_ledges = 1, 0
     planes[0, 0], planes[0, 1], planes[0, 2] = normal[0], normal[1], normal[2]
+    beside, way = bend[1], center[0] - P[0]
+    if beside != 0.0 and abs(way) > radius and abs(normal[1]) > 1e-9:
+        # A face that bends stands in its own way.
+        planes[1, 0], planes[1, 1], planes[1, 2] = normal[0] - beside / way * normal[1], normal[1], normal[2]
+        count = 2
     corrugated = corrugation[0] > 0.0
+    sheets = has_sheets(vertices, corrugation, bend)
     for k in range(1, vertices.shape[0] - 1):
-        # A corrugated lap's edge is no straight line: `arc_map` follows it ray by ray.
-        if corrugated or k in (face, face + 1):
+        if sheets or k in (face, face + 1):
             continue
         y_k, z_k = vertices[k, 0], vertices[k, 1]
         # A vertex no higher than the arc's foot hides nothing that stands before it, and nothing at all from
         # a point above it.
         low_vertex = z_k <= center[2] + 1e-9
-        dy, dz = y_k - P[1], z_k - P[2]
+        askew, aside = tangent(P, center, radius, y_k, bend)
+        dy, dz = y_k + aside - P[1], z_k - P[2]
         # What lies below P's own horizon hides nothing more, and its half-space would cut the other side.
         if (low_vertex and dz <= 0.0) or dy * normal[1] + dz * normal[2] <= 1e-9:
             continue
         # By the faces' order, so that it holds on a face's plane beyond its edges too.
         side = 1.0 if k > face else -1.0
         if low_vertex:
-            if (center[1] + side * radius - y_k) * side <= 0.0:
+            if (center[1] - beside + side * radius - y_k) * side <= 0.0:
                 continue
         else:
             # The face below a higher one, on P's side.
@@ -272,23 +328,24 @@ def sky_planes(
             width, rise = vertices[low + 1, 0] - vertices[low, 0], vertices[low + 1, 1] - vertices[low, 1]
             length = math.sqrt(width * width + rise * rise)
             n_y, n_z = -rise / length, width / length
-            before = n_y * (center[1] - y_k) + n_z * (center[2] - z_k)
+            before = n_y * (center[1] - beside - y_k) + n_z * (center[2] - z_k)
             if before >= radius:
                 continue
             if before > -radius:
                 i = 2 * n_ledges
-                ledges[i, 0], ledges[i, 1], ledges[i, 2] = 0.0, -side * dz, side * dy
-                ledges[i + 1, 0], ledges[i + 1, 1], ledges[i + 1, 2] = n_y, n_z, n_y * y_k + n_z * z_k
+                wall_y = y_k + beside - askew * way
+                ledges[i, 0], ledges[i, 1], ledges[i, 2] = askew, -side * dz, side * dy
+                ledges[i + 1, 0], ledges[i + 1, 1], ledges[i + 1, 2] = n_y, n_z, n_y * wall_y + n_z * z_k
                 n_ledges += 1
                 continue
-        planes[count, 0], planes[count, 1], planes[count, 2] = 0.0, -side * dz, side * dy
+        planes[count, 0], planes[count, 1], planes[count, 2] = askew * side * dz, -side * dz, side * dy
         count += 1
     if corrugated and abs(center[0] - P[0]) > radius:
         towards = 1.0 if center[0] > P[0] else -1.0
         # Only a lap is corrugated: vertex 1 is the upper sheet's edge, vertex 2 its foot.
         edge_y = vertices[1, 0]
         on_upper = face == 0
-        crosses = (center[1] - edge_y) * (P[1] - edge_y) < 0.0
+        crosses = (center[1] - beside - edge_y) * (P[1] - edge_y) < 0.0
         for which in range(2):
             # From the upper sheet: it hides up to its edge, beyond the edge the lower one does.
             if which == 1 and not (on_upper and crosses):
@@ -301,7 +358,7 @@ def sky_planes(
             if slope == -math.inf or (face != 1 and towards * normal[0] + slope * normal[2] <= 1e-9):
                 continue
             # Past the edge the upper sheet hides nothing: `arc_metal` follows such rays one by one.
-            if which == 0 and on_upper and center[1] + radius > edge_y:
+            if which == 0 and on_upper and center[1] - beside + radius > edge_y:
                 continue
             planes[count, 0], planes[count, 1], planes[count, 2] = -towards * slope, 0.0, 1.0
             count += 1

@@ -25,7 +25,7 @@ from noise_model.interreflection import BouncedLight, bounced_light
 from noise_model.optics import Camera, Rays
 from noise_model.sensor import Sensor, respond_moments
 from noise_model.setup import Setup
-from noise_model.surface import BentSeam, section
+from noise_model.surface import BentSeam
 from noise_model.view import View
 from sim_to_real.nuisances import N_CAMERA, N_LEVELS, nuisances, really_lit, really_there
 from sim_to_real.observed import Float32, Observed, ObservedFrame, one_face
@@ -144,10 +144,10 @@ class Expected:
         self._tangents = self.over_frames(lambda frame: self._tangents_of(frame, anchor, effects))
 
     def allow_for_bends(self, nuisance: Float64, effects: Effects) -> None:
-        """Widen the noise of what the arc lights past walls that are taken to be straight and are not.
+        """Widen the noise of what the arc lights past edges that are taken to be straight and are not.
 
-        Where the seam strays from its tangent on its way to the torch, the arc shines into a groove as if it
-        stood as far beside it. Half of what that would change is the model's 1 sigma.
+        Half-way to the torch the seam strays from the chord, as an edge does whose far end lies twice as far
+        beside. Half of what that would change is the model's 1 sigma.
         """
         self.take_noise(self.over_frames(lambda frame: self._with_bend(frame, nuisance, effects)))
 
@@ -184,23 +184,23 @@ class Expected:
 
     def _with_bend(self, frame: ObservedFrame, nuisance: Float64, effects: Effects) -> Float64:
         first, last, torch = frame.stations_mm
-        seam, joint = self.curve(effects), self.observed.setup.joint
+        curve = self.curve(effects)
         coefficients = np.clip(self.seam_coefficients(nuisance), -SURE, SURE)
-        strays = seam.strays_mm(coefficients, 0.5 * (first + last), torch, section(joint).is_level)
+        strays = curve.strays_mm(coefficients, 0.5 * (first + last), torch)
         if strays < LEAST_STRAY_MM or frame.condition.arc_level == 0.0:
             return frame.sigma_dn
         setup = really(self._setup(effects, nuisance))
         T_base_tool = frame.T_base_tool_in(setup)
-        x, y, z = setup.arc.center_in_tool_mm
+        seam = self.seam(frame, nuisance, effects)
         light = [
             look(
-                replace(setup, arc=replace(setup.arc, center_in_tool_mm=(x, y + beside, z))),
+                setup,
                 T_base_tool,
-                self.seam(frame, nuisance, effects),
+                BentSeam(seam.lines, replace(seam.ground, y_mm=seam.ground.y_mm + beside)),
                 self._rays_of(setup.camera),
                 np.flatnonzero(frame.keep),
             ).arc_e
-            for beside in (0.0, strays, -strays)
+            for beside in (0.0, 2.0 * strays, -2.0 * strays)
         ]
         spread_e = 0.5 * np.maximum(np.abs(light[1] - light[0]), np.abs(light[2] - light[0]))
         passed = self._passed(frame, setup, nuisance, effects)

@@ -139,7 +139,9 @@ def observe(setup: Setup, frames: Sequence[Frame], pose_at: PoseAt) -> Observed:
     poses = [_tool(pose_at, frame) for frame in posed]
     seen = [stations(setup, T(frame.timestamp_s)) for T, frame in zip(poses, posed, strict=True)]
     sightings = Sightings.of(setup, posed, poses)
-    seam = SeamCurve.of(*sightings.in_joint(setup), sightings.variances_mm2, (np.min(seen), np.max(seen)))
+    ends_mm = np.min(seen), np.max(seen)
+    has_ridges = setup.joint.has_ridges
+    seam = SeamCurve.of(*sightings.in_joint(setup), sightings.variances_mm2, ends_mm, has_ridges)
     bin_px = max(LEAST_BIN_PX, round(setup.camera.width / BINNED_WIDTH))
     binned = replace(setup, camera=binned_camera(setup.camera, bin_px))
     usable = [_usable(frame.image_dn, setup, bin_px) for frame in posed]

@@ -33,8 +33,11 @@ MODES = (5, 3)
 GRID_MM = 1.0
 """Stations at which curves are held."""
 
-STRETCH_TURNS, STRETCH_MM = 0.006, 4.0
+STRETCH_TURNS, STRETCH_MM = 0.003, 2.0
 """By what slope a bent seam turns from one straight stretch to the next, and the least length of these."""
+
+STRETCH_ASIDE_MM = 0.1
+"""How far to the side the next stretch may begin where ridges keep stretches from turning."""
 
 SCATTER_MM = 0.04
 """1 sigma of the tracker's points about a smooth seam beyond what they state: tilt makes them wander."""
@@ -45,12 +48,13 @@ class SeamCurve:
     """Displacement from the nominal line at `stations_mm` (g,), joint frame, mm.
 
     `mean_mm` (2, g) as y and z, `modes_mm` (m, g) by which they change for one unit of a coefficient; those
-    of y come first, `MODES` of either.
+    of y come first, `MODES` of either. `has_ridges` says whether ridges run across it.
     """
 
     stations_mm: Float64
     mean_mm: Float64
     modes_mm: Float64
+    has_ridges: bool
 
     @classmethod
     def of(
@@ -59,6 +63,7 @@ class SeamCurve:
         displacements_mm: Float64,
         variances_mm2: Float64,
         ends_mm: tuple[float, float],
+        has_ridges: bool,
     ) -> SeamCurve:
         """Return what sightings say of the stations between two ends.
 
@@ -75,7 +80,7 @@ class SeamCurve:
             scaled = np.sqrt(np.maximum(values, 0.0)) * np.sign(largest) * vectors
             means.append(mean)
             modes.append(scaled[:, ::-1].T[: MODES[axis]])
-        return cls(stations, np.array(means), np.concatenate(modes))
+        return cls(stations, np.array(means), np.concatenate(modes), has_ridges)
 
     def through(self, seen_mm: Float64, displacements_mm: Float64, variances_mm2: Float64) -> SeamCurve:
         """Return the curve through other sightings, see `of`; what is not known of it stays."""
@@ -105,19 +110,14 @@ class SeamCurve:
             np.interp(stations_mm, self.stations_mm, slopes),
         )
 
-    def strays_mm(self, coefficients: Float64, station_mm: float, torch_mm: float, of_chord: bool) -> float:
-        """Return how far the seam strays sideways, from a station to the torch, from its tangent there.
-
-        Or, `of_chord`, from the chord between the two.
-        """
-        (y, _), (slope, _) = self.at(coefficients)
+    def strays_mm(self, coefficients: Float64, station_mm: float, torch_mm: float) -> float:
+        """Return how far the seam strays sideways from the chord between a station and the torch."""
+        y = self.at(coefficients)[0][0]
         ends = sorted((station_mm, torch_mm))
         between = (self.stations_mm >= ends[0]) & (self.stations_mm <= ends[1])
         x = self.stations_mm[between]
-        y_here, slope_here = (float(np.interp(station_mm, self.stations_mm, of)) for of in (y, slope))
-        if of_chord and torch_mm != station_mm:
-            slope_here = (float(np.interp(torch_mm, self.stations_mm, y)) - y_here) / (torch_mm - station_mm)
-        return float(np.abs(y[between] - y_here - slope_here * (x - station_mm)).max(initial=0.0))
+        chord = np.interp(x, ends, np.interp(ends, self.stations_mm, y))
+        return float(np.abs(y[between] - chord).max(initial=0.0))
 
     def bent(self, coefficients: Float64, first_mm: float, last_mm: float, torch_mm: float) -> BentSeam:
         """Return the seam from first to last as straight stretches, tangents at their middles.
@@ -126,8 +126,10 @@ class SeamCurve:
         """
         (y, z), (slope_y, slope_z) = self.at(coefficients)
         seen = (self.stations_mm >= first_mm) & (self.stations_mm <= last_mm)
-        turns = max(float(np.ptp(slope[seen])) for slope in (slope_y, slope_z))
-        count = min(1 + int(turns / STRETCH_TURNS), round((last_mm - first_mm) / STRETCH_MM))
+        turns = max(float(np.ptp(slope[seen])) for slope in (slope_y, slope_z)) / STRETCH_TURNS
+        if self.has_ridges:
+            turns = max(turns, float(np.ptp(y[seen])) / STRETCH_ASIDE_MM)
+        count = min(1 + int(turns), round((last_mm - first_mm) / STRETCH_MM))
         step = (last_mm - first_mm) / count
         lines = []
         for station in first_mm + step * (np.arange(count) + 0.5):

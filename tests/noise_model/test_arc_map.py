@@ -138,7 +138,7 @@ def disc_light(P, normal, omega_r, center, material, nodes, planes=()):
     """`arc_light` of a patch that nothing but its own horizon and `planes` shades."""
     cuts = np.vstack([normal, *planes])
     vectors = [tuple(float(c) for c in vector) for vector in (P, normal, omega_r, center)]
-    no_metal = (0.0, 0.0, 0.0, 0.0, 0.0, math.nan, False, False, False)
+    no_metal = (0.0, 0.0, 0.0, (0.0, 0.0, 0.0, 0.0), math.nan, False, False, False)
     return arc_light(
         *vectors, 3.0, cuts, len(cuts), np.empty((0, 3)), 0, no_metal,
         lobe_numbers(material), gauss_nodes(), *nodes, *scratch()[:4],
