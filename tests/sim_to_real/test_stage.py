@@ -103,7 +103,7 @@ def test_every_stage_is_ranked_and_shares_lie_between_nought_and_one():
 
 @pytest.fixture(scope="module")
 def longer_arc(tmp_path_factory):
-    expected = small_recording(tmp_path_factory.mktemp("stage") / "arc", {"arc_length": {"height_mm": 1.0}})
+    expected = small_recording(tmp_path_factory.mktemp("stage") / "arc", {"arc_length": {"height_mm": 1.5}})
     return expected, Start.of(expected)
 
 
