@@ -167,7 +167,7 @@ def parse_bus(text: str) -> tuple[str, str]:
 def _steps(recording: Recording, use_arc_map: bool) -> Iterator[Step]:
     poses = recording.pose_buffer()
     _warm_up(recording, poses, use_arc_map)
-    tracker = _tracker(recording, use_arc_map)
+    tracker = tracker_of(recording, use_arc_map)
     for row, frame in zip(recording.rows, recording.frames(), strict=True):
         if isinstance(frame, BadFrame):
             yield Step(row, frame, Track(row.index, row.timestamp_s, flags.FRAME_UNREADABLE.mask), NAN)
@@ -207,10 +207,11 @@ def _warm_up(recording: Recording, poses: PoseBuffer, use_arc_map: bool) -> None
     lit = max(range(len(rows)), key=lambda n: (rows[n].laser_on, rows[n].arc_on))
     for frame in recording.frames([lit]):
         if not isinstance(frame, BadFrame):
-            _tracker(recording, use_arc_map).step(frame, recording.pose_at(poses, frame.timestamp_s))
+            tracker_of(recording, use_arc_map).step(frame, recording.pose_at(poses, frame.timestamp_s))
 
 
-def _tracker(recording: Recording, use_arc_map: bool) -> Tracker:
+def tracker_of(recording: Recording, use_arc_map: bool) -> Tracker:
+    """Return a tracker for a recording; ArctrackError if its setup's stripe is not in view."""
     try:
         return Tracker(recording.setup, use_arc_map)
     except ValueError as error:

@@ -56,6 +56,30 @@ class Work:
         )
 
 
+@dataclass(frozen=True, eq=False)
+class StripeReading:
+    """A stripe, and what it was read from: explaining a frame asks for that.
+
+    `band` holds views of the scratch, which are good until the next frame; `lows` says where it begins for
+    each CELL scan lines. `score` (n_scan, n_offsets) is the matched filter's, in sigmas, at `offsets_px` from
+    the rounded expected place; `start_px` (n_scan,) is where the likeliest path runs, NaN for no stripe;
+    `fits` (n_scan, 5) are `fit_line`'s. The variance of a pixel is `shot` times its mean plus
+    `dark_variance_e2`; `map_sigma` is the background's relative 1 sigma, `base_sigma_e` the black level's.
+    """
+
+    stripe: Stripe
+    band: Work
+    lows: npt.NDArray[np.int64]
+    offsets_px: npt.NDArray[np.int64]
+    score: npt.NDArray[np.float32]
+    start_px: npt.NDArray[np.float64]
+    fits: npt.NDArray[np.float64]
+    shot: float
+    dark_variance_e2: float
+    map_sigma: float
+    base_sigma_e: float
+
+
 def read_stripe(
     geometry: SensorGeometry,
     kernel: ArcKernel,
@@ -66,7 +90,7 @@ def read_stripe(
     reach_px: float,
     work: Work,
     use_arc_map: bool,
-) -> Stripe:
+) -> StripeReading:
     """Find the stripe within `reach_px` of its expected place and fit its centre in every scan line."""
     half = math.ceil(reach_px + FIT_SIGMAS * float(expected.sigma_px.max()))
     lows, depth = place(expected.position_px, geometry.n_pos, half)
@@ -128,7 +152,10 @@ def read_stripe(
         fits,
         saturated,
     )
-    return Stripe(fits[:, 0], fits[:, 1], fits[:, 2], saturated, geometry.along_rows)
+    stripe = Stripe(fits[:, 0], fits[:, 1], fits[:, 2], saturated, geometry.along_rows)
+    return StripeReading(
+        stripe, band, lows, offsets, score, start, fits, shot, dark_variance, map_sigma, base_sigma
+    )
 
 
 def _predict_background(

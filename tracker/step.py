@@ -48,6 +48,10 @@ MIN_SHARE, GOOD_SHARE = 0.2, 0.75
 ARC_OFF_SIGMAS = 5.0
 MISFIT_LIMIT = 2.0
 JOINT_CHI2_LIMIT = 9.0
+
+RIM_MM = 1.0
+"""A joint this near to an end of the profile is out of view."""
+
 JUMP_SIGMAS, JUMP_FLOOR_MM = 5.0, 0.3
 JUMPS_TO_RELEARN = 3
 """So many jumps in a row are the seam's new place."""
@@ -86,17 +90,29 @@ def step(
     stripe over a running median with one variance for all pixels instead, for comparison. Nothing about a
     frame raises: what fails is NaN with a flag.
     """
+    return step_and_reading(geometry, state, frame, pose, work, use_arc_map)[:2]
+
+
+def step_and_reading(
+    geometry: SensorGeometry,
+    state: TrackerState,
+    frame: Frame,
+    pose: Pose | None,
+    work: Work,
+    use_arc_map: bool = True,
+) -> tuple[TrackerState, Track, Reading | None]:
+    """Return what `step` does and the look at the frame that it rests on, None where it took none."""
     state = replace(state, frames=state.frames + 1)
     track = Track(frame=frame.index, timestamp_s=frame.timestamp_s, flags=0)
     sensor, camera = geometry.setup.sensor, geometry.setup.camera
     if frame.image_dn.shape != (camera.height, camera.width) or frame.image_dn.dtype != sensor.dtype:
-        return state, replace(track, flags=flags.FRAME_UNREADABLE.mask)
+        return state, replace(track, flags=flags.FRAME_UNREADABLE.mask), None
     if pose is None:
-        return state, replace(track, flags=flags.POSE_REFUSED.mask)
+        return state, replace(track, flags=flags.POSE_REFUSED.mask), None
     found = flags.POSE_EXTRAPOLATED.mask if pose.extrapolated else 0
     blind = pose_flags(geometry.setup, pose.T_base_tool)
     if blind:
-        return state, replace(track, flags=found | blind)
+        return state, replace(track, flags=found | blind), None
 
     nominal = scene(geometry.setup, pose.T_base_tool)
     seam, seam_sigma = expected_seam(geometry.setup, nominal, state.history)
@@ -111,16 +127,18 @@ def step(
     track = replace(track, arc_level=reading.arc.level, map_misfit=reading.arc.misfit, stripe=reading.stripe)
     if reading.joint is None:
         lost = state.lost + (reading.stripe is not None)
-        return replace(state, lost=lost), replace(track, flags=found)
-    return _follow(geometry, state, track, found, nominal, reading.view, reading.joint)
+        return replace(state, lost=lost), replace(track, flags=found), reading
+    return *_follow(geometry, state, track, found, nominal, reading.view, reading.joint), reading
 
 
 @dataclass(frozen=True)
-class _Reading:
-    """What one look at a frame, about an expected seam, has found."""
+class Reading:
+    """What one look at a frame, within a reach about an expected seam, has found."""
 
     flags: int
     view: Scene
+    seam: SeamLine
+    reach_mm: float
     arc: ArcLevel = UNKNOWN
     stripe: Stripe | None = None
     joint: MeasuredJoint | None = None
@@ -134,16 +152,16 @@ def _read(
     reach_mm: float,
     work: Work,
     use_arc_map: bool,
-) -> _Reading:
+) -> Reading:
     """Look for arc, stripe and joint about a seam."""
     view = scene(geometry.setup, pose.T_base_tool, seam)
     if view.below_surface:
-        return _Reading(flags.BELOW_SURFACE.mask, view)
+        return Reading(flags.BELOW_SURFACE.mask, view, seam, reach_mm)
     expected = expect_stripe(geometry, view)
     if expected is None:
-        return _Reading(flags.STRIPE_LOST.mask, view)
+        return Reading(flags.STRIPE_LOST.mask, view, seam, reach_mm)
     reach_px = reach_mm * pixels_per_mm(geometry)
-    output = _expected_output(geometry.setup, frame)
+    output = expected_output(geometry.setup, frame)
     kernel = arc_kernel(geometry.setup, view, output)
     keep_off = reach_px + FIT_SIGMAS * float(expected.sigma_px.max())
     stripe_px = expected.position_px if frame.laser_on else None
@@ -151,23 +169,23 @@ def _read(
     arc = estimate_arc_level(geometry, kernel, passage, frame.image_dn, stripe_px, keep_off)
     found = _arc_flags(arc)
     if not frame.laser_on:
-        return _Reading(found | flags.LASER_OFF.mask, view, arc)
+        return Reading(found | flags.LASER_OFF.mask, view, seam, reach_mm, arc)
 
-    stripe = read_stripe(geometry, kernel, passage, arc, frame, expected, reach_px, work, use_arc_map)
+    stripe = read_stripe(geometry, kernel, passage, arc, frame, expected, reach_px, work, use_arc_map).stripe
     share = float(np.mean(np.isfinite(stripe.position_px)))
     found |= flags.SATURATED.mask if stripe.saturated.any() else 0
     if share < MIN_SHARE:
-        return _Reading(found | flags.STRIPE_LOST.mask, view, arc, stripe)
+        return Reading(found | flags.STRIPE_LOST.mask, view, seam, reach_mm, arc, stripe)
     found |= flags.STRIPE_PARTIAL.mask if share < GOOD_SHARE else 0
 
     profile = triangulate(geometry, view, stripe.position_px - expected.lean_px, stripe.sigma_px)
     joint = fit_joint(profile, geometry.setup.joint, *sources(geometry.setup, view, seam.station_mm))
     if joint is None:
-        return _Reading(found | flags.JOINT_NOT_FOUND.mask, view, arc, stripe)
-    if not profile.y_mm[0] + 1.0 < joint.y_mm < profile.y_mm[-1] - 1.0:
-        return _Reading(found | flags.SEAM_OUT_OF_VIEW.mask, view, arc, stripe)
+        return Reading(found | flags.JOINT_NOT_FOUND.mask, view, seam, reach_mm, arc, stripe)
+    if not profile.y_mm[0] + RIM_MM < joint.y_mm < profile.y_mm[-1] - RIM_MM:
+        return Reading(found | flags.SEAM_OUT_OF_VIEW.mask, view, seam, reach_mm, arc, stripe)
     found |= flags.JOINT_MISFIT.mask if joint.chi2 > JOINT_CHI2_LIMIT else 0
-    return _Reading(found, view, arc, stripe, joint)
+    return Reading(found, view, seam, reach_mm, arc, stripe, joint)
 
 
 def _read_again(
@@ -176,10 +194,10 @@ def _read_again(
     pose: Pose,
     nominal: Scene,
     seam: SeamLine,
-    first: _Reading,
+    first: Reading,
     work: Work,
     use_arc_map: bool,
-) -> _Reading:
+) -> Reading:
     """Look again where a search has found the joint: the map for another place misleads, near its edges most.
 
     If the map misled the search itself, the joint is placed without it.
@@ -218,7 +236,7 @@ def _follow(
     seam_tool, station, displacement = _locate(setup, nominal, view, joint)
     variance = np.diag(joint.covariance_mm2)
     expected, expected_sigma = state.history.at(station)
-    limit = np.maximum(JUMP_SIGMAS * np.sqrt(expected_sigma**2 + variance), JUMP_FLOOR_MM)
+    limit = jump_limit_mm(expected_sigma, variance)
     history, jumps, lost = state.history, 0, 0
     if len(history) and (np.abs(displacement - expected) > limit).any():
         found |= flags.SEAM_JUMP.mask
@@ -257,7 +275,12 @@ def _follow(
     )
 
 
-def _expected_output(setup: Setup, frame: Frame) -> float:
+def jump_limit_mm(expected_sigma_mm: Float64, variance_mm2: Float64) -> Float64:
+    """Return how far (2,) a seam may lie from where the earlier frames put it, mm, without being a jump."""
+    return np.asarray(np.maximum(JUMP_SIGMAS * np.sqrt(expected_sigma_mm**2 + variance_mm2), JUMP_FLOOR_MM))
+
+
+def expected_output(setup: Setup, frame: Frame) -> float:
     """Return what the setup expects of the arc for a frame's current and exposure, over the nominal output.
 
     Without a known current, or with the arc said to be off, it is the nominal one.

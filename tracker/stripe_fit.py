@@ -226,7 +226,8 @@ def fit_line(
     `width` px. The variance of a pixel is `shot` (1, or 0 for one variance for all) times its mean plus
     `dark_variance`, e-^2. `map_sigma` is the map's relative 1 sigma, `base_sigma` the black level's, e-,
     `edge_e` by how much the map changes to the neighbouring lines: an edge that may cut across this one.
-    False if there is no stripe there. The position is relative to the band's start.
+    False if there is no stripe there; what is written then is the fit that was refused, if it ran to its
+    end. The position is relative to the band's start.
     """
     depth = charge.shape[0]
     half = WINDOW_SIGMAS * width
@@ -286,18 +287,16 @@ def fit_line(
     # Only what chi2 shows beyond its own scatter widens the sigmas: else chance alone would, on average.
     excess = max(chi2 - math.sqrt(2.0 / freedom), 1.0)
     significance = x[0] / math.sqrt(variance_a * excess)
-    if significance < MIN_SIGNIFICANCE or abs(ln_w - ln_w0) > WIDTH_LIMIT_LN:
-        return False
     out[0] = low + position
     out[1] = math.sqrt(variance_x * excess)
     out[2] = x[0]
     out[3] = w
     out[4] = chi2
-    return True
+    return significance >= MIN_SIGNIFICANCE and abs(ln_w - ln_w0) <= WIDTH_LIMIT_LN
 
 
 @kernel
-def _map_edge(background: Float32, lows: Int64, cell: int, s: int, position: float) -> float:
+def map_edge(background: Float32, lows: Int64, cell: int, s: int, position: float) -> float:
     """Return how much the map changes, e-, over EDGE_PX scan lines to either side at a position."""
     n_scan, depth = background.shape
     middle = background[s, min(max(int(position) - lows[s // cell], 0), depth - 1)]
@@ -350,7 +349,7 @@ def fit_lines(
                 dark_variance,
                 map_sigma,
                 base_sigma,
-                _map_edge(background, lows, cell, s, start[s]),
+                map_edge(background, lows, cell, s, start[s]),
                 scratch,
                 fits[s],
             )

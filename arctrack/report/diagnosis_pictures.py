@@ -2,20 +2,16 @@
 
 from __future__ import annotations
 
-import base64
-import io
 import math
 from dataclasses import dataclass
 
-import matplotlib as mpl
 import numpy as np
 import numpy.typing as npt
 from matplotlib.axes import Axes
-from matplotlib.colors import Normalize
-from PIL import Image
 
 from arctrack.report import style
 from arctrack.report.diagnosis_words import percent, quantity
+from arctrack.report.embedded import CHANGE, EXCESS, Float32, Scale, binned, coloured, png, scale, svg
 from arctrack.report.image import visible
 from noise_model.sensor import Sensor
 from sim_to_real.diagnosis import Curve, Predicted
@@ -23,8 +19,6 @@ from sim_to_real.diagnosis import Curve, Predicted
 FRAME_PX, MAP_PX = 640, 320
 """Pictures are shrunk to about these widths; a map's pixels are means, which show what noise hides."""
 
-CHANGE, EXCESS, SCALE_PX = "RdBu_r", "viridis", 256
-NOT_COUNTED = (0.72, 0.72, 0.72)
 CLIPPED_PERCENT = 99.5
 """The colours reach as far as this share of the pixels."""
 
@@ -36,17 +30,6 @@ WORTH_SIGMAS = 10.0
 
 FEW = 3
 """A curve of so few points is drawn as points."""
-
-Float32 = npt.NDArray[np.float32]
-
-
-@dataclass(frozen=True)
-class Scale:
-    """A colour scale: its picture, and what its ends stand for."""
-
-    uri: str
-    low: float
-    high: float
 
 
 @dataclass(frozen=True)
@@ -84,26 +67,26 @@ def frame_pictures(predicted: Predicted, place: int, sensor: Sensor) -> FramePic
         (predicted.after[place], predicted.variance_after[place]),
     ):
         difference = np.where(np.isfinite(variance), recorded - mean, np.nan).astype(np.float32)
-        left.append(_binned(difference, bin_px))
+        left.append(binned(difference, bin_px))
     limit = nice_limit(left[0], LEAST_DN)
     return FramePictures(
         frame=int(predicted.frames[place]),
         recorded=_grey(recorded, sensor),
         before=_grey(predicted.before[place], sensor),
         after=_grey(predicted.after[place], sensor),
-        left_before=_coloured(left[0], CHANGE, -limit, limit),
-        left_after=_coloured(left[1], CHANGE, -limit, limit),
-        scale=_scale(CHANGE, -limit, limit),
+        left_before=coloured(left[0], CHANGE, -limit, limit),
+        left_after=coloured(left[1], CHANGE, -limit, limit),
+        scale=scale(CHANGE, -limit, limit),
         bin_px=bin_px,
     )
 
 
 def residual_map(z: Float32) -> tuple[str, Scale]:
     """Return the map of how far residuals (H, W) exceed their noise, in sigmas, and its scale."""
-    binned = _binned(z, max(1, math.ceil(z.shape[1] / MAP_PX)))
-    limit = nice_limit(binned, LEAST_SIGMAS)
-    name, low = (CHANGE, -limit) if np.nanmin(binned, initial=0.0) < 0.0 else (EXCESS, 0.0)
-    return _coloured(binned, name, low, limit), _scale(name, low, limit)
+    shown = binned(z, max(1, math.ceil(z.shape[1] / MAP_PX)))
+    limit = nice_limit(shown, LEAST_SIGMAS)
+    name, low = (CHANGE, -limit) if np.nanmin(shown, initial=0.0) < 0.0 else (EXCESS, 0.0)
+    return coloured(shown, name, low, limit), scale(name, low, limit)
 
 
 def curve_picture(curve: Curve) -> str:
@@ -126,11 +109,7 @@ def curve_picture(curve: Curve) -> str:
         style.plain(lower[0], label, "recorded / predicted")
         lower[0].axhline(1.0, color=style.BLACK, linewidth=0.8)
         _line(lower[0], curve, np.exp(curve.log_ratio), style.VERMILLION)
-    drawn = io.BytesIO()
-    # The same diagnosis gives the same page: no date, no random names.
-    with mpl.rc_context({"svg.hashsalt": "arctrack"}):
-        figure.savefig(drawn, format="svg", metadata={"Date": None})
-    return _uri("image/svg+xml", drawn.getvalue())
+    return svg(figure)
 
 
 def nice_limit(values: Float32, least: float) -> float:
@@ -153,38 +132,7 @@ def _line(axes: Axes, curve: Curve, values: npt.NDArray[np.float64], colour: str
     axes.plot(curve.centers, values, linestyle=joined or "none", marker="o", markersize=3, color=colour)
 
 
-def _binned(image: Float32, bin_px: int) -> Float32:
-    """Return means (h, w) over bins of an image (H, W), NaN where less than half of a bin is known."""
-    h, w = image.shape[0] // bin_px, image.shape[1] // bin_px
-    cut = image[: h * bin_px, : w * bin_px].reshape(h, bin_px, w, bin_px)
-    known = np.isfinite(cut)
-    count = known.sum(axis=(1, 3))
-    mean = np.where(known, cut, 0.0).sum(axis=(1, 3)) / np.maximum(count, 1)
-    return np.where(count >= 0.5 * bin_px**2, mean, np.nan).astype(np.float32)
-
-
 def _grey(image_dn: npt.NDArray[np.generic], sensor: Sensor) -> str:
     bin_px = max(1, math.ceil(image_dn.shape[1] / FRAME_PX))
-    shown = np.nan_to_num(_binned(image_dn.astype(np.float32), bin_px))
-    return _png(visible(np.rint(shown).clip(0.0, sensor.max_dn).astype(np.uint16), sensor))
-
-
-def _coloured(values: Float32, name: str, low: float, high: float) -> str:
-    colours = mpl.colormaps[name].with_extremes(bad=NOT_COUNTED)
-    picture = colours(Normalize(low, high)(np.ma.masked_invalid(values)), bytes=True)
-    return _png(np.asarray(picture)[..., :3])
-
-
-def _scale(name: str, low: float, high: float) -> Scale:
-    steps = np.linspace(0.0, 1.0, SCALE_PX)[np.newaxis]
-    return Scale(_png(np.asarray(mpl.colormaps[name](steps, bytes=True))[..., :3]), low, high)
-
-
-def _png(picture: npt.NDArray[np.uint8]) -> str:
-    drawn = io.BytesIO()
-    Image.fromarray(np.ascontiguousarray(picture)).save(drawn, format="png", optimize=True)
-    return _uri("image/png", drawn.getvalue())
-
-
-def _uri(kind: str, content: bytes) -> str:
-    return f"data:{kind};base64,{base64.b64encode(content).decode('ascii')}"
+    shown = np.nan_to_num(binned(image_dn.astype(np.float32), bin_px))
+    return png(visible(np.rint(shown).clip(0.0, sensor.max_dn).astype(np.uint16), sensor))

@@ -16,9 +16,9 @@ from tracker.stripe_fit import (
     WIDTH_SIGMA_LN,
     WINDOW_SIGMAS,
     _bell,
-    _map_edge,
     _solve,
     fit_lines,
+    map_edge,
 )
 from tracker.stripe_path import best_path, matched_filter
 
@@ -166,7 +166,7 @@ def test_the_map_edge_is_its_twin(seed: int) -> None:
     background[rng.random(background.shape) < 0.05] = np.nan
     lows = rng.integers(0, 6, -(-len(background) // CELL))
     s, position = rng.integers(0, len(background)), rng.uniform(0.0, 30.0)
-    change = _map_edge(background, lows, CELL, s, position)
+    change = map_edge(background, lows, CELL, s, position)
     here = background[s, np.clip(int(position) - lows[s // CELL], 0, background.shape[1] - 1)]
     if np.isfinite(here):
         assert change == pytest.approx(twins.map_edge(background, np.repeat(lows, CELL), s, position))

@@ -55,7 +55,7 @@ def fit_lap(profile: Profile, joint: Joint, camera_mm: Float64, laser_mm: Float6
     z_edge = z_s + slope_lower * (edge - y_0)
     at_edge = np.array([1.0, 0.0, edge - y_0, 0.0])
     covariance = np.diag([spread**2 / 12.0, float(at_edge @ shape.covariance @ at_edge)])
-    return MeasuredJoint(edge, z_edge, covariance, max(step - thickness, 0.0), -step, shape.chi2)
+    return MeasuredJoint(edge, z_edge, covariance, max(step - thickness, 0.0), -step, shape.chi2, shape)
 
 
 def _hidden_strip(source_mm: Float64, edge_y_mm: float, edge_z_mm: float, step_mm: float) -> float:

@@ -9,7 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from noise_model.frames import Float64
-from tracker.joint.section_fit import best_shift, fit_section
+from tracker.joint.section_fit import N_CORNERS, best_shift, corners_of, fit_section
 from tracker.profile import Profile
 
 SIGMA_FLOOR_PX = 0.05
@@ -23,10 +23,25 @@ PLACED_BY = 160
 
 
 @dataclass(frozen=True)
+class ShapeFit:
+    """Parameters (p,), their covariance (p, p), chi2 per degree of freedom and the points' weights (n,).
+
+    `corners_mm` (k, 2) are the fitted section's, as (y, z).
+    """
+
+    parameters: Float64
+    covariance: Float64
+    chi2: float
+    weights: Float64
+    corners_mm: Float64
+
+
+@dataclass(frozen=True)
 class MeasuredJoint:
     """The joint in its own frame, mm: the seam point, its covariance (2, 2) of (y, z), and its dimensions.
 
     `chi2` is the fit's per degree of freedom; `gap_mm` and `mismatch_mm` are NaN where the shape has none.
+    `shape` is the fit of the section that they come from.
     """
 
     y_mm: float
@@ -35,16 +50,7 @@ class MeasuredJoint:
     gap_mm: float
     mismatch_mm: float
     chi2: float
-
-
-@dataclass(frozen=True)
-class ShapeFit:
-    """Parameters (p,), their covariance (p, p), chi2 per degree of freedom and the points' weights (n,)."""
-
-    parameters: Float64
-    covariance: Float64
-    chi2: float
-    weights: Float64
+    shape: ShapeFit
 
 
 def fit_shape(
@@ -81,7 +87,11 @@ def fit_shape(
         covariance,
         weights,
     )
-    return ShapeFit(parameters[:n], covariance, chi2, weights) if math.isfinite(chi2) else None
+    if not math.isfinite(chi2):
+        return None
+    corners = np.empty((N_CORNERS[shape], 2))
+    corners_of(shape, parameters, corners)
+    return ShapeFit(parameters[:n], covariance, chi2, weights, corners)
 
 
 def place(profile: Profile, corners: Float64, step_mm: float, limit_mm: float) -> tuple[float, float]:

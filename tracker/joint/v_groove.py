@@ -34,5 +34,5 @@ def fit_v_groove(profile: Profile, joint: Joint) -> MeasuredJoint | None:
     ):
         return None
     return MeasuredJoint(
-        y_s, z_s, shape.covariance[:2, :2], max(gap_mm, 0.0), depth_left - depth_right, shape.chi2
+        y_s, z_s, shape.covariance[:2, :2], max(gap_mm, 0.0), depth_left - depth_right, shape.chi2, shape
     )

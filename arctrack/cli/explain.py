@@ -1,0 +1,56 @@
+"""`arctrack explain`: one page for one frame of a recording."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+
+def explain(
+    recording: Annotated[Path, typer.Argument(help="Folder that holds a recording.")],
+    frame: Annotated[int, typer.Argument(help="Number of the frame, as in frames.csv.")],
+    out: Annotated[
+        Path | None,
+        typer.Option(help="Where the page goes; default: results/explain_NNNNNN.html in the recording."),
+    ] = None,
+    setup: Annotated[
+        Path | None, typer.Option(help="A recording.toml to use instead of the recording's own.")
+    ] = None,
+    arc_map: Annotated[
+        bool,
+        typer.Option(
+            "--arc-map/--no-arc-map",
+            help="Without the arc map: local median background, constant variance.",
+        ),
+    ] = True,
+) -> None:
+    """Say why one frame gave its seam, or none: image, arc map, stripe, sigmas, profile, joint, history.
+
+    The frames before it are replayed, so that the tracker knows what it knew.
+    """
+    from arctrack import explain as engine
+    from arctrack.cli import console
+    from arctrack.output import make_folder, write_whole
+    from arctrack.recording import read_recording
+    from arctrack.replay import RESULTS_FOLDER
+    from arctrack.report import explain_words as words
+    from arctrack.report.explain import page
+
+    read = read_recording(recording, setup)
+    console.warn(read.warnings)
+    with console.progress() as bar:
+        on_frame = console.track(bar, read.name, engine.position_of(read, frame) + 1)
+        found = engine.explain(read, frame, arc_map, on_frame)
+    path = out or recording / RESULTS_FOLDER / f"explain_{frame:06d}.html"
+    make_folder(path.parent, ())
+    write_whole(path, page(found))
+    typer.echo(words.headline(found))
+    typer.echo(words.offset_sentence(found))
+    for gate in words.gates(found):
+        for flag in gate.raised:
+            typer.echo(f"  {flag.name}: {flag.meaning} ({gate.question}: {gate.found})")
+    for sentence in (words.arc_sentence(found), f"page  {path}"):
+        if sentence:
+            typer.echo(sentence)

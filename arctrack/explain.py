@@ -1,0 +1,211 @@
+"""One frame of a recording, explained: what the tracker's step did with it, and all that this rests on.
+
+The frames before it go through the same step, so the seam's history is the one that the replay had. The
+frame's own reading is then taken apart by the calls that the step made, in their order: nothing is random,
+so they give the same numbers bit for bit.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from arctrack.errors import ArctrackError, in_file
+from arctrack.explain_lines import Refusals, SigmaParts, refusals, sigma_parts
+from arctrack.recording import BadFrame, Recording
+from arctrack.replay import tracker_of
+from noise_model.arc_map import ArcKernel, Scene, arc_frame, arc_kernel, scene
+from noise_model.frames import Float64
+from tracker import flags
+from tracker.arc_level import MAP_SIGMA, ArcLevel
+from tracker.expected import ExpectedStripe, expect_stripe
+from tracker.geometry import Float32, SensorGeometry
+from tracker.joint import MeasuredJoint, fit_joint
+from tracker.passage import Passage
+from tracker.profile import Profile, triangulate
+from tracker.read import StripeReading, Work, read_stripe
+from tracker.seam import pixels_per_mm, seam_displacement, seam_point_tool, sources
+from tracker.state import Frame, Pose, Track
+from tracker.step import Reading, TrackerState, expected_output, jump_limit_mm, step_and_reading
+
+
+@dataclass(frozen=True, eq=False)
+class ArcImage:
+    """The arc's light as predicted for a frame, at the level that was found in it; images (H, W).
+
+    `mean_e` is NaN where a pixel looks past the workpiece, `whitened` is frame less prediction in sigmas of
+    pixel noise and of the map's stated uncertainty, NaN for saturated pixels too.
+    """
+
+    mean_e: Float32
+    whitened: Float32
+
+
+@dataclass(frozen=True, eq=False)
+class StripeLook:
+    """How the stripe was read, why some scan lines hold none, and what the others' sigma is made of."""
+
+    reading: StripeReading
+    refusals: Refusals
+    parts: SigmaParts
+
+
+@dataclass(frozen=True, eq=False)
+class SeamLook:
+    """A measured seam beside the earlier ones, displacements (2,) as (y, z) from the programmed path, mm."""
+
+    station_mm: float
+    displacement_mm: Float64
+    variance_mm2: Float64
+    expected_mm: Float64
+    expected_sigma_mm: Float64
+    limit_mm: Float64
+
+
+@dataclass(frozen=True, eq=False)
+class Look:
+    """What the step saw in a frame; None where it did not get that far.
+
+    `reach_px` is how far about the expected stripe it was searched, `torch_station_mm` where the torch stands
+    along the path. `joint` is what the profile shows, `seam` None unless the step took that joint.
+    """
+
+    reading: Reading
+    reach_px: float
+    torch_station_mm: float
+    expected: ExpectedStripe | None = None
+    arc: ArcImage | None = None
+    stripe: StripeLook | None = None
+    profile: Profile | None = None
+    joint: MeasuredJoint | None = None
+    seam: SeamLook | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class Explanation:
+    """A frame's track, the tracker's states before and after it, and the look; None if none was taken."""
+
+    recording: Recording
+    geometry: SensorGeometry
+    frame: Frame
+    pose: Pose | None
+    use_arc_map: bool
+    before: TrackerState
+    after: TrackerState
+    track: Track
+    look: Look | None
+
+
+def explain(
+    recording: Recording,
+    index: int,
+    use_arc_map: bool = True,
+    on_frame: Callable[[int], None] | None = None,
+) -> Explanation:
+    """Replay a recording up to the frame of an index and explain it; `on_frame` hears the frames done.
+
+    Raises ArctrackError if the recording has no such frame, or if it cannot be read.
+    """
+    position = position_of(recording, index)
+    tracker = tracker_of(recording, use_arc_map)
+    poses = recording.pose_buffer()
+    for n, earlier in enumerate(recording.frames(range(position))):
+        if not isinstance(earlier, BadFrame):
+            tracker.step(earlier, recording.pose_at(poses, earlier.timestamp_s))
+        if on_frame is not None:
+            on_frame(n + 1)
+    (frame,) = recording.frames([position])
+    if isinstance(frame, BadFrame):
+        raise ArctrackError(f"{frame.message}: there is nothing to explain; choose another frame")
+    pose = recording.pose_at(poses, frame.timestamp_s)
+    geometry, before = tracker.geometry, tracker.state
+    after, track, reading = step_and_reading(geometry, before, frame, pose, Work.of(geometry), use_arc_map)
+    look = None
+    if pose is not None and reading is not None:
+        look = _look(geometry, before, frame, pose, reading, use_arc_map)
+    if on_frame is not None:
+        on_frame(position + 1)
+    return Explanation(recording, geometry, frame, pose, use_arc_map, before, after, track, look)
+
+
+def position_of(recording: Recording, index: int) -> int:
+    """Return the position of the frame with an index; ArctrackError if there is none."""
+    for position, row in enumerate(recording.rows):
+        if row.index == index:
+            return position
+    first, last = recording.rows[0].index, recording.rows[-1].index
+    raise in_file(recording.path, f"has no frame {index}; its frames run from {first} to {last}")
+
+
+def _look(
+    geometry: SensorGeometry,
+    before: TrackerState,
+    frame: Frame,
+    pose: Pose,
+    reading: Reading,
+    use_arc_map: bool,
+) -> Look:
+    """Take a reading apart, as far as the step went."""
+    setup, view = geometry.setup, reading.view
+    nominal = scene(setup, pose.T_base_tool)
+    reach_px = reading.reach_mm * pixels_per_mm(geometry)
+    look = Look(reading, reach_px, float(nominal.T_joint_tool[0, 3]))
+    expected = None if view.below_surface else expect_stripe(geometry, view)
+    if expected is None:
+        return look
+    output = expected_output(setup, frame)
+    kernel = arc_kernel(setup, view, output)
+    passage = Passage.of(geometry, view, kernel, output, frame.timestamp_s)
+    arc = _arc_image(geometry, kernel, passage, reading.arc, frame)
+    look = replace(look, expected=expected, arc=arc)
+    if reading.stripe is None:
+        return look
+
+    work = Work.of(geometry)
+    stripe = read_stripe(geometry, kernel, passage, reading.arc, frame, expected, reach_px, work, use_arc_map)
+    position = stripe.stripe.position_px - expected.lean_px
+    profile = triangulate(geometry, view, position, stripe.stripe.sigma_px)
+    look = replace(look, stripe=StripeLook(stripe, refusals(stripe, expected), sigma_parts(stripe, expected)))
+    if len(profile.y_mm) < 2:
+        return look
+    look = replace(look, profile=profile)
+    if reading.flags & flags.STRIPE_LOST.mask:
+        return look
+    joint = fit_joint(profile, setup.joint, *sources(setup, view, reading.seam.station_mm))
+    seam = None if reading.joint is None else _seam_look(geometry, before, nominal, view, reading.joint)
+    return replace(look, joint=joint, seam=seam)
+
+
+def _arc_image(
+    geometry: SensorGeometry, kernel: ArcKernel, passage: Passage | None, arc: ArcLevel, frame: Frame
+) -> ArcImage:
+    """Predict the arc's light over the whole image, as the tracker does it for the stripe's band."""
+    shape = (geometry.n_scan, geometry.n_pos)
+    level = arc.level if math.isfinite(arc.level) else 1.0
+    arc_e = arc_frame(kernel, geometry.xy, geometry.cos4, shape)
+    other_e = np.zeros_like(arc_e)
+    if passage is not None:
+        through = passage.through(np.arange(arc_e.size), arc_e.ravel())
+        arc_e, other_e = (light.reshape(shape) for light in through)
+    arc_e = np.float32(level) * arc_e
+    mean_e = arc_e + other_e + np.float32(arc.black_e)
+    dn = frame.image_dn.T if geometry.along_rows else frame.image_dn
+    charge_e = geometry.charge_e[np.minimum(dn, len(geometry.charge_e) - 1)]
+    variance = np.maximum(mean_e, 0.0) + geometry.dark_variance_e2 + (MAP_SIGMA * arc_e) ** 2
+    whitened = np.where(dn < geometry.saturation_dn, (charge_e - mean_e) / np.sqrt(variance), np.nan)
+    images = (mean_e, whitened.astype(np.float32))
+    return ArcImage(*(image.T if geometry.along_rows else image for image in images))
+
+
+def _seam_look(
+    geometry: SensorGeometry, before: TrackerState, nominal: Scene, view: Scene, joint: MeasuredJoint
+) -> SeamLook:
+    """Put a measured joint beside what the earlier frames said of its place."""
+    seam_tool = seam_point_tool(geometry.setup, view, joint.y_mm, joint.z_mm)
+    station, displacement = seam_displacement(geometry.setup, nominal.T_joint_tool, seam_tool)
+    variance = np.diag(joint.covariance_mm2)
+    expected, sigma = before.history.at(station)
+    return SeamLook(station, displacement, variance, expected, sigma, jump_limit_mm(sigma, variance))

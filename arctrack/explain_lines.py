@@ -1,0 +1,196 @@
+"""Why each scan line holds the stripe or not, and what its sigma is made of."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, fields
+
+import numpy as np
+import numpy.typing as npt
+
+from noise_model.arc_map import CELL
+from noise_model.frames import Float64
+from tracker.expected import ExpectedStripe
+from tracker.read import StripeReading
+from tracker.stripe_fit import (
+    CORRELATION_PX,
+    MIN_SIGMA_E,
+    MOST_PIXELS,
+    N_PARAMETERS,
+    WIDTH_LIMIT_LN,
+    WIDTH_SIGMA_LN,
+    WINDOW_SIGMAS,
+    LineScratch,
+    fit_line,
+    map_edge,
+)
+
+READ, NO_PATH, NO_FIT, TOO_WEAK, ODD_WIDTH = "", "no path", "no fit", "too weak", "odd width"
+"""Why a scan line holds no stripe: the path found none, the fit ran away, or what it found is none."""
+
+BACKGROUND_STEPS = 6
+"""Steps in which the background's two numbers settle: their weights change little from step to step."""
+
+
+@dataclass(frozen=True, eq=False)
+class Refusals:
+    """Why each scan line (n_scan,) holds no stripe, `READ` where it does, and what its refused fit found.
+
+    `height_e` and `width_ratio`, over the expected width, are NaN where no fit ran to its end.
+    """
+
+    why: npt.NDArray[np.str_]
+    height_e: Float64
+    width_ratio: Float64
+
+
+@dataclass(frozen=True, eq=False)
+class SigmaParts:
+    """What the variance of each line's position is made of, px^2, (n_scan,), NaN where there is no stripe.
+
+    The fit is linear in the pixels about its end: with the Jacobian J, the weights W = V^-1 and the priors'
+    information P its covariance C = (J'WJ + P)^-1 is C J'W V W J C + C P C, so the position's variance is a
+    sum over what V and P are made of: `stripe` and `arc` are their light's shot noise, `dark` read noise and
+    steps of the DN, `map` the priors of the background's offset and slope, `width` that of the stripe's
+    width. `misfit` is by how much chi2 widens all of it.
+
+    `arc_share` is 1 - (variance without the arc) / variance: its shot noise and its map's uncertainty gone.
+    `offset_e`, `slope_e_per_px` are what the fit adds to the background, the slope about the position.
+    """
+
+    stripe: Float64
+    arc: Float64
+    dark: Float64
+    map: Float64
+    width: Float64
+    misfit: Float64
+    arc_share: Float64
+    offset_e: Float64
+    slope_e_per_px: Float64
+
+    @property
+    def variance_px2(self) -> Float64:
+        """The parts' sum (n_scan,), the variance that the fit states."""
+        return self.stripe + self.arc + self.dark + self.map + self.width + self.misfit
+
+
+def refusals(reading: StripeReading, expected: ExpectedStripe) -> Refusals:
+    """Return why scan lines hold no stripe.
+
+    A line that the path runs through is fitted once more, by the same kernel, for what it found.
+    """
+    n_scan = len(reading.start_px)
+    why, height, width_ratio = np.full(n_scan, READ, dtype="<U12"), *np.full((2, n_scan), np.nan)
+    scratch = LineScratch(
+        np.arange(MOST_PIXELS).astype(np.float32),
+        np.empty((N_PARAMETERS, N_PARAMETERS)),
+        *(np.empty(N_PARAMETERS) for _ in range(3)),
+    )
+    band = reading.band
+    for s in map(int, np.flatnonzero(np.isnan(reading.stripe.position_px))):
+        start, low = float(reading.start_px[s]), int(reading.lows[s // CELL])
+        if math.isnan(start):
+            why[s] = NO_PATH
+            continue
+        width, found = float(expected.sigma_px[s]), np.full(N_PARAMETERS, np.nan)
+        fit_line(
+            band.charge[s],
+            band.background[s],
+            band.censored[s],
+            start - low,
+            width,
+            reading.shot,
+            reading.dark_variance_e2,
+            reading.map_sigma,
+            reading.base_sigma_e,
+            map_edge(band.background, reading.lows, CELL, s, start),
+            scratch,
+            found,
+        )
+        height[s], width_ratio[s] = found[2], found[3] / width
+        if math.isnan(found[3]):
+            why[s] = NO_FIT
+        else:
+            why[s] = ODD_WIDTH if abs(math.log(width_ratio[s])) > WIDTH_LIMIT_LN else TOO_WEAK
+    return Refusals(why, height, width_ratio)
+
+
+def sigma_parts(reading: StripeReading, expected: ExpectedStripe) -> SigmaParts:
+    """Return what each scan line's sigma is made of."""
+    n_scan = len(reading.start_px)
+    parts = SigmaParts(*np.full((len(fields(SigmaParts)), n_scan), np.nan))
+    for s in np.flatnonzero(np.isfinite(reading.stripe.position_px)):
+        line = _line(reading, expected, int(s))
+        for f, value in zip(fields(SigmaParts), line, strict=True):
+            getattr(parts, f.name)[s] = value
+    return parts
+
+
+def _line(reading: StripeReading, expected: ExpectedStripe, s: int) -> tuple[float, ...]:
+    """Return one line's numbers in the order of `SigmaParts`' fields."""
+    band, low = reading.band, int(reading.lows[s // CELL])
+    position, _, amplitude, width, chi2 = reading.fits[s]
+    window, half = window_of(reading, expected, s)
+    charge, background, censored = (
+        image[s, window].astype(float) for image in (band.charge, band.background, band.censored)
+    )
+    u = np.arange(window.start, window.stop) + low - position
+    t = u / width
+    stripe = amplitude * np.exp(-0.5 * t**2)
+
+    smooth = max(math.hypot(reading.map_sigma * background.mean(), reading.base_sigma_e), MIN_SIGMA_E)
+    edge = map_edge(band.background, reading.lows, CELL, s, float(reading.start_px[s]))
+    known = _information(math.hypot(smooth, edge), math.hypot(smooth / CORRELATION_PX, edge / half))
+    beside = np.column_stack([np.ones_like(u), u])
+    b = np.zeros(2)
+    for _ in range(BACKGROUND_STEPS):
+        mean = stripe + background + beside @ b
+        counts = (censored == 0.0) | (charge > mean)
+        weight = counts / (reading.shot * np.maximum(mean, 0.0) + reading.dark_variance_e2)
+        H = beside.T @ (weight[:, None] * beside) + np.diag(known[3:])
+        b += np.linalg.solve(H, beside.T @ (weight * (charge - mean)) - known[3:] * b)
+
+    J = np.column_stack([stripe / amplitude, stripe * t / width - b[1], stripe * t**2, beside])
+    shot_stripe = reading.shot * stripe
+    shot_arc = reading.shot * np.maximum(background + beside @ b, 0.0)
+    dark = np.full_like(u, reading.dark_variance_e2)
+    weight = counts / (shot_stripe + shot_arc + dark)
+    C = _covariance(J, weight, known)
+    pull = (J @ C[1]) ** 2 * weight**2
+    of_priors = C[1] ** 2 * known
+    freedom = counts.sum() - 2.0
+    excess = max(chi2 - math.sqrt(2.0 / freedom), 1.0)
+
+    without = _information(*(2 * [max(reading.base_sigma_e, MIN_SIGMA_E)]))
+    without[4] *= CORRELATION_PX**2
+    alone = _covariance(J, counts / (shot_stripe + dark), without)
+    return (
+        float(pull @ shot_stripe),
+        float(pull @ shot_arc),
+        float(pull @ dark),
+        float(of_priors[3] + of_priors[4]),
+        float(of_priors[2]),
+        float(C[1, 1] * (excess - 1.0)),
+        float(1.0 - alone[1, 1] / C[1, 1]),
+        float(b[0]),
+        float(b[1]),
+    )
+
+
+def window_of(reading: StripeReading, expected: ExpectedStripe, s: int) -> tuple[slice, float]:
+    """Return which of a band's pixels a line's fit read, and how far it reached from the path, px."""
+    start = float(reading.start_px[s]) - int(reading.lows[s // CELL])
+    half = WINDOW_SIGMAS * float(expected.sigma_px[s])
+    depth = reading.band.charge.shape[1]
+    return slice(max(0, int(start - half)), min(depth - 1, int(start + half) + 1) + 1), half
+
+
+def _information(offset_sigma_e: float, slope_sigma_e_per_px: float) -> Float64:
+    """Return the priors' information (5,) on amplitude, position, ln width, offset and slope."""
+    sigma = np.array([np.inf, np.inf, WIDTH_SIGMA_LN, offset_sigma_e, slope_sigma_e_per_px])
+    return np.asarray(1.0 / sigma**2)
+
+
+def _covariance(J: Float64, weight: Float64, known: Float64) -> Float64:
+    """Return the covariance (5, 5) of a weighted fit with priors."""
+    return np.asarray(np.linalg.inv(J.T @ (weight[:, None] * J) + np.diag(known)))

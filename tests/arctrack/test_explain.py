@@ -1,0 +1,376 @@
+"""What explains a frame: bit for bit what the replay did, each number by itself, a page for every frame."""
+
+import math
+import re
+import shutil
+from dataclasses import fields, replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from made import replace_line
+from test_diagnosis_page import read
+from typer.testing import CliRunner
+
+import arctrack
+from arctrack.cli import app
+from arctrack.errors import ArctrackError
+from arctrack.explain import Explanation, explain
+from arctrack.explain_lines import NO_FIT, NO_PATH, ODD_WIDTH, READ, TOO_WEAK, refusals, sigma_parts
+from arctrack.recording import Recording, read_recording
+from arctrack.replay import ReplayOptions, replay_recording
+from arctrack.report import explain_words as words
+from arctrack.report.explain import page, telling_lines
+from arctrack.report.explain_pictures import marks, path
+from arctrack.simulate import SimulationPlan, simulate_recording
+from noise_model.arc_map import CELL
+from noise_model.setup import Setup
+from tracker import flags
+from tracker.expected import ExpectedStripe
+from tracker.geometry import SensorGeometry
+from tracker.read import StripeReading, Work
+from tracker.state import Stripe
+from tracker.stripe_fit import fit_lines
+
+EXAMPLE = Path(arctrack.__file__).parents[1] / "examples" / "v_groove"
+RUNNER = CliRunner(env={"COLUMNS": "120", "TERM": "dumb", "NO_COLOR": "1"})
+
+N_SCAN, DEPTH, WIDTH = 24, 121, 6.0
+
+
+@pytest.fixture(scope="module")
+def recording(simulated: Path) -> Recording:
+    return read_recording(simulated)
+
+
+@pytest.fixture(scope="module")
+def explained(recording: Recording) -> list[Explanation]:
+    return [explain(recording, row.index) for row in recording.rows]
+
+
+def assert_same(one: object, other: object, without: tuple[str, ...] = ()) -> None:
+    """Every number bit for bit."""
+    for f in fields(one):  # type: ignore[arg-type]
+        if f.name not in without:
+            np.testing.assert_array_equal(getattr(one, f.name), getattr(other, f.name), err_msg=f.name)
+
+
+def moved(recording: Recording, from_s: float, offset_mm: tuple[float, float, float]) -> Recording:
+    """Return a recording whose poses lie from a time on: what they say of the tool is off."""
+    poses = recording.poses
+    T_base_tool = poses.T_base_tool.copy()
+    T_base_tool[poses.timestamps_s >= from_s, :3, 3] += offset_mm
+    return replace(recording, poses=replace(poses, T_base_tool=T_base_tool))
+
+
+@pytest.mark.parametrize("use_arc_map", [True, False])
+def test_what_is_explained_is_what_the_replay_did(
+    recording: Recording, tmp_path: Path, use_arc_map: bool
+) -> None:
+    done = replay_recording(recording, tmp_path, ReplayOptions(use_arc_map=use_arc_map, pictures=False))
+    seams = 0
+    for track in done.tracks:
+        found = explain(recording, track.frame, use_arc_map)
+        assert_same(found.track, track, ("stripe",))
+        if found.track.stripe is None:
+            assert found.look is None or found.look.stripe is None
+            continue
+        assert found.look is not None
+        assert found.look.stripe is not None
+        assert_same(found.look.stripe.reading.stripe, found.track.stripe)
+        seams += found.look.seam is not None
+        if found.look.reading.joint is not None:
+            assert found.look.joint is not None
+            assert_same(found.look.joint, found.look.reading.joint, ("shape",))
+            assert_same(found.look.joint.shape, found.look.reading.joint.shape)
+    assert seams >= 3
+
+
+def test_the_sigma_is_the_sum_of_its_parts(explained: list[Explanation]) -> None:
+    seen = 0
+    for found in explained:
+        if found.look is None or found.look.stripe is None:
+            continue
+        stripe, parts = found.look.stripe.reading.stripe, found.look.stripe.parts
+        np.testing.assert_allclose(np.sqrt(parts.variance_px2), stripe.sigma_px, rtol=0.01)
+        of_lines = np.isfinite(stripe.position_px)
+        np.testing.assert_array_equal(found.look.stripe.refusals.why == READ, of_lines)
+        seen += int(of_lines.sum())
+    assert seen > 500
+
+
+def made(
+    amplitude_e: float, background_e: float, dark_variance_e2: float, width: float = WIDTH
+) -> tuple[StripeReading, ExpectedStripe]:
+    """Return the reading of a noiseless Gaussian over an even background that is known for sure."""
+    expected = ExpectedStripe(*np.tile([[60.0], [WIDTH], [0.0]], N_SCAN))
+    at = np.arange(DEPTH)
+    bell = np.exp(-0.5 * ((at - 60.0) / width) ** 2)
+    background = np.full((N_SCAN, DEPTH), background_e, np.float32)
+    charge = (background + amplitude_e * bell).astype(np.float32)
+    band = Work(charge, background, np.zeros_like(charge), np.zeros(charge.shape, np.bool_))
+    lows, start = np.zeros(-(-N_SCAN // CELL), np.int64), np.full(N_SCAN, 59.0)
+    start[0] = np.nan
+    fits, saturated = np.empty((N_SCAN, 5)), np.empty(N_SCAN, np.bool_)
+    fit_lines(
+        charge,
+        background,
+        band.censored,
+        start,
+        expected.sigma_px,
+        lows,
+        CELL,
+        1.0,
+        dark_variance_e2,
+        0.0,
+        0.0,
+        fits,
+        saturated,
+    )
+    stripe = Stripe(fits[:, 0], fits[:, 1], fits[:, 2], saturated, True)
+    offsets, score = np.arange(-8, 9, 2), np.zeros((N_SCAN, 9), np.float32)
+    reading = StripeReading(stripe, band, lows, offsets, score, start, fits, 1.0, dark_variance_e2, 0.0, 0.0)
+    return reading, expected
+
+
+def test_without_an_arc_the_variance_is_that_of_counted_electrons() -> None:
+    # Each electron of a Gaussian tells its centre to its width: w^2 / N.
+    reading, expected = made(50_000.0, 0.0, 1e-3)
+    parts = sigma_parts(reading, expected)
+    electrons = 50_000.0 * WIDTH * math.sqrt(2.0 * math.pi)
+    assert np.isnan(parts.stripe[0])
+    np.testing.assert_allclose(parts.stripe[1:], WIDTH**2 / electrons, rtol=0.01)
+    np.testing.assert_allclose(parts.variance_px2[1:], parts.stripe[1:], rtol=0.01)
+    np.testing.assert_allclose(parts.arc_share[1:], 0.0, atol=1e-3)
+
+
+def test_under_a_bright_arc_the_variance_is_that_of_the_arc() -> None:
+    # White noise of variance B: B over the integral of the derivative's square, A^2 sqrt(pi) / (2 w).
+    amplitude, arc, dark = 3_000.0, 200_000.0, 400.0
+    reading, expected = made(amplitude, arc, dark)
+    parts = sigma_parts(reading, expected)
+    per_variance = 2.0 * WIDTH / (amplitude**2 * math.sqrt(math.pi))
+    np.testing.assert_allclose(parts.arc[1:], arc * per_variance, rtol=0.03)
+    np.testing.assert_allclose(parts.dark[1:], dark * per_variance, rtol=0.03)
+    # What is left without it: the stripe's own electrons and the dark, each pixel weighted by both.
+    t = (np.arange(DEPTH) - 60.0) / WIDTH
+    bell = np.exp(-0.5 * t**2)
+    inside = np.abs(t) <= 4.0
+    information = np.sum((amplitude * bell * t / WIDTH)[inside] ** 2 / (amplitude * bell + dark)[inside])
+    share = 1.0 - 1.0 / information / parts.variance_px2[1:]
+    np.testing.assert_allclose(parts.arc_share[1:], share, rtol=0.01)
+
+
+@pytest.mark.parametrize(
+    ("amplitude_e", "width", "why"),
+    [(5_000.0, WIDTH, READ), (5_000.0, 1.7 * WIDTH, ODD_WIDTH), (1e-3, WIDTH, TOO_WEAK)],
+)
+def test_why_a_line_holds_no_stripe(amplitude_e: float, width: float, why: str) -> None:
+    reading, expected = made(amplitude_e, 1_000.0, 400.0, width)
+    found = refusals(reading, expected)
+    assert found.why[0] == NO_PATH
+    assert set(found.why[1:]) == {why}
+    if why == ODD_WIDTH:
+        assert (found.width_ratio[1:] > 1.42).all()
+    reading.start_px[1] = 0.0
+    reading.stripe.position_px[1] = np.nan
+    assert refusals(reading, expected).why[1] == NO_FIT
+
+
+def assert_predicted(found: Explanation) -> None:
+    """The predicted image is what the band was read over; beside the stripe little else is left."""
+    assert found.look is not None
+    assert found.look.stripe is not None
+    assert found.look.arc is not None
+    assert found.look.expected is not None
+    reading, images = found.look.stripe.reading, (found.look.arc.mean_e, found.look.arc.whitened)
+    mean_e, whitened = (image.T if found.geometry.along_rows else image for image in images)
+    n_scan, depth = reading.band.background.shape
+    lines = np.arange(n_scan)[:, None]
+    beside = mean_e[lines, reading.lows[lines // CELL] + np.arange(depth)]
+    off = np.abs(beside - reading.band.background)
+    assert np.nanquantile(off / np.maximum(0.01 * beside, 20.0), 0.98) < 1.5
+    clear = np.abs(np.arange(mean_e.shape[1]) - found.look.expected.position_px[:, None]) > 30.0
+    assert np.nanmedian(np.abs(whitened[clear])) < 1.5
+
+
+def test_the_predicted_image_is_the_bands_background(explained: list[Explanation]) -> None:
+    lit = [found for found in explained if found.track.stripe is not None and found.frame.arc_on]
+    assert len(lit) >= 3
+    for found in lit:
+        assert_predicted(found)
+
+
+def test_an_upright_stripe_is_explained(seen_setup: Setup, tmp_path: Path) -> None:
+    camera, roll = seen_setup.camera, np.array([[0.0, -1, 0, 0], [1, 0, 0, 0], [0, 0, 1, 0], [0, 0, 0, 1]])
+    upright = replace(
+        camera,
+        width=camera.height,
+        height=camera.width,
+        cx=camera.cy,
+        cy=camera.cx,
+        T_tool_camera=camera.T_tool_camera @ roll,
+    )
+    plan = SimulationPlan(frames=2, production=True)
+    made_there = simulate_recording(tmp_path / "r", replace(seen_setup, camera=upright), plan)
+    found = explain(read_recording(made_there), 1)
+    assert not found.geometry.along_rows
+    assert_predicted(found)
+    assert_told(found)
+    assert "a: row " in page(found)
+
+
+def gate_of(found: Explanation, flag: flags.Flag) -> words.Gate:
+    (gate,) = [gate for gate in words.gates(found) if flag in gate.raised]
+    return gate
+
+
+def assert_told(found: Explanation) -> str:
+    """Each flag is told by one gate; the page has no hole. Return the page's text."""
+    told = [flag.mask for gate in words.gates(found) for flag in gate.raised]
+    assert sum(told) == found.track.flags
+    html = page(found)
+    reader = read(html)
+    assert all(reference.startswith("data:image/") for reference in reader.references)
+    assert "<script" not in html
+    assert "nan" not in re.findall(r"[a-z]+", reader.text)
+    for flag in words.raised(found.track.flags):
+        assert flag.meaning in reader.text
+    return reader.text
+
+
+def test_every_frame_has_a_page(explained: list[Explanation]) -> None:
+    for found in explained:
+        text = assert_told(found)
+        assert ("Candidates" in text) == (found.track.stripe is not None)
+        assert words.headline(found) in text
+    assert any(found.track.valid for found in explained)
+    assert any(not found.frame.laser_on for found in explained)
+
+
+def test_a_frame_without_a_pose(recording: Recording) -> None:
+    poses = recording.poses
+    early = poses.timestamps_s < recording.rows[5].timestamp_s - 0.2
+    cut = replace(poses, timestamps_s=poses.timestamps_s[early], T_base_tool=poses.T_base_tool[early])
+    found = explain(replace(recording, poses=cut), recording.rows[-1].index)
+    assert found.look is None
+    assert "no pose is near enough in time" in assert_told(found)
+    assert gate_of(found, flags.POSE_REFUSED).outcome == "refused"
+
+
+def test_a_frame_from_which_the_joint_is_not_seen(recording: Recording) -> None:
+    row = recording.rows[6]
+    for offset_mm, flag in (
+        ((0.0, 0.0, 500.0), flags.SEAM_OUT_OF_VIEW),
+        ((0.0, 0.0, -500.0), flags.BELOW_SURFACE),
+    ):
+        found = explain(moved(recording, row.timestamp_s - 0.06, offset_mm), row.index)
+        assert_told(found)
+        assert gate_of(found, flag).outcome == "refused"
+
+
+def test_a_jump_is_told_in_sigmas(recording: Recording) -> None:
+    lit = [row for row in recording.rows if row.laser_on]
+    row = lit[-1]
+    found = explain(moved(recording, row.timestamp_s - 0.06, (0.0, 0.7, 0.0)), row.index)
+    gate = gate_of(found, flags.SEAM_JUMP)
+    text = assert_told(found)
+    assert found.look is not None
+    seam = found.look.seam
+    assert seam is not None
+    off = seam.displacement_mm - seam.expected_mm
+    assert np.max(np.abs(off) - seam.limit_mm) > 0.0
+    assert f"y {words.signed(off[0])} mm" in gate.found
+    assert "shows a seam that is not used" in text
+
+
+def test_a_lost_stripe_is_told_by_its_share(simulated: Path, tmp_path: Path) -> None:
+    path = Path(shutil.copytree(simulated, tmp_path / "r"))
+    lines = (path / "frames.csv").read_text().splitlines()
+    header, dark = lines[0].split(","), next(n for n, line in enumerate(lines) if ",0,0," in line)
+    row = dict(zip(header, lines[dark].split(","), strict=True)) | {"laser_on": "1"}
+    replace_line(path / "frames.csv", dark + 1, ",".join(row[name] for name in header))
+    found = explain(read_recording(path), int(row["frame"]))
+    gate = gate_of(found, flags.STRIPE_LOST)
+    text = assert_told(found)
+    assert found.look is not None
+    assert found.look.stripe is not None
+    read_lines = int((found.look.stripe.refusals.why == READ).sum())
+    assert gate.found.startswith(f"{read_lines} of 160")
+    assert "20 % at least" in gate.asked
+    assert sum(count for _, _, count in words.refused_lines(found)) == 160 - read_lines
+    assert "Here the step ended" in text
+
+
+def test_the_telling_lines_are_best_median_worst_and_one_without(explained: list[Explanation]) -> None:
+    for found in explained:
+        if found.look is None or found.look.stripe is None:
+            continue
+        stripe = found.look.stripe
+        sigma = stripe.reading.stripe.sigma_px
+        chosen = {name: s for name, s in telling_lines(stripe)}
+        assert sigma[chosen["best σ"]] == np.nanmin(sigma)
+        assert sigma[chosen["worst σ"]] == np.nanmax(sigma)
+        without = [s for name, s in chosen.items() if name.startswith("no stripe")]
+        assert len(without) == int((stripe.refusals.why != READ).any())
+        assert all(math.isnan(sigma[s]) for s in without)
+
+
+def test_an_overlay_is_broken_where_nothing_is_known(explained: list[Explanation]) -> None:
+    geometry: SensorGeometry = explained[0].geometry
+    position = np.full(geometry.n_scan, np.nan)
+    position[2:4], position[6], position[8] = 10.0, 12.25, -3.0
+    assert path(geometry, position) == "M2.5 10.5L3.5 10.5M6.5 12.8"
+    upright = replace(geometry, along_rows=False)
+    assert path(upright, position) == "M10.5 2.5L10.5 3.5M12.8 6.5"
+
+
+def test_marks_stand_apart(explained: list[Explanation]) -> None:
+    found = next(e for e in explained if e.track.valid)
+    camera = found.geometry.setup.camera
+    for scans in ([80, 81, 82, 83], [0, 1, 158, 159]):
+        at = np.array(marks(found, scans))
+        apart = np.hypot(*(at[:, None] - at[None]).transpose(2, 0, 1))[np.triu_indices(4, 1)]
+        assert (apart > 0.05 * camera.height).all()
+        assert ((at > 0.0) & (at < [camera.width, camera.height])).all()
+
+
+def test_the_same_frame_makes_the_same_page(recording: Recording) -> None:
+    index = recording.rows[6].index
+    assert page(explain(recording, index)) == page(explain(recording, index))
+
+
+def test_the_example_is_explained_by_the_command(tmp_path: Path) -> None:
+    out = tmp_path / "frame.html"
+    result = RUNNER.invoke(app, ["explain", str(EXAMPLE), "12", "--out", str(out)])
+    assert result.exit_code == 0, result.output
+    assert "Frame 12: the seam is at y " in result.output
+    assert "saturated: saturated pixels were censored" in result.output
+    html = out.read_text(encoding="utf-8")
+    assert len(html) < 1.5e6
+    reader = read(html)
+    for text in ("v_groove", "What was asked of the frame", "misfit of the arc map", "Telling scan lines"):
+        assert text in reader.text
+
+
+def test_the_page_lies_beside_the_recording(simulated: Path, tmp_path: Path) -> None:
+    path = Path(shutil.copytree(simulated, tmp_path / "r"))
+    setup = shutil.copy(path / "recording.toml", tmp_path / "other.toml")
+    result = RUNNER.invoke(app, ["explain", str(path), "3", "--no-arc-map", "--setup", str(setup)])
+    assert result.exit_code == 0, result.output
+    html = (path / "results" / "explain_000003.html").read_text(encoding="utf-8")
+    assert "read without the arc map" in read(html).text
+    assert f"arctrack replay {path} --setup {setup} --no-arc-map" in html
+
+
+def test_a_frame_that_is_not_there(simulated: Path, tmp_path: Path) -> None:
+    result = RUNNER.invoke(app, ["explain", str(simulated), "14"])
+    assert isinstance(result.exception, ArctrackError)
+    assert str(result.exception) == f"{simulated}: has no frame 14; its frames run from 0 to 13"
+    path = Path(shutil.copytree(simulated, tmp_path / "r"))
+    (path / "frames" / "000004.png").write_bytes(b"no picture")
+    recording = read_recording(path)
+    with pytest.raises(ArctrackError, match=r"000004\.png: .*choose another frame"):
+        explain(recording, 4)
+    # The frames after it are replayed as a replay does: over it.
+    assert explain(recording, 6).before.frames == 5
