@@ -122,7 +122,9 @@ def explain(
         raise ArctrackError(f"{frame.message}: there is nothing to explain; choose another frame")
     pose = recording.pose_at(poses, frame.timestamp_s)
     geometry, before = tracker.geometry, tracker.state
-    after, track, reading = step_and_reading(geometry, before, frame, pose, Work.of(geometry), use_arc_map)
+    after, track, reading = step_and_reading(
+        geometry, before, frame, pose, Work.of(geometry), use_arc_map, tracker.correction
+    )
     look = None
     if pose is not None and reading is not None:
         look = _look(geometry, before, frame, pose, reading, use_arc_map)

@@ -1,7 +1,7 @@
 """Nominal setups to start from: one sensor, placed for each joint so that it sees the stripe.
 
-A 690 nm sheet stands 35 mm ahead of the torch. A groove and a corrugation are seen from ahead, back towards
-the arc; a lap from behind the torch, forward: there its upper sheet does not mirror the arc into the lens.
+A 690 nm sheet stands 35 mm ahead of the torch. All joints but a lap are seen from ahead, back towards the
+arc; a lap from behind the torch, forward: there its upper sheet does not mirror the arc into the lens.
 """
 
 from __future__ import annotations
@@ -24,18 +24,20 @@ DIMENSIONS: dict[str, dict[str, float]] = {
     "v_groove": {"included_angle_deg": 60.0, "depth_mm": 4.0, "root_gap_mm": 1.0},
     "lap": {"thickness_mm": 2.0},
     "corrugation": {"thickness_mm": 1.6, "pitch_mm": 60.0, "height_mm": 8.0, "width_mm": 30.0},
+    "butt": {"gap_mm": 1.0, "thickness_mm": 3.0},
+    "fillet": {"included_angle_deg": 90.0},
+    "half_v": {"bevel_angle_deg": 45.0, "depth_mm": 4.0, "root_gap_mm": 1.0},
+    "u_groove": {"depth_mm": 6.0, "root_radius_mm": 3.0, "bevel_angle_deg": 20.0, "root_gap_mm": 1.0},
+    "edge": {"gap_mm": 0.5, "thickness_mm": 4.0},
 }
 """The dimensions, mm and deg, of the joints that a setup can be made for."""
 
 MATERIALS = tuple(TABLE_1)
 
-_CAMERA_IN_TOOL_MM = {
-    "v_groove": (95.0, 0.0, 130.0),
-    "lap": (-20.0, 0.0, 135.0),
-    "corrugation": (95.0, 0.0, 130.0),
-}
+_AHEAD_MM, _BEHIND_MM = (95.0, 0.0, 130.0), (-20.0, 0.0, 135.0)
 _AIM_IN_TOOL_MM = (36.0, 0.0, 0.0)
-_ARC_HEIGHT_MM = {"v_groove": 0.0, "lap": 2.0, "corrugation": 1.6}
+_ARC_HEIGHT_MM = {"lap": 2.0, "corrugation": 1.6, "fillet": 3.0}
+"""Where the arc stands on more than the reference surface: on the upper sheet, between a fillet's plates."""
 
 
 def nominal_setup(joint_type: str, material_name: str, *, width: int = 640, height: int = 480) -> Setup:
@@ -52,7 +54,7 @@ def nominal_setup(joint_type: str, material_name: str, *, width: int = 640, heig
         fy=focal_px,
         cx=(width - 1) / 2.0,
         cy=(height - 1) / 2.0,
-        T_tool_camera=looking_at(_CAMERA_IN_TOOL_MM[joint_type], _AIM_IN_TOOL_MM),
+        T_tool_camera=looking_at(_BEHIND_MM if joint_type == "lap" else _AHEAD_MM, _AIM_IN_TOOL_MM),
         focal_length_mm=16.2,
     )
     return Setup(
@@ -68,7 +70,7 @@ def nominal_setup(joint_type: str, material_name: str, *, width: int = 640, heig
         ),
         arc=Arc(
             radius_mm=3.0,
-            center_in_tool_mm=(0.0, 0.0, _ARC_HEIGHT_MM[joint_type]),
+            center_in_tool_mm=(0.0, 0.0, _ARC_HEIGHT_MM.get(joint_type, 0.0)),
             radiance_e=1.0,
             current_a=100.0,
             current_exponent=1.3,

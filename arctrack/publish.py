@@ -26,6 +26,7 @@ from robot_io import (
     out_of_range_as_unknown,
 )
 from tracker import flags
+from tracker.correction import Correction
 from tracker.state import Track
 
 LIMITS = GateLimits(
@@ -59,8 +60,15 @@ class Moment:
 class Publisher:
     """Sends seam offset, seam geometry and tracker status for each track; its state is the gate's memory."""
 
-    def __init__(self, link: Link, joint_type: str, limits: GateLimits = LIMITS) -> None:
+    def __init__(
+        self,
+        link: Link,
+        joint_type: str,
+        limits: GateLimits = LIMITS,
+        correction: Correction | None = None,
+    ) -> None:
         self._link = link
+        self._correction = correction or Correction()
         self._joint = JointType[joint_type.upper()]
         self._limits = limits
         self._last_sent = LastSent()
@@ -85,13 +93,17 @@ class Publisher:
     def _decide(self, track: Track, moment: Moment) -> Decision:
         proposal = Proposal(
             captured_at_s=track.timestamp_s,
-            offset_y_mm=track.offset_y_mm if track.valid else math.nan,
-            offset_z_mm=track.offset_z_mm if track.valid else math.nan,
-            confidence=track.confidence,
+            offset_y_mm=track.offset_y_mm,
+            offset_z_mm=track.offset_z_mm,
+            confidence=track.offset_confidence,
             sigma_y_mm=track.offset_sigma_y_mm,
             sigma_z_mm=track.offset_sigma_z_mm,
         )
-        conditions = Conditions(armed=True, enable_y=True, enable_z=True, robot=moment.robot)
+        enable_y, enable_z = self._correction.enabled
+        # A tracker that has stopped following is not to be held to its last offset: the gate refuses at once.
+        conditions = Conditions(
+            armed=not _has_stopped(track), enable_y=enable_y, enable_z=enable_z, robot=moment.robot
+        )
         return decide(proposal, conditions, self._limits, self._last_sent, moment.now_s)
 
     def _geometry(self, track: Track) -> SeamGeometry:
@@ -128,7 +140,13 @@ def _status(track: Track, decision: Decision, moment: Moment) -> TrackerStatus:
     return out_of_range_as_unknown(status)
 
 
+def _has_stopped(track: Track) -> bool:
+    return bool(track.flags & flags.FOLLOW_STOPPED.mask)
+
+
 def _state(track: Track, decision: Decision) -> TrackerState:
-    if decision.verdict is Verdict.HOLD:
+    if _has_stopped(track):
+        return TrackerState.DISARMED
+    if decision.verdict is Verdict.HOLD or track.flags & flags.OFFSET_HELD.mask:
         return TrackerState.HOLDING
     return TrackerState.TRACKING if track.valid else TrackerState.SEARCHING

@@ -115,7 +115,7 @@ def replay_recording(
         results = opened.enter_context(ResultsWriter(folder))
         opened.enter_context(_bus_errors())
         link = opened.enter_context(Link(interface, channel, log_paths=(folder / BUS_LOG,)))
-        publisher = Publisher(link, recording.setup.joint.type, options.limits)
+        publisher = Publisher(link, recording.setup.joint.type, options.limits, recording.correction)
         pace = no_pace if interface == "virtual" else recorded_pace(recording.rows[0])
         pictures = _pictures(recording, folder, opened) if options.pictures else None
         for step in _steps(recording, options.use_arc_map):
@@ -198,7 +198,19 @@ def _summary(
         replayed_rate_hz=len(tracks) / elapsed_s,
         latency_ms=Latency.of(compute_ms),
         score=None if truth is None else score(tracks, truth, recording.setup.tolerance.seam_mm),
+        joint_ends_mm=_joint_ends_mm(tracks),
     )
+
+
+def _joint_ends_mm(tracks: Sequence[Track]) -> dict[str, tuple[float, float]]:
+    """Return station and 1 sigma of the joint's start and end, where they were found."""
+    ends_mm = [
+        end
+        for track in tracks
+        for end in (("start", track.joint_start_mm), ("end", track.joint_end_mm))
+        if math.isfinite(end[1][0])
+    ]
+    return dict(ends_mm)
 
 
 def _warm_up(recording: Recording, poses: PoseBuffer, use_arc_map: bool) -> None:
@@ -213,7 +225,7 @@ def _warm_up(recording: Recording, poses: PoseBuffer, use_arc_map: bool) -> None
 def tracker_of(recording: Recording, use_arc_map: bool) -> Tracker:
     """Return a tracker for a recording; ArctrackError if its setup's stripe is not in view."""
     try:
-        return Tracker(recording.setup, use_arc_map)
+        return Tracker(recording.setup, use_arc_map, recording.correction)
     except ValueError as error:
         raise in_file(recording.setup_path, str(error)) from error
 

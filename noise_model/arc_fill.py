@@ -36,7 +36,8 @@ SHARE = 0.5
 DECAY = 0.1
 """By how much the highest coefficient of what is smooth lies below the one before."""
 
-MAX_FACES = 8
+MAX_FACES = 40
+"""Room for the faces of a section: those of a U are most."""
 
 Box = tuple[int, int, int, int]
 """A cell: its first scan line and position, and their numbers."""
@@ -279,7 +280,7 @@ def _fill_cell(
         _node_pixels(n_pos, box, places, pixels)
         light_on_rays(k, table, xy, cos4, pixels, N * N, light_e, faces, work)
         is_one = faces[0] != MISS
-        for face in range(MAX_FACES):
+        for face in range(k.vertices.shape[0] - 1):
             seen[face] = False
         for i in range(N * N):
             is_one = is_one and faces[i] == faces[0]

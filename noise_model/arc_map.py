@@ -96,9 +96,7 @@ def scene(
         center[2] = offset[2] + float(corrugation_height(foot, shape.corrugation))
         if ground is not None:
             center[2] += _higher_mm(laid, ground, center)
-    footprint = _footprint(
-        setup, T_joint_camera, (shape.vertices[:, 1].min(), shape.vertices[:, 1].max() + shape.corrugation[0])
-    )
+    footprint = _footprint(setup, T_joint_camera, shape)
     start, horizons = horizon_tables(shape, (footprint[0, 0], footprint[0, 1]), center, setup.arc.radius_mm)
     bend = seam.slope_y - laid.slope_y, _beside_mm(laid, seam if ground is None else ground, center)
     return Scene(T_joint_tool, T_joint_camera, center, shape, start, horizons, footprint, bend)
@@ -126,15 +124,26 @@ def _ahead(setup: Setup, T_base_tool: Float64) -> Float64:
     return np.asarray(T_base_tool[:3, :3] @ np.array([x, y, 0.0]) + T_base_tool[:3, 3])
 
 
-def _footprint(setup: Setup, T_joint_camera: Float64, levels_mm: tuple[float, float]) -> Float64:
-    """Return (2, 2): between which x and y, mm, joint frame, the camera sees the plate at two levels."""
+def _footprint(setup: Setup, T_joint_camera: Float64, shape: Section) -> Float64:
+    """Return (2, 2): between which x and y, mm, joint frame, the camera sees the joint.
+
+    Its rim's rays are followed to the highest and the lowest level between the plates, and to the plates
+    where these rise or fall.
+    """
     d = _rim_rays(*setup.camera.geometry) @ T_joint_camera[:3, :3].T
-    origin = T_joint_camera[:3, 3]
+    origin, inner = T_joint_camera[:3, 3], shape.vertices[1:-1]
     # A ray that does not go down meets no plate: it is followed to a slope of 1 in 10 at most.
     down = np.minimum(d[:, 2], -0.1 * np.sqrt(np.einsum("ij,ij->i", d, d)))
-    ends = np.concatenate(
-        [origin[:2] + ((level - origin[2]) / down)[:, np.newaxis] * d[:, :2] for level in levels_mm]
-    )
+    levels_mm = inner[:, 1].min(), inner[:, 1].max() + shape.corrugation[0]
+    ways = [(level - origin[2]) / down for level in levels_mm]
+    for edge, end in ((inner[0], shape.vertices[0]), (inner[-1], shape.vertices[-1])):
+        if end[1] == edge[1]:
+            continue
+        slope = (end[1] - edge[1]) / (end[0] - edge[0])
+        towards = d[:, 2] - slope * d[:, 1]
+        down = np.minimum(towards, -0.1 * np.sqrt(np.einsum("ij,ij->i", d, d)))
+        ways.append((edge[1] + slope * (origin[1] - edge[0]) - origin[2]) / down)
+    ends = np.concatenate([origin[:2] + way[:, np.newaxis] * d[:, :2] for way in ways])
     return np.stack([ends.min(axis=0), ends.max(axis=0)], axis=1)
 
 

@@ -82,6 +82,9 @@ BEYOND_MM, BEYOND_ALONG_MM = 40.0, 15.0
 Along a corrugation it is followed half a pitch far if that is more.
 """
 
+MOST_FACES = 12
+"""Of a section with more faces, as a U's rounding has, the ways between all of them are too many."""
+
 PAD_MM = 0.05
 """By how much the lattice reaches past the pixels' points across a face."""
 
@@ -146,7 +149,15 @@ def _sum(orders_e: Float32, scale: float) -> Float32:
 
 
 def _orders(view: View, focus: Focus, of_laser: bool, output_e: float) -> Float32:
-    """Return each order's light (ORDERS, ...), e-, of one source."""
+    """Return each order's light (ORDERS, ...), e-, of one source.
+
+    Raises ValueError for a section of more than `MOST_FACES`.
+    """
+    if len(view.scene.shape.vertices) - 1 > MOST_FACES:
+        joint_type = view.setup.joint.type
+        raise ValueError(
+            f"[effects.interreflection]: light is not followed between the faces of a {joint_type}"
+        )
     k, grains = place(view.setup, view.scene), COARSE_GRAINS if view.coarse else FINE
     points, faces = view.surface[0].reshape(-1, 3), view.surface[2].reshape(-1)
     image = np.zeros((ORDERS, len(faces)), dtype=np.float32)

@@ -23,7 +23,7 @@ from noise_model.plan_light import ARC_PLACES, HALF_WINDOW_SIGMAS, StripeLight
 from noise_model.sensor import Sensor, linearise, saturation_dn, variance_e2
 from noise_model.setup import Setup
 from noise_model.spectrum import ArcSpectrum, Filter, FilterCurve
-from noise_model.surface import Joint, section
+from noise_model.surface import DIMENSIONS, Joint, section
 
 Bool = npt.NDArray[np.bool_]
 
@@ -199,23 +199,26 @@ def longest_exposure(brightest_e: float, sensor: Sensor) -> float:
 
 def _half_mouth_mm(joint: Joint) -> float:
     """Return within how far of the seam the joint's own shape lies: a groove's bevels, else anywhere."""
-    if joint.type != "v_groove":
+    if "depth_mm" not in DIMENSIONS[joint.type]:
         return math.inf
-    vertices = section(joint).vertices
-    return float(vertices[-2, 0])
+    return float(section(joint).vertices[-2, 0])
 
 
 def _edge_sigma_mm(light: StripeLight, read: Bool, joint: Joint) -> float:
-    """Return what a section's upright edge tells of y: it lies between two scan lines that are read.
-
-    Lines between them that could not be read make that wider; what the edge hides can be reckoned with, and
-    the edge's own face says nothing that its rim does not.
-    """
+    """Return what a section's upright edges tell of y: each lies between two scan lines that are read."""
     vertices = section(joint).vertices
-    upright = np.flatnonzero(np.diff(vertices[:, 0]) == 0.0)
-    if not len(upright):
-        return math.inf
-    y, edge = light.points[:, 1], float(vertices[upright[0], 0])
+    uprights = vertices[:-1][np.diff(vertices[:, 0]) == 0.0, 0]
+    information = sum(_one_edge_sigma_mm(light, read, float(edge)) ** -2.0 for edge in uprights)
+    return information**-0.5 if information > 0.0 else math.inf
+
+
+def _one_edge_sigma_mm(light: StripeLight, read: Bool, edge: float) -> float:
+    """Return what an upright edge at y = `edge` tells of its own place.
+
+    Lines between those that are read make that wider; what the edge hides can be reckoned with, and the
+    edge's own face says nothing that its rim does not.
+    """
+    y = light.points[:, 1]
     left, right = read & (y < edge), read & (y > edge)
     if not (left.any() and right.any()):
         return math.inf

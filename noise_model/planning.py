@@ -22,6 +22,9 @@ Range = tuple[float, float]
 Progress = Callable[[str, int, int], None]
 """Hears what is being done, how many of it are done, and of how many."""
 
+ALIKE_SIDES = ("v_groove", "u_groove", "butt", "fillet", "edge")
+"""The joints that look alike from either side."""
+
 TILT_STEP_DEG, AZIMUTH_STEP_DEG, PREVIEW_STEP_MM, STAND_OFF_STEP_MM = 10.0, 30.0, 15.0, 75.0
 MAP_STEPS_DEG = (5.0, 22.5)
 """How finely a search looks, and the map of the noise over tilt and azimuth."""
@@ -202,7 +205,7 @@ def _elsewhere(own: SensorDesign, space: SearchSpace) -> list[SensorDesign]:
 def _azimuths(setup: Setup, options: PlanOptions) -> Range:
     if options.azimuth_deg is not None:
         return options.azimuth_deg
-    alike = setup.joint.type == "v_groove" and setup.material.lobe.anisotropy == 0.0
+    alike = setup.joint.type in ALIKE_SIDES and setup.material.lobe.anisotropy == 0.0
     return (0.0, 180.0) if alike else (-180.0, 180.0)
 
 

@@ -8,7 +8,7 @@ adds c(x) to every height. Surfaces hide what is behind them from either side.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import lru_cache
 
@@ -25,8 +25,22 @@ DIMENSIONS: Mapping[str, tuple[str, ...]] = {
     "v_groove": ("included_angle_deg", "depth_mm", "root_gap_mm"),
     "lap": ("thickness_mm",),
     "corrugation": ("thickness_mm", "pitch_mm", "height_mm", "width_mm"),
+    "butt": ("gap_mm", "thickness_mm"),
+    "fillet": ("included_angle_deg",),
+    "half_v": ("bevel_angle_deg", "depth_mm", "root_gap_mm"),
+    "u_groove": ("depth_mm", "root_radius_mm", "bevel_angle_deg", "root_gap_mm"),
+    "edge": ("gap_mm", "thickness_mm"),
 }
 """The dimensions that each type of joint needs."""
+
+MAY_BE_ZERO = ("root_gap_mm", "gap_mm")
+"""The dimensions that may be 0; all others are above it."""
+
+EDGE_STANDS_MM = 60.0
+"""How high the two sheets of an edge joint stand over what they stand on: below what a sensor looks at."""
+
+SAGITTA_MM, MOST_CHORDS = 0.01, 16
+"""How far the chords of a U's rounded root lie off it at most, up to a radius of 10 mm, and their number."""
 
 
 @dataclass(frozen=True)
@@ -44,13 +58,21 @@ class Joint:
         for name in DIMENSIONS[self.type]:
             if name not in self.dimensions:
                 raise ValueError(f"[joint] {name}: missing, a {self.type} needs it")
-            minimum_is_open = name != "root_gap_mm"
+            minimum_is_open = name not in MAY_BE_ZERO
             value = self.dimensions[name]
             if not (value > 0 if minimum_is_open else value >= 0) or math.isinf(value):
                 bound = "> 0" if minimum_is_open else ">= 0"
                 raise ValueError(f"[joint] {name} = {value}: must be {bound} and finite")
         if self.type == "v_groove" and not self.dimensions["included_angle_deg"] < 180:
             raise ValueError("[joint] included_angle_deg: must be below 180")
+        if self.type == "fillet" and not self.dimensions["included_angle_deg"] < 360:
+            raise ValueError("[joint] included_angle_deg: must be below 360")
+        if self.type == "fillet" and self.dimensions["included_angle_deg"] == 180:
+            raise ValueError("[joint] included_angle_deg = 180: two plates in one plane have no corner")
+        if "bevel_angle_deg" in DIMENSIONS[self.type] and not self.dimensions["bevel_angle_deg"] < 90:
+            raise ValueError("[joint] bevel_angle_deg: must be below 90")
+        if self.type == "u_groove" and _round_height_mm(self.dimensions) > self.dimensions["depth_mm"]:
+            raise ValueError("[joint] root_radius_mm: the rounded root is higher than depth_mm")
         if self.type == "corrugation" and self.dimensions["width_mm"] > self.dimensions["pitch_mm"]:
             raise ValueError("[joint] width_mm: a corrugation cannot be wider than its pitch_mm")
         points = np.asarray(self.seam_in_base_mm, dtype=np.float64)
@@ -86,24 +108,100 @@ class Section:
 
 
 def section(joint: Joint) -> Section:
-    """Return a joint's cross-section as RECORDING.md draws it, seam point at y = 0."""
+    """Return a joint's cross-section as RECORDING.md draws it, seam point at y = 0.
+
+    Beyond that format: `half_v` has an upright side at y < 0 and a bevelled one, `bevel_angle_deg` from
+    upright; `u_groove` a flat root `root_gap_mm` wide, rounded by `root_radius_mm` up to its bevels; of both
+    the seam point is the middle of the root. `edge`: two upright sheets of `thickness_mm` side by side, their
+    edges level at z = 0, the seam point the middle of the gap between them.
+    """
     size = joint.dimensions
     corrugation = np.zeros(3)
-    if joint.type == "flat":
-        inner = [(0.0, 0.0)]
-    elif joint.type == "v_groove":
-        half_gap = size["root_gap_mm"] / 2.0
-        half_mouth = half_gap + size["depth_mm"] * math.tan(math.radians(size["included_angle_deg"] / 2.0))
-        inner = [(-half_mouth, 0.0), (-half_gap, -size["depth_mm"])]
-        inner += [(-y, z) for y, z in reversed(inner)]
-        if half_gap == 0.0:
-            del inner[1]
-    else:
-        inner = [(0.0, size["thickness_mm"]), (0.0, 0.0)]
-        if joint.type == "corrugation":
-            corrugation[:] = size["height_mm"], size["width_mm"], size["pitch_mm"]
-    ends = [(-REACH_MM, inner[0][1]), (REACH_MM, inner[-1][1])]
-    return Section(np.array([ends[0], *inner, ends[1]], dtype=np.float64), corrugation)
+    if joint.type == "corrugation":
+        corrugation[:] = size["height_mm"], size["width_mm"], size["pitch_mm"]
+    inner = _CORNERS[joint.type](size)
+    # Without a gap two corners meet.
+    inner = [corner for i, corner in enumerate(inner) if i == 0 or corner != inner[i - 1]]
+    rise = REACH_MM * _plate_slope(joint)
+    right_end, left_end = (-REACH_MM, inner[0][1] + rise), (REACH_MM, inner[-1][1] + rise)
+    return Section(np.array([right_end, *inner, left_end], dtype=np.float64), corrugation)
+
+
+Corners = list[tuple[float, float]]
+Size = Mapping[str, float]
+
+
+def _mirrored(right: Corners) -> Corners:
+    """Return a section's corners (y, z) from those at y <= 0, y rising."""
+    return right + [(-y, z) for y, z in reversed(right)]
+
+
+def _v_groove(size: Size) -> Corners:
+    half_gap, depth = size["root_gap_mm"] / 2.0, size["depth_mm"]
+    half_mouth = half_gap + depth * math.tan(math.radians(size["included_angle_deg"] / 2.0))
+    return _mirrored([(-half_mouth, 0.0), (-half_gap, -depth)])
+
+
+def _half_v(size: Size) -> Corners:
+    half_gap, depth = size["root_gap_mm"] / 2.0, size["depth_mm"]
+    mouth = half_gap + depth * math.tan(math.radians(size["bevel_angle_deg"]))
+    return [(-half_gap, 0.0), (-half_gap, -depth), (half_gap, -depth), (mouth, 0.0)]
+
+
+def _round_height_mm(size: Size) -> float:
+    """Return how high over a U's root the rounding goes over into the bevel."""
+    return size["root_radius_mm"] * (1.0 - math.sin(math.radians(size["bevel_angle_deg"])))
+
+
+def _u_groove(size: Size) -> Corners:
+    """Draw the rounding as the polygon about it, whose first and last sides are the root and the bevel."""
+    half_gap, depth, radius = size["root_gap_mm"] / 2.0, size["depth_mm"], size["root_radius_mm"]
+    bevel = math.radians(size["bevel_angle_deg"])
+    turn = 0.5 * math.pi - bevel
+    chords = math.ceil(turn / (2.0 * math.acos(radius / (radius + SAGITTA_MM))))
+    step = turn / min(max(chords, 1), MOST_CHORDS)
+    reach = radius / math.cos(0.5 * step)
+    angles = np.arange(0.5 * step, turn, step)
+    left = [(half_gap + reach * math.sin(a), radius - depth - reach * math.cos(a)) for a in angles]
+    over = depth - _round_height_mm(size)
+    left.append((half_gap + radius * math.cos(bevel) + over * math.tan(bevel), 0.0))
+    return _mirrored([(-y, z) for y, z in reversed(left)])
+
+
+def _slot(size: Size, depth_mm: float) -> Corners:
+    half_gap = size["gap_mm"] / 2.0
+    return _mirrored([(-half_gap, 0.0), (-half_gap, -depth_mm)]) if half_gap > 0.0 else [(0.0, 0.0)]
+
+
+def _edge(size: Size) -> Corners:
+    outer = -size["gap_mm"] / 2.0 - size["thickness_mm"]
+    side = [(outer, -EDGE_STANDS_MM), (outer, 0.0)]
+    return [*side, *_slot(size, EDGE_STANDS_MM), *_mirrored(side)[2:]]
+
+
+def _lap(size: Size) -> Corners:
+    return [(0.0, size["thickness_mm"]), (0.0, 0.0)]
+
+
+_CORNERS: Mapping[str, Callable[[Size], Corners]] = {
+    "flat": lambda size: [(0.0, 0.0)],
+    "v_groove": _v_groove,
+    "lap": _lap,
+    "corrugation": _lap,
+    "butt": lambda size: _slot(size, size["thickness_mm"]),
+    "fillet": lambda size: [(0.0, 0.0)],
+    "half_v": _half_v,
+    "u_groove": _u_groove,
+    "edge": _edge,
+}
+"""Each type's corners between its two plates, (y, z) in mm, y rising."""
+
+
+def _plate_slope(joint: Joint) -> float:
+    """Return how steeply the plates rise away from the seam: a fillet's do, or fall."""
+    if joint.type != "fillet":
+        return 0.0
+    return 1.0 / math.tan(math.radians(joint.dimensions["included_angle_deg"] / 2.0))
 
 
 @dataclass(frozen=True)
@@ -177,8 +275,8 @@ Seam = SeamLine | BentSeam
 
 
 def seam_height_mm(joint: Joint) -> float:
-    """Return the height of the seam point over the reference surface: the root of a V, else 0."""
-    return -joint.dimensions["depth_mm"] if joint.type == "v_groove" else 0.0
+    """Return the height of the seam point over the reference surface: the root of a groove, else 0."""
+    return -joint.dimensions["depth_mm"] if "depth_mm" in DIMENSIONS[joint.type] else 0.0
 
 
 def corrugation_height(x_mm: Float64, corrugation: Float64) -> Float64:

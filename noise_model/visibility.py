@@ -305,8 +305,16 @@ def sky_planes(
         count = 2
     corrugated = corrugation[0] > 0.0
     sheets = has_sheets(vertices, corrugation, bend)
-    for k in range(1, vertices.shape[0] - 1):
+    n_vertices = vertices.shape[0]
+    # Of all that stands on one side the steepest hides what the others do; (dy, dz) and askew of those.
+    right_dy, right_dz, right_askew, left_dy, left_dz, left_askew = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
+    for k in range(n_vertices):
         if sheets or k in (face, face + 1):
+            continue
+        # A plate's far end counts where the plate rises towards it, as in a fillet's inside corner.
+        if k == 0 and vertices[0, 1] <= vertices[1, 1]:
+            continue
+        if k == n_vertices - 1 and vertices[k, 1] <= vertices[k - 1, 1]:
             continue
         y_k, z_k = vertices[k, 0], vertices[k, 1]
         # A vertex no higher than the arc's foot hides nothing that stands before it, and nothing at all from
@@ -331,14 +339,22 @@ def sky_planes(
             before = n_y * (center[1] - beside - y_k) + n_z * (center[2] - z_k)
             if before >= radius:
                 continue
-            if before > -radius:
+            if before > -radius and n_ledges < MAX_LEDGES:
                 i = 2 * n_ledges
                 wall_y = y_k + beside - askew * way
                 ledges[i, 0], ledges[i, 1], ledges[i, 2] = askew, -side * dz, side * dy
                 ledges[i + 1, 0], ledges[i + 1, 1], ledges[i + 1, 2] = n_y, n_z, n_y * wall_y + n_z * z_k
                 n_ledges += 1
                 continue
-        planes[count, 0], planes[count, 1], planes[count, 2] = askew * side * dz, -side * dz, side * dy
+        if side > 0.0 and left_dy * dz - left_dz * dy >= 0.0:
+            left_dy, left_dz, left_askew = dy, dz, askew
+        elif side < 0.0 and right_dy * dz - right_dz * dy <= 0.0:
+            right_dy, right_dz, right_askew = dy, dz, askew
+    if left_dy != 0.0 or left_dz != 0.0:
+        planes[count, 0], planes[count, 1], planes[count, 2] = left_askew * left_dz, -left_dz, left_dy
+        count += 1
+    if right_dy != 0.0 or right_dz != 0.0:
+        planes[count, 0], planes[count, 1], planes[count, 2] = -right_askew * right_dz, right_dz, -right_dy
         count += 1
     if corrugated and abs(center[0] - P[0]) > radius:
         towards = 1.0 if center[0] > P[0] else -1.0

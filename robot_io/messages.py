@@ -93,6 +93,9 @@ class JointType(IntEnum):
     CORRUGATION = 3
     BUTT = 4
     FILLET = 5
+    HALF_V = 6
+    U_GROOVE = 7
+    EDGE = 8
     UNKNOWN = 15
 
 

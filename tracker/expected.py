@@ -16,6 +16,7 @@ from noise_model.frames import Float64, invert
 from noise_model.kernel import kernel
 from noise_model.laser import Sheet, depth_below, sheet_of, sheet_reflected
 from noise_model.optics import Camera
+from noise_model.surface import EDGE_STANDS_MM
 from tracker.geometry import SensorGeometry
 
 Int64 = npt.NDArray[np.int64]
@@ -41,12 +42,14 @@ class ExpectedStripe:
     """The stripe that the joint would show, per scan line (n_scan,), px.
 
     `position_px` its centre, `sigma_px` its 1 sigma (sheet and point-spread function), `lean_px` how far its
-    light's centre lies off the laser plane's trace because reflectance and fall-off vary across it.
+    light's centre lies off the laser plane's trace because reflectance and fall-off vary across it. `shown`
+    says where the joint would show it at all, and not what an edge joint stands on, deep out of sight.
     """
 
     position_px: Float64
     sigma_px: Float64
     lean_px: Float64
+    shown: Bool
 
 
 class Lens(NamedTuple):
@@ -86,8 +89,14 @@ def expect_stripe(geometry: SensorGeometry, view: Scene) -> ExpectedStripe | Non
     """
     setup = geometry.setup
     position, sigma, lean = np.empty((3, geometry.n_scan))
+    face = np.empty(geometry.n_scan, dtype=np.int64)
+    vertices = view.shape.vertices
+    is_deep = vertices[:, 1] <= -EDGE_STANDS_MM
+    if is_deep.any():
+        # The seam may be off its place by more than its sheets are wide: they are looked for beside it too.
+        vertices = np.column_stack([vertices[:, 0], np.where(is_deep, 0.0, vertices[:, 1])])
     in_view = _expect(
-        view.shape.vertices,
+        vertices,
         view.shape.corrugation,
         np.ascontiguousarray(view.T_joint_tool[:3, 3]),
         sheet_of(setup.laser, view.T_joint_tool),
@@ -98,8 +107,14 @@ def expect_stripe(geometry: SensorGeometry, view: Scene) -> ExpectedStripe | Non
         position,
         sigma,
         lean,
+        face,
     )
-    return ExpectedStripe(position, sigma, lean) if in_view else None
+    if not in_view:
+        return None
+    shown = np.ones(geometry.n_scan, dtype=np.bool_)
+    if is_deep.any():
+        shown = (face < 0) | ~(is_deep[:-1] & is_deep[1:])[face]
+    return ExpectedStripe(position, sigma, lean, shown)
 
 
 @kernel
@@ -215,6 +230,7 @@ def _expect(
     position: Float64,
     sigma: Float64,
     lean: Float64,
+    face_shown: Int64,
 ) -> bool:
     """Write an expected stripe (n_scan,), see `expect_stripe`; False where it is out of view."""
     n_scan = position.shape[0]
@@ -243,6 +259,7 @@ def _expect(
         lean[s] = shading + 1.5 * (0.5 * (places[2, s] + places[0, s]) - places[1, s])
         good[s] = faces[1, s] >= 0 and faces[0, s] == faces[1, s] and faces[2, s] == faces[1, s]
     _take_from_same_face(sigma, lean, faces[1], good)
+    face_shown[:] = faces[1]
     return True
 
 

@@ -49,6 +49,18 @@ BELOW_SURFACE = Flag(
     16, "below_surface", "the camera or the laser stands below the surface at this pose", True
 )
 ARC_LEVEL_UNKNOWN = Flag(17, "arc_level_unknown", "too few pixels off the stripe to tell the arc's output")
+OFFSET_HELD = Flag(
+    18, "offset_held", "the torch has passed what is measured of the seam: its last known place is kept"
+)
+OFFSET_LIMITED = Flag(19, "offset_limited", "the offset was cut to the limit that `[follow]` states")
+FOLLOW_STOPPED = Flag(
+    20, "follow_stopped", "following has stopped, as `[follow]` demands, until it starts anew"
+)
+BEFORE_JOINT = Flag(21, "before_joint", "the torch stands before the joint's start, whose offset it is given")
+PAST_JOINT = Flag(22, "past_joint", "the torch stands past the joint's end: there is nothing to follow")
+JOINT_TYPE_MISMATCH = Flag(
+    23, "joint_type_mismatch", "a search shows another type of joint than the setup states, and decidedly"
+)
 
 FLAGS: tuple[Flag, ...] = tuple(value for value in list(globals().values()) if isinstance(value, Flag))
 """Every flag, in order of its bit."""

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 
 import numpy as np
+from scipy.special import erf
 
 from noise_model.arc_map import Scene
 from noise_model.frames import Float64, invert, transform
@@ -102,6 +103,11 @@ def seam_displacement(setup: Setup, T_joint_tool: Float64, seam_tool: Float64) -
         corrugation_height(station, section(setup.joint).corrugation)
     )
     return float(station), np.array([y, z - height])
+
+
+def confidence(setup: Setup, sigma_mm: Float64) -> float:
+    """Return the probability that errors of these 1 sigmas (n,), mm, all stay within the weld's tolerance."""
+    return float(np.prod(erf(setup.tolerance.seam_mm / (math.sqrt(2.0) * sigma_mm))))
 
 
 def hand_eye_variance(setup: Setup, nominal: Scene, seam_tool: Float64) -> Float64:

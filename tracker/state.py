@@ -9,6 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from tracker import flags
+from tracker.joint import NO_SHAPE, JointShape
 
 Float64 = npt.NDArray[np.float64]
 NAN = math.nan
@@ -59,9 +60,14 @@ class Track:
 
     `seam_tool_mm` is the seam point in the laser plane, tool frame. `sigma_y_mm` and `sigma_z_mm` are its
     1 sigma across and along the surface normal, the stated hand-eye tolerance included. The offsets are the
-    seam's displacement from the programmed path in S at the torch's station, valid at `valid_at_s`.
+    seam's displacement from the programmed path in S at the torch's station, valid at `valid_at_s`, as gain,
+    bias and limit of the correction leave it; their sigmas say how well the seam is known there, and
+    `offset_confidence`, with the hand-eye tolerance, how probably that is within the weld's tolerance.
+    `joint_start_mm` and `joint_end_mm` are station and 1 sigma of the joint's ends where they were found.
     `arc_level` is the arc's output over what the setup expects for the frame's current and exposure;
     `map_misfit` is the arc residual over its stated uncertainty, robustly, 1 or less where the map is right.
+    `fov_margin_mm` is how far the seam point lies inside the profile's nearer end, negative beyond it;
+    `shape` what else the section shows.
     """
 
     frame: int
@@ -74,12 +80,17 @@ class Track:
     offset_z_mm: float = NAN
     offset_sigma_y_mm: float = NAN
     offset_sigma_z_mm: float = NAN
+    offset_confidence: float = NAN
     valid_at_s: float = NAN
     gap_mm: float = NAN
     mismatch_mm: float = NAN
     confidence: float = NAN
+    joint_start_mm: tuple[float, float] = (NAN, NAN)
+    joint_end_mm: tuple[float, float] = (NAN, NAN)
     arc_level: float = NAN
     map_misfit: float = NAN
+    fov_margin_mm: float = NAN
+    shape: JointShape = NO_SHAPE
     stripe: Stripe | None = field(default=None, repr=False)
 
     @property

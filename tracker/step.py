@@ -9,7 +9,6 @@ import math
 from dataclasses import dataclass, field, replace
 
 import numpy as np
-from scipy.special import erf
 
 from noise_model.arc import level as current_level
 from noise_model.arc_map import Scene, arc_kernel, scene
@@ -18,14 +17,17 @@ from noise_model.setup import Setup
 from noise_model.surface import SeamLine
 from tracker import flags
 from tracker.arc_level import UNKNOWN, ArcLevel, estimate_arc_level
+from tracker.correction import Correction
 from tracker.expected import expect_stripe
 from tracker.follow import SeamHistory
 from tracker.geometry import SensorGeometry
 from tracker.joint import MeasuredJoint, fit_joint
+from tracker.joint.type_check import is_another_type
 from tracker.passage import Passage
 from tracker.profile import triangulate
 from tracker.read import FIT_SIGMAS, Work, read_stripe
 from tracker.seam import (
+    confidence,
     expected_seam,
     hand_eye_variance,
     pixels_per_mm,
@@ -35,6 +37,7 @@ from tracker.seam import (
     sources,
 )
 from tracker.state import Frame, Pose, Stripe, Track
+from tracker.steer import Steering, steer
 
 SEARCH_REACH_MM = 5.0
 """How far off its nominal place the seam is first looked for."""
@@ -43,24 +46,26 @@ TRACK_REACH_MM = 1.0
 """How far from its expected place it is looked for once it is known, beyond three sigmas of that place."""
 
 MIN_SHARE, GOOD_SHARE = 0.2, 0.75
-"""The share of scan lines that must hold a stripe, and below which it is called partial."""
+"""The share of the scan lines that the joint crosses which must hold a stripe, and below it is partial."""
 
 ARC_OFF_SIGMAS = 5.0
 MISFIT_LIMIT = 2.0
 JOINT_CHI2_LIMIT = 9.0
-
-RIM_MM = 1.0
-"""A joint this near to an end of the profile is out of view."""
+UNEXPLAINED_LIMIT = 0.1
+"""So large a share of the points near the seam may lie off the joint's shape: spatter, a tack weld's end."""
 
 JUMP_SIGMAS, JUMP_FLOOR_MM = 5.0, 0.3
 JUMPS_TO_RELEARN = 3
 """So many jumps in a row are the seam's new place."""
 
+LEAST_MARGIN_MM = 1.0
+"""A seam nearer to the profile's end than this is out of view."""
+
 LOST_TO_SEARCH = 3
 """So many frames without a joint widen the search to what it was at first."""
 
-OFFSET_SIGMA_LIMIT_MM = 0.5
-"""An offset less certain than this is not known."""
+UNSTATED = Correction()
+"""The correction where none is stated."""
 
 
 @dataclass(frozen=True)
@@ -71,6 +76,7 @@ class TrackerState:
     """
 
     history: SeamHistory = field(default_factory=SeamHistory)
+    steering: Steering = field(default_factory=Steering)
     jumps: int = 0
     lost: int = 0
     frames: int = 0
@@ -83,14 +89,15 @@ def step(
     pose: Pose | None,
     work: Work,
     use_arc_map: bool = True,
+    correction: Correction = UNSTATED,
 ) -> tuple[TrackerState, Track]:
     """Track one frame.
 
     `geometry` is the setup with its tables, `pose` None where it was refused, `use_arc_map` False reads the
-    stripe over a running median with one variance for all pixels instead, for comparison. Nothing about a
-    frame raises: what fails is NaN with a flag.
+    stripe over a running median with one variance for all pixels instead, for comparison; `correction` says
+    what of the seam's displacement is sent. Nothing about a frame raises: what fails is NaN with a flag.
     """
-    return step_and_reading(geometry, state, frame, pose, work, use_arc_map)[:2]
+    return step_and_reading(geometry, state, frame, pose, work, use_arc_map, correction)[:2]
 
 
 def step_and_reading(
@@ -100,6 +107,7 @@ def step_and_reading(
     pose: Pose | None,
     work: Work,
     use_arc_map: bool = True,
+    correction: Correction = UNSTATED,
 ) -> tuple[TrackerState, Track, Reading | None]:
     """Return what `step` does and the look at the frame that it rests on, None where it took none."""
     state = replace(state, frames=state.frames + 1)
@@ -124,11 +132,22 @@ def step_and_reading(
         found |= flags.SEARCHED.mask
         reading = _read_again(geometry, frame, pose, nominal, seam, reading, work, use_arc_map)
     found |= reading.flags
-    track = replace(track, arc_level=reading.arc.level, map_misfit=reading.arc.misfit, stripe=reading.stripe)
+    track = replace(
+        track,
+        arc_level=reading.arc.level,
+        map_misfit=reading.arc.misfit,
+        fov_margin_mm=reading.fov_margin_mm,
+        stripe=reading.stripe,
+    )
     if reading.joint is None:
-        lost = state.lost + (reading.stripe is not None)
-        return replace(state, lost=lost), replace(track, flags=found), reading
-    return *_follow(geometry, state, track, found, nominal, reading.view, reading.joint), reading
+        state = replace(state, lost=state.lost + (reading.stripe is not None))
+        track = replace(track, flags=found)
+    else:
+        state, track = _follow(geometry, state, track, found, nominal, reading.view, reading.joint)
+    steering, track = steer(
+        correction, geometry.setup, pose.T_base_tool, nominal, state.history, state.steering, track, seam
+    )
+    return replace(state, steering=steering), track, reading
 
 
 @dataclass(frozen=True)
@@ -142,6 +161,7 @@ class Reading:
     arc: ArcLevel = UNKNOWN
     stripe: Stripe | None = None
     joint: MeasuredJoint | None = None
+    fov_margin_mm: float = math.nan
 
 
 def _read(
@@ -172,7 +192,7 @@ def _read(
         return Reading(found | flags.LASER_OFF.mask, view, seam, reach_mm, arc)
 
     stripe = read_stripe(geometry, kernel, passage, arc, frame, expected, reach_px, work, use_arc_map).stripe
-    share = float(np.mean(np.isfinite(stripe.position_px)))
+    share = float(np.isfinite(stripe.position_px).sum()) / max(int(expected.shown.sum()), 1)
     found |= flags.SATURATED.mask if stripe.saturated.any() else 0
     if share < MIN_SHARE:
         return Reading(found | flags.STRIPE_LOST.mask, view, seam, reach_mm, arc, stripe)
@@ -180,12 +200,18 @@ def _read(
 
     profile = triangulate(geometry, view, stripe.position_px - expected.lean_px, stripe.sigma_px)
     joint = fit_joint(profile, geometry.setup.joint, *sources(geometry.setup, view, seam.station_mm))
+    # A narrower look shows only what lies where the stated joint should.
+    if reach_mm == SEARCH_REACH_MM and is_another_type(profile, geometry.setup.joint, joint):
+        found |= flags.JOINT_TYPE_MISMATCH.mask
     if joint is None:
         return Reading(found | flags.JOINT_NOT_FOUND.mask, view, seam, reach_mm, arc, stripe)
-    if not profile.y_mm[0] + RIM_MM < joint.y_mm < profile.y_mm[-1] - RIM_MM:
-        return Reading(found | flags.SEAM_OUT_OF_VIEW.mask, view, seam, reach_mm, arc, stripe)
-    found |= flags.JOINT_MISFIT.mask if joint.chi2 > JOINT_CHI2_LIMIT else 0
-    return Reading(found, view, seam, reach_mm, arc, stripe, joint)
+    margin_mm = min(joint.y_mm - float(profile.y_mm[0]), float(profile.y_mm[-1]) - joint.y_mm)
+    if margin_mm <= LEAST_MARGIN_MM:
+        out = found | flags.SEAM_OUT_OF_VIEW.mask
+        return Reading(out, view, seam, reach_mm, arc, stripe, fov_margin_mm=margin_mm)
+    is_misfit = joint.chi2 > JOINT_CHI2_LIMIT or joint.unexplained > UNEXPLAINED_LIMIT
+    found |= flags.JOINT_MISFIT.mask if is_misfit else 0
+    return Reading(found, view, seam, reach_mm, arc, stripe, joint, margin_mm)
 
 
 def _read_again(
@@ -211,7 +237,9 @@ def _read_again(
     _, station, displacement = _locate(setup, nominal, placed.view, placed.joint)
     there = replace(seam, station_mm=station, y_mm=float(displacement[0]), z_mm=float(displacement[1]))
     again = _read(geometry, frame, pose, there, TRACK_REACH_MM, work, use_arc_map)
-    return first if again.joint is None else again
+    if again.joint is None:
+        return first
+    return replace(again, flags=again.flags | (placed.flags & flags.JOINT_TYPE_MISMATCH.mask))
 
 
 def _locate(
@@ -231,7 +259,7 @@ def _follow(
     view: Scene,
     joint: MeasuredJoint,
 ) -> tuple[TrackerState, Track]:
-    """Judge a measured joint against the earlier ones, and turn it into seam point, offset and confidence."""
+    """Judge a measured joint against the earlier ones, and turn it into seam point and confidence."""
     setup = geometry.setup
     seam_tool, station, displacement = _locate(setup, nominal, view, joint)
     variance = np.diag(joint.covariance_mm2)
@@ -245,33 +273,20 @@ def _follow(
             history, jumps, lost = SeamHistory(), 0, 0
     else:
         history = history.with_measurement(station, displacement, variance)
-    state = replace(state, history=history, jumps=jumps, lost=lost)
-
-    torch_station = float(nominal.T_joint_tool[0, 3])
-    offset, offset_sigma = history.at(torch_station)
-    if not history.is_measured(torch_station):
-        found |= flags.OFFSET_EXTRAPOLATED.mask
-    if offset_sigma.max() > OFFSET_SIGMA_LIMIT_MM:
-        found |= flags.OFFSET_UNKNOWN.mask
-        offset, offset_sigma = np.full(2, np.nan), np.full(2, np.nan)
-
-    sigma = np.sqrt(variance + hand_eye_variance(setup, nominal, seam_tool))
-    tolerance = setup.tolerance.seam_mm
-    confidence = float(np.prod(erf(tolerance / (math.sqrt(2.0) * sigma))))
+    hand_eye = hand_eye_variance(setup, nominal, seam_tool)
+    steering = replace(state.steering, hand_eye_variance_mm2=(float(hand_eye[0]), float(hand_eye[1])))
+    state = replace(state, history=history, steering=steering, jumps=jumps, lost=lost)
+    sigma = np.sqrt(variance + hand_eye)
     return state, replace(
         track,
         flags=found,
         seam_tool_mm=(float(seam_tool[0]), float(seam_tool[1]), float(seam_tool[2])),
         sigma_y_mm=float(sigma[0]),
         sigma_z_mm=float(sigma[1]),
-        offset_y_mm=float(offset[0]),
-        offset_z_mm=float(offset[1]),
-        offset_sigma_y_mm=float(offset_sigma[0]),
-        offset_sigma_z_mm=float(offset_sigma[1]),
-        valid_at_s=track.timestamp_s,
         gap_mm=joint.gap_mm,
         mismatch_mm=joint.mismatch_mm,
-        confidence=confidence,
+        confidence=confidence(setup, sigma),
+        shape=joint.shape,
     )
 
 
@@ -302,13 +317,16 @@ def _arc_flags(arc: ArcLevel) -> int:
 class Tracker:
     """A thin holder of a setup's tables, the state and the scratch."""
 
-    def __init__(self, setup: Setup, use_arc_map: bool = True) -> None:
+    def __init__(self, setup: Setup, use_arc_map: bool = True, correction: Correction = UNSTATED) -> None:
         self.geometry = SensorGeometry.of(setup)
         self.state = TrackerState()
         self.use_arc_map = use_arc_map
+        self.correction = correction
         self._work = Work.of(self.geometry)
 
     def step(self, frame: Frame, pose: Pose | None) -> Track:
         """Track one frame and keep the new state."""
-        self.state, track = step(self.geometry, self.state, frame, pose, self._work, self.use_arc_map)
+        self.state, track = step(
+            self.geometry, self.state, frame, pose, self._work, self.use_arc_map, self.correction
+        )
         return track

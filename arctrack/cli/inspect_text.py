@@ -11,6 +11,7 @@ from rich.table import Table
 from arctrack.recording import Recording
 from arctrack.survey import Condition, Motion, Survey
 from noise_model.setup import Setup
+from tracker.correction import AxisCorrection, Correction
 
 
 def print_survey(console: Console, recording: Recording, found: Survey) -> None:
@@ -18,6 +19,8 @@ def print_survey(console: Console, recording: Recording, found: Survey) -> None:
     lines = [("recording", _extent(recording)), *setup_lines(recording.setup), *motion_lines(found.motion)]
     if recording.has_truth:
         lines.append(("truth", "truth.csv holds the true seam points, for scoring"))
+    if recording.correction != Correction():
+        lines.append(("follow", correction_words(recording.correction)))
     if recording.setup.effects:
         lines.append(("effects", f"known beforehand: {', '.join(recording.setup.effects)}"))
     lines.append(("unknown keys", ", ".join(recording.unknown_keys) or "none"))
@@ -27,6 +30,20 @@ def print_survey(console: Console, recording: Recording, found: Survey) -> None:
         console.print(f"[bold]{name:<{width}}[/bold]  ", end="")
         console.print(text, markup=False, soft_wrap=True)
     console.print(condition_table(found.conditions))
+
+
+def correction_words(correction: Correction) -> str:
+    """Return what of the correction is not as it is where nothing is stated."""
+    words = []
+    for table, stated, unstated in (
+        ("", correction, Correction()),
+        ("y.", correction.y, AxisCorrection()),
+        ("z.", correction.z, AxisCorrection()),
+    ):
+        for name, value in vars(stated).items():
+            if value != getattr(unstated, name) and not isinstance(value, AxisCorrection):
+                words.append(f"{table}{name} {str(value).lower()}")
+    return ", ".join(words)
 
 
 def setup_lines(setup: Setup) -> list[tuple[str, str]]:

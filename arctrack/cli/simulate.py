@@ -21,6 +21,11 @@ class JointName(StrEnum):
     V_GROOVE = "v_groove"
     LAP = "lap"
     CORRUGATION = "corrugation"
+    BUTT = "butt"
+    FILLET = "fillet"
+    HALF_V = "half_v"
+    U_GROOVE = "u_groove"
+    EDGE = "edge"
 
 
 class MaterialName(StrEnum):

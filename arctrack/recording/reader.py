@@ -15,6 +15,7 @@ from arctrack.recording.tables import FrameRow, PoseTable, Truth, read_frame_row
 from noise_model.effects import pose_time_s
 from noise_model.setup import Setup
 from robot_io import PoseBuffer
+from tracker.correction import Correction
 from tracker.state import Frame, Pose
 
 FRAMES_CSV, TRUTH_CSV = "frames.csv", "truth.csv"
@@ -25,13 +26,15 @@ UNFINISHED_SUFFIX = ".unfinished"
 class Recording:
     """A recording, checked but for its frames, which are read one at a time.
 
-    `setup_path` is the file that the setup came from; `rows` are the lines of frames.csv, `poses` T_base_tool
-    over time, `unknown_keys` what recording.toml holds that means nothing here, `warnings` one line each.
+    `setup_path` is the file that the setup came from, and `correction`, how its seam is followed; `rows` are
+    the lines of frames.csv, `poses` T_base_tool over time, `unknown_keys` what recording.toml holds that
+    means nothing here, `warnings` one line each.
     """
 
     path: Path
     setup_path: Path
     setup: Setup
+    correction: Correction
     robot: Mapping[str, Any]
     unknown_keys: tuple[str, ...]
     rows: tuple[FrameRow, ...]
@@ -92,6 +95,7 @@ def read_recording(path: Path | str, setup_path: Path | None = None) -> Recordin
         path=folder,
         setup_path=stated.path,
         setup=stated.setup,
+        correction=stated.correction,
         robot=stated.robot,
         unknown_keys=stated.unknown_keys,
         rows=rows,

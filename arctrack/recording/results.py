@@ -6,8 +6,8 @@ import csv
 import json
 import math
 from collections import Counter
-from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from types import TracebackType
 from typing import Any, Self
@@ -44,7 +44,21 @@ COLUMNS = (
     "arc_level",
     "map_misfit",
     "compute_ms",
+    "fov_margin_mm",
+    "gap_sigma_mm",
+    "mismatch_sigma_mm",
+    "bevel_left_deg",
+    "bevel_left_sigma_deg",
+    "bevel_right_deg",
+    "bevel_right_sigma_deg",
+    "plate_left_deg",
+    "plate_left_sigma_deg",
+    "plate_right_deg",
+    "plate_right_sigma_deg",
+    "area_mm2",
+    "area_sigma_mm2",
 )
+"""The format's own columns, then arctrack's."""
 
 
 class ResultsWriter:
@@ -78,6 +92,7 @@ class ResultsWriter:
                 _text(track.arc_level, 5),
                 _text(track.map_misfit, 4),
                 _text(compute_ms, 3),
+                *(_text(value, 5) for value in _section_values(track)),
             )
         )
         self._file.flush()
@@ -114,6 +129,7 @@ class Summary:
     """A whole replay in numbers.
 
     `offsets` counts what the gate did by verdict, `refusals` what it did not let through by reason.
+    `joint_ends_mm` is station and 1 sigma of the joint's start and end, where they were found.
     """
 
     recording: str
@@ -127,6 +143,7 @@ class Summary:
     replayed_rate_hz: float
     latency_ms: Latency
     score: Score | None
+    joint_ends_mm: Mapping[str, tuple[float, float]] = field(default_factory=dict)
 
     def to_json(self) -> dict[str, Any]:
         """Return the content of summary.json; what is not known is null."""
@@ -145,6 +162,11 @@ class Summary:
             "rate_hz": {"recorded": self.recorded_rate_hz, "replayed": self.replayed_rate_hz},
             "latency_ms": asdict(self.latency_ms),
         }
+        if self.joint_ends_mm:
+            content["joint_ends"] = {
+                end: {"station_mm": station_mm, "sigma_mm": sigma_mm}
+                for end, (station_mm, sigma_mm) in self.joint_ends_mm.items()
+            }
         if self.score is not None:
             content["error_mm"] = _score_json(self.score)
         rounded: dict[str, Any] = _rounded(content)
@@ -154,6 +176,19 @@ class Summary:
         """Write summary.json."""
         text = json.dumps(self.to_json(), indent=2, allow_nan=False)
         (folder / SUMMARY_JSON).write_text(text + "\n", encoding="utf-8")
+
+
+def _section_values(track: Track) -> Iterator[float]:
+    """Return a row's own columns of what the section shows."""
+    shape = track.shape
+    yield from (track.fov_margin_mm, shape.gap_sigma_mm, shape.mismatch_sigma_mm)
+    for angles_deg, sigmas_deg in (
+        (shape.bevel_angles_deg, shape.bevel_sigmas_deg),
+        (shape.plate_angles_deg, shape.plate_sigmas_deg),
+    ):
+        for angle_deg, sigma_deg in zip(angles_deg, sigmas_deg, strict=True):
+            yield from (angle_deg, sigma_deg)
+    yield from (shape.area_mm2, shape.area_sigma_mm2)
 
 
 def count_flags(tracks: Sequence[Track]) -> dict[str, int]:

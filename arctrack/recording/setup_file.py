@@ -19,6 +19,7 @@ from arctrack.recording.setup_model import FORMAT, UNITS, RecordingToml, describ
 from noise_model.frames import Float64
 from noise_model.setup import Setup
 from noise_model.spectrum import Filter, FilterCurve
+from tracker.correction import Correction
 
 if TYPE_CHECKING:
     from sim_to_real.diagnosis import Named
@@ -30,13 +31,14 @@ FILE_NAME = "recording.toml"
 class SetupFile:
     """What the recording.toml at `path` says.
 
-    `robot` is the raw table; `T_tool_controllertool` (4, 4), mm, takes points of the controller's own tool
-    frame to arctrack's, None if they are the same; `unknown_keys` are the keys that mean nothing here: they
-    are reported and otherwise without effect.
+    `correction` is how the seam is followed; `robot` is the raw table; `T_tool_controllertool` (4, 4), mm,
+    takes points of the controller's own tool frame to arctrack's, None if they are the same; `unknown_keys`
+    are the keys that mean nothing here: they are reported and otherwise without effect.
     """
 
     path: Path
     setup: Setup
+    correction: Correction = field(default_factory=Correction)
     robot: Mapping[str, Any] = field(default_factory=dict)
     T_tool_controllertool: Float64 | None = None
     unknown_keys: tuple[str, ...] = ()
@@ -73,6 +75,7 @@ def parse_setup(text: str, path: Path) -> SetupFile:
         return SetupFile(
             path=path,
             setup=model.to_setup(),
+            correction=model.follow.to_correction(),
             robot=document.get("robot", {}),
             T_tool_controllertool=None
             if controllertool is None

@@ -18,6 +18,7 @@ from noise_model.sensor import Sensor
 from noise_model.setup import Setup, Tolerance
 from noise_model.spectrum import CurveError, Filter, FilterCurve
 from noise_model.surface import DIMENSIONS, Joint
+from tracker.correction import AtLimit, AxisCorrection, Correction, CorrugationPath, WhenLost
 
 FORMAT = "joint-tracking-recording/1"
 UNITS = "mm, s, deg, e-, DN"
@@ -165,6 +166,41 @@ class ToleranceTable(Table):
     seam_mm: FiniteFloat = Tolerance.seam_mm
 
 
+class FollowAxisTable(Table):
+    """[follow.y] and [follow.z], every key optional; without a limit only the gate bounds the axis."""
+
+    enable: bool = AxisCorrection.enable
+    gain: FiniteFloat = AxisCorrection.gain
+    bias_mm: FiniteFloat = AxisCorrection.bias_mm
+    limit_mm: FiniteFloat | None = None
+    at_limit: AtLimit = AxisCorrection.at_limit
+
+    def to_axis(self, place: str) -> AxisCorrection:
+        """Return the axis; ValueError names `place` and the key of a value that cannot be."""
+        values = {name: value for name, value in _known(self).items() if value is not None}
+        try:
+            return AxisCorrection(**values)
+        except ValueError as error:
+            raise ValueError(f"[{place}] {error}") from None
+
+
+class FollowTable(Table):
+    """[follow], every key optional."""
+
+    when_lost: WhenLost = Correction.when_lost
+    extrapolate_mm: FiniteFloat = Correction.extrapolate_mm
+    extrapolate_sigma_mm: FiniteFloat = Correction.extrapolate_sigma_mm
+    ends_mm: FiniteFloat = Correction.ends_mm
+    corrugation: CorrugationPath = Correction.corrugation
+    y: FollowAxisTable = Field(default_factory=FollowAxisTable)
+    z: FollowAxisTable = Field(default_factory=FollowAxisTable)
+
+    def to_correction(self) -> Correction:
+        """Return the correction; ValueError names the table and key of a value that cannot be."""
+        axes = {"y": self.y.to_axis("follow.y"), "z": self.z.to_axis("follow.z")}
+        return Correction(**{**_known(self), **axes})
+
+
 class RobotTable(Table):
     """[robot], optional: what is particular to the controller."""
 
@@ -184,6 +220,7 @@ class RecordingToml(Table):
     material: MaterialTable
     joint: JointTable
     tolerance: ToleranceTable = Field(default_factory=ToleranceTable)
+    follow: FollowTable = Field(default_factory=FollowTable)
     robot: RobotTable | None = None
     effects: dict[str, dict[str, FiniteFloat]] = Field(default_factory=dict)
 

@@ -18,6 +18,7 @@ from arctrack.report import explain_plots as plots
 from arctrack.report import explain_words as words
 from arctrack.report.diagnosis_words import number, percent
 from noise_model.frames import Float64
+from tracker.joint.measured import off_section
 from tracker.stripe_path import GAIN_CAP
 
 TEMPLATE = "explain.html.j2"
@@ -185,8 +186,9 @@ def _medians(stripe: StripeLook) -> list[tuple[str, float]]:
 
 
 def _left_out(of: Explanation) -> tuple[int, int] | None:
-    """Return how many of the profile's points do not count in the joint's fit, and how many there are."""
+    """Return how many of the profile's points lie off the fitted section, and how many there are."""
     if of.look is None or of.look.joint is None:
         return None
-    weights = of.look.joint.shape.weights
-    return int((weights == 0.0).sum()), len(weights)
+    assert of.look.profile is not None
+    left_out = off_section(of.look.profile, of.look.joint)
+    return int(left_out.sum()), len(left_out)

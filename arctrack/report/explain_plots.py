@@ -17,7 +17,7 @@ from arctrack.report.embedded import svg
 from arctrack.report.explain_words import scan_line
 from noise_model.arc_map import CELL
 from noise_model.frames import Float64
-from tracker.joint.measured import SIGMA_FLOOR_PX
+from tracker.joint.measured import SIGMA_FLOOR_PX, off_section
 from tracker.stripe_path import GAIN_CAP
 
 WIDTH_INCH = 10.5
@@ -50,9 +50,6 @@ CLOSE_MM = 3.0
 """How far about the seam point the profile is shown close by."""
 
 TIMES = (1, 2, 5, 10, 20, 50, 100, 200, 500)
-
-WELL_WEIGHTED = 0.5
-"""Points of at least this weight count as well on the section."""
 
 STATIONS = 160
 """Places along the path at which the history is drawn."""
@@ -203,14 +200,14 @@ def profile_picture(of: Explanation, look: Look) -> str:
     whole, close = figure.add_subplot(grid[0, 0]), figure.add_subplot(grid[:, 1])
     y, z = profile.y_mm, profile.z_mm
     expected = look.reading.view.shape.vertices
-    weights = np.full(len(y), np.nan) if joint is None else joint.shape.weights
+    off = None if joint is None else off_section(profile, joint)
     margin = 0.03 * float(np.ptp(y))
     for axes in (whole, close):
         style.plain(axes, "y, to the left [mm]", "z, up [mm]")
         axes.plot(*expected.T, color=style.BLUE, linewidth=0.9, dashes=(6, 4), label="expected")
-        _points(axes, y, z, weights)
+        _points(axes, y, z, off)
         if joint is not None:
-            axes.plot(*joint.shape.corners_mm.T, color=style.GREEN, linewidth=1.2, label="fitted section")
+            axes.plot(*joint.corners_mm.T, color=style.GREEN, linewidth=1.2, label="fitted section")
             axes.plot(
                 joint.y_mm, joint.z_mm, "+", color=style.BLACK, markersize=13, mew=1.6, label="seam point"
             )
@@ -227,13 +224,13 @@ def profile_picture(of: Explanation, look: Look) -> str:
         close.set_title("about the expected seam", loc="left", fontsize=10)
         nominal = z - np.interp(y, *expected.T)
         style.plain(left, "y, to the left [mm]", "mm", "off the expected section")
-        _points(left, y, nominal, weights)
+        _points(left, y, nominal, off)
         return svg(figure)
     times = _ellipse(close, joint.covariance_mm2, middle)
     close.set_title(f"about the seam; ellipse: 1 σ, {times} times enlarged", loc="left", fontsize=10)
-    over = z - np.interp(y, *joint.shape.corners_mm.T)
+    over = z - np.interp(y, *joint.corners_mm.T)
     style.plain(left, "y, to the left [mm]", "mm", "off the fitted section")
-    _points(left, y, over, weights)
+    _points(left, y, over, off)
     left.axhline(0.0, color=style.GREEN, linewidth=1.0)
     spread = float(np.quantile(np.abs(over), 0.9))
     left.set_ylim(-4.0 * spread, 4.0 * spread)
@@ -306,13 +303,13 @@ def history_picture(of: Explanation, look: Look) -> str:
     return svg(figure)
 
 
-def _points(axes: Axes, y: Float64, z: Float64, weights: Float64) -> None:
-    """Draw a profile's points by their weight in the joint's fit, NaN where there is none."""
+def _points(axes: Axes, y: Float64, z: Float64, off: npt.NDArray[np.bool_] | None) -> None:
+    """Draw a profile's points, those apart that lie `off` the fitted section; None where there is no fit."""
+    none = np.zeros(len(y), dtype=np.bool_)
     kinds = (
-        (np.isnan(weights), ".", style.GREY, "measured, no fit"),
-        (weights >= WELL_WEIGHTED, ".", style.SKY, "counts"),
-        ((weights > 0.0) & (weights < WELL_WEIGHTED), ".", style.ORANGE, "counts little"),
-        (weights == 0.0, "x", style.VERMILLION, "does not count"),
+        (~none if off is None else none, ".", style.GREY, "measured, no fit"),
+        (none if off is None else ~off, ".", style.SKY, "on the section"),
+        (none if off is None else off, "x", style.VERMILLION, "off the section"),
     )
     for chosen, marker, colour, label in kinds:
         if chosen.any():

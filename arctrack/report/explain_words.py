@@ -19,11 +19,11 @@ from tracker.step import (
     JOINT_CHI2_LIMIT,
     JUMP_FLOOR_MM,
     JUMP_SIGMAS,
+    LEAST_MARGIN_MM,
     MIN_SHARE,
     MISFIT_LIMIT,
-    OFFSET_SIGMA_LIMIT_MM,
-    RIM_MM,
     SEARCH_REACH_MM,
+    UNEXPLAINED_LIMIT,
 )
 from tracker.stripe_fit import MIN_SIGNIFICANCE, WIDTH_LIMIT_LN
 
@@ -34,6 +34,17 @@ REFUSALS = {
     ODD_WIDTH: f"its width is off by a factor of {math.exp(WIDTH_LIMIT_LN):.1f}: two faces, or no stripe",
 }
 """Why a scan line holds no stripe."""
+
+AT_TORCH = (
+    flags.OFFSET_EXTRAPOLATED,
+    flags.OFFSET_UNKNOWN,
+    flags.OFFSET_HELD,
+    flags.OFFSET_LIMITED,
+    flags.FOLLOW_STOPPED,
+    flags.BEFORE_JOINT,
+    flags.PAST_JOINT,
+)
+"""What may be said of the offset."""
 
 
 @dataclass(frozen=True)
@@ -109,7 +120,8 @@ def raised(track_flags: int) -> tuple[Flag, ...]:
 
 def gates(of: Explanation) -> list[Gate]:
     """Return what the step asked of a frame, as far as it went."""
-    return list(_gates(of))
+    asked = list(_gates(of))
+    return asked if of.look is None else [*asked, _at_torch(of, of.look)]
 
 
 def arc_sentence(of: Explanation) -> str:
@@ -204,6 +216,9 @@ def _gates(of: Explanation) -> Iterator[Gate]:
         return
     joint, profile = look.joint, look.profile
     what = of.geometry.setup.joint.type.replace("_", "-")
+    if look.reading.reach_mm == SEARCH_REACH_MM:
+        other = those(flags.JOINT_TYPE_MISMATCH)
+        yield Gate("another type of joint", "decidedly" if other else "not decidedly", "no", other)
     if joint is None or profile is None:
         yield Gate(f"a {what} in the profile", "no", "its faces seen", those(flags.JOINT_NOT_FOUND))
         return
@@ -211,15 +226,15 @@ def _gates(of: Explanation) -> Iterator[Gate]:
     yield Gate(
         "the joint's place in the profile",
         f"y {signed(joint.y_mm)} mm in {signed(profile.y_mm[0])} to {signed(profile.y_mm[-1])} mm",
-        f"more than {RIM_MM:g} mm off its ends",
+        f"more than {LEAST_MARGIN_MM:g} mm off its ends",
         those(flags.SEAM_OUT_OF_VIEW),
     )
     if look.seam is None:
         return
-    limit = f"up to {JOINT_CHI2_LIMIT:g}"
-    yield Gate("χ² of the joint's fit, per point", number(joint.chi2), limit, those(flags.JOINT_MISFIT))
+    found = f"{number(joint.chi2)}; {percent(joint.unexplained)} of the points near the seam lie off it"
+    limit = f"up to {JOINT_CHI2_LIMIT:g}; up to {percent(UNEXPLAINED_LIMIT)}"
+    yield Gate("χ² of the joint's fit, per point", found, limit, those(flags.JOINT_MISFIT))
     yield _jump(of, look.seam, those(flags.SEAM_JUMP))
-    yield _at_torch(of, look, those(flags.OFFSET_EXTRAPOLATED, flags.OFFSET_UNKNOWN))
 
 
 def _where(of: Explanation, look: Look, searched: tuple[Flag, ...]) -> Gate:
@@ -238,7 +253,9 @@ def _stripe_gates(look: Look, too_few: tuple[Flag, ...], saturated: tuple[Flag, 
     count = int(look.stripe.reading.stripe.saturated.sum())
     yield Gate("scan lines with saturated pixels in the stripe", str(count), "none", saturated)
     read = look.stripe.refusals.why == READ
-    found = f"{read.sum()} of {read.size} ({percent(float(read.mean()))})"
+    assert look.expected is not None
+    crossed = max(int(look.expected.shown.sum()), 1)
+    found = f"{read.sum()} of {crossed} ({percent(float(read.sum()) / crossed)})"
     asked = f"{percent(MIN_SHARE)} at least; partial below {percent(GOOD_SHARE)}"
     yield Gate("scan lines that hold a stripe", found, asked, too_few)
 
@@ -255,12 +272,13 @@ def _jump(of: Explanation, seam: SeamLook, jumped: tuple[Flag, ...]) -> Gate:
     return Gate(question, found, asked, jumped)
 
 
-def _at_torch(of: Explanation, look: Look, open_: tuple[Flag, ...]) -> Gate:
+def _at_torch(of: Explanation, look: Look) -> Gate:
+    open_ = tuple(flag for flag in AT_TORCH if of.track.flags & flag.mask)
     history, torch = of.after.history, look.torch_station_mm
     found = "nothing is measured yet"
     if len(history):
         first, last = history.stations_mm.min(), history.stations_mm.max()
         sigma = float(history.at(torch)[1].max())
         found = f"torch at {torch:.1f} mm, measured {first:.1f} to {last:.1f} mm; σ {number(sigma)} mm"
-    asked = f"within it; σ up to {OFFSET_SIGMA_LIMIT_MM:g} mm"
+    asked = f"within it; σ up to {of.recording.correction.extrapolate_sigma_mm:g} mm"
     return Gate("the offset at the torch", found, asked, open_)

@@ -82,7 +82,9 @@ def caption(frame: Frame | None, track: Track, offset: SeamOffset) -> tuple[str,
     word = {Validity.VALID: "sent", Validity.HELD: "held"}.get(offset.validity)
     sent = "no offset"
     if word is not None:
-        sent = f"offset {word} y {offset.offset_y_mm:+.2f}  z {offset.offset_z_mm:+.2f} mm"
+        axes = (("y", offset.offset_y_mm), ("z", offset.offset_z_mm))
+        known = "  ".join(f"{name} {value:+.2f}" for name, value in axes if math.isfinite(value))
+        sent = f"offset {word} {known} mm"
     return condition, f"{seam}   {sent}", ", ".join(track.flag_names) or "no flags"
 
 

@@ -36,7 +36,7 @@ def joint_mesh(joint: Joint, middle_x_mm: float) -> list[FaceMesh]:
     """Mesh each face of a joint, left to right, about a station of the seam; the seam point is at y = 0.
 
     The cross-sections are RECORDING.md's: a flat plate; a V-groove, open at the root gap to its full depth;
-    a lap's sheet at y < 0; the same with both sheets raised by c(x).
+    a lap's sheet at y < 0; the same with both sheets raised by c(x). Raises ValueError for any other joint.
     """
     if joint.type == "corrugation":
         x = np.linspace(-REACH_MM, REACH_MM, 1 + round(2.0 * REACH_MM / CHORD_MM)) + middle_x_mm
@@ -57,6 +57,8 @@ def _outline(joint: Joint) -> list[tuple[float, float]]:
         left = [(-REACH_MM, 0.0), (-mouth, 0.0), (-root, -depth)]
         right = [(-y, z) for y, z in reversed(left)]
         return left + right if root > 0.0 else left + right[1:]
+    if joint.type not in ("lap", "corrugation"):
+        raise ValueError(f"[joint] type = {joint.type!r}: has no mesh here")
     top = size["thickness_mm"]
     return [(-REACH_MM, top), (0.0, top), (0.0, 0.0), (REACH_MM, 0.0)]
 

@@ -62,8 +62,10 @@ class TrueSurface:
                 inner = [(-mouth, 0.0), (-root, -depth), (root, -depth), (mouth, 0.0)]
                 if root == 0.0:
                     del inner[1]
-            case _:
+            case "lap" | "corrugation":
                 inner = [(0.0, size["thickness_mm"]), (0.0, 0.0)]
+            case other:
+                raise ValueError(f"[joint] type = {other!r}: this renderer does not draw it")
         ends = (-ACROSS_MM, inner[0][1]), (ACROSS_MM, inner[-1][1])
         return np.array([ends[0], *inner, ends[1]])
 

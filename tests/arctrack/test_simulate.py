@@ -193,3 +193,20 @@ def test_the_true_seam_of_a_tilted_plate(seen_setup: Setup) -> None:
     np.testing.assert_allclose(
         root[1:], [depth * np.sin(np.radians(10.0)), -depth * np.cos(np.radians(10.0))], atol=1e-6
     )
+
+
+@pytest.mark.parametrize("joint", ["butt", "fillet", "half_v", "u_groove", "edge"])
+def test_every_joint_is_simulated_and_its_nominal_values_track_it(joint: str, tmp_path: Path) -> None:
+    setup = balance(nominal_setup(joint, "zn_coated", width=320, height=240))
+    plan = SimulationPlan(frames=3, production=True, exact=True, seed=4)
+    path = simulate_recording(tmp_path / joint, setup, plan)
+    recording, truth = read_recording(path), read_truth(path)
+    assert truth is not None
+    assert recording.setup.joint == setup.joint
+    tracker, poses = Tracker(recording.setup), recording.pose_buffer()
+    for frame in recording.frames():
+        assert not isinstance(frame, BadFrame)
+        track = tracker.step(frame, recording.pose_at(poses, frame.timestamp_s))
+        assert track.valid, track.flag_names
+        # To a scan line and half of one where upright edges are all that tells of the seam.
+        np.testing.assert_allclose(track.seam_tool_mm, truth.seam_tool_mm[frame.index], atol=0.2)

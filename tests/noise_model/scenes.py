@@ -38,7 +38,21 @@ JOINTS = {
         ((-300.0, 0.0, 0.0), (300.0, 0.0, 0.0)),
     ),
 }
-ARC_HEIGHT_MM = {"flat": 0.0, "v_groove": 0.0, "lap": 2.0, "corrugation": 1.5}
+LINE = ((-300.0, 0.0, 0.0), (300.0, 0.0, 0.0))
+MORE_JOINTS = {
+    "butt": Joint("butt", {"gap_mm": 1.5, "thickness_mm": 3.0}, LINE),
+    "fillet": Joint("fillet", {"included_angle_deg": 100.0}, LINE),
+    "ridge": Joint("fillet", {"included_angle_deg": 250.0}, LINE),
+    "half_v": Joint("half_v", {"bevel_angle_deg": 40.0, "depth_mm": 4.0, "root_gap_mm": 1.0}, LINE),
+    "u_groove": Joint(
+        "u_groove",
+        {"depth_mm": 6.0, "root_radius_mm": 3.0, "bevel_angle_deg": 15.0, "root_gap_mm": 1.0},
+        LINE,
+    ),
+    "edge": Joint("edge", {"gap_mm": 0.8, "thickness_mm": 3.0}, LINE),
+}
+EDGE_STANDS_MM = 60.0
+ARC_HEIGHT_MM = {"lap": 2.0, "corrugation": 1.5}
 RADIANCE_E = {"mild_steel": 2.0e8, "zn_coated": 8.0e6}
 
 AHEAD = ((95.0, 0.0, 130.0), (36.0, 0.0, 0.0))
@@ -76,9 +90,9 @@ def setup(
     arc_center_mm: tuple[float, float, float] | None = None,
 ) -> Setup:
     """A whole nominal setup, its laser 35 mm ahead of the torch."""
-    joint = JOINTS[joint] if isinstance(joint, str) else joint
+    joint = (JOINTS | MORE_JOINTS)[joint] if isinstance(joint, str) else joint
     material = TABLE_1[material] if isinstance(material, str) else material
-    center = (0.0, 0.0, ARC_HEIGHT_MM[joint.type]) if arc_center_mm is None else arc_center_mm
+    center = (0.0, 0.0, ARC_HEIGHT_MM.get(joint.type, 0.0)) if arc_center_mm is None else arc_center_mm
     return Setup(
         camera=camera() if of_camera is None else of_camera,
         sensor=Sensor(8, 80.0, 4.0, 45.0, 20400.0),
@@ -102,7 +116,7 @@ def pose(
 
 
 def height(joint: Joint, x: Float64, y: Float64) -> Float64:
-    """The surface's height, mm, after RECORDING.md's cross-sections; on a lap's edge the lower one."""
+    """The surface's height, mm, after the drawn cross-sections; on an upright edge the lower one."""
     size = joint.dimensions
     if joint.type == "flat":
         return np.zeros(np.broadcast(x, y).shape)
@@ -110,6 +124,24 @@ def height(joint: Joint, x: Float64, y: Float64) -> Float64:
         tangent = math.tan(math.radians(size["included_angle_deg"]) / 2.0)
         above_root = np.maximum(np.abs(y) - size["root_gap_mm"] / 2.0, 0.0) / tangent
         return np.minimum(above_root - size["depth_mm"], 0.0) + 0.0 * x
+    if joint.type in ("butt", "edge"):
+        side = np.abs(y) - size["gap_mm"] / 2.0
+        depth = size["thickness_mm"] if joint.type == "butt" else EDGE_STANDS_MM
+        width = np.inf if joint.type == "butt" else size["thickness_mm"]
+        return np.where((side > 0.0) & (side < width), 0.0, -depth) + 0.0 * x
+    if joint.type == "fillet":
+        return np.abs(y) / math.tan(math.radians(size["included_angle_deg"]) / 2.0) + 0.0 * x
+    if joint.type == "half_v":
+        beside = y - size["root_gap_mm"] / 2.0
+        bevel = np.maximum(beside, 0.0) / math.tan(math.radians(size["bevel_angle_deg"])) - size["depth_mm"]
+        return np.where(y <= -size["root_gap_mm"] / 2.0, 0.0, np.minimum(bevel, 0.0)) + 0.0 * x
+    if joint.type == "u_groove":
+        radius, bevel = size["root_radius_mm"], math.radians(size["bevel_angle_deg"])
+        out = np.maximum(np.abs(y) - size["root_gap_mm"] / 2.0, 0.0)
+        rounded = radius - np.sqrt(np.maximum(radius**2 - out**2, 0.0))
+        straight = (out - radius * math.cos(bevel)) / math.tan(bevel) + radius * (1.0 - math.sin(bevel))
+        over_root = np.where(out < radius * math.cos(bevel), rounded, straight)
+        return np.minimum(over_root - size["depth_mm"], 0.0) + 0.0 * x
     step = np.where(y < 0.0, size["thickness_mm"], 0.0)
     return step + (corrugation(joint, x) if joint.type == "corrugation" else 0.0 * x)
 
@@ -125,6 +157,11 @@ def corrugation(joint: Joint, x: Float64) -> Float64:
 def top_and_bottom(joint: Joint) -> tuple[float, float]:
     """The highest and the lowest level of the surface, mm."""
     size = joint.dimensions
+    if joint.type == "fillet":
+        plates = height(joint, np.zeros(2), np.array([0.0, 40.0]))
+        return float(plates.max()), float(plates.min())
+    if joint.type in ("butt", "edge"):
+        return 0.0, float(height(joint, np.zeros(1), np.zeros(1))[0])
     top = size.get("thickness_mm", 0.0) + (size["height_mm"] if joint.type == "corrugation" else 0.0)
     return top, -size.get("depth_mm", 0.0)
 
@@ -156,11 +193,12 @@ def march(joint: Joint, origin: Float64, d: Float64, steps: int = 20000) -> floa
 
 
 def normal_at(joint: Joint, P: Float64) -> Float64:
-    """The surface's unit normal from the height's differences; a lap's edge faces the lower sheet."""
+    """The surface's unit normal from the height's differences; an upright edge faces the lower side."""
     x, y, z = P
-    if joint.type in ("lap", "corrugation") and abs(y) < 1e-6 and z > height(joint, x, y) + 1e-6:
-        return np.array([0.0, 1.0, 0.0])
     e = 1e-5
+    right, left = (float(height(joint, x, y + side)) for side in (-1e-6, 1e-6))
+    if abs(right - left) > 0.1 and min(right, left) + 1e-6 < z < max(right, left) - 1e-6:
+        return np.array([0.0, math.copysign(1.0, right - left), 0.0])
     slope_x = (height(joint, x + e, y) - height(joint, x - e, y)) / (2.0 * e)
     slope_y = (height(joint, x, y + e) - height(joint, x, y - e)) / (2.0 * e)
     normal = np.array([-float(slope_x), -float(slope_y), 1.0])
@@ -180,6 +218,11 @@ def clearance(joint: Joint, P: Float64, targets: Float64, steps: int = 400) -> F
         tangent = math.tan(math.radians(joint.dimensions["included_angle_deg"]) / 2.0)
         half_mouth = half_gap + joint.dimensions["depth_mm"] * tangent
         bends = [-half_mouth, -half_gap, half_gap, half_mouth]
+    elif joint.type not in ("flat", "lap", "corrugation", "fillet"):
+        # Wherever the drawn height bends; a rounding that is seen from inside hides nothing.
+        y = np.linspace(-10.0, 10.0, 200001)
+        slopes = np.diff(height(joint, np.zeros_like(y), y)) / np.diff(y)
+        bends = list(y[1:-1][np.abs(np.diff(slopes)) > 0.01])
     for bend in bends:
         if abs(P[1] - bend) < 1e-9:
             continue

@@ -50,6 +50,7 @@ def expect_stripe(geometry: SensorGeometry, view: Scene) -> ExpectedStripe | Non
         middle,
         _from_same_face(np.abs(width), strips[1], on_one_face),
         _from_same_face(shading + curve, strips[1], on_one_face),
+        np.ones(len(middle), dtype=np.bool_),
     )
 
 

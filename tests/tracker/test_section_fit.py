@@ -9,9 +9,20 @@ from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from profiles import groove, lap, measure, spoil
 
+from tracker.joint.groove import PRIOR_SIGMA as GROOVE_PRIOR
+from tracker.joint.groove import seen_in_groove
 from tracker.joint.lap import PRIOR_SIGMA as LAP_PRIOR
-from tracker.joint.section_fit import GROOVE, SHEETS, best_shift, fit_section
-from tracker.joint.v_groove import PRIOR_SIGMA as GROOVE_PRIOR
+from tracker.joint.section_fit import best_shift, fit_section
+from tracker.joint.section_shapes import (
+    CORNER,
+    GROOVE,
+    HALF_GROOVE,
+    N_CORNERS,
+    ROUND_GROOVE,
+    SHEETS,
+    corners_of,
+    opening,
+)
 
 seeds = st.integers(0, 2**32 - 1)
 
@@ -79,3 +90,68 @@ def test_a_fit_that_runs_away_is_nan() -> None:
         GROOVE, y, y, 0.01 * n, 0.07 * n, n, n > 0.0, 3.0, GROOVE_PRIOR, start, covariance, weights
     )
     assert np.isnan(chi2)
+
+
+@pytest.mark.parametrize(
+    ("shape", "height", "p", "off_mm"),
+    [
+        (GROOVE, twins.groove_height, (0.3, -4.0, 1.1, 0.5, 0.6, 4.0, 4.3, 0.01, -0.02), 1e-9),
+        (SHEETS, twins.sheets_height, (0.2, 2.0, 0.01, -0.02, 0.4), 1e-9),
+        (HALF_GROOVE, twins.half_groove_height, (0.9, -4.0, 1.0, 4.1, 3.9, 0.01, 0.02, -0.5), 1e-9),
+        (CORNER, twins.corner_height, (0.3, -1.0, 0.9, -1.1), 1e-9),
+        # Chords of 3 degrees lie off a circle of 3 mm by its sagitta, 1 um, more where it is steep.
+        (
+            ROUND_GROOVE,
+            twins.round_groove_height,
+            (0.3, -6.0, 1.0, 0.36, 0.4, 6.0, 6.2, 0.01, -0.02, 3.0),
+            0.005,
+        ),
+    ],
+)
+def test_corners_lie_on_the_shape(shape, height, p, off_mm: float) -> None:
+    corners = np.empty((N_CORNERS[shape], 2))
+    corners_of(shape, np.array(p), corners)
+    assert (np.diff(corners[:, 0]) >= 0.0).all()
+    y = np.linspace(-12.0, 12.0, 4001) + 0.00037
+    drawn = np.interp(y, corners[:, 0], corners[:, 1])
+    np.testing.assert_allclose(drawn, height(np.array(p), y), atol=off_mm)
+
+
+@pytest.mark.parametrize(
+    ("shape", "p"),
+    [
+        (GROOVE, (0.3, -4.0, 1.1, 0.5, 0.6, 4.0, 4.3, 0.01, -0.02)),
+        (HALF_GROOVE, (0.9, -4.0, 1.0, 4.1, 3.9, 0.01, 0.02, -0.5)),
+        (ROUND_GROOVE, (0.3, -6.0, 1.0, 0.36, 0.4, 6.0, 6.2, 0.01, -0.02, 3.0)),
+    ],
+)
+def test_the_opening_is_what_a_sum_over_y_gives(shape: int, p: tuple[float, ...]) -> None:
+    def area(p: np.ndarray) -> float:
+        corners = np.empty((N_CORNERS[shape], 2))
+        corners_of(shape, p, corners)
+        (right_y, right_z), (left_y, left_z) = corners[1], corners[-2]
+        y = np.linspace(right_y + 1e-9, left_y, 400001)
+        top = right_z + (left_z - right_z) * (y - right_y) / (left_y - right_y)
+        return float(np.trapezoid(top - np.interp(y, corners[:, 0], corners[:, 1]), y))
+
+    at, gradient = np.array(p), np.zeros(len(p))
+    assert opening(shape, at, gradient) == pytest.approx(area(at), rel=1e-4)
+    for i in range(len(p)):
+        step = 1e-3 * np.eye(len(p))[i]
+        want = (area(at + step) - area(at - step)) / 2e-3
+        assert gradient[i] == pytest.approx(want, abs=0.02), i
+
+
+@given(seeds)
+def test_what_is_seen_of_a_groove_is_its_twin(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    y, weights = rng.uniform(-6.0, 6.0, 60), rng.choice([0.0, 0.05, 0.5, 1.0], 60)
+    middle, gap, mouth = rng.uniform(-1.0, 1.0), rng.uniform(0.0, 0.8), rng.uniform(1.5, 4.0)
+    right, left, right_bevel, left_bevel, out = seen_in_groove(y, weights, middle, gap, mouth, 0.25, 0.1)
+    share = (np.abs(y - middle) - gap) / (mouth - gap)
+    amid, inside = (share > 0.25) & (share < 0.75), share < 1.0
+    assert right_bevel == pytest.approx(weights[amid & (y < middle)].sum())
+    assert left_bevel == pytest.approx(weights[amid & (y > middle)].sum())
+    assert right == pytest.approx(weights[inside & (y < middle)].sum())
+    assert left == pytest.approx(weights[inside & (y > middle)].sum())
+    assert out == pytest.approx(np.mean(weights[inside] < 0.1) if inside.any() else 1.0)

@@ -165,7 +165,7 @@ def test_laser_off_measures_the_arc_alone(v: Setup) -> None:
     pose = pose_at(0.0)
     tracker = Tracker(v)
     track = tracker.step(frame_of(v, pose, laser=0.0, arc=1.4), pose)
-    assert track.flag_names == ("laser_off", "searched")
+    assert track.flag_names == ("laser_off", "searched", "offset_unknown")
     assert track.arc_level == pytest.approx(1.4, abs=0.02)
     assert unknown(track)
     assert tracker.state.lost == 0

@@ -215,6 +215,38 @@ def sheets_height(p: Float64, y: Float64) -> Float64:
     return np.where(y < y_0, z + step + slope_upper * (y - y_0), z + slope_lower * (y - y_0))
 
 
+def half_groove_height(p: Float64, y: Float64) -> Float64:
+    """The height of a half groove's faces over y (n,): a plate up to p[7], then root, bevel and plate."""
+    gap, z_s, tan, depth_left, depth_right, slope_left, slope_right, wall = p
+    out = y - wall
+    shoulder = gap + depth_left * tan
+    inside = z_s + np.maximum(out - gap, 0.0) / tan
+    left = z_s + depth_left + slope_left * (out - shoulder)
+    right = z_s + depth_right + slope_right * out
+    return np.asarray(np.where(out < 0.0, right, np.where(out < shoulder, inside, left)))
+
+
+def round_groove_height(p: Float64, y: Float64) -> Float64:
+    """The height of a round groove's faces over y (n,): root, circle, the bevel that touches it, plate."""
+    y_s, z_s, gap, tan_left, tan_right, depth_left, depth_right, slope_left, slope_right, radius = p
+    left, outward = y >= y_s, np.abs(y - y_s) - 0.5 * gap
+    bevel = np.arctan(np.where(left, tan_left, tan_right))
+    depth, slope = np.where(left, depth_left, depth_right), np.where(left, slope_left, -slope_right)
+    out = np.maximum(outward, 0.0)
+    circle = radius - np.sqrt(np.maximum(radius**2 - out**2, 0.0))
+    touches_at, touches_z = radius * np.cos(bevel), radius * (1.0 - np.sin(bevel))
+    line = touches_z + (out - touches_at) / np.tan(bevel)
+    shoulder = touches_at + (depth - touches_z) * np.tan(bevel)
+    inside = np.where(out < touches_at, circle, line)
+    return np.asarray(z_s + np.where(out < shoulder, inside, depth + slope * (out - shoulder)))
+
+
+def corner_height(p: Float64, y: Float64) -> Float64:
+    """The height of two plates over y (n,) that meet at (p[0], p[1])."""
+    y_s, z_s, slope_left, slope_right = p
+    return np.asarray(z_s + np.where(y >= y_s, slope_left, slope_right) * (y - y_s))
+
+
 def bisquare_fit(
     height: Callable[[Float64, Float64], Float64],
     y: Float64,

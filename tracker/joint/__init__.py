@@ -7,12 +7,15 @@ from __future__ import annotations
 
 from noise_model.frames import Float64
 from noise_model.surface import Joint
+from tracker.joint.fillet import fit_fillet
+from tracker.joint.groove import fit_u_groove, fit_v_groove
+from tracker.joint.half_v import fit_half_v
 from tracker.joint.lap import fit_lap
-from tracker.joint.measured import MeasuredJoint
-from tracker.joint.v_groove import fit_v_groove
+from tracker.joint.measured import NO_SHAPE, JointShape, MeasuredJoint
+from tracker.joint.slot import fit_slot
 from tracker.profile import Profile
 
-__all__ = ["MeasuredJoint", "fit_joint"]
+__all__ = ["NO_SHAPE", "JointShape", "MeasuredJoint", "fit_joint"]
 
 
 def fit_joint(profile: Profile, joint: Joint, camera_mm: Float64, laser_mm: Float64) -> MeasuredJoint | None:
@@ -22,8 +25,18 @@ def fit_joint(profile: Profile, joint: Joint, camera_mm: Float64, laser_mm: Floa
     """
     if len(profile.y_mm) < 20:
         return None
-    if joint.type == "v_groove":
-        return fit_v_groove(profile, joint)
-    if joint.type in ("lap", "corrugation"):
-        return fit_lap(profile, joint, camera_mm, laser_mm)
-    return None
+    match joint.type:
+        case "v_groove":
+            return fit_v_groove(profile, joint)
+        case "u_groove":
+            return fit_u_groove(profile, joint)
+        case "half_v":
+            return fit_half_v(profile, joint, camera_mm, laser_mm)
+        case "fillet":
+            return fit_fillet(profile, joint)
+        case "butt" | "edge":
+            return fit_slot(profile, joint)
+        case "lap" | "corrugation":
+            return fit_lap(profile, joint, camera_mm, laser_mm)
+        case _:
+            return None

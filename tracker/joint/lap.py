@@ -2,12 +2,24 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 
 from noise_model.frames import Float64
 from noise_model.surface import Joint, section
-from tracker.joint.measured import MeasuredJoint, fit_shape, place
-from tracker.joint.section_fit import SHEETS
+from tracker.joint.measured import (
+    OFF_SIGMAS,
+    JointShape,
+    MeasuredJoint,
+    angles_of,
+    fit_shape,
+    off_line,
+    place,
+    section_of,
+)
+from tracker.joint.section_shapes import SHEETS
+from tracker.joint.upright_edge import hidden_strip, neighbours_of_edge
 from tracker.profile import Profile
 
 SEARCH_STEP_MM = 0.1
@@ -41,24 +53,31 @@ def fit_lap(profile: Profile, joint: Joint, camera_mm: Float64, laser_mm: Float6
     near = np.abs(y) < 5.0 * CLEAR_OF_EDGE_MM
     on_upper = near & (np.abs(over_upper) < 0.25 * step)
     on_lower = near & (np.abs(over_lower) < 0.25 * step)
-    # The changes that put most points on their own side: one on the other sheet's line by chance is outvoted.
-    votes = np.cumsum(on_upper.astype(int) - on_lower.astype(int))
-    first, last = np.flatnonzero(votes == votes.max())[[0, -1]] + 1
-    upper_y, lower_y = profile.y_mm[:first][on_upper[:first]], profile.y_mm[last:][on_lower[last:]]
-    if not upper_y.size or not lower_y.size:
+    beside = neighbours_of_edge(profile.y_mm, on_upper, on_lower)
+    if beside is None:
         return None
     # The upper sheet is seen up to its edge; of the lower one the edge may hide a strip from camera or laser.
-    hidden = max(_hidden_strip(source, y_0, z_s + step, step) for source in (camera_mm, laser_mm))
-    last_upper, first_lower = float(upper_y.max()), float(lower_y.min()) - hidden
+    hidden = max(hidden_strip(source, y_0, z_s + step, step) for source in (camera_mm, laser_mm))
+    last_upper, first_lower = beside[0], beside[1] - hidden
     edge = 0.5 * (last_upper + first_lower)
     spread = max(abs(first_lower - last_upper), profile.column_mm)
     z_edge = z_s + slope_lower * (edge - y_0)
     at_edge = np.array([1.0, 0.0, edge - y_0, 0.0])
     covariance = np.diag([spread**2 / 12.0, float(at_edge @ shape.covariance @ at_edge)])
-    return MeasuredJoint(edge, z_edge, covariance, max(step - thickness, 0.0), -step, shape.chi2, shape)
-
-
-def _hidden_strip(source_mm: Float64, edge_y_mm: float, edge_z_mm: float, step_mm: float) -> float:
-    """Return how much of the lower sheet beside the foot the edge hides from a point (3,), mm."""
-    _, y, z = source_mm
-    return float(max(0.0, (edge_y_mm - y) / (z - edge_z_mm) * step_mm))
+    over = np.where(profile.y_mm < edge, z_s + step + slope_upper * y, z_s + slope_lower * y)
+    left_out = float(np.mean(np.abs(off_line(profile, over))[near] > OFF_SIGMAS))
+    plates, plate_sigmas = angles_of(shape, 2, 3)
+    step += (slope_upper - slope_lower) * (edge - y_0)
+    of_step = np.array([0.0, 1.0, y_0 - edge, edge - y_0])
+    step_sigma = math.sqrt(of_step @ shape.covariance @ of_step)
+    return MeasuredJoint(
+        edge,
+        z_edge,
+        covariance,
+        max(step - thickness, 0.0),
+        -step,
+        shape.chi2,
+        JointShape(step_sigma, step_sigma, plate_angles_deg=plates, plate_sigmas_deg=plate_sigmas),
+        left_out,
+        section_of(SHEETS, shape, (edge,)),
+    )

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 import numpy.typing as npt
 
 from noise_model.frames import Float64
-from tracker.joint.section_fit import N_CORNERS, best_shift, corners_of, fit_section
+from tracker.joint.section_fit import best_shift, fit_section
+from tracker.joint.section_shapes import N_CORNERS, corners_of, opening
 from tracker.profile import Profile
 
 SIGMA_FLOOR_PX = 0.05
@@ -18,22 +19,41 @@ SIGMA_FLOOR_PX = 0.05
 START_SIGMA_MM = 0.3
 """How far off the nominal shape a point may lie at first; halved with every step of the fit."""
 
+LEFT_OUT = 0.1
+"""A point of less weight than this lies off the shape."""
+
+OFF_SIGMAS = 5.0
+"""A point farther than this off a sheet is not of the sheet's own surface."""
+
 PLACED_BY = 160
 """So many of a profile's points, evenly chosen, place a section."""
 
 
-@dataclass(frozen=True)
-class ShapeFit:
-    """Parameters (p,), their covariance (p, p), chi2 per degree of freedom and the points' weights (n,).
+Pair = tuple[float, float]
+UNKNOWN: Pair = (math.nan, math.nan)
 
-    `corners_mm` (k, 2) are the fitted section's, as (y, z).
+
+@dataclass(frozen=True)
+class JointShape:
+    """What a section shows beside seam point, gap and mismatch, with 1 sigma; NaN where it has none.
+
+    Pairs are (left, right). `bevel_angles_deg`: a bevel's angle from upright, joint frame;
+    `plate_angles_deg`: a plate's, or sheet's, from level, positive where it rises to the left; `area_mm2`:
+    the opening below the line from one plate's edge to the other's, of a butt its gap times the stated
+    thickness.
     """
 
-    parameters: Float64
-    covariance: Float64
-    chi2: float
-    weights: Float64
-    corners_mm: Float64
+    gap_sigma_mm: float = math.nan
+    mismatch_sigma_mm: float = math.nan
+    bevel_angles_deg: Pair = UNKNOWN
+    bevel_sigmas_deg: Pair = UNKNOWN
+    plate_angles_deg: Pair = UNKNOWN
+    plate_sigmas_deg: Pair = UNKNOWN
+    area_mm2: float = math.nan
+    area_sigma_mm2: float = math.nan
+
+
+NO_SHAPE = JointShape()
 
 
 @dataclass(frozen=True)
@@ -41,7 +61,8 @@ class MeasuredJoint:
     """The joint in its own frame, mm: the seam point, its covariance (2, 2) of (y, z), and its dimensions.
 
     `chi2` is the fit's per degree of freedom; `gap_mm` and `mismatch_mm` are NaN where the shape has none.
-    `shape` is the fit of the section that they come from.
+    `unexplained` is the share of the points near the seam that lie off the shape; `corners_mm` (n, 2) is the
+    fitted section as (y, z).
     """
 
     y_mm: float
@@ -50,7 +71,19 @@ class MeasuredJoint:
     gap_mm: float
     mismatch_mm: float
     chi2: float
-    shape: ShapeFit
+    shape: JointShape = NO_SHAPE
+    unexplained: float = 0.0
+    corners_mm: Float64 = field(default_factory=lambda: np.empty((0, 2)), repr=False)
+
+
+@dataclass(frozen=True)
+class ShapeFit:
+    """Parameters (p,), their covariance (p, p), chi2 per degree of freedom and the points' weights (n,)."""
+
+    parameters: Float64
+    covariance: Float64
+    chi2: float
+    weights: Float64
 
 
 def fit_shape(
@@ -59,11 +92,12 @@ def fit_shape(
     start: Float64,
     prior_sigma: Float64,
     used: npt.NDArray[np.bool_] | None = None,
+    start_sigma_mm: float = START_SIGMA_MM,
 ) -> ShapeFit | None:
     """Fit a shape of `section_fit` to a profile, in pixels of stripe centre, with priors about `start`.
 
-    None where fewer points are `used` than the parameters need, and where the fit runs away. What `start` has
-    beyond `prior_sigma` (p,) stays as it is.
+    A point may lie `start_sigma_mm` off the start. None where fewer points are `used` than the parameters
+    need, and where the fit runs away. What `start` has beyond `prior_sigma` (p,) stays as it is.
     """
     sigma = np.hypot(profile.sigma_px, SIGMA_FLOOR_PX)
     mask = np.ones(len(profile.y_mm), dtype=bool) if used is None else used
@@ -72,7 +106,7 @@ def fit_shape(
         return None
     parameters, covariance = start.copy(), np.empty((n, n))
     weights = np.empty(len(profile.y_mm))
-    wide = START_SIGMA_MM / max(float(np.median((np.abs(profile.dz_mm) * sigma)[mask])), 1e-6)
+    wide = start_sigma_mm / max(float(np.median((np.abs(profile.dz_mm) * sigma)[mask])), 1e-6)
     chi2 = fit_section(
         shape,
         profile.y_mm,
@@ -89,9 +123,7 @@ def fit_shape(
     )
     if not math.isfinite(chi2):
         return None
-    corners = np.empty((N_CORNERS[shape], 2))
-    corners_of(shape, parameters, corners)
-    return ShapeFit(parameters[:n], covariance, chi2, weights, corners)
+    return ShapeFit(parameters[:n], covariance, chi2, weights)
 
 
 def place(profile: Profile, corners: Float64, step_mm: float, limit_mm: float) -> tuple[float, float]:
@@ -102,3 +134,57 @@ def place(profile: Profile, corners: Float64, step_mm: float, limit_mm: float) -
     shifts = np.arange(profile.y_mm[0], profile.y_mm[-1] + step_mm, step_mm)
     every = max(1, len(profile.y_mm) // PLACED_BY)
     return best_shift(profile.y_mm[::every], profile.z_mm[::every], corners, shifts, limit_mm)
+
+
+def off_line(profile: Profile, line_mm: Float64) -> Float64:
+    """Return how far points lie over a level line (n,), in the sigmas of their own height."""
+    sigma = np.abs(profile.dz_mm) * np.hypot(profile.sigma_px, SIGMA_FLOOR_PX)
+    return np.asarray((profile.z_mm - line_mm) / sigma)
+
+
+def off_section(profile: Profile, joint: MeasuredJoint) -> npt.NDArray[np.bool_]:
+    """Return which points (n,) lie off a joint's section by more than `OFF_SIGMAS` of their stripe centre."""
+    y, z = joint.corners_mm.T
+    # An upright edge is a step that no point lies on.
+    face = np.clip(np.searchsorted(y, profile.y_mm, side="right") - 1, 0, len(y) - 2)
+    width, rise = (np.diff(along)[face] for along in (y, z))
+    slope = np.divide(rise, width, out=np.zeros(len(face)), where=width > 0.0)
+    moved = np.abs(profile.dz_mm - slope * profile.dy_mm) * np.hypot(profile.sigma_px, SIGMA_FLOOR_PX)
+    return np.asarray(np.abs(profile.z_mm - z[face] - slope * (profile.y_mm - y[face])) > OFF_SIGMAS * moved)
+
+
+def unexplained(profile: Profile, fit: ShapeFit, y_mm: float, reach_mm: float) -> float:
+    """Return the share of the points within a reach of a place that a fit leaves out; 1 without any."""
+    near = np.abs(profile.y_mm - y_mm) < reach_mm
+    return float(np.mean(fit.weights[near] < LEFT_OUT)) if near.any() else 1.0
+
+
+def angles_of(fit: ShapeFit, left: int, right: int) -> tuple[Pair, Pair]:
+    """Return the angles, deg, whose tangents are two of a fit's parameters, and their 1 sigma."""
+    tangents = fit.parameters[left], fit.parameters[right]
+    sigmas = math.sqrt(fit.covariance[left, left]), math.sqrt(fit.covariance[right, right])
+    first, second = (math.degrees(math.atan(t)) for t in tangents)
+    of_first, of_second = (math.degrees(s / (1.0 + t * t)) for t, s in zip(tangents, sigmas, strict=True))
+    return (first, second), (of_first, of_second)
+
+
+def opening_of(shape: int, fit: ShapeFit, fixed: tuple[float, ...] = (), fixed_variance: float = 0.0) -> Pair:
+    """Return the opening's area of a fitted shape, mm^2, and its 1 sigma.
+
+    `fixed` are the parameters that were not fitted, the last one of them with a variance of its own.
+    """
+    p = np.append(fit.parameters, fixed)
+    gradient = np.zeros(len(p))
+    area = opening(shape, p, gradient)
+    n = len(fit.parameters)
+    variance = gradient[:n] @ fit.covariance @ gradient[:n]
+    if fixed:
+        variance += gradient[-1] ** 2 * fixed_variance
+    return area, math.sqrt(variance)
+
+
+def section_of(shape: int, fit: ShapeFit, fixed: tuple[float, ...] = ()) -> Float64:
+    """Return the corners (n, 2) of a fitted shape, `fixed` its parameters that were not fitted."""
+    corners = np.empty((N_CORNERS[shape], 2))
+    corners_of(shape, np.append(fit.parameters, fixed), corners)
+    return corners

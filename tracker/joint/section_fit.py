@@ -18,15 +18,7 @@ import numpy.typing as npt
 from noise_model.faces import face_under, slope_across
 from noise_model.frames import Float64
 from noise_model.kernel import kernel
-
-GROOVE, SHEETS = 0, 1
-"""The shapes: a groove with two bevels and a root, and two sheets with a step between them."""
-
-N_CORNERS = (6, 4)
-"""The corners of each shape."""
-
-FAR_MM = 1000.0
-"""How far the outer faces reach."""
+from tracker.joint.section_shapes import N_CORNERS, corners_of
 
 STEP = 1e-6
 """The step of the corners' derivatives, in each parameter's unit."""
@@ -42,33 +34,6 @@ MAD_SIGMA = 1.4826
 
 LEAST_ALONG_MM = 1e-6
 """No point moves less than this off a face with 1 px of its stripe centre."""
-
-
-@kernel
-def corners_of(shape: int, p: Float64, corners: Float64) -> None:
-    """Write the corners (n, 2) as (y, z), mm, y rising, that parameters put a shape's faces between.
-
-    Of a groove: root middle y and z, root gap, tan of the left and right bevel angle, left and right depth,
-    slopes of the left and right plate; the left is where y is larger. Of sheets: the lower one's z at the
-    step, the step, the slopes of the lower (larger y) and the upper sheet, and the step's y.
-    """
-    if shape == GROOVE:
-        y, z, gap = p[0], p[1], p[2]
-        # Less than no gap: the bevels meet above the root's place.
-        half, closed = 0.5 * max(gap, 0.0), 0.5 * max(-gap, 0.0)
-        left, right = y + 0.5 * gap + p[5] * p[3], y - 0.5 * gap - p[6] * p[4]
-        corners[0, 0], corners[0, 1] = right - FAR_MM, z + p[6] - p[8] * FAR_MM
-        corners[1, 0], corners[1, 1] = right, z + p[6]
-        corners[2, 0], corners[2, 1] = y - half, z + closed / p[4]
-        corners[3, 0], corners[3, 1] = y + half, z + closed / p[3]
-        corners[4, 0], corners[4, 1] = left, z + p[5]
-        corners[5, 0], corners[5, 1] = left + FAR_MM, z + p[5] + p[7] * FAR_MM
-    else:
-        z, step, y = p[0], p[1], p[4]
-        corners[0, 0], corners[0, 1] = y - FAR_MM, z + step - p[3] * FAR_MM
-        corners[1, 0], corners[1, 1] = y, z + step
-        corners[2, 0], corners[2, 1] = y, z
-        corners[3, 0], corners[3, 1] = y + FAR_MM, z + p[2] * FAR_MM
 
 
 @kernel

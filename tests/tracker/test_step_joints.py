@@ -1,0 +1,94 @@
+"""The whole step on rendered frames of butt, fillet, half V, U, edge, and of a joint not as stated."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from rendered import frame_of, pose_at, small_setup, true_seam_tool, walk
+
+from noise_model.setup import Setup
+from noise_model.surface import SeamLine
+from tracker import flags
+from tracker.step import Tracker
+
+SEAM = SeamLine(0.0, 0.8, -0.3, 0.004, 0.001)
+COLUMN_MM = 0.13
+NAMES = ("butt", "fillet", "ridge", "half_v", "u_groove", "edge")
+
+
+def setup_of(name: str) -> Setup:
+    if name != "ridge":
+        return small_setup(name)
+    setup = small_setup("fillet")
+    ridge = replace(setup.joint, dimensions={"included_angle_deg": 240.0})
+    return replace(setup, joint=ridge, arc=replace(setup.arc, center_in_tool_mm=(0.0, 0.0, 0.0)))
+
+
+def u_area_mm2() -> float:
+    """The area of the nominal U between root, roundings and bevels: its widths' integral over the height."""
+    depth, radius, bevel = 6.0, 3.0, math.radians(20.0)
+    height = np.linspace(0.0, depth, 100001)
+    rounded = np.sqrt(np.maximum(radius**2 - (radius - height) ** 2, 0.0))
+    straight = radius * math.cos(bevel) + (height - radius * (1.0 - math.sin(bevel))) * math.tan(bevel)
+    out = np.where(height < radius * (1.0 - math.sin(bevel)), rounded, straight)
+    return float(np.trapezoid(1.0 + 2.0 * out, height))
+
+
+U_AREA_MM2 = u_area_mm2()
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_it_is_tracked_in_simulated_frames(name: str) -> None:
+    setup = setup_of(name)
+    tracker = Tracker(setup)
+    # Where upright edges are all that tells, the seam is known to a column.
+    within = 1.2 * COLUMN_MM if name in ("butt", "edge", "half_v") else 0.03
+    for frame, pose in walk(setup, 5, SEAM):
+        track = tracker.step(frame, pose)
+        error = np.array(track.seam_tool_mm) - true_seam_tool(setup, pose, SEAM)
+        assert track.valid, track.flag_names
+        assert abs(error[1]) < within, error
+        assert abs(error[2]) < 0.03, error
+        assert not track.flags & (flags.JOINT_TYPE_MISMATCH.mask | flags.JOINT_MISFIT.mask), track.flag_names
+
+
+@pytest.mark.parametrize(
+    ("name", "bevels_deg", "plates_deg", "area_mm2"),
+    [
+        ("butt", (math.nan, math.nan), (0.0, 0.0), 3.0),
+        ("fillet", (math.nan, math.nan), (45.0, -45.0), math.nan),
+        ("half_v", (45.0, math.nan), (0.0, 0.0), 4.0 * 1.0 + 0.5 * 4.0**2),
+        ("u_groove", (20.0, 20.0), (0.0, 0.0), U_AREA_MM2),
+    ],
+)
+def test_what_a_section_shows_comes_with_the_track(
+    name: str, bevels_deg: tuple[float, float], plates_deg: tuple[float, float], area_mm2: float
+) -> None:
+    setup = setup_of(name)
+    pose = pose_at(5.0)
+    shape = Tracker(setup).step(frame_of(setup, pose), pose).shape
+    np.testing.assert_allclose(shape.bevel_angles_deg, bevels_deg, atol=0.8)
+    np.testing.assert_allclose(shape.plate_angles_deg, plates_deg, atol=0.1)
+    assert shape.area_mm2 == pytest.approx(area_mm2, rel=0.1, nan_ok=True)
+    assert math.isnan(shape.area_sigma_mm2) == math.isnan(area_mm2)
+
+
+@pytest.mark.parametrize(("stated", "there"), [("v_groove", "lap"), ("lap", "v_groove"), ("butt", "half_v")])
+def test_a_joint_that_is_not_as_stated_is_told(stated: str, there: str) -> None:
+    setup = small_setup(stated)
+    true = replace(setup, joint=small_setup(there).joint)
+    pose = pose_at(0.0)
+    track = Tracker(setup).step(frame_of(setup, pose, of=true), pose)
+    assert track.flags & flags.JOINT_TYPE_MISMATCH.mask, track.flag_names
+
+
+def test_the_margin_shrinks_as_the_joint_leaves_the_view() -> None:
+    setup = small_setup("v_groove")
+    margins = []
+    for y_mm in (0.0, 2.0, 4.0):
+        pose = pose_at(0.0, y_mm)
+        margins.append(Tracker(setup).step(frame_of(setup, pose), pose).fov_margin_mm)
+    np.testing.assert_allclose(np.diff(margins), -2.0, atol=0.15)

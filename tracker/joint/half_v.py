@@ -1,0 +1,139 @@
+"""The half V: an upright side at smaller y, a bevel opposite; the seam point is the middle of the root."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from noise_model.frames import Float64
+from noise_model.surface import Joint, section
+from tracker.joint.measured import (
+    JointShape,
+    MeasuredJoint,
+    ShapeFit,
+    angles_of,
+    fit_shape,
+    opening_of,
+    place,
+    section_of,
+    unexplained,
+)
+from tracker.joint.section_shapes import HALF_GROOVE
+from tracker.joint.upright_edge import hidden_strip, neighbours_of_edge
+from tracker.profile import Profile
+
+SEARCH_STEP_MM = 0.1
+CLEAR_OF_EDGE_MM = 0.3
+"""Points nearer to the upright side than this wait until it is found."""
+
+GAP, ROOT, TAN, DEPTH_LEFT, DEPTH_RIGHT, SLOPE_LEFT, SLOPE_RIGHT = range(7)
+PRIOR_SIGMA = np.array([0.3, 5.0, 0.04, 0.3, 0.3, 0.03, 0.03])
+"""1 sigma of the gap, the root's height, tan(bevel), both depths (mm), both plate slopes."""
+
+LEAST_POINTS = 5.0
+"""The weight of the points that must be seen in the groove, and on the bevel if it is not to be bridged."""
+
+SURE_SIGMAS, SURE_MM = 2.0, 1.0
+"""So many sigmas of its gap from the upright side a point is surely the root's; so far out, the plate's."""
+
+
+def fit_half_v(profile: Profile, joint: Joint, camera_mm: Float64, laser_mm: Float64) -> MeasuredJoint | None:
+    """Return the half V that a profile shows, or None where too little of it lies beside its upright side.
+
+    The faces are fitted clear of the upright side; that lies between the last point of the right plate and
+    the first one in the groove, less what it hides there from `camera_mm` or `laser_mm` (3,), joint frame;
+    then they are fitted once more.
+    """
+    size = joint.dimensions
+    depth, gap = size["depth_mm"], size["root_gap_mm"]
+    tan = math.tan(math.radians(size["bevel_angle_deg"]))
+    corners = section(joint).vertices + np.array([0.0, depth])
+    y_0, z_0 = place(profile, corners, SEARCH_STEP_MM, 0.25 * depth)
+    start = np.array([gap, z_0, tan, depth, depth, 0.0, 0.0, y_0 - 0.5 * gap])
+    fit = fit_shape(
+        profile, HALF_GROOVE, start, PRIOR_SIGMA, np.abs(profile.y_mm - start[-1]) > CLEAR_OF_EDGE_MM
+    )
+    if fit is None:
+        return None
+    beside = _beside_the_upright(profile, fit, float(start[-1]))
+    if beside is None:
+        return None
+    hidden = max(hidden_strip(source, start[-1], z_0 + depth, depth) for source in (camera_mm, laser_mm))
+    last, first = beside[0], beside[1] - hidden
+    start[-1] = 0.5 * (last + first)
+    # What lies between may be either side's.
+    clear = (profile.y_mm <= last) | (profile.y_mm >= beside[1])
+    fit = fit_shape(profile, HALF_GROOVE, start, PRIOR_SIGMA, clear)
+    if fit is None:
+        return None
+    wall, p = float(start[-1]), fit.parameters
+    mouth = wall + p[GAP] + p[DEPTH_LEFT] * p[TAN]
+    on_bevel = (profile.y_mm > wall + max(p[GAP], 0.0)) & (profile.y_mm < mouth)
+    if fit.weights[on_bevel].sum() < LEAST_POINTS:
+        # A bevel that is not seen is bridged by its priors, in the covariance too; where the root ends is not
+        # known, and what lies there counts for nothing.
+        sure = wall + max(gap - SURE_SIGMAS * PRIOR_SIGMA[GAP], 0.0)
+        clear &= (profile.y_mm < sure) | (profile.y_mm > mouth + SURE_MM)
+        fit = fit_shape(profile, HALF_GROOVE, start, PRIOR_SIGMA, clear)
+        if fit is None:
+            return None
+    inside = (profile.y_mm > wall) & (profile.y_mm < mouth)
+    if fit.weights[inside].sum() < LEAST_POINTS:
+        return None
+    left_out = unexplained(profile, fit, 0.5 * (wall + mouth), 0.5 * (mouth - wall))
+    return _measured(fit, wall, max(abs(first - last), profile.column_mm) ** 2 / 12.0, left_out)
+
+
+def _beside_the_upright(profile: Profile, fit: ShapeFit, wall: float) -> tuple[float, float] | None:
+    """Return the last point of the right plate and the first one in the groove beside an upright side."""
+    p = fit.parameters
+    y = profile.y_mm - wall
+    over_plate = profile.z_mm - (p[ROOT] + p[DEPTH_RIGHT] + p[SLOPE_RIGHT] * y)
+    over_groove = profile.z_mm - (p[ROOT] + np.maximum(y - p[GAP], 0.0) / p[TAN])
+    near, limit = np.abs(y) < 5.0 * CLEAR_OF_EDGE_MM, 0.25 * p[DEPTH_RIGHT]
+    return neighbours_of_edge(
+        profile.y_mm, near & (np.abs(over_plate) < limit), near & (np.abs(over_groove) < limit)
+    )
+
+
+def _measured(fit: ShapeFit, wall: float, wall_variance: float, left_out: float) -> MeasuredJoint:
+    """Turn a fit beside a given upright side into the joint, the side's own variance put in.
+
+    As far as the profile and not the prior tells where the bevel's foot is, the gap gives way to the side.
+    """
+    p, covariance = fit.parameters, fit.covariance
+    gives_way = max(0.0, 1.0 - covariance[GAP, GAP] / PRIOR_SIGMA[GAP] ** 2)
+    y_s = wall + 0.5 * p[GAP]
+    variance_y = (1.0 - 0.5 * gives_way) ** 2 * wall_variance + 0.25 * covariance[GAP, GAP]
+    across = 0.5 * covariance[GAP, ROOT]
+    bevel, bevel_sigma = math.atan(p[TAN]), math.sqrt(covariance[TAN, TAN]) / (1.0 + p[TAN] ** 2)
+    plates, plate_sigmas = angles_of(fit, SLOPE_LEFT, SLOPE_RIGHT)
+    area, area_sigma = opening_of(HALF_GROOVE, fit, (wall,))
+    # The upright side takes the root's gap with it.
+    area_sigma = math.hypot(area_sigma, gives_way * p[DEPTH_RIGHT] * math.sqrt(wall_variance))
+    shape = JointShape(
+        math.sqrt(covariance[GAP, GAP] + gives_way**2 * wall_variance),
+        math.sqrt(
+            covariance[DEPTH_LEFT, DEPTH_LEFT]
+            + covariance[DEPTH_RIGHT, DEPTH_RIGHT]
+            - 2.0 * covariance[DEPTH_LEFT, DEPTH_RIGHT]
+        ),
+        (math.degrees(bevel), math.nan),
+        (math.degrees(bevel_sigma), math.nan),
+        plates,
+        plate_sigmas,
+        area,
+        area_sigma,
+    )
+    return MeasuredJoint(
+        float(y_s),
+        float(p[ROOT]),
+        np.array([[variance_y, across], [across, covariance[ROOT, ROOT]]]),
+        float(max(p[GAP], 0.0)),
+        float(p[DEPTH_LEFT] - p[DEPTH_RIGHT]),
+        fit.chi2,
+        shape,
+        left_out,
+        section_of(HALF_GROOVE, fit, (wall,)),
+    )

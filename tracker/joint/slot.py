@@ -1,0 +1,242 @@
+"""Butt and edge: two plates with a gap between them; the seam point is the gap's middle at the surface.
+
+Whether a scan line shows a plate, or something else or nothing, is all that tells where the plates end.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from noise_model.surface import Joint
+from tracker.joint.measured import (
+    OFF_SIGMAS,
+    JointShape,
+    MeasuredJoint,
+    Pair,
+    ShapeFit,
+    angles_of,
+    fit_shape,
+    off_line,
+    section_of,
+)
+from tracker.joint.section_shapes import SHEETS
+from tracker.profile import Profile
+
+PRIOR_SIGMA = np.array([5.0, 0.5, 0.03, 0.03])
+"""1 sigma of the left plate's height, the step to the right one (mm), both plates' slopes."""
+
+ON_PLATE_MM = 0.5
+"""What lies farther than this from either plate, or a quarter of the thickness, is not of it."""
+
+BESIDE_MM, OUTSIDE_MM = 3.0, 1.0
+"""How much of a plate beside the gap, and of what is beyond an edge joint, is looked at to place it."""
+
+SLACK_MM = 1.5
+"""How far an end of a plate may lie off its stated place."""
+
+CLEAR_MM = 0.3
+"""How far from the gap's stated ends a point must lie to be surely a plate's."""
+
+LEAST_LINES, LEAST_POINTS = 2, 8
+"""Scan lines that a gap must be wide to be seen, and points that must be seen of either plate."""
+
+LEAST_AGREEMENT = 0.6
+"""By what share of the scan lines those that show what the joint would must outnumber the others."""
+
+THICKNESS_SIGMA_MM = 0.1
+"""How far a sheet may be off its stated thickness: it moves an edge joint's seam where no gap is seen."""
+
+
+def fit_slot(profile: Profile, joint: Joint) -> MeasuredJoint | None:
+    """Return the butt or edge joint that a profile shows, or None where it shows no gap between two plates.
+
+    An edge joint whose gap is too narrow to be seen is the middle of its two sheets.
+    """
+    thickness, gap = joint.dimensions["thickness_mm"], joint.dimensions["gap_mm"]
+    is_edge = joint.type == "edge"
+    limit_mm = min(ON_PLATE_MM, 0.25 * thickness)
+    y_0 = float(np.median(profile.y_mm))
+    everywhere = np.ones(len(profile.y_mm), dtype=bool)
+    plates = _plates(profile, y_0, everywhere)
+    if plates is None:
+        return None
+    lines = _Lines(profile, _on_plate(profile, plates, y_0, limit_mm), is_edge)
+    seen_gap = max(gap, (LEAST_LINES + 1) * profile.column_mm)
+    placed = lines.place(thickness if is_edge else BESIDE_MM, seen_gap, is_edge)
+    if placed is None and is_edge:
+        placed = lines.place(thickness + 0.5 * gap, 0.0, is_edge)
+    if placed is None:
+        return None
+    return _measure(profile, joint, plates, placed, limit_mm)
+
+
+@dataclass(frozen=True)
+class _Gap:
+    """Where a gap's middle is and how wide it is, mm, and their variances, mm^2."""
+
+    y_mm: float
+    variance_mm2: float
+    width_mm: float
+    width_variance_mm2: float
+
+
+def _gap_of(lines: _Lines, joint: Joint, y_0: float) -> _Gap | None:
+    """Find the gap about a placed joint by the plates' ends on its either side; None where none is seen.
+
+    An edge joint's lies amid its sheets' outer ends, if they are alike.
+    """
+    thickness, gap = joint.dimensions["thickness_mm"], joint.dimensions["gap_mm"]
+    reach = 0.5 * gap + SLACK_MM
+    right, of_right = lines.end(y_0 - reach, y_0, True)
+    left, of_left = lines.end(y_0, y_0 + reach, False)
+    if lines.others_between(right, left) >= LEAST_LINES:
+        return _Gap(0.5 * (left + right), 0.25 * (of_left + of_right), left - right, of_left + of_right)
+    if joint.type != "edge":
+        return None
+    outer = 0.5 * gap + thickness
+    right, of_right = lines.end(y_0 - outer - SLACK_MM, y_0 - outer + SLACK_MM, False)
+    left, of_left = lines.end(y_0 + outer - SLACK_MM, y_0 + outer + SLACK_MM, True)
+    variance = 0.25 * (of_left + of_right) + 0.5 * THICKNESS_SIGMA_MM**2
+    return _Gap(0.5 * (left + right), variance, 0.0, (LEAST_LINES * lines.column_mm) ** 2)
+
+
+def _measure(
+    profile: Profile, joint: Joint, plates: ShapeFit, y_0: float, limit_mm: float
+) -> MeasuredJoint | None:
+    """Fit the plates' lines beside a placed joint once more, and find the gap between them."""
+    thickness, gap = joint.dimensions["thickness_mm"], joint.dimensions["gap_mm"]
+    is_edge = joint.type == "edge"
+    clear = np.abs(profile.y_mm - y_0) > 0.5 * gap + CLEAR_MM
+    clear &= _on_plate(profile, plates, float(np.median(profile.y_mm)), 2.0 * limit_mm)
+    if is_edge:
+        clear &= np.abs(profile.y_mm - y_0) < 0.5 * gap + thickness
+    left = profile.y_mm > y_0
+    if min((clear & left).sum(), (clear & ~left).sum()) < LEAST_POINTS:
+        return None
+    fit = _plates(profile, y_0, clear)
+    if fit is None:
+        return None
+    found = _gap_of(_Lines(profile, _on_plate(profile, fit, y_0, limit_mm), is_edge), joint, y_0)
+    if found is None:
+        return None
+    right_mm, left_mm = found.y_mm - 0.5 * found.width_mm, found.y_mm + 0.5 * found.width_mm
+    # The plates' surfaces where they end.
+    left_surface = np.array([1.0, 0.0, left_mm - y_0, 0.0])
+    right_surface = np.array([1.0, 1.0, 0.0, right_mm - y_0])
+    at_seam, step = 0.5 * (left_surface + right_surface), left_surface - right_surface
+    z_s = float(at_seam @ fit.parameters)
+    plate_angles, plate_sigmas = angles_of(fit, 2, 3)
+    width_sigma = math.sqrt(found.width_variance_mm2)
+    shape = JointShape(
+        width_sigma,
+        math.sqrt(step @ fit.covariance @ step),
+        plate_angles_deg=plate_angles,
+        plate_sigmas_deg=plate_sigmas,
+        area_mm2=math.nan if is_edge else found.width_mm * thickness,
+        area_sigma_mm2=math.nan if is_edge else width_sigma * thickness,
+    )
+    far_right, *_, far_left = section_of(SHEETS, fit, (y_0,))
+    right_top, left_top = float(right_surface @ fit.parameters), float(left_surface @ fit.parameters)
+    # What lies deep in the gap is the gap's, whatever it is.
+    floor = z_s - thickness
+    corners = [far_right, (right_mm, right_top), (right_mm, floor), (left_mm, floor), (left_mm, left_top)]
+    return MeasuredJoint(
+        found.y_mm,
+        z_s,
+        np.diag([found.variance_mm2, float(at_seam @ fit.covariance @ at_seam)]),
+        found.width_mm,
+        float(step @ fit.parameters),
+        fit.chi2,
+        shape,
+        _raised(profile, fit, y_0, (right_mm, left_mm)),
+        np.array([*corners, far_left]),
+    )
+
+
+def _raised(profile: Profile, fit: ShapeFit, y_0: float, ends_mm: Pair) -> float:
+    """Return the share of the points near the gap that no plate and no gap has, as a tack weld's.
+
+    Beside the gap they lie off their plate, in the gap over it.
+    """
+    z, step, slope_left, slope_right = fit.parameters
+    y, (right_mm, left_mm) = profile.y_mm, ends_mm
+    left = y > 0.5 * (right_mm + left_mm)
+    line = np.where(left, z + slope_left * (y - y_0), z + step + slope_right * (y - y_0))
+    off = off_line(profile, line)
+    near = (y > right_mm - SLACK_MM) & (y < left_mm + SLACK_MM)
+    in_gap = (y > right_mm) & (y < left_mm)
+    wrong = np.where(in_gap, off > OFF_SIGMAS, np.abs(off) > OFF_SIGMAS)
+    return float(np.mean(wrong[near])) if near.any() else 1.0
+
+
+def _plates(profile: Profile, y_0: float, used: npt.NDArray[np.bool_]) -> ShapeFit | None:
+    """Fit a line to the plates on either side of a place."""
+    start = np.array([float(np.median(profile.z_mm)), 0.0, 0.0, 0.0, y_0])
+    return fit_shape(profile, SHEETS, start, PRIOR_SIGMA, used)
+
+
+def _on_plate(profile: Profile, plates: ShapeFit, y_0: float, limit_mm: float) -> npt.NDArray[np.bool_]:
+    """Say of each point whether it lies on one of the plates' lines."""
+    z, step, slope_left, slope_right = plates.parameters
+    y = profile.y_mm - y_0
+    off_left = np.abs(profile.z_mm - z - slope_left * y)
+    off_right = np.abs(profile.z_mm - z - step - slope_right * y)
+    return np.asarray(np.minimum(off_left, off_right) < limit_mm)
+
+
+class _Lines:
+    """The scan lines in order of y: 1 where a plate is seen, -1 where it is not; y of each (n,), mm.
+
+    `beyond` the profile's ends no plate is seen either if the plates end there, as an edge joint's do.
+    """
+
+    def __init__(self, profile: Profile, on_plate: npt.NDArray[np.bool_], beyond: bool) -> None:
+        scan = profile.scan if profile.scan[-1] > profile.scan[0] else -profile.scan
+        pad = math.ceil((OUTSIDE_MM + SLACK_MM) / profile.column_mm) if beyond else 0
+        at = (scan - scan.min()).astype(np.int64) + pad
+        n = int(at.max()) + 1 + pad
+        self.column_mm = profile.column_mm
+        self.sees = np.full(n, -1.0)
+        self.sees[at[on_plate]] = 1.0
+        order = np.argsort(at, kind="stable")
+        self.y_mm = np.interp(np.arange(n), at[order], profile.y_mm[order])
+        before, after = np.arange(-pad, 0), np.arange(1, pad + 1)
+        if pad:
+            self.y_mm[:pad] = profile.y_mm[0] + profile.column_mm * before
+            self.y_mm[-pad:] = profile.y_mm[-1] + profile.column_mm * after
+
+    def place(self, plate_mm: float, gap_mm: float, ends: bool) -> float | None:
+        """Return where two plates of a width with a gap between them agree best, None if nowhere enough."""
+        plate, gap = (max(round(width / self.column_mm), 0) for width in (plate_mm, gap_mm))
+        outside = round(OUTSIDE_MM / self.column_mm) if ends else 0
+        signs = np.concatenate(
+            [-np.ones(outside), np.ones(plate), -np.ones(gap), np.ones(plate), -np.ones(outside)]
+        )
+        if len(signs) > len(self.sees):
+            return None
+        agreement = np.correlate(self.sees, signs, "valid") / len(signs)
+        best = int(np.argmax(agreement))
+        middle = best + len(signs) // 2
+        in_gap = self.sees[middle - gap // 2 : middle - gap // 2 + gap]
+        if agreement[best] < LEAST_AGREEMENT or (gap and (in_gap < 0.0).sum() < LEAST_LINES):
+            return None
+        return float(self.y_mm[best] + 0.5 * (len(signs) - 1) * self.column_mm)
+
+    def end(self, low_mm: float, high_mm: float, plate_first: bool) -> tuple[float, float]:
+        """Return the end of a plate between two places, mm, and its variance: where most lines agree."""
+        first, last = np.searchsorted(self.y_mm, [low_mm, high_mm])
+        sees = self.sees[first:last] * (1.0 if plate_first else -1.0)
+        votes = np.concatenate([[0.0], np.cumsum(sees)])
+        best = np.flatnonzero(votes == votes.max())[[0, -1]] + first
+        low = self.y_mm[max(best[0] - 1, 0)]
+        high = self.y_mm[min(best[1], len(self.y_mm) - 1)]
+        return float(0.5 * (low + high)), float(max(high - low, self.column_mm) ** 2 / 12.0)
+
+    def others_between(self, low_mm: float, high_mm: float) -> int:
+        """Return how many scan lines between two places show no plate."""
+        inside = (self.y_mm > low_mm) & (self.y_mm < high_mm)
+        return int((self.sees[inside] < 0.0).sum())

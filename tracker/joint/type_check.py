@@ -1,0 +1,196 @@
+"""The stated type of joint against what the profile shows: straight pieces with change points, penalised.
+
+The profile is cut into straight pieces so that the sum over them of chi2 + 3 ln n is least: each piece costs
+its two parameters and its change point (Schwarz 1978, Annals of Statistics 6, 461; the optimal partition by
+Jackson et al. 2005, IEEE Signal Processing Letters 12, 105). What the pieces look like is a family of joints.
+The stated type is doubted where that is another one, and explains the profile decidedly better than the
+stated type's own fit does.
+"""
+
+from __future__ import annotations
+
+import math
+from enum import Enum
+
+import numpy as np
+import numpy.typing as npt
+
+from noise_model.frames import Float64
+from noise_model.kernel import kernel
+from noise_model.surface import Joint
+from tracker.joint.measured import MeasuredJoint
+from tracker.profile import Profile
+
+Int64 = npt.NDArray[np.int64]
+
+GROUPS = 120
+"""About so many groups of neighbouring points, each its median, are cut into pieces."""
+
+ROUGH_MM = 0.05
+"""What a point may lie off a piece beyond its noise: types differ by more than parts do from drawings."""
+
+LEAST_OPENING_MM, LEAST_STEP_MM = 0.4, 0.3
+"""How deep an opening and how high a step are at least."""
+
+LEAST_CORNER_DEG, LEAST_BEVEL_RISE_MM = 12.0, 0.8
+"""Plates that are turned by more form a corner; a piece that rises by more between plates is a bevel."""
+
+LEAST_BEVEL_GROUPS = 3
+"""Fewer groups than this are no bevel: two may lie on either side of an upright edge."""
+
+CORNER_OFF_MM = 1.5
+"""So far from where the plates' pieces end their lines may meet in a corner."""
+
+DECIDED = 30.0
+"""Another family must be better by this much of chi2: e^15 to 1."""
+
+STATED_PARAMETERS = 10
+"""As many as the shape has that has most."""
+
+FARTHEST = 25.0
+"""What one group may add to the stated type's chi2."""
+
+
+class Family(Enum):
+    """What a profile's pieces look like."""
+
+    FLAT = "a plate"
+    INSIDE_CORNER = "two plates that rise from a corner"
+    OUTSIDE_CORNER = "two plates that fall from a corner"
+    STEP = "two sheets, one higher"
+    SLOT = "two plates and an upright gap"
+    GROOVE = "two plates and a bevelled groove"
+
+
+FAMILIES = {
+    "v_groove": Family.GROOVE,
+    "half_v": Family.GROOVE,
+    "u_groove": Family.GROOVE,
+    "lap": Family.STEP,
+    "corrugation": Family.STEP,
+    "butt": Family.SLOT,
+}
+
+
+def family_of(joint: Joint) -> Family | None:
+    """Return the family of a stated joint; None for an edge, which shows no plates to tell it by."""
+    if joint.type == "fillet":
+        inside = joint.dimensions["included_angle_deg"] < 180.0
+        return Family.INSIDE_CORNER if inside else Family.OUTSIDE_CORNER
+    return FAMILIES.get(joint.type)
+
+
+def is_another_type(profile: Profile, joint: Joint, measured: MeasuredJoint | None) -> bool:
+    """Say whether a profile shows another family of joints than the stated one, decidedly.
+
+    `measured` is the stated type's fit, None where there is none.
+    """
+    stated = family_of(joint)
+    if stated is None:
+        return False
+    y, z, sigma = _groups(profile)
+    if len(y) < GROUPS // 4:
+        return False
+    ends = np.empty(len(y), dtype=np.int64)
+    cost, n_pieces = cut_into_pieces(y, z, sigma, 3.0 * math.log(len(y)), ends)
+    family = _family(y, z, ends[:n_pieces])
+    if family is None or family is stated:
+        return False
+    if measured is not None and stated is Family.SLOT and family is Family.FLAT:
+        # A gap may show nothing but missing points.
+        return False
+    return measured is None or cost + DECIDED < _stated_cost(y, z, sigma, measured)
+
+
+def _groups(profile: Profile) -> tuple[Float64, Float64, Float64]:
+    """Return the median points of neighbouring points (n,): y and z, mm, and the sigma of z."""
+    size = max(1, math.ceil(len(profile.y_mm) / GROUPS))
+    n = len(profile.y_mm) // size
+    z = profile.z_mm[: n * size].reshape(n, size)
+    middle = np.argsort(z, axis=1)[:, (size - 1) // 2]
+    at = np.arange(n) * size + middle
+    sigma = np.hypot(np.abs(profile.dz_mm[at]) * profile.sigma_px[at], ROUGH_MM)
+    return profile.y_mm[at], profile.z_mm[at], sigma
+
+
+def _stated_cost(y: Float64, z: Float64, sigma: Float64, measured: MeasuredJoint) -> float:
+    """Return the stated type's own cost: chi2 about its fitted section and its parameters' penalty."""
+    corners = measured.corners_mm
+    off = (z - np.interp(y, corners[:, 0], corners[:, 1])) / sigma
+    return float(np.minimum(off**2, FARTHEST).sum() + STATED_PARAMETERS * math.log(len(y)))
+
+
+@kernel(allocates=True)
+def cut_into_pieces(y: Float64, z: Float64, sigma: Float64, penalty: float, ends: Int64) -> tuple[float, int]:
+    """Cut points (n,), y rising, into the straight pieces of the least cost; return it and their number.
+
+    A piece costs its line's chi2 and the penalty; `ends` (n,) gets where each piece ends, exclusive.
+    """
+    n = y.shape[0]
+    sums = np.zeros((n + 1, 6))
+    for i in range(n):
+        w = 1.0 / (sigma[i] * sigma[i])
+        sums[i + 1, 0] = sums[i, 0] + w
+        sums[i + 1, 1] = sums[i, 1] + w * y[i]
+        sums[i + 1, 2] = sums[i, 2] + w * z[i]
+        sums[i + 1, 3] = sums[i, 3] + w * y[i] * y[i]
+        sums[i + 1, 4] = sums[i, 4] + w * y[i] * z[i]
+        sums[i + 1, 5] = sums[i, 5] + w * z[i] * z[i]
+    best, start = np.empty(n + 1), np.zeros(n + 1, dtype=np.int64)
+    best[0] = -penalty
+    for j in range(1, n + 1):
+        best[j] = math.inf
+        for i in range(j):
+            w = sums[j, 0] - sums[i, 0]
+            wy, wz = sums[j, 1] - sums[i, 1], sums[j, 2] - sums[i, 2]
+            yy = sums[j, 3] - sums[i, 3] - wy * wy / w
+            yz = sums[j, 4] - sums[i, 4] - wy * wz / w
+            zz = sums[j, 5] - sums[i, 5] - wz * wz / w
+            chi2 = zz - yz * yz / yy if j - i > 2 and yy > 0.0 else (0.0 if j - i <= 2 else zz)
+            cost = best[i] + max(chi2, 0.0) + penalty
+            if cost < best[j]:
+                best[j], start[j] = cost, i
+    count, j = 0, n
+    while j > 0:
+        ends[count] = j
+        count += 1
+        j = int(start[j])
+    for i in range(count // 2):
+        ends[i], ends[count - 1 - i] = ends[count - 1 - i], ends[i]
+    return float(best[n] + penalty), count
+
+
+def _family(y: Float64, z: Float64, ends: Int64) -> Family | None:
+    """Return what the pieces of a profile look like, None for nothing known."""
+    if len(ends) == 1:
+        return Family.FLAT
+    pieces = list(zip([0, *ends[:-1]], ends, strict=True))
+    (_, right_end), (left_start, _) = pieces[0], pieces[-1]
+    if right_end < LEAST_BEVEL_GROUPS or len(y) - left_start < LEAST_BEVEL_GROUPS:
+        return None
+    right = np.polyfit(y[:right_end], z[:right_end], 1)
+    left = np.polyfit(y[left_start:], z[left_start:], 1)
+    turn_deg = math.degrees(math.atan(left[0]) - math.atan(right[0]))
+    if abs(turn_deg) > LEAST_CORNER_DEG:
+        meet = (right[1] - left[1]) / (left[0] - right[0])
+        if y[right_end - 1] - CORNER_OFF_MM < meet < y[left_start] + CORNER_OFF_MM:
+            return Family.INSIDE_CORNER if turn_deg > 0.0 else Family.OUTSIDE_CORNER
+        return None
+    middle = 0.5 * (y[right_end - 1] + y[left_start])
+    step = float(np.polyval(left, middle) - np.polyval(right, middle))
+    between = slice(right_end, left_start)
+    over_right, over_left = (
+        z[between] - np.polyval(right, y[between]),
+        z[between] - np.polyval(left, y[between]),
+    )
+    if len(over_left) and np.maximum(over_right, over_left).min() < -LEAST_OPENING_MM:
+        bevelled = any(
+            end - first >= LEAST_BEVEL_GROUPS
+            and abs(np.polyfit(y[first:end], z[first:end], 1)[0]) * (y[end - 1] - y[first])
+            > LEAST_BEVEL_RISE_MM
+            for first, end in pieces[1:-1]
+        )
+        return Family.GROOVE if bevelled else Family.SLOT
+    if len(over_left) and np.minimum(over_right, over_left).max() > LEAST_OPENING_MM:
+        return None
+    return Family.STEP if abs(step) > LEAST_STEP_MM else Family.FLAT
