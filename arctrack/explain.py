@@ -25,11 +25,11 @@ from tracker.expected import ExpectedStripe, expect_stripe
 from tracker.geometry import Float32, SensorGeometry
 from tracker.joint import MeasuredJoint, fit_joint
 from tracker.passage import Passage
-from tracker.profile import Profile, triangulate
-from tracker.read import StripeReading, Work, read_stripe
-from tracker.seam import pixels_per_mm, seam_displacement, seam_point_tool, sources
+from tracker.profile import Profile
+from tracker.read import StripeReading, Work, arc_map_of, read_stripe
+from tracker.seam import seam_displacement, seam_point_tool, sources
 from tracker.state import Frame, Pose, Track
-from tracker.step import Reading, TrackerState, expected_output, jump_limit_mm, step_and_reading
+from tracker.step import Reading, TrackerState, expected_output, jump_limit_mm, profile_of, step_and_reading
 
 
 @dataclass(frozen=True, eq=False)
@@ -153,23 +153,25 @@ def _look(
     """Take a reading apart, as far as the step went."""
     setup, view = geometry.setup, reading.view
     nominal = scene(setup, pose.T_base_tool)
-    reach_px = reading.reach_mm * pixels_per_mm(geometry)
+    reach_px = reading.reach_mm * geometry.pixels_per_mm
     look = Look(reading, reach_px, float(nominal.T_joint_tool[0, 3]))
     expected = None if view.below_surface else expect_stripe(geometry, view)
     if expected is None:
         return look
     output = expected_output(setup, frame)
     kernel = arc_kernel(setup, view, output)
-    passage = Passage.of(geometry, view, kernel, output, frame.timestamp_s)
+    arc_map = arc_map_of(geometry, kernel)
+    passage = Passage.of(geometry, view, arc_map.at, output, frame.timestamp_s)
     arc = _arc_image(geometry, kernel, passage, reading.arc, frame)
     look = replace(look, expected=expected, arc=arc)
     if reading.stripe is None:
         return look
 
     work = Work.of(geometry)
-    stripe = read_stripe(geometry, kernel, passage, reading.arc, frame, expected, reach_px, work, use_arc_map)
-    position = stripe.stripe.position_px - expected.lean_px
-    profile = triangulate(geometry, view, position, stripe.stripe.sigma_px)
+    stripe = read_stripe(
+        geometry, arc_map, passage, reading.arc, frame, expected, reach_px, work, use_arc_map
+    )
+    profile = profile_of(geometry, view, expected, stripe.stripe, reading.reach_mm)
     look = replace(look, stripe=StripeLook(stripe, refusals(stripe, expected), sigma_parts(stripe, expected)))
     if len(profile.y_mm) < 2:
         return look

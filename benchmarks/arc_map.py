@@ -25,10 +25,10 @@ from noise_model.arc_map import (
     NODES_Q,
     TOLERANCE,
     ArcKernel,
+    ArcMap,
     Float32,
     Int64,
     arc_at,
-    arc_band,
     arc_kernel,
     scene,
 )
@@ -38,7 +38,6 @@ from tracker.band import place
 from tracker.expected import expect_stripe
 from tracker.geometry import SensorGeometry
 from tracker.read import FIT_SIGMAS
-from tracker.seam import pixels_per_mm
 
 JOINTS = {"v_groove": "mild_steel", "lap": "zn_coated", "corrugation": "zn_coated"}
 SETTINGS = [
@@ -83,7 +82,7 @@ def measure(joint: str, repeats: int) -> Setup:
     no_lows = np.zeros(-(-geometry.n_scan // CELL), dtype=np.int64)
     expected = expect_stripe(geometry, view)
     assert expected is not None
-    half = math.ceil(BAND_MM * pixels_per_mm(geometry) + FIT_SIGMAS * float(expected.sigma_px.max()))
+    half = math.ceil(BAND_MM * geometry.pixels_per_mm + FIT_SIGMAS * float(expected.sigma_px.max()))
     lows, depth = place(expected.position_px, geometry.n_pos, half)
     band = np.empty((geometry.n_scan, depth), dtype=np.float32)
     source = np.ones_like(frame)
@@ -100,7 +99,7 @@ def measure(joint: str, repeats: int) -> Setup:
             kernel: ArcKernel = kernel,
             tolerance: float = tolerance,
         ) -> None:
-            arc_band(kernel, geometry.xy, geometry.cos4, lows, out, tolerance, quarter_dn)
+            ArcMap.of(kernel, geometry.xy, geometry.cos4, len(out), tolerance, quarter_dn).fill(lows, out)
 
         whole = least_ms(fill, repeats)
         error = np.abs(frame.reshape(-1)[pixels] - want) / np.maximum(0.005 * want, quarter_dn)

@@ -159,8 +159,12 @@ class _View:
         view = scene(true, self.pose.T_base_tool, seam)
         output = level * self.output
         kernel = arc_kernel(true, view, output)
-        passage = Passage.of(self.geometry, view, kernel, output, self.timestamp_s)
-        arc_e, other_e = seen_arc(self.geometry, kernel, passage, self.pixels)
+
+        def light(pixels: npt.NDArray[np.int64]) -> npt.NDArray[np.float32]:
+            return arc_at(kernel, self.geometry.xy, self.geometry.cos4, pixels)[0]
+
+        passage = Passage.of(self.geometry, view, light, output, self.timestamp_s)
+        arc_e, other_e = seen_arc(light, passage, self.pixels)
         mean = np.nan_to_num(arc_e) + other_e + black_e
         variance = np.maximum(mean, 0.0) + self.geometry.dark_variance_e2 + (MAP_SIGMA * mean) ** 2
         return np.asarray((self.charge_e - mean) / np.sqrt(variance))

@@ -16,7 +16,7 @@ import numpy as np
 import numpy.typing as npt
 
 from noise_model.arc_ray import ArcKernel, Scratch, follow, scratch
-from noise_model.arc_table import TO_POWERS, FaceTable, light_on_plane, light_on_rays, new_table
+from noise_model.arc_table import FaceTable, light_on_plane, light_on_rays
 from noise_model.frames import Float64
 from noise_model.kernel import kernel
 from noise_model.visibility import MISS
@@ -359,19 +359,17 @@ def _fill_band(
 
 
 def fill_band(
-    k: ArcKernel,
-    xy: Float32,
-    cos4: Float32,
-    lows: Int64,
-    group: int,
-    band_e: Float32,
-    margin_mm: float,
-    tolerance: float,
-    floor_e: float,
+    k: ArcKernel, table: FaceTable, xy: Float32, cos4: Float32, lows: Int64, group: int, band_e: Float32
 ) -> None:
-    """Fill a band (n_scan, depth), e-; `group` scan lines share a place of `lows`.
-
-    See `arc_map.arc_band`. `margin_mm` is how far a cell of `MIXED` pixels reaches beyond a face's edge.
-    """
-    table = new_table(k, margin_mm, tolerance, floor_e, TO_POWERS)
+    """Fill a band (n_scan, depth), e-; `group` scan lines share a place of `lows`. See `arc_map.ArcMap`."""
     _fill_band(k, table, xy, cos4, *node_rules(), lows, group, band_e)
+
+
+@kernel(allocates=True)
+def fill_pixels(
+    k: ArcKernel, table: FaceTable, xy: Float32, cos4: Float32, pixels: Int64, out: Float32
+) -> None:
+    """Write the light (n,), e-, at some pixels (n,); NaN past the workpiece."""
+    light_e, faces = np.empty(len(pixels)), np.empty(len(pixels), dtype=np.int64)
+    light_on_rays(k, table, xy, cos4, pixels, len(pixels), light_e, faces, scratch())
+    out[:] = light_e

@@ -17,10 +17,11 @@ from functools import lru_cache
 import numpy as np
 import numpy.typing as npt
 
-from noise_model.arc_fill import MIXED, fill_band
+from noise_model.arc_fill import MIXED, fill_band, fill_pixels
 from noise_model.arc_integral import gauss_nodes
 from noise_model.arc_ray import ArcKernel as ArcKernel
 from noise_model.arc_ray import follow, light_at, scratch
+from noise_model.arc_table import TO_POWERS, FaceTable, new_table
 from noise_model.brdf import lobe_numbers
 from noise_model.frames import Float64, invert
 from noise_model.kernel import kernel
@@ -222,34 +223,56 @@ def arc_at(kernel: ArcKernel, xy: Float32, cos4: Float32, pixels: Int64) -> tupl
     return mean_e, faces
 
 
+@dataclass(frozen=True, eq=False)
+class ArcMap:
+    """The arc's light on a camera's rays, read off tables of the faces that are made where they are asked.
+
+    `xy` (n_scan n_pos, 2) and `cos4` (n_scan n_pos,) are the camera's rays by scan line. All light is e- for
+    `camera.exposure_s`, before the point-spread function, and NaN where a pixel looks past the workpiece.
+    """
+
+    kernel: ArcKernel
+    xy: Float32
+    cos4: Float32
+    table: FaceTable
+
+    @classmethod
+    def of(
+        cls,
+        kernel: ArcKernel,
+        xy: Float32,
+        cos4: Float32,
+        n_scan: int,
+        tolerance: float = TOLERANCE,
+        floor_e: float = FLOOR_E,
+    ) -> ArcMap:
+        """Begin the map of a scene.
+
+        `tolerance`, relative, and `floor_e`, whichever is more, bound what the faces' tables and the cells
+        read off them may each be off, halves of it where all is smooth; see docs/arc_map.md for what is
+        reached.
+        """
+        margin_mm = _margin_mm(kernel, xy, n_scan)
+        return cls(kernel, xy, cos4, new_table(kernel, margin_mm, tolerance, floor_e, TO_POWERS))
+
+    def at(self, pixels: Int64) -> Float32:
+        """Return the light (n,) at some pixels (n,)."""
+        mean_e = np.empty(len(pixels), dtype=np.float32)
+        fill_pixels(self.kernel, self.table, self.xy, self.cos4, pixels, mean_e)
+        return mean_e
+
+    def fill(self, lows: Int64, band_e: Float32) -> None:
+        """Fill a band (n_scan, depth); CELL lines each begin at a place of `lows` (ceil(n_scan / CELL),)."""
+        fill_band(self.kernel, self.table, self.xy, self.cos4, lows, CELL, band_e)
+
+
 def _margin_mm(kernel: ArcKernel, xy: Float32, n_scan: int) -> float:
-    """Return how far a cell of `MIXED` pixels reaches on a level face, mm."""
+    """Return how far a cell of `MIXED` pixels reaches on a level face, beyond its edge, mm."""
     n_pos = len(xy) // n_scan
     pixel = float(np.hypot(*(xy[n_pos // 2 + 1] - xy[n_pos // 2])))
     distance = kernel.eye[2] / max(0.1, abs(kernel.rotation[2, 2]))
     margin: float = min(MIXED * pixel * distance, MOST_MARGIN_MM)
     return margin
-
-
-def arc_band(
-    kernel: ArcKernel,
-    xy: Float32,
-    cos4: Float32,
-    lows: Int64,
-    band_e: Float32,
-    tolerance: float = TOLERANCE,
-    floor_e: float = FLOOR_E,
-) -> None:
-    """Fill a band of the arc map (n_scan, depth), e-, NaN where a pixel looks past the workpiece.
-
-    `xy` (n_scan n_pos, 2) and `cos4` are the camera's rays by scan line, `lows` (ceil(n_scan / CELL),) the
-    position of the image at which the band begins for each CELL scan lines. `tolerance`, relative, and
-    `floor_e`, whichever is more, bound what the faces' tables and the cells read off them may each be off,
-    halves of it where all is smooth; see docs/arc_map.md for what is reached.
-    """
-    fill_band(
-        kernel, xy, cos4, lows, CELL, band_e, _margin_mm(kernel, xy, band_e.shape[0]), tolerance, floor_e
-    )
 
 
 def arc_frame(
@@ -260,8 +283,8 @@ def arc_frame(
     tolerance: float = TOLERANCE,
     floor_e: float = FLOOR_E,
 ) -> Float32:
-    """Return the whole arc map (H, W), e-, as `arc_band` does; NaN where a pixel looks past the workpiece."""
+    """Return the whole `ArcMap` (H, W), e-; NaN where a pixel looks past the workpiece."""
     frame_e = np.empty(shape, dtype=np.float32)
     lows = np.zeros(-(-shape[0] // CELL), dtype=np.int64)
-    arc_band(kernel, xy, cos4, lows, frame_e, tolerance, floor_e)
+    ArcMap.of(kernel, xy, cos4, shape[0], tolerance, floor_e).fill(lows, frame_e)
     return frame_e

@@ -8,11 +8,10 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from noise_model.arc_map import ArcKernel
 from noise_model.frames import Float64
 from noise_model.kernel import kernel
 from tracker.geometry import SensorGeometry
-from tracker.passage import Passage, seen_arc
+from tracker.passage import ArcLight, Passage, seen_arc
 
 MAP_SIGMA = 0.05
 """The map's stated relative 1 sigma: hand-eye, material and arc shape within their tolerance."""
@@ -50,7 +49,7 @@ UNKNOWN = ArcLevel(np.nan, np.nan, 0.0, np.nan)
 
 def estimate_arc_level(
     geometry: SensorGeometry,
-    kernel: ArcKernel,
+    light: ArcLight,
     passage: Passage | None,
     image_dn: npt.NDArray[np.integer],
     stripe_px: Float64 | None,
@@ -58,29 +57,33 @@ def estimate_arc_level(
 ) -> ArcLevel:
     """Fit charge = level * map + black to a lattice of pixels farther than `keep_off_px` from the stripe.
 
-    `kernel` predicts the arc at its expected output, `passage` what effects make of it. Weighted least
+    `light` is the arc's at its expected output, `passage` what effects make of it. Weighted least
     squares with Huber weights; the variance is the pixel's at the fitted mean plus (MAP_SIGMA level map)^2,
     the black level's prior is its tolerance.
     """
-    s, r = geometry.lattice()
-    if stripe_px is not None:
-        clear = np.abs(r - stripe_px[s]) > keep_off_px
-        s, r = s[clear], r[clear]
+    s, r = geometry.even_sample
     dn = image_dn[r, s] if geometry.along_rows else image_dn[s, r]
-    open_well = dn < geometry.saturation_dn
-    s, r, dn = s[open_well], r[open_well], dn[open_well]
-    predicted, other = seen_arc(geometry, kernel, passage, s * geometry.n_pos + r)
+    clear = dn < geometry.saturation_dn
+    if stripe_px is not None:
+        clear &= np.abs(r - stripe_px[s]) > keep_off_px
+    predicted, other = seen_arc(light, passage, (s * geometry.n_pos + r)[clear])
     seen = np.isfinite(predicted)
-    m, e = predicted[seen], geometry.charge_e[dn[seen]].astype(np.float64) - other[seen]
+    m, e = predicted[seen], geometry.charge_e[dn[clear][seen]].astype(np.float64) - other[seen]
     if len(m) < MIN_PIXELS or not (m > 0.0).any():
         return UNKNOWN
     sensor, tolerance = geometry.setup.sensor, geometry.setup.tolerance
     black_sigma = max(tolerance.black_level_dn * sensor.gain_e_per_dn, 1e-3)
     size = np.empty(len(m))
-    start = max(0.0, float(np.median(e)) / float(np.median(m) + 1e-9))
+    start = max(0.0, _quantile(e, 0.5) / (_quantile(m, 0.5) + 1e-9))
     level, sigma, black = _fit_level(m, e, geometry.dark_variance_e2, black_sigma, start, size)
-    misfit = float(np.quantile(size, MISFIT_QUANTILE)) / NORMAL_QUANTILE
+    misfit = _quantile(size, MISFIT_QUANTILE) / NORMAL_QUANTILE
     return ArcLevel(level, sigma, black, misfit)
+
+
+def _quantile(values: Float64, share: float) -> float:
+    """Return the value (n,) that so large a share of all is not above."""
+    at = math.ceil(share * (len(values) - 1))
+    return float(np.partition(values, at)[at])
 
 
 @kernel

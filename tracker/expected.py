@@ -25,7 +25,7 @@ Bool = npt.NDArray[np.bool_]
 HALF_SPAN_MM = 60.0
 """How far to either side of the seam the stripe is followed."""
 
-SAMPLES = 481
+SAMPLES = 161
 
 BESIDE_MM = 1e-6
 """The stripe is looked at so near to either side of each corner."""

@@ -7,12 +7,13 @@ otherwise its rows; positions along a scan line are pixels. All kernels see the 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 import numpy.typing as npt
 
 from noise_model.effects import really
-from noise_model.frames import Float64
+from noise_model.frames import Float64, invert, transform
 from noise_model.optics import Rays
 from noise_model.sensor import linearise, saturation_dn, variance_e2
 from noise_model.setup import Setup
@@ -65,6 +66,20 @@ class SensorGeometry:
             dark_variance_e2=float(variance_e2(0.0, setup.sensor)),
         )
 
+    @cached_property
+    def pixels_per_mm(self) -> float:
+        """How far the stripe moves, px, per mm of height or of lateral place, whichever is more."""
+        camera = self.setup.camera
+        moved = np.array([[0.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.0, 1.0, 0.0]])
+        points_camera = transform(invert(camera.T_tool_camera), sensor_point(self.setup) + moved)
+        scan_points = self.scan_points(camera.project(points_camera))
+        return float(np.abs(scan_points[1:, 1] - scan_points[0, 1]).max())
+
+    @cached_property
+    def even_sample(self) -> tuple[Int64, Int64]:
+        """Scan lines and positions (n,) of an even sample of the image's pixels."""
+        return self.lattice()
+
     def lattice(self, spacing_px: int = LATTICE_PX) -> tuple[Int64, Int64]:
         """Return scan lines and positions (n,) of an even sample of the image's pixels."""
         scan = np.arange(spacing_px // 2, self.n_scan, spacing_px)
@@ -79,6 +94,14 @@ class SensorGeometry:
     def scan_points(self, points_px: Float64) -> Float64:
         """Return (n, 2) as (scan, position) of image points (n, 2) as (u, v)."""
         return points_px if self.along_rows else points_px[:, ::-1]
+
+
+def sensor_point(setup: Setup) -> Float64:
+    """Return the point of the laser plane below the laser at tool height, tool frame, mm."""
+    x, y, _ = setup.laser.origin_in_tool_mm
+    plane = np.asarray(setup.laser.plane_in_tool)
+    point = np.array([x, y, 0.0])
+    return np.asarray(point - (plane[:3] @ point + plane[3]) * plane[:3])
 
 
 def meet_laser_plane(setup: Setup, origins_tool: Float64, rays_tool: Float64) -> Float64:

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
 import numpy.typing as npt
 
-from noise_model.arc_map import ArcKernel, Scene, arc_at
+from noise_model.arc_map import Scene
 from noise_model.condition import Condition
 from noise_model.effects import acting, really_on
 from noise_model.effects.light import Light
@@ -15,6 +16,9 @@ from noise_model.forward import pass_on
 from noise_model.frames import Float64
 from noise_model.view import View
 from tracker.geometry import Float32, SensorGeometry
+
+ArcLight = Callable[[npt.NDArray[np.int64]], Float32]
+"""The arc's light (n,), e-, at pixels (n,) by scan line, NaN past the workpiece."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -33,11 +37,11 @@ class Passage:
 
     @classmethod
     def of(
-        cls, geometry: SensorGeometry, view: Scene, kernel: ArcKernel, output: float, timestamp_s: float
+        cls, geometry: SensorGeometry, view: Scene, light: ArcLight, output: float, timestamp_s: float
     ) -> Passage | None:
         """Return the passage of a frame; None if no effect acts on the light.
 
-        `kernel` predicts the arc at its expected `output`, which counts the exposure over the nominal one.
+        `light` is the arc's at its expected `output`, which counts the exposure over the nominal one.
         """
         setup = geometry.setup
         if not any(effect.light or effect.image for effect, _ in acting(setup)):
@@ -47,8 +51,7 @@ class Passage:
         condition = replace(really_on(setup, stated), exposure_s=setup.camera.exposure_s)
         scan, position = geometry.lattice()
         even = scan * geometry.n_pos + position
-        arc_e, _ = arc_at(kernel, geometry.xy, geometry.cos4, even)
-        return cls(geometry, view, condition, even, np.nan_to_num(arc_e))
+        return cls(geometry, view, condition, even, np.nan_to_num(light(even)))
 
     def through(self, pixels: npt.NDArray[np.int64], arc_e: Float32) -> tuple[Float32, Float32]:
         """Return what arrives at some pixels (n,), by scan line: the arc's light and what is not the arc's.
@@ -76,16 +79,13 @@ class Passage:
 
 
 def seen_arc(
-    geometry: SensorGeometry,
-    kernel: ArcKernel,
-    passage: Passage | None,
-    pixels: npt.NDArray[np.int64],
+    light: ArcLight, passage: Passage | None, pixels: npt.NDArray[np.int64]
 ) -> tuple[Float64, Float64]:
     """Return the arc's light and the other light (n,), e-, at some pixels (n,), by scan line.
 
     NaN where a pixel looks past the workpiece; `passage` None leaves the light as it is.
     """
-    arc_e, _ = arc_at(kernel, geometry.xy, geometry.cos4, pixels)
+    arc_e = light(pixels)
     if passage is None:
         return arc_e.astype(np.float64), np.zeros(len(pixels))
     arrived, other = passage.through(pixels, arc_e)

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from noise_model.arc_map import CELL, ArcKernel, arc_band
+from noise_model.arc_map import CELL, ArcKernel, ArcMap
 from tracker.arc_level import MAP_SIGMA, ArcLevel
 from tracker.band import gather, median_background, place
 from tracker.expected import ExpectedStripe
@@ -16,13 +16,13 @@ from tracker.geometry import SensorGeometry
 from tracker.passage import Passage
 from tracker.state import Frame, Stripe
 from tracker.stripe_fit import fit_lines
-from tracker.stripe_path import OFFSET_STEP, best_path, matched_filter
+from tracker.stripe_path import OFFSET_STEP, best_path, matched_filter, peaks
 
 FIT_SIGMAS = 4.0
 """How many stripe sigmas of background the band holds beyond the reach of the search."""
 
 MAP_TOLERANCE, MAP_FLOOR_E = 0.01, 20.0
-"""How far the band's map may be off where it is read off its cells: relative, and in electrons."""
+"""How far the map may be off where it is read off its tables: relative, and in electrons."""
 
 MEDIAN_HALF_PX = 30
 MEDIAN_SIGMA = 1.0
@@ -80,9 +80,14 @@ class StripeReading:
     base_sigma_e: float
 
 
+def arc_map_of(geometry: SensorGeometry, kernel: ArcKernel) -> ArcMap:
+    """Return the arc map that a frame is read with."""
+    return ArcMap.of(kernel, geometry.xy, geometry.cos4, geometry.n_scan, MAP_TOLERANCE, MAP_FLOOR_E)
+
+
 def read_stripe(
     geometry: SensorGeometry,
-    kernel: ArcKernel,
+    arc_map: ArcMap,
     passage: Passage | None,
     arc: ArcLevel,
     frame: Frame,
@@ -110,7 +115,7 @@ def read_stripe(
     level_sigma = 0.0 if level_known else geometry.setup.tolerance.arc_level_rel
     map_sigma = math.hypot(MAP_SIGMA * max(1.0, arc.misfit if level_known else 1.0), level_sigma)
     if use_arc_map:
-        _predict_background(geometry, kernel, passage, level, arc.black_e, lows, band)
+        _predict_background(geometry, arc_map, passage, level, arc.black_e, lows, band)
     else:
         median_background(band.charge, MEDIAN_HALF_PX, band.background)
         spread = 1.4826 * float(np.median(np.abs(band.charge - band.background)))
@@ -134,7 +139,8 @@ def read_stripe(
     )
     choice = np.empty(geometry.n_scan, dtype=np.int64)
     best_path(score, choice)
-    start = np.where(choice >= 0, np.rint(expected.position_px) + offsets[choice], np.nan)
+    start = np.empty(geometry.n_scan)
+    peaks(score, choice, expected.position_px, offsets, start)
     fits = np.empty((geometry.n_scan, 5))
     saturated = np.empty(geometry.n_scan, dtype=np.bool_)
     fit_lines(
@@ -160,7 +166,7 @@ def read_stripe(
 
 def _predict_background(
     geometry: SensorGeometry,
-    kernel: ArcKernel,
+    arc_map: ArcMap,
     passage: Passage | None,
     level: float,
     black_e: float,
@@ -171,7 +177,7 @@ def _predict_background(
     if level == 0.0:
         band.background[:] = black_e
         return
-    arc_band(kernel, geometry.xy, geometry.cos4, lows, band.background, MAP_TOLERANCE, MAP_FLOOR_E)
+    arc_map.fill(lows, band.background)
     if passage is None:
         band.background *= np.float32(level)
     else:

@@ -13,7 +13,7 @@ from noise_model.setup import Setup
 from noise_model.surface import SeamLine, corrugation_height, seam_frame, seam_height_mm, section
 from tracker import flags
 from tracker.follow import SeamHistory
-from tracker.geometry import SensorGeometry, meet_laser_plane
+from tracker.geometry import meet_laser_plane, sensor_point
 
 MIN_CROSSING = 0.3
 """The least cosine between the sheet's normal and the seam: below, it shows no section of the joint."""
@@ -42,7 +42,7 @@ def pose_flags(setup: Setup, T_base_tool: Float64) -> int:
 
 def expected_seam(setup: Setup, nominal: Scene, history: SeamHistory) -> tuple[SeamLine, Float64]:
     """Return the seam where it should meet the laser plane, and the 1 sigma (2,) of its y and z, mm."""
-    station = float(transform(nominal.T_joint_tool, _sensor_point(setup))[0])
+    station = float(transform(nominal.T_joint_tool, sensor_point(setup))[0])
     seam, _ = history.at(station)
     # The plane may lean: the root of a groove is met elsewhere than the plate is.
     point = seam_point_tool(setup, nominal, float(seam[0]), float(seam[1]) + seam_height_mm(setup.joint))
@@ -60,22 +60,6 @@ def sources(setup: Setup, view: Scene, station: float) -> tuple[Float64, Float64
     return sources
 
 
-def _sensor_point(setup: Setup) -> Float64:
-    """Return the point of the laser plane below the laser at tool height, tool frame, mm."""
-    x, y, _ = setup.laser.origin_in_tool_mm
-    plane = np.asarray(setup.laser.plane_in_tool)
-    point = np.array([x, y, 0.0])
-    return np.asarray(point - (plane[:3] @ point + plane[3]) * plane[:3])
-
-
-def pixels_per_mm(geometry: SensorGeometry) -> float:
-    """Return how far the stripe moves, px, per mm of height or of lateral place, whichever is more."""
-    camera = geometry.setup.camera
-    points = _sensor_point(geometry.setup) + np.array([[0.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.0, 1.0, 0.0]])
-    scan_points = geometry.scan_points(camera.project(transform(invert(camera.T_tool_camera), points)))
-    return float(np.abs(scan_points[1:, 1] - scan_points[0, 1]).max())
-
-
 def seam_point_tool(setup: Setup, view: Scene, y_mm: float, z_mm: float) -> Float64:
     """Return the point (3,), tool frame, where the seam through (y, z) of a scene's frame meets the sheet.
 
@@ -84,7 +68,7 @@ def seam_point_tool(setup: Setup, view: Scene, y_mm: float, z_mm: float) -> Floa
     T_tool_joint = invert(view.T_joint_tool)
     plane = np.asarray(setup.laser.plane_in_tool)
     direction = T_tool_joint[:3, 0]
-    x = float(transform(view.T_joint_tool, _sensor_point(setup))[0])
+    x = float(transform(view.T_joint_tool, sensor_point(setup))[0])
     point = np.zeros(3)
     for _ in range(MOST_STEPS):
         height = float(corrugation_height(np.array(x), view.shape.corrugation))

@@ -18,19 +18,18 @@ from noise_model.surface import SeamLine
 from tracker import flags
 from tracker.arc_level import UNKNOWN, ArcLevel, estimate_arc_level
 from tracker.correction import Correction
-from tracker.expected import expect_stripe
+from tracker.expected import ExpectedStripe, expect_stripe
 from tracker.follow import SeamHistory
 from tracker.geometry import SensorGeometry
 from tracker.joint import MeasuredJoint, fit_joint
 from tracker.joint.type_check import is_another_type
 from tracker.passage import Passage
-from tracker.profile import triangulate
-from tracker.read import FIT_SIGMAS, Work, read_stripe
+from tracker.profile import Profile, triangulate
+from tracker.read import FIT_SIGMAS, Work, arc_map_of, read_stripe
 from tracker.seam import (
     confidence,
     expected_seam,
     hand_eye_variance,
-    pixels_per_mm,
     pose_flags,
     seam_displacement,
     seam_point_tool,
@@ -60,6 +59,9 @@ JUMPS_TO_RELEARN = 3
 
 LEAST_MARGIN_MM = 1.0
 """A seam nearer to the profile's end than this is out of view."""
+
+CLEAR_MM = 1.0
+"""So much farther than a stripe is followed its joint is looked for."""
 
 LOST_TO_SEARCH = 3
 """So many frames without a joint widen the search to what it was at first."""
@@ -180,25 +182,26 @@ def _read(
     expected = expect_stripe(geometry, view)
     if expected is None:
         return Reading(flags.STRIPE_LOST.mask, view, seam, reach_mm)
-    reach_px = reach_mm * pixels_per_mm(geometry)
+    reach_px = reach_mm * geometry.pixels_per_mm
     output = expected_output(geometry.setup, frame)
     kernel = arc_kernel(geometry.setup, view, output)
     keep_off = reach_px + FIT_SIGMAS * float(expected.sigma_px.max())
     stripe_px = expected.position_px if frame.laser_on else None
-    passage = Passage.of(geometry, view, kernel, output, frame.timestamp_s)
-    arc = estimate_arc_level(geometry, kernel, passage, frame.image_dn, stripe_px, keep_off)
+    arc_map = arc_map_of(geometry, kernel)
+    passage = Passage.of(geometry, view, arc_map.at, output, frame.timestamp_s)
+    arc = estimate_arc_level(geometry, arc_map.at, passage, frame.image_dn, stripe_px, keep_off)
     found = _arc_flags(arc)
     if not frame.laser_on:
         return Reading(found | flags.LASER_OFF.mask, view, seam, reach_mm, arc)
 
-    stripe = read_stripe(geometry, kernel, passage, arc, frame, expected, reach_px, work, use_arc_map).stripe
+    stripe = read_stripe(geometry, arc_map, passage, arc, frame, expected, reach_px, work, use_arc_map).stripe
     share = float(np.isfinite(stripe.position_px).sum()) / max(int(expected.shown.sum()), 1)
     found |= flags.SATURATED.mask if stripe.saturated.any() else 0
     if share < MIN_SHARE:
         return Reading(found | flags.STRIPE_LOST.mask, view, seam, reach_mm, arc, stripe)
     found |= flags.STRIPE_PARTIAL.mask if share < GOOD_SHARE else 0
 
-    profile = triangulate(geometry, view, stripe.position_px - expected.lean_px, stripe.sigma_px)
+    profile = profile_of(geometry, view, expected, stripe, reach_mm)
     joint = fit_joint(profile, geometry.setup.joint, *sources(geometry.setup, view, seam.station_mm))
     # A narrower look shows only what lies where the stated joint should.
     if reach_mm == SEARCH_REACH_MM and is_another_type(profile, geometry.setup.joint, joint):
@@ -212,6 +215,14 @@ def _read(
     is_misfit = joint.chi2 > JOINT_CHI2_LIMIT or joint.unexplained > UNEXPLAINED_LIMIT
     found |= flags.JOINT_MISFIT.mask if is_misfit else 0
     return Reading(found, view, seam, reach_mm, arc, stripe, joint, margin_mm)
+
+
+def profile_of(
+    geometry: SensorGeometry, view: Scene, expected: ExpectedStripe, stripe: Stripe, reach_mm: float
+) -> Profile:
+    """Return a stripe's profile, whose seam is looked for within the look's reach; a search takes it all."""
+    profile = triangulate(geometry, view, stripe.position_px - expected.lean_px, stripe.sigma_px)
+    return profile if reach_mm == SEARCH_REACH_MM else replace(profile, reach_mm=reach_mm + CLEAR_MM)
 
 
 def _read_again(

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 
 from noise_model.arc_borders import seen_strip
 from noise_model.arc_disc import MAX_PIECES, crossings, equator_q
-from noise_model.arc_map import CELL, arc_at, arc_band, arc_frame, arc_kernel, scene
+from noise_model.arc_map import CELL, ArcMap, arc_at, arc_frame, arc_kernel, scene
 from noise_model.faces import across, face_point
 from noise_model.optics import Rays
 from noise_model.surface import section
@@ -71,7 +71,7 @@ def test_a_pixels_light_does_not_depend_on_the_band_it_is_in():
     frame = arc_frame(kernel, xy, cos4, (152, 200))
     lows = np.arange(152 // CELL, dtype=np.int64) * 7 % 120
     band = np.empty((152, 77), dtype=np.float32)
-    arc_band(kernel, xy, cos4, lows, band)
+    ArcMap.of(kernel, xy, cos4, len(band)).fill(lows, band)
     part = np.array([frame[i, lows[i // CELL] : lows[i // CELL] + 77] for i in range(152)])
     np.testing.assert_allclose(band, part, rtol=1e-5)
 

@@ -13,8 +13,8 @@ from noise_model.arc_map import (
     CELL,
     NODES_P,
     NODES_Q,
+    ArcMap,
     arc_at,
-    arc_band,
     arc_frame,
     arc_kernel,
     scene,
@@ -401,7 +401,7 @@ def test_a_band_is_that_part_of_the_frame(name):
     kernel = arc_kernel(setup, scene(setup, POSES["aside"]))
     lows = np.arange(-(-119 // CELL), dtype=np.int64) * 5 % 108
     band = np.full((119, 49), np.nan, dtype=np.float32)
-    arc_band(kernel, rays.xy.reshape(-1, 2), rays.cos4.reshape(-1), lows, band)
+    ArcMap.of(kernel, rays.xy.reshape(-1, 2), rays.cos4.reshape(-1), len(band)).fill(lows, band)
     check_filled(band, np.array([want[i, lows[i // CELL] : lows[i // CELL] + 49] for i in range(119)]))
 
 
@@ -411,7 +411,7 @@ def test_a_band_of_no_tolerance_is_exact():
     kernel = arc_kernel(setup, scene(setup, POSES["aside"]))
     band = np.empty((119, 157), dtype=np.float32)
     lows = np.zeros(-(-119 // CELL), dtype=np.int64)
-    arc_band(kernel, rays.xy.reshape(-1, 2), rays.cos4.reshape(-1), lows, band, tolerance=0.0, floor_e=-1.0)
+    ArcMap.of(kernel, rays.xy.reshape(-1, 2), rays.cos4.reshape(-1), len(band), 0.0, -1.0).fill(lows, band)
     np.testing.assert_allclose(band, want, rtol=1e-6)
 
 

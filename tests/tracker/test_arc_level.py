@@ -19,6 +19,7 @@ from noise_model.setup import Setup
 from tracker.arc_level import UNKNOWN, ArcLevel, _fit_level, estimate_arc_level
 from tracker.expected import expect_stripe
 from tracker.geometry import SensorGeometry
+from tracker.read import arc_map_of
 from tracker.state import Frame, Pose
 
 POSE = pose_at(3.0)
@@ -39,9 +40,8 @@ def estimate(geometry: SensorGeometry, frame: Frame, pose: Pose = POSE) -> ArcLe
     expected = expect_stripe(geometry, view)
     assert expected is not None
     stripe_px = expected.position_px if frame.laser_on else None
-    return estimate_arc_level(
-        geometry, arc_kernel(geometry.setup, view), None, frame.image_dn, stripe_px, 30.0
-    )
+    light = arc_map_of(geometry, arc_kernel(geometry.setup, view)).at
+    return estimate_arc_level(geometry, light, None, frame.image_dn, stripe_px, 30.0)
 
 
 @pytest.mark.parametrize("laser", [0.0, 1.0])

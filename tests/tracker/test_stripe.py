@@ -15,12 +15,12 @@ from tracker.stripe_fit import (
     CORRELATION_PX,
     WIDTH_SIGMA_LN,
     WINDOW_SIGMAS,
-    _bell,
     _solve,
     fit_lines,
     map_edge,
 )
-from tracker.stripe_path import best_path, matched_filter
+from tracker.stripe_path import bell as bell_of
+from tracker.stripe_path import best_path, matched_filter, peaks
 
 Float64 = npt.NDArray[np.float64]
 
@@ -126,6 +126,34 @@ def test_no_path_is_cheaper_than_the_best_path(seed: int, height: float) -> None
     assert twins.path_cost(exact, choice) == pytest.approx(twins.best_path_cost(exact), rel=1e-9, abs=1e-9)
 
 
+@settings(deadline=None, max_examples=60)
+@given(seeds, st.floats(-9.0, 9.0), st.integers(-1, 10))
+def test_a_fit_starts_at_the_peak_that_the_path_is_on(seed: int, peak: float, choice: int) -> None:
+    rng = np.random.default_rng(seed)
+    offsets = np.arange(-10, 11, 2)
+    centers = rng.uniform(50.0, 60.0, 4)
+    # A parabola, so that the way between the offsets is exact.
+    score = np.tile(100.0 - (offsets - peak) ** 2, (4, 1)).astype(np.float32)
+    start = np.empty(4)
+    peaks(score, np.full(4, choice), centers, offsets, start)
+    want = np.rint(centers) + (np.nan if choice < 0 else peak)
+    np.testing.assert_allclose(start, want, atol=1e-4)
+
+
+def test_a_fit_starts_on_the_paths_own_hill() -> None:
+    offsets = np.arange(-10, 11, 2)
+    two_hills = np.maximum(9.0 - (offsets + 6.0) ** 2 / 4.0, 20.0 - (offsets - 6.0) ** 2 / 4.0)
+    start = np.empty(2)
+    peaks(np.tile(two_hills.astype(np.float32), (2, 1)), np.array([1, 8]), np.full(2, 30.0), offsets, start)
+    np.testing.assert_allclose(start, [24.0, 36.0])
+
+
+def test_a_single_offset_is_where_a_fit_starts() -> None:
+    start = np.empty(1)
+    peaks(np.ones((1, 1), np.float32), np.zeros(1, np.int64), np.full(1, 7.2), np.zeros(1, np.int64), start)
+    assert start[0] == 7.0
+
+
 def test_a_path_without_evidence_holds_no_stripe() -> None:
     choice = np.zeros(12, dtype=np.int64)
     best_path(np.zeros((12, 9), dtype=np.float32), choice)
@@ -134,7 +162,7 @@ def test_a_path_without_evidence_holds_no_stripe() -> None:
 
 def test_the_bell_is_a_gaussian() -> None:
     t = np.linspace(-40.0, 40.0, 8001).astype(np.float32)
-    bell = np.array([_bell(one) for one in t])
+    bell = np.array([bell_of(one) for one in t])
     np.testing.assert_allclose(bell, np.exp(-0.5 * t.astype(np.float64) ** 2), rtol=0.0, atol=1e-6)
 
 

@@ -129,9 +129,10 @@ def fit_shape(
 def place(profile: Profile, corners: Float64, step_mm: float, limit_mm: float) -> tuple[float, float]:
     """Return the shift (y, z) in mm of nominal corners (k, 2) that explains most of a profile.
 
-    Lateral shifts are tried by steps of `step_mm` all along the profile, see `best_shift`.
+    Lateral shifts are tried by steps of `step_mm` within the profile's reach, see `best_shift`.
     """
-    shifts = np.arange(profile.y_mm[0], profile.y_mm[-1] + step_mm, step_mm)
+    first, last = max(profile.y_mm[0], -profile.reach_mm), min(profile.y_mm[-1], profile.reach_mm)
+    shifts = np.arange(first, last + step_mm, step_mm)
     every = max(1, len(profile.y_mm) // PLACED_BY)
     return best_shift(profile.y_mm[::every], profile.z_mm[::every], corners, shifts, limit_mm)
 
