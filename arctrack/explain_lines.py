@@ -52,7 +52,7 @@ class SigmaParts:
     information P its covariance C = (J'WJ + P)^-1 is C J'W V W J C + C P C, so the position's variance is a
     sum over what V and P are made of: `stripe` and `arc` are their light's shot noise, `dark` read noise and
     steps of the DN, `map` the priors of the background's offset and slope, `width` that of the stripe's
-    width. `misfit` is by how much chi2 widens all of it.
+    width. `misfit` is by how much chi2 widens all of it or, where the setup states speckle, what that adds.
 
     `arc_share` is 1 - (variance without the arc) / variance: its shot noise and its map's uncertainty gone.
     `offset_e`, `slope_e_per_px` are what the fit adds to the background, the slope about the position.
@@ -160,6 +160,7 @@ def _line(reading: StripeReading, expected: ExpectedStripe, s: int) -> tuple[flo
     of_priors = C[1] ** 2 * known
     freedom = counts.sum() - 2.0
     excess = max(chi2 - math.sqrt(2.0 / freedom), 1.0)
+    beyond = (reading.stripe.sigma_px[s] ** 2 - reading.fits[s, 1] ** 2) + C[1, 1] * (excess - 1.0)
 
     without = _information(*(2 * [max(reading.base_sigma_e, MIN_SIGMA_E)]))
     without[4] *= CORRELATION_PX**2
@@ -170,7 +171,7 @@ def _line(reading: StripeReading, expected: ExpectedStripe, s: int) -> tuple[flo
         float(pull @ dark),
         float(of_priors[3] + of_priors[4]),
         float(of_priors[2]),
-        float(C[1, 1] * (excess - 1.0)),
+        float(beyond),
         float(1.0 - alone[1, 1] / C[1, 1]),
         float(b[0]),
         float(b[1]),

@@ -14,9 +14,11 @@ from tracker.band import gather, median_background, place
 from tracker.expected import ExpectedStripe
 from tracker.geometry import SensorGeometry
 from tracker.passage import Passage
+from tracker.speckle import Speckle, with_speckle
 from tracker.state import Frame, Stripe
 from tracker.stripe_fit import fit_lines
 from tracker.stripe_path import OFFSET_STEP, best_path, matched_filter, peaks
+from tracker.stripe_smooth import smooth_stripe
 
 FIT_SIGMAS = 4.0
 """How many stripe sigmas of background the band holds beyond the reach of the search."""
@@ -158,7 +160,19 @@ def read_stripe(
         fits,
         saturated,
     )
-    stripe = Stripe(fits[:, 0], fits[:, 1], fits[:, 2], saturated, geometry.along_rows)
+    sigma, together = with_speckle(
+        Speckle.of(geometry.setup),
+        fits,
+        expected.sigma_px,
+        band.background,
+        lows,
+        shot,
+        dark_variance,
+        map_sigma,
+        base_sigma,
+    )
+    smooth, smooth_sigma = smooth_stripe(fits[:, 0], sigma, together)
+    stripe = Stripe(fits[:, 0], sigma, smooth, smooth_sigma, fits[:, 2], saturated, geometry.along_rows)
     return StripeReading(
         stripe, band, lows, offsets, score, start, fits, shot, dark_variance, map_sigma, base_sigma
     )

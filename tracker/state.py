@@ -44,11 +44,15 @@ class Stripe:
     """The stripe per scan line, the image's columns if the stripe runs along its rows.
 
     `position_px` (n,) is NaN where there is no stripe; `sigma_px` its 1 sigma; `amplitude_e` the peak over
-    the background; `saturated` says where pixels were censored.
+    the background; `saturated` says where pixels were censored. These are the lines' own and independent:
+    the joint is fitted to them. `smooth_px` and `smooth_sigma_px` (n,) are what the neighbours along the
+    stripe make of them (`tracker.stripe_smooth`), NaN also at outliers and where the centre stays unsure.
     """
 
     position_px: Float64
     sigma_px: Float64
+    smooth_px: Float64
+    smooth_sigma_px: Float64
     amplitude_e: Float64
     saturated: npt.NDArray[np.bool_]
     along_rows: bool
