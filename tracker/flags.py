@@ -27,9 +27,11 @@ FRAME_UNREADABLE = Flag(
     0, "frame_unreadable", "the frame could not be read or has the wrong size or type", True
 )
 LASER_OFF = Flag(1, "laser_off", "the frame was taken with the laser off: there is no stripe to read", True)
-POSE_REFUSED = Flag(2, "pose_refused", "no pose is near enough in time", True)
+POSE_REFUSED = Flag(2, "pose_refused", "no pose is near enough in time, or its numbers are none", True)
 POSE_EXTRAPOLATED = Flag(3, "pose_extrapolated", "the pose was extrapolated from the last two")
-STRIPE_LOST = Flag(4, "stripe_lost", "too few columns hold a stripe", True)
+STRIPE_LOST = Flag(
+    4, "stripe_lost", "too few columns hold a stripe, or the arc alone would show as much of one", True
+)
 STRIPE_PARTIAL = Flag(5, "stripe_partial", "more than a quarter of the columns hold no stripe")
 SATURATED = Flag(6, "saturated", "saturated pixels were censored within the stripe")
 ARC_OFF = Flag(7, "arc_off", "no arc light was found in the frame")
@@ -61,6 +63,8 @@ PAST_JOINT = Flag(22, "past_joint", "the torch stands past the joint's end: ther
 JOINT_TYPE_MISMATCH = Flag(
     23, "joint_type_mismatch", "a search shows another type of joint than the setup states, and decidedly"
 )
+TWO_STRIPES = Flag(24, "two_stripes", "a second stripe runs beside the one that was read: a reflection of it")
+STRIPE_LEAVES_IMAGE = Flag(25, "stripe_leaves_image", "the stripe runs off the image within its columns")
 
 FLAGS: tuple[Flag, ...] = tuple(value for value in list(globals().values()) if isinstance(value, Flag))
 """Every flag, in order of its bit."""

@@ -21,13 +21,26 @@ MIN_CROSSING = 0.3
 MOST_STEPS, MET_MM = 20, 1e-9
 """Steps by which the sheet is met along a corrugated seam at most, and how near to it is on it."""
 
+ROTATION_WITHIN = 1e-3
+"""How far a rotation's R R^T may be off the identity."""
+
 MAX_HEIGHT = 2.0
 """How high the laser may stand over the surface, over its height above the tool's origin."""
 
 
+def is_rigid(T_base_tool: Float64) -> bool:
+    """Say whether (4, 4) numbers are a pose: finite, a rotation and a displacement, nothing else."""
+    if T_base_tool.shape != (4, 4) or not np.isfinite(T_base_tool).all():
+        return False
+    R = T_base_tool[:3, :3]
+    if not (np.abs(R) <= 1.0 + ROTATION_WITHIN).all() or (T_base_tool[3] != (0.0, 0.0, 0.0, 1.0)).any():
+        return False
+    return bool((np.abs(R @ R.T - np.eye(3)) <= ROTATION_WITHIN).all() and np.linalg.det(R) > 0.0)
+
+
 def pose_flags(setup: Setup, T_base_tool: Float64) -> int:
     """Return the flags of a pose from which the joint cannot be seen, 0 where it can."""
-    if not np.isfinite(T_base_tool).all():
+    if not is_rigid(T_base_tool):
         return flags.POSE_REFUSED.mask
     laser_tool = np.asarray(setup.laser.origin_in_tool_mm)
     T_joint_tool = invert(seam_frame(setup.joint, transform(T_base_tool, laser_tool))) @ T_base_tool

@@ -19,7 +19,7 @@ NAN = math.nan
 class Frame:
     """One raw frame (H, W), uint8 or uint16, and the condition it was taken under.
 
-    `timestamp_s` is mid-exposure; `current_a` is NaN where nobody knows it.
+    `timestamp_s` is mid-exposure; `current_a`, `exposure_s` are NaN where nobody knows them.
     """
 
     index: int

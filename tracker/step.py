@@ -37,6 +37,7 @@ from tracker.seam import (
 )
 from tracker.state import Frame, Pose, Stripe, Track
 from tracker.steer import Steering, steer
+from tracker.stripe_evidence import LEAST_RATIO, evidence_ratio, has_ghost, leaves_image, path_of
 
 SEARCH_REACH_MM = 5.0
 """How far off its nominal place the seam is first looked for."""
@@ -65,6 +66,9 @@ CLEAR_MM = 1.0
 
 LOST_TO_SEARCH = 3
 """So many frames without a joint widen the search to what it was at first."""
+
+MOST_CURRENT_A, MOST_EXPOSURE_S = 1e4, 1e2
+"""No welding current and no exposure reaches these: such a number is not known."""
 
 UNSTATED = Correction()
 """The correction where none is stated."""
@@ -194,10 +198,16 @@ def _read(
     if not frame.laser_on:
         return Reading(found | flags.LASER_OFF.mask, view, seam, reach_mm, arc)
 
-    stripe = read_stripe(geometry, arc_map, passage, arc, frame, expected, reach_px, work, use_arc_map).stripe
+    look = read_stripe(geometry, arc_map, passage, arc, frame, expected, reach_px, work, use_arc_map)
+    stripe = look.stripe
     share = float(np.isfinite(stripe.position_px).sum()) / max(int(expected.shown.sum()), 1)
     found |= flags.SATURATED.mask if stripe.saturated.any() else 0
-    if share < MIN_SHARE:
+    found |= (
+        flags.STRIPE_LEAVES_IMAGE.mask if leaves_image(expected, stripe.position_px, geometry.n_pos) else 0
+    )
+    at = path_of(look.offsets_px, expected.position_px, stripe.position_px)
+    found |= flags.TWO_STRIPES.mask if has_ghost(look.score, at, expected.sigma_px) else 0
+    if share < MIN_SHARE or evidence_ratio(look.score, at, expected.shown) < LEAST_RATIO:
         return Reading(found | flags.STRIPE_LOST.mask, view, seam, reach_mm, arc, stripe)
     found |= flags.STRIPE_PARTIAL.mask if share < GOOD_SHARE else 0
 
@@ -250,7 +260,9 @@ def _read_again(
     again = _read(geometry, frame, pose, there, TRACK_REACH_MM, work, use_arc_map)
     if again.joint is None:
         return first
-    return replace(again, flags=again.flags | (placed.flags & flags.JOINT_TYPE_MISMATCH.mask))
+    # The narrow look does not see as far beside the stripe.
+    wide = flags.JOINT_TYPE_MISMATCH.mask | flags.TWO_STRIPES.mask
+    return replace(again, flags=again.flags | (placed.flags & wide))
 
 
 def _locate(
@@ -309,11 +321,12 @@ def jump_limit_mm(expected_sigma_mm: Float64, variance_mm2: Float64) -> Float64:
 def expected_output(setup: Setup, frame: Frame) -> float:
     """Return what the setup expects of the arc for a frame's current and exposure, over the nominal output.
 
-    Without a known current, or with the arc said to be off, it is the nominal one.
+    Without a known current, or with the arc said to be off, that is the nominal one, and so is an exposure.
     """
-    known = math.isfinite(frame.current_a) and frame.current_a > 0.0
-    output = current_level(setup.arc, frame.current_a) if known else 1.0
-    return output * frame.exposure_s / setup.camera.exposure_s
+    nominal_s = setup.camera.exposure_s
+    current = current_level(setup.arc, frame.current_a) if 0.0 < frame.current_a < MOST_CURRENT_A else 1.0
+    exposure = frame.exposure_s / nominal_s if 0.0 < frame.exposure_s < MOST_EXPOSURE_S else 1.0
+    return current * exposure
 
 
 def _arc_flags(arc: ArcLevel) -> int:

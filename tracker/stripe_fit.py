@@ -29,7 +29,7 @@ MOST_PIXELS = 512
 MIN_PIXELS = 8
 """Fewer pixels that count tell nothing of five parameters."""
 
-MOST_STEPS, SETTLED = 12, 3e-3
+MOST_STEPS, SETTLED = 12, 5e-4
 """Gauss-Newton steps at most; one that gains less of chi2 is the last: it ends within 0.01 of a sigma."""
 
 WIDTH_SIGMA_LN = 0.1

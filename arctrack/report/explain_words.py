@@ -25,6 +25,7 @@ from tracker.step import (
     SEARCH_REACH_MM,
     UNEXPLAINED_LIMIT,
 )
+from tracker.stripe_evidence import LEAST_RATIO, evidence_ratio, path_of
 from tracker.stripe_fit import MIN_SIGNIFICANCE, WIDTH_LIMIT_LN
 
 REFUSALS = {
@@ -258,6 +259,14 @@ def _stripe_gates(look: Look, too_few: tuple[Flag, ...], saturated: tuple[Flag, 
     found = f"{read.sum()} of {crossed} ({percent(float(read.sum()) / crossed)})"
     asked = f"{percent(MIN_SHARE)} at least; partial below {percent(GOOD_SHARE)}"
     yield Gate("scan lines that hold a stripe", found, asked, too_few)
+    reading = look.stripe.reading
+    at = path_of(reading.offsets_px, look.expected.position_px, reading.stripe.position_px)
+    ratio = evidence_ratio(reading.score, at, look.expected.shown)
+    against = "nothing dark" if math.isinf(ratio) else number(ratio)
+    outdone = too_few if ratio < LEAST_RATIO else ()
+    yield Gate(
+        "evidence for the stripe over that for a dark one", against, f"{LEAST_RATIO:g} at least", outdone
+    )
 
 
 def _jump(of: Explanation, seam: SeamLook, jumped: tuple[Flag, ...]) -> Gate:

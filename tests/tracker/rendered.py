@@ -29,8 +29,11 @@ def small_setup(joint: str, *, upright: bool = False) -> Setup:
     """A zinc-coated joint before a camera of 320 x 240 px; `upright` rolls it by 90 deg: 240 x 320 px."""
     setup = nominal_setup(joint, "zn_coated", width=320, height=240)
     setup = replace(setup, arc=replace(setup.arc, radiance_e=RADIANCE_E.get(joint, USUAL_RADIANCE_E)))
-    if not upright:
-        return setup
+    return rolled(setup) if upright else setup
+
+
+def rolled(setup: Setup) -> Setup:
+    """The same setup with its camera rolled by 90 deg: the stripe runs along the image's columns."""
     camera = setup.camera
     roll = np.eye(4)
     roll[:3, :3] = Rotation.from_euler("z", 90.0, degrees=True).as_matrix()

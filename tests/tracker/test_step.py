@@ -256,6 +256,18 @@ def test_odd_poses_never_raise(setups: dict[str, Setup]) -> None:
                 assert track.valid or np.isnan(track.offset_y_mm) or track.flags & flags.INVALIDATING
 
 
+@pytest.mark.parametrize("odd", [(0, 0, 2.0), (0, 0, 1e12), (1, 1, -1.0), (3, 0, 1.0), (2, 3, np.inf)])
+def test_numbers_that_are_no_pose_are_refused(setups: dict[str, Setup], odd: tuple[int, int, float]) -> None:
+    row, column, number = odd
+    for setup in setups.values():
+        pose = pose_at(0.0)
+        frame = frame_of(setup, pose)
+        pose.T_base_tool[row, column] = number
+        track = Tracker(setup).step(frame, pose)
+        assert track.flag_names == ("pose_refused",)
+        assert unknown(track)
+
+
 # What a step depends on.
 
 
