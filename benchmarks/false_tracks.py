@@ -1,6 +1,6 @@
 """Frames of the arc alone that the tracker takes for a seam, though it is told that the laser is on.
 
-    python benchmarks/false_tracks.py [--frames N] [--blocks]
+    python benchmarks/false_tracks.py [--frames N] [--seed K] [--blocks]
 
 Frames of 320x240 drawn from the forward model: every joint, materials, poses, seams off their place, arc
 levels, the camera off by its tolerance, and for half of the poses one of the effects (not the slow ones), of
@@ -72,9 +72,10 @@ def count(setup: Setup, true: Setup, rng: np.random.Generator, of: Counter[str],
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--frames", type=int, default=10_000)
+    parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--blocks", action="store_true")
     chosen = parser.parse_args()
-    rng = np.random.default_rng(0)
+    rng = np.random.default_rng(chosen.seed)
     counts: dict[str, Counter[str]] = {joint: Counter() for joint in DIMENSIONS}
     for scene in range(-(-chosen.frames // FRAMES_A_SCENE)):
         joint = list(DIMENSIONS)[scene % len(DIMENSIONS)]

@@ -4,7 +4,8 @@ Because a section runs straight along x and a corrugation straight along y, what
 from a surface point does so along a plane through that point: its own tangent plane, the plane through a
 section's vertex line, the plane that touches a corrugation. Visibility of the arc is therefore a short list
 of half-spaces of directions, exact for plain sections and to first order where a vertex line follows a
-corrugation.
+corrugation. Where a seam bends on its way to the arc, edges are parabolas in plan and a half-space that of a
+tangent.
 """
 
 from __future__ import annotations
