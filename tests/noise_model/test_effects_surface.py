@@ -61,7 +61,7 @@ def test_the_arc_on_another_surface_node_by_node(effect, values, changes, lobe, 
     before = charge(setup, ARC)
     camera = setup.camera
     eye = camera.T_tool_camera[:3, 3]
-    center = np.array([0.0, 0.0, scenes.ARC_HEIGHT_MM[joint]])
+    center = np.array([0.0, 0.0, scenes.ARC_HEIGHT_MM.get(joint, 0.0)])
     changed = 0
     for row, column in ((5, 10), (20, 60), (30, 40), (45, 15), (55, 70)):
         ray = np.array([(column - camera.cx) / camera.fx, (row - camera.cy) / camera.fy, 1.0])

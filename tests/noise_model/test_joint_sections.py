@@ -156,6 +156,7 @@ def test_half_spaces_open_the_arc_as_a_walk_does(name, center):
             face,
             center,
             RADIUS_MM,
+            (0.0, 0.0),
             shape.vertices,
             shape.corrugation,
             *tables,
