@@ -27,7 +27,7 @@ from tracker.joint import MeasuredJoint, fit_joint
 from tracker.passage import Passage
 from tracker.profile import Profile
 from tracker.read import StripeReading, Work, arc_map_of, read_stripe
-from tracker.seam import seam_displacement, seam_point_tool, sources
+from tracker.seam import locate, sources
 from tracker.state import Frame, Pose, Track
 from tracker.step import Reading, TrackerState, expected_output, jump_limit_mm, profile_of, step_and_reading
 
@@ -208,8 +208,7 @@ def _seam_look(
     geometry: SensorGeometry, before: TrackerState, nominal: Scene, view: Scene, joint: MeasuredJoint
 ) -> SeamLook:
     """Put a measured joint beside what the earlier frames said of its place."""
-    seam_tool = seam_point_tool(geometry.setup, view, joint.y_mm, joint.z_mm)
-    station, displacement = seam_displacement(geometry.setup, nominal.T_joint_tool, seam_tool)
+    _, station, displacement = locate(geometry.setup, nominal.T_joint_tool, view, joint.y_mm, joint.z_mm)
     variance = np.diag(joint.covariance_mm2)
     expected, sigma = before.history.at(station)
     return SeamLook(station, displacement, variance, expected, sigma, jump_limit_mm(sigma, variance))

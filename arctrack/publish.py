@@ -26,7 +26,7 @@ from robot_io import (
     out_of_range_as_unknown,
 )
 from tracker import flags
-from tracker.correction import Correction
+from tracker.correction import UNSTATED, Correction
 from tracker.state import Track
 
 LIMITS = GateLimits(
@@ -65,10 +65,10 @@ class Publisher:
         link: Link,
         joint_type: str,
         limits: GateLimits = LIMITS,
-        correction: Correction | None = None,
+        correction: Correction = UNSTATED,
     ) -> None:
         self._link = link
-        self._correction = correction or Correction()
+        self._correction = correction
         self._joint = JointType[joint_type.upper()]
         self._limits = limits
         self._last_sent = LastSent()

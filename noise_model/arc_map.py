@@ -28,7 +28,7 @@ from noise_model.kernel import kernel
 from noise_model.optics import Camera
 from noise_model.setup import Setup
 from noise_model.surface import NOMINAL_SEAM, SeamLine, Section, corrugation_height, seam_frame, section
-from noise_model.visibility import MISS, has_sheets, horizon_tables, surface_height
+from noise_model.visibility import MISS, horizon_tables, is_curved_lap, surface_height
 
 Float32 = npt.NDArray[np.float32]
 Int32 = npt.NDArray[np.int32]
@@ -161,7 +161,7 @@ def _rim_rays(
 
 def _metal_cuts(radius: float, view: Scene) -> bool:
     """Say whether the sheets of a lap whose edge is not straight may cut into the luminous half-sphere."""
-    if not has_sheets(view.shape.vertices, view.shape.corrugation, view.bend):
+    if not is_curved_lap(view.shape.vertices, view.shape.corrugation, view.bend):
         return False
     tau, delta = np.meshgrid(np.linspace(0.0, 0.5 * np.pi, 10), np.linspace(0.0, 2.0 * np.pi, 24))
     sin = np.sin(tau)

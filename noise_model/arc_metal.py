@@ -11,6 +11,7 @@ import math
 from noise_model.arc_disc import Shape, equator_q
 from noise_model.frames import Float64
 from noise_model.kernel import kernel
+from noise_model.visibility import first_crossing
 
 RIM_STEPS = 8
 """In how many steps the disc's rims are searched for where the open part begins and ends."""
@@ -52,24 +53,6 @@ def _wave(x: float, metal: Metal) -> float:
 
 
 @kernel
-def passes_edge(over: float, across: float, bent: float, from_upper: bool) -> float:
-    """Return the first t at which over + across t - bent t^2 / 2, a way's distance from an edge, is 0."""
-    leaves = (across > 0.0) == from_upper and across != 0.0
-    if bent == 0.0 or (over == 0.0 and leaves):
-        return -over / across if leaves else math.inf
-    square = across * across + 2.0 * bent * over
-    if square < 0.0:
-        return math.inf
-    # Without differences of like numbers.
-    half = across + math.copysign(math.sqrt(square), across)
-    first = math.inf
-    for t in (half / bent, -2.0 * over / half if half != 0.0 else math.inf):
-        if 0.0 < t < first:
-            first = t
-    return first
-
-
-@kernel
 def clearance(p: float, q: float, rays: Rays, metal: Metal) -> float:
     """Return by how much the ray to the arc's point at (p, q) passes over the metal, mm.
 
@@ -95,7 +78,7 @@ def clearance(p: float, q: float, rays: Rays, metal: Metal) -> float:
         free = Pz + t_arc * oz - level
     if edge_hides:
         # Over the upper sheet the ray is before it comes to the edge, or after.
-        t = passes_edge(Py - edge_y, across, curve * ox * ox, from_upper)
+        t = first_crossing(Py - edge_y, across, curve * ox * ox, from_upper)
         first, last = (0.0, min(t, t_arc)) if from_upper else (t, t_arc)
         if t < t_arc:
             free = min(free, Pz + t * oz - _wave(Px + t * ox, metal) - edge_step)

@@ -20,7 +20,7 @@ from noise_model.visibility import (
     Bend,
     bent,
     first_hit,
-    has_sheets,
+    is_curved_lap,
     sky_planes,
     touch,
 )
@@ -96,7 +96,7 @@ def light_at(k: ArcKernel, P: Point, face: int, scratch: Scratch) -> float:
         ledges,
     )
     edge, crest_x, edge_hides = (0.0, 0.0, 0.0, 0.0), math.nan, False
-    if has_sheets(vertices, corrugation, k.bend):
+    if is_curved_lap(vertices, corrugation, k.bend):
         edge_y, edge_step = vertices[1, 0], vertices[1, 1] - vertices[2, 1]
         slope, curve = bent(P, center, radius, k.bend)
         edge = (edge_y, slope, curve, edge_step)

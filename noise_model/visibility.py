@@ -230,7 +230,7 @@ def _steepest(P: Vector, sheet_z: float, center: Vector, radius: float, corrugat
 
 
 @kernel
-def has_sheets(vertices: Float64, corrugation: Float64, bend: Bend) -> bool:
+def is_curved_lap(vertices: Float64, corrugation: Float64, bend: Bend) -> bool:
     """Say whether a section is a lap whose edge is no straight line: `arc_metal` follows it ray by ray."""
     is_lap = vertices.shape[0] == 4 and vertices[1, 0] == vertices[2, 0] and vertices[1, 1] > vertices[2, 1]
     return is_lap and (corrugation[0] > 0.0 or bend[0] != 0.0 or bend[1] != 0.0)
@@ -247,6 +247,27 @@ def bent(P: Vector, center: Vector, radius: float, bend: Bend) -> tuple[float, f
 
 
 @kernel
+def first_crossing(over: float, across: float, curve: float, from_below: bool) -> float:
+    """Return the first t at which over + across t - curve t^2 / 2, a way's distance from an edge, is 0.
+
+    inf for none. On the edge itself a way that comes from the other side than `from_below` says crosses it.
+    """
+    leaves = (across > 0.0) == from_below and across != 0.0
+    if curve == 0.0 or (over == 0.0 and leaves):
+        return -over / across if leaves else math.inf
+    square = across * across + 2.0 * curve * over
+    if square < 0.0:
+        return math.inf
+    # Without differences of like numbers.
+    half = across + math.copysign(math.sqrt(square), across)
+    first = math.inf
+    for t in (half / curve, -2.0 * over / half if half != 0.0 else math.inf):
+        if 0.0 < t < first:
+            first = t
+    return first
+
+
+@kernel
 def tangent(P: Vector, center: Vector, radius: float, edge_y: float, bend: Bend) -> tuple[float, float]:
     """Return the slope dy/dx of an edge where the way from P to the arc's centre comes to it, and its place.
 
@@ -258,19 +279,11 @@ def tangent(P: Vector, center: Vector, radius: float, edge_y: float, bend: Bend)
         return 0.0, 0.0
     way = center[0] - P[0]
     over, towards = P[1] - edge_y, (center[1] - P[1]) / way - slope
-    # over + towards x - curve x^2 / 2 = 0, the way's first crossing.
-    root = towards * towards + 2.0 * curve * over
-    nearest = towards / curve if curve != 0.0 else math.inf
-    x = min(max(nearest / way, 0.0), 1.0) * way
-    if root >= 0.0:
-        first = math.inf
-        for sign in (-1.0, 1.0):
-            # Without a difference of like numbers, and for an edge that is straight too.
-            half = towards + sign * math.sqrt(root)
-            at = -2.0 * over / half if half != 0.0 else math.inf
-            if 0.0 < at / way < min(first, 1.0):
-                first = at / way
-        x = first * way if first < math.inf else x
+    share = first_crossing(over, towards * way, curve * way * way, over < 0.0)
+    if not share < 1.0:
+        nearest = towards / curve if curve != 0.0 else math.inf
+        share = min(max(nearest / way, 0.0), 1.0)
+    x = share * way
     return slope + curve * x, -0.5 * curve * x * x
 
 
@@ -305,12 +318,12 @@ def sky_planes(
         planes[1, 0], planes[1, 1], planes[1, 2] = normal[0] - beside / way * normal[1], normal[1], normal[2]
         count = 2
     corrugated = corrugation[0] > 0.0
-    sheets = has_sheets(vertices, corrugation, bend)
+    is_followed = is_curved_lap(vertices, corrugation, bend)
     n_vertices = vertices.shape[0]
     # Of all that stands on one side the steepest hides what the others do; (dy, dz) and askew of those.
     right_dy, right_dz, right_askew, left_dy, left_dz, left_askew = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
     for k in range(n_vertices):
-        if sheets or k in (face, face + 1):
+        if is_followed or k in (face, face + 1):
             continue
         # A plate's far end counts where the plate rises towards it, as in a fillet's inside corner.
         if k == 0 and vertices[0, 1] <= vertices[1, 1]:

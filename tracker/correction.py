@@ -75,6 +75,10 @@ class Correction:
         return self.y.enable, self.z.enable
 
 
+UNSTATED = Correction()
+"""The correction where none is stated."""
+
+
 @dataclass(frozen=True)
 class Corrected:
     """A correction (2,) as (y, z), mm, NaN for an axis that is not enabled; both NaN once stopped."""

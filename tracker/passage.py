@@ -49,7 +49,7 @@ class Passage:
         stated = Condition(0.0, output, setup.camera.exposure_s, timestamp_s)
         # The exposure is in the output already, and the arc's own level is measured in each frame.
         condition = replace(really_on(setup, stated), exposure_s=setup.camera.exposure_s)
-        scan, position = geometry.lattice()
+        scan, position = geometry.even_sample
         even = scan * geometry.n_pos + position
         return cls(geometry, view, condition, even, np.nan_to_num(light(even)))
 

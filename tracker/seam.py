@@ -107,6 +107,17 @@ def confidence(setup: Setup, sigma_mm: Float64) -> float:
     return float(np.prod(erf(setup.tolerance.seam_mm / (math.sqrt(2.0) * sigma_mm))))
 
 
+def locate(
+    setup: Setup, T_joint_tool: Float64, view: Scene, y_mm: float, z_mm: float
+) -> tuple[Float64, float, Float64]:
+    """Return a seam point (3,), tool frame, its station and its displacement (2,) from the path, mm.
+
+    The point is at (y, z) of a look's frame, `T_joint_tool` the tool in the nominal joint frame.
+    """
+    seam_tool = seam_point_tool(setup, view, y_mm, z_mm)
+    return seam_tool, *seam_displacement(setup, T_joint_tool, seam_tool)
+
+
 def hand_eye_variance(setup: Setup, nominal: Scene, seam_tool: Float64) -> Float64:
     """Return the variance (2,) of the seam's (y, z), mm^2, that the stated hand-eye tolerance leaves.
 

@@ -17,7 +17,7 @@ from noise_model.setup import Setup
 from noise_model.surface import SeamLine
 from tracker import flags
 from tracker.arc_level import UNKNOWN, ArcLevel, estimate_arc_level
-from tracker.correction import Correction
+from tracker.correction import UNSTATED, Correction
 from tracker.expected import ExpectedStripe, expect_stripe
 from tracker.follow import SeamHistory
 from tracker.geometry import SensorGeometry
@@ -30,9 +30,8 @@ from tracker.seam import (
     confidence,
     expected_seam,
     hand_eye_variance,
+    locate,
     pose_flags,
-    seam_displacement,
-    seam_point_tool,
     sources,
 )
 from tracker.state import Frame, Pose, Stripe, Track
@@ -69,9 +68,6 @@ LOST_TO_SEARCH = 3
 
 MOST_CURRENT_A, MOST_EXPOSURE_S = 1e4, 1e2
 """No welding current and no exposure reaches these: such a number is not known."""
-
-UNSTATED = Correction()
-"""The correction where none is stated."""
 
 
 @dataclass(frozen=True)
@@ -255,7 +251,9 @@ def _read_again(
     if placed.joint is None:
         return first
     setup = geometry.setup
-    _, station, displacement = _locate(setup, nominal, placed.view, placed.joint)
+    _, station, displacement = locate(
+        setup, nominal.T_joint_tool, placed.view, placed.joint.y_mm, placed.joint.z_mm
+    )
     there = replace(seam, station_mm=station, y_mm=float(displacement[0]), z_mm=float(displacement[1]))
     again = _read(geometry, frame, pose, there, TRACK_REACH_MM, work, use_arc_map)
     if again.joint is None:
@@ -263,14 +261,6 @@ def _read_again(
     # The narrow look does not see as far beside the stripe.
     wide = flags.JOINT_TYPE_MISMATCH.mask | flags.TWO_STRIPES.mask
     return replace(again, flags=again.flags | (placed.flags & wide))
-
-
-def _locate(
-    setup: Setup, nominal: Scene, view: Scene, joint: MeasuredJoint
-) -> tuple[Float64, float, Float64]:
-    """Return the seam point (3,), tool frame, its station and its displacement (2,) from the path, mm."""
-    seam_tool = seam_point_tool(setup, view, joint.y_mm, joint.z_mm)
-    return seam_tool, *seam_displacement(setup, nominal.T_joint_tool, seam_tool)
 
 
 def _follow(
@@ -284,7 +274,7 @@ def _follow(
 ) -> tuple[TrackerState, Track]:
     """Judge a measured joint against the earlier ones, and turn it into seam point and confidence."""
     setup = geometry.setup
-    seam_tool, station, displacement = _locate(setup, nominal, view, joint)
+    seam_tool, station, displacement = locate(setup, nominal.T_joint_tool, view, joint.y_mm, joint.z_mm)
     variance = np.diag(joint.covariance_mm2)
     expected, expected_sigma = state.history.at(station)
     limit = jump_limit_mm(expected_sigma, variance)

@@ -11,7 +11,7 @@ from rich.table import Table
 from arctrack.recording import Recording
 from arctrack.survey import Condition, Motion, Survey
 from noise_model.setup import Setup
-from tracker.correction import AxisCorrection, Correction
+from tracker.correction import UNSTATED, AxisCorrection, Correction
 
 
 def print_survey(console: Console, recording: Recording, found: Survey) -> None:
@@ -19,7 +19,7 @@ def print_survey(console: Console, recording: Recording, found: Survey) -> None:
     lines = [("recording", _extent(recording)), *setup_lines(recording.setup), *motion_lines(found.motion)]
     if recording.has_truth:
         lines.append(("truth", "truth.csv holds the true seam points, for scoring"))
-    if recording.correction != Correction():
+    if recording.correction != UNSTATED:
         lines.append(("follow", correction_words(recording.correction)))
     if recording.setup.effects:
         lines.append(("effects", f"known beforehand: {', '.join(recording.setup.effects)}"))
@@ -36,9 +36,9 @@ def correction_words(correction: Correction) -> str:
     """Return what of the correction is not as it is where nothing is stated."""
     words = []
     for table, stated, unstated in (
-        ("", correction, Correction()),
-        ("y.", correction.y, AxisCorrection()),
-        ("z.", correction.z, AxisCorrection()),
+        ("", correction, UNSTATED),
+        ("y.", correction.y, UNSTATED.y),
+        ("z.", correction.z, UNSTATED.z),
     ):
         for name, value in vars(stated).items():
             if value != getattr(unstated, name) and not isinstance(value, AxisCorrection):

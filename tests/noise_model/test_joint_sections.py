@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 import scenes
 from test_arc_map import POSES, arc_at_pixels, arc_frame_of, check_filled, off_by, some_pixels, twin_at_pixels
+from test_visibility import open_by_half_spaces
 
 from noise_model.arc_map import scene
 from noise_model.condition import Condition
@@ -17,7 +18,7 @@ from noise_model.effects import checked
 from noise_model.forward import predict
 from noise_model.optics import Rays
 from noise_model.surface import REACH_MM, SAGITTA_MM, Joint, seam_height_mm, section
-from noise_model.visibility import MAX_LEDGES, MAX_PLANES, first_hit, horizon_tables, sky_planes
+from noise_model.visibility import first_hit
 
 RADIUS_MM = 3.0
 
@@ -144,34 +145,11 @@ def surface_points(joint, rng, count):
 def test_half_spaces_open_the_arc_as_a_walk_does(name, center):
     joint, rng = scenes.MORE_JOINTS[name], np.random.default_rng(6)
     shape, center = section(joint), np.array(center)
-    planes, ledges = np.empty((MAX_PLANES, 3)), np.empty((2 * MAX_LEDGES, 3))
     n_hidden = 0
     for P, face, normal in surface_points(joint, rng, 150):
         if np.linalg.norm(P - center) < 1.05 * RADIUS_MM:
             continue
-        tables = horizon_tables(shape, (-70.0, 90.0), center, RADIUS_MM)
-        count, n_ledges = sky_planes(
-            P,
-            normal,
-            face,
-            center,
-            RADIUS_MM,
-            (0.0, 0.0),
-            shape.vertices,
-            shape.corrugation,
-            *tables,
-            planes,
-            ledges,
-        )
-        outward = rng.normal(size=(40, 3))
-        outward /= np.linalg.norm(outward, axis=1, keepdims=True)
-        outward[:, 2] = np.abs(outward[:, 2])
-        on_arc = center + RADIUS_MM * outward
-        on_arc = on_arc[np.sum((P - on_arc) * outward, axis=1) > 0]
-        open_by_planes = ((on_arc - P) @ planes[:count].T > 0).all(axis=1)
-        for rim, (n_y, n_z, c) in zip(ledges[: 2 * n_ledges : 2], ledges[1 : 2 * n_ledges : 2], strict=True):
-            behind = n_y * on_arc[:, 1] + n_z * on_arc[:, 2] < c
-            open_by_planes &= ~behind | ((on_arc - P) @ rim > 0)
+        on_arc, open_by_planes = open_by_half_spaces(shape, P, normal, face, center, rng)
         clearance = scenes.clearance(joint, P, on_arc)
         inside = on_arc[:, 2] < scenes.height(joint, on_arc[:, 0], on_arc[:, 1])
         over_own = (on_arc - P) @ normal

@@ -195,6 +195,35 @@ def test_ways_are_open_is_way_is_open_for_many():
     np.testing.assert_array_equal(is_free, [False, True, True])
 
 
+def open_by_half_spaces(shape, P, normal, face, center, rng):
+    """Points (n, 3) of the arc that face a surface point, and which of them its half-spaces open."""
+    planes, ledges = np.empty((MAX_PLANES, 3)), np.empty((2 * MAX_LEDGES, 3))
+    tables = horizon_tables(shape, (-70.0, 90.0), center, RADIUS_MM)
+    count, n_ledges = sky_planes(
+        P,
+        normal,
+        face,
+        center,
+        RADIUS_MM,
+        (0.0, 0.0),
+        shape.vertices,
+        shape.corrugation,
+        *tables,
+        planes,
+        ledges,
+    )
+    outward = rng.normal(size=(40, 3))
+    outward /= np.linalg.norm(outward, axis=1, keepdims=True)
+    outward[:, 2] = np.abs(outward[:, 2])
+    on_arc = center + RADIUS_MM * outward
+    on_arc = on_arc[np.sum((P - on_arc) * outward, axis=1) > 0]
+    open_by_planes = ((on_arc - P) @ planes[:count].T > 0).all(axis=1)
+    for rim, (n_y, n_z, c) in zip(ledges[: 2 * n_ledges : 2], ledges[1 : 2 * n_ledges : 2], strict=True):
+        behind = n_y * on_arc[:, 1] + n_z * on_arc[:, 2] < c
+        open_by_planes &= ~behind | ((on_arc - P) @ rim > 0)
+    return on_arc, open_by_planes
+
+
 @pytest.mark.parametrize(
     ("name", "center"),
     [
@@ -212,35 +241,11 @@ def test_ways_are_open_is_way_is_open_for_many():
 def test_half_spaces_open_the_arc_as_a_walk_does(name, center):
     joint, rng = scenes.JOINTS[name], np.random.default_rng(6)
     shape, center = section(joint), np.array(center)
-    planes, ledges = np.empty((MAX_PLANES, 3)), np.empty((2 * MAX_LEDGES, 3))
     n_hidden = 0
     for P, face, normal in surface_points(joint, rng, 150):
         if np.linalg.norm(P - center) < 1.05 * RADIUS_MM:
             continue
-        start, horizons = horizon_tables(shape, (-70.0, 90.0), center, RADIUS_MM)
-        count, n_ledges = sky_planes(
-            P,
-            normal,
-            face,
-            center,
-            RADIUS_MM,
-            (0.0, 0.0),
-            shape.vertices,
-            shape.corrugation,
-            start,
-            horizons,
-            planes,
-            ledges,
-        )
-        outward = rng.normal(size=(40, 3))
-        outward /= np.linalg.norm(outward, axis=1, keepdims=True)
-        outward[:, 2] = np.abs(outward[:, 2])
-        on_arc = center + RADIUS_MM * outward
-        on_arc = on_arc[np.sum((P - on_arc) * outward, axis=1) > 0]
-        open_by_planes = ((on_arc - P) @ planes[:count].T > 0).all(axis=1)
-        for rim, (n_y, n_z, c) in zip(ledges[: 2 * n_ledges : 2], ledges[1 : 2 * n_ledges : 2], strict=True):
-            behind = n_y * on_arc[:, 1] + n_z * on_arc[:, 2] < c
-            open_by_planes &= ~behind | ((on_arc - P) @ rim > 0)
+        on_arc, open_by_planes = open_by_half_spaces(shape, P, normal, face, center, rng)
         clearance = scenes.clearance(joint, P, on_arc)
         inside = on_arc[:, 2] < scenes.height(joint, on_arc[:, 0], on_arc[:, 1])
         open_by_walk = (clearance > 0) & ~inside & ((on_arc - P) @ normal > 0)

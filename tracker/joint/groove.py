@@ -12,6 +12,8 @@ from noise_model.kernel import kernel
 from noise_model.surface import Joint, section
 from tracker.joint.measured import (
     LEFT_OUT,
+    SURE_MM,
+    SURE_SIGMAS,
     JointShape,
     MeasuredJoint,
     ShapeFit,
@@ -42,9 +44,6 @@ LEAST_SHARE = 0.3
 
 END_SHARE = 0.25
 """The share of a bevel's width at either end whose points may be the root's or the plate's as well."""
-
-SURE_SIGMAS, SURE_MM = 2.0, 1.0
-"""So many sigmas of its gap from the seen bevel a point is surely the root's; so far out, the plate's."""
 
 
 def fit_v_groove(profile: Profile, joint: Joint) -> MeasuredJoint | None:

@@ -9,6 +9,8 @@ import numpy as np
 from noise_model.frames import Float64
 from noise_model.surface import Joint, section
 from tracker.joint.measured import (
+    SURE_MM,
+    SURE_SIGMAS,
     JointShape,
     MeasuredJoint,
     ShapeFit,
@@ -33,9 +35,6 @@ PRIOR_SIGMA = np.array([0.3, 5.0, 0.04, 0.3, 0.3, 0.03, 0.03])
 
 LEAST_POINTS = 5.0
 """The weight of the points that must be seen in the groove, and on the bevel if it is not to be bridged."""
-
-SURE_SIGMAS, SURE_MM = 2.0, 1.0
-"""So many sigmas of its gap from the upright side a point is surely the root's; so far out, the plate's."""
 
 
 def fit_half_v(profile: Profile, joint: Joint, camera_mm: Float64, laser_mm: Float64) -> MeasuredJoint | None:

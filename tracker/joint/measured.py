@@ -29,6 +29,10 @@ PLACED_BY = 160
 """So many of a profile's points, evenly chosen, place a section."""
 
 
+SURE_SIGMAS, SURE_MM = 2.0, 1.0
+"""Where a bevel is not seen: so many sigmas of the gap from the side that is, a point is surely the root's;
+so far out, the plate's."""
+
 Pair = tuple[float, float]
 UNKNOWN: Pair = (math.nan, math.nan)
 
