@@ -19,7 +19,7 @@ from arctrack.recording.diagnosis_files import FILES, REPORT_PAGE, write_numbers
 from arctrack.recording.setup_file import FILE_NAME, with_effects
 from noise_model.effects import REGISTRY
 from noise_model.setup import Setup
-from sim_to_real.diagnosis import Diagnosis, Named, Predicted, Verdict
+from sim_to_real.diagnosis import Diagnosis, Named, Predicted, Verdict, left_out
 from tracker.state import Frame
 
 DIAGNOSIS_FOLDER = "diagnosis"
@@ -141,7 +141,7 @@ def diagnose_recording(job: Job, on_stage: OnStage | None = None, threads: int =
         raise in_file(job.recording, str(error)) from error
     # Numbers first: whatever happens to the page, the work is not lost.
     write_numbers(found, job.folder)
-    write_page(found, recording, job.without, job.folder / REPORT_PAGE)
+    write_page(found, recording, left_out(recording.setup, job.without), job.folder / REPORT_PAGE)
     return Diagnosed(
         job, recording.setup, without_images(found), recording.warnings, _complaint(recording, bad_frames)
     )

@@ -1,7 +1,7 @@
 """Recordings from arctrack's own forward model: stripe, arc light, sensor noise; with their truth.
 
 The robot follows a straight nominal seam, weaves, rises and tilts within what the sensor sees. The true seam
-leaves its nominal line. True values differ from the nominal ones by about the setup's tolerance.
+leaves its nominal line and bends. True values differ from the nominal ones by about the setup's tolerance.
 """
 
 from __future__ import annotations
@@ -18,16 +18,27 @@ from scipy.spatial.transform import Rotation
 from arctrack.errors import ArctrackError
 from arctrack.recording import RecordingWriter, VideoFormat
 from noise_model.condition import Condition
-from noise_model.effects import Values, pose_time_s, really
+from noise_model.effects import Values, checked, pose_time_s, really
 from noise_model.forward import Renderer, draw_frame, predict
 from noise_model.frames import Float64, invert, transform
 from noise_model.setup import Setup
 from noise_model.stripe import stripe_reference
-from noise_model.surface import Joint, SeamLine, corrugation_height, seam_frame, seam_height_mm, section
+from noise_model.surface import (
+    BentSeam,
+    Joint,
+    SeamLine,
+    corrugation_height,
+    seam_frame,
+    seam_height_mm,
+    section,
+)
+from sim_to_real.observed import stations
 from tracker.state import Frame
 
 WEAVE_PERIOD_S, HEIGHT_PERIOD_S, TILT_PERIODS_S = 1.7, 2.4, (2.9, 1.9)
-WANDER_PERIODS_MM = (100.0, 140.0)
+WANDER_PERIODS_MM = (100.0, 600.0)
+"""Over what length the true seam wanders sideways and in height: plates are straight, cut edges less so."""
+
 POSE_LEAD_S, POSE_TAIL_S = 0.4, 0.5
 HIGH_CURRENT, SHORT_EXPOSURE = 1.4, 0.5
 """The second current and the second exposure, over the nominal ones."""
@@ -95,13 +106,14 @@ def simulate_recording(
         raise ArctrackError("[joint] seam_in_base_mm: only a straight seam of two points can be simulated")
     try:
         stripe_reference(setup)
+        effects = checked({**setup.effects, **(hidden_effects or {})}, setup.joint)
     except ValueError as error:
         raise ArctrackError(str(error)) from error
     draw_setup, draw_motion, draw_order, draw_noise = (
         np.random.default_rng([plan.seed, n]) for n in range(4)
     )
     true_setup = setup if plan.exact else true_values(setup, draw_setup)
-    true_setup = replace(true_setup, effects={**setup.effects, **(hidden_effects or {})})
+    true_setup = replace(true_setup, effects=effects)
     motion = Motion(setup, plan, draw_motion, really(true_setup).joint)
     renderer = Renderer()
     video = VideoFormat(plan.rate_hz) if plan.video else None
@@ -111,7 +123,7 @@ def simulate_recording(
         for n, switches in enumerate(conditions(setup, plan, draw_order)):
             timestamp_s = n / plan.rate_hz
             T_base_tool = motion.T_base_tool(pose_time_s(true_setup, timestamp_s))
-            seam, seam_tool_mm = motion.true_seam(T_base_tool)
+            seam = motion.true_seam(*stations(true_setup, T_base_tool))
             condition = Condition.of(setup, **vars(switches), timestamp_s=timestamp_s)
             image_dn = draw_frame(
                 true_setup, T_base_tool, condition, draw_noise, seam=seam, renderer=renderer
@@ -124,7 +136,7 @@ def simulate_recording(
                     **vars(switches),
                 )
             )
-            writer.write_truth(n, seam_tool_mm)
+            writer.write_truth(n, motion.seam_point(T_base_tool))
             if on_frame is not None:
                 on_frame(n + 1)
     return Path(path)
@@ -237,8 +249,12 @@ class Motion:
         T_joint_tool[:3, 3] = x_mm, lateral_mm, height_mm
         return self._T_base_joint @ T_joint_tool
 
-    def true_seam(self, T_base_tool: Float64) -> tuple[SeamLine, Float64]:
-        """Return the true seam where it meets the laser plane, and that point (3,), tool frame, mm."""
+    def true_seam(self, first_mm: float, last_mm: float, torch_mm: float) -> BentSeam:
+        """Return the true seam from one station to another, the arc where it is at the torch's."""
+        return BentSeam.along(self._line, (first_mm, last_mm), torch_mm, self._setup.joint.has_ridges)
+
+    def seam_point(self, T_base_tool: Float64) -> Float64:
+        """Return where (3,) the true seam meets the laser plane, tool frame, mm."""
         T_tool_joint = invert(T_base_tool) @ self._T_base_true
         plane = np.asarray(self._setup.laser.plane_in_tool)
 
@@ -253,7 +269,7 @@ class Motion:
 
         origin_mm = transform(invert(T_tool_joint), np.asarray(self._setup.laser.origin_in_tool_mm))[0]
         station_mm = float(brentq(distance_mm, origin_mm - 100.0, origin_mm + 100.0, xtol=1e-9))
-        return self._line(station_mm), point_tool(station_mm)
+        return point_tool(station_mm)
 
     def _line(self, station_mm: float) -> SeamLine:
         wander = np.array([self._plan.seam_wander_mm, 0.5 * self._plan.seam_wander_mm])

@@ -33,7 +33,7 @@ from noise_model.interreflection_lattice import Lattice, interpolate, lattice, s
 from noise_model.interreflection_light import Place, place
 from noise_model.interreflection_nodes import Focus, Rules, rules, stripe_at
 from noise_model.stripe import stripe_reference
-from noise_model.surface import corrugation_height
+from noise_model.surface import Joint, corrugation_height, section
 from noise_model.view import View
 
 Bool = npt.NDArray[np.bool_]
@@ -132,6 +132,11 @@ class BouncedLight:
         return _orders(self.view, focus, True, setup.laser.peak_e / stripe_reference(setup))
 
 
+def is_followed(joint: Joint) -> bool:
+    """Say whether light is followed between a joint's faces: not between more than `MOST_FACES`."""
+    return len(section(joint).vertices) - 1 <= MOST_FACES
+
+
 def bounced_light(view: View, near: BouncedLight | None = None) -> BouncedLight:
     """Return the light that bounces between the faces on its way to the pixels of a view, which keeps it.
 
@@ -151,9 +156,9 @@ def _sum(orders_e: Float32, scale: float) -> Float32:
 def _orders(view: View, focus: Focus, of_laser: bool, output_e: float) -> Float32:
     """Return each order's light (ORDERS, ...), e-, of one source.
 
-    Raises ValueError for a section of more than `MOST_FACES`.
+    Raises ValueError for a joint between whose faces light is not followed.
     """
-    if len(view.scene.shape.vertices) - 1 > MOST_FACES:
+    if not is_followed(view.setup.joint):
         joint_type = view.setup.joint.type
         raise ValueError(
             f"[effects.interreflection]: light is not followed between the faces of a {joint_type}"

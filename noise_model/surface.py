@@ -242,6 +242,15 @@ def _seam_line_frame(line: SeamLine) -> Float64:
 
 NOMINAL_SEAM = SeamLine()
 
+STRETCH_TURNS, STRETCH_MM = 0.003, 2.0
+"""By what slope a bent seam turns from one straight stretch to the next, and the least length of these."""
+
+STRETCH_ASIDE_MM = 0.1
+"""How far to the side the next stretch may begin where ridges keep stretches from turning."""
+
+GRID_MM = 1.0
+"""Stations at which it is seen how much a seam turns."""
+
 
 @dataclass(frozen=True)
 class BentSeam:
@@ -257,6 +266,29 @@ class BentSeam:
         stations = [line.station_mm for line in self.lines]
         if not stations or (np.diff(stations) <= 0.0).any():
             raise ValueError("a bent seam needs stretches in rising order of their stations")
+
+    @classmethod
+    def along(
+        cls,
+        line_at: Callable[[float], SeamLine],
+        seen_mm: tuple[float, float],
+        torch_mm: float,
+        has_ridges: bool,
+    ) -> BentSeam:
+        """Return a seam from one station to another as straight stretches, its tangents at their middles, mm.
+
+        `line_at` gives the tangent at a station. The arc stands on the plate where the torch is.
+        """
+        first, last = seen_mm
+        lines = [line_at(float(station)) for station in np.arange(first, last + GRID_MM, GRID_MM)]
+        turns = max(np.ptp([(line.slope_y, line.slope_z) for line in lines], axis=0)) / STRETCH_TURNS
+        if has_ridges:
+            turns = max(turns, np.ptp([line.y_mm for line in lines]) / STRETCH_ASIDE_MM)
+        count = max(1, min(1 + int(turns), round((last - first) / STRETCH_MM)))
+        step = (last - first) / count
+        stretches = tuple(line_at(float(first + step * (n + 0.5))) for n in range(count))
+        ground = line_at(torch_mm)
+        return cls(stretches, SeamLine(torch_mm, ground.y_mm, ground.z_mm))
 
     @property
     def middle(self) -> SeamLine:

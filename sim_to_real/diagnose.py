@@ -12,7 +12,7 @@ from noise_model.effects import REGISTRY
 from noise_model.frames import Float64
 from noise_model.setup import Setup
 from sim_to_real.covariates import Covariates, Start, covariates
-from sim_to_real.diagnosis import Diagnosis, Estimate, Named, Next, Ranked, Verdict
+from sim_to_real.diagnosis import Diagnosis, Estimate, Named, Next, Ranked, Verdict, left_out
 from sim_to_real.expected import Expected
 from sim_to_real.free_term import free_term
 from sim_to_real.held import closes, excess_map, left_in_pixels, measure, predict_held
@@ -58,7 +58,7 @@ def diagnose(
     on_stage: OnStage | None = None,
     threads: int = 1,
 ) -> Diagnosis:
-    """Diagnose a recording's frames; `without` takes effects out of the catalogue.
+    """Diagnose a recording's frames; `without` takes effects out of the catalogue, see `left_out`.
 
     `on_stage` hears what is being done and how much of all is done. So many `threads` predict frames at once:
     one is best where other processes are at work.
@@ -70,7 +70,8 @@ def diagnose(
             raise ValueError(f"{name}: no such effect, there are {', '.join(REGISTRY)}")
     # Its many small matrices are no work for BLAS' threads: waiting for each other costs them more.
     with threadpool_limits(1, user_api="blas"):
-        return _diagnosed(setup, frames, pose_at, without, _rising(on_stage or _silent), threads)
+        heard = _rising(on_stage or _silent)
+        return _diagnosed(setup, frames, pose_at, left_out(setup, without), heard, threads)
 
 
 def _diagnosed(

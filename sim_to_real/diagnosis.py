@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from enum import Enum
 
 import numpy as np
 import numpy.typing as npt
 
+from noise_model.effects import not_followed
 from noise_model.frames import Float64
+from noise_model.setup import Setup
 
 Float32 = npt.NDArray[np.float32]
 
@@ -157,3 +159,8 @@ class Diagnosis:
     smallest: Mapping[str, Estimate]
     left_over: tuple[str, float] | None
     predicted: Predicted
+
+
+def left_out(setup: Setup, without: Sequence[str]) -> tuple[str, ...]:
+    """Return the effects that are no candidates: those withheld, and those not predicted for the joint."""
+    return tuple(dict.fromkeys((*without, *not_followed(setup.joint))))

@@ -33,12 +33,6 @@ MODES = (5, 3)
 GRID_MM = 1.0
 """Stations at which curves are held."""
 
-STRETCH_TURNS, STRETCH_MM = 0.003, 2.0
-"""By what slope a bent seam turns from one straight stretch to the next, and the least length of these."""
-
-STRETCH_ASIDE_MM = 0.1
-"""How far to the side the next stretch may begin where ridges keep stretches from turning."""
-
 SCATTER_MM = 0.04
 """1 sigma of the tracker's points about a smooth seam beyond what they state: tilt makes them wander."""
 
@@ -124,20 +118,14 @@ class SeamCurve:
 
         The arc stands at the height that the seam has at the torch's station.
         """
-        (y, z), (slope_y, slope_z) = self.at(coefficients)
-        seen = (self.stations_mm >= first_mm) & (self.stations_mm <= last_mm)
-        turns = max(float(np.ptp(slope[seen])) for slope in (slope_y, slope_z)) / STRETCH_TURNS
-        if self.has_ridges:
-            turns = max(turns, float(np.ptp(y[seen])) / STRETCH_ASIDE_MM)
-        count = min(1 + int(turns), round((last_mm - first_mm) / STRETCH_MM))
-        step = (last_mm - first_mm) / count
-        lines = []
-        for station in first_mm + step * (np.arange(count) + 0.5):
-            here = [float(np.interp(station, self.stations_mm, of)) for of in (y, z, slope_y, slope_z)]
-            lines.append(SeamLine(float(station), *here))
-        at_torch = [float(np.interp(torch_mm, self.stations_mm, of)) for of in (y, z)]
-        ground = SeamLine(torch_mm, *at_torch)
-        return BentSeam(tuple(lines), ground)
+        curves = np.concatenate(self.at(coefficients))
+
+        def line_at(station_mm: float) -> SeamLine:
+            return SeamLine(
+                station_mm, *(float(np.interp(station_mm, self.stations_mm, of)) for of in curves)
+            )
+
+        return BentSeam.along(line_at, (first_mm, last_mm), torch_mm, self.has_ridges)
 
 
 def _middle(stations_mm: Float64) -> float:

@@ -226,6 +226,12 @@ class RecordingToml(Table):
 
     def to_setup(self) -> Setup:
         """Return the typed setup; ValueError names the table and key of a value that cannot be."""
+        joint = Joint(
+            type=self.joint.type,
+            dimensions=self.joint.dimensions(),
+            seam_in_base_mm=tuple(_three(point) for point in self.joint.seam_in_base_mm),
+            surface_normal_in_base=_three(self.joint.surface_normal_in_base),
+        )
         return Setup(
             camera=self._camera(),
             sensor=Sensor(**_known(self.sensor)),
@@ -239,14 +245,9 @@ class RecordingToml(Table):
             ),
             arc=Arc(**{**_known(self.arc), "center_in_tool_mm": _three(self.arc.center_in_tool_mm)}),
             material=Material(**_known(self.material)),
-            joint=Joint(
-                type=self.joint.type,
-                dimensions=self.joint.dimensions(),
-                seam_in_base_mm=tuple(_three(point) for point in self.joint.seam_in_base_mm),
-                surface_normal_in_base=_three(self.joint.surface_normal_in_base),
-            ),
+            joint=joint,
             tolerance=Tolerance(**_known(self.tolerance)),
-            effects=checked(self._known_effects()),
+            effects=checked(self._known_effects(), joint),
         )
 
     def _known_effects(self) -> dict[str, dict[str, float]]:

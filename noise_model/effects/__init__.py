@@ -22,8 +22,20 @@ from noise_model.effects import (
 )
 from noise_model.effects.effect import Effect, Stage, Values
 from noise_model.setup import Setup
+from noise_model.surface import Joint
 
-__all__ = ["REGISTRY", "Effect", "Stage", "Values", "acting", "checked", "pose_time_s", "really", "really_on"]
+__all__ = [
+    "REGISTRY",
+    "Effect",
+    "Stage",
+    "Values",
+    "acting",
+    "checked",
+    "not_followed",
+    "pose_time_s",
+    "really",
+    "really_on",
+]
 
 REGISTRY: Mapping[str, Effect] = {
     effect.id: effect
@@ -33,15 +45,24 @@ REGISTRY: Mapping[str, Effect] = {
 """All effects by id, in the order in which they act within one frame."""
 
 
-def checked(effects: Mapping[str, Values]) -> dict[str, dict[str, float]]:
+def checked(effects: Mapping[str, Values], joint: Joint | None = None) -> dict[str, dict[str, float]]:
     """Return effects with all their parameters, in the registry's order.
 
-    Raises ValueError for an unknown id, an unknown parameter or a value out of its bounds.
+    Raises ValueError for an unknown id, an unknown parameter or a value out of its bounds, and for an effect
+    that is not predicted for a joint, where one is given.
     """
     for name in effects:
         if name not in REGISTRY:
             raise ValueError(f"[effects.{name}]: unknown, there are {', '.join(REGISTRY)}")
+    if joint is not None:
+        for name in set(effects) & set(not_followed(joint)):
+            raise ValueError(f"[effects.{name}]: is not predicted for a {joint.type}; leave it out")
     return {name: effect.complete(effects[name]) for name, effect in REGISTRY.items() if name in effects}
+
+
+def not_followed(joint: Joint) -> tuple[str, ...]:
+    """Return the effects that are not predicted for a joint."""
+    return tuple(name for name, effect in REGISTRY.items() if not effect.is_followed(joint))
 
 
 def acting(setup: Setup) -> Iterator[tuple[Effect, dict[str, float]]]:

@@ -12,6 +12,7 @@ from noise_model.condition import Condition
 from noise_model.effects.light import Light
 from noise_model.fit import Parameter
 from noise_model.setup import Setup
+from noise_model.surface import Joint
 from noise_model.view import View
 
 Values = Mapping[str, float]
@@ -49,6 +50,8 @@ class Effect:
     - `condition`: returns the frame's real levels and exposure;
     - `light`: changes the light before the lens' point-spread function, e- for `camera.exposure_s`;
     - `image`: changes the charge behind it, e- for the frame's own exposure.
+
+    `is_followed` says whether it is predicted for a joint at all.
     """
 
     id: str
@@ -62,6 +65,7 @@ class Effect:
     condition: Callable[[Condition, Values], Condition] | None = None
     light: OnLight | None = None
     image: OnLight | None = None
+    is_followed: Callable[[Joint], bool] = lambda joint: True
 
     def __post_init__(self) -> None:
         names = {parameter.name for parameter in self.parameters}

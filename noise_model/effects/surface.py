@@ -11,7 +11,7 @@ from noise_model.condition import Condition
 from noise_model.effects.effect import Draw, Effect, Stage, Values
 from noise_model.effects.light import Light
 from noise_model.fit import Parameter
-from noise_model.interreflection import bounced_light
+from noise_model.interreflection import bounced_light, is_followed
 from noise_model.setup import Setup
 from noise_model.view import View
 
@@ -115,5 +115,6 @@ EFFECTS = (
         parameters=(Parameter("albedo_scale", "", 0.0, 0.3, 0.0, 2.0, 0.01),),
         typical={"albedo_scale": 0.4},
         light=_interreflection,
+        is_followed=is_followed,
     ),
 )

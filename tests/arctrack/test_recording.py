@@ -11,6 +11,7 @@ from hypothesis import strategies as st
 from made import HEIGHT, WIDTH, level_pose, noise_frames, replace_in, small_setup, write
 
 from arctrack.errors import ArctrackError
+from arctrack.nominal import nominal_setup
 from arctrack.recording import (
     BadFrame,
     RecordingWriter,
@@ -110,6 +111,12 @@ def test_unknown_effects_and_parameters_are_reported(tmp_path: Path) -> None:
 def test_an_effect_that_cannot_be_is_refused(tmp_path: Path, table: str, named: str) -> None:
     with pytest.raises(ArctrackError, match=f"recording.toml: {named}"):
         parse_setup(format_setup(small_setup()) + table, tmp_path / "recording.toml")
+
+
+def test_what_bounces_in_a_u_is_refused(tmp_path: Path) -> None:
+    text = format_setup(nominal_setup("u_groove", "mild_steel")) + "[effects.interreflection]\n"
+    with pytest.raises(ArctrackError, match=r"recording.toml: \[effects.interreflection\]: is not predicted"):
+        parse_setup(text, tmp_path / "recording.toml")
 
 
 def test_unknown_keys_are_kept_and_reported(tmp_path: Path) -> None:

@@ -70,6 +70,15 @@ def test_a_bent_seam_cannot_be_simulated(seen_setup: Setup, tmp_path: Path) -> N
     assert not list(tmp_path.iterdir())
 
 
+def test_what_bounces_in_a_u_cannot_be_simulated(tmp_path: Path) -> None:
+    setup = nominal_setup("u_groove", "mild_steel", width=160, height=120)
+    with pytest.raises(ArctrackError, match=r"\[effects.interreflection\]: is not predicted for a u_groove"):
+        simulate_recording(
+            tmp_path / "r", setup, hidden_effects=checked({"interreflection": {"albedo_scale": 0.3}})
+        )
+    assert not list(tmp_path.iterdir())
+
+
 def test_a_stripe_out_of_view_cannot_be_simulated(seen_setup: Setup, tmp_path: Path) -> None:
     away = replace(seen_setup, laser=replace(seen_setup.laser, plane_in_tool=(1.0, 0.0, 0.0, -350.0)))
     with pytest.raises(ArctrackError, match=r"\[laser\] plane_in_tool"):
@@ -90,7 +99,7 @@ def test_the_true_seam_point_lies_in_the_laser_plane_and_on_the_seam(
     plan = SimulationPlan(seam_wander_mm=wander_mm)
     motion = Motion(setup, plan, np.random.default_rng(seed))
     T_base_tool = motion.T_base_tool(timestamp_s)
-    seam, point_tool = motion.true_seam(T_base_tool)
+    point_tool = motion.seam_point(T_base_tool)
     plane = np.asarray(setup.laser.plane_in_tool)
     assert abs(plane[:3] @ point_tool + plane[3]) < 1e-6
     x, y, z = transform(T_base_tool, point_tool)
@@ -99,7 +108,10 @@ def test_the_true_seam_point_lies_in_the_laser_plane_and_on_the_seam(
     corrugation_mm = setup.joint.dimensions.get("height_mm", 0.0)
     low_mm = seam_height_mm(setup.joint) - 0.5 * wander_mm - 0.1
     assert low_mm <= z <= seam_height_mm(setup.joint) + 0.5 * wander_mm + corrugation_mm + 0.1
-    assert seam.station_mm == pytest.approx(x, abs=0.1 + 0.2 * wander_mm)
+    # The stretch of the drawn seam nearest to it runs where it lies.
+    drawn = motion.true_seam(x - 20.0, x + 20.0, x - 30.0)
+    line = drawn.lines[int(drawn.stretch_at(np.array(x)))]
+    assert line.y_mm + line.slope_y * (x - line.station_mm) == pytest.approx(y, abs=0.002 + 0.01 * wander_mm)
 
 
 def test_a_seam_that_runs_elsewhere(seen_setup: Setup, tmp_path: Path) -> None:
@@ -187,7 +199,7 @@ def test_the_true_seam_of_a_tilted_plate(seen_setup: Setup) -> None:
     plan = SimulationPlan(seam_wander_mm=0.0, weave_mm=0.0, tilt_deg=0.0)
     motion = Motion(seen_setup, plan, np.random.default_rng(0), tilted.joint)
     T_base_tool = motion.T_base_tool(0.0)
-    _, point_tool = motion.true_seam(T_base_tool)
+    point_tool = motion.seam_point(T_base_tool)
     depth = seen_setup.joint.dimensions["depth_mm"]
     root = transform(T_base_tool, point_tool)
     np.testing.assert_allclose(

@@ -3,9 +3,10 @@
 import numpy as np
 import pytest
 
+from arctrack.nominal import nominal_setup
 from arctrack.simulate import SimulationPlan
 from sim_to_real.diagnose import diagnose
-from sim_to_real.diagnosis import Verdict
+from sim_to_real.diagnosis import Verdict, left_out
 from tests.sim_to_real.small import example_setup, recorded
 
 PLAN = SimulationPlan(frames=16, seam_wander_mm=0.1, seed=3)
@@ -59,3 +60,10 @@ def test_no_frame_with_a_pose_is_refused(tmp_path):
 def test_an_effect_that_is_not_known_is_refused():
     with pytest.raises(ValueError, match="gama: no such effect"):
         diagnose(example_setup(), [], lambda t: None, without=("gama",))
+
+
+def test_bounced_light_in_a_u_is_no_candidate():
+    groove, u = (nominal_setup(joint, "mild_steel") for joint in ("v_groove", "u_groove"))
+    assert left_out(groove, ("gamma",)) == ("gamma",)
+    assert left_out(u, ("gamma",)) == ("gamma", "interreflection")
+    assert left_out(u, ("interreflection",)) == ("interreflection",)
