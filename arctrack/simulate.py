@@ -16,7 +16,7 @@ from scipy.optimize import brentq
 from scipy.spatial.transform import Rotation
 
 from arctrack.errors import ArctrackError
-from arctrack.recording import RecordingWriter, VideoFormat
+from arctrack.recording import RecordingWriter, SetupFile, VideoFormat
 from noise_model.condition import Condition
 from noise_model.effects import Values, checked, pose_time_s, really
 from noise_model.forward import Renderer, draw_frame, predict
@@ -95,9 +95,12 @@ def simulate_recording(
     plan: SimulationPlan | None = None,
     on_frame: Callable[[int], None] | None = None,
     hidden_effects: Mapping[str, Values] | None = None,
+    stated: SetupFile | None = None,
 ) -> Path:
     """Write a recording of a nominal setup to `path`, which must not exist yet, and return it.
 
+    `stated` is the file that the setup was read from: it is written as it stands, and poses are the
+    controller's as it says.
     `on_frame` hears the number of frames done. `hidden_effects` act beside those of the setup, but the setup
     that is written does not name them. Raises ArctrackError if the setup's seam is not straight.
     """
@@ -117,9 +120,13 @@ def simulate_recording(
     motion = Motion(setup, plan, draw_motion, really(true_setup).joint)
     renderer = Renderer()
     video = VideoFormat(plan.rate_hz) if plan.video else None
-    with RecordingWriter(path, setup, video=video) as writer:
+    toml = None if stated is None else stated.path.read_text(encoding="utf-8")
+    T_tool_controllertool = np.eye(4)
+    if stated is not None and stated.T_tool_controllertool is not None:
+        T_tool_controllertool = stated.T_tool_controllertool
+    with RecordingWriter(path, setup, video=video, toml=toml) as writer:
         for timestamp_s in _pose_times_s(plan, draw_motion):
-            writer.write_pose(timestamp_s, motion.T_base_tool(timestamp_s))
+            writer.write_pose(timestamp_s, motion.T_base_tool(timestamp_s) @ T_tool_controllertool)
         for n, switches in enumerate(conditions(setup, plan, draw_order)):
             timestamp_s = n / plan.rate_hz
             T_base_tool = motion.T_base_tool(pose_time_s(true_setup, timestamp_s))
@@ -167,8 +174,12 @@ def true_values(setup: Setup, draw: np.random.Generator) -> Setup:
     T_camera_moved[:3, :3] = Rotation.from_rotvec(turn_rad).as_matrix()
     T_camera_moved[:3, 3] = tolerance.hand_eye_mm * draw.standard_normal(3)
 
+    def tolerances() -> float:
+        # What lies beyond three is no tolerance but a gap.
+        return float(np.clip(draw.standard_normal(), -3.0, 3.0))
+
     def near_one(tolerance_rel: float) -> float:
-        return math.exp(tolerance_rel * float(draw.standard_normal()))
+        return math.exp(tolerance_rel * tolerances())
 
     camera, sensor = setup.camera, setup.sensor
     return replace(
@@ -178,7 +189,7 @@ def true_values(setup: Setup, draw: np.random.Generator) -> Setup:
         laser=replace(setup.laser, peak_e=setup.laser.peak_e * near_one(tolerance.laser_level_rel)),
         sensor=replace(
             sensor,
-            black_level_dn=sensor.black_level_dn + tolerance.black_level_dn * float(draw.standard_normal()),
+            black_level_dn=sensor.black_level_dn + tolerance.black_level_dn * tolerances(),
             read_noise_e=sensor.read_noise_e * near_one(tolerance.read_noise_rel),
         ),
     )

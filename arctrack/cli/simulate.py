@@ -86,10 +86,11 @@ def simulate(
         exact=exact,
         video=video,
     )
-    nominal = _nominal(joint, material, width, height) if setup is None else read_setup(setup).setup
+    stated = None if setup is None else read_setup(setup)
+    nominal = _nominal(joint, material, width, height) if stated is None else stated.setup
     hidden = _effects(effect or [])
     with console.progress() as bar:
-        engine.simulate_recording(out, nominal, plan, console.track(bar, out.name, frames), hidden)
+        engine.simulate_recording(out, nominal, plan, console.track(bar, out.name, frames), hidden, stated)
     typer.echo(f"{out}: {frames} frames of a {nominal.joint.type} in {nominal.material.name}")
 
 

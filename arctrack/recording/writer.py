@@ -34,7 +34,10 @@ class VideoFormat:
 
 
 class RecordingWriter:
-    """Writes one recording; use it as a context manager, an exception leaves the folder unfinished."""
+    """Writes one recording; use it as a context manager, an exception leaves the folder unfinished.
+
+    `toml` is the text of its recording.toml where that says more than the setup.
+    """
 
     def __init__(
         self,
@@ -42,6 +45,7 @@ class RecordingWriter:
         setup: Setup,
         *,
         video: VideoFormat | None = None,
+        toml: str | None = None,
     ) -> None:
         self.path = Path(path)
         self._setup = setup
@@ -55,8 +59,8 @@ class RecordingWriter:
             )
         except OSError as error:
             raise in_file(self._folder, f"cannot be made: {error.strerror}") from None
-        toml = setup_file.format_setup(setup)
-        (self._folder / setup_file.FILE_NAME).write_text(toml, encoding="utf-8")
+        text = setup_file.format_setup(setup) if toml is None else toml
+        (self._folder / setup_file.FILE_NAME).write_text(text, encoding="utf-8")
         self._opened = ExitStack()
         self._tables: dict[str, TextIO] = {}
         self._video: ffv1.VideoWriter | None = None

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from arctrack.errors import ArctrackError
 from arctrack.nominal import DIMENSIONS, MATERIALS, nominal_setup
-from arctrack.recording import BadFrame, read_recording, read_truth
+from arctrack.recording import BadFrame, format_setup, read_recording, read_setup_file, read_truth
 from arctrack.simulate import Motion, SimulationPlan, balance, conditions, simulate_recording, true_values
 from noise_model.effects import checked, really
 from noise_model.frames import invert, transform
@@ -68,6 +68,31 @@ def test_a_bent_seam_cannot_be_simulated(seen_setup: Setup, tmp_path: Path) -> N
     with pytest.raises(ArctrackError, match="straight seam"):
         simulate_recording(tmp_path / "r", bent)
     assert not list(tmp_path.iterdir())
+
+
+def test_the_setups_file_is_copied_and_its_controller_obeyed(seen_setup: Setup, tmp_path: Path) -> None:
+    turned = """
+# The torch as the robot's vendor sees it.
+[robot.controllertool_to_tool]
+translation_mm = [1.0, 2.0, 3.0]
+quaternion_xyzw = [1.0, 0.0, 0.0, 0.0]
+
+[follow]
+when_lost = "hold"
+"""
+    file = tmp_path / "recording.toml"
+    file.write_text(format_setup(seen_setup) + turned, encoding="utf-8")
+    stated, plan = read_setup_file(file), SimulationPlan(frames=1, production=True)
+    plain = simulate_recording(tmp_path / "plain", seen_setup, plan)
+    path = simulate_recording(tmp_path / "stated", stated.setup, plan, stated=stated)
+    assert (path / "recording.toml").read_text(encoding="utf-8") == file.read_text(encoding="utf-8")
+    recording = read_recording(path)
+    assert recording.correction.when_lost == "hold"
+    # Read back they are the tool's poses again, though the file holds the controller's.
+    assert (path / "poses.csv").read_bytes() != (plain / "poses.csv").read_bytes()
+    np.testing.assert_allclose(
+        recording.poses.T_base_tool, read_recording(plain).poses.T_base_tool, atol=1e-5
+    )
 
 
 def test_what_bounces_in_a_u_cannot_be_simulated(tmp_path: Path) -> None:
