@@ -12,7 +12,7 @@ from noise_model.effects import REGISTRY
 from noise_model.frames import Float64
 from noise_model.setup import Setup
 from sim_to_real.covariates import Covariates, Start, covariates
-from sim_to_real.diagnosis import Diagnosis, Estimate, Named, Next, Ranked, Verdict, left_out
+from sim_to_real.diagnosis import Diagnosis, Estimate, Named, Next, Ranked, Trend, Verdict, left_out
 from sim_to_real.expected import Expected
 from sim_to_real.free_term import free_term
 from sim_to_real.held import closes, excess_map, left_in_pixels, measure, predict_held
@@ -112,7 +112,8 @@ def _diagnosed(
     named = decision.chosen.refit.effects
     after = before
     if named:
-        after = settled(expected, refit(expected, named, decision.chosen.refit.nuisance, steps=0))
+        fitted = decision.chosen.refit
+        after = settled(expected, refit(expected, named, fitted.nuisance, steps=0, change=fitted.change))
     random = scatter(expected, after, without)
     heard("predicting the frames held out", 0.75)
     predicted = predict_held(
@@ -232,10 +233,26 @@ def _named(
                 for parameter in REGISTRY[name].parameters
                 if parameter.name in values
             },
+            _trend(after, name),
         )
         for name, values in {**after.effects, **random.effects}.items()
     ]
     return tuple(sorted(named, key=lambda of: -of.share))
+
+
+def _trend(after: Refit, name: str) -> Trend | None:
+    """Return how an effect changes, None if it does not."""
+    change = after.change
+    if change is None or change.effect != name:
+        return None
+    least, most = (change.values(after.effects[name], u) for u in (-1.0, 1.0))
+    return Trend(
+        change.driver.value,
+        change.driver.unit,
+        change.middle - change.half,
+        change.middle + change.half,
+        {name: (least[name], most[name]) for name in least},
+    )
 
 
 def _with_random(share: Mapping[str, float], before: Scatter, random: Scatter) -> dict[str, float]:

@@ -35,14 +35,32 @@ class Estimate:
 
 
 @dataclass(frozen=True)
+class Trend:
+    """How an effect's size changes within a recording: with `driver`, from its least to its most, in `unit`.
+
+    `values` are the parameters' values at either end of the driver's range.
+    """
+
+    driver: str
+    unit: str
+    least: float
+    most: float
+    values: Mapping[str, tuple[float, float]]
+
+
+@dataclass(frozen=True)
 class Named:
-    """An effect that the verdict names; `share`, 0 to 1, is of the gap that all named close together."""
+    """An effect that the verdict names; `share`, 0 to 1, is of the gap that all named close together.
+
+    Where its size changes from frame to frame the parameters are those half-way, and `trend` says how.
+    """
 
     id: str
     stage: str
     confidence: float
     share: float
     parameters: Mapping[str, Estimate]
+    trend: Trend | None = None
 
 
 @dataclass(frozen=True)

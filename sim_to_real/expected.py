@@ -27,6 +27,7 @@ from noise_model.sensor import Sensor, respond_moments
 from noise_model.setup import Setup
 from noise_model.surface import BentSeam
 from noise_model.view import View
+from sim_to_real.change import Change, effects_in
 from sim_to_real.nuisances import N_CAMERA, N_LEVELS, nuisances, really_lit, really_there
 from sim_to_real.observed import Float32, Observed, ObservedFrame, one_face
 from sim_to_real.pixels import Bool
@@ -139,9 +140,12 @@ class Expected:
         self._threads = threads
         self._executor = ThreadPoolExecutor(threads)
 
-    def take_tangents(self, anchor: Float64, effects: Effects) -> None:
+    def take_tangents(self, anchor: Float64, effects: Effects, change: Change | None = None) -> None:
         """Take the derivatives of light about nuisances (p,) and effects."""
-        self._tangents = self.over_frames(lambda frame: self._tangents_of(frame, anchor, effects))
+        setup = self.observed.setup
+        self._tangents = self.over_frames(
+            lambda frame: self._tangents_of(frame, anchor, effects_in(effects, change, setup, frame))
+        )
 
     def allow_for_bends(self, nuisance: Float64, effects: Effects) -> None:
         """Widen the noise of what the arc lights past edges that are taken to be straight and are not.
@@ -217,13 +221,20 @@ class Expected:
         """Yield a function's result for each of some frames, in order; some are computed at once."""
         return self._executor.map(of_frame, frames)
 
-    def passed(self, anchor: Float64, effects: Effects) -> list[Passed]:
-        """Return what reaches the bins of each frame at nuisances (p,) and effects."""
+    def passed(self, anchor: Float64, effects: Effects, change: Change | None = None) -> list[Passed]:
+        """Return what reaches the bins of each frame at nuisances (p,) and effects; one may change."""
         true = really(self._setup(effects, anchor))
+
+        def of_frame(frame: ObservedFrame) -> Passed:
+            if change is None:
+                return self._passed(frame, true, anchor, effects)
+            here = change.at(effects, self.observed.setup, frame)
+            return self._passed(frame, really(self._setup(here, anchor)), anchor, here)
+
         # Here and not where frames are rendered: several of them are at work at once there.
         for oldest in list(self._rendered)[: -REMEMBERED * len(self.observed.frames)]:
             del self._rendered[oldest]
-        return self.over_frames(lambda frame: self._passed(frame, true, anchor, effects))
+        return self.over_frames(of_frame)
 
     def residuals(self, passed: Sequence[Passed]) -> Float64:
         """Return the whitened residuals (n,) of all bins that count, frame after frame."""

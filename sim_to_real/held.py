@@ -14,6 +14,7 @@ from noise_model.forward import Prediction, Renderer, predict
 from noise_model.frames import Float64
 from noise_model.sensor import saturation_dn
 from noise_model.setup import Setup
+from sim_to_real.change import effects_in
 from sim_to_real.diagnosis import Float32, Gap, Predicted
 from sim_to_real.expected import Effects, Expected
 from sim_to_real.nuisances import really_lit, really_there
@@ -115,8 +116,9 @@ def _variances(of: Sequence[Prediction], counts: Sequence[Bool]) -> Float32:
     )
 
 
-def _stated(setup: Setup, fitted: Refit) -> Setup:
-    return replace(really_there(setup, fitted.nuisance), effects={**setup.effects, **fitted.effects})
+def _stated(setup: Setup, fitted: Refit, frame: ObservedFrame) -> Setup:
+    effects = effects_in(fitted.effects, fitted.change, setup, frame)
+    return replace(really_there(setup, fitted.nuisance), effects={**setup.effects, **effects})
 
 
 def _predict(
@@ -127,7 +129,7 @@ def _predict(
     random: Effects,
     renderer: Renderer,
 ) -> Prediction:
-    stated = _stated(setup, fitted)
+    stated = _stated(setup, fitted, frame)
     stated = replace(stated, effects={**stated.effects, **random})
     pose = frame.T_base_tool_in(stated)
     seam = expected.seam(frame, fitted.nuisance, fitted.effects)
@@ -178,7 +180,7 @@ def _counts(
 
     What is predicted to be saturated has no spread of its own to be measured by.
     """
-    true = really(_stated(setup, fitted))
+    true = really(_stated(setup, fitted, frame))
     pose = frame.T_base_tool_in(true)
     layers = renderer.layers(true, pose, expected.seam(frame, fitted.nuisance, fitted.effects))
     bad = off_faces(layers.faces, 2 * EDGE_PX + 1)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import numpy.typing as npt
@@ -12,6 +12,7 @@ import numpy.typing as npt
 from noise_model.effects import REGISTRY, Values
 from noise_model.fit import Parameter, within_bounds
 from noise_model.frames import Float64
+from sim_to_real.change import Change
 from sim_to_real.expected import RENDERING, Expected, Passed
 from sim_to_real.quadratic import Quadratic
 
@@ -48,7 +49,7 @@ class Refit:
 
     `passed` is the light of each frame there, `residuals` (n,) plain, their derivatives (n, p), Huber's
     `weights` (n,), and the `quadratic` cost of all frames about x. `effects` have all their parameters;
-    `arc_ln` (n_frames,) are the frames' own ln levels of the arc.
+    `arc_ln` (n_frames,) are the frames' own ln levels of the arc. An effect may `change` from frame to frame.
     """
 
     ids: tuple[str, ...]
@@ -61,6 +62,7 @@ class Refit:
     weights: Float64
     quadratic: Quadratic
     passed: tuple[Passed, ...]
+    change: Change | None = None
 
     @property
     def nuisance(self) -> Float64:
@@ -92,14 +94,19 @@ class Refit:
 
 
 def refit(
-    expected: Expected, effects: Mapping[str, Values], nuisance: Float64, steps: int = ITERATIONS
+    expected: Expected,
+    effects: Mapping[str, Values],
+    nuisance: Float64,
+    steps: int = ITERATIONS,
+    change: Change | None = None,
 ) -> Refit:
     """Fit nuisances (p,) and parameters of effects to all frames, from where they start.
 
+    One of the effects may `change` from frame to frame, by what is fitted too.
     Light is rendered at the nuisances given and continued along the tangents; if an effect makes it be
     rendered at every step anyway, at each step's own. With no `steps` it says what is left where it starts.
     """
-    problem = _Problem(expected, tuple(effects), None if RENDERING & set(effects) else nuisance)
+    problem = _Problem(expected, tuple(effects), None if RENDERING & set(effects) else nuisance, change)
     x = problem.start(effects, nuisance)
     passed = problem.passed(x)
     r = expected.residuals(passed)
@@ -143,6 +150,7 @@ def refit(
         huber_weights(r, bound),
         problem.quadratic(x, r, J, bound),
         tuple(passed),
+        problem.change_at(x),
     )
 
 
@@ -163,8 +171,8 @@ def _by_name(effect: str, values: Float64) -> dict[str, float]:
 def settled(expected: Expected, fitted: Refit) -> Refit:
     """Return a fit done again with light rendered, and its derivatives taken, where it came to."""
     for _ in range(ROUNDS):
-        expected.take_tangents(fitted.nuisance, fitted.effects)
-        again = refit(expected, fitted.effects, fitted.nuisance)
+        expected.take_tangents(fitted.nuisance, fitted.effects, fitted.change)
+        again = refit(expected, fitted.effects, fitted.nuisance, change=fitted.change)
         if again.mean_square > (1.0 - WORTHWHILE) * fitted.mean_square:
             return min(again, fitted, key=lambda fit: fit.mean_square)
         fitted = again
@@ -197,6 +205,7 @@ class _Problem:
     expected: Expected
     ids: tuple[str, ...]
     anchor: Float64 | None
+    change: Change | None
 
     @property
     def is_rendered(self) -> bool:
@@ -208,7 +217,9 @@ class _Problem:
 
     @property
     def parameters(self) -> tuple[Parameter, ...]:
-        return (*self.expected.nuisances, *(p for name in self.ids for p in self._fitted_of(name)))
+        of_effects = (p for name in self.ids for p in self._fitted_of(name))
+        of_change = () if self.change is None else self.change.parameters
+        return (*self.expected.nuisances, *of_effects, *of_change)
 
     @property
     def blocks(self) -> Iterator[tuple[str, slice]]:
@@ -228,7 +239,8 @@ class _Problem:
             np.zeros(len(self.counts)) if name == FLICKER else list(REGISTRY[name].complete(of).values())
             for name, of in effects.items()
         ]
-        return within_bounds(self.parameters, np.concatenate([nuisance, *values]))
+        of_change = () if self.change is None else self.change.by
+        return within_bounds(self.parameters, np.concatenate([nuisance, *values, of_change]))
 
     def effects(self, x: Float64) -> dict[str, dict[str, float]]:
         return {
@@ -239,6 +251,12 @@ class _Problem:
             )
             for name, at in self.blocks
         }
+
+    def change_at(self, x: Float64) -> Change | None:
+        """Return by how much an effect changes at parameters (p,)."""
+        if self.change is None:
+            return None
+        return replace(self.change, by=tuple(x[-len(self.change.by) :].tolist()))
 
     @property
     def about_mean(self) -> Float64:
@@ -258,7 +276,7 @@ class _Problem:
         """Return the light at parameters (p,): rendered at the anchor, moved on from there."""
         m = len(self.expected.nuisances)
         anchor = x[:m] if self.anchor is None else self.anchor
-        passed = self.expected.passed(anchor, self.effects(x))
+        passed = self.expected.passed(anchor, self.effects(x), self.change_at(x))
         by = np.tile(x[:m] - anchor, (len(passed), 1))
         by[:, 0] += self.arc_ln(x)
         frames = self.expected.observed.frames
@@ -274,6 +292,11 @@ class _Problem:
                 columns.append(own @ self.about_mean)
             else:
                 columns += [self._column(x, r, i) for i in range(at.start, at.stop)]
+        if self.change is not None:
+            frames, setup = self.expected.observed.frames, self.expected.observed.setup
+            u = np.repeat([self.change.share(setup, frame) for frame in frames], self.counts)
+            at = dict(self.blocks)[self.change.effect]
+            columns.append(u[:, np.newaxis] * np.hstack(columns)[:, at])
         return np.hstack(columns)
 
     def _column(self, x: Float64, r: Float64, i: int) -> Float64:

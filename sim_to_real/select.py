@@ -16,9 +16,10 @@ import numpy as np
 
 from noise_model.effects import REGISTRY, Values
 from noise_model.frames import Float64
+from sim_to_real.change import CHANGING, Change, Driver
 from sim_to_real.expected import RENDERING, Effects, Expected
 from sim_to_real.quadratic import N_EFFECTIVE, Quadratic
-from sim_to_real.refit import FLICKER, Refit, huber_weights, refit, settled
+from sim_to_real.refit import FLICKER, NAMED_FROM, Refit, huber_weights, refit, settled
 from sim_to_real.screen import DEAR, FAMILIES, Screened, screen
 from sim_to_real.split import folds
 
@@ -60,6 +61,9 @@ HARDLY_CLOSES = 0.9
 
 LEAST_LEFT = 0.6
 """What leaves less leaves nothing. A model without a gap leaves 0.6 to 0.9: its floor is a generous one."""
+
+MOST_CHANGING = 3
+"""So many of the likeliest effects are tried with a size that changes from frame to frame."""
 
 ALIKE_NATS, MOST_ALIKE = 5.0, 3
 """Candidates whose evidence in bins differs by less, so many at most, are compared in pixels.
@@ -212,6 +216,25 @@ def with_dear(
             continue
         fitted = refit(expected, effects, baseline.nuisance)
         every.append(judged(expected, settled(expected, fitted)))
+    return _best_first(every)
+
+
+def with_changes(
+    expected: Expected, found: Sequence[Candidate], on_stage: Callable[[str, float], None]
+) -> list[Candidate]:
+    """Return single effects, likeliest first, of which the likeliest may change from frame to frame."""
+    every = list(found)
+    for n, single in enumerate(found[:MOST_CHANGING]):
+        (name,) = single.ids
+        if name not in CHANGING:
+            continue
+        for driver in Driver:
+            on_stage(f"fitting {name} that changes with {driver.value}", 0.97)
+            change = Change.of(expected.observed, name, driver)
+            fitted = refit(expected, single.refit.effects, single.refit.nuisance, change=change)
+            changed = judged(expected, settled(expected, fitted))
+            if changed.evidence - every[n].evidence > NAMED_FROM:
+                every[n] = changed
     return _best_first(every)
 
 

@@ -31,6 +31,7 @@ from sim_to_real.select import (
     likelihood_nats,
     looked,
     told_apart,
+    with_changes,
     with_dear,
 )
 
@@ -160,6 +161,9 @@ def decide(
     if is_open and not is_small:
         found = with_dear(expected, start, found, without, on_stage)
         explained = is_explained(expected, found[0], baseline)
+        if not explained:
+            found = with_changes(expected, found, on_stage)
+            explained = is_explained(expected, found[0], baseline)
     singles = tuple(found)
     p = confidences(singles, baseline)
     # Below the floor one of many that are looked at is better by chance.

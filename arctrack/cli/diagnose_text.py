@@ -86,6 +86,7 @@ def _lines(diagnosis: Diagnosis) -> Iterator[tuple[str, str]]:
         yield "where", f"{where.stage}: {words.PLACES.get(where.stage, '')}{follows}"
     for effect in diagnosis.effects:
         values = [f"{name} = {words.estimate(value)}" for name, value in effect.parameters.items()]
+        values += [words.trend(effect.trend)] if effect.trend is not None else []
         yield effect.id if diagnosis.verdict is Verdict.EFFECTS else f"if {effect.id}", ", ".join(values)
     if diagnosis.verdict is Verdict.UNKNOWN and diagnosis.left_over is not None:
         name, share = diagnosis.left_over

@@ -61,13 +61,14 @@ def report(diagnosis: Diagnosis) -> dict[str, Any]:
 
 def _named(effect: Named) -> dict[str, Any]:
     parameters = {name: asdict(estimate) for name, estimate in effect.parameters.items()}
-    return {
+    named = {
         "id": effect.id,
         "stage": effect.stage,
         "confidence": effect.confidence,
         "share": effect.share,
         "parameters": parameters,
     }
+    return named if effect.trend is None else {**named, "trend": asdict(effect.trend)}
 
 
 def _before_after(values: tuple[float, float]) -> dict[str, float]:

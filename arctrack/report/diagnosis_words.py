@@ -6,7 +6,7 @@ import math
 from collections.abc import Sequence
 
 from noise_model.effects import REGISTRY
-from sim_to_real.diagnosis import Diagnosis, Estimate, Gap, Verdict
+from sim_to_real.diagnosis import Diagnosis, Estimate, Gap, Trend, Verdict
 
 NO_VALUE = "–"
 
@@ -166,6 +166,15 @@ def estimate(of: Estimate) -> str:
         return f"{number(of.value, 3)}{unit}"
     decimals = min(9, max(0, 1 - math.floor(math.log10(of.sigma))))
     return f"{of.value:.{decimals}f}".replace("-", "−") + f" ± {of.sigma:.{decimals}f}{unit}"
+
+
+def trend(of: Trend) -> str:
+    """Return how an effect's parameters run over a recording."""
+    runs = [
+        f"{name} from {number(first, 3)} to {number(last, 3)}" for name, (first, last) in of.values.items()
+    ]
+    ends = " to ".join(number(end, 2) for end in (of.least, of.most))
+    return f"changes with {of.driver}, {ends} {of.unit}: {listed(runs, 'and')}"
 
 
 def as_factor(name: str, of: Estimate) -> str:

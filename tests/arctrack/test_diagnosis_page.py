@@ -14,14 +14,14 @@ from made import small_setup
 from test_diagnosis_examples import GAMMA, GLARE, example
 
 from arctrack.recording import Recording, read_recording
-from arctrack.recording.diagnosis_files import write_numbers
+from arctrack.recording.diagnosis_files import report, write_numbers
 from arctrack.report import diagnosis_words as words
 from arctrack.report.diagnosis import RECOMPUTE, page
 from arctrack.report.diagnosis_advice import ADVICE
 from arctrack.report.diagnosis_pictures import nice_limit, telling_frame
 from noise_model.effects import REGISTRY
 from noise_model.setup import Setup
-from sim_to_real.diagnosis import Estimate, Gap, Verdict
+from sim_to_real.diagnosis import Estimate, Gap, Trend, Verdict
 
 VOID = {"meta", "img", "br", "rect"}
 
@@ -93,6 +93,16 @@ def test_effects_are_named_with_numbers_and_cure(seen_setup: Setup, recording: R
         assert text in reader.text
     # Five pictures of a frame and their scale, the map and its scale, two curves.
     assert len(reader.references) == 10
+
+
+def test_an_effect_that_changes_is_said_to(seen_setup: Setup, recording: Recording) -> None:
+    diagnosis = example(Verdict.EFFECTS, seen_setup, {"gamma": {"gamma": 0.8}})
+    trend = Trend("time", "s", 0.1, 2.3, {"gamma": (0.7, 0.9)})
+    grows = replace(diagnosis, effects=(replace(diagnosis.effects[0], trend=trend),))
+    said = "it changes with time, 0.10 to 2.3 s: gamma from 0.700 to 0.900"
+    assert said in page(grows, recording)
+    assert said not in page(diagnosis, recording)
+    assert report(grows)["effects"][0]["trend"]["values"] == {"gamma": [0.7, 0.9]}
 
 
 def test_what_effects_leave_is_said(seen_setup: Setup) -> None:

@@ -20,20 +20,20 @@ EXACT = SimulationPlan(frames=12, seam_wander_mm=0.0, exact=True)
 """A run in which all is as stated."""
 
 
-def example_setup():
+def example_setup(coarser=SMALL):
     setup = read_recording(EXAMPLE).setup
-    return replace(setup, camera=setup.camera.coarser(SMALL))
+    return replace(setup, camera=setup.camera.coarser(coarser))
 
 
-def recorded(path, effects, plan=EXACT):
+def recorded(path, effects, plan=EXACT, coarser=SMALL):
     """Simulate a recording with hidden effects; what `diagnose` takes of it: setup, frames and pose_at."""
-    simulate_recording(path, example_setup(), plan, hidden_effects=effects)
+    simulate_recording(path, example_setup(coarser), plan, hidden_effects=effects)
     recording = read_recording(path)
     poses = recording.pose_buffer()
     return recording.setup, list(recording.frames()), lambda t: pose_at(poses, t)
 
 
-def small_recording(path, effects):
+def small_recording(path, effects, coarser=SMALL):
     """The model held against such a recording, whose seam is taken to be nominal."""
     in_joint = Sightings.in_joint
 
@@ -43,7 +43,7 @@ def small_recording(path, effects):
 
     # Not the tracker's own error with so coarse a camera is looked at: a bin at an edge would show it.
     with patch.object(Sightings, "in_joint", nominal):
-        observed = observe(*recorded(path, effects))
+        observed = observe(*recorded(path, effects, coarser=coarser))
     expected = Expected(observed)
     expected.take_tangents(expected.neutral, {})
     return expected

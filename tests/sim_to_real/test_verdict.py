@@ -57,7 +57,8 @@ def decided(monkeypatch, baseline, singles, several, seen=0.0, looks=("a look",)
     `again` is the likeliest one after it has settled.
     """
     left = seen if isinstance(seen, dict) else {}
-    answers = {"looked": looks, "candidates": singles, "with_dear": singles, "_several": several}
+    answers = {"looked": looks, "candidates": singles, "_several": several}
+    answers |= dict.fromkeys(("with_dear", "with_changes"), singles)
     for name, answer in answers.items():
         monkeypatch.setattr(room, name, lambda *_, answer=answer: answer)
     monkeypatch.setattr(room, "refit", lambda *_, **__: None)
