@@ -90,7 +90,9 @@ FAMILIES: Mapping[str, tuple[Family, ...]] = {
         Family(({"peak_e": 2e4},), {"length_mm": length}) for length in (5.0, 10.0, 20.0, 40.0)
     ),
     "fume": tuple(
-        Family(({"extinction_per_m": 0.5},), {"scatter": scatter}) for scatter in (0.0, 0.03, 0.3, 3.0)
+        Family(({"extinction_per_m": 0.5},), {"scatter": scatter, "gathered_per_mm": gathered})
+        for gathered in (0.0, 0.03)
+        for scatter in (0.0, 0.03, 0.3, 3.0)
     ),
     "dirty_window": _patches(),
     "filter_shift": _each({"shift_share": 0.5}, {"shift_share": 2.0}),

@@ -35,32 +35,65 @@ def airlight_integral(
     return np.asarray((np.arctan((length_mm - t_0) / D) + np.arctan(t_0 / D)) / D)
 
 
+def gathered_depth_mm(
+    origin_mm: Float64,
+    direction: Float64,
+    length_mm: Float64,
+    source_mm: Float64,
+    gathered_per_mm: float,
+) -> Float64:
+    """Return integral dt / (1 + g^2 r^2) (...,), mm, along the rays of `airlight_integral`.
+
+    So fume thins out that is gathered about the arc, r from it. With a^2 = 1/g^2 + D^2 it is
+    (atan((l - t_0) / a) + atan(t_0 / a)) / (g^2 a), and the length itself for even fume, g = 0.
+    """
+    if gathered_per_mm == 0.0:
+        return length_mm
+    towards = source_mm - origin_mm
+    t_0 = direction @ towards
+    a = np.sqrt(1.0 / gathered_per_mm**2 + np.maximum(towards @ towards - t_0**2, 0.0))
+    return np.asarray((np.arctan((length_mm - t_0) / a) + np.arctan(t_0 / a)) / (gathered_per_mm**2 * a))
+
+
 def _fume(light: Light, view: View, condition: Condition, values: Values, draw: Draw) -> None:
-    beta = values["extinction_per_m"] * 1e-3
-    arc = view.setup.arc
-    light.scale(np.exp(-beta * view.keep("fume_depth", lambda: _fume_depth_mm(view))).astype(np.float32))
+    beta, gathered = values["extinction_per_m"] * 1e-3, values["gathered_per_mm"]
+    depth_mm = _fume_depth_mm(view, gathered)
+    light.scale(np.exp(-beta * depth_mm).astype(np.float32))
     if condition.arc_level > 0.0:
         # What one unit of albedo and of extinction, 1/mm, scatters into the pixels of a unit of radiance.
-        unit = view.keep("fume_airlight", lambda: _airlight(view))
-        scattered = condition.arc_level * arc.radiance_e * values["scatter"] * beta
+        even = view.keep("fume_airlight", lambda: _airlight(view))
+        # 1 / (r^2 (1 + g^2 r^2)) = 1 / r^2 - g^2 / (1 + g^2 r^2)
+        along = even - gathered**2 * depth_mm
+        unit = view.cos4 * (_seen_area_mm2(view) / (4.0 * math.pi) * along).astype(np.float32)
+        scattered = condition.arc_level * view.setup.arc.radiance_e * values["scatter"] * beta
         light.arc = light.arc + np.float32(scattered) * unit
 
 
-def _fume_depth_mm(view: View) -> Float64:
+def _fume_depth_mm(view: View, gathered_per_mm: float) -> Float64:
+    where = view.scene
+    camera, air_mm = where.T_joint_camera[:3, 3], view.keep("air", lambda: _air_mm(view))
+    return gathered_depth_mm(camera, view.directions, air_mm, where.center_mm, gathered_per_mm)
+
+
+def _air_mm(view: View) -> Float64:
     # Where nothing is met the air goes on as far as the arc is from the camera.
     where = view.scene
     to_arc = float(np.linalg.norm(where.center_mm - where.T_joint_camera[:3, 3]))
     return np.nan_to_num(view.distance_mm, nan=to_arc)
 
 
-def _airlight(view: View) -> Float32:
-    where, radius = view.scene, view.setup.arc.radius_mm
-    camera = where.T_joint_camera[:3, 3]
-    to_camera = (camera - where.center_mm) / np.linalg.norm(camera - where.center_mm)
-    # The luminous half's projected area towards the air before the camera, as in hemisphere.apparent_area.
-    area = 0.5 * math.pi * radius**2 * (1.0 + to_camera[2])
-    along = airlight_integral(camera, view.directions, _fume_depth_mm(view), where.center_mm, radius)
-    return np.asarray(view.cos4 * area / (4.0 * math.pi) * along, dtype=np.float32)
+def _airlight(view: View) -> Float64:
+    where = view.scene
+    camera, radius = where.T_joint_camera[:3, 3], view.setup.arc.radius_mm
+    return airlight_integral(camera, view.directions, _air_mm(view), where.center_mm, radius)
+
+
+def _seen_area_mm2(view: View) -> float:
+    """Return the luminous half's projected area towards the air before the camera, see `apparent_area`."""
+    where = view.scene
+    to_camera = where.T_joint_camera[:3, 3] - where.center_mm
+    upwards = float(to_camera[2] / np.linalg.norm(to_camera))
+    return 0.5 * math.pi * view.setup.arc.radius_mm**2 * (1.0 + upwards)
 
 
 def streak_moments(length_px: float, width_px: float) -> tuple[float, float]:
@@ -164,14 +197,16 @@ EFFECTS = (
         id="fume",
         stage=Stage.MEDIUM,
         summary="welding fume dims what passes it and scatters the arc's light",
-        equation="all light x exp(-beta d), d from part to camera; arc += radiance scatter beta / (4 pi) "
-        "A_eff integral dt / r^2 along the ray, scatter the fume's albedo in the relative units of kappa; on "
-        "the ways to the part the fume is left out",
+        equation="beta thins out as 1 / (1 + gathered^2 r^2), r from the arc; all light x exp(-integral beta "
+        "dt) from part to camera; arc += radiance scatter / (4 pi) A_eff integral beta dt / r^2 along the "
+        "ray, scatter the fume's albedo in the relative units of kappa; on the ways to the part the fume is "
+        "left out",
         source="Beer and Lambert; Sun, Ramamoorthi, Narasimhan and Nayar 2005 (ACM TOG 24(3), 1040): single "
         "scattering, here thin; A_eff as in Eq. 15",
         parameters=(
             Parameter("extinction_per_m", "1/m", 0.0, 1.0, 0.0, 20.0, 0.01),
             Parameter("scatter", "", 0.05, 0.5, 0.0, 5.0, 0.001),
+            Parameter("gathered_per_mm", "1/mm", 0.0, 0.03, 0.0, 0.3, 0.001),
         ),
         typical={"extinction_per_m": 2.0, "scatter": 0.05},
         light=_fume,

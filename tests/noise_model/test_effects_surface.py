@@ -21,7 +21,7 @@ from scipy.integrate import quad
 
 from noise_model.brdf import Lobe, Material
 from noise_model.condition import Condition
-from noise_model.effects.medium import airlight_integral, streak_moments
+from noise_model.effects.medium import airlight_integral, gathered_depth_mm, streak_moments
 from noise_model.forward import predict
 from noise_model.spectrum import planck
 from noise_model.stripe import stripe_reference
@@ -107,6 +107,22 @@ def test_the_airlight_integral_is_that_of_quadrature():
     assert airlight_integral(origin, straight, np.array(200.0), source, 3.0) < math.pi / 3.0
 
 
+@pytest.mark.parametrize("gathered_per_mm", [0.0, 1e-5, 0.02, 0.2])
+def test_the_depth_of_gathered_fume_is_that_of_quadrature(gathered_per_mm):
+    rng = np.random.default_rng(7)
+    origin, source = np.array([95.0, 0.0, 130.0]), np.array([0.0, 1.0, 2.0])
+    directions = rng.normal(size=(10, 3)) + np.array([-1.0, 0.0, -2.0])
+    directions /= np.linalg.norm(directions, axis=1, keepdims=True)
+    length = rng.uniform(20.0, 200.0, 10)
+    got = gathered_depth_mm(origin, directions, length, source, gathered_per_mm)
+    for i in range(10):
+
+        def thins(t, d=directions[i]):
+            return 1.0 / (1.0 + gathered_per_mm**2 * float(np.sum((origin + t * d - source) ** 2)))
+
+        assert got[i] == pytest.approx(quad(thins, 0.0, length[i], limit=200)[0], rel=1e-6)
+
+
 def test_the_fume_dims_by_beer_and_lambert():
     setup = nominal("flat", psf_sigma_px=0.0)
     points, _ = on_the_plate(setup.camera)
@@ -117,11 +133,13 @@ def test_the_fume_dims_by_beer_and_lambert():
     np.testing.assert_allclose(ratio[lit], np.exp(-0.003 * d)[lit], rtol=1e-4)
 
 
-def test_the_fume_scatters_the_arcs_light():
+@pytest.mark.parametrize("gathered_per_mm", [0.0, 0.03])
+def test_the_fume_scatters_the_arcs_light(gathered_per_mm):
     """In proportion to its output, by the definition of albedo, and nothing of it in the laser's frames."""
     setup = nominal("flat", psf_sigma_px=0.0)
     beta, albedo = 0.002, 0.7
-    in_fume = affected(setup, fume={"extinction_per_m": 1000.0 * beta, "scatter": albedo})
+    values = {"extinction_per_m": 1000.0 * beta, "scatter": albedo, "gathered_per_mm": gathered_per_mm}
+    in_fume = affected(setup, fume=values)
     got, before = charge(in_fume, ARC), charge(setup, ARC)
     points, omega_r = on_the_plate(setup.camera)
     eye = setup.camera.T_tool_camera[:3, 3]
@@ -131,11 +149,14 @@ def test_the_fume_scatters_the_arcs_light():
         P, d = points[row, column], -omega_r[row, column]
         length = float(np.linalg.norm(P - eye))
 
-        def irradiance(t, d=d):
-            return A_eff / float(np.sum((eye + t * d) ** 2))
+        def extinction(t, d=d):
+            return beta / (1.0 + gathered_per_mm**2 * float(np.sum((eye + t * d) ** 2)))
 
-        scattered = albedo * beta / (4.0 * math.pi) * quad(irradiance, 0.0, length)[0]
-        wanted = before[row, column] * math.exp(-beta * length)
+        def scatters(t, d=d):
+            return extinction(t, d) * A_eff / float(np.sum((eye + t * d) ** 2))
+
+        scattered = albedo / (4.0 * math.pi) * quad(scatters, 0.0, length)[0]
+        wanted = before[row, column] * math.exp(-quad(extinction, 0.0, length)[0])
         wanted += setup.arc.radiance_e * cos4(setup.camera)[row, column] * scattered
         assert got[row, column] == pytest.approx(wanted, rel=1e-4)
     half = Condition(0.0, 0.5, EXPOSURE_S)

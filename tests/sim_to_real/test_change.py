@@ -40,11 +40,12 @@ def test_a_driver_runs_from_minus_one_to_one(observed, driver):
 
 def test_values_stay_within_their_bounds(observed):
     frame, last = observed.frames[0], observed.frames[-1]
-    change = replace(Change.of(observed, "fume", Driver.TIME), by=(1.0, 0.02))
-    effects = {"gamma": {"gamma": 1.1}, "fume": {"extinction_per_m": 0.5, "scatter": 0.1}}
+    change = replace(Change.of(observed, "fume", Driver.TIME), by=(1.0, 0.02, 0.0))
+    fume = {"extinction_per_m": 0.5, "scatter": 0.1, "gathered_per_mm": 0.0}
+    effects = {"gamma": {"gamma": 1.1}, "fume": fume}
     first = change.at(effects, observed.setup, frame)
     assert first["gamma"] == effects["gamma"]
-    assert first["fume"] == {"extinction_per_m": 0.0, "scatter": pytest.approx(0.08)}
+    assert first["fume"] == {**fume, "extinction_per_m": 0.0, "scatter": pytest.approx(0.08)}
     assert change.at(effects, observed.setup, last)["fume"]["extinction_per_m"] == pytest.approx(1.5)
 
 
