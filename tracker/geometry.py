@@ -67,6 +67,11 @@ class SensorGeometry:
         )
 
     @cached_property
+    def plane_in_tool(self) -> Float64:
+        """The laser plane (4,), n.p + d = 0, tool frame, mm."""
+        return np.array(self.setup.laser.plane_in_tool, dtype=np.float64)
+
+    @cached_property
     def pixels_per_mm(self) -> float:
         """How far the stripe moves, px, per mm of height or of lateral place, whichever is more."""
         camera = self.setup.camera
