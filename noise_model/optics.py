@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
-from functools import cached_property
 from typing import NamedTuple
 
 import cv2
@@ -56,7 +55,7 @@ class Camera:
         """All that its rays depend on, to compare by: size, fx, fy, cx, cy, distortion; its pose is not."""
         return self.width, self.height, self.fx, self.fy, self.cx, self.cy, self.distortion
 
-    @cached_property
+    @property
     def intrinsics(self) -> Intrinsics:
         """What projects a point and its ray, for the kernels."""
         k1, k2, p1, p2, k3 = (float(k) for k in self.distortion)

@@ -11,6 +11,7 @@ from noise_model.arc_map import Scene
 from noise_model.faces import ridge
 from noise_model.frames import Float64
 from noise_model.kernel import kernel
+from noise_model.laser import plane_in
 from noise_model.optics import Intrinsics, undistorted
 from tracker.geometry import SensorGeometry
 
@@ -56,7 +57,7 @@ def triangulate(
         geometry.along_rows,
         view.T_joint_camera,
         view.T_joint_tool,
-        geometry.plane_in_tool,
+        geometry.setup.laser.plane,
         view.shape.corrugation,
         points,
         scan,
@@ -90,14 +91,9 @@ def _triangulate(
     A ray d from o meets the plane n.p + e = 0 in o + t d, t = -(n.o + e) / n.d. With a change of the ray by
     d' that point moves by t (d' - d (n.d') / (n.d)).
     """
-    R, T = T_joint_camera, T_joint_tool
-    nx, ny, nz = 0.0, 0.0, 0.0
-    for k in range(3):
-        nx += T[0, k] * plane_in_tool[k]
-        ny += T[1, k] * plane_in_tool[k]
-        nz += T[2, k] * plane_in_tool[k]
-    from_tool = nx * (R[0, 3] - T[0, 3]) + ny * (R[1, 3] - T[1, 3]) + nz * (R[2, 3] - T[2, 3])
-    off = from_tool + plane_in_tool[3]
+    R = T_joint_camera
+    nx, ny, nz, e = plane_in(T_joint_tool, plane_in_tool)
+    off = nx * R[0, 3] + ny * R[1, 3] + nz * R[2, 3] + e
     n = 0
     for s in range(len(position_px)):
         if math.isnan(position_px[s]):
