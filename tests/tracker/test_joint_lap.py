@@ -12,7 +12,7 @@ from noise_model.surface import Joint
 from tracker.joint import MeasuredJoint, fit_joint
 from tracker.joint.lap import CLEAR_OF_EDGE_MM, Sheets, clear_of_edge, near_sheets, share_off
 from tracker.joint.measured import OFF_SIGMAS, SIGMA_FLOOR_PX, count_with_floor, typical_mm
-from tracker.joint.upright_edge import neighbours_of_edge
+from tracker.joint.upright_edge import hidden_strip, neighbours_of_edge
 
 LINE = ((-100.0, 0.0, 0.0), (100.0, 0.0, 0.0))
 STATED = Joint("lap", {"thickness_mm": 2.0}, LINE)
@@ -165,3 +165,10 @@ def test_what_points_may_be_off_is_its_twin(seed: int, n: int) -> None:
     assert count_with_floor(sigma_px, used, sigma) == used.sum()
     np.testing.assert_allclose(sigma, np.hypot(sigma_px, SIGMA_FLOOR_PX))
     assert typical_mm(dz, sigma, used) == pytest.approx(np.median((np.abs(dz) * sigma)[used]))
+
+
+def test_an_edge_hides_what_its_shadow_covers() -> None:
+    # A ray from (-4, 12) over the edge at (1, 2) falls 10 mm on its way 5 mm to the right: half of that.
+    assert hidden_strip(np.array([7.0, -4.0, 12.0]), 1.0, 2.0, 2.0) == pytest.approx(1.0)
+    assert hidden_strip(np.array([7.0, 4.0, 12.0]), 1.0, 2.0, 2.0) == 0.0
+    assert hidden_strip(np.array([7.0, -4.0, 2.0]), 1.0, 2.0, 2.0) == np.inf

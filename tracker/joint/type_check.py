@@ -173,7 +173,8 @@ class _Line(NamedTuple):
         """Return the least-squares line through points (n,)."""
         y_mean, z_mean = float(y.mean()), float(z.mean())
         beside = y - y_mean
-        return cls(y_mean, z_mean, float(beside @ (z - z_mean)) / float(beside @ beside))
+        spread = float(beside @ beside)
+        return cls(y_mean, z_mean, float(beside @ (z - z_mean)) / spread if spread > 0.0 else 0.0)
 
     @overload
     def at(self, y: float) -> float: ...

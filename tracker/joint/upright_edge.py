@@ -38,6 +38,9 @@ def neighbours_of_edge(y_mm: Float64, before: Bool, behind: Bool) -> tuple[float
 
 
 def hidden_strip(source_mm: Float64, edge_y_mm: float, edge_z_mm: float, step_mm: float) -> float:
-    """Return how much of the lower side beside the foot an edge hides from a point (3,), mm."""
-    y, z = float(source_mm[1]), float(source_mm[2])
-    return max(0.0, (edge_y_mm - y) / (z - edge_z_mm) * step_mm)
+    """Return how much of the lower side beside the foot an edge hides from a point (3,), mm.
+
+    From a point that is not above the edge all of it is hidden: infinity.
+    """
+    over_mm = float(source_mm[2]) - edge_z_mm
+    return max(0.0, (edge_y_mm - float(source_mm[1])) / over_mm * step_mm) if over_mm > 0.0 else math.inf
