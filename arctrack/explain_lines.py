@@ -16,14 +16,15 @@ from tracker.stripe_fit import (
     CORRELATION_PX,
     MIN_SIGMA_E,
     MOST_PIXELS,
-    N_PARAMETERS,
     WIDTH_LIMIT_LN,
     WIDTH_SIGMA_LN,
     WINDOW_SIGMAS,
     LineScratch,
     fit_line,
+    line_window,
     map_edge,
 )
+from tracker.stripe_moments import N_PARAMETERS
 
 READ, NO_PATH, NO_FIT, TOO_WEAK, ODD_WIDTH = "", "no path", "no fit", "too weak", "odd width"
 """Why a scan line holds no stripe: the path found none, the fit ran away, or what it found is none."""
@@ -180,10 +181,8 @@ def _line(reading: StripeReading, expected: ExpectedStripe, s: int) -> tuple[flo
 
 def window_of(reading: StripeReading, expected: ExpectedStripe, s: int) -> tuple[slice, float]:
     """Return which of a band's pixels a line's fit read, and how far it reached from the path, px."""
-    start = float(reading.start_px[s]) - int(reading.lows[s // CELL])
-    half = WINDOW_SIGMAS * float(expected.sigma_px[s])
-    depth = reading.band.charge.shape[1]
-    return slice(max(0, int(start - half)), min(depth - 1, int(start + half) + 1) + 1), half
+    start, width = float(reading.start_px[s]) - int(reading.lows[s // CELL]), float(expected.sigma_px[s])
+    return slice(*line_window(start, width, reading.band.charge.shape[1])), WINDOW_SIGMAS * width
 
 
 def _information(offset_sigma_e: float, slope_sigma_e_per_px: float) -> Float64:

@@ -36,10 +36,10 @@ def pose_matrix(translation_mm: npt.ArrayLike, quaternion_xyzw: npt.ArrayLike) -
 
 def invert(T_a_b: Float64) -> Float64:
     """Return T_b_a of a rigid T_a_b."""
-    R = T_a_b[:3, :3]
-    T_b_a = np.eye(4)
-    T_b_a[:3, :3] = R.T
-    T_b_a[:3, 3] = -R.T @ T_a_b[:3, 3]
+    R_b_a, T_b_a = T_a_b[:3, :3].T, np.empty((4, 4))
+    T_b_a[:3, :3] = R_b_a
+    T_b_a[:3, 3] = -(R_b_a @ T_a_b[:3, 3])
+    T_b_a[3] = 0.0, 0.0, 0.0, 1.0
     return T_b_a
 
 

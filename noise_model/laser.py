@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
@@ -43,6 +44,32 @@ class Laser:
         if not (np.isfinite(self.plane_in_tool).all() and np.isfinite(self.origin_in_tool_mm).all()):
             raise ValueError("[laser] plane_in_tool, origin_in_tool_mm: must be finite")
 
+    @property
+    def plane(self) -> Float64:
+        """`plane_in_tool` (4,) as an array: one for all who ask, it is not to be written to."""
+        return _array(self.plane_in_tool)
+
+    @property
+    def origin_mm(self) -> Float64:
+        """`origin_in_tool_mm` (3,) as an array: one for all who ask, it is not to be written to."""
+        return _array(self.origin_in_tool_mm)
+
+    @property
+    def point_mm(self) -> Float64:
+        """The plane's point (3,) below the laser at tool height, tool frame, mm: not to be written to."""
+        return _point_below(self.plane_in_tool, self.origin_in_tool_mm)
+
+
+@lru_cache
+def _array(values: tuple[float, ...]) -> Float64:
+    return np.array(values, dtype=np.float64)
+
+
+@lru_cache
+def _point_below(plane: tuple[float, ...], origin_mm: tuple[float, ...]) -> Float64:
+    below, normal = np.array([*origin_mm[:2], 0.0]), np.array(plane[:3])
+    return np.asarray(below - (normal @ below + plane[3]) * normal)
+
 
 class Sheet(NamedTuple):
     """A pose's laser sheet in the joint frame, as the kernels take it; mm.
@@ -58,15 +85,22 @@ class Sheet(NamedTuple):
     stand: float
 
 
+@kernel
+def plane_in(T_a_b: Float64, plane_b: Float64) -> tuple[float, float, float, float]:
+    """Return a plane (n_x, n_y, n_z, d), n.p + d = 0, of frame b in frame a."""
+    T, n = T_a_b, plane_b
+    nx = T[0, 0] * n[0] + T[0, 1] * n[1] + T[0, 2] * n[2]
+    ny = T[1, 0] * n[0] + T[1, 1] * n[1] + T[1, 2] * n[2]
+    nz = T[2, 0] * n[0] + T[2, 1] * n[1] + T[2, 2] * n[2]
+    return nx, ny, nz, n[3] - nx * T[0, 3] - ny * T[1, 3] - nz * T[2, 3]
+
+
 def sheet_of(laser: Laser, T_joint_tool: Float64) -> Sheet:
     """Put a laser's sheet into the joint frame."""
-    R, origin = T_joint_tool[:3, :3], np.asarray(laser.origin_in_tool_mm)
-    normal = R @ np.asarray(laser.plane_in_tool[:3])
-    offset = laser.plane_in_tool[3] - float(normal @ T_joint_tool[:3, 3])
     return Sheet(
-        transform(T_joint_tool, origin),
-        np.array([*normal, offset]),
-        np.ascontiguousarray(R[:, 2]),
+        transform(T_joint_tool, laser.origin_mm),
+        np.array(plane_in(T_joint_tool, laser.plane)),
+        np.ascontiguousarray(T_joint_tool[:3, 2]),
         laser.stripe_sigma_mm,
         laser.origin_in_tool_mm[2],
     )

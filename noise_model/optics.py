@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
+from typing import NamedTuple
 
 import cv2
 import numpy as np
 import numpy.typing as npt
 
 from noise_model.frames import Float64
+from noise_model.kernel import kernel
 
 Float32 = npt.NDArray[np.float32]
 
@@ -54,6 +56,14 @@ class Camera:
         return self.width, self.height, self.fx, self.fy, self.cx, self.cy, self.distortion
 
     @property
+    def intrinsics(self) -> Intrinsics:
+        """What projects a point and its ray, for the kernels."""
+        k1, k2, p1, p2, k3 = (float(k) for k in self.distortion)
+        return Intrinsics(
+            float(self.fx), float(self.fy), float(self.cx), float(self.cy), (k1, k2, p1, p2, k3)
+        )
+
+    @property
     def matrix(self) -> Float64:
         """The 3x3 intrinsic matrix, px."""
         return np.array([[self.fx, 0.0, self.cx], [0.0, self.fy, self.cy], [0.0, 0.0, 1.0]])
@@ -95,6 +105,50 @@ class Camera:
             np.asarray(self.distortion),
         )
         return np.asarray(image, dtype=np.float64)[:, 0]
+
+
+class Intrinsics(NamedTuple):
+    """A camera's OpenCV intrinsics as the kernels take them, px; distortion is k1 k2 p1 p2 k3."""
+
+    fx: float
+    fy: float
+    cx: float
+    cy: float
+    distortion: tuple[float, float, float, float, float]
+
+
+UNDISTORT_STEPS, UNDISTORTED = 20, 1e-12
+"""Newton steps by which a lens' distortion is undone at most; one that is shorter is the last."""
+
+
+@kernel
+def undistorted(u: float, v: float, lens: Intrinsics) -> tuple[float, float, float, float, float, float]:
+    """Return an image point's normalised coordinates x, y and their derivatives dx/du, dx/dv, dy/du, dy/dv.
+
+    OpenCV's distortion is undone by Newton's steps from the distorted place.
+    """
+    k1, k2, p1, p2, k3 = lens.distortion
+    to_x, to_y = (u - lens.cx) / lens.fx, (v - lens.cy) / lens.fy
+    x, y = to_x, to_y
+    xx, xy, yy, determinant = 1.0, 0.0, 1.0, 1.0
+    for _ in range(UNDISTORT_STEPS):
+        q = x * x + y * y
+        radial, rise = 1.0 + q * (k1 + q * (k2 + q * k3)), k1 + q * (2.0 * k2 + q * 3.0 * k3)
+        off_x = x * radial + 2.0 * p1 * x * y + p2 * (q + 2.0 * x * x) - to_x
+        off_y = y * radial + p1 * (q + 2.0 * y * y) + 2.0 * p2 * x * y - to_y
+        # The distortion's Jacobian is symmetric.
+        xx = radial + 2.0 * x * x * rise + 2.0 * p1 * y + 6.0 * p2 * x
+        xy = 2.0 * x * y * rise + 2.0 * p1 * x + 2.0 * p2 * y
+        yy = radial + 2.0 * y * y * rise + 6.0 * p1 * y + 2.0 * p2 * x
+        determinant = xx * yy - xy * xy
+        step_x = (yy * off_x - xy * off_y) / determinant
+        step_y = (xx * off_y - xy * off_x) / determinant
+        x -= step_x
+        y -= step_y
+        if abs(step_x) + abs(step_y) < UNDISTORTED:
+            break
+    per_u, per_v = 1.0 / (determinant * lens.fx), 1.0 / (determinant * lens.fy)
+    return x, y, yy * per_u, -xy * per_v, -xy * per_u, xx * per_v
 
 
 @dataclass(frozen=True)

@@ -113,16 +113,23 @@ def section(joint: Joint) -> Section:
     Beyond that format: `half_v` has an upright side at y < 0 and a bevelled one, `bevel_angle_deg` from
     upright; `u_groove` a flat root `root_gap_mm` wide, rounded by `root_radius_mm` up to its bevels; of both
     the seam point is the middle of the root. `edge`: two upright sheets of `thickness_mm` side by side, their
-    edges level at z = 0, the seam point the middle of the gap between them.
+    edges level at z = 0, the seam point the middle of the gap between them. One for all who ask: its arrays
+    are not to be written to.
     """
-    size = joint.dimensions
+    return _draw(joint.type, tuple(joint.dimensions.items()))
+
+
+@lru_cache
+def _draw(joint_type: str, dimensions: tuple[tuple[str, float], ...]) -> Section:
+    """Draw the cross-section of a type of joint: every look at a pose asks for it."""
+    size = dict(dimensions)
     corrugation = np.zeros(3)
-    if joint.type == "corrugation":
+    if joint_type == "corrugation":
         corrugation[:] = size["height_mm"], size["width_mm"], size["pitch_mm"]
-    inner = _CORNERS[joint.type](size)
+    inner = _CORNERS[joint_type](size)
     # Without a gap two corners meet.
     inner = [corner for i, corner in enumerate(inner) if i == 0 or corner != inner[i - 1]]
-    rise = REACH_MM * _plate_slope(joint)
+    rise = REACH_MM * _plate_slope(joint_type, size)
     right_end, left_end = (-REACH_MM, inner[0][1] + rise), (REACH_MM, inner[-1][1] + rise)
     return Section(np.array([right_end, *inner, left_end], dtype=np.float64), corrugation)
 
@@ -197,11 +204,11 @@ _CORNERS: Mapping[str, Callable[[Size], Corners]] = {
 """Each type's corners between its two plates, (y, z) in mm, y rising."""
 
 
-def _plate_slope(joint: Joint) -> float:
+def _plate_slope(joint_type: str, size: Size) -> float:
     """Return how steeply the plates rise away from the seam: a fillet's do, or fall."""
-    if joint.type != "fillet":
+    if joint_type != "fillet":
         return 0.0
-    return 1.0 / math.tan(math.radians(joint.dimensions["included_angle_deg"] / 2.0))
+    return 1.0 / math.tan(math.radians(size["included_angle_deg"] / 2.0))
 
 
 @dataclass(frozen=True)
@@ -228,14 +235,18 @@ class SeamLine:
 
 @lru_cache(maxsize=1024)
 def _seam_line_frame(line: SeamLine) -> Float64:
-    x_axis = np.array([1.0, line.slope_y, line.slope_z])
-    x_axis /= np.linalg.norm(x_axis)
-    y_axis = cross((0.0, 0.0, 1.0), x_axis)
-    y_axis /= np.linalg.norm(y_axis)
-    T_nominal_true = np.eye(4)
-    T_nominal_true[:3, :3] = np.transpose([x_axis, y_axis, cross(x_axis, y_axis)])
-    at = np.array([line.station_mm, line.y_mm, line.z_mm])
-    T_nominal_true[:3, 3] = at - T_nominal_true[:3, 0] * line.station_mm
+    a, b, x = line.slope_y, line.slope_z, line.station_mm
+    # The x axis is (1, a, b) / length, the y axis lies level.
+    level = math.sqrt(1.0 + a * a)
+    length = math.sqrt(1.0 + a * a + b * b)
+    T_nominal_true = np.array(
+        [
+            [1.0 / length, -a / level, -b / (length * level), x - x / length],
+            [a / length, 1.0 / level, -a * b / (length * level), line.y_mm - x * a / length],
+            [b / length, 0.0, level / length, line.z_mm - x * b / length],
+            [0.0, 0.0, 0.0, 1.0],
+        ]
+    )
     T_nominal_true.flags.writeable = False
     return T_nominal_true
 

@@ -98,16 +98,17 @@ def correct(correction: Correction, displacement_mm: Float64, height_mm: float =
     passes. `height_mm` is what the programmed path leaves out of the drawing, a corrugation's height: it is
     known and not measured, so z gets all of it whatever the gain.
     """
-    offset_mm = np.full(2, math.nan)
+    offset_mm = [math.nan, math.nan]
     is_limited = False
     drawn_mm = (0.0, height_mm)
     for n, axis in enumerate((correction.y, correction.z)):
         if not axis.enable:
             continue
-        offset_mm[n] = axis.gain * displacement_mm[n] + drawn_mm[n] + axis.bias_mm
-        if abs(offset_mm[n]) > axis.limit_mm:
+        sent_mm = axis.gain * float(displacement_mm[n]) + drawn_mm[n] + axis.bias_mm
+        if abs(sent_mm) > axis.limit_mm:
             if axis.at_limit == "stop":
                 return STOPPED
             is_limited = True
-            offset_mm[n] = math.copysign(axis.limit_mm, offset_mm[n])
-    return Corrected(offset_mm, is_limited)
+            sent_mm = math.copysign(axis.limit_mm, sent_mm)
+        offset_mm[n] = sent_mm
+    return Corrected(np.array(offset_mm), is_limited)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -12,20 +11,18 @@ import numpy.typing as npt
 from noise_model.arc_map import Scene
 from noise_model.brdf import LobeNumbers, lobe_numbers
 from noise_model.faces import face_normal, face_under, ridge, slope_across
-from noise_model.frames import Float64, invert
+from noise_model.frames import Float64
 from noise_model.kernel import kernel
 from noise_model.laser import Sheet, depth_below, sheet_of, sheet_reflected
-from noise_model.optics import Camera
+from noise_model.optics import Intrinsics
 from noise_model.surface import EDGE_STANDS_MM
 from tracker.geometry import SensorGeometry
 
 Int64 = npt.NDArray[np.int64]
 Bool = npt.NDArray[np.bool_]
 
-HALF_SPAN_MM = 60.0
-"""How far to either side of the seam the stripe is followed."""
-
-SAMPLES = 161
+HALF_SPAN_MM, STEP_MM = 60.0, 0.75
+"""How far to either side of the tool the stripe is followed where the camera sees it, and in which steps."""
 
 BESIDE_MM = 1e-6
 """The stripe is looked at so near to either side of each corner."""
@@ -52,32 +49,6 @@ class ExpectedStripe:
     shown: Bool
 
 
-class Lens(NamedTuple):
-    """A camera as the kernels take it: its pose (4, 4), OpenCV's intrinsics, px, and its place (3,), mm."""
-
-    T_camera_joint: Float64
-    fx: float
-    fy: float
-    cx: float
-    cy: float
-    distortion: tuple[float, float, float, float, float]
-    place: Float64
-
-
-def lens_of(camera: Camera, T_joint_camera: Float64) -> Lens:
-    """Put a camera into the joint frame."""
-    k1, k2, p1, p2, k3 = camera.distortion
-    return Lens(
-        invert(T_joint_camera),
-        camera.fx,
-        camera.fy,
-        camera.cx,
-        camera.cy,
-        (k1, k2, p1, p2, k3),
-        np.ascontiguousarray(T_joint_camera[:3, 3]),
-    )
-
-
 def expect_stripe(geometry: SensorGeometry, view: Scene) -> ExpectedStripe | None:
     """Return the expected stripe of a scene, or None where it is out of view.
 
@@ -99,8 +70,10 @@ def expect_stripe(geometry: SensorGeometry, view: Scene) -> ExpectedStripe | Non
         vertices,
         view.shape.corrugation,
         np.ascontiguousarray(view.T_joint_tool[:3, 3]),
+        view.footprint_mm[1],
         sheet_of(setup.laser, view.T_joint_tool),
-        lens_of(setup.camera, view.T_joint_camera),
+        view.T_joint_camera,
+        setup.camera.intrinsics,
         lobe_numbers(setup.material),
         geometry.along_rows,
         setup.camera.psf_sigma_px,
@@ -126,7 +99,8 @@ def _cut_and_project(
     sheet: Sheet,
     shift_mm: float,
     start_x: float,
-    lens: Lens,
+    T_joint_camera: Float64,
+    lens: Intrinsics,
     material: LobeNumbers,
     along_rows: bool,
     at: Float64,
@@ -135,12 +109,12 @@ def _cut_and_project(
     """Cut a plane `shift_mm` beside the sheet with the section at y (n,) and look at it.
 
     `face` (n,) are the faces that the points lie on. Writes the image points `at` (n, 2) as (scan,
-    position) and the stripe's `light` there, the sheet's own Gaussian divided out. False if a point lies
-    behind the camera.
+    position) and, beside the sheet, the stripe's `light` there, the sheet's own Gaussian divided out. False
+    if a point lies behind the camera.
     """
     nx, ny, nz, d = sheet.plane[0], sheet.plane[1], sheet.plane[2], sheet.plane[3] - shift_mm
     k1, k2, p1, p2, k3 = lens.distortion
-    x = start_x
+    T, x = T_joint_camera, start_x
     for i in range(y.shape[0]):
         k = face[i]
         plain = vertices[k, 1] + slope_across(k, vertices) * (y[i] - vertices[k, 0])
@@ -150,46 +124,56 @@ def _cut_and_project(
             x = met
             if moved < MET_MM:
                 break
-        normal = face_normal(k, x, vertices, corrugation)
         P = (x, y[i], plain + ridge(x, corrugation)[0])
 
-        T = lens.T_camera_joint
-        depth = T[2, 0] * P[0] + T[2, 1] * P[1] + T[2, 2] * P[2] + T[2, 3]
+        wx, wy, wz = T[0, 3] - P[0], T[1, 3] - P[1], T[2, 3] - P[2]
+        depth = -(T[0, 2] * wx + T[1, 2] * wy + T[2, 2] * wz)
         if not depth > NEAREST_MM:
             return False
-        a = (T[0, 0] * P[0] + T[0, 1] * P[1] + T[0, 2] * P[2] + T[0, 3]) / depth
-        b = (T[1, 0] * P[0] + T[1, 1] * P[1] + T[1, 2] * P[2] + T[1, 3]) / depth
+        a = -(T[0, 0] * wx + T[1, 0] * wy + T[2, 0] * wz) / depth
+        b = -(T[0, 1] * wx + T[1, 1] * wy + T[2, 1] * wz) / depth
         q = a * a + b * b
         radial = 1.0 + q * (k1 + q * (k2 + q * k3))
         u = lens.fx * (a * radial + 2.0 * p1 * a * b + p2 * (q + 2.0 * a * a)) + lens.cx
         v = lens.fy * (b * radial + p1 * (q + 2.0 * b * b) + 2.0 * p2 * a * b) + lens.cy
         at[i, 0], at[i, 1] = (u, v) if along_rows else (v, u)
 
-        wx, wy, wz = lens.place[0] - P[0], lens.place[1] - P[1], lens.place[2] - P[2]
+        # The lean is made of the flanks' light.
+        if shift_mm == 0.0:
+            light[i] = math.nan
+            continue
         distance = math.sqrt(wx * wx + wy * wy + wz * wz)
         omega_r = (wx / distance, wy / distance, wz / distance)
         off = nx * P[0] + ny * P[1] + nz * P[2] + sheet.plane[3]
         off *= sheet.stand / (sheet.sigma * depth_below(sheet, P))
         gaussian = math.exp(-0.5 * off * off)
+        normal = face_normal(k, x, vertices, corrugation)
         lit = sheet_reflected(sheet, material, P, normal, omega_r)
         light[i] = lit / gaussian if gaussian > 0.0 else 0.0
     return True
 
 
 @kernel(allocates=True)
-def _samples(vertices: Float64, middle_mm: float, y: Float64, face: Int64) -> None:
-    """Write the places y (n,), rising, at which the section is looked at, and the faces that they lie on."""
+def _samples(vertices: Float64, middle_mm: float, low_mm: float, high_mm: float) -> tuple[Float64, Int64]:
+    """Return the places y (n,), rising, at which the section is looked at, and the faces that they lie on.
+
+    They reach a step beyond what is seen of it, from `low_mm` to `high_mm`, and stand beside every corner.
+    """
     n_inner = vertices.shape[0] - 2
-    for i in range(SAMPLES):
-        y[i] = middle_mm + HALF_SPAN_MM * (2.0 * i / (SAMPLES - 1) - 1.0)
+    first = math.floor(max(low_mm - middle_mm, -HALF_SPAN_MM) / STEP_MM)
+    n_even = max(math.ceil(min(high_mm - middle_mm, HALF_SPAN_MM) / STEP_MM) + 1 - first, 0)
+    y = np.empty(n_even + 2 * n_inner)
+    for i in range(n_even):
+        y[i] = middle_mm + STEP_MM * (first + i)
     for k in range(n_inner):
-        y[SAMPLES + 2 * k] = vertices[k + 1, 0] - BESIDE_MM
-        y[SAMPLES + 2 * k + 1] = vertices[k + 1, 0] + BESIDE_MM
+        y[n_even + 2 * k] = vertices[k + 1, 0] - BESIDE_MM
+        y[n_even + 2 * k + 1] = vertices[k + 1, 0] + BESIDE_MM
     y.sort()
-    under = 0
-    for i in range(y.shape[0]):
+    under, face = 0, np.empty(len(y), dtype=np.int64)
+    for i in range(len(y)):
         under = face_under(y[i], under, vertices)
         face[i] = under
+    return y, face
 
 
 @kernel(allocates=True)
@@ -222,8 +206,10 @@ def _expect(
     vertices: Float64,
     corrugation: Float64,
     tool_mm: Float64,
+    seen_mm: Float64,
     sheet: Sheet,
-    lens: Lens,
+    T_joint_camera: Float64,
+    lens: Intrinsics,
     material: LobeNumbers,
     along_rows: bool,
     psf_sigma_px: float,
@@ -234,16 +220,27 @@ def _expect(
 ) -> bool:
     """Write an expected stripe (n_scan,), see `expect_stripe`; False where it is out of view."""
     n_scan = position.shape[0]
-    n = SAMPLES + 2 * (vertices.shape[0] - 2)
-    y, face = np.empty(n), np.empty(n, dtype=np.int64)
-    _samples(vertices, tool_mm[1], y, face)
+    y, face = _samples(vertices, tool_mm[1], seen_mm[0], seen_mm[1])
+    n = len(y)
     at, light = np.empty((n, 2)), np.empty(n)
     places, strengths = np.empty((3, n_scan)), np.empty((3, n_scan))
     faces = np.empty((3, n_scan), dtype=np.int64)
     for side in range(3):
         shift = (side - 1.0) * sheet.sigma
         if not _cut_and_project(
-            y, face, vertices, corrugation, sheet, shift, tool_mm[0], lens, material, along_rows, at, light
+            y,
+            face,
+            vertices,
+            corrugation,
+            sheet,
+            shift,
+            tool_mm[0],
+            T_joint_camera,
+            lens,
+            material,
+            along_rows,
+            at,
+            light,
         ):
             return False
         if not _per_line(at, light, face, places[side], strengths[side], faces[side]):

@@ -55,20 +55,23 @@ class SeamHistory:
         self, station_mm: float, displacement_mm: Float64, variance_mm2: Float64
     ) -> SeamHistory:
         """Return the history with one more measurement, the oldest dropped beyond CAPACITY."""
-        kept = slice(1 - CAPACITY, None)
+        n = len(self)
+        first, last = max(n + 1 - CAPACITY, 0), n
         variance = variance_mm2 + MODEL_SIGMA_MM**2
-        if len(self) and abs(station_mm - self.stations_mm[-1]) < SPACING_MM:
-            kept = slice(-1)
-            last = self.displacements_mm[-1]
+        if n and abs(station_mm - self.stations_mm[-1]) < SPACING_MM:
+            first, last = 0, n - 1
+            latest = self.displacements_mm[-1]
             share = self.variances_mm2[-1] / (self.variances_mm2[-1] + variance)
             station_mm = float(self.stations_mm[-1] + share.mean() * (station_mm - self.stations_mm[-1]))
-            displacement_mm = last + share * (displacement_mm - last)
+            displacement_mm = latest + share * (displacement_mm - latest)
             variance = np.maximum(share * variance, MODEL_SIGMA_MM**2)
-        return SeamHistory(
-            np.append(self.stations_mm[kept], station_mm),
-            np.vstack([self.displacements_mm[kept], displacement_mm]),
-            np.vstack([self.variances_mm2[kept], variance]),
-        )
+        kept = last - first
+        stations = np.empty(kept + 1)
+        displacements, variances = np.empty((2, kept + 1, 2))
+        stations[:kept], stations[kept] = self.stations_mm[first:last], station_mm
+        displacements[:kept], displacements[kept] = self.displacements_mm[first:last], displacement_mm
+        variances[:kept], variances[kept] = self.variances_mm2[first:last], variance
+        return SeamHistory(stations, displacements, variances)
 
     def is_measured(self, station_mm: float) -> bool:
         """Say whether a station lies within the measured stretch."""
@@ -86,16 +89,9 @@ class SeamHistory:
 
     def _state_at(self, station_mm: float) -> tuple[Float64, Float64, Float64]:
         """Return the displacement, its 1 sigma and the seam's slope, (2,) each, at a station."""
-        order = np.argsort(self.stations_mm, kind="stable")
         value, sigma, slope = np.empty((3, 2))
         _condition(
-            self.stations_mm[order],
-            self.displacements_mm[order],
-            self.variances_mm2[order],
-            station_mm,
-            value,
-            sigma,
-            slope,
+            self.stations_mm, self.displacements_mm, self.variances_mm2, station_mm, value, sigma, slope
         )
         return value, sigma, slope
 
@@ -116,10 +112,11 @@ def _condition(
 ) -> None:
     """Write displacement, 1 sigma and slope (2,) at a station, as measurements at stations (n,) leave them.
 
-    The stations rise; displacements and variances are (n, 2). The last two of the states stay once the
-    station that is asked for is passed.
+    Displacements and variances are (n, 2). The last two of the states stay once the station that is asked for
+    is passed.
     """
     n = len(stations_mm)
+    order = np.argsort(stations_mm, kind="mergesort")
     decay = math.sqrt(3.0) / BEND_LENGTH_MM
     m, gain, P, A = np.empty(N_STATES), np.empty(N_STATES), np.empty((N_STATES, N_STATES)), np.empty((2, 2))
     for axis in range(2):
@@ -127,11 +124,12 @@ def _condition(
         P[:] = 0.0
         P[0, 0], P[1, 1], P[2, 2] = BEND_SIGMA_MM**2, (decay * BEND_SIGMA_MM) ** 2, WIDE_SIGMA_MM**2
         is_passed = False
-        before = min(stations_mm[0], station_mm) if n else station_mm
+        before = min(stations_mm[order[0]], station_mm) if n else station_mm
         i = 0
         while i < n or not is_passed:
-            is_query = not is_passed and (i == n or station_mm <= stations_mm[i])
-            here = station_mm if is_query else stations_mm[i]
+            at = order[min(i, n - 1)] if n else 0
+            is_query = not is_passed and (i == n or station_mm <= stations_mm[at])
+            here = station_mm if is_query else stations_mm[at]
             moved = here - before
             before = here
             if moved > 0.0:
@@ -146,8 +144,8 @@ def _condition(
                     for j in range(2):
                         P[3 + k, 3 + j] = P[k, j]
                 continue
-            spread = P[0, 0] + 2.0 * P[0, 2] + P[2, 2] + variances_mm2[i, axis]
-            innovation = displacements_mm[i, axis] - m[0] - m[2]
+            spread = P[0, 0] + 2.0 * P[0, 2] + P[2, 2] + variances_mm2[at, axis]
+            innovation = displacements_mm[at, axis] - m[0] - m[2]
             for k in range(N_STATES):
                 gain[k] = P[k, 0] + P[k, 2]
             for k in range(N_STATES):

@@ -71,7 +71,7 @@ class SensorGeometry:
         """How far the stripe moves, px, per mm of height or of lateral place, whichever is more."""
         camera = self.setup.camera
         moved = np.array([[0.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.0, 1.0, 0.0]])
-        points_camera = transform(invert(camera.T_tool_camera), sensor_point(self.setup) + moved)
+        points_camera = transform(invert(camera.T_tool_camera), self.setup.laser.point_mm + moved)
         scan_points = self.scan_points(camera.project(points_camera))
         return float(np.abs(scan_points[1:, 1] - scan_points[0, 1]).max())
 
@@ -94,14 +94,6 @@ class SensorGeometry:
     def scan_points(self, points_px: Float64) -> Float64:
         """Return (n, 2) as (scan, position) of image points (n, 2) as (u, v)."""
         return points_px if self.along_rows else points_px[:, ::-1]
-
-
-def sensor_point(setup: Setup) -> Float64:
-    """Return the point of the laser plane below the laser at tool height, tool frame, mm."""
-    x, y, _ = setup.laser.origin_in_tool_mm
-    plane = np.asarray(setup.laser.plane_in_tool)
-    point = np.array([x, y, 0.0])
-    return np.asarray(point - (plane[:3] @ point + plane[3]) * plane[:3])
 
 
 def meet_laser_plane(setup: Setup, origins_tool: Float64, rays_tool: Float64) -> Float64:

@@ -124,6 +124,9 @@ def nominal_ends(joint: Joint, T_joint_base: Float64) -> tuple[float, float]:
 
     An end that does not lie on the line's segment at that pose is infinitely far.
     """
-    points = transform(T_joint_base, np.asarray(joint.seam_in_base_mm))
-    is_first, is_last = (bool((np.abs(ends[:, 1:]) < ON_LINE_MM).all()) for ends in (points[:2], points[-2:]))
-    return float(points[0, 0]) if is_first else -math.inf, float(points[-1, 0]) if is_last else math.inf
+    line = joint.seam_in_base_mm
+    ends = transform(T_joint_base, np.array([line[0], line[1], line[-2], line[-1]])).tolist()
+    is_first, is_last = (
+        all(abs(y) < ON_LINE_MM and abs(z) < ON_LINE_MM for _, y, z in pair) for pair in (ends[:2], ends[2:])
+    )
+    return ends[0][0] if is_first else -math.inf, ends[-1][0] if is_last else math.inf

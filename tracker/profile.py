@@ -6,13 +6,14 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
 from noise_model.arc_map import Scene
 from noise_model.faces import ridge
 from noise_model.frames import Float64
 from noise_model.kernel import kernel
-from tracker.geometry import Float32, SensorGeometry
+from noise_model.laser import plane_in
+from noise_model.optics import Intrinsics, undistorted
+from tracker.geometry import SensorGeometry
 
 
 @dataclass(frozen=True)
@@ -43,94 +44,78 @@ def triangulate(
 ) -> Profile:
     """Return the profile of a stripe given per scan line (n_scan,), NaN where there is none.
 
-    The camera's ray through the stripe's centre meets the laser plane in the point; the same half a pixel
-    further says how the point moves with the centre, which is all its first-order covariance. Rays between
-    two pixels are taken from theirs. `view` should run along the seam as it is expected, for a section seen
-    askew is another section.
+    The camera's ray through the stripe's centre meets the laser plane in the point; how the point moves with
+    the centre is all its first-order covariance. `view` should run along the seam as it is expected, for a
+    section seen askew is another section.
     """
     n_scan = len(position_px)
-    points, scan = np.empty((5, n_scan)), np.empty(n_scan, dtype=np.int64)
-    T_joint_camera = view.T_joint_camera
-    plane_tool = np.asarray(geometry.setup.laser.plane_in_tool)
-    normal = view.T_joint_tool[:3, :3] @ plane_tool[:3]
-    plane_joint = np.append(normal, plane_tool[3] - normal @ view.T_joint_tool[:3, 3])
-    n = _triangulate(
-        geometry.xy,
+    points, scan = np.empty((5, n_scan)), np.empty(n_scan)
+    n, column, is_in_order = _triangulate(
         position_px,
         sigma_px,
-        np.ascontiguousarray(T_joint_camera[:3, :3]),
-        np.ascontiguousarray(T_joint_camera[:3, 3]),
-        plane_joint,
+        geometry.setup.camera.intrinsics,
+        geometry.along_rows,
+        view.T_joint_camera,
+        view.T_joint_tool,
+        geometry.setup.laser.plane,
         view.shape.corrugation,
         points,
         scan,
     )
     y, z, dy, dz, sigma = points[:, :n]
-    if (y[1:] < y[:-1]).any():
+    scan = scan[:n]
+    if not is_in_order:
         order = np.argsort(y, kind="stable")
         y, z, dy, dz, sigma = points[:, order]
-        scan[:n] = scan[order]
-    column = float(np.median(np.diff(y))) if n > 1 else np.nan
-    return Profile(y, z, dy, dz, sigma, scan[:n].astype(np.float64), column)
+        scan, column = scan[order], float(np.median(np.diff(y)))
+    return Profile(y, z, dy, dz, sigma, scan, column)
 
 
-@kernel
-def _meet(
-    x: float, y: float, R: Float64, origin: Float64, plane: Float64, corrugation: Float64
-) -> tuple[float, float]:
-    """Return (y, z), mm, joint frame, where a ray (x, y, 1) meets a plane, less a corrugation's height."""
-    d_x, d_y = R[0, 0] * x + R[0, 1] * y + R[0, 2], R[1, 0] * x + R[1, 1] * y + R[1, 2]
-    d_z = R[2, 0] * x + R[2, 1] * y + R[2, 2]
-    towards = plane[0] * d_x + plane[1] * d_y + plane[2] * d_z
-    off = plane[0] * origin[0] + plane[1] * origin[1] + plane[2] * origin[2] + plane[3]
-    # A ray that runs away from the plane meets it nowhere.
-    t = -off / towards if towards != 0.0 else -1.0
-    if not t > 0.0:
-        return np.nan, np.nan
-    height = ridge(origin[0] + t * d_x, corrugation)[0] if corrugation[0] > 0.0 else 0.0
-    return origin[1] + t * d_y, origin[2] + t * d_z - height
-
-
-@kernel
+@kernel(allocates=True)
 def _triangulate(
-    xy: Float32,
     position_px: Float64,
     sigma_px: Float64,
-    R: Float64,
-    origin: Float64,
-    plane: Float64,
+    lens: Intrinsics,
+    along_rows: bool,
+    T_joint_camera: Float64,
+    T_joint_tool: Float64,
+    plane_in_tool: Float64,
     corrugation: Float64,
     points: Float64,
-    scan: npt.NDArray[np.int64],
-) -> int:
-    """Write y, z, dy, dz and sigma (5, n) of the scan lines that hold a point, and those; return how many."""
-    n_scan = len(position_px)
-    n_pos = len(xy) // n_scan
+    scan: Float64,
+) -> tuple[int, float, bool]:
+    """Write y, z, dy, dz and sigma (5, n) of the scan lines that hold a point, and those.
+
+    Returns how many they are, the median of their spacing and whether their y rises.
+
+    A ray d from o meets the plane n.p + e = 0 in o + t d, t = -(n.o + e) / n.d. With a change of the ray by
+    d' that point moves by t (d' - d (n.d') / (n.d)).
+    """
+    R = T_joint_camera
+    nx, ny, nz, e = plane_in(T_joint_tool, plane_in_tool)
+    off = nx * R[0, 3] + ny * R[1, 3] + nz * R[2, 3] + e
     n = 0
-    for s in range(n_scan):
-        if np.isnan(position_px[s]):
+    for s in range(len(position_px)):
+        if math.isnan(position_px[s]):
             continue
-        # The centre, and half a pixel before and after.
-        y_at, z_at, y_before, z_before, y_after, z_after = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
-        for which in range(3):
-            position = position_px[s] + 0.5 * (which - 1)
-            first = min(max(int(position), 0), n_pos - 2)
-            share, pixel = position - first, s * n_pos + first
-            x = xy[pixel, 0] + share * (xy[pixel + 1, 0] - xy[pixel, 0])
-            y = xy[pixel, 1] + share * (xy[pixel + 1, 1] - xy[pixel, 1])
-            met_y, met_z = _meet(x, y, R, origin, plane, corrugation)
-            if which == 0:
-                y_before, z_before = met_y, met_z
-            elif which == 1:
-                y_at, z_at = met_y, met_z
-            else:
-                y_after, z_after = met_y, met_z
-        if np.isnan(y_before) or np.isnan(y_after):
+        u, v = (float(s), position_px[s]) if along_rows else (position_px[s], float(s))
+        x, y, x_u, x_v, y_u, y_v = undistorted(u, v, lens)
+        x_r, y_r = (x_v, y_v) if along_rows else (x_u, y_u)
+        d_x, d_y = R[0, 0] * x + R[0, 1] * y + R[0, 2], R[1, 0] * x + R[1, 1] * y + R[1, 2]
+        d_z = R[2, 0] * x + R[2, 1] * y + R[2, 2]
+        c_x, c_y = R[0, 0] * x_r + R[0, 1] * y_r, R[1, 0] * x_r + R[1, 1] * y_r
+        c_z = R[2, 0] * x_r + R[2, 1] * y_r
+        towards = nx * d_x + ny * d_y + nz * d_z
+        # A ray that runs away from the plane meets it nowhere.
+        t = -off / towards if towards != 0.0 else -1.0
+        if not t > 0.0:
             continue
-        points[0, n], points[1, n] = y_at, z_at
-        points[2, n], points[3, n] = y_after - y_before, z_after - z_before
-        points[4, n] = sigma_px[s]
-        scan[n] = s
+        turned = (nx * c_x + ny * c_y + nz * c_z) / towards
+        height, slope = ridge(R[0, 3] + t * d_x, corrugation)
+        points[0, n], points[1, n] = R[1, 3] + t * d_y, R[2, 3] + t * d_z - height
+        points[2, n] = t * (c_y - d_y * turned)
+        points[3, n] = t * (c_z - d_z * turned) - slope * t * (c_x - d_x * turned)
+        points[4, n], scan[n] = sigma_px[s], s
         n += 1
     # In order of y if the image shows it from the other side.
     flips = n > 1 and points[0, 0] > points[0, n - 1]
@@ -139,4 +124,8 @@ def _triangulate(
         scan[i], scan[j] = scan[j], scan[i]
         for row in range(5):
             points[row, i], points[row, j] = points[row, j], points[row, i]
-    return n
+    spacing = points[0, 1:n] - points[0, : max(n - 1, 0)]
+    is_in_order = True
+    for apart in spacing:
+        is_in_order &= apart >= 0.0
+    return n, np.median(spacing) if n > 1 else math.nan, is_in_order

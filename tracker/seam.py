@@ -5,15 +5,16 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from scipy.special import erf
 
 from noise_model.arc_map import Scene
-from noise_model.frames import Float64, invert, transform
+from noise_model.faces import ridge
+from noise_model.frames import Float64, transform
+from noise_model.kernel import kernel
+from noise_model.laser import plane_in
 from noise_model.setup import Setup
-from noise_model.surface import SeamLine, corrugation_height, seam_frame, seam_height_mm, section
+from noise_model.surface import SeamLine, seam_frame, seam_height_mm, section
 from tracker import flags
 from tracker.follow import SeamHistory
-from tracker.geometry import meet_laser_plane, sensor_point
 
 MIN_CROSSING = 0.3
 """The least cosine between the sheet's normal and the seam: below, it shows no section of the joint."""
@@ -28,34 +29,50 @@ MAX_HEIGHT = 2.0
 """How high the laser may stand over the surface, over its height above the tool's origin."""
 
 
-def is_rigid(T_base_tool: Float64) -> bool:
+@kernel
+def is_rotation(T: Float64) -> bool:
     """Say whether (4, 4) numbers are a pose: finite, a rotation and a displacement, nothing else."""
-    if T_base_tool.shape != (4, 4) or not np.isfinite(T_base_tool).all():
+    for i in range(3):
+        for j in range(4):
+            if not math.isfinite(T[i, j]) or (j < 3 and abs(T[i, j]) > 1.0 + ROTATION_WITHIN):
+                return False
+        for j in range(3):
+            product = T[i, 0] * T[j, 0] + T[i, 1] * T[j, 1] + T[i, 2] * T[j, 2]
+            if abs(product - (1.0 if i == j else 0.0)) > ROTATION_WITHIN:
+                return False
+    if not (T[3, 0] == 0.0 and T[3, 1] == 0.0 and T[3, 2] == 0.0 and T[3, 3] == 1.0):
         return False
-    R = T_base_tool[:3, :3]
-    if not (np.abs(R) <= 1.0 + ROTATION_WITHIN).all() or (T_base_tool[3] != (0.0, 0.0, 0.0, 1.0)).any():
-        return False
-    return bool((np.abs(R @ R.T - np.eye(3)) <= ROTATION_WITHIN).all() and np.linalg.det(R) > 0.0)
+    across = T[1, 1] * T[2, 2] - T[1, 2] * T[2, 1]
+    along = T[1, 0] * T[2, 2] - T[1, 2] * T[2, 0]
+    level = T[1, 0] * T[2, 1] - T[1, 1] * T[2, 0]
+    handed: float = T[0, 0] * across - T[0, 1] * along + T[0, 2] * level
+    return handed > 0.0
+
+
+def is_rigid(T_base_tool: Float64) -> bool:
+    """Say whether an array is a pose, whatever its shape is."""
+    return T_base_tool.shape == (4, 4) and is_rotation(np.asarray(T_base_tool, dtype=np.float64))
 
 
 def pose_flags(setup: Setup, T_base_tool: Float64) -> int:
     """Return the flags of a pose from which the joint cannot be seen, 0 where it can."""
     if not is_rigid(T_base_tool):
         return flags.POSE_REFUSED.mask
-    laser_tool = np.asarray(setup.laser.origin_in_tool_mm)
-    T_joint_tool = invert(seam_frame(setup.joint, transform(T_base_tool, laser_tool))) @ T_base_tool
-    height = float(transform(T_joint_tool, laser_tool)[2])
+    laser = setup.laser
+    laser_base = transform(T_base_tool, laser.origin_mm)
+    T_base_joint = seam_frame(setup.joint, laser_base)
+    height = float((laser_base - T_base_joint[:3, 3]) @ T_base_joint[:3, 2])
     if height <= 0.0:
         return flags.BELOW_SURFACE.mask
-    crossing = abs(float(T_joint_tool[0, :3] @ np.asarray(setup.laser.plane_in_tool[:3])))
-    if height > MAX_HEIGHT * laser_tool[2] or crossing < MIN_CROSSING:
+    crossing = abs(float(T_base_tool[:3, :3] @ laser.plane[:3] @ T_base_joint[:3, 0]))
+    if height > MAX_HEIGHT * laser.origin_in_tool_mm[2] or crossing < MIN_CROSSING:
         return flags.SEAM_OUT_OF_VIEW.mask
     return 0
 
 
 def expected_seam(setup: Setup, nominal: Scene, history: SeamHistory) -> tuple[SeamLine, Float64]:
     """Return the seam where it should meet the laser plane, and the 1 sigma (2,) of its y and z, mm."""
-    station = float(transform(nominal.T_joint_tool, sensor_point(setup))[0])
+    station = float(transform(nominal.T_joint_tool, setup.laser.point_mm)[0])
     seam, _ = history.at(station)
     # The plane may lean: the root of a groove is met elsewhere than the plate is.
     point = seam_point_tool(setup, nominal, float(seam[0]), float(seam[1]) + seam_height_mm(setup.joint))
@@ -65,8 +82,8 @@ def expected_seam(setup: Setup, nominal: Scene, history: SeamHistory) -> tuple[S
 def sources(setup: Setup, view: Scene, station: float) -> tuple[Float64, Float64]:
     """Return where camera and laser stand, (3,) mm, a corrugation's tangent plane at a station levelled."""
     corrugation = view.shape.corrugation
-    ahead, here, behind = corrugation_height(station + np.array([0.5, 0.0, -0.5]), corrugation)
-    laser_mm = transform(view.T_joint_tool, np.asarray(setup.laser.origin_in_tool_mm))
+    ahead, here, behind = (ridge(station + step, corrugation)[0] for step in (0.5, 0.0, -0.5))
+    laser_mm = transform(view.T_joint_tool, setup.laser.origin_mm)
     sources = view.T_joint_camera[:3, 3].copy(), laser_mm
     for source in sources:
         source[2] -= here + (ahead - behind) * (source[0] - station)
@@ -78,33 +95,42 @@ def seam_point_tool(setup: Setup, view: Scene, y_mm: float, z_mm: float) -> Floa
 
     `z_mm` counts from a corrugation's own height, which is added at the station that is found.
     """
-    T_tool_joint = invert(view.T_joint_tool)
-    plane = np.asarray(setup.laser.plane_in_tool)
-    direction = T_tool_joint[:3, 0]
-    x = float(transform(view.T_joint_tool, sensor_point(setup))[0])
-    point = np.zeros(3)
+    laser = setup.laser
+    return seam_point(view.T_joint_tool, laser.plane, laser.point_mm, view.shape.corrugation, y_mm, z_mm)
+
+
+@kernel(allocates=True)
+def seam_point(
+    T_joint_tool: Float64, plane_tool: Float64, start_tool: Float64, corrugation: Float64, y: float, z: float
+) -> Float64:
+    """Return `seam_point_tool`'s point, sought along the seam from where a point (3,), tool frame, lies."""
+    T = T_joint_tool
+    nx, ny, nz, e = plane_in(T, plane_tool)
+    x = T[0, 0] * start_tool[0] + T[0, 1] * start_tool[1] + T[0, 2] * start_tool[2] + T[0, 3]
     for _ in range(MOST_STEPS):
-        height = float(corrugation_height(np.array(x), view.shape.corrugation))
-        point = transform(T_tool_joint, np.array([x, y_mm, z_mm + height]))
-        step = float((plane[:3] @ point + plane[3]) / (plane[:3] @ direction))
-        if abs(step) < MET_MM:
+        met = -(ny * y + nz * (z + ridge(x, corrugation)[0]) + e) / nx
+        step = abs(met - x)
+        x = met
+        if step < MET_MM:
             break
-        x -= step
+    from_tool = (x - T[0, 3], y - T[1, 3], z + ridge(x, corrugation)[0] - T[2, 3])
+    point = np.empty(3)
+    for i in range(3):
+        point[i] = T[0, i] * from_tool[0] + T[1, i] * from_tool[1] + T[2, i] * from_tool[2]
     return point
 
 
 def seam_displacement(setup: Setup, T_joint_tool: Float64, seam_tool: Float64) -> tuple[float, Float64]:
     """Return the station of a seam point (3,), tool frame, and its displacement (2,) from the path, mm."""
     station, y, z = transform(T_joint_tool, seam_tool)
-    height = seam_height_mm(setup.joint) + float(
-        corrugation_height(station, section(setup.joint).corrugation)
-    )
+    height = seam_height_mm(setup.joint) + ridge(station, section(setup.joint).corrugation)[0]
     return float(station), np.array([y, z - height])
 
 
 def confidence(setup: Setup, sigma_mm: Float64) -> float:
     """Return the probability that errors of these 1 sigmas (n,), mm, all stay within the weld's tolerance."""
-    return float(np.prod(erf(setup.tolerance.seam_mm / (math.sqrt(2.0) * sigma_mm))))
+    within = setup.tolerance.seam_mm / math.sqrt(2.0)
+    return math.prod(1.0 if sigma == 0.0 else math.erf(within / sigma) for sigma in sigma_mm.tolist())
 
 
 def locate(
@@ -124,13 +150,45 @@ def hand_eye_variance(setup: Setup, nominal: Scene, seam_tool: Float64) -> Float
     Each of the camera's three rotations and translations is off by its 1 sigma in turn; what is seen is kept.
     """
     tolerance = setup.tolerance
-    R_tool_camera, origin = setup.camera.T_tool_camera[:3, :3], setup.camera.T_tool_camera[:3, 3]
-    seen = (seam_tool - origin) @ R_tool_camera
-    # A camera that turns by a small angle about its axes turns the ray by their cross products with it.
-    turns = math.radians(tolerance.hand_eye_deg) * np.cross(np.eye(3), seen)
-    moved = tolerance.hand_eye_mm * np.eye(3)
-    origins = origin + np.concatenate([np.zeros((3, 3)), moved]) @ R_tool_camera.T
-    rays = (seen + np.concatenate([turns, np.zeros((3, 3))])) @ R_tool_camera.T
-    met = meet_laser_plane(setup, origins, rays)
-    shifts = (met - seam_tool) @ nominal.T_joint_tool[:3, :3].T
-    return np.asarray(np.sum(shifts[:, 1:] ** 2, axis=0))
+    return moved_variance(
+        setup.camera.T_tool_camera,
+        setup.laser.plane,
+        nominal.T_joint_tool,
+        seam_tool,
+        math.radians(tolerance.hand_eye_deg),
+        tolerance.hand_eye_mm,
+    )
+
+
+@kernel(allocates=True)
+def moved_variance(
+    T_tool_camera: Float64,
+    plane_tool: Float64,
+    T_joint_tool: Float64,
+    point_tool: Float64,
+    turn: float,
+    move_mm: float,
+) -> Float64:
+    """Return the sum (2,) of a point's squared moves in y and z as the camera turns and moves about its axes.
+
+    A ray d from o meets the plane n.p + e = 0 in o + t d. If the camera turns by a small angle about one of
+    its axes a, d moves by its cross product with it; a move of the camera moves o.
+    """
+    T, n, variance = T_tool_camera, plane_tool, np.zeros(2)
+    ray, o, d, met = np.empty(3), np.empty(3), np.empty(3), np.empty(3)
+    for i in range(3):
+        ray[i] = point_tool[i] - T[i, 3]
+    for case in range(6):
+        k = case % 3
+        for i in range(3):
+            j, m = (i + 1) % 3, (i + 2) % 3
+            o[i] = T[i, 3] + (move_mm * T[i, k] if case >= 3 else 0.0)
+            d[i] = ray[i] + (turn * (T[j, k] * ray[m] - T[m, k] * ray[j]) if case < 3 else 0.0)
+        off = n[0] * o[0] + n[1] * o[1] + n[2] * o[2] + n[3]
+        t = -off / (n[0] * d[0] + n[1] * d[1] + n[2] * d[2])
+        for i in range(3):
+            met[i] = o[i] + t * d[i] - point_tool[i] if t > 0.0 else math.nan
+        for axis in range(2):
+            row = T_joint_tool[axis + 1]
+            variance[axis] += (row[0] * met[0] + row[1] * met[1] + row[2] * met[2]) ** 2
+    return variance

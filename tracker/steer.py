@@ -9,14 +9,16 @@ of range, the gate holds what was sent last, by its age, and then refuses.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, field, replace
 
 import numpy as np
 
 from noise_model.arc_map import Scene
+from noise_model.faces import ridge
 from noise_model.frames import Float64, invert
 from noise_model.setup import Setup
-from noise_model.surface import SeamLine, corrugation_height
+from noise_model.surface import SeamLine
 from tracker import flags
 from tracker.correction import STOPPED, Correction, correct
 from tracker.follow import SPACING_MM, SeamHistory
@@ -110,37 +112,39 @@ def steer(
     there = seam_at_torch(correction, history, torch_mm, ends.stretch_mm(line_mm, correction.ends_mm))
     height_mm = 0.0
     if correction.corrugation == "followed":
-        height_mm = float(corrugation_height(np.array(torch_mm), nominal.shape.corrugation))
+        height_mm = ridge(torch_mm, nominal.shape.corrugation)[0]
     corrected = correct(correction, there.displacement_mm, height_mm)
     if steering.is_stopped or there.flags & flags.FOLLOW_STOPPED.mask:
         corrected = STOPPED
     raised = there.flags
     raised |= flags.OFFSET_LIMITED.mask if corrected.is_limited else 0
     raised |= flags.FOLLOW_STOPPED.mask if corrected.is_stopped else 0
-    offset = corrected.offset_mm
-    sigma = np.where(np.isnan(offset), np.nan, there.sigma_mm)
-    steering = replace(steering, ends=ends, is_stopped=corrected.is_stopped)
+    offset = corrected.offset_mm.tolist()
+    is_known = [not math.isnan(one) for one in offset]
+    sigma = [one if known else NAN for one, known in zip(there.sigma_mm.tolist(), is_known, strict=True)]
+    steering = Steering(ends, corrected.is_stopped, steering.hand_eye_variance_mm2)
     return steering, replace(
         track,
         flags=track.flags | raised,
-        offset_y_mm=float(offset[0]),
-        offset_z_mm=float(offset[1]),
-        offset_sigma_y_mm=float(sigma[0]),
-        offset_sigma_z_mm=float(sigma[1]),
+        offset_y_mm=offset[0],
+        offset_z_mm=offset[1],
+        offset_sigma_y_mm=sigma[0],
+        offset_sigma_z_mm=sigma[1],
         offset_confidence=_confidence(setup, steering, sigma),
-        valid_at_s=NAN if np.isnan(offset).all() else track.timestamp_s,
+        valid_at_s=track.timestamp_s if any(is_known) else NAN,
         joint_start_mm=_where(ends.start),
         joint_end_mm=_where(ends.end),
     )
 
 
-def _confidence(setup: Setup, steering: Steering, sigma_mm: Float64) -> float:
+def _confidence(setup: Setup, steering: Steering, sigma_mm: list[float]) -> float:
     """Return the probability that the offsets that are known are right within the tolerance, NaN for none."""
-    known = np.isfinite(sigma_mm)
-    if not known.any():
-        return NAN
-    variance = sigma_mm**2 + np.array(steering.hand_eye_variance_mm2)
-    return confidence(setup, np.sqrt(variance[known]))
+    known = [
+        math.sqrt(sigma**2 + hand_eye)
+        for sigma, hand_eye in zip(sigma_mm, steering.hand_eye_variance_mm2, strict=True)
+        if math.isfinite(sigma)
+    ]
+    return confidence(setup, np.array(known)) if known else NAN
 
 
 def _where(change: Change) -> tuple[float, float]:

@@ -17,11 +17,14 @@ import numpy.typing as npt
 
 from noise_model.frames import Float64
 from noise_model.kernel import REDUCTION, kernel
-from tracker.stripe_path import Float32, Int64, Pair, bell
+from tracker.stripe_moments import N_PARAMETERS, moments_of, normal_equations, solve, variance_of
+from tracker.stripe_path import Float32, Int64, Pair
 
-N_PARAMETERS = 5
 WINDOW_SIGMAS = 4.0
 """The fit reads this many stripe sigmas to either side of the centre: beyond them little tells of it."""
+
+BLOCK = 8
+"""The pixels that the CPU takes at once: a window is a multiple, for a rest takes as long as several."""
 
 MOST_PIXELS = 512
 """No stripe's window is longer."""
@@ -29,8 +32,11 @@ MOST_PIXELS = 512
 MIN_PIXELS = 8
 """Fewer pixels that count tell nothing of five parameters."""
 
-MOST_STEPS, SETTLED = 12, 5e-4
+MOST_STEPS, SETTLED = 12, 5e-3
 """Gauss-Newton steps at most; one that gains less of chi2 is the last: it ends within 0.01 of a sigma."""
+
+CORE_SIGMAS, CORE_MEAN = 0.5, 0.95
+"""The first guess of an amplitude is from the pixels so near: a bell's mean there, over its top."""
 
 WIDTH_SIGMA_LN = 0.1
 """1 sigma of ln(width / predicted width): focus, plate angle."""
@@ -61,132 +67,30 @@ class LineScratch(NamedTuple):
     x: Float64
 
 
-@kernel(fastmath=REDUCTION)
-def _window(charge: Float32, background: Float32, ramp: Float32, start: float, width: float) -> Pair:
-    """Return the background's mean and a stripe's least-squares amplitude about a start, in one pass.
+@kernel
+def line_window(start: float, width: float, depth: int) -> tuple[int, int]:
+    """Return from which pixel on and before which a line of so many pixels is read for a stripe at `start`.
 
-    Both are NaN where the map or the charge is.
+    It is as many BLOCKs as hold WINDOW_SIGMAS on either side, two at least, moved where the line ends.
     """
-    inverse = np.float32(1.0 / width)
-    x0 = np.float32(start)
-    top, bottom, level = np.float32(0.0), np.float32(0.0), np.float32(0.0)
+    n = max(2, math.ceil(2.0 * WINDOW_SIGMAS * width / BLOCK)) * BLOCK
+    low = max(0, min(math.ceil(start) - n // 2, depth - n))
+    return low, min(low + n, depth)
+
+
+@kernel(fastmath=REDUCTION)
+def _start(charge: Float32, background: Float32, first: int, last: int) -> Pair:
+    """Return the background's mean and that of what stands over it from pixel `first` to before `last`.
+
+    Both are NaN where the map is.
+    """
+    level, over = np.float32(0.0), np.float32(0.0)
     for j in range(charge.shape[0]):
-        g = bell((ramp[j] - x0) * inverse)
-        top += g * (charge[j] - background[j])
-        bottom += g * g
         level += background[j]
-    return float(level / charge.shape[0]), float(top / bottom)
-
-
-@kernel(fastmath=REDUCTION)
-def _normal_equations(
-    charge: Float32,
-    background: Float32,
-    censored: npt.NDArray[np.bool_],
-    ramp: Float32,
-    x: Float64,
-    width: float,
-    shot: float,
-    dark_variance: float,
-    H: Float64,
-    g: Float64,
-) -> Pair:
-    """Write the information's lower triangle H (5, 5) and the gradient g (5,) of a line's pixels at x.
-
-    `x` holds amplitude, position over width, ln width, offset and slope times width: five numbers of alike
-    derivatives. `charge` (n,) and its like are the window's, `ramp` (n,) counts its pixels. Returns chi2 and
-    how many pixels counted. Reductions may be summed in any order, so they run 8 or 16 pixels at once.
-    """
-    zero, one = np.float32(0.0), np.float32(1.0)
-    amplitude, offset, slope = np.float32(x[0]), np.float32(x[3]), np.float32(x[4])
-    inverse, t0 = np.float32(1.0 / width), np.float32(x[1])
-    shot32, dark32 = np.float32(shot), np.float32(dark_variance)
-    h00, h10, h11, h20, h21 = zero, zero, zero, zero, zero
-    h22, h30, h31, h32, h33 = zero, zero, zero, zero, zero
-    h40, h41, h42, h43, h44 = zero, zero, zero, zero, zero
-    g0, g1, g2, g3, g4 = zero, zero, zero, zero, zero
-    chi2, used = zero, zero
-    for j in range(charge.shape[0]):
-        t = ramp[j] * inverse - t0
-        g_t = bell(t)
-        mean = amplitude * g_t + background[j] + offset + slope * t
-        residual = charge[j] - mean
-        counts = one if (not censored[j]) or residual > zero else zero
-        weight = counts / (shot32 * max(mean, zero) + dark32)
-        rise = amplitude * g_t * t
-        wider = rise * t
-        moved = rise - slope
-        w_bell, w_moved, w_wider, w_t = weight * g_t, weight * moved, weight * wider, weight * t
-        h00 += w_bell * g_t
-        h10 += w_bell * moved
-        h11 += w_moved * moved
-        h20 += w_bell * wider
-        h21 += w_moved * wider
-        h22 += w_wider * wider
-        h30 += w_bell
-        h31 += w_moved
-        h32 += w_wider
-        h33 += weight
-        h40 += w_bell * t
-        h41 += w_moved * t
-        h42 += w_wider * t
-        h43 += w_t
-        h44 += w_t * t
-        g0 += w_bell * residual
-        g1 += w_moved * residual
-        g2 += w_wider * residual
-        g3 += weight * residual
-        g4 += w_t * residual
-        chi2 += weight * residual * residual
-        used += counts
-    H[0, 0], H[1, 0], H[1, 1], H[2, 0], H[2, 1] = h00, h10, h11, h20, h21
-    H[2, 2], H[3, 0], H[3, 1], H[3, 2], H[3, 3] = h22, h30, h31, h32, h33
-    H[4, 0], H[4, 1], H[4, 2], H[4, 3], H[4, 4] = h40, h41, h42, h43, h44
-    g[0], g[1], g[2], g[3], g[4] = g0, g1, g2, g3, g4
-    return float(chi2), float(used)
-
-
-@kernel
-def _solve(H: Float64, g: Float64, step: Float64) -> bool:
-    """Solve H step = g for a symmetric H (5, 5) by Cholesky, in place; False if it is not positive.
-
-    `g` becomes the factor's inverse times g, whose square is what the step gains.
-    """
-    for i in range(N_PARAMETERS):
-        for j in range(i + 1):
-            total = H[i, j]
-            for m in range(j):
-                total -= H[i, m] * H[j, m]
-            if i == j:
-                if not total > 0.0:
-                    return False
-                H[i, i] = math.sqrt(total)
-            else:
-                H[i, j] = total / H[j, j]
-    for i in range(N_PARAMETERS):
-        total = g[i]
-        for m in range(i):
-            total -= H[i, m] * g[m]
-        g[i] = total / H[i, i]
-    for i in range(N_PARAMETERS - 1, -1, -1):
-        total = g[i]
-        for m in range(i + 1, N_PARAMETERS):
-            total -= H[m, i] * step[m]
-        step[i] = total / H[i, i]
-    return True
-
-
-@kernel
-def _variance(H: Float64, which: int, column: Float64) -> float:
-    """Return one parameter's variance, an element of the inverse, from the information's factor H (5, 5)."""
-    variance = 0.0
-    for i in range(which, N_PARAMETERS):
-        total = 1.0 if i == which else 0.0
-        for m in range(which, i):
-            total -= H[i, m] * column[m]
-        column[i] = total / H[i, i]
-        variance += column[i] * column[i]
-    return variance
+    for j in range(first, last):
+        over += charge[j] - background[j]
+    level /= np.float32(charge.shape[0])
+    return float(level), float(over / np.float32(last - first) + np.float32(0.0) * level)
 
 
 @kernel
@@ -213,33 +117,29 @@ def fit_line(
     False if there is no stripe there; what is written then is the fit that was refused, if it ran to its
     end. The position is relative to the band's start.
     """
-    depth = charge.shape[0]
-    half = WINDOW_SIGMAS * width
     middle = round(start)
-    low, high = max(0, int(start - half)), min(depth - 1, int(start + half) + 1)
-    n = high - low + 1
-    if high - low < 2.0 * width or n > MOST_PIXELS or not low < middle < high:
+    low, end = line_window(start, width, charge.shape[0])
+    n = end - low
+    if n <= 2.0 * width or n > MOST_PIXELS or not low < middle < end - 1:
         return False
-    charge, background, censored = (
-        charge[low : high + 1],
-        background[low : high + 1],
-        censored[low : high + 1],
-    )
+    charge, background, censored = charge[low:end], background[low:end], censored[low:end]
     ramp, H, g, step, x = scratch.ramp[:n], scratch.H, scratch.g, scratch.step, scratch.x
-    level, amplitude = _window(charge, background, ramp, start - low, width)
-    if not math.isfinite(amplitude):
+    core = int(CORE_SIGMAS * width) + 1
+    level, over = _start(charge, background, max(middle - core - low, 0), min(middle + core + 1 - low, n))
+    if not math.isfinite(over):
         return False
-    smooth = max(math.hypot(map_sigma * level, base_sigma), MIN_SIGMA_E)
-    sigma_b0 = math.hypot(smooth, edge_e)
-    sigma_b1 = math.hypot(smooth / CORRELATION_PX, edge_e / half)
+    smooth = max(math.sqrt((map_sigma * level) ** 2 + base_sigma**2), MIN_SIGMA_E)
+    sigma_b0 = math.sqrt(smooth**2 + edge_e**2)
+    sigma_b1 = math.sqrt((smooth / CORRELATION_PX) ** 2 + (edge_e / (WINDOW_SIGMAS * width)) ** 2)
 
     ln_w0 = math.log(width)
     position, ln_w, w, unit, b1 = start - low, ln_w0, width, width, 0.0
-    x[0], x[3] = max(amplitude, 1.0), 0.0
+    x[0], x[3] = max(over / CORE_MEAN, 1.0), 0.0
     chi2, used = 0.0, 0.0
     for _ in range(MOST_STEPS):
         x[1], x[2], x[4] = position / w, ln_w, b1 * w
-        chi2, used = _normal_equations(charge, background, censored, ramp, x, w, shot, dark_variance, H, g)
+        moments = moments_of(charge, background, censored, ramp, x, w, shot, dark_variance)
+        normal_equations(moments, x, H, g)
         off = (ln_w - ln_w0) / WIDTH_SIGMA_LN
         known_b0, known_b1 = 1.0 / sigma_b0**2, 1.0 / (sigma_b1 * w) ** 2
         H[2, 2] += 1.0 / WIDTH_SIGMA_LN**2
@@ -248,8 +148,10 @@ def fit_line(
         g[3] -= x[3] * known_b0
         H[4, 4] += known_b1
         g[4] -= x[4] * known_b1
-        chi2 += off * off + x[3] * x[3] * known_b0 + x[4] * x[4] * known_b1
-        if used < MIN_PIXELS or not _solve(H, g, step):
+        used = float(moments.used)
+        chi2 = float(moments.chi2) + off * off + x[3] * x[3] * known_b0 + x[4] * x[4] * known_b1
+        gained = solve(H, g, step)
+        if used < MIN_PIXELS or math.isnan(gained):
             return False
         x[0] = max(x[0] + step[0], 0.1 * x[0])
         position += min(max(step[1], -1.0), 1.0) * w
@@ -259,12 +161,9 @@ def fit_line(
         unit, w = w, math.exp(ln_w)
         if not 0.0 < position < n - 1 or abs(ln_w - ln_w0) > 1.0:
             return False
-        gained = 0.0
-        for i in range(N_PARAMETERS):
-            gained += g[i] * g[i]
         if gained < SETTLED:
             break
-    variance_a, variance_x = _variance(H, 0, g), _variance(H, 1, g) * unit * unit
+    variance_a, variance_x = variance_of(H, 0, g), variance_of(H, 1, g) * unit * unit
     # Three of the five parameters brought a prior, whose term is counted too.
     freedom = used - 2.0
     chi2 /= freedom

@@ -7,7 +7,8 @@ import scenes
 from hypothesis import given
 from hypothesis import strategies as st
 
-from noise_model.laser import Laser, irradiance
+from noise_model.frames import pose_matrix, transform
+from noise_model.laser import Laser, irradiance, plane_in
 
 LASER = scenes.setup("flat").laser
 UP = np.array([[0.0, 0.0, 1.0]])
@@ -100,3 +101,19 @@ def test_a_laser_that_cannot_be_names_its_key(key, value):
 
 def test_a_laser_is_what_it_was_told():
     assert Laser(690.0, (1.0, 0.0, 0.0, -35.0), (35.0, 0.0, 140.0), 0.45, 5000.0) == LASER
+
+
+def test_a_planes_points_lie_on_it_in_another_frame():
+    T_a_b = pose_matrix((3.0, -7.0, 11.0), (0.1, -0.3, 0.3, 0.9))
+    normal = np.array([0.6, 0.0, 0.8])
+    points_b = -5.0 * normal + np.outer([1.0, -4.0, 9.0], [0.8, 2.0, -0.6])
+    plane_a = np.array(plane_in(T_a_b, np.array([*normal, 5.0])))
+    np.testing.assert_allclose(transform(T_a_b, points_b) @ plane_a[:3] + plane_a[3], 0.0, atol=1e-12)
+    np.testing.assert_allclose(plane_a[:3], T_a_b[:3, :3] @ normal, atol=1e-12)
+
+
+def test_the_point_below_the_laser_lies_on_its_plane():
+    point = LASER.point_mm
+    assert point @ LASER.plane[:3] + LASER.plane[3] == pytest.approx(0.0, abs=1e-12)
+    below = np.array([*LASER.origin_in_tool_mm[:2], 0.0])
+    np.testing.assert_allclose(np.cross(point - below, LASER.plane[:3]), 0.0, atol=1e-12)

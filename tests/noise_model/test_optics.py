@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from noise_model.optics import Camera, Rays, blur
+from noise_model.optics import Camera, Rays, blur, undistorted
 
 CAMERA = Camera(
     width=64,
@@ -42,6 +42,19 @@ def test_a_coarser_pixel_looks_where_its_fine_ones_do_on_average(by):
     np.testing.assert_allclose(
         coarse.normalised(all_pixels(coarse)), whole.mean(axis=(1, 3)).reshape(-1, 2), atol=1e-12
     )
+
+
+@pytest.mark.parametrize("camera", [CAMERA, PLAIN], ids=["distorted", "plain"])
+def test_undistorted_is_opencvs_ray_and_knows_how_it_turns(camera):
+    step = 1e-4
+    for u, v in all_pixels(camera)[::97]:
+        x, y, x_u, x_v, y_u, y_v = undistorted(u, v, camera.intrinsics)
+        np.testing.assert_allclose([[x, y]], camera.normalised([[u, v]]), atol=1e-9)
+        left, right, up, down = camera.normalised(
+            [[u - step, v], [u + step, v], [u, v - step], [u, v + step]]
+        )
+        np.testing.assert_allclose([x_u, y_u], (right - left) / (2.0 * step), atol=1e-7)
+        np.testing.assert_allclose([x_v, y_v], (down - up) / (2.0 * step), atol=1e-7)
 
 
 @given(st.floats(-0.3, 0.3), st.floats(-0.25, 0.25), st.floats(1.0, 500.0))

@@ -10,7 +10,7 @@ from noise_model.frames import Float64, invert, transform
 from noise_model.setup import Setup
 from noise_model.stripe import reflected_sheet_plain
 from noise_model.surface import corrugation_height
-from tracker.expected import HALF_SPAN_MM, SAMPLES, ExpectedStripe
+from tracker.expected import HALF_SPAN_MM, STEP_MM, ExpectedStripe
 from tracker.geometry import SensorGeometry
 
 
@@ -80,7 +80,7 @@ def _cut(
     d = plane_tool[3] - n @ t - shift_mm
     vertices, corrugation = view.shape.vertices, view.shape.corrugation
     corners = np.unique(vertices[1:-1, 0])
-    reach = np.linspace(t[1] - HALF_SPAN_MM, t[1] + HALF_SPAN_MM, SAMPLES)
+    reach = t[1] + np.arange(-HALF_SPAN_MM, HALF_SPAN_MM + STEP_MM, STEP_MM)
     y = np.sort(np.concatenate([reach, corners - 1e-6, corners + 1e-6]))
     plain = np.interp(y, vertices[:, 0], vertices[:, 1])
     x = np.full_like(y, t[0])

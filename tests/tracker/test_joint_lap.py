@@ -4,11 +4,15 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 from profiles import COLUMN_MM, lap, measure, only, spoil
 
 from noise_model.surface import Joint
 from tracker.joint import MeasuredJoint, fit_joint
-from tracker.joint.measured import SIGMA_FLOOR_PX
+from tracker.joint.lap import CLEAR_OF_EDGE_MM, Sheets, clear_of_edge, near_sheets, share_off
+from tracker.joint.measured import OFF_SIGMAS, SIGMA_FLOOR_PX, count_with_floor, typical_mm
+from tracker.joint.upright_edge import hidden_strip, neighbours_of_edge
 
 LINE = ((-100.0, 0.0, 0.0), (100.0, 0.0, 0.0))
 STATED = Joint("lap", {"thickness_mm": 2.0}, LINE)
@@ -108,3 +112,63 @@ def test_a_flat_plate_is_no_lap() -> None:
     for _ in range(10):
         found = fit(measure(np.array([(-60.0, 0.0), (60.0, 0.0)]), (0.0, 0.0), rng))
         assert found is None or found.chi2 > 9.0
+
+
+@settings(deadline=None, max_examples=60)
+@given(st.integers(0, 2**32 - 1), st.integers(1, 40))
+def test_an_edges_neighbours_are_their_twins(seed: int, n: int) -> None:
+    rng = np.random.default_rng(seed)
+    y, which = np.sort(rng.uniform(-3.0, 3.0, n)), rng.integers(0, 3, n)
+    before, behind = which == 0, which == 1
+    found = neighbours_of_edge(y, before, behind)
+    # A change at each place: who stands on his own side of it, and who does not.
+    right = [before[: i + 1].sum() - behind[: i + 1].sum() for i in range(n)]
+    best = np.flatnonzero(np.array(right) == max(right))
+    last, first = y[: best[0] + 1][before[: best[0] + 1]], y[best[-1] + 1 :][behind[best[-1] + 1 :]]
+    if len(last) and len(first):
+        assert found == (last[-1], first[0])
+    else:
+        assert np.isnan(found).all()
+
+
+@settings(deadline=None, max_examples=30)
+@given(st.integers(0, 2**32 - 1))
+def test_what_lies_on_which_sheet_is_its_twin(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    profile = spoil(measure(lap(2.1, 0.01, -0.02), (0.3, 0.2), rng), 0.1, rng)
+    y, z = profile.y_mm, profile.z_mm
+    sheets = Sheets(float(rng.uniform(-1.0, 1.0)), 0.2, 2.1, 0.01, -0.02)
+    edge = sheets.y + float(rng.normal(0.0, 0.1))
+    clear, upper, lower = np.empty((3, len(y)), dtype=bool)
+    before, behind = clear_of_edge(y, sheets.y, clear)
+    np.testing.assert_array_equal(clear, np.abs(y - sheets.y) > CLEAR_OF_EDGE_MM)
+    assert (before, behind) == ((clear & (y < sheets.y)).sum(), (clear & (y > sheets.y)).sum())
+    near_sheets(y, z, sheets, upper, lower)
+    off_upper = np.abs(z - np.polyval([-0.02, 2.3], y - sheets.y))
+    off_lower = np.abs(z - np.polyval([0.01, 0.2], y - sheets.y))
+    near = np.abs(y - sheets.y) < 2.0
+    np.testing.assert_array_equal(upper, near & (off_upper < 0.25 * 2.1))
+    np.testing.assert_array_equal(lower, near & (off_lower < 0.25 * 2.1))
+    sigma = np.abs(profile.dz_mm) * np.hypot(profile.sigma_px, SIGMA_FLOOR_PX)
+    off = np.where(y < edge, off_upper, off_lower) > OFF_SIGMAS * sigma
+    share = share_off(y, z, profile.dz_mm, profile.sigma_px, sheets, edge)
+    assert share == pytest.approx(off[near].mean())
+
+
+@settings(deadline=None, max_examples=30)
+@given(st.integers(0, 2**32 - 1), st.integers(1, 60))
+def test_what_points_may_be_off_is_its_twin(seed: int, n: int) -> None:
+    rng = np.random.default_rng(seed)
+    sigma_px, dz, used = rng.uniform(0.0, 0.3, n), rng.normal(0.0, 0.1, n), rng.random(n) < 0.7
+    used[rng.integers(n)] = True
+    sigma = np.empty(n)
+    assert count_with_floor(sigma_px, used, sigma) == used.sum()
+    np.testing.assert_allclose(sigma, np.hypot(sigma_px, SIGMA_FLOOR_PX))
+    assert typical_mm(dz, sigma, used) == pytest.approx(np.median((np.abs(dz) * sigma)[used]))
+
+
+def test_an_edge_hides_what_its_shadow_covers() -> None:
+    # A ray from (-4, 12) over the edge at (1, 2) falls 10 mm on its way 5 mm to the right: half of that.
+    assert hidden_strip(np.array([7.0, -4.0, 12.0]), 1.0, 2.0, 2.0) == pytest.approx(1.0)
+    assert hidden_strip(np.array([7.0, 4.0, 12.0]), 1.0, 2.0, 2.0) == 0.0
+    assert hidden_strip(np.array([7.0, -4.0, 2.0]), 1.0, 2.0, 2.0) == np.inf

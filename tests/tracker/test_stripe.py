@@ -12,13 +12,15 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from tracker.stripe_fit import (
+    BLOCK,
     CORRELATION_PX,
     WIDTH_SIGMA_LN,
     WINDOW_SIGMAS,
-    _solve,
     fit_lines,
+    line_window,
     map_edge,
 )
+from tracker.stripe_moments import moments_of, normal_equations, solve, variance_of
 from tracker.stripe_path import bell as bell_of
 from tracker.stripe_path import best_path, matched_filter, peaks
 
@@ -174,16 +176,64 @@ def test_solve_is_the_linear_solver(seed: int, decades: float) -> None:
     scale = 10.0 ** np.linspace(0.0, decades, 5)
     H = (root @ root.T + 0.1 * np.eye(5)) * np.outer(scale, scale)
     g, step = scale * rng.normal(0.0, 1.0, 5), np.empty(5)
-    whitened = g.copy()
-    assert _solve(H.copy(), whitened, step)
+    factors = H.copy()
+    gained = solve(factors, g.copy(), step)
     exact = np.linalg.solve(H, g)
     np.testing.assert_allclose(step * scale, exact * scale, rtol=1e-6, atol=1e-6)
-    assert whitened @ whitened == pytest.approx(g @ exact, rel=1e-6)
+    assert gained == pytest.approx(g @ exact, rel=1e-6)
+    for which in range(5):
+        variance = variance_of(factors, which, np.empty(5))
+        assert variance == pytest.approx(np.linalg.inv(H)[which, which], rel=1e-6)
 
 
 def test_solve_refuses_what_is_not_positive() -> None:
-    assert not _solve(np.diag([1.0, 1.0, -1.0, 1.0, 1.0]), np.ones(5), np.empty(5))
-    assert not _solve(np.zeros((5, 5)), np.ones(5), np.empty(5))
+    assert math.isnan(solve(np.diag([1.0, 1.0, -1.0, 1.0, 1.0]), np.ones(5), np.empty(5)))
+    assert math.isnan(solve(np.zeros((5, 5)), np.ones(5), np.empty(5)))
+
+
+@settings(deadline=None, max_examples=40)
+@given(seeds, st.floats(1.5, 8.0), st.sampled_from([0.0, 1.0]))
+def test_the_normal_equations_are_those_of_numerical_derivatives(
+    seed: int, width: float, shot: float
+) -> None:
+    rng = np.random.default_rng(seed)
+    n = int(rng.integers(8, 60))
+    r, background = np.arange(n, dtype=np.float64), rng.uniform(0.0, 4000.0, n)
+    # Amplitude, position over width, ln width, offset, slope times width.
+    x = np.array([rng.uniform(500.0, 9000.0), n / 2.0 / width, math.log(width), *rng.normal(0.0, 200.0, 2)])
+
+    def mean(x: Float64) -> Float64:
+        away = r - x[1] * width
+        slope = x[4] / width
+        return x[0] * np.exp(-0.5 * (away / np.exp(x[2])) ** 2) + background + x[3] + slope * away
+
+    charge, censored = mean(x) + rng.normal(0.0, 100.0, n), rng.random(n) < 0.2
+    steps = 1e-5 * np.diag(np.maximum(np.abs(x), 1.0))
+    J = np.stack([(mean(x + step) - mean(x - step)) / (2.0 * step.sum()) for step in steps], axis=1)
+    residual = charge - mean(x)
+    counts = ~censored | (residual > 0.0)
+    weight = counts / (shot * np.maximum(mean(x), 0.0) + DARK)
+    H, g = np.zeros((5, 5)), np.empty(5)
+    single = (charge.astype(np.float32), background.astype(np.float32), censored, r.astype(np.float32))
+    moments = moments_of(*single, x, width, shot, DARK)
+    normal_equations(moments, x, H, g)
+    exact = J.T @ (weight[:, None] * J)
+    scale = np.sqrt(np.diag(exact))
+    np.testing.assert_allclose(H / np.outer(scale, scale), np.tril(exact / np.outer(scale, scale)), atol=1e-4)
+    off = math.sqrt(np.sum(weight * residual**2))
+    np.testing.assert_allclose(g / scale / off, J.T @ (weight * residual) / scale / off, atol=1e-4)
+    assert moments.chi2 == pytest.approx(off**2, rel=1e-3)
+    assert moments.used == counts.sum()
+
+
+@given(st.floats(-20.0, 120.0), st.floats(0.5, 12.0), st.integers(2, 150))
+def test_a_window_holds_the_stripe_in_whole_blocks(start: float, width: float, depth: int) -> None:
+    low, end = line_window(start, width, depth)
+    assert 0 <= low < end <= depth
+    assert end - low == depth or (end - low) % BLOCK == 0
+    reach = WINDOW_SIGMAS * width
+    assert low <= max(0.0, start - reach + 1.0)
+    assert end >= min(depth, start + reach)
 
 
 @settings(deadline=None, max_examples=40)
@@ -222,10 +272,8 @@ def test_the_fit_is_the_most_likely_one(
         return
     assert saturated[0] == censored.any()
     start = int(lines.start[0])
-    window = (
-        max(0, math.floor(start - WINDOW_SIGMAS * width)),
-        min(len(tilt) - 1, math.floor(start + WINDOW_SIGMAS * width) + 1),
-    )
+    low, end = line_window(start, width, len(tilt))
+    window = (low, end - 1)
     model = twins.LineModel(
         charge[0], background[0], censored[0], width, DARK, MAP_SIGMA, BASE_SIGMA, 0.0, window
     )

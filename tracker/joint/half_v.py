@@ -56,7 +56,7 @@ def fit_half_v(profile: Profile, joint: Joint, camera_mm: Float64, laser_mm: Flo
     if fit is None:
         return None
     beside = _beside_the_upright(profile, fit, float(start[-1]))
-    if beside is None:
+    if math.isnan(beside[0]):
         return None
     hidden = max(hidden_strip(source, start[-1], z_0 + depth, depth) for source in (camera_mm, laser_mm))
     last, first = beside[0], beside[1] - hidden
@@ -84,8 +84,8 @@ def fit_half_v(profile: Profile, joint: Joint, camera_mm: Float64, laser_mm: Flo
     return _measured(fit, wall, max(abs(first - last), profile.column_mm) ** 2 / 12.0, left_out)
 
 
-def _beside_the_upright(profile: Profile, fit: ShapeFit, wall: float) -> tuple[float, float] | None:
-    """Return the last point of the right plate and the first one in the groove beside an upright side."""
+def _beside_the_upright(profile: Profile, fit: ShapeFit, wall: float) -> tuple[float, float]:
+    """Return the last point of the right plate and the first in the groove beside an upright side, or NaN."""
     p = fit.parameters
     y = profile.y_mm - wall
     over_plate = profile.z_mm - (p[ROOT] + p[DEPTH_RIGHT] + p[SLOPE_RIGHT] * y)

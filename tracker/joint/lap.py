@@ -3,18 +3,21 @@
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
 import numpy as np
+import numpy.typing as npt
 
 from noise_model.frames import Float64
+from noise_model.kernel import kernel
 from noise_model.surface import Joint, section
 from tracker.joint.measured import (
     OFF_SIGMAS,
+    SIGMA_FLOOR_PX,
     JointShape,
     MeasuredJoint,
     angles_of,
     fit_shape,
-    off_line,
     place,
     section_of,
 )
@@ -22,9 +25,17 @@ from tracker.joint.section_shapes import SHEETS
 from tracker.joint.upright_edge import hidden_strip, neighbours_of_edge
 from tracker.profile import Profile
 
+Bool = npt.NDArray[np.bool_]
+
 SEARCH_STEP_MM = 0.1
 CLEAR_OF_EDGE_MM = 0.4
 """Points nearer to the edge than this may belong to either sheet and wait for the sheets' lines."""
+
+LEAST_POINTS = 10
+"""So many points of either sheet must be seen clear of the edge."""
+
+NEAR_MM, ON_SHEET = 2.0, 0.25
+"""Points so near to the edge are asked which sheet they lie on: this share of the step off it at most."""
 
 PRIOR_SIGMA = np.array([5.0, 0.5, 0.03, 0.03])
 """1 sigma of the lower sheet's height, the step (mm), both sheets' slopes."""
@@ -39,22 +50,17 @@ def fit_lap(profile: Profile, joint: Joint, camera_mm: Float64, laser_mm: Float6
     """
     thickness = joint.dimensions["thickness_mm"]
     y_0, z_0 = place(profile, section(joint).vertices, SEARCH_STEP_MM, 0.25 * thickness)
-    clear = np.abs(profile.y_mm - y_0) > CLEAR_OF_EDGE_MM
-    upper, lower = clear & (profile.y_mm < y_0), clear & (profile.y_mm > y_0)
-    if upper.sum() < 10 or lower.sum() < 10:
+    clear, on_upper, on_lower = np.empty((3, len(profile.y_mm)), dtype=np.bool_)
+    if min(clear_of_edge(profile.y_mm, y_0, clear)) < LEAST_POINTS:
         return None
     shape = fit_shape(profile, SHEETS, np.array([z_0, thickness, 0.0, 0.0, y_0]), PRIOR_SIGMA, clear)
     if shape is None:
         return None
-    z_s, step, slope_lower, slope_upper = (float(p) for p in shape.parameters)
-    y = profile.y_mm - y_0
-    over_lower = profile.z_mm - (z_s + slope_lower * y)
-    over_upper = profile.z_mm - (z_s + step + slope_upper * y)
-    near = np.abs(y) < 5.0 * CLEAR_OF_EDGE_MM
-    on_upper = near & (np.abs(over_upper) < 0.25 * step)
-    on_lower = near & (np.abs(over_lower) < 0.25 * step)
+    z_s, step, slope_lower, slope_upper = shape.parameters.tolist()
+    sheets = Sheets(y_0, z_s, step, slope_lower, slope_upper)
+    near_sheets(profile.y_mm, profile.z_mm, sheets, on_upper, on_lower)
     beside = neighbours_of_edge(profile.y_mm, on_upper, on_lower)
-    if beside is None:
+    if math.isnan(beside[0]):
         return None
     # The upper sheet is seen up to its edge; of the lower one the edge may hide a strip from camera or laser.
     hidden = max(hidden_strip(source, y_0, z_s + step, step) for source in (camera_mm, laser_mm))
@@ -63,9 +69,8 @@ def fit_lap(profile: Profile, joint: Joint, camera_mm: Float64, laser_mm: Float6
     spread = max(abs(first_lower - last_upper), profile.column_mm)
     z_edge = z_s + slope_lower * (edge - y_0)
     at_edge = np.array([1.0, 0.0, edge - y_0, 0.0])
-    covariance = np.diag([spread**2 / 12.0, float(at_edge @ shape.covariance @ at_edge)])
-    over = np.where(profile.y_mm < edge, z_s + step + slope_upper * y, z_s + slope_lower * y)
-    left_out = float(np.mean(np.abs(off_line(profile, over))[near] > OFF_SIGMAS))
+    covariance = np.array([[spread**2 / 12.0, 0.0], [0.0, float(at_edge @ shape.covariance @ at_edge)]])
+    left_out = share_off(profile.y_mm, profile.z_mm, profile.dz_mm, profile.sigma_px, sheets, edge)
     plates, plate_sigmas = angles_of(shape, 2, 3)
     step += (slope_upper - slope_lower) * (edge - y_0)
     of_step = np.array([0.0, 1.0, y_0 - edge, edge - y_0])
@@ -81,3 +86,57 @@ def fit_lap(profile: Profile, joint: Joint, camera_mm: Float64, laser_mm: Float6
         left_out,
         section_of(SHEETS, shape, (edge,)),
     )
+
+
+class Sheets(NamedTuple):
+    """Two sheets' lines: the upper one before y, whose z is z + step there, and the lower one behind it."""
+
+    y: float
+    z: float
+    step: float
+    slope_lower: float
+    slope_upper: float
+
+
+@kernel
+def clear_of_edge(y_mm: Float64, edge_mm: float, clear: Bool) -> tuple[int, int]:
+    """Say of each point (n,) whether it lies clear of an edge; return how many do before and behind it."""
+    before, behind = 0, 0
+    for i in range(y_mm.shape[0]):
+        off = y_mm[i] - edge_mm
+        clear[i] = abs(off) > CLEAR_OF_EDGE_MM
+        before += off < -CLEAR_OF_EDGE_MM
+        behind += off > CLEAR_OF_EDGE_MM
+    return before, behind
+
+
+@kernel
+def near_sheets(y_mm: Float64, z_mm: Float64, sheets: Sheets, on_upper: Bool, on_lower: Bool) -> None:
+    """Say of each point (n,) whether it lies near the edge and on the upper or on the lower sheet."""
+    for i in range(y_mm.shape[0]):
+        y, limit = y_mm[i] - sheets.y, ON_SHEET * sheets.step
+        over = z_mm[i] - sheets.z
+        is_near = abs(y) < NEAR_MM
+        on_upper[i] = is_near and abs(over - sheets.step - sheets.slope_upper * y) < limit
+        on_lower[i] = is_near and abs(over - sheets.slope_lower * y) < limit
+
+
+@kernel
+def share_off(
+    y_mm: Float64, z_mm: Float64, dz_mm: Float64, sigma_px: Float64, sheets: Sheets, edge_mm: float
+) -> float:
+    """Return the share of the points near the edge that lie off the sheet of their side, 1 without any.
+
+    Off is more than OFF_SIGMAS of their own height.
+    """
+    near, off = 0, 0
+    for i in range(y_mm.shape[0]):
+        y = y_mm[i] - sheets.y
+        if abs(y) >= NEAR_MM:
+            continue
+        on_upper = y_mm[i] < edge_mm
+        line = sheets.z + (sheets.step + sheets.slope_upper * y if on_upper else sheets.slope_lower * y)
+        sigma = abs(dz_mm[i]) * math.sqrt(sigma_px[i] ** 2 + SIGMA_FLOOR_PX**2)
+        near += 1
+        off += abs(z_mm[i] - line) > OFF_SIGMAS * sigma
+    return off / near if near else 1.0

@@ -9,6 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from noise_model.frames import Float64
+from noise_model.kernel import kernel
 from tracker.joint.section_fit import best_shift, fit_section
 from tracker.joint.section_shapes import N_CORNERS, corners_of, opening
 from tracker.profile import Profile
@@ -24,6 +25,9 @@ LEFT_OUT = 0.1
 
 OFF_SIGMAS = 5.0
 """A point farther than this off a sheet is not of the sheet's own surface."""
+
+LEAST_UNIT_MM = 1e-6
+"""No point's height is known better."""
 
 PLACED_BY = 160
 """So many of a profile's points, evenly chosen, place a section."""
@@ -103,14 +107,12 @@ def fit_shape(
     A point may lie `start_sigma_mm` off the start. None where fewer points are `used` than the parameters
     need, and where the fit runs away. What `start` has beyond `prior_sigma` (p,) stays as it is.
     """
-    sigma = np.hypot(profile.sigma_px, SIGMA_FLOOR_PX)
+    n, sigma, weights = len(prior_sigma), np.empty(len(profile.y_mm)), np.empty(len(profile.y_mm))
     mask = np.ones(len(profile.y_mm), dtype=bool) if used is None else used
-    n = len(prior_sigma)
-    if mask.sum() < n + 3:
+    if count_with_floor(profile.sigma_px, mask, sigma) < n + 3:
         return None
     parameters, covariance = start.copy(), np.empty((n, n))
-    weights = np.empty(len(profile.y_mm))
-    wide = start_sigma_mm / max(float(np.median((np.abs(profile.dz_mm) * sigma)[mask])), 1e-6)
+    wide = start_sigma_mm / max(typical_mm(profile.dz_mm, sigma, mask), LEAST_UNIT_MM)
     chi2 = fit_section(
         shape,
         profile.y_mm,
@@ -128,6 +130,27 @@ def fit_shape(
     if not math.isfinite(chi2):
         return None
     return ShapeFit(parameters[:n], covariance, chi2, weights)
+
+
+@kernel
+def count_with_floor(sigma_px: Float64, used: npt.NDArray[np.bool_], sigma: Float64) -> int:
+    """Write stripe centres' 1 sigma (n,) with what they may be off beyond it; return how many are used."""
+    count = 0
+    for i in range(sigma_px.shape[0]):
+        sigma[i] = math.sqrt(sigma_px[i] ** 2 + SIGMA_FLOOR_PX**2)
+        count += used[i]
+    return count
+
+
+@kernel(allocates=True)
+def typical_mm(dz_mm: Float64, sigma_px: Float64, used: npt.NDArray[np.bool_]) -> float:
+    """Return the median height, mm, by which used points (n,) move with their centres' 1 sigma."""
+    moves, count = np.empty(dz_mm.shape[0]), 0
+    for i in range(dz_mm.shape[0]):
+        if used[i]:
+            moves[count] = abs(dz_mm[i]) * sigma_px[i]
+            count += 1
+    return float(np.median(moves[:count]))
 
 
 def place(profile: Profile, corners: Float64, step_mm: float, limit_mm: float) -> tuple[float, float]:
@@ -166,11 +189,15 @@ def unexplained(profile: Profile, fit: ShapeFit, y_mm: float, reach_mm: float) -
 
 def angles_of(fit: ShapeFit, left: int, right: int) -> tuple[Pair, Pair]:
     """Return the angles, deg, whose tangents are two of a fit's parameters, and their 1 sigma."""
-    tangents = fit.parameters[left], fit.parameters[right]
-    sigmas = math.sqrt(fit.covariance[left, left]), math.sqrt(fit.covariance[right, right])
-    first, second = (math.degrees(math.atan(t)) for t in tangents)
-    of_first, of_second = (math.degrees(s / (1.0 + t * t)) for t, s in zip(tangents, sigmas, strict=True))
-    return (first, second), (of_first, of_second)
+    first, first_sigma = _angle_of(fit, left)
+    second, second_sigma = _angle_of(fit, right)
+    return (first, second), (first_sigma, second_sigma)
+
+
+def _angle_of(fit: ShapeFit, which: int) -> Pair:
+    """Return the angle, deg, whose tangent is one of a fit's parameters, and its 1 sigma."""
+    tangent, variance = float(fit.parameters[which]), float(fit.covariance[which, which])
+    return math.degrees(math.atan(tangent)), math.degrees(math.sqrt(variance) / (1.0 + tangent * tangent))
 
 
 def opening_of(shape: int, fit: ShapeFit, fixed: tuple[float, ...] = (), fixed_variance: float = 0.0) -> Pair:
@@ -178,11 +205,11 @@ def opening_of(shape: int, fit: ShapeFit, fixed: tuple[float, ...] = (), fixed_v
 
     `fixed` are the parameters that were not fitted, the last one of them with a variance of its own.
     """
-    p = np.append(fit.parameters, fixed)
-    gradient = np.zeros(len(p))
+    p = np.concatenate([fit.parameters, fixed])
+    gradient = np.empty(len(p))
     area = opening(shape, p, gradient)
-    n = len(fit.parameters)
-    variance = gradient[:n] @ fit.covariance @ gradient[:n]
+    fitted = gradient[: len(fit.parameters)]
+    variance = float(fitted @ fit.covariance @ fitted)
     if fixed:
         variance += gradient[-1] ** 2 * fixed_variance
     return area, math.sqrt(variance)
@@ -191,5 +218,5 @@ def opening_of(shape: int, fit: ShapeFit, fixed: tuple[float, ...] = (), fixed_v
 def section_of(shape: int, fit: ShapeFit, fixed: tuple[float, ...] = ()) -> Float64:
     """Return the corners (n, 2) of a fitted shape, `fixed` its parameters that were not fitted."""
     corners = np.empty((N_CORNERS[shape], 2))
-    corners_of(shape, np.append(fit.parameters, fixed), corners)
+    corners_of(shape, np.concatenate([fit.parameters, fixed]), corners)
     return corners

@@ -17,7 +17,7 @@ import numpy.typing as npt
 
 from noise_model.faces import face_under, slope_across
 from noise_model.frames import Float64
-from noise_model.kernel import kernel
+from noise_model.kernel import REDUCTION, kernel
 from tracker.joint.section_shapes import N_CORNERS, corners_of
 
 STEP = 1e-6
@@ -37,28 +37,106 @@ LEAST_ALONG_MM = 1e-6
 
 
 @kernel
+def _first_of_faces(y: Float64, corners: Float64, first: npt.NDArray[np.int64]) -> None:
+    """Write the first point, y rising, of each face (n_faces,), and behind the last one's last."""
+    i = 0
+    for k in range(len(first) - 1):
+        while k > 0 and i < len(y) and y[i] < corners[k, 0]:
+            i += 1
+        first[k] = i
+    first[-1] = len(y)
+
+
+@kernel(fastmath=REDUCTION)
 def _residuals(
     y: Float64,
     z: Float64,
     dy: Float64,
     dz: Float64,
     sigma: Float64,
-    corners: Float64,
+    corner: tuple[float, float],
+    slope: float,
     r: Float64,
     unit: Float64,
-    face: npt.NDArray[np.int64],
 ) -> None:
-    """Write how far each point's centre lies off its face, in its sigmas, that unit in mm, and the face."""
-    k = 0
+    """Write how far each centre of a face's points (n,) lies off it, in its sigmas, and that unit in mm."""
     for i in range(y.shape[0]):
-        k = face_under(y[i], k, corners)
-        slope = slope_across(k, corners)
         along = dz[i] - slope * dy[i]
-        if abs(along) < LEAST_ALONG_MM:
-            along = LEAST_ALONG_MM
+        along = LEAST_ALONG_MM if abs(along) < LEAST_ALONG_MM else along
         unit[i] = along * sigma[i]
-        r[i] = (z[i] - corners[k, 1] - slope * (y[i] - corners[k, 0])) / unit[i]
-        face[i] = k
+        r[i] = (z[i] - corner[1] - slope * (y[i] - corner[0])) / unit[i]
+
+
+@kernel
+def _all_residuals(
+    y: Float64,
+    z: Float64,
+    dy: Float64,
+    dz: Float64,
+    sigma: Float64,
+    corners: Float64,
+    first: npt.NDArray[np.int64],
+    r: Float64,
+    unit: Float64,
+) -> None:
+    """Write the `_residuals` of all faces' points, and which these are."""
+    _first_of_faces(y, corners, first)
+    for k in range(len(first) - 1):
+        on = slice(first[k], first[k + 1])
+        corner, slope = (corners[k, 0], corners[k, 1]), slope_across(k, corners)
+        _residuals(y[on], z[on], dy[on], dz[on], sigma[on], corner, slope, r[on], unit[on])
+
+
+@kernel(allocates=True)
+def _scale(r: Float64, used: npt.NDArray[np.bool_], least: float) -> float:
+    """Return a robust sigma of residuals (n,), by their median absolute deviation, or `least` if more."""
+    n, beyond, count = r.shape[0], 0, 0
+    for i in range(n):
+        count += used[i]
+        beyond += used[i] and MAD_SIGMA * abs(r[i]) > least
+    # The median needs no sorting where it lies below.
+    if 2 * beyond < count:
+        return least
+    sizes = np.empty(count)
+    count = 0
+    for i in range(n):
+        if used[i]:
+            sizes[count] = abs(r[i])
+            count += 1
+    return max(least, MAD_SIGMA * np.median(sizes))
+
+
+@kernel(fastmath=REDUCTION)
+def _face_sums(
+    y: Float64,
+    r: Float64,
+    unit: Float64,
+    used: npt.NDArray[np.bool_],
+    y_a: float,
+    y_b: float,
+    scale: float,
+    weights: Float64,
+) -> tuple[float, float, float, float, float]:
+    """Write Tukey's weights of a face's points (n,) and return its five sums.
+
+    These are of w (1 - s)^2, w (1 - s) s and w s^2 over the unit's square, and of w r (1 - s) and w r s over
+    the unit.
+    """
+    inverse, narrow = 1.0 / (y_b - y_a), 1.0 / (BISQUARE_WIDTH * scale)
+    aa, ab, bb, at_a, at_b = 0.0, 0.0, 0.0, 0.0, 0.0
+    for i in range(y.shape[0]):
+        t = r[i] * narrow
+        kept = max(1.0 - t * t, 0.0)
+        weights[i] = kept * kept if used[i] else 0.0
+        s, per_unit = (y[i] - y_a) * inverse, 1.0 / unit[i]
+        pull = weights[i] * r[i] * per_unit
+        weight = weights[i] * per_unit * per_unit
+        aa += weight * (1.0 - s) * (1.0 - s)
+        ab += weight * (1.0 - s) * s
+        bb += weight * s * s
+        at_a += pull * (1.0 - s)
+        at_b += pull * s
+    return aa, ab, bb, at_a, at_b
 
 
 @kernel(allocates=True)
@@ -88,10 +166,10 @@ def fit_section(
     n, m = y.shape[0], prior_sigma.shape[0]
     n_corners = N_CORNERS[shape]
     corners, moved = np.empty((n_corners, 2)), np.empty((n_corners, 2))
-    start, J, sums = p.copy(), np.empty((n_corners, m, 2)), np.empty((n_corners - 1, 5))
-    r, unit, face = np.empty(n), np.empty(n), np.empty(n, dtype=np.int64)
+    start, J, first = p.copy(), np.empty((n_corners, m, 2)), np.empty(n_corners, dtype=np.int64)
+    r, unit = np.empty(n), np.empty(n)
     information, gradient = np.empty((m, m)), np.empty(m)
-    sizes, at_a, at_b = np.empty(n), np.empty(m), np.empty(m)
+    at_a, at_b = np.empty(m), np.empty(m)
     wide = start_scale
     for _ in range(MOST_STEPS):
         corners_of(shape, p, corners)
@@ -103,40 +181,33 @@ def fit_section(
             for k in range(n_corners):
                 J[k, i, 0] = (moved[k, 0] - corners[k, 0]) / STEP
                 J[k, i, 1] = (moved[k, 1] - corners[k, 1]) / STEP
-        _residuals(y, z, dy, dz, sigma, corners, r, unit, face)
-        count = 0
-        for i in range(n):
-            if used[i]:
-                sizes[count] = abs(r[i])
-                count += 1
-        scale = max(1.0, MAD_SIGMA * np.median(sizes[:count]), wide)
-        sums[:] = 0.0
-        for i in range(n):
-            t = r[i] / (BISQUARE_WIDTH * scale)
-            weights[i] = (1.0 - t * t) ** 2 if used[i] and abs(t) < 1.0 else 0.0
-            k = face[i]
-            s = (y[i] - corners[k, 0]) / (corners[k + 1, 0] - corners[k, 0])
-            per_unit = weights[i] / (unit[i] * unit[i])
-            sums[k, 0] += per_unit * (1.0 - s) * (1.0 - s)
-            sums[k, 1] += per_unit * (1.0 - s) * s
-            sums[k, 2] += per_unit * s * s
-            sums[k, 3] += weights[i] * r[i] / unit[i] * (1.0 - s)
-            sums[k, 4] += weights[i] * r[i] / unit[i] * s
+        _all_residuals(y, z, dy, dz, sigma, corners, first, r, unit)
+        scale = _scale(r, used, max(1.0, wide))
         information[:] = 0.0
         for i in range(m):
             known = (scale / prior_sigma[i]) ** 2
             information[i, i] = known
             gradient[i] = known * (start[i] - p[i])
         for k in range(n_corners - 1):
+            if first[k] == first[k + 1]:
+                continue
+            on = slice(first[k], first[k + 1])
+            y_a, y_b = corners[k, 0], corners[k + 1, 0]
+            aa, ab, bb, pull_a, pull_b = _face_sums(
+                y[on], r[on], unit[on], used[on], y_a, y_b, scale, weights[on]
+            )
             slope = slope_across(k, corners)
             for i in range(m):
                 at_a[i] = J[k, i, 1] - slope * J[k, i, 0]
                 at_b[i] = J[k + 1, i, 1] - slope * J[k + 1, i, 0]
             for i in range(m):
-                gradient[i] += sums[k, 3] * at_a[i] + sums[k, 4] * at_b[i]
-                for j in range(m):
-                    information[i, j] += sums[k, 0] * at_a[i] * at_a[j] + sums[k, 2] * at_b[i] * at_b[j]
-                    information[i, j] += sums[k, 1] * (at_a[i] * at_b[j] + at_b[i] * at_a[j])
+                gradient[i] += pull_a * at_a[i] + pull_b * at_b[i]
+                on_a, on_b = aa * at_a[i] + ab * at_b[i], ab * at_a[i] + bb * at_b[i]
+                for j in range(i + 1):
+                    information[i, j] += on_a * at_a[j] + on_b * at_b[j]
+        for i in range(m):
+            for j in range(i):
+                information[j, i] = information[i, j]
         # The priors make it positive; the solver would raise at a NaN.
         if not math.isfinite(information.sum() + gradient.sum()):
             return math.nan
@@ -149,7 +220,7 @@ def fit_section(
             break
         wide /= 2.0
     corners_of(shape, p, corners)
-    _residuals(y, z, dy, dz, sigma, corners, r, unit, face)
+    _all_residuals(y, z, dy, dz, sigma, corners, first, r, unit)
     total, freedom = 0.0, -float(m)
     for i in range(n):
         total += weights[i] * r[i] * r[i]

@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import math
 from enum import Enum
+from typing import NamedTuple, overload
 
 import numpy as np
 import numpy.typing as npt
@@ -160,6 +161,30 @@ def cut_into_pieces(y: Float64, z: Float64, sigma: Float64, penalty: float, ends
     return float(best[n] + penalty), count
 
 
+class _Line(NamedTuple):
+    """A straight line through (y, z), dz/dy its slope."""
+
+    y: float
+    z: float
+    slope: float
+
+    @classmethod
+    def through(cls, y: Float64, z: Float64) -> _Line:
+        """Return the least-squares line through points (n,)."""
+        y_mean, z_mean = float(y.mean()), float(z.mean())
+        beside = y - y_mean
+        spread = float(beside @ beside)
+        return cls(y_mean, z_mean, float(beside @ (z - z_mean)) / spread if spread > 0.0 else 0.0)
+
+    @overload
+    def at(self, y: float) -> float: ...
+    @overload
+    def at(self, y: Float64) -> Float64: ...
+    def at(self, y: float | Float64) -> float | Float64:
+        """Return its z at a place or places."""
+        return self.z + self.slope * (y - self.y)
+
+
 def _family(y: Float64, z: Float64, ends: Int64) -> Family | None:
     """Return what the pieces of a profile look like, None for nothing known."""
     if len(ends) == 1:
@@ -168,25 +193,21 @@ def _family(y: Float64, z: Float64, ends: Int64) -> Family | None:
     (_, right_end), (left_start, _) = pieces[0], pieces[-1]
     if right_end < LEAST_BEVEL_GROUPS or len(y) - left_start < LEAST_BEVEL_GROUPS:
         return None
-    right = np.polyfit(y[:right_end], z[:right_end], 1)
-    left = np.polyfit(y[left_start:], z[left_start:], 1)
-    turn_deg = math.degrees(math.atan(left[0]) - math.atan(right[0]))
+    right, left = _Line.through(y[:right_end], z[:right_end]), _Line.through(y[left_start:], z[left_start:])
+    turn_deg = math.degrees(math.atan(left.slope) - math.atan(right.slope))
     if abs(turn_deg) > LEAST_CORNER_DEG:
-        meet = (right[1] - left[1]) / (left[0] - right[0])
+        meet = (right.at(0.0) - left.at(0.0)) / (left.slope - right.slope)
         if y[right_end - 1] - CORNER_OFF_MM < meet < y[left_start] + CORNER_OFF_MM:
             return Family.INSIDE_CORNER if turn_deg > 0.0 else Family.OUTSIDE_CORNER
         return None
     middle = 0.5 * (y[right_end - 1] + y[left_start])
-    step = float(np.polyval(left, middle) - np.polyval(right, middle))
+    step = float(left.at(middle) - right.at(middle))
     between = slice(right_end, left_start)
-    over_right, over_left = (
-        z[between] - np.polyval(right, y[between]),
-        z[between] - np.polyval(left, y[between]),
-    )
+    over_right, over_left = (z[between] - line.at(y[between]) for line in (right, left))
     if len(over_left) and np.maximum(over_right, over_left).min() < -LEAST_OPENING_MM:
         bevelled = any(
             end - first >= LEAST_BEVEL_GROUPS
-            and abs(np.polyfit(y[first:end], z[first:end], 1)[0]) * (y[end - 1] - y[first])
+            and abs(_Line.through(y[first:end], z[first:end]).slope) * (y[end - 1] - y[first])
             > LEAST_BEVEL_RISE_MM
             for first, end in pieces[1:-1]
         )

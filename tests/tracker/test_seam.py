@@ -1,0 +1,79 @@
+"""Where the seam meets the sheet, what is no pose, and what the hand-eye tolerance leaves: by matrices."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from rendered import pose_at, small_setup
+from scipy.spatial.transform import Rotation
+
+from noise_model.arc_map import scene
+from noise_model.frames import invert, transform
+from noise_model.surface import SeamLine, corrugation_height
+from tracker.geometry import meet_laser_plane
+from tracker.seam import confidence, hand_eye_variance, is_rigid, seam_point_tool
+
+SEAM = SeamLine(20.0, 1.2, -0.6, 0.03, -0.02)
+
+
+@pytest.mark.parametrize("joint", ["v_groove", "corrugation"])
+@given(y=st.floats(-5.0, 5.0), z=st.floats(-3.0, 3.0), x=st.floats(-20.0, 20.0))
+def test_the_seam_meets_the_sheet(joint: str, y: float, z: float, x: float) -> None:
+    setup = small_setup(joint)
+    view = scene(setup, pose_at(x, 0.5, -0.5, (1.0, -2.0, 4.0)).T_base_tool, SEAM)
+    point = seam_point_tool(setup, view, y, z)
+    plane = np.asarray(setup.laser.plane_in_tool)
+    assert plane[:3] @ point + plane[3] == pytest.approx(0.0, abs=1e-8)
+    station, *beside = transform(view.T_joint_tool, point)
+    height = z + float(corrugation_height(station, view.shape.corrugation))
+    assert beside == pytest.approx([y, height], abs=1e-8)
+
+
+@pytest.mark.parametrize("joint", ["v_groove", "lap"])
+def test_the_hand_eye_variance_is_its_twin(joint: str) -> None:
+    setup = small_setup(joint)
+    view = scene(setup, pose_at(3.0, 0.5, -0.5, (2.0, -3.0, 4.0)).T_base_tool)
+    point = seam_point_tool(setup, view, 0.4, -0.3)
+    T_camera_tool = invert(setup.camera.T_tool_camera)
+    seen = transform(T_camera_tool, point)
+    moves = []
+    for axis in np.eye(3):
+        # A whole rotation, so that its second order shows.
+        turned = Rotation.from_rotvec(math.radians(setup.tolerance.hand_eye_deg) * axis).apply(seen)
+        for ray, origin in ((turned, np.zeros(3)), (seen, setup.tolerance.hand_eye_mm * axis)):
+            R, place = setup.camera.T_tool_camera[:3, :3], setup.camera.T_tool_camera[:3, 3]
+            met = meet_laser_plane(setup, place + R @ origin, (R @ ray)[None])[0]
+            moves.append(view.T_joint_tool[1:3, :3] @ (met - point))
+    np.testing.assert_allclose(
+        hand_eye_variance(setup, view, point), np.sum(np.square(moves), axis=0), rtol=5e-3
+    )
+
+
+@given(st.lists(st.floats(0.01, 3.0), min_size=1, max_size=2))
+def test_confidence_is_that_of_independent_normal_errors(sigmas: list[float]) -> None:
+    setup = small_setup("v_groove")
+    rng = np.random.default_rng(0)
+    errors = rng.normal(0.0, 1.0, (20000, len(sigmas))) * sigmas
+    within = (np.abs(errors) < setup.tolerance.seam_mm).all(axis=1).mean()
+    assert confidence(setup, np.array(sigmas)) == pytest.approx(within, abs=0.02)
+
+
+def test_what_is_no_pose_is_told() -> None:
+    T = np.eye(4)
+    T[:3, :3] = Rotation.from_euler("xyz", [10.0, -20.0, 30.0], degrees=True).as_matrix()
+    assert is_rigid(T)
+    assert not is_rigid(T[:3])
+    mirrored, scaled, sheared = T.copy(), T.copy(), T.copy()
+    mirrored[:3, 0] *= -1.0
+    scaled[:3, :3] *= 1.01
+    sheared[:3, 0] += 0.01 * T[:3, 1]
+    for wrong in (mirrored, scaled, sheared):
+        assert not is_rigid(wrong)
+    for row, column, value in ((0, 3, np.nan), (1, 1, np.inf), (3, 0, 1e-9), (3, 3, 2.0)):
+        wrong = T.copy()
+        wrong[row, column] = value
+        assert not is_rigid(wrong)
