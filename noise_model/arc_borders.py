@@ -16,8 +16,8 @@ from noise_model.faces import Strip, strip
 from noise_model.frames import Float64
 from noise_model.kernel import kernel
 
-PATCH_MM = 16.0
-"""The largest patch."""
+PATCH_MM, CURVED_PATCH_MM = 48.0, 16.0
+"""The largest patch, and the largest where borders of shadows may run across the patches, uncut."""
 
 MERGE_MM = 0.2
 """Borders nearer to each other than this are one."""
@@ -45,13 +45,15 @@ def _add_border(borders: Float64, n: int, at: float) -> int:
 
 
 @kernel
-def _fill_in(borders: Float64, n: int) -> int:
-    """Add borders until no interval is wider than `PATCH_MM`."""
+def _fill_in(k: ArcKernel, borders: Float64, n: int) -> int:
+    """Add borders until no interval is wider than a patch may be."""
+    is_straight = k.corrugation[0] == 0.0 and k.bend[0] == 0.0 and k.bend[1] == 0.0
+    largest = PATCH_MM if is_straight else CURVED_PATCH_MM
     i = 0
     while i < n - 1 and n < borders.shape[0]:
         width = borders[i + 1] - borders[i]
-        if width > PATCH_MM:
-            n = _add_border(borders, n, borders[i] + width / math.ceil(width / PATCH_MM))
+        if width > largest:
+            n = _add_border(borders, n, borders[i] + width / math.ceil(width / largest))
         i += 1
     return n
 
@@ -105,7 +107,7 @@ def borders_along(k: ArcKernel) -> Float64:
                 n = _add_border(borders, n, i * pitch + side * width)
         for side in (-1.0, 1.0):
             n = _add_border(borders, n, k.center[0] + side * k.radius)
-    n = _fill_in(borders, n)
+    n = _fill_in(k, borders, n)
     return borders[:n].copy()
 
 
@@ -123,4 +125,4 @@ def borders_across(k: ArcKernel, face: int, margin_mm: float, borders: Float64) 
     n = 2
     if k.corrugation[0] == 0.0:
         n = _penumbrae(k, face, borders, n)
-    return _fill_in(borders, n)
+    return _fill_in(k, borders, n)

@@ -15,8 +15,9 @@ import math
 import numpy as np
 import numpy.typing as npt
 
-from noise_model.arc_ray import ArcKernel, Scratch, follow, scratch
-from noise_model.arc_table import FaceTable, light_on_plane, light_on_rays
+from noise_model.arc_ray import ArcKernel, Scratch, scratch
+from noise_model.arc_sight import face_seen
+from noise_model.arc_table import FaceTable, light_at_places, places_on_plane, places_on_rays
 from noise_model.frames import Float64
 from noise_model.kernel import kernel
 from noise_model.visibility import MISS
@@ -36,6 +37,9 @@ SHARE = 0.5
 DECAY = 0.1
 """By how much the highest coefficient of what is smooth lies below the one before."""
 
+CELL_WORTH = 20.0
+"""So many integrals a cell takes, with what it was halved from."""
+
 MAX_FACES = 40
 """Room for the faces of a section: those of a U are most."""
 
@@ -45,8 +49,8 @@ Box = tuple[int, int, int, int]
 Rays = tuple[Float32, Float32, int]
 """The camera's `xy` (n_scan n_pos, 2) and `cos4`, and n_pos."""
 
-Room = tuple[Int64, Float64, Int64, npt.NDArray[np.bool_], Int64, Float64, Float32]
-"""Scratch: pixels, their light and faces; by face whether it is seen, the last run's end, coefficients
+Room = tuple[Int64, Float64, Int64, Float64, npt.NDArray[np.bool_], Int64, Float64, Float32]
+"""Scratch: pixels, light, faces and places; by face whether it is seen, the last run's end, coefficients
 (MAX_FACES, 4, 4); and 0, 1, 2 ..."""
 
 
@@ -162,21 +166,22 @@ def _fill_run(
 ) -> None:
     """Write positions first ... last - 1 of one scan line into out[position - low], pixel by pixel."""
     xy, cos4, n_pos = rays
-    pixels, light_e, faces = room[0], room[1], room[2]
+    pixels, light_e, faces, places = room[0], room[1], room[2], room[3]
     for j in range(last - first):
         pixels[j] = scan * n_pos + first + j
-    light_on_rays(k, table, xy, cos4, pixels, last - first, light_e, faces, work)
+    places_on_rays(k, table, xy, pixels, last - first, faces, places)
+    light_at_places(k, table, cos4, pixels, last - first, faces, places, 0.0, light_e, work)
     for j in range(last - first):
         out[first - low + j] = light_e[j]
 
 
 @kernel
-def _node_pixels(n_pos: int, box: Box, places: Int64, pixels: Int64) -> None:
+def _node_pixels(n_pos: int, box: Box, node_at: Int64, pixels: Int64) -> None:
     """Write the pixels (16,) of a cell's nodes."""
     scan, pos, n_s, n_p = box
     for i in range(N):
         for j in range(N):
-            pixels[N * i + j] = (scan + places[n_s, i]) * n_pos + pos + places[n_p, j]
+            pixels[N * i + j] = (scan + node_at[n_s, i]) * n_pos + pos + node_at[n_p, j]
 
 
 @kernel
@@ -198,12 +203,13 @@ def _fill_mixed(
     coefficients.
     """
     xy, cos4, n_pos = rays
-    pixels, light_e, _, seen, guess, powers, ramp = room
+    pixels, light_e, faces, places, seen, guess, powers, ramp = room
     scan, pos, n_s, n_p = box
     for face in range(k.vertices.shape[0] - 1):
         if not seen[face]:
             continue
-        light_on_plane(k, table, face, xy, cos4, pixels, N * N, light_e, work)
+        places_on_plane(k, face, xy, pixels, N * N, faces, places)
+        light_at_places(k, table, cos4, pixels, N * N, faces, places, 0.0, light_e, work)
         highest, least = _to_powers(light_e, rules, (n_s, n_p), powers[face])
         if not highest <= SHARE * max(table.rel * least, table.floor_e):
             if n_s > SMALLEST or n_p > SMALLEST:
@@ -218,8 +224,8 @@ def _fill_mixed(
         low, first, end = _line_in_band(box, i, lows, group, depth)
         if first >= end:
             continue
-        _, face = follow(k, xy[row + first, 0], xy[row + first, 1])
-        _, face_end = follow(k, xy[row + end - 1, 0], xy[row + end - 1, 1])
+        face = face_seen(k, table.seen, xy[row + first, 0], xy[row + first, 1])
+        face_end = face_seen(k, table.seen, xy[row + end - 1, 0], xy[row + end - 1, 1])
         run = 0
         while first < end:
             last = end
@@ -229,12 +235,12 @@ def _fill_mixed(
                 probe = guess[run]
                 for _ in range(2):
                     if inside < probe < last:
-                        _, met = follow(k, xy[row + probe, 0], xy[row + probe, 1])
+                        met = face_seen(k, table.seen, xy[row + probe, 0], xy[row + probe, 1])
                         inside, last = (probe, last) if met == face else (inside, probe)
                         probe += 1 if met == face else -1
                 while last - inside > 1:
                     probe = (inside + last) // 2
-                    _, met = follow(k, xy[row + probe, 0], xy[row + probe, 1])
+                    met = face_seen(k, table.seen, xy[row + probe, 0], xy[row + probe, 1])
                     inside, last = (probe, last) if met == face else (inside, probe)
                 guess[run] = last
                 run = min(run + 1, guess.shape[0] - 1)
@@ -254,7 +260,7 @@ def _fill_mixed(
                 _fill_run(k, table, rays, scan + i, low, first, last, band_e[scan + i], room, work)
             first = last
             if first < end:
-                _, face = follow(k, xy[row + first, 0], xy[row + first, 1])
+                face = face_seen(k, table.seen, xy[row + first, 0], xy[row + first, 1])
     return True
 
 
@@ -264,7 +270,7 @@ def _fill_cell(
     table: FaceTable,
     rays: Rays,
     box: Box,
-    places: Int64,
+    node_at: Int64,
     rules: Float64,
     lows: Int64,
     group: int,
@@ -274,11 +280,11 @@ def _fill_cell(
 ) -> bool:
     """Try to fill one cell; False if it has to be halved."""
     xy, cos4, n_pos = rays
-    pixels, light_e, faces, seen, _, powers, ramp = room
+    pixels, light_e, faces, places, seen, _, powers, ramp = room
     scan, _, n_s, n_p = box
     if n_s >= N and n_p >= N:
-        _node_pixels(n_pos, box, places, pixels)
-        light_on_rays(k, table, xy, cos4, pixels, N * N, light_e, faces, work)
+        _node_pixels(n_pos, box, node_at, pixels)
+        places_on_rays(k, table, xy, pixels, N * N, faces, places)
         is_one = faces[0] != MISS
         for face in range(k.vertices.shape[0] - 1):
             seen[face] = False
@@ -287,6 +293,7 @@ def _fill_cell(
             if faces[i] != MISS:
                 seen[faces[i]] = True
         if is_one:
+            light_at_places(k, table, cos4, pixels, N * N, faces, places, 0.0, light_e, work)
             highest, least = _to_powers(light_e, rules, (n_s, n_p), powers[0])
             if highest <= SHARE * max(table.rel * least, table.floor_e):
                 _fill_smooth(powers[0], box, lows, group, ramp, band_e)
@@ -311,7 +318,7 @@ def _fill_band(
     table: FaceTable,
     xy: Float32,
     cos4: Float32,
-    places: Int64,
+    node_at: Int64,
     rules: Float64,
     lows: Int64,
     group: int,
@@ -325,6 +332,7 @@ def _fill_band(
         np.empty(LARGEST, dtype=np.int64),
         np.empty(LARGEST),
         np.empty(LARGEST, dtype=np.int64),
+        np.empty((LARGEST, 2)),
         np.empty(MAX_FACES, dtype=np.bool_),
         np.empty(MAX_FACES, dtype=np.int64),
         np.empty((MAX_FACES, N, N)),
@@ -344,7 +352,7 @@ def _fill_band(
             while waiting > 0:
                 waiting -= 1
                 box = (stack[waiting, 0], stack[waiting, 1], stack[waiting, 2], stack[waiting, 3])
-                if _fill_cell(k, table, rays, box, places, rules, lows, group, band_e, room, work):
+                if _fill_cell(k, table, rays, box, node_at, rules, lows, group, band_e, room, work):
                     continue
                 s_half = box[2] if box[2] <= SMALLEST else (box[2] + 1) // 2
                 p_half = box[3] if box[3] <= SMALLEST else (box[3] + 1) // 2
@@ -369,7 +377,14 @@ def fill_band(
 def fill_pixels(
     k: ArcKernel, table: FaceTable, xy: Float32, cos4: Float32, pixels: Int64, out: Float32
 ) -> None:
-    """Write the light (n,), e-, at some pixels (n,); NaN past the workpiece."""
-    light_e, faces = np.empty(len(pixels)), np.empty(len(pixels), dtype=np.int64)
-    light_on_rays(k, table, xy, cos4, pixels, len(pixels), light_e, faces, scratch())
+    """Write the light (n,), e-, at some pixels (n,) of the whole image; NaN past the workpiece.
+
+    Cells that hold less of them than nodes are not worth making.
+    """
+    n = len(pixels)
+    faces, places, light_e = np.empty(n, dtype=np.int64), np.empty((n, 2)), np.empty(n)
+    x_low, x_high, y_low, y_high = k.reach
+    least_mm2 = CELL_WORTH * (x_high - x_low) * (y_high - y_low) / max(n, 1)
+    places_on_rays(k, table, xy, pixels, n, faces, places)
+    light_at_places(k, table, cos4, pixels, n, faces, places, least_mm2, light_e, scratch())
     out[:] = light_e

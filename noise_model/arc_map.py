@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
-from functools import lru_cache
+from functools import cached_property, lru_cache
 
 import numpy as np
 import numpy.typing as npt
@@ -49,24 +49,38 @@ CELL = 8
 
 @dataclass(frozen=True)
 class Scene:
-    """Camera, arc and surface of one pose in the joint frame, as the kernels take them.
+    """Camera, arc and surface of one pose in the joint frame.
 
-    `T_joint_camera` (4, 4) mm, `T_joint_tool` (4, 4) mm, `center_mm` (3,) the arc's centre, `shape` the
-    section, `horizon_start` and `horizons` the corrugation's horizon tables, `footprint_mm` (2, 2) between
-    which x and y the camera sees the plate. `bend` says how the section's edges leave the direction of x
-    on their way to the arc: their slope dy/dx at the section, how far to the left they run under the arc, mm.
+    `T_joint_camera` (4, 4) mm, `T_joint_tool` (4, 4) mm, `camera` itself, `center_mm` (3,) the arc's centre,
+    `shape` the section. `bend` says how the section's edges leave the direction of x on their way to the arc:
+    their slope dy/dx at the section, how far to the left they run under the arc, mm.
     """
 
     T_joint_tool: Float64
     T_joint_camera: Float64
+    camera: Camera
     center_mm: Float64
     shape: Section
-    horizon_start: float
-    horizons: Float64
-    footprint_mm: Float64
     bend: tuple[float, float] = (0.0, 0.0)
 
-    @property
+    @cached_property
+    def footprint_mm(self) -> Float64:
+        """Between which x and y (2, 2), mm, joint frame, the camera sees the joint.
+
+        Its rim's rays are followed to the highest and the lowest level between the plates, and to the plates
+        where these rise or fall.
+        """
+        footprint = np.empty((2, 2))
+        _write_footprint(
+            _rim_rays(*self.camera.geometry),
+            self.T_joint_camera,
+            self.shape.vertices,
+            self.shape.corrugation,
+            footprint,
+        )
+        return footprint
+
+    @cached_property
     def below_surface(self) -> bool:
         """Whether the camera stands in or under the workpiece, where no prediction makes sense."""
         x, y, z = self.T_joint_camera[:3, 3]
@@ -97,10 +111,8 @@ def scene(
         center[2] = offset[2] + float(corrugation_height(foot, shape.corrugation))
         if ground is not None:
             center[2] += _higher_mm(laid, ground, center)
-    footprint = _footprint(setup, T_joint_camera, shape)
-    start, horizons = horizon_tables(shape, (footprint[0, 0], footprint[0, 1]), center, setup.arc.radius_mm)
     bend = seam.slope_y - laid.slope_y, _beside_mm(laid, seam if ground is None else ground, center)
-    return Scene(T_joint_tool, T_joint_camera, center, shape, start, horizons, footprint, bend)
+    return Scene(T_joint_tool, T_joint_camera, setup.camera, center, shape, bend)
 
 
 def _higher_mm(seam: SeamLine, ground: SeamLine, point_mm: Float64) -> float:
@@ -125,27 +137,37 @@ def _ahead(setup: Setup, T_base_tool: Float64) -> Float64:
     return np.asarray(T_base_tool[:3, :3] @ np.array([x, y, 0.0]) + T_base_tool[:3, 3])
 
 
-def _footprint(setup: Setup, T_joint_camera: Float64, shape: Section) -> Float64:
-    """Return (2, 2): between which x and y, mm, joint frame, the camera sees the joint.
-
-    Its rim's rays are followed to the highest and the lowest level between the plates, and to the plates
-    where these rise or fall.
-    """
-    d = _rim_rays(*setup.camera.geometry) @ T_joint_camera[:3, :3].T
-    origin, inner = T_joint_camera[:3, 3], shape.vertices[1:-1]
-    # A ray that does not go down meets no plate: it is followed to a slope of 1 in 10 at most.
-    down = np.minimum(d[:, 2], -0.1 * np.sqrt(np.einsum("ij,ij->i", d, d)))
-    levels_mm = inner[:, 1].min(), inner[:, 1].max() + shape.corrugation[0]
-    ways = [(level - origin[2]) / down for level in levels_mm]
-    for edge, end in ((inner[0], shape.vertices[0]), (inner[-1], shape.vertices[-1])):
-        if end[1] == edge[1]:
-            continue
-        slope = (end[1] - edge[1]) / (end[0] - edge[0])
-        towards = d[:, 2] - slope * d[:, 1]
-        down = np.minimum(towards, -0.1 * np.sqrt(np.einsum("ij,ij->i", d, d)))
-        ways.append((edge[1] + slope * (origin[1] - edge[0]) - origin[2]) / down)
-    ends = np.concatenate([origin[:2] + way[:, np.newaxis] * d[:, :2] for way in ways])
-    return np.stack([ends.min(axis=0), ends.max(axis=0)], axis=1)
+@kernel
+def _write_footprint(
+    rays: Float64, T_joint_camera: Float64, vertices: Float64, corrugation: Float64, footprint: Float64
+) -> None:
+    """Write between which x and y (2, 2) rays (n, 3) of the camera, followed as `Scene` says, end."""
+    T, last = T_joint_camera, vertices.shape[0] - 1
+    eye_y, eye_z = T[1, 3], T[2, 3]
+    lowest, highest = math.inf, -math.inf
+    for j in range(1, last):
+        lowest, highest = min(lowest, vertices[j, 1]), max(highest, vertices[j, 1] + corrugation[0])
+    for c in range(2):
+        footprint[c, 0], footprint[c, 1] = math.inf, -math.inf
+    for i in range(rays.shape[0]):
+        x, y, z = rays[i, 0], rays[i, 1], rays[i, 2]
+        d_x = T[0, 0] * x + T[0, 1] * y + T[0, 2] * z
+        d_y = T[1, 0] * x + T[1, 1] * y + T[1, 2] * z
+        d_z = T[2, 0] * x + T[2, 1] * y + T[2, 2] * z
+        # A ray that does not go down meets no plate: it is followed to a slope of 1 in 10 at most.
+        least = -0.1 * math.sqrt(d_x * d_x + d_y * d_y + d_z * d_z)
+        for which in range(4):
+            slope, level = 0.0, lowest if which == 0 else highest
+            if which >= 2:
+                edge, end = (1, 0) if which == 2 else (last - 1, last)
+                slope = (vertices[end, 1] - vertices[edge, 1]) / (vertices[end, 0] - vertices[edge, 0])
+                level = vertices[edge, 1] + slope * (eye_y - vertices[edge, 0])
+                if slope == 0.0:
+                    continue
+            way = (level - eye_z) / min(d_z - slope * d_y, least)
+            for c in range(2):
+                at = T[c, 3] + way * (d_x if c == 0 else d_y)
+                footprint[c, 0], footprint[c, 1] = min(footprint[c, 0], at), max(footprint[c, 1], at)
 
 
 @lru_cache
@@ -180,19 +202,22 @@ def arc_kernel(
     if view.below_surface:
         raise ValueError("the camera stands below the surface at this pose")
     x, y, z = view.T_joint_camera[:3, 3]
+    x_range, y_range = view.footprint_mm.tolist()
+    radius = setup.arc.radius_mm
+    start, horizons = horizon_tables(view.shape, (x_range[0], x_range[1]), view.center_mm, radius)
     return ArcKernel(
         np.ascontiguousarray(view.T_joint_camera[:3, :3]),
         (float(x), float(y), float(z)),
         (float(view.center_mm[0]), float(view.center_mm[1]), float(view.center_mm[2])),
         view.bend,
-        setup.arc.radius_mm,
+        radius,
         setup.arc.radiance_e * level,
         view.shape.vertices,
         view.shape.corrugation,
-        view.horizon_start,
-        view.horizons,
-        _metal_cuts(setup.arc.radius_mm, view),
-        (*view.footprint_mm[0], *view.footprint_mm[1]),
+        start,
+        horizons,
+        _metal_cuts(radius, view),
+        (*x_range, *y_range),
         lobe_numbers(setup.material),
         gauss_nodes(),
         *nodes,

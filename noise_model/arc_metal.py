@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 
 from noise_model.arc_disc import Shape, equator_q
+from noise_model.faces import raised_cosine
 from noise_model.frames import Float64
 from noise_model.kernel import kernel
 from noise_model.visibility import first_crossing
@@ -19,7 +20,7 @@ RIM_STEPS = 8
 CLEAR_STEPS = 4
 """In how many steps to either side an arc is looked at that may be clear of the metal."""
 
-CHORD_STEPS = 4
+CHORD_STEPS = 2
 """In how many steps a chord is searched for where it leaves the metal."""
 
 ROOT_STEPS, ROOT_MM = 16, 1e-4
@@ -47,9 +48,9 @@ def _wave(x: float, metal: Metal) -> float:
     if metal[0] == 0.0:
         return 0.0
     u = x - metal[2] * math.floor(x / metal[2] + 0.5)
-    if abs(u) >= 0.5 * metal[1]:
-        return 0.0
-    return 0.5 * metal[0] * (1.0 + math.cos(2.0 * math.pi / metal[1] * u))
+    share = 2.0 / metal[1] * u
+    c, _ = raised_cosine(share * share)
+    return metal[0] * c
 
 
 @kernel

@@ -21,7 +21,8 @@ import numpy.typing as npt
 
 from noise_model.arc_borders import MAX_BORDERS, borders_across, borders_along, seen_strip
 from noise_model.arc_ray import ArcKernel, Scratch, follow, light_at
-from noise_model.faces import across, face_point
+from noise_model.arc_sight import Sight, face_seen, meet_plane, sight
+from noise_model.faces import Strip, across, face_point
 from noise_model.frames import Float64
 from noise_model.kernel import kernel
 from noise_model.visibility import MISS
@@ -42,8 +43,9 @@ ROUGH = 4.0
 MAX_CELLS = 6000
 """Room for the cells of all faces; where it is used up, light is integrated point by point."""
 
-MAX_WAITING = 64
-"""Room for the cells that wait while a patch is made."""
+SMOOTH, NONE, NEW = 2, 3, 4
+"""What a cell is that is not halved along x (0) or s (1): it holds a polynomial; it holds none; it is not
+made yet and lacks every other node along x (4), along s (5) or all of them (6)."""
 
 SHARE = 0.5
 """The share of the tolerance that a cell's polynomial may use up."""
@@ -61,8 +63,9 @@ class FaceTable(NamedTuple):
 
     `x_borders` (n_x,) and `s_borders` (n_faces, MAX_BORDERS) with `n_s` (n_faces,) are the patches' borders,
     `roots` (n_faces, n_x - 1, MAX_BORDERS) their first cells, -1 where none is made yet. A cell has an
-    `axis` (0 along x, 1 along s: halved; 2 a polynomial; 3 none), its `middle` (n, 2) and `inverse` half
-    widths (n, 2), a `child` (the other one is the next) and `powers` (n, 5, 5). `n_cells` (1,) are made.
+    `axis` (along which it is halved, `SMOOTH` ...), its `middle` (n, 2) and `inverse` half widths (n, 2), a
+    `child` (the other one is the next) and `powers` (n, 5, 5), the values at its nodes while it has no
+    polynomial. `n_cells` (1,) there are. `check` (5, 5) is scratch, `seen` says which face a ray meets.
     """
 
     x_borders: Float64
@@ -75,10 +78,11 @@ class FaceTable(NamedTuple):
     inverse: Float64
     powers: Float64
     n_cells: Int32
-    waiting: Float64
+    check: Float64
     to_powers: Float64
     rel: float
     floor_e: float
+    seen: Sight
 
 
 @kernel(inline=True)
@@ -98,221 +102,212 @@ def _place(borders: Float64, n: int, at: float) -> int:
 
 @kernel
 def _highest(values: Float64) -> tuple[float, float]:
-    """Return the largest Chebyshev coefficients of degree 4 along x and along s of a cell's values (25,)."""
+    """Return the largest Chebyshev coefficients of degree 4 along x and along s of a cell's values (5, 5)."""
     worst_x, worst_s = 0.0, 0.0
     for i in range(NODES):
-        x = values[i] - 4.0 * values[5 + i] + 6.0 * values[10 + i] - 4.0 * values[15 + i] + values[20 + i]
-        j = 5 * i
-        s = values[j] - 4.0 * values[j + 1] + 6.0 * values[j + 2] - 4.0 * values[j + 3] + values[j + 4]
+        x = values[0, i] - 4.0 * values[1, i] + 6.0 * values[2, i] - 4.0 * values[3, i] + values[4, i]
+        s = values[i, 0] - 4.0 * values[i, 1] + 6.0 * values[i, 2] - 4.0 * values[i, 3] + values[i, 4]
         worst_x, worst_s = max(worst_x, abs(x) / 12.0), max(worst_s, abs(s) / 12.0)
     return worst_x, worst_s
 
 
 @kernel
 def _fit(values: Float64, to_powers: Float64, powers: Float64) -> None:
-    """Write the coefficients (5, 5) of the polynomial through a cell's values (25,)."""
-    for a in range(NODES):
-        for j in range(NODES):
-            total = 0.0
-            for i in range(NODES):
-                total += to_powers[a, i] * values[5 * i + j]
-            powers[a, j] = total
-    for a in range(NODES):
-        c_0, c_1, c_2, c_3, c_4 = powers[a, 0], powers[a, 1], powers[a, 2], powers[a, 3], powers[a, 4]
+    """Write the coefficients (5, 5) of the polynomial through a cell's values (5, 5), which may be there."""
+    for j in range(NODES):
+        v_0, v_1, v_2, v_3, v_4 = values[0, j], values[1, j], values[2, j], values[3, j], values[4, j]
+        for a in range(NODES):
+            low = to_powers[a, 0] * v_0 + to_powers[a, 1] * v_1 + to_powers[a, 2] * v_2
+            powers[a, j] = low + to_powers[a, 3] * v_3 + to_powers[a, 4] * v_4
+    for i in range(NODES):
+        v_0, v_1, v_2, v_3, v_4 = powers[i, 0], powers[i, 1], powers[i, 2], powers[i, 3], powers[i, 4]
         for b in range(NODES):
-            powers[a, b] = (
-                to_powers[b, 0] * c_0
-                + to_powers[b, 1] * c_1
-                + to_powers[b, 2] * c_2
-                + to_powers[b, 3] * c_3
-                + to_powers[b, 4] * c_4
-            )
+            low = to_powers[b, 0] * v_0 + to_powers[b, 1] * v_1 + to_powers[b, 2] * v_2
+            powers[i, b] = low + to_powers[b, 3] * v_3 + to_powers[b, 4] * v_4
 
 
 @kernel(inline=True)
-def _value(powers: Float64, cell: int, t: float, u: float) -> float:
-    """Return a cell's polynomial at (t, u), each -1 to 1."""
+def _value(powers: Float64, t: float, u: float) -> float:
+    """Return a polynomial (5, 5) at (t, u), each -1 to 1."""
     value = 0.0
     for a in range(DEGREE, -1, -1):
-        row = powers[cell, a, 3] + u * powers[cell, a, 4]
-        row = powers[cell, a, 0] + u * (powers[cell, a, 1] + u * (powers[cell, a, 2] + u * row))
+        row = powers[a, 3] + u * powers[a, 4]
+        row = powers[a, 0] + u * (powers[a, 1] + u * (powers[a, 2] + u * row))
         value = value * t + row
     return value
 
 
-@kernel
-def _make_patch(
-    k: ArcKernel, table: FaceTable, face: int, x: tuple[float, float], s: tuple[float, float], work: Scratch
-) -> int:
-    """Make the cells of a patch and return its first one."""
-    axis, child, middle, inverse = table.axis, table.child, table.middle, table.inverse
-    n_cells, waiting, powers, to_powers = table.n_cells, table.waiting, table.powers, table.to_powers
-    on, corrugation = seen_strip(face, k.vertices), k.corrugation
-    root: int = n_cells[0]
-    n_cells[0] += 1
-    # Waiting cells: number, half widths, which nodes are missing (all, every other along x, or along s).
-    n = 1
-    waiting[0, 25], waiting[0, 26], waiting[0, 27], waiting[0, 28] = (
-        root,
-        0.5 * (x[1] - x[0]),
-        0.5 * (s[1] - s[0]),
-        2.0,
-    )
-    middle[root, 0], middle[root, 1] = 0.5 * (x[0] + x[1]), 0.5 * (s[0] + s[1])
-    while n > 0:
-        n -= 1
-        values = waiting[n]
-        cell, half_x, half_s, missing = int(values[25]), values[26], values[27], int(values[28])
-        inverse[cell, 0], inverse[cell, 1] = 1.0 / half_x, 1.0 / half_s
-        least = math.inf
-        for i in range(NODES):
-            for j in range(NODES):
-                if missing == 2 or (missing == 0 and i % 2 == 1) or (missing == 1 and j % 2 == 1):
-                    x_node = middle[cell, 0] + 0.5 * (i - 2) * half_x
-                    s_node = middle[cell, 1] + 0.5 * (j - 2) * half_s
-                    P = face_point(x_node, s_node, on, corrugation)
-                    values[5 * i + j] = light_at(k, P, face, work)
-                least = min(least, values[5 * i + j])
-        allowed = SHARE * max(table.rel * least, table.floor_e)
-        worst_x, worst_s = _highest(values)
-        along = 0 if worst_x > worst_s else 1
-        if max(worst_x, worst_s) <= allowed:
-            # The differences may be small by chance: two points between the nodes are looked at.
-            _fit(values, to_powers, powers[cell])
-            along_if_off, along = along, 2
-            for at in (-CHECK, CHECK):
-                x_node, s_node = middle[cell, 0] + at * half_x, middle[cell, 1] + at * half_s
-                P = face_point(x_node, s_node, on, corrugation)
-                if abs(_value(powers, cell, at, at) - light_at(k, P, face, work)) > allowed:
-                    along = along_if_off
-                    break
-        if along < 2:
-            half = half_x if along == 0 else half_s
-            if half < 0.5 * SMALLEST_MM and max(worst_x, worst_s) <= ROUGH * allowed:
-                along = 2
-                _fit(values, to_powers, powers[cell])
-            elif half < 0.5 * SMALLEST_MM or n + 2 > MAX_WAITING or n_cells[0] + 2 > MAX_CELLS:
-                axis[cell] = 3
-                continue
-        if along < 2:
-            axis[cell], child[cell] = along, n_cells[0]
-            for side in range(2):
-                half_cell = waiting[MAX_WAITING + side]
-                new = n_cells[0] + side
-                middle[new, 0], middle[new, 1] = middle[cell, 0], middle[cell, 1]
-                middle[new, along] += (side - 0.5) * half
-                for i in range(NODES):
-                    for j in range(3):
-                        if along == 0:
-                            half_cell[10 * j + i] = values[5 * (2 * side + j) + i]
-                        else:
-                            half_cell[5 * i + 2 * j] = values[5 * i + 2 * side + j]
-                half_cell[25], half_cell[26], half_cell[27] = new, half_x, half_s
-                half_cell[26 + along] = 0.5 * half
-                half_cell[28] = along
-            n_cells[0] += 2
-            for side in range(2):
-                for i in range(29):
-                    waiting[n, i] = waiting[MAX_WAITING + side, i]
-                n += 1
-            continue
-        axis[cell] = 2
-    return root
-
-
 @kernel(inline=True)
-def _light_on(k: ArcKernel, table: FaceTable, face: int, x: float, s: float, work: Scratch) -> float:
-    """Return the arc's light, e- without the lens' fall-off, at a face's coordinates; NaN off the table."""
-    i, j = (
-        _place(table.x_borders, table.x_borders.shape[0], x),
-        _place(table.s_borders[face], table.n_s[face], s),
-    )
+def _fall_off(k: ArcKernel, on: Strip, x: float, s: float) -> float:
+    """Return by what a cell's light is multiplied, mm^4, so that it hardly varies along a face.
+
+    Light falls off with the distance from the arc's centre, on a plate that it grazes with its fourth power.
+    """
+    y_0, z_0, ty, tz, _ = on
+    x, y, z = x - k.center[0], y_0 + s * ty - k.center[1], z_0 + s * tz - k.center[2]
+    square = x * x + y * y + z * z + k.radius * k.radius
+    return square * square
+
+
+@kernel
+def _make_cell(k: ArcKernel, table: FaceTable, face: int, cell: int, work: Scratch) -> None:
+    """Integrate the light at a new cell's missing nodes; make it a polynomial's, or halve it."""
+    axis, child, middle, inverse, powers = table.axis, table.child, table.middle, table.inverse, table.powers
+    on, corrugation, n_cells = seen_strip(face, k.vertices), k.corrugation, table.n_cells
+    values, missing = powers[cell], axis[cell] - NEW
+    half_x, half_s = 1.0 / inverse[cell, 0], 1.0 / inverse[cell, 1]
+    allowed = math.inf
+    for i in range(NODES):
+        for j in range(NODES):
+            x, s = middle[cell, 0] + 0.5 * (i - 2) * half_x, middle[cell, 1] + 0.5 * (j - 2) * half_s
+            fall_off = _fall_off(k, on, x, s)
+            if missing == 2 or (missing == 0 and i % 2 == 1) or (missing == 1 and j % 2 == 1):
+                values[i, j] = fall_off * light_at(k, face_point(x, s, on, corrugation), face, work)
+            allowed = min(allowed, SHARE * max(table.rel * values[i, j], table.floor_e * fall_off))
+    worst_x, worst_s = _highest(values)
+    is_smooth = max(worst_x, worst_s) <= allowed
+    if is_smooth:
+        # The differences may be small by chance: two points between the nodes are looked at.
+        check = table.check
+        _fit(values, table.to_powers, check)
+        for at in (-CHECK, CHECK):
+            x, s = middle[cell, 0] + at * half_x, middle[cell, 1] + at * half_s
+            light = _fall_off(k, on, x, s) * light_at(k, face_point(x, s, on, corrugation), face, work)
+            is_smooth = is_smooth and abs(_value(check, at, at) - light) <= allowed
+    along = 0 if worst_x > worst_s else 1
+    is_small = (half_x if along == 0 else half_s) < 0.5 * SMALLEST_MM
+    if is_smooth or (is_small and max(worst_x, worst_s) <= ROUGH * allowed):
+        _fit(values, table.to_powers, values)
+        axis[cell] = SMOOTH
+        return
+    if is_small or n_cells[0] + 2 > MAX_CELLS:
+        axis[cell] = NONE
+        return
+    axis[cell], child[cell] = along, n_cells[0]
+    for side in range(2):
+        new = n_cells[0] + side
+        axis[new] = NEW + along
+        for c in range(2):
+            middle[new, c], inverse[new, c] = middle[cell, c], inverse[cell, c]
+        middle[new, along] += (side - 0.5) * (half_x if along == 0 else half_s)
+        inverse[new, along] *= 2.0
+        for i in range(NODES):
+            for j in range(3):
+                if along == 0:
+                    powers[new, 2 * j, i] = values[2 * side + j, i]
+                else:
+                    powers[new, i, 2 * j] = values[i, 2 * side + j]
+    n_cells[0] += 2
+
+
+@kernel
+def _cell_at(
+    k: ArcKernel, table: FaceTable, face: int, x: float, s: float, least_mm2: float, work: Scratch
+) -> int:
+    """Return the cell at a face's coordinates, made if need be; -1 if there is none or it is smaller."""
+    i = _place(table.x_borders, table.x_borders.shape[0], x)
+    j = _place(table.s_borders[face], table.n_s[face], s)
     if i < 0 or j < 0:
-        return math.nan
+        return -1
+    axis, middle, inverse = table.axis, table.middle, table.inverse
     cell = table.roots[face, i, j]
     if cell < 0:
         if table.n_cells[0] >= MAX_CELLS:
-            return light_at(k, face_point(x, s, seen_strip(face, k.vertices), k.corrugation), face, work)
-        borders = table.s_borders[face]
-        cell = _make_patch(
-            k,
-            table,
-            face,
-            (table.x_borders[i], table.x_borders[i + 1]),
-            (borders[j], borders[j + 1]),
-            work,
-        )
+            return -1
+        cell = table.n_cells[0]
+        table.n_cells[0] += 1
         table.roots[face, i, j] = cell
-    along = table.axis[cell]
-    while along < 2:
-        at = x if along == 0 else s
-        cell = table.child[cell] + (1 if at > table.middle[cell, along] else 0)
-        along = table.axis[cell]
-    if along == 3:
-        return light_at(k, face_point(x, s, seen_strip(face, k.vertices), k.corrugation), face, work)
-    t = (x - table.middle[cell, 0]) * table.inverse[cell, 0]
-    u = (s - table.middle[cell, 1]) * table.inverse[cell, 1]
-    return _value(table.powers, cell, t, u)
+        axis[cell] = NEW + 2
+        x_low, x_high = table.x_borders[i], table.x_borders[i + 1]
+        s_low, s_high = table.s_borders[face, j], table.s_borders[face, j + 1]
+        middle[cell, 0], middle[cell, 1] = 0.5 * (x_low + x_high), 0.5 * (s_low + s_high)
+        inverse[cell, 0], inverse[cell, 1] = 2.0 / (x_high - x_low), 2.0 / (s_high - s_low)
+    while True:
+        if least_mm2 * inverse[cell, 0] * inverse[cell, 1] > 4.0:
+            return -1
+        if axis[cell] >= NEW:
+            _make_cell(k, table, face, cell, work)
+        along = axis[cell]
+        if along >= SMOOTH:
+            return cell if along == SMOOTH else -1
+        cell = table.child[cell] + (1 if (x if along == 0 else s) > middle[cell, along] else 0)
 
 
 @kernel
-def light_on_rays(
-    k: ArcKernel,
-    table: FaceTable,
-    xy: Float32,
-    cos4: Float32,
-    pixels: Int64,
-    n: int,
-    light_e: Float64,
-    faces: Int64,
-    work: Scratch,
+def places_on_rays(
+    k: ArcKernel, table: FaceTable, xy: Float32, pixels: Int64, n: int, faces: Int64, places: Float64
 ) -> None:
-    """Write the arc's light (n,), e-, on the rays of some pixels and the faces (n,) they meet.
+    """Write which faces (n,) the rays of some pixels meet and where, x and s (n, 2).
 
-    NaN and `visibility.MISS` for a ray that looks past the workpiece.
+    `visibility.MISS` and NaN for a ray that looks past the workpiece.
     """
+    is_plain = k.corrugation[0] == 0.0
     for i in range(n):
-        pixel = pixels[i]
-        P, face = follow(k, xy[pixel, 0], xy[pixel, 1])
-        faces[i] = face
-        light = math.nan
+        x, y = xy[pixels[i], 0], xy[pixels[i], 1]
+        if is_plain:
+            face = face_seen(k, table.seen, x, y)
+            P, _ = meet_plane(k, x, y, seen_strip(max(face, 0), k.vertices))
+        else:
+            P, face = follow(k, x, y)
+        faces[i], places[i, 0], places[i, 1] = face, math.nan, math.nan
         if face != MISS:
-            s = across(P, seen_strip(face, k.vertices), k.corrugation)
-            light = _light_on(k, table, face, P[0], s, work)
-            if math.isnan(light):
-                light = light_at(k, P, face, work)
-        light_e[i] = cos4[pixel] * light
+            places[i, 0], places[i, 1] = P[0], across(P, seen_strip(face, k.vertices), k.corrugation)
 
 
 @kernel
-def light_on_plane(
+def places_on_plane(
+    k: ArcKernel, face: int, xy: Float32, pixels: Int64, n: int, faces: Int64, places: Float64
+) -> None:
+    """Write where the rays of some pixels meet a plain face's plane, x and s (n, 2), seen or not.
+
+    NaN where a ray runs away from it. `faces` (n,) are all this face.
+    """
+    on = seen_strip(face, k.vertices)
+    for i in range(n):
+        P, is_ahead = meet_plane(k, xy[pixels[i], 0], xy[pixels[i], 1], on)
+        faces[i], places[i, 0], places[i, 1] = face, math.nan, math.nan
+        if is_ahead:
+            places[i, 0], places[i, 1] = P[0], across(P, on, k.corrugation)
+
+
+@kernel
+def light_at_places(
     k: ArcKernel,
     table: FaceTable,
-    face: int,
-    xy: Float32,
     cos4: Float32,
     pixels: Int64,
     n: int,
+    faces: Int64,
+    places: Float64,
+    least_mm2: float,
     light_e: Float64,
     work: Scratch,
 ) -> None:
-    """Write the light (n,), e-, where the rays of some pixels meet a plain face's plane, seen or not.
+    """Write the arc's light (n,), e-, that some pixels receive from places (n, 2) on faces (n,).
 
-    NaN where a ray runs away from it or meets it off the table.
+    It is integrated where there is no cell or none of at least `least_mm2`; NaN where a place is.
     """
-    R, eye = k.rotation, k.eye
-    y_0, z_0, dy, dz, _ = seen_strip(face, k.vertices)
+    middle, inverse, powers = table.middle, table.inverse, table.powers
+    cell, cells_face, on = -1, MISS, seen_strip(0, k.vertices)
     for i in range(n):
-        pixel = pixels[i]
-        x, y = xy[pixel, 0], xy[pixel, 1]
-        d_y, d_z = R[1, 0] * x + R[1, 1] * y + R[1, 2], R[2, 0] * x + R[2, 1] * y + R[2, 2]
-        t = (dy * (z_0 - eye[2]) - dz * (y_0 - eye[1])) / (dy * d_z - dz * d_y)
-        light = math.nan
-        if t > 0.0:
-            x_at = eye[0] + t * (R[0, 0] * x + R[0, 1] * y + R[0, 2])
-            s = (eye[1] + t * d_y - y_0) * dy + (eye[2] + t * d_z - z_0) * dz
-            light = _light_on(k, table, face, x_at, s, work)
-        light_e[i] = cos4[pixel] * light
+        face, x, s = faces[i], places[i, 0], places[i, 1]
+        if math.isnan(x):
+            light_e[i] = math.nan
+            continue
+        # Neighbours mostly share a cell.
+        t, u = math.inf, math.inf
+        if face != cells_face:
+            on, cell, cells_face = seen_strip(face, k.vertices), -1, face
+        elif cell >= 0:
+            t, u = (x - middle[cell, 0]) * inverse[cell, 0], (s - middle[cell, 1]) * inverse[cell, 1]
+        if not (abs(t) < 1.0 and abs(u) < 1.0):
+            cell = _cell_at(k, table, face, x, s, least_mm2, work)
+        if cell >= 0:
+            t, u = (x - middle[cell, 0]) * inverse[cell, 0], (s - middle[cell, 1]) * inverse[cell, 1]
+            light = _value(powers[cell], t, u) / _fall_off(k, on, x, s)
+        else:
+            light = light_at(k, face_point(x, s, on, k.corrugation), face, work)
+        light_e[i] = cos4[pixels[i]] * light
 
 
 @kernel(allocates=True)
@@ -337,8 +332,9 @@ def new_table(k: ArcKernel, margin_mm: float, rel: float, floor_e: float, to_pow
         np.empty((MAX_CELLS, 2)),
         np.empty((MAX_CELLS, NODES, NODES)),
         np.zeros(1, dtype=np.int32),
-        np.empty((MAX_WAITING + 2, 29)),
+        np.empty((NODES, NODES)),
         to_powers,
         rel,
         floor_e,
+        sight(k),
     )

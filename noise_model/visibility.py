@@ -76,7 +76,7 @@ def _meet_ridge(
     sign = -1.0 if from_below else 1.0
     if sign * gap <= 1e-9 and near > 0.0:
         return near
-    last = near
+    last, curve = near, height * (math.pi / corrugation[1]) ** 2
     for i in range(steps):
         t = near + (far - near) * (i + 1) / steps
         c, dc = ridge(origin[0] + t * d[0], corrugation)
@@ -88,6 +88,9 @@ def _meet_ridge(
         for _ in range(40):
             slope_gap = sign * (climb - dc * d[0])
             step = t - gap / slope_gap if slope_gap < 0.0 else low
+            if slope_gap < 0.0 and curve * ((step - t) * d[0]) ** 2 < 1e-9:
+                # Less than that, mm, a step of Newton's leaves of the gap.
+                return min(max(step, last), far)
             t_next = step if low < step < high else 0.5 * (low + high)
             if abs(t_next - t) < 1e-9 * far:
                 return t_next

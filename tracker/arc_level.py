@@ -9,8 +9,8 @@ import numpy as np
 import numpy.typing as npt
 
 from noise_model.frames import Float64
-from noise_model.kernel import kernel
-from tracker.geometry import SensorGeometry
+from noise_model.kernel import REDUCTION, kernel
+from tracker.geometry import Float32, SensorGeometry
 from tracker.passage import ArcLight, Passage, seen_arc
 
 MAP_SIGMA = 0.05
@@ -61,15 +61,25 @@ def estimate_arc_level(
     squares with Huber weights; the variance is the pixel's at the fitted mean plus (MAP_SIGMA level map)^2,
     the black level's prior is its tolerance.
     """
-    s, r = geometry.even_sample
-    dn = image_dn[r, s] if geometry.along_rows else image_dn[s, r]
-    clear = dn < geometry.saturation_dn
-    if stripe_px is not None:
-        clear &= np.abs(r - stripe_px[s]) > keep_off_px
-    predicted, other = seen_arc(light, passage, (s * geometry.n_pos + r)[clear])
-    seen = np.isfinite(predicted)
-    m, e = predicted[seen], geometry.charge_e[dn[clear][seen]].astype(np.float64) - other[seen]
-    if len(m) < MIN_PIXELS or not (m > 0.0).any():
+    scan, position = geometry.even_sample
+    pixels, charge_e = np.empty(len(scan), dtype=np.int64), np.empty(len(scan))
+    n = _off_stripe(
+        image_dn,
+        geometry.along_rows,
+        geometry.n_pos,
+        scan,
+        position,
+        geometry.charge_e,
+        geometry.saturation_dn,
+        stripe_px if stripe_px is not None else np.empty(0),
+        keep_off_px,
+        pixels,
+        charge_e,
+    )
+    m, other = seen_arc(light, passage, pixels[:n])
+    n = _only_seen(m, charge_e, other)
+    m, e = m[:n], charge_e[:n]
+    if n < MIN_PIXELS or not (m > 0.0).any():
         return UNKNOWN
     sensor, tolerance = geometry.setup.sensor, geometry.setup.tolerance
     black_sigma = max(tolerance.black_level_dn * sensor.gain_e_per_dn, 1e-3)
@@ -80,13 +90,53 @@ def estimate_arc_level(
     return ArcLevel(level, sigma, black, misfit)
 
 
+@kernel
+def _off_stripe(
+    image_dn: npt.NDArray[np.integer],
+    along_rows: bool,
+    n_pos: int,
+    scan: npt.NDArray[np.int64],
+    position: npt.NDArray[np.int64],
+    code_e: Float32,
+    saturation_dn: int,
+    stripe_px: Float64,
+    keep_off_px: float,
+    pixels: npt.NDArray[np.int64],
+    charge_e: Float64,
+) -> int:
+    """Write which pixels of a sample are neither saturated nor near the stripe; return how many.
+
+    `scan` and `position` (n,) are the sample's, `code_e` the charge of each code, `stripe_px` (n_scan,) the
+    stripe's place, empty for none. Written are `pixels`, counted by scan line, and `charge_e` (n,).
+    """
+    n = 0
+    for i in range(scan.shape[0]):
+        s, r = scan[i], position[i]
+        dn = image_dn[r, s] if along_rows else image_dn[s, r]
+        if dn < saturation_dn and (stripe_px.shape[0] == 0 or abs(r - stripe_px[s]) > keep_off_px):
+            pixels[n], charge_e[n] = s * n_pos + r, code_e[dn]
+            n += 1
+    return n
+
+
+@kernel
+def _only_seen(map_e: Float64, charge_e: Float64, other_e: Float64) -> int:
+    """Move the pixels whose `map_e` (n,) is known to the front, other light taken off; return how many."""
+    n = 0
+    for i in range(map_e.shape[0]):
+        if math.isfinite(map_e[i]):
+            map_e[n], charge_e[n] = map_e[i], charge_e[i] - other_e[i]
+            n += 1
+    return n
+
+
 def _quantile(values: Float64, share: float) -> float:
     """Return the value (n,) that so large a share of all is not above."""
     at = math.ceil(share * (len(values) - 1))
     return float(np.partition(values, at)[at])
 
 
-@kernel
+@kernel(fastmath=REDUCTION)
 def _fit_level(
     map_e: Float64,
     charge_e: Float64,

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 import numpy.typing as npt
 
@@ -37,15 +39,43 @@ def gather(
             censored[s, j] = dn >= saturation_dn
 
 
+@kernel(allocates=True)
 def place(center_px: Float64, n_pos: int, half_px: int) -> tuple[Int64, int]:
     """Return where the band begins for each CELL scan lines, and its depth, so that it holds +-half_px."""
-    starts = np.arange(0, len(center_px), CELL)
-    lowest, highest = np.minimum.reduceat(center_px, starts), np.maximum.reduceat(center_px, starts)
-    spread = float((highest - lowest).max())
-    depth = min(n_pos, 2 * half_px + int(np.ceil(min(spread, half_px))) + 1)
-    middles = 0.5 * (lowest + highest)
-    lows = np.clip(np.rint(middles - depth / 2.0), 0, n_pos - depth).astype(np.int64)
+    n_scan = center_px.shape[0]
+    n = -(-n_scan // CELL)
+    middles, lows, spread = np.empty(n), np.empty(n, dtype=np.int64), 0.0
+    for i in range(n):
+        lowest, highest = center_px[i * CELL], center_px[i * CELL]
+        for s in range(i * CELL, min((i + 1) * CELL, n_scan)):
+            lowest, highest = min(lowest, center_px[s]), max(highest, center_px[s])
+        middles[i] = 0.5 * (lowest + highest)
+        spread = max(spread, highest - lowest)
+    depth = min(n_pos, 2 * half_px + math.ceil(min(spread, float(half_px))) + 1)
+    for i in range(n):
+        lows[i] = min(max(round(middles[i] - 0.5 * depth), 0), n_pos - depth)
     return lows, depth
+
+
+@kernel
+def weigh(
+    charge_e: Float32,
+    background_e: Float32,
+    shot: float,
+    dark_variance_e2: float,
+    residual_e: Float32,
+    variance_e2: Float32,
+) -> None:
+    """Write a band's (n_scan, depth) charge less its background, and its variance without a stripe.
+
+    That is `shot` times the background, which counts as 0 where it is less, plus `dark_variance_e2`.
+    """
+    per_e, dark = np.float32(shot), np.float32(dark_variance_e2)
+    for s in range(charge_e.shape[0]):
+        for j in range(charge_e.shape[1]):
+            mean = background_e[s, j]
+            residual_e[s, j] = charge_e[s, j] - mean
+            variance_e2[s, j] = per_e * (np.float32(0.0) if mean < 0.0 else mean) + dark
 
 
 @kernel(allocates=True)

@@ -10,7 +10,7 @@ import numpy.typing as npt
 
 from noise_model.arc_map import CELL, ArcKernel, ArcMap
 from tracker.arc_level import MAP_SIGMA, ArcLevel
-from tracker.band import gather, median_background, place
+from tracker.band import gather, median_background, place, weigh
 from tracker.expected import ExpectedStripe
 from tracker.geometry import SensorGeometry
 from tracker.passage import Passage
@@ -37,14 +37,15 @@ class Work:
 
     charge: npt.NDArray[np.float32]
     background: npt.NDArray[np.float32]
+    residual: npt.NDArray[np.float32]
     variance: npt.NDArray[np.float32]
     censored: npt.NDArray[np.bool_]
 
     @classmethod
     def of(cls, geometry: SensorGeometry) -> Work:
         """Make room for the widest band of a sensor."""
-        charge, background, variance = np.empty((3, geometry.n_scan, geometry.n_pos), np.float32)
-        return cls(charge, background, variance, np.empty(charge.shape, np.bool_))
+        charge, background, residual, variance = np.empty((4, geometry.n_scan, geometry.n_pos), np.float32)
+        return cls(charge, background, residual, variance, np.empty(charge.shape, np.bool_))
 
     def band(self, depth: int) -> Work:
         """Return contiguous views (n_scan, depth) of the scratch."""
@@ -53,6 +54,7 @@ class Work:
         return Work(
             self.charge.reshape(-1)[:n].reshape(n_scan, depth),
             self.background.reshape(-1)[:n].reshape(n_scan, depth),
+            self.residual.reshape(-1)[:n].reshape(n_scan, depth),
             self.variance.reshape(-1)[:n].reshape(n_scan, depth),
             self.censored.reshape(-1)[:n].reshape(n_scan, depth),
         )
@@ -122,15 +124,13 @@ def read_stripe(
         median_background(band.charge, MEDIAN_HALF_PX, band.background)
         spread = 1.4826 * float(np.median(np.abs(band.charge - band.background)))
         shot, map_sigma, dark_variance = 0.0, MEDIAN_SIGMA, max(spread**2, dark_variance)
-    np.maximum(band.background, 0.0, out=band.variance)
-    band.variance *= np.float32(shot)
-    band.variance += np.float32(dark_variance)
+    weigh(band.charge, band.background, shot, dark_variance, band.residual, band.variance)
     base_sigma = geometry.setup.tolerance.black_level_dn * geometry.setup.sensor.gain_e_per_dn
 
     offsets = np.arange(-math.floor(reach_px), math.floor(reach_px) + 1, OFFSET_STEP)
     score = np.empty((geometry.n_scan, len(offsets)), dtype=np.float32)
     matched_filter(
-        band.charge - band.background,
+        band.residual,
         band.variance,
         expected.position_px,
         expected.sigma_px,

@@ -33,12 +33,17 @@ GHOST_LINES = 8
 """Every so many scan lines are asked for it."""
 
 
+@kernel(allocates=True)
 def path_of(offsets_px: Int64, expected_px: Float64, position_px: Float64) -> Int64:
     """Return the offsets' indices (n_scan,) of stripe centres (n_scan,), -1 where there is none."""
-    held = np.isfinite(position_px)
-    off = np.where(held, position_px - np.rint(expected_px) - offsets_px[0], 0.0)
-    at = np.clip(np.rint(off / OFFSET_STEP), 0, len(offsets_px) - 1)
-    return np.where(held, at, -1).astype(np.int64)
+    n = position_px.shape[0]
+    at, last = np.empty(n, dtype=np.int64), offsets_px.shape[0] - 1
+    for s in range(n):
+        at[s] = -1
+        if math.isfinite(position_px[s]):
+            off = position_px[s] - round(expected_px[s]) - offsets_px[0]
+            at[s] = min(max(round(off / OFFSET_STEP), 0), last)
+    return at
 
 
 @kernel
@@ -94,6 +99,16 @@ def has_ghost(score: Float32, at: Int64, sigma_px: Float64) -> bool:
 
 def leaves_image(expected: ExpectedStripe, position_px: npt.NDArray[np.float64], n_pos: int) -> bool:
     """Say whether the stripe runs off the image: where it was found, or is expected where it was not."""
-    place = np.where(np.isfinite(position_px), position_px, expected.position_px)[expected.shown]
-    sigma = expected.sigma_px[expected.shown]
-    return bool(((place < sigma) | (place > n_pos - 1 - sigma)).any())
+    return _leaves(position_px, expected.position_px, expected.sigma_px, expected.shown, n_pos)
+
+
+@kernel
+def _leaves(
+    position_px: Float64, expected_px: Float64, sigma_px: Float64, shown: npt.NDArray[np.bool_], n_pos: int
+) -> bool:
+    """Say whether one of the shown places (n_scan,) lies within its sigma of the image's ends."""
+    for s in range(position_px.shape[0]):
+        at = position_px[s] if math.isfinite(position_px[s]) else expected_px[s]
+        if shown[s] and (at < sigma_px[s] or at > n_pos - 1 - sigma_px[s]):
+            return True
+    return False

@@ -108,7 +108,9 @@ def made(
     bell = np.exp(-0.5 * ((at - 60.0) / width) ** 2)
     background = np.full((N_SCAN, DEPTH), background_e, np.float32)
     charge = (background + amplitude_e * bell).astype(np.float32)
-    band = Work(charge, background, np.zeros_like(charge), np.zeros(charge.shape, np.bool_))
+    band = Work(
+        charge, background, np.zeros_like(charge), np.zeros_like(charge), np.zeros(charge.shape, np.bool_)
+    )
     lows, start = np.zeros(-(-N_SCAN // CELL), np.int64), np.full(N_SCAN, 59.0)
     start[0] = np.nan
     fits, saturated = np.empty((N_SCAN, 5)), np.empty(N_SCAN, np.bool_)

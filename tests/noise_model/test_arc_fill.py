@@ -5,15 +5,18 @@ import math
 import numpy as np
 import pytest
 import scenes
-from hypothesis import given, settings
+from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
 from noise_model.arc_borders import seen_strip
 from noise_model.arc_disc import MAX_PIECES, crossings, equator_q
+from noise_model.arc_integral import gauss_nodes
 from noise_model.arc_map import CELL, ArcMap, arc_at, arc_frame, arc_kernel, scene
-from noise_model.faces import across, face_point
+from noise_model.arc_sight import face_seen, sight
+from noise_model.faces import across, face_point, ridge
 from noise_model.optics import Rays
 from noise_model.surface import section
+from noise_model.visibility import first_hit
 
 QUARTER_DN_E = 20.0
 
@@ -31,6 +34,7 @@ def over_limit(setup, T_base_tool):
 
 shifts = st.tuples(st.floats(-30.0, 30.0), st.floats(-4.0, 4.0), st.floats(-3.0, 8.0))
 turns = st.tuples(*[st.floats(-10.0, 10.0)] * 3)
+unit = st.floats(-0.9, 0.9)
 
 
 @given(st.sampled_from(["flat", "v_groove", "lap"]), st.sampled_from(list(scenes.TABLE_1)), shifts, turns)
@@ -74,6 +78,63 @@ def test_a_pixels_light_does_not_depend_on_the_band_it_is_in():
     ArcMap.of(kernel, xy, cos4, len(band)).fill(lows, band)
     part = np.array([frame[i, lows[i // CELL] : lows[i // CELL] + 77] for i in range(152)])
     np.testing.assert_allclose(band, part, rtol=1e-5)
+
+
+@pytest.mark.parametrize("name", ["v_groove", "lap", "corrugation"])
+def test_a_pixels_light_does_not_depend_on_what_was_asked_before(name):
+    setup = scenes.setup(name, of_camera=scenes.camera(width=200, height=152, focal_px=2190.0))
+    rays = Rays.of(setup.camera)
+    kernel = arc_kernel(setup, scene(setup, scenes.pose()))
+    xy, cos4 = rays.xy.reshape(-1, 2), rays.cos4.reshape(-1)
+    pixels, lows = np.arange(0, cos4.size, 97), np.zeros(152 // CELL, dtype=np.int64)
+    bands = np.empty((2, 152, 77), dtype=np.float32)
+    first, last = (ArcMap.of(kernel, xy, cos4, 152) for _ in range(2))
+    before = first.at(pixels)
+    first.fill(lows, bands[0])
+    last.fill(lows, bands[1])
+    np.testing.assert_array_equal(bands[0], bands[1])
+    np.testing.assert_array_equal(before, last.at(pixels))
+
+
+@given(
+    st.sampled_from(["flat", "v_groove", "lap"]), shifts, turns, st.floats(-0.6, 0.6), st.floats(-0.9, 0.9)
+)
+@settings(max_examples=200, deadline=None)
+def test_the_listed_face_is_the_one_that_a_ray_meets(name, shift, turn_deg, x, y):
+    setup = scenes.setup(name)
+    kernel = arc_kernel(setup, scene(setup, scenes.pose(shift, turn_deg)))
+    d, seen = kernel.rotation @ [x, y, 1.0], sight(kernel)
+    # To rounding, a ray through an edge meets either of its faces.
+    edges = np.column_stack([kernel.vertices[:, 0] - kernel.eye[1], kernel.vertices[:, 1] - kernel.eye[2]])
+    assume(np.min(np.abs(edges @ [d[2], -d[1]]) / np.hypot(*edges.T)) > 1e-12)
+    _, want = first_hit(kernel.eye, d, kernel.vertices, np.zeros(3))
+    assert face_seen(kernel, seen, x, y) == want
+
+
+def test_what_an_upright_side_hides_is_not_listed():
+    """From above one sheet of a lap its edge's face is seen, from above the other it is not."""
+    setup = scenes.setup("lap")
+    listed = [sight(arc_kernel(setup, scene(setup, scenes.pose((0.0, y, 0.0))))).faces for y in (-20.0, 20.0)]
+    assert [1 in faces for faces in listed] == [False, True]
+
+
+@given(st.floats(-90.0, 90.0), st.floats(0.5, 12.0), st.floats(5.0, 40.0), st.floats(0.0, 30.0))
+def test_a_ridge_is_a_raised_cosine(x, height, width, beside):
+    pitch = width + beside
+    u = x - pitch * math.floor(x / pitch + 0.5)
+    inside, turn = abs(u) < 0.5 * width, 2.0 * math.pi / width
+    c = 0.5 * height * (1.0 + math.cos(turn * u)) if inside else 0.0
+    slope = -0.5 * height * turn * math.sin(turn * u) if inside else 0.0
+    assert ridge(x, np.array([height, width, pitch])) == pytest.approx((c, slope), abs=1e-9)
+
+
+@pytest.mark.parametrize("n", [2, 4, 6, 24])
+def test_the_uncut_discs_rule_is_exact_for_polynomials(n):
+    """The integral over p of sqrt(1 - p^2)^k is a beta function."""
+    p, weight = gauss_nodes()[4:, n, :n]
+    for k in range(1, n + 1):
+        want = math.sqrt(math.pi) * math.gamma(0.5 * k + 1.0) / math.gamma(0.5 * k + 1.5)
+        assert weight @ np.sqrt(1.0 - p * p) ** k == pytest.approx(want, rel=1e-12)
 
 
 @given(st.sampled_from(list(scenes.JOINTS)), st.floats(-80.0, 80.0), st.floats(0.01, 0.99))

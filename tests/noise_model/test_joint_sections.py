@@ -184,6 +184,34 @@ def test_a_frame_filled_by_cells_is_the_frame_pixel_by_pixel(name):
     check_filled(arc_frame_of(setup, POSES["level"]), mean_e.reshape(119, 157))
 
 
+def plain_footprint(view):
+    """The camera's rim followed to the highest and the lowest level between the plates and to these."""
+    camera, T, vertices = view.camera, view.T_joint_camera, view.shape.vertices
+    u, v = np.meshgrid([0.0, 0.5, 1.0], [0.0, 0.5, 1.0])
+    rim = camera.normalised(
+        np.column_stack([u.ravel() * (camera.width - 1), v.ravel() * (camera.height - 1)])
+    )
+    d = np.column_stack([rim, np.ones(9)]) @ T[:3, :3].T
+    least = -0.1 * np.linalg.norm(d, axis=1)
+    levels = vertices[1:-1, 1].min(), vertices[1:-1, 1].max() + view.shape.corrugation[0]
+    ends = [
+        T[:2, 3] + ((level - T[2, 3]) / np.minimum(d[:, 2], least))[:, None] * d[:, :2] for level in levels
+    ]
+    for edge, end in ((vertices[1], vertices[0]), (vertices[-2], vertices[-1])):
+        slope = (end[1] - edge[1]) / (end[0] - edge[0])
+        if slope != 0.0:
+            above = T[2, 3] - edge[1] - slope * (T[1, 3] - edge[0])
+            ends.append(T[:2, 3] - (above / np.minimum(d[:, 2] - slope * d[:, 1], least))[:, None] * d[:, :2])
+    return np.stack([np.min(ends, axis=(0, 1)), np.max(ends, axis=(0, 1))], axis=1)
+
+
+@pytest.mark.parametrize("name", [*scenes.JOINTS, *scenes.MORE_JOINTS])
+@pytest.mark.parametrize("turn_deg", [(0.0, 0.0, 0.0), (5.0, -8.0, 30.0), (70.0, 10.0, 0.0)])
+def test_the_footprint_is_its_plain_twins(name, turn_deg):
+    view = scene(scenes.setup(name), scenes.pose((7.0, -1.0, 2.0), turn_deg))
+    np.testing.assert_allclose(view.footprint_mm, plain_footprint(view), rtol=1e-9)
+
+
 @pytest.mark.parametrize("name", scenes.MORE_JOINTS)
 def test_the_footprint_holds_all_that_the_camera_sees(name):
     setup = scenes.setup(name)

@@ -16,7 +16,7 @@ from noise_model.condition import Condition
 from noise_model.forward import predict
 from noise_model.sensor import expose
 from noise_model.setup import Setup
-from tracker.arc_level import UNKNOWN, ArcLevel, _fit_level, estimate_arc_level
+from tracker.arc_level import UNKNOWN, ArcLevel, _fit_level, _off_stripe, _only_seen, estimate_arc_level
 from tracker.expected import expect_stripe
 from tracker.geometry import SensorGeometry
 from tracker.read import arc_map_of
@@ -76,6 +76,36 @@ def test_the_fit_is_its_twin(seed: int, level: float, spattered: float) -> None:
     assert found == pytest.approx(twin, rel=1e-3, abs=1e-5)
     assert black == pytest.approx(twin_black, abs=0.1)
     np.testing.assert_allclose(size, twin_size, rtol=1e-2, atol=1e-2)
+
+
+@pytest.mark.parametrize("along_rows", [False, True])
+@pytest.mark.parametrize("has_stripe", [False, True])
+def test_the_sample_is_its_twin(along_rows: bool, has_stripe: bool) -> None:
+    rng = np.random.default_rng(SEED)
+    n_scan, n_pos = 30, 50
+    image = rng.integers(0, 256, (n_pos, n_scan) if along_rows else (n_scan, n_pos)).astype(np.uint8)
+    scan, position = (axis.ravel() for axis in np.meshgrid(np.arange(3, 30, 4), np.arange(2, 50, 5)))
+    stripe = rng.uniform(10.0, 40.0, n_scan) if has_stripe else np.empty(0)
+    stripe[::7] = np.nan
+    code_e = rng.uniform(0.0, 1e4, 256).astype(np.float32)
+    pixels, charge = np.empty(len(scan), dtype=np.int64), np.empty(len(scan))
+    n = _off_stripe(image, along_rows, n_pos, scan, position, code_e, 200, stripe, 8.0, pixels, charge)
+    dn = (image.T if along_rows else image)[scan, position]
+    want = dn < 200
+    if has_stripe:
+        want &= np.abs(position - stripe[scan]) > 8.0
+    np.testing.assert_array_equal(pixels[:n], (scan * n_pos + position)[want])
+    np.testing.assert_array_equal(charge[:n], code_e[dn[want]])
+
+
+def test_only_what_is_seen_is_kept() -> None:
+    rng = np.random.default_rng(SEED)
+    map_e, charge, other = rng.uniform(0.0, 9.0, (3, 200))
+    map_e[rng.random(200) < 0.3] = np.nan
+    seen = np.isfinite(map_e)
+    want = map_e[seen], (charge - other)[seen]
+    n = _only_seen(map_e, charge, other)
+    np.testing.assert_array_equal((map_e[:n], charge[:n]), want)
 
 
 def test_spatter_does_not_move_it(geometry: SensorGeometry) -> None:

@@ -8,7 +8,7 @@ import twins
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from tracker.band import gather, median_background, place
+from tracker.band import gather, median_background, place, weigh
 
 CELL = 8
 seeds = st.integers(0, 2**32 - 1)
@@ -50,6 +50,32 @@ def test_the_running_median_is_its_twin(seed: int, half: int) -> None:
     background = np.full_like(band, np.nan)
     median_background(band, half, background)
     np.testing.assert_allclose(background, twins.running_median(band, half), rtol=1e-6)
+
+
+@settings(deadline=None, max_examples=20)
+@given(seeds, st.floats(0.0, 2.0), st.floats(1.0, 1e4))
+def test_weigh_is_its_twin(seed: int, shot: float, dark: float) -> None:
+    rng = np.random.default_rng(seed)
+    charge, background = rng.normal(200.0, 300.0, (2, *rng.integers(1, 30, 2))).astype(np.float32)
+    background[rng.random(background.shape) < 0.1] = np.nan
+    residual, variance = np.full((2, *charge.shape), np.inf, np.float32)
+    weigh(charge, background, shot, dark, residual, variance)
+    np.testing.assert_array_equal(residual, charge - background)
+    np.testing.assert_allclose(variance, shot * np.maximum(background, 0.0) + dark, rtol=1e-6)
+
+
+@settings(deadline=None)
+@given(seeds, st.integers(1, 60))
+def test_a_band_is_placed_as_its_twin(seed: int, half: int) -> None:
+    rng = np.random.default_rng(seed)
+    n_pos = int(rng.integers(16, 300))
+    center = rng.uniform(-20.0, n_pos + 20.0) + rng.normal(0.0, 4.0, rng.integers(1, 80)).cumsum()
+    lows, depth = place(center, n_pos, half)
+    parts = [center[i : i + CELL] for i in range(0, len(center), CELL)]
+    spread = max(float(np.ptp(part)) for part in parts)
+    assert depth == min(n_pos, 2 * half + int(np.ceil(min(spread, half))) + 1)
+    middles = np.array([0.5 * (part.min() + part.max()) for part in parts])
+    np.testing.assert_array_equal(lows, np.clip(np.rint(middles - depth / 2.0), 0, n_pos - depth))
 
 
 @settings(deadline=None)

@@ -282,7 +282,9 @@ def test_the_scratch_and_the_run_do_not_matter(setups: dict[str, Setup]) -> None
                     array[...] = 0
                 next_state, track = step(geometry, state, frame, pose, clean, use_arc_map)
                 dirty = Work.of(geometry)
-                for array, junk in zip(vars(dirty).values(), (np.nan, 1e30, np.nan, True), strict=True):
+                for array, junk in zip(
+                    vars(dirty).values(), (np.nan, 1e30, np.nan, np.nan, True), strict=True
+                ):
                     array[...] = junk
                 _, again = step(geometry, state, frame, pose, dirty, use_arc_map)
                 assert_same(track, again)

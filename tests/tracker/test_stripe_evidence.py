@@ -78,6 +78,24 @@ def test_the_path_is_where_the_stripe_was_found() -> None:
     np.testing.assert_array_equal(at, [10, -1, 0, 20])
 
 
+def test_path_and_rim_are_their_plain_twins() -> None:
+    rng = np.random.default_rng(SEED)
+    offsets = np.arange(-20, 21, OFFSET_STEP)
+    for _ in range(50):
+        expected = ExpectedStripe(
+            rng.uniform(10.0, 90.0, 30), rng.uniform(1.0, 9.0, 30), np.zeros(30), rng.random(30) < 0.7
+        )
+        position = expected.position_px + rng.normal(0.0, 9.0, 30)
+        position[rng.random(30) < 0.3] = np.nan
+        held = np.isfinite(position)
+        off = np.nan_to_num(position) - np.rint(expected.position_px) + 20
+        want = np.where(held, np.clip(np.rint(off / OFFSET_STEP), 0, len(offsets) - 1), -1)
+        np.testing.assert_array_equal(path_of(offsets, expected.position_px, position), want)
+        at = np.where(held, position, expected.position_px)
+        leaves = (at < expected.sigma_px) | (at > 99 - expected.sigma_px)
+        assert leaves_image(expected, position, 100) == bool(leaves[expected.shown].any())
+
+
 @pytest.mark.parametrize(
     ("second", "share", "is_one"), [(0.8, 1.0, True), (0.3, 1.0, False), (0.8, 0.4, False)]
 )
