@@ -1,11 +1,12 @@
 """Frames of the arc alone that the tracker takes for a seam, though it is told that the laser is on.
 
-    python benchmarks/false_tracks.py [--frames N] [--seed K] [--blocks]
+    python benchmarks/false_tracks.py [--frames N] [--seed K] [--blocks] [--joint JOINT]
 
 Frames of 320x240 drawn from the forward model: every joint, materials, poses, seams off their place, arc
 levels, the camera off by its tolerance, and for half of the poses one of the effects (not the slow ones), of
 which the tracker knows nothing. Each pose is drawn FRAMES_A_SCENE times, by turns for one that searches
-and for one that knows the seam. --blocks adds frames of blocks of random codes, which no forward model makes.
+and for one that knows the seam: each of these has a level, random effects and noise of its own. --blocks adds
+frames of blocks of random codes, which no forward model makes.
 """
 
 from __future__ import annotations
@@ -65,7 +66,8 @@ def count(setup: Setup, true: Setup, rng: np.random.Generator, of: Counter[str],
         if track.valid:
             of["tracked"] += 1
             print(
-                f"  tracked: {setup.joint.type}, {', '.join(true.effects) or 'no effect'}, {track.flag_names}"
+                f"  tracked: {setup.joint.type} of {setup.material.name}, "
+                f"{', '.join(true.effects) or 'no effect'}, {track.flag_names}"
             )
 
 
@@ -74,11 +76,13 @@ def main() -> None:
     parser.add_argument("--frames", type=int, default=10_000)
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--blocks", action="store_true")
+    parser.add_argument("--joint", choices=list(DIMENSIONS), action="append")
     chosen = parser.parse_args()
-    rng = np.random.default_rng(chosen.seed)
-    counts: dict[str, Counter[str]] = {joint: Counter() for joint in DIMENSIONS}
+    joints = chosen.joint or list(DIMENSIONS)
+    counts: dict[str, Counter[str]] = {joint: Counter() for joint in joints}
     for scene in range(-(-chosen.frames // FRAMES_A_SCENE)):
-        joint = list(DIMENSIONS)[scene % len(DIMENSIONS)]
+        rng = np.random.default_rng([chosen.seed, scene])
+        joint = joints[scene % len(joints)]
         setup = balance(nominal_setup(joint, str(rng.choice(MATERIALS)), width=320, height=240))
         effects = {str(rng.choice(EFFECTS)): {}} if rng.random() < 0.5 else {}
         camera = setup.camera
@@ -95,11 +99,11 @@ def main() -> None:
             f"{joint:12} {of['tracked']:4} of {of['frames']} frames tracked, {100 * lines:.2f} % of the lines"
         )
     if chosen.blocks:
-        print_blocks(rng)
+        print_blocks(np.random.default_rng(chosen.seed), joints)
 
 
-def print_blocks(rng: np.random.Generator) -> None:
-    for joint in DIMENSIONS:
+def print_blocks(rng: np.random.Generator, joints: list[str]) -> None:
+    for joint in joints:
         setup = balance(nominal_setup(joint, "zn_coated", width=320, height=240))
         geometry = SensorGeometry.of(setup)
         work, tracked = Work.of(geometry), 0

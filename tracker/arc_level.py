@@ -25,6 +25,9 @@ MISFIT_QUANTILE, NORMAL_QUANTILE = 0.9, 1.6449
 MIN_PIXELS = 40
 """Fewer pixels tell nothing of the arc."""
 
+MOST_SIGMA = 0.2
+"""A level less certain than this, over the larger of itself and the expected one, is not known."""
+
 MOST_STEPS, SETTLED = 20, 1e-6
 """Steps of the level's fit at most, and the relative one that is the last."""
 
@@ -86,6 +89,9 @@ def estimate_arc_level(
     size = np.empty(len(m))
     start = max(0.0, _quantile(e, 0.5) / (_quantile(m, 0.5) + 1e-9))
     level, sigma, black = _fit_level(m, e, geometry.dark_variance_e2, black_sigma, start, size)
+    # Where the sheet hides the arc, its level may be anything.
+    if not sigma < MOST_SIGMA * max(level, 1.0):
+        return UNKNOWN
     misfit = _quantile(size, MISFIT_QUANTILE) / NORMAL_QUANTILE
     return ArcLevel(level, sigma, black, misfit)
 

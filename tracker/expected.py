@@ -17,12 +17,16 @@ from noise_model.laser import Sheet, depth_below, sheet_of, sheet_reflected
 from noise_model.optics import Intrinsics
 from noise_model.surface import EDGE_STANDS_MM
 from tracker.geometry import SensorGeometry
+from tracker.lean import PLANES, fit_bell
 
 Int64 = npt.NDArray[np.int64]
 Bool = npt.NDArray[np.bool_]
 
 HALF_SPAN_MM, STEP_MM = 60.0, 0.75
 """How far to either side of the tool the stripe is followed where the camera sees it, and in which steps."""
+
+FLANKS = np.array([-1.0, 0.0, 1.0])
+"""Planes across the sheet, in its sigmas, that tell width and lean of a stripe on flat faces."""
 
 BESIDE_MM = 1e-6
 """The stripe is looked at so near to either side of each corner."""
@@ -56,17 +60,22 @@ def expect_stripe(geometry: SensorGeometry, view: Scene) -> ExpectedStripe | Non
     read off per scan line; beyond what is seen the ends are held. A Gaussian stripe whose strength varies as
     exp(k v) is that Gaussian moved by k sigma^2. One that is wider on one side by the surface's curve,
     v = a x + b x^2, moves the least-squares centre by 3/2 b sigma_x^2, as its third-order term projects on
-    the derivative of the Gaussian. Both together are the lean, with k from the model of the light.
+    the derivative of the Gaussian. Both together are the lean, with k from the model of the light. On a
+    corrugation, which may mirror the laser for a part of the stripe, `tracker.lean` fits centre and width.
     """
     setup = geometry.setup
     position, sigma, lean = np.empty((3, geometry.n_scan))
     face = np.empty(geometry.n_scan, dtype=np.int64)
     vertices = view.shape.vertices
-    is_deep = vertices[:, 1] <= -EDGE_STANDS_MM
+    below = vertices[:, 1] <= -EDGE_STANDS_MM
+    # A face that is deep throughout; a ridge's faces only end there.
+    is_deep = below[:-1] & below[1:]
     if is_deep.any():
         # The seam may be off its place by more than its sheets are wide: they are looked for beside it too.
-        vertices = np.column_stack([vertices[:, 0], np.where(is_deep, 0.0, vertices[:, 1])])
+        lifted = np.append(is_deep, False) | np.append(False, is_deep)
+        vertices = np.column_stack([vertices[:, 0], np.where(lifted, 0.0, vertices[:, 1])])
     in_view = _expect(
+        PLANES if view.shape.corrugation[0] > 0.0 else FLANKS,
         vertices,
         view.shape.corrugation,
         np.ascontiguousarray(view.T_joint_tool[:3, 3]),
@@ -86,7 +95,7 @@ def expect_stripe(geometry: SensorGeometry, view: Scene) -> ExpectedStripe | Non
         return None
     shown = np.ones(geometry.n_scan, dtype=np.bool_)
     if is_deep.any():
-        shown = (face < 0) | ~(is_deep[:-1] & is_deep[1:])[face]
+        shown = (face < 0) | ~is_deep[face]
     return ExpectedStripe(position, sigma, lean, shown)
 
 
@@ -103,14 +112,15 @@ def _cut_and_project(
     lens: Intrinsics,
     material: LobeNumbers,
     along_rows: bool,
+    with_light: bool,
     at: Float64,
     light: Float64,
 ) -> bool:
     """Cut a plane `shift_mm` beside the sheet with the section at y (n,) and look at it.
 
     `face` (n,) are the faces that the points lie on. Writes the image points `at` (n, 2) as (scan,
-    position) and, beside the sheet, the stripe's `light` there, the sheet's own Gaussian divided out. False
-    if a point lies behind the camera.
+    position) and, `with_light`, the stripe's `light` there, the sheet's own Gaussian divided out. False if a
+    point lies behind the camera.
     """
     nx, ny, nz, d = sheet.plane[0], sheet.plane[1], sheet.plane[2], sheet.plane[3] - shift_mm
     k1, k2, p1, p2, k3 = lens.distortion
@@ -138,8 +148,7 @@ def _cut_and_project(
         v = lens.fy * (b * radial + p1 * (q + 2.0 * b * b) + 2.0 * p2 * a * b) + lens.cy
         at[i, 0], at[i, 1] = (u, v) if along_rows else (v, u)
 
-        # The lean is made of the flanks' light.
-        if shift_mm == 0.0:
+        if not with_light:
             light[i] = math.nan
             continue
         distance = math.sqrt(wx * wx + wy * wy + wz * wz)
@@ -203,6 +212,7 @@ def _per_line(
 
 @kernel(allocates=True)
 def _expect(
+    planes: Float64,
     vertices: Float64,
     corrugation: Float64,
     tool_mm: Float64,
@@ -223,10 +233,13 @@ def _expect(
     y, face = _samples(vertices, tool_mm[1], seen_mm[0], seen_mm[1])
     n = len(y)
     at, light = np.empty((n, 2)), np.empty(n)
-    places, strengths = np.empty((3, n_scan)), np.empty((3, n_scan))
-    faces = np.empty((3, n_scan), dtype=np.int64)
-    for side in range(3):
-        shift = (side - 1.0) * sheet.sigma
+    n_planes = planes.shape[0]
+    places, strengths = np.empty((n_planes, n_scan)), np.empty((n_planes, n_scan))
+    faces = np.empty((n_planes, n_scan), dtype=np.int64)
+    for k in range(n_planes):
+        shift = planes[k] * sheet.sigma
+        # Of three the lean is made of the flanks' light.
+        with_light = shift != 0.0 or n_planes > FLANKS.shape[0]
         if not _cut_and_project(
             y,
             face,
@@ -239,24 +252,37 @@ def _expect(
             lens,
             material,
             along_rows,
+            with_light,
             at,
             light,
         ):
             return False
-        if not _per_line(at, light, face, places[side], strengths[side], faces[side]):
+        if not _per_line(at, light, face, places[k], strengths[k], faces[k]):
             return False
+    middle = n_planes // 2
+    one = round(1.0 / (planes[1] - planes[0]))
+    before, behind = middle - one, middle + one
     good = np.empty(n_scan, dtype=np.bool_)
+    seen, bell = np.empty(n_planes), np.empty(2)
     for s in range(n_scan):
-        half_width = 0.5 * (places[2, s] - places[0, s])
-        position[s] = places[1, s]
+        half_width = 0.5 * (places[behind, s] - places[before, s])
+        position[s] = places[middle, s]
+        on = faces[middle, s]
+        good[s] = on >= 0 and faces[before, s] == on and faces[behind, s] == on
+        if n_planes > FLANKS.shape[0]:
+            for k in range(n_planes):
+                is_same = faces[k, s] == on
+                seen[k] = strengths[k, s] * math.exp(-0.5 * planes[k] ** 2) if is_same else 0.0
+            if good[s] and fit_bell(places[:, s], seen, abs(half_width), bell):
+                sigma[s], lean[s] = math.hypot(bell[1], psf_sigma_px), bell[0] - position[s]
+                continue
         sigma[s] = math.hypot(half_width, psf_sigma_px)
         shading = 0.0
-        if strengths[0, s] > 0.0 and strengths[2, s] > 0.0:
-            shading = 0.5 * half_width * math.log(strengths[2, s] / strengths[0, s])
-        lean[s] = shading + 1.5 * (0.5 * (places[2, s] + places[0, s]) - places[1, s])
-        good[s] = faces[1, s] >= 0 and faces[0, s] == faces[1, s] and faces[2, s] == faces[1, s]
-    _take_from_same_face(sigma, lean, faces[1], good)
-    face_shown[:] = faces[1]
+        if strengths[before, s] > 0.0 and strengths[behind, s] > 0.0:
+            shading = 0.5 * half_width * math.log(strengths[behind, s] / strengths[before, s])
+        lean[s] = shading + 1.5 * (0.5 * (places[behind, s] + places[before, s]) - places[middle, s])
+    _take_from_same_face(sigma, lean, faces[middle], good)
+    face_shown[:] = faces[middle]
     return True
 
 

@@ -21,7 +21,8 @@ class Profile:
     """The measured cross-section in the joint frame, in order of y; n points.
 
     `y_mm`, `z_mm` (n,): the points, a corrugation's height taken off z; `dy_mm`, `dz_mm` (n,): how a point
-    moves when its stripe centre moves by 1 px; `sigma_px` (n,): that centre's 1 sigma. `column_mm` is the
+    moves when its stripe centre moves by 1 px; `sigma_px` (n,): that centre's 1 sigma, `beside_px` (n,)
+    that with which it counts among neighbours that are off alike. `column_mm` is the
     points' spacing in y, `scan` (n,) the scan lines they came from. The seam is looked for within
     `reach_mm` of y = 0.
     """
@@ -33,6 +34,7 @@ class Profile:
     sigma_px: Float64
     scan: Float64
     column_mm: float
+    beside_px: Float64
     reach_mm: float = math.inf
 
 
@@ -41,6 +43,7 @@ def triangulate(
     view: Scene,
     position_px: Float64,
     sigma_px: Float64,
+    beside_px: Float64,
 ) -> Profile:
     """Return the profile of a stripe given per scan line (n_scan,), NaN where there is none.
 
@@ -68,7 +71,7 @@ def triangulate(
         order = np.argsort(y, kind="stable")
         y, z, dy, dz, sigma = points[:, order]
         scan, column = scan[order], float(np.median(np.diff(y)))
-    return Profile(y, z, dy, dz, sigma, scan, column)
+    return Profile(y, z, dy, dz, sigma, scan, column, beside_px[scan.astype(np.int64)])
 
 
 @kernel(allocates=True)

@@ -9,19 +9,22 @@ import numpy as np
 import numpy.typing as npt
 
 from noise_model.arc_map import CELL, ArcKernel, ArcMap
+from noise_model.frames import Float64
 from tracker.arc_level import MAP_SIGMA, ArcLevel
 from tracker.band import gather, median_background, place, weigh
 from tracker.expected import ExpectedStripe
 from tracker.geometry import SensorGeometry
 from tracker.passage import Passage
+from tracker.second_stripe import second_light, second_place
 from tracker.speckle import Speckle, with_speckle
 from tracker.state import Frame, Stripe
 from tracker.stripe_fit import fit_lines
 from tracker.stripe_path import OFFSET_STEP, best_path, matched_filter, peaks
 from tracker.stripe_smooth import smooth_stripe
 
-FIT_SIGMAS = 4.0
-"""How many stripe sigmas of background the band holds beyond the reach of the search."""
+FIT_SIGMAS = 5.0
+"""How many stripe sigmas of background the band holds beyond the reach of the search: the fit reads four, and
+a second stripe beside them has to be seen."""
 
 MAP_TOLERANCE, MAP_FLOOR_E = 0.01, 20.0
 """How far the map may be off where it is read off its tables: relative, and in electrons."""
@@ -29,6 +32,9 @@ MAP_TOLERANCE, MAP_FLOOR_E = 0.01, 20.0
 MEDIAN_HALF_PX = 30
 MEDIAN_SIGMA = 1.0
 """Without an arc map: half the running median's length, and its background's relative 1 sigma (anything)."""
+
+MOST_ROUNDS = 3
+"""So many times at most the stripe is read again without a second one's light."""
 
 
 @dataclass
@@ -69,6 +75,7 @@ class StripeReading:
     the rounded expected place; `start_px` (n_scan,) is where the likeliest path runs, NaN for no stripe;
     `fits` (n_scan, 5) are `fit_line`'s. The variance of a pixel is `shot` times its mean plus
     `dark_variance_e2`; `map_sigma` is the background's relative 1 sigma, `base_sigma_e` the black level's.
+    `second_share` is how bright a second stripe is over the first, 0 for none; the background has its light.
     """
 
     stripe: Stripe
@@ -82,6 +89,7 @@ class StripeReading:
     dark_variance_e2: float
     map_sigma: float
     base_sigma_e: float
+    second_share: float
 
 
 def arc_map_of(geometry: SensorGeometry, kernel: ArcKernel) -> ArcMap:
@@ -124,11 +132,70 @@ def read_stripe(
         median_background(band.charge, MEDIAN_HALF_PX, band.background)
         spread = 1.4826 * float(np.median(np.abs(band.charge - band.background)))
         shot, map_sigma, dark_variance = 0.0, MEDIAN_SIGMA, max(spread**2, dark_variance)
-    weigh(band.charge, band.background, shot, dark_variance, band.residual, band.variance)
     base_sigma = geometry.setup.tolerance.black_level_dn * geometry.setup.sensor.gain_e_per_dn
-
     offsets = np.arange(-math.floor(reach_px), math.floor(reach_px) + 1, OFFSET_STEP)
-    score = np.empty((geometry.n_scan, len(offsets)), dtype=np.float32)
+    noise = shot, dark_variance, map_sigma, base_sigma
+    score, start, fits, saturated = _fit_band(band, expected, lows, offsets, noise)
+    plain, second_share = band.background, 0.0
+    for _ in range(MOST_ROUNDS):
+        share, apart_px = second_place(band.charge, plain, band.censored, fits, lows)
+        if share == second_share == 0.0:
+            break
+        if plain is band.background:
+            plain = plain.copy()
+        band.background[:] = plain
+        if share > 0.0:
+            light = np.empty_like(plain)
+            second_light(band.charge, plain, band.censored, fits, lows, share, apart_px, light)
+            band.background += light
+        second_share = share
+        score, start, fits, saturated = _fit_band(band, expected, lows, offsets, noise)
+    sigma, together = with_speckle(
+        Speckle.of(geometry.setup),
+        fits,
+        expected.sigma_px,
+        band.background,
+        lows,
+        shot,
+        dark_variance,
+        map_sigma,
+        base_sigma,
+    )
+    smooth, smooth_sigma = smooth_stripe(fits[:, 0], sigma, together)
+    stripe = Stripe(
+        fits[:, 0], sigma, smooth, smooth_sigma, fits[:, 2], saturated, geometry.along_rows, together
+    )
+    return StripeReading(
+        stripe,
+        band,
+        lows,
+        offsets,
+        score,
+        start,
+        fits,
+        shot,
+        dark_variance,
+        map_sigma,
+        base_sigma,
+        second_share,
+    )
+
+
+def _fit_band(
+    band: Work,
+    expected: ExpectedStripe,
+    lows: npt.NDArray[np.int64],
+    offsets: npt.NDArray[np.int64],
+    noise: tuple[float, float, float, float],
+) -> tuple[npt.NDArray[np.float32], Float64, Float64, npt.NDArray[np.bool_]]:
+    """Return a band's score (n_scan, n_offsets), path's start (n_scan,), fits (n_scan, 5), saturated lines.
+
+    `noise` are `fit_lines`' shot, dark variance, and 1 sigma of map and base.
+    """
+    shot, dark_variance, map_sigma, base_sigma = noise
+    weigh(band.charge, band.background, shot, dark_variance, band.residual, band.variance)
+    n_scan = len(band.charge)
+    score = np.empty((n_scan, len(offsets)), dtype=np.float32)
     matched_filter(
         band.residual,
         band.variance,
@@ -139,12 +206,12 @@ def read_stripe(
         offsets,
         score,
     )
-    choice = np.empty(geometry.n_scan, dtype=np.int64)
+    choice = np.empty(n_scan, dtype=np.int64)
     best_path(score, choice)
-    start = np.empty(geometry.n_scan)
+    start = np.empty(n_scan)
     peaks(score, choice, expected.position_px, offsets, start)
-    fits = np.empty((geometry.n_scan, 5))
-    saturated = np.empty(geometry.n_scan, dtype=np.bool_)
+    fits = np.empty((n_scan, 5))
+    saturated = np.empty(n_scan, dtype=np.bool_)
     fit_lines(
         band.charge,
         band.background,
@@ -160,22 +227,7 @@ def read_stripe(
         fits,
         saturated,
     )
-    sigma, together = with_speckle(
-        Speckle.of(geometry.setup),
-        fits,
-        expected.sigma_px,
-        band.background,
-        lows,
-        shot,
-        dark_variance,
-        map_sigma,
-        base_sigma,
-    )
-    smooth, smooth_sigma = smooth_stripe(fits[:, 0], sigma, together)
-    stripe = Stripe(fits[:, 0], sigma, smooth, smooth_sigma, fits[:, 2], saturated, geometry.along_rows)
-    return StripeReading(
-        stripe, band, lows, offsets, score, start, fits, shot, dark_variance, map_sigma, base_sigma
-    )
+    return score, start, fits, saturated
 
 
 def _predict_background(

@@ -44,9 +44,11 @@ class Stripe:
     """The stripe per scan line, the image's columns if the stripe runs along its rows.
 
     `position_px` (n,) is NaN where there is no stripe; `sigma_px` its 1 sigma; `amplitude_e` the peak over
-    the background; `saturated` says where pixels were censored. These are the lines' own and independent:
-    the joint is fitted to them. `smooth_px` and `smooth_sigma_px` (n,) are what the neighbours along the
-    stripe make of them (`tracker.stripe_smooth`), NaN also at outliers and where the centre stays unsure.
+    the background; `saturated` says where pixels were censored. These are the lines' own, and independent
+    but for speckle's grains, which reach over a few lines: `beside_px` (n,) is the 1 sigma with which each
+    counts among its neighbours. The joint is fitted to them. `smooth_px` and `smooth_sigma_px` (n,) are what
+    the neighbours along the stripe make of them (`tracker.stripe_smooth`), NaN also at outliers and where the
+    centre stays unsure.
     """
 
     position_px: Float64
@@ -56,6 +58,7 @@ class Stripe:
     amplitude_e: Float64
     saturated: npt.NDArray[np.bool_]
     along_rows: bool
+    beside_px: Float64
 
 
 @dataclass(frozen=True)

@@ -36,7 +36,14 @@ from tracker.seam import (
 )
 from tracker.state import Frame, Pose, Stripe, Track
 from tracker.steer import Steering, steer
-from tracker.stripe_evidence import LEAST_RATIO, evidence_ratio, has_ghost, leaves_image, path_of
+from tracker.stripe_evidence import (
+    LEAST_RATIO,
+    LEAST_SEEN,
+    evidence_ratio,
+    leaves_image,
+    path_of,
+    seen_share,
+)
 
 SEARCH_REACH_MM = 5.0
 """How far off its nominal place the seam is first looked for."""
@@ -202,10 +209,16 @@ def _read(
         flags.STRIPE_LEAVES_IMAGE.mask if leaves_image(expected, stripe.position_px, geometry.n_pos) else 0
     )
     at = path_of(look.offsets_px, expected.position_px, stripe.position_px)
-    found |= flags.TWO_STRIPES.mask if has_ghost(look.score, at, expected.sigma_px) else 0
-    if share < MIN_SHARE or evidence_ratio(look.score, at, expected.shown) < LEAST_RATIO:
+    is_lost = share < MIN_SHARE or evidence_ratio(look.score, at, expected.shown) < LEAST_RATIO
+    if share < GOOD_SHARE and not is_lost:
+        band = look.band
+        seen = seen_share(expected, stripe.position_px, stripe.amplitude_e, band.variance, band.censored)
+        is_lost = seen < LEAST_SEEN
+    if is_lost:
         return Reading(found | flags.STRIPE_LOST.mask, view, seam, reach_mm, arc, stripe)
     found |= flags.STRIPE_PARTIAL.mask if share < GOOD_SHARE else 0
+    # Of what is no stripe nothing is the second.
+    found |= flags.TWO_STRIPES.mask if look.second_share > 0.0 else 0
 
     profile = profile_of(geometry, view, expected, stripe, reach_mm)
     joint = fit_joint(profile, geometry.setup.joint, *sources(geometry.setup, view, seam.station_mm))
@@ -227,7 +240,8 @@ def profile_of(
     geometry: SensorGeometry, view: Scene, expected: ExpectedStripe, stripe: Stripe, reach_mm: float
 ) -> Profile:
     """Return a stripe's profile, whose seam is looked for within the look's reach; a search takes it all."""
-    profile = triangulate(geometry, view, stripe.position_px - expected.lean_px, stripe.sigma_px)
+    position_px = stripe.position_px - expected.lean_px
+    profile = triangulate(geometry, view, position_px, stripe.sigma_px, stripe.beside_px)
     return profile if reach_mm == SEARCH_REACH_MM else replace(profile, reach_mm=reach_mm + CLEAR_MM)
 
 
@@ -243,7 +257,8 @@ def _read_again(
 ) -> Reading:
     """Look again where a search has found the joint: the map for another place misleads, near its edges most.
 
-    If the map misled the search itself, the joint is placed without it.
+    If the map misled the search itself, the joint is placed without it. If the second look holds hardly any
+    stripe, there was none.
     """
     placed = first
     if first.joint is None and first.stripe is not None and use_arc_map:
@@ -256,11 +271,17 @@ def _read_again(
     )
     there = replace(seam, station_mm=station, y_mm=float(displacement[0]), z_mm=float(displacement[1]))
     again = _read(geometry, frame, pose, there, TRACK_REACH_MM, work, use_arc_map)
-    if again.joint is None:
+    # What only a wrong map shows is no stripe: most of its lines are gone with the right one.
+    if again.joint is None and _lines_held(again) >= MIN_SHARE * _lines_held(placed):
         return first
     # The narrow look does not see as far beside the stripe.
     wide = flags.JOINT_TYPE_MISMATCH.mask | flags.TWO_STRIPES.mask
     return replace(again, flags=again.flags | (placed.flags & wide))
+
+
+def _lines_held(reading: Reading) -> int:
+    """Return how many scan lines hold a stripe."""
+    return 0 if reading.stripe is None else int(np.isfinite(reading.stripe.position_px).sum())
 
 
 def _follow(

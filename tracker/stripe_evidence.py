@@ -1,4 +1,4 @@
-"""Is it a stripe, is it the only one, and is all of it in the image? Asked of the matched filter's scores.
+"""Is it a stripe, and is all of it in the image? Asked of the matched filter's scores.
 
 A laser only adds light; what the arc's map misses has either sign. So what mimics a stripe is as often dark
 as bright, and a scan line's darkest place is the control that says how much such evidence is worth.
@@ -25,12 +25,11 @@ CHANCE_SIGMAS = 4.0
 LEAST_RATIO = 3.0
 """So many times the evidence for a dark stripe must be there for a bright one."""
 
-GHOST_SIGMAS, GHOST_SCORE, GHOST_SHARE = 4.0, 0.5, 0.6
-"""A second stripe stands at least so many widths off the first and reaches this share of its score, in this
-share of the scan lines that hold the first."""
+LEAST_SEEN, CLEAR_SIGMAS = 0.5, 10.0
+"""In so large a share of the scan lines that would show it by so many sigmas a stripe must be found."""
 
-GHOST_LINES = 8
-"""Every so many scan lines are asked for it."""
+WEAK = 0.25
+"""There it may have this share of the light that it has in the lines that hold it, in the median."""
 
 
 @kernel(allocates=True)
@@ -75,26 +74,29 @@ def evidence_ratio(score: Float32, at: Int64, shown: npt.NDArray[np.bool_]) -> f
     return bright / dark if dark > 0.0 else math.inf
 
 
-@kernel(allocates=True)
-def has_ghost(score: Float32, at: Int64, sigma_px: Float64) -> bool:
-    """Say whether a second stripe runs beside the first, alike and parallel: a reflection, a bounce.
+def seen_share(
+    expected: ExpectedStripe,
+    position_px: Float64,
+    amplitude_e: Float64,
+    variance_e2: Float32,
+    censored: npt.NDArray[np.bool_],
+) -> float:
+    """Return in which share of the scan lines that would show it clearly a stripe was found; NaN for none.
 
-    `score` and `at` are those of `evidence_ratio`, `sigma_px` (n_scan,) the stripe's widths. Some of the scan
-    lines are asked, and each counts at every shift where it sees the second.
+    `position_px`, `amplitude_e` (n_scan,) are those of the lines that hold it, NaN in the others;
+    `variance_e2`, without the stripe's light, and `censored` (n_scan, depth) those of the pixels among which
+    it was sought. Of a bell of sigma w the matched filter, whose template's mean is taken out, sees
+    A sqrt(0.52 w / V) sigmas. What saturates may hide anything.
     """
-    n_scan, n = score.shape
-    there = np.zeros(2 * n - 1, dtype=np.int64)
-    held = 0
-    for s in range(0, n_scan, GHOST_LINES):
-        if at[s] < 0:
-            continue
-        held += 1
-        least = GHOST_SCORE * score[s, at[s]]
-        apart = math.ceil(GHOST_SIGMAS * sigma_px[s] / OFFSET_STEP)
-        for i in range(n):
-            if score[s, i] > least and abs(i - at[s]) >= apart:
-                there[i - at[s] + n - 1] += 1
-    return bool(held > 0 and there.max() > GHOST_SHARE * held)
+    found = np.isfinite(position_px)
+    if not found.any():
+        return math.nan
+    weak_e = WEAK * float(np.median(amplitude_e[found]))
+    worst_e2 = np.where(censored.any(axis=1), np.inf, variance_e2.max(axis=1))
+    with np.errstate(invalid="ignore"):
+        clear = weak_e * np.sqrt(0.52 * expected.sigma_px / worst_e2) > CLEAR_SIGMAS
+    n_found, n_absent = np.count_nonzero(found), np.count_nonzero(expected.shown & clear & ~found)
+    return n_found / (n_found + n_absent)
 
 
 def leaves_image(expected: ExpectedStripe, position_px: npt.NDArray[np.float64], n_pos: int) -> bool:

@@ -25,7 +25,7 @@ from tracker.step import (
     SEARCH_REACH_MM,
     UNEXPLAINED_LIMIT,
 )
-from tracker.stripe_evidence import LEAST_RATIO, evidence_ratio, path_of
+from tracker.stripe_evidence import LEAST_RATIO, LEAST_SEEN, evidence_ratio, path_of, seen_share
 from tracker.stripe_fit import MIN_SIGNIFICANCE, WIDTH_LIMIT_LN
 
 REFUSALS = {
@@ -212,7 +212,12 @@ def _gates(of: Explanation) -> Iterator[Gate]:
     if look.stripe is None:
         yield Gate("the laser", "off", "on", those(flags.LASER_OFF))
         return
-    yield from _stripe_gates(look, those(flags.STRIPE_LOST, flags.STRIPE_PARTIAL), those(flags.SATURATED))
+    yield from _stripe_gates(
+        look,
+        those(flags.STRIPE_LOST, flags.STRIPE_PARTIAL),
+        those(flags.SATURATED),
+        those(flags.TWO_STRIPES),
+    )
     if track.flags & flags.STRIPE_LOST.mask:
         return
     joint, profile = look.joint, look.profile
@@ -249,7 +254,9 @@ def _where(of: Explanation, look: Look, searched: tuple[Flag, ...]) -> Gate:
     return Gate("where the stripe was looked for", place, "–", searched)
 
 
-def _stripe_gates(look: Look, too_few: tuple[Flag, ...], saturated: tuple[Flag, ...]) -> Iterator[Gate]:
+def _stripe_gates(
+    look: Look, too_few: tuple[Flag, ...], saturated: tuple[Flag, ...], second_flag: tuple[Flag, ...]
+) -> Iterator[Gate]:
     assert look.stripe is not None
     count = int(look.stripe.reading.stripe.saturated.sum())
     yield Gate("scan lines with saturated pixels in the stripe", str(count), "none", saturated)
@@ -267,6 +274,21 @@ def _stripe_gates(look: Look, too_few: tuple[Flag, ...], saturated: tuple[Flag, 
     yield Gate(
         "evidence for the stripe over that for a dark one", against, f"{LEAST_RATIO:g} at least", outdone
     )
+    stripe, band = reading.stripe, reading.band
+    seen = seen_share(look.expected, stripe.position_px, stripe.amplitude_e, band.variance, band.censored)
+    missed = too_few if seen < LEAST_SEEN else ()
+    found = "none holds it" if math.isnan(seen) else percent(seen)
+    yield Gate(
+        "of the scan lines that would show it clearly, hold it",
+        found,
+        f"{percent(LEAST_SEEN)} at least",
+        missed,
+    )
+    second = reading.second_share
+    found = f"{percent(second)} as bright: its light is taken off" if second > 0.0 else "none"
+    if second == 0.0 and second_flag:
+        found = "none so near; the search saw one"
+    yield Gate("a second stripe beside it", found, "none", second_flag)
 
 
 def _jump(of: Explanation, seam: SeamLook, jumped: tuple[Flag, ...]) -> Gate:

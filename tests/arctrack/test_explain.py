@@ -129,9 +129,11 @@ def made(
         fits,
         saturated,
     )
-    stripe = Stripe(fits[:, 0], fits[:, 1], fits[:, 0], fits[:, 1], fits[:, 2], saturated, True)
+    stripe = Stripe(fits[:, 0], fits[:, 1], fits[:, 0], fits[:, 1], fits[:, 2], saturated, True, fits[:, 1])
     offsets, score = np.arange(-8, 9, 2), np.zeros((N_SCAN, 9), np.float32)
-    reading = StripeReading(stripe, band, lows, offsets, score, start, fits, 1.0, dark_variance_e2, 0.0, 0.0)
+    reading = StripeReading(
+        stripe, band, lows, offsets, score, start, fits, 1.0, dark_variance_e2, 0.0, 0.0, 0.0
+    )
     return reading, expected
 
 

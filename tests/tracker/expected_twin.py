@@ -4,14 +4,16 @@ from __future__ import annotations
 
 import numpy as np
 import numpy.typing as npt
+from scipy.optimize import least_squares
 
 from noise_model.arc_map import Scene
 from noise_model.frames import Float64, invert, transform
 from noise_model.setup import Setup
 from noise_model.stripe import reflected_sheet_plain
 from noise_model.surface import corrugation_height
-from tracker.expected import HALF_SPAN_MM, STEP_MM, ExpectedStripe
+from tracker.expected import FLANKS, HALF_SPAN_MM, STEP_MM, ExpectedStripe
 from tracker.geometry import SensorGeometry
+from tracker.lean import PLANES
 
 
 def expect_stripe(geometry: SensorGeometry, view: Scene) -> ExpectedStripe | None:
@@ -20,7 +22,8 @@ def expect_stripe(geometry: SensorGeometry, view: Scene) -> ExpectedStripe | Non
     T_tool_joint = invert(view.T_joint_tool)
     scan = np.arange(geometry.n_scan, dtype=np.float64)
     position, strength, strips = [], [], []
-    for side in (-1.0, 0.0, 1.0):
+    planes = PLANES if view.shape.corrugation[0] > 0.0 else FLANKS
+    for side in planes:
         points_joint, normals_joint, strip = _cut(
             setup.laser.plane_in_tool, side * setup.laser.stripe_sigma_mm, view
         )
@@ -38,6 +41,14 @@ def expect_stripe(geometry: SensorGeometry, view: Scene) -> ExpectedStripe | Non
         after = np.clip(np.searchsorted(at[order, 0], scan), 1, len(order) - 1)
         left, right = strip[order][after - 1], strip[order][after]
         strips.append(np.where(left == right, left, -1))
+    every, every_strip = np.array(position), np.array(strips)
+    seen = (
+        np.array(strength)
+        * np.exp(-0.5 * planes[:, None] ** 2)
+        * (every_strip == every_strip[len(planes) // 2])
+    )
+    of_flanks = [int(np.flatnonzero(planes == side)[0]) for side in FLANKS]
+    position, strength, strips = ([of[k] for k in of_flanks] for of in (position, strength, strips))
     behind, middle, ahead = position
     half_width = 0.5 * (ahead - behind)
     with np.errstate(divide="ignore", invalid="ignore"):
@@ -45,13 +56,40 @@ def expect_stripe(geometry: SensorGeometry, view: Scene) -> ExpectedStripe | Non
     shading = np.where(np.isfinite(shading), shading, 0.0)
     curve = 1.5 * (0.5 * (ahead + behind) - middle)
     on_one_face = (strips[0] == strips[1]) & (strips[2] == strips[1]) & (strips[1] >= 0)
-    width = np.hypot(half_width, setup.camera.psf_sigma_px)
+    width, lean = np.abs(half_width), shading + curve
+    if len(planes) > len(FLANKS):
+        for s in np.flatnonzero(on_one_face & (seen.max(axis=0) > 0.0)):
+            center, width[s] = _bell(every[:, s], seen[:, s], width[s])
+            lean[s] = center - middle[s]
     return ExpectedStripe(
         middle,
-        _from_same_face(np.abs(width), strips[1], on_one_face),
-        _from_same_face(shading + curve, strips[1], on_one_face),
+        _from_same_face(np.hypot(width, setup.camera.psf_sigma_px), strips[1], on_one_face),
+        _from_same_face(lean, strips[1], on_one_face),
         np.ones(len(middle), dtype=np.bool_),
     )
+
+
+def _bell(place: Float64, light: Float64, width: float) -> Float64:
+    """Return centre and 1 sigma (2,) of the Gaussian that fits some light, weighted as the last fit says."""
+    lit = light > 0.0
+    length = np.abs(np.gradient(place) * np.where(np.arange(len(place)) % (len(place) - 1) == 0, 0.5, 1.0))
+    peak = light.max()
+
+    def bell(x: Float64) -> Float64:
+        return np.asarray(x[0] * np.exp(-0.5 * ((place - x[1]) / np.exp(x[2])) ** 2))
+
+    x = np.array([peak, np.average(place, weights=light), np.log(width)])
+    for _ in range(8):
+        weight = np.sqrt(lit * length / (bell(x) + peak))
+        x = least_squares(
+            lambda x, weight=weight: weight * (light - bell(x)) / np.sqrt(peak),
+            x,
+            bounds=([0.0, -np.inf, np.log(width) - 0.5], [np.inf, np.inf, np.log(width) + 0.5]),
+            xtol=1e-12,
+            ftol=1e-12,
+            gtol=1e-12,
+        ).x
+    return np.array([x[1], np.exp(x[2])])
 
 
 def _from_same_face(values: Float64, strip: npt.NDArray[np.intp], good: npt.NDArray[np.bool_]) -> Float64:

@@ -65,14 +65,16 @@ def measure(
     y, z = y + PX_MM[0] * error, z + PX_MM[1] * error
     order = np.argsort(y, kind="stable")
     n = np.ones(len(y))
+    sigma = sigma_px * n
     return Profile(
         y[order],
         z[order],
         PX_MM[0] * n,
         PX_MM[1] * n,
-        sigma_px * n,
+        sigma,
         np.arange(len(y), dtype=float),
         COLUMN_MM,
+        sigma,
     )
 
 
@@ -88,6 +90,7 @@ def spoil(profile: Profile, share: float, rng: np.random.Generator) -> Profile:
         profile.sigma_px,
         profile.scan,
         profile.column_mm,
+        profile.beside_px,
     )
 
 
@@ -101,4 +104,5 @@ def only(profile: Profile, seen: npt.NDArray[np.bool_]) -> Profile:
         profile.sigma_px[seen],
         profile.scan[seen],
         profile.column_mm,
+        profile.beside_px[seen],
     )

@@ -12,6 +12,7 @@ from hypothesis import strategies as st
 from rendered import SEED, frame_of, pose_at, small_setup
 
 from noise_model.arc_map import arc_kernel, scene
+from noise_model.brdf import TABLE_1
 from noise_model.condition import Condition
 from noise_model.forward import predict
 from noise_model.sensor import expose
@@ -136,6 +137,21 @@ def test_dark_frames_hold_no_arc(geometry: SensorGeometry) -> None:
         assert found.level < 5.0 * found.sigma
         assert found.misfit < 1.1
         assert abs(found.black_e) < 20.0
+
+
+def test_a_ridge_before_the_arc_leaves_its_level_unknown() -> None:
+    """Bare steel behind a ridge: hardly any of the arc's light is in view, and any level would do."""
+    setup = small_setup("corrugation")
+    arc = replace(setup.arc, radiance_e=3e7)
+    geometry = SensorGeometry.of(replace(setup, material=TABLE_1["mild_steel"], arc=arc))
+    found = [
+        estimate(geometry, frame_of(geometry.setup, pose_at(x), index=n), pose_at(x))
+        for n, x in enumerate((0.0, 44.0, 46.0, 48.0))
+    ]
+    print([f"{arc.level:.3g} ± {arc.sigma:.2g}" for arc in found])
+    assert found[0].level == pytest.approx(1.0, abs=0.03)
+    assert all(arc is UNKNOWN or abs(arc.level - 1.0) < 5.0 * arc.sigma < 1.0 for arc in found[1:])
+    assert UNKNOWN in found[1:]
 
 
 @pytest.mark.parametrize("code", [0, 255])

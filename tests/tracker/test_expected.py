@@ -11,6 +11,7 @@ from rendered import pose_at, small_setup
 from scipy.optimize import least_squares
 
 from noise_model.arc_map import scene
+from noise_model.brdf import TABLE_1
 from noise_model.condition import Condition
 from noise_model.forward import predict
 from noise_model.surface import SeamLine
@@ -76,8 +77,10 @@ def test_it_is_its_twin(joint: str, upright: bool, distortion: tuple[float, ...]
         expected, twin = expect_stripe(geometry, view), expect_stripe_plain(geometry, view)
         assert expected is not None
         assert twin is not None
+        # On a corrugation centre and width are fitted, and the last step of that may be short.
+        atol = 1e-4 if joint == "corrugation" else 1e-8
         for name in ("position_px", "sigma_px", "lean_px"):
-            np.testing.assert_allclose(getattr(expected, name), getattr(twin, name), rtol=0.0, atol=1e-8)
+            np.testing.assert_allclose(getattr(expected, name), getattr(twin, name), rtol=0.0, atol=atol)
 
 
 def test_the_lean_matters() -> None:
@@ -91,6 +94,48 @@ def test_the_lean_matters() -> None:
     with_lean = np.nanmedian(np.abs(center - expected.position_px - expected.lean_px))
     print(f"corrugation's flank: off by {without:.3f} px without the lean, {with_lean:.3f} px with it")
     assert with_lean < 0.3 * without
+
+
+def best_bell(line_e: np.ndarray, start_px: float, dark_e2: float) -> np.ndarray:
+    """Centre and sigma of the likeliest Gaussian in a noise-free line, as if it had shot and dark noise."""
+    r = np.arange(len(line_e), dtype=float)
+    near = np.abs(r - start_px) < 16.0
+
+    def bell(x: np.ndarray) -> np.ndarray:
+        return np.asarray(x[0] * np.exp(-0.5 * ((r[near] - x[1]) / x[2]) ** 2))
+
+    x = np.array([line_e.max(), start_px, 3.5])
+    for _ in range(6):
+        sigma = np.sqrt(bell(x) + dark_e2)
+        x = least_squares(lambda x, sigma=sigma: (line_e[near] - bell(x)) / sigma, x).x
+    return x[1:]
+
+
+def test_a_sheet_that_mirrors_the_laser_leans_it_by_pixels() -> None:
+    """Poses at which a corrugation of bare steel mirrors a part of the stripe into the lens."""
+    setup = small_setup("corrugation")
+    setup = replace(setup, material=TABLE_1["mild_steel"])
+    geometry = SensorGeometry.of(setup)
+    lean, off, wide = [], [], []
+    for station in (26.0, 28.0, 38.0, 40.0):
+        pose = pose_at(station)
+        expected = expect_stripe(geometry, scene(setup, pose.T_base_tool))
+        assert expected is not None
+        lines = predict(setup, pose.T_base_tool, Condition(1.0, 0.0, 0.005)).mean_e.T.astype(np.float64)
+        for s in range(10, len(lines), 20):
+            start = expected.position_px[s] + expected.lean_px[s]
+            center, sigma = best_bell(lines[s], start, geometry.dark_variance_e2)
+            lean.append(center - expected.position_px[s])
+            off.append(center - start)
+            wide.append(sigma / expected.sigma_px[s])
+    print(
+        f"leans of up to {np.abs(lean).max():.2f} px, {np.std(lean):.2f} px RMS, known to {np.std(off):.3f}, "
+        f"width ratio {np.median(wide):.3f} ± {np.std(wide):.3f}"
+    )
+    assert np.std(lean) > 1.0
+    # The light is as seen; the noise it is weighted by is not, with no arc here.
+    assert np.std(off) < 0.15 * np.std(lean)
+    assert np.quantile(np.abs(np.log(wide)), 0.9) < 0.1
 
 
 def test_out_of_view_is_none() -> None:

@@ -107,6 +107,14 @@ def test_half_a_lap_is_none_or_says_how_unsure_it_is(kept: str) -> None:
             assert (np.abs([found.y_mm, found.z_mm]) < 5.0 * sigma + 0.02).all(), kept
 
 
+@pytest.mark.parametrize(("beside_mm", "is_seen"), [(0.3, True), (0.5, False)])
+def test_an_edge_that_glare_hides_is_none(beside_mm: float, is_seen: bool) -> None:
+    rng = np.random.default_rng(6)
+    found = fit(measure(lap(2.0), (0.0, 0.0), rng, hidden_mm=(-beside_mm, beside_mm)))
+    assert (found is not None) == is_seen
+    assert found is None or abs(found.y_mm) < beside_mm
+
+
 def test_a_flat_plate_is_no_lap() -> None:
     rng = np.random.default_rng(6)
     for _ in range(10):

@@ -52,7 +52,7 @@ def test_its_covariance_is_honest() -> None:
     for _ in range(120):
         profile = measure(groove((30.0, 30.0), (4.2, 4.0), 1.1), seam, rng, sigma_px=TRUE_SIGMA_PX)
         profile = only(profile, np.ones(len(profile.y_mm), dtype=bool))
-        profile.sigma_px[:] = 0.05
+        profile.sigma_px[:] = profile.beside_px[:] = 0.05
         found = fit(profile)
         assert found is not None
         error = np.array([found.y_mm, found.z_mm]) - seam

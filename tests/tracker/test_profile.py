@@ -55,14 +55,14 @@ def test_a_profile_lies_on_its_surface_and_knows_how_it_moves(upright: bool) -> 
     position[:] = np.interp(scan, at[order, 0], at[order, 1], left=np.nan, right=np.nan)
     y_true[:] = np.interp(scan, at[order, 0], y[order])
     position[7] = np.nan
-    profile = triangulate(geometry, view, position, np.full(geometry.n_scan, 0.1))
+    profile = triangulate(geometry, view, position, *np.full((2, geometry.n_scan), 0.1))
     assert 7 not in profile.scan
     assert len(profile.y_mm) == np.isfinite(position).sum()
     assert (np.diff(profile.y_mm) > 0.0).all()
     np.testing.assert_allclose(profile.z_mm, 0.0, atol=2e-3)
     np.testing.assert_allclose(profile.y_mm, y_true[profile.scan.astype(int)], atol=2e-3)
     assert profile.column_mm == pytest.approx(np.median(np.abs(np.diff(y_true))), rel=0.05)
-    moved = triangulate(geometry, view, position + 0.01, np.full(geometry.n_scan, 0.1))
+    moved = triangulate(geometry, view, position + 0.01, *np.full((2, geometry.n_scan), 0.1))
     np.testing.assert_allclose((moved.z_mm - profile.z_mm) / 0.01, profile.dz_mm, rtol=1e-3, atol=1e-5)
     np.testing.assert_allclose((moved.y_mm - profile.y_mm) / 0.01, profile.dy_mm, rtol=1e-3, atol=1e-5)
 
@@ -71,7 +71,9 @@ def test_a_single_point_has_no_spacing() -> None:
     geometry = distorted(False)
     position = np.full(geometry.n_scan, np.nan)
     position[5] = 100.0
-    profile = triangulate(geometry, scene(geometry.setup, np.eye(4)), position, np.ones(geometry.n_scan))
+    profile = triangulate(
+        geometry, scene(geometry.setup, np.eye(4)), position, *np.ones((2, geometry.n_scan))
+    )
     assert len(profile.y_mm) == 1
     assert np.isnan(profile.column_mm)
 

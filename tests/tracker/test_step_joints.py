@@ -50,6 +50,9 @@ def test_it_is_tracked_in_simulated_frames(name: str) -> None:
         track = tracker.step(frame, pose)
         error = np.array(track.seam_tool_mm) - true_seam_tool(setup, pose, SEAM)
         assert track.valid, track.flag_names
+        assert track.stripe is not None
+        # Two sheets on edge stand in few lines.
+        assert np.isfinite(track.stripe.position_px).mean() > (0.15 if name == "edge" else 0.9), name
         assert abs(error[1]) < within, error
         assert abs(error[2]) < 0.03, error
         assert not track.flags & (flags.JOINT_TYPE_MISMATCH.mask | flags.JOINT_MISFIT.mask), track.flag_names

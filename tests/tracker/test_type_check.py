@@ -91,6 +91,7 @@ def test_a_gap_that_nothing_is_seen_of_is_a_plate_that_a_butts_edges_still_show(
         dark = type(profile)(
             *(getattr(profile, f)[keep] for f in ("y_mm", "z_mm", "dy_mm", "dz_mm", "sigma_px", "scan")),
             profile.column_mm,
+            profile.beside_px[keep],
         )
         found = fit(dark, joint, (0.5, 0.0))
         assert found is not None

@@ -42,7 +42,7 @@ PRIOR_SIGMA = np.array([5.0, 0.5, 0.03, 0.03])
 
 
 def fit_lap(profile: Profile, joint: Joint, camera_mm: Float64, laser_mm: Float64) -> MeasuredJoint | None:
-    """Return the lap that a profile shows, or None where one of its sheets is not seen beside the edge.
+    """Return the lap that a profile shows, or None where a sheet is not seen beside the edge, or near to it.
 
     The sheets' lines are fitted clear of the edge; then each point near it belongs to the line it lies on,
     and the edge lies between the last point of the upper and the first of the lower sheet, less what it
@@ -65,6 +65,9 @@ def fit_lap(profile: Profile, joint: Joint, camera_mm: Float64, laser_mm: Float6
     # The upper sheet is seen up to its edge; of the lower one the edge may hide a strip from camera or laser.
     hidden = max(hidden_strip(source, y_0, z_s + step, step) for source in (camera_mm, laser_mm))
     last_upper, first_lower = beside[0], beside[1] - hidden
+    # Glare or spatter over all of the points near it: between those beyond, an edge may be anywhere.
+    if first_lower - last_upper > 2.0 * CLEAR_OF_EDGE_MM:
+        return None
     edge = 0.5 * (last_upper + first_lower)
     spread = max(abs(first_lower - last_upper), profile.column_mm)
     z_edge = z_s + slope_lower * (edge - y_0)

@@ -10,6 +10,7 @@ import numpy.typing as npt
 
 from noise_model.frames import Float64
 from noise_model.kernel import kernel
+from tracker.joint.alike import add_alike
 from tracker.joint.section_fit import best_shift, fit_section
 from tracker.joint.section_shapes import N_CORNERS, corners_of, opening
 from tracker.profile import Profile
@@ -129,6 +130,10 @@ def fit_shape(
     )
     if not math.isfinite(chi2):
         return None
+    if (profile.beside_px > profile.sigma_px).any():
+        beside = np.hypot(profile.beside_px, SIGMA_FLOOR_PX)
+        y, dy, dz = profile.y_mm, profile.dy_mm, profile.dz_mm
+        add_alike(shape, y, dy, dz, sigma, beside, weights, parameters, chi2, covariance)
     return ShapeFit(parameters[:n], covariance, chi2, weights)
 
 

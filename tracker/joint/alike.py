@@ -1,0 +1,66 @@
+"""What it costs a joint's fit that neighbouring points are off alike: its covariance, not the fit itself.
+
+A fit to points with errors of covariance V, each taken at weight w / sigma^2 as if it were alone, scatters by
+
+    H^-1 (J^T W V W J) H^-1,    H its information, J how the residuals change with the parameters
+
+(the sandwich: Huber 1967, Proc. 5th Berkeley Symp. 1, 221). Where V reaches over few points only, along which
+J hardly changes, the sum over a point's neighbours is that of their covariance with it, so V counts as a
+diagonal: the variance with which a point counts beside others, in the place of its own.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from noise_model.faces import face_under, slope_across
+from noise_model.frames import Float64
+from noise_model.kernel import kernel
+from tracker.joint.section_fit import LEAST_ALONG_MM, STEP
+from tracker.joint.section_shapes import N_CORNERS, corners_of
+
+
+@kernel(allocates=True)
+def add_alike(
+    shape: int,
+    y: Float64,
+    dy: Float64,
+    dz: Float64,
+    sigma: Float64,
+    beside: Float64,
+    weights: Float64,
+    p: Float64,
+    chi2: float,
+    covariance: Float64,
+) -> None:
+    """Add to the covariance (m, m) of a fit of `section_fit` what it leaves out of errors that are alike.
+
+    `y`, `dy`, `dz`, `sigma`, `weights` (n,), the parameters `p` and `chi2` are the fit's; `beside` (n,) px is
+    the 1 sigma with which each point's centre counts beside its neighbours.
+    """
+    m, n_corners = covariance.shape[0], N_CORNERS[shape]
+    corners, moved = np.empty((n_corners, 2)), np.empty((n_corners, 2))
+    changed, J = np.empty((n_corners, m, 2)), np.empty(m)
+    corners_of(shape, p, corners)
+    for i in range(m):
+        kept = p[i]
+        p[i] = kept + STEP
+        corners_of(shape, p, moved)
+        p[i] = kept
+        changed[:, i] = (moved - corners) / STEP
+    more = np.zeros((m, m))
+    k = 0
+    for i in range(y.shape[0]):
+        k = face_under(y[i], k, corners)
+        slope = slope_across(k, corners)
+        share = (y[i] - corners[k, 0]) / (corners[k + 1, 0] - corners[k, 0])
+        along = max(abs(dz[i] - slope * dy[i]), LEAST_ALONG_MM)
+        for j in range(m):
+            at_a = changed[k, j, 1] - slope * changed[k, j, 0]
+            at_b = changed[k + 1, j, 1] - slope * changed[k + 1, j, 0]
+            J[j] = ((1.0 - share) * at_a + share * at_b) / (along * sigma[i])
+        weight = weights[i] * ((beside[i] / sigma[i]) ** 2 - 1.0)
+        for j in range(m):
+            for other in range(m):
+                more[j, other] += weight * J[j] * J[other]
+    covariance += covariance @ more @ covariance / max(1.0, chi2)
