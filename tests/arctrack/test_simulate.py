@@ -206,7 +206,8 @@ def test_a_known_effect_is_honoured_by_the_tracker(
     path = simulate_recording(tmp_path / "r", setup, plan, hidden_effects={effect: values})
     assert read_recording(path).setup.effects == {}
     unaware, aware = (fit_of_the_arc(path, setup, e) for e in ({}, checked({effect: values})))
-    assert max(aware) < 1.0
+    # 1 where the model is right; a quantile of its sample scatters by 5 %.
+    assert max(aware) < 1.15
     assert min(unaware) > 1.3 * max(aware)
 
 

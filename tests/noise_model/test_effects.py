@@ -302,7 +302,11 @@ def test_some_pixels_are_those_of_the_frame(name):
     # arc map is filled.
     rtol = 0.02 if name == "interreflection" else 3.0 * FILL_TOLERANCE
     np.testing.assert_allclose(some.mean_e, whole.mean_e.ravel()[pixels], rtol=rtol, atol=1e-3)
-    np.testing.assert_allclose(some.variance_dn2, whole.variance_dn2.ravel()[pixels], rtol=rtol, atol=1e-3)
+    # Near the end of the scale a DN's variance falls to nothing within one sigma of the mean.
+    below = some.mean_e < 0.95 * setup.sensor.full_well_e
+    variance = whole.variance_dn2.ravel()[pixels]
+    np.testing.assert_allclose(some.variance_dn2[below], variance[below], rtol=rtol, atol=1e-3)
+    assert below.mean() > 0.5
 
 
 def test_spread_light_of_some_pixels_is_that_of_their_own_mean():
