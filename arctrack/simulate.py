@@ -143,7 +143,7 @@ def simulate_recording(
                     **vars(switches),
                 )
             )
-            writer.write_truth(n, motion.seam_point(T_base_tool))
+            writer.write_truth(n, motion.seam_point(T_base_tool, seam))
             if on_frame is not None:
                 on_frame(n + 1)
     return Path(path)
@@ -264,15 +264,21 @@ class Motion:
         """Return the true seam from one station to another, the arc where it is at the torch's."""
         return BentSeam.along(self._line, (first_mm, last_mm), torch_mm, self._setup.joint.has_ridges)
 
-    def seam_point(self, T_base_tool: Float64) -> Float64:
-        """Return where (3,) the true seam meets the laser plane, tool frame, mm."""
+    def seam_point(self, T_base_tool: Float64, seam: BentSeam) -> Float64:
+        """Return where (3,) the true seam, as it is drawn, meets the laser plane, tool frame, mm."""
+        station_mm, _ = self._met(T_base_tool, self._line)
+        drawn = seam.lines[int(seam.stretch_at(np.array(station_mm)))]
+        return self._met(T_base_tool, lambda station_mm: drawn)[1]
+
+    def _met(self, T_base_tool: Float64, line_at: Callable[[float], SeamLine]) -> tuple[float, Float64]:
+        """Return the station at which a seam meets the laser plane, and where (3,), tool frame, mm."""
         T_tool_joint = invert(T_base_tool) @ self._T_base_true
         plane = np.asarray(self._setup.laser.plane_in_tool)
 
         def point_tool(station_mm: float) -> Float64:
             height_mm = seam_height_mm(self._setup.joint)
             height_mm += float(corrugation_height(np.array(station_mm), self._corrugation))
-            point_joint = transform(self._line(station_mm).frame(), np.array([station_mm, 0.0, height_mm]))
+            point_joint = transform(line_at(station_mm).frame(), np.array([station_mm, 0.0, height_mm]))
             return transform(T_tool_joint, point_joint)
 
         def distance_mm(station_mm: float) -> float:
@@ -280,7 +286,7 @@ class Motion:
 
         origin_mm = transform(invert(T_tool_joint), np.asarray(self._setup.laser.origin_in_tool_mm))[0]
         station_mm = float(brentq(distance_mm, origin_mm - 100.0, origin_mm + 100.0, xtol=1e-9))
-        return point_tool(station_mm)
+        return station_mm, point_tool(station_mm)
 
     def _line(self, station_mm: float) -> SeamLine:
         wander = np.array([self._plan.seam_wander_mm, 0.5 * self._plan.seam_wander_mm])

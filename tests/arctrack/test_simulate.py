@@ -15,7 +15,7 @@ from noise_model.effects import checked, really
 from noise_model.frames import invert, transform
 from noise_model.sensor import linearise
 from noise_model.setup import Setup
-from noise_model.surface import Joint, seam_height_mm
+from noise_model.surface import BentSeam, Joint, seam_height_mm
 from tracker.geometry import SensorGeometry
 from tracker.step import Tracker
 
@@ -124,7 +124,8 @@ def test_the_true_seam_point_lies_in_the_laser_plane_and_on_the_seam(
     plan = SimulationPlan(seam_wander_mm=wander_mm)
     motion = Motion(setup, plan, np.random.default_rng(seed))
     T_base_tool = motion.T_base_tool(timestamp_s)
-    point_tool = motion.seam_point(T_base_tool)
+    drawn = motion.true_seam(0.0, 600.0, -30.0)
+    point_tool = motion.seam_point(T_base_tool, drawn)
     plane = np.asarray(setup.laser.plane_in_tool)
     assert abs(plane[:3] @ point_tool + plane[3]) < 1e-6
     x, y, z = transform(T_base_tool, point_tool)
@@ -133,10 +134,18 @@ def test_the_true_seam_point_lies_in_the_laser_plane_and_on_the_seam(
     corrugation_mm = setup.joint.dimensions.get("height_mm", 0.0)
     low_mm = seam_height_mm(setup.joint) - 0.5 * wander_mm - 0.1
     assert low_mm <= z <= seam_height_mm(setup.joint) + 0.5 * wander_mm + corrugation_mm + 0.1
-    # The stretch of the drawn seam nearest to it runs where it lies.
-    drawn = motion.true_seam(x - 20.0, x + 20.0, x - 30.0)
-    line = drawn.lines[int(drawn.stretch_at(np.array(x)))]
-    assert line.y_mm + line.slope_y * (x - line.station_mm) == pytest.approx(y, abs=0.002 + 0.01 * wander_mm)
+    # It lies on a stretch of the drawn seam, one that stands for a station near its own.
+    near = drawn.lines[_stretches_about(drawn, x)]
+    on_seam = [transform(invert(line.frame()), np.array([x, y, z])) for line in near]
+    over_mm = [place[2] - seam_height_mm(setup.joint) for place in on_seam if abs(place[1]) < 1e-6]
+    assert over_mm
+    assert -1e-6 <= over_mm[0] <= corrugation_mm + 1e-6
+
+
+def _stretches_about(seam: BentSeam, station_mm: float) -> slice:
+    """The stretch that stands for a station and those beside it."""
+    at = int(seam.stretch_at(np.array(station_mm)))
+    return slice(max(at - 1, 0), at + 2)
 
 
 def test_a_seam_that_runs_elsewhere(seen_setup: Setup, tmp_path: Path) -> None:
@@ -225,7 +234,7 @@ def test_the_true_seam_of_a_tilted_plate(seen_setup: Setup) -> None:
     plan = SimulationPlan(seam_wander_mm=0.0, weave_mm=0.0, tilt_deg=0.0)
     motion = Motion(seen_setup, plan, np.random.default_rng(0), tilted.joint)
     T_base_tool = motion.T_base_tool(0.0)
-    point_tool = motion.seam_point(T_base_tool)
+    point_tool = motion.seam_point(T_base_tool, motion.true_seam(0.0, 80.0, 0.0))
     depth = seen_setup.joint.dimensions["depth_mm"]
     root = transform(T_base_tool, point_tool)
     np.testing.assert_allclose(
