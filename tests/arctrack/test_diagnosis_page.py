@@ -102,6 +102,8 @@ def test_an_effect_that_changes_is_said_to(seen_setup: Setup, recording: Recordi
     said = "it changes with time, 0.10 to 2.3 s: gamma from 0.700 to 0.900"
     assert said in page(grows, recording)
     assert said not in page(diagnosis, recording)
+    assert "writes it, as it is half-way, into recording.toml" in page(grows, recording)
+    assert "writes it into recording.toml" in page(diagnosis, recording)
     assert report(grows)["effects"][0]["trend"]["values"] == {"gamma": [0.7, 0.9]}
 
 
