@@ -17,6 +17,7 @@ from scipy.spatial.transform import Rotation
 
 from arctrack.errors import ArctrackError
 from arctrack.recording import RecordingWriter, SetupFile, VideoFormat
+from noise_model.arc_map import scene
 from noise_model.condition import Condition
 from noise_model.effects import Values, checked, pose_time_s, really
 from noise_model.forward import Renderer, draw_frame, predict
@@ -32,7 +33,6 @@ from noise_model.surface import (
     seam_height_mm,
     section,
 )
-from sim_to_real.observed import stations
 from tracker.state import Frame
 
 WEAVE_PERIOD_S, HEIGHT_PERIOD_S, TILT_PERIODS_S = 1.7, 2.4, (2.9, 1.9)
@@ -130,7 +130,7 @@ def simulate_recording(
         for n, switches in enumerate(conditions(setup, plan, draw_order)):
             timestamp_s = n / plan.rate_hz
             T_base_tool = motion.T_base_tool(pose_time_s(true_setup, timestamp_s))
-            seam = motion.true_seam(*stations(true_setup, T_base_tool))
+            seam = motion.true_seam(*scene(really(true_setup), T_base_tool).stations_mm)
             condition = Condition.of(setup, **vars(switches), timestamp_s=timestamp_s)
             image_dn = draw_frame(
                 true_setup, T_base_tool, condition, draw_noise, seam=seam, renderer=renderer
@@ -273,7 +273,7 @@ class Motion:
     def _met(self, T_base_tool: Float64, line_at: Callable[[float], SeamLine]) -> tuple[float, Float64]:
         """Return the station at which a seam meets the laser plane, and where (3,), tool frame, mm."""
         T_tool_joint = invert(T_base_tool) @ self._T_base_true
-        plane = np.asarray(self._setup.laser.plane_in_tool)
+        plane = self._setup.laser.plane
 
         def point_tool(station_mm: float) -> Float64:
             height_mm = seam_height_mm(self._setup.joint)
@@ -284,7 +284,7 @@ class Motion:
         def distance_mm(station_mm: float) -> float:
             return float(plane[:3] @ point_tool(station_mm) + plane[3])
 
-        origin_mm = transform(invert(T_tool_joint), np.asarray(self._setup.laser.origin_in_tool_mm))[0]
+        origin_mm = transform(invert(T_tool_joint), self._setup.laser.origin_mm)[0]
         station_mm = float(brentq(distance_mm, origin_mm - 100.0, origin_mm + 100.0, xtol=1e-9))
         return station_mm, point_tool(station_mm)
 

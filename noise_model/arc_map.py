@@ -80,6 +80,12 @@ class Scene:
         )
         return footprint
 
+    @property
+    def stations_mm(self) -> tuple[float, float, float]:
+        """From which station to which the camera sees the plate, and the torch's."""
+        first, last = self.footprint_mm[0]
+        return float(first), float(last), float(self.T_joint_tool[0, 3])
+
     @cached_property
     def below_surface(self) -> bool:
         """Whether the camera stands in or under the workpiece, where no prediction makes sense."""

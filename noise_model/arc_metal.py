@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 
 from noise_model.arc_disc import Shape, equator_q
-from noise_model.faces import raised_cosine
+from noise_model.faces import raised
 from noise_model.frames import Float64
 from noise_model.kernel import kernel
 from noise_model.visibility import first_crossing
@@ -45,12 +45,7 @@ Rays = tuple[float, float, float, float, float, float, float, float, float, floa
 @kernel(inline=True)
 def _wave(x: float, metal: Metal) -> float:
     """Return the corrugation's height at station x."""
-    if metal[0] == 0.0:
-        return 0.0
-    u = x - metal[2] * math.floor(x / metal[2] + 0.5)
-    share = 2.0 / metal[1] * u
-    c, _ = raised_cosine(share * share)
-    return metal[0] * c
+    return raised(x, metal[0], metal[1], metal[2])[0]
 
 
 @kernel

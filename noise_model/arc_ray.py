@@ -11,7 +11,7 @@ from noise_model.arc_disc import MAX_PARTS, MAX_PIECES
 from noise_model.arc_integral import MAX_POINTS, arc_light
 from noise_model.brdf import LobeNumbers
 from noise_model.faces import face_normal
-from noise_model.frames import Float64, Point
+from noise_model.frames import Float64, Point, Vector
 from noise_model.kernel import kernel
 from noise_model.visibility import (
     MAX_LEDGES,
@@ -138,15 +138,21 @@ def light_at(k: ArcKernel, P: Point, face: int, scratch: Scratch) -> float:
     return k.radiance_e * light
 
 
-@kernel
-def follow(k: ArcKernel, x: float, y: float) -> tuple[Point, int]:
-    """Return where a ray (x, y, 1) of the camera ends, joint frame, mm, and the face; MISS for none."""
+@kernel(inline=True)
+def direction(k: ArcKernel, x: float, y: float) -> Vector:
+    """Return the direction, joint frame, of a ray (x, y, 1) of the camera."""
     R = k.rotation
-    d = (
+    return (
         R[0, 0] * x + R[0, 1] * y + R[0, 2],
         R[1, 0] * x + R[1, 1] * y + R[1, 2],
         R[2, 0] * x + R[2, 1] * y + R[2, 2],
     )
+
+
+@kernel
+def follow(k: ArcKernel, x: float, y: float) -> tuple[Point, int]:
+    """Return where a ray (x, y, 1) of the camera ends, joint frame, mm, and the face; MISS for none."""
+    d = direction(k, x, y)
     t, face = first_hit(k.eye, d, k.vertices, k.corrugation)
     if face == MISS:
         return (math.nan, math.nan, math.nan), face

@@ -12,9 +12,9 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from noise_model.arc_ray import ArcKernel, follow
+from noise_model.arc_ray import ArcKernel, direction, follow
 from noise_model.faces import Strip
-from noise_model.frames import Float64, Point, Vector
+from noise_model.frames import Float64, Point
 from noise_model.kernel import kernel
 from noise_model.visibility import first_hit
 
@@ -47,17 +47,6 @@ def sight(k: ArcKernel) -> Sight:
         high = slopes[min(i, n - 1)] + (1.0 if i == n else 0.0)
         _, faces[i] = first_hit(k.eye, (0.0, 0.5 * (low + high), -1.0), k.vertices, np.zeros(3))
     return Sight(slopes[:n].copy(), faces)
-
-
-@kernel(inline=True)
-def direction(k: ArcKernel, x: float, y: float) -> Vector:
-    """Return the direction, joint frame, of a ray (x, y, 1) of the camera."""
-    R = k.rotation
-    return (
-        R[0, 0] * x + R[0, 1] * y + R[0, 2],
-        R[1, 0] * x + R[1, 1] * y + R[1, 2],
-        R[2, 0] * x + R[2, 1] * y + R[2, 2],
-    )
 
 
 @kernel(inline=True)

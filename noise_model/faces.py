@@ -39,15 +39,20 @@ def raised_cosine(v: float) -> tuple[float, float]:
 
 
 @kernel(inline=True)
-def ridge(x: float, corrugation: Float64) -> tuple[float, float]:
-    """Return the corrugation's height c(x), mm, and its slope c'(x)."""
-    height, width, pitch = corrugation[0], corrugation[1], corrugation[2]
+def raised(x: float, height: float, width: float, pitch: float) -> tuple[float, float]:
+    """Return the height c(x), mm, of a corrugation of these dimensions and its slope c'(x)."""
     if height == 0.0:
         return 0.0, 0.0
     u = x - pitch * math.floor(x / pitch + 0.5)
     share = 2.0 / width * u
     c, by_v = raised_cosine(share * share)
     return height * c, 4.0 * height / width * share * by_v
+
+
+@kernel(inline=True)
+def ridge(x: float, corrugation: Float64) -> tuple[float, float]:
+    """Return the corrugation's height c(x), mm, and its slope c'(x)."""
+    return raised(x, corrugation[0], corrugation[1], corrugation[2])
 
 
 @kernel(inline=True)

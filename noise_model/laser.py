@@ -145,8 +145,7 @@ def irradiance(points_tool: Float64, normals_tool: Float64, laser: Laser) -> Flo
     depth below the origin, h the origin's height, psi the angle of the point's ray to the axis, theta_i its
     incidence. 1 on the axis at tool height for a level plate. Hidden points are the caller's to exclude.
     """
-    origin = np.asarray(laser.origin_in_tool_mm)
-    plane = np.asarray(laser.plane_in_tool)
+    origin, plane = laser.origin_mm, laser.plane
     h = origin[2]
     towards = origin - points_tool
     z = towards[..., 2]

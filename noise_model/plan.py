@@ -81,7 +81,7 @@ def design_of(setup: Setup) -> SensorDesign:
 
     Raises ValueError where the camera does not look down or the laser plane lies along the seam.
     """
-    plane = np.asarray(setup.laser.plane_in_tool)
+    plane = setup.laser.plane
     if abs(plane[0]) < 0.2:
         raise ValueError("[laser] plane_in_tool: the stripe runs along the seam; it must cross it")
     axis, origin = setup.camera.T_tool_camera[:3, 2], setup.camera.T_tool_camera[:3, 3]
@@ -137,8 +137,8 @@ def with_design(setup: Setup, design: SensorDesign, spectrum: ArcSpectrum | None
     foot, own_foot = np.array([[d.preview_mm, 0.0, 0.0] for d in (design, own)])
     T_tool_camera = _camera_pose(setup, own, own_foot, design, foot)
     turn = Rotation.from_euler("y", design.lean_deg - own.lean_deg, degrees=True).as_matrix()
-    normal = turn @ np.asarray(setup.laser.plane_in_tool[:3])
-    origin = turn @ (np.asarray(setup.laser.origin_in_tool_mm) - own_foot) + foot
+    normal = turn @ setup.laser.plane[:3]
+    origin = turn @ (setup.laser.origin_mm - own_foot) + foot
     if not origin[2] > 1.0:
         raise ValueError(f"lean {design.lean_deg:g} deg: the laser would stand below the plate")
     optics = filter_of(setup, design.filter_fwhm_nm)

@@ -97,9 +97,9 @@ def stripe_light(setup: Setup, T_base_tool: Float64, level_e: float) -> StripeLi
 def _fan(setup: Setup, view: Scene) -> tuple[Float64, Float64, Float64]:
     """Follow the fan: first points on the surface (n, 3), normals, and the length of stripe (n,) of each."""
     R = view.T_joint_tool[:3, :3]
-    plane = R @ np.asarray(setup.laser.plane_in_tool[:3])
+    plane = R @ setup.laser.plane[:3]
     plane /= np.linalg.norm(plane)
-    origin = transform(view.T_joint_tool, np.asarray(setup.laser.origin_in_tool_mm))
+    origin = transform(view.T_joint_tool, setup.laser.origin_mm)
     down = -R[:, 2] + (R[:, 2] @ plane) * plane
     down /= np.linalg.norm(down)
     side = np.cross(plane, down)
@@ -147,7 +147,7 @@ def _look(setup: Setup, view: Scene, points: Float64, normals: Float64) -> _Look
     T_camera_joint = invert(view.T_joint_camera)
     axis = 1 if stripe_runs_along_rows(setup) else 0
     R, eye = view.T_joint_camera[:3, :3], view.T_joint_camera[:3, 3]
-    plane = view.T_joint_tool[:3, :3] @ np.asarray(laser.plane_in_tool[:3])
+    plane = view.T_joint_tool[:3, :3] @ laser.plane[:3]
     ahead = transform(T_camera_joint, points)
     in_front = ahead[:, 2] > 1.0
     ahead[~in_front] = [0.0, 0.0, 1.0]

@@ -51,7 +51,7 @@ def reflected_sheet_plain(setup: Setup, points: Float64, normals: Float64, T_joi
     material = setup.material
     T_tool_joint = invert(T_joint_tool)
     light = irradiance(transform(T_tool_joint, points), normals @ T_tool_joint[:3, :3].T, setup.laser)
-    omega_i = transform(T_joint_tool, np.asarray(setup.laser.origin_in_tool_mm)) - points
+    omega_i = transform(T_joint_tool, setup.laser.origin_mm) - points
     omega_i /= np.linalg.norm(omega_i, axis=1, keepdims=True)
     omega_r = (T_joint_tool @ setup.camera.T_tool_camera)[:3, 3] - points
     omega_r /= np.linalg.norm(omega_r, axis=1, keepdims=True)
@@ -71,13 +71,13 @@ def stripe_light(view: View) -> Float32:
     laser = setup.laser
     points, normals = (values.reshape(-1, 3) for values in view.surface[:2])
     points_tool = transform(invert(where.T_joint_tool), points)
-    plane = np.asarray(laser.plane_in_tool)
+    plane = laser.plane
     with np.errstate(invalid="ignore"):
         depth = laser.origin_in_tool_mm[2] - points_tool[:, 2]
         reach = SHEET_REACH * laser.stripe_sigma_mm * np.abs(depth) / laser.origin_in_tool_mm[2]
         near = np.flatnonzero(np.abs(points_tool @ plane[:3] + plane[3]) < reach)
     light = reflected_sheet(setup, points[near], normals[near], where.T_joint_tool)
-    origin_joint = transform(where.T_joint_tool, np.asarray(laser.origin_in_tool_mm))
+    origin_joint = transform(where.T_joint_tool, laser.origin_mm)
     is_free = np.empty(len(near), dtype=np.bool_)
     ways_are_open(points[near], origin_joint, where.shape.vertices, where.shape.corrugation, is_free)
     image = np.zeros(view.cos4.size, dtype=np.float32)
@@ -145,7 +145,7 @@ def stripe_runs_along_rows(setup: Setup) -> bool:
 
     Raises ValueError for a sheet parallel to the plate, or a stripe behind the camera.
     """
-    origin = np.asarray(setup.laser.origin_in_tool_mm) * np.array([1.0, 1.0, 0.0])
+    origin = setup.laser.origin_mm * np.array([1.0, 1.0, 0.0])
     along = cross(setup.laser.plane_in_tool[:3], (0.0, 0.0, 1.0))
     if np.linalg.norm(along) < 1e-6:
         raise ValueError("[laser] plane_in_tool: the sheet lies parallel to the plate")

@@ -137,7 +137,8 @@ def observe(setup: Setup, frames: Sequence[Frame], pose_at: PoseAt) -> Observed:
     if not posed:
         raise ValueError("no frame has a pose: there is nothing to compare with a prediction")
     poses = [_tool(pose_at, frame) for frame in posed]
-    seen = [stations(setup, T(frame.timestamp_s)) for T, frame in zip(poses, posed, strict=True)]
+    true = really(setup)
+    seen = [scene(true, T(frame.timestamp_s)).stations_mm for T, frame in zip(poses, posed, strict=True)]
     sightings = Sightings.of(setup, posed, poses)
     ends_mm = np.min(seen), np.max(seen)
     has_ridges = setup.joint.has_ridges
@@ -207,7 +208,7 @@ def _observed(
 ) -> ObservedFrame:
     condition = stated_condition(setup, frame)
     pose = T_base_tool(frame.timestamp_s)
-    stations_mm = stations(setup, pose)
+    stations_mm = scene(really(setup), pose).stations_mm
     layers = Renderer().layers(really(binned), pose, seam.bent(np.zeros(seam.n_modes), *stations_mm))
     keep, in_stripe = _keep(binned, layers, condition, usable)
     binned_dn = block_means(frame.image_dn, bin_px).astype(np.float32)
@@ -269,13 +270,6 @@ def _keep(setup: Setup, layers: Layers, condition: Condition, usable: Bool) -> t
     if condition.laser_level > 0.0:
         in_stripe = layers.laser_e > STRIPE_SHARE * setup.laser.peak_e
     return keep & (thin | in_stripe), in_stripe
-
-
-def stations(setup: Setup, T_base_tool: Float64) -> tuple[float, float, float]:
-    """Return from which station to which the camera sees the nominal plate, and the torch's, mm."""
-    where = scene(really(setup), T_base_tool)
-    first, last = where.footprint_mm[0]
-    return float(first), float(last), float(where.T_joint_tool[0, 3])
 
 
 def one_face(faces: npt.NDArray[np.integer]) -> Bool:

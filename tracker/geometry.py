@@ -101,7 +101,7 @@ def meet_laser_plane(setup: Setup, origins_tool: Float64, rays_tool: Float64) ->
 
     A ray that runs away from the plane gives NaN.
     """
-    plane = np.asarray(setup.laser.plane_in_tool)
+    plane = setup.laser.plane
     with np.errstate(divide="ignore", invalid="ignore"):
         t = -(origins_tool @ plane[:3] + plane[3]) / (rays_tool @ plane[:3])
     t = np.where(t > 0.0, t, np.nan)

@@ -54,8 +54,7 @@ def checked(effects: Mapping[str, Values], joint: Joint | None = None) -> dict[s
     for name in effects:
         if name not in REGISTRY:
             raise ValueError(f"[effects.{name}]: unknown, there are {', '.join(REGISTRY)}")
-    if joint is not None:
-        for name in set(effects) & set(not_followed(joint)):
+        if joint is not None and not REGISTRY[name].is_followed(joint):
             raise ValueError(f"[effects.{name}]: is not predicted for a {joint.type}; leave it out")
     return {name: effect.complete(effects[name]) for name, effect in REGISTRY.items() if name in effects}
 

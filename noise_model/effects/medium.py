@@ -29,10 +29,20 @@ def airlight_integral(
     scattering of a point source in thin haze (Sun, Ramamoorthi, Narasimhan and Nayar 2005, without the
     attenuation along the way). D is held at the source's `radius_mm`: there is no haze within.
     """
+    t_0, square = _nearest(origin_mm, direction, source_mm)
+    return _fall_off(length_mm, t_0, np.sqrt(np.maximum(square, radius_mm**2)))
+
+
+def _nearest(origin_mm: Float64, direction: Float64, source_mm: Float64) -> tuple[Float64, Float64]:
+    """Return where along rays (..., 3) a source is nearest, mm, and the square of its distance there."""
     towards = source_mm - origin_mm
     t_0 = direction @ towards
-    D = np.sqrt(np.maximum(towards @ towards - t_0**2, radius_mm**2))
-    return np.asarray((np.arctan((length_mm - t_0) / D) + np.arctan(t_0 / D)) / D)
+    return t_0, towards @ towards - t_0**2
+
+
+def _fall_off(length_mm: Float64, t_0: Float64, a: Float64) -> Float64:
+    """Return integral dt / (a^2 + (t - t_0)^2) (...,), 1/mm, from 0 to a length."""
+    return np.asarray((np.arctan((length_mm - t_0) / a) + np.arctan(t_0 / a)) / a)
 
 
 def gathered_depth_mm(
@@ -49,10 +59,9 @@ def gathered_depth_mm(
     """
     if gathered_per_mm == 0.0:
         return length_mm
-    towards = source_mm - origin_mm
-    t_0 = direction @ towards
-    a = np.sqrt(1.0 / gathered_per_mm**2 + np.maximum(towards @ towards - t_0**2, 0.0))
-    return np.asarray((np.arctan((length_mm - t_0) / a) + np.arctan(t_0 / a)) / (gathered_per_mm**2 * a))
+    t_0, square = _nearest(origin_mm, direction, source_mm)
+    a = np.sqrt(1.0 / gathered_per_mm**2 + np.maximum(square, 0.0))
+    return _fall_off(length_mm, t_0, a) / gathered_per_mm**2
 
 
 def _fume(light: Light, view: View, condition: Condition, values: Values, draw: Draw) -> None:
@@ -71,11 +80,15 @@ def _fume(light: Light, view: View, condition: Condition, values: Values, draw: 
 
 def _fume_depth_mm(view: View, gathered_per_mm: float) -> Float64:
     where = view.scene
-    camera, air_mm = where.T_joint_camera[:3, 3], view.keep("air", lambda: _air_mm(view))
-    return gathered_depth_mm(camera, view.directions, air_mm, where.center_mm, gathered_per_mm)
+    camera = where.T_joint_camera[:3, 3]
+    return gathered_depth_mm(camera, view.directions, _air_mm(view), where.center_mm, gathered_per_mm)
 
 
 def _air_mm(view: View) -> Float64:
+    return view.keep("air", lambda: _way_mm(view))
+
+
+def _way_mm(view: View) -> Float64:
     # Where nothing is met the air goes on as far as the arc is from the camera.
     where = view.scene
     to_arc = float(np.linalg.norm(where.center_mm - where.T_joint_camera[:3, 3]))

@@ -156,9 +156,9 @@ def _by_laser(studio: Studio, sight: Sight) -> Lit:
     """Return nodes along the sheet's trace on every face, lit by it."""
     laser, surface = studio.world.setup.laser, studio.surface
     T_tool_joint = invert(sight.T_joint_tool)
-    plane = np.asarray(laser.plane_in_tool)
+    plane = laser.plane
     outline = surface.outline_mm()
-    origin = transform(sight.T_joint_tool, np.asarray(laser.origin_in_tool_mm))
+    origin = transform(sight.T_joint_tool, laser.origin_mm)
     parts = []
     for face, (a, b) in enumerate(itertools.pairwise(outline)):
         s, ds = _along_face(a, b)

@@ -216,10 +216,10 @@ class Studio:
         laser = self.world.setup.laser
         h = laser.origin_in_tool_mm[2]
         T_tool_joint = invert(T_joint_tool)
-        up = np.asarray(laser.origin_in_tool_mm) - transform(T_tool_joint, points)
+        up = laser.origin_mm - transform(T_tool_joint, points)
         normals_tool = normals @ T_tool_joint[:3, :3].T
-        plane = np.asarray(laser.plane_in_tool)
-        aside = (np.asarray(laser.origin_in_tool_mm) - up) @ plane[:3] + plane[3]
+        plane = laser.plane
+        aside = (laser.origin_mm - up) @ plane[:3] + plane[3]
         z = up[:, 2]
         across = aside * h / (laser.stripe_sigma_mm * z)
         lit = np.exp(-0.5 * across**2) * (h / z) ** 2 * np.sum(up * normals_tool, axis=1) / z
@@ -231,7 +231,7 @@ class Studio:
         lit = self.sheet(sight.points[met], sight.normals[met], sight.T_joint_tool)
         near = met[lit > 0.0]
         points, normals = sight.points[near], sight.normals[near]
-        origin = transform(sight.T_joint_tool, np.asarray(self.world.setup.laser.origin_in_tool_mm))
+        origin = transform(sight.T_joint_tool, self.world.setup.laser.origin_mm)
         value = lit[lit > 0.0] * self._reflectance(points, normals, origin, -sight.directions[near])
         value *= self.caster.open_ways(points, normals, np.broadcast_to(origin, points.shape))
         image = np.zeros(len(sight.faces))
@@ -249,7 +249,7 @@ class Studio:
         eye = camera.T_tool_camera[:3, 3]
         points = eye - rays * (eye[2] / rays[:, 2:])
         normals = np.broadcast_to([0.0, 0.0, 1.0], points.shape)
-        origin = np.asarray(self.world.setup.laser.origin_in_tool_mm)
+        origin = self.world.setup.laser.origin_mm
         towards = eye - points
         towards /= np.linalg.norm(towards, axis=1, keepdims=True)
         value = self.sheet(points, normals, np.eye(4)) * self._reflectance(points, normals, origin, towards)

@@ -16,8 +16,8 @@ import numpy as np
 from noise_model.faces import face_under, slope_across
 from noise_model.frames import Float64
 from noise_model.kernel import kernel
-from tracker.joint.section_fit import LEAST_ALONG_MM, STEP
-from tracker.joint.section_shapes import N_CORNERS, corners_of
+from tracker.joint.section_fit import LEAST_ALONG_MM, corners_and_slopes
+from tracker.joint.section_shapes import N_CORNERS
 
 
 @kernel(allocates=True)
@@ -41,13 +41,7 @@ def add_alike(
     m, n_corners = covariance.shape[0], N_CORNERS[shape]
     corners, moved = np.empty((n_corners, 2)), np.empty((n_corners, 2))
     changed, J = np.empty((n_corners, m, 2)), np.empty(m)
-    corners_of(shape, p, corners)
-    for i in range(m):
-        kept = p[i]
-        p[i] = kept + STEP
-        corners_of(shape, p, moved)
-        p[i] = kept
-        changed[:, i] = (moved - corners) / STEP
+    corners_and_slopes(shape, p, corners, moved, changed)
     more = np.zeros((m, m))
     k = 0
     for i in range(y.shape[0]):

@@ -37,6 +37,23 @@ LEAST_ALONG_MM = 1e-6
 
 
 @kernel
+def corners_and_slopes(shape: int, p: Float64, corners: Float64, moved: Float64, slopes: Float64) -> None:
+    """Write a section's corners (n, 2) at parameters p and their `slopes` (n, m, 2) by the first m of these.
+
+    `moved` (n, 2) is scratch.
+    """
+    corners_of(shape, p, corners)
+    for i in range(slopes.shape[1]):
+        kept = p[i]
+        p[i] = kept + STEP
+        corners_of(shape, p, moved)
+        p[i] = kept
+        for k in range(corners.shape[0]):
+            slopes[k, i, 0] = (moved[k, 0] - corners[k, 0]) / STEP
+            slopes[k, i, 1] = (moved[k, 1] - corners[k, 1]) / STEP
+
+
+@kernel
 def _first_of_faces(y: Float64, corners: Float64, first: npt.NDArray[np.int64]) -> None:
     """Write the first point, y rising, of each face (n_faces,), and behind the last one's last."""
     i = 0
@@ -172,15 +189,7 @@ def fit_section(
     at_a, at_b = np.empty(m), np.empty(m)
     wide = start_scale
     for _ in range(MOST_STEPS):
-        corners_of(shape, p, corners)
-        for i in range(m):
-            kept = p[i]
-            p[i] = kept + STEP
-            corners_of(shape, p, moved)
-            p[i] = kept
-            for k in range(n_corners):
-                J[k, i, 0] = (moved[k, 0] - corners[k, 0]) / STEP
-                J[k, i, 1] = (moved[k, 1] - corners[k, 1]) / STEP
+        corners_and_slopes(shape, p, corners, moved, J)
         _all_residuals(y, z, dy, dz, sigma, corners, first, r, unit)
         scale = _scale(r, used, max(1.0, wide))
         information[:] = 0.0
