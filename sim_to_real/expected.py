@@ -40,13 +40,17 @@ Int64 = npt.NDArray[np.int64]
 
 Result = TypeVar("Result")
 
-SEAM_STEPS = (("y_mm", 0.02), ("z_mm", 0.02), ("slope_y", 5e-4), ("slope_z", 5e-4))
-"""Steps of the derivatives with a seam's place and direction."""
+SEAM_STEPS = (("y_mm", 5e-4), ("z_mm", 5e-4), ("slope_y", 1.5e-5), ("slope_z", 1.5e-5))
+"""Steps of the derivatives with a seam's place and direction.
 
-GROUND_STEP_MM = 0.02
+Camera and seam can move so that the stripe hardly does: over 0.02 mm its curvature outweighed what is left,
+and a corrugation's fit came nearer by a quarter of the way at a time.
+"""
+
+GROUND_STEP_MM = 5e-4
 """Step of the derivatives with the place of the seam under the arc."""
 
-EDGE_SHARE, EDGE_E = 0.25, 50.0
+EDGE_SHARE, EDGE_E = 0.01, 2.0
 """An edge is what changes a bin's light over such a step by more than this share of it and so many e-."""
 
 CHARGE_STEP_E = 1.0

@@ -32,8 +32,8 @@ def nuisances(observed: Observed) -> tuple[Parameter, ...]:
         _nuisance("arc_level_ln", "", tolerance.arc_level_rel, 1e-3),
         _nuisance("laser_level_ln", "", tolerance.laser_level_rel, 1e-3),
         _nuisance("black_dn", "DN", tolerance.black_level_dn, 0.01),
-        *(_nuisance(f"rot_{axis}_deg", "deg", tolerance.hand_eye_deg, 0.01) for axis in "xyz"),
-        *(_nuisance(f"move_{axis}_mm", "mm", tolerance.hand_eye_mm, 0.02) for axis in "xyz"),
+        *(_nuisance(f"rot_{axis}_deg", "deg", tolerance.hand_eye_deg, 3e-4) for axis in "xyz"),
+        *(_nuisance(f"move_{axis}_mm", "mm", tolerance.hand_eye_mm, 5e-4) for axis in "xyz"),
         *(
             Parameter(f"seam_{n}", "", 0.0, 1.0, -SEAM_WITHIN, SEAM_WITHIN, 0.05)
             for n in range(observed.seam.n_modes)

@@ -111,7 +111,8 @@ def test_an_arc_that_stands_higher_is_found_by_rendering(longer_arc):
     expected, start = longer_arc
     found = stages(expected, [(start, covariates(expected, start))])
     assert (found[0].stage, found[0].form) == ("source", "place of the arc")
-    assert found[0].share > 0.8
+    # What nuisances can do themselves, and what bends, is not its.
+    assert found[0].share > 0.5
 
 
 @pytest.mark.parametrize(
