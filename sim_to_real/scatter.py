@@ -108,15 +108,17 @@ def scatter(expected: Expected, fitted: Refit, without: Sequence[str]) -> Scatte
         {one.id: one.evidence for one in looked},
         {one.id: float(expit(one.evidence)) for one in looked},
         {one.id: _share(one.excess, gap) for one in looked},
-        1.0 if any(one.id == "read_noise" for one in acting) else _within_tolerance(*read, observed),
+        1.0 if any(one.id == "read_noise" for one in acting) else _within_tolerance(read[0], observed),
     )
 
 
-def _within_tolerance(ratio: float, error: float, observed: Observed) -> float:
-    """Return the likeliest read noise over the stated one, by what is seen and what is known before."""
-    known = observed.setup.tolerance.read_noise_rel
-    reach = WITHIN_SIGMAS * known
-    return 1.0 + min(max((ratio - 1.0) * known**2 / (known**2 + error**2), -reach), reach)
+def _within_tolerance(ratio: float, observed: Observed) -> float:
+    """Return the read noise over the stated one that is seen, as far as its tolerance goes.
+
+    What a predicted variance is off is in what is seen too, and so is right for what is predicted with it.
+    """
+    reach = WITHIN_SIGMAS * observed.setup.tolerance.read_noise_rel
+    return 1.0 + min(max(ratio - 1.0, -reach), reach)
 
 
 def _share(excess: float, gap: float) -> float:

@@ -72,7 +72,7 @@ def test_read_noise_within_its_tolerance_is_no_effect_but_known(ratio):
     """A tolerance of 5 %: what is seen is surer than that."""
     found = scatter(*recorded(np.random.default_rng(12), Scattering(ratio=ratio), N_FRAMES), ())
     assert "read_noise" not in found.effects
-    assert found.read_ratio == pytest.approx(ratio, abs=0.03)
+    assert found.read_ratio == pytest.approx(ratio, abs=0.01)
 
 
 def test_read_noise_that_is_named_is_not_counted_twice():
