@@ -281,5 +281,6 @@ def _ranking(decision: Decision, baseline: Candidate, random: Scatter) -> tuple[
         left = math.sqrt(max(single.left - floor, 0.0))
         closed = 1.0 - left / size if size else math.nan
         gained = single.evidence - baseline.evidence
-        ranked.append((gained, Ranked(single.ids[-1], RELIABLE * float(confidence), closed)))
+        one = Ranked(single.ids[-1], RELIABLE * float(confidence), closed, single.is_held_back)
+        ranked.append((gained, one))
     return tuple(one for _, one in sorted(ranked, key=lambda pair: -pair[0]))

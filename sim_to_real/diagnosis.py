@@ -65,11 +65,15 @@ class Named:
 
 @dataclass(frozen=True)
 class Ranked:
-    """A candidate that was refitted: how probable it is, and which share of the gap it closes by itself."""
+    """A candidate that was refitted: how probable it is, and which share of the gap it closes by itself.
+
+    If it `is_held_back` it would close it better with values beyond its bounds: then it explains nothing.
+    """
 
     id: str
     confidence: float
     gap_closed: float
+    is_held_back: bool = False
 
 
 CLEAR_FLOORS = 2.0

@@ -10,7 +10,7 @@ and a sum over frames, with the priors', is minimised within the bounds without 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import numpy.typing as npt
@@ -19,8 +19,12 @@ from scipy.optimize import lsq_linear
 from noise_model.fit import Parameter
 from noise_model.frames import Float64
 
-N_EFFECTIVE = 100.0
-"""How many residuals say something of their own: neighbours share the model's error."""
+N_EFFECTIVE = 200.0
+"""How many residuals say something of their own: neighbours share the model's error.
+
+Of 50 recordings without any effect by another renderer the likeliest gains 6 nats more than it costs in one
+and 3 at most in the others, about what the best of two dozen does by chance.
+"""
 
 LEAST_WEIGHT = 1e-3
 """The least weight of priors, where hardly anything is left."""
@@ -95,10 +99,18 @@ class Quadratic:
         if (free >= lower).all() and (free <= upper).all():
             return np.asarray(self.x + free)
         # A bound that x lies on may be missed by rounding: the solver wants room.
-        room = np.maximum(np.maximum(upper, 0.0) - np.minimum(lower, 0.0), 1e-12) * scale
-        low, high = np.minimum(lower, 0.0) * scale, np.minimum(lower, 0.0) * scale + room
+        low = np.minimum(lower, 0.0) * scale
+        high = np.maximum(np.maximum(upper, 0.0) * scale, low + 1e-12 * scale)
         found = lsq_linear(factor.T, target, (low, high), method="bvls")
         return np.asarray(self.x + found.x / scale)
+
+    def without_bounds(self, freed: npt.NDArray[np.bool_]) -> Quadratic:
+        """Return the same with no bounds for some of the parameters (p,)."""
+        free = [
+            replace(parameter, lower=-np.inf, upper=np.inf) if is_free else parameter
+            for parameter, is_free in zip(self.parameters, freed, strict=True)
+        ]
+        return replace(self, parameters=tuple(free))
 
     def costs(self, x: Float64) -> Float64:
         """Return each frame's weighted sum of squares (n_frames,) at parameters (p,)."""

@@ -130,6 +130,19 @@ DEAR: Mapping[str, Values] = {BOUNCING: {"albedo_scale": 0.2}}
 """Effects that take longer than all others together, and where their fit starts: tried if no other does."""
 
 
+def size(effects: Mapping[str, Values]) -> float:
+    """Return how far the farthest of some effects is from neutral, in its prior's sigmas.
+
+    That is by the parameters of which its places are made: where an effect is tried, and not in which shape.
+    """
+    return max(
+        abs(effects[name][parameter.name] - parameter.start) / parameter.prior_sigma
+        for name in effects
+        for parameter in REGISTRY[name].parameters
+        if name not in FAMILIES or any(parameter.name in p for f in FAMILIES[name] for p in f.places)
+    )
+
+
 @dataclass(frozen=True, eq=False)
 class Screened:
     """A candidate after the first look: the share of the cost that is left, and where a fit should start.

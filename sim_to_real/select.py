@@ -50,8 +50,11 @@ RESOLVED = 1.1
 REFITTED, REFITTED_BESIDE = 8, 4
 """How many candidates are refitted after the first look, alone and beside effects that were chosen."""
 
-HOPELESS = 0.3
-"""What leaves this share of the gap at the first look is not refitted once another explains all of it."""
+HOPELESS, HOPELESS_NATS = 0.3, 20.0
+"""What leaves this share of the gap at the first look is not refitted once another explains all of it.
+
+Unless it is so much cheaper that its evidence there is no more than so many nats less.
+"""
 
 HALF = 0.5
 """A good part of the gap."""
@@ -64,6 +67,9 @@ LEAST_LEFT = 0.6
 
 MOST_CHANGING = 3
 """So many of the likeliest effects are tried with a size that changes from frame to frame."""
+
+ON_BOUND = 1e-3
+"""So near a bound, as a share of how far the bounds are apart, a parameter lies on it."""
 
 ALIKE_NATS, MOST_ALIKE = 5.0, 3
 """Candidates whose evidence in bins differs by less, so many at most, are compared in pixels.
@@ -100,6 +106,29 @@ class Candidate:
         """The logarithm of the candidate's likelihood, less what its parameters cost."""
         n_parameters = len(self.refit.x) - self.refit.n_nuisances
         return likelihood_nats(self.left) - cost_nats(n_parameters) - self.against
+
+    @property
+    def held_back(self) -> float:
+        """What the fit would gain beyond the bounds that its effects' parameters lie on, nats.
+
+        An effect that would go on is another one's mimic. Where the bound is neutral it is just not there.
+        """
+        quadratic, x = self.refit.quadratic, self.refit.x
+        start, lower, upper = np.array([(p.start, p.lower, p.upper) for p in quadratic.parameters]).T
+        reach = upper - lower
+        near = np.where(np.isfinite(reach), ON_BOUND * reach, 0.0)
+        on_bound = np.zeros(len(x), dtype=np.bool_)
+        for bound in (lower, upper):
+            on_bound |= (np.abs(x - bound) <= near) & (np.abs(start - bound) > near)
+        on_bound[: self.refit.n_nuisances] = False
+        freed = quadratic.without_bounds(on_bound)
+        left = float(freed.costs(freed.solve()).sum() / quadratic.counts.sum())
+        return likelihood_nats(left) - likelihood_nats(self.refit.mean_square) if on_bound.any() else 0.0
+
+    @property
+    def is_held_back(self) -> bool:
+        """Whether its bounds hold it back from what would be preferred."""
+        return self.held_back >= NAMED_FROM
 
 
 def beyond_form(expected: Expected, candidate: Candidate) -> float:
@@ -176,7 +205,7 @@ def candidates(
         found.append(judged(expected, refit(expected, effects, baseline.nuisance)))
     most = REFITTED_BESIDE if baseline.ids else REFITTED
     for n, one in enumerate(screened[:most]):
-        of_gap = HOPELESS if _is_resolved(found, left) else HARDLY_CLOSES
+        of_gap = HOPELESS if _is_resolved(found, left) and _is_worse(one, found, baseline) else HARDLY_CLOSES
         if n and one.left * baseline.mean_square - LEAST_LEFT > of_gap * gap_at_look:
             continue
         on_stage(f"fitting {one.id}", 0.2 + 0.6 * n / most)
@@ -280,7 +309,13 @@ def _worth_it(expected: Expected, baseline: Refit, effects: Effects) -> bool:
 def _is_resolved(found: Sequence[Candidate], left: float) -> bool:
     """Say whether one of the candidates leaves nothing worth looking for of what is left without it."""
     most = min(RESOLVED, LEAST_LEFT + HALF * (left - LEAST_LEFT))
-    return any(candidate.left <= most for candidate in found)
+    return any(candidate.left <= most and not candidate.is_held_back for candidate in found)
+
+
+def _is_worse(one: Screened, found: Sequence[Candidate], baseline: Refit) -> bool:
+    """Say whether an effect has far less evidence at the first look than another that was fitted."""
+    evidence = likelihood_nats(one.left * baseline.mean_square) - cost_nats(len(REGISTRY[one.id].parameters))
+    return evidence < max(candidate.evidence for candidate in found) - HOPELESS_NATS
 
 
 def _best_first(found: Sequence[Candidate]) -> list[Candidate]:

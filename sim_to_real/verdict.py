@@ -19,7 +19,7 @@ from sim_to_real.expected import Expected
 from sim_to_real.pixels import Bool
 from sim_to_real.refit import NAMED_FROM, Refit, refit, settled
 from sim_to_real.scatter import Scatter
-from sim_to_real.screen import Screened
+from sim_to_real.screen import Screened, size
 from sim_to_real.select import (
     RESOLVED,
     Candidate,
@@ -77,6 +77,9 @@ MOSTLY_RANDOM = 0.5
 MOST_EFFECTS = 3
 """So many effects are named at most."""
 
+TRIFLE = 0.1
+"""An effect of a smaller share of its prior's sigma is none where the model may be off as much."""
+
 CLOSES = 0.5
 """The share of the gap on frames held out that effects must be able to close if they are named."""
 
@@ -115,7 +118,10 @@ def is_explained(expected: Expected, candidate: Candidate, baseline: Candidate) 
     """Say whether one effect explains a gap: it leaves little beyond what its form may be off.
 
     Or it leaves hardly anything in pixels, and they showed the gap. If they were asked it must halve that.
+    What would explain it better beyond its bounds does not.
     """
+    if candidate.is_held_back:
+        return False
     shown = baseline.left_in_pixels
     if shown > AT_FLOOR and math.isfinite(candidate.left_in_pixels):
         share = (candidate.left_in_pixels - 1.0) / (shown - 1.0)
@@ -306,7 +312,7 @@ def _several(
         if left_over(further[0], baseline) > (1.0 - WORTH) * left_over(chosen, baseline):
             return None
         chosen = further[0]
-    if chosen.left > SEVERAL_LEAVE:
+    if chosen.left > SEVERAL_LEAVE or chosen.is_held_back:
         return None
     for name in chosen.ids[:-1]:
         fewer = {other: values for other, values in chosen.refit.effects.items() if other != name}
@@ -338,11 +344,13 @@ def closing(decision: Decision, baseline: Candidate, gap: Gap) -> Decision:
     """Return the verdict if what is named surely closes less than half of the gap held out.
 
     It is unknown then; or no gap, if the baseline leaves no more than the model may be off. A gap that is no
-    larger than the floor is none, whatever would close it.
+    larger than the floor is none if nothing is named, or but a trifle that the model's own error looks like.
     """
-    if gap.before <= gap.floor:
+    ids, is_below = decision.chosen.ids, gap.before <= gap.floor
+    is_named = bool(ids) and decision.verdict in (Verdict.EFFECTS, Verdict.AMBIGUOUS)
+    is_trifle = is_named and size(decision.chosen.refit.effects) < TRIFLE
+    if (is_below and not is_named) or ((is_below or baseline.left <= 1.0) and is_trifle):
         return replace(decision, verdict=Verdict.NO_GAP, ambiguous=())
-    ids = decision.chosen.ids
     # Two or three effects can mimic much of another: they must leave no clear gap.
     mimics = len(ids) > 1 and gap.is_left
     if mimics or (ids and gap.ci95[1] < CLOSES):
@@ -357,8 +365,8 @@ def shares(expected: Expected, baseline: Candidate, chosen: Candidate) -> dict[s
     if len(names) < 2:
         return dict.fromkeys(names, 1.0)
     left: dict[frozenset[str], float] = {frozenset(): baseline.left, frozenset(names): chosen.left}
-    for size in range(1, len(names)):
-        for some in itertools.combinations(names, size):
+    for number in range(1, len(names)):
+        for some in itertools.combinations(names, number):
             effects = {name: chosen.refit.effects[name] for name in some}
             left[frozenset(some)] = judged(expected, refit(expected, effects, chosen.refit.nuisance)).left
     closed = {of: math.sqrt(max(value - 1.0, 0.0)) for of, value in left.items()}

@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from sim_to_real.diagnosis import Diagnosis, Named, Next, Predicted, Where
+from sim_to_real.diagnosis import Diagnosis, Named, Next, Predicted, Ranked, Where
 
 FORMAT = "arctrack-diagnosis/1"
 REPORT_JSON, WHERE_NPZ, PREDICTED_NPZ = "report.json", "where.npz", "predicted.npz"
@@ -38,7 +38,7 @@ def report(diagnosis: Diagnosis) -> dict[str, Any]:
         "format": FORMAT,
         "verdict": diagnosis.verdict.value,
         "effects": [_named(effect) for effect in diagnosis.effects],
-        "ranking": [asdict(candidate) for candidate in diagnosis.ranking],
+        "ranking": [_ranked(candidate) for candidate in diagnosis.ranking],
         "ambiguous_with": diagnosis.ambiguous_with,
         "gap": {
             "before": gap.before,
@@ -69,6 +69,15 @@ def _named(effect: Named) -> dict[str, Any]:
         "parameters": parameters,
     }
     return named if effect.trend is None else {**named, "trend": asdict(effect.trend)}
+
+
+def _ranked(candidate: Ranked) -> dict[str, Any]:
+    ranked = {
+        "id": candidate.id,
+        "confidence": candidate.confidence,
+        "gap_closed": candidate.gap_closed,
+    }
+    return {**ranked, "is_held_back": True} if candidate.is_held_back else ranked
 
 
 def _before_after(values: tuple[float, float]) -> dict[str, float]:

@@ -77,6 +77,12 @@ def headline(diagnosis: Diagnosis) -> str:
     if diagnosis.verdict is Verdict.AMBIGUOUS:
         alike = "; and ".join(_alternatives(ids) for ids in diagnosis.ambiguous_with)
         return f"There is a gap of {sigmas(gap.before)}, and this recording cannot tell which it is: {alike}."
+    held_back = [one.id for one in diagnosis.ranking[:1] if one.is_held_back]
+    if held_back:
+        return (
+            f"There is a gap of {sigmas(gap.before)} that nothing in the catalogue of effects explains: "
+            f"{held_back[0]} closes most, but would have to go beyond its bounds."
+        )
     return f"There is a gap of {sigmas(gap.before)} that nothing in the catalogue of effects closes."
 
 
@@ -89,6 +95,11 @@ def how_far(diagnosis: Diagnosis) -> str:
         )
     closed = f", {closed_share(gap)} of it is closed" if math.isfinite(gap.closed) else ""
     lead = f"With {added(diagnosis)} the gap shrinks from {sigmas(gap.before)} to {sigmas(gap.after)}{closed}"
+    if gap.before <= gap.floor:
+        return (
+            f"{lead}; by {sigmas(gap.floor)} the model may be off by itself, but hardly in the pattern of "
+            f"{added(diagnosis)}."
+        )
     lead += f"; {sigmas(gap.floor)} would be no gap."
     if diagnosis.verdict is Verdict.EFFECTS and gap.is_left:
         return f"{lead} What is left may be a form that the catalogue simplifies."

@@ -121,7 +121,7 @@ EFFECTS = (
             for parameter in (
                 Parameter(f"u_{n}", "", u, 0.5, -1.0, 1.0, 0.01),
                 Parameter(f"v_{n}", "", v, 0.4, -1.0, 1.0, 0.01),
-                Parameter(f"radius_{n}", "", 0.2, 0.1, 0.02, 0.5, 0.01),
+                Parameter(f"radius_{n}", "", 0.2, 0.1, 0.02, 0.4, 0.01),
                 Parameter(f"dimming_{n}", "", 0.0, 0.3, 0.0, 1.0, 0.005),
                 Parameter(f"scatter_{n}", "", 0.0, 0.2, 0.0, 2.0, 0.005),
             )

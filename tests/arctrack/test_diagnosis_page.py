@@ -117,6 +117,27 @@ def test_what_effects_leave_is_said(seen_setup: Setup) -> None:
     assert words.how_far(most).endswith("What is left may be a form that the catalogue simplifies.")
 
 
+def test_an_effect_below_the_floor_is_told_by_its_pattern(seen_setup: Setup) -> None:
+    found = example(Verdict.EFFECTS, seen_setup, GAMMA)
+    small = replace(found, gap=replace(found.gap, before=0.2, after=0.1, floor=0.3, closed=math.nan))
+    assert words.how_far(small).endswith(
+        "from 0.20 σ to 0.10 σ; by 0.30 σ the model may be off by itself, but hardly in the pattern of gamma."
+    )
+
+
+def test_what_its_bounds_hold_back_is_said_to_explain_nothing(seen_setup: Setup) -> None:
+    found = example(Verdict.UNKNOWN, seen_setup, GAMMA)
+    first, *others = found.ranking
+    held_back = replace(found, ranking=(replace(first, is_held_back=True), *others))
+    assert words.headline(found).endswith("that nothing in the catalogue of effects closes.")
+    assert words.headline(held_back).endswith(
+        f"explains: {first.id} closes most, but would have to go beyond its bounds."
+    )
+    said = report(held_back)["ranking"]
+    assert said[0]["is_held_back"] is True
+    assert said[1].keys() == {"id", "confidence", "gap_closed"}
+
+
 def test_what_is_open_is_said(seen_setup: Setup, recording: Recording) -> None:
     ambiguous = read(page(example(Verdict.AMBIGUOUS, seen_setup), recording))
     assert "cannot tell which it is: gamma (the response is not the stated power) or bl" in ambiguous.text

@@ -26,8 +26,8 @@ def test_the_minimum_is_that_of_plain_least_squares(bounds):
     rows = np.repeat(chosen, COUNTS)
     starts, sigmas = np.array([0.0, 0.1, 0.2]), 2.0
 
-    # Of all 120 residuals so many are independent, and what is left is their variance.
-    weight = (w @ r**2) / N_EFFECTIVE
+    # So many of all residuals are independent, and what is left is their variance.
+    weight = (w @ r**2) / min(len(r), N_EFFECTIVE)
 
     def residuals(value):
         pulls = np.sqrt(weight) * (value - starts) / sigmas

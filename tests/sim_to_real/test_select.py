@@ -6,8 +6,10 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+from noise_model.fit import Parameter
 from sim_to_real import select
 from sim_to_real.held import left_in_pixels
+from sim_to_real.quadratic import Quadratic
 from sim_to_real.refit import followed, refit
 from sim_to_real.select import ALIKE_NATS, Candidate, beyond_form, likelihood_nats, told_apart
 from sim_to_real.verdict import is_explained
@@ -21,9 +23,17 @@ def candidate(name, left, n_parameters=1):
         ids=(name,),
         x=np.zeros(n_parameters),
         n_nuisances=0,
-        quadratic=SimpleNamespace(counts=np.array([50])),
+        mean_square=left,
+        quadratic=quadratic(np.zeros((50, n_parameters)), np.full(50, math.sqrt(left))),
     )
     return Candidate(fit, np.array([50.0 * left]))
+
+
+def quadratic(J, r, upper=np.inf):
+    """The cost about 0 of parameters that may be as low as -2."""
+    parameters = [Parameter(f"p{n}", "", -1.0, 1e3, -2.0, upper, 0.1) for n in range(J.shape[1])]
+    x = np.zeros(J.shape[1])
+    return Quadratic.of(parameters, x, r, J, np.ones(len(r)), np.array([len(r)]))
 
 
 def ids(found):
@@ -98,6 +108,23 @@ def test_what_pixels_do_not_show_halved_explains_no_gap():
         in_pixels, _ = pixels(arc_radius=left)
         (found,), baseline = told_apart([candidate("arc_radius", 1.2)], BASELINE, in_pixels)
         assert is_explained(large, found, baseline) is is_enough
+
+
+def test_what_bounds_hold_back_is_what_would_be_gained_without_them():
+    J = np.array([[1.0, 0.0], [0.0, 1.0], [0.0, 0.0]])
+    r = np.array([-3.0, 4.0, 2.0])
+
+    def held_back(upper, n_nuisances=0):
+        fit = SimpleNamespace(
+            ids=("dirty_window",), x=np.zeros(2), n_nuisances=n_nuisances, mean_square=29.0 / 3.0
+        )
+        fit.quadratic = quadratic(J, r, upper)
+        return Candidate(fit, np.array([29.0])).held_back
+
+    # The first would go on to 3, the second back to -4 and no farther than to its own bound.
+    assert held_back(1.0) == 0.0
+    assert held_back(0.0) == pytest.approx(likelihood_nats(4.0 / 3.0) - likelihood_nats(29.0 / 3.0), abs=1e-3)
+    assert held_back(0.0, n_nuisances=2) == 0.0
 
 
 def test_followed_derivatives_tell_what_the_step_did_and_leave_the_rest():

@@ -6,8 +6,11 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+from noise_model.effects import REGISTRY
 from sim_to_real import verdict as room
 from sim_to_real.diagnosis import Gap, Verdict
+from sim_to_real.quadratic import N_EFFECTIVE
+from sim_to_real.screen import size
 from sim_to_real.select import likelihood_nats
 from sim_to_real.verdict import (
     Decision,
@@ -40,10 +43,12 @@ class Fitted:
     refit: SimpleNamespace
     evidence: float
     left_in_pixels: float = np.nan
+    is_held_back: bool = False
 
 
 def candidate(*ids, left=1.0):
-    fit = SimpleNamespace(ids=ids, residuals=np.full(4, np.sqrt(left)), nuisance=None)
+    effects = {name: REGISTRY[name].complete(REGISTRY[name].typical) for name in ids}
+    fit = SimpleNamespace(ids=ids, residuals=np.full(4, np.sqrt(left)), nuisance=None, effects=effects)
     return Fitted(ids, left, fit, likelihood_nats(left))
 
 
@@ -88,15 +93,17 @@ def test_how_sure_one_is_of_what_is_named_is_a_probability_of_that(monkeypatch):
     assert found.sure > 0.99 > found.confidence[0] > 0.5
     assert found.confidence.sum() == pytest.approx(1.0)
     alike = [candidate("fume", left=1.0), candidate("gamma", left=1.01)]
-    assert decided(monkeypatch, candidate(left=9.0), alike, None).sure == pytest.approx(0.62, abs=0.01)
+    # Their likelihoods are as 1 to 1.01^-(N / 2), and nothing else is likely.
+    even = 1.0 / (1.0 + 1.01 ** (-0.5 * N_EFFECTIVE))
+    assert decided(monkeypatch, candidate(left=9.0), alike, None).sure == pytest.approx(even, abs=0.01)
 
 
 @pytest.mark.parametrize(
     ("seen", "left", "verdict"),
-    [(0.5, 0.88, Verdict.NO_GAP), (1.2, 0.88, Verdict.EFFECTS), (0.5, 0.7, Verdict.EFFECTS)],
+    [(0.5, 0.9, Verdict.NO_GAP), (1.2, 0.9, Verdict.EFFECTS), (0.5, 0.8, Verdict.EFFECTS)],
 )
 def test_a_gap_below_the_floor_must_show_in_pixels_or_be_beyond_chance(monkeypatch, seen, left, verdict):
-    """Of 26 effects one is better by ln 26 = 3.3 nats by chance: 3.8 are not enough, 15 are."""
+    """Of 26 effects one is better by ln 26 = 3.3 nats by chance: 5.4 are not enough, 17 are."""
     names = [f"a look at {n}" for n in range(26)]
     found = decided(monkeypatch, candidate(left=0.95), [candidate("gamma", left=left)], None, seen, names)
     assert found.verdict is verdict
@@ -155,12 +162,33 @@ def test_an_effect_that_surely_closes_less_than_half_is_not_named():
     assert closing(named, candidate(left=0.9), gap(4.0, (0.1, 0.4))).verdict is Verdict.NO_GAP
 
 
-def test_a_gap_below_the_floor_is_none_whatever_closes_it():
-    small = gap(0.05, (0.9, 1.0), before=0.19)
-    for verdict in (Verdict.EFFECTS, Verdict.AMBIGUOUS, Verdict.UNKNOWN):
-        assert closing(decision(verdict, "fume"), candidate(left=1.2), small).verdict is Verdict.NO_GAP
-    seen = gap(0.05, (0.9, 1.0), before=0.21)
-    assert closing(decision(Verdict.EFFECTS, "fume"), candidate(left=1.2), seen).verdict is Verdict.EFFECTS
+def test_a_gap_below_the_floor_is_none_but_for_an_effect_that_is_no_trifle():
+    baseline = candidate(left=1.2)
+    below, above = (gap(0.05, (0.9, 1.0), before=before) for before in (0.19, 0.21))
+    unknown, noise = decision(Verdict.UNKNOWN, "roughness_change"), decision(Verdict.EFFECTS)
+    for of in (unknown, noise):
+        assert closing(of, baseline, below).verdict is Verdict.NO_GAP
+        assert closing(of, baseline, above).verdict is of.verdict
+    # The prior of ln c2 has a sigma of 0.7.
+    for c2_ln, in_small in ((-0.06, Verdict.NO_GAP), (-0.08, Verdict.EFFECTS)):
+        named = decision(Verdict.EFFECTS, "roughness_change")
+        named.chosen.refit.effects["roughness_change"] = {"c2_ln": c2_ln}
+        assert closing(named, baseline, below).verdict is in_small
+        assert closing(named, candidate(left=0.9), above).verdict is in_small
+        assert closing(named, baseline, above).verdict is Verdict.EFFECTS
+
+
+def test_the_shape_of_an_effect_says_nothing_of_its_size():
+    marks = {"anisotropy": 0.05, "marks_deg": 60.0}
+    assert size({"rolling_marks": marks}) == pytest.approx(0.1)
+    assert size({"rolling_marks": marks, "arc_length": {"height_mm": -0.3}}) == pytest.approx(0.3)
+
+
+def test_what_its_bounds_hold_back_explains_nothing(monkeypatch):
+    held_back = candidate("dirty_window", left=0.9)
+    assert decided(monkeypatch, candidate(left=9.0), [held_back], None).verdict is Verdict.EFFECTS
+    held_back.is_held_back = True
+    assert decided(monkeypatch, candidate(left=9.0), [held_back], None).verdict is Verdict.UNKNOWN
 
 
 def test_several_effects_must_leave_no_clear_gap_and_one_may():
