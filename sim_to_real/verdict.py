@@ -164,7 +164,16 @@ def decide(
     explained = is_explained(expected, found[0], baseline)
     is_open = found[0].left > RESOLVED and not explained
     is_small = baseline.left < UNEXPLAINED_FROM and baseline.left_in_pixels <= AT_FLOOR
-    if is_open and not is_small:
+    helps = explained and found[0].evidence - baseline.evidence >= NAMED_FROM
+    if not is_open and not helps:
+        # Light that bounces stays near the root: of all bins' mean it is little, and pixels show it.
+        baseline = _asked(baseline, in_pixels)
+        if baseline.left_in_pixels > SHOWN_FROM:
+            found = with_dear(expected, start, found, without, on_stage)
+            if found[0].evidence > baseline.evidence:
+                found, baseline = told_apart(found, baseline, in_pixels)
+            explained = is_explained(expected, found[0], baseline)
+    elif is_open and not is_small:
         found = with_dear(expected, start, found, without, on_stage)
         explained = is_explained(expected, found[0], baseline)
         if not explained:

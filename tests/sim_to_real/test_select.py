@@ -60,6 +60,8 @@ def test_pixels_decide_between_what_bins_find_alike():
     found, baseline = told_apart([*alike, candidate("gamma", 9.0)], BASELINE, in_pixels)
     assert asked == [["", "drift", "defocus"]]
     assert baseline.left_in_pixels == 20.0
+    # They say as much against the baseline.
+    assert baseline.against == pytest.approx(-likelihood_nats(20.0))
     assert ids(found) == ["defocus", "drift", "gamma"]
     assert found[0].evidence - found[1].evidence == pytest.approx(
         -likelihood_nats(4.0) + likelihood_nats(1.05) - likelihood_nats(1.00)
@@ -154,12 +156,12 @@ def test_in_pixels_the_right_effect_leaves_little_of_what_the_baseline_does(tmp_
 
 @pytest.mark.parametrize(
     ("before", "after", "is_worth_it"),
-    [(5.0, 1.0, True), (5.0, 4.0, False), (1.5, 0.4, True), (0.93, 0.47, True), (0.93, 0.8, False)],
+    [(5.0, 1.0, True), (5.0, 4.0, False), (1.5, 0.4, True), (0.93, 0.8, True), (0.93, 0.85, False)],
 )
 def test_what_is_dear_is_fitted_where_it_closes_a_good_part_in_a_few_frames(
     monkeypatch, before, after, is_worth_it
 ):
-    """Of a few frames the nuisances may leave less than the floor: then it is a part of all that is left."""
+    """Of a few frames the nuisances may leave less than the floor: then it counts from the least."""
     few = SimpleNamespace()
     observed = SimpleNamespace(lit=np.ones(8, dtype=bool), frames=range(8))
     expected = SimpleNamespace(observed=observed, some=lambda chosen: few)

@@ -56,18 +56,18 @@ def decision(verdict, *ids):
     return Decision(verdict, candidate(*ids), 1.0, (), np.empty(0), (), (), None)
 
 
-def decided(monkeypatch, baseline, singles, several, seen=0.0, looks=("a look",), again=None):
+def decided(monkeypatch, baseline, singles, several, seen=0.0, looks=("a look",), again=None, dear=None):
     """Decide between fits that are handed in; `seen` is what all leave in pixels, or each by its effects.
 
-    `again` is the likeliest one after it has settled.
+    `again` is the likeliest one after it has settled, `dear` are the fits with those that take long.
     """
     left = seen if isinstance(seen, dict) else {}
     answers = {"looked": looks, "candidates": singles, "_several": several}
-    answers |= dict.fromkeys(("with_dear", "with_changes"), singles)
+    answers |= {"with_dear": dear or singles, "with_changes": singles}
     for name, answer in answers.items():
         monkeypatch.setattr(room, name, lambda *_, answer=answer: answer)
     monkeypatch.setattr(room, "refit", lambda *_, **__: None)
-    monkeypatch.setattr(room, "told_apart", lambda *_: (singles, baseline))
+    monkeypatch.setattr(room, "told_apart", lambda found, baseline, _: (found, baseline))
     monkeypatch.setattr(room, "_again", lambda _, of: again or of)
     expected = SimpleNamespace(
         take_tangents=lambda *_: None,
@@ -107,6 +107,16 @@ def test_a_gap_below_the_floor_must_show_in_pixels_or_be_beyond_chance(monkeypat
     names = [f"a look at {n}" for n in range(26)]
     found = decided(monkeypatch, candidate(left=0.95), [candidate("gamma", left=left)], None, seen, names)
     assert found.verdict is verdict
+
+
+@pytest.mark.parametrize(("seen", "verdict"), [(0.6, Verdict.NO_GAP), (3.0, Verdict.EFFECTS)])
+def test_light_that_bounces_is_tried_where_only_pixels_show_a_gap(monkeypatch, seen, verdict):
+    bounced = candidate("interreflection", left=0.6)
+    left = {(): seen, ("interreflection",): 0.4}
+    singles = [candidate("arc_length", left=0.65)]
+    found = decided(monkeypatch, candidate(left=0.66), singles, None, left, dear=[bounced, *singles])
+    assert found.verdict is verdict
+    assert found.chosen.ids == (bounced.ids if verdict is Verdict.EFFECTS else ())
 
 
 @pytest.mark.parametrize(
