@@ -280,14 +280,15 @@ def told_apart(
         alike = [one for one in alike if best - one.evidence < ALIKE_NATS]
         if len(alike) < 2:
             return list(found), baseline
-    left = in_pixels([one.refit for one in (baseline, *alike)]).tolist()
+    of_baseline, *left = in_pixels([one.refit for one in (baseline, *alike)]).tolist()
     # In pixels 1 is the model's floor, and what lies below is chance.
     nats = [likelihood_nats(max(of, 1.0)) for of in left]
     weighed = [
         replace(one, left_in_pixels=of, against=max(nats) - of_one)
-        for one, of, of_one in zip((baseline, *alike), left, nats, strict=True)
+        for one, of, of_one in zip(alike, left, nats, strict=True)
     ]
-    return _best_first([*weighed[1:], *found[len(alike) :]]), weighed[0]
+    every = _best_first([*weighed, *found[len(alike) :]])
+    return every, replace(baseline, left_in_pixels=of_baseline)
 
 
 def _worth_it(expected: Expected, baseline: Refit, effects: Effects) -> bool:

@@ -14,7 +14,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from noise_model.frames import Float64
-from sim_to_real.diagnosis import Gap, Verdict
+from sim_to_real.diagnosis import CLEAR_FLOORS, Gap, Verdict
 from sim_to_real.expected import Expected
 from sim_to_real.pixels import Bool
 from sim_to_real.refit import NAMED_FROM, Refit, refit, settled
@@ -355,10 +355,11 @@ def closing(decision: Decision, baseline: Candidate, gap: Gap) -> Decision:
     It is unknown then; or no gap, if the baseline leaves no more than the model may be off. A gap that is no
     larger than the floor is none if nothing is named, or but a trifle that the model's own error looks like.
     """
-    ids, is_below = decision.chosen.ids, gap.before <= gap.floor
+    ids, is_clear = decision.chosen.ids, gap.before > CLEAR_FLOORS * gap.floor
     is_named = bool(ids) and decision.verdict in (Verdict.EFFECTS, Verdict.AMBIGUOUS)
     is_trifle = is_named and size(decision.chosen.refit.effects) < TRIFLE
-    if (is_below and not is_named) or ((is_below or baseline.left <= 1.0) and is_trifle):
+    is_below = gap.before <= gap.floor and not is_named
+    if is_below or (is_trifle and not (is_clear and baseline.left > 1.0)):
         return replace(decision, verdict=Verdict.NO_GAP, ambiguous=())
     # Two or three effects can mimic much of another: they must leave no clear gap.
     mimics = len(ids) > 1 and gap.is_left

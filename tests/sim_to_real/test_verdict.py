@@ -174,7 +174,7 @@ def test_an_effect_that_surely_closes_less_than_half_is_not_named():
 
 def test_a_gap_below_the_floor_is_none_but_for_an_effect_that_is_no_trifle():
     baseline = candidate(left=1.2)
-    below, above = (gap(0.05, (0.9, 1.0), before=before) for before in (0.19, 0.21))
+    below, above, clear = (gap(0.05, (0.9, 1.0), before=before) for before in (0.19, 0.21, 0.41))
     unknown, noise = decision(Verdict.UNKNOWN, "roughness_change"), decision(Verdict.EFFECTS)
     for of in (unknown, noise):
         assert closing(of, baseline, below).verdict is Verdict.NO_GAP
@@ -184,8 +184,9 @@ def test_a_gap_below_the_floor_is_none_but_for_an_effect_that_is_no_trifle():
         named = decision(Verdict.EFFECTS, "roughness_change")
         named.chosen.refit.effects["roughness_change"] = {"c2_ln": c2_ln}
         assert closing(named, baseline, below).verdict is in_small
-        assert closing(named, candidate(left=0.9), above).verdict is in_small
-        assert closing(named, baseline, above).verdict is Verdict.EFFECTS
+        assert closing(named, baseline, above).verdict is in_small
+        assert closing(named, candidate(left=0.9), clear).verdict is in_small
+        assert closing(named, baseline, clear).verdict is Verdict.EFFECTS
 
 
 def test_the_shape_of_an_effect_says_nothing_of_its_size():
