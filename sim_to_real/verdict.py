@@ -362,8 +362,8 @@ def closing(decision: Decision, baseline: Candidate, gap: Gap) -> Decision:
     if is_below or (is_trifle and not (is_clear and baseline.left > 1.0)):
         return replace(decision, verdict=Verdict.NO_GAP, ambiguous=())
     # Two or three effects can mimic much of another: they must leave no clear gap.
-    mimics = len(ids) > 1 and gap.is_left
-    if mimics or (ids and gap.ci95[1] < CLOSES):
+    mimics = gap.is_left and (len(ids) > 1 or gap.closed < CLOSES)
+    if ids and (mimics or gap.ci95[1] < CLOSES):
         verdict = Verdict.UNKNOWN if baseline.left > 1.0 else Verdict.NO_GAP
         return replace(decision, verdict=verdict, ambiguous=())
     return decision

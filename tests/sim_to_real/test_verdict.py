@@ -168,6 +168,9 @@ def test_an_effect_that_surely_closes_less_than_half_is_not_named():
     named, baseline = decision(Verdict.EFFECTS, "gamma"), candidate(left=9.0)
     assert closing(named, baseline, gap(4.0, (0.1, 0.4))).verdict is Verdict.UNKNOWN
     assert closing(named, baseline, gap(2.0, (0.4, 0.7))).verdict is Verdict.EFFECTS
+    # It closes 0.46, and 2.8 of floors of 0.2 are left; of a small gap that may be chance.
+    assert closing(named, baseline, gap(2.8, (0.4, 0.6))).verdict is Verdict.UNKNOWN
+    assert closing(named, baseline, gap(0.35, (0.2, 0.6), before=0.45)).verdict is Verdict.EFFECTS
     assert closing(decision(Verdict.NO_GAP), baseline, gap(5.0, (0.0, 0.0))).verdict is Verdict.NO_GAP
     assert closing(named, candidate(left=0.9), gap(4.0, (0.1, 0.4))).verdict is Verdict.NO_GAP
 
