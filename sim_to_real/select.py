@@ -121,9 +121,11 @@ class Candidate:
         for bound in (lower, upper):
             on_bound |= (np.abs(x - bound) <= near) & (np.abs(start - bound) > near)
         on_bound[: self.refit.n_nuisances] = False
+        if not on_bound.any():
+            return 0.0
         freed = quadratic.without_bounds(on_bound)
         left = float(freed.costs(freed.solve()).sum() / quadratic.counts.sum())
-        return likelihood_nats(left) - likelihood_nats(self.refit.mean_square) if on_bound.any() else 0.0
+        return likelihood_nats(left) - likelihood_nats(self.refit.mean_square)
 
     @property
     def is_held_back(self) -> bool:

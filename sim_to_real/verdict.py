@@ -350,10 +350,11 @@ def not_held_up(decision: Decision, baseline: Candidate, random: Scatter) -> Dec
 
 
 def closing(decision: Decision, baseline: Candidate, gap: Gap) -> Decision:
-    """Return the verdict if what is named surely closes less than half of the gap held out.
+    """Return the verdict if what is named closes too little of the gap held out.
 
-    It is unknown then; or no gap, if the baseline leaves no more than the model may be off. A gap that is no
-    larger than the floor is none if nothing is named, or but a trifle that the model's own error looks like.
+    That is surely less than half, or less than half with a clear gap left. It is unknown then; or no gap, if
+    the baseline leaves no more than the model may be off. A gap that is no larger than the floor is none if
+    nothing is named, or but a trifle that the model's own error looks like.
     """
     ids, is_clear = decision.chosen.ids, gap.before > CLEAR_FLOORS * gap.floor
     is_named = bool(ids) and decision.verdict in (Verdict.EFFECTS, Verdict.AMBIGUOUS)
