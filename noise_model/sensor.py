@@ -1,7 +1,8 @@
 """The CCD: electrons to digital numbers and back, and the noise of both (Eq. 20, EMVA 1288).
 
-DN = round(black_level + (full_well / gain) * sign(e) * (|e| / full_well)^gamma), clipped to the code range,
-with e = Poisson signal + Gaussian read noise, capped at full well.
+DN = round(black_level + (full_well / gain) * sign(e) * (y - bend y^2)), y = (|e| / full_well)^gamma,
+clipped to the code range, with e = Poisson signal + Gaussian read noise, capped at full well. A stated sensor
+has no bend.
 """
 
 from __future__ import annotations
@@ -16,9 +17,17 @@ from scipy.special import ndtr
 Float64 = npt.NDArray[np.float64]
 
 
+BEND_LIMIT = 0.5
+"""From here on the response would no longer rise up to full well."""
+
+
 @dataclass(frozen=True)
 class Sensor:
-    """The sensor as stated; `gain_e_per_dn` is the slope at full well for gamma 1."""
+    """The sensor; `gain_e_per_dn` is the slope at full well for gamma 1 and no bend.
+
+    `bend` is how far the response falls short of the power Eq. 20 at full well, as that of a sensor which
+    fills softly does; below `BEND_LIMIT` it rises all the way.
+    """
 
     bits: int
     gain_e_per_dn: float
@@ -26,6 +35,7 @@ class Sensor:
     read_noise_e: float
     full_well_e: float
     gamma: float = 1.0
+    bend: float = 0.0
 
     def __post_init__(self) -> None:
         if not 8 <= self.bits <= 16:
@@ -35,6 +45,14 @@ class Sensor:
                 raise ValueError(f"[sensor] {name} = {getattr(self, name)}: must be > 0")
         if not self.read_noise_e >= 0:
             raise ValueError(f"[sensor] read_noise_e = {self.read_noise_e}: must be >= 0")
+
+        if not abs(self.bend) < BEND_LIMIT:
+            raise ValueError(f"bend = {self.bend}: must lie between -{BEND_LIMIT} and {BEND_LIMIT}")
+
+    @property
+    def is_linear(self) -> bool:
+        """Whether DN over black is proportional to the charge."""
+        return self.gamma == 1.0 and self.bend == 0.0
 
     @property
     def max_dn(self) -> int:
@@ -48,25 +66,36 @@ class Sensor:
 
 
 def respond(electrons: npt.ArrayLike, sensor: Sensor) -> Float64:
-    """Return the noise-free, unrounded, unclipped DN of a charge (Eq. 20: G_I = p E^gamma)."""
+    """Return the noise-free, unrounded, unclipped DN of a charge (Eq. 20: G_I = p E^gamma, and its bend)."""
     return _unbounded(np.minimum(np.asarray(electrons, dtype=np.float64), sensor.full_well_e), sensor)
 
 
 def _unbounded(e: Float64, sensor: Sensor) -> Float64:
-    """Return the DN of a charge that no full well ends."""
-    if sensor.gamma == 1.0:
+    """Return the DN of a charge that no full well ends; beyond it a bend goes on as it leaves there."""
+    if sensor.is_linear:
         return np.asarray(sensor.black_level_dn + e / sensor.gain_e_per_dn)
     scale = sensor.full_well_e / sensor.gain_e_per_dn
-    shaped = np.sign(e) * (np.abs(e) / sensor.full_well_e) ** sensor.gamma
-    return np.asarray(sensor.black_level_dn + scale * shaped)
+    power = (np.abs(e) / sensor.full_well_e) ** sensor.gamma
+    within = np.minimum(power, 1.0)
+    bent = power - sensor.bend * within * (2.0 * power - within)
+    return np.asarray(sensor.black_level_dn + scale * np.sign(e) * bent)
 
 
 def linearise(dn: npt.ArrayLike, sensor: Sensor) -> Float64:
-    """Return the charge in electrons of a DN: the inverse of `respond`, gamma undone."""
+    """Return the charge in electrons of a DN: the inverse of `respond`, bend and gamma undone.
+
+    Up to full well the bend is undone by that root of bend y^2 - y + s = 0 that is s without it, in the form
+    that loses no digits there.
+    """
     scaled = (np.asarray(dn, dtype=np.float64) - sensor.black_level_dn) * (
         sensor.gain_e_per_dn / sensor.full_well_e
     )
-    return np.asarray(sensor.full_well_e * np.sign(scaled) * np.abs(scaled) ** (1.0 / sensor.gamma))
+    power = np.abs(scaled)
+    if sensor.bend != 0.0:
+        within = np.minimum(power, 1.0 - sensor.bend)
+        root = 2.0 * within / (1.0 + np.sqrt(1.0 - 4.0 * sensor.bend * within))
+        power = root + (power - within) / (1.0 - 2.0 * sensor.bend)
+    return np.asarray(sensor.full_well_e * np.sign(scaled) * power ** (1.0 / sensor.gamma))
 
 
 def electrons_per_dn(electrons: npt.ArrayLike, sensor: Sensor) -> Float64:
@@ -76,7 +105,9 @@ def electrons_per_dn(electrons: npt.ArrayLike, sensor: Sensor) -> Float64:
     noise (at least one electron) above zero, below which the response is unresolved anyway.
     """
     e = np.maximum(np.abs(np.asarray(electrons, dtype=np.float64)), max(sensor.read_noise_e, 1.0))
-    return np.asarray(sensor.gain_e_per_dn / sensor.gamma * (e / sensor.full_well_e) ** (1.0 - sensor.gamma))
+    share = e / sensor.full_well_e
+    slope = 1.0 - 2.0 * sensor.bend * np.minimum(share, 1.0) ** sensor.gamma
+    return np.asarray(sensor.gain_e_per_dn / (sensor.gamma * slope) * share ** (1.0 - sensor.gamma))
 
 
 def variance_e2(mean_e: npt.ArrayLike, sensor: Sensor) -> Float64:
@@ -110,14 +141,14 @@ def respond_moments(
     Rounding adds its twelfth to the variance and nothing to the mean: codes wider than the noise are not
     followed, and where an end of the scale holds a pixel to one code the variance is too large by as much.
     Within `ENDS_WITHIN` sigmas of an end a reading is a normal variable cut there (`cut_moments`). Where
-    gamma bends the response, three Gauss-Hermite nodes are exact enough as long as the charge lies
+    the response is not straight, three Gauss-Hermite nodes are exact enough as long as the charge lies
     `SMOOTH_FROM` sigmas from zero; nearer, where a power has no slope or an infinite one, moments come from
     a table over mean / sigma and sigma.
     """
     shape = np.shape(mean_e)
     mean = np.atleast_1d(np.asarray(mean_e, dtype=np.float64))
     sigma = np.sqrt(np.maximum(np.asarray(variance_e2, dtype=np.float64), 1e-12)).reshape(mean.shape)
-    if sensor.gamma == 1.0:
+    if sensor.is_linear:
         near_zero = np.zeros(mean.shape, dtype=np.bool_)
         of_mean, of_variance = _unbounded(mean, sensor), (sigma / sensor.gain_e_per_dn) ** 2
     else:

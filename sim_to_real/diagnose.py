@@ -158,6 +158,7 @@ def _diagnosed(
         alike,
         smallest(signatures, decision.screened),
         (free.name, free.closed),
+        (*after.ids, *random.effects),
         predicted,
     )
 

@@ -168,6 +168,7 @@ class Diagnosis:
     sets that explain the gap equally well, `not_resolvable` pairs that this recording cannot separate
     whatever it holds, `smallest` the least magnitude of each effect that it would show. `left_over` is the
     share of the gap that a free function of one covariate closes beyond the catalogue, with its name.
+    `after_with` are the effects that predictions after hold, whether the verdict names them or not.
     """
 
     verdict: Verdict
@@ -180,6 +181,7 @@ class Diagnosis:
     not_resolvable: tuple[tuple[str, str], ...]
     smallest: Mapping[str, Estimate]
     left_over: tuple[str, float] | None
+    after_with: tuple[str, ...]
     predicted: Predicted
 
 

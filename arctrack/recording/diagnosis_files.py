@@ -54,6 +54,7 @@ def report(diagnosis: Diagnosis) -> dict[str, Any]:
         "not_resolvable": diagnosis.not_resolvable,
         "smallest_detectable": {name: asdict(least) for name, least in diagnosis.smallest.items()},
         "left_over": _left_over(diagnosis.left_over),
+        "after_with": diagnosis.after_with,
     }
     rounded: dict[str, Any] = plain(content, DIGITS)
     return rounded

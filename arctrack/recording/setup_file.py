@@ -172,7 +172,7 @@ def _tables(setup: Setup) -> dict[str, dict[str, Any]]:
     }
     tables: dict[str, dict[str, Any]] = {
         "camera": camera,
-        "sensor": dict(vars(setup.sensor)),
+        "sensor": {name: value for name, value in vars(setup.sensor).items() if name != "bend"},
         "filter": _filter_table(setup.filter),
         "laser": dict(vars(setup.laser)),
         "arc": dict(vars(setup.arc)),

@@ -93,6 +93,8 @@ def how_far(diagnosis: Diagnosis) -> str:
         return (
             f"What differs is {sigmas(gap.before)}; up to {sigmas(gap.floor)} the model may be off by itself."
         )
+    if not diagnosis.after_with:
+        return f"No effect that was fitted makes it smaller; {sigmas(gap.floor)} would be no gap."
     closed = f", {closed_share(gap)} of it is closed" if math.isfinite(gap.closed) else ""
     lead = f"With {added(diagnosis)} the gap shrinks from {sigmas(gap.before)} to {sigmas(gap.after)}{closed}"
     if gap.before <= gap.floor:
@@ -108,9 +110,7 @@ def how_far(diagnosis: Diagnosis) -> str:
 
 def added(diagnosis: Diagnosis) -> str:
     """Return what the model holds in predictions `after` and not in those `before`."""
-    if not diagnosis.effects:
-        return "what closes most of it"
-    return listed([effect.id for effect in diagnosis.effects], "and")
+    return listed(diagnosis.after_with, "and")
 
 
 def seam_sentence(diagnosis: Diagnosis, bears_mm: float) -> str:

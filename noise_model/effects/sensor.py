@@ -56,7 +56,7 @@ def _blooming(light: Light, view: View, condition: Condition, values: Values, dr
 
 def _gamma(setup: Setup, values: Values) -> Setup:
     sensor = setup.sensor
-    return replace(setup, sensor=replace(sensor, gamma=sensor.gamma * values["gamma"]))
+    return replace(setup, sensor=replace(sensor, gamma=sensor.gamma * values["gamma"], bend=values["bend"]))
 
 
 def _black_level(setup: Setup, values: Values) -> Setup:
@@ -109,9 +109,13 @@ EFFECTS = (
         id="gamma",
         stage=Stage.SENSOR,
         summary="the response is not the stated power",
-        equation="DN ~ e^(gamma' ), gamma' = gamma_stated x gamma",
-        source="Eq. 20",
-        parameters=(Parameter("gamma", "", 1.0, 0.2, 0.2, 5.0, 0.002),),
+        equation="DN over black ~ y - bend y^2, y = (e / full well)^(gamma_stated x gamma)",
+        source="Eq. 20; the bend is the next term of a response that is no power, such as that of a sensor "
+        "which fills softly or has a knee",
+        parameters=(
+            Parameter("gamma", "", 1.0, 0.2, 0.2, 5.0, 0.002),
+            Parameter("bend", "", 0.0, 0.2, -0.45, 0.45, 0.002),
+        ),
         typical={"gamma": 0.7},
         setup=_gamma,
     ),

@@ -128,10 +128,14 @@ def test_effects_are_written_into_the_setup(found: Found, recording: Path) -> No
     result = run(recording, "--apply")
     assert result.exit_code == 0, result.output
     assert (
-        f"{file}: wrote [effects.gamma] gamma = 0.74, [effects.veiling_glare] share = 0.15" in result.stdout
+        f"{file}: wrote [effects.gamma] gamma = 0.74, bend = 0, [effects.veiling_glare] share = 0.15"
+        in result.stdout
     )
     setup = read_recording(recording).setup
-    assert setup.effects == {"gamma": {"gamma": 0.74}, "veiling_glare": {"share": 0.15, "spread": 0.6}}
+    assert setup.effects == {
+        "gamma": {"gamma": 0.74, "bend": 0.0},
+        "veiling_glare": {"share": 0.15, "spread": 0.6},
+    }
     new = file.read_text()
     assert "gamma = 0.74 # ± 0.0074, found by arctrack diagnose" in new
     kept = [line for line in old.splitlines() if line and not line.startswith("spread")]

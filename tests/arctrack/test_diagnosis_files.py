@@ -15,7 +15,7 @@ from noise_model.setup import Setup
 from sim_to_real.diagnosis import Verdict
 
 KEYS = ["format", "verdict", "effects", "ranking", "ambiguous_with", "gap", "where", "next", "not_resolvable"]
-MORE_KEYS = ["smallest_detectable", "left_over"]
+MORE_KEYS = ["smallest_detectable", "left_over", "after_with"]
 
 
 @pytest.mark.parametrize("verdict", Verdict)
@@ -46,13 +46,17 @@ def test_what_the_verdict_names(seen_setup: Setup) -> None:
         "stage": "sensor",
         "confidence": 0.997,
         "share": 0.5,
-        "parameters": {"gamma": {"value": 0.74, "sigma": 0.0074, "unit": ""}},
+        "parameters": {
+            "gamma": {"value": 0.74, "sigma": 0.0074, "unit": ""},
+            "bend": {"value": 0.0, "sigma": 0.001, "unit": ""},
+        },
     }
     assert list(content["next"]) == ["experiment", "separates"]
     assert content["left_over"] is None
     ambiguous = report(example(Verdict.AMBIGUOUS, seen_setup))
     assert ambiguous["ambiguous_with"] == [["gamma", "black_level"]]
     unknown = report(example(Verdict.UNKNOWN, seen_setup))
+    assert (unknown["effects"], unknown["after_with"]) == ([], ["gamma"])
     assert unknown["left_over"] == {"covariate": "half_angle times_arc", "share": 0.62}
 
 

@@ -79,7 +79,8 @@ def test_chosen_frames_are_the_same_ones(tmp_path: Path, video: VideoFormat | No
 
 def test_setup_text_comes_back(tmp_path: Path) -> None:
     setup = replace(
-        small_setup(), effects={"veiling_glare": {"share": 0.2, "spread": 0.5}, "gamma": {"gamma": 0.7}}
+        small_setup(),
+        effects={"veiling_glare": {"share": 0.2, "spread": 0.5}, "gamma": {"gamma": 0.7, "bend": 0.1}},
     )
     text = format_setup(setup)
     stated = parse_setup(text + "\n[robot]\neuler_order = 'zyx'\n", tmp_path / "recording.toml")

@@ -140,7 +140,7 @@ def test_wrong_names_and_values_are_refused():
 def test_checked_completes_and_orders():
     got = checked({"gamma": {}, "arc_deflection": {"y_mm": 1}})
     assert list(got) == ["arc_deflection", "gamma"]
-    assert got == {"arc_deflection": {"x_mm": 0.0, "y_mm": 1.0}, "gamma": {"gamma": 1.0}}
+    assert got == {"arc_deflection": {"x_mm": 0.0, "y_mm": 1.0}, "gamma": {"gamma": 1.0, "bend": 0.0}}
 
 
 def test_an_effect_that_does_not_fit_is_refused():

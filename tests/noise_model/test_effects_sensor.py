@@ -41,6 +41,17 @@ def test_gamma_by_hand():
     )
 
 
+def test_a_bent_response_by_hand():
+    """DN over black: a parabola of the charge, as steep as stated at black and 1 - 2 bend at full well."""
+    setup = nominal(**DEEP, read_noise_e=5.0)
+    got = predict(affected(setup, gamma={"bend": 0.4}), scenes.pose(), BOTH)
+    e = charge(setup, BOTH)
+    bright = e > 2000.0
+    np.testing.assert_allclose(
+        got.mean_dn[bright], (64.0 + e / 20.0 - 0.4 * e**2 / (20.0 * 80_000.0))[bright], atol=0.05
+    )
+
+
 def test_another_black_level_moves_every_reading():
     setup = nominal(**DEEP)
     for condition in CONDITIONS.values():

@@ -22,7 +22,10 @@ from noise_model.sensor import (
 LINEAR = Sensor(
     bits=8, gain_e_per_dn=80.0, black_level_dn=8.0, read_noise_e=40.0, full_well_e=20000.0, gamma=1.0
 )
-GAMMAS = [0.45, 0.7, 1.0, 1.6]
+RESPONSES = [
+    pytest.param({"gamma": gamma, "bend": bend}, id=f"gamma {gamma:g}, bend {bend:g}")
+    for gamma, bend in [(0.45, 0.0), (0.7, 0.0), (1.0, 0.0), (1.6, 0.0), (0.7, 0.3), (1.0, -0.3), (1.3, 0.45)]
+]
 
 
 @st.composite
@@ -34,6 +37,7 @@ def sensors(draw):
         read_noise_e=draw(st.floats(0.0, 100.0)),
         full_well_e=draw(st.floats(1e3, 2e5)),
         gamma=draw(st.floats(0.4, 2.5)),
+        bend=draw(st.sampled_from([0.0, -0.45, -1e-9, 0.2, 0.45])),
     )
 
 
@@ -51,32 +55,32 @@ def test_the_response_rises_from_the_black_level_to_the_full_well(sensor):
     assert (np.diff(respond(electrons, sensor)) > 0).all()
     assert respond(0.0, sensor) == sensor.black_level_dn
     assert respond(sensor.full_well_e, sensor) == pytest.approx(
-        sensor.black_level_dn + sensor.full_well_e / sensor.gain_e_per_dn
+        sensor.black_level_dn + (1.0 - sensor.bend) * sensor.full_well_e / sensor.gain_e_per_dn
     )
 
 
-@pytest.mark.parametrize("gamma", GAMMAS)
-def test_negative_electrons_mirror_positive_ones_about_the_black_level(gamma):
-    sensor = dataclasses.replace(LINEAR, gamma=gamma)
+@pytest.mark.parametrize("response", RESPONSES)
+def test_negative_electrons_mirror_positive_ones_about_the_black_level(response):
+    sensor = dataclasses.replace(LINEAR, **response)
     above = respond(300.0, sensor) - sensor.black_level_dn
     assert above > 0
     assert respond(-300.0, sensor) == pytest.approx(sensor.black_level_dn - above)
     assert linearise(respond(-300.0, sensor), sensor) == pytest.approx(-300.0)
 
 
-@pytest.mark.parametrize("gamma", GAMMAS)
-def test_electrons_per_dn_is_the_slope(gamma):
-    sensor = dataclasses.replace(LINEAR, gamma=gamma)
+@pytest.mark.parametrize("response", RESPONSES)
+def test_electrons_per_dn_is_the_slope(response):
+    sensor = dataclasses.replace(LINEAR, **response)
     for electrons in (100.0, 3000.0, 15000.0):
         rise = respond(electrons + 0.5, sensor) - respond(electrons - 0.5, sensor)
         assert electrons_per_dn(electrons, sensor) == pytest.approx(1.0 / rise, rel=1e-4)
     assert np.isfinite(electrons_per_dn(0.0, sensor))
 
 
-@pytest.mark.parametrize("gamma", GAMMAS)
+@pytest.mark.parametrize("response", RESPONSES)
 @pytest.mark.parametrize("mean_e", [600.0, 4000.0, 12000.0])
-def test_the_variance_is_that_of_drawn_frames(gamma, mean_e):
-    sensor = dataclasses.replace(LINEAR, bits=12, gain_e_per_dn=20.0, black_level_dn=100.0, gamma=gamma)
+def test_the_variance_is_that_of_drawn_frames(response, mean_e):
+    sensor = dataclasses.replace(LINEAR, bits=12, gain_e_per_dn=20.0, black_level_dn=100.0, **response)
     count = 200_000
     # Spread over three codes: a code wider than the noise is a twelfth only on average over its width.
     width = 3.0 * electrons_per_dn(mean_e, sensor)
@@ -85,7 +89,7 @@ def test_the_variance_is_that_of_drawn_frames(gamma, mean_e):
     predicted = float(np.mean(variance_e2(means, sensor)))
     # Normal draws scatter by sqrt(2 / count) in variance: 5 sigma. A curved response adds terms of the order
     # of the relative variance, which the prediction leaves out.
-    bound = 5.0 * np.sqrt(2.0 / count) + (0.0 if gamma == 1.0 else 3.0 * predicted / mean_e**2)
+    bound = 5.0 * np.sqrt(2.0 / count) + (0.0 if sensor.is_linear else 3.0 * predicted / mean_e**2)
     assert residual.var() == pytest.approx(predicted, rel=bound)
     # The curve shifts the mean by about half the variance times f'' / f', (gamma - 1) / (2 e) of it.
     assert abs(residual.mean()) < 5.0 * np.sqrt(predicted / count) + 0.1 * predicted / mean_e
@@ -112,16 +116,19 @@ def test_the_variance_of_darkness_is_read_noise_and_steps():
 FINE = Sensor(16, gain_e_per_dn=0.5, black_level_dn=100.0, read_noise_e=45.0, full_well_e=20000.0)
 
 
-@pytest.mark.parametrize("gamma", [0.5, 0.8, 1.0, 1.8])
+@pytest.mark.parametrize(
+    ("gamma", "bend"), [(0.5, 0.0), (0.8, 0.0), (1.0, 0.0), (1.8, 0.0), (0.8, 0.3), (1.0, -0.4)]
+)
 @pytest.mark.parametrize("black_level_dn", [0.0, 100.0, 3000.0])
 @pytest.mark.parametrize("mean_e", [0.0, 20.0, 100.0, 270.0, 400.0, 3000.0, 19500.0, 20000.0, 20300.0])
-def test_readings_have_their_moments_near_black_and_near_full_well(gamma, black_level_dn, mean_e):
+def test_readings_have_their_moments_near_black_and_near_full_well(gamma, bend, black_level_dn, mean_e):
     """Eq. 20 of drawn charges, cut and not rounded; a variance scatters by their own fourth moment."""
-    sensor = dataclasses.replace(FINE, gamma=gamma, black_level_dn=black_level_dn)
+    sensor = dataclasses.replace(FINE, gamma=gamma, bend=bend, black_level_dn=black_level_dn)
     count = 400_000
     rng = np.random.default_rng(31)
     e = np.minimum(rng.poisson(mean_e, count) + rng.normal(0.0, 45.0, count), 20000.0)
-    drawn = np.clip(black_level_dn + 40000.0 * np.sign(e) * (np.abs(e) / 20000.0) ** gamma, 0.0, 65535.0)
+    y = (np.abs(e) / 20000.0) ** gamma
+    drawn = np.clip(black_level_dn + 40000.0 * np.sign(e) * (y - bend * y**2), 0.0, 65535.0)
     mean, variance = respond_moments(mean_e, mean_e + sensor.read_noise_e**2, sensor)
     departure = drawn - drawn.mean()
     error = np.std(departure**2) / np.sqrt(count)
@@ -130,10 +137,10 @@ def test_readings_have_their_moments_near_black_and_near_full_well(gamma, black_
     assert variance - 1.0 / 12.0 == pytest.approx(drawn.var(), abs=5.0 * error + 5e-3 * drawn.var())
 
 
-@pytest.mark.parametrize("gamma", [0.6, 1.0, 1.7])
-def test_a_whole_image_of_moments_is_that_of_its_pixels(gamma):
+@pytest.mark.parametrize(("gamma", "bend"), [(0.6, 0.0), (1.0, 0.0), (1.7, 0.0), (1.7, 0.4)])
+def test_a_whole_image_of_moments_is_that_of_its_pixels(gamma, bend):
     """Charges and sigmas of all sizes at once: what is tabled together agrees with what stands alone."""
-    sensor = dataclasses.replace(FINE, gamma=gamma)
+    sensor = dataclasses.replace(FINE, gamma=gamma, bend=bend)
     rng = np.random.default_rng(12)
     mean = rng.choice([0.0, 30.0, 500.0, 5000.0, 20000.0], (6, 5)) * rng.uniform(0.5, 1.0, (6, 5))
     variance = (mean + 45.0**2) * rng.uniform(1.0, 20.0, (6, 5))
@@ -165,13 +172,13 @@ def test_the_moments_of_a_cut_normal_variable_are_its_integrals(mean, sigma, low
     assert got_variance == pytest.approx(integral(lambda x: (x - wanted) ** 2), abs=1e-5 * sigma**2)
 
 
-def test_moments_without_any_noise_are_the_response():
-    for gamma in GAMMAS:
-        sensor = dataclasses.replace(LINEAR, gamma=gamma, read_noise_e=0.0)
-        e = np.array([0.0, 10.0, 5000.0, 19999.0, 30000.0])
-        mean, variance = respond_moments(e, np.zeros(5), sensor)
-        np.testing.assert_allclose(mean, np.minimum(respond(e, sensor), 255.0), atol=1e-5)
-        np.testing.assert_allclose(variance, 1.0 / 12.0, atol=1e-4)
+@pytest.mark.parametrize("response", RESPONSES)
+def test_moments_without_any_noise_are_the_response(response):
+    sensor = dataclasses.replace(LINEAR, read_noise_e=0.0, **response)
+    e = np.array([0.0, 10.0, 5000.0, 19999.0, 30000.0])
+    mean, variance = respond_moments(e, np.zeros(5), sensor)
+    np.testing.assert_allclose(mean, np.minimum(respond(e, sensor), 255.0), atol=1e-5)
+    np.testing.assert_allclose(variance, 1.0 / 12.0, atol=1e-4)
 
 
 @given(sensors())

@@ -56,14 +56,25 @@ def decision(verdict, *ids):
     return Decision(verdict, candidate(*ids), 1.0, (), np.empty(0), (), (), None)
 
 
-def decided(monkeypatch, baseline, singles, several, seen=0.0, looks=("a look",), again=None, dear=None):
+def decided(
+    monkeypatch,
+    baseline,
+    singles,
+    several,
+    seen=0.0,
+    looks=("a look",),
+    again=None,
+    dear=None,
+    changes=None,
+):
     """Decide between fits that are handed in; `seen` is what all leave in pixels, or each by its effects.
 
-    `again` is the likeliest one after it has settled, `dear` are the fits with those that take long.
+    `again` is the likeliest one after it has settled, `dear` are the fits with those that take long,
+    `changes` those whose size may change from frame to frame.
     """
     left = seen if isinstance(seen, dict) else {}
     answers = {"looked": looks, "candidates": singles, "_several": several}
-    answers |= {"with_dear": dear or singles, "with_changes": singles}
+    answers |= {"with_dear": dear or singles, "with_changes": changes or singles}
     for name, answer in answers.items():
         monkeypatch.setattr(room, name, lambda *_, answer=answer: answer)
     monkeypatch.setattr(room, "refit", lambda *_, **__: None)
@@ -160,6 +171,39 @@ def test_what_pixels_show_of_a_fit_that_had_not_settled_is_no_other_effect(monke
     assert decided(monkeypatch, candidate(left=9.0), singles, pair, seen).chosen is pair
 
 
+def test_levels_of_single_frames_do_not_hide_what_grows_from_frame_to_frame(monkeypatch):
+    singles = [candidate("arc_flicker", left=0.8), candidate("arc_deflection", left=1.25)]
+    grows = candidate("arc_deflection", left=0.66)
+    found = decided(monkeypatch, candidate(left=1.9), singles, None, changes=[grows, singles[0]])
+    assert (found.verdict, found.chosen.ids) == (Verdict.EFFECTS, grows.ids)
+    assert decided(monkeypatch, candidate(left=1.9), singles, None).chosen.ids == ("arc_flicker",)
+    # Beside what explains the gap by itself nothing is made to grow.
+    singles[0] = candidate("gamma", left=0.8)
+    found = decided(monkeypatch, candidate(left=1.9), singles, None, changes=[grows, singles[0]])
+    assert found.chosen.ids == ("gamma",)
+
+
+@pytest.mark.parametrize(
+    ("foreseen", "fitted", "explain"),
+    [(1.19, 1.1, True), (1.35, 1.1, False), (1.35, 0.95, True), (1.6, 0.95, False)],
+)
+def test_several_that_leave_nothing_where_they_were_fitted_need_not_foresee_as_well(
+    monkeypatch, foreseen, fitted, explain
+):
+    best, pair = (
+        candidate("laser_power_drift", left=2.5),
+        candidate("laser_power_drift", "defocus", left=foreseen),
+    )
+    pair.refit.mean_square = fitted
+    monkeypatch.setattr(room, "looked", lambda *_: ["a look"])
+    for name in ("candidates", "with_dear"):
+        monkeypatch.setattr(room, name, lambda *_: [pair])
+    monkeypatch.setattr(room, "refit", lambda *_: None)
+    monkeypatch.setattr(room, "judged", lambda *_: candidate("defocus", left=4.0))
+    found = room._several(None, candidate(left=9.0), best, (), print)
+    assert found is (pair if explain else None)
+
+
 def gap(after, ci95, before=5.0, floor=0.2):
     return Gap(before, after, floor, (before - after) / (before - floor), ci95, (1.0, 1.0), (0.0, 0.0))
 
@@ -211,6 +255,16 @@ def test_several_effects_must_leave_no_clear_gap_and_one_may():
     assert closing(two, baseline, left).verdict is Verdict.UNKNOWN
     assert closing(one, baseline, left).verdict is Verdict.EFFECTS
     assert closing(two, baseline, gap(0.39, (0.8, 1.0))).verdict is Verdict.EFFECTS
+
+
+def test_what_has_no_form_that_may_be_off_must_leave_hardly_anything_of_a_large_gap():
+    """An arc of another size leaves 8 % of what another metal makes: of a radius that is too much."""
+    baseline, left = candidate(left=9.0), gap(0.41, (0.9, 0.95))
+    assert closing(decision(Verdict.EFFECTS, "fume"), baseline, left).verdict is Verdict.EFFECTS
+    named = decision(Verdict.EFFECTS, "arc_radius")
+    assert closing(named, baseline, left).verdict is Verdict.UNKNOWN
+    assert closing(named, baseline, gap(0.39, (0.9, 0.95))).verdict is Verdict.EFFECTS
+    assert closing(named, baseline, gap(0.49, (0.9, 0.95), before=10.0)).verdict is Verdict.EFFECTS
 
 
 @pytest.mark.parametrize(("left", "verdict"), [(1.2, Verdict.NO_GAP), (9.0, Verdict.UNKNOWN)])
