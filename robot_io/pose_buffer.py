@@ -86,28 +86,6 @@ class PoseBuffer:
         self._stop = 0
         self._forgot = False
 
-    @classmethod
-    def of_recording(
-        cls,
-        timestamps_s: npt.ArrayLike,
-        positions_base_mm: npt.ArrayLike,
-        quaternions_xyzw: npt.ArrayLike,
-        max_extrapolation_periods: float = 3.0,
-    ) -> PoseBuffer:
-        """Return a buffer that holds all poses of a recording: (n,) s, (n, 3) mm in base, (n, 4) x y z w.
-
-        Raises PoseError as `push_quaternion`.
-        """
-        times_s = np.asarray(timestamps_s, dtype=np.float64)
-        positions = np.asarray(positions_base_mm, dtype=np.float64)
-        quaternions = np.asarray(quaternions_xyzw, dtype=np.float64)
-        if positions.shape != (times_s.size, 3) or quaternions.shape != (times_s.size, 4):
-            raise PoseError(f"{times_s.size} pose times need as many positions (3) and quaternions (4) each")
-        buffer = cls(max(2, times_s.size), max_extrapolation_periods)
-        for timestamp_s, position, quaternion in zip(times_s, positions, quaternions, strict=True):
-            buffer.push_quaternion(float(timestamp_s), position, quaternion)
-        return buffer
-
     def __len__(self) -> int:
         return self._stop - self._start
 

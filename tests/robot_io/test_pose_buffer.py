@@ -203,14 +203,3 @@ def test_settings_and_times_must_make_sense():
         PoseBuffer(max_extrapolation_periods=-1.0)
     with pytest.raises(ValueError, match="finite"):
         filled(STEADY_S).at(np.nan)
-
-
-def test_a_whole_recording_is_the_same_as_its_poses_one_by_one():
-    poses = [true_pose(t_s) for t_s in STEADY_S]
-    positions = [pose[:3, 3] for pose in poses]
-    quaternions = [Rotation.from_matrix(pose[:3, :3]).as_quat() for pose in poses]
-    whole = PoseBuffer.of_recording(STEADY_S, positions, quaternions)
-    for t_s in (-0.01, 0.05, 0.333, 0.5, 0.6):
-        assert same(whole.at(t_s), filled(STEADY_S).at(t_s))
-    with pytest.raises(PoseError, match="50 pose times"):
-        PoseBuffer.of_recording(STEADY_S, positions[1:], quaternions)
