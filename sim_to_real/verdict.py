@@ -80,8 +80,11 @@ MOSTLY_RANDOM = 0.5
 MOST_EFFECTS = 3
 """So many effects are named at most."""
 
-TRIFLE = 0.1
-"""An effect of a smaller share of its prior's sigma is none where the model may be off as much."""
+TRIFLE, TRIFLE_NATS = 0.1, 15.0
+"""An effect of a smaller share of its prior's sigma is none where the model may be off as much.
+
+Unless it has so much more evidence than its absence: the model's own error hardly takes its pattern.
+"""
 
 CLOSES = 0.5
 """The share of the gap on frames held out that effects must be able to close if they are named."""
@@ -383,7 +386,11 @@ def closing(decision: Decision, baseline: Candidate, gap: Gap) -> Decision:
     """
     ids, is_clear = decision.chosen.ids, gap.before > CLEAR_FLOORS * gap.floor
     is_named = bool(ids) and decision.verdict in (Verdict.EFFECTS, Verdict.AMBIGUOUS)
-    is_trifle = is_named and size(decision.chosen.refit.effects) < TRIFLE
+    is_trifle = (
+        is_named
+        and size(decision.chosen.refit.effects) < TRIFLE
+        and decision.chosen.evidence - baseline.evidence < TRIFLE_NATS
+    )
     is_below = gap.before <= gap.floor and not is_named
     if is_below or (is_trifle and not (is_clear and baseline.left > 1.0)):
         return replace(decision, verdict=Verdict.NO_GAP, ambiguous=())

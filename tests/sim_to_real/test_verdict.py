@@ -220,7 +220,7 @@ def test_an_effect_that_surely_closes_less_than_half_is_not_named():
 
 
 def test_a_gap_below_the_floor_is_none_but_for_an_effect_that_is_no_trifle():
-    baseline = candidate(left=1.2)
+    baseline = candidate(left=1.1)
     below, above, clear = (gap(0.05, (0.9, 1.0), before=before) for before in (0.19, 0.21, 0.41))
     unknown, noise = decision(Verdict.UNKNOWN, "roughness_change"), decision(Verdict.EFFECTS)
     for of in (unknown, noise):
@@ -234,6 +234,8 @@ def test_a_gap_below_the_floor_is_none_but_for_an_effect_that_is_no_trifle():
         assert closing(named, baseline, above).verdict is in_small
         assert closing(named, candidate(left=0.9), clear).verdict is in_small
         assert closing(named, baseline, clear).verdict is Verdict.EFFECTS
+        # From 1.2 to 1 it gains 100 ln 1.2 = 18 nats.
+        assert closing(named, candidate(left=1.2), above).verdict is Verdict.EFFECTS
 
 
 def test_the_shape_of_an_effect_says_nothing_of_its_size():
