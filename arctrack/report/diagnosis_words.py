@@ -93,7 +93,7 @@ def how_far(diagnosis: Diagnosis) -> str:
         return (
             f"What differs is {sigmas(gap.before)}; up to {sigmas(gap.floor)} the model may be off by itself."
         )
-    if not diagnosis.after_with:
+    if not diagnosis.after_with or gap.after >= gap.before:
         return f"No effect that was fitted makes it smaller; {sigmas(gap.floor)} would be no gap."
     closed = f", {closed_share(gap)} of it is closed" if math.isfinite(gap.closed) else ""
     lead = f"With {added(diagnosis)} the gap shrinks from {sigmas(gap.before)} to {sigmas(gap.after)}{closed}"

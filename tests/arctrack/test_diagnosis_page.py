@@ -125,6 +125,17 @@ def test_an_effect_below_the_floor_is_told_by_its_pattern(seen_setup: Setup) -> 
     )
 
 
+def test_what_comes_nearest_is_said_though_it_is_not_named(seen_setup: Setup) -> None:
+    found = example(Verdict.UNKNOWN, seen_setup, GAMMA)
+    nearer, farther = (
+        replace(found, gap=replace(found.gap, before=3.0, after=after, floor=0.3)) for after in (1.0, 3.2)
+    )
+    assert words.how_far(nearer).startswith("With gamma the gap shrinks from 3.0 σ to 1.0 σ")
+    nothing = "No effect that was fitted makes it smaller; 0.30 σ would be no gap."
+    assert words.how_far(farther) == nothing
+    assert words.how_far(replace(nearer, after_with=())) == nothing
+
+
 def test_what_its_bounds_hold_back_is_said_to_explain_nothing(seen_setup: Setup) -> None:
     found = example(Verdict.UNKNOWN, seen_setup, GAMMA)
     first, *others = found.ranking
