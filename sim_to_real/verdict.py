@@ -65,7 +65,7 @@ CLEARLY_LEFT = 1.3
 SEVERAL_LEAVE, SEVERAL_FORESEE = 1.2, 1.5
 """Several effects must explain all that there is: two or three mimic most of another one's gap.
 
-Of frames left out they may leave more, if no more than the floor of those fitted to.
+The first is for frames left out; the second is, where they leave no more than the floor of those fitted.
 """
 
 PULLED_FROM = 10.0
@@ -379,10 +379,10 @@ def not_held_up(decision: Decision, baseline: Candidate, random: Scatter) -> Dec
 def closing(decision: Decision, baseline: Candidate, gap: Gap) -> Decision:
     """Return the verdict if what is named closes too little of the gap held out.
 
-    That is surely less than half, or less than half with a clear gap left, or where a clear gap is left what
-    leaves more than its form could be off. It is unknown then; or no gap, if
-    the baseline leaves no more than the model may be off. A gap that is no larger than the floor is none if
-    nothing is named, or but a trifle that the model's own error looks like.
+    That is surely less than half; or, with a clear gap left, less than half, or by several effects, or all but
+    `DEFINED_LEAVE` by effects that have no form. It is unknown then; or no gap, if the baseline leaves no more
+    than the model may be off. A gap that is no larger than the floor is none if nothing is named, or but a
+    trifle that the model's own error looks like.
     """
     ids, is_clear = decision.chosen.ids, gap.before > CLEAR_FLOORS * gap.floor
     is_named = bool(ids) and decision.verdict in (Verdict.EFFECTS, Verdict.AMBIGUOUS)
