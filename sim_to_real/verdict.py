@@ -379,10 +379,10 @@ def not_held_up(decision: Decision, baseline: Candidate, random: Scatter) -> Dec
 def closing(decision: Decision, baseline: Candidate, gap: Gap) -> Decision:
     """Return the verdict if what is named closes too little of the gap held out.
 
-    That is surely less than half; or, with a clear gap left, less than half, or by several effects, or all but
-    `DEFINED_LEAVE` by effects that have no form. It is unknown then; or no gap, if the baseline leaves no more
-    than the model may be off. A gap that is no larger than the floor is none if nothing is named, or but a
-    trifle that the model's own error looks like.
+    That is surely less than half. Where a clear gap is left it is too little, too, if it is less than half,
+    if several effects close it, or if effects that have no form leave more than `DEFINED_LEAVE` of it. It is
+    unknown then; or no gap, if the baseline leaves no more than the model may be off. A gap that is no larger
+    than the floor is none if nothing is named, or but a trifle that the model's own error looks like.
     """
     ids, is_clear = decision.chosen.ids, gap.before > CLEAR_FLOORS * gap.floor
     is_named = bool(ids) and decision.verdict in (Verdict.EFFECTS, Verdict.AMBIGUOUS)
