@@ -15,7 +15,7 @@ from sim_to_real.covariates import Covariates, Start, covariates
 from sim_to_real.diagnosis import Diagnosis, Estimate, Named, Next, Ranked, Trend, Verdict, left_out
 from sim_to_real.expected import Expected
 from sim_to_real.free_term import free_term
-from sim_to_real.held import closes, excess_map, left_in_pixels, measure, predict_held
+from sim_to_real.held import excess_map, left_in_pixels, measure, predict_held, smaller
 from sim_to_real.locate import locate
 from sim_to_real.next import best_measurement, not_resolvable, own_signatures, smallest
 from sim_to_real.observed import PoseAt, observe
@@ -29,6 +29,7 @@ from sim_to_real.verdict import (
     Decision,
     closing,
     decide,
+    must_help,
     not_held_up,
     random_shares,
     with_random,
@@ -124,7 +125,7 @@ def _diagnosed(
         lambda done: heard("predicting the frames held out", 0.75 + 0.15 * done),
     )
     off_mm, left_mm = seam_errors_mm(setup, frames, pose_at, expected, after)
-    if named and not closes(predicted):
+    if named and smaller(predicted) < must_help(decision, baseline):
         decision, after, share = not_held_up(decision, baseline, scattered), before, {}
         random = scatter(expected, after, without)
         predicted = replace(predicted, after=predicted.before, variance_after=predicted.variance)

@@ -77,11 +77,16 @@ class Quadratic:
         n = float(self.counts.sum())
         return max(float(self.chi2.sum()) / min(n, N_EFFECTIVE), LEAST_WEIGHT)
 
-    def solve(self, frames: npt.NDArray[np.bool_] | None = None, damping: float = 0.0) -> Float64:
+    def solve(
+        self,
+        frames: npt.NDArray[np.bool_] | None = None,
+        damping: float = 0.0,
+        fixed: slice = slice(0),
+    ) -> Float64:
         """Return the parameters (p,) that frames and the priors like best.
 
         `frames` (n_frames,) are the chosen ones, all without them. `damping` adds so much of the
-        information's diagonal (Levenberg and Marquardt).
+        information's diagonal (Levenberg and Marquardt). Those that are `fixed` stay as they are at x.
         """
         chosen = slice(None) if frames is None else frames
         A, b = self.information[chosen].sum(axis=0), self.gradient[chosen].sum(axis=0)
@@ -89,6 +94,8 @@ class Quadratic:
         starts = np.array([parameter.start for parameter in self.parameters])
         A = A + np.diag(prior)
         b = b - prior * (self.x - starts)
+        at = np.arange(len(b))[fixed]
+        A[at], A[:, at], A[at, at], b[at] = 0.0, 0.0, 1.0, 0.0
         scale = np.sqrt(np.maximum(np.diag(A), 1e-300))
         scaled = A / np.outer(scale, scale) + (RIDGE + damping) * np.eye(len(b))
         factor = np.linalg.cholesky(scaled)

@@ -18,6 +18,7 @@ from noise_model.effects import REGISTRY, Values
 from noise_model.frames import Float64
 from sim_to_real.change import CHANGING, Change, Driver
 from sim_to_real.expected import RENDERING, Effects, Expected
+from sim_to_real.nuisances import N_CAMERA, N_LEVELS
 from sim_to_real.quadratic import N_EFFECTIVE, Quadratic
 from sim_to_real.refit import FLICKER, NAMED_FROM, Refit, huber_weights, refit, settled
 from sim_to_real.screen import DEAR, FAMILIES, Screened, screen
@@ -153,7 +154,10 @@ def cost_nats(n_parameters: int) -> float:
 
 
 def judged(expected: Expected, fitted: Refit) -> Candidate:
-    """Return a fit with the costs of its frames, each as the other folds' fit predicts it."""
+    """Return a fit with the costs of its frames, each as the other folds' fit predicts it.
+
+    But for the seam, which stays where all frames have it: others do not foresee where a frame's own runs.
+    """
     # All candidates are judged by one loss: each was fitted with a bound of its own.
     plain = Quadratic.of(
         fitted.quadratic.parameters,
@@ -166,12 +170,12 @@ def judged(expected: Expected, fitted: Refit) -> Candidate:
     if FLICKER in fitted.ids:
         # A level of its own needs the frame itself; thousands of bins share that one number.
         return Candidate(fitted, plain.chi2)
-    fold = folds(expected.observed, FOLDS)
+    fold, of_seam = folds(expected.observed, FOLDS), slice(N_LEVELS + N_CAMERA, fitted.n_nuisances)
     costs = np.zeros(len(fold))
     for k in range(FOLDS):
         held = fold == k
         if held.any() and not held.all():
-            costs[held] = plain.costs(fitted.quadratic.solve(~held, HELD_DAMPING))[held]
+            costs[held] = plain.costs(fitted.quadratic.solve(~held, HELD_DAMPING, of_seam))[held]
     return Candidate(fitted, costs)
 
 

@@ -13,6 +13,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from noise_model.effects import REGISTRY
 from noise_model.frames import Float64
 from sim_to_real.diagnosis import CLEAR_FLOORS, Gap, Verdict
 from sim_to_real.expected import Expected
@@ -80,30 +81,26 @@ MOSTLY_RANDOM = 0.5
 MOST_EFFECTS = 3
 """So many effects are named at most."""
 
-TRIFLE, TRIFLE_NATS = 0.1, 15.0
+MANY_NATS = 15.0
+"""With so much more evidence than its absence an effect hardly is the model's own error."""
+
+TRIFLE = 0.1
 """An effect of a smaller share of its prior's sigma is none where the model may be off as much.
 
-Unless it has so much more evidence than its absence: the model's own error hardly takes its pattern.
+Unless it has `MANY_NATS`.
 """
+
+HELPS, HELPS_BESIDE = 0.975, 0.5
+"""So surely an effect must help in pixels held out, and so surely one of `MANY_NATS`: an edge can hide it."""
 
 CLOSES = 0.5
 """The share of the gap on frames held out that effects must be able to close if they are named."""
 
-DEFINED = frozenset(
-    {
-        "arc_length",
-        "arc_deflection",
-        "arc_radius",
-        "wrong_material",
-        "roughness_change",
-        "hand_eye",
-        "surface_tilt",
-    }
-)
-"""Effects that are another value of what the setup states: they have no form that may be off."""
+FLOORS_LEFT = math.sqrt(2.0)
+"""What is named may leave so many floors besides what its form may be off: the model's own and as much."""
 
-DEFINED_LEAVE = 0.05
-"""Of a gap held out they may leave so much: light is predicted less well where it has moved far."""
+SEVERAL_REL = 0.05
+"""Of several effects no form may be off by more: two or three mimic most of another one's gap."""
 
 SURE = 0.9
 """A candidate that is less probable than this is not named alone."""
@@ -370,6 +367,12 @@ def with_shares(
     return replace(decision, chosen=chosen), shares(expected, baseline, chosen)
 
 
+def must_help(decision: Decision, baseline: Candidate) -> float:
+    """Return how surely pixels held out must be predicted better with what was chosen."""
+    gained = decision.chosen.evidence - baseline.evidence
+    return HELPS_BESIDE if gained >= MANY_NATS else HELPS
+
+
 def not_held_up(decision: Decision, baseline: Candidate, random: Scatter) -> Decision:
     """Return the verdict if what was chosen closes nothing in frames that nothing was fitted to."""
     found = replace(decision, verdict=without_help(baseline), chosen=baseline, ambiguous=())
@@ -379,25 +382,26 @@ def not_held_up(decision: Decision, baseline: Candidate, random: Scatter) -> Dec
 def closing(decision: Decision, baseline: Candidate, gap: Gap) -> Decision:
     """Return the verdict if what is named closes too little of the gap held out.
 
-    That is surely less than half. Where a clear gap is left it is too little, too, if it is less than half,
-    if several effects close it, or if effects that have no form leave more than `DEFINED_LEAVE` of it. It is
-    unknown then; or no gap, if the baseline leaves no more than the model may be off. A gap that is no larger
-    than the floor is none if nothing is named, or but a trifle that the model's own error looks like.
+    That is surely less than half. It is too little, too, if more is left than the floor and the effect's
+    form, see `Effect.form_rel`, account for. It is unknown then; or no gap, if the baseline leaves no more
+    than the model may be off. A gap that is no larger than the floor is none if nothing is named, or but a
+    trifle that the model's own error looks like.
     """
     ids, is_clear = decision.chosen.ids, gap.before > CLEAR_FLOORS * gap.floor
     is_named = bool(ids) and decision.verdict in (Verdict.EFFECTS, Verdict.AMBIGUOUS)
     is_trifle = (
         is_named
         and size(decision.chosen.refit.effects) < TRIFLE
-        and decision.chosen.evidence - baseline.evidence < TRIFLE_NATS
+        and decision.chosen.evidence - baseline.evidence < MANY_NATS
     )
     is_below = gap.before <= gap.floor and not is_named
     if is_below or (is_trifle and not (is_clear and baseline.left > 1.0)):
         return replace(decision, verdict=Verdict.NO_GAP, ambiguous=())
-    # Two or three effects can mimic much of another: they must leave no clear gap.
-    is_off = set(ids) <= DEFINED and gap.after > DEFINED_LEAVE * gap.before
-    mimics = gap.is_left and (len(ids) > 1 or is_off or gap.closed < CLOSES)
-    if ids and (mimics or gap.ci95[1] < CLOSES):
+    if not ids:
+        return decision
+    form_rel = REGISTRY[ids[0]].form_rel if len(ids) == 1 else SEVERAL_REL
+    is_left = gap.after > math.hypot(FLOORS_LEFT * gap.floor, form_rel * gap.before)
+    if is_left or gap.ci95[1] < CLOSES:
         verdict = Verdict.UNKNOWN if baseline.left > 1.0 else Verdict.NO_GAP
         return replace(decision, verdict=verdict, ambiguous=())
     return decision

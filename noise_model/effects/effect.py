@@ -21,6 +21,12 @@ Values = Mapping[str, float]
 Draw = np.random.Generator | None
 """None for the mean and variance of a random effect; a generator for one realisation of it."""
 
+ANOTHER_VALUE, UNSTATED = 0.05, 0.5
+"""By which share an effect's form may be off if it is but another value of what a setup states.
+
+And if it depends on much that no setup states: where the fume drifts, what else stands about a joint.
+"""
+
 OnLight = Callable[[Light, View, Condition, Values, Draw], None]
 
 
@@ -51,7 +57,8 @@ class Effect:
     - `light`: changes the light before the lens' point-spread function, e- for `camera.exposure_s`;
     - `image`: changes the charge behind it, e- for the frame's own exposure.
 
-    `is_followed` says whether it is predicted for a joint at all.
+    `is_followed` says whether it is predicted for a joint at all, `form_rel` by which share of what it does
+    to an image its form may be off in a plant.
     """
 
     id: str
@@ -66,6 +73,7 @@ class Effect:
     light: OnLight | None = None
     image: OnLight | None = None
     is_followed: Callable[[Joint], bool] = lambda joint: True
+    form_rel: float = 0.1
 
     def __post_init__(self) -> None:
         names = {parameter.name for parameter in self.parameters}

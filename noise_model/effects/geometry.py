@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from noise_model.effects.effect import Effect, Stage, Values
+from noise_model.effects.effect import ANOTHER_VALUE, Effect, Stage, Values
 from noise_model.fit import Parameter
 from noise_model.frames import invert, moved, transform
 from noise_model.setup import Setup
@@ -56,6 +56,7 @@ EFFECTS = (
         ),
         typical={"rot_x_deg": 0.5, "rot_z_deg": 0.5, "move_x_mm": 0.8},
         setup=_hand_eye,
+        form_rel=ANOTHER_VALUE,
     ),
     Effect(
         id="surface_tilt",
@@ -69,6 +70,7 @@ EFFECTS = (
         ),
         typical={"roll_deg": 3.0, "pitch_deg": 2.0},
         setup=_surface_tilt,
+        form_rel=ANOTHER_VALUE,
     ),
     Effect(
         id="lens_distortion",

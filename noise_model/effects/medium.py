@@ -9,7 +9,7 @@ from scipy.special import ndtr
 
 from noise_model.arc_map import Float32
 from noise_model.condition import Condition
-from noise_model.effects.effect import Draw, Effect, Stage, Values
+from noise_model.effects.effect import UNSTATED, Draw, Effect, Stage, Values
 from noise_model.effects.light import Light
 from noise_model.fit import Parameter
 from noise_model.frames import Float64
@@ -223,5 +223,6 @@ EFFECTS = (
         ),
         typical={"extinction_per_m": 2.0, "scatter": 0.05},
         light=_fume,
+        form_rel=UNSTATED,
     ),
 )

@@ -8,7 +8,7 @@ import numpy as np
 
 from noise_model.argon import REFERENCE_NM
 from noise_model.condition import Condition
-from noise_model.effects.effect import Draw, Effect, Stage, Values
+from noise_model.effects.effect import ANOTHER_VALUE, Draw, Effect, Stage, Values
 from noise_model.effects.light import Light
 from noise_model.fit import Parameter
 from noise_model.frames import Float64
@@ -67,6 +67,7 @@ EFFECTS = (
         parameters=(Parameter("height_mm", "mm", 0.0, 1.0, -3.0, 8.0, 0.02),),
         typical={"height_mm": 1.5},
         setup=_arc_length,
+        form_rel=ANOTHER_VALUE,
     ),
     Effect(
         id="arc_deflection",
@@ -80,6 +81,7 @@ EFFECTS = (
         ),
         typical={"x_mm": 1.0, "y_mm": 1.5},
         setup=_arc_deflection,
+        form_rel=ANOTHER_VALUE,
     ),
     Effect(
         id="arc_radius",
@@ -90,6 +92,7 @@ EFFECTS = (
         parameters=(Parameter("radius_ratio", "", 1.0, 0.3, 0.2, 4.0, 0.01),),
         typical={"radius_ratio": 1.5},
         setup=_arc_radius,
+        form_rel=ANOTHER_VALUE,
     ),
     Effect(
         id="arc_flicker",

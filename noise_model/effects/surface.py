@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from noise_model.condition import Condition
-from noise_model.effects.effect import Draw, Effect, Stage, Values
+from noise_model.effects.effect import ANOTHER_VALUE, UNSTATED, Draw, Effect, Stage, Values
 from noise_model.effects.light import Light
 from noise_model.fit import Parameter
 from noise_model.interreflection import bounced_light, is_followed
@@ -70,6 +70,7 @@ EFFECTS = (
         ),
         typical={"kappa_diff_ln": 1.5, "kappa_spec_ln": -0.7},
         setup=_wrong_material,
+        form_rel=ANOTHER_VALUE,
     ),
     Effect(
         id="roughness_change",
@@ -80,6 +81,7 @@ EFFECTS = (
         parameters=(Parameter("c2_ln", "", 0.0, 0.7, -4.0, 4.0, 0.01),),
         typical={"c2_ln": -0.9},
         setup=_roughness_change,
+        form_rel=ANOTHER_VALUE,
     ),
     Effect(
         id="brdf_tail",
@@ -116,5 +118,6 @@ EFFECTS = (
         typical={"albedo_scale": 0.4},
         light=_interreflection,
         is_followed=is_followed,
+        form_rel=UNSTATED,
     ),
 )

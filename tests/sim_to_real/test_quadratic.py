@@ -38,6 +38,17 @@ def test_the_minimum_is_that_of_plain_least_squares(bounds):
     np.testing.assert_allclose(found, expected, atol=1e-6)
 
 
+def test_what_is_fixed_stays_and_the_others_are_best_beside_it():
+    parameters, x, r, J, w = problem(5)
+    found = Quadratic.of(parameters, x, r, J, w, COUNTS).solve(fixed=slice(1, 2))
+    assert found[1] == x[1]
+    others = [0, 2]
+    weight = (w @ r**2) / min(len(r), N_EFFECTIVE)
+    A = J[:, others].T @ (w[:, np.newaxis] * J[:, others]) + weight / 4.0 * np.eye(2)
+    # x starts where the priors pull to.
+    np.testing.assert_allclose(found[others] - x[others], np.linalg.solve(A, -J[:, others].T @ (w * r)))
+
+
 def test_costs_are_the_weighted_squares_of_each_frame():
     parameters, x, r, J, w = problem(2)
     value = np.array([0.3, -0.2, 1.0])

@@ -9,9 +9,10 @@ import pytest
 from noise_model.fit import Parameter
 from sim_to_real import select
 from sim_to_real.held import left_in_pixels
+from sim_to_real.nuisances import N_CAMERA, N_LEVELS
 from sim_to_real.quadratic import Quadratic
 from sim_to_real.refit import followed, refit
-from sim_to_real.select import ALIKE_NATS, Candidate, beyond_form, likelihood_nats, told_apart
+from sim_to_real.select import ALIKE_NATS, Candidate, beyond_form, judged, likelihood_nats, told_apart
 from sim_to_real.verdict import is_explained
 from tests.sim_to_real.small import small_recording
 
@@ -34,6 +35,27 @@ def quadratic(J, r, upper=np.inf):
     parameters = [Parameter(f"p{n}", "", -1.0, 1e3, -2.0, upper, 0.1) for n in range(J.shape[1])]
     x = np.zeros(J.shape[1])
     return Quadratic.of(parameters, x, r, J, np.ones(len(r)), np.array([len(r)]))
+
+
+def test_a_seam_that_one_frame_alone_sees_is_not_foretold_from_the_others():
+    """Its first mode is seen in the first frame only, whose pull on it the prior would undo."""
+    n_frames, n_bins, seam = 10, 30, N_LEVELS + N_CAMERA
+    rng = np.random.default_rng(0)
+    parameters = tuple(Parameter(f"p{n}", "", 0.0, 1.0, -30.0, 30.0, 0.1) for n in range(seam + 1))
+    J = rng.standard_normal((n_frames * n_bins, seam + 1))
+    J[n_bins:, seam] = 0.0
+    x = np.zeros(seam + 1)
+    x[seam] = 5.0
+    r, counts = 0.5 * rng.standard_normal(len(J)), np.full(n_frames, n_bins)
+    cost = Quadratic.of(parameters, x, r, J, np.ones(len(r)), counts)
+    fitted = SimpleNamespace(
+        ids=(), x=x, n_nuisances=seam + 1, residuals=r, jacobian=J, weights=np.ones(len(r)), quadratic=cost
+    )
+    frames = [SimpleNamespace(stratum="both", position=n) for n in range(n_frames)]
+    expected = SimpleNamespace(observed=SimpleNamespace(frames=frames))
+    foretold = cost.solve(np.arange(n_frames) > 0)
+    assert cost.costs(foretold)[0] > 3.0 * cost.chi2[0]
+    assert judged(expected, fitted).costs[0] < 1.5 * cost.chi2[0]
 
 
 def ids(found):
