@@ -11,6 +11,14 @@ from threadpoolctl import threadpool_limits
 from noise_model.effects import REGISTRY
 from noise_model.frames import Float64
 from noise_model.setup import Setup
+from sim_to_real.confirm import (
+    closing,
+    must_help,
+    not_held_up,
+    random_shares,
+    with_random,
+    with_withheld,
+)
 from sim_to_real.covariates import Covariates, Start, covariates
 from sim_to_real.diagnosis import Diagnosis, Estimate, Named, Next, Ranked, Trend, Verdict, left_out
 from sim_to_real.expected import Expected
@@ -25,17 +33,7 @@ from sim_to_real.seam_error import seam_errors_mm
 from sim_to_real.select import Candidate, judged
 from sim_to_real.split import held_out, one_of_each
 from sim_to_real.stage import stages
-from sim_to_real.verdict import (
-    Decision,
-    closing,
-    decide,
-    must_help,
-    not_held_up,
-    random_shares,
-    with_random,
-    with_shares,
-    with_withheld,
-)
+from sim_to_real.verdict import Decision, decide, with_shares
 from tracker.state import Frame
 
 HELD, LEFT_ASIDE = 0.25, 0.34

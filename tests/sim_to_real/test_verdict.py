@@ -1,61 +1,15 @@
-"""What becomes of a verdict when frames that nothing was fitted to have been looked at."""
+"""Which effects are named: what explains a gap, what else is in question, what is looked for beside it."""
 
-import math
-from dataclasses import dataclass, field
 from types import SimpleNamespace
 
-import numpy as np
 import pytest
 
-from noise_model.effects import REGISTRY
 from sim_to_real import verdict as room
-from sim_to_real.diagnosis import Gap, Verdict
+from sim_to_real.diagnosis import Verdict
 from sim_to_real.quadratic import N_EFFECTIVE
-from sim_to_real.screen import size
 from sim_to_real.select import likelihood_nats
-from sim_to_real.verdict import (
-    Decision,
-    closing,
-    decide,
-    must_help,
-    not_held_up,
-    random_shares,
-    with_random,
-    with_withheld,
-)
-
-
-@dataclass
-class Scattering:
-    """The part of a `Scatter` that a verdict asks for."""
-
-    closed: dict[str, float] = field(default_factory=dict)
-
-    @property
-    def effects(self):
-        return {name: {} for name in self.closed}
-
-
-@dataclass
-class Fitted:
-    """The part of a `Candidate` that a verdict asks for."""
-
-    ids: tuple[str, ...]
-    left: float
-    refit: SimpleNamespace
-    evidence: float
-    left_in_pixels: float = np.nan
-    is_held_back: bool = False
-
-
-def candidate(*ids, left=1.0):
-    effects = {name: REGISTRY[name].complete(REGISTRY[name].typical) for name in ids}
-    fit = SimpleNamespace(ids=ids, residuals=np.full(4, np.sqrt(left)), nuisance=None, effects=effects)
-    return Fitted(ids, left, fit, likelihood_nats(left))
-
-
-def decision(verdict, *ids):
-    return Decision(verdict, candidate(*ids), 1.0, (), np.empty(0), (), (), None)
+from sim_to_real.verdict import decide
+from tests.sim_to_real.verdicts import candidate
 
 
 def decided(
@@ -206,95 +160,8 @@ def test_several_that_leave_nothing_where_they_were_fitted_need_not_foresee_as_w
     assert found is (pair if explain else None)
 
 
-def gap(after, ci95, before=5.0, floor=0.2):
-    return Gap(before, after, floor, (before - after) / (before - floor), ci95, (1.0, 1.0), (0.0, 0.0))
-
-
-def test_an_effect_that_surely_closes_less_than_half_is_not_named():
-    named, baseline = decision(Verdict.EFFECTS, "gamma"), candidate(left=9.0)
-    assert closing(named, baseline, gap(4.0, (0.1, 0.4))).verdict is Verdict.UNKNOWN
-    assert closing(named, baseline, gap(0.5, (0.4, 0.95))).verdict is Verdict.EFFECTS
-    # Of a small gap it may be chance.
-    assert closing(named, baseline, gap(0.28, (0.2, 0.6), before=0.35)).verdict is Verdict.EFFECTS
-    assert closing(decision(Verdict.NO_GAP), baseline, gap(5.0, (0.0, 0.0))).verdict is Verdict.NO_GAP
-    assert closing(named, candidate(left=0.9), gap(4.0, (0.1, 0.4))).verdict is Verdict.NO_GAP
-
-
-def test_a_gap_below_the_floor_is_none_but_for_an_effect_that_is_no_trifle():
-    baseline = candidate(left=1.1)
-    below, above, clear = (gap(0.05, (0.9, 1.0), before=before) for before in (0.19, 0.21, 0.41))
-    unknown, noise = decision(Verdict.UNKNOWN, "roughness_change"), decision(Verdict.EFFECTS)
-    for of in (unknown, noise):
-        assert closing(of, baseline, below).verdict is Verdict.NO_GAP
-        assert closing(of, baseline, above).verdict is of.verdict
-    # The prior of ln c2 has a sigma of 0.7.
-    for c2_ln, in_small in ((-0.06, Verdict.NO_GAP), (-0.08, Verdict.EFFECTS)):
-        named = decision(Verdict.EFFECTS, "roughness_change")
-        named.chosen.refit.effects["roughness_change"] = {"c2_ln": c2_ln}
-        assert closing(named, baseline, below).verdict is in_small
-        assert closing(named, baseline, above).verdict is in_small
-        assert closing(named, candidate(left=0.9), clear).verdict is in_small
-        assert closing(named, baseline, clear).verdict is Verdict.EFFECTS
-        # From 1.2 to 1 it gains 100 ln 1.2 = 18 nats.
-        assert closing(named, candidate(left=1.2), above).verdict is Verdict.EFFECTS
-
-
-def test_the_shape_of_an_effect_says_nothing_of_its_size():
-    marks = {"anisotropy": 0.05, "marks_deg": 60.0}
-    assert size({"rolling_marks": marks}) == pytest.approx(0.1)
-    assert size({"rolling_marks": marks, "arc_length": {"height_mm": -0.3}}) == pytest.approx(0.3)
-
-
 def test_what_its_bounds_hold_back_explains_nothing(monkeypatch):
     held_back = candidate("dirty_window", left=0.9)
     assert decided(monkeypatch, candidate(left=9.0), [held_back], None).verdict is Verdict.EFFECTS
     held_back.is_held_back = True
     assert decided(monkeypatch, candidate(left=9.0), [held_back], None).verdict is Verdict.UNKNOWN
-
-
-@pytest.mark.parametrize(
-    ("ids", "least"),
-    [
-        # The floor is 0.2, sqrt(2) of it 0.283; the gap before 5.
-        (("gamma",), math.hypot(0.283, 0.5)),
-        (("arc_radius",), math.hypot(0.283, 0.25)),
-        (("fume",), math.hypot(0.283, 2.5)),
-        (("fume", "gamma"), math.hypot(0.283, 0.25)),
-    ],
-)
-def test_what_is_named_must_leave_no_more_than_model_and_form_may_be_off(ids, least):
-    """An arc of another size leaves 8 % of what another metal makes: of a radius that is too much."""
-    named, baseline = decision(Verdict.EFFECTS, *ids), candidate(left=9.0)
-    assert closing(named, baseline, gap(1.01 * least, (0.8, 0.9))).verdict is Verdict.UNKNOWN
-    assert closing(named, baseline, gap(0.99 * least, (0.8, 0.9))).verdict is Verdict.EFFECTS
-
-
-def test_pixels_held_out_need_not_be_as_sure_of_what_many_bins_say():
-    named, baseline = decision(Verdict.EFFECTS, "defocus"), candidate(left=1.0)
-    # From 1.2 to 1 it gains 100 ln 1.2 = 18 nats.
-    assert must_help(named, baseline) > 0.95
-    assert must_help(named, candidate(left=1.2)) == 0.5
-
-
-@pytest.mark.parametrize(("left", "verdict"), [(1.2, Verdict.NO_GAP), (9.0, Verdict.UNKNOWN)])
-def test_what_does_not_hold_up_leaves_what_the_baseline_says(left, verdict):
-    found = not_held_up(decision(Verdict.EFFECTS, "gamma"), candidate(left=left), Scattering())
-    assert found.verdict is verdict
-    assert found.chosen.ids == ()
-
-
-def test_what_scatters_is_named_where_it_is_most_of_the_gap():
-    loud, faint = Scattering({"read_noise": 0.9}), Scattering({"read_noise": 0.1})
-    assert random_shares(loud)["read_noise"] == pytest.approx(0.99)
-    baseline = candidate()
-    assert with_random(decision(Verdict.UNKNOWN, "fume"), baseline, loud).verdict is Verdict.EFFECTS
-    assert with_random(decision(Verdict.UNKNOWN, "fume"), baseline, faint).verdict is Verdict.UNKNOWN
-    assert with_random(decision(Verdict.NO_GAP), baseline, faint).verdict is Verdict.EFFECTS
-    assert with_random(decision(Verdict.NO_GAP), baseline, Scattering()).verdict is Verdict.NO_GAP
-
-
-def test_what_scatters_and_is_withheld_is_unknown():
-    noise, named = Scattering({"read_noise": 0.9}), decision(Verdict.EFFECTS, "gamma")
-    assert with_withheld(decision(Verdict.NO_GAP), noise, ("read_noise",)).verdict is Verdict.UNKNOWN
-    assert with_withheld(decision(Verdict.NO_GAP), noise, ("gamma",)).verdict is Verdict.NO_GAP
-    assert with_withheld(named, noise, ("read_noise",)).verdict is Verdict.EFFECTS

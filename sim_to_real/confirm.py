@@ -1,0 +1,102 @@
+"""What becomes of a decision when what scatters, and frames held out of everything, have been asked."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import replace
+
+from noise_model.effects import REGISTRY
+from sim_to_real.diagnosis import CLEAR_FLOORS, Gap, Verdict
+from sim_to_real.scatter import Scatter
+from sim_to_real.screen import size
+from sim_to_real.select import Candidate
+from sim_to_real.verdict import Decision, without_help
+
+MOSTLY_RANDOM = 0.5
+"""A gap that nothing else explains is that of random effects if they make up this share of it."""
+
+MANY_NATS = 15.0
+"""With so much more evidence than its absence an effect hardly is the model's own error."""
+
+TRIFLE = 0.1
+"""An effect of a smaller share of its prior's sigma is none where the model may be off as much.
+
+Unless it has `MANY_NATS`.
+"""
+
+HELPS, HELPS_BESIDE = 0.975, 0.5
+"""So surely an effect must help in pixels held out, and so surely one of `MANY_NATS`: an edge can hide it."""
+
+CLOSES = 0.5
+"""The share of the gap on frames held out that effects must be able to close if they are named."""
+
+FLOORS_LEFT = math.sqrt(2.0)
+"""What is named may leave so many floors besides what its form may be off: the model's own and as much."""
+
+SEVERAL_REL = 0.05
+"""Of several effects no form may be off by more: two or three mimic most of another one's gap."""
+
+
+def with_random(decision: Decision, baseline: Candidate, random: Scatter) -> Decision:
+    """Return the verdict with what scatters: it is named beside others, or alone if it is most of the gap."""
+    if not random.effects or decision.verdict in (Verdict.EFFECTS, Verdict.AMBIGUOUS):
+        return decision
+    if decision.verdict is Verdict.UNKNOWN and sum(random_shares(random).values()) < MOSTLY_RANDOM:
+        return decision
+    return replace(decision, verdict=Verdict.EFFECTS, chosen=baseline)
+
+
+def with_withheld(decision: Decision, random: Scatter, without: Sequence[str]) -> Decision:
+    """Return the verdict; unknown if there is no gap but in what scatters, whose effect is withheld.
+
+    `random` is what scatters if nothing is withheld.
+    """
+    if decision.verdict is Verdict.NO_GAP and set(random.effects) & set(without):
+        return replace(decision, verdict=Verdict.UNKNOWN)
+    return decision
+
+
+def random_shares(random: Scatter) -> dict[str, float]:
+    """Return the share of the mean of r^2 beyond noise that each random effect makes up."""
+    return {name: 1.0 - (1.0 - random.closed[name]) ** 2 for name in random.effects}
+
+
+def must_help(decision: Decision, baseline: Candidate) -> float:
+    """Return how surely pixels held out must be predicted better with what was chosen."""
+    gained = decision.chosen.evidence - baseline.evidence
+    return HELPS_BESIDE if gained >= MANY_NATS else HELPS
+
+
+def not_held_up(decision: Decision, baseline: Candidate, random: Scatter) -> Decision:
+    """Return the verdict if what was chosen closes nothing in frames that nothing was fitted to."""
+    found = replace(decision, verdict=without_help(baseline), chosen=baseline, ambiguous=())
+    return with_random(found, baseline, random)
+
+
+def closing(decision: Decision, baseline: Candidate, gap: Gap) -> Decision:
+    """Return the verdict if what is named closes too little of the gap held out.
+
+    That is surely less than half. It is too little, too, if more is left than the floor and the effect's
+    form, see `Effect.form_rel`, account for. It is unknown then; or no gap, if the baseline leaves no more
+    than the model may be off. A gap that is no larger than the floor is none if nothing is named, or but a
+    trifle that the model's own error looks like.
+    """
+    ids, is_clear = decision.chosen.ids, gap.before > CLEAR_FLOORS * gap.floor
+    is_named = bool(ids) and decision.verdict in (Verdict.EFFECTS, Verdict.AMBIGUOUS)
+    is_trifle = (
+        is_named
+        and size(decision.chosen.refit.effects) < TRIFLE
+        and decision.chosen.evidence - baseline.evidence < MANY_NATS
+    )
+    is_below = gap.before <= gap.floor and not is_named
+    if is_below or (is_trifle and not (is_clear and baseline.left > 1.0)):
+        return replace(decision, verdict=Verdict.NO_GAP, ambiguous=())
+    if not ids:
+        return decision
+    form_rel = REGISTRY[ids[0]].form_rel if len(ids) == 1 else SEVERAL_REL
+    is_left = gap.after > math.hypot(FLOORS_LEFT * gap.floor, form_rel * gap.before)
+    if is_left or gap.ci95[1] < CLOSES:
+        verdict = Verdict.UNKNOWN if baseline.left > 1.0 else Verdict.NO_GAP
+        return replace(decision, verdict=verdict, ambiguous=())
+    return decision

@@ -1,0 +1,27 @@
+"""Candidates that verdicts are about, without the fits behind them."""
+
+from dataclasses import dataclass
+from types import SimpleNamespace
+
+import numpy as np
+
+from noise_model.effects import REGISTRY
+from sim_to_real.select import likelihood_nats
+
+
+@dataclass
+class Fitted:
+    """The part of a `Candidate` that a verdict asks for."""
+
+    ids: tuple[str, ...]
+    left: float
+    refit: SimpleNamespace
+    evidence: float
+    left_in_pixels: float = np.nan
+    is_held_back: bool = False
+
+
+def candidate(*ids, left=1.0):
+    effects = {name: REGISTRY[name].complete(REGISTRY[name].typical) for name in ids}
+    fit = SimpleNamespace(ids=ids, residuals=np.full(4, np.sqrt(left)), nuisance=None, effects=effects)
+    return Fitted(ids, left, fit, likelihood_nats(left))
