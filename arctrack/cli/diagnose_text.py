@@ -106,8 +106,8 @@ def _lines(diagnosis: Diagnosis) -> Iterator[tuple[str, str]]:
 def _ranking(diagnosis: Diagnosis) -> Table:
     table = Table(box=box.SIMPLE_HEAD, padding=(0, 1, 0, 0))
     table.add_column("effect", no_wrap=True)
-    for name in ("closes", "probable"):
-        table.add_column(name, justify="right", no_wrap=True)
+    table.add_column("closes", justify="right", no_wrap=True)
+    table.add_column(words.probable(diagnosis.verdict), justify="right")
     table.add_column("what it is")
     for candidate in diagnosis.ranking[:MOST_RANKED]:
         table.add_row(

@@ -161,6 +161,11 @@ def percent(share: float) -> str:
     return f"{100.0 * share:.0f} %".replace("-", "−") if math.isfinite(share) else NO_VALUE
 
 
+def probable(verdict: Verdict) -> str:
+    """Return the heading over how probable the candidates are: unknown says that it is hardly one of them."""
+    return "if one of these" if verdict is Verdict.UNKNOWN else "probable"
+
+
 def probability(value: float) -> str:
     """Return a probability in percent; nothing is quite certain."""
     if math.isfinite(value) and value > CERTAIN_SHARE:

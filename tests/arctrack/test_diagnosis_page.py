@@ -161,6 +161,8 @@ def test_what_is_open_is_said(seen_setup: Setup, recording: Recording) -> None:
     assert "What it may be" in ambiguous.text
     assert "What is wrong" not in ambiguous.text
     assert "predicted after" not in unknown.text
+    assert "if one of these" in unknown.text
+    assert "if one of these" not in ambiguous.text
     for reader in (ambiguous, unknown):
         assert "--apply" not in reader.text
     no_gap = read(page(example(Verdict.NO_GAP, seen_setup), recording))
