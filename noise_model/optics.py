@@ -86,7 +86,8 @@ class Camera:
     def normalised(self, points_px: npt.ArrayLike) -> Float64:
         """Return the undistorted normalised coordinates (N, 2) of points (N, 2), px: the ray is (x, y, 1)."""
         points = np.ascontiguousarray(points_px, dtype=np.float64).reshape(-1, 1, 2)
-        if not any(self.distortion):
+        # OpenCV has no answer to no points.
+        if not any(self.distortion) or not len(points):
             flat = points[:, 0]
             return np.column_stack([(flat[:, 0] - self.cx) / self.fx, (flat[:, 1] - self.cy) / self.fy])
         criteria = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 50, 1e-12)
@@ -97,6 +98,8 @@ class Camera:
 
     def project(self, points_camera: Float64) -> Float64:
         """Return the image points (N, 2), px, of camera-frame points (N, 3), mm, in front of the camera."""
+        if not len(points_camera):
+            return np.empty((0, 2))
         image, _ = cv2.projectPoints(
             np.ascontiguousarray(points_camera, dtype=np.float64).reshape(-1, 1, 3),
             np.zeros(3),

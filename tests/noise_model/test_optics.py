@@ -26,6 +26,12 @@ def all_pixels(camera):
 
 
 @pytest.mark.parametrize("camera", [CAMERA, PLAIN], ids=["distorted", "plain"])
+def test_of_no_points_there_is_none(camera):
+    assert camera.normalised(np.empty((0, 2))).shape == (0, 2)
+    assert camera.project(np.empty((0, 3))).shape == (0, 2)
+
+
+@pytest.mark.parametrize("camera", [CAMERA, PLAIN], ids=["distorted", "plain"])
 def test_project_undoes_normalised(camera):
     pixels = all_pixels(camera)
     xy = camera.normalised(pixels)
