@@ -62,7 +62,8 @@ def diagnose(
     `on_stage` hears what is being done and how much of all is done. So many `threads` predict frames at once:
     one is best where other processes are at work.
 
-    Raises ValueError for an unknown effect and if no frame has a pose.
+    Raises ValueError for an unknown effect, if no frame has a pose, if none can be held out and if nothing
+    in them can be compared.
     """
     for name in without:
         if name not in REGISTRY:
@@ -84,7 +85,16 @@ def _diagnosed(
     heard("tracking the seam", 0.0)
     observed = observe(setup, frames, pose_at)
     held = held_out(observed, HELD)
+    if not held.any():
+        raise ValueError(
+            "no two frames have light, exposure and current alike, so none can be held out of the fit: "
+            "record each kind twice or more"
+        )
     train = observed.some(~held)
+    if not any(frame.keep.any() for frame in train.frames):
+        raise ValueError(
+            "nothing can be compared: all that the frames show of the joint is saturated: shorten the exposure"
+        )
     heard("fitting what is no gap", 0.05)
     expected = Expected(train, threads)
     before, scattered = _baseline(expected, without)
@@ -94,7 +104,8 @@ def _diagnosed(
     choosing = expected.some(~aside)
     baseline = judged(choosing, refit(choosing, {}, before.nuisance))
 
-    looked_at = one_of_each(seen.some(~held).some(aside))
+    # Of so few frames that none can be left aside all are looked at.
+    looked_at = one_of_each(seen.some(~held).some(aside if aside.any() else ~aside))
 
     def in_pixels(fits: Sequence[Refit]) -> Float64:
         return left_in_pixels(looked_at, choosing, fits, scattered.effects)

@@ -201,7 +201,7 @@ class HeldOut:
 
     def moments(self, X: Float32) -> tuple[Float64, Float64]:
         """Return X^T w X (folds, k, k) and X^T w r (folds, k) of each fold's rows of a design (n, k)."""
-        n_folds = int(self.fold.max(initial=0)) + 1
+        n_folds = max(int(self.fold.max(initial=0)), *self.scored) + 1
         root = np.sqrt(self.weights).astype(np.float32)
         A, b = np.zeros((n_folds, X.shape[1], X.shape[1])), np.zeros((n_folds, X.shape[1]))
         for k in range(n_folds):

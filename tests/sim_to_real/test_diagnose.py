@@ -1,5 +1,7 @@
 """A recording with a hidden effect is diagnosed: what it is, how large, how far the gap shrinks."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -55,6 +57,38 @@ def test_no_frame_with_a_pose_is_refused(tmp_path):
     setup, frames, _ = recorded(tmp_path / "no_pose", {})
     with pytest.raises(ValueError, match="no frame has a pose"):
         diagnose(setup, frames, lambda t: None)
+
+
+@pytest.fixture(scope="module")
+def short(tmp_path_factory):
+    """A recording without any effect, of which tests take some frames: setup, frames and pose_at."""
+    return recorded(tmp_path_factory.mktemp("diagnose") / "short", {}, replace(PLAN, frames=32))
+
+
+def test_a_few_frames_of_one_kind_are_enough(short):
+    setup, frames, pose_at = short
+    found = diagnose(setup, [frame for frame in frames if frame.laser_on and not frame.arc_on], pose_at)
+    assert found.gap.floor > 0.0
+
+
+def test_no_stripe_need_be_seen_even_by_a_lens_that_distorts(short):
+    setup, frames, pose_at = short
+    setup = replace(setup, camera=replace(setup.camera, distortion=(-0.05, 0.01, 0.0, 0.0, 0.0)))
+    found = diagnose(setup, [frame for frame in frames if not frame.laser_on], pose_at)
+    assert found.gap.floor > 0.0
+
+
+def test_where_no_frame_can_be_held_out_it_is_said(short):
+    setup, frames, pose_at = short
+    with pytest.raises(ValueError, match="none can be held out"):
+        diagnose(setup, frames[:1], pose_at)
+
+
+def test_where_all_is_saturated_it_is_said(short):
+    setup, frames, pose_at = short
+    white = [replace(frame, image_dn=np.full_like(frame.image_dn, 255)) for frame in frames]
+    with pytest.raises(ValueError, match="nothing can be compared"):
+        diagnose(setup, white, pose_at)
 
 
 def test_an_effect_that_is_not_known_is_refused():
