@@ -93,7 +93,7 @@ def _diagnosed(
     train = observed.some(~held)
     if not any(frame.keep.any() for frame in train.frames):
         raise ValueError(
-            "nothing can be compared: all that the frames show of the joint is saturated: shorten the exposure"
+            "nothing can be compared, all that shows of the joint is saturated: shorten the exposure"
         )
     heard("fitting what is no gap", 0.05)
     expected = Expected(train, threads)
