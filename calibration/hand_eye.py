@@ -48,6 +48,9 @@ SEAM_SIGMA_MM, SEAM_SLOPE_SIGMA = 5.0, 0.05
 FAR_SIGMAS = 4.0
 """A camera further off than so many of its stated sigmas means that something else is wrong."""
 
+MOST_LEVEL = 20.0
+"""An arc by so much brighter or darker than stated means the same."""
+
 CAMERA = ("rot_x", "rot_y", "rot_z", "move_x", "move_y", "move_z")
 
 
@@ -70,7 +73,8 @@ def estimate_hand_eye(
     The seam is taken as straight over the recording: its place and direction are fitted along. Every
     `lattice_px`-th pixel of each row and column is compared. Raises ValueError if no frame has the arc on, if
     the joint was found in none, or if the camera would have to be off by more than FAR_SIGMAS of its
-    tolerance: then the seam is not straight, or arc or material are not as stated.
+    tolerance or the arc by a factor of MOST_LEVEL: then the seam is not straight, or arc or material are not
+    as stated.
     """
     lit = [(frame, pose) for frame, pose in frames if frame.arc_on and frame.current_a > 0.0]
     if not lit:
@@ -84,6 +88,11 @@ def estimate_hand_eye(
         result = _fit(setup, views, seam)
         change = result.values[:6]
         seam = SeamLine(seam.station_mm, *(float(value) for value in result.values[8:]))
+        if abs(result.value("ln_arc_level")) > 0.99 * math.log(MOST_LEVEL):
+            raise ValueError(
+                f"the arc would have to be off by a factor of {MOST_LEVEL:g}: the seam is not straight, "
+                "arc or material are not as stated, or there are too few frames with the arc on"
+            )
     progress(ROUNDS, ROUNDS)
     stated = np.array([parameter.prior_sigma for parameter in result.parameters[:6]])
     far = float(np.max(np.abs(change) / stated))
@@ -172,12 +181,12 @@ class _View:
 
 def _fit(setup: Setup, views: Sequence[_View], seam: SeamLine) -> Fit:
     """Fit the camera's change, the arc's level, the black level and a straight seam to all views."""
-    tolerance = setup.tolerance
+    tolerance, ln_level = setup.tolerance, math.log(MOST_LEVEL)
     deg, mm = max(tolerance.hand_eye_deg, 1e-6), max(tolerance.hand_eye_mm, 1e-6)
     parameters = [
         *(Parameter(name, "deg", 0.0, deg, step=0.01) for name in CAMERA[:3]),
         *(Parameter(name, "mm", 0.0, mm, step=0.01) for name in CAMERA[3:]),
-        Parameter("ln_arc_level", "", 0.0, step=1e-3),
+        Parameter("ln_arc_level", "", 0.0, lower=-ln_level, upper=ln_level, step=1e-3),
         Parameter("black_level", "e-", 0.0, tolerance.black_level_dn * setup.sensor.gain_e_per_dn, step=1.0),
         Parameter("seam_y", "mm", seam.y_mm, SEAM_SIGMA_MM, step=0.01),
         Parameter("seam_z", "mm", seam.z_mm, SEAM_SIGMA_MM, step=0.01),

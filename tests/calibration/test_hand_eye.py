@@ -62,6 +62,13 @@ def test_a_camera_far_beyond_its_tolerance_is_refused() -> None:
         estimate_hand_eye(setup, frames(far_setup, SeamLine()), lattice_px=LATTICE_PX)
 
 
+def test_an_arc_that_is_far_darker_than_stated_is_refused() -> None:
+    setup = small_setup()
+    dark = replace(setup, arc=replace(setup.arc, radiance_e=0.01 * setup.arc.radiance_e))
+    with pytest.raises(ValueError, match="off by a factor of 20"):
+        estimate_hand_eye(setup, frames(dark, SeamLine()), lattice_px=LATTICE_PX)
+
+
 def test_without_arc_there_is_nothing_to_go_by() -> None:
     setup = small_setup()
     with pytest.raises(ValueError, match="no frame has the arc on"):
