@@ -24,7 +24,8 @@ Draw = np.random.Generator | None
 ANOTHER_VALUE, UNSTATED = 0.05, 0.5
 """By which share an effect's form may be off if it is but another value of what a setup states.
 
-And if it depends on much that no setup states: where the fume drifts, what else stands about a joint.
+And if it depends on much that no setup states: where the fume drifts, what else stands about a joint, how a
+response that is no power runs.
 """
 
 OnLight = Callable[[Light, View, Condition, Values, Draw], None]

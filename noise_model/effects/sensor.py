@@ -10,7 +10,7 @@ from scipy.signal import lfilter
 
 from noise_model.condition import Condition
 from noise_model.effects import drift
-from noise_model.effects.effect import Draw, Effect, Stage, Values
+from noise_model.effects.effect import UNSTATED, Draw, Effect, Stage, Values
 from noise_model.effects.light import Light
 from noise_model.fit import Parameter
 from noise_model.setup import Setup
@@ -118,6 +118,7 @@ EFFECTS = (
         ),
         typical={"gamma": 0.7},
         setup=_gamma,
+        form_rel=UNSTATED,
     ),
     Effect(
         id="black_level",

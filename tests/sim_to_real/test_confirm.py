@@ -78,7 +78,7 @@ def test_the_shape_of_an_effect_says_nothing_of_its_size():
     ("ids", "least"),
     [
         # The floor is 0.2, sqrt(2) of it 0.283; the gap before 5.
-        (("gamma",), math.hypot(0.283, 0.5)),
+        (("vignetting",), math.hypot(0.283, 0.5)),
         (("arc_radius",), math.hypot(0.283, 0.25)),
         (("fume",), math.hypot(0.283, 2.5)),
         (("fume", "gamma"), math.hypot(0.283, 0.25)),
