@@ -25,10 +25,13 @@ from noise_model.setup import Setup
 from noise_model.surface import SeamLine
 from tracker.arc_level import HUBER
 from tracker.expected import expect_stripe
-from tracker.geometry import LATTICE_PX, SensorGeometry
+from tracker.geometry import SensorGeometry
 from tracker.passage import Passage, seen_arc
 from tracker.state import Frame, Pose
 from tracker.step import Tracker
+
+LATTICE_PX = 16
+"""So far apart are the pixels that are compared."""
 
 MAP_SIGMA = 0.02
 """What the arc's light may be off from pixel to pixel beyond its noise, relative."""

@@ -6,6 +6,7 @@ otherwise its rows; positions along a scan line are pixels. All kernels see the 
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -22,8 +23,8 @@ from noise_model.stripe import stripe_runs_along_rows
 Float32 = npt.NDArray[np.float32]
 Int64 = npt.NDArray[np.int64]
 
-LATTICE_PX = 16
-"""The spacing of an even sample of the image."""
+SAMPLE = 600
+"""About so many pixels are an even sample of an image, however many it has."""
 
 
 @dataclass(frozen=True)
@@ -78,10 +79,10 @@ class SensorGeometry:
     @cached_property
     def even_sample(self) -> tuple[Int64, Int64]:
         """Scan lines and positions (n,) of an even sample of the image's pixels."""
-        return self.lattice()
+        return self.lattice(max(1, round(math.sqrt(self.n_scan * self.n_pos / SAMPLE))))
 
-    def lattice(self, spacing_px: int = LATTICE_PX) -> tuple[Int64, Int64]:
-        """Return scan lines and positions (n,) of an even sample of the image's pixels."""
+    def lattice(self, spacing_px: int) -> tuple[Int64, Int64]:
+        """Return scan lines and positions (n,) of every so many-th pixel of each row and column."""
         scan = np.arange(spacing_px // 2, self.n_scan, spacing_px)
         position = np.arange(spacing_px // 2, self.n_pos, spacing_px)
         s, r = np.meshgrid(scan, position, indexing="ij")
