@@ -32,7 +32,7 @@ MOST_PIXELS = 512
 MIN_PIXELS = 8
 """Fewer pixels that count tell nothing of five parameters."""
 
-MOST_STEPS, SETTLED = 12, 5e-3
+MOST_STEPS, SETTLED = 12, 2e-3
 """Gauss-Newton steps at most; one that gains less of chi2 is the last: it ends within 0.01 of a sigma."""
 
 CORE_SIGMAS, CORE_MEAN = 0.5, 0.95

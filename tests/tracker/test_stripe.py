@@ -8,7 +8,7 @@ import numpy as np
 import numpy.typing as npt
 import pytest
 import twins
-from hypothesis import given, settings
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from tracker.stripe_fit import (
@@ -250,6 +250,7 @@ def test_the_map_edge_is_its_twin(seed: int) -> None:
         assert change == pytest.approx(twins.map_edge(background, np.repeat(lows, CELL), s, position))
 
 
+@example(1921, 2.625, 800.0, 1.7421875, np.inf)
 @settings(deadline=None, max_examples=25)
 @given(
     seeds,

@@ -151,7 +151,7 @@ class LineModel:
         """The parameters of the lowest cost, sought from a start near it."""
         scale = np.sqrt(np.diag(np.linalg.inv(self.information(start))))
         at = start
-        for _ in range(3):
+        for _ in range(20):
             found = minimize(
                 lambda t, at=at: self.cost(at + scale * t) - self.cost(at),
                 np.zeros(5),
@@ -159,6 +159,9 @@ class LineModel:
                 options={"xatol": 1e-7, "fatol": 1e-12, "maxiter": 6000, "maxfev": 6000},
             )
             at = at + scale * found.x
+            # A simplex may have shrunk before it was there.
+            if np.abs(found.x).max() < 1e-3:
+                break
         return at
 
 
