@@ -282,7 +282,8 @@ def test_the_fit_is_the_most_likely_one(
     bound = math.sqrt(np.linalg.inv(model.information(likeliest))[1, 1])
     assert position == pytest.approx(likeliest[1], abs=0.01 * bound)
     assert fitted_width == pytest.approx(math.exp(likeliest[2]), rel=1e-3)
-    assert sigma >= 0.98 * bound
+    # The sigma is that before the last step, which may let another saturated pixel count.
+    assert sigma >= (0.9 if censored.any() else 0.98) * bound
 
 
 @pytest.mark.parametrize("width", WIDTHS)
