@@ -135,7 +135,7 @@ def fit_line(
     ln_w0 = math.log(width)
     position, ln_w, w, unit, b1 = start - low, ln_w0, width, width, 0.0
     x[0], x[3] = max(over / CORE_MEAN, 1.0), 0.0
-    chi2, used = 0.0, 0.0
+    chi2, used, is_settled = 0.0, 0.0, False
     for _ in range(MOST_STEPS):
         x[1], x[2], x[4] = position / w, ln_w, b1 * w
         moments = moments_of(charge, background, censored, ramp, x, w, shot, dark_variance)
@@ -161,8 +161,10 @@ def fit_line(
         unit, w = w, math.exp(ln_w)
         if not 0.0 < position < n - 1 or abs(ln_w - ln_w0) > 1.0:
             return False
-        if gained < SETTLED:
+        # The last step may let a saturated pixel count, or no more: what they tell is asked once again.
+        if gained < SETTLED and (is_settled or used == n):
             break
+        is_settled = gained < SETTLED
     variance_a, variance_x = variance_of(H, 0, g), variance_of(H, 1, g) * unit * unit
     # Three of the five parameters brought a prior, whose term is counted too.
     freedom = used - 2.0

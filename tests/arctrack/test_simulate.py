@@ -199,7 +199,7 @@ def fit_of_the_arc(path: Path, setup: Setup, effects: dict[str, dict[str, float]
 @pytest.mark.parametrize(
     ("effect", "values"),
     [
-        ("veiling_glare", {"share": 0.3}),
+        ("veiling_glare", {"share": 0.5}),
         ("vignetting", {"loss": 0.6}),
         ("gamma", {"gamma": 0.8}),
         ("arc_length", {"height_mm": 2.0}),
@@ -217,8 +217,7 @@ def test_a_known_effect_is_honoured_by_the_tracker(
     unaware, aware = (fit_of_the_arc(path, setup, e) for e in ({}, checked({effect: values})))
     # 1 where the model is right; a quantile of its sample scatters by 5 %.
     assert max(aware) < 1.15
-    # Frame by frame: each current has light and noise of its own.
-    assert all(without > 1.3 * known for without, known in zip(unaware, aware, strict=True))
+    assert min(unaware) > 1.3 * max(aware)
 
 
 def test_a_known_pose_delay_takes_the_pose_of_another_time(seen_setup: Setup, tmp_path: Path) -> None:
