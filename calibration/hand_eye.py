@@ -91,7 +91,7 @@ def estimate_hand_eye(
         result = _fit(setup, views, seam)
         change = result.values[:6]
         seam = SeamLine(seam.station_mm, *(float(value) for value in result.values[8:]))
-        if abs(result.value("ln_arc_level")) > 0.99 * math.log(MOST_LEVEL):
+        if "ln_arc_level" in result.at_bounds:
             raise ValueError(
                 f"the arc would have to be off by a factor of {MOST_LEVEL:g}: the seam is not straight, "
                 "arc or material are not as stated, or there are too few frames with the arc on"

@@ -64,8 +64,11 @@ def random_shares(random: Scatter) -> dict[str, float]:
 
 def must_help(decision: Decision, baseline: Candidate) -> float:
     """Return how surely pixels held out must be predicted better with what was chosen."""
-    gained = decision.chosen.evidence - baseline.evidence
-    return HELPS_BESIDE if gained >= MANY_NATS else HELPS
+    return HELPS_BESIDE if _has_many_nats(decision, baseline) else HELPS
+
+
+def _has_many_nats(decision: Decision, baseline: Candidate) -> bool:
+    return decision.chosen.evidence - baseline.evidence >= MANY_NATS
 
 
 def not_held_up(decision: Decision, baseline: Candidate, random: Scatter) -> Decision:
@@ -84,11 +87,8 @@ def closing(decision: Decision, baseline: Candidate, gap: Gap) -> Decision:
     """
     ids, is_clear = decision.chosen.ids, gap.before > CLEAR_FLOORS * gap.floor
     is_named = bool(ids) and decision.verdict in (Verdict.EFFECTS, Verdict.AMBIGUOUS)
-    is_trifle = (
-        is_named
-        and size(decision.chosen.refit.effects) < TRIFLE
-        and decision.chosen.evidence - baseline.evidence < MANY_NATS
-    )
+    is_small = is_named and size(decision.chosen.refit.effects) < TRIFLE
+    is_trifle = is_small and not _has_many_nats(decision, baseline)
     is_below = gap.before <= gap.floor and not is_named
     if is_below or (is_trifle and not (is_clear and baseline.left > 1.0)):
         return replace(decision, verdict=Verdict.NO_GAP, ambiguous=())

@@ -28,7 +28,7 @@ from noise_model.setup import Setup
 from noise_model.surface import BentSeam
 from noise_model.view import View
 from sim_to_real.change import Change, effects_in
-from sim_to_real.nuisances import N_CAMERA, N_LEVELS, nuisances, really_lit, really_there
+from sim_to_real.nuisances import N_CAMERA, N_LEVELS, SEAM_FROM, nuisances, really_lit, really_there
 from sim_to_real.observed import Float32, Observed, ObservedFrame, one_face
 from sim_to_real.pixels import Bool
 from sim_to_real.seam_curve import MODES, SeamCurve
@@ -279,7 +279,7 @@ class Expected:
 
     def seam_coefficients(self, nuisance: Float64) -> Float64:
         """Return those of the nuisances (p,) that say how the seam runs (m,)."""
-        return nuisance[N_LEVELS + N_CAMERA :]
+        return nuisance[SEAM_FROM:]
 
     def moved(self, frame: ObservedFrame, light: Passed, by: Float64) -> Passed:
         """Return a frame's light with nuisances moved `by` (p,) from where it was rendered."""
@@ -371,7 +371,7 @@ class Expected:
         here = rendered(setup, seam, None)
         stretch = seam.stretch_at(here.view.surface[0][..., 0])
         steps = []
-        for j, parameter in enumerate(self.nuisances[N_LEVELS : N_LEVELS + N_CAMERA], N_LEVELS):
+        for j, parameter in enumerate(self.nuisances[N_LEVELS:SEAM_FROM], N_LEVELS):
             there = anchor.copy()
             there[j] += -parameter.step if anchor[j] > 0.0 else parameter.step
             steps.append((rendered(self._setup(effects, there), seam, stretch), there[j] - anchor[j]))

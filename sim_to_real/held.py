@@ -222,7 +222,7 @@ def measure(predicted: Predicted, setup: Setup, seam_mm: tuple[float, float], se
 
 
 def smaller(predicted: Predicted, seed: int = 0) -> float:
-    """Return how surely residuals are smaller after than before: the share of blocks drawn again in which."""
+    """Return in which share of draws of their blocks the residuals are smaller after than before."""
     counts = np.isfinite(predicted.variance)
     before, after = (
         np.minimum(_squares(predicted.recorded - mean, predicted.variance, counts), MOST_SQUARE)

@@ -15,6 +15,7 @@ WITHIN_SIGMAS = 3.0
 """So many tolerances a nuisance may be off; what lies beyond is a gap."""
 
 N_LEVELS, N_CAMERA = 3, 6
+SEAM_FROM = N_LEVELS + N_CAMERA
 """The first nuisances are levels, then come those of the camera's pose and of the seam."""
 
 SEAM_WITHIN = 30.0

@@ -18,7 +18,7 @@ from noise_model.effects import REGISTRY, Values
 from noise_model.frames import Float64
 from sim_to_real.change import CHANGING, Change, Driver
 from sim_to_real.expected import RENDERING, Effects, Expected
-from sim_to_real.nuisances import N_CAMERA, N_LEVELS
+from sim_to_real.nuisances import SEAM_FROM
 from sim_to_real.quadratic import N_EFFECTIVE, Quadratic
 from sim_to_real.refit import FLICKER, NAMED_FROM, Refit, huber_weights, refit, settled
 from sim_to_real.screen import DEAR, FAMILIES, Screened, screen
@@ -170,7 +170,7 @@ def judged(expected: Expected, fitted: Refit) -> Candidate:
     if FLICKER in fitted.ids:
         # A level of its own needs the frame itself; thousands of bins share that one number.
         return Candidate(fitted, plain.chi2)
-    fold, of_seam = folds(expected.observed, FOLDS), slice(N_LEVELS + N_CAMERA, fitted.n_nuisances)
+    fold, of_seam = folds(expected.observed, FOLDS), slice(SEAM_FROM, fitted.n_nuisances)
     costs = np.zeros(len(fold))
     for k in range(FOLDS):
         held = fold == k

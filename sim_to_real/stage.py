@@ -34,7 +34,7 @@ from sim_to_real.covariates import Covariates, Fitted
 from sim_to_real.expected import Expected
 from sim_to_real.free_term import LEAST_EXCESS, HeldOut, hats, hats_of_two
 from sim_to_real.locate import filled, noise_shares
-from sim_to_real.nuisances import N_CAMERA, N_LEVELS, really_there
+from sim_to_real.nuisances import N_LEVELS, SEAM_FROM, really_there
 from sim_to_real.observed import THIN, Float32, ObservedFrame
 
 PER_COEFFICIENT = 0.002
@@ -83,7 +83,7 @@ MOVED: Mapping[str, Moved] = {
 """What is rendered: the arc's centre (mm) and ln radius, the camera's turn (deg) and move (mm), roll and
 pitch (deg), the delay (s). The camera's tangents are those of its nuisances."""
 
-CAMERA_COLUMNS = slice(N_LEVELS, N_LEVELS + N_CAMERA)
+CAMERA_COLUMNS = slice(N_LEVELS, SEAM_FROM)
 """Where the camera's pose is among the nuisances."""
 
 FORMS: tuple[Form, ...] = (

@@ -7,7 +7,7 @@ from noise_model.effects import really
 from noise_model.forward import look
 from noise_model.surface import BentSeam, SeamLine
 from sim_to_real.expected import EDGE_E, EDGE_SHARE
-from sim_to_real.nuisances import N_CAMERA, N_LEVELS
+from sim_to_real.nuisances import N_LEVELS, SEAM_FROM
 from tests.sim_to_real.small import small_recording
 
 
@@ -20,7 +20,7 @@ def test_derivatives_foretell_what_is_rendered_after_a_small_move(expected):
     # Of the arc: a coarse bin's blur spreads a stripe, which derivatives of what is rendered do not know.
     arc = expected.some(np.array([frame.stratum == "arc" for frame in expected.observed.frames]))
     at = arc.neutral.copy()
-    at[N_LEVELS : N_LEVELS + 6] = 0.02, -0.02, 0.03, 0.03, -0.03, 0.02
+    at[N_LEVELS:SEAM_FROM] = 0.02, -0.02, 0.03, 0.03, -0.03, 0.02
     here = arc.passed(arc.neutral, {})
     followed = arc.residuals(
         [arc.moved(frame, light, at) for frame, light in zip(arc.observed.frames, here, strict=True)]
@@ -32,7 +32,7 @@ def test_derivatives_foretell_what_is_rendered_after_a_small_move(expected):
 
 
 def test_no_derivative_is_that_of_an_edge(expected):
-    steps = np.array([[nuisance.step] for nuisance in expected.nuisances[N_LEVELS : N_LEVELS + N_CAMERA]])
+    steps = np.array([[nuisance.step] for nuisance in expected.nuisances[N_LEVELS:SEAM_FROM]])
     for frame, tangents in zip(expected.observed.frames, expected._tangents, strict=True):
         if tangents.laser_e is not None and frame.condition.arc_level == 0.0:
             light = expected.passed(expected.neutral, {})[frame.position].laser_e

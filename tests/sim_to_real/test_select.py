@@ -9,7 +9,7 @@ import pytest
 from noise_model.fit import Parameter
 from sim_to_real import select
 from sim_to_real.held import left_in_pixels
-from sim_to_real.nuisances import N_CAMERA, N_LEVELS
+from sim_to_real.nuisances import SEAM_FROM
 from sim_to_real.quadratic import Quadratic
 from sim_to_real.refit import followed, refit
 from sim_to_real.select import ALIKE_NATS, Candidate, beyond_form, judged, likelihood_nats, told_apart
@@ -39,7 +39,7 @@ def quadratic(J, r, upper=np.inf):
 
 def test_a_seam_that_one_frame_alone_sees_is_not_foretold_from_the_others():
     """Its first mode is seen in the first frame only, whose pull on it the prior would undo."""
-    n_frames, n_bins, seam = 10, 30, N_LEVELS + N_CAMERA
+    n_frames, n_bins, seam = 10, 30, SEAM_FROM
     rng = np.random.default_rng(0)
     parameters = tuple(Parameter(f"p{n}", "", 0.0, 1.0, -30.0, 30.0, 0.1) for n in range(seam + 1))
     J = rng.standard_normal((n_frames * n_bins, seam + 1))
