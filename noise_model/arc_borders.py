@@ -115,8 +115,8 @@ def borders_along(k: ArcKernel) -> Float64:
 def borders_across(k: ArcKernel, face: int, margin_mm: float, borders: Float64) -> int:
     """Write the borders (MAX_BORDERS,) across a face, continued by a margin; return how many."""
     _, _, y_low, y_high = k.reach
-    # A corrugated lap's faces are read where they are seen alone, and end where their shadows change.
-    margin_mm = margin_mm if k.corrugation[0] == 0.0 else 1e-9
+    # A corrugated lap's faces are read where they are seen alone: beyond their edges the light is another.
+    margin_mm = margin_mm if k.corrugation[0] == 0.0 else -1e-9
     y, _, _, _, length = seen_strip(face, k.vertices)
     borders[0] = min(y_low - y, -1.0) if face == 0 else -margin_mm
     borders[1] = max(y_high - y, 1.0) if face == k.vertices.shape[0] - 2 else length + margin_mm

@@ -76,7 +76,8 @@ def clearance(p: float, q: float, rays: Rays, metal: Metal) -> float:
         # Over the upper sheet the ray is before it comes to the edge, or after.
         t = first_crossing(Py - edge_y, across, curve * ox * ox, from_upper)
         first, last = (0.0, min(t, t_arc)) if from_upper else (t, t_arc)
-        if t < t_arc:
+        # A point on the edge itself hides nothing from itself.
+        if t < t_arc and (t > 0.0 or not from_upper):
             free = min(free, Pz + t * oz - _wave(Px + t * ox, metal) - edge_step)
         way = (crest_x - Px) * ox
         if first * ox * ox < way < last * ox * ox:

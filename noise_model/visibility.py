@@ -378,7 +378,7 @@ def sky_planes(
         # Only a lap is corrugated: vertex 1 is the upper sheet's edge, vertex 2 its foot.
         edge_y = vertices[1, 0]
         on_upper = face == 0
-        crosses = (center[1] - beside - edge_y) * (P[1] - edge_y) < 0.0
+        crosses = center[1] - beside > edge_y
         for which in range(2):
             # From the upper sheet: it hides up to its edge, beyond the edge the lower one does.
             if which == 1 and not (on_upper and crosses):

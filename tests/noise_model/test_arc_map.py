@@ -8,6 +8,7 @@ import scenes
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from noise_model.arc_borders import seen_strip
 from noise_model.arc_integral import arc_light, gauss_nodes
 from noise_model.arc_map import (
     CELL,
@@ -19,8 +20,9 @@ from noise_model.arc_map import (
     arc_kernel,
     scene,
 )
-from noise_model.arc_ray import scratch
+from noise_model.arc_ray import light_at, scratch
 from noise_model.brdf import TABLE_1, Lobe, Material, lobe_numbers
+from noise_model.faces import face_point
 from noise_model.frames import invert
 from noise_model.hemisphere import Hemisphere, irradiance_extended, reflected_radiance_extended
 from noise_model.optics import Rays
@@ -39,6 +41,11 @@ def arc_at_pixels(setup, T_base_tool, pixels=None, seam=None, level=1.0, nodes=(
     pixels = np.arange(rays.cos4.size) if pixels is None else pixels
     kernel = arc_kernel(setup, view, level, nodes)
     return arc_at(kernel, rays.xy.reshape(-1, 2), rays.cos4.reshape(-1), pixels)
+
+
+def with_scene(name, along_mm):
+    setup = scenes.setup(name, "zn_coated")
+    return setup, scene(setup, scenes.pose((along_mm, 0.3, 0.0)))
 
 
 def center_after_recording_md(setup, T_base_tool):
@@ -278,6 +285,34 @@ def test_a_corrugated_laps_edge_lies_in_the_ridges_shadow():
     assert np.count_nonzero(want == 0.0) > 5
     assert np.count_nonzero(want > 100.0) > 5
     assert off_by(got[chosen], want).max() < 0.02
+
+
+@pytest.mark.parametrize("along_mm", [-22.0, -14.0, -8.0, -2.0, 4.0, 10.0])
+def test_a_point_of_a_corrugated_edge_sees_what_its_neighbours_on_the_face_see(along_mm):
+    kernel = arc_kernel(*with_scene("corrugation", along_mm))
+    x_low, x_high, _, _ = kernel.reach
+    for face, inward in ((0, -1.0), (2, 1.0)):
+        on = seen_strip(face, kernel.vertices)
+        for x in np.linspace(x_low, x_high, 40):
+            at, beside = (
+                light_at(kernel, face_point(x, s, on, kernel.corrugation), face, scratch())
+                for s in (0.0, 1e-6 * inward)
+            )
+            assert at == pytest.approx(beside, rel=1e-3, abs=0.1)
+
+
+@pytest.mark.parametrize("along_mm", [-14.0, -2.0])
+def test_no_node_of_a_corrugated_laps_table_is_beyond_a_faces_edge(along_mm):
+    """There the light is that of a point in the air or in the metal: the table would follow the jump."""
+    setup, view = with_scene("corrugation", along_mm)
+    rays = Rays.of(setup.camera)
+    kernel = arc_kernel(setup, view)
+    table = ArcMap.of(kernel, rays.xy.reshape(-1, 2), rays.cos4.reshape(-1), len(rays.cos4)).table
+    for face in range(3):
+        borders = table.s_borders[face, : table.n_s[face]]
+        length = kernel.vertices[1, 1] if face == 1 else np.inf
+        assert borders[0] > (-np.inf if face == 0 else 0.0)
+        assert borders[-1] < (0.0 if face == 0 else length)
 
 
 def test_it_scales_with_level_and_radiance():
