@@ -91,10 +91,7 @@ def survey(recording: Recording, on_frame: Callable[[int], None] | None = None) 
 
 
 def path_over_seam(poses: PoseTable, setup: Setup) -> Float64:
-    """Return the tool's origin (n, 3), mm, over the nominal seam: along it, to its left, above it.
-
-    Along a line of several segments it is the distance from base's origin along the one that is nearest.
-    """
+    """Return the tool's origin (n, 3), mm, over the nominal seam: along it, to its left, above it."""
     origins = poses.T_base_tool[:, :3, 3]
     return np.array([transform(invert(seam_frame(setup.joint, at)), at[None, :])[0] for at in origins])
 
@@ -113,7 +110,7 @@ def motion_of(poses: PoseTable, setup: Setup) -> Motion:
         jitter_s=float(gaps_s.std()),
         longest_gap_s=float(gaps_s.max()),
         travel_mm=travel_mm,
-        # The median holds against a jump in the station where one segment of the seam meets the next.
+        # The median holds against a jump in the poses.
         travel_speed_mm_s=abs(float(np.median(np.diff(over_seam[:, 0]) / gaps_s))),
         lateral_mm=(float(over_seam[:, 1].min()), float(over_seam[:, 1].max())),
         height_mm=(float(over_seam[:, 2].min()), float(over_seam[:, 2].max())),

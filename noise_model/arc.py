@@ -9,8 +9,8 @@ from dataclasses import dataclass
 class Arc:
     """The arc as stated: a hemisphere of uniform radiance of which only the upper half shines.
 
-    With `on_surface` its centre lies below the tool's origin (x, y of `center_in_tool_mm` turned with the
-    tool), at the joint's reference surface, raised by a corrugation's height there, plus
+    With `on_surface` its centre lies below the tool's origin (`center_in_tool_mm` turned with the tool, its z
+    included, says where), at the joint's reference surface, raised by a corrugation's height there, plus
     `center_in_tool_mm[2]`. `radiance_e` is the charge that a pixel on the optical axis receives per unit of
     the integral of f_r cos(phi) cos(theta_i) / r^2 dA at `current_a`; it scales with
     (I / current_a)^current_exponent.

@@ -15,6 +15,7 @@ from noise_model.arc_ray import ArcKernel
 from noise_model.faces import Strip, strip
 from noise_model.frames import Float64
 from noise_model.kernel import kernel
+from noise_model.visibility import is_curved_lap
 
 PATCH_MM, CURVED_PATCH_MM = 48.0, 16.0
 """The largest patch, and the largest where borders of shadows may run across the patches, uncut."""
@@ -115,8 +116,8 @@ def borders_along(k: ArcKernel) -> Float64:
 def borders_across(k: ArcKernel, face: int, margin_mm: float, borders: Float64) -> int:
     """Write the borders (MAX_BORDERS,) across a face, continued by a margin; return how many."""
     _, _, y_low, y_high = k.reach
-    # A corrugated lap's faces are read where they are seen alone: beyond their edges the light is another.
-    margin_mm = margin_mm if k.corrugation[0] == 0.0 else -1e-9
+    # A curved lap's faces are read where they are seen alone: beyond their edges the light is another.
+    margin_mm = -1e-9 if is_curved_lap(k.vertices, k.corrugation, k.bend) else margin_mm
     y, _, _, _, length = seen_strip(face, k.vertices)
     borders[0] = min(y_low - y, -1.0) if face == 0 else -margin_mm
     borders[1] = max(y_high - y, 1.0) if face == k.vertices.shape[0] - 2 else length + margin_mm

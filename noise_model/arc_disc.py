@@ -10,11 +10,12 @@ import math
 
 from noise_model.frames import Float64, Vector
 from noise_model.kernel import kernel
+from noise_model.visibility import MAX_LEDGES
 
-MAX_PIECES = 40
+MAX_PIECES = 256
 """Room for the borders' crossings."""
 
-MAX_PARTS = 8
+MAX_PARTS = 2 * MAX_LEDGES + 2
 """Room for the open parts of one chord."""
 
 Axes = tuple[float, float, float, float, float, float, float, float]
@@ -271,6 +272,8 @@ def wall_parts(
                 m_v = tan_b * (m_y * vy + m_z * vz)
                 if m_v > 1e-12:
                     begin = max(begin, -at_p / m_v)
+                elif m_v < -1e-12:
+                    end = min(end, -at_p / m_v)
                 elif at_p <= 0.0:
                     begin = end
         if end > begin:

@@ -80,20 +80,10 @@ def search_path(setup: Setup) -> Path:
 def recorded_path(setup: Setup, poses: Sequence[Float64]) -> Path:
     """Return the path of reported poses T_base_tool, thinned to `MOST_STATIONS`, by place on the seam."""
     joint = setup.joint
-    points = np.asarray(joint.seam_in_base_mm)
-    ends = _segment_lengths(joint)
     chosen = np.unique(np.linspace(0, len(poses) - 1, min(len(poses), MOST_STATIONS)).round().astype(int))
     T_base_tool = np.array([poses[i] for i in chosen])
-    stations = []
-    for T in T_base_tool:
-        frame = seam_frame(joint, T[:3, 3])
-        # Which segment it is follows from the frame's own direction and place.
-        starts = np.abs(transform(invert(frame), points[:-1])[:, 1:]).sum(axis=1)
-        onward = np.abs(transform(invert(frame), points[1:])[:, 1:]).sum(axis=1)
-        segment = int(np.argmin(starts + onward))
-        along = transform(invert(frame), T[:3, 3])[0] - transform(invert(frame), points[segment])[0]
-        stations.append(float(ends[segment]) + along)
-    return Path(np.array(stations), T_base_tool, float(ends[-1]))
+    stations = [transform(invert(seam_frame(joint, T[:3, 3])), T[:3, 3])[0] for T in T_base_tool]
+    return Path(np.array(stations) - _first_station(joint), T_base_tool, float(_segment_lengths(joint)[-1]))
 
 
 def noise_along(
@@ -146,6 +136,12 @@ def _segment_lengths(joint: Joint) -> Float64:
     return np.concatenate([[0.0], np.cumsum(np.linalg.norm(steps, axis=1))])
 
 
+def _first_station(joint: Joint) -> float:
+    """Return the station, mm, at which the nominal seam begins in the joint's frame."""
+    start = np.asarray(joint.seam_in_base_mm[0])
+    return float(transform(invert(seam_frame(joint, start)), start)[0])
+
+
 def _upright(setup: Setup, station_mm: float) -> Float64:
     """Return T_base_tool over a station of the seam."""
     joint = setup.joint
@@ -155,6 +151,6 @@ def _upright(setup: Setup, station_mm: float) -> Float64:
     middle = 0.5 * (points[segment] + points[segment + 1])
     T_base_joint = seam_frame(joint, middle)
     T_joint_tool = np.eye(4)
-    x = transform(invert(T_base_joint), points[segment])[0] + station_mm - ends[segment]
+    x = _first_station(joint) + station_mm
     T_joint_tool[:3, 3] = x, 0.0, float(corrugation_height(np.array(x), section(joint).corrugation))
     return T_base_joint @ T_joint_tool

@@ -45,12 +45,16 @@ SAGITTA_MM, MOST_CHORDS = 0.01, 16
 
 @dataclass(frozen=True)
 class Joint:
-    """The joint as stated: its type, its dimensions (mm, deg) by name and its nominal seam line in base."""
+    """The joint as stated: its type, its dimensions (mm, deg) by name and its nominal seam line in base.
+
+    Stations count from the foot of `station_origin_mm`, a point of base, on the seam's first segment.
+    """
 
     type: str
     dimensions: Mapping[str, float]
     seam_in_base_mm: tuple[tuple[float, float, float], ...]
     surface_normal_in_base: tuple[float, float, float] = (0.0, 0.0, 1.0)
+    station_origin_mm: tuple[float, float, float] = (0.0, 0.0, 0.0)
 
     def __post_init__(self) -> None:
         if self.type not in DIMENSIONS:
@@ -334,10 +338,10 @@ def corrugation_height(x_mm: Float64, corrugation: Float64) -> Float64:
 def seam_frame(joint: Joint, point_base_mm: Float64) -> Float64:
     """Return T_base_joint of the line segment nearest to a point of base.
 
-    Its origin is the foot of base's origin on that segment's line, so x along a straight seam counts as
-    base's does and a corrugation keeps its place.
+    Its x is the station, counted along the segments: along the first as base's does, from the foot of base's
+    origin, so that a corrugation keeps its place, and on from there through every bend.
     """
-    frames = _segment_frames(joint.seam_in_base_mm, joint.surface_normal_in_base)
+    frames = _segment_frames(joint.seam_in_base_mm, joint.surface_normal_in_base, joint.station_origin_mm)
     if len(frames) == 1:
         return frames[0].copy()
     points = np.asarray(joint.seam_in_base_mm, dtype=np.float64)
@@ -348,16 +352,23 @@ def seam_frame(joint: Joint, point_base_mm: Float64) -> Float64:
 
 
 @lru_cache
-def _segment_frames(seam_in_base_mm: tuple[Point, ...], normal_in_base: Point) -> list[Float64]:
+def _segment_frames(
+    seam_in_base_mm: tuple[Point, ...], normal_in_base: Point, station_origin_mm: Point
+) -> list[Float64]:
     """Return T_base_joint of each segment of a seam line: every look at a pose asks for one."""
     points = np.asarray(seam_in_base_mm, dtype=np.float64)
-    frames = []
+    frames: list[Float64] = []
+    station = 0.0
     for start, step in zip(points[:-1], np.diff(points, axis=0), strict=True):
-        x_axis = step / np.linalg.norm(step)
+        length = float(np.linalg.norm(step))
+        x_axis = step / length
+        if not frames:
+            station = (start - station_origin_mm) @ x_axis
         y_axis = cross(normal_in_base, x_axis)
         y_axis /= np.linalg.norm(y_axis)
         T_base_joint = np.eye(4)
         T_base_joint[:3, :3] = np.transpose([x_axis, y_axis, cross(x_axis, y_axis)])
-        T_base_joint[:3, 3] = start - (start @ x_axis) * x_axis
+        T_base_joint[:3, 3] = start - station * x_axis
         frames.append(T_base_joint)
+        station += length
     return frames

@@ -18,7 +18,7 @@ import numpy.typing as npt
 from noise_model.faces import face_normal, ridge
 from noise_model.frames import Float64, Vector
 from noise_model.kernel import kernel
-from noise_model.surface import Section, corrugation_height
+from noise_model.surface import MOST_CHORDS, Section, corrugation_height
 
 Bend = tuple[float, float]
 """How edges leave the direction of x towards the arc: dy/dx at P, and how far to the left at the arc, mm."""
@@ -32,8 +32,8 @@ RIDGE_STEPS = 64
 MAX_PLANES = 12
 """Room for the half-spaces of one surface point."""
 
-MAX_LEDGES = 2
-"""Room for the faces that cut into the arc, as one surface point sees them: one on either side."""
+MAX_LEDGES = 2 * MOST_CHORDS + 4
+"""Room for the faces that cut into the arc, as one surface point sees them: a rounding's chords are most."""
 
 HORIZON_STEP_MM = 0.25
 """The horizon table's step along x; the touching point is a maximum, so the error is of second order."""

@@ -27,12 +27,15 @@ def _surface_tilt(setup: Setup, values: Values) -> Setup:
     T_base_tilted = moved(T_base_joint, turn_deg, np.zeros(3)) @ invert(T_base_joint)
     seam = transform(T_base_tilted, np.asarray(joint.seam_in_base_mm))
     nx, ny, nz = T_base_tilted[:3, :3] @ np.asarray(joint.surface_normal_in_base)
+    # Stations, and ridges with them, turn with the joint.
+    x_0, y_0, z_0 = transform(T_base_tilted, np.asarray(joint.station_origin_mm))
     return replace(
         setup,
         joint=replace(
             joint,
             seam_in_base_mm=tuple((float(x), float(y), float(z)) for x, y, z in seam),
             surface_normal_in_base=(float(nx), float(ny), float(nz)),
+            station_origin_mm=(float(x_0), float(y_0), float(z_0)),
         ),
     )
 

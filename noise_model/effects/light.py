@@ -45,6 +45,11 @@ class Light:
         self.pass_through(lambda image: np.asarray(image * factor, dtype=np.float32))
         self.variance_e2 = np.asarray(self.variance_e2 * factor**2, dtype=np.float32)
 
+    def scale_arc(self, factor: Float32) -> None:
+        """Multiply the arc's light, and what goes up and down with it."""
+        self.arc = self.arc * factor
+        self.modes = {name: mode * factor for name, mode in self.modes.items()}
+
     def spread(
         self,
         passed: np.float32 | Float32,

@@ -51,37 +51,40 @@ def gathered_depth_mm(
     length_mm: Float64,
     source_mm: Float64,
     gathered_per_mm: float,
+    radius_mm: float = 0.0,
 ) -> Float64:
     """Return integral dt / (1 + g^2 r^2) (...,), mm, along the rays of `airlight_integral`.
 
     So fume thins out that is gathered about the arc, r from it. With a^2 = 1/g^2 + D^2 it is
-    (atan((l - t_0) / a) + atan(t_0 / a)) / (g^2 a), and the length itself for even fume, g = 0.
+    (atan((l - t_0) / a) + atan(t_0 / a)) / (g^2 a), and the length itself for even fume, g = 0. D is held at
+    a `radius_mm`.
     """
     if gathered_per_mm == 0.0:
         return length_mm
     t_0, square = _nearest(origin_mm, direction, source_mm)
-    a = np.sqrt(1.0 / gathered_per_mm**2 + np.maximum(square, 0.0))
+    a = np.sqrt(1.0 / gathered_per_mm**2 + np.maximum(square, radius_mm**2))
     return _fall_off(length_mm, t_0, a) / gathered_per_mm**2
 
 
 def _fume(light: Light, view: View, condition: Condition, values: Values, draw: Draw) -> None:
     beta, gathered = values["extinction_per_m"] * 1e-3, values["gathered_per_mm"]
-    depth_mm = _fume_depth_mm(view, gathered)
-    light.scale(np.exp(-beta * depth_mm).astype(np.float32))
+    light.scale(np.exp(-beta * _fume_depth_mm(view, gathered, 0.0)).astype(np.float32))
     if condition.arc_level > 0.0:
         # What one unit of albedo and of extinction, 1/mm, scatters into the pixels of a unit of radiance.
         even = view.keep("fume_airlight", lambda: _airlight(view))
-        # 1 / (r^2 (1 + g^2 r^2)) = 1 / r^2 - g^2 / (1 + g^2 r^2)
-        along = even - gathered**2 * depth_mm
+        # 1 / (r^2 (1 + g^2 r^2)) = 1 / r^2 - g^2 / (1 + g^2 r^2), both of the same r.
+        along = even - gathered**2 * _fume_depth_mm(view, gathered, view.setup.arc.radius_mm)
         unit = view.cos4 * (_seen_area_mm2(view) / (4.0 * math.pi) * along).astype(np.float32)
         scattered = condition.arc_level * view.setup.arc.radiance_e * values["scatter"] * beta
         light.arc = light.arc + np.float32(scattered) * unit
 
 
-def _fume_depth_mm(view: View, gathered_per_mm: float) -> Float64:
+def _fume_depth_mm(view: View, gathered_per_mm: float, radius_mm: float) -> Float64:
     where = view.scene
     camera = where.T_joint_camera[:3, 3]
-    return gathered_depth_mm(camera, view.directions, _air_mm(view), where.center_mm, gathered_per_mm)
+    return gathered_depth_mm(
+        camera, view.directions, _air_mm(view), where.center_mm, gathered_per_mm, radius_mm
+    )
 
 
 def _air_mm(view: View) -> Float64:

@@ -46,6 +46,7 @@ def _arc_flicker(light: Light, view: View, condition: Condition, values: Values,
 
 
 def _argon_line_leak(light: Light, view: View, condition: Condition, values: Values, draw: Draw) -> None:
+    # Behind the lens as well: what bounces, and what fume scatters, goes through the same filter.
     spectrum, of_filter = ArcSpectrum(line_width_nm=values["line_width_nm"]), view.setup.filter
 
     def over_continuum(theta: Float64) -> Float64:
@@ -53,7 +54,7 @@ def _argon_line_leak(light: Light, view: View, condition: Condition, values: Val
         steeper = 10.0 ** (-values["edge_od_per_nm"] * moved_nm)
         return np.asarray(line_to_continuum(of_filter, spectrum, theta) * steeper)
 
-    light.arc = light.arc * (1.0 + over_field(over_continuum, view.theta)).astype(np.float32)
+    light.scale_arc((1.0 + over_field(over_continuum, view.theta)).astype(np.float32))
 
 
 EFFECTS = (
@@ -61,7 +62,7 @@ EFFECTS = (
         id="arc_length",
         stage=Stage.SOURCE,
         summary="the arc's centre stands higher than stated",
-        equation="center_z' = center_z + height_mm",
+        equation="center_z' = center_z + height_mm, along the tool's axis",
         source="the plasma is hottest, and so brightest, near the cathode (Hsu, Etemadi and Pfender 1983, "
         "J. Appl. Phys. 54, 1293): the light's height goes with the arc gap",
         parameters=(Parameter("height_mm", "mm", 0.0, 1.0, -3.0, 8.0, 0.02),),
@@ -120,6 +121,6 @@ EFFECTS = (
             Parameter("edge_od_per_nm", "", 0.0, 0.5, 0.0, 3.0, 0.02),
         ),
         typical={"line_width_nm": 20.0},
-        light=_argon_line_leak,
+        image=_argon_line_leak,
     ),
 )

@@ -21,13 +21,13 @@ from noise_model.arc_map import (
     scene,
 )
 from noise_model.arc_ray import light_at, scratch
-from noise_model.brdf import TABLE_1, Lobe, Material, lobe_numbers
-from noise_model.faces import face_point
+from noise_model.brdf import TABLE_1, Lobe, Material, lobe_numbers, reflected
+from noise_model.faces import face_normal, face_point
 from noise_model.frames import invert
 from noise_model.hemisphere import Hemisphere, irradiance_extended, reflected_radiance_extended
 from noise_model.optics import Rays
-from noise_model.surface import SeamLine
-from noise_model.visibility import MISS
+from noise_model.surface import Joint, SeamLine, section
+from noise_model.visibility import MISS, is_open
 
 UP = np.array([0.0, 0.0, 1.0])
 QUARTER_DN_E = 20.0
@@ -245,6 +245,45 @@ def test_an_arc_that_the_workpiece_cuts_into(name, height_mm, pose):
     want, _ = twin_at_pixels(setup, POSES[pose], pixels)
     error = off_by(got, want)
     assert error.max() < (0.02 if pose == "over the sheet" else 0.01)
+
+
+HALF_V = Joint("half_v", {"bevel_angle_deg": 45.0, "depth_mm": 4.0, "root_gap_mm": 1.0}, scenes.LINE)
+
+
+@pytest.mark.parametrize(
+    ("joint", "center_mm", "at_mm"),
+    [
+        # Many chords of a rounding cut into the arc.
+        ("u_groove", (0.0, 0.0, -5.5), [(36.0, -2.0), (36.0, -0.3), (36.0, 0.3), (36.0, 2.0)]),
+        ("u_groove", (0.0, 0.0, -4.5), [(20.0, -2.0), (20.0, 2.0)]),
+        # The wall that cuts into it stands close by: its rim hides what lies over it.
+        (HALF_V, (0.0, 0.3, -1.0), [(4.0, -0.45), (6.0, -0.4), (12.0, -0.45), (12.0, 1.0)]),
+    ],
+)
+def test_an_arc_behind_walls_is_the_sum_of_what_a_walk_finds_open(joint, center_mm, at_mm):
+    """Over the luminous half-sphere, place by place. The eye stands over the point that it looks at."""
+    setup = scenes.setup(joint, arc_center_mm=center_mm)
+    kernel = arc_kernel(setup, scene(setup, scenes.pose()))
+    shape, radius = section(setup.joint), setup.arc.radius_mm
+    elevation, azimuth = ((np.arange(n) + 0.5) / n for n in (80, 240))
+    sin_e, turn = (of.ravel() for of in np.meshgrid(elevation, 2.0 * np.pi * azimuth, indexing="ij"))
+    level = np.sqrt(1.0 - sin_e**2)
+    outward = np.column_stack([level * np.cos(turn), level * np.sin(turn), sin_e])
+    on_arc, area = np.array(kernel.center) + radius * outward, 2.0 * np.pi * radius**2 / len(outward)
+    for x, y in at_mm:
+        face = int(np.searchsorted(shape.vertices[:, 0], y)) - 1
+        P = np.array([x, y, np.interp(y, shape.vertices[:, 0], shape.vertices[:, 1])])
+        above = kernel._replace(eye=(x, y, 150.0))
+        normal = np.array(face_normal(face, x, shape.vertices, shape.corrugation))
+        way = on_arc - P
+        distance = np.linalg.norm(way, axis=1)
+        omega_i, cos_phi = way / distance[:, np.newaxis], -np.sum(way * outward, axis=1) / distance
+        seen = (omega_i @ normal > 0.0) & (cos_phi > 0.0)
+        seen[seen] = is_open(np.broadcast_to(P, way[seen].shape), on_arc[seen], shape, steps=600)
+        f_r = [reflected(kernel.material, tuple(o), (0.0, 0.0, 1.0), tuple(normal)) for o in omega_i[seen]]
+        cosines = (omega_i @ normal * cos_phi)[seen]
+        want = kernel.radiance_e * area * np.sum(np.array(f_r) * cosines / distance[seen] ** 2)
+        assert light_at(above, tuple(P), face, scratch()) == pytest.approx(want, rel=0.02)
 
 
 @pytest.mark.parametrize("pose", POSES)

@@ -12,6 +12,8 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 from noise_model.effects import pose_time_s, really
+from noise_model.frames import moved
+from noise_model.surface import seam_frame
 from noise_model.view import View
 
 LASER = CONDITIONS["laser"]
@@ -54,6 +56,17 @@ def on_the_sheet(T_base_tool, normal, point):
     base = (column @ np.stack([np.full(801, 35.0), y, np.zeros(801)])).T + offset
     z = ((point - base) @ normal) / (column[:, 2] @ normal)
     return base + z[:, np.newaxis] * column[:, 2]
+
+
+def test_a_tilted_plate_takes_its_stations_and_ridges_along():
+    """Where the joint is not in base's plane its frame would slide along the seam otherwise."""
+    low = ((-300.0, 0.0, -150.0), (300.0, 0.0, -150.0))
+    setup = nominal("corrugation")
+    setup = dataclasses.replace(setup, joint=dataclasses.replace(setup.joint, seam_in_base_mm=low))
+    true = really(affected(setup, surface_tilt={"pitch_deg": 5.0, "roll_deg": 1.0}))
+    at = np.array([0.0, 0.0, -150.0])
+    turned = moved(seam_frame(setup.joint, at), [1.0, 5.0, 0.0], np.zeros(3))
+    np.testing.assert_allclose(seam_frame(true.joint, at), turned, atol=1e-9)
 
 
 def test_a_camera_off_its_place_sees_the_stripe_elsewhere():

@@ -93,6 +93,20 @@ def test_a_flickering_arc_is_one_mode_in_proportion_to_its_light():
     np.testing.assert_allclose(got.modes_e["arc_flicker"], 0.2 * arc, rtol=1e-5)
 
 
+def test_the_filter_leaks_whatever_way_the_arcs_light_came():
+    """What fume scatters goes through it as what a plate reflects does."""
+    setup, fume = nominal("flat", psf_sigma_px=0.0), {"fume": {"extinction_per_m": 2.0, "scatter": 0.5}}
+    leak = {"argon_line_leak": {"line_width_nm": 20.0}}
+
+    def arc(level_e, **effects):
+        return passed(affected(setup, **effects), light_of(np.full((60, 80), level_e)), ARC).arc
+
+    leaks, scattered = arc(1.0, **leak), arc(0.0, **fume)
+    assert scattered.min() > 10.0
+    np.testing.assert_allclose(arc(0.0, **fume, **leak), leaks * scattered, rtol=1e-5)
+    np.testing.assert_allclose(arc(100.0, **fume, **leak), leaks * arc(100.0, **fume), rtol=1e-5)
+
+
 def test_the_mode_is_what_an_arc_of_another_output_adds():
     """Through all that acts on the light: fume, filter, glare, window, lens and exposure."""
     others = {

@@ -123,6 +123,31 @@ def test_the_depth_of_gathered_fume_is_that_of_quadrature(gathered_per_mm):
         assert got[i] == pytest.approx(quad(thins, 0.0, length[i], limit=200)[0], rel=1e-6)
 
 
+def test_a_ray_through_the_arc_gathers_no_negative_light():
+    """Within the source's radius neither part of the airlight falls off any more."""
+    setup = nominal("flat", psf_sigma_px=0.0)
+    eye = np.array([-20.0, 0.0, 135.0])
+    camera = scenes.camera((tuple(eye), (0.0, 0.0, 1.0)), width=80, height=60, psf_sigma_px=0.0)
+    values = {"extinction_per_m": 2.0, "scatter": 0.5, "gathered_per_mm": 0.3}
+    setup = dataclasses.replace(setup, camera=camera, arc=dataclasses.replace(setup.arc, radius_mm=6.0))
+    got = passed(affected(setup, fume=values), light_of(np.zeros((60, 80))), ARC).arc
+    assert got.min() > 0.0
+    points, omega_r = on_the_plate(camera)
+    P, d = points[30, 40], -omega_r[30, 40]
+    nearest = float(-eye @ d)
+    assert np.linalg.norm(eye + nearest * d) < 6.0
+
+    def scatters(t):
+        # The ray's closest distance is held at the arc's radius.
+        square = 36.0 + (t - nearest) ** 2
+        return 1.0 / (square * (1.0 + 0.3**2 * square))
+
+    length = float(np.linalg.norm(P - eye))
+    A_eff = 0.5 * math.pi * 36.0 * (1.0 + eye[2] / np.linalg.norm(eye))
+    wanted = 0.5 * 0.002 * A_eff / (4.0 * math.pi) * quad(scatters, 0.0, length, points=[nearest])[0]
+    assert got[30, 40] == pytest.approx(setup.arc.radiance_e * cos4(camera)[30, 40] * wanted, rel=1e-3)
+
+
 def test_the_fume_dims_by_beer_and_lambert():
     setup = nominal("flat", psf_sigma_px=0.0)
     points, _ = on_the_plate(setup.camera)

@@ -7,6 +7,7 @@ import scenes
 from hypothesis import given
 from hypothesis import strategies as st
 
+from noise_model.frames import invert
 from noise_model.surface import (
     REACH_MM,
     Joint,
@@ -114,6 +115,28 @@ def test_of_several_segments_the_nearest_one_counts():
     np.testing.assert_allclose(
         seam_frame(joint, np.array([3.0, 400.0, 0.0]))[:3, 0], [0.0, 1.0, 0.0], atol=1e-12
     )
+
+
+@given(
+    st.tuples(millimetres, millimetres, millimetres),
+    st.lists(st.tuples(st.floats(5.0, 300.0), st.floats(-80.0, 80.0)), min_size=2, max_size=5),
+)
+def test_stations_run_on_through_every_bend(start, steps):
+    """As long as the way is: the seam's history on one segment is asked for stations of the next."""
+    points = [np.array(start)]
+    heading = 0.0
+    for length, turn_deg in steps:
+        heading += math.radians(turn_deg)
+        points.append(points[-1] + length * np.array([math.cos(heading), math.sin(heading), 0.0]))
+    joint = dataclasses.replace(scenes.JOINTS["flat"], seam_in_base_mm=tuple(tuple(p) for p in points))
+    began = seam_frame(joint, 0.5 * (points[0] + points[1]))
+    expected = (invert(began) @ [*points[0], 1.0])[0]
+    assert expected == pytest.approx(points[0] @ began[:3, 0], abs=1e-9)
+    for before, after, (length, _) in zip(points[:-1], points[1:], steps, strict=True):
+        T_joint_base = invert(seam_frame(joint, 0.5 * (before + after)))
+        np.testing.assert_allclose(T_joint_base @ [*before, 1.0], [expected, 0.0, 0.0, 1.0], atol=1e-6)
+        expected += length
+        np.testing.assert_allclose(T_joint_base @ [*after, 1.0], [expected, 0.0, 0.0, 1.0], atol=1e-6)
 
 
 @given(millimetres, millimetres, millimetres, slopes, slopes)

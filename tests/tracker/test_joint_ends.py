@@ -169,7 +169,8 @@ def test_the_ends_of_the_nominal_line() -> None:
     on_first = invert(seam_frame(angle, np.array([10.0, 1.0, 0.0])))
     on_last = invert(seam_frame(angle, np.array([61.0, 50.0, 0.0])))
     assert nominal_ends(angle, on_first) == (-20.0, math.inf)
-    assert nominal_ends(angle, on_last) == pytest.approx((-math.inf, 90.0))
+    # Stations run on through the corner: 80 mm of the first segment, 90 of the second.
+    assert nominal_ends(angle, on_last) == pytest.approx((-math.inf, 150.0))
     straight = Joint("flat", {}, ((-20.0, 5.0, 1.0), (60.0, 5.0, 1.0)))
     assert nominal_ends(straight, invert(seam_frame(straight, np.zeros(3)))) == (-20.0, 60.0)
 
