@@ -170,7 +170,8 @@ def _steps(recording: Recording, use_arc_map: bool) -> Iterator[Step]:
     tracker = tracker_of(recording, use_arc_map)
     for row, frame in zip(recording.rows, recording.frames(), strict=True):
         if isinstance(frame, BadFrame):
-            yield Step(row, frame, Track(row.index, row.timestamp_s, flags.FRAME_UNREADABLE.mask), NAN)
+            raised = flags.FRAME_UNREADABLE.mask | tracker.state.lasting_flags
+            yield Step(row, frame, Track(row.index, row.timestamp_s, raised), NAN)
             continue
         pose = recording.pose_at(poses, frame.timestamp_s)
         began_ns = time.perf_counter_ns()
@@ -263,10 +264,16 @@ def no_pace(_row: FrameRow) -> None:
 
 
 def recorded_pace(first: FrameRow) -> Callable[[FrameRow], None]:
-    """Return a function that waits until a frame's time has come: a real bus carries no more."""
-    began_s = time.monotonic()
+    """Return a function that waits until a frame's time has come: a real bus carries no more.
+
+    The clock starts when it is first called: what is got ready before that takes its own time.
+    """
+    began_s = math.nan
 
     def wait(row: FrameRow) -> None:
+        nonlocal began_s
+        if math.isnan(began_s):
+            began_s = time.monotonic()
         time.sleep(max(0.0, row.timestamp_s - first.timestamp_s - (time.monotonic() - began_s)))
 
     return wait

@@ -74,12 +74,16 @@ def estimate_hand_eye(
     """Estimate T_tool_camera from frames and their poses, some of them with the arc on.
 
     The seam is taken as straight over the recording: its place and direction are fitted along. Every
-    `lattice_px`-th pixel of each row and column is compared. Raises ValueError if no frame has the arc on, if
+    `lattice_px`-th pixel of each row and column is compared; frames of unknown current count where none is
+    known. Raises ValueError if no frame has the arc on, if
     the joint was found in none, or if the camera would have to be off by more than FAR_SIGMAS of its
     tolerance or the arc by a factor of MOST_LEVEL: then the seam is not straight, or arc or material are not
     as stated.
     """
-    lit = [(frame, pose) for frame, pose in frames if frame.arc_on and frame.current_a > 0.0]
+    lit = [(frame, pose) for frame, pose in frames if frame.arc_on and frame.current_a != 0.0]
+    if any(frame.current_a > 0.0 for frame, _ in lit):
+        # One level is fitted for all: a frame whose current is unknown may have another.
+        lit = [(frame, pose) for frame, pose in lit if frame.current_a > 0.0]
     if not lit:
         raise ValueError("no frame has the arc on: the hand-eye estimate needs the arc's light")
     seam = _straight_seam(setup, frames)
@@ -133,7 +137,6 @@ class _View:
 
     geometry: SensorGeometry
     pose: Pose
-    timestamp_s: float
     pixels: npt.NDArray[np.int64]
     charge_e: Float64
     output: float
@@ -159,11 +162,10 @@ class _View:
             near, near_face = arc_at(kernel, geometry.xy, geometry.cos4, s_near * geometry.n_pos + r_near)
             with np.errstate(invalid="ignore"):
                 keep &= (near_face == face) & (np.abs(near - predicted) <= STEEPEST * predicted)
-        output = current_level(setup.arc, frame.current_a) * frame.exposure_s / setup.camera.exposure_s
+        current = current_level(setup.arc, frame.current_a) if frame.current_a > 0.0 else 1.0
+        output = current * frame.exposure_s / setup.camera.exposure_s
         pixels = (s * geometry.n_pos + r)[keep]
-        return cls(
-            geometry, pose, frame.timestamp_s, pixels, geometry.charge_e[dn[keep]].astype(np.float64), output
-        )
+        return cls(geometry, pose, pixels, geometry.charge_e[dn[keep]].astype(np.float64), output)
 
     def residual(self, setup: Setup, level: float, black_e: float, seam: SeamLine) -> Float64:
         """Return the whitened residuals (n,) against a setup; past the part no light is expected."""
@@ -175,7 +177,7 @@ class _View:
         def light(pixels: npt.NDArray[np.int64]) -> npt.NDArray[np.float32]:
             return arc_at(kernel, self.geometry.xy, self.geometry.cos4, pixels)[0]
 
-        passage = Passage.of(self.geometry, view, light, output, self.timestamp_s)
+        passage = Passage.of(self.geometry, view, light, output)
         arc_e, other_e = seen_arc(light, passage, self.pixels)
         mean = np.nan_to_num(arc_e) + other_e + black_e
         variance = np.maximum(mean, 0.0) + self.geometry.dark_variance_e2 + (MAP_SIGMA * mean) ** 2
@@ -186,11 +188,12 @@ def _fit(setup: Setup, views: Sequence[_View], seam: SeamLine) -> Fit:
     """Fit the camera's change, the arc's level, the black level and a straight seam to all views."""
     tolerance, ln_level = setup.tolerance, math.log(MOST_LEVEL)
     deg, mm = max(tolerance.hand_eye_deg, 1e-6), max(tolerance.hand_eye_mm, 1e-6)
+    black_e = max(tolerance.black_level_dn * setup.sensor.gain_e_per_dn, 1e-3)
     parameters = [
         *(Parameter(name, "deg", 0.0, deg, step=0.01) for name in CAMERA[:3]),
         *(Parameter(name, "mm", 0.0, mm, step=0.01) for name in CAMERA[3:]),
         Parameter("ln_arc_level", "", 0.0, lower=-ln_level, upper=ln_level, step=1e-3),
-        Parameter("black_level", "e-", 0.0, tolerance.black_level_dn * setup.sensor.gain_e_per_dn, step=1.0),
+        Parameter("black_level", "e-", 0.0, black_e, step=1.0),
         Parameter("seam_y", "mm", seam.y_mm, SEAM_SIGMA_MM, step=0.01),
         Parameter("seam_z", "mm", seam.z_mm, SEAM_SIGMA_MM, step=0.01),
         Parameter("seam_slope_y", "mm/mm", seam.slope_y, SEAM_SLOPE_SIGMA, step=5e-4),

@@ -67,11 +67,12 @@ class Inbox:
     def latest(self, message_type: type[M], now_s: float) -> M | None:
         """Return the newest message of a type, or None if there is none or it is stale at `now_s`.
 
-        `now_s` is on the clock of the frames' timestamps.
+        `now_s` is on the clock of the frames' timestamps. A message from as far in the future is stale as
+        well: that clock was set back, and nothing tells how old the message is.
         """
         received = self._latest.get(message_type)
         stale_after_s = STALE_PERIODS * cycle_time_s(message_layout(message_type.__name__))
-        if received is None or now_s - received.timestamp_s > stale_after_s:
+        if received is None or not abs(now_s - received.timestamp_s) <= stale_after_s:
             return None
         assert isinstance(received.message, message_type)
         return received.message

@@ -12,6 +12,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 import numpy.typing as npt
 
+from noise_model.condition import Condition
 from noise_model.effects import really
 from noise_model.forward import Renderer, predict
 from noise_model.frames import Float64
@@ -53,7 +54,8 @@ def arc_agreement(setup: Setup, frames: Sequence[tuple[Frame, Pose]]) -> Agreeme
     setup = _with_black_level(setup, [f for f, _ in frames if not f.arc_on and not f.laser_on])
     indices, ratios = [], []
     for frame, pose in lit:
-        recorded, predicted = _blocks(setup, frame, pose, renderer)
+        condition = stated_condition(setup, frame, frames[0][0].timestamp_s)
+        recorded, predicted = _blocks(setup, frame, pose, condition, renderer)
         if len(recorded):
             indices.append(frame.index)
             ratios.append(recorded / predicted)
@@ -77,10 +79,11 @@ def _with_black_level(setup: Setup, dark: Sequence[Frame]) -> Setup:
     return replace(setup, sensor=replace(setup.sensor, black_level_dn=black_dn))
 
 
-def _blocks(setup: Setup, frame: Frame, pose: Pose, renderer: Renderer) -> tuple[Float64, Float64]:
+def _blocks(
+    setup: Setup, frame: Frame, pose: Pose, condition: Condition, renderer: Renderer
+) -> tuple[Float64, Float64]:
     """Return the block means (n,) of one frame, recorded and predicted, e-."""
     true = really(setup)
-    condition = stated_condition(setup, frame)
     predicted = predict(setup, pose.T_base_tool, condition, renderer=renderer).mean_e
     _, _, faces = renderer.layers(true, pose.T_base_tool).view.surface
     recorded = linearise(frame.image_dn, true.sensor)

@@ -77,26 +77,40 @@ def not_held_up(decision: Decision, baseline: Candidate, random: Scatter) -> Dec
     return with_random(found, baseline, random)
 
 
+def is_trifle(decision: Decision, baseline: Candidate, gap: Gap) -> bool:
+    """Say whether what is named is a trifle that the model's own error looks like."""
+    is_clear = gap.before > CLEAR_FLOORS * gap.floor and baseline.left > 1.0
+    is_small = _is_named(decision) and size(decision.chosen.refit.effects) < TRIFLE
+    return is_small and not is_clear and not _has_many_nats(decision, baseline)
+
+
+def without_trifle(decision: Decision, baseline: Candidate, random: Scatter) -> Decision:
+    """Return the verdict if what was chosen is a trifle."""
+    found = replace(decision, verdict=Verdict.NO_GAP, chosen=baseline, ambiguous=())
+    return with_random(found, baseline, random)
+
+
+def _is_named(decision: Decision) -> bool:
+    return bool(decision.chosen.ids) and decision.verdict in (Verdict.EFFECTS, Verdict.AMBIGUOUS)
+
+
 def closing(decision: Decision, baseline: Candidate, gap: Gap) -> Decision:
     """Return the verdict if what is named closes too little of the gap held out.
 
     That is surely less than half. It is too little, too, if more is left than the floor and the effect's
     form, see `Effect.form_rel`, account for. It is unknown then; or no gap, if the baseline leaves no more
-    than the model may be off. A gap that is no larger than the floor is none if nothing is named, or but a
-    trifle that the model's own error looks like.
+    than the model may be off. A gap that is no larger than the floor is none if nothing is named. What
+    scatters and is named alone must close as much.
     """
-    ids, is_clear = decision.chosen.ids, gap.before > CLEAR_FLOORS * gap.floor
-    is_named = bool(ids) and decision.verdict in (Verdict.EFFECTS, Verdict.AMBIGUOUS)
-    is_small = is_named and size(decision.chosen.refit.effects) < TRIFLE
-    is_trifle = is_small and not _has_many_nats(decision, baseline)
-    is_below = gap.before <= gap.floor and not is_named
-    if is_below or (is_trifle and not (is_clear and baseline.left > 1.0)):
+    ids, closes_too_little = decision.chosen.ids, gap.ci95[1] < CLOSES
+    if gap.before <= gap.floor and not _is_named(decision):
         return replace(decision, verdict=Verdict.NO_GAP, ambiguous=())
     if not ids:
-        return decision
+        is_random = decision.verdict is Verdict.EFFECTS
+        return replace(decision, verdict=Verdict.UNKNOWN) if is_random and closes_too_little else decision
     form_rel = REGISTRY[ids[0]].form_rel if len(ids) == 1 else SEVERAL_REL
     is_left = gap.after > math.hypot(FLOORS_LEFT * gap.floor, form_rel * gap.before)
-    if is_left or gap.ci95[1] < CLOSES:
+    if is_left or closes_too_little:
         verdict = Verdict.UNKNOWN if baseline.left > 1.0 else Verdict.NO_GAP
         return replace(decision, verdict=verdict, ambiguous=())
     return decision

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import replace
 
 from threadpoolctl import threadpool_limits
 
@@ -13,14 +12,26 @@ from noise_model.frames import Float64
 from noise_model.setup import Setup
 from sim_to_real.confirm import (
     closing,
+    is_trifle,
     must_help,
     not_held_up,
     random_shares,
     with_random,
     with_withheld,
+    without_trifle,
 )
 from sim_to_real.covariates import Covariates, Start, covariates
-from sim_to_real.diagnosis import Diagnosis, Estimate, Named, Next, Ranked, Trend, Verdict, left_out
+from sim_to_real.diagnosis import (
+    Diagnosis,
+    Estimate,
+    Named,
+    Next,
+    Predicted,
+    Ranked,
+    Trend,
+    Verdict,
+    left_out,
+)
 from sim_to_real.expected import Expected
 from sim_to_real.free_term import free_term
 from sim_to_real.held import excess_map, left_in_pixels, measure, predict_held, smaller
@@ -124,22 +135,27 @@ def _diagnosed(
     if named:
         fitted = decision.chosen.refit
         after = settled(expected, refit(expected, named, fitted.nuisance, steps=0, change=fitted.change))
-    random = scatter(expected, after, without)
     heard("predicting the frames held out", 0.75)
-    predicted = predict_held(
-        seen.some(held),
-        expected,
-        (before, {}),
-        (after, random.effects),
-        lambda done: heard("predicting the frames held out", 0.75 + 0.15 * done),
-    )
-    off_mm, left_mm = seam_errors_mm(setup, frames, pose_at, expected, after)
-    if named and smaller(predicted) < must_help(decision, baseline):
-        decision, after, share = not_held_up(decision, baseline, scattered), before, {}
+
+    def predicted_of(after: Refit, random: Scatter) -> Predicted:
+        return predict_held(
+            seen.some(held),
+            expected,
+            (before, {}),
+            (after, random.effects),
+            lambda done: heard("predicting the frames held out", 0.75 + 0.15 * done),
+        )
+
+    random = scatter(expected, after, without)
+    predicted = predicted_of(after, random)
+    gap = measure(predicted, setup, seam_errors_mm(setup, frames, pose_at, expected, after))
+    helps = smaller(predicted) >= must_help(decision, baseline)
+    if named and (not helps or is_trifle(decision, baseline, gap)):
+        without_it = without_trifle if helps else not_held_up
+        decision, after, share = without_it(decision, baseline, scattered), before, {}
         random = scatter(expected, after, without)
-        predicted = replace(predicted, after=predicted.before, variance_after=predicted.variance)
-        left_mm = off_mm
-    gap = measure(predicted, setup, (off_mm, left_mm))
+        predicted = predicted_of(after, random)
+        gap = measure(predicted, setup, seam_errors_mm(setup, frames, pose_at, expected, after))
     decision = closing(decision, baseline, gap)
     if without:
         decision = with_withheld(decision, scatter(expected, before, ()), without)

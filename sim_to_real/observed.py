@@ -136,9 +136,13 @@ def observe(setup: Setup, frames: Sequence[Frame], pose_at: PoseAt) -> Observed:
     posed = [frame for frame in frames if pose_at(frame.timestamp_s) is not None]
     if not posed:
         raise ValueError("no frame has a pose: there is nothing to compare with a prediction")
+    first_s = frames[0].timestamp_s
     poses = [_tool(pose_at, frame) for frame in posed]
     true = really(setup)
-    seen = [scene(true, T(frame.timestamp_s)).stations_mm for T, frame in zip(poses, posed, strict=True)]
+    seen = [
+        scene(true, T(pose_time_s(setup, frame.timestamp_s))).stations_mm
+        for T, frame in zip(poses, posed, strict=True)
+    ]
     sightings = Sightings.of(setup, posed, poses)
     ends_mm = np.min(seen), np.max(seen)
     has_ridges = setup.joint.has_ridges
@@ -154,21 +158,24 @@ def observe(setup: Setup, frames: Sequence[Frame], pose_at: PoseAt) -> Observed:
         seam,
         sightings,
         tuple(
-            _observed(setup, binned, bin_px, position, frame, of_frame, seam, of_usable, transfer)
+            _observed(setup, binned, bin_px, position, frame, first_s, of_frame, seam, of_usable, transfer)
             for position, (frame, of_frame, of_usable) in enumerate(zip(posed, poses, usable, strict=True))
         ),
     )
 
 
-def stated_condition(setup: Setup, frame: Frame) -> Condition:
-    """Return what a setup expects of a frame; an arc without a current is off."""
+def stated_condition(setup: Setup, frame: Frame, first_s: float) -> Condition:
+    """Return what a setup expects of a frame; an arc without a current is off.
+
+    `first_s` is when the recording's first frame was taken.
+    """
     return Condition.of(
         setup,
         laser_on=frame.laser_on,
         arc_on=frame.arc_on and frame.current_a > 0.0,
         current_a=frame.current_a,
         exposure_s=frame.exposure_s,
-        timestamp_s=frame.timestamp_s,
+        timestamp_s=frame.timestamp_s - first_s,
     )
 
 
@@ -201,13 +208,14 @@ def _observed(
     bin_px: int,
     position: int,
     frame: Frame,
+    first_s: float,
     T_base_tool: Callable[[float], Float64],
     seam: SeamCurve,
     usable: Bool,
     transfer: PhotonTransfer,
 ) -> ObservedFrame:
-    condition = stated_condition(setup, frame)
-    pose = T_base_tool(frame.timestamp_s)
+    condition = stated_condition(setup, frame, first_s)
+    pose = T_base_tool(pose_time_s(setup, frame.timestamp_s))
     stations_mm = scene(really(setup), pose).stations_mm
     layers = Renderer().layers(really(binned), pose, seam.bent(np.zeros(seam.n_modes), *stations_mm))
     keep, in_stripe = _keep(binned, layers, condition, usable)

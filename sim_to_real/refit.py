@@ -70,6 +70,17 @@ class Refit:
         return self.x[: self.n_nuisances]
 
     @property
+    def n_parameters(self) -> int:
+        """How many numbers are fitted beside the nuisances: of frames' levels those about their mean."""
+        unlit = len(self.arc_ln) - max(self.n_lit - 1, 1) if FLICKER in self.ids else 0
+        return len(self.x) - self.n_nuisances - unlit
+
+    @property
+    def n_lit(self) -> int:
+        """How many frames have a level of the arc of their own."""
+        return int(np.count_nonzero(self.arc_ln))
+
+    @property
     def sigmas(self) -> dict[str, dict[str, float]]:
         """The effects' parameters' 1 sigma, the residuals' own spread taken for that of the noise.
 
@@ -81,8 +92,8 @@ class Refit:
         sigma, found = np.sqrt(np.maximum(np.diag(covariance), 0.0)), {}
         for name, at in _blocks(self.ids, self.n_nuisances, len(self.arc_ln)):
             if name == FLICKER:
-                lit = max(int(np.count_nonzero(self.arc_ln)), 2)
-                found[name] = {"sigma_rel": self.effects[name]["sigma_rel"] / math.sqrt(2.0 * (lit - 1))}
+                sigma_rel = self.effects[name]["sigma_rel"]
+                found[name] = {"sigma_rel": sigma_rel / math.sqrt(2.0 * max(self.n_lit - 1, 1))}
             else:
                 found[name] = _by_name(name, sigma[at])
         return found

@@ -7,6 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from noise_model.effects import pose_time_s
 from noise_model.setup import Setup
 from sim_to_real.expected import BOUNCING, Effects, Expected
 from sim_to_real.nuisances import really_there
@@ -42,7 +43,9 @@ def _seam_error_mm(
     tracker = Tracker(taken)
     for frame in frames:
         if frame.laser_on:
-            tracker.step(frame, pose_at(frame.timestamp_s))
+            # By its own clock; before the first pose and after the last one the frame's stands.
+            pose = pose_at(pose_time_s(taken, frame.timestamp_s)) or pose_at(frame.timestamp_s)
+            tracker.step(frame, pose)
     history = tracker.state.history
     if len(history) == 0:
         return float("nan")

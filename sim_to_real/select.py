@@ -105,8 +105,7 @@ class Candidate:
     @property
     def evidence(self) -> float:
         """The logarithm of the candidate's likelihood, less what its parameters cost."""
-        n_parameters = len(self.refit.x) - self.refit.n_nuisances
-        return likelihood_nats(self.left) - cost_nats(n_parameters) - self.against
+        return likelihood_nats(self.left) - cost_nats(self.refit.n_parameters) - self.against
 
     @property
     def held_back(self) -> float:
@@ -174,8 +173,10 @@ def judged(expected: Expected, fitted: Refit) -> Candidate:
     costs = np.zeros(len(fold))
     for k in range(FOLDS):
         held = fold == k
-        if held.any() and not held.all():
-            costs[held] = plain.costs(fitted.quadratic.solve(~held, HELD_DAMPING, of_seam))[held]
+        if held.any():
+            # A single frame can only be judged by the fit that saw it.
+            x = fitted.x if held.all() else fitted.quadratic.solve(~held, HELD_DAMPING, of_seam)
+            costs[held] = plain.costs(x)[held]
     return Candidate(fitted, costs)
 
 

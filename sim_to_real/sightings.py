@@ -53,7 +53,7 @@ class Sightings:
                 if not frame.laser_on:
                     continue
                 before = tracker.state.history
-                track = tracker.step(frame, Pose(T_base_tool(frame.timestamp_s)))
+                track = tracker.step(frame, Pose(T_base_tool(pose_time_s(setup, frame.timestamp_s))))
                 if is_last and track.valid and tracker.state.history is not before:
                     point = transform(T_camera_tool, np.array([track.seam_tool_mm]))
                     variance = tracker.state.history.variances_mm2[-1]

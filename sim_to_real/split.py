@@ -16,13 +16,15 @@ Int64 = npt.NDArray[np.int64]
 def held_out(observed: Observed, share: float) -> Bool:
     """Return the frames (n_frames,) that are held back, about a share of each stratum, evenly over its time.
 
-    Of each condition, exposure and current included, one frame at least is left to be fitted.
+    Of each condition, exposure and current included, one frame at least is left to be fitted. Where the
+    share of no stratum makes a frame it is one of each.
     """
     held = np.zeros(len(observed.frames), dtype=bool)
+    least = 0 if any(round(share * len(members)) for members in _strata(observed)) else 1
     conditions = [_condition(frame) for frame in observed.frames]
     left = Counter(conditions)
     for members in _strata(observed):
-        count = min(len(members) - 1, round(share * len(members)))
+        count = min(len(members) - 1, max(round(share * len(members)), least))
         # Neither the first nor the last of a stratum: a drift would have to be continued beyond its data.
         for place in (np.arange(count) + 1.0) * len(members) / (count + 1.0):
             spare = [n for n, one in enumerate(members) if not held[one] and left[conditions[one]] > 1]

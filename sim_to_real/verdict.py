@@ -324,8 +324,12 @@ def shares(expected: Expected, baseline: Candidate, chosen: Candidate) -> dict[s
         for some in itertools.combinations(names, number):
             effects = {name: chosen.refit.effects[name] for name in some}
             left[frozenset(some)] = judged(expected, refit(expected, effects, chosen.refit.nuisance)).left
-    closed = {of: math.sqrt(max(value - 1.0, 0.0)) for of, value in left.items()}
+    # Below the model's floor all that there is is closed by what leaves least.
+    floor = 1.0 if baseline.left > 1.0 else min(left.values())
+    closed = {of: math.sqrt(max(value - floor, 0.0)) for of, value in left.items()}
     total = closed[frozenset()] - closed[frozenset(names)]
+    if total <= 0.0:
+        return dict.fromkeys(names, 1.0 / len(names))
     value = dict.fromkeys(names, 0.0)
     for order in itertools.permutations(names):
         for n, name in enumerate(order):

@@ -36,17 +36,16 @@ class Passage:
     even_arc_e: Float32
 
     @classmethod
-    def of(
-        cls, geometry: SensorGeometry, view: Scene, light: ArcLight, output: float, timestamp_s: float
-    ) -> Passage | None:
+    def of(cls, geometry: SensorGeometry, view: Scene, light: ArcLight, output: float) -> Passage | None:
         """Return the passage of a frame; None if no effect acts on the light.
 
-        `light` is the arc's at its expected `output`, which counts the exposure over the nominal one.
+        `light` is the arc's at its expected `output`, which counts the exposure over the nominal one. What
+        drifts with time are laser and exposure: neither matters here.
         """
         setup = geometry.setup
         if not any(effect.light or effect.image for effect, _ in acting(setup)):
             return None
-        stated = Condition(0.0, output, setup.camera.exposure_s, timestamp_s)
+        stated = Condition(0.0, output, setup.camera.exposure_s)
         # The exposure is in the output already, and the arc's own level is measured in each frame.
         condition = replace(really_on(setup, stated), exposure_s=setup.camera.exposure_s)
         scan, position = geometry.even_sample

@@ -90,6 +90,11 @@ class TrackerState:
     lost: int = 0
     frames: int = 0
 
+    @property
+    def lasting_flags(self) -> int:
+        """The flags of every frame from now on, one that cannot be read as well."""
+        return flags.FOLLOW_STOPPED.mask if self.steering.is_stopped else 0
+
 
 def step(
     geometry: SensorGeometry,
@@ -121,12 +126,13 @@ def step_and_reading(
     """Return what `step` does and the look at the frame that it rests on, None where it took none."""
     state = replace(state, frames=state.frames + 1)
     track = Track(frame=frame.index, timestamp_s=frame.timestamp_s, flags=0)
+    found = state.lasting_flags
     sensor, camera = geometry.setup.sensor, geometry.setup.camera
     if frame.image_dn.shape != (camera.height, camera.width) or frame.image_dn.dtype != sensor.dtype:
-        return state, replace(track, flags=flags.FRAME_UNREADABLE.mask), None
+        return state, replace(track, flags=found | flags.FRAME_UNREADABLE.mask), None
     if pose is None:
-        return state, replace(track, flags=flags.POSE_REFUSED.mask), None
-    found = flags.POSE_EXTRAPOLATED.mask if pose.extrapolated else 0
+        return state, replace(track, flags=found | flags.POSE_REFUSED.mask), None
+    found |= flags.POSE_EXTRAPOLATED.mask if pose.extrapolated else 0
     blind = pose_flags(geometry.setup, pose.T_base_tool)
     if blind:
         return state, replace(track, flags=found | blind), None
@@ -195,7 +201,7 @@ def _read(
     keep_off = reach_px + FIT_SIGMAS * float(expected.sigma_px.max())
     stripe_px = expected.position_px if frame.laser_on else None
     arc_map = arc_map_of(geometry, kernel)
-    passage = Passage.of(geometry, view, arc_map.at, output, frame.timestamp_s)
+    passage = Passage.of(geometry, view, arc_map.at, output)
     arc = estimate_arc_level(geometry, arc_map.at, passage, frame.image_dn, stripe_px, keep_off)
     found = _arc_flags(arc)
     if not frame.laser_on:

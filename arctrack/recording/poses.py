@@ -18,6 +18,9 @@ LOG_NAMES = ("can.asc", "can.blf", "can.log")
 COVERAGE_PERIODS = 3.0
 """The poses may end this many of their periods before the last frame."""
 
+REPEATED_S = 0.05
+"""A pose of the bus that is not later than the one before, by less than this, is the same sample again."""
+
 
 def read_poses(recording: Path, T_tool_controllertool: Float64 | None) -> tuple[PoseTable, list[str]]:
     """Read poses.csv, or else the CAN log; return T_base_tool and warnings.
@@ -38,7 +41,10 @@ def read_poses(recording: Path, T_tool_controllertool: Float64 | None) -> tuple[
     else:
         poses, skipped = _read_log(logs[0])
         if skipped:
-            warnings.append(f"{logs[0]}: {skipped} frames of the bus were left out: foreign, damaged or lost")
+            warnings.append(
+                f"{logs[0]}: {skipped} frames of the bus were left out: foreign, damaged, lost, or a pose "
+                "that is known already"
+            )
     if T_tool_controllertool is None:
         return poses, warnings
     T_base_tool = poses.T_base_tool @ invert(T_tool_controllertool)
@@ -91,6 +97,7 @@ def _read_log(path: Path) -> tuple[PoseTable, int]:
     assembler = PoseAssembler()
     times_s: list[float] = []
     poses: list[Float64] = []
+    repeated = 0
     reader = BusLogReader(path)
     try:
         for received in reader:
@@ -98,6 +105,9 @@ def _read_log(path: Path) -> tuple[PoseTable, int]:
             if sample is None or sample.kind is not PoseKind.ACTUAL:
                 continue
             if times_s and sample.timestamp_s <= times_s[-1]:
+                if times_s[-1] - sample.timestamp_s < REPEATED_S:
+                    repeated += 1
+                    continue
                 raise in_file(
                     path,
                     f"the pose at {sample.timestamp_s:.6f} s does not come after {times_s[-1]:.6f}: "
@@ -109,4 +119,4 @@ def _read_log(path: Path) -> tuple[PoseTable, int]:
         raise in_file(path, str(error).removeprefix(f"log {path}: ")) from None
     if not poses:
         raise in_file(path, "holds no whole pose of arctrack.dbc; were the pose messages logged?")
-    return PoseTable(path, np.array(times_s), np.array(poses)), sum(reader.skipped.values())
+    return PoseTable(path, np.array(times_s), np.array(poses)), sum(reader.skipped.values()) + repeated

@@ -49,6 +49,8 @@ class RecordingWriter:
     ) -> None:
         self.path = Path(path)
         self._setup = setup
+        if not self.path.name:
+            raise in_file(self.path, "is no name for a recording; give that of a new folder")
         self._folder = self.path.with_name(self.path.name + UNFINISHED_SUFFIX)
         for folder in (self.path, self._folder):
             if folder.exists() and not (folder.is_dir() and not any(folder.iterdir())):

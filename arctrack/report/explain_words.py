@@ -82,12 +82,14 @@ def headline(of: Explanation) -> str:
 def offset_sentence(of: Explanation) -> str:
     """Return what the frame leaves for the torch, in one sentence."""
     track = of.track
-    if not math.isfinite(track.offset_y_mm):
-        return "It gives no offset for the torch."
-    return (
-        f"At the torch the seam lies y {pm(track.offset_y_mm, track.offset_sigma_y_mm)}, "
-        f"z {pm(track.offset_z_mm, track.offset_sigma_z_mm)} mm off the programmed path."
+    axes = (
+        ("y", track.offset_y_mm, track.offset_sigma_y_mm),
+        ("z", track.offset_z_mm, track.offset_sigma_z_mm),
     )
+    known = ", ".join(f"{name} {pm(value, sigma)}" for name, value, sigma in axes if math.isfinite(value))
+    if not known:
+        return "It gives no offset for the torch."
+    return f"At the torch the seam lies {known} mm off the programmed path."
 
 
 def own_sigma(of: Explanation) -> str:

@@ -252,6 +252,20 @@ def test_every_frame_has_a_page(explained: list[Explanation]) -> None:
     assert any(not found.frame.laser_on for found in explained)
 
 
+def test_an_axis_that_is_not_followed_has_no_offset(explained: list[Explanation]) -> None:
+    found = next(one for one in explained if math.isfinite(one.track.offset_y_mm))
+    nothing = {"offset_y_mm": math.nan, "offset_sigma_y_mm": math.nan}
+    one, other = (
+        words.offset_sentence(replace(found, track=replace(found.track, **axis)))
+        for axis in (nothing, {name.replace("y", "z"): value for name, value in nothing.items()})
+    )
+    assert "lies z" in one
+    assert "lies y" in other
+    assert "nan" not in one + other
+    neither = replace(found.track, offset_y_mm=math.nan, offset_z_mm=math.nan)
+    assert "no offset" in words.offset_sentence(replace(found, track=neither))
+
+
 def test_a_frame_without_a_pose(recording: Recording) -> None:
     poses = recording.poses
     early = poses.timestamps_s < recording.rows[5].timestamp_s - 0.2

@@ -177,6 +177,34 @@ def test_poses_of_a_can_log(tmp_path: Path) -> None:
     np.testing.assert_allclose(pose.T_base_tool, level_pose(0.1), atol=0.01)
 
 
+def test_a_controller_that_sends_a_sample_twice_is_heard_once(tmp_path: Path) -> None:
+    """Pose frames every 10 ms of samples every 20 ms: their ages are 0, 10, 0 ... ms, a clock's tick off."""
+    path = write(tmp_path / "r", small_setup(), noise_frames(small_setup(), 3))
+    (path / "poses.csv").unlink()
+    protector, expected = Protector(), []
+    with BusLogWriter(path / "can.blf") as log:
+        for n in range(-20, 60):
+            sampled_s, age_s = 0.02 * (n // 2), 0.01 * (n % 2)
+            if n % 2 == 0:
+                expected.append(sampled_s)
+            for message in (
+                RobotPosePosition(1e3 * sampled_s, 0.0, 0.0, kind=PoseKind.ACTUAL),
+                RobotPoseRotation.from_quaternion((0.0, 0.0, 0.0, 1.0), sample_age_ms=1e3 * age_s),
+            ):
+                identifier, payload = protector.protect(message)
+                sent_at_s = 1.0 + sampled_s + age_s - (1e-4 if age_s else 0.0)
+                log.write(
+                    can.Message(
+                        timestamp=sent_at_s, arbitration_id=identifier, is_extended_id=False, data=payload
+                    )
+                )
+    replaced = [f"{line[0]},{float(line[2:10]) + 1.0:.6f}{line[10:]}" for line in _lines(path / "frames.csv")]
+    (path / "frames.csv").write_text("\n".join([_header(path / "frames.csv"), *replaced]))
+    recording = read_recording(path)
+    assert "40 frames of the bus were left out" in recording.warnings[0]
+    np.testing.assert_allclose(recording.poses.timestamps_s, np.array(expected) + 1.0, atol=1e-6)
+
+
 def _lines(path: Path) -> list[str]:
     return path.read_text().splitlines()[1:]
 

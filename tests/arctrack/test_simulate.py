@@ -62,6 +62,12 @@ def test_plans_that_make_no_recording(frames: int, rate_hz: float) -> None:
         SimulationPlan(frames=frames, rate_hz=rate_hz)
 
 
+@pytest.mark.parametrize("path", [".", "/"])
+def test_a_folder_without_a_name_is_none_for_a_recording(seen_setup: Setup, path: str) -> None:
+    with pytest.raises(ArctrackError, match="is no name for a recording"):
+        simulate_recording(Path(path), seen_setup)
+
+
 def test_a_bent_seam_cannot_be_simulated(seen_setup: Setup, tmp_path: Path) -> None:
     points = (*seen_setup.joint.seam_in_base_mm, (1100.0, 50.0, 0.0))
     bent = replace(seen_setup, joint=replace(seen_setup.joint, seam_in_base_mm=points))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 
 import numpy as np
@@ -67,6 +68,24 @@ def test_an_arc_that_is_far_darker_than_stated_is_refused() -> None:
     dark = replace(setup, arc=replace(setup.arc, radiance_e=0.01 * setup.arc.radiance_e))
     with pytest.raises(ValueError, match="off by a factor of 20"):
         estimate_hand_eye(setup, frames(dark, SeamLine()), lattice_px=LATTICE_PX)
+
+
+@pytest.mark.parametrize("unknown", [{0, 2}, set(range(6))])
+def test_an_unknown_current_is_left_out_unless_all_are_and_the_black_level_may_be_exact(
+    unknown: set[int],
+) -> None:
+    setup = small_setup()
+    setup = replace(setup, tolerance=replace(setup.tolerance, black_level_dn=0.0))
+    seen = [
+        (replace(frame, current_a=math.nan) if frame.index in unknown else frame, pose)
+        for frame, pose in frames(setup, SeamLine())
+    ]
+    found = estimate_hand_eye(setup, seen, lattice_px=LATTICE_PX)
+    assert found.fit.value("ln_arc_level") == pytest.approx(np.log(1.05), abs=0.02)
+    assert abs(found.fit.value("black_level")) < 0.01
+    of_all = estimate_hand_eye(setup, frames(setup, SeamLine()), lattice_px=LATTICE_PX)
+    share = found.fit.n_residuals / of_all.fit.n_residuals
+    assert share == pytest.approx(1.0 if len(unknown) == 6 else 4.0 / 6.0, abs=0.1)
 
 
 def test_without_arc_there_is_nothing_to_go_by() -> None:

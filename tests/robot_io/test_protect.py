@@ -1,5 +1,7 @@
 from __future__ import annotations
 
+import math
+
 import can
 import numpy as np
 import pytest
@@ -196,6 +198,9 @@ def test_latest_is_stale_after_ten_periods():
     inbox.receive(frame_of(*with_counter(EXAMPLES[7], 0), 5.0))
     assert inbox.latest(SeamOffset, 5.0 + 0.2 - 1e-6) == OFFSET
     assert inbox.latest(SeamOffset, 5.0 + 0.2 + 1e-6) is None
+    # A clock that was set back does not make it fresh.
+    assert inbox.latest(SeamOffset, 5.0 - 0.2 - 1e-6) is None
+    assert inbox.latest(SeamOffset, math.nan) is None
     assert inbox.latest(DbcVersion, 14.9) == EXAMPLES[7]
     assert inbox.latest(RobotPosePosition, 5.0) is None
     assert inbox.latest(RobotPoseRotation, 5.0) is None

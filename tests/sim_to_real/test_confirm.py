@@ -8,11 +8,13 @@ import pytest
 
 from sim_to_real.confirm import (
     closing,
+    is_trifle,
     must_help,
     not_held_up,
     random_shares,
     with_random,
     with_withheld,
+    without_trifle,
 )
 from sim_to_real.diagnosis import Gap, Verdict
 from sim_to_real.screen import size
@@ -57,15 +59,29 @@ def test_a_gap_below_the_floor_is_none_but_for_an_effect_that_is_no_trifle():
         assert closing(of, baseline, below).verdict is Verdict.NO_GAP
         assert closing(of, baseline, above).verdict is of.verdict
     # The prior of ln c2 has a sigma of 0.7.
-    for c2_ln, in_small in ((-0.06, Verdict.NO_GAP), (-0.08, Verdict.EFFECTS)):
+    for c2_ln, in_small in ((-0.06, True), (-0.08, False)):
         named = decision(Verdict.EFFECTS, "roughness_change")
         named.chosen.refit.effects["roughness_change"] = {"c2_ln": c2_ln}
-        assert closing(named, baseline, below).verdict is in_small
-        assert closing(named, baseline, above).verdict is in_small
-        assert closing(named, candidate(left=0.9), clear).verdict is in_small
-        assert closing(named, baseline, clear).verdict is Verdict.EFFECTS
+        assert closing(named, baseline, below).verdict is Verdict.EFFECTS
+        assert is_trifle(named, baseline, below) is in_small
+        assert is_trifle(named, baseline, above) is in_small
+        assert is_trifle(named, candidate(left=0.9), clear) is in_small
+        assert not is_trifle(named, baseline, clear)
         # From 1.2 to 1 it gains 100 ln 1.2 = 18 nats.
-        assert closing(named, candidate(left=1.2), above).verdict is Verdict.EFFECTS
+        assert not is_trifle(named, candidate(left=1.2), above)
+
+
+def test_beside_a_trifle_what_scatters_is_named():
+    trifle, noise = decision(Verdict.EFFECTS, "roughness_change"), Scattering({"read_noise": 0.9})
+    assert without_trifle(trifle, candidate(left=1.1), Scattering()).verdict is Verdict.NO_GAP
+    found = without_trifle(trifle, candidate(left=1.1), noise)
+    assert (found.verdict, found.chosen.ids) == (Verdict.EFFECTS, ())
+
+
+def test_what_scatters_must_close_half_of_a_gap_as_well():
+    noise = decision(Verdict.EFFECTS)
+    assert closing(noise, candidate(left=9.0), gap(3.5, (0.2, 0.4))).verdict is Verdict.UNKNOWN
+    assert closing(noise, candidate(left=9.0), gap(2.0, (0.4, 0.7))).verdict is Verdict.EFFECTS
 
 
 def test_the_shape_of_an_effect_says_nothing_of_its_size():

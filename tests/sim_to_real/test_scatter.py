@@ -10,6 +10,7 @@ from scipy.stats import norm
 
 from noise_model.frames import Float64
 from sim_to_real import scatter as of_scatter
+from sim_to_real.observed import FLOOR_DN, FLOOR_REL
 from sim_to_real.scatter import NAMED_FROM, scatter
 from tests.sim_to_real.scattered import HEIGHT, WIDTH, Scattering, recorded, streak
 
@@ -112,6 +113,35 @@ def test_noise_of_bins_is_what_bins_scatter_by():
     ]
     # The floor of half a DN that the frames' noise has beside it is small here.
     assert np.sqrt(np.mean(np.concatenate(r) ** 2)) == pytest.approx(1.0, abs=0.15)
+
+
+def test_noise_that_bins_have_been_given_already_is_not_added_again():
+    """As of a recording whose photon transfer has shown it: the floor, and the noise that is really there."""
+    (expected, fitted), _ = made("read_noise")
+    observed = expected.observed
+    sensor = observed.setup.sensor
+
+    def given(frame, light):
+        electrons = light.arc_e + light.laser_e + (1.8 * sensor.read_noise_e) ** 2
+        variance_dn2 = electrons / sensor.gain_e_per_dn**2 + 1.0 / 12.0
+        floor_dn2 = (FLOOR_REL * (light.mean_dn() - sensor.black_level_dn)) ** 2 + FLOOR_DN**2
+        return replace(frame, sigma_dn=np.sqrt(variance_dn2 / observed.bin_px**2 + floor_dn2))
+
+    frames = tuple(given(*of) for of in zip(observed.frames, fitted.passed, strict=True))
+    found = scatter(type(expected)(observed=replace(observed, frames=frames)), fitted, ())
+    assert set(found.effects) == {"read_noise"}
+    for sigma_dn, frame in zip(found.sigmas_dn, frames, strict=True):
+        assert np.median(sigma_dn / frame.sigma_dn) == pytest.approx(1.0, abs=0.01)
+
+
+def test_of_a_read_noise_that_is_stated_in_part_the_whole_is_found():
+    (expected, fitted), _ = made("read_noise")
+    setup = expected.observed.setup
+    known = replace(setup.sensor, read_noise_e=1.5 * setup.sensor.read_noise_e)
+    stated = replace(expected.observed, setup=replace(setup, effects={"read_noise": {"noise_ratio": 1.5}}))
+    really_there = [replace(light, sensor=known) for light in fitted.passed]
+    found = scatter(type(expected)(observed=stated), type(fitted)(passed=really_there), ())
+    assert found.effects["read_noise"]["noise_ratio"] == pytest.approx(1.8, abs=0.05)
 
 
 def test_bins_that_a_streak_reaches_do_not_count():

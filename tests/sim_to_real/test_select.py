@@ -6,6 +6,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+from noise_model.effects import REGISTRY
 from noise_model.fit import Parameter
 from sim_to_real import select
 from sim_to_real.held import left_in_pixels
@@ -24,6 +25,7 @@ def candidate(name, left, n_parameters=1):
         ids=(name,),
         x=np.zeros(n_parameters),
         n_nuisances=0,
+        n_parameters=n_parameters,
         mean_square=left,
         quadratic=quadratic(np.zeros((50, n_parameters)), np.full(50, math.sqrt(left))),
     )
@@ -56,6 +58,36 @@ def test_a_seam_that_one_frame_alone_sees_is_not_foretold_from_the_others():
     foretold = cost.solve(np.arange(n_frames) > 0)
     assert cost.costs(foretold)[0] > 3.0 * cost.chi2[0]
     assert judged(expected, fitted).costs[0] < 1.5 * cost.chi2[0]
+
+
+def test_a_single_frame_is_judged_by_the_fit_that_saw_it():
+    rng = np.random.default_rng(1)
+    r = 20.0 + rng.standard_normal(300)
+    cost = quadratic(np.ones((300, SEAM_FROM)), r)
+    fitted = SimpleNamespace(
+        ids=(),
+        x=np.zeros(SEAM_FROM),
+        n_nuisances=SEAM_FROM,
+        residuals=r,
+        jacobian=np.ones((300, SEAM_FROM)),
+        quadratic=cost,
+    )
+    expected = SimpleNamespace(observed=SimpleNamespace(frames=[SimpleNamespace(stratum="both", position=0)]))
+    # The loss is held, so that no bin counts for all.
+    assert judged(expected, fitted).left > 5.0
+
+
+def test_of_the_arcs_levels_those_about_their_mean_in_frames_that_show_it_are_parameters(tmp_path):
+    expected = small_recording(tmp_path / "flickers", {"arc_flicker": {"sigma_rel": 0.1}})
+    flicker = {"arc_flicker": {"sigma_rel": 0.0}}
+    fitted = refit(expected, flicker, expected.neutral)
+    n_lit = int(expected.observed.lit.sum())
+    assert 2 < n_lit < len(expected.observed.frames)
+    assert fitted.n_parameters == n_lit - 1
+    with_gamma = refit(
+        expected, {"arc_flicker": {"sigma_rel": 0.0}, "gamma": {"gamma": 1.0}}, expected.neutral
+    )
+    assert with_gamma.n_parameters == n_lit - 1 + len(REGISTRY["gamma"].parameters)
 
 
 def ids(found):

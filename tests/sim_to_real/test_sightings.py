@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
+from sim_to_real.observed import observe
 from sim_to_real.sightings import Sightings
 from tests.sim_to_real.small import example_setup, recorded
 
@@ -85,6 +86,17 @@ def test_the_tracker_sees_the_seam_in_each_frame_with_the_laser_on(tmp_path):
     assert len(sightings.timestamps_s) == sum(frame.laser_on for frame in frames)
     _, displacements = sightings.in_joint(setup)
     assert np.sqrt(np.mean(displacements**2)) == pytest.approx(0.0, abs=0.1)
+
+
+def test_time_counts_from_the_recordings_first_frame(tmp_path):
+    """A controller's uptime, or the Unix epoch: drifts begin with the recording."""
+    setup, frames, pose_at = recorded(tmp_path / "recording", {})
+    late = [replace(frame, timestamp_s=frame.timestamp_s + 1e4) for frame in frames]
+    observed, shifted = observe(setup, frames, pose_at), observe(setup, late, lambda t: pose_at(t - 1e4))
+    for here, there in zip(observed.frames, shifted.frames, strict=True):
+        assert there.timestamp_s == here.timestamp_s + 1e4
+        assert there.condition.timestamp_s == pytest.approx(here.condition.timestamp_s, abs=1e-6)
+    assert observed.frames[0].condition.timestamp_s == 0.0
 
 
 def test_what_nobody_saw_is_empty():

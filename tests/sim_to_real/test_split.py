@@ -3,7 +3,7 @@
 from types import SimpleNamespace
 
 import numpy as np
-from hypothesis import given
+from hypothesis import example, given
 from hypothesis import strategies as st
 
 from sim_to_real.split import folds, held_out, one_of_each
@@ -23,13 +23,20 @@ def recording(kinds, exposures_s=None):
     return SimpleNamespace(frames=frames, some=lambda chosen: np.flatnonzero(chosen).tolist())
 
 
+def wanted_of(kinds, share):
+    """How many of each kind are to be held back: its share, or one of each where that is none of any."""
+    shares = {kind: round(share * kinds.count(kind)) for kind in kinds}
+    return shares if any(shares.values()) else dict.fromkeys(kinds, 1)
+
+
 @given(KINDS, st.floats(0.05, 0.5))
+@example(["dark", "laser", "arc", "both"] * 2, 0.25)
 def test_every_kind_is_left_to_fit(kinds, share):
     held = held_out(recording(kinds), share)
     assert {kind for kind, is_held in zip(kinds, held, strict=True) if not is_held} == set(kinds)
-    for kind in set(kinds):
+    for kind, wanted in wanted_of(kinds, share).items():
         of_kind = np.array(kinds) == kind
-        assert held[of_kind].sum() == min(of_kind.sum() - 1, round(share * of_kind.sum()))
+        assert held[of_kind].sum() == min(of_kind.sum() - 1, wanted)
 
 
 @given(
@@ -40,11 +47,10 @@ def test_every_condition_is_left_to_fit_and_as_many_are_held_as_that_allows(cond
     kinds, exposures_s = (list(of) for of in zip(*conditions, strict=True))
     held = held_out(recording(kinds, exposures_s), share)
     assert {one for one, is_held in zip(conditions, held, strict=True) if not is_held} == set(conditions)
-    for kind in set(kinds):
+    for kind, wanted in wanted_of(kinds, share).items():
         of_kind = np.array(kinds) == kind
         n_conditions = len({one for one in conditions if one[0] == kind})
-        wanted = min(of_kind.sum() - n_conditions, round(share * of_kind.sum()))
-        assert held[of_kind].sum() == wanted
+        assert held[of_kind].sum() == min(of_kind.sum() - n_conditions, wanted)
 
 
 @given(KINDS, st.integers(2, 6))

@@ -160,6 +160,25 @@ def test_several_that_leave_nothing_where_they_were_fitted_need_not_foresee_as_w
     assert found is (pair if explain else None)
 
 
+@pytest.mark.parametrize(
+    ("baseline", "alone", "share"),
+    [
+        # Below the model's floor all that there is counts: of sqrt(0.3) either leaves sqrt(0.1).
+        ((0.95, 0.65), (0.75, 0.75), (0.5, 0.5)),
+        ((5.0, 0.9), (1.0, 5.0), (1.0, 0.0)),
+        # Nothing is closed at all.
+        ((0.8, 0.8), (0.8, 0.8), (0.5, 0.5)),
+    ],
+)
+def test_shares_below_the_floor_are_shares_still(monkeypatch, baseline, alone, share):
+    pair = candidate("gamma", "fume", left=baseline[1])
+    left = dict(zip(("gamma", "fume"), alone, strict=True))
+    monkeypatch.setattr(room, "refit", lambda _, effects, __: effects)
+    monkeypatch.setattr(room, "judged", lambda _, effects: SimpleNamespace(left=left[next(iter(effects))]))
+    found = room.shares(None, candidate(left=baseline[0]), pair)
+    assert tuple(found.values()) == pytest.approx(share)
+
+
 def test_what_its_bounds_hold_back_explains_nothing(monkeypatch):
     held_back = candidate("dirty_window", left=0.9)
     assert decided(monkeypatch, candidate(left=9.0), [held_back], None).verdict is Verdict.EFFECTS

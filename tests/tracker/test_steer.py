@@ -191,6 +191,21 @@ def test_following_that_has_stopped_stays_so(v: Setup, lost: list[tuple[Frame, P
     assert not math.isnan(tracks(v, STOP, iter(lost[16:]))[-1].offset_y_mm)
 
 
+def test_following_stays_stopped_in_frames_that_cannot_be_tracked(v: Setup) -> None:
+    tracker = Tracker(v, correction=Correction(y=AxisCorrection(limit_mm=0.5, at_limit="stop")))
+    ((frame, pose),) = walk(v, 1, SEAM)
+    refused = [
+        (replace(frame, image_dn=frame.image_dn[1:]), pose),
+        (frame, None),
+        (frame, pose_at(0.0, z_mm=-500.0)),
+    ]
+    before = [tracker.step(*of).flag_names for of in refused]
+    assert not any("follow_stopped" in names for names in before)
+    assert "follow_stopped" in tracker.step(frame, pose).flag_names
+    for names, of in zip(before, refused, strict=True):
+        assert set(tracker.step(*of).flag_names) == {*names, "follow_stopped"}
+
+
 def test_beyond_the_limit_it_stops_both_axes_for_good(v: Setup) -> None:
     correction = Correction(z=AxisCorrection(limit_mm=0.5, at_limit="stop"))
     low, level = (SeamLine(0.0, 1.0, z_mm) for z_mm in (-0.7, 0.0))
