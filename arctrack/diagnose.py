@@ -14,13 +14,12 @@ import numpy as np
 
 from arctrack.errors import ArctrackError, in_file
 from arctrack.output import make_folder, write_whole
-from arctrack.recording import BadFrame, Recording, pose_at, read_recording
+from arctrack.recording import pose_at, read_recording
 from arctrack.recording.diagnosis_files import FILES, REPORT_PAGE, write_numbers
 from arctrack.recording.setup_file import FILE_NAME, with_effects
 from noise_model.effects import REGISTRY
 from noise_model.setup import Setup
 from sim_to_real.diagnosis import Diagnosis, Named, Predicted, Verdict, left_out
-from tracker.state import Frame
 
 DIAGNOSIS_FOLDER = "diagnosis"
 
@@ -125,7 +124,7 @@ def diagnose_recording(job: Job, on_stage: OnStage | None = None, threads: int =
 
     recording = read_recording(job.recording, job.setup_path)
     make_folder(job.folder, FILES)
-    frames, bad_frames = _frames(recording)
+    frames, bad_frames = recording.readable_frames()
     poses = recording.pose_buffer()
     try:
         # The clock's delay is the diagnosis' to find: poses are those of the time it asks for.
@@ -143,7 +142,11 @@ def diagnose_recording(job: Job, on_stage: OnStage | None = None, threads: int =
     write_numbers(found, job.folder)
     write_page(found, recording, left_out(recording.setup, job.without), job.folder / REPORT_PAGE)
     return Diagnosed(
-        job, recording.setup, without_images(found), recording.warnings, _complaint(recording, bad_frames)
+        job,
+        recording.setup,
+        without_images(found),
+        recording.warnings,
+        recording.complaint(bad_frames, "the diagnosis is that of the others"),
     )
 
 
@@ -231,26 +234,6 @@ def _check_effects(ids: Iterable[str]) -> None:
             near = difflib.get_close_matches(name, REGISTRY, n=1)
             cure = f"is {near[0]} meant?" if near else f"there are {', '.join(REGISTRY)}"
             raise ArctrackError(f"--without {name}: there is no such effect; {cure}")
-
-
-def _frames(recording: Recording) -> tuple[list[Frame], list[BadFrame]]:
-    frames: list[Frame] = []
-    bad: list[BadFrame] = []
-    for frame in recording.frames():
-        if isinstance(frame, BadFrame):
-            bad.append(frame)
-        else:
-            frames.append(frame)
-    if not frames:
-        raise ArctrackError(f"{bad[0].message}; no frame of {recording.path} can be read")
-    return frames, bad
-
-
-def _complaint(recording: Recording, bad_frames: Sequence[BadFrame]) -> str | None:
-    if not bad_frames:
-        return None
-    count = f"{len(bad_frames)} of {len(recording.rows)} frames could not be used"
-    return f"{bad_frames[0].message}; {count}, the diagnosis is that of the others"
 
 
 def _table(effect: Named) -> str:

@@ -74,13 +74,8 @@ class Replay:
     @property
     def complaint(self) -> str | None:
         """One line on the frames that could not be read, None if all could."""
-        if not self.bad_frames:
-            return None
-        count = len(self.bad_frames)
-        return (
-            f"{self.bad_frames[0].message}; {count} of {len(self.tracks)} frames could not be used, "
-            f"their rows carry {flags.FRAME_UNREADABLE.name}, the others are in {self.folder}"
-        )
+        of_the_others = f"their rows carry {flags.FRAME_UNREADABLE.name}, the others are in {self.folder}"
+        return self.recording.complaint(self.bad_frames, of_the_others)
 
 
 @dataclass(frozen=True)
@@ -105,16 +100,18 @@ def replay_recording(
     """
     options = options or ReplayOptions()
     folder = recording.path / RESULTS_FOLDER if folder is None else folder
-    make_folder(folder, FILES)
     interface, channel = parse_bus(options.bus)
+    make_folder(folder, ())
     tracks: list[Track] = []
     compute_ms: list[float] = []
     bad_frames: list[BadFrame] = []
     started_s = time.monotonic()
     with ExitStack() as opened:
-        results = opened.enter_context(ResultsWriter(folder))
         opened.enter_context(_bus_errors())
         link = opened.enter_context(Link(interface, channel, log_paths=(folder / BUS_LOG,)))
+        # Only now do an earlier run's files go: what was sent over a bus that is not there cannot be again.
+        make_folder(folder, (name for name in FILES if name != BUS_LOG))
+        results = opened.enter_context(ResultsWriter(folder))
         publisher = Publisher(link, recording.setup.joint.type, options.limits, recording.correction)
         pace = no_pace if interface == "virtual" else recorded_pace(recording.rows[0])
         pictures = _pictures(recording, folder, opened) if options.pictures else None

@@ -36,6 +36,9 @@ from noise_model.surface import (
 from tracker.state import Frame
 
 WEAVE_PERIOD_S, HEIGHT_PERIOD_S, TILT_PERIODS_S = 1.7, 2.4, (2.9, 1.9)
+MEETS_WITHIN_MM = 100.0
+"""So far along the seam from the laser sheet's foot it is looked for where the two meet."""
+
 WANDER_PERIODS_MM = (100.0, 600.0)
 """Over what length the true seam wanders sideways and in height: plates are straight, cut edges less so."""
 
@@ -284,8 +287,14 @@ class Motion:
         def distance_mm(station_mm: float) -> float:
             return float(plane[:3] @ point_tool(station_mm) + plane[3])
 
-        origin_mm = transform(invert(T_tool_joint), self._setup.laser.origin_mm)[0]
-        station_mm = float(brentq(distance_mm, origin_mm - 100.0, origin_mm + 100.0, xtol=1e-9))
+        foot_mm = transform(invert(T_tool_joint), np.array([-plane[3] / plane[0], 0.0, 0.0]))[0]
+        ends_mm = foot_mm - MEETS_WITHIN_MM, foot_mm + MEETS_WITHIN_MM
+        if distance_mm(ends_mm[0]) * distance_mm(ends_mm[1]) > 0.0:
+            raise ArctrackError(
+                f"[laser] plane_in_tool: the sheet does not meet the seam within {MEETS_WITHIN_MM:g} mm of "
+                "where it meets the tool's axis of travel; it hardly leans across the seam"
+            )
+        station_mm = float(brentq(distance_mm, *ends_mm, xtol=1e-9))
         return station_mm, point_tool(station_mm)
 
     def _line(self, station_mm: float) -> SeamLine:

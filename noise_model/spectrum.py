@@ -116,7 +116,8 @@ class FilterCurve:
     @cached_property
     def _half_maximum_nm(self) -> tuple[float, float]:
         """The outermost wavelengths at which half of the highest sample passes."""
-        half = 0.5 * float(self.transmission.max())
+        # A sample at just half of the peak counts as above, whatever its logarithm is rounded to.
+        half = 0.5 * (1.0 - 1e-9) * float(self.transmission.max())
         above = np.flatnonzero(self.transmission >= half)
 
         def over_half(wavelength_nm: float) -> float:

@@ -65,9 +65,10 @@ class Link:
         if interface == "virtual":
             bus_options.setdefault("preserve_timestamps", True)
         with ExitStack() as opened:
-            self._logs = [opened.enter_context(BusLogWriter(path)) for path in log_paths]
+            # First the bus: where there is none, no log that is there is begun anew.
             self._bus = self._open(bus_options)
             opened.callback(self._bus.shutdown)
+            self._logs = [opened.enter_context(BusLogWriter(path)) for path in log_paths]
             self._opened = opened.pop_all()
 
     def __enter__(self) -> Link:

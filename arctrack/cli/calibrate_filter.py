@@ -9,6 +9,7 @@ import typer
 
 from arctrack.cli.setups import check_is_another, read_setup
 from arctrack.errors import in_file
+from arctrack.output import write_whole
 
 
 def filter_curve(
@@ -47,7 +48,7 @@ def filter_curve(
     spectrum = ArcSpectrum()
     continuum = passed_continuum(curve, spectrum, angles)
     lines = line_to_continuum(curve, spectrum, angles)
-    out.write_text(with_filter_curve(read.path, curve), encoding="utf-8")
+    write_whole(out, with_filter_curve(read.path, curve))
     screen = console.tables()
     for text in (
         f"centre {curve.center_nm:.2f} nm, {curve.fwhm_nm:.2f} nm wide at half of its peak",

@@ -9,6 +9,7 @@ import typer
 
 from arctrack.cli.setups import check_is_another
 from arctrack.errors import ArctrackError
+from arctrack.output import write_whole
 
 
 def hand_eye(
@@ -22,18 +23,20 @@ def hand_eye(
     other than stated, is refused where it would move the camera too far.
     """
     from arctrack.cli import console
-    from arctrack.recording import BadFrame, read_recording, with_camera_pose
+    from arctrack.recording import read_recording, with_camera_pose
     from calibration.hand_eye import estimate_hand_eye
 
     read = read_recording(recording)
     console.warn(read.warnings)
     check_is_another(out, read.setup_path)
     buffer = read.pose_buffer()
+    readable, bad_frames = read.readable_frames()
     frames = [
-        (frame, pose)
-        for frame in read.frames()
-        if not isinstance(frame, BadFrame) and (pose := read.pose_at(buffer, frame.timestamp_s)) is not None
+        (frame, pose) for frame in readable if (pose := read.pose_at(buffer, frame.timestamp_s)) is not None
     ]
+    if len(frames) < len(readable):
+        count = f"{len(readable) - len(frames)} of {len(readable)}"
+        console.warn([f"{read.path}: {count} frames have no pose and are left out"])
     with console.progress() as bar:
         task = bar.add_task("rounds", total=None)
         try:
@@ -42,10 +45,13 @@ def hand_eye(
             )
         except ValueError as error:
             raise ArctrackError(f"{read.path}: {error}") from None
-    out.write_text(with_camera_pose(read.setup_path, found.T_tool_camera), encoding="utf-8")
     screen = console.tables()
     for parameter, value, sigma in zip(found.fit.parameters, found.fit.values, found.fit.sigmas, strict=True):
         screen.print(f"{parameter.name:13} {value:9.4f} ± {sigma:.4f} {parameter.unit}", markup=False)
     if found.fit.not_learned:
         screen.print(f"learned little about: {', '.join(found.fit.not_learned)}", markup=False)
+    write_whole(out, with_camera_pose(read.setup_path, found.T_tool_camera))
     screen.print(f"{out}: the setup with the pose found", markup=False, soft_wrap=True)
+    complaint = read.complaint(bad_frames, "the pose is that of the others")
+    if complaint is not None:
+        raise ArctrackError(complaint)

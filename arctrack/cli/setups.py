@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -23,6 +24,10 @@ def read_setup(source: Path) -> SetupFile:
 
 
 def check_is_another(out: Path, setup: Path) -> None:
-    """Raise ArctrackError if what a command is to write would replace the setup that it reads."""
+    """Raise ArctrackError if a command cannot write its file, or would replace the setup that it reads."""
     if out.exists() and out.resolve() == setup.resolve():
         raise ArctrackError(f"{out}: is the setup itself; give --out another file")
+    if out.is_dir():
+        raise ArctrackError(f"{out}: is a folder; give --out a file's name")
+    if not (out.parent.is_dir() and os.access(out.parent, os.W_OK)):
+        raise ArctrackError(f"{out.parent}: nothing can be written there; give --out another place")

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from arctrack.errors import in_file
+from arctrack.errors import ArctrackError, in_file
 from arctrack.recording import setup_file
 from arctrack.recording.frames import BadFrame, check_source, read_frames
 from arctrack.recording.poses import check_coverage, pose_at, pose_buffer, read_poses
@@ -64,6 +64,26 @@ class Recording:
         A frame that cannot be read, or does not fit the setup, comes as a BadFrame.
         """
         return read_frames(self.frame_source, self.rows, self.setup, positions)
+
+    def readable_frames(self) -> tuple[list[Frame], list[BadFrame]]:
+        """Return the frames that can be read and those that cannot; ArctrackError if none can."""
+        frames: list[Frame] = []
+        bad: list[BadFrame] = []
+        for frame in self.frames():
+            if isinstance(frame, BadFrame):
+                bad.append(frame)
+            else:
+                frames.append(frame)
+        if not frames:
+            raise ArctrackError(f"{bad[0].message}; no frame of {self.path} can be read")
+        return frames, bad
+
+    def complaint(self, bad_frames: Sequence[BadFrame], of_the_others: str) -> str | None:
+        """Return one line on frames that could not be read and what became of the others; None for none."""
+        if not bad_frames:
+            return None
+        count = f"{len(bad_frames)} of {len(self.rows)} frames could not be used"
+        return f"{bad_frames[0].message}; {count}, {of_the_others}"
 
     def pose_at(self, poses: PoseBuffer, timestamp_s: float) -> Pose | None:
         """Return the tool's pose at a frame's time, None where the buffer refuses one."""

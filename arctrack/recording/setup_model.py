@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator
 from typing import Annotated, Any, Literal
 
@@ -222,7 +223,7 @@ class RecordingToml(Table):
     tolerance: ToleranceTable = Field(default_factory=ToleranceTable)
     follow: FollowTable = Field(default_factory=FollowTable)
     robot: RobotTable | None = None
-    effects: dict[str, dict[str, FiniteFloat]] = Field(default_factory=dict)
+    effects: dict[str, Any] = Field(default_factory=dict)
 
     def to_setup(self) -> Setup:
         """Return the typed setup; ValueError names the table and key of a value that cannot be."""
@@ -251,11 +252,17 @@ class RecordingToml(Table):
         )
 
     def _known_effects(self) -> dict[str, dict[str, float]]:
-        """Return the effects that are known, with their parameters that are."""
+        """Return the effects that are known, with their parameters that are; ValueError if they hold else."""
         found: dict[str, dict[str, float]] = {}
         for name, table in self.effects.items():
-            if name in REGISTRY:
-                found[name] = {key: table[key] for key in REGISTRY[name].neutral if key in table}
+            if name not in REGISTRY:
+                continue
+            if not isinstance(table, dict):
+                raise ValueError(f"[effects] {name} = {table!r}: must be a table, [effects.{name}]")
+            found[name] = {key: table[key] for key in REGISTRY[name].neutral if key in table}
+            for key, value in found[name].items():
+                if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):
+                    raise ValueError(f"[effects.{name}] {key} = {value!r}: must be a finite number")
         return found
 
     def _camera(self) -> Camera:
@@ -290,7 +297,7 @@ def unknown_keys(model: RecordingToml) -> tuple[str, ...]:
     unknown = [_place(location) for location in _unknown(model, ())]
     for name, table in model.effects.items():
         if name not in REGISTRY:
-            unknown.append(f"[effects.{name}]")
+            unknown.append(f"[effects.{name}]" if isinstance(table, dict) else f"[effects] {name}")
         else:
             unknown += [f"[effects.{name}] {key}" for key in table if key not in REGISTRY[name].neutral]
     return tuple(unknown)
@@ -300,8 +307,7 @@ def _unknown(table: Table, location: tuple[str | int, ...]) -> Iterator[tuple[st
     extras = table.model_extra or {}
     meant = DIMENSIONS.get(table.type, ()) if isinstance(table, JointTable) else ()
     for name in extras:
-        # [robot] belongs to each controller's own description, its keys are not ours to know.
-        if name not in meant and not isinstance(table, RobotTable):
+        if name not in meant:
             yield (*location, name)
     for name in type(table).model_fields:
         value = getattr(table, name)

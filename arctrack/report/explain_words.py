@@ -12,6 +12,7 @@ from arctrack.explain import Explanation, Look, SeamLook
 from arctrack.explain_lines import NO_FIT, NO_PATH, ODD_WIDTH, READ, TOO_WEAK
 from arctrack.report.diagnosis_words import listed, number, percent
 from tracker import flags
+from tracker.correction import UNSTATED
 from tracker.flags import Flag
 from tracker.step import (
     ARC_OFF_SIGMAS,
@@ -89,6 +90,8 @@ def offset_sentence(of: Explanation) -> str:
     known = ", ".join(f"{name} {pm(value, sigma)}" for name, value, sigma in axes if math.isfinite(value))
     if not known:
         return "It gives no offset for the torch."
+    if of.recording.correction != UNSTATED:
+        return f"For the torch it proposes {known} mm, with what [follow] says of gain, bias and limits."
     return f"At the torch the seam lies {known} mm off the programmed path."
 
 

@@ -221,7 +221,7 @@ EFFECTS = (
         "scattering, here thin; A_eff as in Eq. 15",
         parameters=(
             Parameter("extinction_per_m", "1/m", 0.0, 1.0, 0.0, 20.0, 0.01),
-            Parameter("scatter", "", 0.05, 0.5, 0.0, 5.0, 0.001),
+            Parameter("scatter", "", 0.05, 2.0, 0.0, 50.0, 0.001),
             Parameter("gathered_per_mm", "1/mm", 0.0, 0.03, 0.0, 0.3, 0.001),
         ),
         typical={"extinction_per_m": 2.0, "scatter": 0.05},

@@ -204,7 +204,7 @@ def _one_effect(tier: str, cases: list[Case]) -> list[Score]:
             "false_unknown",
             "called unknown (less is better)",
             cases,
-            lambda c: c.answer.verdict == "unknown",
+            lambda c: c.answer.verdict in ("unknown", FAILED),
             Rate(0, len(cases)),
         ),
     ]
@@ -289,7 +289,7 @@ def _quiet(cases: list[Case]) -> list[Score]:
             "false_name",
             "E",
             "of these, an effect named (less is better)",
-            _rate(cases, lambda c: bool(c.answer.named)),
+            _rate(cases, lambda c: bool(c.answer.named) or c.answer.verdict == FAILED),
             always,
         ),
     ]

@@ -141,12 +141,27 @@ def _from_arc_mm(frame: FrameLight) -> Float64:
     return np.asarray(np.linalg.norm(aside, axis=1)).reshape(frame.sight.shape)
 
 
+def _nearest_mm(setup: Setup) -> float:
+    """Return how near to the arc the image comes, mm, along a plate, from a level pose at nominal height."""
+    camera = setup.camera
+    places = np.meshgrid(np.linspace(0.0, camera.width - 1.0, 9), np.linspace(0.0, camera.height - 1.0, 9))
+    u, v = (of.ravel() for of in places)
+    rays = np.column_stack([(u - camera.cx) / camera.fx, (v - camera.cy) / camera.fy, np.ones(len(u))])
+    d, eye = rays @ camera.T_tool_camera[:3, :3].T, camera.T_tool_camera[:3, 3]
+    on_plate = eye - eye[2] / d[:, 2:] * d
+    aside = on_plate[:, :2] - np.asarray(setup.arc.center_in_tool_mm)[:2]
+    return float(np.linalg.norm(aside, axis=1).min())
+
+
 def _glow(frame: FrameLight, p: Values, fall: Callable[[Float64], Float64]) -> None:
-    """Add the glow, whatever the current: `brightest_e` where the image comes nearest to the arc."""
+    """Add the glow, whatever the current: `brightest_e` where the image comes nearest to the arc.
+
+    That is from a level pose at nominal height: how much the metal glows does not change with the pose.
+    """
     if frame.moment.arc_level == 0.0:
         return
-    rho = _from_arc_mm(frame)
-    hot = np.nan_to_num(fall(rho) / fall(np.asarray(np.nanmin(rho))))
+    nearest = np.asarray(_nearest_mm(frame.studio.world.setup))
+    hot = np.nan_to_num(fall(_from_arc_mm(frame)) / fall(nearest))
     frame.other = frame.other + p["brightest_e"] * hot * frame.sight.cos4.reshape(frame.sight.shape)
 
 

@@ -19,18 +19,19 @@ class LobeShape:
     With X = c2 alpha^2 and t = tan(alpha):
 
     - `gaussian`: exp(-X), the stated one;
-    - `student`: (1 + a X)^(-1/a), a tail of power law;
     - `two_lobes`: (1 - a) exp(-X) + a exp(-X / b^2), the second b times as wide;
     - `ggx`: (1 - a) exp(-X) + a / (1 + c2 t^2 / 2)^2, Walter et al. 2007;
     - `ward`: exp(-X (e^a cos^2 psi + e^-a sin^2 psi)), psi the lean's azimuth from the marks, b in degrees;
     - `slopes`: exp(-c2 (e^a p^2 + e^-a q^2)), p and q the half vector's slopes along and across the marks.
 
-    For the last two the marks run at b degrees to the left of travel on the plate.
+    For the last two the marks run at b degrees to the left of travel on the plate. With a `tail` the
+    exponentials of `gaussian` and `ward` are (1 + tail Y)^(-1/tail), a power law, instead of exp(-Y).
     """
 
     kind: str = "gaussian"
     a: float = 0.0
     b: float = 0.0
+    tail: float = 0.0
 
 
 STATED_LOBE = LobeShape()
@@ -62,9 +63,7 @@ def _fall(c2: float, shape: LobeShape, n: Any, h: Any, cos_alpha: Any) -> Any:
     tan2 = sin2 / (cos_alpha * cos_alpha)
     match shape.kind:
         case "gaussian":
-            return dr.exp(-X)
-        case "student":
-            return dr.power(1.0 + shape.a * X, -1.0 / shape.a)
+            return _with_tail(shape.tail, X)
         case "two_lobes":
             return (1.0 - shape.a) * dr.exp(-X) + shape.a * dr.exp(-X / shape.b**2)
         case "ggx":
@@ -75,8 +74,14 @@ def _fall(c2: float, shape: LobeShape, n: Any, h: Any, cos_alpha: Any) -> Any:
             stretched = math.exp(shape.a) * along2 + math.exp(-shape.a) * (sin2 - along2)
             if shape.kind == "slopes":
                 return dr.exp(-c2 * stretched / (cos_alpha * cos_alpha))
-            return dr.exp(-X * dr.select(sin2 > 0.0, stretched / sin2, 1.0))
+            return _with_tail(shape.tail, X * dr.select(sin2 > 0.0, stretched / sin2, 1.0))
     raise ValueError(f"lobe shape {shape.kind!r} is not known")
+
+
+def _with_tail(tail: float, Y: Any) -> Any:
+    import drjit as dr
+
+    return dr.power(1.0 + tail * Y, -1.0 / tail) if tail > 0.0 else dr.exp(-Y)
 
 
 def _along_marks2(shape: LobeShape, n: Any, lean: Any) -> Any:

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 
 import numpy as np
+from scipy.constants import c, h, k
 from scipy.ndimage import gaussian_filter
 from scipy.signal import fftconvolve
 
@@ -20,9 +22,12 @@ from sim_to_real.check.world_effect import (
     magnitude,
 )
 from sim_to_real.check.world_light import pixel_grid
-from sim_to_real.check.world_source import edge_transmission, filter_angle_shift
+from sim_to_real.check.world_source import EDGE_NM, edge_transmission, filter_angle_shift
 
 MOST_PATCHES = 3
+
+ARC_K = 12_000.0
+"""The temperature whose black body the arc's continuum is like."""
 
 
 def point_spread(image: Float64, sigma_px: float) -> Float64:
@@ -111,7 +116,7 @@ def _draw_dirt(draw: Generator, strength: float, setup: Setup) -> dict[str, floa
         "patches": float(draw.integers(1, MOST_PATCHES + 1)),
         "dimming": magnitude(strength, 0.05, 0.5),
         "scatter": magnitude(strength, 0.005, 0.1),
-        "radius": draw.uniform(0.12, 0.35),
+        "radius": draw.uniform(0.12, 0.28),
         "seed": drawn_seed(draw),
     }
 
@@ -152,11 +157,35 @@ def _draw_shift(draw: Generator, strength: float, setup: Setup) -> dict[str, flo
     return {"share": magnitude(strength, 0.8, 3.0)}
 
 
+def _shift(frame: FrameLight, p: Values, passed: Callable[[Float64], Float64], band_nm: Float64) -> None:
+    """Let the laser's line, and a continuum like the arc's, through a passband that shifts off the axis.
+
+    `passed` is the transmission at normal incidence, `band_nm` (n,) even wavelengths over all that passes.
+    """
+    line_nm = frame.studio.world.setup.laser.wavelength_nm
+    shift = filter_angle_shift(frame, p["share"])
+    frame.laser = frame.laser * passed(line_nm * shift) / passed(np.array(line_nm))
+
+    def through(s: float) -> float:
+        # What is seen at u off the axis is u / s of the light.
+        return float(np.sum(_black_body(band_nm / s) * passed(band_nm)) / s)
+
+    at = np.linspace(1.0, float(shift.max()), 33)
+    of_continuum = np.interp(shift, at, [through(float(s)) / through(1.0) for s in at])
+    frame.arc, frame.other = frame.arc * of_continuum, frame.other * of_continuum
+
+
+def _black_body(wavelength_nm: Float64) -> Float64:
+    """Return Planck's radiance at ARC_K over wavelength, up to a factor."""
+    second = h * c / (k * ARC_K) * 1e9
+    return np.asarray(wavelength_nm**-5.0 / np.expm1(second / wavelength_nm))
+
+
 def _gaussian_shift(frame: FrameLight, p: Values) -> None:
-    stated, laser = frame.studio.world.setup.filter, frame.studio.world.setup.laser
-    k = 4.0 * math.log(2.0) / stated.fwhm_nm**2
-    off_nm = laser.wavelength_nm * filter_angle_shift(frame, p["share"]) - stated.center_nm
-    frame.laser = frame.laser * np.exp(-k * (off_nm**2 - (laser.wavelength_nm - stated.center_nm) ** 2))
+    stated = frame.studio.world.setup.filter
+    width = 4.0 * math.log(2.0) / stated.fwhm_nm**2
+    band_nm = stated.center_nm + stated.fwhm_nm * np.linspace(-3.0, 3.0, 601)
+    _shift(frame, p, lambda nm: np.exp(-width * (nm - stated.center_nm) ** 2), band_nm)
 
 
 def _draw_edge_shift(draw: Generator, strength: float, setup: Setup) -> dict[str, float]:
@@ -164,16 +193,20 @@ def _draw_edge_shift(draw: Generator, strength: float, setup: Setup) -> dict[str
 
 
 def _edge_shift(frame: FrameLight, p: Values) -> None:
-    line_nm = frame.studio.world.setup.laser.wavelength_nm
-    passed = edge_transmission(line_nm * filter_angle_shift(frame, p["share"]))
-    frame.laser = frame.laser * passed / edge_transmission(np.array(line_nm))
+    _shift(frame, p, edge_transmission, np.linspace(EDGE_NM[0], EDGE_NM[-1], 601))
 
 
 FORMS: dict[str, tuple[Form, ...]] = {
+    "dirty_window": (
+        Form(CATALOGUE, "Gaussian patches that dim and scatter the mean", _draw_dirt, light=_round_dirt),
+        Form("droplets", "discs with soft edges", _draw_dirt, light=_droplets),
+        Form("fingerprint", "ridges within a soft disc", _draw_dirt, light=_fingerprint),
+    ),
     "filter_shift": (
         Form(
             CATALOGUE,
-            "laser x T(690 nm / s) / T(690 nm), a Gaussian passband, share of the shift",
+            "laser x T(690 nm s) / T(690 nm), continuum x int B(l) T(l s) dl over that on axis, a Gaussian "
+            "passband, share of the shift",
             _draw_shift,
             light=_gaussian_shift,
         ),
@@ -188,11 +221,6 @@ FORMS: dict[str, tuple[Form, ...]] = {
             "hard", "1 up to rho = 0.6, then falling evenly by loss", _draw_vignetting, light=_hard_vignetting
         ),
     ),
-    "dirty_window": (
-        Form(CATALOGUE, "Gaussian patches that dim and scatter the mean", _draw_dirt, light=_round_dirt),
-        Form("droplets", "discs with soft edges", _draw_dirt, light=_droplets),
-        Form("fingerprint", "ridges within a soft disc", _draw_dirt, light=_fingerprint),
-    ),
     "veiling_glare": (
         Form(CATALOGUE, "(1 - share) E + share mean(E)", _draw_glare, light=_even_glare),
         Form(
@@ -203,7 +231,7 @@ FORMS: dict[str, tuple[Form, ...]] = {
         ),
     ),
     "defocus": (
-        Form(CATALOGUE, "a Gaussian of sigma_px more", _draw_defocus, image=_gaussian_defocus),
-        Form("disc", "an evenly lit disc of radius_px", _draw_disc, image=_disc_defocus),
+        Form(CATALOGUE, "a Gaussian of sigma_px more", _draw_defocus, light=_gaussian_defocus),
+        Form("disc", "an evenly lit disc of radius_px", _draw_disc, light=_disc_defocus),
     ),
 }

@@ -138,7 +138,9 @@ def _draw_distortion(draw: Generator, strength: float, setup: Setup) -> dict[str
 
 
 def _draw_bent_distortion(draw: Generator, strength: float, setup: Setup) -> dict[str, float]:
-    return {"k1": signed(draw, magnitude(strength, 0.15, 1.2)), "k2": draw.uniform(-5.0, 5.0)}
+    # Of one sign: k2 must not undo at the corner what makes the distortion as strong as it is to be.
+    k1 = signed(draw, magnitude(strength, 0.15, 1.2))
+    return {"k1": k1, "k2": k1 * draw.uniform(0.0, 5.0)}
 
 
 def _draw_delay(draw: Generator, strength: float, setup: Setup) -> dict[str, float]:
@@ -182,7 +184,7 @@ FORMS: dict[str, tuple[Form, ...]] = {
             CATALOGUE,
             "(1 + tail c2 alpha^2)^(-1/tail)",
             _draw_student,
-            world=lambda world, p: replace(world, lobe=LobeShape("student", p["tail"])),
+            world=lambda world, p: replace(world, lobe=replace(world.lobe, tail=p["tail"])),
         ),
         Form(
             "two_lobes",
@@ -202,7 +204,9 @@ FORMS: dict[str, tuple[Form, ...]] = {
             CATALOGUE,
             "c2 (e^a cos^2 psi + e^-a sin^2 psi), psi from marks at marks_deg",
             _draw_marks,
-            world=lambda world, p: replace(world, lobe=LobeShape("ward", p["anisotropy"], p["marks_deg"])),
+            world=lambda world, p: replace(
+                world, lobe=replace(world.lobe, kind="ward", a=p["anisotropy"], b=p["marks_deg"])
+            ),
         ),
         Form(
             "slopes",

@@ -271,10 +271,10 @@ FORMS: dict[str, tuple[Form, ...]] = {
             CATALOGUE,
             "arc x (1 + on_axis T(696.54 nm, theta) / T(696.54 nm, 0)), T a real filter's",
             _draw_argon,
-            light=_argon_edge,
+            image=_argon_edge,
         ),
         Form(
-            "gauss", "the same with a Gaussian passband of the stated width", _draw_argon, light=_argon_gauss
+            "gauss", "the same with a Gaussian passband of the stated width", _draw_argon, image=_argon_gauss
         ),
     ),
     "laser_power_drift": drift_forms(

@@ -87,8 +87,28 @@ def test_setup_text_comes_back(tmp_path: Path) -> None:
     assert same_setup(stated.setup, setup)
     assert stated.setup.effects == setup.effects
     assert stated.robot == {"euler_order": "zyx"}
-    assert stated.unknown_keys == ()
+    # Poses are quaternions: whoever states an order must hear that nothing is done with it.
+    assert stated.unknown_keys == ("[robot] euler_order",)
     assert format_setup(stated.setup) == text
+
+
+def test_a_misspelt_tool_frame_is_reported(tmp_path: Path) -> None:
+    pose = "translation_mm = [1.0, 2.0, 3.0]\nquaternion_xyzw = [1.0, 0.0, 0.0, 0.0]\n"
+    text = format_setup(small_setup()) + f"[robot.controller_tool_to_tool]\n{pose}"
+    stated = parse_setup(text, tmp_path / "recording.toml")
+    assert stated.T_tool_controllertool is None
+    assert stated.unknown_keys == ("[robot] controller_tool_to_tool",)
+
+
+def test_effects_of_other_tools_are_kept_whatever_they_hold(tmp_path: Path) -> None:
+    text = (
+        format_setup(small_setup())
+        + '[effects]\nremark = "by hand"\n[effects.my_own]\npoints = [1.0, 2.0]\nenabled = true\n'
+        + '[effects.fume]\nnote = "seen on monday"\n'
+    )
+    stated = parse_setup(text, tmp_path / "recording.toml")
+    assert stated.unknown_keys == ("[effects] remark", "[effects.my_own]", "[effects.fume] note")
+    assert set(stated.setup.effects) == {"fume"}
 
 
 def test_unknown_effects_and_parameters_are_reported(tmp_path: Path) -> None:
@@ -107,6 +127,8 @@ def test_unknown_effects_and_parameters_are_reported(tmp_path: Path) -> None:
         ("[effects.gamma]\ngamma = 0.0\n", r"\[effects.gamma\] gamma = 0: must lie from 0.2 to 5"),
         ("[effects.gamma]\ngamma = 'low'\n", r"\[effects.gamma\] gamma = 'low'"),
         ("[effects.gamma]\ngamma = nan\n", r"\[effects.gamma\] gamma = nan: must be a finite number"),
+        ("[effects.gamma]\ngamma = true\n", r"\[effects.gamma\] gamma = True: must be a finite number"),
+        ("[effects]\ngamma = 1.2\n", r"\[effects\] gamma = 1.2: must be a table"),
     ],
 )
 def test_an_effect_that_cannot_be_is_refused(tmp_path: Path, table: str, named: str) -> None:

@@ -19,7 +19,7 @@ SHOWS = {
         *("arc_length", "arc_deflection", "arc_radius", "arc_flicker", "argon_line_leak"),
         *("spatter", "hot_metal_glow"),
     },
-    "laser": {"laser_power_drift", "laser_speckle", "filter_shift"},
+    "laser": {"laser_power_drift", "laser_speckle"},
     "dark": {"black_level", "read_noise"},
 }
 """Effects that show with the arc alone, the laser alone, or all over; all others show with either light."""

@@ -114,7 +114,8 @@ def directions():
     ("shape", "modelled"),
     [
         (STATED_LOBE, Lobe()),
-        (LobeShape("student", 0.7), Lobe(tail=0.7)),
+        (LobeShape(tail=0.7), Lobe(tail=0.7)),
+        (LobeShape("ward", 0.6, 25.0, tail=0.7), Lobe(tail=0.7, anisotropy=0.6, marks_deg=25.0)),
         (LobeShape("ward", 0.6, 25.0), Lobe(anisotropy=0.6, marks_deg=25.0)),
         (LobeShape("two_lobes", 0.0, 2.0), Lobe()),
         (LobeShape("ggx", 0.0), Lobe()),

@@ -1,4 +1,4 @@
-"""The renderer's fume: against the closed form of a point's airlight, and the same fume from every pose."""
+"""The renderer's medium: a point's airlight in closed form; fume and glow are the same from every pose."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from arctrack.nominal import nominal_setup
-from sim_to_real.check.world_medium import _even_fume, fume_along
+from sim_to_real.check.world_medium import _even_fume, _exponential_glow, fume_along
 
 
 def test_an_even_fumes_airlight_is_the_closed_form() -> None:
@@ -48,3 +48,26 @@ def test_a_pose_nearer_to_the_arc_sees_more_of_the_same_fume() -> None:
     assert found[0][0] == pytest.approx(0.05 * setup.sensor.full_well_e)
     assert found[1][0] / found[0][0] == pytest.approx(found[1][1] / found[0][1])
     assert found[1][0] != pytest.approx(found[0][0], rel=1e-3)
+
+
+def test_a_place_on_the_plate_glows_alike_from_every_pose() -> None:
+    """A camera that comes nearer to the arc sees hotter metal, and what it saw before as hot as before."""
+    setup = nominal_setup("v_groove", "mild_steel")
+    places = np.array([[20.0, 0.0, 0.0], [36.0, 5.0, 0.0], [45.0, -3.0, 0.0]])
+    found = []
+    for chosen in (slice(0, 3), slice(1, 3)):
+        points = places[chosen]
+        frame = SimpleNamespace(
+            sight=SimpleNamespace(points=points, cos4=np.ones(len(points)), shape=(len(points),)),
+            body=SimpleNamespace(center_mm=np.zeros(3)),
+            studio=SimpleNamespace(world=SimpleNamespace(setup=setup)),
+            moment=SimpleNamespace(arc_level=1.0),
+            other=np.zeros(len(points)),
+        )
+        _exponential_glow(frame, {"brightest_e": 3000.0, "length_mm": 10.0})
+        found.append(frame.other)
+    np.testing.assert_allclose(found[0][1:], found[1])
+    rho = np.linalg.norm(places[:, :2], axis=1)
+    np.testing.assert_allclose(found[0] / found[0][0], np.exp(-(rho - rho[0]) / 10.0))
+    # Near the image's rim it is about as bright as it was drawn.
+    assert 0.3 < found[0][0] / 3000.0 < 3.0
