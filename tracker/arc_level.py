@@ -88,7 +88,7 @@ def estimate_arc_level(
     black_sigma = max(tolerance.black_level_dn * sensor.gain_e_per_dn, 1e-3)
     size = np.empty(len(m))
     start = max(0.0, _quantile(e, 0.5) / (_quantile(m, 0.5) + 1e-9))
-    level, sigma, black = _fit_level(m, e, geometry.dark_variance_e2, black_sigma, start, size)
+    level, sigma, black = _fit_level(m, e, geometry.dark_variance_at(e), black_sigma, start, size)
     # Where the sheet hides the arc, its level may be anything.
     if not sigma < MOST_SIGMA * max(level, 1.0):
         return UNKNOWN

@@ -28,7 +28,7 @@ CAPACITY = 96
 """How many measurements are kept."""
 
 SPACING_MM = 1.0
-"""What lies nearer to the latest measurement is averaged with it, so a high frame rate forgets nothing."""
+"""What is nearer to where the latest measurement began is averaged with it: no frame rate forgets any."""
 
 WIDE_SIGMA_MM = 5.0
 """s_0: how far a whole seam may lie off its programmed path."""
@@ -39,14 +39,21 @@ BEND_SIGMA_MM, BEND_LENGTH_MM = 0.5, 60.0
 MODEL_SIGMA_MM = 0.01
 """What a measurement may be off beyond its stated noise, so that repeats do not average without end."""
 
+LEAST_VARIANCE_MM2 = 1e-12
+"""No measurement's own variance is taken for less, so that exact ones can be averaged."""
+
 
 @dataclass(frozen=True)
 class SeamHistory:
-    """Latest measurements, joint frame, mm: stations x (n,), displacements (n, 2) as (y, z), variances."""
+    """Latest measurements, joint frame, mm: stations x (n,), displacements (n, 2) as (y, z), variances.
+
+    `began_mm` is the station of the first of those that the latest one is the average of.
+    """
 
     stations_mm: Float64 = field(default_factory=lambda: np.empty(0))
     displacements_mm: Float64 = field(default_factory=lambda: np.empty((0, 2)))
     variances_mm2: Float64 = field(default_factory=lambda: np.empty((0, 2)))
+    began_mm: float = math.nan
 
     def __len__(self) -> int:
         return len(self.stations_mm)
@@ -56,22 +63,25 @@ class SeamHistory:
     ) -> SeamHistory:
         """Return the history with one more measurement, the oldest dropped beyond CAPACITY."""
         n = len(self)
-        first, last = max(n + 1 - CAPACITY, 0), n
-        variance = variance_mm2 + MODEL_SIGMA_MM**2
-        if n and abs(station_mm - self.stations_mm[-1]) < SPACING_MM:
-            first, last = 0, n - 1
+        first, last, began_mm = max(n + 1 - CAPACITY, 0), n, station_mm
+        noise = np.maximum(variance_mm2, LEAST_VARIANCE_MM2)
+        if abs(station_mm - self.began_mm) < SPACING_MM:
+            # From where it began, not from the average: that would run along with a sensor that creeps.
+            first, last, began_mm = 0, n - 1, self.began_mm
             latest = self.displacements_mm[-1]
-            share = self.variances_mm2[-1] / (self.variances_mm2[-1] + variance)
+            before = np.maximum(self.variances_mm2[-1] - MODEL_SIGMA_MM**2, LEAST_VARIANCE_MM2)
+            share = before / (before + noise)
             station_mm = float(self.stations_mm[-1] + share.mean() * (station_mm - self.stations_mm[-1]))
             displacement_mm = latest + share * (displacement_mm - latest)
-            variance = np.maximum(share * variance, MODEL_SIGMA_MM**2)
+            noise = share * noise
+        variance = noise + MODEL_SIGMA_MM**2
         kept = last - first
         stations = np.empty(kept + 1)
         displacements, variances = np.empty((2, kept + 1, 2))
         stations[:kept], stations[kept] = self.stations_mm[first:last], station_mm
         displacements[:kept], displacements[kept] = self.displacements_mm[first:last], displacement_mm
         variances[:kept], variances[kept] = self.variances_mm2[first:last], variance
-        return SeamHistory(stations, displacements, variances)
+        return SeamHistory(stations, displacements, variances, began_mm)
 
     def is_measured(self, station_mm: float) -> bool:
         """Say whether a station lies within the measured stretch."""

@@ -21,6 +21,9 @@ from noise_model.setup import Setup
 from noise_model.stripe import stripe_runs_along_rows
 
 Float32 = npt.NDArray[np.float32]
+
+LEAST_LIGHT = 0.05
+"""The light, over full well, from which a bent response's noise counts."""
 Int64 = npt.NDArray[np.int64]
 
 SAMPLE = 600
@@ -66,6 +69,19 @@ class SensorGeometry:
             saturation_dn=saturation_dn(setup.sensor),
             dark_variance_e2=float(variance_e2(0.0, setup.sensor)),
         )
+
+    def dark_variance_at(self, charge_e: Float32 | Float64) -> float:
+        """Return the part of a pixel's variance, e-^2, that is not its light's, in light like these charges.
+
+        A linear sensor's is the same everywhere. Of a bent response the step of a code goes with the light,
+        and may be large in the dark: taken is that at the median of the charges, but not below what a stripe
+        that can be seen has, LEAST_LIGHT of full well.
+        """
+        sensor = self.setup.sensor
+        if (sensor.gamma == 1.0 and sensor.bend == 0.0) or not charge_e.size:
+            return self.dark_variance_e2
+        typical_e = max(float(np.median(charge_e)), LEAST_LIGHT * sensor.full_well_e)
+        return float(variance_e2(typical_e, sensor)) - typical_e
 
     @cached_property
     def pixels_per_mm(self) -> float:

@@ -121,7 +121,7 @@ def read_stripe(
         band.charge,
         band.censored,
     )
-    shot, dark_variance = 1.0, geometry.dark_variance_e2
+    shot, dark_variance = 1.0, geometry.dark_variance_at(band.charge)
     level_known = math.isfinite(arc.level)
     level = arc.level if level_known else 1.0
     level_sigma = 0.0 if level_known else geometry.setup.tolerance.arc_level_rel

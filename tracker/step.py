@@ -62,7 +62,10 @@ UNEXPLAINED_LIMIT = 0.1
 
 JUMP_SIGMAS, JUMP_FLOOR_MM = 5.0, 0.3
 JUMPS_TO_RELEARN = 3
-"""So many jumps in a row are the seam's new place."""
+"""So many jumps in a row to one place are the seam's new place."""
+
+MOST_STRETCHES = 8
+"""So many stretches between jumps are remembered for the torch that comes after."""
 
 LEAST_MARGIN_MM = 1.0
 """A seam nearer to the profile's end than this is out of view."""
@@ -82,13 +85,27 @@ class TrackerState:
     """What one step hands to the next; it can be saved with a recording.
 
     `jumps` and `lost` count frames in a row whose joint was elsewhere or not found, `frames` all of them.
+    `history` is the seam from its last jump on; `beyond` what has been measured elsewhere since, which
+    becomes the history if it goes on so; `behind` are the latest stretches before, in which the torch may
+    still stand.
     """
 
     history: SeamHistory = field(default_factory=SeamHistory)
+    beyond: SeamHistory = field(default_factory=SeamHistory)
+    behind: tuple[SeamHistory, ...] = ()
     steering: Steering = field(default_factory=Steering)
     jumps: int = 0
     lost: int = 0
     frames: int = 0
+
+    def history_at(self, station_mm: float) -> SeamHistory:
+        """Return the stretch of the seam that a station lies on; between two it is that of the nearer one."""
+        stretch = self.history
+        for before in reversed(self.behind):
+            if len(stretch) and station_mm >= 0.5 * (before.stations_mm.max() + stretch.stations_mm.min()):
+                return stretch
+            stretch = before
+        return stretch
 
     @property
     def lasting_flags(self) -> int:
@@ -159,8 +176,9 @@ def step_and_reading(
         track = replace(track, flags=found)
     else:
         state, track = _follow(geometry, state, track, found, nominal, reading.view, reading.joint)
+    stretch = state.history_at(float(nominal.T_joint_tool[0, 3]))
     steering, track = steer(
-        correction, geometry.setup, pose.T_base_tool, nominal, state.history, state.steering, track, seam
+        correction, geometry.setup, pose.T_base_tool, nominal, stretch, state.steering, track, seam
     )
     return replace(state, steering=steering), track, reading
 
@@ -305,17 +323,27 @@ def _follow(
     variance = np.diag(joint.covariance_mm2)
     expected, expected_sigma = state.history.at(station)
     limit = jump_limit_mm(expected_sigma, variance)
-    history, jumps, lost = state.history, 0, 0
+    history, beyond, behind, jumps, lost = state.history, SeamHistory(), state.behind, 0, 0
     if len(history) and (np.abs(displacement - expected) > limit).any():
         found |= flags.SEAM_JUMP.mask
-        jumps, lost = state.jumps + 1, state.lost
+        jumps, lost, beyond = state.jumps + 1, state.lost, state.beyond
+        elsewhere, elsewhere_sigma = beyond.at(station)
+        if (np.abs(displacement - elsewhere) > jump_limit_mm(elsewhere_sigma, variance)).any():
+            # Nor where the last jump was: what is here and there is no seam.
+            jumps, beyond = 1, SeamHistory()
+        beyond = beyond.with_measurement(station, displacement, variance)
         if jumps >= JUMPS_TO_RELEARN:
-            history, jumps, lost = SeamHistory(), 0, 0
+            # The torch comes to the new stretch later: until then it is on the one before, if that was one.
+            if len(history) >= JUMPS_TO_RELEARN:
+                behind = (*behind, history)[-MOST_STRETCHES:]
+            history, beyond, jumps, lost = beyond, SeamHistory(), 0, 0
     else:
         history = history.with_measurement(station, displacement, variance)
     hand_eye = hand_eye_variance(setup, nominal, seam_tool)
     steering = replace(state.steering, hand_eye_variance_mm2=(float(hand_eye[0]), float(hand_eye[1])))
-    state = replace(state, history=history, steering=steering, jumps=jumps, lost=lost)
+    state = replace(
+        state, history=history, beyond=beyond, behind=behind, steering=steering, jumps=jumps, lost=lost
+    )
     sigma = np.sqrt(variance + hand_eye)
     return state, replace(
         track,

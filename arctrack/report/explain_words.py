@@ -310,7 +310,8 @@ def _jump(of: Explanation, seam: SeamLook, jumped: tuple[Flag, ...]) -> Gate:
 
 def _at_torch(of: Explanation, look: Look) -> Gate:
     open_ = tuple(flag for flag in AT_TORCH if of.track.flags & flag.mask)
-    history, torch = of.after.history, look.torch_station_mm
+    torch = look.torch_station_mm
+    history = of.after.history_at(torch)
     found = "nothing is measured yet"
     if len(history):
         first, last = history.stations_mm.min(), history.stations_mm.max()

@@ -109,17 +109,29 @@ def test_repeated_stations_stay_solvable(spacing_mm: float) -> None:
     assert (sigma < 0.1).all()
 
 
+@pytest.mark.parametrize("variance_mm2", [0.0, 1e-6, 1e-4, 1e-2])
 @pytest.mark.parametrize("frame_spacing_mm", [0.02, 0.1, 0.5, 0.99, 1.0, 2.0])
-def test_the_look_ahead_is_remembered_at_any_frame_rate(frame_spacing_mm: float) -> None:
-    """A torch 60 mm behind the sensor still stands on the measured stretch; the memory is bounded."""
+def test_the_look_ahead_is_remembered_at_any_frame_rate(frame_spacing_mm: float, variance_mm2: float) -> None:
+    """A torch 60 mm behind the sensor still stands on the measured stretch, on its own part of the seam."""
     stations = np.arange(0.0, 200.0, frame_spacing_mm)
-    history = history_of(stations, np.tile([1.0, 2.0], (len(stations), 1)), np.full((len(stations), 2), 0.01))
+    drifting = np.column_stack([0.02 * stations, 2.0 - 0.01 * stations])
+    history = history_of(stations, drifting, np.full((len(stations), 2), variance_mm2))
     assert len(history) <= CAPACITY
     torch = float(stations[-1]) - 60.0
     assert history.is_measured(torch)
     offset, sigma = history.at(torch)
-    np.testing.assert_allclose(offset, [1.0, 2.0], atol=0.01)
+    np.testing.assert_allclose(offset, [0.02 * torch, 2.0 - 0.01 * torch], atol=0.01)
     assert (sigma < 0.1).all()
+
+
+def test_what_lies_close_together_is_its_mean() -> None:
+    rng = np.random.default_rng(3)
+    values = rng.normal(1.0, 0.1, (50, 2))
+    history = history_of(np.linspace(10.0, 10.9, 50), values, np.full((50, 2), 0.01))
+    assert len(history) == 1
+    np.testing.assert_allclose(history.displacements_mm[0], values.mean(axis=0), atol=1e-9)
+    np.testing.assert_allclose(history.variances_mm2[0], 0.01 / 50 + MODEL_SIGMA_MM**2)
+    assert history.stations_mm[0] == pytest.approx(10.45, abs=1e-6)
 
 
 def test_its_sigma_is_honest() -> None:

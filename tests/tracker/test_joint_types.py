@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 import numpy.typing as npt
+import profiles
 import pytest
 from profiles import groove, lap, measure, only
 
@@ -169,6 +170,25 @@ def misses(found: MeasuredJoint, truth: Truth, seam: tuple[float, float]) -> dic
         "area": (shape.area_mm2 - truth.area_mm2, shape.area_sigma_mm2),
     }
     return {name: pair for name, pair in pairs.items() if math.isfinite(pair[0])}
+
+
+@pytest.mark.parametrize("gap_mm", [0.0, 0.3])
+@pytest.mark.parametrize("thickness_mm", [0.6, 0.7, 1.0])
+def test_beyond_a_thin_sheet_there_is_no_gap(
+    monkeypatch: pytest.MonkeyPatch, thickness_mm: float, gap_mm: float
+) -> None:
+    """Of an edge joint of sheets narrower than twice the range in which their ends are looked for."""
+    monkeypatch.setattr(profiles, "COLUMN_MM", 0.035)
+    joint = Joint("edge", {"gap_mm": gap_mm, "thickness_mm": thickness_mm}, LINE)
+    right, left, low = -0.5 * gap_mm, 0.5 * gap_mm, -60.0
+    inner = [(right - thickness_mm, low), (right - thickness_mm, 0.0), (right, 0.0)]
+    inner += [(right, low), (left, low)] if gap_mm else []
+    inner += [(left, 0.0), (left + thickness_mm, 0.0), (left + thickness_mm, low)]
+    truth = Truth(with_plates(inner, (0.0, 0.0)), gap_mm, 0.0, plates_deg=(0.0, 0.0))
+    found = fit(seen(truth, (0.5, -0.2), np.random.default_rng(3)), joint, (0.5, -0.2))
+    assert found is not None
+    assert found.gap_mm == pytest.approx(gap_mm, abs=0.08)
+    assert found.y_mm == pytest.approx(0.5, abs=0.08)
 
 
 @pytest.mark.parametrize("name", CASES)

@@ -86,6 +86,42 @@ def test_a_sharp_root_keeps_its_height() -> None:
     assert (np.mean(scaled, axis=0) < 1.5).all()
 
 
+@pytest.mark.parametrize("stated_mm", [0.0, 0.1])
+@pytest.mark.parametrize("gap_mm", [0.0, 0.1, 0.3])
+@pytest.mark.parametrize("depth_mm", [3.7, 4.0, 4.3])
+def test_a_narrow_root_keeps_its_height_however_deep_it_is(
+    stated_mm: float, gap_mm: float, depth_mm: float
+) -> None:
+    """Less gap, more depth and a lower root leave the bevels where they are: the root's few points decide."""
+    joint = Joint("v_groove", {**STATED.dimensions, "root_gap_mm": stated_mm}, LINE)
+    rng, errors, pulls = np.random.default_rng(4), [], []
+    for _ in range(20):
+        profile = measure(groove((30.0, 30.0), (depth_mm, depth_mm), gap_mm), (1.0, -4.0), rng, sigma_px=0.1)
+        found = fit(profile, joint)
+        assert found is not None
+        assert found.gap_mm == pytest.approx(gap_mm, abs=0.05)
+        errors.append(found.z_mm + 4.0)
+        pulls.append(errors[-1] / np.sqrt(found.covariance_mm2[1, 1]))
+    assert np.abs(errors).max() < 0.04
+    assert np.sqrt(np.mean(np.square(pulls))) < 1.7
+
+
+@pytest.mark.parametrize("depth_mm", [3.7, 4.3])
+def test_a_closed_half_v_is_where_its_bevel_meets_its_side(depth_mm: float) -> None:
+    joint = Joint("half_v", {"bevel_angle_deg": 45.0, "depth_mm": 4.0, "root_gap_mm": 0.0}, LINE)
+    corners = np.array(
+        [(-60.0, depth_mm), (-1e-9, depth_mm), (0.0, 0.0), (depth_mm, depth_mm), (60.0, depth_mm)]
+    )
+    for seed in range(8):
+        profile = measure(corners, (1.0, -4.0), np.random.default_rng(seed), sigma_px=0.1)
+        found = fit(profile, joint)
+        assert found is not None
+        error = np.array([found.y_mm - 1.0, found.z_mm + 4.0])
+        # The side lies within a column, and takes the root up and down with it.
+        assert np.abs(error).max() < 0.06
+        assert error @ np.linalg.solve(found.covariance_mm2, error) < 9.0
+
+
 def test_three_wrong_points_in_ten_do_not_move_it() -> None:
     rng = np.random.default_rng(3)
     errors = []

@@ -216,6 +216,36 @@ def test_beyond_the_limit_it_stops_both_axes_for_good(v: Setup) -> None:
     assert abs(tracks(v, Correction(), iter(seen))[-1].offset_z_mm) < 0.1
 
 
+def test_the_torch_stays_on_its_stretch_until_it_comes_to_a_jump(v: Setup) -> None:
+    """The seam jumps by 0.8 mm at 60 mm, where the sensor is 35 mm before the torch."""
+    before, after = SeamLine(0.0, 0.0, 0.0), SeamLine(0.0, 0.8, 0.0)
+    seen = [
+        *walk(v, 14, before, step_mm=2.0, start_mm=-4.0),
+        *walk(v, 30, after, step_mm=2.0, start_mm=24.0),
+    ]
+    found = tracks(v, Correction(), iter(seen))
+    relearned = next(n for n, track in enumerate(found) if n > 14 and "seam_jump" not in track.flag_names)
+    for n, (track, (_, pose)) in enumerate(zip(found, seen, strict=True)):
+        torch_mm = float(pose.T_base_tool[0, 3])
+        if n < relearned or 55.0 < torch_mm < 63.0:
+            continue
+        assert track.offset_y_mm == pytest.approx(0.0 if torch_mm < 60.0 else 0.8, abs=0.05)
+        if 32.0 < torch_mm < 55.0:
+            assert not {"offset_extrapolated", "offset_held", "offset_unknown"} & set(track.flag_names)
+
+
+def test_jumps_to_different_places_are_no_seam(v: Setup) -> None:
+    tracker = Tracker(v)
+    for frame, pose in walk(v, 4):
+        assert tracker.step(frame, pose).valid
+    for n, y_mm in enumerate((1.4, -1.2, 1.5, -1.3, 1.2)):
+        pose = pose_at(32.0 + n)
+        track = tracker.step(frame_of(v, pose, SeamLine(0.0, y_mm, 0.0), index=4 + n), pose)
+        assert not track.valid
+    pose = pose_at(38.0)
+    assert tracker.step(frame_of(v, pose, SeamLine(), index=9), pose).valid
+
+
 def test_the_same_seam_twice_is_the_same_offset(v: Setup) -> None:
     """A correction replaces the one before: neither gain nor bias is summed."""
     correction = Correction(y=AxisCorrection(gain=0.5, bias_mm=0.5), z=AxisCorrection(enable=False))

@@ -309,6 +309,22 @@ def test_the_frame_is_not_written_to(v: Setup) -> None:
 # A seam that moves or hides.
 
 
+@pytest.mark.parametrize("arc", [0.0, 1.0])
+@pytest.mark.parametrize("gamma", [0.7, 1.0, 1.35, 2.0])
+def test_a_bent_response_is_as_good_as_a_straight_one(v: Setup, gamma: float, arc: float) -> None:
+    """Steep in the dark, where a code is many electrons: where the stripe is it is not."""
+    setup = replace(v, sensor=replace(v.sensor, gamma=gamma))
+    tracker, errors, sigmas, aside = Tracker(setup), [], [], SeamLine(0.0, 1.0, -0.5)
+    for frame, pose in walk(setup, 6, aside, arc=arc):
+        track = tracker.step(frame, pose)
+        assert track.valid
+        true = true_seam_tool(setup, pose, aside)
+        errors.append(np.array(track.seam_tool_mm) - true)
+        sigmas.append(np.nanmedian(track.stripe.sigma_px))
+    assert np.abs(errors).max() < 0.1
+    assert np.median(sigmas) < 0.1
+
+
 def test_a_jump_is_flagged_and_then_learned(v: Setup) -> None:
     tracker = Tracker(v)
     for frame, pose in walk(v, 4):

@@ -19,6 +19,7 @@ from tracker.joint.measured import (
     ShapeFit,
     angles_of,
     fit_shape,
+    of_narrow_root,
     opening_of,
     place,
     section_of,
@@ -32,6 +33,9 @@ PRIOR_SIGMA = np.array([5.0, 5.0, 0.3, 0.04, 0.04, 0.3, 0.3, 0.03, 0.03])
 
 ROUND_PRIOR_SIGMA = np.append(PRIOR_SIGMA, 0.2)
 """The same, and that of a rounding's radius, mm."""
+
+GAP = 2
+"""Which parameter the root's gap is."""
 
 MUCH_LEFT_OUT, WIDER_MM = 0.2, 1.0
 """A fit that leaves out more of a groove's points may have lost a side: points so far off are let in anew."""
@@ -77,6 +81,10 @@ def _fit(
         if again is not None and _seen_of(profile, again, half_mouth).left_out < seen.left_out:
             fit = again
             seen = _seen_of(profile, fit, half_mouth)
+    if shape == GROOVE and min(seen.right_bevel, seen.left_bevel) > 0.0:
+        inside = np.abs(profile.y_mm - fit.parameters[0]) < half_mouth
+        fit = of_narrow_root(profile, shape, start, prior_sigma, GAP, inside, fit)
+        seen = _seen_of(profile, fit, half_mouth)
     amid_mm = (1.0 - 2.0 * END_SHARE) * (half_mouth - 0.5 * gap)
     enough = min(LEAST_POINTS, LEAST_SHARE * amid_mm / profile.column_mm)
     if min(seen.right_bevel, seen.left_bevel) < enough:

@@ -9,6 +9,7 @@ import numpy as np
 from noise_model.frames import Float64
 from noise_model.surface import Joint, section
 from tracker.joint.measured import (
+    CLOSED_MM,
     SURE_MM,
     SURE_SIGMAS,
     JointShape,
@@ -16,6 +17,7 @@ from tracker.joint.measured import (
     ShapeFit,
     angles_of,
     fit_shape,
+    of_narrow_root,
     opening_of,
     place,
     section_of,
@@ -77,6 +79,9 @@ def fit_half_v(profile: Profile, joint: Joint, camera_mm: Float64, laser_mm: Flo
         fit = fit_shape(profile, HALF_GROOVE, start, PRIOR_SIGMA, clear)
         if fit is None:
             return None
+    else:
+        in_groove = (profile.y_mm > wall) & (profile.y_mm < mouth)
+        fit = of_narrow_root(profile, HALF_GROOVE, start, PRIOR_SIGMA, GAP, in_groove, fit, clear)
     inside = (profile.y_mm > wall) & (profile.y_mm < mouth)
     if fit.weights[inside].sum() < LEAST_POINTS:
         return None
@@ -105,7 +110,11 @@ def _measured(fit: ShapeFit, wall: float, wall_variance: float, left_out: float)
     gives_way = max(0.0, 1.0 - covariance[GAP, GAP] / PRIOR_SIGMA[GAP] ** 2)
     y_s = wall + 0.5 * p[GAP]
     variance_y = (1.0 - 0.5 * gives_way) ** 2 * wall_variance + 0.25 * covariance[GAP, GAP]
-    across = 0.5 * covariance[GAP, ROOT]
+    variance_z, across = covariance[ROOT, ROOT], 0.5 * covariance[GAP, ROOT]
+    if p[GAP] < CLOSED_MM:
+        # The root is where the bevel meets the side, and goes up and down with that.
+        gives_way, variance_y = 0.0, wall_variance
+        variance_z, across = variance_z + wall_variance / p[TAN] ** 2, wall_variance / p[TAN]
     bevel, bevel_sigma = math.atan(p[TAN]), math.sqrt(covariance[TAN, TAN]) / (1.0 + p[TAN] ** 2)
     plates, plate_sigmas = angles_of(fit, SLOPE_LEFT, SLOPE_RIGHT)
     area, area_sigma = opening_of(HALF_GROOVE, fit, (wall,))
@@ -128,7 +137,7 @@ def _measured(fit: ShapeFit, wall: float, wall_variance: float, left_out: float)
     return MeasuredJoint(
         float(y_s),
         float(p[ROOT]),
-        np.array([[variance_y, across], [across, covariance[ROOT, ROOT]]]),
+        np.array([[variance_y, across], [across, variance_z]]),
         float(max(p[GAP], 0.0)),
         float(p[DEPTH_LEFT] - p[DEPTH_RIGHT]),
         fit.chi2,

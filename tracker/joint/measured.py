@@ -85,6 +85,16 @@ class MeasuredJoint:
     corners_mm: Float64 = field(default_factory=lambda: np.empty((0, 2)), repr=False)
 
 
+NARROW_MM, ROOTS = 0.8, ((0.0, 1e-4), (0.15, 0.05), (0.3, 0.1))
+"""A root narrower than this is fitted from these gaps as well, with the 1 sigma of each, mm."""
+
+CLOSED_MM = 1e-3
+"""What comes out narrower is closed."""
+
+ALIKE = 0.3
+"""A closed root may leave so much more, in points that are all left out, than the best of the others."""
+
+
 @dataclass(frozen=True)
 class ShapeFit:
     """Parameters (p,), their covariance (p, p), chi2 per degree of freedom and the points' weights (n,)."""
@@ -135,6 +145,47 @@ def fit_shape(
         y, dy, dz = profile.y_mm, profile.dy_mm, profile.dz_mm
         add_alike(shape, y, dy, dz, sigma, beside, weights, parameters, chi2, covariance)
     return ShapeFit(parameters[:n], covariance, chi2, weights)
+
+
+def of_narrow_root(
+    profile: Profile,
+    shape: int,
+    start: Float64,
+    prior_sigma: Float64,
+    gap: int,
+    inside: npt.NDArray[np.bool_],
+    fit: ShapeFit,
+    used: npt.NDArray[np.bool_] | None = None,
+) -> ShapeFit:
+    """Return a groove's fit, or one from another root gap that leaves less of the points `inside` (n,).
+
+    A gap less, depths more and a root lower by what that is worth leave bevels and plates where they are: of
+    a root of a few points the priors alone would say how wide and how deep it is, and the points that know
+    better are left out for good. So where the parameter `gap` comes out small it is fitted from `ROOTS` too,
+    closed first: then the root is where the bevels meet.
+    """
+    if not fit.parameters[gap] < NARROW_MM:
+        return fit
+    counts = inside if used is None else inside & used
+
+    def left(one: ShapeFit) -> float:
+        # Tukey's loss over its largest, from his weights: 1 - w^(3/2).
+        return float(np.sum(1.0 - one.weights[counts] ** 1.5)) - (
+            ALIKE if one.parameters[gap] < CLOSED_MM else 0.0
+        )
+
+    found = []
+    for gap_mm, sigma_mm in ROOTS:
+        at, sigma = start.copy(), prior_sigma.copy()
+        at[gap], sigma[gap] = gap_mm, sigma_mm
+        other = fit_shape(profile, shape, at, sigma, used)
+        if other is not None:
+            found.append(other)
+            # What is narrower than a column is not seen.
+            other.covariance[gap, gap] = max(other.covariance[gap, gap], profile.column_mm**2)
+    # Less than no gap is a closed root whose height the priors chose.
+    found += [fit] if fit.parameters[gap] > 0.0 else []
+    return min(found, key=left, default=fit)
 
 
 @kernel

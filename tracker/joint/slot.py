@@ -90,7 +90,9 @@ def _gap_of(lines: _Lines, joint: Joint, y_0: float) -> _Gap | None:
     An edge joint's lies amid its sheets' outer ends, if they are alike.
     """
     thickness, gap = joint.dimensions["thickness_mm"], joint.dimensions["gap_mm"]
-    reach = 0.5 * gap + SLACK_MM
+    # Beyond a thin sheet there is no plate either: more of that than of the sheet would outvote it.
+    slack = min(SLACK_MM, 0.5 * thickness) if joint.type == "edge" else SLACK_MM
+    reach = 0.5 * gap + slack
     right, of_right = lines.end(y_0 - reach, y_0, True)
     left, of_left = lines.end(y_0, y_0 + reach, False)
     if lines.others_between(right, left) >= LEAST_LINES:
@@ -98,8 +100,8 @@ def _gap_of(lines: _Lines, joint: Joint, y_0: float) -> _Gap | None:
     if joint.type != "edge":
         return None
     outer = 0.5 * gap + thickness
-    right, of_right = lines.end(y_0 - outer - SLACK_MM, y_0 - outer + SLACK_MM, False)
-    left, of_left = lines.end(y_0 + outer - SLACK_MM, y_0 + outer + SLACK_MM, True)
+    right, of_right = lines.end(y_0 - outer - slack, y_0 - outer + slack, False)
+    left, of_left = lines.end(y_0 + outer - slack, y_0 + outer + slack, True)
     variance = 0.25 * (of_left + of_right) + 0.5 * THICKNESS_SIGMA_MM**2
     return _Gap(0.5 * (left + right), variance, 0.0, (LEAST_LINES * lines.column_mm) ** 2)
 
