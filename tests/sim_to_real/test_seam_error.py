@@ -19,12 +19,12 @@ def test_a_camera_that_is_off_moves_the_seam_until_it_is_known(tmp_path):
 
 
 def test_a_clock_that_is_late_moves_the_seam_until_it_is_known(tmp_path):
-    """With a weave of 3 mm and 2.3 s a tenth of a second is up to 0.8 mm."""
+    """The torch weaves by millimetres: a tenth of a second is up to a millimetre beside the seam."""
     hidden = {"pose_delay": {"delay_s": 0.1}}
-    setup, frames, pose_at = recorded(tmp_path / "late", hidden)
+    setup, frames, pose_at = recorded(tmp_path / "late", hidden, coarser=3)
     expected = Expected(observe(setup, frames, pose_at))
     expected.take_tangents(expected.neutral, hidden)
     true = refit(expected, hidden, expected.neutral, steps=0)
     before, after = seam_errors_mm(setup, frames, pose_at, expected, true)
-    assert before > 0.3
+    assert before > 0.5
     assert after < 0.1
