@@ -19,6 +19,7 @@ from arctrack.recording import BadFrame, Recording
 from arctrack.replay import tracker_of
 from noise_model.arc_map import ArcKernel, Scene, arc_frame, arc_kernel, scene
 from noise_model.frames import Float64
+from noise_model.sensor import variance_e2
 from tracker import flags
 from tracker.arc_level import MAP_SIGMA, ArcLevel
 from tracker.expected import ExpectedStripe, expect_stripe
@@ -198,7 +199,7 @@ def _arc_image(
     mean_e = arc_e + other_e + np.float32(arc.black_e)
     dn = frame.image_dn.T if geometry.along_rows else frame.image_dn
     charge_e = geometry.charge_e[np.minimum(dn, len(geometry.charge_e) - 1)]
-    variance = np.maximum(mean_e, 0.0) + geometry.dark_variance_e2 + (MAP_SIGMA * arc_e) ** 2
+    variance = variance_e2(mean_e, geometry.setup.sensor) + (MAP_SIGMA * arc_e) ** 2
     whitened = np.where(dn < geometry.saturation_dn, (charge_e - mean_e) / np.sqrt(variance), np.nan)
     images = (mean_e, whitened.astype(np.float32))
     return ArcImage(*(image.T if geometry.along_rows else image for image in images))

@@ -287,9 +287,12 @@ class Motion:
         def distance_mm(station_mm: float) -> float:
             return float(plane[:3] @ point_tool(station_mm) + plane[3])
 
-        foot_mm = transform(invert(T_tool_joint), np.array([-plane[3] / plane[0], 0.0, 0.0]))[0]
+        foot_mm = transform(
+            invert(T_tool_joint), np.array([-plane[3] / plane[0] if plane[0] else math.nan, 0.0, 0.0])
+        )[0]
         ends_mm = foot_mm - MEETS_WITHIN_MM, foot_mm + MEETS_WITHIN_MM
-        if distance_mm(ends_mm[0]) * distance_mm(ends_mm[1]) > 0.0:
+        # A sheet along the seam has no foot: NaN.
+        if not distance_mm(ends_mm[0]) * distance_mm(ends_mm[1]) <= 0.0:
             raise ArctrackError(
                 f"[laser] plane_in_tool: the sheet does not meet the seam within {MEETS_WITHIN_MM:g} mm of "
                 "where it meets the tool's axis of travel; it hardly leans across the seam"

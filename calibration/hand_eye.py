@@ -21,6 +21,7 @@ from noise_model.arc_map import arc_at, arc_kernel, scene
 from noise_model.effects import really
 from noise_model.fit import Fit, Parameter, fit
 from noise_model.frames import Float64, moved
+from noise_model.sensor import variance_e2
 from noise_model.setup import Setup
 from noise_model.surface import SeamLine
 from tracker.arc_level import HUBER
@@ -180,7 +181,7 @@ class _View:
         passage = Passage.of(self.geometry, view, light, output)
         arc_e, other_e = seen_arc(light, passage, self.pixels)
         mean = np.nan_to_num(arc_e) + other_e + black_e
-        variance = np.maximum(mean, 0.0) + self.geometry.dark_variance_e2 + (MAP_SIGMA * mean) ** 2
+        variance = variance_e2(mean, self.geometry.setup.sensor) + (MAP_SIGMA * mean) ** 2
         return np.asarray((self.charge_e - mean) / np.sqrt(variance))
 
 

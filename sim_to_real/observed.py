@@ -61,6 +61,7 @@ class ObservedFrame:
     count: unsaturated, off edges of joint and shadow, thinned off the stripe; `kept_dn` (n,) their means,
     `rendered` (h, w) are those and the saturated ones, whose light may overflow;
     `sigma_dn` (n,) the noise of these with the model's floor, `in_stripe` (n,) whether the laser lights them.
+    `shown_dn2` (n,) is the part of that noise's square which the recording shows beyond the stated noise.
     `stated_e` (h, w) is the light that the nominal setup puts there along the tracked seam, e-.
     """
 
@@ -78,6 +79,7 @@ class ObservedFrame:
     sigma_dn: Float64
     in_stripe: Bool
     stated_e: Float32
+    shown_dn2: Float64
 
     @property
     def kept_dn(self) -> Float64:
@@ -220,6 +222,7 @@ def _observed(
     layers = Renderer().layers(really(binned), pose, seam.bent(np.zeros(seam.n_modes), *stations_mm))
     keep, in_stripe = _keep(binned, layers, condition, usable)
     binned_dn = block_means(frame.image_dn, bin_px).astype(np.float32)
+    sigma_dn, shown_dn2 = _noise(binned_dn, setup, bin_px, transfer)
     return ObservedFrame(
         position,
         frame.index,
@@ -232,9 +235,10 @@ def _observed(
         binned_dn,
         keep,
         keep | ~usable,
-        _sigma_dn(binned_dn, setup, bin_px, transfer)[keep],
+        sigma_dn[keep],
         in_stripe[keep],
         _stated_e(setup, layers, condition),
+        shown_dn2[keep],
     )
 
 
@@ -253,18 +257,20 @@ def _usable(image_dn: npt.NDArray[np.integer], setup: Setup, bin_px: int) -> Boo
     return np.asarray(block_means(image_dn >= saturation_dn(setup.sensor), bin_px) == 0.0)
 
 
-def _sigma_dn(binned_dn: Float32, setup: Setup, bin_px: int, transfer: PhotonTransfer) -> Float64:
+def _noise(
+    binned_dn: Float32, setup: Setup, bin_px: int, transfer: PhotonTransfer
+) -> tuple[Float64, Float64]:
     """Return the noise (h, w) of bins with the model's floor, from the light that is seen.
 
-    Seen, not predicted: every candidate explains the same data with the same weights. Of the stated noise and
-    that which the recording shows the larger counts.
+    And what of its square is not the stated noise's. Seen, not predicted: every candidate explains the same
+    data with the same weights. Of the stated noise and that which the recording shows the larger counts.
     """
     seen_dn = cv2.blur(binned_dn, (3, 3)).astype(np.float64)
     electrons = np.maximum(linearise(seen_dn, setup.sensor), 0.0)
     _, stated_dn2 = respond_moments(electrons, electrons + setup.sensor.read_noise_e**2, setup.sensor)
-    variance_dn2 = np.maximum(stated_dn2, transfer.at(seen_dn))
-    light_dn = seen_dn - setup.sensor.black_level_dn
-    return np.asarray(np.sqrt(variance_dn2 / bin_px**2 + (FLOOR_REL * light_dn) ** 2 + FLOOR_DN**2))
+    shown_dn2 = np.maximum(transfer.at(seen_dn) - stated_dn2, 0.0) / bin_px**2
+    floor_dn2 = (FLOOR_REL * (seen_dn - setup.sensor.black_level_dn)) ** 2 + FLOOR_DN**2
+    return np.sqrt(stated_dn2 / bin_px**2 + shown_dn2 + floor_dn2), shown_dn2
 
 
 def _keep(setup: Setup, layers: Layers, condition: Condition, usable: Bool) -> tuple[Bool, Bool]:

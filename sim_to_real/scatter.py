@@ -18,9 +18,9 @@ from scipy.stats import norm
 from noise_model.effects import REGISTRY
 from noise_model.frames import Float64
 from sim_to_real.details import Details, Sizes, details, pattern, sizes
-from sim_to_real.expected import Expected, Passed
+from sim_to_real.expected import Expected
 from sim_to_real.nuisances import WITHIN_SIGMAS
-from sim_to_real.observed import FLOOR_DN, FLOOR_REL, Observed, ObservedFrame
+from sim_to_real.observed import Observed, ObservedFrame
 from sim_to_real.pixels import Bool
 from sim_to_real.refit import NAMED_FROM, Refit
 from sim_to_real.spatter import Spatter, spatter
@@ -97,7 +97,7 @@ def scatter(expected: Expected, fitted: Refit, without: Sequence[str]) -> Scatte
     of_bins = [sum((one.of_bins(of) for one in acting), np.zeros(len(of.stated))) for of in pixels]
     gap = sum(max(one.excess, 0.0) for one in found if one.id not in stated)
     gap += _coherent(observed, fitted, pixels, left, of_bins)
-    sigmas_dn = [_with_more(*of, observed) for of in zip(frames, fitted.passed, pixels, of_bins, strict=True)]
+    sigmas_dn = [_with_more(*of) for of in zip(frames, of_bins, strict=True)]
     if any(one.id == "spatter" for one in acting):
         sigmas_dn = [np.where(use, sigma, np.inf) for use, sigma in zip(left, sigmas_dn, strict=True)]
     return Scatter(
@@ -112,17 +112,12 @@ def scatter(expected: Expected, fitted: Refit, without: Sequence[str]) -> Scatte
     )
 
 
-def _with_more(
-    frame: ObservedFrame, light: Passed, of: Details, more_dn2: Float64, observed: Observed
-) -> Float64:
+def _with_more(frame: ObservedFrame, more_dn2: Float64) -> Float64:
     """Return the noise (n,) of a frame's bins with what scatters, whose variance is `more_dn2` (n,).
 
-    What of it the bins' noise holds already, since the recording shows it, is not added once more.
+    What of it the recording has shown already, and the bins' noise holds, is not added once more.
     """
-    light_dn = light.mean_dn() - observed.setup.sensor.black_level_dn
-    stated_dn2 = of.stated / observed.bin_px**2 + (FLOOR_REL * light_dn) ** 2 + FLOOR_DN**2
-    held_dn2 = np.maximum(frame.sigma_dn**2 - stated_dn2, 0.0)
-    return np.hypot(frame.sigma_dn, np.sqrt(np.maximum(more_dn2 - held_dn2, 0.0)))
+    return np.hypot(frame.sigma_dn, np.sqrt(np.maximum(more_dn2 - frame.shown_dn2, 0.0)))
 
 
 def _within_tolerance(ratio: float, observed: Observed) -> float:

@@ -78,7 +78,7 @@ class SensorGeometry:
         that can be seen has, LEAST_LIGHT of full well.
         """
         sensor = self.setup.sensor
-        if (sensor.gamma == 1.0 and sensor.bend == 0.0) or not charge_e.size:
+        if sensor.is_linear or not charge_e.size:
             return self.dark_variance_e2
         typical_e = max(float(np.median(charge_e)), LEAST_LIGHT * sensor.full_well_e)
         return float(variance_e2(typical_e, sensor)) - typical_e

@@ -10,6 +10,7 @@ of range, the gate holds what was sent last, by its age, and then refuses.
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -58,14 +59,19 @@ class SeamAtTorch:
 
 
 def seam_at_torch(
-    correction: Correction, history: SeamHistory, torch_mm: float, stretch_mm: tuple[float, float]
+    correction: Correction,
+    history: SeamHistory,
+    torch_mm: float,
+    stretch_mm: tuple[float, float],
+    goes_on: bool = False,
 ) -> SeamAtTorch:
     """Return the seam where the torch stands; `stretch_mm` are the stations of the joint's start and end.
 
     Before the joint it is the seam at its start. Before what is measured of it the process is asked. Past
     the last measurement the seam is lost: its last place is held, at a sigma that takes in how far the
     process expects it to have gone since, or the process goes on, both within the correction's limits; or
-    following stops, but not within SPACING_MM, where the joint's very end may lie.
+    following stops, but not within SPACING_MM, where the joint's very end may lie. A seam that `goes_on` in
+    another stretch beyond is not lost.
     """
     start_mm, end_mm = stretch_mm
     if torch_mm > end_mm:
@@ -75,7 +81,7 @@ def seam_at_torch(
         return SeamAtTorch.unknown(raised | flags.OFFSET_UNKNOWN.mask)
     station_mm, last_mm = max(torch_mm, start_mm), float(history.stations_mm.max())
     displacement, sigma = history.at(station_mm)
-    lost_mm = torch_mm - last_mm if torch_mm >= start_mm else 0.0
+    lost_mm = torch_mm - last_mm if torch_mm >= start_mm and not goes_on else 0.0
     if lost_mm > SPACING_MM and correction.when_lost == "stop":
         return SeamAtTorch.unknown(raised | flags.FOLLOW_STOPPED.mask)
     if lost_mm > 0.0 and correction.when_lost == "hold":
@@ -94,7 +100,7 @@ def steer(
     setup: Setup,
     T_base_tool: Float64,
     nominal: Scene,
-    history: SeamHistory,
+    stretches: tuple[SeamHistory, Callable[[float], SeamHistory]],
     steering: Steering,
     track: Track,
     seam: SeamLine,
@@ -102,14 +108,17 @@ def steer(
     """Return the track with the offset that is proposed to the gate, and what is handed on.
 
     `nominal` is the pose seen from the nominal joint, `seam` the stretch that the sensor looked for,
-    `history` the seam with the track's own measurement.
+    `stretches` the seam's latest with the track's own measurement, and which one a station lies on.
     """
     line_mm = nominal_ends(setup.joint, nominal.T_joint_tool @ invert(T_base_tool))
     ends = steering.ends
     if correction.ends_mm > 0.0 and not track.flags & NO_LOOK:
         ends = ends.with_look(seam.station_mm, track.valid, line_mm, correction.ends_mm)
     torch_mm = float(nominal.T_joint_tool[0, 3])
-    there = seam_at_torch(correction, history, torch_mm, ends.stretch_mm(line_mm, correction.ends_mm))
+    joint_mm = ends.stretch_mm(line_mm, correction.ends_mm)
+    latest, history_at = stretches
+    history = history_at(max(torch_mm, joint_mm[0]))
+    there = seam_at_torch(correction, history, torch_mm, joint_mm, history is not latest)
     height_mm = 0.0
     if correction.corrugation == "followed":
         height_mm = ridge(torch_mm, nominal.shape.corrugation)[0]

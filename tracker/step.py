@@ -99,7 +99,13 @@ class TrackerState:
     frames: int = 0
 
     def history_at(self, station_mm: float) -> SeamHistory:
-        """Return the stretch of the seam that a station lies on; between two it is that of the nearer one."""
+        """Return the stretch of the seam that a station lies on: the latest that has measured it.
+
+        Between two stretches it is that of the nearer one.
+        """
+        for measured in (self.history, *reversed(self.behind)):
+            if measured.is_measured(station_mm):
+                return measured
         stretch = self.history
         for before in reversed(self.behind):
             if len(stretch) and station_mm >= 0.5 * (before.stations_mm.max() + stretch.stations_mm.min()):
@@ -176,9 +182,9 @@ def step_and_reading(
         track = replace(track, flags=found)
     else:
         state, track = _follow(geometry, state, track, found, nominal, reading.view, reading.joint)
-    stretch = state.history_at(float(nominal.T_joint_tool[0, 3]))
+    stretches = state.history, state.history_at
     steering, track = steer(
-        correction, geometry.setup, pose.T_base_tool, nominal, stretch, state.steering, track, seam
+        correction, geometry.setup, pose.T_base_tool, nominal, stretches, state.steering, track, seam
     )
     return replace(state, steering=steering), track, reading
 

@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from arctrack.cli.setups import check_is_another, read_setup
+from arctrack.cli.setups import check_can_be_written, read_setup
 from arctrack.errors import in_file
 from arctrack.output import write_whole
 
@@ -35,7 +35,7 @@ def filter_curve(
 
     read = read_setup(setup)
     stated = read.setup
-    check_is_another(out, read.path)
+    check_can_be_written(out, read.path)
     index = stated.filter.effective_index if effective_index is None else effective_index
     try:
         curve = read_filter_curve(data, index)

@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from arctrack.cli.setups import check_is_another
+from arctrack.cli.setups import check_can_be_written
 from arctrack.errors import ArctrackError
 from arctrack.output import write_whole
 
@@ -28,7 +28,7 @@ def hand_eye(
 
     read = read_recording(recording)
     console.warn(read.warnings)
-    check_is_another(out, read.setup_path)
+    check_can_be_written(out, read.setup_path)
     buffer = read.pose_buffer()
     readable, bad_frames = read.readable_frames()
     frames = [

@@ -23,7 +23,7 @@ def read_setup(source: Path) -> SetupFile:
     return stated
 
 
-def check_is_another(out: Path, setup: Path) -> None:
+def check_can_be_written(out: Path, setup: Path) -> None:
     """Raise ArctrackError if a command cannot write its file, or would replace the setup that it reads."""
     if out.exists() and out.resolve() == setup.resolve():
         raise ArctrackError(f"{out}: is the setup itself; give --out another file")

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-import math
+import sys
 from collections.abc import Iterator
 from typing import Annotated, Any, Literal
 
@@ -261,7 +261,9 @@ class RecordingToml(Table):
                 raise ValueError(f"[effects] {name} = {table!r}: must be a table, [effects.{name}]")
             found[name] = {key: table[key] for key in REGISTRY[name].neutral if key in table}
             for key, value in found[name].items():
-                if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):
+                # An integer of TOML may be too large for a float.
+                is_number = isinstance(value, int | float) and not isinstance(value, bool)
+                if not is_number or not abs(value) <= sys.float_info.max:
                     raise ValueError(f"[effects.{name}] {key} = {value!r}: must be a finite number")
         return found
 

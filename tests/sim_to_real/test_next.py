@@ -75,7 +75,7 @@ def planned():
     setup = nominal_setup("v_groove", "mild_steel", width=48, height=36)
     dark = Condition(0.0, 0.0, 0.001, 1.1)
     nothing = np.zeros((0, 0))
-    of = ObservedFrame(0, 11, 1.1, "dark", dark, travelling, (0.0, 0.0, 0.0), *7 * [nothing])
+    of = ObservedFrame(0, 11, 1.1, "dark", dark, travelling, (0.0, 0.0, 0.0), *8 * [nothing])
     return {one.key: planned_frame(one, of, setup) for one in MENU}
 
 

@@ -10,7 +10,6 @@ from scipy.stats import norm
 
 from noise_model.frames import Float64
 from sim_to_real import scatter as of_scatter
-from sim_to_real.observed import FLOOR_DN, FLOOR_REL
 from sim_to_real.scatter import NAMED_FROM, scatter
 from tests.sim_to_real.scattered import HEIGHT, WIDTH, Scattering, recorded, streak
 
@@ -116,16 +115,16 @@ def test_noise_of_bins_is_what_bins_scatter_by():
 
 
 def test_noise_that_bins_have_been_given_already_is_not_added_again():
-    """As of a recording whose photon transfer has shown it: the floor, and the noise that is really there."""
+    """As of a recording whose photon transfer has shown it."""
     (expected, fitted), _ = made("read_noise")
     observed = expected.observed
     sensor = observed.setup.sensor
 
     def given(frame, light):
-        electrons = light.arc_e + light.laser_e + (1.8 * sensor.read_noise_e) ** 2
-        variance_dn2 = electrons / sensor.gain_e_per_dn**2 + 1.0 / 12.0
-        floor_dn2 = (FLOOR_REL * (light.mean_dn() - sensor.black_level_dn)) ** 2 + FLOOR_DN**2
-        return replace(frame, sigma_dn=np.sqrt(variance_dn2 / observed.bin_px**2 + floor_dn2))
+        # Read noise of 1.8 times the stated one, in bins.
+        shown_dn2 = (1.8**2 - 1.0) * (sensor.read_noise_e / sensor.gain_e_per_dn / observed.bin_px) ** 2
+        shown = np.full(len(frame.sigma_dn), shown_dn2)
+        return replace(frame, sigma_dn=np.sqrt(frame.sigma_dn**2 + shown), shown_dn2=shown)
 
     frames = tuple(given(*of) for of in zip(observed.frames, fitted.passed, strict=True))
     found = scatter(type(expected)(observed=replace(observed, frames=frames)), fitted, ())

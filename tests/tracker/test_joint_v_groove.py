@@ -106,6 +106,23 @@ def test_a_narrow_root_keeps_its_height_however_deep_it_is(
     assert np.sqrt(np.mean(np.square(pulls))) < 1.7
 
 
+@pytest.mark.parametrize("joint_type", ["v_groove", "half_v"])
+def test_a_narrow_root_that_is_not_seen_is_not_said_to_be_closed(joint_type: str) -> None:
+    """Light falls through it: what is stated is all there is to go by, and the sigma says so."""
+    size = {"included_angle_deg": 60.0} if joint_type == "v_groove" else {"bevel_angle_deg": 30.0}
+    joint = Joint(joint_type, {**size, "depth_mm": 4.0, "root_gap_mm": 0.6}, LINE)
+    corners = groove((30.0, 30.0), (4.0, 4.0), 0.6)
+    if joint_type == "half_v":
+        corners = corners[np.abs(corners[:, 0] + 0.3 + 4.0 * np.tan(np.radians(30.0))) > 1e-6]
+        corners = np.insert(corners, 1, [(-0.3 - 1e-9, 4.0)], axis=0)
+    profile = measure(corners, (1.0, -4.0), np.random.default_rng(5), sigma_px=0.1)
+    found = fit(only(profile, np.abs(profile.y_mm - 1.0) > 0.3), joint)
+    assert found is not None
+    error, sigma = np.array([found.y_mm - 1.0, found.z_mm + 4.0]), np.sqrt(np.diag(found.covariance_mm2))
+    assert (np.abs(error) < np.maximum(3.0 * sigma, 0.05)).all()
+    assert np.abs(error).max() < 0.2
+
+
 @pytest.mark.parametrize("depth_mm", [3.7, 4.3])
 def test_a_closed_half_v_is_where_its_bevel_meets_its_side(depth_mm: float) -> None:
     joint = Joint("half_v", {"bevel_angle_deg": 45.0, "depth_mm": 4.0, "root_gap_mm": 0.0}, LINE)

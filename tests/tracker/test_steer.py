@@ -234,6 +234,21 @@ def test_the_torch_stays_on_its_stretch_until_it_comes_to_a_jump(v: Setup) -> No
             assert not {"offset_extrapolated", "offset_held", "offset_unknown"} & set(track.flag_names)
 
 
+def test_a_hole_at_a_jump_is_no_lost_seam_and_what_was_measured_last_counts(v: Setup) -> None:
+    """Not seen from 50 to 60 mm, and 0.8 mm aside from there on: the torch crosses it without a stop."""
+    before, after = SeamLine(0.0, 0.0, 0.0), SeamLine(0.0, 0.8, 0.0)
+    seen = [
+        *walk(v, 9, before, step_mm=2.0, start_mm=-2.0),
+        *walk(v, 24, after, step_mm=2.0, start_mm=25.0),
+    ]
+    tracker = Tracker(v, correction=STOP)
+    found = [tracker.step(frame, pose) for frame, pose in seen]
+    assert not any("follow_stopped" in track.flag_names for track in found)
+    # Back at the start, and once more along a part that lies elsewhere.
+    again = [tracker.step(frame, pose) for frame, pose in walk(v, 20, after, step_mm=2.0, start_mm=-2.0)]
+    assert again[-1].offset_y_mm == pytest.approx(0.8, abs=0.05)
+
+
 def test_jumps_to_different_places_are_no_seam(v: Setup) -> None:
     tracker = Tracker(v)
     for frame, pose in walk(v, 4):

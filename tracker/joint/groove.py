@@ -82,8 +82,9 @@ def _fit(
             fit = again
             seen = _seen_of(profile, fit, half_mouth)
     if shape == GROOVE and min(seen.right_bevel, seen.left_bevel) > 0.0:
-        inside = np.abs(profile.y_mm - fit.parameters[0]) < half_mouth
-        fit = of_narrow_root(profile, shape, start, prior_sigma, GAP, inside, fit)
+        middle_mm = float(fit.parameters[0])
+        inside = np.abs(profile.y_mm - middle_mm) < half_mouth
+        fit = of_narrow_root(profile, shape, start, prior_sigma, GAP, middle_mm, inside, fit)
         seen = _seen_of(profile, fit, half_mouth)
     amid_mm = (1.0 - 2.0 * END_SHARE) * (half_mouth - 0.5 * gap)
     enough = min(LEAST_POINTS, LEAST_SHARE * amid_mm / profile.column_mm)

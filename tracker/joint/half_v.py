@@ -71,7 +71,8 @@ def fit_half_v(profile: Profile, joint: Joint, camera_mm: Float64, laser_mm: Flo
     wall, p = float(start[-1]), fit.parameters
     mouth = wall + p[GAP] + p[DEPTH_LEFT] * p[TAN]
     on_bevel = (profile.y_mm > wall + max(p[GAP], 0.0)) & (profile.y_mm < mouth)
-    if fit.weights[on_bevel].sum() < LEAST_POINTS:
+    is_seen = fit.weights[on_bevel].sum() >= LEAST_POINTS
+    if not is_seen:
         # A bevel that is not seen is bridged by its priors, in the covariance too; where the root ends is not
         # known, and what lies there counts for nothing.
         sure = wall + max(gap - SURE_SIGMAS * PRIOR_SIGMA[GAP], 0.0)
@@ -79,10 +80,10 @@ def fit_half_v(profile: Profile, joint: Joint, camera_mm: Float64, laser_mm: Flo
         fit = fit_shape(profile, HALF_GROOVE, start, PRIOR_SIGMA, clear)
         if fit is None:
             return None
-    else:
-        in_groove = (profile.y_mm > wall) & (profile.y_mm < mouth)
-        fit = of_narrow_root(profile, HALF_GROOVE, start, PRIOR_SIGMA, GAP, in_groove, fit, clear)
     inside = (profile.y_mm > wall) & (profile.y_mm < mouth)
+    if is_seen:
+        middle_mm = wall + 0.5 * max(float(fit.parameters[GAP]), 0.0)
+        fit = of_narrow_root(profile, HALF_GROOVE, start, PRIOR_SIGMA, GAP, middle_mm, inside, fit, clear)
     if fit.weights[inside].sum() < LEAST_POINTS:
         return None
     left_out = unexplained(profile, fit, 0.5 * (wall + mouth), 0.5 * (mouth - wall))

@@ -88,6 +88,9 @@ class MeasuredJoint:
 NARROW_MM, ROOTS = 0.8, ((0.0, 1e-4), (0.15, 0.05), (0.3, 0.1))
 """A root narrower than this is fitted from these gaps as well, with the 1 sigma of each, mm."""
 
+ROOT_COLUMNS = 2
+"""So many points must show a root, in as many columns on either side of its middle."""
+
 CLOSED_MM = 1e-3
 """What comes out narrower is closed."""
 
@@ -153,6 +156,7 @@ def of_narrow_root(
     start: Float64,
     prior_sigma: Float64,
     gap: int,
+    middle_mm: float,
     inside: npt.NDArray[np.bool_],
     fit: ShapeFit,
     used: npt.NDArray[np.bool_] | None = None,
@@ -162,9 +166,14 @@ def of_narrow_root(
     A gap less, depths more and a root lower by what that is worth leave bevels and plates where they are: of
     a root of a few points the priors alone would say how wide and how deep it is, and the points that know
     better are left out for good. So where the parameter `gap` comes out small it is fitted from `ROOTS` too,
-    closed first: then the root is where the bevels meet.
+    closed first: then the root is where the bevels meet. Where no point shows the root, about `middle_mm`,
+    the priors are all there is.
     """
-    if not fit.parameters[gap] < NARROW_MM:
+    width_mm = float(fit.parameters[gap])
+    if not width_mm < NARROW_MM:
+        return fit
+    in_root = np.abs(profile.y_mm - middle_mm) < max(0.5 * width_mm, ROOT_COLUMNS * profile.column_mm)
+    if np.count_nonzero(in_root if used is None else in_root & used) < ROOT_COLUMNS:
         return fit
     counts = inside if used is None else inside & used
 
