@@ -73,8 +73,7 @@ def _has_many_nats(decision: Decision, baseline: Candidate) -> bool:
 
 def not_held_up(decision: Decision, baseline: Candidate, random: Scatter) -> Decision:
     """Return the verdict if what was chosen closes nothing in frames that nothing was fitted to."""
-    found = replace(decision, verdict=without_help(baseline), chosen=baseline, ambiguous=())
-    return with_random(found, baseline, random)
+    return _without_chosen(decision, without_help(baseline), baseline, random)
 
 
 def is_trifle(decision: Decision, baseline: Candidate, gap: Gap) -> bool:
@@ -86,7 +85,11 @@ def is_trifle(decision: Decision, baseline: Candidate, gap: Gap) -> bool:
 
 def without_trifle(decision: Decision, baseline: Candidate, random: Scatter) -> Decision:
     """Return the verdict if what was chosen is a trifle."""
-    found = replace(decision, verdict=Verdict.NO_GAP, chosen=baseline, ambiguous=())
+    return _without_chosen(decision, Verdict.NO_GAP, baseline, random)
+
+
+def _without_chosen(decision: Decision, verdict: Verdict, baseline: Candidate, random: Scatter) -> Decision:
+    found = replace(decision, verdict=verdict, chosen=baseline, ambiguous=())
     return with_random(found, baseline, random)
 
 

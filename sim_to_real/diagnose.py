@@ -149,7 +149,7 @@ def _diagnosed(
     random = scatter(expected, after, without)
     predicted = predicted_of(after, random)
     gap = measure(predicted, setup, seam_errors_mm(setup, frames, pose_at, expected, after))
-    helps = smaller(predicted) >= must_help(decision, baseline)
+    helps = not named or smaller(predicted) >= must_help(decision, baseline)
     if named and (not helps or is_trifle(decision, baseline, gap)):
         without_it = without_trifle if helps else not_held_up
         decision, after, share = without_it(decision, baseline, scattered), before, {}

@@ -21,10 +21,10 @@ from noise_model.setup import Setup
 from noise_model.stripe import stripe_runs_along_rows
 
 Float32 = npt.NDArray[np.float32]
+Int64 = npt.NDArray[np.int64]
 
 LEAST_LIGHT = 0.05
 """The light, over full well, from which a bent response's noise counts."""
-Int64 = npt.NDArray[np.int64]
 
 SAMPLE = 600
 """About so many pixels are an even sample of an image, however many it has."""

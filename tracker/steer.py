@@ -100,7 +100,8 @@ def steer(
     setup: Setup,
     T_base_tool: Float64,
     nominal: Scene,
-    stretches: tuple[SeamHistory, Callable[[float], SeamHistory]],
+    latest: SeamHistory,
+    history_at: Callable[[float], SeamHistory],
     steering: Steering,
     track: Track,
     seam: SeamLine,
@@ -108,7 +109,8 @@ def steer(
     """Return the track with the offset that is proposed to the gate, and what is handed on.
 
     `nominal` is the pose seen from the nominal joint, `seam` the stretch that the sensor looked for,
-    `stretches` the seam's latest with the track's own measurement, and which one a station lies on.
+    `latest` the seam's latest stretch with the track's own measurement, `history_at` the one that a station
+    lies on.
     """
     line_mm = nominal_ends(setup.joint, nominal.T_joint_tool @ invert(T_base_tool))
     ends = steering.ends
@@ -116,7 +118,6 @@ def steer(
         ends = ends.with_look(seam.station_mm, track.valid, line_mm, correction.ends_mm)
     torch_mm = float(nominal.T_joint_tool[0, 3])
     joint_mm = ends.stretch_mm(line_mm, correction.ends_mm)
-    latest, history_at = stretches
     history = history_at(max(torch_mm, joint_mm[0]))
     there = seam_at_torch(correction, history, torch_mm, joint_mm, history is not latest)
     height_mm = 0.0

@@ -182,9 +182,16 @@ def step_and_reading(
         track = replace(track, flags=found)
     else:
         state, track = _follow(geometry, state, track, found, nominal, reading.view, reading.joint)
-    stretches = state.history, state.history_at
     steering, track = steer(
-        correction, geometry.setup, pose.T_base_tool, nominal, stretches, state.steering, track, seam
+        correction,
+        geometry.setup,
+        pose.T_base_tool,
+        nominal,
+        state.history,
+        state.history_at,
+        state.steering,
+        track,
+        seam,
     )
     return replace(state, steering=steering), track, reading
 

@@ -6,7 +6,7 @@ import math
 from collections.abc import Callable
 
 import numpy as np
-from scipy.constants import c, h, k
+from scipy.constants import Boltzmann, Planck, speed_of_light
 from scipy.ndimage import gaussian_filter
 from scipy.signal import fftconvolve
 
@@ -177,15 +177,15 @@ def _shift(frame: FrameLight, p: Values, passed: Callable[[Float64], Float64], b
 
 def _black_body(wavelength_nm: Float64) -> Float64:
     """Return Planck's radiance at ARC_K over wavelength, up to a factor."""
-    second = h * c / (k * ARC_K) * 1e9
-    return np.asarray(wavelength_nm**-5.0 / np.expm1(second / wavelength_nm))
+    scale_nm = 1e9 * Planck * speed_of_light / (Boltzmann * ARC_K)
+    return np.asarray(wavelength_nm**-5.0 / np.expm1(scale_nm / wavelength_nm))
 
 
 def _gaussian_shift(frame: FrameLight, p: Values) -> None:
     stated = frame.studio.world.setup.filter
-    width = 4.0 * math.log(2.0) / stated.fwhm_nm**2
+    per_nm2 = 4.0 * math.log(2.0) / stated.fwhm_nm**2
     band_nm = stated.center_nm + stated.fwhm_nm * np.linspace(-3.0, 3.0, 601)
-    _shift(frame, p, lambda nm: np.exp(-width * (nm - stated.center_nm) ** 2), band_nm)
+    _shift(frame, p, lambda nm: np.exp(-per_nm2 * (nm - stated.center_nm) ** 2), band_nm)
 
 
 def _draw_edge_shift(draw: Generator, strength: float, setup: Setup) -> dict[str, float]:

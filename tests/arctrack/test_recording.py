@@ -1,5 +1,5 @@
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import replace
 from pathlib import Path
 
@@ -177,19 +177,8 @@ def test_poses_of_a_can_log(tmp_path: Path) -> None:
     with BusLogWriter(path / "can.blf") as log:
         log.write(can.Message(timestamp=0.0, arbitration_id=0x7E0, is_extended_id=False, data=b"foreign"))
         for timestamp_s, T_base_tool in zip(expected.timestamps_s, expected.T_base_tool, strict=True):
-            for message in (
-                RobotPosePosition(*(float(v) for v in T_base_tool[:3, 3]), kind=PoseKind.ACTUAL),
-                RobotPoseRotation.from_quaternion((0.0, 0.0, 0.0, 1.0), sample_age_ms=0.0),
-            ):
-                identifier, payload = protector.protect(message)
-                sent_at_s = float(timestamp_s) + 1.0
-                log.write(
-                    can.Message(
-                        timestamp=sent_at_s, arbitration_id=identifier, is_extended_id=False, data=payload
-                    )
-                )
-    replaced = [f"{line[0]},{float(line[2:10]) + 1.0:.6f}{line[10:]}" for line in _lines(path / "frames.csv")]
-    (path / "frames.csv").write_text("\n".join([_header(path / "frames.csv"), *replaced]))
+            _log_pose(log, protector, float(timestamp_s) + 1.0, T_base_tool[:3, 3])
+    _delay_frames(path / "frames.csv")
     recording = read_recording(path)
     assert "1 frames of the bus were left out" in recording.warnings[0]
     np.testing.assert_allclose(recording.poses.timestamps_s, expected.timestamps_s + 1.0, atol=1e-6)
@@ -209,22 +198,37 @@ def test_a_controller_that_sends_a_sample_twice_is_heard_once(tmp_path: Path) ->
             sampled_s, age_s = 0.02 * (n // 2), 0.01 * (n % 2)
             if n % 2 == 0:
                 expected.append(sampled_s)
-            for message in (
-                RobotPosePosition(1e3 * sampled_s, 0.0, 0.0, kind=PoseKind.ACTUAL),
-                RobotPoseRotation.from_quaternion((0.0, 0.0, 0.0, 1.0), sample_age_ms=1e3 * age_s),
-            ):
-                identifier, payload = protector.protect(message)
-                sent_at_s = 1.0 + sampled_s + age_s - (1e-4 if age_s else 0.0)
-                log.write(
-                    can.Message(
-                        timestamp=sent_at_s, arbitration_id=identifier, is_extended_id=False, data=payload
-                    )
-                )
-    replaced = [f"{line[0]},{float(line[2:10]) + 1.0:.6f}{line[10:]}" for line in _lines(path / "frames.csv")]
-    (path / "frames.csv").write_text("\n".join([_header(path / "frames.csv"), *replaced]))
+            sent_at_s = 1.0 + sampled_s + age_s - (1e-4 if age_s else 0.0)
+            _log_pose(log, protector, sent_at_s, (1e3 * sampled_s, 0.0, 0.0), 1e3 * age_s)
+    _delay_frames(path / "frames.csv")
     recording = read_recording(path)
     assert "40 frames of the bus were left out" in recording.warnings[0]
     np.testing.assert_allclose(recording.poses.timestamps_s, np.array(expected) + 1.0, atol=1e-6)
+
+
+def _log_pose(
+    log: BusLogWriter,
+    protector: Protector,
+    sent_at_s: float,
+    position_mm: Iterable[float],
+    sample_age_ms: float = 0.0,
+) -> None:
+    """Write the two frames of an upright tool's pose."""
+    x, y, z = (float(value) for value in position_mm)
+    for message in (
+        RobotPosePosition(x, y, z, kind=PoseKind.ACTUAL),
+        RobotPoseRotation.from_quaternion((0.0, 0.0, 0.0, 1.0), sample_age_ms=sample_age_ms),
+    ):
+        identifier, payload = protector.protect(message)
+        log.write(
+            can.Message(timestamp=sent_at_s, arbitration_id=identifier, is_extended_id=False, data=payload)
+        )
+
+
+def _delay_frames(frames_csv: Path) -> None:
+    """Put all frames of a recording a second later, where a bus' poses may begin before them."""
+    later = [f"{line[0]},{float(line[2:10]) + 1.0:.6f}{line[10:]}" for line in _lines(frames_csv)]
+    frames_csv.write_text("\n".join([_header(frames_csv), *later]))
 
 
 def _lines(path: Path) -> list[str]:

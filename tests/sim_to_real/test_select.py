@@ -84,9 +84,7 @@ def test_of_the_arcs_levels_those_about_their_mean_in_frames_that_show_it_are_pa
     n_lit = int(expected.observed.lit.sum())
     assert 2 < n_lit < len(expected.observed.frames)
     assert fitted.n_parameters == n_lit - 1
-    with_gamma = refit(
-        expected, {"arc_flicker": {"sigma_rel": 0.0}, "gamma": {"gamma": 1.0}}, expected.neutral
-    )
+    with_gamma = refit(expected, {**flicker, "gamma": {"gamma": 1.0}}, expected.neutral)
     assert with_gamma.n_parameters == n_lit - 1 + len(REGISTRY["gamma"].parameters)
 
 
