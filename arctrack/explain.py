@@ -172,7 +172,7 @@ def _look(
     stripe = read_stripe(
         geometry, arc_map, passage, reading.arc, frame, expected, reach_px, work, use_arc_map
     )
-    profile = profile_of(geometry, view, expected, stripe.stripe, reading.reach_mm)
+    profile = profile_of(geometry, view, expected, stripe, reading.reach_mm)
     look = replace(look, stripe=StripeLook(stripe, refusals(stripe, expected), sigma_parts(stripe, expected)))
     if len(profile.y_mm) < 2:
         return look

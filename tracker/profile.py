@@ -14,6 +14,7 @@ from noise_model.kernel import kernel
 from noise_model.laser import plane_in
 from noise_model.optics import Intrinsics, undistorted
 from tracker.geometry import SensorGeometry
+from tracker.stripe_end import StripeLight
 
 
 @dataclass(frozen=True)
@@ -24,7 +25,7 @@ class Profile:
     moves when its stripe centre moves by 1 px; `sigma_px` (n,): that centre's 1 sigma, `beside_px` (n,)
     that with which it counts among neighbours that are off alike. `column_mm` is the
     points' spacing in y, `scan` (n,) the scan lines they came from. The seam is looked for within
-    `reach_mm` of y = 0.
+    `reach_mm` of y = 0. `light` is what the stripe was read from, None where that is not at hand.
     """
 
     y_mm: Float64
@@ -36,6 +37,7 @@ class Profile:
     column_mm: float
     beside_px: Float64
     reach_mm: float = math.inf
+    light: StripeLight | None = None
 
 
 def triangulate(

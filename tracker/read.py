@@ -10,6 +10,7 @@ import numpy.typing as npt
 
 from noise_model.arc_map import CELL, ArcKernel, ArcMap
 from noise_model.frames import Float64
+from noise_model.setup import Setup
 from tracker.arc_level import MAP_SIGMA, ArcLevel
 from tracker.band import gather, median_background, place, weigh
 from tracker.expected import ExpectedStripe
@@ -18,6 +19,7 @@ from tracker.passage import Passage
 from tracker.second_stripe import second_light, second_place
 from tracker.speckle import Speckle, with_speckle
 from tracker.state import Frame, Stripe
+from tracker.stripe_end import StripeLight
 from tracker.stripe_fit import fit_lines
 from tracker.stripe_path import OFFSET_STEP, best_path, matched_filter, peaks
 from tracker.stripe_smooth import smooth_stripe
@@ -90,6 +92,23 @@ class StripeReading:
     map_sigma: float
     base_sigma_e: float
     second_share: float
+
+    def light(self, setup: Setup) -> StripeLight:
+        """Return what shows where the stripe ends, as good as the band."""
+        band, width_px = self.band, self.fits[:, 3]
+        return StripeLight(
+            band.charge,
+            band.background,
+            band.variance,
+            band.censored,
+            self.lows,
+            CELL,
+            self.stripe.position_px,
+            width_px,
+            self.shot,
+            Speckle.of(setup).line_contrast(width_px),
+            setup.camera.psf_sigma_px,
+        )
 
 
 def arc_map_of(geometry: SensorGeometry, kernel: ArcKernel) -> ArcMap:

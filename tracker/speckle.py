@@ -59,6 +59,16 @@ class Speckle:
         reach = math.ceil(12.0 * self.grain_px)
         return float(self.correlation(np.arange(-reach, reach + 1.0)).sum())
 
+    def line_contrast(self, width_px: Float64) -> float:
+        """Return by how much the brightness of stripes (n,) scatters from line to line, relative.
+
+        A bell weighs 2 sqrt(pi) w pixels as one; so many of them over `alike` scatter each by the contrast.
+        """
+        if self.contrast == 0.0 or not np.isfinite(width_px).any():
+            return self.contrast
+        pixels = 2.0 * math.sqrt(math.pi) * float(np.nanmedian(width_px))
+        return self.contrast * min(1.0, math.sqrt(self.alike / pixels))
+
 
 def speckle_variance_px2(
     speckle: Speckle,

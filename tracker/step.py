@@ -25,7 +25,7 @@ from tracker.joint import MeasuredJoint, fit_joint
 from tracker.joint.type_check import is_another_type
 from tracker.passage import Passage
 from tracker.profile import Profile, triangulate
-from tracker.read import FIT_SIGMAS, Work, arc_map_of, read_stripe
+from tracker.read import FIT_SIGMAS, StripeReading, Work, arc_map_of, read_stripe
 from tracker.seam import (
     confidence,
     expected_seam,
@@ -257,7 +257,7 @@ def _read(
     # Of what is no stripe nothing is the second.
     found |= flags.TWO_STRIPES.mask if look.second_share > 0.0 else 0
 
-    profile = profile_of(geometry, view, expected, stripe, reach_mm)
+    profile = profile_of(geometry, view, expected, look, reach_mm)
     joint = fit_joint(profile, geometry.setup.joint, *sources(geometry.setup, view, seam.station_mm))
     # A narrower look shows only what lies where the stated joint should.
     if reach_mm == SEARCH_REACH_MM and is_another_type(profile, geometry.setup.joint, joint):
@@ -274,11 +274,13 @@ def _read(
 
 
 def profile_of(
-    geometry: SensorGeometry, view: Scene, expected: ExpectedStripe, stripe: Stripe, reach_mm: float
+    geometry: SensorGeometry, view: Scene, expected: ExpectedStripe, look: StripeReading, reach_mm: float
 ) -> Profile:
     """Return a stripe's profile, whose seam is looked for within the look's reach; a search takes it all."""
+    stripe = look.stripe
     position_px = stripe.position_px - expected.lean_px
     profile = triangulate(geometry, view, position_px, stripe.sigma_px, stripe.beside_px)
+    profile = replace(profile, light=look.light(geometry.setup))
     return profile if reach_mm == SEARCH_REACH_MM else replace(profile, reach_mm=reach_mm + CLEAR_MM)
 
 

@@ -24,7 +24,7 @@ from tracker.joint.measured import (
     unexplained,
 )
 from tracker.joint.section_shapes import HALF_GROOVE
-from tracker.joint.upright_edge import hidden_strip, neighbours_of_edge
+from tracker.joint.upright_edge import edge_between, hidden_strip, neighbours_of_edge
 from tracker.profile import Profile
 
 SEARCH_STEP_MM = 0.1
@@ -57,14 +57,13 @@ def fit_half_v(profile: Profile, joint: Joint, camera_mm: Float64, laser_mm: Flo
     )
     if fit is None:
         return None
-    beside = _beside_the_upright(profile, fit, float(start[-1]))
-    if math.isnan(beside[0]):
+    before, behind = _beside_the_upright(profile, fit, float(start[-1]))
+    if before < 0:
         return None
     hidden = max(hidden_strip(source, start[-1], z_0 + depth, depth) for source in (camera_mm, laser_mm))
-    last, first = beside[0], beside[1] - hidden
-    start[-1] = 0.5 * (last + first)
+    start[-1], wall_variance = edge_between(profile, before, behind, hidden)
     # What lies between may be either side's.
-    clear = (profile.y_mm <= last) | (profile.y_mm >= beside[1])
+    clear = (profile.y_mm <= profile.y_mm[before]) | (profile.y_mm >= profile.y_mm[behind])
     fit = fit_shape(profile, HALF_GROOVE, start, PRIOR_SIGMA, clear)
     if fit is None:
         return None
@@ -87,19 +86,17 @@ def fit_half_v(profile: Profile, joint: Joint, camera_mm: Float64, laser_mm: Flo
     if fit.weights[inside].sum() < LEAST_POINTS:
         return None
     left_out = unexplained(profile, fit, 0.5 * (wall + mouth), 0.5 * (mouth - wall))
-    return _measured(fit, wall, max(abs(first - last), profile.column_mm) ** 2 / 12.0, left_out)
+    return _measured(fit, wall, wall_variance, left_out)
 
 
-def _beside_the_upright(profile: Profile, fit: ShapeFit, wall: float) -> tuple[float, float]:
-    """Return the last point of the right plate and the first in the groove beside an upright side, or NaN."""
+def _beside_the_upright(profile: Profile, fit: ShapeFit, wall: float) -> tuple[int, int]:
+    """Return the last point of the right plate and the first in the groove beside an upright side, or -1."""
     p = fit.parameters
     y = profile.y_mm - wall
     over_plate = profile.z_mm - (p[ROOT] + p[DEPTH_RIGHT] + p[SLOPE_RIGHT] * y)
     over_groove = profile.z_mm - (p[ROOT] + np.maximum(y - p[GAP], 0.0) / p[TAN])
     near, limit = np.abs(y) < 5.0 * CLEAR_OF_EDGE_MM, 0.25 * p[DEPTH_RIGHT]
-    return neighbours_of_edge(
-        profile.y_mm, near & (np.abs(over_plate) < limit), near & (np.abs(over_groove) < limit)
-    )
+    return neighbours_of_edge(near & (np.abs(over_plate) < limit), near & (np.abs(over_groove) < limit))
 
 
 def _measured(fit: ShapeFit, wall: float, wall_variance: float, left_out: float) -> MeasuredJoint:

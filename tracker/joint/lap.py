@@ -22,7 +22,7 @@ from tracker.joint.measured import (
     section_of,
 )
 from tracker.joint.section_shapes import SHEETS
-from tracker.joint.upright_edge import hidden_strip, neighbours_of_edge
+from tracker.joint.upright_edge import edge_between, hidden_strip, neighbours_of_edge
 from tracker.profile import Profile
 
 Bool = npt.NDArray[np.bool_]
@@ -46,7 +46,7 @@ def fit_lap(profile: Profile, joint: Joint, camera_mm: Float64, laser_mm: Float6
 
     The sheets' lines are fitted clear of the edge; then each point near it belongs to the line it lies on,
     and the edge lies between the last point of the upper and the first of the lower sheet, less what it
-    hides of that one. `camera_mm` and `laser_mm` (3,) say from where, joint frame.
+    hides of that one (`edge_between`). `camera_mm` and `laser_mm` (3,) say from where, joint frame.
     """
     thickness = joint.dimensions["thickness_mm"]
     y_0, z_0 = place(profile, section(joint).vertices, SEARCH_STEP_MM, 0.25 * thickness)
@@ -59,20 +59,18 @@ def fit_lap(profile: Profile, joint: Joint, camera_mm: Float64, laser_mm: Float6
     z_s, step, slope_lower, slope_upper = shape.parameters.tolist()
     sheets = Sheets(y_0, z_s, step, slope_lower, slope_upper)
     near_sheets(profile.y_mm, profile.z_mm, sheets, on_upper, on_lower)
-    beside = neighbours_of_edge(profile.y_mm, on_upper, on_lower)
-    if math.isnan(beside[0]):
+    before, behind = neighbours_of_edge(on_upper, on_lower)
+    if before < 0:
         return None
     # The upper sheet is seen up to its edge; of the lower one the edge may hide a strip from camera or laser.
     hidden = max(hidden_strip(source, y_0, z_s + step, step) for source in (camera_mm, laser_mm))
-    last_upper, first_lower = beside[0], beside[1] - hidden
     # Glare or spatter over all of the points near it: between those beyond, an edge may be anywhere.
-    if first_lower - last_upper > 2.0 * CLEAR_OF_EDGE_MM:
+    if profile.y_mm[behind] - hidden - profile.y_mm[before] > 2.0 * CLEAR_OF_EDGE_MM:
         return None
-    edge = 0.5 * (last_upper + first_lower)
-    spread = max(abs(first_lower - last_upper), profile.column_mm)
+    edge, edge_variance = edge_between(profile, before, behind, hidden)
     z_edge = z_s + slope_lower * (edge - y_0)
     at_edge = np.array([1.0, 0.0, edge - y_0, 0.0])
-    covariance = np.array([[spread**2 / 12.0, 0.0], [0.0, float(at_edge @ shape.covariance @ at_edge)]])
+    covariance = np.array([[edge_variance, 0.0], [0.0, float(at_edge @ shape.covariance @ at_edge)]])
     left_out = share_off(profile.y_mm, profile.z_mm, profile.dz_mm, profile.sigma_px, sheets, edge)
     plates, plate_sigmas = angles_of(shape, 2, 3)
     step += (slope_upper - slope_lower) * (edge - y_0)

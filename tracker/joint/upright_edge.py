@@ -1,26 +1,36 @@
-"""Upright edges: no point lies on one, so it lies between the last point before and the first one behind."""
+"""Upright edges: no point lies on one, so it lies between the last point before and the first one behind.
+
+Where between them the image's scan lines say.
+"""
 
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
 from noise_model.frames import Float64
 from noise_model.kernel import kernel
+from tracker.joint.measured import OFF_SIGMAS
+from tracker.profile import Profile
+from tracker.stripe_end import stripe_ends
 
 Bool = npt.NDArray[np.bool_]
 
+BESIDE = 20
+"""So many points beside an edge say which y its scan lines have there."""
+
 
 @kernel
-def neighbours_of_edge(y_mm: Float64, before: Bool, behind: Bool) -> tuple[float, float]:
-    """Return the places of the last point before an edge and of the first behind it, NaN without either.
+def neighbours_of_edge(before: Bool, behind: Bool) -> tuple[int, int]:
+    """Return which point (n,) is the last before an edge and which the first behind it, -1 without either.
 
-    `y_mm` (n,) rises; `before` and `behind` (n,) say which points lie on which side's face. The changes that
+    `before` and `behind` (n,) say which points lie on which side's face, in order of y. The changes that
     put most points on their own side are taken: one on the other side's face by chance is outvoted.
     """
-    n, votes, most, first, last = y_mm.shape[0], 0, -y_mm.shape[0], 0, 0
+    n, votes, most, first, last = before.shape[0], 0, -before.shape[0], 0, 0
     for i in range(n):
         votes += int(before[i]) - int(behind[i])
         if votes > most:
@@ -32,9 +42,51 @@ def neighbours_of_edge(y_mm: Float64, before: Bool, behind: Bool) -> tuple[float
     last += 1
     while last < n and not behind[last]:
         last += 1
-    if first < 0 or last >= n:
-        return math.nan, math.nan
-    return y_mm[first], y_mm[last]
+    return (first, last) if first >= 0 and last < n else (-1, -1)
+
+
+class Edge(NamedTuple):
+    """Where an upright edge is, mm, and its variance, mm^2."""
+
+    y_mm: float
+    variance_mm2: float
+
+
+def edge_between(profile: Profile, before: int, behind: int, hidden_mm: float) -> Edge:
+    """Return the edge between two neighbouring points of a profile that lie on either side's face.
+
+    Of the lower side, behind, the edge hides a strip. Anywhere between the two points is as likely; where the
+    image is at hand, its scan lines there say how much of them is either side's (`stripe_end`).
+    """
+    last_mm, first_mm = float(profile.y_mm[before]), float(profile.y_mm[behind]) - hidden_mm
+    spread_mm = max(abs(first_mm - last_mm), profile.column_mm)
+    middle_mm, variance_mm2 = 0.5 * (last_mm + first_mm), spread_mm**2 / 12.0
+    if profile.light is None:
+        return Edge(middle_mm, variance_mm2)
+    ends = stripe_ends(profile.light, int(profile.scan[before]), int(profile.scan[behind]))
+    # What shines from the upright side itself, if it is seen, may count as either's, anywhere between them.
+    upright = 0.0 if hidden_mm > 0.0 else abs(ends[1].line - ends[0].line) / math.sqrt(12.0)
+    total, information = 0.0, 0.0
+    sides = slice(max(before - BESIDE, 0), before), slice(behind + 1, behind + 1 + BESIDE)
+    for end, side, hides_mm in zip(ends, sides, (0.0, hidden_mm), strict=True):
+        y_mm = _at_line(profile, side, end.line) - hides_mm
+        sigma_mm = end.sigma * profile.column_mm
+        # Elsewhere some other light ends; and what tells less than the two points do is no end.
+        if sigma_mm**2 < variance_mm2 and abs(y_mm - middle_mm) < 0.5 * spread_mm + OFF_SIGMAS * sigma_mm:
+            of_end = sigma_mm**2 + (upright * profile.column_mm) ** 2
+            total += y_mm / of_end
+            information += 1.0 / of_end
+    return (
+        Edge(total / information, 1.0 / information) if information > 0.0 else Edge(middle_mm, variance_mm2)
+    )
+
+
+def _at_line(profile: Profile, points: slice, line: float) -> float:
+    """Return the y, mm, at which a scan line crosses the face that some points lie on."""
+    y_mm, scan = profile.y_mm[points], profile.scan[points]
+    middle = scan.mean()
+    off = scan - middle
+    return float(y_mm.mean() + (off @ y_mm) / (off @ off) * (line - middle))
 
 
 def hidden_strip(source_mm: Float64, edge_y_mm: float, edge_z_mm: float, step_mm: float) -> float:

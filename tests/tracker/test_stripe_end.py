@@ -1,0 +1,216 @@
+"""The ends of stripes within a scan line, on bands drawn from closed forms."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy.optimize import minimize_scalar
+from scipy.special import ndtr
+
+from noise_model.arc_map import CELL
+from tracker.joint.upright_edge import edge_between
+from tracker.profile import Profile
+from tracker.stripe_end import (
+    BEYOND,
+    LEAST_SHARE,
+    LEAST_SIGMA,
+    StripeLight,
+    end_chi2,
+    fit_end,
+    line_shares,
+    stripe_ends,
+)
+
+N_SCAN, DEPTH, EDGE = 64, 96, 31
+WIDTH_PX, PSF_PX, DARK_E2 = 5.0, 0.8, 100.0
+
+
+def light_of(
+    rng: np.random.Generator,
+    ends: float,
+    begins: float,
+    *,
+    apart_px: float = 12.0,
+    peak_e: float = 3000.0,
+    contrast: float = 0.0,
+    noise: bool = True,
+    flipped: bool = False,
+) -> StripeLight:
+    """A stripe that ends at a line and one, `apart_px` off and sloped, that begins at another."""
+    s, r = np.arange(N_SCAN, dtype=float), np.arange(DEPTH, dtype=float)
+    upper, lower = 40.3 + 0.1031 * (s - EDGE), 40.3 + apart_px - 0.1517 * (s - EDGE)
+    bells = (np.exp(-0.5 * ((r - run[:, None]) / WIDTH_PX) ** 2) for run in (upper, lower))
+    u, v = (peak_e * np.exp(contrast * rng.standard_normal((N_SCAN, 1))) * bell for bell in bells)
+    mean = ndtr((ends - s) / PSF_PX)[:, None] * u + ndtr((s - begins) / PSF_PX)[:, None] * v + 500.0
+    charge = rng.normal(mean, np.sqrt(mean + DARK_E2)) if noise else mean
+    position = np.where(s < 0.5 * (ends + begins), upper, lower)
+    if flipped:
+        charge, position = charge[::-1], position[::-1]
+    return StripeLight(
+        np.ascontiguousarray(charge, dtype=np.float32),
+        np.full(charge.shape, 500.0, dtype=np.float32),
+        np.full(charge.shape, 500.0 + DARK_E2, dtype=np.float32),
+        np.zeros(charge.shape, dtype=bool),
+        np.zeros(-(-N_SCAN // CELL), dtype=np.int64),
+        CELL,
+        np.ascontiguousarray(position),
+        np.full(N_SCAN, WIDTH_PX),
+        1.0,
+        contrast,
+        PSF_PX,
+    )
+
+
+@pytest.mark.parametrize("flipped", [False, True])
+@pytest.mark.parametrize("apart_px", [6.0, -15.0])
+@pytest.mark.parametrize("hidden", [0.0, 1.3])
+@pytest.mark.parametrize("off", [-0.5, -0.2, 0.0, 0.37])
+def test_ends_without_noise_are_found_exactly(
+    off: float, hidden: float, apart_px: float, flipped: bool
+) -> None:
+    true = (EDGE + off, EDGE + off + hidden)
+    light = light_of(np.random.default_rng(0), *true, apart_px=apart_px, noise=False, flipped=flipped)
+    last, first = math.floor(true[0]), math.ceil(true[1])
+    if flipped:
+        last, first = N_SCAN - 1 - last, N_SCAN - 1 - first
+    ends = stripe_ends(light, last, first)
+    for found, line in zip(ends, true, strict=True):
+        assert (N_SCAN - 1 - found.line if flipped else found.line) == pytest.approx(line, abs=0.01)
+        assert LEAST_SIGMA <= found.sigma < 0.15
+
+
+@pytest.mark.parametrize("contrast", [0.1, 0.2])
+def test_their_sigma_is_honest(contrast: float) -> None:
+    rng, off, stated = np.random.default_rng(4), [], []
+    for _ in range(200):
+        true = EDGE + rng.uniform(-0.5, 0.5)
+        light = light_of(rng, true, true + 0.7, peak_e=600.0, contrast=contrast)
+        for found, line in zip(stripe_ends(light, EDGE, EDGE + 1), (true, true + 0.7), strict=True):
+            off.append(found.line - line)
+            # The floor is for real edges.
+            stated.append(math.sqrt(found.sigma**2 - LEAST_SIGMA**2))
+    chi2 = np.mean(np.square(np.array(off) / stated))
+    print(f"contrast {contrast}: rms {np.std(off):.3f} lines, mean {np.mean(off):.4f}, chi2 {chi2:.2f}")
+    assert abs(np.mean(off)) < 4.0 * np.std(off) / math.sqrt(len(off))
+    assert np.std(off) < 0.2
+    assert 0.7 < chi2 < 1.3
+
+
+def test_a_stripe_that_is_not_seen_beyond_has_no_end() -> None:
+    light = light_of(np.random.default_rng(1), EDGE, EDGE)
+    light.position_px[EDGE + 1 :] = np.nan
+    assert np.isnan(stripe_ends(light, EDGE, EDGE + 1)).all()
+    assert np.isnan(stripe_ends(light, 1, N_SCAN - 2)).all()
+
+
+def test_saturated_pixels_do_not_count() -> None:
+    rng = np.random.default_rng(2)
+    light = light_of(rng, EDGE + 0.2, EDGE + 0.2, noise=False)
+    light.charge_e[EDGE, 40:48] = 9e4
+    light.censored[EDGE, 40:48] = True
+    for found in stripe_ends(light, EDGE, EDGE + 1):
+        assert found.line == pytest.approx(EDGE + 0.2, abs=0.02)
+    light.censored[EDGE] = True
+    for found in stripe_ends(light, EDGE, EDGE + 1):
+        assert found.line == pytest.approx(EDGE + 0.2, abs=0.1)
+
+
+@settings(deadline=None, max_examples=30)
+@given(st.integers(0, 2**32 - 1), st.integers(1, 6), st.booleans())
+def test_shares_are_their_twin(seed: int, n: int, back: bool) -> None:
+    rng = np.random.default_rng(seed)
+    light = light_of(rng, EDGE + rng.uniform(-1.0, 1.0), EDGE + rng.uniform(0.0, 2.0))
+    light.censored[rng.uniform(size=light.censored.shape) < 0.01] = True
+    away = -1 if back else 1
+    last = EDGE - away * 4
+    first = last + away * (n + 1)
+    shares, variances = np.empty((2, 2, n))
+    assert line_shares(light, last, first, away, shares, variances)
+
+    residual = light.charge_e.astype(np.float64) - light.background_e
+    residual[light.censored] = np.nan
+    r = np.arange(DEPTH, dtype=float)
+    columns = []
+    lines = last + away * np.arange(1, n + 1)
+    for begins, step in ((last, -away), (first, away)):
+        beyond = begins + step * np.arange(BEYOND)
+        run = np.polynomial.Polynomial.fit(beyond, light.position_px[beyond], 1)
+        seen = np.empty((n, BEYOND, DEPTH))
+        for i, s in enumerate(lines):
+            for k, b in enumerate(beyond):
+                at = r - run(s) + light.position_px[b]
+                inside = (at >= 0.0) & (at < DEPTH - 1)
+                seen[i, k] = np.where(inside, np.interp(at, r, residual[b]), np.nan)
+        counts = np.isfinite(seen).sum(axis=1)
+        columns.append(
+            (run(lines), np.where(counts >= 3, np.nansum(seen, axis=1) / np.maximum(counts, 1), np.nan))
+        )
+    for i, s in enumerate(lines):
+        (upper, u), (lower, v) = ((run[i], seen[i]) for run, seen in columns)
+        near = (r >= math.floor(min(upper, lower) - 3.0 * WIDTH_PX)) & (
+            r <= math.ceil(max(upper, lower) + 3.0 * WIDTH_PX)
+        )
+        used = near & np.isfinite(u + v + residual[s])
+        weight = 1.0 / np.sqrt(light.variance_e2[s] + np.maximum(np.maximum(u, v), 0.0))[used]
+        A = np.stack([u[used], v[used], np.ones(used.sum())], axis=1) * weight[:, None]
+        covariance = np.linalg.inv(A.T @ A)
+        expected = covariance @ A.T @ (residual[s][used] * weight)
+        assert shares[:, i] == pytest.approx(expected[:2], rel=1e-6, abs=1e-6)
+        assert variances[:, i] == pytest.approx(np.diag(covariance)[:2], rel=1e-4)
+
+
+@settings(deadline=None, max_examples=30)
+@given(st.floats(2.0, 6.0), st.floats(0.3, 1.5), st.floats(0.03, 0.3), st.integers(0, 2**32 - 1))
+def test_an_end_is_its_twin(true: float, sigma: float, contrast: float, seed: int) -> None:
+    rng, lines = np.random.default_rng(seed), np.arange(9.0)
+    variance = rng.uniform(1e-4, 1e-3, 9)
+    share = ndtr((true - lines) / sigma) + np.sqrt(variance) * rng.standard_normal(9)
+
+    def chi2(at: float) -> float:
+        """The whole covariance's, the brightness that all lines share put into it."""
+        mean = ndtr((at - lines) / sigma)
+        covariance = np.diag(variance + (contrast * mean) ** 2 + LEAST_SHARE**2)
+        covariance += contrast**2 / BEYOND * np.outer(mean, mean)
+        off = share - mean
+        return float(off @ np.linalg.solve(covariance, off))
+
+    assert end_chi2(share, variance, contrast, sigma, true).chi2 == pytest.approx(chi2(true), rel=1e-6)
+    at, _ = fit_end(share, variance, contrast, sigma)
+    # The weights change with the place too, which the steps do not follow.
+    assert chi2(at) < minimize_scalar(chi2, bounds=(0.0, 8.0), options={"xatol": 1e-6}).fun + 0.5
+
+
+def profile_of(light: StripeLight) -> Profile:
+    """Points a column of 0.1 mm apart, y = 0 at line EDGE."""
+    scan = np.arange(N_SCAN, dtype=float)
+    one = np.ones(N_SCAN)
+    return Profile(
+        0.1 * (scan - EDGE), 0.0 * one, 0.0 * one, 0.1 * one, 0.05 * one, scan, 0.1, 0.05 * one, light=light
+    )
+
+
+@pytest.mark.parametrize(("hidden_mm", "foot_lines"), [(0.13, 1.3), (0.0, 0.6)])
+def test_an_edge_is_where_the_stripes_end(hidden_mm: float, foot_lines: float) -> None:
+    """Where nothing is hidden, the stripes end at the upright side's top and foot, as the camera sees it."""
+    light = light_of(np.random.default_rng(5), EDGE + 0.3, EDGE + 0.3 + foot_lines)
+    edge = edge_between(profile_of(light), EDGE, EDGE + 2, hidden_mm)
+    blind = edge_between(replace(profile_of(light), light=None), EDGE, EDGE + 2, hidden_mm)
+    true = 0.03 if hidden_mm else 0.06
+    assert edge.y_mm == pytest.approx(true, abs=0.01)
+    assert edge.variance_mm2 < blind.variance_mm2
+    assert blind.y_mm == pytest.approx(0.1 - 0.5 * hidden_mm)
+    # Two points nearer to each other than their spacing tell no more than that.
+    assert blind.variance_mm2 == pytest.approx(max(0.2 - hidden_mm, 0.1) ** 2 / 12.0)
+
+
+def test_light_that_ends_elsewhere_is_no_edge() -> None:
+    light = light_of(np.random.default_rng(5), EDGE + 3.4, EDGE + 3.4)
+    profile = profile_of(light)
+    assert edge_between(profile, EDGE, EDGE + 1, 0.0) == edge_between(
+        replace(profile, light=None), EDGE, EDGE + 1, 0.0
+    )
