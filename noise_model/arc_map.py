@@ -23,7 +23,7 @@ from noise_model.arc_ray import ArcKernel as ArcKernel
 from noise_model.arc_ray import follow, light_at, scratch
 from noise_model.arc_table import TO_POWERS, FaceTable, new_table
 from noise_model.brdf import lobe_numbers
-from noise_model.frames import Float64, invert
+from noise_model.frames import Float64, invert, transform
 from noise_model.kernel import kernel
 from noise_model.optics import Camera
 from noise_model.setup import Setup
@@ -138,9 +138,8 @@ def _beside_mm(seam: SeamLine, ground: SeamLine, point_mm: Float64) -> float:
 
 
 def _ahead(setup: Setup, T_base_tool: Float64) -> Float64:
-    """Return the point of base below the laser, by which the seam's line segment is chosen."""
-    x, y, _ = setup.laser.origin_in_tool_mm
-    return np.asarray(T_base_tool[:3, :3] @ np.array([x, y, 0.0]) + T_base_tool[:3, 3])
+    """Return the point of base where the sheet is at tool height: by it the seam's segment is chosen."""
+    return transform(T_base_tool, setup.laser.point_mm)
 
 
 @kernel

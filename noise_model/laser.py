@@ -17,6 +17,10 @@ SHEET_REACH = 6.0
 """How many sigmas of the sheet are rendered: its irradiance has fallen to 1.5e-8 there."""
 
 
+LEAST_LEAN = 1e-6
+"""A sheet whose normal is nearer to the tool's z than this never meets the plate."""
+
+
 @dataclass(frozen=True)
 class Laser:
     """A sheet that fans out from `origin_in_tool_mm` along -z of the tool frame.
@@ -41,6 +45,8 @@ class Laser:
         norm = float(np.linalg.norm(self.plane_in_tool[:3]))
         if not abs(norm - 1.0) <= 1e-3:
             raise ValueError(f"[laser] plane_in_tool: the normal's length is {norm:.4f}, not 1")
+        if np.hypot(*self.plane_in_tool[:2]) < LEAST_LEAN:
+            raise ValueError("[laser] plane_in_tool: the sheet lies parallel to the plate")
         if not (np.isfinite(self.plane_in_tool).all() and np.isfinite(self.origin_in_tool_mm).all()):
             raise ValueError("[laser] plane_in_tool, origin_in_tool_mm: must be finite")
 
@@ -56,7 +62,10 @@ class Laser:
 
     @property
     def point_mm(self) -> Float64:
-        """The plane's point (3,) below the laser at tool height, tool frame, mm: not to be written to."""
+        """The sheet's point (3,) at tool height nearest to that below the laser, tool frame, mm.
+
+        It is not to be written to.
+        """
         return _point_below(self.plane_in_tool, self.origin_in_tool_mm)
 
 
@@ -67,8 +76,8 @@ def _array(values: tuple[float, ...]) -> Float64:
 
 @lru_cache
 def _point_below(plane: tuple[float, ...], origin_mm: tuple[float, ...]) -> Float64:
-    below, normal = np.array([*origin_mm[:2], 0.0]), np.array(plane[:3])
-    return np.asarray(below - (normal @ below + plane[3]) * normal)
+    below, normal = np.array([*origin_mm[:2], 0.0]), np.array([*plane[:2], 0.0])
+    return np.asarray(below - (normal @ below + plane[3]) / (normal @ normal) * normal)
 
 
 class Sheet(NamedTuple):

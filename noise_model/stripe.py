@@ -143,12 +143,10 @@ def _on_plate(setup: Setup, uv_px: Float64) -> Float64:
 def stripe_runs_along_rows(setup: Setup) -> bool:
     """Say whether the laser plane's trace on a plate at tool height runs along the image's rows.
 
-    Raises ValueError for a sheet parallel to the plate, or a stripe behind the camera.
+    Raises ValueError for a stripe behind the camera.
     """
-    origin = setup.laser.origin_mm * np.array([1.0, 1.0, 0.0])
+    origin = setup.laser.point_mm
     along = cross(setup.laser.plane_in_tool[:3], (0.0, 0.0, 1.0))
-    if np.linalg.norm(along) < 1e-6:
-        raise ValueError("[laser] plane_in_tool: the sheet lies parallel to the plate")
     ends_tool = np.stack([origin - along, origin + along])
     ends_camera = transform(invert(setup.camera.T_tool_camera), ends_tool)
     if (ends_camera[:, 2] <= 0.0).any():

@@ -41,7 +41,7 @@ class Driver(Enum):
 class Change:
     """By how much an effect's parameters change, `by` (p,), while a driver goes from its `middle` by `half`.
 
-    Time is in s, the torch's height over the nominal seam in mm.
+    Time is in s from the recording's first frame, the torch's height over the nominal seam in mm.
     """
 
     effect: str
@@ -97,7 +97,19 @@ def effects_in(
     return effects if change is None else change.at(effects, setup, frame)
 
 
+def change_among(change: Change | None, effects: Mapping[str, Values]) -> Change | None:
+    """Return a change if the effect that changes is among some."""
+    return change if change is not None and change.effect in effects else None
+
+
+def ends_of(effects: Mapping[str, Values], change: Change | None) -> tuple[Mapping[str, Values], ...]:
+    """Return effects as they are at either end of a driver's range; as they are, if none changes."""
+    if change is None:
+        return (effects,)
+    return tuple({**effects, change.effect: change.values(effects[change.effect], u)} for u in (-1.0, 1.0))
+
+
 def _drives(setup: Setup, driver: Driver, frame: ObservedFrame) -> float:
     if driver is Driver.TIME:
-        return frame.timestamp_s
+        return frame.condition.timestamp_s
     return float(scene(setup, frame.pose_at(frame.timestamp_s)).T_joint_tool[2, 3])

@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
-from noise_model.effects import REGISTRY
+from noise_model.effects import REGISTRY, Values
+from sim_to_real.change import ends_of
 from sim_to_real.diagnosis import CLEAR_FLOORS, Gap, Verdict
 from sim_to_real.scatter import Scatter
 from sim_to_real.screen import size
@@ -76,10 +77,12 @@ def not_held_up(decision: Decision, baseline: Candidate, random: Scatter) -> Dec
     return _without_chosen(decision, without_help(baseline), baseline, random)
 
 
-def is_trifle(decision: Decision, baseline: Candidate, gap: Gap) -> bool:
-    """Say whether what is named is a trifle that the model's own error looks like."""
+def is_trifle(decision: Decision, baseline: Candidate, gap: Gap, stated: Mapping[str, Values]) -> bool:
+    """Say whether what is named is a trifle, from what is `stated`, that the model's own error looks like."""
     is_clear = gap.before > CLEAR_FLOORS * gap.floor and baseline.left > 1.0
-    is_small = _is_named(decision) and size(decision.chosen.refit.effects) < TRIFLE
+    fitted = decision.chosen.refit
+    ends = ends_of(fitted.effects, fitted.change)
+    is_small = _is_named(decision) and all(size(of, stated) < TRIFLE for of in ends)
     return is_small and not is_clear and not _has_many_nats(decision, baseline)
 
 

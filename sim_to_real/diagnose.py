@@ -44,7 +44,7 @@ from sim_to_real.seam_error import seam_errors_mm
 from sim_to_real.select import Candidate, judged
 from sim_to_real.split import held_out, one_of_each
 from sim_to_real.stage import stages
-from sim_to_real.verdict import Decision, decide, with_shares
+from sim_to_real.verdict import Decision, decide, in_question, with_shares
 from tracker.state import Frame
 
 HELD, LEFT_ASIDE = 0.25, 0.34
@@ -150,7 +150,7 @@ def _diagnosed(
     predicted = predicted_of(after, random)
     gap = measure(predicted, setup, seam_errors_mm(setup, frames, pose_at, expected, after))
     helps = not named or smaller(predicted) >= must_help(decision, baseline)
-    if named and (not helps or is_trifle(decision, baseline, gap)):
+    if named and (not helps or is_trifle(decision, baseline, gap, setup.effects)):
         without_it = without_trifle if helps else not_held_up
         decision, after, share = without_it(decision, baseline, scattered), before, {}
         random = scatter(expected, after, without)
@@ -228,16 +228,8 @@ def _simplest_stage(expected: Expected, before: Refit, of_bins: Covariates) -> s
 
 def _next(expected: Expected, decision: Decision, alike: Sequence[tuple[str, str]]) -> Next | None:
     """Return the measurement that would settle what is open; None if nothing is."""
-    if decision.verdict is Verdict.NO_GAP or len(decision.singles) < 2:
-        return None
-    best, second = decision.singles[:2]
-    if decision.verdict is Verdict.EFFECTS:
-        like = {name for pair in alike if best.ids[-1] in pair for name in pair} - set(best.ids)
-        others = [single for single in decision.singles[1:] if single.ids[-1] in like]
-        if not others:
-            return None
-        second = others[0]
-    return best_measurement(expected, best.refit, second.refit)
+    pair = in_question(decision, alike)
+    return None if pair is None else best_measurement(expected, *(one.refit for one in pair))
 
 
 def _named(

@@ -57,7 +57,7 @@ CHARGE_STEP_E = 1.0
 """Step of the derivative with charge."""
 
 MOST_FACTOR = 4.0
-"""No effect and no exposure passes more of a unit of light."""
+"""No effect passes more of a unit of light, over what exposure and current are known to."""
 
 LEAST_STRAY_MM = 0.03
 """A seam that strays less from its tangent is straight."""
@@ -240,6 +240,10 @@ class Expected:
             del self._rendered[oldest]
         return self.over_frames(of_frame)
 
+    def stated(self, name: str) -> dict[str, float]:
+        """Return an effect's parameters as the setup states them, neutral if it does not."""
+        return REGISTRY[name].complete(self.observed.setup.effects.get(name, {}))
+
     def residuals(self, passed: Sequence[Passed]) -> Float64:
         """Return the whitened residuals (n,) of all bins that count, frame after frame."""
         return np.concatenate(
@@ -349,13 +353,14 @@ class Expected:
             self._bounced[frame.position] = bounced_light(view, self._bounced.get(frame.position))
         pass_on(true, light, view, condition)
         keep = frame.keep
+        exposure = frame.condition.exposure_s / self.observed.setup.camera.exposure_s
         return Passed(
             true.sensor,
             light.arc[keep],
             light.laser[keep],
             light.other[keep],
-            _factor(light.arc[keep], rendered.arc_e[keep]),
-            _factor(light.laser[keep], rendered.laser_e[keep]),
+            _factor(light.arc[keep], rendered.arc_e[keep], frame.condition.arc_level * exposure),
+            _factor(light.laser[keep], rendered.laser_e[keep], frame.condition.laser_level * exposure),
         )
 
     def _tangents_of(self, frame: ObservedFrame, anchor: Float64, effects: Effects) -> Tangents:
@@ -422,10 +427,14 @@ def _in_bins(effect: Effect, values: Values, bin_px: int) -> dict[str, float]:
     return whole
 
 
-def _factor(passed_e: Float32, rendered_e: Float32) -> Float32:
-    """Return what became of a unit of light (n,); what comes from elsewhere to where it is dark is not it."""
+def _factor(passed_e: Float32, rendered_e: Float32, known: float) -> Float32:
+    """Return what became of a unit of light (n,); what comes from elsewhere to where it is dark is not it.
+
+    `known` is what exposure and level alone make of it.
+    """
     with np.errstate(divide="ignore", invalid="ignore"):
-        return np.asarray(np.nan_to_num(np.clip(passed_e / rendered_e, 0.0, MOST_FACTOR)), dtype=np.float32)
+        factor = np.nan_to_num(np.clip(passed_e / rendered_e, 0.0, MOST_FACTOR * known))
+    return np.asarray(factor, dtype=np.float32)
 
 
 def _slope(here_e: Float32, there_e: Float32, step: float) -> Float32:

@@ -7,6 +7,7 @@ the nuisances: those of the fit that left the residuals were pulled by what it d
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from functools import cached_property
@@ -138,9 +139,21 @@ def hats_of_two(covariates: Covariates, knots: tuple[int, int] = KNOTS_OF_TWO) -
     return np.asarray(product.reshape(len(product), -1))
 
 
-def folds_by_turn(frame: npt.NDArray[np.integer]) -> Int64:
-    """Return which fold, 0 to `FOLDS` - 1, each bin (n,) of a frame is in; frames take turns."""
-    return np.asarray(frame % FOLDS, dtype=np.int64)
+def folds_by_turn(covariates: Covariates) -> Int64:
+    """Return which fold, 0 to `FOLDS` - 1, each bin (n,) is in: a frame's.
+
+    Each frame goes where fewest of its stratum are, and of such folds where none has gone for longest: frames
+    that cycle through the strata would by their number lie in one fold a stratum.
+    """
+    frames, first = np.unique(covariates.frame, return_index=True)
+    counts, latest = Counter[tuple[int, int]](), [-1] * FOLDS
+    fold_of = np.zeros(len(frames), dtype=np.int64)
+    for n, stratum in enumerate(covariates.stratum[first].tolist()):
+        fold = min(range(FOLDS), key=lambda k: (counts[k, stratum], latest[k], k))
+        counts[fold, stratum] += 1
+        latest[fold] = n
+        fold_of[n] = fold
+    return fold_of[np.searchsorted(frames, covariates.frame)]
 
 
 def share(gained: float, mean_square: float) -> float:
@@ -178,7 +191,7 @@ class HeldOut:
         draw = np.random.default_rng(SEED)
         chosen = np.flatnonzero(draw.random(len(residuals)) < 1.0 / EVERY)
         of_chosen = covariates.at(chosen)
-        fold = folds_by_turn(of_chosen.frame) if fold is None else fold[chosen]
+        fold = folds_by_turn(of_chosen) if fold is None else fold[chosen]
         r = residuals[chosen]
         weights = huber_weights(r, huber_bound(r))
         sigmas = np.array([p.prior_sigma for p in covariates.nuisances])

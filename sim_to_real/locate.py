@@ -190,7 +190,7 @@ def _fixed(covariates: Covariates, residuals: Float64, weight: Float32) -> float
     variance what the training frames' squares exceed noise by.
     """
     n_bins = covariates.shape[0] * covariates.shape[1]
-    place = folds_by_turn(covariates.frame) * n_bins + covariates.bins
+    place = folds_by_turn(covariates) * n_bins + covariates.bins
     size = FOLDS * n_bins
     A = np.bincount(place, weight.astype(np.float64) ** 2, size).reshape(FOLDS, n_bins)
     b = np.bincount(place, weight * residuals, size).reshape(FOLDS, n_bins)

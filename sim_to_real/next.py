@@ -21,7 +21,7 @@ from noise_model.setup import Setup
 from sim_to_real.diagnosis import Estimate, Next
 from sim_to_real.expected import Expected
 from sim_to_real.experiments import MENU, Experiment
-from sim_to_real.observed import ObservedFrame
+from sim_to_real.observed import ObservedFrame, variances_dn2
 from sim_to_real.quadratic import N_EFFECTIVE
 from sim_to_real.refit import NAMED_FROM, Refit
 from sim_to_real.screen import Screened
@@ -113,13 +113,19 @@ def best_measurement(expected: Expected, one: Refit, other: Refit) -> Next:
     )
     planned = Expected(replace(expected.observed, frames=frames))
     means = [
-        [light.mean_dn() for light in planned.passed(fitted.nuisance, fitted.effects)]
+        [light.mean_dn() for light in planned.passed(fitted.nuisance, fitted.effects, fitted.change)]
         for fitted in (one, other)
     ]
-    apart = [float(np.mean(((a - b) / template.sigma_dn) ** 2)) for a, b in zip(*means, strict=True)]
+    apart = [_apart(a, b, setup, expected.observed.bin_px) for a, b in zip(*means, strict=True)]
     best = int(np.argmax(apart))
     resolves = 0.5 * N_EFFECTIVE * math.log1p(apart[best]) > NAMED_FROM
     return Next(MENU[best].name, (*one.ids, *other.ids), resolves)
+
+
+def _apart(one_dn: Float64, other_dn: Float64, setup: Setup, bin_px: int) -> float:
+    """Return the mean square by which two predictions of bins (n,) differ, over the variance they have."""
+    noise_dn2, floor_dn2 = variances_dn2(0.5 * (one_dn + other_dn), setup)
+    return float(np.mean((one_dn - other_dn) ** 2 / (noise_dn2 / bin_px**2 + floor_dn2)))
 
 
 def _template(expected: Expected) -> ObservedFrame:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
@@ -167,15 +168,16 @@ def observe(setup: Setup, frames: Sequence[Frame], pose_at: PoseAt) -> Observed:
 
 
 def stated_condition(setup: Setup, frame: Frame, first_s: float) -> Condition:
-    """Return what a setup expects of a frame; an arc without a current is off.
+    """Return what a setup expects of a frame; an arc with a current of 0 is off, an unknown one the nominal.
 
     `first_s` is when the recording's first frame was taken.
     """
+    is_known = math.isfinite(frame.current_a)
     return Condition.of(
         setup,
         laser_on=frame.laser_on,
-        arc_on=frame.arc_on and frame.current_a > 0.0,
-        current_a=frame.current_a,
+        arc_on=frame.arc_on and not frame.current_a <= 0.0,
+        current_a=frame.current_a if is_known else setup.arc.current_a,
         exposure_s=frame.exposure_s,
         timestamp_s=frame.timestamp_s - first_s,
     )
@@ -266,11 +268,16 @@ def _noise(
     data with the same weights. Of the stated noise and that which the recording shows the larger counts.
     """
     seen_dn = cv2.blur(binned_dn, (3, 3)).astype(np.float64)
-    electrons = np.maximum(linearise(seen_dn, setup.sensor), 0.0)
-    _, stated_dn2 = respond_moments(electrons, electrons + setup.sensor.read_noise_e**2, setup.sensor)
+    stated_dn2, floor_dn2 = variances_dn2(seen_dn, setup)
     shown_dn2 = np.maximum(transfer.at(seen_dn) - stated_dn2, 0.0) / bin_px**2
-    floor_dn2 = (FLOOR_REL * (seen_dn - setup.sensor.black_level_dn)) ** 2 + FLOOR_DN**2
     return np.sqrt(stated_dn2 / bin_px**2 + shown_dn2 + floor_dn2), shown_dn2
+
+
+def variances_dn2(mean_dn: Float64, setup: Setup) -> tuple[Float64, Float64]:
+    """Return the stated noise's variance of pixels of a mean (...), and that of the model's floor."""
+    electrons = np.maximum(linearise(mean_dn, setup.sensor), 0.0)
+    _, stated_dn2 = respond_moments(electrons, electrons + setup.sensor.read_noise_e**2, setup.sensor)
+    return stated_dn2, (FLOOR_REL * (mean_dn - setup.sensor.black_level_dn)) ** 2 + FLOOR_DN**2
 
 
 def _keep(setup: Setup, layers: Layers, condition: Condition, usable: Bool) -> tuple[Bool, Bool]:

@@ -237,9 +237,13 @@ class _Problem:
         return _blocks(self.ids, len(self.expected.nuisances), len(self.counts))
 
     def _fitted_of(self, name: str) -> tuple[Parameter, ...]:
-        """Return what is fitted of an effect: its parameters, but of the arc's flicker each frame's level."""
+        """Return what is fitted of an effect: its parameters, but of the arc's flicker each frame's level.
+
+        They are expected where the setup states them.
+        """
         if name != FLICKER:
-            return REGISTRY[name].parameters
+            stated = self.expected.stated(name)
+            return tuple(replace(of, start=stated[of.name]) for of in REGISTRY[name].parameters)
         return tuple(
             Parameter(f"arc_ln_{frame.position}", "", 0.0, LEVEL_SIGMA, -3.0, 3.0, 1e-3)
             for frame in self.expected.observed.frames

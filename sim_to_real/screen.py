@@ -130,13 +130,14 @@ DEAR: Mapping[str, Values] = {BOUNCING: {"albedo_scale": 0.2}}
 """Effects that take longer than all others together, and where their fit starts: tried if no other does."""
 
 
-def size(effects: Mapping[str, Values]) -> float:
-    """Return how far the farthest of some effects is from neutral, in its prior's sigmas.
+def size(effects: Mapping[str, Values], stated: Mapping[str, Values]) -> float:
+    """Return how far the farthest of some effects is from where it is `stated`, in its prior's sigmas.
 
     That is by the parameters of which its places are made: where an effect is tried, and not in which shape.
     """
+    origins = {name: REGISTRY[name].complete(stated.get(name, {})) for name in effects}
     return max(
-        abs(effects[name][parameter.name] - parameter.start) / parameter.prior_sigma
+        abs(effects[name][parameter.name] - origins[name][parameter.name]) / parameter.prior_sigma
         for name in effects
         for parameter in REGISTRY[name].parameters
         if name not in FAMILIES or any(parameter.name in p for f in FAMILIES[name] for p in f.places)
@@ -170,7 +171,7 @@ def _rendered(expected: Expected, baseline: Refit, effects: Mapping[str, Values]
     """Return the light at the baseline's nuisances with other effects."""
     by = np.zeros((len(baseline.arc_ln), baseline.n_nuisances))
     by[:, 0] = baseline.arc_ln
-    passed = expected.passed(baseline.nuisance, effects)
+    passed = expected.passed(baseline.nuisance, effects, baseline.change)
     return [expected.moved(*of) for of in zip(expected.observed.frames, passed, by, strict=True)]
 
 
@@ -181,22 +182,31 @@ class _Look:
     family: Family
     columns: Float64
 
-    def part(self, number: int) -> Family:
-        """Return the family as that of another of the effect's alike parts; the first one is 1."""
 
-        def renamed(values: Values) -> Values:
-            return {key.replace("_1", f"_{number}"): value for key, value in values.items()}
+def _part(family: Family, number: int) -> Family:
+    """Return a family as that of another of the effect's alike parts; the first one is 1."""
 
-        return Family(tuple(renamed(place) for place in self.family.places), renamed(self.family.shape))
+    def renamed(values: Values) -> Values:
+        return {key.replace("_1", f"_{number}"): value for key, value in values.items()}
+
+    return Family(tuple(renamed(place) for place in family.places), renamed(family.shape))
 
 
 def _tried(expected: Expected, baseline: Refit, r: Float64, name: str) -> Screened:
-    """Look at the best of an effect's families; of an effect with alike parts, at the best for each part."""
-    looks = [_look(expected, baseline, r, name, family) for family in FAMILIES[name]]
+    """Look at the best of an effect's families; of an effect with alike parts, at the best for each part.
+
+    All start from what the setup states of it: parts that it states stand, and others are sought.
+    """
+    origin, families, n_parts = expected.stated(name), FAMILIES[name], PARTS.get(name, 1)
+    first = _free_part(name, origin)
+    if n_parts == 1 and origin != REGISTRY[name].neutral:
+        # Its stated shape may be right.
+        families = (*(Family(one.places) for one in families if one.shape), *families)
+    looks = [_look(expected, baseline, r, name, family, first) for family in families]
     chosen: list[_Look] = []
     best: Screened | None = None
-    for _ in range(PARTS.get(name, 1)):
-        tried = [(_solved(baseline, r, name, [*chosen, look]), look) for look in looks]
+    for _ in range(first, n_parts + 1):
+        tried = [(_solved(baseline, r, name, origin, [*chosen, look], first), look) for look in looks]
         tried.sort(key=lambda pair: pair[0].left)
         (screened, look), *others = tried
         if best is not None and screened.left > ANOTHER_PART * best.left:
@@ -207,23 +217,57 @@ def _tried(expected: Expected, baseline: Refit, r: Float64, name: str) -> Screen
     return best
 
 
-def _look(expected: Expected, baseline: Refit, r: Float64, name: str, family: Family) -> _Look:
-    shaped, columns = {**REGISTRY[name].neutral, **family.shape}, []
-    for place in family.places:
+def _free_part(name: str, origin: Values) -> int:
+    """Return which of an effect's alike parts is the first that its parameters leave neutral, or the last.
+
+    Of an effect without such parts it is 1.
+    """
+    neutral, n_parts = REGISTRY[name].neutral, PARTS.get(name, 1)
+    for number in range(1, n_parts):
+        if all(origin[key] == neutral[key] for key in neutral if key.endswith(f"_{number}")):
+            return number
+    return n_parts
+
+
+def _look(expected: Expected, baseline: Refit, r: Float64, name: str, family: Family, part: int) -> _Look:
+    """Try a family's places, of an effect with alike parts on one of them."""
+    origin, of_part = expected.stated(name), _part(family, part)
+    shaped, columns = {**origin, **of_part.shape}, []
+    for place in _from(name, origin, of_part.places):
         passed = _rendered(expected, baseline, {**baseline.effects, name: {**shaped, **place}})
         columns.append(expected.residuals(passed) - r)
     return _Look(family, np.column_stack(columns))
 
 
-def _solved(baseline: Refit, r: Float64, name: str, looks: Sequence[_Look]) -> Screened:
-    """Go along the places of all looks, and along the nuisances, to where least is left."""
+def _from(name: str, origin: Values, places: Sequence[Values]) -> list[dict[str, float]]:
+    """Return places as far from where an effect's parameters are as they are from neutral.
+
+    The other way round where that is beyond a bound.
+    """
+    of = {parameter.name: parameter for parameter in REGISTRY[name].parameters}
+
+    def moved(key: str, value: float) -> float:
+        step = value - of[key].start
+        there = origin[key] + step
+        return there if of[key].lower <= there <= of[key].upper else origin[key] - step
+
+    return [{key: moved(key, value) for key, value in place.items()} for place in places]
+
+
+def _solved(
+    baseline: Refit, r: Float64, name: str, origin: Values, looks: Sequence[_Look], first: int
+) -> Screened:
+    """Go along the places of all looks, and along the nuisances, to where least is left.
+
+    The looks are those at alike parts from the `first` on.
+    """
     effect = REGISTRY[name]
-    families = [look.part(number) for number, look in enumerate(looks, 1)]
+    families = [_part(look.family, number) for number, look in enumerate(looks, first)]
     columns = np.hstack([look.columns for look in looks])
-    shaped = dict(effect.neutral)
+    shaped = dict(origin)
     for family in families:
         shaped.update(family.shape)
-    places = [place for family in families for place in family.places]
+    places = _from(name, origin, [place for family in families for place in family.places])
     names = [parameter.name for parameter in effect.parameters]
     start = np.array([shaped[key] for key in names])
     steps = np.array(

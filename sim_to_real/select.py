@@ -11,6 +11,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 
@@ -127,7 +128,7 @@ class Candidate:
         left = float(freed.costs(freed.solve()).sum() / quadratic.counts.sum())
         return likelihood_nats(left) - likelihood_nats(self.refit.mean_square)
 
-    @property
+    @cached_property
     def is_held_back(self) -> bool:
         """Whether its bounds hold it back from what would be preferred."""
         return self.held_back >= NAMED_FROM
@@ -209,7 +210,7 @@ def candidates(
     found: list[Candidate] = []
     if FLICKER not in without and FLICKER not in baseline.ids and _shows_arc(expected):
         effects: dict[str, Values] = {**baseline.effects, FLICKER: REGISTRY[FLICKER].neutral}
-        found.append(judged(expected, refit(expected, effects, baseline.nuisance)))
+        found.append(judged(expected, refit(expected, effects, baseline.nuisance, change=baseline.change)))
     most = REFITTED_BESIDE if baseline.ids else REFITTED
     for n, one in enumerate(screened[:most]):
         of_gap = HOPELESS if _is_resolved(found, left) and _is_worse(one, found, baseline) else HARDLY_CLOSES
@@ -219,7 +220,10 @@ def candidates(
         # What must be rendered for each step is dear: that is started once.
         is_rendered = bool(RENDERING & {one.id, *baseline.ids})
         starts = [one.start] if is_rendered else [one.start, *one.other_starts]
-        fits = [refit(expected, {**baseline.effects, one.id: start}, baseline.nuisance) for start in starts]
+        fits = [
+            refit(expected, {**baseline.effects, one.id: start}, baseline.nuisance, change=baseline.change)
+            for start in starts
+        ]
         found.append(judged(expected, min(fits, key=lambda fit: fit.mean_square)))
     found = _best_first(found)
     if not _is_resolved(found, left):
@@ -244,13 +248,13 @@ def with_dear(
     every = list(found)
     if expected.observed.setup.joint.type == "flat":
         return every
-    expected.take_tangents(baseline.nuisance, baseline.effects)
+    expected.take_tangents(baseline.nuisance, baseline.effects, baseline.change)
     for name, start in DEAR.items():
         on_stage(f"looking at {name}", 0.95)
         effects = {**baseline.effects, name: start}
         if name in without or name in baseline.ids or not _worth_it(expected, baseline, effects):
             continue
-        fitted = refit(expected, effects, baseline.nuisance)
+        fitted = refit(expected, effects, baseline.nuisance, change=baseline.change)
         every.append(judged(expected, settled(expected, fitted)))
     return _best_first(every)
 
@@ -268,7 +272,8 @@ def with_changes(
             on_stage(f"fitting {name} that changes with {driver.value}", 0.97)
             change = Change.of(expected.observed, name, driver)
             fitted = refit(expected, single.refit.effects, single.refit.nuisance, change=change)
-            changed = judged(expected, settled(expected, fitted))
+            # What pixels say against the effect they say against its change, until they are asked of that.
+            changed = replace(judged(expected, settled(expected, fitted)), against=single.against)
             if changed.evidence - every[n].evidence > NAMED_FROM:
                 every[n] = changed
     return _best_first(every)
@@ -306,8 +311,9 @@ def _worth_it(expected: Expected, baseline: Refit, effects: Effects) -> bool:
     few = expected.some(
         np.isin(np.arange(len(expected.observed.frames)), lit[:: -(-len(lit) // DEAR_FRAMES)])
     )
-    before = refit(few, baseline.effects, baseline.nuisance).mean_square
-    after = refit(few, effects, baseline.nuisance).mean_square
+    change = baseline.change
+    before = refit(few, baseline.effects, baseline.nuisance, change=change).mean_square
+    after = refit(few, effects, baseline.nuisance, change=change).mean_square
     # To a few frames alone nuisances may be bent until they leave less than the model's floor.
     least = 1.0 if before > 1.0 else LEAST_LEFT
     return before - max(after, least) > DEAR_CLOSES * (before - least)
@@ -333,8 +339,20 @@ def _shows_arc(expected: Expected) -> bool:
     return bool(expected.observed.lit.sum() > 2)
 
 
+def free_first(found: Sequence[Candidate]) -> list[Candidate]:
+    """Return candidates, likeliest first, but before one that its bounds hold back one alike that is free."""
+    first = found[0]
+    if not first.is_held_back:
+        return list(found)
+    alike = [one for one in found if first.evidence - one.evidence < ALIKE_NATS and not one.is_held_back]
+    return [*alike[:1], *(one for one in found if one not in alike[:1])]
+
+
 def confidences(of: Sequence[Candidate], baseline: Candidate) -> Float64:
-    """Return how probable each candidate (n,) is, if one of them is right or the baseline."""
-    evidence = np.array([*(candidate.evidence for candidate in of), baseline.evidence])
+    """Return how probable each candidate (n,) is, if one of them is right or the baseline.
+
+    What its bounds hold back is another one's mimic.
+    """
+    evidence = np.array([-math.inf if one.is_held_back else one.evidence for one in of] + [baseline.evidence])
     weight = np.exp(evidence - evidence.max())
     return np.asarray(weight / weight.sum())[:-1]

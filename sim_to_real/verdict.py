@@ -14,6 +14,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from noise_model.frames import Float64
+from sim_to_real.change import change_among
 from sim_to_real.diagnosis import Verdict
 from sim_to_real.expected import Expected
 from sim_to_real.pixels import Bool
@@ -26,6 +27,7 @@ from sim_to_real.select import (
     candidates,
     confidences,
     cost_nats,
+    free_first,
     judged,
     likelihood_nats,
     looked,
@@ -154,6 +156,7 @@ def decide(
     found = candidates(expected, start, screened, baseline.left, without, on_stage)
     if found[0].evidence > baseline.evidence:
         found, baseline = told_apart(found, baseline, in_pixels)
+    found = free_first(found)
     explained = is_explained(expected, found[0], baseline)
     is_open = found[0].left > RESOLVED and not explained
     is_small = baseline.left < UNEXPLAINED_FROM and baseline.left_in_pixels <= AT_FLOOR
@@ -168,10 +171,11 @@ def decide(
     elif is_open and not is_small:
         found = with_dear(expected, start, found, without, on_stage)
         if not is_explained(expected, found[0], baseline):
-            found = with_changes(expected, found, on_stage)
+            found, baseline = _with_changes(expected, found, baseline, in_pixels, on_stage)
     elif explained and found[0].ids == (FLICKER,):
         # A level of its own for each frame takes on much of what grows from frame to frame.
-        found = with_changes(expected, found, on_stage)
+        found, baseline = _with_changes(expected, found, baseline, in_pixels, on_stage)
+    found = free_first(found)
     explained = is_explained(expected, found[0], baseline)
     singles = tuple(found)
     p = confidences(singles, baseline)
@@ -215,13 +219,27 @@ def decide(
     return said(Verdict.EFFECTS, several)
 
 
+def _with_changes(
+    expected: Expected,
+    found: Sequence[Candidate],
+    baseline: Candidate,
+    in_pixels: Callable[[Sequence[Refit]], Float64],
+    on_stage: Callable[[str, float], None],
+) -> tuple[list[Candidate], Candidate]:
+    """Return single effects of which some may change, likeliest first, and the baseline; pixels are asked."""
+    every = with_changes(expected, found, on_stage)
+    if every[0].refit.change is None or every[0].evidence <= baseline.evidence:
+        return every, baseline
+    return told_apart(every, baseline, in_pixels)
+
+
 def _rivals(singles: Sequence[Candidate]) -> Bool:
     """Return which effects (n,) stay in question beside the likeliest, the first, however improbable.
 
     They explain all that there is, though at a higher price, where the likeliest does not.
     """
     is_left = singles[0].left > CLEARLY_LEFT
-    return np.array([is_left and single.left <= RESOLVED for single in singles])
+    return np.array([is_left and one.left <= RESOLVED and not one.is_held_back for one in singles])
 
 
 def _among_rivals(confidence: Float64, rivals: Bool) -> Float64:
@@ -295,8 +313,10 @@ def _several(
     if chosen.left > most or chosen.is_held_back:
         return None
     for name in chosen.ids[:-1]:
-        fewer = {other: values for other, values in chosen.refit.effects.items() if other != name}
-        without_it = judged(expected, refit(expected, fewer, chosen.refit.nuisance))
+        fitted = chosen.refit
+        fewer = {other: values for other, values in fitted.effects.items() if other != name}
+        change = change_among(fitted.change, fewer)
+        without_it = judged(expected, refit(expected, fewer, fitted.nuisance, change=change))
         if chosen.evidence - without_it.evidence < NAMED_FROM:
             chosen = without_it
     return chosen
@@ -310,20 +330,25 @@ def with_shares(
     worth = {name: of for name, of in decision.chosen.refit.effects.items() if share[name] >= LEAST_SHARE}
     if not worth or len(worth) == len(decision.chosen.ids):
         return decision, share
-    chosen = judged(expected, refit(expected, worth, decision.chosen.refit.nuisance))
+    fitted = decision.chosen.refit
+    change = change_among(fitted.change, worth)
+    chosen = judged(expected, refit(expected, worth, fitted.nuisance, change=change))
     return replace(decision, chosen=chosen), shares(expected, baseline, chosen)
 
 
 def shares(expected: Expected, baseline: Candidate, chosen: Candidate) -> dict[str, float]:
     """Return each effect's share of the gap that all close together: Shapley's value (1953)."""
-    names = chosen.ids
+    names, fitted = chosen.ids, chosen.refit
     if len(names) < 2:
         return dict.fromkeys(names, 1.0)
     left: dict[frozenset[str], float] = {frozenset(): baseline.left, frozenset(names): chosen.left}
     for number in range(1, len(names)):
         for some in itertools.combinations(names, number):
-            effects = {name: chosen.refit.effects[name] for name in some}
-            left[frozenset(some)] = judged(expected, refit(expected, effects, chosen.refit.nuisance)).left
+            effects = {name: fitted.effects[name] for name in some}
+            change = change_among(fitted.change, effects)
+            left[frozenset(some)] = judged(
+                expected, refit(expected, effects, fitted.nuisance, change=change)
+            ).left
     # Below the model's floor all that there is is closed by what leaves least.
     floor = 1.0 if baseline.left > 1.0 else min(left.values())
     closed = {of: math.sqrt(max(value - floor, 0.0)) for of, value in left.items()}
@@ -336,3 +361,21 @@ def shares(expected: Expected, baseline: Candidate, chosen: Candidate) -> dict[s
             value[name] += closed[frozenset(order[:n])] - closed[frozenset(order[: n + 1])]
     n_orders = math.factorial(len(names))
     return {name: float(np.clip(of / n_orders / total, 0.0, 1.0)) for name, of in value.items()}
+
+
+def in_question(decision: Decision, alike: Sequence[tuple[str, str]]) -> tuple[Candidate, Candidate] | None:
+    """Return the two single effects that a measurement should tell apart; None if nothing is open.
+
+    Of an ambiguity set they are its two likeliest; beside what is named it is the likeliest of those that the
+    recording cannot tell from it, `alike` being its pairs.
+    """
+    singles = list(decision.singles)
+    if decision.verdict is Verdict.NO_GAP:
+        return None
+    if decision.verdict is Verdict.AMBIGUOUS:
+        singles = [one for one in singles if one.ids[0] in decision.ambiguous[0]]
+    elif decision.verdict is Verdict.EFFECTS and singles:
+        name = singles[0].ids[-1]
+        like = {other for pair in alike if name in pair for other in pair} - {name}
+        singles = [singles[0], *(one for one in singles[1:] if one.ids[-1] in like)]
+    return (singles[0], singles[1]) if len(singles) > 1 else None

@@ -89,6 +89,11 @@ def headline(diagnosis: Diagnosis) -> str:
 def how_far(diagnosis: Diagnosis) -> str:
     """Return how large the gap is and how far it shrinks, in one sentence."""
     gap = diagnosis.gap
+    if diagnosis.verdict is Verdict.NO_GAP and gap.before > gap.floor:
+        return (
+            f"What differs is {sigmas(gap.before)}, more than the {sigmas(gap.floor)} by which the model may "
+            "be off by itself, but no effect explains it, and it is too little to be told from chance."
+        )
     if diagnosis.verdict is Verdict.NO_GAP:
         return (
             f"What differs is {sigmas(gap.before)}; up to {sigmas(gap.floor)} the model may be off by itself."

@@ -247,3 +247,12 @@ def test_numbers_in_words() -> None:
     )
     assert words.free_function("row") == "a free function of row"
     assert words.listed(["a", "b", "c"], "or") == "a, b or c"
+
+
+def test_no_gap_above_the_floor_is_not_said_to_be_below_it(seen_setup: Setup) -> None:
+    found = example(Verdict.NO_GAP, seen_setup)
+    above, below = (
+        replace(found, gap=replace(found.gap, before=before, floor=0.22)) for before in (0.42, 0.2)
+    )
+    assert "0.42 σ, more than the 0.22 σ by which the model may" in words.how_far(above)
+    assert words.how_far(below) == "What differs is 0.20 σ; up to 0.22 σ the model may be off by itself."

@@ -23,7 +23,7 @@ from noise_model.arc_map import (
 from noise_model.arc_ray import light_at, scratch
 from noise_model.brdf import TABLE_1, Lobe, Material, lobe_numbers, reflected
 from noise_model.faces import face_normal, face_point
-from noise_model.frames import invert
+from noise_model.frames import invert, transform
 from noise_model.hemisphere import Hemisphere, irradiance_extended, reflected_radiance_extended
 from noise_model.optics import Rays
 from noise_model.surface import Joint, SeamLine, section
@@ -514,3 +514,24 @@ def test_a_sliver_of_the_arc_past_a_crest_is_seen():
     slivers = (want > 30.0) & (want < 0.1 * np.median(want[want > 0.0]))
     assert slivers.any()
     assert (got[slivers] > 0.8 * want[slivers]).all()
+
+
+@pytest.mark.parametrize("lean_deg", [0.0, 20.0, -20.0])
+def test_a_leaning_sheet_is_on_the_segment_that_it_lights(lean_deg):
+    """Not on the one below the laser's head, which stands farther ahead or behind."""
+    setup = scenes.setup("v_groove", "mild_steel")
+    lean, ahead, stand = np.radians(lean_deg), 35.0, 140.0
+    laser = dataclasses.replace(
+        setup.laser,
+        plane_in_tool=(math.cos(lean), 0.0, -math.sin(lean), -ahead * math.cos(lean)),
+        origin_in_tool_mm=(ahead + stand * math.tan(lean), 0.0, stand),
+    )
+    line = ((0.0, 0.0, 0.0), (200.0, 0.0, 0.0), (400.0, 100.0, 0.0))
+    setup = dataclasses.replace(
+        setup, laser=laser, joint=dataclasses.replace(setup.joint, seam_in_base_mm=line)
+    )
+    T_base_tool = np.eye(4)
+    for x_mm in (100.0, 130.0, 160.0):
+        T_base_tool[0, 3] = x_mm
+        foot = transform(scene(setup, T_base_tool).T_joint_tool, (ahead, 0.0, 0.0))
+        np.testing.assert_allclose(foot[1:], 0.0, atol=1e-9)

@@ -90,6 +90,7 @@ def test_dark_from_behind_and_above(point, normal):
         ("origin_in_tool_mm", (35.0, 0.0, -140.0)),
         ("plane_in_tool", (2.0, 0.0, 0.0, -35.0)),
         ("plane_in_tool", (0.0, 0.0, 0.0, -35.0)),
+        ("plane_in_tool", (0.0, 0.0, 1.0, -35.0)),
         ("plane_in_tool", (math.nan, 0.0, 0.0, -35.0)),
         ("plane_in_tool", (1.0, 0.0, 0.0, math.nan)),
     ],
@@ -112,8 +113,13 @@ def test_a_planes_points_lie_on_it_in_another_frame():
     np.testing.assert_allclose(plane_a[:3], T_a_b[:3, :3] @ normal, atol=1e-12)
 
 
-def test_the_point_below_the_laser_lies_on_its_plane():
-    point = LASER.point_mm
-    assert point @ LASER.plane[:3] + LASER.plane[3] == pytest.approx(0.0, abs=1e-12)
-    below = np.array([*LASER.origin_in_tool_mm[:2], 0.0])
-    np.testing.assert_allclose(np.cross(point - below, LASER.plane[:3]), 0.0, atol=1e-12)
+@pytest.mark.parametrize("lean_deg", [0.0, 20.0, -40.0])
+def test_the_point_below_the_laser_lies_on_its_plane_at_tool_height(lean_deg):
+    lean, turn = np.radians([lean_deg, 7.0])
+    normal = np.array([np.cos(lean) * np.cos(turn), np.cos(lean) * np.sin(turn), np.sin(lean)])
+    laser = dataclasses.replace(LASER, plane_in_tool=(*normal.tolist(), -35.0 * normal[0]))
+    point = laser.point_mm
+    assert point @ normal + laser.plane[3] == pytest.approx(0.0, abs=1e-12)
+    assert point[2] == 0.0
+    below = np.array([*laser.origin_in_tool_mm[:2], 0.0])
+    np.testing.assert_allclose(np.cross(point - below, [*normal[:2], 0.0]), 0.0, atol=1e-12)

@@ -33,8 +33,8 @@ def recorded(path, effects, plan=EXACT, coarser=SMALL):
     return recording.setup, list(recording.frames()), lambda t: pose_at(poses, t)
 
 
-def small_recording(path, effects, coarser=SMALL):
-    """The model held against such a recording, whose seam is taken to be nominal."""
+def small_recording(path, effects, coarser=SMALL, stated=None):
+    """The model held against such a recording, its setup stating effects; the seam is taken as nominal."""
     in_joint = Sightings.in_joint
 
     def nominal(sightings, setup):
@@ -43,7 +43,8 @@ def small_recording(path, effects, coarser=SMALL):
 
     # Not the tracker's own error with so coarse a camera is looked at: a bin at an edge would show it.
     with patch.object(Sightings, "in_joint", nominal):
-        observed = observe(*recorded(path, effects, coarser=coarser))
+        setup, frames, pose_at = recorded(path, effects, coarser=coarser)
+        observed = observe(replace(setup, effects=stated or {}), frames, pose_at)
     expected = Expected(observed)
     expected.take_tangents(expected.neutral, {})
     return expected

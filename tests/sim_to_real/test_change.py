@@ -9,8 +9,9 @@ import pytest
 import arctrack.simulate
 from noise_model.forward import draw_frame
 from sim_to_real.change import Change, Driver
-from sim_to_real.refit import refit
-from sim_to_real.select import judged, with_changes
+from sim_to_real.refit import FLICKER, NAMED_FROM, refit
+from sim_to_real.screen import FAMILIES
+from sim_to_real.select import candidates, judged, looked, with_changes
 from tests.sim_to_real.small import small_recording
 
 FINE = 3
@@ -49,9 +50,13 @@ def test_values_stay_within_their_bounds(observed):
     assert change.at(effects, observed.setup, last)["fume"]["extinction_per_m"] == pytest.approx(1.5)
 
 
+def silent(text, share):
+    pass
+
+
 def blown(setup, T_base_tool, condition, rng, **drawn):
     values = {"x_mm": 0.0, "y_mm": GROWS_MM_S * condition.timestamp_s}
-    there = replace(setup, effects={"arc_deflection": values})
+    there = replace(setup, effects={**setup.effects, "arc_deflection": values})
     return draw_frame(there, T_base_tool, condition, rng, **drawn)
 
 
@@ -59,7 +64,7 @@ def test_an_arc_that_is_blown_ever_farther_grows_with_time(tmp_path):
     with patch.object(arctrack.simulate, "draw_frame", blown):
         expected = small_recording(tmp_path / "blown", {}, FINE)
     stays = judged(expected, refit(expected, {"arc_deflection": {}}, expected.neutral))
-    (changes,) = with_changes(expected, [stays], lambda text, share: None)
+    (changes,) = with_changes(expected, [stays], silent)
     change, middle = changes.refit.change, changes.refit.effects["arc_deflection"]
     assert change.driver is Driver.TIME
     for u, timestamp_s in ((-1.0, change.middle - change.half), (1.0, change.middle + change.half)):
@@ -70,4 +75,35 @@ def test_an_arc_that_is_blown_ever_farther_grows_with_time(tmp_path):
 def test_an_arc_that_is_blown_aside_once_and_for_all_does_not_change(tmp_path):
     expected = small_recording(tmp_path / "stays", {"arc_deflection": {"y_mm": 1.0}}, FINE)
     stays = judged(expected, refit(expected, {"arc_deflection": {}}, expected.neutral))
-    assert with_changes(expected, [stays], lambda text, share: None) == [stays]
+    assert with_changes(expected, [stays], silent) == [stays]
+
+
+def test_another_effect_is_found_beside_one_that_changes(tmp_path):
+    glare = {"veiling_glare": {"share": 0.08}}
+
+    def blown_behind_glare(setup, *of, **drawn):
+        return blown(replace(setup, effects=glare), *of, **drawn)
+
+    with patch.object(arctrack.simulate, "draw_frame", blown_behind_glare):
+        expected = small_recording(tmp_path / "both", {}, FINE)
+    stays = judged(expected, refit(expected, {"arc_deflection": {}}, expected.neutral))
+    (changes,) = with_changes(expected, [stays], silent)
+    assert changes.refit.change is not None
+    others = [name for name in FAMILIES if name not in ("veiling_glare", "arc_length")]
+    screened = looked(expected, changes.refit, others)
+    # It looks on from where the fit has come to, its change included.
+    assert all(one.left <= 1.0 for one in screened)
+    best = candidates(expected, changes.refit, screened, changes.left, (FLICKER, *others), silent)[0]
+    assert best.ids == ("arc_deflection", "veiling_glare")
+    assert best.refit.effects["veiling_glare"]["share"] == pytest.approx(0.08, abs=0.02)
+    change, middle = best.refit.change, best.refit.effects["arc_deflection"]
+    ends = [change.values(middle, u)["y_mm"] for u in (-1.0, 1.0)]
+    assert ends[1] - ends[0] == pytest.approx(2.0 * change.half * GROWS_MM_S, abs=0.2)
+    assert best.evidence - changes.evidence > NAMED_FROM
+
+
+def test_what_pixels_say_against_an_effect_they_say_against_its_change(tmp_path):
+    expected = small_recording(tmp_path / "stays", {"arc_length": {"height_mm": 0.6}})
+    stays = judged(expected, refit(expected, {"arc_length": {}}, expected.neutral))
+    refused = replace(stays, left_in_pixels=9.0, against=25.0)
+    assert with_changes(expected, [refused], silent) == [refused]

@@ -1,11 +1,12 @@
 """What becomes of a verdict when frames that nothing was fitted to have been looked at."""
 
 import math
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 import pytest
 
+from sim_to_real.change import Change, Driver
 from sim_to_real.confirm import (
     closing,
     is_trifle,
@@ -63,12 +64,12 @@ def test_a_gap_below_the_floor_is_none_but_for_an_effect_that_is_no_trifle():
         named = decision(Verdict.EFFECTS, "roughness_change")
         named.chosen.refit.effects["roughness_change"] = {"c2_ln": c2_ln}
         assert closing(named, baseline, below).verdict is Verdict.EFFECTS
-        assert is_trifle(named, baseline, below) is in_small
-        assert is_trifle(named, baseline, above) is in_small
-        assert is_trifle(named, candidate(left=0.9), clear) is in_small
-        assert not is_trifle(named, baseline, clear)
+        assert is_trifle(named, baseline, below, {}) is in_small
+        assert is_trifle(named, baseline, above, {}) is in_small
+        assert is_trifle(named, candidate(left=0.9), clear, {}) is in_small
+        assert not is_trifle(named, baseline, clear, {})
         # From 1.2 to 1 it gains 100 ln 1.2 = 18 nats.
-        assert not is_trifle(named, candidate(left=1.2), above)
+        assert not is_trifle(named, candidate(left=1.2), above, {})
 
 
 def test_beside_a_trifle_what_scatters_is_named():
@@ -86,8 +87,8 @@ def test_what_scatters_must_close_half_of_a_gap_as_well():
 
 def test_the_shape_of_an_effect_says_nothing_of_its_size():
     marks = {"anisotropy": 0.05, "marks_deg": 60.0}
-    assert size({"rolling_marks": marks}) == pytest.approx(0.1)
-    assert size({"rolling_marks": marks, "arc_length": {"height_mm": -0.3}}) == pytest.approx(0.3)
+    assert size({"rolling_marks": marks}, {}) == pytest.approx(0.1)
+    assert size({"rolling_marks": marks, "arc_length": {"height_mm": -0.3}}, {}) == pytest.approx(0.3)
 
 
 @pytest.mark.parametrize(
@@ -136,3 +137,14 @@ def test_what_scatters_and_is_withheld_is_unknown():
     assert with_withheld(decision(Verdict.NO_GAP), noise, ("read_noise",)).verdict is Verdict.UNKNOWN
     assert with_withheld(decision(Verdict.NO_GAP), noise, ("gamma",)).verdict is Verdict.NO_GAP
     assert with_withheld(named, noise, ("read_noise",)).verdict is Verdict.EFFECTS
+
+
+def test_an_effect_that_changes_from_one_side_to_the_other_is_no_trifle():
+    """Half-way along the weld arc blow from -1 to 1 mm is nothing."""
+    blow = decision(Verdict.EFFECTS, "arc_deflection")
+    fitted = blow.chosen.refit
+    fitted.effects["arc_deflection"] = {"x_mm": 0.0, "y_mm": 0.01}
+    small = replace(gap(0.1, (0.8, 0.9)), before=0.1)
+    assert is_trifle(blow, candidate(left=1.1), small, {})
+    fitted.change = Change("arc_deflection", Driver.TIME, 1.0, 1.0, (0.0, 1.0))
+    assert not is_trifle(blow, candidate(left=1.1), small, {})

@@ -1,14 +1,19 @@
 """The model held against a recording: derivatives foretell small moves, and edges do not count."""
 
+import math
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from noise_model.effects import really
 from noise_model.forward import look
 from noise_model.surface import BentSeam, SeamLine
-from sim_to_real.expected import EDGE_E, EDGE_SHARE
+from sim_to_real.expected import EDGE_E, EDGE_SHARE, Expected
 from sim_to_real.nuisances import N_LEVELS, SEAM_FROM
+from sim_to_real.observed import stated_condition
 from tests.sim_to_real.small import small_recording
+from tracker.state import Frame
 
 
 @pytest.fixture(scope="module")
@@ -78,3 +83,25 @@ def test_each_pixel_shows_the_face_of_its_own_stretch(expected):
         all_pixels = np.arange(layers.faces.size)
         told = look(setup, pose, seam, rays, all_pixels, stretch)
         np.testing.assert_array_equal(told.faces.reshape(alone[n].shape), alone[n])
+
+
+def test_a_long_exposure_does_not_cut_derivatives_off(expected):
+    """The slopes of what is eight times as bright are eight times as large."""
+    frames = [frame for frame in expected.observed.frames if frame.stratum == "laser"]
+    laser = expected.some(np.array([frame.stratum == "laser" for frame in expected.observed.frames]))
+    longer = [
+        replace(frame, condition=replace(frame.condition, exposure_s=8.0 * frame.condition.exposure_s))
+        for frame in laser.observed.frames
+    ]
+    long = Expected(replace(laser.observed, frames=tuple(longer)))
+    assert len(frames) == len(longer)
+    for one, other in zip(laser.passed(laser.neutral, {}), long.passed(long.neutral, {}), strict=True):
+        np.testing.assert_allclose(other.laser_factor, 8.0 * one.laser_factor, rtol=1e-5)
+        assert other.laser_factor.max() > 4.0
+
+
+@pytest.mark.parametrize(("current_a", "level"), [(math.nan, 1.0), (0.0, 0.0)])
+def test_an_arc_of_unknown_current_is_on(expected, current_a, level):
+    setup = expected.observed.setup
+    frame = Frame(0, 0.0, expected.observed.frames[0].image_dn, 0.005, current_a, False, True)
+    assert stated_condition(setup, frame, 0.0).arc_level == level

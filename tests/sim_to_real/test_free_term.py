@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from noise_model.fit import Parameter
-from sim_to_real.free_term import HeldOut, free_term, hats, hats_of_two
+from sim_to_real.free_term import FOLDS, HeldOut, folds_by_turn, free_term, hats, hats_of_two
 from tests.sim_to_real.planted import planted
 
 TRAINING = np.arange(24) % 3 != 0
@@ -100,3 +100,16 @@ def test_nuisances_stay_within_their_bounds_unless_let_go():
 
     assert moved(HeldOut.of(of, r)) == pytest.approx(0.3)
     assert moved(HeldOut.of(of, r, free=(0,))) == pytest.approx(2.0, rel=0.05)
+
+
+@pytest.mark.parametrize("cycle", [1, 2, 3, 4, 5, 6])
+def test_every_fold_has_frames_of_every_stratum(cycle):
+    of = replace(planted(24, (2, 3)), stratum=(np.repeat(np.arange(24), 6) % cycle).astype(np.int8))
+    fold = folds_by_turn(of)
+    for k in range(FOLDS):
+        frames = np.unique(of.frame[fold == k])
+        assert len(frames) == 6
+        assert set(frames % cycle) == set(range(cycle)) or 24 // cycle < FOLDS
+        # Nor are they all of one end of the recording.
+        assert frames.min() < 8
+        assert frames.max() >= 16

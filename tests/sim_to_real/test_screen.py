@@ -4,7 +4,7 @@ import pytest
 from small import small_recording
 
 from sim_to_real.refit import refit
-from sim_to_real.screen import screen
+from sim_to_real.screen import screen, size
 
 
 def look(path, name, planted):
@@ -38,3 +38,23 @@ def test_a_long_delay_is_started_from_beyond_the_short_one_s_reach(tmp_path):
     """A straight line is followed to three times its place: 0.03 s from the short one."""
     found = look(tmp_path, "pose_delay", {"delay_s": -0.06})
     assert -0.08 < found.start["delay_s"] < -0.03
+
+
+def test_what_the_setup_states_is_where_the_look_begins(tmp_path):
+    first = {"u_1": -0.5, "v_1": -0.2, "radius_1": 0.3, "dimming_1": 0.3}
+    both = {**first, "u_2": 0.45, "v_2": 0.25, "radius_2": 0.2, "dimming_2": 0.15}
+    expected = small_recording(tmp_path / "patches", {"dirty_window": both}, stated={"dirty_window": first})
+    (found,) = screen(expected, refit(expected, {}, expected.neutral, steps=0), ["dirty_window"])
+    assert {key: found.start[key] for key in first} == pytest.approx(first)
+    assert (found.start["u_2"], found.start["v_2"]) == pytest.approx((0.45, 0.25), abs=0.2)
+    assert found.start["dimming_2"] > 0.05
+    expected = small_recording(
+        tmp_path / "arc", {"arc_length": {"height_mm": 0.7}}, stated={"arc_length": {"height_mm": 1.1}}
+    )
+    baseline = refit(expected, {}, expected.neutral, steps=0)
+    (found,) = screen(expected, baseline, ["arc_length"])
+    assert found.start["height_mm"] == pytest.approx(0.7, abs=0.1)
+    assert abs(found.place[1]) == pytest.approx(0.7)
+    fitted = refit(expected, {"arc_length": found.start}, expected.neutral)
+    assert fitted.quadratic.parameters[-1].start == 1.1
+    assert size(fitted.effects, {"arc_length": {"height_mm": 1.1}}) == pytest.approx(0.4, abs=0.05)

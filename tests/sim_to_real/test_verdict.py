@@ -8,7 +8,7 @@ from sim_to_real import verdict as room
 from sim_to_real.diagnosis import Verdict
 from sim_to_real.quadratic import N_EFFECTIVE
 from sim_to_real.select import likelihood_nats
-from sim_to_real.verdict import decide
+from sim_to_real.verdict import decide, in_question
 from tests.sim_to_real.verdicts import candidate
 
 
@@ -154,7 +154,7 @@ def test_several_that_leave_nothing_where_they_were_fitted_need_not_foresee_as_w
     monkeypatch.setattr(room, "looked", lambda *_: ["a look"])
     for name in ("candidates", "with_dear"):
         monkeypatch.setattr(room, name, lambda *_: [pair])
-    monkeypatch.setattr(room, "refit", lambda *_: None)
+    monkeypatch.setattr(room, "refit", lambda *_, **__: None)
     monkeypatch.setattr(room, "judged", lambda *_: candidate("defocus", left=4.0))
     found = room._several(None, candidate(left=9.0), best, (), print)
     assert found is (pair if explain else None)
@@ -173,10 +173,26 @@ def test_several_that_leave_nothing_where_they_were_fitted_need_not_foresee_as_w
 def test_shares_below_the_floor_are_shares_still(monkeypatch, baseline, alone, share):
     pair = candidate("gamma", "fume", left=baseline[1])
     left = dict(zip(("gamma", "fume"), alone, strict=True))
-    monkeypatch.setattr(room, "refit", lambda _, effects, __: effects)
+    monkeypatch.setattr(room, "refit", lambda _, effects, __, change: effects)
     monkeypatch.setattr(room, "judged", lambda _, effects: SimpleNamespace(left=left[next(iter(effects))]))
     found = room.shares(None, candidate(left=baseline[0]), pair)
     assert tuple(found.values()) == pytest.approx(share)
+
+
+@pytest.mark.parametrize(("lead", "verdict"), [(0.9, Verdict.EFFECTS), (0.6, Verdict.UNKNOWN)])
+def test_what_is_held_back_does_not_stand_before_what_explains_as_much(monkeypatch, lead, verdict):
+    """Of 0.909 and 0.9 either is as good; of 0.909 and 0.6 what is held back leads by 41 nats."""
+    free, held_back = candidate("veiling_glare", left=0.909), candidate("dirty_window", left=lead)
+    held_back.is_held_back = True
+    found = decided(monkeypatch, candidate(left=9.0), [held_back, free], None)
+    assert found.verdict is verdict
+    if verdict is Verdict.EFFECTS:
+        assert found.chosen.ids == free.ids
+        assert found.sure > 0.99
+        # Nor is it one of two that cannot be told apart.
+        other_way = [candidate("veiling_glare", left=0.9), candidate("dirty_window", left=0.909)]
+        other_way[1].is_held_back = True
+        assert decided(monkeypatch, candidate(left=9.0), other_way, None).verdict is Verdict.EFFECTS
 
 
 def test_what_its_bounds_hold_back_explains_nothing(monkeypatch):
@@ -184,3 +200,18 @@ def test_what_its_bounds_hold_back_explains_nothing(monkeypatch):
     assert decided(monkeypatch, candidate(left=9.0), [held_back], None).verdict is Verdict.EFFECTS
     held_back.is_held_back = True
     assert decided(monkeypatch, candidate(left=9.0), [held_back], None).verdict is Verdict.UNKNOWN
+
+
+def test_what_is_to_be_told_apart_is_what_is_in_question(monkeypatch):
+    fume, gamma, window = (candidate(name) for name in ("fume", "gamma", "dirty_window"))
+
+    def pair(verdict, *ambiguous, alike=()):
+        of = SimpleNamespace(verdict=verdict, singles=(fume, gamma, window), ambiguous=ambiguous)
+        return in_question(of, alike)
+
+    assert pair(Verdict.AMBIGUOUS, ("fume", "dirty_window")) == (fume, window)
+    assert pair(Verdict.UNKNOWN) == (fume, gamma)
+    assert pair(Verdict.NO_GAP) is None
+    assert pair(Verdict.EFFECTS) is None
+    assert pair(Verdict.EFFECTS, alike=[("gamma", "dirty_window")]) is None
+    assert pair(Verdict.EFFECTS, alike=[("dirty_window", "fume")]) == (fume, window)

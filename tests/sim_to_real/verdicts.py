@@ -23,5 +23,6 @@ class Fitted:
 
 def candidate(*ids, left=1.0):
     effects = {name: REGISTRY[name].complete(REGISTRY[name].typical) for name in ids}
-    fit = SimpleNamespace(ids=ids, residuals=np.full(4, np.sqrt(left)), nuisance=None, effects=effects)
+    residuals = np.full(4, np.sqrt(left))
+    fit = SimpleNamespace(ids=ids, residuals=residuals, nuisance=None, effects=effects, change=None)
     return Fitted(ids, left, fit, likelihood_nats(left))
