@@ -339,15 +339,6 @@ def _shows_arc(expected: Expected) -> bool:
     return bool(expected.observed.lit.sum() > 2)
 
 
-def free_first(found: Sequence[Candidate]) -> list[Candidate]:
-    """Return candidates, likeliest first, but before one that its bounds hold back one alike that is free."""
-    first = found[0]
-    if not first.is_held_back:
-        return list(found)
-    alike = [one for one in found if first.evidence - one.evidence < ALIKE_NATS and not one.is_held_back]
-    return [*alike[:1], *(one for one in found if one not in alike[:1])]
-
-
 def confidences(of: Sequence[Candidate], baseline: Candidate) -> Float64:
     """Return how probable each candidate (n,) is, if one of them is right or the baseline.
 

@@ -21,13 +21,13 @@ from sim_to_real.pixels import Bool
 from sim_to_real.refit import FLICKER, NAMED_FROM, Refit, refit, settled
 from sim_to_real.screen import Screened
 from sim_to_real.select import (
+    ALIKE_NATS,
     RESOLVED,
     Candidate,
     beyond_form,
     candidates,
     confidences,
     cost_nats,
-    free_first,
     judged,
     likelihood_nats,
     looked,
@@ -127,6 +127,19 @@ def is_explained(expected: Expected, candidate: Candidate, baseline: Candidate) 
     return beyond_form(expected, candidate) - 1.0 <= ONE_EXPLAINS * max(baseline.left - 1.0, 0.0)
 
 
+def _free_first(expected: Expected, found: Sequence[Candidate], baseline: Candidate) -> list[Candidate]:
+    """Return single effects, likeliest first; but one that its bounds hold back behind one that explains all.
+
+    As long as that is about as likely.
+    """
+    first = found[0]
+    if not first.is_held_back:
+        return list(found)
+    near = [one for one in found if first.evidence - one.evidence < ALIKE_NATS]
+    explain = [one for one in near if is_explained(expected, one, baseline)][:1]
+    return [*explain, *(one for one in found if one not in explain)]
+
+
 def without_help(baseline: Candidate) -> Verdict:
     """Return the verdict if nothing in the catalogue helps: a large gap is something else's."""
     return Verdict.NO_GAP if baseline.left < UNEXPLAINED_FROM else Verdict.UNKNOWN
@@ -156,7 +169,7 @@ def decide(
     found = candidates(expected, start, screened, baseline.left, without, on_stage)
     if found[0].evidence > baseline.evidence:
         found, baseline = told_apart(found, baseline, in_pixels)
-    found = free_first(found)
+    found = _free_first(expected, found, baseline)
     explained = is_explained(expected, found[0], baseline)
     is_open = found[0].left > RESOLVED and not explained
     is_small = baseline.left < UNEXPLAINED_FROM and baseline.left_in_pixels <= AT_FLOOR
@@ -175,7 +188,7 @@ def decide(
     elif explained and found[0].ids == (FLICKER,):
         # A level of its own for each frame takes on much of what grows from frame to frame.
         found, baseline = _with_changes(expected, found, baseline, in_pixels, on_stage)
-    found = free_first(found)
+    found = _free_first(expected, found, baseline)
     explained = is_explained(expected, found[0], baseline)
     singles = tuple(found)
     p = confidences(singles, baseline)
@@ -267,6 +280,9 @@ def _beside(
 
     Of a best effect that explains the gap the pixels have been asked.
     """
+    if best.is_held_back and left_over(best, baseline) <= EXPLAINED:
+        # Almost all of it is one other effect's, and what is added would only lend the mimic more numbers.
+        return None
     if not explained or best.left > CLEARLY_LEFT:
         return _several(expected, baseline, best, without, on_stage)
     if best.left_in_pixels <= AT_FLOOR:

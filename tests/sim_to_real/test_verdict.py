@@ -195,6 +195,14 @@ def test_what_is_held_back_does_not_stand_before_what_explains_as_much(monkeypat
         assert decided(monkeypatch, candidate(left=9.0), other_way, None).verdict is Verdict.EFFECTS
 
 
+@pytest.mark.parametrize(("left", "verdict"), [(1.9, Verdict.UNKNOWN), (2.1, Verdict.EFFECTS)])
+def test_nothing_is_looked_for_beside_a_mimic_of_almost_all(monkeypatch, left, verdict):
+    """Of a gap of 8 it leaves 0.9 or 1.1: 11 or 14 %."""
+    mimic, pair = candidate("dirty_window", left=left), candidate("dirty_window", "fume", left=1.0)
+    mimic.is_held_back = True
+    assert decided(monkeypatch, candidate(left=9.0), [mimic], pair).verdict is verdict
+
+
 def test_what_its_bounds_hold_back_explains_nothing(monkeypatch):
     held_back = candidate("dirty_window", left=0.9)
     assert decided(monkeypatch, candidate(left=9.0), [held_back], None).verdict is Verdict.EFFECTS
