@@ -1,11 +1,12 @@
 """Seam error against truth.csv, with and without the arc map, side by side; constant part removed and not.
 
     python benchmarks/seam_error.py RECORDING... [--calibrate-on RECORDING]
-    python benchmarks/seam_error.py --simulate SEEDS [--joint JOINT]
+    python benchmarks/seam_error.py --simulate SEEDS [--joint JOINT] [--speed-mm-s SPEED]
 
 With --calibrate-on the camera's pose is first found from that recording's arc light. --simulate makes a
-recording for each metal and seed, laser and arc on in every frame, at 20 mm/s, with weave, tilt, a seam that
-wanders, and an arc that flickers and spatters, of which the tracker is told nothing; and tracks those.
+recording of 118 mm for each metal and seed, laser and arc on in every frame, 10 frames a second, with weave,
+tilt, a seam that wanders, and an arc that flickers and spatters, of which the tracker is told nothing; and
+tracks those.
 
 At the torch: the offset that is sent against the true seam there, as the sensor passed it before, once the
 torch stands on what was measured.
@@ -35,7 +36,7 @@ from tracker.seam import seam_displacement
 from tracker.state import Frame, Pose, Track
 from tracker.step import Tracker
 
-TRAVEL_MM_S, SIMULATED_FRAMES = 20.0, 60
+WAY_MM, TRAVEL_MM_S = 118.0, 20.0
 ARC_NOISE = {"arc_flicker": {"sigma_rel": 0.1}, "spatter": {"rate_per_frame": 5.0}}
 GUESSED = flags.OFFSET_EXTRAPOLATED.mask | flags.OFFSET_HELD.mask
 Posed = list[tuple[Frame, Pose | None]]
@@ -102,14 +103,13 @@ def print_row(path: Path, setup: Setup, frames: Posed, use_arc_map: bool) -> Non
     )
 
 
-def simulated(folder: Path, joint: str, seeds: int) -> Iterator[Path]:
+def simulated(folder: Path, joint: str, seeds: int, speed_mm_s: float) -> Iterator[Path]:
     """Simulate recordings into a folder and yield them one by one."""
+    frames = 1 + round(WAY_MM / speed_mm_s * SimulationPlan.rate_hz)
     for metal in MATERIALS:
         setup = balance(nominal_setup(joint, metal))
         for seed in range(seeds):
-            plan = SimulationPlan(
-                frames=SIMULATED_FRAMES, travel_speed_mm_s=TRAVEL_MM_S, seed=seed, production=True
-            )
+            plan = SimulationPlan(frames=frames, travel_speed_mm_s=speed_mm_s, seed=seed, production=True)
             yield simulate_recording(folder / f"{metal}_{seed}", setup, plan, hidden_effects=ARC_NOISE)
 
 
@@ -119,6 +119,7 @@ def main() -> None:
     parser.add_argument("--calibrate-on", type=Path)
     parser.add_argument("--simulate", type=int, default=0, metavar="SEEDS")
     parser.add_argument("--joint", choices=list(DIMENSIONS), default="corrugation")
+    parser.add_argument("--speed-mm-s", type=float, default=TRAVEL_MM_S, metavar="SPEED")
     chosen = parser.parse_args()
     cv2.setNumThreads(1)
     T_tool_camera = None
@@ -130,7 +131,7 @@ def main() -> None:
     axes = 3 * f" {'lateral':>8} {'vertical':>8}"
     print(f"{'recording':20} {'map':4} {'valid':7}{axes}   {'torch':>4}{axes[1:]}")
     with tempfile.TemporaryDirectory() as folder:
-        made = simulated(Path(folder), chosen.joint, chosen.simulate)
+        made = simulated(Path(folder), chosen.joint, chosen.simulate, chosen.speed_mm_s)
         for path in [*chosen.recordings, *made]:
             setup, frames = frames_of(path)
             if T_tool_camera is not None:
