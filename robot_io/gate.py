@@ -9,7 +9,7 @@ through as it is or not at all. All limits are inclusive: a value at its limit p
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, field, fields, replace
 from enum import Enum
 
 from robot_io.codec import out_of_range_as_unknown
@@ -85,12 +85,18 @@ class Conditions:
 
 @dataclass(frozen=True)
 class LastSent:
-    """The offset that the gate let through last; all NaN before the first."""
+    """The offset that the gate let through last; all NaN before the first.
+
+    `offset_*` is what each axis was sent last, of its own capture: of an earlier one than `captured_at_s` if
+    the axis was not enabled then.
+    """
 
     captured_at_s: float = math.nan
     offset_y_mm: float = math.nan
     offset_z_mm: float = math.nan
     confidence: float = math.nan
+    captured_y_at_s: float = math.nan
+    captured_z_at_s: float = math.nan
 
 
 @dataclass(frozen=True)
@@ -111,8 +117,8 @@ def decide(
 ) -> Decision:
     """Return what becomes of a proposal at `now_s` (s, the clock of the captures).
 
-    An axis that is not enabled is neither checked nor sent. Being disarmed forgets the last offset; the first
-    one after that is free of the rate limit.
+    An axis that is not enabled is neither checked nor sent; enabled again, it may not leap from what it was
+    sent last. Being disarmed forgets the last offset; the first one after that is free of the rate limit.
     """
     if not conditions.armed:
         last_sent = LastSent()
@@ -121,7 +127,7 @@ def decide(
         return _refuse(forbidden, last_sent)
     reason = _objection(proposal, conditions, limits, last_sent, now_s)
     if reason is GateReason.NONE:
-        return _send(proposal, conditions, now_s)
+        return _send(proposal, conditions, last_sent, now_s)
     return _hold(reason, conditions, limits, last_sent, now_s)
 
 
@@ -162,19 +168,23 @@ def _objection(
         return GateReason.SIGMA_TOO_LARGE
     if any(abs(axis.offset_mm) > axis.range_mm for axis in axes):
         return GateReason.OUT_OF_RANGE
-    elapsed_s = min(proposal.captured_at_s - last_sent.captured_at_s, limits.hold_s)
-    if any(axis.change_mm > axis.rate_mm_s * elapsed_s for axis in axes if not math.isnan(axis.change_mm)):
+    sent_before = (axis for axis in axes if not math.isnan(axis.change_mm))
+    if any(axis.change_mm > axis.rate_mm_s * min(axis.elapsed_s, limits.hold_s) for axis in sent_before):
         return GateReason.RATE_TOO_HIGH
     return GateReason.NONE
 
 
 @dataclass(frozen=True)
 class _Axis:
-    """One enabled axis of a proposal beside its limits; `change_mm` is NaN if nothing was sent before."""
+    """One enabled axis of a proposal beside its limits.
+
+    `change_mm` and `elapsed_s` are since the axis was sent last, NaN if it never was.
+    """
 
     offset_mm: float
     sigma_mm: float
     change_mm: float
+    elapsed_s: float
     range_mm: float
     rate_mm_s: float
     sigma_limit_mm: float
@@ -185,24 +195,24 @@ def _enabled_axes(
 ) -> list[_Axis]:
     axes = []
     if conditions.enable_y:
-        change_y_mm = abs(proposal.offset_y_mm - last_sent.offset_y_mm)
         axes.append(
             _Axis(
                 proposal.offset_y_mm,
                 proposal.sigma_y_mm,
-                change_y_mm,
+                abs(proposal.offset_y_mm - last_sent.offset_y_mm),
+                proposal.captured_at_s - last_sent.captured_y_at_s,
                 limits.range_y_mm,
                 limits.rate_y_mm_s,
                 limits.sigma_y_mm,
             )
         )
     if conditions.enable_z:
-        change_z_mm = abs(proposal.offset_z_mm - last_sent.offset_z_mm)
         axes.append(
             _Axis(
                 proposal.offset_z_mm,
                 proposal.sigma_z_mm,
-                change_z_mm,
+                abs(proposal.offset_z_mm - last_sent.offset_z_mm),
+                proposal.captured_at_s - last_sent.captured_z_at_s,
                 limits.range_z_mm,
                 limits.rate_z_mm_s,
                 limits.sigma_z_mm,
@@ -211,29 +221,23 @@ def _enabled_axes(
     return axes
 
 
-def _send(proposal: Proposal, conditions: Conditions, now_s: float) -> Decision:
-    sent = LastSent(
-        captured_at_s=proposal.captured_at_s,
-        offset_y_mm=proposal.offset_y_mm if conditions.enable_y else math.nan,
-        offset_z_mm=proposal.offset_z_mm if conditions.enable_z else math.nan,
-        confidence=proposal.confidence,
-    )
-    return Decision(Verdict.SEND, GateReason.NONE, _message(sent, Validity.VALID, now_s), sent)
+def _send(proposal: Proposal, conditions: Conditions, last_sent: LastSent, now_s: float) -> Decision:
+    sent = replace(last_sent, captured_at_s=proposal.captured_at_s, confidence=proposal.confidence)
+    if conditions.enable_y:
+        sent = replace(sent, captured_y_at_s=proposal.captured_at_s, offset_y_mm=proposal.offset_y_mm)
+    if conditions.enable_z:
+        sent = replace(sent, captured_z_at_s=proposal.captured_at_s, offset_z_mm=proposal.offset_z_mm)
+    return Decision(Verdict.SEND, GateReason.NONE, _message(sent, conditions, Validity.VALID, now_s), sent)
 
 
 def _hold(
     reason: GateReason, conditions: Conditions, limits: GateLimits, last_sent: LastSent, now_s: float
 ) -> Decision:
-    held = LastSent(
-        captured_at_s=last_sent.captured_at_s,
-        offset_y_mm=last_sent.offset_y_mm if conditions.enable_y else math.nan,
-        offset_z_mm=last_sent.offset_z_mm if conditions.enable_z else math.nan,
-        confidence=last_sent.confidence,
-    )
+    held = _message(last_sent, conditions, Validity.HELD, now_s)
     nothing_to_hold = math.isnan(held.offset_y_mm) and math.isnan(held.offset_z_mm)
-    if nothing_to_hold or not 0.0 <= now_s - held.captured_at_s <= limits.hold_s:
+    if nothing_to_hold or not 0.0 <= now_s - last_sent.captured_at_s <= limits.hold_s:
         return _refuse(reason, last_sent)
-    return Decision(Verdict.HOLD, reason, _message(held, Validity.HELD, now_s), last_sent)
+    return Decision(Verdict.HOLD, reason, held, last_sent)
 
 
 def _refuse(reason: GateReason, last_sent: LastSent) -> Decision:
@@ -241,11 +245,14 @@ def _refuse(reason: GateReason, last_sent: LastSent) -> Decision:
     return Decision(Verdict.REFUSE, reason, message, last_sent)
 
 
-def _message(sent: LastSent, validity: Validity, now_s: float) -> SeamOffset:
+def _message(sent: LastSent, conditions: Conditions, validity: Validity, now_s: float) -> SeamOffset:
+    """Return the message of what was sent last; an axis that is off, or was then, is unknown."""
+    has_y = conditions.enable_y and sent.captured_y_at_s == sent.captured_at_s
+    has_z = conditions.enable_z and sent.captured_z_at_s == sent.captured_at_s
     return out_of_range_as_unknown(
         SeamOffset(
-            offset_y_mm=sent.offset_y_mm,
-            offset_z_mm=sent.offset_z_mm,
+            offset_y_mm=sent.offset_y_mm if has_y else math.nan,
+            offset_z_mm=sent.offset_z_mm if has_z else math.nan,
             capture_age_ms=1000.0 * (now_s - sent.captured_at_s),
             confidence=sent.confidence,
             validity=validity,

@@ -30,7 +30,14 @@ GOOD = Proposal(
     captured_at_s=NOW_S, offset_y_mm=0.5, offset_z_mm=-0.25, confidence=1.0, sigma_y_mm=0.0, sigma_z_mm=0.0
 )
 READY = Conditions(armed=True, enable_y=True, enable_z=True, robot=ROBOT)
-LAST = LastSent(captured_at_s=NOW_S - 0.25, offset_y_mm=0.5, offset_z_mm=-0.25, confidence=0.875)
+
+
+def sent(captured_at_s, offset_y_mm=0.5, offset_z_mm=-0.25, confidence=0.875):
+    """Return what the gate remembers of an offset that it let through."""
+    return LastSent(captured_at_s, offset_y_mm, offset_z_mm, confidence, captured_at_s, captured_at_s)
+
+
+LAST = sent(NOW_S - 0.25)
 
 
 def judge(proposal=None, conditions=None, last=LAST, limits=LIMITS, now_s=NOW_S, **changes):
@@ -53,7 +60,7 @@ def test_a_good_offset_goes_out_as_it_is():
     message = decision.message
     assert (message.offset_y_mm, message.offset_z_mm, message.confidence) == (0.5, -0.25, 1.0)
     assert (message.capture_age_ms, message.validity) == (0.0, Validity.VALID)
-    assert decision.last_sent == LastSent(NOW_S, 0.5, -0.25, 1.0)
+    assert decision.last_sent == sent(NOW_S, confidence=1.0)
 
 
 @pytest.mark.parametrize(
@@ -159,7 +166,7 @@ def test_an_axis_that_is_off_is_neither_checked_nor_sent():
     assert decision.verdict is Verdict.SEND
     assert math.isnan(decision.message.offset_y_mm)
     assert decision.message.offset_z_mm == -0.25
-    assert math.isnan(decision.last_sent.offset_y_mm)
+    assert decision.last_sent.captured_y_at_s == LAST.captured_at_s
     only_y = dataclasses.replace(READY, enable_z=False)
     decision = judge(conditions=only_y, offset_z_mm=100.0, sigma_z_mm=100.0)
     assert decision.verdict is Verdict.SEND
@@ -174,24 +181,37 @@ def test_a_held_offset_leaves_out_an_axis_that_was_switched_off_since():
     assert decision.message.offset_z_mm == -0.25
 
 
+def test_switching_an_axis_off_and_on_does_not_pass_the_rate_limit():
+    only_y = dataclasses.replace(READY, enable_z=False)
+    off = judge(conditions=only_y, captured_at_s=NOW_S - 0.125)
+    assert off.verdict is Verdict.SEND
+    # A quarter of a second since z was sent: 0.25 mm at most.
+    assert judge(last=off.last_sent, offset_z_mm=-0.5).verdict is Verdict.SEND
+    jump = judge(last=off.last_sent, offset_z_mm=4.0)
+    assert (jump.verdict, jump.reason) == (Verdict.HOLD, GateReason.RATE_TOO_HIGH)
+    # What is held is what went out last, and z was no part of it.
+    assert (jump.message.offset_y_mm, jump.message.capture_age_ms) == (0.5, 125.0)
+    assert math.isnan(jump.message.offset_z_mm)
+
+
 def test_a_hold_needs_something_to_hold():
     assert judge(confidence=0.0, last=LastSent()).verdict is Verdict.REFUSE
-    only_y = dataclasses.replace(LAST, offset_z_mm=math.nan)
+    only_y = dataclasses.replace(LAST, offset_z_mm=math.nan, captured_z_at_s=math.nan)
     refused = judge(confidence=0.0, last=only_y, conditions=dataclasses.replace(READY, enable_y=False))
     assert (refused.verdict, refused.reason) == (Verdict.REFUSE, GateReason.LOW_CONFIDENCE)
 
 
 def test_a_hold_ends():
-    at_limit = dataclasses.replace(LAST, captured_at_s=NOW_S - 0.5)
+    at_limit = sent(NOW_S - 0.5)
     assert judge(confidence=0.0, last=at_limit).verdict is Verdict.HOLD
-    expired = dataclasses.replace(LAST, captured_at_s=below(NOW_S - 0.5))
+    expired = sent(below(NOW_S - 0.5))
     decision = judge(confidence=0.0, last=expired)
     assert (decision.verdict, decision.reason) == (Verdict.REFUSE, GateReason.LOW_CONFIDENCE)
     assert decision.last_sent == expired
 
 
 def test_a_clock_that_ran_backwards_holds_nothing():
-    later = dataclasses.replace(LAST, captured_at_s=NOW_S + 1.0)
+    later = sent(NOW_S + 1.0)
     decision = judge(last=later)
     assert (decision.verdict, decision.reason) == (Verdict.REFUSE, GateReason.RATE_TOO_HIGH)
 
@@ -203,14 +223,14 @@ def test_the_first_offset_is_free_of_the_rate_limit_but_not_of_the_range():
 
 def test_waiting_does_not_buy_more_than_the_hold():
     # hold 0.5 s at 2 mm/s: 1 mm, however long ago the last offset went out.
-    long_ago = dataclasses.replace(LAST, captured_at_s=NOW_S - 8.0)
+    long_ago = sent(NOW_S - 8.0)
     assert judge(last=long_ago, offset_y_mm=1.5).verdict is Verdict.SEND
     decision = judge(last=long_ago, offset_y_mm=above(1.5))
     assert (decision.verdict, decision.reason) == (Verdict.REFUSE, GateReason.RATE_TOO_HIGH)
 
 
 def test_the_same_capture_again_is_sent_again_but_a_changed_one_is_not():
-    same = dataclasses.replace(LAST, captured_at_s=NOW_S)
+    same = sent(NOW_S)
     assert judge(last=same).verdict is Verdict.SEND
     changed = judge(last=same, offset_y_mm=above(0.5))
     assert (changed.verdict, changed.reason) == (Verdict.HOLD, GateReason.RATE_TOO_HIGH)
