@@ -5,6 +5,7 @@ from __future__ import annotations
 import zlib
 from collections.abc import Iterable, Iterator
 from fractions import Fraction
+from itertools import islice
 from pathlib import Path
 from types import TracebackType
 from typing import Self
@@ -19,6 +20,9 @@ from arctrack.errors import in_file
 
 PIXEL_FORMATS = {"gray": np.uint8, "gray16le": np.uint16}
 
+CHECKSUMS_SOUGHT_IN = 8
+"""So many packets from the first are asked whether a video carries checksums: one that is damaged may lie."""
+
 _FOOTER_BYTES = 8
 _REVERSED_BITS = bytes(int(f"{byte:08b}"[::-1], 2) for byte in range(256))
 
@@ -26,7 +30,7 @@ _REVERSED_BITS = bytes(int(f"{byte:08b}"[::-1], 2) for byte in range(256))
 def open_video(path: Path) -> av.container.InputContainer:
     """Open a video; ArctrackError unless it is grey FFV1."""
     try:
-        container = av.open(str(path), mode="r")
+        container = av.open(_address(path), mode="r")
     except FileNotFoundError:
         raise in_file(path, "there is no such file") from None
     except (av.error.FFmpegError, OSError) as error:
@@ -48,11 +52,12 @@ def open_video(path: Path) -> av.container.InputContainer:
 
 def read_video(path: Path, positions: Iterable[int]) -> Iterator[npt.NDArray[np.integer] | str]:
     """Yield the frames (H, W) at rising positions (from 0), or what is wrong with one, as text."""
+    has_checksums = carries_checksums(path)
     with open_video(path) as container:
         stream = container.streams.video[0]
         # Frame threads delay the output; with one thread a packet in is a frame out.
         stream.codec_context.thread_count = 1
-        packets = _Packets(container, stream)
+        packets = _Packets(container, stream, has_checksums)
         for position in positions:
             yield packets.frame(position)
 
@@ -60,23 +65,45 @@ def read_video(path: Path, positions: Iterable[int]) -> Iterator[npt.NDArray[np.
 def count_frames(path: Path) -> int:
     """Return how many frames a video holds, without decoding them."""
     with open_video(path) as container:
-        packets = _Packets(container, container.streams.video[0])
-        return packets.skip_all()
+        return sum(1 for _ in _payloads(container.demux(container.streams.video[0])))
+
+
+def carries_checksums(path: Path) -> bool:
+    """Return whether a video carries checksums; without, damage within a frame may go unnoticed."""
+    with open_video(path) as container:
+        packets = islice(_payloads(container.demux(container.streams.video[0])), CHECKSUMS_SOUGHT_IN)
+        return any(checksums_hold(bytes(packet)) for packet in packets)
+
+
+def _address(path: Path) -> str:
+    # What stands before a colon in a relative path FFmpeg takes for a protocol.
+    return str(path.absolute())
+
+
+def _payloads(packets: Iterator[av.Packet[VideoStream]]) -> Iterator[av.Packet[VideoStream]]:
+    """Yield the packets that hold something, up to where the container breaks off."""
+    try:
+        yield from (packet for packet in packets if packet.size > 0)
+    except av.error.FFmpegError:
+        # Nothing behind this can be found again.
+        return
 
 
 class _Packets:
     """Walks through a video's packets; its state is the place in the file."""
 
-    def __init__(self, container: av.container.InputContainer, stream: VideoStream) -> None:
-        self._demuxer = container.demux(stream)
+    def __init__(
+        self, container: av.container.InputContainer, stream: VideoStream, has_checksums: bool
+    ) -> None:
+        self._packets = _payloads(container.demux(stream))
         self._codec: VideoCodecContext = stream.codec_context
         self._next = 0
-        self._has_checksums = False
+        self._has_checksums = has_checksums
         self._broken_until_keyframe = False
 
     def frame(self, position: int) -> npt.NDArray[np.integer] | str:
         while True:
-            packet = self._packet()
+            packet = next(self._packets, None)
             if packet is None:
                 return f"the video ends after {self._next} frames"
             self._next += 1
@@ -87,25 +114,8 @@ class _Packets:
                 if wanted:
                     return decoded
 
-    def skip_all(self) -> int:
-        while self._packet() is not None:
-            self._next += 1
-        return self._next
-
-    def _packet(self) -> av.Packet[VideoStream] | None:
-        try:
-            for packet in self._demuxer:
-                if packet.size > 0:
-                    return packet
-        except av.error.FFmpegError:
-            # The container breaks off here: nothing behind this can be found again.
-            return None
-        return None
-
     def _decode(self, packet: av.Packet[VideoStream]) -> npt.NDArray[np.integer] | str:
-        intact = checksums_hold(bytes(packet))
-        self._has_checksums |= intact
-        damaged = self._has_checksums and not intact
+        damaged = self._has_checksums and not checksums_hold(bytes(packet))
         if packet.is_keyframe:
             self._broken_until_keyframe = False
         try:
@@ -144,7 +154,7 @@ class VideoWriter:
 
     def __init__(self, path: Path, width: int, height: int, dtype: npt.DTypeLike, rate_hz: float) -> None:
         self._format = "gray" if np.dtype(dtype) == np.uint8 else "gray16le"
-        self._container = av.open(str(path), mode="w")
+        self._container = av.open(_address(path), mode="w")
         rate = Fraction(rate_hz).limit_denominator(1000)
         self._stream: VideoStream = self._container.add_stream("ffv1", rate=rate)
         self._stream.width, self._stream.height = width, height

@@ -46,8 +46,7 @@ def check_source(recording: Path, rows: Sequence[FrameRow], setup: Setup) -> tup
         return folder, warnings + _check_folder(folder, rows)
     if not video.exists():
         raise in_file(folder, f"there are no frames: neither this folder nor {video.name} exists")
-    _check_video(video, setup)
-    return video, []
+    return video, _check_video(video, rows, setup)
 
 
 def read_frames(
@@ -55,8 +54,7 @@ def read_frames(
 ) -> Iterator[Frame | BadFrame]:
     """Yield the frames of all rows, or of those at rising positions, one at a time.
 
-    The n-th row of frames.csv is the PNG with its number, or the n-th frame of the video. ArctrackError at
-    the end if a video that was read to its last row has more frames than rows: nobody knows which is which.
+    The n-th row of frames.csv is the PNG with its number, or the n-th frame of the video.
     """
     chosen = range(len(rows)) if positions is None else positions
     if source.is_dir():
@@ -66,8 +64,6 @@ def read_frames(
         return
     for position, image in zip(chosen, ffv1.read_video(source, chosen), strict=True):
         yield _judge(image, rows[position], source, setup)
-    if positions is None and (count := ffv1.count_frames(source)) > len(rows):
-        raise in_file(source, f"holds {count} frames where frames.csv has {len(rows)} rows")
 
 
 def _read_png(path: Path) -> npt.NDArray[np.integer] | str:
@@ -122,7 +118,7 @@ def _check_folder(folder: Path, rows: Sequence[FrameRow]) -> list[str]:
     return [f"{folder} holds {spare} PNGs that frames.csv does not name"] if spare else []
 
 
-def _check_video(video: Path, setup: Setup) -> None:
+def _check_video(video: Path, rows: Sequence[FrameRow], setup: Setup) -> list[str]:
     camera = setup.camera
     with ffv1.open_video(video) as container:
         codec = container.streams.video[0].codec_context
@@ -132,3 +128,9 @@ def _check_video(video: Path, setup: Setup) -> None:
                 f"is {codec.width} x {codec.height}, [camera] width and height in recording.toml say "
                 f"{camera.width} x {camera.height}",
             )
+    # Of fewer frames the last are lost; of more nobody knows which row is whose.
+    if (count := ffv1.count_frames(video)) > len(rows):
+        raise in_file(video, f"holds {count} frames where frames.csv has {len(rows)} rows")
+    if ffv1.carries_checksums(video):
+        return []
+    return [f"{video}: carries no checksums, so that damage may go unnoticed; write it with slicecrc=1"]

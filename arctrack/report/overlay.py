@@ -30,7 +30,8 @@ class OverlayVideo:
         self._setup = setup
         self._zoom = max(1, math.ceil(MIN_WIDTH / setup.camera.width))
         height = setup.camera.height * self._zoom + LINES * LINE_PX + 8
-        self._container = av.open(str(path), mode="w")
+        # What stands before a colon in a relative path FFmpeg takes for a protocol.
+        self._container = av.open(str(path.absolute()), mode="w")
         rate = rate_hz if math.isfinite(rate_hz) else 10.0
         self._stream: VideoStream = self._container.add_stream(
             "libx264", rate=Fraction(min(max(rate, 1.0), 60.0)).limit_denominator(1000)

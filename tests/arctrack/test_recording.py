@@ -3,6 +3,7 @@ from collections.abc import Callable, Iterable
 from dataclasses import replace
 from pathlib import Path
 
+import av
 import can
 import numpy as np
 import pytest
@@ -319,7 +320,51 @@ def test_video_with_more_frames_than_rows(tmp_path: Path) -> None:
     (path / "frames.csv").write_text("\n".join(lines[:-1]))
     assert count_frames(path / "frames.mkv") == 4
     with pytest.raises(ArctrackError, match=r"frames\.mkv: holds 4 frames where frames\.csv has 3 rows"):
-        list(read_recording(path).frames())
+        read_recording(path)
+
+
+@pytest.mark.parametrize("where", [0.3, 0.6, 0.9])
+@pytest.mark.parametrize("bad", [0, 4])
+def test_a_damaged_frame_is_found_wherever_a_pass_begins(tmp_path: Path, bad: int, where: float) -> None:
+    setup = small_setup()
+    path = write(tmp_path / "r", setup, noise_frames(setup, 6), video=VideoFormat(10.0)) / "frames.mkv"
+    with av.open(str(path)) as video:
+        packet = [bytes(packet) for packet in video.demux(video=0) if packet.size][bad]
+    whole = bytearray(path.read_bytes())
+    whole[whole.index(packet) + int(where * len(packet))] ^= 0x55
+    path.write_bytes(whole)
+    recording = read_recording(tmp_path / "r")
+    assert recording.warnings == ()
+    assert [n for n, frame in enumerate(recording.frames()) if isinstance(frame, BadFrame)] == [bad]
+    (alone,) = recording.frames([bad])
+    assert isinstance(alone, BadFrame)
+    assert f"frame {bad} of the video is damaged" in alone.message
+
+
+def test_a_video_without_checksums_is_read_with_a_warning(tmp_path: Path) -> None:
+    setup = small_setup()
+    frames = noise_frames(setup, 3)
+    path = write(tmp_path / "r", setup, frames, video=VideoFormat(10.0)) / "frames.mkv"
+    with av.open(str(path), mode="w") as video:
+        stream = video.add_stream("ffv1", rate=10)
+        stream.width, stream.height, stream.pix_fmt = WIDTH, HEIGHT, "gray"
+        stream.options = {"level": "3", "slicecrc": "0", "g": "1"}
+        for frame in frames:
+            video.mux(stream.encode(av.VideoFrame.from_ndarray(frame.image_dn, format="gray")))
+        video.mux(stream.encode())
+    recording = read_recording(tmp_path / "r")
+    (warning,) = recording.warnings
+    assert warning.startswith(f"{path}: carries no checksums")
+    for read, written in zip(recording.frames(), frames, strict=True):
+        assert not isinstance(read, BadFrame), read.message
+        np.testing.assert_array_equal(read.image_dn, written.image_dn)
+
+
+def test_a_colon_in_a_relative_path_is_no_protocol(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    setup = small_setup()
+    path = write(Path("10:30"), setup, noise_frames(setup, 2), video=VideoFormat(10.0))
+    assert not any(isinstance(frame, BadFrame) for frame in read_recording(path).frames())
 
 
 def test_checksums_of_a_packet() -> None:

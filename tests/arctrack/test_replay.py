@@ -164,6 +164,13 @@ def test_noise_is_tracked_without_complaint(tmp_path: Path) -> None:
     assert len(rows_of(done.folder)) == 4
 
 
+def test_a_colon_in_a_relative_folder_is_no_protocol(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    setup = small_setup()
+    recording = read_recording(write(Path("10:30"), setup, noise_frames(setup, 2)))
+    assert (replay_recording(recording).folder / "overlay.mp4").exists()
+
+
 def test_buses(simulated: Path, tmp_path: Path) -> None:
     assert parse_bus("socketcan:can0") == ("socketcan", "can0")
     assert parse_bus("slcan:/dev/ttyACM0@115200:x") == ("slcan", "/dev/ttyACM0@115200:x")
