@@ -8,6 +8,7 @@ from dataclasses import dataclass
 
 from robot_io import (
     Conditions,
+    DbcVersion,
     Decision,
     GateLimits,
     GateReason,
@@ -21,8 +22,10 @@ from robot_io import (
     TrackerState,
     TrackerStatus,
     Verdict,
+    cycle_time_s,
     dbc_version,
     decide,
+    message_layout,
     out_of_range_as_unknown,
 )
 from tracker import flags
@@ -49,12 +52,14 @@ perfect measurement near a half, and that part of the error is constant.
 class Moment:
     """When a track is published, s, on the clock of the captures, and what the robot then does.
 
-    `latency_ms` is how long the track took, NaN if nobody timed it.
+    `latency_ms` is how long the track took, NaN if nobody timed it; `logged_at_s` what the bus' log takes for
+    the time of sending, None for the wall clock.
     """
 
     now_s: float
     robot: RobotStatus | None
     latency_ms: float = math.nan
+    logged_at_s: float | None = None
 
 
 class Publisher:
@@ -72,22 +77,24 @@ class Publisher:
         self._joint = JointType[joint_type.upper()]
         self._limits = limits
         self._last_sent = LastSent()
-        self._introduced = False
+        self._introduced_at_s = math.nan
+        self._introduce_every_s = cycle_time_s(message_layout(DbcVersion.__name__))
         self.verdicts: Counter[Verdict] = Counter()
         self.reasons: Counter[GateReason] = Counter()
 
     def publish(self, track: Track, moment: Moment) -> SeamOffset:
         """Send a track's messages and return the offset as it went out; LinkError if the bus fails."""
-        if not self._introduced:
-            self._link.send(dbc_version(), moment.now_s)
-            self._introduced = True
+        # Written so that it is due at first, and where the clock has run backwards.
+        if not 0.0 <= moment.now_s - self._introduced_at_s < self._introduce_every_s:
+            self._link.send(dbc_version(), moment.logged_at_s)
+            self._introduced_at_s = moment.now_s
         decision = self._decide(track, moment)
         self._last_sent = decision.last_sent
         self.verdicts[decision.verdict] += 1
         if decision.reason is not GateReason.NONE:
             self.reasons[decision.reason] += 1
         for message in (decision.message, self._geometry(track), _status(track, decision, moment)):
-            self._link.send(message, moment.now_s)
+            self._link.send(message, moment.logged_at_s)
         return decision.message
 
     def _decide(self, track: Track, moment: Moment) -> Decision:

@@ -15,9 +15,10 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from arctrack.errors import ArctrackError, in_file
+from arctrack.moments import RealTime, RecordingTime
 from arctrack.output import make_folder
-from arctrack.publish import LIMITS, Moment, Publisher
-from arctrack.recording import BadFrame, FrameRow, Recording, read_truth
+from arctrack.publish import LIMITS, Publisher
+from arctrack.recording import BadFrame, FrameRow, Recording, Truth, read_truth
 from arctrack.recording.results import (
     BUS_LOG,
     FILES,
@@ -32,13 +33,8 @@ from robot_io import (
     GateLimits,
     Link,
     LinkError,
-    MotionState,
     PoseBuffer,
-    RobotMode,
-    RobotStatus,
-    Switch,
     Verdict,
-    WeldingState,
 )
 from tracker import flags
 from tracker.state import NAN, Frame, Track
@@ -63,13 +59,14 @@ class ReplayOptions:
 
 @dataclass(frozen=True)
 class Replay:
-    """What came out of a replay; the tracks are without their stripes."""
+    """What came out of a replay; the tracks are without their stripes, `warnings` one line each."""
 
     recording: Recording
     folder: Path
     summary: Summary
     tracks: tuple[Track, ...]
     bad_frames: tuple[BadFrame, ...]
+    warnings: tuple[str, ...]
 
     @property
     def complaint(self) -> str | None:
@@ -96,11 +93,13 @@ def replay_recording(
 ) -> Replay:
     """Replay a recording into a folder (default: `results` in the recording's own).
 
-    `on_frame` hears the number of frames done. Raises ArctrackError if the folder or the bus fails.
+    `on_frame` hears the number of frames done. Raises ArctrackError if folder, bus or truth.csv fails.
     """
     options = options or ReplayOptions()
     folder = recording.path / RESULTS_FOLDER if folder is None else folder
     interface, channel = parse_bus(options.bus)
+    # Nothing tracks by it, but nothing is sent before all that is needed in the end has been read.
+    truth = read_truth(recording.path)
     make_folder(folder, ())
     tracks: list[Track] = []
     compute_ms: list[float] = []
@@ -113,11 +112,11 @@ def replay_recording(
         make_folder(folder, (name for name in FILES if name != BUS_LOG))
         results = opened.enter_context(ResultsWriter(folder))
         publisher = Publisher(link, recording.setup.joint.type, options.limits, recording.correction)
-        pace = no_pace if interface == "virtual" else recorded_pace(recording.rows[0])
-        pictures = _pictures(recording, folder, opened) if options.pictures else None
+        rows = recording.rows
+        moments = RecordingTime(rows) if interface == "virtual" else RealTime(rows, link)
+        pictures = _pictures(recording, truth, folder, opened) if options.pictures else None
         for step in _steps(recording, options.use_arc_map):
-            pace(step.row)
-            offset = publisher.publish(step.track, _moment(step))
+            offset = publisher.publish(step.track, moments.moment(step.row, step.took_ms))
             results.write(step.track, offset, step.took_ms)
             if pictures is not None:
                 pictures.draw(None if isinstance(step.frame, BadFrame) else step.frame, step.track, offset)
@@ -128,18 +127,19 @@ def replay_recording(
             if on_frame is not None:
                 on_frame(len(tracks))
     summary = replace(
-        _summary(recording, options.use_arc_map, tracks, compute_ms, time.monotonic() - started_s),
+        _summary(recording, truth, options.use_arc_map, tracks, compute_ms, time.monotonic() - started_s),
         offsets={verdict.value: publisher.verdicts[verdict] for verdict in Verdict},
         refusals={reason.name.lower(): count for reason, count in sorted(publisher.reasons.items())},
     )
     summary.write(folder)
-    return Replay(recording, folder, summary, tuple(tracks), tuple(bad_frames))
+    return Replay(recording, folder, summary, tuple(tracks), tuple(bad_frames), moments.warnings)
 
 
 def track_alone(
     recording: Recording, use_arc_map: bool, on_frame: Callable[[int], None] | None = None
 ) -> Summary:
     """Track a recording without bus, files and pictures, and return the numbers: for comparison."""
+    truth = read_truth(recording.path)
     tracks: list[Track] = []
     compute_ms: list[float] = []
     started_s = time.monotonic()
@@ -148,7 +148,7 @@ def track_alone(
         compute_ms.append(step.took_ms)
         if on_frame is not None:
             on_frame(len(tracks))
-    return _summary(recording, use_arc_map, tracks, compute_ms, time.monotonic() - started_s)
+    return _summary(recording, truth, use_arc_map, tracks, compute_ms, time.monotonic() - started_s)
 
 
 def parse_bus(text: str) -> tuple[str, str]:
@@ -178,12 +178,12 @@ def _steps(recording: Recording, use_arc_map: bool) -> Iterator[Step]:
 
 def _summary(
     recording: Recording,
+    truth: Truth | None,
     use_arc_map: bool,
     tracks: Sequence[Track],
     compute_ms: Sequence[float],
     elapsed_s: float,
 ) -> Summary:
-    truth = read_truth(recording.path)
     return Summary(
         recording=recording.name,
         use_arc_map=use_arc_map,
@@ -228,52 +228,11 @@ def tracker_of(recording: Recording, use_arc_map: bool) -> Tracker:
         raise in_file(recording.setup_path, str(error)) from error
 
 
-def _moment(step: Step) -> Moment:
-    """Return a frame's end of exposure, and a robot that is welding automatically if its arc burnt then.
-
-    Computing counts as instantaneous here: a replay must send the same offsets on every machine.
-    """
-    row = step.row
-    robot = RobotStatus(
-        mode=RobotMode.AUTOMATIC,
-        motion=MotionState.MOVING,
-        welding=WeldingState.WELDING if row.arc_on else WeldingState.OFF,
-        arc=Switch.ON if row.arc_on else Switch.OFF,
-        emergency_stop=Switch.OFF,
-        correction=Switch.ON,
-        weave=Switch.UNKNOWN,
-        current_a=row.current_a,
-        travel_speed_mm_s=math.nan,
-        path_section=None,
-    )
-    return Moment(row.timestamp_s + row.exposure_s / 2.0, robot, step.took_ms)
-
-
-def _pictures(recording: Recording, folder: Path, opened: ExitStack) -> ReplayPictures:
+def _pictures(recording: Recording, truth: Truth | None, folder: Path, opened: ExitStack) -> ReplayPictures:
     # Matplotlib takes a while to load: only those who want pictures wait for it.
     from arctrack.report.replay_pictures import ReplayPictures
 
-    return opened.enter_context(ReplayPictures(recording, folder))
-
-
-def no_pace(_row: FrameRow) -> None:
-    """Go as fast as one can: nobody in real time listens."""
-
-
-def recorded_pace(first: FrameRow) -> Callable[[FrameRow], None]:
-    """Return a function that waits until a frame's time has come: a real bus carries no more.
-
-    The clock starts when it is first called: what is got ready before that takes its own time.
-    """
-    began_s = math.nan
-
-    def wait(row: FrameRow) -> None:
-        nonlocal began_s
-        if math.isnan(began_s):
-            began_s = time.monotonic()
-        time.sleep(max(0.0, row.timestamp_s - first.timestamp_s - (time.monotonic() - began_s)))
-
-    return wait
+    return opened.enter_context(ReplayPictures(recording, truth, folder))
 
 
 @contextmanager

@@ -2,7 +2,14 @@
 
 from robot_io.bus_log import BusLogError, BusLogReader, BusLogWriter
 from robot_io.codec import CodecError, decode, encode, out_of_range_as_unknown
-from robot_io.dbc import database, dbc_version, layout_checksum, messages_table
+from robot_io.dbc import (
+    cycle_time_s,
+    database,
+    dbc_version,
+    layout_checksum,
+    message_layout,
+    messages_table,
+)
 from robot_io.gate import Conditions, Decision, GateLimits, LastSent, Proposal, Verdict, decide
 from robot_io.inbox import Inbox, Received, SkipReason
 from robot_io.link import Link, LinkError
@@ -80,12 +87,14 @@ __all__ = [
     "Validity",
     "Verdict",
     "WeldingState",
+    "cycle_time_s",
     "database",
     "dbc_version",
     "decide",
     "decode",
     "encode",
     "layout_checksum",
+    "message_layout",
     "messages_table",
     "out_of_range_as_unknown",
 ]

@@ -34,6 +34,12 @@ def warn(messages: Iterable[str]) -> None:
         print(f"arctrack: warning: {message}", file=sys.stderr)
 
 
+def complain(problems: Iterable[str]) -> None:
+    """Print errors on stderr, one line each; what several say alike is said once."""
+    for problem in dict.fromkeys(problems):
+        print(f"arctrack: error: {problem}", file=sys.stderr)
+
+
 def progress() -> Progress:
     """Return a progress bar over frames with rate and time left, on stderr; silent where nobody watches."""
     console = Console(stderr=True)

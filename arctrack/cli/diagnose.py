@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import sys
 from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -47,6 +46,7 @@ def diagnose(
     Writes report.html, report.json, where.npz and predicted.npz. A recording that fails does not stop the
     others; the exit code is then 2.
     """
+    from arctrack.cli import console
     from arctrack.cli.diagnose_text import print_many, print_one
     from arctrack.diagnose import Diagnosed, Failed, jobs_for
 
@@ -63,8 +63,7 @@ def diagnose(
     complaints = [*(failure.problem for failure in failed), *(d.complaint for d in done if d.complaint)]
     if apply:
         complaints += _apply(done)
-    for complaint in complaints:
-        print(f"arctrack: error: {complaint}", file=sys.stderr)
+    console.complain(complaints)
     for failure in failed:
         if not failure.foreseen:
             raise failure.error

@@ -10,7 +10,6 @@ import typer
 from arctrack.errors import ArctrackError
 
 if TYPE_CHECKING:
-    from arctrack.recording import Recording
     from arctrack.recording.results import Summary
 
 
@@ -41,54 +40,65 @@ def replay(
     """Track recordings; write results.csv, summary.json, bus.blf, overlay.mp4 and overview.png.
 
     The offsets go onto the named CAN bus. Where truth.csv exists, the errors are shown at the end.
-    A frame that cannot be read gets a row with its flag, the rest is tracked, and the exit code is 2.
+    A frame that cannot be read gets a row with its flag, and the rest is tracked. A recording that fails does
+    not stop the others. The exit code is then 2. On a bus other than virtual the robot is listened to.
     """
     from arctrack import replay as engine
     from arctrack.cli import console
     from arctrack.cli.replay_table import in_words, many_table, one_table
     from arctrack.recording import read_recording
 
-    read = [read_recording(path, setup) for path in recordings]
-    folders = results_folders(read, out)
+    folders = results_folders(recordings, out)
     options = engine.ReplayOptions(bus=bus, use_arc_map=arc_map, pictures=pictures)
     complaints: list[str] = []
     summaries: list[Summary] = []
+    written: list[str] = []
     with console.progress() as bar:
-        for recording, folder in zip(read, folders, strict=True):
-            console.warn(recording.warnings)
-            on_frame = console.track(bar, recording.name, len(recording.rows))
-            done = engine.replay_recording(recording, folder, options, on_frame)
-            summaries.append(done.summary)
-            if not arc_map and recording.has_truth:
-                on_frame = console.track(bar, f"{recording.name}, arc map", len(recording.rows))
-                summaries.append(engine.track_alone(recording, True, on_frame))
-            if done.complaint is not None:
-                complaints.append(done.complaint)
+        for path, folder in zip(recordings, folders, strict=True):
+            # What is wrong with one recording does not stop the others.
+            try:
+                recording = read_recording(path, setup)
+                console.warn(recording.warnings)
+                on_frame = console.track(bar, recording.name, len(recording.rows))
+                done = engine.replay_recording(recording, folder, options, on_frame)
+                console.warn(f"{recording.path}: {warning}" for warning in done.warnings)
+                summaries.append(done.summary)
+                written.append(f"{recording.name}: results in {folder}")
+                if done.complaint is not None:
+                    complaints.append(done.complaint)
+                if not arc_map and recording.has_truth:
+                    on_frame = console.track(bar, f"{recording.name}, arc map", len(recording.rows))
+                    summaries.append(engine.track_alone(recording, True, on_frame))
+            except ArctrackError as error:
+                complaints.append(str(error))
     screen = console.tables()
-    if len(read) > 1:
+    if len(recordings) > 1 and summaries:
         screen.print(many_table(summaries))
-    else:
+    elif summaries:
         if summaries[0].score is not None:
             screen.print(one_table(summaries))
         for summary in summaries:
             screen.print(in_words(summary), markup=False, soft_wrap=True)
-    for recording, folder in zip(read, folders, strict=True):
-        screen.print(f"{recording.name}: results in {folder}", markup=False, soft_wrap=True)
+    for line in written:
+        screen.print(line, markup=False, soft_wrap=True)
+    console.complain(complaints)
     if complaints:
-        raise ArctrackError("; ".join(complaints))
+        from arctrack.cli import BAD_INPUT
+
+        raise typer.Exit(BAD_INPUT)
 
 
-def results_folders(recordings: list[Recording], out: Path | None) -> list[Path]:
+def results_folders(recordings: list[Path], out: Path | None) -> list[Path]:
     """Return where each recording's results go; ArctrackError if two would share a folder."""
     from arctrack.replay import RESULTS_FOLDER
 
     if out is None:
-        folders = [recording.path / RESULTS_FOLDER for recording in recordings]
+        folders = [path / RESULTS_FOLDER for path in recordings]
     elif len(recordings) == 1:
         folders = [out]
     else:
-        folders = [out / recording.name for recording in recordings]
+        folders = [out / path.resolve().name for path in recordings]
     for n, folder in enumerate(folders):
         if folder.resolve() in [other.resolve() for other in folders[:n]]:
-            raise ArctrackError(f"{recordings[n].path}: its results would replace others in {folder}")
+            raise ArctrackError(f"{recordings[n]}: its results would replace others in {folder}")
     return folders

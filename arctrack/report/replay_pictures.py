@@ -6,7 +6,7 @@ from pathlib import Path
 from types import TracebackType
 from typing import Self
 
-from arctrack.recording import Recording, read_truth
+from arctrack.recording import Recording, Truth
 from arctrack.recording.results import OVERLAY_VIDEO, OVERVIEW_PICTURE
 from arctrack.report.overlay import OverlayVideo
 from arctrack.report.overview import Overview
@@ -15,9 +15,13 @@ from tracker.state import Frame, Track
 
 
 class ReplayPictures:
-    """Draws into a results folder; the context's end finishes the video, a good end draws the overview."""
+    """Draws into a results folder; the context's end finishes the video, a good end draws the overview.
 
-    def __init__(self, recording: Recording, folder: Path) -> None:
+    The truth is drawn beside what was tracked, where there is one.
+    """
+
+    def __init__(self, recording: Recording, truth: Truth | None, folder: Path) -> None:
+        self._truth = truth
         self._overview = Overview(recording)
         self._overview_path = folder / OVERVIEW_PICTURE
         self._overlay = OverlayVideo(folder / OVERLAY_VIDEO, recording.setup, recording.frame_rate_hz)
@@ -35,4 +39,4 @@ class ReplayPictures:
     ) -> None:
         self._overlay.close()
         if kind is None:
-            self._overview.save(self._overview_path, read_truth(self._overview.recording.path))
+            self._overview.save(self._overview_path, self._truth)

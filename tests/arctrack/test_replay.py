@@ -1,7 +1,6 @@
 import csv
 import json
 import shutil
-import time
 from dataclasses import replace
 from pathlib import Path
 
@@ -15,7 +14,7 @@ from arctrack.errors import ArctrackError
 from arctrack.recording import Truth, read_recording
 from arctrack.recording.results import COLUMNS, Latency
 from arctrack.recording.score import score
-from arctrack.replay import ReplayOptions, parse_bus, recorded_pace, replay_recording, track_alone
+from arctrack.replay import ReplayOptions, parse_bus, replay_recording, track_alone
 from robot_io import BusLogReader, SeamOffset, TrackerStatus, Validity
 from tracker.state import Track
 
@@ -181,15 +180,29 @@ def test_buses(simulated: Path, tmp_path: Path) -> None:
         replay_recording(read_recording(simulated), tmp_path, replace(QUICK, bus="nosuchbus:1"))
 
 
-def test_a_real_bus_hears_at_the_recorded_pace(simulated: Path) -> None:
-    rows = read_recording(simulated).rows
-    pace = recorded_pace(rows[0])
-    # Kernels are compiled meanwhile: the frames of that time are not to go out in a burst.
-    time.sleep(1.5 * (rows[2].timestamp_s - rows[0].timestamp_s))
-    began_s = time.monotonic()
-    for row in rows[:3]:
-        pace(row)
-    assert time.monotonic() - began_s >= rows[2].timestamp_s - rows[0].timestamp_s
+def test_a_bad_truth_is_noticed_before_anything_is_sent(simulated: Path, tmp_path: Path) -> None:
+    path = Path(shutil.copytree(simulated, tmp_path / "r"))
+    (path / "truth.csv").write_text("frame,seam_x_mm,seam_y_mm,seam_z_mm\n0,1,2\n")
+    with pytest.raises(ArctrackError, match=r"truth\.csv, line 2: has 3 values"):
+        replay_recording(read_recording(path), tmp_path / "out", QUICK)
+    assert not (tmp_path / "out").exists()
+
+
+def test_a_recording_that_begins_before_0(simulated: Path, tmp_path: Path) -> None:
+    path = Path(shutil.copytree(simulated, tmp_path / "r"))
+    lines = (path / "frames.csv").read_text().splitlines()
+    assert lines[1].startswith("0,0.000000,")
+    lines[1] = lines[1].replace("0,0.000000,", "0,-0.100000,")
+    (path / "frames.csv").write_text("\n".join(lines))
+    recording = read_recording(path)
+    done = replay_recording(recording, tmp_path / "out", QUICK)
+    (warning,) = done.warnings
+    assert "in bus.blf all times are 1 s later" in warning
+    offsets = [r for r in BusLogReader(tmp_path / "out" / "bus.blf") if isinstance(r.message, SeamOffset)]
+    assert [r.timestamp_s for r in offsets] == pytest.approx(
+        [row.timestamp_s + row.exposure_s / 2.0 + 1.0 for row in recording.rows], abs=1e-5
+    )
+    assert rows_of(tmp_path / "out")[0]["timestamp_s"] == "-0.100000"
 
 
 def test_a_folder_that_cannot_be_written(simulated: Path, tmp_path: Path) -> None:
