@@ -18,6 +18,7 @@ from robot_io.messages import BusMessage
 from robot_io.protect import Protector
 
 _CURES = {
+    "kvaser": "install Kvaser's CANlib, and check the channel's number",
     "socketcan": "bring it up (ip link set CHANNEL up type can bitrate 500000)",
     "slcan": "check the serial port and its permissions, and that pyserial is installed (python-can[serial])",
     "udp_multicast": (
@@ -135,7 +136,8 @@ class Link:
         try:
             # Configuration files of the machine must not change what was asked for here.
             return can.Bus(interface=self.interface, channel=self.channel, ignore_config=True, **bus_options)
-        except _FAILURES as error:
+        except (*_FAILURES, NameError) as error:
+            # Without its vendor's library an interface of python-can may miss names of its own.
             raise self._error("open", error) from error
 
     def _log(self, frame: can.Message) -> None:

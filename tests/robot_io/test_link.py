@@ -111,6 +111,7 @@ def test_what_cannot_be_sent_does_not_go_out(tmp_path):
         ("carrier_pigeon", "coop", "check the interface's name"),
         ("socketcan", "nosuchcan0", "ip link set nosuchcan0 up"),
         ("slcan", "/dev/nosuchtty", "serial port"),
+        ("kvaser", "0", "install Kvaser's CANlib"),
         ("udp_multicast", "10.0.0.1", "multicast address"),
     ],
 )
