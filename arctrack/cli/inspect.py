@@ -39,7 +39,7 @@ def inspect(
     picture = out or recording / RESULTS_FOLDER / PICTURE
     try:
         picture.parent.mkdir(parents=True, exist_ok=True)
-        draw(read, found).savefig(picture)
+        draw(read, found).savefig(picture, format=picture.suffix[1:] or "png")
     except (OSError, ValueError) as error:
         raise in_file(picture, f"cannot be written: {error}; give a .png or .pdf with --out") from None
     typer.echo(f"picture  {picture}")

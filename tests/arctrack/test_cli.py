@@ -108,6 +108,32 @@ def test_warnings_are_one_line_each(simulated: Path, tmp_path: Path) -> None:
     assert "known beforehand: gamma" in result.stdout
 
 
+def test_a_picture_has_the_name_that_is_said(simulated: Path, tmp_path: Path) -> None:
+    for name in ("seen", "seen.png", "seen.pdf"):
+        result = RUNNER.invoke(app, ["inspect", str(simulated), "--out", str(tmp_path / name)])
+        assert result.exit_code == 0, result.output
+        assert f"picture  {tmp_path / name}" in result.output
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["seen", "seen.pdf", "seen.png"]
+
+
+def test_a_recording_that_fails_does_not_stop_the_others(simulated: Path, tmp_path: Path) -> None:
+    bad = Path(shutil.copytree(simulated, tmp_path / "bad"))
+    (bad / "truth.csv").write_text("frame,seam_x_mm,seam_y_mm,seam_z_mm\n0,1,2\n")
+    good = Path(shutil.copytree(simulated, tmp_path / "good"))
+    out = tmp_path / "out"
+    result = RUNNER.invoke(
+        app, ["replay", str(tmp_path / "gone"), str(bad), str(good), "--no-pictures", "--out", str(out)]
+    )
+    assert result.exit_code == 2
+    assert result.stderr.splitlines() == [
+        f"arctrack: error: {tmp_path / 'gone'}: there is no such folder",
+        f"arctrack: error: {bad / 'truth.csv'}, line 2: has 3 values where the header names 4",
+    ]
+    assert [path.name for path in out.iterdir()] == ["good"]
+    assert (out / "good" / "summary.json").exists()
+    assert "14" in result.stdout
+
+
 def test_a_recordings_setup_is_not_written_over(simulated: Path, tmp_path: Path) -> None:
     path = Path(shutil.copytree(simulated, tmp_path / "r"))
     own = path / "recording.toml"
