@@ -18,6 +18,10 @@ NARROW_PX = 0.65
 """Below this 1 sigma a Gaussian sampled at the pixel centres is narrower than it should be."""
 
 
+MONOCHROME = ("mono", "gray", "grey")
+"""How the name of a pixel format begins that has no colour: the one thing that is asked of it."""
+
+
 @dataclass(frozen=True)
 class Camera:
     """The camera as stated: OpenCV's axes and intrinsics, pixel centres at integers.
@@ -49,6 +53,10 @@ class Camera:
             raise ValueError(f"[camera] psf_sigma_px = {self.psf_sigma_px}: must be >= 0")
         if len(self.distortion) != 5:
             raise ValueError("[camera] distortion: needs the five values k1 k2 p1 p2 k3")
+        if not self.pixel_format.lower().startswith(MONOCHROME):
+            raise ValueError(
+                f"[camera] pixel_format = {self.pixel_format!r}: must be a monochrome one, such as mono8"
+            )
 
     @property
     def geometry(self) -> tuple[int, int, float, float, float, float, tuple[float, ...]]:

@@ -104,7 +104,8 @@ class BusLogReader:
     def __init__(self, path: Path) -> None:
         _require_suffix(path)
         if not path.is_file():
-            raise BusLogError(f"log {path}: no such file; check the path")
+            problem = "is no file" if path.exists() else "no such file"
+            raise BusLogError(f"log {path}: {problem}; check the path")
         self.path = path
         self.skipped: Counter[SkipReason] = Counter()
 

@@ -98,8 +98,8 @@ def _read_log(path: Path) -> tuple[PoseTable, int]:
     times_s: list[float] = []
     poses: list[Float64] = []
     repeated = 0
-    reader = BusLogReader(path)
     try:
+        reader = BusLogReader(path)
         for received in reader:
             sample = assembler.push(received)
             if sample is None or sample.kind is not PoseKind.ACTUAL:

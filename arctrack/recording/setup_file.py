@@ -51,20 +51,25 @@ class SetupFile:
 
 def read_setup_file(path: Path) -> SetupFile:
     """Read a recording.toml; ArctrackError names the file and the key or line that is wrong."""
+    return parse_setup(setup_text(path), path)
+
+
+def setup_text(path: Path) -> str:
+    """Return the text of a recording.toml; ArctrackError if there is none."""
     try:
-        text = path.read_text(encoding="utf-8")
+        # Some editors begin a file with a byte order mark.
+        return path.read_text(encoding="utf-8-sig")
     except FileNotFoundError:
         raise in_file(path, "there is no such file; a recording needs one") from None
     except (OSError, UnicodeDecodeError) as error:
         raise in_file(path, f"cannot be read: {error}") from None
-    return parse_setup(text, path)
 
 
 def parse_setup(text: str, path: Path) -> SetupFile:
     """Parse the text of a recording.toml; `path` is for the messages."""
     try:
         document = tomllib.loads(text)
-    except (tomllib.TOMLDecodeError, RecursionError) as error:
+    except (ValueError, RecursionError) as error:
         raise in_file(path, f"is no valid TOML: {error}") from None
     try:
         model = RecordingToml.model_validate(document)
@@ -101,7 +106,7 @@ def format_setup(setup: Setup) -> str:
 def with_camera_pose(path: Path, T_tool_camera: Float64) -> str:
     """Return a recording.toml's text with another camera pose; all else, comments included, stays."""
     read_setup_file(path)
-    document = tomlkit.parse(path.read_text(encoding="utf-8"))
+    document = tomlkit.parse(setup_text(path))
     camera = document["camera"]
     for key, value in pose_table(T_tool_camera).items():
         camera["pose_in_tool"][key] = value
@@ -121,7 +126,7 @@ def pose_table(T_a_b: Float64) -> dict[str, list[float]]:
 def with_filter_curve(path: Path, curve: FilterCurve) -> str:
     """Return a recording.toml's text with a filter's measured curve; all else, comments included, stays."""
     read_setup_file(path)
-    document = tomlkit.parse(path.read_text(encoding="utf-8"))
+    document = tomlkit.parse(setup_text(path))
     for key, value in _filter_table(curve).items():
         document["filter"][key] = value
     return tomlkit.dumps(document)
@@ -133,7 +138,7 @@ def with_effects(path: Path, effects: Sequence[Named]) -> str:
     Raises ArctrackError for a file that cannot be read, and for a value that it could not hold.
     """
     read_setup_file(path)
-    document = tomlkit.parse(path.read_text(encoding="utf-8"))
+    document = tomlkit.parse(setup_text(path))
     named = document.setdefault("effects", tomlkit.table(is_super_table=True))
     for effect in effects:
         table = named.setdefault(effect.id, tomlkit.table())

@@ -23,6 +23,7 @@ from tracker.correction import AtLimit, AxisCorrection, Correction, CorrugationP
 
 FORMAT = "joint-tracking-recording/1"
 UNITS = "mm, s, deg, e-, DN"
+"""The units of all that a recording holds; a file may state some of them, but no others."""
 
 Vector3 = Annotated[list[FiniteFloat], Field(min_length=3, max_length=3)]
 Vector4 = Annotated[list[FiniteFloat], Field(min_length=4, max_length=4)]
@@ -147,10 +148,8 @@ class JointTable(Table):
             value = (self.model_extra or {}).get(name)
             if value is None:
                 continue
-            if isinstance(value, bool) or not isinstance(value, int | float):
-                raise ValueError(f"[joint] {name} = {value!r}: must be a number")
-            if value - value != 0:
-                raise ValueError(f"[joint] {name} = {value}: must be a finite number")
+            if not _is_finite(value):
+                raise ValueError(f"{_held(f'[joint] {name}', value)}: must be a finite number")
             found[name] = float(value)
         return found
 
@@ -227,6 +226,9 @@ class RecordingToml(Table):
 
     def to_setup(self) -> Setup:
         """Return the typed setup; ValueError names the table and key of a value that cannot be."""
+        strange = [unit for unit in _units(self.units) if unit not in _units(UNITS)]
+        if strange:
+            raise ValueError(f"{_held('units', self.units)}: must be of {UNITS}; convert the file's values")
         joint = Joint(
             type=self.joint.type,
             dimensions=self.joint.dimensions(),
@@ -261,10 +263,8 @@ class RecordingToml(Table):
                 raise ValueError(f"[effects] {name} = {table!r}: must be a table, [effects.{name}]")
             found[name] = {key: table[key] for key in REGISTRY[name].neutral if key in table}
             for key, value in found[name].items():
-                # An integer of TOML may be too large for a float.
-                is_number = isinstance(value, int | float) and not isinstance(value, bool)
-                if not is_number or not abs(value) <= sys.float_info.max:
-                    raise ValueError(f"[effects.{name}] {key} = {value!r}: must be a finite number")
+                if not _is_finite(value):
+                    raise ValueError(f"{_held(f'[effects.{name}] {key}', value)}: must be a finite number")
         return found
 
     def _camera(self) -> Camera:
@@ -283,15 +283,29 @@ def describe(error: ValidationError) -> str:
     if first["type"] == "missing":
         text = f"{place}: missing"
     elif first["type"] == "finite_number":
-        text = f"{place} = {first['input']}: must be a finite number"
+        text = f"{_held(place, first['input'])}: must be a finite number"
     elif first["type"] == "literal_error":
         text = f"{place} = {first['input']!r}: must be {first['ctx']['expected']}"
     else:
-        shown = repr(first["input"])
-        held = f"{place} = {shown}" if len(shown) <= 40 else place
-        text = f"{held}: {first['msg'][:1].lower()}{first['msg'][1:]}"
+        text = f"{_held(place, first['input'])}: {first['msg'][:1].lower()}{first['msg'][1:]}"
     more = len(problems) - 1
     return text if not more else f"{text} (and {more} more)"
+
+
+def _units(text: str) -> list[str]:
+    return [unit.strip() for unit in text.split(",")]
+
+
+def _is_finite(value: Any) -> bool:
+    is_number = isinstance(value, int | float) and not isinstance(value, bool)
+    # An integer of TOML may be too large for a float.
+    return is_number and abs(value) <= sys.float_info.max
+
+
+def _held(place: str, value: object) -> str:
+    """Return a key and what it holds, if that is short enough to read."""
+    shown = repr(value)
+    return f"{place} = {shown}" if len(shown) <= 40 else place
 
 
 def unknown_keys(model: RecordingToml) -> tuple[str, ...]:

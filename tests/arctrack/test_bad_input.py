@@ -60,6 +60,26 @@ BAD_INPUTS: dict[str, tuple[Callable[[Path], None], str, str]] = {
     "no dimension": (toml("depth_mm = 4.0\n", ""), "recording.toml", "[joint] depth_mm: missing"),
     "wrong type": (toml("bits = 8", "bits = 'eight'"), "recording.toml", "[sensor] bits = 'eight'"),
     "nan in setup": (toml("c2 = 112.0", "c2 = nan"), "recording.toml", "[material] c2 = nan"),
+    "depth beyond a float": (
+        toml("depth_mm = 4.0", f"depth_mm = 1{400 * '0'}"),
+        "recording.toml",
+        "[joint] depth_mm: must be a finite number",
+    ),
+    "depth beyond an integer": (
+        toml("depth_mm = 4.0", f"depth_mm = 1{5000 * '0'}"),
+        "recording.toml",
+        "is no valid TOML",
+    ),
+    "inches": (
+        toml("mm, s, deg, e-, DN", "inch, ms, rad"),
+        "recording.toml",
+        "units = 'inch, ms, rad': must be of mm, s, deg, e-, DN",
+    ),
+    "colours": (
+        toml('pixel_format = "mono8"', 'pixel_format = "BayerRG8"'),
+        "recording.toml",
+        "[camera] pixel_format = 'BayerRG8': must be a monochrome one",
+    ),
     "c2 zero": (toml("c2 = 112.0", "c2 = 0.0"), "recording.toml", "[material] c2 = 0.0: must be > 0"),
     "c2 negative": (toml("c2 = 112.0", "c2 = -1"), "recording.toml", "[material] c2 = -1.0: must be > 0"),
     "no toml": (toml("[laser]", "[laser"), "recording.toml", "line"),

@@ -20,7 +20,9 @@ from arctrack.recording import (
     format_setup,
     pose_at,
     read_recording,
+    read_setup_file,
     read_truth,
+    with_camera_pose,
 )
 from arctrack.recording.ffv1 import checksums_hold, count_frames, read_video
 from arctrack.recording.png import decode, encode, problem_of
@@ -155,6 +157,29 @@ def test_unknown_keys_are_kept_and_reported(tmp_path: Path) -> None:
     assert recording.unknown_keys == ("[operator]", "[sensor] colour", "[joint] wobble_mm")
     assert len(recording.warnings) == 4
     assert "the column mood" in recording.warnings[3]
+
+
+@pytest.mark.parametrize("units", ["mm, s, deg, e-, DN", "mm,s", "DN"])
+def test_units_that_are_the_recordings_own(tmp_path: Path, units: str) -> None:
+    text = format_setup(small_setup()).replace("mm, s, deg, e-, DN", units)
+    assert parse_setup(text, tmp_path / "recording.toml").unknown_keys == ()
+
+
+def test_a_byte_order_mark_is_no_part_of_the_setup(tmp_path: Path) -> None:
+    setup = small_setup()
+    path = tmp_path / "recording.toml"
+    path.write_text(format_setup(setup), encoding="utf-8-sig")
+    assert path.read_bytes().startswith(b"\xef\xbb\xbf")
+    assert same_setup(read_setup_file(path).setup, setup)
+    assert same_setup(parse_setup(with_camera_pose(path, setup.camera.T_tool_camera), path).setup, setup)
+
+
+def test_a_folder_is_no_log(tmp_path: Path) -> None:
+    path = write(tmp_path / "r", small_setup(), noise_frames(small_setup(), 3))
+    (path / "poses.csv").unlink()
+    (path / "can.log").mkdir()
+    with pytest.raises(ArctrackError, match=r"can\.log: is no file"):
+        read_recording(path)
 
 
 def test_controller_with_its_own_tool_frame(tmp_path: Path) -> None:
