@@ -17,6 +17,7 @@ from scipy.spatial.transform import Rotation
 
 from arctrack.errors import ArctrackError
 from arctrack.recording import RecordingWriter, SetupFile, VideoFormat
+from arctrack.recording.setup_file import setup_text
 from noise_model.arc_map import scene
 from noise_model.condition import Condition
 from noise_model.effects import Values, checked, pose_time_s, really
@@ -47,6 +48,9 @@ HIGH_CURRENT, SHORT_EXPOSURE = 1.4, 0.5
 """The second current and the second exposure, over the nominal ones."""
 
 LEAST_FRAMES = 12
+RATES_HZ, SPEEDS_MM_S, WANDERS_MM, TILTS_DEG = (0.01, 1000.0), (0.0, 1000.0), (0.0, 100.0), (0.0, 45.0)
+"""What a plan may ask for: times are written to the microsecond, and the tool goes forward."""
+
 ARC_SHARE = 0.15
 """The mean arc light of a frame over full well that `balance` sets."""
 
@@ -78,8 +82,15 @@ class SimulationPlan:
         if self.frames < least:
             cure = "" if self.production else "; with --production a single one will do"
             raise ArctrackError(f"--frames {self.frames}: at least {least} are needed{cure}")
-        if not self.rate_hz > 0:
-            raise ArctrackError(f"--fps {self.rate_hz}: must be > 0")
+        for option, value, (low, high) in (
+            ("--fps", self.rate_hz, RATES_HZ),
+            ("--speed-mm-s", self.travel_speed_mm_s, SPEEDS_MM_S),
+            ("--seam-wander-mm", self.seam_wander_mm, WANDERS_MM),
+            ("--weave-mm", self.weave_mm, WANDERS_MM),
+            ("--tilt-deg", self.tilt_deg, TILTS_DEG),
+        ):
+            if not low <= value <= high:
+                raise ArctrackError(f"{option} {value:g}: must be from {low:g} to {high:g}")
 
 
 @dataclass(frozen=True)
@@ -123,7 +134,7 @@ def simulate_recording(
     motion = Motion(setup, plan, draw_motion, really(true_setup).joint)
     renderer = Renderer()
     video = VideoFormat(plan.rate_hz) if plan.video else None
-    toml = None if stated is None else stated.path.read_text(encoding="utf-8")
+    toml = None if stated is None else setup_text(stated.path)
     T_tool_controllertool = np.eye(4)
     if stated is not None and stated.T_tool_controllertool is not None:
         T_tool_controllertool = stated.T_tool_controllertool

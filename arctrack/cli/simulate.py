@@ -47,13 +47,15 @@ def simulate(
     width: Annotated[int, typer.Option(help="Without --setup: image width, px.", min=32)] = 640,
     height: Annotated[int, typer.Option(help="Without --setup: image height, px.", min=24)] = 480,
     frames: Annotated[int, typer.Option(help="How many frames.", min=1)] = 24,
-    fps: Annotated[float, typer.Option(help="Frames a second.")] = 10.0,
-    speed_mm_s: Annotated[float, typer.Option(help="Travel speed.")] = 8.0,
+    fps: Annotated[float, typer.Option(help="Frames a second, 0.01 to 1000.")] = 10.0,
+    speed_mm_s: Annotated[float, typer.Option(help="Travel speed, 0 to 1000.")] = 8.0,
     seam_wander_mm: Annotated[
-        float, typer.Option(help="How far the true seam leaves its nominal line.", min=0.0)
+        float, typer.Option(help="How far the true seam leaves its nominal line, at most 100.")
     ] = 0.5,
-    weave_mm: Annotated[float, typer.Option(help="How far the tool weaves to either side.", min=0.0)] = 1.5,
-    tilt_deg: Annotated[float, typer.Option(help="How far the tool tilts.", min=0.0)] = 4.0,
+    weave_mm: Annotated[
+        float, typer.Option(help="How far the tool weaves to either side, at most 100.")
+    ] = 1.5,
+    tilt_deg: Annotated[float, typer.Option(help="How far the tool tilts, at most 45.")] = 4.0,
     seed: Annotated[int, typer.Option(help="Same seed, same recording.", min=0)] = 0,
     production: Annotated[
         bool, typer.Option("--production", help="Laser and arc on in every frame; else all conditions.")

@@ -1,3 +1,4 @@
+import math
 from collections import Counter
 from dataclasses import replace
 from pathlib import Path
@@ -60,6 +61,21 @@ def test_the_conditions_are_those_of_a_diagnosis(seen_setup: Setup) -> None:
 def test_plans_that_make_no_recording(frames: int, rate_hz: float) -> None:
     with pytest.raises(ArctrackError, match=r"--frames 11|--fps"):
         SimulationPlan(frames=frames, rate_hz=rate_hz)
+
+
+@pytest.mark.parametrize(
+    ("option", "wanted"),
+    [
+        *(("--fps", {"rate_hz": rate_hz}) for rate_hz in (math.inf, 1e7, 1e-9)),
+        *(("--speed-mm-s", {"travel_speed_mm_s": speed_mm_s}) for speed_mm_s in (math.nan, -8.0, math.inf)),
+        ("--seam-wander-mm", {"seam_wander_mm": math.inf}),
+        ("--weave-mm", {"weave_mm": math.nan}),
+        ("--tilt-deg", {"tilt_deg": 90.0}),
+    ],
+)
+def test_plans_beyond_all_bounds(option: str, wanted: dict[str, float]) -> None:
+    with pytest.raises(ArctrackError, match=f"{option} .*: must be from [0-9.]+ to [0-9.]+"):
+        SimulationPlan(**wanted)  # type: ignore[arg-type]
 
 
 @pytest.mark.parametrize("path", [".", "/"])
