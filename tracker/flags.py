@@ -65,6 +65,12 @@ JOINT_TYPE_MISMATCH = Flag(
 )
 TWO_STRIPES = Flag(24, "two_stripes", "a second stripe runs beside the one that was read: a reflection of it")
 STRIPE_LEAVES_IMAGE = Flag(25, "stripe_leaves_image", "the stripe runs off the image within its columns")
+SEAM_REVERSED = Flag(
+    26,
+    "seam_reversed",
+    "the laser stands behind the torch along the line: `seam_in_base_mm` runs backwards",
+    True,
+)
 
 FLAGS: tuple[Flag, ...] = tuple(value for value in list(globals().values()) if isinstance(value, Flag))
 """Every flag, in order of its bit."""

@@ -67,7 +67,9 @@ def pose_flags(setup: Setup, T_base_tool: Float64) -> int:
     crossing = abs(float(T_base_tool[:3, :3] @ laser.plane[:3] @ T_base_joint[:3, 0]))
     if height > MAX_HEIGHT * laser.origin_in_tool_mm[2] or crossing < MIN_CROSSING:
         return flags.SEAM_OUT_OF_VIEW.mask
-    return 0
+    # The sensor looks ahead. Of a line that runs against the travel, left would be taken for right.
+    ahead_mm = float(T_base_tool[:3, :3] @ laser.point_mm @ T_base_joint[:3, 0])
+    return flags.SEAM_REVERSED.mask if ahead_mm < 0.0 else 0
 
 
 def expected_seam(setup: Setup, nominal: Scene, history: SeamHistory) -> tuple[SeamLine, Float64]:

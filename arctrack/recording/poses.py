@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
@@ -9,6 +11,7 @@ import numpy as np
 from arctrack.errors import in_file
 from arctrack.recording.tables import PoseTable, read_poses_csv
 from noise_model.frames import Float64, invert, pose_matrix
+from noise_model.surface import Joint, seam_frame
 from robot_io import BusLogError, BusLogReader, PoseAssembler, PoseBuffer, PoseKind, PoseStatus
 from tracker.state import Pose
 
@@ -17,6 +20,9 @@ LOG_NAMES = ("can.asc", "can.blf", "can.log")
 
 COVERAGE_PERIODS = 3.0
 """The poses may end this many of their periods before the last frame."""
+
+LEAST_TRAVEL_MM = 5.0
+"""A robot that went less far along the seam while frames were taken shows no direction of travel."""
 
 REPEATED_S = 0.05
 """A pose of the bus that is not later than the one before, by less than this, is the same sample again."""
@@ -74,6 +80,17 @@ def check_coverage(poses: PoseTable, first_frame_s: float, last_frame_s: float) 
             "frames before two poses have none"
         ]
     return []
+
+
+def runs_against_travel(poses: PoseTable, frames_s: Sequence[float], joint: Joint) -> bool:
+    """Return whether the tool went along a joint's nominal line from its end to its start, frame by frame."""
+    at_frames = np.searchsorted(poses.timestamps_s, frames_s).clip(max=len(poses.timestamps_s) - 1)
+    origins_mm = poses.T_base_tool[np.unique(at_frames), :3, 3]
+    steps_mm = [
+        float((after - before) @ seam_frame(joint, before)[:3, 0]) for before, after in pairwise(origins_mm)
+    ]
+    # The median holds against a jump in the poses.
+    return sum(steps_mm) < -LEAST_TRAVEL_MM and float(np.median(steps_mm)) < 0.0
 
 
 def pose_buffer(poses: PoseTable) -> PoseBuffer:

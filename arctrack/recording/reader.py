@@ -10,7 +10,13 @@ from typing import Any
 from arctrack.errors import ArctrackError, in_file
 from arctrack.recording import setup_file
 from arctrack.recording.frames import BadFrame, check_source, read_frames
-from arctrack.recording.poses import check_coverage, pose_at, pose_buffer, read_poses
+from arctrack.recording.poses import (
+    check_coverage,
+    pose_at,
+    pose_buffer,
+    read_poses,
+    runs_against_travel,
+)
 from arctrack.recording.tables import FrameRow, PoseTable, Truth, read_frame_rows, read_truth_csv
 from noise_model.effects import pose_time_s
 from noise_model.setup import Setup
@@ -101,7 +107,7 @@ def read_recording(path: Path | str, setup_path: Path | None = None) -> Recordin
 
     Raises ArctrackError, naming the file and the key or line, for a missing file, key or column, a value of
     the wrong type or not finite, times that run backwards, a pose that is no rotation, poses that stop
-    before the frames.
+    before the frames, a seam line that runs against the travel.
     """
     folder = Path(path)
     _check_folder(folder)
@@ -110,6 +116,8 @@ def read_recording(path: Path | str, setup_path: Path | None = None) -> Recordin
     poses, pose_warnings = read_poses(folder, stated.T_tool_controllertool)
     source, source_warnings = check_source(folder, rows, stated.setup)
     coverage_warnings = check_coverage(poses, rows[0].timestamp_s, rows[-1].timestamp_s)
+    if runs_against_travel(poses, [row.timestamp_s for row in rows], stated.setup.joint):
+        raise in_file(stated.path, "[joint] seam_in_base_mm: runs against the travel; reverse its points")
     column_warnings = [f"{folder / FRAMES_CSV}: the column {name} is not known" for name in unknown_columns]
     return Recording(
         path=folder,

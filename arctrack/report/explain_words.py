@@ -195,8 +195,9 @@ def _gates(of: Explanation) -> Iterator[Gate]:
         return
     yield Gate("a pose at the frame's time", how, "near enough in time", those(flags.POSE_EXTRAPOLATED))
     if look is None:
-        blind = those(flags.POSE_REFUSED, flags.BELOW_SURFACE, flags.SEAM_OUT_OF_VIEW)
-        yield Gate("the joint before the sensor", "no", "sheet across the seam, laser above it", blind)
+        blind = those(flags.POSE_REFUSED, flags.BELOW_SURFACE, flags.SEAM_OUT_OF_VIEW, flags.SEAM_REVERSED)
+        limit = "sheet across the seam, laser above it and ahead of the torch"
+        yield Gate("the joint before the sensor", "no", limit, blind)
         return
     yield _where(of, look, those(flags.SEARCHED))
     if look.expected is None:

@@ -287,6 +287,15 @@ def test_a_frame_from_which_the_joint_is_not_seen(recording: Recording) -> None:
         assert gate_of(found, flag).outcome == "refused"
 
 
+def test_a_frame_whose_line_runs_backwards(recording: Recording) -> None:
+    joint = recording.setup.joint
+    backwards = replace(joint, seam_in_base_mm=joint.seam_in_base_mm[::-1])
+    found = explain(replace(recording, setup=replace(recording.setup, joint=backwards)), 6)
+    assert not found.track.valid
+    assert_told(found)
+    assert gate_of(found, flags.SEAM_REVERSED).outcome == "refused"
+
+
 def test_a_jump_is_told_in_sigmas(recording: Recording) -> None:
     lit = [row for row in recording.rows if row.laser_on]
     row = lit[-1]

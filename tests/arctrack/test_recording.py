@@ -15,6 +15,7 @@ from arctrack.errors import ArctrackError
 from arctrack.nominal import nominal_setup
 from arctrack.recording import (
     BadFrame,
+    PoseTable,
     RecordingWriter,
     VideoFormat,
     format_setup,
@@ -26,6 +27,7 @@ from arctrack.recording import (
 )
 from arctrack.recording.ffv1 import checksums_hold, count_frames, read_video
 from arctrack.recording.png import decode, encode, problem_of
+from arctrack.recording.poses import runs_against_travel
 from arctrack.recording.setup_file import parse_setup
 from arctrack.recording.tables import read_frame_rows, read_poses_csv
 from noise_model.effects import checked
@@ -180,6 +182,47 @@ def test_a_folder_is_no_log(tmp_path: Path) -> None:
     (path / "can.log").mkdir()
     with pytest.raises(ArctrackError, match=r"can\.log: is no file"):
         read_recording(path)
+
+
+REVERSED = ("[[-100.0, 0.0, 0.0], [1000.0, 0.0, 0.0]]", "[[1000.0, 0.0, 0.0], [-100.0, 0.0, 0.0]]")
+
+
+def test_a_line_that_runs_against_the_travel_is_refused(tmp_path: Path) -> None:
+    # 8 mm/s, a frame each 0.1 s.
+    path = write(tmp_path / "r", small_setup(), noise_frames(small_setup(), 9))
+    read_recording(path)
+    replace_in(path / "recording.toml", *REVERSED)
+    with pytest.raises(
+        ArctrackError,
+        match=r"recording\.toml: \[joint\] seam_in_base_mm: runs against the travel; reverse its points",
+    ):
+        read_recording(path)
+
+
+def test_where_the_tool_hardly_moves_no_line_runs_against_the_travel(tmp_path: Path) -> None:
+    path = write(tmp_path / "r", small_setup(), noise_frames(small_setup(), 4))
+    replace_in(path / "recording.toml", *REVERSED)
+    read_recording(path)
+
+
+def test_the_nearest_segment_says_where_the_travel_goes(tmp_path: Path) -> None:
+    """A weld around three sides of a square."""
+    corners = [(0.0, 0.0, 0.0), (20.0, 0.0, 0.0), (20.0, 20.0, 0.0), (0.0, 20.0, 0.0)]
+    joint = replace(small_setup().joint, seam_in_base_mm=tuple(corners))
+    path_mm = (
+        [(x, 0.0) for x in range(20)] + [(20.0, y) for y in range(20)] + [(20.0 - x, 20.0) for x in range(20)]
+    )
+    T_base_tool = np.tile(np.eye(4), (len(path_mm), 1, 1))
+    T_base_tool[:, :2, 3] = path_mm
+    times_s = np.arange(len(path_mm)) / 10.0
+    poses = PoseTable(tmp_path / "poses.csv", times_s, T_base_tool)
+    assert not runs_against_travel(poses, times_s.tolist(), joint)
+    backwards = replace(poses, T_base_tool=T_base_tool[::-1])
+    assert runs_against_travel(backwards, times_s.tolist(), joint)
+    # One wild pose at the end is no travel.
+    wild = T_base_tool.copy()
+    wild[-1, 0, 3] = 1000.0
+    assert not runs_against_travel(replace(poses, T_base_tool=wild), times_s.tolist(), joint)
 
 
 def test_controller_with_its_own_tool_frame(tmp_path: Path) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -14,8 +15,9 @@ from scipy.spatial.transform import Rotation
 from noise_model.arc_map import scene
 from noise_model.frames import invert, transform
 from noise_model.surface import SeamLine, corrugation_height
+from tracker import flags
 from tracker.geometry import meet_laser_plane
-from tracker.seam import confidence, hand_eye_variance, is_rigid, seam_point_tool
+from tracker.seam import confidence, hand_eye_variance, is_rigid, pose_flags, seam_point_tool
 
 SEAM = SeamLine(20.0, 1.2, -0.6, 0.03, -0.02)
 
@@ -60,6 +62,17 @@ def test_confidence_is_that_of_independent_normal_errors(sigmas: list[float]) ->
     errors = rng.normal(0.0, 1.0, (20000, len(sigmas))) * sigmas
     within = (np.abs(errors) < setup.tolerance.seam_mm).all(axis=1).mean()
     assert confidence(setup, np.array(sigmas)) == pytest.approx(within, abs=0.02)
+
+
+@pytest.mark.parametrize("joint", ["v_groove", "lap"])
+def test_a_line_that_runs_against_the_travel_is_told(joint: str) -> None:
+    setup = small_setup(joint)
+    points = setup.joint.seam_in_base_mm
+    reversed_ = replace(setup, joint=replace(setup.joint, seam_in_base_mm=points[::-1]))
+    for turn_deg in ((0.0, 0.0, 0.0), (20.0, -20.0, 30.0)):
+        T_base_tool = pose_at(10.0, 0.5, 1.0, turn_deg).T_base_tool
+        assert pose_flags(setup, T_base_tool) == 0
+        assert pose_flags(reversed_, T_base_tool) == flags.SEAM_REVERSED.mask
 
 
 def test_what_is_no_pose_is_told() -> None:
