@@ -14,11 +14,11 @@ from noise_model.interreflection_nodes import (
     COLUMNS,
     FACE,
     OMEGA,
-    ROOM,
     WEIGHT,
     Focus,
     Rules,
     look_around,
+    room,
 )
 from noise_model.kernel import kernel
 
@@ -31,7 +31,7 @@ def gather_first(
     k: Place, seen: Lattice, camera: Float64, focus: Focus, of_laser: bool, fine: Rules
 ) -> Float64:
     """Return what points of a lattice (n, 1) send to the camera of once-bounced light, source's output 1."""
-    nodes, omega = np.empty((ROOM, COLUMNS)), np.empty(3)
+    nodes, omega = np.empty((room(k, fine), COLUMNS)), np.empty(3)
     sent = np.zeros((len(seen.faces), 1))
     for i in range(len(seen.faces)):
         P, normal = seen.points[i], seen.normals[i]
@@ -77,7 +77,7 @@ def arriving(
     start = np.zeros(n_points + 1, dtype=np.int64)
     found, used = np.empty((1024, COLUMNS)), 0
     struck = np.zeros(n_points, dtype=np.int64)
-    nodes = np.empty((ROOM, COLUMNS))
+    nodes = np.empty((room(k, coarse), COLUMNS))
     for i in range(n_points):
         # The laser's own light comes from its stripe, what it sends further comes from all faces.
         for of_stripe in (True, False):
@@ -163,7 +163,7 @@ def gather_further(
     irradiance: Float64,
 ) -> Float64:
     """Return what points of a lattice (n, ORDERS - 1) send to the camera after 2, 3, … bounces."""
-    nodes, to_camera = np.empty((ROOM, COLUMNS)), np.empty(3)
+    nodes, to_camera = np.empty((room(k, coarse), COLUMNS)), np.empty(3)
     which, weights = np.empty(8, dtype=np.int64), np.empty(8)
     sent = np.zeros((len(seen.faces), ORDERS - 1))
     for i in range(len(seen.faces)):

@@ -90,11 +90,12 @@ def stations(focus_x: float, x_range: tuple[float, float], finest: float, coarse
     """Return stations over a range, `finest` apart at the focus, a quarter of the way there elsewhere; mm.
 
     No more than `coarsest` apart up to `FAR_MM` from the focus; beyond, where hardly any light bounces, a
-    quarter of the way there again.
+    quarter of the way there again. Nowhere more than a quarter of the range, so that a cubic finds its four.
     """
+    widest = 0.25 * (x_range[1] - x_range[0])
 
     def step(away: float) -> float:
-        return max(min(coarsest, max(finest, 0.25 * away)), 0.25 * (away - FAR_MM))
+        return min(max(min(coarsest, max(finest, 0.25 * away)), 0.25 * (away - FAR_MM)), widest)
 
     ahead, behind = [focus_x], [focus_x]
     while ahead[-1] < x_range[1]:
@@ -103,7 +104,7 @@ def stations(focus_x: float, x_range: tuple[float, float], finest: float, coarse
         behind.append(behind[-1] - step(focus_x - behind[-1]))
     kept = np.array([*behind[:0:-1], *ahead])
     inside = np.flatnonzero((kept >= x_range[0]) & (kept <= x_range[1]))
-    # One station beyond either end, and never fewer than a cubic needs.
+    # One station beyond either end.
     low, high = max(0, int(inside[0]) - 1), min(len(kept), int(inside[-1]) + 2)
     return kept[low:high]
 

@@ -28,14 +28,14 @@ from noise_model.laser import depth_below
 
 Rule = tuple[Float64, Float64]
 
-ROOM = 8192
-"""Room for the nodes of one surface point."""
-
 OMEGA, WEIGHT, FACE, COLUMNS = 6, 9, 10, 11
 """A node's columns: Q, its normal, then the direction from P, the weight cos(theta_P) d(omega), the face."""
 
 ACROSS_SIGMA = 3.5
 """How far across the stripe the nodes go."""
+
+PSI_KNOTS, X_KNOTS, Y_KNOTS = 10, 36, 5
+"""Room for what cuts psi, a corrugation's x and its y into pieces."""
 
 LEAST_SLOPE = 0.05
 """A sheet that meets a line of the surface at a smaller slope than this makes no stripe across it."""
@@ -73,6 +73,20 @@ class Focus(NamedTuple):
 
 
 @kernel
+def room(k: Place, rules: Rules) -> int:
+    """Return how many nodes of one surface point there may be at most."""
+    n_faces = k.vertices.shape[0] - 1
+    n_psi = max((PSI_KNOTS + 1) * rules.psi[0].shape[0], 3 * rules.across[0].shape[0])
+    # Both plates that run on are looked at in two halves.
+    most: int = (n_faces + 2) * rules.phi[0].shape[0] * n_psi
+    if k.corrugation[0] > 0.0:
+        n_y = rules.y[0].shape[0]
+        n_x = (X_KNOTS + 1) * rules.x[0].shape[0]
+        most += 2 * max(n_x * (Y_KNOTS + 1) * n_y, 2 * n_y * rules.across[0].shape[0])
+    return most
+
+
+@kernel
 def _add(
     k: Place,
     P: Float64,
@@ -89,7 +103,7 @@ def _add(
     _, qy, qz = face_point(x, s, on, k.corrugation)
     dx, dy, dz = x - P[0], qy - P[1], qz - P[2]
     square = dx * dx + dy * dy + dz * dz
-    if square < 1e-18 or count >= ROOM:
+    if square < 1e-18:
         return count
     _, slope = ridge(x, k.corrugation)
     (nx, ny, nz), area = slanted(slope, on)
@@ -184,7 +198,7 @@ def _from_strip(
             psi_rule = rules.across
         else:
             right = 0.5 * math.pi
-            knots = np.zeros(10)
+            knots = np.zeros(PSI_KNOTS)
             knots[0] = math.atan((focus.x - P[0]) / rho)
             if rules.closely:
                 for j, share in enumerate((-2.0, -1.0, 1.0, 2.0)):
@@ -217,7 +231,7 @@ def _from_sheet(
     """Write the nodes on a corrugated sheet, that of P (face `on`) or the other one."""
     y_0, z_0, _, _, width = strip(face, k.vertices)
     _, bump, pitch = k.corrugation
-    knots, sides = np.empty(36), np.empty(5)
+    knots, sides = np.empty(X_KNOTS), np.empty(Y_KNOTS)
     n = 0
     for i in range(-2, 3):
         at = pitch * (math.floor(P[0] / pitch + 0.5) + i)
@@ -301,9 +315,10 @@ def look_around(
     rules: Rules,
     nodes: Float64,
 ) -> int:
-    """Write the nodes (ROOM, COLUMNS) of all that a point of face `on` sees of the joint; return how many.
+    """Write the nodes (n, COLUMNS) of all that a point of face `on` sees of the joint; return how many.
 
-    `of_stripe` places them on the laser's stripe instead of on all faces.
+    n is `room` at least: nothing is left out. `of_stripe` places them on the laser's stripe instead of on
+    all faces.
     """
     count = 0
     corrugated = k.corrugation[0] > 0.0

@@ -12,12 +12,14 @@ from noise_model import interreflection
 from noise_model.arc import level
 from noise_model.arc_map import arc_at, arc_kernel
 from noise_model.brdf import TABLE_1, Material, reflectance
+from noise_model.faces import face_point, ridge, slanted, strip
 from noise_model.forward import Layers
 from noise_model.frames import invert, transform
 from noise_model.interreflection import FINE, Grain, Grains, bounced_light
 from noise_model.interreflection_bounces import ORDERS
+from noise_model.interreflection_lattice import stations
 from noise_model.interreflection_light import arc_leaving, place, sees
-from noise_model.interreflection_nodes import COLUMNS, FACE, ROOM, WEIGHT, Focus, look_around, rules
+from noise_model.interreflection_nodes import COLUMNS, FACE, WEIGHT, Focus, look_around, room, rules
 from noise_model.laser import irradiance
 from noise_model.optics import blur
 from noise_model.stripe import stripe_reference
@@ -47,7 +49,7 @@ def some_pixels(view, faces, n, seed):
 
 def nodes_from(view, P, normal, face, fine):
     k = place(view.setup, view.scene)
-    nodes = np.empty((ROOM, COLUMNS))
+    nodes = np.empty((room(k, fine), COLUMNS))
     n = look_around(k, P, normal, face, Focus(0.0, 0.0, 6.0), False, fine, nodes)
     return nodes[:n]
 
@@ -90,6 +92,57 @@ def test_a_lap_sees_its_edge_as_the_closed_form_says():
         assert (nodes[:, FACE] == 1).all()
         want = 0.5 * (1.0 - s / math.hypot(s, 2.0))
         assert nodes[:, WEIGHT].sum() / math.pi == pytest.approx(want, abs=1e-4)
+
+
+@pytest.mark.parametrize("bevel_deg", [10.0, 20.0])
+def test_a_narrow_lobe_in_a_groove_of_many_faces_leaves_nothing_out(bevel_deg):
+    """A tight U's 11 faces, as closely as any lobe asks for: as much as from few nodes, and even."""
+    size = {"depth_mm": 6.0, "root_radius_mm": 0.5, "bevel_angle_deg": bevel_deg, "root_gap_mm": 1.0}
+    view = view_of(dataclasses.replace(SHARP, type="u_groove", dimensions=size))
+    vertices, corrugation = view.scene.shape.vertices, view.scene.shape.corrugation
+    n_faces = len(vertices) - 1
+    assert n_faces == 11
+    narrowest, wide = rules(24, 8, 3, 5, 6, True), rules(12, 4, 3, 5, 6, True)
+    seen = np.empty((n_faces, 2))
+    for face in range(1, n_faces - 1):
+        on = strip(face, vertices)
+        P = np.array(face_point(20.0, 0.5 * on[4], on, corrugation))
+        normal = np.array(slanted(0.0, on)[0])
+        seen[face] = [nodes_from(view, P, normal, face, fine)[:, WEIGHT].sum() for fine in (narrowest, wide)]
+    np.testing.assert_allclose(seen[1:-1, 0], seen[1:-1, 1], rtol=2e-3)
+    np.testing.assert_allclose(seen[1:-1, 0], seen[-2:0:-1, 0], rtol=1e-6)
+
+
+@pytest.mark.parametrize("joint", ["v_groove", "lap", "corrugation"])
+def test_there_is_room_for_every_node(joint):
+    view = view_of(joint)
+    k, vertices, corrugation = place(view.setup, view.scene), *dataclasses.astuple(view.scene.shape)
+    rng = np.random.default_rng(3)
+    for fine, of_stripe in itertools.product(
+        (rules(24, 8, 3, 5, 6, True), rules(3, 4, 2, 2, 4, False)), (False, True)
+    ):
+        most = room(k, fine)
+        nodes = np.empty((4 * most, COLUMNS))
+        for face, x, share in itertools.product(
+            range(len(vertices) - 1), rng.uniform(-60.0, 60.0, 6), (0.1, 0.5, 0.9)
+        ):
+            on = strip(face, vertices)
+            s = on[4] - 20.0 * share if face == 0 else share * min(on[4], 20.0)
+            P = np.array(face_point(x, s, on, corrugation))
+            normal = np.array(slanted(ridge(x, corrugation)[1], on)[0])
+            focus = Focus(x + 3.0, 0.5, 6.0)
+            assert look_around(k, P, normal, face, focus, of_stripe, fine, nodes) <= most
+
+
+@pytest.mark.parametrize(
+    "x_range", [(300.0, 318.0), (200.0, 215.0), (-420.0, -400.0), (600.0, 610.0), (-4, 4)]
+)
+def test_a_cubic_finds_its_four_stations_wherever_the_camera_looks(x_range):
+    at = stations(0.0, x_range, 0.5, 2.0)
+    assert len(at) >= 4
+    assert (np.diff(at) > 0.0).all()
+    assert at[0] <= x_range[0]
+    assert at[-1] >= x_range[1]
 
 
 def test_a_diffuse_grooves_orders_fall_evenly():
