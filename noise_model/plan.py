@@ -20,6 +20,7 @@ from scipy.spatial.transform import Rotation
 from noise_model.frames import Float64, transform
 from noise_model.setup import Setup
 from noise_model.spectrum import (
+    LEAST_TRANSMISSION,
     ArcSpectrum,
     Filter,
     FilterCurve,
@@ -123,6 +124,12 @@ def filter_of(setup: Setup, fwhm_nm: float) -> Filter | FilterCurve:
     """Return the setup's own filter if that is its width, else a Gaussian one about the same centre."""
     own = setup.filter
     return own if fwhm_nm == own.fwhm_nm else Filter(own.center_nm, fwhm_nm, own.effective_index)
+
+
+def passes_laser(setup: Setup, fwhm_nm: float) -> bool:
+    """Say whether a filter of this width, as of `filter_of`, passes the setup's laser on its axis."""
+    passed = transmission(filter_of(setup, fwhm_nm), setup.laser.wavelength_nm)
+    return bool(passed > LEAST_TRANSMISSION)
 
 
 def with_design(setup: Setup, design: SensorDesign, spectrum: ArcSpectrum | None = None) -> Setup:

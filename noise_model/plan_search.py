@@ -10,7 +10,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from noise_model.frames import Float64
-from noise_model.plan import SensorDesign, clears_torch, design_of, filter_of, with_design
+from noise_model.plan import SensorDesign, clears_torch, design_of, filter_of, passes_laser, with_design
 from noise_model.plan_light import StripeLight, stripe_level_e, stripe_light
 from noise_model.plan_noise import (
     BLIND,
@@ -93,7 +93,8 @@ def judge(
     """Judge a design at poses T_base_tool (n, 4, 4), once for each filter, its own if none is given.
 
     With `most_exposure_s` each takes the longest exposure up to it that saturates nothing expected, else the
-    design's own. A pose that the design cannot be used at is blind.
+    design's own. A pose that the design cannot be used at is blind, and so is a filter that the laser does
+    not pass.
     """
     filters = [design.filter_fwhm_nm] if filters_nm is None else filters_nm
     try:
@@ -108,6 +109,9 @@ def judge(
     lights = [_light(bare, T_base_tool, level_e) for T_base_tool in poses]
     made = []
     for fwhm in filters:
+        if not passes_laser(setup, fwhm):
+            made.append(summarise(replace(design, filter_fwhm_nm=fwhm), [BLIND]))
+            continue
         optics = filter_of(setup, fwhm)
         pixels = [None if light is None else expected_pixels(light, bare, around, optics) for light in lights]
         exposure = 1.0

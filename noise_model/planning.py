@@ -10,7 +10,7 @@ import numpy as np
 
 from noise_model.effects import really
 from noise_model.frames import Float64
-from noise_model.plan import SensorDesign, design_of
+from noise_model.plan import SensorDesign, design_of, filter_of, passes_laser
 from noise_model.plan_avoid import Cure, find_cures
 from noise_model.plan_noise import Surroundings
 from noise_model.plan_path import PathNoise, noise_along, nominal_path, recorded_path, search_path
@@ -28,6 +28,12 @@ ALIKE_SIDES = ("v_groove", "u_groove", "butt", "fillet", "edge")
 TILT_STEP_DEG, AZIMUTH_STEP_DEG, PREVIEW_STEP_MM, STAND_OFF_STEP_MM = 10.0, 30.0, 15.0, 75.0
 MAP_STEPS_DEG = (5.0, 22.5)
 """How finely a search looks, and the map of the noise over tilt and azimuth."""
+
+LEFT_OUT = ("interreflection",)
+"""Effects that a plan goes without: bounced light moves the seam's sigma by 0.1 % and less.
+
+It takes a second a pose, where a plan looks at thousands and all else takes 5 ms.
+"""
 
 LONGER_EXPOSURE = 2.0
 """The longest exposure that is tried, over the user's, where none is given."""
@@ -57,21 +63,22 @@ class PlanOptions:
         for name in ("tilt_deg", "azimuth_deg", "preview_mm", "stand_off_mm"):
             limits = getattr(self, name)
             if limits is not None and not -math.inf < limits[0] <= limits[1] < math.inf:
-                raise ValueError(f"{name} {limits[0]:g} to {limits[1]:g}: the first must not be the larger")
+                given = f"{name} {limits[0]:g} to {limits[1]:g}"
+                raise ValueError(f"{given}: must be finite, and the first not the larger")
         if not (self.tilt_deg[0] >= 0.0 and self.tilt_deg[1] < 85.0):
             raise ValueError("tilt_deg: must lie between 0 and below 85")
         if not (self.preview_mm[0] > 0.0 and self.stand_off_mm[0] > 0.0):
             raise ValueError("preview_mm, stand_off_mm: must be > 0")
-        if not self.filters_nm or not min(self.filters_nm) > 0.0:
-            raise ValueError("filters_nm: must be > 0, and one at least")
+        if not self.filters_nm or not all(0.0 < fwhm < math.inf for fwhm in self.filters_nm):
+            raise ValueError("filters_nm: must be > 0 and finite, and one at least")
         if not 0.0 <= self.lean_deg <= 45.0:
             raise ValueError(f"lean_deg {self.lean_deg:g}: must be 0 to 45")
         if not 0.0 <= self.torch_radius_mm < math.inf:
-            raise ValueError(f"torch_radius_mm {self.torch_radius_mm:g}: must be >= 0")
+            raise ValueError(f"torch_radius_mm {self.torch_radius_mm:g}: must be >= 0 and finite")
         for name in ("most_exposure_s", "limit_mm"):
             value = getattr(self, name)
             if value is not None and not 0.0 < value < math.inf:
-                raise ValueError(f"{name} {value:g}: must be > 0")
+                raise ValueError(f"{name} {value:g}: must be > 0 and finite")
 
 
 @dataclass(frozen=True, eq=False)
@@ -93,6 +100,7 @@ class Plan:
     """All that a plan says. `own` is the user's design as it is, `judged` every design of the search.
 
     `front` are those that none beats, see `plan_search.pareto`; `cures` is empty where no station is blind.
+    `left_out` are those of the setup's effects that did not act.
     """
 
     setup: Setup
@@ -104,6 +112,7 @@ class Plan:
     along: PathNoise
     cures: tuple[Cure, ...]
     limit_mm: float
+    left_out: tuple[str, ...]
 
 
 def make_plan(
@@ -116,12 +125,16 @@ def make_plan(
 
     Designs are compared over one pitch of a corrugation, else at one pose; the path is that of the recorded
     poses T_base_tool if given, else the nominal one. The setup's effects act, on the light of the stripe's
-    own pixels: what spreads over the image is taken from them. Raises ValueError for a joint without a seam
-    point or a setup whose sensor sees no stripe on a plate.
+    own pixels: what spreads over the image is taken from them; `LEFT_OUT` do not. Raises ValueError for a
+    joint without a seam point, a setup whose sensor sees no stripe on a plate and filters behind which there
+    is none.
     """
     if setup.joint.type == "flat":
         raise ValueError("[joint] type = 'flat': has no seam point to plan for")
     setup = really(setup)
+    left_out = tuple(name for name in setup.effects if name in LEFT_OUT)
+    setup = replace(setup, effects={name: v for name, v in setup.effects.items() if name not in LEFT_OUT})
+    _check_filters(setup, options.filters_nm)
     tell = progress or (lambda _stage, _done, _total: None)
     own, around = design_of(setup), options.around
     space, poses = search_space(setup, options), search_path(setup).T_base_tool
@@ -157,7 +170,21 @@ def make_plan(
         along=along,
         cures=tuple(cures),
         limit_mm=limit_mm,
+        left_out=left_out,
     )
+
+
+def _check_filters(setup: Setup, filters_nm: Sequence[float]) -> None:
+    laser = f"the laser's {setup.laser.wavelength_nm:g} nm"
+    if not passes_laser(setup, setup.filter.fwhm_nm):
+        raise ValueError(f"[filter]: does not pass {laser}; correct its centre or width")
+    for fwhm in (setup.filter.fwhm_nm, *filters_nm):
+        if not filter_of(setup, fwhm).edges_nm()[0] > 0.0:
+            wide = f"a filter {fwhm:g} nm wide about {setup.filter.center_nm:g} nm"
+            raise ValueError(f"{wide} reaches down to 0 nm; take a narrower one, [filter] or --filter-nm")
+    if not any(passes_laser(setup, fwhm) for fwhm in filters_nm):
+        tried = ", ".join(f"{fwhm:g}" for fwhm in filters_nm)
+        raise ValueError(f"no filter {tried} nm wide passes {laser}; name a wider one with --filter-nm")
 
 
 def search_space(setup: Setup, options: PlanOptions) -> SearchSpace:

@@ -28,6 +28,9 @@ END_SHARE = 0.01
 PASSBAND_FWHM = 3.0
 """Half the width, in FWHM, over which a Gaussian is integrated: it has fallen to 1.5e-11 there."""
 
+LEAST_TRANSMISSION = 1e-6
+"""A laser of which less arrives does not pass."""
+
 PROFILE_ANGLES = 64
 """Angles between which a filter's transmission is interpolated over the field."""
 
@@ -222,10 +225,10 @@ def laser_transmission(
 ) -> Float64:
     """Return the laser line's transmission over the field angle, relative to that on the axis (...,).
 
-    Raises ValueError for a laser that does not pass on the axis: below 1e-6 of it arrives.
+    Raises ValueError for a laser that does not pass on the axis.
     """
     on_axis = float(transmission(optics, laser_wavelength_nm))
-    if not on_axis > 1e-6:
+    if not on_axis > LEAST_TRANSMISSION:
         raise ValueError(f"the filter does not pass the laser's {laser_wavelength_nm:g} nm")
     return transmission(optics, laser_wavelength_nm, theta) / on_axis
 

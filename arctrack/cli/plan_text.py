@@ -27,6 +27,8 @@ def print_plan(console: Console, plan: Plan) -> None:
             console.print(text, markup=False, soft_wrap=True)
     if plan.cures:
         console.print(_cures(plan))
+    for name in plan.left_out:
+        console.print(f"left out: [effects.{name}], which hardly moves σ", markup=False, soft_wrap=True)
     if len(plan.cures) > MOST_STRETCHES:
         console.print(f"and {len(plan.cures) - MOST_STRETCHES} more stretches, see path.csv", markup=False)
 

@@ -134,6 +134,9 @@ def test_what_cannot_be_planned_is_one_line(seen_setup: Setup, tmp_path: Path) -
         ([str(tmp_path / "nowhere")], "no such file"),
         ([str(written(seen_setup, tmp_path / "v")), "--tilt", "30", "20"], "tilt_deg 30 to 20"),
         ([str(tmp_path / "v"), "--speckle", "2"], "speckle contrast"),
+        ([str(tmp_path / "v"), "--speckle", "nan"], "speckle contrast"),
+        ([str(tmp_path / "v"), "--filter-nm", "inf"], "filters_nm: must be > 0 and finite"),
+        ([str(tmp_path / "v"), "--exposure-ms", "nan"], "most_exposure_s"),
         ([str(tmp_path / "v"), "--recorded"], "frames.csv"),
     ):
         with pytest.raises(ArctrackError, match=message):

@@ -12,7 +12,15 @@ from hypothesis import strategies as st
 from plan_setups import SETUPS, expected_e, steel_groove
 from scipy.constants import c, h, k
 
-from noise_model.plan import SensorDesign, clears_torch, design_of, filter_gains, filter_of, with_design
+from noise_model.plan import (
+    SensorDesign,
+    clears_torch,
+    design_of,
+    filter_gains,
+    filter_of,
+    passes_laser,
+    with_design,
+)
 from noise_model.spectrum import ArcSpectrum, Filter, FilterCurve
 from noise_model.stripe import stripe_reference
 
@@ -109,6 +117,12 @@ def test_a_measured_curve_is_kept_at_its_own_width_and_else_replaced() -> None:
     assert isinstance(other, Filter)
     assert (other.fwhm_nm, other.center_nm) == (5.0, pytest.approx(691.0, abs=0.05))
     assert with_design(setup, replace(own, filter_fwhm_nm=5.0)).filter == other
+
+
+def test_a_filter_passes_the_laser_if_it_is_wide_enough() -> None:
+    setup = steel_groove()
+    far_red = replace(setup, laser=replace(setup.laser, wavelength_nm=676.0))
+    assert [passes_laser(far_red, fwhm) for fwhm in (5.0, 10.0, 20.0)] == [False, True, True]
 
 
 @given(DESIGNS, st.floats(1.0, 30.0))

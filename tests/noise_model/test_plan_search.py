@@ -11,6 +11,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from plan_setups import JOINTS, plan_setup, steel_groove
 
+from noise_model.effects import checked
 from noise_model.frames import invert, transform
 from noise_model.plan import SensorDesign, design_of
 from noise_model.plan_avoid import find_cures
@@ -145,6 +146,28 @@ def test_an_exposure_may_only_grow_where_nothing_saturates() -> None:
     assert too_long.saturated_share > 0.0
 
 
+def test_a_filter_that_the_laser_does_not_pass_is_blind_and_the_others_are_judged() -> None:
+    setup = steel_groove()
+    setup = replace(
+        setup,
+        laser=replace(setup.laser, wavelength_nm=676.0),
+        filter=replace(setup.filter, fwhm_nm=25.0),
+    )
+    poses = search_path(setup).T_base_tool
+    narrow, wide = judge(setup, design_of(setup), poses, SILENT, (5.0, 20.0))
+    assert (narrow.design.filter_fwhm_nm, narrow.sigma_mm, narrow.blind_share) == (5.0, math.inf, 1.0)
+    assert wide.sigma_mm < 0.1
+    with pytest.raises(ValueError, match=r"no filter 3, 5 nm wide passes the laser's 676 nm.*--filter-nm"):
+        make_plan(setup, replace(SMALL, filters_nm=(3.0, 5.0)))
+    behind_none = replace(setup, filter=replace(setup.filter, fwhm_nm=5.0))
+    with pytest.raises(ValueError, match=r"\[filter\]: does not pass the laser's 676 nm"):
+        make_plan(behind_none, SMALL)
+    with pytest.raises(
+        ValueError, match=r"a filter 300 nm wide about 690 nm reaches down to 0 nm.*--filter-nm"
+    ):
+        make_plan(setup, replace(SMALL, filters_nm=(5.0, 300.0)))
+
+
 def bent() -> Joint:
     return replace(
         JOINTS["v_groove"], seam_in_base_mm=((10.0, 0.0, 0.0), (110.0, 0.0, 0.0), (110.0, 80.0, 0.0))
@@ -231,6 +254,17 @@ def test_glare_on_a_corrugation_is_found_and_cured() -> None:
         assert (a.leaned, a.lean_deg, a.moved) == (b.leaned, b.lean_deg, b.moved)
 
 
+def test_bounced_light_is_left_out_and_said_so() -> None:
+    setup = steel_groove()
+    bounced = replace(setup, effects=checked({"interreflection": {"albedo_scale": 0.4}}))
+    one = replace(SMALL, tilt_deg=(24.0, 24.0), azimuth_deg=(0.0, 0.0), preview_mm=(36.0, 36.0))
+    plain, plan = make_plan(setup, one), make_plan(bounced, one)
+    assert (plain.left_out, plan.left_out) == ((), ("interreflection",))
+    assert plan.own == plain.own
+    assert plan.judged == plain.judged
+    assert plan.along.noise == plain.along.noise
+
+
 def test_a_whole_plan() -> None:
     setup = steel_groove()
     stages: list[str] = []
@@ -269,6 +303,11 @@ def test_spaces() -> None:
         ({"preview_mm": (0.0, 20.0)}, "preview_mm"),
         ({"azimuth_deg": (0.0, math.nan)}, "azimuth_deg"),
         ({"filters_nm": ()}, "filters_nm"),
+        ({"filters_nm": (5.0, math.inf)}, "filters_nm"),
+        ({"filters_nm": (5.0, math.nan)}, "filters_nm"),
+        ({"stand_off_mm": (math.nan, 200.0)}, "stand_off_mm nan to 200: must be finite"),
+        ({"most_exposure_s": math.nan}, "most_exposure_s"),
+        ({"limit_mm": math.inf}, "limit_mm"),
         ({"lean_deg": 50.0}, "lean_deg"),
         ({"torch_radius_mm": -1.0}, "torch_radius_mm"),
         ({"limit_mm": 0.0}, "limit_mm"),
