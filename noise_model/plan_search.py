@@ -96,11 +96,15 @@ def judge(
     design's own. A pose that the design cannot be used at is blind, and so is a filter that the laser does
     not pass.
     """
+    own = design_of(setup)
     filters = [design.filter_fwhm_nm] if filters_nm is None else filters_nm
     try:
-        # The geometry is the same behind every filter: light is computed once, behind the setup's own.
+        # The geometry is the same behind every filter: light is computed once, behind the setup's own, and
+        # for the setup's exposure, which is what the effects state their charges for.
         bare = with_design(
-            setup, replace(design, filter_fwhm_nm=design_of(setup).filter_fwhm_nm), around.spectrum
+            setup,
+            replace(design, filter_fwhm_nm=own.filter_fwhm_nm, exposure_s=own.exposure_s),
+            around.spectrum,
         )
         floor_px = speckle_floor_px(bare, around.speckle_contrast)
         level_e = stripe_level_e(bare)
@@ -114,18 +118,18 @@ def judge(
             continue
         optics = filter_of(setup, fwhm)
         pixels = [None if light is None else expected_pixels(light, bare, around, optics) for light in lights]
-        exposure = 1.0
+        exposure_s = design.exposure_s
         if most_exposure_s is not None:
-            exposure = min(
-                most_exposure_s / design.exposure_s, longest_exposure(_brightest(pixels), bare.sensor)
-            )
+            longest = longest_exposure(_brightest(pixels), bare.sensor)
+            exposure_s = min(most_exposure_s, longest * own.exposure_s)
+        exposure = exposure_s / own.exposure_s
         noise = [
             BLIND
             if light is None or seen is None
             else seam_noise(light, line_bounds(light, seen, bare.sensor, floor_px, exposure), bare.joint)
             for light, seen in zip(lights, pixels, strict=True)
         ]
-        final = replace(design, filter_fwhm_nm=fwhm, exposure_s=design.exposure_s * exposure)
+        final = replace(design, filter_fwhm_nm=fwhm, exposure_s=exposure_s)
         made.append(summarise(final, noise))
     return made
 

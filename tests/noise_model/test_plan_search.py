@@ -146,6 +146,31 @@ def test_an_exposure_may_only_grow_where_nothing_saturates() -> None:
     assert too_long.saturated_share > 0.0
 
 
+@pytest.mark.parametrize(
+    "effects",
+    [
+        {"hot_metal_glow": {"peak_e": 3e4, "length_mm": 15.0}},
+        {"spatter": {"rate_per_frame": 8.0}},
+    ],
+)
+def test_a_design_is_the_same_whatever_exposure_it_is_judged_from(
+    effects: dict[str, dict[str, float]],
+) -> None:
+    """What effects state in e- is for the setup's own exposure, 5 ms."""
+    setup, poses = replace(steel_groove(), effects=checked(effects)), search_path(steel_groove()).T_base_tool
+    own = design_of(setup)
+    [want] = judge(setup, own, poses, SILENT, None, 0.008)
+    assert want.arc_over_stripe > 1.05 * judge(steel_groove(), own, poses, SILENT)[0].arc_over_stripe
+    for exposure_s in (0.0025, 0.01):
+        design = replace(own, exposure_s=exposure_s)
+        [got] = judge(setup, design, poses, SILENT, None, 0.008)
+        assert got.design == want.design
+        assert got.sigma_mm == pytest.approx(want.sigma_mm, rel=1e-9)
+        [fixed] = judge(setup, design, poses, SILENT)
+        assert fixed.design.exposure_s == exposure_s
+        assert fixed.arc_over_stripe == pytest.approx(want.arc_over_stripe, rel=1e-9)
+
+
 def test_a_filter_that_the_laser_does_not_pass_is_blind_and_the_others_are_judged() -> None:
     setup = steel_groove()
     setup = replace(
