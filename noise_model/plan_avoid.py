@@ -87,7 +87,7 @@ def find_cures(
 ) -> list[Cure]:
     """Return a cure for every stretch where the seam's sigma is above a limit; see `find_cure`.
 
-    Stretches at whose ends the tool stands over a corrugation alike share one.
+    Stretches of a straight seam in which the tool stands over a corrugation alike share one.
     """
     stretches = blind_stretches(along, limit_mm)
     known: dict[tuple[float, ...], Cure] = {}
@@ -103,11 +103,16 @@ def find_cures(
 
 
 def _alike(setup: Setup, along: PathNoise, first: int, last: int) -> tuple[float, ...]:
-    """Return the tool's poses at a stretch's ends beside the joint, places along the seam by the pitch."""
+    """Return what stretches that share a cure have in common.
+
+    It is the tool's poses at the stations tried beside the joint, places along the seam by the pitch. Bends
+    have nothing in common: where the tool stands alike, the stripe ahead of it may lie on another leg.
+    """
+    if len(setup.joint.seam_in_base_mm) > 2:
+        return (first, last)
     pitch = float(setup.joint.dimensions["pitch_mm"]) if setup.joint.type == "corrugation" else 1e-3
     place: list[float] = []
-    for n in (first, last):
-        T_base_tool = along.path.T_base_tool[n]
+    for T_base_tool in _poses(along, (first, last)):
         T_joint_tool = invert(seam_frame(setup.joint, T_base_tool[:3, 3])) @ T_base_tool
         # A place a hair below a pitch is one a hair above it.
         T_joint_tool[0, 3] = (T_joint_tool[0, 3] + 2e-4) % pitch

@@ -14,7 +14,7 @@ from plan_setups import JOINTS, plan_setup, steel_groove
 from noise_model.effects import checked
 from noise_model.frames import invert, transform
 from noise_model.plan import SensorDesign, design_of
-from noise_model.plan_avoid import find_cures
+from noise_model.plan_avoid import find_cure, find_cures
 from noise_model.plan_noise import BLIND, SeamNoise, Surroundings
 from noise_model.plan_path import (
     Path,
@@ -277,6 +277,20 @@ def test_glare_on_a_corrugation_is_found_and_cured() -> None:
     assert alike
     for a, b in alike:
         assert (a.leaned, a.lean_deg, a.moved) == (b.leaned, b.lean_deg, b.moved)
+
+
+def test_bends_do_not_share_cures() -> None:
+    """The tool stands alike at both places, but from the second the stripe falls on the next leg."""
+    points = ((0.0, 0.0, 0.0), (200.0, 0.0, 0.0), (300.0, 70.0, 0.0))
+    setup = replace(steel_groove(), joint=replace(JOINTS["v_groove"], seam_in_base_mm=points))
+    T_base_tool = np.tile(np.eye(4), (5, 1, 1))
+    T_base_tool[:, 0, 3] = 50.0, 100.0, 140.0, 180.0, 190.0
+    shown = [SeamNoise(0.001, 0.0, 0.1, 1.0, 0.0, 0.0), BLIND]
+    along = PathNoise(Path(T_base_tool[:, 0, 3], T_base_tool, 300.0), tuple(shown[n % 2] for n in range(5)))
+    aside = replace(design_of(setup), azimuth_deg=60.0)
+    cures = find_cures(setup, along, 0.125, SILENT, 10.0, [aside])
+    assert cures == [find_cure(setup, along, (n, n), 0.125, SILENT, 10.0, [aside]) for n in (1, 3)]
+    assert cures[0].moved != cures[1].moved
 
 
 def test_bounced_light_is_left_out_and_said_so() -> None:
