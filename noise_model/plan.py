@@ -1,10 +1,10 @@
 """Sensor designs: where camera and laser stand beside the torch, and the setup that such a design makes.
 
 A design is counted from the stripe's foot, the point of the laser plane on a plate at tool height straight
-ahead of the torch. The lens stays and is refocused, so the focal length in pixels does; a pixel then sees the
-same radiance from any distance. The laser keeps its power and its distance to the foot. Whatever the user's
-setup has beyond a design's few numbers (the camera's roll, a point aimed at beside the foot, a sheet askew)
-is carried along, so that a setup's own design gives that setup back.
+ahead of the torch. The lens stays and is refocused, so the focal length in pixels does; from nearby less of a
+radiance arrives, as through the working f-number N (1 + m). The laser keeps its power and its distance to the
+foot. Whatever the user's setup has beyond a design's few numbers (the camera's roll, a point aimed at beside
+the foot, a sheet askew) is carried along, so that a setup's own design gives that setup back.
 """
 
 from __future__ import annotations
@@ -132,11 +132,18 @@ def passes_laser(setup: Setup, fwhm_nm: float) -> bool:
     return bool(passed > LEAST_TRANSMISSION)
 
 
+def magnification(setup: Setup, stand_off_mm: float) -> float:
+    """Return m = f / (Z - f) of a thin lens focused on the plate; 1 for what stands closer than 2 f."""
+    f = setup.camera.focal_length_mm
+    return f / max(stand_off_mm - f, f)
+
+
 def with_design(setup: Setup, design: SensorDesign, spectrum: ArcSpectrum | None = None) -> Setup:
     """Return the setup that a design makes of the user's: poses, levels, filter, exposure.
 
     The stripe's charge per irradiance and reflectance stays, times what the filter passes of the laser; the
-    arc's goes with what it passes of the arc's light. Raises ValueError if the laser would stand below the
+    arc's goes with what it passes of the arc's light. Both go with 1 / (1 + m)^2, the working aperture's.
+    What effects state in e- stays as it is. Raises ValueError if the laser would stand below the
     tool's height or its light does not pass the filter.
     """
     spectrum = spectrum or ArcSpectrum()
@@ -150,7 +157,10 @@ def with_design(setup: Setup, design: SensorDesign, spectrum: ArcSpectrum | None
         raise ValueError(f"lean {design.lean_deg:g} deg: the laser would stand below the plate")
     optics = filter_of(setup, design.filter_fwhm_nm)
     laser_gain, arc_gain = filter_gains(setup.filter, optics, setup.laser.wavelength_nm, spectrum, 0.0)
-    exposure = design.exposure_s / own.exposure_s
+    nearer = (1.0 + magnification(setup, own.stand_off_mm)) / (
+        1.0 + magnification(setup, design.stand_off_mm)
+    )
+    brighter = design.exposure_s / own.exposure_s * nearer**2
     made = replace(
         setup,
         camera=replace(setup.camera, T_tool_camera=T_tool_camera, exposure_s=design.exposure_s),
@@ -160,11 +170,11 @@ def with_design(setup: Setup, design: SensorDesign, spectrum: ArcSpectrum | None
             plane_in_tool=(float(normal[0]), float(normal[1]), float(normal[2]), float(-normal @ foot)),
             origin_in_tool_mm=(float(origin[0]), float(origin[1]), float(origin[2])),
         ),
-        arc=replace(setup.arc, radiance_e=setup.arc.radiance_e * float(arc_gain) * exposure),
+        arc=replace(setup.arc, radiance_e=setup.arc.radiance_e * float(arc_gain) * brighter),
     )
     # A sheet that leans spreads its power over 1 / cos(lean) of the plate.
     spread = math.cos(math.radians(design.lean_deg)) / math.cos(math.radians(own.lean_deg))
-    level = setup.laser.peak_e / stripe_reference(setup) * float(laser_gain) * exposure * spread
+    level = setup.laser.peak_e / stripe_reference(setup) * float(laser_gain) * brighter * spread
     return replace(made, laser=replace(made.laser, peak_e=level * stripe_reference(made)))
 
 

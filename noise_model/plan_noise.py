@@ -18,7 +18,7 @@ from noise_model.bound import (
     stripe_sigmas,
 )
 from noise_model.frames import Float64
-from noise_model.plan import design_of, filter_gains
+from noise_model.plan import design_of, filter_gains, magnification
 from noise_model.plan_light import ARC_PLACES, HALF_WINDOW_SIGMAS, StripeLight
 from noise_model.sensor import Sensor, linearise, saturation_dn, variance_e2
 from noise_model.setup import Setup
@@ -123,10 +123,8 @@ def speckle_floor_px(setup: Setup, contrast: float) -> float:
     focused on the plate, and the contrast that a pixel's width along the stripe leaves.
     """
     camera = setup.camera
-    f = camera.focal_length_mm
-    magnification = f / max(design_of(setup).stand_off_mm - f, f)
-    image_f_number = camera.f_number * (1.0 + magnification)
-    pixel_mm = f / math.sqrt(camera.fx * camera.fy)
+    image_f_number = camera.f_number * (1.0 + magnification(setup, design_of(setup).stand_off_mm))
+    pixel_mm = camera.focal_length_mm / math.sqrt(camera.fx * camera.fy)
     wavelength_mm = 1e-6 * setup.laser.wavelength_nm
     left = contrast * pixel_contrast(wavelength_mm, image_f_number, pixel_mm)
     return speckle_image_sigma_mm(wavelength_mm, image_f_number, left) / pixel_mm

@@ -67,7 +67,7 @@ def test_a_design_is_read_back_from_what_it_made(design: SensorDesign) -> None:
     assert plane[:3] @ origin + plane[3] == pytest.approx(0.0, abs=1e-9)
 
 
-def test_a_diffuse_plate_is_as_bright_from_any_distance_and_dimmer_under_a_leaning_sheet() -> None:
+def test_a_diffuse_plate_goes_with_the_working_aperture_and_is_dimmer_under_a_leaning_sheet() -> None:
     setup = steel_groove()
     setup = replace(
         setup,
@@ -80,10 +80,17 @@ def test_a_diffuse_plate_is_as_bright_from_any_distance_and_dimmer_under_a_leani
     def peak(design: SensorDesign) -> float:
         return float(expected_e(with_design(setup, design), np.eye(4), laser=1.0).max())
 
-    near = peak(replace(own, stand_off_mm=100.0))
-    assert peak(replace(own, stand_off_mm=220.0, preview_mm=50.0)) == pytest.approx(near, rel=0.01)
-    assert peak(replace(own, lean_deg=-25.0)) == pytest.approx(near * math.cos(math.radians(25.0)), rel=0.02)
-    assert peak(replace(own, exposure_s=0.5 * own.exposure_s)) == pytest.approx(0.5 * near, rel=0.01)
+    # N (1 + m) = N Z / (Z - f) of a thin lens: the image of a radiance goes with ((Z - f) / Z)^2.
+    near, f = peak(replace(own, stand_off_mm=100.0)), setup.camera.focal_length_mm
+    brighter = ((1.0 - f / 220.0) / (1.0 - f / 100.0)) ** 2
+    assert brighter > 1.15
+    far = replace(own, stand_off_mm=220.0, preview_mm=50.0)
+    assert peak(far) == pytest.approx(brighter * near, rel=0.01)
+    mine = peak(own)
+    assert peak(replace(own, lean_deg=-25.0)) == pytest.approx(mine * math.cos(math.radians(25.0)), rel=0.02)
+    assert peak(replace(own, exposure_s=0.5 * own.exposure_s)) == pytest.approx(0.5 * mine, rel=0.01)
+    arcs = [with_design(setup, d).arc.radiance_e for d in (replace(own, stand_off_mm=100.0), far)]
+    assert arcs[1] / arcs[0] == pytest.approx(brighter, rel=1e-9)
 
 
 def test_a_filters_share_of_the_arc_is_its_integral_and_the_laser_drops_off_axis() -> None:
