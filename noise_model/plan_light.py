@@ -6,7 +6,8 @@ no stripe. Only there, and for a few places across the stripe, the arc's light i
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+import math
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
@@ -36,6 +37,9 @@ ARC_PLACES = 5
 
 STEP_MM = 1e-3
 
+FILTER_SHIFT = "filter_shift"
+"""The effect whose share of the shift a tried filter takes: the whole of it where no share is stated."""
+
 
 @dataclass(frozen=True, eq=False)
 class StripeLight:
@@ -44,8 +48,9 @@ class StripeLight:
     `points`, `normals` (n, 3); `moves` (n, 3) how a point goes along the laser plane for 1 px of stripe
     centre; `lines` (n,) how many scan lines each ray stands for; `width_px` (n,) the stripe's 1 sigma along
     its scan line, point-spread function included; `stripe_e` (n,) its peak; `arc_e` (n, ARC_PLACES) the arc's
-    light across the window; `theta` (n,) the field angle, rad; `seen` (n,) whether the camera sees it in its
-    image. Charges are those of the setup's exposure, as if the filter passed the whole field like its axis.
+    light across the window; `theta` (n,) the angle, rad, at which the filter is met; `seen` (n,) whether the
+    camera sees it in its image. Charges are those of the setup's exposure, as if the filter passed the whole
+    field like its axis.
     """
 
     points: Float64
@@ -89,7 +94,7 @@ def stripe_light(setup: Setup, T_base_tool: Float64, level_e: float) -> StripeLi
         width_px=looks.width_px,
         stripe_e=np.where(looks.seen, stripe, np.nan),
         arc_e=arc,
-        theta=looks.theta,
+        theta=_filter_angle(setup, looks.theta),
         seen=looks.seen,
     )
 
@@ -191,11 +196,19 @@ def _stripe(setup: Setup, view: Scene, points: Float64, normals: Float64, looks:
     return np.asarray(light * np.cos(looks.theta) ** 4 * looks.sheet_share)
 
 
+def _filter_angle(setup: Setup, theta: Float64) -> Float64:
+    """Return at which angles (n,), rad, a filter moves as far as `filter_shift` says of it at theta (n,)."""
+    stated = setup.effects.get(FILTER_SHIFT)
+    share = 1.0 if stated is None else stated.get("shift_share", 0.0)
+    return np.arcsin(np.minimum(math.sqrt(share) * np.sin(theta), 1.0))
+
+
 def _light_at(setup: Setup, view: Scene, looks: _Looks, stripe_e: Float64) -> tuple[Float64, Float64]:
     """Return the stripe's peak (n,), e-, and the other light (n, ARC_PLACES), e-, across the windows.
 
-    `stripe_e` (n,) is the peak before the setup's effects on the light; they are applied here, to both. 0
-    past the workpiece and where it is not seen.
+    `stripe_e` (n,) is the peak before the setup's effects on the light; they are applied here, to both, but
+    for the filter's shift, which is that of the filter that is tried (`plan.filter_gains`). 0 past the
+    workpiece and where it is not seen.
     """
     arc_e = np.zeros((len(looks.seen), ARC_PLACES))
     seen = np.flatnonzero(looks.seen)
@@ -210,7 +223,8 @@ def _light_at(setup: Setup, view: Scene, looks: _Looks, stripe_e: Float64) -> tu
     laser = (stripe_e[seen, np.newaxis] * np.exp(-0.5 * t**2)).astype(np.float32)
     of_both = Light.of(np.nan_to_num(light), laser.ravel())
     pixels = View(setup, view, image.astype(np.float32), xy.astype(np.float32), cos4, is_frame=False)
-    pass_on(setup, of_both, pixels, Condition(1.0, 1.0, setup.camera.exposure_s))
+    before = replace(setup, effects={id_: v for id_, v in setup.effects.items() if id_ != FILTER_SHIFT})
+    pass_on(before, of_both, pixels, Condition(1.0, 1.0, setup.camera.exposure_s))
     arc_e[seen] = (of_both.arc + of_both.other).reshape(-1, ARC_PLACES)
     peak_e = np.zeros(len(looks.seen))
     peak_e[seen] = of_both.laser.reshape(-1, ARC_PLACES)[:, ARC_PLACES // 2]

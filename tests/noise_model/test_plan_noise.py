@@ -220,6 +220,22 @@ def test_a_laps_edge_lies_between_two_scan_lines() -> None:
     assert seam_noise(light, blinded, setup.joint).sigma_y_mm == pytest.approx(0.5 / math.sqrt(12), rel=0.5)
 
 
+@pytest.mark.parametrize("share", [0.5, 1.0])
+def test_a_filters_shift_acts_once(share: float) -> None:
+    """As a filter with n_eff over the root of the share; the whole shift is what a plan takes anyway."""
+    setup, T_base_tool = steel_groove(), tool()
+    shifted = replace(setup, effects=checked({"filter_shift": {"shift_share": share}}))
+    index = setup.filter.effective_index / math.sqrt(share)
+    other = replace(setup, filter=replace(setup.filter, effective_index=index))
+    for fwhm in (4.0, 10.0):
+        got, want = (
+            expected_pixels(lit(of, T_base_tool), of, SILENT, replace(of.filter, fwhm_nm=fwhm))
+            for of in (shifted, other)
+        )
+        np.testing.assert_allclose(got.stripe_e, want.stripe_e, rtol=1e-3)
+        np.testing.assert_allclose(got.arc_e, want.arc_e, rtol=1e-3)
+
+
 def test_a_contrast_that_cannot_be_is_refused() -> None:
     with pytest.raises(ValueError, match="contrast"):
         Surroundings(speckle_contrast=1.5)
