@@ -50,7 +50,7 @@ class StripeLight:
     its scan line, point-spread function included; `stripe_e` (n,) its peak; `arc_e` (n, ARC_PLACES) the arc's
     light across the window; `theta` (n,) the angle, rad, at which the filter is met; `seen` (n,) whether the
     camera sees it in its image. Charges are those of the setup's exposure, as if the filter passed the whole
-    field like its axis.
+    field like its axis. `eye` and `source` (3,) are where camera and laser stand.
     """
 
     points: Float64
@@ -63,6 +63,8 @@ class StripeLight:
     arc_e: Float64
     theta: Float64
     seen: Bool
+    eye: Float64
+    source: Float64
 
 
 def stripe_level_e(setup: Setup) -> float:
@@ -96,6 +98,8 @@ def stripe_light(setup: Setup, T_base_tool: Float64, level_e: float) -> StripeLi
         arc_e=arc,
         theta=_filter_angle(setup, looks.theta),
         seen=looks.seen,
+        eye=view.T_joint_camera[:3, 3],
+        source=transform(view.T_joint_tool, setup.laser.origin_mm),
     )
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, field
+from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -35,6 +36,18 @@ DETECT_SIGMAS = 5.0
 
 LEAST_LINES = 5.0
 """Scan lines that must be read on either side of the seam before it can be told."""
+
+EDGE_LINES = 0.1
+"""No upright edge is placed better, in scan lines: it is rounded and has burrs. It is the tracker's floor."""
+
+PLACED_BY_SHARES = ("lap", "corrugation", "half_v")
+"""The joints whose upright edge the tracker places within its scan lines, by the shares of either stripe."""
+
+LEAST_LEVEL = 1e-6
+"""A face whose normal has less than this of z is upright."""
+
+IN_PLANE_MM = 1e-6
+"""What is nearer to an upright side's plane than this stands in it."""
 
 HEADROOM_SIGMAS = 4.0
 """How far below saturation the longest exposure keeps the brightest expected pixel, in its own noise."""
@@ -177,13 +190,15 @@ def seam_noise(light: StripeLight, bounds: LineBounds, joint: Joint) -> SeamNois
     ratio = float(np.median(bounds.arc_over_stripe[light.seen])) if light.seen.any() else math.nan
     if not read.any():
         return SeamNoise(math.nan, math.nan, math.nan, ratio, 1.0, saturated)
-    y = light.points[:, 1]
-    sides = [read & (side * y > 0.0) & (np.abs(y) < _half_mouth_mm(joint)) for side in (-1.0, 1.0)]
+    # The tracker fits no upright side: its edge says where it is.
+    level = light.normals[:, 2] > LEAST_LEVEL
+    y, used = light.points[:, 1], read & level
+    sides = [used & (side * y > 0.0) & (np.abs(y) < _half_mouth_mm(joint)) for side in (-1.0, 1.0)]
     sigma_y = sigma_z = math.nan
     if min(float(light.lines[side].sum()) for side in sides) >= LEAST_LINES:
-        covariance = seam_covariance_mm2(
-            light.normals, light.moves, bounds.sigma_px, light.lines, _edge_sigma_mm(light, read, joint)
-        )
+        sigma_px = np.where(used, bounds.sigma_px, np.nan)
+        edge_sigma_mm = _edge_sigma_mm(light, used, level & ~read, joint)
+        covariance = seam_covariance_mm2(light.normals, light.moves, sigma_px, light.lines, edge_sigma_mm)
         sigma_y, sigma_z = (float(v) for v in np.sqrt(np.diagonal(covariance)))
     return SeamNoise(sigma_y, sigma_z, float(np.median(bounds.sigma_px[read])), ratio, 1.0 - share, saturated)
 
@@ -202,24 +217,55 @@ def _half_mouth_mm(joint: Joint) -> float:
     return float(section(joint).vertices[-2, 0])
 
 
-def _edge_sigma_mm(light: StripeLight, read: Bool, joint: Joint) -> float:
-    """Return what a section's upright edges tell of y: each lies between two scan lines that are read."""
+class _Edge(NamedTuple):
+    """An upright edge at `y_mm`, `step_mm` high, its lower side at larger y (1) or smaller (-1)."""
+
+    y_mm: float
+    step_mm: float
+    lower_side: float
+
+
+def _edge_sigma_mm(light: StripeLight, read: Bool, unread: Bool, joint: Joint) -> float:
+    """Return what a section's upright edges tell of y; rays of no upright side are `read` or `unread`."""
     vertices = section(joint).vertices
-    uprights = vertices[:-1][np.diff(vertices[:, 0]) == 0.0, 0]
-    information = sum(_one_edge_sigma_mm(light, read, float(edge)) ** -2.0 for edge in uprights)
+    uprights = [
+        _Edge(float(y_mm), abs(float(rise)), -math.copysign(1.0, rise))
+        for y_mm, (across, rise) in zip(vertices[:-1, 0], np.diff(vertices, axis=0), strict=True)
+        if across == 0.0
+    ]
+    by_shares = joint.type in PLACED_BY_SHARES
+    information = sum(_one_edge_sigma_mm(light, read, unread, edge, by_shares) ** -2.0 for edge in uprights)
     return information**-0.5 if information > 0.0 else math.inf
 
 
-def _one_edge_sigma_mm(light: StripeLight, read: Bool, edge: float) -> float:
-    """Return what an upright edge at y = `edge` tells of its own place.
+def _one_edge_sigma_mm(light: StripeLight, read: Bool, unread: Bool, edge: _Edge, by_shares: bool) -> float:
+    """Return what an upright edge tells of its own place.
 
-    Lines between those that are read make that wider; what the edge hides can be reckoned with, and the
-    edge's own face says nothing that its rim does not.
+    It lies between two scan lines, and `by_shares` of either side's stripe to a part of one. Lines between
+    those that are read make that wider: there are no shares then, and it may lie anywhere there. What the
+    edge hides can be reckoned with.
     """
     y = light.points[:, 1]
-    left, right = read & (y < edge), read & (y > edge)
+    left, right = read & (y < edge.y_mm), read & (y > edge.y_mm)
     if not (left.any() and right.any()):
         return math.inf
-    between = light.seen & ~read & (light.normals[:, 2] > 1e-6) & (y > y[left].max()) & (y < y[right].min())
+    between = light.seen & unread & (y > y[left].max()) & (y < y[right].min())
     mm_per_line = float(np.median(light.length_mm[read] / light.lines[read]))
+    if by_shares and not between.any():
+        upper = left if edge.lower_side > 0.0 else right
+        rim_mm = float(light.points[upper][np.argmin(np.abs(y[upper] - edge.y_mm)), 2])
+        of_side = sampled_edge_sigma_mm(_seen_side_mm(light, edge, rim_mm))
+        return math.hypot(EDGE_LINES * mm_per_line, of_side)
     return sampled_edge_sigma_mm((1.0 + float(light.lines[between].sum())) * mm_per_line)
+
+
+def _seen_side_mm(light: StripeLight, edge: _Edge, rim_mm: float) -> float:
+    """Return how much of the lower side, mm, an edge's upright side stands before, lit and seen, else 0.
+
+    Its light may count as either side's stripe.
+    """
+    of_eye, of_source = (edge.lower_side * (float(P[1]) - edge.y_mm) for P in (light.eye, light.source))
+    # What stands in the side's own plane, but for rounding, neither lights nor sees it.
+    if min(of_eye, of_source) < IN_PLANE_MM:
+        return 0.0
+    return of_eye / (float(light.eye[2]) - rim_mm) * edge.step_mm

@@ -18,6 +18,7 @@ from noise_model.frames import invert, transform
 from noise_model.plan import design_of, with_design
 from noise_model.plan_light import REACH_MM, StripeLight, stripe_level_e, stripe_light
 from noise_model.plan_noise import (
+    EDGE_LINES,
     LEAST_LINES,
     Surroundings,
     expected_pixels,
@@ -29,7 +30,8 @@ from noise_model.plan_noise import (
 )
 from noise_model.sensor import variance_e2
 from noise_model.setup import Setup
-from noise_model.surface import SeamLine
+from noise_model.surface import Joint, SeamLine
+from tracker.stripe_end import LEAST_SIGMA
 
 Float64 = NDArray[np.float64]
 SILENT = Surroundings(speckle_contrast=0.0)
@@ -205,19 +207,49 @@ def test_a_stripe_that_drowns_is_not_read() -> None:
     assert noise.arc_over_stripe > 2.0
 
 
-def test_a_laps_edge_lies_between_two_scan_lines() -> None:
+def test_a_laps_edge_lies_within_its_scan_line() -> None:
     setup = plan_setup("lap", "zn_coated", radiance_e=1e7)
     light = lit(setup, tool(tilt=(0.0, 0.0)))
     bounds = line_bounds(light, expected_pixels(light, setup, SILENT), setup.sensor, 0.0)
     noise = seam_noise(light, bounds, setup.joint)
     distance = 145.0
     mm_per_column = distance / setup.camera.fx
-    assert noise.sigma_y_mm == pytest.approx(mm_per_column / math.sqrt(12.0), rel=0.03)
+    assert noise.sigma_y_mm == pytest.approx(0.1 * mm_per_column, rel=0.03)
+    assert EDGE_LINES == LEAST_SIGMA
     # Half a millimetre beside the edge that is not read leaves it anywhere there.
     torn = bounds.sigma_px.copy()
     torn[(light.points[:, 1] > 0.0) & (light.points[:, 1] < 0.5)] = np.nan
     blinded = replace(bounds, sigma_px=torn, readable=np.isfinite(torn))
     assert seam_noise(light, blinded, setup.joint).sigma_y_mm == pytest.approx(0.5 / math.sqrt(12), rel=0.5)
+
+
+def test_what_shines_from_the_upright_side_itself_blurs_the_edge() -> None:
+    """Laser and camera on the lower side, y > 0: the edge's side stands before a strip of the lower sheet."""
+    setup = plan_setup("lap", "zn_coated", radiance_e=1e7)
+    setup = replace(setup, laser=replace(setup.laser, origin_in_tool_mm=(35.0, 60.0, 140.0)))
+    lit_side = with_design(setup, replace(design_of(setup), azimuth_deg=45.0, tilt_deg=30.0))
+    light = lit(lit_side, tool(tilt=(0.0, 0.0)))
+    bounds = line_bounds(light, expected_pixels(light, lit_side, SILENT), lit_side.sensor, 0.0)
+    noise = seam_noise(light, bounds, lit_side.joint)
+    # The tool is 0.4 mm beside the seam and 1 mm over the lower sheet, the upper one 2 mm.
+    beside, over = 145.0 * math.sin(math.radians(30.0)) * math.sqrt(0.5), 145.0 * math.cos(math.radians(30.0))
+    strip = (beside + 0.4) / (over - 1.0) * 2.0
+    assert noise.sigma_y_mm == pytest.approx(strip / math.sqrt(12.0), rel=0.01)
+    # From the other side the laser leaves that side dark.
+    dark = replace(light, source=light.source * [1.0, -1.0, 1.0])
+    assert seam_noise(dark, bounds, lit_side.joint).sigma_y_mm < 0.1 * noise.sigma_y_mm
+
+
+def test_a_slots_edges_lie_between_two_scan_lines() -> None:
+    """Two edges, each anywhere between two lines: the middle is known to spacing / sqrt(24)."""
+    setup = plan_setup("lap", "zn_coated", radiance_e=1e7)
+    slot = Joint("butt", {"thickness_mm": 3.0, "gap_mm": 1.0}, setup.joint.seam_in_base_mm)
+    setup = replace(setup, joint=slot)
+    light = lit(setup, tool(z=0.0, tilt=(0.0, 0.0)))
+    bounds = line_bounds(light, expected_pixels(light, setup, SILENT), setup.sensor, 0.0)
+    on_plate = replace(bounds, sigma_px=np.where(np.abs(light.points[:, 1]) > 0.5, bounds.sigma_px, np.nan))
+    spacing = 145.0 / setup.camera.fx
+    assert seam_noise(light, on_plate, slot).sigma_y_mm == pytest.approx(spacing / math.sqrt(24.0), rel=0.1)
 
 
 @pytest.mark.parametrize("share", [0.5, 1.0])
