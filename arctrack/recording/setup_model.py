@@ -23,7 +23,10 @@ from tracker.correction import AtLimit, AxisCorrection, Correction, CorrugationP
 
 FORMAT = "joint-tracking-recording/1"
 UNITS = "mm, s, deg, e-, DN"
-"""The units of all that a recording holds; a file may state some of them, but no others."""
+"""The units that a recording states."""
+
+NAMED_IN_KEYS = ("A", "nm", "px")
+"""Units that some keys have in their names: a file may state them as well, but no others."""
 
 Vector3 = Annotated[list[FiniteFloat], Field(min_length=3, max_length=3)]
 Vector4 = Annotated[list[FiniteFloat], Field(min_length=4, max_length=4)]
@@ -226,8 +229,8 @@ class RecordingToml(Table):
 
     def to_setup(self) -> Setup:
         """Return the typed setup; ValueError names the table and key of a value that cannot be."""
-        strange = [unit for unit in _units(self.units) if unit not in _units(UNITS)]
-        if strange:
+        known = *_units(UNITS), *NAMED_IN_KEYS
+        if any(unit not in known for unit in _units(self.units)):
             raise ValueError(f"{_held('units', self.units)}: must be of {UNITS}; convert the file's values")
         joint = Joint(
             type=self.joint.type,

@@ -161,7 +161,7 @@ def test_unknown_keys_are_kept_and_reported(tmp_path: Path) -> None:
     assert "the column mood" in recording.warnings[3]
 
 
-@pytest.mark.parametrize("units", ["mm, s, deg, e-, DN", "mm,s", "DN"])
+@pytest.mark.parametrize("units", ["mm, s, deg, e-, DN", "mm,s", "DN", "mm, s, A, nm, px"])
 def test_units_that_are_the_recordings_own(tmp_path: Path, units: str) -> None:
     text = format_setup(small_setup()).replace("mm, s, deg, e-, DN", units)
     assert parse_setup(text, tmp_path / "recording.toml").unknown_keys == ()
