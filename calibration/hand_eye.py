@@ -5,6 +5,13 @@ it burns below the tool's origin, and how its reflected light falls off over the
 stands beside it. The estimate is therefore as good as the arc's stated place: an arc that is blown sideways
 moves the camera by as much. Priors hold it to the stated hand-eye tolerance, and what would have to leave it
 far behind is refused.
+
+The seam is where the tracker saw it, moved and turned as a whole by what is fitted along: a camera that is
+off shifts all of what was tracked by nearly the same: the way it wanders is right, its place is not.
+
+Each round chooses pixels that lie off the edges of the joint's faces, takes their residuals as linear, and
+goes on to the fit's result, but no further than the pixels go on seeing the faces that they were chosen for:
+what changes by a jump has no derivative.
 """
 
 from __future__ import annotations
@@ -17,19 +24,21 @@ import numpy as np
 import numpy.typing as npt
 
 from noise_model.arc import level as current_level
-from noise_model.arc_map import arc_at, arc_kernel, scene
+from noise_model.arc_map import Scene, arc_at, arc_kernel, scene
 from noise_model.effects import really
 from noise_model.fit import Fit, Parameter, fit
-from noise_model.frames import Float64, moved
+from noise_model.frames import Float64, invert, moved, transform
 from noise_model.sensor import variance_e2
 from noise_model.setup import Setup
 from noise_model.surface import SeamLine
+from noise_model.visibility import trace
 from tracker.arc_level import HUBER
 from tracker.expected import expect_stripe
 from tracker.geometry import SensorGeometry
 from tracker.passage import Passage, seen_arc
+from tracker.seam import expected_seam
 from tracker.state import Frame, Pose
-from tracker.step import Tracker
+from tracker.step import Tracker, TrackerState
 
 LATTICE_PX = 16
 """So far apart are the pixels that are compared."""
@@ -43,11 +52,20 @@ KEEP_OFF_SIGMAS = 5.0
 EDGE_PX, STEEPEST = 8, 0.3
 """A pixel counts if so far to each side the same face is seen and the light changes by a smaller share."""
 
-ROUNDS = 3
-"""How often the pixels are chosen anew with the camera and seam found so far."""
+STEP_PX = 0.5 * EDGE_PX
+"""So far a round may move what a pixel sees: with an edge that comes to meet it the pixel's face stays."""
+
+SETTLED_SIGMAS, MOST_ROUNDS = 0.2, 30
+"""Rounds go on until the camera moves by no more of its sigmas."""
 
 SEAM_SIGMA_MM, SEAM_SLOPE_SIGMA = 5.0, 0.05
-"""1 sigma of where a straight seam lies and how it is turned against its nominal line."""
+"""1 sigma of how far the seam lies off where it was tracked, and of how it is turned against that."""
+
+SEAM_KNOWN_MM = 0.2
+"""A frame counts if the tracked seam is known so well under its stripe, 1 sigma."""
+
+WANDER_MM = 0.03
+"""A seam that leaves no straight line by more is one: a camera that is off makes as much of a tilt."""
 
 FAR_SIGMAS = 4.0
 """A camera further off than so many of its stated sigmas means that something else is wrong."""
@@ -74,12 +92,12 @@ def estimate_hand_eye(
 ) -> HandEye:
     """Estimate T_tool_camera from frames and their poses, some of them with the arc on.
 
-    The seam is taken as straight over the recording: its place and direction are fitted along. Every
-    `lattice_px`-th pixel of each row and column is compared; frames of unknown current count where none is
-    known. Raises ValueError if no frame has the arc on, if
-    the joint was found in none, or if the camera would have to be off by more than FAR_SIGMAS of its
-    tolerance or the arc by a factor of MOST_LEVEL: then the seam is not straight, or arc or material are not
-    as stated.
+    Place and direction of the tracked seam are fitted along. Every `lattice_px`-th pixel of each row and
+    column is compared; frames of unknown current count where none is known. `progress` hears the rounds done
+    and how many there may be. Raises ValueError if no frame has the arc on or none of them a pixel to
+    compare, if the joint was found in none, if the rounds do not settle, or if the camera would have to be
+    off by more than FAR_SIGMAS of its tolerance or the arc by a factor of MOST_LEVEL: then arc or material
+    are not as stated, or the seam bends within an image, where it is taken as straight.
     """
     lit = [(frame, pose) for frame, pose in frames if frame.arc_on and frame.current_a != 0.0]
     if any(frame.current_a > 0.0 for frame, _ in lit):
@@ -87,41 +105,131 @@ def estimate_hand_eye(
         lit = [(frame, pose) for frame, pose in lit if frame.current_a > 0.0]
     if not lit:
         raise ValueError("no frame has the arc on: the hand-eye estimate needs the arc's light")
-    seam = _straight_seam(setup, frames)
-    change = np.zeros(6)
-    for done in range(ROUNDS):
-        progress(done, ROUNDS)
-        turned = _with_camera(setup, change)
-        views = [_View.of(turned, frame, pose, seam, lattice_px) for frame, pose in lit]
-        result = _fit(setup, views, seam)
-        change = result.values[:6]
-        seam = SeamLine(seam.station_mm, *(float(value) for value in result.values[8:]))
-        if "ln_arc_level" in result.at_bounds:
-            raise ValueError(
-                f"the arc would have to be off by a factor of {MOST_LEVEL:g}: the seam is not straight, "
-                "arc or material are not as stated, or there are too few frames with the arc on"
-            )
-    progress(ROUNDS, ROUNDS)
-    stated = np.array([parameter.prior_sigma for parameter in result.parameters[:6]])
-    far = float(np.max(np.abs(change) / stated))
-    if far > FAR_SIGMAS:
-        raise ValueError(
-            f"the camera would have to be off by {far:.0f} of its stated sigmas: the seam is not straight, "
-            "arc or material are not as stated, or [tolerance] hand_eye_deg and hand_eye_mm are too small"
-        )
+    seen = _with_seam(setup, lit, _tracked(setup, frames))
+    result = _settled(setup, seen, progress, lattice_px)
+    change = result.values[:6]
     return HandEye(moved(setup.camera.T_tool_camera, change[:3], change[3:6]), result)
 
 
-def _straight_seam(setup: Setup, frames: Sequence[tuple[Frame, Pose]]) -> SeamLine:
-    """Track the recording and return the seam at its middle, running along its nominal line."""
+@dataclass(frozen=True)
+class _Seen:
+    """A frame with the arc on, its pose, and the seam as tracked under its stripe."""
+
+    frame: Frame
+    pose: Pose
+    tracked: SeamLine
+
+    def seam(self, x: Float64, about_mm: float) -> SeamLine:
+        """Return the seam as fitted (12,): the tracked one moved and, about a station, turned."""
+        at, (y, z, slope_y, slope_z) = self.tracked, x[8:].tolist()
+        along = at.station_mm - about_mm
+        return SeamLine(
+            at.station_mm,
+            at.y_mm + y + slope_y * along,
+            at.z_mm + z + slope_z * along,
+            at.slope_y + slope_y,
+            at.slope_z + slope_z,
+        )
+
+
+def _tracked(setup: Setup, frames: Sequence[tuple[Frame, Pose]]) -> list[TrackerState]:
+    """Track the recording and return the states that know a seam, one for each history."""
     tracker = Tracker(setup)
+    states: list[TrackerState] = []
     for frame, pose in frames:
         tracker.step(frame, pose)
-    history = tracker.state.history
-    if len(history) == 0:
+        if len(tracker.state.history) and not (states and states[-1].history is tracker.state.history):
+            states.append(tracker.state)
+    if not states:
         raise ValueError("the joint was found in no frame: the hand-eye estimate needs its place")
-    y, z = np.median(history.displacements_mm, axis=0)
-    return SeamLine(float(np.median(history.stations_mm)), float(y), float(z))
+    return states
+
+
+def _with_seam(
+    setup: Setup, frames: Sequence[tuple[Frame, Pose]], states: Sequence[TrackerState]
+) -> list[_Seen]:
+    """Return the frames under whose stripe the seam is known, each with what knows it best.
+
+    A history forgets what lies far behind, so that of a long recording no single one knows all of it.
+    """
+    seen = []
+    for frame, pose in frames:
+        nominal = scene(setup, pose.T_base_tool)
+        station_mm = expected_seam(setup, nominal, states[-1].history)[0].station_mm
+        lines = [state.history_at(station_mm).line_at(station_mm) for state in states]
+        line, sigma = min(lines, key=lambda known: float(known[1].max()))
+        if sigma.max() <= SEAM_KNOWN_MM:
+            seen.append(_Seen(frame, pose, line))
+    if not seen:
+        raise ValueError(
+            "the joint was found near no frame with the arc on: the hand-eye estimate needs the seam there"
+        )
+    return _straightened(seen)
+
+
+def _straightened(seen: list[_Seen]) -> list[_Seen]:
+    """Return the frames with their seams on one straight line, the least squares', if that will do.
+
+    The groove shows where the arc stands beside it, 35 mm off: there slopes of 0.003, which are the tracker's
+    own, would move it by 0.1 mm in each frame anew.
+    """
+    stations = np.array([one.tracked.station_mm for one in seen])
+    along = np.column_stack([np.ones_like(stations), stations - stations.mean()])
+    places = np.array([(one.tracked.y_mm, one.tracked.z_mm) for one in seen])
+    line = np.linalg.lstsq(along, places, rcond=None)[0]
+    on_line = along @ line
+    if np.abs(places - on_line).max() > WANDER_MM:
+        return seen
+    return [
+        replace(one, tracked=SeamLine(one.tracked.station_mm, *place.tolist(), *line[1].tolist()))
+        for one, place in zip(seen, on_line, strict=True)
+    ]
+
+
+def _settled(
+    setup: Setup, seen: Sequence[_Seen], progress: Callable[[int, int], None], lattice_px: int
+) -> Fit:
+    """Choose pixels and fit in turn until the pixels chosen are those of the fit."""
+    about_mm = float(np.median([one.tracked.station_mm for one in seen]))
+    x = np.zeros(12)
+    for done in range(MOST_ROUNDS):
+        progress(done, MOST_ROUNDS)
+        views = [_View.of(_with_camera(setup, x[:6]), one, one.seam(x, about_mm), lattice_px) for one in seen]
+        if not any(len(view.pixels) for view in views):
+            raise ValueError(
+                "no pixel with the arc's light is below saturation, off the stripe and off the joint's "
+                "edges: shorten the exposure"
+            )
+        if done == 0:
+            x[6] = _ln_level(setup, views)
+        result = _fit(setup, views, about_mm, x)
+        turned = _with_camera(setup, result.values[:6])
+        shift_px = max(view.shift_px(turned, view.seen.seam(result.values, about_mm)) for view in views)
+        step = result.values - x
+        is_settled = shift_px < STEP_PX and bool((np.abs(step) < SETTLED_SIGMAS * result.sigmas)[:6].all())
+        if is_settled:
+            break
+        x = x + min(1.0, STEP_PX / max(shift_px, STEP_PX)) * step
+    progress(MOST_ROUNDS, MOST_ROUNDS)
+    if "ln_arc_level" in result.at_bounds:
+        raise ValueError(
+            f"the arc would have to be off by a factor of {MOST_LEVEL:g}: arc or material are not as "
+            "stated, or there are too few frames with the arc on"
+        )
+    stated = np.array([parameter.prior_sigma for parameter in result.parameters[:6]])
+    far = float(np.max(np.abs(result.values[:6]) / stated))
+    if far > FAR_SIGMAS:
+        raise ValueError(
+            f"the camera would have to be off by {far:.0f} of its stated sigmas: arc or material are not as "
+            "stated, the seam bends within the image, or [tolerance] hand_eye_deg and hand_eye_mm are too "
+            "small"
+        )
+    if is_settled:
+        return result
+    raise ValueError(
+        f"camera and seam do not settle in {MOST_ROUNDS} rounds: arc, material or joint are not as stated, "
+        "the seam bends within the image, or it takes more frames with the arc on"
+    )
 
 
 def _with_camera(setup: Setup, change: Float64) -> Setup:
@@ -134,20 +242,25 @@ def _with_camera(setup: Setup, change: Float64) -> Setup:
 
 @dataclass(frozen=True)
 class _View:
-    """One frame's pixels off stripe, edges and saturation: their places, charge, the expected output."""
+    """One frame's pixels (n,) off stripe, edges and saturation.
+
+    Their places by scan line, charge, the face that each saw from `chosen`, and the expected output.
+    """
 
     geometry: SensorGeometry
-    pose: Pose
+    seen: _Seen
+    chosen: Scene
     pixels: npt.NDArray[np.int64]
+    faces: npt.NDArray[np.int32]
     charge_e: Float64
     output: float
 
     @classmethod
-    def of(cls, setup: Setup, frame: Frame, pose: Pose, seam: SeamLine, lattice_px: int) -> _View:
-        geometry = SensorGeometry.of(setup)
+    def of(cls, setup: Setup, seen: _Seen, seam: SeamLine, lattice_px: int) -> _View:
+        geometry, frame = SensorGeometry.of(setup), seen.frame
         setup = geometry.setup
         s, r = geometry.lattice(lattice_px)
-        view = scene(setup, pose.T_base_tool, seam)
+        view = scene(setup, seen.pose.T_base_tool, seam)
         kernel = arc_kernel(setup, view)
         keep = np.ones(len(s), dtype=bool)
         stripe = expect_stripe(geometry, view)
@@ -166,27 +279,64 @@ class _View:
         current = current_level(setup.arc, frame.current_a) if frame.current_a > 0.0 else 1.0
         output = current * frame.exposure_s / setup.camera.exposure_s
         pixels = (s * geometry.n_pos + r)[keep]
-        return cls(geometry, pose, pixels, geometry.charge_e[dn[keep]].astype(np.float64), output)
+        charge_e = geometry.charge_e[dn[keep]].astype(np.float64)
+        return cls(geometry, seen, view, pixels, face[keep], charge_e, output)
 
     def residual(self, setup: Setup, level: float, black_e: float, seam: SeamLine) -> Float64:
-        """Return the whitened residuals (n,) against a setup; past the part no light is expected."""
+        """Return the whitened residuals (n,) against a setup, NaN of a pixel that sees another face."""
+        mean_e = self.mean_e(setup, level, black_e, seam)
+        variance = variance_e2(mean_e, self.geometry.setup.sensor) + (MAP_SIGMA * mean_e) ** 2
+        return np.asarray((self.charge_e - mean_e) / np.sqrt(variance))
+
+    def mean_e(self, setup: Setup, level: float, black_e: float, seam: SeamLine) -> Float64:
+        """Return the charge (n,) that a setup lets expect, NaN of a pixel that sees another face."""
         true = really(setup)
-        view = scene(true, self.pose.T_base_tool, seam)
+        view = scene(true, self.seen.pose.T_base_tool, seam)
         output = level * self.output
         kernel = arc_kernel(true, view, output)
 
         def light(pixels: npt.NDArray[np.int64]) -> npt.NDArray[np.float32]:
             return arc_at(kernel, self.geometry.xy, self.geometry.cos4, pixels)[0]
 
+        own_e, faces = arc_at(kernel, self.geometry.xy, self.geometry.cos4, self.pixels)
         passage = Passage.of(self.geometry, view, light, output)
-        arc_e, other_e = seen_arc(light, passage, self.pixels)
-        mean = np.nan_to_num(arc_e) + other_e + black_e
-        variance = variance_e2(mean, self.geometry.setup.sensor) + (MAP_SIGMA * mean) ** 2
-        return np.asarray((self.charge_e - mean) / np.sqrt(variance))
+        arc_e, other_e = seen_arc(lambda _: own_e, passage, self.pixels)
+        return np.where(faces == self.faces, arc_e + other_e + black_e, np.nan)
+
+    def shift_px(self, setup: Setup, seam: SeamLine) -> float:
+        """Return how far what the pixels saw moves in the image at most with this camera and seam."""
+        before, after = self.chosen, scene(really(setup), self.seen.pose.T_base_tool, seam)
+        points, normals = np.empty((2, len(self.pixels), 3))
+        faces = np.empty(len(self.pixels), dtype=np.int32)
+        shape = before.shape
+        trace(
+            self.geometry.xy,
+            self.pixels,
+            before.T_joint_camera,
+            shape.vertices,
+            shape.corrugation,
+            points,
+            normals,
+            faces,
+        )
+        there, here = (
+            view.camera.project(transform(invert(view.T_joint_camera), points)) for view in (before, after)
+        )
+        return float(np.linalg.norm(here - there, axis=1).max(initial=0.0))
 
 
-def _fit(setup: Setup, views: Sequence[_View], seam: SeamLine) -> Fit:
-    """Fit the camera's change, the arc's level, the black level and a straight seam to all views."""
+def _ln_level(setup: Setup, views: Sequence[_View]) -> float:
+    """Return about which level, within its bounds, the arc has where camera and seam are as stated."""
+    mean_e = np.concatenate([view.mean_e(setup, 1.0, 0.0, view.seen.tracked) for view in views])
+    charge_e = np.concatenate([view.charge_e for view in views])
+    return float(np.log(np.clip(np.median(charge_e / mean_e), 1.0 / MOST_LEVEL, MOST_LEVEL)))
+
+
+def _fit(setup: Setup, views: Sequence[_View], about_mm: float, about: Float64) -> Fit:
+    """Fit the camera's change, the arc's level, the black level and the seam's move and turn to all views.
+
+    The residuals are those about some values (12,), taken as linear, of the pixels whose faces stay.
+    """
     tolerance, ln_level = setup.tolerance, math.log(MOST_LEVEL)
     deg, mm = max(tolerance.hand_eye_deg, 1e-6), max(tolerance.hand_eye_mm, 1e-6)
     black_e = max(tolerance.black_level_dn * setup.sensor.gain_e_per_dn, 1e-3)
@@ -195,17 +345,21 @@ def _fit(setup: Setup, views: Sequence[_View], seam: SeamLine) -> Fit:
         *(Parameter(name, "mm", 0.0, mm, step=0.01) for name in CAMERA[3:]),
         Parameter("ln_arc_level", "", 0.0, lower=-ln_level, upper=ln_level, step=1e-3),
         Parameter("black_level", "e-", 0.0, black_e, step=1.0),
-        Parameter("seam_y", "mm", seam.y_mm, SEAM_SIGMA_MM, step=0.01),
-        Parameter("seam_z", "mm", seam.z_mm, SEAM_SIGMA_MM, step=0.01),
-        Parameter("seam_slope_y", "mm/mm", seam.slope_y, SEAM_SLOPE_SIGMA, step=5e-4),
-        Parameter("seam_slope_z", "mm/mm", seam.slope_z, SEAM_SLOPE_SIGMA, step=5e-4),
+        Parameter("seam_y", "mm", 0.0, SEAM_SIGMA_MM, step=0.01),
+        Parameter("seam_z", "mm", 0.0, SEAM_SIGMA_MM, step=0.01),
+        Parameter("seam_slope_y", "mm/mm", 0.0, SEAM_SLOPE_SIGMA, step=5e-4),
+        Parameter("seam_slope_z", "mm/mm", 0.0, SEAM_SLOPE_SIGMA, step=5e-4),
     ]
 
     def residuals(x: Float64) -> Float64:
-        turned, line = (
-            _with_camera(setup, x[:6]),
-            SeamLine(seam.station_mm, *(float(value) for value in x[8:])),
+        turned = _with_camera(setup, x[:6])
+        return np.concatenate(
+            [view.residual(turned, math.exp(x[6]), x[7], view.seen.seam(x, about_mm)) for view in views]
         )
-        return np.concatenate([view.residual(turned, math.exp(x[6]), x[7], line) for view in views])
 
-    return fit(parameters, residuals, huber=HUBER)
+    at = residuals(about)
+    steps = [parameter.step * unit for parameter, unit in zip(parameters, np.eye(12), strict=True)]
+    J = np.column_stack([(residuals(about + step) - at) / step.sum() for step in steps])
+    stay = np.isfinite(J).all(axis=1)
+    at, J = at[stay], J[stay]
+    return fit(parameters, lambda x: at + J @ (x - about), huber=HUBER, start=about)

@@ -13,14 +13,14 @@ from arctrack.output import write_whole
 
 
 def hand_eye(
-    recording: Annotated[Path, typer.Argument(help="A recording of a straight seam, with the arc on.")],
+    recording: Annotated[Path, typer.Argument(help="A recording with the arc on; best of a straight seam.")],
     out: Annotated[Path, typer.Option(help="Where to write recording.toml with the pose that was found.")],
 ) -> None:
     """Find the camera's pose in the tool from the arc's own light, within its stated tolerance.
 
     The arc burns below the torch; how its reflected light falls off over the image says where the camera
-    stands beside it. Use the file with `replay --setup`. A seam that is not straight, or an arc or material
-    other than stated, is refused where it would move the camera too far.
+    stands beside it. Use the file with `replay --setup`. An arc or material other than stated, or a seam that
+    bends within the image, is refused where it would move the camera too far.
     """
     from arctrack.cli import console
     from arctrack.recording import read_recording, with_camera_pose

@@ -7,14 +7,18 @@ from pathlib import Path
 import matplotlib.image
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 from typer.testing import CliRunner, Result
 
 from arctrack import cli
 from arctrack.errors import ArctrackError
 from arctrack.goniometer_file import read_goniometer, write_goniometer
+from arctrack.recording.setup_file import read_setup_file
 from arctrack.recording.setup_model import MaterialTable
+from arctrack.simulate import true_values
 from calibration.goniometer import Response, Settings
 from noise_model.brdf import TABLE_1
+from noise_model.frames import invert
 
 EXAMPLES = Path(__file__).parents[2] / "examples"
 RUNNER = CliRunner(env={"COLUMNS": "120", "TERM": "dumb", "NO_COLOR": "1"})
@@ -51,6 +55,27 @@ def test_help_has_an_example() -> None:
         result = RUNNER.invoke(cli.app, [*command, "--help"])
         assert result.exit_code == 0
         assert "Example: arctrack calibrate reflectance examples/" in result.output
+
+
+def test_the_hand_eye_example_finds_its_camera(tmp_path: Path) -> None:
+    out = tmp_path / "found.toml"
+    result = RUNNER.invoke(cli.app, ["calibrate", "hand-eye", str(EXAMPLES / "v_groove"), "--out", str(out)])
+    assert result.exit_code == 0, result.output
+    stated = read_setup_file(EXAMPLES / "v_groove" / "recording.toml").setup
+    # The example was simulated with seed 1.
+    true = true_values(stated, np.random.default_rng([1, 0])).camera.T_tool_camera
+    to_true, to_found = (
+        invert(stated.camera.T_tool_camera) @ T
+        for T in (true, read_setup_file(out).setup.camera.T_tool_camera)
+    )
+    off_deg = np.degrees(Rotation.from_matrix(to_found[:3, :3] @ to_true[:3, :3].T).as_rotvec())
+    lines = {line.split()[0]: line.split() for line in result.output.splitlines() if "±" in line}
+    sigmas_deg, sigmas_mm = (
+        np.array([float(lines[f"{kind}_{axis}"][3]) for axis in "xyz"]) for kind in ("rot", "move")
+    )
+    assert (np.abs(off_deg) < 3.0 * sigmas_deg).all()
+    assert (np.abs(to_found[:3, 3] - to_true[:3, 3]) < 3.0 * sigmas_mm).all()
+    assert (sigmas_deg < 0.5 * stated.tolerance.hand_eye_deg).all()
 
 
 def test_examples_are_what_their_script_makes(tmp_path: Path) -> None:
