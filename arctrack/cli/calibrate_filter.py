@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+import math
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
 from arctrack.cli.setups import check_can_be_written, read_setup
-from arctrack.errors import in_file
+from arctrack.errors import ArctrackError, in_file
 from arctrack.output import write_whole
 
 
@@ -30,13 +31,16 @@ def filter_curve(
     from arctrack.cli import console
     from arctrack.filter_file import read_filter_curve
     from arctrack.recording import with_filter_curve
+    from arctrack.recording.setup_file import parse_setup
     from noise_model.optics import Rays
     from noise_model.spectrum import ArcSpectrum, laser_transmission, line_to_continuum, passed_continuum
 
     read = read_setup(setup)
     stated = read.setup
-    check_can_be_written(out, read.path)
+    check_can_be_written(out, read.path, data)
     index = stated.filter.effective_index if effective_index is None else effective_index
+    if not 1.0 <= index < math.inf:
+        raise ArctrackError(f"--effective-index {index:g}: must be a finite number, 1 or more")
     try:
         curve = read_filter_curve(data, index)
         xy = Rays.of(stated.camera).xy.reshape(-1, 2)
@@ -48,7 +52,9 @@ def filter_curve(
     spectrum = ArcSpectrum()
     continuum = passed_continuum(curve, spectrum, angles)
     lines = line_to_continuum(curve, spectrum, angles)
-    write_whole(out, with_filter_curve(read.path, curve))
+    text = with_filter_curve(read.path, curve)
+    parse_setup(text, out)
+    write_whole(out, text)
     screen = console.tables()
     for text in (
         f"centre {curve.center_nm:.2f} nm, {curve.fwhm_nm:.2f} nm wide at half of its peak",

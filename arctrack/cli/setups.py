@@ -23,10 +23,11 @@ def read_setup(source: Path) -> SetupFile:
     return stated
 
 
-def check_can_be_written(out: Path, setup: Path) -> None:
-    """Raise ArctrackError if a command cannot write its file, or would replace the setup that it reads."""
-    if out.exists() and out.resolve() == setup.resolve():
-        raise ArctrackError(f"{out}: is the setup itself; give --out another file")
+def check_can_be_written(out: Path, setup: Path, data: Path | None = None) -> None:
+    """Raise ArctrackError if a command cannot write its file, or would replace the setup or data it reads."""
+    for read, what in ((setup, "setup"), (data, "measurement")):
+        if read is not None and out.exists() and out.resolve() == read.resolve():
+            raise ArctrackError(f"{out}: is the {what} itself; give --out another file")
     if out.is_dir():
         raise ArctrackError(f"{out}: is a folder; give --out a file's name")
     if not (out.parent.is_dir() and os.access(out.parent, os.W_OK)):

@@ -137,3 +137,32 @@ def test_a_curve_in_a_setup_that_cannot_be(tmp_path: Path, keys: str, named: str
     text = format_setup(nominal_setup("lap", "mild_steel")).replace("[filter]\n", "[filter]\n" + keys)
     with pytest.raises(ArctrackError, match=rf"recording.toml: \[filter\] curve_wavelength_nm.*{named}"):
         parse_setup(text, tmp_path / "recording.toml")
+
+
+def filter_command(tmp_path: Path, out: Path, *options: str) -> str:
+    """Return the error of the command with a measured curve and a setup."""
+    setup_file = tmp_path / "recording.toml"
+    setup_file.write_text(format_setup(nominal_setup("lap", "mild_steel")))
+    data = written(tmp_path, DENSITIES)
+    done = CliRunner().invoke(
+        app, ["calibrate", "filter", str(data), "--setup", str(setup_file), "--out", str(out), *options]
+    )
+    assert isinstance(done.exception, ArctrackError)
+    assert data.read_text() == DENSITIES
+    return str(done.exception)
+
+
+def test_a_measurement_is_not_written_over(tmp_path: Path) -> None:
+    out = tmp_path / "690fs10.csv"
+    assert filter_command(tmp_path, out) == f"{out}: is the measurement itself; give --out another file"
+    link = tmp_path / "link.toml"
+    link.symlink_to(out)
+    assert "is the measurement itself" in filter_command(tmp_path, link)
+
+
+@pytest.mark.parametrize("index", ["inf", "nan", "0.5"])
+def test_an_effective_index_that_cannot_be_is_the_options(tmp_path: Path, index: str) -> None:
+    out = tmp_path / "out.toml"
+    message = filter_command(tmp_path, out, "--effective-index", index)
+    assert message == f"--effective-index {index}: must be a finite number, 1 or more"
+    assert not out.exists()
