@@ -121,7 +121,8 @@ class Readings:
     """Grey levels averaged at each of m settings.
 
     `gray_level` (m,) the mean, DN, of `repeats` (m,) readings; `variance` (m,) that of a single one, DN^2,
-    NaN where it was read once. `group` (N,) says to which setting each of the readings went.
+    NaN where it was read once. `group` (N,) says to which setting each of the readings went, `is_whole` that
+    all of them are whole numbers.
     """
 
     settings: Settings
@@ -129,6 +130,7 @@ class Readings:
     repeats: Float64
     variance: Float64
     group: npt.NDArray[np.intp]
+    is_whole: bool
 
     @property
     def standard_error(self) -> Float64:
@@ -152,7 +154,8 @@ def average(settings: Settings, gray_level: Float64) -> Readings:
     mean = np.bincount(group, gray_level) / repeats
     squares = np.bincount(group, (gray_level - mean[group]) ** 2)
     variance = np.divide(squares, repeats - 1, out=np.full(len(mean), np.nan), where=repeats > 1)
-    return Readings(settings.chosen(first[by_appearance]), mean, repeats, variance, group)
+    is_whole = bool((gray_level == np.rint(gray_level)).all())
+    return Readings(settings.chosen(first[by_appearance]), mean, repeats, variance, group, is_whole)
 
 
 def simulate(

@@ -7,9 +7,9 @@ factor s is settled by
 - a convention, kappa_diff + kappa_spec = total, which is f_r in the mirror direction at normal incidence.
   Only their ratio was measured then, and their intervals are two views of its one.
 
-The weights come from the noise of all repeats and residuals pooled, the sigmas from the scatter of the
-settings' means about the model with Student's t: what differs from setting to setting (angles, texture, slow
-drift) is in there, while the repeats of one setting never see it.
+The weights come from the noise of all repeats and residuals pooled and from what differs from setting to
+setting (angles, texture, slow drift), which the repeats of one setting never see; the sigmas from the scatter
+of the settings' means about the model with Student's t.
 """
 
 from __future__ import annotations
@@ -21,14 +21,24 @@ import numpy as np
 
 from calibration.goniometer import Readings, Response
 from calibration.reading_noise import ReadingNoise
-from calibration.reflectance_limits import refuse_if_undetermined, refuse_if_unfit
-from calibration.reflectance_model import White, fit_readings, readings_model
+from calibration.reflectance_limits import refuse_if_dark, refuse_if_undetermined, refuse_if_unfit
+from calibration.reflectance_model import White, fit_readings, fit_settings, readings_model
 from calibration.scatter import Scatter, compare
 from noise_model.brdf import Material
 from noise_model.fit import Fit, correlation, student_t
 from noise_model.frames import Float64
 
 CONFIDENCE = 0.95
+
+
+@dataclass(frozen=True, eq=False)
+class Agreement:
+    """How the (m,) settings of a white standard agree with the fit, as in `Reflectance`."""
+
+    predicted: Float64
+    residuals: Float64
+    studentised: Float64
+    scatter: Scatter
 
 
 @dataclass(frozen=True, eq=False)
@@ -39,7 +49,8 @@ class Reflectance:
     kappas are in 1/sr by a white standard, else their sum is a convention. `scale` is s. `predicted` and
     `sigma` (m,) are the settings' mean grey levels by the fit and their standard errors by the scatter,
     `residuals` (m,) read less predicted, DN, `studentised` (m,) these over the sigma that the fit leaves
-    them, NaN where it leaves nothing. `fit` is the one behind it, in s kappa.
+    them, NaN where it leaves nothing. `between` is what settings differ by beyond the noise of their repeats,
+    relative. `white` says the same of a white standard's settings. `fit` is the one behind it, in s kappa.
     """
 
     material: Material
@@ -52,7 +63,9 @@ class Reflectance:
     residuals: Float64
     studentised: Float64
     noise: ReadingNoise
+    between: float
     scatter: Scatter
+    white: Agreement | None
     fit: Fit
 
     @property
@@ -82,36 +95,46 @@ def identify_reflectance(
     """Fit kappa_diff, kappa_spec and c2 to a sample's averaged readings.
 
     `white` makes the kappas absolute; without it kappa_diff + kappa_spec = `total`. The intervals are 95 %:
-    value -+ t sigma for the kappas, cut at 0, and value e^(-+ t sigma / value) for c2. Raises ValueError,
-    which says why, if the readings cannot determine all three.
+    value -+ t sigma for the kappas, cut at 0 and at a total, and value e^(-+ t sigma / value) for c2. Raises
+    ValueError, which says why, if the readings cannot determine all three.
     """
     if not 0 < total < math.inf:
         raise ValueError(f"total = {total}: kappa_diff + kappa_spec must be > 0")
     refuse_if_unfit(sample, response)
+    if white is not None:
+        refuse_if_dark(white.readings, response)
     model = readings_model(sample, response, white)
-    fitted = fit_readings(model)
+    by_repeats = fit_readings(model)
+    fitted = fit_settings(model, by_repeats)
     found = fitted.fit.scaled_by_scatter()
     values, jacobian = _in_kappas(found.values, total)
     covariance = jacobian @ found.covariance @ jacobian.T
     half = student_t(CONFIDENCE, found.t_freedom) * np.sqrt(np.diag(covariance))
-    scatter = compare(model, fitted)
-    refuse_if_undetermined(sample, model, fitted, scatter, values, half)
     m = len(sample.settings)
+    scatter = compare(model, by_repeats, slice(m))
+    refuse_if_undetermined(sample, model, fitted, scatter, values, half)
     sigma = fitted.sigma * math.sqrt(found.chi2)
     predicted = model.level(found.values)
     residuals = model.gray_level - predicted
+    studentised = _studentised(residuals / sigma, found.leverage)
+    standard = None
+    if white is not None:
+        of_white = compare(model, by_repeats, slice(m, None))
+        standard = Agreement(predicted[m:], residuals[m:], studentised[m:], of_white)
     return Reflectance(
         material=Material(name, *values.tolist()),
         absolute=white is not None,
         scale=float(found.values[3]) if white is not None else float(found.values[:2].sum()) / total,
         covariance=covariance,
-        intervals=_intervals(values, half),
+        intervals=_intervals(values, half, math.inf if white is not None else total),
         predicted=predicted[:m],
         sigma=sigma[:m],
         residuals=residuals[:m],
-        studentised=_studentised(residuals / sigma, found.leverage)[:m],
+        studentised=studentised[:m],
         noise=fitted.noise,
+        between=fitted.between,
         scatter=scatter,
+        white=standard,
         fit=found,
     )
 
@@ -132,8 +155,8 @@ def _in_kappas(p: Float64, total: float) -> tuple[Float64, Float64]:
     )
 
 
-def _intervals(values: Float64, half: Float64) -> Float64:
-    lower, upper = np.maximum(values - half, 0.0), values + half
+def _intervals(values: Float64, half: Float64, total: float) -> Float64:
+    lower, upper = np.maximum(values - half, 0.0), np.minimum(values + half, total)
     factor = math.exp(half[2] / values[2])
     lower[2], upper[2] = values[2] / factor, values[2] * factor
     return np.column_stack([lower, upper])

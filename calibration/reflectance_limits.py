@@ -27,7 +27,12 @@ def refuse_if_unfit(sample: Readings, response: Response) -> None:
             f"readings at {different} different setting{'s' if different > 1 else ''} cannot determine "
             f"{', '.join(NAMES)} and their noise: it takes {len(NAMES) + 1} or more"
         )
-    brightest = float(np.max(sample.gray_level))
+    refuse_if_dark(sample, response)
+
+
+def refuse_if_dark(readings: Readings, response: Response) -> None:
+    """Raise ValueError if the readings, a sample's or a white standard's, are all black or one saturated."""
+    brightest = float(np.max(readings.gray_level))
     if brightest >= response.saturation_dn:
         raise ValueError(f"a grey level of {brightest:g} is saturated (at {response.saturation_dn:g})")
     if brightest <= response.black_dn:

@@ -14,10 +14,11 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
+import numpy.typing as npt
 from scipy.optimize import nnls
 
 from calibration.goniometer import NORMAL, Readings, Response
-from calibration.reading_noise import ReadingNoise, estimate_noise
+from calibration.reading_noise import ReadingNoise, estimate_noise, estimate_scatter, rounding_left
 from noise_model.brdf import reflectance
 from noise_model.fit import Fit, Parameter, fit
 from noise_model.frames import Float64
@@ -56,7 +57,8 @@ class White:
 class ReadingsModel:
     """Sample and white standard stacked, (m,): E = A_diff diffuse + A_spec lobe e^(-c2 alpha2) + s white.
 
-    `gray_level`, `repeats`, `variance` as in `Readings`; `white` is None without a standard.
+    `gray_level`, `repeats`, `variance` as in `Readings`; `white` is None without a standard. `is_whole` (m,)
+    says of which settings all readings are whole numbers.
     """
 
     diffuse: Float64
@@ -66,6 +68,7 @@ class ReadingsModel:
     gray_level: Float64
     repeats: Float64
     variance: Float64
+    is_whole: npt.NDArray[np.bool_]
     response: Response
 
     def level(self, p: Float64) -> Float64:
@@ -94,7 +97,8 @@ class ReadingsModel:
 
     def parameters(self, start: Float64) -> list[Parameter]:
         """Return what is fitted: light per cos(theta_i) I / a^2, which is >= 0, and c2 within its range."""
-        step = 1e-5 * float(np.max(self.response.light(self.gray_level)))
+        irradiance = self.diffuse if self.white is None else self.diffuse + self.white
+        step = 1e-5 * float(np.max(self.response.light(self.gray_level)) / np.max(irradiance))
         return [
             Parameter(C2, "", value, lower=C2_LOWEST, upper=self.c2_highest, step=1e-4 * value)
             if name == C2
@@ -109,10 +113,14 @@ def readings_model(sample: Readings, response: Response, white: White | None) ->
     diffuse = settings.irradiance
     lobe = reflectance(settings.omega_i, settings.omega_r, NORMAL, 0.0, 1.0, 0.0) * diffuse
     alpha2 = settings.alpha**2
+    is_whole = np.full(len(settings), sample.is_whole)
     if white is None:
-        means = sample.gray_level, sample.repeats, sample.variance
+        means = sample.gray_level, *_telling(sample.repeats, sample.variance), is_whole
         return ReadingsModel(diffuse, lobe, alpha2, None, *means, response)
     standard = white.readings
+    repeats, variance = _telling(
+        np.append(sample.repeats, standard.repeats), np.append(sample.variance, standard.variance)
+    )
     dark, other = np.zeros(len(standard.settings)), np.zeros(len(settings))
     return ReadingsModel(
         diffuse=np.append(diffuse, dark),
@@ -120,23 +128,38 @@ def readings_model(sample: Readings, response: Response, white: White | None) ->
         alpha2=np.append(alpha2, dark),
         white=np.append(other, standard.settings.irradiance * white.albedo / math.pi),
         gray_level=np.append(sample.gray_level, standard.gray_level),
-        repeats=np.append(sample.repeats, standard.repeats),
-        variance=np.append(sample.variance, standard.variance),
+        repeats=repeats,
+        variance=variance,
+        is_whole=np.append(is_whole, np.full(len(standard.settings), standard.is_whole)),
         response=response,
     )
 
 
+def _telling(repeats: Float64, variance: Float64) -> tuple[Float64, Float64]:
+    """Return repeats and variances (m,) as they are, or as of single readings if no two of them differ.
+
+    Then they are copies, or a mean that was written down again: they tell nothing of the noise.
+    """
+    if np.nansum(variance) > 0.0:
+        return repeats, variance
+    return np.ones_like(repeats), np.full_like(variance, np.nan)
+
+
 @dataclass(frozen=True, eq=False)
 class ReadingsFit:
-    """A fit, the noise of a reading behind its weights, and the standard error (m,) of each mean, DN."""
+    """A fit, the noise of a reading behind its weights, and the standard error (m,) of each mean, DN.
+
+    `between` is what settings differ by beyond that noise, relative to their signals.
+    """
 
     fit: Fit
     noise: ReadingNoise
     sigma: Float64
+    between: float = 0.0
 
 
 def fit_readings(model: ReadingsModel) -> ReadingsFit:
-    """Fit A_diff, A_spec, c2 and s with weights by the noise.
+    """Fit A_diff, A_spec, c2 and s with weights by the noise of the readings.
 
     Repeats and residuals both tell the noise, each with its degrees of freedom (a residual has 1 - leverage),
     so that readings without repeats need no other treatment. Signals are the model's, not the readings: a
@@ -144,19 +167,44 @@ def fit_readings(model: ReadingsModel) -> ReadingsFit:
     """
     start = model.start()
     signal = model.gray_level - model.response.black_dn
-    noise = _noise_of_repeats(model, signal)
-    fitted = _fit(model, start, signal, noise)
+    fitted = _fit(model, start, signal, _noise_of_repeats(model, signal), 0.0)
     for _ in range(ROUNDS - 1):
-        start = fitted.fit.values
-        signal = model.level(start) - model.response.black_dn
-        fitted = _fit(model, start, signal, _noise_of_all(model, signal, fitted))
+        signal = model.level(fitted.fit.values) - model.response.black_dn
+        noise, _ = _noise_of_all(model, signal, fitted, np.zeros_like(signal))
+        fitted = _fit(model, fitted.fit.values, signal, noise, 0.0)
     return fitted
 
 
-def _fit(model: ReadingsModel, start: Float64, signal: Float64, noise: ReadingNoise) -> ReadingsFit:
-    sigma = np.sqrt(noise.variance(signal) / model.repeats)
+def fit_settings(model: ReadingsModel, fitted: ReadingsFit) -> ReadingsFit:
+    """Fit once more, with weights by what differs between settings as well.
+
+    A mean's variance is that of a reading over the repeats and (between x signal)^2: angles, light and
+    texture change a setting's light in proportion, and no repeat makes that smaller. Without it settings that
+    were read a hundred times would decide alone. Without repeats the two cannot be told apart, nor need be.
+    """
+    if not (model.repeats > 1).any():
+        return fitted
+    for _ in range(ROUNDS):
+        signal = model.level(fitted.fit.values) - model.response.black_dn
+        noise, between = _noise_of_all(model, signal, fitted, model.repeats)
+        fitted = _fit(model, fitted.fit.values, signal, noise, between)
+    return fitted
+
+
+def _fit(
+    model: ReadingsModel, start: Float64, signal: Float64, noise: ReadingNoise, between: float
+) -> ReadingsFit:
+    of_repeats = noise.variance(signal) / model.repeats
+    sigma = np.sqrt(of_repeats + _rounding(model, noise, signal) + (between * signal) ** 2)
     found = fit(model.parameters(start), lambda p: (model.gray_level - model.level(p)) / sigma)
-    return ReadingsFit(found, noise, sigma)
+    return ReadingsFit(found, noise, sigma, between)
+
+
+def _rounding(model: ReadingsModel, noise: ReadingNoise, signal: Float64) -> Float64:
+    """Return what rounding leaves in the means (m,), DN^2; without repeats the residuals hold it already."""
+    if not (model.repeats > 1).any():
+        return np.zeros_like(signal)
+    return np.where(model.is_whole, rounding_left(noise.variance(signal)), 0.0)
 
 
 def _noise_of_repeats(model: ReadingsModel, signal: Float64) -> ReadingNoise:
@@ -165,11 +213,17 @@ def _noise_of_repeats(model: ReadingsModel, signal: Float64) -> ReadingNoise:
     return estimate_noise(signal, np.nan_to_num(model.variance), model.repeats - 1.0)
 
 
-def _noise_of_all(model: ReadingsModel, signal: Float64, fitted: ReadingsFit) -> ReadingNoise:
+def _noise_of_all(
+    model: ReadingsModel, signal: Float64, fitted: ReadingsFit, shares: Float64
+) -> tuple[ReadingNoise, float]:
+    """Return the noise, and what settings differ by, of which `shares` (m,) are in the residuals' squares."""
     left = np.clip(1.0 - fitted.fit.leverage, 1e-9, 1.0)
     of_residuals = model.repeats * (fitted.fit.residuals * fitted.sigma) ** 2 / left
-    return estimate_noise(
+    rounding = model.repeats * _rounding(model, fitted.noise, signal)
+    return estimate_scatter(
         np.tile(signal, 2),
         np.append(np.nan_to_num(model.variance), of_residuals),
         np.append(model.repeats - 1.0, left),
+        np.append(np.zeros_like(signal), shares),
+        np.append(np.zeros_like(signal), rounding),
     )

@@ -13,6 +13,9 @@ from calibration.reflectance_model import ReadingsFit, ReadingsModel
 UNLIKELY = 0.01
 """The p-value below which the model, or the settings, are taken to be off by more than the repeats show."""
 
+LEAST_LEFT = 0.5
+"""Settings to which a fit leaves less freedom than this say nothing of their scatter."""
+
 
 @dataclass(frozen=True)
 class Scatter:
@@ -45,10 +48,15 @@ class Scatter:
         return self.p_value < UNLIKELY
 
 
-def compare(model: ReadingsModel, fitted: ReadingsFit) -> Scatter:
-    """Return how much the settings and the repeats scatter; NaN and 0 for repeats that were not taken."""
-    more = model.repeats - 1.0
+def compare(model: ReadingsModel, fitted: ReadingsFit, part: slice) -> Scatter:
+    """Return how much some of the settings and their repeats scatter about a fit weighted by the repeats.
+
+    `between` is NaN where the fit leaves them no freedom, `within` for repeats that were not taken.
+    """
+    more = model.repeats[part] - 1.0
     freedom = float(more.sum())
-    squares = float(np.sum(more * np.nan_to_num(model.variance) / (fitted.sigma**2 * model.repeats)))
-    within = squares / freedom if freedom else math.nan
-    return Scatter(fitted.fit.chi2, fitted.fit.freedom, within, freedom)
+    variance = fitted.noise.variance(model.level(fitted.fit.values) - model.response.black_dn)[part]
+    squares = float(np.sum(more * np.nan_to_num(model.variance[part]) / variance))
+    left = float(np.sum(1.0 - fitted.fit.leverage[part]))
+    between = float(np.sum(fitted.fit.residuals[part] ** 2)) / left if left > LEAST_LEFT else math.nan
+    return Scatter(between, left, squares / freedom if freedom else math.nan, freedom)

@@ -3,9 +3,10 @@ import math
 
 import numpy as np
 import pytest
+from scipy.special import ndtr
 
 from calibration.goniometer import Readings, Response, Settings, average, simulate
-from calibration.reading_noise import ReadingNoise
+from calibration.reading_noise import ReadingNoise, rounding_left
 from calibration.reflectance import Reflectance, identify_reflectance
 from calibration.reflectance_model import White
 from noise_model.brdf import MILD_STEEL, ZN_COATED, Material
@@ -113,6 +114,104 @@ def test_sigmas_count_what_only_differs_between_settings() -> None:
         assert found.scatter.ratio > 3.0
         pulls.append((found.values - truth) / found.sigmas)
     assert np.std(pulls, axis=0) == pytest.approx(1.0, abs=0.3)
+
+
+def read_unequally(seed: int, repeats: np.ndarray) -> Readings:
+    """Read settings whose light is off by 3 % each, some more often than others."""
+    rng = np.random.default_rng([9, seed])
+    uneven = dataclasses.replace(PLANE, source=PLANE.source * (1.0 + 0.03 * rng.normal(size=len(PLANE))))
+    each = np.repeat(np.arange(len(PLANE)), repeats)
+    _, gray_level = simulate(uneven.chosen(each), ZN_COATED, 0.85, LINEAR, NOISE, 1, rng)
+    return average(PLANE.chosen(each), gray_level)
+
+
+def test_settings_read_more_often_do_not_decide_alone() -> None:
+    # 100 readings in every eighth setting: with weights by the repeats half of the intervals held the truth.
+    repeats = np.where(np.arange(len(PLANE)) % 8 == 0, 100, 1)
+    results = [
+        identify_reflectance(read_unequally(seed, repeats), LINEAR, total=0.648) for seed in range(100)
+    ]
+    truth = truth_of(ZN_COATED)
+    intervals = np.array([found.intervals for found in results])
+    covered = ((intervals[..., 0] <= truth) & (truth <= intervals[..., 1])).mean(axis=0)
+    assert (covered > 0.88).all()
+    assert np.median([found.between for found in results]) == pytest.approx(0.03, rel=0.15)
+    # As sharp as 20 readings of each.
+    assert np.std([found.values[2] for found in results]) < 0.8
+
+
+def test_rounding_is_not_taken_for_a_wrong_model() -> None:
+    for additive_dn in (0.1, 0.2, 0.3):
+        noise = ReadingNoise(additive_dn, 0.0)
+        found = [
+            identify_reflectance(read(PLANE, ZN_COATED, seed, noise=noise), LINEAR, total=0.648)
+            for seed in range(10)
+        ]
+        assert sum(result.scatter.is_unlikely for result in found) <= 1
+        assert np.median([result.scatter.ratio for result in found]) < 1.2
+
+
+def test_rounding_leaves_a_twelfth_without_noise_and_nothing_with_it() -> None:
+    levels = (np.arange(1000) + 0.5) / 1000.0
+    whole = np.arange(-3.0, 4.0)[:, np.newaxis]
+    for noise_dn in (1e-3, 0.1, 0.2, 0.3, 0.5):
+        # What normal noise makes of each level: the whole numbers from k - 0.5 to k + 0.5 on.
+        below = ndtr((whole + 0.5 - levels) / noise_dn)
+        means = (whole * np.diff(below, axis=0, prepend=0.0)).sum(axis=0)
+        left = float(rounding_left(np.array([noise_dn**2 + 1.0 / 12.0]))[0])
+        assert left == pytest.approx(np.mean((means - levels) ** 2), rel=0.02, abs=1e-5)
+
+
+@pytest.mark.parametrize("response", [LINEAR, CURVED], ids=["linear", "gamma"])
+def test_the_sources_unit_does_not_matter(response: Response) -> None:
+    results = []
+    for unit in (1.0, 1e-9, 6e4, 1e8):
+        sample = read(PLANE, MILD_STEEL, 3, response, scale=0.75)
+        stood = dataclasses.replace(PLANE, source=PLANE.source * unit)
+        white = White(
+            dataclasses.replace(
+                read(STANDARD, WHITE, 4, response, scale=0.75),
+                settings=dataclasses.replace(STANDARD, source=STANDARD.source * unit),
+            ),
+            0.99,
+        )
+        sample = dataclasses.replace(sample, settings=stood)
+        results += [
+            identify_reflectance(sample, response, total=0.347),
+            identify_reflectance(sample, response, white=white),
+        ]
+    for found, first in zip(results[2:], 3 * results[:2], strict=True):
+        np.testing.assert_allclose(found.values, first.values, rtol=1e-4)
+        np.testing.assert_allclose(found.sigmas, first.sigmas, rtol=1e-3)
+
+
+def test_a_white_standard_answers_for_itself() -> None:
+    standard = read(STANDARD, WHITE, 19)
+    bad = standard.gray_level + np.array([12.0, 0.0, 0.0])
+    sample = read(PLANE, MILD_STEEL, 18)
+    white = White(dataclasses.replace(standard, gray_level=bad), 0.99)
+    found = identify_reflectance(sample, LINEAR, white=white)
+    assert found.white is not None
+    assert found.white.scatter.is_unlikely
+    assert not found.scatter.is_unlikely
+    assert np.argmax(np.abs(found.white.studentised)) == 0
+    assert np.abs(found.white.studentised[0]) > 4.0
+    assert np.abs(found.studentised).max() < 4.0
+    with pytest.raises(ValueError, match="no reading is above black"):
+        identify_reflectance(sample, LINEAR, white=White(exact(STANDARD, WHITE, LINEAR, 0.0), 0.99))
+
+
+def test_identical_repeats_count_as_one_reading() -> None:
+    sample = read(PLANE, MILD_STEEL, 20, repeats=1)
+    copied = dataclasses.replace(sample, repeats=20.0 * sample.repeats, variance=0.0 * sample.repeats)
+    once, often = (identify_reflectance(readings, LINEAR, total=0.347) for readings in (sample, copied))
+    np.testing.assert_allclose(often.intervals, once.intervals)
+    assert often.scatter.within_freedom == 0
+
+
+def test_no_interval_reaches_beyond_the_total() -> None:
+    found = identify_reflectance(read(PLANE, Material("foil", 0.0, 0.4, 60.0), 8), LINEAR, total=0.4)
+    assert found.intervals[1, 1] == 0.4
 
 
 def test_single_readings_find_their_noise_in_the_residuals() -> None:
