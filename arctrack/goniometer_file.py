@@ -30,13 +30,15 @@ Float64 = npt.NDArray[np.float64]
 class GoniometerFile:
     """The averaged readings of a file.
 
-    `lines` (m,) is where each setting first occurs, `source_columns` those of `SOURCE` that the file has,
-    `interval_s` the median time between successive readings of one setting, NaN if unknown.
+    `lines` (m,) is where each setting first occurs, `zero_lines` where settings have their first reading of
+    0, `source_columns` those of `SOURCE` that the file has, `interval_s` the median time between successive
+    readings of one setting, NaN if unknown.
     """
 
     path: Path
     readings: Readings
     lines: tuple[int, ...]
+    zero_lines: tuple[int, ...]
     source_columns: tuple[str, ...]
     interval_s: float
     unknown_columns: tuple[str, ...]
@@ -62,6 +64,7 @@ def read_goniometer(path: Path, response: Response) -> GoniometerFile:
         path,
         readings,
         lines=tuple(table.lines[i] for i in np.unique(readings.group, return_index=True)[1]),
+        zero_lines=_zero_lines(table, column["gray_level"], readings.group),
         source_columns=tuple(name for name in SOURCE if name in column),
         interval_s=_interval_s(column[TIME], readings.group) if TIME in column else math.nan,
         unknown_columns=tuple(name for name in table.unknown_columns if name != REPEAT),
@@ -103,6 +106,12 @@ def _check(table: CsvTable, column: dict[str, Float64], response: Response) -> N
         if wrong.any():
             row = int(np.argmax(wrong))
             raise in_file(table.path, f"{name} = {column[name][row]:g} {problem}", line=table.lines[row])
+
+
+def _zero_lines(table: CsvTable, gray_level: Float64, group: npt.NDArray[np.intp]) -> tuple[int, ...]:
+    rows = np.flatnonzero(gray_level == 0.0)
+    first = np.sort(np.unique(group[rows], return_index=True)[1])
+    return tuple(table.lines[i] for i in rows[first])
 
 
 def _interval_s(time_s: Float64, group: npt.NDArray[np.intp]) -> float:

@@ -10,8 +10,8 @@ from pathlib import Path
 import tomlkit
 
 from arctrack.errors import in_file
-from arctrack.goniometer_file import GoniometerFile
-from calibration.reflectance import Reflectance
+from arctrack.goniometer_file import Float64, GoniometerFile
+from calibration.reflectance import Agreement, Reflectance
 from calibration.reflectance_model import NAMES
 
 MATERIAL, RESULT, RESIDUALS, PICTURE = "material.toml", "reflectance.json", "residuals.csv", "reflectance.png"
@@ -42,13 +42,15 @@ def scale_sentence(result: Reflectance) -> str:
     return f"kappa_diff + kappa_spec = {total:g} by convention: only their ratio was measured"
 
 
-def write_results(result: Reflectance, source: GoniometerFile, folder: Path) -> None:
+def write_results(
+    result: Reflectance, source: GoniometerFile, standard: GoniometerFile | None, folder: Path
+) -> None:
     """Write all but the picture; ArctrackError if the folder cannot be written to."""
     try:
         folder.mkdir(parents=True, exist_ok=True)
         (folder / MATERIAL).write_text(material_toml(result), encoding="utf-8")
         (folder / RESULT).write_text(_json(result, source), encoding="utf-8")
-        _write_residuals(result, source, folder / RESIDUALS)
+        _write_residuals(result, source, standard, folder / RESIDUALS)
     except OSError as error:
         raise in_file(folder, f"cannot be written: {error.strerror}") from None
 
@@ -71,31 +73,43 @@ def _json(result: Reflectance, source: GoniometerFile) -> str:
         "scatter_over_repeats": _or_none(scatter.ratio),
         "p_value": _or_none(scatter.p_value),
         "noise": {"additive_dn": result.noise.additive_dn, "relative": result.noise.relative},
+        "between_settings": result.between,
         "settings": len(source.readings.settings),
         "readings": int(source.readings.repeats.sum()),
     }
     return json.dumps(document, indent=2) + "\n"
 
 
-def _write_residuals(result: Reflectance, source: GoniometerFile, path: Path) -> None:
-    readings = source.readings
-    settings = readings.settings
-    columns = {
+def _write_residuals(
+    result: Reflectance, source: GoniometerFile, standard: GoniometerFile | None, path: Path
+) -> None:
+    parts: list[tuple[str, GoniometerFile, Reflectance | Agreement]] = [("sample", source, result)]
+    if standard is not None and result.white is not None:
+        parts.append(("white", standard, result.white))
+    with path.open("w", encoding="utf-8", newline="") as file:
+        writer = csv.writer(file, lineterminator="\n")
+        for i, (patch, read, agreement) in enumerate(parts):
+            columns = _columns(read, agreement)
+            if i == 0:
+                writer.writerow([*columns, "patch"])
+            for row in zip(*columns.values(), strict=True):
+                numbers = ("" if math.isnan(value) else f"{value:.{DIGITS}g}" for value in row)
+                writer.writerow([*numbers, patch])
+
+
+def _columns(read: GoniometerFile, agreement: Reflectance | Agreement) -> dict[str, Float64]:
+    settings = read.readings.settings
+    return {
         "theta_i_deg": settings.theta_i_deg,
         "theta_r_deg": settings.theta_r_deg,
         "phi_r_deg": settings.phi_r_deg,
-        "readings": readings.repeats,
-        "gray_level": readings.gray_level,
-        "standard_error": readings.standard_error,
-        "predicted": result.predicted,
-        "residual": result.residuals,
-        "studentised": result.studentised,
+        "readings": read.readings.repeats,
+        "gray_level": read.readings.gray_level,
+        "standard_error": read.readings.standard_error,
+        "predicted": agreement.predicted,
+        "residual": agreement.residuals,
+        "studentised": agreement.studentised,
     }
-    with path.open("w", encoding="utf-8", newline="") as file:
-        writer = csv.writer(file, lineterminator="\n")
-        writer.writerow(columns)
-        for row in zip(*columns.values(), strict=True):
-            writer.writerow("" if math.isnan(value) else f"{value:.{DIGITS}g}" for value in row)
 
 
 def _rounded(value: float) -> float:

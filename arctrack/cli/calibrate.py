@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -19,6 +20,9 @@ if TYPE_CHECKING:
 calibrate = typer.Typer(
     name="calibrate", help="Find parameters of the model from measurements.", no_args_is_help=True
 )
+
+ALBEDO, TOTAL = 0.99, 1.0
+"""The white standard's reflectance, or without one what the kappas' sum is taken to be, if not stated."""
 
 EXAMPLE = "Example: arctrack calibrate reflectance examples/goniometer_mild_steel.csv --out /tmp/steel"
 
@@ -50,10 +54,13 @@ def reflectance(
     white: Annotated[
         Path | None, typer.Option(help="The same for a white standard: makes the kappas absolute, 1/sr.")
     ] = None,
-    albedo: Annotated[float, typer.Option(help="With --white: the standard's diffuse reflectance.")] = 0.99,
+    albedo: Annotated[
+        float | None, typer.Option(help="With --white: the standard's diffuse reflectance; default 0.99.")
+    ] = None,
     total: Annotated[
-        float, typer.Option(help="Without --white: what kappa_diff + kappa_spec is taken to be.")
-    ] = 1.0,
+        float | None,
+        typer.Option(help="Without --white: what kappa_diff + kappa_spec is taken to be; default 1."),
+    ] = None,
     name: Annotated[str | None, typer.Option(help="The material's name; default: the file's.")] = None,
 ) -> None:
     """Fit kappa_diff, kappa_spec and c2 of a base metal to goniometer readings.
@@ -71,14 +78,36 @@ def reflectance(
         response = Response(gamma, black, saturation)
     except ValueError as error:
         raise ArctrackError(str(error)) from None
+    _check_scale(white, albedo, total)
     sample = read_goniometer(data, response)
     standard = None if white is None else read_goniometer(white, response)
-    result = _identify(sample, response, standard, albedo, total, name or data.stem)
+    result = _identify(
+        sample,
+        response,
+        standard,
+        ALBEDO if albedo is None else albedo,
+        TOTAL if total is None else total,
+        name or data.stem,
+    )
     console.warn(warnings(result, sample, standard))
     print_result(console.tables(), result, sample)
     if out is not None:
-        _write(result, sample, response, out)
+        _write(result, sample, standard, response, out)
         typer.echo(f"results in {out}")
+
+
+def _check_scale(white: Path | None, albedo: float | None, total: float | None) -> None:
+    """Raise ArctrackError for what settles the scale if it cannot be or has no effect."""
+    if white is None and albedo is not None:
+        raise ArctrackError(
+            "--albedo: has no effect without --white; give the standard's readings or leave it"
+        )
+    if white is not None and total is not None:
+        raise ArctrackError("--total: has no effect with --white, which settles the scale; leave one of them")
+    if albedo is not None and not 0.0 < albedo <= 1.0:
+        raise ArctrackError(f"--albedo {albedo:g}: a white standard's lies above 0 and is 1 at most")
+    if total is not None and not 0.0 < total < math.inf:
+        raise ArctrackError(f"--total {total:g}: kappa_diff + kappa_spec must be > 0 and finite")
 
 
 def _identify(
@@ -90,6 +119,7 @@ def _identify(
     name: str,
 ) -> Reflectance:
     from calibration.reflectance import identify_reflectance
+    from calibration.reflectance_limits import refuse_if_dark
     from calibration.reflectance_model import White
 
     if standard is not None and standard.source_columns != sample.source_columns:
@@ -97,6 +127,11 @@ def _identify(
         raise in_file(
             standard.path, f"states of distance_mm and intensity: {stated[0]}, but {sample.path}: {stated[1]}"
         )
+    if standard is not None:
+        try:
+            refuse_if_dark(standard.readings, response)
+        except ValueError as error:
+            raise in_file(standard.path, str(error)) from None
     try:
         white = None if standard is None else White(standard.readings, albedo)
         return identify_reflectance(sample.readings, response, white=white, total=total, name=name)
@@ -104,11 +139,17 @@ def _identify(
         raise in_file(sample.path, str(error)) from None
 
 
-def _write(result: Reflectance, sample: GoniometerFile, response: Response, out: Path) -> None:
+def _write(
+    result: Reflectance,
+    sample: GoniometerFile,
+    standard: GoniometerFile | None,
+    response: Response,
+    out: Path,
+) -> None:
     from arctrack.reflectance_files import PICTURE, write_results
     from arctrack.report.reflectance import draw
 
-    write_results(result, sample, out)
+    write_results(result, sample, standard, out)
     try:
         draw(result, sample.readings, response).savefig(out / PICTURE)
     except OSError as error:

@@ -11,7 +11,7 @@ from rich.table import Table
 
 from arctrack.goniometer_file import GoniometerFile
 from arctrack.reflectance_files import material_toml, scale_sentence
-from calibration.reflectance import Reflectance
+from calibration.reflectance import Agreement, Reflectance
 from calibration.reflectance_model import NAMES
 
 FAR_OFF = 4.0
@@ -33,22 +33,38 @@ def warnings(result: Reflectance, sample: GoniometerFile, standard: GoniometerFi
     for file in (sample, standard):
         if file is not None and file.unknown_columns:
             yield f"{file.path}: unknown columns {', '.join(file.unknown_columns)} have no effect"
-    scatter = result.scatter
-    if math.isnan(scatter.ratio):
+        if file is not None and file.zero_lines:
+            others = f", at {len(file.zero_lines)} settings in all" if len(file.zero_lines) > 1 else ""
+            yield (
+                f"{file.path}, line {file.zero_lines[0]}: gray_level = 0{others}: noise below 0 is cut off "
+                "there, so that the mean is too high; raise the sensor's black level and read again"
+            )
+    if result.scatter.within_freedom == 0:
+        told = "no setting was read twice"
+        if sample.readings.repeats.max() > 1:
+            told = "all readings of a setting are identical and tell nothing of the noise"
         yield (
-            f"{sample.path}: no setting was read twice, so that the residuals alone tell the noise; "
+            f"{sample.path}: {told}, so that the residuals alone tell the noise; "
             "the intervals then hold the truth some 93 % to 95 % of the time"
         )
-    elif scatter.is_unlikely:
+    yield from _about_the_fit(sample, result)
+    if standard is not None and result.white is not None:
+        yield from _about_the_fit(standard, result.white)
+
+
+def _about_the_fit(file: GoniometerFile, agreement: Reflectance | Agreement) -> Iterator[str]:
+    """Yield what in a file does not agree with the fit."""
+    scatter = agreement.scatter
+    if scatter.is_unlikely:
+        rounding = " (rounding to whole grey levels is allowed for)" if file.readings.is_whole else ""
         yield (
-            f"{sample.path}: settings scatter {scatter.ratio:.1f} times as much about the fit as their "
-            "repeats allow: angles, light or surface change between them, or gamma, black or the lobe's form "
-            "is another; the intervals count this as if it were random"
+            f"{file.path}: settings scatter {scatter.ratio:.1f} times as much about the fit as their "
+            f"repeats allow{rounding}: angles, light or surface change between them, or gamma, black or "
+            "the lobe's form is another; the intervals count this as if it were random"
         )
-    for i in np.flatnonzero(np.abs(result.studentised) > FAR_OFF):
-        yield (
-            f"{sample.path}, line {sample.lines[i]}: {result.studentised[i]:+.1f} standard errors off the fit"
-        )
+    for i in np.flatnonzero(np.abs(agreement.studentised) > FAR_OFF):
+        off = agreement.studentised[i]
+        yield f"{file.path}, line {file.lines[i]}: {off:+.1f} standard errors off the fit"
 
 
 def _table(result: Reflectance) -> Table:
@@ -80,6 +96,8 @@ def _lines(result: Reflectance, sample: GoniometerFile) -> list[tuple[str, str]]
         fit = (
             f"settings scatter {scatter.ratio:.2f} times as much as repeats allow, p = {scatter.p_value:.2g}"
         )
+    if result.white is not None and not math.isnan(result.white.scatter.ratio):
+        fit += f" (the white standard's {result.white.scatter.ratio:.2f} times)"
     return [
         (
             "readings",
@@ -87,7 +105,8 @@ def _lines(result: Reflectance, sample: GoniometerFile) -> list[tuple[str, str]]
         ),
         (
             "noise",
-            f"{noise.additive_dn:.2g} DN and {100 * noise.relative:.2g} % of the signal a reading",
+            f"{noise.additive_dn:.2g} DN and {100 * noise.relative:.2g} % of the signal a reading; "
+            f"settings differ by {100 * result.between:.2g} % besides",
         ),
         ("fit", f"{fit}; Student's t of {result.fit.t_freedom:.0f} degrees of freedom"),
         ("scale", scale_sentence(result)),

@@ -109,7 +109,8 @@ def test_examples_return_table_1(name: str, tmp_path: Path) -> None:
     assert (np.abs(np.array(found["values"]) - truth) < 3.5 * np.array(found["sigmas"])).all()
     assert np.shape(found["covariance"]) == (3, 3)
     residuals = (out / "residuals.csv").read_text().splitlines()
-    assert len(residuals) == 49
+    assert len(residuals) == 52
+    assert [line.rsplit(",", 1)[1] for line in residuals] == ["patch"] + 48 * ["sample"] + 3 * ["white"]
     assert residuals[0].startswith("theta_i_deg,theta_r_deg,phi_r_deg,readings,gray_level")
     assert matplotlib.image.imread(out / "reflectance.png").std() > 0.05
 
@@ -151,6 +152,63 @@ def test_single_readings_and_unknown_columns_are_warned_of(tmp_path: Path) -> No
     assert "no setting was read twice" in result.stderr
 
 
+def test_identical_repeats_tell_nothing(tmp_path: Path) -> None:
+    def copied(lines: list[str]) -> list[str]:
+        rows = [line.split(",") for line in lines[1:]]
+        return [lines[0], *(",".join([*row[:4], rows[i - i % 20][4]]) for i, row in enumerate(rows))]
+
+    result = calibrate(spoilt(tmp_path, copied), *AS_TAKEN)
+    assert result.exit_code == 0, result.output
+    assert "all readings of a setting are identical and tell nothing of the noise" in result.stderr
+    assert "no setting was read twice" not in result.stderr
+
+
+def test_readings_cut_at_0_are_warned_of(tmp_path: Path) -> None:
+    def cut(lines: list[str]) -> list[str]:
+        cells = [line.split(",") for line in lines]
+        for row in (30, 31, 70):
+            cells[row][4] = "0"
+        return [",".join(row) for row in cells]
+
+    result = calibrate(spoilt(tmp_path, cut), *AS_TAKEN)
+    assert "spoilt.csv, line 31: gray_level = 0, at 2 settings in all: " in result.stderr.replace("\n", " ")
+    assert "raise the sensor's black level" in result.stderr.replace("\n", " ")
+
+
+def white_file(path: Path, change: Callable[[int, float], float]) -> Path:
+    """Write the white standard's readings, changed by their number and grey level."""
+    lines = (EXAMPLES / "goniometer_white.csv").read_text().splitlines()
+    target = path / "white.csv"
+    rows = [line.split(",") for line in lines[1:]]
+    changed = [",".join([*row[:4], f"{change(i, float(row[4])):g}"]) for i, row in enumerate(rows)]
+    target.write_text("\n".join([lines[0], *changed]) + "\n")
+    return target
+
+
+def test_a_bad_setting_of_the_white_standard_is_named(tmp_path: Path) -> None:
+    white = white_file(tmp_path, lambda i, level: level + (12.0 if i < 20 else 0.0))
+    steel = EXAMPLES / "goniometer_mild_steel.csv"
+    result = calibrate(steel, *AS_TAKEN, "--white", str(white), "--out", str(tmp_path / "out"))
+    assert result.exit_code == 0, result.output
+    said = result.stderr.replace("\n", "")
+    assert "white.csv: settings scatter " in said
+    assert "white.csv, line 2: +" in said
+    assert "goniometer_mild_steel.csv: settings scatter" not in said
+    assert "(the white standard's " in result.output
+    rows = [line.split(",") for line in (tmp_path / "out" / "residuals.csv").read_text().splitlines()]
+    assert abs(float(rows[49][8])) > 4.0
+
+
+@pytest.mark.parametrize("level", [10.0, 9.0, 0.0])
+def test_a_dark_white_standard_is_named(
+    level: float, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    white = white_file(tmp_path, lambda i, _: level)
+    steel = EXAMPLES / "goniometer_mild_steel.csv"
+    line = error_of(capsys, monkeypatch, steel, *AS_TAKEN, "--white", str(white))
+    assert line == f"arctrack: error: {white}: no reading is above black (10)"
+
+
 def cell(line: int, column: int, text: str) -> Callable[[list[str]], list[str]]:
     def change(lines: list[str]) -> list[str]:
         cells = lines[line - 1].split(",")
@@ -177,8 +235,22 @@ BAD: dict[str, tuple[Callable[[list[str]], list[str]], list[str], str]] = {
     ),
     "gamma": (lambda lines: lines, ["--gamma", "0"], "gamma = 0.0: must be > 0"),
     "black": (lambda lines: lines, ["--black", "300"], "must be above black"),
-    "total": (lambda lines: lines, [*AS_TAKEN, "--total", "-1"], "total = -1.0"),
-    "albedo": (lambda lines: lines, [*AS_TAKEN, *WHITE, "--albedo", "2"], "albedo = 2.0"),
+    "total": (
+        lambda lines: lines,
+        [*AS_TAKEN, "--total", "-1"],
+        "--total -1: kappa_diff + kappa_spec must be > 0",
+    ),
+    "albedo of nothing": (lambda lines: lines, [*AS_TAKEN, "--albedo", "0.9"], "no effect without --white"),
+    "total beside white": (
+        lambda lines: lines,
+        [*AS_TAKEN, *WHITE, "--total", "1"],
+        "no effect with --white",
+    ),
+    "albedo": (
+        lambda lines: lines,
+        [*AS_TAKEN, *WHITE, "--albedo", "2"],
+        "--albedo 2: a white standard's lies",
+    ),
 }
 
 
