@@ -73,6 +73,11 @@ FAR_SIGMAS = 4.0
 MOST_LEVEL = 20.0
 """An arc by so much brighter or darker than stated means the same."""
 
+NOTHING_TO_COMPARE = (
+    "no pixel with the arc's light is below saturation, off the stripe and off the joint's edges: shorten "
+    "the exposure"
+)
+
 CAMERA = ("rot_x", "rot_y", "rot_z", "move_x", "move_y", "move_z")
 
 
@@ -196,10 +201,7 @@ def _settled(
         progress(done, MOST_ROUNDS)
         views = [_View.of(_with_camera(setup, x[:6]), one, one.seam(x, about_mm), lattice_px) for one in seen]
         if not any(len(view.pixels) for view in views):
-            raise ValueError(
-                "no pixel with the arc's light is below saturation, off the stripe and off the joint's "
-                "edges: shorten the exposure"
-            )
+            raise ValueError(NOTHING_TO_COMPARE)
         if done == 0:
             x[6] = _ln_level(setup, views)
         result = _fit(setup, views, about_mm, x)
@@ -327,9 +329,12 @@ class _View:
 
 def _ln_level(setup: Setup, views: Sequence[_View]) -> float:
     """Return about which level, within its bounds, the arc has where camera and seam are as stated."""
-    mean_e = np.concatenate([view.mean_e(setup, 1.0, 0.0, view.seen.tracked) for view in views])
-    charge_e = np.concatenate([view.charge_e for view in views])
-    return float(np.log(np.clip(np.median(charge_e / mean_e), 1.0 / MOST_LEVEL, MOST_LEVEL)))
+    mean_e = sum(float(view.mean_e(setup, 1.0, 0.0, view.seen.tracked).sum()) for view in views)
+    if not mean_e > 0.0:
+        raise ValueError(NOTHING_TO_COMPARE)
+    # All at once: of pixels in shadow nothing is expected.
+    charge_e = sum(float(view.charge_e.sum()) for view in views)
+    return math.log(min(max(charge_e / mean_e, 1.0 / MOST_LEVEL), MOST_LEVEL))
 
 
 def _fit(setup: Setup, views: Sequence[_View], about_mm: float, about: Float64) -> Fit:

@@ -125,6 +125,19 @@ def test_a_seam_may_wander() -> None:
     assert found.sigma("rot_y") < 0.5 * setup.tolerance.hand_eye_deg
 
 
+def test_a_joint_with_faces_in_shadow_is_no_hindrance() -> None:
+    setup = nominal_setup("corrugation", "mild_steel", width=320, height=240)
+    setup = replace(setup, arc=replace(setup.arc, radiance_e=1.6e8))
+    # The last frames look at what lies behind a ridge.
+    seen = frames(setup, SeamLine(), apart_mm=10.0)
+    last = _with_seam(setup, seen, _tracked(setup, seen))[-1]
+    view = _View.of(setup, last, last.tracked, LATTICE_PX)
+    assert (view.mean_e(setup, 1.0, 0.0, last.tracked) == 0.0).mean() > 0.05
+    found = estimate_hand_eye(setup, seen, lattice_px=LATTICE_PX).fit
+    assert found.value("ln_arc_level") == pytest.approx(np.log(1.05), abs=0.02)
+    assert np.abs(found.values[:6] / found.sigmas[:6]).max() < 3.0
+
+
 def test_what_does_not_settle_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
     setup = small_setup()
     monkeypatch.setattr(hand_eye, "MOST_ROUNDS", 1)
