@@ -194,7 +194,7 @@ def _straightened(seen: list[_Seen]) -> list[_Seen]:
 def _settled(
     setup: Setup, seen: Sequence[_Seen], progress: Callable[[int, int], None], lattice_px: int
 ) -> Fit:
-    """Choose pixels and fit in turn until the pixels chosen are those of the fit."""
+    """Choose pixels and fit in turn until the camera settles; ValueError if it does not, or far off."""
     about_mm = float(np.median([one.tracked.station_mm for one in seen]))
     x = np.zeros(12)
     for done in range(MOST_ROUNDS):
