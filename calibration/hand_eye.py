@@ -34,6 +34,7 @@ from noise_model.surface import SeamLine
 from noise_model.visibility import trace
 from tracker.arc_level import HUBER
 from tracker.expected import expect_stripe
+from tracker.follow import CAPACITY
 from tracker.geometry import SensorGeometry
 from tracker.passage import Passage, seen_arc
 from tracker.seam import expected_seam
@@ -63,6 +64,9 @@ SEAM_SIGMA_MM, SEAM_SLOPE_SIGMA = 5.0, 0.05
 
 SEAM_KNOWN_MM = 0.2
 """A frame counts if the tracked seam is known so well under its stripe, 1 sigma."""
+
+EVERY = CAPACITY // 3
+"""The state after every so many measurements is kept: what one has forgotten the one before still knows."""
 
 WANDER_MM = 0.03
 """A seam that leaves no straight line by more is one: a camera that is off makes as much of a tilt."""
@@ -138,7 +142,7 @@ class _Seen:
 
 
 def _tracked(setup: Setup, frames: Sequence[tuple[Frame, Pose]]) -> list[TrackerState]:
-    """Track the recording and return the states that know a seam, one for each history."""
+    """Track the recording and return states that know a seam, all of what it has seen among them."""
     tracker = Tracker(setup)
     states: list[TrackerState] = []
     for frame, pose in frames:
@@ -147,7 +151,7 @@ def _tracked(setup: Setup, frames: Sequence[tuple[Frame, Pose]]) -> list[Tracker
             states.append(tracker.state)
     if not states:
         raise ValueError("the joint was found in no frame: the hand-eye estimate needs its place")
-    return states
+    return states[::-1][::EVERY][::-1]
 
 
 def _with_seam(
