@@ -148,6 +148,6 @@ def test_out_of_view_is_none() -> None:
 
 def test_a_stripe_that_cannot_be_seen_is_no_setup() -> None:
     setup = small_setup("v_groove")
-    flat = replace(setup, laser=replace(setup.laser, plane_in_tool=(0.0, 0.0, 1.0, 0.0)))
-    with pytest.raises(ValueError, match="plane_in_tool"):
-        SensorGeometry.of(flat)
+    behind = replace(setup, laser=replace(setup.laser, plane_in_tool=(1.0, 0.0, 0.0, -500.0)))
+    with pytest.raises(ValueError, match="behind the camera"):
+        SensorGeometry.of(behind)
