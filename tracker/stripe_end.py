@@ -47,7 +47,7 @@ LINE_SIGMA = 12.0**-0.5
 LEAST_SIGMA = 0.1
 """No end is known better, in lines: an edge is rounded and has burrs."""
 
-STEPS, SEARCH_STEP = 6, 0.25
+STEPS, SEARCH_STEP = 5, 0.5
 """Gauss-Newton steps, from the best place of a search in steps of so many lines."""
 
 MOST_LINES = 128
