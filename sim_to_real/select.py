@@ -342,8 +342,10 @@ def _shows_arc(expected: Expected) -> bool:
 def confidences(of: Sequence[Candidate], baseline: Candidate) -> Float64:
     """Return how probable each candidate (n,) is, if one of them is right or the baseline.
 
-    What its bounds hold back is another one's mimic.
+    What its bounds hold back is another one's mimic: it takes nothing from a first one that is free.
     """
-    evidence = np.array([-math.inf if one.is_held_back else one.evidence for one in of] + [baseline.evidence])
+    evidence = np.array([*(candidate.evidence for candidate in of), baseline.evidence])
+    mimics = [one.is_held_back and not of[0].is_held_back for one in of]
+    evidence[:-1][mimics] = -math.inf
     weight = np.exp(evidence - evidence.max())
     return np.asarray(weight / weight.sum())[:-1]
