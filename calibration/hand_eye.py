@@ -203,7 +203,8 @@ def _settled(
     x = np.zeros(12)
     for done in range(MOST_ROUNDS):
         progress(done, MOST_ROUNDS)
-        views = [_View.of(_with_camera(setup, x[:6]), one, one.seam(x, about_mm), lattice_px) for one in seen]
+        geometry = SensorGeometry.of(_with_camera(setup, x[:6]))
+        views = [_View.of(geometry, one, one.seam(x, about_mm), lattice_px) for one in seen]
         if not any(len(view.pixels) for view in views):
             raise ValueError(NOTHING_TO_COMPARE)
         if done == 0:
@@ -262,9 +263,8 @@ class _View:
     output: float
 
     @classmethod
-    def of(cls, setup: Setup, seen: _Seen, seam: SeamLine, lattice_px: int) -> _View:
-        geometry, frame = SensorGeometry.of(setup), seen.frame
-        setup = geometry.setup
+    def of(cls, geometry: SensorGeometry, seen: _Seen, seam: SeamLine, lattice_px: int) -> _View:
+        setup, frame = geometry.setup, seen.frame
         s, r = geometry.lattice(lattice_px)
         view = scene(setup, seen.pose.T_base_tool, seam)
         kernel = arc_kernel(setup, view)

@@ -82,6 +82,10 @@ class Change:
         """Return effects as they are in a frame."""
         return {**effects, self.effect: self.values(effects[self.effect], self.share(setup, frame))}
 
+    def ends(self, middle: Values) -> tuple[dict[str, float], dict[str, float]]:
+        """Return the effect's parameters where the driver is least and most."""
+        return self.values(middle, -1.0), self.values(middle, 1.0)
+
     def values(self, middle: Values, u: float) -> dict[str, float]:
         """Return the effect's parameters where the driver is at u, within their bounds."""
         return {
@@ -106,7 +110,7 @@ def ends_of(effects: Mapping[str, Values], change: Change | None) -> tuple[Mappi
     """Return effects as they are at either end of a driver's range; as they are, if none changes."""
     if change is None:
         return (effects,)
-    return tuple({**effects, change.effect: change.values(effects[change.effect], u)} for u in (-1.0, 1.0))
+    return tuple({**effects, change.effect: values} for values in change.ends(effects[change.effect]))
 
 
 def _drives(setup: Setup, driver: Driver, frame: ObservedFrame) -> float:

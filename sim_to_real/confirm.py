@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 
 from noise_model.effects import REGISTRY, Values
@@ -77,7 +77,7 @@ def not_held_up(decision: Decision, baseline: Candidate, random: Scatter) -> Dec
     return _without_chosen(decision, without_help(baseline), baseline, random)
 
 
-def is_trifle(decision: Decision, baseline: Candidate, gap: Gap, stated: Mapping[str, Values]) -> bool:
+def is_trifle(decision: Decision, baseline: Candidate, gap: Gap, stated: Callable[[str], Values]) -> bool:
     """Say whether what is named is a trifle, from what is `stated`, that the model's own error looks like."""
     is_clear = gap.before > CLEAR_FLOORS * gap.floor and baseline.left > 1.0
     fitted = decision.chosen.refit

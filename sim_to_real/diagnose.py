@@ -150,7 +150,7 @@ def _diagnosed(
     predicted = predicted_of(after, random)
     gap = measure(predicted, setup, seam_errors_mm(setup, frames, pose_at, expected, after))
     helps = not named or smaller(predicted) >= must_help(decision, baseline)
-    if named and (not helps or is_trifle(decision, baseline, gap, setup.effects)):
+    if named and (not helps or is_trifle(decision, baseline, gap, expected.stated)):
         without_it = without_trifle if helps else not_held_up
         decision, after, share = without_it(decision, baseline, scattered), before, {}
         random = scatter(expected, after, without)
@@ -264,7 +264,7 @@ def _trend(after: Refit, name: str) -> Trend | None:
     change = after.change
     if change is None or change.effect != name:
         return None
-    least, most = (change.values(after.effects[name], u) for u in (-1.0, 1.0))
+    least, most = change.ends(after.effects[name])
     return Trend(
         change.driver.value,
         change.driver.unit,

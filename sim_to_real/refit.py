@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 import numpy.typing as npt
@@ -12,7 +13,7 @@ import numpy.typing as npt
 from noise_model.effects import REGISTRY, Values
 from noise_model.fit import Parameter, within_bounds
 from noise_model.frames import Float64
-from sim_to_real.change import Change
+from sim_to_real.change import Change, change_among
 from sim_to_real.expected import RENDERING, Expected, Passed
 from sim_to_real.quadratic import Quadratic
 
@@ -165,6 +166,11 @@ def refit(
     )
 
 
+def refit_from(expected: Expected, fitted: Refit, effects: Mapping[str, Values]) -> Refit:
+    """Fit effects from a fit's nuisances; one that changes there goes on changing if it is among them."""
+    return refit(expected, effects, fitted.nuisance, change=change_among(fitted.change, effects))
+
+
 def _blocks(ids: Sequence[str], n_nuisances: int, n_frames: int) -> Iterator[tuple[str, slice]]:
     """Yield each effect with where in x stands what is fitted of it: its parameters, or frames' levels."""
     start = n_nuisances
@@ -226,7 +232,7 @@ class _Problem:
     def counts(self) -> Int64:
         return np.array([int(frame.keep.sum()) for frame in self.expected.observed.frames])
 
-    @property
+    @cached_property
     def parameters(self) -> tuple[Parameter, ...]:
         of_effects = (p for name in self.ids for p in self._fitted_of(name))
         of_change = () if self.change is None else self.change.parameters

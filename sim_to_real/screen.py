@@ -8,7 +8,7 @@ effects that are too large for a derivative.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -130,12 +130,12 @@ DEAR: Mapping[str, Values] = {BOUNCING: {"albedo_scale": 0.2}}
 """Effects that take longer than all others together, and where their fit starts: tried if no other does."""
 
 
-def size(effects: Mapping[str, Values], stated: Mapping[str, Values]) -> float:
+def size(effects: Mapping[str, Values], stated: Callable[[str], Values]) -> float:
     """Return how far the farthest of some effects is from where it is `stated`, in its prior's sigmas.
 
     That is by the parameters of which its places are made: where an effect is tried, and not in which shape.
     """
-    origins = {name: REGISTRY[name].complete(stated.get(name, {})) for name in effects}
+    origins = {name: stated(name) for name in effects}
     return max(
         abs(effects[name][parameter.name] - origins[name][parameter.name]) / parameter.prior_sigma
         for name in effects
@@ -202,7 +202,7 @@ def _tried(expected: Expected, baseline: Refit, r: Float64, name: str) -> Screen
     if n_parts == 1 and origin != REGISTRY[name].neutral:
         # Its stated shape may be right.
         families = (*(Family(one.places) for one in families if one.shape), *families)
-    looks = [_look(expected, baseline, r, name, family, first) for family in families]
+    looks = [_look(expected, baseline, r, name, origin, family, first) for family in families]
     chosen: list[_Look] = []
     best: Screened | None = None
     for _ in range(first, n_parts + 1):
@@ -229,9 +229,11 @@ def _free_part(name: str, origin: Values) -> int:
     return n_parts
 
 
-def _look(expected: Expected, baseline: Refit, r: Float64, name: str, family: Family, part: int) -> _Look:
-    """Try a family's places, of an effect with alike parts on one of them."""
-    origin, of_part = expected.stated(name), _part(family, part)
+def _look(
+    expected: Expected, baseline: Refit, r: Float64, name: str, origin: Values, family: Family, part: int
+) -> _Look:
+    """Try a family's places about an origin, of an effect with alike parts on one of them."""
+    of_part = _part(family, part)
     shaped, columns = {**origin, **of_part.shape}, []
     for place in _from(name, origin, of_part.places):
         passed = _rendered(expected, baseline, {**baseline.effects, name: {**shaped, **place}})

@@ -21,7 +21,7 @@ from sim_to_real.change import CHANGING, Change, Driver
 from sim_to_real.expected import RENDERING, Effects, Expected
 from sim_to_real.nuisances import SEAM_FROM
 from sim_to_real.quadratic import N_EFFECTIVE, Quadratic
-from sim_to_real.refit import FLICKER, NAMED_FROM, Refit, huber_weights, refit, settled
+from sim_to_real.refit import FLICKER, NAMED_FROM, Refit, huber_weights, refit, refit_from, settled
 from sim_to_real.screen import DEAR, FAMILIES, Screened, screen
 from sim_to_real.split import folds
 
@@ -210,7 +210,7 @@ def candidates(
     found: list[Candidate] = []
     if FLICKER not in without and FLICKER not in baseline.ids and _shows_arc(expected):
         effects: dict[str, Values] = {**baseline.effects, FLICKER: REGISTRY[FLICKER].neutral}
-        found.append(judged(expected, refit(expected, effects, baseline.nuisance, change=baseline.change)))
+        found.append(judged(expected, refit_from(expected, baseline, effects)))
     most = REFITTED_BESIDE if baseline.ids else REFITTED
     for n, one in enumerate(screened[:most]):
         of_gap = HOPELESS if _is_resolved(found, left) and _is_worse(one, found, baseline) else HARDLY_CLOSES
@@ -220,10 +220,7 @@ def candidates(
         # What must be rendered for each step is dear: that is started once.
         is_rendered = bool(RENDERING & {one.id, *baseline.ids})
         starts = [one.start] if is_rendered else [one.start, *one.other_starts]
-        fits = [
-            refit(expected, {**baseline.effects, one.id: start}, baseline.nuisance, change=baseline.change)
-            for start in starts
-        ]
+        fits = [refit_from(expected, baseline, {**baseline.effects, one.id: start}) for start in starts]
         found.append(judged(expected, min(fits, key=lambda fit: fit.mean_square)))
     found = _best_first(found)
     if not _is_resolved(found, left):
@@ -254,8 +251,7 @@ def with_dear(
         effects = {**baseline.effects, name: start}
         if name in without or name in baseline.ids or not _worth_it(expected, baseline, effects):
             continue
-        fitted = refit(expected, effects, baseline.nuisance, change=baseline.change)
-        every.append(judged(expected, settled(expected, fitted)))
+        every.append(judged(expected, settled(expected, refit_from(expected, baseline, effects))))
     return _best_first(every)
 
 
@@ -284,10 +280,13 @@ def told_apart(
 ) -> tuple[list[Candidate], Candidate]:
     """Return candidates, likeliest first, those that bins find alike weighed by the pixels; and the baseline.
 
+    Nothing is asked if the baseline is likelier than all.
     A bin sees no blur: what widens a stripe and what dims it are much the same to it. `in_pixels` gives the
     mean squares (n,) that fits leave in pixels.
     """
     best, alike = found[0].evidence, list(found[:MOST_ALIKE])
+    if best <= baseline.evidence:
+        return list(found), baseline
     if _is_resolved(found, baseline.left):
         alike = [one for one in alike if best - one.evidence < ALIKE_NATS]
         if len(alike) < 2:
@@ -311,9 +310,8 @@ def _worth_it(expected: Expected, baseline: Refit, effects: Effects) -> bool:
     few = expected.some(
         np.isin(np.arange(len(expected.observed.frames)), lit[:: -(-len(lit) // DEAR_FRAMES)])
     )
-    change = baseline.change
-    before = refit(few, baseline.effects, baseline.nuisance, change=change).mean_square
-    after = refit(few, effects, baseline.nuisance, change=change).mean_square
+    before = refit_from(few, baseline, baseline.effects).mean_square
+    after = refit_from(few, baseline, effects).mean_square
     # To a few frames alone nuisances may be bent until they leave less than the model's floor.
     least = 1.0 if before > 1.0 else LEAST_LEFT
     return before - max(after, least) > DEAR_CLOSES * (before - least)

@@ -14,11 +14,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from noise_model.frames import Float64
-from sim_to_real.change import change_among
 from sim_to_real.diagnosis import Verdict
 from sim_to_real.expected import Expected
 from sim_to_real.pixels import Bool
-from sim_to_real.refit import FLICKER, NAMED_FROM, Refit, refit, settled
+from sim_to_real.refit import FLICKER, NAMED_FROM, Refit, refit, refit_from, settled
 from sim_to_real.screen import Screened
 from sim_to_real.select import (
     ALIKE_NATS,
@@ -167,8 +166,7 @@ def decide(
         # There is nothing to be tried, or none could leave so little that it would be preferred.
         return Decision(without_help(baseline), baseline, math.nan, (), np.zeros(0), (), screened, start)
     found = candidates(expected, start, screened, baseline.left, without, on_stage)
-    if found[0].evidence > baseline.evidence:
-        found, baseline = told_apart(found, baseline, in_pixels)
+    found, baseline = told_apart(found, baseline, in_pixels)
     found = _free_first(expected, found, baseline)
     explained = is_explained(expected, found[0], baseline)
     is_open = found[0].left > RESOLVED and not explained
@@ -179,8 +177,7 @@ def decide(
         baseline = _asked(baseline, in_pixels)
         if baseline.left_in_pixels > SHOWN_FROM:
             found = with_dear(expected, start, found, without, on_stage)
-            if found[0].evidence > baseline.evidence:
-                found, baseline = told_apart(found, baseline, in_pixels)
+            found, baseline = told_apart(found, baseline, in_pixels)
     elif is_open and not is_small:
         found = with_dear(expected, start, found, without, on_stage)
         if not is_explained(expected, found[0], baseline):
@@ -241,9 +238,7 @@ def _with_changes(
 ) -> tuple[list[Candidate], Candidate]:
     """Return single effects of which some may change, likeliest first, and the baseline; pixels are asked."""
     every = with_changes(expected, found, on_stage)
-    if every[0].refit.change is None or every[0].evidence <= baseline.evidence:
-        return every, baseline
-    return told_apart(every, baseline, in_pixels)
+    return told_apart(every, baseline, in_pixels) if every[0].refit.change else (every, baseline)
 
 
 def _rivals(singles: Sequence[Candidate]) -> Bool:
@@ -329,10 +324,8 @@ def _several(
     if chosen.left > most or chosen.is_held_back:
         return None
     for name in chosen.ids[:-1]:
-        fitted = chosen.refit
-        fewer = {other: values for other, values in fitted.effects.items() if other != name}
-        change = change_among(fitted.change, fewer)
-        without_it = judged(expected, refit(expected, fewer, fitted.nuisance, change=change))
+        fewer = {other: values for other, values in chosen.refit.effects.items() if other != name}
+        without_it = judged(expected, refit_from(expected, chosen.refit, fewer))
         if chosen.evidence - without_it.evidence < NAMED_FROM:
             chosen = without_it
     return chosen
@@ -346,25 +339,20 @@ def with_shares(
     worth = {name: of for name, of in decision.chosen.refit.effects.items() if share[name] >= LEAST_SHARE}
     if not worth or len(worth) == len(decision.chosen.ids):
         return decision, share
-    fitted = decision.chosen.refit
-    change = change_among(fitted.change, worth)
-    chosen = judged(expected, refit(expected, worth, fitted.nuisance, change=change))
+    chosen = judged(expected, refit_from(expected, decision.chosen.refit, worth))
     return replace(decision, chosen=chosen), shares(expected, baseline, chosen)
 
 
 def shares(expected: Expected, baseline: Candidate, chosen: Candidate) -> dict[str, float]:
     """Return each effect's share of the gap that all close together: Shapley's value (1953)."""
-    names, fitted = chosen.ids, chosen.refit
+    names = chosen.ids
     if len(names) < 2:
         return dict.fromkeys(names, 1.0)
     left: dict[frozenset[str], float] = {frozenset(): baseline.left, frozenset(names): chosen.left}
     for number in range(1, len(names)):
         for some in itertools.combinations(names, number):
-            effects = {name: fitted.effects[name] for name in some}
-            change = change_among(fitted.change, effects)
-            left[frozenset(some)] = judged(
-                expected, refit(expected, effects, fitted.nuisance, change=change)
-            ).left
+            effects = {name: chosen.refit.effects[name] for name in some}
+            left[frozenset(some)] = judged(expected, refit_from(expected, chosen.refit, effects)).left
     # Below the model's floor all that there is is closed by what leaves least.
     floor = 1.0 if baseline.left > 1.0 else min(left.values())
     closed = {of: math.sqrt(max(value - floor, 0.0)) for of, value in left.items()}

@@ -10,7 +10,6 @@ import numpy.typing as npt
 
 from noise_model.arc_map import CELL, ArcKernel, ArcMap
 from noise_model.frames import Float64
-from noise_model.setup import Setup
 from tracker.arc_level import MAP_SIGMA, ArcLevel
 from tracker.band import gather, median_background, place, weigh
 from tracker.expected import ExpectedStripe
@@ -78,6 +77,7 @@ class StripeReading:
     `fits` (n_scan, 5) are `fit_line`'s. The variance of a pixel is `shot` times its mean plus
     `dark_variance_e2`; `map_sigma` is the background's relative 1 sigma, `base_sigma_e` the black level's.
     `second_share` is how bright a second stripe is over the first, 0 for none; the background has its light.
+    `speckle` is what the setup states.
     """
 
     stripe: Stripe
@@ -92,8 +92,9 @@ class StripeReading:
     map_sigma: float
     base_sigma_e: float
     second_share: float
+    speckle: Speckle
 
-    def light(self, setup: Setup) -> StripeLight:
+    def light(self, psf_sigma_px: float) -> StripeLight:
         """Return what shows where the stripe ends, as good as the band."""
         band, width_px = self.band, self.fits[:, 3]
         return StripeLight(
@@ -106,8 +107,8 @@ class StripeReading:
             self.stripe.position_px,
             width_px,
             self.shot,
-            Speckle.of(setup).line_contrast(width_px),
-            setup.camera.psf_sigma_px,
+            self.speckle.line_contrast(width_px),
+            psf_sigma_px,
         )
 
 
@@ -169,8 +170,9 @@ def read_stripe(
             band.background += light
         second_share = share
         score, start, fits, saturated = _fit_band(band, expected, lows, offsets, noise)
+    speckle = Speckle.of(geometry.setup)
     sigma, together = with_speckle(
-        Speckle.of(geometry.setup),
+        speckle,
         fits,
         expected.sigma_px,
         band.background,
@@ -197,6 +199,7 @@ def read_stripe(
         map_sigma,
         base_sigma,
         second_share,
+        speckle,
     )
 
 

@@ -277,11 +277,11 @@ def profile_of(
     geometry: SensorGeometry, view: Scene, expected: ExpectedStripe, look: StripeReading, reach_mm: float
 ) -> Profile:
     """Return a stripe's profile, whose seam is looked for within the look's reach; a search takes it all."""
-    stripe = look.stripe
+    stripe, light = look.stripe, look.light(geometry.setup.camera.psf_sigma_px)
     position_px = stripe.position_px - expected.lean_px
     profile = triangulate(geometry, view, position_px, stripe.sigma_px, stripe.beside_px)
-    profile = replace(profile, light=look.light(geometry.setup))
-    return profile if reach_mm == SEARCH_REACH_MM else replace(profile, reach_mm=reach_mm + CLEAR_MM)
+    within_mm = math.inf if reach_mm == SEARCH_REACH_MM else reach_mm + CLEAR_MM
+    return replace(profile, reach_mm=within_mm, light=light)
 
 
 def _read_again(

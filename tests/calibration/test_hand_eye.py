@@ -19,6 +19,7 @@ from noise_model.frames import moved
 from noise_model.setup import Setup
 from noise_model.surface import SeamLine
 from tracker.follow import SeamHistory
+from tracker.geometry import SensorGeometry
 from tracker.state import Frame, Pose
 from tracker.step import TrackerState
 
@@ -131,7 +132,7 @@ def test_a_joint_with_faces_in_shadow_is_no_hindrance() -> None:
     # The last frames look at what lies behind a ridge.
     seen = frames(setup, SeamLine(), apart_mm=10.0)
     last = _with_seam(setup, seen, _tracked(setup, seen))[-1]
-    view = _View.of(setup, last, last.tracked, LATTICE_PX)
+    view = _View.of(SensorGeometry.of(setup), last, last.tracked, LATTICE_PX)
     assert (view.mean_e(setup, 1.0, 0.0, last.tracked) == 0.0).mean() > 0.05
     found = estimate_hand_eye(setup, seen, lattice_px=LATTICE_PX).fit
     assert found.value("ln_arc_level") == pytest.approx(np.log(1.05), abs=0.02)
@@ -149,7 +150,7 @@ def test_pixels_that_see_another_face_are_told() -> None:
     setup = small_setup()
     seen = frames(setup, SeamLine())
     one = _with_seam(setup, seen, _tracked(setup, seen))[2]
-    view = _View.of(setup, one, one.tracked, LATTICE_PX)
+    view = _View.of(SensorGeometry.of(setup), one, one.tracked, LATTICE_PX)
     assert np.isfinite(view.residual(setup, 1.0, 0.0, one.tracked)).all()
     beside = replace(one.tracked, y_mm=one.tracked.y_mm + 0.2)
     assert np.isfinite(view.residual(setup, 1.0, 0.0, beside)).all()

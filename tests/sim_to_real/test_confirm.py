@@ -6,6 +6,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 import pytest
 
+from noise_model.effects import REGISTRY
 from sim_to_real.change import Change, Driver
 from sim_to_real.confirm import (
     closing,
@@ -21,6 +22,11 @@ from sim_to_real.diagnosis import Gap, Verdict
 from sim_to_real.screen import size
 from sim_to_real.verdict import Decision
 from tests.sim_to_real.verdicts import candidate
+
+
+def neutral(name):
+    """What a setup without effects states of one."""
+    return REGISTRY[name].neutral
 
 
 @dataclass
@@ -64,12 +70,12 @@ def test_a_gap_below_the_floor_is_none_but_for_an_effect_that_is_no_trifle():
         named = decision(Verdict.EFFECTS, "roughness_change")
         named.chosen.refit.effects["roughness_change"] = {"c2_ln": c2_ln}
         assert closing(named, baseline, below).verdict is Verdict.EFFECTS
-        assert is_trifle(named, baseline, below, {}) is in_small
-        assert is_trifle(named, baseline, above, {}) is in_small
-        assert is_trifle(named, candidate(left=0.9), clear, {}) is in_small
-        assert not is_trifle(named, baseline, clear, {})
+        assert is_trifle(named, baseline, below, neutral) is in_small
+        assert is_trifle(named, baseline, above, neutral) is in_small
+        assert is_trifle(named, candidate(left=0.9), clear, neutral) is in_small
+        assert not is_trifle(named, baseline, clear, neutral)
         # From 1.2 to 1 it gains 100 ln 1.2 = 18 nats.
-        assert not is_trifle(named, candidate(left=1.2), above, {})
+        assert not is_trifle(named, candidate(left=1.2), above, neutral)
 
 
 def test_beside_a_trifle_what_scatters_is_named():
@@ -87,8 +93,8 @@ def test_what_scatters_must_close_half_of_a_gap_as_well():
 
 def test_the_shape_of_an_effect_says_nothing_of_its_size():
     marks = {"anisotropy": 0.05, "marks_deg": 60.0}
-    assert size({"rolling_marks": marks}, {}) == pytest.approx(0.1)
-    assert size({"rolling_marks": marks, "arc_length": {"height_mm": -0.3}}, {}) == pytest.approx(0.3)
+    assert size({"rolling_marks": marks}, neutral) == pytest.approx(0.1)
+    assert size({"rolling_marks": marks, "arc_length": {"height_mm": -0.3}}, neutral) == pytest.approx(0.3)
 
 
 @pytest.mark.parametrize(
@@ -145,6 +151,6 @@ def test_an_effect_that_changes_from_one_side_to_the_other_is_no_trifle():
     fitted = blow.chosen.refit
     fitted.effects["arc_deflection"] = {"x_mm": 0.0, "y_mm": 0.01}
     small = replace(gap(0.1, (0.8, 0.9)), before=0.1)
-    assert is_trifle(blow, candidate(left=1.1), small, {})
+    assert is_trifle(blow, candidate(left=1.1), small, neutral)
     fitted.change = Change("arc_deflection", Driver.TIME, 1.0, 1.0, (0.0, 1.0))
-    assert not is_trifle(blow, candidate(left=1.1), small, {})
+    assert not is_trifle(blow, candidate(left=1.1), small, neutral)

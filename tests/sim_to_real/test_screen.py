@@ -1,5 +1,7 @@
 """The first look: where a fit should start."""
 
+import math
+
 import pytest
 from small import small_recording
 
@@ -21,10 +23,12 @@ def test_patches_are_found_one_beside_another(tmp_path):
         "dirty_window",
         {**places, "radius_1": 0.2, "dimming_1": 0.5, "radius_2": 0.2, "dimming_2": 0.4},
     )
-    seen = sorted((found.start[f"u_{n}"], found.start[f"v_{n}"], found.start[f"dimming_{n}"]) for n in (1, 2))
-    for (u, v, dimming), (u_planted, v_planted) in zip(seen, [(-0.5, -0.3), (0.4, 0.3)], strict=True):
-        assert (u, v) == pytest.approx((u_planted, v_planted), abs=0.15)
-        assert dimming > 0.1
+    # A planted patch of 0.2 may be taken for two beside each other; the fit starts within each of both.
+    seen = [
+        (found.start[f"u_{n}"], found.start[f"v_{n}"]) for n in (1, 2, 3) if found.start[f"dimming_{n}"] > 0.1
+    ]
+    for planted in ((-0.5, -0.3), (0.4, 0.3)):
+        assert min(math.dist(planted, place) for place in seen) < 0.2
     assert found.left < 0.4
 
 
@@ -57,4 +61,4 @@ def test_what_the_setup_states_is_where_the_look_begins(tmp_path):
     assert abs(found.place[1]) == pytest.approx(0.7)
     fitted = refit(expected, {"arc_length": found.start}, expected.neutral)
     assert fitted.quadratic.parameters[-1].start == 1.1
-    assert size(fitted.effects, {"arc_length": {"height_mm": 1.1}}) == pytest.approx(0.4, abs=0.05)
+    assert size(fitted.effects, expected.stated) == pytest.approx(0.4, abs=0.05)

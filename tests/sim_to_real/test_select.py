@@ -217,7 +217,7 @@ def test_what_is_dear_is_fitted_where_it_closes_a_good_part_in_a_few_frames(
     expected = SimpleNamespace(observed=observed, some=lambda chosen: few)
     left = {frozenset(): before, frozenset({"interreflection"}): after}
     monkeypatch.setattr(
-        select, "refit", lambda of, effects, _, change: SimpleNamespace(mean_square=left[frozenset(effects)])
+        select, "refit_from", lambda *of: SimpleNamespace(mean_square=left[frozenset(of[-1])])
     )
-    baseline = SimpleNamespace(effects={}, nuisance=None, change=None)
+    baseline = SimpleNamespace(effects={})
     assert select._worth_it(expected, baseline, {"interreflection": {}}) is is_worth_it

@@ -154,7 +154,7 @@ def test_several_that_leave_nothing_where_they_were_fitted_need_not_foresee_as_w
     monkeypatch.setattr(room, "looked", lambda *_: ["a look"])
     for name in ("candidates", "with_dear"):
         monkeypatch.setattr(room, name, lambda *_: [pair])
-    monkeypatch.setattr(room, "refit", lambda *_, **__: None)
+    monkeypatch.setattr(room, "refit_from", lambda *_: None)
     monkeypatch.setattr(room, "judged", lambda *_: candidate("defocus", left=4.0))
     found = room._several(None, candidate(left=9.0), best, (), print)
     assert found is (pair if explain else None)
@@ -173,7 +173,7 @@ def test_several_that_leave_nothing_where_they_were_fitted_need_not_foresee_as_w
 def test_shares_below_the_floor_are_shares_still(monkeypatch, baseline, alone, share):
     pair = candidate("gamma", "fume", left=baseline[1])
     left = dict(zip(("gamma", "fume"), alone, strict=True))
-    monkeypatch.setattr(room, "refit", lambda _, effects, __, change: effects)
+    monkeypatch.setattr(room, "refit_from", lambda _, __, effects: effects)
     monkeypatch.setattr(room, "judged", lambda _, effects: SimpleNamespace(left=left[next(iter(effects))]))
     found = room.shares(None, candidate(left=baseline[0]), pair)
     assert tuple(found.values()) == pytest.approx(share)

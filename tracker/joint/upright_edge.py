@@ -61,8 +61,9 @@ def edge_between(profile: Profile, before: int, behind: int, hidden_mm: float) -
     last_mm, first_mm = float(profile.y_mm[before]), float(profile.y_mm[behind]) - hidden_mm
     spread_mm = max(abs(first_mm - last_mm), profile.column_mm)
     middle_mm, variance_mm2 = 0.5 * (last_mm + first_mm), spread_mm**2 / 12.0
+    anywhere = Edge(middle_mm, variance_mm2)
     if profile.light is None:
-        return Edge(middle_mm, variance_mm2)
+        return anywhere
     ends = stripe_ends(profile.light, int(profile.scan[before]), int(profile.scan[behind]))
     # What shines from the upright side itself, if it is seen, may count as either's, anywhere between them.
     upright = 0.0 if hidden_mm > 0.0 else abs(ends[1].line - ends[0].line) / math.sqrt(12.0)
@@ -76,9 +77,7 @@ def edge_between(profile: Profile, before: int, behind: int, hidden_mm: float) -
             of_end = sigma_mm**2 + (upright * profile.column_mm) ** 2
             total += y_mm / of_end
             information += 1.0 / of_end
-    return (
-        Edge(total / information, 1.0 / information) if information > 0.0 else Edge(middle_mm, variance_mm2)
-    )
+    return Edge(total / information, 1.0 / information) if information > 0.0 else anywhere
 
 
 def _at_line(profile: Profile, points: slice, line: float) -> float:
