@@ -25,7 +25,7 @@ from noise_model.frames import Float64
 from noise_model.optics import Rays, blur
 from noise_model.sensor import expose, respond_moments, saturation_dn
 from noise_model.setup import Setup
-from noise_model.stripe import stripe_light
+from noise_model.stripe import SheetSeen, crossed_by_borders, sheet_seen, stripe_light
 from noise_model.surface import NOMINAL_SEAM, Seam, SeamLine
 from noise_model.view import View
 
@@ -35,13 +35,16 @@ FILL_TOLERANCE, FILL_FLOOR, FILL_SAMPLE = 3e-4, 1e-4, 101
 That is as closely as the pixels' own integrals are taken.
 """
 
+WITHIN_PIXEL = 16
+"""So many points across a pixel tell how much of it is on either side of a border."""
+
 REMEMBERED = 4
 """How many poses a renderer remembers if it is not told otherwise."""
 
 
 Kept = TypeVar("Kept")
 
-Number = TypeVar("Number", np.float32, np.int32)
+Number = TypeVar("Number", np.float32, np.int32, np.bool_)
 
 
 @dataclass(frozen=True, eq=False)
@@ -87,8 +90,27 @@ class Layers:
 
     @cached_property
     def laser_e(self) -> Float32:
-        """The laser stripe (...,), e- for `camera.exposure_s`, at its nominal output."""
-        return self._of_stretches(stripe_light)
+        """The laser stripe (...,), e- for `camera.exposure_s`, at its nominal output.
+
+        In a whole frame a pixel that an edge or a shadow's border crosses has the mean across it: such shares
+        tell where a stripe ends. The rest of a pixel's aperture is the point-spread function's.
+        """
+        light = self._of_stretches(stripe_light)
+        if not self.view.is_frame:
+            return light
+        sheet = SheetSeen(
+            self._of_stretches(lambda view: sheet_seen(view).near),
+            self._of_stretches(lambda view: sheet_seen(view).shaded),
+        )
+        upright, level = crossed_by_borders(self.faces, sheet)
+        along = (np.arange(WITHIN_PIXEL) + 0.5) / WITHIN_PIXEL - 0.5
+        zero = np.zeros(WITHIN_PIXEL)
+        for crossed, offsets_px in ((upright, (along, zero)), (level, (zero, along))):
+            for pixels, view in self.stretches or ((np.arange(light.size), self.view),):
+                mine = np.flatnonzero(np.isin(pixels, crossed))
+                beside = view.about(mine, np.column_stack(offsets_px))
+                light.reshape(-1)[pixels[mine]] = stripe_light(beside).mean(axis=1)
+        return light
 
     @cached_property
     def faces(self) -> npt.NDArray[np.integer]:

@@ -5,8 +5,10 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, field
 from functools import lru_cache
+from typing import NamedTuple
 
 import numpy as np
+import numpy.typing as npt
 
 from noise_model.arc_map import Float32
 from noise_model.brdf import LobeNumbers, lobe_numbers, reflectance
@@ -61,28 +63,64 @@ def reflected_sheet_plain(setup: Setup, points: Float64, normals: Float64, T_joi
     return light * f_r
 
 
+class SheetSeen(NamedTuple):
+    """Which of a view's pixels (...,) lie within the sheet's reach, and which of these it does not reach."""
+
+    near: npt.NDArray[np.bool_]
+    shaded: npt.NDArray[np.bool_]
+
+
+def sheet_seen(view: View) -> SheetSeen:
+    """Return where a view's pixels meet the laser sheet, at their centres."""
+    return view.keep("sheet", lambda: _sheet_seen(view))
+
+
+def _sheet_seen(view: View) -> SheetSeen:
+    where, laser = view.scene, view.setup.laser
+    points = view.surface[0]
+    points_tool = transform(invert(where.T_joint_tool), points)
+    plane = laser.plane
+    with np.errstate(invalid="ignore"):
+        depth = laser.origin_in_tool_mm[2] - points_tool[..., 2]
+        reach = SHEET_REACH * laser.stripe_sigma_mm * np.abs(depth) / laser.origin_in_tool_mm[2]
+        near = np.abs(points_tool @ plane[:3] + plane[3]) < reach
+    origin_joint = transform(where.T_joint_tool, laser.origin_mm)
+    is_free = np.empty(np.count_nonzero(near), dtype=np.bool_)
+    ways_are_open(points[near], origin_joint, where.shape.vertices, where.shape.corrugation, is_free)
+    shaded = np.zeros(view.shape, dtype=np.bool_)
+    shaded[near] = ~is_free
+    return SheetSeen(near, shaded)
+
+
 def stripe_light(view: View) -> Float32:
     """Return the laser stripe (...,), e- for `camera.exposure_s`, before the point-spread function.
 
     The sheet's irradiance times f_r towards the camera, scaled so that a flat plate at tool height under a
-    level pose peaks at `peak_e` in the middle column.
+    level pose peaks at `peak_e` in the middle column; of each pixel that at its centre.
     """
-    setup, where = view.setup, view.scene
-    laser = setup.laser
-    points, normals = (values.reshape(-1, 3) for values in view.surface[:2])
-    points_tool = transform(invert(where.T_joint_tool), points)
-    plane = laser.plane
-    with np.errstate(invalid="ignore"):
-        depth = laser.origin_in_tool_mm[2] - points_tool[:, 2]
-        reach = SHEET_REACH * laser.stripe_sigma_mm * np.abs(depth) / laser.origin_in_tool_mm[2]
-        near = np.flatnonzero(np.abs(points_tool @ plane[:3] + plane[3]) < reach)
-    light = reflected_sheet(setup, points[near], normals[near], where.T_joint_tool)
-    origin_joint = transform(where.T_joint_tool, laser.origin_mm)
-    is_free = np.empty(len(near), dtype=np.bool_)
-    ways_are_open(points[near], origin_joint, where.shape.vertices, where.shape.corrugation, is_free)
-    image = np.zeros(view.cos4.size, dtype=np.float32)
-    image[near] = light * view.cos4.reshape(-1)[near] * is_free * (laser.peak_e / stripe_reference(setup))
-    return image.reshape(view.shape)
+    setup, sheet = view.setup, sheet_seen(view)
+    lit = sheet.near & ~sheet.shaded
+    points, normals, _ = view.surface
+    light = reflected_sheet(setup, points[lit], normals[lit], view.scene.T_joint_tool)
+    image = np.zeros(view.shape, dtype=np.float32)
+    image[lit] = light * view.cos4[lit] * (setup.laser.peak_e / stripe_reference(setup))
+    return image
+
+
+def crossed_by_borders(
+    faces: npt.NDArray[np.integer], sheet: SheetSeen
+) -> tuple[npt.NDArray[np.intp], npt.NDArray[np.intp]]:
+    """Return the pixels, flattened, of a frame (H, W) that borders of the stripe cross: upright ones, others.
+
+    They or a neighbour are near the sheet, and the neighbour shows another face or lies in its shadow.
+    """
+    side = 2 * faces + sheet.shaded
+    crossed = np.zeros((2, *side.shape), dtype=np.bool_)
+    for of, here, there in ((0, np.s_[:, 1:], np.s_[:, :-1]), (1, np.s_[1:], np.s_[:-1])):
+        border = (side[here] != side[there]) & (sheet.near[here] | sheet.near[there])
+        crossed[of][here] |= border
+        crossed[of][there] |= border
+    return np.flatnonzero(crossed[0]), np.flatnonzero(crossed[1] & ~crossed[0])
 
 
 def stripe_reference(setup: Setup) -> float:

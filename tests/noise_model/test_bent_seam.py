@@ -43,7 +43,8 @@ def test_each_stretch_is_seen_where_it_lies():
     left, right = SeamLine(25.0, -1.0), SeamLine(45.0, 1.0)
     bent = layers(BentSeam((left, right), SeamLine()))
     x = bent.view.surface[0][..., 0]
-    for line, where in ((left, x < 34.5), (right, x > 35.5)):
+    # Beside the other stretch a pixel's neighbour is seen elsewhere.
+    for line, where in ((left, x < 33.0), (right, x > 37.0)):
         alone = layers(line)
         np.testing.assert_array_equal(bent.laser_e[where], alone.laser_e[where])
 
