@@ -82,36 +82,67 @@ class StripeEnd(NamedTuple):
     sigma: float
 
 
+NOT_TOLD = StripeEnd(math.nan, math.nan)
+
+
 def stripe_ends(light: StripeLight, last: int, first: int) -> tuple[StripeEnd, StripeEnd]:
     """Return where the stripe that is whole in line `last` ends, and where that of line `first` begins."""
-    clear = math.ceil(CLEAR_SIGMAS * light.psf_sigma_px) + 1
+    clear = _clear_of_an_edge(light)
     away = 1 if first > last else -1
     n = abs(first - last) + 2 * clear - 1
-    if n > MOST_LINES:
-        return StripeEnd(math.nan, math.nan), StripeEnd(math.nan, math.nan)
     shares, variances = np.empty((2, 2, n))
-    is_known = line_shares(light, last - away * clear, first + away * clear, away, shares, variances)
-    if not is_known:
-        return StripeEnd(math.nan, math.nan), StripeEnd(math.nan, math.nan)
-    contrast, sigma = max(light.contrast, LEAST_CONTRAST), max(light.psf_sigma_px, LINE_SIGMA)
-    ends, end_sigma = fit_end(shares[0], variances[0], contrast, sigma)
+    if n > MOST_LINES or not line_shares(
+        light, last - away * clear, first + away * clear, away, BEYOND, shares, variances
+    ):
+        return NOT_TOLD, NOT_TOLD
+    ends = _fitted(light, shares[0], variances[0])
     # The other stripe seen from its own side.
-    begins, begin_sigma = fit_end(shares[1, ::-1], variances[1, ::-1], contrast, sigma)
+    begins = _fitted(light, shares[1, ::-1], variances[1, ::-1])
+    if math.isnan(begins.line):
+        return NOT_TOLD, NOT_TOLD
     next_one = last - away * (clear - 1)
     return (
-        StripeEnd(next_one + away * ends, end_sigma),
-        StripeEnd(next_one + away * (n - 1 - begins), begin_sigma),
+        StripeEnd(next_one + away * ends.line, ends.sigma),
+        StripeEnd(next_one + away * (n - 1 - begins.line), begins.sigma),
     )
 
 
-@kernel
-def run_of(position_px: Float64, begins: int, away: int) -> tuple[float, float]:
-    """Return the straight line, its value at line `begins` and slope by lines, that BEYOND positions run on.
+def stripe_end(light: StripeLight, last: int, away: int, gap_lines: int) -> StripeEnd:
+    """Return where the stripe that is whole in line `last` ends, before a gap of some lines.
 
-    NaN where fewer than LEAST_BEYOND of the lines from `begins` on in steps of `away` hold a stripe.
+    What is seen deep in the gap, clear of either end, is the other stripe; where nothing is, there is none.
+    """
+    clear = _clear_of_an_edge(light)
+    # No more than half of the gap: behind it the stripe begins again.
+    n = clear + min(clear, (gap_lines + 1) // 2)
+    shares, variances = np.empty((2, 2, n))
+    deep = max(gap_lines - 2 * clear, 0)
+    if not line_shares(light, last - away * clear, last + away * (clear + 1), away, deep, shares, variances):
+        return NOT_TOLD
+    ends = _fitted(light, shares[0], variances[0])
+    return StripeEnd(last - away * (clear - 1) + away * ends.line, ends.sigma)
+
+
+def _clear_of_an_edge(light: StripeLight) -> int:
+    """Return how many lines beyond a line beside an edge one is clear of it."""
+    return math.ceil(CLEAR_SIGMAS * light.psf_sigma_px) + 1
+
+
+def _fitted(light: StripeLight, shares: Float64, variances: Float64) -> StripeEnd:
+    """Return the end of shares (n,) of a light's stripe, in lines from the first."""
+    contrast, sigma = max(light.contrast, LEAST_CONTRAST), max(light.psf_sigma_px, LINE_SIGMA)
+    return StripeEnd(*fit_end(shares, variances, contrast, sigma))
+
+
+@kernel
+def run_of(position_px: Float64, begins: int, away: int, most: int) -> tuple[float, float]:
+    """Return the straight line, its value at line `begins` and slope by lines, that some positions run on.
+
+    They are BEYOND, or `most` if that is less, from `begins` on in steps of `away`; NaN where fewer than
+    LEAST_BEYOND of them hold a stripe.
     """
     n, sum_x, sum_y, sum_xx, sum_xy = 0, 0.0, 0.0, 0.0, 0.0
-    for k in range(BEYOND):
+    for k in range(min(BEYOND, most)):
         s = begins + away * k
         if not 0 <= s < position_px.shape[0] or math.isnan(position_px[s]):
             continue
@@ -128,10 +159,10 @@ def run_of(position_px: Float64, begins: int, away: int) -> tuple[float, float]:
 
 
 @kernel
-def mean_stripe(light: StripeLight, begins: int, away: int, off_px: float) -> float:
-    """Return the mean light, e-, so far off the centres of BEYOND lines from `begins` on; NaN for none."""
+def mean_stripe(light: StripeLight, begins: int, away: int, most: int, off_px: float) -> float:
+    """Return the mean light, e-, so far off the centres of the lines of `run_of`; NaN for none."""
     n, total = 0, 0.0
-    for k in range(BEYOND):
+    for k in range(min(BEYOND, most)):
         s = begins + away * k
         if not 0 <= s < light.position_px.shape[0] or math.isnan(light.position_px[s]):
             continue
@@ -149,26 +180,31 @@ def mean_stripe(light: StripeLight, begins: int, away: int, off_px: float) -> fl
 
 @kernel
 def line_shares(
-    light: StripeLight, last: int, first: int, away: int, shares: Float64, variances: Float64
+    light: StripeLight, last: int, first: int, away: int, most: int, shares: Float64, variances: Float64
 ) -> bool:
-    """Write the shares (2, n) of both stripes, and their variances, of the n lines between two clear ones.
+    """Write the shares (2, n) of both stripes, and their variances, of the n lines from `last` on.
 
-    `away` is the step, 1 or -1, from `last` to `first`. False if either stripe is not seen beyond; a line
-    that cannot be read has a NaN.
+    `away` is the step, 1 or -1, from `last`, where the first stripe is clear, to `first`, where the other is;
+    that is read from `most` lines at most. False if the first is not seen. A line that cannot be read has a
+    NaN, and so has the other stripe everywhere if it is not seen.
     """
-    at_last, slope_last = run_of(light.position_px, last, -away)
-    at_first, slope_first = run_of(light.position_px, first, away)
+    at_last, slope_last = run_of(light.position_px, last, -away, BEYOND)
+    at_first, slope_first = run_of(light.position_px, first, away, most)
+    alone = math.isnan(at_first)
     width = 0.0
     for s in (last, first):
         if 0 <= s < light.width_px.shape[0] and not math.isnan(light.width_px[s]):
             width = max(width, light.width_px[s])
-    if math.isnan(at_last) or math.isnan(at_first) or width == 0.0:
+    if math.isnan(at_last) or width == 0.0:
         return False
     for i in range(shares.shape[1]):
         s = last + away * (i + 1)
+        shares[:, i], variances[:, i] = math.nan, math.nan
+        if not 0 <= s < light.charge_e.shape[0]:
+            continue
         low = light.lows[s // light.cell]
         upper = at_last + slope_last * (s - last)
-        lower = at_first + slope_first * (s - first)
+        lower = upper if alone else at_first + slope_first * (s - first)
         begin = max(math.floor(min(upper, lower) - WINDOW_SIGMAS * width) - low, 0)
         end = min(math.ceil(max(upper, lower) + WINDOW_SIGMAS * width) - low + 1, light.charge_e.shape[1])
         n, w_, w_u, w_v, w_c = 0, 0.0, 0.0, 0.0, 0.0
@@ -176,8 +212,8 @@ def line_shares(
         for j in range(begin, end):
             if light.censored[s, j]:
                 continue
-            u = mean_stripe(light, last, -away, j + low - upper)
-            v = mean_stripe(light, first, away, j + low - lower)
+            u = mean_stripe(light, last, -away, BEYOND, j + low - upper)
+            v = 0.0 if alone else mean_stripe(light, first, away, most, j + low - lower)
             if math.isnan(u) or math.isnan(v):
                 continue
             c = light.charge_e[s, j] - light.background_e[s, j]
@@ -192,15 +228,18 @@ def line_shares(
             w_vv += weight * v * v
             w_uc += weight * u * c
             w_vc += weight * v * c
+        if n < LEAST_PIXELS:
+            continue
         # The offset c_s is solved for first, the two shares with what it leaves.
         H_uu, H_uv, H_vv = w_uu - w_u * w_u / w_, w_uv - w_u * w_v / w_, w_vv - w_v * w_v / w_
         g_u, g_v = w_uc - w_u * w_c / w_, w_vc - w_v * w_c / w_
         area = H_uu * H_vv - H_uv * H_uv
-        if n < LEAST_PIXELS or not area > 1e-6 * H_uu * H_vv:
-            shares[:, i], variances[:, i] = math.nan, math.nan
-            continue
-        shares[0, i], variances[0, i] = (g_u * H_vv - g_v * H_uv) / area, H_vv / area
-        shares[1, i], variances[1, i] = (g_v * H_uu - g_u * H_uv) / area, H_uu / area
+        if alone:
+            if H_uu > 0.0:
+                shares[0, i], variances[0, i] = g_u / H_uu, 1.0 / H_uu
+        elif area > 1e-6 * H_uu * H_vv:
+            shares[0, i], variances[0, i] = (g_u * H_vv - g_v * H_uv) / area, H_vv / area
+            shares[1, i], variances[1, i] = (g_v * H_uu - g_u * H_uv) / area, H_uu / area
     return True
 
 

@@ -23,6 +23,7 @@ from tracker.stripe_end import (
     end_chi2,
     fit_end,
     line_shares,
+    stripe_end,
     stripe_ends,
 )
 
@@ -130,7 +131,7 @@ def test_shares_are_their_twin(seed: int, n: int, back: bool) -> None:
     last = EDGE - away * 4
     first = last + away * (n + 1)
     shares, variances = np.empty((2, 2, n))
-    assert line_shares(light, last, first, away, shares, variances)
+    assert line_shares(light, last, first, away, BEYOND, shares, variances)
 
     residual = light.charge_e.astype(np.float64) - light.background_e
     residual[light.censored] = np.nan
@@ -162,6 +163,56 @@ def test_shares_are_their_twin(seed: int, n: int, back: bool) -> None:
         expected = covariance @ A.T @ (residual[s][used] * weight)
         assert shares[:, i] == pytest.approx(expected[:2], rel=1e-6, abs=1e-6)
         assert variances[:, i] == pytest.approx(np.diag(covariance)[:2], rel=1e-4)
+
+
+def gap_of(
+    rng: np.random.Generator, ends: float, begins: float, floor_e: float, *, flipped: bool = False
+) -> StripeLight:
+    """A plate's stripe with a gap from line to line; at its bottom, if it is lit, it runs 20 px off."""
+    s, r = np.arange(N_SCAN, dtype=float), np.arange(DEPTH, dtype=float)
+    run = 35.3 + 0.1031 * (s - EDGE)
+    plate, floor = (np.exp(-0.5 * ((r - at[:, None]) / WIDTH_PX) ** 2) for at in (run, run + 20.0))
+    open_share = (ndtr((s - ends) / PSF_PX) - ndtr((s - begins) / PSF_PX))[:, None]
+    mean = 3000.0 * (1.0 - open_share) * plate + floor_e * open_share * floor + 500.0
+    deep = (s > ends) & (s < begins)
+    position = np.where(deep, run + 20.0 if floor_e else np.nan, run)
+    charge = rng.normal(mean, np.sqrt(mean + DARK_E2))
+    if flipped:
+        charge, position = charge[::-1], position[::-1]
+    return light_of(rng, ends, begins)._replace(
+        charge_e=np.ascontiguousarray(charge, dtype=np.float32), position_px=np.ascontiguousarray(position)
+    )
+
+
+@pytest.mark.parametrize("flipped", [False, True])
+@pytest.mark.parametrize(("gap_lines", "floor_e"), [(3.4, 0.0), (7.0, 0.0), (16.3, 0.0), (16.3, 2000.0)])
+def test_a_gap_s_ends_are_where_the_plate_s_stripe_ends(
+    gap_lines: float, floor_e: float, flipped: bool
+) -> None:
+    """A lit bottom is told from the plate where there are lines enough of it."""
+    rng, off, stated = np.random.default_rng(7), [], []
+    for _ in range(50):
+        ends = EDGE - 6.0 + rng.uniform(-0.5, 0.5)
+        begins = ends + gap_lines
+        light = gap_of(rng, ends, begins, floor_e, flipped=flipped)
+        last, first = math.floor(ends), math.ceil(begins)
+        between, away = first - last - 1, -1 if flipped else 1
+        for line, true, step in ((last, ends, away), (first, begins, -away)):
+            found = stripe_end(light, N_SCAN - 1 - line if flipped else line, step, between)
+            off.append((N_SCAN - 1 - found.line if flipped else found.line) - true)
+            stated.append(found.sigma)
+    print(
+        f"gap {gap_lines}: rms {np.std(off):.3f} lines, mean {np.mean(off):.3f}, stated {np.mean(stated):.3f}"
+    )
+    assert np.std(off) < 0.1
+    assert np.mean(np.square(np.array(off) / stated)) < 1.3
+
+
+def test_an_end_does_not_look_past_the_image() -> None:
+    light = gap_of(np.random.default_rng(7), 20.0, 36.0, 0.0)
+    assert stripe_end(light, 20, 1, 15).sigma < 0.2
+    for last, away in ((0, -1), (N_SCAN - 1, 1)):
+        assert not stripe_end(light, last, away, 15).sigma < 1.0
 
 
 @settings(deadline=None, max_examples=30)

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -25,6 +26,7 @@ from tracker.joint.measured import (
 )
 from tracker.joint.section_shapes import SHEETS
 from tracker.profile import Profile
+from tracker.stripe_end import stripe_end
 
 PRIOR_SIGMA = np.array([5.0, 0.5, 0.03, 0.03])
 """1 sigma of the left plate's height, the step to the right one (mm), both plates' slopes."""
@@ -43,6 +45,9 @@ CLEAR_MM = 0.3
 
 LEAST_LINES, LEAST_POINTS = 2, 8
 """Scan lines that a gap must be wide to be seen, and points that must be seen of either plate."""
+
+MOST_END_SIGMA = 0.5
+"""Shares that tell an end no better, in scan lines, tell nothing of it."""
 
 LEAST_AGREEMENT = 0.6
 """By what share of the scan lines those that show what the joint would must outnumber the others."""
@@ -84,6 +89,14 @@ class _Gap:
     width_variance_mm2: float
 
 
+class _End(NamedTuple):
+    """Where a plate ends, mm, its variance, mm^2, and the last line that shows it."""
+
+    y_mm: float
+    variance_mm2: float
+    line: int
+
+
 def _gap_of(lines: _Lines, joint: Joint, y_0: float) -> _Gap | None:
     """Find the gap about a placed joint by the plates' ends on its either side; None where none is seen.
 
@@ -93,17 +106,21 @@ def _gap_of(lines: _Lines, joint: Joint, y_0: float) -> _Gap | None:
     # Beyond a thin sheet there is no plate either: more of that than of the sheet would outvote it.
     slack = min(SLACK_MM, 0.5 * thickness) if joint.type == "edge" else SLACK_MM
     reach = 0.5 * gap + slack
-    right, of_right = lines.end(y_0 - reach, y_0, True)
-    left, of_left = lines.end(y_0, y_0 + reach, False)
-    if lines.others_between(right, left) >= LEAST_LINES:
-        return _Gap(0.5 * (left + right), 0.25 * (of_left + of_right), left - right, of_left + of_right)
+    right, left = lines.end(y_0 - reach, y_0, True), lines.end(y_0, y_0 + reach, False)
+    if lines.others_between(right.y_mm, left.y_mm) >= LEAST_LINES:
+        gap_lines = left.line - right.line - 1
+        right, left = lines.by_shares(right, True, gap_lines), lines.by_shares(left, False, gap_lines)
+        width_variance = left.variance_mm2 + right.variance_mm2
+        return _Gap(
+            0.5 * (left.y_mm + right.y_mm), 0.25 * width_variance, left.y_mm - right.y_mm, width_variance
+        )
     if joint.type != "edge":
         return None
     outer = 0.5 * gap + thickness
-    right, of_right = lines.end(y_0 - outer - slack, y_0 - outer + slack, False)
-    left, of_left = lines.end(y_0 + outer - slack, y_0 + outer + slack, True)
-    variance = 0.25 * (of_left + of_right) + 0.5 * THICKNESS_SIGMA_MM**2
-    return _Gap(0.5 * (left + right), variance, 0.0, (LEAST_LINES * lines.column_mm) ** 2)
+    right = lines.end(y_0 - outer - slack, y_0 - outer + slack, False)
+    left = lines.end(y_0 + outer - slack, y_0 + outer + slack, True)
+    variance = 0.25 * (left.variance_mm2 + right.variance_mm2) + 0.5 * THICKNESS_SIGMA_MM**2
+    return _Gap(0.5 * (left.y_mm + right.y_mm), variance, 0.0, (LEAST_LINES * lines.column_mm) ** 2)
 
 
 def _measure(
@@ -193,23 +210,29 @@ def _on_plate(profile: Profile, plates: ShapeFit, y_0: float, limit_mm: float) -
 class _Lines:
     """The scan lines in order of y: 1 where a plate is seen, -1 where it is not; y of each (n,), mm.
 
-    `beyond` the profile's ends no plate is seen either if the plates end there, as an edge joint's do.
+    Where nothing is seen it is half of that, for spatter hides a plate, too. `beyond` the profile's ends no
+    plate is seen either if the plates end there, as an edge joint's do.
     """
 
     def __init__(self, profile: Profile, on_plate: npt.NDArray[np.bool_], beyond: bool) -> None:
-        scan = profile.scan if profile.scan[-1] > profile.scan[0] else -profile.scan
+        self.away = 1 if profile.scan[-1] > profile.scan[0] else -1
+        scan = self.away * profile.scan
         pad = math.ceil((OUTSIDE_MM + SLACK_MM) / profile.column_mm) if beyond else 0
         at = (scan - scan.min()).astype(np.int64) + pad
         n = int(at.max()) + 1 + pad
-        self.column_mm = profile.column_mm
-        self.sees = np.full(n, -1.0)
-        self.sees[at[on_plate]] = 1.0
+        self.first_scan = int(scan.min()) - pad
+        self.light, self.column_mm = profile.light, profile.column_mm
+        self.sees = np.full(n, -0.5)
+        self.sees[at] = np.where(on_plate, 1.0, -1.0)
+        self.is_read = np.zeros(n, dtype=bool)
+        self.is_read[at] = True
         order = np.argsort(at, kind="stable")
-        self.y_mm = np.interp(np.arange(n), at[order], profile.y_mm[order])
-        before, after = np.arange(-pad, 0), np.arange(1, pad + 1)
-        if pad:
-            self.y_mm[:pad] = profile.y_mm[0] + profile.column_mm * before
-            self.y_mm[-pad:] = profile.y_mm[-1] + profile.column_mm * after
+        if on_plate.any():
+            # Where the plates would be seen: what lies deep in the gap looks shifted beside them.
+            order = order[on_plate[order]]
+        lines, seen = np.arange(n), at[order]
+        outside = np.minimum(lines - seen[0], 0) + np.maximum(lines - seen[-1], 0)
+        self.y_mm = np.interp(lines, seen, profile.y_mm[order]) + self.column_mm * outside
 
     def place(self, plate_mm: float, gap_mm: float, ends: bool) -> float | None:
         """Return where two plates of a width with a gap between them agree best, None if nowhere enough."""
@@ -228,15 +251,34 @@ class _Lines:
             return None
         return float(self.y_mm[best] + 0.5 * (len(signs) - 1) * self.column_mm)
 
-    def end(self, low_mm: float, high_mm: float, plate_first: bool) -> tuple[float, float]:
-        """Return the end of a plate between two places, mm, and its variance: where most lines agree."""
+    def end(self, low_mm: float, high_mm: float, plate_first: bool) -> _End:
+        """Return the end of a plate between two places: where most lines agree."""
         first, last = np.searchsorted(self.y_mm, [low_mm, high_mm])
         sees = self.sees[first:last] * (1.0 if plate_first else -1.0)
         votes = np.concatenate([[0.0], np.cumsum(sees)])
         best = np.flatnonzero(votes == votes.max())[[0, -1]] + first
-        low = self.y_mm[max(best[0] - 1, 0)]
-        high = self.y_mm[min(best[1], len(self.y_mm) - 1)]
-        return float(0.5 * (low + high)), float(max(high - low, self.column_mm) ** 2 / 12.0)
+        before, behind = max(int(best[0]) - 1, 0), min(int(best[1]), len(self.y_mm) - 1)
+        low, high = float(self.y_mm[before]), float(self.y_mm[behind])
+        spread = max(high - low, self.column_mm)
+        return _End(0.5 * (low + high), spread**2 / 12.0, before if plate_first else behind)
+
+    def by_shares(self, end: _End, plate_first: bool, gap_lines: int) -> _End:
+        """Return an end at a gap of some lines as the shares say that lines hold of the plate's stripe.
+
+        It is as it was where they do not tell it, or tell what lines that were read deny.
+        """
+        if self.light is None:
+            return end
+        towards = 1 if plate_first else -1
+        scan = self.away * (self.first_scan + end.line)
+        found = stripe_end(self.light, scan, self.away * towards, gap_lines)
+        off = self.away * towards * (found.line - scan)
+        beside = self.is_read[end.line + towards :: towards]
+        unread = int(np.argmax(beside)) if beside.any() else 0
+        if not (found.sigma < MOST_END_SIGMA and -1.0 < off < unread + 2.0):
+            return end
+        at = np.interp(end.line + towards * off, np.arange(len(self.y_mm)), self.y_mm)
+        return _End(float(at), (found.sigma * self.column_mm) ** 2, end.line)
 
     def others_between(self, low_mm: float, high_mm: float) -> int:
         """Return how many scan lines between two places show no plate."""
