@@ -40,9 +40,6 @@ LEAST_LINES = 5.0
 EDGE_LINES = 0.1
 """No upright edge is placed better, in scan lines: it is rounded and has burrs. It is the tracker's floor."""
 
-PLACED_BY_SHARES = ("lap", "corrugation", "half_v")
-"""The joints whose upright edge the tracker places within its scan lines, by the shares of either stripe."""
-
 LEAST_LEVEL = 1e-6
 """A face whose normal has less than this of z is upright."""
 
@@ -233,15 +230,14 @@ def _edge_sigma_mm(light: StripeLight, read: Bool, unread: Bool, joint: Joint) -
         for y_mm, (across, rise) in zip(vertices[:-1, 0], np.diff(vertices, axis=0), strict=True)
         if across == 0.0
     ]
-    by_shares = joint.type in PLACED_BY_SHARES
-    information = sum(_one_edge_sigma_mm(light, read, unread, edge, by_shares) ** -2.0 for edge in uprights)
+    information = sum(_one_edge_sigma_mm(light, read, unread, edge) ** -2.0 for edge in uprights)
     return information**-0.5 if information > 0.0 else math.inf
 
 
-def _one_edge_sigma_mm(light: StripeLight, read: Bool, unread: Bool, edge: _Edge, by_shares: bool) -> float:
+def _one_edge_sigma_mm(light: StripeLight, read: Bool, unread: Bool, edge: _Edge) -> float:
     """Return what an upright edge tells of its own place.
 
-    It lies between two scan lines, and `by_shares` of either side's stripe to a part of one. Lines between
+    It lies between two scan lines, which by shares of either side's stripe say where. Lines between
     those that are read make that wider: there are no shares then, and it may lie anywhere there. What the
     edge hides can be reckoned with.
     """
@@ -251,7 +247,7 @@ def _one_edge_sigma_mm(light: StripeLight, read: Bool, unread: Bool, edge: _Edge
         return math.inf
     between = light.seen & unread & (y > y[left].max()) & (y < y[right].min())
     mm_per_line = float(np.median(light.length_mm[read] / light.lines[read]))
-    if by_shares and not between.any():
+    if not between.any():
         upper = left if edge.lower_side > 0.0 else right
         rim_mm = float(light.points[upper][np.argmin(np.abs(y[upper] - edge.y_mm)), 2])
         of_side = sampled_edge_sigma_mm(_seen_side_mm(light, edge, rim_mm))

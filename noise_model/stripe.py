@@ -107,20 +107,19 @@ def stripe_light(view: View) -> Float32:
     return image
 
 
-def crossed_by_borders(
-    faces: npt.NDArray[np.integer], sheet: SheetSeen
-) -> tuple[npt.NDArray[np.intp], npt.NDArray[np.intp]]:
-    """Return the pixels, flattened, of a frame (H, W) that borders of the stripe cross: upright ones, others.
+def crossed_by_borders(faces: npt.NDArray[np.integer], sheet: SheetSeen) -> npt.NDArray[np.bool_]:
+    """Say along which axes (H, W, 2), u and v, a border of the stripe may cross the pixels of a frame.
 
-    They or a neighbour are near the sheet, and the neighbour shows another face or lies in its shadow.
+    Along an axis a neighbour shows another face or lies in the sheet's shadow, and the sheet is near one of
+    the two.
     """
     side = 2 * faces + sheet.shaded
-    crossed = np.zeros((2, *side.shape), dtype=np.bool_)
-    for of, here, there in ((0, np.s_[:, 1:], np.s_[:, :-1]), (1, np.s_[1:], np.s_[:-1])):
+    across = np.zeros((*side.shape, 2), dtype=np.bool_)
+    for axis, here, there in ((0, np.s_[:, 1:], np.s_[:, :-1]), (1, np.s_[1:], np.s_[:-1])):
         border = (side[here] != side[there]) & (sheet.near[here] | sheet.near[there])
-        crossed[of][here] |= border
-        crossed[of][there] |= border
-    return np.flatnonzero(crossed[0]), np.flatnonzero(crossed[1] & ~crossed[0])
+        across[..., axis][here] |= border
+        across[..., axis][there] |= border
+    return across
 
 
 def stripe_reference(setup: Setup) -> float:

@@ -67,7 +67,7 @@ class View:
         return cls(setup, where, uv, xy, cos4, False, coarse=coarse)
 
     def about(self, pixels: npt.NDArray[np.integer], offsets_px: Float64) -> View:
-        """Look beside the centres of some of its pixels (n,), by `offsets_px` (k, 2) as (u, v): (n, k)."""
+        """Look beside the centres of some of its pixels (n,), by `offsets_px` (n, k, 2) as (u, v): (n, k)."""
         uv = self.uv_px.reshape(-1, 1, 2)[pixels] + offsets_px
         xy = self.setup.camera.normalised(uv).reshape(uv.shape).astype(np.float32)
         cos4 = (1.0 + np.sum(xy**2, axis=-1)) ** np.float32(-2.0)

@@ -87,7 +87,7 @@ NOT_TOLD = StripeEnd(math.nan, math.nan)
 
 def stripe_ends(light: StripeLight, last: int, first: int) -> tuple[StripeEnd, StripeEnd]:
     """Return where the stripe that is whole in line `last` ends, and where that of line `first` begins."""
-    clear = _clear_of_an_edge(light)
+    clear = clear_of_an_edge(light)
     away = 1 if first > last else -1
     n = abs(first - last) + 2 * clear - 1
     shares, variances = np.empty((2, 2, n))
@@ -98,7 +98,7 @@ def stripe_ends(light: StripeLight, last: int, first: int) -> tuple[StripeEnd, S
     ends = _fitted(light, shares[0], variances[0])
     # The other stripe seen from its own side.
     begins = _fitted(light, shares[1, ::-1], variances[1, ::-1])
-    if math.isnan(begins.line):
+    if math.isnan(ends.line) or math.isnan(begins.line):
         return NOT_TOLD, NOT_TOLD
     next_one = last - away * (clear - 1)
     return (
@@ -110,20 +110,22 @@ def stripe_ends(light: StripeLight, last: int, first: int) -> tuple[StripeEnd, S
 def stripe_end(light: StripeLight, last: int, away: int, gap_lines: int) -> StripeEnd:
     """Return where the stripe that is whole in line `last` ends, before a gap of some lines.
 
-    What is seen deep in the gap, clear of either end, is the other stripe; where nothing is, there is none.
+    What is seen deep in the gap, clear of either end or else amid it, is the other stripe; where nothing is,
+    there is none.
     """
-    clear = _clear_of_an_edge(light)
+    clear = clear_of_an_edge(light)
     # No more than half of the gap: behind it the stripe begins again.
     n = clear + min(clear, (gap_lines + 1) // 2)
     shares, variances = np.empty((2, 2, n))
-    deep = max(gap_lines - 2 * clear, 0)
-    if not line_shares(light, last - away * clear, last + away * (clear + 1), away, deep, shares, variances):
+    deep = max(gap_lines - 2 * clear, min(LEAST_BEYOND, gap_lines))
+    first = last + away * (1 + (gap_lines - deep) // 2)
+    if not line_shares(light, last - away * clear, first, away, deep, shares, variances):
         return NOT_TOLD
     ends = _fitted(light, shares[0], variances[0])
     return StripeEnd(last - away * (clear - 1) + away * ends.line, ends.sigma)
 
 
-def _clear_of_an_edge(light: StripeLight) -> int:
+def clear_of_an_edge(light: StripeLight) -> int:
     """Return how many lines beyond a line beside an edge one is clear of it."""
     return math.ceil(CLEAR_SIGMAS * light.psf_sigma_px) + 1
 

@@ -1,6 +1,7 @@
 """Butt and edge: two plates with a gap between them; the seam point is the gap's middle at the surface.
 
-Whether a scan line shows a plate, or something else or nothing, is all that tells where the plates end.
+Whether scan lines show a plate, or something else or nothing, tells between which of them the plates end, and
+the shares that they hold of the plate's stripe where between.
 """
 
 from __future__ import annotations
@@ -26,7 +27,7 @@ from tracker.joint.measured import (
 )
 from tracker.joint.section_shapes import SHEETS
 from tracker.profile import Profile
-from tracker.stripe_end import stripe_end
+from tracker.stripe_end import clear_of_an_edge, stripe_end
 
 PRIOR_SIGMA = np.array([5.0, 0.5, 0.03, 0.03])
 """1 sigma of the left plate's height, the step to the right one (mm), both plates' slopes."""
@@ -45,9 +46,6 @@ CLEAR_MM = 0.3
 
 LEAST_LINES, LEAST_POINTS = 2, 8
 """Scan lines that a gap must be wide to be seen, and points that must be seen of either plate."""
-
-MOST_END_SIGMA = 0.5
-"""Shares that tell an end no better, in scan lines, tell nothing of it."""
 
 LEAST_AGREEMENT = 0.6
 """By what share of the scan lines those that show what the joint would must outnumber the others."""
@@ -109,7 +107,11 @@ def _gap_of(lines: _Lines, joint: Joint, y_0: float) -> _Gap | None:
     right, left = lines.end(y_0 - reach, y_0, True), lines.end(y_0, y_0 + reach, False)
     if lines.others_between(right.y_mm, left.y_mm) >= LEAST_LINES:
         gap_lines = left.line - right.line - 1
-        right, left = lines.by_shares(right, True, gap_lines), lines.by_shares(left, False, gap_lines)
+        # A blurred end seems off to its own side: where one is not told, in the middle of both that cancels.
+        right_told = lines.by_shares(right, True, gap_lines)
+        left_told = lines.by_shares(left, False, gap_lines)
+        if right_told is not None and left_told is not None:
+            right, left = right_told, left_told
         width_variance = left.variance_mm2 + right.variance_mm2
         return _Gap(
             0.5 * (left.y_mm + right.y_mm), 0.25 * width_variance, left.y_mm - right.y_mm, width_variance
@@ -243,7 +245,8 @@ class _Lines:
         )
         if len(signs) > len(self.sees):
             return None
-        agreement = np.correlate(self.sees, signs, "valid") / len(signs)
+        votes = np.correlate(np.abs(self.sees), np.ones(len(signs)), "valid")
+        agreement = np.correlate(self.sees, signs, "valid") / votes
         best = int(np.argmax(agreement))
         middle = best + len(signs) // 2
         in_gap = self.sees[middle - gap // 2 : middle - gap // 2 + gap]
@@ -262,23 +265,24 @@ class _Lines:
         spread = max(high - low, self.column_mm)
         return _End(0.5 * (low + high), spread**2 / 12.0, before if plate_first else behind)
 
-    def by_shares(self, end: _End, plate_first: bool, gap_lines: int) -> _End:
+    def by_shares(self, end: _End, plate_first: bool, gap_lines: int) -> _End | None:
         """Return an end at a gap of some lines as the shares say that lines hold of the plate's stripe.
 
-        It is as it was where they do not tell it, or tell what lines that were read deny.
+        None where they do not tell it as well, or tell what lines that were read deny.
         """
         if self.light is None:
-            return end
+            return None
         towards = 1 if plate_first else -1
         scan = self.away * (self.first_scan + end.line)
         found = stripe_end(self.light, scan, self.away * towards, gap_lines)
         off = self.away * towards * (found.line - scan)
         beside = self.is_read[end.line + towards :: towards]
         unread = int(np.argmax(beside)) if beside.any() else 0
-        if not (found.sigma < MOST_END_SIGMA and -1.0 < off < unread + 2.0):
-            return end
+        variance, blurred = (found.sigma * self.column_mm) ** 2, clear_of_an_edge(self.light)
+        if not (variance < end.variance_mm2 and -blurred < off < unread + blurred):
+            return None
         at = np.interp(end.line + towards * off, np.arange(len(self.y_mm)), self.y_mm)
-        return _End(float(at), (found.sigma * self.column_mm) ** 2, end.line)
+        return _End(float(at), variance, end.line)
 
     def others_between(self, low_mm: float, high_mm: float) -> int:
         """Return how many scan lines between two places show no plate."""
