@@ -72,6 +72,15 @@ class Material:
         if not self.c2 > 0:
             raise ValueError(f"[material] c2 = {self.c2}: must be > 0")
 
+    @property
+    def relative_albedo(self) -> float:
+        """How much of the light that falls straight on it goes out, in the units of the kappas.
+
+        pi kappa_diff + 4 pi kappa_spec / c2: a direction's angle is twice its half vector's, the lobe's
+        1 / cos(theta_r) is undone by the projection, and G is left out.
+        """
+        return math.pi * (self.kappa_diff + 4.0 * self.kappa_spec / self.c2)
+
 
 @dataclass(frozen=True)
 class Mirror:

@@ -126,7 +126,8 @@ class Where:
     `stage` is that of what is named, else the one at which the residual becomes simplest; `covariates`
     explain the largest share first; `image` holds the shares of patterns in the image (row, column, radial,
     mirrored, fixed, stripe_band); `strata` the gap of dark, laser, arc, both frames and of the stripe's band.
-    `z` (H, W): by how many sigmas the held-out residual at each pixel exceeds its noise.
+    `z` (H, W): by how many sigmas the held-out residual at each pixel exceeds its noise, negative where it is
+    darker than predicted.
     """
 
     stage: str
@@ -149,7 +150,8 @@ class Next:
 class Predicted:
     """Held-out frames (n,) as predicted before and after, DN, with the variances (n, H, W), DN^2.
 
-    A variance is inf where a pixel does not count: saturated, on an edge, past the workpiece.
+    A variance is inf where a pixel does not count: saturated, on an edge, past the workpiece. Both are the
+    same but where effects that scatter are named.
     """
 
     frames: npt.NDArray[np.int64]

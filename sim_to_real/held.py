@@ -57,7 +57,11 @@ def predict_held(
     after: tuple[Refit, Effects],
     on_frame: Callable[[float], None],
 ) -> Predicted:
-    """Return held-out frames as two fits predict them, each with random effects besides."""
+    """Return held-out frames as two fits predict them, each with random effects besides.
+
+    Where both scatter alike, the variance of both is that of the second prediction, the better one: the gap
+    before and after is then in the same sigmas.
+    """
 
     def predicted(frame: ObservedFrame) -> tuple[Prediction, Prediction, Bool]:
         renderer = Renderer(2)
@@ -69,13 +73,16 @@ def predict_held(
     for n, of_frame in enumerate(expected.at_once(predicted, held.frames)):
         found.append(of_frame)
         on_frame((n + 1.0) / len(held.frames))
+    counts = [counts for _, _, counts in found]
+    variance_after = _variances([second for _, second, _ in found], counts)
+    scatter_alike = before[1] == after[1]
     return Predicted(
         np.array([frame.index for frame in held.frames]),
         np.array([frame.image_dn for frame in held.frames]),
         np.array([first.mean_dn for first, _, _ in found], dtype=np.float32),
         np.array([second.mean_dn for _, second, _ in found], dtype=np.float32),
-        _variances([first for first, _, _ in found], [counts for _, _, counts in found]),
-        _variances([second for _, second, _ in found], [counts for _, _, counts in found]),
+        variance_after if scatter_alike else _variances([first for first, _, _ in found], counts),
+        variance_after,
     )
 
 

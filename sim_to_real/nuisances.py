@@ -11,7 +11,7 @@ from noise_model.frames import Float64, moved
 from noise_model.setup import Setup
 from sim_to_real.observed import Observed
 
-WITHIN_SIGMAS = 3.0
+WITHIN_SIGMAS = 4.0
 """So many tolerances a nuisance may be off; what lies beyond is a gap."""
 
 N_LEVELS, N_CAMERA = 3, 6

@@ -70,16 +70,18 @@ FAMILIES: Mapping[str, tuple[Family, ...]] = {
         for edge in (0.0, 0.5)
     ),
     "laser_power_drift": _drifts(),
-    "wrong_material": (
-        Family(({"kappa_diff_ln": 0.3}, {"kappa_spec_ln": 0.3})),
-        *_each(
-            {"kappa_diff_ln": 3.0, "kappa_spec_ln": -0.7},
-            {"kappa_diff_ln": -3.0, "kappa_spec_ln": 0.7},
-            {"kappa_diff_ln": 1.0},
-            {"kappa_diff_ln": -1.0},
-            {"kappa_spec_ln": 1.0},
-            {"kappa_spec_ln": -1.0},
-        ),
+    "wrong_material": tuple(
+        Family(places, {"stripe_share": share})
+        for share in (0.0, 1.0)
+        for places in (
+            ({"kappa_diff_ln": 0.3}, {"kappa_spec_ln": 0.3}),
+            ({"kappa_diff_ln": 3.0, "kappa_spec_ln": -0.7},),
+            ({"kappa_diff_ln": -3.0, "kappa_spec_ln": 0.7},),
+            ({"kappa_diff_ln": 1.0},),
+            ({"kappa_diff_ln": -1.0},),
+            ({"kappa_spec_ln": 1.0},),
+            ({"kappa_spec_ln": -1.0},),
+        )
     ),
     "roughness_change": _each({"c2_ln": 0.3}, {"c2_ln": -0.3}, {"c2_ln": 1.2}, {"c2_ln": -1.2}),
     "brdf_tail": _each({"tail": 0.15}, {"tail": 0.8}),
@@ -87,7 +89,9 @@ FAMILIES: Mapping[str, tuple[Family, ...]] = {
         Family(({"anisotropy": size},), {"marks_deg": deg}) for deg in (0.0, 45.0) for size in (0.4, -0.4)
     ),
     "hot_metal_glow": tuple(
-        Family(({"peak_e": 2e4},), {"length_mm": length}) for length in (5.0, 10.0, 20.0, 40.0)
+        Family(({"peak_e": 2e4},), {"length_mm": length, "arc_off_share": share})
+        for length in (5.0, 10.0, 20.0, 40.0)
+        for share in (0.0, 1.0)
     ),
     "fume": tuple(
         Family(({"extinction_per_m": 0.5},), {"scatter": scatter, "gathered_per_mm": gathered})
@@ -126,7 +130,7 @@ STARTS = 3
 ANOTHER_PART = 0.9
 """One more of them must leave less than this share of what is left without it."""
 
-DEAR: Mapping[str, Values] = {BOUNCING: {"albedo_scale": 0.2}}
+DEAR: Mapping[str, Values] = {BOUNCING: {"albedo": 0.35}}
 """Effects that take longer than all others together, and where their fit starts: tried if no other does."""
 
 

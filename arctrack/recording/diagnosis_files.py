@@ -25,7 +25,8 @@ DIGITS, ALL_DIGITS = 6, 17
 
 def write_numbers(diagnosis: Diagnosis, folder: Path) -> None:
     """Write where.npz, predicted.npz and report.json; who sees report.json finds the arrays whole."""
-    np.savez_compressed(folder / WHERE_NPZ, z=diagnosis.where.z.astype(np.float32))
+    z = diagnosis.where.z.astype(np.float32)
+    np.savez_compressed(folder / WHERE_NPZ, z=np.abs(z), sign=np.sign(z))
     _write_predicted(diagnosis.predicted, folder / PREDICTED_NPZ)
     text = json.dumps(report(diagnosis), indent=2, allow_nan=False)
     (folder / REPORT_JSON).write_text(text + "\n", encoding="utf-8")

@@ -29,15 +29,17 @@ STAGES = {
 
 HONOURED = (
     (
-        "`arctrack replay`, `arctrack calibrate hand-eye`",
-        "geometry, surface and sensor; what becomes of the arc's light; the poses' clock. The scatter that "
-        "random effects add is not part of their noise",
+        "`arctrack replay`, `arctrack explain`, `arctrack calibrate hand-eye`",
+        "geometry, surface and sensor; what becomes of the arc's light; the poses' clock. Of what random "
+        "effects scatter only `laser_speckle` is part of their noise",
     ),
     (
         "`arctrack simulate`",
         "all of them. Those of `--setup` are written with the recording; `--effect {id}.{value}`, once a "
         "parameter, adds one that the recording does not name",
     ),
+    ("`arctrack plan`", "all but `interreflection`"),
+    ("`arctrack diagnose`", "takes them for stated, and looks for others and for changes from there"),
     ("`arctrack inspect`", "lists them, and draws the stripe where they put it"),
     ("`noise_model.forward`", "`predict` gives mean and variance with them, `draw_frame` one frame"),
 )
@@ -62,7 +64,7 @@ rendered.
 
 A parameter that the file leaves out takes its neutral value, which is where its prior starts. With all of
 them neutral an effect does nothing. An unknown id or parameter is reported and has no effect; a value out of
-its bounds is an error that names it.
+its bounds is an error that names it, and so is `interreflection` on a `u_groove`, where it is not followed.
 
 **What honours them.** Everything that predicts:
 

@@ -164,11 +164,12 @@ def _streak(uv_px: Float32, u: float, v: float, angle: float, length: float, wid
 
 
 def _hot_metal_glow(light: Light, view: View, condition: Condition, values: Values, draw: Draw) -> None:
-    if condition.arc_level == 0.0:
+    peak_e = values["peak_e"] * (1.0 if condition.arc_level > 0.0 else values["arc_off_share"])
+    if peak_e == 0.0:
         return
     rho = view.keep("rho_from_arc", lambda: _rho_mm(view))
     hot = np.exp(rho / np.float32(-values["length_mm"]))
-    light.other = light.other + np.float32(values["peak_e"]) * view.cos4 * hot
+    light.other = light.other + np.float32(peak_e) * view.cos4 * hot
 
 
 def _rho_mm(view: View) -> Float32:
@@ -183,12 +184,14 @@ EFFECTS = (
         id="hot_metal_glow",
         stage=Stage.MEDIUM,
         summary="thermal emission near the arc, whatever the current and the viewing angle",
-        equation="other += peak_e cos^4 exp(-rho / length_mm), rho the distance along the plate from the arc",
+        equation="other += peak_e cos^4 exp(-rho / length_mm), rho the distance along the plate from the "
+        "arc; arc_off_share of it while the arc is off",
         source="Wien's law, exp(-h c / (lambda k T)), where 1 / T grows evenly away from the pool, by "
         "lambda k / (h c length_mm); the plate radiates as Lambert's law says",
         parameters=(
             Parameter("peak_e", "e-", 0.0, 20_000.0, 0.0, 1e7, 50.0),
             Parameter("length_mm", "mm", 10.0, 10.0, 0.5, 100.0, 0.05),
+            Parameter("arc_off_share", "", 0.0, 0.5, 0.0, 1.0, 0.01),
         ),
         typical={"peak_e": 30_000.0, "length_mm": 15.0},
         light=_hot_metal_glow,

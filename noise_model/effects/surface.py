@@ -13,19 +13,23 @@ from noise_model.effects.light import Light
 from noise_model.fit import Parameter
 from noise_model.interreflection import bounced_light, is_followed
 from noise_model.setup import Setup
+from noise_model.stripe import stripe_reference
 from noise_model.view import View
 
 
 def _wrong_material(setup: Setup, values: Values) -> Setup:
     material = setup.material
-    return replace(
-        setup,
-        material=replace(
-            material,
-            kappa_diff=material.kappa_diff * math.exp(values["kappa_diff_ln"]),
-            kappa_spec=material.kappa_spec * math.exp(values["kappa_spec_ln"]),
-        ),
+    other = replace(
+        material,
+        kappa_diff=material.kappa_diff * math.exp(values["kappa_diff_ln"]),
+        kappa_spec=material.kappa_spec * math.exp(values["kappa_spec_ln"]),
     )
+    true = replace(setup, material=other)
+    if values["stripe_share"] == 0.0:
+        return true
+    brighter = stripe_reference(true) / stripe_reference(setup)
+    peak_e = setup.laser.peak_e * brighter ** values["stripe_share"]
+    return replace(true, laser=replace(setup.laser, peak_e=peak_e))
 
 
 def _roughness_change(setup: Setup, values: Values) -> Setup:
@@ -45,9 +49,9 @@ def _rolling_marks(setup: Setup, values: Values) -> Setup:
 
 
 def _interreflection(light: Light, view: View, condition: Condition, values: Values, draw: Draw) -> None:
-    scale = values["albedo_scale"]
-    if scale == 0.0:
+    if values["albedo"] == 0.0:
         return
+    scale = values["albedo"] / view.setup.material.relative_albedo
     bounced = bounced_light(view)
     if condition.arc_level > 0.0:
         light.arc = light.arc + np.float32(condition.arc_level) * bounced.arc_e(scale)
@@ -62,11 +66,13 @@ EFFECTS = (
         stage=Stage.SURFACE,
         summary="kappa_diff and kappa_spec are another material's",
         equation="kappa_diff' = kappa_diff exp(kappa_diff_ln), kappa_spec' = kappa_spec exp(kappa_spec_ln); "
-        "the stripe's peak_e stays what is seen on the real plate",
+        "peak_e' = peak_e (f_r' / f_r)^stripe_share at the stripe's peak: 0 where peak_e is what is seen on "
+        "the real plate, 1 where it was stated for the other metal",
         source="Table 1: mild steel and Zn-coated steel differ by a factor of 24 and 1/2",
         parameters=(
             Parameter("kappa_diff_ln", "", 0.0, 1.0, -5.0, 5.0, 0.01),
             Parameter("kappa_spec_ln", "", 0.0, 1.0, -5.0, 5.0, 0.01),
+            Parameter("stripe_share", "", 0.0, 0.5, 0.0, 1.0, 0.01),
         ),
         typical={"kappa_diff_ln": 1.5, "kappa_spec_ln": -0.7},
         setup=_wrong_material,
@@ -112,10 +118,11 @@ EFFECTS = (
         stage=Stage.SURFACE,
         summary="light bounces between the faces of the joint",
         equation="the Neumann series of the rendering equation: light that has met n faces before goes with "
-        "albedo_scale^n, the absolute reflectance being albedo_scale f_r",
+        "scale^n, the absolute reflectance being scale f_r with scale = albedo / "
+        "(pi kappa_diff + 4 pi kappa_spec / c2)",
         source="Kajiya 1986, SIGGRAPH Comput. Graph. 20(4), 143; `noise_model.interreflection`",
-        parameters=(Parameter("albedo_scale", "", 0.0, 0.3, 0.0, 2.0, 0.01),),
-        typical={"albedo_scale": 0.4},
+        parameters=(Parameter("albedo", "", 0.0, 0.5, 0.0, 0.95, 0.01),),
+        typical={"albedo": 0.7},
         light=_interreflection,
         is_followed=is_followed,
         form_rel=UNSTATED,

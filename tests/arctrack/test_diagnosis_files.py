@@ -91,3 +91,5 @@ def test_anyone_can_recompute_the_gap(seen_setup: Setup, tmp_path: Path) -> None
     with np.load(tmp_path / "where.npz") as where:
         assert where["z"].dtype == np.float32
         assert where["z"].shape == shape[1:]
+        assert np.nanmin(where["z"]) >= 0.0
+        assert set(np.unique(where["sign"][np.isfinite(where["sign"])])) <= {-1.0, 0.0, 1.0}

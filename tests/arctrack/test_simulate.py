@@ -121,7 +121,7 @@ def test_what_bounces_in_a_u_cannot_be_simulated(tmp_path: Path) -> None:
     setup = nominal_setup("u_groove", "mild_steel", width=160, height=120)
     with pytest.raises(ArctrackError, match=r"\[effects.interreflection\]: is not predicted for a u_groove"):
         simulate_recording(
-            tmp_path / "r", setup, hidden_effects=checked({"interreflection": {"albedo_scale": 0.3}})
+            tmp_path / "r", setup, hidden_effects=checked({"interreflection": {"albedo": 0.5}})
         )
     assert not list(tmp_path.iterdir())
 

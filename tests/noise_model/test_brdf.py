@@ -166,6 +166,11 @@ def test_steel_reflects_less_than_it_gets_and_zn_as_printed_is_only_relative():
     assert albedo(ZN_COATED, 0.0) == pytest.approx(1.76, abs=0.01)
 
 
+def test_the_albedo_in_the_units_of_the_kappas_is_that_of_light_that_falls_straight():
+    for material in (MILD_STEEL, ZN_COATED):
+        assert material.relative_albedo == pytest.approx(albedo(material, 0.0), rel=0.03)
+
+
 def test_the_lobe_reflects_a_share_that_grows_as_it_widens():
     shares = [albedo(Material("lobe", 0.0, 0.1, c2), 20.0) for c2 in (100.0, 30.0, 10.0)]
     # d omega_r = 4 cos(beta) d omega_h: a narrow lobe holds 4 pi kappa_spec cos(theta_i) / c2.

@@ -85,6 +85,30 @@ def test_the_stripe_keeps_its_stated_peak_on_another_metal():
     assert stripe_reference(setup) > 0.0
 
 
+@pytest.mark.parametrize("share", [0.0, 0.5, 1.0])
+def test_a_peak_that_was_stated_for_another_metal_goes_with_its_reflectance(share):
+    """Twice the kappas send on twice as much."""
+    setup = nominal("flat", psf_sigma_px=0.0)
+    twice = {"kappa_diff_ln": math.log(2.0), "kappa_spec_ln": math.log(2.0), "stripe_share": share}
+    brighter = charge(affected(setup, wrong_material=twice), LASER)
+    np.testing.assert_allclose(brighter, 2.0**share * charge(setup, LASER), rtol=1e-5)
+
+
+@pytest.mark.parametrize("material", ["mild_steel", "zn_coated"])
+def test_light_bounces_with_the_albedo_whatever_the_units_of_the_kappas(material):
+    """Ten times the kappas and a tenth of the radiance are the same metal under the same arc."""
+    setup = nominal("v_groove", material, width=40, height=30)
+    metal = setup.material
+    tenfold = dataclasses.replace(metal, kappa_diff=10 * metal.kappa_diff, kappa_spec=10 * metal.kappa_spec)
+    arc = dataclasses.replace(setup.arc, radiance_e=0.1 * setup.arc.radiance_e)
+    bounced = [
+        charge(affected(one, interreflection={"albedo": 0.6}), ARC) - charge(one, ARC)
+        for one in (setup, dataclasses.replace(setup, material=tenfold, arc=arc))
+    ]
+    assert bounced[0].max() > 0.01 * charge(setup, ARC).max()
+    np.testing.assert_allclose(bounced[1], bounced[0], rtol=1e-3, atol=1e-3 * bounced[0].max())
+
+
 def test_the_airlight_integral_is_that_of_quadrature():
     rng = np.random.default_rng(6)
     origin, source = np.array([95.0, 0.0, 130.0]), np.array([0.0, 1.0, 2.0])
@@ -265,6 +289,10 @@ def test_the_glow_knows_no_current_and_no_laser():
     ]
     np.testing.assert_allclose(glow[0], glow[1], atol=0.01)
     assert glow[0].max() > 1000.0
+    # It may go on while the arc is off.
+    for share in (0.0, 0.4):
+        lasting = affected(setup, hot_metal_glow={"peak_e": 3e4, "length_mm": 15.0, "arc_off_share": share})
+        np.testing.assert_allclose(charge(lasting, LASER) - charge(setup, LASER), share * glow[1], atol=0.01)
 
 
 def test_an_arc_blown_aside_heats_where_it_stands():

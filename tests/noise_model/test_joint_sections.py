@@ -228,7 +228,7 @@ def test_the_footprint_holds_all_that_the_camera_sees(name):
 
 def test_bounced_light_on_a_u_is_refused_by_name():
     setup = dataclasses.replace(
-        scenes.setup("u_groove"), effects=checked({"interreflection": {"albedo_scale": 0.5}})
+        scenes.setup("u_groove"), effects=checked({"interreflection": {"albedo": 0.5}})
     )
     with pytest.raises(ValueError, match=r"^\[effects\.interreflection\]: .* u_groove"):
         predict(setup, POSES["level"], Condition(laser_level=1.0, arc_level=1.0, exposure_s=0.005))

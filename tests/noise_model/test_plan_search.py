@@ -295,7 +295,7 @@ def test_bends_do_not_share_cures() -> None:
 
 def test_bounced_light_is_left_out_and_said_so() -> None:
     setup = steel_groove()
-    bounced = replace(setup, effects=checked({"interreflection": {"albedo_scale": 0.4}}))
+    bounced = replace(setup, effects=checked({"interreflection": {"albedo": 0.7}}))
     one = replace(SMALL, tilt_deg=(24.0, 24.0), azimuth_deg=(0.0, 0.0), preview_mm=(36.0, 36.0))
     plain, plan = make_plan(setup, one), make_plan(bounced, one)
     assert (plain.left_out, plan.left_out) == ((), ("interreflection",))
