@@ -38,7 +38,12 @@ ARC_OFF = Flag(7, "arc_off", "no arc light was found in the frame")
 MAP_MISFIT = Flag(8, "map_misfit", "the arc map does not explain the frame within its stated uncertainty")
 JOINT_NOT_FOUND = Flag(9, "joint_not_found", "the profile does not determine the joint", True)
 JOINT_MISFIT = Flag(10, "joint_misfit", "the profile departs from the joint's shape beyond its noise")
-SEAM_OUT_OF_VIEW = Flag(11, "seam_out_of_view", "the joint lies at or beyond the rim of the profile", True)
+SEAM_OUT_OF_VIEW = Flag(
+    11,
+    "seam_out_of_view",
+    "the joint lies at or beyond the rim of the profile, or the laser's sheet cannot show it from this pose",
+    True,
+)
 SEAM_JUMP = Flag(
     12, "seam_jump", "the seam departs from where the earlier frames put it beyond its noise", True
 )

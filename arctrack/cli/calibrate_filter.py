@@ -16,7 +16,7 @@ from arctrack.output import write_whole
 def filter_curve(
     data: Annotated[Path, typer.Argument(help="CSV: wavelength_nm and transmission or optical_density.")],
     setup: Annotated[Path, typer.Option(help="A recording.toml, or a recording, that it belongs to.")],
-    out: Annotated[Path, typer.Option(help="Where to write recording.toml with the curve in [filter].")],
+    out: Annotated[Path, typer.Option(help="Where to write recording.toml with the curve in \\[filter].")],
     effective_index: Annotated[
         float | None, typer.Option(help="The maker's n_eff for light off the axis; default: the setup's.")
     ] = None,

@@ -29,7 +29,10 @@ def plan(
         60.0,
     ),
     azimuth: Annotated[
-        Pair | None, typer.Option(help="Azimuths to try, deg, 0 ahead of the stripe; default: all around.")
+        Pair | None,
+        typer.Option(
+            help="Azimuths to try, deg, 0 ahead of the stripe; default: all around, one side if both look alike."
+        ),
     ] = None,
     preview: Annotated[Pair, typer.Option(help="Torch to stripe, mm: least and most.")] = (20.0, 50.0),
     stand_off: Annotated[Pair, typer.Option(help="Camera to plate, mm: least and most.")] = (100.0, 250.0),
@@ -48,7 +51,7 @@ def plan(
     limit: Annotated[
         float | None,
         typer.Option(
-            help="A larger 1 sigma of the seam, mm, is blind; default: half of [tolerance] seam_mm."
+            help="A larger 1 sigma of the seam, mm, is blind; default: half of \\[tolerance] seam_mm."
         ),
     ] = None,
     speckle: Annotated[

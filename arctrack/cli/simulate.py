@@ -46,7 +46,9 @@ def simulate(
     ] = MaterialName.MILD_STEEL,
     width: Annotated[int, typer.Option(help="Without --setup: image width, px.", min=32)] = 640,
     height: Annotated[int, typer.Option(help="Without --setup: image height, px.", min=24)] = 480,
-    frames: Annotated[int, typer.Option(help="How many frames.", min=1)] = 24,
+    frames: Annotated[
+        int, typer.Option(help="How many frames; without --production 12 at least.", min=1)
+    ] = 24,
     fps: Annotated[float, typer.Option(help="Frames a second, 0.01 to 1000.")] = 10.0,
     speed_mm_s: Annotated[float, typer.Option(help="Travel speed, 0 to 1000.")] = 8.0,
     seam_wander_mm: Annotated[
@@ -62,7 +64,7 @@ def simulate(
     ] = False,
     exact: Annotated[
         bool,
-        typer.Option("--exact", help="True values are the nominal ones, else drawn within its tolerance."),
+        typer.Option("--exact", help="True values are the nominal ones, else drawn from the tolerance."),
     ] = False,
     video: Annotated[bool, typer.Option("--video", help="Write frames.mkv (FFV1) instead of PNGs.")] = False,
     effect: Annotated[

@@ -86,7 +86,7 @@ def test_no_message_can_pass_for_another():
 
 def test_layout_changes_only_together_with_the_version():
     # A new layout needs a new version in arctrack.dbc and a new line here; the old lines stay.
-    checksums = {(1, 0, 0): LAYOUT_1_0_0, (1, 1, 0): LAYOUT_1_1_0}
+    checksums = {(1, 0, 0): LAYOUT_1_0_0, (1, 1, 0): LAYOUT_1_1_0, (1, 1, 1): LAYOUT_1_1_0}
     version = dbc_version()
     assert checksums[version.major, version.minor, version.patch] == layout_checksum()
 
