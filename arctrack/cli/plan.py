@@ -31,7 +31,7 @@ def plan(
     azimuth: Annotated[
         Pair | None,
         typer.Option(
-            help="Azimuths to try, deg, 0 ahead of the stripe; default: all around, one side if both look alike."
+            help="Azimuths to try, deg, 0 ahead of the stripe; default: all, one side if both look alike."
         ),
     ] = None,
     preview: Annotated[Pair, typer.Option(help="Torch to stripe, mm: least and most.")] = (20.0, 50.0),

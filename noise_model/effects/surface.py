@@ -55,8 +55,7 @@ def _interreflection(light: Light, view: View, condition: Condition, values: Val
     bounced = bounced_light(view)
     if condition.arc_level > 0.0:
         light.arc = light.arc + np.float32(condition.arc_level) * bounced.arc_e(scale)
-    # Of the laser a hundredth as much bounces: a coarse view goes without.
-    if condition.laser_level > 0.0 and not view.coarse:
+    if condition.laser_level > 0.0:
         light.laser = light.laser + np.float32(condition.laser_level) * bounced.laser_e(scale)
 
 
