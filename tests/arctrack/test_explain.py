@@ -29,6 +29,7 @@ from tracker import flags
 from tracker.expected import ExpectedStripe
 from tracker.geometry import SensorGeometry
 from tracker.read import StripeReading, Work
+from tracker.speckle import Speckle
 from tracker.state import Stripe
 from tracker.stripe_fit import fit_lines
 
@@ -132,7 +133,19 @@ def made(
     stripe = Stripe(fits[:, 0], fits[:, 1], fits[:, 0], fits[:, 1], fits[:, 2], saturated, True, fits[:, 1])
     offsets, score = np.arange(-8, 9, 2), np.zeros((N_SCAN, 9), np.float32)
     reading = StripeReading(
-        stripe, band, lows, offsets, score, start, fits, 1.0, dark_variance_e2, 0.0, 0.0, 0.0
+        stripe,
+        band,
+        lows,
+        offsets,
+        score,
+        start,
+        fits,
+        1.0,
+        dark_variance_e2,
+        0.0,
+        0.0,
+        0.0,
+        Speckle(0.0, 1.0),
     )
     return reading, expected
 
