@@ -19,7 +19,7 @@ CSV_NAME = "poses.csv"
 LOG_NAMES = ("can.asc", "can.blf", "can.log")
 
 COVERAGE_PERIODS = 3.0
-"""The poses may end this many of their periods before the last frame."""
+"""The poses may end this many of their periods before the last frame: it is extrapolated to."""
 
 LEAST_TRAVEL_MM = 5.0
 """A robot that went less far along the seam while frames were taken shows no direction of travel."""
@@ -58,15 +58,15 @@ def read_poses(recording: Path, T_tool_controllertool: Float64 | None) -> tuple[
 
 
 def check_coverage(poses: PoseTable, first_frame_s: float, last_frame_s: float) -> list[str]:
-    """Return warnings on frames before the first pose; ArctrackError if the poses do not reach the frames."""
+    """Return warnings on frames before the first pose or after the last; ArctrackError if all of them are."""
     first_s, last_s = float(poses.timestamps_s[0]), float(poses.timestamps_s[-1])
     if len(poses.timestamps_s) < 2:
         raise in_file(poses.path, "holds a single pose; two are the least to work with")
-    if last_frame_s - last_s > COVERAGE_PERIODS * poses.period_s:
+    if first_frame_s - last_s > COVERAGE_PERIODS * poses.period_s:
         raise in_file(
             poses.path,
-            f"the poses stop before the frames: the last pose is at {last_s:.6f} s, the last frame at "
-            f"{last_frame_s:.6f} s; record poses for as long as frames",
+            f"the poses stop before the frames: the last pose is at {last_s:.6f} s, the first frame at "
+            f"{first_frame_s:.6f} s; record poses for as long as frames",
         )
     if first_s > last_frame_s:
         raise in_file(
@@ -74,12 +74,18 @@ def check_coverage(poses: PoseTable, first_frame_s: float, last_frame_s: float) 
             f"the poses start after the frames: the first pose is at {first_s:.6f} s, the last frame at "
             f"{last_frame_s:.6f} s; both need one clock",
         )
+    warnings = []
     if first_s > first_frame_s:
-        return [
+        warnings.append(
             f"{poses.path}: the first pose is at {first_s:.6f} s, the first frame at {first_frame_s:.6f} s: "
             "frames before two poses have none"
-        ]
-    return []
+        )
+    if last_frame_s - last_s > COVERAGE_PERIODS * poses.period_s:
+        warnings.append(
+            f"{poses.path}: the last pose is at {last_s:.6f} s, the last frame at {last_frame_s:.6f} s: "
+            "frames after it have none"
+        )
+    return warnings
 
 
 def runs_against_travel(poses: PoseTable, frames_s: Sequence[float], joint: Joint) -> bool:

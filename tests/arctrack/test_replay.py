@@ -127,15 +127,18 @@ def test_bad_frames_are_flagged_and_the_tracking_goes_on(simulated: Path, tmp_pa
     assert json.loads((tmp_path / "cut" / "summary.json").read_text())["frames"]["unreadable"] == 1
 
 
-def test_frames_before_the_poses_are_refused(simulated: Path, tmp_path: Path) -> None:
+def test_frames_before_the_poses_and_after_them_are_refused(simulated: Path, tmp_path: Path) -> None:
     path = Path(shutil.copytree(simulated, tmp_path / "r"))
     lines = (path / "poses.csv").read_text().splitlines()
-    late = [line for line in lines[1:] if float(line.split(",")[0]) > 0.35]
-    (path / "poses.csv").write_text("\n".join([lines[0], *late]))
+    some = [line for line in lines[1:] if 0.35 < float(line.split(",")[0]) < 1.05]
+    (path / "poses.csv").write_text("\n".join([lines[0], *some]))
     recording = read_recording(path)
-    assert len(recording.warnings) == 1
+    first, last = recording.warnings
+    assert "the first pose is at 0.3" in first
+    assert "the last pose is at 1.0" in last
     done = replay_recording(recording, tmp_path / "out", QUICK)
-    assert [("pose_refused" in t.flag_names) for t in done.tracks] == [True] * 4 + [False] * 10
+    refused = [("pose_refused" in t.flag_names) for t in done.tracks]
+    assert refused == [True] * 4 + [False] * 7 + [True] * 3
 
 
 def test_rows_before_a_crash_are_kept(simulated: Path, tmp_path: Path) -> None:
