@@ -162,6 +162,11 @@ def undistorted(u: float, v: float, lens: Intrinsics) -> tuple[float, float, flo
     return x, y, yy * per_u, -xy * per_v, -xy * per_u, xx * per_v
 
 
+def fall_off(xy: Float64) -> Float64:
+    """Return the lens' fall-off cos^4 (...,) of normalised rays (..., 2), 1 on the optical axis (Eq. 18)."""
+    return np.asarray((1.0 + np.sum(xy**2, axis=-1)) ** -2.0)
+
+
 @dataclass(frozen=True)
 class Rays:
     """Every pixel's viewing ray in the camera frame.
@@ -178,7 +183,7 @@ class Rays:
         """Trace every pixel centre of a camera."""
         v, u = np.mgrid[: camera.height, : camera.width]
         xy = camera.normalised(np.column_stack([u.ravel(), v.ravel()]))
-        cos4 = (1.0 + np.sum(xy**2, axis=1)) ** -2.0
+        cos4 = fall_off(xy)
         shape = (camera.height, camera.width)
         return cls(
             np.ascontiguousarray(xy.reshape(*shape, 2).astype(np.float32)),

@@ -18,6 +18,7 @@ from noise_model.condition import Condition
 from noise_model.effects.light import Light
 from noise_model.forward import pass_on
 from noise_model.frames import Float64, invert, transform
+from noise_model.optics import fall_off
 from noise_model.setup import Setup
 from noise_model.stripe import reflected_sheet, stripe_reference, stripe_runs_along_rows
 from noise_model.view import View
@@ -220,7 +221,7 @@ def _light_at(setup: Setup, view: Scene, looks: _Looks, stripe_e: Float64) -> tu
     image = np.repeat(looks.image[seen], ARC_PLACES, axis=0)
     image[:, looks.position_axis] += (looks.width_px[seen, np.newaxis] * t).ravel()
     xy = setup.camera.normalised(image)
-    cos4 = ((1.0 + np.sum(xy**2, axis=1)) ** -2.0).astype(np.float32)
+    cos4 = fall_off(xy).astype(np.float32)
     light, _ = arc_at(
         arc_kernel(setup, view), xy.astype(np.float32), cos4, np.arange(len(xy), dtype=np.int64)
     )

@@ -15,6 +15,7 @@ from noise_model.brdf import LobeNumbers, lobe_numbers, reflectance
 from noise_model.frames import Float64, cross, invert, transform
 from noise_model.kernel import kernel
 from noise_model.laser import SHEET_REACH, Sheet, irradiance, sheet_of, sheet_reflected
+from noise_model.optics import fall_off
 from noise_model.setup import Setup
 from noise_model.view import View
 from noise_model.visibility import ways_are_open
@@ -174,7 +175,7 @@ def _on_plate(setup: Setup, uv_px: Float64) -> Float64:
     light = np.zeros(len(xy))
     # Under a level pose the tool's axes are the joint's.
     light[down] = reflected_sheet(setup, points, up, np.eye(4))
-    return np.asarray(light * (1.0 + np.sum(xy**2, axis=1)) ** -2.0)
+    return light * fall_off(xy)
 
 
 def stripe_runs_along_rows(setup: Setup) -> bool:

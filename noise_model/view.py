@@ -11,7 +11,7 @@ import numpy.typing as npt
 
 from noise_model.arc_map import Float32, Scene, scene
 from noise_model.frames import Float64
-from noise_model.optics import Rays
+from noise_model.optics import Rays, fall_off
 from noise_model.setup import Setup
 from noise_model.surface import NOMINAL_SEAM, SeamLine
 from noise_model.visibility import trace
@@ -69,9 +69,9 @@ class View:
     def about(self, pixels: npt.NDArray[np.integer], offsets_px: Float64) -> View:
         """Look beside the centres of some of its pixels (n,), by `offsets_px` (n, k, 2) as (u, v): (n, k)."""
         uv = self.uv_px.reshape(-1, 1, 2)[pixels] + offsets_px
-        xy = self.setup.camera.normalised(uv).reshape(uv.shape).astype(np.float32)
-        cos4 = (1.0 + np.sum(xy**2, axis=-1)) ** np.float32(-2.0)
-        return View(self.setup, self.scene, uv.astype(np.float32), xy, cos4, False, coarse=self.coarse)
+        xy = self.setup.camera.normalised(uv).reshape(uv.shape)
+        uv, xy, cos4 = (values.astype(np.float32) for values in (uv, xy, fall_off(xy)))
+        return View(self.setup, self.scene, uv, xy, cos4, False, coarse=self.coarse)
 
     @property
     def shape(self) -> tuple[int, ...]:

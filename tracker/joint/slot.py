@@ -47,6 +47,9 @@ CLEAR_MM = 0.3
 LEAST_LINES, LEAST_POINTS = 2, 8
 """Scan lines that a gap must be wide to be seen, and points that must be seen of either plate."""
 
+UNREAD = -0.5
+"""What a scan line without a stripe says of a plate, 1 being that it is there: spatter hides one, too."""
+
 LEAST_AGREEMENT = 0.6
 """By what share of the scan lines those that show what the joint would must outnumber the others."""
 
@@ -212,8 +215,8 @@ def _on_plate(profile: Profile, plates: ShapeFit, y_0: float, limit_mm: float) -
 class _Lines:
     """The scan lines in order of y: 1 where a plate is seen, -1 where it is not; y of each (n,), mm.
 
-    Where nothing is seen it is half of that, for spatter hides a plate, too. `beyond` the profile's ends no
-    plate is seen either if the plates end there, as an edge joint's do.
+    Where nothing is seen it is UNREAD. `beyond` the profile's ends no plate is seen either if the plates end
+    there, as an edge joint's do.
     """
 
     def __init__(self, profile: Profile, on_plate: npt.NDArray[np.bool_], beyond: bool) -> None:
@@ -224,10 +227,8 @@ class _Lines:
         n = int(at.max()) + 1 + pad
         self.first_scan = int(scan.min()) - pad
         self.light, self.column_mm = profile.light, profile.column_mm
-        self.sees = np.full(n, -0.5)
+        self.sees = np.full(n, UNREAD)
         self.sees[at] = np.where(on_plate, 1.0, -1.0)
-        self.is_read = np.zeros(n, dtype=bool)
-        self.is_read[at] = True
         order = np.argsort(at, kind="stable")
         if on_plate.any():
             # Where the plates would be seen: what lies deep in the gap looks shifted beside them.
@@ -276,8 +277,8 @@ class _Lines:
         scan = self.away * (self.first_scan + end.line)
         found = stripe_end(self.light, scan, self.away * towards, gap_lines)
         off = self.away * towards * (found.line - scan)
-        beside = self.is_read[end.line + towards :: towards]
-        unread = int(np.argmax(beside)) if beside.any() else 0
+        is_read = self.sees[end.line + towards :: towards] != UNREAD
+        unread = int(np.argmax(is_read)) if is_read.any() else 0
         variance, blurred = (found.sigma * self.column_mm) ** 2, clear_of_an_edge(self.light)
         if not (variance < end.variance_mm2 and -blurred < off < unread + blurred):
             return None
