@@ -30,7 +30,7 @@ from arctrack.recording import BadFrame, Recording, RecordingWriter, pose_at, re
 from arctrack.recording.diagnosis_files import plain, report
 from arctrack.recording.reader import UNFINISHED_SUFFIX
 from sim_to_real.check.case import FAILED, Answer, Case
-from sim_to_real.check.plan import Planned, plan
+from sim_to_real.check.plan import TIERS, Planned, plan
 from sim_to_real.check.score import Scores, score
 from sim_to_real.experiments import BY_NAME, Experiment
 from tracker.state import Frame
@@ -98,9 +98,9 @@ class Run:
 
 @dataclass(frozen=True)
 class Opened:
-    """What came of a check: how many recordings were planned and made, and the scores."""
+    """What came of checks: what each was made of, how many recordings were planned and made, the scores."""
 
-    asked: Asked
+    asked: tuple[Asked, ...]
     n_planned: int
     n_made: int
     scores: Scores
@@ -164,18 +164,28 @@ def more(folder: Path, workers: int, on_done: OnDone) -> None:
         _keep(folder, one, result, n_done, len(runs), on_done)
 
 
-def open_labels(folder: Path) -> Opened:
-    """Verify the labels and score the results; writes nothing.
+def open_labels(*folders: Path) -> Opened:
+    """Verify the labels of one check, or of several, and score all results together; writes nothing.
 
-    Raises ArctrackError if a label is not the one that was sealed, or a result not that of this seal.
+    Raises ArctrackError if a label is not the one that was sealed, or a result not that of this seal, and if
+    two checks are of one seed: they share recordings.
     """
-    sealed, secret = _verified(folder)
-    asked = Asked(**secret["asked"])
-    cases = [
-        _case(folder, Run(name, seal["sha256"]), seal["again"], secret["labels"][name]["label"])
-        for name, seal in sorted(sealed.items())
-    ]
-    return Opened(asked, len(asked.plan()), len(sealed), score(cases, asked.tiers))
+    asked: dict[Asked, Path] = {}
+    cases: list[Case] = []
+    for folder in folders:
+        sealed, secret = _verified(folder)
+        one = Asked(**secret["asked"])
+        for other, place in asked.items():
+            if other.seed == one.seed:
+                raise in_file(folder, f"is of the seed {one.seed} as is {place}: they share recordings")
+        asked[one] = folder
+        mark = f"{folder.resolve().name}/" if len(folders) > 1 else ""
+        for name, seal in sorted(sealed.items()):
+            case = _case(folder, Run(name, seal["sha256"]), seal["again"], secret["labels"][name]["label"])
+            cases.append(replace(case, name=mark + name))
+    n_planned = sum(len(one.plan()) for one in asked)
+    tiers = "".join(tier for tier in TIERS if any(tier in one.tiers for one in asked))
+    return Opened(tuple(asked), n_planned, len(cases), score(cases, tiers))
 
 
 def scores_json(opened: Opened) -> dict[str, Any]:

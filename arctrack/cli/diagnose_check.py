@@ -18,6 +18,7 @@ check = typer.Typer(
 )
 
 Folder = Annotated[Path, typer.Argument(metavar="DIR", help="The check's folder.")]
+Folders = Annotated[list[Path], typer.Argument(metavar="DIR...", help="Folders of checks.")]
 Workers = Annotated[int, typer.Option(min=1, help="Recordings worked on at once, a process each.")]
 
 
@@ -75,20 +76,26 @@ def more(folder: Folder, workers: Workers = 1) -> None:
 
 
 @check.command("open", epilog="Example: arctrack diagnose check open /tmp/check")
-def open_labels(folder: Folder) -> None:
-    """Open the labels; print the scores with their 95 % bounds, write table.md and scores.json."""
+def open_labels(folders: Folders) -> None:
+    """Open the labels and print the scores with their 95 % bounds.
+
+    Of one check they are written to table.md and scores.json too; several are scored together.
+    """
     from arctrack import diagnose_check as engine
     from arctrack.cli.diagnose_check_table import table
 
-    opened = engine.open_labels(folder)
+    opened = engine.open_labels(*folders)
     text = table(opened)
+    typer.echo(text)
+    if len(folders) > 1:
+        return
+    (folder,) = folders
     try:
         (folder / "table.md").write_text(text, encoding="utf-8")
         content = json.dumps(engine.scores_json(opened), indent=1, allow_nan=False)
         (folder / "scores.json").write_text(content + "\n", encoding="utf-8")
     except OSError as error:
         raise in_file(folder, f"cannot be written: {error.strerror}") from None
-    typer.echo(text)
 
 
 def _say(what: str, done: int, of: int) -> None:

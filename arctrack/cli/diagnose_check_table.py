@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Sequence
 
-from arctrack.diagnose_check import Opened
+from arctrack.diagnose_check import Asked, Opened
 from sim_to_real.check.case import VERDICTS
 from sim_to_real.check.score import Confusion, Rate, Scores
 
@@ -15,9 +15,9 @@ NONE = "–"
 def table(opened: Opened) -> str:
     """Return all scores, a table an effect's and what went wrong, as Markdown."""
     scores = opened.scores
-    options = " ".join(f"--{name.replace('_', '-')} {value}" for name, value in vars(opened.asked).items())
     parts = [
-        f"`{options}`: {opened.n_planned} recordings planned, {opened.n_made} made; "
+        f"{', '.join(map(_options, opened.asked))}: "
+        f"{opened.n_planned} recordings planned, {opened.n_made} made; "
         f"diagnoses that failed or are missing, counted as wrong: {len(scores.failures)}.",
         _rows(("tier", "score", "right", "rate", "95 % bounds", "cosine"), _rates(scores)),
         _rows(("tiers", "figure", "n", "value", "95 % bounds", "cosine"), _figures(scores)),
@@ -28,6 +28,11 @@ def table(opened: Opened) -> str:
     if scores.failures:
         parts += ["Without a diagnosis:", "\n".join(f"- {name}: {why}" for name, why in scores.failures)]
     return "\n\n".join(parts) + "\n"
+
+
+def _options(asked: Asked) -> str:
+    options = (f"--{name.replace('_', '-')} {value}" for name, value in vars(asked).items())
+    return f"`{' '.join(options)}`"
 
 
 def _rows(head: Sequence[str], lines: Iterable[Sequence[str]]) -> str:

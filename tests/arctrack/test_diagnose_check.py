@@ -443,6 +443,30 @@ def test_several_at_once(made: Path, monkeypatch: pytest.MonkeyPatch, tmp_path: 
     assert one == other
 
 
+def test_checks_of_several_seeds_are_scored_together(made: Path, tmp_path: Path) -> None:
+    other = tmp_path / "other"
+    make(other, replace(ASKED, seed=4, tiers="AE"), 1, quiet)
+    for folder in (made, other):
+        run(folder, 1, quiet)
+    (other / "results" / "0001.json").unlink()
+    opened = open_labels(made, other)
+    assert [one.seed for one in opened.asked] == [3, 4]
+    assert (opened.n_planned, opened.n_made) == (4, 4)
+    rates = {one.id: one.rate for one in opened.scores.rates}
+    assert (rates["top1_A"].right, rates["top1_A"].of) == (1, 2)
+    assert (rates["unknown_B"].right, rates["unknown_B"].of) == (1, 1)
+    assert opened.scores.failures == (("other/0001", "not diagnosed"),)
+    result = command("open", made, other)
+    assert result.stdout.startswith("`--draws 1 --quiet-draws 1 --tiers ABE --seed 3`, `--draws 1 ")
+    assert not (made / "table.md").exists()
+
+
+def test_checks_of_one_seed_are_not_scored_together(made: Path) -> None:
+    run(made, 1, quiet)
+    with pytest.raises(ArctrackError, match=r"is of the seed 3 as is .*check: they share recordings"):
+        open_labels(made, made)
+
+
 def test_without_the_renderer(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     def missing(*of: object, **other: object) -> None:
         raise ImportError("No module named 'mitsuba'")
