@@ -12,6 +12,9 @@ from noise_model.frames import Float64, Vector
 from noise_model.kernel import kernel
 from noise_model.visibility import MAX_LEDGES
 
+MAX_NODES_P = 32
+"""The most nodes across one piece of the disc."""
+
 MAX_PIECES = 256
 """Room for the borders' crossings."""
 
@@ -305,16 +308,33 @@ def disc_lines(planes: Float64, n_planes: int, axes: Axes, tan_b: float, cuts: F
     return n
 
 
-@kernel(inline=True)
-def chord(p: float, arc: Shape, below: bool, cuts: Float64, n_cuts: int) -> tuple[float, float]:
-    """Return between which q a chord of the disc is open, but for ledges and metal; none if low >= high."""
-    high = math.sqrt(max(0.0, 1.0 - p * p))
-    low = max(-high, equator_q(p, arc, high if below else -high))
+@kernel(fastmath={"contract"})
+def chords(at: Float64, n: int, arc: Shape, below: bool, cuts: Float64, n_cuts: int) -> None:
+    """Write between which q, at[1] and at[2], the chords at[0] (n,) of the disc are open.
+
+    But for ledges and metal; the first is no less than the second where nothing is open. As `equator_q`, but
+    without branches that differ from chord to chord: so several are found at a time.
+    """
+    sin_b, _, tan_b, cos_e, wz = arc
+    by_b, by_k = tan_b * cos_e, tan_b / sin_b
+    for i in range(n):
+        p = at[0, i]
+        high = math.sqrt(max(0.0, 1.0 - p * p))
+        b, k = p * by_b, p * by_k
+        rest = 1.0 + b * b - k * k
+        cos_psi = (k * b + math.sqrt(max(rest, 0.0))) / (1.0 + b * b)
+        equator = sin_b * cos_psi * wz / ((1.0 - sin_b * cos_psi * cos_e) * tan_b)
+        is_whole = rest < 0.0 or cos_psi * cos_e < sin_b - 1e-12
+        at[1, i] = max(-high, (high if below else -high) if is_whole else equator)
+        at[2, i] = high
     for j in range(n_cuts):
-        if cuts[j, 2] > 1e-12:
-            low = max(low, -(cuts[j, 0] + cuts[j, 1] * p) / cuts[j, 2])
-        elif cuts[j, 2] < -1e-12:
-            high = min(high, -(cuts[j, 0] + cuts[j, 1] * p) / cuts[j, 2])
-        elif cuts[j, 0] + cuts[j, 1] * p <= 0.0:
-            high = low
-    return low, high
+        a, b, c = cuts[j, 0], cuts[j, 1], cuts[j, 2]
+        if c > 1e-12:
+            for i in range(n):
+                at[1, i] = max(at[1, i], -(a + b * at[0, i]) / c)
+        elif c < -1e-12:
+            for i in range(n):
+                at[2, i] = min(at[2, i], -(a + b * at[0, i]) / c)
+        else:
+            for i in range(n):
+                at[2, i] = at[2, i] if a + b * at[0, i] > 0.0 else at[1, i]

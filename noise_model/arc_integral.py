@@ -18,9 +18,10 @@ import math
 import numpy as np
 
 from noise_model.arc_disc import (
+    MAX_NODES_P,
     MAX_PARTS,
     Axes,
-    chord,
+    chords,
     corner_p,
     crossings,
     disc,
@@ -29,13 +30,13 @@ from noise_model.arc_disc import (
     ledge_crossings,
     wall_parts,
 )
-from noise_model.arc_metal import Metal, chord_parts, is_clear, open_range
+from noise_model.arc_metal import Metal, chord_parts, is_clear, look_along, open_range
 from noise_model.brdf import LobeNumbers, reflected
 from noise_model.frames import Float64
 from noise_model.kernel import REDUCTION, kernel
 
-MAX_NODES_P, MAX_NODES_Q = 32, 16
-"""The most nodes across one piece of the disc and up one chord."""
+MAX_NODES_Q = 16
+"""The most nodes up one chord."""
 
 MAX_POINTS = 2048
 """Room for the nodes of one point's integral; what would not fit is not summed in one go."""
@@ -226,6 +227,8 @@ def arc_light(
     cuts: Float64,
     breaks: Float64,
     parts: Float64,
+    at: Float64,
+    ways: Float64,
 ) -> float:
     """Return integral f_r cos(theta_i) d(omega) over the part of the luminous half-sphere that P sees.
 
@@ -271,18 +274,21 @@ def arc_light(
         distance,
         radius,
     )
-    has_metal = (metal[5] or metal[6]) and not is_clear(p_max, arc, rays, metal)
+    has_metal = (metal[5] or metal[6]) and not is_clear(p_max, arc, cuts, rays, metal, at, ways)
     p_first, p_last = -p_max, p_max
     if has_metal:
         # Searched is what the planes leave open: a sliver is narrow against the whole disc.
         p_first, p_last = p_max, -p_max
-        for piece in range(n_breaks - 1):
-            low, high = chord(0.5 * (breaks[piece] + breaks[piece + 1]), arc, below, cuts, n_cuts)
-            if high > low:
+        n_pieces = n_breaks - 1
+        for piece in range(n_pieces):
+            at[0, piece] = 0.5 * (breaks[piece] + breaks[piece + 1])
+        chords(at, n_pieces, arc, below, cuts, n_cuts)
+        for piece in range(n_pieces):
+            if at[2, piece] > at[1, piece]:
                 p_first, p_last = min(p_first, breaks[piece]), max(p_last, breaks[piece + 1])
         if p_last <= p_first:
             return 0.0
-        p_first, p_last = open_range(p_first, p_last, rays, metal)
+        p_first, p_last = open_range(p_first, p_last, rays, metal, ways)
         n_breaks = insert(breaks, n_breaks, p_first)
         n_breaks = insert(breaks, n_breaks, p_last)
         edge_y, slope, curve, _ = metal[3]
@@ -297,6 +303,7 @@ def arc_light(
     n_q = min(MAX_NODES_Q, math.ceil(n_q * near))
     # Borders that are no lines have crossings that are not looked for.
     n_p = math.ceil(CURVED_FACTOR * n_p) if has_metal or n_ledges > 0 else n_p
+    is_followed = has_metal and n_ledges == 0
     total = 0.0
     n = 0
     for piece in range(n_breaks - 1):
@@ -309,23 +316,26 @@ def arc_light(
         rule = 0
         if n_breaks == 2 and n_ledges == 0 and not has_metal:
             rule, m = 4, 2 * math.ceil(0.5 * UNCUT_SHARE * m)
-        for i in range(-1, m):
-            # The piece's middle first: nothing crosses within a piece, so it is open or dark as a whole.
-            p = middle if i < 0 else middle + half * rules[rule, m, i]
-            low, high = chord(p, arc, below, cuts, n_cuts)
+        for i in range(m):
+            at[0, i] = middle + half * rules[rule, m, i]
+        at[0, m] = middle
+        chords(at, m + 1, arc, below, cuts, n_cuts)
+        # Nothing crosses within a piece, so it is open or dark as a whole.
+        if at[2, m] <= at[1, m]:
+            continue
+        if is_followed:
+            look_along(at, m, rays, metal, ways)
+        for i in range(m):
+            p, low, high = at[0, i], at[1, i], at[2, i]
             if high <= low:
-                if i < 0:
-                    break
-                continue
-            if i < 0:
                 continue
             weight = half * rules[rule + 1, m, i]
             parts[0, 0], parts[0, 1] = low, high
             n_parts = 1
             if n_ledges > 0:
                 n_parts = wall_parts(p, low, high, P, axes, tan_b, distance, radius, ledges, n_ledges, parts)
-            elif has_metal:
-                n_parts = chord_parts(p, low, high, rays, metal, parts)
+            elif is_followed:
+                n_parts = chord_parts(i, ways, rays, metal, parts)
             for k in range(n_parts):
                 begin, length = parts[k, 0], parts[k, 1] - parts[k, 0]
                 for j in range(n_q):

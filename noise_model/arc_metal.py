@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 
-from noise_model.arc_disc import Shape, equator_q
+from noise_model.arc_disc import MAX_NODES_P, Shape, chords
 from noise_model.faces import raised
 from noise_model.frames import Float64
 from noise_model.kernel import kernel
@@ -23,8 +23,13 @@ CLEAR_STEPS = 4
 CHORD_STEPS = 2
 """In how many steps a chord is searched for where it leaves the metal."""
 
+MAX_WAYS = (CHORD_STEPS + 1) * MAX_NODES_P
+"""Room for the rays that are looked at together: a piece's chords are most."""
+
 ROOT_STEPS, ROOT_MM = 16, 1e-4
 """At the most so many steps to a border, and how near to it in clearance is near enough."""
+
+_RIM = tuple(math.cos(math.pi * i / RIM_STEPS) for i in range(RIM_STEPS + 1))
 
 TURNED_AWAY_MM = 1e6
 """A larger clearance is of a ray that never comes to the edge."""
@@ -122,62 +127,129 @@ def border(
     return share
 
 
+@kernel(fastmath={"contract"})
+def clearances(ways: Float64, n: int, rays: Rays, metal: Metal) -> None:
+    """Write into ways[2] (n,) the `clearance` of n rays, whose p and q are ways[0] and ways[1].
+
+    Written without branches that differ from ray to ray, so that it runs several at a time.
+    """
+    Px, Py, Pz, wx, wy, wz, ux, uy, uz, vx, vy, vz, distance, radius = rays
+    _, _, _, edge, crest_x, edge_hides, cuts, from_upper = metal
+    edge_y, slope, curve, edge_step = edge
+    over, tangent_2 = Py - edge_y, distance * distance - radius * radius
+    crest_z = edge_step + _wave(crest_x, metal) if edge_hides else 0.0
+    for i in range(n):
+        p, q = ways[0, i], ways[1, i]
+        ox, oy, oz = wx + p * ux + q * vx, wy + p * uy + q * vy, wz + p * uz + q * vz
+        across, square = oy - slope * ox, ox * ox + oy * oy + oz * oz
+        t_arc = (distance - math.sqrt(max(0.0, distance * distance - square * tangent_2))) / square
+        bend = curve * ox * ox
+        free = 1e9
+        if cuts:
+            is_lower = over + t_arc * (across - 0.5 * bend * t_arc) < 0.0
+            level = _wave(Px + t_arc * ox, metal) + (edge_step if is_lower else 0.0)
+            free = Pz + t_arc * oz - level
+        if edge_hides:
+            # `visibility.first_crossing`
+            leaves = (across > 0.0) == from_upper and across != 0.0
+            root = across * across + 2.0 * bend * over
+            half = across + math.copysign(math.sqrt(max(root, 0.0)), across)
+            one, other = half / bend, -2.0 * over / half
+            one = one if one > 0.0 and root >= 0.0 else math.inf
+            other = other if other > 0.0 and root >= 0.0 else math.inf
+            is_line = bend == 0.0 or (over == 0.0 and leaves)
+            on_line = -over / across if leaves else math.inf
+            t = on_line if is_line else min(one, other)
+            meets = t < t_arc and (t > 0.0 or not from_upper)
+            at = t if meets else 0.0
+            at_edge = Pz + at * oz - _wave(Px + at * ox, metal) - edge_step
+            free = min(free, at_edge if meets else 1e9)
+            first, last = (0.0 if from_upper else t), (min(t, t_arc) if from_upper else t_arc)
+            way = (crest_x - Px) * ox
+            comes_by = first * ox * ox < way and way < last * ox * ox
+            free = min(free, Pz + way / (ox * ox) * oz - crest_z if comes_by else 1e9)
+        is_turned = not cuts and not from_upper and across >= 0.0 and curve <= 0.0
+        ways[2, i] = 1e9 if is_turned else free
+
+
 @kernel
-def chord_parts(p: float, low: float, high: float, rays: Rays, metal: Metal, parts: Float64) -> int:
-    """Write the parts (n, 2) of a chord on which the arc passes over the metal; return how many."""
-    count = 0
-    before = clearance(p, low, rays, metal)
-    begin, q_before = low, low
-    for i in range(CHORD_STEPS):
-        q = low + (high - low) * (i + 1) / CHORD_STEPS
-        free = clearance(p, q, rays, metal)
+def look_along(at: Float64, n: int, rays: Rays, metal: Metal, ways: Float64) -> None:
+    """Write p, q and clearance of CHORD_STEPS + 1 places on each of n `arc_disc.chords` into `ways`."""
+    for i in range(n):
+        low, length = at[1, i], max(at[2, i] - at[1, i], 0.0)
+        for j in range(CHORD_STEPS + 1):
+            ways[0, (CHORD_STEPS + 1) * i + j] = at[0, i]
+            ways[1, (CHORD_STEPS + 1) * i + j] = low + length * j / CHORD_STEPS
+    clearances(ways, (CHORD_STEPS + 1) * n, rays, metal)
+
+
+@kernel
+def chord_parts(i: int, ways: Float64, rays: Rays, metal: Metal, parts: Float64) -> int:
+    """Write the parts (n, 2) of the i-th chord on which the arc passes over the metal; return how many.
+
+    The chord has been looked at, see `look_along`.
+    """
+    count, first = 0, (CHORD_STEPS + 1) * i
+    p, begin = ways[0, first], ways[1, first]
+    for j in range(first, first + CHORD_STEPS):
+        q_before, before, q, free = ways[1, j], ways[2, j], ways[1, j + 1], ways[2, j + 1]
         if (free < 0.0) != (before < 0.0):
             share = border((p, p), (q_before, q), False, (before, free), rays, metal)
-            at = q_before + share * (q - q_before)
+            q_border = q_before + share * (q - q_before)
             if free < 0.0:
-                parts[count, 0], parts[count, 1] = begin, at
+                parts[count, 0], parts[count, 1] = begin, q_border
                 count += 1
-            begin = at
-        before, q_before = free, q
-    if before >= 0.0 and high > begin:
-        parts[count, 0], parts[count, 1] = begin, high
+            begin = q_border
+    last = first + CHORD_STEPS
+    if ways[2, last] >= 0.0 and ways[1, last] > begin:
+        parts[count, 0], parts[count, 1] = begin, ways[1, last]
         count += 1
     return count
 
 
 @kernel
-def is_clear(p_max: float, arc: Shape, rays: Rays, metal: Metal) -> bool:
-    """Say whether the whole arc passes over the metal: looked at are its lower rim and its top."""
-    for i in range(-CLEAR_STEPS, CLEAR_STEPS + 1):
-        p = p_max * i / CLEAR_STEPS
-        high = math.sqrt(max(0.0, 1.0 - p * p))
-        low = max(-high, equator_q(p, arc, -high))
-        if clearance(p, low, rays, metal) < 0.0 or clearance(p, 0.5 * (low + high), rays, metal) < 0.0:
-            return False
-    return True
+def is_clear(
+    p_max: float, arc: Shape, cuts: Float64, rays: Rays, metal: Metal, at: Float64, ways: Float64
+) -> bool:
+    """Say whether the whole arc passes over the metal: looked at are its lower rim and its top.
+
+    No `cuts` are looked at; `at` and `ways` are scratch.
+    """
+    n = 2 * CLEAR_STEPS + 1
+    for i in range(n):
+        at[0, i] = p_max * (i - CLEAR_STEPS) / CLEAR_STEPS
+    chords(at, n, arc, False, cuts, 0)
+    for i in range(n):
+        low, high = at[1, i], at[2, i]
+        ways[0, i], ways[1, i] = at[0, i], low
+        ways[0, n + i], ways[1, n + i] = at[0, i], 0.5 * (low + high)
+    clearances(ways, 2 * n, rays, metal)
+    least = 0.0
+    for i in range(2 * n):
+        least = min(least, ways[2, i])
+    return least >= 0.0
 
 
 @kernel
-def open_range(p_low: float, p_high: float, rays: Rays, metal: Metal) -> tuple[float, float]:
+def open_range(p_low: float, p_high: float, rays: Rays, metal: Metal, ways: Float64) -> tuple[float, float]:
     """Return between which p the tops of the chords are open; an empty range where none is."""
-    first, last = RIM_STEPS + 1, -1
     middle, half = 0.5 * (p_low + p_high), 0.5 * (p_high - p_low)
     for i in range(RIM_STEPS + 1):
         # Even in the angle: a sliver of the arc that is left to see lies at one end, where chords are short.
-        p = middle - half * math.cos(math.pi * i / RIM_STEPS)
-        if clearance(p, math.sqrt(max(0.0, 1.0 - p * p)), rays, metal) >= 0.0:
+        p = middle - half * _RIM[i]
+        ways[0, i], ways[1, i] = p, math.sqrt(max(0.0, 1.0 - p * p))
+    clearances(ways, RIM_STEPS + 1, rays, metal)
+    first, last = RIM_STEPS + 1, -1
+    for i in range(RIM_STEPS + 1):
+        if ways[2, i] >= 0.0:
             first, last = min(first, i), i
     if last < 0:
         return p_high, p_low
     for i_open, i_hidden in ((first, first - 1), (last, last + 1)):
         if not 0 <= i_hidden <= RIM_STEPS:
             continue
-        p_hidden = middle - half * math.cos(math.pi * i_hidden / RIM_STEPS)
-        p_open = middle - half * math.cos(math.pi * i_open / RIM_STEPS)
-        ends = (
-            clearance(p_hidden, math.sqrt(max(0.0, 1.0 - p_hidden * p_hidden)), rays, metal),
-            clearance(p_open, math.sqrt(max(0.0, 1.0 - p_open * p_open)), rays, metal),
-        )
+        p_hidden, p_open = ways[0, i_hidden], ways[0, i_open]
+        ends = (ways[2, i_hidden], ways[2, i_open])
         p = p_hidden + border((p_hidden, p_open), (0.0, 0.0), True, ends, rays, metal) * (p_open - p_hidden)
         p_low, p_high = (p, p_high) if i_hidden < i_open else (p_low, p)
     return p_low, p_high

@@ -9,6 +9,7 @@ import numpy as np
 
 from noise_model.arc_disc import MAX_PARTS, MAX_PIECES
 from noise_model.arc_integral import MAX_POINTS, arc_light
+from noise_model.arc_metal import MAX_WAYS
 from noise_model.brdf import LobeNumbers
 from noise_model.faces import face_normal
 from noise_model.frames import Float64, Point, Vector
@@ -25,18 +26,20 @@ from noise_model.visibility import (
     touch,
 )
 
-Scratch = tuple[Float64, Float64, Float64, Float64, Float64, Float64]
+Scratch = tuple[Float64, Float64, Float64, Float64, Float64, Float64, Float64, Float64]
 """What a point's integral needs room for, see `scratch`."""
 
 
 @kernel(allocates=True)
 def scratch() -> Scratch:
-    """Return room for nodes and weights, lines of the disc, crossings, a chord's parts, planes and ledges."""
+    """Return room for nodes and weights, lines, crossings, a chord's parts, chords, rays; planes, ledges."""
     return (
         np.empty((3, MAX_POINTS)),
         np.empty((MAX_PLANES, 3)),
         np.empty(MAX_PIECES),
         np.empty((MAX_PARTS, 3)),
+        np.empty((3, MAX_PIECES)),
+        np.empty((3, MAX_WAYS)),
         np.empty((MAX_PLANES, 3)),
         np.empty((2 * MAX_LEDGES, 3)),
     )
@@ -75,7 +78,7 @@ def light_at(k: ArcKernel, P: Point, face: int, scratch: Scratch) -> float:
 
     `P` may lie on the face's plane beyond its edges.
     """
-    nodes, cuts, breaks, parts, planes, ledges = scratch
+    nodes, cuts, breaks, parts, at, ways, planes, ledges = scratch
     vertices, corrugation, center, radius = k.vertices, k.corrugation, k.center, k.radius
     normal = face_normal(face, P[0], vertices, corrugation)
     rx, ry, rz = k.eye[0] - P[0], k.eye[1] - P[1], k.eye[2] - P[2]
@@ -134,6 +137,8 @@ def light_at(k: ArcKernel, P: Point, face: int, scratch: Scratch) -> float:
         cuts,
         breaks,
         parts,
+        at,
+        ways,
     )
     return k.radiance_e * light
 

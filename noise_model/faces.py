@@ -43,7 +43,7 @@ def raised(x: float, height: float, width: float, pitch: float) -> tuple[float, 
     """Return the height c(x), mm, of a corrugation of these dimensions and its slope c'(x)."""
     if height == 0.0:
         return 0.0, 0.0
-    u = x - pitch * math.floor(x / pitch + 0.5)
+    u = x - pitch * np.floor(x / pitch + 0.5)
     share = 2.0 / width * u
     c, by_v = raised_cosine(share * share)
     return height * c, 4.0 * height / width * share * by_v

@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from noise_model.arc_disc import chord, corner_p, disc, disc_lines
+from noise_model.arc_disc import chords, corner_p, disc, disc_lines
 from noise_model.arc_integral import gauss_nodes
 from noise_model.arc_map import Scene
 from noise_model.brdf import LobeNumbers, lobe_numbers, reflected
@@ -182,9 +182,13 @@ def arc_leaving(k: Place, Q: Float64, normal: Float64, omega_r: Point) -> float:
     if p_high <= p_low:
         return 0.0
     total = 0.0
-    for i in range(p_nodes.shape[0]):
-        p = 0.5 * (p_low + p_high + (p_high - p_low) * p_nodes[i])
-        low, high = chord(p, arc, below, borders, n_borders)
+    n_chords = p_nodes.shape[0]
+    at = np.empty((3, n_chords))
+    for i in range(n_chords):
+        at[0, i] = 0.5 * (p_low + p_high + (p_high - p_low) * p_nodes[i])
+    chords(at, n_chords, arc, below, borders, n_borders)
+    for i in range(n_chords):
+        p, low, high = at[0, i], at[1, i], at[2, i]
         if high <= low:
             continue
         column = 0.0

@@ -148,7 +148,7 @@ def disc_light(P, normal, omega_r, center, material, nodes, planes=()):
     no_metal = (0.0, 0.0, 0.0, (0.0, 0.0, 0.0, 0.0), math.nan, False, False, False)
     return arc_light(
         *vectors, 3.0, cuts, len(cuts), np.empty((0, 3)), 0, no_metal,
-        lobe_numbers(material), gauss_nodes(), *nodes, *scratch()[:4],
+        lobe_numbers(material), gauss_nodes(), *nodes, *scratch()[:6],
     )  # fmt: skip
 
 
