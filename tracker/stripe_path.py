@@ -21,6 +21,9 @@ TEMPLATE_SIGMAS = 2.5
 OFFSET_STEP = 2
 """The path is sought on every second pixel; the fit starts from there."""
 
+TAPS = 8
+"""So many of a template's values are used at a time."""
+
 GAIN_CAP = 60.0
 """The most that one scan line's evidence counts in the path: a spatter streak cannot buy a detour."""
 
@@ -56,19 +59,57 @@ def _template(width: float, half: int, template: Float32) -> None:
         template[j] -= mean
 
 
+@kernel
+def _split(line: Float32, start: int, even: Float32, odd: Float32) -> None:
+    """Write a line's pixels from `start` on, by turns, into two arrays (n,), zeros beyond its end."""
+    n, m = even.shape[0], max(min(even.shape[0], (line.shape[0] - start) // 2), 0)
+    for i in range(m):
+        even[i], odd[i] = line[start + 2 * i], line[start + 2 * i + 1]
+    for i in range(m, n):
+        at = start + 2 * i
+        even[i], odd[i] = line[at] if at < line.shape[0] else np.float32(0.0), np.float32(0.0)
+
+
 @kernel(fastmath=REDUCTION)
-def _correlate(template: Float32, residual_e: Float32, variance_e2: Float32) -> Pair:
-    """Return a template's (n,) sum over residuals (n,) and that sum's variance; NaN if one of them is."""
-    total, noise = np.float32(0.0), np.float32(0.0)
-    for j in range(template.shape[0]):
-        total += template[j] * residual_e[j]
-        noise += template[j] * template[j] * variance_e2[j]
-    return float(total), float(noise)
+def _add_taps(t: Float32, residual_e: Float32, variance_e2: Float32, total: Float32, noise: Float32) -> None:
+    """Add to sums (n,) and their variances TAPS neighbours' residuals each, times a template's values t."""
+    a, b, c, d, e, f, g, h = t[0], t[1], t[2], t[3], t[4], t[5], t[6], t[7]
+    r, v = residual_e, variance_e2
+    for i in range(total.shape[0]):
+        total[i] += (
+            a * r[i]
+            + b * r[i + 1]
+            + c * r[i + 2]
+            + d * r[i + 3]
+            + e * r[i + 4]
+            + f * r[i + 5]
+            + g * r[i + 6]
+            + h * r[i + 7]
+        )
+    a, b, c, d, e, f, g, h = a * a, b * b, c * c, d * d, e * e, f * f, g * g, h * h
+    for i in range(total.shape[0]):
+        noise[i] += (
+            a * v[i]
+            + b * v[i + 1]
+            + c * v[i + 2]
+            + d * v[i + 3]
+            + e * v[i + 4]
+            + f * v[i + 5]
+            + g * v[i + 6]
+            + h * v[i + 7]
+        )
+
+
+@kernel(fastmath={"contract"})
+def _in_sigmas(total: Float32, noise: Float32, score: Float32) -> None:
+    """Write sums (n,) over their own sigma, 0 where that is none."""
+    for i in range(total.shape[0]):
+        score[i] = total[i] / np.sqrt(noise[i]) if noise[i] > np.float32(0.0) else np.float32(0.0)
 
 
 @kernel
 def _correlate_seen(template: Float32, residual_e: Float32, variance_e2: Float32) -> Pair:
-    """Return the same of the pixels that are not NaN."""
+    """Return a template's (n,) sum over the residuals that are not NaN, and that sum's variance."""
     total, noise = 0.0, 0.0
     for j in range(template.shape[0]):
         if not math.isnan(residual_e[j]):
@@ -92,26 +133,49 @@ def matched_filter(
 
     `residual_e`, `variance_e2` (n_scan, depth) hold the charge less the arc's and the variance without a
     stripe; `center`, `width` (n_scan,) are expected positions and sigmas; `score` (n_scan, n_offsets). The
-    template's mean is taken out, so a wrong level of the map scores nothing.
+    template's mean is taken out, so a wrong level of the map scores nothing. `offsets` are OFFSET_STEP apart.
     """
     n_scan, depth = residual_e.shape
-    room = np.empty(2 * math.ceil(TEMPLATE_SIGMAS * width.max()) + 1, dtype=np.float32)
+    n_offsets, most = offsets.shape[0], math.ceil(TEMPLATE_SIGMAS * width.max())
+    room = np.empty(2 * most + 1, dtype=np.float32)
+    # Every second pixel: so neighbouring offsets read neighbours.
+    n_taps = TAPS * (most // TAPS + 1)
+    taps = np.empty((2, n_taps), dtype=np.float32)
+    lines = np.empty((2, 2, n_offsets + n_taps), dtype=np.float32)
+    sums = np.empty((2, n_offsets), dtype=np.float32)
     for s in range(n_scan):
         w = width[s]
         half = math.ceil(TEMPLATE_SIGMAS * w)
         template = room[: 2 * half + 1]
         _template(w, half, template)
-        base = round(center[s]) - lows[s // cell]
-        for i in range(offsets.shape[0]):
-            low, high = base + offsets[i] - half, base + offsets[i] + half + 1
-            if low < 0 or high > depth:
-                score[s, i] = 0.0
-                continue
-            residual, variance = residual_e[s, low:high], variance_e2[s, low:high]
-            total, noise = _correlate(template, residual, variance)
-            if math.isnan(total):
-                total, noise = _correlate_seen(template, residual, variance)
-            score[s, i] = total / math.sqrt(noise) if noise > 0.0 else 0.0
+        taps[:] = 0.0
+        for j in range(2 * half + 1):
+            taps[j % 2, j // 2] = template[j]
+        # The template's first pixel at the first offset, and which offsets keep it within the line.
+        begin = round(center[s]) - lows[s // cell] + offsets[0] - half
+        first = max((1 - begin) // OFFSET_STEP, 0)
+        last = min((depth - 2 * half - 1 - begin) // OFFSET_STEP + 1, n_offsets)
+        n = max(last - first, 0)
+        score[s, :] = 0.0
+        if n == 0:
+            continue
+        start = begin + OFFSET_STEP * first
+        residuals, variances = lines[0], lines[1]
+        _split(residual_e[s], start, residuals[0], residuals[1])
+        _split(variance_e2[s], start, variances[0], variances[1])
+        totals, noises = sums[0][:n], sums[1][:n]
+        totals[:] = 0.0
+        noises[:] = 0.0
+        for turn in range(2):
+            for j in range(0, half + 1 - turn, TAPS):
+                _add_taps(taps[turn][j : j + TAPS], residuals[turn][j:], variances[turn][j:], totals, noises)
+        _in_sigmas(totals, noises, score[s][first:last])
+        for i in range(n):
+            if math.isnan(totals[i]):
+                low = start + OFFSET_STEP * i
+                high = low + 2 * half + 1
+                total, noise = _correlate_seen(template, residual_e[s][low:high], variance_e2[s][low:high])
+                score[s, first + i] = total / math.sqrt(noise) if noise > 0.0 else 0.0
 
 
 @kernel(allocates=True)

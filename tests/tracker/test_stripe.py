@@ -21,8 +21,8 @@ from tracker.stripe_fit import (
     map_edge,
 )
 from tracker.stripe_moments import moments_of, normal_equations, solve, variance_of
+from tracker.stripe_path import OFFSET_STEP, best_path, matched_filter, peaks
 from tracker.stripe_path import bell as bell_of
-from tracker.stripe_path import best_path, matched_filter, peaks
 
 Float64 = npt.NDArray[np.float64]
 
@@ -107,7 +107,7 @@ def test_the_matched_filter_is_its_twin(seed: int) -> None:
     lows = rng.integers(0, 5, -(-n_scan // CELL))
     center = rng.uniform(-10.0, depth + 10.0, n_scan)
     width = rng.uniform(0.6, 6.0, n_scan)
-    offsets = np.sort(rng.integers(-40, 40, n_offsets))
+    offsets = rng.integers(-40, 40) + OFFSET_STEP * np.arange(n_offsets)
     score = np.full((n_scan, n_offsets), np.nan, dtype=np.float32)
     matched_filter(residual, variance, center, width, lows, CELL, offsets, score)
     twin = twins.matched_filter(residual, variance, center, width, np.repeat(lows, CELL), offsets)
