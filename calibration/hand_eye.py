@@ -28,10 +28,10 @@ from noise_model.arc_map import Scene, arc_at, arc_kernel, scene
 from noise_model.effects import really
 from noise_model.fit import Fit, Parameter, fit
 from noise_model.frames import Float64, invert, moved, transform
+from noise_model.ray_hits import trace
 from noise_model.sensor import variance_e2
 from noise_model.setup import Setup
 from noise_model.surface import SeamLine
-from noise_model.visibility import trace
 from tracker.arc_level import HUBER
 from tracker.expected import expect_stripe
 from tracker.follow import CAPACITY

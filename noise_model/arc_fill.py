@@ -20,7 +20,7 @@ from noise_model.arc_sight import face_seen
 from noise_model.arc_table import FaceTable, light_at_places, places_on_plane, places_on_rays
 from noise_model.frames import Float64
 from noise_model.kernel import kernel
-from noise_model.visibility import MISS
+from noise_model.ray_hits import MISS
 
 Float32 = npt.NDArray[np.float32]
 Int64 = npt.NDArray[np.int64]

@@ -26,9 +26,10 @@ from noise_model.brdf import lobe_numbers
 from noise_model.frames import Float64, invert, transform
 from noise_model.kernel import kernel
 from noise_model.optics import Camera
+from noise_model.ray_hits import MISS, surface_height
 from noise_model.setup import Setup
 from noise_model.surface import NOMINAL_SEAM, SeamLine, Section, corrugation_height, seam_frame, section
-from noise_model.visibility import MISS, horizon_tables, is_curved_lap, surface_height
+from noise_model.visibility import horizon_tables, is_curved_lap
 
 Float32 = npt.NDArray[np.float32]
 Int32 = npt.NDArray[np.int32]

@@ -14,17 +14,8 @@ from noise_model.brdf import LobeNumbers
 from noise_model.faces import face_normal
 from noise_model.frames import Float64, Point, Vector
 from noise_model.kernel import kernel
-from noise_model.visibility import (
-    MAX_LEDGES,
-    MAX_PLANES,
-    MISS,
-    Bend,
-    bent,
-    first_hit,
-    is_curved_lap,
-    sky_planes,
-    touch,
-)
+from noise_model.ray_hits import MISS, first_hit
+from noise_model.visibility import MAX_LEDGES, MAX_PLANES, Bend, bent, is_curved_lap, sky_planes, touch
 
 Scratch = tuple[Float64, Float64, Float64, Float64, Float64, Float64, Float64, Float64]
 """What a point's integral needs room for, see `scratch`."""

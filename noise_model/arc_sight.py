@@ -16,7 +16,7 @@ from noise_model.arc_ray import ArcKernel, direction, follow
 from noise_model.faces import Strip
 from noise_model.frames import Float64, Point
 from noise_model.kernel import kernel
-from noise_model.visibility import first_hit
+from noise_model.ray_hits import first_hit
 
 
 class Sight(NamedTuple):
@@ -60,7 +60,7 @@ def meet_plane(k: ArcKernel, x: float, y: float, on: Strip) -> tuple[Point, bool
 
 @kernel(inline=True)
 def face_seen(k: ArcKernel, seen: Sight, x: float, y: float) -> int:
-    """Return the face that a ray (x, y, 1) of the camera meets, `visibility.MISS` for none.
+    """Return the face that a ray (x, y, 1) of the camera meets, `ray_hits.MISS` for none.
 
     Rays that are listed nowhere, level ones or those through an edge itself, are followed.
     """

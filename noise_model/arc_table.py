@@ -25,7 +25,7 @@ from noise_model.arc_sight import Sight, face_seen, meet_plane, sight
 from noise_model.faces import Strip, across, face_point
 from noise_model.frames import Float64
 from noise_model.kernel import kernel
-from noise_model.visibility import MISS
+from noise_model.ray_hits import MISS
 
 Float32 = npt.NDArray[np.float32]
 Int32 = npt.NDArray[np.int32]
@@ -239,7 +239,7 @@ def places_on_rays(
 ) -> None:
     """Write which faces (n,) the rays of some pixels meet and where, x and s (n, 2).
 
-    `visibility.MISS` and NaN for a ray that looks past the workpiece.
+    `ray_hits.MISS` and NaN for a ray that looks past the workpiece.
     """
     is_plain = k.corrugation[0] == 0.0
     for i in range(n):

@@ -112,7 +112,7 @@ class Layers:
 
     @cached_property
     def faces(self) -> npt.NDArray[np.integer]:
-        """The face that each pixel (...,) shows, `visibility.MISS` past the workpiece."""
+        """The face that each pixel (...,) shows, `ray_hits.MISS` past the workpiece."""
         return self._of_stretches(lambda view: view.surface[2])
 
     def _of_stretches(self, of: Callable[[View], npt.NDArray[Number]]) -> npt.NDArray[Number]:

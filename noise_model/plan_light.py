@@ -19,10 +19,10 @@ from noise_model.effects.light import Light
 from noise_model.forward import pass_on
 from noise_model.frames import Float64, invert, transform
 from noise_model.optics import fall_off
+from noise_model.ray_hits import trace, ways_are_open
 from noise_model.setup import Setup
 from noise_model.stripe import reflected_sheet, stripe_reference, stripe_runs_along_rows
 from noise_model.view import View
-from noise_model.visibility import trace, ways_are_open
 
 Bool = npt.NDArray[np.bool_]
 

@@ -16,9 +16,9 @@ from noise_model.frames import Float64, cross, invert, transform
 from noise_model.kernel import kernel
 from noise_model.laser import SHEET_REACH, Sheet, irradiance, sheet_of, sheet_reflected
 from noise_model.optics import fall_off
+from noise_model.ray_hits import ways_are_open
 from noise_model.setup import Setup
 from noise_model.view import View
-from noise_model.visibility import ways_are_open
 
 PEAK_STEPS = 16
 """Steps to a pixel in which the peak of a stripe is looked for."""

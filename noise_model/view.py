@@ -12,9 +12,9 @@ import numpy.typing as npt
 from noise_model.arc_map import Float32, Scene, scene
 from noise_model.frames import Float64
 from noise_model.optics import Rays, fall_off
+from noise_model.ray_hits import trace
 from noise_model.setup import Setup
 from noise_model.surface import NOMINAL_SEAM, SeamLine
-from noise_model.visibility import trace
 
 Kept = TypeVar("Kept")
 
@@ -99,7 +99,7 @@ class View:
     def surface(self) -> tuple[Float64, Float64, npt.NDArray[np.int32]]:
         """Where the rays end in the joint frame: points (..., 3), mm, unit normals (..., 3), faces (...,).
 
-        NaN, NaN and `visibility.MISS` for a ray that looks past the workpiece.
+        NaN, NaN and `ray_hits.MISS` for a ray that looks past the workpiece.
         """
         return self.keep("surface", self._surface)
 

@@ -1,6 +1,6 @@
 """A joint's surface as triangles for a renderer, built from its dimensions alone.
 
-Joint frame, mm. Nothing of `noise_model.surface` or `noise_model.visibility` is called: what judges the arc
+Joint frame, mm. Nothing of `noise_model.surface`, `ray_hits` or `visibility` is called: what judges the arc
 map draws its own joint.
 """
 

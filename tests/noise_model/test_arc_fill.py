@@ -15,8 +15,8 @@ from noise_model.arc_map import CELL, ArcMap, arc_at, arc_frame, arc_kernel, sce
 from noise_model.arc_sight import face_seen, sight
 from noise_model.faces import across, face_point, ridge
 from noise_model.optics import Rays
+from noise_model.ray_hits import first_hit
 from noise_model.surface import section
-from noise_model.visibility import first_hit
 
 QUARTER_DN_E = 20.0
 

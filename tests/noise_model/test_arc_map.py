@@ -26,8 +26,8 @@ from noise_model.faces import face_normal, face_point
 from noise_model.frames import invert, transform
 from noise_model.hemisphere import Hemisphere, irradiance_extended, reflected_radiance_extended
 from noise_model.optics import Rays
+from noise_model.ray_hits import MISS, is_open
 from noise_model.surface import Joint, SeamLine, section
-from noise_model.visibility import MISS, is_open
 
 UP = np.array([0.0, 0.0, 1.0])
 QUARTER_DN_E = 20.0

@@ -17,8 +17,8 @@ from noise_model.condition import Condition
 from noise_model.effects import checked
 from noise_model.forward import predict
 from noise_model.optics import Rays
+from noise_model.ray_hits import first_hit
 from noise_model.surface import REACH_MM, SAGITTA_MM, Joint, seam_height_mm, section
-from noise_model.visibility import first_hit
 
 RADIUS_MM = 3.0
 

@@ -7,20 +7,15 @@ from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
 from noise_model.faces import face_normal
+from noise_model.ray_hits import MISS, first_hit, is_open, trace, way_is_open, ways_are_open
 from noise_model.surface import section
 from noise_model.visibility import (
     HORIZON_STEP_MM,
     MAX_LEDGES,
     MAX_PLANES,
-    MISS,
-    first_hit,
     horizon_table,
     horizon_tables,
-    is_open,
     sky_planes,
-    trace,
-    way_is_open,
-    ways_are_open,
 )
 
 GRAZED_MM = 0.01
