@@ -19,16 +19,22 @@ from scipy.optimize import newton
 
 from noise_model.frames import Float64, invert, transform
 from sim_to_real.check.world_light import Sight, Studio, digest
-from sim_to_real.check.world_rays import TILE, ArcBody, Float32
+from sim_to_real.check.world_rays import GOLDEN, TILE, ArcBody, Float32
 from sim_to_real.check.world_surface import Int64
 
 STEP_PX = 10
 """Bounced light is gathered at every so many pixels and is linear between them, face by face."""
 
-ALONG_MM, BEHIND_MM, AHEAD_MM, ASIDE_MM = 2.0, 25.0, 70.0, 25.0
-FINE_MM, GROWTH = 0.6, 1.25
+BEHIND_MM, AHEAD_MM, ASIDE_MM = 40.0, 90.0, 40.0
+ALONG_MM, ALONG_FINE_MM, UNDER_MM = 2.0, 1.0, 12.0
+"""Steps of the nodes along the seam, and those within `UNDER_MM` of the arc."""
+
+FINE_MM, GROWTH = 0.6, 1.2
 SHEET_STEPS = np.linspace(-2.0, 2.0, 5)
 """Where the sheet is sampled across, in its sigmas."""
+
+PATCHES, NEAR_RADII = 16, 6.0
+"""A node so many radii from the arc and nearer sees it as so many patches: they come from all sides."""
 
 AT_ONCE = 400
 
@@ -44,7 +50,7 @@ class Nodes:
 
 @dataclass(frozen=True, eq=False)
 class Lit:
-    """Nodes, their irradiance (n,) from a source and the unit vectors (n, 3) to it."""
+    """Nodes, their irradiance (k, n) from each patch of a source and the unit vectors (k, n, 3) to it."""
 
     nodes: Nodes
     E: Float64
@@ -73,7 +79,7 @@ def bounced_light(studio: Studio, sight: Sight, arc: ArcBody, bounces: Bounces) 
         (metal.kappa_diff, metal.kappa_spec, metal.c2),
         studio.world.lobe,
         bounces,
-        STEP_PX,
+        (STEP_PX, ALONG_FINE_MM, PATCHES),
     )
     by_arc, by_laser = studio.keep(f"bounced_{key}", lambda: _bounced_light(studio, sight, arc, bounces))
     cos4 = sight.cos4.reshape(sight.shape)
@@ -98,15 +104,29 @@ def _bounced_light(studio: Studio, sight: Sight, arc: ArcBody, bounces: Bounces)
 
 def _grid(studio: Studio, arc_x_mm: float) -> Nodes:
     """Return nodes on all faces about the arc and ahead of it, fine where a face begins at the seam."""
-    x = np.arange(arc_x_mm - BEHIND_MM, arc_x_mm + AHEAD_MM, ALONG_MM)
+    x, dx = _stations(arc_x_mm)
     outline = studio.surface.outline_mm()
     parts = []
     for face, (a, b) in enumerate(itertools.pairwise(outline)):
         s, ds = _along_face(a, b)
         edge = (b - a) / np.linalg.norm(b - a)
-        X, at = (values.ravel() for values in np.meshgrid(x, np.arange(len(s)), indexing="ij"))
-        parts.append(_on_face(studio, face, X, a + s[at, np.newaxis] * edge, ALONG_MM * ds[at]))
+        n, at = (
+            values.ravel() for values in np.meshgrid(np.arange(len(x)), np.arange(len(s)), indexing="ij")
+        )
+        parts.append(_on_face(studio, face, x[n], a + s[at, np.newaxis] * edge, dx[n] * ds[at]))
     return _joined(parts)
+
+
+def _stations(arc_x_mm: float) -> tuple[Float64, Float64]:
+    """Return stations about the arc (n,), mm, and the lengths (n,) that they stand for."""
+    edges = arc_x_mm + np.concatenate(
+        [
+            np.arange(-BEHIND_MM, -UNDER_MM, ALONG_MM),
+            np.arange(-UNDER_MM, UNDER_MM, ALONG_FINE_MM),
+            np.arange(UNDER_MM, AHEAD_MM + ALONG_MM, ALONG_MM),
+        ]
+    )
+    return 0.5 * (edges[1:] + edges[:-1]), np.diff(edges)
 
 
 def _along_face(a: Float64, b: Float64) -> tuple[Float64, Float64]:
@@ -147,9 +167,34 @@ def _by_arc(studio: Studio, nodes: Nodes, arc: ArcBody) -> Lit:
     D, _ = studio.caster.arc_light(
         nodes.points, nodes.normals, nodes.normals, tile, arc, world.setup.material.c2, world.lobe
     )
-    # The half ball's light comes as from its middle.
+    return Lit(nodes, *_from_patches(studio, nodes, arc, D.astype(np.float64)))
+
+
+def _from_patches(studio: Studio, nodes: Nodes, arc: ArcBody, D: Float64) -> tuple[Float64, Float64]:
+    """Return the irradiance D (n,) by patches of the arc (k, n), and the unit vectors (k, n, 3) to them.
+
+    Far off the half ball's light comes as from its middle, all of it in the first patch.
+    """
     middle = arc.center_mm + np.array([0.0, 0.0, 0.4 * arc.radius_mm])
-    return Lit(nodes, D.astype(np.float64), _unit(middle - nodes.points))
+    n = len(nodes.points)
+    near = np.linalg.norm(nodes.points - arc.center_mm, axis=1) < NEAR_RADII * arc.radius_mm
+    weight, omega = np.zeros((PATCHES, n)), np.tile(_unit(middle - nodes.points), (PATCHES, 1, 1))
+    points, normals = nodes.points[near], nodes.normals[near]
+    for k in range(PATCHES):
+        cos_tau, turn = 1.0 - (k + 0.5) / PATCHES, GOLDEN * k
+        sin_tau = math.sqrt(1.0 - cos_tau**2)
+        out = np.array([sin_tau * math.cos(turn), sin_tau * math.sin(turn), cos_tau])
+        patch = arc.center_mm + arc.radius_mm * out
+        omega[k, near] = _unit(patch - points)
+        shines = np.maximum(-omega[k, near] @ out, 0.0)
+        cos_i = np.maximum(np.sum(omega[k, near] * normals, axis=1), 0.0)
+        open_ = studio.caster.open_ways(points, normals, np.broadcast_to(patch, points.shape))
+        weight[k, near] = shines * cos_i * open_ / np.sum((patch - points) ** 2, axis=1)
+    total = weight.sum(axis=0)
+    seen = total > 0.0
+    omega[0, ~seen] = _unit(middle - nodes.points[~seen])
+    weight[0, ~seen] = total[~seen] = 1.0
+    return D * weight / total, omega
 
 
 def _by_laser(studio: Studio, sight: Sight) -> Lit:
@@ -178,7 +223,7 @@ def _by_laser(studio: Studio, sight: Sight) -> Lit:
     targets = np.broadcast_to(origin, nodes.points.shape)
     E = studio.sheet(nodes.points, nodes.normals, sight.T_joint_tool)
     E = E * studio.caster.open_ways(nodes.points, nodes.normals, targets)
-    return Lit(nodes, E, _unit(origin - nodes.points))
+    return Lit(nodes, E[np.newaxis], _unit(origin - nodes.points)[np.newaxis])
 
 
 def _bounced_again(studio: Studio, nodes: Nodes, lit: Lit, bounces: Bounces) -> Float64:
@@ -243,14 +288,18 @@ def _arriving(
     """Return irradiance (m, n) of points (m, 3) by each node after its first bounce, and directions."""
     metal = studio.world.setup.material
     exchange, omega = _exchange(studio, points, normals, lit.nodes)
-    f_r = np.full(exchange.shape, metal.kappa_diff)
-    if bounces.glossy:
-        some = np.nonzero(exchange * lit.E > 0.0)
-        lobe = studio.caster.lobe(
-            lit.nodes.normals[some[1]], lit.omega_i[some[1]], -omega[some], metal.c2, studio.world.lobe
-        )
-        f_r[some] += metal.kappa_spec * lobe
-    return exchange * f_r * (bounces.scale * lit.E), omega
+    value = np.zeros_like(exchange)
+    for E, omega_i in zip(lit.E, lit.omega_i, strict=True):
+        light = exchange * E
+        some = np.nonzero(light)
+        f_r = np.full(len(some[0]), metal.kappa_diff)
+        if bounces.glossy:
+            lobe = studio.caster.lobe(
+                lit.nodes.normals[some[1]], omega_i[some[1]], -omega[some], metal.c2, studio.world.lobe
+            )
+            f_r += metal.kappa_spec * lobe
+        value[some] += f_r * light[some]
+    return bounces.scale * value, omega
 
 
 def _exchange(studio: Studio, points: Float64, normals: Float64, nodes: Nodes) -> tuple[Float64, Float64]:
