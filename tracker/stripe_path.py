@@ -14,6 +14,8 @@ from noise_model.kernel import REDUCTION, kernel
 Float32 = npt.NDArray[np.float32]
 Int64 = npt.NDArray[np.int64]
 Pair = tuple[float, float]
+Room = tuple[Float32, Float32, Float32, Float32]
+"""Scratch: the template's values by turns, the line's residuals and variances by turns, sums and theirs."""
 
 TEMPLATE_SIGMAS = 2.5
 """How far the matched filter's template reaches."""
@@ -21,8 +23,11 @@ TEMPLATE_SIGMAS = 2.5
 OFFSET_STEP = 2
 """The path is sought on every second pixel; the fit starts from there."""
 
-TAPS = 8
-"""So many of a template's values are used at a time."""
+MANY_OFFSETS = 32
+"""So many offsets and more are scored together: fewer take less time one by one."""
+
+TAPS, WHOLE = 8, 32
+"""So many of a template's values are used at a time, and so many sums a loop of the CPU's makes at once."""
 
 GAIN_CAP = 60.0
 """The most that one scan line's evidence counts in the path: a spatter streak cannot buy a detour."""
@@ -57,6 +62,45 @@ def _template(width: float, half: int, template: Float32) -> None:
     mean /= np.float32(template.shape[0])
     for j in range(template.shape[0]):
         template[j] -= mean
+
+
+@kernel(fastmath=REDUCTION)
+def _correlate(template: Float32, residual_e: Float32, variance_e2: Float32) -> Pair:
+    """Return a template's (n,) sum over residuals (n,) and that sum's variance; NaN if one of them is."""
+    total, noise = np.float32(0.0), np.float32(0.0)
+    for j in range(template.shape[0]):
+        total += template[j] * residual_e[j]
+        noise += template[j] * template[j] * variance_e2[j]
+    return float(total), float(noise)
+
+
+@kernel
+def _correlate_seen(template: Float32, residual_e: Float32, variance_e2: Float32) -> Pair:
+    """Return the same of the pixels that are not NaN."""
+    total, noise = 0.0, 0.0
+    for j in range(template.shape[0]):
+        if not math.isnan(residual_e[j]):
+            total += template[j] * residual_e[j]
+            noise += template[j] * template[j] * variance_e2[j]
+    return total, noise
+
+
+@kernel
+def _score_each(
+    template: Float32, residual_e: Float32, variance_e2: Float32, begin: int, score: Float32
+) -> None:
+    """Write a line's scores (n,) at offsets of which the first puts the template's first pixel at `begin`."""
+    for i in range(score.shape[0]):
+        low = begin + OFFSET_STEP * i
+        high = low + template.shape[0]
+        if low < 0 or high > residual_e.shape[0]:
+            score[i] = 0.0
+            continue
+        residual, variance = residual_e[low:high], variance_e2[low:high]
+        total, noise = _correlate(template, residual, variance)
+        if math.isnan(total):
+            total, noise = _correlate_seen(template, residual, variance)
+        score[i] = total / math.sqrt(noise) if noise > 0.0 else 0.0
 
 
 @kernel
@@ -108,14 +152,40 @@ def _in_sigmas(total: Float32, noise: Float32, score: Float32) -> None:
 
 
 @kernel
-def _correlate_seen(template: Float32, residual_e: Float32, variance_e2: Float32) -> Pair:
-    """Return a template's (n,) sum over the residuals that are not NaN, and that sum's variance."""
-    total, noise = 0.0, 0.0
-    for j in range(template.shape[0]):
-        if not math.isnan(residual_e[j]):
-            total += template[j] * residual_e[j]
-            noise += template[j] * template[j] * variance_e2[j]
-    return total, noise
+def _score_together(
+    template: Float32, residual_e: Float32, variance_e2: Float32, begin: int, room: Room, score: Float32
+) -> None:
+    """Write the same scores (n,), by turns of the template's values: neighbouring offsets read neighbours."""
+    taps, residuals, variances, sums = room
+    length, n_offsets = template.shape[0], score.shape[0]
+    taps[:] = 0.0
+    for j in range(length):
+        taps[j % 2, j // 2] = template[j]
+    # Which offsets keep the template within the line.
+    first = max((1 - begin) // OFFSET_STEP, 0)
+    last = min((residual_e.shape[0] - length - begin) // OFFSET_STEP + 1, n_offsets)
+    n = max(last - first, 0)
+    score[:] = 0.0
+    if n == 0:
+        return
+    start = begin + OFFSET_STEP * first
+    _split(residual_e, start, residuals[0], residuals[1])
+    _split(variance_e2, start, variances[0], variances[1])
+    # What lies behind the n sums counts for nothing, and whole loops take less time.
+    n_whole = WHOLE * ((n + WHOLE - 1) // WHOLE)
+    totals, noises = sums[0][:n_whole], sums[1][:n_whole]
+    totals[:] = 0.0
+    noises[:] = 0.0
+    for turn in range(2):
+        for j in range(0, (length + 1 - turn) // 2, TAPS):
+            _add_taps(taps[turn][j : j + TAPS], residuals[turn][j:], variances[turn][j:], totals, noises)
+    _in_sigmas(totals[:n], noises[:n], score[first:last])
+    for i in range(n):
+        if math.isnan(totals[i]):
+            low = start + OFFSET_STEP * i
+            high = low + length
+            total, noise = _correlate_seen(template, residual_e[low:high], variance_e2[low:high])
+            score[first + i] = total / math.sqrt(noise) if noise > 0.0 else 0.0
 
 
 @kernel(allocates=True)
@@ -135,47 +205,25 @@ def matched_filter(
     stripe; `center`, `width` (n_scan,) are expected positions and sigmas; `score` (n_scan, n_offsets). The
     template's mean is taken out, so a wrong level of the map scores nothing. `offsets` are OFFSET_STEP apart.
     """
-    n_scan, depth = residual_e.shape
-    n_offsets, most = offsets.shape[0], math.ceil(TEMPLATE_SIGMAS * width.max())
-    room = np.empty(2 * most + 1, dtype=np.float32)
-    # Every second pixel: so neighbouring offsets read neighbours.
-    n_taps = TAPS * (most // TAPS + 1)
-    taps = np.empty((2, n_taps), dtype=np.float32)
-    lines = np.empty((2, 2, n_offsets + n_taps), dtype=np.float32)
-    sums = np.empty((2, n_offsets), dtype=np.float32)
+    n_scan, n_offsets = score.shape
+    most = math.ceil(TEMPLATE_SIGMAS * width.max())
+    values = np.empty(2 * most + 1, dtype=np.float32)
+    n_taps, n_sums = TAPS * (most // TAPS + 1), WHOLE * (n_offsets // WHOLE + 1)
+    room = (
+        np.empty((2, n_taps), dtype=np.float32),
+        np.zeros((2, n_sums + n_taps), dtype=np.float32),
+        np.zeros((2, n_sums + n_taps), dtype=np.float32),
+        np.empty((2, n_sums), dtype=np.float32),
+    )
     for s in range(n_scan):
-        w = width[s]
-        half = math.ceil(TEMPLATE_SIGMAS * w)
-        template = room[: 2 * half + 1]
-        _template(w, half, template)
-        taps[:] = 0.0
-        for j in range(2 * half + 1):
-            taps[j % 2, j // 2] = template[j]
-        # The template's first pixel at the first offset, and which offsets keep it within the line.
+        half = math.ceil(TEMPLATE_SIGMAS * width[s])
+        template = values[: 2 * half + 1]
+        _template(width[s], half, template)
         begin = round(center[s]) - lows[s // cell] + offsets[0] - half
-        first = max((1 - begin) // OFFSET_STEP, 0)
-        last = min((depth - 2 * half - 1 - begin) // OFFSET_STEP + 1, n_offsets)
-        n = max(last - first, 0)
-        score[s, :] = 0.0
-        if n == 0:
-            continue
-        start = begin + OFFSET_STEP * first
-        residuals, variances = lines[0], lines[1]
-        _split(residual_e[s], start, residuals[0], residuals[1])
-        _split(variance_e2[s], start, variances[0], variances[1])
-        totals, noises = sums[0][:n], sums[1][:n]
-        totals[:] = 0.0
-        noises[:] = 0.0
-        for turn in range(2):
-            for j in range(0, half + 1 - turn, TAPS):
-                _add_taps(taps[turn][j : j + TAPS], residuals[turn][j:], variances[turn][j:], totals, noises)
-        _in_sigmas(totals, noises, score[s][first:last])
-        for i in range(n):
-            if math.isnan(totals[i]):
-                low = start + OFFSET_STEP * i
-                high = low + 2 * half + 1
-                total, noise = _correlate_seen(template, residual_e[s][low:high], variance_e2[s][low:high])
-                score[s, first + i] = total / math.sqrt(noise) if noise > 0.0 else 0.0
+        if n_offsets < MANY_OFFSETS:
+            _score_each(template, residual_e[s], variance_e2[s], begin, score[s])
+        else:
+            _score_together(template, residual_e[s], variance_e2[s], begin, room, score[s])
 
 
 @kernel(allocates=True)

@@ -21,7 +21,7 @@ from tracker.stripe_fit import (
     map_edge,
 )
 from tracker.stripe_moments import moments_of, normal_equations, solve, variance_of
-from tracker.stripe_path import OFFSET_STEP, best_path, matched_filter, peaks
+from tracker.stripe_path import MANY_OFFSETS, OFFSET_STEP, best_path, matched_filter, peaks
 from tracker.stripe_path import bell as bell_of
 
 Float64 = npt.NDArray[np.float64]
@@ -99,7 +99,8 @@ class Lines:
 @given(seeds)
 def test_the_matched_filter_is_its_twin(seed: int) -> None:
     rng = np.random.default_rng(seed)
-    n_scan, depth, n_offsets = rng.integers(1, 20), rng.integers(12, 60), rng.integers(1, 15)
+    n_scan, depth = rng.integers(1, 20), rng.integers(12, 120)
+    n_offsets = rng.integers(1, 2 * MANY_OFFSETS)
     residual = rng.normal(0.0, 100.0, (n_scan, depth)).astype(np.float32)
     residual[rng.random(residual.shape) < 0.05] = np.nan
     variance = rng.uniform(10.0, 1e4, residual.shape).astype(np.float32)
