@@ -170,15 +170,17 @@ def open_labels(*folders: Path) -> Opened:
     Raises ArctrackError if a label is not the one that was sealed, or a result not that of this seal, and if
     two checks are of one seed: they share recordings.
     """
-    asked: dict[Asked, Path] = {}
+    asked: list[Asked] = []
+    of_seed: dict[int, Path] = {}
     cases: list[Case] = []
     for folder in folders:
         sealed, secret = _verified(folder)
         one = Asked(**secret["asked"])
-        for other, place in asked.items():
-            if other.seed == one.seed:
-                raise in_file(folder, f"is of the seed {one.seed} as is {place}: they share recordings")
-        asked[one] = folder
+        if one.seed in of_seed:
+            other = of_seed[one.seed]
+            raise in_file(folder, f"is of the seed {one.seed} as is {other}: they share recordings")
+        of_seed[one.seed] = folder
+        asked.append(one)
         mark = f"{folder.resolve().name}/" if len(folders) > 1 else ""
         for name, seal in sorted(sealed.items()):
             case = _case(folder, Run(name, seal["sha256"]), seal["again"], secret["labels"][name]["label"])

@@ -14,8 +14,8 @@ from noise_model.kernel import REDUCTION, kernel
 Float32 = npt.NDArray[np.float32]
 Int64 = npt.NDArray[np.int64]
 Pair = tuple[float, float]
-Room = tuple[Float32, Float32, Float32, Float32]
-"""Scratch: the template's values by turns, the line's residuals and variances by turns, sums and theirs."""
+Room = tuple[Float32, Float32, Float32, Float32, Float32]
+"""Scratch, by turns: a template's values and their squares, a line's residuals and variances; and sums."""
 
 TEMPLATE_SIGMAS = 2.5
 """How far the matched filter's template reaches."""
@@ -75,14 +75,14 @@ def _correlate(template: Float32, residual_e: Float32, variance_e2: Float32) -> 
 
 
 @kernel
-def _correlate_seen(template: Float32, residual_e: Float32, variance_e2: Float32) -> Pair:
-    """Return the same of the pixels that are not NaN."""
+def _score_seen(template: Float32, residual_e: Float32, variance_e2: Float32) -> float:
+    """Return a template's (n,) sum over residuals that are not NaN, in its sigmas; 0 if there are none."""
     total, noise = 0.0, 0.0
     for j in range(template.shape[0]):
         if not math.isnan(residual_e[j]):
             total += template[j] * residual_e[j]
             noise += template[j] * template[j] * variance_e2[j]
-    return total, noise
+    return total / math.sqrt(noise) if noise > 0.0 else 0.0
 
 
 @kernel
@@ -99,14 +99,15 @@ def _score_each(
         residual, variance = residual_e[low:high], variance_e2[low:high]
         total, noise = _correlate(template, residual, variance)
         if math.isnan(total):
-            total, noise = _correlate_seen(template, residual, variance)
-        score[i] = total / math.sqrt(noise) if noise > 0.0 else 0.0
+            score[i] = _score_seen(template, residual, variance)
+        else:
+            score[i] = total / math.sqrt(noise) if noise > 0.0 else 0.0
 
 
 @kernel
 def _split(line: Float32, start: int, even: Float32, odd: Float32) -> None:
     """Write a line's pixels from `start` on, by turns, into two arrays (n,), zeros beyond its end."""
-    n, m = even.shape[0], max(min(even.shape[0], (line.shape[0] - start) // 2), 0)
+    n, m = even.shape[0], min(even.shape[0], (line.shape[0] - start) // 2)
     for i in range(m):
         even[i], odd[i] = line[start + 2 * i], line[start + 2 * i + 1]
     for i in range(m, n):
@@ -115,32 +116,19 @@ def _split(line: Float32, start: int, even: Float32, odd: Float32) -> None:
 
 
 @kernel(fastmath=REDUCTION)
-def _add_taps(t: Float32, residual_e: Float32, variance_e2: Float32, total: Float32, noise: Float32) -> None:
-    """Add to sums (n,) and their variances TAPS neighbours' residuals each, times a template's values t."""
-    a, b, c, d, e, f, g, h = t[0], t[1], t[2], t[3], t[4], t[5], t[6], t[7]
-    r, v = residual_e, variance_e2
-    for i in range(total.shape[0]):
-        total[i] += (
-            a * r[i]
-            + b * r[i + 1]
-            + c * r[i + 2]
-            + d * r[i + 3]
-            + e * r[i + 4]
-            + f * r[i + 5]
-            + g * r[i + 6]
-            + h * r[i + 7]
-        )
-    a, b, c, d, e, f, g, h = a * a, b * b, c * c, d * d, e * e, f * f, g * g, h * h
-    for i in range(total.shape[0]):
-        noise[i] += (
-            a * v[i]
-            + b * v[i + 1]
-            + c * v[i + 2]
-            + d * v[i + 3]
-            + e * v[i + 4]
-            + f * v[i + 5]
-            + g * v[i + 6]
-            + h * v[i + 7]
+def _add_taps(taps: Float32, line: Float32, sums: Float32) -> None:
+    """Add to sums (n,) TAPS neighbours of a line each, times so many taps."""
+    a, b, c, d, e, f, g, h = taps[0], taps[1], taps[2], taps[3], taps[4], taps[5], taps[6], taps[7]
+    for i in range(sums.shape[0]):
+        sums[i] += (
+            a * line[i]
+            + b * line[i + 1]
+            + c * line[i + 2]
+            + d * line[i + 3]
+            + e * line[i + 4]
+            + f * line[i + 5]
+            + g * line[i + 6]
+            + h * line[i + 7]
         )
 
 
@@ -156,11 +144,12 @@ def _score_together(
     template: Float32, residual_e: Float32, variance_e2: Float32, begin: int, room: Room, score: Float32
 ) -> None:
     """Write the same scores (n,), by turns of the template's values: neighbouring offsets read neighbours."""
-    taps, residuals, variances, sums = room
+    taps, squares, residuals, variances, sums = room
     length, n_offsets = template.shape[0], score.shape[0]
     taps[:] = 0.0
+    squares[:] = 0.0
     for j in range(length):
-        taps[j % 2, j // 2] = template[j]
+        taps[j % 2, j // 2], squares[j % 2, j // 2] = template[j], template[j] * template[j]
     # Which offsets keep the template within the line.
     first = max((1 - begin) // OFFSET_STEP, 0)
     last = min((residual_e.shape[0] - length - begin) // OFFSET_STEP + 1, n_offsets)
@@ -178,14 +167,14 @@ def _score_together(
     noises[:] = 0.0
     for turn in range(2):
         for j in range(0, (length + 1 - turn) // 2, TAPS):
-            _add_taps(taps[turn][j : j + TAPS], residuals[turn][j:], variances[turn][j:], totals, noises)
+            _add_taps(taps[turn][j : j + TAPS], residuals[turn][j:], totals)
+            _add_taps(squares[turn][j : j + TAPS], variances[turn][j:], noises)
     _in_sigmas(totals[:n], noises[:n], score[first:last])
     for i in range(n):
         if math.isnan(totals[i]):
             low = start + OFFSET_STEP * i
             high = low + length
-            total, noise = _correlate_seen(template, residual_e[low:high], variance_e2[low:high])
-            score[first + i] = total / math.sqrt(noise) if noise > 0.0 else 0.0
+            score[first + i] = _score_seen(template, residual_e[low:high], variance_e2[low:high])
 
 
 @kernel(allocates=True)
@@ -210,6 +199,7 @@ def matched_filter(
     values = np.empty(2 * most + 1, dtype=np.float32)
     n_taps, n_sums = TAPS * (most // TAPS + 1), WHOLE * (n_offsets // WHOLE + 1)
     room = (
+        np.empty((2, n_taps), dtype=np.float32),
         np.empty((2, n_taps), dtype=np.float32),
         np.zeros((2, n_sums + n_taps), dtype=np.float32),
         np.zeros((2, n_sums + n_taps), dtype=np.float32),

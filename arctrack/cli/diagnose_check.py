@@ -18,7 +18,7 @@ check = typer.Typer(
 )
 
 Folder = Annotated[Path, typer.Argument(metavar="DIR", help="The check's folder.")]
-Folders = Annotated[list[Path], typer.Argument(metavar="DIR...", help="Folders of checks.")]
+Folders = Annotated[list[Path], typer.Argument(metavar="DIR", help="Folders of checks.")]
 Workers = Annotated[int, typer.Option(min=1, help="Recordings worked on at once, a process each.")]
 
 

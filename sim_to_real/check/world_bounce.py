@@ -110,9 +110,7 @@ def _grid(studio: Studio, arc_x_mm: float) -> Nodes:
     for face, (a, b) in enumerate(itertools.pairwise(outline)):
         s, ds = _along_face(a, b)
         edge = (b - a) / np.linalg.norm(b - a)
-        n, at = (
-            values.ravel() for values in np.meshgrid(np.arange(len(x)), np.arange(len(s)), indexing="ij")
-        )
+        n, at = np.indices((len(x), len(s))).reshape(2, -1)
         parts.append(_on_face(studio, face, x[n], a + s[at, np.newaxis] * edge, dx[n] * ds[at]))
     return _joined(parts)
 

@@ -192,6 +192,7 @@ def test_bounced_light_is_about_the_models_and_grows_with_the_albedo(monkeypatch
     once, _ = bounced_light(studio, sight, body, Bounces(0.2, most=1))
     twice_as_bright, _ = bounced_light(studio, sight, body, Bounces(0.4, most=1))
     np.testing.assert_allclose(twice_as_bright, 2.0 * once, rtol=1e-5)
-    outside = sight.faces.reshape(sight.shape) == 0
-    assert joint == "corrugation" or arc[outside].max() == 0.0
+    if joint == "v_groove":
+        outside = sight.faces.reshape(sight.shape) == 0
+        assert arc[outside].max() == 0.0
     assert laser.max() > 0.0
