@@ -71,19 +71,19 @@ def insert(breaks: Float64, n: int, p: float) -> int:
     return n + 1
 
 
-@kernel
+@kernel(inline=True)
 def equator_q(p: float, arc: Shape, whole: float) -> float:
-    """Return q_0(p) of the equator's near arc, `whole` where the chord does not cross it."""
+    """Return q_0(p) of the equator's near arc, `whole` where the chord does not cross it.
+
+    Without branches, so that `chords` finds several at a time.
+    """
     sin_b, _, tan_b, cos_e, wz = arc
     # R sin(psi) = p tan(beta) (d - R cos(psi) cos(e)), solved for cos(psi).
-    b, k = p * tan_b * cos_e, p * tan_b / sin_b
+    b, k = p * (tan_b * cos_e), p * (tan_b / sin_b)
     rest = 1.0 + b * b - k * k
-    if rest < 0.0:
-        return whole
-    cos_psi = (k * b + math.sqrt(rest)) / (1.0 + b * b)
-    if cos_psi * cos_e < sin_b - 1e-12:
-        return whole
-    return sin_b * cos_psi * wz / ((1.0 - sin_b * cos_psi * cos_e) * tan_b)
+    cos_psi = (k * b + math.sqrt(max(rest, 0.0))) / (1.0 + b * b)
+    q = sin_b * cos_psi * wz / ((1.0 - sin_b * cos_psi * cos_e) * tan_b)
+    return whole if rest < 0.0 or cos_psi * cos_e < sin_b - 1e-12 else q
 
 
 @kernel
@@ -312,20 +312,12 @@ def disc_lines(planes: Float64, n_planes: int, axes: Axes, tan_b: float, cuts: F
 def chords(at: Float64, n: int, arc: Shape, below: bool, cuts: Float64, n_cuts: int) -> None:
     """Write between which q, at[1] and at[2], the chords at[0] (n,) of the disc are open.
 
-    But for ledges and metal; the first is no less than the second where nothing is open. As `equator_q`, but
-    without branches that differ from chord to chord: so several are found at a time.
+    But for ledges and metal; the first is no less than the second where nothing is open.
     """
-    sin_b, _, tan_b, cos_e, wz = arc
-    by_b, by_k = tan_b * cos_e, tan_b / sin_b
     for i in range(n):
         p = at[0, i]
         high = math.sqrt(max(0.0, 1.0 - p * p))
-        b, k = p * by_b, p * by_k
-        rest = 1.0 + b * b - k * k
-        cos_psi = (k * b + math.sqrt(max(rest, 0.0))) / (1.0 + b * b)
-        equator = sin_b * cos_psi * wz / ((1.0 - sin_b * cos_psi * cos_e) * tan_b)
-        is_whole = rest < 0.0 or cos_psi * cos_e < sin_b - 1e-12
-        at[1, i] = max(-high, (high if below else -high) if is_whole else equator)
+        at[1, i] = max(-high, equator_q(p, arc, high if below else -high))
         at[2, i] = high
     for j in range(n_cuts):
         a, b, c = cuts[j, 0], cuts[j, 1], cuts[j, 2]

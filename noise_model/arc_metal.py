@@ -12,7 +12,6 @@ from noise_model.arc_disc import MAX_NODES_P, Shape, chords
 from noise_model.faces import raised
 from noise_model.frames import Float64
 from noise_model.kernel import kernel
-from noise_model.visibility import first_crossing
 
 RIM_STEPS = 8
 """In how many steps the disc's rims are searched for where the open part begins and ends."""
@@ -53,41 +52,58 @@ def _wave(x: float, metal: Metal) -> float:
     return raised(x, metal[0], metal[1], metal[2])[0]
 
 
-@kernel
+@kernel(inline=True)
 def clearance(p: float, q: float, rays: Rays, metal: Metal) -> float:
     """Return by how much the ray to the arc's point at (p, q) passes over the metal, mm.
 
     Looked at are the upper sheet's edge and, where the ray is over that sheet by then, the station `crest_x`;
-    and the arc's point itself. Huge where neither can hide it.
+    and the arc's point itself. Huge where neither can hide it. Written without branches that differ from ray
+    to ray, so that `clearances` runs several at a time.
     """
     Px, Py, Pz, wx, wy, wz, ux, uy, uz, vx, vy, vz, distance, radius = rays
     _, _, _, edge, crest_x, edge_hides, cuts, from_upper = metal
     edge_y, slope, curve, edge_step = edge
-    ox, oy = wx + p * ux + q * vx, wy + p * uy + q * vy
-    across = oy - slope * ox
-    if not cuts and not from_upper and across >= 0.0 and curve <= 0.0:
-        return 1e9
-    oz = wz + p * uz + q * vz
-    square = ox * ox + oy * oy + oz * oz
+    over = Py - edge_y
+    ox, oy, oz = wx + p * ux + q * vx, wy + p * uy + q * vy, wz + p * uz + q * vz
+    across, square = oy - slope * ox, ox * ox + oy * oy + oz * oz
     # t^2 square - 2 t d + d^2 - R^2 = 0, the nearer root.
     root = math.sqrt(max(0.0, distance * distance - square * (distance * distance - radius * radius)))
     t_arc = (distance - root) / square
+    bend = curve * ox * ox
     free = 1e9
     if cuts:
-        over = Py - edge_y + t_arc * (across - 0.5 * curve * ox * ox * t_arc)
-        level = _wave(Px + t_arc * ox, metal) + (edge_step if over < 0.0 else 0.0)
+        is_lower = over + t_arc * (across - 0.5 * bend * t_arc) < 0.0
+        level = _wave(Px + t_arc * ox, metal) + (edge_step if is_lower else 0.0)
         free = Pz + t_arc * oz - level
     if edge_hides:
-        # Over the upper sheet the ray is before it comes to the edge, or after.
-        t = first_crossing(Py - edge_y, across, curve * ox * ox, from_upper)
-        first, last = (0.0, min(t, t_arc)) if from_upper else (t, t_arc)
+        # Over the upper sheet the ray is before it comes to the edge (`visibility.first_crossing`), or after.
+        leaves = (across > 0.0) == from_upper and across != 0.0
+        rest = across * across + 2.0 * bend * over
+        half = across + math.copysign(math.sqrt(max(rest, 0.0)), across)
+        one, other = half / bend, -2.0 * over / half
+        one = one if one > 0.0 and rest >= 0.0 else math.inf
+        other = other if other > 0.0 and rest >= 0.0 else math.inf
+        on_line = -over / across if leaves else math.inf
+        t = on_line if bend == 0.0 or (over == 0.0 and leaves) else min(one, other)
         # A point on the edge itself hides nothing from itself.
-        if t < t_arc and (t > 0.0 or not from_upper):
-            free = min(free, Pz + t * oz - _wave(Px + t * ox, metal) - edge_step)
+        meets = t < t_arc and (t > 0.0 or not from_upper)
+        at = t if meets else 0.0
+        at_edge = Pz + at * oz - _wave(Px + at * ox, metal) - edge_step
+        free = min(free, at_edge if meets else 1e9)
+        first, last = (0.0 if from_upper else t), (min(t, t_arc) if from_upper else t_arc)
         way = (crest_x - Px) * ox
-        if first * ox * ox < way < last * ox * ox:
-            free = min(free, Pz + way / (ox * ox) * oz - _wave(crest_x, metal) - edge_step)
-    return free
+        comes_by = first * ox * ox < way and way < last * ox * ox
+        at_crest = Pz + way / (ox * ox) * oz - _wave(crest_x, metal) - edge_step
+        free = min(free, at_crest if comes_by else 1e9)
+    is_turned = not cuts and not from_upper and across >= 0.0 and curve <= 0.0
+    return 1e9 if is_turned else free
+
+
+@kernel(fastmath={"contract"})
+def clearances(ways: Float64, n: int, rays: Rays, metal: Metal) -> None:
+    """Write into ways[2] (n,) the `clearance` of n rays, whose p and q are ways[0] and ways[1]."""
+    for i in range(n):
+        ways[2, i] = clearance(ways[0, i], ways[1, i], rays, metal)
 
 
 @kernel
@@ -125,51 +141,6 @@ def border(
             high, above = share, free
             below *= 0.5
     return share
-
-
-@kernel(fastmath={"contract"})
-def clearances(ways: Float64, n: int, rays: Rays, metal: Metal) -> None:
-    """Write into ways[2] (n,) the `clearance` of n rays, whose p and q are ways[0] and ways[1].
-
-    Written without branches that differ from ray to ray, so that it runs several at a time.
-    """
-    Px, Py, Pz, wx, wy, wz, ux, uy, uz, vx, vy, vz, distance, radius = rays
-    _, _, _, edge, crest_x, edge_hides, cuts, from_upper = metal
-    edge_y, slope, curve, edge_step = edge
-    over, tangent_2 = Py - edge_y, distance * distance - radius * radius
-    crest_z = edge_step + _wave(crest_x, metal) if edge_hides else 0.0
-    for i in range(n):
-        p, q = ways[0, i], ways[1, i]
-        ox, oy, oz = wx + p * ux + q * vx, wy + p * uy + q * vy, wz + p * uz + q * vz
-        across, square = oy - slope * ox, ox * ox + oy * oy + oz * oz
-        t_arc = (distance - math.sqrt(max(0.0, distance * distance - square * tangent_2))) / square
-        bend = curve * ox * ox
-        free = 1e9
-        if cuts:
-            is_lower = over + t_arc * (across - 0.5 * bend * t_arc) < 0.0
-            level = _wave(Px + t_arc * ox, metal) + (edge_step if is_lower else 0.0)
-            free = Pz + t_arc * oz - level
-        if edge_hides:
-            # `visibility.first_crossing`
-            leaves = (across > 0.0) == from_upper and across != 0.0
-            root = across * across + 2.0 * bend * over
-            half = across + math.copysign(math.sqrt(max(root, 0.0)), across)
-            one, other = half / bend, -2.0 * over / half
-            one = one if one > 0.0 and root >= 0.0 else math.inf
-            other = other if other > 0.0 and root >= 0.0 else math.inf
-            is_line = bend == 0.0 or (over == 0.0 and leaves)
-            on_line = -over / across if leaves else math.inf
-            t = on_line if is_line else min(one, other)
-            meets = t < t_arc and (t > 0.0 or not from_upper)
-            at = t if meets else 0.0
-            at_edge = Pz + at * oz - _wave(Px + at * ox, metal) - edge_step
-            free = min(free, at_edge if meets else 1e9)
-            first, last = (0.0 if from_upper else t), (min(t, t_arc) if from_upper else t_arc)
-            way = (crest_x - Px) * ox
-            comes_by = first * ox * ox < way and way < last * ox * ox
-            free = min(free, Pz + way / (ox * ox) * oz - crest_z if comes_by else 1e9)
-        is_turned = not cuts and not from_upper and across >= 0.0 and curve <= 0.0
-        ways[2, i] = 1e9 if is_turned else free
 
 
 @kernel
