@@ -44,6 +44,9 @@ TOLERANCE, FLOOR_E = 0.005, 20.0
 MOST_MARGIN_MM = 4.0
 """No face is continued further beyond its edges."""
 
+FOOT_STEPS = 3
+"""Each leaves a hundredth of what a sheet's tilt moves the foot of the arc by."""
+
 CELL = 8
 """So many scan lines of a band share its place."""
 
@@ -113,9 +116,12 @@ def scene(
     center = T_joint_tool[:3, :3] @ offset + T_joint_tool[:3, 3]
     if setup.arc.on_surface:
         # Over the surface the arc keeps its height, and a tilted tool carries its foot sideways.
-        # A corrugation is upright: over an inclined sheet it leans, and so does the way down to it.
+        # The way down is upright, and an inclined sheet's ridges are not.
         foot = center[0] - laid.slope_z * center[2]
-        center[2] = offset[2] + float(corrugation_height(foot, shape.corrugation))
+        for _ in range(FOOT_STEPS):
+            height = float(corrugation_height(foot, shape.corrugation))
+            foot = center[0] - laid.slope_z * (center[2] - height)
+        center[0], center[2] = foot + laid.slope_z * offset[2], offset[2] + height
         if ground is not None:
             center[2] += _higher_mm(laid, ground, center)
     bend = seam.slope_y - laid.slope_y, _beside_mm(laid, seam if ground is None else ground, center)

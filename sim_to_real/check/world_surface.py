@@ -24,6 +24,9 @@ ACROSS_MM = 400.0
 CHORD_MM, BENT_CHORD_MM = 0.5, 0.1
 """Stations of the mesh: chords leave a wandering seam by 1e-4 mm, a ridge 8 mm high by 2e-4 mm."""
 
+LEAN_STEPS = 3
+"""Each leaves a hundredth of what a sheet's tilt moves a ridge's place by."""
+
 NEWTON_STEPS = 1
 """From a chord within 2e-4 mm one step ends within 1e-7 mm."""
 
@@ -70,18 +73,30 @@ class TrueSurface:
         return np.array([ends[0], *inner, ends[1]])
 
     def lift_mm(self, x_mm: Float64) -> tuple[Float64, Float64]:
-        """Return by how much a station is raised (...,), mm, and the slope of it: corrugation and z_slope."""
-        x = np.asarray(x_mm, dtype=np.float64)
-        z, slope = self.departure.z_slope * x, np.full_like(x, self.departure.z_slope)
+        """Return by how much a station is raised (...,), mm, and the slope of it: corrugation and z_slope.
+
+        A sheet that rises tilts as it is, and its ridges lean: what is at (s, c(s)) along the sheet lies at
+        (s cos(b) - c sin(b), s sin(b) + c cos(b)), z_slope being tan(b).
+        """
+        x, tilt = np.asarray(x_mm, dtype=np.float64), math.atan(self.departure.z_slope)
+        s = x / math.cos(tilt)
+        for _ in range(LEAN_STEPS):
+            s = (x + self._ridge_mm(s)[0] * math.sin(tilt)) / math.cos(tilt)
+        c, slope = self._ridge_mm(s)
+        z = s * math.sin(tilt) + c * math.cos(tilt)
+        return z, np.tan(np.arctan(slope) + tilt)
+
+    def _ridge_mm(self, s_mm: Float64) -> tuple[Float64, Float64]:
+        """Return the corrugation's height (...,), mm, along the sheet and its slope; 0 without one."""
         if self.joint.type != "corrugation":
-            return z, slope
+            return np.zeros_like(s_mm), np.zeros_like(s_mm)
         size = self.joint.dimensions
         height, width, pitch = size["height_mm"], size["width_mm"], size["pitch_mm"]
-        u = np.mod(x + 0.5 * pitch, pitch) - 0.5 * pitch
+        u = np.mod(s_mm + 0.5 * pitch, pitch) - 0.5 * pitch
         ridge = np.abs(u) < 0.5 * width
         turn = 2.0 * math.pi / width
-        z = z + np.where(ridge, 0.5 * height * (1.0 + np.cos(turn * u)), 0.0)
-        return z, slope - np.where(ridge, 0.5 * height * turn * np.sin(turn * u), 0.0)
+        c = np.where(ridge, 0.5 * height * (1.0 + np.cos(turn * u)), 0.0)
+        return c, np.where(ridge, -0.5 * height * turn * np.sin(turn * u), 0.0)
 
     def seam_point(self, x_mm: float) -> Float64:
         """Return the true seam point (3,), mm, of a station: the root's middle, or the edge's foot."""

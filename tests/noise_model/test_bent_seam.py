@@ -11,6 +11,7 @@ from noise_model.arc_map import arc_kernel, scene
 from noise_model.arc_ray import light_at, scratch
 from noise_model.faces import face_normal
 from noise_model.forward import Renderer
+from noise_model.frames import moved
 from noise_model.surface import BentSeam, SeamLine, corrugation_height, section
 
 POSE = np.eye(4)
@@ -55,6 +56,21 @@ def test_the_arc_stands_on_the_ground_that_is_named():
     low, high = (layers(BentSeam((line,), SeamLine(0.0, 0.0, z)), lap) for z in (0.0, 1.0))
     assert high.view.scene.center_mm[2] - low.view.scene.center_mm[2] == pytest.approx(1.0)
     assert not np.allclose(low.arc_e, high.arc_e)
+
+
+@pytest.mark.parametrize("x_mm", [-9.0, 0.0, 6.0, 14.0])
+def test_the_arc_keeps_its_height_upright_over_ridges_that_lean(x_mm):
+    """An inclined sheet's ridges lean with it, and the way down from the torch does not."""
+    setup, rise = nominal_setup("corrugation", "zn_coated", width=160, height=120), 0.05
+    line = SeamLine(0.0, slope_z=rise)
+    T_base_tool = moved(np.eye(4), (0.0, -3.0, 0.0), (x_mm, 0.5, 9.0))
+    center = line.frame() @ np.append(scene(setup, T_base_tool, line).center_mm, 1.0)
+    offset = np.append(setup.arc.center_in_tool_mm, 1.0)
+    np.testing.assert_allclose(center[:2], (T_base_tool @ offset)[:2], atol=1e-2)
+    s = np.linspace(-40.0, 40.0, 80_001)
+    c = corrugation_height(s, section(setup.joint).corrugation)
+    x, z = (s - rise * c) / np.hypot(1.0, rise), (rise * s + c) / np.hypot(1.0, rise)
+    assert center[2] - np.interp(center[0], x, z) == pytest.approx(offset[2], abs=5e-3)
 
 
 def test_a_tangent_that_passes_the_torch_where_the_seam_does_is_the_seam():

@@ -22,15 +22,19 @@ def height(joint_type, x, y):
     """RECORDING.md's height over the plane z = 0, the seam moved."""
     size = JOINTS[joint_type]
     y = y - 0.9 * np.sin(2.0 * np.pi * x / 110.0)
+    if joint_type == "corrugation":
+        # The sheet lies turned by arctan(0.01) about the joint frame's origin.
+        s = np.linspace(-40.0, 80.0, 1_200_001)
+        u = s - 60.0 * np.rint(s / 60.0)
+        c = np.where(np.abs(u) < 15.0, 4.0 * (1.0 + np.cos(2.0 * np.pi * u / 30.0)), 0.0)
+        there, raised = (s - 0.01 * c) / math.hypot(1.0, 0.01), (0.01 * s + c) / math.hypot(1.0, 0.01)
+        return np.interp(x, there, raised) + np.where(y < 0.0, size["thickness_mm"], 0.0)
     z = 0.01 * x
     if joint_type == "v_groove":
         run = (np.abs(y) - 0.5) / math.tan(math.radians(35.0))
         return z + np.minimum(np.maximum(run, 0.0) - 4.0, 0.0)
-    if joint_type in ("lap", "corrugation"):
+    if joint_type == "lap":
         z = z + np.where(y < 0.0, size["thickness_mm"], 0.0)
-    if joint_type == "corrugation":
-        u = x - 60.0 * np.rint(x / 60.0)
-        z = z + np.where(np.abs(u) < 15.0, 4.0 * (1.0 + np.cos(2.0 * np.pi * u / 30.0)), 0.0)
     return z
 
 
@@ -83,4 +87,4 @@ def test_hits_settle_on_the_exact_surface_with_its_normals(joint_type):
 def test_the_seam_point_is_the_root_or_the_foot(joint_type, over):
     x, y, z = surface_of(joint_type).seam_point(60.0)
     assert (x, y) == (60.0, pytest.approx(0.9 * math.sin(2.0 * math.pi * 60.0 / 110.0)))
-    assert z == pytest.approx(over + 0.6)
+    assert z == pytest.approx(over + 0.6, abs=2e-3)
