@@ -15,6 +15,7 @@ import numpy as np
 from noise_model.arc_map import scene
 from noise_model.effects import REGISTRY, Values
 from noise_model.fit import Parameter
+from noise_model.frames import Float64
 from noise_model.setup import Setup
 from sim_to_real.observed import Observed, ObservedFrame
 
@@ -77,6 +78,11 @@ class Change:
     def share(self, setup: Setup, frame: ObservedFrame) -> float:
         """Return u of a frame, about -1 to 1."""
         return (_drives(setup, self.driver, frame) - self.middle) / self.half
+
+    def shares(self, observed: Observed) -> Float64:
+        """Return u of each residual (n,)."""
+        of_frames = [self.share(observed.setup, frame) for frame in observed.frames]
+        return np.repeat(of_frames, [int(frame.keep.sum()) for frame in observed.frames])
 
     def at(self, effects: Mapping[str, Values], setup: Setup, frame: ObservedFrame) -> dict[str, Values]:
         """Return effects as they are in a frame."""

@@ -10,7 +10,7 @@ from noise_model.effects import REGISTRY, Values
 from sim_to_real.change import ends_of
 from sim_to_real.diagnosis import CLEAR_FLOORS, Gap, Verdict
 from sim_to_real.scatter import Scatter
-from sim_to_real.screen import size
+from sim_to_real.screen import is_trifle
 from sim_to_real.select import Candidate
 from sim_to_real.verdict import Decision, without_help
 
@@ -18,13 +18,7 @@ MOSTLY_RANDOM = 0.5
 """A gap that nothing else explains is that of random effects if they make up this share of it."""
 
 MANY_NATS = 15.0
-"""With so much more evidence than its absence an effect hardly is the model's own error."""
-
-TRIFLE = 0.1
-"""An effect of a smaller share of its prior's sigma is none where the model may be off as much.
-
-Unless it has `MANY_NATS`.
-"""
+"""With so much more evidence than its absence an effect hardly is the model's own error, though a trifle."""
 
 HELPS, HELPS_BESIDE = 0.975, 0.5
 """So surely an effect must help in pixels held out, and so surely one of `MANY_NATS`: an edge can hide it."""
@@ -77,12 +71,12 @@ def not_held_up(decision: Decision, baseline: Candidate, random: Scatter) -> Dec
     return _without_chosen(decision, without_help(baseline), baseline, random)
 
 
-def is_trifle(decision: Decision, baseline: Candidate, gap: Gap, stated: Callable[[str], Values]) -> bool:
+def names_trifle(decision: Decision, baseline: Candidate, gap: Gap, stated: Callable[[str], Values]) -> bool:
     """Say whether what is named is a trifle, from what is `stated`, that the model's own error looks like."""
     is_clear = gap.before > CLEAR_FLOORS * gap.floor and baseline.left > 1.0
     fitted = decision.chosen.refit
     ends = ends_of(fitted.effects, fitted.change)
-    is_small = _is_named(decision) and all(size(of, stated) < TRIFLE for of in ends)
+    is_small = _is_named(decision) and all(is_trifle(of, stated) for of in ends)
     return is_small and not is_clear and not _has_many_nats(decision, baseline)
 
 

@@ -12,8 +12,8 @@ from noise_model.frames import Float64
 from noise_model.setup import Setup
 from sim_to_real.confirm import (
     closing,
-    is_trifle,
     must_help,
+    names_trifle,
     not_held_up,
     random_shares,
     with_random,
@@ -150,7 +150,7 @@ def _diagnosed(
     predicted = predicted_of(after, random)
     gap = measure(predicted, setup, seam_errors_mm(setup, frames, pose_at, expected, after))
     helps = not named or smaller(predicted) >= must_help(decision, baseline)
-    if named and (not helps or is_trifle(decision, baseline, gap, expected.stated)):
+    if named and (not helps or names_trifle(decision, baseline, gap, expected.stated)):
         without_it = without_trifle if helps else not_held_up
         decision, after, share = without_it(decision, baseline, scattered), before, {}
         random = scatter(expected, after, without)

@@ -79,8 +79,8 @@ def smallest(signatures: Mapping[str, Float64], screened: Sequence[Screened]) ->
         evidence = NAMED_FROM + cost_nats(len(REGISTRY[one.id].parameters))
         needed = math.expm1(2.0 * evidence / N_EFFECTIVE)
         if per_unit > 0.0:
-            parameter, step = one.place
-            unit = next(p.unit for p in REGISTRY[one.id].parameters if p.name == parameter)
+            moved = int(np.flatnonzero(one.steps[0])[0])
+            step, unit = float(one.steps[0, moved]), REGISTRY[one.id].parameters[moved].unit
             found[one.id] = Estimate(abs(step) * math.sqrt(needed / per_unit), math.nan, unit)
     return found
 

@@ -314,9 +314,7 @@ class _Problem:
             else:
                 columns += [self._column(x, r, i) for i in range(at.start, at.stop)]
         if self.change is not None:
-            frames, setup = self.expected.observed.frames, self.expected.observed.setup
-            u = np.repeat([self.change.share(setup, frame) for frame in frames], self.counts)
-            at = dict(self.blocks)[self.change.effect]
+            u, at = self.change.shares(self.expected.observed), dict(self.blocks)[self.change.effect]
             columns.append(u[:, np.newaxis] * np.hstack(columns)[:, at])
         return np.hstack(columns)
 

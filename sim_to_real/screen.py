@@ -17,6 +17,7 @@ from noise_model.effects import REGISTRY, Values
 from noise_model.effects.optics import PATCHES
 from noise_model.fit import Parameter, within_bounds
 from noise_model.frames import Float64
+from sim_to_real.change import CHANGING, Change, Driver
 from sim_to_real.expected import BOUNCING, Expected, Passed
 from sim_to_real.quadratic import Quadratic
 from sim_to_real.refit import Refit
@@ -148,11 +149,20 @@ def size(effects: Mapping[str, Values], stated: Callable[[str], Values]) -> floa
     )
 
 
+TRIFLE = 0.1
+"""An effect of a smaller share of its prior's sigma hardly is one."""
+
+
+def is_trifle(effects: Mapping[str, Values], stated: Callable[[str], Values]) -> bool:
+    """Say whether effects hardly differ from what is `stated` of them."""
+    return size(effects, stated) < TRIFLE
+
+
 @dataclass(frozen=True, eq=False)
 class Screened:
     """A candidate after the first look: the share of the cost that is left, and where a fit should start.
 
-    `signature` (n, k) is what its places do to the residuals, `place` the first one's parameter and step.
+    `signature` (n, k) is what its places do to the residuals, `steps` (k, p) how far they lie from `origin`.
     `other_starts` are those of the next best families: light that is not rendered has valleys side by side.
     """
 
@@ -160,8 +170,18 @@ class Screened:
     left: float
     start: dict[str, float]
     signature: Float64
-    place: tuple[str, float]
+    origin: dict[str, float]
+    steps: Float64
     other_starts: tuple[dict[str, float], ...] = ()
+
+
+@dataclass(frozen=True, eq=False)
+class ScreenedChange:
+    """An effect that changes, after the first look: what is left, where its middle starts, and its change."""
+
+    left: float
+    start: dict[str, float]
+    change: Change
 
 
 def screen(expected: Expected, baseline: Refit, ids: Sequence[str]) -> list[Screened]:
@@ -169,6 +189,27 @@ def screen(expected: Expected, baseline: Refit, ids: Sequence[str]) -> list[Scre
     r = expected.residuals(_rendered(expected, baseline, baseline.effects))
     found = [_tried(expected, baseline, r, name) for name in ids]
     return sorted(found, key=lambda screened: screened.left)
+
+
+def screen_changes(expected: Expected, baseline: Refit, screened: Sequence[Screened]) -> list[ScreenedChange]:
+    """Return effects that may change, by each driver, those first that leave least.
+
+    The baseline is the one that they were looked at from. What an effect's places do goes, in each frame, as
+    t_k + u t'_k, u being the driver's share there: a straight line again.
+    """
+    r = expected.residuals(_rendered(expected, baseline, baseline.effects))
+    found = []
+    for one in screened:
+        for driver in Driver if one.id in CHANGING else ():
+            change = Change.of(expected.observed, one.id, driver)
+            u = change.shares(expected.observed)[:, np.newaxis]
+            reach = _reaches(one)
+            wide = [(low - high, high - low) for low, high in reach]
+            left, t = _along(baseline, r, np.hstack([one.signature, u * one.signature]), [*reach, *wide])
+            middle, by = t.reshape(2, -1) @ one.steps
+            start = _within(one.id, np.array(list(one.origin.values())) + middle)
+            found.append(ScreenedChange(left, start, replace(change, by=tuple(by.tolist()))))
+    return sorted(found, key=lambda look: look.left)
 
 
 def _rendered(expected: Expected, baseline: Refit, effects: Mapping[str, Values]) -> list[Passed]:
@@ -267,22 +308,27 @@ def _solved(
 
     The looks are those at alike parts from the `first` on.
     """
-    effect = REGISTRY[name]
     families = [_part(look.family, number) for number, look in enumerate(looks, first)]
     columns = np.hstack([look.columns for look in looks])
     shaped = dict(origin)
     for family in families:
         shaped.update(family.shape)
     places = _from(name, origin, [place for family in families for place in family.places])
-    names = [parameter.name for parameter in effect.parameters]
-    start = np.array([shaped[key] for key in names])
-    steps = np.array(
-        [[place.get(key, value) - value for key, value in zip(names, start, strict=True)] for place in places]
-    )
-    t_bounds = [_reach(effect.parameters, start, step) for step in steps]
+    steps = np.array([[place.get(key, value) - value for key, value in shaped.items()] for place in places])
+    one = Screened(name, 1.0, {}, columns, shaped, steps)
+    left, t = _along(baseline, r, columns, _reaches(one))
+    if not np.abs(t).max() > LEAST:
+        t = np.full(len(t), LEAST)
+    return replace(one, left=left, start=_within(name, np.array(list(shaped.values())) + t @ steps))
+
+
+def _along(
+    baseline: Refit, r: Float64, columns: Float64, reach: Sequence[tuple[float, float]]
+) -> tuple[float, Float64]:
+    """Return what is left, as a share, at the best t (k,) along columns (n, k) and the nuisances; and t."""
     t = [
         Parameter(f"t_{k}", "", 0.0, np.inf, low, high, 1e-3 * (high - low))
-        for k, (low, high) in enumerate(t_bounds)
+        for k, (low, high) in enumerate(reach)
     ]
     quadratic = Quadratic.of(
         (*baseline.quadratic.parameters, *t),
@@ -293,20 +339,20 @@ def _solved(
         baseline.quadratic.counts,
     )
     x = quadratic.solve()
-    left = float(quadratic.costs(x).sum() / quadratic.chi2.sum())
-    along = x[len(baseline.x) :]
-    if not np.abs(along).max() > LEAST:
-        along = np.full(len(t), LEAST)
-    # On a bound by rounding is beyond it.
-    values = within_bounds(effect.parameters, start + along @ steps)
-    moving, value = next(iter(places[0].items()))
-    return Screened(
-        name,
-        left,
-        dict(zip(names, values.tolist(), strict=True)),
-        columns,
-        (moving, value - shaped[moving]),
-    )
+    return float(quadratic.costs(x).sum() / quadratic.chi2.sum()), x[len(baseline.x) :]
+
+
+def _within(name: str, values: Float64) -> dict[str, float]:
+    """Return an effect's parameters: on a bound by rounding is beyond it."""
+    parameters = REGISTRY[name].parameters
+    found = within_bounds(parameters, values)
+    return dict(zip((of.name for of in parameters), found.tolist(), strict=True))
+
+
+def _reaches(one: Screened) -> list[tuple[float, float]]:
+    """Return how far along each of an effect's places one may go."""
+    start = np.array(list(one.origin.values()))
+    return [_reach(REGISTRY[one.id].parameters, start, step) for step in one.steps]
 
 
 def _reach(parameters: Sequence[Parameter], start: Float64, step: Float64) -> tuple[float, float]:

@@ -17,12 +17,11 @@ import numpy as np
 
 from noise_model.effects import REGISTRY, Values
 from noise_model.frames import Float64
-from sim_to_real.change import CHANGING, Change, Driver
 from sim_to_real.expected import RENDERING, Effects, Expected
 from sim_to_real.nuisances import SEAM_FROM
 from sim_to_real.quadratic import N_EFFECTIVE, Quadratic
 from sim_to_real.refit import FLICKER, NAMED_FROM, Refit, huber_weights, refit, refit_from, settled
-from sim_to_real.screen import DEAR, FAMILIES, Screened, screen
+from sim_to_real.screen import DEAR, FAMILIES, Screened, screen, screen_changes
 from sim_to_real.split import folds
 
 JUDGED_WITHIN = 10.0
@@ -256,23 +255,30 @@ def with_dear(
 
 
 def with_changes(
-    expected: Expected, found: Sequence[Candidate], on_stage: Callable[[str, float], None]
+    expected: Expected,
+    baseline: Refit,
+    screened: Sequence[Screened],
+    found: Sequence[Candidate],
+    on_stage: Callable[[str, float], None],
 ) -> list[Candidate]:
-    """Return single effects, likeliest first, of which the likeliest may change from frame to frame."""
-    every = list(found)
-    for n, single in enumerate(found[:MOST_CHANGING]):
-        (name,) = single.ids
-        if name not in CHANGING:
-            continue
-        for driver in Driver:
-            on_stage(f"fitting {name} that changes with {driver.value}", 0.97)
-            change = Change.of(expected.observed, name, driver)
-            fitted = refit(expected, single.refit.effects, single.refit.nuisance, change=change)
-            # What pixels say against the effect they say against its change, until they are asked of that.
-            changed = replace(judged(expected, settled(expected, fitted)), against=single.against)
-            if changed.evidence - every[n].evidence > NAMED_FROM:
-                every[n] = changed
-    return _best_first(every)
+    """Return single effects, likeliest first, of which some may change from frame to frame.
+
+    They were looked at from a baseline: one that closes nothing as long as it stays is among them, too. What
+    pixels said against an effect that stays they have not said against its change.
+    """
+    single = {one.ids[0]: one for one in found}
+    best: dict[str, Candidate] = {}
+    for look in screen_changes(expected, baseline, screened)[:MOST_CHANGING]:
+        name, driver = look.change.effect, look.change.driver
+        on_stage(f"fitting {name} that changes with {driver.value}", 0.97)
+        fitted = refit(expected, {name: look.start}, baseline.nuisance, change=look.change)
+        changed = judged(expected, settled(expected, fitted))
+        best[name] = max(best.get(name, changed), changed, key=lambda one: one.evidence)
+    for name, changed in best.items():
+        stays = single.get(name)
+        if stays is None or changed.evidence - (stays.evidence + stays.against) > NAMED_FROM:
+            single[name] = changed
+    return _best_first(list(single.values()))
 
 
 def told_apart(
@@ -323,9 +329,15 @@ def _is_resolved(found: Sequence[Candidate], left: float) -> bool:
     return any(candidate.left <= most and not candidate.is_held_back for candidate in found)
 
 
+def nats_at_look(one: Screened, baseline: Refit) -> float:
+    """Return how much evidence an effect seems to gain beside a baseline's at the first look."""
+    gained = likelihood_nats(one.left * baseline.mean_square) - likelihood_nats(baseline.mean_square)
+    return gained - cost_nats(len(REGISTRY[one.id].parameters))
+
+
 def _is_worse(one: Screened, found: Sequence[Candidate], baseline: Refit) -> bool:
     """Say whether an effect has far less evidence at the first look than another that was fitted."""
-    evidence = likelihood_nats(one.left * baseline.mean_square) - cost_nats(len(REGISTRY[one.id].parameters))
+    evidence = likelihood_nats(baseline.mean_square) + nats_at_look(one, baseline)
     return evidence < max(candidate.evidence for candidate in found) - HOPELESS_NATS
 
 

@@ -18,7 +18,7 @@ from sim_to_real.diagnosis import Verdict
 from sim_to_real.expected import Expected
 from sim_to_real.pixels import Bool
 from sim_to_real.refit import FLICKER, NAMED_FROM, Refit, refit, refit_from, settled
-from sim_to_real.screen import Screened
+from sim_to_real.screen import Screened, is_trifle
 from sim_to_real.select import (
     ALIKE_NATS,
     RESOLVED,
@@ -30,6 +30,7 @@ from sim_to_real.select import (
     judged,
     likelihood_nats,
     looked,
+    nats_at_look,
     told_apart,
     with_changes,
     with_dear,
@@ -53,8 +54,17 @@ SHOWN_FROM = 0.7
 HALVES = 0.5
 """What explains bins must leave no more of what pixels show; nor must others beside it of what it leaves."""
 
+BESIDE_NATS = 10.0
+"""With so much evidence of its own an effect is named beside others that explain the gap, or have most of it.
+
+Beside an effect of its own form the likeliest other one gains 4 nats at most.
+"""
+
+MAY_BESIDE_NATS = 6.0
+"""With less at the first look no effect is fitted beside one that leaves nothing else to be explained."""
+
 LEAST_SHARE = 0.05
-"""An effect with a smaller share of what is closed is not named beside others."""
+"""Without as much an effect with a smaller share of what is closed is not named beside others."""
 
 WORTH = 0.7
 """A further effect must close this share of what the others leave."""
@@ -181,10 +191,10 @@ def decide(
     elif is_open and not is_small:
         found = with_dear(expected, start, found, without, on_stage)
         if not is_explained(expected, found[0], baseline):
-            found, baseline = _with_changes(expected, found, baseline, in_pixels, on_stage)
+            found, baseline = _with_changes(expected, start, screened, found, baseline, in_pixels, on_stage)
     elif explained and found[0].ids == (FLICKER,):
         # A level of its own for each frame takes on much of what grows from frame to frame.
-        found, baseline = _with_changes(expected, found, baseline, in_pixels, on_stage)
+        found, baseline = _with_changes(expected, start, screened, found, baseline, in_pixels, on_stage)
     found = _free_first(expected, found, baseline)
     explained = is_explained(expected, found[0], baseline)
     singles = tuple(found)
@@ -231,13 +241,15 @@ def decide(
 
 def _with_changes(
     expected: Expected,
+    start: Refit,
+    screened: Sequence[Screened],
     found: Sequence[Candidate],
     baseline: Candidate,
     in_pixels: Callable[[Sequence[Refit]], Float64],
     on_stage: Callable[[str, float], None],
 ) -> tuple[list[Candidate], Candidate]:
     """Return single effects of which some may change, likeliest first, and the baseline; pixels are asked."""
-    every = with_changes(expected, found, on_stage)
+    every = with_changes(expected, start, screened, found, on_stage)
     return told_apart(every, baseline, in_pixels) if every[0].refit.change else (every, baseline)
 
 
@@ -278,12 +290,14 @@ def _beside(
     if best.is_held_back and left_over(best, baseline) <= EXPLAINED:
         # Almost all of it is one other effect's, and what is added would only lend the mimic more numbers.
         return None
-    if not explained or best.left > CLEARLY_LEFT:
+    if not explained:
         return _several(expected, baseline, best, without, on_stage)
-    if best.left_in_pixels <= AT_FLOOR:
-        return None
-    several = _several(expected, baseline, best, without, on_stage)
-    if several is None:
+    shown = best.left_in_pixels > AT_FLOOR
+    least = -math.inf if shown or best.left > CLEARLY_LEFT else MAY_BESIDE_NATS
+    several = _several(expected, baseline, best, without, on_stage, least)
+    if several is None or best.left > CLEARLY_LEFT or several.evidence - best.evidence >= BESIDE_NATS:
+        return several
+    if not shown:
         return None
     # If others do not halve it, it is the effect's form that pixels show.
     left = _asked(several, in_pixels).left_in_pixels - 1.0
@@ -303,19 +317,24 @@ def _several(
     best: Candidate,
     without: Sequence[str],
     on_stage: Callable[[str, float], None],
+    least_nats: float = -math.inf,
 ) -> Candidate | None:
-    """Return effects that explain the gap together, None if none do: forward steps, then backward."""
+    """Return effects that explain the gap together, None if none do: forward steps, then backward.
+
+    Looked into are those that seem to gain `least_nats` beside the best one.
+    """
     chosen = best
     while chosen is best or (len(chosen.ids) < MOST_EFFECTS and left_over(chosen, baseline) > EXPLAINED):
         on_stage("looking for further effects", 0.0)
         screened = looked(expected, chosen.refit, without)
-        if not screened:
+        if not screened or max(nats_at_look(one, chosen.refit) for one in screened) < least_nats:
             return None
         further = candidates(expected, chosen.refit, screened, chosen.left, without, on_stage)
         left = further[0].left
         if left > CLEARLY_LEFT or (left > RESOLVED and left_over(further[0], baseline) > EXPLAINED):
             further = with_dear(expected, chosen.refit, further, without, on_stage)
-        if further[0].evidence - chosen.evidence < NAMED_FROM:
+        further = [one for one in further if not is_trifle(_added(one), expected.stated)]
+        if not further or further[0].evidence - chosen.evidence < NAMED_FROM:
             return None
         if left_over(further[0], baseline) > (1.0 - WORTH) * left_over(chosen, baseline):
             return None
@@ -324,19 +343,39 @@ def _several(
     if chosen.left > most or chosen.is_held_back:
         return None
     for name in chosen.ids[:-1]:
-        fewer = {other: values for other, values in chosen.refit.effects.items() if other != name}
-        without_it = judged(expected, refit_from(expected, chosen.refit, fewer))
-        if chosen.evidence - without_it.evidence < NAMED_FROM:
-            chosen = without_it
+        fewer = _fewer(expected, chosen, name)
+        if chosen.evidence - fewer.evidence < NAMED_FROM:
+            chosen = fewer
     return chosen
+
+
+def _added(of: Candidate) -> dict[str, dict[str, float]]:
+    """Return the effect that was added last."""
+    name = of.ids[-1]
+    return {name: of.refit.effects[name]}
+
+
+def _fewer(expected: Expected, of: Candidate, name: str) -> Candidate:
+    """Return a candidate fitted again without one of its effects."""
+    effects = {other: values for other, values in of.refit.effects.items() if other != name}
+    return judged(expected, refit_from(expected, of.refit, effects))
 
 
 def with_shares(
     expected: Expected, baseline: Candidate, decision: Decision
 ) -> tuple[Decision, dict[str, float]]:
-    """Return the verdict without effects whose share is small, and the share of each that is left."""
+    """Return the verdict without effects of a small share and little evidence, and the share of each left.
+
+    What is large by itself hides behind what is larger still.
+    """
     share = shares(expected, baseline, decision.chosen)
-    worth = {name: of for name, of in decision.chosen.refit.effects.items() if share[name] >= LEAST_SHARE}
+
+    def is_worth(name: str) -> bool:
+        if share[name] >= LEAST_SHARE:
+            return True
+        return decision.chosen.evidence - _fewer(expected, decision.chosen, name).evidence >= BESIDE_NATS
+
+    worth = {name: of for name, of in decision.chosen.refit.effects.items() if is_worth(name)}
     if not worth or len(worth) == len(decision.chosen.ids):
         return decision, share
     chosen = judged(expected, refit_from(expected, decision.chosen.refit, worth))
@@ -352,7 +391,9 @@ def shares(expected: Expected, baseline: Candidate, chosen: Candidate) -> dict[s
     for number in range(1, len(names)):
         for some in itertools.combinations(names, number):
             effects = {name: chosen.refit.effects[name] for name in some}
-            left[frozenset(some)] = judged(expected, refit_from(expected, chosen.refit, effects)).left
+            of_some = judged(expected, refit_from(expected, chosen.refit, effects)).left
+            # One that does harm without the others would be left neutral.
+            left[frozenset(some)] = min(of_some, *(of for fewer, of in left.items() if fewer < set(some)))
     # Below the model's floor all that there is is closed by what leaves least.
     floor = 1.0 if baseline.left > 1.0 else min(left.values())
     closed = {of: math.sqrt(max(value - floor, 0.0)) for of, value in left.items()}

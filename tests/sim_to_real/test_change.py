@@ -7,10 +7,11 @@ import numpy as np
 import pytest
 
 import arctrack.simulate
+from noise_model.effects import REGISTRY
 from noise_model.forward import draw_frame
-from sim_to_real.change import Change, Driver
+from sim_to_real.change import CHANGING, Change, Driver
 from sim_to_real.refit import FLICKER, NAMED_FROM, refit
-from sim_to_real.screen import FAMILIES
+from sim_to_real.screen import FAMILIES, screen_changes
 from sim_to_real.select import candidates, judged, looked, with_changes
 from tests.sim_to_real.small import small_recording
 
@@ -60,11 +61,37 @@ def blown(setup, T_base_tool, condition, rng, **drawn):
     return draw_frame(there, T_base_tool, condition, rng, **drawn)
 
 
+def changed(expected, *found):
+    """What becomes of candidates if they may change, or of arc_deflection if there are none."""
+    baseline = refit(expected, {}, expected.neutral, steps=0)
+    among = {name for one in found for name in one.ids} or {"arc_deflection"}
+    screened = looked(expected, baseline, [name for name in FAMILIES if name not in among])
+    return with_changes(expected, baseline, screened, found, silent)
+
+
+def test_the_first_look_sees_by_what_an_effect_changes(tmp_path):
+    with patch.object(arctrack.simulate, "draw_frame", blown):
+        expected = small_recording(tmp_path / "blown", {}, FINE)
+    baseline = refit(expected, {}, expected.neutral, steps=0)
+    looks = screen_changes(expected, baseline, looked(expected, baseline, ()))
+    best = looks[0]
+    assert {look.change.effect for look in looks} == set(CHANGING)
+    assert (best.change.effect, best.change.driver) == ("arc_deflection", Driver.TIME)
+    assert [look.left for look in looks] == sorted(look.left for look in looks)
+    # y alone: from 0 at the first frame.
+    y = [parameter.name for parameter in REGISTRY["arc_deflection"].parameters].index("y_mm")
+    assert best.change.by[y] == pytest.approx(GROWS_MM_S * best.change.half, rel=0.2)
+    assert best.start["y_mm"] == pytest.approx(GROWS_MM_S * best.change.middle, rel=0.2)
+
+
 def test_an_arc_that_is_blown_ever_farther_grows_with_time(tmp_path):
     with patch.object(arctrack.simulate, "draw_frame", blown):
         expected = small_recording(tmp_path / "blown", {}, FINE)
     stays = judged(expected, refit(expected, {"arc_deflection": {}}, expected.neutral))
-    (changes,) = with_changes(expected, [stays], silent)
+    (changes,) = changed(expected, stays)
+    # It is found, too, where it was not among the candidates as long as it stayed.
+    (found,) = changed(expected)
+    assert found.left == pytest.approx(changes.left, rel=0.01)
     change, middle = changes.refit.change, changes.refit.effects["arc_deflection"]
     assert change.driver is Driver.TIME
     for u, timestamp_s in ((-1.0, change.middle - change.half), (1.0, change.middle + change.half)):
@@ -78,7 +105,7 @@ def test_an_arc_that_is_blown_ever_farther_grows_with_time(tmp_path):
 def test_an_arc_that_is_blown_aside_once_and_for_all_does_not_change(tmp_path):
     expected = small_recording(tmp_path / "stays", {"arc_deflection": {"y_mm": 1.0}}, FINE)
     stays = judged(expected, refit(expected, {"arc_deflection": {}}, expected.neutral))
-    assert with_changes(expected, [stays], silent) == [stays]
+    assert changed(expected, stays) == [stays]
 
 
 def test_another_effect_is_found_beside_one_that_changes(tmp_path):
@@ -90,7 +117,7 @@ def test_another_effect_is_found_beside_one_that_changes(tmp_path):
     with patch.object(arctrack.simulate, "draw_frame", blown_behind_glare):
         expected = small_recording(tmp_path / "both", {}, FINE)
     stays = judged(expected, refit(expected, {"arc_deflection": {}}, expected.neutral))
-    (changes,) = with_changes(expected, [stays], silent)
+    (changes,) = changed(expected, stays)
     assert changes.refit.change is not None
     others = [name for name in FAMILIES if name not in ("veiling_glare", "arc_length")]
     screened = looked(expected, changes.refit, others)
@@ -109,4 +136,4 @@ def test_what_pixels_say_against_an_effect_they_say_against_its_change(tmp_path)
     expected = small_recording(tmp_path / "stays", {"arc_length": {"height_mm": 0.6}})
     stays = judged(expected, refit(expected, {"arc_length": {}}, expected.neutral))
     refused = replace(stays, left_in_pixels=9.0, against=25.0)
-    assert with_changes(expected, [refused], silent) == [refused]
+    assert changed(expected, refused) == [refused]

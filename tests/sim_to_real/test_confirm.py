@@ -10,8 +10,8 @@ from noise_model.effects import REGISTRY
 from sim_to_real.change import Change, Driver
 from sim_to_real.confirm import (
     closing,
-    is_trifle,
     must_help,
+    names_trifle,
     not_held_up,
     random_shares,
     with_random,
@@ -70,12 +70,12 @@ def test_a_gap_below_the_floor_is_none_but_for_an_effect_that_is_no_trifle():
         named = decision(Verdict.EFFECTS, "roughness_change")
         named.chosen.refit.effects["roughness_change"] = {"c2_ln": c2_ln}
         assert closing(named, baseline, below).verdict is Verdict.EFFECTS
-        assert is_trifle(named, baseline, below, neutral) is in_small
-        assert is_trifle(named, baseline, above, neutral) is in_small
-        assert is_trifle(named, candidate(left=0.9), clear, neutral) is in_small
-        assert not is_trifle(named, baseline, clear, neutral)
+        assert names_trifle(named, baseline, below, neutral) is in_small
+        assert names_trifle(named, baseline, above, neutral) is in_small
+        assert names_trifle(named, candidate(left=0.9), clear, neutral) is in_small
+        assert not names_trifle(named, baseline, clear, neutral)
         # From 1.2 to 1 it gains 100 ln 1.2 = 18 nats.
-        assert not is_trifle(named, candidate(left=1.2), above, neutral)
+        assert not names_trifle(named, candidate(left=1.2), above, neutral)
 
 
 def test_beside_a_trifle_what_scatters_is_named():
@@ -151,6 +151,6 @@ def test_an_effect_that_changes_from_one_side_to_the_other_is_no_trifle():
     fitted = blow.chosen.refit
     fitted.effects["arc_deflection"] = {"x_mm": 0.0, "y_mm": 0.01}
     small = replace(gap(0.1, (0.8, 0.9)), before=0.1)
-    assert is_trifle(blow, candidate(left=1.1), small, neutral)
+    assert names_trifle(blow, candidate(left=1.1), small, neutral)
     fitted.change = Change("arc_deflection", Driver.TIME, 1.0, 1.0, (0.0, 1.0))
-    assert not is_trifle(blow, candidate(left=1.1), small, neutral)
+    assert not names_trifle(blow, candidate(left=1.1), small, neutral)

@@ -20,8 +20,9 @@ RNG = np.random.default_rng(7)
 A, B, C, NUISANCE = RNG.standard_normal((4, N))
 
 
-def screened(name, *columns, place=("height_mm", 0.5)):
-    return Screened(name, 1.0, {}, np.column_stack(columns), place)
+def screened(name, *columns):
+    """Looked at one place each, half a unit of the first parameter away."""
+    return Screened(name, 1.0, {}, np.column_stack(columns), {}, np.full((len(columns), 1), 0.5))
 
 
 def baseline(jacobian):

@@ -58,7 +58,7 @@ def test_what_the_setup_states_is_where_the_look_begins(tmp_path):
     baseline = refit(expected, {}, expected.neutral, steps=0)
     (found,) = screen(expected, baseline, ["arc_length"])
     assert found.start["height_mm"] == pytest.approx(0.7, abs=0.1)
-    assert abs(found.place[1]) == pytest.approx(0.7)
+    assert abs(found.steps.item()) == pytest.approx(0.7)
     fitted = refit(expected, {"arc_length": found.start}, expected.neutral)
     assert fitted.quadratic.parameters[-1].start == 1.1
     assert size(fitted.effects, expected.stated) == pytest.approx(0.4, abs=0.05)
