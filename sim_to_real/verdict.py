@@ -75,7 +75,8 @@ CLEARLY_LEFT = 1.3
 SEVERAL_LEAVE, SEVERAL_FORESEE = 1.2, 1.5
 """Several effects must explain all that there is: two or three mimic most of another one's gap.
 
-The first is for frames left out; the second is, where they leave no more than the floor of those fitted.
+The first is for frames left out; the second is, where they leave no more than the floor of those fitted, or
+nothing that pixels show.
 """
 
 PULLED_FROM = 10.0
@@ -291,10 +292,10 @@ def _beside(
         # Almost all of it is one other effect's, and what is added would only lend the mimic more numbers.
         return None
     if not explained:
-        return _several(expected, baseline, best, without, on_stage)
+        return _several(expected, baseline, best, without, in_pixels, on_stage)
     shown = best.left_in_pixels > AT_FLOOR
     least = -math.inf if shown or best.left > CLEARLY_LEFT else MAY_BESIDE_NATS
-    several = _several(expected, baseline, best, without, on_stage, least)
+    several = _several(expected, baseline, best, without, in_pixels, on_stage, least)
     if several is None or best.left > CLEARLY_LEFT or several.evidence - best.evidence >= BESIDE_NATS:
         return several
     if not shown:
@@ -316,6 +317,7 @@ def _several(
     baseline: Candidate,
     best: Candidate,
     without: Sequence[str],
+    in_pixels: Callable[[Sequence[Refit]], Float64],
     on_stage: Callable[[str, float], None],
     least_nats: float = -math.inf,
 ) -> Candidate | None:
@@ -339,9 +341,12 @@ def _several(
         if left_over(further[0], baseline) > (1.0 - WORTH) * left_over(chosen, baseline):
             return None
         chosen = further[0]
-    most = SEVERAL_FORESEE if chosen.refit.mean_square <= 1.0 else SEVERAL_LEAVE
-    if chosen.left > most or chosen.is_held_back:
+    if chosen.left > SEVERAL_FORESEE or chosen.is_held_back:
         return None
+    if chosen.left > SEVERAL_LEAVE and chosen.refit.mean_square > 1.0:
+        chosen = _asked(chosen, in_pixels)
+        if chosen.left_in_pixels > SHOWN_FROM:
+            return None
     for name in chosen.ids[:-1]:
         fewer = _fewer(expected, chosen, name)
         if chosen.evidence - fewer.evidence < NAMED_FROM:
