@@ -163,7 +163,7 @@ class Screened:
     """A candidate after the first look: the share of the cost that is left, and where a fit should start.
 
     `signature` (n, k) is what its places do to the residuals, `steps` (k, p) how far they lie from `origin`.
-    `other_starts` are those of the next best families: light that is not rendered has valleys side by side.
+    `others` are the looks at the effect's other families, the best first.
     """
 
     id: str
@@ -172,7 +172,12 @@ class Screened:
     signature: Float64
     origin: dict[str, float]
     steps: Float64
-    other_starts: tuple[dict[str, float], ...] = ()
+    others: tuple[Screened, ...] = ()
+
+    @property
+    def starts(self) -> list[dict[str, float]]:
+        """Where fits should start: light that is not rendered has valleys side by side."""
+        return [one.start for one in (self, *self.others[: STARTS - 1])]
 
 
 @dataclass(frozen=True, eq=False)
@@ -189,6 +194,22 @@ def screen(expected: Expected, baseline: Refit, ids: Sequence[str]) -> list[Scre
     r = expected.residuals(_rendered(expected, baseline, baseline.effects))
     found = [_tried(expected, baseline, r, name) for name in ids]
     return sorted(found, key=lambda screened: screened.left)
+
+
+def seen_from(baseline: Refit, screened: Sequence[Screened]) -> list[Screened]:
+    """Return what effects would leave beside another baseline's, if their places did there what they do here.
+
+    Nothing is predicted anew for that, and where a fit should start is not found anew.
+    """
+
+    def left(one: Screened) -> float:
+        return _along(baseline, baseline.residuals, one.signature, _reaches(one))[0]
+
+    return [
+        replace(one, left=min(left(family) for family in (one, *one.others)))
+        for one in screened
+        if one.id not in baseline.ids
+    ]
 
 
 def screen_changes(expected: Expected, baseline: Refit, screened: Sequence[Screened]) -> list[ScreenedChange]:
@@ -256,8 +277,7 @@ def _tried(expected: Expected, baseline: Refit, r: Float64, name: str) -> Screen
         (screened, look), *others = tried
         if best is not None and screened.left > ANOTHER_PART * best.left:
             break
-        starts = tuple(other.start for other, _ in others[: STARTS - 1])
-        best, chosen = replace(screened, other_starts=starts), [*chosen, look]
+        best, chosen = replace(screened, others=tuple(other for other, _ in others)), [*chosen, look]
     assert best is not None
     return best
 

@@ -218,7 +218,7 @@ def candidates(
         on_stage(f"fitting {one.id}", 0.2 + 0.6 * n / most)
         # What must be rendered for each step is dear: that is started once.
         is_rendered = bool(RENDERING & {one.id, *baseline.ids})
-        starts = [one.start] if is_rendered else [one.start, *one.other_starts]
+        starts = one.starts[:1] if is_rendered else one.starts
         fits = [refit_from(expected, baseline, {**baseline.effects, one.id: start}) for start in starts]
         found.append(judged(expected, min(fits, key=lambda fit: fit.mean_square)))
     found = _best_first(found)

@@ -18,7 +18,7 @@ from sim_to_real.diagnosis import Verdict
 from sim_to_real.expected import Expected
 from sim_to_real.pixels import Bool
 from sim_to_real.refit import FLICKER, NAMED_FROM, Refit, refit, refit_from, settled
-from sim_to_real.screen import Screened, is_trifle
+from sim_to_real.screen import Screened, is_trifle, seen_from
 from sim_to_real.select import (
     ALIKE_NATS,
     RESOLVED,
@@ -223,7 +223,7 @@ def decide(
             # Pixels are finer than bins: a fit that has not quite settled shows in them.
             best = _asked(_again(expected, best), in_pixels)
         singles = (best, *singles[1:])
-    several = _beside(expected, baseline, best, explained, without, in_pixels, on_stage)
+    several = _beside(expected, baseline, best, explained, screened, without, in_pixels, on_stage)
     rivals = _rivals(singles)
     is_likely = (p >= IN_SET) | rivals
     likely = tuple(single.ids[0] for single, is_one in zip(singles, is_likely, strict=True) if is_one)
@@ -280,6 +280,7 @@ def _beside(
     baseline: Candidate,
     best: Candidate,
     explained: bool,
+    screened: Sequence[Screened],
     without: Sequence[str],
     in_pixels: Callable[[Sequence[Refit]], Float64],
     on_stage: Callable[[str, float], None],
@@ -294,8 +295,9 @@ def _beside(
     if not explained:
         return _several(expected, baseline, best, without, in_pixels, on_stage)
     shown = best.left_in_pixels > AT_FLOOR
-    least = -math.inf if shown or best.left > CLEARLY_LEFT else MAY_BESIDE_NATS
-    several = _several(expected, baseline, best, without, in_pixels, on_stage, least)
+    if not shown and best.left <= CLEARLY_LEFT and not _may_gain(best.refit, screened):
+        return None
+    several = _several(expected, baseline, best, without, in_pixels, on_stage)
     if several is None or best.left > CLEARLY_LEFT or several.evidence - best.evidence >= BESIDE_NATS:
         return several
     if not shown:
@@ -303,6 +305,11 @@ def _beside(
     # If others do not halve it, it is the effect's form that pixels show.
     left = _asked(several, in_pixels).left_in_pixels - 1.0
     return None if left > HALVES * (best.left_in_pixels - 1.0) else several
+
+
+def _may_gain(fitted: Refit, screened: Sequence[Screened]) -> bool:
+    """Say whether an effect beside those that were fitted seems to gain enough to be looked into."""
+    return any(nats_at_look(one, fitted) >= MAY_BESIDE_NATS for one in seen_from(fitted, screened))
 
 
 def _asked(of: Candidate, in_pixels: Callable[[Sequence[Refit]], Float64]) -> Candidate:
@@ -319,17 +326,13 @@ def _several(
     without: Sequence[str],
     in_pixels: Callable[[Sequence[Refit]], Float64],
     on_stage: Callable[[str, float], None],
-    least_nats: float = -math.inf,
 ) -> Candidate | None:
-    """Return effects that explain the gap together, None if none do: forward steps, then backward.
-
-    Looked into are those that seem to gain `least_nats` beside the best one.
-    """
+    """Return effects that explain the gap together, None if none do: forward steps, then backward."""
     chosen = best
     while chosen is best or (len(chosen.ids) < MOST_EFFECTS and left_over(chosen, baseline) > EXPLAINED):
         on_stage("looking for further effects", 0.0)
         screened = looked(expected, chosen.refit, without)
-        if not screened or max(nats_at_look(one, chosen.refit) for one in screened) < least_nats:
+        if not screened:
             return None
         further = candidates(expected, chosen.refit, screened, chosen.left, without, on_stage)
         left = further[0].left

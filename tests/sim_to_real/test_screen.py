@@ -6,7 +6,7 @@ import pytest
 from small import small_recording
 
 from sim_to_real.refit import refit
-from sim_to_real.screen import screen, size
+from sim_to_real.screen import screen, seen_from, size
 
 
 def look(path, name, planted):
@@ -62,3 +62,17 @@ def test_what_the_setup_states_is_where_the_look_begins(tmp_path):
     fitted = refit(expected, {"arc_length": found.start}, expected.neutral)
     assert fitted.quadratic.parameters[-1].start == 1.1
     assert size(fitted.effects, expected.stated) == pytest.approx(0.4, abs=0.05)
+
+
+def test_what_is_seen_from_another_fit_is_what_a_look_from_there_would_see(tmp_path):
+    """Of two effects one is fitted: beside it the other's places do about what they did without it."""
+    hidden = {"gamma": {"gamma": 1.1}, "vignetting": {"loss": 0.15}}
+    expected = small_recording(tmp_path / "both", hidden)
+    baseline = refit(expected, {}, expected.neutral)
+    screened = screen(expected, baseline, ["gamma", "vignetting", "blooming"])
+    fitted = refit(expected, {"gamma": {}}, expected.neutral)
+    seen = {one.id: one.left for one in seen_from(fitted, screened)}
+    fresh = {one.id: one.left for one in screen(expected, fitted, ["vignetting", "blooming"])}
+    assert set(seen) == {"vignetting", "blooming"}
+    assert seen["vignetting"] < 0.8 < 0.97 < seen["blooming"] <= 1.0
+    assert seen == pytest.approx(fresh, abs=0.08)

@@ -24,5 +24,7 @@ class Fitted:
 def candidate(*ids, left=1.0):
     effects = {name: REGISTRY[name].complete(REGISTRY[name].typical) for name in ids}
     residuals = np.full(4, np.sqrt(left))
-    fit = SimpleNamespace(ids=ids, residuals=residuals, nuisance=None, effects=effects, change=None)
+    fit = SimpleNamespace(
+        ids=ids, residuals=residuals, nuisance=None, effects=effects, change=None, mean_square=left
+    )
     return Fitted(ids, left, fit, likelihood_nats(left))
