@@ -279,19 +279,10 @@ class _Problem:
             return None
         return replace(self.change, by=tuple(x[-len(self.change.by) :].tolist()))
 
-    @property
-    def about_mean(self) -> Float64:
-        """The matrix (f, f) that takes the mean off the frames that the arc lights, and all off the others.
-
-        A level that all frames share is no flicker but a nuisance, and known within its tolerance.
-        """
-        lit = self.expected.observed.lit
-        return np.diag(lit.astype(np.float64)) - np.outer(lit, lit) / max(int(lit.sum()), 1)
-
     def arc_ln(self, x: Float64) -> Float64:
         """Return the arc's ln level of each frame (n_frames,), about their mean."""
         levels = next((x[at] for name, at in self.blocks if name == FLICKER), None)
-        return np.zeros(len(self.counts)) if levels is None else self.about_mean @ levels
+        return np.zeros(len(self.counts)) if levels is None else about_mean(self.expected) @ levels
 
     def passed(self, x: Float64) -> list[Passed]:
         """Return the light at parameters (p,): rendered at the anchor, moved on from there."""
@@ -308,9 +299,7 @@ class _Problem:
         columns = [self.expected.nuisance_columns(passed)]
         for name, at in self.blocks:
             if name == FLICKER:
-                frame = np.repeat(np.arange(len(self.counts)), self.counts)[:, np.newaxis]
-                own = np.where(frame == np.arange(len(self.counts)), columns[0][:, :1], 0.0)
-                columns.append(own @ self.about_mean)
+                columns.append(own_levels(self.expected, columns[0][:, 0]))
             else:
                 columns += [self._column(x, r, i) for i in range(at.start, at.stop)]
         if self.change is not None:
@@ -335,6 +324,22 @@ class _Problem:
         starts = np.array([p.start for p in self.parameters])
         sigmas = np.array([p.prior_sigma for p in self.parameters])
         return float(of_data + prior_weight * np.sum(((x - starts) / sigmas) ** 2))
+
+
+def about_mean(expected: Expected) -> Float64:
+    """Return the matrix (f, f) that takes the mean off frames that the arc lights, and all off the others.
+
+    A level that all frames share is no flicker but a nuisance, and known within its tolerance.
+    """
+    lit = expected.observed.lit
+    return np.diag(lit.astype(np.float64)) - np.outer(lit, lit) / max(int(lit.sum()), 1)
+
+
+def own_levels(expected: Expected, by_level: Float64) -> Float64:
+    """Return derivatives (n, f) by frames' own ln levels of the arc; those by all at once are (n,)."""
+    counts = [int(frame.keep.sum()) for frame in expected.observed.frames]
+    frame = np.repeat(np.arange(len(counts)), counts)[:, np.newaxis]
+    return np.where(frame == np.arange(len(counts)), by_level[:, np.newaxis], 0.0) @ about_mean(expected)
 
 
 def flicker(expected: Expected, arc_ln: Float64) -> float:

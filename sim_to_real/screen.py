@@ -17,7 +17,7 @@ from noise_model.effects import REGISTRY, Values
 from noise_model.effects.optics import PATCHES
 from noise_model.fit import Parameter, within_bounds
 from noise_model.frames import Float64
-from sim_to_real.change import CHANGING, Change, Driver
+from sim_to_real.change import CHANGING, LEAST_RANGE, Change, Driver
 from sim_to_real.expected import BOUNCING, Expected, Passed
 from sim_to_real.quadratic import Quadratic
 from sim_to_real.refit import Refit
@@ -26,7 +26,7 @@ LEAST = 0.05
 """A fit starts at least so far, of a place's distance, from neutral: some effects have no slope there."""
 
 FARTHEST = 3.0
-"""How far beyond its place a straight line is followed."""
+"""How far beyond its place a straight line is followed; twice as far at the ends of what changes."""
 
 
 @dataclass(frozen=True)
@@ -145,8 +145,14 @@ def size(effects: Mapping[str, Values], stated: Callable[[str], Values]) -> floa
         abs(effects[name][parameter.name] - origins[name][parameter.name]) / parameter.prior_sigma
         for name in effects
         for parameter in REGISTRY[name].parameters
-        if name not in FAMILIES or any(parameter.name in p for f in FAMILIES[name] for p in f.places)
+        if name not in FAMILIES or parameter.name in _placed(name)
     )
+
+
+def _placed(name: str) -> set[str]:
+    """Return the parameters of which an effect's places are made, those of all its alike parts."""
+    numbers = range(1, PARTS.get(name, 1) + 1)
+    return {key for n in numbers for of in FAMILIES[name] for place in _part(of, n).places for key in place}
 
 
 TRIFLE = 0.1
@@ -203,7 +209,7 @@ def seen_from(baseline: Refit, screened: Sequence[Screened]) -> list[Screened]:
     """
 
     def left(one: Screened) -> float:
-        return _along(baseline, baseline.residuals, one.signature, _reaches(one))[0]
+        return along(baseline, baseline.residuals, one.signature, _reaches(one))[0]
 
     return [
         replace(one, left=min(left(family) for family in (one, *one.others)))
@@ -215,22 +221,29 @@ def seen_from(baseline: Refit, screened: Sequence[Screened]) -> list[Screened]:
 def screen_changes(expected: Expected, baseline: Refit, screened: Sequence[Screened]) -> list[ScreenedChange]:
     """Return effects that may change, by each driver, those first that leave least.
 
-    The baseline is the one that they were looked at from. What an effect's places do goes, in each frame, as
-    t_k + u t'_k, u being the driver's share there: a straight line again.
+    The baseline is the one that they were looked at from. With the driver's share u from -1 to 1, what places
+    do goes in each frame as t_k (1 - u) / 2 + t'_k (1 + u) / 2: a straight line again, and t_k and t'_k are
+    how far the ends go. A driver that stays drives nothing.
     """
     r = expected.residuals(_rendered(expected, baseline, baseline.effects))
     found = []
     for one in screened:
         for driver in Driver if one.id in CHANGING else ():
             change = Change.of(expected.observed, one.id, driver)
-            u = change.shares(expected.observed)[:, np.newaxis]
-            reach = _reaches(one)
-            wide = [(low - high, high - low) for low, high in reach]
-            left, t = _along(baseline, r, np.hstack([one.signature, u * one.signature]), [*reach, *wide])
-            middle, by = t.reshape(2, -1) @ one.steps
-            start = _within(one.id, np.array(list(one.origin.values())) + middle)
-            found.append(ScreenedChange(left, start, replace(change, by=tuple(by.tolist()))))
+            if change.half > LEAST_RANGE:
+                u = change.shares(expected.observed)[:, np.newaxis]
+                looks = [_changed(baseline, r, of, change, u) for of in (one, *one.others)]
+                found.append(min(looks, key=lambda look: look.left))
     return sorted(found, key=lambda look: look.left)
+
+
+def _changed(baseline: Refit, r: Float64, one: Screened, change: Change, u: Float64) -> ScreenedChange:
+    """Let one family's places change with u (n, 1) of the residuals."""
+    ends = np.hstack([0.5 * (1.0 - u) * one.signature, 0.5 * (1.0 + u) * one.signature])
+    left, t = along(baseline, r, ends, 2 * _reaches(one, 2.0 * FARTHEST))
+    low, high = t.reshape(2, -1) @ one.steps
+    start = _within(one.id, np.array(list(one.origin.values())) + 0.5 * (low + high))
+    return ScreenedChange(left, start, replace(change, by=tuple((0.5 * (high - low)).tolist())))
 
 
 def _rendered(expected: Expected, baseline: Refit, effects: Mapping[str, Values]) -> list[Passed]:
@@ -336,13 +349,13 @@ def _solved(
     places = _from(name, origin, [place for family in families for place in family.places])
     steps = np.array([[place.get(key, value) - value for key, value in shaped.items()] for place in places])
     one = Screened(name, 1.0, {}, columns, shaped, steps)
-    left, t = _along(baseline, r, columns, _reaches(one))
+    left, t = along(baseline, r, columns, _reaches(one))
     if not np.abs(t).max() > LEAST:
         t = np.full(len(t), LEAST)
     return replace(one, left=left, start=_within(name, np.array(list(shaped.values())) + t @ steps))
 
 
-def _along(
+def along(
     baseline: Refit, r: Float64, columns: Float64, reach: Sequence[tuple[float, float]]
 ) -> tuple[float, Float64]:
     """Return what is left, as a share, at the best t (k,) along columns (n, k) and the nuisances; and t."""
@@ -369,15 +382,17 @@ def _within(name: str, values: Float64) -> dict[str, float]:
     return dict(zip((of.name for of in parameters), found.tolist(), strict=True))
 
 
-def _reaches(one: Screened) -> list[tuple[float, float]]:
+def _reaches(one: Screened, farthest: float = FARTHEST) -> list[tuple[float, float]]:
     """Return how far along each of an effect's places one may go."""
     start = np.array(list(one.origin.values()))
-    return [_reach(REGISTRY[one.id].parameters, start, step) for step in one.steps]
+    return [_reach(REGISTRY[one.id].parameters, start, step, farthest) for step in one.steps]
 
 
-def _reach(parameters: Sequence[Parameter], start: Float64, step: Float64) -> tuple[float, float]:
+def _reach(
+    parameters: Sequence[Parameter], start: Float64, step: Float64, farthest: float
+) -> tuple[float, float]:
     """Return how far along a step (p,) one may go, backward and forward, within the parameters' bounds."""
-    low, high = -FARTHEST, FARTHEST
+    low, high = -farthest, farthest
     for parameter, at, by in zip(parameters, start, step, strict=True):
         if by != 0.0:
             ends = sorted(((parameter.lower - at) / by, (parameter.upper - at) / by))

@@ -20,8 +20,17 @@ from noise_model.frames import Float64
 from sim_to_real.expected import RENDERING, Effects, Expected
 from sim_to_real.nuisances import SEAM_FROM
 from sim_to_real.quadratic import N_EFFECTIVE, Quadratic
-from sim_to_real.refit import FLICKER, NAMED_FROM, Refit, huber_weights, refit, refit_from, settled
-from sim_to_real.screen import DEAR, FAMILIES, Screened, screen, screen_changes
+from sim_to_real.refit import (
+    FLICKER,
+    NAMED_FROM,
+    Refit,
+    huber_weights,
+    own_levels,
+    refit,
+    refit_from,
+    settled,
+)
+from sim_to_real.screen import DEAR, FAMILIES, Screened, along, screen, screen_changes
 from sim_to_real.split import folds
 
 JUDGED_WITHIN = 10.0
@@ -67,7 +76,7 @@ LEAST_LEFT = 0.6
 """What leaves less leaves nothing. A model without a gap leaves 0.6 to 0.9: its floor is a generous one."""
 
 MOST_CHANGING = 3
-"""So many of the likeliest effects are tried with a size that changes from frame to frame."""
+"""So many effects, or drivers of one, are fitted with a size that changes from frame to frame."""
 
 ON_BOUND = 1e-3
 """So near a bound, as a share of how far the bounds are apart, a parameter lies on it."""
@@ -103,9 +112,17 @@ class Candidate:
         return float(self.costs.sum() / self.refit.quadratic.counts.sum())
 
     @property
+    def of_bins(self) -> float:
+        """The logarithm of the candidate's likelihood in bins, less what its parameters cost.
+
+        It compares what pixels were asked of with what they were not.
+        """
+        return likelihood_nats(self.left) - cost_nats(self.refit.n_parameters)
+
+    @property
     def evidence(self) -> float:
-        """The logarithm of the candidate's likelihood, less what its parameters cost."""
-        return likelihood_nats(self.left) - cost_nats(self.refit.n_parameters) - self.against
+        """The same less what pixels say against the candidate."""
+        return self.of_bins - self.against
 
     @property
     def held_back(self) -> float:
@@ -267,16 +284,17 @@ def with_changes(
     pixels said against an effect that stays they have not said against its change.
     """
     single = {one.ids[0]: one for one in found}
-    best: dict[str, Candidate] = {}
     for look in screen_changes(expected, baseline, screened)[:MOST_CHANGING]:
         name, driver = look.change.effect, look.change.driver
         on_stage(f"fitting {name} that changes with {driver.value}", 0.97)
+        if name not in single:
+            start = next(one.start for one in screened if one.id == name)
+            single[name] = judged(expected, refit_from(expected, baseline, {name: start}))
         fitted = refit(expected, {name: look.start}, baseline.nuisance, change=look.change)
         changed = judged(expected, settled(expected, fitted))
-        best[name] = max(best.get(name, changed), changed, key=lambda one: one.evidence)
-    for name, changed in best.items():
-        stays = single.get(name)
-        if stays is None or changed.evidence - (stays.evidence + stays.against) > NAMED_FROM:
+        stays = single[name]
+        worth = 0.0 if stays.refit.change else NAMED_FROM
+        if changed.of_bins - stays.of_bins > worth:
             single[name] = changed
     return _best_first(list(single.values()))
 
@@ -333,6 +351,16 @@ def nats_at_look(one: Screened, baseline: Refit) -> float:
     """Return how much evidence an effect seems to gain beside a baseline's at the first look."""
     gained = likelihood_nats(one.left * baseline.mean_square) - likelihood_nats(baseline.mean_square)
     return gained - cost_nats(len(REGISTRY[one.id].parameters))
+
+
+def flicker_at_look(expected: Expected, baseline: Refit) -> float:
+    """Return how much evidence arc_flicker seems to gain beside a baseline's, nats."""
+    if FLICKER in baseline.ids or not _shows_arc(expected):
+        return -math.inf
+    columns = own_levels(expected, baseline.jacobian[:, 0])
+    left, _ = along(baseline, baseline.residuals, columns, [(-1.0, 1.0)] * columns.shape[1])
+    gained = likelihood_nats(left * baseline.mean_square) - likelihood_nats(baseline.mean_square)
+    return gained - cost_nats(int(expected.observed.lit.sum()) - 1)
 
 
 def _is_worse(one: Screened, found: Sequence[Candidate], baseline: Refit) -> bool:

@@ -27,6 +27,7 @@ from sim_to_real.select import (
     candidates,
     confidences,
     cost_nats,
+    flicker_at_look,
     judged,
     likelihood_nats,
     looked,
@@ -64,7 +65,7 @@ MAY_BESIDE_NATS = 6.0
 """With less at the first look no effect is fitted beside one that leaves nothing else to be explained."""
 
 LEAST_SHARE = 0.05
-"""Without as much an effect with a smaller share of what is closed is not named beside others."""
+"""An effect with a smaller share of what is closed is not named beside others without `BESIDE_NATS`."""
 
 WORTH = 0.7
 """A further effect must close this share of what the others leave."""
@@ -251,7 +252,11 @@ def _with_changes(
 ) -> tuple[list[Candidate], Candidate]:
     """Return single effects of which some may change, likeliest first, and the baseline; pixels are asked."""
     every = with_changes(expected, start, screened, found, on_stage)
-    return told_apart(every, baseline, in_pixels) if every[0].refit.change else (every, baseline)
+    if not every[0].refit.change:
+        return every, baseline
+    # What pixels said of it as long as it stayed they have not said of its change.
+    every, baseline = told_apart(every, baseline, in_pixels)
+    return [_asked(every[0], in_pixels), *every[1:]], _asked(baseline, in_pixels)
 
 
 def _rivals(singles: Sequence[Candidate]) -> Bool:
@@ -295,10 +300,12 @@ def _beside(
     if not explained:
         return _several(expected, baseline, best, without, in_pixels, on_stage)
     shown = best.left_in_pixels > AT_FLOOR
-    if not shown and best.left <= CLEARLY_LEFT and not _may_gain(best.refit, screened):
+    if not shown and best.left <= CLEARLY_LEFT and not _may_gain(expected, best.refit, screened, without):
         return None
     several = _several(expected, baseline, best, without, in_pixels, on_stage)
-    if several is None or best.left > CLEARLY_LEFT or several.evidence - best.evidence >= BESIDE_NATS:
+    if several is None or best.left > CLEARLY_LEFT:
+        return several
+    if several.of_bins - best.of_bins >= BESIDE_NATS and not is_trifle(_added(several), expected.stated):
         return several
     if not shown:
         return None
@@ -307,9 +314,14 @@ def _beside(
     return None if left > HALVES * (best.left_in_pixels - 1.0) else several
 
 
-def _may_gain(fitted: Refit, screened: Sequence[Screened]) -> bool:
+def _may_gain(
+    expected: Expected, fitted: Refit, screened: Sequence[Screened], without: Sequence[str]
+) -> bool:
     """Say whether an effect beside those that were fitted seems to gain enough to be looked into."""
-    return any(nats_at_look(one, fitted) >= MAY_BESIDE_NATS for one in seen_from(fitted, screened))
+    gains = [nats_at_look(one, fitted) for one in seen_from(fitted, screened)]
+    if FLICKER not in without:
+        gains.append(flicker_at_look(expected, fitted))
+    return max(gains, default=-math.inf) >= MAY_BESIDE_NATS
 
 
 def _asked(of: Candidate, in_pixels: Callable[[Sequence[Refit]], Float64]) -> Candidate:
@@ -338,8 +350,7 @@ def _several(
         left = further[0].left
         if left > CLEARLY_LEFT or (left > RESOLVED and left_over(further[0], baseline) > EXPLAINED):
             further = with_dear(expected, chosen.refit, further, without, on_stage)
-        further = [one for one in further if not is_trifle(_added(one), expected.stated)]
-        if not further or further[0].evidence - chosen.evidence < NAMED_FROM:
+        if further[0].evidence - chosen.of_bins < NAMED_FROM:
             return None
         if left_over(further[0], baseline) > (1.0 - WORTH) * left_over(chosen, baseline):
             return None

@@ -1,8 +1,9 @@
 """The true joint of a made recording: its cross-section, the seam's departure, mesh and exact surface.
 
 Joint frame, mm: x along the nominal seam, y to its left, z out of the metal. The true surface is the nominal
-cross-section moved at each station x by y = y_amp sin(2 pi x / y_period) and z = z_slope x, and raised by a
-corrugation's c(x). Nothing of `noise_model.surface` but the record of a joint is used.
+cross-section moved at each station x by y = y_amp sin(2 pi x / y_period) and z = z_slope x; a corrugated
+sheet tilts by that slope as it is, its ridges lean. Nothing of `noise_model.surface` but the record of a
+joint is used.
 """
 
 from __future__ import annotations

@@ -77,7 +77,7 @@ def test_the_first_look_sees_by_what_an_effect_changes(tmp_path):
     best = looks[0]
     assert {look.change.effect for look in looks} == set(CHANGING)
     assert (best.change.effect, best.change.driver) == ("arc_deflection", Driver.TIME)
-    assert [look.left for look in looks] == sorted(look.left for look in looks)
+    assert best.left < 0.8 * min(look.left for look in looks if look.change.effect != "arc_deflection")
     # y alone: from 0 at the first frame.
     y = [parameter.name for parameter in REGISTRY["arc_deflection"].parameters].index("y_mm")
     assert best.change.by[y] == pytest.approx(GROWS_MM_S * best.change.half, rel=0.2)
@@ -132,7 +132,7 @@ def test_another_effect_is_found_beside_one_that_changes(tmp_path):
     assert best.evidence - changes.evidence > NAMED_FROM
 
 
-def test_what_pixels_say_against_an_effect_they_say_against_its_change(tmp_path):
+def test_what_pixels_speak_against_is_not_cleared_by_a_change_that_helps_little(tmp_path):
     expected = small_recording(tmp_path / "stays", {"arc_length": {"height_mm": 0.6}})
     stays = judged(expected, refit(expected, {"arc_length": {}}, expected.neutral))
     refused = replace(stays, left_in_pixels=9.0, against=25.0)

@@ -5,6 +5,7 @@ import math
 import pytest
 from small import small_recording
 
+from noise_model.effects import REGISTRY
 from sim_to_real.refit import refit
 from sim_to_real.screen import screen, seen_from, size
 
@@ -76,3 +77,10 @@ def test_what_is_seen_from_another_fit_is_what_a_look_from_there_would_see(tmp_p
     assert set(seen) == {"vignetting", "blooming"}
     assert seen["vignetting"] < 0.8 < 0.97 < seen["blooming"] <= 1.0
     assert seen == pytest.approx(fresh, abs=0.08)
+
+
+def test_the_second_of_some_patches_has_a_size_too():
+    neutral = REGISTRY["dirty_window"].neutral
+    of_prior = next(p.prior_sigma for p in REGISTRY["dirty_window"].parameters if p.name == "dimming_2")
+    second = {"dirty_window": {**neutral, "dimming_2": 0.3, "u_2": 0.5}}
+    assert size(second, lambda _: neutral) == pytest.approx(0.3 / of_prior)

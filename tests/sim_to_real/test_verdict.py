@@ -28,11 +28,13 @@ def decided(
     dear=None,
     changes=None,
     seen_from=(PROMISING,),
+    flicker_nats=0.0,
 ):
     """Decide between fits that are handed in; `seen` is what all leave in pixels, or each by its effects.
 
     `again` is the likeliest one after it has settled, `dear` are the fits with those that take long,
-    `changes` those whose size may change from frame to frame, `seen_from` looks from the best one.
+    `changes` those whose size may change from frame to frame, `seen_from` looks from the best one,
+    where `flicker_nats` are what arc_flicker seems to gain.
     """
     left = seen if isinstance(seen, dict) else {}
     answers = {"looked": looks, "candidates": singles, "_several": several}
@@ -42,11 +44,13 @@ def decided(
     monkeypatch.setattr(room, "refit", lambda *_, **__: None)
     monkeypatch.setattr(room, "told_apart", lambda found, baseline, _: (found, baseline))
     monkeypatch.setattr(room, "_again", lambda _, of: again or of)
+    monkeypatch.setattr(room, "flicker_at_look", lambda *_: flicker_nats)
     expected = SimpleNamespace(
         take_tangents=lambda *_: None,
         neutral=None,
         passed=lambda *_: [],
         residuals=lambda _: baseline.refit.residuals,
+        stated=lambda name: REGISTRY[name].neutral,
     )
     return decide(expected, baseline, (), lambda fits: [left.get(fit.ids, seen) for fit in fits], print)
 
@@ -185,15 +189,20 @@ def further(monkeypatch, best, pairs, seen=1.0):
     return room._several(expected, candidate(left=9.0), best, (), lambda _: [seen], print)
 
 
-def test_a_trifle_is_passed_over_beside_another_effect(monkeypatch):
-    trifle, pair = (candidate("gamma", name, left=0.7) for name in ("fume", "defocus"))
-    for one in (trifle, pair):
-        one.refit.mean_square = 0.7
-    best = candidate("gamma", left=1.0)
-    assert further(monkeypatch, best, [trifle, pair]) is trifle
-    trifle.refit.effects["fume"] = {**REGISTRY["fume"].neutral, "extinction_per_m": 0.01}
-    assert further(monkeypatch, best, [trifle, pair]) is pair
-    assert further(monkeypatch, best, [trifle]) is None
+def test_a_trifle_is_not_named_beside_what_leaves_nothing(monkeypatch):
+    """35 nats are what the first one's form leaves."""
+    pair = candidate("gamma", "fume", left=0.7)
+    singles = [candidate("gamma", left=1.0)]
+    assert decided(monkeypatch, candidate(left=9.0), singles, pair, 0.5).chosen is pair
+    pair.refit.effects["fume"] = {**REGISTRY["fume"].neutral, "extinction_per_m": 0.01}
+    assert decided(monkeypatch, candidate(left=9.0), singles, pair, 0.5).chosen.ids == ("gamma",)
+
+
+def test_what_pixels_say_against_one_effect_is_no_evidence_of_another_s_own(monkeypatch):
+    """In bins the pair has 7.3 nats more."""
+    best, pair = candidate("gamma", left=1.0), candidate("gamma", "fume", left=0.93)
+    best.evidence -= 4.0
+    assert decided(monkeypatch, candidate(left=9.0), [best], pair, 0.5).chosen.ids == ("gamma",)
 
 
 @pytest.mark.parametrize(("left", "named"), [(0.92, ("gamma",)), (0.91, ("gamma", "defocus"))])
@@ -204,6 +213,8 @@ def test_what_seems_to_gain_little_is_not_fitted_beside_what_leaves_nothing(monk
     look = SimpleNamespace(id="defocus", left=left)
     found = decided(monkeypatch, candidate(left=9.0), [best], pair, 0.5, seen_from=[look])
     assert found.chosen.ids == named
+    found = decided(monkeypatch, candidate(left=9.0), [best], pair, 0.5, seen_from=[look], flicker_nats=6.1)
+    assert found.chosen.ids == pair.ids
 
 
 @pytest.mark.parametrize(("alone", "named"), [(0.79, ("gamma",)), (0.81, ("gamma", "defocus"))])

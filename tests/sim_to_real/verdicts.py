@@ -17,6 +17,7 @@ class Fitted:
     left: float
     refit: SimpleNamespace
     evidence: float
+    of_bins: float
     left_in_pixels: float = np.nan
     is_held_back: bool = False
 
@@ -27,4 +28,4 @@ def candidate(*ids, left=1.0):
     fit = SimpleNamespace(
         ids=ids, residuals=residuals, nuisance=None, effects=effects, change=None, mean_square=left
     )
-    return Fitted(ids, left, fit, likelihood_nats(left))
+    return Fitted(ids, left, fit, likelihood_nats(left), likelihood_nats(left))

@@ -85,6 +85,7 @@ def test_hits_settle_on_the_exact_surface_with_its_normals(joint_type):
 
 @pytest.mark.parametrize(("joint_type", "over"), [("v_groove", -4.0), ("lap", 0.0), ("corrugation", 8.0)])
 def test_the_seam_point_is_the_root_or_the_foot(joint_type, over):
+    """On a crest the ridge's lean does not show but in second order."""
     x, y, z = surface_of(joint_type).seam_point(60.0)
     assert (x, y) == (60.0, pytest.approx(0.9 * math.sin(2.0 * math.pi * 60.0 / 110.0)))
     assert z == pytest.approx(over + 0.6, abs=2e-3)
