@@ -215,6 +215,8 @@ def _withheld(cases: list[Case]) -> list[Score]:
     truly = [case for case in again if case.answer.alone == case.effects[0]]
     counted = [c for c in truly if c.again is not None and not c.is_unresolvable(c.again.named)]
 
+    clear = [case for case in counted if case.answer.is_clear]
+
     def is_unknown(case: Case) -> bool:
         return case.again is not None and case.again.verdict == "unknown"
 
@@ -228,6 +230,12 @@ def _withheld(cases: list[Case]) -> list[Score]:
             "unknown where the effect is withheld",
             _rate(counted, is_unknown),
             Rate(0, len(counted)),
+        ),
+        row(
+            "unknown_clear",
+            "unknown where the effect is withheld and gap ≥ 3 floors",
+            _rate(clear, is_unknown),
+            Rate(0, len(clear)),
         ),
         row(
             "apart",

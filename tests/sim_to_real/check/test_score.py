@@ -53,7 +53,14 @@ A_CASES = [
         sure("exposure_drift"),
     ),
     # Right; once withheld, another is named.
-    Case("03", "A", ("fume",), sure("fume", stage="medium"), likeness("spatter"), sure("veiling_glare")),
+    Case(
+        "03",
+        "A",
+        ("fume",),
+        sure("fume", stage="medium", gap_before=1.0),
+        likeness("spatter"),
+        sure("veiling_glare"),
+    ),
     # Wrong, the hidden one is third; what was withheld was not what is hidden.
     Case(
         "04",
@@ -133,12 +140,13 @@ def scores():
         ("best_A", 6, 9, (3, 9)),
         # The fifth is left out.
         ("top1_resolvable_A", 4, 8, (2, 8)),
-        # The fifth and the eighth have small gaps.
-        ("top1_clear_A", 4, 7, (2, 7)),
-        ("detected_clear_A", 6, 7, (7, 7)),
+        # The third, the fifth and the eighth have small gaps.
+        ("top1_clear_A", 3, 6, (2, 6)),
+        ("detected_clear_A", 5, 6, (6, 6)),
         ("stage_A", 7, 9, (5, 9)),
         ("false_unknown_A", 2, 9, (0, 9)),
         ("unknown_B", 1, 2, (0, 2)),
+        ("unknown_clear_B", 1, 1, (0, 1)),
         ("apart_B", 1, 3, (0, 0)),
         ("wrongly_withheld_B", 2, 9, (0, 0)),
         ("not_withheld_B", 4, 9, (0, 0)),
@@ -183,11 +191,11 @@ def test_without_experiments_nothing_is_measured(scores):
 
 def test_figures(scores):
     found = {one.id: one for one in scores.figures}
-    # Clear gaps in A: 1 to 4 close 0.9, the ambiguous one 0.7, the unknown 0.9.
-    assert found["gap_closed"].of == 6
+    # Clear gaps in A: 1, 2 and 4 close 0.9, the ambiguous one 0.7, the unknown 0.9.
+    assert found["gap_closed"].of == 5
     assert found["gap_closed"].value == pytest.approx(0.9)
     # Only the fourth's best candidate is not the hidden one: 0.8 over 0.6.
-    assert found["closed_over_true"].of == 4
+    assert found["closed_over_true"].of == 3
     assert found["closed_over_true"].value == pytest.approx(1.0)
     assert found["closed_over_true"].bounds[1] == pytest.approx(0.8 / 0.6, abs=0.2)
     # Named in A, C, E: 0.95 right in 01 02 03 10, wrong in 05 17, 0.92 wrong in 04; 0.55 right in 06.
