@@ -82,7 +82,7 @@ class Change:
     def shares(self, observed: Observed) -> Float64:
         """Return u of each residual (n,)."""
         of_frames = [self.share(observed.setup, frame) for frame in observed.frames]
-        return np.repeat(of_frames, [int(frame.keep.sum()) for frame in observed.frames])
+        return np.repeat(of_frames, observed.counts)
 
     def at(self, effects: Mapping[str, Values], setup: Setup, frame: ObservedFrame) -> dict[str, Values]:
         """Return effects as they are in a frame."""

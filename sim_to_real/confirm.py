@@ -7,11 +7,11 @@ from collections.abc import Callable, Sequence
 from dataclasses import replace
 
 from noise_model.effects import REGISTRY, Values
+from sim_to_real.candidate import Candidate
 from sim_to_real.change import ends_of
 from sim_to_real.diagnosis import CLEAR_FLOORS, Gap, Verdict
+from sim_to_real.places import is_trifle
 from sim_to_real.scatter import Scatter
-from sim_to_real.screen import is_trifle
-from sim_to_real.select import Candidate
 from sim_to_real.verdict import Decision, without_help
 
 MOSTLY_RANDOM = 0.5

@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
 
 from threadpoolctl import threadpool_limits
 
 from noise_model.effects import REGISTRY
 from noise_model.frames import Float64
 from noise_model.setup import Setup
+from sim_to_real.candidate import Candidate, judged
 from sim_to_real.confirm import (
     closing,
     must_help,
@@ -41,10 +43,11 @@ from sim_to_real.observed import PoseAt, observe
 from sim_to_real.refit import Refit, refit, settled
 from sim_to_real.scatter import Scatter, scatter
 from sim_to_real.seam_error import seam_errors_mm
-from sim_to_real.select import Candidate, judged
+from sim_to_real.select import Search
+from sim_to_real.several import with_shares
 from sim_to_real.split import held_out, one_of_each
 from sim_to_real.stage import stages
-from sim_to_real.verdict import Decision, decide, in_question, with_shares
+from sim_to_real.verdict import Decision, decide, in_question
 from tracker.state import Frame
 
 HELD, LEFT_ASIDE = 0.25, 0.34
@@ -121,11 +124,10 @@ def _diagnosed(
     def in_pixels(fits: Sequence[Refit]) -> Float64:
         return left_in_pixels(looked_at, choosing, fits, scattered.effects)
 
-    decision = decide(
-        choosing, baseline, without, in_pixels, lambda text, share: heard(text, 0.1 + 0.5 * share)
-    )
-    decision = with_random(decision, baseline, scattered)
-    decision, share = with_shares(choosing, baseline, decision)
+    search = Search(choosing, without, in_pixels, lambda text, share: heard(text, 0.1 + 0.5 * share))
+    decision = with_random(decide(search, baseline), baseline, scattered)
+    chosen, share = with_shares(choosing, baseline, decision.chosen)
+    decision = replace(decision, chosen=chosen)
     signatures = own_signatures(decision.start, decision.screened)
     alike = not_resolvable(signatures)
 

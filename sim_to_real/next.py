@@ -18,6 +18,7 @@ from noise_model.condition import Condition
 from noise_model.effects import REGISTRY
 from noise_model.frames import Float64, moved
 from noise_model.setup import Setup
+from sim_to_real.candidate import cost_nats
 from sim_to_real.diagnosis import Estimate, Next
 from sim_to_real.expected import Expected
 from sim_to_real.experiments import MENU, Experiment
@@ -25,7 +26,6 @@ from sim_to_real.observed import ObservedFrame, variances_dn2
 from sim_to_real.quadratic import N_EFFECTIVE
 from sim_to_real.refit import NAMED_FROM, Refit
 from sim_to_real.screen import Screened
-from sim_to_real.select import cost_nats
 
 ALIKE = 0.98
 """A signature of which this share, as a cosine, lies in another's span cannot be told from it."""

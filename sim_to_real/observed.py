@@ -26,6 +26,7 @@ from sim_to_real.sightings import MOVING, Sightings
 from tracker.state import Frame, Pose
 
 Float32 = npt.NDArray[np.float32]
+Int64 = npt.NDArray[np.int64]
 
 PoseAt = Callable[[float], Pose | None]
 """The tool's pose as the controller stamped it for a time, None where there is none."""
@@ -110,6 +111,11 @@ class Observed:
     def lit(self) -> Bool:
         """The frames (n_frames,) that the arc lights."""
         return np.array([frame.condition.arc_level > 0.0 for frame in self.frames], dtype=np.bool_)
+
+    @property
+    def counts(self) -> Int64:
+        """How many bins of each frame count (n_frames,)."""
+        return np.array([np.count_nonzero(frame.keep) for frame in self.frames], dtype=np.int64)
 
     def seam_with(self, effects: Mapping[str, Values]) -> SeamCurve:
         """Return the seam as the tracker would have found it, had it known of effects."""

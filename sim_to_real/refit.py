@@ -230,7 +230,7 @@ class _Problem:
 
     @property
     def counts(self) -> Int64:
-        return np.array([int(frame.keep.sum()) for frame in self.expected.observed.frames])
+        return self.expected.observed.counts
 
     @cached_property
     def parameters(self) -> tuple[Parameter, ...]:
@@ -337,7 +337,7 @@ def about_mean(expected: Expected) -> Float64:
 
 def own_levels(expected: Expected, by_level: Float64) -> Float64:
     """Return derivatives (n, f) by frames' own ln levels of the arc; those by all at once are (n,)."""
-    counts = [int(frame.keep.sum()) for frame in expected.observed.frames]
+    counts = expected.observed.counts
     frame = np.repeat(np.arange(len(counts)), counts)[:, np.newaxis]
     return np.where(frame == np.arange(len(counts)), by_level[:, np.newaxis], 0.0) @ about_mean(expected)
 

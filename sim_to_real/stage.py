@@ -367,7 +367,7 @@ class _Views:
         The seam runs straight as in the middle of the view: that is enough for what light changes by.
         """
         held, rays = self.held, Rays.of(true.camera)
-        starts = np.cumsum([0, *(int(frame.keep.sum()) for frame in self.expected.observed.frames)])
+        starts = np.cumsum([0, *self.expected.observed.counts])
 
         def of_frame(frame: ObservedFrame) -> tuple[Float32, Float32]:
             first, last = np.searchsorted(held.chosen, starts[frame.position : frame.position + 2])

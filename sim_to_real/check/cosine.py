@@ -16,7 +16,7 @@ from noise_model.frames import Float64
 from noise_model.setup import Setup
 from sim_to_real.expected import Effects, Expected
 from sim_to_real.observed import Observed, PoseAt, observe
-from sim_to_real.screen import DEAR
+from sim_to_real.places import DEAR
 from tracker.state import Frame
 
 EVERY = 6

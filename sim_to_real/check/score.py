@@ -214,7 +214,6 @@ def _withheld(cases: list[Case]) -> list[Score]:
     again = [case for case in cases if case.again is not None]
     truly = [case for case in again if case.answer.alone == case.effects[0]]
     counted = [c for c in truly if c.again is not None and not c.is_unresolvable(c.again.named)]
-
     clear = [case for case in counted if case.answer.is_clear]
 
     def is_unknown(case: Case) -> bool:

@@ -9,10 +9,12 @@ import pytest
 import arctrack.simulate
 from noise_model.effects import REGISTRY
 from noise_model.forward import draw_frame
+from sim_to_real.candidate import judged
 from sim_to_real.change import CHANGING, Change, Driver
+from sim_to_real.places import FAMILIES
 from sim_to_real.refit import FLICKER, NAMED_FROM, refit
-from sim_to_real.screen import FAMILIES, screen_changes
-from sim_to_real.select import candidates, judged, looked, with_changes
+from sim_to_real.screen import screen_changes
+from sim_to_real.select import Search, candidates, looked, with_changes
 from tests.sim_to_real.small import small_recording
 
 FINE = 3
@@ -51,8 +53,9 @@ def test_values_stay_within_their_bounds(observed):
     assert change.at(effects, observed.setup, last)["fume"]["extinction_per_m"] == pytest.approx(1.5)
 
 
-def silent(text, share):
-    pass
+def search(expected, without=()):
+    """A search that asks no pixels."""
+    return Search(expected, without, lambda fits: np.zeros(len(fits)), lambda text, share: None)
 
 
 def blown(setup, T_base_tool, condition, rng, **drawn):
@@ -65,15 +68,15 @@ def changed(expected, *found):
     """What becomes of candidates if they may change, or of arc_deflection if there are none."""
     baseline = refit(expected, {}, expected.neutral, steps=0)
     among = {name for one in found for name in one.ids} or {"arc_deflection"}
-    screened = looked(expected, baseline, [name for name in FAMILIES if name not in among])
-    return with_changes(expected, baseline, screened, found, silent)
+    only = search(expected, [name for name in FAMILIES if name not in among])
+    return with_changes(only, baseline, looked(only, baseline), found)
 
 
 def test_the_first_look_sees_by_what_an_effect_changes(tmp_path):
     with patch.object(arctrack.simulate, "draw_frame", blown):
         expected = small_recording(tmp_path / "blown", {}, FINE)
     baseline = refit(expected, {}, expected.neutral, steps=0)
-    looks = screen_changes(expected, baseline, looked(expected, baseline, ()))
+    looks = screen_changes(expected, baseline, looked(search(expected), baseline))
     best = looks[0]
     assert {look.change.effect for look in looks} == set(CHANGING)
     assert (best.change.effect, best.change.driver) == ("arc_deflection", Driver.TIME)
@@ -120,10 +123,11 @@ def test_another_effect_is_found_beside_one_that_changes(tmp_path):
     (changes,) = changed(expected, stays)
     assert changes.refit.change is not None
     others = [name for name in FAMILIES if name not in ("veiling_glare", "arc_length")]
-    screened = looked(expected, changes.refit, others)
+    beside = search(expected, (FLICKER, *others))
+    screened = looked(beside, changes.refit)
     # It looks on from where the fit has come to, its change included; a look is a straight line.
     assert all(one.left < 1.01 for one in screened)
-    best = candidates(expected, changes.refit, screened, changes.left, (FLICKER, *others), silent)[0]
+    best = candidates(beside, changes.refit, screened, changes.left)[0]
     assert best.ids == ("arc_deflection", "veiling_glare")
     assert best.refit.effects["veiling_glare"]["share"] == pytest.approx(0.08, abs=0.02)
     change, middle = best.refit.change, best.refit.effects["arc_deflection"]

@@ -19,7 +19,7 @@ from sim_to_real.confirm import (
     without_trifle,
 )
 from sim_to_real.diagnosis import Gap, Verdict
-from sim_to_real.screen import size
+from sim_to_real.places import size
 from sim_to_real.verdict import Decision
 from tests.sim_to_real.verdicts import candidate
 

@@ -9,12 +9,12 @@ import pytest
 from noise_model.effects import REGISTRY
 from noise_model.fit import Parameter
 from sim_to_real import select
+from sim_to_real.candidate import Candidate, beyond_form, is_explained, judged, likelihood_nats
 from sim_to_real.held import left_in_pixels
 from sim_to_real.nuisances import SEAM_FROM
 from sim_to_real.quadratic import Quadratic
 from sim_to_real.refit import followed, refit
-from sim_to_real.select import ALIKE_NATS, Candidate, beyond_form, judged, likelihood_nats, told_apart
-from sim_to_real.verdict import is_explained
+from sim_to_real.select import ALIKE_NATS, Search, told_apart
 from tests.sim_to_real.small import small_recording
 
 
@@ -96,20 +96,20 @@ BASELINE = candidate("", 5.0, 0)
 
 
 def pixels(**left):
-    """What pixels say of fits; of the baseline that it leaves 20."""
+    """A search in which pixels say what fits leave, of the baseline 20; and of which they were asked."""
     asked, left = [], {"": 20.0, **left}
 
     def in_pixels(fits):
         asked.append([fit.ids[0] for fit in fits])
         return np.array([left[fit.ids[0]] for fit in fits])
 
-    return in_pixels, asked
+    return Search(None, (), in_pixels, print), asked
 
 
 def test_pixels_decide_between_what_bins_find_alike():
-    in_pixels, asked = pixels(drift=4.0, defocus=0.8)
+    search, asked = pixels(drift=4.0, defocus=0.8)
     alike = [candidate("drift", 1.00), candidate("defocus", 1.05)]
-    found, baseline = told_apart([*alike, candidate("gamma", 9.0)], BASELINE, in_pixels)
+    found, baseline = told_apart(search, [*alike, candidate("gamma", 9.0)], BASELINE)
     assert asked == [["", "drift", "defocus"]]
     assert baseline.left_in_pixels == 20.0
     assert ids(found) == ["defocus", "drift", "gamma"]
@@ -119,16 +119,16 @@ def test_pixels_decide_between_what_bins_find_alike():
 
 
 def test_where_nothing_explains_the_bins_pixels_are_asked_of_the_first_ones():
-    in_pixels, asked = pixels(gamma=4.0, defocus=0.8)
-    found, _ = told_apart([candidate("gamma", 1.5), candidate("defocus", 2.2)], BASELINE, in_pixels)
+    search, asked = pixels(gamma=4.0, defocus=0.8)
+    found, _ = told_apart(search, [candidate("gamma", 1.5), candidate("defocus", 2.2)], BASELINE)
     assert candidate("gamma", 1.5).evidence - candidate("defocus", 2.2).evidence > ALIKE_NATS
     assert asked == [["", "gamma", "defocus"]]
     assert ids(found) == ["defocus", "gamma"]
 
 
 def test_pixels_are_not_asked_where_one_explains_all_and_none_is_like_it():
-    in_pixels, asked = pixels(gamma=1.0)
-    found, baseline = told_apart([candidate("gamma", 1.0), candidate("fume", 9.0)], BASELINE, in_pixels)
+    search, asked = pixels(gamma=1.0)
+    found, baseline = told_apart(search, [candidate("gamma", 1.0), candidate("fume", 9.0)], BASELINE)
     assert asked == []
     assert math.isnan(found[0].left_in_pixels)
     assert baseline is BASELINE
@@ -149,16 +149,16 @@ def test_what_an_effect_changes_is_known_to_a_tenth():
 def test_what_leaves_hardly_anything_of_what_pixels_show_explains_a_gap():
     unmoved = SimpleNamespace(passed=lambda *_: [], residuals=lambda _: np.full(50, math.sqrt(2.0)))
     for shown, left, is_enough in ((20.0, 1.9, True), (20.0, 2.1, False), (1.3, 0.9, False)):
-        in_pixels, _ = pixels(**{"": shown, "blooming": left})
-        (found,), baseline = told_apart([candidate("blooming", 2.0)], BASELINE, in_pixels)
+        search, _ = pixels(**{"": shown, "blooming": left})
+        (found,), baseline = told_apart(search, [candidate("blooming", 2.0)], BASELINE)
         assert is_explained(unmoved, found, baseline) is is_enough
 
 
 def test_what_pixels_do_not_show_halved_explains_no_gap():
     large = SimpleNamespace(passed=lambda *_: [], residuals=lambda _: np.full(50, 12.0))
     for left, is_enough in ((10.4, True), (10.6, False)):
-        in_pixels, _ = pixels(arc_radius=left)
-        (found,), baseline = told_apart([candidate("arc_radius", 1.2)], BASELINE, in_pixels)
+        search, _ = pixels(arc_radius=left)
+        (found,), baseline = told_apart(search, [candidate("arc_radius", 1.2)], BASELINE)
         assert is_explained(large, found, baseline) is is_enough
 
 

@@ -2,15 +2,16 @@
 
 from types import SimpleNamespace
 
-import numpy as np
 import pytest
 
 from noise_model.effects import REGISTRY
+from sim_to_real import several as beside
 from sim_to_real import verdict as room
+from sim_to_real.candidate import likelihood_nats
 from sim_to_real.diagnosis import Verdict
 from sim_to_real.quadratic import N_EFFECTIVE
-from sim_to_real.select import likelihood_nats
-from sim_to_real.verdict import Decision, decide, in_question, with_shares
+from sim_to_real.select import Search
+from sim_to_real.verdict import decide, in_question
 from tests.sim_to_real.verdicts import candidate
 
 PROMISING = SimpleNamespace(id="fume", left=0.1)
@@ -37,14 +38,15 @@ def decided(
     where `flicker_nats` are what arc_flicker seems to gain.
     """
     left = seen if isinstance(seen, dict) else {}
-    answers = {"looked": looks, "candidates": singles, "_several": several}
-    answers |= {"with_dear": dear or singles, "with_changes": changes or singles, "seen_from": seen_from}
+    answers = {"looked": looks, "candidates": singles}
+    answers |= {"with_dear": dear or singles, "with_changes": changes or singles}
     for name, answer in answers.items():
         monkeypatch.setattr(room, name, lambda *_, answer=answer: answer)
+    for name, answer in {"several": several, "seen_from": seen_from, "flicker_at_look": flicker_nats}.items():
+        monkeypatch.setattr(beside, name, lambda *_, answer=answer: answer)
     monkeypatch.setattr(room, "refit", lambda *_, **__: None)
-    monkeypatch.setattr(room, "told_apart", lambda found, baseline, _: (found, baseline))
+    monkeypatch.setattr(room, "told_apart", lambda _, found, baseline: (found, baseline))
     monkeypatch.setattr(room, "_again", lambda _, of: again or of)
-    monkeypatch.setattr(room, "flicker_at_look", lambda *_: flicker_nats)
     expected = SimpleNamespace(
         take_tangents=lambda *_: None,
         neutral=None,
@@ -52,7 +54,8 @@ def decided(
         residuals=lambda _: baseline.refit.residuals,
         stated=lambda name: REGISTRY[name].neutral,
     )
-    return decide(expected, baseline, (), lambda fits: [left.get(fit.ids, seen) for fit in fits], print)
+    search = Search(expected, (), lambda fits: [left.get(fit.ids, seen) for fit in fits], print)
+    return decide(search, baseline)
 
 
 def test_one_that_is_enough_beside_likelier_ones_is_ambiguous_with_them(monkeypatch):
@@ -157,38 +160,6 @@ def test_levels_of_single_frames_do_not_hide_what_grows_from_frame_to_frame(monk
     assert found.chosen.ids == ("gamma",)
 
 
-@pytest.mark.parametrize(
-    ("foreseen", "fitted", "seen", "explain"),
-    [
-        (1.19, 1.1, 1.0, True),
-        (1.35, 1.1, 1.0, False),
-        (1.35, 0.95, 1.0, True),
-        (1.6, 0.95, 1.0, False),
-        # Bins are predicted by a coarse camera, pixels are not.
-        (1.35, 1.1, 0.69, True),
-        (1.6, 1.1, 0.69, False),
-    ],
-)
-def test_several_that_leave_nothing_where_they_were_fitted_need_not_foresee_as_well(
-    monkeypatch, foreseen, fitted, seen, explain
-):
-    pair = candidate("laser_power_drift", "defocus", left=foreseen)
-    pair.refit.mean_square = fitted
-    found = further(monkeypatch, candidate("laser_power_drift", left=2.5), [pair], seen=seen)
-    assert (found and found.ids) == (pair.ids if explain else None)
-
-
-def further(monkeypatch, best, pairs, seen=1.0):
-    """Look for further effects; pairs leave what is `seen` in pixels."""
-    monkeypatch.setattr(room, "looked", lambda *_: ["a look"])
-    for name in ("candidates", "with_dear"):
-        monkeypatch.setattr(room, name, lambda *_: pairs)
-    monkeypatch.setattr(room, "refit_from", lambda *_: None)
-    monkeypatch.setattr(room, "judged", lambda *_: candidate("defocus", left=4.0))
-    expected = SimpleNamespace(stated=lambda name: REGISTRY[name].neutral)
-    return room._several(expected, candidate(left=9.0), best, (), lambda _: [seen], print)
-
-
 def test_a_trifle_is_not_named_beside_what_leaves_nothing(monkeypatch):
     """35 nats are what the first one's form leaves."""
     pair = candidate("gamma", "fume", left=0.7)
@@ -215,41 +186,6 @@ def test_what_seems_to_gain_little_is_not_fitted_beside_what_leaves_nothing(monk
     assert found.chosen.ids == named
     found = decided(monkeypatch, candidate(left=9.0), [best], pair, 0.5, seen_from=[look], flicker_nats=6.1)
     assert found.chosen.ids == pair.ids
-
-
-@pytest.mark.parametrize(("alone", "named"), [(0.79, ("gamma",)), (0.81, ("gamma", "defocus"))])
-def test_evidence_of_its_own_names_an_effect_of_a_small_share(monkeypatch, alone, named):
-    """Both leave less than the floor: 0.72 after 0.79 are 9.3 nats, after 0.81 they are 11.8."""
-    pair = candidate("gamma", "defocus", left=0.72)
-    left = {("gamma",): alone, ("defocus",): 9.0, ("gamma", "defocus"): 0.72}
-    monkeypatch.setattr(
-        room, "refit_from", lambda _, __, effects: candidate(*effects, left=left[tuple(effects)])
-    )
-    monkeypatch.setattr(room, "judged", lambda _, of: of)
-    decision = Decision(Verdict.EFFECTS, pair, 1.0, (), np.zeros(0), (), (), None)
-    found, share = with_shares(None, candidate(left=9.0), decision)
-    assert found.chosen.ids == tuple(share) == named
-
-
-@pytest.mark.parametrize(
-    ("baseline", "alone", "share"),
-    [
-        # Below the model's floor all that there is counts: of sqrt(0.3) either leaves sqrt(0.1).
-        ((0.95, 0.65), (0.75, 0.75), (0.5, 0.5)),
-        ((5.0, 0.9), (1.0, 5.0), (1.0, 0.0)),
-        # Alone the second one would do harm, and is left neutral: beside the first it closes 0.5 of 2.
-        ((5.0, 1.0), (1.25, 9.0), (0.875, 0.125)),
-        # Nothing is closed at all.
-        ((0.8, 0.8), (0.8, 0.8), (0.5, 0.5)),
-    ],
-)
-def test_shares_below_the_floor_are_shares_still(monkeypatch, baseline, alone, share):
-    pair = candidate("gamma", "fume", left=baseline[1])
-    left = dict(zip(("gamma", "fume"), alone, strict=True))
-    monkeypatch.setattr(room, "refit_from", lambda _, __, effects: effects)
-    monkeypatch.setattr(room, "judged", lambda _, effects: SimpleNamespace(left=left[next(iter(effects))]))
-    found = room.shares(None, candidate(left=baseline[0]), pair)
-    assert tuple(found.values()) == pytest.approx(share)
 
 
 @pytest.mark.parametrize(("lead", "verdict"), [(0.9, Verdict.EFFECTS), (0.6, Verdict.UNKNOWN)])

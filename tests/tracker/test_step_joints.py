@@ -43,20 +43,21 @@ U_AREA_MM2 = u_area_mm2()
 def test_it_is_tracked_in_simulated_frames(name: str) -> None:
     setup = setup_of(name)
     tracker = Tracker(setup)
-    # Two sheets on edge stand in few lines: noise alone makes 0.05 mm rms of it.
-    seen_share, most_mm = (0.15, 0.15) if name == "edge" else (0.9, 0.03)
+    # Two sheets on edge stand in few lines: a frame's noise alone is more than any offset may be.
+    seen_share, n_frames = (0.15, 20) if name == "edge" else (0.9, 5)
     errors = []
-    for frame, pose in walk(setup, 5, SEAM):
+    for frame, pose in walk(setup, n_frames, SEAM):
         track = tracker.step(frame, pose)
         error = np.array(track.seam_tool_mm) - true_seam_tool(setup, pose, SEAM)
         assert track.valid, track.flag_names
         assert track.stripe is not None
         assert np.isfinite(track.stripe.position_px).mean() > seen_share, name
-        assert abs(error[1]) < most_mm, error
+        assert abs(error[1]) < 0.03 or name == "edge", error
         assert abs(error[2]) < 0.03, error
-        errors.append(abs(error[1]))
+        errors.append(error[1])
         assert not track.flags & (flags.JOINT_TYPE_MISMATCH.mask | flags.JOINT_MISFIT.mask), track.flag_names
-    assert np.median(errors) < 0.03, errors
+    assert abs(np.mean(errors)) < 0.02, errors
+    assert np.sqrt(np.mean(np.square(errors))) < 0.05, errors
 
 
 @pytest.mark.parametrize(

@@ -1,0 +1,75 @@
+"""Several effects: what explains a gap together, and whose share of it is whose."""
+
+from types import SimpleNamespace
+
+import pytest
+
+from sim_to_real import several as room
+from sim_to_real.select import Search
+from tests.sim_to_real.verdicts import candidate
+
+
+@pytest.mark.parametrize(
+    ("foreseen", "fitted", "seen", "explain"),
+    [
+        (1.19, 1.1, 1.0, True),
+        (1.35, 1.1, 1.0, False),
+        (1.35, 0.95, 1.0, True),
+        (1.6, 0.95, 1.0, False),
+        # Bins are predicted by a coarse camera, pixels are not.
+        (1.35, 1.1, 0.69, True),
+        (1.6, 1.1, 0.69, False),
+    ],
+)
+def test_several_that_leave_nothing_where_they_were_fitted_need_not_foresee_as_well(
+    monkeypatch, foreseen, fitted, seen, explain
+):
+    pair = candidate("laser_power_drift", "defocus", left=foreseen)
+    pair.refit.mean_square = fitted
+    found = further(monkeypatch, candidate("laser_power_drift", left=2.5), [pair], seen=seen)
+    assert (found and found.ids) == (pair.ids if explain else None)
+
+
+def further(monkeypatch, best, pairs, seen=1.0):
+    """Look for further effects; pairs leave what is `seen` in pixels."""
+    monkeypatch.setattr(room, "looked", lambda *_: ["a look"])
+    for name in ("candidates", "with_dear"):
+        monkeypatch.setattr(room, name, lambda *_: pairs)
+    monkeypatch.setattr(room, "refit_from", lambda *_: None)
+    monkeypatch.setattr(room, "judged", lambda *_: candidate("defocus", left=4.0))
+    search = Search(SimpleNamespace(), (), lambda _: [seen], print)
+    return room.several(search, candidate(left=9.0), best)
+
+
+@pytest.mark.parametrize(("alone", "named"), [(0.79, ("gamma",)), (0.81, ("gamma", "defocus"))])
+def test_evidence_of_its_own_names_an_effect_of_a_small_share(monkeypatch, alone, named):
+    """Both leave less than the floor: 0.72 after 0.79 are 9.3 nats, after 0.81 they are 11.8."""
+    pair = candidate("gamma", "defocus", left=0.72)
+    left = {("gamma",): alone, ("defocus",): 9.0, ("gamma", "defocus"): 0.72}
+    monkeypatch.setattr(
+        room, "refit_from", lambda _, __, effects: candidate(*effects, left=left[tuple(effects)])
+    )
+    monkeypatch.setattr(room, "judged", lambda _, of: of)
+    found, share = room.with_shares(None, candidate(left=9.0), pair)
+    assert found.ids == tuple(share) == named
+
+
+@pytest.mark.parametrize(
+    ("baseline", "alone", "share"),
+    [
+        # Below the model's floor all that there is counts: of sqrt(0.3) either leaves sqrt(0.1).
+        ((0.95, 0.65), (0.75, 0.75), (0.5, 0.5)),
+        ((5.0, 0.9), (1.0, 5.0), (1.0, 0.0)),
+        # Alone the second one would do harm, and is left neutral: beside the first it closes 0.5 of 2.
+        ((5.0, 1.0), (1.25, 9.0), (0.875, 0.125)),
+        # Nothing is closed at all.
+        ((0.8, 0.8), (0.8, 0.8), (0.5, 0.5)),
+    ],
+)
+def test_shares_below_the_floor_are_shares_still(monkeypatch, baseline, alone, share):
+    pair = candidate("gamma", "fume", left=baseline[1])
+    left = dict(zip(("gamma", "fume"), alone, strict=True))
+    monkeypatch.setattr(room, "refit_from", lambda _, __, effects: effects)
+    monkeypatch.setattr(room, "judged", lambda _, effects: SimpleNamespace(left=left[next(iter(effects))]))
+    found = room.shares(None, candidate(left=baseline[0]), pair)
+    assert tuple(found.values()) == pytest.approx(share)
