@@ -111,6 +111,26 @@ class Quadratic:
         found = lsq_linear(factor.T, target, (low, high), method="bvls")
         return np.asarray(self.x + found.x / scale)
 
+    def summed(self) -> Quadratic:
+        """Return the same of all frames as if they were one."""
+        return replace(
+            self,
+            information=self.information.sum(axis=0, keepdims=True),
+            gradient=self.gradient.sum(axis=0, keepdims=True),
+            chi2=self.chi2.sum(keepdims=True),
+            counts=self.counts.sum(keepdims=True),
+        )
+
+    def only(self, kept: npt.NDArray[np.int64]) -> Quadratic:
+        """Return the same along some of the parameters, the others staying where they are."""
+        return replace(
+            self,
+            parameters=tuple(self.parameters[i] for i in kept),
+            x=self.x[kept],
+            information=self.information[:, kept[:, np.newaxis], kept],
+            gradient=self.gradient[:, kept],
+        )
+
     def without_bounds(self, freed: npt.NDArray[np.bool_]) -> Quadratic:
         """Return the same with no bounds for some of the parameters (p,)."""
         free = [

@@ -20,7 +20,7 @@ from sim_to_real.change import CHANGING, LEAST_RANGE, Change, Driver
 from sim_to_real.expected import Expected, Passed
 from sim_to_real.places import FAMILIES, PARTS, Family, about, free_part
 from sim_to_real.quadratic import Quadratic
-from sim_to_real.refit import Refit
+from sim_to_real.refit import FLICKER, Refit, own_levels
 
 LEAST = 0.05
 """A fit starts at least so far, of a place's distance, from neutral: some effects have no slope there."""
@@ -52,6 +52,29 @@ class Screened:
     others: tuple[Screened, ...] = ()
 
     @property
+    def n_parameters(self) -> int:
+        """How many numbers a fit has: of arc_flicker the levels of frames that show it, about their mean."""
+        if self.id == FLICKER:
+            return max(int(np.any(self.signature, axis=0).sum()) - 1, 1)
+        return len(REGISTRY[self.id].parameters)
+
+    def reaches(self, farthest: float = FARTHEST) -> list[tuple[float, float]]:
+        """Return how far along each place one may go within the parameters' bounds, and no farther."""
+        start = np.array(list(self.origin.values()))
+        return [_reach(REGISTRY[self.id].parameters, start, step, farthest) for step in self.steps]
+
+    def along(self, t: Float64) -> dict[str, float]:
+        """Return parameters so far along the places (k,), but not at the origin."""
+        return self.moved((t if np.abs(t).max() > LEAST else np.full(len(t), LEAST)) @ self.steps)
+
+    def moved(self, by: Float64) -> dict[str, float]:
+        """Return parameters by so much (p,) from the origin, within their bounds."""
+        parameters = REGISTRY[self.id].parameters
+        # On a bound by rounding is beyond it.
+        found = within_bounds(parameters, np.array(list(self.origin.values())) + by)
+        return dict(zip((of.name for of in parameters), found.tolist(), strict=True))
+
+    @property
     def starts(self) -> list[dict[str, float]]:
         """Where fits should start: light that is not rendered has valleys side by side."""
         return [one.start for one in (self, *self.others[: STARTS - 1])]
@@ -80,7 +103,7 @@ def seen_from(baseline: Refit, screened: Sequence[Screened]) -> list[Screened]:
     """
 
     def left(one: Screened) -> float:
-        return along(baseline, baseline.residuals, one.signature, _reaches(one))[0]
+        return along(baseline, baseline.residuals, one.signature, one.reaches())[0]
 
     return [
         replace(one, left=min(left(family) for family in (one, *one.others)))
@@ -111,10 +134,18 @@ def screen_changes(expected: Expected, baseline: Refit, screened: Sequence[Scree
 def _changed(baseline: Refit, r: Float64, one: Screened, change: Change, u: Float64) -> ScreenedChange:
     """Let one family's places change with u (n, 1) of the residuals."""
     ends = np.hstack([0.5 * (1.0 - u) * one.signature, 0.5 * (1.0 + u) * one.signature])
-    left, t = along(baseline, r, ends, 2 * _reaches(one, 2.0 * FARTHEST))
+    left, t = along(baseline, r, ends, 2 * one.reaches(2.0 * FARTHEST))
     low, high = t.reshape(2, -1) @ one.steps
-    start = _within(one.id, np.array(list(one.origin.values())) + 0.5 * (low + high))
-    return ScreenedChange(left, start, replace(change, by=tuple((0.5 * (high - low)).tolist())))
+    return ScreenedChange(
+        left, one.moved(0.5 * (low + high)), replace(change, by=tuple((0.5 * (high - low)).tolist()))
+    )
+
+
+def screen_flicker(expected: Expected, baseline: Refit) -> Screened:
+    """Return the look at arc_flicker: each frame has an arc level of its own, a column each."""
+    levels, neutral = own_levels(expected, baseline.jacobian[:, 0]), dict(REGISTRY[FLICKER].neutral)
+    one = Screened(FLICKER, 1.0, neutral, levels, neutral, np.zeros((levels.shape[1], len(neutral))))
+    return replace(one, left=along(baseline, baseline.residuals, levels, one.reaches())[0])
 
 
 def _rendered(expected: Expected, baseline: Refit, effects: Mapping[str, Values]) -> list[Passed]:
@@ -184,21 +215,28 @@ def _solved(
     places = about(name, origin, [place for family in families for place in family.places])
     steps = np.array([[place.get(key, value) - value for key, value in shaped.items()] for place in places])
     one = Screened(name, 1.0, {}, columns, shaped, steps)
-    left, t = along(baseline, r, columns, _reaches(one))
-    if not np.abs(t).max() > LEAST:
-        t = np.full(len(t), LEAST)
-    return replace(one, left=left, start=_within(name, np.array(list(shaped.values())) + t @ steps))
+    left, t = along(baseline, r, columns, one.reaches())
+    return replace(one, left=left, start=one.along(t))
 
 
 def along(
     baseline: Refit, r: Float64, columns: Float64, reach: Sequence[tuple[float, float]]
 ) -> tuple[float, Float64]:
     """Return what is left, as a share, at the best t (k,) along columns (n, k) and the nuisances; and t."""
+    quadratic = with_columns(baseline, r, columns, reach)
+    x = quadratic.solve()
+    return float(quadratic.costs(x).sum() / quadratic.chi2.sum()), x[len(baseline.x) :]
+
+
+def with_columns(
+    baseline: Refit, r: Float64, columns: Float64, reach: Sequence[tuple[float, float]]
+) -> Quadratic:
+    """Return the cost of residuals r (n,) along what the baseline was fitted by and columns (n, k)."""
     t = [
         Parameter(f"t_{k}", "", 0.0, np.inf, low, high, 1e-3 * (high - low))
         for k, (low, high) in enumerate(reach)
     ]
-    quadratic = Quadratic.of(
+    return Quadratic.of(
         (*baseline.quadratic.parameters, *t),
         np.concatenate([baseline.x, np.zeros(len(t))]),
         r,
@@ -206,21 +244,6 @@ def along(
         baseline.weights,
         baseline.quadratic.counts,
     )
-    x = quadratic.solve()
-    return float(quadratic.costs(x).sum() / quadratic.chi2.sum()), x[len(baseline.x) :]
-
-
-def _within(name: str, values: Float64) -> dict[str, float]:
-    """Return an effect's parameters: on a bound by rounding is beyond it."""
-    parameters = REGISTRY[name].parameters
-    found = within_bounds(parameters, values)
-    return dict(zip((of.name for of in parameters), found.tolist(), strict=True))
-
-
-def _reaches(one: Screened, farthest: float = FARTHEST) -> list[tuple[float, float]]:
-    """Return how far along each of an effect's places one may go."""
-    start = np.array(list(one.origin.values()))
-    return [_reach(REGISTRY[one.id].parameters, start, step, farthest) for step in one.steps]
 
 
 def _reach(

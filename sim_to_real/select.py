@@ -13,8 +13,8 @@ from noise_model.frames import Float64
 from sim_to_real.candidate import LEAST_LEFT, Candidate, cost_nats, judged, likelihood_nats
 from sim_to_real.expected import RENDERING, Effects, Expected
 from sim_to_real.places import DEAR, FAMILIES
-from sim_to_real.refit import FLICKER, NAMED_FROM, Refit, own_levels, refit, refit_from, settled
-from sim_to_real.screen import Screened, along, screen, screen_changes
+from sim_to_real.refit import FLICKER, NAMED_FROM, Refit, refit, refit_from, settled
+from sim_to_real.screen import Screened, screen, screen_changes, screen_flicker
 
 SETTLED = 3
 """So many of the best are fitted again where they came to."""
@@ -84,6 +84,13 @@ def looked(search: Search, baseline: Refit) -> list[Screened]:
         # Bounced light stays as it was computed: it would not go with what changes what is rendered.
         ids = [name for name in ids if name not in RENDERING]
     return screen(search.expected, baseline, ids)
+
+
+def with_flicker(search: Search, baseline: Refit, screened: Sequence[Screened]) -> list[Screened]:
+    """Return looks at effects that may be added to a baseline, with that at arc_flicker."""
+    if not search.has(FLICKER, baseline) or not _shows_arc(search.expected):
+        return list(screened)
+    return [*screened, screen_flicker(search.expected, baseline)]
 
 
 def candidates(search: Search, baseline: Refit, screened: Sequence[Screened], left: float) -> list[Candidate]:
@@ -211,22 +218,8 @@ def _is_resolved(found: Sequence[Candidate], left: float) -> bool:
 
 def nats_at_look(one: Screened, baseline: Refit) -> float:
     """Return how much evidence an effect seems to gain beside a baseline's at the first look."""
-    return _gained_nats(one.left, baseline) - cost_nats(len(REGISTRY[one.id].parameters))
-
-
-def flicker_at_look(search: Search, baseline: Refit) -> float:
-    """Return how much evidence arc_flicker seems to gain beside a baseline's, nats."""
-    expected = search.expected
-    if not search.has(FLICKER, baseline) or not _shows_arc(expected):
-        return -math.inf
-    columns = own_levels(expected, baseline.jacobian[:, 0])
-    left, _ = along(baseline, baseline.residuals, columns, [(-1.0, 1.0)] * columns.shape[1])
-    return _gained_nats(left, baseline) - cost_nats(int(expected.observed.lit.sum()) - 1)
-
-
-def _gained_nats(share: float, baseline: Refit) -> float:
-    """Return what is gained if a share of a baseline's mean square is left."""
-    return likelihood_nats(share * baseline.mean_square) - likelihood_nats(baseline.mean_square)
+    gained = likelihood_nats(one.left * baseline.mean_square) - likelihood_nats(baseline.mean_square)
+    return gained - cost_nats(one.n_parameters)
 
 
 def _is_worse(one: Screened, found: Sequence[Candidate], baseline: Refit) -> bool:

@@ -10,10 +10,11 @@ import numpy as np
 
 from sim_to_real.candidate import AT_FLOOR, CLEARLY_LEFT, HALVES, SHOWN_FROM, Candidate, judged, left_over
 from sim_to_real.expected import Expected
+from sim_to_real.pairs import screen_pairs
 from sim_to_real.places import is_trifle
-from sim_to_real.refit import NAMED_FROM, Refit, refit_from
+from sim_to_real.refit import NAMED_FROM, Refit, refit_from, settled
 from sim_to_real.screen import Screened, seen_from
-from sim_to_real.select import RESOLVED, Search, candidates, flicker_at_look, looked, nats_at_look, with_dear
+from sim_to_real.select import RESOLVED, Search, candidates, looked, nats_at_look, with_dear, with_flicker
 
 EXPLAINED = 0.12
 """A gap of which more is left is not explained by several effects."""
@@ -40,28 +41,37 @@ The first is for frames left out; the second is, where they leave no more than t
 nothing that pixels show.
 """
 
+PAIRS = 3
+"""So many pairs are fitted where the likeliest effect does not explain the gap."""
+
 MOST_EFFECTS = 3
 """So many effects are named at most."""
 
 
 def beside(
-    search: Search, baseline: Candidate, best: Candidate, explained: bool, screened: Sequence[Screened]
+    search: Search,
+    baseline: Candidate,
+    best: Candidate,
+    explained: bool,
+    start: Refit,
+    screened: Sequence[Screened],
 ) -> Candidate | None:
     """Return what explains the gap together with the best effect, where that leaves something; or None.
 
-    Of a best effect that explains the gap the pixels have been asked.
+    Of a best effect that explains the gap the pixels have been asked. Where it leaves some, it may mimic two
+    others: all were looked at from `start`.
     """
     if best.is_held_back and left_over(best, baseline) <= EXPLAINED:
         # Almost all of it is one other effect's, and what is added would only lend the mimic more numbers.
         return None
-    if not explained:
-        return several(search, baseline, best)
+    if not explained or best.left > CLEARLY_LEFT:
+        return several(search, baseline, best, _pairs(search, start, screened))
     shown = best.left_in_pixels > AT_FLOOR
-    if not shown and best.left <= CLEARLY_LEFT and not _may_gain(search, best.refit, screened):
+    if not shown and not _may_gain(search, best.refit, screened):
         return None
     found = several(search, baseline, best)
-    if found is None or best.left > CLEARLY_LEFT:
-        return found
+    if found is None:
+        return None
     if found.of_bins - best.of_bins >= BESIDE_NATS and not is_trifle(_added(found), search.expected.stated):
         return found
     if not shown:
@@ -73,12 +83,29 @@ def beside(
 
 def _may_gain(search: Search, fitted: Refit, screened: Sequence[Screened]) -> bool:
     """Say whether an effect beside those that were fitted seems to gain enough to be looked into."""
-    gains = [nats_at_look(one, fitted) for one in seen_from(fitted, screened)]
-    return max([flicker_at_look(search, fitted), *gains]) >= MAY_BESIDE_NATS
+    looks = with_flicker(search, fitted, seen_from(fitted, screened))
+    return max((nats_at_look(one, fitted) for one in looks), default=0.0) >= MAY_BESIDE_NATS
 
 
-def several(search: Search, baseline: Candidate, best: Candidate) -> Candidate | None:
-    """Return effects that explain the gap together, None if none do: forward steps, then backward."""
+def _pairs(search: Search, start: Refit, screened: Sequence[Screened]) -> list[Candidate]:
+    """Return fits of the pairs that are likeliest at the first look, the best one's settled."""
+    expected, found = search.expected, []
+    for pair in screen_pairs(start, with_flicker(search, start, screened), PAIRS):
+        search.on_stage(f"fitting {' and '.join(pair.starts)}", 0.0)
+        found.append(judged(expected, refit_from(expected, start, pair.starts)))
+    found.sort(key=lambda one: -one.evidence)
+    if found and found[0].left > RESOLVED:
+        found[0] = judged(expected, settled(expected, found[0].refit))
+    return found
+
+
+def several(
+    search: Search, baseline: Candidate, best: Candidate, pairs: Sequence[Candidate] = ()
+) -> Candidate | None:
+    """Return effects that explain the gap together, None if none do: forward steps, then backward.
+
+    The first step is to the best effect and another one, or to one of some `pairs`.
+    """
     chosen = best
     while chosen is best or (len(chosen.ids) < MOST_EFFECTS and left_over(chosen, baseline) > EXPLAINED):
         search.on_stage("looking for further effects", 0.0)
@@ -89,6 +116,8 @@ def several(search: Search, baseline: Candidate, best: Candidate) -> Candidate |
         left = further[0].left
         if left > CLEARLY_LEFT or (left > RESOLVED and left_over(further[0], baseline) > EXPLAINED):
             further = with_dear(search, chosen.refit, further)
+        if chosen is best:
+            further = sorted([*further, *pairs], key=lambda one: -one.evidence)
         if further[0].evidence - chosen.of_bins < NAMED_FROM:
             return None
         if left_over(further[0], baseline) > (1.0 - WORTH) * left_over(chosen, baseline):

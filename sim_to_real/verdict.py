@@ -128,7 +128,7 @@ def decide(search: Search, baseline: Candidate) -> Decision:
             # Pixels are finer than bins: a fit that has not quite settled shows in them.
             best = search.asked(_again(expected, best))
         singles = (best, *singles[1:])
-    several = beside(search, baseline, best, explained, screened)
+    several = beside(search, baseline, best, explained, start, screened)
     rivals = _rivals(singles)
     is_likely = (p >= IN_SET) | rivals
     likely = tuple(single.ids[0] for single, is_one in zip(singles, is_likely, strict=True) if is_one)

@@ -49,6 +49,15 @@ def test_what_is_fixed_stays_and_the_others_are_best_beside_it():
     np.testing.assert_allclose(found[others] - x[others], np.linalg.solve(A, -J[:, others].T @ (w * r)))
 
 
+def test_along_some_of_the_parameters_all_frames_at_once_it_is_the_same():
+    parameters, x, r, J, w = problem(6, (-0.4, 0.9))
+    whole, kept = Quadratic.of(parameters, x, r, J, w, COUNTS), np.array([0, 2])
+    some = whole.summed().only(kept)
+    np.testing.assert_allclose(some.solve(), whole.solve(fixed=slice(1, 2))[kept])
+    value = np.array([0.3, x[1], -0.1])
+    np.testing.assert_allclose(some.costs(value[kept]), whole.costs(value).sum())
+
+
 def test_costs_are_the_weighted_squares_of_each_frame():
     parameters, x, r, J, w = problem(2)
     value = np.array([0.3, -0.2, 1.0])

@@ -30,15 +30,22 @@ def test_several_that_leave_nothing_where_they_were_fitted_need_not_foresee_as_w
     assert (found and found.ids) == (pair.ids if explain else None)
 
 
-def further(monkeypatch, best, pairs, seen=1.0):
-    """Look for further effects; pairs leave what is `seen` in pixels."""
+def further(monkeypatch, best, pairs, seen=1.0, by_look=()):
+    """Look for further effects; pairs leave what is `seen` in pixels, and some are likely `by_look`."""
     monkeypatch.setattr(room, "looked", lambda *_: ["a look"])
     for name in ("candidates", "with_dear"):
         monkeypatch.setattr(room, name, lambda *_: pairs)
     monkeypatch.setattr(room, "refit_from", lambda *_: None)
     monkeypatch.setattr(room, "judged", lambda *_: candidate("defocus", left=4.0))
     search = Search(SimpleNamespace(), (), lambda _: [seen], print)
-    return room.several(search, candidate(left=9.0), best)
+    return room.several(search, candidate(left=9.0), best, by_look)
+
+
+def test_two_effects_that_a_third_mimics_explain_what_is_not_explained_beside_it(monkeypatch):
+    mimic, beside_it = candidate("dirty_window", left=4.0), candidate("dirty_window", "fume", left=3.5)
+    pair = candidate("arc_deflection", "argon_line_leak", left=0.8)
+    assert further(monkeypatch, mimic, [beside_it]) is None
+    assert further(monkeypatch, mimic, [beside_it], by_look=[pair]) is pair
 
 
 @pytest.mark.parametrize(("alone", "named"), [(0.79, ("gamma",)), (0.81, ("gamma", "defocus"))])

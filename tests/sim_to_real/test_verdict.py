@@ -14,7 +14,7 @@ from sim_to_real.select import Search
 from sim_to_real.verdict import decide, in_question
 from tests.sim_to_real.verdicts import candidate
 
-PROMISING = SimpleNamespace(id="fume", left=0.1)
+PROMISING = SimpleNamespace(id="fume", left=0.1, n_parameters=3)
 """An effect that seems to leave a tenth of what others do."""
 
 
@@ -29,21 +29,23 @@ def decided(
     dear=None,
     changes=None,
     seen_from=(PROMISING,),
-    flicker_nats=0.0,
+    flicker=None,
 ):
     """Decide between fits that are handed in; `seen` is what all leave in pixels, or each by its effects.
 
     `again` is the likeliest one after it has settled, `dear` are the fits with those that take long,
-    `changes` those whose size may change from frame to frame, `seen_from` looks from the best one,
-    where `flicker_nats` are what arc_flicker seems to gain.
+    `changes` those whose size may change from frame to frame, `seen_from` looks from the best one
+    and `flicker` that at arc_flicker from there.
     """
     left = seen if isinstance(seen, dict) else {}
     answers = {"looked": looks, "candidates": singles}
     answers |= {"with_dear": dear or singles, "with_changes": changes or singles}
     for name, answer in answers.items():
         monkeypatch.setattr(room, name, lambda *_, answer=answer: answer)
-    for name, answer in {"several": several, "seen_from": seen_from, "flicker_at_look": flicker_nats}.items():
+    looks_on = [*seen_from, flicker] if flicker else seen_from
+    for name, answer in {"several": several, "seen_from": looks_on, "_pairs": ()}.items():
         monkeypatch.setattr(beside, name, lambda *_, answer=answer: answer)
+    monkeypatch.setattr(beside, "with_flicker", lambda _, __, of: of)
     monkeypatch.setattr(room, "refit", lambda *_, **__: None)
     monkeypatch.setattr(room, "told_apart", lambda _, found, baseline: (found, baseline))
     monkeypatch.setattr(room, "_again", lambda _, of: again or of)
@@ -181,10 +183,10 @@ def test_what_seems_to_gain_little_is_not_fitted_beside_what_leaves_nothing(monk
     """One parameter costs 2.6 nats: 8 % less left seems to gain 5.7, 9 % less 6.8."""
     best, pair = candidate("gamma", left=1.0), candidate("gamma", "defocus", left=0.8)
     best.refit.mean_square = 1.0
-    look = SimpleNamespace(id="defocus", left=left)
+    look = SimpleNamespace(id="defocus", left=left, n_parameters=1)
     found = decided(monkeypatch, candidate(left=9.0), [best], pair, 0.5, seen_from=[look])
     assert found.chosen.ids == named
-    found = decided(monkeypatch, candidate(left=9.0), [best], pair, 0.5, seen_from=[look], flicker_nats=6.1)
+    found = decided(monkeypatch, candidate(left=9.0), [best], pair, 0.5, seen_from=[look], flicker=PROMISING)
     assert found.chosen.ids == pair.ids
 
 

@@ -1,0 +1,57 @@
+"""The first look at two effects at a time."""
+
+import itertools
+
+import numpy as np
+import pytest
+from small import small_recording
+
+from noise_model.effects import REGISTRY
+from sim_to_real.candidate import cost_nats, likelihood_nats
+from sim_to_real.pairs import screen_pairs
+from sim_to_real.refit import refit
+from sim_to_real.screen import along, screen, screen_flicker
+
+TRIED = ["gamma", "veiling_glare", "wrong_material", "fume", "dirty_window", "black_level", "blooming"]
+
+
+def looked(path, hidden):
+    expected = small_recording(path / "both", hidden)
+    baseline = refit(expected, {}, expected.neutral, steps=0)
+    return expected, baseline, screen(expected, baseline, TRIED)
+
+
+def test_two_effects_are_seen_though_others_seem_likelier_than_one_of_them(tmp_path):
+    hidden = {"gamma": {"gamma": 1.15}, "veiling_glare": {"share": 0.1, "spread": 0.8}}
+    _, baseline, screened = looked(tmp_path, hidden)
+    assert "veiling_glare" not in [one.id for one in screened[:4]]
+    best, second = screen_pairs(baseline, screened, 2)
+    assert set(best.starts) == set(hidden)
+    assert best.evidence > second.evidence + 3.0
+    assert best.starts["gamma"]["gamma"] == pytest.approx(1.15, abs=0.03)
+    assert best.starts["veiling_glare"]["share"] == pytest.approx(0.1, abs=0.03)
+
+
+def test_the_best_pairs_are_those_of_all_that_are_tried_one_by_one(tmp_path):
+    hidden = {"gamma": {"gamma": 1.15}, "black_level": {"offset_dn": 3.0}}
+    expected, baseline, screened = looked(tmp_path, hidden)
+    looks = [*screened, screen_flicker(expected, baseline)]
+    wanted = {}
+    for one, other in itertools.combinations(looks, 2):
+        of = []
+        for a, b in itertools.product((one, *one.others), (other, *other.others)):
+            columns = np.hstack([a.signature, b.signature])
+            left, _ = along(baseline, baseline.residuals, columns, [*a.reaches(), *b.reaches()])
+            of.append(likelihood_nats(left * baseline.mean_square))
+        cost = cost_nats(one.n_parameters + other.n_parameters)
+        wanted[frozenset((one.id, other.id))] = max(of) - cost
+    found = {frozenset(pair.starts): pair.evidence for pair in screen_pairs(baseline, looks, 3)}
+    assert list(found.values()) == pytest.approx([wanted[ids] for ids in found])
+    assert list(found.values()) == pytest.approx(sorted(wanted.values(), reverse=True)[:3])
+
+
+def test_a_pair_starts_within_bounds(tmp_path):
+    _, baseline, screened = looked(tmp_path, {"gamma": {"gamma": 1.6}, "blooming": {"spill": 0.9}})
+    for pair in screen_pairs(baseline, screened, 5):
+        for name, values in pair.starts.items():
+            assert all(of.lower <= values[of.name] <= of.upper for of in REGISTRY[name].parameters)
