@@ -7,9 +7,11 @@ import pytest
 
 from arctrack.nominal import nominal_setup
 from arctrack.simulate import SimulationPlan
+from sim_to_real import diagnose as room
+from sim_to_real import held
 from sim_to_real.diagnose import diagnose
 from sim_to_real.diagnosis import Verdict, left_out
-from tests.sim_to_real.small import example_setup, recorded
+from tests.sim_to_real.small import EXACT, example_setup, recorded
 
 PLAN = SimulationPlan(frames=16, seam_wander_mm=0.1, seed=3)
 """True values are off by their tolerance."""
@@ -101,3 +103,23 @@ def test_bounced_light_in_a_u_is_no_candidate():
     assert left_out(groove, ("gamma",)) == ("gamma",)
     assert left_out(u, ("gamma",)) == ("gamma", "interreflection")
     assert left_out(u, ("interreflection",)) == ("interreflection",)
+
+
+def test_what_scatters_has_no_say_in_what_else_helps(tmp_path, monkeypatch):
+    asked = []
+
+    def smaller(predicted):
+        asked.append(predicted)
+        return held.smaller(predicted)
+
+    monkeypatch.setattr(room, "smaller", smaller)
+    spatter = {"rate_per_frame": 8.0, "peak_e": 11_000.0, "length_px": 12.0, "width_px": 1.7}
+    hidden = {"spatter": spatter, "defocus": {"sigma_px": 1.3}}
+    found = diagnose(*recorded(tmp_path / "both", hidden, replace(EXACT, frames=24), coarser=3))
+    assert {effect.id for effect in found.effects} == set(hidden)
+    assert len(asked) == 1
+    # Its variance is in the prediction that is reported, and not in the one that defocus was judged by.
+    assert np.all(asked[0].variance == asked[0].variance_after)
+    reported = found.predicted
+    lit = np.isfinite(reported.variance)
+    assert np.mean(reported.variance_after[lit] > 1.5 * reported.variance[lit]) > 0.3
