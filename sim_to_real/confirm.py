@@ -18,7 +18,10 @@ MOSTLY_RANDOM = 0.5
 """A gap that nothing else explains is that of random effects if they make up this share of it."""
 
 MANY_NATS = 15.0
-"""With so much more evidence than its absence an effect hardly is the model's own error, though a trifle."""
+"""With so much more evidence than its absence an effect hardly is the model's own error, though a trifle.
+
+Unless the gap is below the model's floor: that is its error.
+"""
 
 HELPS, HELPS_BESIDE = 0.975, 0.5
 """So surely an effect must help in pixels held out, and so surely one of `MANY_NATS`: an edge can hide it."""
@@ -77,6 +80,8 @@ def names_trifle(decision: Decision, baseline: Candidate, gap: Gap, stated: Call
     fitted = decision.chosen.refit
     ends = ends_of(fitted.effects, fitted.change)
     is_small = _is_named(decision) and all(is_trifle(of, stated) for of in ends)
+    if gap.before <= gap.floor:
+        return is_small
     return is_small and not is_clear and not _has_many_nats(decision, baseline)
 
 

@@ -76,6 +76,7 @@ def test_a_gap_below_the_floor_is_none_but_for_an_effect_that_is_no_trifle():
         assert not names_trifle(named, baseline, clear, neutral)
         # From 1.2 to 1 it gains 100 ln 1.2 = 18 nats.
         assert not names_trifle(named, candidate(left=1.2), above, neutral)
+        assert names_trifle(named, candidate(left=1.2), below, neutral) is in_small
 
 
 def test_beside_a_trifle_what_scatters_is_named():
