@@ -9,7 +9,7 @@ the model's error, so the number of bins says nothing about how sure one may be.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -112,8 +112,7 @@ class Candidate:
         if not on_bound.any():
             return 0.0
         freed = quadratic.without_bounds(on_bound)
-        left = float(freed.costs(freed.solve()).sum() / quadratic.counts.sum())
-        return likelihood_nats(left) - likelihood_nats(self.refit.mean_square)
+        return likelihood_nats(freed.mean_square(freed.solve())) - likelihood_nats(self.refit.mean_square)
 
     @cached_property
     def is_held_back(self) -> bool:
@@ -166,6 +165,11 @@ def judged(expected: Expected, fitted: Refit) -> Candidate:
             x = fitted.x if held.all() else fitted.quadratic.solve(~held, HELD_DAMPING, of_seam)
             costs[held] = plain.costs(x)[held]
     return Candidate(fitted, costs)
+
+
+def best_first(found: Iterable[Candidate]) -> list[Candidate]:
+    """Return candidates, likeliest first."""
+    return sorted(found, key=lambda candidate: -candidate.evidence)
 
 
 def confidences(of: Sequence[Candidate], baseline: Candidate) -> Float64:

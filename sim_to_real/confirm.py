@@ -76,13 +76,12 @@ def not_held_up(decision: Decision, baseline: Candidate, random: Scatter) -> Dec
 
 def names_trifle(decision: Decision, baseline: Candidate, gap: Gap, stated: Callable[[str], Values]) -> bool:
     """Say whether what is named is a trifle, from what is `stated`, that the model's own error looks like."""
-    is_clear = gap.before > CLEAR_FLOORS * gap.floor and baseline.left > 1.0
     fitted = decision.chosen.refit
     ends = ends_of(fitted.effects, fitted.change)
     is_small = _is_named(decision) and all(is_trifle(of, stated) for of in ends)
-    if gap.before <= gap.floor:
-        return is_small
-    return is_small and not is_clear and not _has_many_nats(decision, baseline)
+    is_clear = gap.before > CLEAR_FLOORS * gap.floor and baseline.left > 1.0
+    may_be_error = gap.before <= gap.floor or not _has_many_nats(decision, baseline)
+    return is_small and not is_clear and may_be_error
 
 
 def without_trifle(decision: Decision, baseline: Candidate, random: Scatter) -> Decision:

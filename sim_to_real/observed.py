@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import lru_cache
+from functools import cached_property, lru_cache
 
 import cv2
 import numpy as np
@@ -112,7 +112,7 @@ class Observed:
         """The frames (n_frames,) that the arc lights."""
         return np.array([frame.condition.arc_level > 0.0 for frame in self.frames], dtype=np.bool_)
 
-    @property
+    @cached_property
     def counts(self) -> Int64:
         """How many bins of each frame count (n_frames,)."""
         return np.array([np.count_nonzero(frame.keep) for frame in self.frames], dtype=np.int64)

@@ -38,30 +38,30 @@ def screen_pairs(baseline: Refit, screened: Sequence[Screened], most: int) -> li
 
     Each is that of its best families. The effects were looked at from the baseline.
     """
-    looks = [family for one in screened for family in (one, *one.others)]
+    looks = [family for one in screened for family in one.families]
     columns = np.hstack([look.signature for look in looks])
     reaches = [reach for look in looks for reach in look.reaches()]
     every = with_columns(baseline, baseline.residuals, columns, reaches).summed()
+    free = every.without_bounds(np.ones(len(every.x), dtype=np.bool_))
     n_fitted = len(baseline.x)
     ends = n_fitted + np.cumsum([len(look.steps) for look in looks])
 
-    def along(*pair: int) -> Quadratic:
+    def of_pair(of: Quadratic, *pair: int) -> Quadratic:
         places = [np.arange(ends[n] - len(looks[n].steps), ends[n]) for n in pair]
-        return every.only(np.concatenate([np.arange(n_fitted), *places]))
+        return of.only(np.concatenate([np.arange(n_fitted), *places]))
 
     def evidence(x: Float64, quadratic: Quadratic, *pair: int) -> float:
-        left = float(quadratic.costs(x).sum() / quadratic.counts.sum())
-        return likelihood_nats(left) - cost_nats(sum(looks[n].n_parameters for n in pair))
+        n_parameters = sum(looks[n].n_parameters for n in pair)
+        return likelihood_nats(quadratic.mean_square(x)) - cost_nats(n_parameters)
 
     anywhere = []
     for pair in itertools.combinations(range(len(looks)), 2):
         if looks[pair[0]].id != looks[pair[1]].id:
-            quadratic = along(*pair)
-            x = quadratic.without_bounds(np.ones(len(quadratic.x), dtype=np.bool_)).solve()
-            anywhere.append((evidence(x, quadratic, *pair), pair))
+            quadratic = of_pair(free, *pair)
+            anywhere.append((evidence(quadratic.solve(), quadratic, *pair), pair))
     found: dict[tuple[str, ...], ScreenedPair] = {}
     for _, pair in sorted(anywhere, reverse=True)[:WITHIN_BOUNDS]:
-        ids, quadratic = tuple(looks[n].id for n in pair), along(*pair)
+        ids, quadratic = tuple(looks[n].id for n in pair), of_pair(every, *pair)
         x = quadratic.solve()
         nats = evidence(x, quadratic, *pair)
         if ids not in found or nats > found[ids].evidence:

@@ -139,6 +139,10 @@ class Quadratic:
         ]
         return replace(self, parameters=tuple(free))
 
+    def mean_square(self, x: Float64) -> float:
+        """Return the weighted mean square of all residuals at parameters (p,)."""
+        return float(self.costs(x).sum() / self.counts.sum())
+
     def costs(self, x: Float64) -> Float64:
         """Return each frame's weighted sum of squares (n_frames,) at parameters (p,)."""
         d = x - self.x

@@ -102,7 +102,7 @@ class Refit:
     @property
     def mean_square(self) -> float:
         """The residuals' weighted mean square."""
-        return float(self.quadratic.chi2.sum() / self.quadratic.counts.sum())
+        return self.quadratic.mean_square(self.x)
 
 
 def refit(
@@ -229,8 +229,8 @@ class _Problem:
         return bool(RENDERING & set(self.ids))
 
     @property
-    def counts(self) -> Int64:
-        return self.expected.observed.counts
+    def n_frames(self) -> int:
+        return len(self.expected.observed.frames)
 
     @cached_property
     def parameters(self) -> tuple[Parameter, ...]:
@@ -240,7 +240,7 @@ class _Problem:
 
     @property
     def blocks(self) -> Iterator[tuple[str, slice]]:
-        return _blocks(self.ids, len(self.expected.nuisances), len(self.counts))
+        return _blocks(self.ids, len(self.expected.nuisances), self.n_frames)
 
     def _fitted_of(self, name: str) -> tuple[Parameter, ...]:
         """Return what is fitted of an effect: its parameters, but of the arc's flicker each frame's level.
@@ -257,7 +257,7 @@ class _Problem:
 
     def start(self, effects: Mapping[str, Values], nuisance: Float64) -> Float64:
         values = [
-            np.zeros(len(self.counts)) if name == FLICKER else list(REGISTRY[name].complete(of).values())
+            np.zeros(self.n_frames) if name == FLICKER else list(REGISTRY[name].complete(of).values())
             for name, of in effects.items()
         ]
         of_change = () if self.change is None else self.change.by
@@ -282,7 +282,7 @@ class _Problem:
     def arc_ln(self, x: Float64) -> Float64:
         """Return the arc's ln level of each frame (n_frames,), about their mean."""
         levels = next((x[at] for name, at in self.blocks if name == FLICKER), None)
-        return np.zeros(len(self.counts)) if levels is None else about_mean(self.expected) @ levels
+        return np.zeros(self.n_frames) if levels is None else about_mean(self.expected) @ levels
 
     def passed(self, x: Float64) -> list[Passed]:
         """Return the light at parameters (p,): rendered at the anchor, moved on from there."""
@@ -315,7 +315,7 @@ class _Problem:
 
     def quadratic(self, x: Float64, r: Float64, J: Float64, bound: float) -> Quadratic:
         """Return the cost about x."""
-        return Quadratic.of(self.parameters, x, r, J, huber_weights(r, bound), self.counts)
+        return Quadratic.of(self.parameters, x, r, J, huber_weights(r, bound), self.expected.observed.counts)
 
     def cost(self, x: Float64, r: Float64, bound: float, prior_weight: float) -> float:
         """Return Huber's loss of residuals (n,) and the priors' pulls."""

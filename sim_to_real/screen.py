@@ -52,6 +52,11 @@ class Screened:
     others: tuple[Screened, ...] = ()
 
     @property
+    def families(self) -> tuple[Screened, ...]:
+        """The looks at all of the effect's families, the best first."""
+        return (self, *self.others)
+
+    @property
     def n_parameters(self) -> int:
         """How many numbers a fit has: of arc_flicker the levels of frames that show it, about their mean."""
         if self.id == FLICKER:
@@ -77,7 +82,7 @@ class Screened:
     @property
     def starts(self) -> list[dict[str, float]]:
         """Where fits should start: light that is not rendered has valleys side by side."""
-        return [one.start for one in (self, *self.others[: STARTS - 1])]
+        return [one.start for one in self.families[:STARTS]]
 
 
 @dataclass(frozen=True, eq=False)
@@ -106,7 +111,7 @@ def seen_from(baseline: Refit, screened: Sequence[Screened]) -> list[Screened]:
         return along(baseline, baseline.residuals, one.signature, one.reaches())[0]
 
     return [
-        replace(one, left=min(left(family) for family in (one, *one.others)))
+        replace(one, left=min(left(family) for family in one.families))
         for one in screened
         if one.id not in baseline.ids
     ]
@@ -126,7 +131,7 @@ def screen_changes(expected: Expected, baseline: Refit, screened: Sequence[Scree
             change = Change.of(expected.observed, one.id, driver)
             if change.half > LEAST_RANGE:
                 u = change.shares(expected.observed)[:, np.newaxis]
-                looks = [_changed(baseline, r, of, change, u) for of in (one, *one.others)]
+                looks = [_changed(baseline, r, of, change, u) for of in one.families]
                 found.append(min(looks, key=lambda look: look.left))
     return sorted(found, key=lambda look: look.left)
 

@@ -10,7 +10,7 @@ import numpy as np
 
 from noise_model.effects import REGISTRY, Values
 from noise_model.frames import Float64
-from sim_to_real.candidate import LEAST_LEFT, Candidate, cost_nats, judged, likelihood_nats
+from sim_to_real.candidate import LEAST_LEFT, Candidate, best_first, cost_nats, judged, likelihood_nats
 from sim_to_real.expected import RENDERING, Effects, Expected
 from sim_to_real.places import DEAR, FAMILIES
 from sim_to_real.refit import FLICKER, NAMED_FROM, Refit, refit, refit_from, settled
@@ -101,8 +101,8 @@ def candidates(search: Search, baseline: Refit, screened: Sequence[Screened], le
     expected, left = search.expected, min(left, baseline.mean_square)
     gap = left - LEAST_LEFT
     # What no effect at all leaves at the first look, where nuisances were not fitted yet.
-    unaided = baseline.quadratic.costs(baseline.quadratic.solve())
-    gap_at_look = max(float(unaided.sum() / baseline.quadratic.counts.sum()) - LEAST_LEFT, gap)
+    unaided = baseline.quadratic.mean_square(baseline.quadratic.solve())
+    gap_at_look = max(unaided - LEAST_LEFT, gap)
     found: list[Candidate] = []
     if search.has(FLICKER, baseline) and _shows_arc(expected):
         effects: dict[str, Values] = {**baseline.effects, FLICKER: REGISTRY[FLICKER].neutral}
@@ -118,7 +118,7 @@ def candidates(search: Search, baseline: Refit, screened: Sequence[Screened], le
         starts = one.starts[:1] if is_rendered else one.starts
         fits = [refit_from(expected, baseline, {**baseline.effects, one.id: start}) for start in starts]
         found.append(judged(expected, min(fits, key=lambda fit: fit.mean_square)))
-    found = _best_first(found)
+    found = best_first(found)
     if not _is_resolved(found, left):
         # The best come nearer where light is rendered anew: which of them is best shows only then.
         for n, near in enumerate(found[:SETTLED]):
@@ -127,7 +127,7 @@ def candidates(search: Search, baseline: Refit, screened: Sequence[Screened], le
                 continue
             search.on_stage(f"fitting {near.ids[-1]} again", 0.8 + 0.05 * n)
             found[n] = judged(expected, settled(expected, near.refit))
-    return _best_first(found)
+    return best_first(found)
 
 
 def with_dear(search: Search, baseline: Refit, found: Sequence[Candidate]) -> list[Candidate]:
@@ -142,7 +142,7 @@ def with_dear(search: Search, baseline: Refit, found: Sequence[Candidate]) -> li
         if not search.has(name, baseline) or not _worth_it(expected, baseline, effects):
             continue
         every.append(judged(expected, settled(expected, refit_from(expected, baseline, effects))))
-    return _best_first(every)
+    return best_first(every)
 
 
 def with_changes(
@@ -166,7 +166,7 @@ def with_changes(
         worth = 0.0 if stays.refit.change else NAMED_FROM
         if changed.of_bins - stays.of_bins > worth:
             single[name] = changed
-    return _best_first(list(single.values()))
+    return best_first(list(single.values()))
 
 
 def told_apart(
@@ -191,7 +191,7 @@ def told_apart(
         replace(one, left_in_pixels=of, against=max(nats) - of_one)
         for one, of, of_one in zip(alike, left, nats, strict=True)
     ]
-    every = _best_first([*weighed, *found[len(alike) :]])
+    every = best_first([*weighed, *found[len(alike) :]])
     return every, replace(baseline, left_in_pixels=of_baseline)
 
 
@@ -226,10 +226,6 @@ def _is_worse(one: Screened, found: Sequence[Candidate], baseline: Refit) -> boo
     """Say whether an effect has far less evidence at the first look than another that was fitted."""
     evidence = likelihood_nats(baseline.mean_square) + nats_at_look(one, baseline)
     return evidence < max(candidate.evidence for candidate in found) - HOPELESS_NATS
-
-
-def _best_first(found: Sequence[Candidate]) -> list[Candidate]:
-    return sorted(found, key=lambda candidate: -candidate.evidence)
 
 
 def _shows_arc(expected: Expected) -> bool:

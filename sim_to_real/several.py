@@ -8,7 +8,16 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from sim_to_real.candidate import AT_FLOOR, CLEARLY_LEFT, HALVES, SHOWN_FROM, Candidate, judged, left_over
+from sim_to_real.candidate import (
+    AT_FLOOR,
+    CLEARLY_LEFT,
+    HALVES,
+    SHOWN_FROM,
+    Candidate,
+    best_first,
+    judged,
+    left_over,
+)
 from sim_to_real.expected import Expected
 from sim_to_real.pairs import screen_pairs
 from sim_to_real.places import is_trifle
@@ -93,7 +102,7 @@ def _pairs(search: Search, start: Refit, screened: Sequence[Screened]) -> list[C
     for pair in screen_pairs(start, with_flicker(search, start, screened), PAIRS):
         search.on_stage(f"fitting {' and '.join(pair.starts)}", 0.0)
         found.append(judged(expected, refit_from(expected, start, pair.starts)))
-    found.sort(key=lambda one: -one.evidence)
+    found = best_first(found)
     if found and found[0].left > RESOLVED:
         found[0] = judged(expected, settled(expected, found[0].refit))
     return found
@@ -117,7 +126,7 @@ def several(
         if left > CLEARLY_LEFT or (left > RESOLVED and left_over(further[0], baseline) > EXPLAINED):
             further = with_dear(search, chosen.refit, further)
         if chosen is best:
-            further = sorted([*further, *pairs], key=lambda one: -one.evidence)
+            further = best_first([*further, *pairs])
         if further[0].evidence - chosen.of_bins < NAMED_FROM:
             return None
         if left_over(further[0], baseline) > (1.0 - WORTH) * left_over(chosen, baseline):

@@ -39,7 +39,7 @@ def test_the_best_pairs_are_those_of_all_that_are_tried_one_by_one(tmp_path):
     wanted = {}
     for one, other in itertools.combinations(looks, 2):
         of = []
-        for a, b in itertools.product((one, *one.others), (other, *other.others)):
+        for a, b in itertools.product(one.families, other.families):
             columns = np.hstack([a.signature, b.signature])
             left, _ = along(baseline, baseline.residuals, columns, [*a.reaches(), *b.reaches()])
             of.append(likelihood_nats(left * baseline.mean_square))
