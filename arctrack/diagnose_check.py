@@ -293,7 +293,13 @@ def _drawn(one: Planned) -> Scenario:
     from sim_to_real.check.scenario import draw
 
     return draw(
-        one.seed, one.tier, world_seed=one.world_seed, joint=one.joint, effects=one.effects, form=one.form
+        one.seed,
+        one.tier,
+        world_seed=one.world_seed,
+        joint=one.joint,
+        effects=one.effects,
+        form=one.form,
+        is_dry=one.is_dry,
     )
 
 

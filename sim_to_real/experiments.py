@@ -1,6 +1,7 @@
-"""The experiments that a diagnosis may ask for next: frames that are taken otherwise than those it has seen.
+"""What a diagnosis may ask for next: experiments, frames that are taken otherwise than those it has seen.
 
-They are data alone: what a fit expects of them is `next`'s, what they really show is the recording's.
+Experiments are data alone: what a fit expects of them is `next`'s, what they really show is the recording's.
+Where none of them would tell, a witness would: something that sees one effect and nothing else.
 """
 
 from __future__ import annotations
@@ -9,6 +10,9 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 from noise_model.frames import Point
+
+N_MORE = 4
+"""So many frames are taken of an experiment."""
 
 TILT_DEG, RAISE_MM, CURRENT, EXPOSURE, FASTER = 10.0, 2.0, 1.5, 0.5, 3.0
 """The changes that the experiments make: angle, height, and factors of the rest."""
@@ -51,3 +55,42 @@ MENU = (
 
 BY_NAME: Mapping[str, Experiment] = {experiment.name: experiment for experiment in MENU}
 """The menu by what the report asks for."""
+
+_FLAT_FIELD = "a flat field: opal glass, lit evenly at the laser's wavelength"
+_BOARD = "a calibration board, seen from several poses"
+_SIDE_VIEW = "a second camera that sees the arc from the side"
+_COUPON = "a coupon of the plate, measured with a goniometer"
+
+WITNESS: Mapping[str, str] = {
+    "arc_length": _SIDE_VIEW,
+    "arc_deflection": _SIDE_VIEW,
+    "arc_radius": _SIDE_VIEW,
+    "arc_flicker": "the welding current, recorded much faster than the frames",
+    "argon_line_leak": "a spectrum of the arc's light behind the filter",
+    "laser_power_drift": "a photodiode at the laser",
+    "laser_speckle": "a second frame from the same pose with the laser moved by a millimetre",
+    "wrong_material": _COUPON,
+    "roughness_change": _COUPON,
+    "brdf_tail": _COUPON,
+    "rolling_marks": _COUPON,
+    "interreflection": "the same joint with one of its faces blackened",
+    "fume": "the same run with the fume extraction on",
+    "spatter": "a high-speed camera beside the sensor's",
+    "hot_metal_glow": "frames within a second after the arc is switched off",
+    "veiling_glare": "a light trap within the view, which is black by itself",
+    "defocus": "a slanted edge in the laser plane",
+    "vignetting": _FLAT_FIELD,
+    "dirty_window": "the same run with a new window",
+    "filter_shift": "a flat field lit by the laser alone",
+    "gamma": "a grey scale of known steps within the view",
+    "black_level": "frames with the lens covered",
+    "blooming": "the same run with the lens stopped down until nothing saturates",
+    "fixed_pattern": _FLAT_FIELD,
+    "read_noise": "frames with the lens covered",
+    "exposure_drift": "a lamp of constant light within the view",
+    "hand_eye": _BOARD,
+    "surface_tilt": "three points of the plate, touched by the torch",
+    "lens_distortion": _BOARD,
+    "pose_delay": "a signal that starts frame and pose together",
+}
+"""What would see an effect and nothing else."""

@@ -2,12 +2,14 @@
 
 An effect's signature is what it does to the residuals, with all that nuisances can do projected out. Two
 effects whose signatures lie within each other's span look the same; the smallest magnitude that shows is
-where the signature outweighs what the effect's parameters cost. Between two fits the best next frame is the
-one that they predict most differently (T-optimality: Atkinson and Fedorov 1975, Biometrika 62, 57).
+where the signature outweighs what the effect's parameters cost. Between two fits the best next frames are
+those that leave most where one predicts them and the other is fitted to them, too (T-optimality: Atkinson and
+Fedorov 1975, Biometrika 62, 57).
 """
 
 from __future__ import annotations
 
+import itertools
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
@@ -18,13 +20,13 @@ from noise_model.condition import Condition
 from noise_model.effects import REGISTRY
 from noise_model.frames import Float64, moved
 from noise_model.setup import Setup
-from sim_to_real.candidate import cost_nats
+from sim_to_real.candidate import cost_nats, likelihood_nats
 from sim_to_real.diagnosis import Estimate, Next
 from sim_to_real.expected import Expected
-from sim_to_real.experiments import MENU, Experiment
+from sim_to_real.experiments import MENU, N_MORE, WITNESS, Experiment
 from sim_to_real.observed import ObservedFrame, variances_dn2
-from sim_to_real.quadratic import N_EFFECTIVE
-from sim_to_real.refit import NAMED_FROM, Refit
+from sim_to_real.quadratic import N_EFFECTIVE, Quadratic
+from sim_to_real.refit import NAMED_FROM, OWN_LEVEL, Refit, refit
 from sim_to_real.screen import Screened
 
 ALIKE = 0.98
@@ -104,28 +106,85 @@ def planned_frame(experiment: Experiment, of: ObservedFrame, setup: Setup) -> Ob
 
 
 def best_measurement(expected: Expected, one: Refit, other: Refit) -> Next:
-    """Return the measurement of the menu whose frame two fits predict most differently."""
-    template = _template(expected)
-    setup = expected.observed.setup
+    """Return the measurement of the menu after which two fits differ most, whichever of them is right.
+
+    The other is then fitted again to all that was measured: what it can bend to does not tell. Where none
+    tells them apart, a witness of the first is to be added.
+    """
+    nats = np.minimum(_set_back(expected, one, other), _set_back(expected, other, one))
+    best, ids = int(np.argmax(nats)), (*one.ids, *other.ids)
+    if nats[best] > NAMED_FROM:
+        return Next(MENU[best].name, ids, True)
+    return Next(f"{WITNESS[one.ids[-1]]}, as a witness", ids, False)
+
+
+def _set_back(expected: Expected, right: Refit, rival: Refit) -> Float64:
+    """Return by how many nats a fit is likelier than its rival after each experiment (n,), if it is right.
+
+    Its frames are then as it predicts them, and the rival is fitted again along its derivatives there.
+    """
+    planned = _as_predicted(expected, right)
+    planned.take_tangents(rival.nuisance, rival.effects, rival.change)
+    there = refit(planned, rival.effects, rival.nuisance, steps=0, change=rival.change).quadratic
+    price = cost_nats(rival.n_parameters) - cost_nats(right.n_parameters)
+    nats = []
+    for n in range(len(MENU)):
+        both = followed_by(rival.quadratic, there, n, N_MORE)
+        # What a right fit leaves of its frames is left of those to come.
+        n_new = float(N_MORE * there.counts[n])
+        share_new = n_new / (float(rival.quadratic.counts.sum()) + n_new)
+        left = both.mean_square(both.solve()) + share_new * right.mean_square
+        nats.append(likelihood_nats(right.mean_square) - likelihood_nats(left) + price)
+    return np.array(nats)
+
+
+def followed_by(seen: Quadratic, more: Quadratic, n: int, times: int) -> Quadratic:
+    """Return the cost of the frames that were seen and, so many `times`, of the n-th of some more.
+
+    Both are about the same parameters; but a level of its own belongs to a frame's own quadratic.
+    """
+    own = np.array([parameter.name.startswith(OWN_LEVEL) for parameter in more.parameters])
+    shared = np.array([not parameter.name.startswith(OWN_LEVEL) for parameter in seen.parameters])
+    p = len(seen.x)
+    at = np.empty(len(more.x), dtype=np.int64)
+    at[~own] = np.flatnonzero(shared)
+    at[own] = p + np.arange(int(own.sum()))
+    size, f = p + int(own.sum()), len(seen.counts)
+    information, gradient = np.zeros((f + 1, size, size)), np.zeros((f + 1, size))
+    information[:f, :p, :p], gradient[:f, :p] = seen.information, seen.gradient
+    information[f][np.ix_(at, at)], gradient[f, at] = times * more.information[n], times * more.gradient[n]
+    return Quadratic(
+        (*seen.parameters, *itertools.compress(more.parameters, own)),
+        np.concatenate([seen.x, more.x[own]]),
+        information,
+        gradient,
+        np.append(seen.chi2, times * more.chi2[n]),
+        np.append(seen.counts, times * more.counts[n]),
+    )
+
+
+def _as_predicted(expected: Expected, fitted: Refit) -> Expected:
+    """Return the menu's frames, a frame for each experiment, as a fit predicts them."""
+    template, setup = _template(expected), expected.observed.setup
     frames = tuple(
         replace(planned_frame(experiment, template, setup), position=position)
         for position, experiment in enumerate(MENU)
     )
     planned = Expected(replace(expected.observed, frames=frames))
-    means = [
-        [light.mean_dn() for light in planned.passed(fitted.nuisance, fitted.effects, fitted.change)]
-        for fitted in (one, other)
-    ]
-    apart = [_apart(a, b, setup, expected.observed.bin_px) for a, b in zip(*means, strict=True)]
-    best = int(np.argmax(apart))
-    resolves = 0.5 * N_EFFECTIVE * math.log1p(apart[best]) > NAMED_FROM
-    return Next(MENU[best].name, (*one.ids, *other.ids), resolves)
+    passed = planned.passed(fitted.nuisance, fitted.effects, fitted.change)
+    frames = tuple(
+        _showing(frame, light.mean_dn(), setup, expected.observed.bin_px)
+        for frame, light in zip(frames, passed, strict=True)
+    )
+    return Expected(replace(expected.observed, frames=frames))
 
 
-def _apart(one_dn: Float64, other_dn: Float64, setup: Setup, bin_px: int) -> float:
-    """Return the mean square by which two predictions of bins (n,) differ, over the variance they have."""
-    noise_dn2, floor_dn2 = variances_dn2(0.5 * (one_dn + other_dn), setup)
-    return float(np.mean((one_dn - other_dn) ** 2 / (noise_dn2 / bin_px**2 + floor_dn2)))
+def _showing(frame: ObservedFrame, mean_dn: Float64, setup: Setup, bin_px: int) -> ObservedFrame:
+    """Return a frame whose bins that count show a mean (n,), with the noise that it has."""
+    binned_dn = frame.binned_dn.copy()
+    binned_dn[frame.keep] = mean_dn
+    noise_dn2, floor_dn2 = variances_dn2(mean_dn, setup)
+    return replace(frame, binned_dn=binned_dn, sigma_dn=np.sqrt(noise_dn2 / bin_px**2 + floor_dn2))
 
 
 def _template(expected: Expected) -> ObservedFrame:

@@ -41,6 +41,9 @@ ROUNDS, WORTHWHILE = 3, 0.1
 FLICKER, LEVEL_SIGMA = "arc_flicker", 0.2
 """The effect whose realisation is fitted, frame by frame, and the prior of a frame's ln level."""
 
+OWN_LEVEL = "arc_ln_"
+"""What the names of frames' own ln levels begin with."""
+
 Int64 = npt.NDArray[np.int64]
 
 
@@ -251,7 +254,7 @@ class _Problem:
             stated = self.expected.stated(name)
             return tuple(replace(of, start=stated[of.name]) for of in REGISTRY[name].parameters)
         return tuple(
-            Parameter(f"arc_ln_{frame.position}", "", 0.0, LEVEL_SIGMA, -3.0, 3.0, 1e-3)
+            Parameter(f"{OWN_LEVEL}{frame.position}", "", 0.0, LEVEL_SIGMA, -3.0, 3.0, 1e-3)
             for frame in self.expected.observed.frames
         )
 

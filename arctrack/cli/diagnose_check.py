@@ -39,14 +39,15 @@ def _check() -> None:
 @check.command(epilog="Example: arctrack diagnose check make --out /tmp/check --draws 3 --workers 2")
 def make(
     out: Annotated[Path, typer.Option(help="The check's folder; made if missing.")],
-    draws: Annotated[int, typer.Option(min=0, help="Recordings of each effect in tiers A, C and D.")] = 3,
+    draws: Annotated[int, typer.Option(min=0, help="Recordings of each effect in tiers A, C, D and F.")] = 3,
     quiet_draws: Annotated[int, typer.Option(min=0, help="Recordings of tier E, without any effect.")] = 50,
     tiers: Annotated[
         str,
         typer.Option(
-            help="A: one effect; B: A's again, it withheld; C: one of another form; D: two; E: none."
+            help="A: one effect; B: A's again, it withheld; C: one of another form; D: two; E: none; "
+            "F: one, in a run whose frames are all taken alike."
         ),
-    ] = "ABCDE",
+    ] = "ABCDEF",
     seed: Annotated[int, typer.Option(min=0, help="Of all that is drawn.")] = 0,
     workers: Workers = 1,
 ) -> None:

@@ -18,7 +18,7 @@ from arctrack.report import diagnosis_pictures as pictures
 from arctrack.report import diagnosis_words as words
 from arctrack.report.diagnosis_advice import ADVICE
 from noise_model.effects import REGISTRY
-from sim_to_real.diagnosis import Curve, Diagnosis, Named, Verdict
+from sim_to_real.diagnosis import Curve, Diagnosis, Named, Next, Verdict
 
 TEMPLATE = "diagnosis.html.j2"
 
@@ -94,15 +94,20 @@ def advice(diagnosis: Diagnosis) -> list[str]:
     if diagnosis.verdict is Verdict.UNKNOWN:
         lines.append(LOOK_FURTHER)
     if diagnosis.next is not None:
-        separates = words.listed(diagnosis.next.separates, "from")
-        what = f"Record next: {diagnosis.next.experiment}"
-        if separates:
-            tells = "tells" if diagnosis.next.resolves else "may help to tell, though not surely,"
-            what += f". It {tells} {separates}" if len(diagnosis.next.separates) > 1 else f" ({separates})"
-        lines.append(f"{what}.")
+        lines.append(_to_record(diagnosis.next, diagnosis.verdict))
     if not lines:
         lines.append("Nothing: the setup may stay as it is.")
     return lines
+
+
+def _to_record(measurement: Next, verdict: Verdict) -> str:
+    separates = words.listed(measurement.separates, "from")
+    if measurement.resolves:
+        return f"Record next: {measurement.experiment}. It tells {separates}."
+    if verdict is Verdict.UNKNOWN:
+        first = measurement.separates[0]
+        return f"Nearest is {first}, which does not explain it. To see it by itself, add {measurement.experiment}."
+    return f"No other frames tell {separates}. Add {measurement.experiment}."
 
 
 def meant(diagnosis: Diagnosis) -> list[str]:

@@ -11,8 +11,30 @@ from sim_to_real.check.world import FORMS
 from sim_to_real.check.world_effect import CATALOGUE
 from sim_to_real.check.world_stated import JOINTS, draw_stated
 
-TIERS = "ABCDE"
+TIERS = "ABCDEF"
 """B has no recordings of its own: it diagnoses those of A again, what they hide withheld."""
+
+DRY = (
+    "laser_power_drift",
+    "laser_speckle",
+    "fume",
+    "veiling_glare",
+    "defocus",
+    "vignetting",
+    "dirty_window",
+    "filter_shift",
+    "gamma",
+    "black_level",
+    "blooming",
+    "fixed_pattern",
+    "read_noise",
+    "exposure_drift",
+    "hand_eye",
+    "surface_tilt",
+    "lens_distortion",
+    "pose_delay",
+)
+"""The effects that a run without the arc can show."""
 
 N_WORLDS = 12
 """So many joints, metals and motions are shared by all recordings, and with them the rendered light."""
@@ -32,13 +54,15 @@ class Planned:
     joint: str
     effects: tuple[str, ...]
     form: str | None = None
+    is_dry: bool = False
 
 
 def plan(draws: int, quiet_draws: int, tiers: str = TIERS, seed: int = 0) -> tuple[Planned, ...]:
     """Return what to make, by number.
 
     Tier A hides each effect `draws` times, C each that has another form than the catalogue's, D deals all
-    effects out in pairs so often; E hides nothing in `quiet_draws` recordings. Equal arguments give an equal
+    effects out in pairs so often; E hides nothing in `quiet_draws` recordings. F hides each effect `draws`
+    times in a plain run, and those of `DRY` as often in one without the arc. Equal arguments give an equal
     plan. Raises ValueError for a tier that there is not and for B without A.
     """
     for tier in tiers:
@@ -48,9 +72,9 @@ def plan(draws: int, quiet_draws: int, tiers: str = TIERS, seed: int = 0) -> tup
         raise ValueError("tier B diagnoses the recordings of A again: name both")
     shuffle = np.random.default_rng([seed, 0])
     planned = []
-    for n, (tier, effects, form, turn) in enumerate(_contents(draws, quiet_draws, tiers, shuffle)):
-        world_seed, joint = _world(seed, turn, effects)
-        planned.append(Planned(n, SEEDS * seed + n, tier, world_seed, joint, effects, form))
+    for n, (turn, one) in enumerate(_contents(draws, quiet_draws, tiers, shuffle)):
+        world_seed, joint = _world(seed, turn, one.effects)
+        planned.append(replace(one, seed=SEEDS * seed + n, world_seed=world_seed, joint=joint))
     numbers = shuffle.permutation(len(planned)) + 1
     numbered = [replace(one, number=int(n)) for one, n in zip(planned, numbers, strict=True)]
     return tuple(sorted(numbered, key=lambda one: one.number))
@@ -58,22 +82,31 @@ def plan(draws: int, quiet_draws: int, tiers: str = TIERS, seed: int = 0) -> tup
 
 def _contents(
     draws: int, quiet_draws: int, tiers: str, shuffle: np.random.Generator
-) -> Iterator[tuple[str, tuple[str, ...], str | None, int]]:
-    """Yield tier, effects, form and the turn in which the worlds are taken."""
+) -> Iterator[tuple[int, Planned]]:
+    """Yield the turn in which the worlds are taken, and what to hide, of no seed and world yet."""
+
+    def of(tier: str, *effects: str, form: str | None = None, is_dry: bool = False) -> Planned:
+        return Planned(0, 0, tier, 0, "", effects, form, is_dry)
+
     ids = list(FORMS)
     for turn in range(draws):
         for n, effect in enumerate(ids):
             others = [form for form in FORMS[effect] if form != CATALOGUE]
             if "A" in tiers:
-                yield "A", (effect,), None, n + turn
+                yield n + turn, of("A", effect)
             if "C" in tiers and others:
-                yield "C", (effect,), others[turn % len(others)], n + turn
+                yield n + turn, of("C", effect, form=others[turn % len(others)])
         if "D" in tiers:
             order = shuffle.permutation(len(ids))
             for n, (i, j) in enumerate(zip(order[::2], order[1::2], strict=False)):
-                yield "D", (ids[i], ids[j]), None, n + turn
+                yield n + turn, of("D", ids[i], ids[j])
     for turn in range(quiet_draws if "E" in tiers else 0):
-        yield "E", (), None, turn
+        yield turn, of("E")
+    for turn in range(draws if "F" in tiers else 0):
+        for n, effect in enumerate(ids):
+            yield n + turn, of("F", effect)
+            if effect in DRY:
+                yield n + turn, of("F", effect, is_dry=True)
 
 
 def _world(seed: int, turn: int, effects: Sequence[str]) -> tuple[int, str]:

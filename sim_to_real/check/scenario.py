@@ -3,8 +3,9 @@
 `draw` makes one up, `make` renders it. A scenario's *world* (joint, metal, camera's true pose, seam, motion)
 comes from its own seed, so that recordings with different effects can share one and its rendered layers.
 `followed_by` lets a scenario go on with an experiment that its diagnosis asked for.
-Tiers: `A` one effect in the catalogue's form, `C` one in another form, `D` two effects, `E` none. Every value
-that `[tolerance]` names is off by a draw from it in all of them.
+Tiers: `A` one effect in the catalogue's form, `C` one in another form, `D` two effects, `E` none, `F` one in
+a plain run: straight, and all frames taken alike. Every value that `[tolerance]` names is off by a draw from
+it in all of them.
 """
 
 from __future__ import annotations
@@ -25,21 +26,18 @@ from sim_to_real.check.world_effect import CATALOGUE, Generator, Hidden, Moment
 from sim_to_real.check.world_light import Studio, TrueWorld
 from sim_to_real.check.world_stated import CURRENT_A, EXPOSURE_S, Continued, Motion, balanced, draw_stated
 from sim_to_real.check.world_surface import Departure, TrueSurface
-from sim_to_real.experiments import Experiment
+from sim_to_real.experiments import N_MORE, Experiment
 from tracker.state import Frame
 
-TIERS = {"A": 1, "C": 1, "D": 2, "E": 0}
+TIERS = {"A": 1, "C": 1, "D": 2, "E": 0, "F": 1}
 """How many effects a tier hides."""
 
-RATE_HZ = 10.0
+RATE_HZ, N_FRAMES = 10.0, 24
 LOOKED_AT_S = (0.3, 1.2, 2.0)
 """When the nominal arc's light is balanced."""
 
 POSE_PERIOD_S, POSE_JITTER_S, POSE_LEAD_S, POSE_TAIL_S = 0.01, 0.0011, 0.4, 0.5
 HIGH_A, SHORT_S = 140.0, 0.0025
-
-N_MORE = 4
-"""Frames that are taken of an experiment."""
 
 MOVE_S = 0.6
 PAUSE_S = POSE_TAIL_S + MOVE_S + POSE_LEAD_S
@@ -139,12 +137,13 @@ def draw(
     effects: Sequence[str] | None = None,
     form: str | None = None,
     strength: float | None = None,
+    is_dry: bool = False,
 ) -> Scenario:
     """Draw a scenario; what is given is not drawn.
 
     `world_seed` is the seed itself without it. `effects` are ids, as many as the tier has; `form` names one
     effect's form; `strength` is 0 for about three times what noise and tolerance hide, 1 for clearly visible.
-    Equal arguments give equal scenarios.
+    `is_dry` leaves the arc out of tier F's plain run. Equal arguments give equal scenarios.
 
     Raises ValueError for an unknown tier, joint, effect or form, and for effects that the tier or the joint
     cannot have. Raises ImportError where Mitsuba cannot start: the nominal arc is balanced with it.
@@ -164,6 +163,8 @@ def draw(
         stated = replace(stated, laser=replace(stated.laser, peak_e=FULL_STRIPE_E))
     true = _draw_true(of_values, stated, T_tool_camera)
     world = TrueWorld(true, np.eye(4), departure)
+    if tier == "F":
+        return Scenario(seed, tier, stated, world, motion.straight(), _plain_switches(is_dry), hidden)
     return Scenario(seed, tier, stated, world, motion, _draw_switches(of_order), hidden)
 
 
@@ -333,6 +334,11 @@ def _draw_switches(draw: Generator) -> tuple[Switches, ...]:
     middle = 6 * [both] + 3 * [replace(both, current_a=HIGH_A)] + 3 * [replace(both, exposure_s=SHORT_S)]
     middle += 3 * [alone] + 2 * [replace(alone, current_a=HIGH_A)] + [replace(alone, exposure_s=SHORT_S)]
     return (*ends, *(middle[n] for n in draw.permutation(len(middle))), *reversed(ends))
+
+
+def _plain_switches(is_dry: bool) -> tuple[Switches, ...]:
+    """Return frames with the laser, and the arc unless the run is a dry one, all alike."""
+    return N_FRAMES * (Switches(True, not is_dry, 0.0 if is_dry else CURRENT_A, EXPOSURE_S),)
 
 
 def _poses(scenario: Scenario) -> tuple[tuple[float, Float64], ...]:

@@ -55,6 +55,11 @@ class Motion:
         """Return the tool's height over the nominal surface below it, mm."""
         return self.height_mm + _swing(self.rise, time_s)
 
+    def straight(self) -> Motion:
+        """Return the same without swings."""
+        still = 0.0, 1.0, 0.0
+        return replace(self, weave=still, rise=still, roll=still, pitch=still)
+
     def T_base_tool(self, time_s: float) -> Float64:
         """Return the tool's pose (4, 4), mm; it keeps its distance to a corrugated sheet."""
         x = self.speed_mm_s * time_s

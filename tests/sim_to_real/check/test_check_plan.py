@@ -56,8 +56,8 @@ def test_worlds_are_shared_and_show_what_they_hide(planned):
 
 
 def test_tiers_that_cannot_be():
-    with pytest.raises(ValueError, match="tier 'F' is not known"):
-        plan(1, 1, "AF")
+    with pytest.raises(ValueError, match="tier 'G' is not known"):
+        plan(1, 1, "AG")
     with pytest.raises(ValueError, match="name both"):
         plan(1, 1, "BE")
     assert {one.tier for one in plan(1, 1, "AB")} == {"A"}

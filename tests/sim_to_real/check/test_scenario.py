@@ -9,7 +9,6 @@ import pytest
 from arctrack.recording import RecordingWriter, pose_at, read_recording
 from noise_model.frames import transform
 from sim_to_real.check.scenario import (
-    N_MORE,
     TIERS,
     draw,
     followed_by,
@@ -21,7 +20,7 @@ from sim_to_real.check.world import FORMS, really_at
 from sim_to_real.check.world_effect import CATALOGUE
 from sim_to_real.check.world_light import Studio, TrueWorld
 from sim_to_real.check.world_stated import JOINTS
-from sim_to_real.experiments import MENU
+from sim_to_real.experiments import MENU, N_MORE
 from tracker.state import Frame
 
 BY_KEY = {one.key: one for one in MENU}
