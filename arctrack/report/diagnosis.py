@@ -105,8 +105,8 @@ def _to_record(measurement: Next, verdict: Verdict) -> str:
     if measurement.resolves:
         return f"Record next: {measurement.experiment}. It tells {separates}."
     if verdict is Verdict.UNKNOWN:
-        first = measurement.separates[0]
-        return f"Nearest is {first}, which does not explain it. To see it by itself, add {measurement.experiment}."
+        nearest = f"Nearest is {measurement.separates[0]}, which does not explain it"
+        return f"{nearest}. To see that by itself, add {measurement.experiment}."
     return f"No other frames tell {separates}. Add {measurement.experiment}."
 
 
