@@ -221,6 +221,7 @@ def answer_of(result: Mapping[str, Any]) -> Answer:
         frozenset(frozenset(pair) for pair in said["not_resolvable"]),
         asked_for["experiment"],
         tuple(asked_for["separates"]),
+        tuple(name for ids in said["ambiguous_with"] for name in ids),
         **times,
     )
 

@@ -129,7 +129,7 @@ def _set_back(expected: Expected, right: Refit, rival: Refit) -> Float64:
     price = cost_nats(rival.n_parameters) - cost_nats(right.n_parameters)
     nats = []
     for n in range(len(MENU)):
-        both = followed_by(rival.quadratic, there, n, N_MORE)
+        both = with_more(rival.quadratic, there, n, N_MORE)
         # What a right fit leaves of its frames is left of those to come.
         n_new = float(N_MORE * there.counts[n])
         share_new = n_new / (float(rival.quadratic.counts.sum()) + n_new)
@@ -138,7 +138,7 @@ def _set_back(expected: Expected, right: Refit, rival: Refit) -> Float64:
     return np.array(nats)
 
 
-def followed_by(seen: Quadratic, more: Quadratic, n: int, times: int) -> Quadratic:
+def with_more(seen: Quadratic, more: Quadratic, n: int, times: int) -> Quadratic:
     """Return the cost of the frames that were seen and, so many `times`, of the n-th of some more.
 
     Both are about the same parameters; but a level of its own belongs to a frame's own quadratic.

@@ -7,6 +7,7 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 
 from noise_model.effects import REGISTRY
+from sim_to_real.experiments import BY_NAME
 
 FAILED = "failed"
 """Stands for the verdict of a recording without a diagnosis."""
@@ -24,8 +25,8 @@ class Answer:
     `ranked` are the candidates, best first, `closes` the share of the gap that each closes by itself,
     `confidence` that of the `best`. `gap_before`, `gap_floor` and `gap_closed` are of held-out frames, NaN
     where not known; `unresolvable` pairs were declared so before any fit. `experiment` is what is to be
-    measured next, "" for nothing, and `separates` what it would tell apart. Times are wall and processor. A
-    `problem` says why there is no diagnosis.
+    measured next, "" for nothing, and `separates` what it would tell apart. `alike` are the effects of an
+    ambiguous verdict's sets. Times are wall and processor. A `problem` says why there is no diagnosis.
     """
 
     verdict: str
@@ -40,6 +41,7 @@ class Answer:
     unresolvable: frozenset[frozenset[str]] = frozenset()
     experiment: str = ""
     separates: tuple[str, ...] = ()
+    alike: tuple[str, ...] = ()
     wall_s: float = math.nan
     cpu_s: float = math.nan
     problem: str = ""
@@ -53,6 +55,11 @@ class Answer:
     def best(self) -> str | None:
         """The effect that is named first, or ranked first where none is named."""
         return next(iter((*self.named, *self.ranked)), None)
+
+    @property
+    def asks_for_witness(self) -> bool:
+        """Whether what is to be measured next is none of the experiments."""
+        return bool(self.experiment) and self.experiment not in BY_NAME
 
     @property
     def alone(self) -> str | None:
@@ -95,6 +102,16 @@ class Case:
     def named_first(self) -> bool:
         """Whether the verdict names the hidden effect, or one of them, first."""
         return self.answer.first in self.effects
+
+    @property
+    def in_question(self) -> bool:
+        """Whether the verdict is a set of effects that look the same, and the hidden one is in it."""
+        return self.answer.verdict == "ambiguous" and not set(self.answer.alike).isdisjoint(self.effects)
+
+    @property
+    def is_wrongly_sure(self) -> bool:
+        """Whether the verdict names, for sure, an effect first that is not hidden."""
+        return self.answer.verdict == "effects" and not self.named_first
 
     @property
     def in_best_three(self) -> bool:

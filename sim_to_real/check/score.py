@@ -126,7 +126,9 @@ def score(cases: Sequence[Case], tiers: str) -> Scores:
         rates += _two_effects(_of(cases, "D"))
     if "E" in tiers:
         rates += _quiet(_of(cases, "E"))
-    if hiding := "".join(tier for tier in "ACD" if tier in tiers):
+    if "F" in tiers:
+        rates += _plain_run(_of(cases, "F"))
+    if hiding := "".join(tier for tier in "ACDF" if tier in tiers):
         rates += _next_experiment(hiding, [case for case in cases if case.tier in hiding])
     failures = [(case.name, case.answer.problem) for case in cases if case.answer.verdict == FAILED]
     failures += [
@@ -302,12 +304,43 @@ def _quiet(cases: list[Case]) -> list[Score]:
     ]
 
 
+def _plain_run(cases: list[Case]) -> list[Score]:
+    cosine = _rate(cases, COSINE_FIRST)
+
+    def row(name: str, text: str, rate: Rate, beside: Rate) -> Score:
+        return Score(f"{name}_F", "F", text, rate, beside)
+
+    return [
+        row("top1", "named first", _rate(cases, NAMED_FIRST), cosine),
+        row(
+            "in_set",
+            "named first, or in the ambiguity set",
+            _rate(cases, lambda c: c.named_first or c.in_question),
+            cosine,
+        ),
+        row(
+            "wrong",
+            "another effect named first and for sure (less is better)",
+            _rate(cases, attrgetter("is_wrongly_sure")),
+            Rate(cosine.of - cosine.right, cosine.of),
+        ),
+        row(
+            "no_gap",
+            "called no gap",
+            _rate(cases, lambda c: c.answer.verdict == "no_gap"),
+            Rate(0, len(cases)),
+        ),
+    ]
+
+
 def _next_experiment(tiers: str, cases: list[Case]) -> list[Score]:
     asked = [case for case in cases if case.answer.experiment]
     telling = [case for case in asked if case.asks_for_hidden]
-    measured = [case for case in telling if case.longer is not None]
+    of_menu = [case for case in telling if not case.answer.asks_for_witness]
+    measured = [case for case in of_menu if case.longer is not None]
+    in_question = [case for case in measured if case.in_question]
     was_open = [case for case in measured if case.answer.verdict != "effects"]
-    n_neither, n_missing = len(asked) - len(telling), len(telling) - len(measured)
+    n_neither, n_missing = len(asked) - len(telling), len(of_menu) - len(measured)
 
     def row(name: str, text: str, rate: Rate) -> Score:
         return Score(f"next_{name}", tiers, text, rate, Rate(0, 0))
@@ -323,11 +356,21 @@ def _next_experiment(tiers: str, cases: list[Case]) -> list[Score]:
             "of these, where the first verdict was ambiguous or unknown",
             _rate(was_open, attrgetter("is_resolved")),
         ),
+        row(
+            "resolves_set",
+            "of these, where it was ambiguous and the hidden effect in the set",
+            _rate(in_question, attrgetter("is_resolved")),
+        ),
         row("asked", "a next experiment asked for", Rate(len(asked), len(cases))),
         row(
             "neither",
             "of those that asked, counted apart: neither effect that it would separate is hidden",
             Rate(n_neither, len(asked)),
+        ),
+        row(
+            "witness",
+            "of those that asked, counted apart: no experiment tells, a witness is to be added",
+            Rate(len(telling) - len(of_menu), len(asked)),
         ),
         row(
             "missing",
@@ -360,15 +403,15 @@ def _figures(cases: Sequence[Case]) -> list[Figure]:
         ),
         Figure(
             "calibration_error",
-            "ACE",
+            "ACEF",
             "calibration error of the confidence",
             expected_calibration_error(confidence, is_right),
             _drawn_again(len(claims), lambda at: expected_calibration_error(confidence[at], is_right[at])),
             len(claims),
             cosine_error,
         ),
-        _figure("wall_s", "ACDE", "time of a diagnosis, s, median", [c.answer.wall_s for c in cases]),
-        _figure("cpu_s", "ACDE", "processor time of it, s, median", [c.answer.cpu_s for c in cases]),
+        _figure("wall_s", "ACDEF", "time of a diagnosis, s, median", [c.answer.wall_s for c in cases]),
+        _figure("cpu_s", "ACDEF", "processor time of it, s, median", [c.answer.cpu_s for c in cases]),
     ]
 
 
@@ -399,7 +442,7 @@ def _drawn_again(
 
 
 def _by_effect(cases: Sequence[Case]) -> Iterator[EffectScore]:
-    for tier in "AC":
+    for tier in "ACF":
         for effect in REGISTRY:
             of = [case for case in _of(cases, tier) if case.effects == (effect,)]
             if of:

@@ -364,7 +364,7 @@ def test_an_experiment_that_is_not_on_the_menu_is_not_measured(made: Path, calls
     more(made, 1, quiet)
     assert calls.continued == []
     rates = {one.id: one.rate for one in open_labels(made).scores.rates}
-    assert (rates["next_asked"].right, rates["next_missing"].right) == (1, 1)
+    assert (rates["next_asked"].right, rates["next_witness"].right) == (1, 1)
 
 
 def test_more_before_any_diagnosis_does_nothing(made: Path, calls: Calls) -> None:

@@ -16,12 +16,12 @@ from test_diagnosis_examples import GAMMA, GLARE, example
 from arctrack.recording import Recording, read_recording
 from arctrack.recording.diagnosis_files import report, write_numbers
 from arctrack.report import diagnosis_words as words
-from arctrack.report.diagnosis import RECOMPUTE, page
+from arctrack.report.diagnosis import RECOMPUTE, advice, page
 from arctrack.report.diagnosis_advice import ADVICE
 from arctrack.report.diagnosis_pictures import nice_limit, telling_frame
 from noise_model.effects import REGISTRY
 from noise_model.setup import Setup
-from sim_to_real.diagnosis import Estimate, Gap, Trend, Verdict
+from sim_to_real.diagnosis import Estimate, Gap, Next, Trend, Verdict
 
 VOID = {"meta", "img", "br", "rect"}
 
@@ -224,6 +224,23 @@ def test_the_ends_of_a_scale() -> None:
 
 def test_there_is_advice_on_every_effect() -> None:
     assert set(ADVICE) == set(REGISTRY)
+
+
+@pytest.mark.parametrize(
+    ("verdict", "resolves", "line"),
+    [
+        (Verdict.EFFECTS, True, "Record next: dark frames. It tells gamma from fume."),
+        (Verdict.EFFECTS, False, "No other frames tell gamma from fume. Add dark frames."),
+        (
+            Verdict.UNKNOWN,
+            False,
+            "Nearest is gamma, which does not explain it. To see that by itself, add dark frames.",
+        ),
+    ],
+)
+def test_what_to_measure_next(verdict: Verdict, resolves: bool, line: str, seen_setup: Setup) -> None:
+    asks = replace(example(verdict, seen_setup), next=Next("dark frames", ("gamma", "fume"), resolves))
+    assert advice(asks)[-1] == line
 
 
 def test_numbers_in_words() -> None:

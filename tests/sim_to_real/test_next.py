@@ -8,11 +8,13 @@ import pytest
 
 from arctrack.nominal import nominal_setup
 from noise_model.condition import Condition
+from noise_model.effects import REGISTRY
 from noise_model.fit import Parameter
-from sim_to_real.experiments import BY_NAME, MENU
-from sim_to_real.next import not_resolvable, own_signatures, planned_frame, smallest
+from sim_to_real.experiments import BY_NAME, MENU, WITNESS
+from sim_to_real.next import not_resolvable, own_signatures, planned_frame, smallest, with_more
 from sim_to_real.observed import ObservedFrame
-from sim_to_real.quadratic import N_EFFECTIVE
+from sim_to_real.quadratic import N_EFFECTIVE, Quadratic
+from sim_to_real.refit import OWN_LEVEL
 from sim_to_real.screen import Screened
 
 N = 400
@@ -60,6 +62,29 @@ def test_the_least_that_shows_outweighs_what_its_parameter_costs():
     added = (least.value / 0.5) ** 2 * float(A @ A) / N
     assert 0.5 * N_EFFECTIVE * math.log1p(added) == pytest.approx(3.0 + 0.5 * math.log(N_EFFECTIVE))
     assert least.unit == "mm"
+
+
+def test_frames_to_come_count_as_often_as_they_are_taken_and_have_levels_of_their_own():
+    draw = np.random.default_rng(3)
+    seen_J, more_J = draw.standard_normal((40, 3)), draw.standard_normal((20, 4))
+    seen_r, more_r = draw.standard_normal(40), draw.standard_normal(20)
+    more_J[:10, 3] = more_J[10:, 2] = 0.0
+    names = ("a", "b", f"{OWN_LEVEL}0"), ("a", "b", f"{OWN_LEVEL}0", f"{OWN_LEVEL}1")
+    of = [tuple(Parameter(name, "", 0.0) for name in some) for some in names]
+    seen = Quadratic.of(of[0], np.zeros(3), seen_r, seen_J, np.ones(40), np.array([40]))
+    more = Quadratic.of(of[1], np.zeros(4), more_r, more_J, np.ones(20), np.array([10, 10]))
+    both = with_more(seen, more, 1, 3)
+    J = np.zeros((70, 5))
+    J[:40, :3] = seen_J
+    J[40:, [0, 1, 3, 4]] = np.tile(more_J[10:], (3, 1))
+    r = np.concatenate([seen_r, np.tile(more_r[10:], 3)])
+    x = np.linalg.lstsq(J, -r, rcond=None)[0]
+    assert both.mean_square(x) == pytest.approx(np.mean((r + J @ x) ** 2))
+    np.testing.assert_allclose(both.costs(x), [np.sum(part**2) for part in np.split(r + J @ x, [40])])
+
+
+def test_every_effect_has_a_witness():
+    assert set(WITNESS) == set(REGISTRY)
 
 
 def travelling(timestamp_s):

@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from sim_to_real.check.plan import N_WORLDS, plan
+from sim_to_real.check.plan import DRY, N_WORLDS, plan
 from sim_to_real.check.scenario import TIERS
 from sim_to_real.check.world import FORMS
 from sim_to_real.check.world_effect import CATALOGUE
@@ -26,6 +26,8 @@ def test_every_effect_is_hidden_as_often(planned):
     assert all(one.form is None for one in of["A"] + of["D"])
     assert Counter(name for one in of["D"] for name in one.effects) == dict.fromkeys(FORMS, 3)
     assert [one.effects for one in of["E"]] == 10 * [()]
+    plain = Counter((one.effects[0], one.is_dry) for one in of["F"])
+    assert plain == {(name, False): 3 for name in FORMS} | {(name, True): 3 for name in DRY}
     others = {name: [form for form in forms if form != CATALOGUE] for name, forms in FORMS.items()}
     for name, forms in others.items():
         drawn = Counter(one.form for one in of["C"] if one.effects == (name,))

@@ -80,6 +80,19 @@ def test_a_tier_hides_as_many_effects_of_its_form(tier):
     assert json.loads(json.dumps(scenario.labels)) == scenario.labels
 
 
+@pytest.mark.parametrize("is_dry", [False, True])
+def test_a_plain_run_goes_straight_and_takes_all_frames_alike(is_dry, nominal):
+    plain = draw(3, "F", joint="v_groove", effects=["gamma"], is_dry=is_dry)
+    assert len(plain.switches) == len(nominal.switches)
+    (switches,) = set(plain.switches)
+    assert switches.laser_on
+    assert switches.arc_on != is_dry
+    poses = np.array([plain.motion.T_base_tool(t) for t in (0.0, 0.8, 2.3)])
+    np.testing.assert_array_equal(poses[:, :3, :3], np.broadcast_to(poses[0, :3, :3], (3, 3, 3)))
+    np.testing.assert_allclose(np.diff(poses[:, 1:3, 3], axis=0), 0.0)
+    np.testing.assert_allclose(poses[:, 0, 3], plain.motion.speed_mm_s * np.array([0.0, 0.8, 2.3]))
+
+
 def test_true_values_are_off_by_the_tolerance(nominal):
     stated, true = nominal.stated, nominal.world.setup
     turn = stated.camera.T_tool_camera[:3, :3].T @ true.camera.T_tool_camera[:3, :3]

@@ -107,7 +107,13 @@ OTHERS = [
 RAISED = {"experiment": "the torch raised by 2 mm", "separates": ("gamma", "fume")}
 ASKED = [
     # Ambiguous; then named for sure.
-    Case("21", "A", ("gamma",), silent("ambiguous", **RAISED), longer=sure("gamma", "spatter")),
+    Case(
+        "21",
+        "A",
+        ("gamma",),
+        silent("ambiguous", alike=("fume", "gamma"), **RAISED),
+        longer=sure("gamma", "spatter"),
+    ),
     # Unknown; then named, but not for sure.
     Case("22", "A", ("fume",), silent("unknown", **RAISED), longer=Answer("ambiguous", ("fume",))),
     # Named for sure, but another looks the same; then the other is named.
@@ -123,6 +129,9 @@ ASKED = [
     Case("29", "A", ("gamma",), silent("unknown", **RAISED), longer=failed()),
     Case("30", "A", ("gamma",), sure("gamma")),
     Case("31", "E", (), silent("unknown", **RAISED)),
+    # A witness is asked for; ambiguous, but the hidden effect is not in the set.
+    Case("32", "A", ("gamma",), silent("unknown", **(RAISED | {"experiment": "a board, as a witness"}))),
+    Case("33", "C", ("gamma",), silent("ambiguous", alike=("fume",), **RAISED), longer=sure("fume")),
 ]
 
 
@@ -168,12 +177,14 @@ def test_rates_are_those_counted_by_hand(scores, name, right, of, cosine):
 
 def test_the_next_experiment_is_counted_where_it_could_tell():
     found = {one.id: one for one in score(ASKED, "ACDE").rates}
-    assert found["next_resolves"].rate == Rate(3, 7)
+    assert found["next_resolves"].rate == Rate(3, 8)
     assert found["next_resolves"].tiers == "ACD"
-    assert found["next_resolves_open"].rate == Rate(2, 5)
-    assert found["next_asked"].rate == Rate(9, 10)
-    assert found["next_neither"].rate == Rate(1, 9)
-    assert found["next_missing"].rate == Rate(1, 9)
+    assert found["next_resolves_open"].rate == Rate(2, 6)
+    assert found["next_resolves_set"].rate == Rate(1, 1)
+    assert found["next_witness"].rate == Rate(1, 11)
+    assert found["next_asked"].rate == Rate(11, 12)
+    assert found["next_neither"].rate == Rate(1, 11)
+    assert found["next_missing"].rate == Rate(1, 11)
     assert ("29 then the torch raised by 2 mm", "ValueError: no frame has a pose") in score(
         ASKED, "ACDE"
     ).failures
@@ -181,6 +192,30 @@ def test_the_next_experiment_is_counted_where_it_could_tell():
     assert alone["next_resolves"].rate == Rate(1, 3)
     assert alone["next_resolves"].tiers == "A"
     assert not [one.id for one in score(ASKED, "E").rates if one.id.startswith("next")]
+
+
+def test_in_a_plain_run_a_set_with_the_hidden_effect_is_no_wrong_answer():
+    cases = [
+        Case("41", "F", ("gamma",), sure("gamma"), likeness("gamma")),
+        Case(
+            "42",
+            "F",
+            ("gamma",),
+            Answer("ambiguous", ("fume",), confidence=0.5, alike=("fume", "gamma")),
+            likeness("fume"),
+        ),
+        Case(
+            "43", "F", ("gamma",), Answer("ambiguous", ("fume",), confidence=0.5, alike=("fume", "spatter"))
+        ),
+        Case("44", "F", ("gamma",), sure("fume", "gamma")),
+        Case("45", "F", ("gamma",), silent("no_gap")),
+        Case("46", "F", ("gamma",), failed()),
+    ]
+    found = {one.id: one.rate for one in score(cases, "F").rates}
+    assert found["top1_F"] == Rate(1, 6)
+    assert found["in_set_F"] == Rate(2, 6)
+    assert found["wrong_F"] == Rate(1, 6)
+    assert found["no_gap_F"] == Rate(1, 6)
 
 
 def test_without_experiments_nothing_is_measured(scores):
