@@ -38,7 +38,7 @@ from sim_to_real.expected import Effects, Expected
 from sim_to_real.free_term import free_term
 from sim_to_real.held import excess_map, left_in_pixels, measure, predict_held, smaller
 from sim_to_real.locate import locate
-from sim_to_real.next import best_measurement, not_resolvable, own_signatures, smallest
+from sim_to_real.next import best_measurement, smallest
 from sim_to_real.observed import PoseAt, observe
 from sim_to_real.refit import Refit, refit, settled
 from sim_to_real.scatter import Scatter, scatter
@@ -128,8 +128,6 @@ def _diagnosed(
     decision = with_random(decide(search, baseline), baseline, scattered)
     chosen, share = with_shares(choosing, baseline, decision.chosen)
     decision = replace(decision, chosen=chosen)
-    signatures = own_signatures(decision.start, decision.screened)
-    alike = not_resolvable(signatures)
 
     heard("fitting all frames", 0.65)
     named = decision.chosen.refit.effects
@@ -184,9 +182,9 @@ def _diagnosed(
         decision.ambiguous,
         gap,
         where,
-        _next(choosing, decision, alike),
-        alike,
-        smallest(signatures, decision.screened),
+        _next(choosing, decision),
+        decision.alike,
+        smallest(decision.signatures, decision.screened),
         (free.name, free.closed),
         (*after.ids, *random.effects),
         predicted,
@@ -230,9 +228,9 @@ def _simplest_stage(expected: Expected, before: Refit, of_bins: Covariates) -> s
     return stages(expected, [(before, of_bins), (start, covariates(expected, start))])[0].stage
 
 
-def _next(expected: Expected, decision: Decision, alike: Sequence[tuple[str, str]]) -> Next | None:
+def _next(expected: Expected, decision: Decision) -> Next | None:
     """Return the measurement that would settle what is open; None if nothing is."""
-    pair = in_question(decision, alike)
+    pair = in_question(decision)
     return None if pair is None else best_measurement(expected, *(one.refit for one in pair))
 
 

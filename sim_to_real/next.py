@@ -19,18 +19,26 @@ import numpy as np
 from noise_model.condition import Condition
 from noise_model.effects import REGISTRY
 from noise_model.frames import Float64, moved
+from noise_model.sensor import saturation_dn
 from noise_model.setup import Setup
 from sim_to_real.candidate import cost_nats, likelihood_nats
 from sim_to_real.diagnosis import Estimate, Next
 from sim_to_real.expected import Expected
 from sim_to_real.experiments import MENU, N_MORE, WITNESS, Experiment
-from sim_to_real.observed import ObservedFrame, variances_dn2
+from sim_to_real.observed import Observed, ObservedFrame, bins_that_count, stated_layers, variances_dn2
 from sim_to_real.quadratic import N_EFFECTIVE, Quadratic
 from sim_to_real.refit import NAMED_FROM, OWN_LEVEL, Refit, refit
 from sim_to_real.screen import Screened
 
 ALIKE = 0.98
 """A signature of which this share, as a cosine, lies in another's span cannot be told from it."""
+
+
+ROUNDS = 3
+"""So often the rival's derivatives are taken where its fit to an experiment came to."""
+
+NEARLY = 3.0
+"""So many sigmas below saturation a bin's pixels may be saturated."""
 
 
 def own_signatures(baseline: Refit, screened: Sequence[Screened]) -> dict[str, Float64]:
@@ -121,21 +129,34 @@ def best_measurement(expected: Expected, one: Refit, other: Refit) -> Next:
 def _set_back(expected: Expected, right: Refit, rival: Refit) -> Float64:
     """Return by how many nats a fit is likelier than its rival after each experiment (n,), if it is right.
 
-    Its frames are then as it predicts them, and the rival is fitted again along its derivatives there.
+    Its frames are then as it predicts them, and the rival is fitted again to all of them.
     """
     planned = _as_predicted(expected, right)
     planned.take_tangents(rival.nuisance, rival.effects, rival.change)
-    there = refit(planned, rival.effects, rival.nuisance, steps=0, change=rival.change).quadratic
     price = cost_nats(rival.n_parameters) - cost_nats(right.n_parameters)
     nats = []
     for n in range(len(MENU)):
-        both = with_more(rival.quadratic, there, n, N_MORE)
+        both = _fitted_to_both(planned, rival, n)
         # What a right fit leaves of its frames is left of those to come.
-        n_new = float(N_MORE * there.counts[n])
-        share_new = n_new / (float(rival.quadratic.counts.sum()) + n_new)
-        left = both.mean_square(both.solve()) + share_new * right.mean_square
+        share_new = 1.0 - float(rival.quadratic.counts.sum() / both.counts.sum())
+        left = both.mean_square(both.x) + share_new * right.mean_square
         nats.append(likelihood_nats(right.mean_square) - likelihood_nats(left) + price)
     return np.array(nats)
+
+
+def _fitted_to_both(planned: Expected, fitted: Refit, n: int) -> Quadratic:
+    """Return a fit's cost, at its least, over the frames that it has seen and the n-th experiment's."""
+    # A level of its own shows beside another frame that the arc lights.
+    beside = next(m for m in np.flatnonzero(planned.observed.lit).tolist() if m != n)
+    few = planned.some(np.isin(np.arange(len(MENU)), [n, beside]))
+    x, p = fitted.x, len(fitted.x)
+    for _ in range(ROUNDS):
+        nuisance, effects, change = fitted.at(x)
+        there = refit(few, effects, nuisance, steps=0, change=change).quadratic
+        both = with_more(fitted.quadratic.about(x), there, int(n > beside), N_MORE)
+        both = both.about(both.solve())
+        x = both.x[:p]
+    return both
 
 
 def with_more(seen: Quadratic, more: Quadratic, n: int, times: int) -> Quadratic:
@@ -165,33 +186,44 @@ def with_more(seen: Quadratic, more: Quadratic, n: int, times: int) -> Quadratic
 
 def _as_predicted(expected: Expected, fitted: Refit) -> Expected:
     """Return the menu's frames, a frame for each experiment, as a fit predicts them."""
-    template, setup = _template(expected), expected.observed.setup
+    observed, template = expected.observed, _template(expected)
     frames = tuple(
-        replace(planned_frame(experiment, template, setup), position=position)
+        _looking(replace(planned_frame(experiment, template, observed.setup), position=position), observed)
         for position, experiment in enumerate(MENU)
     )
-    planned = Expected(replace(expected.observed, frames=frames))
+    planned = Expected(replace(observed, frames=frames))
     passed = planned.passed(fitted.nuisance, fitted.effects, fitted.change)
     frames = tuple(
-        _showing(frame, light.mean_dn(), setup, expected.observed.bin_px)
+        _showing(frame, light.mean_dn(), observed.setup, observed.bin_px)
         for frame, light in zip(frames, passed, strict=True)
     )
-    return Expected(replace(expected.observed, frames=frames))
+    return Expected(replace(observed, frames=frames))
+
+
+def _looking(frame: ObservedFrame, observed: Observed) -> ObservedFrame:
+    """Return a frame with the bins that count from where it is taken."""
+    setup, binned = observed.setup, observed.binned
+    stations_mm, layers = stated_layers(setup, binned, frame.T_base_tool_in(setup), observed.seam)
+    anywhere = np.ones(layers.view.shape, dtype=np.bool_)
+    keep, in_stripe = bins_that_count(binned, layers, frame.condition, anywhere)
+    return replace(frame, stations_mm=stations_mm, keep=keep, rendered=keep, in_stripe=in_stripe[keep])
 
 
 def _showing(frame: ObservedFrame, mean_dn: Float64, setup: Setup, bin_px: int) -> ObservedFrame:
-    """Return a frame whose bins that count show a mean (n,), with the noise that it has."""
+    """Return a frame whose bins that count show a mean (n,), with the noise that it has; inf if saturated."""
     binned_dn = frame.binned_dn.copy()
     binned_dn[frame.keep] = mean_dn
     noise_dn2, floor_dn2 = variances_dn2(mean_dn, setup)
-    return replace(frame, binned_dn=binned_dn, sigma_dn=np.sqrt(noise_dn2 / bin_px**2 + floor_dn2))
+    sigma_dn = np.sqrt(noise_dn2 / bin_px**2 + floor_dn2)
+    sigma_dn[mean_dn >= saturation_dn(setup.sensor) - NEARLY * np.sqrt(noise_dn2)] = np.inf
+    return replace(frame, binned_dn=binned_dn, sigma_dn=sigma_dn)
 
 
 def _template(expected: Expected) -> ObservedFrame:
-    """Return the frame in the middle of those that show most."""
+    """Return the last of the frames that show most."""
     frames = expected.observed.frames
     shows = max(int(f.condition.arc_level > 0.0) + int(f.condition.laser_level > 0.0) for f in frames)
     best = [
         f for f in frames if int(f.condition.arc_level > 0.0) + int(f.condition.laser_level > 0.0) == shows
     ]
-    return best[len(best) // 2]
+    return best[-1]

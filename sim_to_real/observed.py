@@ -226,9 +226,8 @@ def _observed(
 ) -> ObservedFrame:
     condition = stated_condition(setup, frame, first_s)
     pose = T_base_tool(pose_time_s(setup, frame.timestamp_s))
-    stations_mm = scene(really(setup), pose).stations_mm
-    layers = Renderer().layers(really(binned), pose, seam.bent(np.zeros(seam.n_modes), *stations_mm))
-    keep, in_stripe = _keep(binned, layers, condition, usable)
+    stations_mm, layers = stated_layers(setup, binned, pose, seam)
+    keep, in_stripe = bins_that_count(binned, layers, condition, usable)
     binned_dn = block_means(frame.image_dn, bin_px).astype(np.float32)
     sigma_dn, shown_dn2 = _noise(binned_dn, setup, bin_px, transfer)
     return ObservedFrame(
@@ -248,6 +247,15 @@ def _observed(
         _stated_e(setup, layers, condition),
         shown_dn2[keep],
     )
+
+
+def stated_layers(
+    setup: Setup, binned: Setup, T_base_tool: Float64, seam: SeamCurve
+) -> tuple[tuple[float, float, float], Layers]:
+    """Return stations of what is seen and of the torch, mm, and the light of bins, of the nominal setup."""
+    stations_mm = scene(really(setup), T_base_tool).stations_mm
+    unmoved = seam.bent(np.zeros(seam.n_modes), *stations_mm)
+    return stations_mm, Renderer().layers(really(binned), T_base_tool, unmoved)
 
 
 def _stated_e(setup: Setup, layers: Layers, condition: Condition) -> Float32:
@@ -286,7 +294,7 @@ def variances_dn2(mean_dn: Float64, setup: Setup) -> tuple[Float64, Float64]:
     return stated_dn2, (FLOOR_REL * (mean_dn - setup.sensor.black_level_dn)) ** 2 + FLOOR_DN**2
 
 
-def _keep(setup: Setup, layers: Layers, condition: Condition, usable: Bool) -> tuple[Bool, Bool]:
+def bins_that_count(setup: Setup, layers: Layers, condition: Condition, usable: Bool) -> tuple[Bool, Bool]:
     """Return the bins (h, w) that count, and those in the stripe."""
     keep = usable & one_face(layers.faces)
     thin = np.zeros_like(keep)

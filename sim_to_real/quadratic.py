@@ -131,6 +131,12 @@ class Quadratic:
             gradient=self.gradient[:, kept],
         )
 
+    def about(self, x: Float64) -> Quadratic:
+        """Return the same about other parameters (p,)."""
+        return replace(
+            self, x=x, gradient=self.gradient - self.information @ (x - self.x), chi2=self.costs(x)
+        )
+
     def without_bounds(self, freed: npt.NDArray[np.bool_]) -> Quadratic:
         """Return the same with no bounds for some of the parameters (p,)."""
         free = [

@@ -102,6 +102,14 @@ class Refit:
                 found[name] = _by_name(name, sigma[at])
         return found
 
+    def at(self, x: Float64) -> tuple[Float64, dict[str, dict[str, float]], Change | None]:
+        """Return nuisances, effects and their change at other parameters (p,); frames' own levels stay."""
+        effects = {
+            name: self.effects[name] if name == FLICKER else _by_name(name, x[at])
+            for name, at in _blocks(self.ids, self.n_nuisances, len(self.arc_ln))
+        }
+        return x[: self.n_nuisances], effects, _change_at(self.change, x)
+
     @property
     def mean_square(self) -> float:
         """The residuals' weighted mean square."""
@@ -181,6 +189,11 @@ def _blocks(ids: Sequence[str], n_nuisances: int, n_frames: int) -> Iterator[tup
         end = start + (n_frames if name == FLICKER else len(REGISTRY[name].parameters))
         yield name, slice(start, end)
         start = end
+
+
+def _change_at(change: Change | None, x: Float64) -> Change | None:
+    """Return a change by what stands for it at the end of parameters (p,)."""
+    return None if change is None else replace(change, by=tuple(x[-len(change.by) :].tolist()))
 
 
 def _by_name(effect: str, values: Float64) -> dict[str, float]:
@@ -278,9 +291,7 @@ class _Problem:
 
     def change_at(self, x: Float64) -> Change | None:
         """Return by how much an effect changes at parameters (p,)."""
-        if self.change is None:
-            return None
-        return replace(self.change, by=tuple(x[-len(self.change.by) :].tolist()))
+        return _change_at(self.change, x)
 
     def arc_ln(self, x: Float64) -> Float64:
         """Return the arc's ln level of each frame (n_frames,), about their mean."""

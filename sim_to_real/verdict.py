@@ -7,7 +7,7 @@ generous one: a model without a gap stays below 1. The gap that is left above it
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -26,6 +26,7 @@ from sim_to_real.candidate import (
 )
 from sim_to_real.diagnosis import Verdict
 from sim_to_real.expected import Expected
+from sim_to_real.next import not_resolvable, own_signatures
 from sim_to_real.pixels import Bool
 from sim_to_real.refit import FLICKER, NAMED_FROM, Refit, refit, settled
 from sim_to_real.screen import Screened
@@ -58,8 +59,8 @@ IN_SET = 0.05
 class Decision:
     """The verdict, the candidate it rests on, all single effects that were fitted, the look at all.
 
-    `confidence` (n,) is how probable each single effect is, `sure` how probable the candidate; `start` is
-    what was left where they all started.
+    `confidence` (n,) is how probable each single effect is, `sure` how probable the candidate. `signatures`
+    are what effects do from where they all started, `alike` the pairs of which these look the same.
     """
 
     verdict: Verdict
@@ -69,7 +70,8 @@ class Decision:
     confidence: Float64
     ambiguous: tuple[tuple[str, ...], ...]
     screened: tuple[Screened, ...]
-    start: Refit
+    signatures: Mapping[str, Float64]
+    alike: tuple[tuple[str, str], ...]
 
 
 def _free_first(expected: Expected, found: Sequence[Candidate], baseline: Candidate) -> list[Candidate]:
@@ -99,9 +101,12 @@ def decide(search: Search, baseline: Candidate) -> Decision:
         start = refit(expected, {}, expected.neutral, steps=0)
     search.on_stage("looking at every effect", 0.0)
     screened = tuple(looked(search, start))
+    signatures = own_signatures(start, screened)
+    alike = not_resolvable(signatures)
     if not screened or likelihood_nats(0.0) - cost_nats(1) - baseline.evidence < NAMED_FROM:
         # There is nothing to be tried, or none could leave so little that it would be preferred.
-        return Decision(without_help(baseline), baseline, math.nan, (), np.zeros(0), (), screened, start)
+        verdict = without_help(baseline)
+        return Decision(verdict, baseline, math.nan, (), np.zeros(0), (), screened, signatures, alike)
     found, baseline, is_trifling = _fitted(search, start, screened, baseline)
     explained = is_explained(expected, found[0], baseline)
     singles = tuple(found)
@@ -113,7 +118,7 @@ def decide(search: Search, baseline: Candidate) -> Decision:
     def said(verdict: Verdict, chosen: Candidate, *ambiguous: tuple[str, ...]) -> Decision:
         others = [single for single in singles if single.ids != chosen.ids]
         sure = float(confidences([chosen, *others], baseline)[0]) if chosen.ids else math.nan
-        return Decision(verdict, chosen, sure, singles, p, ambiguous, screened, start)
+        return Decision(verdict, chosen, sure, singles, p, ambiguous, screened, signatures, alike)
 
     if is_trifling:
         return said(Verdict.NO_GAP, baseline)
@@ -129,7 +134,7 @@ def decide(search: Search, baseline: Candidate) -> Decision:
             best = search.asked(_again(expected, best))
         singles = (best, *singles[1:])
     several = beside(search, baseline, best, explained, start, screened)
-    rivals = _rivals(singles)
+    rivals = _rivals(singles, alike)
     is_likely = (p >= IN_SET) | rivals
     likely = tuple(single.ids[0] for single, is_one in zip(singles, is_likely, strict=True) if is_one)
     if explained and (several is None or len(several.ids) == 1):
@@ -192,13 +197,28 @@ def _with_changes(
     return [search.asked(every[0]), *every[1:]], search.asked(baseline)
 
 
-def _rivals(singles: Sequence[Candidate]) -> Bool:
+def _rivals(singles: Sequence[Candidate], alike: Sequence[tuple[str, str]]) -> Bool:
     """Return which effects (n,) stay in question beside the likeliest, the first, however improbable.
 
-    They explain all that there is, though at a higher price, where the likeliest does not.
+    They explain all that there is, though at a higher price, where the likeliest does not; or as much as it
+    does, and the recording cannot tell them from it: then the price alone makes them improbable.
     """
-    is_left = singles[0].left > CLEARLY_LEFT
-    return np.array([is_left and one.left <= RESOLVED and not one.is_held_back for one in singles])
+    first = singles[0]
+    is_left, like = first.left > CLEARLY_LEFT, _like(first.ids[-1], alike)
+    as_much = likelihood_nats(first.left) - NAMED_FROM
+
+    def is_rival(one: Candidate) -> bool:
+        if one.is_held_back or one is first:
+            return False
+        explains_all = is_left and one.left <= RESOLVED
+        return explains_all or (one.ids[-1] in like and likelihood_nats(one.left) > as_much)
+
+    return np.array([is_rival(one) for one in singles])
+
+
+def _like(name: str, alike: Sequence[tuple[str, str]]) -> set[str]:
+    """Return the effects that make a pair with one."""
+    return {other for pair in alike if name in pair for other in pair} - {name}
 
 
 def _among_rivals(confidence: Float64, rivals: Bool) -> Float64:
@@ -213,11 +233,11 @@ def _again(expected: Expected, of: Candidate) -> Candidate:
     return replace(judged(expected, settled(expected, of.refit)), against=of.against)
 
 
-def in_question(decision: Decision, alike: Sequence[tuple[str, str]]) -> tuple[Candidate, Candidate] | None:
+def in_question(decision: Decision) -> tuple[Candidate, Candidate] | None:
     """Return the two single effects that a measurement should tell apart; None if nothing is open.
 
     Of an ambiguity set they are its two likeliest; beside what is named it is the likeliest of those that the
-    recording cannot tell from it, `alike` being its pairs.
+    recording cannot tell from it.
     """
     singles = list(decision.singles)
     if decision.verdict is Verdict.NO_GAP:
@@ -225,7 +245,6 @@ def in_question(decision: Decision, alike: Sequence[tuple[str, str]]) -> tuple[C
     if decision.verdict is Verdict.AMBIGUOUS:
         singles = [one for one in singles if one.ids[0] in decision.ambiguous[0]]
     elif decision.verdict is Verdict.EFFECTS and singles:
-        name = singles[0].ids[-1]
-        like = {other for pair in alike if name in pair for other in pair} - {name}
+        like = _like(singles[0].ids[-1], decision.alike)
         singles = [singles[0], *(one for one in singles[1:] if one.ids[-1] in like)]
     return (singles[0], singles[1]) if len(singles) > 1 else None

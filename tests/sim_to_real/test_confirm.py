@@ -41,7 +41,7 @@ class Scattering:
 
 
 def decision(verdict, *ids):
-    return Decision(verdict, candidate(*ids), 1.0, (), np.empty(0), (), (), None)
+    return Decision(verdict, candidate(*ids), 1.0, (), np.empty(0), (), (), {}, ())
 
 
 def gap(after, ci95, before=5.0, floor=0.2):

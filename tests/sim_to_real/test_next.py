@@ -11,11 +11,19 @@ from noise_model.condition import Condition
 from noise_model.effects import REGISTRY
 from noise_model.fit import Parameter
 from sim_to_real.experiments import BY_NAME, MENU, WITNESS
-from sim_to_real.next import not_resolvable, own_signatures, planned_frame, smallest, with_more
+from sim_to_real.next import (
+    best_measurement,
+    not_resolvable,
+    own_signatures,
+    planned_frame,
+    smallest,
+    with_more,
+)
 from sim_to_real.observed import ObservedFrame
 from sim_to_real.quadratic import N_EFFECTIVE, Quadratic
-from sim_to_real.refit import OWN_LEVEL
+from sim_to_real.refit import OWN_LEVEL, refit
 from sim_to_real.screen import Screened
+from tests.sim_to_real.small import small_recording
 
 N = 400
 RNG = np.random.default_rng(7)
@@ -85,6 +93,31 @@ def test_frames_to_come_count_as_often_as_they_are_taken_and_have_levels_of_thei
 
 def test_every_effect_has_a_witness():
     assert set(WITNESS) == set(REGISTRY)
+
+
+@pytest.mark.parametrize(
+    ("hidden", "rival", "tells"),
+    [
+        # How bright the arc is nobody knows so exactly: it takes on what becomes of the exposure.
+        ({"laser_power_drift": {"rate_per_s": -0.1}}, "exposure_drift", False),
+        # The stripe alone throws a haze as even as an offset; the arc's is much more.
+        ({"veiling_glare": {"share": 0.1}}, "black_level", True),
+    ],
+)
+def test_what_tells_two_effects_of_a_dry_run_apart(hidden, rival, tells, tmp_path):
+    expected = small_recording(tmp_path / "made", hidden)
+    dry = expected.some(np.array([frame.stratum == "laser" for frame in expected.observed.frames]))
+    ((name, values),) = hidden.items()
+    fits = [
+        refit(dry, {id: of}, dry.neutral) for id, of in ((name, values), (rival, REGISTRY[rival].typical))
+    ]
+    found = best_measurement(dry, *fits)
+    assert found.separates == (name, rival)
+    assert found.resolves == tells
+    if tells:
+        assert BY_NAME[found.experiment].arc_on
+    else:
+        assert found.experiment == f"{WITNESS[name]}, as a witness"
 
 
 def travelling(timestamp_s):

@@ -49,6 +49,15 @@ def test_what_is_fixed_stays_and_the_others_are_best_beside_it():
     np.testing.assert_allclose(found[others] - x[others], np.linalg.solve(A, -J[:, others].T @ (w * r)))
 
 
+def test_about_another_point_it_is_the_same():
+    parameters, x, r, J, w = problem(8)
+    here, there = Quadratic.of(parameters, x, r, J, w, COUNTS), np.array([0.4, -0.3, 1.0])
+    moved = Quadratic.of(parameters, there, r + J @ (there - x), J, w, COUNTS)
+    found = here.about(there)
+    for name in ("x", "information", "gradient", "chi2"):
+        np.testing.assert_allclose(getattr(found, name), getattr(moved, name))
+
+
 def test_along_some_of_the_parameters_all_frames_at_once_it_is_the_same():
     parameters, x, r, J, w = problem(6, (-0.4, 0.9))
     whole, kept = Quadratic.of(parameters, x, r, J, w, COUNTS), np.array([0, 2])

@@ -30,12 +30,13 @@ def decided(
     changes=None,
     seen_from=(PROMISING,),
     flicker=None,
+    alike=(),
 ):
     """Decide between fits that are handed in; `seen` is what all leave in pixels, or each by its effects.
 
     `again` is the likeliest one after it has settled, `dear` are the fits with those that take long,
     `changes` those whose size may change from frame to frame, `seen_from` looks from the best one
-    and `flicker` that at arc_flicker from there.
+    and `flicker` that at arc_flicker from there; `alike` are pairs that look the same.
     """
     left = seen if isinstance(seen, dict) else {}
     answers = {"looked": looks, "candidates": singles}
@@ -46,6 +47,8 @@ def decided(
     for name, answer in {"several": several, "seen_from": looks_on, "_pairs": ()}.items():
         monkeypatch.setattr(beside, name, lambda *_, answer=answer: answer)
     monkeypatch.setattr(beside, "with_flicker", lambda _, __, of: of)
+    monkeypatch.setattr(room, "own_signatures", lambda *_: {})
+    monkeypatch.setattr(room, "not_resolvable", lambda _: alike)
     monkeypatch.setattr(room, "refit", lambda *_, **__: None)
     monkeypatch.setattr(room, "told_apart", lambda _, found, baseline: (found, baseline))
     monkeypatch.setattr(room, "_again", lambda _, of: again or of)
@@ -223,12 +226,33 @@ def test_what_its_bounds_hold_back_explains_nothing(monkeypatch):
     assert decided(monkeypatch, candidate(left=9.0), [held_back], None).verdict is Verdict.UNKNOWN
 
 
+@pytest.mark.parametrize(
+    ("left", "alike", "verdict"),
+    [
+        (0.8, [("black_level", "veiling_glare")], Verdict.AMBIGUOUS),
+        (0.8, [("black_level", "fume")], Verdict.EFFECTS),
+        (0.85, [("black_level", "veiling_glare")], Verdict.EFFECTS),
+    ],
+)
+def test_the_price_alone_tells_no_pair_apart_that_looks_the_same(monkeypatch, left, alike, verdict):
+    """Of 0.8 and 0.85 the first is likelier by 6 nats; the second effect's further parameter costs 2.6."""
+    first, second = candidate("black_level", left=0.8), candidate("veiling_glare", left=left)
+    second.evidence -= 2.7
+    found = decided(monkeypatch, candidate(left=9.0), [first, second], None, alike=alike)
+    assert found.verdict is verdict
+    assert found.chosen.ids == first.ids
+    if verdict is Verdict.AMBIGUOUS:
+        assert found.ambiguous == (("black_level", "veiling_glare"),)
+
+
 def test_what_is_to_be_told_apart_is_what_is_in_question(monkeypatch):
     fume, gamma, window = (candidate(name) for name in ("fume", "gamma", "dirty_window"))
 
     def pair(verdict, *ambiguous, alike=()):
-        of = SimpleNamespace(verdict=verdict, singles=(fume, gamma, window), ambiguous=ambiguous)
-        return in_question(of, alike)
+        singles = fume, gamma, window
+        return in_question(
+            SimpleNamespace(verdict=verdict, singles=singles, ambiguous=ambiguous, alike=alike)
+        )
 
     assert pair(Verdict.AMBIGUOUS, ("fume", "dirty_window")) == (fume, window)
     assert pair(Verdict.UNKNOWN) == (fume, gamma)
