@@ -23,7 +23,7 @@ from noise_model.sensor import saturation_dn
 from noise_model.setup import Setup
 from sim_to_real.candidate import cost_nats, likelihood_nats
 from sim_to_real.diagnosis import Estimate, Next
-from sim_to_real.expected import Expected
+from sim_to_real.expected import Expected, Passed
 from sim_to_real.experiments import MENU, N_MORE, WITNESS, Experiment
 from sim_to_real.observed import Observed, ObservedFrame, bins_that_count, stated_layers, variances_dn2
 from sim_to_real.quadratic import N_EFFECTIVE, Quadratic
@@ -119,19 +119,26 @@ def best_measurement(expected: Expected, one: Refit, other: Refit) -> Next:
     The other is then fitted again to all that was measured: what it can bend to does not tell. Where none
     tells them apart, a witness of the first is to be added.
     """
-    nats = np.minimum(_set_back(expected, one, other), _set_back(expected, other, one))
+    planned = _planned(expected)
+    nats = np.minimum(_set_back(planned, one, other), _set_back(planned, other, one))
     best, ids = int(np.argmax(nats)), (*one.ids, *other.ids)
     if nats[best] > NAMED_FROM:
         return Next(MENU[best].name, ids, True)
     return Next(f"{WITNESS[one.ids[-1]]}, as a witness", ids, False)
 
 
-def _set_back(expected: Expected, right: Refit, rival: Refit) -> Float64:
+def _set_back(planned: Expected, right: Refit, rival: Refit) -> Float64:
     """Return by how many nats a fit is likelier than its rival after each experiment (n,), if it is right.
 
-    Its frames are then as it predicts them, and the rival is fitted again to all of them.
+    The experiments' frames are then as it predicts them, and the rival is fitted again to these and to all
+    that it has seen.
     """
-    planned = _as_predicted(expected, right)
+    as_predicted = [light.mean_dn() for light in _passed(planned, right)]
+    # Light that bounces is computed once for each frame, and remembered.
+    _passed(planned, rival)
+    observed = planned.observed
+    frames = [_showing(f, dn, observed) for f, dn in zip(observed.frames, as_predicted, strict=True)]
+    planned.observed = replace(observed, frames=tuple(frames))
     planned.take_tangents(rival.nuisance, rival.effects, rival.change)
     price = cost_nats(rival.n_parameters) - cost_nats(right.n_parameters)
     nats = []
@@ -184,20 +191,18 @@ def with_more(seen: Quadratic, more: Quadratic, n: int, times: int) -> Quadratic
     )
 
 
-def _as_predicted(expected: Expected, fitted: Refit) -> Expected:
-    """Return the menu's frames, a frame for each experiment, as a fit predicts them."""
+def _planned(expected: Expected) -> Expected:
+    """Return the model for the menu's frames, a frame for each experiment."""
     observed, template = expected.observed, _template(expected)
     frames = tuple(
         _looking(replace(planned_frame(experiment, template, observed.setup), position=position), observed)
         for position, experiment in enumerate(MENU)
     )
-    planned = Expected(replace(observed, frames=frames))
-    passed = planned.passed(fitted.nuisance, fitted.effects, fitted.change)
-    frames = tuple(
-        _showing(frame, light.mean_dn(), observed.setup, observed.bin_px)
-        for frame, light in zip(frames, passed, strict=True)
-    )
     return Expected(replace(observed, frames=frames))
+
+
+def _passed(planned: Expected, fitted: Refit) -> list[Passed]:
+    return planned.passed(fitted.nuisance, fitted.effects, fitted.change)
 
 
 def _looking(frame: ObservedFrame, observed: Observed) -> ObservedFrame:
@@ -209,8 +214,9 @@ def _looking(frame: ObservedFrame, observed: Observed) -> ObservedFrame:
     return replace(frame, stations_mm=stations_mm, keep=keep, rendered=keep, in_stripe=in_stripe[keep])
 
 
-def _showing(frame: ObservedFrame, mean_dn: Float64, setup: Setup, bin_px: int) -> ObservedFrame:
+def _showing(frame: ObservedFrame, mean_dn: Float64, observed: Observed) -> ObservedFrame:
     """Return a frame whose bins that count show a mean (n,), with the noise that it has; inf if saturated."""
+    setup, bin_px = observed.setup, observed.bin_px
     binned_dn = frame.binned_dn.copy()
     binned_dn[frame.keep] = mean_dn
     noise_dn2, floor_dn2 = variances_dn2(mean_dn, setup)
