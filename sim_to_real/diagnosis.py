@@ -139,7 +139,7 @@ class Where:
 
 @dataclass(frozen=True)
 class Next:
-    """The measurement that would tell apart what this recording cannot; `resolves` says whether any would."""
+    """The experiment that would tell apart what this recording cannot, or a witness if none `resolves` it."""
 
     experiment: str
     separates: tuple[str, ...]

@@ -8,7 +8,7 @@ what an effect itself moves.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from typing import TypeVar
@@ -178,10 +178,13 @@ class Expected:
 
     def take_noise(self, sigmas_dn: Sequence[Float64]) -> None:
         """Take other noise of the bins that count, (n,) for each frame; inf leaves a bin out."""
-        frames = [
+        self.take_frames(
             replace(frame, sigma_dn=sigma_dn)
             for frame, sigma_dn in zip(self.observed.frames, sigmas_dn, strict=True)
-        ]
+        )
+
+    def take_frames(self, frames: Iterable[ObservedFrame]) -> None:
+        """Take frames that show or weigh something else in the same bins, from the same poses."""
         self.observed = replace(self.observed, frames=tuple(frames))
 
     def _off_edges(self, frame: ObservedFrame, nuisance: Float64, effects: Effects) -> Float64:

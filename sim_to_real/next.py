@@ -136,9 +136,8 @@ def _set_back(planned: Expected, right: Refit, rival: Refit) -> Float64:
     as_predicted = [light.mean_dn() for light in _passed(planned, right)]
     # Light that bounces is computed once for each frame, and remembered.
     _passed(planned, rival)
-    observed = planned.observed
-    frames = [_showing(f, dn, observed) for f, dn in zip(observed.frames, as_predicted, strict=True)]
-    planned.observed = replace(observed, frames=tuple(frames))
+    seen = planned.observed
+    planned.take_frames(_showing(f, dn, seen) for f, dn in zip(seen.frames, as_predicted, strict=True))
     planned.take_tangents(rival.nuisance, rival.effects, rival.change)
     price = cost_nats(rival.n_parameters) - cost_nats(right.n_parameters)
     nats = []

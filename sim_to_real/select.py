@@ -166,7 +166,7 @@ def with_changes(
         worth = 0.0 if stays.refit.change else NAMED_FROM
         if changed.of_bins - stays.of_bins > worth:
             single[name] = changed
-    return best_first(list(single.values()))
+    return best_first(single.values())
 
 
 def told_apart(

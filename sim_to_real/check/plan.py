@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
@@ -71,42 +72,41 @@ def plan(draws: int, quiet_draws: int, tiers: str = TIERS, seed: int = 0) -> tup
     if "B" in tiers and "A" not in tiers:
         raise ValueError("tier B diagnoses the recordings of A again: name both")
     shuffle = np.random.default_rng([seed, 0])
-    planned = []
-    for n, (turn, one) in enumerate(_contents(draws, quiet_draws, tiers, shuffle)):
-        world_seed, joint = _world(seed, turn, one.effects)
-        planned.append(replace(one, seed=SEEDS * seed + n, world_seed=world_seed, joint=joint))
+    planned = list(_contents(draws, quiet_draws, tiers, seed, shuffle))
     numbers = shuffle.permutation(len(planned)) + 1
     numbered = [replace(one, number=int(n)) for one, n in zip(planned, numbers, strict=True)]
     return tuple(sorted(numbered, key=lambda one: one.number))
 
 
 def _contents(
-    draws: int, quiet_draws: int, tiers: str, shuffle: np.random.Generator
-) -> Iterator[tuple[int, Planned]]:
-    """Yield the turn in which the worlds are taken, and what to hide, of no seed and world yet."""
+    draws: int, quiet_draws: int, tiers: str, seed: int, shuffle: np.random.Generator
+) -> Iterator[Planned]:
+    """Yield what to make, in the order of tiers and turns."""
+    counted = itertools.count()
 
-    def of(tier: str, *effects: str, form: str | None = None, is_dry: bool = False) -> Planned:
-        return Planned(0, 0, tier, 0, "", effects, form, is_dry)
+    def of(turn: int, tier: str, *effects: str, form: str | None = None, is_dry: bool = False) -> Planned:
+        n, (world_seed, joint) = next(counted), _world(seed, turn, effects)
+        return Planned(n, SEEDS * seed + n, tier, world_seed, joint, effects, form, is_dry)
 
     ids = list(FORMS)
     for turn in range(draws):
         for n, effect in enumerate(ids):
             others = [form for form in FORMS[effect] if form != CATALOGUE]
             if "A" in tiers:
-                yield n + turn, of("A", effect)
+                yield of(n + turn, "A", effect)
             if "C" in tiers and others:
-                yield n + turn, of("C", effect, form=others[turn % len(others)])
+                yield of(n + turn, "C", effect, form=others[turn % len(others)])
         if "D" in tiers:
             order = shuffle.permutation(len(ids))
             for n, (i, j) in enumerate(zip(order[::2], order[1::2], strict=False)):
-                yield n + turn, of("D", ids[i], ids[j])
+                yield of(n + turn, "D", ids[i], ids[j])
     for turn in range(quiet_draws if "E" in tiers else 0):
-        yield turn, of("E")
+        yield of(turn, "E")
     for turn in range(draws if "F" in tiers else 0):
         for n, effect in enumerate(ids):
-            yield n + turn, of("F", effect)
+            yield of(n + turn, "F", effect)
             if effect in DRY:
-                yield n + turn, of("F", effect, is_dry=True)
+                yield of(n + turn, "F", effect, is_dry=True)
 
 
 def _world(seed: int, turn: int, effects: Sequence[str]) -> tuple[int, str]:

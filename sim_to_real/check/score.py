@@ -10,6 +10,7 @@ import math
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 from operator import attrgetter
 
 import numpy as np
@@ -170,6 +171,10 @@ def _rate(cases: Sequence[Case], is_right: Callable[[Case], bool]) -> Rate:
     return Rate(sum(map(is_right, cases)), len(cases))
 
 
+def _score(tier: str, name: str, text: str, rate: Rate, beside: Rate) -> Score:
+    return Score(f"{name}_{tier}", tier, text, rate, beside)
+
+
 def _one_effect(tier: str, cases: list[Case]) -> list[Score]:
     cosine = _rate(cases, COSINE_FIRST)
     clear = [case for case in cases if case.answer.is_clear or case.answer.verdict == FAILED]
@@ -179,7 +184,7 @@ def _one_effect(tier: str, cases: list[Case]) -> list[Score]:
     always = Rate(len(clear), len(clear))
 
     def row(name: str, text: str, of: list[Case], right: Callable[[Case], bool], beside: Rate) -> Score:
-        return Score(f"{name}_{tier}", tier, text, _rate(of, right), beside)
+        return _score(tier, name, text, _rate(of, right), beside)
 
     return [
         row("top1", "named first", cases, NAMED_FIRST, cosine),
@@ -221,9 +226,7 @@ def _withheld(cases: list[Case]) -> list[Score]:
     def is_unknown(case: Case) -> bool:
         return case.again is not None and case.again.verdict == "unknown"
 
-    def row(name: str, text: str, rate: Rate, beside: Rate) -> Score:
-        return Score(f"{name}_B", "B", text, rate, beside)
-
+    row = partial(_score, "B")
     n_apart, n_wrong = len(truly) - len(counted), len(again) - len(truly)
     return [
         row(
@@ -263,20 +266,17 @@ def _two_effects(cases: list[Case]) -> list[Score]:
     def cosine_named(case: Case) -> set[str]:
         return {name for name, _ in case.cosines[:2]}
 
+    row = partial(_score, "D")
     return [
-        Score(
-            "exact_D",
-            "D",
+        row(
+            "exact",
             "both effects and no other named for sure",
             _rate(cases, lambda c: c.answer.verdict == "effects" and set(c.answer.named) == set(c.effects)),
             _rate(cases, lambda c: cosine_named(c) == set(c.effects)),
         ),
-        Score(
-            "top1_D", "D", "one of the two named first", _rate(cases, NAMED_FIRST), _rate(cases, COSINE_FIRST)
-        ),
-        Score(
-            "detected_D",
-            "D",
+        row("top1", "one of the two named first", _rate(cases, NAMED_FIRST), _rate(cases, COSINE_FIRST)),
+        row(
+            "detected",
             "gap found",
             _rate(cases, lambda c: c.answer.says_gap),
             Rate(len(cases), len(cases)),
@@ -285,18 +285,16 @@ def _two_effects(cases: list[Case]) -> list[Score]:
 
 
 def _quiet(cases: list[Case]) -> list[Score]:
-    always = Rate(len(cases), len(cases))
+    row, always = partial(_score, "E"), Rate(len(cases), len(cases))
     return [
-        Score(
+        row(
             "false_alarm",
-            "E",
             "false alarms: anything but no gap (less is better)",
             _rate(cases, lambda c: c.answer.verdict != "no_gap"),
             always,
         ),
-        Score(
+        row(
             "false_name",
-            "E",
             "of these, an effect named (less is better)",
             _rate(cases, lambda c: bool(c.answer.named) or c.answer.verdict == FAILED),
             always,
@@ -307,9 +305,7 @@ def _quiet(cases: list[Case]) -> list[Score]:
 def _plain_run(cases: list[Case]) -> list[Score]:
     cosine = _rate(cases, COSINE_FIRST)
 
-    def row(name: str, text: str, rate: Rate, beside: Rate) -> Score:
-        return Score(f"{name}_F", "F", text, rate, beside)
-
+    row = partial(_score, "F")
     return [
         row("top1", "named first", _rate(cases, NAMED_FIRST), cosine),
         row(
