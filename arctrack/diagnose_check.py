@@ -9,6 +9,7 @@ short.
 
 from __future__ import annotations
 
+import contextlib
 import hashlib
 import json
 import math
@@ -17,7 +18,6 @@ import shutil
 import time
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import BrokenExecutor, as_completed
-from contextlib import contextmanager
 from dataclasses import asdict, dataclass, replace
 from functools import partial
 from pathlib import Path
@@ -304,7 +304,7 @@ def _drawn(one: Planned) -> Scenario:
     )
 
 
-@contextmanager
+@contextlib.contextmanager
 def _renderer() -> Iterator[None]:
     """Say what is to be installed where the renderer cannot start."""
     try:
@@ -379,12 +379,14 @@ def _diagnosed(folder: Path, one: Run) -> dict[str, Any]:
         frames = _frames(recording)
         at = partial(pose_at, recording.pose_buffer())
         result["report"] = report(diagnose(recording.setup, frames, at, without=one.without))
-        result |= _since(*started)
-        if not one.without and one.experiment is None:
-            result["cosines"] = plain(cosines(recording.setup, frames, at))
     except Exception as error:
         # One recording that fails is a wrong answer, not the end of the check.
-        result |= _problem(error) | _since(*started)
+        return result | _problem(error) | _since(*started)
+    result |= _since(*started)
+    if not one.without and one.experiment is None:
+        # The baseline that fails is no answer of the baseline; the diagnosis stands.
+        with contextlib.suppress(Exception):
+            result["cosines"] = plain(cosines(recording.setup, frames, at))
     return result
 
 

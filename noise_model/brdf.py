@@ -48,6 +48,9 @@ class Lobe:
 
 GAUSSIAN = Lobe()
 
+LEAST_TAIL = 1e-9
+"""A lobe with a thinner tail is a Gaussian's: (1 + t x)^(-1/t) would lose t x beside 1."""
+
 
 @dataclass(frozen=True)
 class Material:
@@ -148,7 +151,9 @@ def reflectance(
         exponent = c2 * np.arccos(cos_alpha) ** 2
         if lobe.anisotropy != 0.0:
             exponent = exponent * _marks_factor(omega_i + omega_r, normal, lobe)
-        fall = np.exp(-exponent) if lobe.tail == 0.0 else (1.0 + lobe.tail * exponent) ** (-1.0 / lobe.tail)
+        fall = np.exp(-exponent)
+        if lobe.tail >= LEAST_TAIL:
+            fall = np.exp(-np.log1p(lobe.tail * exponent) / lobe.tail)
         value = kappa_diff + kappa_spec * attenuation / cos_r * fall
     return np.where((cos_i > 0) & (cos_r > 0), value, 0.0)
 
@@ -290,10 +295,9 @@ def lobe_fall(
         along = mx * hx + my * hy - m_n * h_n
         cos2_psi = along * along / max(square, 1e-300)
         exponent *= math.exp(-anisotropy) + 2.0 * math.sinh(anisotropy) * min(1.0, cos2_psi)
-    if tail == 0.0:
+    if tail < LEAST_TAIL:
         return math.exp(-exponent)
-    fall: float = (1.0 + tail * exponent) ** (-1.0 / tail)
-    return fall
+    return math.exp(-math.log1p(tail * exponent) / tail)
 
 
 @kernel(inline=True)

@@ -71,7 +71,9 @@ def _across(vertices: Float64, face: int, of: Float64, n: int) -> Float64:
         return width * (1.0 - (1.0 - t) ** GRADING) if high else width * t
 
     fine = np.linspace(0.0, 1.0, 20001)
-    ends = np.clip(of, OFF_CORNER_MM, width - OFF_CORNER_MM)
+    # On a face that is hardly wider than that the places would coincide.
+    off_corner_mm = min(OFF_CORNER_MM, 0.25 * width)
+    ends = np.clip(of, off_corner_mm, width - off_corner_mm)
     first, last = np.interp(ends, graded(fine), fine)
     across = graded(np.linspace(first, last, n))
     across[0], across[-1] = ends

@@ -246,8 +246,8 @@ class SeamGeometry(BusMessage):
 class TrackerStatus(BusMessage):
     """How the tracker is.
 
-    `arc_level` is the arc's output over what the setup expects, `map_misfit` the RMS of the arc residual over
-    its stated uncertainty.
+    `arc_level` is the arc's output over what the setup expects, `map_misfit` the 90 % quantile of the arc's
+    residual over its stated uncertainty, as a share of a normal law's.
     """
 
     state: TrackerState

@@ -20,7 +20,7 @@ from sim_to_real.expected import Expected
 from sim_to_real.nuisances import SEAM_FROM
 from sim_to_real.quadratic import N_EFFECTIVE, Quadratic
 from sim_to_real.refit import FLICKER, NAMED_FROM, Refit, huber_weights
-from sim_to_real.split import folds
+from sim_to_real.split import folds, sees_as_much
 
 JUDGED_WITHIN = 10.0
 """Residuals beyond so many sigmas count as if they were that large: a streak is no more than a streak."""
@@ -161,8 +161,9 @@ def judged(expected: Expected, fitted: Refit) -> Candidate:
     for k in range(FOLDS):
         held = fold == k
         if held.any():
-            # A single frame can only be judged by the fit that saw it.
-            x = fitted.x if held.all() else fitted.quadratic.solve(~held, HELD_DAMPING, of_seam)
+            # Without a source's light its level is known by its tolerance alone: the fit that saw it judges.
+            is_fair = sees_as_much(expected.observed, ~held)
+            x = fitted.quadratic.solve(~held, HELD_DAMPING, of_seam) if is_fair else fitted.x
             costs[held] = plain.costs(x)[held]
     return Candidate(fitted, costs)
 

@@ -99,17 +99,19 @@ class Quadratic:
         scale = np.sqrt(np.maximum(np.diag(A), 1e-300))
         scaled = A / np.outer(scale, scale) + (RIDGE + damping) * np.eye(len(b))
         factor = np.linalg.cholesky(scaled)
-        lower = np.array([parameter.lower for parameter in self.parameters]) - self.x
-        upper = np.array([parameter.upper for parameter in self.parameters]) - self.x
+        lowest = np.array([parameter.lower for parameter in self.parameters])
+        highest = np.array([parameter.upper for parameter in self.parameters])
+        lower, upper = lowest - self.x, highest - self.x
         target = np.linalg.solve(factor, b / scale)
         free = np.linalg.solve(factor.T, target) / scale
         if (free >= lower).all() and (free <= upper).all():
-            return np.asarray(self.x + free)
+            return np.asarray(np.clip(self.x + free, lowest, highest))
         # A bound that x lies on may be missed by rounding: the solver wants room.
         low = np.minimum(lower, 0.0) * scale
         high = np.maximum(np.maximum(upper, 0.0) * scale, low + 1e-12 * scale)
         found = lsq_linear(factor.T, target, (low, high), method="bvls")
-        return np.asarray(self.x + found.x / scale)
+        # What lies on a bound must not lie beyond it by rounding: effects refuse such values.
+        return np.asarray(np.clip(self.x + found.x / scale, lowest, highest))
 
     def summed(self) -> Quadratic:
         """Return the same of all frames as if they were one."""

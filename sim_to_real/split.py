@@ -3,12 +3,16 @@
 from __future__ import annotations
 
 from collections import Counter, defaultdict
+from collections.abc import Sequence
 
 import numpy as np
 import numpy.typing as npt
 
-from sim_to_real.observed import Observed, ObservedFrame
+from sim_to_real.observed import Observed
 from sim_to_real.pixels import Bool
+
+SAME_REL = 0.05
+"""Exposures and currents that differ by less are alike: what is measured scatters."""
 
 Int64 = npt.NDArray[np.int64]
 
@@ -21,7 +25,7 @@ def held_out(observed: Observed, share: float) -> Bool:
     """
     held = np.zeros(len(observed.frames), dtype=bool)
     least = 0 if any(round(share * len(members)) for members in _strata(observed)) else 1
-    conditions = [_condition(frame) for frame in observed.frames]
+    conditions = _conditions(observed)
     left = Counter(conditions)
     for members in _strata(observed):
         count = min(len(members) - 1, max(round(share * len(members)), least))
@@ -53,8 +57,32 @@ def folds(observed: Observed, count: int) -> Int64:
     return fold
 
 
-def _condition(frame: ObservedFrame) -> tuple[str, float, float]:
-    return frame.stratum, frame.condition.exposure_s, frame.condition.arc_level
+def sees_as_much(observed: Observed, chosen: Bool) -> bool:
+    """Say whether some frames (n_frames,), not none, show laser and arc if any of all frames do."""
+    shown = np.array(
+        [(f.stratum in ("laser", "both"), f.stratum in ("arc", "both")) for f in observed.frames]
+    )
+    return bool(chosen.any()) and bool((shown[chosen].any(axis=0) == shown.any(axis=0)).all())
+
+
+def _conditions(observed: Observed) -> list[tuple[str, int, int]]:
+    """Return each frame's stratum and to which exposures and currents its own belong.
+
+    Measured ones scatter: those that differ by less than `SAME_REL` from the next are the same.
+    """
+    exposure = _alike([frame.condition.exposure_s for frame in observed.frames])
+    arc = _alike([frame.condition.arc_level for frame in observed.frames])
+    return [(frame.stratum, e, a) for frame, e, a in zip(observed.frames, exposure, arc, strict=True)]
+
+
+def _alike(values: Sequence[float]) -> list[int]:
+    """Return the number of the group of each of some values, not < 0: of those that follow closely."""
+    of = np.array(values, dtype=np.float64)
+    order = np.argsort(of, kind="stable")
+    is_apart = of[order][1:] > (1.0 + SAME_REL) * of[order][:-1]
+    group = np.zeros(len(of), dtype=np.int64)
+    group[order[1:]] = np.cumsum(is_apart)
+    return list(map(int, group))
 
 
 def _strata(observed: Observed) -> list[list[int]]:

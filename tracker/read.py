@@ -262,7 +262,7 @@ def _predict_background(
     band: Work,
 ) -> None:
     """Write the arc map at the frame's own level into the band; without an arc, the black level's offset."""
-    if level == 0.0:
+    if level == 0.0 and passage is None:
         band.background[:] = black_e
         return
     arc_map.fill(lows, band.background)

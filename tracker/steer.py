@@ -27,7 +27,7 @@ from tracker.joint_ends import Change, JointEnds, nominal_ends
 from tracker.seam import confidence
 from tracker.state import NAN, Track
 
-NO_LOOK = flags.LASER_OFF.mask | flags.BELOW_SURFACE.mask
+NO_LOOK = flags.LASER_OFF.mask | flags.BELOW_SURFACE.mask | flags.SEAM_OUT_OF_VIEW.mask
 """A frame with these says nothing of whether there is a joint."""
 
 

@@ -24,7 +24,10 @@ calibrate = typer.Typer(
 ALBEDO, TOTAL = 0.99, 1.0
 """The white standard's reflectance, or without one what the kappas' sum is taken to be, if not stated."""
 
-EXAMPLE = "Example: arctrack calibrate reflectance examples/goniometer_mild_steel.csv --out /tmp/steel"
+EXAMPLE = (
+    "Example: arctrack calibrate reflectance examples/goniometer_mild_steel.csv --gamma 0.45 --black 10 "
+    "--out /tmp/steel"
+)
 
 
 calibrate.command(

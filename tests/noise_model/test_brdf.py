@@ -268,3 +268,12 @@ def test_an_impossible_mirror_is_refused(rho):
 def test_an_impossible_roughness_is_refused(R_q_um, wavelength_um):
     with pytest.raises(ValueError, match="um"):
         regime(R_q_um, wavelength_um)
+
+
+@pytest.mark.parametrize("tail", [1e-17, 1e-12, 1e-8, 1e-5])
+def test_a_thin_tail_is_hardly_more_than_none(tail):
+    omega_i, omega_r = np.array([0.5, 0.0, np.sqrt(0.75)]), NORMAL
+    numbers = MILD_STEEL.kappa_diff, MILD_STEEL.kappa_spec, MILD_STEEL.c2
+    plain = reflectance(omega_i, omega_r, NORMAL, *numbers)
+    tailed = reflectance(omega_i, omega_r, NORMAL, *numbers, lobe=Lobe(tail=tail))
+    assert tailed == pytest.approx(plain, rel=1e-2 * tail / 1e-5 + 1e-12)

@@ -92,3 +92,12 @@ def test_a_direction_that_nothing_sees_stays_where_it_is():
     found = Quadratic.of(free, x, r, J, w, COUNTS).solve(np.ones(3, dtype=bool))
     assert found[2] == x[2]
     assert np.isfinite(found).all()
+
+
+def test_no_parameter_ends_beyond_its_bounds_even_by_rounding():
+    low, high = -1.0 / 30.0, 0.7 / 3.0
+    for seed in range(200):
+        parameters, x, r, J, w = problem(seed, (low, high))
+        inside = np.clip(x + np.random.default_rng(seed).uniform(-0.3, 0.9, 3), low, high)
+        found = Quadratic.of(parameters, inside, r, J, w, COUNTS).solve()
+        assert (found >= low).all() and (found <= high).all()

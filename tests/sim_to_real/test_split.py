@@ -6,7 +6,7 @@ import numpy as np
 from hypothesis import example, given
 from hypothesis import strategies as st
 
-from sim_to_real.split import folds, held_out, one_of_each
+from sim_to_real.split import folds, held_out, one_of_each, sees_as_much
 
 STRATA = ["dark", "laser", "arc", "both"]
 KINDS = st.lists(st.sampled_from(STRATA), min_size=1, max_size=40)
@@ -67,3 +67,21 @@ def test_the_middle_frame_of_each_kind_stands_for_it(kinds):
     for n in chosen:
         before, behind = (sum(kind == kinds[n] for kind in of) for of in (kinds[:n], kinds[n + 1 :]))
         assert behind in (before, before - 1)
+
+
+def test_measured_exposures_that_scatter_are_one_condition():
+    kinds = ["laser", "both"] * 12
+    scatters = 1.0 + 1e-3 * np.random.default_rng(0).standard_normal(24)
+    exposures_s = [(SHORT if n < 8 else LONG) * of for n, of in enumerate(scatters)]
+    held = held_out(recording(kinds, exposures_s), 0.25)
+    assert [int(held[kind::2].sum()) for kind in (0, 1)] == [3, 3]
+    assert not held[:8].all() and not held[8:].all()
+
+
+def test_frames_see_as_much_if_each_source_is_on_in_one_of_them():
+    observed = recording(["dark", "laser", "arc", "both", "laser"])
+    assert sees_as_much(observed, np.array([False, False, False, True, False]))
+    assert sees_as_much(observed, np.array([False, True, True, False, False]))
+    assert not sees_as_much(observed, np.array([True, True, False, False, True]))
+    assert not sees_as_much(observed, np.zeros(5, dtype=bool))
+    assert sees_as_much(recording(["dark", "dark"]), np.array([True, False]))

@@ -248,10 +248,10 @@ def test_the_price_alone_tells_no_pair_apart_that_looks_the_same(monkeypatch, le
 def test_what_is_to_be_told_apart_is_what_is_in_question(monkeypatch):
     fume, gamma, window = (candidate(name) for name in ("fume", "gamma", "dirty_window"))
 
-    def pair(verdict, *ambiguous, alike=()):
-        singles = fume, gamma, window
+    def pair(verdict, *ambiguous, alike=(), named=("fume",)):
+        singles, chosen = (fume, gamma, window), SimpleNamespace(ids=named)
         return in_question(
-            SimpleNamespace(verdict=verdict, singles=singles, ambiguous=ambiguous, alike=alike)
+            SimpleNamespace(verdict=verdict, singles=singles, ambiguous=ambiguous, alike=alike, chosen=chosen)
         )
 
     assert pair(Verdict.AMBIGUOUS, ("fume", "dirty_window")) == (fume, window)
@@ -260,3 +260,8 @@ def test_what_is_to_be_told_apart_is_what_is_in_question(monkeypatch):
     assert pair(Verdict.EFFECTS) is None
     assert pair(Verdict.EFFECTS, alike=[("gamma", "dirty_window")]) is None
     assert pair(Verdict.EFFECTS, alike=[("dirty_window", "fume")]) == (fume, window)
+    # Neither what only looks likeliest nor what is named beside it is in question.
+    every = [("fume", "gamma"), ("fume", "dirty_window"), ("gamma", "dirty_window")]
+    assert pair(Verdict.EFFECTS, alike=every, named=()) is None
+    assert pair(Verdict.EFFECTS, alike=every, named=("gamma", "black_level")) == (gamma, fume)
+    assert pair(Verdict.EFFECTS, alike=every, named=("gamma", "fume")) == (fume, window)
