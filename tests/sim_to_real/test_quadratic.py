@@ -100,4 +100,5 @@ def test_no_parameter_ends_beyond_its_bounds_even_by_rounding():
         parameters, x, r, J, w = problem(seed, (low, high))
         inside = np.clip(x + np.random.default_rng(seed).uniform(-0.3, 0.9, 3), low, high)
         found = Quadratic.of(parameters, inside, r, J, w, COUNTS).solve()
-        assert (found >= low).all() and (found <= high).all()
+        assert (found >= low).all()
+        assert (found <= high).all()

@@ -75,7 +75,8 @@ def test_measured_exposures_that_scatter_are_one_condition():
     exposures_s = [(SHORT if n < 8 else LONG) * of for n, of in enumerate(scatters)]
     held = held_out(recording(kinds, exposures_s), 0.25)
     assert [int(held[kind::2].sum()) for kind in (0, 1)] == [3, 3]
-    assert not held[:8].all() and not held[8:].all()
+    assert not held[:8].all()
+    assert not held[8:].all()
 
 
 def test_frames_see_as_much_if_each_source_is_on_in_one_of_them():
