@@ -408,3 +408,15 @@ def test_a_recording_with_bounced_light_looks_more_like_it(index):
     found = np.array([unevenness(scale) for scale in np.linspace(0.0, 0.6, 61)])
     assert found.min() < 0.75 * found[0]
     assert 10 < found.argmin() < 50
+
+
+@pytest.mark.parametrize("gap_mm", [0.003, 0.006])
+def test_a_root_hardly_wider_than_the_margin_of_its_corners_changes_little(gap_mm):
+    seen = []
+    for root_gap_mm in (0.0, gap_mm):
+        joint = dataclasses.replace(SHARP, dimensions={**SHARP.dimensions, "root_gap_mm": root_gap_mm})
+        setup = scenes.setup(joint, "zn_coated", of_camera=scenes.camera(width=40, height=30))
+        orders_e = bounced_light(View.of(setup, scenes.pose())).arc_orders_e
+        seen.append(np.sum(orders_e, axis=0))
+    sharp, blunt = seen
+    np.testing.assert_allclose(blunt, sharp, rtol=0.05, atol=0.05 * sharp.max())

@@ -344,3 +344,17 @@ def test_a_frame_without_the_laser_says_nothing_of_the_joints_ends(v: Setup) -> 
         pose = pose_at(2.0 * n)
         tracker.step(frame_of(short, pose, laser=laser, index=n), pose)
         assert (tracker.state.steering.ends == before) == (laser == 0.0)
+
+
+def test_a_seam_out_of_view_says_nothing_of_the_joints_end(v: Setup) -> None:
+    nominal = replace(v.joint, seam_in_base_mm=((-100.0, 0.0, 0.0), (120.0, 0.0, 0.0)))
+    setup = replace(v, joint=nominal)
+    tracker = Tracker(setup, correction=Correction(ends_mm=30.0))
+    found = []
+    for n in range(40):
+        # The tool stands aside for 16 mm, shortly before where the joint may end; it goes on beyond.
+        pose = pose_at(20.0 + 2.0 * n, 21.0 if 30 <= n < 38 else 0.0)
+        found.append(tracker.step(frame_of(setup, pose, SeamLine(0.0, 0.3, 0.0), index=n), pose))
+    assert any("seam_out_of_view" in track.flag_names for track in found[30:38])
+    assert found[-1].valid
+    assert math.isnan(found[-1].joint_end_mm[0])

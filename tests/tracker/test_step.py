@@ -411,3 +411,13 @@ def test_the_recordings_of_another_renderer_are_tracked(name: str) -> None:
     print(f"{name}: {len(errors)} frames, constant {constant.round(3)} mm, rms without it {rms.round(4)} mm")
     assert (rms <= 0.05).all()
     assert largest <= 0.25
+
+
+@pytest.mark.parametrize("joint", ["v_groove", "lap"])
+def test_a_stated_glow_stays_in_the_background_where_the_arc_is_off(joint: str) -> None:
+    glow = {"peak_e": 30000.0, "length_mm": 15.0, "arc_off_share": 1.0}
+    setup = replace(small_setup(joint), effects={"hot_metal_glow": glow})
+    tracker, seam = Tracker(setup), SeamLine(0.0, 0.5, 0.2)
+    for n in range(8):
+        pose = pose_at(4.0 * n)
+        assert tracker.step(frame_of(setup, pose, seam, arc=0.0, index=n), pose).valid
