@@ -285,16 +285,18 @@ def _two_effects(cases: list[Case]) -> list[Score]:
 
 
 def _quiet(cases: list[Case]) -> list[Score]:
-    row, always = partial(_score, "E"), Rate(len(cases), len(cases))
+    always = Rate(len(cases), len(cases))
     return [
-        row(
+        Score(
             "false_alarm",
+            "E",
             "false alarms: anything but no gap (less is better)",
             _rate(cases, lambda c: c.answer.verdict != "no_gap"),
             always,
         ),
-        row(
+        Score(
             "false_name",
+            "E",
             "of these, an effect named (less is better)",
             _rate(cases, lambda c: bool(c.answer.named) or c.answer.verdict == FAILED),
             always,

@@ -213,7 +213,7 @@ def test_what_is_dear_is_fitted_where_it_closes_a_good_part_in_a_few_frames(
 ):
     """Of a few frames the nuisances may leave less than the floor: then it counts from the least."""
     few = SimpleNamespace()
-    observed = SimpleNamespace(lit=np.ones(8, dtype=bool), frames=range(8))
+    observed = SimpleNamespace(lit=np.ones(8, dtype=bool), counts=np.full(8, 100), frames=range(8))
     expected = SimpleNamespace(observed=observed, some=lambda chosen: few)
     left = {frozenset(): before, frozenset({"interreflection"}): after}
     monkeypatch.setattr(
