@@ -9,7 +9,6 @@ short.
 
 from __future__ import annotations
 
-import contextlib
 import hashlib
 import json
 import math
@@ -18,6 +17,7 @@ import shutil
 import time
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import BrokenExecutor, as_completed
+from contextlib import contextmanager, suppress
 from dataclasses import asdict, dataclass, replace
 from functools import partial
 from pathlib import Path
@@ -304,7 +304,7 @@ def _drawn(one: Planned) -> Scenario:
     )
 
 
-@contextlib.contextmanager
+@contextmanager
 def _renderer() -> Iterator[None]:
     """Say what is to be installed where the renderer cannot start."""
     try:
@@ -385,7 +385,7 @@ def _diagnosed(folder: Path, one: Run) -> dict[str, Any]:
     result |= _since(*started)
     if not one.without and one.experiment is None:
         # The baseline that fails is no answer of the baseline; the diagnosis stands.
-        with contextlib.suppress(Exception):
+        with suppress(Exception):
             result["cosines"] = plain(cosines(recording.setup, frames, at))
     return result
 

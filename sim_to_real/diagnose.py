@@ -35,7 +35,7 @@ from sim_to_real.diagnosis import (
     left_out,
 )
 from sim_to_real.expected import Effects, Expected
-from sim_to_real.free_term import free_term
+from sim_to_real.free_term import free_term, gap_size
 from sim_to_real.held import excess_map, left_in_pixels, measure, predict_held, smaller
 from sim_to_real.locate import locate
 from sim_to_real.next import best_measurement, smallest
@@ -109,6 +109,11 @@ def _diagnosed(
         raise ValueError(
             "nothing can be compared, all that shows of the joint is saturated: shorten the exposure"
         )
+    if train.lit.any() and not train.shows_arc.any():
+        raise ValueError(
+            "nothing that the arc lights can be compared, all of it is saturated: shorten the exposure, "
+            "or leave the frames with the arc out"
+        )
     heard("fitting what is no gap", 0.05)
     expected = Expected(train, threads)
     before, scattered = _baseline(expected, without)
@@ -173,19 +178,20 @@ def _diagnosed(
         stage = _simplest_stage(expected, before, of_bins)
     where = locate(of_bins, before.residuals, stage, excess_map(predicted))
     of_after = of_bins if after is before else covariates(expected, after)
-    free = free_term(of_after, after.residuals, ~aside)[0]
+    size = gap_size(of_bins, before.residuals, ~aside)
+    free = free_term(of_after, after.residuals, ~aside, size)[:1]
     heard("done", 1.0)
     return Diagnosis(
         decision.verdict,
         effects,
-        _ranking(decision, baseline, random),
+        ranking(decision, baseline, random),
         decision.ambiguous,
         gap,
         where,
         _next(choosing, decision),
         decision.alike,
         smallest(decision.signatures, decision.screened),
-        (free.name, free.closed),
+        next(((of.name, of.closed) for of in free), None),
         (*after.ids, *random.effects),
         predicted,
     )
@@ -286,7 +292,7 @@ def _with_random(share: Mapping[str, float], before: Scatter, random: Scatter) -
     return {name: of / total if total > 0.0 else math.nan for name, of in of_all.items()}
 
 
-def _ranking(decision: Decision, baseline: Candidate, random: Scatter) -> tuple[Ranked, ...]:
+def ranking(decision: Decision, baseline: Candidate, random: Scatter) -> tuple[Ranked, ...]:
     """Return all single effects, best first, with the share of the gap's size that each closes.
 
     How sure each is goes with `_named`.
@@ -294,14 +300,17 @@ def _ranking(decision: Decision, baseline: Candidate, random: Scatter) -> tuple[
     # Below the model's floor the best closes all that there is.
     floor = min([1.0, *(single.left for single in decision.singles)])
     size = math.sqrt(max(baseline.left - floor, 0.0))
-    ranked = [
-        (random.evidence[name], Ranked(name, RELIABLE * random.confidence[name], random.closed[name]))
-        for name in random.evidence
-    ]
+    ranked = []
+    # One that its bounds hold back may stand behind a less likely one: among themselves they keep their order.
+    most = math.inf
     for single, confidence in zip(decision.singles, decision.confidence, strict=True):
         left = math.sqrt(max(single.left - floor, 0.0))
         closed = 1.0 - left / size if size else math.nan
-        gained = single.evidence - baseline.evidence
+        most = min(most, single.evidence - baseline.evidence)
         one = Ranked(single.ids[-1], RELIABLE * float(confidence), closed, single.is_held_back)
-        ranked.append((gained, one))
+        ranked.append((most, one))
+    ranked += [
+        (random.evidence[name], Ranked(name, RELIABLE * random.confidence[name], random.closed[name]))
+        for name in random.evidence
+    ]
     return tuple(one for _, one in sorted(ranked, key=lambda pair: -pair[0]))

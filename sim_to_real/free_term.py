@@ -7,6 +7,7 @@ the nuisances: those of the fit that left the residuals were pulled by what it d
 
 from __future__ import annotations
 
+import math
 from collections import Counter
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
@@ -75,25 +76,42 @@ class FreeTerm:
         return f"{self.covariate} {self.form}"
 
 
-def free_term(covariates: Covariates, residuals: Float64, training: Bool) -> tuple[FreeTerm, ...]:
+def gap_size(covariates: Covariates, residuals: Float64, training: Bool) -> float:
+    """Return sqrt(mean r^2 - 1) of the frames that are none of the training frames (n_frames,); 0 for no gap.
+
+    What nuisances alone, fitted to the training frames' residuals, would take is taken off.
+    """
+    return _size(_held(covariates, residuals, training))
+
+
+def free_term(
+    covariates: Covariates, residuals: Float64, training: Bool, before: float
+) -> tuple[FreeTerm, ...]:
     """Return the free functions of each covariate, and of row and column, best first.
 
     They are fitted to the residuals (n,) of the training frames (n_frames,) and scored on the others:
-    `closed` is by how much sqrt(mean r^2 - 1) shrinks there beyond what nuisances alone do, 0 where it does
-    not or where there is no gap.
+    `closed` is by how much they shrink the `gap_size` there, as a share of the size `before` anything was
+    named. None are told of a gap that is hardly one.
     """
-    fold = np.where(training, 0, 1)[covariates.frame]
-    fit = HeldOut.of(covariates, residuals, fold, scored=(1,))
-    chosen = fit.covariates
-    left = fit.mean_square - fit.alone
-    before = np.sqrt(max(left - 1.0, 0.0))
+    if before**2 < LEAST_EXCESS:
+        return ()
+    fit = _held(covariates, residuals, training)
+    chosen, left = fit.covariates, _size(fit)
     terms = []
     for name, basis in functions(chosen):
         for form, weight in FORMS:
-            after = np.sqrt(max(left - fit.gain(basis * _column(chosen, weight)) - 1.0, 0.0))
-            closed = 1.0 - after / before if before > 0.0 else 0.0
-            terms.append(FreeTerm(name, form, float(np.clip(closed, 0.0, 1.0))))
+            after = _size(fit, fit.gain(basis * _column(chosen, weight)))
+            terms.append(FreeTerm(name, form, float(np.clip((left - after) / before, 0.0, 1.0))))
     return tuple(sorted(terms, key=lambda term: -term.closed))
+
+
+def _held(covariates: Covariates, residuals: Float64, training: Bool) -> HeldOut:
+    return HeldOut.of(covariates, residuals, np.where(training, 0, 1)[covariates.frame], scored=(1,))
+
+
+def _size(fit: HeldOut, gained: float = 0.0) -> float:
+    """Return sqrt(mean r^2 - 1) where nuisances alone, and so much besides, lower the mean square."""
+    return math.sqrt(max(fit.mean_square - fit.alone - gained - 1.0, 0.0))
 
 
 def functions(covariates: Covariates) -> Iterator[tuple[str, Float32]]:

@@ -112,6 +112,21 @@ class Observed:
         """The frames (n_frames,) that the arc lights."""
         return np.array([frame.condition.arc_level > 0.0 for frame in self.frames], dtype=np.bool_)
 
+    @property
+    def striped(self) -> Bool:
+        """The frames (n_frames,) that the laser lights."""
+        return np.array([frame.condition.laser_level > 0.0 for frame in self.frames], dtype=np.bool_)
+
+    @property
+    def shows_arc(self) -> Bool:
+        """The frames (n_frames,) that the arc lights and in which a bin counts: not all is saturated."""
+        return self.lit & (self.counts > 0)
+
+    @property
+    def shows_laser(self) -> Bool:
+        """The frames (n_frames,) that the laser lights and in which a bin counts."""
+        return self.striped & (self.counts > 0)
+
     @cached_property
     def counts(self) -> Int64:
         """How many bins of each frame count (n_frames,)."""

@@ -16,7 +16,7 @@ import numpy as np
 import numpy.typing as npt
 from scipy.optimize import lsq_linear
 
-from noise_model.fit import Parameter
+from noise_model.fit import Parameter, within_bounds
 from noise_model.frames import Float64
 
 N_EFFECTIVE = 200.0
@@ -99,19 +99,18 @@ class Quadratic:
         scale = np.sqrt(np.maximum(np.diag(A), 1e-300))
         scaled = A / np.outer(scale, scale) + (RIDGE + damping) * np.eye(len(b))
         factor = np.linalg.cholesky(scaled)
-        lowest = np.array([parameter.lower for parameter in self.parameters])
-        highest = np.array([parameter.upper for parameter in self.parameters])
-        lower, upper = lowest - self.x, highest - self.x
+        lower = np.array([parameter.lower for parameter in self.parameters]) - self.x
+        upper = np.array([parameter.upper for parameter in self.parameters]) - self.x
         target = np.linalg.solve(factor, b / scale)
         free = np.linalg.solve(factor.T, target) / scale
         if (free >= lower).all() and (free <= upper).all():
-            return np.asarray(np.clip(self.x + free, lowest, highest))
+            return within_bounds(self.parameters, self.x + free)
         # A bound that x lies on may be missed by rounding: the solver wants room.
         low = np.minimum(lower, 0.0) * scale
         high = np.maximum(np.maximum(upper, 0.0) * scale, low + 1e-12 * scale)
         found = lsq_linear(factor.T, target, (low, high), method="bvls")
         # What lies on a bound must not lie beyond it by rounding: effects refuse such values.
-        return np.asarray(np.clip(self.x + found.x / scale, lowest, highest))
+        return within_bounds(self.parameters, self.x + found.x / scale)
 
     def summed(self) -> Quadratic:
         """Return the same of all frames as if they were one."""

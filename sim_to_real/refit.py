@@ -142,7 +142,7 @@ def refit(
         cost = problem.cost(x, r, bound, weight)
         gained = 0.0
         while damping < DAMPED_MOST:
-            x_new = within_bounds(problem.parameters, quadratic.solve(damping=damping))
+            x_new = quadratic.solve(damping=damping)
             passed_new = problem.passed(x_new)
             r_new = expected.residuals(passed_new)
             new = problem.cost(x_new, r_new, bound, weight)

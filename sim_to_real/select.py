@@ -197,7 +197,7 @@ def told_apart(
 
 def _worth_it(expected: Expected, baseline: Refit, effects: Effects) -> bool:
     """Say whether effects close a good part of the gap in a few of the frames that the arc lights."""
-    lit = np.flatnonzero(expected.observed.lit & (expected.observed.counts > 0))
+    lit = np.flatnonzero(expected.observed.shows_arc)
     if not len(lit):
         return False
     few = expected.some(
@@ -229,4 +229,4 @@ def _is_worse(one: Screened, found: Sequence[Candidate], baseline: Refit) -> boo
 
 
 def _shows_arc(expected: Expected) -> bool:
-    return bool((expected.observed.lit & (expected.observed.counts > 0)).sum() > 2)
+    return bool(expected.observed.shows_arc.sum() > 2)

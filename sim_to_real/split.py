@@ -59,10 +59,8 @@ def folds(observed: Observed, count: int) -> Int64:
 
 def sees_as_much(observed: Observed, chosen: Bool) -> bool:
     """Say whether some frames (n_frames,), not none, show laser and arc if any of all frames do."""
-    shown = np.array(
-        [(f.stratum in ("laser", "both"), f.stratum in ("arc", "both")) for f in observed.frames]
-    )
-    return bool(chosen.any()) and bool((shown[chosen].any(axis=0) == shown.any(axis=0)).all())
+    shown = observed.shows_laser, observed.shows_arc
+    return bool(chosen.any()) and all(of[chosen].any() == of.any() for of in shown)
 
 
 def _conditions(observed: Observed) -> list[tuple[str, int, int]]:

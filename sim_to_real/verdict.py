@@ -245,8 +245,9 @@ def in_question(decision: Decision) -> tuple[Candidate, Candidate] | None:
     if decision.verdict is Verdict.AMBIGUOUS:
         singles = [one for one in singles if one.ids[0] in decision.ambiguous[0]]
     elif decision.verdict is Verdict.EFFECTS and singles:
-        named = [one for one in singles if one.ids[-1] in decision.chosen.ids][:1]
-        like = {other for one in named for other in _like(one.ids[-1], decision.alike)}
-        others = like - set(decision.chosen.ids)
-        singles = [*named, *(one for one in singles if one.ids[-1] in others)]
+        named = next((one for one in singles if one.ids[-1] in decision.chosen.ids), None)
+        if named is None:
+            return None
+        others = _like(named.ids[-1], decision.alike) - set(decision.chosen.ids)
+        singles = [named, *(one for one in singles if one.ids[-1] in others)]
     return (singles[0], singles[1]) if len(singles) > 1 else None

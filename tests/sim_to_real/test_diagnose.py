@@ -93,6 +93,16 @@ def test_where_all_is_saturated_it_is_said(short):
         diagnose(setup, white, pose_at)
 
 
+def test_where_all_that_the_arc_lights_is_saturated_it_is_said(short):
+    setup, frames, pose_at = short
+    white = [
+        replace(frame, image_dn=np.full_like(frame.image_dn, 255)) if frame.arc_on else frame
+        for frame in frames
+    ]
+    with pytest.raises(ValueError, match="nothing that the arc lights can be compared"):
+        diagnose(setup, white, pose_at)
+
+
 def test_an_effect_that_is_not_known_is_refused():
     with pytest.raises(ValueError, match="gama: no such effect"):
         diagnose(example_setup(), [], lambda t: None, without=("gama",))

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from noise_model.fit import Parameter
-from sim_to_real.free_term import FOLDS, HeldOut, folds_by_turn, free_term, hats, hats_of_two
+from sim_to_real.free_term import FOLDS, HeldOut, folds_by_turn, free_term, gap_size, hats, hats_of_two
 from tests.sim_to_real.planted import planted
 
 TRAINING = np.arange(24) % 3 != 0
@@ -12,6 +12,11 @@ TRAINING = np.arange(24) % 3 != 0
 
 def noise(of, seed=1):
     return np.random.default_rng(seed).standard_normal(len(of.frame))
+
+
+def terms_of(of, r):
+    """Free functions of what nothing that is named has touched."""
+    return free_term(of, r, TRAINING, gap_size(of, r, TRAINING))
 
 
 def test_hats_interpolate_lines_exactly_and_leave_out_what_is_unknown():
@@ -46,7 +51,7 @@ def test_hats_of_row_and_column_interpolate_their_product():
 )
 def test_the_function_that_was_planted_closes_the_gap(covariate, form, gap):
     of = planted()
-    terms = free_term(of, noise(of) + gap(of), TRAINING)
+    terms = terms_of(of, noise(of) + gap(of))
     assert (terms[0].covariate, terms[0].form) == (covariate, form)
     assert terms[0].name == f"{covariate} {form}"
     assert terms[0].closed > 0.75
@@ -55,18 +60,32 @@ def test_the_function_that_was_planted_closes_the_gap(covariate, form, gap):
 
 def test_of_noise_and_of_frames_own_levels_no_function_closes_anything():
     of = planted()
-    for term in free_term(of, 1.2 * noise(of), TRAINING):
+    for term in terms_of(of, 1.2 * noise(of)):
         assert term.closed < 0.03, term.name
     levels = np.random.default_rng(7).standard_normal(24)
-    terms = free_term(of, noise(of) + 2.0 * levels[of.frame] * (of.arc_dn > 0.0), TRAINING)
+    terms = terms_of(of, noise(of) + 2.0 * levels[of.frame] * (of.arc_dn > 0.0))
     assert terms[0].closed < 0.15
+
+
+def test_a_share_is_of_the_gap_that_there_was_and_of_a_trifle_none_is_told():
+    of = planted()
+    left = 60.0 / np.nan_to_num(of.values["distance"], nan=np.inf)
+    before = gap_size(of, noise(of) + 5.0 * left, TRAINING)
+    alone, beside = (
+        free_term(of, noise(of) + left, TRAINING, size)[0]
+        for size in (gap_size(of, noise(of) + left, TRAINING), before)
+    )
+    assert alone.closed > 0.75
+    # What was named took four fifths of the gap before.
+    assert beside.closed == pytest.approx(alone.closed / 5.0, rel=0.1)
+    assert free_term(of, noise(of), TRAINING, gap_size(of, 1.02 * noise(of), TRAINING)) == ()
 
 
 def test_two_coordinates_are_needed_for_a_patch():
     of = planted()
     row, column = of.values["row"], of.values["column"]
     patch = np.exp(-((row - 8.0) ** 2 + (column - 22.0) ** 2) / 40.0)
-    terms = free_term(of, noise(of) - 0.8 * patch * of.light_dn, TRAINING)
+    terms = terms_of(of, noise(of) - 0.8 * patch * of.light_dn)
     assert (terms[0].covariate, terms[0].form) == ("row, column", "times_light")
     assert terms[0].closed > 0.6
 

@@ -8,6 +8,7 @@ from noise_model.effects import REGISTRY
 from sim_to_real import several as beside
 from sim_to_real import verdict as room
 from sim_to_real.candidate import likelihood_nats
+from sim_to_real.diagnose import ranking
 from sim_to_real.diagnosis import Verdict
 from sim_to_real.quadratic import N_EFFECTIVE
 from sim_to_real.select import Search
@@ -265,3 +266,19 @@ def test_what_is_to_be_told_apart_is_what_is_in_question(monkeypatch):
     assert pair(Verdict.EFFECTS, alike=every, named=()) is None
     assert pair(Verdict.EFFECTS, alike=every, named=("gamma", "black_level")) == (gamma, fume)
     assert pair(Verdict.EFFECTS, alike=every, named=("gamma", "fume")) == (fume, window)
+
+
+def test_the_ranking_keeps_a_mimic_behind_what_explains_all():
+    """Though it is likelier: its bounds hold it back. What scatters stands where its evidence does."""
+    held_back = candidate("dirty_window", left=1.2)
+    held_back.is_held_back = True
+    singles = [candidate("veiling_glare", left=1.22), held_back, candidate("fume", left=3.0)]
+    baseline = candidate(left=4.0)
+    decision = SimpleNamespace(singles=singles, confidence=[0.5, 0.4, 0.0])
+    between = likelihood_nats(2.0) - baseline.evidence
+    random = SimpleNamespace(
+        evidence={"speckle": between}, confidence={"speckle": 1.0}, closed={"speckle": 0.3}
+    )
+    ranked = ranking(decision, baseline, random)
+    assert [one.id for one in ranked] == ["veiling_glare", "dirty_window", "speckle", "fume"]
+    assert ranked[1].is_held_back

@@ -1,0 +1,48 @@
+"""The gap in frames that were held back, and how sure its size is."""
+
+import numpy as np
+import pytest
+
+from sim_to_real.diagnosis import Predicted
+from sim_to_real.held import measure, smaller
+from tests.sim_to_real.small import example_setup
+
+SHAPE = 160, 200
+SEAM_MM = 0.0, 0.0
+
+
+def held(n_frames, off_dn, closed, seed=3):
+    """Frames of which all are off alike where they are, by about `off_dn`, and after a share of it less."""
+    rng = np.random.default_rng(seed)
+    light = np.full(SHAPE, 60.0)
+    noise = rng.standard_normal(SHAPE)
+    off = off_dn * np.repeat(np.repeat(rng.standard_normal((4, 5)), 40, axis=0), 40, axis=1)
+
+    def frames(image):
+        return np.stack([image] * n_frames).astype(np.float32)
+
+    return Predicted(
+        np.arange(n_frames),
+        frames(light + noise + off),
+        frames(light),
+        frames(light + closed * off),
+        frames(np.ones(SHAPE)),
+        frames(np.ones(SHAPE)),
+    )
+
+
+def test_more_frames_that_are_off_alike_say_nothing_more():
+    """A gap's interval is of the places that were seen: the model is off there in each frame."""
+    setup = example_setup()
+    once, often = (measure(held(n, 3.0, 0.7), setup, SEAM_MM) for n in (1, 9))
+    assert often.ci95 == pytest.approx(once.ci95)
+    assert once.ci95[0] < once.closed < once.ci95[1]
+    assert once.ci95[1] - once.ci95[0] > 0.02
+    doubtful = [smaller(held(n, 0.05, 1.0)) for n in (1, 9)]
+    assert doubtful[0] == doubtful[1]
+    assert 0.5 < doubtful[0] < 1.0
+
+
+def test_where_there_may_be_no_gap_the_share_closed_has_no_bounds():
+    setup = example_setup()
+    assert np.isnan(measure(held(4, 0.3, 0.7), setup, SEAM_MM).ci95).all()
