@@ -301,7 +301,7 @@ def ranking(decision: Decision, baseline: Candidate, random: Scatter) -> tuple[R
     floor = min([1.0, *(single.left for single in decision.singles)])
     size = math.sqrt(max(baseline.left - floor, 0.0))
     ranked = []
-    # One that its bounds hold back may stand behind a less likely one: among themselves they keep their order.
+    # One that its bounds hold back may stand behind a less likely one: they keep their order.
     most = math.inf
     for single, confidence in zip(decision.singles, decision.confidence, strict=True):
         left = math.sqrt(max(single.left - floor, 0.0))
