@@ -85,7 +85,7 @@ class Gap:
     """sqrt(mean r^2 - 1) of whitened residuals on frames held out of the fit, and their rms, DN.
 
     `floor` is what the model may be off without any gap. `closed` = (before - after) / (before - floor), with
-    its 95 % interval over frames; NaN without a gap. `seam_mm` is how far the seam point moves.
+    its 95 % interval over places of the image; NaN without a gap. `seam_mm` is how far the seam point moves.
     """
 
     before: float

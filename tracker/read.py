@@ -261,7 +261,7 @@ def _predict_background(
     lows: npt.NDArray[np.int64],
     band: Work,
 ) -> None:
-    """Write the arc's light at the frame's own level, other light and the black level's offset into the band."""
+    """Write the arc's light at the frame's own level, other light and the black level into the band."""
     if level == 0.0 and passage is None:
         band.background[:] = black_e
         return
