@@ -16,6 +16,7 @@ from sim_to_real.quadratic import Quadratic
 from sim_to_real.refit import followed, refit
 from sim_to_real.select import ALIKE_NATS, Search, told_apart
 from tests.sim_to_real.small import small_recording
+from tests.sim_to_real.verdicts import seen
 
 
 def candidate(name, left, n_parameters=1):
@@ -53,11 +54,29 @@ def test_a_seam_that_one_frame_alone_sees_is_not_foretold_from_the_others():
     fitted = SimpleNamespace(
         ids=(), x=x, n_nuisances=seam + 1, residuals=r, jacobian=J, weights=np.ones(len(r)), quadratic=cost
     )
-    frames = [SimpleNamespace(stratum="both", position=n) for n in range(n_frames)]
-    expected = SimpleNamespace(observed=SimpleNamespace(frames=frames))
+    expected = SimpleNamespace(observed=seen(["both"] * n_frames))
     foretold = cost.solve(np.arange(n_frames) > 0)
     assert cost.costs(foretold)[0] > 3.0 * cost.chi2[0]
     assert judged(expected, fitted).costs[0] < 1.5 * cost.chi2[0]
+
+
+def test_a_frame_that_alone_shows_the_arc_is_judged_by_the_fit_that_saw_it():
+    """Its level is known by a tolerance alone without it, and a tolerance is no prediction."""
+    rng, n_bins = np.random.default_rng(2), 60
+    kinds = ["laser"] * 5 + ["both"]
+    parameters = tuple(Parameter(f"p{n}", "", 0.0, 1.0, -30.0, 30.0, 0.1) for n in range(SEAM_FROM))
+    J = np.zeros((len(kinds) * n_bins, len(parameters)))
+    J[-n_bins:, 0] = 1.0
+    r, counts = 0.5 * rng.standard_normal(len(J)), np.full(len(kinds), n_bins)
+    x = np.zeros(len(parameters))
+    x[0] = 5.0
+    cost = Quadratic.of(parameters, x, r, J, np.ones(len(r)), counts)
+    fitted = SimpleNamespace(ids=(), x=x, n_nuisances=SEAM_FROM, residuals=r, jacobian=J, quadratic=cost)
+    alone = judged(SimpleNamespace(observed=seen(kinds)), fitted)
+    assert alone.costs[-1] == pytest.approx(float(r[-n_bins:] @ r[-n_bins:]))
+    # As if another frame had shown it too: then this one is foretold, badly.
+    beside = judged(SimpleNamespace(observed=seen(["both", *kinds[1:]])), fitted)
+    assert beside.costs[-1] > 3.0 * alone.costs[-1]
 
 
 def test_a_single_frame_is_judged_by_the_fit_that_saw_it():
@@ -72,7 +91,7 @@ def test_a_single_frame_is_judged_by_the_fit_that_saw_it():
         jacobian=np.ones((300, SEAM_FROM)),
         quadratic=cost,
     )
-    expected = SimpleNamespace(observed=SimpleNamespace(frames=[SimpleNamespace(stratum="both", position=0)]))
+    expected = SimpleNamespace(observed=seen(["both"]))
     # The loss is held, so that no bin counts for all.
     assert judged(expected, fitted).left > 5.0
 
@@ -213,8 +232,7 @@ def test_what_is_dear_is_fitted_where_it_closes_a_good_part_in_a_few_frames(
 ):
     """Of a few frames the nuisances may leave less than the floor: then it counts from the least."""
     few = SimpleNamespace()
-    observed = SimpleNamespace(lit=np.ones(8, dtype=bool), counts=np.full(8, 100), frames=range(8))
-    expected = SimpleNamespace(observed=observed, some=lambda chosen: few)
+    expected = SimpleNamespace(observed=seen(["both"] * 8), some=lambda chosen: few)
     left = {frozenset(): before, frozenset({"interreflection"}): after}
     monkeypatch.setattr(
         select, "refit_from", lambda *of: SimpleNamespace(mean_square=left[frozenset(of[-1])])

@@ -7,6 +7,7 @@ from hypothesis import example, given
 from hypothesis import strategies as st
 
 from sim_to_real.split import folds, held_out, one_of_each, sees_as_much
+from tests.sim_to_real.verdicts import seen
 
 STRATA = ["dark", "laser", "arc", "both"]
 KINDS = st.lists(st.sampled_from(STRATA), min_size=1, max_size=40)
@@ -79,22 +80,13 @@ def test_measured_exposures_that_scatter_are_one_condition():
     assert not held[8:].all()
 
 
-def seen(kinds, bins):
-    """Frames of kinds, of which so many bins count in each."""
-    of, counts = np.array(kinds), np.array(bins)
-    return SimpleNamespace(
-        shows_laser=np.isin(of, ["laser", "both"]) & (counts > 0),
-        shows_arc=np.isin(of, ["arc", "both"]) & (counts > 0),
-    )
-
-
 def test_frames_see_as_much_if_each_source_is_on_in_one_of_them():
-    observed = seen(["dark", "laser", "arc", "both", "laser"], [9] * 5)
+    observed = seen(["dark", "laser", "arc", "both", "laser"])
     assert sees_as_much(observed, np.array([False, False, False, True, False]))
     assert sees_as_much(observed, np.array([False, True, True, False, False]))
     assert not sees_as_much(observed, np.array([True, True, False, False, True]))
     assert not sees_as_much(observed, np.zeros(5, dtype=bool))
-    assert sees_as_much(seen(["dark", "dark"], [9, 9]), np.array([True, False]))
+    assert sees_as_much(seen(["dark", "dark"]), np.array([True, False]))
 
 
 def test_a_saturated_frame_does_not_see_what_lights_it():

@@ -1,4 +1,4 @@
-"""Candidates that verdicts are about, without the fits behind them."""
+"""Candidates that verdicts are about, and frames, without the fits behind them."""
 
 from dataclasses import dataclass
 from types import SimpleNamespace
@@ -29,3 +29,13 @@ def candidate(*ids, left=1.0):
         ids=ids, residuals=residuals, nuisance=None, effects=effects, change=None, mean_square=left
     )
     return Fitted(ids, left, fit, likelihood_nats(left), likelihood_nats(left))
+
+
+def seen(kinds, bins=None):
+    """Frames of these kinds, of which so many bins count in each; 9 if nothing is said."""
+    of, counts = np.array(kinds), np.array(bins or [9] * len(kinds))
+    return SimpleNamespace(
+        frames=[SimpleNamespace(stratum=kind, position=n) for n, kind in enumerate(kinds)],
+        shows_laser=np.isin(of, ["laser", "both"]) & (counts > 0),
+        shows_arc=np.isin(of, ["arc", "both"]) & (counts > 0),
+    )
