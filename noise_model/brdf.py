@@ -48,9 +48,6 @@ class Lobe:
 
 GAUSSIAN = Lobe()
 
-LEAST_TAIL = 1e-9
-"""A lobe with a thinner tail is a Gaussian's: (1 + t x)^(-1/t) would lose t x beside 1."""
-
 
 @dataclass(frozen=True)
 class Material:
@@ -152,7 +149,7 @@ def reflectance(
         if lobe.anisotropy != 0.0:
             exponent = exponent * _marks_factor(omega_i + omega_r, normal, lobe)
         fall = np.exp(-exponent)
-        if lobe.tail >= LEAST_TAIL:
+        if lobe.tail != 0.0:
             fall = np.exp(-np.log1p(lobe.tail * exponent) / lobe.tail)
         value = kappa_diff + kappa_spec * attenuation / cos_r * fall
     return np.where((cos_i > 0) & (cos_r > 0), value, 0.0)
@@ -295,7 +292,7 @@ def lobe_fall(
         along = mx * hx + my * hy - m_n * h_n
         cos2_psi = along * along / max(square, 1e-300)
         exponent *= math.exp(-anisotropy) + 2.0 * math.sinh(anisotropy) * min(1.0, cos2_psi)
-    if tail < LEAST_TAIL:
+    if tail == 0.0:
         return math.exp(-exponent)
     return math.exp(-math.log1p(tail * exponent) / tail)
 
