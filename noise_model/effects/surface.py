@@ -117,8 +117,8 @@ EFFECTS = (
         stage=Stage.SURFACE,
         summary="light bounces between the faces of the joint",
         equation="the Neumann series of the rendering equation: light that has met n faces before goes with "
-        "scale^n, the absolute reflectance being scale f_r with scale = albedo / "
-        "(pi kappa_diff + 4 pi kappa_spec / c2)",
+        "scale^n, the absolute reflectance being scale f_r with scale = albedo / A, A the integral of "
+        "f_r cos(theta_r) over the directions out for light that falls straight on",
         source="Kajiya 1986, SIGGRAPH Comput. Graph. 20(4), 143; `noise_model.interreflection`",
         parameters=(Parameter("albedo", "", 0.0, 0.5, 0.0, 0.95, 0.01),),
         typical={"albedo": 0.7},

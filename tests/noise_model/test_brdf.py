@@ -3,6 +3,7 @@ import math
 
 import numpy as np
 import pytest
+import scenes
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -166,9 +167,22 @@ def test_steel_reflects_less_than_it_gets_and_zn_as_printed_is_only_relative():
     assert albedo(ZN_COATED, 0.0) == pytest.approx(1.76, abs=0.01)
 
 
-def test_the_albedo_in_the_units_of_the_kappas_is_that_of_light_that_falls_straight():
-    for material in (MILD_STEEL, ZN_COATED):
-        assert material.relative_albedo == pytest.approx(albedo(material, 0.0), rel=0.03)
+@pytest.mark.parametrize("c2", [0.5, 8.331, 112.0, 2000.0])
+@pytest.mark.parametrize(
+    "lobe", [Lobe(), Lobe(tail=0.6), Lobe(tail=4.0), Lobe(0.0, 0.8), Lobe(0.6, -3.0, 20.0)]
+)
+def test_the_albedo_in_the_units_of_the_kappas_is_that_of_light_that_falls_straight(c2, lobe):
+    """Against f_r cos(theta_r) summed over the upper half, with the lobe as the tests write it out."""
+    metal = Material("metal", 0.02, 0.3, c2, lobe)
+    theta = (np.arange(1500) + 0.5) / 1500 * np.pi / 2.0
+    azimuth_deg = (np.arange(360) + 0.5) / 2.0
+    total = 0.0
+    for t in theta:
+        half = direction(np.degrees(0.5 * t), azimuth_deg)
+        lobe_fall = scenes.fall(np.full(len(half), 0.5 * t), half, NORMAL, metal).mean()
+        f_r_cos = metal.kappa_diff * np.cos(t) + metal.kappa_spec * min(1.0, 2.0 * np.cos(t)) * lobe_fall
+        total += 2.0 * np.pi * f_r_cos * np.sin(t) * np.pi / 2.0 / len(theta)
+    assert metal.relative_albedo == pytest.approx(total, rel=2e-5)
 
 
 def test_the_lobe_reflects_a_share_that_grows_as_it_widens():
