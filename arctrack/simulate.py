@@ -24,7 +24,7 @@ from noise_model.effects import Values, checked, pose_time_s, really
 from noise_model.forward import Renderer, draw_frame, predict
 from noise_model.frames import Float64, invert, transform
 from noise_model.setup import Setup
-from noise_model.stripe import stripe_reference
+from noise_model.stripe import check_stripe
 from noise_model.surface import (
     BentSeam,
     Joint,
@@ -122,7 +122,7 @@ def simulate_recording(
     if len(setup.joint.seam_in_base_mm) != 2:
         raise ArctrackError("[joint] seam_in_base_mm: only a straight seam of two points can be simulated")
     try:
-        stripe_reference(setup)
+        check_stripe(setup)
         effects = checked({**setup.effects, **(hidden_effects or {})}, setup.joint)
     except ValueError as error:
         raise ArctrackError(str(error)) from error

@@ -20,9 +20,6 @@ from noise_model.ray_hits import ways_are_open
 from noise_model.setup import Setup
 from noise_model.view import View
 
-PEAK_STEPS = 16
-"""Steps to a pixel in which the peak of a stripe is looked for."""
-
 
 def reflected_sheet(setup: Setup, points: Float64, normals: Float64, T_joint_tool: Float64) -> Float64:
     """Return the sheet's irradiance times f_r towards the camera (n,), relative to the sheet's peak.
@@ -126,10 +123,40 @@ def crossed_by_borders(faces: npt.NDArray[np.integer], sheet: SheetSeen) -> npt.
 def stripe_reference(setup: Setup) -> float:
     """Return irradiance f_r cos^4 at the stripe's peak on a flat plate at tool height, middle column.
 
-    The middle row it is where the stripe runs along columns. Raises ValueError if the stripe is not there.
+    It is that of the laser plane's own point (`stripe_point`), whether or not it lies in the image: where
+    f_r changes over the sheet the peak beside it is higher, by 4e-4 at the nominal setups. Raises ValueError
+    if no light goes from there to the camera.
     """
     pose = setup.camera.T_tool_camera.tobytes()
     return _reference(_Peaking((setup.camera.geometry, pose, setup.laser, setup.material), setup))
+
+
+def stripe_point(setup: Setup) -> Float64:
+    """Return where laser plane, plate at tool height and middle column meet (3,), tool frame, mm.
+
+    The middle row it is where the stripe runs along columns. Its plane holds the camera and the ray of the
+    image's middle: a lens whose distortion bends the column leaves it a little beside.
+    """
+    camera, laser = setup.camera, setup.laser
+    middle = camera.normalised([(camera.width - 1) / 2.0, (camera.height - 1) / 2.0])[0]
+    axis = 0 if stripe_runs_along_rows(setup) else 1
+    # x - x_middle z = 0, or y - y_middle z = 0, of the camera's frame.
+    normal_camera = np.array([1.0 - axis, float(axis), -middle[axis]])
+    normal = camera.T_tool_camera[:3, :3] @ normal_camera
+    along = cross(laser.plane[:3], (0.0, 0.0, 1.0))
+    way = normal @ (camera.T_tool_camera[:3, 3] - laser.point_mm) / (normal @ along)
+    return np.asarray(laser.point_mm + way * along)
+
+
+def check_stripe(setup: Setup) -> None:
+    """Raise ValueError if a setup's camera does not see the stripe's peak, which `peak_e` is stated for."""
+    camera = setup.camera
+    ray = transform(invert(camera.T_tool_camera), stripe_point(setup))
+    u, v = camera.project(ray[np.newaxis])[0]
+    if not (ray[2] > 0.0 and -0.5 <= u <= camera.width - 0.5 and -0.5 <= v <= camera.height - 0.5):
+        raise ValueError(
+            "[laser] plane_in_tool: the stripe does not cross the camera's middle column at tool height"
+        )
 
 
 @dataclass(frozen=True)
@@ -142,40 +169,19 @@ class _Peaking:
 
 @lru_cache(maxsize=256)
 def _reference(of: _Peaking) -> float:
-    camera = of.setup.camera
-    along_rows = stripe_runs_along_rows(of.setup)
-    across, along = (camera.height, camera.width) if along_rows else (camera.width, camera.height)
-
-    def light(places_px: Float64) -> Float64:
-        middle = np.full(len(places_px), (along - 1) / 2.0)
-        return _on_plate(
-            of.setup, np.column_stack([middle, places_px] if along_rows else [places_px, middle])
-        )
-
-    # Between pixels too: a coarse camera's may all miss the peak.
-    places = np.arange(2 * across - 1) / 2.0
-    about = places[np.argmax(light(places))] + np.linspace(-0.5, 0.5, PEAK_STEPS + 1)
-    peak = float(light(np.clip(about, 0.0, across - 1.0)).max())
-    if not peak > 0.0:
+    setup = of.setup
+    point = stripe_point(setup)
+    ray = transform(invert(setup.camera.T_tool_camera), point)
+    light = 0.0
+    if ray[2] > 0.0:
+        # Under a level pose the tool's axes are the joint's.
+        seen = reflected_sheet(setup, point[np.newaxis], np.array([[0.0, 0.0, 1.0]]), np.eye(4))
+        light = float(seen[0] * fall_off(ray[:2] / ray[2]))
+    if not light > 0.0:
         raise ValueError(
-            "[laser] plane_in_tool: the stripe does not cross the camera's middle column at tool height"
+            "[laser] plane_in_tool: the camera does not see the stripe on a plate at tool height"
         )
-    return peak
-
-
-def _on_plate(setup: Setup, uv_px: Float64) -> Float64:
-    """Return irradiance f_r cos^4 (n,) at image points (n, 2) of a flat plate at tool height, 0 above it."""
-    camera = setup.camera
-    xy = camera.normalised(uv_px)
-    rays_tool = np.column_stack([xy, np.ones(len(xy))]) @ camera.T_tool_camera[:3, :3].T
-    down = rays_tool[:, 2] < 0.0
-    origin = camera.T_tool_camera[:3, 3]
-    points = origin - origin[2] / rays_tool[down, 2:] * rays_tool[down]
-    up = np.broadcast_to(np.array([0.0, 0.0, 1.0]), points.shape)
-    light = np.zeros(len(xy))
-    # Under a level pose the tool's axes are the joint's.
-    light[down] = reflected_sheet(setup, points, up, np.eye(4))
-    return light * fall_off(xy)
+    return light
 
 
 def stripe_runs_along_rows(setup: Setup) -> bool:

@@ -12,9 +12,9 @@ from noise_model.brdf import Lobe
 from noise_model.condition import Condition
 from noise_model.effects import REGISTRY, checked
 from noise_model.forward import FILL_TOLERANCE, Renderer, draw_frame, predict
-from noise_model.frames import invert
+from noise_model.frames import invert, moved
 from noise_model.optics import Camera, Rays
-from noise_model.stripe import reflected_sheet, reflected_sheet_plain, stripe_reference
+from noise_model.stripe import check_stripe, reflected_sheet, reflected_sheet_plain, stripe_reference
 from noise_model.surface import NOMINAL_SEAM, SeamLine
 
 LEVEL = scenes.pose()
@@ -92,7 +92,32 @@ def test_a_camera_on_its_side_sees_the_same_stripe():
 def test_a_stripe_that_the_middle_column_never_sees_is_refused():
     setup = scenes.setup("flat", of_camera=scenes.camera(((95.0, 0.0, 130.0), (90.0, 0.0, 0.0))))
     with pytest.raises(ValueError, match=r"^\[laser\] plane_in_tool"):
+        check_stripe(setup)
+    check_stripe(scenes.setup("flat"))
+
+
+def test_a_stripe_at_a_grazing_camera_s_back_has_no_reference():
+    setup = scenes.setup("flat", of_camera=scenes.camera(((95.0, 0.0, -5.0), (36.0, 0.0, -20.0))))
+    with pytest.raises(ValueError, match=r"^\[laser\] plane_in_tool"):
         stripe_reference(setup)
+
+
+@pytest.mark.parametrize("material", ["mild_steel", "zn_coated"])
+@pytest.mark.parametrize("turn_deg", [-20.0, -8.0, 0.0, 6.0, 12.0])
+def test_the_stripes_reference_is_the_light_of_one_place_wherever_the_camera_looks(material, turn_deg):
+    """The sheet's plane and the middle column meet under the laser here; the image may lie elsewhere."""
+    setup = scenes.setup("flat", material, of_camera=scenes.camera(width=161, height=121))
+    upright = setup.camera.T_tool_camera
+    T_tool_camera = moved(upright, [turn_deg, 0.0, 0.0], [0.0, 0.0, 0.0])
+    turned = dataclasses.replace(setup, camera=dataclasses.replace(setup.camera, T_tool_camera=T_tool_camera))
+    P = np.array([-setup.laser.plane_in_tool[3], 0.0, 0.0])
+    to_camera = T_tool_camera[:3, 3] - P
+    to_laser = np.array(setup.laser.origin_in_tool_mm) - P
+    to_camera, to_laser = (way / np.linalg.norm(way) for way in (to_camera, to_laser))
+    f_r = scenes.f_r(to_laser[np.newaxis], to_camera, np.array([0.0, 0.0, 1.0]), setup.material)[0]
+    # The sheet is 1 on its axis at tool height.
+    cos_field = -to_camera @ T_tool_camera[:3, 2]
+    assert stripe_reference(turned) == pytest.approx(f_r * cos_field**4, rel=1e-9)
 
 
 @pytest.mark.parametrize("z_mm", [-3.0, 0.0, 6.0])
