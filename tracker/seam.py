@@ -19,7 +19,7 @@ from tracker.follow import SeamHistory
 MIN_CROSSING = 0.3
 """The least cosine between the sheet's normal and the seam: below, it shows no section of the joint."""
 
-MOST_STEPS, MET_MM = 20, 1e-9
+MOST_STEPS, MET_MM = 40, 1e-9
 """Steps by which the sheet is met along a corrugated seam at most, and how near to it is on it."""
 
 ROTATION_WITHIN = 1e-3
@@ -105,12 +105,24 @@ def seam_point_tool(setup: Setup, view: Scene, y_mm: float, z_mm: float) -> Floa
 def seam_point(
     T_joint_tool: Float64, plane_tool: Float64, start_tool: Float64, corrugation: Float64, y: float, z: float
 ) -> Float64:
-    """Return `seam_point_tool`'s point, sought along the seam from where a point (3,), tool frame, lies."""
+    """Return `seam_point_tool`'s point, sought by Newton's steps from where a point (3,), tool frame, lies.
+
+    Steps that leave where it must lie are halved brackets instead.
+    """
     T = T_joint_tool
     nx, ny, nz, e = plane_in(T, plane_tool)
     x = T[0, 0] * start_tool[0] + T[0, 1] * start_tool[1] + T[0, 2] * start_tool[2] + T[0, 3]
+    # Between where it meets the valleys' height and where the ridges' the sheet meets the seam, or thrice.
+    of_valley, of_ridge = -(ny * y + nz * z + e) / nx, -(ny * y + nz * (z + corrugation[0]) + e) / nx
+    low, high = min(of_valley, of_ridge), max(of_valley, of_ridge)
+    x = min(max(x, low), high)
     for _ in range(MOST_STEPS):
-        met = -(ny * y + nz * (z + ridge(x, corrugation)[0]) + e) / nx
+        height, slope = ridge(x, corrugation)
+        beyond = x - of_valley + nz / nx * height
+        low, high = (low, x) if beyond > 0.0 else (x, high)
+        met = x - beyond / (1.0 + nz / nx * slope)
+        if not low <= met <= high:
+            met = 0.5 * (low + high)
         step = abs(met - x)
         x = met
         if step < MET_MM:

@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import example, given
 from hypothesis import strategies as st
 from rendered import pose_at, small_setup
 from scipy.spatial.transform import Rotation
@@ -17,7 +17,7 @@ from noise_model.frames import invert, transform
 from noise_model.surface import SeamLine, corrugation_height
 from tracker import flags
 from tracker.geometry import meet_laser_plane
-from tracker.seam import confidence, hand_eye_variance, is_rigid, pose_flags, seam_point_tool
+from tracker.seam import confidence, hand_eye_variance, is_rigid, pose_flags, seam_point, seam_point_tool
 
 SEAM = SeamLine(20.0, 1.2, -0.6, 0.03, -0.02)
 
@@ -33,6 +33,20 @@ def test_the_seam_meets_the_sheet(joint: str, y: float, z: float, x: float) -> N
     station, *beside = transform(view.T_joint_tool, point)
     height = z + float(corrugation_height(station, view.shape.corrugation))
     assert beside == pytest.approx([y, height], abs=1e-8)
+
+
+@given(lean_deg=st.floats(-60.0, 60.0), x=st.floats(-20.0, 20.0), height_mm=st.floats(0.5, 12.0))
+@example(lean_deg=55.0, x=3.0, height_mm=12.0)
+def test_a_sheet_that_leans_like_the_ridges_flanks_meets_the_seam_too(
+    lean_deg: float, x: float, height_mm: float
+) -> None:
+    """Where x = b - a c(x) has a slope beyond -1 putting x back into the right side runs off."""
+    lean = math.radians(lean_deg)
+    plane = np.array([math.cos(lean), 0.0, math.sin(lean), -math.cos(lean) * x])
+    corrugation = np.array([height_mm, 20.0, 30.0])
+    point = seam_point(np.eye(4), plane, np.array([x, 0.0, 0.0]), corrugation, 0.0, 0.2)
+    assert plane[:3] @ point + plane[3] == pytest.approx(0.0, abs=1e-7)
+    assert point[2] == pytest.approx(0.2 + float(corrugation_height(point[0], corrugation)), abs=1e-7)
 
 
 @pytest.mark.parametrize("joint", ["v_groove", "lap"])
