@@ -19,7 +19,7 @@ from noise_model.arc_map import Scene
 from noise_model.faces import ridge
 from noise_model.frames import Float64, invert
 from noise_model.setup import Setup
-from noise_model.surface import SeamLine
+from noise_model.surface import SeamLine, seam_frame
 from tracker import flags
 from tracker.correction import STOPPED, Correction, correct
 from tracker.follow import SPACING_MM, SeamHistory
@@ -116,7 +116,8 @@ def steer(
     ends = steering.ends
     if correction.ends_mm > 0.0 and not track.flags & NO_LOOK:
         ends = ends.with_look(seam.station_mm, track.valid, line_mm, correction.ends_mm)
-    torch_mm = float(nominal.T_joint_tool[0, 3])
+    # Past a bend the torch may be on another segment than the sensor: each goes by its own.
+    torch_mm = float((invert(seam_frame(setup.joint, T_base_tool[:3, 3])) @ T_base_tool)[0, 3])
     joint_mm = ends.stretch_mm(line_mm, correction.ends_mm)
     history = history_at(max(torch_mm, joint_mm[0]))
     there = seam_at_torch(correction, history, torch_mm, joint_mm, history is not latest)

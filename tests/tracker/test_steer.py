@@ -358,3 +358,20 @@ def test_a_seam_out_of_view_says_nothing_of_the_joints_end(v: Setup) -> None:
     assert any("seam_out_of_view" in track.flag_names for track in found[30:38])
     assert found[-1].valid
     assert math.isnan(found[-1].joint_end_mm[0])
+
+
+def test_past_a_bend_the_torch_stands_where_its_own_segment_says(v: Setup) -> None:
+    """The sensor is past a bend of 20 deg, the torch 34 mm before it on the first segment."""
+    bend = math.radians(20.0)
+    line = ((0.0, 0.0, 0.0), (100.0, 0.0, 0.0), (100.0 + 200.0 * math.cos(bend), 200.0 * math.sin(bend), 0.0))
+    setup = replace(v, joint=replace(v.joint, seam_in_base_mm=line))
+    tracker = Tracker(setup)
+    # The seam that is followed lies 1 mm to the left at 66 mm and drifts by a tenth of the way.
+    for station in np.arange(50.0, 110.0, 2.0):
+        history = tracker.state.history.with_measurement(
+            float(station), np.array([0.1 * (station - 56.0), 0.0]), np.full(2, 1e-6)
+        )
+        tracker.state = replace(tracker.state, history=history)
+    pose = pose_at(66.0)
+    track = tracker.step(replace(frame_of(setup, pose), laser_on=False), pose)
+    assert track.offset_y_mm == pytest.approx(1.0, abs=0.02)
