@@ -162,7 +162,7 @@ def _look(
     output = expected_output(setup, frame)
     kernel = arc_kernel(setup, view, output)
     arc_map = arc_map_of(geometry, kernel)
-    passage = Passage.of(geometry, view, arc_map.at, output)
+    passage = Passage.of(geometry, view, arc_map.at, output if frame.arc_on else 0.0)
     arc = _arc_image(geometry, kernel, passage, reading.arc, frame)
     look = replace(look, expected=expected, arc=arc)
     if reading.stripe is None:

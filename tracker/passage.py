@@ -39,8 +39,9 @@ class Passage:
     def of(cls, geometry: SensorGeometry, view: Scene, light: ArcLight, output: float) -> Passage | None:
         """Return the passage of a frame; None if no effect acts on the light.
 
-        `light` is the arc's at its expected `output`, which counts the exposure over the nominal one. What
-        drifts with time are laser and exposure: neither matters here.
+        `light` is the arc's at its expected output, which counts the exposure over the nominal one; `output`
+        is that, or 0 if the arc is said to be off: metal glows less then. What drifts with time are laser and
+        exposure: neither matters here.
         """
         setup = geometry.setup
         if not any(effect.light or effect.image for effect, _ in acting(setup)):

@@ -84,7 +84,8 @@ MOST_CURRENT_A, MOST_EXPOSURE_S = 1e4, 1e2
 class TrackerState:
     """What one step hands to the next; it can be saved with a recording.
 
-    `jumps` and `lost` count frames in a row whose joint was elsewhere or not found, `frames` all of them.
+    `jumps` counts frames whose joint was elsewhere since it was where it should be, `lost` those in a row
+    in which it was not found, `frames` all of them.
     `history` is the seam from its last jump on; `beyond` what has been measured elsewhere since, which
     becomes the history if it goes on so; `behind` are the latest stretches before, in which the torch may
     still stand.
@@ -232,7 +233,7 @@ def _read(
     keep_off = reach_px + FIT_SIGMAS * float(expected.sigma_px.max())
     stripe_px = expected.position_px if frame.laser_on else None
     arc_map = arc_map_of(geometry, kernel)
-    passage = Passage.of(geometry, view, arc_map.at, output)
+    passage = Passage.of(geometry, view, arc_map.at, output if frame.arc_on else 0.0)
     arc = estimate_arc_level(geometry, arc_map.at, passage, frame.image_dn, stripe_px, keep_off)
     found = _arc_flags(arc)
     if not frame.laser_on:
@@ -276,12 +277,11 @@ def _read(
 def profile_of(
     geometry: SensorGeometry, view: Scene, expected: ExpectedStripe, look: StripeReading, reach_mm: float
 ) -> Profile:
-    """Return a stripe's profile, whose seam is looked for within the look's reach; a search takes it all."""
+    """Return a stripe's profile, whose seam is looked for within the look's reach and a little beyond."""
     stripe, light = look.stripe, look.light(geometry.setup.camera.psf_sigma_px)
     position_px = stripe.position_px - expected.lean_px
     profile = triangulate(geometry, view, position_px, stripe.sigma_px, stripe.beside_px)
-    within_mm = math.inf if reach_mm == SEARCH_REACH_MM else reach_mm + CLEAR_MM
-    return replace(profile, reach_mm=within_mm, light=light)
+    return replace(profile, reach_mm=reach_mm + CLEAR_MM, light=light)
 
 
 def _read_again(

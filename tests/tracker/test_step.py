@@ -413,11 +413,26 @@ def test_the_recordings_of_another_renderer_are_tracked(name: str) -> None:
     assert largest <= 0.25
 
 
+@pytest.mark.parametrize("off_share", [1.0, 0.5, 0.0])
 @pytest.mark.parametrize("joint", ["v_groove", "lap"])
-def test_a_stated_glow_stays_in_the_background_where_the_arc_is_off(joint: str) -> None:
-    glow = {"peak_e": 30000.0, "length_mm": 15.0, "arc_off_share": 1.0}
+def test_a_stated_glow_stays_in_the_background_where_the_arc_is_off(joint: str, off_share: float) -> None:
+    glow = {"peak_e": 30000.0, "length_mm": 15.0, "arc_off_share": off_share}
     setup = replace(small_setup(joint), effects={"hot_metal_glow": glow})
     tracker, seam = Tracker(setup), SeamLine(0.0, 0.5, 0.2)
     for n in range(8):
         pose = pose_at(4.0 * n)
-        assert tracker.step(frame_of(setup, pose, seam, arc=0.0, index=n), pose).valid
+        track = tracker.step(frame_of(setup, pose, seam, arc=0.0, index=n), pose)
+        assert track.valid
+        assert track.map_misfit < 2.0
+
+
+@pytest.mark.parametrize("roll_deg", [-5.0, -3.0, 3.0, 5.0])
+def test_a_lap_that_lies_askew_is_acquired(roll_deg: float) -> None:
+    setup = small_setup("lap")
+    tilted = replace(setup, effects={"surface_tilt": {"roll_deg": roll_deg, "pitch_deg": 0.0}})
+    tracker, seam = Tracker(setup), SeamLine(0.0, 0.33, 0.2)
+    tracks = []
+    for n in range(4):
+        pose = pose_at(3.0 * n)
+        tracks.append(tracker.step(frame_of(setup, pose, seam, index=n, of=tilted), pose))
+    assert all(track.valid for track in tracks)
