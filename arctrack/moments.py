@@ -59,14 +59,11 @@ class RealTime:
         due_s = row.timestamp_s - self._first_s
         if math.isnan(self._began_s):
             self._began_s = time.monotonic()
-        time.sleep(max(0.0, due_s - (time.monotonic() - self._began_s)))
-        for received in self._link.receive(0.0):
-            self._heard |= isinstance(received.message, RobotStatus)
+        self._listen_until(due_s)
         robot = self._link.inbox.latest(RobotStatus, time.time()) if self._heard else assumed_robot(row)
         self._moments += 1
         self._assumed += not self._heard
-        lag_s = max(0.0, time.monotonic() - self._began_s - due_s)
-        return Moment(_exposed_s(row) + lag_s, robot, took_ms)
+        return Moment(_exposed_s(row) + max(0.0, self._elapsed_s() - due_s), robot, took_ms)
 
     @property
     def warnings(self) -> tuple[str, ...]:
@@ -77,6 +74,23 @@ class RealTime:
             f"{self._link.interface}:{self._link.channel}: no RobotStatus was heard for {self._assumed} of "
             f"{self._moments} frames: a robot in automatic, its arc as in frames.csv, was assumed",
         )
+
+    def _listen_until(self, due_s: float) -> None:
+        """Read the bus until a frame is due, and in any case what waits there.
+
+        Between two frames a bus may bring more than its interface stores, and some interfaces know no better
+        time of a message than that of its reading.
+        """
+        while True:
+            # One message at a time: a robot that talks all the time must not hold the frame up.
+            left_s = max(0.0, due_s - self._elapsed_s())
+            received = next(self._link.receive(left_s), None)
+            if received is None:
+                return
+            self._heard |= isinstance(received.message, RobotStatus)
+
+    def _elapsed_s(self) -> float:
+        return time.monotonic() - self._began_s
 
 
 def assumed_robot(row: FrameRow) -> RobotStatus:

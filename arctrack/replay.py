@@ -33,7 +33,6 @@ from robot_io import (
     GateLimits,
     Link,
     LinkError,
-    PoseBuffer,
     Verdict,
 )
 from tracker import flags
@@ -104,6 +103,9 @@ def replay_recording(
     tracks: list[Track] = []
     compute_ms: list[float] = []
     bad_frames: list[BadFrame] = []
+    # Compiling takes long, and so does loading what draws: before there is a bus that nobody reads meanwhile.
+    _warm_up(recording, options.use_arc_map)
+    drawing = _load_drawing() if options.pictures else None
     started_s = time.monotonic()
     with ExitStack() as opened:
         opened.enter_context(_bus_errors())
@@ -114,7 +116,7 @@ def replay_recording(
         publisher = Publisher(link, recording.setup.joint.type, options.limits, recording.correction)
         rows = recording.rows
         moments = RecordingTime(rows) if interface == "virtual" else RealTime(rows, link)
-        pictures = _pictures(recording, truth, folder, opened) if options.pictures else None
+        pictures = None if drawing is None else opened.enter_context(drawing(recording, truth, folder))
         for step in _steps(recording, options.use_arc_map):
             offset = publisher.publish(step.track, moments.moment(step.row, step.took_ms))
             results.write(step.track, offset, step.took_ms)
@@ -142,6 +144,7 @@ def track_alone(
     truth = read_truth(recording.path)
     tracks: list[Track] = []
     compute_ms: list[float] = []
+    _warm_up(recording, use_arc_map)
     started_s = time.monotonic()
     for step in _steps(recording, use_arc_map):
         tracks.append(replace(step.track, stripe=None))
@@ -163,7 +166,6 @@ def parse_bus(text: str) -> tuple[str, str]:
 
 def _steps(recording: Recording, use_arc_map: bool) -> Iterator[Step]:
     poses = recording.pose_buffer()
-    _warm_up(recording, poses, use_arc_map)
     tracker = tracker_of(recording, use_arc_map)
     for row, frame in zip(recording.rows, recording.frames(), strict=True):
         if isinstance(frame, BadFrame):
@@ -211,9 +213,9 @@ def _joint_ends_mm(tracks: Sequence[Track]) -> dict[str, tuple[float, float]]:
     return dict(ends_mm)
 
 
-def _warm_up(recording: Recording, poses: PoseBuffer, use_arc_map: bool) -> None:
+def _warm_up(recording: Recording, use_arc_map: bool) -> None:
     """Compile what a step needs before time is taken, on a tracker that is then thrown away."""
-    rows = recording.rows
+    rows, poses = recording.rows, recording.pose_buffer()
     lit = max(range(len(rows)), key=lambda n: (rows[n].laser_on, rows[n].arc_on))
     for frame in recording.frames([lit]):
         if not isinstance(frame, BadFrame):
@@ -228,11 +230,11 @@ def tracker_of(recording: Recording, use_arc_map: bool) -> Tracker:
         raise in_file(recording.setup_path, str(error)) from error
 
 
-def _pictures(recording: Recording, truth: Truth | None, folder: Path, opened: ExitStack) -> ReplayPictures:
+def _load_drawing() -> type[ReplayPictures]:
     # Matplotlib takes a while to load: only those who want pictures wait for it.
     from arctrack.report.replay_pictures import ReplayPictures
 
-    return opened.enter_context(ReplayPictures(recording, truth, folder))
+    return ReplayPictures
 
 
 @contextmanager

@@ -1,3 +1,9 @@
+import importlib.util
+import os
+from typing import Any
+
+import can
+import pytest
 from hypothesis import settings
 
 # How long an example takes depends on the machine and on what is compiled first. The same code gives the same
@@ -5,3 +11,21 @@ from hypothesis import settings
 settings.register_profile("explore", deadline=None, derandomize=False)
 settings.register_profile("arctrack", deadline=None, derandomize=True)
 settings.load_profile("arctrack")
+
+
+@pytest.fixture(scope="session")
+def multicast() -> dict[str, Any]:
+    """Return the options of a bus that other processes can join; a machine without multicast skips."""
+    if importlib.util.find_spec("msgpack") is None:
+        pytest.skip("msgpack is not installed")
+    # A port of this process: other runs on the same machine must not be heard.
+    port = 20_000 + os.getpid() % 20_000
+    bus = {"interface": "udp_multicast", "channel": "239.74.163.2", "port": port, "hop_limit": 0}
+    try:
+        with can.Bus(**bus, ignore_config=True) as one, can.Bus(**bus, ignore_config=True) as other:
+            one.send(can.Message(arbitration_id=0x700, data=b"", is_extended_id=False))
+            if other.recv(0.5) is None:
+                pytest.skip("multicast frames do not arrive on this machine")
+    except (OSError, can.CanError) as error:
+        pytest.skip(f"no multicast on this machine: {error}")
+    return bus

@@ -3,11 +3,16 @@
 from __future__ import annotations
 
 import itertools
+import threading
+import time
 from collections import Counter
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
+import can
 import pytest
+from can.interfaces.virtual import VirtualBus
 
 from arctrack import moments
 from arctrack.moments import RealTime, RecordingTime, assumed_robot
@@ -26,15 +31,17 @@ from robot_io import (
     Switch,
     TrackerStatus,
     Validity,
+    link,
 )
-from tracker.state import Track
+from tracker.state import Frame, Pose, Track
+from tracker.step import Tracker
 
 CHANNELS = (f"test_moments_{n}" for n in itertools.count())
 ROWS = [FrameRow(n, 1.0 + 0.125 * n, True, True, 100.0, 0.0625) for n in range(40)]
 
 
 class Clock:
-    """Time that passes only while somebody sleeps; its wall clock is a bus' one."""
+    """Time that passes only while somebody sleeps or waits for a bus; its wall clock is a bus' one."""
 
     def __init__(self) -> None:
         self.now_s = 5000.0
@@ -52,7 +59,17 @@ class Clock:
 @pytest.fixture
 def clock(monkeypatch: pytest.MonkeyPatch) -> Clock:
     clock = Clock()
+    receive = VirtualBus.recv
+
+    def wait(bus: VirtualBus, timeout_s: float) -> can.Message | None:
+        frame = receive(bus, 0.0)
+        if frame is None:
+            clock.sleep(timeout_s)
+        return frame
+
     monkeypatch.setattr(moments, "time", clock)
+    monkeypatch.setattr(link, "time", clock)
+    monkeypatch.setattr(VirtualBus, "recv", wait)
     return clock
 
 
@@ -120,6 +137,55 @@ def test_the_robot_is_the_one_that_is_heard(clock: Clock, tmp_path: Path) -> Non
     assert publisher.reasons == Counter({GateReason.EMERGENCY_STOP: 1})
     assert warning.startswith(f"virtual:{channel}: no RobotStatus was heard for 1 of 3 frames")
     assert [type(r.message) for r in BusLogReader(log)][:1] == [RobotStatus]
+
+
+def test_a_robot_that_talks_between_two_frames_is_heard_to_the_end(
+    tmp_path: Path, multicast: dict[str, Any]
+) -> None:
+    """A socket stores a few hundred messages: fewer than come before the second frame is due."""
+    log = tmp_path / "bus.blf"
+    rows = [FrameRow(n, 2.0 * n, True, True, 100.0, 0.0625) for n in range(2)]
+    with Link(**multicast, log_paths=[log]) as tracker, Link(**multicast) as robot:
+        sent, enough = itertools.count(), threading.Event()
+
+        def talk() -> None:
+            while not enough.is_set():
+                robot.send(assumed_robot(rows[next(sent) % 2]))
+                time.sleep(0.001)
+
+        real_time = RealTime(rows, tracker)
+        real_time.moment(rows[0], 1.0)
+        talking = threading.Thread(target=talk)
+        talking.start()
+        real_time.moment(rows[1], 1.0)
+        enough.set()
+        talking.join()
+        # What came after the frame was due.
+        heard(tracker)
+        assert not tracker.inbox.skipped
+    assert len(list(BusLogReader(log))) == next(sent)
+
+
+def test_the_bus_is_joined_when_all_is_compiled(
+    simulated: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    steps = 0
+    joined_at: list[int] = []
+    step_of = Tracker.step
+
+    def step(tracker: Tracker, frame: Frame, pose: Pose | None) -> Track:
+        nonlocal steps
+        steps += 1
+        return step_of(tracker, frame, pose)
+
+    def join(*options: Any, **more: Any) -> Link:
+        joined_at.append(steps)
+        return Link(*options, **more)
+
+    monkeypatch.setattr(Tracker, "step", step)
+    monkeypatch.setattr("arctrack.replay.Link", join)
+    replay_recording(read_recording(simulated), tmp_path, ReplayOptions(pictures=False))
+    assert joined_at == [1]
 
 
 def test_a_replay_onto_a_bus_beyond_it_listens(

@@ -21,7 +21,6 @@ from robot_io.messages import SeamOffset, Validity
 from robot_io.pose_assembler import PoseAssembler
 
 OFFSET = EXAMPLES[2]
-GROUP = "239.74.163.2"
 CHANNELS = (f"test_link_{n}" for n in itertools.count())
 
 
@@ -134,31 +133,9 @@ def test_a_bus_that_fails_in_use_is_one_clear_line():
         next(link.receive(0.0))
 
 
-def multicast_works(port):
-    """Return why UDP multicast cannot be tested here, or None."""
-    if importlib.util.find_spec("msgpack") is None:
-        return "msgpack is not installed"
-    try:
-        with (
-            can.Bus(interface="udp_multicast", channel=GROUP, port=port, ignore_config=True) as one,
-            can.Bus(interface="udp_multicast", channel=GROUP, port=port, ignore_config=True) as other,
-        ):
-            one.send(can.Message(arbitration_id=0x700, data=b"", is_extended_id=False))
-            return None if other.recv(0.5) is not None else "multicast frames do not arrive on this machine"
-    except (OSError, can.CanError) as error:
-        return f"no multicast on this machine: {error}"
-
-
-def test_udp_multicast_between_two_links(tmp_path):
-    # A port of this process: other runs on the same machine must not be heard.
-    port = 20_000 + os.getpid() % 20_000
-    if reason := multicast_works(port):
-        pytest.skip(reason)
+def test_udp_multicast_between_two_links(tmp_path, multicast):
     path = tmp_path / "bus.blf"
-    with (
-        Link("udp_multicast", GROUP, port=port, hop_limit=0) as robot,
-        Link("udp_multicast", GROUP, port=port, hop_limit=0, log_paths=[path]) as tracker,
-    ):
+    with Link(**multicast) as robot, Link(**multicast, log_paths=[path]) as tracker:
         assert as_bytes(exchange(robot, tracker)) == as_bytes(EXAMPLES)
         assert as_bytes(exchange(tracker, robot)) == as_bytes(EXAMPLES)
         # Multicast hands a sender its own frames back: they are no messages.
