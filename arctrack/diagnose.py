@@ -12,7 +12,7 @@ from pathlib import Path
 
 import numpy as np
 
-from arctrack.errors import ArctrackError, in_file
+from arctrack.errors import ArctrackError, as_line, in_file
 from arctrack.output import make_folder, write_whole
 from arctrack.recording import pose_at, read_recording
 from arctrack.recording.diagnosis_files import FILES, REPORT_PAGE, write_numbers
@@ -73,12 +73,10 @@ class Failed:
     @property
     def problem(self) -> str:
         """One line for people."""
-        if isinstance(self.error, ArctrackError):
-            return str(self.error)
+        if isinstance(self.error, ArctrackError | OSError):
+            return as_line(self.error, self.job.recording)
         if isinstance(self.error, BrokenExecutor):
             return f"{self.job.recording}: its process ended, for want of memory perhaps; try fewer --workers"
-        if isinstance(self.error, OSError):
-            return f"{self.error.filename or self.job.recording}: {self.error.strerror or self.error}"
         return f"{self.job.recording}: {type(self.error).__name__}: {self.error}"
 
     @property

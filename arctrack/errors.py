@@ -16,3 +16,13 @@ def in_file(path: Path, problem: str, *, line: int | None = None) -> ArctrackErr
     """Return the error that a file, at a line (counted from 1) if one is to blame, makes."""
     place = str(path) if line is None else f"{path}, line {line}"
     return ArctrackError(f"{place}: {problem}")
+
+
+def as_line(error: ArctrackError | OSError, source: Path) -> str:
+    """Return one line on what failed while something was made of a file or folder.
+
+    A disk that is full, a folder that went away: an OSError need not name its file.
+    """
+    if isinstance(error, ArctrackError):
+        return str(error)
+    return " ".join(f"{error.filename or source}: {error.strerror or error}".split())

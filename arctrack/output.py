@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import os
 import shutil
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
 from arctrack.errors import in_file
@@ -20,6 +21,15 @@ def make_folder(folder: Path, files: Iterable[str]) -> None:
         raise in_file(folder, f"cannot be written: {error.strerror}; choose another with --out") from None
 
 
+@contextmanager
+def writing(path: Path) -> Iterator[None]:
+    """Make an ArctrackError that names the file of what fails to be written: a full disk names none."""
+    try:
+        yield
+    except OSError as error:
+        raise in_file(path, f"cannot be written: {error.strerror or error}") from None
+
+
 def write_whole(path: Path, text: str) -> None:
     """Write a file in one go; of one that is there the permissions stay, and a link still points at it.
 
@@ -27,7 +37,7 @@ def write_whole(path: Path, text: str) -> None:
     """
     target = path.resolve()
     draft = target.with_name(f".{target.name}.{os.getpid()}.part")
-    try:
+    with writing(path):
         try:
             draft.write_text(text, encoding="utf-8")
             if target.exists():
@@ -35,5 +45,3 @@ def write_whole(path: Path, text: str) -> None:
             draft.replace(target)
         finally:
             draft.unlink(missing_ok=True)
-    except OSError as error:
-        raise in_file(path, f"cannot be written: {error.strerror}") from None

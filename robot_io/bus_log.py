@@ -13,6 +13,7 @@ import struct
 import zlib
 from collections import Counter
 from collections.abc import Iterator
+from contextlib import suppress
 from pathlib import Path
 
 import can
@@ -50,7 +51,7 @@ class BusLogWriter:
             else:
                 self._writer = can.CanutilsLogWriter(path)
         except OSError as error:
-            raise BusLogError(f"log {path}: {error.strerror}; choose a folder that can be written") from error
+            raise self._cannot_be_written(error) from error
 
     def __enter__(self) -> BusLogWriter:
         return self
@@ -70,18 +71,33 @@ class BusLogWriter:
             )
 
     def write(self, frame: can.Message) -> None:
-        """Write a frame; one from before the log's start gets the start's time."""
+        """Write a frame; one from before the log's start gets the start's time.
+
+        Raises BusLogError if it cannot be written, as on a full disk.
+        """
         start_s = self._start(frame.timestamp)
         entry = copy.copy(frame)
         entry.timestamp = max(frame.timestamp, start_s)
         # The writers make a channel number of a name's trailing digits, which need not fit.
         entry.channel = 0
-        self._writer.on_message_received(entry)
-        self._writer.file.flush()
+        try:
+            self._writer.on_message_received(entry)
+            self._writer.file.flush()
+        except OSError as error:
+            raise self._cannot_be_written(error) from error
 
     def close(self) -> None:
-        """Finish the file."""
-        self._writer.stop()
+        """Finish the file; BusLogError if it cannot be written, as on a full disk."""
+        try:
+            self._writer.stop()
+        except OSError as error:
+            # The writer has not come to closing it.
+            with suppress(OSError):
+                self._writer.file.close()
+            raise self._cannot_be_written(error) from error
+
+    def _cannot_be_written(self, error: OSError) -> BusLogError:
+        return BusLogError(f"log {self.path}: cannot be written: {error.strerror}; choose another place")
 
     def _start(self, timestamp_s: float) -> float:
         if self._start_s is None:

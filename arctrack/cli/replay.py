@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from arctrack.errors import ArctrackError
+from arctrack.errors import ArctrackError, as_line
 
 if TYPE_CHECKING:
     from arctrack.recording.results import Summary
@@ -69,8 +69,8 @@ def replay(
                 if not arc_map and recording.has_truth:
                     on_frame = console.track(bar, f"{recording.name}, arc map", len(recording.rows))
                     summaries.append(engine.track_alone(recording, True, on_frame))
-            except ArctrackError as error:
-                complaints.append(str(error))
+            except (ArctrackError, OSError) as error:
+                complaints.append(as_line(error, path))
     screen = console.tables()
     if len(recordings) > 1 and summaries:
         screen.print(many_table(summaries))

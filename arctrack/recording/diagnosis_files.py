@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 
+from arctrack.output import write_whole, writing
 from sim_to_real.diagnosis import Diagnosis, Named, Next, Predicted, Ranked, Where
 
 FORMAT = "arctrack-diagnosis/1"
@@ -24,12 +25,17 @@ DIGITS, ALL_DIGITS = 6, 17
 
 
 def write_numbers(diagnosis: Diagnosis, folder: Path) -> None:
-    """Write where.npz, predicted.npz and report.json; who sees report.json finds the arrays whole."""
+    """Write where.npz, predicted.npz and report.json; who sees report.json finds the arrays whole.
+
+    Raises ArctrackError if one cannot be written.
+    """
     z = diagnosis.where.z.astype(np.float32)
-    np.savez_compressed(folder / WHERE_NPZ, z=np.abs(z), sign=np.sign(z))
-    _write_predicted(diagnosis.predicted, folder / PREDICTED_NPZ)
+    with writing(folder / WHERE_NPZ):
+        np.savez_compressed(folder / WHERE_NPZ, z=np.abs(z), sign=np.sign(z))
+    with writing(folder / PREDICTED_NPZ):
+        _write_predicted(diagnosis.predicted, folder / PREDICTED_NPZ)
     text = json.dumps(report(diagnosis), indent=2, allow_nan=False)
-    (folder / REPORT_JSON).write_text(text + "\n", encoding="utf-8")
+    write_whole(folder / REPORT_JSON, text + "\n")
 
 
 def report(diagnosis: Diagnosis) -> dict[str, Any]:

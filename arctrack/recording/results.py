@@ -7,6 +7,7 @@ import json
 import math
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from types import TracebackType
@@ -14,6 +15,7 @@ from typing import Any, Self
 
 import numpy as np
 
+from arctrack.output import write_whole, writing
 from arctrack.recording.score import AxisScore, Score
 from robot_io import SeamOffset
 from tracker import flags
@@ -62,13 +64,17 @@ COLUMNS = (
 
 
 class ResultsWriter:
-    """Writes results.csv; every row is on disk before the next frame is looked at."""
+    """Writes results.csv; every row is on disk before the next frame is looked at.
+
+    Raises ArctrackError if the file cannot be written.
+    """
 
     def __init__(self, folder: Path) -> None:
-        self._file = (folder / RESULTS_CSV).open("w", encoding="utf-8", newline="")
+        self._path = folder / RESULTS_CSV
+        with writing(self._path):
+            self._file = self._path.open("w", encoding="utf-8", newline="")
         self._writer = csv.writer(self._file, lineterminator="\n")
-        self._writer.writerow(COLUMNS)
-        self._file.flush()
+        self._append(COLUMNS)
 
     def write(self, track: Track, offset: SeamOffset, compute_ms: float = NAN) -> None:
         """Append a frame's row: its track and the offset that went to the bus."""
@@ -81,7 +87,7 @@ class ResultsWriter:
             track.gap_mm,
             track.mismatch_mm,
         )
-        self._writer.writerow(
+        self._append(
             (
                 track.frame,
                 f"{track.timestamp_s:.6f}",
@@ -95,7 +101,17 @@ class ResultsWriter:
                 *(_text(value, 5) for value in _section_values(track)),
             )
         )
-        self._file.flush()
+
+    def _append(self, row: Sequence[object]) -> None:
+        with writing(self._path):
+            try:
+                self._writer.writerow(row)
+                self._file.flush()
+            except OSError:
+                # What did not fit would fail again at the end.
+                with suppress(OSError):
+                    self._file.close()
+                raise
 
     def __enter__(self) -> Self:
         return self
@@ -173,9 +189,9 @@ class Summary:
         return rounded
 
     def write(self, folder: Path) -> None:
-        """Write summary.json."""
+        """Write summary.json; ArctrackError if it cannot be written."""
         text = json.dumps(self.to_json(), indent=2, allow_nan=False)
-        (folder / SUMMARY_JSON).write_text(text + "\n", encoding="utf-8")
+        write_whole(folder / SUMMARY_JSON, text + "\n")
 
 
 def _section_values(track: Track) -> Iterator[float]:

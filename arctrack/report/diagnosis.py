@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 from jinja2 import Environment, PackageLoader, StrictUndefined
 
+from arctrack.output import write_whole
 from arctrack.recording import Recording
 from arctrack.recording.diagnosis_files import PREDICTED_NPZ, REPORT_JSON, WHERE_NPZ
 from arctrack.report import diagnosis_pictures as pictures
@@ -67,8 +68,11 @@ class Row:
 
 
 def write_page(diagnosis: Diagnosis, recording: Recording, without: Sequence[str], path: Path) -> None:
-    """Write the page to a file; `without` are the effects that were left out of the catalogue."""
-    path.write_text(page(diagnosis, recording, without), encoding="utf-8")
+    """Write the page to a file; `without` are the effects that were left out of the catalogue.
+
+    Raises ArctrackError if it cannot be written.
+    """
+    write_whole(path, page(diagnosis, recording, without))
 
 
 def page(diagnosis: Diagnosis, recording: Recording, without: Sequence[str] = ()) -> str:

@@ -10,6 +10,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
+from arctrack.output import writing
 from arctrack.recording import Recording, Truth
 from arctrack.recording.score import errors_mm, score
 from arctrack.report import style
@@ -40,8 +41,9 @@ class Overview:
             self.sample = (frame, track)
 
     def save(self, path: Path, truth: Truth | None) -> None:
-        """Draw the page."""
-        draw(self, truth).savefig(path)
+        """Draw the page; ArctrackError if it cannot be written."""
+        with writing(path):
+            draw(self, truth).savefig(path)
 
 
 def draw(overview: Overview, truth: Truth | None) -> Figure:

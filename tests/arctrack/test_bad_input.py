@@ -161,6 +161,34 @@ def test_a_disk_that_is_full(
     assert error == f"arctrack: error: {tmp_path}/results.csv: No space left on device"
 
 
+def test_a_full_disk_of_one_recording_does_not_stop_the_others(
+    recording: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    full, other = Path(shutil.copytree(recording, tmp_path / "full")), tmp_path / "other"
+    shutil.copytree(recording, other)
+    (full / "results").mkdir()
+    (full / "results" / "bus.blf").symlink_to("/dev/full")
+    monkeypatch.setattr("sys.argv", ["arctrack", "replay", str(full), str(other), "--no-pictures"])
+    with pytest.raises(SystemExit, match="2"):
+        cli.main()
+    (error,) = capsys.readouterr().err.splitlines()
+    assert f"{full}/results/bus.blf: cannot be written: No space left on device" in error
+    assert (other / "results" / "summary.json").exists()
+
+
+def test_what_the_system_refuses_of_one_recording_does_not_stop_the_others(
+    recording: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    good = Path(shutil.copytree(recording, tmp_path / "good"))
+    too_long = tmp_path / (300 * "x")
+    monkeypatch.setattr("sys.argv", ["arctrack", "replay", str(too_long), str(good), "--no-pictures"])
+    with pytest.raises(SystemExit, match="2"):
+        cli.main()
+    (error,) = capsys.readouterr().err.splitlines()
+    assert error.startswith(f"arctrack: error: {too_long}: ")
+    assert (good / "results" / "summary.json").exists()
+
+
 def test_a_video_of_another_size(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -4,6 +4,9 @@ import pytest
 
 from arctrack.errors import ArctrackError
 from arctrack.output import make_folder, write_whole
+from arctrack.recording import read_recording
+from arctrack.recording.results import ResultsWriter
+from arctrack.replay import ReplayOptions, replay_recording
 
 
 def test_an_earlier_runs_files_are_gone(tmp_path: Path) -> None:
@@ -46,3 +49,21 @@ def test_a_file_that_cannot_be_written_stays(tmp_path: Path, monkeypatch: pytest
         write_whole(file, "new")
     assert [path.name for path in tmp_path.iterdir()] == ["file"]
     assert file.read_text() == "old"
+
+
+def test_a_full_disk_names_the_file(tmp_path: Path) -> None:
+    (tmp_path / "results.csv").symlink_to("/dev/full")
+    with pytest.raises(ArctrackError, match=r"results.csv: cannot be written: No space left on device"):
+        ResultsWriter(tmp_path)
+
+
+def test_a_summary_is_written_whole_or_not_at_all(
+    simulated: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def full(self: Path, target: Path) -> Path:
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(Path, "replace", full)
+    with pytest.raises(ArctrackError, match=r"summary.json: cannot be written: No space left on device"):
+        replay_recording(read_recording(simulated), tmp_path, ReplayOptions(pictures=False))
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["bus.blf", "results.csv"]

@@ -129,3 +129,13 @@ def test_a_killed_writer_loses_little(tmp_path):
         on_disk = path.read_bytes()
     (tmp_path / "killed.blf").write_bytes(on_disk)
     assert len(list(BusLogReader(tmp_path / "killed.blf"))) > 850
+
+
+def test_a_full_disk_is_one_line_that_names_the_log(tmp_path):
+    path = tmp_path / "bus.blf"
+    path.symlink_to("/dev/full")
+    log = BusLogWriter(path)
+    with pytest.raises(BusLogError, match=r"bus.blf: cannot be written: No space left on device"):
+        log.write(can.Message(timestamp=1.0))
+    with pytest.raises(BusLogError, match=r"bus.blf: cannot be written: No space left on device"):
+        log.close()
