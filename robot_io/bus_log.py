@@ -45,7 +45,7 @@ class BusLogWriter:
         self._writer: can.BLFWriter | can.ASCWriter | can.CanutilsLogWriter
         try:
             if path.suffix == ".blf":
-                self._writer = can.BLFWriter(path, max_container_size=_BLF_CONTAINER_BYTES)
+                self._writer = _blf_writer(path)
             elif path.suffix == ".asc":
                 self._writer = can.ASCWriter(path)
             else:
@@ -101,12 +101,26 @@ class BusLogWriter:
 
     def _start(self, timestamp_s: float) -> float:
         if self._start_s is None:
-            self._start_s = 0.0 if timestamp_s < UNIX_TIME_FROM_S else math.floor(timestamp_s) - 1.0
-            if isinstance(self._writer, can.BLFWriter):
-                self._writer.start_timestamp = self._start_s
-            elif isinstance(self._writer, can.ASCWriter):
-                self._writer.log_event("Start of measurement", self._start_s)
+            start_s = 0.0 if timestamp_s < UNIX_TIME_FROM_S else math.floor(timestamp_s) - 1.0
+            try:
+                self._write_start(start_s)
+            except OSError as error:
+                raise self._cannot_be_written(error) from error
+            self._start_s = start_s
         return self._start_s
+
+    def _write_start(self, start_s: float) -> None:
+        if isinstance(self._writer, can.BLFWriter):
+            # A BLF file's header is written at its end: without one, a killed process leaves times since 0.
+            self._writer.start_timestamp = start_s
+            self._writer.stop()
+            self._writer = _blf_writer(self.path, append=True)
+        elif isinstance(self._writer, can.ASCWriter):
+            self._writer.log_event("Start of measurement", start_s)
+
+
+def _blf_writer(path: Path, append: bool = False) -> can.BLFWriter:
+    return can.BLFWriter(path, append=append, max_container_size=_BLF_CONTAINER_BYTES)
 
 
 class BusLogReader:

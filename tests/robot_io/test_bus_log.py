@@ -1,5 +1,8 @@
 from __future__ import annotations
 
+import subprocess
+import sys
+
 import can
 import pytest
 from bus_messages import EXAMPLES
@@ -139,3 +142,33 @@ def test_a_full_disk_is_one_line_that_names_the_log(tmp_path):
         log.write(can.Message(timestamp=1.0))
     with pytest.raises(BusLogError, match=r"bus.blf: cannot be written: No space left on device"):
         log.close()
+
+
+BEGUN = """
+import sys
+import time
+from pathlib import Path
+
+import can
+
+from robot_io.bus_log import BusLogWriter
+
+log = BusLogWriter(Path(sys.argv[1]))
+for n in range(200):
+    data = n.to_bytes(8, "big")
+    log.write(can.Message(timestamp=1_700_000_000.25 + 0.01 * n, data=data, is_extended_id=False))
+print("written", flush=True)
+time.sleep(600.0)
+"""
+
+
+def test_a_killed_process_leaves_the_time_of_day(tmp_path):
+    path = tmp_path / "bus.blf"
+    with subprocess.Popen([sys.executable, "-c", BEGUN, str(path)], stdout=subprocess.PIPE) as process:
+        assert process.stdout.readline() == b"written\n"
+        process.kill()
+    with can.BLFReader(path) as log:
+        times_s = [frame.timestamp for frame in log]
+    # What had filled no container is lost.
+    assert len(times_s) > 100
+    assert times_s == pytest.approx([1_700_000_000.25 + 0.01 * n for n in range(len(times_s))], abs=1e-6)
