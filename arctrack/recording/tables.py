@@ -18,6 +18,11 @@ POSE_COLUMNS = ("timestamp_s", "x_mm", "y_mm", "z_mm", "qx", "qy", "qz", "qw")
 TRUTH_COLUMNS = ("frame", "seam_x_mm", "seam_y_mm", "seam_z_mm")
 
 HIGHEST_FRAME = 999_999_999
+LATEST_S = 1e11
+"""A frame's time in Unix seconds is 1.7e9; one beyond this is in other units, and no log can hold it."""
+
+LONGEST_EXPOSURE_S = 3600.0
+HIGHEST_CURRENT_A = 1e4
 
 
 @dataclass(frozen=True)
@@ -105,10 +110,19 @@ def read_truth_csv(path: Path) -> Truth:
 
 
 def _check_frame(row: FrameRow, before: FrameRow | None, path: Path, line: int) -> None:
+    if not abs(row.timestamp_s) <= LATEST_S:
+        problem = f"timestamp_s = {row.timestamp_s:g}: is beyond {LATEST_S:g} s; give seconds, not ms or ns"
+        raise in_file(path, problem, line=line)
     if not row.exposure_s > 0:
         raise in_file(path, f"exposure_s = {row.exposure_s:g}: must be > 0", line=line)
+    if row.exposure_s > LONGEST_EXPOSURE_S:
+        problem = f"exposure_s = {row.exposure_s:g}: must be <= {LONGEST_EXPOSURE_S:g}; give seconds"
+        raise in_file(path, problem, line=line)
     if row.current_a < 0:
         raise in_file(path, f"current_a = {row.current_a:g}: must be >= 0", line=line)
+    if row.current_a > HIGHEST_CURRENT_A:
+        problem = f"current_a = {row.current_a:g}: must be <= {HIGHEST_CURRENT_A:g}; give amperes"
+        raise in_file(path, problem, line=line)
     if before is None:
         return
     if row.index <= before.index:

@@ -106,6 +106,26 @@ BAD_INPUTS: dict[str, tuple[Callable[[Path], None], str, str]] = {
         "timestamp_s = 'nan'",
     ),
     "current nan": (line("frames.csv", 3, "1,0.1,1,1,nan,0.005"), "frames.csv, line 3", "current_a = 'nan'"),
+    "frame time in ms": (
+        line("frames.csv", 5, "3,1700000000000.5,1,1,100,0.005"),
+        "frames.csv, line 5",
+        "timestamp_s = 1.7e+12: is beyond 1e+11 s; give seconds, not ms or ns",
+    ),
+    "frame time before all": (
+        line("frames.csv", 2, "0,-1e300,1,1,100,0.005"),
+        "frames.csv, line 2",
+        "timestamp_s = -1e+300: is beyond 1e+11 s",
+    ),
+    "endless exposure": (
+        line("frames.csv", 3, "1,0.1,1,1,100,1e308"),
+        "frames.csv, line 3",
+        "exposure_s = 1e+308: must be <= 3600; give seconds",
+    ),
+    "lightning": (
+        line("frames.csv", 3, "1,0.1,1,1,1e308,0.005"),
+        "frames.csv, line 3",
+        "current_a = 1e+308: must be <= 10000; give amperes",
+    ),
     "no exposure": (line("frames.csv", 3, "1,0.1,1,1,100,0"), "frames.csv, line 3", "exposure_s = 0"),
     "short line": (line("frames.csv", 3, "1,0.1,1,1"), "frames.csv, line 3", "4 values"),
     "no column": (
