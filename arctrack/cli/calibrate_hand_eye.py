@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from arctrack.cli.setups import check_can_be_written
+from arctrack.cli.setups import check_can_be_written, check_replaces_nothing
 from arctrack.errors import ArctrackError
 from arctrack.output import write_whole
 
@@ -29,6 +29,7 @@ def hand_eye(
     read = read_recording(recording)
     console.warn(read.warnings)
     check_can_be_written(out, read.setup_path)
+    check_replaces_nothing(out, read)
     buffer = read.pose_buffer()
     readable, bad_frames = read.readable_frames()
     frames = [

@@ -7,6 +7,8 @@ from typing import Annotated
 
 import typer
 
+from arctrack.cli.setups import check_replaces_nothing
+
 
 def explain(
     recording: Annotated[Path, typer.Argument(help="Folder that holds a recording.")],
@@ -40,10 +42,11 @@ def explain(
 
     read = read_recording(recording, setup)
     console.warn(read.warnings)
+    path = out or recording / RESULTS_FOLDER / f"explain_{frame:06d}.html"
+    check_replaces_nothing(path, read)
     with console.progress() as bar:
         on_frame = console.track(bar, read.name, engine.position_of(read, frame) + 1)
         found = engine.explain(read, frame, arc_map, on_frame)
-    path = out or recording / RESULTS_FOLDER / f"explain_{frame:06d}.html"
     make_folder(path.parent, ())
     write_whole(path, page(found))
     typer.echo(words.headline(found))

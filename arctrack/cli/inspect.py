@@ -7,6 +7,7 @@ from typing import Annotated
 
 import typer
 
+from arctrack.cli.setups import check_replaces_nothing
 from arctrack.errors import ArctrackError, in_file
 
 PICTURE = "inspect.png"
@@ -33,10 +34,11 @@ def inspect(
 
     read = read_recording(recording)
     console.warn(read.warnings)
+    picture = out or recording / RESULTS_FOLDER / PICTURE
+    check_replaces_nothing(picture, read)
     with console.progress() as bar:
         found = survey(read, console.track(bar, read.name, len(read.rows)))
     print_survey(console.tables(), read, found)
-    picture = out or recording / RESULTS_FOLDER / PICTURE
     try:
         picture.parent.mkdir(parents=True, exist_ok=True)
         draw(read, found).savefig(picture, format=picture.suffix[1:] or "png")

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 from arctrack.errors import ArctrackError
 
 if TYPE_CHECKING:
-    from arctrack.recording import SetupFile
+    from arctrack.recording import Recording, SetupFile
 
 
 def read_setup(source: Path) -> SetupFile:
@@ -23,12 +23,23 @@ def read_setup(source: Path) -> SetupFile:
     return stated
 
 
+def check_replaces_nothing(out: Path, recording: Recording) -> None:
+    """Raise ArctrackError if a file to write is a folder, or of those that a recording is read from."""
+    _check_is_no_folder(out)
+    if recording.is_read_from(out):
+        raise ArctrackError(f"{out}: is of the recording itself; give --out another file")
+
+
 def check_can_be_written(out: Path, setup: Path, data: Path | None = None) -> None:
     """Raise ArctrackError if a command cannot write its file, or would replace the setup or data it reads."""
     for read, what in ((setup, "setup"), (data, "measurement")):
         if read is not None and out.exists() and out.resolve() == read.resolve():
             raise ArctrackError(f"{out}: is the {what} itself; give --out another file")
-    if out.is_dir():
-        raise ArctrackError(f"{out}: is a folder; give --out a file's name")
+    _check_is_no_folder(out)
     if not (out.parent.is_dir() and os.access(out.parent, os.W_OK)):
         raise ArctrackError(f"{out.parent}: nothing can be written there; give --out another place")
+
+
+def _check_is_no_folder(out: Path) -> None:
+    if out.is_dir():
+        raise ArctrackError(f"{out}: is a folder; give --out a file's name")

@@ -11,6 +11,8 @@ from arctrack.errors import ArctrackError, in_file
 from arctrack.recording import setup_file
 from arctrack.recording.frames import BadFrame, check_source, read_frames
 from arctrack.recording.poses import (
+    CSV_NAME,
+    LOG_NAMES,
     check_coverage,
     pose_at,
     pose_buffer,
@@ -63,6 +65,12 @@ class Recording:
         """The mean frame rate; NaN for a single frame."""
         span_s = self.rows[-1].timestamp_s - self.rows[0].timestamp_s
         return (len(self.rows) - 1) / span_s if span_s > 0 else float("nan")
+
+    def is_read_from(self, path: Path) -> bool:
+        """Return whether a path is among the files that make the recording and its setup, or would be."""
+        names = (setup_file.FILE_NAME, FRAMES_CSV, TRUTH_CSV, CSV_NAME, *LOG_NAMES)
+        sources = [self.setup_path, self.frame_source, *(self.path / name for name in names)]
+        return any(path.resolve().is_relative_to(source.resolve()) for source in sources)
 
     def frames(self, positions: Sequence[int] | None = None) -> Iterator[Frame | BadFrame]:
         """Yield the frames of all rows, or of the rows at rising positions, one at a time.

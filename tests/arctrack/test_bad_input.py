@@ -239,3 +239,44 @@ def test_rows_of_a_recording_with_a_bad_frame_are_all_there(
     assert "frame_unreadable" in rows[3]
     assert (tmp_path / "out" / "summary.json").exists()
     assert (tmp_path / "out" / "overview.png").exists()
+
+
+@pytest.mark.parametrize(
+    ("command", "frame"), [(["inspect"], []), (["explain"], ["2"]), (["calibrate", "hand-eye"], [])]
+)
+@pytest.mark.parametrize(
+    "name", ["recording.toml", "frames.csv", "poses.csv", "truth.csv", "can.blf", "frames/000001.png"]
+)
+def test_nothing_replaces_the_recording_that_is_read(
+    command: list[str],
+    frame: list[str],
+    name: str,
+    recording: Path,
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    path = Path(shutil.copytree(recording, tmp_path / "r"))
+    before = {file: file.read_bytes() for file in path.rglob("*") if file.is_file()}
+    out = tmp_path / "r" / ".." / "r" / name
+    monkeypatch.setattr("sys.argv", ["arctrack", *command, str(path), *frame, "--out", str(out)])
+    with pytest.raises(SystemExit, match="2"):
+        cli.main()
+    (error,) = capsys.readouterr().err.splitlines()
+    assert error.startswith(f"arctrack: error: {out}: is ")
+    assert "itself; give --out another file" in error
+    assert {file: file.read_bytes() for file in path.rglob("*") if file.is_file()} == before
+
+
+@pytest.mark.parametrize(("command", "frame"), [("inspect", []), ("explain", ["2"])])
+def test_a_folder_is_no_file_to_write(
+    command: str,
+    frame: list[str],
+    recording: Path,
+    capsys: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr("sys.argv", ["arctrack", command, str(recording), *frame, "--out", "/"])
+    with pytest.raises(SystemExit, match="2"):
+        cli.main()
+    assert capsys.readouterr().err == "arctrack: error: /: is a folder; give --out a file's name\n"
