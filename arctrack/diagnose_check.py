@@ -24,6 +24,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
 
 from arctrack.diagnose import processes
+from arctrack.diagnose_check_files import LabelsFile, ResultFile, SealedFile, read_check_file
 from arctrack.errors import ArctrackError, in_file
 from arctrack.output import write_whole
 from arctrack.recording import BadFrame, Recording, RecordingWriter, pose_at, read_recording
@@ -131,13 +132,15 @@ def run(folder: Path, workers: int, on_done: OnDone) -> None:
 
     The labels stay closed. A recording whose diagnosis fails gets a result that says why.
     """
-    sealed = _read(folder / SEALED, "run `arctrack diagnose check make` first")["recordings"]
+    sealed = read_check_file(folder / SEALED, SealedFile, "run `arctrack diagnose check make` first")[
+        "recordings"
+    ]
     first = [Run(name, seal["sha256"]) for name, seal in sealed.items()]
     _diagnose_all(folder, first, workers, on_done)
     again = []
     for one in first:
         if sealed[one.name]["again"]:
-            alone = answer_of(_read(folder / RESULTS / one.file_name)).alone
+            alone = answer_of(read_check_file(folder / RESULTS / one.file_name, ResultFile)).alone
             again += [] if alone is None else [Run(one.name, one.seal, (alone,))]
     _diagnose_all(folder, again, workers, on_done)
 
@@ -231,18 +234,22 @@ def _begun(folder: Path, asked: Asked) -> tuple[dict[str, Any], dict[str, Any]]:
     if not (folder / LABELS).exists():
         (folder / RECORDINGS).mkdir(parents=True, exist_ok=True)
         return {"asked": asdict(asked), "labels": {}}, {"recordings": {}}
-    secret = _read(folder / LABELS)
+    secret = read_check_file(folder / LABELS, LabelsFile)
     if secret["asked"] != asdict(asked):
         before = ", ".join(f"{key} = {value}" for key, value in secret["asked"].items())
         raise in_file(folder, f"holds a check of {before}; repeat these, or choose another --out")
-    sealed = _read(folder / SEALED) if (folder / SEALED).exists() else {"recordings": {}}
+    sealed = (
+        read_check_file(folder / SEALED, SealedFile) if (folder / SEALED).exists() else {"recordings": {}}
+    )
     return secret, sealed
 
 
 def _verified(folder: Path) -> tuple[dict[str, Any], dict[str, Any]]:
     """Return seals by name, and what labels.json holds. Raises ArctrackError for a label that was altered."""
-    sealed = _read(folder / SEALED, "run `arctrack diagnose check make` first")["recordings"]
-    secret = _read(folder / LABELS, "without the labels there is nothing to open")
+    sealed = read_check_file(folder / SEALED, SealedFile, "run `arctrack diagnose check make` first")[
+        "recordings"
+    ]
+    secret = read_check_file(folder / LABELS, LabelsFile, "without the labels there is nothing to open")
     for name in sorted(sealed.keys() | secret["labels"].keys()):
         kept = secret["labels"].get(name)
         # A label without a seal is that of a recording whose making was cut short.
@@ -435,7 +442,7 @@ def _result(folder: Path, one: Run) -> dict[str, Any]:
     path = folder / RESULTS / one.file_name
     if not path.exists():
         return {"problem": "not diagnosed", "wall_s": math.nan, "cpu_s": math.nan, "cosines": None}
-    result = _read(path)
+    result = read_check_file(path, ResultFile)
     if result["sealed"] != one.seal:
         raise in_file(path, "is the result of a recording with another seal; remove it and run again")
     return result
@@ -463,16 +470,6 @@ def _over(
 def _seal(salt: str, label: Mapping[str, Any]) -> str:
     """Return the SHA-256 of a salt and a label."""
     return hashlib.sha256((salt + json.dumps(label, sort_keys=True)).encode()).hexdigest()
-
-
-def _read(path: Path, cure: str = "it was there before") -> dict[str, Any]:
-    try:
-        content: dict[str, Any] = json.loads(path.read_text(encoding="utf-8"))
-    except FileNotFoundError:
-        raise in_file(path, f"is missing; {cure}") from None
-    except ValueError as error:
-        raise in_file(path, f"is no JSON: {error}") from None
-    return content
 
 
 def _write(path: Path, content: Mapping[str, Any]) -> None:

@@ -282,6 +282,8 @@ def describe(error: ValidationError) -> str:
     """Return one line that names the first wrong key, what it holds and what it should, and how many more."""
     problems = error.errors(include_url=False)
     first = problems[0]
+    if not first["loc"]:
+        return first["msg"].removeprefix("Value error, ")
     place = _place(first["loc"])
     if first["type"] == "missing":
         text = f"{place}: missing"

@@ -484,6 +484,41 @@ def test_what_is_missing_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatc
         command("make", "--out", tmp_path / "x", "--tiers", "AX")
 
 
+@pytest.mark.parametrize(
+    ("name", "keys", "problem"),
+    [
+        ("sealed.json", ("recordings",), "[recordings]: missing"),
+        ("sealed.json", ("recordings", "0001", "sha256"), "[recordings.0001] sha256: missing"),
+        ("labels.json", ("labels",), "[labels]: missing"),
+        ("labels.json", ("asked", "seed"), "[asked] seed: missing"),
+        ("labels.json", ("labels", "0001", "salt"), "[labels.0001] salt: missing"),
+        ("labels.json", ("labels", "0001", "label", "tier"), "[labels.0001.label] tier: missing"),
+        ("results/0001.json", ("sealed",), "[sealed]: missing"),
+        ("results/0001.json", ("report",), "there is neither a report nor a problem"),
+        ("results/0001.json", ("report", "gap", "floor"), "[report.gap] floor: missing"),
+        ("results/0001.json", ("report", "next"), "[report] next: missing"),
+    ],
+)
+def test_a_key_that_a_file_lacks_is_named(made: Path, name: str, keys: tuple[str, ...], problem: str) -> None:
+    run(made, 1, lambda *_: None)
+    content = json.loads((made / name).read_text())
+    table = content
+    for key in keys[:-1]:
+        table = table[key]
+    del table[keys[-1]]
+    (made / name).write_text(json.dumps(content))
+    with pytest.raises(ArctrackError) as caught:
+        open_labels(made)
+    assert str(caught.value).startswith(f"{made / name}: is no file of this check: ")
+    assert problem in str(caught.value)
+
+
+def test_a_file_that_holds_no_table_is_named(made: Path) -> None:
+    (made / "sealed.json").write_text("[]")
+    with pytest.raises(ArctrackError, match=r"sealed\.json: is no file of this check: "):
+        run(made, 1, lambda *_: None)
+
+
 def test_a_folder_named_check_is_a_recording_too(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
     result = RUNNER.invoke(cli.app, ["diagnose", "./check"])
