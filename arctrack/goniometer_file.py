@@ -20,6 +20,9 @@ SOURCE = ("distance_mm", "intensity")
 
 TIME, REPEAT = "time_s", "repeat"
 
+SOURCE_RANGE = (1e-9, 1e9)
+"""What distance and intensity may be, in whatever unit: the intensity over the distance squared is finite."""
+
 READING_INTERVAL_S = 0.2
 """The paper's interval between the 20 readings of a setting."""
 
@@ -87,6 +90,7 @@ def _numbers(table: CsvTable, column: int) -> Float64:
 
 def _check(table: CsvTable, column: dict[str, Float64], response: Response) -> None:
     gray_level = column["gray_level"]
+    least, most = SOURCE_RANGE
     limits = [
         (
             "theta_i_deg",
@@ -101,6 +105,11 @@ def _check(table: CsvTable, column: dict[str, Float64], response: Response) -> N
             f"is saturated (at {response.saturation_dn:g}): lower the exposure or state --saturation",
         ),
         *((name, column[name] <= 0, "must be > 0") for name in SOURCE if name in column),
+        *(
+            (name, (column[name] < least) | (column[name] > most), f"must be {least:g} to {most:g}")
+            for name in SOURCE
+            if name in column
+        ),
     ]
     for name, wrong, problem in limits:
         if wrong.any():

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import sys
 from collections.abc import Iterator
 from typing import Annotated, Any, Literal
 
@@ -28,9 +27,20 @@ UNITS = "mm, s, deg, e-, DN"
 NAMED_IN_KEYS = ("A", "nm", "px")
 """Units that some keys have in their names: a file may state them as well, but no others."""
 
-Vector3 = Annotated[list[FiniteFloat], Field(min_length=3, max_length=3)]
-Vector4 = Annotated[list[FiniteFloat], Field(min_length=4, max_length=4)]
-Vector5 = Annotated[list[FiniteFloat], Field(min_length=5, max_length=5)]
+LARGEST = 1e15
+"""No length, charge or angle of a setup is larger; squares and ratios of what is smaller stay finite."""
+
+LONGEST_SIDE_PX = 16_384
+HIGHEST_DN = 65_535
+STEEPEST_EXPONENT = 10.0
+SMALLEST_CURRENT_A = 1e-3
+
+_USABLE = f"must be a finite number, {LARGEST:g} at most"
+
+Number = Annotated[FiniteFloat, Field(ge=-LARGEST, le=LARGEST)]
+Vector3 = Annotated[list[Number], Field(min_length=3, max_length=3)]
+Vector4 = Annotated[list[Number], Field(min_length=4, max_length=4)]
+Vector5 = Annotated[list[Number], Field(min_length=5, max_length=5)]
 
 
 class Table(BaseModel):
@@ -56,17 +66,17 @@ class PoseTable(Table):
 class CameraTable(Table):
     """[camera]."""
 
-    width: int
-    height: int
-    fx: FiniteFloat
-    fy: FiniteFloat
-    cx: FiniteFloat
-    cy: FiniteFloat
+    width: int = Field(le=LONGEST_SIDE_PX)
+    height: int = Field(le=LONGEST_SIDE_PX)
+    fx: Number
+    fy: Number
+    cx: Number
+    cy: Number
     distortion: Vector5
-    focal_length_mm: FiniteFloat
-    f_number: FiniteFloat
-    psf_sigma_px: FiniteFloat
-    exposure_s: FiniteFloat
+    focal_length_mm: Number
+    f_number: Number
+    psf_sigma_px: Number
+    exposure_s: Number
     pixel_format: str
     pose_in_tool: PoseTable
 
@@ -75,21 +85,21 @@ class SensorTable(Table):
     """[sensor]."""
 
     bits: int
-    gain_e_per_dn: FiniteFloat
-    black_level_dn: FiniteFloat
-    read_noise_e: FiniteFloat
-    full_well_e: FiniteFloat
-    gamma: FiniteFloat
+    gain_e_per_dn: Number
+    black_level_dn: FiniteFloat = Field(ge=-HIGHEST_DN, le=HIGHEST_DN)
+    read_noise_e: Number
+    full_well_e: Number
+    gamma: Number
 
 
 class FilterTable(Table):
     """[filter]; a measured curve, where there is one, stands in for centre and width."""
 
-    center_nm: FiniteFloat
-    fwhm_nm: FiniteFloat
-    effective_index: FiniteFloat
-    curve_wavelength_nm: list[FiniteFloat] | None = None
-    curve_transmission: list[FiniteFloat] | None = None
+    center_nm: Number
+    fwhm_nm: Number
+    effective_index: Number
+    curve_wavelength_nm: list[Number] | None = None
+    curve_transmission: list[Number] | None = None
 
     def to_filter(self) -> Filter | FilterCurve:
         """Return the filter; ValueError names the key of a curve that cannot be."""
@@ -109,32 +119,32 @@ class FilterTable(Table):
 class LaserTable(Table):
     """[laser]."""
 
-    wavelength_nm: FiniteFloat
+    wavelength_nm: Number
     plane_in_tool: Vector4
     origin_in_tool_mm: Vector3
-    stripe_sigma_mm: FiniteFloat
-    peak_e: FiniteFloat
+    stripe_sigma_mm: Number
+    peak_e: Number
 
 
 class ArcTable(Table):
     """[arc]."""
 
     shape: str
-    radius_mm: FiniteFloat
+    radius_mm: Number
     center_in_tool_mm: Vector3
     on_surface: bool
-    radiance_e: FiniteFloat
-    current_a: FiniteFloat
-    current_exponent: FiniteFloat
+    radiance_e: Number
+    current_a: Number = Field(ge=SMALLEST_CURRENT_A)
+    current_exponent: FiniteFloat = Field(ge=-STEEPEST_EXPONENT, le=STEEPEST_EXPONENT)
 
 
 class MaterialTable(Table):
     """[material]."""
 
     name: str
-    kappa_diff: FiniteFloat
-    kappa_spec: FiniteFloat
-    c2: FiniteFloat
+    kappa_diff: Number
+    kappa_spec: Number
+    c2: Number
 
 
 class JointTable(Table):
@@ -151,8 +161,8 @@ class JointTable(Table):
             value = (self.model_extra or {}).get(name)
             if value is None:
                 continue
-            if not _is_finite(value):
-                raise ValueError(f"{_held(f'[joint] {name}', value)}: must be a finite number")
+            if not _is_usable(value):
+                raise ValueError(f"{_held(f'[joint] {name}', value)}: {_USABLE}")
             found[name] = float(value)
         return found
 
@@ -160,22 +170,22 @@ class JointTable(Table):
 class ToleranceTable(Table):
     """[tolerance], every key optional."""
 
-    arc_level_rel: FiniteFloat = Tolerance.arc_level_rel
-    laser_level_rel: FiniteFloat = Tolerance.laser_level_rel
-    hand_eye_deg: FiniteFloat = Tolerance.hand_eye_deg
-    hand_eye_mm: FiniteFloat = Tolerance.hand_eye_mm
-    black_level_dn: FiniteFloat = Tolerance.black_level_dn
-    read_noise_rel: FiniteFloat = Tolerance.read_noise_rel
-    seam_mm: FiniteFloat = Tolerance.seam_mm
+    arc_level_rel: Number = Tolerance.arc_level_rel
+    laser_level_rel: Number = Tolerance.laser_level_rel
+    hand_eye_deg: Number = Tolerance.hand_eye_deg
+    hand_eye_mm: Number = Tolerance.hand_eye_mm
+    black_level_dn: Number = Tolerance.black_level_dn
+    read_noise_rel: Number = Tolerance.read_noise_rel
+    seam_mm: Number = Tolerance.seam_mm
 
 
 class FollowAxisTable(Table):
     """[follow.y] and [follow.z], every key optional; without a limit only the gate bounds the axis."""
 
     enable: bool = AxisCorrection.enable
-    gain: FiniteFloat = AxisCorrection.gain
-    bias_mm: FiniteFloat = AxisCorrection.bias_mm
-    limit_mm: FiniteFloat | None = None
+    gain: Number = AxisCorrection.gain
+    bias_mm: Number = AxisCorrection.bias_mm
+    limit_mm: Number | None = None
     at_limit: AtLimit = AxisCorrection.at_limit
 
     def to_axis(self, place: str) -> AxisCorrection:
@@ -191,9 +201,9 @@ class FollowTable(Table):
     """[follow], every key optional."""
 
     when_lost: WhenLost = Correction.when_lost
-    extrapolate_mm: FiniteFloat = Correction.extrapolate_mm
-    extrapolate_sigma_mm: FiniteFloat = Correction.extrapolate_sigma_mm
-    ends_mm: FiniteFloat = Correction.ends_mm
+    extrapolate_mm: Number = Correction.extrapolate_mm
+    extrapolate_sigma_mm: Number = Correction.extrapolate_sigma_mm
+    ends_mm: Number = Correction.ends_mm
     corrugation: CorrugationPath = Correction.corrugation
     y: FollowAxisTable = Field(default_factory=FollowAxisTable)
     z: FollowAxisTable = Field(default_factory=FollowAxisTable)
@@ -266,8 +276,8 @@ class RecordingToml(Table):
                 raise ValueError(f"[effects] {name} = {table!r}: must be a table, [effects.{name}]")
             found[name] = {key: table[key] for key in REGISTRY[name].neutral if key in table}
             for key, value in found[name].items():
-                if not _is_finite(value):
-                    raise ValueError(f"{_held(f'[effects.{name}] {key}', value)}: must be a finite number")
+                if not _is_usable(value):
+                    raise ValueError(f"{_held(f'[effects.{name}] {key}', value)}: {_USABLE}")
         return found
 
     def _camera(self) -> Camera:
@@ -301,10 +311,9 @@ def _units(text: str) -> list[str]:
     return [unit.strip() for unit in text.split(",")]
 
 
-def _is_finite(value: Any) -> bool:
+def _is_usable(value: Any) -> bool:
     is_number = isinstance(value, int | float) and not isinstance(value, bool)
-    # An integer of TOML may be too large for a float.
-    return is_number and abs(value) <= sys.float_info.max
+    return is_number and abs(value) <= LARGEST
 
 
 def _held(place: str, value: object) -> str:

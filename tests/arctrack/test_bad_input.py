@@ -75,6 +75,31 @@ BAD_INPUTS: dict[str, tuple[Callable[[Path], None], str, str]] = {
         "recording.toml",
         "units = 'inch, ms, rad': must be of mm, s, deg, e-, DN",
     ),
+    "black beyond the code": (
+        toml("black_level_dn = 4.0", "black_level_dn = -1e300"),
+        "recording.toml",
+        "[sensor] black_level_dn = -1e+300: input should be greater than or equal to -65535",
+    ),
+    "exponent of no arc": (
+        toml("current_exponent = ", "current_exponent = 13000.0 #"),
+        "recording.toml",
+        "[arc] current_exponent = 13000.0: input should be less than or equal to 10",
+    ),
+    "image beyond memory": (
+        toml("width = 48", "width = 320000000"),
+        "recording.toml",
+        "[camera] width = 320000000: input should be less than or equal to 16384",
+    ),
+    "charge beyond sense": (
+        toml("peak_e = ", "peak_e = 1e300 #"),
+        "recording.toml",
+        "[laser] peak_e = 1e+300: input should be less than or equal to",
+    ),
+    "depth beyond sense": (
+        toml("depth_mm = 4.0", "depth_mm = 1e300"),
+        "recording.toml",
+        "[joint] depth_mm = 1e+300: must be a finite number, 1e+15 at most",
+    ),
     "colours": (
         toml('pixel_format = "mono8"', 'pixel_format = "BayerRG8"'),
         "recording.toml",

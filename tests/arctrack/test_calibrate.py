@@ -226,6 +226,11 @@ BAD: dict[str, tuple[Callable[[list[str]], list[str]], list[str], str]] = {
     "negative": (cell(9, 4, "-1"), [], "line 9: gray_level = -1 must be >= 0"),
     "grazing": (cell(9, 1, "90"), [], "line 9: theta_i_deg = 90 lies"),
     "below": (cell(9, 2, "95"), [], "line 9: theta_r_deg = 95 lies"),
+    "no distance": (
+        lambda lines: [f"{line},{'distance_mm' if n == 0 else '1e-300'}" for n, line in enumerate(lines)],
+        [],
+        "line 2: distance_mm = 1e-300 must be 1e-09 to 1e+09",
+    ),
     "no rows": (lambda lines: lines[:1], [], "holds no rows"),
     "one setting": (lambda lines: lines[:21], [], "readings at 1 different setting cannot determine"),
     "out of the lobe": (
