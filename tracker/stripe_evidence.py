@@ -34,14 +34,18 @@ WEAK = 0.25
 
 @kernel(allocates=True)
 def path_of(offsets_px: Int64, expected_px: Float64, position_px: Float64) -> Int64:
-    """Return the offsets' indices (n_scan,) of stripe centres (n_scan,), -1 where there is none."""
+    """Return the offsets' indices (n_scan,) of stripe centres (n_scan,), -1 for none and beyond the offsets.
+
+    A centre may lie beside the offsets where a fit has moved it: the score at the last one is its flank's.
+    """
     n = position_px.shape[0]
-    at, last = np.empty(n, dtype=np.int64), offsets_px.shape[0] - 1
+    at = np.empty(n, dtype=np.int64)
     for s in range(n):
         at[s] = -1
         if math.isfinite(position_px[s]):
-            off = position_px[s] - round(expected_px[s]) - offsets_px[0]
-            at[s] = min(max(round(off / OFFSET_STEP), 0), last)
+            i = round((position_px[s] - round(expected_px[s]) - offsets_px[0]) / OFFSET_STEP)
+            if 0 <= i < offsets_px.shape[0]:
+                at[s] = i
     return at
 
 

@@ -74,9 +74,20 @@ def test_a_stripes_own_lobes_stay_below_their_share(width: float) -> None:
 
 def test_the_path_is_where_the_stripe_was_found() -> None:
     offsets = np.arange(-20, 21, OFFSET_STEP)
-    expected = np.array([50.4, 50.4, 50.4, 50.4])
-    at = path_of(offsets, expected, np.array([50.0, np.nan, 30.0, 71.0]))
-    np.testing.assert_array_equal(at, [10, -1, 0, 20])
+    expected = np.full(6, 50.4)
+    at = path_of(offsets, expected, np.array([50.0, np.nan, 30.0, 70.4, 28.0, 72.0]))
+    np.testing.assert_array_equal(at, [10, -1, 0, 20, -1, -1])
+
+
+@pytest.mark.parametrize("joint", ["v_groove", "butt"])
+def test_a_narrow_look_at_a_joint_that_lies_askew_keeps_its_stripe(joint: str) -> None:
+    """Its ends lie beside the offsets that were asked: the dark flank there is the stripe's own."""
+    setup = small_setup(joint)
+    tilted = replace(setup, effects={"surface_tilt": {"roll_deg": 7.0, "pitch_deg": 0.0}})
+    tracker, seam = Tracker(setup), SeamLine(0.0, 0.33, 0.2)
+    for n in range(4):
+        pose = pose_at(3.0 * n)
+        assert tracker.step(frame_of(setup, pose, seam, arc=0.0, index=n, of=tilted), pose).valid
 
 
 def test_path_and_rim_are_their_plain_twins() -> None:
@@ -90,7 +101,8 @@ def test_path_and_rim_are_their_plain_twins() -> None:
         position[rng.random(30) < 0.3] = np.nan
         held = np.isfinite(position)
         off = np.nan_to_num(position) - np.rint(expected.position_px) + 20
-        want = np.where(held, np.clip(np.rint(off / OFFSET_STEP), 0, len(offsets) - 1), -1)
+        nearest = np.rint(off / OFFSET_STEP)
+        want = np.where(held & (nearest >= 0) & (nearest < len(offsets)), nearest, -1)
         np.testing.assert_array_equal(path_of(offsets, expected.position_px, position), want)
         at = np.where(held, position, expected.position_px)
         leaves = (at < expected.sigma_px) | (at > 99 - expected.sigma_px)
