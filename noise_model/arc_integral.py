@@ -32,7 +32,7 @@ from noise_model.arc_disc import (
 )
 from noise_model.arc_metal import Metal, chord_parts, is_clear, look_along, open_range
 from noise_model.brdf import LobeNumbers, reflected
-from noise_model.frames import Float64
+from noise_model.frames import Float64, Vector
 from noise_model.kernel import REDUCTION, kernel
 
 MAX_NODES_Q = 16
@@ -52,6 +52,9 @@ CURVED_FACTOR = 2.0
 
 NEAR_ARC = 0.35
 """From this sine of the arc's half-angle on there are more nodes, the more the nearer the point."""
+
+LOBE_RADII = 2.0
+"""The nodes hold a disc of so many lobe's widths, to 0.25 %; a larger one has more in proportion."""
 
 EXP_LIMIT = 40.0
 """Beyond exp(-40) a lobe is dark."""
@@ -95,6 +98,20 @@ def gauss_nodes() -> Float64:
         if n % 2 == 0:
             rules[4, n, :n], rules[5, n, :n] = _outline_rule(n)
     return rules
+
+
+@kernel(inline=True)
+def disc_in_lobes(tan_b: float, towards: Vector, omega_r: Vector, material: LobeNumbers) -> float:
+    """Return the radius of the arc's disc over the lobe's width where that is least.
+
+    A direction that leaves `towards`, the arc's centre, by an angle d out of the plane of omega_r moves the
+    half vector h = (omega_i + omega_r) / |omega_i + omega_r| by d / (2 cos(beta)), cos(beta) = omega_i.h, in
+    that plane by d / 2. So exp(-c2 alpha^2) has the width 2 cos(beta) / sqrt(c2).
+    """
+    hx, hy, hz = towards[0] + omega_r[0], towards[1] + omega_r[1], towards[2] + omega_r[2]
+    cos_beta = 0.5 * math.sqrt(hx * hx + hy * hy + hz * hz)
+    c2 = material[2] * math.exp(abs(material[4]))
+    return 0.5 * tan_b * math.sqrt(c2) / max(cos_beta, 1e-9)
 
 
 @kernel(fastmath=REDUCTION)
@@ -300,7 +317,8 @@ def arc_light(
                 n_breaks = insert(breaks, n_breaks, -(wy - along * wx) / (tan_b * (uy - along * ux)))
 
     near = 1.0 + 2.0 * max(0.0, sin_b - NEAR_ARC)
-    n_q = min(MAX_NODES_Q, math.ceil(n_q * near))
+    more = max(near, disc_in_lobes(tan_b, (wx, wy, wz), omega_r, material) / LOBE_RADII)
+    n_q = math.ceil(min(float(MAX_NODES_Q), n_q * more))
     # Borders that are no lines have crossings that are not looked for.
     n_p = math.ceil(CURVED_FACTOR * n_p) if has_metal or n_ledges > 0 else n_p
     is_followed = has_metal and n_ledges == 0
@@ -312,7 +330,7 @@ def arc_light(
         if half < 1e-9 or not p_first < middle < p_last:
             continue
         share = half / p_max
-        m = min(MAX_NODES_P, math.ceil(n_p * near * (share + PIECE_FLOOR * (1.0 - share))))
+        m = math.ceil(min(float(MAX_NODES_P), n_p * more * (share + PIECE_FLOOR * (1.0 - share))))
         rule = 0
         if n_breaks == 2 and n_ledges == 0 and not has_metal:
             rule, m = 4, 2 * math.ceil(0.5 * UNCUT_SHARE * m)
