@@ -305,8 +305,9 @@ class ArcMap:
 
 def _margin_mm(kernel: ArcKernel, xy: Float32, n_scan: int) -> float:
     """Return how far a cell of `MIXED` pixels reaches on a level face, beyond its edge, mm."""
-    n_pos = len(xy) // n_scan
-    pixel = float(np.hypot(*(xy[n_pos // 2 + 1] - xy[n_pos // 2])))
+    # An image of one pixel has no step.
+    first = max(0, min(len(xy) // n_scan // 2, len(xy) - 2))
+    pixel = float(np.hypot(*np.diff(xy[first : first + 2], axis=0).sum(axis=0)))
     distance = kernel.eye[2] / max(0.1, abs(kernel.rotation[2, 2]))
     margin: float = min(MIXED * pixel * distance, MOST_MARGIN_MM)
     return margin

@@ -102,6 +102,18 @@ def test_a_stripe_at_a_grazing_camera_s_back_has_no_reference():
         stripe_reference(setup)
 
 
+@pytest.mark.parametrize("size", [(1, 1), (2, 1), (1, 2), (3, 1), (2, 2)])
+@pytest.mark.parametrize("joint", ["flat", "v_groove", "lap"])
+def test_an_image_of_a_few_pixels_is_predicted_as_they_are_one_by_one(joint, size):
+    width, height = size
+    camera = scenes.camera(width=width, height=height, focal_px=200.0, psf_sigma_px=0.0)
+    setup, condition = scenes.setup(joint, of_camera=camera), Condition(0.0, 1.0, EXPOSURE_S)
+    whole = predict(setup, LEVEL, condition).mean_e
+    alone = predict(setup, LEVEL, condition, pixels=np.arange(width * height)).mean_e
+    assert whole.ravel() == pytest.approx(alone, rel=1e-3)
+    assert whole.min() > 1.0
+
+
 @pytest.mark.parametrize("material", ["mild_steel", "zn_coated"])
 @pytest.mark.parametrize("turn_deg", [-20.0, -8.0, 0.0, 6.0, 12.0])
 def test_the_stripes_reference_is_the_light_of_one_place_wherever_the_camera_looks(material, turn_deg):
