@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from arctrack.errors import in_file
-from arctrack.recording.csv_file import read_csv
+from arctrack.recording.csv_file import check_is_file, read_csv
 from noise_model.spectrum import CurveError, FilterCurve
 
 WAVELENGTH = "wavelength_nm"
@@ -24,8 +24,7 @@ def read_filter_curve(path: Path, effective_index: float) -> FilterCurve:
 
     Raises ArctrackError with the file, and the line if one is to blame.
     """
-    if not path.is_file():
-        raise in_file(path, "there is no such file")
+    check_is_file(path)
     quantity = _quantity(path)
     table = read_csv(path, (WAVELENGTH, quantity))
     values = np.array([[table.number(n, c) for c in (0, 1)] for n in range(len(table.rows))])

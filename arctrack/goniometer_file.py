@@ -11,7 +11,7 @@ import numpy as np
 import numpy.typing as npt
 
 from arctrack.errors import in_file
-from arctrack.recording.csv_file import CsvTable, read_csv
+from arctrack.recording.csv_file import CsvTable, check_is_file, read_csv
 from calibration.goniometer import Readings, Response, Settings, average
 
 NEEDED = ("theta_i_deg", "theta_r_deg", "phi_r_deg", "gray_level")
@@ -53,8 +53,7 @@ def read_goniometer(path: Path, response: Response) -> GoniometerFile:
     A saturated reading is refused: it says no more than 'at least this bright', and without it the mean of
     its setting would be too low.
     """
-    if not path.is_file():
-        raise in_file(path, "there is no such file")
+    check_is_file(path)
     optional = [name for name in (*SOURCE, TIME) if name in read_csv(path, NEEDED).unknown_columns]
     table = read_csv(path, (*NEEDED, *optional))
     column = {name: _numbers(table, i) for i, name in enumerate(table.columns)}

@@ -23,8 +23,8 @@ def filter_curve(
 ) -> None:
     """Put a filter's measured curve into a setup and say what it passes over the field.
 
-    Printed are centre and width, how much of the laser's line and of the arc's continuum passes on the axis
-    and at the image's corner, and how bright the argon lines are behind it beside the continuum.
+    Printed are centre and width, what of the laser's line and of the arc's continuum passes at the image's
+    corner over what passes on the axis, and how bright the argon lines are behind it beside the continuum.
     """
     import numpy as np
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -67,6 +68,8 @@ def plan(
     from noise_model.plan_noise import Surroundings
     from noise_model.planning import PlanOptions
 
+    if exposure_ms is not None and not 0.0 < exposure_ms < math.inf:
+        raise ArctrackError(f"--exposure-ms {exposure_ms:g}: must be > 0 and finite")
     setup, poses = _read(source, recorded)
     try:
         options = PlanOptions(

@@ -50,6 +50,14 @@ class CsvTable:
         return int(text)
 
 
+def check_is_file(path: Path) -> None:
+    """Raise ArctrackError if a file of measurements is not there, or a folder."""
+    if path.is_dir():
+        raise in_file(path, "is a folder; give the CSV file itself")
+    if not path.is_file():
+        raise in_file(path, "there is no such file")
+
+
 def read_csv(path: Path, columns: Sequence[str]) -> CsvTable:
     """Read the wanted columns of a CSV file with a header; ArctrackError if a column is missing."""
     try:

@@ -61,6 +61,8 @@ def setup_text(path: Path) -> str:
         return path.read_text(encoding="utf-8-sig")
     except FileNotFoundError:
         raise in_file(path, "there is no such file; a recording needs one") from None
+    except IsADirectoryError:
+        raise in_file(path, f"is a folder; give the {FILE_NAME} in it") from None
     except (OSError, UnicodeDecodeError) as error:
         raise in_file(path, f"cannot be read: {error}") from None
 

@@ -305,3 +305,19 @@ def test_a_folder_is_no_file_to_write(
     with pytest.raises(SystemExit, match="2"):
         cli.main()
     assert capsys.readouterr().err == "arctrack: error: /: is a folder; give --out a file's name\n"
+
+
+@pytest.mark.parametrize(("command", "frame"), [("replay", []), ("explain", ["2"]), ("diagnose", [])])
+def test_a_folder_is_no_setup(
+    command: str,
+    frame: list[str],
+    recording: Path,
+    capsys: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    arguments = [command, str(recording), *frame, "--setup", str(recording)]
+    monkeypatch.setattr("sys.argv", ["arctrack", *arguments])
+    with pytest.raises(SystemExit, match="2"):
+        cli.main()
+    error = capsys.readouterr().err
+    assert error == f"arctrack: error: {recording}: is a folder; give the recording.toml in it\n"

@@ -136,7 +136,8 @@ def test_what_cannot_be_planned_is_one_line(seen_setup: Setup, tmp_path: Path) -
         ([str(tmp_path / "v"), "--speckle", "2"], "speckle contrast"),
         ([str(tmp_path / "v"), "--speckle", "nan"], "speckle contrast"),
         ([str(tmp_path / "v"), "--filter-nm", "inf"], "filters_nm: must be > 0 and finite"),
-        ([str(tmp_path / "v"), "--exposure-ms", "nan"], "most_exposure_s"),
+        ([str(tmp_path / "v"), "--exposure-ms", "nan"], "--exposure-ms nan: must be > 0 and finite"),
+        ([str(tmp_path / "v"), "--exposure-ms", "-5"], "--exposure-ms -5: must be > 0 and finite"),
         ([str(tmp_path / "v"), "--recorded"], "frames.csv"),
     ):
         with pytest.raises(ArctrackError, match=message):
