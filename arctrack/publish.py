@@ -89,11 +89,13 @@ class Publisher:
             self._link.send(dbc_version(), moment.logged_at_s)
             self._introduced_at_s = moment.now_s
         decision = self._decide(track, moment)
+        self._link.send(decision.message, moment.logged_at_s)
+        # Only now does the robot follow it: what did not go out is nothing to hold.
         self._last_sent = decision.last_sent
         self.verdicts[decision.verdict] += 1
         if decision.reason is not GateReason.NONE:
             self.reasons[decision.reason] += 1
-        for message in (decision.message, self._geometry(track), _status(track, decision, moment)):
+        for message in (self._geometry(track), _status(track, decision, moment)):
             self._link.send(message, moment.logged_at_s)
         return decision.message
 

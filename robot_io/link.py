@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+import math
 import time
 from collections import deque
 from collections.abc import Iterator, Sequence
 from contextlib import ExitStack
 from pathlib import Path
-from threading import Lock
+from threading import Event, Lock
 from typing import Any
 
 import can
@@ -30,6 +31,9 @@ _ECHOING = ("udp_multicast",)
 
 _ECHOES_KEPT = 256
 
+_LOOK_UP_S = 0.1
+"""Who waits for a message looks up so often whether the link was closed: a bus does not wake who waits."""
+
 _FAILURES = (can.CanError, OSError, ImportError, ValueError, TypeError, NotImplementedError)
 
 
@@ -43,7 +47,8 @@ class Link:
     `interface` and `channel` are python-can's (`virtual`, `udp_multicast`, `socketcan`, `slcan` …), and so
     are further `bus_options`; `bitrate_bit_s` is for interfaces that set it themselves. Everything that goes
     over the bus, foreign frames included, is written to each of `log_paths` (`.blf`, `.asc`, `.log`). One
-    thread may send while another receives. Raises LinkError, BusLogError.
+    thread may send while another receives, and a third may `close` it, which ends what `receive` yields.
+    Raises LinkError, BusLogError.
     """
 
     def __init__(
@@ -60,6 +65,8 @@ class Link:
         self.inbox = Inbox()
         self._protector = Protector()
         self._lock = Lock()
+        self._receiving = Lock()
+        self._closed = Event()
         self._echoes: deque[tuple[int, bytes]] = deque(maxlen=_ECHOES_KEPT)
         if bitrate_bit_s is not None:
             bus_options["bitrate"] = bitrate_bit_s
@@ -79,8 +86,10 @@ class Link:
         self.close()
 
     def close(self) -> None:
-        """Leave the bus and finish the logs."""
-        self._opened.close()
+        """Leave the bus and finish the logs; BusLogError if one cannot be finished."""
+        self._closed.set()
+        with self._receiving:
+            self._opened.close()
 
     def send(self, message: BusMessage, timestamp_s: float | None = None) -> None:
         """Protect a message, send it and log it.
@@ -110,23 +119,30 @@ class Link:
         self._log(frame)
 
     def receive(self, timeout_s: float | None = None) -> Iterator[Received]:
-        """Yield accepted messages until none has come for `timeout_s` s (0: what waits; None: for ever).
+        """Yield accepted messages until none has come for `timeout_s` s (0: what waits; None: until closed).
 
         What is not ours, fails E2E or cannot be decoded is logged and counted in `inbox.skipped`, no more.
         Raises LinkError if the bus fails.
         """
+        was_open = not self._closed.is_set()
         deadline_s = _deadline_s(timeout_s)
         while True:
-            left_s = None if deadline_s is None else max(0.0, deadline_s - time.monotonic())
-            try:
-                frame = self._bus.recv(left_s)
-            except _FAILURES as error:
-                raise self._error("receive", error) from error
+            left_s = math.inf if deadline_s is None else max(0.0, deadline_s - time.monotonic())
+            with self._receiving:
+                if was_open and self._closed.is_set():
+                    return
+                try:
+                    frame = self._bus.recv(min(left_s, _LOOK_UP_S))
+                except _FAILURES as error:
+                    raise self._error("receive", error) from error
+                if frame is not None:
+                    if self._is_echo(frame):
+                        continue
+                    self._log(frame)
             if frame is None:
-                return
-            if self._is_echo(frame):
+                if left_s <= _LOOK_UP_S:
+                    return
                 continue
-            self._log(frame)
             received = self.inbox.receive(frame)
             if received is not None:
                 yield received

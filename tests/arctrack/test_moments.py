@@ -21,9 +21,11 @@ from arctrack.recording import FrameRow, read_recording
 from arctrack.replay import ReplayOptions, replay_recording
 from robot_io import (
     BusLogReader,
+    BusMessage,
     DbcVersion,
     GateReason,
     Link,
+    LinkError,
     Received,
     RobotStatus,
     SeamGeometry,
@@ -213,6 +215,26 @@ def test_a_replay_onto_a_bus_beyond_it_listens(
     assert len([r for r in received if isinstance(r.message, SeamOffset)]) == 14
     logged = list(BusLogReader(tmp_path / "out" / "bus.blf"))
     assert isinstance(logged[0].message, RobotStatus)
+
+
+def test_what_did_not_go_out_is_not_held(monkeypatch: pytest.MonkeyPatch) -> None:
+    send = Link.send
+
+    def fail(link: Link, message: BusMessage, timestamp_s: float | None = None) -> None:
+        if isinstance(message, SeamOffset):
+            raise LinkError("no acknowledgement")
+        send(link, message, timestamp_s)
+
+    with Link("virtual", next(CHANNELS)) as tracker:
+        publisher, recording_time = Publisher(tracker, "v_groove"), RecordingTime(ROWS)
+        monkeypatch.setattr(Link, "send", fail)
+        with pytest.raises(LinkError):
+            publisher.publish(track(ROWS[0]), recording_time.moment(ROWS[0], 1.0))
+        monkeypatch.setattr(Link, "send", send)
+        assert not publisher.verdicts
+        doubtful = replace(track(ROWS[1]), offset_confidence=0.0)
+        offset = publisher.publish(doubtful, recording_time.moment(ROWS[1], 1.0))
+    assert offset.validity is Validity.REFUSED
 
 
 def test_nobody_listens_to_virtual() -> None:

@@ -133,6 +133,29 @@ def test_a_bus_that_fails_in_use_is_one_clear_line():
         next(link.receive(0.0))
 
 
+def wait_for_ever(link, heard, ended):
+    heard.extend(link.receive(None))
+    ended.set()
+
+
+@pytest.mark.parametrize("bus", ["virtual", "multicast"])
+def test_closing_ends_who_waits_in_another_thread(tmp_path, request, bus):
+    options = {"channel": next(CHANNELS)} if bus == "virtual" else request.getfixturevalue("multicast")
+    heard, ended = [], threading.Event()
+    with Link(**options) as robot:
+        link = Link(**options, log_paths=[tmp_path / "bus.blf"])
+        waiting = threading.Thread(target=wait_for_ever, args=(link, heard, ended), daemon=True)
+        waiting.start()
+        robot.send(OFFSET)
+        while not heard:
+            time.sleep(0.001)
+        link.close()
+        assert ended.wait(60.0)
+        waiting.join()
+    assert [r.message for r in heard] == [OFFSET]
+    assert len(list(BusLogReader(tmp_path / "bus.blf"))) == 1
+
+
 def test_udp_multicast_between_two_links(tmp_path, multicast):
     path = tmp_path / "bus.blf"
     with Link(**multicast) as robot, Link(**multicast, log_paths=[path]) as tracker:
