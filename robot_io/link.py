@@ -13,7 +13,8 @@ from typing import Any
 
 import can
 
-from robot_io.bus_log import BusLogWriter
+from robot_io.bus_clock import BusClock
+from robot_io.bus_log import UNIX_TIME_FROM_S, BusLogWriter
 from robot_io.inbox import Inbox, Received
 from robot_io.messages import BusMessage
 from robot_io.protect import Protector
@@ -67,6 +68,7 @@ class Link:
         self._lock = Lock()
         self._receiving = Lock()
         self._closed = Event()
+        self._clock = BusClock()
         self._echoes: deque[tuple[int, bytes]] = deque(maxlen=_ECHOES_KEPT)
         if bitrate_bit_s is not None:
             bus_options["bitrate"] = bitrate_bit_s
@@ -121,8 +123,9 @@ class Link:
     def receive(self, timeout_s: float | None = None) -> Iterator[Received]:
         """Yield accepted messages until none has come for `timeout_s` s (0: what waits; None: until closed).
 
-        What is not ours, fails E2E or cannot be decoded is logged and counted in `inbox.skipped`, no more.
-        Raises LinkError if the bus fails.
+        Their times are the wall clock's, also of an adapter that counts from its start; on `virtual` they are
+        the sender's. What is not ours, fails E2E or cannot be decoded is logged and counted in
+        `inbox.skipped`, no more. Raises LinkError if the bus fails.
         """
         was_open = not self._closed.is_set()
         deadline_s = _deadline_s(timeout_s)
@@ -138,6 +141,7 @@ class Link:
                 if frame is not None:
                     if self._is_echo(frame):
                         continue
+                    frame.timestamp = self._time_of(frame)
                     self._log(frame)
             if frame is None:
                 if left_s <= _LOOK_UP_S:
@@ -155,6 +159,14 @@ class Link:
         except (*_FAILURES, NameError) as error:
             # Without its vendor's library an interface of python-can may miss names of its own.
             raise self._error("open", error) from error
+
+    def _time_of(self, frame: can.Message) -> float:
+        """Return a received frame's time: a recording's on `virtual`, the wall clock's on any other bus."""
+        if self.interface == "virtual" or frame.timestamp >= UNIX_TIME_FROM_S:
+            return frame.timestamp
+        # Some adapters count from their start, some give no time at all.
+        now_s = time.time()
+        return self._clock.wall_s(frame.timestamp, now_s) if frame.timestamp else now_s
 
     def _log(self, frame: can.Message) -> None:
         with self._lock:

@@ -12,6 +12,7 @@ import time
 import can
 import pytest
 from bus_messages import EXAMPLES
+from can.interfaces.virtual import VirtualBus
 
 from robot_io.bus_log import BusLogError, BusLogReader
 from robot_io.codec import CodecError, decode, encode
@@ -131,6 +132,42 @@ def test_a_bus_that_fails_in_use_is_one_clear_line():
         link.send(OFFSET)
     with pytest.raises(LinkError, match=f"CAN virtual:{channel}: cannot receive"):
         next(link.receive(0.0))
+
+
+class CountingBus(VirtualBus):
+    """An adapter whose clock counts from its start, or that has none."""
+
+    def __init__(self, channel, start_s, has_clock, **options):
+        super().__init__(channel, preserve_timestamps=True, **options)
+        self.start_s, self.has_clock = start_s, has_clock
+
+    def _recv_internal(self, timeout):
+        frame, filtered = super()._recv_internal(timeout)
+        if frame is not None:
+            frame.timestamp = frame.timestamp - self.start_s if self.has_clock else 0.0
+        return frame, filtered
+
+
+@pytest.mark.parametrize("has_clock", [True, False])
+def test_an_adapter_that_counts_from_its_start_is_on_the_wall_clock(tmp_path, monkeypatch, has_clock):
+    monkeypatch.setitem(can.interfaces.BACKENDS, "counting", (__name__, "CountingBus"))
+    channel, path = next(CHANNELS), tmp_path / "bus.blf"
+    began_s = time.time()
+    options = {"start_s": began_s - 100.0, "has_clock": has_clock}
+    with (
+        Link("virtual", channel) as robot,
+        Link("counting", channel, log_paths=[path], **options) as tracker,
+    ):
+        for _ in range(5):
+            robot.send(OFFSET)
+        tracker.send(EXAMPLES[0])
+        received = list(tracker.receive(0.0))
+        ended_s = time.time()
+    assert len(received) == 5
+    assert all(began_s - 1e-3 <= r.timestamp_s <= ended_s for r in received)
+    assert tracker.inbox.latest(SeamOffset, received[-1].timestamp_s) == OFFSET
+    with can.BLFReader(path) as log:
+        assert all(began_s - 1e-3 <= frame.timestamp <= ended_s + 1e-3 for frame in log)
 
 
 def wait_for_ever(link, heard, ended):

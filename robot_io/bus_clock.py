@@ -1,0 +1,35 @@
+"""From an adapter's own clock, which counts from its start, to the wall clock."""
+
+from __future__ import annotations
+
+import math
+
+WINDOW_S = 10.0
+"""The clocks are compared over one to two of these: in that time they drift apart by a millisecond or two."""
+
+RESTART_S = 1.0
+"""A clock that goes back by more than this has begun anew; frames that are out of order go back by less."""
+
+
+class BusClock:
+    """Finds the wall-clock times of frames that carry seconds since some start.
+
+    Of the frames of the last seconds the one that was read with the least delay says what the clocks are
+    apart. So a frame that waited to be read keeps its own time.
+    """
+
+    def __init__(self) -> None:
+        self._newest_s = self._since_s = -math.inf
+        self._apart_before_s = self._apart_s = math.inf
+
+    def wall_s(self, timestamp_s: float, read_at_s: float) -> float:
+        """Return a frame's Unix time, s; `read_at_s` is that of its reading, of which none can be later."""
+        if timestamp_s < self._newest_s - RESTART_S:
+            self._newest_s = timestamp_s
+            self._since_s = read_at_s
+            self._apart_before_s = self._apart_s = math.inf
+        self._newest_s = max(self._newest_s, timestamp_s)
+        if not 0.0 <= read_at_s - self._since_s < WINDOW_S:
+            self._apart_before_s, self._apart_s, self._since_s = self._apart_s, math.inf, read_at_s
+        self._apart_s = min(self._apart_s, read_at_s - timestamp_s)
+        return timestamp_s + min(self._apart_before_s, self._apart_s)
