@@ -29,7 +29,9 @@ class BusClock:
             self._since_s = read_at_s
             self._apart_before_s = self._apart_s = math.inf
         self._newest_s = max(self._newest_s, timestamp_s)
-        if not 0.0 <= read_at_s - self._since_s < WINDOW_S:
-            self._apart_before_s, self._apart_s, self._since_s = self._apart_s, math.inf, read_at_s
+        window_age_s = read_at_s - self._since_s
+        if not 0.0 <= window_age_s < WINDOW_S:
+            self._apart_before_s = self._apart_s if 0.0 <= window_age_s < 2.0 * WINDOW_S else math.inf
+            self._apart_s, self._since_s = math.inf, read_at_s
         self._apart_s = min(self._apart_s, read_at_s - timestamp_s)
         return timestamp_s + min(self._apart_before_s, self._apart_s)

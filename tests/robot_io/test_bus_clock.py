@@ -31,3 +31,10 @@ def test_an_adapter_that_starts_anew():
     clock = BusClock()
     clock.wall_s(5000.0, START_S + 5000.0)
     assert clock.wall_s(0.5, START_S + 5003.0) == START_S + 5003.0
+
+
+@pytest.mark.parametrize("drift", [-1e-4, 1e-4])
+def test_after_a_long_silence_nothing_old_counts(drift):
+    clock = BusClock()
+    clock.wall_s(0.0, START_S)
+    assert clock.wall_s((1.0 + drift) * 7200.0, START_S + 7200.0) == pytest.approx(START_S + 7200.0, abs=1e-6)
