@@ -190,10 +190,15 @@ def sky_planes(
     for k in range(n_vertices):
         if is_followed or k in (face, face + 1):
             continue
-        # A plate's far end counts where the plate rises towards it, as in a fillet's inside corner.
-        if k == 0 and vertices[0, 1] <= vertices[1, 1]:
+        # A plate's far end counts where the plate rises towards it, as in a fillet's inside corner, or where
+        # P's face stands on the plate, as a lap's edge does.
+        if k == 0 and vertices[0, 1] <= vertices[1, 1] and (face != 1 or P[2] <= vertices[0, 1]):
             continue
-        if k == n_vertices - 1 and vertices[k, 1] <= vertices[k - 1, 1]:
+        if (
+            k == n_vertices - 1
+            and vertices[k, 1] <= vertices[k - 1, 1]
+            and (face != k - 2 or P[2] <= vertices[k, 1])
+        ):
             continue
         y_k, z_k = vertices[k, 0], vertices[k, 1]
         # A vertex no higher than the arc's foot hides nothing that stands before it, and nothing at all from

@@ -305,6 +305,22 @@ def test_an_arc_behind_walls_is_the_sum_of_what_a_walk_finds_open(joint, center_
         assert light_at(above, tuple(P), face, scratch()) == pytest.approx(want, rel=0.02)
 
 
+@pytest.mark.parametrize(
+    "center_mm", [(21.8, 1.0, -1.0), (21.8, 1.0, -0.5), (21.8, -3.0, -0.6), (21.8, 1.0, 0.5)]
+)
+@pytest.mark.parametrize("material", TABLE_1)
+def test_a_laps_edge_does_not_see_the_arc_through_the_lower_sheet(center_mm, material):
+    setup = scenes.setup("lap", material)
+    # Beside the seam, so that the camera sees the edge.
+    view = dataclasses.replace(scene(setup, scenes.pose((0.0, 5.0, 0.0))), center_mm=np.array(center_mm))
+    kernel = arc_kernel(setup, view)
+    P, normal, radius = np.array([40.0, 0.0, 1.0]), np.array([0.0, 1.0, 0.0]), setup.arc.radius_mm
+    omega_r = (kernel.eye - P) / np.linalg.norm(kernel.eye - P)
+    got = light_at(kernel, tuple(P), 1, scratch()) / kernel.radiance_e
+    want = scenes.arc_light(setup.joint, P, normal, omega_r, view.center_mm, radius, setup.material)
+    assert got == pytest.approx(want, rel=5e-3)
+
+
 @pytest.mark.parametrize("pose", POSES)
 def test_a_corrugated_lap_shows_the_arc_that_a_walk_finds(pose):
     """Within 1 % or 0.25 DN, but for what two things shade at once: 2 % there."""
