@@ -61,26 +61,33 @@ class SeamHistory:
     def with_measurement(
         self, station_mm: float, displacement_mm: Float64, variance_mm2: Float64
     ) -> SeamHistory:
-        """Return the history with one more measurement, the oldest dropped beyond CAPACITY."""
+        """Return the history with one more measurement, the oldest dropped beyond CAPACITY.
+
+        It takes the place of older ones that are nearer than SPACING_MM: a sensor that goes to and fro
+        forgets nothing of what it does not see again.
+        """
         n = len(self)
-        first, last, began_mm = max(n + 1 - CAPACITY, 0), n, station_mm
+        began_mm, kept = station_mm, np.arange(n)
         noise = np.maximum(variance_mm2, LEAST_VARIANCE_MM2)
         if abs(station_mm - self.began_mm) < SPACING_MM:
             # From where it began, not from the average: that would run along with a sensor that creeps.
-            first, last, began_mm = 0, n - 1, self.began_mm
+            kept, began_mm = kept[:-1], self.began_mm
             latest = self.displacements_mm[-1]
             before = np.maximum(self.variances_mm2[-1] - MODEL_SIGMA_MM**2, LEAST_VARIANCE_MM2)
             share = before / (before + noise)
             station_mm = float(self.stations_mm[-1] + share.mean() * (station_mm - self.stations_mm[-1]))
             displacement_mm = latest + share * (displacement_mm - latest)
             noise = share * noise
-        variance = noise + MODEL_SIGMA_MM**2
-        kept = last - first
-        stations = np.empty(kept + 1)
-        displacements, variances = np.empty((2, kept + 1, 2))
-        stations[:kept], stations[kept] = self.stations_mm[first:last], station_mm
-        displacements[:kept], displacements[kept] = self.displacements_mm[first:last], displacement_mm
-        variances[:kept], variances[kept] = self.variances_mm2[first:last], variance
+        else:
+            # The latest stays, however near: what it is the average of began farther away.
+            is_apart = np.abs(self.stations_mm - station_mm) >= SPACING_MM
+            kept = kept[is_apart | (kept == n - 1)][1 - CAPACITY :]
+        m = len(kept)
+        stations = np.empty(m + 1)
+        displacements, variances = np.empty((2, m + 1, 2))
+        stations[:m], stations[m] = self.stations_mm[kept], station_mm
+        displacements[:m], displacements[m] = self.displacements_mm[kept], displacement_mm
+        variances[:m], variances[m] = self.variances_mm2[kept], noise + MODEL_SIGMA_MM**2
         return SeamHistory(stations, displacements, variances, began_mm)
 
     def is_measured(self, station_mm: float) -> bool:

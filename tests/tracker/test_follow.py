@@ -124,6 +124,24 @@ def test_the_look_ahead_is_remembered_at_any_frame_rate(frame_spacing_mm: float,
     assert (sigma < 0.1).all()
 
 
+@settings(deadline=None, max_examples=20)
+@given(st.floats(0.3, 1.0), st.floats(4.0, 30.0))
+def test_a_sensor_that_goes_to_and_fro_forgets_nothing_behind_it(step_mm: float, turn_mm: float) -> None:
+    """It is measured up to 50 mm; then back and forth before that, a hundred times over."""
+    there = np.arange(0.0, 50.0, step_mm)
+    back_and_forth = 50.0 - turn_mm * np.abs(
+        (np.arange(100.0 * turn_mm / step_mm) * step_mm / turn_mm) % 2 - 1
+    )
+    history = history_of(there, np.zeros((len(there), 2)), np.full((len(there), 2), 1e-4))
+    n = len(history)
+    for station in back_and_forth:
+        history = history.with_measurement(float(station), np.full(2, 0.2), np.full(2, 1e-4))
+    assert history.is_measured(1.0)
+    assert len(history) <= n + turn_mm
+    # What is seen again is as it was seen last.
+    assert history.at(50.0 - turn_mm / 2)[0] == pytest.approx(0.2, abs=0.05)
+
+
 def test_what_lies_close_together_is_its_mean() -> None:
     rng = np.random.default_rng(3)
     values = rng.normal(1.0, 0.1, (50, 2))
