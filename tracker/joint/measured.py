@@ -265,19 +265,16 @@ def _angle_of(fit: ShapeFit, which: int) -> Pair:
     return math.degrees(math.atan(tangent)), math.degrees(math.sqrt(variance) / (1.0 + tangent * tangent))
 
 
-def opening_of(shape: int, fit: ShapeFit, fixed: tuple[float, ...] = (), fixed_variance: float = 0.0) -> Pair:
+def opening_of(shape: int, fit: ShapeFit, fixed: tuple[float, ...] = ()) -> Pair:
     """Return the opening's area of a fitted shape, mm^2, and its 1 sigma.
 
-    `fixed` are the parameters that were not fitted, the last one of them with a variance of its own.
+    `fixed` are the parameters that were not fitted.
     """
     p = np.concatenate([fit.parameters, fixed])
     gradient = np.empty(len(p))
     area = opening(shape, p, gradient)
     fitted = gradient[: len(fit.parameters)]
-    variance = float(fitted @ fit.covariance @ fitted)
-    if fixed:
-        variance += gradient[-1] ** 2 * fixed_variance
-    return area, math.sqrt(variance)
+    return area, math.sqrt(float(fitted @ fit.covariance @ fitted))
 
 
 def section_of(shape: int, fit: ShapeFit, fixed: tuple[float, ...] = ()) -> Float64:
