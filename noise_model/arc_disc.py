@@ -183,7 +183,7 @@ def ledge_crossings(
     breaks: Float64,
     n: int,
 ) -> int:
-    """Add the p at which the circle that a wall cuts the arc in meets equator, rim and outline."""
+    """Add the p at which the circle that a wall cuts the arc in ends, or meets equator, rim or outline."""
     n_y, n_z, c = wall[0], wall[1], wall[2]
     axes = sheared(axes, rim[0])
     cx, cy, cz = center[0], center[1] - rim[0] * (center[0] - P[0]), center[2]
@@ -207,6 +207,20 @@ def ledge_crossings(
             for sign in (-1.0, 1.0):
                 p, _ = _project(cx + sign * math.sqrt(rest), y, z, P, axes, tan_b)
                 n = insert(breaks, n, p)
+    # The outermost chords that meet the circle: `wall_parts`' discriminant, over k^2, is a quadratic of p.
+    distance = radius / sin_b
+    tangent_2, s_2 = distance * distance - radius * radius, tan_b * tan_b
+    k = c - n_y * P[1] - n_z * P[2]
+    m_0, m_1, n_1 = n_y * wy + n_z * wz, tan_b * n_y * uy, tan_b * (n_y * vy + n_z * vz)
+    a = k * k * s_2 + tangent_2 * n_1 * n_1
+    square = s_2 * (tangent_2 * m_1 * m_1 + a)
+    half = s_2 * m_1 * (distance * k - tangent_2 * m_0)
+    rest = half * half + square * (
+        s_2 * m_0 * (2.0 * distance * k - tangent_2 * m_0) + n_1 * n_1 * distance * distance - a
+    )
+    if rest > 0.0 and square > 0.0:
+        for sign in (-1.0, 1.0):
+            n = insert(breaks, n, (half + sign * math.sqrt(rest)) / square)
     # Points of the outline are C + R (-sin(beta) e_w + cos(beta) (cos(f) e_u + sin(f) e_v)).
     a = n_y * cy + n_z * cz - radius * sin_b * (n_y * wy + n_z * wz) - c
     return on_outline(a, radius * cos_b * n_y * uy, radius * cos_b * (n_y * vy + n_z * vz), arc, breaks, n)

@@ -321,6 +321,30 @@ def test_a_laps_edge_does_not_see_the_arc_through_the_lower_sheet(center_mm, mat
     assert got == pytest.approx(want, rel=5e-3)
 
 
+@pytest.mark.parametrize(
+    ("at_mm", "center_mm"),
+    [
+        ((39.1, -18.71), (20.99, 3.72, 0.0)),
+        ((49.6, -19.35), (22.28, 4.6, 0.68)),
+        ((38.68, 6.37), (23.07, -8.44, 0.0)),
+    ],
+)
+def test_a_fillets_far_sheet_cuts_into_the_arc_in_a_circle(at_mm, center_mm):
+    """The circle ends within the disc: chords beyond pass it by."""
+    setup = scenes.setup("fillet", "zn_coated")
+    x, y = at_mm
+    P = np.array([x, y, scenes.height(setup.joint, x, y)])
+    view = dataclasses.replace(scene(setup, scenes.pose()), center_mm=np.array(center_mm))
+    radius = 7.0 if y > 0.0 else 3.0
+    kernel = arc_kernel(setup, view)._replace(radius=radius)
+    face = 0 if y < 0.0 else 1
+    normal = np.array(face_normal(face, x, kernel.vertices, kernel.corrugation))
+    omega_r = (kernel.eye - P) / np.linalg.norm(kernel.eye - P)
+    got = light_at(kernel, tuple(P), face, scratch()) / kernel.radiance_e
+    want = scenes.arc_light(setup.joint, P, normal, omega_r, view.center_mm, radius, setup.material)
+    assert got == pytest.approx(want, rel=5e-3)
+
+
 @pytest.mark.parametrize("pose", POSES)
 def test_a_corrugated_lap_shows_the_arc_that_a_walk_finds(pose):
     """Within 1 % or 0.25 DN, but for what two things shade at once: 2 % there."""
