@@ -54,8 +54,17 @@ def test_an_effect_that_surely_closes_less_than_half_is_not_named():
     assert closing(named, baseline, gap(0.5, (0.4, 0.95))).verdict is Verdict.EFFECTS
     # Of a small gap it may be chance.
     assert closing(named, baseline, gap(0.28, (0.2, 0.6), before=0.35)).verdict is Verdict.EFFECTS
-    assert closing(decision(Verdict.NO_GAP), baseline, gap(5.0, (0.0, 0.0))).verdict is Verdict.NO_GAP
-    assert closing(named, candidate(left=0.9), gap(4.0, (0.1, 0.4))).verdict is Verdict.NO_GAP
+    assert closing(named, candidate(left=0.9), gap(0.5, (0.1, 0.4), before=0.55)).verdict is Verdict.NO_GAP
+
+
+def test_a_gap_that_pixels_clearly_show_is_never_none():
+    """Bins may not: light that bounces stays near the root."""
+    nothing, baseline = decision(Verdict.NO_GAP), candidate(left=1.1)
+    # The floor is 0.2.
+    assert closing(nothing, baseline, gap(0.59, (0.0, 0.0), before=0.59)).verdict is Verdict.NO_GAP
+    assert closing(nothing, baseline, gap(0.61, (0.0, 0.0), before=0.61)).verdict is Verdict.UNKNOWN
+    named = decision(Verdict.EFFECTS, "gamma")
+    assert closing(named, candidate(left=0.9), gap(4.0, (0.1, 0.4))).verdict is Verdict.UNKNOWN
 
 
 def test_a_gap_below_the_floor_is_none_but_for_an_effect_that_is_no_trifle():
