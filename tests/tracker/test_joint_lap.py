@@ -40,6 +40,15 @@ def test_an_exact_lap_is_read_exactly(
     assert found.chi2 < 0.05
 
 
+@pytest.mark.parametrize("tangent", [-0.15, 0.1, 0.15])
+def test_a_rolled_lap_is_placed_by_its_step(tangent: float) -> None:
+    profile = measure(lap(2.0, tangent, tangent), (1.3, 0.2), np.random.default_rng(2))
+    found = fit(profile)
+    assert found is not None
+    assert found.y_mm == pytest.approx(1.3, abs=COLUMN_MM)
+    np.testing.assert_allclose(np.tan(np.radians(found.shape.plate_angles_deg)), tangent, atol=0.002)
+
+
 @pytest.mark.parametrize("y_mm", [-20.0, -40.0])
 def test_what_the_edge_hides_does_not_move_the_foot(y_mm: float) -> None:
     camera, laser = np.array([0.0, y_mm, 135.0]), np.array([0.0, y_mm / 2.0, 140.0])

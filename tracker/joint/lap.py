@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
@@ -31,6 +32,9 @@ SEARCH_STEP_MM = 0.1
 CLEAR_OF_EDGE_MM = 0.4
 """Points nearer to the edge than this may belong to either sheet and wait for the sheets' lines."""
 
+ROLL_BY = 8
+"""Points an eighth of a profile apart tell how it is rolled: few such pairs have the edge between them."""
+
 LEAST_POINTS = 10
 """So many points of either sheet must be seen clear of the edge."""
 
@@ -38,7 +42,7 @@ NEAR_MM, ON_SHEET = 2.0, 0.25
 """Points so near to the edge are asked which sheet they lie on: this share of the step off it at most."""
 
 PRIOR_SIGMA = np.array([5.0, 0.5, 0.03, 0.03])
-"""1 sigma of the lower sheet's height, the step (mm), both sheets' slopes."""
+"""1 sigma of the lower sheet's height, the step (mm), both sheets' slopes beside the profile's own."""
 
 
 def fit_lap(profile: Profile, joint: Joint, camera_mm: Float64, laser_mm: Float64) -> MeasuredJoint | None:
@@ -49,11 +53,15 @@ def fit_lap(profile: Profile, joint: Joint, camera_mm: Float64, laser_mm: Float6
     hides of that one (`edge_between`). `camera_mm` and `laser_mm` (3,) say from where, joint frame.
     """
     thickness = joint.dimensions["thickness_mm"]
-    y_0, z_0 = place(profile, section(joint).vertices, SEARCH_STEP_MM, 0.25 * thickness)
+    # Over a whole profile a rolled workpiece rises by more than the step.
+    roll = roll_of(profile.y_mm, profile.z_mm)
+    level = replace(profile, z_mm=profile.z_mm - roll * profile.y_mm)
+    y_0, z_level = place(level, section(joint).vertices, SEARCH_STEP_MM, 0.25 * thickness)
     clear, on_upper, on_lower = np.empty((3, len(profile.y_mm)), dtype=np.bool_)
     if min(clear_of_edge(profile.y_mm, y_0, clear)) < LEAST_POINTS:
         return None
-    shape = fit_shape(profile, SHEETS, np.array([z_0, thickness, 0.0, 0.0, y_0]), PRIOR_SIGMA, clear)
+    start = np.array([z_level + roll * y_0, thickness, roll, roll, y_0])
+    shape = fit_shape(profile, SHEETS, start, PRIOR_SIGMA, clear)
     if shape is None:
         return None
     z_s, step, slope_lower, slope_upper = shape.parameters.tolist()
@@ -87,6 +95,12 @@ def fit_lap(profile: Profile, joint: Joint, camera_mm: Float64, laser_mm: Float6
         left_out,
         section_of(SHEETS, shape, (edge,)),
     )
+
+
+def roll_of(y_mm: Float64, z_mm: Float64) -> float:
+    """Return the slope that both sheets have, the median of that of pairs of points (n,)."""
+    apart = len(y_mm) // ROLL_BY
+    return float(np.median((z_mm[apart:] - z_mm[:-apart]) / (y_mm[apart:] - y_mm[:-apart])))
 
 
 class Sheets(NamedTuple):
