@@ -49,6 +49,18 @@ def test_a_rolled_lap_is_placed_by_its_step(tangent: float) -> None:
     np.testing.assert_allclose(np.tan(np.radians(found.shape.plate_angles_deg)), tangent, atol=0.002)
 
 
+@pytest.mark.parametrize("slopes", [(0.1, 0.1), (0.05, -0.03)])
+def test_its_section_lies_on_its_sheets(slopes: tuple[float, float]) -> None:
+    profile = measure(lap(2.0, *slopes), (1.33, 0.2), np.random.default_rng(2))
+    found = fit(profile)
+    assert found is not None
+    y, z = found.corners_mm.T
+    clear = np.abs(profile.y_mm - found.y_mm) > CLEAR_OF_EDGE_MM
+    off = (profile.z_mm - np.interp(profile.y_mm, y, z))[clear]
+    assert abs(off[profile.y_mm[clear] < found.y_mm].mean()) < 0.001
+    assert abs(off[profile.y_mm[clear] > found.y_mm].mean()) < 0.001
+
+
 @pytest.mark.parametrize("y_mm", [-20.0, -40.0])
 def test_what_the_edge_hides_does_not_move_the_foot(y_mm: float) -> None:
     camera, laser = np.array([0.0, y_mm, 135.0]), np.array([0.0, y_mm / 2.0, 140.0])

@@ -84,6 +84,7 @@ def fit_lap(profile: Profile, joint: Joint, camera_mm: Float64, laser_mm: Float6
     step += (slope_upper - slope_lower) * (edge - y_0)
     of_step = np.array([0.0, 1.0, y_0 - edge, edge - y_0])
     step_sigma = math.sqrt(of_step @ shape.covariance @ of_step)
+    at_foot = np.array([z_edge, step, slope_lower, slope_upper])
     return MeasuredJoint(
         edge,
         z_edge,
@@ -93,7 +94,7 @@ def fit_lap(profile: Profile, joint: Joint, camera_mm: Float64, laser_mm: Float6
         shape.chi2,
         JointShape(step_sigma, step_sigma, plate_angles_deg=plates, plate_sigmas_deg=plate_sigmas),
         left_out,
-        section_of(SHEETS, shape, (edge,)),
+        section_of(SHEETS, replace(shape, parameters=at_foot), (edge,)),
     )
 
 
