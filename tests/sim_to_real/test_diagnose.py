@@ -124,11 +124,11 @@ def test_what_scatters_has_no_say_in_what_else_helps(tmp_path, monkeypatch):
 
     monkeypatch.setattr(room, "smaller", smaller)
     spatter = {"rate_per_frame": 8.0, "peak_e": 11_000.0, "length_px": 12.0, "width_px": 1.7}
-    hidden = {"spatter": spatter, "defocus": {"sigma_px": 1.3}}
+    hidden = {"spatter": spatter, "arc_length": {"height_mm": 1.0}}
     found = diagnose(*recorded(tmp_path / "both", hidden, replace(EXACT, frames=24), coarser=3))
     assert {effect.id for effect in found.effects} == set(hidden)
     assert len(asked) == 1
-    # Its variance is in the prediction that is reported, and not in the one that defocus was judged by.
+    # Its variance is in the prediction that is reported, not in the one that the arc's length was judged by.
     assert np.all(asked[0].variance == asked[0].variance_after)
     reported = found.predicted
     lit = np.isfinite(reported.variance)
