@@ -17,8 +17,8 @@ import numpy.typing as npt
 
 from noise_model.arc_map import CELL
 from noise_model.frames import Float64
-from noise_model.kernel import kernel
-from tracker.stripe_path import TEMPLATE_SIGMAS, Float32, Int64, Pair
+from noise_model.kernel import REDUCTION, kernel
+from tracker.stripe_path import TEMPLATE_SIGMAS, Float32, Int64, Pair, bell
 
 NEAREST_SIGMAS = 3.0
 """What stands nearer to the first, in its sigmas, is of its own shape."""
@@ -35,38 +35,49 @@ CUT = 2.0
 Bool = npt.NDArray[np.bool_]
 
 
-@kernel
-def _bell_over(values: Float64, middle: float, width: float) -> float:
+@kernel(fastmath=REDUCTION)
+def _bell_over(values: Float32, middle: float, width: float) -> float:
     """Return the least-squares amplitude of a bell over any level, NaN if values (n,) lack its flanks."""
     half = math.ceil(TEMPLATE_SIGMAS * width)
     low, high = max(round(middle) - half, 0), min(round(middle) + half + 1, values.shape[0])
     before, behind = round(middle - width), round(middle + width)
     if before < low or behind >= high or math.isnan(values[before]) or math.isnan(values[behind]):
         return math.nan
-    n, g_sum, gg, v_sum, gv = 0.0, 0.0, 0.0, 0.0, 0.0
-    for i in range(low, high):
-        if math.isnan(values[i]):
-            continue
-        t = (i - middle) / width
-        g = math.exp(-0.5 * t * t)
-        n += 1.0
+    zero, one = np.float32(0.0), np.float32(1.0)
+    inverse, first = np.float32(1.0 / width), np.float32(low - middle)
+    n, g_sum, gg, v_sum, gv = zero, zero, zero, zero, zero
+    for i in range(high - low):
+        is_seen = not math.isnan(values[low + i])
+        g = bell((np.float32(i) + first) * inverse) * (one if is_seen else zero)
+        value = values[low + i] if is_seen else zero
+        n += one if is_seen else zero
         g_sum += g
         gg += g * g
-        v_sum += values[i]
-        gv += g * values[i]
+        v_sum += value
+        gv += g * value
     spread = n * gg - g_sum * g_sum
-    return (n * gv - g_sum * v_sum) / spread if spread > 0.0 else math.nan
+    return float((n * gv - g_sum * v_sum) / spread) if spread > zero else math.nan
 
 
-@kernel
+@kernel(fastmath={"contract"})
 def _left_over(
-    charge: Float32, background: Float32, censored: Bool, center: float, fit: Float64, left: Float64
+    charge: Float32, background: Float32, censored: Bool, center: float, fit: Float64, left: Float32
 ) -> None:
     """Write what a line's stripe about a centre leaves of its charge (depth,), NaN for censored pixels."""
+    amplitude, inverse, middle = np.float32(fit[2]), np.float32(1.0 / fit[3]), np.float32(center)
     for r in range(charge.shape[0]):
-        t = (r - center) / fit[3]
-        own = fit[2] * math.exp(-0.5 * t * t)
-        left[r] = math.nan if censored[r] else charge[r] - background[r] - own
+        own = amplitude * bell((np.float32(r) - middle) * inverse)
+        left[r] = np.float32(math.nan) if censored[r] else charge[r] - background[r] - own
+
+
+@kernel(fastmath={"contract"})
+def _lay(left: Float32, share: float, laid: Float32, laid_on: Float32) -> None:
+    """Add what a line leaves (n,), times `share`, to the sums and to the numbers of what was added."""
+    zero, one, most, per_e = np.float32(0.0), np.float32(1.0), np.float32(CUT), np.float32(share)
+    for r in range(left.shape[0]):
+        is_seen = not math.isnan(left[r])
+        laid[r] += min(max(left[r] * per_e, -most), most) if is_seen else zero
+        laid_on[r] += one if is_seen else zero
 
 
 @kernel(allocates=True)
@@ -77,8 +88,8 @@ def second_place(charge: Float32, background: Float32, censored: Bool, fits: Flo
     of one here and the other there.
     """
     n_scan, depth = charge.shape
-    laid, laid_on = np.zeros(2 * depth + 1), np.zeros(2 * depth + 1)
-    left, widths, n = np.empty(depth), np.empty(n_scan), 0
+    laid, laid_on = np.zeros((2, 2 * depth + 1), dtype=np.float32)
+    left, widths, n = np.empty(depth, dtype=np.float32), np.empty(n_scan), 0
     for s in range(0, n_scan, EVERY):
         if math.isnan(fits[s, 0]):
             continue
@@ -87,15 +98,12 @@ def second_place(charge: Float32, background: Float32, censored: Bool, fits: Flo
         center = fits[s, 0] - lows[s // CELL]
         _left_over(charge[s], background[s], censored[s], center, fits[s], left)
         shift = depth - round(center)
-        for r in range(depth):
-            if not math.isnan(left[r]):
-                laid[r + shift] += min(max(left[r] / fits[s, 2], -CUT), CUT)
-                laid_on[r + shift] += 1.0
+        _lay(left, 1.0 / fits[s, 2], laid[shift : shift + depth], laid_on[shift : shift + depth])
     if n == 0:
         return 0.0, 0.0
     width = float(np.median(widths[:n]))
     for i in range(2 * depth + 1):
-        laid[i] = laid[i] / laid_on[i] if laid_on[i] > LEAST_LINES * n else math.nan
+        laid[i] = laid[i] / laid_on[i] if laid_on[i] > LEAST_LINES * n else np.float32(math.nan)
     share, apart = 0.0, 0.0
     for i in range(2 * depth + 1):
         if abs(i - depth) >= NEAREST_SIGMAS * width and not math.isnan(laid[i]):
@@ -132,7 +140,7 @@ def second_place(charge: Float32, background: Float32, censored: Bool, fits: Flo
 
 
 @kernel
-def _either_side(left: Float64, center: float, apart_px: float, fit: Float64) -> Pair:
+def _either_side(left: Float32, center: float, apart_px: float, fit: Float64) -> Pair:
     """Return how bright, over a line's own stripe, another is behind and ahead of it, -inf out of sight."""
     behind, ahead = _bell_over(left, center + apart_px, fit[3]), _bell_over(left, center - apart_px, fit[3])
     behind, ahead = -math.inf if math.isnan(behind) else behind, -math.inf if math.isnan(ahead) else ahead
@@ -156,7 +164,7 @@ def second_light(
     `share` of the brighter one's where it is out of sight.
     """
     n_scan, depth = charge.shape
-    left = np.empty(depth)
+    left = np.empty(depth, dtype=np.float32)
     for s in range(n_scan):
         light[s] = 0.0
         if math.isnan(fits[s, 0]):
