@@ -81,6 +81,22 @@ def test_what_a_section_shows_comes_with_the_track(
     assert math.isnan(shape.area_sigma_mm2) == math.isnan(area_mm2)
 
 
+@pytest.mark.parametrize(("name", "gap_mm"), [("v_groove", 0.0), ("v_groove", 0.1), ("half_v", 0.2)])
+def test_a_root_too_narrow_to_be_told_from_a_closed_one_says_so(name: str, gap_mm: float) -> None:
+    """The root's few columns are blurred: how deep it goes is no better known than how wide it is."""
+    setup = small_setup(name)
+    dimensions = {**setup.joint.dimensions, "root_gap_mm": gap_mm}
+    tolerance = replace(setup.tolerance, hand_eye_deg=0.0, hand_eye_mm=0.0)
+    setup = replace(setup, joint=replace(setup.joint, dimensions=dimensions), tolerance=tolerance)
+    pulls = []
+    for n in range(8):
+        pose, seam = pose_at(3.0 * n), SeamLine(0.0, 0.17 * n - 0.6, 0.1 * n)
+        track = Tracker(setup).step(frame_of(setup, pose, seam, index=n), pose)
+        _, y, z = np.array(track.seam_tool_mm) - true_seam_tool(setup, pose, seam)
+        pulls.append((y / track.sigma_y_mm, z / track.sigma_z_mm))
+    assert (np.mean(np.square(pulls), axis=0) < 3.0).all(), pulls
+
+
 @pytest.mark.parametrize(("stated", "there"), [("v_groove", "lap"), ("lap", "v_groove"), ("butt", "half_v")])
 def test_a_joint_that_is_not_as_stated_is_told(stated: str, there: str) -> None:
     setup = small_setup(stated)

@@ -84,7 +84,7 @@ def _fit(
     if shape == GROOVE and min(seen.right_bevel, seen.left_bevel) > 0.0:
         middle_mm = float(fit.parameters[0])
         inside = np.abs(profile.y_mm - middle_mm) < half_mouth
-        fit = of_narrow_root(profile, shape, start, prior_sigma, GAP, middle_mm, inside, fit)
+        fit = of_narrow_root(profile, shape, start, prior_sigma, GAP, _with_gap, middle_mm, inside, fit)
         seen = _seen_of(profile, fit, half_mouth)
     amid_mm = (1.0 - 2.0 * END_SHARE) * (half_mouth - 0.5 * gap)
     enough = min(LEAST_POINTS, LEAST_SHARE * amid_mm / profile.column_mm)
@@ -110,6 +110,14 @@ def _fit(
         seen.left_out,
         section_of(shape, fit),
     )
+
+
+def _with_gap(p: Float64) -> Float64:
+    """Return how a V's parameters (9,) go with its gap where bevels and plates stay as they are."""
+    tan_left, tan_right = p[3:5]
+    up = 1.0 / (tan_left + tan_right)
+    aside = 0.5 * up * (tan_left - tan_right)
+    return np.array([aside, up, 1.0, 0.0, 0.0, -up, -up, 0.0, 0.0])
 
 
 class Seen(NamedTuple):

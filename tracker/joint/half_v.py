@@ -82,7 +82,9 @@ def fit_half_v(profile: Profile, joint: Joint, camera_mm: Float64, laser_mm: Flo
     inside = (profile.y_mm > wall) & (profile.y_mm < mouth)
     if is_seen:
         middle_mm = wall + 0.5 * max(float(fit.parameters[GAP]), 0.0)
-        fit = of_narrow_root(profile, HALF_GROOVE, start, PRIOR_SIGMA, GAP, middle_mm, inside, fit, clear)
+        fit = of_narrow_root(
+            profile, HALF_GROOVE, start, PRIOR_SIGMA, GAP, _with_gap, middle_mm, inside, fit, clear
+        )
     if fit.weights[inside].sum() < LEAST_POINTS:
         return None
     left_out = unexplained(profile, fit, 0.5 * (wall + mouth), 0.5 * (mouth - wall))
@@ -99,6 +101,12 @@ def _beside_the_upright(profile: Profile, fit: ShapeFit, wall: float) -> tuple[i
     return neighbours_of_edge(near & (np.abs(over_plate) < limit), near & (np.abs(over_groove) < limit))
 
 
+def _with_gap(p: Float64) -> Float64:
+    """Return how a half V's parameters (7,) go with its gap where sides and plates stay as they are."""
+    up = 1.0 / p[TAN]
+    return np.array([1.0, up, 0.0, -up, -up, 0.0, 0.0])
+
+
 def _measured(fit: ShapeFit, wall: float, wall_variance: float, left_out: float) -> MeasuredJoint:
     """Turn a fit beside a given upright side into the joint, the side's own variance put in.
 
@@ -111,13 +119,14 @@ def _measured(fit: ShapeFit, wall: float, wall_variance: float, left_out: float)
     variance_z, across = covariance[ROOT, ROOT], 0.5 * covariance[GAP, ROOT]
     if p[GAP] < CLOSED_MM:
         # The root is where the bevel meets the side, and goes up and down with that.
-        gives_way, variance_y = 0.0, wall_variance
-        variance_z, across = variance_z + wall_variance / p[TAN] ** 2, wall_variance / p[TAN]
+        gives_way, variance_y = 0.0, wall_variance + 0.25 * covariance[GAP, GAP]
+        variance_z, across = variance_z + wall_variance / p[TAN] ** 2, across + wall_variance / p[TAN]
     bevel, bevel_sigma = math.atan(p[TAN]), math.sqrt(covariance[TAN, TAN]) / (1.0 + p[TAN] ** 2)
     plates, plate_sigmas = angles_of(fit, SLOPE_LEFT, SLOPE_RIGHT)
     area, area_sigma = opening_of(HALF_GROOVE, fit, (wall,))
-    # The upright side takes the root's gap with it.
-    area_sigma = math.hypot(area_sigma, gives_way * p[DEPTH_RIGHT] * math.sqrt(wall_variance))
+    # The upright side takes the root's gap with it, or of a closed root its foot on the bevel.
+    with_side = gives_way if p[GAP] >= CLOSED_MM else 1.0
+    area_sigma = math.hypot(area_sigma, with_side * p[DEPTH_RIGHT] * math.sqrt(wall_variance))
     shape = JointShape(
         math.sqrt(covariance[GAP, GAP] + gives_way**2 * wall_variance),
         math.sqrt(

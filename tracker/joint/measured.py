@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field
+from collections.abc import Callable
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 import numpy.typing as npt
@@ -91,6 +92,9 @@ NARROW_MM, ROOTS = 0.8, ((0.0, 1e-4), (0.15, 0.05), (0.3, 0.1))
 ROOT_COLUMNS = 2
 """So many points must show a root, in as many columns on either side of its middle."""
 
+TOLD_COLUMNS = 2.5
+"""A root of fewer columns is not told from a closed one: blur rounds either."""
+
 CLOSED_MM = 1e-3
 """What comes out narrower is closed."""
 
@@ -156,6 +160,7 @@ def of_narrow_root(
     start: Float64,
     prior_sigma: Float64,
     gap: int,
+    with_gap: Callable[[Float64], Float64],
     middle_mm: float,
     inside: npt.NDArray[np.bool_],
     fit: ShapeFit,
@@ -167,7 +172,8 @@ def of_narrow_root(
     a root of a few points the priors alone would say how wide and how deep it is, and the points that know
     better are left out for good. So where the parameter `gap` comes out small it is fitted from `ROOTS` too,
     closed first: then the root is where the bevels meet. Where no point shows the root, about `middle_mm`,
-    the priors are all there is.
+    the priors are all there is. A root of fewer than `TOLD_COLUMNS` may be a column wider or narrower: how
+    parameters (p,) go with the gap, bevels and plates left as they are, `with_gap` says.
     """
     width_mm = float(fit.parameters[gap])
     if not width_mm < NARROW_MM:
@@ -190,11 +196,14 @@ def of_narrow_root(
         other = fit_shape(profile, shape, at, sigma, used)
         if other is not None:
             found.append(other)
-            # What is narrower than a column is not seen.
-            other.covariance[gap, gap] = max(other.covariance[gap, gap], profile.column_mm**2)
     # Less than no gap is a closed root whose height the priors chose.
     found += [fit] if fit.parameters[gap] > 0.0 else []
-    return min(found, key=left, default=fit)
+    best = min(found, key=left, default=fit)
+    if not best.parameters[gap] < TOLD_COLUMNS * profile.column_mm:
+        return best
+    more = max(profile.column_mm**2 - float(best.covariance[gap, gap]), 0.0)
+    along = with_gap(best.parameters)
+    return replace(best, covariance=best.covariance + more * np.outer(along, along))
 
 
 @kernel
