@@ -13,6 +13,7 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
+from noise_model.frames import Float64
 from noise_model.surface import Joint
 from tracker.joint.measured import (
     OFF_SIGMAS,
@@ -46,6 +47,9 @@ CLEAR_MM = 0.3
 
 LEAST_LINES, LEAST_POINTS = 2, 8
 """Scan lines that a gap must be wide to be seen, and points that must be seen of either plate."""
+
+BLURRED_LINES = 4
+"""A gap of fewer scan lines seems up to one wider than it is, for its ends blur into one; or is not seen."""
 
 UNREAD = -0.5
 """What a scan line without a stripe says of a plate, 1 being that it is there: spatter hides one, too."""
@@ -108,24 +112,25 @@ def _gap_of(lines: _Lines, joint: Joint, y_0: float) -> _Gap | None:
     slack = min(SLACK_MM, 0.5 * thickness) if joint.type == "edge" else SLACK_MM
     reach = 0.5 * gap + slack
     right, left = lines.end(y_0 - reach, y_0, True), lines.end(y_0, y_0 + reach, False)
-    if lines.others_between(right.y_mm, left.y_mm) >= LEAST_LINES:
+    if lines.others_between(right.line, left.line) >= LEAST_LINES:
         gap_lines = left.line - right.line - 1
         # A blurred end seems off to its own side: where one is not told, in the middle of both that cancels.
         right_told = lines.by_shares(right, True, gap_lines)
         left_told = lines.by_shares(left, False, gap_lines)
         if right_told is not None and left_told is not None:
             right, left = right_told, left_told
-        width_variance = left.variance_mm2 + right.variance_mm2
-        return _Gap(
-            0.5 * (left.y_mm + right.y_mm), 0.25 * width_variance, left.y_mm - right.y_mm, width_variance
-        )
+        width = left.y_mm - right.y_mm
+        variance = width_variance = left.variance_mm2 + right.variance_mm2
+        if width < BLURRED_LINES * lines.column_mm:
+            width_variance = max(width_variance, lines.column_mm**2)
+        return _Gap(0.5 * (left.y_mm + right.y_mm), 0.25 * variance, width, width_variance)
     if joint.type != "edge":
         return None
     outer = 0.5 * gap + thickness
     right = lines.end(y_0 - outer - slack, y_0 - outer + slack, False)
     left = lines.end(y_0 + outer - slack, y_0 + outer + slack, True)
     variance = 0.25 * (left.variance_mm2 + right.variance_mm2) + 0.5 * THICKNESS_SIGMA_MM**2
-    return _Gap(0.5 * (left.y_mm + right.y_mm), variance, 0.0, (LEAST_LINES * lines.column_mm) ** 2)
+    return _Gap(0.5 * (left.y_mm + right.y_mm), variance, 0.0, (BLURRED_LINES * lines.column_mm) ** 2)
 
 
 def _measure(
@@ -256,15 +261,30 @@ class _Lines:
         return float(self.y_mm[best] + 0.5 * (len(signs) - 1) * self.column_mm)
 
     def end(self, low_mm: float, high_mm: float, plate_first: bool) -> _End:
-        """Return the end of a plate between two places: where most lines agree."""
+        """Return the end of a plate between two places: where most lines agree.
+
+        Lines that a blurred end leaves unread before what is seen beyond may be the plate's as well.
+        """
         first, last = np.searchsorted(self.y_mm, [low_mm, high_mm])
         sees = self.sees[first:last] * (1.0 if plate_first else -1.0)
         votes = np.concatenate([[0.0], np.cumsum(sees)])
         best = np.flatnonzero(votes == votes.max())[[0, -1]] + first
         before, behind = max(int(best[0]) - 1, 0), min(int(best[1]), len(self.y_mm) - 1)
+        plate = before if plate_first else behind
+        if plate_first:
+            behind += self._unread_by_blur(self.sees[behind:])
+        else:
+            before -= self._unread_by_blur(self.sees[before::-1])
         low, high = float(self.y_mm[before]), float(self.y_mm[behind])
         spread = max(high - low, self.column_mm)
-        return _End(0.5 * (low + high), spread**2 / 12.0, before if plate_first else behind)
+        return _End(0.5 * (low + high), spread**2 / 12.0, plate)
+
+    def _unread_by_blur(self, sees: Float64) -> int:
+        """Return how many lines (n,) from an end on are unread, 0 if more than a blurred end leaves."""
+        is_read = sees != UNREAD
+        unread = int(np.argmax(is_read)) if is_read.any() else len(sees)
+        most = 0 if self.light is None else clear_of_an_edge(self.light)
+        return unread if unread < most else 0
 
     def by_shares(self, end: _End, plate_first: bool, gap_lines: int) -> _End | None:
         """Return an end at a gap of some lines as the shares say that lines hold of the plate's stripe.
@@ -285,7 +305,6 @@ class _Lines:
         at = np.interp(end.line + towards * off, np.arange(len(self.y_mm)), self.y_mm)
         return _End(float(at), variance, end.line)
 
-    def others_between(self, low_mm: float, high_mm: float) -> int:
-        """Return how many scan lines between two places show no plate."""
-        inside = (self.y_mm > low_mm) & (self.y_mm < high_mm)
-        return int((self.sees[inside] < 0.0).sum())
+    def others_between(self, first: int, last: int) -> int:
+        """Return how many scan lines between two lines show no plate."""
+        return int((self.sees[first + 1 : last] < 0.0).sum())
