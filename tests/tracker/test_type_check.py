@@ -9,9 +9,10 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from profiles import measure, spoil
-from test_joint_types import CASES, fit, seen
+from profiles import COLUMN_MM, measure, spoil
+from test_joint_types import CASES, LINE, fit, seen
 
+from noise_model.surface import Joint
 from tracker.joint.type_check import Family, cut_into_pieces, family_of, is_another_type
 
 EACH = 12
@@ -97,6 +98,15 @@ def test_a_gap_that_nothing_is_seen_of_is_a_plate_that_a_butts_edges_still_show(
         assert found is not None
         assert math.hypot(found.y_mm - 0.5, found.z_mm) < 5.0 * math.sqrt(np.trace(found.covariance_mm2))
         assert not is_another_type(dark, joint, found)
+
+
+@pytest.mark.parametrize("gap_mm", [0.0, 3.0 * COLUMN_MM])
+def test_a_plate_may_be_a_butt_whose_gap_is_too_narrow_to_show(gap_mm: float) -> None:
+    joint = Joint("butt", {"gap_mm": gap_mm, "thickness_mm": 3.0}, LINE)
+    profile = measure(PLATE, (0.0, 0.0), np.random.default_rng(15))
+    found = fit(profile, joint, (0.0, 0.0))
+    assert found is None
+    assert not is_another_type(profile, joint, found)
 
 
 def test_families_by_their_names() -> None:

@@ -20,6 +20,7 @@ from noise_model.frames import Float64
 from noise_model.kernel import kernel
 from noise_model.surface import Joint
 from tracker.joint.measured import MeasuredJoint
+from tracker.joint.slot import BLURRED_LINES
 from tracker.profile import Profile
 
 Int64 = npt.NDArray[np.int64]
@@ -97,9 +98,10 @@ def is_another_type(profile: Profile, joint: Joint, measured: MeasuredJoint | No
     family = _family(y, z, ends[:n_pieces])
     if family is None or family is stated:
         return False
-    if measured is not None and stated is Family.SLOT and family is Family.FLAT:
-        # A gap may show nothing but missing points.
-        return False
+    if stated is Family.SLOT and family is Family.FLAT:
+        # A gap may show nothing but missing points, and a narrow one not even those.
+        is_shown = joint.dimensions["gap_mm"] >= BLURRED_LINES * profile.column_mm
+        return measured is None and is_shown
     return measured is None or cost + DECIDED < _stated_cost(y, z, sigma, measured)
 
 
