@@ -1,10 +1,11 @@
 """Sensor designs: where camera and laser stand beside the torch, and the setup that such a design makes.
 
 A design is counted from the stripe's foot, the point of the laser plane on a plate at tool height straight
-ahead of the torch. The lens stays and is refocused, so the focal length in pixels does; from nearby less of a
-radiance arrives, as through the working f-number N (1 + m). The laser keeps its power and its distance to the
-foot. Whatever the user's setup has beyond a design's few numbers (the camera's roll, a point aimed at beside
-the foot, a sheet askew) is carried along, so that a setup's own design gives that setup back.
+ahead of the torch. The lens stays and is refocused: the image lies f (1 + m) behind it, so from nearby the
+focal length in pixels is longer, and less of a radiance arrives, as through the working f-number N (1 + m).
+The laser keeps its power and its distance to the foot. Whatever the user's setup has beyond a design's few
+numbers (the camera's roll, a point aimed at beside the foot, a sheet askew) is carried along, so that a
+setup's own design gives that setup back.
 """
 
 from __future__ import annotations
@@ -142,9 +143,10 @@ def with_design(setup: Setup, design: SensorDesign, spectrum: ArcSpectrum | None
     """Return the setup that a design makes of the user's: poses, levels, filter, exposure.
 
     The stripe's charge per irradiance and reflectance stays, times what the filter passes of the laser; the
-    arc's goes with what it passes of the arc's light. Both go with 1 / (1 + m)^2, the working aperture's.
-    What effects state in e- stays as it is. Raises ValueError if the laser would stand below the
-    tool's height or its light does not pass the filter.
+    arc's goes with what it passes of the arc's light. Both go with 1 / (1 + m)^2, the working aperture's, and
+    the focal length in pixels with 1 + m. What effects state in e- stays as it is, and so does the
+    distortion. Raises ValueError if the laser would stand below the tool's height or its light does not pass
+    the filter.
     """
     spectrum = spectrum or ArcSpectrum()
     own = design_of(setup)
@@ -157,13 +159,19 @@ def with_design(setup: Setup, design: SensorDesign, spectrum: ArcSpectrum | None
         raise ValueError(f"lean {design.lean_deg:g} deg: the laser would stand below the plate")
     optics = filter_of(setup, design.filter_fwhm_nm)
     laser_gain, arc_gain = filter_gains(setup.filter, optics, setup.laser.wavelength_nm, spectrum, 0.0)
-    nearer = (1.0 + magnification(setup, own.stand_off_mm)) / (
-        1.0 + magnification(setup, design.stand_off_mm)
+    longer = (1.0 + magnification(setup, design.stand_off_mm)) / (
+        1.0 + magnification(setup, own.stand_off_mm)
     )
-    brighter = design.exposure_s / own.exposure_s * nearer**2
+    brighter = design.exposure_s / own.exposure_s / longer**2
     made = replace(
         setup,
-        camera=replace(setup.camera, T_tool_camera=T_tool_camera, exposure_s=design.exposure_s),
+        camera=replace(
+            setup.camera,
+            fx=longer * setup.camera.fx,
+            fy=longer * setup.camera.fy,
+            T_tool_camera=T_tool_camera,
+            exposure_s=design.exposure_s,
+        ),
         filter=optics,
         laser=replace(
             setup.laser,

@@ -130,11 +130,13 @@ def speckle_floor_px(setup: Setup, contrast: float) -> float:
     """Return the speckle floor of a scan line's position, px, for the lens at the setup's stand-off.
 
     Dorsch et al. 1994 in the image, `bound.speckle_image_sigma_mm`, with N' = N (1 + m) of a thin lens
-    focused on the plate, and the contrast that a pixel's width along the stripe leaves.
+    focused on the plate, and the contrast that a pixel's width along the stripe leaves. The focal length in
+    pixels is the image's distance f (1 + m) over the pixel.
     """
     camera = setup.camera
-    image_f_number = camera.f_number * (1.0 + magnification(setup, design_of(setup).stand_off_mm))
-    pixel_mm = camera.focal_length_mm / math.sqrt(camera.fx * camera.fy)
+    farther = 1.0 + magnification(setup, design_of(setup).stand_off_mm)
+    image_f_number = farther * camera.f_number
+    pixel_mm = farther * camera.focal_length_mm / math.sqrt(camera.fx * camera.fy)
     wavelength_mm = 1e-6 * setup.laser.wavelength_nm
     left = contrast * pixel_contrast(wavelength_mm, image_f_number, pixel_mm)
     return speckle_image_sigma_mm(wavelength_mm, image_f_number, left) / pixel_mm

@@ -21,6 +21,7 @@ from noise_model.plan import (
     passes_laser,
     with_design,
 )
+from noise_model.plan_noise import speckle_floor_px
 from noise_model.spectrum import ArcSpectrum, Filter, FilterCurve
 from noise_model.stripe import stripe_reference
 
@@ -91,6 +92,22 @@ def test_a_diffuse_plate_goes_with_the_working_aperture_and_is_dimmer_under_a_le
     assert peak(replace(own, exposure_s=0.5 * own.exposure_s)) == pytest.approx(0.5 * mine, rel=0.01)
     arcs = [with_design(setup, d).arc.radiance_e for d in (replace(own, stand_off_mm=100.0), far)]
     assert arcs[1] / arcs[0] == pytest.approx(brighter, rel=1e-9)
+
+
+def test_a_refocused_lens_images_as_large_as_a_thin_lens_does() -> None:
+    setup = steel_groove()
+    own, f = design_of(setup), setup.camera.focal_length_mm
+    # The pixel's width, known from where the lens stands now: the image lies f Z / (Z - f) behind it.
+    pixel_mm = f * own.stand_off_mm / (own.stand_off_mm - f) / setup.camera.fx
+    floors = [speckle_floor_px(setup, 1.0)]
+    for stand_off_mm in (100.0, 250.0):
+        made = with_design(setup, replace(own, stand_off_mm=stand_off_mm))
+        points = np.array([[0.0, 0.0, stand_off_mm], [3.0, 2.0, stand_off_mm]])
+        magnified = f / (stand_off_mm - f) * (points[1, :2] - points[0, :2]) / pixel_mm
+        np.testing.assert_allclose(np.diff(made.camera.project(points), axis=0)[0], magnified, rtol=1e-9)
+        floors.append(speckle_floor_px(made, 1.0))
+    # The pixel stays as large, so speckle in it goes with N (1 + m) and the share it averages.
+    assert floors[1] > floors[0] > floors[2]
 
 
 def test_a_filters_share_of_the_arc_is_its_integral_and_the_laser_drops_off_axis() -> None:
