@@ -260,6 +260,21 @@ def test_what_leaves_towards_the_camera_is_the_arc_map(joint, material):
 # The path tracer.
 
 
+@pytest.mark.parametrize("radii", [1.5, 2.0, 3.9, 4.1, 6.0, 12.0])
+def test_a_level_plate_sends_what_the_half_discs_closed_form_says(radii):
+    # The directions to the upper half of a sphere on the plate, laid down on the plate: a circle's segment.
+    view = view_of("lap")
+    k = place(view.setup, view.scene)._replace(
+        vertices=np.array([[-100.0, 0.0], [0.0, 0.0], [100.0, 0.0]]),
+        material=(1.0, 0.0, 1.0, 0.0, 0.0, 1.0, 0.0),
+        center=np.array([0.0, 1.0, 0.0]),
+    )
+    point = np.array([radii * k.radius, 1.0, 0.0])
+    got = arc_leaving(k, point, np.array([0.0, 0.0, 1.0]), (0.0, 0.0, 1.0))
+    beta = math.asin(1.0 / radii)
+    assert got == pytest.approx(beta - math.sin(beta) * math.cos(beta), rel=0.004)
+
+
 def facets(joint):
     """The section as (y, z) from left to right."""
     size = joint.dimensions
