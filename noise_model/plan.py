@@ -37,6 +37,11 @@ LARGEST_FIELD_ANGLE = 0.6
 
 PROFILE_NODES = 61
 
+LINE_LEAK = "argon_line_leak"
+"""The effect that adds the argon lines to an arc's level that is the continuum's alone."""
+
+CONTINUUM = ArcSpectrum(line_width_nm=0.0)
+
 NOZZLE_HEIGHT_MM = 10.0
 """How high above the plate the torch's nozzle begins."""
 
@@ -158,7 +163,9 @@ def with_design(setup: Setup, design: SensorDesign, spectrum: ArcSpectrum | None
     if not origin[2] > 1.0:
         raise ValueError(f"lean {design.lean_deg:g} deg: the laser would stand below the plate")
     optics = filter_of(setup, design.filter_fwhm_nm)
-    laser_gain, arc_gain = filter_gains(setup.filter, optics, setup.laser.wavelength_nm, spectrum, 0.0)
+    # What is to come behind the design's filter, as `argon_line_leak`, is no part of the level.
+    of_level = CONTINUUM if LINE_LEAK in setup.effects else spectrum
+    laser_gain, arc_gain = filter_gains(setup.filter, optics, setup.laser.wavelength_nm, of_level, 0.0)
     longer = (1.0 + magnification(setup, design.stand_off_mm)) / (
         1.0 + magnification(setup, own.stand_off_mm)
     )
@@ -212,6 +219,26 @@ def _axes(design: SensorDesign) -> Float64:
     x_axis = -np.array([0.0, 1.0, 0.0]) + z_axis[1] * z_axis
     x_axis /= np.linalg.norm(x_axis)
     return np.column_stack([x_axis, np.cross(z_axis, x_axis), z_axis])
+
+
+def gains_over_effects(
+    setup: Setup, optics: Filter | FilterCurve, spectrum: ArcSpectrum, theta: npt.ArrayLike
+) -> tuple[Float64, Float64]:
+    """Return `filter_gains` of a filter for light that has met the setup's effects behind the setup's own.
+
+    Where they are with `argon_line_leak` the arc's light holds the lines that pass the setup's filter at
+    theta already, (B + L) / B of a level that is the continuum's: what another filter passes is set against
+    those.
+    """
+    own, laser_nm = setup.filter, setup.laser.wavelength_nm
+    leak = setup.effects.get(LINE_LEAK)
+    if leak is None:
+        return filter_gains(own, optics, laser_nm, spectrum, theta)
+    leaking = replace(spectrum, line_width_nm=leak.get("line_width_nm", 0.0))
+    laser, arc = filter_gains(own, optics, laser_nm, leaking, theta)
+    _, held = filter_gains(own, own, laser_nm, leaking, theta)
+    _, continuum = filter_gains(own, own, laser_nm, CONTINUUM, theta)
+    return laser, arc / held * continuum
 
 
 def filter_gains(

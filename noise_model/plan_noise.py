@@ -19,7 +19,7 @@ from noise_model.bound import (
     stripe_sigmas,
 )
 from noise_model.frames import Float64
-from noise_model.plan import design_of, filter_gains, magnification
+from noise_model.plan import design_of, gains_over_effects, magnification
 from noise_model.plan_light import ARC_PLACES, HALF_WINDOW_SIGMAS, StripeLight
 from noise_model.sensor import Sensor, linearise, saturation_dn, variance_e2
 from noise_model.setup import Setup
@@ -151,8 +151,7 @@ def expected_pixels(
     light: StripeLight, setup: Setup, around: Surroundings, optics: Filter | FilterCurve | None = None
 ) -> ExpectedPixels:
     """Return the expected pixels of a light behind a filter, the setup's own if none is given."""
-    laser_nm = setup.laser.wavelength_nm
-    gains = filter_gains(setup.filter, optics or setup.filter, laser_nm, around.spectrum, light.theta)
+    gains = gains_over_effects(setup, optics or setup.filter, around.spectrum, light.theta)
     stripe = np.where(light.seen, light.stripe_e, 0.0) * gains[0]
     return ExpectedPixels(stripe, (light.arc_e * gains[1][:, np.newaxis]) @ _TO_NODES)
 

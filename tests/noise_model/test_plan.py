@@ -12,6 +12,8 @@ from hypothesis import strategies as st
 from plan_setups import SETUPS, expected_e, steel_groove
 from scipy.constants import c, h, k
 
+from noise_model.arc_map import scene
+from noise_model.frames import invert, transform
 from noise_model.plan import (
     SensorDesign,
     clears_torch,
@@ -21,7 +23,8 @@ from noise_model.plan import (
     passes_laser,
     with_design,
 )
-from noise_model.plan_noise import speckle_floor_px
+from noise_model.plan_light import stripe_level_e, stripe_light
+from noise_model.plan_noise import NODES, Surroundings, expected_pixels, speckle_floor_px
 from noise_model.spectrum import ArcSpectrum, Filter, FilterCurve
 from noise_model.stripe import stripe_reference
 
@@ -128,6 +131,26 @@ def test_a_filters_share_of_the_arc_is_its_integral_and_the_laser_drops_off_axis
     assert laser[1] == pytest.approx(2.0 ** -(((690.0 / shift - 690.0) / 2.0) ** 2), rel=0.02)
     # With lines 6 nm beside the laser a wide filter passes more than its share of continuum.
     assert filter_gains(wide, narrow, 690.0, ArcSpectrum(), 0.0)[1] < arc[0]
+
+
+@pytest.mark.parametrize("fwhm_nm", [5.0, 10.0, 20.0])
+def test_lines_that_an_effect_adds_are_not_added_again(fwhm_nm: float) -> None:
+    leak = {"argon_line_leak": {"line_width_nm": 30.0}, "filter_shift": {"shift_share": 1.0}}
+    setup = replace(steel_groove(), effects=leak)
+    made = with_design(setup, replace(design_of(setup), filter_fwhm_nm=fwhm_nm))
+    continuum = ArcSpectrum(line_width_nm=0.0)
+    passed = filter_gains(setup.filter, made.filter, 690.0, continuum, 0.0)[1]
+    assert made.arc.radiance_e == pytest.approx(setup.arc.radiance_e * passed)
+    frame = expected_e(made, np.eye(4), arc=1.0)
+    for of, optics in ((setup, made.filter), (made, None)):
+        light = stripe_light(of, np.eye(4), stripe_level_e(of))
+        arc_e = expected_pixels(light, of, Surroundings(), optics).arc_e[:, NODES // 2]
+        camera = invert(scene(of, np.eye(4)).T_joint_camera)
+        image = np.rint(of.camera.project(transform(camera, light.points))).astype(int)
+        # Towards the rim, where the lines differ most, and clear of the groove's edges.
+        level = light.seen & (np.abs(light.points[:, 1]) > 5.0)
+        ratio = arc_e[level] / frame[image[level, 1], image[level, 0]]
+        np.testing.assert_allclose(ratio, 1.0, atol=0.01)
 
 
 def test_a_measured_curve_is_kept_at_its_own_width_and_else_replaced() -> None:
