@@ -30,7 +30,7 @@ from noise_model.arc_disc import (
     ledge_crossings,
     wall_parts,
 )
-from noise_model.arc_metal import Metal, chord_parts, is_clear, look_along, open_range
+from noise_model.arc_metal import Metal, chord_parts, is_clear, look_along, open_below, open_range
 from noise_model.brdf import LobeNumbers, reflected
 from noise_model.frames import Float64, Vector
 from noise_model.kernel import REDUCTION, kernel
@@ -305,9 +305,15 @@ def arc_light(
                 p_first, p_last = min(p_first, breaks[piece]), max(p_last, breaks[piece + 1])
         if p_last <= p_first:
             return 0.0
-        p_first, p_last = open_range(p_first, p_last, rays, metal, ways)
+        p_low, p_high = p_first, p_last
+        p_first, p_last = open_range(p_low, p_high, rays, metal, ways)
         n_breaks = insert(breaks, n_breaks, p_first)
         n_breaks = insert(breaks, n_breaks, p_last)
+        if metal[6] and metal[5] and not metal[7]:
+            tops = (p_first, p_last)
+            p_first, p_last = open_below(p_low, p_high, tops, arc, below, cuts, n_cuts, rays, metal, at, ways)
+            n_breaks = insert(breaks, n_breaks, p_first)
+            n_breaks = insert(breaks, n_breaks, p_last)
         edge_y, slope, curve, _ = metal[3]
         square = 2.0 * curve * (edge_y - P[1])
         if square > 0.0:

@@ -202,6 +202,40 @@ def is_clear(
 
 
 @kernel
+def open_below(
+    p_low: float,
+    p_high: float,
+    open_tops: tuple[float, float],
+    arc: Shape,
+    below: bool,
+    cuts: Float64,
+    n_cuts: int,
+    rays: Rays,
+    metal: Metal,
+    at: Float64,
+    ways: Float64,
+) -> tuple[float, float]:
+    """Return a range of p that holds `open_tops` and all chords whose lower ends are open.
+
+    An upright edge that stands higher than the arc's top cuts it aslant: chords end at the metal, not begin.
+    """
+    middle, half = 0.5 * (p_low + p_high), 0.5 * (p_high - p_low)
+    n = RIM_STEPS + 1
+    for i in range(n):
+        at[0, i] = middle - half * _RIM[i]
+    chords(at, n, arc, below, cuts, n_cuts)
+    for i in range(n):
+        ways[0, i], ways[1, i] = at[0, i], at[1, i] + 1e-3 * (at[2, i] - at[1, i])
+    clearances(ways, n, rays, metal)
+    first, last = open_tops
+    for i in range(n):
+        if at[2, i] > at[1, i] and ways[2, i] >= 0.0:
+            first = min(first, at[0, max(i - 1, 0)])
+            last = max(last, at[0, min(i + 1, n - 1)])
+    return first, last
+
+
+@kernel
 def open_range(p_low: float, p_high: float, rays: Rays, metal: Metal, ways: Float64) -> tuple[float, float]:
     """Return between which p the tops of the chords are open; an empty range where none is."""
     middle, half = 0.5 * (p_low + p_high), 0.5 * (p_high - p_low)

@@ -594,3 +594,20 @@ def test_a_leaning_sheet_is_on_the_segment_that_it_lights(lean_deg):
         T_base_tool[0, 3] = x_mm
         foot = transform(scene(setup, T_base_tool).T_joint_tool, (ahead, 0.0, 0.0))
         np.testing.assert_allclose(foot[1:], 0.0, atol=1e-9)
+
+
+@pytest.mark.parametrize("P", [(21.93, 5.71), (28.0, 5.13), (40.0, 5.0), (22.0, 1.0)])
+def test_a_corrugated_sheet_that_stands_above_the_whole_arc_hides_what_lies_in_it(P):
+    joint = Joint(
+        "corrugation",
+        {"thickness_mm": 4.0, "pitch_mm": 60.0, "height_mm": 8.0, "width_mm": 30.0},
+        scenes.LINE,
+    )
+    setup = scenes.setup(joint, arc_center_mm=(0.0, 0.0, 0.0))
+    view = scene(setup, scenes.pose((7.0, -1.0, 1.0)))
+    point = np.array([*P, 0.0])
+    omega_r = view.T_joint_camera[:3, 3] - point
+    omega_r /= np.linalg.norm(omega_r)
+    want = scenes.arc_light(joint, point, UP, omega_r, view.center_mm, 3.0, setup.material)
+    got = light_at(arc_kernel(setup, view), tuple(point), 2, scratch()) / setup.arc.radiance_e
+    assert got == pytest.approx(want, rel=0.04)
