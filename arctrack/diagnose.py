@@ -117,7 +117,7 @@ def diagnose_recording(job: Job, on_stage: OnStage | None = None, threads: int =
 
     So many `threads` predict frames at once. Raises ArctrackError for what the user can mend.
     """
-    from arctrack.report.diagnosis import write_page
+    from arctrack.report.diagnosis.page import write_page
     from sim_to_real.diagnose import diagnose
 
     recording = read_recording(job.recording, job.setup_path)

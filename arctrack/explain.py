@@ -17,20 +17,20 @@ from arctrack.errors import ArctrackError, in_file
 from arctrack.explain_lines import Refusals, SigmaParts, refusals, sigma_parts
 from arctrack.recording import BadFrame, Recording
 from arctrack.replay import tracker_of
-from noise_model.arc_map import ArcKernel, Scene, arc_frame, arc_kernel, scene
-from noise_model.frames import Float64
-from noise_model.sensor import variance_e2
+from noise_model.arc.map import ArcKernel, Scene, arc_frame, arc_kernel, scene
+from noise_model.instrument.sensor import variance_e2
+from noise_model.transforms import Float64
 from tracker import flags
-from tracker.arc_level import MAP_SIGMA, ArcLevel
-from tracker.expected import ExpectedStripe, expect_stripe
+from tracker.arc.level import MAP_SIGMA, ArcLevel
+from tracker.arc.transmission import Passage
 from tracker.geometry import Float32, SensorGeometry
 from tracker.joint import MeasuredJoint, fit_joint
-from tracker.passage import Passage
 from tracker.profile import Profile
-from tracker.read import StripeReading, Work, arc_map_of, read_stripe
-from tracker.seam import locate, sources
+from tracker.seam.locate import locate, sources
 from tracker.state import Frame, Pose, Track
 from tracker.step import Reading, TrackerState, expected_output, jump_limit_mm, profile_of, step_and_reading
+from tracker.stripe.expected import ExpectedStripe, expect_stripe
+from tracker.stripe.read import StripeReading, Work, arc_map_of, read_stripe
 
 
 @dataclass(frozen=True, eq=False)

@@ -8,11 +8,10 @@ from dataclasses import dataclass, fields
 import numpy as np
 import numpy.typing as npt
 
-from noise_model.arc_map import CELL
-from noise_model.frames import Float64
-from tracker.expected import ExpectedStripe
-from tracker.read import StripeReading
-from tracker.stripe_fit import (
+from noise_model.arc.map import CELL
+from noise_model.transforms import Float64
+from tracker.stripe.expected import ExpectedStripe
+from tracker.stripe.fit import (
     CORRELATION_PX,
     MIN_SIGMA_E,
     MOST_PIXELS,
@@ -24,7 +23,8 @@ from tracker.stripe_fit import (
     line_window,
     map_edge,
 )
-from tracker.stripe_moments import N_PARAMETERS
+from tracker.stripe.normal_equations import N_PARAMETERS
+from tracker.stripe.read import StripeReading
 
 READ, NO_PATH, NO_FIT, TOO_WEAK, ODD_WIDTH = "", "no path", "no fit", "too weak", "odd width"
 """Why a scan line holds no stripe: the path found none, the fit ran away, or what it found is none."""

@@ -29,7 +29,7 @@ from robot_io import (
     out_of_range_as_unknown,
 )
 from tracker import flags
-from tracker.correction import UNSTATED, Correction
+from tracker.seam.correction import UNSTATED, Correction
 from tracker.state import Track
 
 LIMITS = GateLimits(

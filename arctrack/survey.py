@@ -9,10 +9,10 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from arctrack.recording import BadFrame, FrameRow, PoseTable, Recording
-from noise_model.frames import Float64, invert, transform
-from noise_model.sensor import saturation_dn
+from noise_model.instrument.sensor import saturation_dn
 from noise_model.setup import Setup
-from noise_model.surface import seam_frame
+from noise_model.surface.joint import seam_frame
+from noise_model.transforms import Float64, invert, transform
 from tracker.state import Frame
 
 

@@ -16,7 +16,7 @@ import numpy as np
 from arctrack.recording import BadFrame, read_recording
 from calibration.hand_eye import estimate_hand_eye
 from noise_model.setup import Setup
-from sim_to_real.agreement import arc_agreement
+from sim_to_real.check.agreement import arc_agreement
 from tracker.state import Frame, Pose
 
 

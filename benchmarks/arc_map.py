@@ -19,7 +19,7 @@ import numpy as np
 
 from arctrack.nominal import nominal_setup
 from arctrack.simulate import balance
-from noise_model.arc_map import (
+from noise_model.arc.map import (
     CELL,
     NODES_P,
     NODES_Q,
@@ -32,12 +32,12 @@ from noise_model.arc_map import (
     arc_kernel,
     scene,
 )
-from noise_model.frames import Float64
 from noise_model.setup import Setup
-from tracker.band import place
-from tracker.expected import expect_stripe
+from noise_model.transforms import Float64
 from tracker.geometry import SensorGeometry
-from tracker.read import FIT_SIGMAS
+from tracker.stripe.band import place
+from tracker.stripe.expected import expect_stripe
+from tracker.stripe.read import FIT_SIGMAS
 
 JOINTS = {"v_groove": "mild_steel", "lap": "zn_coated", "corrugation": "zn_coated"}
 SETTINGS = [

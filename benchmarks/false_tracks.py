@@ -24,12 +24,12 @@ from noise_model.condition import Condition
 from noise_model.effects import REGISTRY
 from noise_model.forward import Renderer, draw_frame
 from noise_model.setup import Setup
-from noise_model.surface import SeamLine
-from tracker.follow import SeamHistory
+from noise_model.surface.joint import SeamLine
 from tracker.geometry import SensorGeometry
-from tracker.read import Work
+from tracker.seam.gaussian_process import SeamHistory
 from tracker.state import Frame, Pose
 from tracker.step import TrackerState, step
+from tracker.stripe.read import Work
 
 FRAMES_A_SCENE = 20
 EXPOSURE_S = 0.005

@@ -23,19 +23,19 @@ import cv2
 import numpy as np
 from stripe_peers import PEERS
 
-import tracker.read
 import tracker.step
+import tracker.stripe.read
 from arctrack.nominal import nominal_setup
 from arctrack.simulate import balance
 from noise_model.condition import Condition
 from noise_model.forward import draw_frame
-from noise_model.frames import Float64
-from noise_model.surface import NOMINAL_SEAM
+from noise_model.surface.joint import NOMINAL_SEAM
+from noise_model.transforms import Float64
 from tracker import flags
 from tracker.geometry import SensorGeometry
-from tracker.read import Work
 from tracker.state import Frame, Pose
 from tracker.step import SEARCH_REACH_MM, Reading, TrackerState, step, step_and_reading
+from tracker.stripe.read import Work
 
 JOINTS = {"v_groove": "mild_steel", "lap": "zn_coated", "corrugation": "zn_coated"}
 SIZES = (640, 480), (1280, 1024)
@@ -62,7 +62,7 @@ STAGES = {
     "seam and its history": ("_follow",),
     "offset": ("steer",),
 }
-"""What a step is made of: functions of `tracker.step` and `tracker.read`."""
+"""What a step is made of: functions of `tracker.step` and `tracker.stripe.read`."""
 
 REST = "between the stages"
 
@@ -152,7 +152,7 @@ class StageTimer:
         """Return the median ms of each stage in calls."""
         stages = {function: name for name, functions in STAGES.items() for function in functions}
         with ExitStack() as stack:
-            for module in (tracker.step, tracker.read):
+            for module in (tracker.step, tracker.stripe.read):
                 for function, name in stages.items():
                     if hasattr(module, function):
                         watched = self.watched(name, getattr(module, function))

@@ -29,12 +29,12 @@ from scipy.spatial.transform import Rotation
 
 from arctrack.nominal import nominal_setup
 from arctrack.simulate import balance
-from noise_model.arc_map import arc_frame, arc_kernel, scene
-from noise_model.brdf import TABLE_1
-from noise_model.optics import Rays
+from noise_model.arc.map import arc_frame, arc_kernel, scene
+from noise_model.instrument.camera import Rays
 from noise_model.setup import Setup
-from noise_model.surface import Joint
-from sim_to_real.agreement import BLOCK_PX, DARK_E
+from noise_model.surface.brdf import TABLE_1
+from noise_model.surface.joint import Joint
+from sim_to_real.check.agreement import BLOCK_PX, DARK_E
 from sim_to_real.check.blocks import compare_blocks
 from sim_to_real.check.path_traced import BATCHES, load_mitsuba, path_traced_arc
 

@@ -21,14 +21,14 @@ import numpy as np
 from arctrack.nominal import nominal_setup
 from arctrack.report import style
 from arctrack.simulate import balance, true_values
-from noise_model.arc_map import scene
+from noise_model.arc.map import scene
 from noise_model.condition import Condition
 from noise_model.forward import predict
-from noise_model.frames import transform
-from noise_model.sensor import expose
+from noise_model.instrument.sensor import expose
 from noise_model.setup import Setup
-from noise_model.surface import SeamLine, seam_height_mm
-from tracker.seam import seam_point_tool
+from noise_model.surface.joint import SeamLine, seam_height_mm
+from noise_model.transforms import transform
+from tracker.seam.locate import seam_point_tool
 from tracker.state import Frame, Pose, Track
 from tracker.step import Tracker
 

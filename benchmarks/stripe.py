@@ -21,16 +21,16 @@ import numpy as np
 from stripe_peers import PEERS
 
 from arctrack.nominal import nominal_setup
-from noise_model.arc_map import scene
-from noise_model.bound import POSITION, stripe_sigmas
+from noise_model.arc.map import scene
 from noise_model.condition import Condition
 from noise_model.forward import Renderer, draw_frame, predict
-from noise_model.frames import Float64
+from noise_model.plan.cramer_rao import POSITION, stripe_sigmas
 from noise_model.setup import Setup
-from tracker.expected import ExpectedStripe, expect_stripe
+from noise_model.transforms import Float64
 from tracker.geometry import SensorGeometry
 from tracker.state import Frame, Pose, Stripe
 from tracker.step import Tracker
+from tracker.stripe.expected import ExpectedStripe, expect_stripe
 
 STRIPES_E, ARCS, WIDTHS_PX = (500.0, 1500.0, 4500.0), (0.0, 1.0, 3.0), (3.5, 7.0)
 """The stripe's peak on the plate, the arc's light there over it, the stripe's sigma."""

@@ -16,14 +16,14 @@ import numpy as np
 from stripe import Case, case_of, expected_of
 
 from arctrack.report import style
-from noise_model.arc_map import scene
+from noise_model.arc.map import scene
 from noise_model.condition import Condition
 from noise_model.forward import Renderer, draw_frame
-from noise_model.frames import Float64
-from tracker.expected import expect_stripe
+from noise_model.transforms import Float64
 from tracker.geometry import SensorGeometry
 from tracker.state import Frame, Pose
 from tracker.step import Tracker
+from tracker.stripe.expected import expect_stripe
 
 WIDTHS_PX, STRIPE_E, ARC = (2.0, 3.5, 7.0), 4500.0, 1.0
 STEPS, BINS = 20, 20

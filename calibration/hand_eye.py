@@ -23,23 +23,23 @@ from dataclasses import dataclass, replace
 import numpy as np
 import numpy.typing as npt
 
-from noise_model.arc import level as current_level
-from noise_model.arc_map import Scene, arc_at, arc_kernel, scene
+from noise_model.arc.map import Scene, arc_at, arc_kernel, scene
+from noise_model.arc_source import level as current_level
 from noise_model.effects import really
 from noise_model.fit import Fit, Parameter, fit
-from noise_model.frames import Float64, invert, moved, transform
-from noise_model.ray_hits import trace
-from noise_model.sensor import variance_e2
+from noise_model.instrument.sensor import variance_e2
 from noise_model.setup import Setup
-from noise_model.surface import SeamLine
-from tracker.arc_level import HUBER
-from tracker.expected import expect_stripe
-from tracker.follow import CAPACITY
+from noise_model.surface.joint import SeamLine
+from noise_model.surface.ray_casting import trace
+from noise_model.transforms import Float64, invert, moved, transform
+from tracker.arc.level import HUBER
+from tracker.arc.transmission import Passage, seen_arc
 from tracker.geometry import SensorGeometry
-from tracker.passage import Passage, seen_arc
-from tracker.seam import expected_seam
+from tracker.seam.gaussian_process import CAPACITY
+from tracker.seam.locate import expected_seam
 from tracker.state import Frame, Pose
 from tracker.step import Tracker, TrackerState
+from tracker.stripe.expected import expect_stripe
 
 LATTICE_PX = 16
 """So far apart are the pixels that are compared."""

@@ -8,7 +8,7 @@ import numpy.typing as npt
 from calibration.goniometer import Readings, Response
 from calibration.reflectance_model import C2, NAMES, ReadingsFit, ReadingsModel
 from calibration.scatter import Scatter
-from noise_model.frames import Float64
+from noise_model.transforms import Float64
 
 SEEN_SIGMAS, SEEN_SETTINGS = 3.0, 3
 """The lobe must stand this far out of the noise at so many settings: fewer could be a single bad reading."""

@@ -19,9 +19,9 @@ from scipy.optimize import nnls
 
 from calibration.goniometer import NORMAL, Readings, Response
 from calibration.reading_noise import ReadingNoise, estimate_noise, estimate_scatter, rounding_left
-from noise_model.brdf import reflectance
 from noise_model.fit import Fit, Parameter, fit
-from noise_model.frames import Float64
+from noise_model.surface.brdf import reflectance
+from noise_model.transforms import Float64
 
 NAMES = ("kappa_diff", "kappa_spec", "c2")
 """What is wanted."""

@@ -11,10 +11,10 @@ from pathlib import Path
 
 import numpy as np
 
-from arctrack.goniometer_file import write_goniometer
+from arctrack.calibration_files.goniometer import write_goniometer
 from calibration.goniometer import Response, Settings, simulate
 from calibration.reading_noise import ReadingNoise
-from noise_model.brdf import MILD_STEEL, ZN_COATED, Material
+from noise_model.surface.brdf import MILD_STEEL, ZN_COATED, Material
 
 SEED = 20030201
 REPEATS = 20

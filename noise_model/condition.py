@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from noise_model.arc import level as current_level
+from noise_model.arc_source import level as current_level
 from noise_model.setup import Setup
 
 

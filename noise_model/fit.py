@@ -26,7 +26,7 @@ import numpy.typing as npt
 from scipy.optimize import least_squares
 from scipy.special import stdtrit
 
-from noise_model.frames import Float64
+from noise_model.transforms import Float64
 
 NOT_LEARNED = 0.9
 """A parameter whose 1 sigma is more than this share of its prior's has not been learned from the data."""

@@ -16,17 +16,17 @@ from typing import TypeVar
 import numpy as np
 import numpy.typing as npt
 
-from noise_model.arc_map import Float32, Scene, arc_at, arc_frame, arc_kernel
+from noise_model.arc.map import Float32, Scene, arc_at, arc_frame, arc_kernel
 from noise_model.condition import Condition
 from noise_model.effects import acting, really, really_on
 from noise_model.effects.effect import Draw
 from noise_model.effects.light import Light
-from noise_model.frames import Float64
-from noise_model.optics import Rays, blur
-from noise_model.sensor import expose, respond_moments, saturation_dn
+from noise_model.instrument.camera import Rays, blur
+from noise_model.instrument.sensor import expose, respond_moments, saturation_dn
 from noise_model.setup import Setup
 from noise_model.stripe import SheetSeen, crossed_by_borders, sheet_seen, stripe_light
-from noise_model.surface import NOMINAL_SEAM, Seam, SeamLine
+from noise_model.surface.joint import NOMINAL_SEAM, Seam, SeamLine
+from noise_model.transforms import Float64
 from noise_model.view import View
 
 FILL_TOLERANCE, FILL_FLOOR, FILL_SAMPLE = 3e-4, 1e-4, 101

@@ -5,13 +5,13 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 
-from noise_model.arc import Arc
-from noise_model.brdf import Material
-from noise_model.laser import Laser
-from noise_model.optics import Camera
-from noise_model.sensor import Sensor
-from noise_model.spectrum import Filter, FilterCurve
-from noise_model.surface import Joint
+from noise_model.arc_source import Arc
+from noise_model.instrument.camera import Camera
+from noise_model.instrument.laser import Laser
+from noise_model.instrument.sensor import Sensor
+from noise_model.instrument.spectrum import Filter, FilterCurve
+from noise_model.surface.brdf import Material
+from noise_model.surface.joint import Joint
 
 
 @dataclass(frozen=True)

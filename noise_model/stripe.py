@@ -10,14 +10,14 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from noise_model.arc_map import Float32
-from noise_model.brdf import LobeNumbers, lobe_numbers, reflectance
-from noise_model.frames import Float64, cross, invert, transform
+from noise_model.arc.map import Float32
+from noise_model.instrument.camera import fall_off
+from noise_model.instrument.laser import SHEET_REACH, Sheet, irradiance, sheet_of, sheet_reflected
 from noise_model.kernel import kernel
-from noise_model.laser import SHEET_REACH, Sheet, irradiance, sheet_of, sheet_reflected
-from noise_model.optics import fall_off
-from noise_model.ray_hits import ways_are_open
 from noise_model.setup import Setup
+from noise_model.surface.brdf import LobeNumbers, lobe_numbers, reflectance
+from noise_model.surface.ray_casting import ways_are_open
+from noise_model.transforms import Float64, cross, invert, transform
 from noise_model.view import View
 
 

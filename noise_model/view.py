@@ -9,12 +9,12 @@ from typing import TypeVar, cast
 import numpy as np
 import numpy.typing as npt
 
-from noise_model.arc_map import Float32, Scene, scene
-from noise_model.frames import Float64
-from noise_model.optics import Rays, fall_off
-from noise_model.ray_hits import trace
+from noise_model.arc.map import Float32, Scene, scene
+from noise_model.instrument.camera import Rays, fall_off
 from noise_model.setup import Setup
-from noise_model.surface import NOMINAL_SEAM, SeamLine
+from noise_model.surface.joint import NOMINAL_SEAM, SeamLine
+from noise_model.surface.ray_casting import trace
+from noise_model.transforms import Float64
 
 Kept = TypeVar("Kept")
 

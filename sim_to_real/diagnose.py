@@ -9,10 +9,12 @@ from dataclasses import replace
 from threadpoolctl import threadpool_limits
 
 from noise_model.effects import REGISTRY
-from noise_model.frames import Float64
 from noise_model.setup import Setup
-from sim_to_real.candidate import Candidate, judged
-from sim_to_real.confirm import (
+from noise_model.transforms import Float64
+from sim_to_real.data.binned import PoseAt, observe
+from sim_to_real.data.cross_validation import held_out, one_of_each
+from sim_to_real.decision.decide import Decision, decide, in_question
+from sim_to_real.decision.holdout_checks import (
     closing,
     must_help,
     names_trifle,
@@ -22,7 +24,9 @@ from sim_to_real.confirm import (
     with_withheld,
     without_trifle,
 )
-from sim_to_real.covariates import Covariates, Start, covariates
+from sim_to_real.decision.holdout_gap import excess_map, left_in_pixels, measure, predict_held, smaller
+from sim_to_real.decision.optimal_design import best_measurement, smallest
+from sim_to_real.decision.seam_error import seam_errors_mm
 from sim_to_real.diagnosis import (
     Diagnosis,
     Estimate,
@@ -34,20 +38,16 @@ from sim_to_real.diagnosis import (
     Verdict,
     left_out,
 )
-from sim_to_real.expected import Effects, Expected
-from sim_to_real.free_term import free_term, gap_size
-from sim_to_real.held import excess_map, left_in_pixels, measure, predict_held, smaller
-from sim_to_real.locate import locate
-from sim_to_real.next import best_measurement, smallest
-from sim_to_real.observed import PoseAt, observe
-from sim_to_real.refit import Refit, refit, settled
-from sim_to_real.scatter import Scatter, scatter
-from sim_to_real.seam_error import seam_errors_mm
-from sim_to_real.select import Search
-from sim_to_real.several import with_shares
-from sim_to_real.split import held_out, one_of_each
-from sim_to_real.stage import stages
-from sim_to_real.verdict import Decision, decide, in_question
+from sim_to_real.fit.gauss_newton import Refit, refit, settled
+from sim_to_real.fit.linearized_model import Effects, Expected
+from sim_to_real.locate.covariates import Covariates, Start, covariates
+from sim_to_real.locate.residual_structure import locate
+from sim_to_real.locate.spline_term import free_term, gap_size
+from sim_to_real.locate.stage import stages
+from sim_to_real.search.hypothesis import Candidate, judged
+from sim_to_real.search.single_effects import Search
+from sim_to_real.search.stepwise import with_shares
+from sim_to_real.variance.random_effects import Scatter, scatter
 from tracker.state import Frame
 
 HELD, LEFT_ASIDE = 0.25, 0.34

@@ -10,8 +10,8 @@ import numpy as np
 import numpy.typing as npt
 
 from noise_model.effects import not_followed
-from noise_model.frames import Float64
 from noise_model.setup import Setup
+from noise_model.transforms import Float64
 
 Float32 = npt.NDArray[np.float32]
 

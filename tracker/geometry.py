@@ -14,11 +14,11 @@ import numpy as np
 import numpy.typing as npt
 
 from noise_model.effects import really
-from noise_model.frames import Float64, invert, transform
-from noise_model.optics import Rays
-from noise_model.sensor import linearise, saturation_dn, variance_e2
+from noise_model.instrument.camera import Rays
+from noise_model.instrument.sensor import linearise, saturation_dn, variance_e2
 from noise_model.setup import Setup
 from noise_model.stripe import stripe_runs_along_rows
+from noise_model.transforms import Float64, invert, transform
 
 Float32 = npt.NDArray[np.float32]
 Int64 = npt.NDArray[np.int64]

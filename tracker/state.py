@@ -47,7 +47,7 @@ class Stripe:
     the background; `saturated` says where pixels were censored. These are the lines' own, and independent
     but for speckle's grains, which reach over a few lines: `beside_px` (n,) is the 1 sigma with which each
     counts among its neighbours. The joint is fitted to them. `smooth_px` and `smooth_sigma_px` (n,) are what
-    the neighbours along the stripe make of them (`tracker.stripe_smooth`), NaN also at outliers and where the
+    the neighbours along the stripe make of them (`tracker.stripe.smooth`), NaN also at outliers and where the
     centre stays unsure.
     """
 

@@ -10,23 +10,21 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from noise_model.arc import level as current_level
-from noise_model.arc_map import Scene, arc_kernel, scene
-from noise_model.frames import Float64
+from noise_model.arc.map import Scene, arc_kernel, scene
+from noise_model.arc_source import level as current_level
 from noise_model.setup import Setup
-from noise_model.surface import SeamLine
+from noise_model.surface.joint import SeamLine
+from noise_model.transforms import Float64
 from tracker import flags
-from tracker.arc_level import UNKNOWN, ArcLevel, estimate_arc_level
-from tracker.correction import UNSTATED, Correction
-from tracker.expected import ExpectedStripe, expect_stripe
-from tracker.follow import SeamHistory
+from tracker.arc.level import UNKNOWN, ArcLevel, estimate_arc_level
+from tracker.arc.transmission import Passage
 from tracker.geometry import SensorGeometry
 from tracker.joint import MeasuredJoint, fit_joint
 from tracker.joint.type_check import is_another_type
-from tracker.passage import Passage
 from tracker.profile import Profile, triangulate
-from tracker.read import FIT_SIGMAS, StripeReading, Work, arc_map_of, read_stripe
-from tracker.seam import (
+from tracker.seam.correction import UNSTATED, Correction
+from tracker.seam.gaussian_process import SeamHistory
+from tracker.seam.locate import (
     confidence,
     expected_seam,
     hand_eye_variance,
@@ -34,9 +32,9 @@ from tracker.seam import (
     pose_flags,
     sources,
 )
+from tracker.seam.steer import Steering, steer
 from tracker.state import Frame, Pose, Stripe, Track
-from tracker.steer import Steering, steer
-from tracker.stripe_evidence import (
+from tracker.stripe.detection import (
     LEAST_RATIO,
     LEAST_SEEN,
     evidence_ratio,
@@ -44,6 +42,8 @@ from tracker.stripe_evidence import (
     path_of,
     seen_share,
 )
+from tracker.stripe.expected import ExpectedStripe, expect_stripe
+from tracker.stripe.read import FIT_SIGMAS, StripeReading, Work, arc_map_of, read_stripe
 
 SEARCH_REACH_MM = 5.0
 """How far off its nominal place the seam is first looked for."""

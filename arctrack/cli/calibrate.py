@@ -13,7 +13,7 @@ from arctrack.cli.calibrate_hand_eye import hand_eye
 from arctrack.errors import ArctrackError, in_file
 
 if TYPE_CHECKING:
-    from arctrack.goniometer_file import GoniometerFile
+    from arctrack.calibration_files.goniometer import GoniometerFile
     from calibration.goniometer import Response
     from calibration.reflectance import Reflectance
 
@@ -72,9 +72,9 @@ def reflectance(
     standard their scale is unknown: only kappa_spec / kappa_diff and c2 are measured, and --total sets the
     sum (Table 1: 0.347 for mild steel, 0.648 for the Zn-coated panel).
     """
+    from arctrack.calibration_files.goniometer import read_goniometer
     from arctrack.cli import console
     from arctrack.cli.reflectance_text import print_result, warnings
-    from arctrack.goniometer_file import read_goniometer
     from calibration.goniometer import Response
 
     try:
@@ -149,7 +149,7 @@ def _write(
     response: Response,
     out: Path,
 ) -> None:
-    from arctrack.reflectance_files import PICTURE, write_results
+    from arctrack.calibration_files.reflectance import PICTURE, write_results
     from arctrack.report.reflectance import draw
 
     write_results(result, sample, standard, out)

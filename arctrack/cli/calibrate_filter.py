@@ -28,12 +28,17 @@ def filter_curve(
     """
     import numpy as np
 
+    from arctrack.calibration_files.filter import read_filter_curve
     from arctrack.cli import console
-    from arctrack.filter_file import read_filter_curve
     from arctrack.recording import with_filter_curve
     from arctrack.recording.setup_file import parse_setup
-    from noise_model.optics import Rays
-    from noise_model.spectrum import ArcSpectrum, laser_transmission, line_to_continuum, passed_continuum
+    from noise_model.instrument.camera import Rays
+    from noise_model.instrument.spectrum import (
+        ArcSpectrum,
+        laser_transmission,
+        line_to_continuum,
+        passed_continuum,
+    )
 
     read = read_setup(setup)
     stated = read.setup

@@ -52,7 +52,7 @@ def make(
     workers: Workers = 1,
 ) -> None:
     """Make recordings with hidden effects and seal their labels; what is there is not made again."""
-    from arctrack import diagnose_check as engine
+    from arctrack.blind_check import run as engine
 
     engine.make(out, engine.Asked(draws, quiet_draws, tiers, seed), workers, _say)
     typer.echo(f"{out / engine.SEALED}: all labels are sealed; arctrack diagnose check run {out}")
@@ -61,7 +61,7 @@ def make(
 @check.command(epilog="Example: arctrack diagnose check run /tmp/check --workers 2")
 def run(folder: Folder, workers: Workers = 1) -> None:
     """Diagnose the recordings, their labels closed; what is diagnosed is not diagnosed again."""
-    from arctrack import diagnose_check as engine
+    from arctrack.blind_check import run as engine
 
     engine.run(folder, workers, _say)
     typer.echo(f"{folder / engine.RESULTS}: all is diagnosed; arctrack diagnose check open {folder}")
@@ -70,7 +70,7 @@ def run(folder: Folder, workers: Workers = 1) -> None:
 @check.command(epilog="Example: arctrack diagnose check more /tmp/check --workers 2")
 def more(folder: Folder, workers: Workers = 1) -> None:
     """Let recordings go on with the experiment asked for next, and diagnose them; what is there stays."""
-    from arctrack import diagnose_check as engine
+    from arctrack.blind_check import run as engine
 
     engine.more(folder, workers, _say)
     typer.echo(f"{folder / engine.RESULTS}: no experiment is left; arctrack diagnose check open {folder}")
@@ -82,7 +82,7 @@ def open_labels(folders: Folders) -> None:
 
     Of one check they are written to table.md and scores.json too; several are scored together.
     """
-    from arctrack import diagnose_check as engine
+    from arctrack.blind_check import run as engine
     from arctrack.cli.diagnose_check_table import table
 
     opened = engine.open_labels(*folders)

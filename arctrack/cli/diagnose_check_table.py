@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Sequence
 
-from arctrack.diagnose_check import Asked, Opened
+from arctrack.blind_check.run import Asked, Opened
 from sim_to_real.check.case import VERDICTS
 from sim_to_real.check.score import Confusion, Rate, Scores
 

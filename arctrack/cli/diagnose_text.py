@@ -11,7 +11,7 @@ from rich.table import Table
 from arctrack.cli import console
 from arctrack.diagnose import Diagnosed
 from arctrack.recording.diagnosis_files import REPORT_PAGE
-from arctrack.report import diagnosis_words as words
+from arctrack.report.diagnosis import words
 from sim_to_real.diagnosis import Diagnosis, Verdict
 
 MOST_RANKED = 5

@@ -37,8 +37,8 @@ def explain(
     from arctrack.output import make_folder, write_whole
     from arctrack.recording import read_recording
     from arctrack.replay import RESULTS_FOLDER
-    from arctrack.report import explain_words as words
-    from arctrack.report.explain import page
+    from arctrack.report.explanation import words
+    from arctrack.report.explanation.page import page
 
     read = read_recording(recording, setup)
     console.warn(read.warnings)

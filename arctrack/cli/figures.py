@@ -26,7 +26,7 @@ def paper(
     from rich.progress import track
 
     from arctrack.report import paper_figures
-    from noise_model.paper_figures import FIGURES
+    from noise_model.reference.paper_figures import FIGURES
 
     console = Console(stderr=True)
     try:

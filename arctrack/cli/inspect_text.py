@@ -11,7 +11,7 @@ from rich.table import Table
 from arctrack.recording import Recording
 from arctrack.survey import Condition, Motion, Survey
 from noise_model.setup import Setup
-from tracker.correction import UNSTATED, AxisCorrection, Correction
+from tracker.seam.correction import UNSTATED, AxisCorrection, Correction
 
 
 def print_survey(console: Console, recording: Recording, found: Survey) -> None:

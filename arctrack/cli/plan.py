@@ -12,9 +12,9 @@ from arctrack.cli.setups import read_setup
 from arctrack.errors import ArctrackError, in_file
 
 if TYPE_CHECKING:
-    from noise_model.frames import Float64
-    from noise_model.planning import Plan, PlanOptions
+    from noise_model.plan.plan import Plan, PlanOptions
     from noise_model.setup import Setup
+    from noise_model.transforms import Float64
 
 Pair = tuple[float, float]
 
@@ -65,8 +65,8 @@ def plan(
     """
     from arctrack.cli import console
     from arctrack.cli.plan_text import print_plan
-    from noise_model.plan_noise import Surroundings
-    from noise_model.planning import PlanOptions
+    from noise_model.plan.noise import Surroundings
+    from noise_model.plan.plan import PlanOptions
 
     if exposure_ms is not None and not 0.0 < exposure_ms < math.inf:
         raise ArctrackError(f"--exposure-ms {exposure_ms:g}: must be > 0 and finite")
@@ -105,7 +105,7 @@ def _read(source: Path, recorded: bool) -> tuple[Setup, list[Float64] | None]:
 
 def _plan(source: Path, setup: Setup, options: PlanOptions, poses: list[Float64] | None) -> Plan:
     from arctrack.cli import console
-    from noise_model.planning import make_plan
+    from noise_model.plan.plan import make_plan
 
     with console.progress() as bar:
         tasks = {}

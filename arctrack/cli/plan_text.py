@@ -9,10 +9,10 @@ import numpy as np
 from rich.console import Console
 from rich.table import Table
 
-from noise_model.plan_avoid import Cure
-from noise_model.plan_rules import Rule
-from noise_model.plan_search import Candidate
-from noise_model.planning import Plan
+from noise_model.plan.plan import Plan
+from noise_model.plan.remedies import Cure
+from noise_model.plan.rules import Rule
+from noise_model.plan.search import Candidate
 
 MOST_STRETCHES = 12
 """Blind stretches that are printed; path.csv has them all."""

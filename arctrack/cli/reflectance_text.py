@@ -9,8 +9,8 @@ import numpy as np
 from rich.console import Console
 from rich.table import Table
 
-from arctrack.goniometer_file import GoniometerFile
-from arctrack.reflectance_files import material_toml, scale_sentence
+from arctrack.calibration_files.goniometer import GoniometerFile
+from arctrack.calibration_files.reflectance import material_toml, scale_sentence
 from calibration.reflectance import Agreement, Reflectance
 from calibration.reflectance_model import NAMES
 

@@ -23,7 +23,7 @@ from arctrack.recording.tables import FrameRow, PoseTable, Truth, read_frame_row
 from noise_model.effects import pose_time_s
 from noise_model.setup import Setup
 from robot_io import PoseBuffer
-from tracker.correction import Correction
+from tracker.seam.correction import Correction
 from tracker.state import Frame, Pose
 
 FRAMES_CSV, TRUTH_CSV = "frames.csv", "truth.csv"

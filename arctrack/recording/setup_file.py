@@ -16,10 +16,10 @@ from tomlkit.items import Table
 
 from arctrack.errors import in_file
 from arctrack.recording.setup_model import FORMAT, UNITS, RecordingToml, describe, unknown_keys
-from noise_model.frames import Float64
+from noise_model.instrument.spectrum import Filter, FilterCurve
 from noise_model.setup import Setup
-from noise_model.spectrum import Filter, FilterCurve
-from tracker.correction import Correction
+from noise_model.transforms import Float64
+from tracker.seam.correction import Correction
 
 if TYPE_CHECKING:
     from sim_to_real.diagnosis import Named

@@ -8,17 +8,17 @@ from typing import Annotated, Any, Literal
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, FiniteFloat, ValidationError
 
-from noise_model.arc import Arc
-from noise_model.brdf import Material
+from noise_model.arc_source import Arc
 from noise_model.effects import REGISTRY, checked
-from noise_model.frames import Float64, pose_matrix
-from noise_model.laser import Laser
-from noise_model.optics import Camera
-from noise_model.sensor import Sensor
+from noise_model.instrument.camera import Camera
+from noise_model.instrument.laser import Laser
+from noise_model.instrument.sensor import Sensor
+from noise_model.instrument.spectrum import CurveError, Filter, FilterCurve
 from noise_model.setup import Setup, Tolerance
-from noise_model.spectrum import CurveError, Filter, FilterCurve
-from noise_model.surface import DIMENSIONS, Joint
-from tracker.correction import AtLimit, AxisCorrection, Correction, CorrugationPath, WhenLost
+from noise_model.surface.brdf import Material
+from noise_model.surface.joint import DIMENSIONS, Joint
+from noise_model.transforms import Float64, pose_matrix
+from tracker.seam.correction import AtLimit, AxisCorrection, Correction, CorrugationPath, WhenLost
 
 FORMAT = "joint-tracking-recording/1"
 UNITS = "mm, s, deg, e-, DN"

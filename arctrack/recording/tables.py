@@ -11,7 +11,7 @@ import numpy.typing as npt
 
 from arctrack.errors import in_file
 from arctrack.recording.csv_file import CsvTable, read_csv
-from noise_model.frames import Float64, pose_matrix
+from noise_model.transforms import Float64, pose_matrix
 
 FRAME_COLUMNS = ("frame", "timestamp_s", "laser_on", "arc_on", "current_a", "exposure_s")
 POSE_COLUMNS = ("timestamp_s", "x_mm", "y_mm", "z_mm", "qx", "qy", "qz", "qw")

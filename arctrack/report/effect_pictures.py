@@ -27,10 +27,10 @@ from arctrack.simulate import balance
 from noise_model.condition import Condition
 from noise_model.effects import Effect, checked, pose_time_s
 from noise_model.forward import Prediction, Renderer, draw_frame, predict
-from noise_model.frames import Float64
-from noise_model.sensor import respond
+from noise_model.instrument.sensor import respond
 from noise_model.setup import Setup
-from noise_model.surface import corrugation_height, seam_frame, section
+from noise_model.surface.joint import corrugation_height, seam_frame, section
+from noise_model.transforms import Float64
 
 GREYS, CHANGE, SCATTER = "gray", "RdBu_r", "viridis"
 """The colour maps of frames, differences and standard deviations."""

@@ -6,9 +6,9 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
-from noise_model.frames import invert, transform
-from noise_model.optics import Camera
-from noise_model.sensor import Sensor
+from noise_model.instrument.camera import Camera
+from noise_model.instrument.sensor import Sensor
+from noise_model.transforms import invert, transform
 from tracker.state import Stripe, Track
 
 UInt8 = npt.NDArray[np.uint8]

@@ -13,12 +13,12 @@ from arctrack.recording import Recording
 from arctrack.report import style
 from arctrack.report.image import visible
 from arctrack.survey import Condition, Survey, path_over_seam
-from noise_model.arc_map import scene
-from noise_model.frames import Float64
+from noise_model.arc.map import scene
+from noise_model.transforms import Float64
 from robot_io import PoseBuffer
-from tracker.expected import expect_stripe
 from tracker.geometry import SensorGeometry
 from tracker.state import Frame
+from tracker.stripe.expected import expect_stripe
 
 COLUMNS = 5
 

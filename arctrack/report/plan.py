@@ -14,11 +14,11 @@ from matplotlib.patches import Patch
 from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
 
 from arctrack.report import style
-from noise_model.frames import invert, transform
-from noise_model.plan import clears_torch
-from noise_model.plan_search import Candidate
-from noise_model.planning import Plan
-from noise_model.surface import corrugation_height, seam_frame, section
+from noise_model.plan.design import clears_torch
+from noise_model.plan.plan import Plan
+from noise_model.plan.search import Candidate
+from noise_model.surface.joint import corrugation_height, seam_frame, section
+from noise_model.transforms import invert, transform
 
 Float64 = npt.NDArray[np.float64]
 

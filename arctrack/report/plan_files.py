@@ -8,9 +8,9 @@ from collections.abc import Iterable, Mapping
 from pathlib import Path
 
 from arctrack.errors import in_file
-from noise_model.plan_avoid import Cure
-from noise_model.plan_search import Candidate
-from noise_model.planning import Plan
+from noise_model.plan.plan import Plan
+from noise_model.plan.remedies import Cure
+from noise_model.plan.search import Candidate
 
 PLAN, PATH, PLAN_PICTURE, PATH_PICTURE = "plan.csv", "path.csv", "plan.png", "path.png"
 

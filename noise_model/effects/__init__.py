@@ -22,7 +22,7 @@ from noise_model.effects import (
 )
 from noise_model.effects.effect import Effect, Stage, Values
 from noise_model.setup import Setup
-from noise_model.surface import Joint
+from noise_model.surface.joint import Joint
 
 __all__ = [
     "REGISTRY",

@@ -12,7 +12,7 @@ from noise_model.condition import Condition
 from noise_model.effects.light import Light
 from noise_model.fit import Parameter
 from noise_model.setup import Setup
-from noise_model.surface import Joint
+from noise_model.surface.joint import Joint
 from noise_model.view import View
 
 Values = Mapping[str, float]

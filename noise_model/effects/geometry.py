@@ -8,9 +8,9 @@ import numpy as np
 
 from noise_model.effects.effect import ANOTHER_VALUE, Effect, Stage, Values
 from noise_model.fit import Parameter
-from noise_model.frames import invert, moved, transform
 from noise_model.setup import Setup
-from noise_model.surface import seam_frame
+from noise_model.surface.joint import seam_frame
+from noise_model.transforms import invert, moved, transform
 
 
 def _hand_eye(setup: Setup, values: Values) -> Setup:

@@ -7,13 +7,13 @@ from dataclasses import replace
 
 import numpy as np
 
-from noise_model.arc_map import Float32
+from noise_model.arc.map import Float32
 from noise_model.condition import Condition
 from noise_model.effects import drift
 from noise_model.effects.effect import Draw, Effect, Stage, Values
 from noise_model.effects.light import Light
 from noise_model.fit import Parameter
-from noise_model.optics import blur
+from noise_model.instrument.camera import blur
 from noise_model.view import View
 
 

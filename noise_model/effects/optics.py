@@ -9,13 +9,13 @@ import cv2
 import numpy as np
 from scipy.ndimage import gaussian_filter1d
 
-from noise_model.arc_map import Float32
+from noise_model.arc.map import Float32
 from noise_model.condition import Condition
 from noise_model.effects.effect import Draw, Effect, Stage, Values
 from noise_model.effects.light import Light
 from noise_model.fit import Parameter
+from noise_model.instrument.spectrum import ArcSpectrum, laser_transmission, over_field, passed_continuum
 from noise_model.setup import Setup
-from noise_model.spectrum import ArcSpectrum, laser_transmission, over_field, passed_continuum
 from noise_model.view import View
 
 EVEN_SPREAD = 3.0

@@ -6,14 +6,14 @@ from dataclasses import replace
 
 import numpy as np
 
-from noise_model.argon import REFERENCE_NM
 from noise_model.condition import Condition
 from noise_model.effects.effect import ANOTHER_VALUE, Draw, Effect, Stage, Values
 from noise_model.effects.light import Light
 from noise_model.fit import Parameter
-from noise_model.frames import Float64
+from noise_model.instrument.argon import REFERENCE_NM
+from noise_model.instrument.spectrum import ArcSpectrum, angle_shift, line_to_continuum, over_field
 from noise_model.setup import Setup
-from noise_model.spectrum import ArcSpectrum, angle_shift, line_to_continuum, over_field
+from noise_model.transforms import Float64
 from noise_model.view import View
 
 

@@ -11,7 +11,7 @@ from noise_model.condition import Condition
 from noise_model.effects.effect import ANOTHER_VALUE, UNSTATED, Draw, Effect, Stage, Values
 from noise_model.effects.light import Light
 from noise_model.fit import Parameter
-from noise_model.interreflection import bounced_light, is_followed
+from noise_model.interreflection.model import bounced_light, is_followed
 from noise_model.setup import Setup
 from noise_model.stripe import stripe_reference
 from noise_model.view import View
@@ -119,7 +119,7 @@ EFFECTS = (
         equation="the Neumann series of the rendering equation: light that has met n faces before goes with "
         "scale^n, the absolute reflectance being scale f_r with scale = albedo / A, A the integral of "
         "f_r cos(theta_r) over the directions out for light that falls straight on",
-        source="Kajiya 1986, SIGGRAPH Comput. Graph. 20(4), 143; `noise_model.interreflection`",
+        source="Kajiya 1986, SIGGRAPH Comput. Graph. 20(4), 143; `noise_model.interreflection.model`",
         parameters=(Parameter("albedo", "", 0.0, 0.5, 0.0, 0.95, 0.01),),
         typical={"albedo": 0.7},
         light=_interreflection,

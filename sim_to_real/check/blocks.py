@@ -7,9 +7,9 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from noise_model.frames import Float64
-from sim_to_real.agreement import BLOCK_PX, DARK_E
-from sim_to_real.pixels import cut
+from noise_model.transforms import Float64
+from sim_to_real.check.agreement import BLOCK_PX, DARK_E
+from sim_to_real.data.blocks import cut
 
 TOLERANCE, SIGMAS = 0.03, 3.0
 """A block agrees within this of the reference, beyond so many standard errors of its mean."""

@@ -7,7 +7,7 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 
 from noise_model.effects import REGISTRY
-from sim_to_real.experiments import BY_NAME
+from sim_to_real.decision.experiments import BY_NAME
 
 FAILED = "failed"
 """Stands for the verdict of a recording without a diagnosis."""

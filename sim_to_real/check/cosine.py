@@ -12,11 +12,11 @@ from collections.abc import Iterable, Sequence
 import numpy as np
 
 from noise_model.effects import REGISTRY
-from noise_model.frames import Float64
 from noise_model.setup import Setup
-from sim_to_real.expected import Effects, Expected
-from sim_to_real.observed import Observed, PoseAt, observe
-from sim_to_real.places import DEAR
+from noise_model.transforms import Float64
+from sim_to_real.data.binned import Observed, PoseAt, observe
+from sim_to_real.fit.linearized_model import Effects, Expected
+from sim_to_real.search.probe_points import DEAR
 from tracker.state import Frame
 
 EVERY = 6

@@ -1,7 +1,6 @@
 """A joint's surface as triangles for a renderer, built from its dimensions alone.
 
-Joint frame, mm. Nothing of `noise_model.surface`, `ray_hits` or `visibility` is called: what judges the arc
-map draws its own joint.
+Joint frame, mm. Nothing of `noise_model.surface` is called: what judges the arc map draws its own joint.
 """
 
 from __future__ import annotations
@@ -13,8 +12,8 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from noise_model.frames import Float64
-from noise_model.surface import Joint
+from noise_model.surface.joint import Joint
+from noise_model.transforms import Float64
 
 REACH_MM = 400.0
 """How far the mesh goes to either side of its middle, along the seam and across."""

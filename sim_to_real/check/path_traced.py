@@ -20,11 +20,11 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from noise_model.arc_map import scene
-from noise_model.frames import Float64
-from noise_model.optics import Rays
+from noise_model.arc.map import scene
+from noise_model.instrument.camera import Rays
 from noise_model.setup import Setup
-from noise_model.surface import NOMINAL_SEAM, SeamLine
+from noise_model.surface.joint import NOMINAL_SEAM, SeamLine
+from noise_model.transforms import Float64
 from sim_to_real.check.joint_mesh import FaceMesh, joint_mesh
 
 VARIANT = "llvm_ad_mono"

@@ -19,14 +19,14 @@ from typing import Any
 import numpy as np
 from scipy.optimize import brentq
 
-from noise_model.frames import Float64, invert, moved, transform
 from noise_model.setup import Setup
+from noise_model.transforms import Float64, invert, moved, transform
 from sim_to_real.check.world import FORMS, expected_charge, read_out, really, really_at
 from sim_to_real.check.world_effect import CATALOGUE, Generator, Hidden, Moment
 from sim_to_real.check.world_light import Studio, TrueWorld
 from sim_to_real.check.world_stated import CURRENT_A, EXPOSURE_S, Continued, Motion, balanced, draw_stated
 from sim_to_real.check.world_surface import Departure, TrueSurface
-from sim_to_real.experiments import N_MORE, Experiment
+from sim_to_real.decision.experiments import N_MORE, Experiment
 from tracker.state import Frame
 
 TIERS = {"A": 1, "C": 1, "D": 2, "E": 0, "F": 1}

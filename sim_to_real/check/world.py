@@ -12,7 +12,7 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 import numpy.typing as npt
 
-from noise_model.frames import Float64
+from noise_model.transforms import Float64
 from sim_to_real.check import world_medium, world_optics, world_scene, world_sensor, world_source
 from sim_to_real.check.world_effect import Form, FrameLight, Generator, Hidden, Moment
 from sim_to_real.check.world_light import Studio, TrueWorld

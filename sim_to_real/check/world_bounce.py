@@ -17,7 +17,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.optimize import newton
 
-from noise_model.frames import Float64, invert, transform
+from noise_model.transforms import Float64, invert, transform
 from sim_to_real.check.world_light import Sight, Studio, digest
 from sim_to_real.check.world_rays import GOLDEN, TILE, ArcBody, Float32
 from sim_to_real.check.world_surface import Int64

@@ -15,9 +15,9 @@ from pathlib import Path
 
 import numpy as np
 
-from noise_model.frames import Float64, invert, transform
-from noise_model.optics import Camera
+from noise_model.instrument.camera import Camera
 from noise_model.setup import Setup
+from noise_model.transforms import Float64, invert, transform
 from sim_to_real.check.world_metal import STATED_LOBE, LobeShape
 from sim_to_real.check.world_rays import ARC_POINTS, TILE, ArcBody, Caster, Float32
 from sim_to_real.check.world_surface import Departure, Int64, TrueSurface

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from noise_model.frames import Float64
+from noise_model.transforms import Float64
 from sim_to_real.check.path_traced import load_mitsuba
 from sim_to_real.check.world_metal import LobeShape, specular
 from sim_to_real.check.world_surface import Int64, TrueSurface

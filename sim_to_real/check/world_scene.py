@@ -7,8 +7,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from noise_model.frames import moved
 from noise_model.setup import Setup
+from noise_model.transforms import moved
 from sim_to_real.check.world_bounce import Bounces, bounced_light
 from sim_to_real.check.world_effect import (
     CATALOGUE,

@@ -8,9 +8,9 @@ from dataclasses import replace
 import numpy as np
 import numpy.typing as npt
 
-from noise_model.frames import Float64
-from noise_model.sensor import Sensor
+from noise_model.instrument.sensor import Sensor
 from noise_model.setup import Setup
+from noise_model.transforms import Float64
 from sim_to_real.check.world_effect import (
     CATALOGUE,
     Form,

@@ -8,19 +8,19 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from noise_model.arc import Arc
-from noise_model.brdf import Material
-from noise_model.frames import Float64, moved
-from noise_model.laser import Laser
-from noise_model.optics import Camera
-from noise_model.sensor import Sensor
+from noise_model.arc_source import Arc
+from noise_model.instrument.camera import Camera
+from noise_model.instrument.laser import Laser
+from noise_model.instrument.sensor import Sensor
+from noise_model.instrument.spectrum import Filter
 from noise_model.setup import Setup
-from noise_model.spectrum import Filter
-from noise_model.surface import Joint
+from noise_model.surface.brdf import Material
+from noise_model.surface.joint import Joint
+from noise_model.transforms import Float64, moved
 from sim_to_real.check.world_effect import Generator
 from sim_to_real.check.world_light import Studio, TrueWorld
 from sim_to_real.check.world_surface import Departure, TrueSurface
-from sim_to_real.experiments import Experiment
+from sim_to_real.decision.experiments import Experiment
 
 JOINTS = ("v_groove", "lap", "corrugation")
 METALS = (Material("mild_steel", 0.021, 0.326, 112.0), Material("zn_coated", 0.495, 0.153, 8.331))

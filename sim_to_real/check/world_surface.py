@@ -2,8 +2,8 @@
 
 Joint frame, mm: x along the nominal seam, y to its left, z out of the metal. The true surface is the nominal
 cross-section moved at each station x by y = y_amp sin(2 pi x / y_period) and z = z_slope x; a corrugated
-sheet tilts by that slope as it is, its ridges lean. Nothing of `noise_model.surface` but the record of a
-joint is used.
+sheet tilts by that slope as it is, its ridges lean. Nothing of `noise_model.surface.joint` but the record
+of a joint is used.
 """
 
 from __future__ import annotations
@@ -14,8 +14,8 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from noise_model.frames import Float64
-from noise_model.surface import Joint
+from noise_model.surface.joint import Joint
+from noise_model.transforms import Float64
 
 Int64 = npt.NDArray[np.int64]
 

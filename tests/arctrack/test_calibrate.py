@@ -11,14 +11,14 @@ from scipy.spatial.transform import Rotation
 from typer.testing import CliRunner, Result
 
 from arctrack import cli
+from arctrack.calibration_files.goniometer import read_goniometer, write_goniometer
 from arctrack.errors import ArctrackError
-from arctrack.goniometer_file import read_goniometer, write_goniometer
 from arctrack.recording.setup_file import read_setup_file
 from arctrack.recording.setup_model import MaterialTable
 from arctrack.simulate import true_values
 from calibration.goniometer import Response, Settings
-from noise_model.brdf import TABLE_1
-from noise_model.frames import invert
+from noise_model.surface.brdf import TABLE_1
+from noise_model.transforms import invert
 
 EXAMPLES = Path(__file__).parents[2] / "examples"
 RUNNER = CliRunner(env={"COLUMNS": "120", "TERM": "dumb", "NO_COLOR": "1"})

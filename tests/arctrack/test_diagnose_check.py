@@ -15,14 +15,15 @@ from made import level_pose, noise_frames, small_setup
 from test_diagnosis_examples import GAMMA, example
 from typer.testing import CliRunner, Result
 
-from arctrack import cli, diagnose_check
-from arctrack.diagnose_check import Asked, make, more, open_labels, run, scores_json
+from arctrack import cli
+from arctrack.blind_check import run as diagnose_check
+from arctrack.blind_check.run import Asked, make, more, open_labels, run, scores_json
 from arctrack.errors import ArctrackError
 from arctrack.recording import read_recording
 from noise_model.setup import Setup
 from sim_to_real.check.plan import Planned
+from sim_to_real.decision.experiments import BY_NAME, Experiment
 from sim_to_real.diagnosis import Diagnosis, Next, Verdict
-from sim_to_real.experiments import BY_NAME, Experiment
 from tracker.state import Frame
 
 RUNNER = CliRunner(env={"COLUMNS": "120", "TERM": "dumb", "NO_COLOR": "1"})

@@ -15,10 +15,10 @@ from test_diagnosis_examples import GAMMA, GLARE, example
 
 from arctrack.recording import Recording, read_recording
 from arctrack.recording.diagnosis_files import report, write_numbers
-from arctrack.report import diagnosis_words as words
-from arctrack.report.diagnosis import RECOMPUTE, advice, page
-from arctrack.report.diagnosis_advice import ADVICE
-from arctrack.report.diagnosis_pictures import nice_limit, telling_frame
+from arctrack.report.diagnosis import words
+from arctrack.report.diagnosis.advice import ADVICE
+from arctrack.report.diagnosis.page import RECOMPUTE, advice, page
+from arctrack.report.diagnosis.pictures import nice_limit, telling_frame
 from noise_model.effects import REGISTRY
 from noise_model.setup import Setup
 from sim_to_real.diagnosis import Estimate, Gap, Next, Trend, Verdict

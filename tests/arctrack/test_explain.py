@@ -19,19 +19,19 @@ from arctrack.explain import Explanation, explain
 from arctrack.explain_lines import NO_FIT, NO_PATH, ODD_WIDTH, READ, TOO_WEAK, refusals, sigma_parts
 from arctrack.recording import Recording, read_recording
 from arctrack.replay import ReplayOptions, replay_recording
-from arctrack.report import explain_words as words
-from arctrack.report.explain import page, telling_lines
-from arctrack.report.explain_pictures import marks, path
+from arctrack.report.explanation import words
+from arctrack.report.explanation.page import page, telling_lines
+from arctrack.report.explanation.pictures import marks, path
 from arctrack.simulate import SimulationPlan, simulate_recording
-from noise_model.arc_map import CELL
+from noise_model.arc.map import CELL
 from noise_model.setup import Setup
 from tracker import flags
-from tracker.expected import ExpectedStripe
 from tracker.geometry import SensorGeometry
-from tracker.read import StripeReading, Work
-from tracker.speckle import Speckle
 from tracker.state import Stripe
-from tracker.stripe_fit import fit_lines
+from tracker.stripe.expected import ExpectedStripe
+from tracker.stripe.fit import fit_lines
+from tracker.stripe.read import StripeReading, Work
+from tracker.stripe.speckle import Speckle
 
 EXAMPLE = Path(arctrack.__file__).parents[1] / "examples" / "v_groove"
 RUNNER = CliRunner(env={"COLUMNS": "120", "TERM": "dumb", "NO_COLOR": "1"})

@@ -12,7 +12,7 @@ import arctrack
 from arctrack.cli import app
 from arctrack.errors import ArctrackError
 from arctrack.report import paper_figures
-from noise_model.paper_figures import FIGURES
+from noise_model.reference.paper_figures import FIGURES
 
 RUNNER = CliRunner(env={"COLUMNS": "120", "TERM": "dumb", "NO_COLOR": "1"})
 

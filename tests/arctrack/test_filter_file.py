@@ -4,13 +4,13 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
+from arctrack.calibration_files.filter import read_filter_curve
 from arctrack.cli import app
 from arctrack.errors import ArctrackError
-from arctrack.filter_file import read_filter_curve
 from arctrack.nominal import nominal_setup
 from arctrack.recording import format_setup
 from arctrack.recording.setup_file import parse_setup, read_setup_file
-from noise_model.spectrum import FilterCurve, transmission
+from noise_model.instrument.spectrum import FilterCurve, transmission
 
 DENSITIES = """wavelength_nm,optical_density
 680,4.1

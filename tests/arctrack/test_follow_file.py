@@ -22,7 +22,7 @@ from arctrack.replay import ReplayOptions, replay_recording
 from arctrack.simulate import SimulationPlan, simulate_recording
 from noise_model.setup import Setup
 from robot_io import BusLogReader, SeamOffset, TrackerState, TrackerStatus, Validity
-from tracker.correction import AxisCorrection, Correction
+from tracker.seam.correction import AxisCorrection, Correction
 
 PAGE = Path(__file__).parents[2] / "docs" / "follow.md"
 QUICK = ReplayOptions(pictures=False)

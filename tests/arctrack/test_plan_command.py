@@ -14,7 +14,7 @@ from arctrack.recording import format_setup
 from arctrack.report.plan import draw_designs, draw_path
 from arctrack.report.plan_files import write_tables
 from arctrack.simulate import balance
-from noise_model.planning import Plan, PlanOptions, make_plan
+from noise_model.plan.plan import Plan, PlanOptions, make_plan
 from noise_model.setup import Setup
 
 RUNNER = CliRunner(env={"COLUMNS": "120", "TERM": "dumb", "NO_COLOR": "1"})

@@ -13,10 +13,10 @@ from arctrack.nominal import DIMENSIONS, MATERIALS, nominal_setup
 from arctrack.recording import BadFrame, format_setup, read_recording, read_setup_file, read_truth
 from arctrack.simulate import Motion, SimulationPlan, balance, conditions, simulate_recording, true_values
 from noise_model.effects import checked, really
-from noise_model.frames import invert, transform
-from noise_model.sensor import linearise
+from noise_model.instrument.sensor import linearise
 from noise_model.setup import Setup
-from noise_model.surface import BentSeam, Joint, seam_height_mm
+from noise_model.surface.joint import BentSeam, Joint, seam_height_mm
+from noise_model.transforms import invert, transform
 from tracker.geometry import SensorGeometry
 from tracker.step import Tracker
 

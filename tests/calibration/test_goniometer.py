@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 
 from calibration.goniometer import Response, Settings, average, simulate
 from calibration.reading_noise import ReadingNoise, estimate_noise
-from noise_model.brdf import MILD_STEEL, ZN_COATED, Material
+from noise_model.surface.brdf import MILD_STEEL, ZN_COATED, Material
 
 
 def settings(*rows: tuple[float, float, float], source: float = 1.0) -> Settings:

@@ -15,11 +15,11 @@ from calibration import hand_eye
 from calibration.hand_eye import _tracked, _View, _with_seam, estimate_hand_eye
 from noise_model.condition import Condition
 from noise_model.forward import draw_frame
-from noise_model.frames import moved
 from noise_model.setup import Setup
-from noise_model.surface import SeamLine
-from tracker.follow import SeamHistory
+from noise_model.surface.joint import SeamLine
+from noise_model.transforms import moved
 from tracker.geometry import SensorGeometry
+from tracker.seam.gaussian_process import SeamHistory
 from tracker.state import Frame, Pose
 from tracker.step import TrackerState
 

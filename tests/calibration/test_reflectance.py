@@ -9,7 +9,7 @@ from calibration.goniometer import Readings, Response, Settings, average, simula
 from calibration.reading_noise import ReadingNoise, rounding_left
 from calibration.reflectance import Reflectance, identify_reflectance
 from calibration.reflectance_model import White
-from noise_model.brdf import MILD_STEEL, ZN_COATED, Material
+from noise_model.surface.brdf import MILD_STEEL, ZN_COATED, Material
 
 PLANE = Settings.in_plane([20.0, 40.0, 60.0], np.arange(0.0, 76.0, 5.0))
 STANDARD = Settings.in_plane([20.0, 40.0, 60.0], [0.0])

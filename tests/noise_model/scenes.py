@@ -12,14 +12,14 @@ import numpy as np
 import numpy.typing as npt
 from scipy.spatial.transform import Rotation
 
-from noise_model.arc import Arc
-from noise_model.brdf import TABLE_1, Material
-from noise_model.laser import Laser
-from noise_model.optics import Camera
-from noise_model.sensor import Sensor
+from noise_model.arc_source import Arc
+from noise_model.instrument.camera import Camera
+from noise_model.instrument.laser import Laser
+from noise_model.instrument.sensor import Sensor
+from noise_model.instrument.spectrum import Filter
 from noise_model.setup import Setup
-from noise_model.spectrum import Filter
-from noise_model.surface import Joint
+from noise_model.surface.brdf import TABLE_1, Material
+from noise_model.surface.joint import Joint
 
 Float64 = npt.NDArray[np.float64]
 Bool = npt.NDArray[np.bool_]

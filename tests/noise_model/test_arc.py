@@ -3,9 +3,8 @@ import dataclasses
 import numpy as np
 import pytest
 
-from noise_model.arc import Arc, level
-from noise_model.brdf import MILD_STEEL, SUS304, TABLE_1, ZN_COATED, Material, Mirror, reflectance
-from noise_model.hemisphere import (
+from noise_model.arc_source import Arc, level
+from noise_model.reference.hemisphere import (
     Hemisphere,
     PointSource,
     apparent_area,
@@ -19,6 +18,7 @@ from noise_model.hemisphere import (
     reflected_radiance_extended,
     reflected_radiance_point,
 )
+from noise_model.surface.brdf import MILD_STEEL, SUS304, TABLE_1, ZN_COATED, Material, Mirror, reflectance
 
 UP = np.array([0.0, 0.0, 1.0])
 R = 2.0

@@ -7,10 +7,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from noise_model.arc_disc import MAX_PIECES, Shape, chords, disc
-from noise_model.arc_metal import MAX_WAYS, Metal, Rays, clearances
-from noise_model.faces import raised
-from noise_model.visibility import first_crossing
+from noise_model.arc.chords import MAX_PIECES, Shape, chords, disc
+from noise_model.arc.sheet_occlusion import MAX_WAYS, Metal, Rays, clearances
+from noise_model.surface.faces import raised
+from noise_model.surface.visibility import first_crossing
 
 UNIT = st.floats(-1.0, 1.0)
 

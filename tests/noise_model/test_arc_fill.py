@@ -8,15 +8,15 @@ import scenes
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
-from noise_model.arc_borders import seen_strip
-from noise_model.arc_disc import MAX_PIECES, crossings, equator_q
-from noise_model.arc_integral import gauss_nodes
-from noise_model.arc_map import CELL, ArcMap, arc_at, arc_frame, arc_kernel, scene
-from noise_model.arc_sight import face_seen, sight
-from noise_model.faces import across, face_point, ridge
-from noise_model.optics import Rays
-from noise_model.ray_hits import first_hit
-from noise_model.surface import section
+from noise_model.arc.chords import MAX_PIECES, crossings, equator_q
+from noise_model.arc.face_lookup import face_seen, sight
+from noise_model.arc.map import CELL, ArcMap, arc_at, arc_frame, arc_kernel, scene
+from noise_model.arc.patch_borders import seen_strip
+from noise_model.arc.quadrature import gauss_nodes
+from noise_model.instrument.camera import Rays
+from noise_model.surface.faces import across, face_point, ridge
+from noise_model.surface.joint import section
+from noise_model.surface.ray_casting import first_hit
 
 QUARTER_DN_E = 20.0
 

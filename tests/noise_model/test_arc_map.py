@@ -8,9 +8,7 @@ import scenes
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from noise_model.arc_borders import seen_strip
-from noise_model.arc_integral import arc_light, gauss_nodes
-from noise_model.arc_map import (
+from noise_model.arc.map import (
     CELL,
     NODES_P,
     NODES_Q,
@@ -20,14 +18,16 @@ from noise_model.arc_map import (
     arc_kernel,
     scene,
 )
-from noise_model.arc_ray import light_at, scratch
-from noise_model.brdf import TABLE_1, Lobe, Material, lobe_numbers, reflected
-from noise_model.faces import face_normal, face_point
-from noise_model.frames import invert, transform
-from noise_model.hemisphere import Hemisphere, irradiance_extended, reflected_radiance_extended
-from noise_model.optics import Rays
-from noise_model.ray_hits import MISS, is_open
-from noise_model.surface import Joint, SeamLine, section
+from noise_model.arc.patch_borders import seen_strip
+from noise_model.arc.quadrature import arc_light, gauss_nodes
+from noise_model.arc.ray import light_at, scratch
+from noise_model.instrument.camera import Rays
+from noise_model.reference.hemisphere import Hemisphere, irradiance_extended, reflected_radiance_extended
+from noise_model.surface.brdf import TABLE_1, Lobe, Material, lobe_numbers, reflected
+from noise_model.surface.faces import face_normal, face_point
+from noise_model.surface.joint import Joint, SeamLine, section
+from noise_model.surface.ray_casting import MISS, is_open
+from noise_model.transforms import invert, transform
 
 UP = np.array([0.0, 0.0, 1.0])
 QUARTER_DN_E = 20.0

@@ -7,12 +7,12 @@ import pytest
 import scenes
 
 from arctrack.nominal import nominal_setup
-from noise_model.arc_map import arc_kernel, scene
-from noise_model.arc_ray import light_at, scratch
-from noise_model.faces import face_normal
+from noise_model.arc.map import arc_kernel, scene
+from noise_model.arc.ray import light_at, scratch
 from noise_model.forward import Renderer
-from noise_model.frames import moved
-from noise_model.surface import BentSeam, SeamLine, corrugation_height, section
+from noise_model.surface.faces import face_normal
+from noise_model.surface.joint import BentSeam, SeamLine, corrugation_height, section
+from noise_model.transforms import moved
 
 POSE = np.eye(4)
 SETUP = nominal_setup("v_groove", "mild_steel", width=64, height=48)

@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 from scipy.optimize import curve_fit
 
-from noise_model.bound import (
+from noise_model.plan.cramer_rao import (
     AMPLITUDE,
     POSITION,
     pixel_contrast,

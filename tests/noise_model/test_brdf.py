@@ -7,7 +7,7 @@ import scenes
 from hypothesis import given
 from hypothesis import strategies as st
 
-from noise_model.brdf import (
+from noise_model.surface.brdf import (
     MILD_STEEL,
     SUS304,
     TABLE_1,

@@ -12,8 +12,8 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 from noise_model.effects import pose_time_s, really
-from noise_model.frames import moved
-from noise_model.surface import seam_frame
+from noise_model.surface.joint import seam_frame
+from noise_model.transforms import moved
 from noise_model.view import View
 
 LASER = CONDITIONS["laser"]

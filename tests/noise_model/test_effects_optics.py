@@ -10,7 +10,7 @@ from effect_scenes import CONDITIONS, affected, charge, cos4, light_of, nominal,
 
 from noise_model.effects.light import Light
 from noise_model.forward import predict
-from noise_model.spectrum import FilterCurve
+from noise_model.instrument.spectrum import FilterCurve
 
 BRIGHT = np.random.default_rng(2).uniform(100.0, 5000.0, (60, 80))
 

@@ -19,12 +19,12 @@ from effect_scenes import (
     passed,
 )
 
-from noise_model.argon import AR_I, line_weights
 from noise_model.condition import Condition
 from noise_model.effects import REGISTRY
 from noise_model.forward import Renderer, predict
-from noise_model.hemisphere import Hemisphere, reflected_radiance_extended
-from noise_model.spectrum import FilterCurve
+from noise_model.instrument.argon import AR_I, line_weights
+from noise_model.instrument.spectrum import FilterCurve
+from noise_model.reference.hemisphere import Hemisphere, reflected_radiance_extended
 
 ARC = CONDITIONS["arc"]
 

@@ -19,12 +19,12 @@ from effect_scenes import (
 )
 from scipy.integrate import quad
 
-from noise_model.brdf import Lobe, Material
 from noise_model.condition import Condition
 from noise_model.effects.medium import airlight_integral, gathered_depth_mm, streak_moments
 from noise_model.forward import predict
-from noise_model.spectrum import planck
+from noise_model.instrument.spectrum import planck
 from noise_model.stripe import stripe_reference
+from noise_model.surface.brdf import Lobe, Material
 
 ARC, LASER = CONDITIONS["arc"], CONDITIONS["laser"]
 

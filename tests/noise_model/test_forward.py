@@ -7,15 +7,15 @@ import pytest
 import scenes
 
 from noise_model import forward
-from noise_model.arc_map import arc_at, arc_kernel, scene
-from noise_model.brdf import Lobe
+from noise_model.arc.map import arc_at, arc_kernel, scene
 from noise_model.condition import Condition
 from noise_model.effects import REGISTRY, checked
 from noise_model.forward import FILL_TOLERANCE, Renderer, draw_frame, predict
-from noise_model.frames import invert, moved
-from noise_model.optics import Camera, Rays
+from noise_model.instrument.camera import Camera, Rays
 from noise_model.stripe import check_stripe, reflected_sheet, reflected_sheet_plain, stripe_reference
-from noise_model.surface import NOMINAL_SEAM, SeamLine
+from noise_model.surface.brdf import Lobe
+from noise_model.surface.joint import NOMINAL_SEAM, SeamLine
+from noise_model.transforms import invert, moved
 
 LEVEL = scenes.pose()
 TURNED = scenes.pose((4.0, 0.5, 1.0), (3.0, -2.0, 4.0))

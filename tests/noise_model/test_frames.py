@@ -3,7 +3,7 @@ import pytest
 from hypothesis import assume, given
 from hypothesis import strategies as st
 
-from noise_model.frames import invert, pose_matrix, transform
+from noise_model.transforms import invert, pose_matrix, transform
 
 coordinates = st.floats(-1000.0, 1000.0)
 vectors = st.tuples(coordinates, coordinates, coordinates)

@@ -8,22 +8,22 @@ import cv2
 import numpy as np
 import pytest
 
-from noise_model import interreflection
-from noise_model.arc import level
-from noise_model.arc_map import arc_at, arc_kernel
-from noise_model.brdf import TABLE_1, Material, reflectance
-from noise_model.faces import face_point, ridge, slanted, strip
+from noise_model.arc.map import arc_at, arc_kernel
+from noise_model.arc_source import level
 from noise_model.forward import Layers
-from noise_model.frames import invert, transform
-from noise_model.interreflection import FINE, Grain, Grains, bounced_light
-from noise_model.interreflection_bounces import ORDERS
-from noise_model.interreflection_lattice import stations
-from noise_model.interreflection_light import arc_leaving, place, sees
-from noise_model.interreflection_nodes import COLUMNS, FACE, WEIGHT, Focus, look_around, room, rules
-from noise_model.laser import irradiance
-from noise_model.optics import blur
+from noise_model.instrument.camera import blur
+from noise_model.instrument.laser import irradiance
+from noise_model.interreflection import model as interreflection
+from noise_model.interreflection.bounces import ORDERS
+from noise_model.interreflection.first_bounce import arc_leaving, place, sees
+from noise_model.interreflection.lattice import stations
+from noise_model.interreflection.model import FINE, Grain, Grains, bounced_light
+from noise_model.interreflection.nodes import COLUMNS, FACE, WEIGHT, Focus, look_around, room, rules
 from noise_model.stripe import stripe_reference
-from noise_model.surface import Joint
+from noise_model.surface.brdf import TABLE_1, Material, reflectance
+from noise_model.surface.faces import face_point, ridge, slanted, strip
+from noise_model.surface.joint import Joint
+from noise_model.transforms import invert, transform
 from noise_model.view import View
 from tests.noise_model import scenes
 from tests.noise_model.test_recorded_arc import RECORDINGS, block_means, read_frames, read_setup_file

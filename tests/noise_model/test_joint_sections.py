@@ -12,13 +12,13 @@ import scenes
 from test_arc_map import POSES, arc_at_pixels, arc_frame_of, check_filled, off_by, some_pixels, twin_at_pixels
 from test_visibility import open_by_half_spaces
 
-from noise_model.arc_map import scene
+from noise_model.arc.map import scene
 from noise_model.condition import Condition
 from noise_model.effects import checked
 from noise_model.forward import predict
-from noise_model.optics import Rays
-from noise_model.ray_hits import first_hit
-from noise_model.surface import REACH_MM, SAGITTA_MM, Joint, seam_height_mm, section
+from noise_model.instrument.camera import Rays
+from noise_model.surface.joint import REACH_MM, SAGITTA_MM, Joint, seam_height_mm, section
+from noise_model.surface.ray_casting import first_hit
 
 RADIUS_MM = 3.0
 

@@ -7,8 +7,8 @@ import scenes
 from hypothesis import given
 from hypothesis import strategies as st
 
-from noise_model.frames import pose_matrix, transform
-from noise_model.laser import Laser, irradiance, plane_in
+from noise_model.instrument.laser import Laser, irradiance, plane_in
+from noise_model.transforms import pose_matrix, transform
 
 LASER = scenes.setup("flat").laser
 UP = np.array([[0.0, 0.0, 1.0]])

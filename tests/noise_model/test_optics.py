@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from noise_model.optics import Camera, Rays, blur, undistorted
+from noise_model.instrument.camera import Camera, Rays, blur, undistorted
 
 CAMERA = Camera(
     width=64,

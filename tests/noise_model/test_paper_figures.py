@@ -4,9 +4,20 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from noise_model.brdf import MILD_STEEL, SUS304, ZN_COATED, mirror_direction, reflectance
-from noise_model.hemisphere import irradiance_extended, point_source_distance, reflected_radiance_extended
-from noise_model.paper_figures import (
+from noise_model.instrument.spectrum import (
+    ArcSpectrum,
+    Filter,
+    angle_shift,
+    laser_transmission,
+    line_to_continuum,
+    passed_continuum,
+)
+from noise_model.reference.hemisphere import (
+    irradiance_extended,
+    point_source_distance,
+    reflected_radiance_extended,
+)
+from noise_model.reference.paper_figures import (
     ARC,
     DISTANCE_MM,
     FARTHEST_MM,
@@ -21,14 +32,7 @@ from noise_model.paper_figures import (
     patches,
     point_error,
 )
-from noise_model.spectrum import (
-    ArcSpectrum,
-    Filter,
-    angle_shift,
-    laser_transmission,
-    line_to_continuum,
-    passed_continuum,
-)
+from noise_model.surface.brdf import MILD_STEEL, SUS304, ZN_COATED, mirror_direction, reflectance
 
 PAGE = (Path(__file__).resolve().parents[2] / "docs" / "paper.md").read_text()
 

@@ -12,9 +12,9 @@ from hypothesis import strategies as st
 from plan_setups import SETUPS, expected_e, steel_groove
 from scipy.constants import c, h, k
 
-from noise_model.arc_map import scene
-from noise_model.frames import invert, transform
-from noise_model.plan import (
+from noise_model.arc.map import scene
+from noise_model.instrument.spectrum import ArcSpectrum, Filter, FilterCurve
+from noise_model.plan.design import (
     SensorDesign,
     clears_torch,
     design_of,
@@ -23,10 +23,10 @@ from noise_model.plan import (
     passes_laser,
     with_design,
 )
-from noise_model.plan_light import stripe_level_e, stripe_light
-from noise_model.plan_noise import NODES, Surroundings, expected_pixels, speckle_floor_px
-from noise_model.spectrum import ArcSpectrum, Filter, FilterCurve
+from noise_model.plan.light import stripe_level_e, stripe_light
+from noise_model.plan.noise import NODES, Surroundings, expected_pixels, speckle_floor_px
 from noise_model.stripe import stripe_reference
+from noise_model.transforms import invert, transform
 
 DESIGNS = st.builds(
     SensorDesign,

@@ -11,13 +11,13 @@ from numpy.typing import NDArray
 from plan_setups import SETUPS, expected_e, plan_setup, steel_groove
 from scipy.spatial.transform import Rotation
 
-from noise_model.arc_map import scene
-from noise_model.bound import POSITION, stripe_sigmas
+from noise_model.arc.map import scene
 from noise_model.effects import checked
-from noise_model.frames import invert, transform
-from noise_model.plan import design_of, with_design
-from noise_model.plan_light import REACH_MM, StripeLight, stripe_level_e, stripe_light
-from noise_model.plan_noise import (
+from noise_model.instrument.sensor import variance_e2
+from noise_model.plan.cramer_rao import POSITION, stripe_sigmas
+from noise_model.plan.design import design_of, with_design
+from noise_model.plan.light import REACH_MM, StripeLight, stripe_level_e, stripe_light
+from noise_model.plan.noise import (
     EDGE_LINES,
     LEAST_LINES,
     Surroundings,
@@ -28,10 +28,10 @@ from noise_model.plan_noise import (
     seam_noise,
     speckle_floor_px,
 )
-from noise_model.sensor import variance_e2
 from noise_model.setup import Setup
-from noise_model.surface import Joint, SeamLine
-from tracker.stripe_end import LEAST_SIGMA
+from noise_model.surface.joint import Joint, SeamLine
+from noise_model.transforms import invert, transform
+from tracker.stripe.edge import LEAST_SIGMA
 
 Float64 = NDArray[np.float64]
 SILENT = Surroundings(speckle_contrast=0.0)

@@ -12,11 +12,9 @@ from hypothesis import strategies as st
 from plan_setups import JOINTS, plan_setup, steel_groove
 
 from noise_model.effects import checked
-from noise_model.frames import invert, transform
-from noise_model.plan import SensorDesign, design_of
-from noise_model.plan_avoid import find_cure, find_cures
-from noise_model.plan_noise import BLIND, SeamNoise, Surroundings
-from noise_model.plan_path import (
+from noise_model.plan.design import SensorDesign, design_of
+from noise_model.plan.noise import BLIND, SeamNoise, Surroundings
+from noise_model.plan.path import (
     Path,
     PathNoise,
     blind_stretches,
@@ -26,10 +24,12 @@ from noise_model.plan_path import (
     recorded_path,
     search_path,
 )
-from noise_model.plan_rules import Outcome, head_tilted, try_rules
-from noise_model.plan_search import ALIKE, Candidate, judge, pareto, summarise
-from noise_model.planning import PlanOptions, make_plan, search_space
-from noise_model.surface import Joint, corrugation_height, section
+from noise_model.plan.plan import PlanOptions, make_plan, search_space
+from noise_model.plan.remedies import find_cure, find_cures
+from noise_model.plan.rules import Outcome, head_tilted, try_rules
+from noise_model.plan.search import ALIKE, Candidate, judge, pareto, summarise
+from noise_model.surface.joint import Joint, corrugation_height, section
+from noise_model.transforms import invert, transform
 
 SILENT = Surroundings(speckle_contrast=0.0)
 DESIGN = SensorDesign(24.0, 0.0, 35.0, 145.0, 0.0, 10.0, 0.005)

@@ -9,9 +9,9 @@ import pytest
 from scipy.spatial.transform import Rotation, Slerp
 
 from arctrack.recording.setup_file import read_setup_file
-from noise_model.arc import level
-from noise_model.arc_map import arc_at, arc_kernel, scene
-from noise_model.optics import Rays
+from noise_model.arc.map import arc_at, arc_kernel, scene
+from noise_model.arc_source import level
+from noise_model.instrument.camera import Rays
 
 RECORDINGS = Path(__file__).parents[2].parent / "shared" / "recordings"
 BLOCK_PX = 9

@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 from scipy.integrate import quad
 from scipy.stats import norm
 
-from noise_model.sensor import (
+from noise_model.instrument.sensor import (
     Sensor,
     cut_moments,
     electrons_per_dn,

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 from scipy import constants, integrate
 
-from noise_model.argon import AR_I, REFERENCE_NM, line_weights
-from noise_model.spectrum import (
+from noise_model.instrument.argon import AR_I, REFERENCE_NM, line_weights
+from noise_model.instrument.spectrum import (
     ArcSpectrum,
     CurveError,
     Filter,

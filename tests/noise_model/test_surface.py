@@ -7,8 +7,7 @@ import scenes
 from hypothesis import given
 from hypothesis import strategies as st
 
-from noise_model.frames import invert
-from noise_model.surface import (
+from noise_model.surface.joint import (
     REACH_MM,
     Joint,
     SeamLine,
@@ -17,6 +16,7 @@ from noise_model.surface import (
     seam_height_mm,
     section,
 )
+from noise_model.transforms import invert
 
 STRAIGHT = ((-90.0, 0.0, 0.0), (230.0, 0.0, 0.0))
 slopes = st.floats(-0.5, 0.5)

@@ -6,10 +6,10 @@ import scenes
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
-from noise_model.faces import face_normal
-from noise_model.ray_hits import MISS, first_hit, is_open, trace, way_is_open, ways_are_open
-from noise_model.surface import section
-from noise_model.visibility import (
+from noise_model.surface.faces import face_normal
+from noise_model.surface.joint import section
+from noise_model.surface.ray_casting import MISS, first_hit, is_open, trace, way_is_open, ways_are_open
+from noise_model.surface.visibility import (
     HORIZON_STEP_MM,
     MAX_LEDGES,
     MAX_PLANES,

@@ -3,7 +3,7 @@
 import numpy as np
 
 from noise_model.fit import Parameter
-from sim_to_real.covariates import UNITS, Covariates
+from sim_to_real.locate.covariates import UNITS, Covariates
 
 
 def planted(n_frames=24, shape=(24, 32), seed=0):

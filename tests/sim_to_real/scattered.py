@@ -13,10 +13,10 @@ import numpy as np
 from scipy.ndimage import gaussian_filter
 
 from noise_model.condition import Condition
-from sim_to_real.details import Sizes
-from sim_to_real.expected import Passed
-from sim_to_real.observed import STRATA, Observed, ObservedFrame, binned_camera
-from sim_to_real.pixels import block_means
+from sim_to_real.data.binned import STRATA, Observed, ObservedFrame, binned_camera
+from sim_to_real.data.blocks import block_means
+from sim_to_real.fit.linearized_model import Passed
+from sim_to_real.variance.haar_details import Sizes
 from tests.noise_model.scenes import camera, setup
 
 BIN_PX, WIDTH, HEIGHT = 4, 320, 240

@@ -9,12 +9,12 @@ import pytest
 import arctrack.simulate
 from noise_model.effects import REGISTRY
 from noise_model.forward import draw_frame
-from sim_to_real.candidate import judged
-from sim_to_real.change import CHANGING, Change, Driver
-from sim_to_real.places import FAMILIES
-from sim_to_real.refit import FLICKER, NAMED_FROM, refit
-from sim_to_real.screen import screen_changes
-from sim_to_real.select import Search, candidates, looked, with_changes
+from sim_to_real.fit.gauss_newton import FLICKER, NAMED_FROM, refit
+from sim_to_real.fit.trend import CHANGING, Change, Driver
+from sim_to_real.search.hypothesis import judged
+from sim_to_real.search.probe_points import FAMILIES
+from sim_to_real.search.score_test import screen_changes
+from sim_to_real.search.single_effects import Search, candidates, looked, with_changes
 from tests.sim_to_real.small import small_recording
 
 FINE = 3

@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 
 from noise_model.effects import REGISTRY
-from sim_to_real.change import Change, Driver
-from sim_to_real.confirm import (
+from sim_to_real.decision.decide import Decision
+from sim_to_real.decision.holdout_checks import (
     closing,
     must_help,
     names_trifle,
@@ -19,8 +19,8 @@ from sim_to_real.confirm import (
     without_trifle,
 )
 from sim_to_real.diagnosis import Gap, Verdict
-from sim_to_real.places import size
-from sim_to_real.verdict import Decision
+from sim_to_real.fit.trend import Change, Driver
+from sim_to_real.search.probe_points import size
 from tests.sim_to_real.verdicts import candidate
 
 

@@ -1,8 +1,8 @@
 import numpy as np
 import pytest
 
-from noise_model.surface import Joint, section
-from sim_to_real.covariates import Start, concavity, covariates
+from noise_model.surface.joint import Joint, section
+from sim_to_real.locate.covariates import Start, concavity, covariates
 from tests.sim_to_real.small import small_recording
 
 

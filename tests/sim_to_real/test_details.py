@@ -5,9 +5,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from sim_to_real import details as of_details
-from sim_to_real.details import ACROSS, LARGE, Details, details, pattern, sizes
-from sim_to_real.pixels import SMALL, in_bins
+from sim_to_real.data.blocks import SMALL, in_bins
+from sim_to_real.variance import haar_details as of_details
+from sim_to_real.variance.haar_details import ACROSS, LARGE, Details, details, pattern, sizes
 from tests.sim_to_real.scattered import BIN_PX, Scattering, recorded
 
 

@@ -8,7 +8,7 @@ import pytest
 from arctrack.nominal import nominal_setup
 from arctrack.simulate import SimulationPlan
 from sim_to_real import diagnose as room
-from sim_to_real import held
+from sim_to_real.decision import holdout_gap as held
 from sim_to_real.diagnose import diagnose
 from sim_to_real.diagnosis import Verdict, left_out
 from tests.sim_to_real.small import EXACT, example_setup, recorded

@@ -8,10 +8,10 @@ import pytest
 
 from noise_model.effects import really
 from noise_model.forward import look
-from noise_model.surface import BentSeam, SeamLine
-from sim_to_real.expected import EDGE_E, EDGE_SHARE, Expected
-from sim_to_real.nuisances import N_LEVELS, SEAM_FROM
-from sim_to_real.observed import stated_condition
+from noise_model.surface.joint import BentSeam, SeamLine
+from sim_to_real.data.binned import stated_condition
+from sim_to_real.fit.linearized_model import EDGE_E, EDGE_SHARE, Expected
+from sim_to_real.fit.nuisances import N_LEVELS, SEAM_FROM
 from tests.sim_to_real.small import small_recording
 from tracker.state import Frame
 

@@ -4,7 +4,15 @@ import numpy as np
 import pytest
 
 from noise_model.fit import Parameter
-from sim_to_real.free_term import FOLDS, HeldOut, folds_by_turn, free_term, gap_size, hats, hats_of_two
+from sim_to_real.locate.spline_term import (
+    FOLDS,
+    HeldOut,
+    folds_by_turn,
+    free_term,
+    gap_size,
+    hats,
+    hats_of_two,
+)
 from tests.sim_to_real.planted import planted
 
 TRAINING = np.arange(24) % 3 != 0

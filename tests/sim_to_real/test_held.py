@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
+from sim_to_real.decision.holdout_gap import measure, smaller
 from sim_to_real.diagnosis import Predicted
-from sim_to_real.held import measure, smaller
 from tests.sim_to_real.small import example_setup
 
 SHAPE = 160, 200

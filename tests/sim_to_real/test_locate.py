@@ -3,8 +3,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from sim_to_real.free_term import HeldOut
-from sim_to_real.locate import (
+from sim_to_real.data.binned import THIN
+from sim_to_real.locate.residual_structure import (
     banded_means,
     curve_along,
     image_shares,
@@ -13,7 +13,7 @@ from sim_to_real.locate import (
     smoothed,
     strata_gaps,
 )
-from sim_to_real.observed import THIN
+from sim_to_real.locate.spline_term import HeldOut
 from tests.sim_to_real.planted import planted
 
 Z = np.zeros((2, 2), dtype=np.float32)

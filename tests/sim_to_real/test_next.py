@@ -10,8 +10,9 @@ from arctrack.nominal import nominal_setup
 from noise_model.condition import Condition
 from noise_model.effects import REGISTRY
 from noise_model.fit import Parameter
-from sim_to_real.experiments import BY_NAME, MENU, WITNESS
-from sim_to_real.next import (
+from sim_to_real.data.binned import ObservedFrame
+from sim_to_real.decision.experiments import BY_NAME, MENU, WITNESS
+from sim_to_real.decision.optimal_design import (
     best_measurement,
     not_resolvable,
     own_signatures,
@@ -19,10 +20,9 @@ from sim_to_real.next import (
     smallest,
     with_more,
 )
-from sim_to_real.observed import ObservedFrame
-from sim_to_real.quadratic import N_EFFECTIVE, Quadratic
-from sim_to_real.refit import OWN_LEVEL, refit
-from sim_to_real.screen import Screened
+from sim_to_real.fit.gauss_newton import OWN_LEVEL, refit
+from sim_to_real.fit.quadratic import N_EFFECTIVE, Quadratic
+from sim_to_real.search.score_test import Screened
 from tests.sim_to_real.small import small_recording
 
 N = 400

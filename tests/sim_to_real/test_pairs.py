@@ -7,10 +7,10 @@ import pytest
 from small import small_recording
 
 from noise_model.effects import REGISTRY
-from sim_to_real.candidate import cost_nats, likelihood_nats
-from sim_to_real.pairs import screen_pairs
-from sim_to_real.refit import refit
-from sim_to_real.screen import along, screen, screen_flicker
+from sim_to_real.fit.gauss_newton import refit
+from sim_to_real.search.hypothesis import cost_nats, likelihood_nats
+from sim_to_real.search.score_test import along, screen, screen_flicker
+from sim_to_real.search.score_test_pairs import screen_pairs
 
 TRIED = ["gamma", "veiling_glare", "wrong_material", "fume", "dirty_window", "black_level", "blooming"]
 

@@ -10,11 +10,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from arctrack.nominal import looking_at
-from noise_model.arc_map import arc_at, arc_frame, arc_kernel, scene
-from noise_model.brdf import TABLE_1, Lobe, Material
-from noise_model.hemisphere import Hemisphere, irradiance_extended
-from noise_model.optics import Rays
-from noise_model.surface import Joint
+from noise_model.arc.map import arc_at, arc_frame, arc_kernel, scene
+from noise_model.instrument.camera import Rays
+from noise_model.reference.hemisphere import Hemisphere, irradiance_extended
+from noise_model.surface.brdf import TABLE_1, Lobe, Material
+from noise_model.surface.joint import Joint
 from sim_to_real.check.blocks import BLOCK_PX, compare_blocks
 from sim_to_real.check.joint_mesh import REACH_MM, joint_mesh
 from sim_to_real.check.path_traced import load_mitsuba, path_traced_arc

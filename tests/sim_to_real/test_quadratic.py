@@ -5,7 +5,7 @@ import pytest
 from scipy.optimize import least_squares
 
 from noise_model.fit import Parameter
-from sim_to_real.quadratic import N_EFFECTIVE, Quadratic
+from sim_to_real.fit.quadratic import N_EFFECTIVE, Quadratic
 
 COUNTS = np.array([30, 50, 40])
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.stats import norm
 
-from sim_to_real.ridges import ANGLES, KERNELS, NOISE, ridges
+from sim_to_real.variance.line_filter import ANGLES, KERNELS, NOISE, ridges
 
 SHAPE = (60, 80)
 

@@ -8,9 +8,9 @@ import pytest
 from scipy.integrate import quad
 from scipy.stats import norm
 
-from noise_model.frames import Float64
-from sim_to_real import scatter as of_scatter
-from sim_to_real.scatter import NAMED_FROM, scatter
+from noise_model.transforms import Float64
+from sim_to_real.variance import random_effects as of_scatter
+from sim_to_real.variance.random_effects import NAMED_FROM, scatter
 from tests.sim_to_real.scattered import HEIGHT, WIDTH, Scattering, recorded, streak
 
 RANDOM = {"read_noise", "fixed_pattern", "laser_speckle", "spatter"}

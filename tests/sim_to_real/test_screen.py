@@ -6,9 +6,9 @@ import pytest
 from small import small_recording
 
 from noise_model.effects import REGISTRY
-from sim_to_real.places import size
-from sim_to_real.refit import refit
-from sim_to_real.screen import screen, seen_from
+from sim_to_real.fit.gauss_newton import refit
+from sim_to_real.search.probe_points import size
+from sim_to_real.search.score_test import screen, seen_from
 
 
 def look(path, name, planted):

@@ -1,9 +1,9 @@
 """What effects do to the tracker's seam is what is left of it once the tracker knows them."""
 
-from sim_to_real.expected import Expected
-from sim_to_real.observed import observe
-from sim_to_real.refit import refit
-from sim_to_real.seam_error import seam_errors_mm
+from sim_to_real.data.binned import observe
+from sim_to_real.decision.seam_error import seam_errors_mm
+from sim_to_real.fit.gauss_newton import refit
+from sim_to_real.fit.linearized_model import Expected
 from tests.sim_to_real.small import recorded
 
 

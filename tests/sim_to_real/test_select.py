@@ -8,13 +8,13 @@ import pytest
 
 from noise_model.effects import REGISTRY
 from noise_model.fit import Parameter
-from sim_to_real import select
-from sim_to_real.candidate import Candidate, beyond_form, is_explained, judged, likelihood_nats
-from sim_to_real.held import left_in_pixels
-from sim_to_real.nuisances import SEAM_FROM
-from sim_to_real.quadratic import Quadratic
-from sim_to_real.refit import followed, refit
-from sim_to_real.select import ALIKE_NATS, Search, told_apart
+from sim_to_real.decision.holdout_gap import left_in_pixels
+from sim_to_real.fit.gauss_newton import followed, refit
+from sim_to_real.fit.nuisances import SEAM_FROM
+from sim_to_real.fit.quadratic import Quadratic
+from sim_to_real.search import single_effects as select
+from sim_to_real.search.hypothesis import Candidate, beyond_form, is_explained, judged, likelihood_nats
+from sim_to_real.search.single_effects import ALIKE_NATS, Search, told_apart
 from tests.sim_to_real.small import small_recording
 from tests.sim_to_real.verdicts import seen
 

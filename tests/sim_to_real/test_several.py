@@ -4,8 +4,8 @@ from types import SimpleNamespace
 
 import pytest
 
-from sim_to_real import several as room
-from sim_to_real.select import Search
+from sim_to_real.search import stepwise as room
+from sim_to_real.search.single_effects import Search
 from tests.sim_to_real.verdicts import candidate
 
 

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from sim_to_real.observed import observe
-from sim_to_real.sightings import Sightings
+from sim_to_real.data.binned import observe
+from sim_to_real.data.seam_observations import Sightings
 from tests.sim_to_real.small import example_setup, recorded
 
 N = 9

@@ -7,8 +7,8 @@ import pytest
 from scipy.integrate import quad
 from scipy.stats import expon, gamma, poisson
 
-from sim_to_real import spatter as of_spatter
-from sim_to_real.spatter import spatter
+from sim_to_real.variance import spatter as of_spatter
+from sim_to_real.variance.spatter import spatter
 from tests.sim_to_real.scattered import HEIGHT, NO_MORE, SENSOR, WIDTH, Scattering, light_e, recorded, streak
 
 N_FRAMES, LENGTH_PX, WIDTH_PX, PEAK_E = 24, 40.0, 1.8, 3000.0

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 from scipy.ndimage import gaussian_filter
 
-from sim_to_real.details import LARGE, Sizes
-from sim_to_real.pixels import SMALL, in_bins
-from sim_to_real.speckle import LARGE_WEIGHTS, SMALL_WEIGHTS, left_of_grain, speckle
+from sim_to_real.data.blocks import SMALL, in_bins
+from sim_to_real.variance.haar_details import LARGE, Sizes
+from sim_to_real.variance.speckle import LARGE_WEIGHTS, SMALL_WEIGHTS, left_of_grain, speckle
 
 BIN_PX = 4
 SURE = np.diag([1e-4, 1e-12, 1e-11, 1e-10])

@@ -6,7 +6,7 @@ import numpy as np
 from hypothesis import example, given
 from hypothesis import strategies as st
 
-from sim_to_real.split import folds, held_out, one_of_each, sees_as_much
+from sim_to_real.data.cross_validation import folds, held_out, one_of_each, sees_as_much
 from tests.sim_to_real.verdicts import seen
 
 STRATA = ["dark", "laser", "arc", "both"]

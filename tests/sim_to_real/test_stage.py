@@ -6,13 +6,13 @@ import pytest
 
 from arctrack.recording import read_recording
 from arctrack.recording.poses import pose_at
-from noise_model.optics import Camera
-from sim_to_real.covariates import Start, covariates
-from sim_to_real.expected import Expected
-from sim_to_real.free_term import HeldOut
-from sim_to_real.observed import observe
-from sim_to_real.refit import refit
-from sim_to_real.stage import (
+from noise_model.instrument.camera import Camera
+from sim_to_real.data.binned import observe
+from sim_to_real.fit.gauss_newton import refit
+from sim_to_real.fit.linearized_model import Expected
+from sim_to_real.locate.covariates import Start, covariates
+from sim_to_real.locate.spline_term import HeldOut
+from sim_to_real.locate.stage import (
     FORMS,
     LEVELS,
     forms_explained,

@@ -6,8 +6,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from noise_model.frames import invert
-from sim_to_real.streaks import lasting, lines, passing, search
+from noise_model.transforms import invert
+from sim_to_real.variance.streaks import lasting, lines, passing, search
 from tests.sim_to_real.scattered import BIN_PX, HEIGHT, NO_MORE, WIDTH, Scattering, recorded, streak
 
 N_FRAMES = 12

@@ -5,14 +5,14 @@ from types import SimpleNamespace
 import pytest
 
 from noise_model.effects import REGISTRY
-from sim_to_real import several as beside
-from sim_to_real import verdict as room
-from sim_to_real.candidate import likelihood_nats
+from sim_to_real.decision import decide as room
+from sim_to_real.decision.decide import decide, in_question
 from sim_to_real.diagnose import ranking
 from sim_to_real.diagnosis import Verdict
-from sim_to_real.quadratic import N_EFFECTIVE
-from sim_to_real.select import Search
-from sim_to_real.verdict import decide, in_question
+from sim_to_real.fit.quadratic import N_EFFECTIVE
+from sim_to_real.search import stepwise as beside
+from sim_to_real.search.hypothesis import likelihood_nats
+from sim_to_real.search.single_effects import Search
 from tests.sim_to_real.verdicts import candidate
 
 PROMISING = SimpleNamespace(id="fume", left=0.1, n_parameters=3)

@@ -6,7 +6,7 @@ from types import SimpleNamespace
 import numpy as np
 
 from noise_model.effects import REGISTRY
-from sim_to_real.candidate import likelihood_nats
+from sim_to_real.search.hypothesis import likelihood_nats
 
 
 @dataclass

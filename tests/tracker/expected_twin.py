@@ -6,14 +6,14 @@ import numpy as np
 import numpy.typing as npt
 from scipy.optimize import least_squares
 
-from noise_model.arc_map import Scene
-from noise_model.frames import Float64, invert, transform
+from noise_model.arc.map import Scene
 from noise_model.setup import Setup
 from noise_model.stripe import reflected_sheet_plain
-from noise_model.surface import corrugation_height
-from tracker.expected import FLANKS, HALF_SPAN_MM, STEP_MM, ExpectedStripe
+from noise_model.surface.joint import corrugation_height
+from noise_model.transforms import Float64, invert, transform
 from tracker.geometry import SensorGeometry
-from tracker.lean import PLANES
+from tracker.stripe.bias import PLANES
+from tracker.stripe.expected import FLANKS, HALF_SPAN_MM, STEP_MM, ExpectedStripe
 
 
 def expect_stripe(geometry: SensorGeometry, view: Scene) -> ExpectedStripe | None:

@@ -16,7 +16,7 @@ import numpy as np
 from rendered import CURRENT_A, EXPOSURE_S, frame_of, pose_at, small_setup
 
 from noise_model.setup import Setup
-from noise_model.surface import SeamLine
+from noise_model.surface.joint import SeamLine
 from tracker.state import Frame, Pose, Track
 from tracker.step import Tracker
 

@@ -12,9 +12,9 @@ from scipy.spatial.transform import Rotation
 from arctrack.nominal import nominal_setup
 from noise_model.condition import Condition
 from noise_model.forward import predict
-from noise_model.sensor import expose
+from noise_model.instrument.sensor import expose
 from noise_model.setup import Setup
-from noise_model.surface import NOMINAL_SEAM, SeamLine, seam_height_mm
+from noise_model.surface.joint import NOMINAL_SEAM, SeamLine, seam_height_mm
 from tracker.state import Frame, Pose
 
 Float64 = npt.NDArray[np.float64]

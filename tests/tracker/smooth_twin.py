@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
-from tracker.stripe_smooth import (
+from tracker.stripe.smooth import (
     AGREE_SIGMAS,
     LEAST_DRAWN,
     LEAST_SURE_PX,

@@ -10,10 +10,10 @@ import pytest
 from profiles import PX_MM, groove, lap, measure
 from rendered import SEED
 
-from noise_model.surface import Joint
+from noise_model.surface.joint import Joint
 from tracker.joint import MeasuredJoint, fit_joint
 from tracker.profile import Profile
-from tracker.speckle import Speckle
+from tracker.stripe.speckle import Speckle
 
 LINE = ((-100.0, 0.0, 0.0), (100.0, 0.0, 0.0))
 CAMERA_MM, LASER_MM = np.array([-55.0, 0.0, 135.0]), np.array([0.0, 0.0, 140.0])

@@ -11,17 +11,17 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from rendered import SEED, frame_of, pose_at, small_setup
 
-from noise_model.arc_map import arc_kernel, scene
-from noise_model.brdf import TABLE_1
+from noise_model.arc.map import arc_kernel, scene
 from noise_model.condition import Condition
 from noise_model.forward import predict
-from noise_model.sensor import expose
+from noise_model.instrument.sensor import expose
 from noise_model.setup import Setup
-from tracker.arc_level import UNKNOWN, ArcLevel, _fit_level, _off_stripe, _only_seen, estimate_arc_level
-from tracker.expected import expect_stripe
+from noise_model.surface.brdf import TABLE_1
+from tracker.arc.level import UNKNOWN, ArcLevel, _fit_level, _off_stripe, _only_seen, estimate_arc_level
 from tracker.geometry import SensorGeometry
-from tracker.read import arc_map_of
 from tracker.state import Frame, Pose
+from tracker.stripe.expected import expect_stripe
+from tracker.stripe.read import arc_map_of
 
 POSE = pose_at(3.0)
 

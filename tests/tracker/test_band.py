@@ -8,7 +8,7 @@ import twins
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from tracker.band import gather, median_background, place, weigh
+from tracker.stripe.band import gather, median_background, place, weigh
 
 CELL = 8
 seeds = st.integers(0, 2**32 - 1)

@@ -10,7 +10,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from tracker.correction import AxisCorrection, Correction, correct
+from tracker.seam.correction import AxisCorrection, Correction, correct
 
 lengths_mm = st.floats(-40.0, 40.0)
 displacements_mm = st.tuples(lengths_mm, lengths_mm).map(np.array)

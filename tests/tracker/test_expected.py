@@ -10,13 +10,13 @@ from expected_twin import expect_stripe as expect_stripe_plain
 from rendered import pose_at, small_setup
 from scipy.optimize import least_squares
 
-from noise_model.arc_map import scene
-from noise_model.brdf import TABLE_1
+from noise_model.arc.map import scene
 from noise_model.condition import Condition
 from noise_model.forward import predict
-from noise_model.surface import SeamLine
-from tracker.expected import expect_stripe
+from noise_model.surface.brdf import TABLE_1
+from noise_model.surface.joint import SeamLine
 from tracker.geometry import SensorGeometry
+from tracker.stripe.expected import expect_stripe
 
 SEAM = SeamLine(0.0, 0.8, -0.4, 0.01, 0.002)
 

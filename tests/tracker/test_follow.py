@@ -10,7 +10,7 @@ import twins
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from tracker.follow import (
+from tracker.seam.gaussian_process import (
     BEND_LENGTH_MM,
     BEND_SIGMA_MM,
     CAPACITY,

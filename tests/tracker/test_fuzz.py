@@ -16,7 +16,7 @@ from noise_model.condition import Condition
 from noise_model.effects import REGISTRY
 from noise_model.forward import draw_frame
 from noise_model.setup import Setup
-from noise_model.surface import Joint, SeamLine
+from noise_model.surface.joint import Joint, SeamLine
 from tracker import flags
 from tracker.state import Frame, Pose, Track
 from tracker.step import Tracker

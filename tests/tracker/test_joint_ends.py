@@ -12,9 +12,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 from rendered import frame_of, pose_at, small_setup
 
-from noise_model.frames import invert
-from noise_model.surface import Joint, seam_frame
-from tracker.joint_ends import (
+from noise_model.surface.joint import Joint, seam_frame
+from noise_model.transforms import invert
+from tracker.seam.joint_ends import (
     DECIDE_MM,
     FALSE_ALARM,
     FALSE_SHARE,

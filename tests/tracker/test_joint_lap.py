@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from profiles import COLUMN_MM, lap, measure, only, spoil
 
-from noise_model.surface import Joint
+from noise_model.surface.joint import Joint
 from tracker.joint import MeasuredJoint, fit_joint
 from tracker.joint.lap import CLEAR_OF_EDGE_MM, Sheets, clear_of_edge, near_sheets, share_off
 from tracker.joint.measured import OFF_SIGMAS, SIGMA_FLOOR_PX, count_with_floor, typical_mm

@@ -12,7 +12,7 @@ import profiles
 import pytest
 from profiles import groove, lap, measure, only
 
-from noise_model.surface import Joint
+from noise_model.surface.joint import Joint
 from tracker.joint import MeasuredJoint, fit_joint
 from tracker.joint.measured import SIGMA_FLOOR_PX
 from tracker.step import JOINT_CHI2_LIMIT, UNEXPLAINED_LIMIT

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from profiles import groove, measure, only, spoil
 
-from noise_model.surface import Joint
+from noise_model.surface.joint import Joint
 from tracker.joint import MeasuredJoint, fit_joint
 from tracker.joint.measured import SIGMA_FLOOR_PX
 

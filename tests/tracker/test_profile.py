@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 from rendered import pose_at, small_setup
 
-from noise_model.arc_map import scene
-from noise_model.frames import invert, transform
-from noise_model.surface import SeamLine
+from noise_model.arc.map import scene
+from noise_model.surface.joint import SeamLine
+from noise_model.transforms import invert, transform
 from tracker.geometry import SensorGeometry, to_laser_plane
 from tracker.profile import triangulate
 

@@ -12,12 +12,19 @@ from hypothesis import strategies as st
 from rendered import pose_at, small_setup
 from scipy.spatial.transform import Rotation
 
-from noise_model.arc_map import scene
-from noise_model.frames import invert, transform
-from noise_model.surface import SeamLine, corrugation_height
+from noise_model.arc.map import scene
+from noise_model.surface.joint import SeamLine, corrugation_height
+from noise_model.transforms import invert, transform
 from tracker import flags
 from tracker.geometry import meet_laser_plane
-from tracker.seam import confidence, hand_eye_variance, is_rigid, pose_flags, seam_point, seam_point_tool
+from tracker.seam.locate import (
+    confidence,
+    hand_eye_variance,
+    is_rigid,
+    pose_flags,
+    seam_point,
+    seam_point_tool,
+)
 
 SEAM = SeamLine(20.0, 1.2, -0.6, 0.03, -0.02)
 

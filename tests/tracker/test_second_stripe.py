@@ -6,16 +6,16 @@ import numpy as np
 import pytest
 from rendered import CURRENT_A, EXPOSURE_S, SEED, pose_at, small_setup
 
-from noise_model.arc_map import CELL, scene
+from noise_model.arc.map import CELL, scene
 from noise_model.condition import Condition
 from noise_model.forward import predict
-from noise_model.sensor import expose
+from noise_model.instrument.sensor import expose
 from noise_model.setup import Setup
-from noise_model.surface import SeamLine, seam_height_mm
-from tracker.seam import seam_point_tool
-from tracker.second_stripe import LEAST_LINES, LEAST_SHARE, second_light, second_place
+from noise_model.surface.joint import SeamLine, seam_height_mm
+from tracker.seam.locate import seam_point_tool
 from tracker.state import Frame, Pose, Track
 from tracker.step import Tracker
+from tracker.stripe.ghost import LEAST_LINES, LEAST_SHARE, second_light, second_place
 
 N_SCAN, DEPTH, WIDTH, AMPLITUDE_E, DARK_E2 = 160, 120, 3.5, 4000.0, 2500.0
 SEAM = SeamLine(0.0, 0.5, -0.3)

@@ -12,11 +12,17 @@ import twins
 from rendered import LASER_X_MM, frame_of, pose_at, small_setup, walk
 
 from noise_model.setup import Setup
-from noise_model.surface import SeamLine
-from tracker.correction import AxisCorrection, Correction
-from tracker.follow import BEND_LENGTH_MM, BEND_SIGMA_MM, MODEL_SIGMA_MM, WIDE_SIGMA_MM, SeamHistory
+from noise_model.surface.joint import SeamLine
+from tracker.seam.correction import AxisCorrection, Correction
+from tracker.seam.gaussian_process import (
+    BEND_LENGTH_MM,
+    BEND_SIGMA_MM,
+    MODEL_SIGMA_MM,
+    WIDE_SIGMA_MM,
+    SeamHistory,
+)
+from tracker.seam.steer import SeamAtTorch, seam_at_torch
 from tracker.state import Frame, Pose, Track
-from tracker.steer import SeamAtTorch, seam_at_torch
 from tracker.step import Tracker
 
 ENDLESS = (-math.inf, math.inf)

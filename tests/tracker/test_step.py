@@ -16,14 +16,14 @@ from rendered import LASER_X_MM, SEED, frame_of, pose_at, small_setup, true_seam
 
 from arctrack.recording import BadFrame, read_recording, read_truth
 from arctrack.recording import pose_at as recorded_pose_at
-from noise_model.faces import ridge
 from noise_model.setup import Setup
-from noise_model.surface import NOMINAL_SEAM, SeamLine, section
+from noise_model.surface.faces import ridge
+from noise_model.surface.joint import NOMINAL_SEAM, SeamLine, section
 from tracker import flags
 from tracker.geometry import SensorGeometry
-from tracker.read import Work
 from tracker.state import Frame, Pose, Track
 from tracker.step import Tracker, TrackerState, step
+from tracker.stripe.read import Work
 
 JOINTS = ("v_groove", "lap", "corrugation")
 SHARED = Path(__file__).parents[3] / "shared" / "recordings"

@@ -10,7 +10,7 @@ import pytest
 from rendered import frame_of, pose_at, small_setup, true_seam_tool, walk
 
 from noise_model.setup import Setup
-from noise_model.surface import SeamLine
+from noise_model.surface.joint import SeamLine
 from tracker import flags
 from tracker.step import Tracker
 

@@ -11,7 +11,7 @@ import twins
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
-from tracker.stripe_fit import (
+from tracker.stripe.fit import (
     BLOCK,
     CORRELATION_PX,
     WIDTH_SIGMA_LN,
@@ -20,9 +20,9 @@ from tracker.stripe_fit import (
     line_window,
     map_edge,
 )
-from tracker.stripe_moments import moments_of, normal_equations, solve, variance_of
-from tracker.stripe_path import MANY_OFFSETS, OFFSET_STEP, best_path, matched_filter, peaks
-from tracker.stripe_path import bell as bell_of
+from tracker.stripe.normal_equations import moments_of, normal_equations, solve, variance_of
+from tracker.stripe.viterbi import MANY_OFFSETS, OFFSET_STEP, best_path, matched_filter, peaks
+from tracker.stripe.viterbi import bell as bell_of
 
 Float64 = npt.NDArray[np.float64]
 

@@ -12,10 +12,10 @@ from hypothesis import strategies as st
 from scipy.optimize import minimize_scalar
 from scipy.special import ndtr
 
-from noise_model.arc_map import CELL
+from noise_model.arc.map import CELL
 from tracker.joint.upright_edge import edge_between
 from tracker.profile import Profile
-from tracker.stripe_end import (
+from tracker.stripe.edge import (
     BEYOND,
     LEAST_SHARE,
     LEAST_SIGMA,

@@ -8,12 +8,11 @@ import numpy as np
 import pytest
 from rendered import CURRENT_A, EXPOSURE_S, SEED, frame_of, pose_at, small_setup
 
-from noise_model.brdf import TABLE_1
-from noise_model.surface import SeamLine
-from tracker.expected import ExpectedStripe
+from noise_model.surface.brdf import TABLE_1
+from noise_model.surface.joint import SeamLine
 from tracker.state import Frame
 from tracker.step import Tracker
-from tracker.stripe_evidence import (
+from tracker.stripe.detection import (
     CHANCE_SIGMAS,
     CLEAR_SIGMAS,
     LEAST_RATIO,
@@ -23,7 +22,8 @@ from tracker.stripe_evidence import (
     path_of,
     seen_share,
 )
-from tracker.stripe_path import GAIN_CAP, OFFSET_STEP, matched_filter
+from tracker.stripe.expected import ExpectedStripe
+from tracker.stripe.viterbi import GAIN_CAP, OFFSET_STEP, matched_filter
 
 N_SCAN, N, MIDDLE = 200, 60, 30
 EVERYWHERE = np.ones(N_SCAN, dtype=np.bool_)

@@ -9,8 +9,8 @@ import smooth_twin
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from tracker import stripe_smooth
-from tracker.stripe_smooth import LEAST_DRAWN, LEAST_SURE_PX, LENGTHS
+from tracker.stripe import smooth as stripe_smooth
+from tracker.stripe.smooth import LEAST_DRAWN, LEAST_SURE_PX, LENGTHS
 
 Float64 = npt.NDArray[np.float64]
 

@@ -10,14 +10,14 @@ import numpy.typing as npt
 import pytest
 import rendered
 
-from noise_model.arc_map import scene
+from noise_model.arc.map import scene
 from noise_model.condition import Condition
 from noise_model.forward import Renderer, draw_frame
-from tracker.expected import expect_stripe
 from tracker.geometry import SensorGeometry
-from tracker.speckle import Speckle, speckle_variance_px2
 from tracker.state import Frame
 from tracker.step import Tracker
+from tracker.stripe.expected import expect_stripe
+from tracker.stripe.speckle import Speckle, speckle_variance_px2
 
 Float64 = npt.NDArray[np.float64]
 

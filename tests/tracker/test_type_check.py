@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from profiles import COLUMN_MM, measure, spoil
 from test_joint_types import CASES, LINE, fit, seen
 
-from noise_model.surface import Joint
+from noise_model.surface.joint import Joint
 from tracker.joint.type_check import Family, cut_into_pieces, family_of, is_another_type
 
 EACH = 12

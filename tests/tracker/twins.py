@@ -9,9 +9,9 @@ import numpy as np
 import numpy.typing as npt
 from scipy.optimize import minimize
 
-from tracker.arc_level import HUBER, MAP_SIGMA
-from tracker.stripe_fit import CORRELATION_PX, EDGE_PX, WIDTH_SIGMA_LN, WINDOW_SIGMAS
-from tracker.stripe_path import GAIN_CAP, JUMP_COST, JUMP_COST_CAP, MISSING_COST
+from tracker.arc.level import HUBER, MAP_SIGMA
+from tracker.stripe.fit import CORRELATION_PX, EDGE_PX, WIDTH_SIGMA_LN, WINDOW_SIGMAS
+from tracker.stripe.viterbi import GAIN_CAP, JUMP_COST, JUMP_COST_CAP, MISSING_COST
 
 Float64 = npt.NDArray[np.float64]
 Bool = npt.NDArray[np.bool_]

@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 
-from noise_model.surface import Joint, section
+from noise_model.surface.joint import Joint, section
 from tracker.joint.measured import (
     JointShape,
     MeasuredJoint,

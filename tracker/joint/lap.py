@@ -9,9 +9,9 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from noise_model.frames import Float64
 from noise_model.kernel import kernel
-from noise_model.surface import Joint, section
+from noise_model.surface.joint import Joint, section
+from noise_model.transforms import Float64
 from tracker.joint.measured import (
     OFF_SIGMAS,
     SIGMA_FLOOR_PX,

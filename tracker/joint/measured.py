@@ -9,8 +9,8 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 import numpy.typing as npt
 
-from noise_model.frames import Float64
 from noise_model.kernel import kernel
+from noise_model.transforms import Float64
 from tracker.joint.alike import add_alike
 from tracker.joint.section_fit import best_shift, fit_section
 from tracker.joint.section_shapes import N_CORNERS, corners_of, opening

@@ -15,9 +15,9 @@ import math
 import numpy as np
 import numpy.typing as npt
 
-from noise_model.faces import face_under, slope_across
-from noise_model.frames import Float64
 from noise_model.kernel import REDUCTION, kernel
+from noise_model.surface.faces import face_under, slope_across
+from noise_model.transforms import Float64
 from tracker.joint.section_shapes import N_CORNERS, corners_of
 
 STEP = 1e-6

@@ -13,8 +13,8 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from noise_model.frames import Float64
-from noise_model.surface import Joint
+from noise_model.surface.joint import Joint
+from noise_model.transforms import Float64
 from tracker.joint.measured import (
     OFF_SIGMAS,
     JointShape,
@@ -28,7 +28,7 @@ from tracker.joint.measured import (
 )
 from tracker.joint.section_shapes import SHEETS
 from tracker.profile import Profile
-from tracker.stripe_end import clear_of_an_edge, stripe_end
+from tracker.stripe.edge import clear_of_an_edge, stripe_end
 
 PRIOR_SIGMA = np.array([5.0, 0.5, 0.03, 0.03])
 """1 sigma of the left plate's height, the step to the right one (mm), both plates' slopes."""

@@ -16,9 +16,9 @@ from typing import NamedTuple, overload
 import numpy as np
 import numpy.typing as npt
 
-from noise_model.frames import Float64
 from noise_model.kernel import kernel
-from noise_model.surface import Joint
+from noise_model.surface.joint import Joint
+from noise_model.transforms import Float64
 from tracker.joint.measured import MeasuredJoint
 from tracker.joint.slot import BLURRED_LINES
 from tracker.profile import Profile

@@ -11,11 +11,11 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from noise_model.frames import Float64
 from noise_model.kernel import kernel
+from noise_model.transforms import Float64
 from tracker.joint.measured import OFF_SIGMAS
 from tracker.profile import Profile
-from tracker.stripe_end import stripe_ends
+from tracker.stripe.edge import stripe_ends
 
 Bool = npt.NDArray[np.bool_]
 

@@ -5,9 +5,9 @@ import dataclasses
 import numpy as np
 import pytest
 
-from noise_model.frames import moved
+from noise_model.transforms import moved
 from sim_to_real.check.world_stated import JOINTS, Continued, draw_stated
-from sim_to_real.experiments import MENU
+from sim_to_real.decision.experiments import MENU
 
 FROM_S, TO_S = 1.2, 1.8
 BY_KEY = {one.key: one for one in MENU}

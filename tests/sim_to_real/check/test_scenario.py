@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from arctrack.recording import RecordingWriter, pose_at, read_recording
-from noise_model.frames import transform
+from noise_model.transforms import transform
 from sim_to_real.check.scenario import (
     TIERS,
     draw,
@@ -20,7 +20,7 @@ from sim_to_real.check.world import FORMS, really_at
 from sim_to_real.check.world_effect import CATALOGUE
 from sim_to_real.check.world_light import Studio, TrueWorld
 from sim_to_real.check.world_stated import JOINTS
-from sim_to_real.experiments import MENU, N_MORE
+from sim_to_real.decision.experiments import MENU, N_MORE
 from tracker.state import Frame
 
 BY_KEY = {one.key: one for one in MENU}

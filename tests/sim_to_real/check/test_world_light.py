@@ -8,14 +8,14 @@ import numpy as np
 import pytest
 from worlds import ARC, BOTH, charge_of, pose, setup_of, studio_of, world_of
 
-from noise_model.brdf import Lobe, Material, reflectance
 from noise_model.condition import Condition
 from noise_model.forward import predict
-from noise_model.interreflection import bounced_light as modelled_bounces
-from noise_model.surface import BentSeam, SeamLine
+from noise_model.interreflection.model import bounced_light as modelled_bounces
+from noise_model.surface.brdf import Lobe, Material, reflectance
+from noise_model.surface.joint import BentSeam, SeamLine
 from noise_model.view import View
-from sim_to_real.agreement import BLOCK_PX
 from sim_to_real.check import world_bounce
+from sim_to_real.check.agreement import BLOCK_PX
 from sim_to_real.check.blocks import compare_blocks
 from sim_to_real.check.world_bounce import Bounces, bounced_light
 from sim_to_real.check.world_light import Lens, TrueWorld

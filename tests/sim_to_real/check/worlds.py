@@ -8,7 +8,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from arctrack.nominal import nominal_setup
-from noise_model.surface import Joint
+from noise_model.surface.joint import Joint
 from sim_to_real.check.world import expected_charge, really, really_at
 from sim_to_real.check.world_effect import Moment
 from sim_to_real.check.world_light import Studio, TrueWorld

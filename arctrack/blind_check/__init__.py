@@ -1,0 +1,1 @@
+"""The blind check of the diagnosis: recordings made, diagnosed and opened, and their files."""

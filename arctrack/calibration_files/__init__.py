@@ -1,0 +1,1 @@
+"""Files that calibrations read and write: goniometer readings, filter curves, reflectances."""

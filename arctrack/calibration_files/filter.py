@@ -1,0 +1,47 @@
+"""A filter's measured curve from a CSV file: wavelength and transmission or optical density."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+
+from arctrack.errors import in_file
+from arctrack.recording.csv_file import check_is_file, read_csv
+from noise_model.instrument.spectrum import CurveError, FilterCurve
+
+WAVELENGTH = "wavelength_nm"
+TRANSMISSION = "transmission"
+DENSITY = "optical_density"
+
+
+def read_filter_curve(path: Path, effective_index: float) -> FilterCurve:
+    """Read a curve measured at normal incidence; `effective_index` is the maker's, for what happens off axis.
+
+    The file's header names `wavelength_nm` and either `transmission` (0 to 1) or `optical_density`
+    (-log10 of it); other columns have no meaning here. Wavelengths must rise and the curve must cover the
+    band: fall to 1 % of its peak at both ends.
+
+    Raises ArctrackError with the file, and the line if one is to blame.
+    """
+    check_is_file(path)
+    quantity = _quantity(path)
+    table = read_csv(path, (WAVELENGTH, quantity))
+    values = np.array([[table.number(n, c) for c in (0, 1)] for n in range(len(table.rows))])
+    if quantity == DENSITY:
+        with np.errstate(over="ignore"):
+            values[:, 1] = 10.0 ** -values[:, 1]
+    try:
+        return FilterCurve(values[:, 0], values[:, 1], effective_index)
+    except CurveError as error:
+        line = None if error.sample is None else table.lines[error.sample]
+        raise in_file(path, str(error), line=line) from None
+
+
+def _quantity(path: Path) -> str:
+    columns = read_csv(path, (WAVELENGTH,)).unknown_columns
+    given = [name for name in (TRANSMISSION, DENSITY) if name in columns]
+    if len(given) != 1:
+        found = "both" if given else "neither"
+        raise in_file(path, f"has {found} of the columns {TRANSMISSION} and {DENSITY}; one is needed", line=1)
+    return given[0]

@@ -1,0 +1,1 @@
+"""The page that explains one frame: its words, pictures and plots."""

@@ -1,0 +1,192 @@
+"""explain_NNNNNN.html: why one frame gave its seam, or none, on one self-contained page."""
+
+from __future__ import annotations
+
+import math
+import shlex
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from jinja2 import Environment, PackageLoader, StrictUndefined
+
+from arctrack.explain import Explanation, StripeLook
+from arctrack.explain_lines import READ
+from arctrack.recording.setup_file import FILE_NAME
+from arctrack.report.diagnosis.words import number, percent
+from arctrack.report.explanation import pictures, plots, words
+from noise_model.transforms import Float64
+from tracker.joint.measured import off_section
+from tracker.stripe.viterbi import GAIN_CAP
+
+TEMPLATE = "explain.html.j2"
+
+MOST_CANDIDATES = 4
+"""Candidates of a scan line that are listed."""
+
+LEAST_GAIN = 2.0
+"""Candidates that gain less are noise and not listed."""
+
+
+@dataclass(frozen=True)
+class Candidate:
+    """A place where the matched filter peaks, px, its score in sigmas, its gain; whether the path took it."""
+
+    position_px: float
+    score: float
+    gain: float
+    is_chosen: bool
+
+
+@dataclass(frozen=True)
+class Line:
+    """A scan line on the page: its mark in the frame, what it is, its picture and candidates."""
+
+    mark: str
+    scan: int
+    title: str
+    summary: str
+    uri: str
+    candidates: tuple[Candidate, ...]
+
+
+def page(of: Explanation) -> str:
+    """Return the page, which needs no other file and no network."""
+    environment = Environment(
+        loader=PackageLoader("arctrack.report", "templates"),
+        autoescape=True,
+        undefined=StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
+    )
+    environment.globals.update(words=words, number=number, percent=percent)
+    return environment.get_template(TEMPLATE).render(**_content(of))
+
+
+def telling_lines(stripe: StripeLook) -> list[tuple[str, int]]:
+    """Return scan lines worth a look, with what they are: best, median and worst sigma, one without a stripe.
+
+    Of those without a stripe one that was fitted in vain tells more than one that the path passed over.
+    """
+    sigma = stripe.reading.stripe.sigma_px
+    read = np.flatnonzero(np.isfinite(sigma))
+    chosen: dict[int, str] = {}
+    if read.size:
+        order = read[np.argsort(sigma[read], kind="stable")]
+        for name, s in (("best", order[0]), ("median", order[len(order) // 2]), ("worst", order[-1])):
+            chosen.setdefault(int(s), f"{name} σ")
+    why = stripe.refusals.why
+    refused = np.flatnonzero(why != READ)
+    if refused.size:
+        fitted = refused[np.isfinite(stripe.reading.start_px[refused])]
+        among = fitted if fitted.size else refused
+        s = int(among[len(among) // 2])
+        chosen[s] = f"no stripe ({why[s]})"
+    return [(name, s) for s, name in chosen.items()]
+
+
+def candidates(of: Explanation, stripe: StripeLook, s: int) -> tuple[Candidate, ...]:
+    """Return a scan line's likeliest candidates, the likeliest first, and the chosen one if it is no peak."""
+    assert of.look is not None
+    assert of.look.expected is not None
+    reading = stripe.reading
+    score = reading.score[s].astype(float)
+    gains = np.minimum(0.5 * np.maximum(score, 0.0) ** 2, GAIN_CAP)
+    places = np.rint(of.look.expected.position_px[s]) + reading.offsets_px
+    around = np.concatenate([[-np.inf], score, [-np.inf]])
+    peaks = np.flatnonzero((score >= around[:-2]) & (score > around[2:]) & (gains >= LEAST_GAIN))
+    shown = list(peaks[np.argsort(-score[peaks], kind="stable")][:MOST_CANDIDATES])
+    start = float(reading.start_px[s])
+    taken = int(np.argmin(np.abs(places - start))) if math.isfinite(start) else None
+    if taken is not None and taken not in shown:
+        shown.append(taken)
+    return tuple(Candidate(float(places[i]), float(score[i]), float(gains[i]), i == taken) for i in shown)
+
+
+def _content(of: Explanation) -> dict[str, Any]:
+    look = of.look
+    stripe = None if look is None else look.stripe
+    lines = [] if stripe is None else _lines(of, stripe)
+    # Without the map one variance stands for all pixels: it has no parts.
+    has_parts = stripe is not None and of.use_arc_map and bool(np.isfinite(stripe.parts.stripe).any())
+    has_path = look is not None and (look.seam is not None or len(of.before.history) > 0)
+    camera = of.geometry.setup.camera
+    return {
+        "of": of,
+        "track": of.track,
+        "look": look,
+        "label": "valid" if of.track.valid else "no seam to use",
+        "flags": words.raised(of.track.flags),
+        "gates": words.gates(of),
+        "frame": pictures.frame_picture(of),
+        "overlay": pictures.overlay(of),
+        "camera": camera,
+        "saturated": int((of.frame.image_dn >= of.geometry.saturation_dn).sum()),
+        "marks": pictures.marks(of, [line.scan for line in lines]),
+        "arc": pictures.arc_pictures(of),
+        "candidates": None if stripe is None else plots.candidates_picture(of, stripe),
+        "gain_cap": GAIN_CAP,
+        "lines": lines,
+        "line": words.scan_line(of),
+        "refused": words.refused_lines(of),
+        "sigmas": plots.sigma_picture(of, stripe.parts) if stripe is not None and has_parts else None,
+        "parts": _medians(stripe) if stripe is not None and has_parts else [],
+        "profile": plots.profile_picture(of, look) if look is not None and look.profile else None,
+        "left_out": _left_out(of),
+        "history": plots.history_picture(of, look) if look is not None and has_path else None,
+        "replay": _replay(of),
+    }
+
+
+def _replay(of: Explanation) -> str:
+    """Return the command that replays the whole recording in the same way."""
+    recording = of.recording
+    command = f"arctrack replay {shlex.quote(str(recording.path))}"
+    if recording.setup_path != recording.path / FILE_NAME:
+        command += f" --setup {shlex.quote(str(recording.setup_path))}"
+    return command if of.use_arc_map else f"{command} --no-arc-map"
+
+
+def _lines(of: Explanation, stripe: StripeLook) -> list[Line]:
+    lines = []
+    for mark, (name, s) in zip("abcd", telling_lines(stripe), strict=False):
+        title = f"{mark}: {words.scan_line(of)} {s}, {name}"
+        uri = plots.line_picture(of, stripe, s, title)
+        lines.append(Line(mark, s, title, _summary(of, stripe, s), uri, candidates(of, stripe, s)))
+    return lines
+
+
+def _summary(of: Explanation, stripe: StripeLook, s: int) -> str:
+    """Return a scan line's numbers."""
+    refusals = stripe.refusals
+    if refusals.why[s] != READ:
+        found = ""
+        if math.isfinite(refusals.height_e[s]):
+            height, ratio = refusals.height_e[s], refusals.width_ratio[s]
+            found = f" What it found is {number(height)} e- high, {ratio:.2f} times as wide as expected."
+        return f"No stripe: {words.REFUSALS[str(refusals.why[s])]}.{found}"
+    position, sigma, amplitude, _, chi2 = stripe.reading.fits[s]
+    share = (
+        f"; the arc's share of the variance {percent(stripe.parts.arc_share[s])}" if of.use_arc_map else ""
+    )
+    return (
+        f"Position {position:.2f} ± {number(sigma)} px; {number(amplitude)} e- high; "
+        f"χ² {number(chi2)} per pixel{share}."
+    )
+
+
+def _medians(stripe: StripeLook) -> list[tuple[str, float]]:
+    """Return the median share of each part of the variance."""
+    parts = stripe.parts
+    total: Float64 = parts.variance_px2
+    shares = [(label, getattr(parts, name) / total) for name, (label, _) in plots.PARTS.items()]
+    return [(label, float(np.nanmedian(share))) for label, share in shares]
+
+
+def _left_out(of: Explanation) -> tuple[int, int] | None:
+    """Return how many of the profile's points lie off the fitted section, and how many there are."""
+    if of.look is None or of.look.joint is None:
+        return None
+    assert of.look.profile is not None
+    left_out = off_section(of.look.profile, of.look.joint)
+    return int(left_out.sum()), len(left_out)

@@ -1,0 +1,1 @@
+"""The arc's light on a joint: the integral over its visible part, and the map of a whole image."""

@@ -1,0 +1,390 @@
+"""The arc map of a band or a frame, filled from the faces' table (`arc_table`).
+
+The image is taken in square cells. Where the 4 by 4 rays of a cell meet one face, a bicubic polynomial
+through their light times cos^4 fills it, if its highest Chebyshev coefficients are small; else the cell is
+halved both ways. Where a plain section shows several faces, each has a polynomial of its own, of the light on
+its plane continued beyond its edges, and each scan line is cut where the rays meet another face.
+What is left is read off the table pixel by pixel.
+"""
+
+from __future__ import annotations
+
+import functools
+import math
+
+import numpy as np
+import numpy.typing as npt
+
+from noise_model.arc.face_lookup import face_seen
+from noise_model.arc.ray import ArcKernel, Scratch, scratch
+from noise_model.arc.table import FaceTable, light_at_places, places_on_plane, places_on_rays
+from noise_model.kernel import kernel
+from noise_model.surface.ray_casting import MISS
+from noise_model.transforms import Float64
+
+Float32 = npt.NDArray[np.float32]
+Int64 = npt.NDArray[np.int64]
+
+LARGEST, MIXED, SMALLEST = 64, 32, 8
+"""The cells' size, px: at first, where faces may be mixed, and where they are not halved any more."""
+
+N = 4
+"""Nodes of a cell along each direction."""
+
+SHARE = 0.5
+"""The share of the tolerance that a cell's polynomial may use up."""
+
+DECAY = 0.1
+"""By how much the highest coefficient of what is smooth lies below the one before."""
+
+CELL_WORTH = 20.0
+"""So many integrals a cell takes, with what it was halved from."""
+
+MAX_FACES = 40
+"""Room for the faces of a section: those of a U are most."""
+
+Box = tuple[int, int, int, int]
+"""A cell: its first scan line and position, and their numbers."""
+
+Rays = tuple[Float32, Float32, int]
+"""The camera's `xy` (n_scan n_pos, 2) and `cos4`, and n_pos."""
+
+Room = tuple[Int64, Float64, Int64, Float64, npt.NDArray[np.bool_], Int64, Float64, Float32]
+"""Scratch: pixels, light, faces and places; by face whether it is seen, the last run's end, coefficients
+(MAX_FACES, 4, 4); and 0, 1, 2 ..."""
+
+
+@functools.lru_cache(maxsize=1)
+def node_rules() -> tuple[Int64, Float64]:
+    """Return by a cell's size (n + 1, 4) the nodes' pixels, and (n + 1, 4, 4) from values to coefficients.
+
+    The coefficients are those of 1, t, t^2, t^3 for t from -1 at the cell's first pixel to 1 at its last.
+    """
+    places, rules = np.zeros((LARGEST + 1, N), dtype=np.int64), np.zeros((LARGEST + 1, N, N))
+    for size in range(N, LARGEST + 1):
+        places[size] = np.rint(np.linspace(0.0, size - 1.0, N))
+        rules[size] = np.linalg.inv(np.vander(2.0 * places[size] / (size - 1.0) - 1.0, increasing=True))
+    return places, rules
+
+
+@kernel
+def _to_powers(
+    values: Float64, rules: Float64, size: tuple[int, int], powers: Float64
+) -> tuple[float, float]:
+    """Turn a cell's values (16,) into coefficients (4, 4); return its highest term and its least value."""
+    rows, columns = rules[size[0]], rules[size[1]]
+    least = math.inf
+    for j in range(N):
+        for a in range(N):
+            powers[a, j] = (
+                rows[a, 0] * values[0 + j]
+                + rows[a, 1] * values[4 + j]
+                + rows[a, 2] * values[8 + j]
+                + rows[a, 3] * values[12 + j]
+            )
+            least = min(least, values[4 * a + j])
+    highest = 0.0
+    for i in range(N):
+        v_0, v_1, v_2, v_3 = values[4 * i], values[4 * i + 1], values[4 * i + 2], values[4 * i + 3]
+        cubic = columns[3, 0] * v_0 + columns[3, 1] * v_1 + columns[3, 2] * v_2 + columns[3, 3] * v_3
+        square = columns[2, 0] * v_0 + columns[2, 1] * v_1 + columns[2, 2] * v_2 + columns[2, 3] * v_3
+        # T_3 = 4 t^3 - 3 t, T_2 = 2 t^2 - 1: a kink may show in one of them alone.
+        highest = max(highest, 0.25 * abs(cubic), 0.25 * abs(powers[3, i]))
+        highest = max(highest, 0.5 * DECAY * abs(square), 0.5 * DECAY * abs(powers[2, i]))
+    for a in range(N):
+        v_0, v_1, v_2, v_3 = powers[a, 0], powers[a, 1], powers[a, 2], powers[a, 3]
+        for b in range(N):
+            powers[a, b] = (
+                columns[b, 0] * v_0 + columns[b, 1] * v_1 + columns[b, 2] * v_2 + columns[b, 3] * v_3
+            )
+    # What is not known at a node is in every coefficient.
+    if math.isnan(powers[0, 0]):
+        return math.inf, 0.0
+    return highest, least
+
+
+@kernel(inline=True)
+def _fill_row(
+    powers: Float64,
+    t: float,
+    step: float,
+    start: int,
+    ramp: Float32,
+    out: Float32,
+    row: int,
+    first: int,
+    last: int,
+) -> None:
+    """Write out[row, first : last] from a cell's coefficients at t; along the row it begins at `start`."""
+    c_0 = np.float32(powers[0, 0] + t * (powers[1, 0] + t * (powers[2, 0] + t * powers[3, 0])))
+    c_1 = np.float32(powers[0, 1] + t * (powers[1, 1] + t * (powers[2, 1] + t * powers[3, 1])))
+    c_2 = np.float32(powers[0, 2] + t * (powers[1, 2] + t * (powers[2, 2] + t * powers[3, 2])))
+    c_3 = np.float32(powers[0, 3] + t * (powers[1, 3] + t * (powers[2, 3] + t * powers[3, 3])))
+    along, origin = np.float32(step), np.float32(-1.0 + step * (first - start))
+    for j in range(last - first):
+        u = origin + along * ramp[j]
+        out[row, first + j] = c_0 + u * (c_1 + u * (c_2 + u * c_3))
+
+
+@kernel(inline=True)
+def _line_in_band(box: Box, i: int, lows: Int64, group: int, depth: int) -> tuple[int, int, int]:
+    """Return where the band begins on a cell's i-th line, and which positions of the cell lie in it."""
+    scan, pos, _, n_p = box
+    low = lows[(scan + i) // group]
+    return low, max(pos, low), min(pos + n_p, low + depth)
+
+
+@kernel(fastmath={"contract"})
+def _fill_smooth(powers: Float64, box: Box, lows: Int64, group: int, ramp: Float32, band_e: Float32) -> None:
+    """Fill the part of a cell that lies in the band from its coefficients."""
+    scan, pos, n_s, n_p = box
+    depth = band_e.shape[1]
+    t_step, u_step = 2.0 / (n_s - 1), 2.0 / (n_p - 1)
+    for i in range(n_s):
+        low, first, last = _line_in_band(box, i, lows, group, depth)
+        t = -1.0 + t_step * i
+        if first == pos and last - first == LARGEST:
+            # The usual case, of a length that the compiler knows.
+            at = first - low
+            _fill_row(powers, t, u_step, at, ramp, band_e, scan + i, at, at + LARGEST)
+        else:
+            _fill_row(powers, t, u_step, pos - low, ramp, band_e, scan + i, first - low, last - low)
+
+
+@kernel
+def _fill_run(
+    k: ArcKernel,
+    table: FaceTable,
+    rays: Rays,
+    scan: int,
+    low: int,
+    first: int,
+    last: int,
+    out: Float32,
+    room: Room,
+    work: Scratch,
+) -> None:
+    """Write positions first ... last - 1 of one scan line into out[position - low], pixel by pixel."""
+    xy, cos4, n_pos = rays
+    pixels, light_e, faces, places = room[0], room[1], room[2], room[3]
+    for j in range(last - first):
+        pixels[j] = scan * n_pos + first + j
+    places_on_rays(k, table, xy, pixels, last - first, faces, places)
+    light_at_places(k, table, cos4, pixels, last - first, faces, places, 0.0, light_e, work)
+    for j in range(last - first):
+        out[first - low + j] = light_e[j]
+
+
+@kernel
+def _node_pixels(n_pos: int, box: Box, node_at: Int64, pixels: Int64) -> None:
+    """Write the pixels (16,) of a cell's nodes."""
+    scan, pos, n_s, n_p = box
+    for i in range(N):
+        for j in range(N):
+            pixels[N * i + j] = (scan + node_at[n_s, i]) * n_pos + pos + node_at[n_p, j]
+
+
+@kernel
+def _fill_mixed(
+    k: ArcKernel,
+    table: FaceTable,
+    rays: Rays,
+    box: Box,
+    rules: Float64,
+    lows: Int64,
+    group: int,
+    band_e: Float32,
+    room: Room,
+    work: Scratch,
+) -> bool:
+    """Fill a cell of a plain section that shows several faces; False if one of them needs smaller cells.
+
+    In `room` the nodes' pixels and which faces they meet are known; the latter are left with those that have
+    coefficients.
+    """
+    xy, cos4, n_pos = rays
+    pixels, light_e, faces, places, seen, guess, powers, ramp = room
+    scan, pos, n_s, n_p = box
+    for face in range(k.vertices.shape[0] - 1):
+        if not seen[face]:
+            continue
+        places_on_plane(k, face, xy, pixels, N * N, faces, places)
+        light_at_places(k, table, cos4, pixels, N * N, faces, places, 0.0, light_e, work)
+        highest, least = _to_powers(light_e, rules, (n_s, n_p), powers[face])
+        if not highest <= SHARE * max(table.rel * least, table.floor_e):
+            if n_s > SMALLEST or n_p > SMALLEST:
+                return False
+            seen[face] = False
+    depth = band_e.shape[1]
+    t_step, u_step = 2.0 / (n_s - 1), 2.0 / (n_p - 1)
+    for i in range(guess.shape[0]):
+        guess[i] = -1
+    for i in range(n_s):
+        row = (scan + i) * n_pos
+        low, first, end = _line_in_band(box, i, lows, group, depth)
+        if first >= end:
+            continue
+        face = face_seen(k, table.seen, xy[row + first, 0], xy[row + first, 1])
+        face_end = face_seen(k, table.seen, xy[row + end - 1, 0], xy[row + end - 1, 1])
+        run = 0
+        while first < end:
+            last = end
+            if face != face_end:
+                # The last pixel that still shows this face: where it was one line before, or by halving.
+                inside, last = first, end - 1
+                probe = guess[run]
+                for _ in range(2):
+                    if inside < probe < last:
+                        met = face_seen(k, table.seen, xy[row + probe, 0], xy[row + probe, 1])
+                        inside, last = (probe, last) if met == face else (inside, probe)
+                        probe += 1 if met == face else -1
+                while last - inside > 1:
+                    probe = (inside + last) // 2
+                    met = face_seen(k, table.seen, xy[row + probe, 0], xy[row + probe, 1])
+                    inside, last = (probe, last) if met == face else (inside, probe)
+                guess[run] = last
+                run = min(run + 1, guess.shape[0] - 1)
+            if face != MISS and seen[face]:
+                _fill_row(
+                    powers[face],
+                    -1.0 + t_step * i,
+                    u_step,
+                    pos - low,
+                    ramp,
+                    band_e,
+                    scan + i,
+                    first - low,
+                    last - low,
+                )
+            else:
+                _fill_run(k, table, rays, scan + i, low, first, last, band_e[scan + i], room, work)
+            first = last
+            if first < end:
+                face = face_seen(k, table.seen, xy[row + first, 0], xy[row + first, 1])
+    return True
+
+
+@kernel
+def _fill_cell(
+    k: ArcKernel,
+    table: FaceTable,
+    rays: Rays,
+    box: Box,
+    node_at: Int64,
+    rules: Float64,
+    lows: Int64,
+    group: int,
+    band_e: Float32,
+    room: Room,
+    work: Scratch,
+) -> bool:
+    """Try to fill one cell; False if it has to be halved."""
+    xy, cos4, n_pos = rays
+    pixels, light_e, faces, places, seen, _, powers, ramp = room
+    scan, _, n_s, n_p = box
+    if n_s >= N and n_p >= N:
+        _node_pixels(n_pos, box, node_at, pixels)
+        places_on_rays(k, table, xy, pixels, N * N, faces, places)
+        is_one = faces[0] != MISS
+        for face in range(k.vertices.shape[0] - 1):
+            seen[face] = False
+        for i in range(N * N):
+            is_one = is_one and faces[i] == faces[0]
+            if faces[i] != MISS:
+                seen[faces[i]] = True
+        if is_one:
+            light_at_places(k, table, cos4, pixels, N * N, faces, places, 0.0, light_e, work)
+            highest, least = _to_powers(light_e, rules, (n_s, n_p), powers[0])
+            if highest <= SHARE * max(table.rel * least, table.floor_e):
+                _fill_smooth(powers[0], box, lows, group, ramp, band_e)
+                return True
+        elif (
+            k.corrugation[0] == 0.0
+            and max(n_s, n_p) <= MIXED
+            and _fill_mixed(k, table, rays, box, rules, lows, group, band_e, room, work)
+        ):
+            return True
+    if n_s > SMALLEST or n_p > SMALLEST:
+        return False
+    for i in range(n_s):
+        low, first, last = _line_in_band(box, i, lows, group, band_e.shape[1])
+        _fill_run(k, table, rays, scan + i, low, first, last, band_e[scan + i], room, work)
+    return True
+
+
+@kernel(allocates=True)
+def _fill_band(
+    k: ArcKernel,
+    table: FaceTable,
+    xy: Float32,
+    cos4: Float32,
+    node_at: Int64,
+    rules: Float64,
+    lows: Int64,
+    group: int,
+    band_e: Float32,
+) -> None:
+    """Fill a band (n_scan, depth), see `arc_map.arc_band`."""
+    n_scan, depth = band_e.shape
+    n_pos = cos4.shape[0] // n_scan
+    work = scratch()
+    room = (
+        np.empty(LARGEST, dtype=np.int64),
+        np.empty(LARGEST),
+        np.empty(LARGEST, dtype=np.int64),
+        np.empty((LARGEST, 2)),
+        np.empty(MAX_FACES, dtype=np.bool_),
+        np.empty(MAX_FACES, dtype=np.int64),
+        np.empty((MAX_FACES, N, N)),
+        np.arange(LARGEST).astype(np.float32),
+    )
+    rays = (xy, cos4, n_pos)
+    # Cells still to be filled, the one on top next: scan line, position, their numbers.
+    stack = np.empty((64, 4), dtype=np.int64)
+    for scan in range(0, n_scan, LARGEST):
+        lines = min(LARGEST, n_scan - scan)
+        low, high = n_pos, 0
+        for g in range(scan // group, (scan + lines - 1) // group + 1):
+            low, high = min(low, lows[g]), max(high, lows[g] + depth)
+        for pos in range(low // LARGEST * LARGEST, high, LARGEST):
+            stack[0, 0], stack[0, 1], stack[0, 2], stack[0, 3] = scan, pos, lines, min(LARGEST, n_pos - pos)
+            waiting = 1
+            while waiting > 0:
+                waiting -= 1
+                box = (stack[waiting, 0], stack[waiting, 1], stack[waiting, 2], stack[waiting, 3])
+                if _fill_cell(k, table, rays, box, node_at, rules, lows, group, band_e, room, work):
+                    continue
+                s_half = box[2] if box[2] <= SMALLEST else (box[2] + 1) // 2
+                p_half = box[3] if box[3] <= SMALLEST else (box[3] + 1) // 2
+                for s in range(0, box[2], s_half):
+                    for p in range(0, box[3], p_half):
+                        stack[waiting, 0], stack[waiting, 1] = box[0] + s, box[1] + p
+                        stack[waiting, 2], stack[waiting, 3] = (
+                            min(s_half, box[2] - s),
+                            min(p_half, box[3] - p),
+                        )
+                        waiting += 1
+
+
+def fill_band(
+    k: ArcKernel, table: FaceTable, xy: Float32, cos4: Float32, lows: Int64, group: int, band_e: Float32
+) -> None:
+    """Fill a band (n_scan, depth), e-; `group` scan lines share a place of `lows`. See `arc_map.ArcMap`."""
+    _fill_band(k, table, xy, cos4, *node_rules(), lows, group, band_e)
+
+
+@kernel(allocates=True)
+def fill_pixels(
+    k: ArcKernel, table: FaceTable, xy: Float32, cos4: Float32, pixels: Int64, out: Float32
+) -> None:
+    """Write the light (n,), e-, at some pixels (n,) of the whole image; NaN past the workpiece.
+
+    Cells that hold less of them than nodes are not worth making.
+    """
+    n = len(pixels)
+    faces, places, light_e = np.empty(n, dtype=np.int64), np.empty((n, 2)), np.empty(n)
+    x_low, x_high, y_low, y_high = k.reach
+    least_mm2 = CELL_WORTH * (x_high - x_low) * (y_high - y_low) / max(n, 1)
+    places_on_rays(k, table, xy, pixels, n, faces, places)
+    light_at_places(k, table, cos4, pixels, n, faces, places, least_mm2, light_e, scratch())
+    out[:] = light_e

@@ -1,0 +1,328 @@
+"""The arc map: per pixel the mean of the arc's light for the robot's present pose (Eq. 8-14, 18).
+
+The arc is a Lambertian emitter, so L cos(phi) dA / r^2 is L d(omega) and a pixel receives
+
+    radiance_e cos^4 * integral over the visible directions of f_r(omega, omega_r) cos(theta_i) d(omega).
+
+`arc_integral` holds the integral of one surface point, `arc_ray` a ray's, `arc_table` the faces' light as
+piecewise polynomials and `arc_fill` the filling of bands and frames from them.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+from functools import cached_property, lru_cache
+
+import numpy as np
+import numpy.typing as npt
+
+from noise_model.arc.fill import MIXED, fill_band, fill_pixels
+from noise_model.arc.quadrature import gauss_nodes
+from noise_model.arc.ray import ArcKernel as ArcKernel
+from noise_model.arc.ray import follow, light_at, scratch
+from noise_model.arc.table import TO_POWERS, FaceTable, new_table
+from noise_model.instrument.camera import Camera
+from noise_model.kernel import kernel
+from noise_model.setup import Setup
+from noise_model.surface.brdf import lobe_numbers
+from noise_model.surface.joint import NOMINAL_SEAM, SeamLine, Section, corrugation_height, seam_frame, section
+from noise_model.surface.ray_casting import MISS, surface_height
+from noise_model.surface.visibility import horizon_tables, is_curved_lap
+from noise_model.transforms import Float64, invert, transform
+
+Float32 = npt.NDArray[np.float32]
+Int32 = npt.NDArray[np.int32]
+Int64 = npt.NDArray[np.int64]
+
+NODES_P, NODES_Q = 8, 4
+"""Nodes across the arc's disc and up a chord."""
+
+TOLERANCE, FLOOR_E = 0.005, 20.0
+"""How far a filled map may be off: relative, or in electrons where that is more."""
+
+MOST_MARGIN_MM = 4.0
+"""No face is continued further beyond its edges."""
+
+FOOT_STEPS = 3
+"""Each leaves a hundredth of what a sheet's tilt moves the foot of the arc by."""
+
+CELL = 8
+"""So many scan lines of a band share its place."""
+
+
+@dataclass(frozen=True)
+class Scene:
+    """Camera, arc and surface of one pose in the joint frame.
+
+    `T_joint_camera` (4, 4) mm, `T_joint_tool` (4, 4) mm, `camera` itself, `center_mm` (3,) the arc's centre,
+    `shape` the section. `bend` says how the section's edges leave the direction of x on their way to the arc:
+    their slope dy/dx at the section, how far to the left they run under the arc, mm.
+    """
+
+    T_joint_tool: Float64
+    T_joint_camera: Float64
+    camera: Camera
+    center_mm: Float64
+    shape: Section
+    bend: tuple[float, float] = (0.0, 0.0)
+
+    @cached_property
+    def footprint_mm(self) -> Float64:
+        """Between which x and y (2, 2), mm, joint frame, the camera sees the joint.
+
+        Its rim's rays are followed to the highest and the lowest level between the plates, and to the plates
+        where these rise or fall.
+        """
+        footprint = np.empty((2, 2))
+        _write_footprint(
+            _rim_rays(*self.camera.geometry),
+            self.T_joint_camera,
+            self.shape.vertices,
+            self.shape.corrugation,
+            footprint,
+        )
+        return footprint
+
+    @property
+    def stations_mm(self) -> tuple[float, float, float]:
+        """From which station to which the camera sees the plate, and the torch's."""
+        first, last = self.footprint_mm[0]
+        return float(first), float(last), float(self.T_joint_tool[0, 3])
+
+    @cached_property
+    def below_surface(self) -> bool:
+        """Whether the camera stands in or under the workpiece, where no prediction makes sense."""
+        x, y, z = self.T_joint_camera[:3, 3]
+        plain = float(np.interp(y, self.shape.vertices[:, 0], self.shape.vertices[:, 1]))
+        return bool(z <= plain + float(corrugation_height(np.array(x), self.shape.corrugation)))
+
+
+def scene(
+    setup: Setup, T_base_tool: Float64, seam: SeamLine = NOMINAL_SEAM, ground: SeamLine | None = None
+) -> Scene:
+    """Put camera, arc and surface of a pose into the joint frame.
+
+    Where the true seam runs beside its nominal line, the joint frame, the section and the arc that stands on
+    it go with it; but ridges stay across the nominal line when the seam between them turns. `ground` is
+    another stretch of a bent seam, on whose surface the arc stands.
+    """
+    laid = replace(seam, slope_y=0.0) if setup.joint.has_ridges and seam.slope_y != 0.0 else seam
+    T_base_joint = seam_frame(setup.joint, _ahead(setup, T_base_tool)) @ laid.frame()
+    T_joint_tool = invert(T_base_joint) @ T_base_tool
+    T_joint_camera = T_joint_tool @ setup.camera.T_tool_camera
+    shape = section(setup.joint)
+    offset = np.asarray(setup.arc.center_in_tool_mm)
+    center = T_joint_tool[:3, :3] @ offset + T_joint_tool[:3, 3]
+    if setup.arc.on_surface:
+        # Over the surface the arc keeps its height, and a tilted tool carries its foot sideways.
+        # The way down is upright, and an inclined sheet's ridges are not.
+        foot = center[0] - laid.slope_z * center[2]
+        for _ in range(FOOT_STEPS):
+            height = float(corrugation_height(foot, shape.corrugation))
+            foot = center[0] - laid.slope_z * (center[2] - height)
+        center[0], center[2] = foot + laid.slope_z * offset[2], offset[2] + height
+        if ground is not None:
+            center[2] += _higher_mm(laid, ground, center)
+    bend = seam.slope_y - laid.slope_y, _beside_mm(laid, seam if ground is None else ground, center)
+    return Scene(T_joint_tool, T_joint_camera, setup.camera, center, shape, bend)
+
+
+def _higher_mm(seam: SeamLine, ground: SeamLine, point_mm: Float64) -> float:
+    """Return how much higher another stretch's plate lies than the seam's own, at a point of its frame."""
+    T_seam_ground = invert(seam.frame()) @ ground.frame()
+    up, origin = T_seam_ground[:3, 2], T_seam_ground[:3, 3]
+    return float(origin[2] - (up[:2] @ (point_mm[:2] - origin[:2])) / up[2])
+
+
+def _beside_mm(seam: SeamLine, ground: SeamLine, point_mm: Float64) -> float:
+    """Return how far to the left another stretch's seam runs of a seam's own, at a point of its frame."""
+    if ground is seam:
+        return 0.0
+    T_seam_ground = invert(seam.frame()) @ ground.frame()
+    along, origin = T_seam_ground[:3, 0], T_seam_ground[:3, 3]
+    return float(origin[1] + along[1] / along[0] * (point_mm[0] - origin[0]))
+
+
+def _ahead(setup: Setup, T_base_tool: Float64) -> Float64:
+    """Return the point of base where the sheet is at tool height: by it the seam's segment is chosen."""
+    return transform(T_base_tool, setup.laser.point_mm)
+
+
+@kernel
+def _write_footprint(
+    rays: Float64, T_joint_camera: Float64, vertices: Float64, corrugation: Float64, footprint: Float64
+) -> None:
+    """Write between which x and y (2, 2) rays (n, 3) of the camera, followed as `Scene` says, end."""
+    T, last = T_joint_camera, vertices.shape[0] - 1
+    eye_y, eye_z = T[1, 3], T[2, 3]
+    lowest, highest = math.inf, -math.inf
+    for j in range(1, last):
+        lowest, highest = min(lowest, vertices[j, 1]), max(highest, vertices[j, 1] + corrugation[0])
+    for c in range(2):
+        footprint[c, 0], footprint[c, 1] = math.inf, -math.inf
+    for i in range(rays.shape[0]):
+        x, y, z = rays[i, 0], rays[i, 1], rays[i, 2]
+        d_x = T[0, 0] * x + T[0, 1] * y + T[0, 2] * z
+        d_y = T[1, 0] * x + T[1, 1] * y + T[1, 2] * z
+        d_z = T[2, 0] * x + T[2, 1] * y + T[2, 2] * z
+        # A ray that does not go down meets no plate: it is followed to a slope of 1 in 10 at most.
+        least = -0.1 * math.sqrt(d_x * d_x + d_y * d_y + d_z * d_z)
+        for which in range(4):
+            slope, level = 0.0, lowest if which == 0 else highest
+            if which >= 2:
+                edge, end = (1, 0) if which == 2 else (last - 1, last)
+                slope = (vertices[end, 1] - vertices[edge, 1]) / (vertices[end, 0] - vertices[edge, 0])
+                level = vertices[edge, 1] + slope * (eye_y - vertices[edge, 0])
+                if slope == 0.0:
+                    continue
+            way = (level - eye_z) / min(d_z - slope * d_y, least)
+            for c in range(2):
+                at = T[c, 3] + way * (d_x if c == 0 else d_y)
+                footprint[c, 0], footprint[c, 1] = min(footprint[c, 0], at), max(footprint[c, 1], at)
+
+
+@lru_cache
+def _rim_rays(
+    width: int, height: int, fx: float, fy: float, cx: float, cy: float, distortion: tuple[float, ...]
+) -> Float64:
+    """Return rays (9, 3) of the image's corners, its sides' middles and its own, camera frame."""
+    camera = Camera(width, height, fx, fy, cx, cy, np.eye(4), distortion)
+    u, v = np.meshgrid([0.0, 0.5 * (width - 1.0), width - 1.0], [0.0, 0.5, 1.0])
+    rim = camera.normalised(np.column_stack([u.ravel(), v.ravel() * (height - 1.0)]))
+    return np.column_stack([rim, np.ones(len(rim))])
+
+
+def _metal_cuts(radius: float, view: Scene) -> bool:
+    """Say whether the sheets of a lap whose edge is not straight may cut into the luminous half-sphere."""
+    if not is_curved_lap(view.shape.vertices, view.shape.corrugation, view.bend):
+        return False
+    tau, delta = np.meshgrid(np.linspace(0.0, 0.5 * np.pi, 10), np.linspace(0.0, 2.0 * np.pi, 24))
+    sin = np.sin(tau)
+    outward = np.stack([sin * np.cos(delta), sin * np.sin(delta), np.cos(tau)], axis=-1)
+    on_arc = view.center_mm - np.array([0.0, view.bend[1], 0.0]) + radius * outward
+    return bool((on_arc[..., 2] < surface_height(on_arc, view.shape) - 1e-6).any())
+
+
+def arc_kernel(
+    setup: Setup, view: Scene, level: float = 1.0, nodes: tuple[int, int] = (NODES_P, NODES_Q)
+) -> ArcKernel:
+    """Gather a scene for the kernels; `level` is the arc's output over the nominal one.
+
+    Raises ValueError for a pose whose camera stands below the surface.
+    """
+    if view.below_surface:
+        raise ValueError("the camera stands below the surface at this pose")
+    x, y, z = view.T_joint_camera[:3, 3]
+    x_range, y_range = view.footprint_mm.tolist()
+    radius = setup.arc.radius_mm
+    start, horizons = horizon_tables(view.shape, (x_range[0], x_range[1]), view.center_mm, radius)
+    return ArcKernel(
+        np.ascontiguousarray(view.T_joint_camera[:3, :3]),
+        (float(x), float(y), float(z)),
+        (float(view.center_mm[0]), float(view.center_mm[1]), float(view.center_mm[2])),
+        view.bend,
+        radius,
+        setup.arc.radiance_e * level,
+        view.shape.vertices,
+        view.shape.corrugation,
+        start,
+        horizons,
+        _metal_cuts(radius, view),
+        (*x_range, *y_range),
+        lobe_numbers(setup.material),
+        gauss_nodes(),
+        *nodes,
+    )
+
+
+@kernel(allocates=True)
+def _arc_pixels(
+    k: ArcKernel, xy: Float32, cos4: Float32, pixels: Int64, mean_e: Float32, faces: Int32
+) -> None:
+    """Fill `mean_e` and `faces` (n,) of some pixels (n,), see `arc_at`."""
+    work = scratch()
+    for i in range(pixels.shape[0]):
+        P, face = follow(k, xy[pixels[i], 0], xy[pixels[i], 1])
+        faces[i] = face
+        mean_e[i] = math.nan if face == MISS else cos4[pixels[i]] * light_at(k, P, face, work)
+
+
+def arc_at(kernel: ArcKernel, xy: Float32, cos4: Float32, pixels: Int64) -> tuple[Float32, Int32]:
+    """Return the arc's mean, e- for `camera.exposure_s`, and the face seen at some pixels (n,).
+
+    `xy` (H W, 2) and `cos4` (H W,) are the flattened `optics.Rays`. Before the point-spread function; NaN
+    where a pixel looks past the workpiece.
+    """
+    mean_e = np.empty(len(pixels), dtype=np.float32)
+    faces = np.empty(len(pixels), dtype=np.int32)
+    _arc_pixels(kernel, xy, cos4, pixels, mean_e, faces)
+    return mean_e, faces
+
+
+@dataclass(frozen=True, eq=False)
+class ArcMap:
+    """The arc's light on a camera's rays, read off tables of the faces that are made where they are asked.
+
+    `xy` (n_scan n_pos, 2) and `cos4` (n_scan n_pos,) are the camera's rays by scan line. All light is e- for
+    `camera.exposure_s`, before the point-spread function, and NaN where a pixel looks past the workpiece.
+    """
+
+    kernel: ArcKernel
+    xy: Float32
+    cos4: Float32
+    table: FaceTable
+
+    @classmethod
+    def of(
+        cls,
+        kernel: ArcKernel,
+        xy: Float32,
+        cos4: Float32,
+        n_scan: int,
+        tolerance: float = TOLERANCE,
+        floor_e: float = FLOOR_E,
+    ) -> ArcMap:
+        """Begin the map of a scene.
+
+        `tolerance`, relative, and `floor_e`, whichever is more, bound what the faces' tables and the cells
+        read off them may each be off, halves of it where all is smooth; see docs/arc_map.md for what is
+        reached.
+        """
+        margin_mm = _margin_mm(kernel, xy, n_scan)
+        return cls(kernel, xy, cos4, new_table(kernel, margin_mm, tolerance, floor_e, TO_POWERS))
+
+    def at(self, pixels: Int64) -> Float32:
+        """Return the light (n,) at some pixels (n,)."""
+        mean_e = np.empty(len(pixels), dtype=np.float32)
+        fill_pixels(self.kernel, self.table, self.xy, self.cos4, pixels, mean_e)
+        return mean_e
+
+    def fill(self, lows: Int64, band_e: Float32) -> None:
+        """Fill a band (n_scan, depth); CELL lines each begin at a place of `lows` (ceil(n_scan / CELL),)."""
+        fill_band(self.kernel, self.table, self.xy, self.cos4, lows, CELL, band_e)
+
+
+def _margin_mm(kernel: ArcKernel, xy: Float32, n_scan: int) -> float:
+    """Return how far a cell of `MIXED` pixels reaches on a level face, beyond its edge, mm."""
+    # An image of one pixel has no step.
+    first = max(0, min(len(xy) // n_scan // 2, len(xy) - 2))
+    pixel = float(np.hypot(*np.diff(xy[first : first + 2], axis=0).sum(axis=0)))
+    distance = kernel.eye[2] / max(0.1, abs(kernel.rotation[2, 2]))
+    margin: float = min(MIXED * pixel * distance, MOST_MARGIN_MM)
+    return margin
+
+
+def arc_frame(
+    kernel: ArcKernel,
+    xy: Float32,
+    cos4: Float32,
+    shape: tuple[int, int],
+    tolerance: float = TOLERANCE,
+    floor_e: float = FLOOR_E,
+) -> Float32:
+    """Return the whole `ArcMap` (H, W), e-; NaN where a pixel looks past the workpiece."""
+    frame_e = np.empty(shape, dtype=np.float32)
+    lows = np.zeros(-(-shape[0] // CELL), dtype=np.int64)
+    ArcMap.of(kernel, xy, cos4, shape[0], tolerance, floor_e).fill(lows, frame_e)
+    return frame_e

@@ -1,0 +1,373 @@
+"""The arc's light on one surface point: the integral over the part of the luminous half-sphere it sees.
+
+From a point P the sphere's outline is a circle. With e_w towards the centre, e_u level and e_v upright,
+directions are omega = e_w + tan(beta) (p e_u + q e_v), (p, q) in the unit disc, and
+d(omega) = tan(beta)^2 (1 + tan(beta)^2 (p^2 + q^2))^(-3/2) dp dq, sin(beta) = R / distance. The luminous
+upper half ends at the near arc of the equator, an ellipse q_0(p) in closed form; whatever hides the arc cuts
+the disc along straight lines (`visibility.sky_planes`). Where two of these borders cross, the open chord
+changes its form: the disc is cut there (`crossings`), in each piece the chord's ends are smooth, and
+Gauss-Legendre in the angle s of p = cos(s) and in q converges fast; a disc that nothing cuts has a rule of
+its own across (`_outline_rule`).
+"""
+
+from __future__ import annotations
+
+import functools
+import math
+
+import numpy as np
+
+from noise_model.arc.chords import (
+    MAX_NODES_P,
+    MAX_PARTS,
+    Axes,
+    chords,
+    corner_p,
+    crossings,
+    disc,
+    disc_lines,
+    insert,
+    ledge_crossings,
+    wall_parts,
+)
+from noise_model.arc.sheet_occlusion import Metal, chord_parts, is_clear, look_along, open_below, open_range
+from noise_model.kernel import REDUCTION, kernel
+from noise_model.surface.brdf import LobeNumbers, reflected
+from noise_model.transforms import Float64, Vector
+
+MAX_NODES_Q = 16
+"""The most nodes up one chord."""
+
+MAX_POINTS = 2048
+"""Room for the nodes of one point's integral; what would not fit is not summed in one go."""
+
+UNCUT_SHARE = 0.75
+"""So many of the nodes across do where nothing cuts the disc."""
+
+PIECE_FLOOR = 0.5
+"""A narrow piece of the disc still gets this share of the whole disc's nodes across."""
+
+CURVED_FACTOR = 2.0
+"""So many times the nodes across where walls or a corrugated lap's metal cut into the arc."""
+
+NEAR_ARC = 0.35
+"""From this sine of the arc's half-angle on there are more nodes, the more the nearer the point."""
+
+LOBE_RADII = 2.0
+"""The nodes hold a disc of so many lobe's widths, to 0.25 %; a larger one has more in proportion."""
+
+EXP_LIMIT = 40.0
+"""Beyond exp(-40) a lobe is dark."""
+
+
+def _outline_rule(n: int) -> tuple[Float64, Float64]:
+    """Return nodes and weights (n,), n even, on [-1, 1] for u times a polynomial of u = sqrt(1 - p^2).
+
+    The integral of a polynomial in p and q over chords that begin and end on the outline is such. It is
+    twice that of u^2 / sqrt(1 - u^2) times a polynomial on [0, 1], whose Gaussian rule is found by
+    Stieltjes' recurrence and Golub and Welsch (1969): exact up to u^n.
+    """
+    x, weight = np.polynomial.legendre.leggauss(64)
+    u = np.sin(np.pi / 4.0 * (x + 1.0))
+    weight = np.pi / 4.0 * weight * u * u
+    middle, beside = np.zeros(n // 2), np.zeros(n // 2)
+    before, now = np.zeros_like(u), np.full_like(u, 1.0 / np.sqrt(weight.sum()))
+    for k in range(n // 2):
+        middle[k] = weight @ (u * now * now)
+        after = (u - middle[k]) * now - beside[k - 1] * before
+        beside[k] = np.sqrt(weight @ (after * after))
+        before, now = now, after / beside[k]
+    nodes, vectors = np.linalg.eigh(np.diag(middle) + np.diag(beside[:-1], 1) + np.diag(beside[:-1], -1))
+    p, half = np.sqrt(1.0 - nodes**2), weight.sum() * vectors[0] ** 2 / nodes
+    return np.concatenate([-p, p[::-1]]), np.concatenate([half, half[::-1]])
+
+
+@functools.lru_cache(maxsize=1)
+def gauss_nodes() -> Float64:
+    """Return rules by number of nodes: (6, MAX_NODES_P + 1, MAX_NODES_P), Gauss-Legendre's but for the last.
+
+    Row 0 and 1 are p = cos(s) on [-1, 1] and its weights with dp/ds, row 2 and 3 nodes and weights on [0, 1],
+    row 4 and 5, for even numbers, `_outline_rule`.
+    """
+    rules = np.zeros((6, MAX_NODES_P + 1, MAX_NODES_P))
+    for n in range(1, MAX_NODES_P + 1):
+        x, weight = np.polynomial.legendre.leggauss(n)
+        angle = np.pi / 2.0 * (x + 1.0)
+        rules[0, n, :n], rules[1, n, :n] = np.cos(angle), np.pi / 2.0 * weight * np.sin(angle)
+        rules[2, n, :n], rules[3, n, :n] = 0.5 * (x + 1.0), 0.5 * weight
+        if n % 2 == 0:
+            rules[4, n, :n], rules[5, n, :n] = _outline_rule(n)
+    return rules
+
+
+@kernel(inline=True)
+def disc_in_lobes(tan_b: float, towards: Vector, omega_r: Vector, material: LobeNumbers) -> float:
+    """Return the radius of the arc's disc over the lobe's width where that is least.
+
+    A direction that leaves `towards`, the arc's centre, by an angle d out of the plane of omega_r moves the
+    half vector h = (omega_i + omega_r) / |omega_i + omega_r| by d / (2 cos(beta)), cos(beta) = omega_i.h, in
+    that plane by d / 2. So exp(-c2 alpha^2) has the width 2 cos(beta) / sqrt(c2).
+    """
+    hx, hy, hz = towards[0] + omega_r[0], towards[1] + omega_r[1], towards[2] + omega_r[2]
+    cos_beta = 0.5 * math.sqrt(hx * hx + hy * hy + hz * hz)
+    c2 = material[2] * math.exp(abs(material[4]))
+    return 0.5 * tan_b * math.sqrt(c2) / max(cos_beta, 1e-9)
+
+
+@kernel(fastmath=REDUCTION)
+def _sum_round(
+    points: Float64,
+    n: int,
+    tan_b: float,
+    n_w: float,
+    n_u: float,
+    n_v: float,
+    r_w: float,
+    r_u: float,
+    r_v: float,
+    cos_r: float,
+    kappa_diff: float,
+    kappa_spec: float,
+    c2: float,
+) -> float:
+    """Return the weighted sum of f_r cos(theta_i) (1 + tan^2 (p^2 + q^2))^(-3/2) for a round Gaussian lobe.
+
+    Written without branches or calls so that it runs four nodes at a time: alpha^2 is `brdf.alpha_squared`'s
+    series, exp(-y) is its Taylor polynomial at y / 64, squared six times (2e-8 relative at y = 5).
+    """
+    total = 0.0
+    inverse_cos_r = 1.0 / cos_r
+    for i in range(n):
+        p, q = tan_b * points[0, i], tan_b * points[1, i]
+        inverse = 1.0 / math.sqrt(1.0 + p * p + q * q)
+        cos_i = max(0.0, (n_w + p * n_u + q * n_v) * inverse)
+        inverse_h = 1.0 / math.sqrt(2.0 + 2.0 * (r_w + p * r_u + q * r_v) * inverse)
+        cos_alpha = min(1.0, (cos_i + cos_r) * inverse_h)
+        x = 1.0 - cos_alpha
+        tail = 8.0 / 1575.0 + x * (4.0 / 2079.0 + x * (16.0 / 21021.0 + x * (2.0 / 6435.0)))
+        alpha_2 = 2.0 * x * (1.0 + x * (1.0 / 6.0 + x * (2.0 / 45.0 + x * (1.0 / 70.0 + x * tail))))
+        y = min(c2 * alpha_2, EXP_LIMIT) * (-1.0 / 64.0)
+        fall = 1.0 + y * (1.0 + y * (0.5 + y * (1.0 / 6.0 + y * (1.0 / 24.0 + y * (1.0 / 120.0)))))
+        fall *= fall
+        fall *= fall
+        fall *= fall
+        fall *= fall
+        fall *= fall
+        fall *= fall
+        # G with cos(beta) = |h| / 2.
+        attenuation = min(1.0, 4.0 * cos_alpha * min(cos_i, cos_r) * inverse_h)
+        f_r = kappa_diff + kappa_spec * attenuation * inverse_cos_r * fall
+        total += points[2, i] * f_r * cos_i * inverse * inverse * inverse
+    return total
+
+
+@kernel
+def _sum_any(
+    points: Float64,
+    n: int,
+    tan_b: float,
+    axes: Axes,
+    normal: tuple[float, float, float],
+    omega_r: tuple[float, float, float],
+    material: LobeNumbers,
+) -> float:
+    """Return the same for a lobe of any shape."""
+    wx, wy, wz, ux, uy, vx, vy, vz = axes
+    nx, ny, nz = normal
+    total = 0.0
+    for i in range(n):
+        p, q = tan_b * points[0, i], tan_b * points[1, i]
+        inverse = 1.0 / math.sqrt(1.0 + p * p + q * q)
+        ox, oy, oz = (
+            inverse * (wx + p * ux + q * vx),
+            inverse * (wy + p * uy + q * vy),
+            inverse * (wz + q * vz),
+        )
+        f_r = reflected(material, (ox, oy, oz), omega_r, normal)
+        cos_i = ox * nx + oy * ny + oz * nz
+        total += points[2, i] * f_r * cos_i * inverse * inverse * inverse
+    return total
+
+
+@kernel
+def _sum(
+    points: Float64,
+    n: int,
+    tan_b: float,
+    axes: Axes,
+    normal: tuple[float, float, float],
+    omega_r: tuple[float, float, float],
+    material: LobeNumbers,
+) -> float:
+    """Return the weighted sum over n nodes: `points` rows 0 to 2 are p, q and weight."""
+    if n == 0:
+        return 0.0
+    if material[3] != 0.0 or material[4] != 0.0:
+        return _sum_any(points, n, tan_b, axes, normal, omega_r, material)
+    wx, wy, wz, ux, uy, vx, vy, vz = axes
+    nx, ny, nz = normal
+    rx, ry, rz = omega_r
+    return _sum_round(
+        points,
+        n,
+        tan_b,
+        nx * wx + ny * wy + nz * wz,
+        nx * ux + ny * uy,
+        nx * vx + ny * vy + nz * vz,
+        rx * wx + ry * wy + rz * wz,
+        rx * ux + ry * uy,
+        rx * vx + ry * vy + rz * vz,
+        nx * rx + ny * ry + nz * rz,
+        material[0],
+        material[1],
+        material[2],
+    )
+
+
+@kernel
+def arc_light(
+    P: tuple[float, float, float],
+    normal: tuple[float, float, float],
+    omega_r: tuple[float, float, float],
+    center: tuple[float, float, float],
+    radius: float,
+    planes: Float64,
+    n_planes: int,
+    ledges: Float64,
+    n_ledges: int,
+    metal: Metal,
+    material: LobeNumbers,
+    rules: Float64,
+    n_p: int,
+    n_q: int,
+    nodes: Float64,
+    cuts: Float64,
+    breaks: Float64,
+    parts: Float64,
+    at: Float64,
+    ways: Float64,
+) -> float:
+    """Return integral f_r cos(theta_i) d(omega) over the part of the luminous half-sphere that P sees.
+
+    `planes` are the half-spaces m.omega > 0 that are open, `ledges` what cuts into the arc
+    (`visibility.sky_planes`) and `metal` a lap's sheets where planes do not say what they hide. `n_p` nodes
+    across the disc and `n_q` up a chord, of `rules` (`gauss_nodes`); `nodes` (3, MAX_POINTS) and what follows
+    are scratch.
+    """
+    nx, ny, nz = normal
+    rx, ry, rz = omega_r
+    distance, axes, arc = disc(P, center, radius)
+    if distance <= radius * (1.0 + 1e-9) or nx * rx + ny * ry + nz * rz <= 0.0:
+        return 0.0
+    corner = corner_p(arc)
+    if corner < 0.0:
+        return 0.0
+    wx, wy, wz, ux, uy, vx, vy, vz = axes
+    sin_b, _, tan_b, _, _ = arc
+    below = wz > 0.0
+    p_max = corner if below else 1.0
+
+    n_cuts = disc_lines(planes, n_planes, axes, tan_b, cuts)
+    if n_cuts < 0:
+        return 0.0
+    n_breaks = crossings(cuts, n_cuts, p_max, corner, arc, breaks)
+    for j in range(n_ledges):
+        n_breaks = ledge_crossings(
+            ledges[2 * j], ledges[2 * j + 1], P, axes, center, radius, arc, breaks, n_breaks
+        )
+    rays = (
+        P[0],
+        P[1],
+        P[2],
+        wx,
+        wy,
+        wz,
+        tan_b * ux,
+        tan_b * uy,
+        0.0,
+        tan_b * vx,
+        tan_b * vy,
+        tan_b * vz,
+        distance,
+        radius,
+    )
+    has_metal = (metal[5] or metal[6]) and not is_clear(p_max, arc, cuts, rays, metal, at, ways)
+    p_first, p_last = -p_max, p_max
+    if has_metal:
+        # Searched is what the planes leave open: a sliver is narrow against the whole disc.
+        p_first, p_last = p_max, -p_max
+        n_pieces = n_breaks - 1
+        for piece in range(n_pieces):
+            at[0, piece] = 0.5 * (breaks[piece] + breaks[piece + 1])
+        chords(at, n_pieces, arc, below, cuts, n_cuts)
+        for piece in range(n_pieces):
+            if at[2, piece] > at[1, piece]:
+                p_first, p_last = min(p_first, breaks[piece]), max(p_last, breaks[piece + 1])
+        if p_last <= p_first:
+            return 0.0
+        p_low, p_high = p_first, p_last
+        p_first, p_last = open_range(p_low, p_high, rays, metal, ways)
+        n_breaks = insert(breaks, n_breaks, p_first)
+        n_breaks = insert(breaks, n_breaks, p_last)
+        if metal[6] and metal[5] and not metal[7]:
+            tops = (p_first, p_last)
+            p_first, p_last = open_below(p_low, p_high, tops, arc, below, cuts, n_cuts, rays, metal, at, ways)
+            n_breaks = insert(breaks, n_breaks, p_first)
+            n_breaks = insert(breaks, n_breaks, p_last)
+        edge_y, slope, curve, _ = metal[3]
+        square = 2.0 * curve * (edge_y - P[1])
+        if square > 0.0:
+            # Ways that touch a bent edge: those on one side of them miss it.
+            for sign in (-1.0, 1.0):
+                along = slope + sign * math.sqrt(square)
+                n_breaks = insert(breaks, n_breaks, -(wy - along * wx) / (tan_b * (uy - along * ux)))
+
+    near = 1.0 + 2.0 * max(0.0, sin_b - NEAR_ARC)
+    more = max(near, disc_in_lobes(tan_b, (wx, wy, wz), omega_r, material) / LOBE_RADII)
+    n_q = math.ceil(min(float(MAX_NODES_Q), n_q * more))
+    # Borders that are no lines have crossings that are not looked for.
+    n_p = math.ceil(CURVED_FACTOR * n_p) if has_metal or n_ledges > 0 else n_p
+    is_followed = has_metal and n_ledges == 0
+    total = 0.0
+    n = 0
+    for piece in range(n_breaks - 1):
+        left, right = breaks[piece], breaks[piece + 1]
+        middle, half = 0.5 * (left + right), 0.5 * (right - left)
+        if half < 1e-9 or not p_first < middle < p_last:
+            continue
+        share = half / p_max
+        m = math.ceil(min(float(MAX_NODES_P), n_p * more * (share + PIECE_FLOOR * (1.0 - share))))
+        rule = 0
+        if n_breaks == 2 and n_ledges == 0 and not has_metal:
+            rule, m = 4, 2 * math.ceil(0.5 * UNCUT_SHARE * m)
+        for i in range(m):
+            at[0, i] = middle + half * rules[rule, m, i]
+        at[0, m] = middle
+        chords(at, m + 1, arc, below, cuts, n_cuts)
+        # Nothing crosses within a piece, so it is open or dark as a whole.
+        if at[2, m] <= at[1, m]:
+            continue
+        if is_followed:
+            look_along(at, m, rays, metal, ways)
+        for i in range(m):
+            p, low, high = at[0, i], at[1, i], at[2, i]
+            if high <= low:
+                continue
+            weight = half * rules[rule + 1, m, i]
+            parts[0, 0], parts[0, 1] = low, high
+            n_parts = 1
+            if n_ledges > 0:
+                n_parts = wall_parts(p, low, high, P, axes, tan_b, distance, radius, ledges, n_ledges, parts)
+            elif is_followed:
+                n_parts = chord_parts(i, ways, rays, metal, parts)
+            for k in range(n_parts):
+                begin, length = parts[k, 0], parts[k, 1] - parts[k, 0]
+                for j in range(n_q):
+                    nodes[0, n], nodes[1, n] = p, begin + length * rules[2, n_q, j]
+                    nodes[2, n] = weight * length * rules[3, n_q, j]
+                    n += 1
+            if n > MAX_POINTS - MAX_PARTS * MAX_NODES_Q:
+                total += _sum(nodes, n, tan_b, axes, normal, omega_r, material)
+                n = 0
+    total += _sum(nodes, n, tan_b, axes, normal, omega_r, material)
+    return total * tan_b * tan_b

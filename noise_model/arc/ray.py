@@ -1,0 +1,163 @@
+"""The arc's light that one surface point sends to the camera, and one ray of the camera with it."""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from noise_model.arc.chords import MAX_PARTS, MAX_PIECES
+from noise_model.arc.quadrature import MAX_POINTS, arc_light
+from noise_model.arc.sheet_occlusion import MAX_WAYS
+from noise_model.kernel import kernel
+from noise_model.surface.brdf import LobeNumbers
+from noise_model.surface.faces import face_normal
+from noise_model.surface.ray_casting import MISS, first_hit
+from noise_model.surface.visibility import (
+    MAX_LEDGES,
+    MAX_PLANES,
+    Bend,
+    bent,
+    is_curved_lap,
+    sky_planes,
+    touch,
+)
+from noise_model.transforms import Float64, Point, Vector
+
+Scratch = tuple[Float64, Float64, Float64, Float64, Float64, Float64, Float64, Float64]
+"""What a point's integral needs room for, see `scratch`."""
+
+
+@kernel(allocates=True)
+def scratch() -> Scratch:
+    """Return room for nodes and weights, lines, crossings, a chord's parts, chords, rays; planes, ledges."""
+    return (
+        np.empty((3, MAX_POINTS)),
+        np.empty((MAX_PLANES, 3)),
+        np.empty(MAX_PIECES),
+        np.empty((MAX_PARTS, 3)),
+        np.empty((3, MAX_PIECES)),
+        np.empty((3, MAX_WAYS)),
+        np.empty((MAX_PLANES, 3)),
+        np.empty((2 * MAX_LEDGES, 3)),
+    )
+
+
+class ArcKernel(NamedTuple):
+    """A scene's numbers as the kernels take them.
+
+    `rotation` (3, 3) and `eye` are the camera's in the joint frame, mm; `radiance_e` the arc's at its level;
+    `bend` is the scene's; `metal_cuts` says that a corrugation may cut into the arc; `reach` between which x
+    and which y the camera sees the plate, mm; `rules` are `arc_integral.gauss_nodes`, of which `n_p` and
+    `n_q` nodes are used.
+    """
+
+    rotation: Float64
+    eye: Point
+    center: Point
+    bend: Bend
+    radius: float
+    radiance_e: float
+    vertices: Float64
+    corrugation: Float64
+    horizon_start: float
+    horizons: Float64
+    metal_cuts: bool
+    reach: tuple[float, float, float, float]
+    material: LobeNumbers
+    rules: Float64
+    n_p: int
+    n_q: int
+
+
+@kernel
+def light_at(k: ArcKernel, P: Point, face: int, scratch: Scratch) -> float:
+    """Return the arc's light, e- without the lens' fall-off, that a point of a face sends to the camera.
+
+    `P` may lie on the face's plane beyond its edges.
+    """
+    nodes, cuts, breaks, parts, at, ways, planes, ledges = scratch
+    vertices, corrugation, center, radius = k.vertices, k.corrugation, k.center, k.radius
+    normal = face_normal(face, P[0], vertices, corrugation)
+    rx, ry, rz = k.eye[0] - P[0], k.eye[1] - P[1], k.eye[2] - P[2]
+    length = math.sqrt(rx * rx + ry * ry + rz * rz)
+    omega_r = (rx / length, ry / length, rz / length)
+    n_planes, n_ledges = sky_planes(
+        P,
+        normal,
+        face,
+        center,
+        radius,
+        k.bend,
+        vertices,
+        corrugation,
+        k.horizon_start,
+        k.horizons,
+        planes,
+        ledges,
+    )
+    edge, crest_x, edge_hides = (0.0, 0.0, 0.0, 0.0), math.nan, False
+    if is_curved_lap(vertices, corrugation, k.bend):
+        edge_y, edge_step = vertices[1, 0], vertices[1, 1] - vertices[2, 1]
+        slope, curve = bent(P, center, radius, k.bend)
+        edge = (edge_y, slope, curve, edge_step)
+        edge_hides = (face == 2 and (curve != 0.0 or center[1] - radius < edge_y + k.bend[1])) or (
+            face == 0 and (curve != 0.0 or center[1] + radius > edge_y + k.bend[1])
+        )
+        if edge_hides and corrugation[0] > 0.0:
+            _, crest_x = touch(k.horizons[0], k.horizon_start, P[0])
+    metal = (
+        corrugation[0],
+        corrugation[1],
+        corrugation[2],
+        edge,
+        crest_x,
+        edge_hides,
+        k.metal_cuts,
+        face == 0,
+    )
+    light = arc_light(
+        P,
+        normal,
+        omega_r,
+        center,
+        radius,
+        planes,
+        n_planes,
+        ledges,
+        n_ledges,
+        metal,
+        k.material,
+        k.rules,
+        k.n_p,
+        k.n_q,
+        nodes,
+        cuts,
+        breaks,
+        parts,
+        at,
+        ways,
+    )
+    return k.radiance_e * light
+
+
+@kernel(inline=True)
+def direction(k: ArcKernel, x: float, y: float) -> Vector:
+    """Return the direction, joint frame, of a ray (x, y, 1) of the camera."""
+    R = k.rotation
+    return (
+        R[0, 0] * x + R[0, 1] * y + R[0, 2],
+        R[1, 0] * x + R[1, 1] * y + R[1, 2],
+        R[2, 0] * x + R[2, 1] * y + R[2, 2],
+    )
+
+
+@kernel
+def follow(k: ArcKernel, x: float, y: float) -> tuple[Point, int]:
+    """Return where a ray (x, y, 1) of the camera ends, joint frame, mm, and the face; MISS for none."""
+    d = direction(k, x, y)
+    t, face = first_hit(k.eye, d, k.vertices, k.corrugation)
+    if face == MISS:
+        return (math.nan, math.nan, math.nan), face
+    return (k.eye[0] + t * d[0], k.eye[1] + t * d[1], k.eye[2] + t * d[2]), face

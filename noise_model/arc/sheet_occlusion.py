@@ -1,0 +1,260 @@
+"""What of the arc a lap hides that no plane through P describes, chord by chord.
+
+The upper sheet's edge follows a corrugation, or the seam's bend, so from the lower sheet it is no straight
+line; and where the torch stands on a ridge's flank, the sheets themselves cut into the arc.
+"""
+
+from __future__ import annotations
+
+import math
+
+from noise_model.arc.chords import MAX_NODES_P, Shape, chords
+from noise_model.kernel import kernel
+from noise_model.surface.faces import raised
+from noise_model.transforms import Float64
+
+RIM_STEPS = 8
+"""In how many steps the disc's rims are searched for where the open part begins and ends."""
+
+CLEAR_STEPS = 4
+"""In how many steps to either side an arc is looked at that may be clear of the metal."""
+
+CHORD_STEPS = 2
+"""In how many steps a chord is searched for where it leaves the metal."""
+
+MAX_WAYS = (CHORD_STEPS + 1) * MAX_NODES_P
+"""Room for the rays that are looked at together: a piece's chords are most."""
+
+ROOT_STEPS, ROOT_MM = 16, 1e-4
+"""At the most so many steps to a border, and how near to it in clearance is near enough."""
+
+_RIM = tuple(math.cos(math.pi * i / RIM_STEPS) for i in range(RIM_STEPS + 1))
+
+TURNED_AWAY_MM = 1e6
+"""A larger clearance is of a ray that never comes to the edge."""
+
+Edge = tuple[float, float, float, float]
+"""The upper sheet's edge in plan, y = y_P + slope (x - x_P) + curve (x - x_P)^2 / 2: y_P, slope and curve;
+and its height over the lower sheet."""
+
+Metal = tuple[float, float, float, Edge, float, bool, bool, bool]
+"""Height, width and pitch of the corrugation; the upper sheet's edge; a station `crest_x` at which that sheet
+may hide more than at its edge; whether the edge may hide a part of the arc from P, whether the sheets may cut
+into the arc, and whether P is on the upper sheet."""
+
+Rays = tuple[float, float, float, float, float, float, float, float, float, float, float, float, float, float]
+"""P, e_w, tan(beta) e_u, tan(beta) e_v, distance and radius: what a chord's rays need."""
+
+
+@kernel(inline=True)
+def _wave(x: float, metal: Metal) -> float:
+    """Return the corrugation's height at station x."""
+    return raised(x, metal[0], metal[1], metal[2])[0]
+
+
+@kernel(inline=True)
+def clearance(p: float, q: float, rays: Rays, metal: Metal) -> float:
+    """Return by how much the ray to the arc's point at (p, q) passes over the metal, mm.
+
+    Looked at are the upper sheet's edge and, where the ray is over that sheet by then, the station `crest_x`;
+    and the arc's point itself. Huge where neither can hide it. Written without branches that differ from ray
+    to ray, so that `clearances` runs several at a time.
+    """
+    Px, Py, Pz, wx, wy, wz, ux, uy, uz, vx, vy, vz, distance, radius = rays
+    _, _, _, edge, crest_x, edge_hides, cuts, from_upper = metal
+    edge_y, slope, curve, edge_step = edge
+    over = Py - edge_y
+    ox, oy, oz = wx + p * ux + q * vx, wy + p * uy + q * vy, wz + p * uz + q * vz
+    across, square = oy - slope * ox, ox * ox + oy * oy + oz * oz
+    # t^2 square - 2 t d + d^2 - R^2 = 0, the nearer root.
+    root = math.sqrt(max(0.0, distance * distance - square * (distance * distance - radius * radius)))
+    t_arc = (distance - root) / square
+    bend = curve * ox * ox
+    free = 1e9
+    if cuts:
+        is_lower = over + t_arc * (across - 0.5 * bend * t_arc) < 0.0
+        level = _wave(Px + t_arc * ox, metal) + (edge_step if is_lower else 0.0)
+        free = Pz + t_arc * oz - level
+    if edge_hides:
+        # Over the upper sheet the ray is before it comes to the edge (`visibility.first_crossing`), or after.
+        leaves = (across > 0.0) == from_upper and across != 0.0
+        rest = across * across + 2.0 * bend * over
+        half = across + math.copysign(math.sqrt(max(rest, 0.0)), across)
+        one, other = half / bend, -2.0 * over / half
+        one = one if one > 0.0 and rest >= 0.0 else math.inf
+        other = other if other > 0.0 and rest >= 0.0 else math.inf
+        on_line = -over / across if leaves else math.inf
+        t = on_line if bend == 0.0 or (over == 0.0 and leaves) else min(one, other)
+        # A point on the edge itself hides nothing from itself.
+        meets = t < t_arc and (t > 0.0 or not from_upper)
+        at = t if meets else 0.0
+        at_edge = Pz + at * oz - _wave(Px + at * ox, metal) - edge_step
+        free = min(free, at_edge if meets else 1e9)
+        first, last = (0.0 if from_upper else t), (min(t, t_arc) if from_upper else t_arc)
+        way = (crest_x - Px) * ox
+        comes_by = first * ox * ox < way and way < last * ox * ox
+        at_crest = Pz + way / (ox * ox) * oz - _wave(crest_x, metal) - edge_step
+        free = min(free, at_crest if comes_by else 1e9)
+    is_turned = not cuts and not from_upper and across >= 0.0 and curve <= 0.0
+    return 1e9 if is_turned else free
+
+
+@kernel(fastmath={"contract"})
+def clearances(ways: Float64, n: int, rays: Rays, metal: Metal) -> None:
+    """Write into ways[2] (n,) the `clearance` of n rays, whose p and q are ways[0] and ways[1]."""
+    for i in range(n):
+        ways[2, i] = clearance(ways[0, i], ways[1, i], rays, metal)
+
+
+@kernel
+def border(
+    p: tuple[float, float],
+    q: tuple[float, float],
+    on_rim: bool,
+    at_ends: tuple[float, float],
+    rays: Rays,
+    metal: Metal,
+) -> float:
+    """Return at which share of the way from (p[0], q[0]) to (p[1], q[1]) the clearance changes its sign.
+
+    `at_ends` are the clearances there, of unlike signs. `on_rim` goes from p[0] to p[1] along the upper rim
+    of the disc instead.
+    """
+    low, high = 0.0, 1.0
+    below, above = at_ends
+    share = 0.5
+    for i in range(ROOT_STEPS):
+        if max(abs(below), abs(above)) > TURNED_AWAY_MM or i % 4 == 3:
+            share = 0.5 * (low + high)
+        else:
+            # Regula falsi with halved weights (Illinois): the clearance is nearly straight.
+            share = (low * above - high * below) / (above - below)
+        p_i = p[0] + share * (p[1] - p[0])
+        q_i = math.sqrt(max(0.0, 1.0 - p_i * p_i)) if on_rim else q[0] + share * (q[1] - q[0])
+        free = clearance(p_i, q_i, rays, metal)
+        if abs(free) < ROOT_MM:
+            break
+        if (free < 0.0) == (below < 0.0):
+            low, below = share, free
+            above *= 0.5
+        else:
+            high, above = share, free
+            below *= 0.5
+    return share
+
+
+@kernel
+def look_along(at: Float64, n: int, rays: Rays, metal: Metal, ways: Float64) -> None:
+    """Write p, q and clearance of CHORD_STEPS + 1 places on each of n `arc_disc.chords` into `ways`."""
+    for i in range(n):
+        low, length = at[1, i], max(at[2, i] - at[1, i], 0.0)
+        for j in range(CHORD_STEPS + 1):
+            ways[0, (CHORD_STEPS + 1) * i + j] = at[0, i]
+            ways[1, (CHORD_STEPS + 1) * i + j] = low + length * j / CHORD_STEPS
+    clearances(ways, (CHORD_STEPS + 1) * n, rays, metal)
+
+
+@kernel
+def chord_parts(i: int, ways: Float64, rays: Rays, metal: Metal, parts: Float64) -> int:
+    """Write the parts (n, 2) of the i-th chord on which the arc passes over the metal; return how many.
+
+    The chord has been looked at, see `look_along`.
+    """
+    count, first = 0, (CHORD_STEPS + 1) * i
+    p, begin = ways[0, first], ways[1, first]
+    for j in range(first, first + CHORD_STEPS):
+        q_before, before, q, free = ways[1, j], ways[2, j], ways[1, j + 1], ways[2, j + 1]
+        if (free < 0.0) != (before < 0.0):
+            share = border((p, p), (q_before, q), False, (before, free), rays, metal)
+            q_border = q_before + share * (q - q_before)
+            if free < 0.0:
+                parts[count, 0], parts[count, 1] = begin, q_border
+                count += 1
+            begin = q_border
+    last = first + CHORD_STEPS
+    if ways[2, last] >= 0.0 and ways[1, last] > begin:
+        parts[count, 0], parts[count, 1] = begin, ways[1, last]
+        count += 1
+    return count
+
+
+@kernel
+def is_clear(
+    p_max: float, arc: Shape, cuts: Float64, rays: Rays, metal: Metal, at: Float64, ways: Float64
+) -> bool:
+    """Say whether the whole arc passes over the metal: looked at are its lower rim and its top.
+
+    No `cuts` are looked at; `at` and `ways` are scratch.
+    """
+    n = 2 * CLEAR_STEPS + 1
+    for i in range(n):
+        at[0, i] = p_max * (i - CLEAR_STEPS) / CLEAR_STEPS
+    chords(at, n, arc, False, cuts, 0)
+    for i in range(n):
+        low, high = at[1, i], at[2, i]
+        ways[0, i], ways[1, i] = at[0, i], low
+        ways[0, n + i], ways[1, n + i] = at[0, i], 0.5 * (low + high)
+    clearances(ways, 2 * n, rays, metal)
+    least = 0.0
+    for i in range(2 * n):
+        least = min(least, ways[2, i])
+    return least >= 0.0
+
+
+@kernel
+def open_below(
+    p_low: float,
+    p_high: float,
+    open_tops: tuple[float, float],
+    arc: Shape,
+    below: bool,
+    cuts: Float64,
+    n_cuts: int,
+    rays: Rays,
+    metal: Metal,
+    at: Float64,
+    ways: Float64,
+) -> tuple[float, float]:
+    """Return a range of p that holds `open_tops` and all chords whose lower ends are open.
+
+    An upright edge that stands higher than the arc's top cuts it aslant: chords end at the metal, not begin.
+    """
+    middle, half = 0.5 * (p_low + p_high), 0.5 * (p_high - p_low)
+    n = RIM_STEPS + 1
+    for i in range(n):
+        at[0, i] = middle - half * _RIM[i]
+    chords(at, n, arc, below, cuts, n_cuts)
+    for i in range(n):
+        ways[0, i], ways[1, i] = at[0, i], at[1, i] + 1e-3 * (at[2, i] - at[1, i])
+    clearances(ways, n, rays, metal)
+    first, last = open_tops
+    for i in range(n):
+        if at[2, i] > at[1, i] and ways[2, i] >= 0.0:
+            first = min(first, at[0, max(i - 1, 0)])
+            last = max(last, at[0, min(i + 1, n - 1)])
+    return first, last
+
+
+@kernel
+def open_range(p_low: float, p_high: float, rays: Rays, metal: Metal, ways: Float64) -> tuple[float, float]:
+    """Return between which p the tops of the chords are open; an empty range where none is."""
+    middle, half = 0.5 * (p_low + p_high), 0.5 * (p_high - p_low)
+    for i in range(RIM_STEPS + 1):
+        # Even in the angle: a sliver of the arc that is left to see lies at one end, where chords are short.
+        p = middle - half * _RIM[i]
+        ways[0, i], ways[1, i] = p, math.sqrt(max(0.0, 1.0 - p * p))
+    clearances(ways, RIM_STEPS + 1, rays, metal)
+    first, last = RIM_STEPS + 1, -1
+    for i in range(RIM_STEPS + 1):
+        if ways[2, i] >= 0.0:
+            first, last = min(first, i), i
+    if last < 0:
+        return p_high, p_low
+    for i_open, i_hidden in ((first, first - 1), (last, last + 1)):
+        if not 0 <= i_hidden <= RIM_STEPS:
+            continue
+        p_hidden, p_open = ways[0, i_hidden], ways[0, i_open]
+        ends = (ways[2, i_hidden], ways[2, i_open])
+        p = p_hidden + border((p_hidden, p_open), (0.0, 0.0), True, ends, rays, metal) * (p_open - p_hidden)
+        p_low, p_high = (p, p_high) if i_hidden < i_open else (p_low, p)
+    return p_low, p_high

@@ -1,0 +1,1 @@
+"""The instrument: laser, filter and its spectrum, camera and sensor."""

@@ -1,0 +1,210 @@
+"""Image formation: pinhole, lens distortion, cos^4 fall-off (Eq. 18) and the point-spread function."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+from typing import NamedTuple
+
+import cv2
+import numpy as np
+import numpy.typing as npt
+
+from noise_model.kernel import kernel
+from noise_model.transforms import Float64
+
+Float32 = npt.NDArray[np.float32]
+
+NARROW_PX = 0.65
+"""Below this 1 sigma a Gaussian sampled at the pixel centres is narrower than it should be."""
+
+
+MONOCHROME = ("mono", "gray", "grey")
+"""How the name of a pixel format begins that has no colour: the one thing that is asked of it."""
+
+
+@dataclass(frozen=True)
+class Camera:
+    """The camera as stated: OpenCV's axes and intrinsics, pixel centres at integers.
+
+    `psf_sigma_px` is a Gaussian that includes the pixel's own aperture; `T_tool_camera` is in mm.
+    """
+
+    width: int
+    height: int
+    fx: float
+    fy: float
+    cx: float
+    cy: float
+    T_tool_camera: Float64
+    distortion: tuple[float, ...] = (0.0, 0.0, 0.0, 0.0, 0.0)
+    focal_length_mm: float = 16.0
+    f_number: float = 8.0
+    psf_sigma_px: float = 0.7
+    exposure_s: float = 0.005
+    pixel_format: str = "mono8"
+
+    def __post_init__(self) -> None:
+        if self.width < 1 or self.height < 1:
+            raise ValueError(f"[camera] width, height: {self.width} x {self.height} is no image")
+        for name in ("fx", "fy", "focal_length_mm", "f_number", "exposure_s"):
+            if not getattr(self, name) > 0:
+                raise ValueError(f"[camera] {name} = {getattr(self, name)}: must be > 0")
+        if not self.psf_sigma_px >= 0:
+            raise ValueError(f"[camera] psf_sigma_px = {self.psf_sigma_px}: must be >= 0")
+        if len(self.distortion) != 5:
+            raise ValueError("[camera] distortion: needs the five values k1 k2 p1 p2 k3")
+        if not self.pixel_format.lower().startswith(MONOCHROME):
+            raise ValueError(
+                f"[camera] pixel_format = {self.pixel_format!r}: must be a monochrome one, such as mono8"
+            )
+
+    @property
+    def geometry(self) -> tuple[int, int, float, float, float, float, tuple[float, ...]]:
+        """All that its rays depend on, to compare by: size, fx, fy, cx, cy, distortion; its pose is not."""
+        return self.width, self.height, self.fx, self.fy, self.cx, self.cy, self.distortion
+
+    @property
+    def intrinsics(self) -> Intrinsics:
+        """What projects a point and its ray, for the kernels."""
+        k1, k2, p1, p2, k3 = (float(k) for k in self.distortion)
+        return Intrinsics(
+            float(self.fx), float(self.fy), float(self.cx), float(self.cy), (k1, k2, p1, p2, k3)
+        )
+
+    @property
+    def matrix(self) -> Float64:
+        """The 3x3 intrinsic matrix, px."""
+        return np.array([[self.fx, 0.0, self.cx], [0.0, self.fy, self.cy], [0.0, 0.0, 1.0]])
+
+    def coarser(self, by: int) -> Camera:
+        """Return the camera with so many times larger pixels; a rest at the rim that fills none is left out.
+
+        The point-spread function stays as many pixels wide.
+        """
+        return replace(
+            self,
+            width=self.width // by,
+            height=self.height // by,
+            fx=self.fx / by,
+            fy=self.fy / by,
+            cx=(self.cx + 0.5) / by - 0.5,
+            cy=(self.cy + 0.5) / by - 0.5,
+        )
+
+    def normalised(self, points_px: npt.ArrayLike) -> Float64:
+        """Return the undistorted normalised coordinates (N, 2) of points (N, 2), px: the ray is (x, y, 1)."""
+        points = np.ascontiguousarray(points_px, dtype=np.float64).reshape(-1, 1, 2)
+        # OpenCV has no answer to no points.
+        if not any(self.distortion) or not len(points):
+            flat = points[:, 0]
+            return np.column_stack([(flat[:, 0] - self.cx) / self.fx, (flat[:, 1] - self.cy) / self.fy])
+        criteria = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 50, 1e-12)
+        undistorted = cv2.undistortPointsIter(
+            points, self.matrix, np.asarray(self.distortion), np.eye(3), np.eye(3), criteria
+        )
+        return np.asarray(undistorted, dtype=np.float64)[:, 0]
+
+    def project(self, points_camera: Float64) -> Float64:
+        """Return the image points (N, 2), px, of camera-frame points (N, 3), mm, in front of the camera."""
+        if not len(points_camera):
+            return np.empty((0, 2))
+        image, _ = cv2.projectPoints(
+            np.ascontiguousarray(points_camera, dtype=np.float64).reshape(-1, 1, 3),
+            np.zeros(3),
+            np.zeros(3),
+            self.matrix,
+            np.asarray(self.distortion),
+        )
+        return np.asarray(image, dtype=np.float64)[:, 0]
+
+
+class Intrinsics(NamedTuple):
+    """A camera's OpenCV intrinsics as the kernels take them, px; distortion is k1 k2 p1 p2 k3."""
+
+    fx: float
+    fy: float
+    cx: float
+    cy: float
+    distortion: tuple[float, float, float, float, float]
+
+
+UNDISTORT_STEPS, UNDISTORTED = 20, 1e-12
+"""Newton steps by which a lens' distortion is undone at most; one that is shorter is the last."""
+
+
+@kernel
+def undistorted(u: float, v: float, lens: Intrinsics) -> tuple[float, float, float, float, float, float]:
+    """Return an image point's normalised coordinates x, y and their derivatives dx/du, dx/dv, dy/du, dy/dv.
+
+    OpenCV's distortion is undone by Newton's steps from the distorted place.
+    """
+    k1, k2, p1, p2, k3 = lens.distortion
+    to_x, to_y = (u - lens.cx) / lens.fx, (v - lens.cy) / lens.fy
+    x, y = to_x, to_y
+    xx, xy, yy, determinant = 1.0, 0.0, 1.0, 1.0
+    for _ in range(UNDISTORT_STEPS):
+        q = x * x + y * y
+        radial, rise = 1.0 + q * (k1 + q * (k2 + q * k3)), k1 + q * (2.0 * k2 + q * 3.0 * k3)
+        off_x = x * radial + 2.0 * p1 * x * y + p2 * (q + 2.0 * x * x) - to_x
+        off_y = y * radial + p1 * (q + 2.0 * y * y) + 2.0 * p2 * x * y - to_y
+        # The distortion's Jacobian is symmetric.
+        xx = radial + 2.0 * x * x * rise + 2.0 * p1 * y + 6.0 * p2 * x
+        xy = 2.0 * x * y * rise + 2.0 * p1 * x + 2.0 * p2 * y
+        yy = radial + 2.0 * y * y * rise + 6.0 * p1 * y + 2.0 * p2 * x
+        determinant = xx * yy - xy * xy
+        step_x = (yy * off_x - xy * off_y) / determinant
+        step_y = (xx * off_y - xy * off_x) / determinant
+        x -= step_x
+        y -= step_y
+        if abs(step_x) + abs(step_y) < UNDISTORTED:
+            break
+    per_u, per_v = 1.0 / (determinant * lens.fx), 1.0 / (determinant * lens.fy)
+    return x, y, yy * per_u, -xy * per_v, -xy * per_u, xx * per_v
+
+
+def fall_off(xy: Float64) -> Float64:
+    """Return the lens' fall-off cos^4 (...,) of normalised rays (..., 2), 1 on the optical axis (Eq. 18)."""
+    return np.asarray((1.0 + np.sum(xy**2, axis=-1)) ** -2.0)
+
+
+@dataclass(frozen=True)
+class Rays:
+    """Every pixel's viewing ray in the camera frame.
+
+    `xy` is (H, W, 2) float32: the ray is (x, y, 1), not normalised; `cos4` is (H, W) float32, the lens'
+    fall-off cos^4 of the field angle, 1 on the optical axis (Eq. 18).
+    """
+
+    xy: Float32
+    cos4: Float32 = field(repr=False)
+
+    @classmethod
+    def of(cls, camera: Camera) -> Rays:
+        """Trace every pixel centre of a camera."""
+        v, u = np.mgrid[: camera.height, : camera.width]
+        xy = camera.normalised(np.column_stack([u.ravel(), v.ravel()]))
+        cos4 = fall_off(xy)
+        shape = (camera.height, camera.width)
+        return cls(
+            np.ascontiguousarray(xy.reshape(*shape, 2).astype(np.float32)),
+            np.ascontiguousarray(cos4.reshape(shape).astype(np.float32)),
+        )
+
+
+def blur(image: Float32, psf_sigma_px: float) -> Float32:
+    """Convolve an image (H, W) with the Gaussian point-spread function; the rim is reflected.
+
+    The Gaussian is sampled at the pixel centres: its variance is psf_sigma_px^2 within 1 % from 0.65 px on.
+    Below, the grid would undersample it; there three taps have its variance exactly.
+    """
+    if psf_sigma_px == 0.0:
+        return image
+    if psf_sigma_px < NARROW_PX:
+        side = 0.5 * psf_sigma_px**2
+        taps = np.array([side, 1.0 - 2.0 * side, side], dtype=np.float32)
+        blurred = cv2.sepFilter2D(image, -1, taps, taps, borderType=cv2.BORDER_REFLECT_101)
+    else:
+        radius = int(np.ceil(4.0 * psf_sigma_px))
+        size = (2 * radius + 1, 2 * radius + 1)
+        blurred = cv2.GaussianBlur(image, size, psf_sigma_px, borderType=cv2.BORDER_REFLECT_101)
+    return np.asarray(blurred, dtype=np.float32)

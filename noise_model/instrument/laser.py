@@ -1,0 +1,168 @@
+"""The laser sheet: where it lies and how its irradiance falls off."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from functools import lru_cache
+from typing import NamedTuple
+
+import numpy as np
+
+from noise_model.kernel import kernel
+from noise_model.surface.brdf import LobeNumbers, reflected
+from noise_model.transforms import Float64, Vector, transform
+
+SHEET_REACH = 6.0
+"""How many sigmas of the sheet are rendered: its irradiance has fallen to 1.5e-8 there."""
+
+
+LEAST_LEAN = 1e-6
+"""A sheet whose normal is nearer to the tool's z than this never meets the plate."""
+
+
+@dataclass(frozen=True)
+class Laser:
+    """A sheet that fans out from `origin_in_tool_mm` along -z of the tool frame.
+
+    `plane_in_tool` is (n_x, n_y, n_z, d) with n.p + d = 0 in mm, `stripe_sigma_mm` the sheet's 1 sigma
+    half-thickness at tool height, `peak_e` the stripe's peak before the point-spread function on a flat
+    plate at tool height, level pose, middle column.
+    """
+
+    wavelength_nm: float
+    plane_in_tool: tuple[float, float, float, float]
+    origin_in_tool_mm: tuple[float, float, float]
+    stripe_sigma_mm: float
+    peak_e: float
+
+    def __post_init__(self) -> None:
+        for name in ("wavelength_nm", "stripe_sigma_mm", "peak_e"):
+            if not getattr(self, name) > 0:
+                raise ValueError(f"[laser] {name} = {getattr(self, name)}: must be > 0")
+        if not self.origin_in_tool_mm[2] > 0:
+            raise ValueError("[laser] origin_in_tool_mm: the laser must stand above the tool's origin")
+        norm = float(np.linalg.norm(self.plane_in_tool[:3]))
+        if not abs(norm - 1.0) <= 1e-3:
+            raise ValueError(f"[laser] plane_in_tool: the normal's length is {norm:.4f}, not 1")
+        if np.hypot(*self.plane_in_tool[:2]) < LEAST_LEAN:
+            raise ValueError("[laser] plane_in_tool: the sheet lies parallel to the plate")
+        if not (np.isfinite(self.plane_in_tool).all() and np.isfinite(self.origin_in_tool_mm).all()):
+            raise ValueError("[laser] plane_in_tool, origin_in_tool_mm: must be finite")
+
+    @property
+    def plane(self) -> Float64:
+        """`plane_in_tool` (4,) as an array: one for all who ask, it is not to be written to."""
+        return _array(self.plane_in_tool)
+
+    @property
+    def origin_mm(self) -> Float64:
+        """`origin_in_tool_mm` (3,) as an array: one for all who ask, it is not to be written to."""
+        return _array(self.origin_in_tool_mm)
+
+    @property
+    def point_mm(self) -> Float64:
+        """The sheet's point (3,) at tool height nearest to that below the laser, tool frame, mm.
+
+        It is not to be written to.
+        """
+        return _point_below(self.plane_in_tool, self.origin_in_tool_mm)
+
+
+@lru_cache
+def _array(values: tuple[float, ...]) -> Float64:
+    return np.array(values, dtype=np.float64)
+
+
+@lru_cache
+def _point_below(plane: tuple[float, ...], origin_mm: tuple[float, ...]) -> Float64:
+    below, normal = np.array([*origin_mm[:2], 0.0]), np.array([*plane[:2], 0.0])
+    return np.asarray(below - (normal @ below + plane[3]) / (normal @ normal) * normal)
+
+
+class Sheet(NamedTuple):
+    """A pose's laser sheet in the joint frame, as the kernels take it; mm.
+
+    `plane` (4,) is n.p + d = 0 and `tool_up` (3,) the tool's z axis; `sigma` the sheet's half-thickness at
+    tool height and `stand` the height of its `origin` (3,) over it.
+    """
+
+    origin: Float64
+    plane: Float64
+    tool_up: Float64
+    sigma: float
+    stand: float
+
+
+@kernel
+def plane_in(T_a_b: Float64, plane_b: Float64) -> tuple[float, float, float, float]:
+    """Return a plane (n_x, n_y, n_z, d), n.p + d = 0, of frame b in frame a."""
+    T, n = T_a_b, plane_b
+    nx = T[0, 0] * n[0] + T[0, 1] * n[1] + T[0, 2] * n[2]
+    ny = T[1, 0] * n[0] + T[1, 1] * n[1] + T[1, 2] * n[2]
+    nz = T[2, 0] * n[0] + T[2, 1] * n[1] + T[2, 2] * n[2]
+    return nx, ny, nz, n[3] - nx * T[0, 3] - ny * T[1, 3] - nz * T[2, 3]
+
+
+def sheet_of(laser: Laser, T_joint_tool: Float64) -> Sheet:
+    """Put a laser's sheet into the joint frame."""
+    return Sheet(
+        transform(T_joint_tool, laser.origin_mm),
+        np.array(plane_in(T_joint_tool, laser.plane)),
+        np.ascontiguousarray(T_joint_tool[:3, 2]),
+        laser.stripe_sigma_mm,
+        laser.origin_in_tool_mm[2],
+    )
+
+
+@kernel(inline=True)
+def depth_below(sheet: Sheet, Q: Vector) -> float:
+    """Return how far a point lies below the laser's origin along the tool's axis, mm."""
+    up, origin = sheet.tool_up, sheet.origin
+    depth: float = (origin[0] - Q[0]) * up[0] + (origin[1] - Q[1]) * up[1] + (origin[2] - Q[2]) * up[2]
+    return depth
+
+
+@kernel
+def sheet_reflected(
+    sheet: Sheet, material: LobeNumbers, Q: Vector, normal: Vector, omega_r: Vector, reach: float = math.inf
+) -> float:
+    """Return what a point Q sends of the sheet along `omega_r`: `irradiance` times f_r.
+
+    It is 0 more than `reach` sigmas of the sheet away. Hidden points are the caller's to exclude.
+    """
+    wx, wy, wz = sheet.origin[0] - Q[0], sheet.origin[1] - Q[1], sheet.origin[2] - Q[2]
+    depth = depth_below(sheet, Q)
+    distance = math.sqrt(wx * wx + wy * wy + wz * wz)
+    wx, wy, wz = wx / distance, wy / distance, wz / distance
+    cos_i = wx * normal[0] + wy * normal[1] + wz * normal[2]
+    # A point past the workpiece is NaN, and dark.
+    if not (depth > 0.0 and cos_i > 0.0):
+        return 0.0
+    off = sheet.plane[0] * Q[0] + sheet.plane[1] * Q[1] + sheet.plane[2] * Q[2] + sheet.plane[3]
+    off /= sheet.sigma * depth / sheet.stand
+    if abs(off) > reach:
+        return 0.0
+    light: float = math.exp(-0.5 * off * off) * (sheet.stand / depth) ** 2 * cos_i * distance / depth
+    return light * reflected(material, (wx, wy, wz), omega_r, normal)
+
+
+def irradiance(points_tool: Float64, normals_tool: Float64, laser: Laser) -> Float64:
+    """Return the sheet's irradiance at points (N, 3) mm with unit normals (N, 3), relative to its peak.
+
+    exp(-1/2 (x' / (sigma z/h))^2) (h/z)^2 cos(theta_i) / cos(psi): x' the distance from the plane, z the
+    depth below the origin, h the origin's height, psi the angle of the point's ray to the axis, theta_i its
+    incidence. 1 on the axis at tool height for a level plate. Hidden points are the caller's to exclude.
+    """
+    origin, plane = laser.origin_mm, laser.plane
+    h = origin[2]
+    towards = origin - points_tool
+    z = towards[..., 2]
+    distance = np.linalg.norm(towards, axis=-1)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        cos_psi = z / distance
+        cos_theta_i = np.sum(towards * normals_tool, axis=-1) / distance
+        x_prime = points_tool @ plane[:3] + plane[3]
+        sheet = np.exp(-0.5 * (x_prime / (laser.stripe_sigma_mm * z / h)) ** 2)
+        value = sheet * (h / z) ** 2 * cos_theta_i / cos_psi
+    return np.where((z > 0) & (cos_theta_i > 0), value, 0.0)

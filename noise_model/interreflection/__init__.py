@@ -1,0 +1,1 @@
+"""Light that a joint's faces reflect onto each other."""

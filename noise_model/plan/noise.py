@@ -1,0 +1,268 @@
+"""How well one pose shows the seam: each scan line's bound in its expected noise, and all together."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from noise_model.instrument.sensor import Sensor, linearise, saturation_dn, variance_e2
+from noise_model.instrument.spectrum import ArcSpectrum, Filter, FilterCurve
+from noise_model.plan.cramer_rao import (
+    AMPLITUDE,
+    POSITION,
+    pixel_contrast,
+    sampled_edge_sigma_mm,
+    seam_covariance_mm2,
+    speckle_image_sigma_mm,
+    stripe_sigmas,
+)
+from noise_model.plan.design import design_of, gains_over_effects, magnification
+from noise_model.plan.light import ARC_PLACES, HALF_WINDOW_SIGMAS, StripeLight
+from noise_model.setup import Setup
+from noise_model.surface.joint import DIMENSIONS, Joint, section
+from noise_model.transforms import Float64
+
+Bool = npt.NDArray[np.bool_]
+
+NODES = 33
+"""Nodes across a scan line's window: a quarter of the stripe's sigma apart, as good as an integral."""
+
+DETECT_SIGMAS = 5.0
+"""A stripe fainter than this many of its amplitude's own bounds is not found among false ones."""
+
+LEAST_LINES = 5.0
+"""Scan lines that must be read on either side of the seam before it can be told."""
+
+EDGE_LINES = 0.1
+"""No upright edge is placed better, in scan lines: it is rounded and has burrs. It is the tracker's floor."""
+
+LEAST_LEVEL = 1e-6
+"""A face whose normal has less than this of z is upright."""
+
+IN_PLANE_MM = 1e-6
+"""What is nearer to an upright side's plane than this stands in it."""
+
+HEADROOM_SIGMAS = 4.0
+"""How far below saturation the longest exposure keeps the brightest expected pixel, in its own noise."""
+
+_T = np.linspace(-HALF_WINDOW_SIGMAS, HALF_WINDOW_SIGMAS, NODES)
+_PLACES = np.linspace(-HALF_WINDOW_SIGMAS, HALF_WINDOW_SIGMAS, ARC_PLACES)
+_TO_NODES = np.array([np.interp(_T, _PLACES, unit) for unit in np.eye(ARC_PLACES)])
+
+
+@dataclass(frozen=True)
+class Surroundings:
+    """What a plan takes for granted beside the setup.
+
+    `speckle_contrast` of the laser before the pixels average it, 1 for a coherent one on a rough surface, 0
+    to leave the floor out; `spectrum` of the arc.
+    """
+
+    speckle_contrast: float = 1.0
+    spectrum: ArcSpectrum = field(default_factory=ArcSpectrum)
+
+    def __post_init__(self) -> None:
+        if not 0.0 <= self.speckle_contrast <= 1.0:
+            raise ValueError(f"speckle contrast {self.speckle_contrast:g}: must be 0 to 1")
+
+
+@dataclass(frozen=True, eq=False)
+class ExpectedPixels:
+    """What n rays' pixels are expected to hold at the setup's exposure, e-.
+
+    `stripe_e` (n,) the stripe's peak, `arc_e` (n, NODES) the arc's light across the window.
+    """
+
+    stripe_e: Float64
+    arc_e: Float64
+
+    @property
+    def mean_e(self) -> Float64:
+        """Stripe and arc across the window (n, NODES)."""
+        return self.stripe_e[:, np.newaxis] * np.exp(-0.5 * _T**2) + self.arc_e
+
+
+@dataclass(frozen=True, eq=False)
+class LineBounds:
+    """The rays of a `StripeLight` as read: per ray (n,).
+
+    `sigma_px` the bound of the stripe's position, NaN where it cannot be read; `readable`; `saturated`;
+    `arc_over_stripe` at the stripe's centre, NaN where unseen.
+    """
+
+    sigma_px: Float64
+    readable: Bool
+    saturated: Bool
+    arc_over_stripe: Float64
+
+
+@dataclass(frozen=True)
+class SeamNoise:
+    """What one pose shows of the seam, 1 sigma: `sigma_y_mm` to the side, `sigma_z_mm` in height.
+
+    `sigma_mm` is the root of their squares' sum; all NaN where the seam cannot be told. `sigma_px` is
+    the median over the scan lines within reach that can be read and `arc_over_stripe` over those that are
+    seen, NaN where there is none; `blind_share` is the share of lines that cannot be read: hidden, out of the
+    image, drowned or saturated, the last also alone.
+    """
+
+    sigma_y_mm: float
+    sigma_z_mm: float
+    sigma_px: float
+    arc_over_stripe: float
+    blind_share: float
+    saturated_share: float
+
+    @property
+    def sigma_mm(self) -> float:
+        """The root of the sum of both squares."""
+        return math.hypot(self.sigma_y_mm, self.sigma_z_mm)
+
+
+BLIND = SeamNoise(math.nan, math.nan, math.nan, math.nan, 1.0, 0.0)
+
+
+def speckle_floor_px(setup: Setup, contrast: float) -> float:
+    """Return the speckle floor of a scan line's position, px, for the lens at the setup's stand-off.
+
+    Dorsch et al. 1994 in the image, `bound.speckle_image_sigma_mm`, with N' = N (1 + m) of a thin lens
+    focused on the plate, and the contrast that a pixel's width along the stripe leaves. The focal length in
+    pixels is the image's distance f (1 + m) over the pixel.
+    """
+    camera = setup.camera
+    farther = 1.0 + magnification(setup, design_of(setup).stand_off_mm)
+    image_f_number = farther * camera.f_number
+    pixel_mm = farther * camera.focal_length_mm / math.sqrt(camera.fx * camera.fy)
+    wavelength_mm = 1e-6 * setup.laser.wavelength_nm
+    left = contrast * pixel_contrast(wavelength_mm, image_f_number, pixel_mm)
+    return speckle_image_sigma_mm(wavelength_mm, image_f_number, left) / pixel_mm
+
+
+def saturation_e(sensor: Sensor) -> float:
+    """Return the charge from which on a pixel says no more than 'at least this bright'."""
+    return min(sensor.full_well_e, float(linearise(saturation_dn(sensor), sensor)))
+
+
+def expected_pixels(
+    light: StripeLight, setup: Setup, around: Surroundings, optics: Filter | FilterCurve | None = None
+) -> ExpectedPixels:
+    """Return the expected pixels of a light behind a filter, the setup's own if none is given."""
+    gains = gains_over_effects(setup, optics or setup.filter, around.spectrum, light.theta)
+    stripe = np.where(light.seen, light.stripe_e, 0.0) * gains[0]
+    return ExpectedPixels(stripe, (light.arc_e * gains[1][:, np.newaxis]) @ _TO_NODES)
+
+
+def line_bounds(
+    light: StripeLight, pixels: ExpectedPixels, sensor: Sensor, floor_px: float, exposure: float = 1.0
+) -> LineBounds:
+    """Return how well each ray's scan lines can be read at an exposure over the setup's.
+
+    The noise is that of the expected pixels: shot noise of stripe and arc, read noise, quantisation.
+    """
+    stripe = pixels.stripe_e * exposure
+    mean = exposure * pixels.mean_e
+    width = np.where(light.seen, light.width_px, 1.0)
+    spacing = width * (_T[1] - _T[0])
+    sigmas = stripe_sigmas(width[:, np.newaxis] * _T, stripe, width, variance_e2(mean, sensor), spacing)
+    saturated = light.seen & (mean.max(axis=1, initial=0.0) >= saturation_e(sensor))
+    with np.errstate(divide="ignore", invalid="ignore"):
+        found = stripe > DETECT_SIGMAS * sigmas[:, AMPLITUDE]
+        ratio = np.where(light.seen, pixels.arc_e[:, NODES // 2] / pixels.stripe_e, np.nan)
+    readable = light.seen & found & ~saturated
+    sigma = np.where(readable, np.hypot(sigmas[:, POSITION], floor_px), np.nan)
+    return LineBounds(sigma, readable, saturated, ratio)
+
+
+def seam_noise(light: StripeLight, bounds: LineBounds, joint: Joint) -> SeamNoise:
+    """Return what the scan lines make of the seam point."""
+    lines = float(light.lines.sum())
+    if not lines > 0.0:
+        return BLIND
+    read = bounds.readable
+    share = float(light.lines[read].sum()) / lines
+    saturated = float(light.lines[bounds.saturated].sum()) / lines
+    ratio = float(np.median(bounds.arc_over_stripe[light.seen])) if light.seen.any() else math.nan
+    if not read.any():
+        return SeamNoise(math.nan, math.nan, math.nan, ratio, 1.0, saturated)
+    # The tracker fits no upright side: its edge says where it is.
+    level = light.normals[:, 2] > LEAST_LEVEL
+    y, used = light.points[:, 1], read & level
+    sides = [used & (side * y > 0.0) & (np.abs(y) < _half_mouth_mm(joint)) for side in (-1.0, 1.0)]
+    sigma_y = sigma_z = math.nan
+    if min(float(light.lines[side].sum()) for side in sides) >= LEAST_LINES:
+        sigma_px = np.where(used, bounds.sigma_px, np.nan)
+        edge_sigma_mm = _edge_sigma_mm(light, used, level & ~read, joint)
+        covariance = seam_covariance_mm2(light.normals, light.moves, sigma_px, light.lines, edge_sigma_mm)
+        sigma_y, sigma_z = (float(v) for v in np.sqrt(np.diagonal(covariance)))
+    return SeamNoise(sigma_y, sigma_z, float(np.median(bounds.sigma_px[read])), ratio, 1.0 - share, saturated)
+
+
+def longest_exposure(brightest_e: float, sensor: Sensor) -> float:
+    """Return the longest exposure, over that which gives `brightest_e`, that saturates nothing expected."""
+    full = saturation_e(sensor)
+    noise = math.sqrt(float(variance_e2(full, sensor)))
+    return max(full - HEADROOM_SIGMAS * noise, 0.1 * full) / max(brightest_e, 1e-9)
+
+
+def _half_mouth_mm(joint: Joint) -> float:
+    """Return within how far of the seam the joint's own shape lies: a groove's bevels, else anywhere."""
+    if "depth_mm" not in DIMENSIONS[joint.type]:
+        return math.inf
+    return float(section(joint).vertices[-2, 0])
+
+
+class _Edge(NamedTuple):
+    """An upright edge at `y_mm`, `step_mm` high, its lower side at larger y (1) or smaller (-1)."""
+
+    y_mm: float
+    step_mm: float
+    lower_side: float
+
+
+def _edge_sigma_mm(light: StripeLight, read: Bool, unread: Bool, joint: Joint) -> float:
+    """Return what a section's upright edges tell of y; rays of no upright side are `read` or `unread`."""
+    vertices = section(joint).vertices
+    uprights = [
+        _Edge(float(y_mm), abs(float(rise)), -math.copysign(1.0, rise))
+        for y_mm, (across, rise) in zip(vertices[:-1, 0], np.diff(vertices, axis=0), strict=True)
+        if across == 0.0
+    ]
+    information = sum(_one_edge_sigma_mm(light, read, unread, edge) ** -2.0 for edge in uprights)
+    return information**-0.5 if information > 0.0 else math.inf
+
+
+def _one_edge_sigma_mm(light: StripeLight, read: Bool, unread: Bool, edge: _Edge) -> float:
+    """Return what an upright edge tells of its own place.
+
+    It lies between two scan lines, which by shares of either side's stripe say where. Lines between
+    those that are read make that wider: there are no shares then, and it may lie anywhere there. What the
+    edge hides can be reckoned with.
+    """
+    y = light.points[:, 1]
+    left, right = read & (y < edge.y_mm), read & (y > edge.y_mm)
+    if not (left.any() and right.any()):
+        return math.inf
+    between = light.seen & unread & (y > y[left].max()) & (y < y[right].min())
+    mm_per_line = float(np.median(light.length_mm[read] / light.lines[read]))
+    if not between.any():
+        upper = left if edge.lower_side > 0.0 else right
+        rim_mm = float(light.points[upper][np.argmin(np.abs(y[upper] - edge.y_mm)), 2])
+        of_side = sampled_edge_sigma_mm(_seen_side_mm(light, edge, rim_mm))
+        return math.hypot(EDGE_LINES * mm_per_line, of_side)
+    return sampled_edge_sigma_mm((1.0 + float(light.lines[between].sum())) * mm_per_line)
+
+
+def _seen_side_mm(light: StripeLight, edge: _Edge, rim_mm: float) -> float:
+    """Return how much of the lower side, mm, an edge's upright side stands before, lit and seen, else 0.
+
+    Its light may count as either side's stripe.
+    """
+    of_eye, of_source = (edge.lower_side * (float(P[1]) - edge.y_mm) for P in (light.eye, light.source))
+    # What stands in the side's own plane, but for rounding, neither lights nor sees it.
+    if min(of_eye, of_source) < IN_PLANE_MM:
+        return 0.0
+    return of_eye / (float(light.eye[2]) - rim_mm) * edge.step_mm

@@ -1,0 +1,1 @@
+"""A joint's surface: its shape, faces, reflectance, and what it hides."""

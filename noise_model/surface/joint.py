@@ -1,0 +1,374 @@
+"""The joint's surface: a cross-section drawn along the seam, raised by a corrugation where there is one.
+
+Joint frame J: origin on the nominal seam line beside base's origin, x along travel, y to the left of travel,
+z out of the workpiece. A section is a polyline in (y, z), its ends running on to infinity; a corrugation
+adds c(x) to every height. Surfaces hide what is behind them from either side.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from functools import lru_cache
+
+import numpy as np
+import numpy.typing as npt
+
+from noise_model.transforms import Float64, Point, cross
+
+REACH_MM = 1.0e4
+"""How far the plates run on to either side of the seam."""
+
+DIMENSIONS: Mapping[str, tuple[str, ...]] = {
+    "flat": (),
+    "v_groove": ("included_angle_deg", "depth_mm", "root_gap_mm"),
+    "lap": ("thickness_mm",),
+    "corrugation": ("thickness_mm", "pitch_mm", "height_mm", "width_mm"),
+    "butt": ("gap_mm", "thickness_mm"),
+    "fillet": ("included_angle_deg",),
+    "half_v": ("bevel_angle_deg", "depth_mm", "root_gap_mm"),
+    "u_groove": ("depth_mm", "root_radius_mm", "bevel_angle_deg", "root_gap_mm"),
+    "edge": ("gap_mm", "thickness_mm"),
+}
+"""The dimensions that each type of joint needs."""
+
+MAY_BE_ZERO = ("root_gap_mm", "gap_mm")
+"""The dimensions that may be 0; all others are above it."""
+
+EDGE_STANDS_MM = 60.0
+"""How high the two sheets of an edge joint stand over what they stand on: below what a sensor looks at."""
+
+SAGITTA_MM, MOST_CHORDS = 0.01, 16
+"""How far the chords of a U's rounded root lie off it at most, up to a radius of 10 mm, and their number."""
+
+
+@dataclass(frozen=True)
+class Joint:
+    """The joint as stated: its type, its dimensions (mm, deg) by name and its nominal seam line in base.
+
+    Stations count from the foot of `station_origin_mm`, a point of base, on the seam's first segment.
+    """
+
+    type: str
+    dimensions: Mapping[str, float]
+    seam_in_base_mm: tuple[tuple[float, float, float], ...]
+    surface_normal_in_base: tuple[float, float, float] = (0.0, 0.0, 1.0)
+    station_origin_mm: tuple[float, float, float] = (0.0, 0.0, 0.0)
+
+    def __post_init__(self) -> None:
+        if self.type not in DIMENSIONS:
+            raise ValueError(f"[joint] type = {self.type!r}: known are {', '.join(DIMENSIONS)}")
+        for name in DIMENSIONS[self.type]:
+            if name not in self.dimensions:
+                raise ValueError(f"[joint] {name}: missing, a {self.type} needs it")
+            minimum_is_open = name not in MAY_BE_ZERO
+            value = self.dimensions[name]
+            if not (value > 0 if minimum_is_open else value >= 0) or math.isinf(value):
+                bound = "> 0" if minimum_is_open else ">= 0"
+                raise ValueError(f"[joint] {name} = {value}: must be {bound} and finite")
+        if self.type == "v_groove" and not self.dimensions["included_angle_deg"] < 180:
+            raise ValueError("[joint] included_angle_deg: must be below 180")
+        if self.type == "fillet" and not self.dimensions["included_angle_deg"] < 360:
+            raise ValueError("[joint] included_angle_deg: must be below 360")
+        if self.type == "fillet" and self.dimensions["included_angle_deg"] == 180:
+            raise ValueError("[joint] included_angle_deg = 180: two plates in one plane have no corner")
+        if "bevel_angle_deg" in DIMENSIONS[self.type] and not self.dimensions["bevel_angle_deg"] < 90:
+            raise ValueError("[joint] bevel_angle_deg: must be below 90")
+        if self.type == "u_groove" and _round_height_mm(self.dimensions) > self.dimensions["depth_mm"]:
+            raise ValueError("[joint] root_radius_mm: the rounded root is higher than depth_mm")
+        if self.type == "corrugation" and self.dimensions["width_mm"] > self.dimensions["pitch_mm"]:
+            raise ValueError("[joint] width_mm: a corrugation cannot be wider than its pitch_mm")
+        points = np.asarray(self.seam_in_base_mm, dtype=np.float64)
+        if points.ndim != 2 or points.shape[0] < 2 or points.shape[1] != 3:
+            raise ValueError("[joint] seam_in_base_mm: needs at least two points of x, y, z")
+        if not np.isfinite(points).all():
+            raise ValueError("[joint] seam_in_base_mm: holds a number that is not finite")
+        if not (np.linalg.norm(np.diff(points, axis=0), axis=1) > 1e-6).all():
+            raise ValueError("[joint] seam_in_base_mm: two points of the line coincide")
+        normal = np.asarray(self.surface_normal_in_base, dtype=np.float64)
+        if not abs(float(np.linalg.norm(normal)) - 1.0) <= 1e-3:
+            raise ValueError("[joint] surface_normal_in_base: its length is not 1")
+        steps = np.diff(points, axis=0)
+        if (np.linalg.norm(np.cross(steps, normal), axis=1) < 1e-3 * np.linalg.norm(steps, axis=1)).any():
+            raise ValueError("[joint] surface_normal_in_base: is parallel to the seam line")
+
+    @property
+    def has_ridges(self) -> bool:
+        """Whether ridges run across the nominal seam line; they stay so when the seam between them turns."""
+        return self.type == "corrugation"
+
+
+@dataclass(frozen=True)
+class Section:
+    """The surface's shape for the kernels.
+
+    `vertices` is (n, 2) float64, the polyline's (y, z) in mm from y = -REACH to +REACH;
+    `corrugation` is (3,) float64: height, width, pitch in mm, height 0 where there is none.
+    """
+
+    vertices: Float64
+    corrugation: Float64
+
+
+def section(joint: Joint) -> Section:
+    """Return a joint's cross-section as RECORDING.md draws it, seam point at y = 0.
+
+    Beyond that format: `half_v` has an upright side at y < 0 and a bevelled one, `bevel_angle_deg` from
+    upright; `u_groove` a flat root `root_gap_mm` wide, rounded by `root_radius_mm` up to its bevels; of both
+    the seam point is the middle of the root. `edge`: two upright sheets of `thickness_mm` side by side, their
+    edges level at z = 0, the seam point the middle of the gap between them. One for all who ask: its arrays
+    are not to be written to.
+    """
+    return _draw(joint.type, tuple(joint.dimensions.items()))
+
+
+@lru_cache
+def _draw(joint_type: str, dimensions: tuple[tuple[str, float], ...]) -> Section:
+    """Draw the cross-section of a type of joint: every look at a pose asks for it."""
+    size = dict(dimensions)
+    corrugation = np.zeros(3)
+    if joint_type == "corrugation":
+        corrugation[:] = size["height_mm"], size["width_mm"], size["pitch_mm"]
+    inner = _CORNERS[joint_type](size)
+    # Without a gap two corners meet.
+    inner = [corner for i, corner in enumerate(inner) if i == 0 or corner != inner[i - 1]]
+    rise = REACH_MM * _plate_slope(joint_type, size)
+    right_end, left_end = (-REACH_MM, inner[0][1] + rise), (REACH_MM, inner[-1][1] + rise)
+    return Section(np.array([right_end, *inner, left_end], dtype=np.float64), corrugation)
+
+
+Corners = list[tuple[float, float]]
+Size = Mapping[str, float]
+
+
+def _mirrored(right: Corners) -> Corners:
+    """Return a section's corners (y, z) from those at y <= 0, y rising."""
+    return right + [(-y, z) for y, z in reversed(right)]
+
+
+def _v_groove(size: Size) -> Corners:
+    half_gap, depth = size["root_gap_mm"] / 2.0, size["depth_mm"]
+    half_mouth = half_gap + depth * math.tan(math.radians(size["included_angle_deg"] / 2.0))
+    return _mirrored([(-half_mouth, 0.0), (-half_gap, -depth)])
+
+
+def _half_v(size: Size) -> Corners:
+    half_gap, depth = size["root_gap_mm"] / 2.0, size["depth_mm"]
+    mouth = half_gap + depth * math.tan(math.radians(size["bevel_angle_deg"]))
+    return [(-half_gap, 0.0), (-half_gap, -depth), (half_gap, -depth), (mouth, 0.0)]
+
+
+def _round_height_mm(size: Size) -> float:
+    """Return how high over a U's root the rounding goes over into the bevel."""
+    return size["root_radius_mm"] * (1.0 - math.sin(math.radians(size["bevel_angle_deg"])))
+
+
+def _u_groove(size: Size) -> Corners:
+    """Draw the rounding as the polygon about it, whose first and last sides are the root and the bevel."""
+    half_gap, depth, radius = size["root_gap_mm"] / 2.0, size["depth_mm"], size["root_radius_mm"]
+    bevel = math.radians(size["bevel_angle_deg"])
+    turn = 0.5 * math.pi - bevel
+    chords = math.ceil(turn / (2.0 * math.acos(radius / (radius + SAGITTA_MM))))
+    step = turn / min(max(chords, 1), MOST_CHORDS)
+    reach = radius / math.cos(0.5 * step)
+    angles = np.arange(0.5 * step, turn, step)
+    left = [(half_gap + reach * math.sin(a), radius - depth - reach * math.cos(a)) for a in angles]
+    over = depth - _round_height_mm(size)
+    left.append((half_gap + radius * math.cos(bevel) + over * math.tan(bevel), 0.0))
+    return _mirrored([(-y, z) for y, z in reversed(left)])
+
+
+def _slot(size: Size, depth_mm: float) -> Corners:
+    half_gap = size["gap_mm"] / 2.0
+    return _mirrored([(-half_gap, 0.0), (-half_gap, -depth_mm)]) if half_gap > 0.0 else [(0.0, 0.0)]
+
+
+def _edge(size: Size) -> Corners:
+    outer = -size["gap_mm"] / 2.0 - size["thickness_mm"]
+    side = [(outer, -EDGE_STANDS_MM), (outer, 0.0)]
+    return [*side, *_slot(size, EDGE_STANDS_MM), *_mirrored(side)[2:]]
+
+
+def _lap(size: Size) -> Corners:
+    return [(0.0, size["thickness_mm"]), (0.0, 0.0)]
+
+
+_CORNERS: Mapping[str, Callable[[Size], Corners]] = {
+    "flat": lambda size: [(0.0, 0.0)],
+    "v_groove": _v_groove,
+    "lap": _lap,
+    "corrugation": _lap,
+    "butt": lambda size: _slot(size, size["thickness_mm"]),
+    "fillet": lambda size: [(0.0, 0.0)],
+    "half_v": _half_v,
+    "u_groove": _u_groove,
+    "edge": _edge,
+}
+"""Each type's corners between its two plates, (y, z) in mm, y rising."""
+
+
+def _plate_slope(joint_type: str, size: Size) -> float:
+    """Return how steeply the plates rise away from the seam: a fillet's do, or fall."""
+    if joint_type != "fillet":
+        return 0.0
+    return 1.0 / math.tan(math.radians(size["included_angle_deg"] / 2.0))
+
+
+@dataclass(frozen=True)
+class SeamLine:
+    """Where the true seam runs beside its nominal line: a straight stretch about one station.
+
+    At `station_mm` of the joint frame it lies `y_mm` to the left and `z_mm` higher, and it leaves the nominal
+    direction by `slope_y` = dy/dx and `slope_z` = dz/dx.
+    """
+
+    station_mm: float = 0.0
+    y_mm: float = 0.0
+    z_mm: float = 0.0
+    slope_y: float = 0.0
+    slope_z: float = 0.0
+
+    def frame(self) -> Float64:
+        """Return T_nominal_true (4, 4), mm: the joint frame turned about the station, moved to the seam.
+
+        One array for all who ask: it is not to be written to.
+        """
+        return _seam_line_frame(self)
+
+
+@lru_cache(maxsize=1024)
+def _seam_line_frame(line: SeamLine) -> Float64:
+    a, b, x = line.slope_y, line.slope_z, line.station_mm
+    # The x axis is (1, a, b) / length, the y axis lies level.
+    level = math.sqrt(1.0 + a * a)
+    length = math.sqrt(1.0 + a * a + b * b)
+    T_nominal_true = np.array(
+        [
+            [1.0 / length, -a / level, -b / (length * level), x - x / length],
+            [a / length, 1.0 / level, -a * b / (length * level), line.y_mm - x * a / length],
+            [b / length, 0.0, level / length, line.z_mm - x * b / length],
+            [0.0, 0.0, 0.0, 1.0],
+        ]
+    )
+    T_nominal_true.flags.writeable = False
+    return T_nominal_true
+
+
+NOMINAL_SEAM = SeamLine()
+
+STRETCH_TURNS, STRETCH_MM = 0.003, 2.0
+"""By what slope a bent seam turns from one straight stretch to the next, and the least length of these."""
+
+STRETCH_ASIDE_MM = 0.1
+"""How far to the side the next stretch may begin where ridges keep stretches from turning."""
+
+GRID_MM = 1.0
+"""Stations at which it is seen how much a seam turns."""
+
+
+@dataclass(frozen=True)
+class BentSeam:
+    """A seam that bends: straight stretches, each of which stands for what lies nearest to its station.
+
+    `lines` come in rising order of their stations. The arc stands on the plate of `ground`, and by its seam.
+    """
+
+    lines: tuple[SeamLine, ...]
+    ground: SeamLine
+
+    def __post_init__(self) -> None:
+        stations = [line.station_mm for line in self.lines]
+        if not stations or (np.diff(stations) <= 0.0).any():
+            raise ValueError("a bent seam needs stretches in rising order of their stations")
+
+    @classmethod
+    def along(
+        cls,
+        line_at: Callable[[float], SeamLine],
+        seen_mm: tuple[float, float],
+        torch_mm: float,
+        has_ridges: bool,
+    ) -> BentSeam:
+        """Return a seam from one station to another as straight stretches, its tangents at their middles, mm.
+
+        `line_at` gives the tangent at a station. The arc stands on the plate where the torch is.
+        """
+        first, last = seen_mm
+        lines = [line_at(float(station)) for station in np.arange(first, last + GRID_MM, GRID_MM)]
+        turns = max(np.ptp([(line.slope_y, line.slope_z) for line in lines], axis=0)) / STRETCH_TURNS
+        if has_ridges:
+            turns = max(turns, np.ptp([line.y_mm for line in lines]) / STRETCH_ASIDE_MM)
+        count = max(1, min(1 + int(turns), round((last - first) / STRETCH_MM)))
+        step = (last - first) / count
+        stretches = tuple(line_at(float(first + step * (n + 0.5))) for n in range(count))
+        ground = line_at(torch_mm)
+        return cls(stretches, SeamLine(torch_mm, ground.y_mm, ground.z_mm))
+
+    @property
+    def middle(self) -> SeamLine:
+        """The stretch in the middle."""
+        return self.lines[len(self.lines) // 2]
+
+    def stretch_at(self, stations_mm: Float64) -> npt.NDArray[np.int64]:
+        """Return the index of the stretch that stands for each station (...,); the middle's for a NaN."""
+        stations = np.array([line.station_mm for line in self.lines])
+        index = np.searchsorted(0.5 * (stations[1:] + stations[:-1]), stations_mm)
+        return np.where(np.isnan(stations_mm), len(self.lines) // 2, index)
+
+
+Seam = SeamLine | BentSeam
+"""Where the true seam runs."""
+
+
+def seam_height_mm(joint: Joint) -> float:
+    """Return the height of the seam point over the reference surface: the root of a groove, else 0."""
+    return -joint.dimensions["depth_mm"] if "depth_mm" in DIMENSIONS[joint.type] else 0.0
+
+
+def corrugation_height(x_mm: Float64, corrugation: Float64) -> Float64:
+    """Return c(x) = height/2 (1 + cos(2 pi u / width)) for |u| < width/2, u = x to the nearest pitch; mm."""
+    height, width, pitch = corrugation
+    if height == 0.0:
+        return np.zeros_like(np.asarray(x_mm, dtype=np.float64))
+    u = x_mm - pitch * np.rint(x_mm / pitch)
+    return np.where(np.abs(u) < width / 2.0, height / 2.0 * (1.0 + np.cos(2.0 * np.pi * u / width)), 0.0)
+
+
+def seam_frame(joint: Joint, point_base_mm: Float64) -> Float64:
+    """Return T_base_joint of the line segment nearest to a point of base.
+
+    Its x is the station, counted along the segments: along the first as base's does, from the foot of base's
+    origin, so that a corrugation keeps its place, and on from there through every bend.
+    """
+    frames = _segment_frames(joint.seam_in_base_mm, joint.surface_normal_in_base, joint.station_origin_mm)
+    if len(frames) == 1:
+        return frames[0].copy()
+    points = np.asarray(joint.seam_in_base_mm, dtype=np.float64)
+    starts, steps = points[:-1], np.diff(points, axis=0)
+    along = np.einsum("ij,ij->i", point_base_mm - starts, steps) / np.einsum("ij,ij->i", steps, steps)
+    feet = starts + np.clip(along, 0.0, 1.0)[:, None] * steps
+    return frames[int(np.argmin(np.linalg.norm(point_base_mm - feet, axis=1)))].copy()
+
+
+@lru_cache
+def _segment_frames(
+    seam_in_base_mm: tuple[Point, ...], normal_in_base: Point, station_origin_mm: Point
+) -> list[Float64]:
+    """Return T_base_joint of each segment of a seam line: every look at a pose asks for one."""
+    points = np.asarray(seam_in_base_mm, dtype=np.float64)
+    frames: list[Float64] = []
+    station = 0.0
+    for start, step in zip(points[:-1], np.diff(points, axis=0), strict=True):
+        length = float(np.linalg.norm(step))
+        x_axis = step / length
+        if not frames:
+            station = (start - station_origin_mm) @ x_axis
+        y_axis = cross(normal_in_base, x_axis)
+        y_axis /= np.linalg.norm(y_axis)
+        T_base_joint = np.eye(4)
+        T_base_joint[:3, :3] = np.transpose([x_axis, y_axis, cross(x_axis, y_axis)])
+        T_base_joint[:3, 3] = start - station * x_axis
+        frames.append(T_base_joint)
+        station += length
+    return frames

@@ -1,0 +1,205 @@
+"""What a ray meets of the joint, and whether a straight way over it is free."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import numpy.typing as npt
+
+from noise_model.kernel import kernel
+from noise_model.surface.faces import face_normal, ridge
+from noise_model.surface.joint import Section, corrugation_height
+from noise_model.transforms import Float64, Vector
+
+MISS = -1
+"""The face of a ray that looks past the workpiece."""
+
+RIDGE_STEPS = 64
+"""In how many steps per width of a corrugation a ray that may meet it more than once is followed."""
+
+
+@kernel
+def _meet_ridge(
+    origin: Vector, d: Vector, y_k: float, width: float, z_k: float, slope: float, corrugation: Float64
+) -> float:
+    """Return where a ray first meets a corrugated strip, in units of d, or inf.
+
+    Looked at is the ray's way beside the strip, between its base and its raised plane.
+    """
+    height = corrugation[0]
+    base, climb = origin[2] - z_k - slope * (origin[1] - y_k), d[2] - slope * d[1]
+    near, far = 0.0, math.inf
+    for speed, to_low, to_high in (
+        (d[1], y_k - origin[1], y_k + width - origin[1]),
+        (climb, -base, height - base),
+    ):
+        if speed == 0.0:
+            if not to_low <= 0.0 <= to_high:
+                return math.inf
+            continue
+        t_low, t_high = to_low / speed, to_high / speed
+        near, far = max(near, min(t_low, t_high)), min(far, max(t_low, t_high))
+    if near > far:
+        return math.inf
+    if climb == 0.0 and d[0] != 0.0:
+        # Level along the strip it meets within a pitch what it ever meets.
+        far = min(far, near + corrugation[2] / abs(d[0]))
+    if far == math.inf:
+        return math.inf
+    steps = 1
+    if abs(d[0]) * math.pi * height / corrugation[1] >= abs(climb):
+        steps = min(4096, 1 + int(RIDGE_STEPS * abs(d[0]) * (far - near) / corrugation[1]))
+    c, _ = ridge(origin[0] + near * d[0], corrugation)
+    gap = base + near * climb - c
+    from_below = gap < 0.0 or (climb > 0.0 and base + near * climb <= 1e-9)
+    sign = -1.0 if from_below else 1.0
+    if sign * gap <= 1e-9 and near > 0.0:
+        return near
+    last, curve = near, height * (math.pi / corrugation[1]) ** 2
+    for i in range(steps):
+        t = near + (far - near) * (i + 1) / steps
+        c, dc = ridge(origin[0] + t * d[0], corrugation)
+        gap = sign * (base + t * climb - c)
+        if gap > 1e-9:
+            last = t
+            continue
+        low, high = last, t
+        for _ in range(40):
+            slope_gap = sign * (climb - dc * d[0])
+            step = t - gap / slope_gap if slope_gap < 0.0 else low
+            if slope_gap < 0.0 and curve * ((step - t) * d[0]) ** 2 < 1e-9:
+                # Less than that, mm, a step of Newton's leaves of the gap.
+                return min(max(step, last), far)
+            t_next = step if low < step < high else 0.5 * (low + high)
+            if abs(t_next - t) < 1e-9 * far:
+                return t_next
+            t = t_next
+            c, dc = ridge(origin[0] + t * d[0], corrugation)
+            gap = sign * (base + t * climb - c)
+            if gap > 0.0:
+                low = t
+            else:
+                high = t
+        return t
+    return math.inf
+
+
+@kernel
+def first_hit(origin: Vector, d: Vector, vertices: Float64, corrugation: Float64) -> tuple[float, int]:
+    """Return how far along a ray (joint frame, mm) the surface is met, in units of d, and on which face.
+
+    The face is the number of the section's strip, MISS where the ray looks past the workpiece.
+    """
+    best, face = math.inf, MISS
+    for k in range(vertices.shape[0] - 1):
+        y_k, z_k = vertices[k, 0], vertices[k, 1]
+        width, rise = vertices[k + 1, 0] - y_k, vertices[k + 1, 1] - z_k
+        if corrugation[0] > 0.0 and width > 0.0:
+            t = _meet_ridge(origin, d, y_k, width, z_k, rise / width, corrugation)
+            if 0.0 < t < best:
+                best, face = t, k
+            continue
+        across = d[2] * width - d[1] * rise
+        if across == 0.0:
+            continue
+        t = -((origin[2] - z_k) * width - (origin[1] - y_k) * rise) / across
+        if not 0.0 < t < best:
+            continue
+        if width > abs(rise):
+            share = (origin[1] + t * d[1] - y_k) / width
+        else:
+            c, _ = ridge(origin[0] + t * d[0], corrugation)
+            share = (origin[2] + t * d[2] - c - z_k) / rise
+        if 0.0 <= share <= 1.0:
+            best, face = t, k
+    return best, face
+
+
+@kernel(allocates=True)
+def trace(
+    xy: npt.NDArray[np.floating],
+    pixels: npt.NDArray[np.integer],
+    T_joint_camera: Float64,
+    vertices: Float64,
+    corrugation: Float64,
+    points: Float64,
+    normals: Float64,
+    faces: npt.NDArray[np.int32],
+) -> None:
+    """Follow the rays of some pixels to the surface.
+
+    `xy` (H W, 2) are the camera's normalised rays, `pixels` (n,) indices into it. Written are, in the joint
+    frame, `points` (n, 3) mm and `normals` (n, 3), NaN for a miss, and `faces` (n,) int32.
+    """
+    d = np.empty(3)
+    origin = T_joint_camera[:3, 3].copy()
+    for i in range(pixels.shape[0]):
+        x, y = xy[pixels[i], 0], xy[pixels[i], 1]
+        for j in range(3):
+            d[j] = T_joint_camera[j, 0] * x + T_joint_camera[j, 1] * y + T_joint_camera[j, 2]
+        t, face = first_hit(origin, d, vertices, corrugation)
+        faces[i] = face
+        if face == MISS:
+            points[i, :] = np.nan
+            normals[i, :] = np.nan
+            continue
+        for j in range(3):
+            points[i, j] = origin[j] + t * d[j]
+        nx, ny, nz = face_normal(face, points[i, 0], vertices, corrugation)
+        normals[i, 0], normals[i, 1], normals[i, 2] = nx, ny, nz
+
+
+def surface_height(points: Float64, shape: Section) -> Float64:
+    """Return the surface's height (mm) over or under points (..., 3) of the joint frame."""
+    plain = np.interp(points[..., 1], shape.vertices[:, 0], shape.vertices[:, 1])
+    return np.asarray(plain + corrugation_height(points[..., 0], shape.corrugation))
+
+
+def is_open(points: Float64, targets: Float64, shape: Section, steps: int = 4000) -> npt.NDArray[np.bool_]:
+    """Say for each pair whether the straight way from a point (n, 3) to a target (n, 3) is free.
+
+    The plain twin of the half-spaces: it walks the way in small steps and looks whether it runs below the
+    surface. The ends themselves are left out by a thousandth of a millimetre.
+    """
+    share = (np.arange(steps) + 0.5) / steps
+    free = np.ones(len(points), dtype=bool)
+    for s in share:
+        walk = points + s * (targets - points)
+        free &= walk[:, 2] > surface_height(walk, shape) - 1e-6
+    return free
+
+
+@kernel(allocates=True)
+def way_is_open(P: Float64, Q: Float64, vertices: Float64, corrugation: Float64) -> bool:
+    """Say whether the straight way from a surface point P up to a point Q, both (3,) mm, is free."""
+    for k in range(1, vertices.shape[0] - 1):
+        y_k = vertices[k, 0]
+        if not min(P[1], Q[1]) < y_k < max(P[1], Q[1]):
+            continue
+        share = (y_k - P[1]) / (Q[1] - P[1])
+        c, _ = ridge(P[0] + share * (Q[0] - P[0]), corrugation)
+        if P[2] + share * (Q[2] - P[2]) < vertices[k, 1] + c - 1e-9:
+            return False
+    if corrugation[0] == 0.0:
+        return True
+    steps = 64
+    top = corrugation[0] + vertices[:, 1].max()
+    reach = min(1.0, max(0.0, (top - P[2]) / (Q[2] - P[2]))) if Q[2] > P[2] else 1.0
+    for i in range(1, steps + 1):
+        share = reach * i / steps
+        c, _ = ridge(P[0] + share * (Q[0] - P[0]), corrugation)
+        # Only a lap is corrugated: its upper sheet ends at vertex 1.
+        sheet = vertices[1, 1] if P[1] + share * (Q[1] - P[1]) < vertices[1, 0] else vertices[2, 1]
+        if P[2] + share * (Q[2] - P[2]) < sheet + c - 1e-6:
+            return False
+    return True
+
+
+@kernel(allocates=True)
+def ways_are_open(
+    points: Float64, Q: Float64, vertices: Float64, corrugation: Float64, is_free: npt.NDArray[np.bool_]
+) -> None:
+    """Write for each surface point (n, 3) whether its way up to Q is free."""
+    for i in range(points.shape[0]):
+        is_free[i] = way_is_open(points[i], Q, vertices, corrugation)

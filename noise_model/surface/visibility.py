@@ -1,0 +1,284 @@
+"""What hides the arc: kernels over a section that is drawn along the seam.
+
+Because a section runs straight along x and a corrugation straight along y, whatever hides a part of the sky
+from a surface point does so along a plane through that point: its own tangent plane, the plane through a
+section's vertex line, the plane that touches a corrugation. Visibility of the arc is therefore a short list
+of half-spaces of directions, exact for plain sections and to first order where a vertex line follows a
+corrugation. Where a seam bends on its way to the arc, edges are parabolas in plan and a half-space that of a
+tangent.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from noise_model.kernel import kernel
+from noise_model.surface.faces import ridge
+from noise_model.surface.joint import MOST_CHORDS, Section
+from noise_model.transforms import Float64, Vector
+
+Bend = tuple[float, float]
+"""How edges leave the direction of x towards the arc: dy/dx at P, and how far to the left at the arc, mm."""
+
+MAX_PLANES = 12
+"""Room for the half-spaces of one surface point."""
+
+MAX_LEDGES = 2 * MOST_CHORDS + 4
+"""Room for the faces that cut into the arc, as one surface point sees them: a rounding's chords are most."""
+
+HORIZON_STEP_MM = 0.25
+"""The horizon table's step along x; the touching point is a maximum, so the error is of second order."""
+
+
+@kernel(allocates=True)
+def horizon_table(
+    x_start: float, n: int, center_x: float, radius: float, corrugation: Float64, lift: float, foot: float
+) -> Float64:
+    """Return (n, 2): per station the steepest slope of the corrugation towards the arc, and where it is.
+
+    Seen from height c(x) for terrain that lies `lift` mm higher than the surface the point is on: all of it
+    up to the arc's near side, and up to its far side what rises towards it to no more than c = `foot`, the
+    arc's own level: no part of the arc stands in front of that and below its top. -inf where nothing lies
+    between.
+    """
+    table = np.empty((n, 2))
+    heights = np.empty(n)
+    for i in range(n):
+        heights[i] = ridge(x_start + i * HORIZON_STEP_MM, corrugation)[0]
+    for i in range(n):
+        x = x_start + i * HORIZON_STEP_MM
+        steepest, where = -math.inf, math.nan
+        step = -1 if x > center_x else 1
+        j = i + step
+        while 0 <= j < n:
+            x_j = x_start + j * HORIZON_STEP_MM
+            if (center_x - x_j) * step < -radius:
+                break
+            slope = (heights[j] + lift - heights[i]) / ((x_j - x) * step)
+            counts = (center_x - x_j) * step >= radius or (slope > 0.0 and heights[j] <= foot)
+            if counts and slope > steepest:
+                steepest, where = slope, x_j
+            j += step
+        table[i, 0], table[i, 1] = steepest, where
+    return table
+
+
+@kernel(inline=True)
+def touch(horizon: Float64, x_start: float, x: float) -> tuple[float, float]:
+    """Look a station up in a horizon table: slope (interpolated) and place of the touching point."""
+    position = (x - x_start) / HORIZON_STEP_MM
+    i = int(position)
+    if i < 0 or i >= horizon.shape[0] - 1:
+        return -math.inf, math.nan
+    share = position - i
+    if horizon[i, 0] == -math.inf or horizon[i + 1, 0] == -math.inf:
+        return horizon[i, 0], horizon[i, 1]
+    slope = (1.0 - share) * horizon[i, 0] + share * horizon[i + 1, 0]
+    return slope, (1.0 - share) * horizon[i, 1] + share * horizon[i + 1, 1]
+
+
+@kernel
+def _steepest(P: Vector, sheet_z: float, center: Vector, radius: float, corrugation: Float64) -> float:
+    """Return the steepest slope from P over one sheet on the way to the arc, as in `horizon_table`."""
+    towards = 1.0 if center[0] > P[0] else -1.0
+    steepest = -math.inf
+    for j in range(1, int((abs(center[0] - P[0]) + radius) / HORIZON_STEP_MM) + 1):
+        x = P[0] + towards * j * HORIZON_STEP_MM
+        c, _ = ridge(x, corrugation)
+        slope = (sheet_z + c - P[2]) / (j * HORIZON_STEP_MM)
+        counts = (center[0] - x) * towards >= radius or (slope > 0.0 and sheet_z + c <= center[2])
+        if counts and slope > steepest:
+            steepest = slope
+    return steepest
+
+
+@kernel
+def is_curved_lap(vertices: Float64, corrugation: Float64, bend: Bend) -> bool:
+    """Say whether a section is a lap whose edge is no straight line: `arc_metal` follows it ray by ray."""
+    is_lap = vertices.shape[0] == 4 and vertices[1, 0] == vertices[2, 0] and vertices[1, 1] > vertices[2, 1]
+    return is_lap and (corrugation[0] > 0.0 or bend[0] != 0.0 or bend[1] != 0.0)
+
+
+@kernel
+def bent(P: Vector, center: Vector, radius: float, bend: Bend) -> tuple[float, float]:
+    """Return slope and curve, 1/mm, of edges at P's station: the parabola that is `bend`'s under the arc."""
+    slope, beside = bend
+    way = center[0] - P[0]
+    if abs(way) <= radius:
+        return 0.0, 0.0
+    return slope, 2.0 * (beside - slope * way) / (way * way)
+
+
+@kernel
+def first_crossing(over: float, across: float, curve: float, from_below: bool) -> float:
+    """Return the first t at which over + across t - curve t^2 / 2, a way's distance from an edge, is 0.
+
+    inf for none. On the edge itself a way that comes from the other side than `from_below` says crosses it.
+    """
+    leaves = (across > 0.0) == from_below and across != 0.0
+    if curve == 0.0 or (over == 0.0 and leaves):
+        return -over / across if leaves else math.inf
+    square = across * across + 2.0 * curve * over
+    if square < 0.0:
+        return math.inf
+    # Without differences of like numbers.
+    half = across + math.copysign(math.sqrt(square), across)
+    first = math.inf
+    for t in (half / curve, -2.0 * over / half if half != 0.0 else math.inf):
+        if 0.0 < t < first:
+            first = t
+    return first
+
+
+@kernel
+def tangent(P: Vector, center: Vector, radius: float, edge_y: float, bend: Bend) -> tuple[float, float]:
+    """Return the slope dy/dx of an edge where the way from P to the arc's centre comes to it, and its place.
+
+    What a `bent` edge, at `edge_y` at P's station, hides is what its tangent does where it is passed, or
+    passed most closely; that tangent runs beside `edge_y` at P's station by the second number, mm.
+    """
+    slope, curve = bent(P, center, radius, bend)
+    if slope == 0.0 and curve == 0.0:
+        return 0.0, 0.0
+    way = center[0] - P[0]
+    over, towards = P[1] - edge_y, (center[1] - P[1]) / way - slope
+    share = first_crossing(over, towards * way, curve * way * way, over < 0.0)
+    if not share < 1.0:
+        nearest = towards / curve if curve != 0.0 else math.inf
+        share = min(max(nearest / way, 0.0), 1.0)
+    x = share * way
+    return slope + curve * x, -0.5 * curve * x * x
+
+
+@kernel
+def sky_planes(
+    P: Vector,
+    normal: Vector,
+    face: int,
+    center: Vector,
+    radius: float,
+    bend: Bend,
+    vertices: Float64,
+    corrugation: Float64,
+    horizon_start: float,
+    horizons: Float64,
+    planes: Float64,
+    ledges: Float64,
+) -> tuple[int, int]:
+    """Write the half-spaces m.omega > 0 of directions in which P sees the arc; return how many, and ledges.
+
+    `planes` (MAX_PLANES, 3). The first is P's own horizon. `horizons` (2, n, 2) are `horizon_table`s for
+    terrain as high as P's sheet and lower by the step of the sheets. `ledges` (2 MAX_LEDGES, 3) are pairs of
+    a half-space and a face (n_y, n_z, c) that cuts into the arc: what lies behind it, n_y y + n_z z < c, is
+    seen in the half-space alone. Edges that `bend` are taken along their `tangent`; a ledge is written as if
+    that ran along x, in coordinates y - askew (x - P_x), with askew in place of the half-space's m_x.
+    """
+    count, n_ledges = 1, 0
+    planes[0, 0], planes[0, 1], planes[0, 2] = normal[0], normal[1], normal[2]
+    beside, way = bend[1], center[0] - P[0]
+    if beside != 0.0 and abs(way) > radius and abs(normal[1]) > 1e-9:
+        # A face that bends stands in its own way.
+        planes[1, 0], planes[1, 1], planes[1, 2] = normal[0] - beside / way * normal[1], normal[1], normal[2]
+        count = 2
+    corrugated = corrugation[0] > 0.0
+    is_followed = is_curved_lap(vertices, corrugation, bend)
+    n_vertices = vertices.shape[0]
+    # Of all that stands on one side the steepest hides what the others do; (dy, dz) and askew of those.
+    right_dy, right_dz, right_askew, left_dy, left_dz, left_askew = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
+    for k in range(n_vertices):
+        if is_followed or k in (face, face + 1):
+            continue
+        # A plate's far end counts where the plate rises towards it, as in a fillet's inside corner, or where
+        # P's face stands on the plate, as a lap's edge does.
+        if k == 0 and vertices[0, 1] <= vertices[1, 1] and (face != 1 or P[2] <= vertices[0, 1]):
+            continue
+        if (
+            k == n_vertices - 1
+            and vertices[k, 1] <= vertices[k - 1, 1]
+            and (face != k - 2 or P[2] <= vertices[k, 1])
+        ):
+            continue
+        y_k, z_k = vertices[k, 0], vertices[k, 1]
+        # A vertex no higher than the arc's foot hides nothing that stands before it, and nothing at all from
+        # a point above it.
+        low_vertex = z_k <= center[2] + 1e-9
+        askew, aside = tangent(P, center, radius, y_k, bend)
+        dy, dz = y_k + aside - P[1], z_k - P[2]
+        # What lies below P's own horizon hides nothing more, and its half-space would cut the other side.
+        if (low_vertex and dz <= 0.0) or dy * normal[1] + dz * normal[2] <= 1e-9:
+            continue
+        # By the faces' order, so that it holds on a face's plane beyond its edges too.
+        side = 1.0 if k > face else -1.0
+        if low_vertex:
+            if (center[1] - beside + side * radius - y_k) * side <= 0.0:
+                continue
+        else:
+            # The face below a higher one, on P's side.
+            low = k - 1 if side > 0.0 else k
+            width, rise = vertices[low + 1, 0] - vertices[low, 0], vertices[low + 1, 1] - vertices[low, 1]
+            length = math.sqrt(width * width + rise * rise)
+            n_y, n_z = -rise / length, width / length
+            before = n_y * (center[1] - beside - y_k) + n_z * (center[2] - z_k)
+            if before >= radius:
+                continue
+            if before > -radius and n_ledges < MAX_LEDGES:
+                i = 2 * n_ledges
+                wall_y = y_k + beside - askew * way
+                ledges[i, 0], ledges[i, 1], ledges[i, 2] = askew, -side * dz, side * dy
+                ledges[i + 1, 0], ledges[i + 1, 1], ledges[i + 1, 2] = n_y, n_z, n_y * wall_y + n_z * z_k
+                n_ledges += 1
+                continue
+        if side > 0.0 and left_dy * dz - left_dz * dy >= 0.0:
+            left_dy, left_dz, left_askew = dy, dz, askew
+        elif side < 0.0 and right_dy * dz - right_dz * dy <= 0.0:
+            right_dy, right_dz, right_askew = dy, dz, askew
+    if left_dy != 0.0 or left_dz != 0.0:
+        planes[count, 0], planes[count, 1], planes[count, 2] = left_askew * left_dz, -left_dz, left_dy
+        count += 1
+    if right_dy != 0.0 or right_dz != 0.0:
+        planes[count, 0], planes[count, 1], planes[count, 2] = -right_askew * right_dz, right_dz, -right_dy
+        count += 1
+    if corrugated and abs(center[0] - P[0]) > radius:
+        towards = 1.0 if center[0] > P[0] else -1.0
+        # Only a lap is corrugated: vertex 1 is the upper sheet's edge, vertex 2 its foot.
+        edge_y = vertices[1, 0]
+        on_upper = face == 0
+        crosses = center[1] - beside > edge_y
+        for which in range(2):
+            # From the upper sheet: it hides up to its edge, beyond the edge the lower one does.
+            if which == 1 and not (on_upper and crosses):
+                continue
+            if face == 1:
+                # A point of the edge stands over the sheet that the table is for.
+                slope = _steepest(P, vertices[2, 1], center, radius, corrugation)
+            else:
+                slope, _ = touch(horizons[which], horizon_start, P[0])
+            if slope == -math.inf or (face != 1 and towards * normal[0] + slope * normal[2] <= 1e-9):
+                continue
+            # Past the edge the upper sheet hides nothing: `arc_metal` follows such rays one by one.
+            if which == 0 and on_upper and center[1] - beside + radius > edge_y:
+                continue
+            planes[count, 0], planes[count, 1], planes[count, 2] = -towards * slope, 0.0, 1.0
+            count += 1
+    return count, n_ledges
+
+
+def horizon_tables(
+    shape: Section, x_range_mm: tuple[float, float], center: Float64, radius: float
+) -> tuple[float, Float64]:
+    """Return the start (mm) and the (2, n, 2) horizon tables of a corrugated lap, else empty ones."""
+    if shape.corrugation[0] == 0.0:
+        return 0.0, np.empty((2, 0, 2))
+    center_x = float(center[0])
+    # At multiples of the step, so that a pose a little on has the same stations.
+    low = HORIZON_STEP_MM * (math.floor(min(x_range_mm[0], center_x - radius) / HORIZON_STEP_MM) - 1)
+    high = max(x_range_mm[1], center_x + radius) + HORIZON_STEP_MM
+    n = math.ceil((high - low) / HORIZON_STEP_MM) + 1
+    upper, lower = shape.vertices[1, 1], shape.vertices[2, 1]
+    tables = [
+        horizon_table(low, n, center_x, radius, shape.corrugation, lift, float(center[2] - terrain))
+        for lift, terrain in ((0.0, upper), (lower - upper, lower))
+    ]
+    return low, np.stack(tables)

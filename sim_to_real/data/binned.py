@@ -1,0 +1,341 @@
+"""A recording as the diagnosis sees it: frames binned, with their poses, seams and usable pixels."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property, lru_cache
+
+import cv2
+import numpy as np
+import numpy.typing as npt
+
+from noise_model.arc.map import scene
+from noise_model.condition import Condition
+from noise_model.effects import Values, pose_time_s, really
+from noise_model.forward import Layers, Renderer
+from noise_model.instrument.camera import Camera
+from noise_model.instrument.sensor import linearise, respond_moments, saturation_dn
+from noise_model.setup import Setup
+from noise_model.transforms import Float64
+from sim_to_real.data.blocks import Bool, block_means
+from sim_to_real.data.photon_transfer import PhotonTransfer, photon_transfer
+from sim_to_real.data.seam_curve import SeamCurve
+from sim_to_real.data.seam_observations import MOVING, Sightings
+from tracker.state import Frame, Pose
+
+Float32 = npt.NDArray[np.float32]
+Int64 = npt.NDArray[np.int64]
+
+PoseAt = Callable[[float], Pose | None]
+"""The tool's pose as the controller stamped it for a time, None where there is none."""
+
+BINNED_WIDTH = 160
+"""About how many bins an image is wide: light and stripe are resolved, a frame is predicted in a blink."""
+
+LEAST_BIN_PX = 2
+"""Bins of a small image: their pixels' scatter must be seen."""
+
+FLOOR_REL, FLOOR_DN = 0.006, 0.05
+"""What the model may be off in a bin without any gap: relative to its light, and in DN."""
+
+STEEPEST = 0.5
+"""A bin counts if the arc's light changes to its neighbours by a smaller share: shadow edges move by less."""
+
+THIN = 4
+"""Off the stripe every so many bins of a row and column count: neighbours there say the same."""
+
+STRIPE_SHARE = 0.02
+"""A bin is the stripe's if the laser puts more than this share of its peak there."""
+
+STRATA = ("dark", "laser", "arc", "both")
+"""What is on."""
+
+
+@dataclass(frozen=True, eq=False)
+class ObservedFrame:
+    """One frame.
+
+    `stratum` is what is on, `condition` the stated one, `stations_mm` the first and last
+    station of the seam that are seen, and the torch's.
+    `image_dn` (H, W) is the frame, `binned_dn` (h, w) its means over bins. `keep` (h, w) are the bins that
+    count: unsaturated, off edges of joint and shadow, thinned off the stripe; `kept_dn` (n,) their means,
+    `rendered` (h, w) are those and the saturated ones, whose light may overflow;
+    `sigma_dn` (n,) the noise of these with the model's floor, `in_stripe` (n,) whether the laser lights them.
+    `shown_dn2` (n,) is the part of that noise's square which the recording shows beyond the stated noise.
+    `stated_e` (h, w) is the light that the nominal setup puts there along the tracked seam, e-.
+    """
+
+    position: int
+    index: int
+    timestamp_s: float
+    stratum: str
+    condition: Condition
+    pose_at: Callable[[float], Float64]
+    stations_mm: tuple[float, float, float]
+    image_dn: npt.NDArray[np.integer]
+    binned_dn: Float32
+    keep: Bool
+    rendered: Bool
+    sigma_dn: Float64
+    in_stripe: Bool
+    stated_e: Float32
+    shown_dn2: Float64
+
+    @property
+    def kept_dn(self) -> Float64:
+        """The means of the bins that count (n,)."""
+        return self.binned_dn[self.keep].astype(np.float64)
+
+    def T_base_tool_in(self, setup: Setup, later_s: float = 0.0) -> Float64:
+        """Return the tool's pose as the frame was taken, by a setup's clocks, or somewhat later."""
+        return self.pose_at(pose_time_s(setup, self.timestamp_s) + later_s)
+
+
+@dataclass(frozen=True, eq=False)
+class Observed:
+    """A recording's frames, and its seam as the tracker found it by `sightings`.
+
+    `setup` is as stated, `binned` the same with a camera of `bin_px` wide bins.
+    """
+
+    setup: Setup
+    binned: Setup
+    bin_px: int
+    seam: SeamCurve
+    sightings: Sightings
+    frames: tuple[ObservedFrame, ...]
+
+    @property
+    def lit(self) -> Bool:
+        """The frames (n_frames,) that the arc lights."""
+        return np.array([frame.condition.arc_level > 0.0 for frame in self.frames], dtype=np.bool_)
+
+    @property
+    def striped(self) -> Bool:
+        """The frames (n_frames,) that the laser lights."""
+        return np.array([frame.condition.laser_level > 0.0 for frame in self.frames], dtype=np.bool_)
+
+    @property
+    def shows_arc(self) -> Bool:
+        """The frames (n_frames,) that the arc lights and in which a bin counts: not all is saturated."""
+        return self.lit & (self.counts > 0)
+
+    @property
+    def shows_laser(self) -> Bool:
+        """The frames (n_frames,) that the laser lights and in which a bin counts."""
+        return self.striped & (self.counts > 0)
+
+    @cached_property
+    def counts(self) -> Int64:
+        """How many bins of each frame count (n_frames,)."""
+        return np.array([np.count_nonzero(frame.keep) for frame in self.frames], dtype=np.int64)
+
+    def seam_with(self, effects: Mapping[str, Values]) -> SeamCurve:
+        """Return the seam as the tracker would have found it, had it known of effects."""
+        moving = {name: values for name, values in effects.items() if name in MOVING}
+        if not moving:
+            return self.seam
+        known = replace(self.setup, effects={**self.setup.effects, **moving})
+        return self.seam.through(*self.sightings.in_joint(known), self.sightings.variances_mm2)
+
+    def with_read_noise(self, ratio: float) -> Observed:
+        """Return the same with another read noise, over the stated one."""
+        sensor = replace(self.setup.sensor, read_noise_e=ratio * self.setup.sensor.read_noise_e)
+        return replace(self, setup=replace(self.setup, sensor=sensor))
+
+    def some(self, chosen: npt.NDArray[np.bool_]) -> Observed:
+        """Return a recording of some of the frames (n_frames,)."""
+        frames = [frame for frame, is_in in zip(self.frames, chosen, strict=True) if is_in]
+        return replace(self, frames=tuple(replace(f, position=n) for n, f in enumerate(frames)))
+
+
+def observe(setup: Setup, frames: Sequence[Frame], pose_at: PoseAt) -> Observed:
+    """Gather a recording's frames for the diagnosis; those without a pose are left out.
+
+    The seam is taken where the tracker finds it, frame by frame along its history. Raises ValueError if no
+    frame has a pose.
+    """
+    posed = [frame for frame in frames if pose_at(frame.timestamp_s) is not None]
+    if not posed:
+        raise ValueError("no frame has a pose: there is nothing to compare with a prediction")
+    first_s = frames[0].timestamp_s
+    poses = [_tool(pose_at, frame) for frame in posed]
+    true = really(setup)
+    seen = [
+        scene(true, T(pose_time_s(setup, frame.timestamp_s))).stations_mm
+        for T, frame in zip(poses, posed, strict=True)
+    ]
+    sightings = Sightings.of(setup, posed, poses)
+    ends_mm = np.min(seen), np.max(seen)
+    has_ridges = setup.joint.has_ridges
+    seam = SeamCurve.of(*sightings.in_joint(setup), sightings.variances_mm2, ends_mm, has_ridges)
+    bin_px = max(LEAST_BIN_PX, round(setup.camera.width / BINNED_WIDTH))
+    binned = replace(setup, camera=binned_camera(setup.camera, bin_px))
+    usable = [_usable(frame.image_dn, setup, bin_px) for frame in posed]
+    transfer = photon_transfer([frame.image_dn for frame in posed], usable, bin_px)
+    return Observed(
+        setup,
+        binned,
+        bin_px,
+        seam,
+        sightings,
+        tuple(
+            _observed(setup, binned, bin_px, position, frame, first_s, of_frame, seam, of_usable, transfer)
+            for position, (frame, of_frame, of_usable) in enumerate(zip(posed, poses, usable, strict=True))
+        ),
+    )
+
+
+def stated_condition(setup: Setup, frame: Frame, first_s: float) -> Condition:
+    """Return what a setup expects of a frame; an arc with a current of 0 is off, an unknown one the nominal.
+
+    `first_s` is when the recording's first frame was taken.
+    """
+    is_known = math.isfinite(frame.current_a)
+    return Condition.of(
+        setup,
+        laser_on=frame.laser_on,
+        arc_on=frame.arc_on and not frame.current_a <= 0.0,
+        current_a=frame.current_a if is_known else setup.arc.current_a,
+        exposure_s=frame.exposure_s,
+        timestamp_s=frame.timestamp_s - first_s,
+    )
+
+
+def binned_camera(camera: Camera, bin_px: int) -> Camera:
+    """Return the camera whose pixels are bins of bin_px by bin_px; a rest at the rim is left out.
+
+    A bin's box widens the point-spread function by (bin_px^2 - 1) / 12 px^2.
+    """
+    variance_px2 = camera.psf_sigma_px**2 + (bin_px**2 - 1) / 12.0
+    return replace(camera.coarser(bin_px), psf_sigma_px=float(np.sqrt(variance_px2)) / bin_px)
+
+
+def _tool(pose_at: PoseAt, frame: Frame) -> Callable[[float], Float64]:
+    """Return the tool's pose (4, 4) for a time about a frame's."""
+
+    @lru_cache
+    def T_base_tool(timestamp_s: float) -> Float64:
+        pose = pose_at(timestamp_s)
+        # Before the first pose and after the last one the frame's own stands.
+        pose = pose_at(frame.timestamp_s) if pose is None else pose
+        assert pose is not None
+        return pose.T_base_tool
+
+    return T_base_tool
+
+
+def _observed(
+    setup: Setup,
+    binned: Setup,
+    bin_px: int,
+    position: int,
+    frame: Frame,
+    first_s: float,
+    T_base_tool: Callable[[float], Float64],
+    seam: SeamCurve,
+    usable: Bool,
+    transfer: PhotonTransfer,
+) -> ObservedFrame:
+    condition = stated_condition(setup, frame, first_s)
+    pose = T_base_tool(pose_time_s(setup, frame.timestamp_s))
+    stations_mm, layers = stated_layers(setup, binned, pose, seam)
+    keep, in_stripe = bins_that_count(binned, layers, condition, usable)
+    binned_dn = block_means(frame.image_dn, bin_px).astype(np.float32)
+    sigma_dn, shown_dn2 = _noise(binned_dn, setup, bin_px, transfer)
+    return ObservedFrame(
+        position,
+        frame.index,
+        frame.timestamp_s,
+        STRATA[int(condition.laser_level > 0.0) + 2 * int(condition.arc_level > 0.0)],
+        condition,
+        T_base_tool,
+        stations_mm,
+        frame.image_dn,
+        binned_dn,
+        keep,
+        keep | ~usable,
+        sigma_dn[keep],
+        in_stripe[keep],
+        _stated_e(setup, layers, condition),
+        shown_dn2[keep],
+    )
+
+
+def stated_layers(
+    setup: Setup, binned: Setup, T_base_tool: Float64, seam: SeamCurve
+) -> tuple[tuple[float, float, float], Layers]:
+    """Return stations of what is seen and of the torch, mm, and the light of bins, of the nominal setup."""
+    stations_mm = scene(really(setup), T_base_tool).stations_mm
+    unmoved = seam.bent(np.zeros(seam.n_modes), *stations_mm)
+    return stations_mm, Renderer().layers(really(binned), T_base_tool, unmoved)
+
+
+def _stated_e(setup: Setup, layers: Layers, condition: Condition) -> Float32:
+    """Return the light (h, w), e-, of a frame before any effect on the image."""
+    light = np.zeros(layers.view.shape, dtype=np.float32)
+    if condition.arc_level > 0.0:
+        light += np.float32(condition.arc_level) * layers.arc_e
+    if condition.laser_level > 0.0:
+        light += np.float32(condition.laser_level) * layers.laser_e
+    return np.asarray(light * np.float32(condition.exposure_s / setup.camera.exposure_s))
+
+
+def _usable(image_dn: npt.NDArray[np.integer], setup: Setup, bin_px: int) -> Bool:
+    """Return the bins (h, w) none of whose pixels is saturated."""
+    return np.asarray(block_means(image_dn >= saturation_dn(setup.sensor), bin_px) == 0.0)
+
+
+def _noise(
+    binned_dn: Float32, setup: Setup, bin_px: int, transfer: PhotonTransfer
+) -> tuple[Float64, Float64]:
+    """Return the noise (h, w) of bins with the model's floor, from the light that is seen.
+
+    And what of its square is not the stated noise's. Seen, not predicted: every candidate explains the same
+    data with the same weights. Of the stated noise and that which the recording shows the larger counts.
+    """
+    seen_dn = cv2.blur(binned_dn, (3, 3)).astype(np.float64)
+    stated_dn2, floor_dn2 = variances_dn2(seen_dn, setup)
+    shown_dn2 = np.maximum(transfer.at(seen_dn) - stated_dn2, 0.0) / bin_px**2
+    return np.sqrt(stated_dn2 / bin_px**2 + shown_dn2 + floor_dn2), shown_dn2
+
+
+def variances_dn2(mean_dn: Float64, setup: Setup) -> tuple[Float64, Float64]:
+    """Return the stated noise's variance of pixels of a mean (...), and that of the model's floor."""
+    electrons = np.maximum(linearise(mean_dn, setup.sensor), 0.0)
+    _, stated_dn2 = respond_moments(electrons, electrons + setup.sensor.read_noise_e**2, setup.sensor)
+    return stated_dn2, (FLOOR_REL * (mean_dn - setup.sensor.black_level_dn)) ** 2 + FLOOR_DN**2
+
+
+def bins_that_count(setup: Setup, layers: Layers, condition: Condition, usable: Bool) -> tuple[Bool, Bool]:
+    """Return the bins (h, w) that count, and those in the stripe."""
+    keep = usable & one_face(layers.faces)
+    thin = np.zeros_like(keep)
+    thin[::THIN, ::THIN] = True
+    if condition.arc_level > 0.0:
+        keep &= _gentle(layers.arc_e)
+    in_stripe = np.zeros_like(keep)
+    if condition.laser_level > 0.0:
+        in_stripe = layers.laser_e > STRIPE_SHARE * setup.laser.peak_e
+    return keep & (thin | in_stripe), in_stripe
+
+
+def one_face(faces: npt.NDArray[np.integer]) -> Bool:
+    """Return which bins (h, w) see one face of the joint, as their neighbours do."""
+    same = faces >= 0
+    for axis in (0, 1):
+        for shift in (-1, 1):
+            same &= np.roll(faces, shift, axis=axis) == faces
+    return np.asarray(same)
+
+
+def _gentle(image: Float32) -> Bool:
+    """Return where an image (h, w) changes by less than `STEEPEST` of itself to each neighbour."""
+    gentle = np.ones(image.shape, dtype=bool)
+    for axis in (0, 1):
+        for shift in (-1, 1):
+            gentle &= np.abs(np.roll(image, shift, axis=axis) - image) <= STEEPEST * image
+    gentle[[0, -1], :] = gentle[:, [0, -1]] = True
+    return gentle

@@ -1,0 +1,68 @@
+"""The noise that a recording shows, level by level: its photon transfer curve.
+
+A sensor that responds otherwise than stated, or reads out with more noise, scatters otherwise too. What it
+really scatters by can be seen without knowing why: in the mixed second differences of neighbouring pixels,
+which no smooth light has (EMVA Standard 1288 takes differences of two frames, and calls the curve so).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+from scipy.stats import chi2
+
+from noise_model.transforms import Float64
+from sim_to_real.data.blocks import SMALL, Bool, block_means, in_bins
+
+LEVELS, LEAST_BINS = 24, 500
+"""Levels at which the noise is measured, each from so many bins at least."""
+
+
+@dataclass(frozen=True, eq=False)
+class PhotonTransfer:
+    """The variance of a pixel's noise (k,), DN^2, at levels (k,), DN; nothing where nothing was measured."""
+
+    levels_dn: Float64
+    variances_dn2: Float64
+
+    def at(self, levels_dn: Float64) -> Float64:
+        """Return the variance (...,), DN^2, at levels (...,), DN: beyond the measured that of the nearest."""
+        if not len(self.levels_dn):
+            return np.zeros_like(levels_dn)
+        return np.interp(levels_dn, self.levels_dn, self.variances_dn2)
+
+
+def photon_transfer(
+    images_dn: Sequence[npt.NDArray[np.integer]], usable: Sequence[Bool], bin_px: int
+) -> PhotonTransfer:
+    """Measure the noise of frames (H, W) in bins `bin_px` wide; those count that are `usable` (h, w).
+
+    At each level stands the median over bins of the mean square of their details: stripes' flanks and edges
+    scatter more, but are few.
+    """
+    level, variance = (
+        np.concatenate(of)
+        for of in zip(
+            *(_of_bins(image, use, bin_px) for image, use in zip(images_dn, usable, strict=True)), strict=True
+        )
+    )
+    if len(level) < LEAST_BINS:
+        return PhotonTransfer(np.empty(0), np.empty(0))
+    order = np.argsort(level, kind="stable")
+    parts = np.array_split(order, min(LEVELS, len(level) // LEAST_BINS))
+    # The median of a mean of squares of normal variables lies below its expectation.
+    squares = (bin_px // 2) ** 2
+    of_median = float(chi2.median(squares)) / squares
+    return PhotonTransfer(
+        np.array([np.median(level[part]) for part in parts], dtype=np.float64),
+        np.array([np.median(variance[part]) / of_median for part in parts], dtype=np.float64),
+    )
+
+
+def _of_bins(image_dn: npt.NDArray[np.integer], usable: Bool, bin_px: int) -> tuple[Float64, Float64]:
+    """Return means (n,), DN, and variances (n,), DN^2, of a frame's bins that are usable."""
+    small = in_bins(image_dn.astype(np.float32), SMALL, bin_px)[usable]
+    return block_means(image_dn, bin_px)[usable], np.mean(small**2, axis=-1, dtype=np.float64)

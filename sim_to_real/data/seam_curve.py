@@ -1,0 +1,153 @@
+"""The seam of a recording as a curve: where the tracker found it, and how it may run besides.
+
+What the tracker does not know of the seam is its posterior covariance along the stations, and what a wrong
+camera adds to it, a constant and a slope. Its Karhunen-Loeve modes, each with a coefficient of unit variance,
+are the fewest numbers that say how the seam really runs.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.linalg import cho_factor, cho_solve
+
+from noise_model.surface.joint import BentSeam, SeamLine
+from noise_model.transforms import Float64
+
+OFF_MM, OFF_SLOPE = 5.0, 0.05
+"""1 sigma of how far a whole seam may lie off its nominal line, and of its slope against it."""
+
+BEND_MM, BEND_LENGTH_MM = (1.0, 0.02), 30.0
+"""1 sigma of how far a seam wanders sideways and in height, and over what length; it bends without corners.
+
+Plates are straight: a height that bent between view and torch would look like the arc's.
+"""
+
+SYSTEMATIC_MM, SYSTEMATIC_SLOPE = 0.3, 0.01
+"""1 sigma of what the tracker's seam is off all along, by the camera's pose: in place and in slope."""
+
+MODES = (5, 3)
+"""Modes of either axis: what the others would add is below what a stripe shows."""
+
+GRID_MM = 1.0
+"""Stations at which curves are held."""
+
+SCATTER_MM = 0.04
+"""1 sigma of the tracker's points about a smooth seam beyond what they state: tilt makes them wander."""
+
+
+@dataclass(frozen=True, eq=False)
+class SeamCurve:
+    """Displacement from the nominal line at `stations_mm` (g,), joint frame, mm.
+
+    `mean_mm` (2, g) as y and z, `modes_mm` (m, g) by which they change for one unit of a coefficient; those
+    of y come first, `MODES` of either. `has_ridges` says whether ridges run across it.
+    """
+
+    stations_mm: Float64
+    mean_mm: Float64
+    modes_mm: Float64
+    has_ridges: bool
+
+    @classmethod
+    def of(
+        cls,
+        seen_mm: Float64,
+        displacements_mm: Float64,
+        variances_mm2: Float64,
+        ends_mm: tuple[float, float],
+        has_ridges: bool,
+    ) -> SeamCurve:
+        """Return what sightings say of the stations between two ends.
+
+        They are displacements (n, 2) as y and z at stations (n,), with their variances (n, 2).
+        """
+        stations = np.arange(ends_mm[0], ends_mm[1] + GRID_MM, GRID_MM)
+        means, modes = [], []
+        for axis in range(2):
+            mean, left = _posterior(stations, axis, seen_mm, displacements_mm, variances_mm2)
+            along = stations - _middle(stations)
+            systematic = np.outer(along, along) * SYSTEMATIC_SLOPE**2
+            values, vectors = np.linalg.eigh(left + SYSTEMATIC_MM**2 + systematic)
+            largest = vectors[np.argmax(np.abs(vectors), axis=0), np.arange(len(stations))]
+            scaled = np.sqrt(np.maximum(values, 0.0)) * np.sign(largest) * vectors
+            means.append(mean)
+            modes.append(scaled[:, ::-1].T[: MODES[axis]])
+        return cls(stations, np.array(means), np.concatenate(modes), has_ridges)
+
+    def through(self, seen_mm: Float64, displacements_mm: Float64, variances_mm2: Float64) -> SeamCurve:
+        """Return the curve through other sightings, see `of`; what is not known of it stays."""
+        seen = seen_mm, displacements_mm, variances_mm2
+        means = [_posterior(self.stations_mm, axis, *seen)[0] for axis in range(2)]
+        return replace(self, mean_mm=np.array(means))
+
+    @property
+    def n_modes(self) -> int:
+        """The number of coefficients."""
+        return len(self.modes_mm)
+
+    def at(self, coefficients: Float64) -> tuple[Float64, Float64]:
+        """Return displacement and slope (2, g) for coefficients (m,)."""
+        of_y = MODES[0]
+        y = self.mean_mm[0] + coefficients[:of_y] @ self.modes_mm[:of_y]
+        z = self.mean_mm[1] + coefficients[of_y:] @ self.modes_mm[of_y:]
+        y_z = np.stack([y, z])
+        return y_z, np.gradient(y_z, self.stations_mm, axis=1)
+
+    def mode_at(self, mode: int, stations_mm: Float64) -> tuple[Float64, Float64]:
+        """Return displacement and slope (...,) of one mode, 0 to m - 1, at stations (...,)."""
+        values = self.modes_mm[mode]
+        slopes = np.gradient(values, self.stations_mm)
+        return (
+            np.interp(stations_mm, self.stations_mm, values),
+            np.interp(stations_mm, self.stations_mm, slopes),
+        )
+
+    def strays_mm(self, coefficients: Float64, station_mm: float, torch_mm: float) -> float:
+        """Return how far the seam strays sideways from the chord between a station and the torch."""
+        y = self.at(coefficients)[0][0]
+        ends = sorted((station_mm, torch_mm))
+        between = (self.stations_mm >= ends[0]) & (self.stations_mm <= ends[1])
+        x = self.stations_mm[between]
+        chord = np.interp(x, ends, np.interp(ends, self.stations_mm, y))
+        return float(np.abs(y[between] - chord).max(initial=0.0))
+
+    def bent(self, coefficients: Float64, first_mm: float, last_mm: float, torch_mm: float) -> BentSeam:
+        """Return the seam from first to last as straight stretches, tangents at their middles.
+
+        The arc stands at the height that the seam has at the torch's station.
+        """
+        curves = np.concatenate(self.at(coefficients))
+
+        def line_at(station_mm: float) -> SeamLine:
+            return SeamLine(
+                station_mm, *(float(np.interp(station_mm, self.stations_mm, of)) for of in curves)
+            )
+
+        return BentSeam.along(line_at, (first_mm, last_mm), torch_mm, self.has_ridges)
+
+
+def _middle(stations_mm: Float64) -> float:
+    return 0.5 * float(stations_mm[0] + stations_mm[-1])
+
+
+def _posterior(
+    stations_mm: Float64, axis: int, seen_mm: Float64, displacements_mm: Float64, variances_mm2: Float64
+) -> tuple[Float64, Float64]:
+    """Return mean (g,), mm, and covariance (g, g), mm^2, at stations, of y or z as sightings leave them."""
+    middle, bend_mm = _middle(stations_mm), BEND_MM[axis]
+    prior = _prior(stations_mm, stations_mm, middle, bend_mm)
+    if not len(seen_mm):
+        return np.zeros(len(stations_mm)), prior
+    seen = _prior(seen_mm, seen_mm, middle, bend_mm) + np.diag(variances_mm2[:, axis] + SCATTER_MM**2)
+    across = _prior(seen_mm, stations_mm, middle, bend_mm)
+    gain = cho_solve(cho_factor(seen), across)
+    return gain.T @ displacements_mm[:, axis], prior - across.T @ gain
+
+
+def _prior(x_mm: Float64, other_mm: Float64, middle_mm: float, bend_mm: float) -> Float64:
+    """Return the prior covariance (n, m), mm^2, of the displacements at stations (n,) and (m,)."""
+    apart = x_mm[:, None] - other_mm[None, :]
+    slope = np.outer(x_mm - middle_mm, other_mm - middle_mm) * OFF_SLOPE**2
+    return np.asarray(OFF_MM**2 + slope + bend_mm**2 * np.exp(-0.5 * (apart / BEND_LENGTH_MM) ** 2))

@@ -1,0 +1,96 @@
+"""What a diagnosis may ask for next: experiments, frames that are taken otherwise than those it has seen.
+
+Experiments are data alone: what a fit expects of them is `next`'s, what they really show is the recording's.
+Where none of them would tell, a witness would: something that sees one effect and nothing else.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+from noise_model.transforms import Point
+
+N_MORE = 4
+"""So many frames are taken of an experiment."""
+
+TILT_DEG, RAISE_MM, CURRENT, EXPOSURE, FASTER = 10.0, 2.0, 1.5, 0.5, 3.0
+"""The changes that the experiments make: angle, height, and factors of the rest."""
+
+
+@dataclass(frozen=True)
+class Experiment:
+    """One of the menu: laser and arc on, at the setup's exposure and current, but for what it says.
+
+    `name` is what the report asks for, `key` a word for it in names of files. `exposure` and `current` are
+    factors of the setup's, `speed` is one of the motion's; the tool is turned by the rotation vector
+    `turn_deg` and moved by `move_mm`, both in its own frame.
+    """
+
+    key: str
+    name: str
+    laser_on: bool = True
+    arc_on: bool = True
+    exposure: float = 1.0
+    current: float = 1.0
+    turn_deg: Point = (0.0, 0.0, 0.0)
+    move_mm: Point = (0.0, 0.0, 0.0)
+    speed: float = 1.0
+
+
+MENU = (
+    Experiment("dark", "dark frames", laser_on=False, arc_on=False),
+    Experiment("laser", "laser alone, arc off", arc_on=False),
+    Experiment("arc", "arc alone, laser off", laser_on=False),
+    Experiment("exposure", "a second exposure, half as long", exposure=EXPOSURE),
+    Experiment("current", "a second current, half as much again", current=CURRENT),
+    Experiment("raised", f"the torch raised by {RAISE_MM:g} mm", move_mm=(0.0, 0.0, RAISE_MM)),
+    Experiment("sideways", f"the torch tilted sideways by {TILT_DEG:g} deg", turn_deg=(TILT_DEG, 0.0, 0.0)),
+    Experiment(
+        "along", f"the torch tilted along the seam by {TILT_DEG:g} deg", turn_deg=(0.0, TILT_DEG, 0.0)
+    ),
+    Experiment("faster", f"the same run {FASTER:g} times as fast", speed=FASTER),
+)
+"""What may be measured next."""
+
+BY_NAME: Mapping[str, Experiment] = {experiment.name: experiment for experiment in MENU}
+"""The menu by what the report asks for."""
+
+_FLAT_FIELD = "a flat field: opal glass, lit evenly at the laser's wavelength"
+_BOARD = "a calibration board, seen from several poses"
+_SIDE_VIEW = "a second camera that sees the arc from the side"
+_COUPON = "a coupon of the plate, measured with a goniometer"
+
+WITNESS: Mapping[str, str] = {
+    "arc_length": _SIDE_VIEW,
+    "arc_deflection": _SIDE_VIEW,
+    "arc_radius": _SIDE_VIEW,
+    "arc_flicker": "the welding current, recorded much faster than the frames",
+    "argon_line_leak": "a spectrum of the arc's light behind the filter",
+    "laser_power_drift": "a photodiode at the laser",
+    "laser_speckle": "a second frame from the same pose with the laser moved by a millimetre",
+    "wrong_material": _COUPON,
+    "roughness_change": _COUPON,
+    "brdf_tail": _COUPON,
+    "rolling_marks": _COUPON,
+    "interreflection": "the same joint with one of its faces blackened",
+    "fume": "the same run with the fume extraction on",
+    "spatter": "a high-speed camera beside the sensor's",
+    "hot_metal_glow": "frames within a second after the arc is switched off",
+    "veiling_glare": "a light trap within the view, which is black by itself",
+    "defocus": "a slanted edge in the laser plane",
+    "vignetting": _FLAT_FIELD,
+    "dirty_window": "the same run with a new window",
+    "filter_shift": "a flat field lit by the laser alone",
+    "gamma": "a grey scale of known steps within the view",
+    "black_level": "frames with the lens covered",
+    "blooming": "the same run with the lens stopped down until nothing saturates",
+    "fixed_pattern": _FLAT_FIELD,
+    "read_noise": "frames with the lens covered",
+    "exposure_drift": "a lamp of constant light within the view",
+    "hand_eye": _BOARD,
+    "surface_tilt": "three points of the plate, touched by the torch",
+    "lens_distortion": _BOARD,
+    "pose_delay": "a signal that starts frame and pose together",
+}
+"""What would see an effect and nothing else."""

@@ -1,0 +1,1 @@
+"""Fits of nuisances and effects to a recording, by a model linearized at anchors."""

@@ -1,0 +1,452 @@
+"""What the model expects of all frames of a recording, for nuisances and effects, and what is left of them.
+
+Frames are rendered and passed through the effects at an anchor, the nuisances of the last fit; from there the
+bins that count are continued along the nuisances: levels multiply, the black level adds, and what moves
+camera or seam by its tolerance changes light along its derivatives (`Tangents`). So a fit renders nothing but
+what an effect itself moves.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass, replace
+from typing import TypeVar
+
+import numpy as np
+import numpy.typing as npt
+from scipy.ndimage import distance_transform_edt
+
+from noise_model.effects import REGISTRY, Effect, Stage, Values, really, really_on
+from noise_model.effects.light import Light
+from noise_model.forward import Layers, look, pass_on
+from noise_model.instrument.camera import Camera, Rays
+from noise_model.instrument.sensor import Sensor, respond_moments
+from noise_model.interreflection.model import BouncedLight, bounced_light
+from noise_model.setup import Setup
+from noise_model.surface.joint import BentSeam
+from noise_model.transforms import Float64
+from noise_model.view import View
+from sim_to_real.data.binned import Float32, Observed, ObservedFrame, one_face
+from sim_to_real.data.blocks import Bool
+from sim_to_real.data.seam_curve import MODES, SeamCurve
+from sim_to_real.data.seam_observations import MOVING
+from sim_to_real.fit.nuisances import N_CAMERA, N_LEVELS, SEAM_FROM, nuisances, really_lit, really_there
+from sim_to_real.fit.trend import Change, effects_in
+
+Effects = Mapping[str, Values]
+
+Int64 = npt.NDArray[np.int64]
+
+Result = TypeVar("Result")
+
+SEAM_STEPS = (("y_mm", 5e-4), ("z_mm", 5e-4), ("slope_y", 1.5e-5), ("slope_z", 1.5e-5))
+"""Steps of the derivatives with a seam's place and direction.
+
+Camera and seam can move so that the stripe hardly does: over 0.02 mm its curvature outweighed what is left,
+and a corrugation's fit came nearer by a quarter of the way at a time.
+"""
+
+GROUND_STEP_MM = 5e-4
+"""Step of the derivatives with the place of the seam under the arc."""
+
+EDGE_SHARE, EDGE_E = 0.01, 2.0
+"""An edge is what changes a bin's light over such a step by more than this share of it and so many e-."""
+
+CHARGE_STEP_E = 1.0
+"""Step of the derivative with charge."""
+
+MOST_FACTOR = 4.0
+"""No effect passes more of a unit of light, over what exposure and current are known to."""
+
+LEAST_STRAY_MM = 0.03
+"""A seam that strays less from its tangent is straight."""
+
+SURE = 2.0
+"""So many sigmas of a fitted seam are believed when its bends are allowed for: a gap may have bent it."""
+
+REMEMBERED = 8
+"""How often a recording's frames are kept as rendered."""
+
+RENDERING = frozenset(
+    name for name, effect in REGISTRY.items() if effect.setup is not None or effect.stage is Stage.TIMING
+) - {"gamma", "black_level", "read_noise", "defocus"}
+"""The effects that change what a pose shows before anything acts on the image."""
+
+BOUNCING = "interreflection"
+"""The effect whose light takes longer than all else together."""
+
+
+@dataclass(frozen=True, eq=False)
+class Rendered:
+    """What a pose shows (h, w), e- for the nominal exposure and output, before any effect on the image.
+
+    Light is rendered in the bins that count and in saturated ones; the others take that of the nearest.
+    """
+
+    view: View
+    arc_e: Float32
+    laser_e: Float32
+
+
+@dataclass(frozen=True, eq=False)
+class Passed:
+    """The light of a frame's bins that count (n,), e-, that has passed effects, lens and exposure.
+
+    `arc_factor` and `laser_factor` (n,) are what became of one unit of the rendered light; `black_dn` comes
+    on top of the sensor's own.
+    """
+
+    sensor: Sensor
+    arc_e: Float32
+    laser_e: Float32
+    other_e: Float32
+    arc_factor: Float32
+    laser_factor: Float32
+    black_dn: float = 0.0
+
+    def mean_dn(self, more_e: float = 0.0) -> Float64:
+        """Return the mean DN (n,), of somewhat more light if that is asked for."""
+        mean_e = self.arc_e + self.laser_e + self.other_e + np.float32(more_e)
+        # A bin is a mean of pixels: each of them rounds and is cut with a pixel's noise.
+        noise_e2 = np.maximum(mean_e, 0.0) + self.sensor.read_noise_e**2
+        return respond_moments(mean_e, noise_e2, self.sensor)[0] + self.black_dn
+
+    def dn_per_e(self) -> Float64:
+        """Return the derivatives of the mean with charge (n,), DN/e-."""
+        return (self.mean_dn(CHARGE_STEP_E) - self.mean_dn()) / CHARGE_STEP_E
+
+
+@dataclass(frozen=True, eq=False)
+class Tangents:
+    """Derivatives of the light of a frame's bins that count (n_moving, n), e-; None for a source off."""
+
+    arc_e: Float32 | None
+    laser_e: Float32 | None
+
+
+class Expected:
+    """The model held against a recording: remembers what it has rendered.
+
+    It predicts `threads` frames at once: rendering lets go of the interpreter.
+    """
+
+    def __init__(self, observed: Observed, threads: int = 1) -> None:
+        self.observed = observed
+        self.nuisances = nuisances(observed)
+        self.neutral = np.zeros(len(self.nuisances))
+        self._tangents: list[Tangents] | None = None
+        self._rendered: dict[tuple[int, bytes, object], Rendered] = {}
+        self._nearest = [_nearest(frame.rendered) for frame in observed.frames]
+        self._bounced: dict[int, BouncedLight] = {}
+        self._rays: dict[tuple[object, ...], Rays] = {}
+        self._curves: dict[tuple[object, ...], SeamCurve] = {}
+        self._threads = threads
+        self._executor = ThreadPoolExecutor(threads)
+
+    def take_tangents(self, anchor: Float64, effects: Effects, change: Change | None = None) -> None:
+        """Take the derivatives of light about nuisances (p,) and effects."""
+        setup = self.observed.setup
+        self._tangents = self.over_frames(
+            lambda frame: self._tangents_of(frame, anchor, effects_in(effects, change, setup, frame))
+        )
+
+    def allow_for_bends(self, nuisance: Float64, effects: Effects) -> None:
+        """Widen the noise of what the arc lights past edges that are taken to be straight and are not.
+
+        Half-way to the torch the seam strays from the chord, as an edge does whose far end lies twice as far
+        beside. Half of what that would change is the model's 1 sigma.
+        """
+        self.take_noise(self.over_frames(lambda frame: self._with_bend(frame, nuisance, effects)))
+
+    def leave_out_edges(self, nuisance: Float64, effects: Effects) -> None:
+        """Leave out bins at the edges of faces as nuisances (p,) and effects put them."""
+        self.take_noise(self.over_frames(lambda frame: self._off_edges(frame, nuisance, effects)))
+
+    def some(self, chosen: Bool) -> Expected:
+        """Return the same held against some of the frames (n_frames,), with what is known of those."""
+        fewer = Expected(self.observed.some(chosen), self._threads)
+        fewer._rays = self._rays
+        position = {old: new for new, old in enumerate(np.flatnonzero(chosen).tolist())}
+        if self._tangents is not None:
+            fewer._tangents = [self._tangents[old] for old in position]
+        for (old, anchor, effects), rendered in self._rendered.items():
+            if old in position:
+                fewer._rendered[position[old], anchor, effects] = rendered
+        fewer._bounced = {position[old]: light for old, light in self._bounced.items() if old in position}
+        return fewer
+
+    def take_noise(self, sigmas_dn: Sequence[Float64]) -> None:
+        """Take other noise of the bins that count, (n,) for each frame; inf leaves a bin out."""
+        self.take_frames(
+            replace(frame, sigma_dn=sigma_dn)
+            for frame, sigma_dn in zip(self.observed.frames, sigmas_dn, strict=True)
+        )
+
+    def take_frames(self, frames: Iterable[ObservedFrame]) -> None:
+        """Take frames that show or weigh something else in the same bins, from the same poses."""
+        self.observed = replace(self.observed, frames=tuple(frames))
+
+    def _off_edges(self, frame: ObservedFrame, nuisance: Float64, effects: Effects) -> Float64:
+        setup = really(self._setup(effects, nuisance))
+        seam = self.seam(frame, nuisance, effects)
+        faces = look(setup, frame.T_base_tool_in(setup), seam, self._rays_of(setup.camera)).faces
+        return np.where(one_face(faces)[frame.keep], frame.sigma_dn, np.inf)
+
+    def _with_bend(self, frame: ObservedFrame, nuisance: Float64, effects: Effects) -> Float64:
+        first, last, torch = frame.stations_mm
+        curve = self.curve(effects)
+        coefficients = np.clip(self.seam_coefficients(nuisance), -SURE, SURE)
+        strays = curve.strays_mm(coefficients, 0.5 * (first + last), torch)
+        if strays < LEAST_STRAY_MM or frame.condition.arc_level == 0.0:
+            return frame.sigma_dn
+        setup = really(self._setup(effects, nuisance))
+        T_base_tool = frame.T_base_tool_in(setup)
+        seam = self.seam(frame, nuisance, effects)
+        light = [
+            look(
+                setup,
+                T_base_tool,
+                BentSeam(seam.lines, replace(seam.ground, y_mm=seam.ground.y_mm + beside)),
+                self._rays_of(setup.camera),
+                np.flatnonzero(frame.keep),
+            ).arc_e
+            for beside in (0.0, 2.0 * strays, -2.0 * strays)
+        ]
+        spread_e = 0.5 * np.maximum(np.abs(light[1] - light[0]), np.abs(light[2] - light[0]))
+        passed = self._passed(frame, setup, nuisance, effects)
+        spread_dn = passed.dn_per_e() * passed.arc_factor * spread_e
+        return np.asarray(np.hypot(frame.sigma_dn, spread_dn))
+
+    def over_frames(self, of_frame: Callable[[ObservedFrame], Result]) -> list[Result]:
+        """Return a function's result for each frame, in order."""
+        return list(self.at_once(of_frame, self.observed.frames))
+
+    def at_once(
+        self, of_frame: Callable[[ObservedFrame], Result], frames: Sequence[ObservedFrame]
+    ) -> Iterator[Result]:
+        """Yield a function's result for each of some frames, in order; some are computed at once."""
+        return self._executor.map(of_frame, frames)
+
+    def passed(self, anchor: Float64, effects: Effects, change: Change | None = None) -> list[Passed]:
+        """Return what reaches the bins of each frame at nuisances (p,) and effects; one may change."""
+        true = really(self._setup(effects, anchor))
+
+        def of_frame(frame: ObservedFrame) -> Passed:
+            if change is None:
+                return self._passed(frame, true, anchor, effects)
+            here = change.at(effects, self.observed.setup, frame)
+            return self._passed(frame, really(self._setup(here, anchor)), anchor, here)
+
+        # Here and not where frames are rendered: several of them are at work at once there.
+        for oldest in list(self._rendered)[: -REMEMBERED * len(self.observed.frames)]:
+            del self._rendered[oldest]
+        return self.over_frames(of_frame)
+
+    def stated(self, name: str) -> dict[str, float]:
+        """Return an effect's parameters as the setup states them, neutral if it does not."""
+        return REGISTRY[name].complete(self.observed.setup.effects.get(name, {}))
+
+    def residuals(self, passed: Sequence[Passed]) -> Float64:
+        """Return the whitened residuals (n,) of all bins that count, frame after frame."""
+        return np.concatenate(
+            [
+                (frame.kept_dn - light.mean_dn()) / frame.sigma_dn
+                for frame, light in zip(self.observed.frames, passed, strict=True)
+            ]
+        )
+
+    def nuisance_columns(self, passed: Sequence[Passed]) -> Float64:
+        """Return the derivatives (n, p) of these residuals with the nuisances."""
+        assert self._tangents is not None
+        parts = []
+        for frame, light, tangents in zip(self.observed.frames, passed, self._tangents, strict=True):
+            J = np.zeros((len(frame.sigma_dn), len(self.nuisances)))
+            dn_per_e = light.dn_per_e()
+            J[:, 0], J[:, 1], J[:, 2] = dn_per_e * light.arc_e, dn_per_e * light.laser_e, 1.0
+            if tangents.arc_e is not None:
+                J[:, N_LEVELS:] += (dn_per_e * light.arc_factor)[:, np.newaxis] * tangents.arc_e.T
+            if tangents.laser_e is not None:
+                J[:, N_LEVELS:] += (dn_per_e * light.laser_factor)[:, np.newaxis] * tangents.laser_e.T
+            parts.append(J / -frame.sigma_dn[:, np.newaxis])
+        return np.concatenate(parts)
+
+    def seam(self, frame: ObservedFrame, nuisance: Float64, effects: Effects) -> BentSeam:
+        """Return the seam that a frame sees as nuisances (p,) and effects say."""
+        return self.curve(effects).bent(self.seam_coefficients(nuisance), *frame.stations_mm)
+
+    def curve(self, effects: Effects) -> SeamCurve:
+        """Return the seam as the tracker finds it if it knows of effects."""
+        key = tuple((name, tuple(effects[name].items())) for name in sorted(MOVING & set(effects)))
+        if key not in self._curves:
+            if len(self._curves) >= REMEMBERED:
+                self._curves = {}
+            self._curves[key] = self.observed.seam_with(effects)
+        return self._curves[key]
+
+    def seam_coefficients(self, nuisance: Float64) -> Float64:
+        """Return those of the nuisances (p,) that say how the seam runs (m,)."""
+        return nuisance[SEAM_FROM:]
+
+    def moved(self, frame: ObservedFrame, light: Passed, by: Float64) -> Passed:
+        """Return a frame's light with nuisances moved `by` (p,) from where it was rendered."""
+        if not by.any():
+            return light
+        levels = np.exp(by[:2]).astype(np.float32)
+        moving = by[N_LEVELS:].astype(np.float32)
+        arc_e, laser_e = light.arc_e, light.laser_e
+        if self._tangents is not None:
+            tangents = self._tangents[frame.position]
+            if tangents.arc_e is not None:
+                arc_e = arc_e + light.arc_factor * (moving @ tangents.arc_e)
+            if tangents.laser_e is not None:
+                laser_e = laser_e + light.laser_factor * (moving @ tangents.laser_e)
+        return replace(
+            light,
+            arc_e=levels[0] * arc_e,
+            laser_e=levels[1] * laser_e,
+            arc_factor=levels[0] * light.arc_factor,
+            laser_factor=levels[1] * light.laser_factor,
+            black_dn=light.black_dn + float(by[2]),
+        )
+
+    def _setup(self, effects: Effects, nuisance: Float64) -> Setup:
+        stated, bin_px = self.observed.binned, self.observed.bin_px
+        acting = {
+            name: _in_bins(REGISTRY[name], values, bin_px)
+            for name, values in {**stated.effects, **effects}.items()
+        }
+        return replace(really_there(stated, nuisance), effects=acting)
+
+    def _rays_of(self, camera: Camera) -> Rays:
+        if camera.geometry not in self._rays:
+            self._rays[camera.geometry] = Rays.of(camera)
+        return self._rays[camera.geometry]
+
+    def _render(self, frame: ObservedFrame, anchor: Float64, effects: Effects) -> Rendered:
+        rendering = tuple(
+            (name, tuple(values.values())) for name, values in effects.items() if name in RENDERING
+        )
+        key = (frame.position, anchor[N_LEVELS:].tobytes(), rendering)
+        if key not in self._rendered:
+            setup = really(self._setup(effects, anchor))
+            T_base_tool = frame.T_base_tool_in(setup)
+            seam = self.seam(frame, anchor, effects)
+            rays = self._rays_of(setup.camera)
+            layers = look(setup, T_base_tool, seam, rays, np.flatnonzero(frame.rendered))
+            nearest = self._nearest[frame.position]
+            dark = np.zeros(nearest.shape, dtype=np.float32)
+            self._rendered[key] = Rendered(
+                View.of(setup, T_base_tool, seam.middle, rays, ground=seam.ground, coarse=True),
+                layers.arc_e[nearest] if frame.condition.arc_level > 0.0 else dark,
+                layers.laser_e[nearest] if frame.condition.laser_level > 0.0 else dark,
+            )
+        return self._rendered[key]
+
+    def _passed(self, frame: ObservedFrame, true: Setup, anchor: Float64, effects: Effects) -> Passed:
+        rendered = self._render(frame, anchor, effects)
+        condition = really_on(true, really_lit(frame.condition, anchor))
+        light = Light.of(
+            np.float32(condition.arc_level) * rendered.arc_e,
+            np.float32(condition.laser_level) * rendered.laser_e,
+        )
+        view = replace(rendered.view, setup=true)
+        if BOUNCING in effects:
+            # What bounces is smooth: where it was computed first it may stay, for all that nuisances move.
+            self._bounced[frame.position] = bounced_light(view, self._bounced.get(frame.position))
+        pass_on(true, light, view, condition)
+        keep = frame.keep
+        exposure = frame.condition.exposure_s / self.observed.setup.camera.exposure_s
+        return Passed(
+            true.sensor,
+            light.arc[keep],
+            light.laser[keep],
+            light.other[keep],
+            _factor(light.arc[keep], rendered.arc_e[keep], frame.condition.arc_level * exposure),
+            _factor(light.laser[keep], rendered.laser_e[keep], frame.condition.laser_level * exposure),
+        )
+
+    def _tangents_of(self, frame: ObservedFrame, anchor: Float64, effects: Effects) -> Tangents:
+        setup = self._setup(effects, anchor)
+        T_base_tool = frame.T_base_tool_in(setup)
+        seam = self.seam(frame, anchor, effects)
+        bins = np.flatnonzero(frame.keep)
+
+        def rendered(setup: Setup, seam: BentSeam, stretch: Int64 | None) -> Layers:
+            true = really(setup)
+            return look(true, T_base_tool, seam, self._rays_of(true.camera), bins, stretch)
+
+        here = rendered(setup, seam, None)
+        stretch = seam.stretch_at(here.view.surface[0][..., 0])
+        steps = []
+        for j, parameter in enumerate(self.nuisances[N_LEVELS:SEAM_FROM], N_LEVELS):
+            there = anchor.copy()
+            there[j] += -parameter.step if anchor[j] > 0.0 else parameter.step
+            steps.append((rendered(self._setup(effects, there), seam, stretch), there[j] - anchor[j]))
+        for name, step in SEAM_STEPS:
+            steps.append((rendered(setup, _shifted(seam, name, step), stretch), step))
+        for axis in ("y_mm", "z_mm"):
+            at = getattr(seam.ground, axis) + GROUND_STEP_MM
+            beside = replace(seam, ground=replace(seam.ground, **{axis: at}))
+            steps.append((rendered(setup, beside, stretch), GROUND_STEP_MM))
+        # A mode moves each pixel's own stretch of the seam, and turns it about its middle.
+        stations = np.array([line.station_mm for line in seam.lines])
+        of_bins = stations[stretch]
+        curve = self.curve(effects)
+        modes = [curve.mode_at(n, of_bins) for n in range(curve.n_modes)]
+        at_torch = [curve.mode_at(n, np.array(frame.stations_mm[2]))[0] for n in range(curve.n_modes)]
+
+        def of_source(light: Callable[[Layers], Float32]) -> Float32:
+            by_step = [_slope(light(here), light(there), step) for there, step in steps]
+            by_y, by_z, by_slope_y, by_slope_z, by_ground_y, by_ground_z = by_step[N_CAMERA:]
+            by_mode = []
+            for n, (at, slope) in enumerate(modes):
+                is_y = n < MODES[0]
+                by_place, by_slope = (by_y, by_slope_y) if is_y else (by_z, by_slope_z)
+                by_ground = by_ground_y if is_y else by_ground_z
+                change = at.astype(np.float32) * by_place + slope.astype(np.float32) * by_slope
+                by_mode.append(change + np.float32(at_torch[n]) * by_ground)
+            return np.stack([*by_step[:N_CAMERA], *by_mode])
+
+        return Tangents(
+            of_source(lambda layers: layers.arc_e) if frame.condition.arc_level > 0.0 else None,
+            of_source(lambda layers: layers.laser_e) if frame.condition.laser_level > 0.0 else None,
+        )
+
+
+def _nearest(rendered: Bool) -> npt.NDArray[np.intp]:
+    """Return for each bin (h, w) which of those that are rendered is nearest; its own if it is."""
+    number = np.cumsum(rendered).reshape(rendered.shape) - 1
+    _, (rows, columns) = distance_transform_edt(~rendered, return_indices=True)
+    return np.asarray(number[rows, columns])
+
+
+def _in_bins(effect: Effect, values: Values, bin_px: int) -> dict[str, float]:
+    """Return an effect's values with lengths in the image counted in bins."""
+    whole = effect.complete(values)
+    for parameter in effect.parameters:
+        if parameter.unit == "px":
+            whole[parameter.name] = max(whole[parameter.name] / bin_px, parameter.lower)
+    return whole
+
+
+def _factor(passed_e: Float32, rendered_e: Float32, known: float) -> Float32:
+    """Return what became of a unit of light (n,); what comes from elsewhere to where it is dark is not it.
+
+    `known` is what exposure and level alone make of it.
+    """
+    with np.errstate(divide="ignore", invalid="ignore"):
+        factor = np.nan_to_num(np.clip(passed_e / rendered_e, 0.0, MOST_FACTOR * known))
+    return np.asarray(factor, dtype=np.float32)
+
+
+def _slope(here_e: Float32, there_e: Float32, step: float) -> Float32:
+    """Return the derivative (n,) of light over a small step; 0 where an edge passes through the bin."""
+    change = there_e - here_e
+    is_edge = np.abs(change) > EDGE_SHARE * np.maximum(here_e, there_e) + EDGE_E
+    return np.where(is_edge, np.float32(0.0), change / np.float32(step))
+
+
+def _shifted(seam: BentSeam, name: str, by: float) -> BentSeam:
+    lines = tuple(replace(line, **{name: getattr(line, name) + by}) for line in seam.lines)
+    return BentSeam(lines, seam.ground)

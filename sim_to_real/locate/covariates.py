@@ -1,0 +1,302 @@
+"""What may explain a residual: where each bin lies in the image, on the part and in time, and its light."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any, Protocol
+
+import numpy as np
+import numpy.typing as npt
+
+from noise_model.effects import really
+from noise_model.fit import Parameter
+from noise_model.instrument.camera import Rays
+from noise_model.setup import Setup
+from noise_model.surface.joint import Section, corrugation_height
+from noise_model.transforms import Float64
+from noise_model.view import View
+from sim_to_real.data.binned import STRATA, Float32, Observed, ObservedFrame
+from sim_to_real.data.blocks import Bool
+from sim_to_real.fit.linearized_model import Expected, Passed
+from sim_to_real.fit.nuisances import really_there
+
+UNITS: Mapping[str, str] = {
+    "distance": "mm",
+    "theta_i": "deg",
+    "theta_r": "deg",
+    "phi_r": "deg",
+    "half_angle": "deg",
+    "field_angle": "deg",
+    "gray_level": "DN",
+    "exposure": "s",
+    "current": "A",
+    "time": "s",
+    "velocity_sign": "",
+    "concavity": "",
+    "row": "px",
+    "column": "px",
+    "radius": "px",
+}
+"""The covariates and their units.
+
+`distance` is that from the arc's centre, the paper's a; `theta_i`, `phi_r` and `half_angle` are those of a
+point source in the middle of the luminous half-sphere, R / 2 above its centre, which itself may lie in the
+plate's plane; phi_r = 0 on the side opposite the arc. These four are NaN while the arc is off.
+`velocity_sign` says whether the tool goes to the left of travel (1), to the right (-1) or neither (0).
+`concavity` is the share of the light of a diffuse sky that other faces of the joint keep from the point.
+`row`, `column` and `radius`, from the principal point, are in pixels of the recording.
+"""
+
+VELOCITY_SPAN_S = 0.02
+"""Over what time a tool's velocity is taken."""
+
+LEAST_SPEED_MM_S = 0.2
+"""A tool that goes sideways more slowly goes neither way."""
+
+
+PER_BIN = (
+    "frame",
+    "bins",
+    "stratum",
+    "in_stripe",
+    "sigma_dn",
+    "arc_dn",
+    "laser_dn",
+    "predicted_dn",
+    "tangents",
+)
+"""What `Covariates` holds for each bin, beside the values."""
+
+
+@dataclass(frozen=True, eq=False)
+class Covariates:
+    """All bins that count (n,) of all frames, frame after frame, at one set of nuisances.
+
+    `values` are the covariates by name, see `UNITS`; `frame` is the frame's position, `bins` the place in the
+    flattened frame of bins `shape` (h, w), `stratum` an index into `STRATA`; `sigma_dn` the noise. `arc_dn`,
+    `laser_dn` and `predicted_dn` are the predicted light of the sources and the predicted mean, DN.
+    `tangents` (n, p) are the changes of the whitened prediction with the `nuisances`, whose values are
+    `anchor` (p,).
+    """
+
+    shape: tuple[int, int]
+    values: Mapping[str, Float32]
+    frame: npt.NDArray[np.int32]
+    bins: npt.NDArray[np.int32]
+    stratum: npt.NDArray[np.int8]
+    in_stripe: Bool
+    sigma_dn: Float32
+    arc_dn: Float32
+    laser_dn: Float32
+    predicted_dn: Float32
+    tangents: Float32
+    nuisances: tuple[Parameter, ...]
+    anchor: Float64
+
+    @property
+    def n_frames(self) -> int:
+        """The number of frames, those without a bin at the end left out."""
+        return int(self.frame.max(initial=-1)) + 1
+
+    @property
+    def light_dn(self) -> Float32:
+        """The predicted light of both sources (n,), DN."""
+        return self.arc_dn + self.laser_dn
+
+    def at(self, chosen: npt.NDArray[np.integer]) -> Covariates:
+        """Return some bins alone; `chosen` are their places among all."""
+        arrays = {name: getattr(self, name)[chosen] for name in PER_BIN}
+        values = {name: of_all[chosen] for name, of_all in self.values.items()}
+        return replace(self, values=values, **arrays)
+
+    def image(self, frame: int, values: Float32) -> Float32:
+        """Return the values (n,) of one frame's bins as an image (h, w), NaN where no bin counts."""
+        image = np.full(self.shape, np.nan, dtype=np.float32)
+        chosen = self.frame == frame
+        image.reshape(-1)[self.bins[chosen]] = values[chosen]
+        return image
+
+
+class Fitted(Protocol):
+    """Nuisances (p,), the light of each frame there, whitened residuals (n,) and their derivatives (n, >= p).
+
+    A `Refit` is one.
+    """
+
+    @property
+    def nuisance(self) -> Float64:
+        """The nuisances (p,)."""
+        ...
+
+    @property
+    def passed(self) -> Sequence[Passed]:
+        """The light of each frame."""
+        ...
+
+    @property
+    def residuals(self) -> Float64:
+        """What is left (n,), over its noise."""
+        ...
+
+    @property
+    def jacobian(self) -> Float64:
+        """The residuals' derivatives (n, >= p), those with the nuisances first."""
+        ...
+
+
+@dataclass(frozen=True, eq=False)
+class Start:
+    """The model at its stated values, as a `Fitted`: no gap has pulled at its nuisances."""
+
+    nuisance: Float64
+    passed: tuple[Passed, ...]
+    residuals: Float64
+    jacobian: Float64
+
+    @classmethod
+    def of(cls, expected: Expected) -> Start:
+        """Hold the model against a recording; tangents must have been taken at the neutral nuisances."""
+        passed = expected.passed(expected.neutral, {})
+        residuals, jacobian = expected.residuals(passed), expected.nuisance_columns(passed)
+        return cls(expected.neutral, tuple(passed), residuals, jacobian)
+
+
+def covariates(expected: Expected, fit: Fitted) -> Covariates:
+    """Gather the covariates of every bin that counts, with the light and the nuisances of a fit."""
+    anchor = fit.nuisance
+    observed = expected.observed
+    true = really(really_there(observed.binned, anchor))
+    rays = Rays.of(true.camera)
+    parts = []
+    for frame, light in zip(observed.frames, fit.passed, strict=True):
+        seam = expected.seam(frame, anchor, {})
+        T_base_tool = frame.T_base_tool_in(true)
+        bins = np.flatnonzero(frame.keep)
+        view = View.of(true, T_base_tool, seam.middle, rays, bins, ground=seam.ground)
+        values = _of_surface(view) | _of_frame(observed, frame, true, len(bins)) | _of_image(observed, view)
+        if frame.condition.arc_level == 0.0:
+            for name in ("distance", "theta_i", "phi_r", "half_angle"):
+                values[name] = np.full(len(bins), np.nan)
+        predicted_dn = light.mean_dn()
+        # Of a bent response each source gets its share of what the light adds.
+        light_dn = predicted_dn - light.sensor.black_level_dn - light.black_dn
+        dn_per_e = light_dn / np.maximum(light.arc_e + light.laser_e + light.other_e, 1e-3)
+        parts.append(
+            {
+                **values,
+                "gray_level": predicted_dn,
+                "frame": np.full(len(bins), frame.position),
+                "bins": bins,
+                "stratum": np.full(len(bins), STRATA.index(frame.stratum)),
+                "in_stripe": frame.in_stripe,
+                "sigma_dn": frame.sigma_dn,
+                "arc_dn": dn_per_e * light.arc_e,
+                "laser_dn": dn_per_e * light.laser_e,
+                "predicted_dn": predicted_dn,
+            }
+        )
+
+    def joined(name: str, kind: npt.DTypeLike = np.float32) -> npt.NDArray[Any]:
+        return np.concatenate([part[name] for part in parts]).astype(kind)
+
+    return Covariates(
+        observed.frames[0].keep.shape,
+        {name: joined(name) for name in UNITS},
+        joined("frame", np.int32),
+        joined("bins", np.int32),
+        joined("stratum", np.int8),
+        joined("in_stripe", np.bool_),
+        joined("sigma_dn"),
+        joined("arc_dn"),
+        joined("laser_dn"),
+        joined("predicted_dn"),
+        -fit.jacobian[:, : len(anchor)].astype(np.float32),
+        expected.nuisances,
+        anchor,
+    )
+
+
+def _of_surface(view: View) -> dict[str, Float64]:
+    """Return what the place on the part makes of arc and camera, (n,) each."""
+    points, normals, _ = view.surface
+    to_center = view.scene.center_mm - points
+    to_arc = to_center + np.array([0.0, 0.0, 0.5 * view.setup.arc.radius_mm])
+    omega_i = to_arc / np.linalg.norm(to_arc, axis=1, keepdims=True)
+    omega_r = -view.directions
+    cos_i, cos_r = np.sum(omega_i * normals, axis=1), np.sum(omega_r * normals, axis=1)
+    half = omega_i + omega_r
+    cos_half = np.sum(half * normals, axis=1) / np.linalg.norm(half, axis=1)
+    # The azimuth between the view and the mirrored arc, both laid into the face.
+    ahead, seen = cos_i[:, None] * normals - omega_i, omega_r - cos_r[:, None] * normals
+    length = np.linalg.norm(ahead, axis=1) * np.linalg.norm(seen, axis=1)
+    cos_phi = np.sum(ahead * seen, axis=1) / np.maximum(length, 1e-12)
+    return {
+        "distance": np.linalg.norm(to_center, axis=1),
+        "theta_i": _degrees(cos_i),
+        "theta_r": _degrees(cos_r),
+        "phi_r": _degrees(cos_phi),
+        "half_angle": _degrees(cos_half),
+        "concavity": concavity(points, normals, view.scene.shape),
+    }
+
+
+def _degrees(cosine: Float64) -> Float64:
+    return np.degrees(np.arccos(np.clip(cosine, -1.0, 1.0)))
+
+
+def concavity(points_mm: Float64, normals: Float64, shape: Section) -> Float64:
+    """Return the share (n,) of a diffuse sky's light that other faces of a section keep from points (n, 3).
+
+    1 - (sin phi_2 - sin phi_1) / 2 with phi_1, phi_2 the angles from the normal, across the seam, between
+    which the sky is open: faces run along the seam without end (Siegel and Howell's crossed strings).
+    """
+    # A corrugation raises the whole of a section by as much and turns no face across the seam.
+    normal = normals[:, 1:] / np.maximum(np.linalg.norm(normals[:, 1:], axis=1), 1e-12)[:, None]
+    along = np.column_stack([normal[:, 1], -normal[:, 0]])
+    low, high = np.full(len(points_mm), -1.0), np.full(len(points_mm), 1.0)
+    raised = corrugation_height(points_mm[:, 0], shape.corrugation)
+    for y, z in shape.vertices:
+        to_vertex = np.column_stack([y - points_mm[:, 1], z + raised - points_mm[:, 2]])
+        far = np.maximum(np.linalg.norm(to_vertex, axis=1), 1e-12)
+        up, aside = np.sum(to_vertex * normal, axis=1) / far, np.sum(to_vertex * along, axis=1) / far
+        hides = up > 1e-6
+        low = np.where(hides & (aside < 0.0), np.maximum(low, aside), low)
+        high = np.where(hides & (aside >= 0.0), np.minimum(high, aside), high)
+    return np.asarray(1.0 - 0.5 * np.maximum(high - low, 0.0))
+
+
+def _of_frame(observed: Observed, frame: ObservedFrame, true: Setup, n: int) -> dict[str, Float64]:
+    """Return what a frame's bins have in common, (n,) each."""
+    arc = observed.setup.arc
+    values = {
+        "exposure": frame.condition.exposure_s,
+        "current": arc.current_a * frame.condition.arc_level ** (1.0 / arc.current_exponent),
+        "time": frame.timestamp_s - observed.frames[0].timestamp_s,
+        "velocity_sign": velocity_sign(frame, true),
+    }
+    return {name: np.full(n, value) for name, value in values.items()}
+
+
+def velocity_sign(frame: ObservedFrame, true: Setup) -> float:
+    """Return 1 if the tool goes to the left of travel while a frame is taken, -1 to the right, 0 neither."""
+    before, after = (frame.T_base_tool_in(true, by * VELOCITY_SPAN_S) for by in (-0.5, 0.5))
+    step_base = after[:3, 3] - before[:3, 3]
+    start, end = (np.asarray(point) for point in true.joint.seam_in_base_mm[:2])
+    left = np.cross(true.joint.surface_normal_in_base, end - start)
+    speed = float(step_base @ left / np.linalg.norm(left)) / VELOCITY_SPAN_S
+    return 0.0 if abs(speed) < LEAST_SPEED_MM_S else float(np.sign(speed))
+
+
+def _of_image(observed: Observed, view: View) -> dict[str, Float64]:
+    """Return where the bins lie in the image, (n,) each."""
+    # A bin's middle among the recording's own pixels.
+    px = (view.uv_px.astype(np.float64) + 0.5) * observed.bin_px - 0.5
+    camera = observed.setup.camera
+    radius = np.hypot(px[:, 0] - camera.cx, px[:, 1] - camera.cy)
+    return {
+        "field_angle": np.degrees(view.theta),
+        "row": px[:, 1],
+        "column": px[:, 0],
+        "radius": radius,
+    }

@@ -1,0 +1,1 @@
+"""Effects that show in the scatter of pixels, not in their mean."""

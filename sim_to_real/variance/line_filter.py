@@ -1,0 +1,78 @@
+"""Bright and dark lines of an image that stand out on both of their sides.
+
+The mean along a short line is compared with those along two parallels, one on either side,
+
+    bright = L - max(L_left, L_right),    dark = min(L_left, L_right) - L,
+
+the brighter side being the one that counts (Tupin, Maitre, Mangin, Nicolas and Pechersky 1998, IEEE Trans.
+Geosci. Remote Sens. 36, 434). A slope, an edge of a face and that of a shadow are no line: one side is as
+bright. What noise alone makes of either is no larger than the difference of two such means.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from scipy.special import ndtr
+
+from sim_to_real.data.binned import Float32
+
+ANGLES = 8
+"""Directions that are tried, evenly over half a turn."""
+
+LENGTH, APART = 5, 3
+"""A line's length, and how far beside it the parallels lie, pixels of the image."""
+
+BLUR = 0.65
+"""1 sigma of the blur of a line: thinner, one that runs askew through the pixels would fall into beads."""
+
+
+@dataclass(frozen=True, eq=False)
+class Ridges:
+    """Responses (ANGLES, h, w), in the image's unit, of lines about each pixel."""
+
+    bright: Float32
+    dark: Float32
+
+
+def line_kernels() -> Float32:
+    """Return the mean along a line, with a Gaussian's blur, as kernels (ANGLES, k, k)."""
+    reach = LENGTH // 2 + math.ceil(3.0 * BLUR)
+    row, column = np.mgrid[-reach : reach + 1, -reach : reach + 1]
+    angle = (math.pi * np.arange(ANGLES) / ANGLES)[:, np.newaxis, np.newaxis]
+    along = column * np.cos(angle) + row * np.sin(angle)
+    across = row * np.cos(angle) - column * np.sin(angle)
+    box = ndtr((along + 0.5 * LENGTH) / BLUR) - ndtr((along - 0.5 * LENGTH) / BLUR)
+    kernels = box * np.exp(-0.5 * (across / BLUR) ** 2)
+    return np.asarray(kernels / kernels.sum(axis=(1, 2), keepdims=True), dtype=np.float32)
+
+
+KERNELS = line_kernels()
+"""Means along a line in every direction (ANGLES, k, k)."""
+
+NOISE = float(np.sqrt(2.0 * np.max(np.sum(KERNELS**2, axis=(1, 2)))))
+"""1 sigma of the difference of two lines' means, over that of a pixel."""
+
+
+def ridges(image: Float32) -> Ridges:
+    """Return what stands out of an image (h, w) as a line, -inf where one of its sides is beyond the rim."""
+    h, w = image.shape
+    bright = np.full((ANGLES, h, w), -np.inf, dtype=np.float32)
+    dark = bright.copy()
+    for n, kernel in enumerate(KERNELS):
+        mean = np.asarray(
+            cv2.filter2D(image, -1, kernel, borderType=cv2.BORDER_REFLECT_101), dtype=np.float32
+        )
+        angle = math.pi * n / ANGLES
+        x, y = round(-APART * math.sin(angle)), round(APART * math.cos(angle))
+        rows, columns = slice(abs(y), h - abs(y)), slice(abs(x), w - abs(x))
+        line, left, right = (
+            mean[abs(y) + by * y : h - abs(y) + by * y, abs(x) + by * x : w - abs(x) + by * x]
+            for by in (0, 1, -1)
+        )
+        bright[n, rows, columns] = line - np.maximum(left, right)
+        dark[n, rows, columns] = np.minimum(left, right) - line
+    return Ridges(bright, dark)

@@ -1,0 +1,315 @@
+"""Spatter's parameters from the streaks that were found: how often, how bright, how long, how wide.
+
+A streak's moments give its length and width: along it the variance is l^2 / 12 + w^2, across it w^2, and the
+point-spread function adds to both; its integral is l w sqrt(2 pi) times its peak. Streaks fainter than a
+limit are not found; of exponential peaks those found exceed their limits by `peak_e` on average, and as many
+are missed as that says. Streaks are counted by their length that is seen, so that those cut by the rim, or by
+what cannot be searched, count for what they are.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from scipy.special import gammaln, xlogy
+
+from noise_model.effects import REGISTRY
+from noise_model.instrument.sensor import Sensor, electrons_per_dn, linearise, saturation_dn
+from noise_model.transforms import Float64
+from sim_to_real.data.binned import Float32, Observed
+from sim_to_real.data.blocks import Bool, cut, within
+from sim_to_real.fit.gauss_newton import MAD_SIGMA
+from sim_to_real.fit.linearized_model import Passed
+from sim_to_real.variance.haar_details import Sizes
+from sim_to_real.variance.streaks import Line, Searched, passing, search
+
+CLUTTER_FRAMES = 30.0
+"""Known before of lines that are no streaks: fewer than one in so many frames."""
+
+RIM_BINS = 3
+"""Bins about a streak from which its background is taken."""
+
+BESIDE_BINS = 3.0
+"""1 sigma over which light beside a streak is averaged."""
+
+OUTLYING = 4.0
+"""Pixels of the background that lie beyond so many sigmas are something else's."""
+
+LEAST_ELONGATED = 4.0
+"""A streak's variance along is so many times that across."""
+
+SMOOTH, MOSTLY, LEAST_BESIDE = 1.5, 0.7, 40
+"""A background's pixels scatter by so many times their noise at most; this share, and so many, must do so."""
+
+WINDOW_PX, ROUNDS, MOST_KEPT = 4.0, 4, 0.9
+"""1 sigma of the window across a streak, how often it is put about it, and how much of it may be filled."""
+
+CLEAR_FROM = 4.0
+"""Streaks of so many times their limit are clear."""
+
+LEAST_WIDTH_PX, MEASURED_PX = 0.5, 0.3
+"""The narrowest streak, and 1 sigma of what the moments of any may be off."""
+
+LEAST_SEARCHED = 0.01
+"""Where hardly any of the streaks could have been found, so many whole frames count as searched."""
+
+PARAMETERS = {parameter.name: parameter for parameter in REGISTRY["spatter"].parameters}
+"""What the catalogue says of spatter."""
+
+AROUND = 3
+"""The side of the square of bins about a line's that are still its own."""
+
+
+@dataclass(frozen=True, eq=False)
+class Spatter:
+    """Streaks that are in single frames.
+
+    `evidence` for spatter, nats; `values` and `sigmas` of its parameters, empty if there is no streak; `hit`
+    (h, w) of each frame the bins that streaks reach; `excess` is what they add to the mean of r^2.
+    """
+
+    evidence: float
+    values: dict[str, float]
+    sigmas: dict[str, float]
+    hit: tuple[Bool, ...]
+    excess: float
+
+
+@dataclass(frozen=True)
+class Streak:
+    """What a line measures in its pixels.
+
+    `seen_px2` is the variance across it, `charge_e` the integral, e- of the nominal exposure; `room_e` is
+    what saturates a pixel there. It `is_whole` if neither the rim nor the model's own lines cut it, `is_full`
+    if it saturates.
+    """
+
+    line: Line
+    length_px: float
+    seen_px2: float
+    charge_e: float
+    room_e: float
+    is_whole: bool
+    is_full: bool
+
+
+def spatter(observed: Observed, passed: Sequence[Passed], sizes: Sizes) -> Spatter:
+    """Return the spatter that frames show; `sizes` are those of what scatters besides."""
+    searched, sensor = search(observed, passed, sizes), passed[0].sensor
+    bright, dark = passing(observed, searched)
+    lit = observed.lit
+    found = [line for line in bright if lit[line.position]]
+    measured = [_measured(observed, sensor, searched[line.position], line) for line in found]
+    streaks = [streak for streak in measured if streak is not None]
+    hit = _hit(observed, found)
+    n_others = len(dark) + len(bright) - len(found)
+    evidence = _evidence(len(streaks), int(lit.sum()), n_others, len(lit))
+    if not streaks:
+        return Spatter(evidence, {}, {}, hit, 0.0)
+    values, sigmas = _estimate(observed, searched, found, streaks)
+    excess = _excess(observed, sensor, searched, _hit(observed, [streak.line for streak in streaks]))
+    return Spatter(evidence - _unlikely(values), values, sigmas, hit, excess)
+
+
+def _excess(observed: Observed, sensor: Sensor, searched: Sequence[Searched], hit: Sequence[Bool]) -> float:
+    """Return what streaks add to the mean of r^2 of all pixels; light and noise are those beside them."""
+    bin_px = observed.bin_px
+    added = 0.0
+    for frame, of, bins in zip(observed.frames, searched, hit, strict=True):
+        if not bins.any():
+            continue
+        beside = [_from_beside(image, bins) for image in (of.light_dn, of.noise_dn**2)]
+        image_dn = cut(frame.image_dn, bin_px).transpose(0, 2, 1, 3)
+        seen_dn = beside[0] + np.float32(sensor.black_level_dn)
+        left_dn = image_dn[bins] - seen_dn[:, np.newaxis, np.newaxis]
+        added += float(np.sum(np.mean(left_dn**2, axis=(1, 2)) / (bin_px**2 * beside[1]) - 1.0))
+    return float(added / np.size(hit))
+
+
+def _from_beside(image: Float32, bins: Bool) -> Float32:
+    """Return what an image (h, w) has beside some bins (n,)."""
+    others = np.float32(1.0) - bins.astype(np.float32)
+    light, weight = (cv2.GaussianBlur(part, (0, 0), BESIDE_BINS) for part in (image * others, others))
+    return np.asarray(light[bins] / np.maximum(weight[bins], 1e-6), dtype=np.float32)
+
+
+def _hit(observed: Observed, found: Sequence[Line]) -> tuple[Bool, ...]:
+    """Return the bins (h, w) of each frame that lines reach."""
+    images = np.zeros((len(observed.frames), *observed.frames[0].keep.shape), dtype=np.bool_)
+    for line in found:
+        images[(line.position, *line.bins.T)] = True
+    return tuple(within(image, AROUND) for image in images)
+
+
+def _measured(observed: Observed, sensor: Sensor, of: Searched, line: Line) -> Streak | None:
+    """Measure a line in the pixels about it; None if it is no streak before a smooth background."""
+    frame, setup, bin_px = observed.frames[line.position], observed.setup, observed.bin_px
+    shape = np.array(of.limit_dn.shape)
+    low = np.maximum(line.bins.min(axis=0) - RIM_BINS - 1, 0)
+    high = np.minimum(line.bins.max(axis=0) + RIM_BINS + 2, shape)
+    window = slice(low[0], high[0]), slice(low[1], high[1])
+    mask = np.zeros(high - low, dtype=np.bool_)
+    mask[tuple((line.bins - low).T)] = True
+    support = within(mask, AROUND)
+    guard = within(support, AROUND)
+    crop = frame.image_dn[low[0] * bin_px : high[0] * bin_px, low[1] * bin_px : high[1] * bin_px]
+    smooth = ~guard & ~of.stripe[window]
+    inside, beside = (np.kron(bins, np.ones((bin_px, bin_px))) > 0 for bins in (support, smooth))
+    full = crop >= saturation_dn(sensor)
+    electrons = linearise(crop, sensor)
+    e_per_dn = float(np.median(electrons_per_dn(electrons, sensor)))
+    noise_e = float(np.median(of.noise_dn[window])) * bin_px * e_per_dn
+    beside &= ~full
+    background_e = _background(electrons, beside, noise_e)
+    if background_e is None:
+        return None
+    moments = _moments(np.argwhere(inside).T.astype(np.float64), (electrons - background_e)[inside])
+    if moments is None:
+        return None
+    charge_e, along, across = moments
+    own = of.own_dn[window] > of.limit_dn[window] - of.own_dn[window]
+    is_cut = (low == 0).any() or (high == shape).any() or bool((own & guard).any())
+    exposed = frame.condition.exposure_s / setup.camera.exposure_s
+    length_px = math.sqrt(12.0 * (along - across))
+    room_e = float(linearise(saturation_dn(sensor), sensor)) - float(np.median(background_e[inside]))
+    is_full = bool((full & inside).any())
+    return Streak(line, length_px, across, charge_e / exposed, room_e / exposed, not is_cut, is_full)
+
+
+def _moments(place: Float64, charge: Float64) -> tuple[float, float, float] | None:
+    """Return integral, variance along and across, px^2, of charge (n,) at places (2, n); None if no streak's.
+
+    Across, charge is seen through a Gaussian window of variance s^2, which keeps noise out: of a Gaussian of
+    variance v it leaves v s^2 / (v + s^2), and s / sqrt(v + s^2) of the integral.
+    """
+    total = float(charge.sum())
+    if total <= 0.0:
+        return None
+    place = place - (place @ charge / total)[:, np.newaxis]
+    beside, along = np.linalg.eigh((place * charge) @ place.T)[1].T @ place
+    across, window = 0.0, WINDOW_PX**2
+    for _ in range(ROUNDS):
+        seen = charge * np.exp(-0.5 * beside**2 / window)
+        total = float(seen.sum())
+        if total <= 0.0:
+            return None
+        beside = beside - float(beside @ seen) / total
+        kept = min(float(beside**2 @ seen) / total / window, MOST_KEPT)
+        if kept <= 0.0:
+            return None
+        across, passed = window * kept / (1.0 - kept), math.sqrt(1.0 - kept)
+        window = max(WINDOW_PX**2, 2.0 * across)
+    middle = float(along @ seen) / total
+    lengthwise = float((along - middle) ** 2 @ seen) / total
+    return (total / passed, lengthwise, across) if lengthwise > LEAST_ELONGATED * across else None
+
+
+def _background(electrons: Float64, beside: Bool, noise_e: float) -> Float64 | None:
+    """Return the cubic through pixels beside a streak; None if they are not smooth."""
+    row, column = ((of - of.mean()) / max(electrons.shape) for of in np.indices(electrons.shape))
+    basis = np.stack([row**n * column**m for n in range(4) for m in range(4 - n)], axis=-1)
+    use = beside
+    for _ in range(2):
+        if use.sum() < LEAST_BESIDE:
+            return None
+        fitted = basis @ np.linalg.lstsq(basis[use], electrons[use], rcond=None)[0]
+        left = electrons - fitted
+        spread_e = MAD_SIGMA * float(np.median(np.abs(left[use])))
+        use = beside & (np.abs(left) < OUTLYING * max(noise_e, spread_e))
+    is_smooth = float(np.std(left[use])) < SMOOTH * noise_e and use.sum() > MOSTLY * beside.sum()
+    return np.asarray(fitted) if is_smooth else None
+
+
+def _estimate(
+    observed: Observed, searched: Sequence[Searched], found: Sequence[Line], streaks: Sequence[Streak]
+) -> tuple[dict[str, float], dict[str, float]]:
+    """Return the parameters of spatter and their 1 sigmas."""
+    whole = [s for s in streaks if s.is_whole] or list(streaks)
+    # Moments of the faint say little, those of the saturated something else.
+    clear = [s for s in whole if s.line.response_dn > CLEAR_FROM * s.line.limit_dn and not s.is_full]
+    plain = clear or [s for s in whole if not s.is_full] or whole
+    length = np.array([s.length_px for s in plain])
+    across = np.array([s.seen_px2 for s in plain]) - observed.setup.camera.psf_sigma_px**2
+    width_px = math.sqrt(max(float(np.median(across)), LEAST_WIDTH_PX**2))
+    charge_e = np.array([s.charge_e / s.length_px for s in streaks])
+    peak = charge_e / (width_px * math.sqrt(2.0 * math.pi))
+    # One that saturates says that its peak is no less than what does.
+    widened = math.hypot(width_px, observed.setup.camera.psf_sigma_px) / width_px
+    full = np.array([widened * s.room_e if s.is_full else math.inf for s in streaks])
+    peak = np.minimum(peak, full)
+    limit = peak * np.array([s.line.limit_dn / s.line.response_dn for s in streaks])
+    # The mean of an exponential that is cut at either end.
+    n_seen = max(sum(not s.is_full for s in streaks), 1)
+    peak_e = float(np.sum(peak - limit)) / n_seen
+    searched_frames = max(
+        _searched_frames(observed, searched, found, (streaks, peak), peak_e), LEAST_SEARCHED
+    )
+    # Those that are cut count for what is seen of them; an edge that one crosses may have made it longer.
+    extent = np.array([line.extent for line in found]) / float(np.median([s.line.extent for s in whole]))
+    n = float(np.sum(np.minimum(extent, 1.0)))
+    values = {
+        "rate_per_frame": n / searched_frames,
+        "peak_e": peak_e,
+        "length_px": float(np.median(length)),
+        "width_px": width_px,
+    }
+    sigmas = {
+        "rate_per_frame": math.sqrt(n) / searched_frames,
+        "peak_e": peak_e / math.sqrt(n_seen),
+        "length_px": _of_median(length),
+        "width_px": _of_median(across) / (2.0 * width_px),
+    }
+    bounds = {name: (PARAMETERS[name].lower, PARAMETERS[name].upper) for name in values}
+    return {name: float(np.clip(value, *bounds[name])) for name, value in values.items()}, sigmas
+
+
+def _searched_frames(
+    observed: Observed,
+    searched: Sequence[Searched],
+    found: Sequence[Line],
+    peaks: tuple[Sequence[Streak], Float64],
+    peak_e: float,
+) -> float:
+    """Return how many whole lit frames were searched: of each the area, for those peaks that are found.
+
+    One whose middle lies on another streak is not told from it.
+    """
+    frames, hit = observed.frames, _hit(observed, found)
+    exposed = [frame.condition.exposure_s / observed.setup.camera.exposure_s for frame in frames]
+    response_dn = np.array([s.line.response_dn / exposed[s.line.position] for s in peaks[0]])
+    dn_per_e = float(np.median(response_dn / peaks[1]))
+    return sum(
+        float(np.mean(np.where(covered, 0.0, np.exp(-of.limit_dn / (dn_per_e * by * peak_e)))))
+        for of, covered, by, frame in zip(searched, hit, exposed, frames, strict=True)
+        if frame.condition.arc_level > 0.0
+    )
+
+
+def _unlikely(values: Mapping[str, float]) -> float:
+    """Return by how many nats streaks of such a length and width are less likely than the likeliest."""
+    usual = [PARAMETERS[name] for name in ("length_px", "width_px")]
+    return 0.5 * float(sum(((values[p.name] - p.start) / p.prior_sigma) ** 2 for p in usual))
+
+
+def _of_median(values: Float64) -> float:
+    """Return 1 sigma of a median (n,), never less than measuring allows."""
+    spread = MAD_SIGMA * float(np.median(np.abs(values - np.median(values))))
+    return math.sqrt(0.5 * math.pi * spread**2 / len(values) + MEASURED_PX**2)
+
+
+def _evidence(n: int, n_lit: int, n_others: int, n_frames: int) -> float:
+    """Return the evidence, nats, of n streaks in lit frames for spatter over what else makes lines.
+
+    Other lines come at a rate that is known from `n_others` of the wrong sign or in frames without arc: a
+    Gamma distribution, whose predictive is negative binomial. Spatter's rate is exponential before.
+    """
+    shape, frames = 0.5 + n_others, CLUTTER_FRAMES + n_frames
+    clutter = gammaln(shape + n) - gammaln(shape) - gammaln(n + 1.0)
+    clutter += xlogy(shape, frames / (frames + n_lit)) + xlogy(n, n_lit / (frames + n_lit))
+    expected = n_lit * PARAMETERS["rate_per_frame"].prior_sigma
+    streaks = xlogy(n, expected / (1.0 + expected)) - math.log(1.0 + expected)
+    return float(streaks - clutter)

@@ -1,0 +1,183 @@
+"""The arc's output and the map's fit, from pixels off the stripe, robustly: an arc breathes."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from noise_model.kernel import REDUCTION, kernel
+from noise_model.transforms import Float64
+from tracker.arc.transmission import ArcLight, Passage, seen_arc
+from tracker.geometry import Float32, SensorGeometry
+
+MAP_SIGMA = 0.05
+"""The map's stated relative 1 sigma: hand-eye, material and arc shape within their tolerance."""
+
+HUBER = 2.0
+"""Residuals beyond this many sigmas pull no harder."""
+
+MISFIT_QUANTILE, NORMAL_QUANTILE = 0.9, 1.6449
+"""The quantile of |residual| that the misfit is, and a normal law's."""
+
+MIN_PIXELS = 40
+"""Fewer pixels tell nothing of the arc."""
+
+MOST_SIGMA = 0.2
+"""A level less certain than this, over the larger of itself and the expected one, is not known."""
+
+MOST_STEPS, SETTLED = 20, 1e-6
+"""Steps of the level's fit at most, and the relative one that is the last."""
+
+
+@dataclass(frozen=True)
+class ArcLevel:
+    """The arc's output over the expected one, its 1 sigma, the black level's offset (e-) and the misfit.
+
+    `misfit` is the residual's 90 % quantile over that of its stated uncertainty, 1 or less where the map is
+    right: spatter over a twentieth of the pixels leaves it, a map that is wrong over an eighth does not. NaN
+    where too few pixels can be used.
+    """
+
+    level: float
+    sigma: float
+    black_e: float
+    misfit: float
+
+
+UNKNOWN = ArcLevel(np.nan, np.nan, 0.0, np.nan)
+
+
+def estimate_arc_level(
+    geometry: SensorGeometry,
+    light: ArcLight,
+    passage: Passage | None,
+    image_dn: npt.NDArray[np.integer],
+    stripe_px: Float64 | None,
+    keep_off_px: float,
+) -> ArcLevel:
+    """Fit charge = level * map + black to a lattice of pixels farther than `keep_off_px` from the stripe.
+
+    `light` is the arc's at its expected output, `passage` what effects make of it. Weighted least
+    squares with Huber weights; the variance is the pixel's at the fitted mean plus (MAP_SIGMA level map)^2,
+    the black level's prior is its tolerance.
+    """
+    scan, position = geometry.even_sample
+    pixels, charge_e = np.empty(len(scan), dtype=np.int64), np.empty(len(scan))
+    n = _off_stripe(
+        image_dn,
+        geometry.along_rows,
+        geometry.n_pos,
+        scan,
+        position,
+        geometry.charge_e,
+        geometry.saturation_dn,
+        stripe_px if stripe_px is not None else np.empty(0),
+        keep_off_px,
+        pixels,
+        charge_e,
+    )
+    m, other = seen_arc(light, passage, pixels[:n])
+    n = _only_seen(m, charge_e, other)
+    m, e = m[:n], charge_e[:n]
+    if n < MIN_PIXELS or not (m > 0.0).any():
+        return UNKNOWN
+    sensor, tolerance = geometry.setup.sensor, geometry.setup.tolerance
+    black_sigma = max(tolerance.black_level_dn * sensor.gain_e_per_dn, 1e-3)
+    size = np.empty(len(m))
+    start = max(0.0, _quantile(e, 0.5) / (_quantile(m, 0.5) + 1e-9))
+    level, sigma, black = _fit_level(m, e, geometry.dark_variance_at(e), black_sigma, start, size)
+    # Where the sheet hides the arc, its level may be anything.
+    if not sigma < MOST_SIGMA * max(level, 1.0):
+        return UNKNOWN
+    misfit = _quantile(size, MISFIT_QUANTILE) / NORMAL_QUANTILE
+    return ArcLevel(level, sigma, black, misfit)
+
+
+@kernel
+def _off_stripe(
+    image_dn: npt.NDArray[np.integer],
+    along_rows: bool,
+    n_pos: int,
+    scan: npt.NDArray[np.int64],
+    position: npt.NDArray[np.int64],
+    code_e: Float32,
+    saturation_dn: int,
+    stripe_px: Float64,
+    keep_off_px: float,
+    pixels: npt.NDArray[np.int64],
+    charge_e: Float64,
+) -> int:
+    """Write which pixels of a sample are neither saturated nor near the stripe; return how many.
+
+    `scan` and `position` (n,) are the sample's, `code_e` the charge of each code, `stripe_px` (n_scan,) the
+    stripe's place, empty for none. Written are `pixels`, counted by scan line, and `charge_e` (n,).
+    """
+    n = 0
+    for i in range(scan.shape[0]):
+        s, r = scan[i], position[i]
+        dn = image_dn[r, s] if along_rows else image_dn[s, r]
+        if dn < saturation_dn and (stripe_px.shape[0] == 0 or abs(r - stripe_px[s]) > keep_off_px):
+            pixels[n], charge_e[n] = s * n_pos + r, code_e[dn]
+            n += 1
+    return n
+
+
+@kernel
+def _only_seen(map_e: Float64, charge_e: Float64, other_e: Float64) -> int:
+    """Move the pixels whose `map_e` (n,) is known to the front, other light taken off; return how many."""
+    n = 0
+    for i in range(map_e.shape[0]):
+        if math.isfinite(map_e[i]):
+            map_e[n], charge_e[n] = map_e[i], charge_e[i] - other_e[i]
+            n += 1
+    return n
+
+
+def _quantile(values: Float64, share: float) -> float:
+    """Return the value (n,) that so large a share of all is not above."""
+    at = math.ceil(share * (len(values) - 1))
+    return float(np.partition(values, at)[at])
+
+
+@kernel(fastmath=REDUCTION)
+def _fit_level(
+    map_e: Float64,
+    charge_e: Float64,
+    dark_variance_e2: float,
+    black_sigma_e: float,
+    start: float,
+    size: Float64,
+) -> tuple[float, float, float]:
+    """Fit charge = level * map + black to pixels (n,); return the level, its 1 sigma and the black level.
+
+    Weighted least squares with Huber weights; the black level's prior is 0 +- `black_sigma_e`. Writes the
+    residuals' `size` (n,), in their sigmas.
+    """
+    level, black = start, 0.0
+    prior = 1.0 / black_sigma_e**2
+    h_ll, determinant = 0.0, 1.0
+    h_bb = prior
+    for _ in range(MOST_STEPS):
+        h_ll, h_lb, h_bb, g_l, g_b = 0.0, 0.0, prior, 0.0, -prior * black
+        for i in range(map_e.shape[0]):
+            m = map_e[i]
+            mean = level * m + black
+            off = charge_e[i] - mean
+            variance = max(mean, 0.0) + dark_variance_e2 + (MAP_SIGMA * level * m) ** 2
+            size[i] = abs(off) / math.sqrt(variance)
+            weight = min(1.0, HUBER / max(size[i], 1e-9)) / variance
+            h_ll += weight * m * m
+            h_lb += weight * m
+            h_bb += weight
+            g_l += weight * m * off
+            g_b += weight * off
+        determinant = h_ll * h_bb - h_lb * h_lb
+        step = (h_bb * g_l - h_lb * g_b) / determinant
+        level = max(level + step, 0.0)
+        black += (h_ll * g_b - h_lb * g_l) / determinant
+        if abs(step) < SETTLED * max(level, 1e-3):
+            break
+    return level, math.sqrt(h_bb / determinant), black

@@ -1,0 +1,92 @@
+"""The arc's light on its way to the pixels that the tracker looks at, through the setup's effects."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import numpy as np
+import numpy.typing as npt
+
+from noise_model.arc.map import Scene
+from noise_model.condition import Condition
+from noise_model.effects import acting, really_on
+from noise_model.effects.light import Light
+from noise_model.forward import pass_on
+from noise_model.transforms import Float64
+from noise_model.view import View
+from tracker.geometry import Float32, SensorGeometry
+
+ArcLight = Callable[[npt.NDArray[np.int64]], Float32]
+"""The arc's light (n,), e-, at pixels (n,) by scan line, NaN past the workpiece."""
+
+
+@dataclass(frozen=True, eq=False)
+class Passage:
+    """What a frame's effects make of the arc's light.
+
+    `even` are the pixels (n,) of an even sample, by scan line, which light that spreads over the image is
+    taken from, `even_arc_e` (n,) the arc's light there.
+    """
+
+    geometry: SensorGeometry
+    scene: Scene
+    condition: Condition
+    even: npt.NDArray[np.int64]
+    even_arc_e: Float32
+
+    @classmethod
+    def of(cls, geometry: SensorGeometry, view: Scene, light: ArcLight, output: float) -> Passage | None:
+        """Return the passage of a frame; None if no effect acts on the light.
+
+        `light` is the arc's at its expected output, which counts the exposure over the nominal one; `output`
+        is that, or 0 if the arc is said to be off: metal glows less then. What drifts with time are laser and
+        exposure: neither matters here.
+        """
+        setup = geometry.setup
+        if not any(effect.light or effect.image for effect, _ in acting(setup)):
+            return None
+        stated = Condition(0.0, output, setup.camera.exposure_s)
+        # The exposure is in the output already, and the arc's own level is measured in each frame.
+        condition = replace(really_on(setup, stated), exposure_s=setup.camera.exposure_s)
+        scan, position = geometry.even_sample
+        even = scan * geometry.n_pos + position
+        return cls(geometry, view, condition, even, np.nan_to_num(light(even)))
+
+    def through(self, pixels: npt.NDArray[np.int64], arc_e: Float32) -> tuple[Float32, Float32]:
+        """Return what arrives at some pixels (n,), by scan line: the arc's light and what is not the arc's.
+
+        `arc_e` (n,) is the arc's light before, NaN where a pixel looks past the workpiece, and stays so.
+        """
+        geometry = self.geometry
+        both = np.concatenate([self.even, pixels])
+        scan, position = np.divmod(both, geometry.n_pos)
+        uv = geometry.image_points(scan.astype(np.float64), position.astype(np.float64))
+        view = View(
+            geometry.setup,
+            self.scene,
+            uv.astype(np.float32),
+            geometry.xy[both],
+            geometry.cos4[both],
+            is_frame=False,
+            n_even=len(self.even),
+        )
+        before = np.concatenate([self.even_arc_e, np.nan_to_num(arc_e)])
+        light = Light.of(before, np.zeros_like(before))
+        pass_on(geometry.setup, light, view, self.condition)
+        arrived, other = (image[len(self.even) :] for image in (light.arc, light.other))
+        return np.where(np.isfinite(arc_e), arrived, np.float32(np.nan)), other
+
+
+def seen_arc(
+    light: ArcLight, passage: Passage | None, pixels: npt.NDArray[np.int64]
+) -> tuple[Float64, Float64]:
+    """Return the arc's light and the other light (n,), e-, at some pixels (n,), by scan line.
+
+    NaN where a pixel looks past the workpiece; `passage` None leaves the light as it is.
+    """
+    arc_e = light(pixels)
+    if passage is None:
+        return arc_e.astype(np.float64), np.zeros(len(pixels))
+    arrived, other = passage.through(pixels, arc_e)
+    return arrived.astype(np.float64), other.astype(np.float64)

@@ -1,0 +1,1 @@
+"""The seam along the path: located, followed, steered by."""

@@ -1,0 +1,114 @@
+"""What of the seam's displacement is sent as a correction: axes, gain, bias and limit, as `[follow]` states.
+
+The correction is an absolute displacement that replaces the one before, so its gain is no integrator's: a
+gain of 0.8 follows four fifths of the displacement, however often it is sent.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field
+from typing import Literal
+
+import numpy as np
+
+from noise_model.transforms import Float64
+
+AtLimit = Literal["saturate", "stop"]
+WhenLost = Literal["hold", "extrapolate", "stop"]
+CorrugationPath = Literal["in_path", "followed"]
+
+
+@dataclass(frozen=True)
+class AxisCorrection:
+    """One axis: gain and bias make the correction of the displacement, `limit_mm` bounds it.
+
+    An axis that is not enabled stays unknown. Raises ValueError for a value that cannot be.
+    """
+
+    enable: bool = True
+    gain: float = 1.0
+    bias_mm: float = 0.0
+    limit_mm: float = math.inf
+    at_limit: AtLimit = "saturate"
+
+    def __post_init__(self) -> None:
+        if not 0.0 < self.gain <= 1.0:
+            raise ValueError(f"gain = {self.gain}: must be > 0 and at most 1")
+        if not math.isfinite(self.bias_mm):
+            raise ValueError(f"bias_mm = {self.bias_mm}: must be finite")
+        if not self.limit_mm > 0.0:
+            raise ValueError(f"limit_mm = {self.limit_mm}: must be > 0")
+        if not abs(self.bias_mm) <= self.limit_mm:
+            raise ValueError(f"bias_mm = {self.bias_mm}: is beyond limit_mm = {self.limit_mm}")
+
+
+@dataclass(frozen=True)
+class Correction:
+    """How the seam is followed: `[follow]` of recording.toml.
+
+    `when_lost` says what is sent where the torch has passed the last measurement of the seam, for at most
+    `extrapolate_mm` and while its 1 sigma is at most `extrapolate_sigma_mm`. `ends_mm` is how far the joint's
+    real ends may lie from those of its nominal line; where it is not 0 they are searched. A corrugation is
+    `in_path` if the programmed path goes over it, and `followed` if that path is flat.
+    """
+
+    y: AxisCorrection = field(default_factory=AxisCorrection)
+    z: AxisCorrection = field(default_factory=AxisCorrection)
+    when_lost: WhenLost = "extrapolate"
+    extrapolate_mm: float = 10.0
+    extrapolate_sigma_mm: float = 0.5
+    ends_mm: float = 0.0
+    corrugation: CorrugationPath = "in_path"
+
+    def __post_init__(self) -> None:
+        if not self.extrapolate_mm >= 0.0:
+            raise ValueError(f"[follow] extrapolate_mm = {self.extrapolate_mm}: must be >= 0")
+        if not self.extrapolate_sigma_mm > 0.0:
+            raise ValueError(f"[follow] extrapolate_sigma_mm = {self.extrapolate_sigma_mm}: must be > 0")
+        if not (self.ends_mm >= 0.0 and math.isfinite(self.ends_mm)):
+            raise ValueError(f"[follow] ends_mm = {self.ends_mm}: must be >= 0 and finite")
+
+    @property
+    def enabled(self) -> tuple[bool, bool]:
+        """Whether y and z are corrected."""
+        return self.y.enable, self.z.enable
+
+
+UNSTATED = Correction()
+"""The correction where none is stated."""
+
+
+@dataclass(frozen=True)
+class Corrected:
+    """A correction (2,) as (y, z), mm, NaN for an axis that is not enabled; both NaN once stopped."""
+
+    offset_mm: Float64
+    is_limited: bool = False
+    is_stopped: bool = False
+
+
+STOPPED = Corrected(np.full(2, math.nan), is_stopped=True)
+
+
+def correct(correction: Correction, displacement_mm: Float64, height_mm: float = 0.0) -> Corrected:
+    """Return what is sent for a seam's displacement (2,) as (y, z), mm.
+
+    Each axis gets gain * displacement + bias, cut to its limit or stopped by it; a correction at its limit
+    passes. `height_mm` is what the programmed path leaves out of the drawing, a corrugation's height: it is
+    known and not measured, so z gets all of it whatever the gain.
+    """
+    offset_mm = [math.nan, math.nan]
+    is_limited = False
+    drawn_mm = (0.0, height_mm)
+    for n, axis in enumerate((correction.y, correction.z)):
+        if not axis.enable:
+            continue
+        sent_mm = axis.gain * float(displacement_mm[n]) + drawn_mm[n] + axis.bias_mm
+        if abs(sent_mm) > axis.limit_mm:
+            if axis.at_limit == "stop":
+                return STOPPED
+            is_limited = True
+            sent_mm = math.copysign(axis.limit_mm, sent_mm)
+        offset_mm[n] = sent_mm
+    return Corrected(np.array(offset_mm), is_limited)

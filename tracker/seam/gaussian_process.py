@@ -1,0 +1,195 @@
+"""From seam points ahead of the torch to the offset at the torch: a Gaussian process along the seam.
+
+The seam's displacement from the programmed path is a smooth function of the station x along it. With the
+prior covariance k(x, x') = s_0^2 + s_1^2 (1 + r) exp(-r), r = sqrt(3) |x - x'| / l (Matern 3/2: a seam that
+bends, but not sharply; Rasmussen and Williams, Gaussian Processes for Machine Learning, Eq. 4.17) the best
+estimate at any station from noisy measurements and its covariance are closed forms. It smooths where there
+are many measurements, interpolates the look-ahead from sensor to torch, and says by its own sigma when the
+torch stands where nothing has been measured.
+
+This process is Markov in its value and slope (Hartikainen and Sarkka 2010, IEEE MLSP, 379): over a distance d
+both go by exp(-q d) [[1 + q d, d], [-q^2 d, 1 - q d]] with q = sqrt(3) / l. So a Kalman filter along the
+stations, which takes the state where the answer is asked for along with it, gives the process' own answer in
+a time that grows with the number of measurements and no faster.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from noise_model.kernel import kernel
+from noise_model.surface.joint import SeamLine
+from noise_model.transforms import Float64
+
+CAPACITY = 96
+"""How many measurements are kept."""
+
+SPACING_MM = 1.0
+"""What is nearer to where the latest measurement began is averaged with it: no frame rate forgets any."""
+
+WIDE_SIGMA_MM = 5.0
+"""s_0: how far a whole seam may lie off its programmed path."""
+
+BEND_SIGMA_MM, BEND_LENGTH_MM = 0.5, 60.0
+"""s_1 and l: how far a seam wanders about its mean, and over what length."""
+
+MODEL_SIGMA_MM = 0.01
+"""What a measurement may be off beyond its stated noise, so that repeats do not average without end."""
+
+LEAST_VARIANCE_MM2 = 1e-12
+"""No measurement's own variance is taken for less, so that exact ones can be averaged."""
+
+
+@dataclass(frozen=True)
+class SeamHistory:
+    """Latest measurements, joint frame, mm: stations x (n,), displacements (n, 2) as (y, z), variances.
+
+    `began_mm` is the station of the first of those that the latest one is the average of.
+    """
+
+    stations_mm: Float64 = field(default_factory=lambda: np.empty(0))
+    displacements_mm: Float64 = field(default_factory=lambda: np.empty((0, 2)))
+    variances_mm2: Float64 = field(default_factory=lambda: np.empty((0, 2)))
+    began_mm: float = math.nan
+
+    def __len__(self) -> int:
+        return len(self.stations_mm)
+
+    def with_measurement(
+        self, station_mm: float, displacement_mm: Float64, variance_mm2: Float64
+    ) -> SeamHistory:
+        """Return the history with one more measurement, the oldest dropped beyond CAPACITY.
+
+        It takes the place of older ones that are nearer than SPACING_MM: a sensor that goes to and fro
+        forgets nothing of what it does not see again.
+        """
+        n = len(self)
+        began_mm, kept = station_mm, np.arange(n)
+        noise = np.maximum(variance_mm2, LEAST_VARIANCE_MM2)
+        if abs(station_mm - self.began_mm) < SPACING_MM:
+            # From where it began, not from the average: that would run along with a sensor that creeps.
+            kept, began_mm = kept[:-1], self.began_mm
+            latest = self.displacements_mm[-1]
+            before = np.maximum(self.variances_mm2[-1] - MODEL_SIGMA_MM**2, LEAST_VARIANCE_MM2)
+            share = before / (before + noise)
+            station_mm = float(self.stations_mm[-1] + share.mean() * (station_mm - self.stations_mm[-1]))
+            displacement_mm = latest + share * (displacement_mm - latest)
+            noise = share * noise
+        else:
+            # The latest stays, however near: what it is the average of began farther away.
+            is_apart = np.abs(self.stations_mm - station_mm) >= SPACING_MM
+            kept = kept[is_apart | (kept == n - 1)][1 - CAPACITY :]
+        m = len(kept)
+        stations = np.empty(m + 1)
+        displacements, variances = np.empty((2, m + 1, 2))
+        stations[:m], stations[m] = self.stations_mm[kept], station_mm
+        displacements[:m], displacements[m] = self.displacements_mm[kept], displacement_mm
+        variances[:m], variances[m] = self.variances_mm2[kept], noise + MODEL_SIGMA_MM**2
+        return SeamHistory(stations, displacements, variances, began_mm)
+
+    def is_measured(self, station_mm: float) -> bool:
+        """Say whether a station lies within the measured stretch."""
+        return len(self) > 0 and self.stations_mm.min() <= station_mm <= self.stations_mm.max()
+
+    def line_at(self, station_mm: float) -> tuple[SeamLine, Float64]:
+        """Return the seam as a straight stretch about a station, and the 1 sigma (2,) of its y and z, mm."""
+        here, sigma, slope = self._state_at(station_mm)
+        return SeamLine(station_mm, float(here[0]), float(here[1]), float(slope[0]), float(slope[1])), sigma
+
+    def at(self, station_mm: float) -> tuple[Float64, Float64]:
+        """Return the displacement (2,) as (y, z), mm, and its 1 sigma (2,) at a station."""
+        value, sigma, _ = self._state_at(station_mm)
+        return value, sigma
+
+    def _state_at(self, station_mm: float) -> tuple[Float64, Float64, Float64]:
+        """Return the displacement, its 1 sigma and the seam's slope, (2,) each, at a station."""
+        value, sigma, slope = np.empty((3, 2))
+        _condition(
+            self.stations_mm, self.displacements_mm, self.variances_mm2, station_mm, value, sigma, slope
+        )
+        return value, sigma, slope
+
+
+N_STATES = 5
+"""The bend and its slope, the whole seam's displacement, and bend and slope where the answer is asked for."""
+
+
+@kernel(allocates=True)
+def _condition(
+    stations_mm: Float64,
+    displacements_mm: Float64,
+    variances_mm2: Float64,
+    station_mm: float,
+    value: Float64,
+    sigma: Float64,
+    slope: Float64,
+) -> None:
+    """Write displacement, 1 sigma and slope (2,) at a station, as measurements at stations (n,) leave them.
+
+    Displacements and variances are (n, 2). The last two of the states stay once the station that is asked for
+    is passed.
+    """
+    n = len(stations_mm)
+    order = np.argsort(stations_mm, kind="mergesort")
+    decay = math.sqrt(3.0) / BEND_LENGTH_MM
+    m, gain, P, A = np.empty(N_STATES), np.empty(N_STATES), np.empty((N_STATES, N_STATES)), np.empty((2, 2))
+    for axis in range(2):
+        m[:] = 0.0
+        P[:] = 0.0
+        P[0, 0], P[1, 1], P[2, 2] = BEND_SIGMA_MM**2, (decay * BEND_SIGMA_MM) ** 2, WIDE_SIGMA_MM**2
+        is_passed = False
+        before = min(stations_mm[order[0]], station_mm) if n else station_mm
+        i = 0
+        while i < n or not is_passed:
+            at = order[min(i, n - 1)] if n else 0
+            is_query = not is_passed and (i == n or station_mm <= stations_mm[at])
+            here = station_mm if is_query else stations_mm[at]
+            moved = here - before
+            before = here
+            if moved > 0.0:
+                _predict(m, P, A, decay, moved)
+            if is_query:
+                is_passed = True
+                for k in range(2):
+                    m[3 + k] = m[k]
+                    for j in range(3):
+                        P[3 + k, j] = P[j, 3 + k] = P[k, j]
+                for k in range(2):
+                    for j in range(2):
+                        P[3 + k, 3 + j] = P[k, j]
+                continue
+            spread = P[0, 0] + 2.0 * P[0, 2] + P[2, 2] + variances_mm2[at, axis]
+            innovation = displacements_mm[at, axis] - m[0] - m[2]
+            for k in range(N_STATES):
+                gain[k] = P[k, 0] + P[k, 2]
+            for k in range(N_STATES):
+                m[k] += gain[k] / spread * innovation
+                for j in range(N_STATES):
+                    P[k, j] -= gain[k] * gain[j] / spread
+            i += 1
+        value[axis] = m[3] + m[2]
+        sigma[axis] = math.sqrt(max(P[3, 3] + 2.0 * P[3, 2] + P[2, 2], 0.0))
+        slope[axis] = m[4]
+
+
+@kernel
+def _predict(m: Float64, P: Float64, A: Float64, decay: float, moved_mm: float) -> None:
+    """Take bend and slope on over a distance; `A` (2, 2) is scratch."""
+    fade = math.exp(-decay * moved_mm)
+    A[0, 0], A[0, 1] = fade * (1.0 + decay * moved_mm), fade * moved_mm
+    A[1, 0], A[1, 1] = -(decay**2) * fade * moved_mm, fade * (1.0 - decay * moved_mm)
+    m[0], m[1] = A[0, 0] * m[0] + A[0, 1] * m[1], A[1, 0] * m[0] + A[1, 1] * m[1]
+    for j in range(N_STATES):
+        P[0, j], P[1, j] = A[0, 0] * P[0, j] + A[0, 1] * P[1, j], A[1, 0] * P[0, j] + A[1, 1] * P[1, j]
+    for j in range(N_STATES):
+        P[j, 0], P[j, 1] = A[0, 0] * P[j, 0] + A[0, 1] * P[j, 1], A[1, 0] * P[j, 0] + A[1, 1] * P[j, 1]
+    # What the process gains is what the step takes from its stationary variance, diag(s^2, (q s)^2).
+    value, slope = BEND_SIGMA_MM**2, (decay * BEND_SIGMA_MM) ** 2
+    cross = A[0, 0] * A[1, 0] * value + A[0, 1] * A[1, 1] * slope
+    P[0, 0] += value - A[0, 0] ** 2 * value - A[0, 1] ** 2 * slope
+    P[1, 1] += slope - A[1, 0] ** 2 * value - A[1, 1] ** 2 * slope
+    P[0, 1] -= cross
+    P[1, 0] -= cross

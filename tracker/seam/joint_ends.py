@@ -1,0 +1,132 @@
+"""Where the joint starts and ends along the path: its nominal line's ends, and those that the sensor finds.
+
+What the sensor reports of a joint goes from 'none' to 'found' at its start, and back at its end, with misses
+and false finds between. Each look multiplies the odds of every place where the change may have been by the
+likelihood ratio of what it found, and adds one more such place, between the look before and itself:
+
+    R_n = (1 + R_(n-1)) L_n
+
+The change is declared when R reaches 1 / FALSE_ALARM (Shiryaev 1963; Roberts 1966, Technometrics 8, 411). As
+R_n - n is a martingale while nothing changes, at least 1 / FALSE_ALARM looks pass on average before a false
+alarm (Pollak 1987, Annals of Statistics 15, 749), and no procedure with as few of them is quicker on average
+after a long wait (Pollak and Tartakovsky 2009, Statistica Sinica 19, 1729). A change is declared within
+ln(FOUND_SHARE / FALSE_SHARE / FALSE_ALARM) / D looks on average (Wald's identity), D the Kullback-Leibler
+divergence of the two shares. The same odds weigh the places: their mean is where it was, their spread how
+well that is known.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from noise_model.surface.joint import Joint
+from noise_model.transforms import Float64, transform
+
+FOUND_SHARE, FALSE_SHARE = 0.9, 0.1
+"""How often a joint is found where there is one, at least, and where there is none, at most."""
+
+FALSE_ALARM = 1e-4
+"""One over the looks between false alarms, at least, on average."""
+
+LOOK_MM = 1.0
+"""Frames nearer to the last look than this see the same spatter and the same plate: they are no new look."""
+
+DECIDE_MM = 10.0
+"""How far beyond the last place where an end may lie it is still looked for: to be sure takes some looks."""
+
+ON_LINE_MM = 1e-6
+
+
+@dataclass(frozen=True)
+class Change:
+    """The odds that a change has been passed, and where it was: its station and variance.
+
+    `before` are the odds that it lies before the first look, `odds` that it was passed since, up to the last
+    look at `looked_mm`.
+    """
+
+    odds: float = 0.0
+    before: float = 1.0
+    station_mm: float = math.nan
+    variance_mm2: float = math.nan
+    looked_mm: float = math.nan
+
+    @property
+    def sigma_mm(self) -> float:
+        """The place's 1 sigma, mm."""
+        return math.sqrt(self.variance_mm2)
+
+    @property
+    def is_decided(self) -> bool:
+        """Whether the change is behind."""
+        return self.odds + self.before >= 1.0 / FALSE_ALARM
+
+    @property
+    def is_seen(self) -> bool:
+        """Whether the change is behind and was passed while looking."""
+        return self.is_decided and self.odds > self.before
+
+    def with_look(self, station_mm: float, ratio: float) -> Change:
+        """Return the odds after a look at a station that is `ratio` times as likely after the change."""
+        before = self.before * ratio
+        if math.isnan(self.looked_mm):
+            return replace(self, before=before, looked_mm=station_mm)
+        if station_mm < self.looked_mm + LOOK_MM:
+            return self
+        place_mm = 0.5 * (self.looked_mm + station_mm)
+        variance_mm2 = (station_mm - self.looked_mm) ** 2 / 12.0
+        odds = self.odds + 1.0
+        if self.odds > 0.0:
+            # Two mixed laws: their spreads, and how far their means lie apart.
+            away_mm = place_mm - self.station_mm
+            place_mm = self.station_mm + away_mm / odds
+            variance_mm2 = (self.odds * (self.variance_mm2 + away_mm**2 / odds) + variance_mm2) / odds
+        return Change(odds * ratio, before, place_mm, variance_mm2, station_mm)
+
+
+@dataclass(frozen=True)
+class JointEnds:
+    """What the looks so far say of the joint's ends."""
+
+    start: Change = field(default_factory=Change)
+    end: Change = field(default_factory=Change)
+
+    def with_look(
+        self, station_mm: float, is_found: bool, nominal_mm: tuple[float, float], within_mm: float
+    ) -> JointEnds:
+        """Return the ends after the sensor looked at a station and found the joint there or did not.
+
+        Each end is searched within `within_mm` of its nominal station, and the end once the start is behind.
+        """
+        ratio = FOUND_SHARE / FALSE_SHARE if is_found else (1.0 - FOUND_SHARE) / (1.0 - FALSE_SHARE)
+        from_start_mm, from_end_mm = (station_mm - end_mm for end_mm in nominal_mm)
+        if not self.start.is_decided and from_start_mm <= within_mm + DECIDE_MM:
+            if from_start_mm >= -within_mm:
+                return replace(self, start=self.start.with_look(station_mm, ratio))
+        elif not self.end.is_decided and -within_mm <= from_end_mm <= within_mm + DECIDE_MM:
+            return replace(self, end=self.end.with_look(station_mm, 1.0 / ratio))
+        return self
+
+    def stretch_mm(self, nominal_mm: tuple[float, float], within_mm: float) -> tuple[float, float]:
+        """Return the stations between which there may be a joint: its ends where they were seen."""
+        start_mm, end_mm = nominal_mm
+        return (
+            self.start.station_mm if self.start.is_seen else start_mm - within_mm,
+            self.end.station_mm if self.end.is_seen else end_mm + within_mm,
+        )
+
+
+def nominal_ends(joint: Joint, T_joint_base: Float64) -> tuple[float, float]:
+    """Return the stations, mm, of the ends of a joint's nominal line in its frame at a pose.
+
+    An end that does not lie on the line's segment at that pose is infinitely far.
+    """
+    line = joint.seam_in_base_mm
+    ends = transform(T_joint_base, np.array([line[0], line[1], line[-2], line[-1]])).tolist()
+    is_first, is_last = (
+        all(abs(y) < ON_LINE_MM and abs(z) < ON_LINE_MM for _, y, z in pair) for pair in (ends[:2], ends[2:])
+    )
+    return ends[0][0] if is_first else -math.inf, ends[-1][0] if is_last else math.inf

@@ -1,0 +1,162 @@
+"""From the seam along the path to the offset that is proposed to the gate.
+
+What is asked is what is known of the seam where the torch stands, and not whether the present frame shows
+it: the torch follows the measured stretch for the whole look-ahead while the sensor is blind or past the
+joint's end. The seam is lost once the torch leaves that stretch. A frame that cannot be read and a pose that
+is refused say nothing of where the torch is: for those, and for offsets that come too late, jump or lie out
+of range, the gate holds what was sent last, by its age, and then refuses.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from noise_model.arc.map import Scene
+from noise_model.setup import Setup
+from noise_model.surface.faces import ridge
+from noise_model.surface.joint import SeamLine, seam_frame
+from noise_model.transforms import Float64, invert
+from tracker import flags
+from tracker.seam.correction import STOPPED, Correction, correct
+from tracker.seam.gaussian_process import SPACING_MM, SeamHistory
+from tracker.seam.joint_ends import Change, JointEnds, nominal_ends
+from tracker.seam.locate import confidence
+from tracker.state import NAN, Track
+
+NO_LOOK = flags.LASER_OFF.mask | flags.BELOW_SURFACE.mask | flags.SEAM_OUT_OF_VIEW.mask
+"""A frame with these says nothing of whether there is a joint."""
+
+
+@dataclass(frozen=True)
+class Steering:
+    """What is handed on from frame to frame.
+
+    Once stopped it stays so: a new Steering, as a new Tracker has, is the only way to start again.
+    `hand_eye_variance_mm2` (y, z) is what the hand-eye tolerance leaves of the latest measurement.
+    """
+
+    ends: JointEnds = field(default_factory=JointEnds)
+    is_stopped: bool = False
+    hand_eye_variance_mm2: tuple[float, float] = (0.0, 0.0)
+
+
+@dataclass(frozen=True)
+class SeamAtTorch:
+    """The seam's displacement and 1 sigma (2,) as (y, z) at the torch, mm, NaN where it is not known."""
+
+    displacement_mm: Float64
+    sigma_mm: Float64
+    flags: int = 0
+
+    @classmethod
+    def unknown(cls, why: int) -> SeamAtTorch:
+        """Return the seam at a torch where nothing is known of it."""
+        return cls(np.full(2, np.nan), np.full(2, np.nan), why)
+
+
+def seam_at_torch(
+    correction: Correction,
+    history: SeamHistory,
+    torch_mm: float,
+    stretch_mm: tuple[float, float],
+    goes_on: bool = False,
+) -> SeamAtTorch:
+    """Return the seam where the torch stands; `stretch_mm` are the stations of the joint's start and end.
+
+    Before the joint it is the seam at its start. Before what is measured of it the process is asked. Past
+    the last measurement the seam is lost: its last place is held, at a sigma that takes in how far the
+    process expects it to have gone since, or the process goes on, both within the correction's limits; or
+    following stops, but not within SPACING_MM, where the joint's very end may lie. A seam that `goes_on` in
+    another stretch beyond is not lost.
+    """
+    start_mm, end_mm = stretch_mm
+    if torch_mm > end_mm:
+        return SeamAtTorch.unknown(flags.PAST_JOINT.mask)
+    raised = flags.BEFORE_JOINT.mask if torch_mm < start_mm else 0
+    if not len(history):
+        return SeamAtTorch.unknown(raised | flags.OFFSET_UNKNOWN.mask)
+    station_mm, last_mm = max(torch_mm, start_mm), float(history.stations_mm.max())
+    displacement, sigma = history.at(station_mm)
+    lost_mm = torch_mm - last_mm if torch_mm >= start_mm and not goes_on else 0.0
+    if lost_mm > SPACING_MM and correction.when_lost == "stop":
+        return SeamAtTorch.unknown(raised | flags.FOLLOW_STOPPED.mask)
+    if lost_mm > 0.0 and correction.when_lost == "hold":
+        held, _ = history.at(last_mm)
+        displacement, sigma = held, np.hypot(sigma, displacement - held)
+        raised |= flags.OFFSET_HELD.mask
+    elif not history.is_measured(station_mm):
+        raised |= flags.OFFSET_EXTRAPOLATED.mask
+    if lost_mm > correction.extrapolate_mm or sigma.max() > correction.extrapolate_sigma_mm:
+        return SeamAtTorch.unknown(raised | flags.OFFSET_UNKNOWN.mask)
+    return SeamAtTorch(displacement, sigma, raised)
+
+
+def steer(
+    correction: Correction,
+    setup: Setup,
+    T_base_tool: Float64,
+    nominal: Scene,
+    latest: SeamHistory,
+    history_at: Callable[[float], SeamHistory],
+    steering: Steering,
+    track: Track,
+    seam: SeamLine,
+) -> tuple[Steering, Track]:
+    """Return the track with the offset that is proposed to the gate, and what is handed on.
+
+    `nominal` is the pose seen from the nominal joint, `seam` the stretch that the sensor looked for,
+    `latest` the seam's latest stretch with the track's own measurement, `history_at` the one that a station
+    lies on.
+    """
+    line_mm = nominal_ends(setup.joint, nominal.T_joint_tool @ invert(T_base_tool))
+    ends = steering.ends
+    if correction.ends_mm > 0.0 and not track.flags & NO_LOOK:
+        ends = ends.with_look(seam.station_mm, track.valid, line_mm, correction.ends_mm)
+    # Past a bend the torch may be on another segment than the sensor: each goes by its own.
+    torch_mm = float((invert(seam_frame(setup.joint, T_base_tool[:3, 3])) @ T_base_tool)[0, 3])
+    joint_mm = ends.stretch_mm(line_mm, correction.ends_mm)
+    history = history_at(max(torch_mm, joint_mm[0]))
+    there = seam_at_torch(correction, history, torch_mm, joint_mm, history is not latest)
+    height_mm = 0.0
+    if correction.corrugation == "followed":
+        height_mm = ridge(torch_mm, nominal.shape.corrugation)[0]
+    corrected = correct(correction, there.displacement_mm, height_mm)
+    if steering.is_stopped or there.flags & flags.FOLLOW_STOPPED.mask:
+        corrected = STOPPED
+    raised = there.flags
+    raised |= flags.OFFSET_LIMITED.mask if corrected.is_limited else 0
+    raised |= flags.FOLLOW_STOPPED.mask if corrected.is_stopped else 0
+    offset = corrected.offset_mm.tolist()
+    is_known = [not math.isnan(one) for one in offset]
+    sigma = [one if known else NAN for one, known in zip(there.sigma_mm.tolist(), is_known, strict=True)]
+    steering = Steering(ends, corrected.is_stopped, steering.hand_eye_variance_mm2)
+    return steering, replace(
+        track,
+        flags=track.flags | raised,
+        offset_y_mm=offset[0],
+        offset_z_mm=offset[1],
+        offset_sigma_y_mm=sigma[0],
+        offset_sigma_z_mm=sigma[1],
+        offset_confidence=_confidence(setup, steering, sigma),
+        valid_at_s=track.timestamp_s if any(is_known) else NAN,
+        joint_start_mm=_where(ends.start),
+        joint_end_mm=_where(ends.end),
+    )
+
+
+def _confidence(setup: Setup, steering: Steering, sigma_mm: list[float]) -> float:
+    """Return the probability that the offsets that are known are right within the tolerance, NaN for none."""
+    known = [
+        math.sqrt(sigma**2 + hand_eye)
+        for sigma, hand_eye in zip(sigma_mm, steering.hand_eye_variance_mm2, strict=True)
+        if math.isfinite(sigma)
+    ]
+    return confidence(setup, np.array(known)) if known else NAN
+
+
+def _where(change: Change) -> tuple[float, float]:
+    return (change.station_mm, change.sigma_mm) if change.is_seen else (NAN, NAN)

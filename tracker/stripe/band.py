@@ -1,0 +1,88 @@
+"""The band of the image around the expected stripe: its pixels as charge, the arc map beside them."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import numpy.typing as npt
+
+from noise_model.arc.map import CELL
+from noise_model.kernel import kernel
+from noise_model.transforms import Float64
+
+Float32 = npt.NDArray[np.float32]
+Int64 = npt.NDArray[np.int64]
+
+
+@kernel
+def gather(
+    image_dn: npt.NDArray[np.integer],
+    along_rows: bool,
+    lows: Int64,
+    charge_e: Float32,
+    saturation_dn: int,
+    band: Float32,
+    censored: npt.NDArray[np.bool_],
+) -> None:
+    """Copy a band (n_scan, depth) out of an image, linearised by the table `charge_e`.
+
+    A code beyond the sensor's bits counts as the table's last.
+    """
+    n_scan, depth = band.shape
+    max_dn = len(charge_e) - 1
+    for s in range(n_scan):
+        low = lows[s // CELL]
+        for j in range(depth):
+            dn = image_dn[low + j, s] if along_rows else image_dn[s, low + j]
+            band[s, j] = charge_e[min(dn, max_dn)]
+            censored[s, j] = dn >= saturation_dn
+
+
+@kernel(allocates=True)
+def place(center_px: Float64, n_pos: int, half_px: int) -> tuple[Int64, int]:
+    """Return where the band begins for each CELL scan lines, and its depth, so that it holds +-half_px."""
+    n_scan = center_px.shape[0]
+    n = -(-n_scan // CELL)
+    middles, lows, spread = np.empty(n), np.empty(n, dtype=np.int64), 0.0
+    for i in range(n):
+        lowest, highest = center_px[i * CELL], center_px[i * CELL]
+        for s in range(i * CELL, min((i + 1) * CELL, n_scan)):
+            lowest, highest = min(lowest, center_px[s]), max(highest, center_px[s])
+        middles[i] = 0.5 * (lowest + highest)
+        spread = max(spread, highest - lowest)
+    depth = min(n_pos, 2 * half_px + math.ceil(min(spread, float(half_px))) + 1)
+    for i in range(n):
+        lows[i] = min(max(round(middles[i] - 0.5 * depth), 0), n_pos - depth)
+    return lows, depth
+
+
+@kernel
+def weigh(
+    charge_e: Float32,
+    background_e: Float32,
+    shot: float,
+    dark_variance_e2: float,
+    residual_e: Float32,
+    variance_e2: Float32,
+) -> None:
+    """Write a band's (n_scan, depth) charge less its background, and its variance without a stripe.
+
+    That is `shot` times the background, which counts as 0 where it is less, plus `dark_variance_e2`.
+    """
+    per_e, dark = np.float32(shot), np.float32(dark_variance_e2)
+    for s in range(charge_e.shape[0]):
+        for j in range(charge_e.shape[1]):
+            mean = background_e[s, j]
+            residual_e[s, j] = charge_e[s, j] - mean
+            variance_e2[s, j] = per_e * (np.float32(0.0) if mean < 0.0 else mean) + dark
+
+
+@kernel(allocates=True)
+def median_background(band: Float32, half: int, background: Float32) -> None:
+    """Write the running median over 2 half + 1 pixels of each scan line: a background without an arc map."""
+    n_scan, depth = band.shape
+    for s in range(n_scan):
+        for j in range(depth):
+            low, high = max(0, j - half), min(depth, j + half + 1)
+            background[s, j] = np.median(band[s, low:high])

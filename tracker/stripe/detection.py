@@ -1,0 +1,120 @@
+"""Is it a stripe, and is all of it in the image? Asked of the matched filter's scores.
+
+A laser only adds light; what the arc's map misses has either sign. So what mimics a stripe is as often dark
+as bright, and a scan line's darkest place is the control that says how much such evidence is worth.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import numpy.typing as npt
+
+from noise_model.kernel import kernel
+from noise_model.transforms import Float64
+from tracker.stripe.expected import ExpectedStripe
+from tracker.stripe.viterbi import GAIN_CAP, OFFSET_STEP, Float32, Int64
+
+LOBE = 0.7
+"""A stripe's own dark lobes in the matched filter, beside it, stay below this share of its score (0.46)."""
+
+CHANCE_SIGMAS = 4.0
+"""A place that is no darker than this may be noise."""
+
+LEAST_RATIO = 3.0
+"""So many times the evidence for a dark stripe must be there for a bright one."""
+
+LEAST_SEEN, CLEAR_SIGMAS = 0.5, 10.0
+"""In so large a share of the scan lines that would show it by so many sigmas a stripe must be found."""
+
+WEAK = 0.25
+"""There it may have this share of the light that it has in the lines that hold it, in the median."""
+
+
+@kernel(allocates=True)
+def path_of(offsets_px: Int64, expected_px: Float64, position_px: Float64) -> Int64:
+    """Return the offsets' indices (n_scan,) of stripe centres (n_scan,), -1 for none and beyond the offsets.
+
+    A centre may lie beside the offsets where a fit has moved it: the score at the last one is its flank's.
+    """
+    n = position_px.shape[0]
+    at = np.empty(n, dtype=np.int64)
+    for s in range(n):
+        at[s] = -1
+        if math.isfinite(position_px[s]):
+            i = round((position_px[s] - round(expected_px[s]) - offsets_px[0]) / OFFSET_STEP)
+            if 0 <= i < offsets_px.shape[0]:
+                at[s] = i
+    return at
+
+
+@kernel
+def evidence_ratio(score: Float32, at: Int64, shown: npt.NDArray[np.bool_]) -> float:
+    """Return the evidence for a stripe over that for a dark one, which no laser makes; inf if that is none.
+
+    `score` (n_scan, n_offsets) is the matched filter's, in sigmas, `at` (n_scan,) where along it a stripe was
+    found, -1 for none, `shown` (n_scan,) which lines may hold one. Evidence is the path's gain, score^2 / 2
+    with its cap: for a stripe where one was found, for a dark one at each scan line's darkest place, unless
+    that may be a lobe of the stripe, or of its like just out of sight where none was found.
+    """
+    bright, dark, total, held = 0.0, 0.0, 0.0, 0
+    for s in range(score.shape[0]):
+        if at[s] >= 0:
+            found = max(float(score[s, at[s]]), 0.0)
+            bright += min(0.5 * found * found, GAIN_CAP)
+            total += found
+            held += 1
+    typical = total / max(held, 1)
+    for s in range(score.shape[0]):
+        if at[s] < 0 and not shown[s]:
+            continue
+        darkest = score[s, 0]
+        for i in range(score.shape[1]):
+            darkest = min(darkest, score[s, i])
+        depth, beside = -float(darkest), float(score[s, at[s]]) if at[s] >= 0 else typical
+        if depth > max(LOBE * beside, CHANCE_SIGMAS):
+            dark += min(0.5 * depth * depth, GAIN_CAP)
+    return bright / dark if dark > 0.0 else math.inf
+
+
+def seen_share(
+    expected: ExpectedStripe,
+    position_px: Float64,
+    amplitude_e: Float64,
+    variance_e2: Float32,
+    censored: npt.NDArray[np.bool_],
+) -> float:
+    """Return in which share of the scan lines that would show it clearly a stripe was found; NaN for none.
+
+    `position_px`, `amplitude_e` (n_scan,) are those of the lines that hold it, NaN in the others;
+    `variance_e2`, without the stripe's light, and `censored` (n_scan, depth) those of the pixels among which
+    it was sought. Of a bell of sigma w the matched filter, whose template's mean is taken out, sees
+    A sqrt(0.52 w / V) sigmas. What saturates may hide anything.
+    """
+    found = np.isfinite(position_px)
+    if not found.any():
+        return math.nan
+    weak_e = WEAK * float(np.median(amplitude_e[found]))
+    worst_e2 = np.where(censored.any(axis=1), np.inf, variance_e2.max(axis=1))
+    with np.errstate(invalid="ignore"):
+        clear = weak_e * np.sqrt(0.52 * expected.sigma_px / worst_e2) > CLEAR_SIGMAS
+    n_found, n_absent = np.count_nonzero(found), np.count_nonzero(expected.shown & clear & ~found)
+    return n_found / (n_found + n_absent)
+
+
+def leaves_image(expected: ExpectedStripe, position_px: npt.NDArray[np.float64], n_pos: int) -> bool:
+    """Say whether the stripe runs off the image: where it was found, or is expected where it was not."""
+    return _leaves(position_px, expected.position_px, expected.sigma_px, expected.shown, n_pos)
+
+
+@kernel
+def _leaves(
+    position_px: Float64, expected_px: Float64, sigma_px: Float64, shown: npt.NDArray[np.bool_], n_pos: int
+) -> bool:
+    """Say whether one of the shown places (n_scan,) lies within its sigma of the image's ends."""
+    for s in range(position_px.shape[0]):
+        at = position_px[s] if math.isfinite(position_px[s]) else expected_px[s]
+        if shown[s] and (at < sigma_px[s] or at > n_pos - 1 - sigma_px[s]):
+            return True
+    return False

@@ -1,0 +1,303 @@
+"""Where a stripe ends at an upright edge, to a part of a scan line.
+
+The optics spread an edge over a few lines, each of which holds a share of the stripe on either side. With
+u(r) and v(r) the mean stripes of the lines beyond, moved to where they would run, the charge of a line s
+between them is
+
+    d(r) = a_s u(r) + b_s v(r) + c_s + noise.
+
+Seen through a Gaussian of sigma_p, an edge at e leaves a_s = A Phi((e - s) / sigma_p), A near 1, and so of
+the other side. That a stripe's brightness scatters from line to line by a contrast C adds (C a_s)^2 to a
+share's variance.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from noise_model.kernel import kernel
+from noise_model.transforms import Float64
+from tracker.stripe.viterbi import Float32, Int64
+
+BEYOND = 6
+"""So many lines on either side say how the stripe looks there, and LEAST_BEYOND of them at least."""
+
+LEAST_BEYOND = 3
+
+CLEAR_SIGMAS = 3.0
+"""So many sigmas of the optics a line is clear of an edge; one more may hold a stripe that seems whole."""
+
+WINDOW_SIGMAS = 3.0
+"""A line is read so many stripe sigmas beyond where either stripe runs."""
+
+LEAST_PIXELS = 8
+LEAST_SHARE = 0.02
+"""Shares are not trusted better: what else lights the lines about an edge."""
+
+LEAST_CONTRAST = 0.03
+"""So much a stripe's brightness changes from line to line without speckle."""
+
+LINE_SIGMA = 12.0**-0.5
+"""A line of an image without any blur still is one wide."""
+
+LEAST_SIGMA = 0.1
+"""No end is known better, in lines: an edge is rounded and has burrs."""
+
+STEPS, SEARCH_STEP = 5, 0.5
+"""Gauss-Newton steps, from the best place of a search in steps of so many lines."""
+
+MOST_LINES = 128
+"""No edge is looked for between lines that lie farther apart."""
+
+
+class StripeLight(NamedTuple):
+    """What a stripe was read from, (n_scan, n_pos) of a band that begins at `lows` for each CELL lines.
+
+    `charge_e`, `background_e` and `variance_e2`, of a pixel without the stripe; `shot` times the stripe's
+    light comes on top. `position_px`, `width_px` (n_scan,) are the stripe's. `contrast` is by how much its
+    brightness scatters from line to line, relative, `psf_sigma_px` the optics' sigma.
+    """
+
+    charge_e: Float32
+    background_e: Float32
+    variance_e2: Float32
+    censored: npt.NDArray[np.bool_]
+    lows: Int64
+    cell: int
+    position_px: Float64
+    width_px: Float64
+    shot: float
+    contrast: float
+    psf_sigma_px: float
+
+
+class StripeEnd(NamedTuple):
+    """An end of a stripe, in scan lines, and its 1 sigma; NaN where it cannot be told."""
+
+    line: float
+    sigma: float
+
+
+NOT_TOLD = StripeEnd(math.nan, math.nan)
+
+
+def stripe_ends(light: StripeLight, last: int, first: int) -> tuple[StripeEnd, StripeEnd]:
+    """Return where the stripe that is whole in line `last` ends, and where that of line `first` begins."""
+    clear = clear_of_an_edge(light)
+    away = 1 if first > last else -1
+    n = abs(first - last) + 2 * clear - 1
+    shares, variances = np.empty((2, 2, n))
+    if n > MOST_LINES or not line_shares(
+        light, last - away * clear, first + away * clear, away, BEYOND, shares, variances
+    ):
+        return NOT_TOLD, NOT_TOLD
+    ends = _fitted(light, shares[0], variances[0])
+    # The other stripe seen from its own side.
+    begins = _fitted(light, shares[1, ::-1], variances[1, ::-1])
+    if math.isnan(ends.line) or math.isnan(begins.line):
+        return NOT_TOLD, NOT_TOLD
+    next_one = last - away * (clear - 1)
+    return (
+        StripeEnd(next_one + away * ends.line, ends.sigma),
+        StripeEnd(next_one + away * (n - 1 - begins.line), begins.sigma),
+    )
+
+
+def stripe_end(light: StripeLight, last: int, away: int, gap_lines: int) -> StripeEnd:
+    """Return where the stripe that is whole in line `last` ends, before a gap of some lines.
+
+    What is seen deep in the gap, clear of either end or else amid it, is the other stripe; where nothing is,
+    there is none.
+    """
+    clear = clear_of_an_edge(light)
+    # No more than half of the gap: behind it the stripe begins again.
+    n = clear + min(clear, (gap_lines + 1) // 2)
+    shares, variances = np.empty((2, 2, n))
+    deep = max(gap_lines - 2 * clear, min(LEAST_BEYOND, gap_lines))
+    first = last + away * (1 + (gap_lines - deep) // 2)
+    if not line_shares(light, last - away * clear, first, away, deep, shares, variances):
+        return NOT_TOLD
+    ends = _fitted(light, shares[0], variances[0])
+    return StripeEnd(last - away * (clear - 1) + away * ends.line, ends.sigma)
+
+
+def clear_of_an_edge(light: StripeLight) -> int:
+    """Return how many lines beyond a line beside an edge one is clear of it."""
+    return math.ceil(CLEAR_SIGMAS * light.psf_sigma_px) + 1
+
+
+def _fitted(light: StripeLight, shares: Float64, variances: Float64) -> StripeEnd:
+    """Return the end of shares (n,) of a light's stripe, in lines from the first."""
+    contrast, sigma = max(light.contrast, LEAST_CONTRAST), max(light.psf_sigma_px, LINE_SIGMA)
+    return StripeEnd(*fit_end(shares, variances, contrast, sigma))
+
+
+@kernel
+def run_of(position_px: Float64, begins: int, away: int, most: int) -> tuple[float, float]:
+    """Return the straight line, its value at line `begins` and slope by lines, that some positions run on.
+
+    They are BEYOND, or `most` if that is less, from `begins` on in steps of `away`; NaN where fewer than
+    LEAST_BEYOND of them hold a stripe.
+    """
+    n, sum_x, sum_y, sum_xx, sum_xy = 0, 0.0, 0.0, 0.0, 0.0
+    for k in range(min(BEYOND, most)):
+        s = begins + away * k
+        if not 0 <= s < position_px.shape[0] or math.isnan(position_px[s]):
+            continue
+        x, y = float(away * k), position_px[s]
+        n += 1
+        sum_x += x
+        sum_y += y
+        sum_xx += x * x
+        sum_xy += x * y
+    if n < LEAST_BEYOND:
+        return math.nan, math.nan
+    slope = (n * sum_xy - sum_x * sum_y) / (n * sum_xx - sum_x * sum_x)
+    return (sum_y - slope * sum_x) / n, slope
+
+
+@kernel
+def mean_stripe(light: StripeLight, begins: int, away: int, most: int, off_px: float) -> float:
+    """Return the mean light, e-, so far off the centres of the lines of `run_of`; NaN for none."""
+    n, total = 0, 0.0
+    for k in range(min(BEYOND, most)):
+        s = begins + away * k
+        if not 0 <= s < light.position_px.shape[0] or math.isnan(light.position_px[s]):
+            continue
+        r = light.position_px[s] - light.lows[s // light.cell] + off_px
+        j = math.floor(r)
+        if j < 0 or j + 1 >= light.charge_e.shape[1] or light.censored[s, j] or light.censored[s, j + 1]:
+            continue
+        part = r - j
+        here = light.charge_e[s, j] - light.background_e[s, j]
+        next_one = light.charge_e[s, j + 1] - light.background_e[s, j + 1]
+        total += (1.0 - part) * here + part * next_one
+        n += 1
+    return total / n if n >= LEAST_BEYOND else math.nan
+
+
+@kernel
+def line_shares(
+    light: StripeLight, last: int, first: int, away: int, most: int, shares: Float64, variances: Float64
+) -> bool:
+    """Write the shares (2, n) of both stripes, and their variances, of the n lines from `last` on.
+
+    `away` is the step, 1 or -1, from `last`, where the first stripe is clear, to `first`, where the other is;
+    that is read from `most` lines at most. False if the first is not seen. A line that cannot be read has a
+    NaN, and so has the other stripe everywhere if it is not seen.
+    """
+    at_last, slope_last = run_of(light.position_px, last, -away, BEYOND)
+    at_first, slope_first = run_of(light.position_px, first, away, most)
+    alone = math.isnan(at_first)
+    width = 0.0
+    for s in (last, first):
+        if 0 <= s < light.width_px.shape[0] and not math.isnan(light.width_px[s]):
+            width = max(width, light.width_px[s])
+    if math.isnan(at_last) or width == 0.0:
+        return False
+    for i in range(shares.shape[1]):
+        s = last + away * (i + 1)
+        shares[:, i], variances[:, i] = math.nan, math.nan
+        if not 0 <= s < light.charge_e.shape[0]:
+            continue
+        low = light.lows[s // light.cell]
+        upper = at_last + slope_last * (s - last)
+        lower = upper if alone else at_first + slope_first * (s - first)
+        begin = max(math.floor(min(upper, lower) - WINDOW_SIGMAS * width) - low, 0)
+        end = min(math.ceil(max(upper, lower) + WINDOW_SIGMAS * width) - low + 1, light.charge_e.shape[1])
+        n, w_, w_u, w_v, w_c = 0, 0.0, 0.0, 0.0, 0.0
+        w_uu, w_uv, w_vv, w_uc, w_vc = 0.0, 0.0, 0.0, 0.0, 0.0
+        for j in range(begin, end):
+            if light.censored[s, j]:
+                continue
+            u = mean_stripe(light, last, -away, BEYOND, j + low - upper)
+            v = 0.0 if alone else mean_stripe(light, first, away, most, j + low - lower)
+            if math.isnan(u) or math.isnan(v):
+                continue
+            c = light.charge_e[s, j] - light.background_e[s, j]
+            weight = 1.0 / (light.variance_e2[s, j] + light.shot * max(u, v, 0.0))
+            n += 1
+            w_ += weight
+            w_u += weight * u
+            w_v += weight * v
+            w_c += weight * c
+            w_uu += weight * u * u
+            w_uv += weight * u * v
+            w_vv += weight * v * v
+            w_uc += weight * u * c
+            w_vc += weight * v * c
+        if n < LEAST_PIXELS:
+            continue
+        # The offset c_s is solved for first, the two shares with what it leaves.
+        H_uu, H_uv, H_vv = w_uu - w_u * w_u / w_, w_uv - w_u * w_v / w_, w_vv - w_v * w_v / w_
+        g_u, g_v = w_uc - w_u * w_c / w_, w_vc - w_v * w_c / w_
+        area = H_uu * H_vv - H_uv * H_uv
+        if alone:
+            if H_uu > 0.0:
+                shares[0, i], variances[0, i] = g_u / H_uu, 1.0 / H_uu
+        elif area > 1e-6 * H_uu * H_vv:
+            shares[0, i], variances[0, i] = (g_u * H_vv - g_v * H_uv) / area, H_vv / area
+            shares[1, i], variances[1, i] = (g_v * H_uu - g_u * H_uv) / area, H_uu / area
+    return True
+
+
+class EndChi2(NamedTuple):
+    """chi2 of an end at a place, over so many `lines`, its gradient by the place, and what it tells of it."""
+
+    chi2: float
+    gradient: float
+    information: float
+    lines: int
+
+
+@kernel
+def end_chi2(share: Float64, variance: Float64, contrast: float, sigma: float, at: float) -> EndChi2:
+    """Return chi2 of shares (n,) with an end at a place, A at its best there within its prior."""
+    # What A - 1 may be: the lines beyond that make its 1 scatter too.
+    H_ee, H_ea, H_aa, g_e, g_a, chi2, n = 0.0, 0.0, BEYOND / contrast**2, 0.0, 0.0, 0.0, 0
+    for i in range(share.shape[0]):
+        if math.isnan(share[i]):
+            continue
+        t = (at - i) / sigma
+        mean = 0.5 * math.erfc(-t / math.sqrt(2.0))
+        by_place = math.exp(-0.5 * t * t) / (math.sqrt(2.0 * math.pi) * sigma)
+        weight = 1.0 / (variance[i] + (contrast * mean) ** 2 + LEAST_SHARE**2)
+        off = share[i] - mean
+        H_ee += weight * by_place * by_place
+        H_ea += weight * by_place * mean
+        H_aa += weight * mean * mean
+        g_e += weight * by_place * off
+        g_a += weight * mean * off
+        chi2 += weight * off * off
+        n += 1
+    return EndChi2(chi2 - g_a * g_a / H_aa, g_e - H_ea * g_a / H_aa, H_ee - H_ea * H_ea / H_aa, n)
+
+
+@kernel
+def fit_end(share: Float64, variance: Float64, contrast: float, sigma: float) -> tuple[float, float]:
+    """Return where shares (n,) that begin with 1 and end with 0 fall off, lines from the first, and 1 sigma.
+
+    What chi2 shows beyond its degrees of freedom widens the sigma; NaN where the shares tell no place.
+    """
+    best, least = math.nan, math.inf
+    for k in range(int((share.shape[0] - 1) / SEARCH_STEP) + 1):
+        found = end_chi2(share, variance, contrast, sigma, k * SEARCH_STEP)
+        if found.lines > 2 and found.chi2 < least:
+            best, least = k * SEARCH_STEP, found.chi2
+    at = best
+    for _ in range(STEPS):
+        found = end_chi2(share, variance, contrast, sigma, at)
+        if not found.information > 0.0:
+            return math.nan, math.nan
+        at = min(max(at + found.gradient / found.information, best - SEARCH_STEP), best + SEARCH_STEP)
+    found = end_chi2(share, variance, contrast, sigma, at)
+    if not found.information > 0.0:
+        return math.nan, math.nan
+    freedom = found.lines - 2.0
+    # Only what chi2 shows beyond its own scatter widens the sigma.
+    excess = max(found.chi2 / freedom - math.sqrt(2.0 / freedom), 1.0)
+    return at, math.sqrt(excess / found.information + LEAST_SIGMA**2)

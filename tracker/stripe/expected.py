@@ -1,0 +1,311 @@
+"""Where the nominal joint puts the stripe for a pose, and how wide and how lopsided it looks there."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from noise_model.arc.map import Scene
+from noise_model.instrument.camera import Intrinsics
+from noise_model.instrument.laser import Sheet, depth_below, sheet_of, sheet_reflected
+from noise_model.kernel import kernel
+from noise_model.surface.brdf import LobeNumbers, lobe_numbers
+from noise_model.surface.faces import face_normal, face_under, ridge, slope_across
+from noise_model.surface.joint import EDGE_STANDS_MM
+from noise_model.transforms import Float64
+from tracker.geometry import SensorGeometry
+from tracker.stripe.bias import PLANES, fit_bell
+
+Int64 = npt.NDArray[np.int64]
+Bool = npt.NDArray[np.bool_]
+
+HALF_SPAN_MM, STEP_MM = 60.0, 0.75
+"""How far to either side of the tool the stripe is followed where the camera sees it, and in which steps."""
+
+FLANKS = np.array([-1.0, 0.0, 1.0])
+"""Planes across the sheet, in its sigmas, that tell width and lean of a stripe on flat faces."""
+
+BESIDE_MM = 1e-6
+"""The stripe is looked at so near to either side of each corner."""
+
+MOST_STEPS, MET_MM = 20, 1e-9
+"""Steps by which a plane is met on a corrugation at most; one that is shorter is the last."""
+
+NEAREST_MM = 1.0
+"""What comes nearer to the camera than this is not in view."""
+
+
+@dataclass(frozen=True)
+class ExpectedStripe:
+    """The stripe that the joint would show, per scan line (n_scan,), px.
+
+    `position_px` its centre, `sigma_px` its 1 sigma (sheet and point-spread function), `lean_px` how far its
+    light's centre lies off the laser plane's trace because reflectance and fall-off vary across it. `shown`
+    says where the joint would show it at all, and not what an edge joint stands on, deep out of sight.
+    """
+
+    position_px: Float64
+    sigma_px: Float64
+    lean_px: Float64
+    shown: Bool
+
+
+def expect_stripe(geometry: SensorGeometry, view: Scene) -> ExpectedStripe | None:
+    """Return the expected stripe of a scene, or None where it is out of view.
+
+    The sheet's middle and its two one-sigma planes are cut with the section, projected into the image and
+    read off per scan line; beyond what is seen the ends are held. A Gaussian stripe whose strength varies as
+    exp(k v) is that Gaussian moved by k sigma^2. One that is wider on one side by the surface's curve,
+    v = a x + b x^2, moves the least-squares centre by 3/2 b sigma_x^2, as its third-order term projects on
+    the derivative of the Gaussian. Both together are the lean, with k from the model of the light. On a
+    corrugation, which may mirror the laser for a part of the stripe, `tracker.stripe.bias` fits centre and
+    width.
+    """
+    setup = geometry.setup
+    position, sigma, lean = np.empty((3, geometry.n_scan))
+    face = np.empty(geometry.n_scan, dtype=np.int64)
+    vertices = view.shape.vertices
+    below = vertices[:, 1] <= -EDGE_STANDS_MM
+    # A face that is deep throughout; a ridge's faces only end there.
+    is_deep = below[:-1] & below[1:]
+    if is_deep.any():
+        # The seam may be off its place by more than its sheets are wide: they are looked for beside it too.
+        lifted = np.append(is_deep, False) | np.append(False, is_deep)
+        vertices = np.column_stack([vertices[:, 0], np.where(lifted, 0.0, vertices[:, 1])])
+    in_view = _expect(
+        PLANES if view.shape.corrugation[0] > 0.0 else FLANKS,
+        vertices,
+        view.shape.corrugation,
+        np.ascontiguousarray(view.T_joint_tool[:3, 3]),
+        view.footprint_mm[1],
+        sheet_of(setup.laser, view.T_joint_tool),
+        view.T_joint_camera,
+        setup.camera.intrinsics,
+        lobe_numbers(setup.material),
+        geometry.along_rows,
+        setup.camera.psf_sigma_px,
+        position,
+        sigma,
+        lean,
+        face,
+    )
+    if not in_view:
+        return None
+    shown = np.ones(geometry.n_scan, dtype=np.bool_)
+    if is_deep.any():
+        shown = (face < 0) | ~is_deep[face]
+    return ExpectedStripe(position, sigma, lean, shown)
+
+
+@kernel
+def _cut_and_project(
+    y: Float64,
+    face: Int64,
+    vertices: Float64,
+    corrugation: Float64,
+    sheet: Sheet,
+    shift_mm: float,
+    start_x: float,
+    T_joint_camera: Float64,
+    lens: Intrinsics,
+    material: LobeNumbers,
+    along_rows: bool,
+    with_light: bool,
+    at: Float64,
+    light: Float64,
+) -> bool:
+    """Cut a plane `shift_mm` beside the sheet with the section at y (n,) and look at it.
+
+    `face` (n,) are the faces that the points lie on. Writes the image points `at` (n, 2) as (scan,
+    position) and, `with_light`, the stripe's `light` there, the sheet's own Gaussian divided out. False if a
+    point lies behind the camera.
+    """
+    nx, ny, nz, d = sheet.plane[0], sheet.plane[1], sheet.plane[2], sheet.plane[3] - shift_mm
+    k1, k2, p1, p2, k3 = lens.distortion
+    T, x = T_joint_camera, start_x
+    for i in range(y.shape[0]):
+        k = face[i]
+        plain = vertices[k, 1] + slope_across(k, vertices) * (y[i] - vertices[k, 0])
+        for _ in range(MOST_STEPS):
+            met = -(ny * y[i] + nz * (plain + ridge(x, corrugation)[0]) + d) / nx
+            moved = abs(met - x)
+            x = met
+            if moved < MET_MM:
+                break
+        P = (x, y[i], plain + ridge(x, corrugation)[0])
+
+        wx, wy, wz = T[0, 3] - P[0], T[1, 3] - P[1], T[2, 3] - P[2]
+        depth = -(T[0, 2] * wx + T[1, 2] * wy + T[2, 2] * wz)
+        if not depth > NEAREST_MM:
+            return False
+        a = -(T[0, 0] * wx + T[1, 0] * wy + T[2, 0] * wz) / depth
+        b = -(T[0, 1] * wx + T[1, 1] * wy + T[2, 1] * wz) / depth
+        q = a * a + b * b
+        radial = 1.0 + q * (k1 + q * (k2 + q * k3))
+        u = lens.fx * (a * radial + 2.0 * p1 * a * b + p2 * (q + 2.0 * a * a)) + lens.cx
+        v = lens.fy * (b * radial + p1 * (q + 2.0 * b * b) + 2.0 * p2 * a * b) + lens.cy
+        at[i, 0], at[i, 1] = (u, v) if along_rows else (v, u)
+
+        if not with_light:
+            light[i] = math.nan
+            continue
+        distance = math.sqrt(wx * wx + wy * wy + wz * wz)
+        omega_r = (wx / distance, wy / distance, wz / distance)
+        off = nx * P[0] + ny * P[1] + nz * P[2] + sheet.plane[3]
+        off *= sheet.stand / (sheet.sigma * depth_below(sheet, P))
+        gaussian = math.exp(-0.5 * off * off)
+        normal = face_normal(k, x, vertices, corrugation)
+        lit = sheet_reflected(sheet, material, P, normal, omega_r)
+        light[i] = lit / gaussian if gaussian > 0.0 else 0.0
+    return True
+
+
+@kernel(allocates=True)
+def _samples(vertices: Float64, middle_mm: float, low_mm: float, high_mm: float) -> tuple[Float64, Int64]:
+    """Return the places y (n,), rising, at which the section is looked at, and the faces that they lie on.
+
+    They reach a step beyond what is seen of it, from `low_mm` to `high_mm`, and stand beside every corner.
+    """
+    n_inner = vertices.shape[0] - 2
+    first = math.floor(max(low_mm - middle_mm, -HALF_SPAN_MM) / STEP_MM)
+    n_even = max(math.ceil(min(high_mm - middle_mm, HALF_SPAN_MM) / STEP_MM) + 1 - first, 0)
+    y = np.empty(n_even + 2 * n_inner)
+    for i in range(n_even):
+        y[i] = middle_mm + STEP_MM * (first + i)
+    for k in range(n_inner):
+        y[n_even + 2 * k] = vertices[k + 1, 0] - BESIDE_MM
+        y[n_even + 2 * k + 1] = vertices[k + 1, 0] + BESIDE_MM
+    y.sort()
+    under, face = 0, np.empty(len(y), dtype=np.int64)
+    for i in range(len(y)):
+        under = face_under(y[i], under, vertices)
+        face[i] = under
+    return y, face
+
+
+@kernel(allocates=True)
+def _per_line(
+    at: Float64, light: Float64, face: Int64, position: Float64, strength: Float64, shown: Int64
+) -> bool:
+    """Read a trace (n, 2) off at every scan line: place, light and face, -1 between two; ends are held.
+
+    False if no scan line meets it.
+    """
+    order = np.argsort(at[:, 0], kind="mergesort")
+    n, n_scan = len(order), position.shape[0]
+    if at[order[n - 1], 0] < 0.0 or at[order[0], 0] > n_scan - 1:
+        return False
+    after = 0
+    for s in range(n_scan):
+        while after < n and at[order[after], 0] < s:
+            after += 1
+        left, right = order[max(min(after, n - 1) - 1, 0)], order[max(min(after, n - 1), min(1, n - 1))]
+        span = at[right, 0] - at[left, 0]
+        share = min(max((s - at[left, 0]) / span, 0.0), 1.0) if span > 0.0 else 0.0
+        position[s] = (1.0 - share) * at[left, 1] + share * at[right, 1]
+        strength[s] = (1.0 - share) * light[left] + share * light[right]
+        shown[s] = face[left] if face[left] == face[right] else -1
+    return True
+
+
+@kernel(allocates=True)
+def _expect(
+    planes: Float64,
+    vertices: Float64,
+    corrugation: Float64,
+    tool_mm: Float64,
+    seen_mm: Float64,
+    sheet: Sheet,
+    T_joint_camera: Float64,
+    lens: Intrinsics,
+    material: LobeNumbers,
+    along_rows: bool,
+    psf_sigma_px: float,
+    position: Float64,
+    sigma: Float64,
+    lean: Float64,
+    face_shown: Int64,
+) -> bool:
+    """Write an expected stripe (n_scan,), see `expect_stripe`; False where it is out of view."""
+    n_scan = position.shape[0]
+    y, face = _samples(vertices, tool_mm[1], seen_mm[0], seen_mm[1])
+    n = len(y)
+    at, light = np.empty((n, 2)), np.empty(n)
+    n_planes = planes.shape[0]
+    places, strengths = np.empty((n_planes, n_scan)), np.empty((n_planes, n_scan))
+    faces = np.empty((n_planes, n_scan), dtype=np.int64)
+    for k in range(n_planes):
+        shift = planes[k] * sheet.sigma
+        # Of three the lean is made of the flanks' light.
+        with_light = shift != 0.0 or n_planes > FLANKS.shape[0]
+        if not _cut_and_project(
+            y,
+            face,
+            vertices,
+            corrugation,
+            sheet,
+            shift,
+            tool_mm[0],
+            T_joint_camera,
+            lens,
+            material,
+            along_rows,
+            with_light,
+            at,
+            light,
+        ):
+            return False
+        if not _per_line(at, light, face, places[k], strengths[k], faces[k]):
+            return False
+    middle = n_planes // 2
+    one = round(1.0 / (planes[1] - planes[0]))
+    before, behind = middle - one, middle + one
+    good = np.empty(n_scan, dtype=np.bool_)
+    seen, bell = np.empty(n_planes), np.empty(2)
+    for s in range(n_scan):
+        half_width = 0.5 * (places[behind, s] - places[before, s])
+        position[s] = places[middle, s]
+        on = faces[middle, s]
+        good[s] = on >= 0 and faces[before, s] == on and faces[behind, s] == on
+        if n_planes > FLANKS.shape[0]:
+            for k in range(n_planes):
+                is_same = faces[k, s] == on
+                seen[k] = strengths[k, s] * math.exp(-0.5 * planes[k] ** 2) if is_same else 0.0
+            if good[s] and fit_bell(places[:, s], seen, abs(half_width), bell):
+                sigma[s], lean[s] = math.hypot(bell[1], psf_sigma_px), bell[0] - position[s]
+                continue
+        sigma[s] = math.hypot(half_width, psf_sigma_px)
+        shading = 0.0
+        if strengths[before, s] > 0.0 and strengths[behind, s] > 0.0:
+            shading = 0.5 * half_width * math.log(strengths[behind, s] / strengths[before, s])
+        lean[s] = shading + 1.5 * (0.5 * (places[behind, s] + places[before, s]) - places[middle, s])
+    _take_from_same_face(sigma, lean, faces[middle], good)
+    face_shown[:] = faces[middle]
+    return True
+
+
+@kernel
+def _take_from_same_face(sigma: Float64, lean: Float64, face: Int64, good: Bool) -> None:
+    """Replace values (n,) beside a corner, where the flanks lie on two faces, by the nearest good ones.
+
+    By those of its own face if that has some.
+    """
+    n = len(good)
+    for s in range(n):
+        if good[s]:
+            continue
+        nearest, nearest_on_face = -1, -1
+        for away in range(1, n):
+            for other in (s - away, s + away):
+                if 0 <= other < n and good[other]:
+                    nearest = other if nearest < 0 else nearest
+                    if face[other] == face[s] and nearest_on_face < 0:
+                        nearest_on_face = other
+            if nearest_on_face >= 0:
+                break
+        take = nearest_on_face if nearest_on_face >= 0 else nearest
+        if take >= 0:
+            sigma[s], lean[s] = sigma[take], lean[take]

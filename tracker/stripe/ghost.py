@@ -1,0 +1,181 @@
+"""A second stripe beside the first, its reflection in a window or in the sheet, and what its light is.
+
+It runs beside the first one at the same distance everywhere. So what the first one's fit leaves over is laid
+on top of itself from many scan lines, each over its stripe's amplitude and from its stripe's centre on, and
+the distance is sought at which a bell of the stripe's width, over any level, explains most of it.
+
+Between two stripes, and beside them, the matched filter sees it darker than beside one, and each stands in
+the other's fit. With the second one's light in the background path, fit and evidence are the first one's own.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import numpy.typing as npt
+
+from noise_model.arc.map import CELL
+from noise_model.kernel import REDUCTION, kernel
+from noise_model.transforms import Float64
+from tracker.stripe.viterbi import TEMPLATE_SIGMAS, Float32, Int64, Pair, bell
+
+NEAREST_SIGMAS = 3.0
+"""What stands nearer to the first, in its sigmas, is of its own shape."""
+
+LEAST_SHARE, LEAST_LINES = 0.2, 0.6
+"""A second stripe has this share of the first one's light or more, in this share of its scan lines."""
+
+EVERY = 8
+"""Every so many scan lines are asked for it."""
+
+CUT = 2.0
+"""No line's pixel counts for more than so many amplitudes of its stripe."""
+
+Bool = npt.NDArray[np.bool_]
+
+
+@kernel(fastmath=REDUCTION)
+def _bell_over(values: Float32, middle: float, width: float) -> float:
+    """Return the least-squares amplitude of a bell over any level, NaN if values (n,) lack its flanks."""
+    half = math.ceil(TEMPLATE_SIGMAS * width)
+    low, high = max(round(middle) - half, 0), min(round(middle) + half + 1, values.shape[0])
+    before, behind = round(middle - width), round(middle + width)
+    if before < low or behind >= high or math.isnan(values[before]) or math.isnan(values[behind]):
+        return math.nan
+    zero, one = np.float32(0.0), np.float32(1.0)
+    inverse, first = np.float32(1.0 / width), np.float32(low - middle)
+    n, g_sum, gg, v_sum, gv = zero, zero, zero, zero, zero
+    for i in range(high - low):
+        is_seen = not math.isnan(values[low + i])
+        g = bell((np.float32(i) + first) * inverse) * (one if is_seen else zero)
+        value = values[low + i] if is_seen else zero
+        n += one if is_seen else zero
+        g_sum += g
+        gg += g * g
+        v_sum += value
+        gv += g * value
+    spread = n * gg - g_sum * g_sum
+    return float((n * gv - g_sum * v_sum) / spread) if spread > zero else math.nan
+
+
+@kernel(fastmath={"contract"})
+def _left_over(
+    charge: Float32, background: Float32, censored: Bool, center: float, fit: Float64, left: Float32
+) -> None:
+    """Write what a line's stripe about a centre leaves of its charge (depth,), NaN for censored pixels."""
+    amplitude, inverse, middle = np.float32(fit[2]), np.float32(1.0 / fit[3]), np.float32(center)
+    for r in range(charge.shape[0]):
+        own = amplitude * bell((np.float32(r) - middle) * inverse)
+        left[r] = np.float32(math.nan) if censored[r] else charge[r] - background[r] - own
+
+
+@kernel(fastmath={"contract"})
+def _lay(left: Float32, share: float, laid: Float32, laid_on: Float32) -> None:
+    """Add what a line leaves (n,), times `share`, to the sums and to the numbers of what was added."""
+    zero, one, most, per_e = np.float32(0.0), np.float32(1.0), np.float32(CUT), np.float32(share)
+    for r in range(left.shape[0]):
+        is_seen = not math.isnan(left[r])
+        laid[r] += min(max(left[r] * per_e, -most), most) if is_seen else zero
+        laid_on[r] += one if is_seen else zero
+
+
+@kernel(allocates=True)
+def second_place(charge: Float32, background: Float32, censored: Bool, fits: Float64, lows: Int64) -> Pair:
+    """Return the weaker stripe's share of the brighter one's light and its distance, px; 0, 0 for none.
+
+    What it is asked of is as `stripe_fit.fit_lines` has it. The fits (n_scan, 5) may be those of either, and
+    of one here and the other there.
+    """
+    n_scan, depth = charge.shape
+    laid, laid_on = np.zeros((2, 2 * depth + 1), dtype=np.float32)
+    left, widths, n = np.empty(depth, dtype=np.float32), np.empty(n_scan), 0
+    for s in range(0, n_scan, EVERY):
+        if math.isnan(fits[s, 0]):
+            continue
+        widths[n] = fits[s, 3]
+        n += 1
+        center = fits[s, 0] - lows[s // CELL]
+        _left_over(charge[s], background[s], censored[s], center, fits[s], left)
+        shift = depth - round(center)
+        _lay(left, 1.0 / fits[s, 2], laid[shift : shift + depth], laid_on[shift : shift + depth])
+    if n == 0:
+        return 0.0, 0.0
+    width = float(np.median(widths[:n]))
+    for i in range(2 * depth + 1):
+        laid[i] = laid[i] / laid_on[i] if laid_on[i] > LEAST_LINES * n else np.float32(math.nan)
+    share, apart = 0.0, 0.0
+    for i in range(2 * depth + 1):
+        if abs(i - depth) >= NEAREST_SIGMAS * width and not math.isnan(laid[i]):
+            here = _bell_over(laid, float(i), width)
+            if here > share:
+                share, apart = here, float(i - depth)
+    if share < LEAST_SHARE:
+        return 0.0, 0.0
+    # Between pixels along the parabola through the highest three.
+    before, after = _bell_over(laid, depth + apart - 1.0, width), _bell_over(laid, depth + apart + 1.0, width)
+    curve = 2.0 * share - before - after
+    if curve > 0.0:
+        apart += 0.5 * (after - before) / curve
+    # Lines that see the other one behind, those that see it before, and how bright it is there.
+    least = 0.5 * min(share, 1.0 / share)
+    asked, behind, ahead, by_behind, by_ahead = 0, 0, 0, 0.0, 0.0
+    for s in range(0, n_scan, EVERY):
+        if not math.isnan(fits[s, 0]):
+            center = fits[s, 0] - lows[s // CELL]
+            _left_over(charge[s], background[s], censored[s], center, fits[s], left)
+            after, before = _either_side(left, center, abs(apart), fits[s])
+            if max(after, before) > least:
+                if after > before:
+                    behind, by_behind = behind + 1, by_behind + after
+                else:
+                    ahead, by_ahead = ahead + 1, by_ahead + before
+            asked += max(after, before) > least or (after if apart > 0.0 else before) > -math.inf
+    if behind + ahead <= LEAST_LINES * asked:
+        return 0.0, 0.0
+    more = by_behind / behind if behind >= ahead else by_ahead / ahead
+    is_brighter = more > 1.0
+    distance = abs(apart) if (behind >= ahead) != is_brighter else -abs(apart)
+    return (1.0 / more if is_brighter else more), distance
+
+
+@kernel
+def _either_side(left: Float32, center: float, apart_px: float, fit: Float64) -> Pair:
+    """Return how bright, over a line's own stripe, another is behind and ahead of it, -inf out of sight."""
+    behind, ahead = _bell_over(left, center + apart_px, fit[3]), _bell_over(left, center - apart_px, fit[3])
+    behind, ahead = -math.inf if math.isnan(behind) else behind, -math.inf if math.isnan(ahead) else ahead
+    return behind / fit[2], ahead / fit[2]
+
+
+@kernel(allocates=True)
+def second_light(
+    charge: Float32,
+    background: Float32,
+    censored: Bool,
+    fits: Float64,
+    lows: Int64,
+    share: float,
+    apart_px: float,
+    light: Float32,
+) -> None:
+    """Write the light (n_scan, depth), e-, of the weaker of two stripes, `apart_px` from the brighter one.
+
+    Where the fit is the weaker one's, that is what is fitted; elsewhere its amplitude is the line's own, or
+    `share` of the brighter one's where it is out of sight.
+    """
+    n_scan, depth = charge.shape
+    left = np.empty(depth, dtype=np.float32)
+    for s in range(n_scan):
+        light[s] = 0.0
+        if math.isnan(fits[s, 0]):
+            continue
+        middle, amplitude, width = fits[s, 0] - lows[s // CELL], fits[s, 2], fits[s, 3]
+        _left_over(charge[s], background[s], censored[s], middle, fits[s], left)
+        weaker, brighter = _either_side(left, middle, apart_px, fits[s])
+        if brighter <= max(weaker, 0.5 * share):
+            middle += apart_px
+            own = _bell_over(left, middle, width)
+            amplitude = share * amplitude if math.isnan(own) else max(own, 0.0)
+        for r in range(depth):
+            t = (r - middle) / width
+            light[s, r] = amplitude * math.exp(-0.5 * t * t)

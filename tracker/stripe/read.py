@@ -1,0 +1,277 @@
+"""Reading the stripe: the band around its expected place, the background beside it, path and fit."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from noise_model.arc.map import CELL, ArcKernel, ArcMap
+from noise_model.transforms import Float64
+from tracker.arc.level import MAP_SIGMA, ArcLevel
+from tracker.arc.transmission import Passage
+from tracker.geometry import SensorGeometry
+from tracker.state import Frame, Stripe
+from tracker.stripe.band import gather, median_background, place, weigh
+from tracker.stripe.edge import StripeLight
+from tracker.stripe.expected import ExpectedStripe
+from tracker.stripe.fit import fit_lines
+from tracker.stripe.ghost import second_light, second_place
+from tracker.stripe.smooth import smooth_stripe
+from tracker.stripe.speckle import Speckle, with_speckle
+from tracker.stripe.viterbi import OFFSET_STEP, best_path, matched_filter, peaks
+
+FIT_SIGMAS = 5.0
+"""How many stripe sigmas of background the band holds beyond the reach of the search: the fit reads four, and
+a second stripe beside them has to be seen."""
+
+MAP_TOLERANCE, MAP_FLOOR_E = 0.01, 20.0
+"""How far the map may be off where it is read off its tables: relative, and in electrons."""
+
+MEDIAN_HALF_PX = 30
+MEDIAN_SIGMA = 1.0
+"""Without an arc map: half the running median's length, and its background's relative 1 sigma (anything)."""
+
+MOST_ROUNDS = 3
+"""So many times at most the stripe is read again without a second one's light."""
+
+
+@dataclass
+class Work:
+    """Preallocated scratch (n_scan, n_pos) whose contents never matter."""
+
+    charge: npt.NDArray[np.float32]
+    background: npt.NDArray[np.float32]
+    residual: npt.NDArray[np.float32]
+    variance: npt.NDArray[np.float32]
+    censored: npt.NDArray[np.bool_]
+
+    @classmethod
+    def of(cls, geometry: SensorGeometry) -> Work:
+        """Make room for the widest band of a sensor."""
+        charge, background, residual, variance = np.empty((4, geometry.n_scan, geometry.n_pos), np.float32)
+        return cls(charge, background, residual, variance, np.empty(charge.shape, np.bool_))
+
+    def band(self, depth: int) -> Work:
+        """Return contiguous views (n_scan, depth) of the scratch."""
+        n_scan = len(self.charge)
+        n = n_scan * depth
+        return Work(
+            self.charge.reshape(-1)[:n].reshape(n_scan, depth),
+            self.background.reshape(-1)[:n].reshape(n_scan, depth),
+            self.residual.reshape(-1)[:n].reshape(n_scan, depth),
+            self.variance.reshape(-1)[:n].reshape(n_scan, depth),
+            self.censored.reshape(-1)[:n].reshape(n_scan, depth),
+        )
+
+
+@dataclass(frozen=True, eq=False)
+class StripeReading:
+    """A stripe, and what it was read from: explaining a frame asks for that.
+
+    `band` holds views of the scratch, which are good until the next frame; `lows` says where it begins for
+    each CELL scan lines. `score` (n_scan, n_offsets) is the matched filter's, in sigmas, at `offsets_px` from
+    the rounded expected place; `start_px` (n_scan,) is where the likeliest path runs, NaN for no stripe;
+    `fits` (n_scan, 5) are `fit_line`'s. The variance of a pixel is `shot` times its mean plus
+    `dark_variance_e2`; `map_sigma` is the background's relative 1 sigma, `base_sigma_e` the black level's.
+    `second_share` is how bright a second stripe is over the first, 0 for none; the background has its light.
+    `speckle` is what the setup states.
+    """
+
+    stripe: Stripe
+    band: Work
+    lows: npt.NDArray[np.int64]
+    offsets_px: npt.NDArray[np.int64]
+    score: npt.NDArray[np.float32]
+    start_px: npt.NDArray[np.float64]
+    fits: npt.NDArray[np.float64]
+    shot: float
+    dark_variance_e2: float
+    map_sigma: float
+    base_sigma_e: float
+    second_share: float
+    speckle: Speckle
+
+    def light(self, psf_sigma_px: float) -> StripeLight:
+        """Return what shows where the stripe ends, as good as the band."""
+        band, width_px = self.band, self.fits[:, 3]
+        return StripeLight(
+            band.charge,
+            band.background,
+            band.variance,
+            band.censored,
+            self.lows,
+            CELL,
+            self.stripe.position_px,
+            width_px,
+            self.shot,
+            self.speckle.line_contrast(width_px),
+            psf_sigma_px,
+        )
+
+
+def arc_map_of(geometry: SensorGeometry, kernel: ArcKernel) -> ArcMap:
+    """Return the arc map that a frame is read with."""
+    return ArcMap.of(kernel, geometry.xy, geometry.cos4, geometry.n_scan, MAP_TOLERANCE, MAP_FLOOR_E)
+
+
+def read_stripe(
+    geometry: SensorGeometry,
+    arc_map: ArcMap,
+    passage: Passage | None,
+    arc: ArcLevel,
+    frame: Frame,
+    expected: ExpectedStripe,
+    reach_px: float,
+    work: Work,
+    use_arc_map: bool,
+) -> StripeReading:
+    """Find the stripe within `reach_px` of its expected place and fit its centre in every scan line."""
+    half = math.ceil(reach_px + FIT_SIGMAS * float(expected.sigma_px.max()))
+    lows, depth = place(expected.position_px, geometry.n_pos, half)
+    band = work.band(depth)
+    gather(
+        frame.image_dn,
+        geometry.along_rows,
+        lows,
+        geometry.charge_e,
+        geometry.saturation_dn,
+        band.charge,
+        band.censored,
+    )
+    shot, dark_variance = 1.0, geometry.dark_variance_at(band.charge)
+    level_known = math.isfinite(arc.level)
+    level = arc.level if level_known else 1.0
+    level_sigma = 0.0 if level_known else geometry.setup.tolerance.arc_level_rel
+    map_sigma = math.hypot(MAP_SIGMA * max(1.0, arc.misfit if level_known else 1.0), level_sigma)
+    if use_arc_map:
+        _predict_background(geometry, arc_map, passage, level, arc.black_e, lows, band)
+    else:
+        median_background(band.charge, MEDIAN_HALF_PX, band.background)
+        spread = 1.4826 * float(np.median(np.abs(band.charge - band.background)))
+        shot, map_sigma, dark_variance = 0.0, MEDIAN_SIGMA, max(spread**2, dark_variance)
+    base_sigma = geometry.setup.tolerance.black_level_dn * geometry.setup.sensor.gain_e_per_dn
+    offsets = np.arange(-math.floor(reach_px), math.floor(reach_px) + 1, OFFSET_STEP)
+    noise = shot, dark_variance, map_sigma, base_sigma
+    score, start, fits, saturated = _fit_band(band, expected, lows, offsets, noise)
+    plain, second_share = band.background, 0.0
+    for _ in range(MOST_ROUNDS):
+        share, apart_px = second_place(band.charge, plain, band.censored, fits, lows)
+        if share == second_share == 0.0:
+            break
+        if plain is band.background:
+            plain = plain.copy()
+        band.background[:] = plain
+        if share > 0.0:
+            light = np.empty_like(plain)
+            second_light(band.charge, plain, band.censored, fits, lows, share, apart_px, light)
+            band.background += light
+        second_share = share
+        score, start, fits, saturated = _fit_band(band, expected, lows, offsets, noise)
+    speckle = Speckle.of(geometry.setup)
+    sigma, together = with_speckle(
+        speckle,
+        fits,
+        expected.sigma_px,
+        band.background,
+        lows,
+        shot,
+        dark_variance,
+        map_sigma,
+        base_sigma,
+    )
+    smooth, smooth_sigma = smooth_stripe(fits[:, 0], sigma, together)
+    stripe = Stripe(
+        fits[:, 0], sigma, smooth, smooth_sigma, fits[:, 2], saturated, geometry.along_rows, together
+    )
+    return StripeReading(
+        stripe,
+        band,
+        lows,
+        offsets,
+        score,
+        start,
+        fits,
+        shot,
+        dark_variance,
+        map_sigma,
+        base_sigma,
+        second_share,
+        speckle,
+    )
+
+
+def _fit_band(
+    band: Work,
+    expected: ExpectedStripe,
+    lows: npt.NDArray[np.int64],
+    offsets: npt.NDArray[np.int64],
+    noise: tuple[float, float, float, float],
+) -> tuple[npt.NDArray[np.float32], Float64, Float64, npt.NDArray[np.bool_]]:
+    """Return a band's score (n_scan, n_offsets), path's start (n_scan,), fits (n_scan, 5), saturated lines.
+
+    `noise` are `fit_lines`' shot, dark variance, and 1 sigma of map and base.
+    """
+    shot, dark_variance, map_sigma, base_sigma = noise
+    weigh(band.charge, band.background, shot, dark_variance, band.residual, band.variance)
+    n_scan = len(band.charge)
+    score = np.empty((n_scan, len(offsets)), dtype=np.float32)
+    matched_filter(
+        band.residual,
+        band.variance,
+        expected.position_px,
+        expected.sigma_px,
+        lows,
+        CELL,
+        offsets,
+        score,
+    )
+    choice = np.empty(n_scan, dtype=np.int64)
+    best_path(score, choice)
+    start = np.empty(n_scan)
+    peaks(score, choice, expected.position_px, offsets, start)
+    fits = np.empty((n_scan, 5))
+    saturated = np.empty(n_scan, dtype=np.bool_)
+    fit_lines(
+        band.charge,
+        band.background,
+        band.censored,
+        start,
+        expected.sigma_px,
+        lows,
+        CELL,
+        shot,
+        dark_variance,
+        map_sigma,
+        base_sigma,
+        fits,
+        saturated,
+    )
+    return score, start, fits, saturated
+
+
+def _predict_background(
+    geometry: SensorGeometry,
+    arc_map: ArcMap,
+    passage: Passage | None,
+    level: float,
+    black_e: float,
+    lows: npt.NDArray[np.int64],
+    band: Work,
+) -> None:
+    """Write the arc's light at the frame's own level, other light and the black level into the band."""
+    if level == 0.0 and passage is None:
+        band.background[:] = black_e
+        return
+    arc_map.fill(lows, band.background)
+    if passage is None:
+        band.background *= np.float32(level)
+    else:
+        n_scan, depth = band.background.shape
+        first = np.arange(n_scan) * geometry.n_pos + lows[np.arange(n_scan) // CELL]
+        pixels = (first[:, None] + np.arange(depth)).ravel()
+        arc_e, other_e = passage.through(pixels, band.background.ravel())
+        band.background[:] = (np.float32(level) * arc_e + other_e).reshape(n_scan, depth)
+    band.background += np.float32(black_e)
