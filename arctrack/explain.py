@@ -18,12 +18,12 @@ from arctrack.explain_lines import Refusals, SigmaParts, refusals, sigma_parts
 from arctrack.recording import BadFrame, Recording
 from arctrack.replay import tracker_of
 from noise_model.arc.map import ArcKernel, Scene, arc_frame, arc_kernel, scene
+from noise_model.arrays import Float32, Float64
 from noise_model.instrument.sensor import variance_e2
-from noise_model.transforms import Float64
 from tracker import flags
 from tracker.arc.level import MAP_SIGMA, ArcLevel
 from tracker.arc.transmission import Passage
-from tracker.geometry import Float32, SensorGeometry
+from tracker.geometry import SensorGeometry
 from tracker.joint import MeasuredJoint, fit_joint
 from tracker.profile import Profile
 from tracker.seam.locate import locate, sources

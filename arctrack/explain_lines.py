@@ -9,7 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from noise_model.arc.map import CELL
-from noise_model.transforms import Float64
+from noise_model.arrays import Float64
 from tracker.stripe.expected import ExpectedStripe
 from tracker.stripe.fit import (
     CORRELATION_PX,

@@ -11,6 +11,7 @@ import math
 import numpy as np
 
 from noise_model.arc_source import Arc
+from noise_model.arrays import Float64
 from noise_model.instrument.camera import Camera
 from noise_model.instrument.laser import Laser
 from noise_model.instrument.sensor import Sensor
@@ -18,7 +19,6 @@ from noise_model.instrument.spectrum import Filter
 from noise_model.setup import Setup
 from noise_model.surface.brdf import TABLE_1
 from noise_model.surface.joint import Joint
-from noise_model.transforms import Float64
 
 DIMENSIONS: dict[str, dict[str, float]] = {
     "v_groove": {"included_angle_deg": 60.0, "depth_mm": 4.0, "root_gap_mm": 1.0},

@@ -19,6 +19,7 @@ from arctrack.errors import ArctrackError
 from arctrack.recording import RecordingWriter, SetupFile, VideoFormat
 from arctrack.recording.setup_file import setup_text
 from noise_model.arc.map import scene
+from noise_model.arrays import Float64
 from noise_model.condition import Condition
 from noise_model.effects import Values, checked, pose_time_s, really
 from noise_model.forward import Renderer, draw_frame, predict
@@ -33,7 +34,7 @@ from noise_model.surface.joint import (
     seam_height_mm,
     section,
 )
-from noise_model.transforms import Float64, invert, transform
+from noise_model.transforms import invert, transform
 from tracker.state import Frame
 
 WEAVE_PERIOD_S, HEIGHT_PERIOD_S, TILT_PERIODS_S = 1.7, 2.4, (2.9, 1.9)

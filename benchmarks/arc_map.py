@@ -26,14 +26,12 @@ from noise_model.arc.map import (
     TOLERANCE,
     ArcKernel,
     ArcMap,
-    Float32,
-    Int64,
     arc_at,
     arc_kernel,
     scene,
 )
+from noise_model.arrays import Float32, Float64, Int64
 from noise_model.setup import Setup
-from noise_model.transforms import Float64
 from tracker.geometry import SensorGeometry
 from tracker.stripe.band import place
 from tracker.stripe.expected import expect_stripe

@@ -27,10 +27,10 @@ import tracker.step
 import tracker.stripe.read
 from arctrack.nominal import nominal_setup
 from arctrack.simulate import balance
+from noise_model.arrays import Float64
 from noise_model.condition import Condition
 from noise_model.forward import draw_frame
 from noise_model.surface.joint import NOMINAL_SEAM
-from noise_model.transforms import Float64
 from tracker import flags
 from tracker.geometry import SensorGeometry
 from tracker.state import Frame, Pose

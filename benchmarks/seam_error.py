@@ -28,9 +28,10 @@ from arctrack.nominal import DIMENSIONS, MATERIALS, nominal_setup
 from arctrack.recording import BadFrame, read_recording, read_truth
 from arctrack.simulate import SimulationPlan, balance, simulate_recording
 from calibration.hand_eye import estimate_hand_eye
+from noise_model.arrays import Float64
 from noise_model.setup import Setup
 from noise_model.surface.joint import seam_frame
-from noise_model.transforms import Float64, invert, transform
+from noise_model.transforms import invert, transform
 from tracker import flags
 from tracker.seam.locate import seam_displacement
 from tracker.state import Frame, Pose, Track

@@ -22,11 +22,11 @@ from stripe_peers import PEERS
 
 from arctrack.nominal import nominal_setup
 from noise_model.arc.map import scene
+from noise_model.arrays import Float64
 from noise_model.condition import Condition
 from noise_model.forward import Renderer, draw_frame, predict
 from noise_model.plan.cramer_rao import POSITION, stripe_sigmas
 from noise_model.setup import Setup
-from noise_model.transforms import Float64
 from tracker.geometry import SensorGeometry
 from tracker.state import Frame, Pose, Stripe
 from tracker.step import Tracker

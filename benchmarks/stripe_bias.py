@@ -17,9 +17,9 @@ from stripe import Case, case_of, expected_of
 
 from arctrack.report import style
 from noise_model.arc.map import scene
+from noise_model.arrays import Float64
 from noise_model.condition import Condition
 from noise_model.forward import Renderer, draw_frame
-from noise_model.transforms import Float64
 from tracker.geometry import SensorGeometry
 from tracker.state import Frame, Pose
 from tracker.step import Tracker

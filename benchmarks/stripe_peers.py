@@ -10,13 +10,12 @@ from collections.abc import Callable
 
 import cv2
 import numpy as np
-import numpy.typing as npt
 from skimage.filters import sato
 
-Float64 = npt.NDArray[np.float64]
+from noise_model.arrays import Float64, Integers
 
 
-def steger(image: npt.NDArray[np.integer], width_px: float) -> Float64:
+def steger(image: Integers, width_px: float) -> Float64:
     """Return each column's strongest line point (Steger 1998, IEEE TPAMI 20(2) 113): OpenCV, vectorised.
 
     Derivatives by Gaussian kernels of sigma = width / sqrt(3), along the Hessian's eigenvector of the largest
@@ -50,7 +49,7 @@ def steger(image: npt.NDArray[np.integer], width_px: float) -> Float64:
     return np.where(np.isfinite(strength[at]), row + shift, np.nan)
 
 
-def centroid(image: npt.NDArray[np.integer], width_px: float) -> Float64:
+def centroid(image: Integers, width_px: float) -> Float64:
     """Return each column's grey centroid about its brightest smoothed pixel, less the darker rim's level."""
     grey = image.astype(np.float32)
     smooth = cv2.GaussianBlur(grey, (1, 2 * math.ceil(width_px) + 1), 0)
@@ -63,7 +62,7 @@ def centroid(image: npt.NDArray[np.integer], width_px: float) -> Float64:
         return np.asarray((weight * rows).sum(axis=0) / weight.sum(axis=0))
 
 
-def ridge(image: npt.NDArray[np.integer], width_px: float) -> Float64:
+def ridge(image: Integers, width_px: float) -> Float64:
     """Return the maximum of scikit-image's `sato` ridge filter in each column, refined by a parabola."""
     response = sato(image.astype(np.float64), sigmas=[width_px], black_ridges=False)
     row = np.clip(np.argmax(response, axis=0), 1, image.shape[0] - 2)
@@ -75,7 +74,7 @@ def ridge(image: npt.NDArray[np.integer], width_px: float) -> Float64:
     return np.where((at > 0.0) & (np.abs(shift) <= 1.0), row + shift, np.nan)
 
 
-PEERS: dict[str, Callable[[npt.NDArray[np.integer], float], Float64]] = {
+PEERS: dict[str, Callable[[Integers, float], Float64]] = {
     "steger": steger,
     "sato": ridge,
     "centroid": centroid,

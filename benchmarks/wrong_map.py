@@ -19,12 +19,12 @@ import numpy as np
 from arctrack.nominal import nominal_setup
 from arctrack.simulate import balance
 from noise_model.arc.map import scene
+from noise_model.arrays import Float64
 from noise_model.condition import Condition
 from noise_model.forward import draw_frame
 from noise_model.setup import Setup
 from noise_model.surface.brdf import TABLE_1
 from noise_model.surface.joint import SeamLine, seam_height_mm
-from noise_model.transforms import Float64
 from tracker.seam.locate import seam_point_tool
 from tracker.state import Frame, Pose
 from tracker.step import Tracker

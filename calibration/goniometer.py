@@ -16,8 +16,8 @@ import numpy as np
 import numpy.typing as npt
 
 from calibration.reading_noise import ReadingNoise
+from noise_model.arrays import Float64
 from noise_model.surface.brdf import Material, reflectance
-from noise_model.transforms import Float64
 
 NORMAL = np.array([0.0, 0.0, 1.0])
 

@@ -21,17 +21,17 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-import numpy.typing as npt
 
 from noise_model.arc.map import Scene, arc_at, arc_kernel, scene
 from noise_model.arc_source import level as current_level
+from noise_model.arrays import Float32, Float64, Int32, Int64
 from noise_model.effects import really
 from noise_model.fit import Fit, Parameter, fit
 from noise_model.instrument.sensor import variance_e2
 from noise_model.setup import Setup
 from noise_model.surface.joint import SeamLine
 from noise_model.surface.ray_casting import trace
-from noise_model.transforms import Float64, invert, moved, transform
+from noise_model.transforms import invert, moved, transform
 from tracker.arc.level import HUBER
 from tracker.arc.transmission import Passage, seen_arc
 from tracker.geometry import SensorGeometry
@@ -257,8 +257,8 @@ class _View:
     geometry: SensorGeometry
     seen: _Seen
     chosen: Scene
-    pixels: npt.NDArray[np.int64]
-    faces: npt.NDArray[np.int32]
+    pixels: Int64
+    faces: Int32
     charge_e: Float64
     output: float
 
@@ -301,7 +301,7 @@ class _View:
         output = level * self.output
         kernel = arc_kernel(true, view, output)
 
-        def light(pixels: npt.NDArray[np.int64]) -> npt.NDArray[np.float32]:
+        def light(pixels: Int64) -> Float32:
             return arc_at(kernel, self.geometry.xy, self.geometry.cos4, pixels)[0]
 
         own_e, faces = arc_at(kernel, self.geometry.xy, self.geometry.cos4, self.pixels)

@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 import numpy as np
-import numpy.typing as npt
 
 from calibration.goniometer import Readings, Response
 from calibration.reflectance_model import C2, NAMES, ReadingsFit, ReadingsModel
 from calibration.scatter import Scatter
-from noise_model.transforms import Float64
+from noise_model.arrays import Bool, Float64
 
 SEEN_SIGMAS, SEEN_SETTINGS = 3.0, 3
 """The lobe must stand this far out of the noise at so many settings: fewer could be a single bad reading."""
@@ -101,7 +100,7 @@ def _lobe_over_noise(model: ReadingsModel, fitted: ReadingsFit) -> Float64:
     return np.asarray((model.level(p) - model.level(without)) / (fitted.sigma * scatter))
 
 
-def _too_wide(values: Float64, half: Float64) -> npt.NDArray[np.bool_]:
+def _too_wide(values: Float64, half: Float64) -> Bool:
     size = np.array([values[0] + values[1], values[1], values[2]])
     return np.asarray(~(half < WIDEST * size))
 

@@ -14,14 +14,13 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 from scipy.optimize import nnls
 
 from calibration.goniometer import NORMAL, Readings, Response
 from calibration.reading_noise import ReadingNoise, estimate_noise, estimate_scatter, rounding_left
+from noise_model.arrays import Bool, Float64
 from noise_model.fit import Fit, Parameter, fit
 from noise_model.surface.brdf import reflectance
-from noise_model.transforms import Float64
 
 NAMES = ("kappa_diff", "kappa_spec", "c2")
 """What is wanted."""
@@ -68,7 +67,7 @@ class ReadingsModel:
     gray_level: Float64
     repeats: Float64
     variance: Float64
-    is_whole: npt.NDArray[np.bool_]
+    is_whole: Bool
     response: Response
 
     def level(self, p: Float64) -> Float64:

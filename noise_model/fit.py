@@ -22,11 +22,10 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-import numpy.typing as npt
 from scipy.optimize import least_squares
 from scipy.special import stdtrit
 
-from noise_model.transforms import Float64
+from noise_model.arrays import Bool, Float64
 
 NOT_LEARNED = 0.9
 """A parameter whose 1 sigma is more than this share of its prior's has not been learned from the data."""
@@ -319,7 +318,7 @@ def _psi2(bound: float, share_within: float, square_within: float) -> float:
     return share_within * square_within + (1.0 - share_within) * (bound**2 if share_within < 1.0 else 0.0)
 
 
-def _unknown(covariance: Float64, parameters: npt.NDArray[np.bool_]) -> Float64:
+def _unknown(covariance: Float64, parameters: Bool) -> Float64:
     covariance = covariance.copy()
     covariance[parameters, :] = math.nan
     covariance[:, parameters] = math.nan

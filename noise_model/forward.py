@@ -16,7 +16,8 @@ from typing import TypeVar
 import numpy as np
 import numpy.typing as npt
 
-from noise_model.arc.map import Float32, Scene, arc_at, arc_frame, arc_kernel
+from noise_model.arc.map import Scene, arc_at, arc_frame, arc_kernel
+from noise_model.arrays import Bool, Float32, Float64, Integers
 from noise_model.condition import Condition
 from noise_model.effects import acting, really, really_on
 from noise_model.effects.effect import Draw
@@ -26,7 +27,6 @@ from noise_model.instrument.sensor import expose, respond_moments, saturation_dn
 from noise_model.setup import Setup
 from noise_model.stripe import SheetSeen, crossed_by_borders, sheet_seen, stripe_light
 from noise_model.surface.joint import NOMINAL_SEAM, Seam, SeamLine
-from noise_model.transforms import Float64
 from noise_model.view import View
 
 FILL_TOLERANCE, FILL_FLOOR, FILL_SAMPLE = 3e-4, 1e-4, 101
@@ -61,7 +61,7 @@ class Prediction:
     variance_e2: Float32
     mean_dn: Float64
     variance_dn2: Float64
-    saturated: npt.NDArray[np.bool_]
+    saturated: Bool
     modes_e: dict[str, Float32]
 
 
@@ -74,7 +74,7 @@ class Layers:
     """
 
     view: View
-    stretches: tuple[tuple[npt.NDArray[np.integer], View], ...] = ()
+    stretches: tuple[tuple[Integers, View], ...] = ()
 
     @cached_property
     def arc_e(self) -> Float32:
@@ -111,7 +111,7 @@ class Layers:
         return light
 
     @cached_property
-    def faces(self) -> npt.NDArray[np.integer]:
+    def faces(self) -> Integers:
         """The face that each pixel (...,) shows, `ray_hits.MISS` past the workpiece."""
         return self._of_stretches(lambda view: view.surface[2])
 
@@ -120,9 +120,7 @@ class Layers:
             return of(self.view)
         return self._assembled([(pixels, of(view)) for pixels, view in self.stretches])
 
-    def _assembled(
-        self, parts: Sequence[tuple[npt.NDArray[np.integer], npt.NDArray[Number]]]
-    ) -> npt.NDArray[Number]:
+    def _assembled(self, parts: Sequence[tuple[Integers, npt.NDArray[Number]]]) -> npt.NDArray[Number]:
         # Each pixel shows one of the stretches.
         image = np.empty(self.view.cos4.size, dtype=parts[0][1].dtype)
         for pixels, part in parts:
@@ -161,7 +159,7 @@ class Renderer:
         setup: Setup,
         T_base_tool: Float64,
         seam: Seam = NOMINAL_SEAM,
-        pixels: npt.NDArray[np.integer] | None = None,
+        pixels: Integers | None = None,
     ) -> Layers:
         """Return the layers of a pose; `setup` is what is really there (`effects.really`)."""
         of_pixels = None if pixels is None else np.asarray(pixels).tobytes()
@@ -184,8 +182,8 @@ def look(
     T_base_tool: Float64,
     seam: Seam,
     rays: Rays,
-    pixels: npt.NDArray[np.integer] | None = None,
-    stretch: npt.NDArray[np.integer] | None = None,
+    pixels: Integers | None = None,
+    stretch: Integers | None = None,
 ) -> Layers:
     """Return the layers of a pose; `setup` is what is really there, `rays` are its camera's.
 
@@ -237,7 +235,7 @@ def predict(
     *,
     seam: Seam = NOMINAL_SEAM,
     renderer: Renderer | None = None,
-    pixels: npt.NDArray[np.integer] | None = None,
+    pixels: Integers | None = None,
 ) -> Prediction:
     """Return mean and variance of a frame, or of some `pixels` (n,) of it, indices into the flattened image.
 
@@ -264,7 +262,7 @@ def draw_frame(
     *,
     seam: Seam = NOMINAL_SEAM,
     renderer: Renderer | None = None,
-) -> npt.NDArray[np.integer]:
+) -> Integers:
     """Draw one frame (H, W), DN in the sensor's type: random effects, shot noise, read noise, response."""
     true, light = _light(setup, T_base_tool, condition, seam, renderer, None, rng)
     return expose(light.total.astype(np.float64), true.sensor, rng)
@@ -276,7 +274,7 @@ def _light(
     condition: Condition,
     seam: Seam,
     renderer: Renderer | None,
-    pixels: npt.NDArray[np.integer] | None,
+    pixels: Integers | None,
     rng: Draw,
 ) -> tuple[Setup, Light]:
     """Return the setup that is really there and the charge (...,) that reaches the pixels."""

@@ -8,16 +8,15 @@ from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
-from noise_model.arc.map import Float32
+from noise_model.arrays import Bool, Float32, Float64, Integers
 from noise_model.instrument.camera import fall_off
 from noise_model.instrument.laser import SHEET_REACH, Sheet, irradiance, sheet_of, sheet_reflected
 from noise_model.kernel import kernel
 from noise_model.setup import Setup
 from noise_model.surface.brdf import LobeNumbers, lobe_numbers, reflectance
 from noise_model.surface.ray_casting import ways_are_open
-from noise_model.transforms import Float64, cross, invert, transform
+from noise_model.transforms import cross, invert, transform
 from noise_model.view import View
 
 
@@ -64,8 +63,8 @@ def reflected_sheet_plain(setup: Setup, points: Float64, normals: Float64, T_joi
 class SheetSeen(NamedTuple):
     """Which of a view's pixels (...,) lie within the sheet's reach, and which of these it does not reach."""
 
-    near: npt.NDArray[np.bool_]
-    shaded: npt.NDArray[np.bool_]
+    near: Bool
+    shaded: Bool
 
 
 def sheet_seen(view: View) -> SheetSeen:
@@ -105,7 +104,7 @@ def stripe_light(view: View) -> Float32:
     return image
 
 
-def crossed_by_borders(faces: npt.NDArray[np.integer], sheet: SheetSeen) -> npt.NDArray[np.bool_]:
+def crossed_by_borders(faces: Integers, sheet: SheetSeen) -> Bool:
     """Say along which axes (H, W, 2), u and v, a border of the stripe may cross the pixels of a frame.
 
     Along an axis a neighbour shows another face or lies in the sheet's shadow, and the sheet is near one of

@@ -6,12 +6,7 @@ import numpy as np
 import numpy.typing as npt
 from scipy.spatial.transform import Rotation
 
-Float64 = npt.NDArray[np.float64]
-
-Point = tuple[float, float, float]
-
-Vector = Float64 | Point
-"""x, y and z, as an array or one by one."""
+from noise_model.arrays import Float64, Vector
 
 
 def pose_matrix(translation_mm: npt.ArrayLike, quaternion_xyzw: npt.ArrayLike) -> Float64:

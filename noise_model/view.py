@@ -7,14 +7,13 @@ from dataclasses import dataclass, field
 from typing import TypeVar, cast
 
 import numpy as np
-import numpy.typing as npt
 
-from noise_model.arc.map import Float32, Scene, scene
+from noise_model.arc.map import Scene, scene
+from noise_model.arrays import Float32, Float64, Int32, Integers
 from noise_model.instrument.camera import Rays, fall_off
 from noise_model.setup import Setup
 from noise_model.surface.joint import NOMINAL_SEAM, SeamLine
 from noise_model.surface.ray_casting import trace
-from noise_model.transforms import Float64
 
 Kept = TypeVar("Kept")
 
@@ -47,7 +46,7 @@ class View:
         T_base_tool: Float64,
         seam: SeamLine = NOMINAL_SEAM,
         rays: Rays | None = None,
-        pixels: npt.NDArray[np.integer] | None = None,
+        pixels: Integers | None = None,
         ground: SeamLine | None = None,
         coarse: bool = False,
     ) -> View:
@@ -66,12 +65,12 @@ class View:
         xy, cos4 = rays.xy.reshape(-1, 2)[pixels], rays.cos4.reshape(-1)[pixels]
         return cls(setup, where, uv, xy, cos4, False, coarse=coarse)
 
-    def about(self, pixels: npt.NDArray[np.integer], offsets_px: Float64) -> View:
+    def about(self, pixels: Integers, offsets_px: Float64) -> View:
         """Look beside the centres of some of its pixels (n,), by `offsets_px` (n, k, 2) as (u, v): (n, k)."""
         uv = self.uv_px.reshape(-1, 1, 2)[pixels] + offsets_px
         xy = self.setup.camera.normalised(uv).reshape(uv.shape)
-        uv, xy, cos4 = (values.astype(np.float32) for values in (uv, xy, fall_off(xy)))
-        return View(self.setup, self.scene, uv, xy, cos4, False, coarse=self.coarse)
+        uv_px, rays_xy, cos4 = (values.astype(np.float32) for values in (uv, xy, fall_off(xy)))
+        return View(self.setup, self.scene, uv_px, rays_xy, cos4, False, coarse=self.coarse)
 
     @property
     def shape(self) -> tuple[int, ...]:
@@ -96,14 +95,14 @@ class View:
         return np.asarray(rays_joint / np.linalg.norm(rays_joint, axis=-1, keepdims=True))
 
     @property
-    def surface(self) -> tuple[Float64, Float64, npt.NDArray[np.int32]]:
+    def surface(self) -> tuple[Float64, Float64, Int32]:
         """Where the rays end in the joint frame: points (..., 3), mm, unit normals (..., 3), faces (...,).
 
         NaN, NaN and `ray_hits.MISS` for a ray that looks past the workpiece.
         """
         return self.keep("surface", self._surface)
 
-    def _surface(self) -> tuple[Float64, Float64, npt.NDArray[np.int32]]:
+    def _surface(self) -> tuple[Float64, Float64, Int32]:
         n = self.cos4.size
         points, normals, faces = np.empty((n, 3)), np.empty((n, 3)), np.empty(n, dtype=np.int32)
         where = self.scene

@@ -8,9 +8,9 @@ from dataclasses import replace
 
 from threadpoolctl import threadpool_limits
 
+from noise_model.arrays import Float64
 from noise_model.effects import REGISTRY
 from noise_model.setup import Setup
-from noise_model.transforms import Float64
 from sim_to_real.data.binned import PoseAt, observe
 from sim_to_real.data.cross_validation import held_out, one_of_each
 from sim_to_real.decision.decide import Decision, decide, in_question

@@ -6,14 +6,9 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from enum import Enum
 
-import numpy as np
-import numpy.typing as npt
-
+from noise_model.arrays import Float32, Float64, Int64, Integers
 from noise_model.effects import not_followed
 from noise_model.setup import Setup
-from noise_model.transforms import Float64
-
-Float32 = npt.NDArray[np.float32]
 
 
 class Verdict(Enum):
@@ -154,8 +149,8 @@ class Predicted:
     same but where effects that scatter are named.
     """
 
-    frames: npt.NDArray[np.int64]
-    recorded: npt.NDArray[np.integer]
+    frames: Int64
+    recorded: Integers
     before: Float32
     after: Float32
     variance: Float32

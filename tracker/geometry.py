@@ -11,17 +11,14 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-import numpy.typing as npt
 
+from noise_model.arrays import Float32, Float64, Int64
 from noise_model.effects import really
 from noise_model.instrument.camera import Rays
 from noise_model.instrument.sensor import linearise, saturation_dn, variance_e2
 from noise_model.setup import Setup
 from noise_model.stripe import stripe_runs_along_rows
-from noise_model.transforms import Float64, invert, transform
-
-Float32 = npt.NDArray[np.float32]
-Int64 = npt.NDArray[np.int64]
+from noise_model.transforms import invert, transform
 
 LEAST_LIGHT = 0.05
 """The light, over full well, from which a bent response's noise counts."""

@@ -8,11 +8,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from noise_model.arc.map import Scene
+from noise_model.arrays import Float64
 from noise_model.instrument.camera import Intrinsics, undistorted
 from noise_model.instrument.laser import plane_in
 from noise_model.kernel import kernel
 from noise_model.surface.faces import ridge
-from noise_model.transforms import Float64
 from tracker.geometry import SensorGeometry
 from tracker.stripe.edge import StripeLight
 

@@ -5,13 +5,10 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, field
 
-import numpy as np
-import numpy.typing as npt
-
+from noise_model.arrays import Bool, Float64, Integers
 from tracker import flags
 from tracker.joint import NO_SHAPE, JointShape
 
-Float64 = npt.NDArray[np.float64]
 NAN = math.nan
 
 
@@ -24,7 +21,7 @@ class Frame:
 
     index: int
     timestamp_s: float
-    image_dn: npt.NDArray[np.integer] = field(repr=False)
+    image_dn: Integers = field(repr=False)
     exposure_s: float
     current_a: float = NAN
     laser_on: bool = True
@@ -56,7 +53,7 @@ class Stripe:
     smooth_px: Float64
     smooth_sigma_px: Float64
     amplitude_e: Float64
-    saturated: npt.NDArray[np.bool_]
+    saturated: Bool
     along_rows: bool
     beside_px: Float64
 

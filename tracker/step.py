@@ -12,9 +12,9 @@ import numpy as np
 
 from noise_model.arc.map import Scene, arc_kernel, scene
 from noise_model.arc_source import level as current_level
+from noise_model.arrays import Float64
 from noise_model.setup import Setup
 from noise_model.surface.joint import SeamLine
-from noise_model.transforms import Float64
 from tracker import flags
 from tracker.arc.level import UNKNOWN, ArcLevel, estimate_arc_level
 from tracker.arc.transmission import Passage

@@ -13,6 +13,7 @@ import numpy.typing as npt
 from arctrack.errors import in_file
 from arctrack.recording.csv_file import CsvTable, check_is_file, read_csv
 from calibration.goniometer import Readings, Response, Settings, average
+from noise_model.arrays import Float64
 
 NEEDED = ("theta_i_deg", "theta_r_deg", "phi_r_deg", "gray_level")
 SOURCE = ("distance_mm", "intensity")
@@ -25,8 +26,6 @@ SOURCE_RANGE = (1e-9, 1e9)
 
 READING_INTERVAL_S = 0.2
 """The paper's interval between the 20 readings of a setting."""
-
-Float64 = npt.NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)

@@ -9,10 +9,11 @@ from pathlib import Path
 
 import tomlkit
 
-from arctrack.calibration_files.goniometer import Float64, GoniometerFile
+from arctrack.calibration_files.goniometer import GoniometerFile
 from arctrack.errors import in_file
 from calibration.reflectance import Agreement, Reflectance
 from calibration.reflectance_model import NAMES
+from noise_model.arrays import Float64
 
 MATERIAL, RESULT, RESIDUALS, PICTURE = "material.toml", "reflectance.json", "residuals.csv", "reflectance.png"
 

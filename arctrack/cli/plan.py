@@ -10,11 +10,12 @@ import typer
 
 from arctrack.cli.setups import read_setup
 from arctrack.errors import ArctrackError, in_file
+from noise_model.arrays import Float64
 
 if TYPE_CHECKING:
     from noise_model.plan.plan import Plan, PlanOptions
     from noise_model.setup import Setup
-    from noise_model.transforms import Float64
+
 
 Pair = tuple[float, float]
 

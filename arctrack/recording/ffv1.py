@@ -17,6 +17,7 @@ from av.video.codeccontext import VideoCodecContext
 from av.video.stream import VideoStream
 
 from arctrack.errors import in_file
+from noise_model.arrays import Integers
 
 PIXEL_FORMATS = {"gray": np.uint8, "gray16le": np.uint16}
 
@@ -50,7 +51,7 @@ def open_video(path: Path) -> av.container.InputContainer:
     return container
 
 
-def read_video(path: Path, positions: Iterable[int]) -> Iterator[npt.NDArray[np.integer] | str]:
+def read_video(path: Path, positions: Iterable[int]) -> Iterator[Integers | str]:
     """Yield the frames (H, W) at rising positions (from 0), or what is wrong with one, as text."""
     has_checksums = carries_checksums(path)
     with open_video(path) as container:
@@ -101,7 +102,7 @@ class _Packets:
         self._has_checksums = has_checksums
         self._broken_until_keyframe = False
 
-    def frame(self, position: int) -> npt.NDArray[np.integer] | str:
+    def frame(self, position: int) -> Integers | str:
         while True:
             packet = next(self._packets, None)
             if packet is None:
@@ -114,7 +115,7 @@ class _Packets:
                 if wanted:
                     return decoded
 
-    def _decode(self, packet: av.Packet[VideoStream]) -> npt.NDArray[np.integer] | str:
+    def _decode(self, packet: av.Packet[VideoStream]) -> Integers | str:
         damaged = self._has_checksums and not checksums_hold(bytes(packet))
         if packet.is_keyframe:
             self._broken_until_keyframe = False

@@ -7,11 +7,11 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-import numpy.typing as npt
 
 from arctrack.errors import in_file
 from arctrack.recording import ffv1, png
 from arctrack.recording.tables import FrameRow
+from noise_model.arrays import Integers
 from noise_model.setup import Setup
 from tracker.state import Frame
 
@@ -66,7 +66,7 @@ def read_frames(
         yield _judge(image, rows[position], source, setup)
 
 
-def _read_png(path: Path) -> npt.NDArray[np.integer] | str:
+def _read_png(path: Path) -> Integers | str:
     try:
         return png.decode(path.read_bytes())
     except FileNotFoundError:
@@ -77,7 +77,7 @@ def _read_png(path: Path) -> npt.NDArray[np.integer] | str:
         return str(error)
 
 
-def _judge(image: npt.NDArray[np.integer] | str, row: FrameRow, path: Path, setup: Setup) -> Frame | BadFrame:
+def _judge(image: Integers | str, row: FrameRow, path: Path, setup: Setup) -> Frame | BadFrame:
     problem = image if isinstance(image, str) else _misfit(image, setup)
     if isinstance(image, str) or problem is not None:
         return BadFrame(row, path, str(problem))
@@ -92,7 +92,7 @@ def _judge(image: npt.NDArray[np.integer] | str, row: FrameRow, path: Path, setu
     )
 
 
-def _misfit(image: npt.NDArray[np.integer], setup: Setup) -> str | None:
+def _misfit(image: Integers, setup: Setup) -> str | None:
     camera, sensor = setup.camera, setup.sensor
     if image.ndim != 2:
         return f"has {image.shape[2]} channels: a raw grey frame is needed"

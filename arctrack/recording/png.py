@@ -11,7 +11,8 @@ import zlib
 
 import cv2
 import numpy as np
-import numpy.typing as npt
+
+from noise_model.arrays import Integers
 
 SIGNATURE = b"\x89PNG\r\n\x1a\n"
 
@@ -37,7 +38,7 @@ def problem_of(encoded: bytes) -> str | None:
     return f"is truncated after {len(encoded)} bytes"
 
 
-def decode(encoded: bytes) -> npt.NDArray[np.integer]:
+def decode(encoded: bytes) -> Integers:
     """Decode a whole PNG to its raw pixels; ValueError says what is wrong with it."""
     problem = problem_of(encoded)
     if problem is not None:
@@ -51,7 +52,7 @@ def decode(encoded: bytes) -> npt.NDArray[np.integer]:
     return np.asarray(image, dtype=np.uint16 if image.dtype == np.uint16 else np.uint8)
 
 
-def encode(image_dn: npt.NDArray[np.integer]) -> bytes:
+def encode(image_dn: Integers) -> bytes:
     """Encode a grey image (H, W), uint8 or uint16, as a PNG."""
     done, encoded = cv2.imencode(".png", image_dn)
     if not done:

@@ -10,8 +10,9 @@ import numpy as np
 
 from arctrack.errors import in_file
 from arctrack.recording.tables import PoseTable, read_poses_csv
+from noise_model.arrays import Float64
 from noise_model.surface.joint import Joint, seam_frame
-from noise_model.transforms import Float64, invert, pose_matrix
+from noise_model.transforms import invert, pose_matrix
 from robot_io import BusLogError, BusLogReader, PoseAssembler, PoseBuffer, PoseKind, PoseStatus
 from tracker.state import Pose
 

@@ -16,9 +16,9 @@ from tomlkit.items import Table
 
 from arctrack.errors import in_file
 from arctrack.recording.setup_model import FORMAT, UNITS, RecordingToml, describe, unknown_keys
+from noise_model.arrays import Float64
 from noise_model.instrument.spectrum import Filter, FilterCurve
 from noise_model.setup import Setup
-from noise_model.transforms import Float64
 from tracker.seam.correction import Correction
 
 if TYPE_CHECKING:

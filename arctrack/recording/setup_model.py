@@ -9,6 +9,7 @@ import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, FiniteFloat, ValidationError
 
 from noise_model.arc_source import Arc
+from noise_model.arrays import Float64
 from noise_model.effects import REGISTRY, checked
 from noise_model.instrument.camera import Camera
 from noise_model.instrument.laser import Laser
@@ -17,7 +18,7 @@ from noise_model.instrument.spectrum import CurveError, Filter, FilterCurve
 from noise_model.setup import Setup, Tolerance
 from noise_model.surface.brdf import Material
 from noise_model.surface.joint import DIMENSIONS, Joint
-from noise_model.transforms import Float64, pose_matrix
+from noise_model.transforms import pose_matrix
 from tracker.seam.correction import AtLimit, AxisCorrection, Correction, CorrugationPath, WhenLost
 
 FORMAT = "joint-tracking-recording/1"

@@ -7,11 +7,11 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-import numpy.typing as npt
 
 from arctrack.errors import in_file
 from arctrack.recording.csv_file import CsvTable, read_csv
-from noise_model.transforms import Float64, pose_matrix
+from noise_model.arrays import Float64, Int64
+from noise_model.transforms import pose_matrix
 
 FRAME_COLUMNS = ("frame", "timestamp_s", "laser_on", "arc_on", "current_a", "exposure_s")
 POSE_COLUMNS = ("timestamp_s", "x_mm", "y_mm", "z_mm", "qx", "qy", "qz", "qw")
@@ -61,7 +61,7 @@ class PoseTable:
 class Truth:
     """The true seam points (n, 3), mm, tool frame, of frames (n,). For scoring alone."""
 
-    frames: npt.NDArray[np.int64]
+    frames: Int64
     seam_tool_mm: Float64
 
 

@@ -21,8 +21,8 @@ from arctrack.errors import in_file
 from arctrack.recording import ffv1, frames, png, setup_file, tables
 from arctrack.recording.poses import CSV_NAME as POSES_CSV
 from arctrack.recording.reader import FRAMES_CSV, TRUTH_CSV, UNFINISHED_SUFFIX
+from noise_model.arrays import Float64
 from noise_model.setup import Setup
-from noise_model.transforms import Float64
 from tracker.state import Frame
 
 

@@ -12,7 +12,6 @@ from pathlib import Path
 
 import matplotlib as mpl
 import numpy as np
-import numpy.typing as npt
 from matplotlib.axes import Axes
 from matplotlib.cm import ScalarMappable
 from matplotlib.colors import Normalize
@@ -24,13 +23,13 @@ from arctrack.nominal import nominal_setup
 from arctrack.report import style
 from arctrack.report.paper_figures import NAMES
 from arctrack.simulate import balance
+from noise_model.arrays import Float64, UInt8
 from noise_model.condition import Condition
 from noise_model.effects import Effect, checked, pose_time_s
 from noise_model.forward import Prediction, Renderer, draw_frame, predict
 from noise_model.instrument.sensor import respond
 from noise_model.setup import Setup
 from noise_model.surface.joint import corrugation_height, seam_frame, section
-from noise_model.transforms import Float64
 
 GREYS, CHANGE, SCATTER = "gray", "RdBu_r", "viridis"
 """The colour maps of frames, differences and standard deviations."""
@@ -136,7 +135,7 @@ def write(figure: Figure, effect: Effect, path: Path) -> None:
     picture.save(path, optimize=True, pnginfo=says)
 
 
-def _in_few_colours(picture: npt.NDArray[np.uint8]) -> Image.Image:
+def _in_few_colours(picture: UInt8) -> Image.Image:
     """Return a picture (H, W, 3) in the colours of the colour maps; ones made from it would bend the maps."""
     maps = ((GREYS, 106), (CHANGE, 101), (SCATTER, 48))
     colours = np.vstack([mpl.colormaps[name](np.linspace(0.0, 1.0, n))[:, :3] for name, n in maps])

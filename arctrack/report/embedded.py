@@ -8,18 +8,17 @@ from dataclasses import dataclass
 
 import matplotlib as mpl
 import numpy as np
-import numpy.typing as npt
 from matplotlib.colors import Normalize
 from matplotlib.figure import Figure
 from PIL import Image
+
+from noise_model.arrays import Float32, UInt8
 
 CHANGE, EXCESS, SCALE_PX = "RdBu_r", "viridis", 256
 NOT_COUNTED = (0.72, 0.72, 0.72)
 
 POINTS_PER_INCH = 200
 """How finely a drawing holds what it holds as points, where lines would be too many."""
-
-Float32 = npt.NDArray[np.float32]
 
 
 @dataclass(frozen=True)
@@ -54,7 +53,7 @@ def scale(name: str, low: float, high: float) -> Scale:
     return Scale(png(np.asarray(mpl.colormaps[name](steps, bytes=True))[..., :3]), low, high)
 
 
-def png(picture: npt.NDArray[np.uint8]) -> str:
+def png(picture: UInt8) -> str:
     """Return a picture (H, W) or (H, W, 3)."""
     drawn = io.BytesIO()
     Image.fromarray(np.ascontiguousarray(picture)).save(drawn, format="png", optimize=True)

@@ -6,12 +6,11 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
+from noise_model.arrays import Float64, UInt8
 from noise_model.instrument.camera import Camera
 from noise_model.instrument.sensor import Sensor
 from noise_model.transforms import invert, transform
 from tracker.state import Stripe, Track
-
-UInt8 = npt.NDArray[np.uint8]
 
 STRIPE_BGR = (0, 159, 230)
 SEAM_BGR = (233, 180, 86)
@@ -25,14 +24,14 @@ def visible(image_dn: npt.NDArray[np.integer | np.floating], sensor: Sensor) -> 
     return grey
 
 
-def stripe_points_px(stripe: Stripe) -> npt.NDArray[np.float64]:
+def stripe_points_px(stripe: Stripe) -> Float64:
     """Return where the stripe was found, image points (n, 2) x y."""
     lines = np.flatnonzero(np.isfinite(stripe.position_px))
     positions = stripe.position_px[lines]
     return np.column_stack([lines, positions] if stripe.along_rows else [positions, lines]).astype(float)
 
 
-def seam_point_px(track: Track, camera: Camera) -> npt.NDArray[np.float64] | None:
+def seam_point_px(track: Track, camera: Camera) -> Float64 | None:
     """Return the image point x y of a valid track's seam, None if it is not valid or out of the image."""
     if not track.valid:
         return None

@@ -14,7 +14,7 @@ from arctrack.report import style
 from arctrack.report.image import visible
 from arctrack.survey import Condition, Survey, path_over_seam
 from noise_model.arc.map import scene
-from noise_model.transforms import Float64
+from noise_model.arrays import Float64
 from robot_io import PoseBuffer
 from tracker.geometry import SensorGeometry
 from tracker.state import Frame

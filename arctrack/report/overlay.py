@@ -13,7 +13,8 @@ import cv2
 import numpy as np
 from av.video.stream import VideoStream
 
-from arctrack.report.image import UInt8, annotate, visible
+from arctrack.report.image import annotate, visible
+from noise_model.arrays import UInt8
 from noise_model.setup import Setup
 from robot_io import SeamOffset, Validity
 from tracker.state import Frame, Track

@@ -13,6 +13,7 @@ from matplotlib.figure import Figure
 from PIL import Image
 
 from arctrack.report import style
+from noise_model.arrays import Float64
 from noise_model.reference.paper_figures import (
     DISTANCE_MM,
     NEAREST_MM,
@@ -27,7 +28,6 @@ from noise_model.reference.paper_figures import (
     off_specular_peaks,
     point_error,
 )
-from noise_model.transforms import Float64
 
 NAMES = {"mild_steel": "mild steel", "zn_coated": "Zn-coated panel", "sus304": "SUS304"}
 WIDTH_INCH, HEIGHT_INCH = 8.4, 4.3

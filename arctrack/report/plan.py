@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import numpy as np
-import numpy.typing as npt
 from matplotlib.axes import Axes
 from matplotlib.cm import ScalarMappable
 from matplotlib.collections import LineCollection
@@ -14,13 +13,12 @@ from matplotlib.patches import Patch
 from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
 
 from arctrack.report import style
+from noise_model.arrays import Float64
 from noise_model.plan.design import clears_torch
 from noise_model.plan.plan import Plan
 from noise_model.plan.search import Candidate
 from noise_model.surface.joint import corrugation_height, seam_frame, section
 from noise_model.transforms import invert, transform
-
-Float64 = npt.NDArray[np.float64]
 
 COLOURS, UNKNOWN = "viridis", "#E8E8E8"
 LEAST_FACTOR = 2.0

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import numpy as np
-import numpy.typing as npt
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
@@ -11,6 +10,7 @@ from arctrack.report import style
 from calibration.goniometer import Readings, Response, Settings
 from calibration.reflectance import Reflectance
 from calibration.reflectance_model import NAMES
+from noise_model.arrays import Bool, Float64
 
 COLOURS = (style.BLUE, style.VERMILLION, style.GREEN, style.ORANGE, style.SKY, style.BLACK)
 MARKERS = "osD^vP"
@@ -18,7 +18,6 @@ MARKERS = "osD^vP"
 MOST_CURVES = 6
 """Curves in the upper picture: the angles of incidence and azimuths with the most settings."""
 
-Float64 = npt.NDArray[np.float64]
 Sweep = tuple[float, float]
 
 
@@ -94,7 +93,7 @@ def _residuals(
     axes.plot(x[~drawn], result.studentised[~drawn], ".", color=style.GREY, markersize=4)
 
 
-def _on(settings: Settings, sweep: Sweep) -> npt.NDArray[np.bool_]:
+def _on(settings: Settings, sweep: Sweep) -> Bool:
     return np.asarray((settings.theta_i_deg == sweep[0]) & (settings.phi_r_deg == sweep[1]))
 
 

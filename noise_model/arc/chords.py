@@ -8,9 +8,9 @@ from __future__ import annotations
 
 import math
 
+from noise_model.arrays import Float64, Vector
 from noise_model.kernel import kernel
 from noise_model.surface.visibility import MAX_LEDGES
-from noise_model.transforms import Float64, Vector
 
 MAX_NODES_P = 32
 """The most nodes across one piece of the disc."""

@@ -10,20 +10,19 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
 from noise_model.arc.ray import ArcKernel, direction, follow
+from noise_model.arrays import Float64, Int64, Point
 from noise_model.kernel import kernel
 from noise_model.surface.faces import Strip
 from noise_model.surface.ray_casting import first_hit
-from noise_model.transforms import Float64, Point
 
 
 class Sight(NamedTuple):
     """A plain section's faces that the eye sees: `faces` (n + 1,) between sorted `slopes` (n,), dy/-dz."""
 
     slopes: Float64
-    faces: npt.NDArray[np.int64]
+    faces: Int64
 
 
 @kernel(allocates=True)

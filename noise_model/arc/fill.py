@@ -13,17 +13,13 @@ import functools
 import math
 
 import numpy as np
-import numpy.typing as npt
 
 from noise_model.arc.face_lookup import face_seen
 from noise_model.arc.ray import ArcKernel, Scratch, scratch
 from noise_model.arc.table import FaceTable, light_at_places, places_on_plane, places_on_rays
+from noise_model.arrays import Bool, Float32, Float64, Int64
 from noise_model.kernel import kernel
 from noise_model.surface.ray_casting import MISS
-from noise_model.transforms import Float64
-
-Float32 = npt.NDArray[np.float32]
-Int64 = npt.NDArray[np.int64]
 
 LARGEST, MIXED, SMALLEST = 64, 32, 8
 """The cells' size, px: at first, where faces may be mixed, and where they are not halved any more."""
@@ -49,7 +45,7 @@ Box = tuple[int, int, int, int]
 Rays = tuple[Float32, Float32, int]
 """The camera's `xy` (n_scan n_pos, 2) and `cos4`, and n_pos."""
 
-Room = tuple[Int64, Float64, Int64, Float64, npt.NDArray[np.bool_], Int64, Float64, Float32]
+Room = tuple[Int64, Float64, Int64, Float64, Bool, Int64, Float64, Float32]
 """Scratch: pixels, light, faces and places; by face whether it is seen, the last run's end, coefficients
 (MAX_FACES, 4, 4); and 0, 1, 2 ..."""
 

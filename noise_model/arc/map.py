@@ -15,13 +15,13 @@ from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache
 
 import numpy as np
-import numpy.typing as npt
 
 from noise_model.arc.fill import MIXED, fill_band, fill_pixels
 from noise_model.arc.quadrature import gauss_nodes
 from noise_model.arc.ray import ArcKernel as ArcKernel
 from noise_model.arc.ray import follow, light_at, scratch
 from noise_model.arc.table import TO_POWERS, FaceTable, new_table
+from noise_model.arrays import Float32, Float64, Int32, Int64
 from noise_model.instrument.camera import Camera
 from noise_model.kernel import kernel
 from noise_model.setup import Setup
@@ -29,11 +29,7 @@ from noise_model.surface.brdf import lobe_numbers
 from noise_model.surface.joint import NOMINAL_SEAM, SeamLine, Section, corrugation_height, seam_frame, section
 from noise_model.surface.ray_casting import MISS, surface_height
 from noise_model.surface.visibility import horizon_tables, is_curved_lap
-from noise_model.transforms import Float64, invert, transform
-
-Float32 = npt.NDArray[np.float32]
-Int32 = npt.NDArray[np.int32]
-Int64 = npt.NDArray[np.int64]
+from noise_model.transforms import invert, transform
 
 NODES_P, NODES_Q = 8, 4
 """Nodes across the arc's disc and up a chord."""

@@ -12,10 +12,10 @@ import numpy as np
 
 from noise_model.arc.chords import insert
 from noise_model.arc.ray import ArcKernel
+from noise_model.arrays import Float64
 from noise_model.kernel import kernel
 from noise_model.surface.faces import Strip, strip
 from noise_model.surface.visibility import is_curved_lap
-from noise_model.transforms import Float64
 
 PATCH_MM, CURVED_PATCH_MM = 48.0, 16.0
 """The largest patch, and the largest where borders of shadows may run across the patches, uncut."""

@@ -31,9 +31,9 @@ from noise_model.arc.chords import (
     wall_parts,
 )
 from noise_model.arc.sheet_occlusion import Metal, chord_parts, is_clear, look_along, open_below, open_range
+from noise_model.arrays import Float64, Vector
 from noise_model.kernel import REDUCTION, kernel
 from noise_model.surface.brdf import LobeNumbers, reflected
-from noise_model.transforms import Float64, Vector
 
 MAX_NODES_Q = 16
 """The most nodes up one chord."""

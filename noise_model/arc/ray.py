@@ -10,6 +10,7 @@ import numpy as np
 from noise_model.arc.chords import MAX_PARTS, MAX_PIECES
 from noise_model.arc.quadrature import MAX_POINTS, arc_light
 from noise_model.arc.sheet_occlusion import MAX_WAYS
+from noise_model.arrays import Float64, Point, Vector
 from noise_model.kernel import kernel
 from noise_model.surface.brdf import LobeNumbers
 from noise_model.surface.faces import face_normal
@@ -23,7 +24,6 @@ from noise_model.surface.visibility import (
     sky_planes,
     touch,
 )
-from noise_model.transforms import Float64, Point, Vector
 
 Scratch = tuple[Float64, Float64, Float64, Float64, Float64, Float64, Float64, Float64]
 """What a point's integral needs room for, see `scratch`."""

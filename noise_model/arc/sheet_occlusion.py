@@ -9,9 +9,9 @@ from __future__ import annotations
 import math
 
 from noise_model.arc.chords import MAX_NODES_P, Shape, chords
+from noise_model.arrays import Float64
 from noise_model.kernel import kernel
 from noise_model.surface.faces import raised
-from noise_model.transforms import Float64
 
 RIM_STEPS = 8
 """In how many steps the disc's rims are searched for where the open part begins and ends."""

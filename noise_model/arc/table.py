@@ -17,19 +17,14 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
 from noise_model.arc.face_lookup import Sight, face_seen, meet_plane, sight
 from noise_model.arc.patch_borders import MAX_BORDERS, borders_across, borders_along, seen_strip
 from noise_model.arc.ray import ArcKernel, Scratch, follow, light_at
+from noise_model.arrays import Float32, Float64, Int32, Int64
 from noise_model.kernel import kernel
 from noise_model.surface.faces import Strip, across, face_point
 from noise_model.surface.ray_casting import MISS
-from noise_model.transforms import Float64
-
-Float32 = npt.NDArray[np.float32]
-Int32 = npt.NDArray[np.int32]
-Int64 = npt.NDArray[np.int64]
 
 DEGREE = 4
 NODES = DEGREE + 1

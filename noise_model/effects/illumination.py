@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from noise_model.arc.map import Float32
+from noise_model.arrays import Float32
 from noise_model.condition import Condition
 from noise_model.effects import drift
 from noise_model.effects.effect import Draw, Effect, Stage, Values

@@ -7,12 +7,11 @@ import math
 import numpy as np
 from scipy.special import ndtr
 
-from noise_model.arc.map import Float32
+from noise_model.arrays import Float32, Float64
 from noise_model.condition import Condition
 from noise_model.effects.effect import UNSTATED, Draw, Effect, Stage, Values
 from noise_model.effects.light import Light
 from noise_model.fit import Parameter
-from noise_model.transforms import Float64
 from noise_model.view import View
 
 STREAK_REACH = 5.0

@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from noise_model.arrays import Float64
 from noise_model.condition import Condition
 from noise_model.effects.effect import ANOTHER_VALUE, Draw, Effect, Stage, Values
 from noise_model.effects.light import Light
@@ -13,7 +14,6 @@ from noise_model.fit import Parameter
 from noise_model.instrument.argon import REFERENCE_NM
 from noise_model.instrument.spectrum import ArcSpectrum, angle_shift, line_to_continuum, over_field
 from noise_model.setup import Setup
-from noise_model.transforms import Float64
 from noise_model.view import View
 
 

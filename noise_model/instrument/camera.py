@@ -9,10 +9,8 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
+from noise_model.arrays import Float32, Float64
 from noise_model.kernel import kernel
-from noise_model.transforms import Float64
-
-Float32 = npt.NDArray[np.float32]
 
 NARROW_PX = 0.65
 """Below this 1 sigma a Gaussian sampled at the pixel centres is narrower than it should be."""

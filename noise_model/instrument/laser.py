@@ -9,9 +9,10 @@ from typing import NamedTuple
 
 import numpy as np
 
+from noise_model.arrays import Float64, Vector
 from noise_model.kernel import kernel
 from noise_model.surface.brdf import LobeNumbers, reflected
-from noise_model.transforms import Float64, Vector, transform
+from noise_model.transforms import transform
 
 SHEET_REACH = 6.0
 """How many sigmas of the sheet are rendered: its irradiance has fallen to 1.5e-8 there."""

@@ -14,8 +14,7 @@ import numpy.typing as npt
 from scipy.ndimage import map_coordinates
 from scipy.special import ndtr
 
-Float64 = npt.NDArray[np.float64]
-
+from noise_model.arrays import Float64, Integers
 
 BEND_LIMIT = 0.5
 """From here on the response would no longer rise up to full well."""
@@ -225,7 +224,7 @@ def saturation_dn(sensor: Sensor) -> int:
     return min(round(float(respond(sensor.full_well_e, sensor))), sensor.max_dn)
 
 
-def expose(mean_e: Float64, sensor: Sensor, rng: np.random.Generator) -> npt.NDArray[np.integer]:
+def expose(mean_e: Float64, sensor: Sensor, rng: np.random.Generator) -> Integers:
     """Draw one frame (DN, the sensor's dtype) of an expected charge: shot noise, read noise, response."""
     e = rng.poisson(np.maximum(mean_e, 0.0)) + rng.normal(0.0, sensor.read_noise_e, np.shape(mean_e))
     dn = np.clip(np.rint(respond(e, sensor)), 0, sensor.max_dn)

@@ -16,8 +16,8 @@ from scipy import constants
 from scipy.interpolate import PchipInterpolator
 from scipy.optimize import brentq
 
+from noise_model.arrays import Bool, Float64
 from noise_model.instrument.argon import AR_I, REFERENCE_NM, Line, line_weights
-from noise_model.transforms import Float64
 
 OPAQUE_DENSITY = 9.0
 """The optical density that stands for a transmission of 0."""
@@ -301,7 +301,7 @@ def _check_curve(wavelength_nm: Float64, transmitted: Float64) -> None:
             )
 
 
-def _refuse(wrong: npt.NDArray[np.bool_], problem: str, values: Float64) -> None:
+def _refuse(wrong: Bool, problem: str, values: Float64) -> None:
     if wrong.any():
         sample = int(np.argmax(wrong))
         raise CurveError(problem.format(f"{values[sample]:g}"), sample)

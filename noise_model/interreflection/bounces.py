@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from noise_model.arc.map import Int64
+from noise_model.arrays import Float64, Int64
 from noise_model.interreflection.first_bounce import Place, arc_leaving, laser_leaving
 from noise_model.interreflection.lattice import Lattice, around
 from noise_model.interreflection.nodes import (
@@ -20,7 +20,6 @@ from noise_model.interreflection.nodes import (
 from noise_model.kernel import kernel
 from noise_model.surface.brdf import reflected
 from noise_model.surface.faces import across, strip
-from noise_model.transforms import Float64
 
 ORDERS = 6
 """How many bounces are followed."""

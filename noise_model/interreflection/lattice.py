@@ -7,10 +7,9 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from noise_model.arc.map import Float32, Int32, Int64
+from noise_model.arrays import Float32, Float64, Int32, Int64
 from noise_model.kernel import kernel
 from noise_model.surface.faces import across, face_point, ridge, slanted, strip
-from noise_model.transforms import Float64
 
 GRADING = 3.0
 """The power by which a lattice is drawn together towards a corner that faces enclose."""

@@ -22,9 +22,8 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-import numpy.typing as npt
 
-from noise_model.arc.map import Float32, Int32
+from noise_model.arrays import Bool, Float32, Float64, Int32
 from noise_model.interreflection.bounces import ORDERS, arriving, gather_first, gather_further
 from noise_model.interreflection.first_bounce import Place, place
 from noise_model.interreflection.lattice import Lattice, interpolate, lattice, stations
@@ -33,10 +32,7 @@ from noise_model.stripe import stripe_reference
 from noise_model.surface.brdf import Material
 from noise_model.surface.faces import strip
 from noise_model.surface.joint import Joint, corrugation_height, section
-from noise_model.transforms import Float64
 from noise_model.view import View
-
-Bool = npt.NDArray[np.bool_]
 
 
 @dataclass(frozen=True)

@@ -20,11 +20,11 @@ from typing import NamedTuple
 import numpy as np
 
 from noise_model.arc.quadrature import gauss_nodes
+from noise_model.arrays import Float64
 from noise_model.instrument.laser import depth_below
 from noise_model.interreflection.first_bounce import Place, sees
 from noise_model.kernel import kernel
 from noise_model.surface.faces import face_point, ridge, slanted, strip
-from noise_model.transforms import Float64
 
 Rule = tuple[Float64, Float64]
 

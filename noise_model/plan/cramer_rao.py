@@ -17,7 +17,7 @@ import math
 import numpy as np
 import numpy.typing as npt
 
-from noise_model.transforms import Float64
+from noise_model.arrays import Float64
 
 PARAMETERS = ("amplitude", "position", "width", "offset", "slope")
 """What is unknown in a scan line: e-, px, px, e-, e-/px."""

@@ -18,6 +18,7 @@ import numpy as np
 import numpy.typing as npt
 from scipy.spatial.transform import Rotation
 
+from noise_model.arrays import Float64
 from noise_model.instrument.spectrum import (
     LEAST_TRANSMISSION,
     ArcSpectrum,
@@ -30,7 +31,7 @@ from noise_model.instrument.spectrum import (
 )
 from noise_model.setup import Setup
 from noise_model.stripe import stripe_reference
-from noise_model.transforms import Float64, transform
+from noise_model.transforms import transform
 
 LARGEST_FIELD_ANGLE = 0.6
 """Up to which angle from the axis, rad, a filter's passband is followed."""

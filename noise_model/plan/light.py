@@ -11,9 +11,9 @@ from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
 from noise_model.arc.map import Scene, arc_at, arc_kernel, scene
+from noise_model.arrays import Bool, Float64
 from noise_model.condition import Condition
 from noise_model.effects.light import Light
 from noise_model.forward import pass_on
@@ -21,10 +21,8 @@ from noise_model.instrument.camera import fall_off
 from noise_model.setup import Setup
 from noise_model.stripe import reflected_sheet, stripe_reference, stripe_runs_along_rows
 from noise_model.surface.ray_casting import trace, ways_are_open
-from noise_model.transforms import Float64, invert, transform
+from noise_model.transforms import invert, transform
 from noise_model.view import View
-
-Bool = npt.NDArray[np.bool_]
 
 REACH_MM = 10.0
 """How far beside the seam the stripe counts: beyond, a plate tells of its own flatness, not of the seam."""

@@ -7,8 +7,8 @@ from dataclasses import dataclass, field
 from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
+from noise_model.arrays import Bool, Float64
 from noise_model.instrument.sensor import Sensor, linearise, saturation_dn, variance_e2
 from noise_model.instrument.spectrum import ArcSpectrum, Filter, FilterCurve
 from noise_model.plan.cramer_rao import (
@@ -24,9 +24,6 @@ from noise_model.plan.design import design_of, gains_over_effects, magnification
 from noise_model.plan.light import ARC_PLACES, HALF_WINDOW_SIGMAS, StripeLight
 from noise_model.setup import Setup
 from noise_model.surface.joint import DIMENSIONS, Joint, section
-from noise_model.transforms import Float64
-
-Bool = npt.NDArray[np.bool_]
 
 NODES = 33
 """Nodes across a scan line's window: a quarter of the stripe's sigma apart, as good as an integral."""

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from noise_model.arrays import Float64
 from noise_model.plan.light import stripe_level_e, stripe_light
 from noise_model.plan.noise import (
     BLIND,
@@ -20,7 +21,7 @@ from noise_model.plan.noise import (
 )
 from noise_model.setup import Setup
 from noise_model.surface.joint import Joint, corrugation_height, seam_frame, section
-from noise_model.transforms import Float64, invert, transform
+from noise_model.transforms import invert, transform
 
 STATIONS_A_PITCH = 24
 STATIONS_A_SEAM = 60

@@ -8,6 +8,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
+from noise_model.arrays import Float64
 from noise_model.effects import really
 from noise_model.plan.design import SensorDesign, design_of, filter_of, passes_laser
 from noise_model.plan.noise import Surroundings
@@ -16,7 +17,6 @@ from noise_model.plan.remedies import Cure, find_cures
 from noise_model.plan.rules import Rules, try_rules
 from noise_model.plan.search import Candidate, SearchSpace, judge, pareto, refine, search
 from noise_model.setup import Setup
-from noise_model.transforms import Float64
 
 Range = tuple[float, float]
 Progress = Callable[[str, int, int], None]

@@ -8,13 +8,14 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from noise_model.arrays import Float64
 from noise_model.plan.design import SensorDesign, design_of
 from noise_model.plan.noise import Surroundings
 from noise_model.plan.path import PathNoise, blind_stretches, leaned
 from noise_model.plan.search import Candidate, Progress, judge
 from noise_model.setup import Setup
 from noise_model.surface.joint import seam_frame
-from noise_model.transforms import Float64, invert
+from noise_model.transforms import invert
 
 LEANS_A_SIDE = 2
 """Leans that are tried to either side, in travel and in work angle."""

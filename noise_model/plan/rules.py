@@ -14,11 +14,11 @@ from enum import Enum
 
 import numpy as np
 
+from noise_model.arrays import Float64
 from noise_model.plan.design import SensorDesign, design_of
 from noise_model.plan.noise import Surroundings
 from noise_model.plan.search import Candidate, judge
 from noise_model.setup import Setup
-from noise_model.transforms import Float64
 
 TILTS_DEG = (10.0, 20.0, 30.0, 40.0, 50.0, 60.0)
 AZIMUTHS_DEG = (0.0, 30.0, 60.0, 90.0, 120.0, 150.0, 180.0)

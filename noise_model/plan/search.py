@@ -9,6 +9,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from noise_model.arrays import Float64
 from noise_model.plan.design import (
     SensorDesign,
     clears_torch,
@@ -30,7 +31,6 @@ from noise_model.plan.noise import (
     speckle_floor_px,
 )
 from noise_model.setup import Setup
-from noise_model.transforms import Float64
 
 PERCENTILE = 95.0
 """A design is as good as this percentile of the seam's sigma along the path."""

@@ -13,10 +13,8 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
+from noise_model.arrays import Bool, Float64
 from noise_model.surface.brdf import Material, Mirror, reflectance, spike_radiance
-from noise_model.transforms import Float64
-
-Bool = npt.NDArray[np.bool_]
 
 TINY = 1e-300
 """Keeps a division by a length of zero finite."""

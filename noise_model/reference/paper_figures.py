@@ -13,6 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
+from noise_model.arrays import Float64
 from noise_model.reference.hemisphere import (
     Hemisphere,
     irradiance_extended,
@@ -30,7 +31,6 @@ from noise_model.surface.brdf import (
     geometrical_attenuation,
     reflectance,
 )
-from noise_model.transforms import Float64
 
 UP = np.array([0.0, 0.0, 1.0])
 RADIUS_MM = 2.0

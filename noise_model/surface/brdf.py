@@ -14,8 +14,8 @@ from functools import lru_cache
 import numpy as np
 import numpy.typing as npt
 
+from noise_model.arrays import Float64, Vector
 from noise_model.kernel import kernel
-from noise_model.transforms import Float64, Vector
 
 
 @dataclass(frozen=True)

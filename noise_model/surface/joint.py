@@ -13,9 +13,9 @@ from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
-import numpy.typing as npt
 
-from noise_model.transforms import Float64, Point, cross
+from noise_model.arrays import Float64, Int64, Point
+from noise_model.transforms import cross
 
 REACH_MM = 1.0e4
 """How far the plates run on to either side of the seam."""
@@ -310,7 +310,7 @@ class BentSeam:
         """The stretch in the middle."""
         return self.lines[len(self.lines) // 2]
 
-    def stretch_at(self, stations_mm: Float64) -> npt.NDArray[np.int64]:
+    def stretch_at(self, stations_mm: Float64) -> Int64:
         """Return the index of the stretch that stands for each station (...,); the middle's for a NaN."""
         stations = np.array([line.station_mm for line in self.lines])
         index = np.searchsorted(0.5 * (stations[1:] + stations[:-1]), stations_mm)

@@ -7,10 +7,10 @@ import math
 import numpy as np
 import numpy.typing as npt
 
+from noise_model.arrays import Bool, Float64, Int32, Integers, Vector
 from noise_model.kernel import kernel
 from noise_model.surface.faces import face_normal, ridge
 from noise_model.surface.joint import Section, corrugation_height
-from noise_model.transforms import Float64, Vector
 
 MISS = -1
 """The face of a ray that looks past the workpiece."""
@@ -119,13 +119,13 @@ def first_hit(origin: Vector, d: Vector, vertices: Float64, corrugation: Float64
 @kernel(allocates=True)
 def trace(
     xy: npt.NDArray[np.floating],
-    pixels: npt.NDArray[np.integer],
+    pixels: Integers,
     T_joint_camera: Float64,
     vertices: Float64,
     corrugation: Float64,
     points: Float64,
     normals: Float64,
-    faces: npt.NDArray[np.int32],
+    faces: Int32,
 ) -> None:
     """Follow the rays of some pixels to the surface.
 
@@ -156,7 +156,7 @@ def surface_height(points: Float64, shape: Section) -> Float64:
     return np.asarray(plain + corrugation_height(points[..., 0], shape.corrugation))
 
 
-def is_open(points: Float64, targets: Float64, shape: Section, steps: int = 4000) -> npt.NDArray[np.bool_]:
+def is_open(points: Float64, targets: Float64, shape: Section, steps: int = 4000) -> Bool:
     """Say for each pair whether the straight way from a point (n, 3) to a target (n, 3) is free.
 
     The plain twin of the half-spaces: it walks the way in small steps and looks whether it runs below the
@@ -198,7 +198,7 @@ def way_is_open(P: Float64, Q: Float64, vertices: Float64, corrugation: Float64)
 
 @kernel(allocates=True)
 def ways_are_open(
-    points: Float64, Q: Float64, vertices: Float64, corrugation: Float64, is_free: npt.NDArray[np.bool_]
+    points: Float64, Q: Float64, vertices: Float64, corrugation: Float64, is_free: Bool
 ) -> None:
     """Write for each surface point (n, 3) whether its way up to Q is free."""
     for i in range(points.shape[0]):

@@ -14,10 +14,10 @@ import math
 
 import numpy as np
 
+from noise_model.arrays import Float64, Vector
 from noise_model.kernel import kernel
 from noise_model.surface.faces import ridge
 from noise_model.surface.joint import MOST_CHORDS, Section
-from noise_model.transforms import Float64, Vector
 
 Bend = tuple[float, float]
 """How edges leave the direction of x towards the arc: dy/dx at P, and how far to the left at the arc, mm."""

@@ -10,14 +10,13 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-import numpy.typing as npt
 
+from noise_model.arrays import Float64, Int64
 from noise_model.condition import Condition
 from noise_model.effects import really
 from noise_model.forward import Renderer, predict
 from noise_model.instrument.sensor import linearise, saturation_dn
 from noise_model.setup import Setup
-from noise_model.transforms import Float64
 from sim_to_real.data.binned import stated_condition
 from sim_to_real.data.blocks import block_means, off_faces, within
 from tracker.state import Frame, Pose
@@ -38,10 +37,10 @@ class Agreement:
     """
 
     level: float
-    frames: npt.NDArray[np.int64]
+    frames: Int64
     median_ratio: Float64
     within_5_percent: Float64
-    blocks: npt.NDArray[np.int64]
+    blocks: Int64
 
 
 def arc_agreement(setup: Setup, frames: Sequence[tuple[Frame, Pose]]) -> Agreement:

@@ -11,9 +11,9 @@ from collections.abc import Iterable, Sequence
 
 import numpy as np
 
+from noise_model.arrays import Float64
 from noise_model.effects import REGISTRY
 from noise_model.setup import Setup
-from noise_model.transforms import Float64
 from sim_to_real.data.binned import Observed, PoseAt, observe
 from sim_to_real.fit.linearized_model import Effects, Expected
 from sim_to_real.search.probe_points import DEAR

@@ -10,10 +10,9 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
+from noise_model.arrays import Float64, Int64
 from noise_model.surface.joint import Joint
-from noise_model.transforms import Float64
 
 REACH_MM = 400.0
 """How far the mesh goes to either side of its middle, along the seam and across."""
@@ -28,7 +27,7 @@ class FaceMesh:
 
     vertices_mm: Float64
     normals: Float64
-    triangles: npt.NDArray[np.int64]
+    triangles: Int64
 
 
 def joint_mesh(joint: Joint, middle_x_mm: float) -> list[FaceMesh]:

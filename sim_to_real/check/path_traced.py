@@ -21,10 +21,10 @@ import numpy as np
 import numpy.typing as npt
 
 from noise_model.arc.map import scene
+from noise_model.arrays import Float64
 from noise_model.instrument.camera import Rays
 from noise_model.setup import Setup
 from noise_model.surface.joint import NOMINAL_SEAM, SeamLine
-from noise_model.transforms import Float64
 from sim_to_real.check.joint_mesh import FaceMesh, joint_mesh
 
 VARIANT = "llvm_ad_mono"

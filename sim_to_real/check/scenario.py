@@ -19,8 +19,9 @@ from typing import Any
 import numpy as np
 from scipy.optimize import brentq
 
+from noise_model.arrays import Float64
 from noise_model.setup import Setup
-from noise_model.transforms import Float64, invert, moved, transform
+from noise_model.transforms import invert, moved, transform
 from sim_to_real.check.world import FORMS, expected_charge, read_out, really, really_at
 from sim_to_real.check.world_effect import CATALOGUE, Generator, Hidden, Moment
 from sim_to_real.check.world_light import Studio, TrueWorld

@@ -15,8 +15,8 @@ from operator import attrgetter
 
 import numpy as np
 
+from noise_model.arrays import Float64
 from noise_model.effects import REGISTRY
-from noise_model.transforms import Float64
 from sim_to_real.check.case import FAILED, VERDICTS, Case, stage_of
 
 Z95 = 1.959963984540054

@@ -10,9 +10,8 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 
 import numpy as np
-import numpy.typing as npt
 
-from noise_model.transforms import Float64
+from noise_model.arrays import Float64, Integers
 from sim_to_real.check import world_medium, world_optics, world_scene, world_sensor, world_source
 from sim_to_real.check.world_effect import Form, FrameLight, Generator, Hidden, Moment
 from sim_to_real.check.world_light import Studio, TrueWorld
@@ -100,7 +99,7 @@ def expected_charge(
 
 def read_out(
     world: TrueWorld, effects: Sequence[Hidden], moment: Moment, charge_e: Float64, draw: Generator
-) -> npt.NDArray[np.integer]:
+) -> Integers:
     """Return a frame (H, W), DN, of an expected charge: shot noise, read noise, full well, response."""
     sensor, shape = world.setup.sensor, (charge_e.shape[0], charge_e.shape[1])
     noise = sensor.read_noise_e * draw.standard_normal(shape)

@@ -17,10 +17,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.optimize import newton
 
-from noise_model.transforms import Float64, invert, transform
+from noise_model.arrays import Float32, Float64, Int64
+from noise_model.transforms import invert, transform
 from sim_to_real.check.world_light import Sight, Studio, digest
-from sim_to_real.check.world_rays import GOLDEN, TILE, ArcBody, Float32
-from sim_to_real.check.world_surface import Int64
+from sim_to_real.check.world_rays import GOLDEN, TILE, ArcBody
 
 STEP_PX = 10
 """Bounced light is gathered at every so many pixels and is linear between them, face by face."""

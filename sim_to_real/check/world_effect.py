@@ -12,8 +12,8 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from noise_model.arrays import Float64
 from noise_model.setup import Setup
-from noise_model.transforms import Float64
 from sim_to_real.check.world_light import Sight, Studio, TrueWorld
 from sim_to_real.check.world_rays import ArcBody
 

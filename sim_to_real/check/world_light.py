@@ -15,12 +15,13 @@ from pathlib import Path
 
 import numpy as np
 
+from noise_model.arrays import Float32, Float64, Int64
 from noise_model.instrument.camera import Camera
 from noise_model.setup import Setup
-from noise_model.transforms import Float64, invert, transform
+from noise_model.transforms import invert, transform
 from sim_to_real.check.world_metal import STATED_LOBE, LobeShape
-from sim_to_real.check.world_rays import ARC_POINTS, TILE, ArcBody, Caster, Float32
-from sim_to_real.check.world_surface import Departure, Int64, TrueSurface
+from sim_to_real.check.world_rays import ARC_POINTS, TILE, ArcBody, Caster
+from sim_to_real.check.world_surface import Departure, TrueSurface
 
 MARGIN_MM = 120.0
 """The mesh goes on so far before the first and beyond the last station of the tool."""

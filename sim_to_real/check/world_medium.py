@@ -7,8 +7,8 @@ from collections.abc import Callable
 
 import numpy as np
 
+from noise_model.arrays import Float64
 from noise_model.setup import Setup
-from noise_model.transforms import Float64
 from sim_to_real.check.world_effect import (
     CATALOGUE,
     Form,

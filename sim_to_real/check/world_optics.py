@@ -10,8 +10,8 @@ from scipy.constants import Boltzmann, Planck, speed_of_light
 from scipy.ndimage import gaussian_filter
 from scipy.signal import fftconvolve
 
+from noise_model.arrays import Float64
 from noise_model.setup import Setup
-from noise_model.transforms import Float64
 from sim_to_real.check.world_effect import (
     CATALOGUE,
     Form,

@@ -11,15 +11,11 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
-from noise_model.transforms import Float64
+from noise_model.arrays import Bool, Float32, Float64, Int64
 from sim_to_real.check.path_traced import load_mitsuba
 from sim_to_real.check.world_metal import LobeShape, specular
-from sim_to_real.check.world_surface import Int64, TrueSurface
-
-Float32 = npt.NDArray[np.float32]
-Bool = npt.NDArray[np.bool_]
+from sim_to_real.check.world_surface import TrueSurface
 
 ARC_POINTS = 160
 """Points on the arc's upper half, of which a pixel sees about half."""

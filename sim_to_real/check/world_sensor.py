@@ -6,11 +6,10 @@ import math
 from dataclasses import replace
 
 import numpy as np
-import numpy.typing as npt
 
+from noise_model.arrays import Float64, Integers
 from noise_model.instrument.sensor import Sensor
 from noise_model.setup import Setup
-from noise_model.transforms import Float64
 from sim_to_real.check.world_effect import (
     CATALOGUE,
     Form,
@@ -31,7 +30,7 @@ def stated_response(charge_e: Float64, sensor: Sensor) -> Float64:
     return np.asarray(np.sign(charge_e) * share**sensor.gamma * (sensor.full_well_e / sensor.gain_e_per_dn))
 
 
-def digitised(over_black_dn: Float64, black_dn: Float64, sensor: Sensor) -> npt.NDArray[np.integer]:
+def digitised(over_black_dn: Float64, black_dn: Float64, sensor: Sensor) -> Integers:
     """Return whole codes within the sensor's range."""
     codes = np.rint(over_black_dn + black_dn).clip(0, 2**sensor.bits - 1)
     return codes.astype(np.uint8 if sensor.bits == 8 else np.uint16)

@@ -9,8 +9,8 @@ from dataclasses import replace
 import numpy as np
 from scipy.ndimage import gaussian_filter
 
+from noise_model.arrays import Float64
 from noise_model.setup import Setup
-from noise_model.transforms import Float64
 from sim_to_real.check.world_effect import (
     CATALOGUE,
     Form,

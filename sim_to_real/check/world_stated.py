@@ -9,6 +9,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from noise_model.arc_source import Arc
+from noise_model.arrays import Float64
 from noise_model.instrument.camera import Camera
 from noise_model.instrument.laser import Laser
 from noise_model.instrument.sensor import Sensor
@@ -16,7 +17,7 @@ from noise_model.instrument.spectrum import Filter
 from noise_model.setup import Setup
 from noise_model.surface.brdf import Material
 from noise_model.surface.joint import Joint
-from noise_model.transforms import Float64, moved
+from noise_model.transforms import moved
 from sim_to_real.check.world_effect import Generator
 from sim_to_real.check.world_light import Studio, TrueWorld
 from sim_to_real.check.world_surface import Departure, TrueSurface

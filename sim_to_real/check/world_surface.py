@@ -12,12 +12,9 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
+from noise_model.arrays import Float64, Int64
 from noise_model.surface.joint import Joint
-from noise_model.transforms import Float64
-
-Int64 = npt.NDArray[np.int64]
 
 ACROSS_MM = 400.0
 """How far the plates go to either side of the seam."""

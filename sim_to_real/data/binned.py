@@ -9,24 +9,20 @@ from functools import cached_property, lru_cache
 
 import cv2
 import numpy as np
-import numpy.typing as npt
 
 from noise_model.arc.map import scene
+from noise_model.arrays import Bool, Float32, Float64, Int64, Integers
 from noise_model.condition import Condition
 from noise_model.effects import Values, pose_time_s, really
 from noise_model.forward import Layers, Renderer
 from noise_model.instrument.camera import Camera
 from noise_model.instrument.sensor import linearise, respond_moments, saturation_dn
 from noise_model.setup import Setup
-from noise_model.transforms import Float64
-from sim_to_real.data.blocks import Bool, block_means
+from sim_to_real.data.blocks import block_means
 from sim_to_real.data.photon_transfer import PhotonTransfer, photon_transfer
 from sim_to_real.data.seam_curve import SeamCurve
 from sim_to_real.data.seam_observations import MOVING, Sightings
 from tracker.state import Frame, Pose
-
-Float32 = npt.NDArray[np.float32]
-Int64 = npt.NDArray[np.int64]
 
 PoseAt = Callable[[float], Pose | None]
 """The tool's pose as the controller stamped it for a time, None where there is none."""
@@ -74,7 +70,7 @@ class ObservedFrame:
     condition: Condition
     pose_at: Callable[[float], Float64]
     stations_mm: tuple[float, float, float]
-    image_dn: npt.NDArray[np.integer]
+    image_dn: Integers
     binned_dn: Float32
     keep: Bool
     rendered: Bool
@@ -145,7 +141,7 @@ class Observed:
         sensor = replace(self.setup.sensor, read_noise_e=ratio * self.setup.sensor.read_noise_e)
         return replace(self, setup=replace(self.setup, sensor=sensor))
 
-    def some(self, chosen: npt.NDArray[np.bool_]) -> Observed:
+    def some(self, chosen: Bool) -> Observed:
         """Return a recording of some of the frames (n_frames,)."""
         frames = [frame for frame, is_in in zip(self.frames, chosen, strict=True) if is_in]
         return replace(self, frames=tuple(replace(f, position=n) for n, f in enumerate(frames)))
@@ -283,7 +279,7 @@ def _stated_e(setup: Setup, layers: Layers, condition: Condition) -> Float32:
     return np.asarray(light * np.float32(condition.exposure_s / setup.camera.exposure_s))
 
 
-def _usable(image_dn: npt.NDArray[np.integer], setup: Setup, bin_px: int) -> Bool:
+def _usable(image_dn: Integers, setup: Setup, bin_px: int) -> Bool:
     """Return the bins (h, w) none of whose pixels is saturated."""
     return np.asarray(block_means(image_dn >= saturation_dn(setup.sensor), bin_px) == 0.0)
 
@@ -322,7 +318,7 @@ def bins_that_count(setup: Setup, layers: Layers, condition: Condition, usable: 
     return keep & (thin | in_stripe), in_stripe
 
 
-def one_face(faces: npt.NDArray[np.integer]) -> Bool:
+def one_face(faces: Integers) -> Bool:
     """Return which bins (h, w) see one face of the joint, as their neighbours do."""
     same = faces >= 0
     for axis in (0, 1):

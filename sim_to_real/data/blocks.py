@@ -8,11 +8,7 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
-from noise_model.transforms import Float64
-
-Bool = npt.NDArray[np.bool_]
-
-Float32 = npt.NDArray[np.float32]
+from noise_model.arrays import Bool, Float32, Float64, Integers, UInt8
 
 Kind = TypeVar("Kind", bound=np.generic)
 
@@ -49,12 +45,12 @@ def within(mask: Bool, side_px: int) -> Bool:
     return np.asarray(cv2.dilate(mask.astype(np.uint8), _square(side_px)) > 0)
 
 
-def off_faces(faces: npt.NDArray[np.integer], side_px: int) -> Bool:
+def off_faces(faces: Integers, side_px: int) -> Bool:
     """Return the pixels (H, W) that see no face of the joint, or others than all of the square about them."""
     face = faces.astype(np.float32)
     square = _square(side_px)
     return np.asarray((cv2.dilate(face, square) != cv2.erode(face, square)) | (face < 0))
 
 
-def _square(side_px: int) -> npt.NDArray[np.uint8]:
+def _square(side_px: int) -> UInt8:
     return np.ones((side_px, side_px), dtype=np.uint8)

@@ -6,15 +6,12 @@ from collections import Counter, defaultdict
 from collections.abc import Sequence
 
 import numpy as np
-import numpy.typing as npt
 
+from noise_model.arrays import Bool, Int64
 from sim_to_real.data.binned import Observed
-from sim_to_real.data.blocks import Bool
 
 SAME_REL = 0.05
 """Exposures and currents that differ by less are alike: what is measured scatters."""
-
-Int64 = npt.NDArray[np.int64]
 
 
 def held_out(observed: Observed, share: float) -> Bool:

@@ -11,11 +11,10 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 from scipy.stats import chi2
 
-from noise_model.transforms import Float64
-from sim_to_real.data.blocks import SMALL, Bool, block_means, in_bins
+from noise_model.arrays import Bool, Float64, Integers
+from sim_to_real.data.blocks import SMALL, block_means, in_bins
 
 LEVELS, LEAST_BINS = 24, 500
 """Levels at which the noise is measured, each from so many bins at least."""
@@ -35,9 +34,7 @@ class PhotonTransfer:
         return np.interp(levels_dn, self.levels_dn, self.variances_dn2)
 
 
-def photon_transfer(
-    images_dn: Sequence[npt.NDArray[np.integer]], usable: Sequence[Bool], bin_px: int
-) -> PhotonTransfer:
+def photon_transfer(images_dn: Sequence[Integers], usable: Sequence[Bool], bin_px: int) -> PhotonTransfer:
     """Measure the noise of frames (H, W) in bins `bin_px` wide; those count that are `usable` (h, w).
 
     At each level stands the median over bins of the mean square of their details: stripes' flanks and edges
@@ -62,7 +59,7 @@ def photon_transfer(
     )
 
 
-def _of_bins(image_dn: npt.NDArray[np.integer], usable: Bool, bin_px: int) -> tuple[Float64, Float64]:
+def _of_bins(image_dn: Integers, usable: Bool, bin_px: int) -> tuple[Float64, Float64]:
     """Return means (n,), DN, and variances (n,), DN^2, of a frame's bins that are usable."""
     small = in_bins(image_dn.astype(np.float32), SMALL, bin_px)[usable]
     return block_means(image_dn, bin_px)[usable], np.mean(small**2, axis=-1, dtype=np.float64)

@@ -12,8 +12,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.linalg import cho_factor, cho_solve
 
+from noise_model.arrays import Float64
 from noise_model.surface.joint import BentSeam, SeamLine
-from noise_model.transforms import Float64
 
 OFF_MM, OFF_SLOPE = 5.0, 0.05
 """1 sigma of how far a whole seam may lie off its nominal line, and of its slope against it."""

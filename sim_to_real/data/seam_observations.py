@@ -11,10 +11,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from noise_model.arrays import Float64
 from noise_model.effects import pose_time_s, really
 from noise_model.setup import Setup
 from noise_model.surface.joint import seam_frame
-from noise_model.transforms import Float64, invert, transform
+from noise_model.transforms import invert, transform
 from tracker.geometry import to_laser_plane
 from tracker.seam.locate import seam_displacement
 from tracker.state import Frame, Pose

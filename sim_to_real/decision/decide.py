@@ -12,8 +12,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from noise_model.transforms import Float64
-from sim_to_real.data.blocks import Bool
+from noise_model.arrays import Bool, Float64
 from sim_to_real.decision.optimal_design import not_resolvable, own_signatures
 from sim_to_real.diagnosis import Verdict
 from sim_to_real.fit.gauss_newton import FLICKER, NAMED_FROM, Refit, refit, settled

@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 
-from noise_model.transforms import Point
+from noise_model.arrays import Point
 
 N_MORE = 4
 """So many frames are taken of an experiment."""

@@ -7,16 +7,15 @@ from dataclasses import replace
 
 import cv2
 import numpy as np
-import numpy.typing as npt
 
+from noise_model.arrays import Bool, Float32, Float64, Integers
 from noise_model.effects import really
 from noise_model.forward import Prediction, Renderer, predict
 from noise_model.instrument.sensor import saturation_dn
 from noise_model.setup import Setup
-from noise_model.transforms import Float64
 from sim_to_real.data.binned import FLOOR_DN, FLOOR_REL, Observed, ObservedFrame
-from sim_to_real.data.blocks import Bool, cut, off_faces, within
-from sim_to_real.diagnosis import Float32, Gap, Predicted
+from sim_to_real.data.blocks import cut, off_faces, within
+from sim_to_real.diagnosis import Gap, Predicted
 from sim_to_real.fit.gauss_newton import FLICKER, Refit
 from sim_to_real.fit.linearized_model import Effects, Expected
 from sim_to_real.fit.nuisances import really_lit, really_there
@@ -155,7 +154,7 @@ def _predict(
     return _with_own_level(frame.image_dn, at)
 
 
-def _with_own_level(recorded: npt.NDArray[np.integer], at: Callable[[float], Prediction]) -> Prediction:
+def _with_own_level(recorded: Integers, at: Callable[[float], Prediction]) -> Prediction:
     """Return a frame with the arc's own level: of every other block for those between, and the other way."""
     height, width = recorded.shape
     row, column = np.mgrid[:height, :width] // BLOCK_PX

@@ -16,11 +16,12 @@ from dataclasses import replace
 
 import numpy as np
 
+from noise_model.arrays import Float64
 from noise_model.condition import Condition
 from noise_model.effects import REGISTRY
 from noise_model.instrument.sensor import saturation_dn
 from noise_model.setup import Setup
-from noise_model.transforms import Float64, moved
+from noise_model.transforms import moved
 from sim_to_real.data.binned import Observed, ObservedFrame, bins_that_count, stated_layers, variances_dn2
 from sim_to_real.decision.experiments import MENU, N_MORE, WITNESS, Experiment
 from sim_to_real.diagnosis import Estimate, Next

@@ -8,11 +8,10 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
-import numpy.typing as npt
 
+from noise_model.arrays import Float64
 from noise_model.effects import REGISTRY, Values
 from noise_model.fit import Parameter, within_bounds
-from noise_model.transforms import Float64
 from sim_to_real.fit.linearized_model import RENDERING, Expected, Passed
 from sim_to_real.fit.quadratic import Quadratic
 from sim_to_real.fit.trend import Change, change_among
@@ -43,8 +42,6 @@ FLICKER, LEVEL_SIGMA = "arc_flicker", 0.2
 
 OWN_LEVEL = "arc_ln_"
 """What the names of frames' own ln levels begin with."""
-
-Int64 = npt.NDArray[np.int64]
 
 
 @dataclass(frozen=True, eq=False)

@@ -17,6 +17,7 @@ import numpy as np
 import numpy.typing as npt
 from scipy.ndimage import distance_transform_edt
 
+from noise_model.arrays import Bool, Float32, Float64, Int64
 from noise_model.effects import REGISTRY, Effect, Stage, Values, really, really_on
 from noise_model.effects.light import Light
 from noise_model.forward import Layers, look, pass_on
@@ -25,10 +26,8 @@ from noise_model.instrument.sensor import Sensor, respond_moments
 from noise_model.interreflection.model import BouncedLight, bounced_light
 from noise_model.setup import Setup
 from noise_model.surface.joint import BentSeam
-from noise_model.transforms import Float64
 from noise_model.view import View
-from sim_to_real.data.binned import Float32, Observed, ObservedFrame, one_face
-from sim_to_real.data.blocks import Bool
+from sim_to_real.data.binned import Observed, ObservedFrame, one_face
 from sim_to_real.data.seam_curve import MODES, SeamCurve
 from sim_to_real.data.seam_observations import MOVING
 from sim_to_real.fit.nuisances import N_CAMERA, N_LEVELS, SEAM_FROM, nuisances, really_lit, really_there
@@ -36,7 +35,6 @@ from sim_to_real.fit.trend import Change, effects_in
 
 Effects = Mapping[str, Values]
 
-Int64 = npt.NDArray[np.int64]
 
 Result = TypeVar("Result")
 

@@ -5,10 +5,11 @@ from __future__ import annotations
 import math
 from dataclasses import replace
 
+from noise_model.arrays import Float64
 from noise_model.condition import Condition
 from noise_model.fit import Parameter
 from noise_model.setup import Setup
-from noise_model.transforms import Float64, moved
+from noise_model.transforms import moved
 from sim_to_real.data.binned import Observed
 
 WITHIN_SIGMAS = 4.0

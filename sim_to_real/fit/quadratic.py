@@ -13,11 +13,10 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-import numpy.typing as npt
 from scipy.optimize import lsq_linear
 
+from noise_model.arrays import Bool, Float64, Int64
 from noise_model.fit import Parameter, within_bounds
-from noise_model.transforms import Float64
 
 N_EFFECTIVE = 200.0
 """How many residuals say something of their own: neighbours share the model's error.
@@ -45,7 +44,7 @@ class Quadratic:
     information: Float64
     gradient: Float64
     chi2: Float64
-    counts: npt.NDArray[np.int64]
+    counts: Int64
 
     @classmethod
     def of(
@@ -55,7 +54,7 @@ class Quadratic:
         residuals: Float64,
         jacobian: Float64,
         weights: Float64,
-        counts: npt.NDArray[np.int64],
+        counts: Int64,
     ) -> Quadratic:
         """Sum residuals (n,), their derivatives (n, p) and weights (n,) frame by frame."""
         p, ends = len(x), np.cumsum(counts)
@@ -79,7 +78,7 @@ class Quadratic:
 
     def solve(
         self,
-        frames: npt.NDArray[np.bool_] | None = None,
+        frames: Bool | None = None,
         damping: float = 0.0,
         fixed: slice = slice(0),
     ) -> Float64:
@@ -122,7 +121,7 @@ class Quadratic:
             counts=self.counts.sum(keepdims=True),
         )
 
-    def only(self, kept: npt.NDArray[np.int64]) -> Quadratic:
+    def only(self, kept: Int64) -> Quadratic:
         """Return the same along some of the parameters, the others staying where they are."""
         return replace(
             self,
@@ -138,7 +137,7 @@ class Quadratic:
             self, x=x, gradient=self.gradient - self.information @ (x - self.x), chi2=self.costs(x)
         )
 
-    def without_bounds(self, freed: npt.NDArray[np.bool_]) -> Quadratic:
+    def without_bounds(self, freed: Bool) -> Quadratic:
         """Return the same with no bounds for some of the parameters (p,)."""
         free = [
             replace(parameter, lower=-np.inf, upper=np.inf) if is_free else parameter

@@ -13,10 +13,10 @@ from enum import Enum
 import numpy as np
 
 from noise_model.arc.map import scene
+from noise_model.arrays import Float64
 from noise_model.effects import REGISTRY, Values
 from noise_model.fit import Parameter
 from noise_model.setup import Setup
-from noise_model.transforms import Float64
 from sim_to_real.data.binned import Observed, ObservedFrame
 
 CHANGING = ("arc_length", "arc_deflection", "arc_radius", "hot_metal_glow", "fume")

@@ -9,15 +9,14 @@ from typing import Any, Protocol
 import numpy as np
 import numpy.typing as npt
 
+from noise_model.arrays import Bool, Float32, Float64, Int32, Integers
 from noise_model.effects import really
 from noise_model.fit import Parameter
 from noise_model.instrument.camera import Rays
 from noise_model.setup import Setup
 from noise_model.surface.joint import Section, corrugation_height
-from noise_model.transforms import Float64
 from noise_model.view import View
-from sim_to_real.data.binned import STRATA, Float32, Observed, ObservedFrame
-from sim_to_real.data.blocks import Bool
+from sim_to_real.data.binned import STRATA, Observed, ObservedFrame
 from sim_to_real.fit.linearized_model import Expected, Passed
 from sim_to_real.fit.nuisances import really_there
 
@@ -82,8 +81,8 @@ class Covariates:
 
     shape: tuple[int, int]
     values: Mapping[str, Float32]
-    frame: npt.NDArray[np.int32]
-    bins: npt.NDArray[np.int32]
+    frame: Int32
+    bins: Int32
     stratum: npt.NDArray[np.int8]
     in_stripe: Bool
     sigma_dn: Float32
@@ -104,7 +103,7 @@ class Covariates:
         """The predicted light of both sources (n,), DN."""
         return self.arc_dn + self.laser_dn
 
-    def at(self, chosen: npt.NDArray[np.integer]) -> Covariates:
+    def at(self, chosen: Integers) -> Covariates:
         """Return some bins alone; `chosen` are their places among all."""
         arrays = {name: getattr(self, name)[chosen] for name in PER_BIN}
         values = {name: of_all[chosen] for name, of_all in self.values.items()}

@@ -6,12 +6,10 @@ from dataclasses import dataclass
 
 import cv2
 import numpy as np
-import numpy.typing as npt
 from scipy.ndimage import distance_transform_edt
 
-from noise_model.transforms import Float64
-from sim_to_real.data.binned import STRATA, THIN, Float32
-from sim_to_real.data.blocks import Bool
+from noise_model.arrays import Bool, Float32, Float64, Int64, Integers
+from sim_to_real.data.binned import STRATA, THIN
 from sim_to_real.diagnosis import Curve, Where
 from sim_to_real.fit.gauss_newton import MAD_SIGMA
 from sim_to_real.locate.covariates import UNITS, Covariates
@@ -89,7 +87,7 @@ def _share_of(fit: HeldOut, name: str) -> float:
     return fit.share(gained)
 
 
-def _groups(values: Float32) -> tuple[npt.NDArray[np.int64], Float64]:
+def _groups(values: Float32) -> tuple[Int64, Float64]:
     """Return each value's group (n,), -1 for NaN, and the groups' median values (g,)."""
     known = np.isfinite(values)
     group = np.full(len(values), -1, dtype=np.int64)
@@ -108,7 +106,7 @@ def _groups(values: Float32) -> tuple[npt.NDArray[np.int64], Float64]:
 
 
 def banded_means(
-    residuals: Float64, group: npt.NDArray[np.int64], n_groups: int, frame: npt.NDArray[np.integer]
+    residuals: Float64, group: Int64, n_groups: int, frame: Integers
 ) -> tuple[Float64, Float64, Float64]:
     """Return means (g,) of groups and the ends of their 95 % bands, by a bootstrap over frames.
 
@@ -131,9 +129,7 @@ def banded_means(
     return sums.sum(axis=0) / counts.sum(axis=0), low, high
 
 
-def _log_ratios(
-    covariates: Covariates, residuals: Float64, group: npt.NDArray[np.int64], n_groups: int
-) -> Float64:
+def _log_ratios(covariates: Covariates, residuals: Float64, group: Int64, n_groups: int) -> Float64:
     """Return the median of ln(recorded / predicted light) in groups (g,), NaN where it is dark."""
     light, noise = covariates.light_dn, covariates.sigma_dn
     # The noise of what a streak hides is infinite, its residual nought.

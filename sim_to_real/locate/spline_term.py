@@ -14,11 +14,8 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-import numpy.typing as npt
 
-from noise_model.transforms import Float64
-from sim_to_real.data.binned import Float32
-from sim_to_real.data.blocks import Bool
+from noise_model.arrays import Bool, Float32, Float64, Int64
 from sim_to_real.fit.gauss_newton import huber_bound, huber_weights
 from sim_to_real.locate.covariates import UNITS, Covariates
 
@@ -49,7 +46,6 @@ BOUND_ROUNDS = 3
 SEED = 4
 """Of the choice of bins."""
 
-Int64 = npt.NDArray[np.int64]
 
 Weight = Callable[[Covariates], Float32]
 

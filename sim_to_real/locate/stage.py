@@ -20,8 +20,8 @@ from functools import cached_property
 
 import cv2
 import numpy as np
-import numpy.typing as npt
 
+from noise_model.arrays import Float32, Float64, Int64
 from noise_model.effects import really
 from noise_model.effects.effect import Stage
 from noise_model.forward import look
@@ -29,8 +29,8 @@ from noise_model.instrument.camera import Camera, Rays
 from noise_model.setup import Setup
 from noise_model.surface.brdf import Material
 from noise_model.surface.joint import BentSeam, seam_frame
-from noise_model.transforms import Float64, invert, moved
-from sim_to_real.data.binned import THIN, Float32, ObservedFrame
+from noise_model.transforms import invert, moved
+from sim_to_real.data.binned import THIN, ObservedFrame
 from sim_to_real.fit.linearized_model import Expected
 from sim_to_real.fit.nuisances import N_LEVELS, SEAM_FROM, really_there
 from sim_to_real.locate.covariates import Covariates, Fitted
@@ -49,7 +49,6 @@ DEFOCUS_BINS = 1.0
 BLOCKS, BLOCK_BINS = 4, 20
 """A frame's level is told from all but one of so many parts, each of blocks so many bins wide."""
 
-Int64 = npt.NDArray[np.int64]
 
 Form = tuple[Stage, str, tuple[str, ...]]
 

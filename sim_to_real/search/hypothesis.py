@@ -15,7 +15,7 @@ from functools import cached_property
 
 import numpy as np
 
-from noise_model.transforms import Float64
+from noise_model.arrays import Float64
 from sim_to_real.data.cross_validation import folds, sees_as_much
 from sim_to_real.fit.gauss_newton import FLICKER, NAMED_FROM, Refit, huber_weights
 from sim_to_real.fit.linearized_model import Expected

@@ -13,9 +13,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from noise_model.arrays import Float64
 from noise_model.effects import REGISTRY, Values
 from noise_model.fit import Parameter, within_bounds
-from noise_model.transforms import Float64
 from sim_to_real.fit.gauss_newton import FLICKER, Refit, own_levels
 from sim_to_real.fit.linearized_model import Expected, Passed
 from sim_to_real.fit.quadratic import Quadratic

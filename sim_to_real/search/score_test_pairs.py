@@ -15,7 +15,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from noise_model.transforms import Float64
+from noise_model.arrays import Float64
 from sim_to_real.fit.gauss_newton import Refit
 from sim_to_real.fit.quadratic import Quadratic
 from sim_to_real.search.hypothesis import cost_nats, likelihood_nats

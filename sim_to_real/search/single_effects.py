@@ -8,8 +8,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from noise_model.arrays import Float64
 from noise_model.effects import REGISTRY, Values
-from noise_model.transforms import Float64
 from sim_to_real.fit.gauss_newton import FLICKER, NAMED_FROM, Refit, refit, refit_from, settled
 from sim_to_real.fit.linearized_model import RENDERING, Effects, Expected
 from sim_to_real.search.hypothesis import (

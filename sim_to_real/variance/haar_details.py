@@ -21,10 +21,10 @@ import cv2
 import numpy as np
 from scipy.optimize import nnls
 
+from noise_model.arrays import Bool, Float32, Float64
 from noise_model.instrument.sensor import linearise, respond_moments
-from noise_model.transforms import Float64
-from sim_to_real.data.binned import Float32, ObservedFrame
-from sim_to_real.data.blocks import SMALL, Bool, in_bins
+from sim_to_real.data.binned import ObservedFrame
+from sim_to_real.data.blocks import SMALL, in_bins
 from sim_to_real.fit.linearized_model import CHARGE_STEP_E, Passed
 
 CAP = 5.0

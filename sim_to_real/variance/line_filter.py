@@ -18,7 +18,7 @@ import cv2
 import numpy as np
 from scipy.special import ndtr
 
-from sim_to_real.data.binned import Float32
+from noise_model.arrays import Float32
 
 ANGLES = 8
 """Directions that are tried, evenly over half a turn."""

@@ -15,10 +15,9 @@ import numpy as np
 from scipy.special import expit
 from scipy.stats import norm
 
+from noise_model.arrays import Bool, Float64
 from noise_model.effects import REGISTRY
-from noise_model.transforms import Float64
 from sim_to_real.data.binned import Observed, ObservedFrame
-from sim_to_real.data.blocks import Bool
 from sim_to_real.fit.gauss_newton import NAMED_FROM, Refit
 from sim_to_real.fit.linearized_model import Expected
 from sim_to_real.fit.nuisances import WITHIN_SIGMAS

@@ -17,11 +17,11 @@ import cv2
 import numpy as np
 from scipy.special import gammaln, xlogy
 
+from noise_model.arrays import Bool, Float32, Float64
 from noise_model.effects import REGISTRY
 from noise_model.instrument.sensor import Sensor, electrons_per_dn, linearise, saturation_dn
-from noise_model.transforms import Float64
-from sim_to_real.data.binned import Float32, Observed
-from sim_to_real.data.blocks import Bool, cut, within
+from sim_to_real.data.binned import Observed
+from sim_to_real.data.blocks import cut, within
 from sim_to_real.fit.gauss_newton import MAD_SIGMA
 from sim_to_real.fit.linearized_model import Passed
 from sim_to_real.variance.haar_details import Sizes

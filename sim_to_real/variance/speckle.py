@@ -13,8 +13,8 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.special import logsumexp
 
+from noise_model.arrays import Float64
 from noise_model.effects import REGISTRY
-from noise_model.transforms import Float64
 from sim_to_real.data.binned import FLOOR_REL
 from sim_to_real.variance.haar_details import LARGE_PX, Sizes
 

@@ -15,11 +15,12 @@ import numpy.typing as npt
 from scipy.ndimage import find_objects, label
 from scipy.stats import norm
 
+from noise_model.arrays import Bool, Float32, Float64, Int64
 from noise_model.instrument.sensor import linearise, respond, respond_moments, saturation_dn
 from noise_model.surface.joint import seam_frame
-from noise_model.transforms import Float64, invert, transform
-from sim_to_real.data.binned import FLOOR_DN, FLOOR_REL, Float32, Observed, ObservedFrame
-from sim_to_real.data.blocks import Bool, block_means, within
+from noise_model.transforms import invert, transform
+from sim_to_real.data.binned import FLOOR_DN, FLOOR_REL, Observed, ObservedFrame
+from sim_to_real.data.blocks import block_means, within
 from sim_to_real.fit.linearized_model import Passed
 from sim_to_real.variance.haar_details import Sizes
 from sim_to_real.variance.line_filter import ANGLES, NOISE, ridges
@@ -235,7 +236,7 @@ def _on_part(observed: Observed, found: Sequence[Line]) -> Float64:
     return points
 
 
-def _seen_at(observed: Observed, frame: ObservedFrame, points: Float64) -> npt.NDArray[np.int64]:
+def _seen_at(observed: Observed, frame: ObservedFrame, points: Float64) -> Int64:
     """Return the bins (n, 2), row and column, in which a frame sees points (n, 3), mm, base frame."""
     T_camera_base = invert(frame.T_base_tool_in(observed.binned) @ observed.binned.camera.T_tool_camera)
     uv = observed.binned.camera.project(transform(T_camera_base, points))

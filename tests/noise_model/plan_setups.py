@@ -7,6 +7,7 @@ import math
 import numpy as np
 
 from noise_model.arc_source import Arc
+from noise_model.arrays import Float64
 from noise_model.condition import Condition
 from noise_model.forward import predict
 from noise_model.instrument.camera import Camera
@@ -16,7 +17,6 @@ from noise_model.instrument.spectrum import Filter
 from noise_model.setup import Setup
 from noise_model.surface.brdf import TABLE_1
 from noise_model.surface.joint import NOMINAL_SEAM, Joint, SeamLine
-from noise_model.transforms import Float64
 
 LINE = ((0.0, 0.0, 0.0), (300.0, 0.0, 0.0))
 JOINTS = {

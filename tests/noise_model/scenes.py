@@ -9,10 +9,10 @@ from __future__ import annotations
 import math
 
 import numpy as np
-import numpy.typing as npt
 from scipy.spatial.transform import Rotation
 
 from noise_model.arc_source import Arc
+from noise_model.arrays import Bool, Float64
 from noise_model.instrument.camera import Camera
 from noise_model.instrument.laser import Laser
 from noise_model.instrument.sensor import Sensor
@@ -20,9 +20,6 @@ from noise_model.instrument.spectrum import Filter
 from noise_model.setup import Setup
 from noise_model.surface.brdf import TABLE_1, Material
 from noise_model.surface.joint import Joint
-
-Float64 = npt.NDArray[np.float64]
-Bool = npt.NDArray[np.bool_]
 
 JOINTS = {
     "flat": Joint("flat", {}, ((-300.0, 0.0, 0.0), (300.0, 0.0, 0.0))),

@@ -8,7 +8,7 @@ import pytest
 from scipy.integrate import quad
 from scipy.stats import norm
 
-from noise_model.transforms import Float64
+from noise_model.arrays import Float64
 from sim_to_real.variance import random_effects as of_scatter
 from sim_to_real.variance.random_effects import NAMED_FROM, scatter
 from tests.sim_to_real.scattered import HEIGHT, WIDTH, Scattering, recorded, streak

@@ -7,10 +7,11 @@ import numpy.typing as npt
 from scipy.optimize import least_squares
 
 from noise_model.arc.map import Scene
+from noise_model.arrays import Bool, Float64
 from noise_model.setup import Setup
 from noise_model.stripe import reflected_sheet_plain
 from noise_model.surface.joint import corrugation_height
-from noise_model.transforms import Float64, invert, transform
+from noise_model.transforms import invert, transform
 from tracker.geometry import SensorGeometry
 from tracker.stripe.bias import PLANES
 from tracker.stripe.expected import FLANKS, HALF_SPAN_MM, STEP_MM, ExpectedStripe
@@ -92,7 +93,7 @@ def _bell(place: Float64, light: Float64, width: float) -> Float64:
     return np.array([x[1], np.exp(x[2])])
 
 
-def _from_same_face(values: Float64, strip: npt.NDArray[np.intp], good: npt.NDArray[np.bool_]) -> Float64:
+def _from_same_face(values: Float64, strip: npt.NDArray[np.intp], good: Bool) -> Float64:
     """Replace values beside a corner, where the sheet's flanks lie on two faces, by the nearest good one."""
     if not good.any():
         return values

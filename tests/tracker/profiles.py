@@ -5,11 +5,9 @@ from __future__ import annotations
 import math
 
 import numpy as np
-import numpy.typing as npt
 
+from noise_model.arrays import Bool, Float64
 from tracker.profile import Profile
-
-Float64 = npt.NDArray[np.float64]
 
 COLUMN_MM, PX_MM = 0.07, (0.012, 0.075)
 """The columns' spacing in y, and how far (y, z) a point moves per px of its stripe centre."""
@@ -94,7 +92,7 @@ def spoil(profile: Profile, share: float, rng: np.random.Generator) -> Profile:
     )
 
 
-def only(profile: Profile, seen: npt.NDArray[np.bool_]) -> Profile:
+def only(profile: Profile, seen: Bool) -> Profile:
     """The part of a profile that is seen."""
     return Profile(
         profile.y_mm[seen],

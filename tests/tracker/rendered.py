@@ -6,18 +6,16 @@ from collections.abc import Iterator
 from dataclasses import replace
 
 import numpy as np
-import numpy.typing as npt
 from scipy.spatial.transform import Rotation
 
 from arctrack.nominal import nominal_setup
+from noise_model.arrays import Float64
 from noise_model.condition import Condition
 from noise_model.forward import predict
 from noise_model.instrument.sensor import expose
 from noise_model.setup import Setup
 from noise_model.surface.joint import NOMINAL_SEAM, SeamLine, seam_height_mm
 from tracker.state import Frame, Pose
-
-Float64 = npt.NDArray[np.float64]
 
 EXPOSURE_S, CURRENT_A, LASER_X_MM = 0.005, 100.0, 35.0
 RADIANCE_E = {"corrugation": 2.0e6, "u_groove": 5.0e6}

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import numpy as np
-import numpy.typing as npt
 
+from noise_model.arrays import Float64
 from tracker.stripe.smooth import (
     AGREE_SIGMAS,
     LEAST_DRAWN,
@@ -17,7 +17,6 @@ from tracker.stripe.smooth import (
     PIECE_CHI2,
 )
 
-Float64 = npt.NDArray[np.float64]
 NOTHING = (np.nan, np.nan, np.nan)
 
 

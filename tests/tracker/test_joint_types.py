@@ -7,17 +7,15 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
-import numpy.typing as npt
 import profiles
 import pytest
 from profiles import groove, lap, measure, only
 
+from noise_model.arrays import Float64
 from noise_model.surface.joint import Joint
 from tracker.joint import MeasuredJoint, fit_joint
 from tracker.joint.measured import SIGMA_FLOOR_PX
 from tracker.step import JOINT_CHI2_LIMIT, UNEXPLAINED_LIMIT
-
-Float64 = npt.NDArray[np.float64]
 
 LINE = ((-100.0, 0.0, 0.0), (100.0, 0.0, 0.0))
 TRUE_SIGMA_PX = float(np.hypot(0.05, SIGMA_FLOOR_PX))

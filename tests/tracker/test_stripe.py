@@ -5,12 +5,12 @@ from __future__ import annotations
 import math
 
 import numpy as np
-import numpy.typing as npt
 import pytest
 import twins
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
+from noise_model.arrays import Bool, Float64
 from tracker.stripe.fit import (
     BLOCK,
     CORRELATION_PX,
@@ -23,8 +23,6 @@ from tracker.stripe.fit import (
 from tracker.stripe.normal_equations import moments_of, normal_equations, solve, variance_of
 from tracker.stripe.viterbi import MANY_OFFSETS, OFFSET_STEP, best_path, matched_filter, peaks
 from tracker.stripe.viterbi import bell as bell_of
-
-Float64 = npt.NDArray[np.float64]
 
 CELL = 8
 READ_E, GAIN = 45.0, 80.0
@@ -40,11 +38,11 @@ def fit(
     start: Float64,
     width: float,
     *,
-    censored: npt.NDArray[np.bool_] | None = None,
+    censored: Bool | None = None,
     lows: Float64 | None = None,
     map_sigma: float = MAP_SIGMA,
     base_sigma: float = BASE_SIGMA,
-) -> tuple[Float64, npt.NDArray[np.bool_]]:
+) -> tuple[Float64, Bool]:
     n = len(charge)
     fits, saturated = np.full((n, 5), -1.0), np.ones(n, dtype=bool)
     fit_lines(

@@ -3,16 +3,14 @@
 from __future__ import annotations
 
 import numpy as np
-import numpy.typing as npt
 import pytest
 import smooth_twin
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from noise_model.arrays import Float64
 from tracker.stripe import smooth as stripe_smooth
 from tracker.stripe.smooth import LEAST_DRAWN, LEAST_SURE_PX, LENGTHS
-
-Float64 = npt.NDArray[np.float64]
 
 N = 400
 DRAWS = 300

@@ -6,7 +6,6 @@ import math
 from dataclasses import replace
 
 import numpy as np
-import numpy.typing as npt
 import pytest
 import rendered
 
@@ -18,8 +17,6 @@ from tracker.state import Frame
 from tracker.step import Tracker
 from tracker.stripe.expected import expect_stripe
 from tracker.stripe.speckle import Speckle, speckle_variance_px2
-
-Float64 = npt.NDArray[np.float64]
 
 
 def test_fine_grains_give_the_limits_of_the_closed_form() -> None:

@@ -6,18 +6,15 @@ import math
 from collections.abc import Callable
 
 import numpy as np
-import numpy.typing as npt
 from scipy.optimize import minimize
 
+from noise_model.arrays import Bool, Float64, Int64, Integers
 from tracker.arc.level import HUBER, MAP_SIGMA
 from tracker.stripe.fit import CORRELATION_PX, EDGE_PX, WIDTH_SIGMA_LN, WINDOW_SIGMAS
 from tracker.stripe.viterbi import GAIN_CAP, JUMP_COST, JUMP_COST_CAP, MISSING_COST
 
-Float64 = npt.NDArray[np.float64]
-Bool = npt.NDArray[np.bool_]
 
-
-def gather(image: npt.NDArray[np.integer], along_rows: bool, lows: Float64, cell: int, depth: int) -> Float64:
+def gather(image: Integers, along_rows: bool, lows: Float64, cell: int, depth: int) -> Float64:
     """The codes of a band, scan line by scan line."""
     lines = image.T if along_rows else image
     return np.stack([line[lows[s // cell] : lows[s // cell] + depth] for s, line in enumerate(lines)])
@@ -66,7 +63,7 @@ def path_gains(score: Float64) -> Float64:
     return np.column_stack([gains, np.full(len(score), MISSING_COST)])
 
 
-def path_cost(score: Float64, choice: npt.NDArray[np.int64]) -> float:
+def path_cost(score: Float64, choice: Int64) -> float:
     """The cost of a path of offsets, -1 for none."""
     n = score.shape[1]
     states = np.where(choice < 0, n, choice)

@@ -6,12 +6,11 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
+from noise_model.arrays import Float32, Float64, Int64, Integers
 from noise_model.kernel import REDUCTION, kernel
-from noise_model.transforms import Float64
 from tracker.arc.transmission import ArcLight, Passage, seen_arc
-from tracker.geometry import Float32, SensorGeometry
+from tracker.geometry import SensorGeometry
 
 MAP_SIGMA = 0.05
 """The map's stated relative 1 sigma: hand-eye, material and arc shape within their tolerance."""
@@ -54,7 +53,7 @@ def estimate_arc_level(
     geometry: SensorGeometry,
     light: ArcLight,
     passage: Passage | None,
-    image_dn: npt.NDArray[np.integer],
+    image_dn: Integers,
     stripe_px: Float64 | None,
     keep_off_px: float,
 ) -> ArcLevel:
@@ -98,16 +97,16 @@ def estimate_arc_level(
 
 @kernel
 def _off_stripe(
-    image_dn: npt.NDArray[np.integer],
+    image_dn: Integers,
     along_rows: bool,
     n_pos: int,
-    scan: npt.NDArray[np.int64],
-    position: npt.NDArray[np.int64],
+    scan: Int64,
+    position: Int64,
     code_e: Float32,
     saturation_dn: int,
     stripe_px: Float64,
     keep_off_px: float,
-    pixels: npt.NDArray[np.int64],
+    pixels: Int64,
     charge_e: Float64,
 ) -> int:
     """Write which pixels of a sample are neither saturated nor near the stripe; return how many.

@@ -6,18 +6,17 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
-import numpy.typing as npt
 
 from noise_model.arc.map import Scene
+from noise_model.arrays import Float32, Float64, Int64
 from noise_model.condition import Condition
 from noise_model.effects import acting, really_on
 from noise_model.effects.light import Light
 from noise_model.forward import pass_on
-from noise_model.transforms import Float64
 from noise_model.view import View
-from tracker.geometry import Float32, SensorGeometry
+from tracker.geometry import SensorGeometry
 
-ArcLight = Callable[[npt.NDArray[np.int64]], Float32]
+ArcLight = Callable[[Int64], Float32]
 """The arc's light (n,), e-, at pixels (n,) by scan line, NaN past the workpiece."""
 
 
@@ -32,7 +31,7 @@ class Passage:
     geometry: SensorGeometry
     scene: Scene
     condition: Condition
-    even: npt.NDArray[np.int64]
+    even: Int64
     even_arc_e: Float32
 
     @classmethod
@@ -53,7 +52,7 @@ class Passage:
         even = scan * geometry.n_pos + position
         return cls(geometry, view, condition, even, np.nan_to_num(light(even)))
 
-    def through(self, pixels: npt.NDArray[np.int64], arc_e: Float32) -> tuple[Float32, Float32]:
+    def through(self, pixels: Int64, arc_e: Float32) -> tuple[Float32, Float32]:
         """Return what arrives at some pixels (n,), by scan line: the arc's light and what is not the arc's.
 
         `arc_e` (n,) is the arc's light before, NaN where a pixel looks past the workpiece, and stays so.
@@ -78,9 +77,7 @@ class Passage:
         return np.where(np.isfinite(arc_e), arrived, np.float32(np.nan)), other
 
 
-def seen_arc(
-    light: ArcLight, passage: Passage | None, pixels: npt.NDArray[np.int64]
-) -> tuple[Float64, Float64]:
+def seen_arc(light: ArcLight, passage: Passage | None, pixels: Int64) -> tuple[Float64, Float64]:
     """Return the arc's light and the other light (n,), e-, at some pixels (n,), by scan line.
 
     NaN where a pixel looks past the workpiece; `passage` None leaves the light as it is.

@@ -5,8 +5,8 @@
 
 from __future__ import annotations
 
+from noise_model.arrays import Float64
 from noise_model.surface.joint import Joint
-from noise_model.transforms import Float64
 from tracker.joint.fillet import fit_fillet
 from tracker.joint.groove import fit_u_groove, fit_v_groove
 from tracker.joint.half_v import fit_half_v

@@ -13,9 +13,9 @@ from __future__ import annotations
 
 import numpy as np
 
+from noise_model.arrays import Float64
 from noise_model.kernel import kernel
 from noise_model.surface.faces import face_under, slope_across
-from noise_model.transforms import Float64
 from tracker.joint.section_fit import LEAST_ALONG_MM, corners_and_slopes
 from tracker.joint.section_shapes import N_CORNERS
 

@@ -7,9 +7,9 @@ from typing import NamedTuple
 
 import numpy as np
 
+from noise_model.arrays import Float64
 from noise_model.kernel import kernel
 from noise_model.surface.joint import Joint, section
-from noise_model.transforms import Float64
 from tracker.joint.measured import (
     LEFT_OUT,
     SURE_MM,

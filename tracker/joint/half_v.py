@@ -6,8 +6,8 @@ import math
 
 import numpy as np
 
+from noise_model.arrays import Float64
 from noise_model.surface.joint import Joint, section
-from noise_model.transforms import Float64
 from tracker.joint.measured import (
     CLOSED_MM,
     SURE_MM,

@@ -7,11 +7,10 @@ from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
+from noise_model.arrays import Bool, Float64
 from noise_model.kernel import kernel
 from noise_model.surface.joint import Joint, section
-from noise_model.transforms import Float64
 from tracker.joint.measured import (
     OFF_SIGMAS,
     SIGMA_FLOOR_PX,
@@ -25,8 +24,6 @@ from tracker.joint.measured import (
 from tracker.joint.section_shapes import SHEETS
 from tracker.joint.upright_edge import edge_between, hidden_strip, neighbours_of_edge
 from tracker.profile import Profile
-
-Bool = npt.NDArray[np.bool_]
 
 SEARCH_STEP_MM = 0.1
 CLEAR_OF_EDGE_MM = 0.4

@@ -7,10 +7,9 @@ from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 
 import numpy as np
-import numpy.typing as npt
 
+from noise_model.arrays import Bool, Float64
 from noise_model.kernel import kernel
-from noise_model.transforms import Float64
 from tracker.joint.alike import add_alike
 from tracker.joint.section_fit import best_shift, fit_section
 from tracker.joint.section_shapes import N_CORNERS, corners_of, opening
@@ -117,7 +116,7 @@ def fit_shape(
     shape: int,
     start: Float64,
     prior_sigma: Float64,
-    used: npt.NDArray[np.bool_] | None = None,
+    used: Bool | None = None,
     start_sigma_mm: float = START_SIGMA_MM,
 ) -> ShapeFit | None:
     """Fit a shape of `section_fit` to a profile, in pixels of stripe centre, with priors about `start`.
@@ -162,9 +161,9 @@ def of_narrow_root(
     gap: int,
     with_gap: Callable[[Float64], Float64],
     middle_mm: float,
-    inside: npt.NDArray[np.bool_],
+    inside: Bool,
     fit: ShapeFit,
-    used: npt.NDArray[np.bool_] | None = None,
+    used: Bool | None = None,
 ) -> ShapeFit:
     """Return a groove's fit, or one from another root gap that leaves less of the points `inside` (n,).
 
@@ -207,7 +206,7 @@ def of_narrow_root(
 
 
 @kernel
-def count_with_floor(sigma_px: Float64, used: npt.NDArray[np.bool_], sigma: Float64) -> int:
+def count_with_floor(sigma_px: Float64, used: Bool, sigma: Float64) -> int:
     """Write stripe centres' 1 sigma (n,) with what they may be off beyond it; return how many are used."""
     count = 0
     for i in range(sigma_px.shape[0]):
@@ -217,7 +216,7 @@ def count_with_floor(sigma_px: Float64, used: npt.NDArray[np.bool_], sigma: Floa
 
 
 @kernel(allocates=True)
-def typical_mm(dz_mm: Float64, sigma_px: Float64, used: npt.NDArray[np.bool_]) -> float:
+def typical_mm(dz_mm: Float64, sigma_px: Float64, used: Bool) -> float:
     """Return the median height, mm, by which used points (n,) move with their centres' 1 sigma."""
     moves, count = np.empty(dz_mm.shape[0]), 0
     for i in range(dz_mm.shape[0]):
@@ -244,7 +243,7 @@ def off_line(profile: Profile, line_mm: Float64) -> Float64:
     return np.asarray((profile.z_mm - line_mm) / sigma)
 
 
-def off_section(profile: Profile, joint: MeasuredJoint) -> npt.NDArray[np.bool_]:
+def off_section(profile: Profile, joint: MeasuredJoint) -> Bool:
     """Return which points (n,) lie off a joint's section by more than `OFF_SIGMAS` of their stripe centre."""
     y, z = joint.corners_mm.T
     # An upright edge is a step that no point lies on.

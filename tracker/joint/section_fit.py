@@ -13,11 +13,10 @@ from __future__ import annotations
 import math
 
 import numpy as np
-import numpy.typing as npt
 
+from noise_model.arrays import Bool, Float64, Int64
 from noise_model.kernel import REDUCTION, kernel
 from noise_model.surface.faces import face_under, slope_across
-from noise_model.transforms import Float64
 from tracker.joint.section_shapes import N_CORNERS, corners_of
 
 STEP = 1e-6
@@ -54,7 +53,7 @@ def corners_and_slopes(shape: int, p: Float64, corners: Float64, moved: Float64,
 
 
 @kernel
-def _first_of_faces(y: Float64, corners: Float64, first: npt.NDArray[np.int64]) -> None:
+def _first_of_faces(y: Float64, corners: Float64, first: Int64) -> None:
     """Write the first point, y rising, of each face (n_faces,), and behind the last one's last."""
     i = 0
     for k in range(len(first) - 1):
@@ -92,7 +91,7 @@ def _all_residuals(
     dz: Float64,
     sigma: Float64,
     corners: Float64,
-    first: npt.NDArray[np.int64],
+    first: Int64,
     r: Float64,
     unit: Float64,
 ) -> None:
@@ -105,7 +104,7 @@ def _all_residuals(
 
 
 @kernel(allocates=True)
-def _scale(r: Float64, used: npt.NDArray[np.bool_], least: float) -> float:
+def _scale(r: Float64, used: Bool, least: float) -> float:
     """Return a robust sigma of residuals (n,), by their median absolute deviation, or `least` if more."""
     n, beyond, count = r.shape[0], 0, 0
     for i in range(n):
@@ -128,7 +127,7 @@ def _face_sums(
     y: Float64,
     r: Float64,
     unit: Float64,
-    used: npt.NDArray[np.bool_],
+    used: Bool,
     y_a: float,
     y_b: float,
     scale: float,
@@ -164,7 +163,7 @@ def fit_section(
     dy: Float64,
     dz: Float64,
     sigma: Float64,
-    used: npt.NDArray[np.bool_],
+    used: Bool,
     start_scale: float,
     prior_sigma: Float64,
     p: Float64,

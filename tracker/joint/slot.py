@@ -11,10 +11,9 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
+from noise_model.arrays import Bool, Float64
 from noise_model.surface.joint import Joint
-from noise_model.transforms import Float64
 from tracker.joint.measured import (
     OFF_SIGMAS,
     JointShape,
@@ -202,13 +201,13 @@ def _raised(profile: Profile, fit: ShapeFit, y_0: float, ends_mm: Pair) -> float
     return float(np.mean(wrong[near])) if near.any() else 1.0
 
 
-def _plates(profile: Profile, y_0: float, used: npt.NDArray[np.bool_]) -> ShapeFit | None:
+def _plates(profile: Profile, y_0: float, used: Bool) -> ShapeFit | None:
     """Fit a line to the plates on either side of a place."""
     start = np.array([float(np.median(profile.z_mm)), 0.0, 0.0, 0.0, y_0])
     return fit_shape(profile, SHEETS, start, PRIOR_SIGMA, used)
 
 
-def _on_plate(profile: Profile, plates: ShapeFit, y_0: float, limit_mm: float) -> npt.NDArray[np.bool_]:
+def _on_plate(profile: Profile, plates: ShapeFit, y_0: float, limit_mm: float) -> Bool:
     """Say of each point whether it lies on one of the plates' lines."""
     z, step, slope_left, slope_right = plates.parameters
     y = profile.y_mm - y_0
@@ -224,7 +223,7 @@ class _Lines:
     there, as an edge joint's do.
     """
 
-    def __init__(self, profile: Profile, on_plate: npt.NDArray[np.bool_], beyond: bool) -> None:
+    def __init__(self, profile: Profile, on_plate: Bool, beyond: bool) -> None:
         self.away = 1 if profile.scan[-1] > profile.scan[0] else -1
         scan = self.away * profile.scan
         pad = math.ceil((OUTSIDE_MM + SLACK_MM) / profile.column_mm) if beyond else 0

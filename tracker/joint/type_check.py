@@ -14,16 +14,13 @@ from enum import Enum
 from typing import NamedTuple, overload
 
 import numpy as np
-import numpy.typing as npt
 
+from noise_model.arrays import Float64, Int64
 from noise_model.kernel import kernel
 from noise_model.surface.joint import Joint
-from noise_model.transforms import Float64
 from tracker.joint.measured import MeasuredJoint
 from tracker.joint.slot import BLURRED_LINES
 from tracker.profile import Profile
-
-Int64 = npt.NDArray[np.int64]
 
 GROUPS = 120
 """About so many groups of neighbouring points, each its median, are cut into pieces."""

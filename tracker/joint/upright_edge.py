@@ -8,16 +8,11 @@ from __future__ import annotations
 import math
 from typing import NamedTuple
 
-import numpy as np
-import numpy.typing as npt
-
+from noise_model.arrays import Bool, Float64
 from noise_model.kernel import kernel
-from noise_model.transforms import Float64
 from tracker.joint.measured import OFF_SIGMAS
 from tracker.profile import Profile
 from tracker.stripe.edge import stripe_ends
-
-Bool = npt.NDArray[np.bool_]
 
 BESIDE = 20
 """So many points beside an edge say which y its scan lines have there."""

@@ -12,7 +12,7 @@ from typing import Literal
 
 import numpy as np
 
-from noise_model.transforms import Float64
+from noise_model.arrays import Float64
 
 AtLimit = Literal["saturate", "stop"]
 WhenLost = Literal["hold", "extrapolate", "stop"]

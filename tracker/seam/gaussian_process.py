@@ -20,9 +20,9 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from noise_model.arrays import Float64
 from noise_model.kernel import kernel
 from noise_model.surface.joint import SeamLine
-from noise_model.transforms import Float64
 
 CAPACITY = 96
 """How many measurements are kept."""

@@ -22,8 +22,9 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
+from noise_model.arrays import Float64
 from noise_model.surface.joint import Joint
-from noise_model.transforms import Float64, transform
+from noise_model.transforms import transform
 
 FOUND_SHARE, FALSE_SHARE = 0.9, 0.1
 """How often a joint is found where there is one, at least, and where there is none, at most."""

@@ -7,12 +7,13 @@ import math
 import numpy as np
 
 from noise_model.arc.map import Scene
+from noise_model.arrays import Float64
 from noise_model.instrument.laser import plane_in
 from noise_model.kernel import kernel
 from noise_model.setup import Setup
 from noise_model.surface.faces import ridge
 from noise_model.surface.joint import SeamLine, seam_frame, seam_height_mm, section
-from noise_model.transforms import Float64, transform
+from noise_model.transforms import transform
 from tracker import flags
 from tracker.seam.gaussian_process import SeamHistory
 

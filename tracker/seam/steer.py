@@ -16,10 +16,11 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from noise_model.arc.map import Scene
+from noise_model.arrays import Float64
 from noise_model.setup import Setup
 from noise_model.surface.faces import ridge
 from noise_model.surface.joint import SeamLine, seam_frame
-from noise_model.transforms import Float64, invert
+from noise_model.transforms import invert
 from tracker import flags
 from tracker.seam.correction import STOPPED, Correction, correct
 from tracker.seam.gaussian_process import SPACING_MM, SeamHistory

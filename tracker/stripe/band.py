@@ -5,25 +5,21 @@ from __future__ import annotations
 import math
 
 import numpy as np
-import numpy.typing as npt
 
 from noise_model.arc.map import CELL
+from noise_model.arrays import Bool, Float32, Float64, Int64, Integers
 from noise_model.kernel import kernel
-from noise_model.transforms import Float64
-
-Float32 = npt.NDArray[np.float32]
-Int64 = npt.NDArray[np.int64]
 
 
 @kernel
 def gather(
-    image_dn: npt.NDArray[np.integer],
+    image_dn: Integers,
     along_rows: bool,
     lows: Int64,
     charge_e: Float32,
     saturation_dn: int,
     band: Float32,
-    censored: npt.NDArray[np.bool_],
+    censored: Bool,
 ) -> None:
     """Copy a band (n_scan, depth) out of an image, linearised by the table `charge_e`.
 

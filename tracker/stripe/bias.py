@@ -15,8 +15,8 @@ import math
 
 import numpy as np
 
+from noise_model.arrays import Float64
 from noise_model.kernel import kernel
-from noise_model.transforms import Float64
 
 PLANES = np.linspace(-3.0, 3.0, 13)
 """Where across the sheet its light is looked at, in its sigmas."""

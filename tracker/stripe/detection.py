@@ -9,12 +9,11 @@ from __future__ import annotations
 import math
 
 import numpy as np
-import numpy.typing as npt
 
+from noise_model.arrays import Bool, Float32, Float64, Int64
 from noise_model.kernel import kernel
-from noise_model.transforms import Float64
 from tracker.stripe.expected import ExpectedStripe
-from tracker.stripe.viterbi import GAIN_CAP, OFFSET_STEP, Float32, Int64
+from tracker.stripe.viterbi import GAIN_CAP, OFFSET_STEP
 
 LOBE = 0.7
 """A stripe's own dark lobes in the matched filter, beside it, stay below this share of its score (0.46)."""
@@ -50,7 +49,7 @@ def path_of(offsets_px: Int64, expected_px: Float64, position_px: Float64) -> In
 
 
 @kernel
-def evidence_ratio(score: Float32, at: Int64, shown: npt.NDArray[np.bool_]) -> float:
+def evidence_ratio(score: Float32, at: Int64, shown: Bool) -> float:
     """Return the evidence for a stripe over that for a dark one, which no laser makes; inf if that is none.
 
     `score` (n_scan, n_offsets) is the matched filter's, in sigmas, `at` (n_scan,) where along it a stripe was
@@ -83,7 +82,7 @@ def seen_share(
     position_px: Float64,
     amplitude_e: Float64,
     variance_e2: Float32,
-    censored: npt.NDArray[np.bool_],
+    censored: Bool,
 ) -> float:
     """Return in which share of the scan lines that would show it clearly a stripe was found; NaN for none.
 
@@ -103,15 +102,13 @@ def seen_share(
     return n_found / (n_found + n_absent)
 
 
-def leaves_image(expected: ExpectedStripe, position_px: npt.NDArray[np.float64], n_pos: int) -> bool:
+def leaves_image(expected: ExpectedStripe, position_px: Float64, n_pos: int) -> bool:
     """Say whether the stripe runs off the image: where it was found, or is expected where it was not."""
     return _leaves(position_px, expected.position_px, expected.sigma_px, expected.shown, n_pos)
 
 
 @kernel
-def _leaves(
-    position_px: Float64, expected_px: Float64, sigma_px: Float64, shown: npt.NDArray[np.bool_], n_pos: int
-) -> bool:
+def _leaves(position_px: Float64, expected_px: Float64, sigma_px: Float64, shown: Bool, n_pos: int) -> bool:
     """Say whether one of the shown places (n_scan,) lies within its sigma of the image's ends."""
     for s in range(position_px.shape[0]):
         at = position_px[s] if math.isfinite(position_px[s]) else expected_px[s]

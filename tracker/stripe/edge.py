@@ -17,11 +17,9 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
+from noise_model.arrays import Bool, Float32, Float64, Int64
 from noise_model.kernel import kernel
-from noise_model.transforms import Float64
-from tracker.stripe.viterbi import Float32, Int64
 
 BEYOND = 6
 """So many lines on either side say how the stripe looks there, and LEAST_BEYOND of them at least."""
@@ -65,7 +63,7 @@ class StripeLight(NamedTuple):
     charge_e: Float32
     background_e: Float32
     variance_e2: Float32
-    censored: npt.NDArray[np.bool_]
+    censored: Bool
     lows: Int64
     cell: int
     position_px: Float64

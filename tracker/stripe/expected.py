@@ -6,21 +6,17 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
 from noise_model.arc.map import Scene
+from noise_model.arrays import Bool, Float64, Int64
 from noise_model.instrument.camera import Intrinsics
 from noise_model.instrument.laser import Sheet, depth_below, sheet_of, sheet_reflected
 from noise_model.kernel import kernel
 from noise_model.surface.brdf import LobeNumbers, lobe_numbers
 from noise_model.surface.faces import face_normal, face_under, ridge, slope_across
 from noise_model.surface.joint import EDGE_STANDS_MM
-from noise_model.transforms import Float64
 from tracker.geometry import SensorGeometry
 from tracker.stripe.bias import PLANES, fit_bell
-
-Int64 = npt.NDArray[np.int64]
-Bool = npt.NDArray[np.bool_]
 
 HALF_SPAN_MM, STEP_MM = 60.0, 0.75
 """How far to either side of the tool the stripe is followed where the camera sees it, and in which steps."""

@@ -13,12 +13,11 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
+from noise_model.arrays import Bool, Float32, Float64, Int64
 from noise_model.kernel import REDUCTION, kernel
-from noise_model.transforms import Float64
 from tracker.stripe.normal_equations import N_PARAMETERS, moments_of, normal_equations, solve, variance_of
-from tracker.stripe.viterbi import Float32, Int64, Pair
+from tracker.stripe.viterbi import Pair
 
 WINDOW_SIGMAS = 4.0
 """The fit reads this many stripe sigmas to either side of the centre: beyond them little tells of it."""
@@ -97,7 +96,7 @@ def _start(charge: Float32, background: Float32, first: int, last: int) -> Pair:
 def fit_line(
     charge: Float32,
     background: Float32,
-    censored: npt.NDArray[np.bool_],
+    censored: Bool,
     start: float,
     width: float,
     shot: float,
@@ -198,7 +197,7 @@ def map_edge(background: Float32, lows: Int64, cell: int, s: int, position: floa
 def fit_lines(
     charge: Float32,
     background: Float32,
-    censored: npt.NDArray[np.bool_],
+    censored: Bool,
     start: Float64,
     width: Float64,
     lows: Int64,
@@ -208,7 +207,7 @@ def fit_lines(
     map_sigma: float,
     base_sigma: float,
     fits: Float64,
-    saturated: npt.NDArray[np.bool_],
+    saturated: Bool,
 ) -> None:
     """Fit every scan line from `start` (n_scan,), NaN for none; write `fits` (n_scan, 5) and `saturated`."""
     n_scan = charge.shape[0]

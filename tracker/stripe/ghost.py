@@ -13,12 +13,11 @@ from __future__ import annotations
 import math
 
 import numpy as np
-import numpy.typing as npt
 
 from noise_model.arc.map import CELL
+from noise_model.arrays import Bool, Float32, Float64, Int64
 from noise_model.kernel import REDUCTION, kernel
-from noise_model.transforms import Float64
-from tracker.stripe.viterbi import TEMPLATE_SIGMAS, Float32, Int64, Pair, bell
+from tracker.stripe.viterbi import TEMPLATE_SIGMAS, Pair, bell
 
 NEAREST_SIGMAS = 3.0
 """What stands nearer to the first, in its sigmas, is of its own shape."""
@@ -31,8 +30,6 @@ EVERY = 8
 
 CUT = 2.0
 """No line's pixel counts for more than so many amplitudes of its stripe."""
-
-Bool = npt.NDArray[np.bool_]
 
 
 @kernel(fastmath=REDUCTION)

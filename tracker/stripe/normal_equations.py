@@ -11,11 +11,10 @@ import math
 from typing import Any, NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
+from noise_model.arrays import Bool, Float32, Float64
 from noise_model.kernel import REDUCTION, kernel
-from noise_model.transforms import Float64
-from tracker.stripe.viterbi import Float32, bell
+from tracker.stripe.viterbi import bell
 
 N_PARAMETERS = 5
 
@@ -54,7 +53,7 @@ class Moments(NamedTuple):
 def moments_of(
     charge: Float32,
     background: Float32,
-    censored: npt.NDArray[np.bool_],
+    censored: Bool,
     ramp: Float32,
     x: Float64,
     width: float,

@@ -6,10 +6,9 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
 from noise_model.arc.map import CELL, ArcKernel, ArcMap
-from noise_model.transforms import Float64
+from noise_model.arrays import Bool, Float32, Float64, Int64
 from tracker.arc.level import MAP_SIGMA, ArcLevel
 from tracker.arc.transmission import Passage
 from tracker.geometry import SensorGeometry
@@ -42,11 +41,11 @@ MOST_ROUNDS = 3
 class Work:
     """Preallocated scratch (n_scan, n_pos) whose contents never matter."""
 
-    charge: npt.NDArray[np.float32]
-    background: npt.NDArray[np.float32]
-    residual: npt.NDArray[np.float32]
-    variance: npt.NDArray[np.float32]
-    censored: npt.NDArray[np.bool_]
+    charge: Float32
+    background: Float32
+    residual: Float32
+    variance: Float32
+    censored: Bool
 
     @classmethod
     def of(cls, geometry: SensorGeometry) -> Work:
@@ -82,11 +81,11 @@ class StripeReading:
 
     stripe: Stripe
     band: Work
-    lows: npt.NDArray[np.int64]
-    offsets_px: npt.NDArray[np.int64]
-    score: npt.NDArray[np.float32]
-    start_px: npt.NDArray[np.float64]
-    fits: npt.NDArray[np.float64]
+    lows: Int64
+    offsets_px: Int64
+    score: Float32
+    start_px: Float64
+    fits: Float64
     shot: float
     dark_variance_e2: float
     map_sigma: float
@@ -206,10 +205,10 @@ def read_stripe(
 def _fit_band(
     band: Work,
     expected: ExpectedStripe,
-    lows: npt.NDArray[np.int64],
-    offsets: npt.NDArray[np.int64],
+    lows: Int64,
+    offsets: Int64,
     noise: tuple[float, float, float, float],
-) -> tuple[npt.NDArray[np.float32], Float64, Float64, npt.NDArray[np.bool_]]:
+) -> tuple[Float32, Float64, Float64, Bool]:
     """Return a band's score (n_scan, n_offsets), path's start (n_scan,), fits (n_scan, 5), saturated lines.
 
     `noise` are `fit_lines`' shot, dark variance, and 1 sigma of map and base.
@@ -258,7 +257,7 @@ def _predict_background(
     passage: Passage | None,
     level: float,
     black_e: float,
-    lows: npt.NDArray[np.int64],
+    lows: Int64,
     band: Work,
 ) -> None:
     """Write the arc's light at the frame's own level, other light and the black level into the band."""

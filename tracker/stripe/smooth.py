@@ -17,10 +17,9 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
+from noise_model.arrays import Bool, Float64
 from noise_model.kernel import kernel
-from noise_model.transforms import Float64
 
 LENGTHS = (4, 8, 16, 32, 64)
 """Columns of the windows that are asked whether they are straight."""
@@ -139,7 +138,7 @@ def _joined(a: _Line, b: _Line) -> _Line:
 
 
 @kernel
-def _find_straight(sums: Float64, chi2: Float64, is_straight: npt.NDArray[np.bool_]) -> None:
+def _find_straight(sums: Float64, chi2: Float64, is_straight: Bool) -> None:
     """Write chi2 (lengths, n) of the windows that begin at each column and whether they are straight."""
     n = sums.shape[0] - 1
     for k, length in enumerate(LENGTHS):
@@ -162,7 +161,7 @@ def _find_straight(sums: Float64, chi2: Float64, is_straight: npt.NDArray[np.boo
 
 
 @kernel
-def _best(sums: Float64, is_straight: npt.NDArray[np.bool_], i: int, own: _Line) -> _Line:
+def _best(sums: Float64, is_straight: Bool, i: int, own: _Line) -> _Line:
     """Return the line through the longest straight window about a column, its own centre where there is none.
 
     The column is in the middle of the window, else a quarter off either end, and likewise in what is drawn.

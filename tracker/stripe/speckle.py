@@ -25,11 +25,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from noise_model.arc.map import CELL
+from noise_model.arrays import Float32, Float64, Int64
 from noise_model.effects import checked
 from noise_model.setup import Setup
-from noise_model.transforms import Float64
 from tracker.stripe.fit import CORRELATION_PX, MIN_SIGMA_E, WINDOW_SIGMAS
-from tracker.stripe.viterbi import Float32, Int64
 
 NODES = 65
 """On how many nodes across a line's window the integrals run."""

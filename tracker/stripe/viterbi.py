@@ -6,13 +6,10 @@ import math
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
+from noise_model.arrays import Float32, Float64, Int64
 from noise_model.kernel import REDUCTION, kernel
-from noise_model.transforms import Float64
 
-Float32 = npt.NDArray[np.float32]
-Int64 = npt.NDArray[np.int64]
 Pair = tuple[float, float]
 Room = tuple[Float32, Float32, Float32, Float32, Float32]
 """Scratch, by turns: a template's values and their squares, a line's residuals and variances; and sums."""

@@ -11,8 +11,9 @@ from matplotlib.axes import Axes
 
 from arctrack.report import style
 from arctrack.report.diagnosis.words import percent, quantity
-from arctrack.report.embedded import CHANGE, EXCESS, Float32, Scale, binned, coloured, png, scale, svg
+from arctrack.report.embedded import CHANGE, EXCESS, Scale, binned, coloured, png, scale, svg
 from arctrack.report.image import visible
+from noise_model.arrays import Float32, Float64, Integers
 from noise_model.instrument.sensor import Sensor
 from sim_to_real.diagnosis import Curve, Predicted
 
@@ -120,14 +121,14 @@ def nice_limit(values: Float32, least: float) -> float:
     return next(step * decade for step in (1, 1.5, 2, 3, 4, 5, 6, 8, 10, 15) if step * decade >= reach)
 
 
-def _mean_square(recorded: npt.NDArray[np.integer], mean: Float32, variance: Float32) -> Float32:
+def _mean_square(recorded: Integers, mean: Float32, variance: Float32) -> Float32:
     """Return each frame's mean whitened square (n,), large ones cut."""
     square = np.minimum((recorded - mean) ** 2 / variance, WORTH_SIGMAS**2)
     counts = np.isfinite(variance)
     return np.asarray(np.where(counts, square, 0.0).sum(axis=(1, 2)) / np.maximum(counts.sum(axis=(1, 2)), 1))
 
 
-def _line(axes: Axes, curve: Curve, values: npt.NDArray[np.float64], colour: str) -> None:
+def _line(axes: Axes, curve: Curve, values: Float64, colour: str) -> None:
     joined = "-" if len(curve.centers) > FEW else ""
     axes.plot(curve.centers, values, linestyle=joined or "none", marker="o", markersize=3, color=colour)
 

@@ -15,7 +15,7 @@ from arctrack.explain_lines import READ
 from arctrack.recording.setup_file import FILE_NAME
 from arctrack.report.diagnosis.words import number, percent
 from arctrack.report.explanation import pictures, plots, words
-from noise_model.transforms import Float64
+from noise_model.arrays import Float64
 from tracker.joint.measured import off_section
 from tracker.stripe.viterbi import GAIN_CAP
 

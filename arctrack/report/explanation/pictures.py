@@ -16,8 +16,8 @@ from arctrack.explain import Explanation, StripeLook
 from arctrack.report import style
 from arctrack.report.embedded import CHANGE, Scale, binned, coloured, scale, uri
 from arctrack.report.image import seam_point_px, visible
+from noise_model.arrays import Bool, Float64
 from noise_model.instrument.sensor import Sensor, respond
-from noise_model.transforms import Float64
 from tracker.geometry import SensorGeometry
 
 FRAME_PX, MAP_PX = 640, 320
@@ -160,7 +160,7 @@ def _with_stripe(drawn: Overlay, of: Explanation, look: StripeLook) -> Overlay:
     )
 
 
-def _grey(image_dn: npt.NDArray[np.generic], saturated: npt.NDArray[np.bool_], sensor: Sensor) -> str:
+def _grey(image_dn: npt.NDArray[np.generic], saturated: Bool, sensor: Sensor) -> str:
     """Return an image in grey by the square root, saturated pixels in vermillion."""
     bin_px = max(1, math.ceil(image_dn.shape[1] / FRAME_PX))
     shown = binned(image_dn.astype(np.float32), bin_px)

@@ -16,7 +16,7 @@ from arctrack.report import style
 from arctrack.report.embedded import svg
 from arctrack.report.explanation.words import scan_line
 from noise_model.arc.map import CELL
-from noise_model.transforms import Float64
+from noise_model.arrays import Bool, Float64
 from tracker.joint.measured import SIGMA_FLOOR_PX, off_section
 from tracker.stripe.viterbi import GAIN_CAP
 
@@ -303,7 +303,7 @@ def history_picture(of: Explanation, look: Look) -> str:
     return svg(figure)
 
 
-def _points(axes: Axes, y: Float64, z: Float64, off: npt.NDArray[np.bool_] | None) -> None:
+def _points(axes: Axes, y: Float64, z: Float64, off: Bool | None) -> None:
     """Draw a profile's points, those apart that lie `off` the fitted section; None where there is no fit."""
     none = np.zeros(len(y), dtype=np.bool_)
     kinds = (
