@@ -25,10 +25,11 @@ from tracker.arc.level import MAP_SIGMA, ArcLevel
 from tracker.arc.transmission import Passage
 from tracker.geometry import SensorGeometry
 from tracker.joint import MeasuredJoint, fit_joint
+from tracker.measure import Reading, expected_output, profile_of
 from tracker.profile import Profile
 from tracker.seam.locate import locate, sources
 from tracker.state import Frame, Pose, Track
-from tracker.step import Reading, TrackerState, expected_output, jump_limit_mm, profile_of, step_and_reading
+from tracker.step import TrackerState, jump_limit_mm, step_and_reading
 from tracker.stripe.expected import ExpectedStripe, expect_stripe
 from tracker.stripe.read import StripeReading, Work, arc_map_of, read_stripe
 

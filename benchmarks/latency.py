@@ -23,6 +23,7 @@ import cv2
 import numpy as np
 from stripe_peers import PEERS
 
+import tracker.measure
 import tracker.step
 import tracker.stripe.read
 from arctrack.nominal import nominal_setup
@@ -33,8 +34,9 @@ from noise_model.forward import draw_frame
 from noise_model.surface.joint import NOMINAL_SEAM
 from tracker import flags
 from tracker.geometry import SensorGeometry
+from tracker.measure import SEARCH_REACH_MM, Reading
 from tracker.state import Frame, Pose
-from tracker.step import SEARCH_REACH_MM, Reading, TrackerState, step, step_and_reading
+from tracker.step import TrackerState, step, step_and_reading
 from tracker.stripe.read import Work
 
 JOINTS = {"v_groove": "mild_steel", "lap": "zn_coated", "corrugation": "zn_coated"}
@@ -62,7 +64,7 @@ STAGES = {
     "seam and its history": ("_follow",),
     "offset": ("steer",),
 }
-"""What a step is made of: functions of `tracker.step` and `tracker.stripe.read`."""
+"""What a step is made of: functions of `tracker.step`, `tracker.measure` and `tracker.stripe.read`."""
 
 REST = "between the stages"
 
@@ -109,7 +111,7 @@ class Case:
 
     def look(self, frame: Frame, pose: Pose) -> Reading:
         """Read a frame once as a search does, about the nominal seam."""
-        return tracker.step._read(self.geometry, frame, pose, NOMINAL_SEAM, SEARCH_REACH_MM, self.work, True)
+        return tracker.measure.measure(self.geometry, frame, pose, NOMINAL_SEAM, SEARCH_REACH_MM, self.work, True)
 
 
 def timed(run: Callable[..., Any], calls: list[tuple[Any, ...]]) -> tuple[Float64, Float64]:
@@ -152,7 +154,7 @@ class StageTimer:
         """Return the median ms of each stage in calls."""
         stages = {function: name for name, functions in STAGES.items() for function in functions}
         with ExitStack() as stack:
-            for module in (tracker.step, tracker.stripe.read):
+            for module in (tracker.step, tracker.measure, tracker.stripe.read):
                 for function, name in stages.items():
                     if hasattr(module, function):
                         watched = self.watched(name, getattr(module, function))
@@ -251,7 +253,7 @@ def print_peers(cases: list[Case], track_ms: dict[str, float], search_ms: dict[s
         frame, pose = case.frames[0]
         case.state, _, reading = step_and_reading(case.geometry, case.state, frame, pose, case.work)
         assert reading is not None
-        view_of = tracker.step.expect_stripe(case.geometry, reading.view)
+        view_of = tracker.measure.expect_stripe(case.geometry, reading.view)
         assert view_of is not None
         width_px = float(np.median(view_of.sigma_px))
         band = band_of(case, frame, pose)
@@ -276,8 +278,8 @@ def band_of(case: Case, frame: Frame, pose: Pose) -> np.ndarray:
         bands.append(np.ascontiguousarray(look.band.charge.T))
         return look
 
-    read_stripe = tracker.step.read_stripe
-    with mock.patch.object(tracker.step, "read_stripe", keep):
+    read_stripe = tracker.measure.read_stripe
+    with mock.patch.object(tracker.measure, "read_stripe", keep):
         case.track(frame, pose)
     return np.asarray(bands[0])
 

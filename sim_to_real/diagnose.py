@@ -25,7 +25,7 @@ from sim_to_real.decision.holdout_checks import (
     without_trifle,
 )
 from sim_to_real.decision.holdout_gap import excess_map, left_in_pixels, measure, predict_held, smaller
-from sim_to_real.decision.optimal_design import best_measurement, smallest
+from sim_to_real.decision.optimal_design import best_measurement
 from sim_to_real.decision.seam_error import seam_errors_mm
 from sim_to_real.diagnosis import (
     Diagnosis,
@@ -45,6 +45,7 @@ from sim_to_real.locate.residual_structure import locate
 from sim_to_real.locate.spline_term import free_term, gap_size
 from sim_to_real.locate.stage import stages
 from sim_to_real.search.hypothesis import Candidate, judged
+from sim_to_real.search.identifiability import smallest
 from sim_to_real.search.single_effects import Search
 from sim_to_real.search.stepwise import with_shares
 from sim_to_real.variance.random_effects import Scatter, scatter

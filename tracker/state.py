@@ -7,9 +7,34 @@ from dataclasses import dataclass, field
 
 from noise_model.arrays import Bool, Float64, Integers
 from tracker import flags
-from tracker.joint import NO_SHAPE, JointShape
 
 NAN = math.nan
+
+Pair = tuple[float, float]
+UNKNOWN: Pair = (math.nan, math.nan)
+
+
+@dataclass(frozen=True)
+class JointShape:
+    """What a section shows beside seam point, gap and mismatch, with 1 sigma; NaN where it has none.
+
+    Pairs are (left, right). `bevel_angles_deg`: a bevel's angle from upright, joint frame;
+    `plate_angles_deg`: a plate's, or sheet's, from level, positive where it rises to the left; `area_mm2`:
+    the opening below the line from one plate's edge to the other's, of a butt its gap times the stated
+    thickness.
+    """
+
+    gap_sigma_mm: float = math.nan
+    mismatch_sigma_mm: float = math.nan
+    bevel_angles_deg: Pair = UNKNOWN
+    bevel_sigmas_deg: Pair = UNKNOWN
+    plate_angles_deg: Pair = UNKNOWN
+    plate_sigmas_deg: Pair = UNKNOWN
+    area_mm2: float = math.nan
+    area_sigma_mm2: float = math.nan
+
+
+NO_SHAPE = JointShape()
 
 
 @dataclass(frozen=True)

@@ -5,23 +5,17 @@ Live service, replay, tests and diagnosis call the same `step` and get the same 
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from noise_model.arc.map import Scene, arc_kernel, scene
-from noise_model.arc_source import level as current_level
+from noise_model.arc.map import Scene, scene
 from noise_model.arrays import Float64
 from noise_model.setup import Setup
-from noise_model.surface.joint import SeamLine
 from tracker import flags
-from tracker.arc.level import UNKNOWN, ArcLevel, estimate_arc_level
-from tracker.arc.transmission import Passage
 from tracker.geometry import SensorGeometry
-from tracker.joint import MeasuredJoint, fit_joint
-from tracker.joint.type_check import is_another_type
-from tracker.profile import Profile, triangulate
+from tracker.joint import MeasuredJoint
+from tracker.measure import SEARCH_REACH_MM, TRACK_REACH_MM, Reading, measure, measure_again
 from tracker.seam.correction import UNSTATED, Correction
 from tracker.seam.gaussian_process import SeamHistory
 from tracker.seam.locate import (
@@ -30,35 +24,10 @@ from tracker.seam.locate import (
     hand_eye_variance,
     locate,
     pose_flags,
-    sources,
 )
 from tracker.seam.steer import Steering, steer
-from tracker.state import Frame, Pose, Stripe, Track
-from tracker.stripe.detection import (
-    LEAST_RATIO,
-    LEAST_SEEN,
-    evidence_ratio,
-    leaves_image,
-    path_of,
-    seen_share,
-)
-from tracker.stripe.expected import ExpectedStripe, expect_stripe
-from tracker.stripe.read import FIT_SIGMAS, StripeReading, Work, arc_map_of, read_stripe
-
-SEARCH_REACH_MM = 5.0
-"""How far off its nominal place the seam is first looked for."""
-
-TRACK_REACH_MM = 1.0
-"""How far from its expected place it is looked for once it is known, beyond three sigmas of that place."""
-
-MIN_SHARE, GOOD_SHARE = 0.2, 0.75
-"""The share of the scan lines that the joint crosses which must hold a stripe, and below it is partial."""
-
-ARC_OFF_SIGMAS = 5.0
-MISFIT_LIMIT = 2.0
-JOINT_CHI2_LIMIT = 9.0
-UNEXPLAINED_LIMIT = 0.1
-"""So large a share of the points near the seam may lie off the joint's shape: spatter, a tack weld's end."""
+from tracker.state import Frame, Pose, Track
+from tracker.stripe.read import Work
 
 JUMP_SIGMAS, JUMP_FLOOR_MM = 5.0, 0.3
 JUMPS_TO_RELEARN = 3
@@ -67,17 +36,8 @@ JUMPS_TO_RELEARN = 3
 MOST_STRETCHES = 8
 """So many stretches between jumps are remembered for the torch that comes after."""
 
-LEAST_MARGIN_MM = 1.0
-"""A seam nearer to the profile's end than this is out of view."""
-
-CLEAR_MM = 1.0
-"""So much farther than a stripe is followed its joint is looked for."""
-
 LOST_TO_SEARCH = 3
 """So many frames without a joint widen the search to what it was at first."""
-
-MOST_CURRENT_A, MOST_EXPOSURE_S = 1e4, 1e2
-"""No welding current and no exposure reaches these: such a number is not known."""
 
 
 @dataclass(frozen=True)
@@ -166,10 +126,10 @@ def step_and_reading(
     reach_mm = min(SEARCH_REACH_MM, TRACK_REACH_MM + 3.0 * float(seam_sigma.max()))
     if state.lost >= LOST_TO_SEARCH:
         reach_mm = SEARCH_REACH_MM
-    reading = _read(geometry, frame, pose, seam, reach_mm, work, use_arc_map)
+    reading = measure(geometry, frame, pose, seam, reach_mm, work, use_arc_map)
     if reach_mm == SEARCH_REACH_MM:
         found |= flags.SEARCHED.mask
-        reading = _read_again(geometry, frame, pose, nominal, seam, reading, work, use_arc_map)
+        reading = measure_again(geometry, frame, pose, nominal, seam, reading, work, use_arc_map)
     found |= reading.flags
     track = replace(
         track,
@@ -195,132 +155,6 @@ def step_and_reading(
         seam,
     )
     return replace(state, steering=steering), track, reading
-
-
-@dataclass(frozen=True)
-class Reading:
-    """What one look at a frame, within a reach about an expected seam, has found."""
-
-    flags: int
-    view: Scene
-    seam: SeamLine
-    reach_mm: float
-    arc: ArcLevel = UNKNOWN
-    stripe: Stripe | None = None
-    joint: MeasuredJoint | None = None
-    fov_margin_mm: float = math.nan
-
-
-def _read(
-    geometry: SensorGeometry,
-    frame: Frame,
-    pose: Pose,
-    seam: SeamLine,
-    reach_mm: float,
-    work: Work,
-    use_arc_map: bool,
-) -> Reading:
-    """Look for arc, stripe and joint about a seam."""
-    view = scene(geometry.setup, pose.T_base_tool, seam)
-    if view.below_surface:
-        return Reading(flags.BELOW_SURFACE.mask, view, seam, reach_mm)
-    expected = expect_stripe(geometry, view)
-    if expected is None:
-        return Reading(flags.STRIPE_LOST.mask, view, seam, reach_mm)
-    reach_px = reach_mm * geometry.pixels_per_mm
-    output = expected_output(geometry.setup, frame)
-    kernel = arc_kernel(geometry.setup, view, output)
-    keep_off = reach_px + FIT_SIGMAS * float(expected.sigma_px.max())
-    stripe_px = expected.position_px if frame.laser_on else None
-    arc_map = arc_map_of(geometry, kernel)
-    passage = Passage.of(geometry, view, arc_map.at, output if frame.arc_on else 0.0)
-    arc = estimate_arc_level(geometry, arc_map.at, passage, frame.image_dn, stripe_px, keep_off)
-    found = _arc_flags(arc)
-    if not frame.laser_on:
-        return Reading(found | flags.LASER_OFF.mask, view, seam, reach_mm, arc)
-
-    look = read_stripe(geometry, arc_map, passage, arc, frame, expected, reach_px, work, use_arc_map)
-    stripe = look.stripe
-    share = float(np.isfinite(stripe.position_px).sum()) / max(int(expected.shown.sum()), 1)
-    found |= flags.SATURATED.mask if stripe.saturated.any() else 0
-    found |= (
-        flags.STRIPE_LEAVES_IMAGE.mask if leaves_image(expected, stripe.position_px, geometry.n_pos) else 0
-    )
-    at = path_of(look.offsets_px, expected.position_px, stripe.position_px)
-    is_lost = share < MIN_SHARE or evidence_ratio(look.score, at, expected.shown) < LEAST_RATIO
-    if share < GOOD_SHARE and not is_lost:
-        band = look.band
-        seen = seen_share(expected, stripe.position_px, stripe.amplitude_e, band.variance, band.censored)
-        is_lost = seen < LEAST_SEEN
-    if is_lost:
-        return Reading(found | flags.STRIPE_LOST.mask, view, seam, reach_mm, arc, stripe)
-    found |= flags.STRIPE_PARTIAL.mask if share < GOOD_SHARE else 0
-    # Of what is no stripe nothing is the second.
-    found |= flags.TWO_STRIPES.mask if look.second_share > 0.0 else 0
-
-    profile = profile_of(geometry, view, expected, look, reach_mm)
-    joint = fit_joint(profile, geometry.setup.joint, *sources(geometry.setup, view, seam.station_mm))
-    # A narrower look shows only what lies where the stated joint should.
-    if reach_mm == SEARCH_REACH_MM and is_another_type(profile, geometry.setup.joint, joint):
-        found |= flags.JOINT_TYPE_MISMATCH.mask
-    if joint is None:
-        return Reading(found | flags.JOINT_NOT_FOUND.mask, view, seam, reach_mm, arc, stripe)
-    margin_mm = min(joint.y_mm - float(profile.y_mm[0]), float(profile.y_mm[-1]) - joint.y_mm)
-    if margin_mm <= LEAST_MARGIN_MM:
-        out = found | flags.SEAM_OUT_OF_VIEW.mask
-        return Reading(out, view, seam, reach_mm, arc, stripe, fov_margin_mm=margin_mm)
-    is_misfit = joint.chi2 > JOINT_CHI2_LIMIT or joint.unexplained > UNEXPLAINED_LIMIT
-    found |= flags.JOINT_MISFIT.mask if is_misfit else 0
-    return Reading(found, view, seam, reach_mm, arc, stripe, joint, margin_mm)
-
-
-def profile_of(
-    geometry: SensorGeometry, view: Scene, expected: ExpectedStripe, look: StripeReading, reach_mm: float
-) -> Profile:
-    """Return a stripe's profile, whose seam is looked for within the look's reach and a little beyond."""
-    stripe, light = look.stripe, look.light(geometry.setup.camera.psf_sigma_px)
-    position_px = stripe.position_px - expected.lean_px
-    profile = triangulate(geometry, view, position_px, stripe.sigma_px, stripe.beside_px)
-    return replace(profile, reach_mm=reach_mm + CLEAR_MM, light=light)
-
-
-def _read_again(
-    geometry: SensorGeometry,
-    frame: Frame,
-    pose: Pose,
-    nominal: Scene,
-    seam: SeamLine,
-    first: Reading,
-    work: Work,
-    use_arc_map: bool,
-) -> Reading:
-    """Look again where a search has found the joint: the map for another place misleads, near its edges most.
-
-    If the map misled the search itself, the joint is placed without it. If the second look holds hardly any
-    stripe, there was none.
-    """
-    placed = first
-    if first.joint is None and first.stripe is not None and use_arc_map:
-        placed = _read(geometry, frame, pose, seam, SEARCH_REACH_MM, work, False)
-    if placed.joint is None:
-        return first
-    setup = geometry.setup
-    _, station, displacement = locate(
-        setup, nominal.T_joint_tool, placed.view, placed.joint.y_mm, placed.joint.z_mm
-    )
-    there = replace(seam, station_mm=station, y_mm=float(displacement[0]), z_mm=float(displacement[1]))
-    again = _read(geometry, frame, pose, there, TRACK_REACH_MM, work, use_arc_map)
-    # What only a wrong map shows is no stripe: most of its lines are gone with the right one.
-    if again.joint is None and _lines_held(again) >= MIN_SHARE * _lines_held(placed):
-        return first
-    # The narrow look does not see as far beside the stripe.
-    wide = flags.JOINT_TYPE_MISMATCH.mask | flags.TWO_STRIPES.mask
-    return replace(again, flags=again.flags | (placed.flags & wide))
-
-
-def _lines_held(reading: Reading) -> int:
-    """Return how many scan lines hold a stripe."""
-    return 0 if reading.stripe is None else int(np.isfinite(reading.stripe.position_px).sum())
 
 
 def _follow(
@@ -376,26 +210,6 @@ def _follow(
 def jump_limit_mm(expected_sigma_mm: Float64, variance_mm2: Float64) -> Float64:
     """Return how far (2,) a seam may lie from where the earlier frames put it, mm, without being a jump."""
     return np.asarray(np.maximum(JUMP_SIGMAS * np.sqrt(expected_sigma_mm**2 + variance_mm2), JUMP_FLOOR_MM))
-
-
-def expected_output(setup: Setup, frame: Frame) -> float:
-    """Return what the setup expects of the arc for a frame's current and exposure, over the nominal output.
-
-    Without a known current, or with the arc said to be off, that is the nominal one, and so is an exposure.
-    """
-    nominal_s = setup.camera.exposure_s
-    current = current_level(setup.arc, frame.current_a) if 0.0 < frame.current_a < MOST_CURRENT_A else 1.0
-    exposure = frame.exposure_s / nominal_s if 0.0 < frame.exposure_s < MOST_EXPOSURE_S else 1.0
-    return current * exposure
-
-
-def _arc_flags(arc: ArcLevel) -> int:
-    """Return the flags that the arc's level and misfit raise."""
-    if arc is UNKNOWN:
-        return flags.ARC_LEVEL_UNKNOWN.mask
-    if arc.level < ARC_OFF_SIGMAS * arc.sigma:
-        return flags.ARC_OFF.mask
-    return flags.MAP_MISFIT.mask if arc.misfit > MISFIT_LIMIT else 0
 
 
 class Tracker:

@@ -13,7 +13,6 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from noise_model.arrays import Bool, Float64
-from sim_to_real.decision.optimal_design import not_resolvable, own_signatures
 from sim_to_real.diagnosis import Verdict
 from sim_to_real.fit.gauss_newton import FLICKER, NAMED_FROM, Refit, refit, settled
 from sim_to_real.fit.linearized_model import Expected
@@ -28,6 +27,7 @@ from sim_to_real.search.hypothesis import (
     judged,
     likelihood_nats,
 )
+from sim_to_real.search.identifiability import not_resolvable, own_signatures
 from sim_to_real.search.score_test import Screened
 from sim_to_real.search.single_effects import (
     ALIKE_NATS,

@@ -1,99 +1,34 @@
-"""What a recording can tell apart at all, and which measurement would tell what it cannot.
+"""Which measurement would tell two fits apart.
 
-An effect's signature is what it does to the residuals, with all that nuisances can do projected out. Two
-effects whose signatures lie within each other's span look the same; the smallest magnitude that shows is
-where the signature outweighs what the effect's parameters cost. Between two fits the best next frames are
-those that leave most where one predicts them and the other is fitted to them, too (T-optimality: Atkinson and
-Fedorov 1975, Biometrika 62, 57).
+Between two fits the best next frames are those that leave most where one predicts them and the other is
+fitted to them, too (T-optimality: Atkinson and Fedorov 1975, Biometrika 62, 57).
 """
 
 from __future__ import annotations
 
 import itertools
-import math
-from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
 
 from noise_model.arrays import Float64
 from noise_model.condition import Condition
-from noise_model.effects import REGISTRY
 from noise_model.instrument.sensor import saturation_dn
 from noise_model.setup import Setup
 from noise_model.transforms import moved
 from sim_to_real.data.binned import Observed, ObservedFrame, bins_that_count, stated_layers, variances_dn2
 from sim_to_real.decision.experiments import MENU, N_MORE, WITNESS, Experiment
-from sim_to_real.diagnosis import Estimate, Next
+from sim_to_real.diagnosis import Next
 from sim_to_real.fit.gauss_newton import NAMED_FROM, OWN_LEVEL, Refit, refit
 from sim_to_real.fit.linearized_model import Expected, Passed
-from sim_to_real.fit.quadratic import N_EFFECTIVE, Quadratic
+from sim_to_real.fit.quadratic import Quadratic
 from sim_to_real.search.hypothesis import cost_nats, likelihood_nats
-from sim_to_real.search.score_test import Screened
-
-ALIKE = 0.98
-"""A signature of which this share, as a cosine, lies in another's span cannot be told from it."""
-
 
 ROUNDS = 3
 """So often the rival's derivatives are taken where its fit to an experiment came to."""
 
 NEARLY = 3.0
 """So many sigmas below saturation a bin's pixels may be saturated."""
-
-
-def own_signatures(baseline: Refit, screened: Sequence[Screened]) -> dict[str, Float64]:
-    """Return effects' signatures (n, k): what their places do to residuals and, below, to priors' pulls.
-
-    What nuisances can do is projected out, within what priors let them if as much is left as the model may
-    be off, see `Quadratic.prior_weight`.
-    """
-    weight = max(len(baseline.jacobian) / N_EFFECTIVE, 1.0)
-    sigmas = np.array([parameter.prior_sigma for parameter in baseline.quadratic.parameters])
-    priors = math.sqrt(weight) / sigmas
-    known = np.vstack([baseline.jacobian, np.diag(priors)])
-    basis, _ = np.linalg.qr(known)
-    found = {}
-    for one in screened:
-        signature = np.vstack([one.signature, np.zeros((len(priors), one.signature.shape[1]))])
-        found[one.id] = signature - basis @ (basis.T @ signature)
-    return found
-
-
-def not_resolvable(signatures: Mapping[str, Float64]) -> tuple[tuple[str, str], ...]:
-    """Return the pairs of effects that look the same."""
-    names = [name for name, signature in signatures.items() if np.linalg.norm(signature) > 0.0]
-    spans = {name: _span(signatures[name]) for name in names}
-    pairs = []
-    for n, one in enumerate(names):
-        for other in names[n + 1 :]:
-            small, large = sorted((spans[one], spans[other]), key=lambda span: span.shape[1])
-            # The least cosine between the smaller span and the larger: all of it must lie within.
-            if small.shape[1] and np.linalg.svd(large.T @ small, compute_uv=False).min() > ALIKE:
-                pairs.append((one, other))
-    return tuple(pairs)
-
-
-def _span(signature: Float64) -> Float64:
-    """Return an orthonormal basis (n, k) of a signature's columns that do something."""
-    sizes = np.linalg.norm(signature, axis=0)
-    basis, weight, _ = np.linalg.svd(signature / np.maximum(sizes, 1e-12), full_matrices=False)
-    return np.asarray(basis[:, weight > 1e-3])
-
-
-def smallest(signatures: Mapping[str, Float64], screened: Sequence[Screened]) -> dict[str, Estimate]:
-    """Return the least magnitude of each effect that would show; those that never do are left out."""
-    found = {}
-    for one in screened:
-        n = len(one.signature)
-        per_unit = float(np.sum(signatures[one.id][:, 0] ** 2)) / n
-        evidence = NAMED_FROM + cost_nats(len(REGISTRY[one.id].parameters))
-        needed = math.expm1(2.0 * evidence / N_EFFECTIVE)
-        if per_unit > 0.0:
-            moved = int(np.flatnonzero(one.steps[0])[0])
-            step, unit = float(one.steps[0, moved]), REGISTRY[one.id].parameters[moved].unit
-            found[one.id] = Estimate(abs(step) * math.sqrt(needed / per_unit), math.nan, unit)
-    return found
 
 
 def planned_frame(experiment: Experiment, of: ObservedFrame, setup: Setup) -> ObservedFrame:

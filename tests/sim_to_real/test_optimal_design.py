@@ -12,16 +12,10 @@ from noise_model.effects import REGISTRY
 from noise_model.fit import Parameter
 from sim_to_real.data.binned import ObservedFrame
 from sim_to_real.decision.experiments import BY_NAME, MENU, WITNESS
-from sim_to_real.decision.optimal_design import (
-    best_measurement,
-    not_resolvable,
-    own_signatures,
-    planned_frame,
-    smallest,
-    with_more,
-)
+from sim_to_real.decision.optimal_design import best_measurement, planned_frame, with_more
 from sim_to_real.fit.gauss_newton import OWN_LEVEL, refit
 from sim_to_real.fit.quadratic import N_EFFECTIVE, Quadratic
+from sim_to_real.search.identifiability import not_resolvable, own_signatures, smallest
 from sim_to_real.search.score_test import Screened
 from tests.sim_to_real.small import small_recording
 

@@ -15,7 +15,7 @@ from noise_model.arrays import Float64
 from noise_model.surface.joint import Joint
 from tracker.joint import MeasuredJoint, fit_joint
 from tracker.joint.measured import SIGMA_FLOOR_PX
-from tracker.step import JOINT_CHI2_LIMIT, UNEXPLAINED_LIMIT
+from tracker.measure import JOINT_CHI2_LIMIT, UNEXPLAINED_LIMIT
 
 LINE = ((-100.0, 0.0, 0.0), (100.0, 0.0, 0.0))
 TRUE_SIGMA_PX = float(np.hypot(0.05, SIGMA_FLOOR_PX))

@@ -11,11 +11,11 @@ from tracker.joint.fillet import fit_fillet
 from tracker.joint.groove import fit_u_groove, fit_v_groove
 from tracker.joint.half_v import fit_half_v
 from tracker.joint.lap import fit_lap
-from tracker.joint.measured import NO_SHAPE, JointShape, MeasuredJoint
+from tracker.joint.measured import MeasuredJoint
 from tracker.joint.slot import fit_slot
 from tracker.profile import Profile
 
-__all__ = ["NO_SHAPE", "JointShape", "MeasuredJoint", "fit_joint"]
+__all__ = ["MeasuredJoint", "fit_joint"]
 
 
 def fit_joint(profile: Profile, joint: Joint, camera_mm: Float64, laser_mm: Float64) -> MeasuredJoint | None:

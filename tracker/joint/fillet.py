@@ -7,17 +7,10 @@ import math
 import numpy as np
 
 from noise_model.surface.joint import Joint, section
-from tracker.joint.measured import (
-    JointShape,
-    MeasuredJoint,
-    angles_of,
-    fit_shape,
-    place,
-    section_of,
-    unexplained,
-)
+from tracker.joint.measured import MeasuredJoint, angles_of, fit_shape, place, section_of, unexplained
 from tracker.joint.section_shapes import CORNER
 from tracker.profile import Profile
+from tracker.state import JointShape
 
 SEARCH_STEP_MM = 0.2
 SEARCH_LIMIT_MM = 1.0

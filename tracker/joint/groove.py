@@ -14,7 +14,6 @@ from tracker.joint.measured import (
     LEFT_OUT,
     SURE_MM,
     SURE_SIGMAS,
-    JointShape,
     MeasuredJoint,
     ShapeFit,
     angles_of,
@@ -26,6 +25,7 @@ from tracker.joint.measured import (
 )
 from tracker.joint.section_shapes import GROOVE, ROUND_GROOVE
 from tracker.profile import Profile
+from tracker.state import JointShape
 
 SEARCH_STEP_MM = 0.2
 PRIOR_SIGMA = np.array([5.0, 5.0, 0.3, 0.04, 0.04, 0.3, 0.3, 0.03, 0.03])

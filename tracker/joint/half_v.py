@@ -12,7 +12,6 @@ from tracker.joint.measured import (
     CLOSED_MM,
     SURE_MM,
     SURE_SIGMAS,
-    JointShape,
     MeasuredJoint,
     ShapeFit,
     angles_of,
@@ -26,6 +25,7 @@ from tracker.joint.measured import (
 from tracker.joint.section_shapes import HALF_GROOVE
 from tracker.joint.upright_edge import edge_between, hidden_strip, neighbours_of_edge
 from tracker.profile import Profile
+from tracker.state import JointShape
 
 SEARCH_STEP_MM = 0.1
 CLEAR_OF_EDGE_MM = 0.3

@@ -14,7 +14,6 @@ from noise_model.surface.joint import Joint, section
 from tracker.joint.measured import (
     OFF_SIGMAS,
     SIGMA_FLOOR_PX,
-    JointShape,
     MeasuredJoint,
     angles_of,
     fit_shape,
@@ -24,6 +23,7 @@ from tracker.joint.measured import (
 from tracker.joint.section_shapes import SHEETS
 from tracker.joint.upright_edge import edge_between, hidden_strip, neighbours_of_edge
 from tracker.profile import Profile
+from tracker.state import JointShape
 
 SEARCH_STEP_MM = 0.1
 CLEAR_OF_EDGE_MM = 0.4

@@ -14,6 +14,7 @@ from tracker.joint.alike import add_alike
 from tracker.joint.section_fit import best_shift, fit_section
 from tracker.joint.section_shapes import N_CORNERS, corners_of, opening
 from tracker.profile import Profile
+from tracker.state import NO_SHAPE, JointShape, Pair
 
 SIGMA_FLOOR_PX = 0.05
 """What a stripe centre may be off beyond its noise: the surface's own roughness, pixels unlike each other."""
@@ -37,32 +38,6 @@ PLACED_BY = 160
 SURE_SIGMAS, SURE_MM = 2.0, 1.0
 """Where a bevel is not seen: so many sigmas of the gap from the side that is, a point is surely the root's;
 so far out, the plate's."""
-
-Pair = tuple[float, float]
-UNKNOWN: Pair = (math.nan, math.nan)
-
-
-@dataclass(frozen=True)
-class JointShape:
-    """What a section shows beside seam point, gap and mismatch, with 1 sigma; NaN where it has none.
-
-    Pairs are (left, right). `bevel_angles_deg`: a bevel's angle from upright, joint frame;
-    `plate_angles_deg`: a plate's, or sheet's, from level, positive where it rises to the left; `area_mm2`:
-    the opening below the line from one plate's edge to the other's, of a butt its gap times the stated
-    thickness.
-    """
-
-    gap_sigma_mm: float = math.nan
-    mismatch_sigma_mm: float = math.nan
-    bevel_angles_deg: Pair = UNKNOWN
-    bevel_sigmas_deg: Pair = UNKNOWN
-    plate_angles_deg: Pair = UNKNOWN
-    plate_sigmas_deg: Pair = UNKNOWN
-    area_mm2: float = math.nan
-    area_sigma_mm2: float = math.nan
-
-
-NO_SHAPE = JointShape()
 
 
 @dataclass(frozen=True)

@@ -16,9 +16,7 @@ from noise_model.arrays import Bool, Float64
 from noise_model.surface.joint import Joint
 from tracker.joint.measured import (
     OFF_SIGMAS,
-    JointShape,
     MeasuredJoint,
-    Pair,
     ShapeFit,
     angles_of,
     fit_shape,
@@ -27,6 +25,7 @@ from tracker.joint.measured import (
 )
 from tracker.joint.section_shapes import SHEETS
 from tracker.profile import Profile
+from tracker.state import JointShape, Pair
 from tracker.stripe.edge import clear_of_an_edge, stripe_end
 
 PRIOR_SIGMA = np.array([5.0, 0.5, 0.03, 0.03])

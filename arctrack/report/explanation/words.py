@@ -13,19 +13,18 @@ from arctrack.explain_lines import NO_FIT, NO_PATH, ODD_WIDTH, READ, TOO_WEAK
 from arctrack.report.diagnosis.words import listed, number, percent
 from tracker import flags
 from tracker.flags import Flag
-from tracker.seam.correction import UNSTATED
-from tracker.step import (
+from tracker.measure import (
     ARC_OFF_SIGMAS,
     GOOD_SHARE,
     JOINT_CHI2_LIMIT,
-    JUMP_FLOOR_MM,
-    JUMP_SIGMAS,
     LEAST_MARGIN_MM,
     MIN_SHARE,
     MISFIT_LIMIT,
     SEARCH_REACH_MM,
     UNEXPLAINED_LIMIT,
 )
+from tracker.seam.correction import UNSTATED
+from tracker.step import JUMP_FLOOR_MM, JUMP_SIGMAS
 from tracker.stripe.detection import LEAST_RATIO, LEAST_SEEN, evidence_ratio, path_of, seen_share
 from tracker.stripe.fit import MIN_SIGNIFICANCE, WIDTH_LIMIT_LN
 
