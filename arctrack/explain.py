@@ -17,7 +17,7 @@ from arctrack.errors import ArctrackError, in_file
 from arctrack.explain_lines import Refusals, SigmaParts, refusals, sigma_parts
 from arctrack.recording import BadFrame, Recording
 from arctrack.replay import tracker_of
-from noise_model.arc.map import ArcKernel, Scene, arc_frame, arc_kernel, scene
+from noise_model.arc.map import ArcKernel, Scene, arc_frame, arc_kernel, make_scene
 from noise_model.arrays import Float32, Float64
 from noise_model.instrument.sensor import variance_e2
 from tracker import flags
@@ -153,17 +153,17 @@ def _look(
     use_arc_map: bool,
 ) -> Look:
     """Take a reading apart, as far as the step went."""
-    setup, view = geometry.setup, reading.view
-    nominal = scene(setup, pose.T_base_tool)
+    setup, scene = geometry.setup, reading.scene
+    nominal_scene = make_scene(setup, pose.T_base_tool)
     reach_px = reading.reach_mm * geometry.pixels_per_mm
-    look = Look(reading, reach_px, float(nominal.T_joint_tool[0, 3]))
-    expected = None if view.below_surface else expect_stripe(geometry, view)
+    look = Look(reading, reach_px, float(nominal_scene.T_joint_tool[0, 3]))
+    expected = None if scene.below_surface else expect_stripe(geometry, scene)
     if expected is None:
         return look
     output = expected_output(setup, frame)
-    kernel = arc_kernel(setup, view, output)
+    kernel = arc_kernel(setup, scene, output)
     arc_map = arc_map_of(geometry, kernel)
-    passage = Passage.of(geometry, view, arc_map.at, output if frame.arc_on else 0.0)
+    passage = Passage.of(geometry, scene, arc_map.at, output if frame.arc_on else 0.0)
     arc = _arc_image(geometry, kernel, passage, reading.arc, frame)
     look = replace(look, expected=expected, arc=arc)
     if reading.stripe is None:
@@ -173,15 +173,17 @@ def _look(
     stripe = read_stripe(
         geometry, arc_map, passage, reading.arc, frame, expected, reach_px, work, use_arc_map
     )
-    profile = profile_of(geometry, view, expected, stripe, reading.reach_mm)
+    profile = profile_of(geometry, scene, expected, stripe, reading.reach_mm)
     look = replace(look, stripe=StripeLook(stripe, refusals(stripe, expected), sigma_parts(stripe, expected)))
     if len(profile.y_mm) < 2:
         return look
     look = replace(look, profile=profile)
     if reading.flags & flags.STRIPE_LOST.mask:
         return look
-    joint = fit_joint(profile, setup.joint, *sources(setup, view, reading.seam.station_mm))
-    seam = None if reading.joint is None else _seam_look(geometry, before, nominal, view, reading.joint)
+    joint = fit_joint(profile, setup.joint, *sources(setup, scene, reading.seam.station_mm))
+    seam = (
+        None if reading.joint is None else _seam_look(geometry, before, nominal_scene, scene, reading.joint)
+    )
     return replace(look, joint=joint, seam=seam)
 
 
@@ -207,10 +209,12 @@ def _arc_image(
 
 
 def _seam_look(
-    geometry: SensorGeometry, before: TrackerState, nominal: Scene, view: Scene, joint: MeasuredJoint
+    geometry: SensorGeometry, before: TrackerState, nominal_scene: Scene, scene: Scene, joint: MeasuredJoint
 ) -> SeamLook:
     """Put a measured joint beside what the earlier frames said of its place."""
-    _, station, displacement = locate(geometry.setup, nominal.T_joint_tool, view, joint.y_mm, joint.z_mm)
+    _, station, displacement = locate(
+        geometry.setup, nominal_scene.T_joint_tool, scene, joint.y_mm, joint.z_mm
+    )
     variance = np.diag(joint.covariance_mm2)
     expected, sigma = before.history.at(station)
     return SeamLook(station, displacement, variance, expected, sigma, jump_limit_mm(sigma, variance))

@@ -18,7 +18,7 @@ from scipy.spatial.transform import Rotation
 from arctrack.errors import ArctrackError
 from arctrack.recording import RecordingWriter, SetupFile, VideoFormat
 from arctrack.recording.setup_file import setup_text
-from noise_model.arc.map import scene
+from noise_model.arc.map import make_scene
 from noise_model.arrays import Float64
 from noise_model.condition import Condition
 from noise_model.effects import Values, checked, pose_time_s, really
@@ -145,7 +145,7 @@ def simulate_recording(
         for n, switches in enumerate(conditions(setup, plan, draw_order)):
             timestamp_s = n / plan.rate_hz
             T_base_tool = motion.T_base_tool(pose_time_s(true_setup, timestamp_s))
-            seam = motion.true_seam(*scene(really(true_setup), T_base_tool).stations_mm)
+            seam = motion.true_seam(*make_scene(really(true_setup), T_base_tool).stations_mm)
             condition = Condition.of(setup, **vars(switches), timestamp_s=timestamp_s)
             image_dn = draw_frame(
                 true_setup, T_base_tool, condition, draw_noise, seam=seam, renderer=renderer

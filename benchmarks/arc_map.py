@@ -28,7 +28,7 @@ from noise_model.arc.map import (
     ArcMap,
     arc_at,
     arc_kernel,
-    scene,
+    make_scene,
 )
 from noise_model.arrays import Float32, Float64, Int64
 from noise_model.setup import Setup
@@ -73,23 +73,23 @@ def measure(joint: str, repeats: int) -> Setup:
     quarter_dn = 0.25 * setup.sensor.gain_e_per_dn
     geometry = SensorGeometry.of(setup)
     T = pose()
-    view = scene(setup, T)
+    scene = make_scene(setup, T)
     pixels = np.arange(0, geometry.cos4.size, 7)
-    want, _ = arc_at(arc_kernel(setup, view, nodes=(24, 12)), geometry.xy, geometry.cos4, pixels)
+    want, _ = arc_at(arc_kernel(setup, scene, nodes=(24, 12)), geometry.xy, geometry.cos4, pixels)
     frame = np.empty((geometry.n_scan, geometry.n_pos), dtype=np.float32)
     no_lows = np.zeros(-(-geometry.n_scan // CELL), dtype=np.int64)
-    expected = expect_stripe(geometry, view)
+    expected = expect_stripe(geometry, scene)
     assert expected is not None
     half = math.ceil(BAND_MM * geometry.pixels_per_mm + FIT_SIGMAS * float(expected.sigma_px.max()))
     lows, depth = place(expected.position_px, geometry.n_pos, half)
     band = np.empty((geometry.n_scan, depth), dtype=np.float32)
     source = np.ones_like(frame)
     copy = least_ms(lambda: np.copyto(frame, source), 5 * repeats)
-    new = least_ms(lambda: arc_kernel(setup, scene(setup, T)), repeats)
+    new = least_ms(lambda: arc_kernel(setup, make_scene(setup, T)), repeats)
     print(f"\n{joint}, {JOINTS[joint]}: pose {new:.2f} ms; memory pass {copy:.2f} ms; band {band.shape}")
     print("  nodes  tolerance | frame, ms  / pass |  band, ms | error: median    p99    max   beyond")
     for tolerance, nodes in SETTINGS:
-        kernel = arc_kernel(setup, view, nodes=nodes)
+        kernel = arc_kernel(setup, scene, nodes=nodes)
 
         def fill(
             lows: Int64 = no_lows,
@@ -107,7 +107,7 @@ def measure(joint: str, repeats: int) -> Setup:
             f"{part:9.2f} | {np.nanmedian(error):13.3f} {np.nanquantile(error, 0.99):6.2f} "
             f"{np.nanmax(error):6.2f} {np.nanmean(error > 1.0):8.3%}"
         )
-    kernel = arc_kernel(setup, view)
+    kernel = arc_kernel(setup, scene)
     some = pixels[::10]
     brute = least_ms(lambda: arc_at(kernel, geometry.xy, geometry.cos4, some), 2) / len(some)
     n = NODES_P * NODES_Q

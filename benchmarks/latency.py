@@ -111,7 +111,9 @@ class Case:
 
     def look(self, frame: Frame, pose: Pose) -> Reading:
         """Read a frame once as a search does, about the nominal seam."""
-        return tracker.measure.measure(self.geometry, frame, pose, NOMINAL_SEAM, SEARCH_REACH_MM, self.work, True)
+        return tracker.measure.measure(
+            self.geometry, frame, pose, NOMINAL_SEAM, SEARCH_REACH_MM, self.work, True
+        )
 
 
 def timed(run: Callable[..., Any], calls: list[tuple[Any, ...]]) -> tuple[Float64, Float64]:
@@ -253,9 +255,9 @@ def print_peers(cases: list[Case], track_ms: dict[str, float], search_ms: dict[s
         frame, pose = case.frames[0]
         case.state, _, reading = step_and_reading(case.geometry, case.state, frame, pose, case.work)
         assert reading is not None
-        view_of = tracker.measure.expect_stripe(case.geometry, reading.view)
-        assert view_of is not None
-        width_px = float(np.median(view_of.sigma_px))
+        stripe = tracker.measure.expect_stripe(case.geometry, reading.scene)
+        assert stripe is not None
+        width_px = float(np.median(stripe.sigma_px))
         band = band_of(case, frame, pose)
         for name, peer in PEERS.items():
             took = []

@@ -29,7 +29,7 @@ from scipy.spatial.transform import Rotation
 
 from arctrack.nominal import nominal_setup
 from arctrack.simulate import balance
-from noise_model.arc.map import arc_frame, arc_kernel, scene
+from noise_model.arc.map import arc_frame, arc_kernel, make_scene
 from noise_model.instrument.camera import Rays
 from noise_model.setup import Setup
 from noise_model.surface.brdf import TABLE_1
@@ -86,7 +86,7 @@ def row(joint_type: str, material: str, samples: int) -> str:
     for seed, T_base_tool in enumerate(poses()):
 
         def predict(T_base_tool: np.ndarray = T_base_tool) -> np.ndarray:
-            kernel = arc_kernel(setup, scene(setup, T_base_tool))
+            kernel = arc_kernel(setup, make_scene(setup, T_base_tool))
             return arc_frame(kernel, rays.xy.reshape(-1, 2), rays.cos4.reshape(-1), shape)
 
         def trace(

@@ -21,7 +21,7 @@ import numpy as np
 from arctrack.nominal import nominal_setup
 from arctrack.report import style
 from arctrack.simulate import balance, true_values
-from noise_model.arc.map import scene
+from noise_model.arc.map import make_scene
 from noise_model.condition import Condition
 from noise_model.forward import predict
 from noise_model.instrument.sensor import expose
@@ -76,9 +76,9 @@ def trial(rng: np.random.Generator, base: dict[str, Setup]) -> Trial:
     mean_e = predict(true, T_base_tool, condition, seam=seam).mean_e
     frame = Frame(0, 0.0, expose(mean_e, true.sensor, rng), stated.camera.exposure_s, stated.arc.current_a)
     track = Tracker(stated).step(frame, Pose(T_base_tool))
-    seen = scene(true, T_base_tool, seam)
-    point = seam_point_tool(true, seen, 0.0, seam_height_mm(true.joint))
-    there, here = (transform(seen.T_joint_tool, np.asarray(p)) for p in (track.seam_tool_mm, point))
+    scene = make_scene(true, T_base_tool, seam)
+    point = seam_point_tool(true, scene, 0.0, seam_height_mm(true.joint))
+    there, here = (transform(scene.T_joint_tool, np.asarray(p)) for p in (track.seam_tool_mm, point))
     error = float(there[1] - here[1]), float(there[2] - here[2])
     return Trial(track, error, max(map(abs, error)) <= tolerance.seam_mm)
 

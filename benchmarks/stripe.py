@@ -21,7 +21,7 @@ import numpy as np
 from stripe_peers import PEERS
 
 from arctrack.nominal import nominal_setup
-from noise_model.arc.map import scene
+from noise_model.arc.map import make_scene
 from noise_model.arrays import Float64
 from noise_model.condition import Condition
 from noise_model.forward import Renderer, draw_frame, predict
@@ -88,7 +88,7 @@ def case_of(stripe_e: float, arc: float, width_px: float) -> Case:
 
 
 def expected_of(setup: Setup) -> ExpectedStripe:
-    expected = expect_stripe(SensorGeometry.of(setup), scene(setup, np.eye(4)))
+    expected = expect_stripe(SensorGeometry.of(setup), make_scene(setup, np.eye(4)))
     assert expected is not None
     return expected
 

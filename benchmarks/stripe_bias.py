@@ -16,7 +16,7 @@ import numpy as np
 from stripe import Case, case_of, expected_of
 
 from arctrack.report import style
-from noise_model.arc.map import scene
+from noise_model.arc.map import make_scene
 from noise_model.arrays import Float64
 from noise_model.condition import Condition
 from noise_model.forward import Renderer, draw_frame
@@ -43,7 +43,7 @@ def step_poses(case: Case) -> list[Float64]:
     lifted = np.eye(4)
     lifted[2, 3] = 0.1
     geometry = SensorGeometry.of(case.setup)
-    there = expect_stripe(geometry, scene(case.setup, lifted))
+    there = expect_stripe(geometry, make_scene(case.setup, lifted))
     assert there is not None
     per_mm = float(np.median(there.position_px - expected_of(case.setup).position_px)) / 0.1
     poses = [np.eye(4) for _ in range(STEPS)]
@@ -57,7 +57,7 @@ def biases(case: Case, draws: int) -> tuple[Bias, Bias]:
     geometry, rng = SensorGeometry.of(case.setup), np.random.default_rng(0)
     places, errors = [], []
     for n, pose in enumerate(step_poses(case)):
-        expected = expect_stripe(geometry, scene(case.setup, pose))
+        expected = expect_stripe(geometry, make_scene(case.setup, pose))
         assert expected is not None
         true = expected.position_px + expected.lean_px
         place = np.minimum((np.mod(true, 1.0) * BINS).astype(int), BINS - 1)

@@ -18,7 +18,7 @@ import numpy as np
 
 from arctrack.nominal import nominal_setup
 from arctrack.simulate import balance
-from noise_model.arc.map import scene
+from noise_model.arc.map import make_scene
 from noise_model.arrays import Float64
 from noise_model.condition import Condition
 from noise_model.forward import draw_frame
@@ -60,9 +60,9 @@ def drawn(setup: Setup, n: int) -> list[tuple[Frame, Pose, Float64]]:
     for i in range(n):
         T_base_tool = np.eye(4)
         T_base_tool[:3, 3] = [1.5 * i, rng.uniform(-1.0, 1.0), rng.uniform(0.0, 1.0)]
-        view = scene(setup, T_base_tool, SEAM)
+        scene = make_scene(setup, T_base_tool, SEAM)
         image = draw_frame(setup, T_base_tool, Condition(1.0, 1.0, EXPOSURE_S), rng, seam=SEAM)
-        truth = seam_point_tool(setup, view, 0.0, seam_height_mm(setup.joint))
+        truth = seam_point_tool(setup, scene, 0.0, seam_height_mm(setup.joint))
         frames.append((Frame(i, 0.1 * i, image, EXPOSURE_S, CURRENT_A), Pose(T_base_tool), truth))
     return frames
 

@@ -22,7 +22,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from noise_model.arc.map import Scene, arc_at, arc_kernel, scene
+from noise_model.arc.map import Scene, arc_at, arc_kernel, make_scene
 from noise_model.arc_source import level as current_level
 from noise_model.arrays import Float32, Float64, Int32, Int64
 from noise_model.effects import really
@@ -163,8 +163,8 @@ def _with_seam(
     """
     seen = []
     for frame, pose in frames:
-        nominal = scene(setup, pose.T_base_tool)
-        station_mm = expected_seam(setup, nominal, states[-1].history)[0].station_mm
+        nominal_scene = make_scene(setup, pose.T_base_tool)
+        station_mm = expected_seam(setup, nominal_scene, states[-1].history)[0].station_mm
         lines = [state.history_at(station_mm).line_at(station_mm) for state in states]
         line, sigma = min(lines, key=lambda known: float(known[1].max()))
         if sigma.max() <= SEAM_KNOWN_MM:
@@ -256,7 +256,7 @@ class _View:
 
     geometry: SensorGeometry
     seen: _Seen
-    chosen: Scene
+    scene: Scene
     pixels: Int64
     faces: Int32
     charge_e: Float64
@@ -266,10 +266,10 @@ class _View:
     def of(cls, geometry: SensorGeometry, seen: _Seen, seam: SeamLine, lattice_px: int) -> _View:
         setup, frame = geometry.setup, seen.frame
         s, r = geometry.lattice(lattice_px)
-        view = scene(setup, seen.pose.T_base_tool, seam)
-        kernel = arc_kernel(setup, view)
+        scene = make_scene(setup, seen.pose.T_base_tool, seam)
+        kernel = arc_kernel(setup, scene)
         keep = np.ones(len(s), dtype=bool)
-        stripe = expect_stripe(geometry, view)
+        stripe = expect_stripe(geometry, scene)
         if frame.laser_on and stripe is not None:
             keep &= np.abs(r - stripe.position_px[s]) > KEEP_OFF_SIGMAS * stripe.sigma_px[s]
         dn = frame.image_dn[r, s] if geometry.along_rows else frame.image_dn[s, r]
@@ -286,7 +286,7 @@ class _View:
         output = current * frame.exposure_s / setup.camera.exposure_s
         pixels = (s * geometry.n_pos + r)[keep]
         charge_e = geometry.charge_e[dn[keep]].astype(np.float64)
-        return cls(geometry, seen, view, pixels, face[keep], charge_e, output)
+        return cls(geometry, seen, scene, pixels, face[keep], charge_e, output)
 
     def residual(self, setup: Setup, level: float, black_e: float, seam: SeamLine) -> Float64:
         """Return the whitened residuals (n,) against a setup, NaN of a pixel that sees another face."""
@@ -297,21 +297,21 @@ class _View:
     def mean_e(self, setup: Setup, level: float, black_e: float, seam: SeamLine) -> Float64:
         """Return the charge (n,) that a setup lets expect, NaN of a pixel that sees another face."""
         true = really(setup)
-        view = scene(true, self.seen.pose.T_base_tool, seam)
+        scene = make_scene(true, self.seen.pose.T_base_tool, seam)
         output = level * self.output
-        kernel = arc_kernel(true, view, output)
+        kernel = arc_kernel(true, scene, output)
 
         def light(pixels: Int64) -> Float32:
             return arc_at(kernel, self.geometry.xy, self.geometry.cos4, pixels)[0]
 
         own_e, faces = arc_at(kernel, self.geometry.xy, self.geometry.cos4, self.pixels)
-        passage = Passage.of(self.geometry, view, light, output)
+        passage = Passage.of(self.geometry, scene, light, output)
         arc_e, other_e = seen_arc(lambda _: own_e, passage, self.pixels)
         return np.where(faces == self.faces, arc_e + other_e + black_e, np.nan)
 
     def shift_px(self, setup: Setup, seam: SeamLine) -> float:
         """Return how far what the pixels saw moves in the image at most with this camera and seam."""
-        before, after = self.chosen, scene(really(setup), self.seen.pose.T_base_tool, seam)
+        before, after = self.scene, make_scene(really(setup), self.seen.pose.T_base_tool, seam)
         points, normals = np.empty((2, len(self.pixels), 3))
         faces = np.empty(len(self.pixels), dtype=np.int32)
         shape = before.shape

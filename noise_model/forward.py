@@ -135,9 +135,9 @@ def _arc_light(view: View) -> Float32:
     return np.nan_to_num(arc_e).reshape(view.shape)
 
 
-def _filled(frame: View, where: Scene) -> Float32:
+def _filled(frame: View, scene: Scene) -> Float32:
     """Return the arc's light (H, W) of a whole frame in a scene."""
-    kernel, (height, width) = arc_kernel(frame.setup, where), frame.shape
+    kernel, (height, width) = arc_kernel(frame.setup, scene), frame.shape
     xy, cos4 = np.ascontiguousarray(frame.xy.reshape(-1, 2)), frame.cos4.reshape(-1)
     some_e, _ = arc_at(kernel, xy, cos4, np.arange(0, frame.cos4.size, FILL_SAMPLE))
     floor_e = FILL_FLOOR * float(np.nan_to_num(some_e).max())

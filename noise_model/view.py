@@ -8,7 +8,7 @@ from typing import TypeVar, cast
 
 import numpy as np
 
-from noise_model.arc.map import Scene, scene
+from noise_model.arc.map import Scene, make_scene
 from noise_model.arrays import Float32, Float64, Int32, Integers
 from noise_model.instrument.camera import Rays, fall_off
 from noise_model.setup import Setup
@@ -52,18 +52,18 @@ class View:
     ) -> View:
         """Look from a pose; `pixels` (n,) are indices into the flattened image, all of it without them.
 
-        `rays` spares tracing the camera's rays anew; `ground` is that of `arc_map.scene`, `coarse` as above.
+        `rays` spares tracing the camera's rays anew; `ground` is that of `make_scene`, `coarse` as above.
         """
         rays = Rays.of(setup.camera) if rays is None else rays
         height, width = rays.cos4.shape
-        where = scene(setup, T_base_tool, seam, ground)
+        scene = make_scene(setup, T_base_tool, seam, ground)
         if pixels is None:
             v, u = np.mgrid[:height, :width].astype(np.float32)
-            return cls(setup, where, np.stack([u, v], axis=-1), rays.xy, rays.cos4, True, coarse=coarse)
+            return cls(setup, scene, np.stack([u, v], axis=-1), rays.xy, rays.cos4, True, coarse=coarse)
         v_of, u_of = np.divmod(pixels, width)
         uv = np.column_stack([u_of, v_of]).astype(np.float32)
         xy, cos4 = rays.xy.reshape(-1, 2)[pixels], rays.cos4.reshape(-1)[pixels]
-        return cls(setup, where, uv, xy, cos4, False, coarse=coarse)
+        return cls(setup, scene, uv, xy, cos4, False, coarse=coarse)
 
     def about(self, pixels: Integers, offsets_px: Float64) -> View:
         """Look beside the centres of some of its pixels (n,), by `offsets_px` (n, k, 2) as (u, v): (n, k)."""

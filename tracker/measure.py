@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from noise_model.arc.map import Scene, arc_kernel, scene
+from noise_model.arc.map import Scene, arc_kernel, make_scene
 from noise_model.arc_source import level as current_level
 from noise_model.setup import Setup
 from noise_model.surface.joint import SeamLine
@@ -61,7 +61,7 @@ class Reading:
     """What one look at a frame, within a reach about an expected seam, has found."""
 
     flags: int
-    view: Scene
+    scene: Scene
     seam: SeamLine
     reach_mm: float
     arc: ArcLevel = UNKNOWN
@@ -80,23 +80,23 @@ def measure(
     use_arc_map: bool,
 ) -> Reading:
     """Look for arc, stripe and joint about a seam."""
-    view = scene(geometry.setup, pose.T_base_tool, seam)
-    if view.below_surface:
-        return Reading(flags.BELOW_SURFACE.mask, view, seam, reach_mm)
-    expected = expect_stripe(geometry, view)
+    scene = make_scene(geometry.setup, pose.T_base_tool, seam)
+    if scene.below_surface:
+        return Reading(flags.BELOW_SURFACE.mask, scene, seam, reach_mm)
+    expected = expect_stripe(geometry, scene)
     if expected is None:
-        return Reading(flags.STRIPE_LOST.mask, view, seam, reach_mm)
+        return Reading(flags.STRIPE_LOST.mask, scene, seam, reach_mm)
     reach_px = reach_mm * geometry.pixels_per_mm
     output = expected_output(geometry.setup, frame)
-    kernel = arc_kernel(geometry.setup, view, output)
+    kernel = arc_kernel(geometry.setup, scene, output)
     keep_off = reach_px + FIT_SIGMAS * float(expected.sigma_px.max())
     stripe_px = expected.position_px if frame.laser_on else None
     arc_map = arc_map_of(geometry, kernel)
-    passage = Passage.of(geometry, view, arc_map.at, output if frame.arc_on else 0.0)
+    passage = Passage.of(geometry, scene, arc_map.at, output if frame.arc_on else 0.0)
     arc = estimate_arc_level(geometry, arc_map.at, passage, frame.image_dn, stripe_px, keep_off)
     found = _arc_flags(arc)
     if not frame.laser_on:
-        return Reading(found | flags.LASER_OFF.mask, view, seam, reach_mm, arc)
+        return Reading(found | flags.LASER_OFF.mask, scene, seam, reach_mm, arc)
 
     look = read_stripe(geometry, arc_map, passage, arc, frame, expected, reach_px, work, use_arc_map)
     stripe = look.stripe
@@ -112,34 +112,34 @@ def measure(
         seen = seen_share(expected, stripe.position_px, stripe.amplitude_e, band.variance, band.censored)
         is_lost = seen < LEAST_SEEN
     if is_lost:
-        return Reading(found | flags.STRIPE_LOST.mask, view, seam, reach_mm, arc, stripe)
+        return Reading(found | flags.STRIPE_LOST.mask, scene, seam, reach_mm, arc, stripe)
     found |= flags.STRIPE_PARTIAL.mask if share < GOOD_SHARE else 0
     # Of what is no stripe nothing is the second.
     found |= flags.TWO_STRIPES.mask if look.second_share > 0.0 else 0
 
-    profile = profile_of(geometry, view, expected, look, reach_mm)
-    joint = fit_joint(profile, geometry.setup.joint, *sources(geometry.setup, view, seam.station_mm))
+    profile = profile_of(geometry, scene, expected, look, reach_mm)
+    joint = fit_joint(profile, geometry.setup.joint, *sources(geometry.setup, scene, seam.station_mm))
     # A narrower look shows only what lies where the stated joint should.
     if reach_mm == SEARCH_REACH_MM and is_another_type(profile, geometry.setup.joint, joint):
         found |= flags.JOINT_TYPE_MISMATCH.mask
     if joint is None:
-        return Reading(found | flags.JOINT_NOT_FOUND.mask, view, seam, reach_mm, arc, stripe)
+        return Reading(found | flags.JOINT_NOT_FOUND.mask, scene, seam, reach_mm, arc, stripe)
     margin_mm = min(joint.y_mm - float(profile.y_mm[0]), float(profile.y_mm[-1]) - joint.y_mm)
     if margin_mm <= LEAST_MARGIN_MM:
         out = found | flags.SEAM_OUT_OF_VIEW.mask
-        return Reading(out, view, seam, reach_mm, arc, stripe, fov_margin_mm=margin_mm)
+        return Reading(out, scene, seam, reach_mm, arc, stripe, fov_margin_mm=margin_mm)
     is_misfit = joint.chi2 > JOINT_CHI2_LIMIT or joint.unexplained > UNEXPLAINED_LIMIT
     found |= flags.JOINT_MISFIT.mask if is_misfit else 0
-    return Reading(found, view, seam, reach_mm, arc, stripe, joint, margin_mm)
+    return Reading(found, scene, seam, reach_mm, arc, stripe, joint, margin_mm)
 
 
 def profile_of(
-    geometry: SensorGeometry, view: Scene, expected: ExpectedStripe, look: StripeReading, reach_mm: float
+    geometry: SensorGeometry, scene: Scene, expected: ExpectedStripe, look: StripeReading, reach_mm: float
 ) -> Profile:
     """Return a stripe's profile, whose seam is looked for within the look's reach and a little beyond."""
     stripe, light = look.stripe, look.light(geometry.setup.camera.psf_sigma_px)
     position_px = stripe.position_px - expected.lean_px
-    profile = triangulate(geometry, view, position_px, stripe.sigma_px, stripe.beside_px)
+    profile = triangulate(geometry, scene, position_px, stripe.sigma_px, stripe.beside_px)
     return replace(profile, reach_mm=reach_mm + CLEAR_MM, light=light)
 
 
@@ -147,7 +147,7 @@ def measure_again(
     geometry: SensorGeometry,
     frame: Frame,
     pose: Pose,
-    nominal: Scene,
+    nominal_scene: Scene,
     seam: SeamLine,
     first: Reading,
     work: Work,
@@ -165,7 +165,7 @@ def measure_again(
         return first
     setup = geometry.setup
     _, station, displacement = locate(
-        setup, nominal.T_joint_tool, placed.view, placed.joint.y_mm, placed.joint.z_mm
+        setup, nominal_scene.T_joint_tool, placed.scene, placed.joint.y_mm, placed.joint.z_mm
     )
     there = replace(seam, station_mm=station, y_mm=float(displacement[0]), z_mm=float(displacement[1]))
     again = measure(geometry, frame, pose, there, TRACK_REACH_MM, work, use_arc_map)

@@ -42,7 +42,7 @@ class Profile:
 
 def triangulate(
     geometry: SensorGeometry,
-    view: Scene,
+    scene: Scene,
     position_px: Float64,
     sigma_px: Float64,
     beside_px: Float64,
@@ -50,7 +50,7 @@ def triangulate(
     """Return the profile of a stripe given per scan line (n_scan,), NaN where there is none.
 
     The camera's ray through the stripe's centre meets the laser plane in the point; how the point moves with
-    the centre is all its first-order covariance. `view` should run along the seam as it is expected, for a
+    the centre is all its first-order covariance. `scene` should run along the seam as it is expected, for a
     section seen askew is another section.
     """
     n_scan = len(position_px)
@@ -60,10 +60,10 @@ def triangulate(
         sigma_px,
         geometry.setup.camera.intrinsics,
         geometry.along_rows,
-        view.T_joint_camera,
-        view.T_joint_tool,
+        scene.T_joint_camera,
+        scene.T_joint_tool,
         geometry.setup.laser.plane,
-        view.shape.corrugation,
+        scene.shape.corrugation,
         points,
         scan,
     )

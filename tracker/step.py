@@ -9,7 +9,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from noise_model.arc.map import Scene, scene
+from noise_model.arc.map import Scene, make_scene
 from noise_model.arrays import Float64
 from noise_model.setup import Setup
 from tracker import flags
@@ -121,15 +121,15 @@ def step_and_reading(
     if blind:
         return state, replace(track, flags=found | blind), None
 
-    nominal = scene(geometry.setup, pose.T_base_tool)
-    seam, seam_sigma = expected_seam(geometry.setup, nominal, state.history)
+    nominal_scene = make_scene(geometry.setup, pose.T_base_tool)
+    seam, seam_sigma = expected_seam(geometry.setup, nominal_scene, state.history)
     reach_mm = min(SEARCH_REACH_MM, TRACK_REACH_MM + 3.0 * float(seam_sigma.max()))
     if state.lost >= LOST_TO_SEARCH:
         reach_mm = SEARCH_REACH_MM
     reading = measure(geometry, frame, pose, seam, reach_mm, work, use_arc_map)
     if reach_mm == SEARCH_REACH_MM:
         found |= flags.SEARCHED.mask
-        reading = measure_again(geometry, frame, pose, nominal, seam, reading, work, use_arc_map)
+        reading = measure_again(geometry, frame, pose, nominal_scene, seam, reading, work, use_arc_map)
     found |= reading.flags
     track = replace(
         track,
@@ -142,12 +142,12 @@ def step_and_reading(
         state = replace(state, lost=state.lost + (reading.stripe is not None))
         track = replace(track, flags=found)
     else:
-        state, track = _follow(geometry, state, track, found, nominal, reading.view, reading.joint)
+        state, track = _follow(geometry, state, track, found, nominal_scene, reading.scene, reading.joint)
     steering, track = steer(
         correction,
         geometry.setup,
         pose.T_base_tool,
-        nominal,
+        nominal_scene,
         state.history,
         state.history_at,
         state.steering,
@@ -162,13 +162,15 @@ def _follow(
     state: TrackerState,
     track: Track,
     found: int,
-    nominal: Scene,
-    view: Scene,
+    nominal_scene: Scene,
+    scene: Scene,
     joint: MeasuredJoint,
 ) -> tuple[TrackerState, Track]:
     """Judge a measured joint against the earlier ones, and turn it into seam point and confidence."""
     setup = geometry.setup
-    seam_tool, station, displacement = locate(setup, nominal.T_joint_tool, view, joint.y_mm, joint.z_mm)
+    seam_tool, station, displacement = locate(
+        setup, nominal_scene.T_joint_tool, scene, joint.y_mm, joint.z_mm
+    )
     variance = np.diag(joint.covariance_mm2)
     expected, expected_sigma = state.history.at(station)
     limit = jump_limit_mm(expected_sigma, variance)
@@ -188,7 +190,7 @@ def _follow(
             history, beyond, jumps, lost = beyond, SeamHistory(), 0, 0
     else:
         history = history.with_measurement(station, displacement, variance)
-    hand_eye = hand_eye_variance(setup, nominal, seam_tool)
+    hand_eye = hand_eye_variance(setup, nominal_scene, seam_tool)
     steering = replace(state.steering, hand_eye_variance_mm2=(float(hand_eye[0]), float(hand_eye[1])))
     state = replace(
         state, history=history, beyond=beyond, behind=behind, steering=steering, jumps=jumps, lost=lost

@@ -13,7 +13,7 @@ from arctrack.recording import Recording
 from arctrack.report import style
 from arctrack.report.image import visible
 from arctrack.survey import Condition, Survey, path_over_seam
-from noise_model.arc.map import scene
+from noise_model.arc.map import make_scene
 from noise_model.arrays import Float64
 from robot_io import PoseBuffer
 from tracker.geometry import SensorGeometry
@@ -58,8 +58,8 @@ def expected_stripe_px(
     pose = recording.pose_at(poses, frame.timestamp_s)
     if pose is None:
         return None
-    view = scene(geometry.setup, pose.T_base_tool)
-    expected = None if view.below_surface else expect_stripe(geometry, view)
+    scene = make_scene(geometry.setup, pose.T_base_tool)
+    expected = None if scene.below_surface else expect_stripe(geometry, scene)
     if expected is None:
         return None
     lines = np.arange(geometry.n_scan, dtype=np.float64)

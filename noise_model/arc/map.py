@@ -94,7 +94,7 @@ class Scene:
         return bool(z <= plain + float(corrugation_height(np.array(x), self.shape.corrugation)))
 
 
-def scene(
+def make_scene(
     setup: Setup, T_base_tool: Float64, seam: SeamLine = NOMINAL_SEAM, ground: SeamLine | None = None
 ) -> Scene:
     """Put camera, arc and surface of a pose into the joint frame.
@@ -189,42 +189,42 @@ def _rim_rays(
     return np.column_stack([rim, np.ones(len(rim))])
 
 
-def _metal_cuts(radius: float, view: Scene) -> bool:
+def _metal_cuts(radius: float, scene: Scene) -> bool:
     """Say whether the sheets of a lap whose edge is not straight may cut into the luminous half-sphere."""
-    if not is_curved_lap(view.shape.vertices, view.shape.corrugation, view.bend):
+    if not is_curved_lap(scene.shape.vertices, scene.shape.corrugation, scene.bend):
         return False
     tau, delta = np.meshgrid(np.linspace(0.0, 0.5 * np.pi, 10), np.linspace(0.0, 2.0 * np.pi, 24))
     sin = np.sin(tau)
     outward = np.stack([sin * np.cos(delta), sin * np.sin(delta), np.cos(tau)], axis=-1)
-    on_arc = view.center_mm - np.array([0.0, view.bend[1], 0.0]) + radius * outward
-    return bool((on_arc[..., 2] < surface_height(on_arc, view.shape) - 1e-6).any())
+    on_arc = scene.center_mm - np.array([0.0, scene.bend[1], 0.0]) + radius * outward
+    return bool((on_arc[..., 2] < surface_height(on_arc, scene.shape) - 1e-6).any())
 
 
 def arc_kernel(
-    setup: Setup, view: Scene, level: float = 1.0, nodes: tuple[int, int] = (NODES_P, NODES_Q)
+    setup: Setup, scene: Scene, level: float = 1.0, nodes: tuple[int, int] = (NODES_P, NODES_Q)
 ) -> ArcKernel:
     """Gather a scene for the kernels; `level` is the arc's output over the nominal one.
 
     Raises ValueError for a pose whose camera stands below the surface.
     """
-    if view.below_surface:
+    if scene.below_surface:
         raise ValueError("the camera stands below the surface at this pose")
-    x, y, z = view.T_joint_camera[:3, 3]
-    x_range, y_range = view.footprint_mm.tolist()
+    x, y, z = scene.T_joint_camera[:3, 3]
+    x_range, y_range = scene.footprint_mm.tolist()
     radius = setup.arc.radius_mm
-    start, horizons = horizon_tables(view.shape, (x_range[0], x_range[1]), view.center_mm, radius)
+    start, horizons = horizon_tables(scene.shape, (x_range[0], x_range[1]), scene.center_mm, radius)
     return ArcKernel(
-        np.ascontiguousarray(view.T_joint_camera[:3, :3]),
+        np.ascontiguousarray(scene.T_joint_camera[:3, :3]),
         (float(x), float(y), float(z)),
-        (float(view.center_mm[0]), float(view.center_mm[1]), float(view.center_mm[2])),
-        view.bend,
+        (float(scene.center_mm[0]), float(scene.center_mm[1]), float(scene.center_mm[2])),
+        scene.bend,
         radius,
         setup.arc.radiance_e * level,
-        view.shape.vertices,
-        view.shape.corrugation,
+        scene.shape.vertices,
+        scene.shape.corrugation,
         start,
         horizons,
-        _metal_cuts(radius, view),
+        _metal_cuts(radius, scene),
         (*x_range, *y_range),
         lobe_numbers(setup.material),
         gauss_nodes(),

@@ -44,15 +44,15 @@ class Place(NamedTuple):
     near: DiscNodes
 
 
-def place(setup: Setup, where: Scene) -> Place:
+def place(setup: Setup, scene: Scene) -> Place:
     """Gather a scene for the kernels."""
     return Place(
-        where.shape.vertices,
-        where.shape.corrugation,
+        scene.shape.vertices,
+        scene.shape.corrugation,
         lobe_numbers(setup.material),
-        where.center_mm,
+        scene.center_mm,
         setup.arc.radius_mm,
-        sheet_of(setup.laser, where.T_joint_tool),
+        sheet_of(setup.laser, scene.T_joint_tool),
         _disc_nodes(*DISC_FAR),
         _disc_nodes(*DISC_NEAR),
     )

@@ -12,7 +12,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from noise_model.arc.map import Scene, arc_at, arc_kernel, scene
+from noise_model.arc.map import Scene, arc_at, arc_kernel, make_scene
 from noise_model.arrays import Bool, Float64
 from noise_model.condition import Condition
 from noise_model.effects.light import Light
@@ -80,12 +80,12 @@ def stripe_light(setup: Setup, T_base_tool: Float64, level_e: float) -> StripeLi
     `level_e` is the setup's `stripe_level_e`. Raises ValueError for a camera below the surface and a laser
     that does not meet the joint there.
     """
-    view = scene(setup, T_base_tool)
-    points, normals, stretch = _fan(setup, view)
+    scene = make_scene(setup, T_base_tool)
+    points, normals, stretch = _fan(setup, scene)
     if not len(points):
         raise ValueError("the laser does not meet the joint at this pose")
-    looks = _look(setup, view, points, normals)
-    stripe, arc = _light_at(setup, view, looks, level_e * _stripe(setup, view, points, normals, looks))
+    looks = _look(setup, scene, points, normals)
+    stripe, arc = _light_at(setup, scene, looks, level_e * _stripe(setup, scene, points, normals, looks))
     return StripeLight(
         points=points,
         normals=normals,
@@ -97,17 +97,17 @@ def stripe_light(setup: Setup, T_base_tool: Float64, level_e: float) -> StripeLi
         arc_e=arc,
         theta=_filter_angle(setup, looks.theta),
         seen=looks.seen,
-        eye=view.T_joint_camera[:3, 3],
-        source=transform(view.T_joint_tool, setup.laser.origin_mm),
+        eye=scene.T_joint_camera[:3, 3],
+        source=transform(scene.T_joint_tool, setup.laser.origin_mm),
     )
 
 
-def _fan(setup: Setup, view: Scene) -> tuple[Float64, Float64, Float64]:
+def _fan(setup: Setup, scene: Scene) -> tuple[Float64, Float64, Float64]:
     """Follow the fan: first points on the surface (n, 3), normals, and the length of stripe (n,) of each."""
-    R = view.T_joint_tool[:3, :3]
+    R = scene.T_joint_tool[:3, :3]
     plane = R @ setup.laser.plane[:3]
     plane /= np.linalg.norm(plane)
-    origin = transform(view.T_joint_tool, setup.laser.origin_mm)
+    origin = transform(scene.T_joint_tool, setup.laser.origin_mm)
     down = -R[:, 2] + (R[:, 2] @ plane) * plane
     down /= np.linalg.norm(down)
     side = np.cross(plane, down)
@@ -123,7 +123,7 @@ def _fan(setup: Setup, view: Scene) -> tuple[Float64, Float64, Float64]:
     points, normals = np.empty((FAN_RAYS, 3)), np.empty((FAN_RAYS, 3))
     faces = np.empty(FAN_RAYS, dtype=np.int32)
     rays = np.column_stack([s, np.zeros(FAN_RAYS)])
-    shape = view.shape
+    shape = scene.shape
     trace(rays, np.arange(FAN_RAYS), T_joint_fan, shape.vertices, shape.corrugation, points, normals, faces)
     d = down + s[:, np.newaxis] * side
     # A neighbouring ray meets the same face at P + dt d + t ds side.
@@ -149,13 +149,13 @@ class _Looks(NamedTuple):
     seen: Bool
 
 
-def _look(setup: Setup, view: Scene, points: Float64, normals: Float64) -> _Looks:
+def _look(setup: Setup, scene: Scene, points: Float64, normals: Float64) -> _Looks:
     """Project points and the three directions that matter: along the stripe, the plane and the face."""
     camera, laser = setup.camera, setup.laser
-    T_camera_joint = invert(view.T_joint_camera)
+    T_camera_joint = invert(scene.T_joint_camera)
     axis = 1 if stripe_runs_along_rows(setup) else 0
-    R, eye = view.T_joint_camera[:3, :3], view.T_joint_camera[:3, 3]
-    plane = view.T_joint_tool[:3, :3] @ laser.plane[:3]
+    R, eye = scene.T_joint_camera[:3, :3], scene.T_joint_camera[:3, 3]
+    plane = scene.T_joint_tool[:3, :3] @ laser.plane[:3]
     ahead = transform(T_camera_joint, points)
     in_front = ahead[:, 2] > 1.0
     ahead[~in_front] = [0.0, 0.0, 1.0]
@@ -177,14 +177,14 @@ def _look(setup: Setup, view: Scene, points: Float64, normals: Float64) -> _Look
         along = np.cross(plane, normals)
         along /= np.linalg.norm(along, axis=1, keepdims=True)
         slide = slides(np.nan_to_num(along))
-        depth = laser.origin_in_tool_mm[2] - transform(invert(view.T_joint_tool), points)[:, 2]
+        depth = laser.origin_in_tool_mm[2] - transform(invert(scene.T_joint_tool), points)[:, 2]
         sheet = laser.stripe_sigma_mm * depth / laser.origin_in_tool_mm[2]
         sheet_px = np.abs(slides(np.nan_to_num(on_face, posinf=0.0, neginf=0.0))[:, axis]) * sheet
         # A stripe that runs aslant is crossed aslant, and so is the point-spread function's width.
         aslant = np.hypot(1.0, slide[:, axis] / slide[:, 1 - axis])
     width = np.hypot(sheet_px, camera.psf_sigma_px * aslant)
     is_free = np.empty(len(points), dtype=np.bool_)
-    ways_are_open(points, eye, view.shape.vertices, view.shape.corrugation, is_free)
+    ways_are_open(points, eye, scene.shape.vertices, scene.shape.corrugation, is_free)
     inside = (image >= 0.0).all(axis=1) & (image <= [camera.width - 1.0, camera.height - 1.0]).all(axis=1)
     seen = in_front & is_free & inside & np.isfinite(width) & (sheet_px > 0.0)
     seen &= np.isfinite(moves).all(axis=1) & (np.sum((eye - points) * normals, axis=1) > 0.0)
@@ -193,9 +193,9 @@ def _look(setup: Setup, view: Scene, points: Float64, normals: Float64) -> _Look
     return _Looks(image, axis, moves, lines, width, sheet_px / width, theta, seen)
 
 
-def _stripe(setup: Setup, view: Scene, points: Float64, normals: Float64, looks: _Looks) -> Float64:
+def _stripe(setup: Setup, scene: Scene, points: Float64, normals: Float64, looks: _Looks) -> Float64:
     """Return irradiance f_r cos^4 at the stripe's peak (n,) behind the point-spread function."""
-    light = reflected_sheet(setup, points, normals, view.T_joint_tool)
+    light = reflected_sheet(setup, points, normals, scene.T_joint_tool)
     return np.asarray(light * np.cos(looks.theta) ** 4 * looks.sheet_share)
 
 
@@ -206,7 +206,7 @@ def _filter_angle(setup: Setup, theta: Float64) -> Float64:
     return np.arcsin(np.minimum(math.sqrt(share) * np.sin(theta), 1.0))
 
 
-def _light_at(setup: Setup, view: Scene, looks: _Looks, stripe_e: Float64) -> tuple[Float64, Float64]:
+def _light_at(setup: Setup, scene: Scene, looks: _Looks, stripe_e: Float64) -> tuple[Float64, Float64]:
     """Return the stripe's peak (n,), e-, and the other light (n, ARC_PLACES), e-, across the windows.
 
     `stripe_e` (n,) is the peak before the setup's effects on the light; they are applied here, to both, but
@@ -221,11 +221,11 @@ def _light_at(setup: Setup, view: Scene, looks: _Looks, stripe_e: Float64) -> tu
     xy = setup.camera.normalised(image)
     cos4 = fall_off(xy).astype(np.float32)
     light, _ = arc_at(
-        arc_kernel(setup, view), xy.astype(np.float32), cos4, np.arange(len(xy), dtype=np.int64)
+        arc_kernel(setup, scene), xy.astype(np.float32), cos4, np.arange(len(xy), dtype=np.int64)
     )
     laser = (stripe_e[seen, np.newaxis] * np.exp(-0.5 * t**2)).astype(np.float32)
     of_both = Light.of(np.nan_to_num(light), laser.ravel())
-    pixels = View(setup, view, image.astype(np.float32), xy.astype(np.float32), cos4, is_frame=False)
+    pixels = View(setup, scene, image.astype(np.float32), xy.astype(np.float32), cos4, is_frame=False)
     before = replace(setup, effects={id_: v for id_, v in setup.effects.items() if id_ != FILTER_SHIFT})
     pass_on(before, of_both, pixels, Condition(1.0, 1.0, setup.camera.exposure_s))
     arc_e[seen] = (of_both.arc + of_both.other).reshape(-1, ARC_PLACES)

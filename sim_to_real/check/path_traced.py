@@ -20,7 +20,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from noise_model.arc.map import scene
+from noise_model.arc.map import make_scene
 from noise_model.arrays import Float64
 from noise_model.instrument.camera import Rays
 from noise_model.setup import Setup
@@ -65,13 +65,13 @@ def path_traced_arc(
     rays = Rays.of(setup.camera).xy if xy is None else xy
     shape = rays.shape[:-1]
     flat = np.asarray(rays, dtype=np.float64).reshape(-1, 2)
-    view = scene(setup, T_base_tool, seam)
+    scene = make_scene(setup, T_base_tool, seam)
     # float32 counts from the arc's station: a seam may be metres long.
-    station = float(view.center_mm[0])
-    traced = _scene(mi, setup, view.center_mm, station)
-    d = np.column_stack([flat, np.ones(len(flat))]) @ view.T_joint_camera[:3, :3].T
+    station = float(scene.center_mm[0])
+    traced = _scene(mi, setup, scene.center_mm, station)
+    d = np.column_stack([flat, np.ones(len(flat))]) @ scene.T_joint_camera[:3, :3].T
     d /= np.linalg.norm(d, axis=1, keepdims=True)
-    origin = view.T_joint_camera[:3, 3] - [station, 0.0, 0.0]
+    origin = scene.T_joint_camera[:3, 3] - [station, 0.0, 0.0]
     per_ray = math.ceil(math.sqrt(samples / BATCHES)) ** 2
     sampler = mi.load_dict({"type": "multijitter", "sample_count": per_ray})
     at_once = max(1, PATHS_AT_ONCE // per_ray)

@@ -10,7 +10,7 @@ from functools import cached_property, lru_cache
 import cv2
 import numpy as np
 
-from noise_model.arc.map import scene
+from noise_model.arc.map import make_scene
 from noise_model.arrays import Bool, Float32, Float64, Int64, Integers
 from noise_model.condition import Condition
 from noise_model.effects import Values, pose_time_s, really
@@ -160,7 +160,7 @@ def observe(setup: Setup, frames: Sequence[Frame], pose_at: PoseAt) -> Observed:
     poses = [_tool(pose_at, frame) for frame in posed]
     true = really(setup)
     seen = [
-        scene(true, T(pose_time_s(setup, frame.timestamp_s))).stations_mm
+        make_scene(true, T(pose_time_s(setup, frame.timestamp_s))).stations_mm
         for T, frame in zip(poses, posed, strict=True)
     ]
     sightings = Sightings.of(setup, posed, poses)
@@ -264,7 +264,7 @@ def stated_layers(
     setup: Setup, binned: Setup, T_base_tool: Float64, seam: SeamCurve
 ) -> tuple[tuple[float, float, float], Layers]:
     """Return stations of what is seen and of the torch, mm, and the light of bins, of the nominal setup."""
-    stations_mm = scene(really(setup), T_base_tool).stations_mm
+    stations_mm = make_scene(really(setup), T_base_tool).stations_mm
     unmoved = seam.bent(np.zeros(seam.n_modes), *stations_mm)
     return stations_mm, Renderer().layers(really(binned), T_base_tool, unmoved)
 

@@ -12,7 +12,7 @@ from enum import Enum
 
 import numpy as np
 
-from noise_model.arc.map import scene
+from noise_model.arc.map import make_scene
 from noise_model.arrays import Float64
 from noise_model.effects import REGISTRY, Values
 from noise_model.fit import Parameter
@@ -122,4 +122,4 @@ def ends_of(effects: Mapping[str, Values], change: Change | None) -> tuple[Mappi
 def _drives(setup: Setup, driver: Driver, frame: ObservedFrame) -> float:
     if driver is Driver.TIME:
         return frame.condition.timestamp_s
-    return float(scene(setup, frame.pose_at(frame.timestamp_s)).T_joint_tool[2, 3])
+    return float(make_scene(setup, frame.pose_at(frame.timestamp_s)).T_joint_tool[2, 3])

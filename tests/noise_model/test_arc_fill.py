@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 
 from noise_model.arc.chords import MAX_PIECES, crossings, equator_q
 from noise_model.arc.face_lookup import face_seen, sight
-from noise_model.arc.map import CELL, ArcMap, arc_at, arc_frame, arc_kernel, scene
+from noise_model.arc.map import CELL, ArcMap, arc_at, arc_frame, arc_kernel, make_scene
 from noise_model.arc.patch_borders import seen_strip
 from noise_model.arc.quadrature import gauss_nodes
 from noise_model.instrument.camera import Rays
@@ -24,7 +24,7 @@ QUARTER_DN_E = 20.0
 def over_limit(setup, T_base_tool):
     """Errors of a filled frame over 0.5 % or 0.25 DN, the larger, against each pixel's own integral."""
     rays = Rays.of(setup.camera)
-    kernel = arc_kernel(setup, scene(setup, T_base_tool))
+    kernel = arc_kernel(setup, make_scene(setup, T_base_tool))
     xy, cos4 = rays.xy.reshape(-1, 2), rays.cos4.reshape(-1)
     want, _ = arc_at(kernel, xy, cos4, np.arange(cos4.size))
     got = arc_frame(kernel, xy, cos4, rays.cos4.shape).reshape(-1)
@@ -70,7 +70,7 @@ def test_a_lens_that_distorts_is_filled_as_well(name):
 def test_a_pixels_light_does_not_depend_on_the_band_it_is_in():
     setup = scenes.setup("lap", of_camera=scenes.camera(width=200, height=152, focal_px=2190.0))
     rays = Rays.of(setup.camera)
-    kernel = arc_kernel(setup, scene(setup, scenes.pose()))
+    kernel = arc_kernel(setup, make_scene(setup, scenes.pose()))
     xy, cos4 = rays.xy.reshape(-1, 2), rays.cos4.reshape(-1)
     frame = arc_frame(kernel, xy, cos4, (152, 200))
     lows = np.arange(152 // CELL, dtype=np.int64) * 7 % 120
@@ -84,7 +84,7 @@ def test_a_pixels_light_does_not_depend_on_the_band_it_is_in():
 def test_a_pixels_light_does_not_depend_on_what_was_asked_before(name):
     setup = scenes.setup(name, of_camera=scenes.camera(width=200, height=152, focal_px=2190.0))
     rays = Rays.of(setup.camera)
-    kernel = arc_kernel(setup, scene(setup, scenes.pose()))
+    kernel = arc_kernel(setup, make_scene(setup, scenes.pose()))
     xy, cos4 = rays.xy.reshape(-1, 2), rays.cos4.reshape(-1)
     pixels, lows = np.arange(0, cos4.size, 97), np.zeros(152 // CELL, dtype=np.int64)
     bands = np.empty((2, 152, 77), dtype=np.float32)
@@ -102,7 +102,7 @@ def test_a_pixels_light_does_not_depend_on_what_was_asked_before(name):
 @settings(max_examples=200, deadline=None)
 def test_the_listed_face_is_the_one_that_a_ray_meets(name, shift, turn_deg, x, y):
     setup = scenes.setup(name)
-    kernel = arc_kernel(setup, scene(setup, scenes.pose(shift, turn_deg)))
+    kernel = arc_kernel(setup, make_scene(setup, scenes.pose(shift, turn_deg)))
     d, seen = kernel.rotation @ [x, y, 1.0], sight(kernel)
     # To rounding, a ray through an edge meets either of its faces.
     edges = np.column_stack([kernel.vertices[:, 0] - kernel.eye[1], kernel.vertices[:, 1] - kernel.eye[2]])
@@ -114,7 +114,9 @@ def test_the_listed_face_is_the_one_that_a_ray_meets(name, shift, turn_deg, x, y
 def test_what_an_upright_side_hides_is_not_listed():
     """From above one sheet of a lap its edge's face is seen, from above the other it is not."""
     setup = scenes.setup("lap")
-    listed = [sight(arc_kernel(setup, scene(setup, scenes.pose((0.0, y, 0.0))))).faces for y in (-20.0, 20.0)]
+    listed = [
+        sight(arc_kernel(setup, make_scene(setup, scenes.pose((0.0, y, 0.0))))).faces for y in (-20.0, 20.0)
+    ]
     assert [1 in faces for faces in listed] == [False, True]
 
 

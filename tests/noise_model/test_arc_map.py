@@ -16,7 +16,7 @@ from noise_model.arc.map import (
     arc_at,
     arc_frame,
     arc_kernel,
-    scene,
+    make_scene,
 )
 from noise_model.arc.patch_borders import seen_strip
 from noise_model.arc.quadrature import arc_light, gauss_nodes
@@ -37,15 +37,15 @@ LAMBERT = Material("lambert", 1.0, 0.0, 1.0)
 def arc_at_pixels(setup, T_base_tool, pixels=None, seam=None, level=1.0, nodes=(NODES_P, NODES_Q)):
     """The arc's light and the faces at some pixels (or all), flattened."""
     rays = Rays.of(setup.camera)
-    view = scene(setup, T_base_tool) if seam is None else scene(setup, T_base_tool, seam)
+    scene = make_scene(setup, T_base_tool) if seam is None else make_scene(setup, T_base_tool, seam)
     pixels = np.arange(rays.cos4.size) if pixels is None else pixels
-    kernel = arc_kernel(setup, view, level, nodes)
+    kernel = arc_kernel(setup, scene, level, nodes)
     return arc_at(kernel, rays.xy.reshape(-1, 2), rays.cos4.reshape(-1), pixels)
 
 
 def with_scene(name, along_mm):
     setup = scenes.setup(name, "zn_coated")
-    return setup, scene(setup, scenes.pose((along_mm, 0.3, 0.0)))
+    return setup, make_scene(setup, scenes.pose((along_mm, 0.3, 0.0)))
 
 
 def center_after_recording_md(setup, T_base_tool):
@@ -131,13 +131,13 @@ def test_a_lobe_narrower_than_the_arc_is_summed_as_well(tilt_deg, x_mm, lobe, gl
     eye = (36.0 + 150.0 * math.sin(tilt), 0.0, 150.0 * math.cos(tilt))
     plain = scenes.setup("flat", "mild_steel", of_camera=scenes.camera((eye, (36.0, 0.0, 0.0))))
     metal = dataclasses.replace(plain.material, c2=glossier * plain.material.c2, lobe=lobe)
-    view = scene(plain, scenes.pose())
-    kernel = arc_kernel(dataclasses.replace(plain, material=metal), view)
+    scene = make_scene(plain, scenes.pose())
+    kernel = arc_kernel(dataclasses.replace(plain, material=metal), scene)
     for y_mm in (-1.5, 0.0, 1.0):
         P = np.array([x_mm, y_mm, 0.0])
         omega_r = (eye - P) / np.linalg.norm(eye - P)
         got = light_at(kernel, tuple(P), 0, scratch()) / kernel.radiance_e
-        want = scenes.arc_light(plain.joint, P, UP, omega_r, view.center_mm, plain.arc.radius_mm, metal)
+        want = scenes.arc_light(plain.joint, P, UP, omega_r, scene.center_mm, plain.arc.radius_mm, metal)
         assert got == pytest.approx(want, rel=2e-3)
 
 
@@ -282,7 +282,7 @@ HALF_V = Joint("half_v", {"bevel_angle_deg": 45.0, "depth_mm": 4.0, "root_gap_mm
 def test_an_arc_behind_walls_is_the_sum_of_what_a_walk_finds_open(joint, center_mm, at_mm):
     """Over the luminous half-sphere, place by place. The eye stands over the point that it looks at."""
     setup = scenes.setup(joint, arc_center_mm=center_mm)
-    kernel = arc_kernel(setup, scene(setup, scenes.pose()))
+    kernel = arc_kernel(setup, make_scene(setup, scenes.pose()))
     shape, radius = section(setup.joint), setup.arc.radius_mm
     elevation, azimuth = ((np.arange(n) + 0.5) / n for n in (80, 240))
     sin_e, turn = (of.ravel() for of in np.meshgrid(elevation, 2.0 * np.pi * azimuth, indexing="ij"))
@@ -312,7 +312,7 @@ def test_an_arc_behind_walls_is_the_sum_of_what_a_walk_finds_open(joint, center_
 def test_a_laps_edge_does_not_see_the_arc_through_the_lower_sheet(center_mm, material):
     setup = scenes.setup("lap", material)
     # Beside the seam, so that the camera sees the edge.
-    view = dataclasses.replace(scene(setup, scenes.pose((0.0, 5.0, 0.0))), center_mm=np.array(center_mm))
+    view = dataclasses.replace(make_scene(setup, scenes.pose((0.0, 5.0, 0.0))), center_mm=np.array(center_mm))
     kernel = arc_kernel(setup, view)
     P, normal, radius = np.array([40.0, 0.0, 1.0]), np.array([0.0, 1.0, 0.0]), setup.arc.radius_mm
     omega_r = (kernel.eye - P) / np.linalg.norm(kernel.eye - P)
@@ -334,7 +334,7 @@ def test_a_fillets_far_sheet_cuts_into_the_arc_in_a_circle(at_mm, center_mm):
     setup = scenes.setup("fillet", "zn_coated")
     x, y = at_mm
     P = np.array([x, y, scenes.height(setup.joint, x, y)])
-    view = dataclasses.replace(scene(setup, scenes.pose()), center_mm=np.array(center_mm))
+    view = dataclasses.replace(make_scene(setup, scenes.pose()), center_mm=np.array(center_mm))
     radius = 7.0 if y > 0.0 else 3.0
     kernel = arc_kernel(setup, view)._replace(radius=radius)
     face = 0 if y < 0.0 else 1
@@ -461,15 +461,15 @@ def test_on_the_surface_the_arc_stands_below_the_tool(name, shift, turn_deg, cen
     setup = scenes.setup(name, arc_center_mm=center_mm)
     T = scenes.pose(shift, turn_deg)
     want = center_after_recording_md(setup, T)
-    view = scene(setup, T)
-    np.testing.assert_allclose(view.center_mm, want, atol=1e-9)
+    scene = make_scene(setup, T)
+    np.testing.assert_allclose(scene.center_mm, want, atol=1e-9)
 
 
 def test_off_the_surface_the_arc_goes_with_the_tool():
     setup = scenes.setup("flat", arc_center_mm=(1.0, 2.0, 4.0))
     setup = dataclasses.replace(setup, arc=dataclasses.replace(setup.arc, on_surface=False))
     T = POSES["turned"]
-    np.testing.assert_allclose(scene(setup, T).center_mm, (T @ [1.0, 2.0, 4.0, 1.0])[:3], atol=1e-12)
+    np.testing.assert_allclose(make_scene(setup, T).center_mm, (T @ [1.0, 2.0, 4.0, 1.0])[:3], atol=1e-12)
 
 
 def test_a_tilted_camera_sees_nan_past_the_workpiece():
@@ -488,19 +488,19 @@ def test_a_camera_below_the_surface_is_refused(z_mm):
     setup = scenes.setup("lap")
     T = scenes.pose((0.0, 0.0, z_mm - 130.0))
     with pytest.raises(ValueError, match="below the surface"):
-        arc_kernel(setup, scene(setup, T))
+        arc_kernel(setup, make_scene(setup, T))
 
 
 def test_below_the_surface_is_where_the_surface_is():
     setup = scenes.setup("corrugation", of_camera=scenes.camera(((60.0, -5.0, 5.0), (36.0, 0.0, 0.0))))
-    assert scene(setup, scenes.pose((0.0, 0.0, 4.4))).below_surface
-    assert not scene(setup, scenes.pose((0.0, 0.0, 4.6))).below_surface
-    assert not scene(setup, scenes.pose((0.0, 6.0, 3.1))).below_surface
+    assert make_scene(setup, scenes.pose((0.0, 0.0, 4.4))).below_surface
+    assert not make_scene(setup, scenes.pose((0.0, 0.0, 4.6))).below_surface
+    assert not make_scene(setup, scenes.pose((0.0, 6.0, 3.1))).below_surface
 
 
 def arc_frame_of(setup, T_base_tool):
     rays = Rays.of(setup.camera)
-    kernel = arc_kernel(setup, scene(setup, T_base_tool))
+    kernel = arc_kernel(setup, make_scene(setup, T_base_tool))
     return arc_frame(kernel, rays.xy.reshape(-1, 2), rays.cos4.reshape(-1), rays.cos4.shape)
 
 
@@ -531,7 +531,7 @@ def test_a_frame_filled_by_cells_is_the_frame_pixel_by_pixel(name, pose, width, 
 def test_a_band_is_that_part_of_the_frame(name):
     setup, want = whole_frame(name, "aside", 157, 119)
     rays = Rays.of(setup.camera)
-    kernel = arc_kernel(setup, scene(setup, POSES["aside"]))
+    kernel = arc_kernel(setup, make_scene(setup, POSES["aside"]))
     lows = np.arange(-(-119 // CELL), dtype=np.int64) * 5 % 108
     band = np.full((119, 49), np.nan, dtype=np.float32)
     ArcMap.of(kernel, rays.xy.reshape(-1, 2), rays.cos4.reshape(-1), len(band)).fill(lows, band)
@@ -541,7 +541,7 @@ def test_a_band_is_that_part_of_the_frame(name):
 def test_a_band_of_no_tolerance_is_exact():
     setup, want = whole_frame("lap", "aside", 157, 119)
     rays = Rays.of(setup.camera)
-    kernel = arc_kernel(setup, scene(setup, POSES["aside"]))
+    kernel = arc_kernel(setup, make_scene(setup, POSES["aside"]))
     band = np.empty((119, 157), dtype=np.float32)
     lows = np.zeros(-(-119 // CELL), dtype=np.int64)
     ArcMap.of(kernel, rays.xy.reshape(-1, 2), rays.cos4.reshape(-1), len(band), 0.0, -1.0).fill(lows, band)
@@ -550,10 +550,10 @@ def test_a_band_of_no_tolerance_is_exact():
 
 def test_the_tool_frame_is_the_joints_beside_its_pose():
     setup = scenes.setup("lap")
-    view = scene(setup, POSES["turned"])
-    np.testing.assert_allclose(view.T_joint_tool, POSES["turned"], atol=1e-12)
+    scene = make_scene(setup, POSES["turned"])
+    np.testing.assert_allclose(scene.T_joint_tool, POSES["turned"], atol=1e-12)
     np.testing.assert_allclose(
-        invert(view.T_joint_tool) @ view.T_joint_camera, setup.camera.T_tool_camera, atol=1e-9
+        invert(scene.T_joint_tool) @ scene.T_joint_camera, setup.camera.T_tool_camera, atol=1e-9
     )
 
 
@@ -592,7 +592,7 @@ def test_a_leaning_sheet_is_on_the_segment_that_it_lights(lean_deg):
     T_base_tool = np.eye(4)
     for x_mm in (100.0, 130.0, 160.0):
         T_base_tool[0, 3] = x_mm
-        foot = transform(scene(setup, T_base_tool).T_joint_tool, (ahead, 0.0, 0.0))
+        foot = transform(make_scene(setup, T_base_tool).T_joint_tool, (ahead, 0.0, 0.0))
         np.testing.assert_allclose(foot[1:], 0.0, atol=1e-9)
 
 
@@ -604,10 +604,10 @@ def test_a_corrugated_sheet_that_stands_above_the_whole_arc_hides_what_lies_in_i
         scenes.LINE,
     )
     setup = scenes.setup(joint, arc_center_mm=(0.0, 0.0, 0.0))
-    view = scene(setup, scenes.pose((7.0, -1.0, 1.0)))
+    scene = make_scene(setup, scenes.pose((7.0, -1.0, 1.0)))
     point = np.array([*P, 0.0])
-    omega_r = view.T_joint_camera[:3, 3] - point
+    omega_r = scene.T_joint_camera[:3, 3] - point
     omega_r /= np.linalg.norm(omega_r)
-    want = scenes.arc_light(joint, point, UP, omega_r, view.center_mm, 3.0, setup.material)
-    got = light_at(arc_kernel(setup, view), tuple(point), 2, scratch()) / setup.arc.radiance_e
+    want = scenes.arc_light(joint, point, UP, omega_r, scene.center_mm, 3.0, setup.material)
+    got = light_at(arc_kernel(setup, scene), tuple(point), 2, scratch()) / setup.arc.radiance_e
     assert got == pytest.approx(want, rel=0.04)

@@ -7,7 +7,7 @@ import pytest
 import scenes
 
 from arctrack.nominal import nominal_setup
-from noise_model.arc.map import arc_kernel, scene
+from noise_model.arc.map import arc_kernel, make_scene
 from noise_model.arc.ray import light_at, scratch
 from noise_model.forward import Renderer
 from noise_model.surface.faces import face_normal
@@ -64,7 +64,7 @@ def test_the_arc_keeps_its_height_upright_over_ridges_that_lean(x_mm):
     setup, rise = nominal_setup("corrugation", "zn_coated", width=160, height=120), 0.05
     line = SeamLine(0.0, slope_z=rise)
     T_base_tool = moved(np.eye(4), (0.0, -3.0, 0.0), (x_mm, 0.5, 9.0))
-    center = line.frame() @ np.append(scene(setup, T_base_tool, line).center_mm, 1.0)
+    center = line.frame() @ np.append(make_scene(setup, T_base_tool, line).center_mm, 1.0)
     offset = np.append(setup.arc.center_in_tool_mm, 1.0)
     np.testing.assert_allclose(center[:2], (T_base_tool @ offset)[:2], atol=1e-2)
     s = np.linspace(-40.0, 40.0, 80_001)
@@ -110,7 +110,7 @@ def light_past_bent_edges(joint, P, normal, omega_r, center, material, slope, cu
 @pytest.mark.parametrize(("name", "y_mm"), [("lap", 0.5), ("lap", 2.0), ("lap", -2.0), ("corrugation", 1.0)])
 def test_a_bent_edge_hides_the_arc_way_by_way(name, y_mm, bend_mm):
     setup = scenes.setup(name, "zn_coated", arc_center_mm=(0.0, 0.0, 2.0))
-    view = dataclasses.replace(scene(setup, scenes.pose((0.0, -0.6, 0.0))), bend=bend_mm)
+    view = dataclasses.replace(make_scene(setup, scenes.pose((0.0, -0.6, 0.0))), bend=bend_mm)
     kernel = arc_kernel(setup, view, nodes=(24, 8))
     face = 0 if y_mm < 0.0 else 2
     x = 38.0

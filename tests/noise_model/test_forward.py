@@ -7,7 +7,7 @@ import pytest
 import scenes
 
 from noise_model import forward
-from noise_model.arc.map import arc_at, arc_kernel, scene
+from noise_model.arc.map import arc_at, arc_kernel, make_scene
 from noise_model.condition import Condition
 from noise_model.effects import REGISTRY, checked
 from noise_model.forward import FILL_TOLERANCE, Renderer, draw_frame, predict
@@ -312,7 +312,7 @@ def test_some_pixels_are_those_of_the_frame():
 def test_the_arc_is_the_arc_maps():
     setup = scenes.setup("v_groove", of_camera=sharp())
     rays = Rays.of(setup.camera)
-    kernel = arc_kernel(setup, scene(setup, TURNED))
+    kernel = arc_kernel(setup, make_scene(setup, TURNED))
     mean_e, _ = arc_at(kernel, rays.xy.reshape(-1, 2), rays.cos4.reshape(-1), np.arange(rays.cos4.size))
     image = stripe_alone(setup, TURNED, laser_level=0.0, arc_level=1.0)
     np.testing.assert_allclose(image, mean_e.reshape(120, 160), rtol=3.0 * FILL_TOLERANCE)

@@ -12,7 +12,7 @@ import scenes
 from test_arc_map import POSES, arc_at_pixels, arc_frame_of, check_filled, off_by, some_pixels, twin_at_pixels
 from test_visibility import open_by_half_spaces
 
-from noise_model.arc.map import scene
+from noise_model.arc.map import make_scene
 from noise_model.condition import Condition
 from noise_model.effects import checked
 from noise_model.forward import predict
@@ -208,22 +208,22 @@ def plain_footprint(view):
 @pytest.mark.parametrize("name", [*scenes.JOINTS, *scenes.MORE_JOINTS])
 @pytest.mark.parametrize("turn_deg", [(0.0, 0.0, 0.0), (5.0, -8.0, 30.0), (70.0, 10.0, 0.0)])
 def test_the_footprint_is_its_plain_twins(name, turn_deg):
-    view = scene(scenes.setup(name), scenes.pose((7.0, -1.0, 2.0), turn_deg))
-    np.testing.assert_allclose(view.footprint_mm, plain_footprint(view), rtol=1e-9)
+    scene = make_scene(scenes.setup(name), scenes.pose((7.0, -1.0, 2.0), turn_deg))
+    np.testing.assert_allclose(scene.footprint_mm, plain_footprint(scene), rtol=1e-9)
 
 
 @pytest.mark.parametrize("name", scenes.MORE_JOINTS)
 def test_the_footprint_holds_all_that_the_camera_sees(name):
     setup = scenes.setup(name)
-    view = scene(setup, POSES["turned"])
-    shape = view.shape
+    scene = make_scene(setup, POSES["turned"])
+    shape = scene.shape
     for xy in Rays.of(setup.camera).xy.reshape(-1, 2)[::37]:
-        d = view.T_joint_camera[:3, :3] @ [xy[0], xy[1], 1.0]
-        eye = view.T_joint_camera[:3, 3]
+        d = scene.T_joint_camera[:3, :3] @ [xy[0], xy[1], 1.0]
+        eye = scene.T_joint_camera[:3, 3]
         t, _ = first_hit(eye, d, shape.vertices, shape.corrugation)
         P = eye + t * d
-        assert (view.footprint_mm[:, 0] <= P[:2] + 1e-4).all()
-        assert (view.footprint_mm[:, 1] >= P[:2] - 1e-4).all()
+        assert (scene.footprint_mm[:, 0] <= P[:2] + 1e-4).all()
+        assert (scene.footprint_mm[:, 1] >= P[:2] - 1e-4).all()
 
 
 def test_bounced_light_on_a_u_is_refused_by_name():

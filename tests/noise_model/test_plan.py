@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from plan_setups import SETUPS, expected_e, steel_groove
 from scipy.constants import c, h, k
 
-from noise_model.arc.map import scene
+from noise_model.arc.map import make_scene
 from noise_model.instrument.spectrum import ArcSpectrum, Filter, FilterCurve
 from noise_model.plan.design import (
     SensorDesign,
@@ -145,7 +145,7 @@ def test_lines_that_an_effect_adds_are_not_added_again(fwhm_nm: float) -> None:
     for of, optics in ((setup, made.filter), (made, None)):
         light = stripe_light(of, np.eye(4), stripe_level_e(of))
         arc_e = expected_pixels(light, of, Surroundings(), optics).arc_e[:, NODES // 2]
-        camera = invert(scene(of, np.eye(4)).T_joint_camera)
+        camera = invert(make_scene(of, np.eye(4)).T_joint_camera)
         image = np.rint(of.camera.project(transform(camera, light.points))).astype(int)
         # Towards the rim, where the lines differ most, and clear of the groove's edges.
         level = light.seen & (np.abs(light.points[:, 1]) > 5.0)

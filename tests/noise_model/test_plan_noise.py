@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from plan_setups import SETUPS, expected_e, plan_setup, steel_groove
 from scipy.spatial.transform import Rotation
 
-from noise_model.arc.map import scene
+from noise_model.arc.map import make_scene
 from noise_model.effects import checked
 from noise_model.instrument.sensor import variance_e2
 from noise_model.plan.cramer_rao import POSITION, stripe_sigmas
@@ -49,8 +49,8 @@ def lit(setup: Setup, T_base_tool: Float64) -> StripeLight:
 
 
 def image_points(setup: Setup, T_base_tool: Float64, light: StripeLight) -> Float64:
-    view = scene(setup, T_base_tool)
-    return setup.camera.project(transform(invert(view.T_joint_camera), light.points))
+    scene = make_scene(setup, T_base_tool)
+    return setup.camera.project(transform(invert(scene.T_joint_camera), light.points))
 
 
 def clear(light: StripeLight) -> NDArray[np.bool_]:

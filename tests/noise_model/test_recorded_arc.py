@@ -9,7 +9,7 @@ import pytest
 from scipy.spatial.transform import Rotation, Slerp
 
 from arctrack.recording.setup_file import read_setup_file
-from noise_model.arc.map import arc_at, arc_kernel, scene
+from noise_model.arc.map import arc_at, arc_kernel, make_scene
 from noise_model.arc_source import level
 from noise_model.instrument.camera import Rays
 
@@ -53,7 +53,7 @@ def block_ratios(setup, row, image_dn, T_base_tool, black_dn):
     middle = slice(STEP_PX // 2, None, STEP_PX)
     xy, cos4 = rays.xy[middle, middle].reshape(-1, 2), rays.cos4[middle, middle]
     output = level(setup.arc, float(row["current_a"])) * float(row["exposure_s"]) / setup.camera.exposure_s
-    kernel = arc_kernel(setup, scene(setup, T_base_tool), output)
+    kernel = arc_kernel(setup, make_scene(setup, T_base_tool), output)
     mean_e, faces = arc_at(kernel, xy, cos4.reshape(-1), np.arange(cos4.size))
     predicted, face = mean_e.reshape(cos4.shape), faces.reshape(cos4.shape).astype(np.float32)
     around = np.ones((3, 3), dtype=np.uint8)

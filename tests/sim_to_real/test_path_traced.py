@@ -10,7 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from arctrack.nominal import looking_at
-from noise_model.arc.map import arc_at, arc_frame, arc_kernel, scene
+from noise_model.arc.map import arc_at, arc_frame, arc_kernel, make_scene
 from noise_model.instrument.camera import Rays
 from noise_model.reference.hemisphere import Hemisphere, irradiance_extended
 from noise_model.surface.brdf import TABLE_1, Lobe, Material
@@ -39,7 +39,7 @@ def setup_of(joint, material="zn_coated", width=640):
 
 def arc_pixels(setup, T_base_tool, **nodes):
     rays = Rays.of(setup.camera)
-    kernel = arc_kernel(setup, scene(setup, T_base_tool), **nodes)
+    kernel = arc_kernel(setup, make_scene(setup, T_base_tool), **nodes)
     pixels = np.arange(rays.cos4.size)
     mean_e, _ = arc_at(kernel, rays.xy.reshape(-1, 2), rays.cos4.reshape(-1), pixels)
     return mean_e.reshape(rays.cos4.shape)
@@ -55,7 +55,7 @@ def test_the_arc_map_is_the_path_tracers(mitsuba, joint_type, material):
     predicted, traced, sigma = [], [], []
     for seed, at in enumerate(POSES.values()):
         T_base_tool = worlds.pose(*at)
-        kernel = arc_kernel(setup, scene(setup, T_base_tool))
+        kernel = arc_kernel(setup, make_scene(setup, T_base_tool))
         frame_e = arc_frame(kernel, rays.xy.reshape(-1, 2), rays.cos4.reshape(-1), rays.cos4.shape)
         mean_e, sigma_e = path_traced_arc(setup, T_base_tool, samples=256, seed=seed, xy=rays.xy[strips])
         predicted.append(frame_e[strips])

@@ -17,16 +17,16 @@ from tracker.stripe.bias import PLANES
 from tracker.stripe.expected import FLANKS, HALF_SPAN_MM, STEP_MM, ExpectedStripe
 
 
-def expect_stripe(geometry: SensorGeometry, view: Scene) -> ExpectedStripe | None:
+def expect_stripe(geometry: SensorGeometry, scene: Scene) -> ExpectedStripe | None:
     """Return the expected stripe of a scene, or None where it is out of view."""
     setup = geometry.setup
-    T_tool_joint = invert(view.T_joint_tool)
+    T_tool_joint = invert(scene.T_joint_tool)
     scan = np.arange(geometry.n_scan, dtype=np.float64)
     position, strength, strips = [], [], []
-    planes = PLANES if view.shape.corrugation[0] > 0.0 else FLANKS
+    planes = PLANES if scene.shape.corrugation[0] > 0.0 else FLANKS
     for side in planes:
         points_joint, normals_joint, strip = _cut(
-            setup.laser.plane_in_tool, side * setup.laser.stripe_sigma_mm, view
+            setup.laser.plane_in_tool, side * setup.laser.stripe_sigma_mm, scene
         )
         points_tool = transform(T_tool_joint, points_joint)
         points_camera = transform(invert(setup.camera.T_tool_camera), points_tool)
@@ -37,7 +37,7 @@ def expect_stripe(geometry: SensorGeometry, view: Scene) -> ExpectedStripe | Non
         if at[order[-1], 0] < 0.0 or at[order[0], 0] > geometry.n_scan - 1:
             return None
         position.append(np.interp(scan, at[order, 0], at[order, 1]))
-        light = _strength(setup, points_joint, points_tool, normals_joint, view.T_joint_tool)
+        light = _strength(setup, points_joint, points_tool, normals_joint, scene.T_joint_tool)
         strength.append(np.interp(scan, at[order, 0], light[order]))
         after = np.clip(np.searchsorted(at[order, 0], scan), 1, len(order) - 1)
         left, right = strip[order][after - 1], strip[order][after]
@@ -107,17 +107,17 @@ def _from_same_face(values: Float64, strip: npt.NDArray[np.intp], good: Bool) ->
 
 
 def _cut(
-    plane_in_tool: tuple[float, float, float, float], shift_mm: float, view: Scene
+    plane_in_tool: tuple[float, float, float, float], shift_mm: float, scene: Scene
 ) -> tuple[Float64, Float64, npt.NDArray[np.intp]]:
     """Cut a plane parallel to the sheet with the section, in the joint frame.
 
     Returns points (n, 3), mm, unit normals (n, 3) and the number of the strip (n,) that each lies on.
     """
     plane_tool = np.asarray(plane_in_tool)
-    R, t = view.T_joint_tool[:3, :3], view.T_joint_tool[:3, 3]
+    R, t = scene.T_joint_tool[:3, :3], scene.T_joint_tool[:3, 3]
     n = R @ plane_tool[:3]
     d = plane_tool[3] - n @ t - shift_mm
-    vertices, corrugation = view.shape.vertices, view.shape.corrugation
+    vertices, corrugation = scene.shape.vertices, scene.shape.corrugation
     corners = np.unique(vertices[1:-1, 0])
     reach = t[1] + np.arange(-HALF_SPAN_MM, HALF_SPAN_MM + STEP_MM, STEP_MM)
     y = np.sort(np.concatenate([reach, corners - 1e-6, corners + 1e-6]))

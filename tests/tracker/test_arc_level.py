@@ -11,7 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from rendered import SEED, frame_of, pose_at, small_setup
 
-from noise_model.arc.map import arc_kernel, scene
+from noise_model.arc.map import arc_kernel, make_scene
 from noise_model.condition import Condition
 from noise_model.forward import predict
 from noise_model.instrument.sensor import expose
@@ -37,11 +37,11 @@ def geometry(setup: Setup) -> SensorGeometry:
 
 
 def estimate(geometry: SensorGeometry, frame: Frame, pose: Pose = POSE) -> ArcLevel:
-    view = scene(geometry.setup, pose.T_base_tool)
-    expected = expect_stripe(geometry, view)
+    scene = make_scene(geometry.setup, pose.T_base_tool)
+    expected = expect_stripe(geometry, scene)
     assert expected is not None
     stripe_px = expected.position_px if frame.laser_on else None
-    light = arc_map_of(geometry, arc_kernel(geometry.setup, view)).at
+    light = arc_map_of(geometry, arc_kernel(geometry.setup, scene)).at
     return estimate_arc_level(geometry, light, None, frame.image_dn, stripe_px, 30.0)
 
 

@@ -10,7 +10,7 @@ from expected_twin import expect_stripe as expect_stripe_plain
 from rendered import pose_at, small_setup
 from scipy.optimize import least_squares
 
-from noise_model.arc.map import scene
+from noise_model.arc.map import make_scene
 from noise_model.condition import Condition
 from noise_model.forward import predict
 from noise_model.surface.brdf import TABLE_1
@@ -48,7 +48,7 @@ def test_it_lies_where_the_forward_model_draws_it(joint: str, upright: bool) -> 
     geometry = SensorGeometry.of(setup)
     assert geometry.along_rows is not upright
     pose = pose_at(3.0, turn_deg=(1.0, -2.0, 3.0))
-    expected = expect_stripe(geometry, scene(setup, pose.T_base_tool, SEAM))
+    expected = expect_stripe(geometry, make_scene(setup, pose.T_base_tool, SEAM))
     assert expected is not None
     center, sigma = drawn(setup, pose, geometry)
     off = center - expected.position_px - expected.lean_px
@@ -73,8 +73,8 @@ def test_it_is_its_twin(joint: str, upright: bool, distortion: tuple[float, ...]
     setup = replace(setup, camera=replace(setup.camera, distortion=distortion))
     geometry = SensorGeometry.of(setup)
     for station in (0.0, 12.0):
-        view = scene(setup, pose_at(station, turn_deg=(1.0, -2.0, 3.0)).T_base_tool, SEAM)
-        expected, twin = expect_stripe(geometry, view), expect_stripe_plain(geometry, view)
+        scene = make_scene(setup, pose_at(station, turn_deg=(1.0, -2.0, 3.0)).T_base_tool, SEAM)
+        expected, twin = expect_stripe(geometry, scene), expect_stripe_plain(geometry, scene)
         assert expected is not None
         assert twin is not None
         # On a corrugation centre and width are fitted, and the last step of that may be short.
@@ -87,7 +87,7 @@ def test_the_lean_matters() -> None:
     setup = small_setup("corrugation")
     geometry = SensorGeometry.of(setup)
     pose = pose_at(12.0)
-    expected = expect_stripe(geometry, scene(setup, pose.T_base_tool, SEAM))
+    expected = expect_stripe(geometry, make_scene(setup, pose.T_base_tool, SEAM))
     assert expected is not None
     center, _ = drawn(setup, pose, geometry)
     without = np.nanmedian(np.abs(center - expected.position_px))
@@ -119,7 +119,7 @@ def test_a_sheet_that_mirrors_the_laser_leans_it_by_pixels() -> None:
     lean, off, wide = [], [], []
     for station in (26.0, 28.0, 38.0, 40.0):
         pose = pose_at(station)
-        expected = expect_stripe(geometry, scene(setup, pose.T_base_tool))
+        expected = expect_stripe(geometry, make_scene(setup, pose.T_base_tool))
         assert expected is not None
         lines = predict(setup, pose.T_base_tool, Condition(1.0, 0.0, 0.005)).mean_e.T.astype(np.float64)
         for s in range(10, len(lines), 20):
@@ -143,7 +143,7 @@ def test_out_of_view_is_none() -> None:
     aside = setup.camera.T_tool_camera.copy()
     aside[1, 3] += 200.0
     geometry = SensorGeometry.of(replace(setup, camera=replace(setup.camera, T_tool_camera=aside)))
-    assert expect_stripe(geometry, scene(geometry.setup, pose_at(0.0).T_base_tool)) is None
+    assert expect_stripe(geometry, make_scene(geometry.setup, pose_at(0.0).T_base_tool)) is None
 
 
 def test_a_stripe_that_cannot_be_seen_is_no_setup() -> None:

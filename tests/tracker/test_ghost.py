@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from rendered import CURRENT_A, EXPOSURE_S, SEED, pose_at, small_setup
 
-from noise_model.arc.map import CELL, scene
+from noise_model.arc.map import CELL, make_scene
 from noise_model.condition import Condition
 from noise_model.forward import predict
 from noise_model.instrument.sensor import expose
@@ -102,7 +102,9 @@ def ghosted(setup: Setup, pose: Pose, apart_px: int, share: float, arc: float, i
 
 
 def error_mm(setup: Setup, pose: Pose, track: Track) -> np.ndarray:
-    truth = seam_point_tool(setup, scene(setup, pose.T_base_tool, SEAM), 0.0, seam_height_mm(setup.joint))
+    truth = seam_point_tool(
+        setup, make_scene(setup, pose.T_base_tool, SEAM), 0.0, seam_height_mm(setup.joint)
+    )
     return np.subtract(track.seam_tool_mm, truth)[1:]
 
 

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from rendered import pose_at, small_setup
 
-from noise_model.arc.map import scene
+from noise_model.arc.map import make_scene
 from noise_model.surface.joint import SeamLine
 from noise_model.transforms import invert, transform
 from tracker.geometry import SensorGeometry, to_laser_plane
@@ -38,31 +38,31 @@ def test_points_of_the_sheet_come_back(upright: bool) -> None:
 def test_a_profile_lies_on_its_surface_and_knows_how_it_moves(upright: bool) -> None:
     geometry = distorted(upright)
     seam = SeamLine(0.0, 1.5, 0.7, 0.02, -0.01)
-    view = scene(geometry.setup, pose_at(11.0, 2.0, -1.0, (2.0, -1.0, 5.0)).T_base_tool, seam)
+    scene = make_scene(geometry.setup, pose_at(11.0, 2.0, -1.0, (2.0, -1.0, 5.0)).T_base_tool, seam)
     scan = np.arange(geometry.n_scan, dtype=float)
     position = np.full(geometry.n_scan, np.nan)
     y_true = np.full(geometry.n_scan, np.nan)
     # Walk the plate beside the groove: where the sheet meets z = 0 of the seam's frame.
     plane = np.asarray(geometry.setup.laser.plane_in_tool)
-    R, t = view.T_joint_tool[:3, :3], view.T_joint_tool[:3, 3]
+    R, t = scene.T_joint_tool[:3, :3], scene.T_joint_tool[:3, 3]
     normal, d = R @ plane[:3], plane[3] - R @ plane[:3] @ t
     y = np.linspace(-30.0, 30.0, 3001)
     points_joint = np.column_stack([-(normal[1] * y + d) / normal[0], y, np.zeros_like(y)])
     camera = geometry.setup.camera
-    T_camera_joint = invert(view.T_joint_camera)
+    T_camera_joint = invert(scene.T_joint_camera)
     at = geometry.scan_points(camera.project(transform(T_camera_joint, points_joint)))
     order = np.argsort(at[:, 0])
     position[:] = np.interp(scan, at[order, 0], at[order, 1], left=np.nan, right=np.nan)
     y_true[:] = np.interp(scan, at[order, 0], y[order])
     position[7] = np.nan
-    profile = triangulate(geometry, view, position, *np.full((2, geometry.n_scan), 0.1))
+    profile = triangulate(geometry, scene, position, *np.full((2, geometry.n_scan), 0.1))
     assert 7 not in profile.scan
     assert len(profile.y_mm) == np.isfinite(position).sum()
     assert (np.diff(profile.y_mm) > 0.0).all()
     np.testing.assert_allclose(profile.z_mm, 0.0, atol=2e-3)
     np.testing.assert_allclose(profile.y_mm, y_true[profile.scan.astype(int)], atol=2e-3)
     assert profile.column_mm == pytest.approx(np.median(np.abs(np.diff(y_true))), rel=0.05)
-    moved = triangulate(geometry, view, position + 0.01, *np.full((2, geometry.n_scan), 0.1))
+    moved = triangulate(geometry, scene, position + 0.01, *np.full((2, geometry.n_scan), 0.1))
     np.testing.assert_allclose((moved.z_mm - profile.z_mm) / 0.01, profile.dz_mm, rtol=1e-3, atol=1e-5)
     np.testing.assert_allclose((moved.y_mm - profile.y_mm) / 0.01, profile.dy_mm, rtol=1e-3, atol=1e-5)
 
@@ -72,7 +72,7 @@ def test_a_single_point_has_no_spacing() -> None:
     position = np.full(geometry.n_scan, np.nan)
     position[5] = 100.0
     profile = triangulate(
-        geometry, scene(geometry.setup, np.eye(4)), position, *np.ones((2, geometry.n_scan))
+        geometry, make_scene(geometry.setup, np.eye(4)), position, *np.ones((2, geometry.n_scan))
     )
     assert len(profile.y_mm) == 1
     assert np.isnan(profile.column_mm)

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from rendered import pose_at, small_setup
 from scipy.spatial.transform import Rotation
 
-from noise_model.arc.map import scene
+from noise_model.arc.map import make_scene
 from noise_model.surface.joint import SeamLine, corrugation_height
 from noise_model.transforms import invert, transform
 from tracker import flags
@@ -33,12 +33,12 @@ SEAM = SeamLine(20.0, 1.2, -0.6, 0.03, -0.02)
 @given(y=st.floats(-5.0, 5.0), z=st.floats(-3.0, 3.0), x=st.floats(-20.0, 20.0))
 def test_the_seam_meets_the_sheet(joint: str, y: float, z: float, x: float) -> None:
     setup = small_setup(joint)
-    view = scene(setup, pose_at(x, 0.5, -0.5, (1.0, -2.0, 4.0)).T_base_tool, SEAM)
-    point = seam_point_tool(setup, view, y, z)
+    scene = make_scene(setup, pose_at(x, 0.5, -0.5, (1.0, -2.0, 4.0)).T_base_tool, SEAM)
+    point = seam_point_tool(setup, scene, y, z)
     plane = np.asarray(setup.laser.plane_in_tool)
     assert plane[:3] @ point + plane[3] == pytest.approx(0.0, abs=1e-8)
-    station, *beside = transform(view.T_joint_tool, point)
-    height = z + float(corrugation_height(station, view.shape.corrugation))
+    station, *beside = transform(scene.T_joint_tool, point)
+    height = z + float(corrugation_height(station, scene.shape.corrugation))
     assert beside == pytest.approx([y, height], abs=1e-8)
 
 
@@ -59,8 +59,8 @@ def test_a_sheet_that_leans_like_the_ridges_flanks_meets_the_seam_too(
 @pytest.mark.parametrize("joint", ["v_groove", "lap"])
 def test_the_hand_eye_variance_is_its_twin(joint: str) -> None:
     setup = small_setup(joint)
-    view = scene(setup, pose_at(3.0, 0.5, -0.5, (2.0, -3.0, 4.0)).T_base_tool)
-    point = seam_point_tool(setup, view, 0.4, -0.3)
+    scene = make_scene(setup, pose_at(3.0, 0.5, -0.5, (2.0, -3.0, 4.0)).T_base_tool)
+    point = seam_point_tool(setup, scene, 0.4, -0.3)
     T_camera_tool = invert(setup.camera.T_tool_camera)
     seen = transform(T_camera_tool, point)
     moves = []
@@ -70,9 +70,9 @@ def test_the_hand_eye_variance_is_its_twin(joint: str) -> None:
         for ray, origin in ((turned, np.zeros(3)), (seen, setup.tolerance.hand_eye_mm * axis)):
             R, place = setup.camera.T_tool_camera[:3, :3], setup.camera.T_tool_camera[:3, 3]
             met = meet_laser_plane(setup, place + R @ origin, (R @ ray)[None])[0]
-            moves.append(view.T_joint_tool[1:3, :3] @ (met - point))
+            moves.append(scene.T_joint_tool[1:3, :3] @ (met - point))
     np.testing.assert_allclose(
-        hand_eye_variance(setup, view, point), np.sum(np.square(moves), axis=0), rtol=5e-3
+        hand_eye_variance(setup, scene, point), np.sum(np.square(moves), axis=0), rtol=5e-3
     )
 
 

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 import rendered
 
-from noise_model.arc.map import scene
+from noise_model.arc.map import make_scene
 from noise_model.condition import Condition
 from noise_model.forward import Renderer, draw_frame
 from tracker.geometry import SensorGeometry
@@ -70,7 +70,7 @@ def test_frames_with_speckle_scatter_by_the_stated_sigma(contrast: float, grain_
     effects = {"laser_speckle": {"contrast": contrast, "grain_px": grain_px}}
     setup = replace(plain, effects=effects)
     pose, renderer, rng = rendered.pose_at(0.0), Renderer(), np.random.default_rng(5)
-    expected = expect_stripe(SensorGeometry.of(plain), scene(plain, pose.T_base_tool))
+    expected = expect_stripe(SensorGeometry.of(plain), make_scene(plain, pose.T_base_tool))
     assert expected is not None
     true = expected.position_px + expected.lean_px
     bend = np.abs(np.gradient(np.gradient(expected.position_px))) > 0.02

@@ -35,7 +35,7 @@ class Passage:
     even_arc_e: Float32
 
     @classmethod
-    def of(cls, geometry: SensorGeometry, view: Scene, light: ArcLight, output: float) -> Passage | None:
+    def of(cls, geometry: SensorGeometry, scene: Scene, light: ArcLight, output: float) -> Passage | None:
         """Return the passage of a frame; None if no effect acts on the light.
 
         `light` is the arc's at its expected output, which counts the exposure over the nominal one; `output`
@@ -50,7 +50,7 @@ class Passage:
         condition = replace(really_on(setup, stated), exposure_s=setup.camera.exposure_s)
         scan, position = geometry.even_sample
         even = scan * geometry.n_pos + position
-        return cls(geometry, view, condition, even, np.nan_to_num(light(even)))
+        return cls(geometry, scene, condition, even, np.nan_to_num(light(even)))
 
     def through(self, pixels: Int64, arc_e: Float32) -> tuple[Float32, Float32]:
         """Return what arrives at some pixels (n,), by scan line: the arc's light and what is not the arc's.

@@ -73,33 +73,35 @@ def pose_flags(setup: Setup, T_base_tool: Float64) -> int:
     return flags.SEAM_REVERSED.mask if ahead_mm < 0.0 else 0
 
 
-def expected_seam(setup: Setup, nominal: Scene, history: SeamHistory) -> tuple[SeamLine, Float64]:
+def expected_seam(setup: Setup, nominal_scene: Scene, history: SeamHistory) -> tuple[SeamLine, Float64]:
     """Return the seam where it should meet the laser plane, and the 1 sigma (2,) of its y and z, mm."""
-    station = float(transform(nominal.T_joint_tool, setup.laser.point_mm)[0])
+    station = float(transform(nominal_scene.T_joint_tool, setup.laser.point_mm)[0])
     seam, _ = history.at(station)
     # The plane may lean: the root of a groove is met elsewhere than the plate is.
-    point = seam_point_tool(setup, nominal, float(seam[0]), float(seam[1]) + seam_height_mm(setup.joint))
-    return history.line_at(float(transform(nominal.T_joint_tool, point)[0]))
+    point = seam_point_tool(
+        setup, nominal_scene, float(seam[0]), float(seam[1]) + seam_height_mm(setup.joint)
+    )
+    return history.line_at(float(transform(nominal_scene.T_joint_tool, point)[0]))
 
 
-def sources(setup: Setup, view: Scene, station: float) -> tuple[Float64, Float64]:
+def sources(setup: Setup, scene: Scene, station: float) -> tuple[Float64, Float64]:
     """Return where camera and laser stand, (3,) mm, a corrugation's tangent plane at a station levelled."""
-    corrugation = view.shape.corrugation
+    corrugation = scene.shape.corrugation
     ahead, here, behind = (ridge(station + step, corrugation)[0] for step in (0.5, 0.0, -0.5))
-    laser_mm = transform(view.T_joint_tool, setup.laser.origin_mm)
-    sources = view.T_joint_camera[:3, 3].copy(), laser_mm
+    laser_mm = transform(scene.T_joint_tool, setup.laser.origin_mm)
+    sources = scene.T_joint_camera[:3, 3].copy(), laser_mm
     for source in sources:
         source[2] -= here + (ahead - behind) * (source[0] - station)
     return sources
 
 
-def seam_point_tool(setup: Setup, view: Scene, y_mm: float, z_mm: float) -> Float64:
+def seam_point_tool(setup: Setup, scene: Scene, y_mm: float, z_mm: float) -> Float64:
     """Return the point (3,), tool frame, where the seam through (y, z) of a scene's frame meets the sheet.
 
     `z_mm` counts from a corrugation's own height, which is added at the station that is found.
     """
     laser = setup.laser
-    return seam_point(view.T_joint_tool, laser.plane, laser.point_mm, view.shape.corrugation, y_mm, z_mm)
+    return seam_point(scene.T_joint_tool, laser.plane, laser.point_mm, scene.shape.corrugation, y_mm, z_mm)
 
 
 @kernel(allocates=True)
@@ -149,17 +151,17 @@ def confidence(setup: Setup, sigma_mm: Float64) -> float:
 
 
 def locate(
-    setup: Setup, T_joint_tool: Float64, view: Scene, y_mm: float, z_mm: float
+    setup: Setup, T_joint_tool: Float64, scene: Scene, y_mm: float, z_mm: float
 ) -> tuple[Float64, float, Float64]:
     """Return a seam point (3,), tool frame, its station and its displacement (2,) from the path, mm.
 
     The point is at (y, z) of a look's frame, `T_joint_tool` the tool in the nominal joint frame.
     """
-    seam_tool = seam_point_tool(setup, view, y_mm, z_mm)
+    seam_tool = seam_point_tool(setup, scene, y_mm, z_mm)
     return seam_tool, *seam_displacement(setup, T_joint_tool, seam_tool)
 
 
-def hand_eye_variance(setup: Setup, nominal: Scene, seam_tool: Float64) -> Float64:
+def hand_eye_variance(setup: Setup, nominal_scene: Scene, seam_tool: Float64) -> Float64:
     """Return the variance (2,) of the seam's (y, z), mm^2, that the stated hand-eye tolerance leaves.
 
     Each of the camera's three rotations and translations is off by its 1 sigma in turn; what is seen is kept.
@@ -168,7 +170,7 @@ def hand_eye_variance(setup: Setup, nominal: Scene, seam_tool: Float64) -> Float
     return moved_variance(
         setup.camera.T_tool_camera,
         setup.laser.plane,
-        nominal.T_joint_tool,
+        nominal_scene.T_joint_tool,
         seam_tool,
         math.radians(tolerance.hand_eye_deg),
         tolerance.hand_eye_mm,

@@ -100,7 +100,7 @@ def steer(
     correction: Correction,
     setup: Setup,
     T_base_tool: Float64,
-    nominal: Scene,
+    nominal_scene: Scene,
     latest: SeamHistory,
     history_at: Callable[[float], SeamHistory],
     steering: Steering,
@@ -109,11 +109,11 @@ def steer(
 ) -> tuple[Steering, Track]:
     """Return the track with the offset that is proposed to the gate, and what is handed on.
 
-    `nominal` is the pose seen from the nominal joint, `seam` the stretch that the sensor looked for,
+    `nominal_scene` is the pose seen from the nominal joint, `seam` the stretch that the sensor looked for,
     `latest` the seam's latest stretch with the track's own measurement, `history_at` the one that a station
     lies on.
     """
-    line_mm = nominal_ends(setup.joint, nominal.T_joint_tool @ invert(T_base_tool))
+    line_mm = nominal_ends(setup.joint, nominal_scene.T_joint_tool @ invert(T_base_tool))
     ends = steering.ends
     if correction.ends_mm > 0.0 and not track.flags & NO_LOOK:
         ends = ends.with_look(seam.station_mm, track.valid, line_mm, correction.ends_mm)
@@ -124,7 +124,7 @@ def steer(
     there = seam_at_torch(correction, history, torch_mm, joint_mm, history is not latest)
     height_mm = 0.0
     if correction.corrugation == "followed":
-        height_mm = ridge(torch_mm, nominal.shape.corrugation)[0]
+        height_mm = ridge(torch_mm, nominal_scene.shape.corrugation)[0]
     corrected = correct(correction, there.displacement_mm, height_mm)
     if steering.is_stopped or there.flags & flags.FOLLOW_STOPPED.mask:
         corrected = STOPPED

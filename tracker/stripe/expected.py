@@ -49,7 +49,7 @@ class ExpectedStripe:
     shown: Bool
 
 
-def expect_stripe(geometry: SensorGeometry, view: Scene) -> ExpectedStripe | None:
+def expect_stripe(geometry: SensorGeometry, scene: Scene) -> ExpectedStripe | None:
     """Return the expected stripe of a scene, or None where it is out of view.
 
     The sheet's middle and its two one-sigma planes are cut with the section, projected into the image and
@@ -63,7 +63,7 @@ def expect_stripe(geometry: SensorGeometry, view: Scene) -> ExpectedStripe | Non
     setup = geometry.setup
     position, sigma, lean = np.empty((3, geometry.n_scan))
     face = np.empty(geometry.n_scan, dtype=np.int64)
-    vertices = view.shape.vertices
+    vertices = scene.shape.vertices
     below = vertices[:, 1] <= -EDGE_STANDS_MM
     # A face that is deep throughout; a ridge's faces only end there.
     is_deep = below[:-1] & below[1:]
@@ -72,13 +72,13 @@ def expect_stripe(geometry: SensorGeometry, view: Scene) -> ExpectedStripe | Non
         lifted = np.append(is_deep, False) | np.append(False, is_deep)
         vertices = np.column_stack([vertices[:, 0], np.where(lifted, 0.0, vertices[:, 1])])
     in_view = _expect(
-        PLANES if view.shape.corrugation[0] > 0.0 else FLANKS,
+        PLANES if scene.shape.corrugation[0] > 0.0 else FLANKS,
         vertices,
-        view.shape.corrugation,
-        np.ascontiguousarray(view.T_joint_tool[:3, 3]),
-        view.footprint_mm[1],
-        sheet_of(setup.laser, view.T_joint_tool),
-        view.T_joint_camera,
+        scene.shape.corrugation,
+        np.ascontiguousarray(scene.T_joint_tool[:3, 3]),
+        scene.footprint_mm[1],
+        sheet_of(setup.laser, scene.T_joint_tool),
+        scene.T_joint_camera,
         setup.camera.intrinsics,
         lobe_numbers(setup.material),
         geometry.along_rows,

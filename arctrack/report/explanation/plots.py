@@ -199,7 +199,7 @@ def profile_picture(of: Explanation, look: Look) -> str:
     grid = figure.add_gridspec(2, 2, width_ratios=(1.6, 1.0), height_ratios=(1.6, 1.0))
     whole, close = figure.add_subplot(grid[0, 0]), figure.add_subplot(grid[:, 1])
     y, z = profile.y_mm, profile.z_mm
-    expected = look.reading.view.shape.vertices
+    expected = look.reading.scene.shape.vertices
     off = None if joint is None else off_section(profile, joint)
     margin = 0.03 * float(np.ptp(y))
     for axes in (whole, close):
