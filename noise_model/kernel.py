@@ -1,11 +1,16 @@
-"""How the kernels are compiled."""
+"""How the kernels are compiled, and kept on disk under a key of all sources that they are made of."""
 
 from __future__ import annotations
 
+import hashlib
+import re
 from collections.abc import Callable, Set
+from functools import cache
+from pathlib import Path
 from typing import Any, TypeVar, overload
 
 import numba
+from numba.core.caching import FunctionCache, IndexDataCacheFile
 
 Function = TypeVar("Function", bound=Callable[..., Any])
 
@@ -15,6 +20,10 @@ NO_REFERENCE_COUNTS = {"_nrt": False}
 
 REDUCTION = frozenset({"reassoc", "contract", "arcp", "nsz"})
 """Liberties by which LLVM sums many terms at once; NaN stays NaN."""
+
+_IMPORTED = re.compile(
+    r"^\s*(?:from\s+([\w.]+)\s+import\s+(\([^)]*\)|[^\n]*)|import\s+([\w.]+))", re.MULTILINE
+)
 
 
 @overload
@@ -37,16 +46,80 @@ def kernel(
     """Compile a function, kept on disk; it runs without Python's lock and divides as NumPy does.
 
     `allocates` says that it, or what it calls, makes arrays. `inline` writes it out where it is called;
-    `fastmath` are the liberties that LLVM may take with its arithmetic. What is kept on disk notices neither
-    a change here nor one of an inlined kernel of another file.
+    `fastmath` are the liberties that LLVM may take with its arithmetic. What is kept on disk is used again
+    only while no source that the function's file imports, directly or not, has changed.
     """
     compiled = numba.njit(
-        cache=True,
         nogil=True,
         error_model="numpy",
         inline="always" if inline else "never",
         fastmath=set(fastmath),
         **({} if allocates else NO_REFERENCE_COUNTS),
     )
-    result: Callable[..., Any] = compiled if function is None else compiled(function)
-    return result
+
+    def keep(plain: Callable[..., Any]) -> Callable[..., Any]:
+        dispatcher = compiled(plain)
+        dispatcher._cache = _SourceKeyedCache(plain)
+        result: Callable[..., Any] = dispatcher
+        return result
+
+    return keep if function is None else keep(function)
+
+
+@cache
+def source_key(path: Path) -> str:
+    """Return the digest of a source file and of all those of this project that it imports, directly or not.
+
+    numba's own key is a file's time and size. It misses a kernel of another file that is written out, or
+    linked, into this one's machine code: after an update old physics would run on.
+    """
+    digest = hashlib.sha256()
+    for source in sorted(_sources(path)):
+        digest.update(hashlib.sha256(source.read_bytes()).digest())
+    return digest.hexdigest()
+
+
+def _sources(path: Path) -> set[Path]:
+    """Return a file and all files beside its own package that it imports, directly or not."""
+    todo, sources = [path], {path}
+    while todo:
+        for imported in _imports(todo.pop()) - sources:
+            sources.add(imported)
+            todo.append(imported)
+    return sources
+
+
+@cache
+def _imports(path: Path) -> frozenset[Path]:
+    """Return the files beside a file's own package that its import statements name."""
+    root = _root(path)
+    imported = set()
+    for package, names, module in _IMPORTED.findall(path.read_text(encoding="utf-8")):
+        dotted = package or module
+        for name in (dotted, *(f"{dotted}.{name}" for name in re.findall(r"\w+", names))):
+            place = root.joinpath(*name.split("."))
+            for candidate in (place.with_suffix(".py"), place / "__init__.py"):
+                if candidate.is_file():
+                    imported.add(candidate)
+    return frozenset(imported)
+
+
+@cache
+def _root(path: Path) -> Path:
+    """Return the folder that holds a file's top package."""
+    folder = path.parent
+    while (folder / "__init__.py").is_file():
+        folder = folder.parent
+    return folder
+
+
+class _SourceKeyedCache(FunctionCache):  # type: ignore[misc]
+    """numba's cache of one function, whose index is out of date when `source_key` is another."""
+
+    def __init__(self, function: Callable[..., Any]) -> None:
+        super().__init__(function)
+        self._cache_file = IndexDataCacheFile(
+            cache_path=self._cache_path,
+            filename_base=self._impl.filename_base,
+            source_stamp=source_key(Path(function.__code__.co_filename)),
+        )
