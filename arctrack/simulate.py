@@ -21,7 +21,7 @@ from arctrack.recording.setup_file import setup_text
 from noise_model.arc.map import make_scene
 from noise_model.arrays import Float64
 from noise_model.condition import Condition
-from noise_model.effects import Values, checked, pose_time_s, really
+from noise_model.effects import Values, apply_setup_effects, checked, pose_time_s
 from noise_model.forward import Renderer, draw_frame, predict
 from noise_model.setup import Setup
 from noise_model.stripe import check_stripe
@@ -132,7 +132,7 @@ def simulate_recording(
     )
     true_setup = setup if plan.exact else true_values(setup, draw_setup)
     true_setup = replace(true_setup, effects=effects)
-    motion = Motion(setup, plan, draw_motion, really(true_setup).joint)
+    motion = Motion(setup, plan, draw_motion, apply_setup_effects(true_setup).joint)
     renderer = Renderer()
     video = VideoFormat(plan.rate_hz) if plan.video else None
     toml = None if stated is None else setup_text(stated.path)
@@ -145,7 +145,7 @@ def simulate_recording(
         for n, switches in enumerate(conditions(setup, plan, draw_order)):
             timestamp_s = n / plan.rate_hz
             T_base_tool = motion.T_base_tool(pose_time_s(true_setup, timestamp_s))
-            seam = motion.true_seam(*make_scene(really(true_setup), T_base_tool).stations_mm)
+            seam = motion.true_seam(*make_scene(apply_setup_effects(true_setup), T_base_tool).stations_mm)
             condition = Condition.of(setup, **vars(switches), timestamp_s=timestamp_s)
             image_dn = draw_frame(
                 true_setup, T_base_tool, condition, draw_noise, seam=seam, renderer=renderer

@@ -25,7 +25,7 @@ import numpy as np
 from noise_model.arc.map import Scene, arc_at, arc_kernel, make_scene
 from noise_model.arc_source import level as current_level
 from noise_model.arrays import Float32, Float64, Int32, Int64
-from noise_model.effects import really
+from noise_model.effects import apply_setup_effects
 from noise_model.fit import Fit, Parameter, fit
 from noise_model.instrument.sensor import variance_e2
 from noise_model.setup import Setup
@@ -296,7 +296,7 @@ class _View:
 
     def mean_e(self, setup: Setup, level: float, black_e: float, seam: SeamLine) -> Float64:
         """Return the charge (n,) that a setup lets expect, NaN of a pixel that sees another face."""
-        true = really(setup)
+        true = apply_setup_effects(setup)
         scene = make_scene(true, self.seen.pose.T_base_tool, seam)
         output = level * self.output
         kernel = arc_kernel(true, scene, output)
@@ -311,7 +311,7 @@ class _View:
 
     def shift_px(self, setup: Setup, seam: SeamLine) -> float:
         """Return how far what the pixels saw moves in the image at most with this camera and seam."""
-        before, after = self.scene, make_scene(really(setup), self.seen.pose.T_base_tool, seam)
+        before, after = self.scene, make_scene(apply_setup_effects(setup), self.seen.pose.T_base_tool, seam)
         points, normals = np.empty((2, len(self.pixels), 3))
         faces = np.empty(len(self.pixels), dtype=np.int32)
         shape = before.shape

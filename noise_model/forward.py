@@ -19,7 +19,7 @@ import numpy.typing as npt
 from noise_model.arc.map import Scene, arc_at, arc_frame, arc_kernel
 from noise_model.arrays import Bool, Float32, Float64, Integers
 from noise_model.condition import Condition
-from noise_model.effects import acting, really, really_on
+from noise_model.effects import acting, apply_condition_effects, apply_setup_effects
 from noise_model.effects.effect import Draw
 from noise_model.effects.light import Light
 from noise_model.instrument.camera import Rays, blur
@@ -161,7 +161,7 @@ class Renderer:
         seam: Seam = NOMINAL_SEAM,
         pixels: Integers | None = None,
     ) -> Layers:
-        """Return the layers of a pose; `setup` is what is really there (`effects.really`)."""
+        """Return the layers of a pose; `setup` is what is really there (`effects.apply_setup_effects`)."""
         of_pixels = None if pixels is None else np.asarray(pixels).tobytes()
         key = (*_rendered_with(setup), T_base_tool.tobytes(), seam, of_pixels)
         if key not in self._layers:
@@ -278,8 +278,8 @@ def _light(
     rng: Draw,
 ) -> tuple[Setup, Light]:
     """Return the setup that is really there and the charge (...,) that reaches the pixels."""
-    true = really(setup)
-    condition = really_on(true, condition)
+    true = apply_setup_effects(setup)
+    condition = apply_condition_effects(true, condition)
     layers = (renderer or Renderer()).layers(true, T_base_tool, seam, pixels)
     if layers.view.scene.below_surface:
         raise ValueError("the camera stands below the surface at this pose")

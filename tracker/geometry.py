@@ -13,7 +13,7 @@ from functools import cached_property
 import numpy as np
 
 from noise_model.arrays import Float32, Float64, Int64
-from noise_model.effects import really
+from noise_model.effects import apply_setup_effects
 from noise_model.instrument.camera import Rays
 from noise_model.instrument.sensor import linearise, saturation_dn, variance_e2
 from noise_model.setup import Setup
@@ -31,7 +31,7 @@ SAMPLE = 600
 class SensorGeometry:
     """A setup's tables, by scan line.
 
-    `setup` is what is really there: effects that change it are applied (`effects.really`).
+    `setup` is what is really there: effects that change it are applied (`effects.apply_setup_effects`).
     `xy` (n_scan n_pos, 2) float32 the normalised rays, `cos4` (n_scan n_pos,) float32; `charge_e` (codes,)
     float32 the electrons of each DN; `saturation_dn` the lowest code that is censored; `dark_variance_e2` the
     variance of an unlit pixel. The setup's exposure is that of `camera.exposure_s`.
@@ -50,7 +50,7 @@ class SensorGeometry:
     @classmethod
     def of(cls, setup: Setup) -> SensorGeometry:
         """Derive the tables; raises ValueError if the stripe is not in view at tool height."""
-        setup = really(setup)
+        setup = apply_setup_effects(setup)
         rays = Rays.of(setup.camera)
         along_rows = stripe_runs_along_rows(setup)
         xy, cos4 = (rays.xy.swapaxes(0, 1), rays.cos4.T) if along_rows else (rays.xy, rays.cos4)

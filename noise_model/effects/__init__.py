@@ -30,11 +30,11 @@ __all__ = [
     "Stage",
     "Values",
     "acting",
+    "apply_condition_effects",
+    "apply_setup_effects",
     "checked",
     "not_followed",
     "pose_time_s",
-    "really",
-    "really_on",
 ]
 
 REGISTRY: Mapping[str, Effect] = {
@@ -70,7 +70,7 @@ def acting(setup: Setup) -> Iterator[tuple[Effect, dict[str, float]]]:
         yield REGISTRY[name], values
 
 
-def really(setup: Setup) -> Setup:
+def apply_setup_effects(setup: Setup) -> Setup:
     """Return the setup that is really there: the effects that change it are applied and listed no more.
 
     Those that act on levels, light, image or the poses' clock stay listed.
@@ -82,7 +82,7 @@ def really(setup: Setup) -> Setup:
     return replace(true, effects={e.id: values for e, values in acting(setup) if e.setup is None})
 
 
-def really_on(setup: Setup, condition: Condition) -> Condition:
+def apply_condition_effects(setup: Setup, condition: Condition) -> Condition:
     """Return the levels and the exposure that a frame of this stated condition really has."""
     for effect, values in acting(setup):
         if effect.condition is not None:

@@ -9,7 +9,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from noise_model.arrays import Float64
-from noise_model.effects import really
+from noise_model.effects import apply_setup_effects
 from noise_model.plan.design import SensorDesign, design_of, filter_of, passes_laser
 from noise_model.plan.noise import Surroundings
 from noise_model.plan.path import PathNoise, noise_along, nominal_path, recorded_path, search_path
@@ -131,7 +131,7 @@ def make_plan(
     """
     if setup.joint.type == "flat":
         raise ValueError("[joint] type = 'flat': has no seam point to plan for")
-    setup = really(setup)
+    setup = apply_setup_effects(setup)
     left_out = tuple(name for name in setup.effects if name in LEFT_OUT)
     setup = replace(setup, effects={name: v for name, v in setup.effects.items() if name not in LEFT_OUT})
     _check_filters(setup, options.filters_nm)

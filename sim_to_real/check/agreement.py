@@ -13,7 +13,7 @@ import numpy as np
 
 from noise_model.arrays import Float64, Int64
 from noise_model.condition import Condition
-from noise_model.effects import really
+from noise_model.effects import apply_setup_effects
 from noise_model.forward import Renderer, predict
 from noise_model.instrument.sensor import linearise, saturation_dn
 from noise_model.setup import Setup
@@ -82,7 +82,7 @@ def _blocks(
     setup: Setup, frame: Frame, pose: Pose, condition: Condition, renderer: Renderer
 ) -> tuple[Float64, Float64]:
     """Return the block means (n,) of one frame, recorded and predicted, e-."""
-    true = really(setup)
+    true = apply_setup_effects(setup)
     predicted = predict(setup, pose.T_base_tool, condition, renderer=renderer).mean_e
     _, _, faces = renderer.layers(true, pose.T_base_tool).view.surface
     recorded = linearise(frame.image_dn, true.sensor)

@@ -13,7 +13,7 @@ import numpy as np
 from noise_model.arc.map import make_scene
 from noise_model.arrays import Bool, Float32, Float64, Int64, Integers
 from noise_model.condition import Condition
-from noise_model.effects import Values, pose_time_s, really
+from noise_model.effects import Values, apply_setup_effects, pose_time_s
 from noise_model.forward import Layers, Renderer
 from noise_model.instrument.camera import Camera
 from noise_model.instrument.sensor import linearise, respond_moments, saturation_dn
@@ -158,7 +158,7 @@ def observe(setup: Setup, frames: Sequence[Frame], pose_at: PoseAt) -> Observed:
         raise ValueError("no frame has a pose: there is nothing to compare with a prediction")
     first_s = frames[0].timestamp_s
     poses = [_tool(pose_at, frame) for frame in posed]
-    true = really(setup)
+    true = apply_setup_effects(setup)
     seen = [
         make_scene(true, T(pose_time_s(setup, frame.timestamp_s))).stations_mm
         for T, frame in zip(poses, posed, strict=True)
@@ -264,9 +264,9 @@ def stated_layers(
     setup: Setup, binned: Setup, T_base_tool: Float64, seam: SeamCurve
 ) -> tuple[tuple[float, float, float], Layers]:
     """Return stations of what is seen and of the torch, mm, and the light of bins, of the nominal setup."""
-    stations_mm = make_scene(really(setup), T_base_tool).stations_mm
+    stations_mm = make_scene(apply_setup_effects(setup), T_base_tool).stations_mm
     unmoved = seam.bent(np.zeros(seam.n_modes), *stations_mm)
-    return stations_mm, Renderer().layers(really(binned), T_base_tool, unmoved)
+    return stations_mm, Renderer().layers(apply_setup_effects(binned), T_base_tool, unmoved)
 
 
 def _stated_e(setup: Setup, layers: Layers, condition: Condition) -> Float32:

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from noise_model.arrays import Float64
-from noise_model.effects import pose_time_s, really
+from noise_model.effects import apply_setup_effects, pose_time_s
 from noise_model.setup import Setup
 from noise_model.surface.joint import seam_frame
 from noise_model.transforms import invert, transform
@@ -46,7 +46,7 @@ class Sightings:
         poses: Sequence[Callable[[float], Float64]],
     ) -> Sightings:
         """Track a recording twice, so that its first frames too know where the seam is."""
-        tracker, true = Tracker(setup), really(setup)
+        tracker, true = Tracker(setup), apply_setup_effects(setup)
         T_camera_tool = invert(true.camera.T_tool_camera)
         seen = []
         for is_last in (False, True):
@@ -66,7 +66,7 @@ class Sightings:
 
     def in_joint(self, setup: Setup) -> tuple[Float64, Float64]:
         """Return stations (n,) and displacements (n, 2) from the nominal line as y and z, mm, for a setup."""
-        true = really(setup)
+        true = apply_setup_effects(setup)
         points_tool, _ = to_laser_plane(true, self.image_px)
         stations, displacements = np.empty(len(points_tool)), np.empty((len(points_tool), 2))
         for n, (point, time, pose) in enumerate(zip(points_tool, self.timestamps_s, self.poses, strict=True)):

@@ -9,7 +9,7 @@ import cv2
 import numpy as np
 
 from noise_model.arrays import Bool, Float32, Float64, Integers
-from noise_model.effects import really
+from noise_model.effects import apply_setup_effects
 from noise_model.forward import Prediction, Renderer, predict
 from noise_model.instrument.sensor import saturation_dn
 from noise_model.setup import Setup
@@ -189,7 +189,7 @@ def _counts(
 
     What is predicted to be saturated has no spread of its own to be measured by.
     """
-    true = really(_stated(setup, fitted, frame))
+    true = apply_setup_effects(_stated(setup, fitted, frame))
     pose = frame.T_base_tool_in(true)
     layers = renderer.layers(true, pose, expected.seam(frame, fitted.nuisance, fitted.effects))
     bad = off_faces(layers.faces, 2 * EDGE_PX + 1)

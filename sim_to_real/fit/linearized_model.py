@@ -18,7 +18,7 @@ import numpy.typing as npt
 from scipy.ndimage import distance_transform_edt
 
 from noise_model.arrays import Bool, Float32, Float64, Int64
-from noise_model.effects import REGISTRY, Effect, Stage, Values, really, really_on
+from noise_model.effects import REGISTRY, Effect, Stage, Values, apply_condition_effects, apply_setup_effects
 from noise_model.effects.light import Light
 from noise_model.forward import Layers, look, pass_on
 from noise_model.instrument.camera import Camera, Rays
@@ -186,7 +186,7 @@ class Expected:
         self.observed = replace(self.observed, frames=tuple(frames))
 
     def _off_edges(self, frame: ObservedFrame, nuisance: Float64, effects: Effects) -> Float64:
-        setup = really(self._setup(effects, nuisance))
+        setup = apply_setup_effects(self._setup(effects, nuisance))
         seam = self.seam(frame, nuisance, effects)
         faces = look(setup, frame.T_base_tool_in(setup), seam, self._rays_of(setup.camera)).faces
         return np.where(one_face(faces)[frame.keep], frame.sigma_dn, np.inf)
@@ -198,7 +198,7 @@ class Expected:
         strays = curve.strays_mm(coefficients, 0.5 * (first + last), torch)
         if strays < LEAST_STRAY_MM or frame.condition.arc_level == 0.0:
             return frame.sigma_dn
-        setup = really(self._setup(effects, nuisance))
+        setup = apply_setup_effects(self._setup(effects, nuisance))
         T_base_tool = frame.T_base_tool_in(setup)
         seam = self.seam(frame, nuisance, effects)
         light = [
@@ -228,13 +228,13 @@ class Expected:
 
     def passed(self, anchor: Float64, effects: Effects, change: Change | None = None) -> list[Passed]:
         """Return what reaches the bins of each frame at nuisances (p,) and effects; one may change."""
-        true = really(self._setup(effects, anchor))
+        true = apply_setup_effects(self._setup(effects, anchor))
 
         def of_frame(frame: ObservedFrame) -> Passed:
             if change is None:
                 return self._passed(frame, true, anchor, effects)
             here = change.at(effects, self.observed.setup, frame)
-            return self._passed(frame, really(self._setup(here, anchor)), anchor, here)
+            return self._passed(frame, apply_setup_effects(self._setup(here, anchor)), anchor, here)
 
         # Here and not where frames are rendered: several of them are at work at once there.
         for oldest in list(self._rendered)[: -REMEMBERED * len(self.observed.frames)]:
@@ -327,7 +327,7 @@ class Expected:
         )
         key = (frame.position, anchor[N_LEVELS:].tobytes(), rendering)
         if key not in self._rendered:
-            setup = really(self._setup(effects, anchor))
+            setup = apply_setup_effects(self._setup(effects, anchor))
             T_base_tool = frame.T_base_tool_in(setup)
             seam = self.seam(frame, anchor, effects)
             rays = self._rays_of(setup.camera)
@@ -343,7 +343,7 @@ class Expected:
 
     def _passed(self, frame: ObservedFrame, true: Setup, anchor: Float64, effects: Effects) -> Passed:
         rendered = self._render(frame, anchor, effects)
-        condition = really_on(true, really_lit(frame.condition, anchor))
+        condition = apply_condition_effects(true, really_lit(frame.condition, anchor))
         light = Light.of(
             np.float32(condition.arc_level) * rendered.arc_e,
             np.float32(condition.laser_level) * rendered.laser_e,
@@ -371,7 +371,7 @@ class Expected:
         bins = np.flatnonzero(frame.keep)
 
         def rendered(setup: Setup, seam: BentSeam, stretch: Int64 | None) -> Layers:
-            true = really(setup)
+            true = apply_setup_effects(setup)
             return look(true, T_base_tool, seam, self._rays_of(true.camera), bins, stretch)
 
         here = rendered(setup, seam, None)

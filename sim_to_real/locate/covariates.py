@@ -10,7 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from noise_model.arrays import Bool, Float32, Float64, Int32, Integers
-from noise_model.effects import really
+from noise_model.effects import apply_setup_effects
 from noise_model.fit import Parameter
 from noise_model.instrument.camera import Rays
 from noise_model.setup import Setup
@@ -165,7 +165,7 @@ def covariates(expected: Expected, fit: Fitted) -> Covariates:
     """Gather the covariates of every bin that counts, with the light and the nuisances of a fit."""
     anchor = fit.nuisance
     observed = expected.observed
-    true = really(really_there(observed.binned, anchor))
+    true = apply_setup_effects(really_there(observed.binned, anchor))
     rays = Rays.of(true.camera)
     parts = []
     for frame, light in zip(observed.frames, fit.passed, strict=True):

@@ -22,7 +22,7 @@ import cv2
 import numpy as np
 
 from noise_model.arrays import Float32, Float64, Int64
-from noise_model.effects import really
+from noise_model.effects import apply_setup_effects
 from noise_model.effects.effect import Stage
 from noise_model.forward import look
 from noise_model.instrument.camera import Camera, Rays
@@ -312,7 +312,7 @@ class _Views:
         if not material.kappa_diff > 0.0:
             return np.zeros((len(of.frame), 1), dtype=np.float32)
         dull = Material(material.name, material.kappa_diff, 0.0, material.c2)
-        arc, laser = self._light(really(replace(self.stated, material=dull)))
+        arc, laser = self._light(apply_setup_effects(replace(self.stated, material=dull)))
         by_angle = hats(of.values["half_angle"], 6) * (self._here[0] - arc)[:, np.newaxis]
         return np.column_stack([arc, laser, by_angle]).astype(np.float32)
 
@@ -338,7 +338,7 @@ class _Views:
 
     @cached_property
     def _here(self) -> tuple[Float32, Float32]:
-        return self._light(really(self.stated))
+        return self._light(apply_setup_effects(self.stated))
 
     def _change(self, name: str, by: Float64) -> Float32:
         setup, delay_s, T_base_plate = self.stated, 0.0, np.eye(4)
@@ -355,7 +355,7 @@ class _Views:
             T_base_plate = moved(T_base_joint, [*by, 0.0], np.zeros(3)) @ invert(T_base_joint)
         else:
             delay_s = float(by[0])
-        arc, laser = self._light(really(setup), delay_s, invert(T_base_plate))
+        arc, laser = self._light(apply_setup_effects(setup), delay_s, invert(T_base_plate))
         return (arc - self._here[0]) + (laser - self._here[1])
 
     def _light(

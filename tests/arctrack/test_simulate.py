@@ -12,7 +12,7 @@ from arctrack.errors import ArctrackError
 from arctrack.nominal import DIMENSIONS, MATERIALS, nominal_setup
 from arctrack.recording import BadFrame, format_setup, read_recording, read_setup_file, read_truth
 from arctrack.simulate import Motion, SimulationPlan, balance, conditions, simulate_recording, true_values
-from noise_model.effects import checked, really
+from noise_model.effects import apply_setup_effects, checked
 from noise_model.instrument.sensor import linearise
 from noise_model.setup import Setup
 from noise_model.surface.joint import BentSeam, Joint, seam_height_mm
@@ -252,7 +252,7 @@ def test_a_known_pose_delay_takes_the_pose_of_another_time(seen_setup: Setup, tm
 
 
 def test_the_true_seam_of_a_tilted_plate(seen_setup: Setup) -> None:
-    tilted = really(replace(seen_setup, effects=checked({"surface_tilt": {"roll_deg": 10.0}})))
+    tilted = apply_setup_effects(replace(seen_setup, effects=checked({"surface_tilt": {"roll_deg": 10.0}})))
     plan = SimulationPlan(seam_wander_mm=0.0, weave_mm=0.0, tilt_deg=0.0)
     motion = Motion(seen_setup, plan, np.random.default_rng(0), tilted.joint)
     T_base_tool = motion.T_base_tool(0.0)

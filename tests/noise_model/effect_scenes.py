@@ -8,7 +8,7 @@ import numpy as np
 import scenes
 
 from noise_model.condition import Condition
-from noise_model.effects import checked, really
+from noise_model.effects import apply_setup_effects, checked
 from noise_model.effects.light import Light
 from noise_model.forward import draw_frame, pass_on, predict
 from noise_model.view import View
@@ -52,7 +52,7 @@ def draws(setup, condition, n, seed=1, T_base_tool=LEVEL, renderer=None):
 
 def passed(setup, light, condition=CONDITIONS["both"], rng=None, T_base_tool=LEVEL):
     """Light after the effects of a setup, the lens and the exposure; what comes in is changed."""
-    true = really(setup)
+    true = apply_setup_effects(setup)
     pass_on(true, light, View.of(true, T_base_tool), condition, rng)
     return light
 

@@ -9,7 +9,14 @@ import scenes
 from effect_scenes import CONDITIONS, EXPOSURE_S, LATE_S, TURNED, affected, light_of, nominal, passed
 
 from noise_model.condition import Condition
-from noise_model.effects import REGISTRY, Stage, checked, pose_time_s, really, really_on
+from noise_model.effects import (
+    REGISTRY,
+    Stage,
+    apply_condition_effects,
+    apply_setup_effects,
+    checked,
+    pose_time_s,
+)
 from noise_model.effects.effect import Effect
 from noise_model.fit import Parameter
 from noise_model.forward import FILL_TOLERANCE, Renderer, predict
@@ -157,8 +164,8 @@ def test_an_effect_that_does_not_fit_is_refused():
 def test_what_changes_the_setup_changes_it_once():
     """And what acts on levels, light, image or clock stays listed."""
     setup = affected(nominal(), **{name: effect.typical for name, effect in REGISTRY.items()})
-    once = really(setup)
-    twice = really(once)
+    once = apply_setup_effects(setup)
+    twice = apply_setup_effects(once)
     assert once.effects == twice.effects
     assert set(once.effects) == {name for name, effect in REGISTRY.items() if effect.setup is None}
     assert once.arc == twice.arc
@@ -166,7 +173,8 @@ def test_what_changes_the_setup_changes_it_once():
     assert once.sensor == twice.sensor
     np.testing.assert_array_equal(once.camera.T_tool_camera, twice.camera.T_tool_camera)
     assert once.sensor.gamma == pytest.approx(0.7)
-    assert really_on(once, CONDITIONS["both"]) == really_on(setup, CONDITIONS["both"])
+    both = CONDITIONS["both"]
+    assert apply_condition_effects(once, both) == apply_condition_effects(setup, both)
 
 
 @every_effect

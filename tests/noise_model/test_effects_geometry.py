@@ -11,7 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-from noise_model.effects import pose_time_s, really
+from noise_model.effects import apply_setup_effects, pose_time_s
 from noise_model.surface.joint import seam_frame
 from noise_model.transforms import moved
 from noise_model.view import View
@@ -63,7 +63,7 @@ def test_a_tilted_plate_takes_its_stations_and_ridges_along():
     low = ((-300.0, 0.0, -150.0), (300.0, 0.0, -150.0))
     setup = nominal("corrugation")
     setup = dataclasses.replace(setup, joint=dataclasses.replace(setup.joint, seam_in_base_mm=low))
-    true = really(affected(setup, surface_tilt={"pitch_deg": 5.0, "roll_deg": 1.0}))
+    true = apply_setup_effects(affected(setup, surface_tilt={"pitch_deg": 5.0, "roll_deg": 1.0}))
     at = np.array([0.0, 0.0, -150.0])
     turned = moved(seam_frame(setup.joint, at), [1.0, 5.0, 0.0], np.zeros(3))
     np.testing.assert_allclose(seam_frame(true.joint, at), turned, atol=1e-9)
@@ -93,7 +93,7 @@ def test_a_camera_off_its_place_sees_the_stripe_elsewhere():
 def test_a_turn_of_the_camera_is_a_shift_of_the_image(axis):
     """0.5 deg about x or y shifts the middle by f tan(0.5 deg), about z it turns the image round it."""
     setup = sharp()
-    camera = really(affected(setup, hand_eye={f"rot_{axis}_deg": 0.5})).camera
+    camera = apply_setup_effects(affected(setup, hand_eye={f"rot_{axis}_deg": 0.5})).camera
     ahead = setup.camera.T_tool_camera @ np.array([0.0, 0.0, 150.0, 1.0])
     aside = setup.camera.T_tool_camera @ np.array([10.0, 0.0, 150.0, 1.0])
     uv = project(setup.camera, camera.T_tool_camera, (0.0,) * 5, np.stack([ahead[:3], aside[:3]]))
@@ -118,7 +118,7 @@ def test_a_tilted_plate_is_a_plane_through_its_origin(roll_deg, pitch_deg, headi
     line = [tuple(float(x) for x in y_mm * left + s * along) for s in (-300.0, 300.0)]
     joint = dataclasses.replace(setup.joint, seam_in_base_mm=tuple(line))
     setup = dataclasses.replace(setup, joint=joint)
-    tilted = really(affected(setup, surface_tilt={"roll_deg": roll_deg, "pitch_deg": pitch_deg}))
+    tilted = apply_setup_effects(affected(setup, surface_tilt={"roll_deg": roll_deg, "pitch_deg": pitch_deg}))
     turn = Rotation.from_rotvec(np.radians(roll_deg) * along + np.radians(pitch_deg) * left)
     origin = y_mm * left
     normal = turn.apply([0.0, 0.0, 1.0])
@@ -133,7 +133,7 @@ def test_the_camera_sees_the_tilted_plane():
     T_base_tool = scenes.pose((4.0, 0.5, 1.0))
     normal = Rotation.from_rotvec([4.0, -3.0, 0.0], degrees=True).apply([0.0, 0.0, 1.0])
     T_base_camera = T_base_tool @ setup.camera.T_tool_camera
-    view = View.of(really(setup), T_base_tool)
+    view = View.of(apply_setup_effects(setup), T_base_tool)
     v, u = np.mgrid[:120, :160]
     camera = setup.camera
     d = np.stack([(u - camera.cx) / camera.fx, (v - camera.cy) / camera.fy, np.ones(u.shape)], axis=-1)

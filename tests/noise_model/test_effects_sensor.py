@@ -19,7 +19,7 @@ from effect_scenes import (
 )
 
 from noise_model.condition import Condition
-from noise_model.effects import really
+from noise_model.effects import apply_setup_effects
 from noise_model.forward import Renderer, draw_frame, predict
 
 BOTH = CONDITIONS["both"]
@@ -209,4 +209,4 @@ def test_frames_with_effects_are_drawn_again_from_their_seed():
     )
     first, second = (draw_frame(setup, scenes.pose(), BOTH, np.random.default_rng(9)) for _ in range(2))
     np.testing.assert_array_equal(first, second)
-    assert really(setup).effects == setup.effects
+    assert apply_setup_effects(setup).effects == setup.effects

@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from noise_model.effects import really
+from noise_model.effects import apply_setup_effects
 from noise_model.forward import look
 from noise_model.surface.joint import BentSeam, SeamLine
 from sim_to_real.data.binned import stated_condition
@@ -53,7 +53,7 @@ def test_bins_whose_neighbours_show_another_face_are_left_out(tmp_path):
     expected.leave_out_edges(aside, {})
     n_out = 0
     for frame in expected.observed.frames:
-        setup = really(expected.observed.binned)
+        setup = apply_setup_effects(expected.observed.binned)
         seam = expected.seam(frame, aside, {})
         faces = look(setup, frame.T_base_tool_in(setup), seam, expected._rays_of(setup.camera)).faces
         for (row, column), sigma in zip(np.argwhere(frame.keep), frame.sigma_dn, strict=True):
@@ -67,7 +67,7 @@ def test_bins_whose_neighbours_show_another_face_are_left_out(tmp_path):
 
 
 def test_each_pixel_shows_the_face_of_its_own_stretch(expected):
-    frame, setup = expected.observed.frames[0], really(expected.observed.binned)
+    frame, setup = expected.observed.frames[0], apply_setup_effects(expected.observed.binned)
     first, last, torch = frame.stations_mm
     middle = 0.5 * (first + last)
     lines = (SeamLine(0.5 * (first + middle), -1.5), SeamLine(0.5 * (middle + last), 1.5))

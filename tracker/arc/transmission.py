@@ -10,7 +10,7 @@ import numpy as np
 from noise_model.arc.map import Scene
 from noise_model.arrays import Float32, Float64, Int64
 from noise_model.condition import Condition
-from noise_model.effects import acting, really_on
+from noise_model.effects import acting, apply_condition_effects
 from noise_model.effects.light import Light
 from noise_model.forward import pass_on
 from noise_model.view import View
@@ -47,7 +47,7 @@ class Passage:
             return None
         stated = Condition(0.0, output, setup.camera.exposure_s)
         # The exposure is in the output already, and the arc's own level is measured in each frame.
-        condition = replace(really_on(setup, stated), exposure_s=setup.camera.exposure_s)
+        condition = replace(apply_condition_effects(setup, stated), exposure_s=setup.camera.exposure_s)
         scan, position = geometry.even_sample
         even = scan * geometry.n_pos + position
         return cls(geometry, scene, condition, even, np.nan_to_num(light(even)))
