@@ -48,7 +48,7 @@ POSE_LEAD_S, POSE_TAIL_S = 0.4, 0.5
 HIGH_CURRENT, SHORT_EXPOSURE = 1.4, 0.5
 """The second current and the second exposure, over the nominal ones."""
 
-LEAST_FRAMES = 12
+MIN_FRAMES = 12
 RATES_HZ, SPEEDS_MM_S, WANDERS_MM, TILTS_DEG = (0.01, 1000.0), (0.0, 1000.0), (0.0, 100.0), (0.0, 45.0)
 """What a plan may ask for: times are written to the microsecond, and the tool goes forward."""
 
@@ -79,7 +79,7 @@ class SimulationPlan:
     video: bool = False
 
     def __post_init__(self) -> None:
-        least = 1 if self.production else LEAST_FRAMES
+        least = 1 if self.production else MIN_FRAMES
         if self.frames < least:
             cure = "" if self.production else "; with --production a single one will do"
             raise ArctrackError(f"--frames {self.frames}: at least {least} are needed{cure}")
@@ -228,7 +228,7 @@ def conditions(setup: Setup, plan: SimulationPlan, rng: np.random.Generator) -> 
     ends = [dark, laser, replace(laser, exposure_s=short_s)]
     middle = [both, both_high, both_short, arc, arc_high, arc_short]
     more = [both, both_high, both, both_short, arc]
-    middle += [more[n % len(more)] for n in range(plan.frames - LEAST_FRAMES)]
+    middle += [more[n % len(more)] for n in range(plan.frames - MIN_FRAMES)]
     order = rng.permutation(len(middle))
     return [*ends, *(middle[n] for n in order), *reversed(ends)]
 

@@ -56,7 +56,7 @@ EDGE_PX, STEEPEST = 8, 0.3
 STEP_PX = 0.5 * EDGE_PX
 """So far a round may move what a pixel sees: with an edge that comes to meet it the pixel's face stays."""
 
-SETTLED_SIGMAS, MOST_ROUNDS = 0.2, 30
+SETTLED_SIGMAS, MAX_ROUNDS = 0.2, 30
 """Rounds go on until the camera moves by no more of its sigmas."""
 
 SEAM_SIGMA_MM, SEAM_SLOPE_SIGMA = 5.0, 0.05
@@ -74,7 +74,7 @@ WANDER_MM = 0.03
 FAR_SIGMAS = 4.0
 """A camera further off than so many of its stated sigmas means that something else is wrong."""
 
-MOST_LEVEL = 20.0
+MAX_LEVEL_FACTOR = 20.0
 """An arc by so much brighter or darker than stated means the same."""
 
 NOTHING_TO_COMPARE = (
@@ -105,7 +105,7 @@ def estimate_hand_eye(
     column is compared; frames of unknown current count where none is known. `progress` hears the rounds done
     and how many there may be. Raises ValueError if no frame has the arc on or none of them a pixel to
     compare, if the joint was found in none, if the rounds do not settle, or if the camera would have to be
-    off by more than FAR_SIGMAS of its tolerance or the arc by a factor of MOST_LEVEL: then arc or material
+    off by more than FAR_SIGMAS of its tolerance or the arc by a factor of MAX_LEVEL_FACTOR: then arc or material
     are not as stated, or the seam bends within an image, where it is taken as straight.
     """
     lit = [(frame, pose) for frame, pose in frames if frame.arc_on and frame.current_a != 0.0]
@@ -201,8 +201,8 @@ def _settled(
     """Choose pixels and fit in turn until the camera settles; ValueError if it does not, or far off."""
     about_mm = float(np.median([one.tracked.station_mm for one in seen]))
     x = np.zeros(12)
-    for done in range(MOST_ROUNDS):
-        progress(done, MOST_ROUNDS)
+    for done in range(MAX_ROUNDS):
+        progress(done, MAX_ROUNDS)
         geometry = SensorGeometry.of(_with_camera(setup, x[:6]))
         views = [_View.of(geometry, one, one.seam(x, about_mm), lattice_px) for one in seen]
         if not any(len(view.pixels) for view in views):
@@ -217,10 +217,10 @@ def _settled(
         if is_settled:
             break
         x = x + min(1.0, STEP_PX / max(shift_px, STEP_PX)) * step
-    progress(MOST_ROUNDS, MOST_ROUNDS)
+    progress(MAX_ROUNDS, MAX_ROUNDS)
     if "ln_arc_level" in result.at_bounds:
         raise ValueError(
-            f"the arc would have to be off by a factor of {MOST_LEVEL:g}: arc or material are not as "
+            f"the arc would have to be off by a factor of {MAX_LEVEL_FACTOR:g}: arc or material are not as "
             "stated, or there are too few frames with the arc on"
         )
     stated = np.array([parameter.prior_sigma for parameter in result.parameters[:6]])
@@ -234,7 +234,7 @@ def _settled(
     if is_settled:
         return result
     raise ValueError(
-        f"camera and seam do not settle in {MOST_ROUNDS} rounds: arc, material or joint are not as stated, "
+        f"camera and seam do not settle in {MAX_ROUNDS} rounds: arc, material or joint are not as stated, "
         "the seam bends within the image, or it takes more frames with the arc on"
     )
 
@@ -338,7 +338,7 @@ def _ln_level(setup: Setup, views: Sequence[_View]) -> float:
         raise ValueError(NOTHING_TO_COMPARE)
     # All at once: of pixels in shadow nothing is expected.
     charge_e = sum(float(view.charge_e.sum()) for view in views)
-    return math.log(min(max(charge_e / mean_e, 1.0 / MOST_LEVEL), MOST_LEVEL))
+    return math.log(min(max(charge_e / mean_e, 1.0 / MAX_LEVEL_FACTOR), MAX_LEVEL_FACTOR))
 
 
 def _fit(setup: Setup, views: Sequence[_View], about_mm: float, about: Float64) -> Fit:
@@ -346,7 +346,7 @@ def _fit(setup: Setup, views: Sequence[_View], about_mm: float, about: Float64) 
 
     The residuals are those about some values (12,), taken as linear, of the pixels whose faces stay.
     """
-    tolerance, ln_level = setup.tolerance, math.log(MOST_LEVEL)
+    tolerance, ln_level = setup.tolerance, math.log(MAX_LEVEL_FACTOR)
     deg, mm = max(tolerance.hand_eye_deg, 1e-6), max(tolerance.hand_eye_mm, 1e-6)
     black_e = max(tolerance.black_level_dn * setup.sensor.gain_e_per_dn, 1e-3)
     parameters = [

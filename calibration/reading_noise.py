@@ -12,7 +12,7 @@ from noise_model.arrays import Float64
 
 ROUNDS = 12
 
-LEAST_FREEDOM = 1e-6
+MIN_FREEDOM = 1e-6
 """A residual that the fit takes up whole says nothing of the noise."""
 
 ROUNDING_DN2 = 1.0 / 12.0
@@ -65,7 +65,7 @@ def estimate_scatter(
     number where a mean's error is multiplied by it to be that of a reading. `known_dn2` (k,) is in the
     squares besides.
     """
-    used = freedom > LEAST_FREEDOM
+    used = freedom > MIN_FREEDOM
     signal_dn, squares, freedom, shares, known_dn2 = (
         values[used] for values in (signal_dn, squares, freedom, shares, known_dn2)
     )

@@ -13,7 +13,7 @@ from calibration.reflectance_model import ReadingsFit, ReadingsModel
 UNLIKELY = 0.01
 """The p-value below which the model, or the settings, are taken to be off by more than the repeats show."""
 
-LEAST_LEFT = 0.5
+MIN_FREEDOM = 0.5
 """Settings to which a fit leaves less freedom than this say nothing of their scatter."""
 
 
@@ -58,5 +58,5 @@ def compare(model: ReadingsModel, fitted: ReadingsFit, part: slice) -> Scatter:
     variance = fitted.noise.variance(model.level(fitted.fit.values) - model.response.black_dn)[part]
     squares = float(np.sum(more * np.nan_to_num(model.variance[part]) / variance))
     left = float(np.sum(1.0 - fitted.fit.leverage[part]))
-    between = float(np.sum(fitted.fit.residuals[part] ** 2)) / left if left > LEAST_LEFT else math.nan
+    between = float(np.sum(fitted.fit.residuals[part] ** 2)) / left if left > MIN_FREEDOM else math.nan
     return Scatter(between, left, squares / freedom if freedom else math.nan, freedom)

@@ -14,8 +14,8 @@ from arctrack.recording.diagnosis_files import REPORT_PAGE
 from arctrack.report.diagnosis import words
 from sim_to_real.diagnosis import Diagnosis, Verdict
 
-MOST_RANKED = 5
-MOST_PAIRS = 4
+MAX_RANKED = 5
+MAX_PAIRS = 4
 """Pairs that cannot be told apart here; the page has them all."""
 
 
@@ -95,7 +95,7 @@ def _lines(diagnosis: Diagnosis) -> Iterator[tuple[str, str]]:
             f"{words.free_function(name)} would close {words.percent(share)} more",
         )
     if diagnosis.not_resolvable:
-        pairs = [" | ".join(pair) for pair in diagnosis.not_resolvable[:MOST_PAIRS]]
+        pairs = [" | ".join(pair) for pair in diagnosis.not_resolvable[:MAX_PAIRS]]
         more = len(diagnosis.not_resolvable) - len(pairs)
         yield "not told apart here", "; ".join(pairs) + (f"; and {more} more pairs" if more else "")
     if diagnosis.next is not None:
@@ -109,7 +109,7 @@ def _ranking(diagnosis: Diagnosis) -> Table:
     table.add_column("closes", justify="right", no_wrap=True)
     table.add_column(words.probable(diagnosis.verdict), justify="right")
     table.add_column("what it is")
-    for candidate in diagnosis.ranking[:MOST_RANKED]:
+    for candidate in diagnosis.ranking[:MAX_RANKED]:
         table.add_row(
             candidate.id,
             words.percent(candidate.gap_closed),

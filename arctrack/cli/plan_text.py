@@ -14,7 +14,7 @@ from noise_model.plan.remedies import Cure
 from noise_model.plan.rules import Rule
 from noise_model.plan.search import Candidate
 
-MOST_STRETCHES = 12
+MAX_STRETCHES = 12
 """Blind stretches that are printed; path.csv has them all."""
 
 
@@ -29,8 +29,8 @@ def print_plan(console: Console, plan: Plan) -> None:
         console.print(_cures(plan))
     for name in plan.left_out:
         console.print(f"left out: [effects.{name}], which hardly moves σ", markup=False, soft_wrap=True)
-    if len(plan.cures) > MOST_STRETCHES:
-        console.print(f"and {len(plan.cures) - MOST_STRETCHES} more stretches, see path.csv", markup=False)
+    if len(plan.cures) > MAX_STRETCHES:
+        console.print(f"and {len(plan.cures) - MAX_STRETCHES} more stretches, see path.csv", markup=False)
 
 
 def _designs(plan: Plan) -> Table:
@@ -118,7 +118,7 @@ def _cures(plan: Plan) -> Table:
     ):
         table.add_column(heading, justify="right", no_wrap=True)
     station = plan.along.path.station_mm
-    for cure in plan.cures[:MOST_STRETCHES]:
+    for cure in plan.cures[:MAX_STRETCHES]:
         table.add_row(f"{station[cure.first]:.0f} to {station[cure.last]:.0f}", *_cure_cells(cure))
     return table
 

@@ -22,7 +22,7 @@ LOG_NAMES = ("can.asc", "can.blf", "can.log")
 COVERAGE_PERIODS = 3.0
 """The poses may end this many of their periods before the last frame: it is extrapolated to."""
 
-LEAST_TRAVEL_MM = 5.0
+MIN_TRAVEL_MM = 5.0
 """A robot that went less far along the seam while frames were taken shows no direction of travel."""
 
 REPEATED_S = 0.05
@@ -97,7 +97,7 @@ def runs_against_travel(poses: PoseTable, frames_s: Sequence[float], joint: Join
         float((after - before) @ seam_frame(joint, before)[:3, 0]) for before, after in pairwise(origins_mm)
     ]
     # The median holds against a jump in the poses.
-    return sum(steps_mm) < -LEAST_TRAVEL_MM and float(np.median(steps_mm)) < 0.0
+    return sum(steps_mm) < -MIN_TRAVEL_MM and float(np.median(steps_mm)) < 0.0
 
 
 def pose_buffer(poses: PoseTable) -> PoseBuffer:

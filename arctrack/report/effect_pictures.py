@@ -40,7 +40,7 @@ TITLE_INCH, CAPTION_INCH = 0.2, 0.15
 CLIPPED_PERCENT = 99.5
 """The colours of a difference reach as far as this share of its pixels."""
 
-LEAST_DN = 0.5
+MIN_DN = 0.5
 """The smallest difference that the colours' ends stand for: smaller ones are no frame's business."""
 
 TRAVEL_SPEED_MM_S, WEAVE_MM, WEAVE_PERIOD_S, HEIGHT_MM = 8.0, 1.5, 1.7, 1.0
@@ -323,7 +323,7 @@ def _colours(figure: Figure, cells: list[Axes], name: str, low: float, high: flo
 
 def _limit(change: Float64) -> float:
     """Return where a difference's colours end, DN."""
-    return _nice(max(LEAST_DN, float(np.percentile(np.abs(change), CLIPPED_PERCENT))))
+    return _nice(max(MIN_DN, float(np.percentile(np.abs(change), CLIPPED_PERCENT))))
 
 
 def _nice(value: float) -> float:

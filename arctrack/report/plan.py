@@ -21,7 +21,7 @@ from noise_model.surface.joint import corrugation_height, seam_frame, section
 from noise_model.transforms import invert, transform
 
 COLOURS, UNKNOWN = "viridis", "#E8E8E8"
-LEAST_FACTOR = 2.0
+MIN_FACTOR = 2.0
 """A colour scale spans at least this factor, so that what is all alike looks alike."""
 
 
@@ -81,7 +81,7 @@ def _map(
 def _scale(values: Float64) -> LogNorm:
     low, high = float(np.nanmin(values)), float(np.nanmax(values))
     middle = np.sqrt(low * high)
-    half = max(np.sqrt(high / low), np.sqrt(LEAST_FACTOR))
+    half = max(np.sqrt(high / low), np.sqrt(MIN_FACTOR))
     return LogNorm(middle / half, middle * half)
 
 

@@ -37,7 +37,7 @@ NODES_P, NODES_Q = 8, 4
 TOLERANCE, FLOOR_E = 0.005, 20.0
 """How far a filled map may be off: relative, or in electrons where that is more."""
 
-MOST_MARGIN_MM = 4.0
+MAX_MARGIN_MM = 4.0
 """No face is continued further beyond its edges."""
 
 FOOT_STEPS = 3
@@ -305,7 +305,7 @@ def _margin_mm(kernel: ArcKernel, xy: Float32, n_scan: int) -> float:
     first = max(0, min(len(xy) // n_scan // 2, len(xy) - 2))
     pixel = float(np.hypot(*np.diff(xy[first : first + 2], axis=0).sum(axis=0)))
     distance = kernel.eye[2] / max(0.1, abs(kernel.rotation[2, 2]))
-    margin: float = min(MIXED * pixel * distance, MOST_MARGIN_MM)
+    margin: float = min(MIXED * pixel * distance, MAX_MARGIN_MM)
     return margin
 
 

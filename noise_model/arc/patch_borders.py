@@ -23,7 +23,7 @@ PATCH_MM, CURVED_PATCH_MM = 48.0, 16.0
 MERGE_MM = 0.2
 """Borders nearer to each other than this are one."""
 
-LEAST_SEEN_MM = 1.0
+MIN_SEEN_MM = 1.0
 """A face that the camera sees less of is taken to be seen so far."""
 
 MAX_BORDERS = 64
@@ -103,7 +103,7 @@ def borders_along(k: ArcKernel) -> Float64:
     x_low, x_high, _, _ = k.reach
     borders = np.empty(MAX_BORDERS)
     # An image one pixel high may see no length of a plate.
-    borders[0], borders[1] = x_low, max(x_high, x_low + LEAST_SEEN_MM)
+    borders[0], borders[1] = x_low, max(x_high, x_low + MIN_SEEN_MM)
     n = 2
     if k.corrugation[0] > 0.0:
         _, width, pitch = k.corrugation
@@ -123,8 +123,8 @@ def borders_across(k: ArcKernel, face: int, margin_mm: float, borders: Float64) 
     # A curved lap's faces are read where they are seen alone: beyond their edges the light is another.
     margin_mm = -1e-9 if is_curved_lap(k.vertices, k.corrugation, k.bend) else margin_mm
     y, _, _, _, length = seen_strip(face, k.vertices)
-    borders[0] = min(y_low - y, -LEAST_SEEN_MM) if face == 0 else -margin_mm
-    borders[1] = max(y_high - y, LEAST_SEEN_MM) if face == k.vertices.shape[0] - 2 else length + margin_mm
+    borders[0] = min(y_low - y, -MIN_SEEN_MM) if face == 0 else -margin_mm
+    borders[1] = max(y_high - y, MIN_SEEN_MM) if face == k.vertices.shape[0] - 2 else length + margin_mm
     if face == 0:
         borders[1] = margin_mm
     n = 2

@@ -18,7 +18,7 @@ SHEET_REACH = 6.0
 """How many sigmas of the sheet are rendered: its irradiance has fallen to 1.5e-8 there."""
 
 
-LEAST_LEAN = 1e-6
+MIN_TILT_NORM = 1e-6
 """A sheet whose normal is nearer to the tool's z than this never meets the plate."""
 
 
@@ -46,7 +46,7 @@ class Laser:
         norm = float(np.linalg.norm(self.plane_in_tool[:3]))
         if not abs(norm - 1.0) <= 1e-3:
             raise ValueError(f"[laser] plane_in_tool: the normal's length is {norm:.4f}, not 1")
-        if np.hypot(*self.plane_in_tool[:2]) < LEAST_LEAN:
+        if np.hypot(*self.plane_in_tool[:2]) < MIN_TILT_NORM:
             raise ValueError("[laser] plane_in_tool: the sheet lies parallel to the plate")
         if not (np.isfinite(self.plane_in_tool).all() and np.isfinite(self.origin_in_tool_mm).all()):
             raise ValueError("[laser] plane_in_tool, origin_in_tool_mm: must be finite")

@@ -28,7 +28,7 @@ END_SHARE = 0.01
 PASSBAND_FWHM = 3.0
 """Half the width, in FWHM, over which a Gaussian is integrated: it has fallen to 1.5e-11 there."""
 
-LEAST_TRANSMISSION = 1e-6
+MIN_TRANSMISSION = 1e-6
 """A laser of which less arrives does not pass."""
 
 PROFILE_ANGLES = 64
@@ -228,7 +228,7 @@ def laser_transmission(
     Raises ValueError for a laser that does not pass on the axis.
     """
     on_axis = float(transmission(optics, laser_wavelength_nm))
-    if not on_axis > LEAST_TRANSMISSION:
+    if not on_axis > MIN_TRANSMISSION:
         raise ValueError(f"the filter does not pass the laser's {laser_wavelength_nm:g} nm")
     return transmission(optics, laser_wavelength_nm, theta) / on_axis
 

@@ -78,7 +78,7 @@ BEYOND_MM, BEYOND_ALONG_MM = 40.0, 15.0
 Along a corrugation it is followed half a pitch far if that is more.
 """
 
-MOST_FACES = 12
+MAX_FACES = 12
 """Of a section with more faces, as a U's rounding has, the ways between all of them are too many."""
 
 PAD_MM = 0.05
@@ -132,8 +132,8 @@ class BouncedLight:
 
 
 def is_followed(joint: Joint) -> bool:
-    """Say whether light is followed between a joint's faces: not between more than `MOST_FACES`."""
-    return len(section(joint).vertices) - 1 <= MOST_FACES
+    """Say whether light is followed between a joint's faces: not between more than `MAX_FACES`."""
+    return len(section(joint).vertices) - 1 <= MAX_FACES
 
 
 def bounced_light(view: View, near: BouncedLight | None = None) -> BouncedLight:

@@ -37,7 +37,7 @@ ACROSS_SIGMA = 3.5
 PSI_KNOTS, X_KNOTS, Y_KNOTS = 10, 36, 5
 """Room for what cuts psi, a corrugation's x and its y into pieces."""
 
-LEAST_SLOPE = 0.05
+MIN_SLOPE = 0.05
 """A sheet that meets a line of the surface at a smaller slope than this makes no stripe across it."""
 
 
@@ -133,7 +133,7 @@ def stripe_at(k: Place, face: int, s: float) -> tuple[float, float]:
     y, z = y_0 + s * ty, z_0 + s * tz
     n_x, n_z = k.sheet.plane[0], k.sheet.plane[2]
     at_zero = k.sheet.plane[1] * y + n_z * z + k.sheet.plane[3]
-    if abs(n_x) < LEAST_SLOPE:
+    if abs(n_x) < MIN_SLOPE:
         return math.nan, math.nan
     x = -at_zero / n_x
     climb = n_x
@@ -141,7 +141,7 @@ def stripe_at(k: Place, face: int, s: float) -> tuple[float, float]:
     for _ in range(12):
         c, slope = ridge(x, k.corrugation)
         climb = n_x + n_z * slope
-        if abs(climb) < LEAST_SLOPE:
+        if abs(climb) < MIN_SLOPE:
             return math.nan, math.nan
         x -= (n_x * x + n_z * c + at_zero) / climb
     depth = depth_below(k.sheet, (x, y, z + c))

@@ -20,7 +20,7 @@ from scipy.spatial.transform import Rotation
 
 from noise_model.arrays import Float64
 from noise_model.instrument.spectrum import (
-    LEAST_TRANSMISSION,
+    MIN_TRANSMISSION,
     ArcSpectrum,
     Filter,
     FilterCurve,
@@ -136,7 +136,7 @@ def filter_of(setup: Setup, fwhm_nm: float) -> Filter | FilterCurve:
 def passes_laser(setup: Setup, fwhm_nm: float) -> bool:
     """Say whether a filter of this width, as of `filter_of`, passes the setup's laser on its axis."""
     passed = transmission(filter_of(setup, fwhm_nm), setup.laser.wavelength_nm)
-    return bool(passed > LEAST_TRANSMISSION)
+    return bool(passed > MIN_TRANSMISSION)
 
 
 def magnification(setup: Setup, stand_off_mm: float) -> float:

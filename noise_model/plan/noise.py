@@ -31,13 +31,13 @@ NODES = 33
 DETECT_SIGMAS = 5.0
 """A stripe fainter than this many of its amplitude's own bounds is not found among false ones."""
 
-LEAST_LINES = 5.0
+MIN_LINES = 5.0
 """Scan lines that must be read on either side of the seam before it can be told."""
 
 EDGE_LINES = 0.1
 """No upright edge is placed better, in scan lines: it is rounded and has burrs. It is the tracker's floor."""
 
-LEAST_LEVEL = 1e-6
+MIN_NORMAL_Z = 1e-6
 """A face whose normal has less than this of z is upright."""
 
 IN_PLANE_MM = 1e-6
@@ -186,11 +186,11 @@ def seam_noise(light: StripeLight, bounds: LineBounds, joint: Joint) -> SeamNois
     if not read.any():
         return SeamNoise(math.nan, math.nan, math.nan, ratio, 1.0, saturated)
     # The tracker fits no upright side: its edge says where it is.
-    level = light.normals[:, 2] > LEAST_LEVEL
+    level = light.normals[:, 2] > MIN_NORMAL_Z
     y, used = light.points[:, 1], read & level
     sides = [used & (side * y > 0.0) & (np.abs(y) < _half_mouth_mm(joint)) for side in (-1.0, 1.0)]
     sigma_y = sigma_z = math.nan
-    if min(float(light.lines[side].sum()) for side in sides) >= LEAST_LINES:
+    if min(float(light.lines[side].sum()) for side in sides) >= MIN_LINES:
         sigma_px = np.where(used, bounds.sigma_px, np.nan)
         edge_sigma_mm = _edge_sigma_mm(light, used, level & ~read, joint)
         covariance = seam_covariance_mm2(light.normals, light.moves, sigma_px, light.lines, edge_sigma_mm)

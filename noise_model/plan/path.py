@@ -25,7 +25,7 @@ from noise_model.transforms import invert, transform
 
 STATIONS_A_PITCH = 24
 STATIONS_A_SEAM = 60
-MOST_STATIONS = 240
+MAX_STATIONS = 240
 
 SEARCH_STATIONS = 8
 """Stations over one pitch of a corrugation that a search looks at; a straight section needs one."""
@@ -58,14 +58,14 @@ class PathNoise:
 def nominal_path(setup: Setup) -> Path:
     """Return the path along the nominal seam, the torch upright and following a corrugation's height.
 
-    It ends after `MOST_STATIONS` stations of a corrugation, which repeats itself anyway.
+    It ends after `MAX_STATIONS` stations of a corrugation, which repeats itself anyway.
     """
     ends = _segment_lengths(setup.joint)
     length = float(ends[-1])
     step = length / STATIONS_A_SEAM
     if setup.joint.type == "corrugation":
         step = min(step, setup.joint.dimensions["pitch_mm"] / STATIONS_A_PITCH)
-    stations = np.arange(0.0, length + 1e-9, step)[:MOST_STATIONS]
+    stations = np.arange(0.0, length + 1e-9, step)[:MAX_STATIONS]
     return Path(stations, np.array([_upright(setup, float(s)) for s in stations]), length)
 
 
@@ -79,9 +79,9 @@ def search_path(setup: Setup) -> Path:
 
 
 def recorded_path(setup: Setup, poses: Sequence[Float64]) -> Path:
-    """Return the path of reported poses T_base_tool, thinned to `MOST_STATIONS`, by place on the seam."""
+    """Return the path of reported poses T_base_tool, thinned to `MAX_STATIONS`, by place on the seam."""
     joint = setup.joint
-    chosen = np.unique(np.linspace(0, len(poses) - 1, min(len(poses), MOST_STATIONS)).round().astype(int))
+    chosen = np.unique(np.linspace(0, len(poses) - 1, min(len(poses), MAX_STATIONS)).round().astype(int))
     T_base_tool = np.array([poses[i] for i in chosen])
     stations = [transform(invert(seam_frame(joint, T[:3, 3])), T[:3, 3])[0] for T in T_base_tool]
     return Path(np.array(stations) - _first_station(joint), T_base_tool, float(_segment_lengths(joint)[-1]))

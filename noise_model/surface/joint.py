@@ -39,7 +39,7 @@ MAY_BE_ZERO = ("root_gap_mm", "gap_mm")
 EDGE_STANDS_MM = 60.0
 """How high the two sheets of an edge joint stand over what they stand on: below what a sensor looks at."""
 
-SAGITTA_MM, MOST_CHORDS = 0.01, 16
+SAGITTA_MM, MAX_CHORDS = 0.01, 16
 """How far the chords of a U's rounded root lie off it at most, up to a radius of 10 mm, and their number."""
 
 
@@ -170,7 +170,7 @@ def _u_groove(size: Size) -> Corners:
     bevel = math.radians(size["bevel_angle_deg"])
     turn = 0.5 * math.pi - bevel
     chords = math.ceil(turn / (2.0 * math.acos(radius / (radius + SAGITTA_MM))))
-    step = turn / min(max(chords, 1), MOST_CHORDS)
+    step = turn / min(max(chords, 1), MAX_CHORDS)
     reach = radius / math.cos(0.5 * step)
     angles = np.arange(0.5 * step, turn, step)
     left = [(half_gap + reach * math.sin(a), radius - depth - reach * math.cos(a)) for a in angles]

@@ -17,7 +17,7 @@ import numpy as np
 from noise_model.arrays import Float64, Vector
 from noise_model.kernel import kernel
 from noise_model.surface.faces import ridge
-from noise_model.surface.joint import MOST_CHORDS, Section
+from noise_model.surface.joint import MAX_CHORDS, Section
 
 Bend = tuple[float, float]
 """How edges leave the direction of x towards the arc: dy/dx at P, and how far to the left at the arc, mm."""
@@ -25,7 +25,7 @@ Bend = tuple[float, float]
 MAX_PLANES = 12
 """Room for the half-spaces of one surface point."""
 
-MAX_LEDGES = 2 * MOST_CHORDS + 4
+MAX_LEDGES = 2 * MAX_CHORDS + 4
 """Room for the faces that cut into the arc, as one surface point sees them: a rounding's chords are most."""
 
 HORIZON_STEP_MM = 0.25

@@ -141,7 +141,7 @@ def test_a_joint_with_faces_in_shadow_is_no_hindrance() -> None:
 
 def test_what_does_not_settle_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
     setup = small_setup()
-    monkeypatch.setattr(hand_eye, "MOST_ROUNDS", 1)
+    monkeypatch.setattr(hand_eye, "MAX_ROUNDS", 1)
     with pytest.raises(ValueError, match="camera and seam do not settle in 1 rounds"):
         estimate_hand_eye(setup, frames(setup, SeamLine(45.0, 0.4, -0.2)), lattice_px=LATTICE_PX)
 

@@ -19,7 +19,7 @@ from noise_model.plan.design import design_of, with_design
 from noise_model.plan.light import REACH_MM, StripeLight, stripe_level_e, stripe_light
 from noise_model.plan.noise import (
     EDGE_LINES,
-    LEAST_LINES,
+    MIN_LINES,
     Surroundings,
     expected_pixels,
     line_bounds,
@@ -166,7 +166,7 @@ def test_what_stands_aside_hides_the_near_bevel() -> None:
         light, line_bounds(light, expected_pixels(light, aside, SILENT), aside.sensor, 0.0), aside.joint
     )
     assert math.isnan(noise.sigma_mm)
-    assert light.lines[left].sum() > LEAST_LINES
+    assert light.lines[left].sum() > MIN_LINES
 
 
 def test_too_much_arc_light_saturates_and_a_shorter_exposure_helps() -> None:

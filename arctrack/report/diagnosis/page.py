@@ -22,13 +22,13 @@ from sim_to_real.diagnosis import Curve, Diagnosis, Named, Next, Verdict
 
 TEMPLATE = "diagnosis.html.j2"
 
-MOST_CURVES = 4
+MAX_CURVES = 4
 """Covariates that are drawn; report.json has them all."""
 
 WORTH_DRAWING = 0.05
 """A covariate, after the first, that explains a smaller share of the residual is not drawn."""
 
-MOST_RANKED = 12
+MAX_RANKED = 12
 """Candidates that are listed; report.json has them all."""
 
 LABELS = {
@@ -166,7 +166,7 @@ def drawn_curves(diagnosis: Diagnosis) -> list[Curve]:
     if diagnosis.verdict is Verdict.NO_GAP:
         return []
     curves = [curve for curve in diagnosis.where.covariates if len(curve.centers)]
-    return curves[:1] + [curve for curve in curves[1:MOST_CURVES] if curve.r2 >= WORTH_DRAWING]
+    return curves[:1] + [curve for curve in curves[1:MAX_CURVES] if curve.r2 >= WORTH_DRAWING]
 
 
 def _ranking(diagnosis: Diagnosis) -> list[Row]:
@@ -181,7 +181,7 @@ def _ranking(diagnosis: Diagnosis) -> list[Row]:
             candidate.gap_closed if math.isfinite(candidate.gap_closed) else 0.0,
             words.probability(candidate.confidence),
         )
-        for candidate in diagnosis.ranking[:MOST_RANKED]
+        for candidate in diagnosis.ranking[:MAX_RANKED]
     ]
 
 

@@ -23,7 +23,7 @@ FRAME_PX, MAP_PX = 640, 320
 CLIPPED_PERCENT = 99.5
 """The colours reach as far as this share of the pixels."""
 
-LEAST_DN, LEAST_SIGMAS = 1.0, 3.0
+MIN_DN, MIN_SIGMAS = 1.0, 3.0
 """The smallest values that the colours' ends stand for: what is below is no one's business."""
 
 WORTH_SIGMAS = 10.0
@@ -69,7 +69,7 @@ def frame_pictures(predicted: Predicted, place: int, sensor: Sensor) -> FramePic
     ):
         difference = np.where(np.isfinite(variance), recorded - mean, np.nan).astype(np.float32)
         left.append(binned(difference, bin_px))
-    limit = nice_limit(left[0], LEAST_DN)
+    limit = nice_limit(left[0], MIN_DN)
     return FramePictures(
         frame=int(predicted.frames[place]),
         recorded=_grey(recorded, sensor),
@@ -85,7 +85,7 @@ def frame_pictures(predicted: Predicted, place: int, sensor: Sensor) -> FramePic
 def residual_map(z: Float32) -> tuple[str, Scale]:
     """Return the map of how far residuals (H, W) exceed their noise, in sigmas, and its scale."""
     shown = binned(z, max(1, math.ceil(z.shape[1] / MAP_PX)))
-    limit = nice_limit(shown, LEAST_SIGMAS)
+    limit = nice_limit(shown, MIN_SIGMAS)
     name, low = (CHANGE, -limit) if np.nanmin(shown, initial=0.0) < 0.0 else (EXCESS, 0.0)
     return coloured(shown, name, low, limit), scale(name, low, limit)
 

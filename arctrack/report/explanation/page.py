@@ -21,10 +21,10 @@ from tracker.stripe.viterbi import GAIN_CAP
 
 TEMPLATE = "explain.html.j2"
 
-MOST_CANDIDATES = 4
+MAX_CANDIDATES = 4
 """Candidates of a scan line that are listed."""
 
-LEAST_GAIN = 2.0
+MIN_GAIN = 2.0
 """Candidates that gain less are noise and not listed."""
 
 
@@ -94,8 +94,8 @@ def candidates(of: Explanation, stripe: StripeLook, s: int) -> tuple[Candidate, 
     gains = np.minimum(0.5 * np.maximum(score, 0.0) ** 2, GAIN_CAP)
     places = np.rint(of.look.expected.position_px[s]) + reading.offsets_px
     around = np.concatenate([[-np.inf], score, [-np.inf]])
-    peaks = np.flatnonzero((score >= around[:-2]) & (score > around[2:]) & (gains >= LEAST_GAIN))
-    shown = list(peaks[np.argsort(-score[peaks], kind="stable")][:MOST_CANDIDATES])
+    peaks = np.flatnonzero((score >= around[:-2]) & (score > around[2:]) & (gains >= MIN_GAIN))
+    shown = list(peaks[np.argsort(-score[peaks], kind="stable")][:MAX_CANDIDATES])
     start = float(reading.start_px[s])
     taken = int(np.argmin(np.abs(places - start))) if math.isfinite(start) else None
     if taken is not None and taken not in shown:

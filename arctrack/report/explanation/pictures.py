@@ -30,7 +30,7 @@ RESIDUAL_SIGMAS = 5.0
 """Where the residual's colours end."""
 
 EXAGGERATIONS = (1, 2, 5, 10, 20, 50, 100, 200)
-BAND_SHARE, MOST_OF = 1.0 / 24.0, 0.9
+BAND_SHARE, SIGMA_QUANTILE = 1.0 / 24.0, 0.9
 """The stripe's sigma is enlarged so far that most scan lines' take no more than this share of the height."""
 
 
@@ -147,7 +147,9 @@ def _with_stripe(drawn: Overlay, of: Explanation, look: StripeLook) -> Overlay:
     stripe = look.reading.stripe
     if not np.isfinite(stripe.position_px).any():
         return drawn
-    room = BAND_SHARE * of.geometry.setup.camera.height / float(np.nanquantile(stripe.sigma_px, MOST_OF))
+    room = (
+        BAND_SHARE * of.geometry.setup.camera.height / float(np.nanquantile(stripe.sigma_px, SIGMA_QUANTILE))
+    )
     times = max((k for k in EXAGGERATIONS if k <= room), default=1)
     rims = (stripe.position_px - times * stripe.sigma_px, stripe.position_px + times * stripe.sigma_px)
     return Overlay(
