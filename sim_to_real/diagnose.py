@@ -57,7 +57,8 @@ HELD, LEFT_ASIDE = 0.25, 0.34
 RELIABLE = 0.95
 """Of the effects that were named first and for sure in blind recordings about so many were there.
 
-Another form of an effect, or one outside the catalogue, can be mimicked: docs/blind_check.md has the figures.
+Another form of an effect, or one outside the catalogue, can be mimicked.
+docs/research/blind_check.md has the figures.
 """
 
 OnStage = Callable[[str, float], None]

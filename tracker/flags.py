@@ -99,7 +99,7 @@ def mask(flag_names: tuple[str, ...]) -> int:
 
 
 def flags_table() -> str:
-    """Return docs/flags.md: every flag's bit, name and meaning as a table."""
+    """Return docs/reference/flags.md: every flag's bit, name and meaning as a table."""
     lines = [
         "# Flags",
         "",

@@ -1,4 +1,4 @@
-"""docs/effects.md, made from the registry of effects: what each does, its parameters and its picture."""
+"""docs/reference/effects.md, made from the registry of effects: what each does, in words and a picture."""
 
 from __future__ import annotations
 
@@ -48,8 +48,8 @@ INTRO = """\
 # Effects
 
 What the nominal model leaves out. An effect has an id, a stage at which it acts, and parameters.
-`noise_model.effects.REGISTRY` holds them all; `arctrack figures effects --out docs` draws the pictures and
-writes this page.
+`noise_model.effects.REGISTRY` holds them all; `arctrack figures effects --out docs/reference` draws the
+pictures and writes this page.
 
 **The order of light.** Light goes through source, illumination, surface, medium, optics and sensor, in this
 order; within a stage effects act in the order of the table below. Geometry and timing change what is

@@ -282,8 +282,8 @@ class ArcMap:
         """Begin the map of a scene.
 
         `tolerance`, relative, and `floor_e`, whichever is more, bound what the faces' tables and the cells
-        read off them may each be off, halves of it where all is smooth; see docs/arc_map.md for what is
-        reached.
+        read off them may each be off, halves of it where all is smooth; docs/explanation/arc_map.md says what
+        is reached.
         """
         margin_mm = _margin_mm(kernel, xy, n_scan)
         return cls(kernel, xy, cos4, new_table(kernel, margin_mm, tolerance, floor_e, TO_POWERS))

@@ -2,7 +2,7 @@
 
 Everywhere the patch stands level with the arc's centre C, at a distance a from it, its normal lies in the
 plane of C and `up`, and theta_i is measured to C (Figure 8: to the middle of what the patch sees of the arc).
-docs/paper.md says what the curves show.
+docs/explanation/paper.md says what the curves show.
 """
 
 from __future__ import annotations

@@ -1,6 +1,6 @@
 """Reflectance of the base metal: Lambert + Torrance-Sparrow (Eq. 5, 7) and the mirror spike (Eq. 6).
 
-docs/paper.md lists where the printed equations and these functions part, and why.
+docs/explanation/paper.md lists where the printed equations and these functions part, and why.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""docs/effects.md: in step with the registry, and pictures that show what they say."""
+"""docs/reference/effects.md: in step with the registry, and pictures that show what they say."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from noise_model.effects import REGISTRY, Effect, Stage
 from noise_model.fit import Parameter
 from noise_model.forward import Renderer
 
-DOCS = Path(__file__).parents[2] / "docs"
+DOCS = Path(__file__).parents[2] / "docs" / "reference"
 RUNNER = CliRunner(env={"COLUMNS": "120", "TERM": "dumb", "NO_COLOR": "1"})
 RENDERER = Renderer()
 SMALL = {"width": 160, "height": 120}
@@ -51,12 +51,12 @@ def panels(figure: Figure) -> list[np.ndarray]:
 
 
 def test_the_page_is_in_step() -> None:
-    """Make page and pictures anew with: arctrack figures effects --out docs."""
+    """Make page and pictures anew with: arctrack figures effects --out docs/reference."""
     assert (DOCS / effects_page.PAGE).read_text(encoding="utf-8") == effects_page.page(REGISTRY)
 
 
 def test_each_effect_has_a_picture_of_its_present_values() -> None:
-    """Make page and pictures anew with: arctrack figures effects --out docs."""
+    """Make page and pictures anew with: arctrack figures effects --out docs/reference."""
     pictures = {path.stem: path for path in (DOCS / effects_page.PICTURES).iterdir()}
     assert pictures.keys() == REGISTRY.keys()
     for effect in REGISTRY.values():

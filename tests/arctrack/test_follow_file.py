@@ -24,7 +24,7 @@ from noise_model.setup import Setup
 from robot_io import BusLogReader, SeamOffset, TrackerState, TrackerStatus, Validity
 from tracker.seam.correction import AxisCorrection, Correction
 
-PAGE = Path(__file__).parents[2] / "docs" / "follow.md"
+PAGE = Path(__file__).parents[2] / "docs" / "reference" / "follow.md"
 QUICK = ReplayOptions(pictures=False)
 
 

@@ -47,7 +47,7 @@ def test_a_filled_frame_is_each_pixels_own_light(name, material, shift, turn_deg
 
 
 @given(st.sampled_from(list(scenes.TABLE_1)), shifts, turns)
-# Some poses have a little over 1 %, docs/arc_map.md names one: what is drawn is the same each time.
+# Some poses have a little over 1 %, docs/explanation/arc_map.md names one: draws are the same each time.
 @settings(max_examples=6, deadline=None, derandomize=True)
 def test_a_filled_corrugation_is_each_pixels_own_light(material, shift, turn_deg):
     of_camera = scenes.camera(width=200, height=150, focal_px=2190.0)

@@ -34,7 +34,8 @@ from noise_model.reference.paper_figures import (
 )
 from noise_model.surface.brdf import MILD_STEEL, SUS304, ZN_COATED, mirror_direction, reflectance
 
-PAGE = (Path(__file__).resolve().parents[2] / "docs" / "paper.md").read_text()
+DOCS = Path(__file__).resolve().parents[2] / "docs" / "explanation"
+PAGE = (DOCS / "paper.md").read_text()
 
 ANGLES = np.random.default_rng(1).uniform([2.0, 0.0, -170.0], [85.0, 85.0, 170.0], (200, 3))
 
@@ -201,7 +202,7 @@ def test_more_nodes_change_nothing():
         np.testing.assert_allclose(coarse, fine, rtol=1e-3)
 
 
-# What docs/paper.md quotes.
+# What docs/explanation/paper.md quotes.
 
 
 def number(value, digits=2):
@@ -282,13 +283,13 @@ def test_every_picture_on_the_page_is_there_and_small():
     pictures = re.findall(r"!\[[^]]+\]\(([^)]+)\)", PAGE)
     assert len(pictures) == len(FIGURES)
     for picture in pictures:
-        assert (Path(__file__).resolve().parents[2] / "docs" / picture).stat().st_size < 80_000
+        assert (DOCS / picture).stat().st_size < 80_000
 
 
 @pytest.mark.parametrize("number", FIGURES)
 def test_the_stored_curves_are_those_that_the_functions_give(number):
     columns = FIGURES[number]().columns()
-    path = Path(__file__).resolve().parents[2] / "docs" / "figures" / f"figure_{number:02d}.csv"
+    path = DOCS / "figures" / f"figure_{number:02d}.csv"
     stored = np.genfromtxt(path, delimiter=",", names=True)
     assert stored.dtype.names == tuple(columns)
     for name, values in columns.items():

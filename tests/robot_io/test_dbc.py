@@ -22,7 +22,7 @@ from robot_io.dbc import (
 from robot_io.messages import MESSAGE_TYPES
 
 LAYOUTS = database().messages
-DOCS = Path(__file__).parents[2] / "docs" / "can.md"
+DOCS = Path(__file__).parents[2] / "docs" / "reference" / "can.md"
 
 
 def test_layout_and_dataclasses_name_the_same_signals():
@@ -95,7 +95,7 @@ def test_docs_show_the_layout():
     text = DOCS.read_text(encoding="utf-8")
     table = text.split("<!-- messages: begin -->\n")[1].split("<!-- messages: end -->")[0]
     assert table == messages_table(), (
-        "docs/can.md: put the output of robot_io.messages_table() between its marks"
+        "docs/reference/can.md: put the output of robot_io.messages_table() between its marks"
     )
 
 

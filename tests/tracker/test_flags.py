@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 
 from tracker import flags
 
-DOCS = Path(__file__).parents[2] / "docs" / "flags.md"
+DOCS = Path(__file__).parents[2] / "docs" / "reference" / "flags.md"
 
 
 def test_bits_and_names_are_unique_and_in_order() -> None:
@@ -33,5 +33,5 @@ def test_an_unknown_name_is_an_error() -> None:
 
 
 def test_the_documentation_is_in_step() -> None:
-    """Regenerate with: python -m tracker.flags > docs/flags.md."""
+    """Regenerate with: python -m tracker.flags > docs/reference/flags.md."""
     assert DOCS.read_text() == flags.flags_table()

@@ -12,7 +12,7 @@ from sim_to_real.check.world import FORMS
 from sim_to_real.check.world_effect import CATALOGUE
 from sim_to_real.check.world_stated import draw_stated
 
-DOC = Path(__file__).parents[3] / "docs" / "blind_check.md"
+DOC = Path(__file__).parents[3] / "docs" / "research" / "blind_check.md"
 
 
 @pytest.fixture(scope="module")
