@@ -105,8 +105,8 @@ def estimate_hand_eye(
     column is compared; frames of unknown current count where none is known. `progress` hears the rounds done
     and how many there may be. Raises ValueError if no frame has the arc on or none of them a pixel to
     compare, if the joint was found in none, if the rounds do not settle, or if the camera would have to be
-    off by more than FAR_SIGMAS of its tolerance or the arc by a factor of MAX_LEVEL_FACTOR: then arc or material
-    are not as stated, or the seam bends within an image, where it is taken as straight.
+    off by more than FAR_SIGMAS of its tolerance or the arc by a factor of MAX_LEVEL_FACTOR: then arc or
+    material are not as stated, or the seam bends within an image, where it is taken as straight.
     """
     lit = [(frame, pose) for frame, pose in frames if frame.arc_on and frame.current_a != 0.0]
     if any(frame.current_a > 0.0 for frame, _ in lit):
