@@ -40,7 +40,7 @@ from tracker.state import NAN, Frame, Track
 from tracker.step import Tracker
 
 if TYPE_CHECKING:
-    from arctrack.report.replay_pictures import ReplayPictures
+    from arctrack.report.replay.pictures import ReplayPictures
 
 DEFAULT_BUS = "virtual:arctrack"
 RESULTS_FOLDER = "results"
@@ -232,7 +232,7 @@ def tracker_of(recording: Recording, use_arc_map: bool) -> Tracker:
 
 def _load_drawing() -> type[ReplayPictures]:
     # Matplotlib takes a while to load: only those who want pictures wait for it.
-    from arctrack.report.replay_pictures import ReplayPictures
+    from arctrack.report.replay.pictures import ReplayPictures
 
     return ReplayPictures
 

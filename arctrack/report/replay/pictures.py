@@ -8,8 +8,8 @@ from typing import Self
 
 from arctrack.recording import Recording, Truth
 from arctrack.recording.results import OVERLAY_VIDEO, OVERVIEW_PICTURE
-from arctrack.report.overlay import OverlayVideo
-from arctrack.report.overview import Overview
+from arctrack.report.replay.overlay import OverlayVideo
+from arctrack.report.replay.overview import Overview
 from robot_io import SeamOffset
 from tracker.state import Frame, Track
 
