@@ -21,6 +21,7 @@ if TYPE_CHECKING:
     from arctrack.replay import replay_recording as replay_recording
     from arctrack.simulate import SimulationPlan as SimulationPlan
     from arctrack.simulate import simulate_recording as simulate_recording
+    from arctrack.version import __version__ as __version__
     from noise_model.setup import Setup as Setup
     from tracker.state import Frame as Frame
     from tracker.state import Pose as Pose
@@ -45,6 +46,7 @@ _HOME_OF = {
     "read_truth": "arctrack.recording:read_truth",
     "replay_recording": "arctrack.replay:replay_recording",
     "simulate_recording": "arctrack.simulate:simulate_recording",
+    "__version__": "arctrack.version:__version__",
 }
 
 __all__ = sorted(_HOME_OF)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import difflib
 import multiprocessing
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import BrokenExecutor, Executor, ProcessPoolExecutor, as_completed
@@ -19,6 +18,7 @@ from arctrack.recording.diagnosis_files import FILES, REPORT_PAGE, write_numbers
 from arctrack.recording.setup_file import FILE_NAME, with_effects
 from noise_model.effects import REGISTRY
 from noise_model.setup import Setup
+from noise_model.spelling import cure_for
 from sim_to_real.diagnosis import Diagnosis, Named, Predicted, Verdict, left_out
 
 DIAGNOSIS_FOLDER = "diagnosis"
@@ -229,9 +229,7 @@ def without_images(diagnosis: Diagnosis) -> Diagnosis:
 def _check_effects(ids: Iterable[str]) -> None:
     for name in ids:
         if name not in REGISTRY:
-            near = difflib.get_close_matches(name, REGISTRY, n=1)
-            cure = f"is {near[0]} meant?" if near else f"there are {', '.join(REGISTRY)}"
-            raise ArctrackError(f"--without {name}: there is no such effect; {cure}")
+            raise ArctrackError(f"--without {name}: there is no such effect; {cure_for(name, REGISTRY)}")
 
 
 def _table(effect: Named) -> str:

@@ -10,6 +10,7 @@ import math
 
 import numpy as np
 
+from arctrack.errors import ArctrackError
 from noise_model.arc_source import Arc
 from noise_model.arrays import Float64
 from noise_model.instrument.camera import Camera
@@ -17,6 +18,7 @@ from noise_model.instrument.laser import Laser
 from noise_model.instrument.sensor import Sensor
 from noise_model.instrument.spectrum import Filter
 from noise_model.setup import Setup
+from noise_model.spelling import cure_for
 from noise_model.surface.brdf import TABLE_1
 from noise_model.surface.joint import Joint
 
@@ -44,8 +46,13 @@ def nominal_setup(joint_type: str, material_name: str, *, width: int = 640, heig
     """Return a setup for a joint of `DIMENSIONS` and a material of Table 1.
 
     Other image sizes keep the field of view. `[arc] radiance_e` is 1 here: how bright the arc may be depends
-    on aperture and filter, see `arctrack.simulate.balance`.
+    on aperture and filter, see `arctrack.simulate.balance`. Raises ArctrackError for a joint or a material
+    that there is not.
     """
+    if joint_type not in DIMENSIONS:
+        raise ArctrackError(f"there is no joint {joint_type!r}: {cure_for(joint_type, DIMENSIONS)}")
+    if material_name not in TABLE_1:
+        raise ArctrackError(f"there is no material {material_name!r}: {cure_for(material_name, TABLE_1)}")
     focal_px = 2190.0 * width / 640.0
     camera = Camera(
         width=width,

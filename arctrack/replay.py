@@ -86,16 +86,21 @@ class Step:
 
 def replay_recording(
     recording: Recording,
-    folder: Path | None = None,
+    folder: Path | str | None = None,
     options: ReplayOptions | None = None,
     on_frame: Callable[[int], None] | None = None,
 ) -> Replay:
     """Replay a recording into a folder (default: `results` in the recording's own).
 
-    `on_frame` hears the number of frames done. Raises ArctrackError if folder, bus or truth.csv fails.
+    `on_frame` hears the number of frames done. Raises ArctrackError if folder, bus or truth.csv fails, and
+    TypeError for a path where the recording should be.
     """
+    if not isinstance(recording, Recording):
+        raise TypeError(
+            f"a Recording is needed, not a {type(recording).__name__}: read_recording(path) is one"
+        )
     options = options or ReplayOptions()
-    folder = recording.path / RESULTS_FOLDER if folder is None else folder
+    folder = recording.path / RESULTS_FOLDER if folder is None else Path(folder)
     interface, channel = parse_bus(options.bus)
     # Nothing tracks by it, but nothing is sent before all that is needed in the end has been read.
     truth = read_truth(recording.path)

@@ -23,7 +23,7 @@ from noise_model.arrays import Float64
 from noise_model.condition import Condition
 from noise_model.effects import Values, apply_setup_effects, checked, pose_time_s
 from noise_model.forward import Renderer, draw_frame, predict
-from noise_model.setup import Setup
+from noise_model.setup import Setup, require_setup
 from noise_model.stripe import check_stripe
 from noise_model.surface.joint import (
     BentSeam,
@@ -120,6 +120,7 @@ def simulate_recording(
     that is written does not name them. Raises ArctrackError if the setup's seam is not straight.
     """
     plan = plan or SimulationPlan()
+    require_setup(setup)
     if len(setup.joint.seam_in_base_mm) != 2:
         raise ArctrackError("[joint] seam_in_base_mm: only a straight seam of two points can be simulated")
     try:

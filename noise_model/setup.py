@@ -52,3 +52,13 @@ class Setup:
     joint: Joint
     tolerance: Tolerance = field(default_factory=Tolerance)
     effects: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
+
+
+def require_setup(setup: object) -> Setup:
+    """Return a setup as it is; TypeError says how to come to one from what was given instead."""
+    if isinstance(setup, Setup):
+        return setup
+    kind = type(setup).__name__
+    if isinstance(getattr(setup, "setup", None), Setup):
+        raise TypeError(f"a Setup is needed, not a {kind}: give its .setup")
+    raise TypeError(f"a Setup is needed, not a {kind}: read_setup_file(path).setup is one")

@@ -16,7 +16,7 @@ from noise_model.arrays import Float32, Float64, Int64
 from noise_model.effects import apply_setup_effects
 from noise_model.instrument.camera import Rays
 from noise_model.instrument.sensor import linearise, saturation_dn, variance_e2
-from noise_model.setup import Setup
+from noise_model.setup import Setup, require_setup
 from noise_model.stripe import stripe_runs_along_rows
 from noise_model.transforms import invert, transform
 
@@ -50,7 +50,7 @@ class SensorGeometry:
     @classmethod
     def of(cls, setup: Setup) -> SensorGeometry:
         """Derive the tables; raises ValueError if the stripe is not in view at tool height."""
-        setup = apply_setup_effects(setup)
+        setup = apply_setup_effects(require_setup(setup))
         rays = Rays.of(setup.camera)
         along_rows = stripe_runs_along_rows(setup)
         xy, cos4 = (rays.xy.swapaxes(0, 1), rays.cos4.T) if along_rows else (rays.xy, rays.cos4)

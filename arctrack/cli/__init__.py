@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import sys
-from importlib.metadata import PackageNotFoundError, version
 from typing import Annotated, NoReturn
 
 import typer
@@ -18,6 +17,7 @@ from arctrack.cli.plan import plan
 from arctrack.cli.replay import replay
 from arctrack.cli.simulate import simulate
 from arctrack.errors import ArctrackError
+from arctrack.version import __version__
 
 BAD_INPUT = 2
 """The exit code of an input that cannot be used; the shell's own for a command line that makes no sense."""
@@ -44,7 +44,7 @@ app.add_typer(figures)
 
 def _print_version(wanted: bool) -> None:
     if wanted:
-        typer.echo(f"arctrack {installed_version()}")
+        typer.echo(f"arctrack {__version__}")
         raise typer.Exit
 
 
@@ -55,14 +55,6 @@ def _arctrack(
     ] = False,
 ) -> None:
     """Seam tracking for GTAW under reflected arc light."""
-
-
-def installed_version() -> str:
-    """Return the version of the installed distribution, `unknown` if it runs from a bare tree."""
-    try:
-        return version("arctrack")
-    except PackageNotFoundError:
-        return "unknown"
 
 
 def main() -> None:

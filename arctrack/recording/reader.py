@@ -108,7 +108,7 @@ class Recording:
         return pose_buffer(self.poses)
 
 
-def read_recording(path: Path | str, setup_path: Path | None = None) -> Recording:
+def read_recording(path: Path | str, setup_path: Path | str | None = None) -> Recording:
     """Read and check all of a recording but its frames.
 
     `setup_path` is a file to take the setup from instead of the recording's own recording.toml.

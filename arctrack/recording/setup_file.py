@@ -49,8 +49,9 @@ class SetupFile:
         return tuple(f"{self.path}: {key} is not known and has no effect" for key in self.unknown_keys)
 
 
-def read_setup_file(path: Path) -> SetupFile:
+def read_setup_file(path: Path | str) -> SetupFile:
     """Read a recording.toml; ArctrackError names the file and the key or line that is wrong."""
+    path = Path(path)
     return parse_setup(setup_text(path), path)
 
 

@@ -22,7 +22,7 @@ from arctrack.recording import ffv1, frames, png, setup_file, tables
 from arctrack.recording.poses import CSV_NAME as POSES_CSV
 from arctrack.recording.reader import FRAMES_CSV, TRUTH_CSV, UNFINISHED_SUFFIX
 from noise_model.arrays import Float64
-from noise_model.setup import Setup
+from noise_model.setup import Setup, require_setup
 from tracker.state import Frame
 
 
@@ -48,7 +48,7 @@ class RecordingWriter:
         toml: str | None = None,
     ) -> None:
         self.path = Path(path)
-        self._setup = setup
+        self._setup = require_setup(setup)
         if not self.path.name:
             raise in_file(self.path, "is no name for a recording; give that of a new folder")
         self._folder = self.path.with_name(self.path.name + UNFINISHED_SUFFIX)

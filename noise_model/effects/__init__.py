@@ -22,6 +22,7 @@ from noise_model.effects import (
 )
 from noise_model.effects.effect import Effect, Stage, Values
 from noise_model.setup import Setup
+from noise_model.spelling import cure_for
 from noise_model.surface.joint import Joint
 
 __all__ = [
@@ -53,7 +54,7 @@ def checked(effects: Mapping[str, Values], joint: Joint | None = None) -> dict[s
     """
     for name in effects:
         if name not in REGISTRY:
-            raise ValueError(f"[effects.{name}]: unknown, there are {', '.join(REGISTRY)}")
+            raise ValueError(f"[effects.{name}]: there is no such effect; {cure_for(name, REGISTRY)}")
         if joint is not None and not REGISTRY[name].is_followed(joint):
             raise ValueError(f"[effects.{name}]: is not predicted for a {joint.type}; leave it out")
     return {name: effect.complete(effects[name]) for name, effect in REGISTRY.items() if name in effects}

@@ -12,6 +12,7 @@ from noise_model.condition import Condition
 from noise_model.effects.light import Light
 from noise_model.fit import Parameter
 from noise_model.setup import Setup
+from noise_model.spelling import cure_for
 from noise_model.surface.joint import Joint
 from noise_model.view import View
 
@@ -96,7 +97,9 @@ class Effect:
         known = {parameter.name: parameter for parameter in self.parameters}
         for name, value in values.items():
             if name not in known:
-                raise ValueError(f"[effects.{self.id}] {name}: unknown, it has {', '.join(known)}")
+                raise ValueError(
+                    f"[effects.{self.id}] {name}: is no parameter of it; {cure_for(name, known)}"
+                )
             low, high = known[name].lower, known[name].upper
             if not low <= value <= high:
                 unit = f" {known[name].unit}" if known[name].unit else ""

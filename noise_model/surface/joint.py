@@ -15,6 +15,7 @@ from functools import lru_cache
 import numpy as np
 
 from noise_model.arrays import Float64, Int64, Point
+from noise_model.spelling import cure_for
 from noise_model.transforms import cross
 
 REACH_MM = 1.0e4
@@ -58,7 +59,9 @@ class Joint:
 
     def __post_init__(self) -> None:
         if self.type not in DIMENSIONS:
-            raise ValueError(f"[joint] type = {self.type!r}: known are {', '.join(DIMENSIONS)}")
+            raise ValueError(
+                f"[joint] type = {self.type!r}: there is no such joint; {cure_for(self.type, DIMENSIONS)}"
+            )
         for name in DIMENSIONS[self.type]:
             if name not in self.dimensions:
                 raise ValueError(f"[joint] {name}: missing, a {self.type} needs it")

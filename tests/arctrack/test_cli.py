@@ -12,7 +12,8 @@ import pytest
 from typer.testing import CliRunner
 
 import arctrack
-from arctrack.cli import app, installed_version
+from arctrack import __version__
+from arctrack.cli import app
 from arctrack.errors import ArctrackError
 from arctrack.recording import read_recording
 
@@ -47,7 +48,7 @@ def test_help_has_an_example_and_loads_nothing_heavy() -> None:
 def test_version() -> None:
     result = RUNNER.invoke(app, ["--version"])
     assert result.exit_code == 0
-    assert result.output.strip() == f"arctrack {installed_version()}"
+    assert result.output.strip() == f"arctrack {__version__}"
 
 
 def test_simulate_replay_inspect_in_a_row(tmp_path: Path) -> None:

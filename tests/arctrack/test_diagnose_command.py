@@ -106,7 +106,7 @@ def test_help_shows_an_example() -> None:
 
 def test_an_effect_that_does_not_exist(found: Found, recording: Path) -> None:
     assert refused(recording, "--without", "gama") == (
-        "--without gama: there is no such effect; is gamma meant?"
+        "--without gama: there is no such effect; did you mean 'gamma'?"
     )
     assert "there are arc_length, arc_deflection" in refused(recording, "--without", "xyz")
     assert not (recording / "diagnosis").exists()

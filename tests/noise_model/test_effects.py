@@ -133,9 +133,13 @@ def test_an_effect_says_what_it_is(name):
 
 
 def test_wrong_names_and_values_are_refused():
-    with pytest.raises(ValueError, match=r"\[effects.gama\]: unknown, there are arc_length, "):
+    with pytest.raises(ValueError, match=r"\[effects.gama\]: there is no such effect; did you mean 'gamma'"):
         checked({"gama": {}})
-    with pytest.raises(ValueError, match=r"\[effects.gamma\] gama: unknown, it has gamma"):
+    with pytest.raises(ValueError, match="there is no such effect; there are arc_length, "):
+        checked({"xyz": {}})
+    with pytest.raises(
+        ValueError, match=r"\[effects.gamma\] gama: is no parameter of it; did you mean 'gamma'"
+    ):
         checked({"gamma": {"gama": 1.0}})
     for value in (-1.0, 100.0, math.nan, math.inf):
         with pytest.raises(ValueError, match=r"\[effects.gamma\] gamma = .*: must lie from 0.2 to 5"):

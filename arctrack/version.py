@@ -1,0 +1,16 @@
+"""The version of the installed distribution."""
+
+from __future__ import annotations
+
+from importlib.metadata import PackageNotFoundError, version
+
+
+def _installed() -> str:
+    try:
+        return version("arctrack")
+    except PackageNotFoundError:
+        return "unknown"
+
+
+__version__ = _installed()
+"""As pip knows it; `unknown` where arctrack runs from a bare tree."""
