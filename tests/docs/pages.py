@@ -1,0 +1,65 @@
+"""The pages of the documentation, as the tests read them."""
+
+from __future__ import annotations
+
+import itertools
+import re
+from pathlib import Path
+
+from markdown_it import MarkdownIt
+from markdown_it.token import Token
+
+ROOT = Path(__file__).resolve().parents[2]
+PAGES = sorted(path for path in (ROOT / "docs").rglob("*.md"))
+README = ROOT / "README.md"
+EVERY_PAGE = [README, *PAGES]
+
+_MARKDOWN = MarkdownIt("commonmark").enable("table")
+
+
+def name(path: Path) -> str:
+    """Return a page's path below the root, for a test's id."""
+    return str(path.relative_to(ROOT))
+
+
+def tokens(path: Path) -> list[Token]:
+    """Return a page's tokens, those within a paragraph, heading or cell among them, in order."""
+    flat: list[Token] = []
+    for token in _MARKDOWN.parse(path.read_text(encoding="utf-8")):
+        flat += [token, *(token.children or ())]
+    return flat
+
+
+def links(path: Path) -> list[str]:
+    """Return the targets of a page's links and pictures that lie within the repository."""
+    targets = [str(token.attrs.get("href") or token.attrs.get("src") or "") for token in tokens(path)]
+    return [target for target in targets if target and "://" not in target]
+
+
+def anchors(path: Path) -> set[str]:
+    """Return the anchors of a page's headings, as GitHub and MyST make them."""
+    found: set[str] = set()
+    flat = tokens(path)
+    for token, inline in itertools.pairwise(flat):
+        if token.type == "heading_open":
+            text = "".join(child.content for child in inline.children or ())
+            found.add(re.sub(r"[^\w\- ]", "", text.lower()).replace(" ", "-"))
+    return found
+
+
+def blocks(path: Path, language: str) -> list[str]:
+    """Return a page's fenced blocks in a language."""
+    return [token.content for token in tokens(path) if token.type == "fence" and token.info == language]
+
+
+def commands(path: Path) -> list[str]:
+    """Return the commands of a page's `sh` blocks, one a line, continued lines joined."""
+    text = "\n".join(blocks(path, "sh")).replace("\\\n", " ")
+    return [" ".join(line.split()) for line in text.splitlines() if line.strip()]
+
+
+def quoted_commands(path: Path) -> list[str]:
+    """Return the commands that a page names within its text: benchmarks, tests and modules with arguments."""
+    quoted = (token.content for token in tokens(path) if token.type == "code_inline")
+    starts = ("python benchmarks/", "python examples/", "python -m ", "pytest tests/")
+    return [text for text in quoted if text.startswith(starts)]
