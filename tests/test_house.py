@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import ast
+import re
 import subprocess
 import sys
+import tomllib
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -100,3 +102,9 @@ def test_readme_opens_with_two_commands() -> None:
     assert "arctrack replay examples/" in block[0]
     assert "pytest" in block[1]
     assert all(line.startswith("python3 -m venv ") for line in block)
+
+
+def test_changelog_opens_with_the_version_that_is_built() -> None:
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
+    released = re.findall(r"^## \[(\d[^\]]*)\] - \d{4}-\d\d-\d\d$", (ROOT / "CHANGELOG.md").read_text(), re.M)
+    assert released[0] == project["version"]
