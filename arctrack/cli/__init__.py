@@ -17,7 +17,6 @@ from arctrack.cli.plan import plan
 from arctrack.cli.replay import replay
 from arctrack.cli.simulate import simulate
 from arctrack.errors import ArctrackError
-from arctrack.version import __version__
 
 BAD_INPUT = 2
 """The exit code of an input that cannot be used; the shell's own for a command line that makes no sense."""
@@ -44,6 +43,8 @@ app.add_typer(figures)
 
 def _print_version(wanted: bool) -> None:
     if wanted:
+        from arctrack.version import __version__
+
         typer.echo(f"arctrack {__version__}")
         raise typer.Exit
 
