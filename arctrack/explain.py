@@ -187,10 +187,13 @@ def _look(
     return replace(look, joint=joint, seam=seam)
 
 
-def _arc_image(
-    geometry: SensorGeometry, kernel: ArcKernel, passage: Passage | None, arc: ArcLevel, frame: Frame
-) -> ArcImage:
-    """Predict the arc's light over the whole image, as the tracker does it for the stripe's band."""
+def arc_light(
+    geometry: SensorGeometry, kernel: ArcKernel, passage: Passage | None, arc: ArcLevel
+) -> tuple[Float32, Float32]:
+    """Return the arc's light at its level, and all that is in the image without the laser, e-.
+
+    Both are by scan line, (n_scan, n_pos); an unknown level counts as 1. NaN past the workpiece.
+    """
     shape = (geometry.n_scan, geometry.n_pos)
     level = arc.level if math.isfinite(arc.level) else 1.0
     arc_e = arc_frame(kernel, geometry.xy, geometry.cos4, shape)
@@ -199,7 +202,14 @@ def _arc_image(
         through = passage.through(np.arange(arc_e.size), arc_e.ravel())
         arc_e, other_e = (light.reshape(shape) for light in through)
     arc_e = np.float32(level) * arc_e
-    mean_e = arc_e + other_e + np.float32(arc.black_e)
+    return arc_e, arc_e + other_e + np.float32(arc.black_e)
+
+
+def _arc_image(
+    geometry: SensorGeometry, kernel: ArcKernel, passage: Passage | None, arc: ArcLevel, frame: Frame
+) -> ArcImage:
+    """Predict the arc's light over the whole image, as the tracker does it for the stripe's band."""
+    arc_e, mean_e = arc_light(geometry, kernel, passage, arc)
     dn = frame.image_dn.T if geometry.along_rows else frame.image_dn
     charge_e = geometry.charge_e[np.minimum(dn, len(geometry.charge_e) - 1)]
     variance = variance_e2(mean_e, geometry.setup.sensor) + (MAP_SIGMA * arc_e) ** 2

@@ -28,6 +28,7 @@ from arctrack.recording.results import (
     count_flags,
 )
 from arctrack.recording.score import score
+from arctrack.report.replay.seen import Seen, SeenFile
 from robot_io import (
     BusLogError,
     GateLimits,
@@ -36,6 +37,7 @@ from robot_io import (
     Verdict,
 )
 from tracker import flags
+from tracker.measure import Reading
 from tracker.state import NAN, Frame, Track
 from tracker.step import Tracker
 
@@ -76,11 +78,15 @@ class Replay:
 
 @dataclass(frozen=True)
 class Step:
-    """One row of frames.csv after the tracker saw it; `took_ms` is NaN where there was no frame to step."""
+    """One row of frames.csv after the tracker saw it; `took_ms` is NaN where there was no frame to step.
+
+    `reading` is the look that the track rests on, None where none was taken.
+    """
 
     row: FrameRow
     frame: Frame | BadFrame
     track: Track
+    reading: Reading | None
     took_ms: float
 
 
@@ -89,11 +95,13 @@ def replay_recording(
     folder: Path | str | None = None,
     options: ReplayOptions | None = None,
     on_frame: Callable[[int], None] | None = None,
+    on_drawn: Callable[[int], None] | None = None,
 ) -> Replay:
     """Replay a recording into a folder (default: `results` in the recording's own).
 
-    `on_frame` hears the number of frames done. Raises ArctrackError if folder, bus or truth.csv fails, and
-    TypeError for a path where the recording should be.
+    `on_frame` hears the number of frames done, `on_drawn` that of frames drawn after the last offset.
+    Raises ArctrackError if folder, bus or truth.csv fails, and TypeError for a path where the recording
+    should be.
     """
     if not isinstance(recording, Recording):
         raise TypeError(
@@ -101,16 +109,31 @@ def replay_recording(
         )
     options = options or ReplayOptions()
     folder = recording.path / RESULTS_FOLDER if folder is None else Path(folder)
-    interface, channel = parse_bus(options.bus)
+    parse_bus(options.bus)
     # Nothing tracks by it, but nothing is sent before all that is needed in the end has been read.
     truth = read_truth(recording.path)
     make_folder(folder, ())
+    # Compiling takes long, and so does loading what draws: before there is a bus that nobody reads meanwhile.
+    _warm_up(recording, options.use_arc_map)
+    if not options.pictures:
+        return _replay(recording, truth, folder, options, None, on_frame)
+    with _load_drawing()(recording, truth, folder, on_drawn).after() as seen:
+        return _replay(recording, truth, folder, options, seen, on_frame)
+
+
+def _replay(
+    recording: Recording,
+    truth: Truth | None,
+    folder: Path,
+    options: ReplayOptions,
+    seen: SeenFile | None,
+    on_frame: Callable[[int], None] | None,
+) -> Replay:
+    """Replay onto the bus and keep what was seen, where someone draws it."""
+    interface, channel = parse_bus(options.bus)
     tracks: list[Track] = []
     compute_ms: list[float] = []
     bad_frames: list[BadFrame] = []
-    # Compiling takes long, and so does loading what draws: before there is a bus that nobody reads meanwhile.
-    _warm_up(recording, options.use_arc_map)
-    drawing = _load_drawing() if options.pictures else None
     started_s = time.monotonic()
     with ExitStack() as opened:
         opened.enter_context(_bus_errors())
@@ -121,12 +144,11 @@ def replay_recording(
         publisher = Publisher(link, recording.setup.joint.type, options.limits, recording.correction)
         rows = recording.rows
         moments = RecordingTime(rows) if interface == "virtual" else RealTime(rows, link)
-        pictures = None if drawing is None else opened.enter_context(drawing(recording, truth, folder))
         for step in _steps(recording, options.use_arc_map):
             offset = publisher.publish(step.track, moments.moment(step.row, step.took_ms))
             results.write(step.track, offset, step.took_ms)
-            if pictures is not None:
-                pictures.draw(None if isinstance(step.frame, BadFrame) else step.frame, step.track, offset)
+            if seen is not None:
+                seen.add(Seen(step.track, step.reading, offset, step.took_ms))
             tracks.append(replace(step.track, stripe=None))
             compute_ms.append(step.took_ms)
             if isinstance(step.frame, BadFrame):
@@ -175,12 +197,13 @@ def _steps(recording: Recording, use_arc_map: bool) -> Iterator[Step]:
     for row, frame in zip(recording.rows, recording.frames(), strict=True):
         if isinstance(frame, BadFrame):
             raised = flags.FRAME_UNREADABLE.mask | tracker.state.lasting_flags
-            yield Step(row, frame, Track(row.index, row.timestamp_s, raised), NAN)
+            yield Step(row, frame, Track(row.index, row.timestamp_s, raised), None, NAN)
             continue
         pose = recording.pose_at(poses, frame.timestamp_s)
         began_ns = time.perf_counter_ns()
         track = tracker.step(frame, pose)
-        yield Step(row, frame, track, (time.perf_counter_ns() - began_ns) / 1e6)
+        took_ms = (time.perf_counter_ns() - began_ns) / 1e6
+        yield Step(row, frame, track, tracker.reading, took_ms)
 
 
 def _summary(

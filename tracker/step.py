@@ -215,18 +215,22 @@ def jump_limit_mm(expected_sigma_mm: Float64, variance_mm2: Float64) -> Float64:
 
 
 class Tracker:
-    """A thin holder of a setup's tables, the state and the scratch."""
+    """A thin holder of a setup's tables, the state and the scratch.
+
+    `reading` is the look at the last frame that its track rests on, None where none was taken.
+    """
 
     def __init__(self, setup: Setup, use_arc_map: bool = True, correction: Correction = UNSTATED) -> None:
         self.geometry = SensorGeometry.of(setup)
         self.state = TrackerState()
+        self.reading: Reading | None = None
         self.use_arc_map = use_arc_map
         self.correction = correction
         self._work = Work.of(self.geometry)
 
     def step(self, frame: Frame, pose: Pose | None) -> Track:
         """Track one frame and keep the new state."""
-        self.state, track = step(
+        self.state, track, self.reading = step_and_reading(
             self.geometry, self.state, frame, pose, self._work, self.use_arc_map, self.correction
         )
         return track

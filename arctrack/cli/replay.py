@@ -60,7 +60,10 @@ def replay(
                 recording = read_recording(path, setup)
                 console.warn(recording.warnings)
                 on_frame = console.track(bar, recording.name, len(recording.rows))
-                done = engine.replay_recording(recording, folder, options, on_frame)
+                on_drawn = None
+                if pictures:
+                    on_drawn = console.track(bar, f"{recording.name}, pictures", len(recording.rows))
+                done = engine.replay_recording(recording, folder, options, on_frame, on_drawn)
                 console.warn(f"{recording.path}: {warning}" for warning in done.warnings)
                 summaries.append(done.summary)
                 written.append(f"{recording.name}: results in {folder}")

@@ -12,7 +12,7 @@ from made import noise_frames, small_setup, write
 
 from arctrack.errors import ArctrackError
 from arctrack.recording import Truth, read_recording
-from arctrack.recording.results import COLUMNS, Latency
+from arctrack.recording.results import COLUMNS, FILES, Latency
 from arctrack.recording.score import score
 from arctrack.replay import ReplayOptions, parse_bus, replay_recording, track_alone
 from robot_io import BusLogReader, SeamOffset, TrackerStatus, Validity
@@ -235,3 +235,17 @@ def test_score_by_hand() -> None:
 def test_latency_of_nothing_is_unknown() -> None:
     assert np.isnan(Latency.of([float("nan")]).p50)
     assert Latency.of([1.0, float("nan"), 3.0]).max == 3.0
+
+
+def test_pictures_are_drawn_when_the_last_offset_is_out(simulated: Path, tmp_path: Path) -> None:
+    done: list[tuple[str, int]] = []
+    replay_recording(
+        read_recording(simulated),
+        tmp_path,
+        on_frame=lambda n: done.append(("replayed", n)),
+        on_drawn=lambda n: done.append(("drawn", n)),
+    )
+    assert done == [(what, n) for what in ("replayed", "drawn") for n in range(1, 15)]
+    with av.open(str(tmp_path / "overlay.mp4")) as video:
+        assert sum(1 for _ in video.decode(video=0)) == 14
+    assert sorted(path.name for path in tmp_path.iterdir()) == sorted(FILES)

@@ -1,42 +1,68 @@
-"""The pictures of a replay, drawn while it runs: overlay.mp4 frame by frame, overview.png at the end."""
+"""The pictures of a replay, drawn when its last offset has gone out: whoever draws keeps no robot waiting."""
 
 from __future__ import annotations
 
+import tempfile
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack, contextmanager
+from dataclasses import dataclass
 from pathlib import Path
-from types import TracebackType
-from typing import Self
 
-from arctrack.recording import Recording, Truth
+from arctrack.output import writing
+from arctrack.recording import BadFrame, Recording, Truth
 from arctrack.recording.results import OVERLAY_VIDEO, OVERVIEW_PICTURE
 from arctrack.report.replay.overlay import OverlayVideo
 from arctrack.report.replay.overview import Overview
-from robot_io import SeamOffset
-from tracker.state import Frame, Track
+from arctrack.report.replay.seen import Seen, SeenFile
+from tracker.state import Frame
 
 
+@dataclass(frozen=True)
 class ReplayPictures:
-    """Draws into a results folder; the context's end finishes the video, a good end draws the overview.
+    """What draws a replay into a results folder; the truth beside what was tracked, where there is one.
 
-    The truth is drawn beside what was tracked, where there is one.
+    `on_drawn` hears the number of frames drawn.
     """
 
-    def __init__(self, recording: Recording, truth: Truth | None, folder: Path) -> None:
-        self._truth = truth
-        self._overview = Overview(recording)
-        self._overview_path = folder / OVERVIEW_PICTURE
-        self._overlay = OverlayVideo(folder / OVERLAY_VIDEO, recording.setup, recording.frame_rate_hz)
+    recording: Recording
+    truth: Truth | None
+    folder: Path
+    on_drawn: Callable[[int], None] | None = None
 
-    def draw(self, frame: Frame | None, track: Track, offset: SeamOffset) -> None:
-        """Take a frame, None if it could not be read."""
-        self._overlay.write(frame, track, offset)
-        self._overview.add(frame, track, offset)
+    @contextmanager
+    def after(self) -> Iterator[SeenFile]:
+        """Take what a replay sees, and draw it at the context's end.
 
-    def __enter__(self) -> Self:
-        return self
+        A replay that is broken off leaves the video of what it saw, no more.
+        """
+        with ExitStack() as opened:
+            with writing(self.folder):
+                # A file without a name: a replay that is killed leaves none behind.
+                file = opened.enter_context(tempfile.TemporaryFile(dir=self.folder))
+            seen = SeenFile(file, self.folder)
+            try:
+                yield seen
+            except BaseException:
+                self._draw(seen, whole=False)
+                raise
+            self._draw(seen, whole=True)
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        self._overlay.close()
-        if kind is None:
-            self._overview.save(self._overview_path, self._truth)
+    def _draw(self, seen: SeenFile, whole: bool) -> None:
+        if not len(seen):
+            return
+        overview = Overview(self.recording)
+        path = self.folder / OVERLAY_VIDEO
+        with OverlayVideo(path, self.recording.setup, self.recording.frame_rate_hz) as overlay:
+            for n, (frame, each) in enumerate(self._frames(seen)):
+                overlay.write(frame, each.track, each.offset)
+                overview.add(frame, each.track, each.offset)
+                if self.on_drawn is not None:
+                    self.on_drawn(n + 1)
+        if whole:
+            overview.save(self.folder / OVERVIEW_PICTURE, self.truth)
+
+    def _frames(self, seen: SeenFile) -> Iterator[tuple[Frame | None, Seen]]:
+        """Read the frames that were seen once more; None where one could not be read."""
+        frames = self.recording.frames(range(len(seen)))
+        for frame, each in zip(frames, seen, strict=True):
+            yield None if isinstance(frame, BadFrame) else frame, each

@@ -1,0 +1,53 @@
+"""What a replay saw of each frame, kept on disk until it is drawn."""
+
+from __future__ import annotations
+
+import pickle
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import IO
+
+from arctrack.output import writing
+from robot_io import SeamOffset
+from tracker.measure import Reading
+from tracker.state import Track
+
+
+@dataclass(frozen=True, eq=False)
+class Seen:
+    """A frame's track, the look that it rests on, the offset that went to the bus.
+
+    `reading` is None where no look was taken; `compute_ms` is NaN where there was no frame to step.
+    """
+
+    track: Track
+    reading: Reading | None
+    offset: SeamOffset
+    compute_ms: float
+
+
+class SeenFile:
+    """Keeps what was seen in a file: the memory that a replay takes does not grow with it.
+
+    Raises ArctrackError, which names the folder of the file, where it cannot be written.
+    """
+
+    def __init__(self, file: IO[bytes], folder: Path) -> None:
+        self._file, self._folder = file, folder
+        self._count = 0
+
+    def add(self, seen: Seen) -> None:
+        """Keep what was seen of the next frame."""
+        with writing(self._folder):
+            pickle.dump(seen, self._file, pickle.HIGHEST_PROTOCOL)
+        self._count += 1
+
+    def __len__(self) -> int:
+        return self._count
+
+    def __iter__(self) -> Iterator[Seen]:
+        self._file.seek(0)
+        for _ in range(self._count):
+            seen: Seen = pickle.load(self._file)
+            yield seen
