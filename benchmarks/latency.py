@@ -48,7 +48,7 @@ SEARCHES, PEER_RUNS, PASSES = 24, 5, 200
 """How often each of them is timed."""
 
 STAGES = {
-    "pose, scene, expected seam": ("pose_flags", "scene", "expected_seam"),
+    "pose, scene, expected seam": ("pose_checks", "make_scene", "expected_seam"),
     "expected stripe": ("expect_stripe",),
     "arc: tables and level": ("arc_kernel", "arc_map_of", "estimate_arc_level"),
     "band: place and pixels": ("place", "gather", "weigh"),

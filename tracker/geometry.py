@@ -20,7 +20,7 @@ from noise_model.setup import Setup, require_setup
 from noise_model.stripe import stripe_runs_along_rows
 from noise_model.transforms import invert, transform
 
-LEAST_LIGHT = 0.05
+MIN_LIGHT = 0.05
 """The light, over full well, from which a bent response's noise counts."""
 
 SAMPLE = 600
@@ -72,12 +72,12 @@ class SensorGeometry:
 
         A linear sensor's is the same everywhere. Of a bent response the step of a code goes with the light,
         and may be large in the dark: taken is that at the median of the charges, but not below what a stripe
-        that can be seen has, LEAST_LIGHT of full well.
+        that can be seen has, MIN_LIGHT of full well.
         """
         sensor = self.setup.sensor
         if sensor.is_linear or not charge_e.size:
             return self.dark_variance_e2
-        typical_e = max(float(np.median(charge_e)), LEAST_LIGHT * sensor.full_well_e)
+        typical_e = max(float(np.median(charge_e)), MIN_LIGHT * sensor.full_well_e)
         return float(variance_e2(typical_e, sensor)) - typical_e
 
     @cached_property

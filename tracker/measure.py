@@ -11,9 +11,10 @@ from noise_model.arc.map import Scene, arc_kernel, make_scene
 from noise_model.arc_source import level as current_level
 from noise_model.setup import Setup
 from noise_model.surface.joint import SeamLine
-from tracker import flags
+from tracker import checks
 from tracker.arc.level import UNKNOWN, ArcLevel, estimate_arc_level
 from tracker.arc.transmission import Passage
+from tracker.checks import Checks
 from tracker.geometry import SensorGeometry
 from tracker.joint import MeasuredJoint, fit_joint
 from tracker.joint.type_check import is_another_type
@@ -21,8 +22,8 @@ from tracker.profile import Profile, triangulate
 from tracker.seam.locate import locate, sources
 from tracker.state import Frame, Pose, Stripe
 from tracker.stripe.detection import (
-    LEAST_RATIO,
-    LEAST_SEEN,
+    MIN_RATIO,
+    MIN_SEEN,
     evidence_ratio,
     leaves_image,
     path_of,
@@ -46,13 +47,13 @@ JOINT_CHI2_LIMIT = 9.0
 UNEXPLAINED_LIMIT = 0.1
 """So large a share of the points near the seam may lie off the joint's shape: spatter, a tack weld's end."""
 
-LEAST_MARGIN_MM = 1.0
+MIN_MARGIN_MM = 1.0
 """A seam nearer to the profile's end than this is out of view."""
 
 CLEAR_MM = 1.0
 """So much farther than a stripe is followed its joint is looked for."""
 
-MOST_CURRENT_A, MOST_EXPOSURE_S = 1e4, 1e2
+MAX_CURRENT_A, MAX_EXPOSURE_S = 1e4, 1e2
 """No welding current and no exposure reaches these: such a number is not known."""
 
 
@@ -60,7 +61,7 @@ MOST_CURRENT_A, MOST_EXPOSURE_S = 1e4, 1e2
 class Reading:
     """What one look at a frame, within a reach about an expected seam, has found."""
 
-    flags: int
+    checks: Checks
     scene: Scene
     seam: SeamLine
     reach_mm: float
@@ -68,6 +69,11 @@ class Reading:
     stripe: Stripe | None = None
     joint: MeasuredJoint | None = None
     fov_margin_mm: float = math.nan
+
+    @property
+    def flags(self) -> int:
+        """The flags that the look raises."""
+        return self.checks.flags
 
 
 def measure(
@@ -81,11 +87,13 @@ def measure(
 ) -> Reading:
     """Look for arc, stripe and joint about a seam."""
     scene = make_scene(geometry.setup, pose.T_base_tool, seam)
-    if scene.below_surface:
-        return Reading(flags.BELOW_SURFACE.mask, scene, seam, reach_mm)
+    asked = Checks()
+    if not asked.ask(checks.CAMERA_ABOVE, not scene.below_surface):
+        return Reading(asked, scene, seam, reach_mm)
     expected = expect_stripe(geometry, scene)
+    asked.ask(checks.STRIPE_EXPECTED, expected is not None)
     if expected is None:
-        return Reading(flags.STRIPE_LOST.mask, scene, seam, reach_mm)
+        return Reading(asked, scene, seam, reach_mm)
     reach_px = reach_mm * geometry.pixels_per_mm
     output = expected_output(geometry.setup, frame)
     kernel = arc_kernel(geometry.setup, scene, output)
@@ -94,43 +102,53 @@ def measure(
     arc_map = arc_map_of(geometry, kernel)
     passage = Passage.of(geometry, scene, arc_map.at, output if frame.arc_on else 0.0)
     arc = estimate_arc_level(geometry, arc_map.at, passage, frame.image_dn, stripe_px, keep_off)
-    found = _arc_flags(arc)
-    if not frame.laser_on:
-        return Reading(found | flags.LASER_OFF.mask, scene, seam, reach_mm, arc)
+    _ask_arc(asked, arc)
+    if not asked.ask(checks.LASER_ON, frame.laser_on):
+        return Reading(asked, scene, seam, reach_mm, arc)
 
     look = read_stripe(geometry, arc_map, passage, arc, frame, expected, reach_px, work, use_arc_map)
     stripe = look.stripe
-    share = float(np.isfinite(stripe.position_px).sum()) / max(int(expected.shown.sum()), 1)
-    found |= flags.SATURATED.mask if stripe.saturated.any() else 0
-    found |= (
-        flags.STRIPE_LEAVES_IMAGE.mask if leaves_image(expected, stripe.position_px, geometry.n_pos) else 0
-    )
-    at = path_of(look.offsets_px, expected.position_px, stripe.position_px)
-    is_lost = share < MIN_SHARE or evidence_ratio(look.score, at, expected.shown) < LEAST_RATIO
-    if share < GOOD_SHARE and not is_lost:
-        band = look.band
-        seen = seen_share(expected, stripe.position_px, stripe.amplitude_e, band.variance, band.censored)
-        is_lost = seen < LEAST_SEEN
-    if is_lost:
-        return Reading(found | flags.STRIPE_LOST.mask, scene, seam, reach_mm, arc, stripe)
-    found |= flags.STRIPE_PARTIAL.mask if share < GOOD_SHARE else 0
-    # Of what is no stripe nothing is the second.
-    found |= flags.TWO_STRIPES.mask if look.second_share > 0.0 else 0
-
+    if not _is_stripe(asked, geometry, expected, look):
+        return Reading(asked, scene, seam, reach_mm, arc, stripe)
     profile = profile_of(geometry, scene, expected, look, reach_mm)
     joint = fit_joint(profile, geometry.setup.joint, *sources(geometry.setup, scene, seam.station_mm))
     # A narrower look shows only what lies where the stated joint should.
-    if reach_mm == SEARCH_REACH_MM and is_another_type(profile, geometry.setup.joint, joint):
-        found |= flags.JOINT_TYPE_MISMATCH.mask
+    if reach_mm == SEARCH_REACH_MM:
+        asked.ask(checks.JOINT_TYPE, not is_another_type(profile, geometry.setup.joint, joint))
+    asked.ask(checks.JOINT_SEEN, joint is not None)
     if joint is None:
-        return Reading(found | flags.JOINT_NOT_FOUND.mask, scene, seam, reach_mm, arc, stripe)
+        return Reading(asked, scene, seam, reach_mm, arc, stripe)
     margin_mm = min(joint.y_mm - float(profile.y_mm[0]), float(profile.y_mm[-1]) - joint.y_mm)
-    if margin_mm <= LEAST_MARGIN_MM:
-        out = found | flags.SEAM_OUT_OF_VIEW.mask
-        return Reading(out, scene, seam, reach_mm, arc, stripe, fov_margin_mm=margin_mm)
-    is_misfit = joint.chi2 > JOINT_CHI2_LIMIT or joint.unexplained > UNEXPLAINED_LIMIT
-    found |= flags.JOINT_MISFIT.mask if is_misfit else 0
-    return Reading(found, scene, seam, reach_mm, arc, stripe, joint, margin_mm)
+    if not asked.ask(checks.VIEW_MARGIN, margin_mm, MIN_MARGIN_MM):
+        return Reading(asked, scene, seam, reach_mm, arc, stripe, fov_margin_mm=margin_mm)
+    asked.ask(checks.JOINT_CHI2, joint.chi2, JOINT_CHI2_LIMIT)
+    asked.ask(checks.JOINT_UNEXPLAINED, joint.unexplained, UNEXPLAINED_LIMIT)
+    return Reading(asked, scene, seam, reach_mm, arc, stripe, joint, margin_mm)
+
+
+def _is_stripe(
+    asked: Checks, geometry: SensorGeometry, expected: ExpectedStripe, look: StripeReading
+) -> bool:
+    """Ask whether what was read is a stripe, and whether all of it was seen."""
+    stripe = look.stripe
+    asked.ask(checks.LINES_SATURATED, int(stripe.saturated.sum()), 0.0)
+    asked.ask(checks.STRIPE_INSIDE, not leaves_image(expected, stripe.position_px, geometry.n_pos))
+    share = float(np.isfinite(stripe.position_px).sum()) / max(int(expected.shown.sum()), 1)
+    if not asked.ask(checks.LINES_HELD, share, MIN_SHARE):
+        return False
+    path = path_of(look.offsets_px, expected.position_px, stripe.position_px)
+    ratio = evidence_ratio(look.score, path, expected.shown)
+    if not asked.ask(checks.STRIPE_EVIDENCE, ratio, MIN_RATIO):
+        return False
+    if share < GOOD_SHARE:
+        band = look.band
+        seen = seen_share(expected, stripe.position_px, stripe.amplitude_e, band.variance, band.censored)
+        if not asked.ask(checks.CLEAR_LINES_HELD, seen, MIN_SEEN):
+            return False
+    asked.ask(checks.STRIPE_WHOLE, share, GOOD_SHARE)
+    # Of what is no stripe nothing is the second.
+    asked.ask(checks.SECOND_STRIPE, look.second_share, 0.0)
+    return True
 
 
 def profile_of(
@@ -173,8 +191,15 @@ def measure_again(
     if again.joint is None and _lines_held(again) >= MIN_SHARE * _lines_held(placed):
         return first
     # The narrow look does not see as far beside the stripe.
-    wide = flags.JOINT_TYPE_MISMATCH.mask | flags.TWO_STRIPES.mask
-    return replace(again, flags=again.flags | (placed.flags & wide))
+    answers = {check.question.id: check for check in again.checks.answers}
+    for check in placed.checks.answers:
+        if check.question is checks.JOINT_TYPE or (
+            check.question is checks.SECOND_STRIPE and not check.passed
+        ):
+            answers[check.question.id] = check
+    asked = Checks()
+    asked.extend(tuple(answers.values()))
+    return replace(again, checks=asked)
 
 
 def _lines_held(reading: Reading) -> int:
@@ -188,15 +213,14 @@ def expected_output(setup: Setup, frame: Frame) -> float:
     Without a known current, or with the arc said to be off, that is the nominal one, and so is an exposure.
     """
     nominal_s = setup.camera.exposure_s
-    current = current_level(setup.arc, frame.current_a) if 0.0 < frame.current_a < MOST_CURRENT_A else 1.0
-    exposure = frame.exposure_s / nominal_s if 0.0 < frame.exposure_s < MOST_EXPOSURE_S else 1.0
+    current = current_level(setup.arc, frame.current_a) if 0.0 < frame.current_a < MAX_CURRENT_A else 1.0
+    exposure = frame.exposure_s / nominal_s if 0.0 < frame.exposure_s < MAX_EXPOSURE_S else 1.0
     return current * exposure
 
 
-def _arc_flags(arc: ArcLevel) -> int:
-    """Return the flags that the arc's level and misfit raise."""
-    if arc is UNKNOWN:
-        return flags.ARC_LEVEL_UNKNOWN.mask
-    if arc.level < ARC_OFF_SIGMAS * arc.sigma:
-        return flags.ARC_OFF.mask
-    return flags.MAP_MISFIT.mask if arc.misfit > MISFIT_LIMIT else 0
+def _ask_arc(asked: Checks, arc: ArcLevel) -> None:
+    """Ask whether there is arc light, and whether the map explains it."""
+    if not asked.ask(checks.ARC_LEVEL_KNOWN, arc is not UNKNOWN):
+        return
+    if asked.ask(checks.ARC_LEVEL, arc.level, ARC_OFF_SIGMAS * arc.sigma):
+        asked.ask(checks.MAP_MISFIT, arc.misfit, MISFIT_LIMIT)

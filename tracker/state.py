@@ -7,6 +7,7 @@ from dataclasses import dataclass, field
 
 from noise_model.arrays import Bool, Float64, Integers
 from tracker import flags
+from tracker.checks import Check
 
 NAN = math.nan
 
@@ -96,7 +97,7 @@ class Track:
     `arc_level` is the arc's output over what the setup expects for the frame's current and exposure;
     `map_misfit` is the arc residual over its stated uncertainty, robustly, 1 or less where the map is right.
     `fov_margin_mm` is how far the seam point lies inside the profile's nearer end, negative beyond it;
-    `shape` what else the section shows.
+    `shape` what else the section shows; `checks` all that the step asked of the frame, in its order.
     """
 
     frame: int
@@ -121,6 +122,7 @@ class Track:
     fov_margin_mm: float = NAN
     shape: JointShape = NO_SHAPE
     stripe: Stripe | None = field(default=None, repr=False)
+    checks: tuple[Check, ...] = field(default=(), repr=False)
 
     @property
     def valid(self) -> bool:

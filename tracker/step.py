@@ -12,7 +12,8 @@ import numpy as np
 from noise_model.arc.map import Scene, make_scene
 from noise_model.arrays import Float64
 from noise_model.setup import Setup
-from tracker import flags
+from tracker import checks, flags
+from tracker.checks import Checks
 from tracker.geometry import SensorGeometry
 from tracker.joint import MeasuredJoint
 from tracker.measure import SEARCH_REACH_MM, TRACK_REACH_MM, Reading, measure, measure_again
@@ -23,7 +24,7 @@ from tracker.seam.locate import (
     expected_seam,
     hand_eye_variance,
     locate,
-    pose_flags,
+    pose_checks,
 )
 from tracker.seam.steer import Steering, steer
 from tracker.state import Frame, Pose, Track
@@ -33,7 +34,7 @@ JUMP_SIGMAS, JUMP_FLOOR_MM = 5.0, 0.3
 JUMPS_TO_RELEARN = 3
 """So many jumps in a row to one place are the seam's new place."""
 
-MOST_STRETCHES = 8
+MAX_STRETCHES = 8
 """So many stretches between jumps are remembered for the torch that comes after."""
 
 LOST_TO_SEARCH = 3
@@ -110,16 +111,11 @@ def step_and_reading(
     """Return what `step` does and the look at the frame that it rests on, None where it took none."""
     state = replace(state, frames=state.frames + 1)
     track = Track(frame=frame.index, timestamp_s=frame.timestamp_s, flags=0)
-    found = state.lasting_flags
-    sensor, camera = geometry.setup.sensor, geometry.setup.camera
-    if frame.image_dn.shape != (camera.height, camera.width) or frame.image_dn.dtype != sensor.dtype:
-        return state, replace(track, flags=found | flags.FRAME_UNREADABLE.mask), None
-    if pose is None:
-        return state, replace(track, flags=found | flags.POSE_REFUSED.mask), None
-    found |= flags.POSE_EXTRAPOLATED.mask if pose.extrapolated else 0
-    blind = pose_flags(geometry.setup, pose.T_base_tool)
-    if blind:
-        return state, replace(track, flags=found | blind), None
+    asked = Checks()
+    if not _can_look(asked, geometry, frame, pose) or pose is None:
+        if state.steering.is_stopped:
+            asked.ask(checks.FOLLOWING, False)
+        return state, replace(track, flags=asked.flags, checks=tuple(asked.answers)), None
 
     nominal_scene = make_scene(geometry.setup, pose.T_base_tool)
     seam, seam_sigma = expected_seam(geometry.setup, nominal_scene, state.history)
@@ -127,10 +123,9 @@ def step_and_reading(
     if state.lost >= LOST_TO_SEARCH:
         reach_mm = SEARCH_REACH_MM
     reading = measure(geometry, frame, pose, seam, reach_mm, work, use_arc_map)
-    if reach_mm == SEARCH_REACH_MM:
-        found |= flags.SEARCHED.mask
+    if not asked.ask(checks.REACH, reach_mm, SEARCH_REACH_MM):
         reading = measure_again(geometry, frame, pose, nominal_scene, seam, reading, work, use_arc_map)
-    found |= reading.flags
+    asked.extend(tuple(reading.checks.answers))
     track = replace(
         track,
         arc_level=reading.arc.level,
@@ -140,9 +135,8 @@ def step_and_reading(
     )
     if reading.joint is None:
         state = replace(state, lost=state.lost + (reading.stripe is not None))
-        track = replace(track, flags=found)
     else:
-        state, track = _follow(geometry, state, track, found, nominal_scene, reading.scene, reading.joint)
+        state, track = _follow(geometry, state, track, asked, nominal_scene, reading.scene, reading.joint)
     steering, track = steer(
         correction,
         geometry.setup,
@@ -151,17 +145,30 @@ def step_and_reading(
         state.history,
         state.history_at,
         state.steering,
-        track,
+        replace(track, flags=asked.flags, checks=tuple(asked.answers)),
         seam,
     )
     return replace(state, steering=steering), track, reading
+
+
+def _can_look(asked: Checks, geometry: SensorGeometry, frame: Frame, pose: Pose | None) -> bool:
+    """Ask whether frame and pose allow a look at the joint."""
+    sensor, camera = geometry.setup.sensor, geometry.setup.camera
+    fits = frame.image_dn.shape == (camera.height, camera.width) and frame.image_dn.dtype == sensor.dtype
+    if not asked.ask(checks.FRAME_FORMAT, fits) or not asked.ask(checks.POSE_KNOWN, pose is not None):
+        return False
+    assert pose is not None
+    asked.ask(checks.POSE_BRACKETED, not pose.extrapolated)
+    asked_of_pose = pose_checks(geometry.setup, pose.T_base_tool)
+    asked.extend(tuple(asked_of_pose.answers))
+    return asked_of_pose.flags == 0
 
 
 def _follow(
     geometry: SensorGeometry,
     state: TrackerState,
     track: Track,
-    found: int,
+    asked: Checks,
     nominal_scene: Scene,
     scene: Scene,
     joint: MeasuredJoint,
@@ -175,8 +182,7 @@ def _follow(
     expected, expected_sigma = state.history.at(station)
     limit = jump_limit_mm(expected_sigma, variance)
     history, beyond, behind, jumps, lost = state.history, SeamHistory(), state.behind, 0, 0
-    if len(history) and (np.abs(displacement - expected) > limit).any():
-        found |= flags.SEAM_JUMP.mask
+    if len(history) and not _is_near(asked, np.abs(displacement - expected), limit):
         jumps, lost, beyond = state.jumps + 1, state.lost, state.beyond
         elsewhere, elsewhere_sigma = beyond.at(station)
         if (np.abs(displacement - elsewhere) > jump_limit_mm(elsewhere_sigma, variance)).any():
@@ -186,7 +192,7 @@ def _follow(
         if jumps >= JUMPS_TO_RELEARN:
             # The torch comes to the new stretch later: until then it is on the one before, if that was one.
             if len(history) >= JUMPS_TO_RELEARN:
-                behind = (*behind, history)[-MOST_STRETCHES:]
+                behind = (*behind, history)[-MAX_STRETCHES:]
             history, beyond, jumps, lost = beyond, SeamHistory(), 0, 0
     else:
         history = history.with_measurement(station, displacement, variance)
@@ -198,7 +204,6 @@ def _follow(
     sigma = np.sqrt(variance + hand_eye)
     return state, replace(
         track,
-        flags=found,
         seam_tool_mm=(float(seam_tool[0]), float(seam_tool[1]), float(seam_tool[2])),
         sigma_y_mm=float(sigma[0]),
         sigma_z_mm=float(sigma[1]),
@@ -207,6 +212,12 @@ def _follow(
         confidence=confidence(setup, sigma),
         shape=joint.shape,
     )
+
+
+def _is_near(asked: Checks, distance_mm: Float64, limit_mm: Float64) -> bool:
+    """Ask whether a seam lies where the earlier frames put it, both (2,) as (y, z)."""
+    near_y = asked.ask(checks.JUMP_Y, distance_mm[0], limit_mm[0])
+    return asked.ask(checks.JUMP_Z, distance_mm[1], limit_mm[1]) and near_y
 
 
 def jump_limit_mm(expected_sigma_mm: Float64, variance_mm2: Float64) -> Float64:

@@ -51,9 +51,10 @@ def explain(
     write_whole(path, page(found))
     typer.echo(words.headline(found))
     typer.echo(words.offset_sentence(found))
-    for gate in words.gates(found):
-        for flag in gate.raised:
-            typer.echo(f"  {flag.name}: {flag.meaning} ({gate.question}: {gate.found})")
+    for check in found.track.checks:
+        if not check.passed:
+            answer = f"{check.question.words}: {words.value_text(check)}, not {words.limit_text(check)}"
+            typer.echo(f"  {check.flag.name}: {check.flag.meaning} ({answer})")
     for sentence in (words.arc_sentence(found), f"page  {path}"):
         if sentence:
             typer.echo(sentence)

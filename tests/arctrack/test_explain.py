@@ -26,6 +26,7 @@ from arctrack.simulate import SimulationPlan, simulate_recording
 from noise_model.arc.map import CELL
 from noise_model.setup import Setup
 from tracker import flags
+from tracker.checks import Check
 from tracker.geometry import SensorGeometry
 from tracker.state import Stripe
 from tracker.stripe.expected import ExpectedStripe
@@ -72,7 +73,8 @@ def test_what_is_explained_is_what_the_replay_did(
     seams = 0
     for track in done.tracks:
         found = explain(recording, track.frame, use_arc_map)
-        assert_same(found.track, track, ("stripe",))
+        assert_same(found.track, track, ("stripe", "checks"))
+        assert repr(found.track.checks) == repr(track.checks)
         if found.track.stripe is None:
             assert found.look is None or found.look.stripe is None
             continue
@@ -241,15 +243,15 @@ def test_an_upright_stripe_is_explained(seen_setup: Setup, tmp_path: Path) -> No
     assert "a: row " in page(found)
 
 
-def gate_of(found: Explanation, flag: flags.Flag) -> words.Gate:
-    (gate,) = [gate for gate in words.gates(found) if flag in gate.raised]
-    return gate
+def failed(found: Explanation, flag: flags.Flag) -> Check:
+    (check,) = [check for check in found.track.checks if check.flag is flag and not check.passed]
+    return check
 
 
 def assert_told(found: Explanation) -> str:
-    """Each flag is told by one gate; the page has no hole. Return the page's text."""
-    told = [flag.mask for gate in words.gates(found) for flag in gate.raised]
-    assert sum(told) == found.track.flags
+    """Each flag is told by a check; the page has no hole. Return the page's text."""
+    told = {check.flag.name for check in found.track.checks if not check.passed}
+    assert told == set(found.track.flag_names)
     html = page(found)
     reader = read(html)
     assert all(reference.startswith("data:image/") for reference in reader.references)
@@ -290,7 +292,7 @@ def test_a_frame_without_a_pose(recording: Recording) -> None:
     found = explain(replace(recording, poses=cut), recording.rows[-1].index)
     assert found.look is None
     assert "no pose is near enough in time" in assert_told(found)
-    assert gate_of(found, flags.POSE_REFUSED).outcome == "refused"
+    assert failed(found, flags.POSE_REFUSED).outcome == "refused"
 
 
 def test_a_frame_from_which_the_joint_is_not_seen(recording: Recording) -> None:
@@ -301,7 +303,7 @@ def test_a_frame_from_which_the_joint_is_not_seen(recording: Recording) -> None:
     ):
         found = explain(moved(recording, row.timestamp_s - 0.06, offset_mm), row.index)
         assert_told(found)
-        assert gate_of(found, flag).outcome == "refused"
+        assert failed(found, flag).outcome == "refused"
 
 
 def test_a_frame_whose_line_runs_backwards(recording: Recording) -> None:
@@ -310,21 +312,22 @@ def test_a_frame_whose_line_runs_backwards(recording: Recording) -> None:
     found = explain(replace(recording, setup=replace(recording.setup, joint=backwards)), 6)
     assert not found.track.valid
     assert_told(found)
-    assert gate_of(found, flags.SEAM_REVERSED).outcome == "refused"
+    assert failed(found, flags.SEAM_REVERSED).outcome == "refused"
 
 
-def test_a_jump_is_told_in_sigmas(recording: Recording) -> None:
+def test_a_jump_is_told_with_its_limit(recording: Recording) -> None:
     lit = [row for row in recording.rows if row.laser_on]
     row = lit[-1]
     found = explain(moved(recording, row.timestamp_s - 0.06, (0.0, 0.7, 0.0)), row.index)
-    gate = gate_of(found, flags.SEAM_JUMP)
+    check = failed(found, flags.SEAM_JUMP)
     text = assert_told(found)
     assert found.look is not None
     seam = found.look.seam
     assert seam is not None
     off = seam.displacement_mm - seam.expected_mm
     assert np.max(np.abs(off) - seam.limit_mm) > 0.0
-    assert f"y {words.signed(off[0])} mm" in gate.found
+    assert (check.value, check.limit) == (abs(off[0]), seam.limit_mm[0])
+    assert f"{abs(off[0]):.2f} mm" in text
     assert "shows a seam that is not used" in text
 
 
@@ -335,15 +338,38 @@ def test_a_lost_stripe_is_told_by_its_share(simulated: Path, tmp_path: Path) -> 
     row = dict(zip(header, lines[dark].split(","), strict=True)) | {"laser_on": "1"}
     replace_line(path / "frames.csv", dark + 1, ",".join(row[name] for name in header))
     found = explain(read_recording(path), int(row["frame"]))
-    gate = gate_of(found, flags.STRIPE_LOST)
+    check = failed(found, flags.STRIPE_LOST)
     text = assert_told(found)
     assert found.look is not None
     assert found.look.stripe is not None
     read_lines = int((found.look.stripe.refusals.why == READ).sum())
-    assert gate.found.startswith(f"{read_lines} of 160")
-    assert "20 % at least" in gate.asked
+    assert check.value == read_lines / 160
+    assert (words.limit_text(check), check.outcome) == ("at least 20 %", "refused")
     assert sum(count for _, _, count in words.refused_lines(found)) == 160 - read_lines
     assert "nothing further was asked" in text
+
+
+def test_a_misfit_that_was_asked_is_told_as_it_was_judged(explained: list[Explanation]) -> None:
+    """What was not asked of a frame is no row that passed."""
+    judged = 0
+    for found in explained:
+        checks = {check.question.id: check for check in found.track.checks}
+        assert ("map_misfit" in checks) == (checks["arc_level"].passed if "arc_level" in checks else False)
+        if "map_misfit" in checks:
+            misfit = checks["map_misfit"]
+            assert misfit.value == found.track.map_misfit
+            assert misfit.passed == ("map_misfit" not in found.track.flag_names)
+            judged += 1
+    assert 0 < judged < len(explained)
+
+
+def test_the_seam_is_told_in_each_frame_by_name(explained: list[Explanation]) -> None:
+    found = next(e for e in explained if e.track.valid and math.isfinite(e.track.offset_y_mm))
+    rows = words.places(found)
+    assert [row[0] for row in rows] == ["tool frame", "profile", "path, at the stripe", "path, at the torch"]
+    text = page(found)
+    for row in rows:
+        assert all(cell in text for cell in row)
 
 
 def test_the_telling_lines_are_best_median_worst_and_one_without(explained: list[Explanation]) -> None:

@@ -161,7 +161,7 @@ def assert_told(track: Track) -> None:
     """What is known is finite; a seam that is not has a flag that says why."""
     for f in fields(Track):
         value = getattr(track, f.name)
-        if isinstance(value, float | tuple) and f.name not in ("timestamp_s", "valid_at_s"):
+        if isinstance(value, float | tuple) and f.name not in ("timestamp_s", "valid_at_s", "checks"):
             assert not np.isinf(value).any(), (f.name, value)
     if not track.valid:
         assert track.flags & flags.INVALIDATING, track.flag_names
@@ -170,6 +170,8 @@ def assert_told(track: Track) -> None:
         assert track.sigma_y_mm > 0.0
         assert track.sigma_z_mm > 0.0
         assert 0.0 <= track.confidence <= 1.0
+    failed = {check.flag.name for check in track.checks if not check.passed}
+    assert failed == set(track.flag_names)
     if track.stripe is not None:
         found = np.isfinite(track.stripe.position_px)
         assert (track.stripe.sigma_px[found] > 0.0).all()

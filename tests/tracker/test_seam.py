@@ -21,7 +21,7 @@ from tracker.seam.locate import (
     confidence,
     hand_eye_variance,
     is_rigid,
-    pose_flags,
+    pose_checks,
     seam_point,
     seam_point_tool,
 )
@@ -92,8 +92,8 @@ def test_a_line_that_runs_against_the_travel_is_told(joint: str) -> None:
     reversed_ = replace(setup, joint=replace(setup.joint, seam_in_base_mm=points[::-1]))
     for turn_deg in ((0.0, 0.0, 0.0), (20.0, -20.0, 30.0)):
         T_base_tool = pose_at(10.0, 0.5, 1.0, turn_deg).T_base_tool
-        assert pose_flags(setup, T_base_tool) == 0
-        assert pose_flags(reversed_, T_base_tool) == flags.SEAM_REVERSED.mask
+        assert pose_checks(setup, T_base_tool).flags == 0
+        assert pose_checks(reversed_, T_base_tool).flags == flags.SEAM_REVERSED.mask
 
 
 def test_what_is_no_pose_is_told() -> None:

@@ -15,8 +15,8 @@ from tracker.step import Tracker
 from tracker.stripe.detection import (
     CHANCE_SIGMAS,
     CLEAR_SIGMAS,
-    LEAST_RATIO,
     LOBE,
+    MIN_RATIO,
     evidence_ratio,
     leaves_image,
     path_of,
@@ -55,7 +55,7 @@ def test_noise_is_no_evidence_and_either_sign_alike_is_a_tie() -> None:
     score[:, MIDDLE] = 6.0
     assert evidence_ratio(score, at, EVERYWHERE) > 100.0
     mimicked = rng.normal(0.0, 20.0, (N_SCAN, N)).astype(np.float32)
-    assert 0.9 < evidence_ratio(mimicked, mimicked.argmax(axis=1), EVERYWHERE) < 0.8 * LEAST_RATIO
+    assert 0.9 < evidence_ratio(mimicked, mimicked.argmax(axis=1), EVERYWHERE) < 0.8 * MIN_RATIO
 
 
 @pytest.mark.parametrize("width", [1.5, 3.5, 7.0])

@@ -14,7 +14,8 @@ from noise_model.setup import Setup
 from noise_model.surface.faces import ridge
 from noise_model.surface.joint import SeamLine, seam_frame, seam_height_mm, section
 from noise_model.transforms import transform
-from tracker import flags
+from tracker import checks
+from tracker.checks import Checks
 from tracker.seam.gaussian_process import SeamHistory
 
 MIN_CROSSING = 0.3
@@ -55,22 +56,26 @@ def is_rigid(T_base_tool: Float64) -> bool:
     return T_base_tool.shape == (4, 4) and is_rotation(np.asarray(T_base_tool, dtype=np.float64))
 
 
-def pose_flags(setup: Setup, T_base_tool: Float64) -> int:
-    """Return the flags of a pose from which the joint cannot be seen, 0 where it can."""
-    if not is_rigid(T_base_tool):
-        return flags.POSE_REFUSED.mask
+def pose_checks(setup: Setup, T_base_tool: Float64) -> Checks:
+    """Return what is asked of a pose, up to the first answer by which the joint cannot be seen from it."""
+    asked = Checks()
+    if not asked.ask(checks.POSE_RIGID, is_rigid(T_base_tool)):
+        return asked
     laser = setup.laser
     laser_base = transform(T_base_tool, laser.origin_mm)
     T_base_joint = seam_frame(setup.joint, laser_base)
     height = float((laser_base - T_base_joint[:3, 3]) @ T_base_joint[:3, 2])
-    if height <= 0.0:
-        return flags.BELOW_SURFACE.mask
+    if not asked.ask(checks.LASER_ABOVE, height, 0.0):
+        return asked
     crossing = abs(float(T_base_tool[:3, :3] @ laser.plane[:3] @ T_base_joint[:3, 0]))
-    if height > MAX_HEIGHT * laser.origin_in_tool_mm[2] or crossing < MIN_CROSSING:
-        return flags.SEAM_OUT_OF_VIEW.mask
+    if not asked.ask(checks.LASER_NEAR, height, MAX_HEIGHT * laser.origin_in_tool_mm[2]):
+        return asked
+    if not asked.ask(checks.SHEET_ACROSS, crossing, MIN_CROSSING):
+        return asked
     # The sensor looks ahead. Of a line that runs against the travel, left would be taken for right.
     ahead_mm = float(T_base_tool[:3, :3] @ laser.point_mm @ T_base_joint[:3, 0])
-    return flags.SEAM_REVERSED.mask if ahead_mm < 0.0 else 0
+    asked.ask(checks.LASER_AHEAD, ahead_mm, 0.0)
+    return asked
 
 
 def expected_seam(setup: Setup, nominal_scene: Scene, history: SeamHistory) -> tuple[SeamLine, Float64]:

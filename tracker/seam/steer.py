@@ -21,7 +21,8 @@ from noise_model.setup import Setup
 from noise_model.surface.faces import ridge
 from noise_model.surface.joint import SeamLine, seam_frame
 from noise_model.transforms import invert
-from tracker import flags
+from tracker import checks, flags
+from tracker.checks import Checks
 from tracker.seam.correction import STOPPED, Correction, correct
 from tracker.seam.gaussian_process import SPACING_MM, SeamHistory
 from tracker.seam.joint_ends import Change, JointEnds, nominal_ends
@@ -51,12 +52,17 @@ class SeamAtTorch:
 
     displacement_mm: Float64
     sigma_mm: Float64
-    flags: int = 0
+    asked: Checks
 
     @classmethod
-    def unknown(cls, why: int) -> SeamAtTorch:
+    def unknown(cls, asked: Checks) -> SeamAtTorch:
         """Return the seam at a torch where nothing is known of it."""
-        return cls(np.full(2, np.nan), np.full(2, np.nan), why)
+        return cls(np.full(2, np.nan), np.full(2, np.nan), asked)
+
+    @property
+    def flags(self) -> int:
+        """What was noted of the torch's place."""
+        return self.asked.flags
 
 
 def seam_at_torch(
@@ -75,25 +81,29 @@ def seam_at_torch(
     another stretch beyond is not lost.
     """
     start_mm, end_mm = stretch_mm
-    if torch_mm > end_mm:
-        return SeamAtTorch.unknown(flags.PAST_JOINT.mask)
-    raised = flags.BEFORE_JOINT.mask if torch_mm < start_mm else 0
-    if not len(history):
-        return SeamAtTorch.unknown(raised | flags.OFFSET_UNKNOWN.mask)
+    asked = Checks()
+    if not asked.ask(checks.TORCH_BEFORE_END, torch_mm - end_mm, 0.0):
+        return SeamAtTorch.unknown(asked)
+    asked.ask(checks.TORCH_AFTER_START, start_mm - torch_mm, 0.0)
+    if not asked.ask(checks.SEAM_MEASURED, len(history) > 0):
+        return SeamAtTorch.unknown(asked)
     station_mm, last_mm = max(torch_mm, start_mm), float(history.stations_mm.max())
     displacement, sigma = history.at(station_mm)
     lost_mm = torch_mm - last_mm if torch_mm >= start_mm and not goes_on else 0.0
-    if lost_mm > SPACING_MM and correction.when_lost == "stop":
-        return SeamAtTorch.unknown(raised | flags.FOLLOW_STOPPED.mask)
-    if lost_mm > 0.0 and correction.when_lost == "hold":
+    stops = correction.when_lost == "stop"
+    if stops and not asked.ask(checks.SEAM_NOT_LOST, lost_mm, SPACING_MM, flags.FOLLOW_STOPPED):
+        return SeamAtTorch.unknown(asked)
+    holds = correction.when_lost == "hold"
+    if holds and not asked.ask(checks.SEAM_NOT_LOST, lost_mm, 0.0):
         held, _ = history.at(last_mm)
         displacement, sigma = held, np.hypot(sigma, displacement - held)
-        raised |= flags.OFFSET_HELD.mask
-    elif not history.is_measured(station_mm):
-        raised |= flags.OFFSET_EXTRAPOLATED.mask
-    if lost_mm > correction.extrapolate_mm or sigma.max() > correction.extrapolate_sigma_mm:
-        return SeamAtTorch.unknown(raised | flags.OFFSET_UNKNOWN.mask)
-    return SeamAtTorch(displacement, sigma, raised)
+    else:
+        asked.ask(checks.TORCH_MEASURED, history.is_measured(station_mm))
+    if not asked.ask(checks.REACHED, lost_mm, correction.extrapolate_mm):
+        return SeamAtTorch.unknown(asked)
+    if not asked.ask(checks.TORCH_SIGMA, float(sigma.max()), correction.extrapolate_sigma_mm):
+        return SeamAtTorch.unknown(asked)
+    return SeamAtTorch(displacement, sigma, asked)
 
 
 def steer(
@@ -128,16 +138,17 @@ def steer(
     corrected = correct(correction, there.displacement_mm, height_mm)
     if steering.is_stopped or there.flags & flags.FOLLOW_STOPPED.mask:
         corrected = STOPPED
-    raised = there.flags
-    raised |= flags.OFFSET_LIMITED.mask if corrected.is_limited else 0
-    raised |= flags.FOLLOW_STOPPED.mask if corrected.is_stopped else 0
+    asked = there.asked
+    asked.ask(checks.OFFSET_WITHIN, not corrected.is_limited)
+    asked.ask(checks.FOLLOWING, not corrected.is_stopped)
     offset = corrected.offset_mm.tolist()
     is_known = [not math.isnan(one) for one in offset]
     sigma = [one if known else NAN for one, known in zip(there.sigma_mm.tolist(), is_known, strict=True)]
     steering = Steering(ends, corrected.is_stopped, steering.hand_eye_variance_mm2)
     return steering, replace(
         track,
-        flags=track.flags | raised,
+        flags=track.flags | asked.flags,
+        checks=(*track.checks, *asked.answers),
         offset_y_mm=offset[0],
         offset_z_mm=offset[1],
         offset_sigma_y_mm=sigma[0],

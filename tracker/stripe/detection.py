@@ -21,10 +21,10 @@ LOBE = 0.7
 CHANCE_SIGMAS = 4.0
 """A place that is no darker than this may be noise."""
 
-LEAST_RATIO = 3.0
+MIN_RATIO = 3.0
 """So many times the evidence for a dark stripe must be there for a bright one."""
 
-LEAST_SEEN, CLEAR_SIGMAS = 0.5, 10.0
+MIN_SEEN, CLEAR_SIGMAS = 0.5, 10.0
 """In so large a share of the scan lines that would show it by so many sigmas a stripe must be found."""
 
 WEAK = 0.25

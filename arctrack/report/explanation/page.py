@@ -117,7 +117,7 @@ def _content(of: Explanation) -> dict[str, Any]:
         "look": look,
         "label": "valid" if of.track.valid else "no seam to use",
         "flags": words.raised(of.track.flags),
-        "gates": words.gates(of),
+        "places": words.places(of),
         "frame": pictures.frame_picture(of),
         "overlay": pictures.overlay(of),
         "camera": camera,

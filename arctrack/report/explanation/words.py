@@ -3,29 +3,16 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
-from dataclasses import dataclass
 
 import numpy as np
 
-from arctrack.explain import Explanation, Look, SeamLook
-from arctrack.explain_lines import NO_FIT, NO_PATH, ODD_WIDTH, READ, TOO_WEAK
+from arctrack.explain import Explanation
+from arctrack.explain_lines import NO_FIT, NO_PATH, ODD_WIDTH, TOO_WEAK
 from arctrack.report.diagnosis.words import listed, number, percent
 from tracker import flags
+from tracker.checks import Check, Question
 from tracker.flags import Flag
-from tracker.measure import (
-    ARC_OFF_SIGMAS,
-    GOOD_SHARE,
-    JOINT_CHI2_LIMIT,
-    LEAST_MARGIN_MM,
-    MIN_SHARE,
-    MISFIT_LIMIT,
-    SEARCH_REACH_MM,
-    UNEXPLAINED_LIMIT,
-)
 from tracker.seam.correction import UNSTATED
-from tracker.step import JUMP_FLOOR_MM, JUMP_SIGMAS
-from tracker.stripe.detection import LEAST_RATIO, LEAST_SEEN, evidence_ratio, path_of, seen_share
 from tracker.stripe.fit import MIN_SIGNIFICANCE, WIDTH_LIMIT_LN
 
 REFUSALS = {
@@ -35,34 +22,6 @@ REFUSALS = {
     ODD_WIDTH: f"its width is off by a factor of {math.exp(WIDTH_LIMIT_LN):.1f}: two faces, or no stripe",
 }
 """Why a scan line holds no stripe."""
-
-AT_TORCH = (
-    flags.OFFSET_EXTRAPOLATED,
-    flags.OFFSET_UNKNOWN,
-    flags.OFFSET_HELD,
-    flags.OFFSET_LIMITED,
-    flags.FOLLOW_STOPPED,
-    flags.BEFORE_JOINT,
-    flags.PAST_JOINT,
-)
-"""What may be said of the offset."""
-
-
-@dataclass(frozen=True)
-class Gate:
-    """One thing that the step asked of a frame: what it found, what it asks for, and the flags raised."""
-
-    question: str
-    found: str
-    asked: str
-    raised: tuple[Flag, ...] = ()
-
-    @property
-    def outcome(self) -> str:
-        """What it means for the seam: `passed`, `noted` or `refused`."""
-        if not self.raised:
-            return "passed"
-        return "refused" if any(flag.invalidates for flag in self.raised) else "noted"
 
 
 def headline(of: Explanation) -> str:
@@ -94,6 +53,30 @@ def offset_sentence(of: Explanation) -> str:
     return f"At the torch the seam lies {known} mm off the programmed path."
 
 
+def places(of: Explanation) -> list[tuple[str, str, str, str]]:
+    """Return where the seam is, told in each frame: the frame, from where y and z count, y and z in mm."""
+    track, rows = of.track, []
+    _, y, z = track.seam_tool_mm
+    if math.isfinite(y):
+        origin = "from the electrode's working point; x along the travel"
+        rows.append(("tool frame", origin, pm(y, track.sigma_y_mm), pm(z, track.sigma_z_mm)))
+    if of.look is not None and of.look.seam is not None and of.look.joint is not None:
+        seam, joint = of.look.seam, of.look.joint
+        y_sigma, z_sigma = np.sqrt(seam.variance_mm2)
+        origin = "from where the seam was expected, across it and along the surface normal"
+        rows.append(("profile", origin, pm(joint.y_mm, y_sigma), pm(joint.z_mm, z_sigma)))
+        y, z = seam.displacement_mm
+        origin = f"from the programmed path, where the stripe crosses it at {seam.station_mm:.1f} mm"
+        rows.append(("path, at the stripe", origin, pm(y, y_sigma), pm(z, z_sigma)))
+    if math.isfinite(track.offset_y_mm) or math.isfinite(track.offset_z_mm):
+        assert of.look is not None
+        origin = f"from the programmed path, where the torch stands at {of.look.torch_station_mm:.1f} mm"
+        y_text = pm(track.offset_y_mm, track.offset_sigma_y_mm) if math.isfinite(track.offset_y_mm) else "–"
+        z_text = pm(track.offset_z_mm, track.offset_sigma_z_mm) if math.isfinite(track.offset_z_mm) else "–"
+        rows.append(("path, at the torch", origin, y_text, z_text))
+    return rows
+
+
 def own_sigma(of: Explanation) -> str:
     """Return which part of the seam's sigma is the measurement's own; nothing without a seam."""
     if of.look is None or of.look.seam is None:
@@ -123,10 +106,39 @@ def raised(track_flags: int) -> tuple[Flag, ...]:
     return tuple(flag for flag in flags.FLAGS if track_flags & flag.mask)
 
 
-def gates(of: Explanation) -> list[Gate]:
-    """Return what the step asked of a frame, as far as it went."""
-    asked = list(_gates(of))
-    return asked if of.look is None else [*asked, _at_torch(of, of.look)]
+def value_text(check: Check) -> str:
+    """Return what a frame answered to a question, with its unit."""
+    if check.question.demand == "yes":
+        return "yes" if check.passed else "no"
+    return _quantity(check.question, check.value)
+
+
+def limit_text(check: Check) -> str:
+    """Return what a question demands."""
+    if check.question.demand == "yes":
+        return "yes"
+    return f"{check.question.demand.replace('_', ' ')} {_quantity(check.question, check.limit)}"
+
+
+def outcome_text(check: Check) -> str:
+    """Return what an answer means, with the flag of one that failed."""
+    return check.outcome if check.passed else f"{check.outcome}: {check.flag.name}"
+
+
+def _quantity(question: Question, value: float) -> str:
+    if math.isnan(value):
+        return "not known"
+    if math.isinf(value):
+        return "without limit" if value > 0.0 else number(value)
+    match question.unit:
+        case "mm":
+            return f"{value:.2f} mm".replace("-", "−")
+        case "share":
+            return percent(value)
+        case "lines":
+            return f"{value:.0f}"
+        case _:
+            return number(value)
 
 
 def arc_sentence(of: Explanation) -> str:
@@ -175,147 +187,3 @@ def pm(value: float, sigma: float) -> str:
 def counted(count: int, what: str) -> str:
     """Return a number of things."""
     return f"{count} {what}" + ("" if count == 1 else "s")
-
-
-def signed(value: float) -> str:
-    """Return a length in mm to a hundredth, with a sign."""
-    return f"{value:+.2f}".replace("-", "−")
-
-
-def _gates(of: Explanation) -> Iterator[Gate]:
-    track, look = of.track, of.look
-
-    def those(*asked: Flag) -> tuple[Flag, ...]:
-        return tuple(flag for flag in asked if track.flags & flag.mask)
-
-    how = "none" if of.pose is None else "extrapolated" if of.pose.extrapolated else "between two"
-    if of.pose is None:
-        yield Gate("a pose at the frame's time", how, "near enough in time", those(flags.POSE_REFUSED))
-        return
-    yield Gate("a pose at the frame's time", how, "near enough in time", those(flags.POSE_EXTRAPOLATED))
-    if look is None:
-        blind = those(flags.POSE_REFUSED, flags.BELOW_SURFACE, flags.SEAM_OUT_OF_VIEW, flags.SEAM_REVERSED)
-        limit = "sheet across the seam, laser above it and ahead of the torch"
-        yield Gate("the joint before the sensor", "no", limit, blind)
-        return
-    yield _where(of, look, those(flags.SEARCHED))
-    if look.expected is None:
-        no_view = those(flags.BELOW_SURFACE, flags.STRIPE_LOST)
-        yield Gate("the expected stripe in the image", "no", "somewhere in it", no_view)
-        return
-    arc = look.reading.arc
-    level = (
-        f"{pm(arc.level, arc.sigma)} of the expected".removeprefix("+")
-        if math.isfinite(arc.level)
-        else "not known"
-    )
-    off = those(flags.ARC_OFF, flags.ARC_LEVEL_UNKNOWN)
-    yield Gate("light of the arc, off the stripe", level, f"more than {ARC_OFF_SIGMAS:g} σ", off)
-    if math.isfinite(arc.misfit):
-        misfit = those(flags.MAP_MISFIT)
-        yield Gate("misfit of the arc map", number(arc.misfit), f"up to {MISFIT_LIMIT:g}", misfit)
-    if look.stripe is None:
-        yield Gate("the laser", "off", "on", those(flags.LASER_OFF))
-        return
-    yield from _stripe_gates(
-        look,
-        those(flags.STRIPE_LOST, flags.STRIPE_PARTIAL),
-        those(flags.SATURATED),
-        those(flags.TWO_STRIPES),
-    )
-    if track.flags & flags.STRIPE_LOST.mask:
-        return
-    joint, profile = look.joint, look.profile
-    what = of.geometry.setup.joint.type.replace("_", "-")
-    if look.reading.reach_mm == SEARCH_REACH_MM:
-        other = those(flags.JOINT_TYPE_MISMATCH)
-        yield Gate("another type of joint", "decidedly" if other else "not decidedly", "no", other)
-    if joint is None or profile is None:
-        yield Gate(f"a {what} in the profile", "no", "its faces seen", those(flags.JOINT_NOT_FOUND))
-        return
-    yield Gate(f"a {what} in the profile", "yes", "its faces seen")
-    yield Gate(
-        "the joint's place in the profile",
-        f"y {signed(joint.y_mm)} mm in {signed(profile.y_mm[0])} to {signed(profile.y_mm[-1])} mm",
-        f"more than {LEAST_MARGIN_MM:g} mm off its ends",
-        those(flags.SEAM_OUT_OF_VIEW),
-    )
-    if look.seam is None:
-        return
-    found = f"{number(joint.chi2)}; {percent(joint.unexplained)} of the points near the seam lie off it"
-    limit = f"up to {JOINT_CHI2_LIMIT:g}; up to {percent(UNEXPLAINED_LIMIT)}"
-    yield Gate("χ² of the joint's fit, per point", found, limit, those(flags.JOINT_MISFIT))
-    yield _jump(of, look.seam, those(flags.SEAM_JUMP))
-
-
-def _where(of: Explanation, look: Look, searched: tuple[Flag, ...]) -> Gate:
-    place = f"±{look.reading.reach_mm:.2f} mm (±{look.reach_px:.0f} px) about "
-    if searched and look.reading.reach_mm < SEARCH_REACH_MM:
-        place += f"where a search over ±{SEARCH_REACH_MM:g} mm had found it"
-    elif len(of.before.history):
-        place += "where the earlier frames put it"
-    else:
-        place += "its nominal place"
-    return Gate("where the stripe was looked for", place, "–", searched)
-
-
-def _stripe_gates(
-    look: Look, too_few: tuple[Flag, ...], saturated: tuple[Flag, ...], second_flag: tuple[Flag, ...]
-) -> Iterator[Gate]:
-    assert look.stripe is not None
-    count = int(look.stripe.reading.stripe.saturated.sum())
-    yield Gate("scan lines with saturated pixels in the stripe", str(count), "none", saturated)
-    read = look.stripe.refusals.why == READ
-    assert look.expected is not None
-    crossed = max(int(look.expected.shown.sum()), 1)
-    found = f"{read.sum()} of {crossed} ({percent(float(read.sum()) / crossed)})"
-    asked = f"{percent(MIN_SHARE)} at least; partial below {percent(GOOD_SHARE)}"
-    yield Gate("scan lines that hold a stripe", found, asked, too_few)
-    reading = look.stripe.reading
-    at = path_of(reading.offsets_px, look.expected.position_px, reading.stripe.position_px)
-    ratio = evidence_ratio(reading.score, at, look.expected.shown)
-    against = "nothing dark" if math.isinf(ratio) else number(ratio)
-    outdone = too_few if ratio < LEAST_RATIO else ()
-    yield Gate(
-        "evidence for the stripe over that for a dark one", against, f"{LEAST_RATIO:g} at least", outdone
-    )
-    stripe, band = reading.stripe, reading.band
-    seen = seen_share(look.expected, stripe.position_px, stripe.amplitude_e, band.variance, band.censored)
-    missed = too_few if seen < LEAST_SEEN else ()
-    found = "none holds it" if math.isnan(seen) else percent(seen)
-    yield Gate(
-        "of the scan lines that would show it clearly, hold it",
-        found,
-        f"{percent(LEAST_SEEN)} at least",
-        missed,
-    )
-    second = reading.second_share
-    found = f"{percent(second)} as bright: its light is taken off" if second > 0.0 else "none"
-    if second == 0.0 and second_flag:
-        found = "none so near; the search saw one"
-    yield Gate("a second stripe beside it", found, "none", second_flag)
-
-
-def _jump(of: Explanation, seam: SeamLook, jumped: tuple[Flag, ...]) -> Gate:
-    question = "the seam beside where the earlier frames put it"
-    if not len(of.before.history):
-        return Gate(question, "no earlier frames", "–", jumped)
-    off = seam.displacement_mm - seam.expected_mm
-    sigmas = np.abs(off) / np.sqrt(seam.expected_sigma_mm**2 + seam.variance_mm2)
-    found = f"y {signed(off[0])} mm ({sigmas[0]:.1f} σ), z {signed(off[1])} mm ({sigmas[1]:.1f} σ)"
-    y, z = seam.limit_mm
-    asked = f"y {y:.2f}, z {z:.2f} mm: {JUMP_SIGMAS:g} σ, at least {JUMP_FLOOR_MM:g} mm"
-    return Gate(question, found, asked, jumped)
-
-
-def _at_torch(of: Explanation, look: Look) -> Gate:
-    open_ = tuple(flag for flag in AT_TORCH if of.track.flags & flag.mask)
-    torch = look.torch_station_mm
-    history = of.after.history_at(torch)
-    found = "nothing is measured yet"
-    if len(history):
-        first, last = history.stations_mm.min(), history.stations_mm.max()
-        sigma = float(history.at(torch)[1].max())
-        found = f"torch at {torch:.1f} mm, measured {first:.1f} to {last:.1f} mm; σ {number(sigma)} mm"
-    asked = f"within it; σ up to {of.recording.correction.extrapolate_sigma_mm:g} mm"
-    return Gate("the offset at the torch", found, asked, open_)

@@ -1,0 +1,205 @@
+"""What a step asks of a frame: every question once, and each answer with its value, limit and outcome.
+
+A step raises its flags by these checks alone, so whoever explains a frame reads them off and asks nothing
+again.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Literal, NamedTuple
+
+from tracker import flags
+from tracker.flags import Flag
+
+Outcome = Literal["passed", "noted", "refused"]
+
+Demand = Literal["yes", "at_least", "at_most", "more_than", "less_than"]
+"""How a value stands to its limit where a check passes; a value that is NaN passes each but `yes`."""
+
+
+@dataclass(frozen=True)
+class Question:
+    """One question: its words, the value's unit, what is demanded, and the flag of a value that fails.
+
+    `unit` is mm, share (of 1), lines, or nothing for plain numbers; a `yes` question has the values 1 and 0.
+    """
+
+    id: str
+    words: str
+    demand: Demand
+    flag: Flag
+    unit: Literal["", "mm", "share", "lines"] = ""
+
+
+class Check(NamedTuple):
+    """An answer: the question, the value that a frame gave, its limit, and the flag that failing raises."""
+
+    question: Question
+    value: float
+    limit: float
+    flag: Flag
+
+    @property
+    def passed(self) -> bool:
+        """Whether the value meets the demand."""
+        match self.question.demand:
+            case "at_least":
+                return not self.value < self.limit
+            case "at_most":
+                return not self.value > self.limit
+            case "more_than":
+                return not self.value <= self.limit
+            case "less_than":
+                return not self.value >= self.limit
+            case _:
+                return self.value == self.limit
+
+    @property
+    def outcome(self) -> Outcome:
+        """What the answer means for the frame's seam."""
+        if self.passed:
+            return "passed"
+        return "refused" if self.flag.invalidates else "noted"
+
+
+@dataclass
+class Checks:
+    """The answers so far, in the order in which they were asked, and the flags that they raise."""
+
+    answers: list[Check] = field(default_factory=list)
+    flags: int = 0
+
+    def ask(self, question: Question, value: float, limit: float = 1.0, flag: Flag | None = None) -> bool:
+        """Keep an answer and say whether it passed; `flag` stands for the question's own."""
+        check = Check(question, float(value), float(limit), flag or question.flag)
+        self.answers.append(check)
+        if check.passed:
+            return True
+        self.flags |= check.flag.mask
+        return False
+
+    def extend(self, answers: tuple[Check, ...]) -> None:
+        """Keep answers that were given elsewhere."""
+        for check in answers:
+            self.answers.append(check)
+            self.flags |= 0 if check.passed else check.flag.mask
+
+
+FRAME_FORMAT = Question(
+    "frame_format", "the frame has the camera's size and the sensor's type", "yes", flags.FRAME_UNREADABLE
+)
+POSE_KNOWN = Question("pose_known", "a pose is near enough in time", "yes", flags.POSE_REFUSED)
+POSE_BRACKETED = Question(
+    "pose_bracketed", "the pose lies between two that were received", "yes", flags.POSE_EXTRAPOLATED
+)
+POSE_RIGID = Question("pose_rigid", "the pose is a rotation and a displacement", "yes", flags.POSE_REFUSED)
+LASER_ABOVE = Question(
+    "laser_above", "height of the laser over the workpiece", "more_than", flags.BELOW_SURFACE, "mm"
+)
+LASER_NEAR = Question(
+    "laser_near", "height of the laser over the workpiece", "at_most", flags.SEAM_OUT_OF_VIEW, "mm"
+)
+SHEET_ACROSS = Question(
+    "sheet_across",
+    "cosine between the laser sheet's normal and the seam",
+    "at_least",
+    flags.SEAM_OUT_OF_VIEW,
+)
+LASER_AHEAD = Question(
+    "laser_ahead", "the laser's lead over the torch along the seam", "at_least", flags.SEAM_REVERSED, "mm"
+)
+REACH = Question(
+    "reach", "how far about the expected seam the stripe was sought", "less_than", flags.SEARCHED, "mm"
+)
+CAMERA_ABOVE = Question("camera_above", "the camera stands above the workpiece", "yes", flags.BELOW_SURFACE)
+STRIPE_EXPECTED = Question(
+    "stripe_expected", "the expected stripe lies in the image", "yes", flags.STRIPE_LOST
+)
+ARC_LEVEL_KNOWN = Question(
+    "arc_level_known", "enough pixels off the stripe tell the arc's output", "yes", flags.ARC_LEVEL_UNKNOWN
+)
+ARC_LEVEL = Question("arc_level", "the arc's output over the expected output", "at_least", flags.ARC_OFF)
+MAP_MISFIT = Question(
+    "map_misfit", "residual of the arc map over its stated uncertainty", "at_most", flags.MAP_MISFIT
+)
+LASER_ON = Question("laser_on", "the laser is on", "yes", flags.LASER_OFF)
+LINES_SATURATED = Question(
+    "lines_saturated", "scan lines with saturated pixels in the stripe", "at_most", flags.SATURATED, "lines"
+)
+STRIPE_INSIDE = Question(
+    "stripe_inside", "the stripe stays within the image", "yes", flags.STRIPE_LEAVES_IMAGE
+)
+LINES_HELD = Question(
+    "lines_held", "share of the joint's scan lines that hold a stripe", "at_least", flags.STRIPE_LOST, "share"
+)
+STRIPE_EVIDENCE = Question(
+    "stripe_evidence", "evidence for the stripe over that for a dark stripe", "at_least", flags.STRIPE_LOST
+)
+CLEAR_LINES_HELD = Question(
+    "clear_lines_held",
+    "share of the scan lines that would show the stripe clearly and hold it",
+    "at_least",
+    flags.STRIPE_LOST,
+    "share",
+)
+STRIPE_WHOLE = Question(
+    "stripe_whole",
+    "share of the joint's scan lines that hold a stripe",
+    "at_least",
+    flags.STRIPE_PARTIAL,
+    "share",
+)
+SECOND_STRIPE = Question(
+    "second_stripe", "brightness of a second stripe over the first", "at_most", flags.TWO_STRIPES, "share"
+)
+JOINT_TYPE = Question(
+    "joint_type", "the profile shows no other type of joint decidedly", "yes", flags.JOINT_TYPE_MISMATCH
+)
+JOINT_SEEN = Question("joint_seen", "the profile determines the joint", "yes", flags.JOINT_NOT_FOUND)
+VIEW_MARGIN = Question(
+    "view_margin",
+    "distance of the seam from the nearer end of the profile",
+    "more_than",
+    flags.SEAM_OUT_OF_VIEW,
+    "mm",
+)
+JOINT_CHI2 = Question(
+    "joint_chi2", "chi-squared of the joint's fit, per degree of freedom", "at_most", flags.JOINT_MISFIT
+)
+JOINT_UNEXPLAINED = Question(
+    "joint_unexplained",
+    "share of the points near the seam that lie off the joint's shape",
+    "at_most",
+    flags.JOINT_MISFIT,
+    "share",
+)
+JUMP_Y = Question(
+    "jump_y", "distance in y from where the earlier frames put the seam", "at_most", flags.SEAM_JUMP, "mm"
+)
+JUMP_Z = Question(
+    "jump_z", "distance in z from where the earlier frames put the seam", "at_most", flags.SEAM_JUMP, "mm"
+)
+TORCH_BEFORE_END = Question(
+    "torch_before_end", "distance of the torch past the joint's end", "at_most", flags.PAST_JOINT, "mm"
+)
+TORCH_AFTER_START = Question(
+    "torch_after_start", "distance of the torch before the joint's start", "at_most", flags.BEFORE_JOINT, "mm"
+)
+SEAM_MEASURED = Question("seam_measured", "some of the seam has been measured", "yes", flags.OFFSET_UNKNOWN)
+SEAM_NOT_LOST = Question(
+    "seam_not_lost", "distance of the torch past the last measurement", "at_most", flags.OFFSET_HELD, "mm"
+)
+TORCH_MEASURED = Question(
+    "torch_measured", "the seam is measured where the torch stands", "yes", flags.OFFSET_EXTRAPOLATED
+)
+REACHED = Question(
+    "reached", "distance of the torch past the last measurement", "at_most", flags.OFFSET_UNKNOWN, "mm"
+)
+TORCH_SIGMA = Question(
+    "torch_sigma", "sigma of the seam where the torch stands", "at_most", flags.OFFSET_UNKNOWN, "mm"
+)
+FOLLOWING = Question("following", "following has not been stopped", "yes", flags.FOLLOW_STOPPED)
+OFFSET_WITHIN = Question(
+    "offset_within", "the offset lies within its stated limit", "yes", flags.OFFSET_LIMITED
+)
