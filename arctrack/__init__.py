@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     from tracker.state import Frame as Frame
     from tracker.state import Pose as Pose
     from tracker.state import Track as Track
-    from tracker.step import Tracker as Tracker
+    from tracker.tracker import Tracker as Tracker
 
 _HOME_OF = {
     "ArctrackError": "arctrack.errors:ArctrackError",
@@ -39,7 +39,7 @@ _HOME_OF = {
     "Setup": "noise_model.setup:Setup",
     "SimulationPlan": "arctrack.simulate:SimulationPlan",
     "Track": "tracker.state:Track",
-    "Tracker": "tracker.step:Tracker",
+    "Tracker": "tracker.tracker:Tracker",
     "nominal_setup": "arctrack.nominal:nominal_setup",
     "read_recording": "arctrack.recording:read_recording",
     "read_setup_file": "arctrack.recording:read_setup_file",

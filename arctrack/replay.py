@@ -39,7 +39,8 @@ from robot_io import (
 from tracker import flags
 from tracker.measure import Reading
 from tracker.state import NAN, Frame, Track
-from tracker.step import Tracker
+from tracker.tracker import Tracker
+from tracker.warm_up import OnCompiled
 
 if TYPE_CHECKING:
     from arctrack.report.replay.pictures import ReplayPictures
@@ -96,12 +97,13 @@ def replay_recording(
     options: ReplayOptions | None = None,
     on_frame: Callable[[int], None] | None = None,
     on_drawn: Callable[[int], None] | None = None,
+    on_compiled: OnCompiled | None = None,
 ) -> Replay:
     """Replay a recording into a folder (default: `results` in the recording's own).
 
-    `on_frame` hears the number of frames done, `on_drawn` that of frames drawn after the last offset.
-    Raises ArctrackError if folder, bus or truth.csv fails, and TypeError for a path where the recording
-    should be.
+    `on_frame` hears the number of frames done, `on_drawn` that of frames drawn after the last offset,
+    `on_compiled` what is compiled before the first frame. Raises ArctrackError if folder, bus or truth.csv
+    fails, and TypeError for a path where the recording should be.
     """
     if not isinstance(recording, Recording):
         raise TypeError(
@@ -114,7 +116,7 @@ def replay_recording(
     truth = read_truth(recording.path)
     make_folder(folder, ())
     # Compiling takes long, and so does loading what draws: before there is a bus that nobody reads meanwhile.
-    _warm_up(recording, options.use_arc_map)
+    tracker_of(recording, options.use_arc_map).warm_up(on_compiled)
     if not options.pictures:
         return _replay(recording, truth, folder, options, None, on_frame)
     with _load_drawing()(recording, truth, folder, on_drawn).after() as seen:
@@ -171,7 +173,7 @@ def track_alone(
     truth = read_truth(recording.path)
     tracks: list[Track] = []
     compute_ms: list[float] = []
-    _warm_up(recording, use_arc_map)
+    tracker_of(recording, use_arc_map).warm_up()
     started_s = time.monotonic()
     for step in _steps(recording, use_arc_map):
         tracks.append(replace(step.track, stripe=None))
@@ -239,15 +241,6 @@ def _joint_ends_mm(tracks: Sequence[Track]) -> dict[str, tuple[float, float]]:
         if math.isfinite(end[1][0])
     ]
     return dict(ends_mm)
-
-
-def _warm_up(recording: Recording, use_arc_map: bool) -> None:
-    """Compile what a step needs before time is taken, on a tracker that is then thrown away."""
-    rows, poses = recording.rows, recording.pose_buffer()
-    lit = max(range(len(rows)), key=lambda n: (rows[n].laser_on, rows[n].arc_on))
-    for frame in recording.frames([lit]):
-        if not isinstance(frame, BadFrame):
-            tracker_of(recording, use_arc_map).step(frame, recording.pose_at(poses, frame.timestamp_s))
 
 
 def tracker_of(recording: Recording, use_arc_map: bool) -> Tracker:

@@ -30,7 +30,7 @@ from noise_model.surface.joint import SeamLine, seam_height_mm
 from noise_model.transforms import transform
 from tracker.seam.locate import seam_point_tool
 from tracker.state import Frame, Pose, Track
-from tracker.step import Tracker
+from tracker.tracker import Tracker
 
 JOINTS = ("v_groove", "half_v", "fillet", "lap")
 WIDTH, HEIGHT = 320, 240

@@ -35,7 +35,7 @@ from noise_model.transforms import invert, transform
 from tracker import flags
 from tracker.seam.locate import seam_displacement
 from tracker.state import Frame, Pose, Track
-from tracker.step import Tracker
+from tracker.tracker import Tracker
 
 WAY_MM, TRAVEL_MM_S = 118.0, 20.0
 ARC_NOISE = {"arc_flicker": {"sigma_rel": 0.1}, "spatter": {"rate_per_frame": 5.0}}

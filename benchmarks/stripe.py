@@ -29,8 +29,8 @@ from noise_model.plan.cramer_rao import POSITION, stripe_sigmas
 from noise_model.setup import Setup
 from tracker.geometry import SensorGeometry
 from tracker.state import Frame, Pose, Stripe
-from tracker.step import Tracker
 from tracker.stripe.expected import ExpectedStripe, expect_stripe
+from tracker.tracker import Tracker
 
 STRIPES_E, ARCS, WIDTHS_PX = (500.0, 1500.0, 4500.0), (0.0, 1.0, 3.0), (3.5, 7.0)
 """The stripe's peak on the plate, the arc's light there over it, the stripe's sigma."""

@@ -22,8 +22,8 @@ from noise_model.condition import Condition
 from noise_model.forward import Renderer, draw_frame
 from tracker.geometry import SensorGeometry
 from tracker.state import Frame, Pose
-from tracker.step import Tracker
 from tracker.stripe.expected import expect_stripe
+from tracker.tracker import Tracker
 
 WIDTHS_PX, STRIPE_E, ARC = (2.0, 3.5, 7.0), 4500.0, 1.0
 STEPS, BINS = 20, 20

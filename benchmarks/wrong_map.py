@@ -27,7 +27,7 @@ from noise_model.surface.brdf import TABLE_1
 from noise_model.surface.joint import SeamLine, seam_height_mm
 from tracker.seam.locate import seam_point_tool
 from tracker.state import Frame, Pose
-from tracker.step import Tracker
+from tracker.tracker import Tracker
 
 JOINTS = (("v_groove", "mild_steel"), ("lap", "zn_coated"), ("corrugation", "zn_coated"))
 SEAM = SeamLine(0.0, 0.4, -0.2)

@@ -38,8 +38,9 @@ from tracker.geometry import SensorGeometry
 from tracker.seam.gaussian_process import CAPACITY
 from tracker.seam.locate import expected_seam
 from tracker.state import Frame, Pose
-from tracker.step import Tracker, TrackerState
+from tracker.step import TrackerState
 from tracker.stripe.expected import expect_stripe
+from tracker.tracker import Tracker
 
 LATTICE_PX = 16
 """So far apart are the pixels that are compared."""

@@ -11,7 +11,6 @@ import numpy as np
 
 from noise_model.arc.map import Scene, make_scene
 from noise_model.arrays import Float64
-from noise_model.setup import Setup
 from tracker import checks, flags
 from tracker.checks import Checks
 from tracker.geometry import SensorGeometry
@@ -117,6 +116,7 @@ def step_and_reading(
             asked.ask(checks.FOLLOWING, False)
         return state, replace(track, flags=asked.flags, checks=tuple(asked.answers)), None
 
+    frame, pose = _as_compiled_for(frame, pose)
     nominal_scene = make_scene(geometry.setup, pose.T_base_tool)
     seam, seam_sigma = expected_seam(geometry.setup, nominal_scene, state.history)
     reach_mm = min(SEARCH_REACH_MM, TRACK_REACH_MM + 3.0 * float(seam_sigma.max()))
@@ -149,6 +149,18 @@ def step_and_reading(
         seam,
     )
     return replace(state, steering=steering), track, reading
+
+
+def _as_compiled_for(frame: Frame, pose: Pose) -> tuple[Frame, Pose]:
+    """Return frame and pose in the layout that the kernels are compiled for: contiguous and writable."""
+    layout = ["C", "W"]
+    image_dn = np.require(frame.image_dn, requirements=layout)
+    T_base_tool = np.require(pose.T_base_tool, np.float64, layout)
+    if image_dn is not frame.image_dn:
+        frame = replace(frame, image_dn=image_dn)
+    if T_base_tool is not pose.T_base_tool:
+        pose = replace(pose, T_base_tool=T_base_tool)
+    return frame, pose
 
 
 def _can_look(asked: Checks, geometry: SensorGeometry, frame: Frame, pose: Pose | None) -> bool:
@@ -223,25 +235,3 @@ def _is_near(asked: Checks, distance_mm: Float64, limit_mm: Float64) -> bool:
 def jump_limit_mm(expected_sigma_mm: Float64, variance_mm2: Float64) -> Float64:
     """Return how far (2,) a seam may lie from where the earlier frames put it, mm, without being a jump."""
     return np.asarray(np.maximum(JUMP_SIGMAS * np.sqrt(expected_sigma_mm**2 + variance_mm2), JUMP_FLOOR_MM))
-
-
-class Tracker:
-    """A thin holder of a setup's tables, the state and the scratch.
-
-    `reading` is the look at the last frame that its track rests on, None where none was taken.
-    """
-
-    def __init__(self, setup: Setup, use_arc_map: bool = True, correction: Correction = UNSTATED) -> None:
-        self.geometry = SensorGeometry.of(setup)
-        self.state = TrackerState()
-        self.reading: Reading | None = None
-        self.use_arc_map = use_arc_map
-        self.correction = correction
-        self._work = Work.of(self.geometry)
-
-    def step(self, frame: Frame, pose: Pose | None) -> Track:
-        """Track one frame and keep the new state."""
-        self.state, track, self.reading = step_and_reading(
-            self.geometry, self.state, frame, pose, self._work, self.use_arc_map, self.correction
-        )
-        return track

@@ -19,7 +19,7 @@ from noise_model.transforms import invert, transform
 from tracker.geometry import to_laser_plane
 from tracker.seam.locate import seam_displacement
 from tracker.state import Frame, Pose
-from tracker.step import Tracker
+from tracker.tracker import Tracker
 
 MOVING = frozenset({"hand_eye", "surface_tilt", "lens_distortion", "pose_delay"})
 """The effects that put a point of the image elsewhere."""

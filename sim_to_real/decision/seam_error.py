@@ -14,7 +14,7 @@ from sim_to_real.fit.gauss_newton import Refit
 from sim_to_real.fit.linearized_model import BOUNCING, Effects, Expected
 from sim_to_real.fit.nuisances import really_there
 from tracker.state import Frame
-from tracker.step import Tracker
+from tracker.tracker import Tracker
 
 
 def seam_errors_mm(

@@ -36,7 +36,7 @@ from robot_io import (
     link,
 )
 from tracker.state import Frame, Pose, Track
-from tracker.step import Tracker
+from tracker.tracker import Tracker
 
 CHANNELS = (f"test_moments_{n}" for n in itertools.count())
 ROWS = [FrameRow(n, 1.0 + 0.125 * n, True, True, 100.0, 0.0625) for n in range(40)]

@@ -18,7 +18,7 @@ from noise_model.setup import Setup
 from noise_model.surface.joint import BentSeam, Joint, seam_height_mm
 from noise_model.transforms import invert, transform
 from tracker.geometry import SensorGeometry
-from tracker.step import Tracker
+from tracker.tracker import Tracker
 
 
 def test_the_same_seed_makes_the_same_recording(seen_setup: Setup, tmp_path: Path) -> None:

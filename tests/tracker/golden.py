@@ -18,7 +18,7 @@ from rendered import CURRENT_A, EXPOSURE_S, frame_of, pose_at, small_setup
 from noise_model.setup import Setup
 from noise_model.surface.joint import SeamLine
 from tracker.state import Frame, Pose, Track
-from tracker.step import Tracker
+from tracker.tracker import Tracker
 
 HERE = Path(__file__).parent
 FRAMES, STRIPES, SEAMS = HERE / "golden", HERE / "golden_stripes.csv", HERE / "golden_seams.csv"

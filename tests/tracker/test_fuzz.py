@@ -19,7 +19,7 @@ from noise_model.setup import Setup
 from noise_model.surface.joint import Joint, SeamLine
 from tracker import flags
 from tracker.state import Frame, Pose, Track
-from tracker.step import Tracker
+from tracker.tracker import Tracker
 
 KINDS = ("noise", "black", "white", "flat", "random", "blocks", "rows", "columns", "salt", "half")
 LEAST_PX, MOST_PX = 16, 120

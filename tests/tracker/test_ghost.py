@@ -14,8 +14,8 @@ from noise_model.setup import Setup
 from noise_model.surface.joint import SeamLine, seam_height_mm
 from tracker.seam.locate import seam_point_tool
 from tracker.state import Frame, Pose, Track
-from tracker.step import Tracker
 from tracker.stripe.ghost import LEAST_LINES, LEAST_SHARE, second_light, second_place
+from tracker.tracker import Tracker
 
 N_SCAN, DEPTH, WIDTH, AMPLITUDE_E, DARK_E2 = 160, 120, 3.5, 4000.0, 2500.0
 SEAM = SeamLine(0.0, 0.5, -0.3)

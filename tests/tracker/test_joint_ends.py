@@ -24,7 +24,7 @@ from tracker.seam.joint_ends import (
     JointEnds,
     nominal_ends,
 )
-from tracker.step import Tracker
+from tracker.tracker import Tracker
 
 RATIO = FOUND_SHARE / FALSE_SHARE
 """Of a look that finds; as the shares are 0.9 and 0.1, one that does not has one over it."""

@@ -23,7 +23,7 @@ from tracker.seam.gaussian_process import (
 )
 from tracker.seam.steer import SeamAtTorch, seam_at_torch
 from tracker.state import Frame, Pose, Track
-from tracker.step import Tracker
+from tracker.tracker import Tracker
 
 ENDLESS = (-math.inf, math.inf)
 SEAM = SeamLine(0.0, 1.0, -0.5, 0.01, 0.004)

@@ -22,8 +22,9 @@ from noise_model.surface.joint import NOMINAL_SEAM, SeamLine, section
 from tracker import flags
 from tracker.geometry import SensorGeometry
 from tracker.state import Frame, Pose, Track
-from tracker.step import Tracker, TrackerState, step
+from tracker.step import TrackerState, step
 from tracker.stripe.read import Work
+from tracker.tracker import Tracker
 
 JOINTS = ("v_groove", "lap", "corrugation")
 SHARED = Path(__file__).parents[3] / "shared" / "recordings"

@@ -12,7 +12,7 @@ from rendered import frame_of, pose_at, small_setup, true_seam_tool, walk
 from noise_model.setup import Setup
 from noise_model.surface.joint import SeamLine
 from tracker import flags
-from tracker.step import Tracker
+from tracker.tracker import Tracker
 
 SEAM = SeamLine(0.0, 0.8, -0.3, 0.004, 0.001)
 NAMES = ("butt", "fillet", "ridge", "half_v", "u_groove", "edge")

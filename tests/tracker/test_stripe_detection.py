@@ -11,7 +11,6 @@ from rendered import CURRENT_A, EXPOSURE_S, SEED, frame_of, pose_at, small_setup
 from noise_model.surface.brdf import TABLE_1
 from noise_model.surface.joint import SeamLine
 from tracker.state import Frame
-from tracker.step import Tracker
 from tracker.stripe.detection import (
     CHANCE_SIGMAS,
     CLEAR_SIGMAS,
@@ -24,6 +23,7 @@ from tracker.stripe.detection import (
 )
 from tracker.stripe.expected import ExpectedStripe
 from tracker.stripe.viterbi import GAIN_CAP, OFFSET_STEP, matched_filter
+from tracker.tracker import Tracker
 
 N_SCAN, N, MIDDLE = 200, 60, 30
 EVERYWHERE = np.ones(N_SCAN, dtype=np.bool_)

@@ -14,9 +14,9 @@ from noise_model.condition import Condition
 from noise_model.forward import Renderer, draw_frame
 from tracker.geometry import SensorGeometry
 from tracker.state import Frame
-from tracker.step import Tracker
 from tracker.stripe.expected import expect_stripe
 from tracker.stripe.speckle import Speckle, speckle_variance_px2
+from tracker.tracker import Tracker
 
 
 def test_fine_grains_give_the_limits_of_the_closed_form() -> None:

@@ -1,0 +1,42 @@
+"""The tracker as most callers hold it: a setup's tables, the state between frames and the scratch."""
+
+from __future__ import annotations
+
+from noise_model.setup import Setup
+from tracker.geometry import SensorGeometry
+from tracker.measure import Reading
+from tracker.seam.correction import UNSTATED, Correction
+from tracker.state import Frame, Pose, Track
+from tracker.step import TrackerState, step_and_reading
+from tracker.stripe.read import Work
+from tracker.warm_up import OnCompiled, WarmUp, warm_up
+
+
+class Tracker:
+    """A thin holder of a setup's tables, the state and the scratch.
+
+    `reading` is the look at the last frame that its track rests on, None where none was taken.
+    """
+
+    def __init__(self, setup: Setup, use_arc_map: bool = True, correction: Correction = UNSTATED) -> None:
+        self.geometry = SensorGeometry.of(setup)
+        self.state = TrackerState()
+        self.reading: Reading | None = None
+        self.use_arc_map = use_arc_map
+        self.correction = correction
+        self._work = Work.of(self.geometry)
+
+    def step(self, frame: Frame, pose: Pose | None) -> Track:
+        """Track one frame and keep the new state."""
+        self.state, track, self.reading = step_and_reading(
+            self.geometry, self.state, frame, pose, self._work, self.use_arc_map, self.correction
+        )
+        return track
+
+    def warm_up(self, on_compiled: OnCompiled | None = None) -> WarmUp:
+        """Compile and load all that a step may need: afterwards no frame waits for it.
+
+        `on_compiled` hears each function as its compilation begins. The first time on a machine takes a
+        minute or two; what is compiled is kept on disk. The state is not touched.
+        """
+        return warm_up(self.geometry, self.correction, self.use_arc_map, on_compiled)

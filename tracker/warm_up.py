@@ -1,0 +1,204 @@
+"""Before the first frame: every path of a step taken once, so that nothing is compiled or loaded after it.
+
+The frames are made up: the stripe where the setup expects it, the arc's light where the map predicts it, and
+what may happen to both. Their tracks are thrown away.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass, replace
+
+import numba.core.event as numba_events
+import numpy as np
+
+from noise_model.arc.map import Scene, arc_kernel, make_scene
+from noise_model.arrays import Float64, Integers
+from noise_model.surface.joint import NOMINAL_SEAM, seam_frame
+from tracker.geometry import SensorGeometry
+from tracker.seam.correction import Correction
+from tracker.state import Frame, Pose
+from tracker.step import JUMPS_TO_RELEARN, LOST_TO_SEARCH, TrackerState, step
+from tracker.stripe.expected import ExpectedStripe, expect_stripe
+from tracker.stripe.read import Work, arc_map_of
+
+STRIPE_OVER_FULL_WELL = 0.3
+"""How bright the made-up stripe is."""
+
+TRACKED_FRAMES = 8
+"""So many frames in a row show the stripe in its place, 1 mm apart."""
+
+ASIDE_MM = 3.0
+"""How far a seam is off its place where it is to be searched."""
+
+
+@dataclass(frozen=True)
+class WarmUp:
+    """What a warm-up took: how many functions were compiled, and seconds in all."""
+
+    compiled: int
+    elapsed_s: float
+
+
+OnCompiled = Callable[[str, int, float], None]
+"""Hears a function's name as its compilation begins, how many there were before it, and seconds so far."""
+
+
+def warm_up(
+    geometry: SensorGeometry,
+    correction: Correction,
+    use_arc_map: bool = True,
+    on_compiled: OnCompiled | None = None,
+) -> WarmUp:
+    """Take every path of `step` for a setup's joint and types of numbers; its own state is not touched."""
+    began_s = time.perf_counter()
+    with _listening(on_compiled, began_s) as compiled:
+        work, state = Work.of(geometry), TrackerState()
+        for frame, pose in _frames(geometry):
+            state, _ = step(geometry, state, frame, pose, work, use_arc_map, correction)
+    return WarmUp(len(compiled), time.perf_counter() - began_s)
+
+
+def _frames(geometry: SensorGeometry) -> Iterator[tuple[Frame, Pose | None]]:
+    """Yield made-up frames and poses in the order in which a state meets them."""
+    rng = np.random.default_rng(0)
+    poses = _poses(geometry)
+    shown = _Picture.of(geometry, poses[0])
+    index = 0
+
+    def frame(image_dn: Integers, laser_on: bool = True, arc_on: bool = True) -> Frame:
+        nonlocal index
+        index += 1
+        setup = geometry.setup
+        current_a, exposure_s = setup.arc.current_a, setup.camera.exposure_s
+        return Frame(index, 0.04 * index, image_dn, exposure_s, current_a, laser_on, arc_on)
+
+    dark = shown.image(rng, stripe=0.0, arc=0.0)
+    for pose in poses[:TRACKED_FRAMES]:
+        yield frame(shown.image(rng)), pose
+    for arc in (0.0, 1.0, 3.0):
+        yield frame(shown.image(rng, arc=arc), arc_on=arc > 0.0), poses[TRACKED_FRAMES]
+        yield frame(shown.image(rng, stripe=0.0, arc=arc), laser_on=False), poses[TRACKED_FRAMES]
+    # Too bright, beside a reflection of its own, in part, and as noise alone.
+    pose = poses[TRACKED_FRAMES]
+    yield frame(shown.image(rng, stripe=10.0)), pose
+    yield frame(shown.image(rng, ghost=0.5)), pose
+    yield frame(shown.image(rng, share=0.6)), pose
+    yield frame(shown.image(rng, share=0.1)), pose
+    yield frame(np.full_like(dark, geometry.saturation_dn)), pose
+    # Elsewhere: a jump, which becomes the seam's place; then lost, searched and not where it should be.
+    for aside_mm, times in ((0.8, JUMPS_TO_RELEARN + 1), (ASIDE_MM, JUMPS_TO_RELEARN + 1)):
+        for _ in range(times):
+            yield frame(shown.image(rng, aside_px=aside_mm * geometry.pixels_per_mm)), pose
+    for _ in range(LOST_TO_SEARCH + 2):
+        yield frame(dark), pose
+    yield frame(shown.image(rng, aside_px=ASIDE_MM * geometry.pixels_per_mm)), pose
+    # Past the joint's end and before its start, then where nothing is seen.
+    for pose in (*poses[TRACKED_FRAMES:], poses[0]):
+        yield frame(shown.image(rng)), replace(pose, extrapolated=True)
+    for tilted in _tilted(poses[0]):
+        yield frame(shown.image(rng)), tilted
+    yield frame(shown.image(rng)), None
+
+
+def _poses(geometry: SensorGeometry) -> list[Pose]:
+    """Return poses along the nominal seam, the torch upright over it: some 1 mm apart, then both ends."""
+    joint = geometry.setup.joint
+    line = np.asarray(joint.seam_in_base_mm, dtype=np.float64)
+    middle = 0.5 * (line[0] + line[1])
+    direction = (line[1] - line[0]) / np.linalg.norm(line[1] - line[0])
+    points = [middle + n * direction for n in range(TRACKED_FRAMES + 1)]
+    beyond = (line[-1] - line[-2]) / np.linalg.norm(line[-1] - line[-2])
+    points += [line[0] - 5.0 * direction, line[-1] - 2.0 * beyond, line[-1] + 5.0 * beyond]
+    return [Pose(_upright_at(geometry, point)) for point in points]
+
+
+def _upright_at(geometry: SensorGeometry, point_base_mm: Float64) -> Float64:
+    """Return T_base_tool of a torch that stands upright over a point of the nominal seam."""
+    T_base_tool = seam_frame(geometry.setup.joint, point_base_mm)
+    T_base_tool[:3, 3] = point_base_mm
+    return T_base_tool
+
+
+def _tilted(pose: Pose) -> Iterator[Pose]:
+    """Yield the pose turned by some degrees about each axis, then so high and so low that nothing is seen."""
+    for axis in range(3):
+        i, j = (axis + 1) % 3, (axis + 2) % 3
+        turned = np.eye(4)
+        turned[i, i] = turned[j, j] = np.cos(0.05)
+        turned[i, j], turned[j, i] = -np.sin(0.05), np.sin(0.05)
+        yield replace(pose, T_base_tool=pose.T_base_tool @ turned)
+    for height_mm in (500.0, -500.0):
+        moved = np.eye(4)
+        moved[2, 3] = height_mm
+        yield replace(pose, T_base_tool=pose.T_base_tool @ moved)
+
+
+@dataclass(frozen=True)
+class _Picture:
+    """What a frame is made of, scan line by scan line: stripe and arc's light (n_scan, n_pos), e-."""
+
+    geometry: SensorGeometry
+    expected: ExpectedStripe | None
+    arc_e: Float64
+
+    @classmethod
+    def of(cls, geometry: SensorGeometry, pose: Pose) -> _Picture:
+        """Predict stripe and arc of a pose."""
+        scene: Scene = make_scene(geometry.setup, pose.T_base_tool, NOMINAL_SEAM)
+        arc_map = arc_map_of(geometry, arc_kernel(geometry.setup, scene, 1.0))
+        arc_e = arc_map.at(np.arange(geometry.n_scan * geometry.n_pos))
+        arc_e = np.nan_to_num(arc_e).astype(float).reshape(geometry.n_scan, geometry.n_pos)
+        return cls(geometry, expect_stripe(geometry, scene), arc_e)
+
+    def image(
+        self,
+        rng: np.random.Generator,
+        stripe: float = 1.0,
+        arc: float = 1.0,
+        ghost: float = 0.0,
+        share: float = 1.0,
+        aside_px: float = 0.0,
+    ) -> Integers:
+        """Return a frame (H, W) with so much of the stripe, of the arc, and of a ghost beside the stripe.
+
+        The stripe is in a share of the scan lines alone, and moved aside.
+        """
+        geometry, sensor = self.geometry, self.geometry.setup.sensor
+        charge_e = arc * self.arc_e
+        if self.expected is not None:
+            places = np.arange(geometry.n_pos) - self.expected.position_px[:, None] - aside_px
+            sigma = self.expected.sigma_px[:, None]
+            bells = np.exp(-0.5 * (places / sigma) ** 2) + ghost * np.exp(-0.5 * (places / sigma - 5.0) ** 2)
+            held = (np.arange(geometry.n_scan) < share * geometry.n_scan)[:, None]
+            charge_e = charge_e + stripe * STRIPE_OVER_FULL_WELL * sensor.full_well_e * bells * held
+        noise_e = np.sqrt(charge_e + geometry.dark_variance_e2) * rng.standard_normal(charge_e.shape)
+        codes = np.searchsorted(geometry.charge_e, charge_e + noise_e)
+        image = np.minimum(codes, len(geometry.charge_e) - 1).astype(sensor.dtype)
+        return np.ascontiguousarray(image.T if geometry.along_rows else image)
+
+
+@contextmanager
+def _listening(on_compiled: OnCompiled | None, began_s: float) -> Iterator[list[str]]:
+    """Give the names of the functions that numba compiles meanwhile, as they are."""
+    compiled: list[str] = []
+
+    class Listener(numba_events.Listener):  # type: ignore[misc]
+        def on_start(self, event: numba_events.Event) -> None:
+            function = event.data["dispatcher"].py_func
+            name = f"{function.__module__}.{function.__qualname__}"
+            if on_compiled is not None:
+                on_compiled(name, len(compiled), time.perf_counter() - began_s)
+            compiled.append(name)
+
+        def on_end(self, event: numba_events.Event) -> None:
+            pass
+
+    listener = Listener()
+    numba_events.register("numba:compile", listener)
+    try:
+        yield compiled
+    finally:
+        numba_events.unregister("numba:compile", listener)
