@@ -40,7 +40,7 @@ from tracker import flags
 from tracker.measure import Reading
 from tracker.state import NAN, Frame, Track
 from tracker.tracker import Tracker
-from tracker.warm_up import OnCompiled
+from tracker.warm_up import OnCompiled, WarmUp
 
 if TYPE_CHECKING:
     from arctrack.report.replay.pictures import ReplayPictures
@@ -69,6 +69,7 @@ class Replay:
     tracks: tuple[Track, ...]
     bad_frames: tuple[BadFrame, ...]
     warnings: tuple[str, ...]
+    warm_up: WarmUp
 
     @property
     def complaint(self) -> str | None:
@@ -116,11 +117,11 @@ def replay_recording(
     truth = read_truth(recording.path)
     make_folder(folder, ())
     # Compiling takes long, and so does loading what draws: before there is a bus that nobody reads meanwhile.
-    tracker_of(recording, options.use_arc_map).warm_up(on_compiled)
+    warm_up = tracker_of(recording, options.use_arc_map).warm_up(on_compiled)
     if not options.pictures:
-        return _replay(recording, truth, folder, options, None, on_frame)
+        return _replay(recording, truth, folder, options, warm_up, None, on_frame)
     with _load_drawing()(recording, truth, folder, on_drawn).after() as seen:
-        return _replay(recording, truth, folder, options, seen, on_frame)
+        return _replay(recording, truth, folder, options, warm_up, seen, on_frame)
 
 
 def _replay(
@@ -128,6 +129,7 @@ def _replay(
     truth: Truth | None,
     folder: Path,
     options: ReplayOptions,
+    warm_up: WarmUp,
     seen: SeenFile | None,
     on_frame: Callable[[int], None] | None,
 ) -> Replay:
@@ -163,7 +165,7 @@ def _replay(
         refusals={reason.name.lower(): count for reason, count in sorted(publisher.reasons.items())},
     )
     summary.write(folder)
-    return Replay(recording, folder, summary, tuple(tracks), tuple(bad_frames), moments.warnings)
+    return Replay(recording, folder, summary, tuple(tracks), tuple(bad_frames), moments.warnings, warm_up)
 
 
 def track_alone(

@@ -71,7 +71,8 @@ def triangulate(
     scan = scan[:n]
     if not is_in_order:
         order = np.argsort(y, kind="stable")
-        y, z, dy, dz, sigma = points[:, order]
+        # Rows that lie strided in memory are another type to the kernels, which they would compile for anew.
+        y, z, dy, dz, sigma = np.take(points, order, axis=1)
         scan, column = scan[order], float(np.median(np.diff(y)))
     return Profile(y, z, dy, dz, sigma, scan, column, beside_px[scan.astype(np.int64)])
 

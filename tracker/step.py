@@ -153,9 +153,8 @@ def step_and_reading(
 
 def _as_compiled_for(frame: Frame, pose: Pose) -> tuple[Frame, Pose]:
     """Return frame and pose in the layout that the kernels are compiled for: contiguous and writable."""
-    layout = ["C", "W"]
-    image_dn = np.require(frame.image_dn, requirements=layout)
-    T_base_tool = np.require(pose.T_base_tool, np.float64, layout)
+    image_dn = np.require(frame.image_dn, requirements=("C", "W"))
+    T_base_tool = np.require(pose.T_base_tool, np.float64, ("C", "W"))
     if image_dn is not frame.image_dn:
         frame = replace(frame, image_dn=image_dn)
     if T_base_tool is not pose.T_base_tool:

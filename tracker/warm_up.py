@@ -150,8 +150,8 @@ class _Picture:
         scene: Scene = make_scene(geometry.setup, pose.T_base_tool, NOMINAL_SEAM)
         arc_map = arc_map_of(geometry, arc_kernel(geometry.setup, scene, 1.0))
         arc_e = arc_map.at(np.arange(geometry.n_scan * geometry.n_pos))
-        arc_e = np.nan_to_num(arc_e).astype(float).reshape(geometry.n_scan, geometry.n_pos)
-        return cls(geometry, expect_stripe(geometry, scene), arc_e)
+        light_e = np.nan_to_num(arc_e).astype(np.float64).reshape(geometry.n_scan, geometry.n_pos)
+        return cls(geometry, expect_stripe(geometry, scene), light_e)
 
     def image(
         self,

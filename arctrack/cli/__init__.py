@@ -16,6 +16,7 @@ from arctrack.cli.inspect import inspect
 from arctrack.cli.plan import plan
 from arctrack.cli.replay import replay
 from arctrack.cli.simulate import simulate
+from arctrack.cli.warm import warm
 from arctrack.errors import ArctrackError
 
 BAD_INPUT = 2
@@ -36,6 +37,7 @@ app.command(epilog="Example: arctrack explain examples/v_groove 12 --out /tmp/fr
 app.command(epilog="Example: arctrack simulate /tmp/lap --joint lap --material zn_coated --seed 7")(simulate)
 app.command(epilog="Example: arctrack plan examples/v_groove --out /tmp/plan")(plan)
 app.command(epilog="Example: arctrack diagnose monday tuesday --workers 2")(diagnose)
+app.command(epilog="Example: arctrack warm examples/v_groove")(warm)
 app.add_typer(check)
 app.add_typer(calibrate)
 app.add_typer(figures)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Callable, Iterable
+from typing import TYPE_CHECKING
 
 from rich.console import Console
 from rich.progress import (
@@ -12,11 +13,15 @@ from rich.progress import (
     Progress,
     ProgressColumn,
     Task,
+    TaskID,
     TextColumn,
     TimeElapsedColumn,
     TimeRemainingColumn,
 )
 from rich.text import Text
+
+if TYPE_CHECKING:
+    from tracker.warm_up import WarmUp
 
 PLAIN_WIDTH = 160
 """Columns of a table that goes to a file or a pipe, where nobody knows a width."""
@@ -60,6 +65,26 @@ def track(bar: Progress, name: str, frames: int) -> Callable[[int], None]:
     """Add a bar over frames and return the function that moves it to a number of them."""
     task = bar.add_task(name, total=frames)
     return lambda done: bar.update(task, completed=done)
+
+
+def compiling(bar: Progress, name: str) -> Callable[[str, int, float], None]:
+    """Return the function that shows what is compiled before the first frame, and how long it has taken."""
+    tasks: list[TaskID] = []
+
+    def on_compiled(function: str, n_before: int, elapsed_s: float) -> None:
+        if not tasks:
+            tasks.append(bar.add_task(f"{name}: compiling", total=None))
+        what = f"{name}: compiling {function} ({elapsed_s:.0f} s; the first time takes some 80 s)"
+        bar.update(tasks[0], description=what, completed=n_before + 1)
+
+    return on_compiled
+
+
+def say_compiled(name: str, warm_up: WarmUp) -> None:
+    """Say on stderr what a warm-up compiled, where it had to."""
+    if warm_up.compiled:
+        took = f"compiled {warm_up.compiled} functions in {warm_up.elapsed_s:.0f} s"
+        print(f"arctrack: {name}: {took}; the next run finds them on disk", file=sys.stderr)
 
 
 class _Rate(ProgressColumn):

@@ -63,7 +63,9 @@ def replay(
                 on_drawn = None
                 if pictures:
                     on_drawn = console.track(bar, f"{recording.name}, pictures", len(recording.rows))
-                done = engine.replay_recording(recording, folder, options, on_frame, on_drawn)
+                on_compiled = console.compiling(bar, recording.name)
+                done = engine.replay_recording(recording, folder, options, on_frame, on_drawn, on_compiled)
+                console.say_compiled(recording.name, done.warm_up)
                 console.warn(f"{recording.path}: {warning}" for warning in done.warnings)
                 summaries.append(done.summary)
                 written.append(f"{recording.name}: results in {folder}")

@@ -53,7 +53,7 @@ def is_rotation(T: Float64) -> bool:
 
 def is_rigid(T_base_tool: Float64) -> bool:
     """Say whether an array is a pose, whatever its shape is."""
-    return T_base_tool.shape == (4, 4) and is_rotation(np.asarray(T_base_tool, dtype=np.float64))
+    return T_base_tool.shape == (4, 4) and is_rotation(np.require(T_base_tool, np.float64, ("C", "W")))
 
 
 def pose_checks(setup: Setup, T_base_tool: Float64) -> Checks:

@@ -1,0 +1,55 @@
+"""`arctrack warm`: compile before the shift, so that no frame waits for it."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+if TYPE_CHECKING:
+    from noise_model.setup import Setup
+    from tracker.seam.correction import Correction
+
+
+def warm(
+    setups: Annotated[
+        list[Path] | None,
+        typer.Argument(
+            help="Recordings, or recording.toml files; without any, the nominal setup of each joint."
+        ),
+    ] = None,
+) -> None:
+    """Compile the tracker for setups, and keep the machine code on disk.
+
+    A first run takes some minutes; where all has been compiled before, it takes seconds. `replay` does the
+    same for its own setup before it reads the first frame. An update of arctrack compiles anew what has
+    changed.
+    """
+    from arctrack.cli import console
+    from arctrack.errors import in_file
+    from tracker.tracker import Tracker
+
+    said: list[str] = []
+    with console.progress() as bar:
+        for name, setup, correction in _chosen(setups or []):
+            on_compiled = console.compiling(bar, name)
+            try:
+                done = Tracker(setup, correction=correction).warm_up(on_compiled)
+            except ValueError as error:
+                raise in_file(Path(name), str(error)) from error
+            said.append(f"{name}: {done.compiled} functions compiled, ready after {done.elapsed_s:.1f} s")
+    for line in said:
+        typer.echo(line)
+
+
+def _chosen(paths: list[Path]) -> list[tuple[str, Setup, Correction]]:
+    """Return name, setup and correction of each path, or of each joint's nominal setup."""
+    from arctrack.cli.setups import read_setup
+    from arctrack.nominal import DIMENSIONS, nominal_setup
+    from tracker.seam.correction import UNSTATED
+
+    if not paths:
+        return [(joint, nominal_setup(joint, "mild_steel"), UNSTATED) for joint in DIMENSIONS]
+    read = [(path, read_setup(path)) for path in paths]
+    return [(str(path), setup_file.setup, setup_file.correction) for path, setup_file in read]

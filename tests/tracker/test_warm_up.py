@@ -1,0 +1,98 @@
+"""After a warm-up no frame waits: no kernel is compiled, nor loaded from disk, whatever a frame shows.
+
+Each joint has a process of its own, forked before any kernel was used. In it every function that numba
+compiles, or finds on disk, counts: on an empty cache each of them would be compiled.
+"""
+
+import os
+import pickle
+import subprocess
+import sys
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from rendered import EXPOSURE_S, frame_of, pose_at, small_setup
+
+from arctrack.nominal import DIMENSIONS
+from noise_model.surface.joint import SeamLine
+from tracker.state import Frame, Pose
+
+ROOT = Path(__file__).resolve().parents[2]
+
+TRACK = """
+import gc, pickle, sys
+from numba.core.dispatcher import Dispatcher
+from tracker.tracker import Tracker
+
+def used():
+    return {
+        f"{d.py_func.__module__}.{d.py_func.__qualname__}{signature}"
+        for d in gc.get_objects() if isinstance(d, Dispatcher)
+        for signature in (*d.stats.cache_hits, *d.stats.cache_misses)
+    }
+
+setup, frames = pickle.loads(sys.stdin.buffer.read())
+tracker = Tracker(setup)
+tracker.warm_up()
+state, ready = tracker.state, used()
+valid = 0
+for frame, pose in frames:
+    valid += tracker.step(frame, pose).valid
+print(state.frames, valid, len(ready))
+print("\\n".join(sorted(used() - ready)))
+"""
+
+
+def recorded(joint: str) -> tuple[object, list[tuple[Frame, Pose | None]]]:
+    """Return a setup and frames of many kinds, by the forward model: none as the warm-up makes them up."""
+    setup, frames = small_setup(joint), []
+    rng = np.random.default_rng(7)
+    for index, x_mm in enumerate(np.arange(0.0, 12.0, 1.0)):
+        seam = SeamLine(y_mm=0.4 + 0.02 * x_mm, z_mm=-0.2)
+        pose = pose_at(float(x_mm), *rng.normal(0.0, 0.2, 2), tuple(rng.normal(0.0, 0.5, 3)))
+        laser, arc = (
+            [(1.0, 1.0), (1.0, 0.0), (0.0, 1.0), (5.0, 1.0)][index % 8 - 4] if index % 8 > 3 else (1.0, 1.0)
+        )
+        frames.append((frame_of(setup, pose, seam, laser=laser, arc=arc, index=index), pose))
+    frame, pose = frames[0]
+    image = frame.image_dn
+    ghost = np.maximum(image, np.roll(image, 14, axis=0) // 2)
+    noise = rng.integers(0, 60, image.shape, dtype=image.dtype)
+    halved = image.copy()
+    halved[:, : image.shape[1] // 2] = noise[:, : image.shape[1] // 2]
+    read_only = image.copy()
+    read_only.flags.writeable = False
+    aside = np.roll(image, 25, axis=0)
+    streaked = image.copy()
+    streaked[::9] = 255
+    pictures = [ghost, noise, halved, read_only, np.asfortranarray(image), image[:, ::-1], streaked]
+    pictures += [np.zeros_like(image), np.full_like(image, 255), image.T, *[aside] * 6, *[noise] * 5, image]
+    frames += [(replace(frame, index=50 + n, image_dn=p), pose) for n, p in enumerate(pictures)]
+    single = replace(
+        pose, T_base_tool=np.asfortranarray(pose.T_base_tool.astype(np.float32)), extrapolated=True
+    )
+    blind = [pose_at(0.0, 0.0, z_mm) for z_mm in (400.0, -400.0)]
+    frames += [(replace(frame, index=80 + n), other) for n, other in enumerate([single, *blind, None])]
+    frames.append((replace(frame, index=90, exposure_s=float("nan"), current_a=float("nan")), pose))
+    frames.append((replace(frame, index=91, exposure_s=2.0 * EXPOSURE_S, current_a=150.0), pose_at(5000.0)))
+    return setup, frames
+
+
+@pytest.mark.parametrize("joint", DIMENSIONS)
+def test_no_frame_waits_after_the_warm_up(joint: str) -> None:
+    done = subprocess.run(
+        [sys.executable, "-c", TRACK],
+        input=pickle.dumps(recorded(joint)),
+        capture_output=True,
+        check=False,
+        env={**os.environ, "PYTHONPATH": str(ROOT)},
+    )
+    assert done.returncode == 0, done.stderr.decode()
+    counts, *waited = done.stdout.decode().splitlines()
+    frames_before, valid, ready = map(int, counts.split())
+    assert frames_before == 0
+    assert valid > 0
+    assert ready > 30
+    assert [name for name in waited if name] == []
