@@ -53,7 +53,9 @@ def explain(
     typer.echo(words.offset_sentence(found))
     for check in found.track.checks:
         if not check.passed:
-            answer = f"{check.question.words}: {words.value_text(check)}, not {words.limit_text(check)}"
+            answer = f"{check.question.words}: {words.value_text(check)}"
+            if check.question.demand != "yes":
+                answer += f", demanded {words.limit_text(check)}"
             typer.echo(f"  {check.flag.name}: {check.flag.meaning} ({answer})")
     for sentence in (words.arc_sentence(found), f"page  {path}"):
         if sentence:

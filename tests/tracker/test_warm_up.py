@@ -21,6 +21,9 @@ from tracker.state import Frame, Pose
 
 ROOT = Path(__file__).resolve().parents[2]
 
+LIGHTS = [(1.0, 1.0)] * 4 + [(1.0, 0.0), (0.0, 1.0), (0.0, 0.0), (5.0, 1.0)]
+"""Levels of laser and arc, frame by frame."""
+
 TRACK = """
 import gc, pickle, sys
 from numba.core.dispatcher import Dispatcher
@@ -52,9 +55,7 @@ def recorded(joint: str) -> tuple[object, list[tuple[Frame, Pose | None]]]:
     for index, x_mm in enumerate(np.arange(0.0, 12.0, 1.0)):
         seam = SeamLine(y_mm=0.4 + 0.02 * x_mm, z_mm=-0.2)
         pose = pose_at(float(x_mm), *rng.normal(0.0, 0.2, 2), tuple(rng.normal(0.0, 0.5, 3)))
-        laser, arc = (
-            [(1.0, 1.0), (1.0, 0.0), (0.0, 1.0), (5.0, 1.0)][index % 8 - 4] if index % 8 > 3 else (1.0, 1.0)
-        )
+        laser, arc = LIGHTS[index % len(LIGHTS)]
         frames.append((frame_of(setup, pose, seam, laser=laser, arc=arc, index=index), pose))
     frame, pose = frames[0]
     image = frame.image_dn
@@ -70,9 +71,7 @@ def recorded(joint: str) -> tuple[object, list[tuple[Frame, Pose | None]]]:
     pictures = [ghost, noise, halved, read_only, np.asfortranarray(image), image[:, ::-1], streaked]
     pictures += [np.zeros_like(image), np.full_like(image, 255), image.T, *[aside] * 6, *[noise] * 5, image]
     frames += [(replace(frame, index=50 + n, image_dn=p), pose) for n, p in enumerate(pictures)]
-    single = replace(
-        pose, T_base_tool=np.asfortranarray(pose.T_base_tool.astype(np.float32)), extrapolated=True
-    )
+    single = Pose(np.asfortranarray(pose.T_base_tool.astype(np.float32)), extrapolated=True)
     blind = [pose_at(0.0, 0.0, z_mm) for z_mm in (400.0, -400.0)]
     frames += [(replace(frame, index=80 + n), other) for n, other in enumerate([single, *blind, None])]
     frames.append((replace(frame, index=90, exposure_s=float("nan"), current_a=float("nan")), pose))
