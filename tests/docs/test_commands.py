@@ -1,0 +1,192 @@
+"""Every command of the documentation is run or, where that cannot be, parsed by what it names."""
+
+from __future__ import annotations
+
+import argparse
+import os
+import re
+import runpy
+import shlex
+import shutil
+import subprocess
+import sys
+import tomllib
+from pathlib import Path
+from typing import Any
+
+import pytest
+import typer
+from pages import EVERY_PAGE, ROOT, blocks, commands, name, quoted_commands
+
+from arctrack.cli import app
+
+PARSED_ONLY = {
+    r"python3 -m venv ": "the README's two set up an environment; CI runs the second, which runs this test",
+    r"pip install ": "needs a package index",
+    r"pytest ": "is run as a test of its own",
+    r"python benchmarks/": "takes minutes to hours",
+    r"arctrack diagnose check ": "takes hours, and needs Mitsuba",
+    r".*\b(monday|tuesday)\b": "names the reader's own recordings",
+    r".*\bsocketcan:": "needs CAN hardware",
+    r"arctrack (calibrate hand-eye|.*/tmp/found.toml)": "refuses the shipped example, whose seam bends",
+    r"arctrack figures effects ": "takes a minute; tests/arctrack/test_effects_page.py draws each of them",
+}
+"""Commands that are parsed and not run, as regular expressions, and why."""
+
+SETUP = re.compile(r"python3 -m venv .venv && .venv/bin/pip install -q [^&]* && ")
+"""What the README's commands begin with: it is CI's, and no part of what arctrack reads."""
+
+
+def is_run(command: str) -> bool:
+    return not any(re.match(pattern, command) for pattern in PARSED_ONLY)
+
+
+class _ParsedError(Exception):
+    """A script has read its command line."""
+
+
+def parse_arctrack(words: list[str]) -> None:
+    """Read a command line as `arctrack` does, and do nothing."""
+    command = typer.main.get_command(app)
+    _do_nothing(command)
+    with pytest.raises(SystemExit) as ended:
+        command(args=words, prog_name="arctrack")
+    assert not ended.value.code, f"exit code {ended.value.code}"
+
+
+def _do_nothing(command: Any) -> None:
+    """Take what a command does from it and from those below it; what reads its options stays."""
+    for below in getattr(command, "commands", {}).values():
+        _do_nothing(below)
+        if not hasattr(below, "commands"):
+            below.callback = None
+
+
+def parse_script(words: list[str], monkeypatch: pytest.MonkeyPatch) -> None:
+    """Read a command line as a script does that has one."""
+    path = ROOT / words[0]
+    if "parse_args" not in path.read_text(encoding="utf-8"):
+        assert not [word for word in words[1:] if word.startswith("-")]
+        return
+    parse = argparse.ArgumentParser.parse_args
+
+    def parse_and_stop(parser: argparse.ArgumentParser) -> None:
+        parse(parser)
+        raise _ParsedError
+
+    monkeypatch.setattr(argparse.ArgumentParser, "parse_args", parse_and_stop)
+    monkeypatch.setattr(sys, "argv", words)
+    monkeypatch.syspath_prepend(path.parent)
+    with pytest.raises(_ParsedError):
+        runpy.run_path(str(path), run_name="__main__")
+
+
+def check_pytest(words: list[str]) -> None:
+    for word in words:
+        if not word.startswith("-"):
+            path, _, test = word.partition("::")
+            assert f"def {test}" in (ROOT / path).read_text(encoding="utf-8")
+
+
+def check_install(words: list[str]) -> None:
+    extras = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]["optional-dependencies"]
+    for extra in re.findall(r"\[(\w+)\]", " ".join(words)):
+        assert extra in extras
+
+
+def parse(command: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Hold a command against the program that it names."""
+    program, *words = shlex.split(SETUP.sub("", command).removeprefix("taskset -c 0 "))
+    program = Path(program).name
+    if program == "arctrack":
+        parse_arctrack(words)
+    elif program == "pytest":
+        check_pytest([word for word in words if word.startswith("tests/")])
+    elif program == "pip":
+        check_install(words)
+    elif program == "python" and words[0] == "-m":
+        module = ROOT.joinpath(*words[1].split("."))
+        assert module.with_suffix(".py").exists()
+    elif program == "python":
+        parse_script(words, monkeypatch)
+    else:
+        raise AssertionError(f"no test knows {program}")
+
+
+ALL = sorted({(name(page), command) for page in EVERY_PAGE for command in commands(page)})
+QUOTED = sorted({(name(page), command) for page in EVERY_PAGE for command in quoted_commands(page)})
+
+
+@pytest.mark.parametrize(("page", "command"), ALL + QUOTED)
+def test_every_command_is_one(page: str, command: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    parse(command, monkeypatch)
+
+
+def examples(command: Any) -> list[str]:
+    """Return the examples that the help of a command, and of those below it, ends with."""
+    found = re.findall(r"Example: (arctrack .+)", command.epilog or "")
+    return found + [line for below in getattr(command, "commands", {}).values() for line in examples(below)]
+
+
+@pytest.mark.parametrize("command", sorted({*examples(typer.main.get_command(app))}))
+def test_every_example_of_the_help_is_one(command: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    parse(command, monkeypatch)
+
+
+@pytest.mark.parametrize(
+    "command",
+    [
+        "arctrack replay examples/v_groove --no-map",
+        "arctrack simulat /tmp/lap",
+        "arctrack explain examples/v_groove twelve",
+        "python benchmarks/seam_error.py --simulated 3",
+        "python benchmarks/arc_image.py --all",
+        "pytest tests/test_house.py::test_of_nothing",
+        "pip install 'arctrack[everything]'",
+        "sudo reboot",
+    ],
+)
+def test_a_command_that_is_none_is_seen(command: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    with pytest.raises((SystemExit, AssertionError, FileNotFoundError)):
+        parse(command, monkeypatch)
+
+
+@pytest.fixture
+def scratch(tmp_path: Path) -> Path:
+    """Return a folder that looks to a command like the repository, with /tmp of its own."""
+    shutil.copytree(
+        ROOT / "examples", tmp_path / "clone" / "examples", ignore=shutil.ignore_patterns("results")
+    )
+    for folder in ("docs", "benchmarks"):
+        (tmp_path / "clone" / folder).symlink_to(ROOT / folder)
+    (tmp_path / "tmp").mkdir()
+    return tmp_path
+
+
+def run(command: list[str], scratch: Path) -> str:
+    path = f"{Path(sys.executable).parent}:{os.environ['PATH']}"
+    done = subprocess.run(
+        command,
+        cwd=scratch / "clone",
+        env={**os.environ, "PATH": path, "COLUMNS": "120", "NO_COLOR": "1"},
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert done.returncode == 0, f"{command[-1]}\n{done.stdout}{done.stderr}"
+    return done.stdout + done.stderr
+
+
+def to_run(page: Path) -> list[str]:
+    return [command for command in commands(page) if is_run(command)]
+
+
+@pytest.mark.parametrize(
+    "page", [page for page in EVERY_PAGE if to_run(page) or blocks(page, "python")], ids=name
+)
+def test_commands_do_what_they_are_shown_to_do(page: Path, scratch: Path) -> None:
+    """Run a page from top to bottom: a command may use what one before it has written."""
+    for command in to_run(page):
+        run(["bash", "-euo", "pipefail", "-c", command.replace("/tmp/", f"{scratch / 'tmp'}/")], scratch)
+    for block in blocks(page, "python"):
+        run([sys.executable, "-W", "error", "-c", block.replace("/tmp/", f"{scratch / 'tmp'}/")], scratch)
