@@ -16,6 +16,7 @@ import arctrack
 
 @pytest.fixture(scope="module")
 def site(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    pytest.importorskip("sphinx", reason="arctrack[docs] is not installed")
     folder = tmp_path_factory.mktemp("site")
     built = subprocess.run(
         [
