@@ -120,7 +120,8 @@ def replay_recording(
     warm_up = tracker_of(recording, options.use_arc_map).warm_up(on_compiled)
     if not options.pictures:
         return _replay(recording, truth, folder, options, warm_up, None, on_frame)
-    with _load_drawing()(recording, truth, folder, on_drawn).after() as seen:
+    drawing = _load_drawing()(recording, truth, folder, options.use_arc_map, on_drawn)
+    with drawing.after() as seen:
         return _replay(recording, truth, folder, options, warm_up, seen, on_frame)
 
 

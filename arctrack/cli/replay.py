@@ -34,10 +34,10 @@ def replay(
         ),
     ] = True,
     pictures: Annotated[
-        bool, typer.Option("--pictures/--no-pictures", help="Write overlay.mp4 and overview.png.")
+        bool, typer.Option("--pictures/--no-pictures", help="Write overlay.mp4, overview.png, replay.html.")
     ] = True,
 ) -> None:
-    """Track recordings; write results.csv, summary.json, bus.blf, overlay.mp4 and overview.png.
+    """Track recordings; write results.csv, summary.json, bus.blf, overlay.mp4, overview.png, replay.html.
 
     The offsets go onto the named CAN bus. Where truth.csv exists, the errors are shown at the end.
     A frame that cannot be read gets a row with its flag, and the rest is tracked. A recording that fails does

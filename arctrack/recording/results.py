@@ -22,8 +22,8 @@ from tracker import flags
 from tracker.state import NAN, Track
 
 RESULTS_CSV, SUMMARY_JSON, BUS_LOG = "results.csv", "summary.json", "bus.blf"
-OVERLAY_VIDEO, OVERVIEW_PICTURE = "overlay.mp4", "overview.png"
-FILES = (RESULTS_CSV, SUMMARY_JSON, BUS_LOG, OVERLAY_VIDEO, OVERVIEW_PICTURE)
+OVERLAY_VIDEO, OVERVIEW_PICTURE, REPLAY_PAGE = "overlay.mp4", "overview.png", "replay.html"
+FILES = (RESULTS_CSV, SUMMARY_JSON, BUS_LOG, OVERLAY_VIDEO, OVERVIEW_PICTURE, REPLAY_PAGE)
 """Every file that a replay writes."""
 
 SUMMARY_FORMAT = "arctrack-summary/1"

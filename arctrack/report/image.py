@@ -33,10 +33,14 @@ def stripe_points_px(stripe: Stripe) -> Float64:
 
 def seam_point_px(track: Track, camera: Camera) -> Float64 | None:
     """Return the image point x y of a valid track's seam, None if it is not valid or out of the image."""
-    if not track.valid:
+    return project_tool_point(np.asarray(track.seam_tool_mm), camera) if track.valid else None
+
+
+def project_tool_point(point_tool_mm: Float64, camera: Camera) -> Float64 | None:
+    """Return the image point x y of a point (3,), mm, tool frame; None if unknown or out of the image."""
+    if not np.isfinite(point_tool_mm).all():
         return None
-    seam_camera = transform(invert(camera.T_tool_camera), np.asarray(track.seam_tool_mm)[None, :])
-    point = camera.project(seam_camera)[0]
+    point = camera.project(transform(invert(camera.T_tool_camera), point_tool_mm[None, :]))[0]
     inside = (point >= -0.5).all() and point[0] < camera.width and point[1] < camera.height
     return np.asarray(point) if inside else None
 

@@ -36,6 +36,7 @@ def test_a_replay_tracks_and_writes_every_file(simulated: Path, tmp_path: Path) 
         "bus.blf",
         "overlay.mp4",
         "overview.png",
+        "replay.html",
         "results.csv",
         "summary.json",
     ]

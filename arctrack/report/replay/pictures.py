@@ -10,10 +10,13 @@ from pathlib import Path
 
 from arctrack.output import writing
 from arctrack.recording import BadFrame, Recording, Truth
-from arctrack.recording.results import OVERLAY_VIDEO, OVERVIEW_PICTURE
+from arctrack.recording.results import OVERLAY_VIDEO, OVERVIEW_PICTURE, REPLAY_PAGE
 from arctrack.report.replay.overlay import OverlayVideo
 from arctrack.report.replay.overview import Overview
+from arctrack.report.replay.page import ReplayPage, frames_to_show
 from arctrack.report.replay.seen import Seen, SeenFile
+from arctrack.report.replay.view import Viewer
+from tracker.geometry import SensorGeometry
 from tracker.state import Frame
 
 
@@ -27,6 +30,7 @@ class ReplayPictures:
     recording: Recording
     truth: Truth | None
     folder: Path
+    use_arc_map: bool
     on_drawn: Callable[[int], None] | None = None
 
     @contextmanager
@@ -48,18 +52,24 @@ class ReplayPictures:
             self._draw(seen, whole=True)
 
     def _draw(self, seen: SeenFile, whole: bool) -> None:
+        recording = self.recording
         if not len(seen):
             return
-        overview = Overview(self.recording)
+        overview = Overview(recording)
+        viewer = Viewer(SensorGeometry.of(recording.setup), self.truth)
+        page = ReplayPage(recording, self.truth, self.use_arc_map, viewer)
+        shown = set(frames_to_show(seen.flags)) if whole else set()
         path = self.folder / OVERLAY_VIDEO
-        with OverlayVideo(path, self.recording.setup, self.recording.frame_rate_hz) as overlay:
+        with OverlayVideo(path, recording.setup, recording.frame_rate_hz) as overlay:
             for n, (frame, each) in enumerate(self._frames(seen)):
                 overlay.write(frame, each.track, each.offset)
                 overview.add(frame, each.track, each.offset)
+                page.add(frame, each, viewer.view(frame, each) if n in shown else None)
                 if self.on_drawn is not None:
                     self.on_drawn(n + 1)
         if whole:
             overview.save(self.folder / OVERVIEW_PICTURE, self.truth)
+            page.save(self.folder / REPLAY_PAGE)
 
     def _frames(self, seen: SeenFile) -> Iterator[tuple[Frame | None, Seen]]:
         """Read the frames that were seen once more; None where one could not be read."""

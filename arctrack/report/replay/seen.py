@@ -30,24 +30,25 @@ class Seen:
 class SeenFile:
     """Keeps what was seen in a file: the memory that a replay takes does not grow with it.
 
-    Raises ArctrackError, which names the folder of the file, where it cannot be written.
+    `flags` are those of the tracks so far. Raises ArctrackError, which names the file's folder, where it
+    cannot be written.
     """
 
     def __init__(self, file: IO[bytes], folder: Path) -> None:
         self._file, self._folder = file, folder
-        self._count = 0
+        self.flags: list[int] = []
 
     def add(self, seen: Seen) -> None:
         """Keep what was seen of the next frame."""
         with writing(self._folder):
             pickle.dump(seen, self._file, pickle.HIGHEST_PROTOCOL)
-        self._count += 1
+        self.flags.append(seen.track.flags)
 
     def __len__(self) -> int:
-        return self._count
+        return len(self.flags)
 
     def __iter__(self) -> Iterator[Seen]:
         self._file.seek(0)
-        for _ in range(self._count):
+        for _ in range(len(self)):
             seen: Seen = pickle.load(self._file)
             yield seen

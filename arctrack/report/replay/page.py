@@ -1,0 +1,227 @@
+"""replay.html: a whole replay on one self-contained page, with a slider over its frames."""
+
+from __future__ import annotations
+
+import io
+import json
+import math
+import shlex
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from jinja2 import Environment, PackageLoader, StrictUndefined
+from PIL import Image
+
+from arctrack.output import write_whole
+from arctrack.recording import Recording, Truth
+from arctrack.recording.results import count_flags
+from arctrack.recording.score import score
+from arctrack.recording.setup_file import FILE_NAME
+from arctrack.report.embedded import binned, uri
+from arctrack.report.replay.seen import Seen
+from arctrack.report.replay.view import Profile, View, Viewer
+from noise_model.arrays import Float64, UInt8
+from robot_io import SeamOffset, Validity
+from tracker import flags
+from tracker.state import Frame, Track
+
+TEMPLATE = "replay.html.j2"
+
+MAX_SHOWN = 240
+"""Of a longer recording only so many frames keep picture, profile and all checks on the page."""
+
+FRAME_PX, MAP_PX = 640, 320
+"""Pictures are shrunk to about these widths."""
+
+JPEG_QUALITY = 75
+MAX_LINES, MAX_POINTS = 400, 400
+"""So many scan lines of the stripe, and so many points of a profile, are on the page at most."""
+
+ON_BUS = {Validity.VALID: "sent", Validity.HELD: "held"}
+
+
+def frames_to_show(frame_flags: Sequence[int], most: int = MAX_SHOWN) -> list[int]:
+    """Return the positions of the frames to keep pictures of: all, or `most` of a longer recording.
+
+    Half of those are evenly spaced, the others where the flags are not those of the frame before; where they
+    change more often, evenly chosen among them.
+    """
+    count = len(frame_flags)
+    if count <= most:
+        return list(range(count))
+    even = np.unique(np.linspace(0, count - 1, most // 2).round().astype(np.int64))
+    changed = 1 + np.flatnonzero(np.diff(np.asarray(frame_flags, dtype=np.int64)))
+    changed = np.setdiff1d(changed, even)
+    room = most - len(even)
+    if len(changed) > room:
+        changed = changed[np.linspace(0, len(changed) - 1, room).round().astype(np.int64)]
+    return sorted({*even.tolist(), *changed.tolist()})
+
+
+class ReplayPage:
+    """Collects what the page shows, frame by frame."""
+
+    def __init__(self, recording: Recording, truth: Truth | None, use_arc_map: bool, viewer: Viewer) -> None:
+        self._recording, self._truth, self._use_arc_map = recording, truth, use_arc_map
+        self._viewer = viewer
+        self._tracks: list[Track] = []
+        self._columns: dict[str, list[Any]] = {}
+        self._shown: dict[int, dict[str, Any]] = {}
+
+    def add(self, frame: Frame | None, seen: Seen, view: View | None) -> None:
+        """Take the next frame, None if it could not be read, and its view, None if it is not to be shown."""
+        track = seen.track
+        if view is not None:
+            self._shown[len(self._tracks)] = _view_json(view)
+        true_mm = self._viewer.truth_mm.get(track.frame)
+        for name, value in _numbers(frame, seen, true_mm).items():
+            self._columns.setdefault(name, []).append(value)
+        self._tracks.append(track)
+
+    def save(self, path: Path) -> None:
+        """Write the page; ArctrackError if it cannot be written."""
+        write_whole(path, self.html())
+
+    def html(self) -> str:
+        """Return the page, which needs no other file and no network."""
+        environment = Environment(
+            loader=PackageLoader("arctrack.report", "templates"),
+            autoescape=True,
+            undefined=StrictUndefined,
+            trim_blocks=True,
+            lstrip_blocks=True,
+        )
+        tracks, setup = self._tracks, self._recording.setup
+        camera = self._viewer.geometry.setup.camera
+        scored = None if self._truth is None else score(tracks, self._truth, setup.tolerance.seam_mm)
+        content = {
+            "name": self._recording.name,
+            "camera": {"width": camera.width, "height": camera.height},
+            "flags": [
+                {
+                    "mask": flag.mask,
+                    "name": flag.name,
+                    "meaning": flag.meaning,
+                    "invalidates": flag.invalidates,
+                }
+                for flag in flags.FLAGS
+            ],
+            "columns": self._columns,
+            "shown": self._shown,
+            "explain": self._explain_command(),
+        }
+        return environment.get_template(TEMPLATE).render(
+            recording=self._recording,
+            material=setup.material.name,
+            joint=setup.joint.type.replace("_", " "),
+            use_arc_map=self._use_arc_map,
+            count=len(tracks),
+            valid=sum(track.valid for track in tracks),
+            span_s=tracks[-1].timestamp_s - tracks[0].timestamp_s,
+            counts=count_flags(tracks),
+            score=scored,
+            width=camera.width,
+            height=camera.height,
+            has_truth=bool(self._viewer.truth_mm),
+            shown=len(self._shown),
+            # A "<" in a name would end the script element.
+            content=json.dumps(content, allow_nan=False, separators=(",", ":")).replace("<", "\\u003c"),
+        )
+
+    def _explain_command(self) -> str:
+        """Return the command that writes a frame's own page, but for the frame's number at its end."""
+        recording = self._recording
+        command = "arctrack explain"
+        if recording.setup_path != recording.path / FILE_NAME:
+            command += f" --setup {shlex.quote(str(recording.setup_path))}"
+        if not self._use_arc_map:
+            command += " --no-arc-map"
+        return f"{command} {shlex.quote(str(recording.path))}"
+
+
+def _numbers(frame: Frame | None, seen: Seen, true_mm: Float64 | None) -> dict[str, Any]:
+    """Return a frame's numbers; what is not known is None."""
+    track, offset = seen.track, seen.offset
+    _, seam_y_mm, seam_z_mm = track.seam_tool_mm
+    values = {
+        "time_s": track.timestamp_s,
+        "seam_y_mm": seam_y_mm,
+        "seam_z_mm": seam_z_mm,
+        "sigma_y_mm": track.sigma_y_mm,
+        "sigma_z_mm": track.sigma_z_mm,
+        "true_y_mm": math.nan if true_mm is None else true_mm[1],
+        "true_z_mm": math.nan if true_mm is None else true_mm[2],
+        "offset_y_mm": offset.offset_y_mm,
+        "offset_z_mm": offset.offset_z_mm,
+        "torch_y_mm": track.offset_y_mm,
+        "torch_z_mm": track.offset_z_mm,
+        "torch_sigma_y_mm": track.offset_sigma_y_mm,
+        "torch_sigma_z_mm": track.offset_sigma_z_mm,
+        "gap_mm": track.gap_mm,
+        "mismatch_mm": track.mismatch_mm,
+        "confidence": track.confidence,
+        "arc_level": track.arc_level,
+        "map_misfit": track.map_misfit,
+        "fov_margin_mm": track.fov_margin_mm,
+        "compute_ms": seen.compute_ms,
+        "current_a": math.nan if frame is None else frame.current_a,
+        "exposure_ms": math.nan if frame is None else 1000.0 * frame.exposure_s,
+    }
+    return {
+        "frame": track.frame,
+        "flags": track.flags,
+        "valid": int(track.valid),
+        "bus": _on_bus(offset),
+        "laser": None if frame is None else int(frame.laser_on),
+        "arc": None if frame is None else int(frame.arc_on),
+        **{name: _rounded(value) for name, value in values.items()},
+    }
+
+
+def _rounded(value: float) -> float | None:
+    return round(float(value), 5) if math.isfinite(value) else None
+
+
+def _on_bus(offset: SeamOffset) -> str:
+    return ON_BUS.get(offset.validity, "none")
+
+
+def _view_json(view: View) -> dict[str, Any]:
+    """Return a view for the page: image points in tenths of a px, points in the laser plane in um."""
+    step = max(1, math.ceil(len(view.stripe_px) / MAX_LINES))
+    return {
+        "frame": None if view.grey is None else _jpeg(view.grey, FRAME_PX),
+        "arc": None if view.arc_grey is None else _jpeg(view.arc_grey, MAP_PX),
+        "stripe": _points(view.stripe_px[::step], 10.0),
+        "saturated": np.flatnonzero(view.saturated[::step]).tolist(),
+        "expected": _points(view.expected_px[:: 2 * step], 10.0),
+        "seam": None if view.seam_px is None else _points(view.seam_px[None], 10.0)[0],
+        "truth": None if view.truth_px is None else _points(view.truth_px[None], 10.0)[0],
+        "profile": None if view.profile is None else _profile_json(view.profile),
+    }
+
+
+def _profile_json(profile: Profile) -> dict[str, Any]:
+    step = max(1, math.ceil(len(profile.points_mm) / MAX_POINTS))
+    return {
+        "points": _points(profile.points_mm[::step, 1:], 1000.0),
+        "off": np.flatnonzero(profile.off_section[::step]).tolist(),
+        "section": _points(profile.section_mm[:, 1:], 1000.0),
+        "expected": _points(profile.expected_mm[:, 1:], 1000.0),
+    }
+
+
+def _points(points: Float64, scale: float) -> list[list[int] | None]:
+    """Return points (n, 2) as whole numbers of a smaller unit, None where one is not known."""
+    whole = np.rint(points * scale)
+    return [[int(x), int(y)] if math.isfinite(x + y) else None for x, y in whole]
+
+
+def _jpeg(grey: UInt8, width_px: int) -> str:
+    bin_px = max(1, math.ceil(grey.shape[1] / width_px))
+    shown = binned(grey.astype(np.float32), bin_px).round().astype(np.uint8) if bin_px > 1 else grey
+    drawn = io.BytesIO()
+    Image.fromarray(shown).save(drawn, format="jpeg", quality=JPEG_QUALITY, optimize=True)
+    return uri("image/jpeg", drawn.getvalue())

@@ -1,0 +1,165 @@
+"""What a frame of a replay shows: pictures, stripe and seam in the image, profile and section in mm."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from arctrack.explain import arc_light
+from arctrack.recording import Truth
+from arctrack.report.image import project_tool_point, visible
+from arctrack.report.replay.seen import Seen
+from noise_model.arc.map import Scene, arc_kernel
+from noise_model.arrays import Bool, Float64, UInt8
+from noise_model.instrument.sensor import respond
+from noise_model.surface.joint import corrugation_height
+from noise_model.transforms import invert, transform
+from tracker.arc.transmission import Passage
+from tracker.geometry import SensorGeometry, meet_laser_plane, to_laser_plane
+from tracker.joint.measured import off_section
+from tracker.measure import Reading, expected_output
+from tracker.profile import triangulate
+from tracker.state import Frame, Stripe
+from tracker.stripe.expected import expect_stripe
+from tracker.stripe.read import arc_map_of
+
+BEHIND_MM = 1000.0
+"""The section's corners are followed along the seam from so far behind the torch to the laser's sheet."""
+
+NO_POINTS, NO_LINES = np.empty((0, 3)), np.zeros(0, dtype=bool)
+
+
+@dataclass(frozen=True, eq=False)
+class Profile:
+    """Points (n, 3) in the laser plane, mm, tool frame.
+
+    `off_section` (n,) marks those off the fitted section; `section_mm` and `expected_mm` (k, 3) are the
+    corners of the fitted section and of the expected one.
+    """
+
+    points_mm: Float64
+    off_section: Bool
+    section_mm: Float64
+    expected_mm: Float64
+
+
+@dataclass(frozen=True, eq=False)
+class View:
+    """A frame for people; image points are x, y in px.
+
+    `grey` and `arc_grey` (H, W) are the frame and the light that is expected without the laser, on one scale;
+    None where there is none. `stripe_px` and `expected_px` (n_scan, 2) are the fitted stripe and the expected
+    one by scan line, NaN where there is none; `saturated` (n_scan,) says where pixels were censored.
+    `seam_px` is the seam point that was measured, used or not, `truth_px` the true one.
+    """
+
+    grey: UInt8 | None
+    arc_grey: UInt8 | None
+    stripe_px: Float64
+    saturated: Bool
+    expected_px: Float64
+    seam_px: Float64 | None
+    truth_px: Float64 | None
+    profile: Profile | None
+
+
+class Viewer:
+    """Makes the views of a recording's frames, for the setup that its tracker had."""
+
+    def __init__(self, geometry: SensorGeometry, truth: Truth | None) -> None:
+        self.geometry = geometry
+        self.truth_mm: dict[int, Float64] = {}
+        if truth is not None:
+            self.truth_mm = dict(zip(truth.frames.tolist(), truth.seam_tool_mm, strict=True))
+
+    def view(self, frame: Frame | None, seen: Seen) -> View:
+        """Return the view of a frame, None if it could not be read."""
+        geometry, track, reading = self.geometry, seen.track, seen.reading
+        camera, sensor = geometry.setup.camera, geometry.setup.sensor
+        nowhere = np.full((geometry.n_scan, 2), np.nan)
+        true_mm = self.truth_mm.get(track.frame)
+        empty = View(
+            grey=None if frame is None else visible(frame.image_dn, sensor),
+            arc_grey=None,
+            stripe_px=nowhere,
+            saturated=np.zeros(geometry.n_scan, dtype=bool),
+            expected_px=nowhere,
+            # Where a seam was found is shown of a frame that is refused, too.
+            seam_px=project_tool_point(np.asarray(track.seam_tool_mm), camera),
+            truth_px=None if true_mm is None else project_tool_point(true_mm, camera),
+            profile=None,
+        )
+        if frame is None or reading is None or reading.scene.below_surface:
+            return empty
+        seen_so_far = replace(empty, arc_grey=self._arc_grey(frame, reading))
+        expected = expect_stripe(geometry, reading.scene)
+        if expected is None:
+            return seen_so_far
+        lines = np.arange(geometry.n_scan, dtype=np.float64)
+        inside = expected.shown & (expected.position_px >= 0.0) & (expected.position_px < geometry.n_pos)
+        expected_px = geometry.image_points(lines, np.where(inside, expected.position_px, np.nan))
+        seen_so_far = replace(seen_so_far, expected_px=expected_px)
+        stripe = track.stripe
+        if stripe is None:
+            return seen_so_far
+        return replace(
+            seen_so_far,
+            stripe_px=geometry.image_points(lines, stripe.position_px),
+            saturated=np.asarray(stripe.saturated, dtype=bool),
+            profile=self._profile(reading, stripe, expected.lean_px),
+        )
+
+    def _arc_grey(self, frame: Frame, reading: Reading) -> UInt8:
+        """Return the light that is expected without the laser, at the arc's level in the frame, as grey."""
+        geometry = self.geometry
+        output = expected_output(geometry.setup, frame)
+        kernel = arc_kernel(geometry.setup, reading.scene, output)
+        passage = Passage.of(
+            geometry, reading.scene, arc_map_of(geometry, kernel).at, output if frame.arc_on else 0.0
+        )
+        _, mean_e = arc_light(geometry, kernel, passage, reading.arc)
+        image_e = mean_e.T if geometry.along_rows else mean_e
+        sensor = geometry.setup.sensor
+        return visible(np.clip(respond(np.nan_to_num(image_e), sensor), 0.0, sensor.max_dn), sensor)
+
+    def _profile(self, reading: Reading, stripe: Stripe, lean_px: Float64) -> Profile | None:
+        geometry, scene, joint = self.geometry, reading.scene, reading.joint
+        centre_px = stripe.position_px - lean_px
+        profile = triangulate(geometry, scene, centre_px, stripe.sigma_px, stripe.beside_px)
+        if not profile.y_mm.size:
+            return None
+        centres_px = geometry.image_points(profile.scan, centre_px[profile.scan.astype(np.int64)])
+        points_mm, _ = to_laser_plane(geometry.setup, centres_px)
+        ends_mm = float(profile.y_mm[0]), float(profile.y_mm[-1])
+        corners = np.empty((0, 2)) if joint is None else joint.corners_mm
+        return Profile(
+            points_mm,
+            NO_LINES if joint is None else off_section(profile, joint),
+            self._in_laser_plane(scene, corners, ends_mm),
+            self._in_laser_plane(scene, scene.shape.vertices, ends_mm),
+        )
+
+    def _in_laser_plane(self, scene: Scene, corners_mm: Float64, ends_mm: tuple[float, float]) -> Float64:
+        """Return a section's corners (n, 2) as (y, z), joint frame, where the laser's sheet cuts it.
+
+        It is cut off where the profile ends.
+        """
+        if not len(corners_mm):
+            return NO_POINTS
+        first, last = ends_mm
+        y, z = corners_mm.T
+        inside = (y > first) & (y < last)
+        y = np.concatenate([[first], y[inside], [last]])
+        z = np.concatenate([[np.interp(first, *corners_mm.T)], z[inside], [np.interp(last, *corners_mm.T)]])
+        along_tool = np.tile(scene.T_joint_tool[0, :3], (len(y), 1))
+        T_tool_joint = invert(scene.T_joint_tool)
+        x = np.full(len(y), scene.T_joint_tool[0, 3])
+        points_tool = NO_POINTS
+        # A corrugation's height hangs on where the sheet cuts it, and that hardly on the height.
+        for _ in range(2):
+            raised = z + corrugation_height(x, scene.shape.corrugation)
+            behind = np.column_stack([np.full(len(y), scene.T_joint_tool[0, 3] - BEHIND_MM), y, raised])
+            points_tool = meet_laser_plane(self.geometry.setup, transform(T_tool_joint, behind), along_tool)
+            x = transform(scene.T_joint_tool, points_tool)[:, 0]
+        return points_tool

@@ -1,0 +1,312 @@
+"""replay.html: what it holds, and how it behaves in a real browser."""
+
+import csv
+import json
+import math
+import re
+import shlex
+import shutil
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+import pytest
+from browser import CHROMIUM, Page
+from hypothesis import given
+from hypothesis import strategies as st
+from made import noise_frames, small_setup, write
+
+from arctrack.recording import BadFrame, read_recording, read_truth
+from arctrack.recording.results import REPLAY_PAGE
+from arctrack.replay import replay_recording, tracker_of
+from arctrack.report.replay import pictures
+from arctrack.report.replay.page import frames_to_show
+from arctrack.report.replay.seen import Seen
+from arctrack.report.replay.view import Viewer
+from noise_model.transforms import transform
+from robot_io import SeamOffset, Validity
+from tracker import flags
+from tracker.profile import triangulate
+from tracker.stripe.expected import expect_stripe
+
+needs_browser = pytest.mark.skipif(CHROMIUM is None, reason="needs Chromium: apt-get install chromium")
+
+BAD = 5
+"""The frame that cannot be read."""
+
+
+@pytest.fixture(scope="module")
+def recording_path(simulated: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Return a recording whose name and one frame are trouble."""
+    path = tmp_path_factory.mktemp("page") / "a<b> & 'c'</script>"
+    shutil.copytree(simulated, path)
+    frame = path / "frames" / f"{BAD:06d}.png"
+    frame.write_bytes(frame.read_bytes()[:500])
+    return path
+
+
+@pytest.fixture(scope="module")
+def results(recording_path: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("results")
+    replay_recording(read_recording(recording_path), folder)
+    return folder
+
+
+@pytest.fixture(scope="module")
+def browser(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Page]:
+    with Page(tmp_path_factory.mktemp("chromium")) as page:
+        yield page
+
+
+@pytest.fixture
+def page(browser: Page, results: Path) -> Iterator[Page]:
+    """Yield the page at its first frame; it must not complain."""
+    browser.complaints.clear()
+    browser.open(results / REPLAY_PAGE)
+    yield browser
+    assert browser.complaints == []
+
+
+def rows_of(folder: Path) -> list[dict[str, str]]:
+    with (folder / "results.csv").open() as file:
+        return list(csv.DictReader(file))
+
+
+def content_of(path: Path) -> dict[str, object]:
+    text = path.read_text()
+    start = text.index('id="replay">') + len('id="replay">')
+    content: dict[str, object] = json.loads(text[start : text.index("</script>", start)])
+    return content
+
+
+def shown_number(text: str) -> float:
+    """Return the first number of a text, NaN for a dash."""
+    number = re.match(r"[+−]?\d+(\.\d+)?", text)
+    return float(number[0].replace("−", "-")) if number else math.nan
+
+
+def assert_shows(text: str, value: str, digits: int) -> None:
+    """Hold a number that the page shows against its cell of results.csv."""
+    if value == "":
+        assert text.startswith(("–", "none")), text
+    else:
+        assert shown_number(text) == pytest.approx(float(value), abs=0.51 * 10.0**-digits)
+
+
+def test_it_needs_nothing_else(results: Path) -> None:
+    text = (results / REPLAY_PAGE).read_text()
+    assert (results / REPLAY_PAGE).stat().st_size < 2e6
+    without_data = re.sub(r"data:image/[a-z+]+;base64,[A-Za-z0-9+/=]*", "", text)
+    assert set(re.findall(r"\w+://[\w.]+", without_data)) <= {"http://www.w3.org"}
+    assert not re.search(r"<(link|iframe|script[^>]*src|img[^>]*src=\"(?!data))", without_data)
+
+
+def test_it_holds_the_numbers_of_the_results(results: Path) -> None:
+    columns = content_of(results / REPLAY_PAGE)["columns"]
+    assert isinstance(columns, dict)
+    rows = rows_of(results)
+    for name in ("seam_y_mm", "sigma_z_mm", "offset_y_mm", "gap_mm", "confidence", "arc_level", "map_misfit"):
+        for value, row in zip(columns[name], rows, strict=True):
+            assert (value is None) == (row[name] == "")
+            if value is not None:
+                assert value == pytest.approx(float(row[name]), abs=1e-4)
+    names = [flags.names(mask) for mask in columns["flags"]]
+    assert ["|".join(each) for each in names] == [row["flags"] for row in rows]
+    assert columns["laser"][BAD] is None
+
+
+@given(
+    st.lists(st.integers(0, 3), min_size=1, max_size=300),
+    st.integers(4, 40),
+)
+def test_frames_to_show(frame_flags: list[int], most: int) -> None:
+    shown = frames_to_show(frame_flags, most)
+    assert shown == sorted(set(shown))
+    assert len(shown) <= most
+    if len(frame_flags) <= most:
+        assert shown == list(range(len(frame_flags)))
+    else:
+        assert {0, len(frame_flags) - 1} <= set(shown)
+        changed = [n for n in range(1, len(frame_flags)) if frame_flags[n] != frame_flags[n - 1]]
+        if len(changed) <= most - most // 2:
+            assert set(changed) <= set(shown)
+
+
+def test_the_view_is_the_trackers_own(simulated: Path) -> None:
+    """The points in the tool frame are the profile's, and the section runs through the seam point."""
+    recording = read_recording(simulated)
+    tracker = tracker_of(recording, True)
+    viewer = Viewer(tracker.geometry, read_truth(simulated))
+    poses = recording.pose_buffer()
+    nothing = SeamOffset(math.nan, math.nan, 0.0, 0.0, Validity.REFUSED)
+    seen_valid = 0
+    for frame in recording.frames():
+        assert not isinstance(frame, BadFrame)
+        track = tracker.step(frame, recording.pose_at(poses, frame.timestamp_s))
+        view = viewer.view(frame, Seen(track, tracker.reading, nothing, math.nan))
+        assert view.grey is not None
+        assert view.grey.shape == frame.image_dn.shape
+        if not track.valid:
+            continue
+        seen_valid += 1
+        reading, stripe = tracker.reading, track.stripe
+        assert reading is not None
+        assert stripe is not None
+        assert view.profile is not None
+        expected = expect_stripe(tracker.geometry, reading.scene)
+        assert expected is not None
+        profile = triangulate(
+            tracker.geometry,
+            reading.scene,
+            stripe.position_px - expected.lean_px,
+            stripe.sigma_px,
+            stripe.beside_px,
+        )
+        points_joint = transform(reading.scene.T_joint_tool, view.profile.points_mm)
+        np.testing.assert_allclose(
+            points_joint[:, 1:], np.column_stack([profile.y_mm, profile.z_mm]), atol=1e-6
+        )
+        y, z = view.profile.section_mm[:, 1:].T
+        assert np.interp(track.seam_tool_mm[1], y, z) == pytest.approx(track.seam_tool_mm[2], abs=0.02)
+        plane = tracker.geometry.setup.laser.plane
+        assert np.abs(view.profile.section_mm @ plane[:3] + plane[3]).max() < 1e-6
+        # The true seam and the seam found lie on each other in the image, to within a pixel or two.
+        assert view.seam_px is not None
+        assert view.truth_px is not None
+        assert np.abs(view.seam_px - view.truth_px).max() < 3.0
+        # Off the stripe the predicted light is the frame's.
+        assert view.arc_grey is not None
+        if frame.arc_on:
+            rows = np.arange(frame.image_dn.shape[0])[:, None]
+            off = np.abs(rows - np.nanmean(view.stripe_px[:, 1])) > 30
+            apart = view.grey.astype(float) - view.arc_grey
+            assert np.abs(np.median(apart[np.broadcast_to(off, apart.shape)])) < 6.0
+    assert seen_valid > 5
+
+
+@needs_browser
+def test_the_slider_shows_the_numbers_of_the_results(page: Page, results: Path) -> None:
+    rows = rows_of(results)
+    assert page.value("document.querySelector('#slider').max") == str(len(rows) - 1)
+    for n, row in enumerate(rows):
+        page.value(
+            f"(() => {{ const s = document.querySelector('#slider'); s.value = {n}; "
+            "s.dispatchEvent(new Event('input', {bubbles: true})); })()"
+        )
+        assert page.value("document.querySelector('#number').value") == row["frame"]
+        assert page.text("#state") == ("valid" if row["valid"] == "1" else "no seam to use")
+        assert_shows(page.text("#time"), row["timestamp_s"], 3)
+        assert_shows(page.text("#value_seam_y"), row["seam_y_mm"], 3)
+        assert_shows(page.text("#value_seam_z"), row["seam_z_mm"], 3)
+        assert_shows(page.text("#value_offset_y"), row["offset_y_mm"], 3)
+        assert_shows(page.text("#value_confidence"), row["confidence"], 3)
+        assert_shows(page.text("#value_arc_level"), row["arc_level"], 3)
+        listed = page.value("[...document.querySelectorAll('#flags b')].map(e => e.textContent).join('|')")
+        assert listed == row["flags"]
+        if row["sigma_y_mm"]:
+            sigma = page.text("#value_seam_y").split("±")[1]
+            assert_shows(sigma.strip(), row["sigma_y_mm"], 3)
+        assert page.value("document.querySelector('#frame_missing').hidden") == (n != BAD)
+        drawn = page.value("document.querySelectorAll('#overlay path').length")
+        assert (drawn > 0) == (n != BAD)
+    cursors = page.value(
+        "[...document.querySelectorAll('#charts svg > line')].map(e => e.getAttribute('x1'))"
+    )
+    assert len(cursors) > 6
+
+
+@needs_browser
+def test_a_click_on_a_frame_opens_its_explanation(page: Page, results: Path, recording_path: Path) -> None:
+    rows = rows_of(results)
+    assert page.value("document.querySelector('#explanation').hidden")
+    for n in (BAD, 8):
+        page.open(results / REPLAY_PAGE, f"#frame={n}")
+        page.click("#picture")
+        assert not page.value("document.querySelector('#explanation').hidden")
+        said = page.text("#explanation")
+        assert f"Why frame {n} came out so" in said
+        for name in filter(None, rows[n]["flags"].split("|")):
+            (flag,) = (each for each in flags.FLAGS if each.name == name)
+            assert flag.meaning in said
+        asked = shlex.split(page.text("#command"))
+        assert asked == ["arctrack", "explain", str(recording_path), str(n)]
+        page.press("Escape")
+        assert page.value("document.querySelector('#explanation').hidden")
+    page.open(results / REPLAY_PAGE, "#frame=3&explain")
+    assert "Why frame 3 came out so" in page.text("#explanation")
+
+
+@needs_browser
+def test_it_goes_by_keys(page: Page) -> None:
+    def now() -> str:
+        return str(page.value("document.querySelector('#number').value"))
+
+    for key, frame in (
+        ("ArrowRight", "1"),
+        ("PageDown", "11"),
+        ("ArrowLeft", "10"),
+        ("End", "13"),
+        ("Home", "0"),
+    ):
+        page.press(key)
+        assert now() == frame
+    page.press("Enter")
+    assert not page.value("document.querySelector('#explanation').hidden")
+    page.press("End")
+    assert "Why frame 13" in page.text("#explanation")
+    page.press("Home")
+    page.press(" ")
+    assert page.text("#play") == "stop"
+    while now() != "13":
+        page.value("new Promise(done => setTimeout(done, 50))")
+    assert page.text("#play") == "play"
+    assert page.value("location.hash") == "#frame=13&explain"
+
+
+@needs_browser
+def test_it_fits_narrow_windows(page: Page) -> None:
+    for width in (1280, 800):
+        page.resize(width, 900)
+        assert page.value("document.documentElement.scrollWidth") <= width
+        chart = page.value("document.querySelector('#chart_seam_y').getBoundingClientRect().width")
+        assert 340 < chart <= width
+    page.resize(1280, 900)
+
+
+@needs_browser
+def test_a_click_into_a_chart_moves_there(page: Page) -> None:
+    page.click("#chart_seam_y")
+    assert page.value("document.querySelector('#number').value") in ("6", "7")
+
+
+@needs_browser
+def test_a_long_replay_says_what_it_leaves_out(
+    browser: Page, simulated: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(pictures, "frames_to_show", lambda masks: frames_to_show(masks, 4))
+    replay_recording(read_recording(simulated), tmp_path)
+    shown = content_of(tmp_path / REPLAY_PAGE)["shown"]
+    assert isinstance(shown, dict)
+    assert len(shown) == 4
+    browser.complaints.clear()
+    browser.open(tmp_path / REPLAY_PAGE)
+    assert "Of 14 frames, 4 keep picture and profile here" in browser.text("header")
+    out = next(n for n in range(14) if str(n) not in shown)
+    browser.value(f"show({out})")
+    assert "left out" in browser.text("#frame_missing")
+    assert str(max(n for n in map(int, shown) if n < out)) in browser.text("#frame_missing")
+    row = rows_of(tmp_path)[out]
+    assert_shows(browser.text("#value_arc_level"), row["arc_level"], 3)
+    browser.click("#picture")
+    assert f"Why frame {out}" in browser.text("#explanation")
+    assert browser.complaints == []
+
+
+@needs_browser
+def test_a_replay_that_sees_nothing_has_its_page(browser: Page, tmp_path: Path) -> None:
+    setup = small_setup(bits=12)
+    done = replay_recording(read_recording(write(tmp_path / "r", setup, noise_frames(setup, 1))))
+    browser.complaints.clear()
+    browser.open(done.folder / REPLAY_PAGE)
+    assert browser.text("h1").endswith("0 of 1 frames show a seam to use")
+    assert browser.complaints == []
