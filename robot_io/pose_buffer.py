@@ -62,11 +62,6 @@ class PoseAt:
     angular_velocity_base_rad_s: Float64
     period_s: float
 
-    @property
-    def pose_extrapolated(self) -> bool:
-        """True if the pose was extrapolated from earlier ones."""
-        return self.status is PoseStatus.EXTRAPOLATED
-
 
 class PoseBuffer:
     """The last `capacity` poses T_base_tool, and the pose at any time among them."""

@@ -85,8 +85,8 @@ def test_the_table_is_enforced(source: str, tmp_path: Path, monkeypatch: pytest.
 
 @pytest.mark.parametrize(
     "command",
-    [["ruff", "check", "."], ["ruff", "format", "--check", "."], ["mypy"]],
-    ids=["lint", "format", "types"],
+    [["ruff", "check", "."], ["ruff", "format", "--check", "."], ["mypy"], ["vulture"]],
+    ids=["lint", "format", "types", "dead code"],
 )
 def test_code_is_clean(command: list[str]) -> None:
     done = subprocess.run(

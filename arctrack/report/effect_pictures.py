@@ -147,12 +147,6 @@ def _in_few_colours(picture: UInt8) -> Image.Image:
     return few
 
 
-def described(path: Path) -> str:
-    """Return what a picture's file says it shows, nothing if it does not say."""
-    with Image.open(path) as picture:
-        return str(picture.info.get("Description", ""))
-
-
 @dataclass(frozen=True, eq=False)
 class Shown:
     """The scene that an effect is shown in: the setup without and with it."""

@@ -20,15 +20,13 @@ class BlockAgreement:
     """How a prediction and a reference agree over the `n_blocks` blocks that are not dark in both.
 
     `median_ratio` of prediction over reference; `within` the share of blocks that agree; `worst` the largest
-    deviation beyond the Monte-Carlo error, relative to the reference, and `worst_at` its block's middle
-    (row, column), px. Dark is what stays below `DARK_E`.
+    deviation beyond the Monte-Carlo error, relative to the reference. Dark is what stays below `DARK_E`.
     """
 
     n_blocks: int
     median_ratio: float
     within: float
     worst: float
-    worst_at: tuple[int, int]
 
 
 def compare_blocks(
@@ -52,13 +50,11 @@ def compare_blocks(
         beyond = np.maximum(np.abs(means[0] - means[1]) - SIGMAS * sigma, 0.0) / means[1]
         ratio = means[0] / means[1]
     beyond = np.where(lit, np.where(one_alone | np.isnan(beyond), np.inf, beyond), 0.0)
-    row, column = np.unravel_index(np.argmax(beyond), beyond.shape)
     return BlockAgreement(
         int(lit.sum()),
         float(np.median(ratio[lit & ~one_alone])),
         float(np.mean(beyond[lit] <= TOLERANCE)),
         float(beyond.max()),
-        (int(row) * BLOCK_PX + BLOCK_PX // 2, int(column) * BLOCK_PX + BLOCK_PX // 2),
     )
 
 
