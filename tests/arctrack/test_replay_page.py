@@ -18,7 +18,8 @@ from made import noise_frames, small_setup, write
 
 from arctrack.recording import BadFrame, read_recording, read_truth
 from arctrack.recording.results import REPLAY_PAGE
-from arctrack.replay import replay_recording, tracker_of
+from arctrack.replay import Replay, replay_recording, tracker_of
+from arctrack.report.explanation import words
 from arctrack.report.replay import pictures
 from arctrack.report.replay.page import frames_to_show
 from arctrack.report.replay.seen import Seen
@@ -46,10 +47,13 @@ def recording_path(simulated: Path, tmp_path_factory: pytest.TempPathFactory) ->
 
 
 @pytest.fixture(scope="module")
-def results(recording_path: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    folder = tmp_path_factory.mktemp("results")
-    replay_recording(read_recording(recording_path), folder)
-    return folder
+def replayed(recording_path: Path, tmp_path_factory: pytest.TempPathFactory) -> Replay:
+    return replay_recording(read_recording(recording_path), tmp_path_factory.mktemp("results"))
+
+
+@pytest.fixture(scope="module")
+def results(replayed: Replay) -> Path:
+    return replayed.folder
 
 
 @pytest.fixture(scope="module")
@@ -216,8 +220,8 @@ def test_the_slider_shows_the_numbers_of_the_results(page: Page, results: Path) 
 
 
 @needs_browser
-def test_a_click_on_a_frame_opens_its_explanation(page: Page, results: Path, recording_path: Path) -> None:
-    rows = rows_of(results)
+def test_a_click_on_a_frame_opens_its_explanation(page: Page, replayed: Replay, recording_path: Path) -> None:
+    results = replayed.folder
     assert page.value("document.querySelector('#explanation').hidden")
     for n in (BAD, 8):
         page.open(results / REPLAY_PAGE, f"#frame={n}")
@@ -225,9 +229,17 @@ def test_a_click_on_a_frame_opens_its_explanation(page: Page, results: Path, rec
         assert not page.value("document.querySelector('#explanation').hidden")
         said = page.text("#explanation")
         assert f"Why frame {n} came out so" in said
-        for name in filter(None, rows[n]["flags"].split("|")):
-            (flag,) = (each for each in flags.FLAGS if each.name == name)
-            assert flag.meaning in said
+        track = replayed.tracks[n]
+        assert track.flags
+        assert all(flag.meaning in said for flag in flags.FLAGS if track.flags & flag.mask)
+        for check in track.checks:
+            answer = f"{check.question.words}: {words.value_text(check)}; demanded: {words.limit_text(check)}"
+            assert (answer in said) == (not check.passed)
+        table = page.value(
+            "[...document.querySelectorAll('#explanation_checks tbody tr')].map(e => e.cells[3].textContent)"
+        )
+        assert table == [words.outcome_text(check) for check in track.checks]
+        assert page.value("document.querySelector('#all_checks').hidden") == (n == BAD)
         asked = shlex.split(page.text("#command"))
         assert asked == ["arctrack", "explain", str(recording_path), str(n)]
         page.press("Escape")
@@ -299,6 +311,7 @@ def test_a_long_replay_says_what_it_leaves_out(
     assert_shows(browser.text("#value_arc_level"), row["arc_level"], 3)
     browser.click("#picture")
     assert f"Why frame {out}" in browser.text("#explanation")
+    assert browser.value("document.querySelector('#all_checks').hidden")
     assert browser.complaints == []
 
 

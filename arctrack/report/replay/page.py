@@ -20,11 +20,13 @@ from arctrack.recording.results import count_flags
 from arctrack.recording.score import score
 from arctrack.recording.setup_file import FILE_NAME
 from arctrack.report.embedded import binned, uri
+from arctrack.report.explanation import words
 from arctrack.report.replay.seen import Seen
 from arctrack.report.replay.view import Profile, View, Viewer
 from noise_model.arrays import Float64, UInt8
 from robot_io import SeamOffset, Validity
 from tracker import flags
+from tracker.checks import Check
 from tracker.state import Frame, Track
 
 TEMPLATE = "replay.html.j2"
@@ -68,6 +70,8 @@ class ReplayPage:
         self._viewer = viewer
         self._tracks: list[Track] = []
         self._columns: dict[str, list[Any]] = {}
+        self._texts: dict[str, int] = {}
+        self._checks: list[list[list[int]]] = []
         self._shown: dict[int, dict[str, Any]] = {}
 
     def add(self, frame: Frame | None, seen: Seen, view: View | None) -> None:
@@ -75,6 +79,9 @@ class ReplayPage:
         track = seen.track
         if view is not None:
             self._shown[len(self._tracks)] = _view_json(view)
+        # Of a frame that is not shown the checks that passed would be much for little.
+        checks = [check for check in track.checks if view is not None or not check.passed]
+        self._checks.append([[self._text(text) for text in _check_texts(check)] for check in checks])
         true_mm = self._viewer.truth_mm.get(track.frame)
         for name, value in _numbers(frame, seen, true_mm).items():
             self._columns.setdefault(name, []).append(value)
@@ -109,6 +116,8 @@ class ReplayPage:
                 for flag in flags.FLAGS
             ],
             "columns": self._columns,
+            "texts": list(self._texts),
+            "checks": self._checks,
             "shown": self._shown,
             "explain": self._explain_command(),
         }
@@ -130,6 +139,10 @@ class ReplayPage:
             content=json.dumps(content, allow_nan=False, separators=(",", ":")).replace("<", "\\u003c"),
         )
 
+    def _text(self, text: str) -> int:
+        """Return the number under which the page keeps a text: most are said of many frames."""
+        return self._texts.setdefault(text, len(self._texts))
+
     def _explain_command(self) -> str:
         """Return the command that writes a frame's own page, but for the frame's number at its end."""
         recording = self._recording
@@ -139,6 +152,16 @@ class ReplayPage:
         if not self._use_arc_map:
             command += " --no-arc-map"
         return f"{command} {shlex.quote(str(recording.path))}"
+
+
+def _check_texts(check: Check) -> tuple[str, str, str, str]:
+    """Return what was asked of a frame, its answer, what is demanded, and what that means."""
+    return (
+        check.question.words,
+        words.value_text(check),
+        words.limit_text(check),
+        words.outcome_text(check),
+    )
 
 
 def _numbers(frame: Frame | None, seen: Seen, true_mm: Float64 | None) -> dict[str, Any]:

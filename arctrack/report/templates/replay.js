@@ -105,13 +105,12 @@ function rows(n) {
 
 function listFlags(list, n) {
   list.replaceChildren();
-  const found = raised(n);
-  for (const flag of found) {
+  for (const flag of raised(n)) {
     const item = html(list, "li", undefined, flag.invalidates ? "refused" : "noted");
     html(item, "b", flag.name);
     item.append(`: ${flag.meaning}${flag.invalidates ? "; the seam is not used" : ""}.`);
   }
-  if (!found.length) html(list, "li", "no flags");
+  if (!raised(n).length) html(list, "li", "no flags");
 }
 
 function showExplanation() {
@@ -124,7 +123,27 @@ function showExplanation() {
     : `It ${known(C.seam_y_mm[n]) ? "shows a seam that is not used" : "gives no seam"}: ` +
       raised(n).filter((flag) => flag.invalidates).map((flag) => flag.meaning).join("; ") + ".";
   listFlags(byId("explanation_flags"), n);
+  showChecks(n);
   byId("command").textContent = `${R.explain} ${C.frame[n]}`;
+}
+
+// What the step asked of the frame: [asked, answer, demanded, outcome], the flag of what failed in the outcome.
+function showChecks(n) {
+  const checks = R.checks[n].map((check) => check.map((k) => R.texts[k]));
+  const body = byId("explanation_checks").tBodies[0];
+  body.replaceChildren();
+  for (const check of checks) {
+    const row = html(body, "tr");
+    for (const text of check) html(row, "td", text);
+    row.lastChild.className = check[3].split(":")[0];
+  }
+  for (const item of byId("explanation_flags").children) {
+    const flag = item.firstChild.textContent;
+    for (const [asked, answer, demanded, outcome] of checks)
+      if (outcome.endsWith(`: ${flag}`)) html(item, "div", `${asked}: ${answer}; demanded: ${demanded}`, "note");
+  }
+  byId("all_checks").hidden = !R.shown[n] || !checks.length;
+  byId("checks_summary").textContent = `All ${checks.length} questions that the tracker asked of it, in order`;
 }
 
 function show(n) {
