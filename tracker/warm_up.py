@@ -64,8 +64,7 @@ def warm_up(
 def _frames(geometry: SensorGeometry) -> Iterator[tuple[Frame, Pose | None]]:
     """Yield made-up frames and poses in the order in which a state meets them."""
     rng = np.random.default_rng(0)
-    poses = _poses(geometry)
-    shown = _Picture.of(geometry, poses[0])
+    *tracked, start, middle, end, beyond = _poses(geometry)
     index = 0
 
     def frame(image_dn: Integers, laser_on: bool = True, arc_on: bool = True) -> Frame:
@@ -75,43 +74,49 @@ def _frames(geometry: SensorGeometry) -> Iterator[tuple[Frame, Pose | None]]:
         current_a, exposure_s = setup.arc.current_a, setup.camera.exposure_s
         return Frame(index, 0.04 * index, image_dn, exposure_s, current_a, laser_on, arc_on)
 
+    for pose in tracked:
+        yield frame(_Picture.of(geometry, pose).image(rng)), pose
+    shown = _Picture.of(geometry, middle)
     dark = shown.image(rng, stripe=0.0, arc=0.0)
-    for pose in poses[:TRACKED_FRAMES]:
-        yield frame(shown.image(rng)), pose
+    aside_px = geometry.pixels_per_mm * ASIDE_MM
     for arc in (0.0, 1.0, 3.0):
-        yield frame(shown.image(rng, arc=arc), arc_on=arc > 0.0), poses[TRACKED_FRAMES]
-        yield frame(shown.image(rng, stripe=0.0, arc=arc), laser_on=False), poses[TRACKED_FRAMES]
+        yield frame(shown.image(rng, arc=arc), arc_on=arc > 0.0), middle
+        yield frame(shown.image(rng, stripe=0.0, arc=arc), laser_on=False), middle
     # Too bright, beside a reflection of its own, in part, and as noise alone.
-    pose = poses[TRACKED_FRAMES]
-    yield frame(shown.image(rng, stripe=10.0)), pose
-    yield frame(shown.image(rng, ghost=0.5)), pose
-    yield frame(shown.image(rng, share=0.6)), pose
-    yield frame(shown.image(rng, share=0.1)), pose
-    yield frame(np.full_like(dark, geometry.saturation_dn)), pose
+    yield frame(shown.image(rng, stripe=10.0)), middle
+    yield frame(shown.image(rng, ghost=0.5)), middle
+    yield frame(shown.image(rng, share=0.6)), middle
+    yield frame(shown.image(rng, share=0.1)), middle
+    yield frame(np.full_like(dark, geometry.saturation_dn)), middle
     # Elsewhere: a jump, which becomes the seam's place; then lost, searched and not where it should be.
-    for aside_mm, times in ((0.8, JUMPS_TO_RELEARN + 1), (ASIDE_MM, JUMPS_TO_RELEARN + 1)):
-        for _ in range(times):
-            yield frame(shown.image(rng, aside_px=aside_mm * geometry.pixels_per_mm)), pose
+    for moved_px in (0.3 * aside_px, aside_px):
+        for _ in range(JUMPS_TO_RELEARN + 1):
+            yield frame(shown.image(rng, aside_px=moved_px)), middle
     for _ in range(LOST_TO_SEARCH + 2):
-        yield frame(dark), pose
-    yield frame(shown.image(rng, aside_px=ASIDE_MM * geometry.pixels_per_mm)), pose
-    # Past the joint's end and before its start, then where nothing is seen.
-    for pose in (*poses[TRACKED_FRAMES:], poses[0]):
-        yield frame(shown.image(rng)), replace(pose, extrapolated=True)
-    for tilted in _tilted(poses[0]):
+        yield frame(dark), middle
+    yield frame(shown.image(rng, aside_px=aside_px)), middle
+    yield frame(shown.image(rng)), middle
+    # Before the joint's start and past its end; then from where nothing is seen.
+    for pose in (start, end, beyond):
+        yield frame(_Picture.of(geometry, pose).image(rng)), replace(pose, extrapolated=True)
+    for tilted in _tilted(middle):
         yield frame(shown.image(rng)), tilted
     yield frame(shown.image(rng)), None
 
 
 def _poses(geometry: SensorGeometry) -> list[Pose]:
-    """Return poses along the nominal seam, the torch upright over it: some 1 mm apart, then both ends."""
+    """Return poses of a torch upright over the nominal seam.
+
+    TRACKED_FRAMES lead to the middle of its first segment, 1 mm apart; then come a place before the seam's
+    start, that middle, a place before its end and one past it.
+    """
     joint = geometry.setup.joint
     line = np.asarray(joint.seam_in_base_mm, dtype=np.float64)
-    middle = 0.5 * (line[0] + line[1])
     direction = (line[1] - line[0]) / np.linalg.norm(line[1] - line[0])
-    points = [middle + n * direction for n in range(TRACKED_FRAMES + 1)]
-    beyond = (line[-1] - line[-2]) / np.linalg.norm(line[-1] - line[-2])
-    points += [line[0] - 5.0 * direction, line[-1] - 2.0 * beyond, line[-1] + 5.0 * beyond]
+    onward = (line[-1] - line[-2]) / np.linalg.norm(line[-1] - line[-2])
+    middle = 0.5 * (line[0] + line[1])
+    points = [middle + (n - TRACKED_FRAMES) * direction for n in range(TRACKED_FRAMES)]
+    points += [line[0] - 5.0 * direction, middle, line[-1] - 2.0 * onward, line[-1] + 5.0 * onward]
     return [Pose(_upright_at(geometry, point)) for point in points]
 
 
@@ -172,8 +177,8 @@ class _Picture:
             places = np.arange(geometry.n_pos) - self.expected.position_px[:, None] - aside_px
             sigma = self.expected.sigma_px[:, None]
             bells = np.exp(-0.5 * (places / sigma) ** 2) + ghost * np.exp(-0.5 * (places / sigma - 5.0) ** 2)
-            held = (np.arange(geometry.n_scan) < share * geometry.n_scan)[:, None]
-            charge_e = charge_e + stripe * STRIPE_OVER_FULL_WELL * sensor.full_well_e * bells * held
+            held = self.expected.shown & (np.arange(geometry.n_scan) < share * geometry.n_scan)
+            charge_e = charge_e + stripe * STRIPE_OVER_FULL_WELL * sensor.full_well_e * bells * held[:, None]
         noise_e = np.sqrt(charge_e + geometry.dark_variance_e2) * rng.standard_normal(charge_e.shape)
         codes = np.searchsorted(geometry.charge_e, charge_e + noise_e)
         image = np.minimum(codes, len(geometry.charge_e) - 1).astype(sensor.dtype)

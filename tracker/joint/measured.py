@@ -209,7 +209,8 @@ def place(profile: Profile, corners: Float64, step_mm: float, limit_mm: float) -
     first, last = max(profile.y_mm[0], -profile.reach_mm), min(profile.y_mm[-1], profile.reach_mm)
     shifts = np.arange(first, last + step_mm, step_mm)
     every = max(1, len(profile.y_mm) // PLACED_BY)
-    return best_shift(profile.y_mm[::every], profile.z_mm[::every], corners, shifts, limit_mm)
+    y, z = (np.ascontiguousarray(along[::every]) for along in (profile.y_mm, profile.z_mm))
+    return best_shift(y, z, corners, shifts, limit_mm)
 
 
 def off_line(profile: Profile, line_mm: Float64) -> Float64:

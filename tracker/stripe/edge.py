@@ -95,7 +95,7 @@ def stripe_ends(light: StripeLight, last: int, first: int) -> tuple[StripeEnd, S
         return NOT_TOLD, NOT_TOLD
     ends = _fitted(light, shares[0], variances[0])
     # The other stripe seen from its own side.
-    begins = _fitted(light, shares[1, ::-1], variances[1, ::-1])
+    begins = _fitted(light, *(np.ascontiguousarray(lines[1, ::-1]) for lines in (shares, variances)))
     if math.isnan(ends.line) or math.isnan(begins.line):
         return NOT_TOLD, NOT_TOLD
     next_one = last - away * (clear - 1)
