@@ -13,8 +13,8 @@ from noise_model.arrays import Float64
 from tracker.stripe.expected import ExpectedStripe
 from tracker.stripe.fit import (
     CORRELATION_PX,
+    MAX_PIXELS,
     MIN_SIGMA_E,
-    MOST_PIXELS,
     WIDTH_LIMIT_LN,
     WIDTH_SIGMA_LN,
     WINDOW_SIGMAS,
@@ -83,7 +83,7 @@ def refusals(reading: StripeReading, expected: ExpectedStripe) -> Refusals:
     n_scan = len(reading.start_px)
     why, height, width_ratio = np.full(n_scan, READ, dtype="<U12"), *np.full((2, n_scan), np.nan)
     scratch = LineScratch(
-        np.arange(MOST_PIXELS).astype(np.float32),
+        np.arange(MAX_PIXELS).astype(np.float32),
         np.empty((N_PARAMETERS, N_PARAMETERS)),
         *(np.empty(N_PARAMETERS) for _ in range(3)),
     )

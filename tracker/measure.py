@@ -38,7 +38,7 @@ SEARCH_REACH_MM = 5.0
 TRACK_REACH_MM = 1.0
 """How far from its expected place it is looked for once it is known, beyond three sigmas of that place."""
 
-MIN_SHARE, GOOD_SHARE = 0.2, 0.75
+MIN_HELD_SHARE, WHOLE_SHARE = 0.2, 0.75
 """The share of the scan lines that the joint crosses which must hold a stripe, and below it is partial."""
 
 ARC_OFF_SIGMAS = 5.0
@@ -50,7 +50,7 @@ UNEXPLAINED_LIMIT = 0.1
 MIN_MARGIN_MM = 1.0
 """A seam nearer to the profile's end than this is out of view."""
 
-CLEAR_MM = 1.0
+BEYOND_REACH_MM = 1.0
 """So much farther than a stripe is followed its joint is looked for."""
 
 MAX_CURRENT_A, MAX_EXPOSURE_S = 1e4, 1e2
@@ -134,18 +134,18 @@ def _is_stripe(
     asked.ask(checks.LINES_SATURATED, int(stripe.saturated.sum()), 0.0)
     asked.ask(checks.STRIPE_INSIDE, not leaves_image(expected, stripe.position_px, geometry.n_pos))
     share = float(np.isfinite(stripe.position_px).sum()) / max(int(expected.shown.sum()), 1)
-    if not asked.ask(checks.LINES_HELD, share, MIN_SHARE):
+    if not asked.ask(checks.LINES_HELD, share, MIN_HELD_SHARE):
         return False
     path = path_of(look.offsets_px, expected.position_px, stripe.position_px)
     ratio = evidence_ratio(look.score, path, expected.shown)
     if not asked.ask(checks.STRIPE_EVIDENCE, ratio, MIN_RATIO):
         return False
-    if share < GOOD_SHARE:
+    if share < WHOLE_SHARE:
         band = look.band
         seen = seen_share(expected, stripe.position_px, stripe.amplitude_e, band.variance, band.censored)
         if not asked.ask(checks.CLEAR_LINES_HELD, seen, MIN_SEEN):
             return False
-    asked.ask(checks.STRIPE_WHOLE, share, GOOD_SHARE)
+    asked.ask(checks.STRIPE_WHOLE, share, WHOLE_SHARE)
     # Of what is no stripe nothing is the second.
     asked.ask(checks.SECOND_STRIPE, look.second_share, 0.0)
     return True
@@ -158,7 +158,7 @@ def profile_of(
     stripe, light = look.stripe, look.light(geometry.setup.camera.psf_sigma_px)
     position_px = stripe.position_px - expected.lean_px
     profile = triangulate(geometry, scene, position_px, stripe.sigma_px, stripe.beside_px)
-    return replace(profile, reach_mm=reach_mm + CLEAR_MM, light=light)
+    return replace(profile, reach_mm=reach_mm + BEYOND_REACH_MM, light=light)
 
 
 def measure_again(
@@ -188,7 +188,7 @@ def measure_again(
     there = replace(seam, station_mm=station, y_mm=float(displacement[0]), z_mm=float(displacement[1]))
     again = measure(geometry, frame, pose, there, TRACK_REACH_MM, work, use_arc_map)
     # What only a wrong map shows is no stripe: most of its lines are gone with the right one.
-    if again.joint is None and _lines_held(again) >= MIN_SHARE * _lines_held(placed):
+    if again.joint is None and _lines_held(again) >= MIN_HELD_SHARE * _lines_held(placed):
         return first
     # The narrow look does not see as far beside the stripe.
     answers = {check.question.id: check for check in again.checks.answers}

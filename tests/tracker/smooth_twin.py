@@ -7,10 +7,10 @@ import numpy as np
 from noise_model.arrays import Float64
 from tracker.stripe.smooth import (
     AGREE_SIGMAS,
-    LEAST_DRAWN,
-    LEAST_SURE_PX,
     LENGTHS,
-    MOST_MISSING,
+    MAX_MISSING,
+    MIN_DRAWN,
+    MIN_SURE_PX,
     OUTLIER_PX,
     OUTLIER_REACH,
     OUTLIER_SIGMAS,
@@ -40,7 +40,7 @@ def is_straight(y: Float64, sigma: Float64, low: int, length: int) -> bool:
     whole = line(y, sigma, low, low + length)[2]
     if length == LENGTHS[0]:
         missing = np.isnan(y[low : low + length]).sum()
-        return bool(missing <= MOST_MISSING and whole <= PIECE_CHI2)
+        return bool(missing <= MAX_MISSING and whole <= PIECE_CHI2)
     half = length // 2
     parts = [low, low + half // 2, low + half]
     if not all(is_straight(y, sigma, part, half) for part in parts):
@@ -77,7 +77,7 @@ def smooth_stripe(y: Float64, sigma: Float64) -> tuple[Float64, Float64]:
         for length in sorted(LENGTHS, reverse=True):
             for quarters in ((2,), (1, 3)):
                 for q in quarters:
-                    if length >= LEAST_DRAWN and is_straight(y, sigma, i - q * length // 4, length):
+                    if length >= MIN_DRAWN and is_straight(y, sigma, i - q * length // 4, length):
                         first = i - q * length // 8
                         found.append(line(y, sigma, first, first + length // 2 + 1, i)[:2])
                 found = [one for one in found if one[1] < sigma[i] ** 2]
@@ -88,5 +88,5 @@ def smooth_stripe(y: Float64, sigma: Float64) -> tuple[Float64, Float64]:
         if found:
             value, variance = min(found, key=lambda one: one[1])
             smooth[i], smooth_sigma[i] = value, np.sqrt(variance)
-    unsure = smooth_sigma > LEAST_SURE_PX
+    unsure = smooth_sigma > MIN_SURE_PX
     return np.where(unsure, np.nan, smooth), np.where(unsure, np.nan, smooth_sigma)

@@ -22,7 +22,7 @@ from tracker.state import Frame, Pose, Track
 from tracker.tracker import Tracker
 
 KINDS = ("noise", "black", "white", "flat", "random", "blocks", "rows", "columns", "salt", "half")
-LEAST_PX, MOST_PX = 16, 120
+MIN_PX, MAX_PX = 16, 120
 MATERIALS = ("mild_steel", "zn_coated")
 
 odd_numbers = st.sampled_from([math.nan, math.inf, -math.inf, 0.0, -1.0, 1e-12, 1e12])
@@ -38,7 +38,7 @@ def flat(setup: Setup) -> Setup:
 def setups(draw: st.DrawFn) -> Setup:
     """Joints of every type, stripes along rows and columns, 8 to 16 bits, small images."""
     name = draw(st.sampled_from(["flat", *DIMENSIONS]))
-    width, height = draw(st.integers(LEAST_PX, MOST_PX)), draw(st.integers(LEAST_PX, MOST_PX))
+    width, height = draw(st.integers(MIN_PX, MAX_PX)), draw(st.integers(MIN_PX, MAX_PX))
     material = draw(st.sampled_from(MATERIALS))
     setup = nominal_setup("lap" if name == "flat" else name, material, width=width, height=height)
     setup = flat(setup) if name == "flat" else setup
@@ -93,7 +93,7 @@ def seen_dn(setup: Setup, pose: Pose, rng: np.random.Generator) -> np.ndarray:
     condition = Condition(rng.choice([0.1, 1.0, 10.0]), rng.choice([0.0, 1.0]), setup.camera.exposure_s)
     image = draw_frame(setup, pose.T_base_tool, condition, rng, seam=seam).astype(float)
     top, left = rng.integers(0, image.shape[0]), rng.integers(0, image.shape[1])
-    hidden = image[top : top + rng.integers(1, MOST_PX), left : left + rng.integers(1, MOST_PX)]
+    hidden = image[top : top + rng.integers(1, MAX_PX), left : left + rng.integers(1, MAX_PX)]
     hidden[:] = image_dn(rng.choice(KINDS), hidden.shape, setup.sensor.max_dn, rng)
     return image
 
@@ -107,7 +107,7 @@ def frames(draw: st.DrawFn, setup: Setup, pose: Pose | None) -> Frame:
     if not draw(st.integers(0, 9)):
         dtype = draw(st.sampled_from([np.uint8, np.uint16, np.int16, np.float32, np.bool_, ">u2"]))
     if not draw(st.integers(0, 9)):
-        shape = draw(st.tuples(st.integers(0, MOST_PX), st.integers(0, MOST_PX)))
+        shape = draw(st.tuples(st.integers(0, MAX_PX), st.integers(0, MAX_PX)))
     if dtype == np.uint16 and draw(st.booleans()):
         most_dn = 65535
     rng = np.random.default_rng(draw(st.integers(0, 2**32)))

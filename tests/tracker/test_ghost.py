@@ -14,7 +14,7 @@ from noise_model.setup import Setup
 from noise_model.surface.joint import SeamLine, seam_height_mm
 from tracker.seam.locate import seam_point_tool
 from tracker.state import Frame, Pose, Track
-from tracker.stripe.ghost import LEAST_LINES, LEAST_SHARE, second_light, second_place
+from tracker.stripe.ghost import MIN_GHOST_LINES, MIN_GHOST_SHARE, second_light, second_place
 from tracker.tracker import Tracker
 
 N_SCAN, DEPTH, WIDTH, AMPLITUDE_E, DARK_E2 = 160, 120, 3.5, 4000.0, 2500.0
@@ -77,8 +77,8 @@ def test_what_is_too_weak_too_rare_or_not_parallel_is_none() -> None:
     rng = np.random.default_rng(SEED)
     nothing = np.zeros((N_SCAN, DEPTH))
     assert second_place(*asked(nothing)) == (0.0, 0.0)
-    assert second_place(*asked(bells(CENTER + 18.0, 0.8 * LEAST_SHARE * AMPLITUDE_E))) == (0.0, 0.0)
-    here = rng.random(N_SCAN) < 0.7 * LEAST_LINES
+    assert second_place(*asked(bells(CENTER + 18.0, 0.8 * MIN_GHOST_SHARE * AMPLITUDE_E))) == (0.0, 0.0)
+    here = rng.random(N_SCAN) < 0.7 * MIN_GHOST_LINES
     assert second_place(*asked(bells(CENTER + 18.0, 0.8 * AMPLITUDE_E) * here[:, None])) == (0.0, 0.0)
     crossing = CENTER + np.linspace(-40.0, 40.0, N_SCAN)
     assert second_place(*asked(bells(crossing, 0.8 * AMPLITUDE_E))) == (0.0, 0.0)

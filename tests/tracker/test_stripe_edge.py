@@ -17,8 +17,8 @@ from tracker.joint.upright_edge import edge_between
 from tracker.profile import Profile
 from tracker.stripe.edge import (
     BEYOND,
-    LEAST_SHARE,
-    LEAST_SIGMA,
+    MIN_SIGMA,
+    MIN_STRIPE_SHARE,
     StripeLight,
     end_chi2,
     fit_end,
@@ -82,7 +82,7 @@ def test_ends_without_noise_are_found_exactly(
     ends = stripe_ends(light, last, first)
     for found, line in zip(ends, true, strict=True):
         assert (N_SCAN - 1 - found.line if flipped else found.line) == pytest.approx(line, abs=0.01)
-        assert LEAST_SIGMA <= found.sigma < 0.15
+        assert MIN_SIGMA <= found.sigma < 0.15
 
 
 @pytest.mark.parametrize("contrast", [0.1, 0.2])
@@ -94,7 +94,7 @@ def test_their_sigma_is_honest(contrast: float) -> None:
         for found, line in zip(stripe_ends(light, EDGE, EDGE + 1), (true, true + 0.7), strict=True):
             off.append(found.line - line)
             # The floor is for real edges.
-            stated.append(math.sqrt(found.sigma**2 - LEAST_SIGMA**2))
+            stated.append(math.sqrt(found.sigma**2 - MIN_SIGMA**2))
     chi2 = np.mean(np.square(np.array(off) / stated))
     print(f"contrast {contrast}: rms {np.std(off):.3f} lines, mean {np.mean(off):.4f}, chi2 {chi2:.2f}")
     assert abs(np.mean(off)) < 4.0 * np.std(off) / math.sqrt(len(off))
@@ -228,7 +228,7 @@ def test_an_end_is_its_twin(true: float, sigma: float, contrast: float, seed: in
     def chi2(at: float) -> float:
         """The whole covariance's, the brightness that all lines share put into it."""
         mean = ndtr((at - lines) / sigma)
-        covariance = np.diag(variance + (contrast * mean) ** 2 + LEAST_SHARE**2)
+        covariance = np.diag(variance + (contrast * mean) ** 2 + MIN_STRIPE_SHARE**2)
         covariance += contrast**2 / BEYOND * np.outer(mean, mean)
         off = share - mean
         return float(off @ np.linalg.solve(covariance, off))

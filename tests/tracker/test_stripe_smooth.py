@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 
 from noise_model.arrays import Float64
 from tracker.stripe import smooth as stripe_smooth
-from tracker.stripe.smooth import LEAST_DRAWN, LEAST_SURE_PX, LENGTHS
+from tracker.stripe.smooth import LENGTHS, MIN_DRAWN, MIN_SURE_PX
 
 N = 400
 DRAWS = 300
@@ -66,7 +66,7 @@ def test_the_smoothed_stripe_is_its_twin(seed: int) -> None:
 def test_faces_are_surer_by_their_neighbours_and_say_so(sigma: float) -> None:
     own, stated = drawn(groove(0.7), np.full(N, sigma), 1)
     x = np.arange(N)
-    face = (off_corners() > LEAST_DRAWN) & (np.minimum(x, N - 1 - x) >= LEAST_DRAWN)
+    face = (off_corners() > MIN_DRAWN) & (np.minimum(x, N - 1 - x) >= MIN_DRAWN)
     # Of 1 / sqrt(33) in the middle of a face.
     assert 1.4826 * np.median(np.abs(own[:, face])) < 0.3
     assert np.sqrt(np.mean(own[:, face] ** 2)) < 0.35
@@ -132,7 +132,7 @@ def test_no_corner_is_an_outlier() -> None:
 
 def test_without_neighbours_a_column_keeps_its_own_centre() -> None:
     y, sigma = np.full(N, np.nan), np.full(N, np.nan)
-    y[[50, 100, 150]], sigma[[50, 100, 150]] = (250.0, 251.0, 252.0), (0.1, 0.2, 2.0 * LEAST_SURE_PX)
+    y[[50, 100, 150]], sigma[[50, 100, 150]] = (250.0, 251.0, 252.0), (0.1, 0.2, 2.0 * MIN_SURE_PX)
     smooth, stated = smooth_stripe(y, sigma)
     np.testing.assert_allclose(smooth[[50, 100]], [250.0, 251.0])
     np.testing.assert_allclose(stated[[50, 100]], [0.1, 0.2])

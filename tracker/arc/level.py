@@ -24,10 +24,10 @@ MISFIT_QUANTILE, NORMAL_QUANTILE = 0.9, 1.6449
 MIN_PIXELS = 40
 """Fewer pixels tell nothing of the arc."""
 
-MOST_SIGMA = 0.2
+MAX_SIGMA = 0.2
 """A level less certain than this, over the larger of itself and the expected one, is not known."""
 
-MOST_STEPS, SETTLED = 20, 1e-6
+MAX_STEPS, LEVEL_SETTLED = 20, 1e-6
 """Steps of the level's fit at most, and the relative one that is the last."""
 
 
@@ -89,7 +89,7 @@ def estimate_arc_level(
     start = max(0.0, _quantile(e, 0.5) / (_quantile(m, 0.5) + 1e-9))
     level, sigma, black = _fit_level(m, e, geometry.dark_variance_at(e), black_sigma, start, size)
     # Where the sheet hides the arc, its level may be anything.
-    if not sigma < MOST_SIGMA * max(level, 1.0):
+    if not sigma < MAX_SIGMA * max(level, 1.0):
         return UNKNOWN
     misfit = _quantile(size, MISFIT_QUANTILE) / NORMAL_QUANTILE
     return ArcLevel(level, sigma, black, misfit)
@@ -159,7 +159,7 @@ def _fit_level(
     prior = 1.0 / black_sigma_e**2
     h_ll, determinant = 0.0, 1.0
     h_bb = prior
-    for _ in range(MOST_STEPS):
+    for _ in range(MAX_STEPS):
         h_ll, h_lb, h_bb, g_l, g_b = 0.0, 0.0, prior, 0.0, -prior * black
         for i in range(map_e.shape[0]):
             m = map_e[i]
@@ -177,6 +177,6 @@ def _fit_level(
         step = (h_bb * g_l - h_lb * g_b) / determinant
         level = max(level + step, 0.0)
         black += (h_ll * g_b - h_lb * g_l) / determinant
-        if abs(step) < SETTLED * max(level, 1e-3):
+        if abs(step) < LEVEL_SETTLED * max(level, 1e-3):
             break
     return level, math.sqrt(h_bb / determinant), black

@@ -16,7 +16,7 @@ import numpy as np
 from noise_model.arrays import Float64
 from noise_model.kernel import kernel
 from noise_model.surface.faces import face_under, slope_across
-from tracker.joint.section_fit import LEAST_ALONG_MM, corners_and_slopes
+from tracker.joint.section_fit import MIN_ALONG_MM, corners_and_slopes
 from tracker.joint.section_shapes import N_CORNERS
 
 
@@ -48,7 +48,7 @@ def add_alike(
         k = face_under(y[i], k, corners)
         slope = slope_across(k, corners)
         share = (y[i] - corners[k, 0]) / (corners[k + 1, 0] - corners[k, 0])
-        along = max(abs(dz[i] - slope * dy[i]), LEAST_ALONG_MM)
+        along = max(abs(dz[i] - slope * dy[i]), MIN_ALONG_MM)
         for j in range(m):
             at_a = changed[k, j, 1] - slope * changed[k, j, 0]
             at_b = changed[k + 1, j, 1] - slope * changed[k + 1, j, 0]

@@ -17,13 +17,13 @@ SEARCH_LIMIT_MM = 1.0
 PLATE_SIGMA_DEG = 2.0
 """How far a plate may be turned from where it is stated to stand."""
 
-MOST_TURNED_SIGMAS = 5.0
+MAX_TURNED_SIGMAS = 5.0
 """Plates that are turned by more are not this corner's."""
 
 BESIDE_MM = 2.0
 """So near to the corner the points must lie on the plates."""
 
-LEAST_POINTS = 10.0
+MIN_POINTS = 10.0
 """The weight of the points that must be seen of either plate."""
 
 
@@ -40,7 +40,7 @@ def fit_fillet(profile: Profile, joint: Joint) -> MeasuredJoint | None:
     left_out = unexplained(profile, fit, y_s, BESIDE_MM)
     left = profile.y_mm > y_s
     turned = np.abs(fit.parameters[2:] - start[2:]).max() / plate_sigma
-    if turned > MOST_TURNED_SIGMAS or min(fit.weights[left].sum(), fit.weights[~left].sum()) < LEAST_POINTS:
+    if turned > MAX_TURNED_SIGMAS or min(fit.weights[left].sum(), fit.weights[~left].sum()) < MIN_POINTS:
         return None
     plates, plate_sigmas = angles_of(fit, 2, 3)
     shape = JointShape(plate_angles_deg=plates, plate_sigmas_deg=plate_sigmas)

@@ -40,10 +40,10 @@ GAP = 2
 MUCH_LEFT_OUT, WIDER_MM = 0.2, 1.0
 """A fit that leaves out more of a groove's points may have lost a side: points so far off are let in anew."""
 
-LEAST_POINTS, LEAST_ALONE = 5.0, 10.0
+MIN_POINTS, MIN_ALONE = 5.0, 10.0
 """The weight of the points that must be seen on either side of a groove, and on one if it must do alone."""
 
-LEAST_SHARE = 0.3
+MIN_GROOVE_SHARE = 0.3
 """The share of a bevel's scan lines, but no more than so many points, without which it is not seen."""
 
 END_SHARE = 0.25
@@ -87,16 +87,16 @@ def _fit(
         fit = of_narrow_root(profile, shape, start, prior_sigma, GAP, _with_gap, middle_mm, inside, fit)
         seen = _seen_of(profile, fit, half_mouth)
     amid_mm = (1.0 - 2.0 * END_SHARE) * (half_mouth - 0.5 * gap)
-    enough = min(LEAST_POINTS, LEAST_SHARE * amid_mm / profile.column_mm)
+    enough = min(MIN_POINTS, MIN_GROOVE_SHARE * amid_mm / profile.column_mm)
     if min(seen.right_bevel, seen.left_bevel) < enough:
         unseen, alone = (1.0, seen.right) if seen.left_bevel < seen.right_bevel else (-1.0, seen.left)
-        if max(seen.right_bevel, seen.left_bevel) < enough or alone < LEAST_ALONE:
+        if max(seen.right_bevel, seen.left_bevel) < enough or alone < MIN_ALONE:
             return None
         bridged = _bridged(profile, fit, shape, start, prior_sigma, unseen, half_mouth)
         if bridged is None:
             return None
         fit = bridged
-    elif min(seen.right, seen.left) < LEAST_POINTS:
+    elif min(seen.right, seen.left) < MIN_POINTS:
         return None
     y_s, z_s, gap_mm, _, _, depth_left, depth_right = (float(p) for p in fit.parameters[:7])
     return MeasuredJoint(

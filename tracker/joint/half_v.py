@@ -35,7 +35,7 @@ GAP, ROOT, TAN, DEPTH_LEFT, DEPTH_RIGHT, SLOPE_LEFT, SLOPE_RIGHT = range(7)
 PRIOR_SIGMA = np.array([0.3, 5.0, 0.04, 0.3, 0.3, 0.03, 0.03])
 """1 sigma of the gap, the root's height, tan(bevel), both depths (mm), both plate slopes."""
 
-LEAST_POINTS = 5.0
+MIN_POINTS = 5.0
 """The weight of the points that must be seen in the groove, and on the bevel if it is not to be bridged."""
 
 
@@ -70,7 +70,7 @@ def fit_half_v(profile: Profile, joint: Joint, camera_mm: Float64, laser_mm: Flo
     wall, p = float(start[-1]), fit.parameters
     mouth = wall + p[GAP] + p[DEPTH_LEFT] * p[TAN]
     on_bevel = (profile.y_mm > wall + max(p[GAP], 0.0)) & (profile.y_mm < mouth)
-    is_seen = fit.weights[on_bevel].sum() >= LEAST_POINTS
+    is_seen = fit.weights[on_bevel].sum() >= MIN_POINTS
     if not is_seen:
         # A bevel that is not seen is bridged by its priors, in the covariance too; where the root ends is not
         # known, and what lies there counts for nothing.
@@ -85,7 +85,7 @@ def fit_half_v(profile: Profile, joint: Joint, camera_mm: Float64, laser_mm: Flo
         fit = of_narrow_root(
             profile, HALF_GROOVE, start, PRIOR_SIGMA, GAP, _with_gap, middle_mm, inside, fit, clear
         )
-    if fit.weights[inside].sum() < LEAST_POINTS:
+    if fit.weights[inside].sum() < MIN_POINTS:
         return None
     left_out = unexplained(profile, fit, 0.5 * (wall + mouth), 0.5 * (mouth - wall))
     return _measured(fit, wall, wall_variance, left_out)

@@ -32,7 +32,7 @@ CLEAR_OF_EDGE_MM = 0.4
 ROLL_BY = 8
 """Points an eighth of a profile apart tell how it is rolled: few such pairs have the edge between them."""
 
-LEAST_POINTS = 10
+MIN_POINTS = 10
 """So many points of either sheet must be seen clear of the edge."""
 
 NEAR_MM, ON_SHEET = 2.0, 0.25
@@ -55,7 +55,7 @@ def fit_lap(profile: Profile, joint: Joint, camera_mm: Float64, laser_mm: Float6
     level = replace(profile, z_mm=profile.z_mm - roll * profile.y_mm)
     y_0, z_level = place(level, section(joint).vertices, SEARCH_STEP_MM, 0.25 * thickness)
     clear, on_upper, on_lower = np.empty((3, len(profile.y_mm)), dtype=np.bool_)
-    if min(clear_of_edge(profile.y_mm, y_0, clear)) < LEAST_POINTS:
+    if min(clear_of_edge(profile.y_mm, y_0, clear)) < MIN_POINTS:
         return None
     start = np.array([z_level + roll * y_0, thickness, roll, roll, y_0])
     shape = fit_shape(profile, SHEETS, start, PRIOR_SIGMA, clear)

@@ -28,7 +28,7 @@ LEFT_OUT = 0.1
 OFF_SIGMAS = 5.0
 """A point farther than this off a sheet is not of the sheet's own surface."""
 
-LEAST_UNIT_MM = 1e-6
+MIN_UNIT_MM = 1e-6
 """No point's height is known better."""
 
 PLACED_BY = 160
@@ -72,7 +72,7 @@ TOLD_COLUMNS = 2.5
 CLOSED_MM = 1e-3
 """What comes out narrower is closed."""
 
-ALIKE = 0.3
+CLOSED_ROOT_EXCESS = 0.3
 """A closed root may leave so much more, in points that are all left out, than the best of the others."""
 
 
@@ -104,7 +104,7 @@ def fit_shape(
     if count_with_floor(profile.sigma_px, mask, sigma) < n + 3:
         return None
     parameters, covariance = start.copy(), np.empty((n, n))
-    wide = start_sigma_mm / max(typical_mm(profile.dz_mm, sigma, mask), LEAST_UNIT_MM)
+    wide = start_sigma_mm / max(typical_mm(profile.dz_mm, sigma, mask), MIN_UNIT_MM)
     chi2 = fit_section(
         shape,
         profile.y_mm,
@@ -160,7 +160,7 @@ def of_narrow_root(
     def left(one: ShapeFit) -> float:
         # Tukey's loss over its largest, from his weights: 1 - w^(3/2).
         return float(np.sum(1.0 - one.weights[counts] ** 1.5)) - (
-            ALIKE if one.parameters[gap] < CLOSED_MM else 0.0
+            CLOSED_ROOT_EXCESS if one.parameters[gap] < CLOSED_MM else 0.0
         )
 
     found = []

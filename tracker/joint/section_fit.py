@@ -25,13 +25,13 @@ STEP = 1e-6
 BISQUARE_WIDTH = 4.685
 """Tukey's tuning constant: 95 % efficiency on Gaussian residuals."""
 
-MOST_STEPS, CONVERGED = 20, 1e-5
+MAX_STEPS, CONVERGED = 20, 1e-5
 """Gauss-Newton steps at most; one smaller than this in every parameter's unit is the last."""
 
 MAD_SIGMA = 1.4826
 """A normal distribution's sigma over its median absolute deviation."""
 
-LEAST_ALONG_MM = 1e-6
+MIN_ALONG_MM = 1e-6
 """No point moves less than this off a face with 1 px of its stripe centre."""
 
 
@@ -78,7 +78,7 @@ def _residuals(
     """Write how far each centre of a face's points (n,) lies off it, in its sigmas, and that unit in mm."""
     for i in range(y.shape[0]):
         along = dz[i] - slope * dy[i]
-        along = LEAST_ALONG_MM if abs(along) < LEAST_ALONG_MM else along
+        along = MIN_ALONG_MM if abs(along) < MIN_ALONG_MM else along
         unit[i] = along * sigma[i]
         r[i] = (z[i] - corner[1] - slope * (y[i] - corner[0])) / unit[i]
 
@@ -187,7 +187,7 @@ def fit_section(
     information, gradient = np.empty((m, m)), np.empty(m)
     at_a, at_b = np.empty(m), np.empty(m)
     wide = start_scale
-    for _ in range(MOST_STEPS):
+    for _ in range(MAX_STEPS):
         corners_and_slopes(shape, p, corners, moved, J)
         _all_residuals(y, z, dy, dz, sigma, corners, first, r, unit)
         scale = _scale(r, used, max(1.0, wide))

@@ -40,10 +40,10 @@ BESIDE_MM, OUTSIDE_MM = 3.0, 1.0
 SLACK_MM = 1.5
 """How far an end of a plate may lie off its stated place."""
 
-CLEAR_MM = 0.3
+CLEAR_OF_GAP_MM = 0.3
 """How far from the gap's stated ends a point must lie to be surely a plate's."""
 
-LEAST_LINES, LEAST_POINTS = 2, 8
+MIN_LINES, MIN_POINTS = 2, 8
 """Scan lines that a gap must be wide to be seen, and points that must be seen of either plate."""
 
 BLURRED_LINES = 4
@@ -52,7 +52,7 @@ BLURRED_LINES = 4
 UNREAD = -0.5
 """What a scan line without a stripe says of a plate, 1 being that it is there: spatter hides one, too."""
 
-LEAST_AGREEMENT = 0.6
+MIN_AGREEMENT = 0.6
 """By what share of the scan lines those that show what the joint would must outnumber the others."""
 
 THICKNESS_SIGMA_MM = 0.1
@@ -73,7 +73,7 @@ def fit_slot(profile: Profile, joint: Joint) -> MeasuredJoint | None:
     if plates is None:
         return None
     lines = _Lines(profile, _on_plate(profile, plates, y_0, limit_mm), is_edge)
-    seen_gap = max(gap, (LEAST_LINES + 1) * profile.column_mm)
+    seen_gap = max(gap, (MIN_LINES + 1) * profile.column_mm)
     placed = lines.place(thickness if is_edge else BESIDE_MM, seen_gap, is_edge)
     if placed is None and is_edge:
         placed = lines.place(thickness + 0.5 * gap, 0.0, is_edge)
@@ -110,7 +110,7 @@ def _gap_of(lines: _Lines, joint: Joint, y_0: float) -> _Gap | None:
     slack = min(SLACK_MM, 0.5 * thickness) if joint.type == "edge" else SLACK_MM
     reach = 0.5 * gap + slack
     right, left = lines.end(y_0 - reach, y_0, True), lines.end(y_0, y_0 + reach, False)
-    if lines.others_between(right.line, left.line) >= LEAST_LINES:
+    if lines.others_between(right.line, left.line) >= MIN_LINES:
         gap_lines = left.line - right.line - 1
         # A blurred end seems off to its own side: where one is not told, in the middle of both that cancels.
         right_told = lines.by_shares(right, True, gap_lines)
@@ -137,12 +137,12 @@ def _measure(
     """Fit the plates' lines beside a placed joint once more, and find the gap between them."""
     thickness, gap = joint.dimensions["thickness_mm"], joint.dimensions["gap_mm"]
     is_edge = joint.type == "edge"
-    clear = np.abs(profile.y_mm - y_0) > 0.5 * gap + CLEAR_MM
+    clear = np.abs(profile.y_mm - y_0) > 0.5 * gap + CLEAR_OF_GAP_MM
     clear &= _on_plate(profile, plates, float(np.median(profile.y_mm)), 2.0 * limit_mm)
     if is_edge:
         clear &= np.abs(profile.y_mm - y_0) < 0.5 * gap + thickness
     left = profile.y_mm > y_0
-    if min((clear & left).sum(), (clear & ~left).sum()) < LEAST_POINTS:
+    if min((clear & left).sum(), (clear & ~left).sum()) < MIN_POINTS:
         return None
     fit = _plates(profile, y_0, clear)
     if fit is None:
@@ -254,7 +254,7 @@ class _Lines:
         best = int(np.argmax(agreement))
         middle = best + len(signs) // 2
         in_gap = self.sees[middle - gap // 2 : middle - gap // 2 + gap]
-        if agreement[best] < LEAST_AGREEMENT or (gap and (in_gap < 0.0).sum() < LEAST_LINES):
+        if agreement[best] < MIN_AGREEMENT or (gap and (in_gap < 0.0).sum() < MIN_LINES):
             return None
         return float(self.y_mm[best] + 0.5 * (len(signs) - 1) * self.column_mm)
 

@@ -28,13 +28,13 @@ GROUPS = 120
 ROUGH_MM = 0.05
 """What a point may lie off a piece beyond its noise: types differ by more than parts do from drawings."""
 
-LEAST_OPENING_MM, LEAST_STEP_MM = 0.4, 0.3
+MIN_OPENING_MM, MIN_STEP_MM = 0.4, 0.3
 """How deep an opening and how high a step are at least."""
 
-LEAST_CORNER_DEG, LEAST_BEVEL_RISE_MM = 12.0, 0.8
+MIN_CORNER_DEG, MIN_BEVEL_RISE_MM = 12.0, 0.8
 """Plates that are turned by more form a corner; a piece that rises by more between plates is a bevel."""
 
-LEAST_BEVEL_GROUPS = 3
+MIN_BEVEL_GROUPS = 3
 """Fewer groups than this are no bevel: two may lie on either side of an upright edge."""
 
 CORNER_OFF_MM = 1.5
@@ -190,11 +190,11 @@ def _family(y: Float64, z: Float64, ends: Int64) -> Family | None:
         return Family.FLAT
     pieces = list(zip([0, *ends[:-1]], ends, strict=True))
     (_, right_end), (left_start, _) = pieces[0], pieces[-1]
-    if right_end < LEAST_BEVEL_GROUPS or len(y) - left_start < LEAST_BEVEL_GROUPS:
+    if right_end < MIN_BEVEL_GROUPS or len(y) - left_start < MIN_BEVEL_GROUPS:
         return None
     right, left = _Line.through(y[:right_end], z[:right_end]), _Line.through(y[left_start:], z[left_start:])
     turn_deg = math.degrees(math.atan(left.slope) - math.atan(right.slope))
-    if abs(turn_deg) > LEAST_CORNER_DEG:
+    if abs(turn_deg) > MIN_CORNER_DEG:
         meet = (right.at(0.0) - left.at(0.0)) / (left.slope - right.slope)
         if y[right_end - 1] - CORNER_OFF_MM < meet < y[left_start] + CORNER_OFF_MM:
             return Family.INSIDE_CORNER if turn_deg > 0.0 else Family.OUTSIDE_CORNER
@@ -203,14 +203,14 @@ def _family(y: Float64, z: Float64, ends: Int64) -> Family | None:
     step = float(left.at(middle) - right.at(middle))
     between = slice(right_end, left_start)
     over_right, over_left = (z[between] - line.at(y[between]) for line in (right, left))
-    if len(over_left) and np.maximum(over_right, over_left).min() < -LEAST_OPENING_MM:
+    if len(over_left) and np.maximum(over_right, over_left).min() < -MIN_OPENING_MM:
         bevelled = any(
-            end - first >= LEAST_BEVEL_GROUPS
+            end - first >= MIN_BEVEL_GROUPS
             and abs(_Line.through(y[first:end], z[first:end]).slope) * (y[end - 1] - y[first])
-            > LEAST_BEVEL_RISE_MM
+            > MIN_BEVEL_RISE_MM
             for first, end in pieces[1:-1]
         )
         return Family.GROOVE if bevelled else Family.SLOT
-    if len(over_left) and np.minimum(over_right, over_left).max() > LEAST_OPENING_MM:
+    if len(over_left) and np.minimum(over_right, over_left).max() > MIN_OPENING_MM:
         return None
-    return Family.STEP if abs(step) > LEAST_STEP_MM else Family.FLAT
+    return Family.STEP if abs(step) > MIN_STEP_MM else Family.FLAT

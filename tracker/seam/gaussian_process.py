@@ -39,7 +39,7 @@ BEND_SIGMA_MM, BEND_LENGTH_MM = 0.5, 60.0
 MODEL_SIGMA_MM = 0.01
 """What a measurement may be off beyond its stated noise, so that repeats do not average without end."""
 
-LEAST_VARIANCE_MM2 = 1e-12
+MIN_VARIANCE_MM2 = 1e-12
 """No measurement's own variance is taken for less, so that exact ones can be averaged."""
 
 
@@ -68,12 +68,12 @@ class SeamHistory:
         """
         n = len(self)
         began_mm, kept = station_mm, np.arange(n)
-        noise = np.maximum(variance_mm2, LEAST_VARIANCE_MM2)
+        noise = np.maximum(variance_mm2, MIN_VARIANCE_MM2)
         if abs(station_mm - self.began_mm) < SPACING_MM:
             # From where it began, not from the average: that would run along with a sensor that creeps.
             kept, began_mm = kept[:-1], self.began_mm
             latest = self.displacements_mm[-1]
-            before = np.maximum(self.variances_mm2[-1] - MODEL_SIGMA_MM**2, LEAST_VARIANCE_MM2)
+            before = np.maximum(self.variances_mm2[-1] - MODEL_SIGMA_MM**2, MIN_VARIANCE_MM2)
             share = before / (before + noise)
             station_mm = float(self.stations_mm[-1] + share.mean() * (station_mm - self.stations_mm[-1]))
             displacement_mm = latest + share * (displacement_mm - latest)

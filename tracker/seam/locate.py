@@ -21,7 +21,7 @@ from tracker.seam.gaussian_process import SeamHistory
 MIN_CROSSING = 0.3
 """The least cosine between the sheet's normal and the seam: below, it shows no section of the joint."""
 
-MOST_STEPS, MET_MM = 40, 1e-9
+MAX_STEPS, MET_MM = 40, 1e-9
 """Steps by which the sheet is met along a corrugated seam at most, and how near to it is on it."""
 
 ROTATION_WITHIN = 1e-3
@@ -124,7 +124,7 @@ def seam_point(
     of_valley, of_ridge = -(ny * y + nz * z + e) / nx, -(ny * y + nz * (z + corrugation[0]) + e) / nx
     low, high = min(of_valley, of_ridge), max(of_valley, of_ridge)
     x = min(max(x, low), high)
-    for _ in range(MOST_STEPS):
+    for _ in range(MAX_STEPS):
         height, slope = ridge(x, corrugation)
         beyond = x - of_valley + nz / nx * height
         low, high = (low, x) if beyond > 0.0 else (x, high)

@@ -21,10 +21,10 @@ from noise_model.kernel import kernel
 PLANES = np.linspace(-3.0, 3.0, 13)
 """Where across the sheet its light is looked at, in its sigmas."""
 
-MOST_STEPS, SETTLED = 30, 1e-4
+MAX_STEPS, BELL_SETTLED = 30, 1e-4
 """Gauss-Newton steps at most; one shorter than this, in the stripe's sigmas, is the last."""
 
-MOST_LN = 0.5
+MAX_LN = 0.5
 """No width is further off that of the sheet alone."""
 
 
@@ -43,7 +43,7 @@ def fit_bell(place: Float64, light: Float64, width: float, out: Float64) -> bool
     if not peak > 0.0:
         return False
     r_0, ln_w, A = centre / total, 0.0, peak
-    for _ in range(MOST_STEPS):
+    for _ in range(MAX_STEPS):
         w = width * math.exp(ln_w)
         aa, ar, aw, rr, rw, ww = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
         g_a, g_r, g_w = 0.0, 0.0, 0.0
@@ -76,8 +76,8 @@ def fit_bell(place: Float64, light: Float64, width: float, out: Float64) -> bool
         step_r, step_w = min(max(step_r, -0.5), 0.5), min(max(step_w, -0.2), 0.2)
         A = max(A + (g_a - ar * step_r - aw * step_w) / aa, 0.1 * peak)
         r_0 += step_r * w
-        ln_w = min(max(ln_w + step_w, -MOST_LN), MOST_LN)
-        if abs(step_r) < SETTLED and abs(step_w) < SETTLED:
+        ln_w = min(max(ln_w + step_w, -MAX_LN), MAX_LN)
+        if abs(step_r) < BELL_SETTLED and abs(step_w) < BELL_SETTLED:
             break
     out[0], out[1] = r_0, width * math.exp(ln_w)
     return True

@@ -22,9 +22,9 @@ from noise_model.arrays import Bool, Float32, Float64, Int64
 from noise_model.kernel import kernel
 
 BEYOND = 6
-"""So many lines on either side say how the stripe looks there, and LEAST_BEYOND of them at least."""
+"""So many lines on either side say how the stripe looks there, and MIN_BEYOND of them at least."""
 
-LEAST_BEYOND = 3
+MIN_BEYOND = 3
 
 CLEAR_SIGMAS = 3.0
 """So many sigmas of the optics a line is clear of an edge; one more may hold a stripe that seems whole."""
@@ -32,23 +32,23 @@ CLEAR_SIGMAS = 3.0
 WINDOW_SIGMAS = 3.0
 """A line is read so many stripe sigmas beyond where either stripe runs."""
 
-LEAST_PIXELS = 8
-LEAST_SHARE = 0.02
+MIN_PIXELS = 8
+MIN_STRIPE_SHARE = 0.02
 """Shares are not trusted better: what else lights the lines about an edge."""
 
-LEAST_CONTRAST = 0.03
+MIN_CONTRAST = 0.03
 """So much a stripe's brightness changes from line to line without speckle."""
 
 LINE_SIGMA = 12.0**-0.5
 """A line of an image without any blur still is one wide."""
 
-LEAST_SIGMA = 0.1
+MIN_SIGMA = 0.1
 """No end is known better, in lines: an edge is rounded and has burrs."""
 
 STEPS, SEARCH_STEP = 5, 0.5
 """Gauss-Newton steps, from the best place of a search in steps of so many lines."""
 
-MOST_LINES = 128
+MAX_LINES = 128
 """No edge is looked for between lines that lie farther apart."""
 
 
@@ -89,7 +89,7 @@ def stripe_ends(light: StripeLight, last: int, first: int) -> tuple[StripeEnd, S
     away = 1 if first > last else -1
     n = abs(first - last) + 2 * clear - 1
     shares, variances = np.empty((2, 2, n))
-    if n > MOST_LINES or not line_shares(
+    if n > MAX_LINES or not line_shares(
         light, last - away * clear, first + away * clear, away, BEYOND, shares, variances
     ):
         return NOT_TOLD, NOT_TOLD
@@ -115,7 +115,7 @@ def stripe_end(light: StripeLight, last: int, away: int, gap_lines: int) -> Stri
     # No more than half of the gap: behind it the stripe begins again.
     n = clear + min(clear, (gap_lines + 1) // 2)
     shares, variances = np.empty((2, 2, n))
-    deep = max(gap_lines - 2 * clear, min(LEAST_BEYOND, gap_lines))
+    deep = max(gap_lines - 2 * clear, min(MIN_BEYOND, gap_lines))
     first = last + away * (1 + (gap_lines - deep) // 2)
     if not line_shares(light, last - away * clear, first, away, deep, shares, variances):
         return NOT_TOLD
@@ -130,7 +130,7 @@ def clear_of_an_edge(light: StripeLight) -> int:
 
 def _fitted(light: StripeLight, shares: Float64, variances: Float64) -> StripeEnd:
     """Return the end of shares (n,) of a light's stripe, in lines from the first."""
-    contrast, sigma = max(light.contrast, LEAST_CONTRAST), max(light.psf_sigma_px, LINE_SIGMA)
+    contrast, sigma = max(light.contrast, MIN_CONTRAST), max(light.psf_sigma_px, LINE_SIGMA)
     return StripeEnd(*fit_end(shares, variances, contrast, sigma))
 
 
@@ -139,7 +139,7 @@ def run_of(position_px: Float64, begins: int, away: int, most: int) -> tuple[flo
     """Return the straight line, its value at line `begins` and slope by lines, that some positions run on.
 
     They are BEYOND, or `most` if that is less, from `begins` on in steps of `away`; NaN where fewer than
-    LEAST_BEYOND of them hold a stripe.
+    MIN_BEYOND of them hold a stripe.
     """
     n, sum_x, sum_y, sum_xx, sum_xy = 0, 0.0, 0.0, 0.0, 0.0
     for k in range(min(BEYOND, most)):
@@ -152,7 +152,7 @@ def run_of(position_px: Float64, begins: int, away: int, most: int) -> tuple[flo
         sum_y += y
         sum_xx += x * x
         sum_xy += x * y
-    if n < LEAST_BEYOND:
+    if n < MIN_BEYOND:
         return math.nan, math.nan
     slope = (n * sum_xy - sum_x * sum_y) / (n * sum_xx - sum_x * sum_x)
     return (sum_y - slope * sum_x) / n, slope
@@ -175,7 +175,7 @@ def mean_stripe(light: StripeLight, begins: int, away: int, most: int, off_px: f
         next_one = light.charge_e[s, j + 1] - light.background_e[s, j + 1]
         total += (1.0 - part) * here + part * next_one
         n += 1
-    return total / n if n >= LEAST_BEYOND else math.nan
+    return total / n if n >= MIN_BEYOND else math.nan
 
 
 @kernel
@@ -228,7 +228,7 @@ def line_shares(
             w_vv += weight * v * v
             w_uc += weight * u * c
             w_vc += weight * v * c
-        if n < LEAST_PIXELS:
+        if n < MIN_PIXELS:
             continue
         # The offset c_s is solved for first, the two shares with what it leaves.
         H_uu, H_uv, H_vv = w_uu - w_u * w_u / w_, w_uv - w_u * w_v / w_, w_vv - w_v * w_v / w_
@@ -263,7 +263,7 @@ def end_chi2(share: Float64, variance: Float64, contrast: float, sigma: float, a
         t = (at - i) / sigma
         mean = 0.5 * math.erfc(-t / math.sqrt(2.0))
         by_place = math.exp(-0.5 * t * t) / (math.sqrt(2.0 * math.pi) * sigma)
-        weight = 1.0 / (variance[i] + (contrast * mean) ** 2 + LEAST_SHARE**2)
+        weight = 1.0 / (variance[i] + (contrast * mean) ** 2 + MIN_STRIPE_SHARE**2)
         off = share[i] - mean
         H_ee += weight * by_place * by_place
         H_ea += weight * by_place * mean
@@ -298,4 +298,4 @@ def fit_end(share: Float64, variance: Float64, contrast: float, sigma: float) ->
     freedom = found.lines - 2.0
     # Only what chi2 shows beyond its own scatter widens the sigma.
     excess = max(found.chi2 / freedom - math.sqrt(2.0 / freedom), 1.0)
-    return at, math.sqrt(excess / found.information + LEAST_SIGMA**2)
+    return at, math.sqrt(excess / found.information + MIN_SIGMA**2)

@@ -27,7 +27,7 @@ FLANKS = np.array([-1.0, 0.0, 1.0])
 BESIDE_MM = 1e-6
 """The stripe is looked at so near to either side of each corner."""
 
-MOST_STEPS, MET_MM = 20, 1e-9
+MAX_STEPS, MET_MM = 20, 1e-9
 """Steps by which a plane is met on a corrugation at most; one that is shorter is the last."""
 
 NEAREST_MM = 1.0
@@ -125,7 +125,7 @@ def _cut_and_project(
     for i in range(y.shape[0]):
         k = face[i]
         plain = vertices[k, 1] + slope_across(k, vertices) * (y[i] - vertices[k, 0])
-        for _ in range(MOST_STEPS):
+        for _ in range(MAX_STEPS):
             met = -(ny * y[i] + nz * (plain + ridge(x, corrugation)[0]) + d) / nx
             moved = abs(met - x)
             x = met

@@ -25,13 +25,13 @@ WINDOW_SIGMAS = 4.0
 BLOCK = 8
 """The pixels that the CPU takes at once: a window is a multiple, for a rest takes as long as several."""
 
-MOST_PIXELS = 512
+MAX_PIXELS = 512
 """No stripe's window is longer."""
 
 MIN_PIXELS = 8
 """Fewer pixels that count tell nothing of five parameters."""
 
-MOST_STEPS, SETTLED = 12, 2e-3
+MAX_STEPS, LINE_SETTLED = 12, 2e-3
 """Gauss-Newton steps at most; one that gains less of chi2 is the last: it ends within 0.01 of a sigma."""
 
 CORE_SIGMAS, CORE_MEAN = 0.5, 0.95
@@ -57,7 +57,7 @@ WIDTH_LIMIT_LN = 0.35
 
 
 class LineScratch(NamedTuple):
-    """Room for one line's fit: pixel numbers (`MOST_PIXELS`,), information (5, 5), three vectors (5,)."""
+    """Room for one line's fit: pixel numbers (`MAX_PIXELS`,), information (5, 5), three vectors (5,)."""
 
     ramp: Float32
     H: Float64
@@ -119,7 +119,7 @@ def fit_line(
     middle = round(start)
     low, end = line_window(start, width, charge.shape[0])
     n = end - low
-    if n <= 2.0 * width or n > MOST_PIXELS or not low < middle < end - 1:
+    if n <= 2.0 * width or n > MAX_PIXELS or not low < middle < end - 1:
         return False
     charge, background, censored = charge[low:end], background[low:end], censored[low:end]
     ramp, H, g, step, x = scratch.ramp[:n], scratch.H, scratch.g, scratch.step, scratch.x
@@ -135,7 +135,7 @@ def fit_line(
     position, ln_w, w, unit, b1 = start - low, ln_w0, width, width, 0.0
     x[0], x[3] = max(over / CORE_MEAN, 1.0), 0.0
     chi2, used, is_settled = 0.0, 0.0, False
-    for _ in range(MOST_STEPS):
+    for _ in range(MAX_STEPS):
         x[1], x[2], x[4] = position / w, ln_w, b1 * w
         moments = moments_of(charge, background, censored, ramp, x, w, shot, dark_variance)
         normal_equations(moments, x, H, g)
@@ -161,9 +161,9 @@ def fit_line(
         if not 0.0 < position < n - 1 or abs(ln_w - ln_w0) > 1.0:
             return False
         # The last step may let a saturated pixel count, or no more: what they tell is asked once again.
-        if gained < SETTLED and (is_settled or used == n):
+        if gained < LINE_SETTLED and (is_settled or used == n):
             break
-        is_settled = gained < SETTLED
+        is_settled = gained < LINE_SETTLED
     variance_a, variance_x = variance_of(H, 0, g), variance_of(H, 1, g) * unit * unit
     # Three of the five parameters brought a prior, whose term is counted too.
     freedom = used - 2.0
@@ -212,7 +212,7 @@ def fit_lines(
     """Fit every scan line from `start` (n_scan,), NaN for none; write `fits` (n_scan, 5) and `saturated`."""
     n_scan = charge.shape[0]
     scratch = LineScratch(
-        np.arange(MOST_PIXELS).astype(np.float32),
+        np.arange(MAX_PIXELS).astype(np.float32),
         np.empty((N_PARAMETERS, N_PARAMETERS)),
         np.empty(N_PARAMETERS),
         np.empty(N_PARAMETERS),

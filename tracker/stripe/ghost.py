@@ -22,7 +22,7 @@ from tracker.stripe.viterbi import TEMPLATE_SIGMAS, Pair, bell
 NEAREST_SIGMAS = 3.0
 """What stands nearer to the first, in its sigmas, is of its own shape."""
 
-LEAST_SHARE, LEAST_LINES = 0.2, 0.6
+MIN_GHOST_SHARE, MIN_GHOST_LINES = 0.2, 0.6
 """A second stripe has this share of the first one's light or more, in this share of its scan lines."""
 
 EVERY = 8
@@ -100,14 +100,14 @@ def second_place(charge: Float32, background: Float32, censored: Bool, fits: Flo
         return 0.0, 0.0
     width = float(np.median(widths[:n]))
     for i in range(2 * depth + 1):
-        laid[i] = laid[i] / laid_on[i] if laid_on[i] > LEAST_LINES * n else np.float32(math.nan)
+        laid[i] = laid[i] / laid_on[i] if laid_on[i] > MIN_GHOST_LINES * n else np.float32(math.nan)
     share, apart = 0.0, 0.0
     for i in range(2 * depth + 1):
         if abs(i - depth) >= NEAREST_SIGMAS * width and not math.isnan(laid[i]):
             here = _bell_over(laid, float(i), width)
             if here > share:
                 share, apart = here, float(i - depth)
-    if share < LEAST_SHARE:
+    if share < MIN_GHOST_SHARE:
         return 0.0, 0.0
     # Between pixels along the parabola through the highest three.
     before, after = _bell_over(laid, depth + apart - 1.0, width), _bell_over(laid, depth + apart + 1.0, width)
@@ -128,7 +128,7 @@ def second_place(charge: Float32, background: Float32, censored: Bool, fits: Flo
                 else:
                     ahead, by_ahead = ahead + 1, by_ahead + before
             asked += max(after, before) > least or (after if apart > 0.0 else before) > -math.inf
-    if behind + ahead <= LEAST_LINES * asked:
+    if behind + ahead <= MIN_GHOST_LINES * asked:
         return 0.0, 0.0
     more = by_behind / behind if behind >= ahead else by_ahead / ahead
     is_brighter = more > 1.0

@@ -33,7 +33,7 @@ MEDIAN_HALF_PX = 30
 MEDIAN_SIGMA = 1.0
 """Without an arc map: half the running median's length, and its background's relative 1 sigma (anything)."""
 
-MOST_ROUNDS = 3
+MAX_ROUNDS = 3
 """So many times at most the stripe is read again without a second one's light."""
 
 
@@ -156,7 +156,7 @@ def read_stripe(
     noise = shot, dark_variance, map_sigma, base_sigma
     score, start, fits, saturated = _fit_band(band, expected, lows, offsets, noise)
     plain, second_share = band.background, 0.0
-    for _ in range(MOST_ROUNDS):
+    for _ in range(MAX_ROUNDS):
         share, apart_px = second_place(band.charge, plain, band.censored, fits, lows)
         if share == second_share == 0.0:
             break

@@ -24,7 +24,7 @@ from noise_model.kernel import kernel
 LENGTHS = (4, 8, 16, 32, 64)
 """Columns of the windows that are asked whether they are straight."""
 
-LEAST_DRAWN = 32
+MIN_DRAWN = 32
 """A line is drawn in windows from this length on: shorter ones hardly show a corner."""
 
 PIECE_CHI2 = 16.0
@@ -38,13 +38,13 @@ OUTLIER_SIGMAS, OUTLIER_PX = 5.0, 0.7
 """A column so far off what either side says, and off both together, is none of the stripe. A corner that the
 lens rounds lies up to half a pixel off both."""
 
-LEAST_SURE_PX = 0.67
+MIN_SURE_PX = 0.67
 """A centre less sure than this is none: one in 400 of them would be more than two pixels off."""
 
 OUTLIER_REACH = 6
 """How many columns to a side say whether one is an outlier."""
 
-MOST_MISSING = 1
+MAX_MISSING = 1
 """More columns that are missing of the least window break it."""
 
 PRESENT = 6
@@ -150,7 +150,7 @@ def _find_straight(sums: Float64, chi2: Float64, is_straight: Bool) -> None:
             chi2[k, low] = _line(sums, low, low + length, 0.0).chi2
             if k == 0:
                 missing = length - (sums[low + length, PRESENT] - sums[low, PRESENT])
-                is_straight[k, low] = missing <= MOST_MISSING and chi2[k, low] <= PIECE_CHI2
+                is_straight[k, low] = missing <= MAX_MISSING and chi2[k, low] <= PIECE_CHI2
             elif (
                 is_straight[k - 1, low]
                 and is_straight[k - 1, low + half]
@@ -170,7 +170,7 @@ def _best(sums: Float64, is_straight: Bool, i: int, own: _Line) -> _Line:
     best = own
     for k in range(len(LENGTHS) - 1, -1, -1):
         length = LENGTHS[k]
-        if length < LEAST_DRAWN:
+        if length < MIN_DRAWN:
             break
         for quarters in (2, 1, 3):
             low = i - quarters * length // 4
@@ -192,7 +192,7 @@ def smooth_stripe(position_px: Float64, sigma_px: Float64, together_px: Float64)
     """Return the centres (n,) that the neighbours along the stripe agree on, px, and their 1 sigma (n,).
 
     `position_px`, `sigma_px` (n,) are the columns' own, NaN where there is no stripe. There, at an outlier,
-    and where the centre stays less sure than LEAST_SURE_PX, what is returned is NaN too. `together_px` (n,)
+    and where the centre stays less sure than MIN_SURE_PX, what is returned is NaN too. `together_px` (n,)
     is what a column counts with beside others: `sigma_px` for independent ones, more where they err alike.
     """
     n = position_px.shape[0]
@@ -216,6 +216,6 @@ def smooth_stripe(position_px: Float64, sigma_px: Float64, together_px: Float64)
         if math.isfinite(smooth[i]):
             best = _best(sums, is_straight, i, _Line(smooth[i] - reference, sigma[i] ** 2, 0.0))
             smooth[i], sigma[i] = best.value + reference, math.sqrt(best.variance)
-            if sigma[i] > LEAST_SURE_PX:
+            if sigma[i] > MIN_SURE_PX:
                 smooth[i], sigma[i] = np.nan, np.nan
     return smooth, sigma
