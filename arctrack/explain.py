@@ -22,7 +22,7 @@ from noise_model.arrays import Float32, Float64
 from noise_model.instrument.sensor import variance_e2
 from tracker import flags
 from tracker.arc.level import MAP_SIGMA, ArcLevel
-from tracker.arc.transmission import Passage
+from tracker.arc.transmission import Transmission
 from tracker.geometry import SensorGeometry
 from tracker.joint import MeasuredJoint, fit_joint
 from tracker.measure import Reading, expected_output, profile_of
@@ -163,15 +163,15 @@ def _look(
     output = expected_output(setup, frame)
     kernel = arc_kernel(setup, scene, output)
     arc_map = arc_map_of(geometry, kernel)
-    passage = Passage.of(geometry, scene, arc_map.at, output if frame.arc_on else 0.0)
-    arc = _arc_image(geometry, kernel, passage, reading.arc, frame)
+    transmission = Transmission.of(geometry, scene, arc_map.at, output if frame.arc_on else 0.0)
+    arc = _arc_image(geometry, kernel, transmission, reading.arc, frame)
     look = replace(look, expected=expected, arc=arc)
     if reading.stripe is None:
         return look
 
     work = Work.of(geometry)
     stripe = read_stripe(
-        geometry, arc_map, passage, reading.arc, frame, expected, reach_px, work, use_arc_map
+        geometry, arc_map, transmission, reading.arc, frame, expected, reach_px, work, use_arc_map
     )
     profile = profile_of(geometry, scene, expected, stripe, reading.reach_mm)
     look = replace(look, stripe=StripeLook(stripe, refusals(stripe, expected), sigma_parts(stripe, expected)))
@@ -188,7 +188,7 @@ def _look(
 
 
 def arc_light(
-    geometry: SensorGeometry, kernel: ArcKernel, passage: Passage | None, arc: ArcLevel
+    geometry: SensorGeometry, kernel: ArcKernel, transmission: Transmission | None, arc: ArcLevel
 ) -> tuple[Float32, Float32]:
     """Return the arc's light at its level, and all that is in the image without the laser, e-.
 
@@ -198,18 +198,22 @@ def arc_light(
     level = arc.level if math.isfinite(arc.level) else 1.0
     arc_e = arc_frame(kernel, geometry.xy, geometry.cos4, shape)
     other_e = np.zeros_like(arc_e)
-    if passage is not None:
-        through = passage.through(np.arange(arc_e.size), arc_e.ravel())
+    if transmission is not None:
+        through = transmission.through(np.arange(arc_e.size), arc_e.ravel())
         arc_e, other_e = (light.reshape(shape) for light in through)
     arc_e = np.float32(level) * arc_e
     return arc_e, arc_e + other_e + np.float32(arc.black_e)
 
 
 def _arc_image(
-    geometry: SensorGeometry, kernel: ArcKernel, passage: Passage | None, arc: ArcLevel, frame: Frame
+    geometry: SensorGeometry,
+    kernel: ArcKernel,
+    transmission: Transmission | None,
+    arc: ArcLevel,
+    frame: Frame,
 ) -> ArcImage:
     """Predict the arc's light over the whole image, as the tracker does it for the stripe's band."""
-    arc_e, mean_e = arc_light(geometry, kernel, passage, arc)
+    arc_e, mean_e = arc_light(geometry, kernel, transmission, arc)
     dn = frame.image_dn.T if geometry.along_rows else frame.image_dn
     charge_e = geometry.charge_e[np.minimum(dn, len(geometry.charge_e) - 1)]
     variance = variance_e2(mean_e, geometry.setup.sensor) + (MAP_SIGMA * arc_e) ** 2

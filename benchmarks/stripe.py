@@ -72,7 +72,7 @@ def case_of(stripe_e: float, arc: float, width_px: float) -> Case:
     setup = replace(setup, arc=replace(setup.arc, radiance_e=radiance)) if arc else setup
     prediction = predict(setup, T_base_tool, Condition(1.0, 1.0 if arc else 0.0, 0.005))
     laser = predict(setup, T_base_tool, Condition(1.0, 0.0, 0.005)).mean_e
-    center = expected.position_px + expected.lean_px
+    center = expected.position_px + expected.bias_px
     reach = math.ceil(HALF_WINDOW_SIGMAS * width_px)
     window = rows[:, None] + np.arange(-reach, reach + 1)[None, :]
     variance = (prediction.variance_dn2 * setup.sensor.gain_e_per_dn**2)[window, columns[:, None]]

@@ -59,7 +59,7 @@ def biases(case: Case, draws: int) -> tuple[Bias, Bias]:
     for n, pose in enumerate(step_poses(case)):
         expected = expect_stripe(geometry, make_scene(case.setup, pose))
         assert expected is not None
-        true = expected.position_px + expected.lean_px
+        true = expected.position_px + expected.bias_px
         place = np.minimum((np.mod(true, 1.0) * BINS).astype(int), BINS - 1)
         tracker, renderer = Tracker(case.setup), Renderer()
         for draw in range(draws):

@@ -33,7 +33,7 @@ from noise_model.surface.joint import SeamLine
 from noise_model.surface.ray_casting import trace
 from noise_model.transforms import invert, moved, transform
 from tracker.arc.level import HUBER
-from tracker.arc.transmission import Passage, seen_arc
+from tracker.arc.transmission import Transmission, seen_arc
 from tracker.geometry import SensorGeometry
 from tracker.seam.gaussian_process import CAPACITY
 from tracker.seam.locate import expected_seam
@@ -306,8 +306,8 @@ class _View:
             return arc_at(kernel, self.geometry.xy, self.geometry.cos4, pixels)[0]
 
         own_e, faces = arc_at(kernel, self.geometry.xy, self.geometry.cos4, self.pixels)
-        passage = Passage.of(self.geometry, scene, light, output)
-        arc_e, other_e = seen_arc(lambda _: own_e, passage, self.pixels)
+        transmission = Transmission.of(self.geometry, scene, light, output)
+        arc_e, other_e = seen_arc(lambda _: own_e, transmission, self.pixels)
         return np.where(faces == self.faces, arc_e + other_e + black_e, np.nan)
 
     def shift_px(self, setup: Setup, seam: SeamLine) -> float:

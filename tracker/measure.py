@@ -13,7 +13,7 @@ from noise_model.setup import Setup
 from noise_model.surface.joint import SeamLine
 from tracker import checks
 from tracker.arc.level import UNKNOWN, ArcLevel, estimate_arc_level
-from tracker.arc.transmission import Passage
+from tracker.arc.transmission import Transmission
 from tracker.checks import Checks
 from tracker.geometry import SensorGeometry
 from tracker.joint import MeasuredJoint, fit_joint
@@ -100,13 +100,13 @@ def measure(
     keep_off = reach_px + FIT_SIGMAS * float(expected.sigma_px.max())
     stripe_px = expected.position_px if frame.laser_on else None
     arc_map = arc_map_of(geometry, kernel)
-    passage = Passage.of(geometry, scene, arc_map.at, output if frame.arc_on else 0.0)
-    arc = estimate_arc_level(geometry, arc_map.at, passage, frame.image_dn, stripe_px, keep_off)
+    transmission = Transmission.of(geometry, scene, arc_map.at, output if frame.arc_on else 0.0)
+    arc = estimate_arc_level(geometry, arc_map.at, transmission, frame.image_dn, stripe_px, keep_off)
     _ask_arc(asked, arc)
     if not asked.ask(checks.LASER_ON, frame.laser_on):
         return Reading(asked, scene, seam, reach_mm, arc)
 
-    look = read_stripe(geometry, arc_map, passage, arc, frame, expected, reach_px, work, use_arc_map)
+    look = read_stripe(geometry, arc_map, transmission, arc, frame, expected, reach_px, work, use_arc_map)
     stripe = look.stripe
     if not _is_stripe(asked, geometry, expected, look):
         return Reading(asked, scene, seam, reach_mm, arc, stripe)
@@ -156,7 +156,7 @@ def profile_of(
 ) -> Profile:
     """Return a stripe's profile, whose seam is looked for within the look's reach and a little beyond."""
     stripe, light = look.stripe, look.light(geometry.setup.camera.psf_sigma_px)
-    position_px = stripe.position_px - expected.lean_px
+    position_px = stripe.position_px - expected.bias_px
     profile = triangulate(geometry, scene, position_px, stripe.sigma_px, stripe.beside_px)
     return replace(profile, reach_mm=reach_mm + BEYOND_REACH_MM, light=light)
 

@@ -57,15 +57,15 @@ def expect_stripe(geometry: SensorGeometry, scene: Scene) -> ExpectedStripe | No
     shading = np.where(np.isfinite(shading), shading, 0.0)
     curve = 1.5 * (0.5 * (ahead + behind) - middle)
     on_one_face = (strips[0] == strips[1]) & (strips[2] == strips[1]) & (strips[1] >= 0)
-    width, lean = np.abs(half_width), shading + curve
+    width, bias = np.abs(half_width), shading + curve
     if len(planes) > len(FLANKS):
         for s in np.flatnonzero(on_one_face & (seen.max(axis=0) > 0.0)):
             center, width[s] = _bell(every[:, s], seen[:, s], width[s])
-            lean[s] = center - middle[s]
+            bias[s] = center - middle[s]
     return ExpectedStripe(
         middle,
         _from_same_face(np.hypot(width, setup.camera.psf_sigma_px), strips[1], on_one_face),
-        _from_same_face(lean, strips[1], on_one_face),
+        _from_same_face(bias, strips[1], on_one_face),
         np.ones(len(middle), dtype=np.bool_),
     )
 

@@ -51,7 +51,7 @@ def test_it_lies_where_the_forward_model_draws_it(joint: str, upright: bool) -> 
     expected = expect_stripe(geometry, make_scene(setup, pose.T_base_tool, SEAM))
     assert expected is not None
     center, sigma = drawn(setup, pose, geometry)
-    off = center - expected.position_px - expected.lean_px
+    off = center - expected.position_px - expected.bias_px
     wide = sigma / expected.sigma_px
     seen = np.isfinite(off)
     print(
@@ -79,7 +79,7 @@ def test_it_is_its_twin(joint: str, upright: bool, distortion: tuple[float, ...]
         assert twin is not None
         # On a corrugation centre and width are fitted, and the last step of that may be short.
         atol = 1e-4 if joint == "corrugation" else 1e-8
-        for name in ("position_px", "sigma_px", "lean_px"):
+        for name in ("position_px", "sigma_px", "bias_px"):
             np.testing.assert_allclose(getattr(expected, name), getattr(twin, name), rtol=0.0, atol=atol)
 
 
@@ -91,9 +91,9 @@ def test_the_lean_matters() -> None:
     assert expected is not None
     center, _ = drawn(setup, pose, geometry)
     without = np.nanmedian(np.abs(center - expected.position_px))
-    with_lean = np.nanmedian(np.abs(center - expected.position_px - expected.lean_px))
-    print(f"corrugation's flank: off by {without:.3f} px without the lean, {with_lean:.3f} px with it")
-    assert with_lean < 0.3 * without
+    with_bias = np.nanmedian(np.abs(center - expected.position_px - expected.bias_px))
+    print(f"corrugation's flank: off by {without:.3f} px without the lean, {with_bias:.3f} px with it")
+    assert with_bias < 0.3 * without
 
 
 def best_bell(line_e: np.ndarray, start_px: float, dark_e2: float) -> np.ndarray:
@@ -123,7 +123,7 @@ def test_a_sheet_that_mirrors_the_laser_leans_it_by_pixels() -> None:
         assert expected is not None
         lines = predict(setup, pose.T_base_tool, Condition(1.0, 0.0, 0.005)).mean_e.T.astype(np.float64)
         for s in range(10, len(lines), 20):
-            start = expected.position_px[s] + expected.lean_px[s]
+            start = expected.position_px[s] + expected.bias_px[s]
             center, sigma = best_bell(lines[s], start, geometry.dark_variance_e2)
             lean.append(center - expected.position_px[s])
             off.append(center - start)

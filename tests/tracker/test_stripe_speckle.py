@@ -72,7 +72,7 @@ def test_frames_with_speckle_scatter_by_the_stated_sigma(contrast: float, grain_
     pose, renderer, rng = rendered.pose_at(0.0), Renderer(), np.random.default_rng(5)
     expected = expect_stripe(SensorGeometry.of(plain), make_scene(plain, pose.T_base_tool))
     assert expected is not None
-    true = expected.position_px + expected.lean_px
+    true = expected.position_px + expected.bias_px
     bend = np.abs(np.gradient(np.gradient(expected.position_px))) > 0.02
     face = np.convolve(bend, np.ones(41), "same") == 0.0
     tracker, own, together, without = Tracker(setup), [], [], []

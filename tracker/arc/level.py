@@ -9,7 +9,7 @@ import numpy as np
 
 from noise_model.arrays import Float32, Float64, Int64, Integers
 from noise_model.kernel import REDUCTION, kernel
-from tracker.arc.transmission import ArcLight, Passage, seen_arc
+from tracker.arc.transmission import ArcLight, Transmission, seen_arc
 from tracker.geometry import SensorGeometry
 
 MAP_SIGMA = 0.05
@@ -52,14 +52,14 @@ UNKNOWN = ArcLevel(np.nan, np.nan, 0.0, np.nan)
 def estimate_arc_level(
     geometry: SensorGeometry,
     light: ArcLight,
-    passage: Passage | None,
+    transmission: Transmission | None,
     image_dn: Integers,
     stripe_px: Float64 | None,
     keep_off_px: float,
 ) -> ArcLevel:
     """Fit charge = level * map + black to a lattice of pixels farther than `keep_off_px` from the stripe.
 
-    `light` is the arc's at its expected output, `passage` what effects make of it. Weighted least
+    `light` is the arc's at its expected output, `transmission` what effects make of it. Weighted least
     squares with Huber weights; the variance is the pixel's at the fitted mean plus (MAP_SIGMA level map)^2,
     the black level's prior is its tolerance.
     """
@@ -78,7 +78,7 @@ def estimate_arc_level(
         pixels,
         charge_e,
     )
-    m, other = seen_arc(light, passage, pixels[:n])
+    m, other = seen_arc(light, transmission, pixels[:n])
     n = _only_seen(m, charge_e, other)
     m, e = m[:n], charge_e[:n]
     if n < MIN_PIXELS or not (m > 0.0).any():
@@ -137,8 +137,8 @@ def _only_seen(map_e: Float64, charge_e: Float64, other_e: Float64) -> int:
 
 def _quantile(values: Float64, share: float) -> float:
     """Return the value (n,) that so large a share of all is not above."""
-    at = math.ceil(share * (len(values) - 1))
-    return float(np.partition(values, at)[at])
+    rank = math.ceil(share * (len(values) - 1))
+    return float(np.partition(values, rank)[rank])
 
 
 @kernel(fastmath=REDUCTION)

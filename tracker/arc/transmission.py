@@ -21,7 +21,7 @@ ArcLight = Callable[[Int64], Float32]
 
 
 @dataclass(frozen=True, eq=False)
-class Passage:
+class Transmission:
     """What a frame's effects make of the arc's light.
 
     `even` are the pixels (n,) of an even sample, by scan line, which light that spreads over the image is
@@ -35,8 +35,10 @@ class Passage:
     even_arc_e: Float32
 
     @classmethod
-    def of(cls, geometry: SensorGeometry, scene: Scene, light: ArcLight, output: float) -> Passage | None:
-        """Return the passage of a frame; None if no effect acts on the light.
+    def of(
+        cls, geometry: SensorGeometry, scene: Scene, light: ArcLight, output: float
+    ) -> Transmission | None:
+        """Return the transmission of a frame; None if no effect acts on the light.
 
         `light` is the arc's at its expected output, which counts the exposure over the nominal one; `output`
         is that, or 0 if the arc is said to be off: metal glows less then. What drifts with time are laser and
@@ -77,13 +79,13 @@ class Passage:
         return np.where(np.isfinite(arc_e), arrived, np.float32(np.nan)), other
 
 
-def seen_arc(light: ArcLight, passage: Passage | None, pixels: Int64) -> tuple[Float64, Float64]:
+def seen_arc(light: ArcLight, transmission: Transmission | None, pixels: Int64) -> tuple[Float64, Float64]:
     """Return the arc's light and the other light (n,), e-, at some pixels (n,), by scan line.
 
-    NaN where a pixel looks past the workpiece; `passage` None leaves the light as it is.
+    NaN where a pixel looks past the workpiece; `transmission` None leaves the light as it is.
     """
     arc_e = light(pixels)
-    if passage is None:
+    if transmission is None:
         return arc_e.astype(np.float64), np.zeros(len(pixels))
-    arrived, other = passage.through(pixels, arc_e)
+    arrived, other = transmission.through(pixels, arc_e)
     return arrived.astype(np.float64), other.astype(np.float64)

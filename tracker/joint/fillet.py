@@ -38,9 +38,12 @@ def fit_fillet(profile: Profile, joint: Joint) -> MeasuredJoint | None:
         return None
     y_s, z_s = float(fit.parameters[0]), float(fit.parameters[1])
     left_out = unexplained(profile, fit, y_s, BESIDE_MM)
-    left = profile.y_mm > y_s
+    on_left = profile.y_mm > y_s
     turned = np.abs(fit.parameters[2:] - start[2:]).max() / plate_sigma
-    if turned > MAX_TURNED_SIGMAS or min(fit.weights[left].sum(), fit.weights[~left].sum()) < MIN_POINTS:
+    if (
+        turned > MAX_TURNED_SIGMAS
+        or min(fit.weights[on_left].sum(), fit.weights[~on_left].sum()) < MIN_POINTS
+    ):
         return None
     plates, plate_sigmas = angles_of(fit, 2, 3)
     shape = JointShape(plate_angles_deg=plates, plate_sigmas_deg=plate_sigmas)

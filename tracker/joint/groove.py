@@ -18,7 +18,7 @@ from tracker.joint.measured import (
     ShapeFit,
     angles_of,
     fit_shape,
-    of_narrow_root,
+    narrow_root_fit,
     opening_of,
     place,
     section_of,
@@ -84,7 +84,7 @@ def _fit(
     if shape == GROOVE and min(seen.right_bevel, seen.left_bevel) > 0.0:
         middle_mm = float(fit.parameters[0])
         inside = np.abs(profile.y_mm - middle_mm) < half_mouth
-        fit = of_narrow_root(profile, shape, start, prior_sigma, GAP, _with_gap, middle_mm, inside, fit)
+        fit = narrow_root_fit(profile, shape, start, prior_sigma, GAP, _with_gap, middle_mm, inside, fit)
         seen = _seen_of(profile, fit, half_mouth)
     amid_mm = (1.0 - 2.0 * END_SHARE) * (half_mouth - 0.5 * gap)
     enough = min(MIN_POINTS, MIN_GROOVE_SHARE * amid_mm / profile.column_mm)

@@ -16,7 +16,7 @@ from tracker.joint.measured import (
     ShapeFit,
     angles_of,
     fit_shape,
-    of_narrow_root,
+    narrow_root_fit,
     opening_of,
     place,
     section_of,
@@ -82,7 +82,7 @@ def fit_half_v(profile: Profile, joint: Joint, camera_mm: Float64, laser_mm: Flo
     inside = (profile.y_mm > wall) & (profile.y_mm < mouth)
     if is_seen:
         middle_mm = wall + 0.5 * max(float(fit.parameters[GAP]), 0.0)
-        fit = of_narrow_root(
+        fit = narrow_root_fit(
             profile, HALF_GROOVE, start, PRIOR_SIGMA, GAP, _with_gap, middle_mm, inside, fit, clear
         )
     if fit.weights[inside].sum() < MIN_POINTS:

@@ -128,7 +128,7 @@ def fit_shape(
     return ShapeFit(parameters[:n], covariance, chi2, weights)
 
 
-def of_narrow_root(
+def narrow_root_fit(
     profile: Profile,
     shape: int,
     start: Float64,
@@ -157,22 +157,22 @@ def of_narrow_root(
         return fit
     counts = inside if used is None else inside & used
 
-    def left(one: ShapeFit) -> float:
+    def excess(candidate: ShapeFit) -> float:
         # Tukey's loss over its largest, from his weights: 1 - w^(3/2).
-        return float(np.sum(1.0 - one.weights[counts] ** 1.5)) - (
-            CLOSED_ROOT_EXCESS if one.parameters[gap] < CLOSED_MM else 0.0
+        return float(np.sum(1.0 - candidate.weights[counts] ** 1.5)) - (
+            CLOSED_ROOT_EXCESS if candidate.parameters[gap] < CLOSED_MM else 0.0
         )
 
-    found = []
+    fits = []
     for gap_mm, sigma_mm in ROOTS:
-        at, sigma = start.copy(), prior_sigma.copy()
-        at[gap], sigma[gap] = gap_mm, sigma_mm
-        other = fit_shape(profile, shape, at, sigma, used)
+        from_gap, sigma = start.copy(), prior_sigma.copy()
+        from_gap[gap], sigma[gap] = gap_mm, sigma_mm
+        other = fit_shape(profile, shape, from_gap, sigma, used)
         if other is not None:
-            found.append(other)
+            fits.append(other)
     # Less than no gap is a closed root whose height the priors chose.
-    found += [fit] if fit.parameters[gap] > 0.0 else []
-    best = min(found, key=left, default=fit)
+    fits += [fit] if fit.parameters[gap] > 0.0 else []
+    best = min(fits, key=excess, default=fit)
     if not best.parameters[gap] < TOLD_COLUMNS * profile.column_mm:
         return best
     more = max(profile.column_mm**2 - float(best.covariance[gap, gap]), 0.0)

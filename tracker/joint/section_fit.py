@@ -252,9 +252,9 @@ def best_shift(
     for shift in shifts:
         k = 0
         for i in range(y.shape[0]):
-            at = y[i] - shift
-            k = face_under(at, k, corners)
-            left_over[i] = z[i] - corners[k, 1] - slope_across(k, corners) * (at - corners[k, 0])
+            y_nominal = y[i] - shift
+            k = face_under(y_nominal, k, corners)
+            left_over[i] = z[i] - corners[k, 1] - slope_across(k, corners) * (y_nominal - corners[k, 0])
         rise = float(np.median(left_over))
         cost = 0.0
         for i in range(y.shape[0]):

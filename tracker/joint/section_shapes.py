@@ -93,18 +93,18 @@ def _rounded_side(
     cos_step, sin_step = cos_half * cos_half - sin_half * sin_half, 2.0 * sin_half * cos_half
     reach = radius / cos_half
     middle = N_CORNERS[ROUND_GROOVE] // 2
-    at, onward = (middle, 1) if side > 0.0 else (middle - 1, -1)
+    corner, onward = (middle, 1) if side > 0.0 else (middle - 1, -1)
     cos_a, sin_a = cos_half, sin_half
     for _ in range(CHORDS):
-        corners[at, 0], corners[at, 1] = y + side * reach * sin_a, z + radius - reach * cos_a
+        corners[corner, 0], corners[corner, 1] = y + side * reach * sin_a, z + radius - reach * cos_a
         cos_a, sin_a = cos_a * cos_step - sin_a * sin_step, sin_a * cos_step + cos_a * sin_step
-        at += onward
+        corner += onward
     # The bevel's line touches the rounding; it is followed up to the plate.
     cos_b, sin_b = math.cos(bevel), math.sin(bevel)
     out = radius * cos_b + (depth - radius * (1.0 - sin_b)) * tan
-    corners[at, 0], corners[at, 1] = y + side * out, z + depth
-    at += onward
-    corners[at, 0], corners[at, 1] = y + side * (out + FAR_MM), z + depth + side * slope * FAR_MM
+    corners[corner, 0], corners[corner, 1] = y + side * out, z + depth
+    corner += onward
+    corners[corner, 0], corners[corner, 1] = y + side * (out + FAR_MM), z + depth + side * slope * FAR_MM
 
 
 @kernel(allocates=True)

@@ -141,29 +141,29 @@ def _measure(
     clear &= _on_plate(profile, plates, float(np.median(profile.y_mm)), 2.0 * limit_mm)
     if is_edge:
         clear &= np.abs(profile.y_mm - y_0) < 0.5 * gap + thickness
-    left = profile.y_mm > y_0
-    if min((clear & left).sum(), (clear & ~left).sum()) < MIN_POINTS:
+    on_left = profile.y_mm > y_0
+    if min((clear & on_left).sum(), (clear & ~on_left).sum()) < MIN_POINTS:
         return None
     fit = _plates(profile, y_0, clear)
     if fit is None:
         return None
-    found = _gap_of(_Lines(profile, _on_plate(profile, fit, y_0, limit_mm), is_edge), joint, y_0)
-    if found is None:
+    opening = _gap_of(_Lines(profile, _on_plate(profile, fit, y_0, limit_mm), is_edge), joint, y_0)
+    if opening is None:
         return None
-    right_mm, left_mm = found.y_mm - 0.5 * found.width_mm, found.y_mm + 0.5 * found.width_mm
+    right_mm, left_mm = opening.y_mm - 0.5 * opening.width_mm, opening.y_mm + 0.5 * opening.width_mm
     # The plates' surfaces where they end.
     left_surface = np.array([1.0, 0.0, left_mm - y_0, 0.0])
     right_surface = np.array([1.0, 1.0, 0.0, right_mm - y_0])
     at_seam, step = 0.5 * (left_surface + right_surface), left_surface - right_surface
     z_s = float(at_seam @ fit.parameters)
     plate_angles, plate_sigmas = angles_of(fit, 2, 3)
-    width_sigma = math.sqrt(found.width_variance_mm2)
+    width_sigma = math.sqrt(opening.width_variance_mm2)
     shape = JointShape(
         width_sigma,
         math.sqrt(step @ fit.covariance @ step),
         plate_angles_deg=plate_angles,
         plate_sigmas_deg=plate_sigmas,
-        area_mm2=math.nan if is_edge else found.width_mm * thickness,
+        area_mm2=math.nan if is_edge else opening.width_mm * thickness,
         area_sigma_mm2=math.nan if is_edge else width_sigma * thickness,
     )
     far_right, *_, far_left = section_of(SHEETS, fit, (y_0,))
@@ -172,10 +172,10 @@ def _measure(
     floor = z_s - thickness
     corners = [far_right, (right_mm, right_top), (right_mm, floor), (left_mm, floor), (left_mm, left_top)]
     return MeasuredJoint(
-        found.y_mm,
+        opening.y_mm,
         z_s,
-        np.diag([found.variance_mm2, float(at_seam @ fit.covariance @ at_seam)]),
-        found.width_mm,
+        np.diag([opening.variance_mm2, float(at_seam @ fit.covariance @ at_seam)]),
+        opening.width_mm,
         float(step @ fit.parameters),
         fit.chi2,
         shape,
@@ -191,8 +191,8 @@ def _raised(profile: Profile, fit: ShapeFit, y_0: float, ends_mm: Pair) -> float
     """
     z, step, slope_left, slope_right = fit.parameters
     y, (right_mm, left_mm) = profile.y_mm, ends_mm
-    left = y > 0.5 * (right_mm + left_mm)
-    line = np.where(left, z + slope_left * (y - y_0), z + step + slope_right * (y - y_0))
+    on_left = y > 0.5 * (right_mm + left_mm)
+    line = np.where(on_left, z + slope_left * (y - y_0), z + step + slope_right * (y - y_0))
     off = off_line(profile, line)
     near = (y > right_mm - SLACK_MM) & (y < left_mm + SLACK_MM)
     in_gap = (y > right_mm) & (y < left_mm)
@@ -293,15 +293,15 @@ class _Lines:
             return None
         towards = 1 if plate_first else -1
         scan = self.away * (self.first_scan + end.line)
-        found = stripe_end(self.light, scan, self.away * towards, gap_lines)
-        off = self.away * towards * (found.line - scan)
+        seen_end = stripe_end(self.light, scan, self.away * towards, gap_lines)
+        off = self.away * towards * (seen_end.line - scan)
         is_read = self.sees[end.line + towards :: towards] != UNREAD
         unread = int(np.argmax(is_read)) if is_read.any() else 0
-        variance, blurred = (found.sigma * self.column_mm) ** 2, clear_of_an_edge(self.light)
+        variance, blurred = (seen_end.sigma * self.column_mm) ** 2, clear_of_an_edge(self.light)
         if not (variance < end.variance_mm2 and -blurred < off < unread + blurred):
             return None
-        at = np.interp(end.line + towards * off, np.arange(len(self.y_mm)), self.y_mm)
-        return _End(float(at), variance, end.line)
+        y_mm = np.interp(end.line + towards * off, np.arange(len(self.y_mm)), self.y_mm)
+        return _End(float(y_mm), variance, end.line)
 
     def others_between(self, first: int, last: int) -> int:
         """Return how many scan lines between two lines show no plate."""

@@ -108,9 +108,9 @@ def _groups(profile: Profile) -> tuple[Float64, Float64, Float64]:
     n = len(profile.y_mm) // size
     z = profile.z_mm[: n * size].reshape(n, size)
     middle = np.argsort(z, axis=1)[:, (size - 1) // 2]
-    at = np.arange(n) * size + middle
-    sigma = np.hypot(np.abs(profile.dz_mm[at]) * profile.sigma_px[at], ROUGH_MM)
-    return profile.y_mm[at], profile.z_mm[at], sigma
+    medians = np.arange(n) * size + middle
+    sigma = np.hypot(np.abs(profile.dz_mm[medians]) * profile.sigma_px[medians], ROUGH_MM)
+    return profile.y_mm[medians], profile.z_mm[medians], sigma
 
 
 def _stated_cost(y: Float64, z: Float64, sigma: Float64, measured: MeasuredJoint) -> float:

@@ -144,9 +144,9 @@ def _condition(
         before = min(stations_mm[order[0]], station_mm) if n else station_mm
         i = 0
         while i < n or not is_passed:
-            at = order[min(i, n - 1)] if n else 0
-            is_query = not is_passed and (i == n or station_mm <= stations_mm[at])
-            here = station_mm if is_query else stations_mm[at]
+            nearest = order[min(i, n - 1)] if n else 0
+            is_query = not is_passed and (i == n or station_mm <= stations_mm[nearest])
+            here = station_mm if is_query else stations_mm[nearest]
             moved = here - before
             before = here
             if moved > 0.0:
@@ -161,8 +161,8 @@ def _condition(
                     for j in range(2):
                         P[3 + k, 3 + j] = P[k, j]
                 continue
-            spread = P[0, 0] + 2.0 * P[0, 2] + P[2, 2] + variances_mm2[at, axis]
-            innovation = displacements_mm[at, axis] - m[0] - m[2]
+            spread = P[0, 0] + 2.0 * P[0, 2] + P[2, 2] + variances_mm2[nearest, axis]
+            innovation = displacements_mm[nearest, axis] - m[0] - m[2]
             for k in range(N_STATES):
                 gain[k] = P[k, 0] + P[k, 2]
             for k in range(N_STATES):

@@ -142,8 +142,10 @@ def steer(
     asked.ask(checks.OFFSET_WITHIN, not corrected.is_limited)
     asked.ask(checks.FOLLOWING, not corrected.is_stopped)
     offset = corrected.offset_mm.tolist()
-    is_known = [not math.isnan(one) for one in offset]
-    sigma = [one if known else NAN for one, known in zip(there.sigma_mm.tolist(), is_known, strict=True)]
+    is_known = [not math.isnan(sigma_mm) for sigma_mm in offset]
+    sigma = [
+        sigma_mm if known else NAN for sigma_mm, known in zip(there.sigma_mm.tolist(), is_known, strict=True)
+    ]
     steering = Steering(ends, corrected.is_stopped, steering.hand_eye_variance_mm2)
     return steering, replace(
         track,

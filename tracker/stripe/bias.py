@@ -54,7 +54,7 @@ def fit_bell(place: Float64, light: Float64, width: float, out: Float64) -> bool
             t = (place[k] - r_0) / w
             bell = math.exp(-0.5 * t * t)
             weight = length / (A * bell + peak)
-            left = light[k] - A * bell
+            residual = light[k] - A * bell
             by_r, by_w = A * bell * t, A * bell * t * t
             aa += weight * bell * bell
             ar += weight * bell * by_r
@@ -62,9 +62,9 @@ def fit_bell(place: Float64, light: Float64, width: float, out: Float64) -> bool
             rr += weight * by_r * by_r
             rw += weight * by_r * by_w
             ww += weight * by_w * by_w
-            g_a += weight * bell * left
-            g_r += weight * by_r * left
-            g_w += weight * by_w * left
+            g_a += weight * bell * residual
+            g_r += weight * by_r * residual
+            g_w += weight * by_w * residual
         # The amplitude is eliminated.
         rr, rw, ww = rr - ar * ar / aa, rw - ar * aw / aa, ww - aw * aw / aa
         g_r, g_w = g_r - ar / aa * g_a, g_w - aw / aa * g_a

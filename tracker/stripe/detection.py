@@ -38,40 +38,40 @@ def path_of(offsets_px: Int64, expected_px: Float64, position_px: Float64) -> In
     A centre may lie beside the offsets where a fit has moved it: the score at the last one is its flank's.
     """
     n = position_px.shape[0]
-    at = np.empty(n, dtype=np.int64)
+    path = np.empty(n, dtype=np.int64)
     for s in range(n):
-        at[s] = -1
+        path[s] = -1
         if math.isfinite(position_px[s]):
             i = round((position_px[s] - round(expected_px[s]) - offsets_px[0]) / OFFSET_STEP)
             if 0 <= i < offsets_px.shape[0]:
-                at[s] = i
-    return at
+                path[s] = i
+    return path
 
 
 @kernel
-def evidence_ratio(score: Float32, at: Int64, shown: Bool) -> float:
+def evidence_ratio(score: Float32, path: Int64, shown: Bool) -> float:
     """Return the evidence for a stripe over that for a dark one, which no laser makes; inf if that is none.
 
-    `score` (n_scan, n_offsets) is the matched filter's, in sigmas, `at` (n_scan,) where along it a stripe was
-    found, -1 for none, `shown` (n_scan,) which lines may hold one. Evidence is the path's gain, score^2 / 2
-    with its cap: for a stripe where one was found, for a dark one at each scan line's darkest place, unless
-    that may be a lobe of the stripe, or of its like just out of sight where none was found.
+    `score` (n_scan, n_offsets) is the matched filter's, in sigmas, `path` (n_scan,) where along it a stripe
+    was found, -1 for none, `shown` (n_scan,) which lines may hold one. Evidence is the path's gain,
+    score^2 / 2 with its cap: for a stripe where one was found, for a dark one at each scan line's darkest
+    place, unless that may be a lobe of the stripe, or of its like just out of sight where none was found.
     """
     bright, dark, total, held = 0.0, 0.0, 0.0, 0
     for s in range(score.shape[0]):
-        if at[s] >= 0:
-            found = max(float(score[s, at[s]]), 0.0)
-            bright += min(0.5 * found * found, GAIN_CAP)
-            total += found
+        if path[s] >= 0:
+            seen = max(float(score[s, path[s]]), 0.0)
+            bright += min(0.5 * seen * seen, GAIN_CAP)
+            total += seen
             held += 1
     typical = total / max(held, 1)
     for s in range(score.shape[0]):
-        if at[s] < 0 and not shown[s]:
+        if path[s] < 0 and not shown[s]:
             continue
         darkest = score[s, 0]
         for i in range(score.shape[1]):
             darkest = min(darkest, score[s, i])
-        depth, beside = -float(darkest), float(score[s, at[s]]) if at[s] >= 0 else typical
+        depth, beside = -float(darkest), float(score[s, path[s]]) if path[s] >= 0 else typical
         if depth > max(LOBE * beside, CHANCE_SIGMAS):
             dark += min(0.5 * depth * depth, GAIN_CAP)
     return bright / dark if dark > 0.0 else math.inf
@@ -91,14 +91,14 @@ def seen_share(
     it was sought. Of a bell of sigma w the matched filter, whose template's mean is taken out, sees
     A sqrt(0.52 w / V) sigmas. What saturates may hide anything.
     """
-    found = np.isfinite(position_px)
-    if not found.any():
+    holds = np.isfinite(position_px)
+    if not holds.any():
         return math.nan
-    weak_e = WEAK * float(np.median(amplitude_e[found]))
+    weak_e = WEAK * float(np.median(amplitude_e[holds]))
     worst_e2 = np.where(censored.any(axis=1), np.inf, variance_e2.max(axis=1))
     with np.errstate(invalid="ignore"):
         clear = weak_e * np.sqrt(0.52 * expected.sigma_px / worst_e2) > CLEAR_SIGMAS
-    n_found, n_absent = np.count_nonzero(found), np.count_nonzero(expected.shown & clear & ~found)
+    n_found, n_absent = np.count_nonzero(holds), np.count_nonzero(expected.shown & clear & ~holds)
     return n_found / (n_found + n_absent)
 
 
@@ -111,7 +111,7 @@ def leaves_image(expected: ExpectedStripe, position_px: Float64, n_pos: int) -> 
 def _leaves(position_px: Float64, expected_px: Float64, sigma_px: Float64, shown: Bool, n_pos: int) -> bool:
     """Say whether one of the shown places (n_scan,) lies within its sigma of the image's ends."""
     for s in range(position_px.shape[0]):
-        at = position_px[s] if math.isfinite(position_px[s]) else expected_px[s]
-        if shown[s] and (at < sigma_px[s] or at > n_pos - 1 - sigma_px[s]):
+        place = position_px[s] if math.isfinite(position_px[s]) else expected_px[s]
+        if shown[s] and (place < sigma_px[s] or place > n_pos - 1 - sigma_px[s]):
             return True
     return False

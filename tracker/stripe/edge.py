@@ -253,14 +253,14 @@ class EndChi2(NamedTuple):
 
 
 @kernel
-def end_chi2(share: Float64, variance: Float64, contrast: float, sigma: float, at: float) -> EndChi2:
+def end_chi2(share: Float64, variance: Float64, contrast: float, sigma: float, end: float) -> EndChi2:
     """Return chi2 of shares (n,) with an end at a place, A at its best there within its prior."""
     # What A - 1 may be: the lines beyond that make its 1 scatter too.
     H_ee, H_ea, H_aa, g_e, g_a, chi2, n = 0.0, 0.0, BEYOND / contrast**2, 0.0, 0.0, 0.0, 0
     for i in range(share.shape[0]):
         if math.isnan(share[i]):
             continue
-        t = (at - i) / sigma
+        t = (end - i) / sigma
         mean = 0.5 * math.erfc(-t / math.sqrt(2.0))
         by_place = math.exp(-0.5 * t * t) / (math.sqrt(2.0 * math.pi) * sigma)
         weight = 1.0 / (variance[i] + (contrast * mean) ** 2 + MIN_STRIPE_SHARE**2)
@@ -283,19 +283,19 @@ def fit_end(share: Float64, variance: Float64, contrast: float, sigma: float) ->
     """
     best, least = math.nan, math.inf
     for k in range(int((share.shape[0] - 1) / SEARCH_STEP) + 1):
-        found = end_chi2(share, variance, contrast, sigma, k * SEARCH_STEP)
-        if found.lines > 2 and found.chi2 < least:
-            best, least = k * SEARCH_STEP, found.chi2
-    at = best
+        fit = end_chi2(share, variance, contrast, sigma, k * SEARCH_STEP)
+        if fit.lines > 2 and fit.chi2 < least:
+            best, least = k * SEARCH_STEP, fit.chi2
+    end = best
     for _ in range(STEPS):
-        found = end_chi2(share, variance, contrast, sigma, at)
-        if not found.information > 0.0:
+        fit = end_chi2(share, variance, contrast, sigma, end)
+        if not fit.information > 0.0:
             return math.nan, math.nan
-        at = min(max(at + found.gradient / found.information, best - SEARCH_STEP), best + SEARCH_STEP)
-    found = end_chi2(share, variance, contrast, sigma, at)
-    if not found.information > 0.0:
+        end = min(max(end + fit.gradient / fit.information, best - SEARCH_STEP), best + SEARCH_STEP)
+    fit = end_chi2(share, variance, contrast, sigma, end)
+    if not fit.information > 0.0:
         return math.nan, math.nan
-    freedom = found.lines - 2.0
+    freedom = fit.lines - 2.0
     # Only what chi2 shows beyond its own scatter widens the sigma.
-    excess = max(found.chi2 / freedom - math.sqrt(2.0 / freedom), 1.0)
-    return at, math.sqrt(excess / found.information + MIN_SIGMA**2)
+    excess = max(fit.chi2 / freedom - math.sqrt(2.0 / freedom), 1.0)
+    return end, math.sqrt(excess / fit.information + MIN_SIGMA**2)

@@ -22,7 +22,7 @@ HALF_SPAN_MM, STEP_MM = 60.0, 0.75
 """How far to either side of the tool the stripe is followed where the camera sees it, and in which steps."""
 
 FLANKS = np.array([-1.0, 0.0, 1.0])
-"""Planes across the sheet, in its sigmas, that tell width and lean of a stripe on flat faces."""
+"""Planes across the sheet, in its sigmas, that tell width and bias of a stripe on flat faces."""
 
 BESIDE_MM = 1e-6
 """The stripe is looked at so near to either side of each corner."""
@@ -38,14 +38,14 @@ NEAREST_MM = 1.0
 class ExpectedStripe:
     """The stripe that the joint would show, per scan line (n_scan,), px.
 
-    `position_px` its centre, `sigma_px` its 1 sigma (sheet and point-spread function), `lean_px` how far its
+    `position_px` its centre, `sigma_px` its 1 sigma (sheet and point-spread function), `bias_px` how far its
     light's centre lies off the laser plane's trace because reflectance and fall-off vary across it. `shown`
     says where the joint would show it at all, and not what an edge joint stands on, deep out of sight.
     """
 
     position_px: Float64
     sigma_px: Float64
-    lean_px: Float64
+    bias_px: Float64
     shown: Bool
 
 
@@ -56,12 +56,12 @@ def expect_stripe(geometry: SensorGeometry, scene: Scene) -> ExpectedStripe | No
     read off per scan line; beyond what is seen the ends are held. A Gaussian stripe whose strength varies as
     exp(k v) is that Gaussian moved by k sigma^2. One that is wider on one side by the surface's curve,
     v = a x + b x^2, moves the least-squares centre by 3/2 b sigma_x^2, as its third-order term projects on
-    the derivative of the Gaussian. Both together are the lean, with k from the model of the light. On a
+    the derivative of the Gaussian. Both together are the bias, with k from the model of the light. On a
     corrugation, which may mirror the laser for a part of the stripe, `tracker.stripe.bias` fits centre and
     width.
     """
     setup = geometry.setup
-    position, sigma, lean = np.empty((3, geometry.n_scan))
+    position, sigma, bias = np.empty((3, geometry.n_scan))
     face = np.empty(geometry.n_scan, dtype=np.int64)
     vertices = scene.shape.vertices
     below = vertices[:, 1] <= -EDGE_STANDS_MM
@@ -85,7 +85,7 @@ def expect_stripe(geometry: SensorGeometry, scene: Scene) -> ExpectedStripe | No
         setup.camera.psf_sigma_px,
         position,
         sigma,
-        lean,
+        bias,
         face,
     )
     if not in_view:
@@ -93,7 +93,7 @@ def expect_stripe(geometry: SensorGeometry, scene: Scene) -> ExpectedStripe | No
     shown = np.ones(geometry.n_scan, dtype=np.bool_)
     if is_deep.any():
         shown = (face < 0) | ~is_deep[face]
-    return ExpectedStripe(position, sigma, lean, shown)
+    return ExpectedStripe(position, sigma, bias, shown)
 
 
 @kernel
@@ -110,12 +110,12 @@ def _cut_and_project(
     material: LobeNumbers,
     along_rows: bool,
     with_light: bool,
-    at: Float64,
+    points_px: Float64,
     light: Float64,
 ) -> bool:
     """Cut a plane `shift_mm` beside the sheet with the section at y (n,) and look at it.
 
-    `face` (n,) are the faces that the points lie on. Writes the image points `at` (n, 2) as (scan,
+    `face` (n,) are the faces that the points lie on. Writes the image points `points_px` (n, 2) as (scan,
     position) and, `with_light`, the stripe's `light` there, the sheet's own Gaussian divided out. False if a
     point lies behind the camera.
     """
@@ -143,7 +143,7 @@ def _cut_and_project(
         radial = 1.0 + q * (k1 + q * (k2 + q * k3))
         u = lens.fx * (a * radial + 2.0 * p1 * a * b + p2 * (q + 2.0 * a * a)) + lens.cx
         v = lens.fy * (b * radial + p1 * (q + 2.0 * b * b) + 2.0 * p2 * a * b) + lens.cy
-        at[i, 0], at[i, 1] = (u, v) if along_rows else (v, u)
+        points_px[i, 0], points_px[i, 1] = (u, v) if along_rows else (v, u)
 
         if not with_light:
             light[i] = math.nan
@@ -184,24 +184,24 @@ def _samples(vertices: Float64, middle_mm: float, low_mm: float, high_mm: float)
 
 @kernel(allocates=True)
 def _per_line(
-    at: Float64, light: Float64, face: Int64, position: Float64, strength: Float64, shown: Int64
+    points_px: Float64, light: Float64, face: Int64, position: Float64, strength: Float64, shown: Int64
 ) -> bool:
     """Read a trace (n, 2) off at every scan line: place, light and face, -1 between two; ends are held.
 
     False if no scan line meets it.
     """
-    order = np.argsort(at[:, 0], kind="mergesort")
+    order = np.argsort(points_px[:, 0], kind="mergesort")
     n, n_scan = len(order), position.shape[0]
-    if at[order[n - 1], 0] < 0.0 or at[order[0], 0] > n_scan - 1:
+    if points_px[order[n - 1], 0] < 0.0 or points_px[order[0], 0] > n_scan - 1:
         return False
     after = 0
     for s in range(n_scan):
-        while after < n and at[order[after], 0] < s:
+        while after < n and points_px[order[after], 0] < s:
             after += 1
         left, right = order[max(min(after, n - 1) - 1, 0)], order[max(min(after, n - 1), min(1, n - 1))]
-        span = at[right, 0] - at[left, 0]
-        share = min(max((s - at[left, 0]) / span, 0.0), 1.0) if span > 0.0 else 0.0
-        position[s] = (1.0 - share) * at[left, 1] + share * at[right, 1]
+        span = points_px[right, 0] - points_px[left, 0]
+        share = min(max((s - points_px[left, 0]) / span, 0.0), 1.0) if span > 0.0 else 0.0
+        position[s] = (1.0 - share) * points_px[left, 1] + share * points_px[right, 1]
         strength[s] = (1.0 - share) * light[left] + share * light[right]
         shown[s] = face[left] if face[left] == face[right] else -1
     return True
@@ -222,20 +222,20 @@ def _expect(
     psf_sigma_px: float,
     position: Float64,
     sigma: Float64,
-    lean: Float64,
+    bias: Float64,
     face_shown: Int64,
 ) -> bool:
     """Write an expected stripe (n_scan,), see `expect_stripe`; False where it is out of view."""
     n_scan = position.shape[0]
     y, face = _samples(vertices, tool_mm[1], seen_mm[0], seen_mm[1])
     n = len(y)
-    at, light = np.empty((n, 2)), np.empty(n)
+    points_px, light = np.empty((n, 2)), np.empty(n)
     n_planes = planes.shape[0]
     places, strengths = np.empty((n_planes, n_scan)), np.empty((n_planes, n_scan))
     faces = np.empty((n_planes, n_scan), dtype=np.int64)
     for k in range(n_planes):
         shift = planes[k] * sheet.sigma
-        # Of three the lean is made of the flanks' light.
+        # Of three the bias is made of the flanks' light.
         with_light = shift != 0.0 or n_planes > FLANKS.shape[0]
         if not _cut_and_project(
             y,
@@ -250,15 +250,15 @@ def _expect(
             material,
             along_rows,
             with_light,
-            at,
+            points_px,
             light,
         ):
             return False
-        if not _per_line(at, light, face, places[k], strengths[k], faces[k]):
+        if not _per_line(points_px, light, face, places[k], strengths[k], faces[k]):
             return False
     middle = n_planes // 2
-    one = round(1.0 / (planes[1] - planes[0]))
-    before, behind = middle - one, middle + one
+    flank = round(1.0 / (planes[1] - planes[0]))
+    before, behind = middle - flank, middle + flank
     good = np.empty(n_scan, dtype=np.bool_)
     seen, bell = np.empty(n_planes), np.empty(2)
     for s in range(n_scan):
@@ -271,20 +271,20 @@ def _expect(
                 is_same = faces[k, s] == on
                 seen[k] = strengths[k, s] * math.exp(-0.5 * planes[k] ** 2) if is_same else 0.0
             if good[s] and fit_bell(places[:, s], seen, abs(half_width), bell):
-                sigma[s], lean[s] = math.hypot(bell[1], psf_sigma_px), bell[0] - position[s]
+                sigma[s], bias[s] = math.hypot(bell[1], psf_sigma_px), bell[0] - position[s]
                 continue
         sigma[s] = math.hypot(half_width, psf_sigma_px)
         shading = 0.0
         if strengths[before, s] > 0.0 and strengths[behind, s] > 0.0:
             shading = 0.5 * half_width * math.log(strengths[behind, s] / strengths[before, s])
-        lean[s] = shading + 1.5 * (0.5 * (places[behind, s] + places[before, s]) - places[middle, s])
-    _take_from_same_face(sigma, lean, faces[middle], good)
+        bias[s] = shading + 1.5 * (0.5 * (places[behind, s] + places[before, s]) - places[middle, s])
+    _take_from_same_face(sigma, bias, faces[middle], good)
     face_shown[:] = faces[middle]
     return True
 
 
 @kernel
-def _take_from_same_face(sigma: Float64, lean: Float64, face: Int64, good: Bool) -> None:
+def _take_from_same_face(sigma: Float64, bias: Float64, face: Int64, good: Bool) -> None:
     """Replace values (n,) beside a corner, where the flanks lie on two faces, by the nearest good ones.
 
     By those of its own face if that has some.
@@ -304,4 +304,4 @@ def _take_from_same_face(sigma: Float64, lean: Float64, face: Int64, good: Bool)
                 break
         take = nearest_on_face if nearest_on_face >= 0 else nearest
         if take >= 0:
-            sigma[s], lean[s] = sigma[take], lean[take]
+            sigma[s], bias[s] = sigma[take], bias[take]

@@ -220,10 +220,10 @@ def fit_lines(
     )
     for s in range(n_scan):
         saturated[s] = False
-        found = False
+        is_fitted = False
         if not math.isnan(start[s]):
             low = lows[s // cell]
-            found = fit_line(
+            is_fitted = fit_line(
                 charge[s],
                 background[s],
                 censored[s],
@@ -237,12 +237,12 @@ def fit_lines(
                 scratch,
                 fits[s],
             )
-            if found:
+            if is_fitted:
                 near = int(fits[s, 0])
                 reach = int(2.0 * width[s])
                 for r in range(max(0, near - reach), min(censored.shape[1], near + reach + 1)):
                     if censored[s, r]:
                         saturated[s] = True
                 fits[s, 0] += low
-        if not found:
+        if not is_fitted:
             fits[s, :] = np.nan

@@ -58,22 +58,22 @@ def _bell_over(values: Float32, middle: float, width: float) -> float:
 
 @kernel(fastmath={"contract"})
 def _left_over(
-    charge: Float32, background: Float32, censored: Bool, center: float, fit: Float64, left: Float32
+    charge: Float32, background: Float32, censored: Bool, center: float, fit: Float64, remainder: Float32
 ) -> None:
     """Write what a line's stripe about a centre leaves of its charge (depth,), NaN for censored pixels."""
     amplitude, inverse, middle = np.float32(fit[2]), np.float32(1.0 / fit[3]), np.float32(center)
     for r in range(charge.shape[0]):
         own = amplitude * bell((np.float32(r) - middle) * inverse)
-        left[r] = np.float32(math.nan) if censored[r] else charge[r] - background[r] - own
+        remainder[r] = np.float32(math.nan) if censored[r] else charge[r] - background[r] - own
 
 
 @kernel(fastmath={"contract"})
-def _lay(left: Float32, share: float, laid: Float32, laid_on: Float32) -> None:
+def _lay(remainder: Float32, share: float, laid: Float32, laid_on: Float32) -> None:
     """Add what a line leaves (n,), times `share`, to the sums and to the numbers of what was added."""
     zero, one, most, per_e = np.float32(0.0), np.float32(1.0), np.float32(CUT), np.float32(share)
-    for r in range(left.shape[0]):
-        is_seen = not math.isnan(left[r])
-        laid[r] += min(max(left[r] * per_e, -most), most) if is_seen else zero
+    for r in range(remainder.shape[0]):
+        is_seen = not math.isnan(remainder[r])
+        laid[r] += min(max(remainder[r] * per_e, -most), most) if is_seen else zero
         laid_on[r] += one if is_seen else zero
 
 
@@ -86,16 +86,16 @@ def second_place(charge: Float32, background: Float32, censored: Bool, fits: Flo
     """
     n_scan, depth = charge.shape
     laid, laid_on = np.zeros((2, 2 * depth + 1), dtype=np.float32)
-    left, widths, n = np.empty(depth, dtype=np.float32), np.empty(n_scan), 0
+    remainder, widths, n = np.empty(depth, dtype=np.float32), np.empty(n_scan), 0
     for s in range(0, n_scan, EVERY):
         if math.isnan(fits[s, 0]):
             continue
         widths[n] = fits[s, 3]
         n += 1
         center = fits[s, 0] - lows[s // CELL]
-        _left_over(charge[s], background[s], censored[s], center, fits[s], left)
+        _left_over(charge[s], background[s], censored[s], center, fits[s], remainder)
         shift = depth - round(center)
-        _lay(left, 1.0 / fits[s, 2], laid[shift : shift + depth], laid_on[shift : shift + depth])
+        _lay(remainder, 1.0 / fits[s, 2], laid[shift : shift + depth], laid_on[shift : shift + depth])
     if n == 0:
         return 0.0, 0.0
     width = float(np.median(widths[:n]))
@@ -120,8 +120,8 @@ def second_place(charge: Float32, background: Float32, censored: Bool, fits: Flo
     for s in range(0, n_scan, EVERY):
         if not math.isnan(fits[s, 0]):
             center = fits[s, 0] - lows[s // CELL]
-            _left_over(charge[s], background[s], censored[s], center, fits[s], left)
-            after, before = _either_side(left, center, abs(apart), fits[s])
+            _left_over(charge[s], background[s], censored[s], center, fits[s], remainder)
+            after, before = _either_side(remainder, center, abs(apart), fits[s])
             if max(after, before) > least:
                 if after > before:
                     behind, by_behind = behind + 1, by_behind + after
@@ -137,9 +137,12 @@ def second_place(charge: Float32, background: Float32, censored: Bool, fits: Flo
 
 
 @kernel
-def _either_side(left: Float32, center: float, apart_px: float, fit: Float64) -> Pair:
+def _either_side(remainder: Float32, center: float, apart_px: float, fit: Float64) -> Pair:
     """Return how bright, over a line's own stripe, another is behind and ahead of it, -inf out of sight."""
-    behind, ahead = _bell_over(left, center + apart_px, fit[3]), _bell_over(left, center - apart_px, fit[3])
+    behind, ahead = (
+        _bell_over(remainder, center + apart_px, fit[3]),
+        _bell_over(remainder, center - apart_px, fit[3]),
+    )
     behind, ahead = -math.inf if math.isnan(behind) else behind, -math.inf if math.isnan(ahead) else ahead
     return behind / fit[2], ahead / fit[2]
 
@@ -161,17 +164,17 @@ def second_light(
     `share` of the brighter one's where it is out of sight.
     """
     n_scan, depth = charge.shape
-    left = np.empty(depth, dtype=np.float32)
+    remainder = np.empty(depth, dtype=np.float32)
     for s in range(n_scan):
         light[s] = 0.0
         if math.isnan(fits[s, 0]):
             continue
         middle, amplitude, width = fits[s, 0] - lows[s // CELL], fits[s, 2], fits[s, 3]
-        _left_over(charge[s], background[s], censored[s], middle, fits[s], left)
-        weaker, brighter = _either_side(left, middle, apart_px, fits[s])
+        _left_over(charge[s], background[s], censored[s], middle, fits[s], remainder)
+        weaker, brighter = _either_side(remainder, middle, apart_px, fits[s])
         if brighter <= max(weaker, 0.5 * share):
             middle += apart_px
-            own = _bell_over(left, middle, width)
+            own = _bell_over(remainder, middle, width)
             amplitude = share * amplitude if math.isnan(own) else max(own, 0.0)
         for r in range(depth):
             t = (r - middle) / width

@@ -10,7 +10,7 @@ import numpy as np
 from noise_model.arc.map import CELL, ArcKernel, ArcMap
 from noise_model.arrays import Bool, Float32, Float64, Int64
 from tracker.arc.level import MAP_SIGMA, ArcLevel
-from tracker.arc.transmission import Passage
+from tracker.arc.transmission import Transmission
 from tracker.geometry import SensorGeometry
 from tracker.state import Frame, Stripe
 from tracker.stripe.band import gather, median_background, place, weigh
@@ -119,7 +119,7 @@ def arc_map_of(geometry: SensorGeometry, kernel: ArcKernel) -> ArcMap:
 def read_stripe(
     geometry: SensorGeometry,
     arc_map: ArcMap,
-    passage: Passage | None,
+    transmission: Transmission | None,
     arc: ArcLevel,
     frame: Frame,
     expected: ExpectedStripe,
@@ -146,7 +146,7 @@ def read_stripe(
     level_sigma = 0.0 if level_known else geometry.setup.tolerance.arc_level_rel
     map_sigma = math.hypot(MAP_SIGMA * max(1.0, arc.misfit if level_known else 1.0), level_sigma)
     if use_arc_map:
-        _predict_background(geometry, arc_map, passage, level, arc.black_e, lows, band)
+        _predict_background(geometry, arc_map, transmission, level, arc.black_e, lows, band)
     else:
         median_background(band.charge, MEDIAN_HALF_PX, band.background)
         spread = 1.4826 * float(np.median(np.abs(band.charge - band.background)))
@@ -254,23 +254,23 @@ def _fit_band(
 def _predict_background(
     geometry: SensorGeometry,
     arc_map: ArcMap,
-    passage: Passage | None,
+    transmission: Transmission | None,
     level: float,
     black_e: float,
     lows: Int64,
     band: Work,
 ) -> None:
     """Write the arc's light at the frame's own level, other light and the black level into the band."""
-    if level == 0.0 and passage is None:
+    if level == 0.0 and transmission is None:
         band.background[:] = black_e
         return
     arc_map.fill(lows, band.background)
-    if passage is None:
+    if transmission is None:
         band.background *= np.float32(level)
     else:
         n_scan, depth = band.background.shape
         first = np.arange(n_scan) * geometry.n_pos + lows[np.arange(n_scan) // CELL]
         pixels = (first[:, None] + np.arange(depth)).ravel()
-        arc_e, other_e = passage.through(pixels, band.background.ravel())
+        arc_e, other_e = transmission.through(pixels, band.background.ravel())
         band.background[:] = (np.float32(level) * arc_e + other_e).reshape(n_scan, depth)
     band.background += np.float32(black_e)

@@ -60,7 +60,7 @@ class _Line(NamedTuple):
 
 
 @kernel
-def _line(sums: Float64, low: int, high: int, at: float) -> _Line:
+def _line(sums: Float64, low: int, high: int, scan: float) -> _Line:
     """Return the line through columns low to high - 1, from running sums (n + 1, 7), read at a column."""
     w = sums[high, 0] - sums[low, 0]
     if not w > 0.0:
@@ -74,7 +74,7 @@ def _line(sums: Float64, low: int, high: int, at: float) -> _Line:
     xy = sums[high, 4] - sums[low, 4] - w * x * y
     yy = sums[high, 5] - sums[low, 5] - w * y * y
     slope = xy / xx
-    return _Line(y + slope * (at - x), 1.0 / w + (at - x) ** 2 / xx, max(yy - slope * xy, 0.0))
+    return _Line(y + slope * (scan - x), 1.0 / w + (scan - x) ** 2 / xx, max(yy - slope * xy, 0.0))
 
 
 @kernel

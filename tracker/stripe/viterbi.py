@@ -108,8 +108,8 @@ def _split(line: Float32, start: int, even: Float32, odd: Float32) -> None:
     for i in range(m):
         even[i], odd[i] = line[start + 2 * i], line[start + 2 * i + 1]
     for i in range(m, n):
-        at = start + 2 * i
-        even[i], odd[i] = line[at] if at < line.shape[0] else np.float32(0.0), np.float32(0.0)
+        pixel = start + 2 * i
+        even[i], odd[i] = line[pixel] if pixel < line.shape[0] else np.float32(0.0), np.float32(0.0)
 
 
 @kernel(fastmath=REDUCTION)
@@ -253,13 +253,13 @@ def best_path(score: Float32, choice: Int64) -> None:
         else:
             back[s, n] = n
         cost[n] = lost - MISSING_COST
-    at = 0
+    chosen = 0
     for i in range(n + 1):
-        if cost[i] < cost[at]:
-            at = i
+        if cost[i] < cost[chosen]:
+            chosen = i
     for s in range(n_scan - 1, -1, -1):
-        choice[s] = at if at < n else -1
-        at = back[s, at]
+        choice[s] = chosen if chosen < n else -1
+        chosen = back[s, chosen]
 
 
 @kernel
@@ -271,16 +271,16 @@ def peaks(score: Float32, choice: Int64, center_px: Float64, offsets_px: Int64, 
     """
     n_scan, n = score.shape
     for s in range(n_scan):
-        at = choice[s]
-        if at < 0:
+        peak = choice[s]
+        if peak < 0:
             start_px[s] = math.nan
             continue
-        up = 1 if at + 1 < n and score[s, at + 1] > score[s, at] else -1
-        while 0 <= at + up < n and score[s, at + up] > score[s, at]:
-            at += up
+        up = 1 if peak + 1 < n and score[s, peak + 1] > score[s, peak] else -1
+        while 0 <= peak + up < n and score[s, peak + up] > score[s, peak]:
+            peak += up
         between = 0.0
-        if 0 < at < n - 1:
-            before, here, after = score[s, at - 1], score[s, at], score[s, at + 1]
+        if 0 < peak < n - 1:
+            before, here, after = score[s, peak - 1], score[s, peak], score[s, peak + 1]
             curve = 2.0 * here - before - after
             between = 0.5 * (after - before) / curve * (offsets_px[1] - offsets_px[0]) if curve > 0.0 else 0.0
-        start_px[s] = round(center_px[s]) + offsets_px[at] + between
+        start_px[s] = round(center_px[s]) + offsets_px[peak] + between
