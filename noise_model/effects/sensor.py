@@ -6,7 +6,6 @@ import math
 from dataclasses import replace
 
 import numpy as np
-from scipy.signal import lfilter
 
 from noise_model.condition import Condition
 from noise_model.effects import drift
@@ -39,6 +38,9 @@ def _blooming(light: Light, view: View, condition: Condition, values: Values, dr
     if not view.is_frame:
         return
     well = np.float32(view.setup.sensor.full_well_e)
+    # It takes most of a second to load; only those pay whose setup states the effect.
+    from scipy.signal import lfilter
+
     excess = np.maximum(light.total - well, 0.0)
     if not excess.any():
         return

@@ -9,15 +9,17 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
+from typing import TYPE_CHECKING
 
 import numpy as np
 import numpy.typing as npt
 from scipy import constants
-from scipy.interpolate import PchipInterpolator
-from scipy.optimize import brentq
 
 from noise_model.arrays import Bool, Float64
 from noise_model.instrument.argon import AR_I, REFERENCE_NM, Line, line_weights
+
+if TYPE_CHECKING:
+    from scipy.interpolate import PchipInterpolator
 
 OPAQUE_DENSITY = 9.0
 """The optical density that stands for a transmission of 0."""
@@ -119,6 +121,8 @@ class FilterCurve:
     @cached_property
     def _half_maximum_nm(self) -> tuple[float, float]:
         """The outermost wavelengths at which half of the highest sample passes."""
+        from scipy.optimize import brentq
+
         # A sample at just half of the peak counts as above, whatever its logarithm is rounded to.
         half = 0.5 * (1.0 - 1e-9) * float(self.transmission.max())
         above = np.flatnonzero(self.transmission >= half)
@@ -136,6 +140,8 @@ class FilterCurve:
 
     @cached_property
     def _density(self) -> PchipInterpolator:
+        from scipy.interpolate import PchipInterpolator
+
         transmission = np.maximum(self.transmission, 10.0**-OPAQUE_DENSITY)
         return PchipInterpolator(self.wavelength_nm, -np.log10(transmission))
 

@@ -15,7 +15,7 @@ from noise_model.arrays import Bool, Float64, UInt8
 from noise_model.instrument.sensor import respond
 from noise_model.surface.joint import corrugation_height
 from noise_model.transforms import invert, transform
-from tracker.arc.transmission import Passage
+from tracker.arc.transmission import Transmission
 from tracker.geometry import SensorGeometry, meet_laser_plane, to_laser_plane
 from tracker.joint.measured import off_section
 from tracker.measure import Reading, expected_output
@@ -107,7 +107,7 @@ class Viewer:
             seen_so_far,
             stripe_px=geometry.image_points(lines, stripe.position_px),
             saturated=np.asarray(stripe.saturated, dtype=bool),
-            profile=self._profile(reading, stripe, expected.lean_px),
+            profile=self._profile(reading, stripe, expected.bias_px),
         )
 
     def _arc_grey(self, frame: Frame, reading: Reading) -> UInt8:
@@ -115,17 +115,17 @@ class Viewer:
         geometry = self.geometry
         output = expected_output(geometry.setup, frame)
         kernel = arc_kernel(geometry.setup, reading.scene, output)
-        passage = Passage.of(
+        transmission = Transmission.of(
             geometry, reading.scene, arc_map_of(geometry, kernel).at, output if frame.arc_on else 0.0
         )
-        _, mean_e = arc_light(geometry, kernel, passage, reading.arc)
+        _, mean_e = arc_light(geometry, kernel, transmission, reading.arc)
         image_e = mean_e.T if geometry.along_rows else mean_e
         sensor = geometry.setup.sensor
         return visible(np.clip(respond(np.nan_to_num(image_e), sensor), 0.0, sensor.max_dn), sensor)
 
-    def _profile(self, reading: Reading, stripe: Stripe, lean_px: Float64) -> Profile | None:
+    def _profile(self, reading: Reading, stripe: Stripe, bias_px: Float64) -> Profile | None:
         geometry, scene, joint = self.geometry, reading.scene, reading.joint
-        centre_px = stripe.position_px - lean_px
+        centre_px = stripe.position_px - bias_px
         profile = triangulate(geometry, scene, centre_px, stripe.sigma_px, stripe.beside_px)
         if not profile.y_mm.size:
             return None
