@@ -162,7 +162,7 @@ def test_the_view_is_the_trackers_own(simulated: Path) -> None:
         profile = triangulate(
             tracker.geometry,
             reading.scene,
-            stripe.position_px - expected.lean_px,
+            stripe.position_px - expected.bias_px,
             stripe.sigma_px,
             stripe.beside_px,
         )
