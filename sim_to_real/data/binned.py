@@ -20,8 +20,8 @@ from noise_model.instrument.sensor import linearise, respond_moments, saturation
 from noise_model.setup import Setup
 from sim_to_real.data.blocks import block_means
 from sim_to_real.data.photon_transfer import PhotonTransfer, photon_transfer
-from sim_to_real.data.seam_curve import SeamCurve
-from sim_to_real.data.seam_observations import MOVING, Sightings
+from tracker.seam.curve import SeamCurve
+from tracker.seam_observations import MOVING, Sightings
 from tracker.state import Frame, Pose
 
 PoseAt = Callable[[float], Pose | None]

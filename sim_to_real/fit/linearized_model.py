@@ -28,10 +28,10 @@ from noise_model.setup import Setup
 from noise_model.surface.joint import BentSeam
 from noise_model.view import View
 from sim_to_real.data.binned import Observed, ObservedFrame, one_face
-from sim_to_real.data.seam_curve import MODES, SeamCurve
-from sim_to_real.data.seam_observations import MOVING
 from sim_to_real.fit.nuisances import N_CAMERA, N_LEVELS, SEAM_FROM, nuisances, really_lit, really_there
 from sim_to_real.fit.trend import Change, effects_in
+from tracker.seam.curve import MODES, SeamCurve
+from tracker.seam_observations import MOVING
 
 Effects = Mapping[str, Values]
 

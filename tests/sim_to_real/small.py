@@ -9,8 +9,8 @@ import numpy as np
 from arctrack.recording import pose_at, read_recording
 from arctrack.simulate import SimulationPlan, simulate_recording
 from sim_to_real.data.binned import observe
-from sim_to_real.data.seam_observations import Sightings
 from sim_to_real.fit.linearized_model import Expected
+from tracker.seam_observations import Sightings
 
 EXAMPLE = Path(__file__).parents[2] / "examples" / "v_groove"
 SMALL = 6

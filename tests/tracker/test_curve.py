@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from sim_to_real.data.seam_curve import MODES, SeamCurve
+from tracker.seam.curve import MODES, SeamCurve
 
 
 def tracked(y_of, sigma_mm=0.01, has_ridges=False):

@@ -7,8 +7,8 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from sim_to_real.data.binned import observe
-from sim_to_real.data.seam_observations import Sightings
 from tests.sim_to_real.small import example_setup, recorded
+from tracker.seam_observations import Sightings
 
 N = 9
 
