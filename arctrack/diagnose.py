@@ -12,7 +12,8 @@ from pathlib import Path
 import numpy as np
 
 from arctrack.errors import ArctrackError, as_line, in_file
-from arctrack.output import make_folder, write_whole
+from arctrack.output import make_folder, real, write_whole
+from arctrack.printable import printable
 from arctrack.recording import pose_at, read_recording
 from arctrack.recording.diagnosis_files import FILES, REPORT_PAGE, write_numbers
 from arctrack.recording.setup_file import FILE_NAME, with_effects
@@ -44,8 +45,8 @@ class Job:
 
     @property
     def name(self) -> str:
-        """The recording's name."""
-        return self.recording.resolve().name
+        """The recording's name, fit to print."""
+        return printable(real(self.recording).name)
 
 
 @dataclass(frozen=True, eq=False)
@@ -105,8 +106,8 @@ def jobs_for(
         if out is None:
             folder = path / DIAGNOSIS_FOLDER
         else:
-            folder = out.absolute() if len(recordings) == 1 else out.absolute() / path.resolve().name
-        if folder.resolve() in [job.folder.resolve() for job in jobs]:
+            folder = out.absolute() if len(recordings) == 1 else out.absolute() / real(path).name
+        if real(folder) in [real(job.folder) for job in jobs]:
             raise ArctrackError(f"{path}: its diagnosis would replace another in {folder}")
         jobs.append(Job(path, folder, setup, tuple(without)))
     return jobs

@@ -4,12 +4,14 @@ from __future__ import annotations
 
 from pathlib import Path
 
+from arctrack.printable import printable
+
 
 class ArctrackError(Exception):
-    """Bad input or a wish that cannot be met; its text is one line, fit for the command line."""
+    """Bad input or a wish that cannot be met; its text is one line that a terminal can be given."""
 
     def __init__(self, message: str) -> None:
-        super().__init__(" ".join(message.split()))
+        super().__init__(printable(" ".join(message.split())))
 
 
 def in_file(path: Path, problem: str, *, line: int | None = None) -> ArctrackError:
@@ -25,4 +27,4 @@ def as_line(error: ArctrackError | OSError, source: Path) -> str:
     """
     if isinstance(error, ArctrackError):
         return str(error)
-    return " ".join(f"{error.filename or source}: {error.strerror or error}".split())
+    return printable(" ".join(f"{error.filename or source}: {error.strerror or error}".split()))

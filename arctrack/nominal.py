@@ -11,6 +11,7 @@ import math
 import numpy as np
 
 from arctrack.errors import ArctrackError
+from arctrack.limits import size_problem
 from noise_model.arc_source import Arc
 from noise_model.arrays import Float64
 from noise_model.instrument.camera import Camera
@@ -47,12 +48,15 @@ def nominal_setup(joint_type: str, material_name: str, *, width: int = 640, heig
 
     Other image sizes keep the field of view. `[arc] radiance_e` is 1 here: how bright the arc may be depends
     on aperture and filter, see `arctrack.simulate.balance`. Raises ArctrackError for a joint or a material
-    that there is not.
+    that there is not, and for an image that is too large.
     """
     if joint_type not in DIMENSIONS:
         raise ArctrackError(f"there is no joint {joint_type!r}: {cure_for(joint_type, DIMENSIONS)}")
     if material_name not in TABLE_1:
         raise ArctrackError(f"there is no material {material_name!r}: {cure_for(material_name, TABLE_1)}")
+    problem = size_problem(width, height)
+    if problem is not None:
+        raise ArctrackError(f"width, height: {problem}")
     focal_px = 2190.0 * width / 640.0
     camera = Camera(
         width=width,

@@ -21,6 +21,11 @@ def make_folder(folder: Path, files: Iterable[str]) -> None:
         raise in_file(folder, f"cannot be written: {error.strerror}; choose another with --out") from None
 
 
+def real(path: Path) -> Path:
+    """Return where a path leads through all links, as far as they lead: one may point at itself."""
+    return Path(os.path.realpath(path))
+
+
 @contextmanager
 def writing(path: Path) -> Iterator[None]:
     """Make an ArctrackError that names the file of what fails to be written: a full disk names none."""
@@ -35,7 +40,7 @@ def write_whole(path: Path, text: str) -> None:
 
     Raises ArctrackError if it cannot be written; what was there is then as it was.
     """
-    target = path.resolve()
+    target = real(path)
     draft = target.with_name(f".{target.name}.{os.getpid()}.part")
     with writing(path):
         try:

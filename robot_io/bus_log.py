@@ -8,6 +8,7 @@ wall-clock times, so that nothing is lost to the start's own resolution of a mil
 from __future__ import annotations
 
 import copy
+import io
 import math
 import struct
 import zlib
@@ -15,10 +16,12 @@ from collections import Counter
 from collections.abc import Iterator
 from contextlib import suppress
 from pathlib import Path
+from typing import TextIO
 
 import can
 from can.io.blf import BLFParseError
 
+from robot_io.blf_check import check_blf
 from robot_io.inbox import Inbox, Received, SkipReason
 
 LOG_SUFFIXES = (".asc", ".blf", ".log")
@@ -29,6 +32,10 @@ UNIX_TIME_FROM_S = 631_152_000.0
 
 _BLF_CONTAINER_BYTES = 4096
 """A BLF file is written in containers; a small one loses little if the process is killed."""
+
+
+LONGEST_LINE = 65_536
+"""Characters: a line of an `.asc` or `.log` holds one frame."""
 
 
 class BusLogError(ValueError):
@@ -153,24 +160,34 @@ class BusLogReader:
 
 
 def _frames(path: Path) -> Iterator[can.Message]:
-    if path.suffix == ".asc":
-        yield from _asc_frames(path)
-    elif path.suffix == ".blf":
+    if path.suffix == ".blf":
         # Opened here: the reader leaves the file open when its header is not a log's.
         with path.open("rb") as file:
+            check_blf(file)
+            file.seek(0)
             yield from can.BLFReader(file)
     else:
-        with can.CanutilsLogReader(path) as log:
-            yield from log
+        with _Lines(path.open("rb"), encoding="utf-8") as lines:
+            yield from _asc_frames(lines) if path.suffix == ".asc" else can.CanutilsLogReader(lines)
 
 
-def _asc_frames(path: Path) -> Iterator[can.Message]:
-    with can.ASCReader(path, relative_timestamp=False) as asc:
-        for frame in asc:
-            if asc.start_time < UNIX_TIME_FROM_S:
-                # To the nanosecond: the file holds microseconds, the sum with the start has rounded them.
-                frame.timestamp = round(frame.timestamp - asc.start_time, 9)
-            yield frame
+class _Lines(io.TextIOWrapper):
+    """A log's lines; ValueError for one that is longer than any."""
+
+    def readline(self, size: int = -1, /) -> str:  # type: ignore[override]
+        line = super().readline(LONGEST_LINE + 1)
+        if len(line) > LONGEST_LINE:
+            raise ValueError(f"a line of more than {LONGEST_LINE} characters")
+        return line
+
+
+def _asc_frames(lines: TextIO) -> Iterator[can.Message]:
+    asc = can.ASCReader(lines, relative_timestamp=False)
+    for frame in asc:
+        if asc.start_time < UNIX_TIME_FROM_S:
+            # To the nanosecond: the file holds microseconds, the sum with the start has rounded them.
+            frame.timestamp = round(frame.timestamp - asc.start_time, 9)
+        yield frame
 
 
 def _require_suffix(path: Path) -> None:

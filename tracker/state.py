@@ -5,7 +5,11 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, field
 
+import numpy as np
+import numpy.typing as npt
+
 from noise_model.arrays import Bool, Float64, Integers
+from noise_model.setup import Setup
 from tracker import flags
 from tracker.checks import Check
 
@@ -52,6 +56,27 @@ class Frame:
     current_a: float = NAN
     laser_on: bool = True
     arc_on: bool = True
+
+
+def frame_misfit(shape: tuple[int, ...], dtype: npt.DTypeLike, setup: Setup) -> str | None:
+    """Return what is wrong with an image's shape, (H, W) if right, and type for a setup; None if it fits."""
+    camera, sensor = setup.camera, setup.sensor
+    wanted = (camera.height, camera.width)
+    if len(shape) == 3:
+        colours = "is a colour picture" if shape[2] in (3, 4) else "has a third axis"
+        return (
+            f"{colours}, {shape[2]} channels: a raw grey frame of {camera.width} x {camera.height} is needed"
+        )
+    if len(shape) != 2:
+        return f"has {len(shape)} axes: a raw grey frame of {camera.width} x {camera.height} is needed"
+    if shape != wanted:
+        cure = "; it is transposed: swap rows and columns" if shape == wanted[::-1] else ""
+        stated = f"[camera] width and height say {camera.width} x {camera.height}"
+        return f"is {shape[1]} x {shape[0]}, {stated}{cure}"
+    if np.dtype(dtype) != np.dtype(sensor.dtype):
+        needed = f"[sensor] bits = {sensor.bits} needs raw codes in {np.dtype(sensor.dtype).name}"
+        return f"holds {np.dtype(dtype)}, {8 * np.dtype(dtype).itemsize} bits a pixel: {needed}"
+    return None
 
 
 @dataclass(frozen=True)

@@ -26,7 +26,7 @@ from tracker.seam.locate import (
     pose_checks,
 )
 from tracker.seam.steer import Steering, steer
-from tracker.state import Frame, Pose, Track
+from tracker.state import Frame, Pose, Track, frame_misfit
 from tracker.stripe.read import Work
 
 JUMP_SIGMAS, JUMP_FLOOR_MM = 5.0, 0.3
@@ -164,8 +164,7 @@ def _as_compiled_for(frame: Frame, pose: Pose) -> tuple[Frame, Pose]:
 
 def _can_look(asked: Checks, geometry: SensorGeometry, frame: Frame, pose: Pose | None) -> bool:
     """Ask whether frame and pose allow a look at the joint."""
-    sensor, camera = geometry.setup.sensor, geometry.setup.camera
-    fits = frame.image_dn.shape == (camera.height, camera.width) and frame.image_dn.dtype == sensor.dtype
+    fits = frame_misfit(frame.image_dn.shape, frame.image_dn.dtype, geometry.setup) is None
     if not asked.ask(checks.FRAME_FORMAT, fits) or not asked.ask(checks.POSE_KNOWN, pose is not None):
         return False
     assert pose is not None

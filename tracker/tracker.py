@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+import warnings
+
 from noise_model.setup import Setup
+from tracker import flags
 from tracker.geometry import SensorGeometry
 from tracker.measure import Reading
 from tracker.seam.correction import UNSTATED, Correction
-from tracker.state import Frame, Pose, Track
+from tracker.state import Frame, Pose, Track, frame_misfit
 from tracker.step import TrackerState, step_and_reading
 from tracker.stripe.read import Work
 from tracker.warm_up import OnCompiled, WarmUp, warm_up
@@ -27,10 +30,16 @@ class Tracker:
         self._work = Work.of(self.geometry)
 
     def step(self, frame: Frame, pose: Pose | None) -> Track:
-        """Track one frame and keep the new state."""
+        """Track one frame and keep the new state.
+
+        Warns of a frame that is not of the setup's size and type: no seam was looked for in it.
+        """
         self.state, track, self.reading = step_and_reading(
             self.geometry, self.state, frame, pose, self._work, self.use_arc_map, self.correction
         )
+        if track.flags & flags.FRAME_UNREADABLE.mask:
+            misfit = frame_misfit(frame.image_dn.shape, frame.image_dn.dtype, self.geometry.setup)
+            warnings.warn(f"frame {frame.index} {misfit}", stacklevel=2)
         return track
 
     def warm_up(self, on_compiled: OnCompiled | None = None) -> WarmUp:

@@ -9,7 +9,10 @@ from typing import Any
 from pydantic import ConfigDict, ValidationError, model_validator
 
 from arctrack.errors import in_file
-from arctrack.recording.setup_model import Table, describe
+from arctrack.limits import LIMITS
+from arctrack.recording.files import UnfitFileError, read_text
+from arctrack.recording.key_errors import describe
+from arctrack.recording.setup_model import Table
 
 
 class SealTable(Table):
@@ -129,12 +132,14 @@ class ResultFile(Table):
 def read_check_file(path: Path, kind: type[Table], cure: str = "it was there before") -> dict[str, Any]:
     """Return what a file holds, all keys that it has; ArctrackError names the first that it lacks."""
     try:
-        content: dict[str, Any] = json.loads(path.read_text(encoding="utf-8"))
+        content: dict[str, Any] = json.loads(read_text(path, LIMITS.json_bytes))
         kind.model_validate(content)
     except FileNotFoundError:
         raise in_file(path, f"is missing; {cure}") from None
     except ValidationError as error:
-        raise in_file(path, f"is no file of this check: {describe(error)}") from None
+        raise in_file(path, f"is no file of this check: {describe(error, kind)}") from None
+    except UnfitFileError as error:
+        raise in_file(path, str(error), line=error.line) from None
     except (ValueError, RecursionError) as error:
         raise in_file(path, f"is no JSON: {error}") from None
     return content

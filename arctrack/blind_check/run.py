@@ -26,7 +26,7 @@ from typing import TYPE_CHECKING, Any, TypeVar
 from arctrack.blind_check.files import LabelsFile, ResultFile, SealedFile, read_check_file
 from arctrack.diagnose import processes
 from arctrack.errors import ArctrackError, in_file
-from arctrack.output import write_whole
+from arctrack.output import real, write_whole
 from arctrack.recording import BadFrame, Recording, RecordingWriter, pose_at, read_recording
 from arctrack.recording.diagnosis_files import plain, report
 from arctrack.recording.reader import UNFINISHED_SUFFIX
@@ -184,7 +184,7 @@ def open_labels(*folders: Path) -> Opened:
             raise in_file(folder, f"is of the seed {one.seed} as is {other}: they share recordings")
         of_seed[one.seed] = folder
         asked.append(one)
-        mark = f"{folder.resolve().name}/" if len(folders) > 1 else ""
+        mark = f"{real(folder).name}/" if len(folders) > 1 else ""
         for name, seal in sorted(sealed.items()):
             case = _case(folder, Run(name, seal["sha256"]), seal["again"], secret["labels"][name]["label"])
             cases.append(replace(case, name=mark + name))

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from arctrack.errors import in_file
-from arctrack.recording.csv_file import check_is_file, read_csv
+from arctrack.recording.csv_file import number, read_csv
 from noise_model.instrument.spectrum import CurveError, FilterCurve
 
 WAVELENGTH = "wavelength_nm"
@@ -24,24 +24,17 @@ def read_filter_curve(path: Path, effective_index: float) -> FilterCurve:
 
     Raises ArctrackError with the file, and the line if one is to blame.
     """
-    check_is_file(path)
-    quantity = _quantity(path)
-    table = read_csv(path, (WAVELENGTH, quantity))
-    values = np.array([[table.number(n, c) for c in (0, 1)] for n in range(len(table.rows))])
-    if quantity == DENSITY:
-        with np.errstate(over="ignore"):
-            values[:, 1] = 10.0 ** -values[:, 1]
-    try:
-        return FilterCurve(values[:, 0], values[:, 1], effective_index)
-    except CurveError as error:
-        line = None if error.sample is None else table.lines[error.sample]
-        raise in_file(path, str(error), line=line) from None
-
-
-def _quantity(path: Path) -> str:
-    columns = read_csv(path, (WAVELENGTH,)).unknown_columns
-    given = [name for name in (TRANSMISSION, DENSITY) if name in columns]
+    table = read_csv(path, {WAVELENGTH: number}, {TRANSMISSION: number, DENSITY: number})
+    given = table.columns[1:]
     if len(given) != 1:
         found = "both" if given else "neither"
         raise in_file(path, f"has {found} of the columns {TRANSMISSION} and {DENSITY}; one is needed", line=1)
-    return given[0]
+    wavelength_nm, transmission = table.values.T
+    if given == (DENSITY,):
+        with np.errstate(over="ignore"):
+            transmission = 10.0**-transmission
+    try:
+        return FilterCurve(wavelength_nm, transmission, effective_index)
+    except CurveError as error:
+        line = None if error.sample is None else int(table.lines[error.sample])
+        raise in_file(path, str(error), line=line) from None

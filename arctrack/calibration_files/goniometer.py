@@ -11,7 +11,7 @@ import numpy as np
 import numpy.typing as npt
 
 from arctrack.errors import in_file
-from arctrack.recording.csv_file import CsvTable, check_is_file, read_csv
+from arctrack.recording.csv_file import CsvTable, number, read_csv
 from calibration.goniometer import Readings, Response, Settings, average
 from noise_model.arrays import Float64
 
@@ -52,19 +52,17 @@ def read_goniometer(path: Path, response: Response) -> GoniometerFile:
     A saturated reading is refused: it says no more than 'at least this bright', and without it the mean of
     its setting would be too low.
     """
-    check_is_file(path)
-    optional = [name for name in (*SOURCE, TIME) if name in read_csv(path, NEEDED).unknown_columns]
-    table = read_csv(path, (*NEEDED, *optional))
-    column = {name: _numbers(table, i) for i, name in enumerate(table.columns)}
+    table = read_csv(path, dict.fromkeys(NEEDED, number), dict.fromkeys((*SOURCE, TIME), number))
+    column = {name: table.column(name) for name in table.columns}
     _check(table, column, response)
-    ones = np.ones(len(table.rows))
+    ones = np.ones(len(table.lines))
     source = column.get("intensity", ones) / column.get("distance_mm", ones) ** 2
     settings = Settings(column["theta_i_deg"], column["theta_r_deg"], column["phi_r_deg"], source)
     readings = average(settings, column["gray_level"])
     return GoniometerFile(
         path,
         readings,
-        lines=tuple(table.lines[i] for i in np.unique(readings.group, return_index=True)[1]),
+        lines=tuple(table.lines[np.unique(readings.group, return_index=True)[1]].tolist()),
         zero_lines=_zero_lines(table, column["gray_level"], readings.group),
         source_columns=tuple(name for name in SOURCE if name in column),
         interval_s=_interval_s(column[TIME], readings.group) if TIME in column else math.nan,
@@ -80,10 +78,6 @@ def write_goniometer(path: Path, settings: Settings, gray_level: Float64) -> Non
         columns = (settings.theta_i_deg, settings.theta_r_deg, settings.phi_r_deg, gray_level)
         for n, row in enumerate(zip(*columns, strict=True)):
             writer.writerow([f"{n * READING_INTERVAL_S:.1f}", *(f"{value:g}" for value in row)])
-
-
-def _numbers(table: CsvTable, column: int) -> Float64:
-    return np.array([table.number(row, column) for row in range(len(table.rows))])
 
 
 def _check(table: CsvTable, column: dict[str, Float64], response: Response) -> None:
@@ -112,13 +106,13 @@ def _check(table: CsvTable, column: dict[str, Float64], response: Response) -> N
     for name, wrong, problem in limits:
         if wrong.any():
             row = int(np.argmax(wrong))
-            raise in_file(table.path, f"{name} = {column[name][row]:g} {problem}", line=table.lines[row])
+            raise in_file(table.path, f"{name} = {column[name][row]:g} {problem}", line=int(table.lines[row]))
 
 
 def _zero_lines(table: CsvTable, gray_level: Float64, group: npt.NDArray[np.intp]) -> tuple[int, ...]:
     rows = np.flatnonzero(gray_level == 0.0)
     first = np.sort(np.unique(group[rows], return_index=True)[1])
-    return tuple(table.lines[i] for i in rows[first])
+    return tuple(table.lines[rows[first]].tolist())
 
 
 def _interval_s(time_s: Float64, group: npt.NDArray[np.intp]) -> float:

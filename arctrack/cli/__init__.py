@@ -18,6 +18,7 @@ from arctrack.cli.replay import replay
 from arctrack.cli.simulate import simulate
 from arctrack.cli.warm import warm
 from arctrack.errors import ArctrackError
+from arctrack.printable import printable
 
 BAD_INPUT = 2
 """The exit code of an input that cannot be used; the shell's own for a command line that makes no sense."""
@@ -68,7 +69,7 @@ def main() -> None:
         _complain(str(error))
     except OSError as error:
         # A disk that is full, a folder that went away: what was written stays.
-        _complain(f"{error.filename or 'file'}: {error.strerror or error}")
+        _complain(printable(f"{error.filename or 'file'}: {error.strerror or error}"))
 
 
 def _complain(problem: str) -> NoReturn:

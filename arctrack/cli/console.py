@@ -20,6 +20,8 @@ from rich.progress import (
 )
 from rich.text import Text
 
+from arctrack.printable import printable
+
 if TYPE_CHECKING:
     from tracker.warm_up import WarmUp
 
@@ -36,20 +38,20 @@ def tables() -> Console:
 def warn(messages: Iterable[str]) -> None:
     """Print warnings on stderr, one line each."""
     for message in messages:
-        print(f"arctrack: warning: {message}", file=sys.stderr)
+        print(f"arctrack: warning: {printable(message)}", file=sys.stderr)
 
 
 def complain(problems: Iterable[str]) -> None:
     """Print errors on stderr, one line each; what several say alike is said once."""
     for problem in dict.fromkeys(problems):
-        print(f"arctrack: error: {problem}", file=sys.stderr)
+        print(f"arctrack: error: {printable(problem)}", file=sys.stderr)
 
 
 def progress() -> Progress:
     """Return a progress bar over frames with rate and time left, on stderr; silent where nobody watches."""
     console = Console(stderr=True)
     return Progress(
-        TextColumn("{task.description}"),
+        TextColumn("{task.description}", markup=False),
         BarColumn(),
         MofNCompleteColumn(),
         _Rate(),

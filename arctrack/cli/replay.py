@@ -95,6 +95,7 @@ def replay(
 
 def results_folders(recordings: list[Path], out: Path | None) -> list[Path]:
     """Return where each recording's results go; ArctrackError if two would share a folder."""
+    from arctrack.output import real
     from arctrack.replay import RESULTS_FOLDER
 
     if out is None:
@@ -102,8 +103,8 @@ def results_folders(recordings: list[Path], out: Path | None) -> list[Path]:
     elif len(recordings) == 1:
         folders = [out]
     else:
-        folders = [out / path.resolve().name for path in recordings]
+        folders = [out / real(path).name for path in recordings]
     for n, folder in enumerate(folders):
-        if folder.resolve() in [other.resolve() for other in folders[:n]]:
+        if real(folder) in [real(other) for other in folders[:n]]:
             raise ArctrackError(f"{recordings[n]}: its results would replace others in {folder}")
     return folders

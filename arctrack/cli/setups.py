@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from arctrack.errors import ArctrackError
+from arctrack.output import real
 
 if TYPE_CHECKING:
     from arctrack.recording import Recording, SetupFile
@@ -33,7 +34,7 @@ def check_replaces_nothing(out: Path, recording: Recording) -> None:
 def check_can_be_written(out: Path, setup: Path, data: Path | None = None) -> None:
     """Raise ArctrackError if a command cannot write its file, or would replace the setup or data it reads."""
     for read, what in ((setup, "setup"), (data, "measurement")):
-        if read is not None and out.exists() and out.resolve() == read.resolve():
+        if read is not None and out.exists() and real(out) == real(read):
             raise ArctrackError(f"{out}: is the {what} itself; give --out another file")
     _check_is_no_folder(out)
     if not (out.parent.is_dir() and os.access(out.parent, os.W_OK)):

@@ -19,6 +19,7 @@ from av.video.stream import VideoStream
 from arctrack.errors import in_file
 from noise_model.arrays import Integers
 
+CODECS = ("ffv1",)
 PIXEL_FORMATS = {"gray": np.uint8, "gray16le": np.uint16}
 
 CHECKSUMS_SOUGHT_IN = 8
@@ -29,9 +30,12 @@ _REVERSED_BITS = bytes(int(f"{byte:08b}"[::-1], 2) for byte in range(256))
 
 
 def open_video(path: Path) -> av.container.InputContainer:
-    """Open a video; ArctrackError unless it is grey FFV1."""
+    """Open a video in a Matroska file; ArctrackError unless it is FFV1. Nothing is decoded yet."""
     try:
-        container = av.open(_address(path), mode="r")
+        # Told what it is: in search of a format FFmpeg takes a script for one, and opens what that names.
+        container = av.open(
+            _address(path), mode="r", format="matroska", options={"codec_whitelist": ",".join(CODECS)}
+        )
     except FileNotFoundError:
         raise in_file(path, "there is no such file") from None
     except (av.error.FFmpegError, OSError) as error:
@@ -40,15 +44,26 @@ def open_video(path: Path) -> av.container.InputContainer:
     if not streams:
         container.close()
         raise in_file(path, "holds no video")
-    codec = streams[0].codec_context
-    pixel_format = codec.format.name if codec.format is not None else "unknown pixels"
-    if codec.name != "ffv1" or pixel_format not in PIXEL_FORMATS:
+    codec = streams[0].codec_context.name
+    if codec not in CODECS:
         container.close()
-        raise in_file(
-            path,
-            f"holds {codec.name} with {pixel_format}: must be ffv1 with gray or gray16le, which is exact",
-        )
+        raise in_file(path, f"holds {codec}: must be ffv1 with gray or gray16le, which is exact")
     return container
+
+
+def check_video(path: Path, width: int, height: int) -> None:
+    """Raise ArctrackError unless a video holds grey frames of this size."""
+    with open_video(path) as container:
+        codec = container.streams.video[0].codec_context
+        if (codec.width, codec.height) != (width, height):
+            raise in_file(
+                path,
+                f"is {codec.width} x {codec.height}, [camera] width and height in recording.toml say "
+                f"{width} x {height}",
+            )
+        pixels = codec.format.name if codec.format is not None else "unknown pixels"
+        if pixels not in PIXEL_FORMATS:
+            raise in_file(path, f"holds ffv1 with {pixels}: must be gray or gray16le, which is exact")
 
 
 def read_video(path: Path, positions: Iterable[int]) -> Iterator[Integers | str]:

@@ -9,11 +9,14 @@ from pathlib import Path
 import numpy as np
 
 from arctrack.errors import in_file
+from arctrack.limits import LIMITS
 from arctrack.recording import ffv1, png
+from arctrack.recording.files import UnfitFileError, check_file, kind_of, read_bytes
+from arctrack.recording.frame_hints import frame_hint, number_hint, source_hint
 from arctrack.recording.tables import FrameRow
 from noise_model.arrays import Integers
 from noise_model.setup import Setup
-from tracker.state import Frame
+from tracker.state import Frame, frame_misfit
 
 FOLDER_NAME = "frames"
 VIDEO_NAME = "frames.mkv"
@@ -44,9 +47,13 @@ def check_source(recording: Path, rows: Sequence[FrameRow], setup: Setup) -> tup
     if folder.is_dir():
         warnings = [f"{folder} is read, {video.name} beside it is not"] if video.exists() else []
         return folder, warnings + _check_folder(folder, rows)
-    if not video.exists():
-        raise in_file(folder, f"there are no frames: neither this folder nor {video.name} exists")
-    return video, _check_video(video, rows, setup)
+    if video.exists():
+        return video, _check_video(video, rows, setup)
+    if folder.exists():
+        kind = kind_of(folder.stat().st_mode) or "file"
+        raise in_file(folder, f"is a {kind}: a folder of PNGs is needed")
+    problem = f"there are no frames: neither this folder nor {VIDEO_NAME} exists"
+    raise in_file(folder, problem + source_hint(recording, rows[0].index))
 
 
 def read_frames(
@@ -60,21 +67,25 @@ def read_frames(
     if source.is_dir():
         for position in chosen:
             path = png_path(source, rows[position].index)
-            yield _judge(_read_png(path), rows[position], path, setup)
+            yield _judge(_read_png(path, setup), rows[position], path, setup)
         return
     for position, image in zip(chosen, ffv1.read_video(source, chosen), strict=True):
         yield _judge(image, rows[position], source, setup)
 
 
-def _read_png(path: Path) -> Integers | str:
+def _read_png(path: Path, setup: Setup) -> Integers | str:
+    most = LIMITS.png_bytes_per_px * setup.camera.width * setup.camera.height + LIMITS.spare_bytes
     try:
-        return png.decode(path.read_bytes())
+        encoded = read_bytes(path, most)
+        header = png.header_of(encoded)
+        # A few bytes may stand for gigabytes of pixels: only what fits is decoded.
+        return frame_misfit(header.shape, header.dtype, setup) or png.decode(encoded)
     except FileNotFoundError:
-        return "there is no such file, though frames.csv names the frame"
+        return f"there is no such file, though frames.csv names the frame{frame_hint(path)}"
+    except (UnfitFileError, ValueError) as error:
+        return str(error)
     except OSError as error:
         return f"cannot be read: {error.strerror}"
-    except ValueError as error:
-        return str(error)
 
 
 def _judge(image: Integers | str, row: FrameRow, path: Path, setup: Setup) -> Frame | BadFrame:
@@ -93,41 +104,32 @@ def _judge(image: Integers | str, row: FrameRow, path: Path, setup: Setup) -> Fr
 
 
 def _misfit(image: Integers, setup: Setup) -> str | None:
-    camera, sensor = setup.camera, setup.sensor
-    if image.ndim != 2:
-        return f"has {image.shape[2]} channels: a raw grey frame is needed"
-    if image.shape != (camera.height, camera.width):
-        height, width = image.shape
-        return f"is {width} x {height}, [camera] width and height say {camera.width} x {camera.height}"
-    if image.dtype != np.dtype(sensor.dtype):
-        return f"has {8 * image.itemsize} bits a pixel, which is not what [sensor] bits = {sensor.bits} gives"
-    brightest = int(image.max())
-    if brightest > sensor.max_dn:
-        return f"holds {brightest} DN, [sensor] bits = {sensor.bits} ends at {sensor.max_dn}"
-    return None
+    problem = frame_misfit(image.shape, image.dtype, setup)
+    brightest = 0 if problem else int(image.max())
+    if brightest > setup.sensor.max_dn:
+        return f"holds {brightest} DN, [sensor] bits = {setup.sensor.bits} ends at {setup.sensor.max_dn}"
+    return problem
 
 
 def _check_folder(folder: Path, rows: Sequence[FrameRow]) -> list[str]:
     present = {path.name for path in folder.glob("*.png")}
     named = {png_path(folder, row.index).name for row in rows}
     if not present & named:
-        raise in_file(
-            png_path(folder, rows[0].index), "there is no such file, nor any other that frames.csv names"
-        )
+        first = png_path(folder, rows[0].index)
+        problem = "there is no such file, nor any other that frames.csv names"
+        raise in_file(first, problem + (frame_hint(first) or number_hint(folder, rows[0].index)))
     spare = len(present - named)
     return [f"{folder} holds {spare} PNGs that frames.csv does not name"] if spare else []
 
 
 def _check_video(video: Path, rows: Sequence[FrameRow], setup: Setup) -> list[str]:
     camera = setup.camera
-    with ffv1.open_video(video) as container:
-        codec = container.streams.video[0].codec_context
-        if (codec.width, codec.height) != (camera.width, camera.height):
-            raise in_file(
-                video,
-                f"is {codec.width} x {codec.height}, [camera] width and height in recording.toml say "
-                f"{camera.width} x {camera.height}",
-            )
+    raw_bytes = len(rows) * camera.width * camera.height * np.dtype(setup.sensor.dtype).itemsize
+    try:
+        check_file(video, LIMITS.video_bytes_per_byte * raw_bytes + LIMITS.spare_bytes)
+    except UnfitFileError as error:
+        raise in_file(video, str(error)) from None
+    ffv1.check_video(video, camera.width, camera.height)
     # Of fewer frames the last are lost; of more nobody knows which row is whose.
     if (count := ffv1.count_frames(video)) > len(rows):
         raise in_file(video, f"holds {count} frames where frames.csv has {len(rows)} rows")

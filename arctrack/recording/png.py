@@ -8,13 +8,39 @@ from __future__ import annotations
 
 import struct
 import zlib
+from dataclasses import dataclass
 
 import cv2
 import numpy as np
+import numpy.typing as npt
 
 from noise_model.arrays import Integers
 
 SIGNATURE = b"\x89PNG\r\n\x1a\n"
+
+CHANNELS = {0: 1, 2: 3, 3: 3, 4: 2, 6: 4}
+"""Channels of a PNG's colour types; 3 looks its colours up in a palette (W3C PNG, 11.2.1)."""
+
+
+@dataclass(frozen=True)
+class Header:
+    """What a PNG says of its pixels before they are decoded."""
+
+    width: int
+    height: int
+    bits: int
+    channels: int
+
+    @property
+    def shape(self) -> tuple[int, ...]:
+        """The shape of the decoded array."""
+        grey = (self.height, self.width)
+        return grey if self.channels == 1 else (*grey, self.channels)
+
+    @property
+    def dtype(self) -> npt.DTypeLike:
+        """The type of the decoded array: fewer than 8 bits come as 8."""
+        return np.uint16 if self.bits == 16 else np.uint8
 
 
 def problem_of(encoded: bytes) -> str | None:
@@ -38,11 +64,25 @@ def problem_of(encoded: bytes) -> str | None:
     return f"is truncated after {len(encoded)} bytes"
 
 
-def decode(encoded: bytes) -> Integers:
-    """Decode a whole PNG to its raw pixels; ValueError says what is wrong with it."""
+def header_of(encoded: bytes) -> Header:
+    """Return the header of a whole PNG, its pixels untouched; ValueError says what is wrong with it."""
     problem = problem_of(encoded)
     if problem is not None:
         raise ValueError(problem)
+    length, name, width, height, bits, colour = struct.unpack_from(">I4sIIBB", encoded, len(SIGNATURE))
+    if (length, name) != (13, b"IHDR") or colour not in CHANNELS:
+        raise ValueError("is no PNG: its header is wrong")
+    if bits < 8 and colour == 0:
+        raise ValueError(f"has {bits} bits a pixel: grey levels of 8 or 16 are needed")
+    return Header(width, height, bits, CHANNELS[colour])
+
+
+def decode(encoded: bytes) -> Integers:
+    """Decode a whole PNG to its raw pixels; ValueError says what is wrong with it.
+
+    Who does not know how large it is looks at its header first.
+    """
+    header_of(encoded)
     try:
         image = cv2.imdecode(np.frombuffer(encoded, dtype=np.uint8), cv2.IMREAD_UNCHANGED)
     except cv2.error as error:

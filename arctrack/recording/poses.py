@@ -9,6 +9,8 @@ from pathlib import Path
 import numpy as np
 
 from arctrack.errors import in_file
+from arctrack.limits import LIMITS
+from arctrack.recording.files import UnfitFileError, check_file
 from arctrack.recording.tables import PoseTable, read_poses_csv
 from noise_model.arrays import Float64
 from noise_model.surface.joint import Joint, seam_frame
@@ -43,8 +45,7 @@ def read_poses(recording: Path, T_tool_controllertool: Float64 | None) -> tuple[
             raise in_file(
                 csv_path, f"there are no poses: neither this file nor {', '.join(LOG_NAMES)} exists"
             )
-        poses, unknown = read_poses_csv(csv_path)
-        warnings += [f"{csv_path}: the column {name} is not known" for name in unknown]
+        poses, warnings = read_poses_csv(csv_path)
     else:
         poses, skipped = _read_log(logs[0])
         if skipped:
@@ -123,6 +124,7 @@ def _read_log(path: Path) -> tuple[PoseTable, int]:
     poses: list[Float64] = []
     repeated = 0
     try:
+        check_file(path, LIMITS.log_bytes)
         reader = BusLogReader(path)
         for received in reader:
             sample = assembler.push(received)
@@ -137,9 +139,11 @@ def _read_log(path: Path) -> tuple[PoseTable, int]:
                     f"the pose at {sample.timestamp_s:.6f} s does not come after {times_s[-1]:.6f}: "
                     "times must rise",
                 )
+            if len(times_s) == LIMITS.csv_rows:
+                raise in_file(path, f"holds more than {LIMITS.csv_rows} poses: that is the most")
             times_s.append(sample.timestamp_s)
             poses.append(pose_matrix(sample.position_base_mm, sample.quaternion_xyzw))
-    except BusLogError as error:
+    except (BusLogError, UnfitFileError) as error:
         raise in_file(path, str(error).removeprefix(f"log {path}: ")) from None
     if not poses:
         raise in_file(path, "holds no whole pose of arctrack.dbc; were the pose messages logged?")

@@ -8,6 +8,8 @@ from pathlib import Path
 from typing import Any
 
 from arctrack.errors import ArctrackError, in_file
+from arctrack.output import real
+from arctrack.printable import printable
 from arctrack.recording import setup_file
 from arctrack.recording.frames import BadFrame, check_source, read_frames
 from arctrack.recording.poses import (
@@ -52,8 +54,8 @@ class Recording:
 
     @property
     def name(self) -> str:
-        """The folder's name."""
-        return self.path.resolve().name
+        """The folder's name, fit to print."""
+        return printable(real(self.path).name)
 
     @property
     def has_truth(self) -> bool:
@@ -70,7 +72,7 @@ class Recording:
         """Return whether a path is among the files that make the recording and its setup, or would be."""
         names = (setup_file.FILE_NAME, FRAMES_CSV, TRUTH_CSV, CSV_NAME, *LOG_NAMES)
         sources = [self.setup_path, self.frame_source, *(self.path / name for name in names)]
-        return any(path.resolve().is_relative_to(source.resolve()) for source in sources)
+        return any(real(path).is_relative_to(real(source)) for source in sources)
 
     def frames(self, positions: Sequence[int] | None = None) -> Iterator[Frame | BadFrame]:
         """Yield the frames of all rows, or of the rows at rising positions, one at a time.
@@ -120,13 +122,12 @@ def read_recording(path: Path | str, setup_path: Path | str | None = None) -> Re
     folder = Path(path)
     _check_folder(folder)
     stated = setup_file.read_setup_file(folder / setup_file.FILE_NAME if setup_path is None else setup_path)
-    rows, unknown_columns = read_frame_rows(folder / FRAMES_CSV)
+    rows, frame_warnings = read_frame_rows(folder / FRAMES_CSV)
     poses, pose_warnings = read_poses(folder, stated.T_tool_controllertool)
     source, source_warnings = check_source(folder, rows, stated.setup)
     coverage_warnings = check_coverage(poses, rows[0].timestamp_s, rows[-1].timestamp_s)
     if runs_against_travel(poses, [row.timestamp_s for row in rows], stated.setup.joint):
         raise in_file(stated.path, "[joint] seam_in_base_mm: runs against the travel; reverse its points")
-    column_warnings = [f"{folder / FRAMES_CSV}: the column {name} is not known" for name in unknown_columns]
     return Recording(
         path=folder,
         setup_path=stated.path,
@@ -139,7 +140,7 @@ def read_recording(path: Path | str, setup_path: Path | str | None = None) -> Re
         frame_source=source,
         warnings=(
             *stated.warnings,
-            *column_warnings,
+            *frame_warnings,
             *pose_warnings,
             *source_warnings,
             *coverage_warnings,
@@ -160,7 +161,7 @@ def _check_folder(folder: Path) -> None:
     if not folder.is_dir():
         problem = "is a file; give the folder that holds it" if folder.exists() else "there is no such folder"
         raise in_file(folder, problem)
-    if folder.resolve().name.endswith(UNFINISHED_SUFFIX):
+    if real(folder).name.endswith(UNFINISHED_SUFFIX):
         raise in_file(
             folder, f"was not written to its end; take {UNFINISHED_SUFFIX} off its name to read it so"
         )

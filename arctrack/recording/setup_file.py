@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import tomllib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -15,7 +14,12 @@ from scipy.spatial.transform import Rotation
 from tomlkit.items import Table
 
 from arctrack.errors import in_file
-from arctrack.recording.setup_model import FORMAT, UNITS, RecordingToml, describe, unknown_keys
+from arctrack.limits import LIMITS
+from arctrack.printable import cut, first_of
+from arctrack.recording.files import UnfitFileError, read_text
+from arctrack.recording.key_errors import describe
+from arctrack.recording.setup_model import FORMAT, UNITS, RecordingToml, unknown_keys
+from arctrack.recording.toml_text import parse_toml
 from noise_model.arrays import Float64
 from noise_model.instrument.spectrum import Filter, FilterCurve
 from noise_model.setup import Setup
@@ -33,7 +37,8 @@ class SetupFile:
 
     `correction` is how the seam is followed; `robot` is the raw table; `T_tool_controllertool` (4, 4), mm,
     takes points of the controller's own tool frame to arctrack's, None if they are the same; `unknown_keys`
-    are the keys that mean nothing here: they are reported and otherwise without effect.
+    are the keys that mean nothing here: they are reported and otherwise without effect. `nearest_keys` are
+    the known keys that some of them may be meant for.
     """
 
     path: Path
@@ -42,11 +47,17 @@ class SetupFile:
     robot: Mapping[str, Any] = field(default_factory=dict)
     T_tool_controllertool: Float64 | None = None
     unknown_keys: tuple[str, ...] = ()
+    nearest_keys: Mapping[str, str] = field(default_factory=dict)
 
     @property
     def warnings(self) -> tuple[str, ...]:
         """What to tell a user of it, one line each."""
-        return tuple(f"{self.path}: {key} is not known and has no effect" for key in self.unknown_keys)
+        problems = []
+        for key in self.unknown_keys:
+            near = self.nearest_keys.get(key)
+            hint = "" if near is None else f"; did you mean {near}?"
+            problems.append(f"{cut(key)} is not known and has no effect{hint}")
+        return tuple(f"{self.path}: {problem}" for problem in first_of(problems, "keys are not known"))
 
 
 def read_setup_file(path: Path | str) -> SetupFile:
@@ -57,38 +68,42 @@ def read_setup_file(path: Path | str) -> SetupFile:
 
 def setup_text(path: Path) -> str:
     """Return the text of a recording.toml; ArctrackError if there is none."""
+    if path.is_dir():
+        raise in_file(path, f"is a folder; give the {FILE_NAME} in it")
     try:
-        # Some editors begin a file with a byte order mark.
-        return path.read_text(encoding="utf-8-sig")
+        return read_text(path, LIMITS.toml_bytes)
     except FileNotFoundError:
         raise in_file(path, "there is no such file; a recording needs one") from None
-    except IsADirectoryError:
-        raise in_file(path, f"is a folder; give the {FILE_NAME} in it") from None
-    except (OSError, UnicodeDecodeError) as error:
-        raise in_file(path, f"cannot be read: {error}") from None
+    except UnfitFileError as error:
+        raise in_file(path, str(error), line=error.line) from None
+    except OSError as error:
+        raise in_file(path, f"cannot be read: {error.strerror}") from None
 
 
 def parse_setup(text: str, path: Path) -> SetupFile:
     """Parse the text of a recording.toml; `path` is for the messages."""
     try:
-        document = tomllib.loads(text)
-    except (ValueError, RecursionError) as error:
-        raise in_file(path, f"is no valid TOML: {error}") from None
+        document = parse_toml(text)
+    except ValueError as error:
+        raise in_file(path, str(error)) from None
     try:
         model = RecordingToml.model_validate(document)
     except ValidationError as error:
-        raise in_file(path, describe(error)) from None
+        raise in_file(path, describe(error, RecordingToml)) from None
     controllertool = None if model.robot is None else model.robot.controllertool_to_tool
     try:
+        setup = model.to_setup()
+        unknown = unknown_keys(model)
         return SetupFile(
             path=path,
-            setup=model.to_setup(),
+            setup=setup,
             correction=model.follow.to_correction(),
             robot=document.get("robot", {}),
             T_tool_controllertool=None
             if controllertool is None
             else controllertool.matrix("robot.controllertool_to_tool"),
-            unknown_keys=unknown_keys(model),
+            unknown_keys=tuple(unknown),
+            nearest_keys={key: near for key, near in unknown.items() if near is not None},
         )
     except ValueError as error:
         raise in_file(path, str(error)) from None

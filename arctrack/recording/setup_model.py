@@ -6,8 +6,11 @@ from collections.abc import Iterator
 from typing import Annotated, Any, Literal
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict, Field, FiniteFloat, ValidationError
+from pydantic import BaseModel, ConfigDict, Field, FiniteFloat
 
+from arctrack.limits import LIMITS, size_problem
+from arctrack.printable import shown
+from arctrack.recording.key_errors import held, meant_by, place
 from noise_model.arc_source import Arc
 from noise_model.arrays import Float64
 from noise_model.effects import REGISTRY, checked
@@ -16,6 +19,7 @@ from noise_model.instrument.laser import Laser
 from noise_model.instrument.sensor import Sensor
 from noise_model.instrument.spectrum import CurveError, Filter, FilterCurve
 from noise_model.setup import Setup, Tolerance
+from noise_model.spelling import nearest
 from noise_model.surface.brdf import Material
 from noise_model.surface.joint import DIMENSIONS, Joint
 from noise_model.transforms import pose_matrix
@@ -28,17 +32,9 @@ UNITS = "mm, s, deg, e-, DN"
 NAMED_IN_KEYS = ("A", "nm", "px")
 """Units that some keys have in their names: a file may state them as well, but no others."""
 
-LARGEST = 1e15
-"""No length, charge or angle of a setup is larger; squares and ratios of what is smaller stay finite."""
+_USABLE = f"must be a finite number, {LIMITS.value:g} at most"
 
-LONGEST_SIDE_PX = 16_384
-HIGHEST_DN = 65_535
-STEEPEST_EXPONENT = 10.0
-SMALLEST_CURRENT_A = 1e-3
-
-_USABLE = f"must be a finite number, {LARGEST:g} at most"
-
-Number = Annotated[FiniteFloat, Field(ge=-LARGEST, le=LARGEST)]
+Number = Annotated[FiniteFloat, Field(ge=-LIMITS.value, le=LIMITS.value)]
 Vector3 = Annotated[list[Number], Field(min_length=3, max_length=3)]
 Vector4 = Annotated[list[Number], Field(min_length=4, max_length=4)]
 Vector5 = Annotated[list[Number], Field(min_length=5, max_length=5)]
@@ -67,8 +63,8 @@ class PoseTable(Table):
 class CameraTable(Table):
     """[camera]."""
 
-    width: int = Field(le=LONGEST_SIDE_PX)
-    height: int = Field(le=LONGEST_SIDE_PX)
+    width: int = Field(le=LIMITS.side_px)
+    height: int = Field(le=LIMITS.side_px)
     fx: Number
     fy: Number
     cx: Number
@@ -76,7 +72,7 @@ class CameraTable(Table):
     distortion: Vector5
     focal_length_mm: Number
     f_number: Number
-    psf_sigma_px: Number
+    psf_sigma_px: FiniteFloat = Field(le=LIMITS.blur_px)
     exposure_s: Number
     pixel_format: str
     pose_in_tool: PoseTable
@@ -87,7 +83,7 @@ class SensorTable(Table):
 
     bits: int
     gain_e_per_dn: Number
-    black_level_dn: FiniteFloat = Field(ge=-HIGHEST_DN, le=HIGHEST_DN)
+    black_level_dn: FiniteFloat = Field(ge=-LIMITS.black_dn, le=LIMITS.black_dn)
     read_noise_e: Number
     full_well_e: Number
     gamma: Number
@@ -135,8 +131,8 @@ class ArcTable(Table):
     center_in_tool_mm: Vector3
     on_surface: bool
     radiance_e: Number
-    current_a: Number = Field(ge=SMALLEST_CURRENT_A)
-    current_exponent: FiniteFloat = Field(ge=-STEEPEST_EXPONENT, le=STEEPEST_EXPONENT)
+    current_a: Number = Field(ge=LIMITS.least_current_a)
+    current_exponent: FiniteFloat = Field(ge=-LIMITS.current_exponent, le=LIMITS.current_exponent)
 
 
 class MaterialTable(Table):
@@ -159,11 +155,13 @@ class JointTable(Table):
         """Return the dimensions that this type of joint needs and the file gives."""
         found: dict[str, float] = {}
         for name in DIMENSIONS.get(self.type, ()):
-            value = (self.model_extra or {}).get(name)
+            extras = self.model_extra or {}
+            value = extras.get(name)
             if value is None:
-                continue
+                hint = meant_by(name, (key for key in extras if key not in DIMENSIONS[self.type]))
+                raise ValueError(f"[joint] {name}: missing, a {self.type} needs it{hint}")
             if not _is_usable(value):
-                raise ValueError(f"{_held(f'[joint] {name}', value)}: {_USABLE}")
+                raise ValueError(f"{held(f'[joint] {name}', value)}: {_USABLE}")
             found[name] = float(value)
         return found
 
@@ -242,7 +240,7 @@ class RecordingToml(Table):
         """Return the typed setup; ValueError names the table and key of a value that cannot be."""
         known = *_units(UNITS), *NAMED_IN_KEYS
         if any(unit not in known for unit in _units(self.units)):
-            raise ValueError(f"{_held('units', self.units)}: must be of {UNITS}; convert the file's values")
+            raise ValueError(f"{held('units', self.units)}: must be of {UNITS}; convert the file's values")
         joint = Joint(
             type=self.joint.type,
             dimensions=self.joint.dimensions(),
@@ -274,38 +272,22 @@ class RecordingToml(Table):
             if name not in REGISTRY:
                 continue
             if not isinstance(table, dict):
-                raise ValueError(f"[effects] {name} = {table!r}: must be a table, [effects.{name}]")
+                raise ValueError(f"[effects] {name} = {shown(table)}: must be a table, [effects.{name}]")
             found[name] = {key: table[key] for key in REGISTRY[name].neutral if key in table}
             for key, value in found[name].items():
                 if not _is_usable(value):
-                    raise ValueError(f"{_held(f'[effects.{name}] {key}', value)}: {_USABLE}")
+                    raise ValueError(f"{held(f'[effects.{name}] {key}', value)}: {_USABLE}")
         return found
 
     def _camera(self) -> Camera:
+        problem = size_problem(self.camera.width, self.camera.height)
+        if problem is not None:
+            raise ValueError(f"[camera] width, height: {problem}")
         values = _known(self.camera)
         del values["pose_in_tool"]
         values["distortion"] = tuple(self.camera.distortion)
         T_tool_camera = self.camera.pose_in_tool.matrix("camera.pose_in_tool")
         return Camera(T_tool_camera=T_tool_camera, **values)
-
-
-def describe(error: ValidationError) -> str:
-    """Return one line that names the first wrong key, what it holds and what it should, and how many more."""
-    problems = error.errors(include_url=False)
-    first = problems[0]
-    if not first["loc"]:
-        return first["msg"].removeprefix("Value error, ")
-    place = _place(first["loc"])
-    if first["type"] == "missing":
-        text = f"{place}: missing"
-    elif first["type"] == "finite_number":
-        text = f"{_held(place, first['input'])}: must be a finite number"
-    elif first["type"] == "literal_error":
-        text = f"{place} = {first['input']!r}: must be {first['ctx']['expected']}"
-    else:
-        text = f"{_held(place, first['input'])}: {first['msg'][:1].lower()}{first['msg'][1:]}"
-    more = len(problems) - 1
-    return text if not more else f"{text} (and {more} more)"
 
 
 def _units(text: str) -> list[str]:
@@ -314,44 +296,38 @@ def _units(text: str) -> list[str]:
 
 def _is_usable(value: Any) -> bool:
     is_number = isinstance(value, int | float) and not isinstance(value, bool)
-    return is_number and abs(value) <= LARGEST
+    return is_number and abs(value) <= LIMITS.value
 
 
-def _held(place: str, value: object) -> str:
-    """Return a key and what it holds, if that is short enough to read."""
-    shown = repr(value)
-    return f"{place} = {shown}" if len(shown) <= 40 else place
-
-
-def unknown_keys(model: RecordingToml) -> tuple[str, ...]:
-    """Return the keys that are kept but mean nothing here, as `[table] key`."""
-    unknown = [_place(location) for location in _unknown(model, ())]
+def unknown_keys(model: RecordingToml) -> dict[str, str | None]:
+    """Return the keys that mean nothing here, as `[table] key`, each with the known key nearest to it."""
+    unknown = {place(location): near for location, near in _unknown(model, ())}
     for name, table in model.effects.items():
         if name not in REGISTRY:
-            unknown.append(f"[effects.{name}]" if isinstance(table, dict) else f"[effects] {name}")
-        else:
-            unknown += [f"[effects.{name}] {key}" for key in table if key not in REGISTRY[name].neutral]
-    return tuple(unknown)
+            key = f"[effects.{name}]" if isinstance(table, dict) else f"[effects] {name}"
+            unknown[key] = nearest(name, REGISTRY)
+            continue
+        parameters = REGISTRY[name].neutral
+        unknown |= {
+            f"[effects.{name}] {key}": nearest(key, parameters) for key in table if key not in parameters
+        }
+    return unknown
 
 
-def _unknown(table: Table, location: tuple[str | int, ...]) -> Iterator[tuple[str | int, ...]]:
+def _unknown(
+    table: Table, location: tuple[str | int, ...]
+) -> Iterator[tuple[tuple[str | int, ...], str | None]]:
     extras = table.model_extra or {}
-    meant = DIMENSIONS.get(table.type, ()) if isinstance(table, JointTable) else ()
+    known = {*type(table).model_fields}
+    if isinstance(table, JointTable):
+        known |= {*DIMENSIONS.get(table.type, ())}
     for name in extras:
-        if name not in meant:
-            yield (*location, name)
+        if name not in known:
+            yield (*location, name), nearest(name, known)
     for name in type(table).model_fields:
         value = getattr(table, name)
         if isinstance(value, Table):
             yield from _unknown(value, (*location, name))
-
-
-def _place(location: tuple[str | int, ...]) -> str:
-    names = [str(part) for part in location if isinstance(part, str)]
-    indices = "".join(f"[{part}]" for part in location if isinstance(part, int))
-    if len(names) == 1:
-        return (names[0] if names[0] in ("format", "units") else f"[{names[0]}]") + indices
-    return f"[{'.'.join(names[:-1])}] {names[-1]}{indices}"
 
 
 def _known(table: Table) -> dict[str, Any]:

@@ -9,20 +9,24 @@ from pathlib import Path
 import numpy as np
 
 from arctrack.errors import in_file
-from arctrack.recording.csv_file import CsvTable, read_csv
+from arctrack.limits import LIMITS
+from arctrack.recording.csv_file import CsvTable, number, number_or_unknown, read_csv, whole
 from noise_model.arrays import Float64, Int64
 from noise_model.transforms import pose_matrix
 
-FRAME_COLUMNS = ("frame", "timestamp_s", "laser_on", "arc_on", "current_a", "exposure_s")
-POSE_COLUMNS = ("timestamp_s", "x_mm", "y_mm", "z_mm", "qx", "qy", "qz", "qw")
-TRUTH_COLUMNS = ("frame", "seam_x_mm", "seam_y_mm", "seam_z_mm")
+_FRAME, _SWITCH = whole(LIMITS.frame_number), whole(1)
 
-HIGHEST_FRAME = 999_999_999
-LATEST_S = 1e11
-"""A frame's time in Unix seconds is 1.7e9; one beyond this is in other units, and no log can hold it."""
-
-LONGEST_EXPOSURE_S = 3600.0
-HIGHEST_CURRENT_A = 1e4
+FRAME_COLUMNS = {
+    "frame": _FRAME,
+    "timestamp_s": number,
+    "laser_on": _SWITCH,
+    "arc_on": _SWITCH,
+    "current_a": number_or_unknown,
+    "exposure_s": number,
+}
+POSE_COLUMNS = dict.fromkeys(("timestamp_s", "x_mm", "y_mm", "z_mm", "qx", "qy", "qz", "qw"), number)
+TRUTH_COLUMNS = {"frame": _FRAME, **dict.fromkeys(("seam_x_mm", "seam_y_mm", "seam_z_mm"), number)}
+"""The columns of each file and what makes numbers of their cells."""
 
 
 @dataclass(frozen=True)
@@ -65,63 +69,58 @@ class Truth:
     seam_tool_mm: Float64
 
 
-def read_frame_rows(path: Path) -> tuple[tuple[FrameRow, ...], tuple[str, ...]]:
-    """Read frames.csv; return its rows and the columns that mean nothing here."""
+def read_frame_rows(path: Path) -> tuple[tuple[FrameRow, ...], list[str]]:
+    """Read frames.csv; return its rows and warnings."""
     table = read_csv(path, FRAME_COLUMNS)
     rows: list[FrameRow] = []
-    for n in range(len(table.rows)):
-        current = table.rows[n][4].strip()
-        row = FrameRow(
-            index=table.whole(n, 0, HIGHEST_FRAME),
-            timestamp_s=table.number(n, 1),
-            laser_on=bool(table.whole(n, 2, 1)),
-            arc_on=bool(table.whole(n, 3, 1)),
-            current_a=table.number(n, 4) if current else math.nan,
-            exposure_s=table.number(n, 5),
-        )
-        _check_frame(row, rows[-1] if rows else None, path, table.lines[n])
+    for values, line in zip(table.values.tolist(), table.lines.tolist(), strict=True):
+        index, timestamp_s, laser_on, arc_on, current_a, exposure_s = values
+        row = FrameRow(int(index), timestamp_s, bool(laser_on), bool(arc_on), current_a, exposure_s)
+        _check_frame(row, rows[-1] if rows else None, path, line)
         rows.append(row)
-    return tuple(rows), table.unknown_columns
+    return tuple(rows), table.warnings
 
 
-def read_poses_csv(path: Path) -> tuple[PoseTable, tuple[str, ...]]:
-    """Read poses.csv; return its poses and the columns that mean nothing here."""
+def read_poses_csv(path: Path) -> tuple[PoseTable, list[str]]:
+    """Read poses.csv; return its poses and warnings."""
     table = read_csv(path, POSE_COLUMNS)
-    values = np.array([[table.number(n, c) for c in range(8)] for n in range(len(table.rows))])
-    _check_rising(values[:, 0], table)
-    T_base_tool = np.empty((len(values), 4, 4))
-    for n, value in enumerate(values):
+    timestamps_s = table.column("timestamp_s")
+    _check_size(table, ("timestamp_s",), LIMITS.time_s, "s; give seconds, not ms or ns")
+    _check_size(table, ("x_mm", "y_mm", "z_mm"), LIMITS.length_mm, "mm")
+    _check_rising(timestamps_s, table)
+    T_base_tool = np.empty((len(timestamps_s), 4, 4))
+    for n, value in enumerate(table.values):
         try:
             T_base_tool[n] = pose_matrix(value[1:4], value[4:])
         except ValueError as error:
-            raise in_file(path, str(error), line=table.lines[n]) from None
-    return PoseTable(path, values[:, 0], T_base_tool), table.unknown_columns
+            raise in_file(path, str(error), line=int(table.lines[n])) from None
+    return PoseTable(path, timestamps_s, T_base_tool), table.warnings
 
 
 def read_truth_csv(path: Path) -> Truth:
     """Read truth.csv."""
     table = read_csv(path, TRUTH_COLUMNS)
-    frames = [table.whole(n, 0, HIGHEST_FRAME) for n in range(len(table.rows))]
-    for n in range(1, len(frames)):
-        if frames[n] <= frames[n - 1]:
-            raise in_file(path, f"frame {frames[n]} does not come after {frames[n - 1]}", line=table.lines[n])
-    points = [[table.number(n, c) for c in (1, 2, 3)] for n in range(len(table.rows))]
-    return Truth(np.array(frames, dtype=np.int64), np.array(points))
+    frames = table.column("frame").astype(np.int64)
+    _check_size(table, ("seam_x_mm", "seam_y_mm", "seam_z_mm"), LIMITS.length_mm, "mm")
+    for n in np.flatnonzero(np.diff(frames) <= 0) + 1:
+        problem = f"frame {frames[n]} does not come after {frames[n - 1]}"
+        raise in_file(path, problem, line=int(table.lines[n]))
+    return Truth(frames, table.values[:, 1:])
 
 
 def _check_frame(row: FrameRow, before: FrameRow | None, path: Path, line: int) -> None:
-    if not abs(row.timestamp_s) <= LATEST_S:
-        problem = f"timestamp_s = {row.timestamp_s:g}: is beyond {LATEST_S:g} s; give seconds, not ms or ns"
-        raise in_file(path, problem, line=line)
+    if not abs(row.timestamp_s) <= LIMITS.time_s:
+        problem = f"is beyond {LIMITS.time_s:g} s; give seconds, not ms or ns"
+        raise in_file(path, f"timestamp_s = {row.timestamp_s:g}: {problem}", line=line)
     if not row.exposure_s > 0:
         raise in_file(path, f"exposure_s = {row.exposure_s:g}: must be > 0", line=line)
-    if row.exposure_s > LONGEST_EXPOSURE_S:
-        problem = f"exposure_s = {row.exposure_s:g}: must be <= {LONGEST_EXPOSURE_S:g}; give seconds"
+    if row.exposure_s > LIMITS.exposure_s:
+        problem = f"exposure_s = {row.exposure_s:g}: must be <= {LIMITS.exposure_s:g}; give seconds"
         raise in_file(path, problem, line=line)
     if row.current_a < 0:
         raise in_file(path, f"current_a = {row.current_a:g}: must be >= 0", line=line)
-    if row.current_a > HIGHEST_CURRENT_A:
-        problem = f"current_a = {row.current_a:g}: must be <= {HIGHEST_CURRENT_A:g}; give amperes"
+    if row.current_a > LIMITS.current_a:
+        problem = f"current_a = {row.current_a:g}: must be <= {LIMITS.current_a:g}; give amperes"
         raise in_file(path, problem, line=line)
     if before is None:
         return
@@ -131,12 +130,18 @@ def _check_frame(row: FrameRow, before: FrameRow | None, path: Path, line: int) 
         raise in_file(path, _backwards(row.timestamp_s, before.timestamp_s), line=line)
 
 
+def _check_size(table: CsvTable, names: tuple[str, ...], most: float, unit: str) -> None:
+    """Raise ArctrackError for the first value of columns that is beyond a size."""
+    for name in names:
+        for n in np.flatnonzero(np.abs(table.column(name)) > most):
+            problem = f"{name} = {table.column(name)[n]:g}: is beyond {most:g} {unit}"
+            raise in_file(table.path, problem, line=int(table.lines[n]))
+
+
 def _check_rising(timestamps_s: Float64, table: CsvTable) -> None:
-    falls = np.flatnonzero(np.diff(timestamps_s) <= 0)
-    if falls.size:
-        n = int(falls[0]) + 1
+    for n in np.flatnonzero(np.diff(timestamps_s) <= 0) + 1:
         problem = _backwards(timestamps_s[n], timestamps_s[n - 1])
-        raise in_file(table.path, problem, line=table.lines[n])
+        raise in_file(table.path, problem, line=int(table.lines[n]))
 
 
 def _backwards(later_s: float, earlier_s: float) -> str:

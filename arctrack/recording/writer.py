@@ -15,15 +15,13 @@ from pathlib import Path
 from types import TracebackType
 from typing import Self, TextIO
 
-import numpy as np
-
 from arctrack.errors import in_file
 from arctrack.recording import ffv1, frames, png, setup_file, tables
 from arctrack.recording.poses import CSV_NAME as POSES_CSV
 from arctrack.recording.reader import FRAMES_CSV, TRUTH_CSV, UNFINISHED_SUFFIX
 from noise_model.arrays import Float64
 from noise_model.setup import Setup, require_setup
-from tracker.state import Frame
+from tracker.state import Frame, frame_misfit
 
 
 @dataclass(frozen=True)
@@ -79,13 +77,9 @@ class RecordingWriter:
 
     def write_frame(self, frame: Frame) -> None:
         """Append a frame and its line in frames.csv."""
-        camera = self._setup.camera
-        if frame.image_dn.shape != (camera.height, camera.width):
-            raise ValueError(
-                f"frame {frame.index} is {frame.image_dn.shape}, not {camera.height, camera.width}"
-            )
-        if frame.image_dn.dtype != np.dtype(self._setup.sensor.dtype):
-            raise ValueError(f"frame {frame.index} is {frame.image_dn.dtype}, not {self._setup.sensor.dtype}")
+        misfit = frame_misfit(frame.image_dn.shape, frame.image_dn.dtype, self._setup)
+        if misfit is not None:
+            raise ValueError(f"frame {frame.index} {misfit}")
         if self._video is not None:
             self._video.write(frame.image_dn)
         else:

@@ -1,6 +1,8 @@
 from pathlib import Path
 
 import pytest
+from made import noise_frames, small_setup, write
+from spoiled import Refusal
 
 from arctrack.nominal import nominal_setup
 from arctrack.simulate import SimulationPlan, balance, simulate_recording
@@ -18,3 +20,16 @@ def simulated(tmp_path_factory: pytest.TempPathFactory, seen_setup: Setup) -> Pa
     """Return a recording with its truth; tests copy it before they spoil it."""
     path = tmp_path_factory.mktemp("simulated") / "v"
     return simulate_recording(path, seen_setup, SimulationPlan(frames=14, tilt_deg=2.0))
+
+
+@pytest.fixture(scope="session")
+def recording(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Return a recording of four frames of noise; tests copy it before they spoil it."""
+    setup = small_setup()
+    return write(tmp_path_factory.mktemp("good") / "r", setup, noise_frames(setup, 4))
+
+
+@pytest.fixture
+def refusal(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> Refusal:
+    """Return what runs a command and gives the line that it is refused with."""
+    return Refusal(capsys, monkeypatch)

@@ -272,7 +272,7 @@ def test_bad_input_is_one_line(
 def test_a_file_or_folder_that_is_not_there_is_one_line(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    assert f"{tmp_path}: is a folder; give the CSV file itself" in error_of(capsys, monkeypatch, tmp_path)
+    assert f"{tmp_path}: is a folder: a regular file is needed" in error_of(capsys, monkeypatch, tmp_path)
     assert "gone.csv: there is no such file" in error_of(capsys, monkeypatch, tmp_path / "gone.csv")
     (tmp_path / "taken").write_text("")
     (tmp_path / "out" / "reflectance.png").mkdir(parents=True)

@@ -4,18 +4,12 @@ import tomllib
 from pathlib import Path
 
 import pytest
-from made import noise_frames, small_setup, write
+from made import noise_frames
 
 import arctrack
 from arctrack.recording import read_recording
 
 ROOT = Path(__file__).resolve().parents[2]
-
-
-@pytest.fixture(scope="module")
-def recording(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    setup = small_setup()
-    return write(tmp_path_factory.mktemp("api") / "r", setup, noise_frames(setup, 4))
 
 
 def test_every_name_of_the_facade_is_there() -> None:

@@ -71,7 +71,7 @@ def test_both_columns_leave_it_open(tmp_path: Path) -> None:
 
 
 def test_a_missing_file_is_named(tmp_path: Path) -> None:
-    with pytest.raises(ArctrackError, match="is a folder; give the CSV file itself"):
+    with pytest.raises(ArctrackError, match="is a folder: a regular file is needed"):
         read_filter_curve(tmp_path, 1.8)
     with pytest.raises(ArctrackError, match=r"none\.csv: there is no such file"):
         read_filter_curve(tmp_path / "none.csv", 1.8)

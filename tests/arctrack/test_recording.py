@@ -180,7 +180,7 @@ def test_a_folder_is_no_log(tmp_path: Path) -> None:
     path = write(tmp_path / "r", small_setup(), noise_frames(small_setup(), 3))
     (path / "poses.csv").unlink()
     (path / "can.log").mkdir()
-    with pytest.raises(ArctrackError, match=r"can\.log: is no file"):
+    with pytest.raises(ArctrackError, match=r"can\.log: is a folder: a regular file is needed"):
         read_recording(path)
 
 

@@ -1,0 +1,115 @@
+"""Files opened so that nothing blocks and nothing takes more memory than it may.
+
+A FIFO, a socket or a device in place of a file would keep a reader waiting for ever, or never end.
+"""
+
+from __future__ import annotations
+
+import codecs
+import io
+import os
+import stat
+from pathlib import Path
+
+KINDS = (
+    (stat.S_ISDIR, "folder"),
+    (stat.S_ISFIFO, "FIFO"),
+    (stat.S_ISSOCK, "socket"),
+    (stat.S_ISCHR, "device"),
+    (stat.S_ISBLK, "device"),
+)
+
+
+class UnfitFileError(ValueError):
+    """What is wrong with a file, without its name; `line` is counted from 1, None if none is to blame."""
+
+    def __init__(self, problem: str, line: int | None = None) -> None:
+        super().__init__(problem)
+        self.line = line
+
+
+def open_file(path: Path, most_bytes: int) -> io.BufferedReader:
+    """Open a regular file to read; UnfitFileError if it is of another kind or larger, OSError as `open`."""
+    try:
+        # Opened without waiting: a FIFO that nobody writes to would hold up the open itself.
+        descriptor = os.open(path, os.O_RDONLY | getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_BINARY", 0))
+    except ValueError:
+        raise UnfitFileError("a NUL byte is in its name") from None
+    except OSError:
+        # A socket cannot be opened at all: its kind says more.
+        check_file(path, most_bytes)
+        raise
+    try:
+        _check(os.fstat(descriptor), most_bytes)
+    except UnfitFileError:
+        os.close(descriptor)
+        raise
+    return os.fdopen(descriptor, "rb")
+
+
+def check_file(path: Path, most_bytes: int) -> None:
+    """Check a file that another library opens; UnfitFileError and OSError as for `open_file`."""
+    _check(os.stat(path), most_bytes)
+
+
+def read_bytes(path: Path, most_bytes: int) -> bytes:
+    """Return a file's content; UnfitFileError and OSError as for `open_file`."""
+    with open_file(path, most_bytes) as file:
+        content = file.read(most_bytes + 1)
+    if len(content) > most_bytes:
+        raise UnfitFileError(_too_large(len(content), most_bytes))
+    return content
+
+
+def read_text(path: Path, most_bytes: int) -> str:
+    """Return a UTF-8 text without its byte order mark, lines ended by a newline alone.
+
+    UnfitFileError, with the line, for another encoding; else as for `open_file`.
+    """
+    content = read_bytes(path, most_bytes)
+    if is_utf16(content):
+        raise UnfitFileError("is UTF-16: save it as UTF-8")
+    try:
+        text = content.decode("utf-8-sig")
+    except UnicodeDecodeError as error:
+        raise not_utf8(error, 1 + content.count(b"\n", 0, error.start)) from None
+    if "\0" in text:
+        raise UnfitFileError(
+            "holds a NUL byte: save it as UTF-8 text", 1 + text[: text.index("\0")].count("\n")
+        )
+    return text.replace("\r\n", "\n").replace("\r", "\n")
+
+
+def is_utf16(start: bytes) -> bool:
+    """Return whether a file that begins so says that it is UTF-16."""
+    return start.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE))
+
+
+def not_utf8(error: UnicodeDecodeError, line: int) -> UnfitFileError:
+    """Return the error that bytes other than UTF-8 make."""
+    return UnfitFileError(f"byte 0x{error.object[error.start]:02x} is no UTF-8: save it as UTF-8", line)
+
+
+def kind_of(mode: int) -> str | None:
+    """Return what stands in a file's place, None if it is a regular file."""
+    return next((name for is_kind, name in KINDS if is_kind(mode)), None)
+
+
+def in_bytes(count: int) -> str:
+    """Return a size as people say it."""
+    for unit, name in ((10**9, "GB"), (10**6, "MB"), (10**3, "kB")):
+        if count >= unit:
+            return f"{count / unit:.1f} {name}"
+    return f"{count} bytes"
+
+
+def _check(found: os.stat_result, most_bytes: int) -> None:
+    kind = kind_of(found.st_mode)
+    if kind is not None:
+        raise UnfitFileError(f"is a {kind}: a regular file is needed")
+    if found.st_size > most_bytes:
+        raise UnfitFileError(_too_large(found.st_size, most_bytes))
+
+
+def _too_large(count: int, most_bytes: int) -> str:
+    return f"has {in_bytes(count)}: {in_bytes(most_bytes)} is the most"

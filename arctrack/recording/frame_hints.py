@@ -1,0 +1,61 @@
+"""What lies where frames were looked for in vain, and what to do with it."""
+
+from __future__ import annotations
+
+import os
+import re
+from pathlib import Path
+
+LOSSY = {".jpg", ".jpeg", ".webp", ".heic"}
+"""Pictures whose codec has changed the noise that a frame is read by."""
+
+OTHER_PICTURES = (".PNG", ".tif", ".tiff", ".bmp", ".pgm", ".raw")
+VIDEOS = {".avi", ".mkv", ".mov", ".mp4", ".m4v", ".webm", ".wmv", ".mpg", ".mpeg"}
+
+MOST_LOOKED_AT = 10_000
+"""Names in a folder that are looked at for a hint."""
+
+_LAST_NUMBER = re.compile(r"(\d+)\D*$")
+
+
+def frame_hint(path: Path) -> str:
+    """Return what to do where a frame's PNG is missing and it lies there in another format; else nothing."""
+    lossy = next((name for name in _beside(path, (*LOSSY, *map(str.upper, LOSSY)))), None)
+    if lossy is not None:
+        return f"; {lossy} is there, but its compression has changed the noise: record PNG"
+    other = next((name for name in _beside(path, OTHER_PICTURES)), None)
+    return "" if other is None else f"; {other} is there: make a grey PNG of it, named {path.name}"
+
+
+def number_hint(folder: Path, index: int) -> str:
+    """Return what to do where a frame's PNG has another name; else nothing."""
+    for name in _names(folder):
+        stem, suffix = os.path.splitext(name)
+        number = _LAST_NUMBER.search(stem)
+        if suffix.lower() == ".png" and number is not None and int(number[1][-18:]) == index:
+            return f"; {name} is there: name it {index:06d}.png"
+    return ""
+
+
+def source_hint(recording: Path, index: int) -> str:
+    """Return what to do where there are neither a folder of PNGs nor a video; else nothing."""
+    names = _names(recording)
+    video = next((name for name in names if os.path.splitext(name)[1].lower() in VIDEOS), None)
+    if video is not None:
+        return f"; {video} is there: only frames.mkv is read, grey FFV1, since other codecs change the noise"
+    if any(name == f"{index:06d}.png" for name in names):
+        return f"; {index:06d}.png lies beside it: put the PNGs into a folder frames"
+    return ""
+
+
+def _beside(path: Path, suffixes: tuple[str, ...]) -> list[str]:
+    return [path.with_suffix(suffix).name for suffix in suffixes if path.with_suffix(suffix).exists()]
+
+
+def _names(folder: Path) -> list[str]:
+    """Return the first names in a folder, sorted; none if it cannot be read."""
+    try:
+        with os.scandir(folder) as entries:
+            return sorted(entry.name for _, entry in zip(range(MOST_LOOKED_AT), entries, strict=False))
+    except OSError:
+        return []

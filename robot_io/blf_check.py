@@ -1,0 +1,73 @@
+"""A BLF file walked before python-can reads it: a few bytes may unpack to gigabytes, or turn it in circles.
+
+A file is a header and objects; those of type 10 are containers, packed by zlib, of the objects proper, which
+may run on from one container into the next (Vector's `binlog_objects.h`, as python-can reads it).
+"""
+
+from __future__ import annotations
+
+import struct
+import zlib
+from typing import BinaryIO
+
+LARGEST_CONTAINER_BYTES = 2**24
+"""Packed or unpacked; Vector's tools write containers of 128 KiB."""
+
+LARGEST_OBJECT_BYTES = 2**20
+"""An object of the bus holds 64 bytes of data, one of Ethernet 9000, one of text some kilobytes."""
+
+_FILE_HEADER = struct.Struct("<4sL")
+_OBJECT_HEADER = struct.Struct("<4sHHLL")
+_CONTAINER_HEADER = struct.Struct("<H6xL4x")
+_CONTAINER, _ZLIB = 10, 2
+_PADDING = 8
+"""So far behind the last object the next begins at most."""
+
+
+def check_blf(file: BinaryIO) -> None:
+    """Walk through a BLF file's objects; ValueError for one that is too large, or too small to be one."""
+    signature, header_bytes = _FILE_HEADER.unpack(file.read(_FILE_HEADER.size))
+    if signature != b"LOGG":
+        raise ValueError("Unexpected file format")
+    file.seek(header_bytes)
+    rest = b""
+    while len(header := file.read(_OBJECT_HEADER.size)) == _OBJECT_HEADER.size:
+        signature, _, _, size, kind = _OBJECT_HEADER.unpack(header)
+        if signature != b"LOBJ":
+            raise ValueError("no object where one should begin")
+        _check_size(size, LARGEST_CONTAINER_BYTES, "an object")
+        content = file.read(size - _OBJECT_HEADER.size)
+        file.read(size % 4)
+        if kind == _CONTAINER:
+            rest = _walk(rest + _unpacked(content))
+
+
+def _unpacked(content: bytes) -> bytes:
+    method, _ = _CONTAINER_HEADER.unpack_from(content)
+    packed = content[_CONTAINER_HEADER.size :]
+    if method != _ZLIB:
+        return packed
+    unpacking = zlib.decompressobj()
+    unpacked = unpacking.decompress(packed, LARGEST_CONTAINER_BYTES)
+    if unpacking.unconsumed_tail:
+        raise ValueError(f"a container unpacks to more than {LARGEST_CONTAINER_BYTES} bytes")
+    return unpacked
+
+
+def _walk(objects: bytes) -> bytes:
+    """Check the objects that lie one after another; return what continues in the next container."""
+    at = 0
+    while True:
+        start = objects.find(b"LOBJ", at, at + _PADDING)
+        if start < 0 or start + _OBJECT_HEADER.size > len(objects):
+            return objects[at:]
+        size = _OBJECT_HEADER.unpack_from(objects, start)[3]
+        _check_size(size, LARGEST_OBJECT_BYTES, "an object in a container")
+        if start + size > len(objects):
+            return objects[at:]
+        at = start + size
+
+
+def _check_size(size: int, most: int, what: str) -> None:
+    if not _OBJECT_HEADER.size <= size <= most:
+        raise ValueError(f"{what} of {size} bytes: {_OBJECT_HEADER.size} to {most} are possible")
