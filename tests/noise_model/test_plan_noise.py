@@ -31,7 +31,7 @@ from noise_model.plan.noise import (
 from noise_model.setup import Setup
 from noise_model.surface.joint import Joint, SeamLine
 from noise_model.transforms import invert, transform
-from tracker.stripe.edge import LEAST_SIGMA
+from tracker.stripe.edge import MIN_SIGMA
 
 Float64 = NDArray[np.float64]
 SILENT = Surroundings(speckle_contrast=0.0)
@@ -215,7 +215,7 @@ def test_a_laps_edge_lies_within_its_scan_line() -> None:
     distance = 145.0
     mm_per_column = distance / setup.camera.fx
     assert noise.sigma_y_mm == pytest.approx(0.1 * mm_per_column, rel=0.03)
-    assert EDGE_LINES == LEAST_SIGMA
+    assert EDGE_LINES == MIN_SIGMA
     # Half a millimetre beside the edge that is not read leaves it anywhere there.
     torn = bounds.sigma_px.copy()
     torn[(light.points[:, 1] > 0.0) & (light.points[:, 1] < 0.5)] = np.nan
