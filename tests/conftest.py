@@ -13,6 +13,14 @@ settings.register_profile("arctrack", deadline=None, derandomize=True)
 settings.load_profile("arctrack")
 
 
+@pytest.hookimpl(tryfirst=True)
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Mark as quick whatever is not marked slow, before `-m` chooses."""
+    for item in items:
+        if item.get_closest_marker("slow") is None:
+            item.add_marker("quick")
+
+
 @pytest.fixture(scope="session")
 def multicast() -> dict[str, Any]:
     """Return the options of a bus that other processes can join; a machine without multicast skips."""

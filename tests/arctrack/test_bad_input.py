@@ -44,6 +44,7 @@ def test_what_the_system_refuses_of_one_recording_does_not_stop_the_others(
     assert (good / "results" / "summary.json").exists()
 
 
+@pytest.mark.slow
 def test_rows_of_a_recording_with_a_bad_frame_are_all_there(
     recording: Path, tmp_path: Path, refusal: Refusal
 ) -> None:

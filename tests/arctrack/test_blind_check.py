@@ -181,6 +181,7 @@ def test_from_the_making_to_the_table(tmp_path: Path, calls: Calls) -> None:
     assert rate["bounds"] == pytest.approx([0.20654931, 1.0])
 
 
+@pytest.mark.slow
 def test_the_diagnosis_never_opens_the_labels(made: Path) -> None:
     with listening() as heard:
         run(made, 1, quiet)

@@ -57,6 +57,7 @@ def test_help_has_an_example() -> None:
         assert "Example: arctrack calibrate reflectance examples/" in result.output
 
 
+@pytest.mark.slow
 def test_the_hand_eye_example_finds_its_camera(tmp_path: Path) -> None:
     out = tmp_path / "found.toml"
     result = RUNNER.invoke(cli.app, ["calibrate", "hand-eye", str(EXAMPLES / "v_groove"), "--out", str(out)])
@@ -91,6 +92,7 @@ def test_examples_are_what_their_script_makes(tmp_path: Path) -> None:
         assert file.read_text() == (EXAMPLES / file.name).read_text()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", TABLE_1)
 def test_examples_return_table_1(name: str, tmp_path: Path) -> None:
     out = tmp_path / "out"
@@ -269,6 +271,7 @@ def test_bad_input_is_one_line(
     assert message in line
 
 
+@pytest.mark.slow
 def test_a_file_or_folder_that_is_not_there_is_one_line(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -51,6 +51,7 @@ def test_version() -> None:
     assert result.output.strip() == f"arctrack {__version__}"
 
 
+@pytest.mark.slow
 def test_simulate_replay_inspect_in_a_row(tmp_path: Path) -> None:
     path = tmp_path / "lap"
     options = ["--joint", "lap", "--material", "zn_coated", "--width", "160", "--height", "120"]
@@ -77,6 +78,7 @@ def test_simulate_replay_inspect_in_a_row(tmp_path: Path) -> None:
     assert cv2.imread(str(tmp_path / "lap.png")).shape[1] > 1000
 
 
+@pytest.mark.slow
 def test_without_the_arc_map_both_are_shown_side_by_side(simulated: Path, tmp_path: Path) -> None:
     result = RUNNER.invoke(
         app, ["replay", str(simulated), "--no-arc-map", "--no-pictures", "--out", str(tmp_path)]
@@ -96,6 +98,7 @@ def test_a_recording_without_truth_has_no_error_table(simulated: Path, tmp_path:
     assert (path / "results" / "results.csv").exists()
 
 
+@pytest.mark.slow
 def test_warnings_are_one_line_each(simulated: Path, tmp_path: Path) -> None:
     path = Path(shutil.copytree(simulated, tmp_path / "r"))
     with (path / "recording.toml").open("a") as file:
@@ -109,6 +112,7 @@ def test_warnings_are_one_line_each(simulated: Path, tmp_path: Path) -> None:
     assert "known beforehand: gamma" in result.stdout
 
 
+@pytest.mark.slow
 def test_a_picture_has_the_name_that_is_said(simulated: Path, tmp_path: Path) -> None:
     for name in ("seen", "seen.png", "seen.pdf"):
         result = RUNNER.invoke(app, ["inspect", str(simulated), "--out", str(tmp_path / name)])
@@ -145,6 +149,7 @@ def test_a_recordings_setup_is_not_written_over(simulated: Path, tmp_path: Path)
     assert own.read_text() == before
 
 
+@pytest.mark.slow
 def test_the_installed_way(simulated: Path, tmp_path: Path) -> None:
     done = run("replay", str(simulated), "--out", str(tmp_path), "--no-pictures")
     assert done.returncode == 0, done.stderr
@@ -156,6 +161,7 @@ def test_the_installed_way(simulated: Path, tmp_path: Path) -> None:
     assert bad.stdout == ""
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(not hasattr(signal, "SIGKILL"), reason="needs SIGKILL")
 def test_a_killed_replay_leaves_its_rows(simulated: Path, tmp_path: Path) -> None:
     results = tmp_path / "results.csv"

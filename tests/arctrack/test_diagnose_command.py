@@ -218,6 +218,7 @@ def test_recordings_at_once_come_as_they_are_done(found: Found, simulated: Path,
     assert (paths[1] / "diagnosis" / "report.json").exists()
 
 
+@pytest.mark.slow
 def test_two_processes(simulated: Path, tmp_path: Path) -> None:
     paths = [Path(shutil.copytree(simulated, tmp_path / name)) for name in ("a", "b")]
     for path in paths:
@@ -229,6 +230,7 @@ def test_two_processes(simulated: Path, tmp_path: Path) -> None:
     ]
 
 
+@pytest.mark.slow
 def test_a_process_that_ends_is_one_line(tmp_path: Path) -> None:
     with processes(1) as executor:
         (outcome,) = at_once([EndsIt(tmp_path / "r", tmp_path / "d")], executor)

@@ -95,6 +95,7 @@ def test_effects_are_named_with_numbers_and_cure(seen_setup: Setup, recording: R
     assert len(reader.references) == 10
 
 
+@pytest.mark.slow
 def test_an_effect_that_changes_is_said_to(seen_setup: Setup, recording: Recording) -> None:
     diagnosis = example(Verdict.EFFECTS, seen_setup, {"gamma": {"gamma": 0.8}})
     trend = Trend("time", "s", 0.1, 2.3, {"gamma": (0.7, 0.9)})
@@ -149,6 +150,7 @@ def test_what_its_bounds_hold_back_is_said_to_explain_nothing(seen_setup: Setup)
     assert said[1].keys() == {"id", "confidence", "gap_closed"}
 
 
+@pytest.mark.slow
 def test_what_is_open_is_said(seen_setup: Setup, recording: Recording) -> None:
     ambiguous = read(page(example(Verdict.AMBIGUOUS, seen_setup), recording))
     assert "cannot tell which it is: gamma (the response is not the stated power) or bl" in ambiguous.text
@@ -186,6 +188,7 @@ def test_a_diagnosis_without_held_out_frames_has_a_page(seen_setup: Setup, recor
     assert reader.references == []
 
 
+@pytest.mark.slow
 def test_the_same_diagnosis_makes_the_same_page(recording: Recording) -> None:
     setup = small_setup()
     assert page(example(Verdict.EFFECTS, setup), recording) == page(

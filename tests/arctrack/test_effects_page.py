@@ -90,7 +90,10 @@ def test_choices_are_places_that_there_are() -> None:
         assert chosen.laser_on or chosen.arc_on
 
 
-@pytest.mark.parametrize("effect_id", REGISTRY)
+@pytest.mark.parametrize(
+    "effect_id",
+    [pytest.param(name, marks=pytest.mark.slow) if name == "interreflection" else name for name in REGISTRY],
+)
 def test_each_picture_shows_its_effect(effect_id: str) -> None:
     scene = shown(effect_id)
     arrays = panels(effect_pictures.draw(REGISTRY[effect_id], scene))
@@ -172,6 +175,7 @@ def test_nothing_is_cut_off(effect_id: str) -> None:
     assert all(axes.get_window_extent().y0 >= caption.y1 for axes in figure.axes)
 
 
+@pytest.mark.slow
 def test_few_colours_are_the_right_ones(tmp_path: Path) -> None:
     effect_pictures.write(drawn("vignetting"), REGISTRY["vignetting"], tmp_path / "few.png")
     drawn("vignetting").savefig(tmp_path / "full.png", format="png")
@@ -183,6 +187,7 @@ def test_few_colours_are_the_right_ones(tmp_path: Path) -> None:
     assert (few[full.min(axis=2) == 255] == 255).all()
 
 
+@pytest.mark.slow
 def test_the_command_writes_page_and_pictures(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(noise_model.effects, "REGISTRY", {"black_level": REGISTRY["black_level"]})
     result = RUNNER.invoke(app, ["figures", "effects", "--out", str(tmp_path / "made" / "here")])

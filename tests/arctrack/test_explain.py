@@ -65,6 +65,7 @@ def moved(recording: Recording, from_s: float, offset_mm: tuple[float, float, fl
     return replace(recording, poses=replace(poses, T_base_tool=T_base_tool))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("use_arc_map", [True, False])
 def test_what_is_explained_is_what_the_replay_did(
     recording: Recording, tmp_path: Path, use_arc_map: bool
@@ -89,6 +90,7 @@ def test_what_is_explained_is_what_the_replay_did(
     assert seams >= 3
 
 
+@pytest.mark.slow
 def test_the_sigma_is_the_sum_of_its_parts(explained: list[Explanation]) -> None:
     seen = 0
     for found in explained:
@@ -224,6 +226,7 @@ def test_the_predicted_image_is_the_bands_background(explained: list[Explanation
         assert_predicted(found)
 
 
+@pytest.mark.slow
 def test_an_upright_stripe_is_explained(seen_setup: Setup, tmp_path: Path) -> None:
     camera, roll = seen_setup.camera, np.array([[0.0, -1, 0, 0], [1, 0, 0, 0], [0, 0, 1, 0], [0, 0, 0, 1]])
     upright = replace(
@@ -262,6 +265,7 @@ def assert_told(found: Explanation) -> str:
     return reader.text
 
 
+@pytest.mark.slow
 def test_every_frame_has_a_page(explained: list[Explanation]) -> None:
     for found in explained:
         text = assert_told(found)
@@ -331,6 +335,7 @@ def test_a_jump_is_told_with_its_limit(recording: Recording) -> None:
     assert "shows a seam that is not used" in text
 
 
+@pytest.mark.slow
 def test_a_lost_stripe_is_told_by_its_share(simulated: Path, tmp_path: Path) -> None:
     path = Path(shutil.copytree(simulated, tmp_path / "r"))
     lines = (path / "frames.csv").read_text().splitlines()
@@ -405,11 +410,13 @@ def test_marks_stand_apart(explained: list[Explanation]) -> None:
         assert ((at > 0.0) & (at < [camera.width, camera.height])).all()
 
 
+@pytest.mark.slow
 def test_the_same_frame_makes_the_same_page(recording: Recording) -> None:
     index = recording.rows[6].index
     assert page(explain(recording, index)) == page(explain(recording, index))
 
 
+@pytest.mark.slow
 def test_the_example_is_explained_by_the_command(tmp_path: Path) -> None:
     out = tmp_path / "frame.html"
     result = RUNNER.invoke(app, ["explain", str(EXAMPLE), "2", "--out", str(out)])

@@ -27,6 +27,7 @@ def drawn(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
+@pytest.mark.slow
 def test_a_picture_and_its_numbers_for_each_figure(drawn: Path) -> None:
     assert len(list(drawn.iterdir())) == 2 * len(FIGURES)
     for number in FIGURES:
@@ -44,6 +45,7 @@ def test_the_numbers_can_be_read_again(drawn: Path) -> None:
     assert wide["theta_r_deg"][wide["mild_steel_f_r"].argmax()] == 62.0
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("number", FIGURES)
 def test_nothing_is_cut_off_and_every_axis_has_its_unit(number: int) -> None:
     figure = paper_figures.draw(FIGURES[number]())

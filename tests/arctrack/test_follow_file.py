@@ -183,6 +183,7 @@ def blacken(path: Path, frames: range) -> None:
         cv2.imwrite(str(picture), np.full_like(cv2.imread(str(picture), cv2.IMREAD_UNCHANGED), 4))
 
 
+@pytest.mark.slow
 def test_a_held_seam_is_sent_and_the_tracker_says_that_it_holds(seen_setup: Setup, tmp_path: Path) -> None:
     """Seen from 35 to 39 mm, then never again: the torch gets there in frame 18 and passes it in frame 20."""
     plan = SimulationPlan(frames=23, travel_speed_mm_s=20.0, production=True, weave_mm=0.0, tilt_deg=0.0)
@@ -198,6 +199,7 @@ def test_a_held_seam_is_sent_and_the_tracker_says_that_it_holds(seen_setup: Setu
     assert [n for n, state in enumerate(states) if state is TrackerState.HOLDING] == [*held, 22]
 
 
+@pytest.mark.slow
 def test_a_start_that_was_found_is_in_the_summary(seen_setup: Setup, tmp_path: Path) -> None:
     """The first frames are black, as before a plate: the joint starts where the laser meets one."""
     setup = replace(

@@ -48,6 +48,7 @@ def glare() -> Plan:
     return make_plan(replace(setup, joint=joint), OPTIONS)
 
 
+@pytest.mark.slow
 def test_a_plan_from_a_setup(simulated: Path, tmp_path: Path) -> None:
     out = tmp_path / "plans" / "v"
     result = RUNNER.invoke(app, ["plan", str(simulated), "--out", str(out), *FEW])
@@ -69,6 +70,7 @@ def test_a_plan_from_a_setup(simulated: Path, tmp_path: Path) -> None:
         assert cv2.imread(str(out / name)).shape[1] > 1000
 
 
+@pytest.mark.slow
 def test_a_plan_along_recorded_poses(simulated: Path, tmp_path: Path) -> None:
     result = RUNNER.invoke(app, ["plan", str(simulated), "--out", str(tmp_path), "--recorded", *FEW])
     assert result.exit_code == 0, result.output
@@ -81,6 +83,7 @@ def test_a_plan_along_recorded_poses(simulated: Path, tmp_path: Path) -> None:
     assert np.ptp(sigma) > 1e-5
 
 
+@pytest.mark.slow
 def test_blind_stretches_and_their_cures_are_in_table_and_picture(glare: Plan, tmp_path: Path) -> None:
     assert glare.cures
     write_tables(glare, tmp_path)
@@ -107,6 +110,7 @@ def test_a_bent_seam_is_drawn_from_above(glare: Plan) -> None:
     assert figure.axes[0].get_xlabel() == "base x [mm]"
 
 
+@pytest.mark.slow
 def test_nothing_of_the_pictures_is_cut_off(glare: Plan, tmp_path: Path) -> None:
     for figure in (draw_designs(glare, 12.5), draw_path(glare)):
         figure.savefig(tmp_path / "page.png")

@@ -448,6 +448,7 @@ def test_unreadable_videos(tmp_path: Path) -> None:
         list(read_video(tmp_path / "gone.mkv", [0]))
 
 
+@pytest.mark.slow
 @given(cut=st.integers(0, 10_000), flip=st.integers(0, 10_000))
 def test_no_damage_to_a_png_goes_unnoticed(cut: int, flip: int) -> None:
     image = np.random.default_rng(1).integers(0, 65536, (12, 16)).astype(np.uint16)
@@ -476,6 +477,7 @@ def test_csv_parsers_answer_or_complain_but_never_break(tmp_path: Path, text: st
         assert "\n" not in (complaint or "")
 
 
+@pytest.mark.slow
 @given(
     old=st.sampled_from(["c2 = 112.0", "bits = 8", "fx = 164.25", "[arc]", "radius_mm = 3.0", "units ="]),
     new=st.text(alphabet="0123456789.[]{}=\"'\n -+einaftrus#", max_size=30),

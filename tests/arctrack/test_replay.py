@@ -107,6 +107,7 @@ def test_without_the_arc_map_it_runs_as_well(simulated: Path, tmp_path: Path) ->
     assert beside.score is not None
 
 
+@pytest.mark.slow
 def test_bad_frames_are_flagged_and_the_tracking_goes_on(simulated: Path, tmp_path: Path) -> None:
     path = Path(shutil.copytree(simulated, tmp_path / "r"))
     expected = replay_recording(read_recording(path), tmp_path / "whole", QUICK)
@@ -158,6 +159,7 @@ def test_rows_before_a_crash_are_kept(simulated: Path, tmp_path: Path) -> None:
     assert not (tmp_path / "summary.json").exists()
 
 
+@pytest.mark.slow
 def test_noise_is_tracked_without_complaint(tmp_path: Path) -> None:
     setup = small_setup(bits=12)
     recording = read_recording(write(tmp_path / "r", setup, noise_frames(setup, 4)))
@@ -167,6 +169,7 @@ def test_noise_is_tracked_without_complaint(tmp_path: Path) -> None:
     assert len(rows_of(done.folder)) == 4
 
 
+@pytest.mark.slow
 def test_a_colon_in_a_relative_folder_is_no_protocol(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
     setup = small_setup()

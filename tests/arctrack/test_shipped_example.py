@@ -87,6 +87,7 @@ def test_the_shipped_example_has_all_conditions() -> None:
     assert list(truth.frames) == [frame.index for frame in frames]
 
 
+@pytest.mark.slow
 def test_the_shipped_example_has_no_gap(tmp_path: Path) -> None:
     recording = tmp_path / "v_groove"
     shutil.copytree(EXAMPLE, recording, ignore=shutil.ignore_patterns("truth.csv", "results", "diagnosis"))

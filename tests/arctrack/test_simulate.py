@@ -21,6 +21,7 @@ from tracker.geometry import SensorGeometry
 from tracker.tracker import Tracker
 
 
+@pytest.mark.slow
 def test_the_same_seed_makes_the_same_recording(seen_setup: Setup, tmp_path: Path) -> None:
     plan = SimulationPlan(frames=3, production=True, seed=5)
     first = simulate_recording(tmp_path / "a", seen_setup, plan)
@@ -133,6 +134,7 @@ def test_a_stripe_out_of_view_cannot_be_simulated(seen_setup: Setup, tmp_path: P
     assert not list(tmp_path.iterdir())
 
 
+@pytest.mark.slow
 @given(
     joint_type=st.sampled_from(sorted(DIMENSIONS)),
     seed=st.integers(0, 1000),
@@ -195,6 +197,7 @@ def test_true_values_stay_near_the_nominal_ones(seen_setup: Setup) -> None:
     assert all(d.joint == seen_setup.joint and d.material == seen_setup.material for d in draws)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("joint_type", sorted(DIMENSIONS))
 @pytest.mark.parametrize("material", MATERIALS)
 def test_nominal_setups_see_stripe_and_arc(joint_type: str, material: str, tmp_path: Path) -> None:
@@ -218,6 +221,7 @@ def fit_of_the_arc(path: Path, setup: Setup, effects: dict[str, dict[str, float]
     return found
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("effect", "values"),
     [
@@ -264,6 +268,7 @@ def test_the_true_seam_of_a_tilted_plate(seen_setup: Setup) -> None:
     )
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("joint", ["butt", "fillet", "half_v", "u_groove", "edge"])
 def test_every_joint_is_simulated_and_its_nominal_values_track_it(joint: str, tmp_path: Path) -> None:
     setup = balance(nominal_setup(joint, "zn_coated", width=320, height=240))

@@ -53,6 +53,7 @@ def frames(
     return made
 
 
+@pytest.mark.slow
 def test_a_camera_that_is_off_is_found() -> None:
     setup = small_setup()
     true_pose = moved(setup.camera.T_tool_camera, CHANGE[:3], CHANGE[3:6])
@@ -66,6 +67,7 @@ def test_a_camera_that_is_off_is_found() -> None:
     assert found.fit.value("ln_arc_level") == pytest.approx(np.log(1.05), abs=0.02)
 
 
+@pytest.mark.slow
 def test_a_camera_far_beyond_its_tolerance_is_refused() -> None:
     setup = small_setup()
     far = moved(setup.camera.T_tool_camera, 15.0 * CHANGE[:3], 15.0 * CHANGE[3:6])
@@ -74,6 +76,7 @@ def test_a_camera_far_beyond_its_tolerance_is_refused() -> None:
         estimate_hand_eye(setup, frames(far_setup, SeamLine()), lattice_px=LATTICE_PX)
 
 
+@pytest.mark.slow
 def test_an_arc_that_is_far_darker_than_stated_is_refused() -> None:
     setup = small_setup()
     dark = replace(setup, arc=replace(setup.arc, radiance_e=0.01 * setup.arc.radiance_e))
@@ -81,6 +84,7 @@ def test_an_arc_that_is_far_darker_than_stated_is_refused() -> None:
         estimate_hand_eye(setup, frames(dark, SeamLine()), lattice_px=LATTICE_PX)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("unknown", [{0, 2}, set(range(6))])
 def test_an_unknown_current_is_left_out_unless_all_are_and_the_black_level_may_be_exact(
     unknown: set[int],
@@ -115,6 +119,7 @@ def wave(amplitude_mm: float, length_mm: float) -> Callable[[float], SeamLine]:
     return line_at
 
 
+@pytest.mark.slow
 def test_a_seam_may_wander() -> None:
     setup = small_setup()
     true_pose = moved(setup.camera.T_tool_camera, CHANGE[:3], CHANGE[3:6])
@@ -126,6 +131,7 @@ def test_a_seam_may_wander() -> None:
     assert found.sigma("rot_y") < 0.5 * setup.tolerance.hand_eye_deg
 
 
+@pytest.mark.slow
 def test_a_joint_with_faces_in_shadow_is_no_hindrance() -> None:
     setup = nominal_setup("corrugation", "mild_steel", width=320, height=240)
     setup = replace(setup, arc=replace(setup.arc, radiance_e=1.6e8))
@@ -139,6 +145,7 @@ def test_a_joint_with_faces_in_shadow_is_no_hindrance() -> None:
     assert np.abs(found.values[:6] / found.sigmas[:6]).max() < 3.0
 
 
+@pytest.mark.slow
 def test_what_does_not_settle_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
     setup = small_setup()
     monkeypatch.setattr(hand_eye, "MAX_ROUNDS", 1)

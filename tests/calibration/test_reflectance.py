@@ -73,6 +73,7 @@ def test_distances_and_angles_out_of_the_plane_count(material: Material) -> None
     np.testing.assert_allclose(found.values, truth_of(material), rtol=1e-5)
 
 
+@pytest.mark.slow
 @BOTH
 @pytest.mark.parametrize("response", [LINEAR, CURVED], ids=["linear", "gamma"])
 def test_noisy_readings_return_table_1_with_the_stated_coverage(
@@ -100,6 +101,7 @@ def test_noisy_readings_return_table_1_with_the_stated_coverage(
     assert unlikely < 0.05
 
 
+@pytest.mark.slow
 def test_sigmas_count_what_only_differs_between_settings() -> None:
     # Each setting's light is off by 3 %: its 20 repeats agree among themselves.
     rng = np.random.default_rng(4)
@@ -125,6 +127,7 @@ def read_unequally(seed: int, repeats: np.ndarray) -> Readings:
     return average(PLANE.chosen(each), gray_level)
 
 
+@pytest.mark.slow
 def test_settings_read_more_often_do_not_decide_alone() -> None:
     # 100 readings in every eighth setting: with weights by the repeats half of the intervals held the truth.
     repeats = np.where(np.arange(len(PLANE)) % 8 == 0, 100, 1)

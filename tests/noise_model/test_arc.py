@@ -105,6 +105,7 @@ def test_a_patch_straight_above_sees_the_whole_disc():
     np.testing.assert_allclose(irradiance_extended(points, -unit(points), ARC), np.pi / H_RANGE**2, rtol=1e-9)
 
 
+@pytest.mark.slow
 def test_the_half_and_its_mirror_image_make_a_sphere():
     points, normals, _ = random_patches(400, seed=1)
     below = dataclasses.replace(ARC, up=-UP)
@@ -117,6 +118,7 @@ def test_the_half_and_its_mirror_image_make_a_sphere():
     np.testing.assert_allclose(E * H**2, full_sphere(H, cos_theta) * H**2, atol=1e-6)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("material", [LAMBERT, *TABLE_1.values()], ids=lambda material: material.name)
 def test_against_a_plain_grid(material):
     points, normals, omega_r = random_patches(25, seed=2)
@@ -311,6 +313,7 @@ def test_a_narrow_lobe_needs_the_extended_source_much_farther_out():
     assert on_a_plate / R == pytest.approx(2.36, abs=0.05)
 
 
+@pytest.mark.slow
 def test_a_distance_that_does_not_exist_is_refused():
     x, z = np.array([1.0, 0.0, 0.0]), UP
     with pytest.raises(ValueError, match="does not light"):

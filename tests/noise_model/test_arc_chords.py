@@ -93,6 +93,7 @@ def test_chords_are_open_between_outline_equator_and_lines(distance, elevation, 
     assert np.isnan(at[:, n:]).all()
 
 
+@pytest.mark.slow
 @settings(max_examples=300, deadline=None)
 @given(
     way=st.tuples(st.floats(-30.0, 30.0), st.floats(-8.0, 8.0), st.floats(0.5, 6.0)),

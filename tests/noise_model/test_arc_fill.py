@@ -37,6 +37,7 @@ turns = st.tuples(*[st.floats(-10.0, 10.0)] * 3)
 unit = st.floats(-0.9, 0.9)
 
 
+@pytest.mark.slow
 @given(st.sampled_from(["flat", "v_groove", "lap"]), st.sampled_from(list(scenes.TABLE_1)), shifts, turns)
 @settings(max_examples=25, deadline=None)
 def test_a_filled_frame_is_each_pixels_own_light(name, material, shift, turn_deg):
@@ -96,6 +97,7 @@ def test_a_pixels_light_does_not_depend_on_what_was_asked_before(name):
     np.testing.assert_array_equal(before, last.at(pixels))
 
 
+@pytest.mark.slow
 @given(
     st.sampled_from(["flat", "v_groove", "lap"]), shifts, turns, st.floats(-0.6, 0.6), st.floats(-0.9, 0.9)
 )
@@ -152,6 +154,7 @@ def test_a_faces_coordinates_are_those_of_its_points(name, x, share):
             assert P[2] == pytest.approx(float(scenes.height(scenes.JOINTS[name], x, P[1])), abs=1e-9)
 
 
+@pytest.mark.slow
 @given(
     st.floats(1.05, 30.0),
     st.floats(-1.2, 1.2),

@@ -104,6 +104,7 @@ POSES = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "lobe", [Lobe(tail=0.7), Lobe(anisotropy=0.5, marks_deg=25.0), Lobe(0.4, -0.3, 80.0)]
 )
@@ -233,6 +234,7 @@ def test_a_cut_across_the_disc_at_any_angle(turn_deg, at):
     assert abs(got - want) < 4e-3 * whole
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["v_groove", "lap"])
 @pytest.mark.parametrize("material", TABLE_1)
 @pytest.mark.parametrize("pose", POSES)
@@ -249,6 +251,7 @@ def test_joints_show_the_arc_that_a_walk_finds(name, material, pose):
     assert error.max() < 0.02
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("name", "height_mm"), [("lap", 0.0), ("lap", 1.0), ("v_groove", -2.0), ("v_groove", -0.7)]
 )
@@ -345,6 +348,7 @@ def test_a_fillets_far_sheet_cuts_into_the_arc_in_a_circle(at_mm, center_mm):
     assert got == pytest.approx(want, rel=5e-3)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("pose", POSES)
 def test_a_corrugated_lap_shows_the_arc_that_a_walk_finds(pose):
     """Within 1 % or 0.25 DN, but for what two things shade at once: 2 % there."""
@@ -357,6 +361,7 @@ def test_a_corrugated_lap_shows_the_arc_that_a_walk_finds(pose):
     assert error.max() < 0.02
 
 
+@pytest.mark.slow
 def test_a_ridge_hides_the_arc_from_the_upper_sheet_before_the_edge_does():
     """The torch stands on a ridge's flank, beside the edge; rays leave the upper sheet on the way to it."""
     setup = scenes.setup("corrugation", "mild_steel")
@@ -370,6 +375,7 @@ def test_a_ridge_hides_the_arc_from_the_upper_sheet_before_the_edge_does():
     assert off_by(got, want).max() < 0.02
 
 
+@pytest.mark.slow
 def test_a_corrugated_laps_edge_lies_in_the_ridges_shadow():
     """The arc stands behind a ridge: from the face of the sheet's edge, seen here from the left, as well."""
     setup = scenes.setup("corrugation", of_camera=scenes.camera(((95.0, 60.0, 110.0), (36.0, 0.0, 0.0))))
@@ -450,6 +456,7 @@ def test_it_matters_not_where_base_lies(name):
     np.testing.assert_allclose(turned, arc_at_pixels(setup, POSES["turned"], pixels)[0], rtol=1e-4)
 
 
+@pytest.mark.slow
 @given(
     st.sampled_from(list(scenes.JOINTS)),
     st.tuples(*[st.floats(-20.0, 20.0)] * 3),
@@ -557,6 +564,7 @@ def test_the_tool_frame_is_the_joints_beside_its_pose():
     )
 
 
+@pytest.mark.slow
 def test_a_sliver_of_the_arc_past_a_crest_is_seen():
     """Beside a corrugated lap's edge a few hundredths of the arc are left at one end of its disc."""
     setup = scenes.setup("corrugation", "zn_coated")

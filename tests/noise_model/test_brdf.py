@@ -167,6 +167,7 @@ def test_steel_reflects_less_than_it_gets_and_zn_as_printed_is_only_relative():
     assert albedo(ZN_COATED, 0.0) == pytest.approx(1.76, abs=0.01)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("c2", [0.5, 8.331, 112.0, 2000.0])
 @pytest.mark.parametrize(
     "lobe", [Lobe(), Lobe(tail=0.6), Lobe(tail=4.0), Lobe(0.0, 0.8), Lobe(0.6, -3.0, 20.0)]

@@ -70,6 +70,7 @@ def test_shot_noise_of_the_stripe_alone_is_its_width_over_the_root_of_its_charge
     assert sigma[0, AMPLITUDE] == pytest.approx(A * math.sqrt(1.5 / charge), rel=1e-6)
 
 
+@pytest.mark.slow
 def test_maximum_likelihood_reaches_the_bound() -> None:
     rng = np.random.default_rng(11)
     x = np.arange(-22, 23) + 0.0
@@ -132,6 +133,7 @@ def test_speckle_in_the_image_is_speckle_in_depth() -> None:
     assert speckle_depth_sigma_mm(1.0, 0.1, 90.0) == pytest.approx(10.0 / (2 * math.pi))
 
 
+@pytest.mark.slow
 def test_a_speckled_spot_wanders_by_the_floor() -> None:
     # Rough spots behind a slit, summed phasor by phasor. The centroid of one that is a speckle wide wanders
     # by the floor; of a wide one by sqrt(s w / (4 sqrt(pi))), s the width of a speckle, and so by more.

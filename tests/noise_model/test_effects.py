@@ -64,7 +64,10 @@ WHERE = {
 HARDLY = {("filter_shift", "arc"), ("gamma", "dark")}
 """Where one acts and is hardly seen: the arc's continuum, and a power's noise about zero charge."""
 
-every_effect = pytest.mark.parametrize("name", REGISTRY)
+every_effect = pytest.mark.parametrize(
+    "name",
+    [pytest.param(name, marks=pytest.mark.slow) if name == "interreflection" else name for name in REGISTRY],
+)
 
 
 @pytest.fixture(scope="module")

@@ -155,6 +155,7 @@ def whitened(setup, condition, n, T_base_tool):
     return (frames - expected.mean_dn) / np.sqrt(expected.variance_dn2)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("effects", "independent"),
     [

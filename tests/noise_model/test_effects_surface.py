@@ -94,6 +94,7 @@ def test_a_peak_that_was_stated_for_another_metal_goes_with_its_reflectance(shar
     np.testing.assert_allclose(brighter, 2.0**share * charge(setup, LASER), rtol=1e-5)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("material", ["mild_steel", "zn_coated"])
 def test_light_bounces_with_the_albedo_whatever_the_units_of_the_kappas(material):
     """Ten times the kappas and a tenth of the radiance are the same metal under the same arc."""
@@ -229,6 +230,7 @@ def test_a_streaks_moments_are_sums_over_it(length, width):
     assert second == pytest.approx((streak**2).sum() / 16.0, rel=1e-4)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("psf_sigma_px", [0.0, 2.0])
 def test_many_frames_of_spatter_have_campbells_mean_and_variance(psf_sigma_px):
     """In the middle and at each side of the image, behind lens, vignetting and exposure."""

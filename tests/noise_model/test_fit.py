@@ -61,6 +61,7 @@ def test_what_a_prior_holds_costs_no_freedom() -> None:
     assert found.freedom == pytest.approx(X.size - 1, abs=1e-6)
 
 
+@pytest.mark.slow
 def test_chi2_is_one_on_average_with_the_truth_drawn_from_the_prior() -> None:
     rng = np.random.default_rng(3)
     chi2 = []
@@ -75,6 +76,7 @@ def decay(p: Float64) -> Float64:
     return np.asarray(p[0] * np.exp(-p[1] * np.linspace(0.0, 3.0, 25)))
 
 
+@pytest.mark.slow
 def test_a_curve_comes_back_with_its_covariance() -> None:
     rng = np.random.default_rng(4)
     parameters = [Parameter("height", "e-", 1.0, lower=0.0), Parameter("rate", "1/s", 0.5, lower=0.0)]
@@ -87,6 +89,7 @@ def test_a_curve_comes_back_with_its_covariance() -> None:
     assert np.corrcoef(pulls.T)[0, 1] == pytest.approx(fits[0].correlation[0, 1], abs=0.15)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("share", [0.0, 0.1], ids=["clean", "outliers"])
 def test_hubers_covariance_holds_with_and_without_outliers(share: float) -> None:
     rng = np.random.default_rng(5)

@@ -269,6 +269,7 @@ def test_light_scales_and_adds():
     )
 
 
+@pytest.mark.slow
 def test_what_only_the_image_shows_renders_nothing_anew(monkeypatch):
     """Levels, exposure, sensor, point-spread function and effects on the image reuse what was rendered."""
     rendered = []

@@ -57,6 +57,7 @@ def nodes_from(view, P, normal, face, fine):
 # Closed forms.
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("angle_deg", [30.0, 70.0, 90.0, 140.0])
 def test_a_groove_sees_its_other_face_as_the_catalogue_says(angle_deg):
     """Two plates of width W with a common edge at an angle, infinitely long: F = 1 - sin(angle / 2).
@@ -145,6 +146,7 @@ def test_a_cubic_finds_its_four_stations_wherever_the_camera_looks(x_range):
     assert at[-1] >= x_range[1]
 
 
+@pytest.mark.slow
 def test_a_diffuse_grooves_orders_fall_evenly():
     """In the end each order is the same share of the one before, below the albedo: the series converges."""
     setup = dataclasses.replace(scenes.setup(SHARP), material=DIFFUSE)
@@ -165,6 +167,7 @@ def test_a_flat_plate_gets_no_bounced_light(material):
     assert not light.laser_e(1.0).any()
 
 
+@pytest.mark.slow
 def test_light_is_a_polynomial_in_the_scale():
     light = bounced_light(view_of("v_groove"))
     assert not light.arc_e(0.0).any()
@@ -183,6 +186,7 @@ def test_a_laser_along_the_seam_is_refused():
         _ = bounced_light(View.of(dataclasses.replace(setup, laser=laser), np.eye(4))).laser_orders_e
 
 
+@pytest.mark.slow
 def test_some_pixels_are_those_of_the_frame():
     whole = view_of("lap")
     pixels = some_pixels(whole, [2], 40, seed=2)
@@ -195,6 +199,7 @@ def test_some_pixels_are_those_of_the_frame():
 # Convergence.
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("joint", "material"), [("v_groove", "mild_steel"), ("lap", "zn_coated")])
 def test_a_finer_grain_changes_little(joint, material, monkeypatch):
     """The once-bounced light and all of it at half the albedo, within 4 % nearly everywhere."""
@@ -210,6 +215,7 @@ def test_a_finer_grain_changes_little(joint, material, monkeypatch):
         assert np.quantile(np.abs(got[lit] / want[lit] - 1.0), 0.9) < 0.04
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("joint", "material"), [("v_groove", "mild_steel"), ("lap", "zn_coated")])
 def test_a_coarse_view_is_a_few_percent_off_the_brightest(joint, material):
     view = view_of(joint, material)
@@ -221,6 +227,7 @@ def test_a_coarse_view_is_a_few_percent_off_the_brightest(joint, material):
 # Twins of the pieces.
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("joint", ["v_groove", "lap", "corrugation"])
 def test_points_see_each_other_as_a_walk_finds_it(joint):
     shape = view_of(joint).scene.shape
@@ -366,6 +373,7 @@ def traced(view, i, sent, n, seed, orders=2):
     return np.array(found)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("material", TABLE_1)
 @pytest.mark.parametrize(("joint", "faces"), [("v_groove", [1, 2, 3]), ("lap", [2])])
 @pytest.mark.parametrize("source", ["arc", "laser"])
@@ -425,6 +433,7 @@ def test_a_recording_with_bounced_light_looks_more_like_it(index):
     assert 10 < found.argmin() < 50
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("gap_mm", [0.003, 0.006])
 def test_a_root_hardly_wider_than_the_margin_of_its_corners_changes_little(gap_mm):
     seen = []

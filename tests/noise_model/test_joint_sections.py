@@ -130,6 +130,7 @@ def surface_points(joint, rng, count):
         yield P, face, scenes.normal_at(joint, P)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("name", "center"),
     [
@@ -160,6 +161,7 @@ def test_half_spaces_open_the_arc_as_a_walk_does(name, center):
     assert n_hidden > 0
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", scenes.MORE_JOINTS)
 @pytest.mark.parametrize("pose", ["level", "turned"])
 def test_joints_show_the_arc_that_a_walk_finds(name, pose):
@@ -212,6 +214,7 @@ def test_the_footprint_is_its_plain_twins(name, turn_deg):
     np.testing.assert_allclose(scene.footprint_mm, plain_footprint(scene), rtol=1e-9)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", scenes.MORE_JOINTS)
 def test_the_footprint_holds_all_that_the_camera_sees(name):
     setup = scenes.setup(name)

@@ -47,6 +47,7 @@ def run(folder: Path) -> tuple[float, int, int]:
     return float(result), int(hits), int(misses)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("options", ["inline=True", ""], ids=["written out", "linked"])
 def test_a_kernel_is_compiled_anew_when_one_that_it_calls_has_changed(options: str, tmp_path: Path) -> None:
     package = tmp_path / "optics_of_a_test"
@@ -58,6 +59,7 @@ def test_a_kernel_is_compiled_anew_when_one_that_it_calls_has_changed(options: s
     assert run(tmp_path) == (11.0, 1, 0)
 
 
+@pytest.mark.slow
 def test_what_a_kernel_does_not_import_leaves_it_alone(tmp_path: Path) -> None:
     package = tmp_path / "optics_of_a_test"
     write(package, "", 3.0)

@@ -146,6 +146,7 @@ def test_steel_is_lobe_and_zn_is_diffuse():
     assert at_azimuth(FIGURES[10](), 90.0) > 0.7
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("number", [11, 12])
 def test_the_viewing_curves_are_over_their_own_peaks(number):
     figure = FIGURES[number]()
@@ -186,6 +187,7 @@ def test_G_ends_the_rise_of_zn_under_60_degrees():
     assert top - beyond > 0.001
 
 
+@pytest.mark.slow
 def test_under_the_arc_the_peaks_move_with_the_luminous_half():
     for material, theta_i_deg in ((MILD_STEEL, 60.0), (MILD_STEEL, 30.0), (ZN_COATED, 30.0)):
         peaks = peaks_of(material, theta_i_deg)
@@ -235,6 +237,7 @@ def test_the_page_quotes_figures_9_and_10():
     page_has("Zn", *(f"{lobe_over_diffuse(ZN_COATED, theta):.2f}" for theta in (30.0, 60.0)))
 
 
+@pytest.mark.slow
 def test_the_page_quotes_figures_11_and_12():
     for n, theta_i_deg in ((11, 60.0), (12, 30.0)):
         for name, material in (("steel", MILD_STEEL), ("Zn", ZN_COATED)):
@@ -247,6 +250,7 @@ def test_the_page_quotes_figures_11_and_12():
             )
 
 
+@pytest.mark.slow
 def test_the_page_quotes_the_distances_of_the_point_source():
     view = np.array([np.sin(np.radians(20.0)), 0.0, np.cos(np.radians(20.0))])
     rows = [

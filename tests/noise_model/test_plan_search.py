@@ -114,6 +114,7 @@ def test_the_rules_on_plates_whose_outcome_is_known() -> None:
     assert try_rules(matt, poses, SILENT, 0.005).azimuth.light is Outcome.INDIFFERENT
 
 
+@pytest.mark.slow
 def test_steel_flanks_shine_in_the_plane_of_incidence() -> None:
     setup = plan_setup("corrugation", "mild_steel", radiance_e=3e7)
     rules = try_rules(setup, search_path(setup).T_base_tool, SILENT, 0.005)

@@ -41,6 +41,7 @@ def sensors(draw):
     )
 
 
+@pytest.mark.slow
 @given(sensors(), st.floats(1e-3, 1.0), st.sampled_from([-1.0, 1.0]))
 def test_linearise_undoes_respond(sensor, share, sign):
     # Below a thousandth of the well a steep gamma sinks in the rounding of the black level.
@@ -116,6 +117,7 @@ def test_the_variance_of_darkness_is_read_noise_and_steps():
 FINE = Sensor(16, gain_e_per_dn=0.5, black_level_dn=100.0, read_noise_e=45.0, full_well_e=20000.0)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("gamma", "bend"), [(0.5, 0.0), (0.8, 0.0), (1.0, 0.0), (1.8, 0.0), (0.8, 0.3), (1.0, -0.4)]
 )
@@ -153,6 +155,7 @@ def test_a_whole_image_of_moments_is_that_of_its_pixels(gamma, bend):
         assert together[1][at] == pytest.approx(float(alone[1]), rel=1e-3)
 
 
+@pytest.mark.slow
 @given(
     st.floats(-50.0, 150.0),
     st.floats(0.5, 40.0),

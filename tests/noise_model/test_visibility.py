@@ -164,6 +164,7 @@ def surface_points(joint, rng, count):
         yield P, face, scenes.normal_at(joint, P)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", scenes.JOINTS)
 @pytest.mark.parametrize("height_mm", [140.0, 20.0])
 def test_the_way_to_a_source_is_open_as_a_walk_finds_it(name, height_mm):
@@ -219,6 +220,7 @@ def open_by_half_spaces(shape, P, normal, face, center, rng):
     return on_arc, open_by_planes
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("name", "center"),
     [
@@ -275,6 +277,7 @@ def test_the_horizon_is_the_steepest_slope_on_the_way(center_x, lift):
             )
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("arc_height_mm", [1.5, 4.0])
 @pytest.mark.parametrize("station_mm", [0.0, 12.0, 30.0])
 def test_a_ridge_hides_the_arc_as_a_walk_finds_it(station_mm, arc_height_mm):

@@ -67,6 +67,7 @@ def test_undisturbed_every_pose_arrives_with_the_time_of_its_sample():
         assert pose.sample_age_s == pytest.approx(0.002)
 
 
+@pytest.mark.slow
 @settings(deadline=None)
 @given(
     dropped=st.sets(st.integers(0, 119), max_size=110),
@@ -81,6 +82,7 @@ def test_never_a_mixture(dropped, duplicated, delays):
     assert len(numbers) == len(set(numbers))
 
 
+@pytest.mark.slow
 @settings(deadline=None)
 @given(st.sets(st.integers(0, 119), max_size=30))
 def test_a_lost_half_costs_its_own_pose_only(dropped):

@@ -80,6 +80,7 @@ def test_a_later_pose_counts_only_within_one_period():
     assert buffer.at(0.4951).status is PoseStatus.INTERPOLATED
 
 
+@pytest.mark.slow
 @settings(deadline=None)
 @given(
     jitter=st.lists(st.floats(-0.004, 0.004), min_size=40, max_size=40),
@@ -153,6 +154,7 @@ def test_memory_is_bounded_and_says_so():
     assert buffer.at(9.0).refusal is PoseRefusal.BEFORE_BUFFER
 
 
+@pytest.mark.slow
 @settings(deadline=None)
 @given(st.integers(2, 9), st.integers(2, 60))
 def test_a_small_buffer_agrees_with_a_large_one(capacity, count):

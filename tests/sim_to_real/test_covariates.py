@@ -12,6 +12,7 @@ def nominal(tmp_path_factory):
     return expected, covariates(expected, Start.of(expected))
 
 
+@pytest.mark.slow
 def test_every_bin_that_counts_has_its_frame_light_and_noise(nominal):
     expected, of = nominal
     frames = expected.observed.frames

@@ -54,6 +54,7 @@ def test_every_condition_is_left_to_fit_and_as_many_are_held_as_that_allows(cond
         assert held[of_kind].sum() == min(of_kind.sum() - n_conditions, wanted)
 
 
+@pytest.mark.slow
 @given(KINDS, st.integers(2, 6))
 def test_folds_share_the_frames_evenly(kinds, count):
     fold = folds(recording(kinds), count)

@@ -28,6 +28,7 @@ def test_a_cosine_is_that_of_the_angle():
     assert np.isnan(cosine(a, np.zeros(3)))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("planted", [{"gamma": {"gamma": 1.2}}, {"arc_length": {"height_mm": -1.0}}])
 def test_a_planted_signature_is_found(planted, tmp_path, monkeypatch):
     monkeypatch.setattr(module, "REGISTRY", {name: REGISTRY[name] for name in TRIED})
