@@ -23,6 +23,9 @@ from arctrack.printable import printable
 BAD_INPUT = 2
 """The exit code of an input that cannot be used; the shell's own for a command line that makes no sense."""
 
+NOTHING_TRACKED = 3
+"""The exit code of a recording of which no frame is valid."""
+
 app = typer.Typer(
     name="arctrack",
     cls=TwoWordGroup,

@@ -10,6 +10,7 @@ import typer
 from arctrack.errors import ArctrackError, as_line
 
 if TYPE_CHECKING:
+    from arctrack.check.verdict import Verdict
     from arctrack.recording.results import Summary
 
 
@@ -42,8 +43,11 @@ def replay(
     The offsets go onto the named CAN bus. Where truth.csv exists, the errors are shown at the end.
     A frame that cannot be read gets a row with its flag, and the rest is tracked. A recording that fails does
     not stop the others. The exit code is then 2. On a bus other than virtual the robot is listened to.
+    The last lines say how many frames are valid and, where few are, what most likely is wrong. The exit code
+    is 3 where no frame is valid.
     """
     from arctrack import replay as engine
+    from arctrack.check.verdict import verdict_on
     from arctrack.cli import console
     from arctrack.cli.replay_table import in_words, many_table, one_table
     from arctrack.recording import read_recording
@@ -52,6 +56,7 @@ def replay(
     options = engine.ReplayOptions(bus=bus, use_arc_map=arc_map, pictures=pictures)
     complaints: list[str] = []
     summaries: list[Summary] = []
+    verdicts: list[Verdict] = []
     written: list[str] = []
     with console.progress() as bar:
         for path, folder in zip(recordings, folders, strict=True):
@@ -68,6 +73,8 @@ def replay(
                 console.say_compiled(recording.name, done.warm_up)
                 console.warn(f"{recording.path}: {warning}" for warning in done.warnings)
                 summaries.append(done.summary)
+                verdicts.append(verdict_on(recording, done.tracks))
+                written.append(f"{recording.name}: {verdicts[-1].line}")
                 written.append(f"{recording.name}: results in {folder}")
                 if done.complaint is not None:
                     complaints.append(done.complaint)
@@ -87,10 +94,12 @@ def replay(
     for line in written:
         screen.print(line, markup=False, soft_wrap=True)
     console.complain(complaints)
-    if complaints:
-        from arctrack.cli import BAD_INPUT
+    from arctrack.cli import BAD_INPUT, NOTHING_TRACKED
 
+    if complaints:
         raise typer.Exit(BAD_INPUT)
+    if any(verdict.nothing_tracked for verdict in verdicts):
+        raise typer.Exit(NOTHING_TRACKED)
 
 
 def results_folders(recordings: list[Path], out: Path | None) -> list[Path]:

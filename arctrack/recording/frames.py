@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -17,6 +18,9 @@ from arctrack.recording.tables import FrameRow
 from noise_model.arrays import Integers
 from noise_model.setup import Setup
 from tracker.state import Frame, frame_misfit
+
+Image = Integers | str
+"""An image (H, W), or what is wrong with it."""
 
 FOLDER_NAME = "frames"
 VIDEO_NAME = "frames.mkv"
@@ -64,22 +68,31 @@ def read_frames(
     The n-th row of frames.csv is the PNG with its number, or the n-th frame of the video.
     """
     chosen = range(len(rows)) if positions is None else positions
+    for position, image in zip(chosen, read_images(source, rows, setup, chosen), strict=True):
+        row = rows[position]
+        yield _judge(image, row, png_path(source, row.index) if source.is_dir() else source, setup)
+
+
+def read_images(
+    source: Path, rows: Sequence[FrameRow], setup: Setup, positions: Sequence[int]
+) -> Iterator[Image]:
+    """Yield the images of rows at rising positions, one at a time; they may be turned, but not larger."""
     if source.is_dir():
-        for position in chosen:
-            path = png_path(source, rows[position].index)
-            yield _judge(_read_png(path, setup), rows[position], path, setup)
+        for position in positions:
+            yield _read_png(png_path(source, rows[position].index), setup)
         return
-    for position, image in zip(chosen, ffv1.read_video(source, chosen), strict=True):
-        yield _judge(image, rows[position], source, setup)
+    yield from ffv1.read_video(source, positions)
 
 
-def _read_png(path: Path, setup: Setup) -> Integers | str:
+def _read_png(path: Path, setup: Setup) -> Image:
     most = LIMITS.png_bytes_per_px * setup.camera.width * setup.camera.height + LIMITS.spare_bytes
     try:
         encoded = read_bytes(path, most)
         header = png.header_of(encoded)
-        # A few bytes may stand for gigabytes of pixels: only what fits is decoded.
-        return frame_misfit(header.shape, header.dtype, setup) or png.decode(encoded)
+        # A few bytes may stand for gigabytes of pixels: only what is no larger than a frame is decoded.
+        if math.prod(header.shape) > setup.camera.width * setup.camera.height:
+            return str(frame_misfit(header.shape, header.dtype, setup))
+        return png.decode(encoded)
     except FileNotFoundError:
         return f"there is no such file, though frames.csv names the frame{frame_hint(path)}"
     except (UnfitFileError, ValueError) as error:
@@ -88,7 +101,7 @@ def _read_png(path: Path, setup: Setup) -> Integers | str:
         return f"cannot be read: {error.strerror}"
 
 
-def _judge(image: Integers | str, row: FrameRow, path: Path, setup: Setup) -> Frame | BadFrame:
+def _judge(image: Image, row: FrameRow, path: Path, setup: Setup) -> Frame | BadFrame:
     problem = image if isinstance(image, str) else _misfit(image, setup)
     if isinstance(image, str) or problem is not None:
         return BadFrame(row, path, str(problem))

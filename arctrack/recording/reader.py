@@ -3,15 +3,17 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
+
+import numpy as np
 
 from arctrack.errors import ArctrackError, in_file
 from arctrack.output import real
 from arctrack.printable import printable
 from arctrack.recording import setup_file
-from arctrack.recording.frames import BadFrame, check_source, read_frames
+from arctrack.recording.frames import BadFrame, Image, check_source, read_frames, read_images
 from arctrack.recording.poses import (
     CSV_NAME,
     LOG_NAMES,
@@ -22,6 +24,7 @@ from arctrack.recording.poses import (
     runs_against_travel,
 )
 from arctrack.recording.tables import FrameRow, PoseTable, Truth, read_frame_rows, read_truth_csv
+from noise_model.arrays import Float64
 from noise_model.effects import pose_time_s
 from noise_model.setup import Setup
 from robot_io import PoseBuffer
@@ -36,8 +39,9 @@ UNFINISHED_SUFFIX = ".unfinished"
 class Recording:
     """A recording, checked but for its frames, which are read one at a time.
 
-    `setup_path` is the file that the setup came from, and `correction`, how its seam is followed; `rows` are
-    the lines of frames.csv, `poses` T_base_tool over time, `unknown_keys` what recording.toml holds that
+    `setup_path` is the file that the setup came from, and `correction`, how its seam is followed;
+    `T_tool_controllertool` (4, 4) is the controller's tool frame, whose poses were turned into `poses`,
+    T_base_tool over time; `rows` are the lines of frames.csv, `unknown_keys` what recording.toml holds that
     means nothing here, `warnings` one line each.
     """
 
@@ -46,6 +50,7 @@ class Recording:
     setup: Setup
     correction: Correction
     robot: Mapping[str, Any]
+    T_tool_controllertool: Float64
     unknown_keys: tuple[str, ...]
     rows: tuple[FrameRow, ...]
     poses: PoseTable
@@ -81,6 +86,10 @@ class Recording:
         """
         return read_frames(self.frame_source, self.rows, self.setup, positions)
 
+    def images(self, positions: Sequence[int]) -> Iterator[Image]:
+        """Yield the images of the rows at rising positions; they may be turned, but not larger than stated."""
+        return read_images(self.frame_source, self.rows, self.setup, positions)
+
     def readable_frames(self) -> tuple[list[Frame], list[BadFrame]]:
         """Return the frames that can be read and those that cannot; ArctrackError if none can."""
         frames: list[Frame] = []
@@ -110,10 +119,13 @@ class Recording:
         return pose_buffer(self.poses)
 
 
-def read_recording(path: Path | str, setup_path: Path | str | None = None) -> Recording:
+def read_recording(
+    path: Path | str, setup_path: Path | str | None = None, must_fit: bool = True
+) -> Recording:
     """Read and check all of a recording but its frames.
 
-    `setup_path` is a file to take the setup from instead of the recording's own recording.toml.
+    `setup_path` is a file to take the setup from instead of the recording's own recording.toml. Without
+    `must_fit` it is left to `fitted` whether poses, frames and seam line belong together.
 
     Raises ArctrackError, naming the file and the key or line, for a missing file, key or column, a value of
     the wrong type or not finite, times that run backwards, a pose that is no rotation, poses that stop
@@ -125,27 +137,35 @@ def read_recording(path: Path | str, setup_path: Path | str | None = None) -> Re
     rows, frame_warnings = read_frame_rows(folder / FRAMES_CSV)
     poses, pose_warnings = read_poses(folder, stated.T_tool_controllertool)
     source, source_warnings = check_source(folder, rows, stated.setup)
-    coverage_warnings = check_coverage(poses, rows[0].timestamp_s, rows[-1].timestamp_s)
-    if runs_against_travel(poses, [row.timestamp_s for row in rows], stated.setup.joint):
-        raise in_file(stated.path, "[joint] seam_in_base_mm: runs against the travel; reverse its points")
-    return Recording(
+    recording = Recording(
         path=folder,
         setup_path=stated.path,
         setup=stated.setup,
         correction=stated.correction,
         robot=stated.robot,
+        T_tool_controllertool=(
+            np.eye(4) if stated.T_tool_controllertool is None else stated.T_tool_controllertool
+        ),
         unknown_keys=stated.unknown_keys,
         rows=rows,
         poses=poses,
         frame_source=source,
-        warnings=(
-            *stated.warnings,
-            *frame_warnings,
-            *pose_warnings,
-            *source_warnings,
-            *coverage_warnings,
-        ),
+        warnings=(*stated.warnings, *frame_warnings, *pose_warnings, *source_warnings),
     )
+    return fitted(recording) if must_fit else recording
+
+
+def fitted(recording: Recording) -> Recording:
+    """Return a recording with warnings on frames that its poses do not cover.
+
+    Raises ArctrackError for poses that cover none, and for a seam line that runs against the travel.
+    """
+    frames_s = [row.timestamp_s for row in recording.rows]
+    warnings = check_coverage(recording.poses, frames_s[0], frames_s[-1])
+    if runs_against_travel(recording.poses, frames_s, recording.setup.joint):
+        problem = "[joint] seam_in_base_mm: runs against the travel; reverse its points"
+        raise in_file(recording.setup_path, problem)
+    return replace(recording, warnings=(*recording.warnings, *warnings))
 
 
 def read_truth(path: Path | str) -> Truth | None:

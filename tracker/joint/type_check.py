@@ -87,19 +87,24 @@ def is_another_type(profile: Profile, joint: Joint, measured: MeasuredJoint | No
     stated = family_of(joint)
     if stated is None:
         return False
-    y, z, sigma = _groups(profile)
-    if len(y) < GROUPS // 4:
-        return False
-    ends = np.empty(len(y), dtype=np.int64)
-    cost, n_pieces = cut_into_pieces(y, z, sigma, 3.0 * math.log(len(y)), ends)
-    family = _family(y, z, ends[:n_pieces])
+    family, cost = shown_family(profile)
     if family is None or family is stated:
         return False
     if stated is Family.SLOT and family is Family.FLAT:
         # A gap may show nothing but missing points, and a narrow one not even those.
         is_shown = joint.dimensions["gap_mm"] >= BLURRED_LINES * profile.column_mm
         return measured is None and is_shown
-    return measured is None or cost + DECIDED < _stated_cost(y, z, sigma, measured)
+    return measured is None or cost + DECIDED < _stated_cost(*_groups(profile), measured)
+
+
+def shown_family(profile: Profile) -> tuple[Family | None, float]:
+    """Return the family that a profile's straight pieces look like, None for none known, and their cost."""
+    y, z, sigma = _groups(profile)
+    if len(y) < GROUPS // 4:
+        return None, math.inf
+    ends = np.empty(len(y), dtype=np.int64)
+    cost, n_pieces = cut_into_pieces(y, z, sigma, 3.0 * math.log(len(y)), ends)
+    return _family(y, z, ends[:n_pieces]), cost
 
 
 def _groups(profile: Profile) -> tuple[Float64, Float64, Float64]:

@@ -1,0 +1,105 @@
+"""The bright line in a frame, found without any model of where it should be."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+
+from noise_model.arrays import Float32, Float64, Int64, Integers
+from noise_model.instrument.sensor import Sensor, linearise, variance_e2
+from tracker.stripe.viterbi import best_path
+
+SCALES_PX = (1.5, 3.0, 6.0, 12.0)
+"""The sigmas of the lines that are looked for."""
+
+SURROUND = 2.5
+"""The mean about a line is taken with so many times its sigma."""
+
+RIM_SIGMAS = 2.0
+"""So near to the image's rim no line is looked for."""
+
+BACKGROUND_REL = 0.05
+"""What of the light beside a line may look like one."""
+
+
+@dataclass(frozen=True, eq=False)
+class BrightLine:
+    """Image points (n, 2) x y of a line, px, one a scan line.
+
+    `share` is in how many of the scan lines it was found, `height_e` how far it stands over its surroundings
+    there in the median.
+    """
+
+    points_px: Float64
+    share: float
+    height_e: float
+
+
+NO_LINE = BrightLine(np.empty((0, 2)), share=0.0, height_e=0.0)
+
+
+def find_lines(images_dn: Iterable[Integers], sensor: Sensor) -> list[BrightLine]:
+    """Find the line in each image (H, W), DN: along its rows or its columns, in all of them alike."""
+    code_e = linearise(np.arange(sensor.max_dn + 1), sensor).astype(np.float32)
+    dark_e2 = float(variance_e2(0.0, sensor))
+    both = [
+        [_line_along(code_e[np.minimum(image, sensor.max_dn)], along, dark_e2) for along in (True, False)]
+        for image in images_dn
+    ]
+    # What an arc lights up may be a clearer line, but hardly; without an arc the stripe is.
+    rows, columns = ([pair[n] for pair in both] for n in (0, 1))
+    return rows if _clearness(rows) >= _clearness(columns) else columns
+
+
+def _clearness(lines: Sequence[BrightLine]) -> float:
+    """Return how clear lines are, by the product of the light, e- a scan line, that makes each a line."""
+    return sum(math.log(line.share * line.height_e + 1.0) for line in lines)
+
+
+def _line_along(charge: Float32, along_rows: bool, dark_e2: float) -> BrightLine:
+    """Return the likeliest line along an image's rows, or its columns, of the sigma that shows most."""
+    scan_lines = np.ascontiguousarray(charge.T if along_rows else charge)
+    best = None
+    for sigma_px in SCALES_PX:
+        if 2.0 * SURROUND * sigma_px >= scan_lines.shape[1]:
+            continue
+        near = cv2.GaussianBlur(scan_lines, (0, 0), sigmaX=sigma_px, sigmaY=1.0)
+        wide = cv2.GaussianBlur(scan_lines, (0, 0), sigmaX=SURROUND * sigma_px, sigmaY=1.0)
+        # A Gaussian over two axes leaves 1 / (4 pi sigma_x sigma_y) of the variance.
+        noise = (np.maximum(wide, 0.0) + dark_e2) / (4.0 * np.pi * sigma_px) + (BACKGROUND_REL * wide) ** 2
+        score = ((near - wide) / np.sqrt(noise)).astype(np.float32)
+        # Light that rises to the image's rim, where it is mirrored, looks like a line there.
+        rim = round(RIM_SIGMAS * sigma_px)
+        score[:, :rim], score[:, -rim:] = 0.0, 0.0
+        shows = float(score.max(axis=1).mean())
+        if best is None or shows > best[0]:
+            best = shows, sigma_px, score, near - wide
+    if best is None:
+        return NO_LINE
+    _, sigma_px, score, height = best
+    choice = np.empty(len(score), dtype=np.int64)
+    best_path(score, choice)
+    lines = np.flatnonzero(choice >= 0)
+    if not len(lines):
+        return NO_LINE
+    at = _peaks(score, lines, choice[lines], round(2.0 * sigma_px) + 1)
+    points = np.column_stack([lines, at] if along_rows else [at, lines])
+    share, height_e = len(lines) / len(score), float(np.median(height[lines, choice[lines]]))
+    return BrightLine(points, share, height_e)
+
+
+def _peaks(score: Float32, lines: Int64, choice: Int64, reach: int) -> Float64:
+    """Return where along lines (n,) of an image the score peaks within a reach of a choice (n,), px."""
+    n_pos = score.shape[1]
+    near = np.clip(choice[:, np.newaxis] + np.arange(-reach, reach + 1), 0, n_pos - 1)
+    peak = near[np.arange(len(lines)), np.argmax(score[lines[:, np.newaxis], near], axis=1)]
+    inner = np.clip(peak, 1, n_pos - 2)
+    before, here, after = (score[lines, inner + step].astype(np.float64) for step in (-1, 0, 1))
+    curve = 2.0 * here - before - after
+    with np.errstate(divide="ignore", invalid="ignore"):
+        between = np.where(curve > 0.0, 0.5 * (after - before) / curve, 0.0)
+    return np.asarray(inner + np.clip(between, -1.0, 1.0))

@@ -1,0 +1,145 @@
+"""What a recording says of some frames, as something that a mistake can be undone in: setup, poses, lines."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from arctrack.check.bright_line import BrightLine, find_lines
+from arctrack.check.fit import Fit, Sight, fit
+from arctrack.recording import PoseTable, Recording
+from arctrack.recording.frames import Image
+from arctrack.recording.poses import pose_at, pose_buffer
+from noise_model.arrays import Float64
+from noise_model.effects import apply_setup_effects, pose_time_s
+from noise_model.setup import Setup
+from noise_model.transforms import invert
+
+MAX_FRAMES, MAX_DARK = 10, 4
+"""So many frames with the laser on are looked at; of these so many without arc, where lines are clearest."""
+
+POSES_BEFORE, POSES_AFTER = 40, 3
+"""The poses about a frame that its own is made of."""
+
+NO_POSE = np.full((4, 4), np.nan)
+
+
+@dataclass(frozen=True, eq=False)
+class Case:
+    """Some frames' lines, the setup that should explain them and the poses.
+
+    `points_px` is each frame's line, (n, 2) x y, of images of `size_px` (width, height); `frames_s` are their
+    times, `poses` all poses over time, `T_base_tool` those at the frames, NaN where there is none.
+    `T_tool_controllertool` (4, 4) is the controller's tool frame as the setup states it.
+    """
+
+    setup: Setup
+    points_px: tuple[Float64, ...]
+    size_px: tuple[int, int]
+    frames_s: tuple[float, ...]
+    poses: PoseTable
+    T_base_tool: tuple[Float64, ...]
+    T_tool_controllertool: Float64
+
+    def fit(self) -> Fit:
+        """Lay the lines over the setup's section."""
+        sights = [Sight(*pair) for pair in zip(self.points_px, self.T_base_tool, strict=True)]
+        return fit(self.setup, sights)
+
+    def with_setup(self, setup: Setup) -> Case:
+        """Return the case with another setup."""
+        return replace(self, setup=setup)
+
+    def with_poses(self, change: Callable[[Float64], Float64]) -> Case:
+        """Return the case with another pose of the controller's in the place of each."""
+        there, back = self.T_tool_controllertool, invert(self.T_tool_controllertool)
+        return replace(
+            self,
+            T_base_tool=tuple(T if np.isnan(T).any() else change(T @ there) @ back for T in self.T_base_tool),
+        )
+
+    def with_tool(self, T_tool_controllertool: Float64) -> Case:
+        """Return the case with another frame for the controller's tool."""
+        changed = self.T_tool_controllertool @ invert(T_tool_controllertool)
+        return replace(
+            self,
+            T_base_tool=tuple(T @ changed for T in self.T_base_tool),
+            T_tool_controllertool=T_tool_controllertool,
+        )
+
+    def with_times(self, frames: float = 1.0, poses: float = 1.0) -> Case:
+        """Return the case with the times of frames and poses multiplied."""
+        frames_s = tuple(frames * timestamp_s for timestamp_s in self.frames_s)
+        table = replace(self.poses, timestamps_s=poses * self.poses.timestamps_s)
+        return replace(
+            self, frames_s=frames_s, poses=table, T_base_tool=_poses_at(table, frames_s, self.setup)
+        )
+
+    def with_points(self, change: Callable[[Float64, int, int], Float64], turns: bool) -> Case:
+        """Return the case with the lines' points moved, images `turns` by a quarter or not."""
+        width, height = self.size_px
+        points = tuple(change(points, width, height) for points in self.points_px)
+        return replace(self, points_px=points, size_px=(height, width) if turns else self.size_px)
+
+    @property
+    def fits_camera(self) -> bool:
+        """Whether the images have the size that the setup states."""
+        return self.size_px == (self.setup.camera.width, self.setup.camera.height)
+
+
+def chosen_rows(recording: Recording) -> list[int]:
+    """Return the positions of the frames to look at: the laser on, without arc first, over the whole run."""
+    rows = recording.rows
+    dark = _spread([n for n, row in enumerate(rows) if row.laser_on and not row.arc_on], MAX_DARK)
+    lit = [n for n, row in enumerate(rows) if row.laser_on and row.arc_on]
+    return sorted({*dark, *_spread(lit, MAX_FRAMES - len(dark))})
+
+
+def case_of(recording: Recording, positions: Sequence[int], images: Sequence[Image]) -> Case | None:
+    """Return the case of some frames, None where no image can be read; images of the commonest size count."""
+    usable = [
+        (recording.rows[n], image)
+        for n, image in zip(positions, images, strict=True)
+        if not isinstance(image, str) and image.ndim == 2
+    ]
+    if not usable:
+        return None
+    shapes = [image.shape for _, image in usable]
+    shape = max(shapes, key=shapes.count)
+    usable = [(row, image) for row, image in usable if image.shape == shape]
+    lines: list[BrightLine] = find_lines([image for _, image in usable], recording.setup.sensor)
+    frames_s = tuple(row.timestamp_s for row, _ in usable)
+    setup = apply_setup_effects(recording.setup)
+    return Case(
+        setup=setup,
+        points_px=tuple(line.points_px for line in lines),
+        size_px=(shape[1], shape[0]),
+        frames_s=frames_s,
+        poses=recording.poses,
+        T_base_tool=_poses_at(recording.poses, frames_s, setup),
+        T_tool_controllertool=recording.T_tool_controllertool,
+    )
+
+
+def _spread(positions: list[int], most: int) -> list[int]:
+    """Return at most so many of some positions, over all of them."""
+    if not positions:
+        return []
+    return [positions[round(n)] for n in np.linspace(0, len(positions) - 1, min(most, len(positions)))]
+
+
+def _poses_at(poses: PoseTable, frames_s: Sequence[float], setup: Setup) -> tuple[Float64, ...]:
+    """Return the pose (4, 4) at each time, as the run would have it, NaN where it is refused."""
+    found = []
+    for timestamp_s in frames_s:
+        asked_s = pose_time_s(setup, timestamp_s)
+        k = int(np.searchsorted(poses.timestamps_s, asked_s)) if math.isfinite(asked_s) else 0
+        near = slice(max(0, k - POSES_BEFORE), k + POSES_AFTER)
+        # A run has all poses, but only those near a time count.
+        few = PoseTable(poses.path, poses.timestamps_s[near], poses.T_base_tool[near])
+        pose = pose_at(pose_buffer(few), asked_s)
+        found.append(NO_POSE if pose is None else pose.T_base_tool)
+    return tuple(found)

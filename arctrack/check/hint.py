@@ -1,0 +1,89 @@
+"""Which mistake explains best what is seen of a recording."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from arctrack.check.case import Case
+from arctrack.check.fit import LinePoints
+from arctrack.check.mistakes import Mistake, common_mistakes, focal_lengths
+from noise_model.setup import Setup
+from tracker.joint.type_check import FAMILIES, Family, family_of
+
+FITS, GAIN = 0.8, 0.15
+"""The share of a line's points that lies on the section where all is right, and what undoing must gain."""
+
+ALIKE = 0.02
+"""Shares that differ by less are the same."""
+
+MIN_SHOWN, SHOWN_SHARE = 2, 0.3
+"""In so many frames, and in such a share of them, another joint must be shown."""
+
+
+@dataclass(frozen=True)
+class Hint:
+    """What most likely is wrong, and its cure; `share` of the bright lines' points then lie on the joint."""
+
+    what: str
+    cure: str
+    share: float
+    case: Case | None = None
+
+    def __str__(self) -> str:
+        return f"{self.what}; {self.cure}"
+
+
+def likely_mistake(case: Case) -> Hint | None:
+    """Return the mistake without which the lines lie where the stripe should be, None for none known."""
+    stated = case.fit() if case.fits_camera else None
+    share = 0.0 if stated is None else stated.share
+    hint = None if share > 1.0 - GAIN else _best(case, common_mistakes(case.T_tool_controllertool), share)
+    if hint is None and stated is not None:
+        hint = _joint_hint(case.setup, stated.lines)
+    if hint is None and share <= 1.0 - GAIN:
+        hint = _best(case, focal_lengths(case.setup.camera), share)
+    return hint
+
+
+def _best(case: Case, mistakes: Sequence[Mistake], stated_share: float) -> Hint | None:
+    """Return the hint to the mistake without which most points lie on the section, if decidedly so."""
+    hints = []
+    for mistake in mistakes:
+        undone = mistake.undo(case)
+        if undone is None:
+            continue
+        try:
+            hints.append(Hint(mistake.what, mistake.cure, undone.fit().share, undone))
+        except ValueError:
+            # Numbers that no setup can hold.
+            continue
+    most = max((hint.share for hint in hints), default=0.0)
+    if most < max(FITS, stated_share + GAIN):
+        return None
+    # Some mistakes have the same effect: the commonest is named.
+    return next(hint for hint in hints if hint.share >= most - ALIKE)
+
+
+def _joint_hint(setup: Setup, lines: Sequence[LinePoints]) -> Hint | None:
+    """Return the hint to the joint's type if the lines show another one."""
+    stated = family_of(setup.joint)
+    counts = Counter(line.family for line in lines)
+    # Where the arc outshines a joint's faces a plate is left.
+    for nothing in (None, Family.FLAT):
+        counts.pop(nothing, None)
+    if not counts or stated is None:
+        return None
+    family, count = counts.most_common(1)[0]
+    if (
+        family is None
+        or family is stated
+        or count < max(min(MIN_SHOWN, len(lines)), SHOWN_SHARE * len(lines))
+    ):
+        return None
+    types = [name for name, shown in FAMILIES.items() if shown is family]
+    if family in (Family.INSIDE_CORNER, Family.OUTSIDE_CORNER):
+        types = ["fillet"]
+    what = f"[joint] type = {setup.joint.type!r}: {count} of {len(lines)} frames show {family.value}"
+    return Hint(what, f"recording.toml: state {' or '.join(types)}", float(count) / len(lines))
