@@ -70,7 +70,7 @@ def frame_misfit(shape: tuple[int, ...], dtype: npt.DTypeLike, setup: Setup) -> 
     if len(shape) != 2:
         return f"has {len(shape)} axes: a raw grey frame of {camera.width} x {camera.height} is needed"
     if shape != wanted:
-        cure = "; it is transposed: swap rows and columns" if shape == wanted[::-1] else ""
+        cure = "; it is turned: swap rows and columns" if shape == wanted[::-1] else ""
         stated = f"[camera] width and height say {camera.width} x {camera.height}"
         return f"is {shape[1]} x {shape[0]}, {stated}{cure}"
     if np.dtype(dtype) != np.dtype(sensor.dtype):

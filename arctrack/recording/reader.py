@@ -87,7 +87,7 @@ class Recording:
         return read_frames(self.frame_source, self.rows, self.setup, positions)
 
     def images(self, positions: Sequence[int]) -> Iterator[Image]:
-        """Yield the images of the rows at rising positions; they may be turned, but not larger than stated."""
+        """Yield the images of the rows at rising positions; they may be turned, but not larger."""
         return read_images(self.frame_source, self.rows, self.setup, positions)
 
     def readable_frames(self) -> tuple[list[Frame], list[BadFrame]]:

@@ -39,7 +39,7 @@ BAD: dict[str, tuple[Spoil, str, str]] = {
     "rows for columns": (
         frame(png(36, 48)),
         "000001.png",
-        "is 36 x 48, [camera] width and height say 48 x 36; it is transposed: swap rows and columns",
+        "is 36 x 48, [camera] width and height say 48 x 36; it is turned: swap rows and columns",
     ),
     "16 bits": (
         frame(png(48, 36, bits=16)),

@@ -161,7 +161,7 @@ WRONG_IMAGES = {
     "has a third axis, 1 channels: a raw grey frame of 48 x 36 is needed": np.zeros(
         (HEIGHT, WIDTH, 1), np.uint8
     ),
-    "is 36 x 48, [camera] width and height say 48 x 36; it is transposed: swap rows and columns": np.zeros(
+    "is 36 x 48, [camera] width and height say 48 x 36; it is turned: swap rows and columns": np.zeros(
         (WIDTH, HEIGHT), np.uint8
     ),
     "is 47 x 36, [camera] width and height say 48 x 36": np.zeros((HEIGHT, WIDTH - 1), np.uint8),
