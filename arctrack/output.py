@@ -44,7 +44,8 @@ def write_whole(path: Path, text: str) -> None:
     draft = target.with_name(f".{target.name}.{os.getpid()}.part")
     with writing(path):
         try:
-            draft.write_text(text, encoding="utf-8")
+            # A folder's name need not be UTF-8.
+            draft.write_text(text, encoding="utf-8", errors="backslashreplace")
             if target.exists():
                 shutil.copymode(target, draft)
             draft.replace(target)

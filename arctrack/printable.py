@@ -6,7 +6,9 @@ what no encoding takes is shown as Python's `repr` shows it.
 
 from __future__ import annotations
 
+import shlex
 from collections.abc import Iterable
+from pathlib import Path
 
 LONGEST_SHOWN = 60
 """Characters of a value that a message quotes."""
@@ -20,6 +22,11 @@ def printable(text: str) -> str:
     if text.isprintable():
         return text
     return "".join(c if c.isprintable() else c.encode("unicode_escape").decode("ascii") for c in text)
+
+
+def quoted(path: Path) -> str:
+    """Return a path as a shell takes it; one that cannot be printed is shown, and would not be found."""
+    return shlex.quote(printable(str(path)))
 
 
 def shown(value: object) -> str:

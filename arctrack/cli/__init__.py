@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 import sys
 from typing import Annotated, NoReturn
 
@@ -66,6 +67,10 @@ def _arctrack(
 
 def main() -> None:
     """Run the command line; what is wrong with the input is one line on stderr and exit code 2."""
+    for stream in (sys.stdout, sys.stderr):
+        # Not every terminal can show a sigma.
+        if isinstance(stream, io.TextIOWrapper):
+            stream.reconfigure(errors="backslashreplace")
     try:
         app(prog_name="arctrack")
     except ArctrackError as error:

@@ -96,7 +96,7 @@ def reflectance(
     print_result(console.tables(), result, sample)
     if out is not None:
         _write(result, sample, standard, response, out)
-        typer.echo(f"results in {out}")
+        console.say(f"results in {out}")
 
 
 def _check_scale(white: Path | None, albedo: float | None, total: float | None) -> None:

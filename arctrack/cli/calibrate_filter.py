@@ -60,7 +60,6 @@ def filter_curve(
     text = with_filter_curve(read.path, curve)
     parse_setup(text, out)
     write_whole(out, text)
-    screen = console.tables()
     for text in (
         f"centre {curve.center_nm:.2f} nm, {curve.fwhm_nm:.2f} nm wide at half of its peak",
         f"at the image's corner, {np.degrees(corner):.1f} deg off the axis, over what passes on it: "
@@ -69,4 +68,4 @@ def filter_curve(
         f"{lines[0]:.2f} on the axis, {lines[1]:.2f} at the corner",
         f"{out}: the setup with the curve",
     ):
-        screen.print(text, markup=False, soft_wrap=True, highlight=False)
+        console.say(text)

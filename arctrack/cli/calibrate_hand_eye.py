@@ -52,7 +52,7 @@ def hand_eye(
     if found.fit.not_learned:
         screen.print(f"learned little about: {', '.join(found.fit.not_learned)}", markup=False)
     write_whole(out, with_camera_pose(read.setup_path, found.T_tool_camera))
-    screen.print(f"{out}: the setup with the pose found", markup=False, soft_wrap=True)
+    console.say(f"{out}: the setup with the pose found")
     complaint = read.complaint(bad_frames, "the pose is that of the others")
     if complaint is not None:
         raise ArctrackError(complaint)

@@ -35,6 +35,12 @@ def tables() -> Console:
     return console if console.is_terminal else Console(highlight=False, width=PLAIN_WIDTH)
 
 
+def say(*lines: str) -> None:
+    """Print lines of the result on stdout; what came from a file or a folder's name is made fit to print."""
+    for line in lines:
+        print(printable(line))
+
+
 def warn(messages: Iterable[str]) -> None:
     """Print warnings on stderr, one line each."""
     for message in messages:

@@ -93,12 +93,13 @@ def _outcomes(jobs: list[Job], workers: int, scheduler: str | None) -> Iterator[
 
 def _apply(done: list[Diagnosed]) -> list[str]:
     """Write what was found into each recording; return a line for each that got nothing."""
+    from arctrack.cli import console
     from arctrack.diagnose import apply
 
     complaints = []
     for diagnosed in done:
         try:
-            typer.echo(apply(diagnosed))
+            console.say(apply(diagnosed))
         except ArctrackError as error:
             complaints.append(str(error))
     return complaints

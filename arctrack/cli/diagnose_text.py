@@ -35,7 +35,7 @@ def print_one(done: Sequence[Diagnosed]) -> None:
             screen.print(text, markup=False, soft_wrap=True)
         if diagnosis.ranking and diagnosis.verdict is not Verdict.NO_GAP:
             screen.print(_ranking(diagnosis))
-        screen.print(f"report in {diagnosed.job.folder / REPORT_PAGE}", markup=False, soft_wrap=True)
+        console.say(f"report in {diagnosed.job.folder / REPORT_PAGE}")
 
 
 def print_many(done: Sequence[Diagnosed]) -> None:
@@ -61,7 +61,7 @@ def print_many(done: Sequence[Diagnosed]) -> None:
     screen.print(table)
     for diagnosed in done:
         page = diagnosed.job.folder / REPORT_PAGE
-        screen.print(f"{diagnosed.job.name}: report in {page}", markup=False, soft_wrap=True)
+        console.say(f"{diagnosed.job.name}: report in {page}")
 
 
 def _seam(diagnosed: Diagnosed) -> str:

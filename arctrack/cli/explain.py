@@ -59,4 +59,4 @@ def explain(
             typer.echo(f"  {check.flag.name}: {check.flag.meaning} ({answer})")
     for sentence in (words.arc_sentence(found), f"page  {path}"):
         if sentence:
-            typer.echo(sentence)
+            console.say(sentence)

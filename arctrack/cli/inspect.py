@@ -44,7 +44,7 @@ def inspect(
         draw(read, found).savefig(picture, format=picture.suffix[1:] or "png")
     except (OSError, ValueError) as error:
         raise in_file(picture, f"cannot be written: {error}; give a .png or .pdf with --out") from None
-    typer.echo(f"picture  {picture}")
+    console.say(f"picture  {picture}")
     if found.bad_frames:
         raise ArctrackError(
             f"{found.bad_frames[0].message}; "

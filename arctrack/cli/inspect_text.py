@@ -8,6 +8,7 @@ import numpy as np
 from rich.console import Console
 from rich.table import Table
 
+from arctrack.printable import cut, first_of, printable
 from arctrack.recording import Recording
 from arctrack.survey import Condition, Motion, Survey
 from noise_model.setup import Setup
@@ -23,12 +24,12 @@ def print_survey(console: Console, recording: Recording, found: Survey) -> None:
         lines.append(("follow", correction_words(recording.correction)))
     if recording.setup.effects:
         lines.append(("effects", f"known beforehand: {', '.join(recording.setup.effects)}"))
-    lines.append(("unknown keys", ", ".join(recording.unknown_keys) or "none"))
+    lines.append(("unknown keys", ", ".join(first_of(map(cut, recording.unknown_keys), "more")) or "none"))
     lines.append(("warnings", str(len(recording.warnings)) if recording.warnings else "none"))
     width = max(len(name) for name, _ in lines)
     for name, text in lines:
         console.print(f"[bold]{name:<{width}}[/bold]  ", end="")
-        console.print(text, markup=False, soft_wrap=True)
+        console.print(printable(text), markup=False, soft_wrap=True)
     console.print(condition_table(found.conditions))
 
 

@@ -90,7 +90,7 @@ def plan(
     made = _plan(source, setup, options, poses)
     print_plan(console.tables(), made)
     _write(made, torch_radius, out)
-    typer.echo(f"tables and pictures in {out}")
+    console.say(f"tables and pictures in {out}")
 
 
 def _read(source: Path, recorded: bool) -> tuple[Setup, list[Float64] | None]:

@@ -9,6 +9,7 @@ import numpy as np
 from rich.console import Console
 from rich.table import Table
 
+from arctrack.printable import printable
 from noise_model.plan.plan import Plan
 from noise_model.plan.remedies import Cure
 from noise_model.plan.rules import Rule
@@ -24,7 +25,7 @@ def print_plan(console: Console, plan: Plan) -> None:
     for rule_lines in (_rules(plan), _path(plan)):
         console.print()
         for text in rule_lines:
-            console.print(text, markup=False, soft_wrap=True)
+            console.print(printable(text), markup=False, soft_wrap=True)
     if plan.cures:
         console.print(_cures(plan))
     for name in plan.left_out:

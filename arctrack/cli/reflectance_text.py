@@ -7,10 +7,12 @@ from collections.abc import Iterator
 
 import numpy as np
 from rich.console import Console
+from rich.markup import escape
 from rich.table import Table
 
 from arctrack.calibration_files.goniometer import GoniometerFile
 from arctrack.calibration_files.reflectance import material_toml, scale_sentence
+from arctrack.printable import printable
 from calibration.reflectance import Agreement, Reflectance
 from calibration.reflectance_model import NAMES
 
@@ -23,7 +25,7 @@ def print_result(console: Console, result: Reflectance, sample: GoniometerFile) 
     console.print(_table(result))
     for label, text in _lines(result, sample):
         console.print(f"[bold]{label:<12}[/bold]", end="")
-        console.print(text, markup=False, soft_wrap=True)
+        console.print(printable(text), markup=False, soft_wrap=True)
     console.print()
     console.print(material_toml(result), markup=False, soft_wrap=True, end="")
 
@@ -68,7 +70,7 @@ def _about_the_fit(file: GoniometerFile, agreement: Reflectance | Agreement) -> 
 
 
 def _table(result: Reflectance) -> Table:
-    table = Table(title=result.material.name, title_justify="left", title_style="bold")
+    table = Table(title=escape(printable(result.material.name)), title_justify="left", title_style="bold")
     for heading in ("", "value", "1 sigma", "95 %", "unit", *(f"r {name}" for name in NAMES[:2])):
         table.add_column(heading, justify="right" if heading else "left", no_wrap=True)
     units = [*("1/sr" if result.absolute else "relative",) * 2, "1/rad²"]

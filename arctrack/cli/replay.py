@@ -91,8 +91,7 @@ def replay(
             screen.print(one_table(summaries))
         for summary in summaries:
             screen.print(in_words(summary), markup=False, soft_wrap=True)
-    for line in written:
-        screen.print(line, markup=False, soft_wrap=True)
+    console.say(*written)
     console.complain(complaints)
     from arctrack.cli import BAD_INPUT, NOTHING_TRACKED
 

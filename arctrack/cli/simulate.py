@@ -95,7 +95,7 @@ def simulate(
     hidden = _effects(effect or [])
     with console.progress() as bar:
         engine.simulate_recording(out, nominal, plan, console.track(bar, out.name, frames), hidden, stated)
-    typer.echo(f"{out}: {frames} frames of a {nominal.joint.type} in {nominal.material.name}")
+    console.say(f"{out}: {frames} frames of a {nominal.joint.type} in {nominal.material.name}")
 
 
 def _nominal(joint: JointName, material: MaterialName, width: int, height: int) -> Setup:

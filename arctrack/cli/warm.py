@@ -39,8 +39,7 @@ def warm(
             except ValueError as error:
                 raise in_file(Path(name), str(error)) from error
             said.append(f"{name}: {done.compiled} functions compiled, ready after {done.elapsed_s:.1f} s")
-    for line in said:
-        typer.echo(line)
+    console.say(*said)
 
 
 def _chosen(paths: list[Path]) -> list[tuple[str, Setup, Correction]]:

@@ -4,6 +4,9 @@ from __future__ import annotations
 
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from matplotlib.font_manager import FontProperties, findfont, get_font
+
+from arctrack.printable import printable
 
 BLUE, VERMILLION, GREEN, ORANGE, SKY = "#0072B2", "#D55E00", "#009E73", "#E69F00", "#56B4E9"
 GREY, BLACK = "#7F7F7F", "#000000"
@@ -14,8 +17,16 @@ DOTS_PER_INCH = 110
 def new_figure(width_inch: float, height_inch: float, title: str) -> Figure:
     """Return an empty figure that arranges itself, without pyplot and its state."""
     figure = Figure(figsize=(width_inch, height_inch), dpi=DOTS_PER_INCH, layout="constrained")
-    figure.suptitle(title, fontsize=12, fontweight="bold", x=0.01, ha="left")
+    lines = (_drawable(printable(line)) for line in title.splitlines())
+    # A dollar in a name begins no formula.
+    figure.suptitle("\n".join(lines), fontsize=12, fontweight="bold", x=0.01, ha="left", parse_math=False)
     return figure
+
+
+def _drawable(text: str) -> str:
+    """Return a text with a question mark for each letter that the font does not have."""
+    font = get_font(findfont(FontProperties(weight="bold")))
+    return "".join(letter if font.get_char_index(ord(letter)) else "?" for letter in text)
 
 
 def plain(axes: Axes, xlabel: str, ylabel: str, title: str = "") -> Axes:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import shlex
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -13,6 +12,7 @@ import numpy as np
 from jinja2 import Environment, PackageLoader, StrictUndefined
 
 from arctrack.output import write_whole
+from arctrack.printable import quoted
 from arctrack.recording import Recording
 from arctrack.recording.diagnosis_files import PREDICTED_NPZ, REPORT_JSON, WHERE_NPZ
 from arctrack.report.diagnosis import pictures, words
@@ -155,7 +155,7 @@ def _content(diagnosis: Diagnosis, recording: Recording, without: Sequence[str])
         "strata": _strata(diagnosis),
         "smallest": {name: diagnosis.smallest[name] for name in REGISTRY if name in diagnosis.smallest},
         "paste": paste(diagnosis.effects),
-        "apply": f"arctrack diagnose {shlex.quote(str(recording.path))} --apply",
+        "apply": f"arctrack diagnose {quoted(recording.path)} --apply",
         "recompute": RECOMPUTE,
         "files": (REPORT_JSON, WHERE_NPZ, PREDICTED_NPZ),
     }

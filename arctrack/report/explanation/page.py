@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import shlex
 from dataclasses import dataclass
 from typing import Any
 
@@ -12,6 +11,7 @@ from jinja2 import Environment, PackageLoader, StrictUndefined
 
 from arctrack.explain import Explanation, StripeLook
 from arctrack.explain_lines import READ
+from arctrack.printable import quoted
 from arctrack.recording.setup_file import FILE_NAME
 from arctrack.report.diagnosis.words import number, percent
 from arctrack.report.explanation import pictures, plots, words
@@ -141,9 +141,9 @@ def _content(of: Explanation) -> dict[str, Any]:
 def _replay(of: Explanation) -> str:
     """Return the command that replays the whole recording in the same way."""
     recording = of.recording
-    command = f"arctrack replay {shlex.quote(str(recording.path))}"
+    command = f"arctrack replay {quoted(recording.path)}"
     if recording.setup_path != recording.path / FILE_NAME:
-        command += f" --setup {shlex.quote(str(recording.setup_path))}"
+        command += f" --setup {quoted(recording.setup_path)}"
     return command if of.use_arc_map else f"{command} --no-arc-map"
 
 

@@ -5,7 +5,6 @@ from __future__ import annotations
 import io
 import json
 import math
-import shlex
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -15,6 +14,7 @@ from jinja2 import Environment, PackageLoader, StrictUndefined
 from PIL import Image
 
 from arctrack.output import write_whole
+from arctrack.printable import printable, quoted
 from arctrack.recording import Recording, Truth
 from arctrack.recording.results import count_flags
 from arctrack.recording.score import score
@@ -123,7 +123,7 @@ class ReplayPage:
         }
         return environment.get_template(TEMPLATE).render(
             recording=self._recording,
-            material=setup.material.name,
+            material=printable(setup.material.name),
             joint=setup.joint.type.replace("_", " "),
             use_arc_map=self._use_arc_map,
             count=len(tracks),
@@ -148,10 +148,10 @@ class ReplayPage:
         recording = self._recording
         command = "arctrack explain"
         if recording.setup_path != recording.path / FILE_NAME:
-            command += f" --setup {shlex.quote(str(recording.setup_path))}"
+            command += f" --setup {quoted(recording.setup_path)}"
         if not self._use_arc_map:
             command += " --no-arc-map"
-        return f"{command} {shlex.quote(str(recording.path))}"
+        return f"{command} {quoted(recording.path)}"
 
 
 def _check_texts(check: Check) -> tuple[str, str, str, str]:
