@@ -14,6 +14,7 @@ from arctrack.cli.diagnose_check import TwoWordGroup, check
 from arctrack.cli.explain import explain
 from arctrack.cli.figures import figures
 from arctrack.cli.inspect import inspect
+from arctrack.cli.new import new
 from arctrack.cli.plan import plan
 from arctrack.cli.replay import replay
 from arctrack.cli.simulate import simulate
@@ -39,6 +40,7 @@ app = typer.Typer(
 app.command(epilog="Example: arctrack replay examples/v_groove --out /tmp/results")(replay)
 app.command(epilog="Example: arctrack inspect examples/v_groove --out /tmp/v_groove.png")(inspect)
 app.command(epilog="Example: arctrack explain examples/v_groove 12 --out /tmp/frame_12.html")(explain)
+app.command(epilog="Example: arctrack new /tmp/my_sensor --joint lap")(new)
 app.command(epilog="Example: arctrack simulate /tmp/lap --joint lap --material zn_coated --seed 7")(simulate)
 app.command(epilog="Example: arctrack plan examples/v_groove --out /tmp/plan")(plan)
 app.command(epilog="Example: arctrack diagnose monday tuesday --workers 2")(diagnose)

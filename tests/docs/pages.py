@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import itertools
 import re
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 from markdown_it import MarkdownIt
@@ -47,15 +48,42 @@ def anchors(path: Path) -> set[str]:
     return found
 
 
-def blocks(path: Path, language: str) -> list[str]:
-    """Return a page's fenced blocks in a language."""
-    return [token.content for token in tokens(path) if token.type == "fence" and token.info == language]
+@dataclass(frozen=True)
+class Command:
+    """A command of a page, and the lines of its output that the page shows; "…" stands for others."""
+
+    text: str
+    shown: tuple[str, ...] = ()
 
 
-def commands(path: Path) -> list[str]:
-    """Return the commands of a page's `sh` blocks, one a line, continued lines joined."""
-    text = "\n".join(blocks(path, "sh")).replace("\\\n", " ")
-    return [" ".join(line.split()) for line in text.splitlines() if line.strip()]
+@dataclass(frozen=True)
+class Script:
+    """A block of Python."""
+
+    text: str
+
+
+def steps(path: Path) -> list[Command | Script]:
+    """Return what a page has its reader run, in order: `sh`, `console` and `python` blocks."""
+    found: list[Command | Script] = []
+    for token in tokens(path):
+        if token.type == "fence" and token.info == "python":
+            found.append(Script(token.content))
+        elif token.type == "fence" and token.info in ("sh", "console"):
+            found += _commands(token.content, is_shell=token.info == "sh")
+    return found
+
+
+def _commands(block: str, is_shell: bool) -> list[Command]:
+    """Return a block's commands, continued lines joined; in a console they stand behind a $."""
+    found: list[Command] = []
+    for line in filter(str.strip, block.replace("\\\n", " ").splitlines()):
+        text = " ".join(line.split())
+        if is_shell or text.startswith("$ "):
+            found.append(Command(text.removeprefix("$ ")))
+        else:
+            found[-1] = replace(found[-1], shown=(*found[-1].shown, text))
+    return found
 
 
 def quoted_commands(path: Path) -> list[str]:

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 
 from tracker import flags
 
-DOCS = Path(__file__).parents[2] / "docs" / "reference" / "flags.md"
+DOCS = Path(__file__).parents[2] / "docs"
 
 
 def test_bits_and_names_are_unique_and_in_order() -> None:
@@ -34,4 +34,10 @@ def test_an_unknown_name_is_an_error() -> None:
 
 def test_the_documentation_is_in_step() -> None:
     """Regenerate with: python -m tracker.flags > docs/reference/flags.md."""
-    assert DOCS.read_text() == flags.flags_table()
+    assert (DOCS / "reference" / "flags.md").read_text() == flags.flags_table()
+
+
+def test_the_page_on_invalid_frames_has_each_flag_that_invalidates() -> None:
+    text = (DOCS / "how_to" / "no_valid_frame.md").read_text(encoding="utf-8")
+    for flag in flags.FLAGS:
+        assert (f"### {flag.name}\n" in text) == flag.invalidates

@@ -1,0 +1,89 @@
+"""`arctrack new`: a setup that reads back, with a word on each of its numbers."""
+
+from __future__ import annotations
+
+import shutil
+from pathlib import Path
+
+import pytest
+from typer.testing import CliRunner
+
+from arctrack.cli import app
+from arctrack.errors import ArctrackError
+from arctrack.new import KEYS, RADIANCE_E, commented_setup, keys_table, write_new
+from arctrack.nominal import DIMENSIONS, MATERIALS, nominal_setup
+from arctrack.recording import format_setup, read_recording, read_setup_file
+
+ROOT = Path(__file__).parents[2]
+RUNNER = CliRunner(env={"COLUMNS": "120", "TERM": "dumb", "NO_COLOR": "1"})
+
+
+@pytest.mark.parametrize("material", MATERIALS)
+@pytest.mark.parametrize("joint", DIMENSIONS)
+def test_what_is_written_is_a_setup(joint: str, material: str, tmp_path: Path) -> None:
+    written, *_ = write_new(tmp_path / "mine", joint, material)
+    stated = read_setup_file(written)
+    assert stated.unknown_keys == ()
+    assert stated.setup.joint == nominal_setup(joint, material).joint
+    assert stated.setup.material == nominal_setup(joint, material).material
+    assert stated.setup.arc.radiance_e == RADIANCE_E
+
+
+def test_comments_change_nothing() -> None:
+    setup = nominal_setup("lap", "zn_coated")
+    plain = [line for line in commented_setup(setup).splitlines() if line and not line.startswith("#")]
+    assert plain == [line for line in format_setup(setup).splitlines() if line]
+
+
+def test_each_key_has_a_comment() -> None:
+    lines = commented_setup(nominal_setup("v_groove", "mild_steel")).splitlines()
+    first_table = lines.index("[camera]")
+    for before, line in zip(lines[first_table:], lines[first_table + 1 :], strict=False):
+        if " = " in line and not line.startswith("#"):
+            assert before.startswith("#"), line
+
+
+def test_no_key_is_described_that_no_setup_has() -> None:
+    texts = [commented_setup(nominal_setup(joint, "mild_steel")) for joint in DIMENSIONS]
+    for key in KEYS:
+        assert any(f"\n{key.name} = " in text.split(f"[{key.table}]\n")[1] for text in texts), key
+
+
+def test_a_robot_with_z_into_the_part_is_read_as_the_comment_says(tmp_path: Path) -> None:
+    path = tmp_path / "recording.toml"
+    text = commented_setup(nominal_setup("v_groove", "mild_steel"))
+    head, foot = text.split("# [robot.controllertool_to_tool]\n")
+    lines = foot.splitlines()
+    path.write_text("\n".join([head, "[robot.controllertool_to_tool]", *(line[2:] for line in lines[:2])]))
+    T_tool_controllertool = read_setup_file(path).T_tool_controllertool
+    assert T_tool_controllertool is not None
+    assert T_tool_controllertool[:3, 2].tolist() == [0.0, 0.0, -1.0]
+
+
+def test_a_new_recording_with_frames_and_poses_is_one(tmp_path: Path) -> None:
+    example, mine = ROOT / "examples" / "v_groove", tmp_path / "mine"
+    result = RUNNER.invoke(app, ["new", str(mine)])
+    assert result.exit_code == 0
+    assert str(mine / "recording.toml") in result.stdout
+    with pytest.raises(ArctrackError, match=r"frames\.csv: holds no rows"):
+        read_recording(mine)
+    for name in ("frames.csv", "poses.csv"):
+        header = (mine / name).read_text()
+        text = (example / name).read_text()
+        assert text.startswith(header)
+        (mine / name).write_text(text)
+    shutil.copytree(example / "frames", mine / "frames", dirs_exist_ok=True)
+    assert read_recording(mine).warnings == ()
+
+
+def test_what_is_there_is_not_touched(tmp_path: Path) -> None:
+    (tmp_path / "notes.txt").write_text("mine")
+    with pytest.raises(ArctrackError, match="exists already; choose the name of a new folder"):
+        write_new(tmp_path, "lap", "mild_steel")
+    assert [path.name for path in tmp_path.iterdir()] == ["notes.txt"]
+
+
+def test_the_documentation_is_in_step() -> None:
+    """Put the output of arctrack.new.keys_table() between the page's marks."""
+    text = (ROOT / "docs" / "how_to" / "own_sensor.md").read_text(encoding="utf-8")
+    assert text.split("<!-- keys: begin -->\n")[1].split("<!-- keys: end -->")[0] == keys_table()
