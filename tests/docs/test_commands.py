@@ -20,6 +20,8 @@ from pages import EVERY_PAGE, ROOT, Command, Script, name, quoted_commands, step
 
 from arctrack.cli import app
 
+pytestmark = pytest.mark.slow
+
 PARSED_ONLY = {
     r"python3 -m venv ": "the README's two set up an environment; CI runs the second, which runs this test",
     r"pip install ": "needs a package index",

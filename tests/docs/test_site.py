@@ -45,6 +45,7 @@ def pages_of(site: Path) -> list[Path]:
     return [path for path in site.rglob("*.html") if "_static" not in path.parts]
 
 
+@pytest.mark.slow
 def test_every_link_of_the_site_leads_somewhere(site: Path) -> None:
     pages = {path: read(path) for path in pages_of(site)}
     ids = {path: {tag["id"] for tag in page.find_all(id=True)} for path, page in pages.items()}
@@ -61,6 +62,7 @@ def test_every_link_of_the_site_leads_somewhere(site: Path) -> None:
     assert lost == []
 
 
+@pytest.mark.slow
 def test_the_site_loads_nothing_from_elsewhere(site: Path) -> None:
     for path in pages_of(site):
         loaded = read(path).find_all(["img", "link", "script", "iframe"])
@@ -68,6 +70,7 @@ def test_the_site_loads_nothing_from_elsewhere(site: Path) -> None:
         assert [source for source in sources if urlsplit(source).netloc] == [], path.name
 
 
+@pytest.mark.slow
 def test_the_reference_holds_the_public_names(site: Path) -> None:
     shown = read(site / "reference" / "api.html")
     described = {tag["id"] for tag in shown.find_all("dt", id=True)}
