@@ -13,6 +13,8 @@ from sim_to_real.diagnose import diagnose
 from sim_to_real.diagnosis import Verdict, left_out
 from tests.sim_to_real.small import EXACT, example_setup, recorded
 
+pytestmark = pytest.mark.slow
+
 PLAN = SimulationPlan(frames=16, seam_wander_mm=0.1, seed=3)
 """True values are off by their tolerance."""
 

@@ -55,6 +55,7 @@ def fit(of: str, profile: Profile) -> MeasuredJoint:
     return found
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("of", "axes"), [("v_groove", (0, 1)), ("lap", (1,))])
 @pytest.mark.parametrize(("contrast", "grain_px"), [(0.1, 0.5), (0.2, 1.0), (0.2, 2.5)])
 def test_the_covariance_of_points_that_are_off_alike_is_honest(
@@ -75,6 +76,7 @@ def test_the_covariance_of_points_that_are_off_alike_is_honest(
         assert (before > 1.5).all()
 
 
+@pytest.mark.slow
 def test_independent_points_keep_their_covariance() -> None:
     for profile in traces("v_groove", Speckle(0.2, 1.0), 0.0, 3):
         found = fit("v_groove", profile)

@@ -65,6 +65,7 @@ def test_it_lies_where_the_forward_model_draws_it(joint: str, upright: bool) -> 
     assert np.nanmedian(wide) == pytest.approx(1.0, abs=0.03)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("distortion", [(0.0,) * 5, (-0.1, 0.02, 1e-3, -5e-4, 0.01)])
 @pytest.mark.parametrize("upright", [False, True])
 @pytest.mark.parametrize("joint", ["v_groove", "lap", "corrugation"])

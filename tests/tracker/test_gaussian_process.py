@@ -124,6 +124,7 @@ def test_the_look_ahead_is_remembered_at_any_frame_rate(frame_spacing_mm: float,
     assert (sigma < 0.1).all()
 
 
+@pytest.mark.slow
 @settings(deadline=None, max_examples=20)
 @given(st.floats(0.3, 1.0), st.floats(4.0, 30.0))
 def test_a_sensor_that_goes_to_and_fro_forgets_nothing_behind_it(step_mm: float, turn_mm: float) -> None:

@@ -108,6 +108,7 @@ def error_mm(setup: Setup, pose: Pose, track: Track) -> np.ndarray:
     return np.subtract(track.seam_tool_mm, truth)[1:]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("arc", [0.0, 1.0])
 @pytest.mark.parametrize("joint", ["v_groove", "lap"])
 def test_one_four_to_six_sigmas_beside_costs_no_track(joint: str, arc: float) -> None:

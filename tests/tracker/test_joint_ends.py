@@ -175,6 +175,7 @@ def test_the_ends_of_the_nominal_line() -> None:
     assert nominal_ends(straight, invert(seam_frame(straight, np.zeros(3)))) == (-20.0, 60.0)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("joint", ["v_groove", "lap", "corrugation"])
 def test_a_plate_without_a_joint_is_not_taken_for_one(joint: str) -> None:
     """FALSE_SHARE holds on rendered frames."""

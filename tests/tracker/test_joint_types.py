@@ -189,6 +189,7 @@ def test_beyond_a_thin_sheet_there_is_no_gap(
     assert found.y_mm == pytest.approx(0.5, abs=0.08)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", CASES)
 def test_every_dimension_is_unbiased_and_its_sigma_honest(name: str) -> None:
     joint, draw = CASES[name]
@@ -273,6 +274,7 @@ def test_a_tack_weld_gives_no_wrong_seam_unflagged(name: str) -> None:
     assert none + flagged > 0
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["v_groove", "u_groove", "half_v"])
 def test_a_bevel_that_is_not_seen_is_bridged_honestly(name: str) -> None:
     """Dimensions as far off the stated ones as the fit takes them to be: gap and depths by 0.3 mm."""

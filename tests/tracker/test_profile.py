@@ -34,6 +34,7 @@ def test_points_of_the_sheet_come_back(upright: bool) -> None:
     np.testing.assert_allclose(found, points_tool, atol=1e-6)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("upright", [False, True])
 def test_a_profile_lies_on_its_surface_and_knows_how_it_moves(upright: bool) -> None:
     geometry = distorted(upright)

@@ -155,6 +155,7 @@ def lost(v: Setup) -> list[tuple[Frame, Pose]]:
     return list(interrupted(v, 20, range(7, 16)))
 
 
+@pytest.mark.slow
 def test_the_torch_follows_the_measured_stretch_while_the_sensor_is_blind(
     v: Setup, lost: list[tuple[Frame, Pose]]
 ) -> None:
@@ -222,6 +223,7 @@ def test_beyond_the_limit_it_stops_both_axes_for_good(v: Setup) -> None:
     assert abs(tracks(v, Correction(), iter(seen))[-1].offset_z_mm) < 0.1
 
 
+@pytest.mark.slow
 def test_the_torch_stays_on_its_stretch_until_it_comes_to_a_jump(v: Setup) -> None:
     """The seam jumps by 0.8 mm at 60 mm, where the sensor is 35 mm before the torch."""
     before, after = SeamLine(0.0, 0.0, 0.0), SeamLine(0.0, 0.8, 0.0)
@@ -240,6 +242,7 @@ def test_the_torch_stays_on_its_stretch_until_it_comes_to_a_jump(v: Setup) -> No
             assert not {"offset_extrapolated", "offset_held", "offset_unknown"} & set(track.flag_names)
 
 
+@pytest.mark.slow
 def test_a_hole_at_a_jump_is_no_lost_seam_and_what_was_measured_last_counts(v: Setup) -> None:
     """Not seen from 50 to 60 mm, and 0.8 mm aside from there on: the torch crosses it without a stop."""
     before, after = SeamLine(0.0, 0.0, 0.0), SeamLine(0.0, 0.8, 0.0)
@@ -293,6 +296,7 @@ def test_the_nominal_lines_ends(v: Setup) -> None:
     assert found[3].offset_y_mm == pytest.approx(plain[3].offset_y_mm, abs=1e-9)
 
 
+@pytest.mark.slow
 def test_a_start_that_the_sensor_sees(v: Setup) -> None:
     """A plate without a joint up to 47 mm, the nominal start at 40 mm."""
     joint = replace(v.joint, seam_in_base_mm=((40.0, 0.0, 0.0), (1000.0, 0.0, 0.0)))
@@ -314,6 +318,7 @@ def test_a_start_that_the_sensor_sees(v: Setup) -> None:
     assert found[-1].offset_y_mm == pytest.approx(at_start, abs=0.1)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("corrugation", ["in_path", "followed"])
 def test_a_corrugation_is_followed_in_height(corrugation: str) -> None:
     """The displacement alone where the path goes over it; the sheet's own height too where it is flat."""
@@ -352,6 +357,7 @@ def test_a_frame_without_the_laser_says_nothing_of_the_joints_ends(v: Setup) -> 
         assert (tracker.state.steering.ends == before) == (laser == 0.0)
 
 
+@pytest.mark.slow
 def test_a_seam_out_of_view_says_nothing_of_the_joints_end(v: Setup) -> None:
     nominal = replace(v.joint, seam_in_base_mm=((-100.0, 0.0, 0.0), (120.0, 0.0, 0.0)))
     setup = replace(v, joint=nominal)

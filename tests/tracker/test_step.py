@@ -229,6 +229,7 @@ def test_codes_beyond_the_sensors_bits_do_not_raise(v: Setup) -> None:
     assert_seam(setup, Tracker(setup).step(frame_of(setup, pose, SHIFTED), pose), pose, SHIFTED)
 
 
+@pytest.mark.slow
 def test_odd_poses_never_raise(setups: dict[str, Setup]) -> None:
     rng = np.random.default_rng(SEED)
     turns = [
@@ -274,6 +275,7 @@ def test_numbers_that_are_no_pose_are_refused(setups: dict[str, Setup], odd: tup
 # What a step depends on.
 
 
+@pytest.mark.slow
 def test_the_scratch_and_the_run_do_not_matter(setups: dict[str, Setup]) -> None:
     for joint in JOINTS:
         setup = setups[joint]
@@ -300,6 +302,7 @@ def test_a_second_run_is_bit_for_bit_the_first(v: Setup) -> None:
         assert_same(one, other)
 
 
+@pytest.mark.slow
 def test_the_frame_is_not_written_to(v: Setup) -> None:
     pose = pose_at(0.0)
     frame = frame_of(v, pose)
@@ -391,6 +394,7 @@ def test_a_stripe_over_part_of_the_frame_is_partial(v: Setup) -> None:
     assert_seam(v, track, pose, NOMINAL_SEAM)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("joint", JOINTS)
 def test_arc_light_without_a_stripe_is_lost(setups: dict[str, Setup], joint: str) -> None:
     """Lines whose whole length runs along a sharp edge of the map are all that may be taken for a stripe."""

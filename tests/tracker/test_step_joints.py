@@ -39,6 +39,7 @@ def u_area_mm2() -> float:
 U_AREA_MM2 = u_area_mm2()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", NAMES)
 def test_it_is_tracked_in_simulated_frames(name: str) -> None:
     setup = setup_of(name)
@@ -97,6 +98,7 @@ def test_a_root_too_narrow_to_be_told_from_a_closed_one_says_so(name: str, gap_m
     assert (np.mean(np.square(pulls), axis=0) < 3.0).all(), pulls
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("name", "gap_mm"), [("butt", 0.25), ("butt", 0.5), ("edge", 0.5)])
 def test_a_narrow_gap_is_as_sure_as_its_blurred_ends_are(name: str, gap_mm: float) -> None:
     """Of few scan lines: between those that surely show a plate and those that do not are some unread."""

@@ -249,6 +249,7 @@ def test_the_map_edge_is_its_twin(seed: int) -> None:
         assert change == pytest.approx(twins.map_edge(background, np.repeat(lows, CELL), s, position))
 
 
+@pytest.mark.slow
 @example(1921, 2.625, 800.0, 1.7421875, np.inf)
 @example(6690504, 6.96875, 800.0, 2.81640625, 0.9)
 @settings(deadline=None, max_examples=25)

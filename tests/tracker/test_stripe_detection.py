@@ -141,6 +141,7 @@ def test_lines_that_would_show_it_and_do_not_are_counted() -> None:
     assert np.isnan(seen_share(expected, nothing, nothing, variance, censored))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("place_mm", "turn_deg", "camera_deg", "camera_mm", "seam_mm", "level"),
     [

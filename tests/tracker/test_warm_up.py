@@ -19,6 +19,8 @@ from arctrack.nominal import DIMENSIONS
 from noise_model.surface.joint import SeamLine
 from tracker.state import Frame, Pose
 
+pytestmark = pytest.mark.slow
+
 ROOT = Path(__file__).resolve().parents[2]
 
 LIGHTS = [(1.0, 1.0)] * 4 + [(1.0, 0.0), (0.0, 1.0), (0.0, 0.0), (5.0, 1.0)]
