@@ -20,7 +20,7 @@ from arctrack.recording.setup_file import FILE_NAME, with_effects
 from noise_model.effects import REGISTRY
 from noise_model.setup import Setup
 from noise_model.spelling import cure_for
-from sim_to_real.diagnosis import Diagnosis, Named, Predicted, Verdict, left_out
+from sim_to_real.diagnosis import Diagnosis, Named, Predicted, Verdict, excluded_effects
 
 DIAGNOSIS_FOLDER = "diagnosis"
 
@@ -139,7 +139,7 @@ def diagnose_recording(job: Job, on_stage: OnStage | None = None, threads: int =
         raise in_file(job.recording, str(error)) from error
     # Numbers first: whatever happens to the page, the work is not lost.
     write_numbers(found, job.folder)
-    write_page(found, recording, left_out(recording.setup, job.without), job.folder / REPORT_PAGE)
+    write_page(found, recording, excluded_effects(recording.setup, job.without), job.folder / REPORT_PAGE)
     return Diagnosed(
         job,
         recording.setup,

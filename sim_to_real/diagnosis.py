@@ -30,7 +30,7 @@ class Estimate:
 
 
 @dataclass(frozen=True)
-class Trend:
+class ReportedTrend:
     """How an effect's size changes within a recording: with `driver`, from its least to its most, in `unit`.
 
     `values` are the parameters' values at either end of the driver's range.
@@ -55,20 +55,20 @@ class Named:
     confidence: float
     share: float
     parameters: Mapping[str, Estimate]
-    trend: Trend | None = None
+    trend: ReportedTrend | None = None
 
 
 @dataclass(frozen=True)
 class Ranked:
     """A candidate that was refitted: how probable it is, and which share of the gap it closes by itself.
 
-    If it `is_held_back` it would close it better with values beyond its bounds: then it explains nothing.
+    If it `is_bound_limited` it would close it better with values beyond its bounds: then it explains nothing.
     """
 
     id: str
     confidence: float
     gap_closed: float
-    is_held_back: bool = False
+    is_bound_limited: bool = False
 
 
 CLEAR_FLOORS = 2.0
@@ -92,7 +92,7 @@ class Gap:
     seam_mm: tuple[float, float]
 
     @property
-    def is_left(self) -> bool:
+    def is_clear_after(self) -> bool:
         """Whether clearly a gap is left after."""
         return self.after > CLEAR_FLOORS * self.floor
 
@@ -163,7 +163,7 @@ class Diagnosis:
 
     `effects` are those the verdict names, `ranking` all that were refitted, best first. `ambiguous_with` are
     sets that explain the gap equally well, `not_resolvable` pairs that this recording cannot separate
-    whatever it holds, `smallest` the least magnitude of each effect that it would show. `left_over` is the
+    whatever it holds, `smallest` the least magnitude of each effect that it would show. `spline_term` is the
     share of the gap that a free function of one covariate closes beyond the catalogue, with its name.
     `after_with` are the effects that predictions after hold, whether the verdict names them or not.
     """
@@ -177,11 +177,11 @@ class Diagnosis:
     next: Next | None
     not_resolvable: tuple[tuple[str, str], ...]
     smallest: Mapping[str, Estimate]
-    left_over: tuple[str, float] | None
+    spline_term: tuple[str, float] | None
     after_with: tuple[str, ...]
     predicted: Predicted
 
 
-def left_out(setup: Setup, without: Sequence[str]) -> tuple[str, ...]:
+def excluded_effects(setup: Setup, without: Sequence[str]) -> tuple[str, ...]:
     """Return the effects that are no candidates: those withheld, and those not predicted for the joint."""
     return tuple(dict.fromkeys((*without, *not_followed(setup.joint))))

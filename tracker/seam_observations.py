@@ -1,7 +1,7 @@
-"""Where the tracker sees the seam in the image, and where that puts it in space for one setup or another.
+"""Where the tracker sees the seam in the image, and where that is in space for a given setup.
 
-A wrong camera, clock or plate puts every sighting elsewhere, each by its own pose. So what is fitted of them
-carries the seam along: a seam that was bent by a wrong camera is straight again with the right one.
+A wrong camera, clock or plate displaces every observation, each by its own pose. So a fit of these carries
+the seam along: a seam that a wrong camera has bent is straight again with the right one.
 """
 
 from __future__ import annotations
@@ -21,12 +21,12 @@ from tracker.seam.locate import seam_displacement
 from tracker.state import Frame, Pose
 from tracker.tracker import Tracker
 
-MOVING = frozenset({"hand_eye", "surface_tilt", "lens_distortion", "pose_delay"})
-"""The effects that put a point of the image elsewhere."""
+TRIANGULATION_EFFECTS = frozenset({"hand_eye", "surface_tilt", "lens_distortion", "pose_delay"})
+"""The effects that change where an image point is triangulated."""
 
 
 @dataclass(frozen=True, eq=False)
-class Sightings:
+class SeamObservations:
     """The seam point of each frame that showed it.
 
     `image_px` (n, 2), taken at `timestamps_s` (n,), with the variances (n, 2) of its y and z, mm^2; `poses`
@@ -44,7 +44,7 @@ class Sightings:
         setup: Setup,
         frames: Sequence[Frame],
         poses: Sequence[Callable[[float], Float64]],
-    ) -> Sightings:
+    ) -> SeamObservations:
         """Track a recording twice, so that its first frames too know where the seam is."""
         tracker, true = Tracker(setup), apply_setup_effects(setup)
         T_camera_tool = invert(true.camera.T_tool_camera)
@@ -61,8 +61,8 @@ class Sightings:
                     seen.append((true.camera.project(point)[0], frame.timestamp_s, variance, T_base_tool))
         if not seen:
             return cls(np.empty((0, 2)), np.empty(0), np.empty((0, 2)), ())
-        image, timestamps, variances, of_poses = zip(*seen, strict=True)
-        return cls(np.array(image), np.array(timestamps), np.array(variances), of_poses)
+        image, timestamps, variances, pose_functions = zip(*seen, strict=True)
+        return cls(np.array(image), np.array(timestamps), np.array(variances), pose_functions)
 
     def in_joint(self, setup: Setup) -> tuple[Float64, Float64]:
         """Return stations (n,) and displacements (n, 2) from the nominal line as y and z, mm, for a setup."""

@@ -112,15 +112,15 @@ def make(folder: Path, asked: Asked, workers: int, on_done: OnDone) -> None:
 
     Raises ArctrackError if the folder holds another check, and if Mitsuba is missing.
     """
-    planned = {f"{one.number:04d}": one for one in asked.plan()}
+    planned = {f"{recording.number:04d}": recording for recording in asked.plan()}
     secret, sealed = _begun(folder, asked)
-    missing = [(name, one) for name, one in planned.items() if name not in sealed["recordings"]]
+    missing = [(name, recording) for name, recording in planned.items() if name not in sealed["recordings"]]
     # Light is rendered once for each world: no two workers shall begin with the same.
     missing.sort(key=lambda pair: _turn_of_world(pair[0], planned))
-    for (name, one), label in _over(partial(_render, folder), missing, workers):
+    for (name, recording), label in _over(partial(_render, folder), missing, workers):
         salt = secrets.token_hex(16)
         secret["labels"][name] = {"salt": salt, "label": label}
-        seal = {"sha256": _seal(salt, label), "again": one.tier == "A" and "B" in asked.tiers}
+        seal = {"sha256": _seal(salt, label), "again": recording.tier == "A" and "B" in asked.tiers}
         sealed["recordings"][name] = seal
         _write(folder / LABELS, secret)
         _write(folder / SEALED, sealed)
@@ -138,10 +138,10 @@ def run(folder: Path, workers: int, on_done: OnDone) -> None:
     first = [Run(name, seal["sha256"]) for name, seal in sealed.items()]
     _diagnose_all(folder, first, workers, on_done)
     again = []
-    for one in first:
-        if sealed[one.name]["again"]:
-            alone = answer_of(read_check_file(folder / RESULTS / one.file_name, ResultFile)).alone
-            again += [] if alone is None else [Run(one.name, one.seal, (alone,))]
+    for run in first:
+        if sealed[run.name]["again"]:
+            alone = answer_of(read_check_file(folder / RESULTS / run.file_name, ResultFile)).alone
+            again += [] if alone is None else [Run(run.name, run.seal, (alone,))]
     _diagnose_all(folder, again, workers, on_done)
 
 
@@ -152,7 +152,7 @@ def more(folder: Path, workers: int, on_done: OnDone) -> None:
     Raises ArctrackError as `open_labels`, and if Mitsuba is missing.
     """
     sealed, secret = _verified(folder)
-    planned = {f"{one.number:04d}": one for one in Asked(**secret["asked"]).plan()}
+    planned = {f"{run.number:04d}": run for run in Asked(**secret["asked"]).plan()}
     runs = []
     for name, seal in sorted(sealed.items()):
         if secret["labels"][name]["label"]["effects"]:
@@ -160,11 +160,11 @@ def more(folder: Path, workers: int, on_done: OnDone) -> None:
             asked_for = _continued(first, answer_of(_result(folder, first)))
             runs += [] if asked_for is None else [asked_for]
     missing = _missing(folder, runs)
-    sources = [(one, planned[one.name], secret["labels"][one.name]["salt"]) for one in missing]
+    sources = [(run, planned[run.name], secret["labels"][run.name]["salt"]) for run in missing]
     n_done = len(runs) - len(missing)
-    for (one, _, _), result in _over(partial(_taken, folder), sources, workers):
+    for (run, _, _), result in _over(partial(_taken, folder), sources, workers):
         n_done += 1
-        _keep(folder, one, result, n_done, len(runs), on_done)
+        _keep(folder, run, result, n_done, len(runs), on_done)
 
 
 def open_labels(*folders: Path) -> Opened:
@@ -178,18 +178,18 @@ def open_labels(*folders: Path) -> Opened:
     cases: list[Case] = []
     for folder in folders:
         sealed, secret = _verified(folder)
-        one = Asked(**secret["asked"])
-        if one.seed in of_seed:
-            other = of_seed[one.seed]
-            raise in_file(folder, f"is of the seed {one.seed} as is {other}: they share recordings")
-        of_seed[one.seed] = folder
-        asked.append(one)
+        options = Asked(**secret["asked"])
+        if options.seed in of_seed:
+            other = of_seed[options.seed]
+            raise in_file(folder, f"is of the seed {options.seed} as is {other}: they share recordings")
+        of_seed[options.seed] = folder
+        asked.append(options)
         mark = f"{real(folder).name}/" if len(folders) > 1 else ""
         for name, seal in sorted(sealed.items()):
             case = _case(folder, Run(name, seal["sha256"]), seal["again"], secret["labels"][name]["label"])
             cases.append(replace(case, name=mark + name))
-    n_planned = sum(len(one.plan()) for one in asked)
-    tiers = "".join(tier for tier in TIERS if any(tier in one.tiers for one in asked))
+    n_planned = sum(len(options.plan()) for options in asked)
+    tiers = "".join(tier for tier in TIERS if any(tier in options.tiers for options in asked))
     return Opened(tuple(asked), n_planned, len(cases), score(cases, tiers))
 
 
@@ -214,9 +214,9 @@ def answer_of(result: Mapping[str, Any]) -> Answer:
     return Answer(
         said["verdict"],
         tuple(effect["id"] for effect in named),
-        tuple(one["id"] for one in ranking),
-        next((_known(one["confidence"]) for one in (*named, *ranking)), math.nan),
-        {one["id"]: _known(one["gap_closed"]) for one in ranking},
+        tuple(entry["id"] for entry in ranking),
+        next((_known(entry["confidence"]) for entry in (*named, *ranking)), math.nan),
+        {entry["id"]: _known(entry["gap_closed"]) for entry in ranking},
         said["where"]["stage"],
         _known(gap["before"]),
         _known(gap["floor"]),
@@ -261,16 +261,16 @@ def _verified(folder: Path) -> tuple[dict[str, Any], dict[str, Any]]:
 def _turn_of_world(name: str, planned: Mapping[str, Planned]) -> int:
     """Return how many recordings with the same world come before one."""
     world = planned[name].world_seed
-    return sum(other < name and one.world_seed == world for other, one in planned.items())
+    return sum(other < name and recording.world_seed == world for other, recording in planned.items())
 
 
 def _render(folder: Path, named: tuple[str, Planned]) -> dict[str, Any]:
     """Make a recording, if it is not there, and return its label. The truth is not written beside it."""
     from sim_to_real.check.scenario import make
 
-    name, one = named
+    name, planned = named
     with _renderer():
-        scenario = _drawn(one)
+        scenario = _drawn(planned)
         path = folder / RECORDINGS / name
         if not path.exists():
             recorded = make(scenario, folder / CACHE)
@@ -278,36 +278,36 @@ def _render(folder: Path, named: tuple[str, Planned]) -> dict[str, Any]:
     return scenario.labels
 
 
-def _render_longer(folder: Path, one: Run, planned: Planned, salt: str) -> None:
+def _render_longer(folder: Path, run: Run, planned: Planned, salt: str) -> None:
     """Make a recording that goes on with an experiment, if it is not there: the frames there are, and more.
 
     Raises ValueError if the label that is drawn is not the one that was sealed.
     """
     from sim_to_real.check.scenario import followed_by, make
 
-    assert one.experiment is not None, "the run itself is there"
-    path = folder / one.recording
+    assert run.experiment is not None, "the run itself is there"
+    path = folder / run.recording
     if path.exists():
         return
     scenario = _drawn(planned)
-    if _seal(salt, scenario.labels) != one.seal:
+    if _seal(salt, scenario.labels) != run.seal:
         raise ValueError("what is drawn now is not what was sealed: the renderer has changed since")
-    longer = make(followed_by(scenario, one.experiment), folder / CACHE, scenario.n_run)
+    longer = make(followed_by(scenario, run.experiment), folder / CACHE, scenario.n_run)
     (folder / LONGER).mkdir(exist_ok=True)
-    _record(path, longer, (*_frames(read_recording(folder / RECORDINGS / one.name)), *longer.frames))
+    _record(path, longer, (*_frames(read_recording(folder / RECORDINGS / run.name)), *longer.frames))
 
 
-def _drawn(one: Planned) -> Scenario:
+def _drawn(planned: Planned) -> Scenario:
     from sim_to_real.check.scenario import draw
 
     return draw(
-        one.seed,
-        one.tier,
-        world_seed=one.world_seed,
-        joint=one.joint,
-        effects=one.effects,
-        form=one.form,
-        is_dry=one.is_dry,
+        planned.seed,
+        planned.tier,
+        world_seed=planned.world_seed,
+        joint=planned.joint,
+        effects=planned.effects,
+        form=planned.form,
+        is_dry=planned.is_dry,
     )
 
 
@@ -339,19 +339,21 @@ def _frames(recording: Recording) -> list[Frame]:
 def _diagnose_all(folder: Path, runs: Sequence[Run], workers: int, on_done: OnDone) -> None:
     missing = _missing(folder, runs)
     n_done = len(runs) - len(missing)
-    for one, result in _over(partial(_diagnosed, folder), missing, workers):
+    for run, result in _over(partial(_diagnosed, folder), missing, workers):
         n_done += 1
-        _keep(folder, one, result, n_done, len(runs), on_done)
+        _keep(folder, run, result, n_done, len(runs), on_done)
 
 
 def _missing(folder: Path, runs: Sequence[Run]) -> list[Run]:
     (folder / RESULTS).mkdir(exist_ok=True)
-    return [one for one in runs if not (folder / RESULTS / one.file_name).exists()]
+    return [run for run in runs if not (folder / RESULTS / run.file_name).exists()]
 
 
-def _keep(folder: Path, one: Run, result: Mapping[str, Any], n_done: int, of: int, on_done: OnDone) -> None:
-    _write(folder / RESULTS / one.file_name, result)
-    on_done(f"{one.in_words}: {_in_words(answer_of(result))}", n_done, of)
+def _keep(
+    folder: Path, run: Run, result: Mapping[str, Any], n_done: int, total: int, on_done: OnDone
+) -> None:
+    _write(folder / RESULTS / run.file_name, result)
+    on_done(f"{run.in_words}: {_in_words(answer_of(result))}", n_done, total)
 
 
 def _in_words(answer: Answer) -> str:
@@ -362,48 +364,48 @@ def _in_words(answer: Answer) -> str:
 
 def _taken(folder: Path, source: tuple[Run, Planned, str]) -> dict[str, Any]:
     """Make a recording that goes on with an experiment, and return its result; no label is diagnosed with."""
-    one, planned, salt = source
+    run, planned, salt = source
     started = time.perf_counter(), time.process_time()
     with _renderer():
         try:
-            _render_longer(folder, one, planned, salt)
+            _render_longer(folder, run, planned, salt)
         except ImportError:
             raise
         except Exception as error:
-            return _blank(one) | _problem(error) | _since(*started)
-    return _diagnosed(folder, one)
+            return _blank(run) | _problem(error) | _since(*started)
+    return _diagnosed(folder, run)
 
 
-def _diagnosed(folder: Path, one: Run) -> dict[str, Any]:
+def _diagnosed(folder: Path, run: Run) -> dict[str, Any]:
     """Return a run's result: the report, the baseline, the times, and the problem if there is one."""
     from sim_to_real.check.cosine import cosines
     from sim_to_real.diagnose import diagnose
 
-    result = _blank(one)
+    result = _blank(run)
     started = time.perf_counter(), time.process_time()
     try:
-        recording = read_recording(folder / one.recording)
+        recording = read_recording(folder / run.recording)
         frames = _frames(recording)
-        at = partial(pose_at, recording.pose_buffer())
-        result["report"] = report(diagnose(recording.setup, frames, at, without=one.without))
+        pose_of = partial(pose_at, recording.pose_buffer())
+        result["report"] = report(diagnose(recording.setup, frames, pose_of, without=run.without))
     except Exception as error:
         # One recording that fails is a wrong answer, not the end of the check.
         return result | _problem(error) | _since(*started)
     result |= _since(*started)
-    if not one.without and one.experiment is None:
+    if not run.without and run.experiment is None:
         # The baseline that fails is no answer of the baseline; the diagnosis stands.
         with suppress(Exception):
-            result["cosines"] = plain(cosines(recording.setup, frames, at))
+            result["cosines"] = plain(cosines(recording.setup, frames, pose_of))
     return result
 
 
-def _blank(one: Run) -> dict[str, Any]:
+def _blank(run: Run) -> dict[str, Any]:
     """Return what a result says of its run."""
     return {
-        "recording": one.name,
-        "sealed": one.seal,
-        "without": list(one.without),
-        "experiment": None if one.experiment is None else one.experiment.name,
+        "recording": run.name,
+        "sealed": run.seal,
+        "without": list(run.without),
+        "experiment": None if run.experiment is None else run.experiment.name,
         "problem": None,
         "cosines": None,
     }
@@ -417,33 +419,33 @@ def _since(wall_s: float, cpu_s: float) -> dict[str, float]:
     return {"wall_s": time.perf_counter() - wall_s, "cpu_s": time.process_time() - cpu_s}
 
 
-def _case(folder: Path, one: Run, is_again: bool, label: Mapping[str, Any]) -> Case:
-    result = _result(folder, one)
+def _case(folder: Path, run: Run, is_again: bool, label: Mapping[str, Any]) -> Case:
+    result = _result(folder, run)
     answer = answer_of(result)
     again = None
     if is_again and answer.alone is not None:
-        again = answer_of(_result(folder, Run(one.name, one.seal, (answer.alone,))))
-    longer, asked_for = None, _continued(one, answer)
+        again = answer_of(_result(folder, Run(run.name, run.seal, (answer.alone,))))
+    longer, asked_for = None, _continued(run, answer)
     if asked_for is not None and (folder / RESULTS / asked_for.file_name).exists():
         longer = answer_of(_result(folder, asked_for))
     likeness = [(name, value) for name, value in (result["cosines"] or {}).items() if value is not None]
     likeness.sort(key=lambda pair: -abs(pair[1]))
-    return Case(one.name, label["tier"], tuple(label["effects"]), answer, tuple(likeness), again, longer)
+    return Case(run.name, label["tier"], tuple(label["effects"]), answer, tuple(likeness), again, longer)
 
 
-def _continued(one: Run, answer: Answer) -> Run | None:
+def _continued(run: Run, answer: Answer) -> Run | None:
     """Return the run with the experiment that an answer asks for, None if that is none of the menu."""
     experiment = BY_NAME.get(answer.experiment)
-    return None if experiment is None else replace(one, experiment=experiment)
+    return None if experiment is None else replace(run, experiment=experiment)
 
 
-def _result(folder: Path, one: Run) -> dict[str, Any]:
+def _result(folder: Path, run: Run) -> dict[str, Any]:
     """Return a run's result; one that is missing is a failure."""
-    path = folder / RESULTS / one.file_name
+    path = folder / RESULTS / run.file_name
     if not path.exists():
         return {"problem": "not diagnosed", "wall_s": math.nan, "cpu_s": math.nan, "cosines": None}
     result = read_check_file(path, ResultFile)
-    if result["sealed"] != one.seal:
+    if result["sealed"] != run.seal:
         raise in_file(path, "is the result of a recording with another seal; remove it and run again")
     return result
 

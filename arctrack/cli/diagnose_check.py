@@ -99,5 +99,5 @@ def open_labels(folders: Folders) -> None:
         raise in_file(folder, f"cannot be written: {error.strerror}") from None
 
 
-def _say(what: str, done: int, of: int) -> None:
-    typer.echo(f"{done} of {of}: {what}", err=True)
+def _say(what: str, done: int, total: int) -> None:
+    typer.echo(f"{done} of {total}: {what}", err=True)

@@ -41,33 +41,40 @@ def _rows(head: Sequence[str], lines: Iterable[Sequence[str]]) -> str:
 
 
 def _rates(scores: Scores) -> Iterable[Sequence[str]]:
-    for one in scores.rates:
-        rate = one.rate
+    for score in scores.rates:
+        rate = score.rate
         bounds = " to ".join(map(_percent, rate.bounds)) if rate.of else NONE
-        yield one.tiers, one.text, _count(rate), _percent(rate.share), bounds, _percent(one.cosine.share)
+        yield (
+            score.tiers,
+            score.text,
+            _count(rate),
+            _percent(rate.share),
+            bounds,
+            _percent(score.cosine.share),
+        )
 
 
 def _figures(scores: Scores) -> Iterable[Sequence[str]]:
-    for one in scores.figures:
-        bounds = " to ".join(map(_number, one.bounds)) if one.of else NONE
-        yield one.tiers, one.text, str(one.of), _number(one.value), bounds, _number(one.cosine)
+    for figure in scores.figures:
+        bounds = " to ".join(map(_number, figure.bounds)) if figure.of else NONE
+        yield figure.tiers, figure.text, str(figure.of), _number(figure.value), bounds, _number(figure.cosine)
 
 
 def _by_effect(scores: Scores) -> Iterable[Sequence[str]]:
-    for one in scores.by_effect:
-        counts = [str(one.verdicts[verdict] or "") for verdict in VERDICTS]
-        rights = [str(rate.right) for rate in (one.top1, one.top3, one.cosine)]
-        yield one.tier, one.effect, str(one.top1.of), *rights, *counts
+    for score in scores.by_effect:
+        counts = [str(score.verdicts[verdict] or "") for verdict in VERDICTS]
+        rights = [str(rate.right) for rate in (score.top1, score.top3, score.cosine)]
+        yield score.tier, score.effect, str(score.top1.of), *rights, *counts
 
 
 def _confusions(scores: Scores) -> Iterable[Sequence[str]]:
-    for one in scores.confusions:
-        yield one.name, one.tier, " + ".join(one.hidden) or "nothing", _answered(one)
+    for confusion in scores.confusions:
+        yield confusion.name, confusion.tier, " + ".join(confusion.hidden) or "nothing", _answered(confusion)
 
 
-def _answered(one: Confusion) -> str:
-    apart = ", a pair declared not resolvable" if one.unresolvable else ""
-    return " ".join((one.verdict, " + ".join(one.named))).strip() + apart
+def _answered(confusion: Confusion) -> str:
+    apart = ", a pair declared not resolvable" if confusion.unresolvable else ""
+    return " ".join((confusion.verdict, " + ".join(confusion.named))).strip() + apart
 
 
 def _count(rate: Rate) -> str:

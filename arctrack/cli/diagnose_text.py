@@ -88,8 +88,8 @@ def _lines(diagnosis: Diagnosis) -> Iterator[tuple[str, str]]:
         values = [f"{name} = {words.estimate(value)}" for name, value in effect.parameters.items()]
         values += [words.trend(effect.trend)] if effect.trend is not None else []
         yield effect.id if diagnosis.verdict is Verdict.EFFECTS else f"if {effect.id}", ", ".join(values)
-    if diagnosis.verdict is Verdict.UNKNOWN and diagnosis.left_over is not None:
-        name, share = diagnosis.left_over
+    if diagnosis.verdict is Verdict.UNKNOWN and diagnosis.spline_term is not None:
+        name, share = diagnosis.spline_term
         yield (
             "left over",
             f"{words.free_function(name)} would close {words.percent(share)} more",

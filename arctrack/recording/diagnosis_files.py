@@ -60,7 +60,7 @@ def report(diagnosis: Diagnosis) -> dict[str, Any]:
         "next": _next(diagnosis.next),
         "not_resolvable": diagnosis.not_resolvable,
         "smallest_detectable": {name: asdict(least) for name, least in diagnosis.smallest.items()},
-        "left_over": _left_over(diagnosis.left_over),
+        "left_over": _left_over(diagnosis.spline_term),
         "after_with": diagnosis.after_with,
     }
     rounded: dict[str, Any] = plain(content, DIGITS)
@@ -85,7 +85,7 @@ def _ranked(candidate: Ranked) -> dict[str, Any]:
         "confidence": candidate.confidence,
         "gap_closed": candidate.gap_closed,
     }
-    return {**ranked, "is_held_back": True} if candidate.is_held_back else ranked
+    return {**ranked, "is_held_back": True} if candidate.is_bound_limited else ranked
 
 
 def _before_after(values: tuple[float, float]) -> dict[str, float]:

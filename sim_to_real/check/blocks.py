@@ -9,7 +9,7 @@ import numpy.typing as npt
 
 from noise_model.arrays import Float64
 from sim_to_real.check.agreement import BLOCK_PX, DARK_E
-from sim_to_real.data.blocks import cut
+from sim_to_real.data.blocks import in_blocks
 
 TOLERANCE, SIGMAS = 0.03, 3.0
 """A block agrees within this of the reference, beyond so many standard errors of its mean."""
@@ -60,5 +60,5 @@ def compare_blocks(
 
 def _blocks(image: npt.NDArray[np.floating]) -> Float64:
     """Return the whole blocks of an image (H, W) as (h, w, BLOCK_PX^2)."""
-    blocks = cut(image.astype(np.float64), BLOCK_PX).swapaxes(1, 2)
+    blocks = in_blocks(image.astype(np.float64), BLOCK_PX).swapaxes(1, 2)
     return np.ascontiguousarray(blocks).reshape(*blocks.shape[:2], BLOCK_PX**2)

@@ -14,7 +14,7 @@ FAILED = "failed"
 
 VERDICTS = ("effects", "ambiguous", "unknown", "no_gap", FAILED)
 
-CLEAR = 3.0
+MIN_CLEAR_FLOORS = 3.0
 """A gap of so many floors is one that must be found."""
 
 
@@ -69,7 +69,7 @@ class Answer:
     @property
     def is_clear(self) -> bool:
         """Whether the gap is one that must be found."""
-        return self.gap_before >= CLEAR * self.gap_floor
+        return self.gap_before >= MIN_CLEAR_FLOORS * self.gap_floor
 
     @property
     def says_gap(self) -> bool:

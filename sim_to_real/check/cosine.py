@@ -15,11 +15,11 @@ from noise_model.arrays import Float64
 from noise_model.effects import REGISTRY
 from noise_model.setup import Setup
 from sim_to_real.data.binned import Observed, PoseAt, observe
-from sim_to_real.fit.linearized_model import Effects, Expected
-from sim_to_real.search.probe_points import DEAR
+from sim_to_real.fit.linearized_model import Effects, LinearizedModel
+from sim_to_real.search.probe_points import EXPENSIVE
 from tracker.state import Frame
 
-EVERY = 6
+FRAME_STEP = 6
 """Effects that are dear are compared on every so many frames only."""
 
 
@@ -30,19 +30,21 @@ def cosines(setup: Setup, frames: Sequence[Frame], pose_at: PoseAt) -> dict[str,
     Raises ValueError if no frame has a pose.
     """
     observed = observe(setup, frames, pose_at)
-    some = observed.some(np.arange(len(observed.frames)) % EVERY == 0)
-    return _cosines(observed, [name for name in REGISTRY if name not in DEAR]) | _cosines(some, DEAR)
+    sampled = observed.subset(np.arange(len(observed.frames)) % FRAME_STEP == 0)
+    return _cosines(observed, [name for name in REGISTRY if name not in EXPENSIVE]) | _cosines(
+        sampled, EXPENSIVE
+    )
 
 
 def _cosines(observed: Observed, ids: Iterable[str]) -> dict[str, float]:
-    expected = Expected(observed)
+    model = LinearizedModel(observed)
     recorded_dn = np.concatenate([frame.kept_dn for frame in observed.frames])
-    nominal_dn = _predicted_dn(expected, {})
-    found = {}
+    nominal_dn = _predicted_dn(model, {})
+    cosine_of = {}
     for name in ids:
-        signature_dn = _predicted_dn(expected, {name: REGISTRY[name].complete(REGISTRY[name].typical)})
-        found[name] = cosine(recorded_dn - nominal_dn, signature_dn - nominal_dn)
-    return found
+        signature_dn = _predicted_dn(model, {name: REGISTRY[name].complete(REGISTRY[name].typical)})
+        cosine_of[name] = cosine(recorded_dn - nominal_dn, signature_dn - nominal_dn)
+    return cosine_of
 
 
 def cosine(a: Float64, b: Float64) -> float:
@@ -51,6 +53,6 @@ def cosine(a: Float64, b: Float64) -> float:
     return float(a @ b) / sizes if sizes > 0.0 else np.nan
 
 
-def _predicted_dn(expected: Expected, effects: Effects) -> Float64:
+def _predicted_dn(model: LinearizedModel, effects: Effects) -> Float64:
     """Return the mean DN (n,) of all bins that count, frame after frame."""
-    return np.concatenate([light.mean_dn() for light in expected.passed(expected.neutral, effects)])
+    return np.concatenate([light.mean_dn() for light in model.lights(model.neutral, effects)])

@@ -52,9 +52,9 @@ def _outline(joint: Joint) -> list[tuple[float, float]]:
     if joint.type == "v_groove":
         root, depth = 0.5 * size["root_gap_mm"], size["depth_mm"]
         mouth = root + depth * math.tan(math.radians(0.5 * size["included_angle_deg"]))
-        left = [(-REACH_MM, 0.0), (-mouth, 0.0), (-root, -depth)]
-        right = [(-y, z) for y, z in reversed(left)]
-        return left + right if root > 0.0 else left + right[1:]
+        left_half = [(-REACH_MM, 0.0), (-mouth, 0.0), (-root, -depth)]
+        right_half = [(-y, z) for y, z in reversed(left_half)]
+        return left_half + right_half if root > 0.0 else left_half + right_half[1:]
     if joint.type not in ("lap", "corrugation"):
         raise ValueError(f"[joint] type = {joint.type!r}: has no mesh here")
     top = size["thickness_mm"]

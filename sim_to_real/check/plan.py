@@ -74,8 +74,8 @@ def plan(draws: int, quiet_draws: int, tiers: str = TIERS, seed: int = 0) -> tup
     shuffle = np.random.default_rng([seed, 0])
     planned = list(_contents(draws, quiet_draws, tiers, seed, shuffle))
     numbers = shuffle.permutation(len(planned)) + 1
-    numbered = [replace(one, number=int(n)) for one, n in zip(planned, numbers, strict=True)]
-    return tuple(sorted(numbered, key=lambda one: one.number))
+    numbered = [replace(recording, number=int(n)) for recording, n in zip(planned, numbers, strict=True)]
+    return tuple(sorted(numbered, key=lambda recording: recording.number))
 
 
 def _contents(
@@ -84,7 +84,9 @@ def _contents(
     """Yield what to make, in the order of tiers and turns."""
     counted = itertools.count()
 
-    def of(turn: int, tier: str, *effects: str, form: str | None = None, is_dry: bool = False) -> Planned:
+    def planned(
+        turn: int, tier: str, *effects: str, form: str | None = None, is_dry: bool = False
+    ) -> Planned:
         n, (world_seed, joint) = next(counted), _world(seed, turn, effects)
         return Planned(n, SEEDS * seed + n, tier, world_seed, joint, effects, form, is_dry)
 
@@ -93,20 +95,20 @@ def _contents(
         for n, effect in enumerate(ids):
             others = [form for form in FORMS[effect] if form != CATALOGUE]
             if "A" in tiers:
-                yield of(n + turn, "A", effect)
+                yield planned(n + turn, "A", effect)
             if "C" in tiers and others:
-                yield of(n + turn, "C", effect, form=others[turn % len(others)])
+                yield planned(n + turn, "C", effect, form=others[turn % len(others)])
         if "D" in tiers:
             order = shuffle.permutation(len(ids))
             for n, (i, j) in enumerate(zip(order[::2], order[1::2], strict=False)):
-                yield of(n + turn, "D", ids[i], ids[j])
+                yield planned(n + turn, "D", ids[i], ids[j])
     for turn in range(quiet_draws if "E" in tiers else 0):
-        yield of(turn, "E")
+        yield planned(turn, "E")
     for turn in range(draws if "F" in tiers else 0):
         for n, effect in enumerate(ids):
-            yield of(n + turn, "F", effect)
+            yield planned(n + turn, "F", effect)
             if effect in DRY:
-                yield of(n + turn, "F", effect, is_dry=True)
+                yield planned(n + turn, "F", effect, is_dry=True)
 
 
 def _world(seed: int, turn: int, effects: Sequence[str]) -> tuple[int, str]:

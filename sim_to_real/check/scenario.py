@@ -160,7 +160,7 @@ def draw(
     )
     T_tool_camera = _draw_camera(of_world, stated)
     hidden = _draw_effects(of_effects, tier, stated, effects, form, strength)
-    if any(one.id == "blooming" for one in hidden):
+    if any(effect.id == "blooming" for effect in hidden):
         stated = replace(stated, laser=replace(stated.laser, peak_e=FULL_STRIPE_E))
     true = _draw_true(of_values, stated, T_tool_camera)
     world = TrueWorld(true, np.eye(4), departure)

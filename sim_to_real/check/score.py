@@ -22,10 +22,10 @@ from sim_to_real.check.case import FAILED, VERDICTS, Case, stage_of
 Z95 = 1.959963984540054
 """A normal variable lies within so many sigmas in 95 %."""
 
-BINS = 10
+CONFIDENCE_BINS = 10
 """Of the calibration error."""
 
-DRAWS = 1000
+N_BOOTSTRAP = 1000
 """How often cases are drawn again for an interval that has no closed form."""
 
 NAMED_FIRST, IN_THREE, BEST = map(attrgetter, ("named_first", "in_best_three", "best_is_hidden"))
@@ -158,8 +158,8 @@ def expected_calibration_error(confidence: Float64, is_right: Float64) -> float:
     """
     if not len(confidence):
         return math.nan
-    in_bin = np.minimum((confidence * BINS).astype(np.int64), BINS - 1)
-    off = np.bincount(in_bin, weights=is_right - confidence, minlength=BINS)
+    in_bin = np.minimum((confidence * CONFIDENCE_BINS).astype(np.int64), CONFIDENCE_BINS - 1)
+    off = np.bincount(in_bin, weights=is_right - confidence, minlength=CONFIDENCE_BINS)
     return float(np.abs(off).sum() / len(confidence))
 
 
@@ -183,8 +183,8 @@ def _one_effect(tier: str, cases: list[Case]) -> list[Score]:
     ]
     always = Rate(len(clear), len(clear))
 
-    def row(name: str, text: str, of: list[Case], right: Callable[[Case], bool], beside: Rate) -> Score:
-        return _score(tier, name, text, _rate(of, right), beside)
+    def row(name: str, text: str, chosen: list[Case], right: Callable[[Case], bool], beside: Rate) -> Score:
+        return _score(tier, name, text, _rate(chosen, right), beside)
 
     return [
         row("top1", "named first", cases, NAMED_FIRST, cosine),
@@ -404,7 +404,9 @@ def _figures(cases: Sequence[Case]) -> list[Figure]:
             "ACEF",
             "calibration error of the confidence",
             expected_calibration_error(confidence, is_right),
-            _drawn_again(len(claims), lambda at: expected_calibration_error(confidence[at], is_right[at])),
+            _drawn_again(
+                len(claims), lambda drawn: expected_calibration_error(confidence[drawn], is_right[drawn])
+            ),
             len(claims),
             cosine_error,
         ),
@@ -424,7 +426,7 @@ def _closed_over_true(case: Case) -> float:
 def _figure(name: str, tiers: str, text: str, values: Sequence[float]) -> Figure:
     """Return the median of those values that are known."""
     known = np.array([value for value in values if math.isfinite(value)])
-    bounds = _drawn_again(len(known), lambda at: float(np.median(known[at])))
+    bounds = _drawn_again(len(known), lambda drawn: float(np.median(known[drawn])))
     return Figure(name, tiers, text, float(np.median(known)) if len(known) else math.nan, bounds, len(known))
 
 
@@ -435,29 +437,29 @@ def _drawn_again(
     if not n:
         return math.nan, math.nan
     draw = np.random.default_rng(0)
-    low, high = np.percentile([statistic(draw.integers(n, size=n)) for _ in range(DRAWS)], [2.5, 97.5])
+    low, high = np.percentile([statistic(draw.integers(n, size=n)) for _ in range(N_BOOTSTRAP)], [2.5, 97.5])
     return float(low), float(high)
 
 
 def _by_effect(cases: Sequence[Case]) -> Iterator[EffectScore]:
     for tier in "ACF":
         for effect in REGISTRY:
-            of = [case for case in _of(cases, tier) if case.effects == (effect,)]
-            if of:
-                verdicts = Counter(case.answer.verdict for case in of)
+            with_effect = [case for case in _of(cases, tier) if case.effects == (effect,)]
+            if with_effect:
+                verdicts = Counter(case.answer.verdict for case in with_effect)
                 yield EffectScore(
                     tier,
                     effect,
-                    _rate(of, NAMED_FIRST),
-                    _rate(of, IN_THREE),
-                    _rate(of, COSINE_FIRST),
+                    _rate(with_effect, NAMED_FIRST),
+                    _rate(with_effect, IN_THREE),
+                    _rate(with_effect, COSINE_FIRST),
                     {verdict: verdicts[verdict] for verdict in VERDICTS},
                 )
 
 
 def _confusions(cases: Sequence[Case]) -> Iterator[Confusion]:
     """Yield every answer that does not name just what was hidden."""
-    for case in sorted(cases, key=lambda one: (one.tier, one.effects, one.name)):
+    for case in sorted(cases, key=lambda of_case: (of_case.tier, of_case.effects, of_case.name)):
         named = case.answer.named if case.answer.verdict != "ambiguous" else case.answer.named[:1]
         is_right = set(named) == set(case.effects) and (named or case.answer.verdict == "no_gap")
         if not is_right:

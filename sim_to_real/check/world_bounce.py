@@ -110,8 +110,8 @@ def _grid(studio: Studio, arc_x_mm: float) -> Nodes:
     for face, (a, b) in enumerate(itertools.pairwise(outline)):
         s, ds = _along_face(a, b)
         edge = (b - a) / np.linalg.norm(b - a)
-        n, at = np.indices((len(x), len(s))).reshape(2, -1)
-        parts.append(_on_face(studio, face, x[n], a + s[at, np.newaxis] * edge, dx[n] * ds[at]))
+        n, along = np.indices((len(x), len(s))).reshape(2, -1)
+        parts.append(_on_face(studio, face, x[n], a + s[along, np.newaxis] * edge, dx[n] * ds[along]))
     return _joined(parts)
 
 
@@ -263,8 +263,8 @@ def _gather(
     metal = studio.world.setup.material
     value = np.zeros(len(receivers))
     for part in _parts(len(receivers)):
-        at = receivers[part]
-        points, normals, towards = sight.points[at], sight.normals[at], -sight.directions[at]
+        pixels = receivers[part]
+        points, normals, towards = sight.points[pixels], sight.normals[pixels], -sight.directions[pixels]
         for is_first in (True, False):
             if is_first:
                 E, omega_i = _arriving(studio, points, normals, lit, bounces)
@@ -276,7 +276,7 @@ def _gather(
                 normals[some[0]], omega_i[some], towards[some[0]], metal.c2, studio.world.lobe
             )
             f_r = metal.kappa_diff + metal.kappa_spec * lobe
-            value[part] += np.bincount(some[0], f_r * E[some], minlength=len(at))
+            value[part] += np.bincount(some[0], f_r * E[some], minlength=len(pixels))
     return value
 
 

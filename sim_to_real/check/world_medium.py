@@ -80,8 +80,8 @@ def fume_along(
     """
     optical, air = np.zeros(len(length_mm)), np.zeros(len(length_mm))
     for step in (np.arange(STEPS) + 0.5) / STEPS:
-        at = eye_mm + (step * length_mm)[:, np.newaxis] * directions
-        r = np.linalg.norm(at - arc_mm, axis=1)
+        point_mm = eye_mm + (step * length_mm)[:, np.newaxis] * directions
+        r = np.linalg.norm(point_mm - arc_mm, axis=1)
         rho = density(r) * length_mm / STEPS
         optical += rho
         air += rho / np.maximum(r, arc_radius_mm) ** 2
@@ -123,7 +123,7 @@ def _spatter(frame: FrameLight, p: Values, bend: float, peak: Callable[[], float
             rows = np.arange(max(0, int(y) - reach), min(height, int(y) + reach + 1))
             columns = np.arange(max(0, int(x) - reach), min(width, int(x) + reach + 1))
             across, down = (
-                np.exp(-0.5 * ((n - at) / p["width_px"]) ** 2) for n, at in ((columns, x), (rows, y))
+                np.exp(-0.5 * ((n - middle) / p["width_px"]) ** 2) for n, middle in ((columns, x), (rows, y))
             )
             # A chain of unit steps adds up to sqrt(2 pi) width at its middle.
             image[np.ix_(rows, columns)] += (
@@ -145,7 +145,7 @@ def _nearest_mm(setup: Setup) -> float:
     """Return how near to the arc the image comes, mm, along a plate, from a level pose at nominal height."""
     camera = setup.camera
     places = np.meshgrid(np.linspace(0.0, camera.width - 1.0, 9), np.linspace(0.0, camera.height - 1.0, 9))
-    u, v = (of.ravel() for of in places)
+    u, v = (axis.ravel() for axis in places)
     rays = np.column_stack([(u - camera.cx) / camera.fx, (v - camera.cy) / camera.fy, np.ones(len(u))])
     d, eye = rays @ camera.T_tool_camera[:3, :3].T, camera.T_tool_camera[:3, 3]
     on_plate = eye - eye[2] / d[:, 2:] * d

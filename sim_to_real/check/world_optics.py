@@ -24,7 +24,7 @@ from sim_to_real.check.world_effect import (
 from sim_to_real.check.world_light import pixel_grid
 from sim_to_real.check.world_source import EDGE_NM, edge_transmission, filter_angle_shift
 
-MOST_PATCHES = 3
+MAX_PATCHES = 3
 
 ARC_K = 12_000.0
 """The temperature whose black body the arc's continuum is like."""
@@ -113,7 +113,7 @@ def _hard_vignetting(frame: FrameLight, p: Values) -> None:
 
 def _draw_dirt(draw: Generator, strength: float, setup: Setup) -> dict[str, float]:
     return {
-        "patches": float(draw.integers(1, MOST_PATCHES + 1)),
+        "patches": float(draw.integers(1, MAX_PATCHES + 1)),
         "dimming": magnitude(strength, 0.05, 0.5),
         "scatter": magnitude(strength, 0.005, 0.1),
         "radius": draw.uniform(0.12, 0.28),
@@ -170,8 +170,8 @@ def _shift(frame: FrameLight, p: Values, passed: Callable[[Float64], Float64], b
         # What is seen at u off the axis is u / s of the light.
         return float(np.sum(_black_body(band_nm / s) * passed(band_nm)) / s)
 
-    at = np.linspace(1.0, float(shift.max()), 33)
-    of_continuum = np.interp(shift, at, [through(float(s)) / through(1.0) for s in at])
+    shifts = np.linspace(1.0, float(shift.max()), 33)
+    of_continuum = np.interp(shift, shifts, [through(float(s)) / through(1.0) for s in shifts])
     frame.arc, frame.other = frame.arc * of_continuum, frame.other * of_continuum
 
 

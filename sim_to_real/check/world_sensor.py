@@ -92,8 +92,10 @@ def _draw_knee(draw: Generator, strength: float, setup: Setup) -> dict[str, floa
 
 
 def _knee(charge: Float64, world: TrueWorld, p: Values) -> Float64:
-    at = p["knee"] * world.setup.sensor.full_well_e
-    return stated_response(np.where(charge > at, at + p["slope"] * (charge - at), charge), world.setup.sensor)
+    knee_e = p["knee"] * world.setup.sensor.full_well_e
+    return stated_response(
+        np.where(charge > knee_e, knee_e + p["slope"] * (charge - knee_e), charge), world.setup.sensor
+    )
 
 
 def _draw_s_curve(draw: Generator, strength: float, setup: Setup) -> dict[str, float]:

@@ -189,13 +189,13 @@ def drift_forms(
         factor: str,
         draw_of: Callable[[Generator, float], dict[str, float]],
         sizes: tuple[float, float],
-        of: Callable[[Values, Moment], float],
+        factor_at: Callable[[Values, Moment], float],
     ) -> Form:
         return Form(
             name,
             f"{what} x {factor}",
             lambda draw, strength, setup: draw_of(draw, magnitude(strength, *sizes)),
-            moment=lambda moment, p: scaled(moment, of(p, moment)),
+            moment=lambda moment, p: scaled(moment, factor_at(p, moment)),
         )
 
     return (

@@ -199,6 +199,6 @@ def _looking(from_mm: Float64, at_mm: Float64) -> Float64:
     return T_tool_camera
 
 
-def _swing(of: tuple[float, float, float], time_s: float) -> float:
-    amplitude, period_s, phase = of
+def _swing(swing: tuple[float, float, float], time_s: float) -> float:
+    amplitude, period_s, phase = swing
     return amplitude * math.sin(2.0 * math.pi * time_s / period_s + phase)

@@ -22,7 +22,7 @@ ACROSS_MM = 400.0
 CHORD_MM, BENT_CHORD_MM = 0.5, 0.1
 """Stations of the mesh: chords leave a wandering seam by 1e-4 mm, a ridge 8 mm high by 2e-4 mm."""
 
-LEAN_STEPS = 3
+SLOPE_STEPS = 3
 """Each leaves a hundredth of what a sheet's tilt moves a ridge's place by."""
 
 NEWTON_STEPS = 1
@@ -78,7 +78,7 @@ class TrueSurface:
         """
         x, tilt = np.asarray(x_mm, dtype=np.float64), math.atan(self.departure.z_slope)
         s = x / math.cos(tilt)
-        for _ in range(LEAN_STEPS):
+        for _ in range(SLOPE_STEPS):
             s = (x + self._ridge_mm(s)[0] * math.sin(tilt)) / math.cos(tilt)
         c, slope = self._ridge_mm(s)
         z = s * math.sin(tilt) + c * math.cos(tilt)
@@ -113,10 +113,10 @@ class TrueSurface:
         first = np.arange(len(x) - 1)
         triangles, faces = [], []
         for face in range(len(outline) - 1):
-            left, right = face * len(x) + first, (face + 1) * len(x) + first
+            lower, upper = face * len(x) + first, (face + 1) * len(x) + first
             triangles += [
-                np.column_stack([left, left + 1, right + 1]),
-                np.column_stack([left, right + 1, right]),
+                np.column_stack([lower, lower + 1, upper + 1]),
+                np.column_stack([lower, upper + 1, upper]),
             ]
             faces += [np.full(2 * len(first), face)]
         return np.concatenate(rows), np.concatenate(triangles), np.concatenate(faces)

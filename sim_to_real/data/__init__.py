@@ -1,1 +1,1 @@
-"""What a recording says: binned frames, pixel blocks, noise, and where the seam was seen."""
+"""The recording: binned frames, pixel blocks, noise, and where the seam was seen."""

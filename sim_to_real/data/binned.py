@@ -21,7 +21,7 @@ from noise_model.setup import Setup
 from sim_to_real.data.blocks import block_means
 from sim_to_real.data.photon_transfer import PhotonTransfer, photon_transfer
 from tracker.seam.curve import SeamCurve
-from tracker.seam_observations import MOVING, Sightings
+from tracker.seam_observations import TRIANGULATION_EFFECTS, SeamObservations
 from tracker.state import Frame, Pose
 
 PoseAt = Callable[[float], Pose | None]
@@ -30,23 +30,23 @@ PoseAt = Callable[[float], Pose | None]
 BINNED_WIDTH = 160
 """About how many bins an image is wide: light and stripe are resolved, a frame is predicted in a blink."""
 
-LEAST_BIN_PX = 2
-"""Bins of a small image: their pixels' scatter must be seen."""
+MIN_BIN_PX = 2
+"""The smallest bins: they must show their pixels' scatter."""
 
 FLOOR_REL, FLOOR_DN = 0.006, 0.05
-"""What the model may be off in a bin without any gap: relative to its light, and in DN."""
+"""The model's floor, its own error in a bin: relative to the light, and in DN."""
 
-STEEPEST = 0.5
-"""A bin counts if the arc's light changes to its neighbours by a smaller share: shadow edges move by less."""
+MAX_ARC_STEP_REL = 0.5
+"""A bin counts if the arc's light changes to its neighbours by a smaller share: it is off shadow edges."""
 
-THIN = 4
-"""Off the stripe every so many bins of a row and column count: neighbours there say the same."""
+THINNING = 4
+"""Off the stripe one bin in so many counts, along rows and columns: neighbours there say the same."""
 
 STRIPE_SHARE = 0.02
-"""A bin is the stripe's if the laser puts more than this share of its peak there."""
+"""A bin is in the stripe if the laser puts more than this share of its peak there."""
 
 STRATA = ("dark", "laser", "arc", "both")
-"""What is on."""
+"""The strata of frames: what is on."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -91,7 +91,7 @@ class ObservedFrame:
 
 @dataclass(frozen=True, eq=False)
 class Observed:
-    """A recording's frames, and its seam as the tracker found it by `sightings`.
+    """A recording's frames, and its seam as the tracker found it by `seam_observations`.
 
     `setup` is as stated, `binned` the same with a camera of `bin_px` wide bins.
     """
@@ -100,7 +100,7 @@ class Observed:
     binned: Setup
     bin_px: int
     seam: SeamCurve
-    sightings: Sightings
+    seam_observations: SeamObservations
     frames: tuple[ObservedFrame, ...]
 
     @property
@@ -130,18 +130,20 @@ class Observed:
 
     def seam_with(self, effects: Mapping[str, Values]) -> SeamCurve:
         """Return the seam as the tracker would have found it, had it known of effects."""
-        moving = {name: values for name, values in effects.items() if name in MOVING}
+        moving = {name: values for name, values in effects.items() if name in TRIANGULATION_EFFECTS}
         if not moving:
             return self.seam
         known = replace(self.setup, effects={**self.setup.effects, **moving})
-        return self.seam.through(*self.sightings.in_joint(known), self.sightings.variances_mm2)
+        return self.seam.through(
+            *self.seam_observations.in_joint(known), self.seam_observations.variances_mm2
+        )
 
     def with_read_noise(self, ratio: float) -> Observed:
-        """Return the same with another read noise, over the stated one."""
+        """Return the same with the stated read noise times a ratio."""
         sensor = replace(self.setup.sensor, read_noise_e=ratio * self.setup.sensor.read_noise_e)
         return replace(self, setup=replace(self.setup, sensor=sensor))
 
-    def some(self, chosen: Bool) -> Observed:
+    def subset(self, chosen: Bool) -> Observed:
         """Return a recording of some of the frames (n_frames,)."""
         frames = [frame for frame, is_in in zip(self.frames, chosen, strict=True) if is_in]
         return replace(self, frames=tuple(replace(f, position=n) for n, f in enumerate(frames)))
@@ -159,15 +161,17 @@ def observe(setup: Setup, frames: Sequence[Frame], pose_at: PoseAt) -> Observed:
     first_s = frames[0].timestamp_s
     poses = [_tool(pose_at, frame) for frame in posed]
     true = apply_setup_effects(setup)
-    seen = [
+    stations_mm = [
         make_scene(true, T(pose_time_s(setup, frame.timestamp_s))).stations_mm
         for T, frame in zip(poses, posed, strict=True)
     ]
-    sightings = Sightings.of(setup, posed, poses)
-    ends_mm = np.min(seen), np.max(seen)
+    seam_observations = SeamObservations.of(setup, posed, poses)
+    ends_mm = np.min(stations_mm), np.max(stations_mm)
     has_ridges = setup.joint.has_ridges
-    seam = SeamCurve.of(*sightings.in_joint(setup), sightings.variances_mm2, ends_mm, has_ridges)
-    bin_px = max(LEAST_BIN_PX, round(setup.camera.width / BINNED_WIDTH))
+    seam = SeamCurve.of(
+        *seam_observations.in_joint(setup), seam_observations.variances_mm2, ends_mm, has_ridges
+    )
+    bin_px = max(MIN_BIN_PX, round(setup.camera.width / BINNED_WIDTH))
     binned = replace(setup, camera=binned_camera(setup.camera, bin_px))
     usable = [_usable(frame.image_dn, setup, bin_px) for frame in posed]
     transfer = photon_transfer([frame.image_dn for frame in posed], usable, bin_px)
@@ -176,10 +180,10 @@ def observe(setup: Setup, frames: Sequence[Frame], pose_at: PoseAt) -> Observed:
         binned,
         bin_px,
         seam,
-        sightings,
+        seam_observations,
         tuple(
-            _observed(setup, binned, bin_px, position, frame, first_s, of_frame, seam, of_usable, transfer)
-            for position, (frame, of_frame, of_usable) in enumerate(zip(posed, poses, usable, strict=True))
+            _observed(setup, binned, bin_px, position, frame, first_s, T_base_tool, seam, is_usable, transfer)
+            for position, (frame, T_base_tool, is_usable) in enumerate(zip(posed, poses, usable, strict=True))
         ),
     )
 
@@ -294,7 +298,7 @@ def _noise(
     """
     seen_dn = cv2.blur(binned_dn, (3, 3)).astype(np.float64)
     stated_dn2, floor_dn2 = variances_dn2(seen_dn, setup)
-    shown_dn2 = np.maximum(transfer.at(seen_dn) - stated_dn2, 0.0) / bin_px**2
+    shown_dn2 = np.maximum(transfer.variance_at(seen_dn) - stated_dn2, 0.0) / bin_px**2
     return np.sqrt(stated_dn2 / bin_px**2 + shown_dn2 + floor_dn2), shown_dn2
 
 
@@ -307,18 +311,18 @@ def variances_dn2(mean_dn: Float64, setup: Setup) -> tuple[Float64, Float64]:
 
 def bins_that_count(setup: Setup, layers: Layers, condition: Condition, usable: Bool) -> tuple[Bool, Bool]:
     """Return the bins (h, w) that count, and those in the stripe."""
-    keep = usable & one_face(layers.faces)
+    keep = usable & on_one_face(layers.faces)
     thin = np.zeros_like(keep)
-    thin[::THIN, ::THIN] = True
+    thin[::THINNING, ::THINNING] = True
     if condition.arc_level > 0.0:
-        keep &= _gentle(layers.arc_e)
+        keep &= _changes_slowly(layers.arc_e)
     in_stripe = np.zeros_like(keep)
     if condition.laser_level > 0.0:
         in_stripe = layers.laser_e > STRIPE_SHARE * setup.laser.peak_e
     return keep & (thin | in_stripe), in_stripe
 
 
-def one_face(faces: Integers) -> Bool:
+def on_one_face(faces: Integers) -> Bool:
     """Return which bins (h, w) see one face of the joint, as their neighbours do."""
     same = faces >= 0
     for axis in (0, 1):
@@ -327,11 +331,11 @@ def one_face(faces: Integers) -> Bool:
     return np.asarray(same)
 
 
-def _gentle(image: Float32) -> Bool:
-    """Return where an image (h, w) changes by less than `STEEPEST` of itself to each neighbour."""
+def _changes_slowly(image: Float32) -> Bool:
+    """Return where an image (h, w) changes by less than `MAX_ARC_STEP_REL` of itself to each neighbour."""
     gentle = np.ones(image.shape, dtype=bool)
     for axis in (0, 1):
         for shift in (-1, 1):
-            gentle &= np.abs(np.roll(image, shift, axis=axis) - image) <= STEEPEST * image
+            gentle &= np.abs(np.roll(image, shift, axis=axis) - image) <= MAX_ARC_STEP_REL * image
     gentle[[0, -1], :] = gentle[:, [0, -1]] = True
     return gentle

@@ -1,4 +1,4 @@
-"""Which frames are fitted and which are held back: every stratum on either side, all conditions fitted."""
+"""Which frames are fitted and which are held out: every stratum on both sides, all conditions fitted."""
 
 from __future__ import annotations
 
@@ -10,41 +10,43 @@ import numpy as np
 from noise_model.arrays import Bool, Int64
 from sim_to_real.data.binned import Observed
 
-SAME_REL = 0.05
-"""Exposures and currents that differ by less are alike: what is measured scatters."""
+SAME_CONDITION_REL = 0.05
+"""Exposures and currents that differ by a smaller share are the same: measured ones scatter."""
 
 
 def held_out(observed: Observed, share: float) -> Bool:
-    """Return the frames (n_frames,) that are held back, about a share of each stratum, evenly over its time.
+    """Return the frames (n_frames,) that are held out: about a share of each stratum, evenly over time.
 
-    Of each condition, exposure and current included, one frame at least is left to be fitted. Where the
-    share of no stratum makes a frame it is one of each.
+    At least one frame of each condition, exposure and current included, is left to be fitted. If the share is
+    less than a frame in every stratum, one frame of each is held out.
     """
     held = np.zeros(len(observed.frames), dtype=bool)
-    least = 0 if any(round(share * len(members)) for members in _strata(observed)) else 1
+    min_count = 0 if any(round(share * len(members)) for members in _strata(observed)) else 1
     conditions = _conditions(observed)
-    left = Counter(conditions)
+    n_to_fit = Counter(conditions)
     for members in _strata(observed):
-        count = min(len(members) - 1, max(round(share * len(members)), least))
+        count = min(len(members) - 1, max(round(share * len(members)), min_count))
         # Neither the first nor the last of a stratum: a drift would have to be continued beyond its data.
         for place in (np.arange(count) + 1.0) * len(members) / (count + 1.0):
-            spare = [n for n, one in enumerate(members) if not held[one] and left[conditions[one]] > 1]
+            spare = [
+                n for n, member in enumerate(members) if not held[member] and n_to_fit[conditions[member]] > 1
+            ]
             if spare:
                 chosen = members[min(spare, key=lambda n: abs(n - int(place)))]
                 held[chosen] = True
-                left[conditions[chosen]] -= 1
+                n_to_fit[conditions[chosen]] -= 1
     return held
 
 
-def one_of_each(observed: Observed) -> Observed:
+def middle_of_each_stratum(observed: Observed) -> Observed:
     """Return the middle frame of each stratum."""
     chosen = np.zeros(len(observed.frames), dtype=bool)
     chosen[[members[len(members) // 2] for members in _strata(observed)]] = True
-    return observed.some(chosen)
+    return observed.subset(chosen)
 
 
 def folds(observed: Observed, count: int) -> Int64:
-    """Return each frame's fold (n_frames,), 0 to count - 1: those of a stratum are dealt out in turn."""
+    """Return each frame's fold (n_frames,), 0 to count - 1; the frames of a stratum are dealt out in turn."""
     fold = np.zeros(len(observed.frames), dtype=np.int64)
     dealt = 0
     for members in _strata(observed):
@@ -54,28 +56,28 @@ def folds(observed: Observed, count: int) -> Int64:
     return fold
 
 
-def sees_as_much(observed: Observed, chosen: Bool) -> bool:
-    """Say whether some frames (n_frames,), not none, show laser and arc if any of all frames do."""
+def shows_same_sources(observed: Observed, chosen: Bool) -> bool:
+    """Say whether some frames (n_frames,) show laser and arc, each if any of all frames does."""
     shown = observed.shows_laser, observed.shows_arc
-    return bool(chosen.any()) and all(of[chosen].any() == of.any() for of in shown)
+    return bool(chosen.any()) and all(shows[chosen].any() == shows.any() for shows in shown)
 
 
 def _conditions(observed: Observed) -> list[tuple[str, int, int]]:
-    """Return each frame's stratum and to which exposures and currents its own belong.
+    """Return each frame's stratum, and the numbers of its exposure's and current's groups.
 
-    Measured ones scatter: those that differ by less than `SAME_REL` from the next are the same.
+    Values that differ by less than `SAME_CONDITION_REL` from the next belong to one group.
     """
-    exposure = _alike([frame.condition.exposure_s for frame in observed.frames])
-    arc = _alike([frame.condition.arc_level for frame in observed.frames])
+    exposure = _condition_groups([frame.condition.exposure_s for frame in observed.frames])
+    arc = _condition_groups([frame.condition.arc_level for frame in observed.frames])
     return [(frame.stratum, e, a) for frame, e, a in zip(observed.frames, exposure, arc, strict=True)]
 
 
-def _alike(values: Sequence[float]) -> list[int]:
-    """Return the number of the group of each of some values, not < 0: of those that follow closely."""
-    of = np.array(values, dtype=np.float64)
-    order = np.argsort(of, kind="stable")
-    is_apart = of[order][1:] > (1.0 + SAME_REL) * of[order][:-1]
-    group = np.zeros(len(of), dtype=np.int64)
+def _condition_groups(values: Sequence[float]) -> list[int]:
+    """Return the group number of each of some values, not < 0; a group's values follow each other closely."""
+    levels = np.array(values, dtype=np.float64)
+    order = np.argsort(levels, kind="stable")
+    is_apart = levels[order][1:] > (1.0 + SAME_CONDITION_REL) * levels[order][:-1]
+    group = np.zeros(len(levels), dtype=np.int64)
     group[order[1:]] = np.cumsum(is_apart)
     return list(map(int, group))
 

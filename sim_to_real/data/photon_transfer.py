@@ -14,21 +14,21 @@ import numpy as np
 from scipy.stats import chi2
 
 from noise_model.arrays import Bool, Float64, Integers
-from sim_to_real.data.blocks import SMALL, block_means, in_bins
+from sim_to_real.data.blocks import DETAIL_2X2, block_means, weighted_sums_in_bins
 
-LEVELS, LEAST_BINS = 24, 500
-"""Levels at which the noise is measured, each from so many bins at least."""
+N_GREY_LEVELS, MIN_BINS_PER_LEVEL = 24, 500
+"""The number of grey levels at which noise is measured, and the fewest bins for each."""
 
 
 @dataclass(frozen=True, eq=False)
 class PhotonTransfer:
-    """The variance of a pixel's noise (k,), DN^2, at levels (k,), DN; nothing where nothing was measured."""
+    """The variance of a pixel's noise (k,), DN^2, at grey levels (k,), DN; empty if none was measured."""
 
     levels_dn: Float64
     variances_dn2: Float64
 
-    def at(self, levels_dn: Float64) -> Float64:
-        """Return the variance (...,), DN^2, at levels (...,), DN: beyond the measured that of the nearest."""
+    def variance_at(self, levels_dn: Float64) -> Float64:
+        """Return the variance (...,), DN^2, at levels (...,), DN; outside the range that of the nearest."""
         if not len(self.levels_dn):
             return np.zeros_like(levels_dn)
         return np.interp(levels_dn, self.levels_dn, self.variances_dn2)
@@ -41,25 +41,25 @@ def photon_transfer(images_dn: Sequence[Integers], usable: Sequence[Bool], bin_p
     scatter more, but are few.
     """
     level, variance = (
-        np.concatenate(of)
-        for of in zip(
+        np.concatenate(values)
+        for values in zip(
             *(_of_bins(image, use, bin_px) for image, use in zip(images_dn, usable, strict=True)), strict=True
         )
     )
-    if len(level) < LEAST_BINS:
+    if len(level) < MIN_BINS_PER_LEVEL:
         return PhotonTransfer(np.empty(0), np.empty(0))
     order = np.argsort(level, kind="stable")
-    parts = np.array_split(order, min(LEVELS, len(level) // LEAST_BINS))
+    parts = np.array_split(order, min(N_GREY_LEVELS, len(level) // MIN_BINS_PER_LEVEL))
     # The median of a mean of squares of normal variables lies below its expectation.
     squares = (bin_px // 2) ** 2
-    of_median = float(chi2.median(squares)) / squares
+    median_ratio = float(chi2.median(squares)) / squares
     return PhotonTransfer(
         np.array([np.median(level[part]) for part in parts], dtype=np.float64),
-        np.array([np.median(variance[part]) / of_median for part in parts], dtype=np.float64),
+        np.array([np.median(variance[part]) / median_ratio for part in parts], dtype=np.float64),
     )
 
 
 def _of_bins(image_dn: Integers, usable: Bool, bin_px: int) -> tuple[Float64, Float64]:
     """Return means (n,), DN, and variances (n,), DN^2, of a frame's bins that are usable."""
-    small = in_bins(image_dn.astype(np.float32), SMALL, bin_px)[usable]
+    small = weighted_sums_in_bins(image_dn.astype(np.float32), DETAIL_2X2, bin_px)[usable]
     return block_means(image_dn, bin_px)[usable], np.mean(small**2, axis=-1, dtype=np.float64)

@@ -1,7 +1,7 @@
-"""No gap, named effects, an ambiguity set, or unknown: what the candidates' scores amount to.
+"""The verdict from the hypotheses' scores: no gap, named effects, an ambiguity set, or unknown.
 
-All scores are mean squares R of residuals that are whitened with noise and the model's floor. The floor is a
-generous one: a model without a gap stays below 1. The gap that is left above it is (R - 1) / (R_0 - 1).
+A score is the mean square R of residuals over noise and the model's floor. The floor is generous: a model
+without a gap has R below 1. Of the baseline's gap a hypothesis leaves (R - 1) / (R_0 - 1).
 """
 
 from __future__ import annotations
@@ -14,225 +14,248 @@ import numpy as np
 
 from noise_model.arrays import Bool, Float64
 from sim_to_real.diagnosis import Verdict
-from sim_to_real.fit.gauss_newton import FLICKER, NAMED_FROM, Refit, refit, settled
-from sim_to_real.fit.linearized_model import Expected
+from sim_to_real.fit.gauss_newton import FLICKER, MIN_EVIDENCE_NATS, Refit, converged, refit
+from sim_to_real.fit.linearized_model import LinearizedModel
 from sim_to_real.search.hypothesis import (
-    AT_FLOOR,
-    CLEARLY_LEFT,
-    SHOWN_FROM,
-    Candidate,
-    confidences,
-    cost_nats,
+    MAX_MISFIT_AT_FLOOR,
+    MIN_VISIBLE_MISFIT,
+    UNRESOLVED_MEAN_SQUARE,
+    Hypothesis,
+    bic_penalty_nats,
+    cross_validated,
     is_explained,
-    judged,
     likelihood_nats,
+    posterior_probabilities,
 )
-from sim_to_real.search.identifiability import not_resolvable, own_signatures
-from sim_to_real.search.score_test import Screened
+from sim_to_real.search.identifiability import not_resolvable, projected_signatures
+from sim_to_real.search.score_test import ScoreTest
 from sim_to_real.search.single_effects import (
-    ALIKE_NATS,
-    RESOLVED,
+    INDISTINGUISHABLE_NATS,
+    RESOLVED_MEAN_SQUARE,
     Search,
-    candidates,
-    looked,
-    told_apart,
-    with_changes,
-    with_dear,
+    fit_single_effects,
+    score_catalogue,
+    told_apart_by_pixels,
+    with_expensive,
+    with_trends,
 )
-from sim_to_real.search.stepwise import beside
+from sim_to_real.search.stepwise import best_beside
 
-PULLED_FROM = 10.0
-"""A mean square from which the baseline's nuisances are not believed."""
+BIASED_MEAN_SQUARE = 10.0
+"""From this mean square on the gap has biased the baseline's nuisances."""
 
-UNEXPLAINED_FROM = 2.0
-"""A mean square from which there is a gap though nothing in the catalogue helps."""
+MIN_UNKNOWN_MEAN_SQUARE = 2.0
+"""From this mean square on there is a gap, even if no effect of the catalogue helps."""
 
-SURE = 0.9
-"""A candidate that is less probable than this is not named alone."""
+MIN_POSTERIOR = 0.9
+"""A hypothesis that is less probable is not named alone."""
 
-IN_SET = 0.05
-"""Candidates that are at least as probable are in the ambiguity set."""
+MIN_POSTERIOR_IN_SET = 0.05
+"""Hypotheses that are at least as probable are in the ambiguity set."""
 
 
 @dataclass(frozen=True, eq=False)
 class Decision:
-    """The verdict, the candidate it rests on, all single effects that were fitted, the look at all.
+    """The verdict, the chosen hypothesis, all single effects that were fitted, and the scores of all effects.
 
-    `confidence` (n,) is how probable each single effect is, `sure` how probable the candidate. `signatures`
-    are what effects do from where they all started, `alike` the pairs of which these look the same.
+    `posterior_probabilities` (n,) are those of the single effects, `posterior_probability` is the chosen
+    one's. `signatures` are the effects' at the start of all fits, `indistinguishable` the pairs whose
+    signatures agree.
     """
 
     verdict: Verdict
-    chosen: Candidate
-    sure: float
-    singles: tuple[Candidate, ...]
-    confidence: Float64
+    chosen: Hypothesis
+    posterior_probability: float
+    singles: tuple[Hypothesis, ...]
+    posterior_probabilities: Float64
     ambiguous: tuple[tuple[str, ...], ...]
-    screened: tuple[Screened, ...]
+    scores: tuple[ScoreTest, ...]
     signatures: Mapping[str, Float64]
-    alike: tuple[tuple[str, str], ...]
+    indistinguishable: tuple[tuple[str, str], ...]
 
 
-def _free_first(expected: Expected, found: Sequence[Candidate], baseline: Candidate) -> list[Candidate]:
-    """Return single effects, likeliest first; but one that its bounds hold back behind one that explains all.
+def _unlimited_first(
+    model: LinearizedModel, hypotheses: Sequence[Hypothesis], baseline: Hypothesis
+) -> list[Hypothesis]:
+    """Return single effects, likeliest first, but a bound-limited one behind one that explains the gap.
 
-    As long as that is about as likely.
+    That one must be about as likely.
     """
-    first = found[0]
-    if not first.is_held_back:
-        return list(found)
-    near = [one for one in found if first.evidence - one.evidence < ALIKE_NATS]
-    explain = [one for one in near if is_explained(expected, one, baseline)][:1]
-    return [*explain, *(one for one in found if one not in explain)]
+    first = hypotheses[0]
+    if not first.is_bound_limited:
+        return list(hypotheses)
+    near = [rival for rival in hypotheses if first.evidence - rival.evidence < INDISTINGUISHABLE_NATS]
+    explaining = [rival for rival in near if is_explained(model, rival, baseline)][:1]
+    return [*explaining, *(rival for rival in hypotheses if rival not in explaining)]
 
 
-def without_help(baseline: Candidate) -> Verdict:
-    """Return the verdict if nothing in the catalogue helps: a large gap is something else's."""
-    return Verdict.NO_GAP if baseline.left < UNEXPLAINED_FROM else Verdict.UNKNOWN
+def verdict_without_effects(baseline: Hypothesis) -> Verdict:
+    """Return the verdict if no effect of the catalogue helps: the cause of a large gap is unknown."""
+    return Verdict.NO_GAP if baseline.cv_mean_square < MIN_UNKNOWN_MEAN_SQUARE else Verdict.UNKNOWN
 
 
-def decide(search: Search, baseline: Candidate) -> Decision:
-    """Look for the effects that explain what a baseline leaves."""
-    expected, start = search.expected, baseline.refit
-    if baseline.left > PULLED_FROM:
-        # A large gap pulls nuisances far off, where no effect could fit: candidates start from the stated.
-        expected.take_tangents(expected.neutral, {})
-        start = refit(expected, {}, expected.neutral, steps=0)
+def decide(search: Search, baseline: Hypothesis) -> Decision:
+    """Seek the effects that explain the gap of a baseline."""
+    model, start = search.model, baseline.refit
+    if baseline.cv_mean_square > BIASED_MEAN_SQUARE:
+        # A large gap biases the nuisances so far that no effect could fit: start from the stated values.
+        model.take_tangents(model.neutral, {})
+        start = refit(model, {}, model.neutral, steps=0)
     search.on_stage("looking at every effect", 0.0)
-    screened = tuple(looked(search, start))
-    signatures = own_signatures(start, screened)
-    alike = not_resolvable(signatures)
-    if not screened or likelihood_nats(0.0) - cost_nats(1) - baseline.evidence < NAMED_FROM:
-        # There is nothing to be tried, or none could leave so little that it would be preferred.
-        verdict = without_help(baseline)
-        return Decision(verdict, baseline, math.nan, (), np.zeros(0), (), screened, signatures, alike)
-    found, baseline, is_trifling = _fitted(search, start, screened, baseline)
-    explained = is_explained(expected, found[0], baseline)
-    singles = tuple(found)
-    p = confidences(singles, baseline)
-    # Below the floor one of many that are looked at is better by chance.
+    scores = tuple(score_catalogue(search, start))
+    signatures = projected_signatures(start, scores)
+    indistinguishable = not_resolvable(signatures)
+    if not scores or likelihood_nats(0.0) - bic_penalty_nats(1) - baseline.evidence < MIN_EVIDENCE_NATS:
+        # The catalogue is empty, or not even a perfect fit would be preferred to the baseline.
+        verdict = verdict_without_effects(baseline)
+        none = np.zeros(0)
+        return Decision(verdict, baseline, math.nan, (), none, (), scores, signatures, indistinguishable)
+    fitted, baseline, is_negligible = _fitted_singles(search, start, scores, baseline)
+    explained = is_explained(model, fitted[0], baseline)
+    singles = tuple(fitted)
+    p = posterior_probabilities(singles, baseline)
+    # Below the floor the best of many effects gains something by chance.
     gained = singles[0].evidence - baseline.evidence
-    by_chance = baseline.left <= 1.0 and gained < NAMED_FROM + math.log(len(screened))
+    by_chance = baseline.cv_mean_square <= 1.0 and gained < MIN_EVIDENCE_NATS + math.log(len(scores))
 
-    def said(verdict: Verdict, chosen: Candidate, *ambiguous: tuple[str, ...]) -> Decision:
+    def decision(verdict: Verdict, chosen: Hypothesis, *ambiguous: tuple[str, ...]) -> Decision:
         others = [single for single in singles if single.ids != chosen.ids]
-        sure = float(confidences([chosen, *others], baseline)[0]) if chosen.ids else math.nan
-        return Decision(verdict, chosen, sure, singles, p, ambiguous, screened, signatures, alike)
+        of_all = posterior_probabilities([chosen, *others], baseline)
+        return Decision(
+            verdict,
+            chosen,
+            float(of_all[0]) if chosen.ids else math.nan,
+            singles,
+            p,
+            ambiguous,
+            scores,
+            signatures,
+            indistinguishable,
+        )
 
-    if is_trifling:
-        return said(Verdict.NO_GAP, baseline)
-    if gained < NAMED_FROM:
-        return said(without_help(baseline), baseline)
-    if by_chance and search.asked(baseline).left_in_pixels <= SHOWN_FROM:
-        return said(Verdict.NO_GAP, baseline)
+    if is_negligible:
+        return decision(Verdict.NO_GAP, baseline)
+    if gained < MIN_EVIDENCE_NATS:
+        return decision(verdict_without_effects(baseline), baseline)
+    if by_chance and search.with_pixels(baseline).pixel_misfit <= MIN_VISIBLE_MISFIT:
+        return decision(Verdict.NO_GAP, baseline)
     best = singles[0]
     if explained:
-        best = search.asked(best)
-        if best.left_in_pixels > AT_FLOOR:
-            # Pixels are finer than bins: a fit that has not quite settled shows in them.
-            best = search.asked(_again(expected, best))
+        best = search.with_pixels(best)
+        if best.pixel_misfit > MAX_MISFIT_AT_FLOOR:
+            # Pixels are finer than bins: they show a fit that has not quite converged.
+            best = search.with_pixels(_converged(model, best))
         singles = (best, *singles[1:])
-    several = beside(search, baseline, best, explained, start, screened)
-    rivals = _rivals(singles, alike)
-    is_likely = (p >= IN_SET) | rivals
+    joint = best_beside(search, baseline, best, explained, start, scores)
+    rivals = _rivals(singles, indistinguishable)
+    is_likely = (p >= MIN_POSTERIOR_IN_SET) | rivals
     likely = tuple(single.ids[0] for single, is_one in zip(singles, is_likely, strict=True) if is_one)
-    if explained and (several is None or len(several.ids) == 1):
-        if len(likely) == 1 or (p[0] >= SURE and not rivals.any()):
-            return said(Verdict.EFFECTS, best)
-        even = _among_rivals(p, rivals)
-        return replace(said(Verdict.AMBIGUOUS, best, likely), sure=float(even[0]), confidence=even)
-    if several is None:
-        return said(Verdict.UNKNOWN, best)
-    if len(several.ids) == 1 and len(likely) > 1:
-        # One is enough once it has been fitted beside another, but no likelier than that one.
-        return said(Verdict.AMBIGUOUS, several, tuple(dict.fromkeys((*several.ids, *likely))))
-    return said(Verdict.EFFECTS, several)
+    if explained and (joint is None or len(joint.ids) == 1):
+        if len(likely) == 1 or (p[0] >= MIN_POSTERIOR and not rivals.any()):
+            return decision(Verdict.EFFECTS, best)
+        shared = _shared_among_rivals(p, rivals)
+        undecided = decision(Verdict.AMBIGUOUS, best, likely)
+        return replace(undecided, posterior_probability=float(shared[0]), posterior_probabilities=shared)
+    if joint is None:
+        return decision(Verdict.UNKNOWN, best)
+    if len(joint.ids) == 1 and len(likely) > 1:
+        # One effect suffices after it was fitted beside another, but it is no likelier than that one.
+        return decision(Verdict.AMBIGUOUS, joint, tuple(dict.fromkeys((*joint.ids, *likely))))
+    return decision(Verdict.EFFECTS, joint)
 
 
-def _fitted(
-    search: Search, start: Refit, screened: Sequence[Screened], baseline: Candidate
-) -> tuple[list[Candidate], Candidate, bool]:
-    """Return single effects, likeliest first, and the baseline; pixels are asked where bins leave it open.
+def _fitted_singles(
+    search: Search, start: Refit, scores: Sequence[ScoreTest], baseline: Hypothesis
+) -> tuple[list[Hypothesis], Hypothesis, bool]:
+    """Return single effects, likeliest first, and the baseline, with pixel misfits where bins do not decide.
 
-    And whether what bins still show, and nothing explains, is too little to be seen in pixels.
+    The third value says whether a gap that no effect explains shows in bins only, and not in pixels.
     """
-    expected = search.expected
-    found = candidates(search, start, screened, baseline.left)
-    found, baseline = told_apart(search, found, baseline)
-    found = _free_first(expected, found, baseline)
-    explained = is_explained(expected, found[0], baseline)
-    is_open = found[0].left > RESOLVED and not explained
-    is_small = baseline.left < UNEXPLAINED_FROM and baseline.left_in_pixels <= AT_FLOOR
-    helps = explained and found[0].evidence - baseline.evidence >= NAMED_FROM
+    model = search.model
+    hypotheses = fit_single_effects(search, start, scores, baseline.cv_mean_square)
+    hypotheses, baseline = told_apart_by_pixels(search, hypotheses, baseline)
+    hypotheses = _unlimited_first(model, hypotheses, baseline)
+    explained = is_explained(model, hypotheses[0], baseline)
+    is_open = hypotheses[0].cv_mean_square > RESOLVED_MEAN_SQUARE and not explained
+    is_small = (
+        baseline.cv_mean_square < MIN_UNKNOWN_MEAN_SQUARE and baseline.pixel_misfit <= MAX_MISFIT_AT_FLOOR
+    )
+    helps = explained and hypotheses[0].evidence - baseline.evidence >= MIN_EVIDENCE_NATS
     if not is_open and not helps:
-        # Light that bounces stays near the root: of all bins' mean it is little, and pixels show it.
-        baseline = search.asked(baseline)
-        if baseline.left_in_pixels > SHOWN_FROM:
-            found = with_dear(search, start, found)
-            found, baseline = told_apart(search, found, baseline)
+        # Bounced light stays near the root: it is little in the mean of all bins, but pixels show it.
+        baseline = search.with_pixels(baseline)
+        if baseline.pixel_misfit > MIN_VISIBLE_MISFIT:
+            hypotheses = with_expensive(search, start, hypotheses)
+            hypotheses, baseline = told_apart_by_pixels(search, hypotheses, baseline)
     elif is_open and not is_small:
-        found = with_dear(search, start, found)
-        if not is_explained(expected, found[0], baseline):
-            found, baseline = _with_changes(search, start, screened, found, baseline)
-    elif explained and found[0].ids == (FLICKER,):
-        # A level of its own for each frame takes on much of what grows from frame to frame.
-        found, baseline = _with_changes(search, start, screened, found, baseline)
-    return _free_first(expected, found, baseline), baseline, is_open and is_small
+        hypotheses = with_expensive(search, start, hypotheses)
+        if not is_explained(model, hypotheses[0], baseline):
+            hypotheses, baseline = _with_trends(search, start, scores, hypotheses, baseline)
+    elif explained and hypotheses[0].ids == (FLICKER,):
+        # Levels of single frames absorb much of an effect that grows from frame to frame.
+        hypotheses, baseline = _with_trends(search, start, scores, hypotheses, baseline)
+    return _unlimited_first(model, hypotheses, baseline), baseline, is_open and is_small
 
 
-def _with_changes(
+def _with_trends(
     search: Search,
     start: Refit,
-    screened: Sequence[Screened],
-    found: Sequence[Candidate],
-    baseline: Candidate,
-) -> tuple[list[Candidate], Candidate]:
-    """Return single effects of which some may change, likeliest first, and the baseline; pixels are asked."""
-    every = with_changes(search, start, screened, found)
-    if not every[0].refit.change:
-        return every, baseline
-    # What pixels said of it as long as it stayed they have not said of its change.
-    every, baseline = told_apart(search, every, baseline)
-    return [search.asked(every[0]), *every[1:]], search.asked(baseline)
+    scores: Sequence[ScoreTest],
+    hypotheses: Sequence[Hypothesis],
+    baseline: Hypothesis,
+) -> tuple[list[Hypothesis], Hypothesis]:
+    """Return single effects of which some may have a trend, likeliest first, and the baseline."""
+    singles = with_trends(search, start, scores, hypotheses)
+    if not singles[0].refit.trend:
+        return singles, baseline
+    # Pixels have judged the constant effect, not its trend.
+    singles, baseline = told_apart_by_pixels(search, singles, baseline)
+    return [search.with_pixels(singles[0]), *singles[1:]], search.with_pixels(baseline)
 
 
-def _rivals(singles: Sequence[Candidate], alike: Sequence[tuple[str, str]]) -> Bool:
-    """Return which effects (n,) stay in question beside the likeliest, the first, however improbable.
+def _rivals(singles: Sequence[Hypothesis], indistinguishable: Sequence[tuple[str, str]]) -> Bool:
+    """Return which effects (n,) remain possible beside the likeliest, the first, however improbable.
 
-    They explain all that there is, though at a higher price, where the likeliest does not; or as much as it
-    does, and the recording cannot tell them from it: then the price alone makes them improbable.
+    They resolve the gap, with more parameters, where the likeliest does not. Or they explain as much as it
+    does and the recording cannot tell them from it: then they are improbable only for their number of
+    parameters.
     """
     first = singles[0]
-    is_left, like = first.left > CLEARLY_LEFT, _like(first.ids[-1], alike)
-    as_much = likelihood_nats(first.left) - NAMED_FROM
+    leaves_some = first.cv_mean_square > UNRESOLVED_MEAN_SQUARE
+    look_same = _indistinguishable_from(first.ids[-1], indistinguishable)
+    as_much = likelihood_nats(first.cv_mean_square) - MIN_EVIDENCE_NATS
 
-    def is_rival(one: Candidate) -> bool:
-        if one.is_held_back or one is first:
+    def is_rival(single: Hypothesis) -> bool:
+        if single.is_bound_limited or single is first:
             return False
-        explains_all = is_left and one.left <= RESOLVED
-        return explains_all or (one.ids[-1] in like and likelihood_nats(one.left) > as_much)
+        resolves = leaves_some and single.cv_mean_square <= RESOLVED_MEAN_SQUARE
+        fits_as_well = likelihood_nats(single.cv_mean_square) > as_much
+        return resolves or (single.ids[-1] in look_same and fits_as_well)
 
-    return np.array([is_rival(one) for one in singles])
-
-
-def _like(name: str, alike: Sequence[tuple[str, str]]) -> set[str]:
-    """Return the effects that make a pair with one."""
-    return {other for pair in alike if name in pair for other in pair} - {name}
+    return np.array([is_rival(single) for single in singles])
 
 
-def _among_rivals(confidence: Float64, rivals: Bool) -> Float64:
-    """Return confidences (n,) in which the first has no more than each of its rivals: they share evenly."""
-    alike = rivals.copy()
-    alike[0] = True
-    return np.where(alike, confidence[alike].mean(), confidence)
+def _indistinguishable_from(name: str, indistinguishable: Sequence[tuple[str, str]]) -> set[str]:
+    """Return the effects that the recording cannot tell from one."""
+    return {other for pair in indistinguishable if name in pair for other in pair} - {name}
 
 
-def _again(expected: Expected, of: Candidate) -> Candidate:
-    """Return a candidate whose fit has settled."""
-    return replace(judged(expected, settled(expected, of.refit)), against=of.against)
+def _shared_among_rivals(probabilities: Float64, rivals: Bool) -> Float64:
+    """Return probabilities (n,) of which the first and its rivals share theirs evenly."""
+    sharing = rivals.copy()
+    sharing[0] = True
+    return np.where(sharing, probabilities[sharing].mean(), probabilities)
 
 
-def in_question(decision: Decision) -> tuple[Candidate, Candidate] | None:
+def _converged(model: LinearizedModel, hypothesis: Hypothesis) -> Hypothesis:
+    """Return a hypothesis whose fit has converged."""
+    return replace(
+        cross_validated(model, converged(model, hypothesis.refit)),
+        pixel_penalty_nats=hypothesis.pixel_penalty_nats,
+    )
+
+
+def open_pair(decision: Decision) -> tuple[Hypothesis, Hypothesis] | None:
     """Return the two single effects that a measurement should tell apart; None if nothing is open.
 
     Of an ambiguity set they are its two likeliest; beside what is named it is the likeliest of those that the
@@ -242,11 +265,11 @@ def in_question(decision: Decision) -> tuple[Candidate, Candidate] | None:
     if decision.verdict is Verdict.NO_GAP:
         return None
     if decision.verdict is Verdict.AMBIGUOUS:
-        singles = [one for one in singles if one.ids[0] in decision.ambiguous[0]]
+        singles = [single for single in singles if single.ids[0] in decision.ambiguous[0]]
     elif decision.verdict is Verdict.EFFECTS and singles:
-        named = next((one for one in singles if one.ids[-1] in decision.chosen.ids), None)
+        named = next((single for single in singles if single.ids[-1] in decision.chosen.ids), None)
         if named is None:
             return None
-        others = _like(named.ids[-1], decision.alike) - set(decision.chosen.ids)
-        singles = [named, *(one for one in singles if one.ids[-1] in others)]
+        others = _indistinguishable_from(named.ids[-1], decision.indistinguishable) - set(decision.chosen.ids)
+        singles = [named, *(single for single in singles if single.ids[-1] in others)]
     return (singles[0], singles[1]) if len(singles) > 1 else None

@@ -1,7 +1,6 @@
-"""What a diagnosis may ask for next: experiments, frames that are taken otherwise than those it has seen.
+"""What a diagnosis may ask for next: experiments, which are frames taken in another way than the recording's.
 
-Experiments are data alone: what a fit expects of them is `next`'s, what they really show is the recording's.
-Where none of them would tell, a witness would: something that sees one effect and nothing else.
+Where no experiment would tell two effects apart, a witness would: an instrument that sees one effect alone.
 """
 
 from __future__ import annotations
@@ -12,19 +11,19 @@ from dataclasses import dataclass
 from noise_model.arrays import Point
 
 N_MORE = 4
-"""So many frames are taken of an experiment."""
+"""Frames of an experiment."""
 
 TILT_DEG, RAISE_MM, CURRENT, EXPOSURE, FASTER = 10.0, 2.0, 1.5, 0.5, 3.0
-"""The changes that the experiments make: angle, height, and factors of the rest."""
+"""What the experiments change: angle, height, and factors of current, exposure and speed."""
 
 
 @dataclass(frozen=True)
 class Experiment:
-    """One of the menu: laser and arc on, at the setup's exposure and current, but for what it says.
+    """One experiment of the menu; what it does not name is as the setup states, laser and arc on.
 
-    `name` is what the report asks for, `key` a word for it in names of files. `exposure` and `current` are
-    factors of the setup's, `speed` is one of the motion's; the tool is turned by the rotation vector
-    `turn_deg` and moved by `move_mm`, both in its own frame.
+    `name` is what the report asks for, `key` is short, for names of files. `exposure` and `current` are
+    factors of the setup's, `speed` one of the motion's. The tool is turned by the rotation vector `turn_deg`
+    and moved by `move_mm`, both in its own frame.
     """
 
     key: str
@@ -51,10 +50,10 @@ MENU = (
     ),
     Experiment("faster", f"the same run {FASTER:g} times as fast", speed=FASTER),
 )
-"""What may be measured next."""
+"""The experiments that may be asked for."""
 
 BY_NAME: Mapping[str, Experiment] = {experiment.name: experiment for experiment in MENU}
-"""The menu by what the report asks for."""
+"""The menu by the experiments' names."""
 
 _FLAT_FIELD = "a flat field: opal glass, lit evenly at the laser's wavelength"
 _BOARD = "a calibration board, seen from several poses"
@@ -93,4 +92,4 @@ WITNESS: Mapping[str, str] = {
     "lens_distortion": _BOARD,
     "pose_delay": "a signal that starts frame and pose together",
 }
-"""What would see an effect and nothing else."""
+"""For each effect, what would see it and nothing else."""

@@ -1,4 +1,4 @@
-"""Effects and nuisances fitted together to all frames of a recording: Gauss, Newton, Levenberg, Marquardt."""
+"""Effects and nuisances fitted together to all frames of a recording: damped Gauss-Newton steps."""
 
 from __future__ import annotations
 
@@ -12,45 +12,45 @@ import numpy as np
 from noise_model.arrays import Float64
 from noise_model.effects import REGISTRY, Values
 from noise_model.fit import Parameter, within_bounds
-from sim_to_real.fit.linearized_model import RENDERING, Expected, Passed
+from sim_to_real.fit.linearized_model import RENDERED_EFFECTS, FrameLight, LinearizedModel
 from sim_to_real.fit.quadratic import Quadratic
-from sim_to_real.fit.trend import Change, change_among
+from sim_to_real.fit.trend import Trend, trend_among
 
-HUBER = 3.0
-"""Residuals beyond so many of their own robust sigmas pull no harder."""
+HUBER_SIGMAS = 3.0
+"""Huber's bound, in robust sigmas of the residuals."""
 
 MAD_SIGMA = 1.4826
 """A normal distribution's sigma over its median absolute deviation."""
 
-NAMED_FROM = 3.0
-"""Evidence, nats, by which effects must beat their absence."""
+MIN_EVIDENCE_NATS = 3.0
+"""Evidence by which effects must beat their absence, nats."""
 
-ITERATIONS = 8
+MAX_ITERATIONS = 8
 """Steps at most."""
 
-SETTLED = 1e-3
+CONVERGED_REL = 1e-3
 """A step that lowers the cost by a smaller share is the last."""
 
-DAMPING, LEAST_DAMPING, DAMPED_MOST, EASED = 1e-3, 1e-9, 1e3, 0.1
-"""Where damping starts, its ends, and by what it changes with a step that helps or does not."""
+START_DAMPING, MIN_DAMPING, MAX_DAMPING, DAMPING_FACTOR = 1e-3, 1e-9, 1e3, 0.1
+"""The damping's start and bounds, and its factor after a step that helps; else it is divided by it."""
 
-ROUNDS, WORTHWHILE = 3, 0.1
-"""Light is rendered anew about a fit so often at most, while the mean square falls by this share."""
+MAX_RELINEARIZATIONS, MIN_IMPROVEMENT_REL = 3, 0.1
+"""Light is rendered anew at a fit so often at most, as long as the mean square falls by this share."""
 
 FLICKER, LEVEL_SIGMA = "arc_flicker", 0.2
-"""The effect whose realisation is fitted, frame by frame, and the prior of a frame's ln level."""
+"""The effect whose realisation is fitted frame by frame, and the prior sigma of a frame's ln level."""
 
-OWN_LEVEL = "arc_ln_"
-"""What the names of frames' own ln levels begin with."""
+FRAME_LEVEL = "arc_ln_"
+"""How the names of frames' own ln levels begin."""
 
 
 @dataclass(frozen=True, eq=False)
 class Refit:
-    """A fit with some effects: `x` (p,) nuisances and behind them what is fitted of the effects.
+    """A fit with some effects: `x` (p,) are the nuisances, followed by the effects' fitted parameters.
 
-    `passed` is the light of each frame there, `residuals` (n,) plain, their derivatives (n, p), Huber's
-    `weights` (n,), and the `quadratic` cost of all frames about x. `effects` have all their parameters;
-    `arc_ln` (n_frames,) are the frames' own ln levels of the arc. An effect may `change` from frame to frame.
+    At x there are the `lights` of the frames, the `residuals` (n,) without weights, their derivatives
+    `jacobian` (n, p), Huber's `weights` (n,) and the `quadratic` cost of all frames. `effects` have all their
+    parameters; `arc_ln` (n_frames,) are the frames' own ln levels of the arc. One effect may have a `trend`.
     """
 
     ids: tuple[str, ...]
@@ -62,8 +62,8 @@ class Refit:
     jacobian: Float64
     weights: Float64
     quadratic: Quadratic
-    passed: tuple[Passed, ...]
-    change: Change | None = None
+    lights: tuple[FrameLight, ...]
+    trend: Trend | None = None
 
     @property
     def nuisance(self) -> Float64:
@@ -72,40 +72,40 @@ class Refit:
 
     @property
     def n_parameters(self) -> int:
-        """How many numbers are fitted beside the nuisances: of frames' levels those about their mean."""
+        """The number of fitted parameters beside the nuisances; frames' levels count about their mean."""
         unlit = len(self.arc_ln) - max(self.n_lit - 1, 1) if FLICKER in self.ids else 0
         return len(self.x) - self.n_nuisances - unlit
 
     @property
     def n_lit(self) -> int:
-        """How many frames have a level of the arc of their own."""
+        """The number of frames with an arc level of their own."""
         return int(np.count_nonzero(self.arc_ln))
 
     @property
     def sigmas(self) -> dict[str, dict[str, float]]:
-        """The effects' parameters' 1 sigma, the residuals' own spread taken for that of the noise.
+        """1 sigma of the effects' parameters, with the residuals' own spread as noise.
 
-        As if `quadratic.N_EFFECTIVE` of the residuals were independent: neighbours share the model's error.
+        Only `quadratic.N_EFFECTIVE` residuals count as independent: neighbours share the model's error.
         """
         prior = np.diag([1.0 / parameter.prior_sigma**2 for parameter in self.quadratic.parameters])
         information = self.quadratic.information.sum(axis=0) / self.quadratic.prior_weight
         covariance = np.linalg.pinv(information + prior)
-        sigma, found = np.sqrt(np.maximum(np.diag(covariance), 0.0)), {}
-        for name, at in _blocks(self.ids, self.n_nuisances, len(self.arc_ln)):
+        sigma, sigmas = np.sqrt(np.maximum(np.diag(covariance), 0.0)), {}
+        for name, block in _blocks(self.ids, self.n_nuisances, len(self.arc_ln)):
             if name == FLICKER:
                 sigma_rel = self.effects[name]["sigma_rel"]
-                found[name] = {"sigma_rel": sigma_rel / math.sqrt(2.0 * max(self.n_lit - 1, 1))}
+                sigmas[name] = {"sigma_rel": sigma_rel / math.sqrt(2.0 * max(self.n_lit - 1, 1))}
             else:
-                found[name] = _by_name(name, sigma[at])
-        return found
+                sigmas[name] = _parameters_by_name(name, sigma[block])
+        return sigmas
 
-    def at(self, x: Float64) -> tuple[Float64, dict[str, dict[str, float]], Change | None]:
-        """Return nuisances, effects and their change at other parameters (p,); frames' own levels stay."""
+    def split_parameters(self, x: Float64) -> tuple[Float64, dict[str, dict[str, float]], Trend | None]:
+        """Return nuisances, effects and trend at other parameters (p,); frames' own levels stay."""
         effects = {
-            name: self.effects[name] if name == FLICKER else _by_name(name, x[at])
-            for name, at in _blocks(self.ids, self.n_nuisances, len(self.arc_ln))
+            name: self.effects[name] if name == FLICKER else _parameters_by_name(name, x[block])
+            for name, block in _blocks(self.ids, self.n_nuisances, len(self.arc_ln))
         }
-        return x[: self.n_nuisances], effects, _change_at(self.change, x)
+        return x[: self.n_nuisances], effects, _trend_at(self.trend, x)
 
     @property
     def mean_square(self) -> float:
@@ -114,50 +114,50 @@ class Refit:
 
 
 def refit(
-    expected: Expected,
+    model: LinearizedModel,
     effects: Mapping[str, Values],
     nuisance: Float64,
-    steps: int = ITERATIONS,
-    change: Change | None = None,
+    steps: int = MAX_ITERATIONS,
+    trend: Trend | None = None,
 ) -> Refit:
-    """Fit nuisances (p,) and parameters of effects to all frames, from where they start.
+    """Fit nuisances (p,) and effects' parameters to all frames, from the values given.
 
-    One of the effects may `change` from frame to frame, by what is fitted too.
-    Light is rendered at the nuisances given and continued along the tangents; if an effect makes it be
-    rendered at every step anyway, at each step's own. With no `steps` it says what is left where it starts.
+    The `trend` of one of the effects is fitted too. Light is rendered at the nuisances given and extrapolated
+    along the tangents. If an effect must be rendered anyway, light is rendered at each step's own nuisances.
+    With no `steps` the fit is that of the values given.
     """
-    problem = _Problem(expected, tuple(effects), None if RENDERING & set(effects) else nuisance, change)
+    problem = _Problem(model, tuple(effects), None if RENDERED_EFFECTS & set(effects) else nuisance, trend)
     x = problem.start(effects, nuisance)
-    passed = problem.passed(x)
-    r = expected.residuals(passed)
-    J, is_taken = problem.jacobian(x, passed, r), True
-    damping = DAMPING
+    lights = problem.lights(x)
+    r = model.residuals(lights)
+    J, is_current = problem.jacobian(x, lights, r), True
+    damping = START_DAMPING
     for _ in range(steps):
         bound = huber_bound(r)
         quadratic = problem.quadratic(x, r, J, bound)
         weight = quadratic.prior_weight
         cost = problem.cost(x, r, bound, weight)
         gained = 0.0
-        while damping < DAMPED_MOST:
+        while damping < MAX_DAMPING:
             x_new = quadratic.solve(damping=damping)
-            passed_new = problem.passed(x_new)
-            r_new = expected.residuals(passed_new)
+            lights_new = problem.lights(x_new)
+            r_new = model.residuals(lights_new)
             new = problem.cost(x_new, r_new, bound, weight)
             if new < cost:
                 gained = (cost - new) / cost
-                J = followed(J, x_new - x, r_new - r)
-                x, r, passed = x_new, r_new, passed_new
-                damping = max(damping * EASED, LEAST_DAMPING)
+                J = broyden_update(J, x_new - x, r_new - r)
+                x, r, lights = x_new, r_new, lights_new
+                damping = max(damping * DAMPING_FACTOR, MIN_DAMPING)
                 break
-            damping /= EASED
-        if gained < SETTLED and is_taken:
+            damping /= DAMPING_FACTOR
+        if gained < CONVERGED_REL and is_current:
             break
-        # Derivatives of what is rendered anew are dear: they are followed as long as they lead on.
-        is_taken = gained < SETTLED or not problem.is_rendered
-        if is_taken:
-            J, damping = problem.jacobian(x, passed, r), min(damping, DAMPING)
-    if not is_taken:
-        J = problem.jacobian(x, passed, r)
+        # Derivatives that need rendering are expensive: they are updated as long as steps with them help.
+        is_current = gained < CONVERGED_REL or not problem.is_rendered
+        if is_current:
+            J, damping = problem.jacobian(x, lights, r), min(damping, START_DAMPING)
+    if not is_current:
+        J = problem.jacobian(x, lights, r)
     bound = huber_bound(r)
     return Refit(
         problem.ids,
@@ -169,18 +169,18 @@ def refit(
         J,
         huber_weights(r, bound),
         problem.quadratic(x, r, J, bound),
-        tuple(passed),
-        problem.change_at(x),
+        tuple(lights),
+        problem.trend_at(x),
     )
 
 
-def refit_from(expected: Expected, fitted: Refit, effects: Mapping[str, Values]) -> Refit:
-    """Fit effects from a fit's nuisances; one that changes there goes on changing if it is among them."""
-    return refit(expected, effects, fitted.nuisance, change=change_among(fitted.change, effects))
+def refit_from(model: LinearizedModel, fitted: Refit, effects: Mapping[str, Values]) -> Refit:
+    """Fit effects from a fit's nuisances, with the fit's trend if it is of one of them."""
+    return refit(model, effects, fitted.nuisance, trend=trend_among(fitted.trend, effects))
 
 
 def _blocks(ids: Sequence[str], n_nuisances: int, n_frames: int) -> Iterator[tuple[str, slice]]:
-    """Yield each effect with where in x stands what is fitted of it: its parameters, or frames' levels."""
+    """Yield each effect with the slice of x that holds its parameters, or the frames' levels."""
     start = n_nuisances
     for name in ids:
         end = start + (n_frames if name == FLICKER else len(REGISTRY[name].parameters))
@@ -188,41 +188,41 @@ def _blocks(ids: Sequence[str], n_nuisances: int, n_frames: int) -> Iterator[tup
         start = end
 
 
-def _change_at(change: Change | None, x: Float64) -> Change | None:
-    """Return a change by what stands for it at the end of parameters (p,)."""
-    return None if change is None else replace(change, by=tuple(x[-len(change.by) :].tolist()))
+def _trend_at(trend: Trend | None, x: Float64) -> Trend | None:
+    """Return a trend with the amplitudes at the end of parameters (p,)."""
+    return None if trend is None else replace(trend, amplitude=tuple(x[-len(trend.amplitude) :].tolist()))
 
 
-def _by_name(effect: str, values: Float64) -> dict[str, float]:
+def _parameters_by_name(effect: str, values: Float64) -> dict[str, float]:
     names = [parameter.name for parameter in REGISTRY[effect].parameters]
     return dict(zip(names, values.tolist(), strict=True))
 
 
-def settled(expected: Expected, fitted: Refit) -> Refit:
-    """Return a fit done again with light rendered, and its derivatives taken, where it came to."""
-    for _ in range(ROUNDS):
-        expected.take_tangents(fitted.nuisance, fitted.effects, fitted.change)
-        again = refit(expected, fitted.effects, fitted.nuisance, change=fitted.change)
-        if again.mean_square > (1.0 - WORTHWHILE) * fitted.mean_square:
+def converged(model: LinearizedModel, fitted: Refit) -> Refit:
+    """Return a fit after light and tangents have been rendered anew at its result, until it stays."""
+    for _ in range(MAX_RELINEARIZATIONS):
+        model.take_tangents(fitted.nuisance, fitted.effects, fitted.trend)
+        again = refit(model, fitted.effects, fitted.nuisance, trend=fitted.trend)
+        if again.mean_square > (1.0 - MIN_IMPROVEMENT_REL) * fitted.mean_square:
             return min(again, fitted, key=lambda fit: fit.mean_square)
         fitted = again
     return fitted
 
 
-def followed(J: Float64, step: Float64, change: Float64) -> Float64:
-    """Return derivatives (n, p) after a step (p,) that changed the residuals by `change` (n,).
+def broyden_update(J: Float64, step: Float64, residual_change: Float64) -> Float64:
+    """Return derivatives (n, p) after a step (p,) that changed the residuals by `residual_change` (n,).
 
-    Broyden's update (1965, Math. Comp. 19, 577), parameters counted in what moves the residuals alike.
+    Broyden's update (1965, Math. Comp. 19, 577), with parameters scaled so that all move the residuals alike.
     """
     size = np.linalg.norm(J, axis=0)
     weight = np.where(size > 0.0, size, 1.0) ** 2 * step
     length = float(step @ weight)
-    return J + np.outer(change - J @ step, weight / length) if length > 0.0 else J
+    return J + np.outer(residual_change - J @ step, weight / length) if length > 0.0 else J
 
 
 def huber_bound(r: Float64) -> float:
-    """Return Huber's bound for residuals (n,): it goes with their own spread."""
-    return HUBER * max(1.0, MAD_SIGMA * float(np.median(np.abs(r))))
+    """Return Huber's bound for residuals (n,), proportional to their own spread."""
+    return HUBER_SIGMAS * max(1.0, MAD_SIGMA * float(np.median(np.abs(r))))
 
 
 def huber_weights(r: Float64, bound: float) -> Float64:
@@ -232,104 +232,108 @@ def huber_weights(r: Float64, bound: float) -> Float64:
 
 @dataclass(frozen=True)
 class _Problem:
-    expected: Expected
+    model: LinearizedModel
     ids: tuple[str, ...]
     anchor: Float64 | None
-    change: Change | None
+    trend: Trend | None
 
     @property
     def is_rendered(self) -> bool:
-        return bool(RENDERING & set(self.ids))
+        return bool(RENDERED_EFFECTS & set(self.ids))
 
     @property
     def n_frames(self) -> int:
-        return len(self.expected.observed.frames)
+        return len(self.model.observed.frames)
 
     @cached_property
     def parameters(self) -> tuple[Parameter, ...]:
         of_effects = (p for name in self.ids for p in self._fitted_of(name))
-        of_change = () if self.change is None else self.change.parameters
-        return (*self.expected.nuisances, *of_effects, *of_change)
+        of_trend = () if self.trend is None else self.trend.parameters
+        return (*self.model.nuisances, *of_effects, *of_trend)
 
     @property
     def blocks(self) -> Iterator[tuple[str, slice]]:
-        return _blocks(self.ids, len(self.expected.nuisances), self.n_frames)
+        return _blocks(self.ids, len(self.model.nuisances), self.n_frames)
 
     def _fitted_of(self, name: str) -> tuple[Parameter, ...]:
-        """Return what is fitted of an effect: its parameters, but of the arc's flicker each frame's level.
+        """Return an effect's fitted parameters, with priors at the values that the setup states.
 
-        They are expected where the setup states them.
+        Those of the arc's flicker are the frames' levels.
         """
         if name != FLICKER:
-            stated = self.expected.stated(name)
-            return tuple(replace(of, start=stated[of.name]) for of in REGISTRY[name].parameters)
+            stated = self.model.stated_values(name)
+            return tuple(
+                replace(parameter, start=stated[parameter.name]) for parameter in REGISTRY[name].parameters
+            )
         return tuple(
-            Parameter(f"{OWN_LEVEL}{frame.position}", "", 0.0, LEVEL_SIGMA, -3.0, 3.0, 1e-3)
-            for frame in self.expected.observed.frames
+            Parameter(f"{FRAME_LEVEL}{frame.position}", "", 0.0, LEVEL_SIGMA, -3.0, 3.0, 1e-3)
+            for frame in self.model.observed.frames
         )
 
     def start(self, effects: Mapping[str, Values], nuisance: Float64) -> Float64:
         values = [
-            np.zeros(self.n_frames) if name == FLICKER else list(REGISTRY[name].complete(of).values())
-            for name, of in effects.items()
+            np.zeros(self.n_frames)
+            if name == FLICKER
+            else list(REGISTRY[name].complete(effect_values).values())
+            for name, effect_values in effects.items()
         ]
-        of_change = () if self.change is None else self.change.by
-        return within_bounds(self.parameters, np.concatenate([nuisance, *values, of_change]))
+        of_trend = () if self.trend is None else self.trend.amplitude
+        return within_bounds(self.parameters, np.concatenate([nuisance, *values, of_trend]))
 
     def effects(self, x: Float64) -> dict[str, dict[str, float]]:
         return {
             name: (
-                {"sigma_rel": flicker(self.expected, self.arc_ln(x))}
+                {"sigma_rel": flicker_sigma(self.model, self.arc_ln(x))}
                 if name == FLICKER
-                else _by_name(name, x[at])
+                else _parameters_by_name(name, x[block])
             )
-            for name, at in self.blocks
+            for name, block in self.blocks
         }
 
-    def change_at(self, x: Float64) -> Change | None:
-        """Return by how much an effect changes at parameters (p,)."""
-        return _change_at(self.change, x)
+    def trend_at(self, x: Float64) -> Trend | None:
+        """Return the trend at parameters (p,)."""
+        return _trend_at(self.trend, x)
 
     def arc_ln(self, x: Float64) -> Float64:
         """Return the arc's ln level of each frame (n_frames,), about their mean."""
-        levels = next((x[at] for name, at in self.blocks if name == FLICKER), None)
-        return np.zeros(self.n_frames) if levels is None else about_mean(self.expected) @ levels
+        levels = next((x[block] for name, block in self.blocks if name == FLICKER), None)
+        return np.zeros(self.n_frames) if levels is None else mean_removal(self.model) @ levels
 
-    def passed(self, x: Float64) -> list[Passed]:
-        """Return the light at parameters (p,): rendered at the anchor, moved on from there."""
-        m = len(self.expected.nuisances)
+    def lights(self, x: Float64) -> list[FrameLight]:
+        """Return the light at parameters (p,), rendered at the anchor and extrapolated from there."""
+        m = len(self.model.nuisances)
         anchor = x[:m] if self.anchor is None else self.anchor
-        passed = self.expected.passed(anchor, self.effects(x), self.change_at(x))
-        by = np.tile(x[:m] - anchor, (len(passed), 1))
+        lights = self.model.lights(anchor, self.effects(x), self.trend_at(x))
+        by = np.tile(x[:m] - anchor, (len(lights), 1))
         by[:, 0] += self.arc_ln(x)
-        frames = self.expected.observed.frames
-        return [self.expected.moved(*of) for of in zip(frames, passed, by, strict=True)]
+        frames = self.model.observed.frames
+        return [self.model.extrapolated(*parts) for parts in zip(frames, lights, by, strict=True)]
 
-    def jacobian(self, x: Float64, passed: list[Passed], r: Float64) -> Float64:
+    def jacobian(self, x: Float64, lights: list[FrameLight], r: Float64) -> Float64:
         """Return the derivatives (n, p) of the residuals r (n,) at x (p,)."""
-        columns = [self.expected.nuisance_columns(passed)]
-        for name, at in self.blocks:
+        columns = [self.model.nuisance_columns(lights)]
+        for name, block in self.blocks:
             if name == FLICKER:
-                columns.append(own_levels(self.expected, columns[0][:, 0]))
+                columns.append(frame_level_columns(self.model, columns[0][:, 0]))
             else:
-                columns += [self._column(x, r, i) for i in range(at.start, at.stop)]
-        if self.change is not None:
-            u, at = self.change.shares(self.expected.observed), dict(self.blocks)[self.change.effect]
-            columns.append(u[:, np.newaxis] * np.hstack(columns)[:, at])
+                columns += [self._column(x, r, i) for i in range(block.start, block.stop)]
+        if self.trend is not None:
+            u, block = self.trend.driver_positions(self.model.observed), dict(self.blocks)[self.trend.effect]
+            columns.append(u[:, np.newaxis] * np.hstack(columns)[:, block])
         return np.hstack(columns)
 
     def _column(self, x: Float64, r: Float64, i: int) -> Float64:
         parameter, moved = self.parameters[i], x.copy()
         moved[i] += -parameter.step if x[i] + parameter.step > parameter.upper else parameter.step
-        change = self.expected.residuals(self.passed(moved)) - r
+        change = self.model.residuals(self.lights(moved)) - r
         return np.asarray(change[:, np.newaxis] / (moved[i] - x[i]))
 
     def quadratic(self, x: Float64, r: Float64, J: Float64, bound: float) -> Quadratic:
         """Return the cost about x."""
-        return Quadratic.of(self.parameters, x, r, J, huber_weights(r, bound), self.expected.observed.counts)
+        return Quadratic.of(self.parameters, x, r, J, huber_weights(r, bound), self.model.observed.counts)
 
     def cost(self, x: Float64, r: Float64, bound: float, prior_weight: float) -> float:
-        """Return Huber's loss of residuals (n,) and the priors' pulls."""
+        """Return Huber's loss of residuals (n,) plus the priors' cost."""
         size = np.abs(r)
         of_data = np.sum(np.where(size > bound, 2.0 * bound * size - bound**2, size**2))
         starts = np.array([p.start for p in self.parameters])
@@ -337,24 +341,24 @@ class _Problem:
         return float(of_data + prior_weight * np.sum(((x - starts) / sigmas) ** 2))
 
 
-def about_mean(expected: Expected) -> Float64:
-    """Return the matrix (f, f) that takes the mean off frames that the arc lights, and all off the others.
+def mean_removal(model: LinearizedModel) -> Float64:
+    """Return the matrix (f, f) that subtracts the mean of lit frames from them, and sets the others to 0.
 
-    A level that all frames share is no flicker but a nuisance, and known within its tolerance.
+    A level that all frames share is no flicker: it is a nuisance, known within its tolerance.
     """
-    lit = expected.observed.lit
+    lit = model.observed.lit
     return np.diag(lit.astype(np.float64)) - np.outer(lit, lit) / max(int(lit.sum()), 1)
 
 
-def own_levels(expected: Expected, by_level: Float64) -> Float64:
-    """Return derivatives (n, f) by frames' own ln levels of the arc; those by all at once are (n,)."""
-    counts = expected.observed.counts
+def frame_level_columns(model: LinearizedModel, by_level: Float64) -> Float64:
+    """Return derivatives (n, f) with frames' own ln levels; `by_level` (n,) are those with all at once."""
+    counts = model.observed.counts
     frame = np.repeat(np.arange(len(counts)), counts)[:, np.newaxis]
-    return np.where(frame == np.arange(len(counts)), by_level[:, np.newaxis], 0.0) @ about_mean(expected)
+    return np.where(frame == np.arange(len(counts)), by_level[:, np.newaxis], 0.0) @ mean_removal(model)
 
 
-def flicker(expected: Expected, arc_ln: Float64) -> float:
+def flicker_sigma(model: LinearizedModel, arc_ln: Float64) -> float:
     """Return the relative standard deviation of the arc's output in the frames that show it."""
-    lit = expected.observed.lit
+    lit = model.observed.lit
     most = REGISTRY[FLICKER].parameters[0].upper
     return min(float(np.std(np.exp(arc_ln[lit]))), most) if lit.any() else 0.0

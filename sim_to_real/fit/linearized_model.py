@@ -1,4 +1,4 @@
-"""What the model expects of all frames of a recording, for nuisances and effects, and what is left of them.
+"""The forward model of all frames of a recording, linearized in the nuisances, and the residuals.
 
 Frames are rendered and passed through the effects at an anchor, the nuisances of the last fit; from there the
 bins that count are continued along the nuisances: levels multiply, the black level adds, and what moves
@@ -27,11 +27,11 @@ from noise_model.interreflection.model import BouncedLight, bounced_light
 from noise_model.setup import Setup
 from noise_model.surface.joint import BentSeam
 from noise_model.view import View
-from sim_to_real.data.binned import Observed, ObservedFrame, one_face
-from sim_to_real.fit.nuisances import N_CAMERA, N_LEVELS, SEAM_FROM, nuisances, really_lit, really_there
-from sim_to_real.fit.trend import Change, effects_in
-from tracker.seam.curve import MODES, SeamCurve
-from tracker.seam_observations import MOVING
+from sim_to_real.data.binned import Observed, ObservedFrame, on_one_face
+from sim_to_real.fit.nuisances import N_CAMERA, N_LEVELS, SEAM_FROM, apply_levels, apply_nuisances, nuisances
+from sim_to_real.fit.trend import Trend, effects_in_frame
+from tracker.seam.curve import N_MODES, SeamCurve
+from tracker.seam_observations import TRIANGULATION_EFFECTS
 
 Effects = Mapping[str, Values]
 
@@ -54,25 +54,25 @@ EDGE_SHARE, EDGE_E = 0.01, 2.0
 CHARGE_STEP_E = 1.0
 """Step of the derivative with charge."""
 
-MOST_FACTOR = 4.0
-"""No effect passes more of a unit of light, over what exposure and current are known to."""
+MAX_LIGHT_FACTOR = 4.0
+"""The largest factor by which an effect can change light, over what exposure and current do."""
 
-LEAST_STRAY_MM = 0.03
-"""A seam that strays less from its tangent is straight."""
+MIN_CHORD_DEVIATION_MM = 0.03
+"""A seam that departs less from its chord is straight."""
 
-SURE = 2.0
-"""So many sigmas of a fitted seam are believed when its bends are allowed for: a gap may have bent it."""
+MAX_SEAM_SIGMAS = 2.0
+"""A fitted seam's bends are believed up to so many sigmas: a gap may have bent it."""
 
-REMEMBERED = 8
-"""How often a recording's frames are kept as rendered."""
+N_CACHED = 8
+"""So many renderings of a recording's frames are cached."""
 
-RENDERING = frozenset(
+RENDERED_EFFECTS = frozenset(
     name for name, effect in REGISTRY.items() if effect.setup is not None or effect.stage is Stage.TIMING
 ) - {"gamma", "black_level", "read_noise", "defocus"}
-"""The effects that change what a pose shows before anything acts on the image."""
+"""The effects that need a new rendering."""
 
-BOUNCING = "interreflection"
-"""The effect whose light takes longer than all else together."""
+INTERREFLECTION = "interreflection"
+"""The effect whose light takes longest to compute."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -88,7 +88,7 @@ class Rendered:
 
 
 @dataclass(frozen=True, eq=False)
-class Passed:
+class FrameLight:
     """The light of a frame's bins that count (n,), e-, that has passed effects, lens and exposure.
 
     `arc_factor` and `laser_factor` (n,) are what became of one unit of the rendered light; `black_dn` comes
@@ -123,8 +123,8 @@ class Tangents:
     laser_e: Float32 | None
 
 
-class Expected:
-    """The model held against a recording: remembers what it has rendered.
+class LinearizedModel:
+    """The model of a recording's frames, with a cache of what it has rendered.
 
     It predicts `threads` frames at once: rendering lets go of the interpreter.
     """
@@ -142,66 +142,66 @@ class Expected:
         self._threads = threads
         self._executor = ThreadPoolExecutor(threads)
 
-    def take_tangents(self, anchor: Float64, effects: Effects, change: Change | None = None) -> None:
+    def take_tangents(self, anchor: Float64, effects: Effects, trend: Trend | None = None) -> None:
         """Take the derivatives of light about nuisances (p,) and effects."""
         setup = self.observed.setup
         self._tangents = self.over_frames(
-            lambda frame: self._tangents_of(frame, anchor, effects_in(effects, change, setup, frame))
+            lambda frame: self._tangents_of(frame, anchor, effects_in_frame(effects, trend, setup, frame))
         )
 
-    def allow_for_bends(self, nuisance: Float64, effects: Effects) -> None:
-        """Widen the noise of what the arc lights past edges that are taken to be straight and are not.
+    def widen_noise_for_bends(self, nuisance: Float64, effects: Effects) -> None:
+        """Widen the noise of bins that the arc lights past edges which the model takes to be straight.
 
         Half-way to the torch the seam strays from the chord, as an edge does whose far end lies twice as far
         beside. Half of what that would change is the model's 1 sigma.
         """
         self.take_noise(self.over_frames(lambda frame: self._with_bend(frame, nuisance, effects)))
 
-    def leave_out_edges(self, nuisance: Float64, effects: Effects) -> None:
-        """Leave out bins at the edges of faces as nuisances (p,) and effects put them."""
+    def mask_edges(self, nuisance: Float64, effects: Effects) -> None:
+        """Leave out bins at the edges of faces, for nuisances (p,) and effects."""
         self.take_noise(self.over_frames(lambda frame: self._off_edges(frame, nuisance, effects)))
 
-    def some(self, chosen: Bool) -> Expected:
-        """Return the same held against some of the frames (n_frames,), with what is known of those."""
-        fewer = Expected(self.observed.some(chosen), self._threads)
-        fewer._rays = self._rays
+    def subset(self, chosen: Bool) -> LinearizedModel:
+        """Return the model of some of the frames (n_frames,), with their part of the cache."""
+        subset = LinearizedModel(self.observed.subset(chosen), self._threads)
+        subset._rays = self._rays
         position = {old: new for new, old in enumerate(np.flatnonzero(chosen).tolist())}
         if self._tangents is not None:
-            fewer._tangents = [self._tangents[old] for old in position]
+            subset._tangents = [self._tangents[old] for old in position]
         for (old, anchor, effects), rendered in self._rendered.items():
             if old in position:
-                fewer._rendered[position[old], anchor, effects] = rendered
-        fewer._bounced = {position[old]: light for old, light in self._bounced.items() if old in position}
-        return fewer
+                subset._rendered[position[old], anchor, effects] = rendered
+        subset._bounced = {position[old]: light for old, light in self._bounced.items() if old in position}
+        return subset
 
     def take_noise(self, sigmas_dn: Sequence[Float64]) -> None:
-        """Take other noise of the bins that count, (n,) for each frame; inf leaves a bin out."""
+        """Set the noise of the bins that count, (n,) for each frame; inf leaves a bin out."""
         self.take_frames(
             replace(frame, sigma_dn=sigma_dn)
             for frame, sigma_dn in zip(self.observed.frames, sigmas_dn, strict=True)
         )
 
     def take_frames(self, frames: Iterable[ObservedFrame]) -> None:
-        """Take frames that show or weigh something else in the same bins, from the same poses."""
+        """Set other frames of the same poses and bins, with other images or noise."""
         self.observed = replace(self.observed, frames=tuple(frames))
 
     def _off_edges(self, frame: ObservedFrame, nuisance: Float64, effects: Effects) -> Float64:
         setup = apply_setup_effects(self._setup(effects, nuisance))
         seam = self.seam(frame, nuisance, effects)
         faces = look(setup, frame.T_base_tool_in(setup), seam, self._rays_of(setup.camera)).faces
-        return np.where(one_face(faces)[frame.keep], frame.sigma_dn, np.inf)
+        return np.where(on_one_face(faces)[frame.keep], frame.sigma_dn, np.inf)
 
     def _with_bend(self, frame: ObservedFrame, nuisance: Float64, effects: Effects) -> Float64:
         first, last, torch = frame.stations_mm
-        curve = self.curve(effects)
-        coefficients = np.clip(self.seam_coefficients(nuisance), -SURE, SURE)
-        strays = curve.strays_mm(coefficients, 0.5 * (first + last), torch)
-        if strays < LEAST_STRAY_MM or frame.condition.arc_level == 0.0:
+        curve = self.seam_curve(effects)
+        coefficients = np.clip(self.seam_coefficients(nuisance), -MAX_SEAM_SIGMAS, MAX_SEAM_SIGMAS)
+        deviation_mm = curve.chord_deviation_mm(coefficients, 0.5 * (first + last), torch)
+        if deviation_mm < MIN_CHORD_DEVIATION_MM or frame.condition.arc_level == 0.0:
             return frame.sigma_dn
         setup = apply_setup_effects(self._setup(effects, nuisance))
         T_base_tool = frame.T_base_tool_in(setup)
         seam = self.seam(frame, nuisance, effects)
-        light = [
+        arc_e = [
             look(
                 setup,
                 T_base_tool,
@@ -209,56 +209,58 @@ class Expected:
                 self._rays_of(setup.camera),
                 np.flatnonzero(frame.keep),
             ).arc_e
-            for beside in (0.0, 2.0 * strays, -2.0 * strays)
+            for beside in (0.0, 2.0 * deviation_mm, -2.0 * deviation_mm)
         ]
-        spread_e = 0.5 * np.maximum(np.abs(light[1] - light[0]), np.abs(light[2] - light[0]))
-        passed = self._passed(frame, setup, nuisance, effects)
-        spread_dn = passed.dn_per_e() * passed.arc_factor * spread_e
+        spread_e = 0.5 * np.maximum(np.abs(arc_e[1] - arc_e[0]), np.abs(arc_e[2] - arc_e[0]))
+        light = self._frame_light(frame, setup, nuisance, effects)
+        spread_dn = light.dn_per_e() * light.arc_factor * spread_e
         return np.asarray(np.hypot(frame.sigma_dn, spread_dn))
 
     def over_frames(self, of_frame: Callable[[ObservedFrame], Result]) -> list[Result]:
         """Return a function's result for each frame, in order."""
-        return list(self.at_once(of_frame, self.observed.frames))
+        return list(self.in_parallel(of_frame, self.observed.frames))
 
-    def at_once(
+    def in_parallel(
         self, of_frame: Callable[[ObservedFrame], Result], frames: Sequence[ObservedFrame]
     ) -> Iterator[Result]:
-        """Yield a function's result for each of some frames, in order; some are computed at once."""
+        """Yield a function's result for each of some frames, in order, computed in parallel."""
         return self._executor.map(of_frame, frames)
 
-    def passed(self, anchor: Float64, effects: Effects, change: Change | None = None) -> list[Passed]:
-        """Return what reaches the bins of each frame at nuisances (p,) and effects; one may change."""
+    def lights(self, anchor: Float64, effects: Effects, trend: Trend | None = None) -> list[FrameLight]:
+        """Return the light in the bins of each frame at nuisances (p,) and effects; one may have a trend."""
         true = apply_setup_effects(self._setup(effects, anchor))
 
-        def of_frame(frame: ObservedFrame) -> Passed:
-            if change is None:
-                return self._passed(frame, true, anchor, effects)
-            here = change.at(effects, self.observed.setup, frame)
-            return self._passed(frame, apply_setup_effects(self._setup(here, anchor)), anchor, here)
+        def of_frame(frame: ObservedFrame) -> FrameLight:
+            if trend is None:
+                return self._frame_light(frame, true, anchor, effects)
+            effects_here = trend.effects_in_frame(effects, self.observed.setup, frame)
+            return self._frame_light(
+                frame, apply_setup_effects(self._setup(effects_here, anchor)), anchor, effects_here
+            )
 
         # Here and not where frames are rendered: several of them are at work at once there.
-        for oldest in list(self._rendered)[: -REMEMBERED * len(self.observed.frames)]:
+        for oldest in list(self._rendered)[: -N_CACHED * len(self.observed.frames)]:
             del self._rendered[oldest]
         return self.over_frames(of_frame)
 
-    def stated(self, name: str) -> dict[str, float]:
+    def stated_values(self, name: str) -> dict[str, float]:
         """Return an effect's parameters as the setup states them, neutral if it does not."""
         return REGISTRY[name].complete(self.observed.setup.effects.get(name, {}))
 
-    def residuals(self, passed: Sequence[Passed]) -> Float64:
+    def residuals(self, lights: Sequence[FrameLight]) -> Float64:
         """Return the whitened residuals (n,) of all bins that count, frame after frame."""
         return np.concatenate(
             [
                 (frame.kept_dn - light.mean_dn()) / frame.sigma_dn
-                for frame, light in zip(self.observed.frames, passed, strict=True)
+                for frame, light in zip(self.observed.frames, lights, strict=True)
             ]
         )
 
-    def nuisance_columns(self, passed: Sequence[Passed]) -> Float64:
+    def nuisance_columns(self, lights: Sequence[FrameLight]) -> Float64:
         """Return the derivatives (n, p) of these residuals with the nuisances."""
         assert self._tangents is not None
         parts = []
-        for frame, light, tangents in zip(self.observed.frames, passed, self._tangents, strict=True):
+        for frame, light, tangents in zip(self.observed.frames, lights, self._tangents, strict=True):
             J = np.zeros((len(frame.sigma_dn), len(self.nuisances)))
             dn_per_e = light.dn_per_e()
             J[:, 0], J[:, 1], J[:, 2] = dn_per_e * light.arc_e, dn_per_e * light.laser_e, 1.0
@@ -271,23 +273,25 @@ class Expected:
 
     def seam(self, frame: ObservedFrame, nuisance: Float64, effects: Effects) -> BentSeam:
         """Return the seam that a frame sees as nuisances (p,) and effects say."""
-        return self.curve(effects).bent(self.seam_coefficients(nuisance), *frame.stations_mm)
+        return self.seam_curve(effects).bent(self.seam_coefficients(nuisance), *frame.stations_mm)
 
-    def curve(self, effects: Effects) -> SeamCurve:
-        """Return the seam as the tracker finds it if it knows of effects."""
-        key = tuple((name, tuple(effects[name].items())) for name in sorted(MOVING & set(effects)))
+    def seam_curve(self, effects: Effects) -> SeamCurve:
+        """Return the seam that a tracker with these effects in its setup finds."""
+        key = tuple(
+            (name, tuple(effects[name].items())) for name in sorted(TRIANGULATION_EFFECTS & set(effects))
+        )
         if key not in self._curves:
-            if len(self._curves) >= REMEMBERED:
+            if len(self._curves) >= N_CACHED:
                 self._curves = {}
             self._curves[key] = self.observed.seam_with(effects)
         return self._curves[key]
 
     def seam_coefficients(self, nuisance: Float64) -> Float64:
-        """Return those of the nuisances (p,) that say how the seam runs (m,)."""
+        """Return the seam's coefficients (m,) among the nuisances (p,)."""
         return nuisance[SEAM_FROM:]
 
-    def moved(self, frame: ObservedFrame, light: Passed, by: Float64) -> Passed:
-        """Return a frame's light with nuisances moved `by` (p,) from where it was rendered."""
+    def extrapolated(self, frame: ObservedFrame, light: FrameLight, by: Float64) -> FrameLight:
+        """Return a frame's light extrapolated by (p,) from the nuisances at which it was rendered."""
         if not by.any():
             return light
         levels = np.exp(by[:2]).astype(np.float32)
@@ -314,7 +318,7 @@ class Expected:
             name: _in_bins(REGISTRY[name], values, bin_px)
             for name, values in {**stated.effects, **effects}.items()
         }
-        return replace(really_there(stated, nuisance), effects=acting)
+        return replace(apply_nuisances(stated, nuisance), effects=acting)
 
     def _rays_of(self, camera: Camera) -> Rays:
         if camera.geometry not in self._rays:
@@ -323,7 +327,7 @@ class Expected:
 
     def _render(self, frame: ObservedFrame, anchor: Float64, effects: Effects) -> Rendered:
         rendering = tuple(
-            (name, tuple(values.values())) for name, values in effects.items() if name in RENDERING
+            (name, tuple(values.values())) for name, values in effects.items() if name in RENDERED_EFFECTS
         )
         key = (frame.position, anchor[N_LEVELS:].tobytes(), rendering)
         if key not in self._rendered:
@@ -341,21 +345,23 @@ class Expected:
             )
         return self._rendered[key]
 
-    def _passed(self, frame: ObservedFrame, true: Setup, anchor: Float64, effects: Effects) -> Passed:
+    def _frame_light(
+        self, frame: ObservedFrame, true: Setup, anchor: Float64, effects: Effects
+    ) -> FrameLight:
         rendered = self._render(frame, anchor, effects)
-        condition = apply_condition_effects(true, really_lit(frame.condition, anchor))
+        condition = apply_condition_effects(true, apply_levels(frame.condition, anchor))
         light = Light.of(
             np.float32(condition.arc_level) * rendered.arc_e,
             np.float32(condition.laser_level) * rendered.laser_e,
         )
         view = replace(rendered.view, setup=true)
-        if BOUNCING in effects:
+        if INTERREFLECTION in effects:
             # What bounces is smooth: where it was computed first it may stay, for all that nuisances move.
             self._bounced[frame.position] = bounced_light(view, self._bounced.get(frame.position))
         pass_on(true, light, view, condition)
         keep = frame.keep
         exposure = frame.condition.exposure_s / self.observed.setup.camera.exposure_s
-        return Passed(
+        return FrameLight(
             true.sensor,
             light.arc[keep],
             light.laser[keep],
@@ -384,31 +390,31 @@ class Expected:
         for name, step in SEAM_STEPS:
             steps.append((rendered(setup, _shifted(seam, name, step), stretch), step))
         for axis in ("y_mm", "z_mm"):
-            at = getattr(seam.ground, axis) + GROUND_STEP_MM
-            beside = replace(seam, ground=replace(seam.ground, **{axis: at}))
+            moved_mm = getattr(seam.ground, axis) + GROUND_STEP_MM
+            beside = replace(seam, ground=replace(seam.ground, **{axis: moved_mm}))
             steps.append((rendered(setup, beside, stretch), GROUND_STEP_MM))
         # A mode moves each pixel's own stretch of the seam, and turns it about its middle.
         stations = np.array([line.station_mm for line in seam.lines])
-        of_bins = stations[stretch]
-        curve = self.curve(effects)
-        modes = [curve.mode_at(n, of_bins) for n in range(curve.n_modes)]
+        stations_of_bins = stations[stretch]
+        curve = self.seam_curve(effects)
+        modes = [curve.mode_at(n, stations_of_bins) for n in range(curve.n_modes)]
         at_torch = [curve.mode_at(n, np.array(frame.stations_mm[2]))[0] for n in range(curve.n_modes)]
 
-        def of_source(light: Callable[[Layers], Float32]) -> Float32:
+        def slopes_of(light: Callable[[Layers], Float32]) -> Float32:
             by_step = [_slope(light(here), light(there), step) for there, step in steps]
             by_y, by_z, by_slope_y, by_slope_z, by_ground_y, by_ground_z = by_step[N_CAMERA:]
             by_mode = []
-            for n, (at, slope) in enumerate(modes):
-                is_y = n < MODES[0]
+            for n, (displacement, slope) in enumerate(modes):
+                is_y = n < N_MODES[0]
                 by_place, by_slope = (by_y, by_slope_y) if is_y else (by_z, by_slope_z)
                 by_ground = by_ground_y if is_y else by_ground_z
-                change = at.astype(np.float32) * by_place + slope.astype(np.float32) * by_slope
+                change = displacement.astype(np.float32) * by_place + slope.astype(np.float32) * by_slope
                 by_mode.append(change + np.float32(at_torch[n]) * by_ground)
             return np.stack([*by_step[:N_CAMERA], *by_mode])
 
         return Tangents(
-            of_source(lambda layers: layers.arc_e) if frame.condition.arc_level > 0.0 else None,
-            of_source(lambda layers: layers.laser_e) if frame.condition.laser_level > 0.0 else None,
+            slopes_of(lambda layers: layers.arc_e) if frame.condition.arc_level > 0.0 else None,
+            slopes_of(lambda layers: layers.laser_e) if frame.condition.laser_level > 0.0 else None,
         )
 
 
@@ -429,12 +435,12 @@ def _in_bins(effect: Effect, values: Values, bin_px: int) -> dict[str, float]:
 
 
 def _factor(passed_e: Float32, rendered_e: Float32, known: float) -> Float32:
-    """Return what became of a unit of light (n,); what comes from elsewhere to where it is dark is not it.
+    """Return the factor by which rendered light (n,) has changed; 0 where none was rendered.
 
     `known` is what exposure and level alone make of it.
     """
     with np.errstate(divide="ignore", invalid="ignore"):
-        factor = np.nan_to_num(np.clip(passed_e / rendered_e, 0.0, MOST_FACTOR * known))
+        factor = np.nan_to_num(np.clip(passed_e / rendered_e, 0.0, MAX_LIGHT_FACTOR * known))
     return np.asarray(factor, dtype=np.float32)
 
 

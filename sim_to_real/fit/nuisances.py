@@ -1,4 +1,4 @@
-"""The nuisances: what is off its nominal value in every recording, and no gap."""
+"""The nuisances: values that are off nominal in every recording and are no gap."""
 
 from __future__ import annotations
 
@@ -13,21 +13,21 @@ from noise_model.transforms import moved
 from sim_to_real.data.binned import Observed
 
 WITHIN_SIGMAS = 4.0
-"""So many tolerances a nuisance may be off; what lies beyond is a gap."""
+"""A nuisance may be off by so many tolerances; more is a gap."""
 
 N_LEVELS, N_CAMERA = 3, 6
 SEAM_FROM = N_LEVELS + N_CAMERA
 """The first nuisances are levels, then come those of the camera's pose and of the seam."""
 
-SEAM_WITHIN = 30.0
-"""How many of its sigmas a seam may lie from where the tracker sees it: finding it is the daily work."""
+SEAM_WITHIN_SIGMAS = 30.0
+"""A seam may lie so many of its sigmas from where the tracker sees it: finding the seam is daily work."""
 
 
 def nuisances(observed: Observed) -> tuple[Parameter, ...]:
-    """Return what is off its nominal value in every recording, and no gap.
+    """Return the parameters that are off nominal in every recording and are no gap.
 
-    Within their tolerance one arc level and one laser level for the whole recording, the black level and the
-    camera's pose; and how the seam runs besides what the tracker says.
+    They are one arc level and one laser level for the whole recording, the black level and the camera's pose,
+    each within its tolerance; and the seam's departure from where the tracker sees it.
     """
     tolerance = observed.setup.tolerance
     return (
@@ -37,20 +37,20 @@ def nuisances(observed: Observed) -> tuple[Parameter, ...]:
         *(_nuisance(f"rot_{axis}_deg", "deg", tolerance.hand_eye_deg, 3e-4) for axis in "xyz"),
         *(_nuisance(f"move_{axis}_mm", "mm", tolerance.hand_eye_mm, 5e-4) for axis in "xyz"),
         *(
-            Parameter(f"seam_{n}", "", 0.0, 1.0, -SEAM_WITHIN, SEAM_WITHIN, 0.05)
+            Parameter(f"seam_{n}", "", 0.0, 1.0, -SEAM_WITHIN_SIGMAS, SEAM_WITHIN_SIGMAS, 0.05)
             for n in range(observed.seam.n_modes)
         ),
     )
 
 
 def _nuisance(name: str, unit: str, sigma: float, step: float) -> Parameter:
-    # A tolerance of nought would leave no room for a derivative.
+    # A tolerance of 0 would leave no room for a derivative.
     sigma = max(sigma, 1e-6)
     reach = WITHIN_SIGMAS * sigma
     return Parameter(name, unit, 0.0, sigma, -reach, reach, min(step, 0.5 * reach))
 
 
-def really_there(stated: Setup, nuisance: Float64) -> Setup:
+def apply_nuisances(stated: Setup, nuisance: Float64) -> Setup:
     """Return the setup with camera and black level as nuisances (p,) say."""
     camera, sensor = stated.camera, stated.sensor
     T_tool_camera = moved(camera.T_tool_camera, nuisance[3:6], nuisance[6:9])
@@ -62,7 +62,7 @@ def really_there(stated: Setup, nuisance: Float64) -> Setup:
     )
 
 
-def really_lit(stated: Condition, nuisance: Float64) -> Condition:
+def apply_levels(stated: Condition, nuisance: Float64) -> Condition:
     """Return a condition with the levels as nuisances (p,) say."""
     arc, laser = math.exp(float(nuisance[0])), math.exp(float(nuisance[1]))
     return replace(stated, arc_level=arc * stated.arc_level, laser_level=laser * stated.laser_level)

@@ -1,4 +1,4 @@
-"""A fit's cost about its optimum as a quadratic of each frame: what any choice of frames would have found.
+"""A fit's cost about its optimum as a quadratic for each frame, so that any choice of frames can be fitted.
 
 With r the whitened residuals, J their derivatives and w Huber's weights, all at x_0, a frame's cost at x is
 
@@ -19,17 +19,17 @@ from noise_model.arrays import Bool, Float64, Int64
 from noise_model.fit import Parameter, within_bounds
 
 N_EFFECTIVE = 200.0
-"""How many residuals say something of their own: neighbours share the model's error.
+"""The effective number of independent residuals: neighbours share the model's error.
 
 Of 50 recordings without any effect by another renderer the likeliest gains 6 nats more than it costs in one
 and 3 at most in the others, about what the best of two dozen does by chance.
 """
 
-LEAST_WEIGHT = 1e-3
-"""The least weight of priors, where hardly anything is left."""
+MIN_PRIOR_WEIGHT = 1e-3
+"""The smallest weight of priors, where residuals are tiny."""
 
-RIDGE = 1e-9
-"""What is added to the information's diagonal, relative: directions that nothing sees stay where they are."""
+RIDGE_REL = 1e-9
+"""Relative ridge on the information's diagonal: directions that no residual constrains stay put."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -68,13 +68,13 @@ class Quadratic:
 
     @property
     def prior_weight(self) -> float:
-        """By how much priors count more than beside residuals that are independent and of unit variance.
+        """The weight of the priors' cost, relative to independent residuals of unit variance.
 
-        As if `N_EFFECTIVE` of them were independent and their scale that which is left: where a model is
-        still far off, what is known before keeps the parameters near.
+        Only `N_EFFECTIVE` residuals count as independent, and their variance is that which is left. So where
+        a model is still far off, the priors keep its parameters near.
         """
         n = float(self.counts.sum())
-        return max(float(self.chi2.sum()) / min(n, N_EFFECTIVE), LEAST_WEIGHT)
+        return max(float(self.chi2.sum()) / min(n, N_EFFECTIVE), MIN_PRIOR_WEIGHT)
 
     def solve(
         self,
@@ -82,10 +82,10 @@ class Quadratic:
         damping: float = 0.0,
         fixed: slice = slice(0),
     ) -> Float64:
-        """Return the parameters (p,) that frames and the priors like best.
+        """Return the parameters (p,) of least cost, the priors' included, within their bounds.
 
-        `frames` (n_frames,) are the chosen ones, all without them. `damping` adds so much of the
-        information's diagonal (Levenberg and Marquardt). Those that are `fixed` stay as they are at x.
+        `frames` (n_frames,) are the chosen ones; without them all count. `damping` is relative to the
+        information's diagonal (Levenberg and Marquardt). Parameters that are `fixed` stay as they are at x.
         """
         chosen = slice(None) if frames is None else frames
         A, b = self.information[chosen].sum(axis=0), self.gradient[chosen].sum(axis=0)
@@ -93,26 +93,26 @@ class Quadratic:
         starts = np.array([parameter.start for parameter in self.parameters])
         A = A + np.diag(prior)
         b = b - prior * (self.x - starts)
-        at = np.arange(len(b))[fixed]
-        A[at], A[:, at], A[at, at], b[at] = 0.0, 0.0, 1.0, 0.0
+        places = np.arange(len(b))[fixed]
+        A[places], A[:, places], A[places, places], b[places] = 0.0, 0.0, 1.0, 0.0
         scale = np.sqrt(np.maximum(np.diag(A), 1e-300))
-        scaled = A / np.outer(scale, scale) + (RIDGE + damping) * np.eye(len(b))
+        scaled = A / np.outer(scale, scale) + (RIDGE_REL + damping) * np.eye(len(b))
         factor = np.linalg.cholesky(scaled)
         lower = np.array([parameter.lower for parameter in self.parameters]) - self.x
         upper = np.array([parameter.upper for parameter in self.parameters]) - self.x
         target = np.linalg.solve(factor, b / scale)
-        free = np.linalg.solve(factor.T, target) / scale
-        if (free >= lower).all() and (free <= upper).all():
-            return within_bounds(self.parameters, self.x + free)
-        # A bound that x lies on may be missed by rounding: the solver wants room.
+        unbounded = np.linalg.solve(factor.T, target) / scale
+        if (unbounded >= lower).all() and (unbounded <= upper).all():
+            return within_bounds(self.parameters, self.x + unbounded)
+        # Rounding may put x just beyond a bound that it lies on: the solver needs room.
         low = np.minimum(lower, 0.0) * scale
         high = np.maximum(np.maximum(upper, 0.0) * scale, low + 1e-12 * scale)
-        found = lsq_linear(factor.T, target, (low, high), method="bvls")
-        # What lies on a bound must not lie beyond it by rounding: effects refuse such values.
-        return within_bounds(self.parameters, self.x + found.x / scale)
+        solution = lsq_linear(factor.T, target, (low, high), method="bvls")
+        # Rounding must not put a result beyond its bound: effects refuse such values.
+        return within_bounds(self.parameters, self.x + solution.x / scale)
 
     def summed(self) -> Quadratic:
-        """Return the same of all frames as if they were one."""
+        """Return the sum over all frames, as one frame."""
         return replace(
             self,
             information=self.information.sum(axis=0, keepdims=True),
@@ -121,8 +121,8 @@ class Quadratic:
             counts=self.counts.sum(keepdims=True),
         )
 
-    def only(self, kept: Int64) -> Quadratic:
-        """Return the same along some of the parameters, the others staying where they are."""
+    def restricted_to(self, kept: Int64) -> Quadratic:
+        """Return the cost along some of the parameters; the others stay at x."""
         return replace(
             self,
             parameters=tuple(self.parameters[i] for i in kept),
@@ -131,14 +131,14 @@ class Quadratic:
             gradient=self.gradient[:, kept],
         )
 
-    def about(self, x: Float64) -> Quadratic:
-        """Return the same about other parameters (p,)."""
+    def expanded_at(self, x: Float64) -> Quadratic:
+        """Return the same quadratic expanded about other parameters (p,)."""
         return replace(
             self, x=x, gradient=self.gradient - self.information @ (x - self.x), chi2=self.costs(x)
         )
 
     def without_bounds(self, freed: Bool) -> Quadratic:
-        """Return the same with no bounds for some of the parameters (p,)."""
+        """Return the same cost without bounds for some of the parameters (p,)."""
         free = [
             replace(parameter, lower=-np.inf, upper=np.inf) if is_free else parameter
             for parameter, is_free in zip(self.parameters, freed, strict=True)

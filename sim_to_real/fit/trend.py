@@ -1,7 +1,7 @@
-"""An effect whose size changes from frame to frame: along the weld, or with the torch's height over the seam.
+"""The trend of an effect whose size changes from frame to frame: with time, or with the torch's height.
 
-Its parameters are theta + u beta in a frame, u running from -1 to 1 over the recording: arc blow grows along
-a plate, fume gathers, and an arc is longer where the torch is higher.
+In a frame its parameters are theta + u beta; u runs from -1 to 1 over the recording. Arc blow grows along a
+plate, fume gathers, and an arc is longer where the torch is higher.
 """
 
 from __future__ import annotations
@@ -19,107 +19,112 @@ from noise_model.fit import Parameter
 from noise_model.setup import Setup
 from sim_to_real.data.binned import Observed, ObservedFrame
 
-CHANGING = ("arc_length", "arc_deflection", "arc_radius", "hot_metal_glow", "fume")
-"""The effects that a weld itself changes while it goes on."""
+TREND_EFFECTS = ("arc_length", "arc_deflection", "arc_radius", "hot_metal_glow", "fume")
+"""The effects that change in the course of a weld."""
 
-LEAST_RANGE = 1e-6
-"""What a driver's range is at least: what does not change drives nothing."""
+MIN_DRIVER_RANGE = 1e-6
+"""The smallest range of a driver."""
 
 
 class Driver(Enum):
-    """What an effect's size changes with."""
+    """The quantity that an effect's size changes with."""
 
     TIME = "time"
     HEIGHT = "the torch's height"
 
     @property
     def unit(self) -> str:
-        """The unit it is counted in."""
+        """The driver's unit."""
         return "s" if self is Driver.TIME else "mm"
 
 
 @dataclass(frozen=True)
-class Change:
-    """By how much an effect's parameters change, `by` (p,), while a driver goes from its `middle` by `half`.
+class Trend:
+    """The change of an effect's parameters, `amplitude` (p,), as a driver goes from `middle` by `half_range`.
 
-    Time is in s from the recording's first frame, the torch's height over the nominal seam in mm.
+    Time is in s from the recording's first frame, the torch's height is in mm above the nominal seam.
     """
 
     effect: str
     driver: Driver
     middle: float
-    half: float
-    by: tuple[float, ...]
+    half_range: float
+    amplitude: tuple[float, ...]
 
     @classmethod
-    def of(cls, observed: Observed, effect: str, driver: Driver) -> Change:
-        """Return no change yet, the driver's range being a recording's."""
-        driven = [_drives(observed.setup, driver, frame) for frame in observed.frames]
+    def of(cls, observed: Observed, effect: str, driver: Driver) -> Trend:
+        """Return a trend of amplitude 0 over the driver's range in a recording."""
+        driven = [_driver_value(observed.setup, driver, frame) for frame in observed.frames]
         low, high = min(driven), max(driven)
-        half = max(0.5 * (high - low), LEAST_RANGE)
+        half = max(0.5 * (high - low), MIN_DRIVER_RANGE)
         return cls(effect, driver, 0.5 * (low + high), half, (0.0,) * len(REGISTRY[effect].parameters))
 
     @property
     def parameters(self) -> tuple[Parameter, ...]:
-        """What is fitted of it: as wide a prior as the effect's own, and as far as its bounds are apart."""
+        """The fitted amplitudes: priors as wide as the effect's, bounds as far as its bounds are apart."""
         return tuple(
             Parameter(
-                f"{of.name}_by_{self.driver.name.lower()}",
-                of.unit,
+                f"{parameter.name}_by_{self.driver.name.lower()}",
+                parameter.unit,
                 0.0,
-                of.prior_sigma,
-                of.lower - of.upper,
-                of.upper - of.lower,
-                of.step,
+                parameter.prior_sigma,
+                parameter.lower - parameter.upper,
+                parameter.upper - parameter.lower,
+                parameter.step,
             )
-            for of in REGISTRY[self.effect].parameters
+            for parameter in REGISTRY[self.effect].parameters
         )
 
-    def share(self, setup: Setup, frame: ObservedFrame) -> float:
-        """Return u of a frame, about -1 to 1."""
-        return (_drives(setup, self.driver, frame) - self.middle) / self.half
+    def driver_position(self, setup: Setup, frame: ObservedFrame) -> float:
+        """Return the driver's position u in a frame, about -1 to 1."""
+        return (_driver_value(setup, self.driver, frame) - self.middle) / self.half_range
 
-    def shares(self, observed: Observed) -> Float64:
-        """Return u of each residual (n,)."""
-        of_frames = [self.share(observed.setup, frame) for frame in observed.frames]
-        return np.repeat(of_frames, observed.counts)
+    def driver_positions(self, observed: Observed) -> Float64:
+        """Return u for each residual (n,)."""
+        positions = [self.driver_position(observed.setup, frame) for frame in observed.frames]
+        return np.repeat(positions, observed.counts)
 
-    def at(self, effects: Mapping[str, Values], setup: Setup, frame: ObservedFrame) -> dict[str, Values]:
+    def effects_in_frame(
+        self, effects: Mapping[str, Values], setup: Setup, frame: ObservedFrame
+    ) -> dict[str, Values]:
         """Return effects as they are in a frame."""
-        return {**effects, self.effect: self.values(effects[self.effect], self.share(setup, frame))}
+        u = self.driver_position(setup, frame)
+        return {**effects, self.effect: self.values_at(effects[self.effect], u)}
 
-    def ends(self, middle: Values) -> tuple[dict[str, float], dict[str, float]]:
-        """Return the effect's parameters where the driver is least and most."""
-        return self.values(middle, -1.0), self.values(middle, 1.0)
+    def values_at_ends(self, middle: Values) -> tuple[dict[str, float], dict[str, float]]:
+        """Return the effect's parameters at the driver's smallest and largest value."""
+        return self.values_at(middle, -1.0), self.values_at(middle, 1.0)
 
-    def values(self, middle: Values, u: float) -> dict[str, float]:
+    def values_at(self, middle: Values, u: float) -> dict[str, float]:
         """Return the effect's parameters where the driver is at u, within their bounds."""
         return {
-            of.name: float(np.clip(middle[of.name] + u * by, of.lower, of.upper))
-            for of, by in zip(REGISTRY[self.effect].parameters, self.by, strict=True)
+            parameter.name: float(
+                np.clip(middle[parameter.name] + u * amplitude, parameter.lower, parameter.upper)
+            )
+            for parameter, amplitude in zip(REGISTRY[self.effect].parameters, self.amplitude, strict=True)
         }
 
 
-def effects_in(
-    effects: Mapping[str, Values], change: Change | None, setup: Setup, frame: ObservedFrame
+def effects_in_frame(
+    effects: Mapping[str, Values], trend: Trend | None, setup: Setup, frame: ObservedFrame
 ) -> Mapping[str, Values]:
-    """Return effects as they are in a frame, where one of them may change."""
-    return effects if change is None else change.at(effects, setup, frame)
+    """Return effects as they are in a frame; one of them may have a trend."""
+    return effects if trend is None else trend.effects_in_frame(effects, setup, frame)
 
 
-def change_among(change: Change | None, effects: Mapping[str, Values]) -> Change | None:
-    """Return a change if the effect that changes is among some."""
-    return change if change is not None and change.effect in effects else None
+def trend_among(trend: Trend | None, effects: Mapping[str, Values]) -> Trend | None:
+    """Return a trend if its effect is among some, else None."""
+    return trend if trend is not None and trend.effect in effects else None
 
 
-def ends_of(effects: Mapping[str, Values], change: Change | None) -> tuple[Mapping[str, Values], ...]:
-    """Return effects as they are at either end of a driver's range; as they are, if none changes."""
-    if change is None:
+def effects_at_ends(effects: Mapping[str, Values], trend: Trend | None) -> tuple[Mapping[str, Values], ...]:
+    """Return effects at both ends of a trend's driver; without a trend, the effects alone."""
+    if trend is None:
         return (effects,)
-    return tuple({**effects, change.effect: values} for values in change.ends(effects[change.effect]))
+    return tuple({**effects, trend.effect: values} for values in trend.values_at_ends(effects[trend.effect]))
 
 
-def _drives(setup: Setup, driver: Driver, frame: ObservedFrame) -> float:
+def _driver_value(setup: Setup, driver: Driver, frame: ObservedFrame) -> float:
     if driver is Driver.TIME:
         return frame.condition.timestamp_s
     return float(make_scene(setup, frame.pose_at(frame.timestamp_s)).T_joint_tool[2, 3])

@@ -1,4 +1,4 @@
-"""What may explain a residual: where each bin lies in the image, on the part and in time, and its light."""
+"""Covariates of a residual: each bin's place in the image, on the part and in time, and its light."""
 
 from __future__ import annotations
 
@@ -17,8 +17,8 @@ from noise_model.setup import Setup
 from noise_model.surface.joint import Section, corrugation_height
 from noise_model.view import View
 from sim_to_real.data.binned import STRATA, Observed, ObservedFrame
-from sim_to_real.fit.linearized_model import Expected, Passed
-from sim_to_real.fit.nuisances import really_there
+from sim_to_real.fit.linearized_model import FrameLight, LinearizedModel
+from sim_to_real.fit.nuisances import apply_nuisances
 
 UNITS: Mapping[str, str] = {
     "distance": "mm",
@@ -48,10 +48,10 @@ plate's plane; phi_r = 0 on the side opposite the arc. These four are NaN while 
 """
 
 VELOCITY_SPAN_S = 0.02
-"""Over what time a tool's velocity is taken."""
+"""The time over which a tool's velocity is measured."""
 
-LEAST_SPEED_MM_S = 0.2
-"""A tool that goes sideways more slowly goes neither way."""
+MIN_SPEED_MM_S = 0.2
+"""A tool that moves sideways more slowly counts as moving neither way."""
 
 
 PER_BIN = (
@@ -65,7 +65,7 @@ PER_BIN = (
     "predicted_dn",
     "tangents",
 )
-"""What `Covariates` holds for each bin, beside the values."""
+"""The arrays of `Covariates` with an entry for each bin, beside the values."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -103,7 +103,7 @@ class Covariates:
         """The predicted light of both sources (n,), DN."""
         return self.arc_dn + self.laser_dn
 
-    def at(self, chosen: Integers) -> Covariates:
+    def subset(self, chosen: Integers) -> Covariates:
         """Return some bins alone; `chosen` are their places among all."""
         arrays = {name: getattr(self, name)[chosen] for name in PER_BIN}
         values = {name: of_all[chosen] for name, of_all in self.values.items()}
@@ -129,13 +129,13 @@ class Fitted(Protocol):
         ...
 
     @property
-    def passed(self) -> Sequence[Passed]:
+    def lights(self) -> Sequence[FrameLight]:
         """The light of each frame."""
         ...
 
     @property
     def residuals(self) -> Float64:
-        """What is left (n,), over its noise."""
+        """The residuals over their noise (n,)."""
         ...
 
     @property
@@ -145,31 +145,31 @@ class Fitted(Protocol):
 
 
 @dataclass(frozen=True, eq=False)
-class Start:
-    """The model at its stated values, as a `Fitted`: no gap has pulled at its nuisances."""
+class NominalFit:
+    """The model at its stated values, as a `Fitted`: no gap has biased its nuisances."""
 
     nuisance: Float64
-    passed: tuple[Passed, ...]
+    lights: tuple[FrameLight, ...]
     residuals: Float64
     jacobian: Float64
 
     @classmethod
-    def of(cls, expected: Expected) -> Start:
-        """Hold the model against a recording; tangents must have been taken at the neutral nuisances."""
-        passed = expected.passed(expected.neutral, {})
-        residuals, jacobian = expected.residuals(passed), expected.nuisance_columns(passed)
-        return cls(expected.neutral, tuple(passed), residuals, jacobian)
+    def of(cls, model: LinearizedModel) -> NominalFit:
+        """Return the stated values' residuals; tangents must have been taken at the neutral nuisances."""
+        lights = model.lights(model.neutral, {})
+        residuals, jacobian = model.residuals(lights), model.nuisance_columns(lights)
+        return cls(model.neutral, tuple(lights), residuals, jacobian)
 
 
-def covariates(expected: Expected, fit: Fitted) -> Covariates:
+def covariates(model: LinearizedModel, fit: Fitted) -> Covariates:
     """Gather the covariates of every bin that counts, with the light and the nuisances of a fit."""
     anchor = fit.nuisance
-    observed = expected.observed
-    true = apply_setup_effects(really_there(observed.binned, anchor))
+    observed = model.observed
+    true = apply_setup_effects(apply_nuisances(observed.binned, anchor))
     rays = Rays.of(true.camera)
     parts = []
-    for frame, light in zip(observed.frames, fit.passed, strict=True):
-        seam = expected.seam(frame, anchor, {})
+    for frame, light in zip(observed.frames, fit.lights, strict=True):
+        seam = model.seam(frame, anchor, {})
         T_base_tool = frame.T_base_tool_in(true)
         bins = np.flatnonzero(frame.keep)
         view = View.of(true, T_base_tool, seam.middle, rays, bins, ground=seam.ground)
@@ -211,13 +211,13 @@ def covariates(expected: Expected, fit: Fitted) -> Covariates:
         joined("laser_dn"),
         joined("predicted_dn"),
         -fit.jacobian[:, : len(anchor)].astype(np.float32),
-        expected.nuisances,
+        model.nuisances,
         anchor,
     )
 
 
 def _of_surface(view: View) -> dict[str, Float64]:
-    """Return what the place on the part makes of arc and camera, (n,) each."""
+    """Return distances and angles between bins' places on the part, arc and camera, (n,) each."""
     points, normals, _ = view.surface
     to_center = view.scene.center_mm - points
     to_arc = to_center + np.array([0.0, 0.0, 0.5 * view.setup.arc.radius_mm])
@@ -282,9 +282,9 @@ def velocity_sign(frame: ObservedFrame, true: Setup) -> float:
     before, after = (frame.T_base_tool_in(true, by * VELOCITY_SPAN_S) for by in (-0.5, 0.5))
     step_base = after[:3, 3] - before[:3, 3]
     start, end = (np.asarray(point) for point in true.joint.seam_in_base_mm[:2])
-    left = np.cross(true.joint.surface_normal_in_base, end - start)
-    speed = float(step_base @ left / np.linalg.norm(left)) / VELOCITY_SPAN_S
-    return 0.0 if abs(speed) < LEAST_SPEED_MM_S else float(np.sign(speed))
+    left_base = np.cross(true.joint.surface_normal_in_base, end - start)
+    speed = float(step_base @ left_base / np.linalg.norm(left_base)) / VELOCITY_SPAN_S
+    return 0.0 if abs(speed) < MIN_SPEED_MM_S else float(np.sign(speed))
 
 
 def _of_image(observed: Observed, view: View) -> dict[str, Float64]:

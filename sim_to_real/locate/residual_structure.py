@@ -2,47 +2,52 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
-import cv2
 import numpy as np
 from scipy.ndimage import distance_transform_edt
 
 from noise_model.arrays import Bool, Float32, Float64, Int64, Integers
-from sim_to_real.data.binned import STRATA, THIN
+from sim_to_real.data.binned import STRATA, THINNING
 from sim_to_real.diagnosis import Curve, Where
 from sim_to_real.fit.gauss_newton import MAD_SIGMA
 from sim_to_real.locate.covariates import UNITS, Covariates
-from sim_to_real.locate.spline_term import FOLDS, FORMS, LEAST_EXCESS, HeldOut, folds_by_turn, hats, share
+from sim_to_real.locate.spline_term import (
+    MIN_EXCESS,
+    SPLINE_FOLDS,
+    SPLINE_FORMS,
+    CrossValidation,
+    excess_share,
+    folds_by_turn,
+    hat_basis,
+)
 
-GROUPS = 12
+N_GROUPS = 12
 """Groups of equally many bins along a covariate."""
 
-RESAMPLED, BAND = 300, (2.5, 97.5)
-"""How often frames are drawn anew for a band, and its ends, %."""
+N_BOOTSTRAP, BAND_PERCENT = 300, (2.5, 97.5)
+"""Bootstrap draws of frames for a band, and the band's ends, %."""
 
-SEED = 20240117
-"""Of those draws."""
+BOOTSTRAP_SEED = 20240117
+"""The seed of these draws."""
 
 IMAGE_FUNCTIONS = (("row", "row"), ("column", "column"), ("radial", "radius"))
-"""Patterns that are functions of one covariate."""
+"""Patterns in the image that are functions of one covariate."""
 
-CLEAR = 5.0
-"""By how many sigmas light must stand out for a ratio of it to be told."""
+MIN_LIGHT_SIGMAS = 5.0
+"""A ratio is formed only of light that stands out by so many sigmas."""
 
-SPARK = 5.0
-"""Beyond so many robust sigmas a difference between neighbours is a spark's."""
+SPARK_SIGMAS = 5.0
+"""Beyond so many robust sigmas a difference between neighbours is a spark."""
 
-LEAST_PAIRS = 200
-"""Of fewer pairs of neighbours nothing is told."""
-
-SMOOTHED_BINS = 3.0
-"""1 sigma of the Gaussian that smooths the image of residuals."""
+MIN_PAIRS = 200
+"""With fewer pairs of neighbours their noise is not measured."""
 
 
 def locate(covariates: Covariates, residuals: Float64, stage: str, z: Float32) -> Where:
-    """Return where whitened residuals (n,) lie; `stage` and `z` (H, W) are handed on, see `Where`."""
-    fit = HeldOut.of(covariates, residuals)
+    """Return where whitened residuals (n,) lie; `stage` and `z` (H, W) are passed on, see `Where`."""
+    fit = CrossValidation.of(covariates, residuals)
     curves = [curve_along(name, covariates, residuals, fit) for name in UNITS]
     return Where(
         stage,
@@ -60,18 +65,21 @@ def strata_gaps(covariates: Covariates, residuals: Float64) -> dict[str, float]:
     """
     chosen = {name: covariates.stratum == n for n, name in enumerate(STRATA)}
     chosen |= {"stripe_band": covariates.in_stripe, "rest": ~covariates.in_stripe}
-    return {
-        name: float(np.sqrt(max(np.mean(residuals[of] ** 2) - 1.0, 0.0))) if of.any() else float("nan")
-        for name, of in chosen.items()
-    }
+
+    def gap(members: Bool) -> float:
+        if not members.any():
+            return float("nan")
+        return math.sqrt(max(float(np.mean(residuals[members] ** 2)) - 1.0, 0.0))
+
+    return {name: gap(members) for name, members in chosen.items()}
 
 
-def curve_along(name: str, covariates: Covariates, residuals: Float64, fit: HeldOut) -> Curve:
+def curve_along(name: str, covariates: Covariates, residuals: Float64, fit: CrossValidation) -> Curve:
     """Return the residual along a covariate.
 
-    `r2` is the share of the excess over noise that a function of the covariate explains on frames that it was
-    not fitted to, be it that it adds DN or that it multiplies a source's light. Bands draw whole frames anew:
-    bins of one frame are not independent.
+    `r2` is the share of the excess over noise that a function of the covariate explains, on frames that it
+    was not fitted to. The function adds DN or multiplies a source's light, whichever explains more. Bands are
+    from a bootstrap of whole frames: bins of one frame are not independent.
     """
     group, centers = _groups(covariates.values[name])
     mean, low, high = banded_means(residuals, group, len(centers), covariates.frame)
@@ -80,11 +88,13 @@ def curve_along(name: str, covariates: Covariates, residuals: Float64, fit: Held
     return Curve(name, UNITS[name], r2, centers, mean, low, high, log_ratio)
 
 
-def _share_of(fit: HeldOut, name: str) -> float:
-    """Return the share of the excess that a function of a covariate explains, whichever way it acts."""
-    basis, of = hats(fit.covariates.values[name]), fit.covariates
-    gained = max(fit.gain(basis * (weight(of) / of.sigma_dn)[:, np.newaxis]) for _, weight in FORMS)
-    return fit.share(gained)
+def _share_of(fit: CrossValidation, name: str) -> float:
+    """Return the share of the excess that a function of a covariate explains, in the best of its forms."""
+    basis, chosen = hat_basis(fit.covariates.values[name]), fit.covariates
+    gained = max(
+        fit.gain(basis * (weight(chosen) / chosen.sigma_dn)[:, np.newaxis]) for _, weight in SPLINE_FORMS
+    )
+    return fit.excess_share(gained)
 
 
 def _groups(values: Float32) -> tuple[Int64, Float64]:
@@ -94,12 +104,12 @@ def _groups(values: Float32) -> tuple[Int64, Float64]:
     if not known.any():
         return group, np.empty(0)
     distinct = np.unique(values[known])
-    if len(distinct) <= GROUPS:
+    if len(distinct) <= N_GROUPS:
         group[known] = np.searchsorted(distinct, values[known])
         return group, distinct.astype(np.float64)
-    edges = np.unique(np.quantile(values[known], np.linspace(0.0, 1.0, GROUPS + 1)))
+    edges = np.unique(np.quantile(values[known], np.linspace(0.0, 1.0, N_GROUPS + 1)))
     group[known] = np.clip(np.searchsorted(edges, values[known], side="right") - 1, 0, len(edges) - 2)
-    # Values that many bins share may leave a group empty.
+    # Equal values of many bins may leave a group empty.
     filled, group[known] = np.unique(group[known], return_inverse=True)
     centers = [float(np.median(values[group == g])) for g in range(len(filled))]
     return group, np.array(centers)
@@ -121,20 +131,22 @@ def banded_means(
     sums = np.bincount(place, residuals[known], size).reshape(n_frames, n_groups)
     if n_frames == 0:
         return np.empty(0), np.empty(0), np.empty(0)
-    draws = np.random.default_rng(SEED).multinomial(n_frames, np.full(n_frames, 1.0 / n_frames), RESAMPLED)
+    draws = np.random.default_rng(BOOTSTRAP_SEED).multinomial(
+        n_frames, np.full(n_frames, 1.0 / n_frames), N_BOOTSTRAP
+    )
     drawn = draws @ counts
-    # A draw without the frames that see a group says nothing of it.
+    # A draw without the frames that see a group says nothing about it.
     means = np.where(drawn > 0.0, draws @ sums / np.maximum(drawn, 1.0), np.nan)
-    low, high = np.nanpercentile(means, BAND, axis=0)
+    low, high = np.nanpercentile(means, BAND_PERCENT, axis=0)
     return sums.sum(axis=0) / counts.sum(axis=0), low, high
 
 
 def _log_ratios(covariates: Covariates, residuals: Float64, group: Int64, n_groups: int) -> Float64:
     """Return the median of ln(recorded / predicted light) in groups (g,), NaN where it is dark."""
     light, noise = covariates.light_dn, covariates.sigma_dn
-    # The noise of what a streak hides is infinite, its residual nought.
+    # A bin hit by a streak has infinite noise and a residual of 0.
     recorded = light + np.where(np.isfinite(noise), residuals, 0.0) * np.nan_to_num(noise, posinf=0.0)
-    clear = (light > CLEAR * noise) & (recorded > CLEAR * noise)
+    clear = (light > MIN_LIGHT_SIGMAS * noise) & (recorded > MIN_LIGHT_SIGMAS * noise)
     log_ratio = np.log(np.where(clear, recorded / np.where(clear, light, 1.0), 1.0))
     medians = np.full(n_groups, np.nan)
     for g in range(n_groups):
@@ -144,22 +156,22 @@ def _log_ratios(covariates: Covariates, residuals: Float64, group: Int64, n_grou
     return medians
 
 
-def image_shares(covariates: Covariates, residuals: Float64, fit: HeldOut) -> dict[str, float]:
-    """Return which shares of the excess patterns of the image explain, on frames not used to find them.
+def image_shares(covariates: Covariates, residuals: Float64, fit: CrossValidation) -> dict[str, float]:
+    """Return the shares of the excess that patterns of the image explain, on frames not used to find them.
 
-    `row`, `column` and `radial` are functions of these; `mirrored` is the light at the place mirrored at the
-    image's middle, a ghost; `fixed` a number for each bin, the same in all frames, that adds or multiplies.
-    `stripe_band` is the share of the excess that lies in the stripe's band.
+    `row`, `column` and `radial` are functions of these. `mirrored` is the light at the place mirrored at the
+    image's middle, as of a ghost. `fixed` is a number for each bin, the same in all frames, that adds or
+    multiplies. `stripe_band` is the share of the excess that lies in the stripe's band.
     """
-    shares = {name: _share_of(fit, of) for name, of in IMAGE_FUNCTIONS}
+    shares = {name: _share_of(fit, covariate) for name, covariate in IMAGE_FUNCTIONS}
     ghost = (_mirrored(covariates) / covariates.sigma_dn)[fit.chosen, np.newaxis]
-    shares["mirrored"] = fit.share(fit.gain(ghost))
+    shares["mirrored"] = fit.excess_share(fit.gain(ghost))
     mean_square = float(np.mean(residuals**2))
-    one = 1.0 / covariates.sigma_dn
-    fixed = max(_fixed(covariates, residuals, weight) for weight in (one, covariates.light_dn * one))
-    shares["fixed"] = share(fixed, mean_square)
+    per_dn = 1.0 / covariates.sigma_dn
+    fixed = max(_fixed(covariates, residuals, weight) for weight in (per_dn, covariates.light_dn * per_dn))
+    shares["fixed"] = excess_share(fixed, mean_square)
     in_band = np.where(covariates.in_stripe, residuals**2 - 1.0, 0.0)
-    shares["stripe_band"] = share(float(np.mean(in_band)), mean_square)
+    shares["stripe_band"] = excess_share(float(np.mean(in_band)), mean_square)
     return shares
 
 
@@ -182,16 +194,16 @@ def filled(image: Float32) -> Float32:
 def _fixed(covariates: Covariates, residuals: Float64, weight: Float32) -> float:
     """Return by how much a number for each bin, learnt from other frames, lowers the mean square.
 
-    Each number is shrunk as if those of all bins were drawn from a normal distribution (James and Stein), its
-    variance what the training frames' squares exceed noise by.
+    Each number is shrunk with a normal prior for those of all bins (James and Stein). The prior's variance is
+    the excess of the training frames' squares over noise.
     """
     n_bins = covariates.shape[0] * covariates.shape[1]
     place = folds_by_turn(covariates) * n_bins + covariates.bins
-    size = FOLDS * n_bins
-    A = np.bincount(place, weight.astype(np.float64) ** 2, size).reshape(FOLDS, n_bins)
-    b = np.bincount(place, weight * residuals, size).reshape(FOLDS, n_bins)
+    size = SPLINE_FOLDS * n_bins
+    A = np.bincount(place, weight.astype(np.float64) ** 2, size).reshape(SPLINE_FOLDS, n_bins)
+    b = np.bincount(place, weight * residuals, size).reshape(SPLINE_FOLDS, n_bins)
     gained = 0.0
-    for k in range(FOLDS):
+    for k in range(SPLINE_FOLDS):
         train_A, train_b = A.sum(axis=0) - A[k], b.sum(axis=0) - b[k]
         seen = train_A > 0.0
         if not seen.any():
@@ -203,25 +215,11 @@ def _fixed(covariates: Covariates, residuals: Float64, weight: Float32) -> float
     return gained / len(residuals)
 
 
-def smoothed(covariates: Covariates, residuals: Float64, frames: Bool | None = None) -> Float32:
-    """Return the mean residual (h, w) over some frames (n_frames,), smoothed; bins that count are weighed.
-
-    A stripe's bins count as much as the thinned ones about it.
-    """
-    chosen = np.ones(len(residuals), dtype=bool) if frames is None else frames[covariates.frame]
-    weight = np.where(covariates.in_stripe, 1.0 / THIN**2, 1.0)[chosen]
-    bins, size = covariates.bins[chosen], covariates.shape[0] * covariates.shape[1]
-    total = np.bincount(bins, weight * residuals[chosen], size).reshape(covariates.shape)
-    weights = np.bincount(bins, weight, size).reshape(covariates.shape)
-    top, bottom = (cv2.GaussianBlur(image, (0, 0), SMOOTHED_BINS) for image in (total, weights))
-    return np.asarray(top / np.maximum(bottom, 1e-6), dtype=np.float32)
-
-
 @dataclass(frozen=True)
 class NoiseShares:
-    """Which shares of the excess are noise from bin to bin, in the stripe's band and in the rest, and sparks.
+    """The shares of the excess that are noise from bin to bin, in the stripe's band and the rest, and sparks.
 
-    Sparks are differences between neighbours beyond what their spread makes likely.
+    Sparks are differences between neighbours that are too large for their usual spread.
     """
 
     rest: float
@@ -230,21 +228,22 @@ class NoiseShares:
 
 
 def noise_shares(covariates: Covariates, residuals: Float64) -> NoiseShares:
-    """Return which shares of the excess neighbours do not have in common.
+    """Return the shares of the excess that neighbours do not have in common.
 
     Half the mean square of differences between neighbours is noise. Neighbours lie along rows or columns,
-    whichever have more in common: off the stripe `THIN` bins apart, else one. 0 where there are too few.
+    whichever differ less: off the stripe `THINNING` bins apart, else one. The share is 0 if there are too
+    few.
     """
-    at_least = LEAST_EXCESS * max(len(residuals), 1)
-    excess = max(float(np.sum(residuals**2 - 1.0)), at_least)
+    min_total = MIN_EXCESS * max(len(residuals), 1)
+    excess = max(float(np.sum(residuals**2 - 1.0)), min_total)
     noise, sparks = {False: 0.0, True: 0.0}, 0.0
-    for in_stripe, apart in ((False, THIN), (True, 1)):
+    for in_stripe, apart in ((False, THINNING), (True, 1)):
         differences = [_differences(covariates, residuals, in_stripe, apart, axis) for axis in (0, 1)]
-        told = [d for d in differences if len(d) >= LEAST_PAIRS]
+        told = [d for d in differences if len(d) >= MIN_PAIRS]
         if told:
             count = float(np.sum(covariates.in_stripe == in_stripe))
             d = min(told, key=lambda of_axis: float(np.mean(of_axis**2)))
-            usual = SPARK * max(1.0, MAD_SIGMA * float(np.median(np.abs(d))))
+            usual = SPARK_SIGMAS * max(1.0, MAD_SIGMA * float(np.median(np.abs(d))))
             steady = float(np.mean(np.minimum(np.abs(d), usual) ** 2))
             noise[in_stripe] = max(0.0, steady - 1.0) * count / excess
             sparks += (float(np.mean(d**2)) - steady) * count / excess
@@ -256,9 +255,9 @@ def _differences(
 ) -> Float64:
     """Return differences between neighbours along an axis over sqrt(2), in the stripe's band or the rest."""
     values = np.where(covariates.in_stripe == in_stripe, residuals, np.nan).astype(np.float32)
-    found = [np.empty(0, dtype=np.float32)]
+    parts = [np.empty(0, dtype=np.float32)]
     for frame in np.unique(covariates.frame):
         image = covariates.image(int(frame), values)
         ahead = image[apart:] - image[:-apart] if axis == 0 else image[:, apart:] - image[:, :-apart]
-        found.append(ahead[np.isfinite(ahead)])
-    return np.asarray(np.concatenate(found).astype(np.float64) / np.sqrt(2.0))
+        parts.append(ahead[np.isfinite(ahead)])
+    return np.asarray(np.concatenate(parts).astype(np.float64) / np.sqrt(2.0))

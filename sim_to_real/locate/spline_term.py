@@ -1,8 +1,8 @@
-"""The non-parametric term: how much of the gap a free function of one covariate, or of two, would close.
+"""The spline term: how much of the gap a free function of one covariate, or of two, would close.
 
-A function is piecewise linear between knots, so its coefficients are those of hats; it multiplies a source's
-light or adds to the image. Functions are fitted to some frames and scored on others, each time together with
-the nuisances: those of the fit that left the residuals were pulled by what it did not know of.
+A function is piecewise linear between knots: a sum of hat functions. It multiplies a source's light or adds
+to the image. Functions are fitted to some frames and scored on others. Nuisances may be fitted with them,
+since the gap has biased those of the fit that left the residuals.
 """
 
 from __future__ import annotations
@@ -19,48 +19,48 @@ from noise_model.arrays import Bool, Float32, Float64, Int64
 from sim_to_real.fit.gauss_newton import huber_bound, huber_weights
 from sim_to_real.locate.covariates import UNITS, Covariates
 
-KNOTS, KNOTS_OF_TWO = 9, (6, 7)
+N_KNOTS, N_KNOTS_2D = 9, (6, 7)
 """Knots of a function of one covariate, and of row and column."""
 
 VALUES_PER_KNOT = 3
-"""A covariate of few values gets a knot for so many of them: 24 frames' times are no smooth function."""
+"""A covariate with few distinct values gets one knot for so many of them, so that it stays smooth."""
 
-RIDGE = 1e-3
-"""What is added to the information's diagonal, relative: a knot that hardly a bin sees stays at nought."""
+KNOT_RIDGE_REL = 1e-3
+"""Relative ridge on the information's diagonal: a knot that hardly any bin sees stays at 0."""
 
-FOLDS = 4
-"""Into so many parts frames are put; each is predicted by the others."""
+SPLINE_FOLDS = 4
+"""Folds of frames; each is predicted from the others."""
 
-LEAST_EXCESS = 0.1
-"""Of a smaller excess of mean r^2 over 1 no shares are told: what the model may be off is as large."""
+MIN_EXCESS = 0.1
+"""Shares are of this excess of mean r^2 over 1 at least: the model's own error is as large."""
 
-EVERY = 4
-"""One bin of so many is used: neighbours say much the same."""
+SUBSAMPLE = 4
+"""One bin in so many is used: neighbours carry much the same information."""
 
-LEVERAGE = 3.0
-"""A bin that nuisances move by more than so many times the usual counts less: shadow edges are not linear."""
+MAX_LEVERAGE_RATIO = 3.0
+"""A bin that nuisances change by more than so many times the median counts less: edges are not linear."""
 
 BOUND_ROUNDS = 3
-"""How often nuisances beyond their bounds are put onto them before the rest is solved anew."""
+"""Rounds of setting nuisances to the bounds that they pass and solving for the others."""
 
-SEED = 4
-"""Of the choice of bins."""
+SUBSAMPLE_SEED = 4
+"""The seed of the choice of bins."""
 
 
 Weight = Callable[[Covariates], Float32]
 
-FORMS: tuple[tuple[str, Weight], ...] = (
+SPLINE_FORMS: tuple[tuple[str, Weight], ...] = (
     ("adds", lambda c: np.ones_like(c.sigma_dn)),
     ("times_arc", lambda c: c.arc_dn),
     ("times_laser", lambda c: c.laser_dn),
     ("times_light", lambda c: c.light_dn),
 )
-"""What a function may do: add DN, or multiply the arc's light, the laser's or both."""
+"""How a function acts: it adds DN, or multiplies the arc's light, the laser's or both."""
 
 
 @dataclass(frozen=True)
-class FreeTerm:
-    """A free function of `covariate`, how it acts (see `FORMS`), and which share of the gap it closes."""
+class SplineTerm:
+    """A free function of `covariate`, its form (see `SPLINE_FORMS`), and the share of the gap it closes."""
 
     covariate: str
     form: str
@@ -68,64 +68,63 @@ class FreeTerm:
 
     @property
     def name(self) -> str:
-        """What a report calls it."""
+        """Its name in a report."""
         return f"{self.covariate} {self.form}"
 
 
 def gap_size(covariates: Covariates, residuals: Float64, training: Bool) -> float:
-    """Return sqrt(mean r^2 - 1) of the frames that are none of the training frames (n_frames,); 0 for no gap.
+    """Return sqrt(mean r^2 - 1) of the frames that are no training frames (n_frames,); 0 for no gap.
 
-    What nuisances alone, fitted to the training frames' residuals, would take is taken off.
+    What nuisances alone, fitted to the training frames, would close is subtracted.
     """
-    return _size(_held(covariates, residuals, training))
+    return _size(_trained_on(covariates, residuals, training))
 
 
-def free_term(
+def spline_terms(
     covariates: Covariates, residuals: Float64, training: Bool, before: float
-) -> tuple[FreeTerm, ...]:
+) -> tuple[SplineTerm, ...]:
     """Return the free functions of each covariate, and of row and column, best first.
 
     They are fitted to the residuals (n,) of the training frames (n_frames,) and scored on the others:
-    `closed` is by how much they shrink the `gap_size` there, as a share of the size `before` anything was
-    named. None are told of a gap that is hardly one.
+    `closed` is by how much they shrink the `gap_size` there, over the size `before` any effect was fitted.
+    There are none if the gap is negligible.
     """
-    if before**2 < LEAST_EXCESS:
+    if before**2 < MIN_EXCESS:
         return ()
-    fit = _held(covariates, residuals, training)
-    chosen, left = fit.covariates, _size(fit)
+    fit = _trained_on(covariates, residuals, training)
+    chosen, size_left = fit.covariates, _size(fit)
     terms = []
-    for name, basis in functions(chosen):
-        for form, weight in FORMS:
+    for name, basis in basis_functions(chosen):
+        for form, weight in SPLINE_FORMS:
             after = _size(fit, fit.gain(basis * _column(chosen, weight)))
-            terms.append(FreeTerm(name, form, float(np.clip((left - after) / before, 0.0, 1.0))))
+            terms.append(SplineTerm(name, form, float(np.clip((size_left - after) / before, 0.0, 1.0))))
     return tuple(sorted(terms, key=lambda term: -term.closed))
 
 
-def _held(covariates: Covariates, residuals: Float64, training: Bool) -> HeldOut:
-    return HeldOut.of(covariates, residuals, np.where(training, 0, 1)[covariates.frame], scored=(1,))
+def _trained_on(covariates: Covariates, residuals: Float64, training: Bool) -> CrossValidation:
+    return CrossValidation.of(covariates, residuals, np.where(training, 0, 1)[covariates.frame], scored=(1,))
 
 
-def _size(fit: HeldOut, gained: float = 0.0) -> float:
-    """Return sqrt(mean r^2 - 1) where nuisances alone, and so much besides, lower the mean square."""
-    return math.sqrt(max(fit.mean_square - fit.alone - gained - 1.0, 0.0))
+def _size(fit: CrossValidation, gained: float = 0.0) -> float:
+    """Return sqrt(mean r^2 - 1) after the gain of nuisances alone and a further gain."""
+    return math.sqrt(max(fit.mean_square - fit.nuisance_gain - gained - 1.0, 0.0))
 
 
-def functions(covariates: Covariates) -> Iterator[tuple[str, Float32]]:
-    """Yield each covariate, and row and column together, with the hats of a function of it (n, k)."""
+def basis_functions(covariates: Covariates) -> Iterator[tuple[str, Float32]]:
+    """Yield each covariate, and row and column together, with the hat functions (n, k) of it."""
     for name in UNITS:
-        yield name, hats(covariates.values[name])
-    yield "row, column", hats_of_two(covariates)
+        yield name, hat_basis(covariates.values[name])
+    yield "row, column", hat_basis_2d(covariates)
 
 
 def _column(covariates: Covariates, weight: Weight) -> Float32:
     return np.asarray((weight(covariates) / covariates.sigma_dn)[:, np.newaxis])
 
 
-def hats(values: Float32, knots: int = KNOTS) -> Float32:
-    """Return the hat functions (n, k) of values (n,): between two knots they fall from 1 to 0.
+def hat_basis(values: Float32, knots: int = N_KNOTS) -> Float32:
+    """Return the hat functions (n, k) of values (n,): each falls from 1 at its knot to 0 at the next ones.
 
-    Knots lie so that equally many values lie between two of them; fewer where there are few different values.
-    A value that is NaN has no hat.
+    Knots lie at quantiles of the values; there are fewer for few distinct values. NaN belongs to no hat.
     """
     known = np.isfinite(values)
     distinct = np.unique(values[known])
@@ -137,51 +136,53 @@ def hats(values: Float32, knots: int = KNOTS) -> Float32:
     if len(places) < 2:
         return np.asarray(known, dtype=np.float32)[:, np.newaxis]
     X = np.zeros((len(values), len(places)), dtype=np.float32)
-    left = np.clip(np.searchsorted(places, values[known], side="right") - 1, 0, len(places) - 2)
-    share = np.clip((values[known] - places[left]) / np.diff(places)[left], 0.0, 1.0)
+    lower = np.clip(np.searchsorted(places, values[known], side="right") - 1, 0, len(places) - 2)
+    share = np.clip((values[known] - places[lower]) / np.diff(places)[lower], 0.0, 1.0)
     rows = np.flatnonzero(known)
-    X[rows, left], X[rows, left + 1] = 1.0 - share, share
+    X[rows, lower], X[rows, lower + 1] = 1.0 - share, share
     return X
 
 
-def hats_of_two(covariates: Covariates, knots: tuple[int, int] = KNOTS_OF_TWO) -> Float32:
+def hat_basis_2d(covariates: Covariates, knots: tuple[int, int] = N_KNOTS_2D) -> Float32:
     """Return products of hats of row and column (n, k): piecewise bilinear functions over the image."""
     of_row, of_column = (
-        hats(covariates.values[name], count) for name, count in zip(("row", "column"), knots, strict=True)
+        hat_basis(covariates.values[name], count)
+        for name, count in zip(("row", "column"), knots, strict=True)
     )
     product = of_row[:, :, np.newaxis] * of_column[:, np.newaxis, :]
     return np.asarray(product.reshape(len(product), -1))
 
 
 def folds_by_turn(covariates: Covariates) -> Int64:
-    """Return which fold, 0 to `FOLDS` - 1, each bin (n,) is in: a frame's.
+    """Return the fold, 0 to `SPLINE_FOLDS` - 1, of each bin (n,): that of its frame.
 
-    Each frame goes where fewest of its stratum are, and of such folds where none has gone for longest: frames
-    that cycle through the strata would by their number lie in one fold a stratum.
+    A frame goes into the fold with the fewest frames of its stratum; of several such folds, into the one that
+    has waited longest. Dealing frames out by their number could put all of a stratum into one fold.
     """
     frames, first = np.unique(covariates.frame, return_index=True)
-    counts, latest = Counter[tuple[int, int]](), [-1] * FOLDS
+    counts, latest = Counter[tuple[int, int]](), [-1] * SPLINE_FOLDS
     fold_of = np.zeros(len(frames), dtype=np.int64)
     for n, stratum in enumerate(covariates.stratum[first].tolist()):
-        fold = min(range(FOLDS), key=lambda k: (counts[k, stratum], latest[k], k))
+        fold = min(range(SPLINE_FOLDS), key=lambda k: (counts[k, stratum], latest[k], k))
         counts[fold, stratum] += 1
         latest[fold] = n
         fold_of[n] = fold
     return fold_of[np.searchsorted(frames, covariates.frame)]
 
 
-def share(gained: float, mean_square: float) -> float:
-    """Return which share, 0 to 1, of the excess of whitened residuals' mean square over 1 a gain in it is."""
-    excess = max(mean_square - 1.0, LEAST_EXCESS)
+def excess_share(gained: float, mean_square: float) -> float:
+    """Return a gain as a share, 0 to 1, of the excess of whitened residuals' mean square over 1."""
+    excess = max(mean_square - 1.0, MIN_EXCESS)
     return float(np.clip(gained / excess, 0.0, 1.0))
 
 
 @dataclass(frozen=True, eq=False)
-class HeldOut:
-    """Residuals of some bins, to be explained by designs on frames that these were not fitted to.
+class CrossValidation:
+    """Residuals of some bins, to be explained by designs on frames that the designs were not fitted to.
 
-    `chosen` are those bins' places among all, `covariates` theirs, `residuals` (n,) and `weights` (n,)
-    Huber's and those of leverage; `fold` (n,) are the parts, of which `scored` are predicted by the others.
+    `chosen` are the bins' places among all. `covariates`, `residuals` (n,), `weights` (n,), which are Huber's
+    and those of leverage, and `fold` (n,) are theirs. The folds in `scored` are predicted from the others.
+    Nuisances in `free` are limited neither by priors nor by bounds.
     """
 
     chosen: Int64
@@ -198,33 +199,35 @@ class HeldOut:
         covariates: Covariates,
         residuals: Float64,
         fold: Int64 | None = None,
-        scored: tuple[int, ...] = tuple(range(FOLDS)),
+        scored: tuple[int, ...] = tuple(range(SPLINE_FOLDS)),
         free: tuple[int, ...] = (),
-    ) -> HeldOut:
-        """Choose bins and weigh them; nuisances `free` are bound neither by priors nor by bounds."""
-        draw = np.random.default_rng(SEED)
-        chosen = np.flatnonzero(draw.random(len(residuals)) < 1.0 / EVERY)
-        of_chosen = covariates.at(chosen)
+    ) -> CrossValidation:
+        """Choose bins and weigh them."""
+        draw = np.random.default_rng(SUBSAMPLE_SEED)
+        chosen = np.flatnonzero(draw.random(len(residuals)) < 1.0 / SUBSAMPLE)
+        of_chosen = covariates.subset(chosen)
         fold = folds_by_turn(of_chosen) if fold is None else fold[chosen]
         r = residuals[chosen]
         weights = huber_weights(r, huber_bound(r))
         sigmas = np.array([p.prior_sigma for p in covariates.nuisances])
         moved = np.sqrt(np.sum((of_chosen.tangents * sigmas) ** 2, axis=1))
-        usual = LEVERAGE * max(1.0, float(np.median(moved))) if len(r) else 1.0
+        usual = MAX_LEVERAGE_RATIO * max(1.0, float(np.median(moved))) if len(r) else 1.0
         weights = weights * np.minimum(1.0, usual / np.maximum(moved, usual))
         return cls(chosen, of_chosen, r, weights, fold, scored, free)
 
     @property
     def total_weight(self) -> float:
-        """The sum of weights that are scored."""
+        """The sum of the scored bins' weights."""
         return float(np.sum(self.weights[np.isin(self.fold, self.scored)]))
 
     @property
     def mean_square(self) -> float:
         """The weighted mean of the scored residuals' squares; NaN without any."""
-        at = np.isin(self.fold, self.scored)
+        is_scored = np.isin(self.fold, self.scored)
         total = self.total_weight
-        return float(self.weights[at] @ self.residuals[at] ** 2) / total if total > 0.0 else float("nan")
+        if total <= 0.0:
+            return float("nan")
+        return float(self.weights[is_scored] @ self.residuals[is_scored] ** 2) / total
 
     def moments(self, X: Float32) -> tuple[Float64, Float64]:
         """Return X^T w X (folds, k, k) and X^T w r (folds, k) of each fold's rows of a design (n, k)."""
@@ -239,29 +242,32 @@ class HeldOut:
         return A, b
 
     @cached_property
-    def alone(self) -> float:
+    def nuisance_gain(self) -> float:
         """By how much nuisances alone lower the mean square; not < 0."""
-        return max(0.0, self.gain_of(*self.moments(self.covariates.tangents)))
+        return max(0.0, self.gain_from_moments(*self.moments(self.covariates.tangents)))
 
     def gain(self, X: Float32) -> float:
         """Return by how much a design (n, k) lowers the mean square beyond what nuisances alone do."""
-        return self.gain_of(*self.moments(np.hstack([self.covariates.tangents, X]))) - self.alone
+        return (
+            self.gain_from_moments(*self.moments(np.hstack([self.covariates.tangents, X])))
+            - self.nuisance_gain
+        )
 
-    def share(self, gained: float) -> float:
-        """Return which share, 0 to 1, of the excess that nuisances leave over noise such a gain is."""
-        return share(gained, self.mean_square - self.alone)
+    def excess_share(self, gained: float) -> float:
+        """Return a gain as a share, 0 to 1, of the excess over noise that nuisances alone leave."""
+        return excess_share(gained, self.mean_square - self.nuisance_gain)
 
-    def gain_of(self, A: Float64, b: Float64) -> float:
-        """Return by how much a design lowers the mean square, of these moments, nuisances first."""
+    def gain_from_moments(self, A: Float64, b: Float64) -> float:
+        """Return by how much a design with these moments lowers the mean square; nuisances come first."""
         all_A, all_b = A.sum(axis=0), b.sum(axis=0)
         gained = 0.0
         for k in self.scored:
-            c = self.solved(all_A - A[k], all_b - b[k])
+            c = self.coefficients(all_A - A[k], all_b - b[k])
             gained += float(2.0 * c @ b[k] - c @ A[k] @ c)
         return gained / max(self.total_weight, 1e-9)
 
-    def solved(self, A: Float64, b: Float64) -> Float64:
-        """Return the coefficients (k,) of these moments, nuisances first and within their bounds."""
+    def coefficients(self, A: Float64, b: Float64) -> Float64:
+        """Return the coefficients (k,) of a design with these moments, nuisances first, within bounds."""
         nuisances, free = self.covariates.nuisances, np.array(self.free, dtype=np.int64)
         p, x = len(nuisances), self.covariates.anchor
         prior = np.array([1.0 / parameter.prior_sigma**2 for parameter in nuisances])
@@ -269,7 +275,7 @@ class HeldOut:
         upper = np.array([parameter.upper for parameter in nuisances]) - x
         prior[free], lower[free], upper[free] = 0.0, -np.inf, np.inf
         diagonal = np.diag(A)
-        A = A + np.diag(np.concatenate([prior, RIDGE * diagonal[p:]]) + 1e-6 * diagonal + 1e-6)
+        A = A + np.diag(np.concatenate([prior, KNOT_RIDGE_REL * diagonal[p:]]) + 1e-6 * diagonal + 1e-6)
         b = b - np.concatenate([prior * x, np.zeros(len(b) - p)])
         c, fixed = np.zeros(len(b)), np.zeros(len(b), dtype=bool)
         for _ in range(BOUND_ROUNDS):

@@ -1,15 +1,15 @@
-"""The stage at which the residual becomes simplest.
+"""The stage at which the residual is simplest.
 
-Undo the sensor, the lens, the light: at the stage where the gap arises it is a function of few numbers of
-that stage's own coordinates, and at the others a complicated one. So each stage has forms that a gap of its
-own may take, each with few coefficients: the sensor a function of the grey level or of time; the lens
-factors over the image, stray light, a blur; a source its level frame by frame, its place; the surface
-functions of its angles, and its light's parts; the medium light that falls off about the arc, or sparks;
-geometry and timing the change of the image with the camera's pose, the plate's tilt, the clock. A form's
-share is what it explains of the gap on frames that it was not fitted to, nuisances fitted with it, less a
-little for each coefficient.
+At the stage where a gap arises it is a simple function of that stage's own coordinates; seen from another
+stage it is complicated. So each stage has forms that a gap of its own may take, each with few coefficients.
+The sensor's are functions of the grey level or of time; the lens' are factors over the image, stray light and
+a blur; a source's are its level in each frame and its place; the surface's are functions of its angles and
+the parts of its light; the medium's are light that falls off about the arc, and sparks. Geometry and timing
+have the change of the image with the camera's pose, the plate's tilt and the clock. A form's share is the
+part of the gap that it explains on frames that it was not fitted to, nuisances fitted with it, less a penalty
+for each coefficient.
 
-None of this looks into the catalogue of effects, so it stands where the catalogue ends.
+The catalogue of effects is not used here, so the stage is found even where no effect explains the gap.
 """
 
 from __future__ import annotations
@@ -30,34 +30,34 @@ from noise_model.setup import Setup
 from noise_model.surface.brdf import Material
 from noise_model.surface.joint import BentSeam, seam_frame
 from noise_model.transforms import invert, moved
-from sim_to_real.data.binned import THIN, ObservedFrame
-from sim_to_real.fit.linearized_model import Expected
-from sim_to_real.fit.nuisances import N_LEVELS, SEAM_FROM, really_there
+from sim_to_real.data.binned import THINNING, ObservedFrame
+from sim_to_real.fit.linearized_model import LinearizedModel
+from sim_to_real.fit.nuisances import N_LEVELS, SEAM_FROM, apply_nuisances
 from sim_to_real.locate.covariates import Covariates, Fitted
 from sim_to_real.locate.residual_structure import filled, noise_shares
-from sim_to_real.locate.spline_term import LEAST_EXCESS, HeldOut, hats, hats_of_two
+from sim_to_real.locate.spline_term import MIN_EXCESS, CrossValidation, hat_basis, hat_basis_2d
 
-PER_COEFFICIENT = 0.002
-"""What a form pays of its share for each coefficient: of two that explain the same the simpler is meant."""
+COEFFICIENT_PENALTY = 0.002
+"""The penalty on a form's share for each coefficient: of two that explain the same the simpler one wins."""
 
-LEVELS = (0, 1)
-"""Nuisances that are let go: that a lamp is brighter than stated says nothing of how its light is lost."""
+LEVEL_NUISANCES = (0, 1)
+"""The level nuisances, which are free here: a brighter lamp says nothing about how its light is lost."""
 
 DEFOCUS_BINS = 1.0
-"""1 sigma of the blur whose difference from the image stands for a wider point-spread function."""
+"""1 sigma of the blur that stands for a wider point-spread function."""
 
-BLOCKS, BLOCK_BINS = 4, 20
-"""A frame's level is told from all but one of so many parts, each of blocks so many bins wide."""
+N_BLOCKS, BLOCK_BINS = 4, 20
+"""A frame's level is fitted to all but one of so many parts, which consist of blocks so many bins wide."""
 
 
 Form = tuple[Stage, str, tuple[str, ...]]
 
-Found = list[tuple[Stage, str, float]]
+FormShares = list[tuple[Stage, str, float]]
 
 
 @dataclass(frozen=True)
 class StageShare:
-    """Which share of the gap, 0 to 1, the best form of a stage explains, and that form's name."""
+    """The share of the gap, 0 to 1, that the best form of a stage explains, and that form's name."""
 
     stage: str
     form: str
@@ -65,27 +65,30 @@ class StageShare:
 
 
 @dataclass(frozen=True)
-class Moved:
-    """What moves by a few numbers: which stage that belongs to, the steps of its tangents, its reach."""
+class Displacement:
+    """A displacement by a few numbers: its stage, the steps of its tangents, and its largest values."""
 
     stage: Stage
     steps: tuple[float, ...]
     reach: tuple[float, ...]
 
 
-MOVED: Mapping[str, Moved] = {
-    "place of the arc": Moved(Stage.SOURCE, (0.3, 0.3, 0.3, 0.15), (3.0, 3.0, 3.0, 0.7)),
-    "pose of the camera": Moved(Stage.GEOMETRY, (), (2.0, 2.0, 2.0, 2.5, 2.5, 2.5)),
-    "tilt of the plate": Moved(Stage.GEOMETRY, (0.7, 0.7), (6.0, 6.0)),
-    "clock": Moved(Stage.TIMING, (0.015,), (0.15,)),
+DISPLACEMENTS: Mapping[str, Displacement] = {
+    "place of the arc": Displacement(Stage.SOURCE, (0.3, 0.3, 0.3, 0.15), (3.0, 3.0, 3.0, 0.7)),
+    "pose of the camera": Displacement(Stage.GEOMETRY, (), (2.0, 2.0, 2.0, 2.5, 2.5, 2.5)),
+    "tilt of the plate": Displacement(Stage.GEOMETRY, (0.7, 0.7), (6.0, 6.0)),
+    "clock": Displacement(Stage.TIMING, (0.015,), (0.15,)),
 }
-"""What is rendered: the arc's centre (mm) and ln radius, the camera's turn (deg) and move (mm), roll and
-pitch (deg), the delay (s). The camera's tangents are those of its nuisances."""
+"""Displacements that are rendered: of the arc's centre (mm) and ln radius, the camera's rotation (deg) and
+translation (mm), the plate's roll and pitch (deg), the delay (s).
+
+The camera's tangents are its nuisances'.
+"""
 
 CAMERA_COLUMNS = slice(N_LEVELS, SEAM_FROM)
-"""Where the camera's pose is among the nuisances."""
+"""The place of the camera's pose among the nuisances."""
 
-FORMS: tuple[Form, ...] = (
+STAGE_FORMS: tuple[Form, ...] = (
     (Stage.SOURCE, "arc over the field", ("arc_radial",)),
     (Stage.SOURCE, "arc over time", ("arc_time",)),
     (Stage.SOURCE, "arc over current", ("arc_current",)),
@@ -115,60 +118,64 @@ FORMS: tuple[Form, ...] = (
 """The stages' forms that are linear in the columns named."""
 
 
-def stages(expected: Expected, fits: Sequence[tuple[Fitted, Covariates]]) -> tuple[StageShare, ...]:
+def stages(model: LinearizedModel, fits: Sequence[tuple[Fitted, Covariates]]) -> tuple[StageShare, ...]:
     """Return all stages, the one at which the residuals are simplest first.
 
-    Of several fits it is those of the one whose simplest form leaves least.
-
-    A large gap pulls the nuisances of a fit so far that nothing about it is simple: then the stated values
-    (`covariates.Start`) are nearer the truth. They are not where the seam or the camera is off.
+    Of several fits, the one whose simplest form leaves least counts. A large gap biases the nuisances of a
+    fit so far that no form is simple. Then the stated values (`covariates.NominalFit`) are nearer the truth,
+    unless the seam or the camera is off.
     """
-    return min((_explained(expected, *fit) for fit in fits), key=lambda explained: explained[1])[0]
+    return min((_stage_shares(model, *fit) for fit in fits), key=lambda explained: explained[1])[0]
 
 
-def _explained(
-    expected: Expected, fit: Fitted, covariates: Covariates
+def _stage_shares(
+    model: LinearizedModel, fit: Fitted, covariates: Covariates
 ) -> tuple[tuple[StageShare, ...], float]:
-    """Return all stages, and what the best form leaves of the excess of the mean square over noise."""
-    held = HeldOut.of(covariates, fit.residuals, free=LEVELS)
-    views = _Views(expected, fit, held)
-    columns = linear_columns(held.covariates, covariates, held.chosen, expected.observed.setup.camera)
+    """Return all stages, and the excess of the mean square over noise that the best form leaves."""
+    validation = CrossValidation.of(covariates, fit.residuals, free=LEVEL_NUISANCES)
+    views = _Views(model, fit, validation)
+    columns = linear_columns(
+        validation.covariates, covariates, validation.chosen, model.observed.setup.camera
+    )
     columns["parts"] = views.parts()
-    forms = list(FORMS)
+    forms = list(STAGE_FORMS)
     tangents = views.tangents()
-    for name, moving in MOVED.items():
+    for name, moving in DISPLACEMENTS.items():
         columns[name] = np.hstack([tangents[name], views.secant(name, tangents[name])])
         forms.append((moving.stage, name, (name,)))
-    found = ranked(
-        forms_explained(held, columns, forms) + unsmooth_explained(held, covariates, fit.residuals)
-    )
-    return found, max(held.mean_square - held.alone - 1.0, 0.0) * (1.0 - found[0].share)
+    smooth = form_shares(validation, columns, forms)
+    of_stages = ranked(smooth + nonsmooth_shares(validation, covariates, fit.residuals))
+    excess = max(validation.mean_square - validation.nuisance_gain - 1.0, 0.0)
+    return of_stages, excess * (1.0 - of_stages[0].share)
 
 
-def ranked(found: Found) -> tuple[StageShare, ...]:
-    """Return the best form of each stage, best stage first, shares held to 0 to 1."""
+def ranked(shares_of_forms: FormShares) -> tuple[StageShare, ...]:
+    """Return the best form of each stage, best stage first, with shares clipped to 0 to 1."""
     best: dict[Stage, tuple[str, float]] = {stage: ("", 0.0) for stage in Stage}
-    for stage, name, explained in found:
+    for stage, name, explained in shares_of_forms:
         if explained > best[stage][1]:
             best[stage] = (name, explained)
     shares = [StageShare(stage.value, name, min(1.0, value)) for stage, (name, value) in best.items()]
     return tuple(sorted(shares, key=lambda of_stage: -best[Stage(of_stage.stage)][1]))
 
 
-def forms_explained(held: HeldOut, columns: Mapping[str, Float32], forms: Sequence[Form]) -> Found:
-    """Return each form's share of the excess over noise beyond what nuisances explain."""
-    p = len(held.covariates.nuisances)
+def form_shares(
+    validation: CrossValidation, columns: Mapping[str, Float32], forms: Sequence[Form]
+) -> FormShares:
+    """Return each form's share of the excess over noise, beyond what nuisances explain."""
+    p = len(validation.covariates.nuisances)
     places, start = {}, p
     for name, of_name in columns.items():
         places[name] = np.arange(start, start + of_name.shape[1])
         start += of_name.shape[1]
-    A, b = held.moments(np.hstack([held.covariates.tangents, *columns.values()]))
-    found = []
+    A, b = validation.moments(np.hstack([validation.covariates.tangents, *columns.values()]))
+    shares = []
     for stage, name, used in forms:
-        at = np.concatenate([np.arange(p), *(places[column] for column in used)])
-        explained = held.share(held.gain_of(A[:, at[:, None], at], b[:, at]) - held.alone)
-        found.append((stage, name, explained - PER_COEFFICIENT * (len(at) - p)))
-    return found
+        places_used = np.concatenate([np.arange(p), *(places[column] for column in used)])
+        gained = validation.gain_from_moments(A[:, places_used[:, None], places_used], b[:, places_used])
+        explained = validation.excess_share(gained - validation.nuisance_gain)
+        shares.append((stage, name, explained - COEFFICIENT_PENALTY * (len(places_used) - p)))
+    return shares
 
 
 def linear_columns(
@@ -178,14 +185,14 @@ def linear_columns(
 
     What a lens spreads is spread over all bins.
     """
-    of, one = chosen.values, 1.0 / chosen.sigma_dn
-    arc, laser, light = chosen.arc_dn * one, chosen.laser_dn * one, chosen.light_dn * one
-    exposed = one * of["exposure"] / max(float(np.max(of["exposure"], initial=0.0)), 1e-9)
-    arc_level = exposed * of["current"] / max(float(np.max(of["current"], initial=0.0)), 1e-9)
-    lit = np.where(of["current"] > 0.0, exposed, 0.0)
-    rho2 = (of["radius"] / max(float(np.max(of["radius"], initial=0.0)), 1e-9)) ** 2
+    values, per_dn = chosen.values, 1.0 / chosen.sigma_dn
+    arc, laser, light = chosen.arc_dn * per_dn, chosen.laser_dn * per_dn, chosen.light_dn * per_dn
+    exposed = per_dn * values["exposure"] / max(float(np.max(values["exposure"], initial=0.0)), 1e-9)
+    arc_level = exposed * values["current"] / max(float(np.max(values["current"], initial=0.0)), 1e-9)
+    lit = np.where(values["current"] > 0.0, exposed, 0.0)
+    rho2 = (values["radius"] / max(float(np.max(values["radius"], initial=0.0)), 1e-9)) ** 2
     radial = np.column_stack([np.ones_like(rho2), rho2, rho2**2])
-    mean_light = _mean_light_dn(covariates)[chosen.frame] * one
+    mean_light = _mean_light_dn(covariates)[chosen.frame] * per_dn
 
     def times(basis: Float32, weight: Float32) -> Float32:
         return np.asarray(basis * weight[:, np.newaxis], dtype=np.float32)
@@ -194,31 +201,31 @@ def linear_columns(
         "arc_radial": times(radial, arc),
         "laser_radial": times(radial, laser),
         "light_radial": times(radial, light),
-        "arc_time": times(hats(of["time"], 4), arc),
-        "laser_time": times(hats(of["time"], 4), laser),
-        "light_time": times(hats(of["time"], 4), light),
-        "arc_current": times(hats(of["current"], 3), arc),
-        "laser_column": times(hats(of["column"], 5), laser),
-        "arc_half_angle": times(hats(of["half_angle"], 8), arc),
-        "arc_theta_i": times(hats(of["theta_i"], 5), arc),
-        "arc_theta_r": times(hats(of["theta_r"], 5), arc),
-        "arc_phi_r": times(hats(of["phi_r"], 5), arc),
-        "laser_theta_r": times(hats(of["theta_r"], 4), laser),
-        "add_concavity": times(hats(of["concavity"], 4), arc_level),
-        "add_distance": times(hats(of["distance"], 6), lit),
-        "add_arc_distance": times(hats(of["distance"], 6), arc_level),
-        "light_image": times(hats_of_two(chosen), light),
+        "arc_time": times(hat_basis(values["time"], 4), arc),
+        "laser_time": times(hat_basis(values["time"], 4), laser),
+        "light_time": times(hat_basis(values["time"], 4), light),
+        "arc_current": times(hat_basis(values["current"], 3), arc),
+        "laser_column": times(hat_basis(values["column"], 5), laser),
+        "arc_half_angle": times(hat_basis(values["half_angle"], 8), arc),
+        "arc_theta_i": times(hat_basis(values["theta_i"], 5), arc),
+        "arc_theta_r": times(hat_basis(values["theta_r"], 5), arc),
+        "arc_phi_r": times(hat_basis(values["phi_r"], 5), arc),
+        "laser_theta_r": times(hat_basis(values["theta_r"], 4), laser),
+        "add_concavity": times(hat_basis(values["concavity"], 4), arc_level),
+        "add_distance": times(hat_basis(values["distance"], 6), lit),
+        "add_arc_distance": times(hat_basis(values["distance"], 6), arc_level),
+        "light_image": times(hat_basis_2d(chosen), light),
         "mean_light": times(radial[:, :1], mean_light),
         "mean_light_radial": times(radial[:, :2], mean_light),
-        "blur": times(radial[:, :1], (_blurred_dn(covariates) - covariates.light_dn)[places] * one),
-        "add_gray_level": times(hats(of["gray_level"], 9), one),
+        "blur": times(radial[:, :1], (_blurred_dn(covariates) - covariates.light_dn)[places] * per_dn),
+        "add_gray_level": times(hat_basis(values["gray_level"], 9), per_dn),
         "distortion": _distortion(chosen, camera),
     }
 
 
 def _mean_light_dn(covariates: Covariates) -> Float32:
     """Return each frame's mean predicted light (n_frames,), DN, each part of the image counted alike."""
-    weight = np.where(covariates.in_stripe, 1.0 / THIN**2, 1.0)
+    weight = np.where(covariates.in_stripe, 1.0 / THINNING**2, 1.0)
     total = np.bincount(covariates.frame, weight * covariates.light_dn, covariates.n_frames)
     weights = np.bincount(covariates.frame, weight, covariates.n_frames)
     return np.asarray(total / np.maximum(weights, 1e-9), dtype=np.float32)
@@ -248,92 +255,96 @@ def _distortion(chosen: Covariates, camera: Camera) -> Float32:
     return np.asarray(columns / np.maximum(np.abs(columns).max(axis=0, initial=0.0), 1e-9), dtype=np.float32)
 
 
-def unsmooth_explained(held: HeldOut, covariates: Covariates, residuals: Float64) -> Found:
-    """Return the shares that no function of coordinates explains: levels of frames, lamps, noise, sparks."""
-    of = noise_shares(covariates, residuals)
-    noise = [(Stage.SENSOR, "noise", of.rest), (Stage.ILLUMINATION, "grain", of.stripe_band)]
-    return _levels_explained(held) + _lamps_explained(held) + [*noise, (Stage.MEDIUM, "sparks", of.sparks)]
+def nonsmooth_shares(validation: CrossValidation, covariates: Covariates, residuals: Float64) -> FormShares:
+    """Return the shares of forms that are no functions of coordinates: frame levels, lamps, noise, sparks."""
+    noise = noise_shares(covariates, residuals)
+    of_noise = [
+        (Stage.SENSOR, "noise", noise.rest),
+        (Stage.ILLUMINATION, "grain", noise.stripe_band),
+        (Stage.MEDIUM, "sparks", noise.sparks),
+    ]
+    return _frame_level_shares(validation) + _lamp_level_shares(validation) + of_noise
 
 
-def _levels_explained(held: HeldOut) -> Found:
-    """Return what a level for each frame explains on blocks of the frame that it was not told from."""
-    c = held.covariates
+def _frame_level_shares(validation: CrossValidation) -> FormShares:
+    """Return what a level for each frame explains, on blocks of the frame that it was not fitted to."""
+    c = validation.covariates
     rows, columns = np.divmod(c.bins, c.shape[1])
-    block = (rows // BLOCK_BINS + 3 * (columns // BLOCK_BINS)) % BLOCKS
-    place, size = c.frame * BLOCKS + block, c.n_frames * BLOCKS
-    found = []
+    block = (rows // BLOCK_BINS + 3 * (columns // BLOCK_BINS)) % N_BLOCKS
+    place, size = c.frame * N_BLOCKS + block, c.n_frames * N_BLOCKS
+    shares = []
     for stage, name, light_dn in (
         (Stage.SOURCE, "arc's level of each frame", c.arc_dn),
         (Stage.ILLUMINATION, "laser's level of each frame", c.laser_dn),
         (Stage.SENSOR, "level of each frame", c.light_dn),
     ):
         column = light_dn / c.sigma_dn
-        squares = np.bincount(place, held.weights * column**2, size).reshape(-1, BLOCKS)
-        products = np.bincount(place, held.weights * column * held.residuals, size).reshape(-1, BLOCKS)
+        squares = np.bincount(place, validation.weights * column**2, size).reshape(-1, N_BLOCKS)
+        weighted = validation.weights * column * validation.residuals
+        products = np.bincount(place, weighted, size).reshape(-1, N_BLOCKS)
         others = squares.sum(axis=1, keepdims=True) - squares
         level = (products.sum(axis=1, keepdims=True) - products) / np.maximum(others, 1e-6)
-        gained = float(np.sum(2.0 * level * products - level**2 * squares)) / max(held.total_weight, 1e-9)
-        explained = held.share(gained - held.alone)
-        found.append((stage, name, explained - PER_COEFFICIENT))
-    return found
+        gained = float(np.sum(2.0 * level * products - level**2 * squares))
+        gained /= max(validation.total_weight, 1e-9)
+        explained = validation.excess_share(gained - validation.nuisance_gain)
+        shares.append((stage, name, explained - COEFFICIENT_PENALTY))
+    return shares
 
 
-def _lamps_explained(held: HeldOut) -> Found:
-    """Return what a lamp's output beyond its tolerance explains, if that leaves nothing else to explain."""
-    if held.mean_square - held.alone - 1.0 > LEAST_EXCESS:
+def _lamp_level_shares(validation: CrossValidation) -> FormShares:
+    """Return what a lamp's output beyond its tolerance explains, if it leaves nothing else to explain."""
+    if validation.mean_square - validation.nuisance_gain - 1.0 > MIN_EXCESS:
         return []
-    bound = replace(held, free=())
-    return [
-        (stage, name, bound.share(replace(held, free=(level,)).alone - bound.alone))
-        for stage, name, level in (
-            (Stage.SOURCE, "arc's output", LEVELS[0]),
-            (Stage.ILLUMINATION, "laser's output", LEVELS[1]),
-        )
-    ]
+    bound = replace(validation, free=())
+    arc, laser = (
+        bound.excess_share(replace(validation, free=(level,)).nuisance_gain - bound.nuisance_gain)
+        for level in LEVEL_NUISANCES
+    )
+    return [(Stage.SOURCE, "arc's output", arc), (Stage.ILLUMINATION, "laser's output", laser)]
 
 
 @dataclass(frozen=True, eq=False)
 class _Views:
-    """The chosen bins rendered anew with something moved."""
+    """The chosen bins rendered anew with something displaced."""
 
-    expected: Expected
+    model: LinearizedModel
     fit: Fitted
-    held: HeldOut
+    validation: CrossValidation
 
     @property
     def stated(self) -> Setup:
-        # Effects of a fit are left where they are: what is asked is how light changes.
-        return really_there(self.expected.observed.binned, self.fit.nuisance)
+        # The fit's effects do not matter here: only the change of light does.
+        return apply_nuisances(self.model.observed.binned, self.fit.nuisance)
 
     def parts(self) -> Float32:
         """Return the diffuse part of arc and laser, and the arc's lobe as a function of the half angle."""
         material = self.stated.material
-        of = self.held.covariates
+        covariates = self.validation.covariates
         if not material.kappa_diff > 0.0:
-            return np.zeros((len(of.frame), 1), dtype=np.float32)
+            return np.zeros((len(covariates.frame), 1), dtype=np.float32)
         dull = Material(material.name, material.kappa_diff, 0.0, material.c2)
         arc, laser = self._light(apply_setup_effects(replace(self.stated, material=dull)))
-        by_angle = hats(of.values["half_angle"], 6) * (self._here[0] - arc)[:, np.newaxis]
+        by_angle = hat_basis(covariates.values["half_angle"], 6) * (self._here[0] - arc)[:, np.newaxis]
         return np.column_stack([arc, laser, by_angle]).astype(np.float32)
 
     def tangents(self) -> dict[str, Float32]:
-        """Return how whitened light (n, k) changes for one unit of what moves."""
-        found = {"pose of the camera": self.held.covariates.tangents[:, CAMERA_COLUMNS]}
-        for name, moving in MOVED.items():
+        """Return the change of whitened light (n, k) for one unit of each displacement."""
+        columns = {"pose of the camera": self.validation.covariates.tangents[:, CAMERA_COLUMNS]}
+        for name, moving in DISPLACEMENTS.items():
             if moving.steps:
                 by = [
                     self._change(name, step * axis) / step
                     for step, axis in zip(moving.steps, np.eye(len(moving.steps)), strict=True)
                 ]
-                found[name] = np.column_stack(by).astype(np.float32)
-        return found
+                columns[name] = np.column_stack(by).astype(np.float32)
+        return columns
 
     def secant(self, name: str, tangents: Float32) -> Float32:
-        """Return how whitened light (n, 1) changes to where the tangents point: there it bends with it."""
-        held = self.held
-        A, b = held.moments(np.hstack([held.covariates.tangents, tangents]))
-        by = held.solved(A.sum(axis=0), b.sum(axis=0))[len(held.covariates.nuisances) :]
-        reach = np.array(MOVED[name].reach)
+        """Return the change of whitened light (n, 1) for the displacement that fits best by its tangents."""
+        validation = self.validation
+        A, b = validation.moments(np.hstack([validation.covariates.tangents, tangents]))
+        by = validation.coefficients(A.sum(axis=0), b.sum(axis=0))[len(validation.covariates.nuisances) :]
+        reach = np.array(DISPLACEMENTS[name].reach)
         return self._change(name, np.clip(by, -reach, reach))[:, np.newaxis].astype(np.float32)
 
     @cached_property
@@ -365,18 +376,18 @@ class _Views:
 
         The seam runs straight as in the middle of the view: that is enough for what light changes by.
         """
-        held, rays = self.held, Rays.of(true.camera)
-        starts = np.cumsum([0, *self.expected.observed.counts])
+        validation, rays = self.validation, Rays.of(true.camera)
+        starts = np.cumsum([0, *self.model.observed.counts])
 
         def of_frame(frame: ObservedFrame) -> tuple[Float32, Float32]:
-            first, last = np.searchsorted(held.chosen, starts[frame.position : frame.position + 2])
-            place = held.chosen[first:last] - starts[frame.position]
-            passed = self.fit.passed[frame.position]
+            first, last = np.searchsorted(validation.chosen, starts[frame.position : frame.position + 2])
+            place = validation.chosen[first:last] - starts[frame.position]
+            passed = self.fit.lights[frame.position]
             condition = frame.condition
             dark = np.zeros(len(place), dtype=np.float32)
             if condition.arc_level == 0.0 and condition.laser_level == 0.0:
                 return dark, dark
-            seam = self.expected.seam(frame, self.fit.nuisance, {})
+            seam = self.model.seam(frame, self.fit.nuisance, {})
             seam = BentSeam((seam.middle,), seam.ground)
             T_base_tool = frame.T_base_tool_in(true, delay_s)
             T_base_tool = T_base_tool if T_plate_base is None else T_plate_base @ T_base_tool
@@ -389,5 +400,5 @@ class _Views:
                 else dark,
             )
 
-        lights = self.expected.over_frames(of_frame)
+        lights = self.model.over_frames(of_frame)
         return np.concatenate([arc for arc, _ in lights]), np.concatenate([laser for _, laser in lights])

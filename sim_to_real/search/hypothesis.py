@@ -1,9 +1,9 @@
-"""Effects that were fitted together, and how much speaks for them: frames that were held out, and the price.
+"""A hypothesis: effects that were fitted together, with the evidence for them.
 
-A candidate's score is the mean square R of the residuals in frames that its fit did not see. As if
-N_EFFECTIVE residuals were independent and of unknown scale, their likelihood is R^(-N_EFFECTIVE / 2), and
-a parameter costs what it costs in Schwarz's criterion (1978, Ann. Statist. 6, 461): neighbouring bins share
-the model's error, so the number of bins says nothing about how sure one may be.
+The score of a hypothesis is the mean square R of the residuals in frames that its fit did not see. The
+likelihood is R^(-N_EFFECTIVE / 2), that of N_EFFECTIVE independent residuals of unknown scale. Each parameter
+costs what it does in Schwarz's criterion (BIC; 1978, Ann. Statist. 6, 461). The number of bins does not
+enter: neighbouring bins share the model's error.
 """
 
 from __future__ import annotations
@@ -16,61 +16,68 @@ from functools import cached_property
 import numpy as np
 
 from noise_model.arrays import Float64
-from sim_to_real.data.cross_validation import folds, sees_as_much
-from sim_to_real.fit.gauss_newton import FLICKER, NAMED_FROM, Refit, huber_weights
-from sim_to_real.fit.linearized_model import Expected
+from sim_to_real.data.cross_validation import folds, shows_same_sources
+from sim_to_real.fit.gauss_newton import FLICKER, MIN_EVIDENCE_NATS, Refit, huber_weights
+from sim_to_real.fit.linearized_model import LinearizedModel
 from sim_to_real.fit.nuisances import SEAM_FROM
 from sim_to_real.fit.quadratic import N_EFFECTIVE, Quadratic
 
-JUDGED_WITHIN = 10.0
-"""Residuals beyond so many sigmas count as if they were that large: a streak is no more than a streak."""
+CLIP_SIGMAS = 10.0
+"""Residuals are clipped at so many sigmas when hypotheses are compared: a streak must not decide."""
 
-HELD_DAMPING = 0.03
-"""Fits to some of the frames are damped: where hardly anything is seen they would leave what is linear."""
+FOLD_DAMPING = 0.03
+"""Damping of fits to some of the frames: without it a poorly seen parameter leaves the linear range."""
 
 FORM_REL = 0.1
-"""An effect's form is known to this share of what it changes: catalogues simplify."""
+"""An effect's form is known to within this share of what it changes: the catalogue simplifies."""
 
-FOLDS = 5
-"""So many times some of the frames are held out."""
+N_FOLDS = 5
+"""Folds of the cross-validation."""
 
-LEAST_LEFT = 0.6
-"""What leaves less leaves nothing. A model without a gap leaves 0.6 to 0.9: its floor is a generous one."""
+MIN_MEAN_SQUARE = 0.6
+"""A smaller mean square counts as this one: a model without a gap leaves 0.6 to 0.9."""
 
-ON_BOUND = 1e-3
-"""So near a bound, as a share of how far the bounds are apart, a parameter lies on it."""
+BOUND_TOLERANCE = 1e-3
+"""A parameter is on a bound if it is nearer than this share of the distance between its bounds."""
 
-ONE_EXPLAINS = 0.08
-"""A gap of which more is left beyond what its form may be off is not explained by one effect."""
+MAX_RESIDUAL_FRACTION = 0.08
+"""One effect explains a gap if it leaves no more than this, beyond the error of the effect's own form."""
 
-PIXELS_EXPLAINED = 0.05
-"""Of a gap that pixels show one effect may leave so much: bins are predicted by a coarse camera."""
+MAX_PIXEL_FRACTION = 0.05
+"""One effect explains a gap that pixels show if it leaves no more than this of it in pixels.
 
-AT_FLOOR = 1.5
-"""What leaves less in pixels shows no gap there: the model's floor is 1."""
+Bins alone do not decide there: they are predicted by a coarse camera.
+"""
 
-SHOWN_FROM = 0.7
-"""What leaves less in pixels, and in bins no more than the model's floor, is no gap."""
+MAX_MISFIT_AT_FLOOR = 1.5
+"""A smaller misfit in pixels shows no gap: the model's floor is 1."""
 
-CLEARLY_LEFT = 1.3
-"""A mean square from which there is more to be explained even where one effect explains most of a gap."""
+MIN_VISIBLE_MISFIT = 0.7
+"""A smaller misfit in pixels is no gap, if bins show no more than the model's floor either."""
 
-HALVES = 0.5
-"""What explains bins must leave no more of what pixels show; nor must others beside it of what it leaves."""
+UNRESOLVED_MEAN_SQUARE = 1.3
+"""From this mean square on there is more to explain, even if one effect explains most of the gap."""
+
+MAX_PIXEL_FRACTION_KEPT = 0.5
+"""An explanation of the bins must leave no more than this share of what pixels show.
+
+Further effects beside it must leave no more than this share of what it leaves.
+"""
 
 
 @dataclass(frozen=True, eq=False)
-class Candidate:
-    """Effects fitted together: `costs` (n_frames,) are the sums of squares of frames held out of the fit.
+class Hypothesis:
+    """Effects fitted together; `costs` (n_frames,) are sums of squares of frames held out of the fit.
 
-    `left_in_pixels` is the mean square that they leave there if it was asked for, NaN if not, and `against`
-    what it says against them, nats: it sets apart those whose bins are alike.
+    `pixel_misfit` is what the fit leaves in pixels, over the model's floor; NaN if it was not computed.
+    `pixel_penalty_nats` is how much less likely that makes this hypothesis than others whose bins fit as
+    well.
     """
 
     refit: Refit
     costs: Float64
-    left_in_pixels: float = math.nan
-    against: float = 0.0
+    pixel_misfit: float = math.nan
+    pixel_penalty_nats: float = 0.0
 
     @property
     def ids(self) -> tuple[str, ...]:
@@ -78,33 +85,34 @@ class Candidate:
         return self.refit.ids
 
     @property
-    def left(self) -> float:
-        """The mean square of the residuals in frames held out."""
+    def cv_mean_square(self) -> float:
+        """The cross-validated mean square R: that of the residuals in frames held out of the fit."""
         return float(self.costs.sum() / self.refit.quadratic.counts.sum())
 
     @property
-    def of_bins(self) -> float:
-        """The logarithm of the candidate's likelihood in bins, less what its parameters cost.
+    def bin_evidence(self) -> float:
+        """The logarithm of the likelihood in bins less the parameters' penalty, nats.
 
-        It compares what pixels were asked of with what they were not.
+        Hypotheses with and without a pixel misfit are compared by it.
         """
-        return likelihood_nats(self.left) - cost_nats(self.refit.n_parameters)
+        return likelihood_nats(self.cv_mean_square) - bic_penalty_nats(self.refit.n_parameters)
 
     @property
     def evidence(self) -> float:
-        """The same less what pixels say against the candidate."""
-        return self.of_bins - self.against
+        """The evidence of bins less the penalty of pixels, nats."""
+        return self.bin_evidence - self.pixel_penalty_nats
 
     @property
-    def held_back(self) -> float:
-        """What the fit would gain beyond the bounds that its effects' parameters lie on, nats.
+    def gain_beyond_bounds_nats(self) -> float:
+        """The log-likelihood that the fit would gain if parameters on a bound could pass it, nats.
 
-        An effect that would go on is another one's mimic. Where the bound is neutral it is just not there.
+        An effect that wants to pass its bounds mimics another one. A bound at which the effect vanishes does
+        not count: there the effect is merely absent.
         """
         quadratic, x = self.refit.quadratic, self.refit.x
         start, lower, upper = np.array([(p.start, p.lower, p.upper) for p in quadratic.parameters]).T
         reach = upper - lower
-        near = np.where(np.isfinite(reach), ON_BOUND * reach, 0.0)
+        near = np.where(np.isfinite(reach), BOUND_TOLERANCE * reach, 0.0)
         on_bound = np.zeros(len(x), dtype=np.bool_)
         for bound in (lower, upper):
             on_bound |= (np.abs(x - bound) <= near) & (np.abs(start - bound) > near)
@@ -115,95 +123,97 @@ class Candidate:
         return likelihood_nats(freed.mean_square(freed.solve())) - likelihood_nats(self.refit.mean_square)
 
     @cached_property
-    def is_held_back(self) -> bool:
-        """Whether its bounds hold it back from what would be preferred."""
-        return self.held_back >= NAMED_FROM
+    def is_bound_limited(self) -> bool:
+        """Whether it would be clearly likelier with parameters beyond their bounds."""
+        return self.gain_beyond_bounds_nats >= MIN_EVIDENCE_NATS
 
 
-def beyond_form(expected: Expected, candidate: Candidate) -> float:
-    """Return what a candidate leaves if what its effects change may be off by `FORM_REL` of it."""
-    fitted = candidate.refit
-    without = expected.residuals(expected.passed(fitted.nuisance, {}))
-    r = np.clip(fitted.residuals, -JUDGED_WITHIN, JUDGED_WITHIN)
+def mean_square_beyond_form(model: LinearizedModel, hypothesis: Hypothesis) -> float:
+    """Return the mean square R if the effects' form may be wrong by `FORM_REL` of what they change."""
+    fitted = hypothesis.refit
+    without = model.residuals(model.lights(fitted.nuisance, {}))
+    r = np.clip(fitted.residuals, -CLIP_SIGMAS, CLIP_SIGMAS)
     off = FORM_REL * (without - fitted.residuals)
-    return candidate.left * float(np.sum(r**2 / (1.0 + off**2)) / np.sum(r**2))
+    return hypothesis.cv_mean_square * float(np.sum(r**2 / (1.0 + off**2)) / np.sum(r**2))
 
 
-def likelihood_nats(left: float) -> float:
-    """Return the logarithm of the likelihood of residuals' mean square: `LEAST_LEFT` is as good as can be."""
-    return -0.5 * N_EFFECTIVE * math.log(max(left, LEAST_LEFT))
+def likelihood_nats(mean_square: float) -> float:
+    """Return the log-likelihood of a mean square of residuals; below `MIN_MEAN_SQUARE` it is constant."""
+    return -0.5 * N_EFFECTIVE * math.log(max(mean_square, MIN_MEAN_SQUARE))
 
 
-def cost_nats(n_parameters: int) -> float:
-    """Return what parameters cost of the evidence."""
+def bic_penalty_nats(n_parameters: int) -> float:
+    """Return the penalty of so many parameters by Schwarz's criterion, nats."""
     return 0.5 * n_parameters * math.log(N_EFFECTIVE)
 
 
-def judged(expected: Expected, fitted: Refit) -> Candidate:
-    """Return a fit with the costs of its frames, each as the other folds' fit predicts it.
+def cross_validated(model: LinearizedModel, fitted: Refit) -> Hypothesis:
+    """Return a fit with the costs of its frames, each as a fit to the other folds predicts it.
 
-    But for the seam, which stays where all frames have it: others do not foresee where a frame's own runs.
+    The seam's parameters stay as all frames have them: other frames do not show a frame's own piece of seam.
     """
-    # All candidates are judged by one loss: each was fitted with a bound of its own.
+    # One loss for all hypotheses: each was fitted with a Huber bound of its own.
     plain = Quadratic.of(
         fitted.quadratic.parameters,
         fitted.x,
         fitted.residuals,
         fitted.jacobian,
-        huber_weights(fitted.residuals, JUDGED_WITHIN) ** 2,
+        huber_weights(fitted.residuals, CLIP_SIGMAS) ** 2,
         fitted.quadratic.counts,
     )
     if FLICKER in fitted.ids:
         # A level of its own needs the frame itself; thousands of bins share that one number.
-        return Candidate(fitted, plain.chi2)
-    fold, of_seam = folds(expected.observed, FOLDS), slice(SEAM_FROM, fitted.n_nuisances)
+        return Hypothesis(fitted, plain.chi2)
+    fold, seam_parameters = folds(model.observed, N_FOLDS), slice(SEAM_FROM, fitted.n_nuisances)
     costs = np.zeros(len(fold))
-    for k in range(FOLDS):
+    for k in range(N_FOLDS):
         held = fold == k
         if held.any():
-            # Without a source's light its level is known by its tolerance alone: the fit that saw it judges.
-            is_fair = sees_as_much(expected.observed, ~held)
-            x = fitted.quadratic.solve(~held, HELD_DAMPING, of_seam) if is_fair else fitted.x
+            # Frames without a source say nothing of its level: then the fit to all frames judges.
+            is_fair = shows_same_sources(model.observed, ~held)
+            x = fitted.quadratic.solve(~held, FOLD_DAMPING, seam_parameters) if is_fair else fitted.x
             costs[held] = plain.costs(x)[held]
-    return Candidate(fitted, costs)
+    return Hypothesis(fitted, costs)
 
 
-def best_first(found: Iterable[Candidate]) -> list[Candidate]:
-    """Return candidates, likeliest first."""
-    return sorted(found, key=lambda candidate: -candidate.evidence)
+def by_evidence(hypotheses: Iterable[Hypothesis]) -> list[Hypothesis]:
+    """Return hypotheses, likeliest first."""
+    return sorted(hypotheses, key=lambda hypothesis: -hypothesis.evidence)
 
 
-def confidences(of: Sequence[Candidate], baseline: Candidate) -> Float64:
-    """Return how probable each candidate (n,) is, if one of them is right or the baseline.
+def posterior_probabilities(hypotheses: Sequence[Hypothesis], baseline: Hypothesis) -> Float64:
+    """Return each hypothesis' probability (n,), if exactly one of them or the baseline is right.
 
-    What its bounds hold back is another one's mimic: it takes nothing from a first one that is free.
+    One that its bounds limit mimics another: it gets nothing where the first is not limited.
     """
-    evidence = np.array([*(candidate.evidence for candidate in of), baseline.evidence])
-    mimics = [one.is_held_back and not of[0].is_held_back for one in of]
+    evidence = np.array([*(hypothesis.evidence for hypothesis in hypotheses), baseline.evidence])
+    mimics = [hypothesis.is_bound_limited and not hypotheses[0].is_bound_limited for hypothesis in hypotheses]
     evidence[:-1][mimics] = -math.inf
     weight = np.exp(evidence - evidence.max())
     return np.asarray(weight / weight.sum())[:-1]
 
 
-def left_over(candidate: Candidate, baseline: Candidate) -> float:
-    """Return the share of the baseline's gap that a candidate leaves above the model's floor, 0 to 1."""
-    gap = max(baseline.left - 1.0, 0.0)
-    return min(max(candidate.left - 1.0, 0.0) / gap, 1.0) if gap > 0.0 else 0.0
+def residual_fraction(hypothesis: Hypothesis, baseline: Hypothesis) -> float:
+    """Return the share of the baseline's gap above the model's floor that a hypothesis leaves, 0 to 1."""
+    gap = max(baseline.cv_mean_square - 1.0, 0.0)
+    return min(max(hypothesis.cv_mean_square - 1.0, 0.0) / gap, 1.0) if gap > 0.0 else 0.0
 
 
-def is_explained(expected: Expected, candidate: Candidate, baseline: Candidate) -> bool:
-    """Say whether one effect explains a gap: it leaves little beyond what its form may be off.
+def is_explained(model: LinearizedModel, hypothesis: Hypothesis, baseline: Hypothesis) -> bool:
+    """Say whether one effect explains a gap: it leaves little beyond the error of its own form.
 
-    Or it leaves hardly anything in pixels, and they showed the gap. If they were asked it must halve that.
-    What would explain it better beyond its bounds does not.
+    Or it leaves hardly anything in pixels that showed the gap. Where the misfit of pixels is known, the
+    effect must halve it. An effect that its bounds limit explains nothing.
     """
-    if candidate.is_held_back:
+    if hypothesis.is_bound_limited:
         return False
-    shown = baseline.left_in_pixels
-    if shown > AT_FLOOR and math.isfinite(candidate.left_in_pixels):
-        share = (candidate.left_in_pixels - 1.0) / (shown - 1.0)
-        if share <= PIXELS_EXPLAINED:
+    visible_misfit = baseline.pixel_misfit
+    if visible_misfit > MAX_MISFIT_AT_FLOOR and math.isfinite(hypothesis.pixel_misfit):
+        fraction_kept = (hypothesis.pixel_misfit - 1.0) / (visible_misfit - 1.0)
+        if fraction_kept <= MAX_PIXEL_FRACTION:
             return True
-        if share > HALVES:
+        if fraction_kept > MAX_PIXEL_FRACTION_KEPT:
             return False
-    return beyond_form(expected, candidate) - 1.0 <= ONE_EXPLAINS * max(baseline.left - 1.0, 0.0)
+    return mean_square_beyond_form(model, hypothesis) - 1.0 <= MAX_RESIDUAL_FRACTION * max(
+        baseline.cv_mean_square - 1.0, 0.0
+    )

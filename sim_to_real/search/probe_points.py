@@ -1,4 +1,4 @@
-"""Where each effect of the catalogue is tried at the first look: places of its parameters, in families."""
+"""Where the score test probes each effect of the catalogue: points of its parameters, in families."""
 
 from __future__ import annotations
 
@@ -7,28 +7,28 @@ from dataclasses import dataclass, field
 
 from noise_model.effects import REGISTRY, Values
 from noise_model.effects.optics import PATCHES
-from sim_to_real.fit.linearized_model import BOUNCING
+from sim_to_real.fit.linearized_model import INTERREFLECTION
 
 
 @dataclass(frozen=True)
 class Family:
-    """Places of an effect's parameters that are tried together: `shape` holds for all of them."""
+    """Probe points of an effect that are combined; the values of `shape` hold for all of them."""
 
-    places: tuple[Values, ...]
+    probe_points: tuple[Values, ...]
     shape: Values = field(default_factory=dict)
 
-    def of_part(self, number: int) -> Family:
-        """Return the family as that of another of the effect's alike parts; the first one is 1."""
+    def for_part(self, number: int) -> Family:
+        """Return the family for another part of an effect with several; the first one is 1."""
 
         def renamed(values: Values) -> Values:
             return {key.replace("_1", f"_{number}"): value for key, value in values.items()}
 
-        return Family(tuple(renamed(place) for place in self.places), renamed(self.shape))
+        return Family(tuple(renamed(point) for point in self.probe_points), renamed(self.shape))
 
 
-def _each(*places: Values) -> tuple[Family, ...]:
-    """Return a family for each place."""
-    return tuple(Family((place,)) for place in places)
+def _each(*probe_points: Values) -> tuple[Family, ...]:
+    """Return a family for each probe point."""
+    return tuple(Family((point,)) for point in probe_points)
 
 
 def _drifts() -> tuple[Family, ...]:
@@ -109,65 +109,71 @@ FAMILIES: Mapping[str, tuple[Family, ...]] = {
     "lens_distortion": (Family(({"k1": 0.1}, {"k2": 2.0}, {"p1": 0.003}, {"p2": 0.003})),),
     "pose_delay": _each(*({"delay_s": sign * delay} for delay in (0.01, 0.05) for sign in (1.0, -1.0))),
 }
-"""Where each effect that changes a frame's mean is tried; the random ones show in its scatter."""
+"""The families of each effect that changes a frame's mean; random effects show in its scatter instead."""
 
-PARTS: Mapping[str, int] = {"dirty_window": len(PATCHES)}
-"""Effects of several alike parts: those beside the first are sought one after another."""
+N_PARTS: Mapping[str, int] = {"dirty_window": len(PATCHES)}
+"""How many parts an effect of several has; they are sought one after another."""
 
-DEAR: Mapping[str, Values] = {BOUNCING: {"albedo": 0.35}}
-"""Effects that take longer than all others together, and where their fit starts: tried if no other does."""
+EXPENSIVE: Mapping[str, Values] = {INTERREFLECTION: {"albedo": 0.35}}
+"""Effects that take longer than all others together, tried last; and where their fit starts."""
 
-TRIFLE = 0.1
-"""An effect of a smaller share of its prior's sigma hardly is one."""
+NEGLIGIBLE = 0.1
+"""An effect smaller than this share of its prior's sigma is negligible."""
 
 
-def size(effects: Mapping[str, Values], stated: Callable[[str], Values]) -> float:
-    """Return how far the farthest of some effects is from where it is `stated`, in its prior's sigmas.
+def effect_size(effects: Mapping[str, Values], stated: Callable[[str], Values]) -> float:
+    """Return the largest distance of effects' parameters from what is `stated`, in their priors' sigmas.
 
-    That is by the parameters of which its places are made: where an effect is tried, and not in which shape.
+    Only parameters that probe points vary count, not those of an effect's shape.
     """
     origins = {name: stated(name) for name in effects}
     return max(
         abs(effects[name][parameter.name] - origins[name][parameter.name]) / parameter.prior_sigma
         for name in effects
         for parameter in REGISTRY[name].parameters
-        if name not in FAMILIES or parameter.name in _placed(name)
+        if name not in FAMILIES or parameter.name in _probed_parameters(name)
     )
 
 
-def _placed(name: str) -> set[str]:
-    """Return the parameters of which an effect's places are made, those of all its alike parts."""
-    numbers = range(1, PARTS.get(name, 1) + 1)
-    return {key for n in numbers for of in FAMILIES[name] for place in of.of_part(n).places for key in place}
+def _probed_parameters(name: str) -> set[str]:
+    """Return the parameters that an effect's probe points vary, those of all its parts."""
+    numbers = range(1, N_PARTS.get(name, 1) + 1)
+    return {
+        key
+        for n in numbers
+        for family in FAMILIES[name]
+        for point in family.for_part(n).probe_points
+        for key in point
+    }
 
 
-def is_trifle(effects: Mapping[str, Values], stated: Callable[[str], Values]) -> bool:
-    """Say whether effects hardly differ from what is `stated` of them."""
-    return size(effects, stated) < TRIFLE
+def is_negligible(effects: Mapping[str, Values], stated: Callable[[str], Values]) -> bool:
+    """Say whether effects hardly differ from what is `stated`."""
+    return effect_size(effects, stated) < NEGLIGIBLE
 
 
-def free_part(name: str, origin: Values) -> int:
-    """Return which of an effect's alike parts is the first that its parameters leave neutral, or the last.
+def first_neutral_part(name: str, origin: Values) -> int:
+    """Return the number of an effect's first part that its parameters leave neutral, or of the last part.
 
-    Of an effect without such parts it is 1.
+    It is 1 for an effect that has no parts.
     """
-    neutral, n_parts = REGISTRY[name].neutral, PARTS.get(name, 1)
+    neutral, n_parts = REGISTRY[name].neutral, N_PARTS.get(name, 1)
     for number in range(1, n_parts):
         if all(origin[key] == neutral[key] for key in neutral if key.endswith(f"_{number}")):
             return number
     return n_parts
 
 
-def about(name: str, origin: Values, places: Sequence[Values]) -> list[dict[str, float]]:
-    """Return places as far from where an effect's parameters are as they are from neutral.
+def probe_points_about(name: str, origin: Values, probe_points: Sequence[Values]) -> list[dict[str, float]]:
+    """Return probe points shifted: as far from `origin` as they were from neutral.
 
-    The other way round where that is beyond a bound.
+    A value that would pass a bound goes in the other direction.
     """
-    of = {parameter.name: parameter for parameter in REGISTRY[name].parameters}
+    parameters = {parameter.name: parameter for parameter in REGISTRY[name].parameters}
 
     def moved(key: str, value: float) -> float:
-        step = value - of[key].start
+        step = value - parameters[key].start
         there = origin[key] + step
-        return there if of[key].lower <= there <= of[key].upper else origin[key] - step
+        return there if parameters[key].lower <= there <= parameters[key].upper else origin[key] - step
 
-    return [{key: moved(key, value) for key, value in place.items()} for place in places]
+    return [{key: moved(key, value) for key, value in point.items()} for point in probe_points]

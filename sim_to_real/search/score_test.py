@@ -1,9 +1,9 @@
-"""The first look at every candidate: how much of the gap it would close, from a few places of its parameters.
+"""The score test: how much of the gap each effect would close, from a few probe points of its parameters.
 
-The frames are predicted at some places of an effect's parameters. Between the baseline and each of them the
-residual is taken to go straight, r_0 + sum_k t_k (r_k - r_0), and nuisances along their derivatives; what is
-left at the best t and nuisances is a closed form. It is the score test with the nuisances projected out, for
-effects that are too large for a derivative.
+The frames are predicted at some probe points of an effect's parameters. The residual is interpolated linearly
+between the baseline and these, r_0 + sum_k t_k (r_k - r_0), and along the derivatives with the nuisances. The
+cost at the best t and nuisances is then a closed form. This is Rao's score test with the nuisances projected
+out, with finite steps in place of derivatives.
 """
 
 from __future__ import annotations
@@ -16,230 +16,238 @@ import numpy as np
 from noise_model.arrays import Float64
 from noise_model.effects import REGISTRY, Values
 from noise_model.fit import Parameter, within_bounds
-from sim_to_real.fit.gauss_newton import FLICKER, Refit, own_levels
-from sim_to_real.fit.linearized_model import Expected, Passed
+from sim_to_real.fit.gauss_newton import FLICKER, Refit, frame_level_columns
+from sim_to_real.fit.linearized_model import FrameLight, LinearizedModel
 from sim_to_real.fit.quadratic import Quadratic
-from sim_to_real.fit.trend import CHANGING, LEAST_RANGE, Change, Driver
-from sim_to_real.search.probe_points import FAMILIES, PARTS, Family, about, free_part
+from sim_to_real.fit.trend import MIN_DRIVER_RANGE, TREND_EFFECTS, Driver, Trend
+from sim_to_real.search.probe_points import FAMILIES, N_PARTS, Family, first_neutral_part, probe_points_about
 
-LEAST = 0.05
-"""A fit starts at least so far, of a place's distance, from neutral: some effects have no slope there."""
+MIN_STEP = 0.05
+"""The shortest first step of a fit, in distances of a probe point: at neutral some effects have no slope."""
 
-FARTHEST = 3.0
-"""How far beyond its place a straight line is followed; twice as far at the ends of what changes."""
+MAX_STEP = 3.0
+"""How far a line is extrapolated, in distances of its probe point; a trend's ends go twice as far."""
 
-STARTS = 3
-"""So many of an effect's families a fit may start from."""
+MAX_STARTS = 3
+"""An effect is fitted from the best points of so many families at most."""
 
-ANOTHER_PART = 0.9
-"""One more of an effect's alike parts must leave less than this share of what is left without it."""
+MAX_FRACTION_FURTHER_PART = 0.9
+"""A further part of an effect with several, such as a patch, must leave less than this share of the cost."""
 
 
 @dataclass(frozen=True, eq=False)
-class Screened:
-    """A candidate after the first look: the share of the cost that is left, and where a fit should start.
+class ScoreTest:
+    """The score of one effect: the share of the cost that it leaves, and where a fit should start.
 
-    `signature` (n, k) is what its places do to the residuals, `steps` (k, p) how far they lie from `origin`.
-    `others` are the looks at the effect's other families, the best first.
+    `signature` (n, k) is the change of the residuals at its probe points, `steps` (k, p) is how far these lie
+    from `origin`. `others` are the scores of the effect's other families, the best first.
     """
 
     id: str
-    left: float
+    residual_fraction: float
     start: dict[str, float]
     signature: Float64
     origin: dict[str, float]
     steps: Float64
-    others: tuple[Screened, ...] = ()
+    others: tuple[ScoreTest, ...] = ()
 
     @property
-    def families(self) -> tuple[Screened, ...]:
-        """The looks at all of the effect's families, the best first."""
+    def families(self) -> tuple[ScoreTest, ...]:
+        """The scores of all of the effect's families, the best first."""
         return (self, *self.others)
 
     @property
     def n_parameters(self) -> int:
-        """How many numbers a fit has: of arc_flicker the levels of frames that show it, about their mean."""
+        """The number of a fit's parameters; of arc_flicker the lit frames' levels about their mean."""
         if self.id == FLICKER:
             return max(int(np.any(self.signature, axis=0).sum()) - 1, 1)
         return len(REGISTRY[self.id].parameters)
 
-    def reaches(self, farthest: float = FARTHEST) -> list[tuple[float, float]]:
-        """Return how far along each place one may go within the parameters' bounds, and no farther."""
+    def step_limits(self, farthest: float = MAX_STEP) -> list[tuple[float, float]]:
+        """Return the limits of each step within the parameters' bounds, and within `farthest` steps."""
         start = np.array(list(self.origin.values()))
-        return [_reach(REGISTRY[self.id].parameters, start, step, farthest) for step in self.steps]
+        return [_step_limits(REGISTRY[self.id].parameters, start, step, farthest) for step in self.steps]
 
-    def along(self, t: Float64) -> dict[str, float]:
-        """Return parameters so far along the places (k,), but not at the origin."""
-        return self.moved((t if np.abs(t).max() > LEAST else np.full(len(t), LEAST)) @ self.steps)
+    def parameters_along(self, t: Float64) -> dict[str, float]:
+        """Return the parameters after steps t (k,) towards the probe points, at least `MIN_STEP`."""
+        steps = t if np.abs(t).max() > MIN_STEP else np.full(len(t), MIN_STEP)
+        return self.parameters_moved(steps @ self.steps)
 
-    def moved(self, by: Float64) -> dict[str, float]:
-        """Return parameters by so much (p,) from the origin, within their bounds."""
+    def parameters_moved(self, offset: Float64) -> dict[str, float]:
+        """Return the parameters at an offset (p,) from the origin, within their bounds."""
         parameters = REGISTRY[self.id].parameters
         # On a bound by rounding is beyond it.
-        found = within_bounds(parameters, np.array(list(self.origin.values())) + by)
-        return dict(zip((of.name for of in parameters), found.tolist(), strict=True))
+        values = within_bounds(parameters, np.array(list(self.origin.values())) + offset)
+        return dict(zip((parameter.name for parameter in parameters), values.tolist(), strict=True))
 
     @property
     def starts(self) -> list[dict[str, float]]:
-        """Where fits should start: light that is not rendered has valleys side by side."""
-        return [one.start for one in self.families[:STARTS]]
+        """Where fits should start: the cost may have several minima."""
+        return [family.start for family in self.families[:MAX_STARTS]]
 
 
 @dataclass(frozen=True, eq=False)
-class ScreenedChange:
-    """An effect that changes, after the first look: what is left, where its middle starts, and its change."""
+class TrendScore:
+    """The score of an effect with a trend: the share of the cost left, where its middle starts, its trend."""
 
-    left: float
+    residual_fraction: float
     start: dict[str, float]
-    change: Change
+    trend: Trend
 
 
-def screen(expected: Expected, baseline: Refit, ids: Sequence[str]) -> list[Screened]:
-    """Return candidates to add to the baseline's effects, those that leave least first."""
-    r = expected.residuals(_rendered(expected, baseline, baseline.effects))
-    found = [_tried(expected, baseline, r, name) for name in ids]
-    return sorted(found, key=lambda screened: screened.left)
+def score_effects(model: LinearizedModel, baseline: Refit, ids: Sequence[str]) -> list[ScoreTest]:
+    """Return the scores of effects added to the baseline's, those that leave least first."""
+    r = model.residuals(_rendered_lights(model, baseline, baseline.effects))
+    scores = [_score_effect(model, baseline, r, name) for name in ids]
+    return sorted(scores, key=lambda score: score.residual_fraction)
 
 
-def seen_from(baseline: Refit, screened: Sequence[Screened]) -> list[Screened]:
-    """Return what effects would leave beside another baseline's, if their places did there what they do here.
+def rescored(baseline: Refit, scores: Sequence[ScoreTest]) -> list[ScoreTest]:
+    """Return scores beside another baseline's effects, with the signatures that were taken before.
 
-    Nothing is predicted anew for that, and where a fit should start is not found anew.
+    Nothing is predicted anew, and where a fit should start is not updated.
     """
 
-    def left(one: Screened) -> float:
-        return along(baseline, baseline.residuals, one.signature, one.reaches())[0]
+    def fraction_of(score: ScoreTest) -> float:
+        return solve_along(baseline, baseline.residuals, score.signature, score.step_limits())[0]
 
     return [
-        replace(one, left=min(left(family) for family in one.families))
-        for one in screened
-        if one.id not in baseline.ids
+        replace(score, residual_fraction=min(fraction_of(family) for family in score.families))
+        for score in scores
+        if score.id not in baseline.ids
     ]
 
 
-def screen_changes(expected: Expected, baseline: Refit, screened: Sequence[Screened]) -> list[ScreenedChange]:
-    """Return effects that may change, by each driver, those first that leave least.
+def score_trends(model: LinearizedModel, baseline: Refit, scores: Sequence[ScoreTest]) -> list[TrendScore]:
+    """Return scores of effects with a trend along each driver, those first that leave least.
 
-    The baseline is the one that they were looked at from. With the driver's share u from -1 to 1, what places
-    do goes in each frame as t_k (1 - u) / 2 + t'_k (1 + u) / 2: a straight line again, and t_k and t'_k are
-    how far the ends go. A driver that stays drives nothing.
+    The baseline is the one of the scores. With the driver's position u from -1 to 1, a probe point's change
+    is weighted in each frame by t_k (1 - u) / 2 + t'_k (1 + u) / 2: t_k and t'_k are the steps at the two
+    ends. A driver that does not change is left out.
     """
-    r = expected.residuals(_rendered(expected, baseline, baseline.effects))
-    found = []
-    for one in screened:
-        for driver in Driver if one.id in CHANGING else ():
-            change = Change.of(expected.observed, one.id, driver)
-            if change.half > LEAST_RANGE:
-                u = change.shares(expected.observed)[:, np.newaxis]
-                looks = [_changed(baseline, r, of, change, u) for of in one.families]
-                found.append(min(looks, key=lambda look: look.left))
-    return sorted(found, key=lambda look: look.left)
+    r = model.residuals(_rendered_lights(model, baseline, baseline.effects))
+    trend_scores = []
+    for score in scores:
+        for driver in Driver if score.id in TREND_EFFECTS else ():
+            trend = Trend.of(model.observed, score.id, driver)
+            if trend.half_range > MIN_DRIVER_RANGE:
+                u = trend.driver_positions(model.observed)[:, np.newaxis]
+                of_families = [_trend_score(baseline, r, family, trend, u) for family in score.families]
+                trend_scores.append(min(of_families, key=lambda trend_score: trend_score.residual_fraction))
+    return sorted(trend_scores, key=lambda trend_score: trend_score.residual_fraction)
 
 
-def _changed(baseline: Refit, r: Float64, one: Screened, change: Change, u: Float64) -> ScreenedChange:
-    """Let one family's places change with u (n, 1) of the residuals."""
-    ends = np.hstack([0.5 * (1.0 - u) * one.signature, 0.5 * (1.0 + u) * one.signature])
-    left, t = along(baseline, r, ends, 2 * one.reaches(2.0 * FARTHEST))
-    low, high = t.reshape(2, -1) @ one.steps
-    return ScreenedChange(
-        left, one.moved(0.5 * (low + high)), replace(change, by=tuple((0.5 * (high - low)).tolist()))
+def _trend_score(baseline: Refit, r: Float64, score: ScoreTest, trend: Trend, u: Float64) -> TrendScore:
+    """Return the score of one family with a trend; u (n, 1) is the driver's position at each residual."""
+    ends = np.hstack([0.5 * (1.0 - u) * score.signature, 0.5 * (1.0 + u) * score.signature])
+    fraction, t = solve_along(baseline, r, ends, 2 * score.step_limits(2.0 * MAX_STEP))
+    low, high = t.reshape(2, -1) @ score.steps
+    return TrendScore(
+        fraction,
+        score.parameters_moved(0.5 * (low + high)),
+        replace(trend, amplitude=tuple((0.5 * (high - low)).tolist())),
     )
 
 
-def screen_flicker(expected: Expected, baseline: Refit) -> Screened:
-    """Return the look at arc_flicker: each frame has an arc level of its own, a column each."""
-    levels, neutral = own_levels(expected, baseline.jacobian[:, 0]), dict(REGISTRY[FLICKER].neutral)
-    one = Screened(FLICKER, 1.0, neutral, levels, neutral, np.zeros((levels.shape[1], len(neutral))))
-    return replace(one, left=along(baseline, baseline.residuals, levels, one.reaches())[0])
+def score_flicker(model: LinearizedModel, baseline: Refit) -> ScoreTest:
+    """Return the score of arc_flicker: each frame has an arc level of its own, a column each."""
+    levels, neutral = frame_level_columns(model, baseline.jacobian[:, 0]), dict(REGISTRY[FLICKER].neutral)
+    score = ScoreTest(FLICKER, 1.0, neutral, levels, neutral, np.zeros((levels.shape[1], len(neutral))))
+    fraction, _ = solve_along(baseline, baseline.residuals, levels, score.step_limits())
+    return replace(score, residual_fraction=fraction)
 
 
-def _rendered(expected: Expected, baseline: Refit, effects: Mapping[str, Values]) -> list[Passed]:
+def _rendered_lights(
+    model: LinearizedModel, baseline: Refit, effects: Mapping[str, Values]
+) -> list[FrameLight]:
     """Return the light at the baseline's nuisances with other effects."""
     by = np.zeros((len(baseline.arc_ln), baseline.n_nuisances))
     by[:, 0] = baseline.arc_ln
-    passed = expected.passed(baseline.nuisance, effects, baseline.change)
-    return [expected.moved(*of) for of in zip(expected.observed.frames, passed, by, strict=True)]
+    lights = model.lights(baseline.nuisance, effects, baseline.trend)
+    return [model.extrapolated(*parts) for parts in zip(model.observed.frames, lights, by, strict=True)]
 
 
 @dataclass(frozen=True, eq=False)
-class _Look:
-    """A family's places as tried: `columns` (n, k) by which they change the residuals."""
+class _Trial:
+    """A family that was predicted: `columns` (n, k) are the changes of the residuals at its probe points."""
 
     family: Family
     columns: Float64
 
 
-def _tried(expected: Expected, baseline: Refit, r: Float64, name: str) -> Screened:
-    """Look at the best of an effect's families; of an effect with alike parts, at the best for each part.
+def _score_effect(model: LinearizedModel, baseline: Refit, r: Float64, name: str) -> ScoreTest:
+    """Return the score of an effect's best family; of an effect with several parts, of the best for each.
 
-    All start from what the setup states of it: parts that it states stand, and others are sought.
+    All start from the values that the setup states. Parts that it states stay, and further ones are sought.
     """
-    origin, families, n_parts = expected.stated(name), FAMILIES[name], PARTS.get(name, 1)
-    first = free_part(name, origin)
+    origin, families, n_parts = model.stated_values(name), FAMILIES[name], N_PARTS.get(name, 1)
+    first = first_neutral_part(name, origin)
     if n_parts == 1 and origin != REGISTRY[name].neutral:
         # Its stated shape may be right.
-        families = (*(Family(one.places) for one in families if one.shape), *families)
-    looks = [_look(expected, baseline, r, name, origin, family, first) for family in families]
-    chosen: list[_Look] = []
-    best: Screened | None = None
+        families = (*(Family(family.probe_points) for family in families if family.shape), *families)
+    trials = [_try_family(model, baseline, r, name, origin, family, first) for family in families]
+    chosen: list[_Trial] = []
+    best: ScoreTest | None = None
     for _ in range(first, n_parts + 1):
-        tried = [(_solved(baseline, r, name, origin, [*chosen, look], first), look) for look in looks]
-        tried.sort(key=lambda pair: pair[0].left)
-        (screened, look), *others = tried
-        if best is not None and screened.left > ANOTHER_PART * best.left:
+        tried = [
+            (_score_families(baseline, r, name, origin, [*chosen, trial], first), trial) for trial in trials
+        ]
+        tried.sort(key=lambda pair: pair[0].residual_fraction)
+        (score, trial), *others = tried
+        if best is not None and score.residual_fraction > MAX_FRACTION_FURTHER_PART * best.residual_fraction:
             break
-        best, chosen = replace(screened, others=tuple(other for other, _ in others)), [*chosen, look]
+        best, chosen = replace(score, others=tuple(other for other, _ in others)), [*chosen, trial]
     assert best is not None
     return best
 
 
-def _look(
-    expected: Expected, baseline: Refit, r: Float64, name: str, origin: Values, family: Family, part: int
-) -> _Look:
-    """Try a family's places about an origin, of an effect with alike parts on one of them."""
-    of_part = family.of_part(part)
-    shaped, columns = {**origin, **of_part.shape}, []
-    for place in about(name, origin, of_part.places):
-        passed = _rendered(expected, baseline, {**baseline.effects, name: {**shaped, **place}})
-        columns.append(expected.residuals(passed) - r)
-    return _Look(family, np.column_stack(columns))
+def _try_family(
+    model: LinearizedModel, baseline: Refit, r: Float64, name: str, origin: Values, family: Family, part: int
+) -> _Trial:
+    """Predict a family's probe points about an origin, those of one part if the effect has several."""
+    family_of_part = family.for_part(part)
+    shaped, columns = {**origin, **family_of_part.shape}, []
+    for point in probe_points_about(name, origin, family_of_part.probe_points):
+        lights = _rendered_lights(model, baseline, {**baseline.effects, name: {**shaped, **point}})
+        columns.append(model.residuals(lights) - r)
+    return _Trial(family, np.column_stack(columns))
 
 
-def _solved(
-    baseline: Refit, r: Float64, name: str, origin: Values, looks: Sequence[_Look], first: int
-) -> Screened:
-    """Go along the places of all looks, and along the nuisances, to where least is left.
-
-    The looks are those at alike parts from the `first` on.
-    """
-    families = [look.family.of_part(number) for number, look in enumerate(looks, first)]
-    columns = np.hstack([look.columns for look in looks])
+def _score_families(
+    baseline: Refit, r: Float64, name: str, origin: Values, trials: Sequence[_Trial], first: int
+) -> ScoreTest:
+    """Return the score of families taken together, one for each part from the `first` on."""
+    families = [trial.family.for_part(number) for number, trial in enumerate(trials, first)]
+    columns = np.hstack([trial.columns for trial in trials])
     shaped = dict(origin)
     for family in families:
         shaped.update(family.shape)
-    places = about(name, origin, [place for family in families for place in family.places])
-    steps = np.array([[place.get(key, value) - value for key, value in shaped.items()] for place in places])
-    one = Screened(name, 1.0, {}, columns, shaped, steps)
-    left, t = along(baseline, r, columns, one.reaches())
-    return replace(one, left=left, start=one.along(t))
+    points = probe_points_about(name, origin, [point for family in families for point in family.probe_points])
+    steps = np.array([[point.get(key, value) - value for key, value in shaped.items()] for point in points])
+    score = ScoreTest(name, 1.0, {}, columns, shaped, steps)
+    fraction, t = solve_along(baseline, r, columns, score.step_limits())
+    return replace(score, residual_fraction=fraction, start=score.parameters_along(t))
 
 
-def along(
-    baseline: Refit, r: Float64, columns: Float64, reach: Sequence[tuple[float, float]]
+def solve_along(
+    baseline: Refit, r: Float64, columns: Float64, limits: Sequence[tuple[float, float]]
 ) -> tuple[float, Float64]:
-    """Return what is left, as a share, at the best t (k,) along columns (n, k) and the nuisances; and t."""
-    quadratic = with_columns(baseline, r, columns, reach)
+    """Return the share of the cost left at the best steps t (k,) along columns (n, k), and t.
+
+    Nuisances are fitted with t.
+    """
+    quadratic = with_columns(baseline, r, columns, limits)
     x = quadratic.solve()
     return float(quadratic.costs(x).sum() / quadratic.chi2.sum()), x[len(baseline.x) :]
 
 
 def with_columns(
-    baseline: Refit, r: Float64, columns: Float64, reach: Sequence[tuple[float, float]]
+    baseline: Refit, r: Float64, columns: Float64, limits: Sequence[tuple[float, float]]
 ) -> Quadratic:
-    """Return the cost of residuals r (n,) along what the baseline was fitted by and columns (n, k)."""
+    """Return the cost of residuals r (n,) along the baseline's parameters and further columns (n, k)."""
     t = [
         Parameter(f"t_{k}", "", 0.0, np.inf, low, high, 1e-3 * (high - low))
-        for k, (low, high) in enumerate(reach)
+        for k, (low, high) in enumerate(limits)
     ]
     return Quadratic.of(
         (*baseline.quadratic.parameters, *t),
@@ -251,13 +259,13 @@ def with_columns(
     )
 
 
-def _reach(
+def _step_limits(
     parameters: Sequence[Parameter], start: Float64, step: Float64, farthest: float
 ) -> tuple[float, float]:
-    """Return how far along a step (p,) one may go, backward and forward, within the parameters' bounds."""
+    """Return how many steps (p,) back and forth stay within the parameters' bounds and `farthest`."""
     low, high = -farthest, farthest
-    for parameter, at, by in zip(parameters, start, step, strict=True):
+    for parameter, value, by in zip(parameters, start, step, strict=True):
         if by != 0.0:
-            ends = sorted(((parameter.lower - at) / by, (parameter.upper - at) / by))
+            ends = sorted(((parameter.lower - value) / by, (parameter.upper - value) / by))
             low, high = max(low, ends[0]), min(high, ends[1])
     return low, high

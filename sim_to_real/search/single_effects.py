@@ -1,4 +1,4 @@
-"""Which effects explain a gap: looked at, the best of them fitted, compared in bins and in pixels."""
+"""Single effects: scored, the best of them fitted, and compared in bins and in pixels."""
 
 from __future__ import annotations
 
@@ -10,230 +10,243 @@ import numpy as np
 
 from noise_model.arrays import Float64
 from noise_model.effects import REGISTRY, Values
-from sim_to_real.fit.gauss_newton import FLICKER, NAMED_FROM, Refit, refit, refit_from, settled
-from sim_to_real.fit.linearized_model import RENDERING, Effects, Expected
+from sim_to_real.fit.gauss_newton import FLICKER, MIN_EVIDENCE_NATS, Refit, converged, refit, refit_from
+from sim_to_real.fit.linearized_model import RENDERED_EFFECTS, Effects, LinearizedModel
 from sim_to_real.search.hypothesis import (
-    LEAST_LEFT,
-    Candidate,
-    best_first,
-    cost_nats,
-    judged,
+    MIN_MEAN_SQUARE,
+    Hypothesis,
+    bic_penalty_nats,
+    by_evidence,
+    cross_validated,
     likelihood_nats,
 )
-from sim_to_real.search.probe_points import DEAR, FAMILIES
-from sim_to_real.search.score_test import Screened, screen, screen_changes, screen_flicker
+from sim_to_real.search.probe_points import EXPENSIVE, FAMILIES
+from sim_to_real.search.score_test import ScoreTest, score_effects, score_flicker, score_trends
 
-SETTLED = 3
-"""So many of the best are fitted again where they came to."""
+N_CONVERGED = 3
+"""So many of the best are fitted until they converge, with light rendered anew."""
 
-IN_REACH = 4.0
-"""But not if they leave so many times what the best one leaves of a gap."""
+MAX_GAP_RATIO = 4.0
+"""Of these none that leaves more than so many times the gap that the best one leaves."""
 
-DEAR_FRAMES, DEAR_CLOSES = 4, 0.3
-"""What is dear is fitted to all frames if in so many of them it closes this share of the gap."""
+N_EXPENSIVE_FRAMES, MIN_EXPENSIVE_CLOSED = 4, 0.3
+"""An expensive effect is fitted to all frames only if it closes this share of the gap in so many of them."""
 
-RESOLVED = 1.1
-"""What leaves a mean square below this, and closes a good part of the gap, explains all that there is."""
+RESOLVED_MEAN_SQUARE = 1.1
+"""The gap is resolved by what leaves a smaller mean square and closes at least `MIN_CLOSED_SHARE`."""
 
-REFITTED, REFITTED_BESIDE = 8, 4
-"""How many candidates are refitted after the first look, alone and beside effects that were chosen."""
+MAX_REFITS, MAX_REFITS_BESIDE = 8, 4
+"""How many effects are fitted after the score test: alone, and beside effects that were chosen."""
 
-HOPELESS, HOPELESS_NATS = 0.3, 20.0
-"""What leaves this share of the gap at the first look is not refitted once another explains all of it.
+MAX_FRACTION_ONCE_RESOLVED, MAX_NATS_BEHIND = 0.3, 20.0
+"""Once an effect resolves the gap, another that leaves more than this share at the score test is not fitted.
 
-Unless it is so much cheaper that its evidence there is no more than so many nats less.
+It is fitted all the same if its evidence at the score test is less than so many nats behind.
 """
 
-HALF = 0.5
-"""A good part of the gap."""
+MIN_CLOSED_SHARE = 0.5
+"""The share of the gap that an effect must close to resolve it."""
 
-HARDLY_CLOSES = 0.9
-"""But for the first one, what leaves more of the gap at the first look is not refitted."""
+MAX_FRACTION_AT_SCORE = 0.9
+"""An effect, unless it is the best, is fitted only if it leaves less of the gap at the score test."""
 
-MOST_CHANGING = 3
-"""So many effects, or drivers of one, are fitted with a size that changes from frame to frame."""
+MAX_TRENDS = 3
+"""So many trends are fitted: pairs of an effect and a driver."""
 
-ALIKE_NATS, MOST_ALIKE = 5.0, 3
-"""Candidates whose evidence in bins differs by less, so many at most, are compared in pixels.
+INDISTINGUISHABLE_NATS, MAX_INDISTINGUISHABLE = 5.0, 3
+"""Hypotheses whose evidence in bins differs by less, so many at most, are compared in pixels.
 
-If none explains the bins, the first ones are, however they differ.
+If none resolves the bins, the first ones are compared, however much they differ.
 """
 
 
 @dataclass(frozen=True, eq=False)
 class Search:
-    """What effects are sought in: frames as expected, with a catalogue.
+    """Where effects are sought: the model held against frames, and the catalogue less effects `without`.
 
-    `without` are effects left out of it. `in_pixels` gives the mean squares (n,) that fits leave in pixels of
-    frames left aside; `on_stage` hears what is being done and how much of all is done.
+    `pixel_misfits` returns what fits leave in pixels of validation frames (n,), over the model's floor.
+    `on_stage` is told what is being done, and the share of all work that is done.
     """
 
-    expected: Expected
+    model: LinearizedModel
     without: Sequence[str]
-    in_pixels: Callable[[Sequence[Refit]], Float64]
+    pixel_misfits: Callable[[Sequence[Refit]], Float64]
     on_stage: Callable[[str, float], None]
 
     def has(self, name: str, beside: Refit) -> bool:
         """Say whether an effect may be added to those of a fit."""
         return name not in self.without and name not in beside.ids
 
-    def asked(self, of: Candidate) -> Candidate:
-        """Return a candidate of which it is known what it leaves in pixels."""
-        if not math.isnan(of.left_in_pixels):
-            return of
-        return replace(of, left_in_pixels=float(self.in_pixels([of.refit])[0]))
+    def with_pixels(self, hypothesis: Hypothesis) -> Hypothesis:
+        """Return a hypothesis with its misfit in pixels."""
+        if not math.isnan(hypothesis.pixel_misfit):
+            return hypothesis
+        return replace(hypothesis, pixel_misfit=float(self.pixel_misfits([hypothesis.refit])[0]))
 
 
-def looked(search: Search, baseline: Refit) -> list[Screened]:
-    """Look at every effect that might be added to a baseline; those that leave least first."""
+def score_catalogue(search: Search, baseline: Refit) -> list[ScoreTest]:
+    """Return the scores of all effects that may be added to a baseline, those that leave least first."""
     ids = [name for name in FAMILIES if search.has(name, baseline)]
-    if set(DEAR) & set(baseline.ids):
-        # Bounced light stays as it was computed: it would not go with what changes what is rendered.
-        ids = [name for name in ids if name not in RENDERING]
-    return screen(search.expected, baseline, ids)
+    if set(EXPENSIVE) & set(baseline.ids):
+        # Bounced light is computed once: it would not follow an effect that renders anew.
+        ids = [name for name in ids if name not in RENDERED_EFFECTS]
+    return score_effects(search.model, baseline, ids)
 
 
-def with_flicker(search: Search, baseline: Refit, screened: Sequence[Screened]) -> list[Screened]:
-    """Return looks at effects that may be added to a baseline, with that at arc_flicker."""
-    if not search.has(FLICKER, baseline) or not _shows_arc(search.expected):
-        return list(screened)
-    return [*screened, screen_flicker(search.expected, baseline)]
+def with_flicker(search: Search, baseline: Refit, scores: Sequence[ScoreTest]) -> list[ScoreTest]:
+    """Return scores with that of arc_flicker, if it may be added to a baseline."""
+    if not search.has(FLICKER, baseline) or not _shows_arc(search.model):
+        return list(scores)
+    return [*scores, score_flicker(search.model, baseline)]
 
 
-def candidates(search: Search, baseline: Refit, screened: Sequence[Screened], left: float) -> list[Candidate]:
-    """Return the best candidates to add one effect to a baseline, likeliest first.
+def fit_single_effects(
+    search: Search, baseline: Refit, scores: Sequence[ScoreTest], mean_square: float
+) -> list[Hypothesis]:
+    """Return hypotheses of one more effect beside a baseline's, likeliest first.
 
-    `left` is the mean square without any: a baseline may stand where nuisances have not been fitted.
+    `mean_square` is what is left without any: a baseline's nuisances may not have been fitted.
     """
-    expected, left = search.expected, min(left, baseline.mean_square)
-    gap = left - LEAST_LEFT
-    # What no effect at all leaves at the first look, where nuisances were not fitted yet.
+    model, mean_square = search.model, min(mean_square, baseline.mean_square)
+    gap = mean_square - MIN_MEAN_SQUARE
+    # The score test fits nuisances too: its gap without any effect may be smaller than the baseline's.
     unaided = baseline.quadratic.mean_square(baseline.quadratic.solve())
-    gap_at_look = max(unaided - LEAST_LEFT, gap)
-    found: list[Candidate] = []
-    if search.has(FLICKER, baseline) and _shows_arc(expected):
+    gap_at_score = max(unaided - MIN_MEAN_SQUARE, gap)
+    hypotheses: list[Hypothesis] = []
+    if search.has(FLICKER, baseline) and _shows_arc(model):
         effects: dict[str, Values] = {**baseline.effects, FLICKER: REGISTRY[FLICKER].neutral}
-        found.append(judged(expected, refit_from(expected, baseline, effects)))
-    most = REFITTED_BESIDE if baseline.ids else REFITTED
-    for n, one in enumerate(screened[:most]):
-        of_gap = HOPELESS if _is_resolved(found, left) and _is_worse(one, found, baseline) else HARDLY_CLOSES
-        if n and one.left * baseline.mean_square - LEAST_LEFT > of_gap * gap_at_look:
+        hypotheses.append(cross_validated(model, refit_from(model, baseline, effects)))
+    max_refits = MAX_REFITS_BESIDE if baseline.ids else MAX_REFITS
+    for n, score in enumerate(scores[:max_refits]):
+        max_fraction = (
+            MAX_FRACTION_ONCE_RESOLVED
+            if _is_resolved(hypotheses, mean_square) and _is_far_behind(score, hypotheses, baseline)
+            else MAX_FRACTION_AT_SCORE
+        )
+        gap_left = score.residual_fraction * baseline.mean_square - MIN_MEAN_SQUARE
+        if n and gap_left > max_fraction * gap_at_score:
             continue
-        search.on_stage(f"fitting {one.id}", 0.2 + 0.6 * n / most)
-        # What must be rendered for each step is dear: that is started once.
-        is_rendered = bool(RENDERING & {one.id, *baseline.ids})
-        starts = one.starts[:1] if is_rendered else one.starts
-        fits = [refit_from(expected, baseline, {**baseline.effects, one.id: start}) for start in starts]
-        found.append(judged(expected, min(fits, key=lambda fit: fit.mean_square)))
-    found = best_first(found)
-    if not _is_resolved(found, left):
-        # The best come nearer where light is rendered anew: which of them is best shows only then.
-        for n, near in enumerate(found[:SETTLED]):
-            reach = min(gap, IN_REACH * (min(one.left for one in found) - LEAST_LEFT))
-            if near.left - LEAST_LEFT > reach:
+        search.on_stage(f"fitting {score.id}", 0.2 + 0.6 * n / max_refits)
+        # Rendering at every step is expensive: such a fit is started once.
+        is_rendered = bool(RENDERED_EFFECTS & {score.id, *baseline.ids})
+        starts = score.starts[:1] if is_rendered else score.starts
+        fits = [refit_from(model, baseline, {**baseline.effects, score.id: start}) for start in starts]
+        hypotheses.append(cross_validated(model, min(fits, key=lambda fit: fit.mean_square)))
+    hypotheses = by_evidence(hypotheses)
+    if not _is_resolved(hypotheses, mean_square):
+        # Which of the best is best shows only once light is rendered anew where they came to.
+        for n, near in enumerate(hypotheses[:N_CONVERGED]):
+            least = min(hypothesis.cv_mean_square for hypothesis in hypotheses)
+            if near.cv_mean_square - MIN_MEAN_SQUARE > min(gap, MAX_GAP_RATIO * (least - MIN_MEAN_SQUARE)):
                 continue
             search.on_stage(f"fitting {near.ids[-1]} again", 0.8 + 0.05 * n)
-            found[n] = judged(expected, settled(expected, near.refit))
-    return best_first(found)
+            hypotheses[n] = cross_validated(model, converged(model, near.refit))
+    return by_evidence(hypotheses)
 
 
-def with_dear(search: Search, baseline: Refit, found: Sequence[Candidate]) -> list[Candidate]:
-    """Return candidates, likeliest first, with those that take longer than all others together."""
-    expected, every = search.expected, list(found)
-    if expected.observed.setup.joint.type == "flat":
-        return every
-    expected.take_tangents(baseline.nuisance, baseline.effects, baseline.change)
-    for name, start in DEAR.items():
+def with_expensive(search: Search, baseline: Refit, hypotheses: Sequence[Hypothesis]) -> list[Hypothesis]:
+    """Return hypotheses, likeliest first, with those of expensive effects."""
+    model, fitted = search.model, list(hypotheses)
+    if model.observed.setup.joint.type == "flat":
+        return fitted
+    model.take_tangents(baseline.nuisance, baseline.effects, baseline.trend)
+    for name, start in EXPENSIVE.items():
         search.on_stage(f"looking at {name}", 0.95)
         effects = {**baseline.effects, name: start}
-        if not search.has(name, baseline) or not _worth_it(expected, baseline, effects):
+        if not search.has(name, baseline) or not _closes_enough_in_few(model, baseline, effects):
             continue
-        every.append(judged(expected, settled(expected, refit_from(expected, baseline, effects))))
-    return best_first(every)
+        fitted.append(cross_validated(model, converged(model, refit_from(model, baseline, effects))))
+    return by_evidence(fitted)
 
 
-def with_changes(
-    search: Search, baseline: Refit, screened: Sequence[Screened], found: Sequence[Candidate]
-) -> list[Candidate]:
-    """Return single effects, likeliest first, of which some may change from frame to frame.
+def with_trends(
+    search: Search, baseline: Refit, scores: Sequence[ScoreTest], hypotheses: Sequence[Hypothesis]
+) -> list[Hypothesis]:
+    """Return single effects, likeliest first, of which some may have a trend from frame to frame.
 
-    They were looked at from a baseline: one that closes nothing as long as it stays is among them, too. What
-    pixels said against an effect that stays they have not said against its change.
+    `scores` are those at the baseline. An effect that closes nothing while it is constant may have a trend,
+    too. The pixels' penalty of a constant effect does not carry over to its trend.
     """
-    expected, single = search.expected, {one.ids[0]: one for one in found}
-    for look in screen_changes(expected, baseline, screened)[:MOST_CHANGING]:
-        name, driver = look.change.effect, look.change.driver
+    model, single = search.model, {hypothesis.ids[0]: hypothesis for hypothesis in hypotheses}
+    for trend_score in score_trends(model, baseline, scores)[:MAX_TRENDS]:
+        name, driver = trend_score.trend.effect, trend_score.trend.driver
         search.on_stage(f"fitting {name} that changes with {driver.value}", 0.97)
         if name not in single:
-            start = next(one.start for one in screened if one.id == name)
-            single[name] = judged(expected, refit_from(expected, baseline, {name: start}))
-        fitted = refit(expected, {name: look.start}, baseline.nuisance, change=look.change)
-        changed = judged(expected, settled(expected, fitted))
-        stays = single[name]
-        worth = 0.0 if stays.refit.change else NAMED_FROM
-        if changed.of_bins - stays.of_bins > worth:
-            single[name] = changed
-    return best_first(single.values())
+            start = next(score.start for score in scores if score.id == name)
+            single[name] = cross_validated(model, refit_from(model, baseline, {name: start}))
+        fitted = refit(model, {name: trend_score.start}, baseline.nuisance, trend=trend_score.trend)
+        with_trend = cross_validated(model, converged(model, fitted))
+        steady = single[name]
+        min_gain = 0.0 if steady.refit.trend else MIN_EVIDENCE_NATS
+        if with_trend.bin_evidence - steady.bin_evidence > min_gain:
+            single[name] = with_trend
+    return by_evidence(single.values())
 
 
-def told_apart(
-    search: Search, found: Sequence[Candidate], baseline: Candidate
-) -> tuple[list[Candidate], Candidate]:
-    """Return candidates, likeliest first, those that bins find alike weighed by the pixels; and the baseline.
+def told_apart_by_pixels(
+    search: Search, hypotheses: Sequence[Hypothesis], baseline: Hypothesis
+) -> tuple[list[Hypothesis], Hypothesis]:
+    """Return hypotheses, likeliest first, with a penalty by pixels for those alike in bins; and the baseline.
 
-    Nothing is asked if the baseline is likelier than all.
-    A bin sees no blur: what widens a stripe and what dims it are much the same to it.
+    Pixels are not predicted if the baseline is likelier than all. A bin shows no blur: to it an effect that
+    widens the stripe is much the same as one that dims it.
     """
-    best, alike = found[0].evidence, list(found[:MOST_ALIKE])
+    best, near = hypotheses[0].evidence, list(hypotheses[:MAX_INDISTINGUISHABLE])
     if best <= baseline.evidence:
-        return list(found), baseline
-    if _is_resolved(found, baseline.left):
-        alike = [one for one in alike if best - one.evidence < ALIKE_NATS]
-        if len(alike) < 2:
-            return list(found), baseline
-    of_baseline, *left = search.in_pixels([one.refit for one in (baseline, *alike)]).tolist()
-    # In pixels 1 is the model's floor, and what lies below is chance.
-    nats = [likelihood_nats(max(of, 1.0)) for of in left]
+        return list(hypotheses), baseline
+    if _is_resolved(hypotheses, baseline.cv_mean_square):
+        near = [rival for rival in near if best - rival.evidence < INDISTINGUISHABLE_NATS]
+        if len(near) < 2:
+            return list(hypotheses), baseline
+    of_baseline, *misfits = search.pixel_misfits([rival.refit for rival in (baseline, *near)]).tolist()
+    # In pixels 1 is the model's floor, and differences below it are chance.
+    nats = [likelihood_nats(max(misfit, 1.0)) for misfit in misfits]
     weighed = [
-        replace(one, left_in_pixels=of, against=max(nats) - of_one)
-        for one, of, of_one in zip(alike, left, nats, strict=True)
+        replace(hypothesis, pixel_misfit=misfit, pixel_penalty_nats=max(nats) - nats_of_pixels)
+        for hypothesis, misfit, nats_of_pixels in zip(near, misfits, nats, strict=True)
     ]
-    every = best_first([*weighed, *found[len(alike) :]])
-    return every, replace(baseline, left_in_pixels=of_baseline)
+    every = by_evidence([*weighed, *hypotheses[len(near) :]])
+    return every, replace(baseline, pixel_misfit=of_baseline)
 
 
-def _worth_it(expected: Expected, baseline: Refit, effects: Effects) -> bool:
-    """Say whether effects close a good part of the gap in a few of the frames that the arc lights."""
-    lit = np.flatnonzero(expected.observed.shows_arc)
+def _closes_enough_in_few(model: LinearizedModel, baseline: Refit, effects: Effects) -> bool:
+    """Say whether effects close `MIN_EXPENSIVE_CLOSED` of the gap in a few frames that the arc lights."""
+    lit = np.flatnonzero(model.observed.shows_arc)
     if not len(lit):
         return False
-    few = expected.some(
-        np.isin(np.arange(len(expected.observed.frames)), lit[:: -(-len(lit) // DEAR_FRAMES)])
+    few = model.subset(
+        np.isin(np.arange(len(model.observed.frames)), lit[:: -(-len(lit) // N_EXPENSIVE_FRAMES)])
     )
     before = refit_from(few, baseline, baseline.effects).mean_square
     after = refit_from(few, baseline, effects).mean_square
-    # To a few frames alone nuisances may be bent until they leave less than the model's floor.
-    least = 1.0 if before > 1.0 else LEAST_LEFT
-    return before - max(after, least) > DEAR_CLOSES * (before - least)
+    # Fitted to a few frames alone, nuisances may leave less than the model's floor.
+    least = 1.0 if before > 1.0 else MIN_MEAN_SQUARE
+    return before - max(after, least) > MIN_EXPENSIVE_CLOSED * (before - least)
 
 
-def _is_resolved(found: Sequence[Candidate], left: float) -> bool:
-    """Say whether one of the candidates leaves nothing worth looking for of what is left without it."""
-    most = min(RESOLVED, LEAST_LEFT + HALF * (left - LEAST_LEFT))
-    return any(candidate.left <= most and not candidate.is_held_back for candidate in found)
+def _is_resolved(hypotheses: Sequence[Hypothesis], mean_square: float) -> bool:
+    """Say whether one of the hypotheses resolves the gap of a mean square."""
+    max_mean_square = min(
+        RESOLVED_MEAN_SQUARE, MIN_MEAN_SQUARE + MIN_CLOSED_SHARE * (mean_square - MIN_MEAN_SQUARE)
+    )
+    return any(
+        hypothesis.cv_mean_square <= max_mean_square and not hypothesis.is_bound_limited
+        for hypothesis in hypotheses
+    )
 
 
-def nats_at_look(one: Screened, baseline: Refit) -> float:
-    """Return how much evidence an effect seems to gain beside a baseline's at the first look."""
-    gained = likelihood_nats(one.left * baseline.mean_square) - likelihood_nats(baseline.mean_square)
-    return gained - cost_nats(one.n_parameters)
+def score_gain_nats(score: ScoreTest, baseline: Refit) -> float:
+    """Return the evidence that an effect would gain beside a baseline's by the score test, nats."""
+    mean_square = score.residual_fraction * baseline.mean_square
+    gained = likelihood_nats(mean_square) - likelihood_nats(baseline.mean_square)
+    return gained - bic_penalty_nats(score.n_parameters)
 
 
-def _is_worse(one: Screened, found: Sequence[Candidate], baseline: Refit) -> bool:
-    """Say whether an effect has far less evidence at the first look than another that was fitted."""
-    evidence = likelihood_nats(baseline.mean_square) + nats_at_look(one, baseline)
-    return evidence < max(candidate.evidence for candidate in found) - HOPELESS_NATS
+def _is_far_behind(score: ScoreTest, hypotheses: Sequence[Hypothesis], baseline: Refit) -> bool:
+    """Say whether an effect has far less evidence at the score test than another that was fitted."""
+    evidence = likelihood_nats(baseline.mean_square) + score_gain_nats(score, baseline)
+    return evidence < max(hypothesis.evidence for hypothesis in hypotheses) - MAX_NATS_BEHIND
 
 
-def _shows_arc(expected: Expected) -> bool:
-    return bool(expected.observed.shows_arc.sum() > 2)
+def _shows_arc(model: LinearizedModel) -> bool:
+    return bool(model.observed.shows_arc.sum() > 2)

@@ -1,14 +1,14 @@
-"""How pixels scatter within bins, and what of it goes with read noise, with light and with the laser's light.
+"""The scatter of pixels within bins, parted into read noise, a part with all light, one with the laser's.
 
-Two details of a bin are blind to what the model says of its mean: that of 2 x 2 pixels, (a - b - c + d) / 2,
-and the same of 2 x 2 sums of four, over two. Of white noise either has the variance of a pixel. They see no
-slope, and the twist that they would see is that of the bins about. Their squares are fitted by
+Two Haar details of a bin do not depend on its mean: that of 2 x 2 pixels, (a - b - c + d) / 2, and the same
+of 2 x 2 sums of four, over two. For white noise either has the variance of a pixel. They are 0 for a slope;
+the twist that they would see is subtracted, estimated from the neighbouring bins. Their squares are fitted by
 
     v + r s_read^2 + g light^2 + l_k light_laser^2,    k = 1, 2,
 
-for normal details: weights are those of the fitted variance (Fisher's scoring, McCullagh and Nelder 1989).
-r = rho^2 - 1 of the read noise, g the relative variance of what goes with all light, l_k what laser speckle
-leaves of its own in either detail.
+for normal details with the weights of the fitted variance (Fisher's scoring, McCullagh and Nelder 1989). Here
+r = rho^2 - 1 is of the read noise, g is the relative variance that goes with all light, and l_k is the part
+of the laser speckle's variance that either detail keeps.
 """
 
 from __future__ import annotations
@@ -24,41 +24,41 @@ from scipy.optimize import nnls
 from noise_model.arrays import Bool, Float32, Float64
 from noise_model.instrument.sensor import linearise, respond_moments
 from sim_to_real.data.binned import ObservedFrame
-from sim_to_real.data.blocks import SMALL, in_bins
-from sim_to_real.fit.linearized_model import CHARGE_STEP_E, Passed
+from sim_to_real.data.blocks import DETAIL_2X2, weighted_sums_in_bins
+from sim_to_real.fit.linearized_model import CHARGE_STEP_E, FrameLight
 
-CAP = 5.0
-"""Details beyond so many sigmas are cut: a spark is not noise."""
+CLIP_SIGMAS = 5.0
+"""Details are clipped at so many sigmas: a spark is not noise."""
 
-ROUNDS = 5
-"""How often weights are taken anew."""
+SCORING_ROUNDS = 5
+"""Iterations of the weights."""
 
-LEAST_VARIANCE = 0.25
-"""No variance is taken for less than this share of what is stated."""
+MIN_VARIANCE_RATIO = 0.25
+"""The smallest variance, over the stated one."""
 
-GROUPS = 10
-"""Groups of light in which the fitted variance is held against the measured one."""
+N_LIGHT_GROUPS = 10
+"""Groups of light in which the fitted variance is compared with the measured one."""
 
-LARGE_PX = 4
-"""The pixels of a side that the larger details take."""
+DETAIL_PX = 4
+"""The side of the larger details."""
 
 _HALVES, _ENDS = np.array([1.0, 1.0, -1.0, -1.0]) / 2.0, np.array([1.0, -1.0, -1.0, 1.0]) / 2.0
 
-LARGE = np.outer(_HALVES, _HALVES).astype(np.float32)
-ACROSS = np.outer(np.full(LARGE_PX, 0.5), _ENDS).astype(np.float32)
-"""The larger details of pixels: as those of `SMALL`, their squares add up to one."""
+DETAIL_4X4 = np.outer(_HALVES, _HALVES).astype(np.float32)
+SECOND_DIFFERENCE = np.outer(np.full(DETAIL_PX, 0.5), _ENDS).astype(np.float32)
+"""The weights of the larger details; like those of `DETAIL_2X2`, their squares add up to one."""
 
-OF_COLUMNS = 4.0
-"""What gains of columns add to the variance of `across`, over their own."""
+COLUMN_GAIN = 4.0
+"""The variance that gains of columns add to `across`, over their own variance."""
 
 
 @dataclass(frozen=True, eq=False)
-class Details:
+class HaarDetails:
     """A frame's bins that count (n,): details of 2 x 2 pixels (n, k) and of 4 x 4 (n, j), DN.
 
     `across` (n, j) are the second differences across four columns of four rows. `stated` (n,) is the variance
-    of a pixel, DN^2; `read`, `light` and `laser` (n,) what r, g and l_k of one add. j is 0 where a bin has
-    fewer pixels.
+    of a pixel, DN^2; `read`, `light` and `laser` (n,) are what r, g and l_k of 1 add to it. j is 0 if bins
+    have fewer than 4 x 4 pixels.
     """
 
     small: Float64
@@ -69,21 +69,21 @@ class Details:
     light: Float64
     laser: Float64
 
-    def some(self, chosen: Bool) -> Details:
+    def subset(self, chosen: Bool) -> HaarDetails:
         """Return some of the bins (n,)."""
-        return Details(*(of[chosen] for of in vars(self).values()))
+        return HaarDetails(*(values[chosen] for values in vars(self).values()))
 
-    def variance(self, sizes: Sizes, of_laser: float = 0.0) -> Float64:
-        """Return the variance of a pixel (n,), DN^2, with what scatters besides."""
+    def variance(self, sizes: VarianceSizes, of_laser: float = 0.0) -> Float64:
+        """Return the variance of a pixel (n,), DN^2, with random effects of these sizes."""
         more = sizes.read * self.read + sizes.light * self.light + of_laser * self.laser
-        return np.maximum(self.stated + more, LEAST_VARIANCE * self.stated)
+        return np.maximum(self.stated + more, MIN_VARIANCE_RATIO * self.stated)
 
 
 @dataclass(frozen=True, eq=False)
-class Sizes:
-    """What scatters: r from -1 on, g, l_1 and l_2 from 0 on, and their covariance (4, 4).
+class VarianceSizes:
+    """The fitted sizes: r, which is -1 or more; g, l_1 and l_2, which are 0 or more; their covariance (4, 4).
 
-    `off` is by how much, relative, the fitted variance is off along the light: what no size explains.
+    `error_rel` is the relative error of the fitted variance along the light, which no size explains.
     """
 
     read: float
@@ -91,13 +91,13 @@ class Sizes:
     laser_small: float
     laser_large: float
     covariance: Float64
-    off: float
+    error_rel: float
 
 
-def details(frame: ObservedFrame, light: Passed, bin_px: int) -> Details:
+def haar_details(frame: ObservedFrame, light: FrameLight, bin_px: int) -> HaarDetails:
     """Return the details of a frame's bins that count.
 
-    Their noise is that of the light that is seen: a wrong prediction does not make it wrong.
+    Their stated noise is that of the light that is seen, so a wrong prediction does not make it wrong.
     """
     seen_dn = frame.kept_dn - light.black_dn
     mean_e = np.maximum(linearise(seen_dn, light.sensor), 0.0)
@@ -108,8 +108,11 @@ def details(frame: ObservedFrame, light: Passed, bin_px: int) -> Details:
     twist = _twist(frame.binned_dn, bin_px)[frame.keep, np.newaxis]
     image = frame.image_dn.astype(np.float32)
     bend = _bend(frame.binned_dn, bin_px)[frame.keep, np.newaxis]
-    small, large, across = (in_bins(image, weights, bin_px)[frame.keep] for weights in (SMALL, LARGE, ACROSS))
-    return Details(
+    small, large, across = (
+        weighted_sums_in_bins(image, weights, bin_px)[frame.keep]
+        for weights in (DETAIL_2X2, DETAIL_4X4, SECOND_DIFFERENCE)
+    )
+    return HaarDetails(
         np.asarray(small - 0.5 * twist, dtype=np.float64),
         np.asarray(large - 4.0 * twist, dtype=np.float64),
         np.asarray(across - 2.0 * bend, dtype=np.float64),
@@ -132,45 +135,52 @@ def _bend(binned_dn: Float32, bin_px: int) -> Float32:
     return np.asarray((wide[:, 2:] - 2.0 * wide[:, 1:-1] + wide[:, :-2]) / bin_px**2)
 
 
-def sizes(of: Sequence[Details]) -> Sizes:
-    """Fit what scatters in all frames."""
-    one = Details(*(np.concatenate([getattr(frame, name) for frame in of]) for name in vars(of[0])))
-    nought = np.zeros_like(one.laser)
-    parts = [(one.small**2, np.stack([one.read, one.light, one.laser, nought], axis=1))]
-    if one.large.shape[1]:
-        parts.append((one.large**2, np.stack([one.read, one.light, nought, one.laser], axis=1)))
+def fit_sizes(details: Sequence[HaarDetails]) -> VarianceSizes:
+    """Fit the sizes of random effects to the details of all frames."""
+    pooled = HaarDetails(
+        *(np.concatenate([getattr(frame, name) for frame in details]) for name in vars(details[0]))
+    )
+    none = np.zeros_like(pooled.laser)
+    parts = [(pooled.small**2, np.stack([pooled.read, pooled.light, pooled.laser, none], axis=1))]
+    if pooled.large.shape[1]:
+        parts.append((pooled.large**2, np.stack([pooled.read, pooled.light, none, pooled.laser], axis=1)))
     theta, least = np.zeros(4), np.array([-1.0, 0.0, 0.0, 0.0])
-    for _ in range(ROUNDS):
-        # Before, sizes are nought give or take one: where there is no laser they stay so.
+    for _ in range(SCORING_ROUNDS):
+        # The sizes' prior is 0 +- 1: without a laser they stay there.
         A, b = np.eye(4), np.zeros(4)
         for squares, columns in parts:
-            variance = np.maximum(one.stated + columns @ theta, LEAST_VARIANCE * one.stated)
-            measured = np.minimum(squares, CAP**2 * variance[:, np.newaxis]).mean(axis=1)
+            variance = np.maximum(pooled.stated + columns @ theta, MIN_VARIANCE_RATIO * pooled.stated)
+            measured = np.minimum(squares, CLIP_SIGMAS**2 * variance[:, np.newaxis]).mean(axis=1)
             weight = squares.shape[1] / (2.0 * variance**2)
             A += (columns * weight[:, np.newaxis]).T @ columns
-            b += columns.T @ (weight * (measured - one.stated))
+            b += columns.T @ (weight * (measured - pooled.stated))
         root = np.linalg.cholesky(A)
         theta = nnls(root.T, np.linalg.solve(root, b) - root.T @ least)[0] + least
     read, light, small, large = (float(size) for size in theta)
-    return Sizes(
-        read, light, small, large, np.asarray(np.linalg.inv(A), dtype=np.float64), _off(one, parts[0], theta)
+    return VarianceSizes(
+        read,
+        light,
+        small,
+        large,
+        np.asarray(np.linalg.inv(A), dtype=np.float64),
+        _relative_error(pooled, parts[0], theta),
     )
 
 
-def _off(one: Details, part: tuple[Float64, Float64], theta: Float64) -> float:
-    """Return by how much the variance of details is off in groups of equal light, beyond their sampling."""
+def _relative_error(pooled: HaarDetails, part: tuple[Float64, Float64], theta: Float64) -> float:
+    """Return the relative error of the fitted variance in groups of light, beyond the sampling error."""
     squares, columns = part
-    variance = np.maximum(one.stated + columns @ theta, LEAST_VARIANCE * one.stated)
-    ratio = np.minimum(squares / variance[:, np.newaxis], CAP**2).mean(axis=1)
-    groups = np.array_split(ratio[np.argsort(one.light)], GROUPS)
-    off = np.array([np.mean(group) - 1.0 for group in groups if len(group)])
-    sampling = 2.0 * GROUPS / max(squares.size, 1)
-    return math.sqrt(max(float(np.mean(off**2)) - sampling, 0.0))
+    variance = np.maximum(pooled.stated + columns @ theta, MIN_VARIANCE_RATIO * pooled.stated)
+    ratio = np.minimum(squares / variance[:, np.newaxis], CLIP_SIGMAS**2).mean(axis=1)
+    groups = np.array_split(ratio[np.argsort(pooled.light)], N_LIGHT_GROUPS)
+    errors = np.array([np.mean(group) - 1.0 for group in groups if len(group)])
+    sampling = 2.0 * N_LIGHT_GROUPS / max(squares.size, 1)
+    return math.sqrt(max(float(np.mean(errors**2)) - sampling, 0.0))
 
 
 @dataclass(frozen=True)
-class Pattern:
-    """Relative variances of gains that stay with pixels and with columns, and their 1 sigmas."""
+class FixedPattern:
+    """Relative variances of the gains of pixels and of columns, and their 1 sigmas."""
 
     pixels: float
     pixels_sigma: float
@@ -178,41 +188,43 @@ class Pattern:
     columns_sigma: float
 
 
-def pattern(of: Sequence[Details], keeps: Sequence[Bool], using: Sizes) -> Pattern:
-    """Return what comes back in the details of the same pixels; `keeps` (h, w) are the frames' bins."""
-    variances = [one.variance(using, using.laser_small) for one in of]
-    pixels, pixels_sigma = _recurring([one.small for one in of], of, keeps, variances)
-    if not of[0].across.shape[1]:
-        return Pattern(pixels, pixels_sigma, 0.0, 0.0)
-    both, both_sigma = _recurring([one.across for one in of], of, keeps, variances)
-    columns = (both - pixels) / OF_COLUMNS
+def fixed_pattern(
+    details: Sequence[HaarDetails], keeps: Sequence[Bool], using: VarianceSizes
+) -> FixedPattern:
+    """Return what recurs in the details of the same pixels; `keeps` (h, w) are the frames' bins."""
+    variances = [frame.variance(using, using.laser_small) for frame in details]
+    pixels, pixels_sigma = _recurring([frame.small for frame in details], details, keeps, variances)
+    if not details[0].across.shape[1]:
+        return FixedPattern(pixels, pixels_sigma, 0.0, 0.0)
+    both, both_sigma = _recurring([frame.across for frame in details], details, keeps, variances)
+    columns = (both - pixels) / COLUMN_GAIN
     n_columns = max(int(np.any(keeps, axis=(0, 1)).sum()), 1)
     sampled = columns * math.sqrt(2.0 / n_columns)
-    return Pattern(
-        pixels, pixels_sigma, columns, math.hypot(math.hypot(both_sigma, pixels_sigma) / OF_COLUMNS, sampled)
+    return FixedPattern(
+        pixels, pixels_sigma, columns, math.hypot(math.hypot(both_sigma, pixels_sigma) / COLUMN_GAIN, sampled)
     )
 
 
 def _recurring(
     parts: Sequence[Float64],
-    of: Sequence[Details],
+    details: Sequence[HaarDetails],
     keeps: Sequence[Bool],
     variances: Sequence[Float64],
 ) -> tuple[float, float]:
     """Return the relative variance of details (n, k) that recur, and its 1 sigma.
 
-    Products of different frames alone count: their noise does not come back.
+    Only products of different frames count: their noise does not recur.
     """
     shape, k = keeps[0].shape, parts[0].shape[1]
     first, squares = np.zeros((*shape, k)), np.zeros((*shape, k))
     light, light_squares = np.zeros(shape), np.zeros(shape)
-    for part, one, keep, variance in zip(parts, of, keeps, variances, strict=True):
-        cap = CAP * np.sqrt(variance)[:, np.newaxis]
-        weighted = np.clip(part, -cap, cap) * (np.sqrt(one.light) / variance)[:, np.newaxis]
+    for part, frame, keep, variance in zip(parts, details, keeps, variances, strict=True):
+        cap = CLIP_SIGMAS * np.sqrt(variance)[:, np.newaxis]
+        weighted = np.clip(part, -cap, cap) * (np.sqrt(frame.light) / variance)[:, np.newaxis]
         first[keep] += weighted
         squares[keep] += weighted**2
-        light[keep] += one.light / variance
-        light_squares[keep] += (one.light / variance) ** 2
+        light[keep] += frame.light / variance
+        light_squares[keep] += (frame.light / variance) ** 2
     over = float(np.sum(first**2 - squares))
     under = k * float(np.sum(light**2 - light_squares))
     return (over / under, math.sqrt(2.0 / under)) if under > 0.0 else (0.0, math.inf)

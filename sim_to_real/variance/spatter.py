@@ -1,10 +1,10 @@
 """Spatter's parameters from the streaks that were found: how often, how bright, how long, how wide.
 
 A streak's moments give its length and width: along it the variance is l^2 / 12 + w^2, across it w^2, and the
-point-spread function adds to both; its integral is l w sqrt(2 pi) times its peak. Streaks fainter than a
-limit are not found; of exponential peaks those found exceed their limits by `peak_e` on average, and as many
-are missed as that says. Streaks are counted by their length that is seen, so that those cut by the rim, or by
-what cannot be searched, count for what they are.
+point-spread function adds to both. Its integral is l w sqrt(2 pi) times its peak. Streaks fainter than a
+limit are not found. Peaks are taken to be exponential: those found exceed their limits by `peak_e` on
+average, which gives the share that is missed. A streak that is cut, by the rim or by bins that are not
+searched, counts by the share of its length that is seen.
 """
 
 from __future__ import annotations
@@ -21,14 +21,14 @@ from noise_model.arrays import Bool, Float32, Float64
 from noise_model.effects import REGISTRY
 from noise_model.instrument.sensor import Sensor, electrons_per_dn, linearise, saturation_dn
 from sim_to_real.data.binned import Observed
-from sim_to_real.data.blocks import cut, within
+from sim_to_real.data.blocks import dilated, in_blocks
 from sim_to_real.fit.gauss_newton import MAD_SIGMA
-from sim_to_real.fit.linearized_model import Passed
-from sim_to_real.variance.haar_details import Sizes
-from sim_to_real.variance.streaks import Line, Searched, passing, search
+from sim_to_real.fit.linearized_model import FrameLight
+from sim_to_real.variance.haar_details import VarianceSizes
+from sim_to_real.variance.streaks import Line, LineSearch, search_lines, transient_lines
 
 CLUTTER_FRAMES = 30.0
-"""Known before of lines that are no streaks: fewer than one in so many frames."""
+"""The prior of lines that are no streaks: fewer than one in so many frames."""
 
 RIM_BINS = 3
 """Bins about a streak from which its background is taken."""
@@ -36,40 +36,41 @@ RIM_BINS = 3
 BESIDE_BINS = 3.0
 """1 sigma over which light beside a streak is averaged."""
 
-OUTLYING = 4.0
-"""Pixels of the background that lie beyond so many sigmas are something else's."""
+OUTLIER_SIGMAS = 4.0
+"""Pixels beyond so many sigmas do not belong to the background."""
 
-LEAST_ELONGATED = 4.0
-"""A streak's variance along is so many times that across."""
+MIN_ELONGATION = 4.0
+"""The smallest ratio of a streak's variance along it to that across it."""
 
-SMOOTH, MOSTLY, LEAST_BESIDE = 1.5, 0.7, 40
-"""A background's pixels scatter by so many times their noise at most; this share, and so many, must do so."""
+MAX_BACKGROUND_NOISE, MIN_BACKGROUND_SHARE, MIN_BACKGROUND_PX = 1.5, 0.7, 40
+"""A smooth background: its largest scatter over noise, and the smallest share and number of its pixels."""
 
-WINDOW_PX, ROUNDS, MOST_KEPT = 4.0, 4, 0.9
-"""1 sigma of the window across a streak, how often it is put about it, and how much of it may be filled."""
+WINDOW_PX, WINDOW_ROUNDS, MAX_KEPT = 4.0, 4, 0.9
+"""1 sigma of the window across a streak, its iterations, and the share of it that a streak may fill."""
 
-CLEAR_FROM = 4.0
-"""Streaks of so many times their limit are clear."""
+CLEAR_LIMIT_RATIO = 4.0
+"""Streaks of so many times their limit are clear enough for their moments to be used."""
 
-LEAST_WIDTH_PX, MEASURED_PX = 0.5, 0.3
-"""The narrowest streak, and 1 sigma of what the moments of any may be off."""
+MIN_WIDTH_PX, MOMENT_ERROR_PX = 0.5, 0.3
+"""The narrowest streak, and 1 sigma of the error of moments."""
 
-LEAST_SEARCHED = 0.01
-"""Where hardly any of the streaks could have been found, so many whole frames count as searched."""
+MIN_SEARCHED_FRAMES = 0.01
+"""The smallest number of frames that count as searched."""
 
 PARAMETERS = {parameter.name: parameter for parameter in REGISTRY["spatter"].parameters}
-"""What the catalogue says of spatter."""
+"""The catalogue's parameters of spatter."""
 
-AROUND = 3
-"""The side of the square of bins about a line's that are still its own."""
+DILATION_BINS = 3
+"""The side of the square by which a line's bins are dilated."""
 
 
 @dataclass(frozen=True, eq=False)
 class Spatter:
-    """Streaks that are in single frames.
+    """Streaks in single frames, and the parameters of spatter.
 
-    `evidence` for spatter, nats; `values` and `sigmas` of its parameters, empty if there is no streak; `hit`
-    (h, w) of each frame the bins that streaks reach; `excess` is what they add to the mean of r^2.
+    `evidence` is that for spatter, nats. `values` and `sigmas` are of its parameters, empty if there is no
+    streak. `hit` (h, w) are the bins of each frame that streaks reach. `excess` is what streaks add to the
+    mean of r^2.
     """
 
     evidence: float
@@ -81,11 +82,11 @@ class Spatter:
 
 @dataclass(frozen=True)
 class Streak:
-    """What a line measures in its pixels.
+    """A line measured in its pixels.
 
-    `seen_px2` is the variance across it, `charge_e` the integral, e- of the nominal exposure; `room_e` is
-    what saturates a pixel there. It `is_whole` if neither the rim nor the model's own lines cut it, `is_full`
-    if it saturates.
+    `seen_px2` is the variance across it, `charge_e` its integral, e- of the nominal exposure; `room_e` is the
+    charge that saturates a pixel there. It `is_whole` if neither the rim nor the model's own lines cut it,
+    and `is_full` if it saturates.
     """
 
     line: Line
@@ -97,72 +98,72 @@ class Streak:
     is_full: bool
 
 
-def spatter(observed: Observed, passed: Sequence[Passed], sizes: Sizes) -> Spatter:
-    """Return the spatter that frames show; `sizes` are those of what scatters besides."""
-    searched, sensor = search(observed, passed, sizes), passed[0].sensor
-    bright, dark = passing(observed, searched)
+def spatter(observed: Observed, lights: Sequence[FrameLight], sizes: VarianceSizes) -> Spatter:
+    """Return the spatter that frames show; `sizes` are those of the other random effects."""
+    searched, sensor = search_lines(observed, lights, sizes), lights[0].sensor
+    bright, dark = transient_lines(observed, searched)
     lit = observed.lit
-    found = [line for line in bright if lit[line.position]]
-    measured = [_measured(observed, sensor, searched[line.position], line) for line in found]
+    bright_when_lit = [line for line in bright if lit[line.position]]
+    measured = [_measured(observed, sensor, searched[line.position], line) for line in bright_when_lit]
     streaks = [streak for streak in measured if streak is not None]
-    hit = _hit(observed, found)
-    n_others = len(dark) + len(bright) - len(found)
+    hit = _hit(observed, bright_when_lit)
+    n_others = len(dark) + len(bright) - len(bright_when_lit)
     evidence = _evidence(len(streaks), int(lit.sum()), n_others, len(lit))
     if not streaks:
         return Spatter(evidence, {}, {}, hit, 0.0)
-    values, sigmas = _estimate(observed, searched, found, streaks)
+    values, sigmas = _estimate(observed, searched, bright_when_lit, streaks)
     excess = _excess(observed, sensor, searched, _hit(observed, [streak.line for streak in streaks]))
     return Spatter(evidence - _unlikely(values), values, sigmas, hit, excess)
 
 
-def _excess(observed: Observed, sensor: Sensor, searched: Sequence[Searched], hit: Sequence[Bool]) -> float:
-    """Return what streaks add to the mean of r^2 of all pixels; light and noise are those beside them."""
+def _excess(observed: Observed, sensor: Sensor, searched: Sequence[LineSearch], hit: Sequence[Bool]) -> float:
+    """Return what streaks add to the mean of r^2 of all pixels, with the light and noise beside them."""
     bin_px = observed.bin_px
     added = 0.0
-    for frame, of, bins in zip(observed.frames, searched, hit, strict=True):
+    for frame, frame_search, bins in zip(observed.frames, searched, hit, strict=True):
         if not bins.any():
             continue
-        beside = [_from_beside(image, bins) for image in (of.light_dn, of.noise_dn**2)]
-        image_dn = cut(frame.image_dn, bin_px).transpose(0, 2, 1, 3)
+        beside = [_from_beside(image, bins) for image in (frame_search.light_dn, frame_search.noise_dn**2)]
+        image_dn = in_blocks(frame.image_dn, bin_px).transpose(0, 2, 1, 3)
         seen_dn = beside[0] + np.float32(sensor.black_level_dn)
-        left_dn = image_dn[bins] - seen_dn[:, np.newaxis, np.newaxis]
-        added += float(np.sum(np.mean(left_dn**2, axis=(1, 2)) / (bin_px**2 * beside[1]) - 1.0))
+        added_dn = image_dn[bins] - seen_dn[:, np.newaxis, np.newaxis]
+        added += float(np.sum(np.mean(added_dn**2, axis=(1, 2)) / (bin_px**2 * beside[1]) - 1.0))
     return float(added / np.size(hit))
 
 
 def _from_beside(image: Float32, bins: Bool) -> Float32:
-    """Return what an image (h, w) has beside some bins (n,)."""
+    """Return the mean of an image (h, w) beside each of some bins (n,)."""
     others = np.float32(1.0) - bins.astype(np.float32)
     light, weight = (cv2.GaussianBlur(part, (0, 0), BESIDE_BINS) for part in (image * others, others))
     return np.asarray(light[bins] / np.maximum(weight[bins], 1e-6), dtype=np.float32)
 
 
-def _hit(observed: Observed, found: Sequence[Line]) -> tuple[Bool, ...]:
+def _hit(observed: Observed, streak_lines: Sequence[Line]) -> tuple[Bool, ...]:
     """Return the bins (h, w) of each frame that lines reach."""
     images = np.zeros((len(observed.frames), *observed.frames[0].keep.shape), dtype=np.bool_)
-    for line in found:
+    for line in streak_lines:
         images[(line.position, *line.bins.T)] = True
-    return tuple(within(image, AROUND) for image in images)
+    return tuple(dilated(image, DILATION_BINS) for image in images)
 
 
-def _measured(observed: Observed, sensor: Sensor, of: Searched, line: Line) -> Streak | None:
-    """Measure a line in the pixels about it; None if it is no streak before a smooth background."""
+def _measured(observed: Observed, sensor: Sensor, frame_search: LineSearch, line: Line) -> Streak | None:
+    """Measure a line in the pixels about it; None if it is no streak on a smooth background."""
     frame, setup, bin_px = observed.frames[line.position], observed.setup, observed.bin_px
-    shape = np.array(of.limit_dn.shape)
+    shape = np.array(frame_search.limit_dn.shape)
     low = np.maximum(line.bins.min(axis=0) - RIM_BINS - 1, 0)
     high = np.minimum(line.bins.max(axis=0) + RIM_BINS + 2, shape)
     window = slice(low[0], high[0]), slice(low[1], high[1])
     mask = np.zeros(high - low, dtype=np.bool_)
     mask[tuple((line.bins - low).T)] = True
-    support = within(mask, AROUND)
-    guard = within(support, AROUND)
+    support = dilated(mask, DILATION_BINS)
+    guard = dilated(support, DILATION_BINS)
     crop = frame.image_dn[low[0] * bin_px : high[0] * bin_px, low[1] * bin_px : high[1] * bin_px]
-    smooth = ~guard & ~of.stripe[window]
+    smooth = ~guard & ~frame_search.stripe[window]
     inside, beside = (np.kron(bins, np.ones((bin_px, bin_px))) > 0 for bins in (support, smooth))
     full = crop >= saturation_dn(sensor)
     electrons = linearise(crop, sensor)
     e_per_dn = float(np.median(electrons_per_dn(electrons, sensor)))
-    noise_e = float(np.median(of.noise_dn[window])) * bin_px * e_per_dn
+    noise_e = float(np.median(frame_search.noise_dn[window])) * bin_px * e_per_dn
     beside &= ~full
     background_e = _background(electrons, beside, noise_e)
     if background_e is None:
@@ -171,7 +172,7 @@ def _measured(observed: Observed, sensor: Sensor, of: Searched, line: Line) -> S
     if moments is None:
         return None
     charge_e, along, across = moments
-    own = of.own_dn[window] > of.limit_dn[window] - of.own_dn[window]
+    own = frame_search.own_dn[window] > frame_search.limit_dn[window] - frame_search.own_dn[window]
     is_cut = (low == 0).any() or (high == shape).any() or bool((own & guard).any())
     exposed = frame.condition.exposure_s / setup.camera.exposure_s
     length_px = math.sqrt(12.0 * (along - across))
@@ -183,8 +184,8 @@ def _measured(observed: Observed, sensor: Sensor, of: Searched, line: Line) -> S
 def _moments(place: Float64, charge: Float64) -> tuple[float, float, float] | None:
     """Return integral, variance along and across, px^2, of charge (n,) at places (2, n); None if no streak's.
 
-    Across, charge is seen through a Gaussian window of variance s^2, which keeps noise out: of a Gaussian of
-    variance v it leaves v s^2 / (v + s^2), and s / sqrt(v + s^2) of the integral.
+    Across the streak charge is weighted by a Gaussian window of variance s^2, against noise. It turns a
+    Gaussian's variance v into v s^2 / (v + s^2) and keeps s / sqrt(v + s^2) of the integral.
     """
     total = float(charge.sum())
     if total <= 0.0:
@@ -192,64 +193,72 @@ def _moments(place: Float64, charge: Float64) -> tuple[float, float, float] | No
     place = place - (place @ charge / total)[:, np.newaxis]
     beside, along = np.linalg.eigh((place * charge) @ place.T)[1].T @ place
     across, window = 0.0, WINDOW_PX**2
-    for _ in range(ROUNDS):
+    for _ in range(WINDOW_ROUNDS):
         seen = charge * np.exp(-0.5 * beside**2 / window)
         total = float(seen.sum())
         if total <= 0.0:
             return None
         beside = beside - float(beside @ seen) / total
-        kept = min(float(beside**2 @ seen) / total / window, MOST_KEPT)
+        kept = min(float(beside**2 @ seen) / total / window, MAX_KEPT)
         if kept <= 0.0:
             return None
-        across, passed = window * kept / (1.0 - kept), math.sqrt(1.0 - kept)
+        across, integral_kept = window * kept / (1.0 - kept), math.sqrt(1.0 - kept)
         window = max(WINDOW_PX**2, 2.0 * across)
     middle = float(along @ seen) / total
     lengthwise = float((along - middle) ** 2 @ seen) / total
-    return (total / passed, lengthwise, across) if lengthwise > LEAST_ELONGATED * across else None
+    return (total / integral_kept, lengthwise, across) if lengthwise > MIN_ELONGATION * across else None
 
 
 def _background(electrons: Float64, beside: Bool, noise_e: float) -> Float64 | None:
     """Return the cubic through pixels beside a streak; None if they are not smooth."""
-    row, column = ((of - of.mean()) / max(electrons.shape) for of in np.indices(electrons.shape))
+    row, column = ((places - places.mean()) / max(electrons.shape) for places in np.indices(electrons.shape))
     basis = np.stack([row**n * column**m for n in range(4) for m in range(4 - n)], axis=-1)
     use = beside
     for _ in range(2):
-        if use.sum() < LEAST_BESIDE:
+        if use.sum() < MIN_BACKGROUND_PX:
             return None
         fitted = basis @ np.linalg.lstsq(basis[use], electrons[use], rcond=None)[0]
-        left = electrons - fitted
-        spread_e = MAD_SIGMA * float(np.median(np.abs(left[use])))
-        use = beside & (np.abs(left) < OUTLYING * max(noise_e, spread_e))
-    is_smooth = float(np.std(left[use])) < SMOOTH * noise_e and use.sum() > MOSTLY * beside.sum()
+        remainder = electrons - fitted
+        spread_e = MAD_SIGMA * float(np.median(np.abs(remainder[use])))
+        use = beside & (np.abs(remainder) < OUTLIER_SIGMAS * max(noise_e, spread_e))
+    is_smooth = (
+        float(np.std(remainder[use])) < MAX_BACKGROUND_NOISE * noise_e
+        and use.sum() > MIN_BACKGROUND_SHARE * beside.sum()
+    )
     return np.asarray(fitted) if is_smooth else None
 
 
 def _estimate(
-    observed: Observed, searched: Sequence[Searched], found: Sequence[Line], streaks: Sequence[Streak]
+    observed: Observed,
+    searched: Sequence[LineSearch],
+    streak_lines: Sequence[Line],
+    streaks: Sequence[Streak],
 ) -> tuple[dict[str, float], dict[str, float]]:
     """Return the parameters of spatter and their 1 sigmas."""
     whole = [s for s in streaks if s.is_whole] or list(streaks)
-    # Moments of the faint say little, those of the saturated something else.
-    clear = [s for s in whole if s.line.response_dn > CLEAR_FROM * s.line.limit_dn and not s.is_full]
+    # Moments of faint streaks are noisy, those of saturated ones biased.
+    clear = [s for s in whole if s.line.response_dn > CLEAR_LIMIT_RATIO * s.line.limit_dn and not s.is_full]
     plain = clear or [s for s in whole if not s.is_full] or whole
     length = np.array([s.length_px for s in plain])
     across = np.array([s.seen_px2 for s in plain]) - observed.setup.camera.psf_sigma_px**2
-    width_px = math.sqrt(max(float(np.median(across)), LEAST_WIDTH_PX**2))
+    width_px = math.sqrt(max(float(np.median(across)), MIN_WIDTH_PX**2))
     charge_e = np.array([s.charge_e / s.length_px for s in streaks])
     peak = charge_e / (width_px * math.sqrt(2.0 * math.pi))
-    # One that saturates says that its peak is no less than what does.
+    # A saturated streak's peak is at least what saturates.
     widened = math.hypot(width_px, observed.setup.camera.psf_sigma_px) / width_px
     full = np.array([widened * s.room_e if s.is_full else math.inf for s in streaks])
     peak = np.minimum(peak, full)
     limit = peak * np.array([s.line.limit_dn / s.line.response_dn for s in streaks])
-    # The mean of an exponential that is cut at either end.
+    # The mean of an exponential distribution that is censored at both ends.
     n_seen = max(sum(not s.is_full for s in streaks), 1)
     peak_e = float(np.sum(peak - limit)) / n_seen
     searched_frames = max(
-        _searched_frames(observed, searched, found, (streaks, peak), peak_e), LEAST_SEARCHED
+        _searched_frames(observed, searched, streak_lines, (streaks, peak), peak_e), MIN_SEARCHED_FRAMES
     )
-    # Those that are cut count for what is seen of them; an edge that one crosses may have made it longer.
-    extent = np.array([line.extent for line in found]) / float(np.median([s.line.extent for s in whole]))
+    # Cut streaks count by their seen length; an edge that one crosses may have lengthened it.
+    extent = np.array([line.extent for line in streak_lines]) / float(
+        np.median([s.line.extent for s in whole])
+    )
     n = float(np.sum(np.minimum(extent, 1.0)))
     values = {
         "rate_per_frame": n / searched_frames,
@@ -269,43 +278,43 @@ def _estimate(
 
 def _searched_frames(
     observed: Observed,
-    searched: Sequence[Searched],
-    found: Sequence[Line],
+    searched: Sequence[LineSearch],
+    streak_lines: Sequence[Line],
     peaks: tuple[Sequence[Streak], Float64],
     peak_e: float,
 ) -> float:
-    """Return how many whole lit frames were searched: of each the area, for those peaks that are found.
+    """Return the number of lit frames that were searched: areas weighted by the share of peaks found there.
 
-    One whose middle lies on another streak is not told from it.
+    A streak whose middle lies on another one is not told from it, so bins on streaks do not count.
     """
-    frames, hit = observed.frames, _hit(observed, found)
+    frames, hit = observed.frames, _hit(observed, streak_lines)
     exposed = [frame.condition.exposure_s / observed.setup.camera.exposure_s for frame in frames]
     response_dn = np.array([s.line.response_dn / exposed[s.line.position] for s in peaks[0]])
     dn_per_e = float(np.median(response_dn / peaks[1]))
     return sum(
-        float(np.mean(np.where(covered, 0.0, np.exp(-of.limit_dn / (dn_per_e * by * peak_e)))))
-        for of, covered, by, frame in zip(searched, hit, exposed, frames, strict=True)
+        float(np.mean(np.where(covered, 0.0, np.exp(-frame_search.limit_dn / (dn_per_e * by * peak_e)))))
+        for frame_search, covered, by, frame in zip(searched, hit, exposed, frames, strict=True)
         if frame.condition.arc_level > 0.0
     )
 
 
 def _unlikely(values: Mapping[str, float]) -> float:
-    """Return by how many nats streaks of such a length and width are less likely than the likeliest."""
+    """Return how much less likely streaks of such a length and width are than the likeliest ones, nats."""
     usual = [PARAMETERS[name] for name in ("length_px", "width_px")]
     return 0.5 * float(sum(((values[p.name] - p.start) / p.prior_sigma) ** 2 for p in usual))
 
 
 def _of_median(values: Float64) -> float:
-    """Return 1 sigma of a median (n,), never less than measuring allows."""
+    """Return 1 sigma of the median of values (n,), at least the error of moments."""
     spread = MAD_SIGMA * float(np.median(np.abs(values - np.median(values))))
-    return math.sqrt(0.5 * math.pi * spread**2 / len(values) + MEASURED_PX**2)
+    return math.sqrt(0.5 * math.pi * spread**2 / len(values) + MOMENT_ERROR_PX**2)
 
 
 def _evidence(n: int, n_lit: int, n_others: int, n_frames: int) -> float:
-    """Return the evidence, nats, of n streaks in lit frames for spatter over what else makes lines.
+    """Return the evidence of n streaks in lit frames for spatter over other causes of lines, nats.
 
-    Other lines come at a rate that is known from `n_others` of the wrong sign or in frames without arc: a
-    Gamma distribution, whose predictive is negative binomial. Spatter's rate is exponential before.
+    The rate of other lines is known from `n_others`, dark ones and those in frames without arc: it has a
+    Gamma distribution, whose predictive one is negative binomial. The prior of spatter's rate is exponential.
     """
     shape, frames = 0.5 + n_others, CLUTTER_FRAMES + n_frames
     clutter = gammaln(shape + n) - gammaln(shape) - gammaln(n + 1.0)

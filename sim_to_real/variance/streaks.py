@@ -1,7 +1,8 @@
-"""Streaks: bright lines in single frames, told from noise, the model's own lines and all that lasts.
+"""Streaks: bright lines in single frames, told from noise, the model's own lines and persistent ones.
 
-A line of the binned image is a streak's if it is brighter on both sides than noise and the model's own lines
-near by allow, and if no such line stands at the same place of the image or of the part in other frames.
+A line of the binned image is a streak if it is brighter than both its sides by more than noise and the
+model's own lines near by allow, and if no other frame has such a line at the same place of the image or of
+the part.
 """
 
 from __future__ import annotations
@@ -20,47 +21,50 @@ from noise_model.instrument.sensor import linearise, respond, respond_moments, s
 from noise_model.surface.joint import seam_frame
 from noise_model.transforms import invert, transform
 from sim_to_real.data.binned import FLOOR_DN, FLOOR_REL, Observed, ObservedFrame
-from sim_to_real.data.blocks import block_means, within
-from sim_to_real.fit.linearized_model import Passed
-from sim_to_real.variance.haar_details import Sizes
-from sim_to_real.variance.line_filter import ANGLES, NOISE, ridges
+from sim_to_real.data.blocks import block_means, dilated
+from sim_to_real.fit.linearized_model import FrameLight
+from sim_to_real.variance.haar_details import VarianceSizes
+from sim_to_real.variance.line_filter import N_ANGLES, NOISE_GAIN, line_response
 
 FALSE_ALARMS = 1e-3
-"""So many lines of noise alone are expected in a whole recording."""
+"""Lines expected from noise alone in a whole recording."""
 
-WIDE = 5
-"""Bins across what is no streak: saturated areas, the median that is a streak's background."""
+WIDE_BINS = 5
+"""The width, bins, from which a bright area is no streak; the median filter of the background has it too."""
 
-MISPLACED = 3
-"""Bins by which the model's lines may lie beside the true ones."""
+MISPLACED_BINS = 3
+"""How far the model's lines may lie beside the true ones."""
 
-TRUSTED = 1.5
-"""Lines up to so many times the model's own may be what the model is off."""
+MODEL_LINE_RATIO = 1.5
+"""Lines up to so many times the model's own may be the model's error."""
 
-RECURRING, NEAR = 0.3, 2
-"""A line recurs if at its place, within so many bins, another frame has this share of it."""
+MIN_RECURRING_SHARE, NEAR_BINS = 0.3, 2
+"""A line recurs if another frame has this share of it within so many bins of its place."""
 
-OFTEN, TWICE = 0.3, 2
-"""What recurs in this share of the frames that could show it lasts, if it does twice or wherever it could."""
+MIN_RECURRING_FRAMES_SHARE, MIN_RECURRING_FRAMES = 0.3, 2
+"""A line is persistent if it recurs in this share of the frames that could show it.
 
-LEAST_LIGHT_DN = 0.5
-"""A line that lasts is fainter with the light about it, down to so little."""
+It must recur in so many frames, or in all that could show it.
+"""
 
-BESIDE = 3
-"""Bins within which a bright line makes its surroundings look like a dark one."""
+MIN_LIGHT_DN = 0.5
+"""The least light with which a persistent line's brightness is scaled."""
 
-CLEAR = 3.0
-"""A frame could show a line again if that would stand out by so many sigmas."""
+BESIDE_LINE_BINS = 3
+"""Within so many bins a bright line makes its surroundings look like a dark line."""
 
-LEAST_BINS = 3
-"""A line covers so many bins."""
+MIN_RESPONSE_SIGMAS = 3.0
+"""A frame could show a line again if its response there would be so many sigmas."""
+
+MIN_LINE_BINS = 3
+"""The fewest bins of a line."""
 
 
 @dataclass(frozen=True, eq=False)
 class Line:
-    """A line that stands out: its frame, the bins (k, 2) about it, its place there, direction and response.
+    """A line that was found: the position of its frame, its bins (k, 2), peak place, direction and response.
 
-    `extent` is its length in bins, where it has half of its response.
+    `extent` is the length, bins, over which it has half of its response.
     """
 
     position: int
@@ -73,12 +77,13 @@ class Line:
 
 
 @dataclass(frozen=True, eq=False)
-class Searched:
-    """A frame that was searched.
+class LineSearch:
+    """The search for lines in one frame.
 
-    `light_dn` (h, w) is its background over black, `noise_dn` (h, w) that of a bin, `own_dn` (h, w) what the
-    model's own lines may make, `limit_dn` (h, w) what a line must exceed, inf where nothing is searched;
-    `stripe` (h, w) are the bins about the laser's, `bright` and `dark` the responses (ANGLES, h, w).
+    `light_dn` (h, w) is the background over black, `noise_dn` (h, w) a bin's noise, `own_dn` (h, w) the
+    largest response that the model's own lines may give. A line must exceed `limit_dn` (h, w), inf where
+    nothing is searched. `stripe` (h, w) are the bins about the laser's, `bright` and `dark` the responses
+    (N_ANGLES, h, w).
     """
 
     light_dn: Float32
@@ -90,39 +95,43 @@ class Searched:
     dark: Float32
 
 
-def search(observed: Observed, passed: Sequence[Passed], sizes: Sizes) -> list[Searched]:
-    """Return what stands out as a line in all frames; `sizes` are those of what scatters besides."""
-    n_trials = len(observed.frames) * observed.frames[0].keep.size * ANGLES
-    sure = float(norm.isf(FALSE_ALARMS / n_trials))
+def search_lines(observed: Observed, lights: Sequence[FrameLight], sizes: VarianceSizes) -> list[LineSearch]:
+    """Return the search for lines in each frame; `sizes` are those of the other random effects."""
+    n_trials = len(observed.frames) * observed.frames[0].keep.size * N_ANGLES
+    min_sigmas = float(norm.isf(FALSE_ALARMS / n_trials))
     return [
-        _searched(frame, light, sizes, sure, observed.bin_px)
-        for frame, light in zip(observed.frames, passed, strict=True)
+        _searched(frame, light, sizes, min_sigmas, observed.bin_px)
+        for frame, light in zip(observed.frames, lights, strict=True)
     ]
 
 
-def _searched(frame: ObservedFrame, light: Passed, sizes: Sizes, sure: float, bin_px: int) -> Searched:
-    sensor, around = light.sensor, np.ones((2 * MISPLACED + 1,) * 2, dtype=np.uint8)
-    seen_dn = np.asarray(cv2.medianBlur(frame.binned_dn, WIDE), dtype=np.float32)
+def _searched(
+    frame: ObservedFrame, light: FrameLight, sizes: VarianceSizes, min_sigmas: float, bin_px: int
+) -> LineSearch:
+    sensor, around = light.sensor, np.ones((2 * MISPLACED_BINS + 1,) * 2, dtype=np.uint8)
+    seen_dn = np.asarray(cv2.medianBlur(frame.binned_dn, WIDE_BINS), dtype=np.float32)
     light_dn = seen_dn - np.float32(sensor.black_level_dn)
     noise_dn = _noise_dn(frame, light, seen_dn, sizes, bin_px)
     floor_dn = np.hypot(FLOOR_REL * light_dn, FLOOR_DN)
-    own = ridges(respond(frame.stated_e, sensor).astype(np.float32))
+    own = line_response(respond(frame.stated_e, sensor).astype(np.float32))
     own_lines = np.maximum(np.maximum(own.bright, own.dark).max(axis=0), 0.0)
-    own_dn = np.asarray(TRUSTED * cv2.dilate(own_lines, around), dtype=np.float32)
-    limit_dn = np.asarray(sure * NOISE * np.hypot(noise_dn, floor_dn) + own_dn, dtype=np.float32)
+    own_dn = np.asarray(MODEL_LINE_RATIO * cv2.dilate(own_lines, around), dtype=np.float32)
+    limit_dn = np.asarray(min_sigmas * NOISE_GAIN * np.hypot(noise_dn, floor_dn) + own_dn, dtype=np.float32)
     full = block_means(frame.image_dn >= saturation_dn(sensor), bin_px) > 0.0
-    # What is saturated across several bins is no streak; narrower it may be one.
-    wide = cv2.morphologyEx(full.astype(np.uint8), cv2.MORPH_OPEN, np.ones((WIDE, WIDE), np.uint8))
-    limit_dn[within(wide > 0, 2 * MISPLACED + 1)] = np.inf
+    # An area that is saturated across several bins is no streak.
+    wide = cv2.morphologyEx(full.astype(np.uint8), cv2.MORPH_OPEN, np.ones((WIDE_BINS, WIDE_BINS), np.uint8))
+    limit_dn[dilated(wide > 0, 2 * MISPLACED_BINS + 1)] = np.inf
     stripe = np.zeros(frame.keep.shape, dtype=np.bool_)
     stripe[frame.keep] = frame.in_stripe
-    stripe = within(stripe, 2 * MISPLACED + 1)
-    found = ridges(frame.binned_dn)
-    return Searched(light_dn, noise_dn, own_dn, limit_dn, stripe, found.bright, found.dark)
+    stripe = dilated(stripe, 2 * MISPLACED_BINS + 1)
+    responses = line_response(frame.binned_dn)
+    return LineSearch(light_dn, noise_dn, own_dn, limit_dn, stripe, responses.bright, responses.dark)
 
 
-def _noise_dn(frame: ObservedFrame, light: Passed, seen_dn: Float32, sizes: Sizes, bin_px: int) -> Float32:
-    """Return the noise (h, w) of bins, with what scatters besides; grains count as if a bin were one."""
+def _noise_dn(
+    frame: ObservedFrame, light: FrameLight, seen_dn: Float32, sizes: VarianceSizes, bin_px: int
+) -> Float32:
+    """Return the noise (h, w) of bins with other random effects; a speckle grain counts as a whole bin."""
     electrons = np.maximum(linearise(seen_dn, light.sensor), 0.0)
     read_e2 = (1.0 + max(sizes.read, 0.0)) * light.sensor.read_noise_e**2
     laser_e = np.zeros(frame.keep.shape)
@@ -134,36 +143,38 @@ def _noise_dn(frame: ObservedFrame, light: Passed, seen_dn: Float32, sizes: Size
     )
 
 
-def passing(observed: Observed, searched: Sequence[Searched]) -> tuple[list[Line], list[Line]]:
-    """Return the bright and the dark lines that are in single frames."""
-    bright = [line for n, of in enumerate(searched) for line in lines(n, of.bright, of.limit_dn)]
-    dark = [line for n, of in enumerate(searched) for line in lines(n, of.dark, of.limit_dn)]
-    dark = _but(dark, shadows(observed, dark, bright))
+def transient_lines(observed: Observed, searched: Sequence[LineSearch]) -> tuple[list[Line], list[Line]]:
+    """Return the bright and the dark lines that only single frames have."""
+    bright, dark = [], []
+    for n, frame_search in enumerate(searched):
+        bright += lines_in_frame(n, frame_search.bright, frame_search.limit_dn)
+        dark += lines_in_frame(n, frame_search.dark, frame_search.limit_dn)
+    dark = _without(dark, beside_bright(observed, dark, bright))
     return (
-        _but(bright, lasting(observed, searched, bright, dark=False)),
-        _but(dark, lasting(observed, searched, dark, dark=True)),
+        _without(bright, is_persistent(observed, searched, bright, dark=False)),
+        _without(dark, is_persistent(observed, searched, dark, dark=True)),
     )
 
 
-def _but(found: Sequence[Line], dropped: Bool) -> list[Line]:
-    return [line for line, drops in zip(found, dropped, strict=True) if not drops]
+def _without(candidates: Sequence[Line], dropped: Bool) -> list[Line]:
+    return [line for line, drops in zip(candidates, dropped, strict=True) if not drops]
 
 
-def lines(position: int, responses: Float32, limit_dn: Float32) -> list[Line]:
+def lines_in_frame(position: int, responses: Float32, limit_dn: Float32) -> list[Line]:
     """Return the lines of one sign in a frame."""
     best = responses.max(axis=0)
     patches, _ = label(best > 0.5 * limit_dn, np.ones((3, 3)))
-    found = []
+    lines_found = []
     for n, window in enumerate(find_objects(patches), 1):
         inside = patches[window] == n
         over = np.divide(best[window], limit_dn[window], out=np.zeros(inside.shape), where=inside)
-        if over.max() <= 1.0 or inside.sum() < LEAST_BINS:
+        if over.max() <= 1.0 or inside.sum() < MIN_LINE_BINS:
             continue
         first = np.array([window[0].start, window[1].start])
         row, column = first + np.unravel_index(int(np.argmax(over)), over.shape)
         response_dn = float(best[row, column])
         core = np.argwhere(inside & (best[window] > 0.5 * response_dn))
-        found.append(
+        lines_found.append(
             Line(
                 position,
                 first + np.argwhere(inside),
@@ -174,59 +185,63 @@ def lines(position: int, responses: Float32, limit_dn: Float32) -> list[Line]:
                 float(np.hypot(*np.ptp(core, axis=0))) + 1.0,
             )
         )
-    return found
+    return lines_found
 
 
-def shadows(observed: Observed, dark: Sequence[Line], bright: Sequence[Line]) -> Bool:
+def beside_bright(observed: Observed, dark: Sequence[Line], bright: Sequence[Line]) -> Bool:
     """Return which dark lines (n,) lie beside a bright one.
 
-    On a slope, what lies below a bright line is darker than the line and than what is above it.
+    On a slope of light, the darker side of a bright line has a brighter neighbour on both sides.
     """
     near = np.zeros((len(observed.frames), *observed.frames[0].keep.shape), dtype=np.bool_)
     for line in bright:
         near[(line.position, *line.bins.T)] = True
-    near = np.stack([within(image, 2 * BESIDE + 1) for image in near])
+    near = np.stack([dilated(image, 2 * BESIDE_LINE_BINS + 1) for image in near])
     return np.array([near[(line.position, *line.bins.T)].any() for line in dark], dtype=bool)
 
 
-def lasting(observed: Observed, searched: Sequence[Searched], found: Sequence[Line], dark: bool) -> Bool:
-    """Return which lines (n,) other frames show too, at the same place of the image or of the part."""
-    lasts = np.zeros(len(found), dtype=bool)
-    if not found:
+def is_persistent(
+    observed: Observed, searched: Sequence[LineSearch], candidates: Sequence[Line], dark: bool
+) -> Bool:
+    """Return which lines (n,) other frames have too, at the same place of the image or of the part."""
+    lasts = np.zeros(len(candidates), dtype=bool)
+    if not candidates:
         return lasts
-    around = np.ones((2 * NEAR + 1,) * 2, dtype=np.uint8)
+    around = np.ones((2 * NEAR_BINS + 1,) * 2, dtype=np.uint8)
     responses = []
-    for of in searched:
-        best = np.stack([cv2.dilate(r, around) for r in (of.dark if dark else of.bright)])
+    for frame_search in searched:
+        best = np.stack([cv2.dilate(r, around) for r in (frame_search.dark if dark else frame_search.bright)])
         responses.append(np.maximum(best, np.maximum(np.roll(best, 1, axis=0), np.roll(best, -1, axis=0))))
-    position = np.array([line.position for line in found])
-    angle = np.array([line.angle for line in found])
-    place = np.array([line.place for line in found])
-    response = np.array([line.response_dn for line in found])
-    light = np.array([searched[line.position].light_dn[line.place] for line in found])
-    on_part = _on_part(observed, found)
+    position = np.array([line.position for line in candidates])
+    angle = np.array([line.angle for line in candidates])
+    place = np.array([line.place for line in candidates])
+    response = np.array([line.response_dn for line in candidates])
+    light = np.array([searched[line.position].light_dn[line.place] for line in candidates])
+    on_part = _on_part(observed, candidates)
     for fixed in (None, on_part):
-        could, does = np.zeros(len(found)), np.zeros(len(found))
-        for n, (frame, of) in enumerate(zip(observed.frames, searched, strict=True)):
+        could, does = np.zeros(len(candidates)), np.zeros(len(candidates))
+        for n, (frame, frame_search) in enumerate(zip(observed.frames, searched, strict=True)):
             there = place if fixed is None else _seen_at(observed, frame, fixed)
-            inside = np.all((there >= 0) & (there < of.light_dn.shape), axis=1)
+            inside = np.all((there >= 0) & (there < frame_search.light_dn.shape), axis=1)
             row, column = np.where(inside[:, np.newaxis], there, 0).T
-            lighter = of.light_dn[row, column] / np.maximum(light, LEAST_LIGHT_DN)
-            expected = RECURRING * response * np.clip(lighter, 0.0, 1.0)
-            shows = inside & (position != n) & np.isfinite(of.limit_dn[row, column])
-            # The stripe is a line itself, and not in all frames.
-            shows &= (expected > CLEAR * NOISE * of.noise_dn[row, column]) & ~of.stripe[row, column]
+            lighter = frame_search.light_dn[row, column] / np.maximum(light, MIN_LIGHT_DN)
+            expected = MIN_RECURRING_SHARE * response * np.clip(lighter, 0.0, 1.0)
+            shows = inside & (position != n) & np.isfinite(frame_search.limit_dn[row, column])
+            # The stripe is a line, but not in all frames.
+            shows &= expected > MIN_RESPONSE_SIGMAS * NOISE_GAIN * frame_search.noise_dn[row, column]
+            shows &= ~frame_search.stripe[row, column]
             could += shows
             does += shows & (responses[n][angle, row, column] > expected)
-        lasts |= (could > 0) & (does >= np.maximum(OFTEN * could, np.minimum(could, TWICE)))
+        needed = np.maximum(MIN_RECURRING_FRAMES_SHARE * could, np.minimum(could, MIN_RECURRING_FRAMES))
+        lasts |= (could > 0) & (does >= needed)
     return lasts
 
 
-def _on_part(observed: Observed, found: Sequence[Line]) -> Float64:
+def _on_part(observed: Observed, candidates: Sequence[Line]) -> Float64:
     """Return where the lines (n, 3) lie on the part's plane, mm, base frame."""
     camera, joint = observed.binned.camera, observed.setup.joint
-    points = np.empty((len(found), 3))
-    for n, line in enumerate(found):
+    points = np.empty((len(candidates), 3))
+    for n, line in enumerate(candidates):
         T_base_tool = observed.frames[line.position].T_base_tool_in(observed.binned)
         T_base_joint = seam_frame(joint, T_base_tool[:3, 3])
         T_base_camera = T_base_tool @ camera.T_tool_camera

@@ -65,7 +65,7 @@ def example(verdict: Verdict, setup: Setup, effects: Effects = GAMMA) -> Diagnos
         else None,
         not_resolvable=(("wrong_material", "fume"), ("arc_length", "arc_radius")),
         smallest={"gamma": Estimate(0.02, math.nan, ""), "arc_length": Estimate(0.3, math.nan, "mm")},
-        left_over=("half_angle times_arc", 0.62) if verdict is Verdict.UNKNOWN else None,
+        spline_term=("half_angle times_arc", 0.62) if verdict is Verdict.UNKNOWN else None,
         after_with=() if verdict is Verdict.NO_GAP else tuple(effects),
         predicted=predicted,
     )

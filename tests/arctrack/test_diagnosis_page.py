@@ -21,7 +21,7 @@ from arctrack.report.diagnosis.page import RECOMPUTE, advice, page
 from arctrack.report.diagnosis.pictures import nice_limit, telling_frame
 from noise_model.effects import REGISTRY
 from noise_model.setup import Setup
-from sim_to_real.diagnosis import Estimate, Gap, Next, Trend, Verdict
+from sim_to_real.diagnosis import Estimate, Gap, Next, ReportedTrend, Verdict
 
 VOID = {"meta", "img", "br", "rect"}
 
@@ -98,7 +98,7 @@ def test_effects_are_named_with_numbers_and_cure(seen_setup: Setup, recording: R
 @pytest.mark.slow
 def test_an_effect_that_changes_is_said_to(seen_setup: Setup, recording: Recording) -> None:
     diagnosis = example(Verdict.EFFECTS, seen_setup, {"gamma": {"gamma": 0.8}})
-    trend = Trend("time", "s", 0.1, 2.3, {"gamma": (0.7, 0.9)})
+    trend = ReportedTrend("time", "s", 0.1, 2.3, {"gamma": (0.7, 0.9)})
     grows = replace(diagnosis, effects=(replace(diagnosis.effects[0], trend=trend),))
     said = "it changes with time, 0.10 to 2.3 s: gamma from 0.700 to 0.900"
     assert said in page(grows, recording)
@@ -140,7 +140,7 @@ def test_what_comes_nearest_is_said_though_it_is_not_named(seen_setup: Setup) ->
 def test_what_its_bounds_hold_back_is_said_to_explain_nothing(seen_setup: Setup) -> None:
     found = example(Verdict.UNKNOWN, seen_setup, GAMMA)
     first, *others = found.ranking
-    held_back = replace(found, ranking=(replace(first, is_held_back=True), *others))
+    held_back = replace(found, ranking=(replace(first, is_bound_limited=True), *others))
     assert words.headline(found).endswith("that nothing in the catalogue of effects closes.")
     assert words.headline(held_back).endswith(
         f"explains: {first.id} closes most, but would have to go beyond its bounds."

@@ -15,15 +15,15 @@ from scipy.ndimage import gaussian_filter
 from noise_model.condition import Condition
 from sim_to_real.data.binned import STRATA, Observed, ObservedFrame, binned_camera
 from sim_to_real.data.blocks import block_means
-from sim_to_real.fit.linearized_model import Passed
-from sim_to_real.variance.haar_details import Sizes
+from sim_to_real.fit.linearized_model import FrameLight
+from sim_to_real.variance.haar_details import VarianceSizes
 from tests.noise_model.scenes import camera, setup
 
 BIN_PX, WIDTH, HEIGHT = 4, 320, 240
 SENSOR = setup("flat").sensor
 STRIPE_ROW, STRIPE_PX, STRIPE_E = 70.0, 7.0, 5000.0
 TRAVEL_MM = 0.8
-NO_MORE = Sizes(0.0, 0.0, 0.0, 0.0, np.eye(4), 0.0)
+NO_MORE = VarianceSizes(0.0, 0.0, 0.0, 0.0, np.eye(4), 0.0)
 
 
 def setup_of():
@@ -51,10 +51,12 @@ def streak(u, v, angle, length_px, width_px, peak_e):
     for t in np.arange(-0.5 * length_px + 0.5 * step, 0.5 * length_px, step):
         x, y = u + t * math.cos(angle), v + t * math.sin(angle)
         rows, columns = (
-            np.arange(max(0, int(at - 5.0 * width_px)), min(most, max(0, int(at + 5.0 * width_px))))
-            for at, most in ((y, HEIGHT), (x, WIDTH))
+            np.arange(max(0, int(place - 5.0 * width_px)), min(most, max(0, int(place + 5.0 * width_px))))
+            for place, most in ((y, HEIGHT), (x, WIDTH))
         )
-        across, down = (np.exp(-0.5 * ((n - at) / width_px) ** 2) for n, at in ((columns, x), (rows, y)))
+        across, down = (
+            np.exp(-0.5 * ((n - place) / width_px) ** 2) for n, place in ((columns, x), (rows, y))
+        )
         image[np.ix_(rows, columns)] += np.outer(down, across)
     return image * peak_e * step / (math.sqrt(2.0 * math.pi) * width_px)
 
@@ -87,7 +89,7 @@ def recorded(rng, scattering=NOTHING, n_frames=18, with_stripe=True):
         passed.append(as_passed(nominal, frames[-1], arc, laser))
     binned = replace(nominal, camera=binned_camera(nominal.camera, BIN_PX))
     observed = Observed(nominal, binned, BIN_PX, None, None, tuple(frames))
-    return SimpleNamespace(observed=observed), SimpleNamespace(passed=tuple(passed))
+    return SimpleNamespace(observed=observed), SimpleNamespace(lights=tuple(passed))
 
 
 def grains(rng, scattering):
@@ -126,5 +128,5 @@ def observed_frame(n, image, arc, laser):
 
 def as_passed(nominal, frame, arc, laser):
     arc_e, laser_e = (block_means(light, BIN_PX)[frame.keep].astype(np.float32) for light in (arc, laser))
-    one = np.ones_like(arc_e)
-    return Passed(nominal.sensor, arc_e, laser_e, np.zeros_like(arc_e), one, one)
+    item = np.ones_like(arc_e)
+    return FrameLight(nominal.sensor, arc_e, laser_e, np.zeros_like(arc_e), item, item)

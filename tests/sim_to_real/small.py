@@ -9,8 +9,8 @@ import numpy as np
 from arctrack.recording import pose_at, read_recording
 from arctrack.simulate import SimulationPlan, simulate_recording
 from sim_to_real.data.binned import observe
-from sim_to_real.fit.linearized_model import Expected
-from tracker.seam_observations import Sightings
+from sim_to_real.fit.linearized_model import LinearizedModel
+from tracker.seam_observations import SeamObservations
 
 EXAMPLE = Path(__file__).parents[2] / "examples" / "v_groove"
 SMALL = 6
@@ -35,16 +35,16 @@ def recorded(path, effects, plan=EXACT, coarser=SMALL):
 
 def small_recording(path, effects, coarser=SMALL, stated=None):
     """The model held against such a recording, its setup stating effects; the seam is taken as nominal."""
-    in_joint = Sightings.in_joint
+    in_joint = SeamObservations.in_joint
 
     def nominal(sightings, setup):
         stations, displacements = in_joint(sightings, setup)
         return stations, np.zeros_like(displacements)
 
     # Not the tracker's own error with so coarse a camera is looked at: a bin at an edge would show it.
-    with patch.object(Sightings, "in_joint", nominal):
+    with patch.object(SeamObservations, "in_joint", nominal):
         setup, frames, pose_at = recorded(path, effects, coarser=coarser)
         observed = observe(replace(setup, effects=stated or {}), frames, pose_at)
-    expected = Expected(observed)
+    expected = LinearizedModel(observed)
     expected.take_tangents(expected.neutral, {})
     return expected

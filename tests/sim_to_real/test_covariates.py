@@ -2,40 +2,40 @@ import numpy as np
 import pytest
 
 from noise_model.surface.joint import Joint, section
-from sim_to_real.locate.covariates import Start, concavity, covariates
+from sim_to_real.locate.covariates import NominalFit, concavity, covariates
 from tests.sim_to_real.small import small_recording
 
 
 @pytest.fixture(scope="module")
 def nominal(tmp_path_factory):
     expected = small_recording(tmp_path_factory.mktemp("covariates") / "nominal", {})
-    return expected, covariates(expected, Start.of(expected))
+    return expected, covariates(expected, NominalFit.of(expected))
 
 
 @pytest.mark.slow
 def test_every_bin_that_counts_has_its_frame_light_and_noise(nominal):
-    expected, of = nominal
+    expected, values = nominal
     frames = expected.observed.frames
-    assert len(of.frame) == sum(int(frame.keep.sum()) for frame in frames)
-    assert of.n_frames == len(frames)
+    assert len(values.frame) == sum(int(frame.keep.sum()) for frame in frames)
+    assert values.n_frames == len(frames)
     recorded = np.concatenate([frame.kept_dn for frame in frames])
-    r = Start.of(expected).residuals
-    np.testing.assert_allclose(of.predicted_dn + r * of.sigma_dn, recorded, atol=1e-3)
+    r = NominalFit.of(expected).residuals
+    np.testing.assert_allclose(values.predicted_dn + r * values.sigma_dn, recorded, atol=1e-3)
     black = expected.observed.setup.sensor.black_level_dn
-    np.testing.assert_allclose(black + of.light_dn, of.predicted_dn, atol=1e-3)
+    np.testing.assert_allclose(black + values.light_dn, values.predicted_dn, atol=1e-3)
     frame = next(frame for frame in frames if frame.stratum == "both")
-    assert np.array_equal(np.isfinite(of.image(frame.position, of.sigma_dn)), frame.keep)
+    assert np.array_equal(np.isfinite(values.image(frame.position, values.sigma_dn)), frame.keep)
 
 
 def test_angles_and_distances_on_the_plate_are_those_of_rays_and_a_plane(nominal):
-    expected, of = nominal
+    expected, values = nominal
     setup = expected.observed.setup
     frame = next(frame for frame in expected.observed.frames if frame.stratum == "arc")
-    chosen = np.flatnonzero((of.frame == frame.position) & (of.values["concavity"] == 0.0))[::7]
+    chosen = np.flatnonzero((values.frame == frame.position) & (values.values["concavity"] == 0.0))[::7]
     T_base_tool = frame.T_base_tool_in(setup)
     T_base_camera = T_base_tool @ setup.camera.T_tool_camera
     eye = T_base_camera[:3, 3]
-    px = np.column_stack([of.values["column"][chosen], of.values["row"][chosen]])
+    px = np.column_stack([values.values["column"][chosen], values.values["row"][chosen]])
     xy = (px - [setup.camera.cx, setup.camera.cy]) / [setup.camera.fx, setup.camera.fy]
     rays = np.column_stack([xy, np.ones(len(xy))]) @ T_base_camera[:3, :3].T
     points = eye - eye[2] / rays[:, 2:] * rays
@@ -59,24 +59,24 @@ def test_angles_and_distances_on_the_plate_are_those_of_rays_and_a_plane(nominal
         "field_angle": degrees(np.hypot(*xy.T), 1.0),
         "radius": np.hypot(px[:, 0] - setup.camera.cx, px[:, 1] - setup.camera.cy),
     }.items():
-        np.testing.assert_allclose(of.values[name][chosen], should, atol=0.02, err_msg=name)
+        np.testing.assert_allclose(values.values[name][chosen], should, atol=0.02, err_msg=name)
 
 
 def test_what_a_frame_has_in_common(nominal):
-    expected, of = nominal
+    expected, values = nominal
     for frame in expected.observed.frames:
-        chosen = of.frame == frame.position
-        assert of.values["time"][chosen] == pytest.approx(frame.timestamp_s)
-        assert of.values["exposure"][chosen] == pytest.approx(frame.condition.exposure_s)
-        current_a = of.values["current"][chosen][0]
+        chosen = values.frame == frame.position
+        assert values.values["time"][chosen] == pytest.approx(frame.timestamp_s)
+        assert values.values["exposure"][chosen] == pytest.approx(frame.condition.exposure_s)
+        current_a = values.values["current"][chosen][0]
         level = (current_a / expected.observed.setup.arc.current_a) ** 1.3
         assert level == pytest.approx(frame.condition.arc_level, rel=1e-5)
-        assert np.isnan(of.values["half_angle"][chosen]).all() == (frame.condition.arc_level == 0.0)
+        assert np.isnan(values.values["half_angle"][chosen]).all() == (frame.condition.arc_level == 0.0)
         moved_mm = (
             frame.pose_at(frame.timestamp_s + 0.02)[1, 3] - frame.pose_at(frame.timestamp_s - 0.02)[1, 3]
         )
         if abs(moved_mm) > 0.04 * 0.5:
-            assert (of.values["velocity_sign"][chosen] == np.sign(moved_mm)).all()
+            assert (values.values["velocity_sign"][chosen] == np.sign(moved_mm)).all()
 
 
 def test_a_point_in_a_groove_loses_the_sky_that_its_faces_hide():

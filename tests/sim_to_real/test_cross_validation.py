@@ -7,7 +7,7 @@ import pytest
 from hypothesis import example, given
 from hypothesis import strategies as st
 
-from sim_to_real.data.cross_validation import folds, held_out, one_of_each, sees_as_much
+from sim_to_real.data.cross_validation import folds, held_out, middle_of_each_stratum, shows_same_sources
 from tests.sim_to_real.verdicts import seen
 
 STRATA = ["dark", "laser", "arc", "both"]
@@ -22,7 +22,7 @@ def recording(kinds, exposures_s=None):
         )
         for n, (kind, exposure_s) in enumerate(zip(kinds, exposures_s or [LONG] * len(kinds), strict=True))
     ]
-    return SimpleNamespace(frames=frames, some=lambda chosen: np.flatnonzero(chosen).tolist())
+    return SimpleNamespace(frames=frames, subset=lambda chosen: np.flatnonzero(chosen).tolist())
 
 
 def wanted_of(kinds, share):
@@ -46,12 +46,12 @@ def test_every_kind_is_left_to_fit(kinds, share):
     st.floats(0.05, 0.5),
 )
 def test_every_condition_is_left_to_fit_and_as_many_are_held_as_that_allows(conditions, share):
-    kinds, exposures_s = (list(of) for of in zip(*conditions, strict=True))
+    kinds, exposures_s = (list(values) for values in zip(*conditions, strict=True))
     held = held_out(recording(kinds, exposures_s), share)
-    assert {one for one, is_held in zip(conditions, held, strict=True) if not is_held} == set(conditions)
+    assert {item for item, is_held in zip(conditions, held, strict=True) if not is_held} == set(conditions)
     for kind, wanted in wanted_of(kinds, share).items():
         of_kind = np.array(kinds) == kind
-        n_conditions = len({one for one in conditions if one[0] == kind})
+        n_conditions = len({item for item in conditions if item[0] == kind})
         assert held[of_kind].sum() == min(of_kind.sum() - n_conditions, wanted)
 
 
@@ -65,17 +65,17 @@ def test_folds_share_the_frames_evenly(kinds, count):
 
 @given(KINDS)
 def test_the_middle_frame_of_each_kind_stands_for_it(kinds):
-    chosen = one_of_each(recording(kinds))
+    chosen = middle_of_each_stratum(recording(kinds))
     assert sorted(kinds[n] for n in chosen) == sorted(set(kinds))
     for n in chosen:
-        before, behind = (sum(kind == kinds[n] for kind in of) for of in (kinds[:n], kinds[n + 1 :]))
+        before, behind = (sum(kind == kinds[n] for kind in values) for values in (kinds[:n], kinds[n + 1 :]))
         assert behind in (before, before - 1)
 
 
 def test_measured_exposures_that_scatter_are_one_condition():
     kinds = ["laser", "both"] * 12
     scatters = 1.0 + 1e-3 * np.random.default_rng(0).standard_normal(24)
-    exposures_s = [(SHORT if n < 8 else LONG) * of for n, of in enumerate(scatters)]
+    exposures_s = [(SHORT if n < 8 else LONG) * values for n, values in enumerate(scatters)]
     held = held_out(recording(kinds, exposures_s), 0.25)
     assert [int(held[kind::2].sum()) for kind in (0, 1)] == [3, 3]
     assert not held[:8].all()
@@ -84,16 +84,16 @@ def test_measured_exposures_that_scatter_are_one_condition():
 
 def test_frames_see_as_much_if_each_source_is_on_in_one_of_them():
     observed = seen(["dark", "laser", "arc", "both", "laser"])
-    assert sees_as_much(observed, np.array([False, False, False, True, False]))
-    assert sees_as_much(observed, np.array([False, True, True, False, False]))
-    assert not sees_as_much(observed, np.array([True, True, False, False, True]))
-    assert not sees_as_much(observed, np.zeros(5, dtype=bool))
-    assert sees_as_much(seen(["dark", "dark"]), np.array([True, False]))
+    assert shows_same_sources(observed, np.array([False, False, False, True, False]))
+    assert shows_same_sources(observed, np.array([False, True, True, False, False]))
+    assert not shows_same_sources(observed, np.array([True, True, False, False, True]))
+    assert not shows_same_sources(observed, np.zeros(5, dtype=bool))
+    assert shows_same_sources(seen(["dark", "dark"]), np.array([True, False]))
 
 
 def test_a_saturated_frame_does_not_see_what_lights_it():
     observed = seen(["laser", "arc", "arc"], [9, 0, 9])
-    assert not sees_as_much(observed, np.array([True, True, False]))
-    assert sees_as_much(observed, np.array([True, False, True]))
+    assert not shows_same_sources(observed, np.array([True, True, False]))
+    assert shows_same_sources(observed, np.array([True, False, True]))
     # What no frame shows none can lose.
-    assert sees_as_much(seen(["laser", "arc"], [9, 0]), np.array([True, False]))
+    assert shows_same_sources(seen(["laser", "arc"], [9, 0]), np.array([True, False]))

@@ -10,7 +10,7 @@ from arctrack.simulate import SimulationPlan
 from sim_to_real import diagnose as room
 from sim_to_real.decision import holdout_gap as held
 from sim_to_real.diagnose import diagnose
-from sim_to_real.diagnosis import Verdict, left_out
+from sim_to_real.diagnosis import Verdict, excluded_effects
 from tests.sim_to_real.small import EXACT, example_setup, recorded
 
 pytestmark = pytest.mark.slow
@@ -21,37 +21,37 @@ PLAN = SimulationPlan(frames=16, seam_wander_mm=0.1, seed=3)
 
 @pytest.fixture(scope="module")
 def with_gamma(tmp_path_factory):
-    of = recorded(tmp_path_factory.mktemp("diagnose") / "gamma", {"gamma": {"gamma": 1.3}}, PLAN)
+    values = recorded(tmp_path_factory.mktemp("diagnose") / "gamma", {"gamma": {"gamma": 1.3}}, PLAN)
     heard = []
-    found = diagnose(*of, on_stage=lambda text, share: heard.append((text, share)))
-    return found, heard
+    diagnosis = diagnose(*values, on_stage=lambda text, share: heard.append((text, share)))
+    return diagnosis, heard
 
 
 def test_a_hidden_gamma_is_named_alone_with_its_value(with_gamma):
-    found, _ = with_gamma
-    assert found.verdict is Verdict.EFFECTS
-    assert [effect.id for effect in found.effects] == ["gamma"]
-    assert found.effects[0].parameters["gamma"].value == pytest.approx(1.3, abs=0.03)
-    assert found.effects[0].share == pytest.approx(1.0)
-    assert found.ranking[0].id == "gamma"
+    result, _ = with_gamma
+    assert result.verdict is Verdict.EFFECTS
+    assert [effect.id for effect in result.effects] == ["gamma"]
+    assert result.effects[0].parameters["gamma"].value == pytest.approx(1.3, abs=0.03)
+    assert result.effects[0].share == pytest.approx(1.0)
+    assert result.ranking[0].id == "gamma"
 
 
 def test_the_gap_can_be_computed_again_from_what_was_predicted(with_gamma):
-    found, _ = with_gamma
-    predicted = found.predicted
+    result, _ = with_gamma
+    predicted = result.predicted
     counts = np.isfinite(predicted.variance)
     r = ((predicted.recorded - predicted.before) ** 2 / predicted.variance)[counts]
-    assert found.gap.before == pytest.approx(np.sqrt(r.mean() - 1.0), rel=1e-4)
+    assert result.gap.before == pytest.approx(np.sqrt(r.mean() - 1.0), rel=1e-4)
     # An image 106 pixels wide says little of the seam: what is left is its, not the response's.
-    assert found.gap.after < 0.5 * found.gap.before
-    assert found.gap.ci95[0] <= found.gap.closed <= found.gap.ci95[1]
-    assert found.gap.rms_dn[1] < found.gap.rms_dn[0]
+    assert result.gap.after < 0.5 * result.gap.before
+    assert result.gap.ci95[0] <= result.gap.closed <= result.gap.ci95[1]
+    assert result.gap.rms_dn[1] < result.gap.rms_dn[0]
 
 
 def test_it_says_where_and_how_far_it_is(with_gamma):
-    found, heard = with_gamma
-    assert found.where.stage == "sensor"
-    assert found.where.z.shape == found.predicted.before.shape[1:]
+    result, heard = with_gamma
+    assert result.where.stage == "sensor"
+    assert result.where.z.shape == result.predicted.before.shape[1:]
     shares = [share for _, share in heard]
     assert shares == sorted(shares)
     assert shares[-1] == 1.0
@@ -71,15 +71,15 @@ def short(tmp_path_factory):
 
 def test_a_few_frames_of_one_kind_are_enough(short):
     setup, frames, pose_at = short
-    found = diagnose(setup, [frame for frame in frames if frame.laser_on and not frame.arc_on], pose_at)
-    assert found.gap.floor > 0.0
+    diagnosis = diagnose(setup, [frame for frame in frames if frame.laser_on and not frame.arc_on], pose_at)
+    assert diagnosis.gap.floor > 0.0
 
 
 def test_no_stripe_need_be_seen_even_by_a_lens_that_distorts(short):
     setup, frames, pose_at = short
     setup = replace(setup, camera=replace(setup.camera, distortion=(-0.05, 0.01, 0.0, 0.0, 0.0)))
-    found = diagnose(setup, [frame for frame in frames if not frame.laser_on], pose_at)
-    assert found.gap.floor > 0.0
+    diagnosis = diagnose(setup, [frame for frame in frames if not frame.laser_on], pose_at)
+    assert diagnosis.gap.floor > 0.0
 
 
 def test_where_no_frame_can_be_held_out_it_is_said(short):
@@ -112,9 +112,9 @@ def test_an_effect_that_is_not_known_is_refused():
 
 def test_bounced_light_in_a_u_is_no_candidate():
     groove, u = (nominal_setup(joint, "mild_steel") for joint in ("v_groove", "u_groove"))
-    assert left_out(groove, ("gamma",)) == ("gamma",)
-    assert left_out(u, ("gamma",)) == ("gamma", "interreflection")
-    assert left_out(u, ("interreflection",)) == ("interreflection",)
+    assert excluded_effects(groove, ("gamma",)) == ("gamma",)
+    assert excluded_effects(u, ("gamma",)) == ("gamma", "interreflection")
+    assert excluded_effects(u, ("interreflection",)) == ("interreflection",)
 
 
 def test_what_scatters_has_no_say_in_what_else_helps(tmp_path, monkeypatch):
@@ -122,16 +122,16 @@ def test_what_scatters_has_no_say_in_what_else_helps(tmp_path, monkeypatch):
 
     def smaller(predicted):
         asked.append(predicted)
-        return held.smaller(predicted)
+        return held.probability_improved(predicted)
 
-    monkeypatch.setattr(room, "smaller", smaller)
+    monkeypatch.setattr(room, "probability_improved", smaller)
     spatter = {"rate_per_frame": 8.0, "peak_e": 11_000.0, "length_px": 12.0, "width_px": 1.7}
     hidden = {"spatter": spatter, "arc_length": {"height_mm": 1.0}}
-    found = diagnose(*recorded(tmp_path / "both", hidden, replace(EXACT, frames=24), coarser=3))
-    assert {effect.id for effect in found.effects} == set(hidden)
+    diagnosis = diagnose(*recorded(tmp_path / "both", hidden, replace(EXACT, frames=24), coarser=3))
+    assert {effect.id for effect in diagnosis.effects} == set(hidden)
     assert len(asked) == 1
     # Its variance is in the prediction that is reported, not in the one that the arc's length was judged by.
     assert np.all(asked[0].variance == asked[0].variance_after)
-    reported = found.predicted
+    reported = diagnosis.predicted
     lit = np.isfinite(reported.variance)
     assert np.mean(reported.variance_after[lit] > 1.5 * reported.variance[lit]) > 0.3

@@ -5,41 +5,48 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from sim_to_real.data.blocks import SMALL, in_bins
+from sim_to_real.data.blocks import DETAIL_2X2, weighted_sums_in_bins
 from sim_to_real.variance import haar_details as of_details
-from sim_to_real.variance.haar_details import ACROSS, LARGE, Details, details, pattern, sizes
+from sim_to_real.variance.haar_details import (
+    DETAIL_4X4,
+    SECOND_DIFFERENCE,
+    HaarDetails,
+    fit_sizes,
+    fixed_pattern,
+    haar_details,
+)
 from tests.sim_to_real.scattered import BIN_PX, Scattering, recorded
 
 
-@pytest.mark.parametrize("weights", [SMALL, LARGE, ACROSS])
+@pytest.mark.parametrize("weights", [DETAIL_2X2, DETAIL_4X4, SECOND_DIFFERENCE])
 def test_details_do_not_see_a_plane_and_have_the_variance_of_white_noise(weights):
     row, column = np.mgrid[:40, :60].astype(np.float32)
-    assert np.abs(in_bins(3.0 * row - 2.0 * column, weights, BIN_PX)).max() < 1e-4
+    assert np.abs(weighted_sums_in_bins(3.0 * row - 2.0 * column, weights, BIN_PX)).max() < 1e-4
     noise = np.random.default_rng(2).normal(0.0, 1.5, (1200, 1200)).astype(np.float32)
-    found = in_bins(noise, weights, BIN_PX)
-    assert found.shape == (300, 300, (BIN_PX // len(weights)) ** 2)
-    assert np.mean(found**2) == pytest.approx(1.5**2, rel=0.02)
+    result = weighted_sums_in_bins(noise, weights, BIN_PX)
+    assert result.shape == (300, 300, (BIN_PX // len(weights)) ** 2)
+    assert np.mean(result**2) == pytest.approx(1.5**2, rel=0.02)
 
 
 def test_a_bin_of_two_pixels_has_no_large_details():
     image = np.zeros((40, 60), dtype=np.float32)
-    assert in_bins(image, SMALL, 2).shape == (20, 30, 1)
-    assert in_bins(image, LARGE, 2).shape == (20, 30, 0)
+    assert weighted_sums_in_bins(image, DETAIL_2X2, 2).shape == (20, 30, 1)
+    assert weighted_sums_in_bins(image, DETAIL_4X4, 2).shape == (20, 30, 0)
 
 
 def test_light_that_twists_and_bends_leaves_no_details():
     expected, fitted = recorded(np.random.default_rng(0), n_frames=3)
-    frame, light = expected.observed.frames[2], fitted.passed[2]
+    frame, light = expected.observed.frames[2], fitted.lights[2]
     row, column = np.indices(frame.image_dn.shape) - 100.0
     smooth = 100.0 + 0.004 * row * column + 0.003 * column**2
     binned = smooth.reshape(60, 4, 80, 4).mean(axis=(1, 3)).astype(np.float32)
     inner = np.zeros_like(frame.keep)
     inner[2:-2, 2:-2] = frame.keep[2:-2, 2:-2]
     exact = replace(frame, image_dn=smooth, binned_dn=binned)
-    found = details(exact, light, BIN_PX)
+    details = haar_details(exact, light, BIN_PX)
     chosen = inner[frame.keep]
-    for of in (found.small, found.large, found.across):
-        assert np.abs(of[chosen]).max() < 2e-3
+    for values in (details.small, details.large, details.across):
+        assert np.abs(values[chosen]).max() < 2e-3
 
 
 def made(rng, n, *, ratio=1.0, gain=0.0, speckle=(0.0, 0.0)):
@@ -47,8 +54,8 @@ def made(rng, n, *, ratio=1.0, gain=0.0, speckle=(0.0, 0.0)):
     light, laser = rng.uniform(20.0, 200.0, n), rng.uniform(0.0, 80.0, n) * (np.arange(n) % 2)
     read, stated = np.full(n, 0.3), 0.3 + 0.01 * light + 0.08
     white = stated + (ratio**2 - 1.0) * read + (gain * light) ** 2
-    small, large = (white + (of * laser) ** 2 for of in speckle)
-    return Details(
+    small, large = (white + (values * laser) ** 2 for values in speckle)
+    return HaarDetails(
         rng.normal(0.0, np.sqrt(small)[:, np.newaxis], (n, 4)),
         rng.normal(0.0, np.sqrt(large)[:, np.newaxis], (n, 1)),
         rng.normal(0.0, np.sqrt(white)[:, np.newaxis], (n, 1)),
@@ -71,17 +78,19 @@ def made(rng, n, *, ratio=1.0, gain=0.0, speckle=(0.0, 0.0)):
 )
 def test_sizes_come_back_within_their_sigmas(ratio, gain, speckle):
     rng = np.random.default_rng(3)
-    fit = sizes([made(rng, 10_000, ratio=ratio, gain=gain, speckle=speckle) for _ in range(4)])
-    found = np.array([fit.read, fit.light, fit.laser_small, fit.laser_large])
+    fit = fit_sizes([made(rng, 10_000, ratio=ratio, gain=gain, speckle=speckle) for _ in range(4)])
+    result = np.array([fit.read, fit.light, fit.laser_small, fit.laser_large])
     true = np.array([ratio**2 - 1.0, gain**2, speckle[0] ** 2, speckle[1] ** 2])
-    assert (np.abs(found - true) < 4.0 * np.sqrt(np.diag(fit.covariance))).all()
-    assert fit.off < 0.01
+    assert (np.abs(result - true) < 4.0 * np.sqrt(np.diag(fit.covariance))).all()
+    assert fit.error_rel < 0.01
 
 
 def test_the_sigmas_of_sizes_are_their_scatter():
     drawn, stated = [], []
     for seed in range(60):
-        fit = sizes([made(np.random.default_rng(seed), 2_000, ratio=1.4, gain=0.02, speckle=(0.02, 0.05))])
+        fit = fit_sizes(
+            [made(np.random.default_rng(seed), 2_000, ratio=1.4, gain=0.02, speckle=(0.02, 0.05))]
+        )
         drawn.append([fit.read, fit.light, fit.laser_small, fit.laser_large])
         stated.append(np.sqrt(np.diag(fit.covariance)))
     assert np.std(drawn, axis=0) / np.mean(stated, axis=0) == pytest.approx(np.ones(4), abs=0.3)
@@ -92,32 +101,32 @@ def test_a_variance_of_another_shape_is_off():
     frame = made(rng, 20_000)
     # As a bent response makes it: much where it is dark, little where it is bright.
     more = 1.0 + 3.0 * np.exp(-np.sqrt(frame.light) / 30.0)
-    bent = Details(
-        *(of * np.sqrt(more)[:, np.newaxis] for of in (frame.small, frame.large, frame.across)),
+    bent = HaarDetails(
+        *(values * np.sqrt(more)[:, np.newaxis] for values in (frame.small, frame.large, frame.across)),
         frame.stated,
         frame.read,
         frame.light,
         frame.laser,
     )
-    assert sizes([bent]).off > 0.1
+    assert fit_sizes([bent]).error_rel > 0.1
 
 
 @pytest.mark.parametrize(("pixels", "columns"), [(0.0, 0.0), (0.03, 0.0), (0.02, 0.015)])
 def test_what_stays_with_pixels_and_with_columns_comes_back(pixels, columns):
     expected, fitted = recorded(np.random.default_rng(8), Scattering(pixels=pixels, columns=columns))
     frames = expected.observed.frames
-    of = [details(f, light, BIN_PX) for f, light in zip(frames, fitted.passed, strict=True)]
-    found = pattern(of, [frame.keep for frame in frames], sizes(of))
-    assert found.pixels == pytest.approx(pixels**2, rel=0.1, abs=4.0 * found.pixels_sigma)
-    assert found.columns == pytest.approx(columns**2, abs=4.0 * found.columns_sigma)
-    assert found.pixels_sigma < 0.003**2
+    values = [haar_details(f, light, BIN_PX) for f, light in zip(frames, fitted.lights, strict=True)]
+    result = fixed_pattern(values, [frame.keep for frame in frames], fit_sizes(values))
+    assert result.pixels == pytest.approx(pixels**2, rel=0.1, abs=4.0 * result.pixels_sigma)
+    assert result.columns == pytest.approx(columns**2, abs=4.0 * result.columns_sigma)
+    assert result.pixels_sigma < 0.003**2
 
 
 def test_fresh_noise_that_goes_with_light_does_not_come_back():
     rng, keep = np.random.default_rng(4), np.ones((40, 50), dtype=bool)
-    of = [made(rng, 2_000, gain=0.03) for _ in range(10)]
-    fit = sizes(of)
-    found = pattern(of, [keep] * 10, fit)
+    values = [made(rng, 2_000, gain=0.03) for _ in range(10)]
+    fit = fit_sizes(values)
+    result = fixed_pattern(values, [keep] * 10, fit)
     assert fit.light == pytest.approx(0.03**2, rel=0.1)
-    assert abs(found.pixels) < 4.0 * found.pixels_sigma < 0.1 * fit.light
-    assert np.sum(ACROSS.sum(axis=0) ** 2) == of_details.OF_COLUMNS
+    assert abs(result.pixels) < 4.0 * result.pixels_sigma < 0.1 * fit.light
+    assert np.sum(SECOND_DIFFERENCE.sum(axis=0) ** 2) == of_details.COLUMN_GAIN

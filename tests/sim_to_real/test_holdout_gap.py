@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from sim_to_real.decision.holdout_gap import measure, smaller
+from sim_to_real.decision.holdout_gap import measure_gap, probability_improved
 from sim_to_real.diagnosis import Predicted
 from tests.sim_to_real.small import example_setup
 
@@ -34,15 +34,15 @@ def held(n_frames, off_dn, closed, seed=3):
 def test_more_frames_that_are_off_alike_say_nothing_more():
     """A gap's interval is of the places that were seen: the model is off there in each frame."""
     setup = example_setup()
-    once, often = (measure(held(n, 3.0, 0.7), setup, SEAM_MM) for n in (1, 9))
+    once, often = (measure_gap(held(n, 3.0, 0.7), setup, SEAM_MM) for n in (1, 9))
     assert often.ci95 == pytest.approx(once.ci95)
     assert once.ci95[0] < once.closed < once.ci95[1]
     assert once.ci95[1] - once.ci95[0] > 0.02
-    doubtful = [smaller(held(n, 0.05, 1.0)) for n in (1, 9)]
+    doubtful = [probability_improved(held(n, 0.05, 1.0)) for n in (1, 9)]
     assert doubtful[0] == doubtful[1]
     assert 0.5 < doubtful[0] < 1.0
 
 
 def test_where_there_may_be_no_gap_the_share_closed_has_no_bounds():
     setup = example_setup()
-    assert np.isnan(measure(held(4, 0.3, 0.7), setup, SEAM_MM).ci95).all()
+    assert np.isnan(measure_gap(held(4, 0.3, 0.7), setup, SEAM_MM).ci95).all()

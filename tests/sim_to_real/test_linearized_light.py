@@ -10,7 +10,7 @@ from noise_model.effects import apply_setup_effects
 from noise_model.forward import look
 from noise_model.surface.joint import BentSeam, SeamLine
 from sim_to_real.data.binned import stated_condition
-from sim_to_real.fit.linearized_model import EDGE_E, EDGE_SHARE, Expected
+from sim_to_real.fit.linearized_model import EDGE_E, EDGE_SHARE, LinearizedModel
 from sim_to_real.fit.nuisances import N_LEVELS, SEAM_FROM
 from tests.sim_to_real.small import small_recording
 from tracker.state import Frame
@@ -23,14 +23,17 @@ def expected(tmp_path_factory):
 
 def test_derivatives_foretell_what_is_rendered_after_a_small_move(expected):
     # Of the arc: a coarse bin's blur spreads a stripe, which derivatives of what is rendered do not know.
-    arc = expected.some(np.array([frame.stratum == "arc" for frame in expected.observed.frames]))
-    at = arc.neutral.copy()
-    at[N_LEVELS:SEAM_FROM] = 0.02, -0.02, 0.03, 0.03, -0.03, 0.02
-    here = arc.passed(arc.neutral, {})
+    arc = expected.subset(np.array([frame.stratum == "arc" for frame in expected.observed.frames]))
+    place = arc.neutral.copy()
+    place[N_LEVELS:SEAM_FROM] = 0.02, -0.02, 0.03, 0.03, -0.03, 0.02
+    here = arc.lights(arc.neutral, {})
     followed = arc.residuals(
-        [arc.moved(frame, light, at) for frame, light in zip(arc.observed.frames, here, strict=True)]
+        [
+            arc.extrapolated(frame, light, place)
+            for frame, light in zip(arc.observed.frames, here, strict=True)
+        ]
     )
-    rendered, stayed = arc.residuals(arc.passed(at, {})), arc.residuals(here)
+    rendered, stayed = arc.residuals(arc.lights(place, {})), arc.residuals(here)
     moved, missed = np.abs(rendered - stayed), np.abs(rendered - followed)
     assert np.percentile(moved, 90) > 0.1
     assert np.percentile(missed, 90) < 0.1 * np.percentile(moved, 90)
@@ -40,7 +43,7 @@ def test_no_derivative_is_that_of_an_edge(expected):
     steps = np.array([[nuisance.step] for nuisance in expected.nuisances[N_LEVELS:SEAM_FROM]])
     for frame, tangents in zip(expected.observed.frames, expected._tangents, strict=True):
         if tangents.laser_e is not None and frame.condition.arc_level == 0.0:
-            light = expected.passed(expected.neutral, {})[frame.position].laser_e
+            light = expected.lights(expected.neutral, {})[frame.position].laser_e
             by_step = np.abs(tangents.laser_e[:6]) * steps
             assert (by_step <= 2.0 * EDGE_SHARE * light + 2.0 * EDGE_E).all()
 
@@ -50,7 +53,7 @@ def test_bins_whose_neighbours_show_another_face_are_left_out(tmp_path):
     # The seam is moved to the side: edges lie where no mask has left them out.
     aside = expected.neutral.copy()
     aside[-expected.observed.seam.n_modes] = 3.0
-    expected.leave_out_edges(aside, {})
+    expected.mask_edges(aside, {})
     n_out = 0
     for frame in expected.observed.frames:
         setup = apply_setup_effects(expected.observed.binned)
@@ -88,15 +91,15 @@ def test_each_pixel_shows_the_face_of_its_own_stretch(expected):
 def test_a_long_exposure_does_not_cut_derivatives_off(expected):
     """The slopes of what is eight times as bright are eight times as large."""
     frames = [frame for frame in expected.observed.frames if frame.stratum == "laser"]
-    laser = expected.some(np.array([frame.stratum == "laser" for frame in expected.observed.frames]))
+    laser = expected.subset(np.array([frame.stratum == "laser" for frame in expected.observed.frames]))
     longer = [
         replace(frame, condition=replace(frame.condition, exposure_s=8.0 * frame.condition.exposure_s))
         for frame in laser.observed.frames
     ]
-    long = Expected(replace(laser.observed, frames=tuple(longer)))
+    long = LinearizedModel(replace(laser.observed, frames=tuple(longer)))
     assert len(frames) == len(longer)
-    for one, other in zip(laser.passed(laser.neutral, {}), long.passed(long.neutral, {}), strict=True):
-        np.testing.assert_allclose(other.laser_factor, 8.0 * one.laser_factor, rtol=1e-5)
+    for item, other in zip(laser.lights(laser.neutral, {}), long.lights(long.neutral, {}), strict=True):
+        np.testing.assert_allclose(other.laser_factor, 8.0 * item.laser_factor, rtol=1e-5)
         assert other.laser_factor.max() > 4.0
 
 

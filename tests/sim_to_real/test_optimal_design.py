@@ -12,11 +12,11 @@ from noise_model.effects import REGISTRY
 from noise_model.fit import Parameter
 from sim_to_real.data.binned import ObservedFrame
 from sim_to_real.decision.experiments import BY_NAME, MENU, WITNESS
-from sim_to_real.decision.optimal_design import best_measurement, planned_frame, with_more
-from sim_to_real.fit.gauss_newton import OWN_LEVEL, refit
+from sim_to_real.decision.optimal_design import best_measurement, planned_frame, with_experiment
+from sim_to_real.fit.gauss_newton import FRAME_LEVEL, refit
 from sim_to_real.fit.quadratic import N_EFFECTIVE, Quadratic
-from sim_to_real.search.identifiability import not_resolvable, own_signatures, smallest
-from sim_to_real.search.score_test import Screened
+from sim_to_real.search.identifiability import not_resolvable, projected_signatures, smallest_detectable
+from sim_to_real.search.score_test import ScoreTest
 from tests.sim_to_real.small import small_recording
 
 N = 400
@@ -26,7 +26,7 @@ A, B, C, NUISANCE = RNG.standard_normal((4, N))
 
 def screened(name, *columns):
     """Looked at one place each, half a unit of the first parameter away."""
-    return Screened(name, 1.0, {}, np.column_stack(columns), {}, np.full((len(columns), 1), 0.5))
+    return ScoreTest(name, 1.0, {}, np.column_stack(columns), {}, np.full((len(columns), 1), 0.5))
 
 
 def baseline(jacobian):
@@ -35,7 +35,9 @@ def baseline(jacobian):
 
 
 def test_nuisances_are_projected_out():
-    signatures = own_signatures(baseline(NUISANCE[:, None]), [screened("arc_length", A + 50.0 * NUISANCE)])
+    signatures = projected_signatures(
+        baseline(NUISANCE[:, None]), [screened("arc_length", A + 50.0 * NUISANCE)]
+    )
     assert abs(signatures["arc_length"][:N, 0] @ NUISANCE) < 1e-6 * N
     expected = A - NUISANCE * (A @ NUISANCE) / (NUISANCE @ NUISANCE)
     np.testing.assert_allclose(signatures["arc_length"][:N, 0], expected, atol=1e-6)
@@ -47,20 +49,20 @@ def test_effects_that_a_nuisance_makes_alike_are_a_pair():
         screened("arc_radius", -2.0 * A + 30.0 * NUISANCE),
         screened("gamma", B),
     ]
-    signatures = own_signatures(baseline(NUISANCE[:, None]), looked)
+    signatures = projected_signatures(baseline(NUISANCE[:, None]), looked)
     assert not_resolvable(signatures) == (("arc_length", "arc_radius"),)
 
 
 def test_one_that_lies_within_the_span_of_another_cannot_be_told_from_it():
     looked = [screened("arc_length", A + B), screened("hand_eye", A, B), screened("gamma", C)]
-    signatures = own_signatures(baseline(NUISANCE[:, None]), looked)
+    signatures = projected_signatures(baseline(NUISANCE[:, None]), looked)
     assert not_resolvable(signatures) == (("arc_length", "hand_eye"),)
 
 
 def test_the_least_that_shows_outweighs_what_its_parameter_costs():
-    one = screened("arc_length", A)
-    signatures = own_signatures(baseline(np.zeros((N, 1))), [one])
-    least = smallest(signatures, [one])["arc_length"]
+    item = screened("arc_length", A)
+    signatures = projected_signatures(baseline(np.zeros((N, 1))), [item])
+    least = smallest_detectable(signatures, [item])["arc_length"]
     added = (least.value / 0.5) ** 2 * float(A @ A) / N
     assert 0.5 * N_EFFECTIVE * math.log1p(added) == pytest.approx(3.0 + 0.5 * math.log(N_EFFECTIVE))
     assert least.unit == "mm"
@@ -71,11 +73,11 @@ def test_frames_to_come_count_as_often_as_they_are_taken_and_have_levels_of_thei
     seen_J, more_J = draw.standard_normal((40, 3)), draw.standard_normal((20, 4))
     seen_r, more_r = draw.standard_normal(40), draw.standard_normal(20)
     more_J[:10, 3] = more_J[10:, 2] = 0.0
-    names = ("a", "b", f"{OWN_LEVEL}0"), ("a", "b", f"{OWN_LEVEL}0", f"{OWN_LEVEL}1")
-    of = [tuple(Parameter(name, "", 0.0) for name in some) for some in names]
-    seen = Quadratic.of(of[0], np.zeros(3), seen_r, seen_J, np.ones(40), np.array([40]))
-    more = Quadratic.of(of[1], np.zeros(4), more_r, more_J, np.ones(20), np.array([10, 10]))
-    both = with_more(seen, more, 1, 3)
+    names = ("a", "b", f"{FRAME_LEVEL}0"), ("a", "b", f"{FRAME_LEVEL}0", f"{FRAME_LEVEL}1")
+    values = [tuple(Parameter(name, "", 0.0) for name in some) for some in names]
+    seen = Quadratic.of(values[0], np.zeros(3), seen_r, seen_J, np.ones(40), np.array([40]))
+    more = Quadratic.of(values[1], np.zeros(4), more_r, more_J, np.ones(20), np.array([10, 10]))
+    both = with_experiment(seen, more, 1, 3)
     J = np.zeros((70, 5))
     J[:40, :3] = seen_J
     J[40:, [0, 1, 3, 4]] = np.tile(more_J[10:], (3, 1))
@@ -100,18 +102,19 @@ def test_every_effect_has_a_witness():
 )
 def test_what_tells_two_effects_of_a_dry_run_apart(hidden, rival, tells, tmp_path):
     expected = small_recording(tmp_path / "made", hidden)
-    dry = expected.some(np.array([frame.stratum == "laser" for frame in expected.observed.frames]))
+    dry = expected.subset(np.array([frame.stratum == "laser" for frame in expected.observed.frames]))
     ((name, values),) = hidden.items()
     fits = [
-        refit(dry, {id: of}, dry.neutral) for id, of in ((name, values), (rival, REGISTRY[rival].typical))
+        refit(dry, {id: given}, dry.neutral)
+        for id, given in ((name, values), (rival, REGISTRY[rival].typical))
     ]
-    found = best_measurement(dry, *fits)
-    assert found.separates == (name, rival)
-    assert found.resolves == tells
+    measurement = best_measurement(dry, *fits)
+    assert measurement.separates == (name, rival)
+    assert measurement.resolves == tells
     if tells:
-        assert BY_NAME[found.experiment].arc_on
+        assert BY_NAME[measurement.experiment].arc_on
     else:
-        assert found.experiment == f"{WITNESS[name]}, as a witness"
+        assert measurement.experiment == f"{WITNESS[name]}, as a witness"
 
 
 def travelling(timestamp_s):
@@ -128,8 +131,8 @@ def planned():
     setup = nominal_setup("v_groove", "mild_steel", width=48, height=36)
     dark = Condition(0.0, 0.0, 0.001, 1.1)
     nothing = np.zeros((0, 0))
-    of = ObservedFrame(0, 11, 1.1, "dark", dark, travelling, (0.0, 0.0, 0.0), *8 * [nothing])
-    return {one.key: planned_frame(one, of, setup) for one in MENU}
+    values = ObservedFrame(0, 11, 1.1, "dark", dark, travelling, (0.0, 0.0, 0.0), *8 * [nothing])
+    return {item.key: planned_frame(item, values, setup) for item in MENU}
 
 
 @pytest.mark.parametrize(
@@ -173,6 +176,6 @@ def test_an_experiment_moves_the_tool_in_its_own_frame(planned):
 
 
 def test_the_menu_is_known_by_key_and_by_what_the_report_says():
-    assert len({one.key for one in MENU}) == len(MENU) == len(BY_NAME)
+    assert len({item.key for item in MENU}) == len(MENU) == len(BY_NAME)
     assert BY_NAME["the torch raised by 2 mm"].key == "raised"
     assert BY_NAME["the same run 3 times as fast"].key == "faster"

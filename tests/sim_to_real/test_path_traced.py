@@ -53,8 +53,8 @@ def test_the_arc_map_is_the_path_tracers(mitsuba, joint_type, material):
     rows = np.arange(setup.camera.height) // BLOCK_PX
     strips = (rows % STRIP_EVERY == 0) & (rows < setup.camera.height // BLOCK_PX)
     predicted, traced, sigma = [], [], []
-    for seed, at in enumerate(POSES.values()):
-        T_base_tool = worlds.pose(*at)
+    for seed, place in enumerate(POSES.values()):
+        T_base_tool = worlds.pose(*place)
         kernel = arc_kernel(setup, make_scene(setup, T_base_tool))
         frame_e = arc_frame(kernel, rays.xy.reshape(-1, 2), rays.cos4.reshape(-1), rays.cos4.shape)
         mean_e, sigma_e = path_traced_arc(setup, T_base_tool, samples=256, seed=seed, xy=rays.xy[strips])

@@ -30,21 +30,21 @@ def usable():
 
 def test_a_stated_sensor_shows_its_stated_noise(usable):
     images = frames(np.random.default_rng(1), linear)
-    found = photon_transfer(images, [usable] * len(images), BIN_PX)
+    curve = photon_transfer(images, [usable] * len(images), BIN_PX)
     for e in (1000.0, 4000.0, 15_000.0):
         wanted = (e + 45.0**2) / 80.0**2 + 1.0 / 12.0
-        assert found.at(np.array(16.0 + e / 80.0)) == pytest.approx(wanted, rel=0.07)
+        assert curve.variance_at(np.array(16.0 + e / 80.0)) == pytest.approx(wanted, rel=0.07)
 
 
 def test_a_bent_response_scatters_otherwise(usable):
     """Shot and read noise go through its slope; near black it is steep."""
     images = frames(np.random.default_rng(2), bent)
-    found = photon_transfer(images, [usable] * len(images), BIN_PX)
+    curve = photon_transfer(images, [usable] * len(images), BIN_PX)
     for e in (3000.0, 12_000.0):
         slope = 0.6 * 250.0 / 20_000.0 * (e / 20_000.0) ** -0.4
         wanted = (e + 45.0**2) * slope**2 + 1.0 / 12.0
-        assert found.at(np.array(16.0 + bent(e))) == pytest.approx(wanted, rel=0.07)
-    assert found.at(np.array(18.0)) > 2.0 * 45.0**2 / 80.0**2
+        assert curve.variance_at(np.array(16.0 + bent(e))) == pytest.approx(wanted, rel=0.07)
+    assert curve.variance_at(np.array(18.0)) > 2.0 * 45.0**2 / 80.0**2
 
 
 def test_smooth_light_stripes_and_what_is_not_usable_are_no_noise(usable):
@@ -54,11 +54,11 @@ def test_smooth_light_stripes_and_what_is_not_usable_are_no_noise(usable):
     stripe = 80.0 * np.exp(-0.5 * ((v - 150.0 - 0.1 * u) / 4.0) ** 2)
     image = np.rint(light + stripe + 2.0 * rng.standard_normal((H, W))).clip(0, 255).astype(np.uint8)
     image[:40, :40] = rng.integers(0, 255, (40, 40))
-    left = usable.copy()
-    left[:10, :10] = False
-    found = photon_transfer([image] * 2, [left] * 2, BIN_PX)
-    assert np.median(found.variances_dn2) == pytest.approx(4.0 + 1.0 / 12.0, rel=0.04)
-    assert found.variances_dn2.max() < 1.3 * 4.0
+    mean_square = usable.copy()
+    mean_square[:10, :10] = False
+    curve = photon_transfer([image] * 2, [mean_square] * 2, BIN_PX)
+    assert np.median(curve.variances_dn2) == pytest.approx(4.0 + 1.0 / 12.0, rel=0.04)
+    assert curve.variances_dn2.max() < 1.3 * 4.0
 
 
 @pytest.mark.parametrize("bin_px", [2, 3, 5, 8])
@@ -69,5 +69,5 @@ def test_bins_of_any_width_do(bin_px):
 
 
 def test_where_hardly_anything_is_usable_nothing_is_known(usable):
-    found = photon_transfer([np.zeros((H, W), dtype=np.uint8)], [np.zeros_like(usable)], BIN_PX)
-    np.testing.assert_array_equal(found.at(np.array([0.0, 100.0])), 0.0)
+    curve = photon_transfer([np.zeros((H, W), dtype=np.uint8)], [np.zeros_like(usable)], BIN_PX)
+    np.testing.assert_array_equal(curve.variance_at(np.array([0.0, 100.0])), 0.0)

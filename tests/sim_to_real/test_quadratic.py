@@ -34,34 +34,34 @@ def test_the_minimum_is_that_of_plain_least_squares(bounds):
         return np.concatenate([np.sqrt(w[rows]) * (r + J @ (value - x))[rows], pulls])
 
     expected = least_squares(residuals, np.clip(x, *bounds), bounds=bounds, xtol=1e-14, ftol=1e-14).x
-    found = Quadratic.of(parameters, x, r, J, w, COUNTS).solve(chosen)
-    np.testing.assert_allclose(found, expected, atol=1e-6)
+    result = Quadratic.of(parameters, x, r, J, w, COUNTS).solve(chosen)
+    np.testing.assert_allclose(result, expected, atol=1e-6)
 
 
 def test_what_is_fixed_stays_and_the_others_are_best_beside_it():
     parameters, x, r, J, w = problem(5)
-    found = Quadratic.of(parameters, x, r, J, w, COUNTS).solve(fixed=slice(1, 2))
-    assert found[1] == x[1]
+    result = Quadratic.of(parameters, x, r, J, w, COUNTS).solve(fixed=slice(1, 2))
+    assert result[1] == x[1]
     others = [0, 2]
     weight = (w @ r**2) / min(len(r), N_EFFECTIVE)
     A = J[:, others].T @ (w[:, np.newaxis] * J[:, others]) + weight / 4.0 * np.eye(2)
     # x starts where the priors pull to.
-    np.testing.assert_allclose(found[others] - x[others], np.linalg.solve(A, -J[:, others].T @ (w * r)))
+    np.testing.assert_allclose(result[others] - x[others], np.linalg.solve(A, -J[:, others].T @ (w * r)))
 
 
 def test_about_another_point_it_is_the_same():
     parameters, x, r, J, w = problem(8)
     here, there = Quadratic.of(parameters, x, r, J, w, COUNTS), np.array([0.4, -0.3, 1.0])
     moved = Quadratic.of(parameters, there, r + J @ (there - x), J, w, COUNTS)
-    found = here.about(there)
+    result = here.expanded_at(there)
     for name in ("x", "information", "gradient", "chi2"):
-        np.testing.assert_allclose(getattr(found, name), getattr(moved, name))
+        np.testing.assert_allclose(getattr(result, name), getattr(moved, name))
 
 
 def test_along_some_of_the_parameters_all_frames_at_once_it_is_the_same():
     parameters, x, r, J, w = problem(6, (-0.4, 0.9))
     whole, kept = Quadratic.of(parameters, x, r, J, w, COUNTS), np.array([0, 2])
-    some = whole.summed().only(kept)
+    some = whole.summed().restricted_to(kept)
     np.testing.assert_allclose(some.solve(), whole.solve(fixed=slice(1, 2))[kept])
     value = np.array([0.3, x[1], -0.1])
     np.testing.assert_allclose(some.costs(value[kept]), whole.costs(value).sum())
@@ -89,9 +89,9 @@ def test_a_direction_that_nothing_sees_stays_where_it_is():
     parameters, x, r, J, w = problem(3)
     free = tuple(Parameter(p.name, "", p.start) for p in parameters)
     J[:, 2] = 0.0
-    found = Quadratic.of(free, x, r, J, w, COUNTS).solve(np.ones(3, dtype=bool))
-    assert found[2] == x[2]
-    assert np.isfinite(found).all()
+    result = Quadratic.of(free, x, r, J, w, COUNTS).solve(np.ones(3, dtype=bool))
+    assert result[2] == x[2]
+    assert np.isfinite(result).all()
 
 
 def test_no_parameter_ends_beyond_its_bounds_even_by_rounding():
@@ -99,6 +99,6 @@ def test_no_parameter_ends_beyond_its_bounds_even_by_rounding():
     for seed in range(200):
         parameters, x, r, J, w = problem(seed, (low, high))
         inside = np.clip(x + np.random.default_rng(seed).uniform(-0.3, 0.9, 3), low, high)
-        found = Quadratic.of(parameters, inside, r, J, w, COUNTS).solve()
-        assert (found >= low).all()
-        assert (found <= high).all()
+        result = Quadratic.of(parameters, inside, r, J, w, COUNTS).solve()
+        assert (result >= low).all()
+        assert (result <= high).all()

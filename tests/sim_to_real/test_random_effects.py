@@ -10,7 +10,7 @@ from scipy.stats import norm
 
 from noise_model.arrays import Float64
 from sim_to_real.variance import random_effects as of_scatter
-from sim_to_real.variance.random_effects import NAMED_FROM, scatter
+from sim_to_real.variance.random_effects import MIN_EVIDENCE_NATS, random_effects
 from tests.sim_to_real.scattered import HEIGHT, WIDTH, Scattering, recorded, streak
 
 RANDOM = {"read_noise", "fixed_pattern", "laser_speckle", "spatter"}
@@ -22,68 +22,78 @@ def streaks(rng):
     drawn = np.zeros((N_FRAMES, HEIGHT, WIDTH))
     for n in range(N_FRAMES):
         if n % 6 > 1:
-            at = rng.uniform(30.0, WIDTH - 30.0), rng.uniform(125.0, HEIGHT - 30.0), rng.uniform(0.0, math.pi)
-            drawn[n] = streak(*at, 40.0, 1.8, 2000.0)
+            place = (
+                rng.uniform(30.0, WIDTH - 30.0),
+                rng.uniform(125.0, HEIGHT - 30.0),
+                rng.uniform(0.0, math.pi),
+            )
+            drawn[n] = streak(*place, 40.0, 1.8, 2000.0)
     return drawn
 
 
 def made(effect):
     """A recording with one effect, and what its parameters are."""
     rng = np.random.default_rng(11)
-    of = {
+    given = {
         "nothing": (Scattering(), {}),
         "read_noise": (Scattering(ratio=1.8), {"noise_ratio": 1.8}),
         "fixed_pattern": (Scattering(pixels=0.03), {"sigma_rel": 0.03}),
         "laser_speckle": (Scattering(contrast=0.15, grain_px=1.0), {"contrast": 0.15, "grain_px": 1.0}),
         "spatter": (Scattering(drawn=streaks(rng)), {"length_px": 40.0, "width_px": 1.8}),
     }
-    scattering, values = of[effect]
+    scattering, values = given[effect]
     return recorded(rng, scattering, N_FRAMES), values
 
 
 def test_nothing_is_found_where_nothing_is():
     (expected, fitted), _ = made("nothing")
-    found = scatter(expected, fitted, ())
-    assert found.effects == {}
-    assert set(found.evidence) == set(found.confidence) == set(found.closed) == RANDOM
-    assert max(found.confidence.values()) < 0.5
-    for sigma_dn, frame in zip(found.sigmas_dn, expected.observed.frames, strict=True):
+    effects_found = random_effects(expected, fitted, ())
+    assert effects_found.effects == {}
+    assert set(effects_found.evidence) == set(effects_found.confidence) == set(effects_found.closed) == RANDOM
+    assert max(effects_found.confidence.values()) < 0.5
+    for sigma_dn, frame in zip(effects_found.sigmas_dn, expected.observed.frames, strict=True):
         assert (sigma_dn == frame.sigma_dn).all()
 
 
 @pytest.mark.parametrize("effect", sorted(RANDOM))
 def test_each_effect_is_found_alone_with_its_parameters(effect):
     (expected, fitted), values = made(effect)
-    found = scatter(expected, fitted, ())
-    assert set(found.effects) == {effect}
+    effects_found = random_effects(expected, fitted, ())
+    assert set(effects_found.effects) == {effect}
     for name, value in values.items():
         # Read noise is known within its tolerance of 5 %.
-        assert found.effects[effect][name] == pytest.approx(value, abs=2.0 * found.sigmas[effect][name])
-        assert found.sigmas[effect][name] < 0.3 * value
-    assert found.confidence[effect] == pytest.approx(1.0 / (1.0 + math.exp(-found.evidence[effect])))
-    assert found.confidence[effect] > 1.0 / (1.0 + math.exp(-NAMED_FROM))
-    assert max(of for name, of in found.confidence.items() if name != effect) < 0.5
-    assert found.closed[effect] > 0.6
-    assert max(of for name, of in found.closed.items() if name != effect) < 0.2
+        assert effects_found.effects[effect][name] == pytest.approx(
+            value, abs=2.0 * effects_found.sigmas[effect][name]
+        )
+        assert effects_found.sigmas[effect][name] < 0.3 * value
+    assert effects_found.confidence[effect] == pytest.approx(
+        1.0 / (1.0 + math.exp(-effects_found.evidence[effect]))
+    )
+    assert effects_found.confidence[effect] > 1.0 / (1.0 + math.exp(-MIN_EVIDENCE_NATS))
+    assert max(given for name, given in effects_found.confidence.items() if name != effect) < 0.5
+    assert effects_found.closed[effect] > 0.6
+    assert max(given for name, given in effects_found.closed.items() if name != effect) < 0.2
 
 
 @pytest.mark.parametrize("ratio", [0.93, 1.07])
 def test_read_noise_within_its_tolerance_is_no_effect_but_known(ratio):
     """A tolerance of 5 %: what is seen is surer than that."""
-    found = scatter(*recorded(np.random.default_rng(12), Scattering(ratio=ratio), N_FRAMES), ())
-    assert "read_noise" not in found.effects
-    assert found.read_ratio == pytest.approx(ratio, abs=0.01)
+    effects_found = random_effects(
+        *recorded(np.random.default_rng(12), Scattering(ratio=ratio), N_FRAMES), ()
+    )
+    assert "read_noise" not in effects_found.effects
+    assert effects_found.read_ratio == pytest.approx(ratio, abs=0.01)
 
 
 def test_read_noise_that_is_named_is_not_counted_twice():
     (expected, fitted), _ = made("read_noise")
-    assert scatter(expected, fitted, ()).read_ratio == 1.0
+    assert random_effects(expected, fitted, ()).read_ratio == 1.0
 
 
 def pixels_exceed(expected, fitted):
     """By how much the mean square of pixels' residuals exceeds their stated noise, in the bins that count."""
     ratios = []
-    for frame, light in zip(expected.observed.frames, fitted.passed, strict=True):
+    for frame, light in zip(expected.observed.frames, fitted.lights, strict=True):
         blocks = frame.image_dn.reshape(60, 4, 80, 4).transpose(0, 2, 1, 3)[frame.keep].reshape(-1, 16)
         gain, read = light.sensor.gain_e_per_dn, light.sensor.read_noise_e
         variance = (light.arc_e + light.laser_e + read**2) / gain**2 + 1.0 / 12.0
@@ -96,18 +106,18 @@ def pixels_exceed(expected, fitted):
 @pytest.mark.parametrize("effect", ["read_noise", "fixed_pattern"])
 def test_what_an_effect_adds_is_what_pixels_exceed(effect):
     (expected, fitted), _ = made(effect)
-    assert scatter(expected, fitted, ()).excess[effect] == pytest.approx(
+    assert random_effects(expected, fitted, ()).excess[effect] == pytest.approx(
         pixels_exceed(expected, fitted), rel=0.1
     )
 
 
 def test_noise_of_bins_is_what_bins_scatter_by():
     (expected, fitted), _ = made("laser_speckle")
-    found = scatter(expected, fitted, ())
+    effects_found = random_effects(expected, fitted, ())
     r = [
         ((frame.kept_dn - light.mean_dn()) / sigma_dn)[frame.in_stripe & (light.laser_e > 2000.0)]
         for frame, light, sigma_dn in zip(
-            expected.observed.frames, fitted.passed, found.sigmas_dn, strict=True
+            expected.observed.frames, fitted.lights, effects_found.sigmas_dn, strict=True
         )
     ]
     # The floor of half a DN that the frames' noise has beside it is small here.
@@ -126,10 +136,10 @@ def test_noise_that_bins_have_been_given_already_is_not_added_again():
         shown = np.full(len(frame.sigma_dn), shown_dn2)
         return replace(frame, sigma_dn=np.sqrt(frame.sigma_dn**2 + shown), shown_dn2=shown)
 
-    frames = tuple(given(*of) for of in zip(observed.frames, fitted.passed, strict=True))
-    found = scatter(type(expected)(observed=replace(observed, frames=frames)), fitted, ())
-    assert set(found.effects) == {"read_noise"}
-    for sigma_dn, frame in zip(found.sigmas_dn, frames, strict=True):
+    frames = tuple(given(*values) for values in zip(observed.frames, fitted.lights, strict=True))
+    effects_found = random_effects(type(expected)(observed=replace(observed, frames=frames)), fitted, ())
+    assert set(effects_found.effects) == {"read_noise"}
+    for sigma_dn, frame in zip(effects_found.sigmas_dn, frames, strict=True):
         assert np.median(sigma_dn / frame.sigma_dn) == pytest.approx(1.0, abs=0.01)
 
 
@@ -138,34 +148,34 @@ def test_of_a_read_noise_that_is_stated_in_part_the_whole_is_found():
     setup = expected.observed.setup
     known = replace(setup.sensor, read_noise_e=1.5 * setup.sensor.read_noise_e)
     stated = replace(expected.observed, setup=replace(setup, effects={"read_noise": {"noise_ratio": 1.5}}))
-    really_there = [replace(light, sensor=known) for light in fitted.passed]
-    found = scatter(type(expected)(observed=stated), type(fitted)(passed=really_there), ())
-    assert found.effects["read_noise"]["noise_ratio"] == pytest.approx(1.8, abs=0.05)
+    really_there = [replace(light, sensor=known) for light in fitted.lights]
+    effects_found = random_effects(type(expected)(observed=stated), type(fitted)(lights=really_there), ())
+    assert effects_found.effects["read_noise"]["noise_ratio"] == pytest.approx(1.8, abs=0.05)
 
 
 def test_bins_that_a_streak_reaches_do_not_count():
     (expected, fitted), _ = made("spatter")
-    found = scatter(expected, fitted, ())
-    hit = [np.isinf(sigma_dn).any() for sigma_dn in found.sigmas_dn]
+    effects_found = random_effects(expected, fitted, ())
+    hit = [np.isinf(sigma_dn).any() for sigma_dn in effects_found.sigmas_dn]
     assert hit == [n % 6 > 1 for n in range(N_FRAMES)]
 
 
 def test_an_effect_out_of_the_catalogue_is_not_looked_for():
     (expected, fitted), _ = made("fixed_pattern")
-    found = scatter(expected, fitted, ("fixed_pattern",))
-    assert found.effects == {}
-    assert set(found.confidence) == RANDOM - {"fixed_pattern"}
+    effects_found = random_effects(expected, fitted, ("fixed_pattern",))
+    assert effects_found.effects == {}
+    assert set(effects_found.confidence) == RANDOM - {"fixed_pattern"}
 
 
 def test_what_the_setup_states_is_noise_and_no_gap():
     (expected, fitted), _ = made("fixed_pattern")
     effects = {"fixed_pattern": {"sigma_rel": 0.03}}
     stated = replace(expected.observed, setup=replace(expected.observed.setup, effects=effects))
-    found = scatter(type(expected)(observed=stated), fitted, ())
-    assert found.effects == {}
+    effects_found = random_effects(type(expected)(observed=stated), fitted, ())
+    assert effects_found.effects == {}
     assert all(
         (s > f.sigma_dn).any()
-        for s, f in zip(found.sigmas_dn[2:], stated.frames[2:], strict=True)
+        for s, f in zip(effects_found.sigmas_dn[2:], stated.frames[2:], strict=True)
         if f.condition.arc_level
     )
 
@@ -177,8 +187,8 @@ def test_effects_of_sources_that_are_hardly_on_are_not_looked_for():
         expected.observed,
         frames=tuple(replace(expected.observed.frames[n], position=k) for k, n in enumerate(dark)),
     )
-    fit = type(fitted)(passed=tuple(fitted.passed[n] for n in dark))
-    assert set(scatter(type(expected)(observed=few), fit, ()).confidence) == {"read_noise"}
+    fit = type(fitted)(lights=tuple(fitted.lights[n] for n in dark))
+    assert set(random_effects(type(expected)(observed=few), fit, ()).confidence) == {"read_noise"}
 
 
 @pytest.mark.parametrize(("size", "error", "prior"), [(0.2, 0.06, 1.0), (0.0, 0.05, 1.0), (-0.1, 0.05, 0.5)])
@@ -187,4 +197,4 @@ def test_the_evidence_is_the_ratio_of_two_integrals(size, error, prior):
         lambda x: norm.pdf(size, x, error) * 2.0 * norm.pdf(x, 0.0, prior), 0.0, 6.0, points=[max(size, 0.0)]
     )
     expected = math.log(with_it / norm.pdf(size, 0.0, error))
-    assert of_scatter._over_nought(size, error, prior) == pytest.approx(expected, rel=1e-6)
+    assert of_scatter._evidence_over_zero(size, error, prior) == pytest.approx(expected, rel=1e-6)

@@ -3,38 +3,36 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from sim_to_real.data.binned import THIN
 from sim_to_real.locate.residual_structure import (
     banded_means,
     curve_along,
     image_shares,
     locate,
     noise_shares,
-    smoothed,
     strata_gaps,
 )
-from sim_to_real.locate.spline_term import HeldOut
+from sim_to_real.locate.spline_term import CrossValidation
 from tests.sim_to_real.planted import planted
 
 Z = np.zeros((2, 2), dtype=np.float32)
 
 
-def noise(of, seed=1):
-    return np.random.default_rng(seed).standard_normal(len(of.frame))
+def noise(values, seed=1):
+    return np.random.default_rng(seed).standard_normal(len(values.frame))
 
 
-def shares(of, r):
-    return image_shares(of, r, HeldOut.of(of, r))
+def shares(values, r):
+    return image_shares(values, r, CrossValidation.of(values, r))
 
 
 @pytest.mark.parametrize("name", ["half_angle", "row", "gray_level", "time"])
 def test_the_covariate_that_was_planted_comes_first_with_its_share(name):
-    of = planted()
-    value = of.values[name]
+    bins = planted()
+    value = bins.values[name]
     along = (value - value.mean()) / value.std()
     # As much again lies along nothing: other numbers in each bin.
     r = 2.0 * along + np.random.default_rng(5).normal(0.0, np.sqrt(1.0 + 4.0), len(value))
-    where = locate(of, r, "sensor", Z)
+    where = locate(bins, r, "sensor", Z)
     assert where.covariates[0].name == name
     assert where.covariates[0].r2 == pytest.approx(0.5, abs=0.05)
     assert where.covariates[1].r2 < 0.3
@@ -42,8 +40,8 @@ def test_the_covariate_that_was_planted_comes_first_with_its_share(name):
 
 
 def test_noise_lies_nowhere_and_its_bands_cover_nought():
-    of = planted()
-    where = locate(of, noise(of), "source", Z)
+    bins = planted()
+    where = locate(bins, noise(bins), "source", Z)
     assert max(curve.r2 for curve in where.covariates) < 0.05
     covered = np.concatenate([(c.low <= 0.0) & (c.high >= 0.0) for c in where.covariates])
     assert covered.mean() > 0.8
@@ -52,14 +50,14 @@ def test_noise_lies_nowhere_and_its_bands_cover_nought():
 
 
 def test_frames_own_levels_are_no_function_of_time_and_widen_the_band():
-    of = planted()
-    level = 2.0 * np.random.default_rng(11).standard_normal(of.n_frames)[of.frame]
-    r = noise(of) + level
-    curve = curve_along("half_angle", of, r, HeldOut.of(of, r))
+    bins = planted()
+    level = 2.0 * np.random.default_rng(11).standard_normal(bins.n_frames)[bins.frame]
+    r = noise(bins) + level
+    curve = curve_along("half_angle", bins, r, CrossValidation.of(bins, r))
     in_group = np.full(len(curve.centers), len(r) / len(curve.centers))
     naive = 2.0 * 1.96 * r.std() / np.sqrt(in_group)
     assert ((curve.high - curve.low) > 5.0 * naive * 0.5).all()
-    assert curve_along("time", of, r, HeldOut.of(of, r)).r2 < 0.25
+    assert curve_along("time", bins, r, CrossValidation.of(bins, r)).r2 < 0.25
 
 
 def test_a_band_is_that_of_the_frames_means():
@@ -76,70 +74,58 @@ def test_a_band_is_that_of_the_frames_means():
 
 
 def test_curves_tell_the_mean_and_the_ratio_of_light():
-    of = planted()
-    r = 0.2 * of.light_dn + 0.0 * noise(of)
-    curve = curve_along("distance", of, r, HeldOut.of(of, r))
+    bins = planted()
+    r = 0.2 * bins.light_dn + 0.0 * noise(bins)
+    curve = curve_along("distance", bins, r, CrossValidation.of(bins, r))
     assert np.nanmedian(curve.log_ratio) == pytest.approx(np.log(1.2), abs=1e-4)
-    chosen = np.isfinite(of.values["distance"])
+    chosen = np.isfinite(bins.values["distance"])
     assert (curve.mean @ np.ones(len(curve.mean))) / len(curve.mean) == pytest.approx(
         r[chosen].mean(), rel=0.01
     )
-    dark = replace(of, arc_dn=0.0 * of.arc_dn, laser_dn=0.0 * of.laser_dn)
-    assert np.isnan(curve_along("distance", dark, r, HeldOut.of(dark, r)).log_ratio).all()
+    dark = replace(bins, arc_dn=0.0 * bins.arc_dn, laser_dn=0.0 * bins.laser_dn)
+    assert np.isnan(curve_along("distance", dark, r, CrossValidation.of(dark, r)).log_ratio).all()
 
 
 def test_strata_are_told_apart():
-    of = planted()
-    r = noise(of) + np.where(of.in_stripe, 5.0, 0.0)
-    gaps = strata_gaps(of, r)
+    bins = planted()
+    r = noise(bins) + np.where(bins.in_stripe, 5.0, 0.0)
+    gaps = strata_gaps(bins, r)
     assert gaps["stripe_band"] == pytest.approx(5.0, abs=0.1)
     assert gaps["rest"] < 0.15
     assert gaps["dark"] < 0.2 < gaps["laser"] < gaps["stripe_band"]
-    no_dark = replace(of, stratum=np.maximum(of.stratum, 1).astype(np.int8))
+    no_dark = replace(bins, stratum=np.maximum(bins.stratum, 1).astype(np.int8))
     assert np.isnan(strata_gaps(no_dark, r)["dark"])
 
 
 def test_patterns_of_the_image_are_told_apart():
-    of = planted()
-    numbers = np.random.default_rng(9).standard_normal(of.shape[0] * of.shape[1])
-    ghost = np.stack([of.image(f, of.light_dn)[::-1, ::-1] for f in range(of.n_frames)]).reshape(-1)
+    bins = planted()
+    numbers = np.random.default_rng(9).standard_normal(bins.shape[0] * bins.shape[1])
+    ghost = np.stack([bins.image(f, bins.light_dn)[::-1, ::-1] for f in range(bins.n_frames)]).reshape(-1)
     for name, pattern in {
-        "row": 3.0 * np.sin(of.values["row"] / 3.0),
-        "column": 3.0 * np.sin(of.values["column"] / 4.0),
-        "radial": 3.0 * np.cos(of.values["radius"] / 2.0),
+        "row": 3.0 * np.sin(bins.values["row"] / 3.0),
+        "column": 3.0 * np.sin(bins.values["column"] / 4.0),
+        "radial": 3.0 * np.cos(bins.values["radius"] / 2.0),
         "mirrored": 0.08 * ghost,
-        "fixed": 3.0 * numbers[of.bins],
-        "stripe_band": np.where(of.in_stripe, 8.0 * noise(of, 4), 0.0),
+        "fixed": 3.0 * numbers[bins.bins],
+        "stripe_band": np.where(bins.in_stripe, 8.0 * noise(bins, 4), 0.0),
     }.items():
-        found = shares(of, noise(of) + pattern)
+        result = shares(bins, noise(bins) + pattern)
         # A pattern of rows or columns is one of each bin too.
-        others = {other: value for other, value in found.items() if other not in (name, "fixed")}
-        assert found[name] > 0.85, name
-        assert max(others.values()) < found[name] - 0.1, name
-    assert shares(of, noise(of) + 0.1 * of.light_dn * numbers[of.bins])["fixed"] > 0.8
+        others = {other: value for other, value in result.items() if other not in (name, "fixed")}
+        assert result[name] > 0.85, name
+        assert max(others.values()) < result[name] - 0.1, name
+    assert shares(bins, noise(bins) + 0.1 * bins.light_dn * numbers[bins.bins])["fixed"] > 0.8
 
 
 def test_noise_from_bin_to_bin_is_told_from_what_neighbours_share():
-    of = planted()
-    rest, sparks = np.where(of.in_stripe, 0.0, 1.0), np.zeros(len(of.frame))
+    bins = planted()
+    rest, sparks = np.where(bins.in_stripe, 0.0, 1.0), np.zeros(len(bins.frame))
     sparks[np.random.default_rng(6).integers(0, len(sparks), 60)] = 120.0
-    noisy = noise_shares(of, noise(of) * (1.0 + 2.0 * rest))
-    grainy = noise_shares(of, noise(of) * (3.0 - 2.0 * rest))
-    sparky = noise_shares(of, noise(of) + sparks)
-    smooth = noise_shares(of, noise(of) + 3.0 * np.sin(of.values["column"] / 10.0))
+    noisy = noise_shares(bins, noise(bins) * (1.0 + 2.0 * rest))
+    grainy = noise_shares(bins, noise(bins) * (3.0 - 2.0 * rest))
+    sparky = noise_shares(bins, noise(bins) + sparks)
+    smooth = noise_shares(bins, noise(bins) + 3.0 * np.sin(bins.values["column"] / 10.0))
     assert (noisy.rest, grainy.stripe_band) == pytest.approx((1.0, 1.0), abs=0.08)
     assert (noisy.stripe_band, grainy.rest) == pytest.approx((0.0, 0.0), abs=0.02)
     assert sparky.sparks > 0.8 > 0.1 > max(noisy.sparks, grainy.sparks, smooth.sparks)
     assert max(smooth.rest, smooth.stripe_band) < 0.2
-
-
-def test_the_smoothed_image_weighs_a_stripe_like_the_rest():
-    of = planted()
-    assert smoothed(of, np.full(len(of.frame), 2.0)) == pytest.approx(2.0, abs=1e-5)
-    left_out = np.arange(of.n_frames) < 4
-    r = np.where(of.frame < 4, 1.0, 50.0)
-    assert smoothed(of, r, left_out) == pytest.approx(1.0, abs=1e-5)
-    # The same bin in two frames, once in the stripe.
-    twice = of.at(np.array([0, of.shape[0] * of.shape[1]]))
-    both = smoothed(replace(twice, in_stripe=np.array([True, False])), np.array([1.0, 0.0]))
-    assert both[0, 0] == pytest.approx(1.0 / (1.0 + THIN**2), abs=1e-4)

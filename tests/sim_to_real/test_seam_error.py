@@ -3,14 +3,14 @@
 from sim_to_real.data.binned import observe
 from sim_to_real.decision.seam_error import seam_errors_mm
 from sim_to_real.fit.gauss_newton import refit
-from sim_to_real.fit.linearized_model import Expected
+from sim_to_real.fit.linearized_model import LinearizedModel
 from tests.sim_to_real.small import recorded
 
 
 def errors_mm(path, hidden, **camera):
     """What the tracker's seam is off if effects are hidden from it, and once it knows them."""
     setup, frames, pose_at = recorded(path, hidden, **camera)
-    expected = Expected(observe(setup, frames, pose_at))
+    expected = LinearizedModel(observe(setup, frames, pose_at))
     expected.take_tangents(expected.neutral, hidden)
     true = refit(expected, hidden, expected.neutral, steps=0)
     return seam_errors_mm(setup, frames, pose_at, expected, true)

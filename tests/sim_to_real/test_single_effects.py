@@ -8,29 +8,35 @@ import pytest
 
 from noise_model.effects import REGISTRY
 from noise_model.fit import Parameter
-from sim_to_real.decision.holdout_gap import left_in_pixels
-from sim_to_real.fit.gauss_newton import followed, refit
+from sim_to_real.decision.holdout_gap import pixel_misfits
+from sim_to_real.fit.gauss_newton import broyden_update, refit
 from sim_to_real.fit.nuisances import SEAM_FROM
 from sim_to_real.fit.quadratic import Quadratic
 from sim_to_real.search import single_effects as select
-from sim_to_real.search.hypothesis import Candidate, beyond_form, is_explained, judged, likelihood_nats
-from sim_to_real.search.single_effects import ALIKE_NATS, Search, told_apart
+from sim_to_real.search.hypothesis import (
+    Hypothesis,
+    cross_validated,
+    is_explained,
+    likelihood_nats,
+    mean_square_beyond_form,
+)
+from sim_to_real.search.single_effects import INDISTINGUISHABLE_NATS, Search, told_apart_by_pixels
 from tests.sim_to_real.small import small_recording
 from tests.sim_to_real.verdicts import seen
 
 
-def candidate(name, left, n_parameters=1):
+def hypothesis(name, mean_square, n_parameters=1):
     fit = SimpleNamespace(
-        residuals=np.full(50, math.sqrt(left)),
+        residuals=np.full(50, math.sqrt(mean_square)),
         nuisance=None,
         ids=(name,),
         x=np.zeros(n_parameters),
         n_nuisances=0,
         n_parameters=n_parameters,
-        mean_square=left,
-        quadratic=quadratic(np.zeros((50, n_parameters)), np.full(50, math.sqrt(left))),
+        mean_square=mean_square,
+        quadratic=quadratic(np.zeros((50, n_parameters)), np.full(50, math.sqrt(mean_square))),
     )
-    return Candidate(fit, np.array([50.0 * left]))
+    return Hypothesis(fit, np.array([50.0 * mean_square]))
 
 
 def quadratic(J, r, upper=np.inf):
@@ -57,7 +63,7 @@ def test_a_seam_that_one_frame_alone_sees_is_not_foretold_from_the_others():
     expected = SimpleNamespace(observed=seen(["both"] * n_frames))
     foretold = cost.solve(np.arange(n_frames) > 0)
     assert cost.costs(foretold)[0] > 3.0 * cost.chi2[0]
-    assert judged(expected, fitted).costs[0] < 1.5 * cost.chi2[0]
+    assert cross_validated(expected, fitted).costs[0] < 1.5 * cost.chi2[0]
 
 
 def test_a_frame_that_alone_shows_the_arc_is_judged_by_the_fit_that_saw_it():
@@ -72,10 +78,10 @@ def test_a_frame_that_alone_shows_the_arc_is_judged_by_the_fit_that_saw_it():
     x[0] = 5.0
     cost = Quadratic.of(parameters, x, r, J, np.ones(len(r)), counts)
     fitted = SimpleNamespace(ids=(), x=x, n_nuisances=SEAM_FROM, residuals=r, jacobian=J, quadratic=cost)
-    alone = judged(SimpleNamespace(observed=seen(kinds)), fitted)
+    alone = cross_validated(SimpleNamespace(observed=seen(kinds)), fitted)
     assert alone.costs[-1] == pytest.approx(float(r[-n_bins:] @ r[-n_bins:]))
     # As if another frame had shown it too: then this one is foretold, badly.
-    beside = judged(SimpleNamespace(observed=seen(["both", *kinds[1:]])), fitted)
+    beside = cross_validated(SimpleNamespace(observed=seen(["both", *kinds[1:]])), fitted)
     assert beside.costs[-1] > 3.0 * alone.costs[-1]
 
 
@@ -93,7 +99,7 @@ def test_a_single_frame_is_judged_by_the_fit_that_saw_it():
     )
     expected = SimpleNamespace(observed=seen(["both"]))
     # The loss is held, so that no bin counts for all.
-    assert judged(expected, fitted).left > 5.0
+    assert cross_validated(expected, fitted).cv_mean_square > 5.0
 
 
 def test_of_the_arcs_levels_those_about_their_mean_in_frames_that_show_it_are_parameters(tmp_path):
@@ -107,78 +113,80 @@ def test_of_the_arcs_levels_those_about_their_mean_in_frames_that_show_it_are_pa
     assert with_gamma.n_parameters == n_lit - 1 + len(REGISTRY["gamma"].parameters)
 
 
-def ids(found):
-    return [one.ids[0] for one in found]
+def ids(result):
+    return [item.ids[0] for item in result]
 
 
-BASELINE = candidate("", 5.0, 0)
+BASELINE = hypothesis("", 5.0, 0)
 
 
-def pixels(**left):
+def pixels(**mean_square):
     """A search in which pixels say what fits leave, of the baseline 20; and of which they were asked."""
-    asked, left = [], {"": 20.0, **left}
+    asked, mean_square = [], {"": 20.0, **mean_square}
 
     def in_pixels(fits):
         asked.append([fit.ids[0] for fit in fits])
-        return np.array([left[fit.ids[0]] for fit in fits])
+        return np.array([mean_square[fit.ids[0]] for fit in fits])
 
     return Search(None, (), in_pixels, print), asked
 
 
 def test_pixels_decide_between_what_bins_find_alike():
     search, asked = pixels(drift=4.0, defocus=0.8)
-    alike = [candidate("drift", 1.00), candidate("defocus", 1.05)]
-    found, baseline = told_apart(search, [*alike, candidate("gamma", 9.0)], BASELINE)
+    alike = [hypothesis("drift", 1.00), hypothesis("defocus", 1.05)]
+    result, baseline = told_apart_by_pixels(search, [*alike, hypothesis("gamma", 9.0)], BASELINE)
     assert asked == [["", "drift", "defocus"]]
-    assert baseline.left_in_pixels == 20.0
-    assert ids(found) == ["defocus", "drift", "gamma"]
-    assert found[0].evidence - found[1].evidence == pytest.approx(
+    assert baseline.pixel_misfit == 20.0
+    assert ids(result) == ["defocus", "drift", "gamma"]
+    assert result[0].evidence - result[1].evidence == pytest.approx(
         -likelihood_nats(4.0) + likelihood_nats(1.05) - likelihood_nats(1.00)
     )
 
 
 def test_where_nothing_explains_the_bins_pixels_are_asked_of_the_first_ones():
     search, asked = pixels(gamma=4.0, defocus=0.8)
-    found, _ = told_apart(search, [candidate("gamma", 1.5), candidate("defocus", 2.2)], BASELINE)
-    assert candidate("gamma", 1.5).evidence - candidate("defocus", 2.2).evidence > ALIKE_NATS
+    result, _ = told_apart_by_pixels(search, [hypothesis("gamma", 1.5), hypothesis("defocus", 2.2)], BASELINE)
+    assert hypothesis("gamma", 1.5).evidence - hypothesis("defocus", 2.2).evidence > INDISTINGUISHABLE_NATS
     assert asked == [["", "gamma", "defocus"]]
-    assert ids(found) == ["defocus", "gamma"]
+    assert ids(result) == ["defocus", "gamma"]
 
 
 def test_pixels_are_not_asked_where_one_explains_all_and_none_is_like_it():
     search, asked = pixels(gamma=1.0)
-    found, baseline = told_apart(search, [candidate("gamma", 1.0), candidate("fume", 9.0)], BASELINE)
+    result, baseline = told_apart_by_pixels(
+        search, [hypothesis("gamma", 1.0), hypothesis("fume", 9.0)], BASELINE
+    )
     assert asked == []
-    assert math.isnan(found[0].left_in_pixels)
+    assert math.isnan(result[0].pixel_misfit)
     assert baseline is BASELINE
-    assert candidate("fume", 9.0).evidence < candidate("gamma", 1.0).evidence - ALIKE_NATS
+    assert hypothesis("fume", 9.0).evidence < hypothesis("gamma", 1.0).evidence - INDISTINGUISHABLE_NATS
 
 
 def test_what_an_effect_changes_is_known_to_a_tenth():
-    found = candidate("gamma", 4.0)
+    result = hypothesis("gamma", 4.0)
     # Each residual shrinks from 12 to 2, and the change of 10 has a sigma of 1 beside the noise's 1.
-    large = SimpleNamespace(passed=lambda *_: [], residuals=lambda _: np.full(50, 12.0))
-    assert beyond_form(large, found) == pytest.approx(4.0 / 2.0)
-    assert is_explained(large, found, candidate("", 144.0))
+    large = SimpleNamespace(lights=lambda *_: [], residuals=lambda _: np.full(50, 12.0))
+    assert mean_square_beyond_form(large, result) == pytest.approx(4.0 / 2.0)
+    assert is_explained(large, result, hypothesis("", 144.0))
     # The same is left of a gap that was hardly larger: the form is no excuse.
-    small = SimpleNamespace(passed=lambda *_: [], residuals=lambda _: np.full(50, 3.0))
-    assert not is_explained(small, found, candidate("", 9.0))
+    small = SimpleNamespace(lights=lambda *_: [], residuals=lambda _: np.full(50, 3.0))
+    assert not is_explained(small, result, hypothesis("", 9.0))
 
 
 def test_what_leaves_hardly_anything_of_what_pixels_show_explains_a_gap():
-    unmoved = SimpleNamespace(passed=lambda *_: [], residuals=lambda _: np.full(50, math.sqrt(2.0)))
-    for shown, left, is_enough in ((20.0, 1.9, True), (20.0, 2.1, False), (1.3, 0.9, False)):
-        search, _ = pixels(**{"": shown, "blooming": left})
-        (found,), baseline = told_apart(search, [candidate("blooming", 2.0)], BASELINE)
-        assert is_explained(unmoved, found, baseline) is is_enough
+    unmoved = SimpleNamespace(lights=lambda *_: [], residuals=lambda _: np.full(50, math.sqrt(2.0)))
+    for shown, mean_square, is_enough in ((20.0, 1.9, True), (20.0, 2.1, False), (1.3, 0.9, False)):
+        search, _ = pixels(**{"": shown, "blooming": mean_square})
+        (result,), baseline = told_apart_by_pixels(search, [hypothesis("blooming", 2.0)], BASELINE)
+        assert is_explained(unmoved, result, baseline) is is_enough
 
 
 def test_what_pixels_do_not_show_halved_explains_no_gap():
-    large = SimpleNamespace(passed=lambda *_: [], residuals=lambda _: np.full(50, 12.0))
-    for left, is_enough in ((10.4, True), (10.6, False)):
-        search, _ = pixels(arc_radius=left)
-        (found,), baseline = told_apart(search, [candidate("arc_radius", 1.2)], BASELINE)
-        assert is_explained(large, found, baseline) is is_enough
+    large = SimpleNamespace(lights=lambda *_: [], residuals=lambda _: np.full(50, 12.0))
+    for mean_square, is_enough in ((10.4, True), (10.6, False)):
+        search, _ = pixels(arc_radius=mean_square)
+        (result,), baseline = told_apart_by_pixels(search, [hypothesis("arc_radius", 1.2)], BASELINE)
+        assert is_explained(large, result, baseline) is is_enough
 
 
 def test_what_bounds_hold_back_is_what_would_be_gained_without_them():
@@ -190,7 +198,7 @@ def test_what_bounds_hold_back_is_what_would_be_gained_without_them():
             ids=("dirty_window",), x=np.zeros(2), n_nuisances=n_nuisances, mean_square=29.0 / 3.0
         )
         fit.quadratic = quadratic(J, r, upper)
-        return Candidate(fit, np.array([29.0])).held_back
+        return Hypothesis(fit, np.array([29.0])).gain_beyond_bounds_nats
 
     # The first would go on to 3, the second back to -4 and no farther than to its own bound.
     assert held_back(1.0) == 0.0
@@ -202,24 +210,26 @@ def test_followed_derivatives_tell_what_the_step_did_and_leave_the_rest():
     rng = np.random.default_rng(3)
     J, step = rng.standard_normal((40, 3)), np.array([0.3, 0.0, 0.0])
     change = J @ step + rng.standard_normal(40)
-    after = followed(J, step, change)
+    after = broyden_update(J, step, change)
     np.testing.assert_allclose(after @ step, change)
     np.testing.assert_array_equal(after[:, 1:], J[:, 1:])
-    np.testing.assert_array_equal(followed(J, np.zeros(3), change), J)
+    np.testing.assert_array_equal(broyden_update(J, np.zeros(3), change), J)
 
 
 def test_followed_derivatives_do_not_depend_on_units():
     rng = np.random.default_rng(4)
     J, step, change = rng.standard_normal((40, 3)), rng.standard_normal(3), rng.standard_normal(40)
     units = np.array([1e-3, 1.0, 1e4])
-    np.testing.assert_allclose(followed(J * units, step / units, change) / units, followed(J, step, change))
+    np.testing.assert_allclose(
+        broyden_update(J * units, step / units, change) / units, broyden_update(J, step, change)
+    )
 
 
 def test_in_pixels_the_right_effect_leaves_little_of_what_the_baseline_does(tmp_path):
     expected = small_recording(tmp_path / "recording", {"gamma": {"gamma": 1.3}}, coarser=3)
     without = refit(expected, {}, expected.neutral)
     with_it = refit(expected, {"gamma": {"gamma": 1.2}}, expected.neutral)
-    of_gap, of_right = left_in_pixels(expected.observed, expected, [without, with_it], {})
+    of_gap, of_right = pixel_misfits(expected.observed, expected, [without, with_it], {})
     assert 100.0 * of_right < of_gap
 
 
@@ -232,10 +242,10 @@ def test_what_is_dear_is_fitted_where_it_closes_a_good_part_in_a_few_frames(
 ):
     """Of a few frames the nuisances may leave less than the floor: then it counts from the least."""
     few = SimpleNamespace()
-    expected = SimpleNamespace(observed=seen(["both"] * 8), some=lambda chosen: few)
-    left = {frozenset(): before, frozenset({"interreflection"}): after}
+    expected = SimpleNamespace(observed=seen(["both"] * 8), subset=lambda chosen: few)
+    mean_square = {frozenset(): before, frozenset({"interreflection"}): after}
     monkeypatch.setattr(
-        select, "refit_from", lambda *of: SimpleNamespace(mean_square=left[frozenset(of[-1])])
+        select, "refit_from", lambda *values: SimpleNamespace(mean_square=mean_square[frozenset(values[-1])])
     )
     baseline = SimpleNamespace(effects={})
-    assert select._worth_it(expected, baseline, {"interreflection": {}}) is is_worth_it
+    assert select._closes_enough_in_few(expected, baseline, {"interreflection": {}}) is is_worth_it

@@ -19,9 +19,9 @@ def drawn(rng, rate, peak_e=PEAK_E):
     images, peaks = np.zeros((N_FRAMES, HEIGHT, WIDTH)), []
     for n, image in enumerate(images):
         for _ in range(rng.poisson(rate) if light_e(n)[0].any() else 0):
-            at = rng.uniform(0.0, WIDTH), rng.uniform(0.0, HEIGHT), rng.uniform(0.0, math.pi)
+            place = rng.uniform(0.0, WIDTH), rng.uniform(0.0, HEIGHT), rng.uniform(0.0, math.pi)
             peaks.append(rng.exponential(peak_e))
-            image += streak(*at, LENGTH_PX, WIDTH_PX, peaks[-1])
+            image += streak(*place, LENGTH_PX, WIDTH_PX, peaks[-1])
     return images, peaks
 
 
@@ -29,31 +29,31 @@ def found_of(images=None, seed=7):
     expected, fitted = recorded(
         np.random.default_rng(seed), Scattering(drawn=images), N_FRAMES, with_stripe=False
     )
-    return spatter(expected.observed, fitted.passed, NO_MORE)
+    return spatter(expected.observed, fitted.lights, NO_MORE)
 
 
 @pytest.mark.parametrize(("seed", "rate", "peak_e"), [(1, 1.0, PEAK_E), (2, 2.5, PEAK_E), (3, 1.5, 18_000.0)])
 def test_parameters_of_drawn_streaks_come_back(seed, rate, peak_e):
     """Of peaks of 18 000 e- on average every other saturates."""
     images, peaks = drawn(np.random.default_rng(seed), rate, peak_e)
-    found = found_of(images)
+    result = found_of(images)
     n_lit = sum(light_e(n)[0].any() for n in range(N_FRAMES))
-    assert found.evidence > 5.0
+    assert result.evidence > 5.0
     # Those in the image's middle alone are drawn: of those at its rim a part is seen.
-    assert found.values["rate_per_frame"] == pytest.approx(len(peaks) / n_lit, rel=0.25)
-    assert found.values["peak_e"] == pytest.approx(np.mean(peaks), abs=2.5 * found.sigmas["peak_e"])
-    assert found.values["length_px"] == pytest.approx(LENGTH_PX, abs=1.5)
-    assert found.values["width_px"] == pytest.approx(WIDTH_PX, abs=0.2)
+    assert result.values["rate_per_frame"] == pytest.approx(len(peaks) / n_lit, rel=0.25)
+    assert result.values["peak_e"] == pytest.approx(np.mean(peaks), abs=2.5 * result.sigmas["peak_e"])
+    assert result.values["length_px"] == pytest.approx(LENGTH_PX, abs=1.5)
+    assert result.values["width_px"] == pytest.approx(WIDTH_PX, abs=0.2)
 
 
 def test_few_sigmas_of_many_recordings_lie_far_off():
     """The stated sigmas are those of the estimates: their squares over truth are about one on average."""
     off = []
     for seed in range(4):
-        found = found_of(drawn(np.random.default_rng(100 + seed), 2.0)[0], seed)
+        result = found_of(drawn(np.random.default_rng(100 + seed), 2.0)[0], seed)
         off.append(
             [
-                (found.values[name] - true) / found.sigmas[name]
+                (result.values[name] - true) / result.sigmas[name]
                 for name, true in (("rate_per_frame", 2.0), ("peak_e", PEAK_E), ("length_px", LENGTH_PX))
             ]
         )
@@ -77,22 +77,22 @@ def test_lines_where_no_spatter_can_be_speak_against_it():
     places = rng.uniform((30.0, 40.0, 0.0), (130.0, HEIGHT - 40.0, math.pi), (N_FRAMES, 3))
     lit, unlit = (np.zeros((N_FRAMES, HEIGHT, WIDTH)) for _ in range(2))
     for n, (u, v, angle) in enumerate(places):
-        one, other = (streak(at, v, angle, LENGTH_PX, WIDTH_PX, 1000.0) for at in (u, u + 150.0))
+        item, other = (streak(place, v, angle, LENGTH_PX, WIDTH_PX, 1000.0) for place in (u, u + 150.0))
         if light_e(n)[0].any():
-            lit[n] = one
+            lit[n] = item
         else:
-            unlit[n] = one + other
+            unlit[n] = item + other
     alone = found_of(lit).evidence
     assert alone > 10.0
     assert found_of(lit + unlit).evidence < 0.3 * alone
 
 
 def test_without_streaks_there_is_no_spatter():
-    found = found_of()
-    assert found.evidence < -2.0
-    assert found.values == {}
-    assert found.excess == 0.0
-    assert not np.any(found.hit)
+    result = found_of()
+    assert result.evidence < -2.0
+    assert result.values == {}
+    assert result.excess == 0.0
+    assert not np.any(result.hit)
 
 
 def test_streaks_add_what_their_pixels_exceed_their_noise():

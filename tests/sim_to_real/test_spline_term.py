@@ -5,46 +5,46 @@ import pytest
 
 from noise_model.fit import Parameter
 from sim_to_real.locate.spline_term import (
-    FOLDS,
-    HeldOut,
+    SPLINE_FOLDS,
+    CrossValidation,
     folds_by_turn,
-    free_term,
     gap_size,
-    hats,
-    hats_of_two,
+    hat_basis,
+    hat_basis_2d,
+    spline_terms,
 )
 from tests.sim_to_real.planted import planted
 
 TRAINING = np.arange(24) % 3 != 0
 
 
-def noise(of, seed=1):
-    return np.random.default_rng(seed).standard_normal(len(of.frame))
+def noise(values, seed=1):
+    return np.random.default_rng(seed).standard_normal(len(values.frame))
 
 
-def terms_of(of, r):
+def terms_of(values, r):
     """Free functions of what nothing that is named has touched."""
-    return free_term(of, r, TRAINING, gap_size(of, r, TRAINING))
+    return spline_terms(values, r, TRAINING, gap_size(values, r, TRAINING))
 
 
 def test_hats_interpolate_lines_exactly_and_leave_out_what_is_unknown():
     values = np.random.default_rng(3).gamma(2.0, 5.0, 4000).astype(np.float32)
     values[::50] = np.nan
-    X = hats(values)
+    X = hat_basis(values)
     known = np.isfinite(values)
     np.testing.assert_allclose(X.sum(axis=1), known, atol=1e-6)
     line = 3.0 - 0.7 * values[known]
     c, *_ = np.linalg.lstsq(X[known], line, rcond=None)
     np.testing.assert_allclose(X[known] @ c, line, atol=1e-3)
-    assert hats(np.full(5, 2.0, dtype=np.float32)).shape == (5, 1)
+    assert hat_basis(np.full(5, 2.0, dtype=np.float32)).shape == (5, 1)
     # 24 frames' times: a third as many knots, not one for each.
-    assert hats(np.arange(24, dtype=np.float32)).shape == (24, 8)
+    assert hat_basis(np.arange(24, dtype=np.float32)).shape == (24, 8)
 
 
 def test_hats_of_row_and_column_interpolate_their_product():
-    of = planted(2)
-    X = hats_of_two(of)
-    product = of.values["row"] * of.values["column"]
+    bins = planted(2)
+    X = hat_basis_2d(bins)
+    product = bins.values["row"] * bins.values["column"]
     c, *_ = np.linalg.lstsq(X, product, rcond=None)
     np.testing.assert_allclose(X @ c, product, atol=0.05)
 
@@ -52,14 +52,14 @@ def test_hats_of_row_and_column_interpolate_their_product():
 @pytest.mark.parametrize(
     ("covariate", "form", "gap"),
     [
-        ("distance", "adds", lambda of: 60.0 / np.nan_to_num(of.values["distance"], nan=np.inf)),
-        ("column", "times_laser", lambda of: 0.1 * of.laser_dn * np.sin(of.values["column"] / 4.0)),
-        ("half_angle", "times_arc", lambda of: 0.1 * of.arc_dn * np.cos(of.values["half_angle"] / 9.0)),
+        ("distance", "adds", lambda bins: 60.0 / np.nan_to_num(bins.values["distance"], nan=np.inf)),
+        ("column", "times_laser", lambda bins: 0.1 * bins.laser_dn * np.sin(bins.values["column"] / 4.0)),
+        ("half_angle", "times_arc", lambda bins: 0.1 * bins.arc_dn * np.cos(bins.values["half_angle"] / 9.0)),
     ],
 )
 def test_the_function_that_was_planted_closes_the_gap(covariate, form, gap):
-    of = planted()
-    terms = terms_of(of, noise(of) + gap(of))
+    bins = planted()
+    terms = terms_of(bins, noise(bins) + gap(bins))
     assert (terms[0].covariate, terms[0].form) == (covariate, form)
     assert terms[0].name == f"{covariate} {form}"
     assert terms[0].closed > 0.75
@@ -67,76 +67,76 @@ def test_the_function_that_was_planted_closes_the_gap(covariate, form, gap):
 
 
 def test_of_noise_and_of_frames_own_levels_no_function_closes_anything():
-    of = planted()
-    for term in terms_of(of, 1.2 * noise(of)):
+    bins = planted()
+    for term in terms_of(bins, 1.2 * noise(bins)):
         assert term.closed < 0.03, term.name
     levels = np.random.default_rng(7).standard_normal(24)
-    terms = terms_of(of, noise(of) + 2.0 * levels[of.frame] * (of.arc_dn > 0.0))
+    terms = terms_of(bins, noise(bins) + 2.0 * levels[bins.frame] * (bins.arc_dn > 0.0))
     assert terms[0].closed < 0.15
 
 
 def test_a_share_is_of_the_gap_that_there_was_and_of_a_trifle_none_is_told():
-    of = planted()
-    left = 60.0 / np.nan_to_num(of.values["distance"], nan=np.inf)
-    before = gap_size(of, noise(of) + 5.0 * left, TRAINING)
+    bins = planted()
+    mean_square = 60.0 / np.nan_to_num(bins.values["distance"], nan=np.inf)
+    before = gap_size(bins, noise(bins) + 5.0 * mean_square, TRAINING)
     alone, beside = (
-        free_term(of, noise(of) + left, TRAINING, size)[0]
-        for size in (gap_size(of, noise(of) + left, TRAINING), before)
+        spline_terms(bins, noise(bins) + mean_square, TRAINING, size)[0]
+        for size in (gap_size(bins, noise(bins) + mean_square, TRAINING), before)
     )
     assert alone.closed > 0.75
     # What was named took four fifths of the gap before.
     assert beside.closed == pytest.approx(alone.closed / 5.0, rel=0.1)
-    assert free_term(of, noise(of), TRAINING, gap_size(of, 1.02 * noise(of), TRAINING)) == ()
+    assert spline_terms(bins, noise(bins), TRAINING, gap_size(bins, 1.02 * noise(bins), TRAINING)) == ()
 
 
 def test_two_coordinates_are_needed_for_a_patch():
-    of = planted()
-    row, column = of.values["row"], of.values["column"]
+    bins = planted()
+    row, column = bins.values["row"], bins.values["column"]
     patch = np.exp(-((row - 8.0) ** 2 + (column - 22.0) ** 2) / 40.0)
-    terms = terms_of(of, noise(of) - 0.8 * patch * of.light_dn)
+    terms = terms_of(bins, noise(bins) - 0.8 * patch * bins.light_dn)
     assert (terms[0].covariate, terms[0].form) == ("row, column", "times_light")
     assert terms[0].closed > 0.6
 
 
 def test_what_nuisances_did_in_vain_is_undone_first():
-    of = planted()
-    slope = of.arc_dn / 20.0 * np.sin(of.values["column"] / 8.0)
-    bent = replace(of, tangents=np.column_stack([slope, *[0.0 * slope] * 8]).astype(np.float32))
-    gap = 2.0 * np.sin(of.values["gray_level"] / 40.0)
+    bins = planted()
+    slope = bins.arc_dn / 20.0 * np.sin(bins.values["column"] / 8.0)
+    bent = replace(bins, tangents=np.column_stack([slope, *[0.0 * slope] * 8]).astype(np.float32))
+    gap = 2.0 * np.sin(bins.values["gray_level"] / 40.0)
     # The fit has taken the nuisance to 0.4 though it is 0: that lies within its prior.
     bent = replace(bent, anchor=np.array([0.4, *[0.0] * 8]))
-    r = noise(of) + gap - 0.4 * slope
-    bent_fit, blind_fit = HeldOut.of(bent, r), HeldOut.of(of, r)
-    X = hats(bent_fit.covariates.values["gray_level"])
-    assert bent_fit.share(bent_fit.gain(X)) > 0.9
-    assert blind_fit.share(blind_fit.gain(X)) < 0.8
+    r = noise(bins) + gap - 0.4 * slope
+    bent_fit, blind_fit = CrossValidation.of(bent, r), CrossValidation.of(bins, r)
+    X = hat_basis(bent_fit.covariates.values["gray_level"])
+    assert bent_fit.excess_share(bent_fit.gain(X)) > 0.9
+    assert blind_fit.excess_share(blind_fit.gain(X)) < 0.8
 
 
 def test_nuisances_stay_within_their_bounds_unless_let_go():
-    of = planted()
-    slope = (of.arc_dn / 10.0).astype(np.float32)
+    bins = planted()
+    slope = (bins.arc_dn / 10.0).astype(np.float32)
     tangents = np.zeros((len(slope), 9), dtype=np.float32)
     tangents[:, 0] = slope
-    narrow = (Parameter("level", "", 0.0, 0.1, -0.3, 0.3, 0.01), *of.nuisances[1:])
-    of = replace(of, tangents=tangents, nuisances=narrow)
-    r = noise(of) + 2.0 * slope
+    narrow = (Parameter("level", "", 0.0, 0.1, -0.3, 0.3, 0.01), *bins.nuisances[1:])
+    bins = replace(bins, tangents=tangents, nuisances=narrow)
+    r = noise(bins) + 2.0 * slope
 
     def moved(fit):
         A, b = fit.moments(fit.covariates.tangents)
-        return fit.solved(A.sum(axis=0), b.sum(axis=0))[0]
+        return fit.coefficients(A.sum(axis=0), b.sum(axis=0))[0]
 
-    assert moved(HeldOut.of(of, r)) == pytest.approx(0.3)
-    assert moved(HeldOut.of(of, r, free=(0,))) == pytest.approx(2.0, rel=0.05)
+    assert moved(CrossValidation.of(bins, r)) == pytest.approx(0.3)
+    assert moved(CrossValidation.of(bins, r, free=(0,))) == pytest.approx(2.0, rel=0.05)
 
 
 @pytest.mark.parametrize("cycle", [1, 2, 3, 4, 5, 6])
 def test_every_fold_has_frames_of_every_stratum(cycle):
-    of = replace(planted(24, (2, 3)), stratum=(np.repeat(np.arange(24), 6) % cycle).astype(np.int8))
-    fold = folds_by_turn(of)
-    for k in range(FOLDS):
-        frames = np.unique(of.frame[fold == k])
+    values = replace(planted(24, (2, 3)), stratum=(np.repeat(np.arange(24), 6) % cycle).astype(np.int8))
+    fold = folds_by_turn(values)
+    for k in range(SPLINE_FOLDS):
+        frames = np.unique(values.frame[fold == k])
         assert len(frames) == 6
-        assert set(frames % cycle) == set(range(cycle)) or 24 // cycle < FOLDS
+        assert set(frames % cycle) == set(range(cycle)) or 24 // cycle < SPLINE_FOLDS
         # Nor are they all of one end of the recording.
         assert frames.min() < 8
         assert frames.max() >= 16

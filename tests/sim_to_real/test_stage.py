@@ -9,44 +9,44 @@ from arctrack.recording.poses import pose_at
 from noise_model.instrument.camera import Camera
 from sim_to_real.data.binned import observe
 from sim_to_real.fit.gauss_newton import refit
-from sim_to_real.fit.linearized_model import Expected
-from sim_to_real.locate.covariates import Start, covariates
-from sim_to_real.locate.spline_term import HeldOut
+from sim_to_real.fit.linearized_model import LinearizedModel
+from sim_to_real.locate.covariates import NominalFit, covariates
+from sim_to_real.locate.spline_term import CrossValidation
 from sim_to_real.locate.stage import (
-    FORMS,
-    LEVELS,
-    forms_explained,
+    LEVEL_NUISANCES,
+    STAGE_FORMS,
+    form_shares,
     linear_columns,
+    nonsmooth_shares,
     ranked,
     stages,
-    unsmooth_explained,
 )
 from tests.sim_to_real.planted import planted
 from tests.sim_to_real.small import small_recording
 
 SHARED = Path(__file__).parents[3] / "shared" / "recordings"
 CAMERA = Camera(32, 24, 300.0, 300.0, 15.5, 11.5, np.eye(4))
-LINEAR = [form for form in FORMS if form[1] != "lobe and diffuse"]
+LINEAR = [form for form in STAGE_FORMS if form[1] != "lobe and diffuse"]
 
 
-def noise(of, seed=1):
-    return np.random.default_rng(seed).standard_normal(len(of.frame))
+def noise(values, seed=1):
+    return np.random.default_rng(seed).standard_normal(len(values.frame))
 
 
-def first(of, r):
+def first(values, r):
     """The stage and the form that come first of those that need no rendering, and all stages' shares."""
-    held = HeldOut.of(of, r, free=LEVELS)
-    columns = linear_columns(held.covariates, of, held.chosen, CAMERA)
-    found = ranked(forms_explained(held, columns, LINEAR) + unsmooth_explained(held, of, r))
-    return found[0].stage, found[0].form, {of_stage.stage: of_stage.share for of_stage in found}
+    held = CrossValidation.of(values, r, free=LEVEL_NUISANCES)
+    columns = linear_columns(held.covariates, values, held.chosen, CAMERA)
+    result = ranked(form_shares(held, columns, LINEAR) + nonsmooth_shares(held, values, r))
+    return result[0].stage, result[0].form, {of_stage.stage: of_stage.share for of_stage in result}
 
 
-def level(of, seed=8):
-    return 0.2 * np.random.default_rng(seed).standard_normal(of.n_frames)[of.frame]
+def level(values, seed=8):
+    return 0.2 * np.random.default_rng(seed).standard_normal(values.n_frames)[values.frame]
 
 
-def patches(of):
-    row, column = of.values["row"], of.values["column"]
+def patches(values):
+    row, column = values.values["row"], values.values["column"]
     return np.cos(row / 4.0) * np.sin(column / 6.0)
 
 
@@ -75,28 +75,28 @@ PLANTED = {
 
 @pytest.mark.parametrize(("stage", "form"), PLANTED)
 def test_the_stage_of_a_planted_residual_comes_first(stage, form):
-    of = planted()
-    found, found_form, shares = first(of, noise(of) + PLANTED[stage, form](of))
-    assert found == stage
+    bins = planted()
+    result, found_form, shares = first(bins, noise(bins) + PLANTED[stage, form](bins))
+    assert result == stage
     # What goes with time or current is a level of each frame, too.
     assert found_form == form or not form
     assert shares[stage] > 0.8
 
 
 def test_of_noise_no_stage_explains_much_and_of_a_brighter_lamp_only_its_own():
-    of = planted()
-    assert max(first(of, noise(of))[2].values()) < 0.15
-    tangents = np.zeros_like(of.tangents)
-    tangents[:, 0], tangents[:, 1] = of.arc_dn, of.laser_dn
-    lamps = tuple(replace(p, prior_sigma=0.1, lower=-0.3, upper=0.3) for p in of.nuisances[:2])
-    of = replace(of, tangents=tangents, nuisances=(*lamps, *of.nuisances[2:]))
-    assert first(of, noise(of) + 0.8 * of.arc_dn)[:2] == ("source", "arc's output")
-    assert first(of, noise(of) + 0.8 * of.laser_dn)[:2] == ("illumination", "laser's output")
+    bins = planted()
+    assert max(first(bins, noise(bins))[2].values()) < 0.15
+    tangents = np.zeros_like(bins.tangents)
+    tangents[:, 0], tangents[:, 1] = bins.arc_dn, bins.laser_dn
+    lamps = tuple(replace(p, prior_sigma=0.1, lower=-0.3, upper=0.3) for p in bins.nuisances[:2])
+    bins = replace(bins, tangents=tangents, nuisances=(*lamps, *bins.nuisances[2:]))
+    assert first(bins, noise(bins) + 0.8 * bins.arc_dn)[:2] == ("source", "arc's output")
+    assert first(bins, noise(bins) + 0.8 * bins.laser_dn)[:2] == ("illumination", "laser's output")
 
 
 def test_every_stage_is_ranked_and_shares_lie_between_nought_and_one():
-    of = planted()
-    _, _, shares = first(of, 30.0 * noise(of) + 9.0 * of.light_dn)
+    bins = planted()
+    _, _, shares = first(bins, 30.0 * noise(bins) + 9.0 * bins.light_dn)
     assert len(shares) == 8
     assert all(0.0 <= share <= 1.0 for share in shares.values())
 
@@ -104,15 +104,15 @@ def test_every_stage_is_ranked_and_shares_lie_between_nought_and_one():
 @pytest.fixture(scope="module")
 def longer_arc(tmp_path_factory):
     expected = small_recording(tmp_path_factory.mktemp("stage") / "arc", {"arc_length": {"height_mm": 1.5}})
-    return expected, Start.of(expected)
+    return expected, NominalFit.of(expected)
 
 
 def test_an_arc_that_stands_higher_is_found_by_rendering(longer_arc):
     expected, start = longer_arc
-    found = stages(expected, [(start, covariates(expected, start))])
-    assert (found[0].stage, found[0].form) == ("source", "place of the arc")
+    of_stages = stages(expected, [(start, covariates(expected, start))])
+    assert (of_stages[0].stage, of_stages[0].form) == ("source", "place of the arc")
     # What nuisances can do themselves, and what bends, is not its.
-    assert found[0].share > 0.5
+    assert of_stages[0].share > 0.5
 
 
 @pytest.mark.parametrize(
@@ -121,10 +121,10 @@ def test_an_arc_that_stands_higher_is_found_by_rendering(longer_arc):
 )
 def test_what_moves_otherwise_is_found_by_rendering(stage, effects, tmp_path):
     expected = small_recording(tmp_path / "moved", effects)
-    start = Start.of(expected)
-    found = stages(expected, [(start, covariates(expected, start))])
-    assert found[0].stage == stage
-    assert found[0].share > 0.5
+    start = NominalFit.of(expected)
+    of_stages = stages(expected, [(start, covariates(expected, start))])
+    assert of_stages[0].stage == stage
+    assert of_stages[0].share > 0.5
 
 
 def test_of_two_fits_that_counts_which_leaves_less(longer_arc):
@@ -143,7 +143,7 @@ def test_another_renderers_hand_eye_error_is_geometry():
     recording = read_recording(SHARED / "v_hand_eye")
     poses = recording.pose_buffer()
     frames = [frame for frame in recording.frames() if frame.index % 3 == 0]
-    expected = Expected(observe(recording.setup, frames, lambda t: pose_at(poses, t)))
+    expected = LinearizedModel(observe(recording.setup, frames, lambda t: pose_at(poses, t)))
     expected.take_tangents(expected.neutral, {})
     fit = refit(expected, {}, expected.neutral)
     assert stages(expected, [(fit, covariates(expected, fit))])[0].stage == "geometry"

@@ -6,7 +6,7 @@ import pytest
 
 from sim_to_real.search import stepwise as room
 from sim_to_real.search.single_effects import Search
-from tests.sim_to_real.verdicts import candidate
+from tests.sim_to_real.verdicts import hypothesis
 
 
 @pytest.mark.parametrize(
@@ -24,26 +24,29 @@ from tests.sim_to_real.verdicts import candidate
 def test_several_that_leave_nothing_where_they_were_fitted_need_not_foresee_as_well(
     monkeypatch, foreseen, fitted, seen, explain
 ):
-    pair = candidate("laser_power_drift", "defocus", left=foreseen)
+    pair = hypothesis("laser_power_drift", "defocus", mean_square=foreseen)
     pair.refit.mean_square = fitted
-    found = further(monkeypatch, candidate("laser_power_drift", left=2.5), [pair], seen=seen)
-    assert (found and found.ids) == (pair.ids if explain else None)
+    joint = further(monkeypatch, hypothesis("laser_power_drift", mean_square=2.5), [pair], seen=seen)
+    assert (joint and joint.ids) == (pair.ids if explain else None)
 
 
 def further(monkeypatch, best, pairs, seen=1.0, by_look=()):
     """Look for further effects; pairs leave what is `seen` in pixels, and some are likely `by_look`."""
-    monkeypatch.setattr(room, "looked", lambda *_: ["a look"])
-    for name in ("candidates", "with_dear"):
+    monkeypatch.setattr(room, "score_catalogue", lambda *_: ["a score"])
+    for name in ("fit_single_effects", "with_expensive"):
         monkeypatch.setattr(room, name, lambda *_: pairs)
     monkeypatch.setattr(room, "refit_from", lambda *_: None)
-    monkeypatch.setattr(room, "judged", lambda *_: candidate("defocus", left=4.0))
+    monkeypatch.setattr(room, "cross_validated", lambda *_: hypothesis("defocus", mean_square=4.0))
     search = Search(SimpleNamespace(), (), lambda _: [seen], print)
-    return room.several(search, candidate(left=9.0), best, by_look)
+    return room.stepwise(search, hypothesis(mean_square=9.0), best, by_look)
 
 
 def test_two_effects_that_a_third_mimics_explain_what_is_not_explained_beside_it(monkeypatch):
-    mimic, beside_it = candidate("dirty_window", left=4.0), candidate("dirty_window", "fume", left=3.5)
-    pair = candidate("arc_deflection", "argon_line_leak", left=0.8)
+    mimic, beside_it = (
+        hypothesis("dirty_window", mean_square=4.0),
+        hypothesis("dirty_window", "fume", mean_square=3.5),
+    )
+    pair = hypothesis("arc_deflection", "argon_line_leak", mean_square=0.8)
     assert further(monkeypatch, mimic, [beside_it]) is None
     assert further(monkeypatch, mimic, [beside_it], by_look=[pair]) is pair
 
@@ -51,14 +54,16 @@ def test_two_effects_that_a_third_mimics_explain_what_is_not_explained_beside_it
 @pytest.mark.parametrize(("alone", "named"), [(0.79, ("gamma",)), (0.81, ("gamma", "defocus"))])
 def test_evidence_of_its_own_names_an_effect_of_a_small_share(monkeypatch, alone, named):
     """Both leave less than the floor: 0.72 after 0.79 are 9.3 nats, after 0.81 they are 11.8."""
-    pair = candidate("gamma", "defocus", left=0.72)
-    left = {("gamma",): alone, ("defocus",): 9.0, ("gamma", "defocus"): 0.72}
+    pair = hypothesis("gamma", "defocus", mean_square=0.72)
+    mean_square = {("gamma",): alone, ("defocus",): 9.0, ("gamma", "defocus"): 0.72}
     monkeypatch.setattr(
-        room, "refit_from", lambda _, __, effects: candidate(*effects, left=left[tuple(effects)])
+        room,
+        "refit_from",
+        lambda _, __, effects: hypothesis(*effects, mean_square=mean_square[tuple(effects)]),
     )
-    monkeypatch.setattr(room, "judged", lambda _, of: of)
-    found, share = room.with_shares(None, candidate(left=9.0), pair)
-    assert found.ids == tuple(share) == named
+    monkeypatch.setattr(room, "cross_validated", lambda _, values: values)
+    result, share = room.with_shares(None, hypothesis(mean_square=9.0), pair)
+    assert result.ids == tuple(share) == named
 
 
 @pytest.mark.parametrize(
@@ -74,9 +79,13 @@ def test_evidence_of_its_own_names_an_effect_of_a_small_share(monkeypatch, alone
     ],
 )
 def test_shares_below_the_floor_are_shares_still(monkeypatch, baseline, alone, share):
-    pair = candidate("gamma", "fume", left=baseline[1])
-    left = dict(zip(("gamma", "fume"), alone, strict=True))
+    pair = hypothesis("gamma", "fume", mean_square=baseline[1])
+    mean_square = dict(zip(("gamma", "fume"), alone, strict=True))
     monkeypatch.setattr(room, "refit_from", lambda _, __, effects: effects)
-    monkeypatch.setattr(room, "judged", lambda _, effects: SimpleNamespace(left=left[next(iter(effects))]))
-    found = room.shares(None, candidate(left=baseline[0]), pair)
-    assert tuple(found.values()) == pytest.approx(share)
+    monkeypatch.setattr(
+        room,
+        "cross_validated",
+        lambda _, effects: SimpleNamespace(cv_mean_square=mean_square[next(iter(effects))]),
+    )
+    result = room.shares(None, hypothesis(mean_square=baseline[0]), pair)
+    assert tuple(result.values()) == pytest.approx(share)

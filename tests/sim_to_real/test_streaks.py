@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from noise_model.transforms import invert
-from sim_to_real.variance.streaks import lasting, lines, passing, search
+from sim_to_real.variance.streaks import is_persistent, lines_in_frame, search_lines, transient_lines
 from tests.sim_to_real.scattered import BIN_PX, HEIGHT, NO_MORE, WIDTH, Scattering, recorded, streak
 
 N_FRAMES = 12
@@ -17,9 +17,13 @@ def found_in(drawn, frames=lambda frames: frames):
     """The lines of a recording with something drawn, and whether they last."""
     expected, fitted = recorded(np.random.default_rng(5), Scattering(drawn=drawn), N_FRAMES)
     observed = replace(expected.observed, frames=tuple(frames(expected.observed.frames)))
-    searched = search(observed, fitted.passed, NO_MORE)
-    found = [line for n, of in enumerate(searched) for line in lines(n, of.bright, of.limit_dn)]
-    return found, lasting(observed, searched, found, dark=False)
+    searched = search_lines(observed, fitted.lights, NO_MORE)
+    result = [
+        line
+        for n, values in enumerate(searched)
+        for line in lines_in_frame(n, values.bright, values.limit_dn)
+    ]
+    return result, is_persistent(observed, searched, result, dark=False)
 
 
 def nothing():
@@ -34,10 +38,10 @@ def test_noise_and_smooth_light_have_no_lines():
 def test_a_streak_of_one_frame_is_found_where_it_is_and_does_not_last(angle):
     drawn = nothing()
     drawn[8] = streak(200.0, 150.0, angle, 45.0, 1.8, 1500.0)
-    found, lasts = found_in(drawn)
-    assert [line.position for line in found] == [8]
+    result, lasts = found_in(drawn)
+    assert [line.position for line in result] == [8]
     assert not lasts.any()
-    row, column = BIN_PX * found[0].bins.T + 0.5 * (BIN_PX - 1)
+    row, column = BIN_PX * result[0].bins.T + 0.5 * (BIN_PX - 1)
     beside = (row - 150.0) * math.cos(angle) - (column - 200.0) * math.sin(angle)
     along = (row - 150.0) * math.sin(angle) + (column - 200.0) * math.cos(angle)
     assert np.abs(beside).max() < 3.0 * BIN_PX
@@ -46,8 +50,8 @@ def test_a_streak_of_one_frame_is_found_where_it_is_and_does_not_last(angle):
 
 def test_what_stays_in_the_image_lasts():
     drawn = nothing() + streak(200.0, 150.0, 0.7, 45.0, 1.8, 1500.0)
-    found, lasts = found_in(drawn)
-    assert len(found) == N_FRAMES
+    result, lasts = found_in(drawn)
+    assert len(result) == N_FRAMES
     assert lasts.all()
 
 
@@ -61,11 +65,11 @@ def test_what_stays_on_the_part_lasts():
         ends = np.array([[40.0, 1.0, 0.0, 1.0], [41.0, 4.0, 0.0, 1.0]]) @ T_camera_base.T
         (u0, v0), (u1, v1) = ends[:, :2] / ends[:, 2:3] * camera.fx + (camera.cx, camera.cy)
         length = math.hypot(u1 - u0, v1 - v0)
-        at = 0.5 * (u0 + u1), 0.5 * (v0 + v1), math.atan2(v1 - v0, u1 - u0)
-        drawn[n] = streak(*at, length, 1.8, 1500.0)
-    found, lasts = found_in(drawn)
-    assert len(found) > N_FRAMES // 2
-    assert len({line.place for line in found}) > len(found) // 2
+        place = 0.5 * (u0 + u1), 0.5 * (v0 + v1), math.atan2(v1 - v0, u1 - u0)
+        drawn[n] = streak(*place, length, 1.8, 1500.0)
+    result, lasts = found_in(drawn)
+    assert len(result) > N_FRAMES // 2
+    assert len({line.place for line in result}) > len(result) // 2
     assert lasts.all()
 
 
@@ -87,8 +91,8 @@ def test_wide_saturation_is_not_searched_and_a_saturated_streak_is_found():
     drawn = nothing()
     drawn[8, 140:180, 100:160] = 40_000.0
     drawn[9] = streak(200.0, 150.0, 0.7, 45.0, 1.8, 40_000.0)
-    found, lasts = found_in(drawn)
-    assert [line.position for line in found] == [9]
+    result, lasts = found_in(drawn)
+    assert [line.position for line in result] == [9]
     assert not lasts.any()
 
 
@@ -99,9 +103,9 @@ def test_dark_lines_are_told_apart_and_those_beside_a_streak_are_its_own():
     drawn[9] = streak(200.0, 190.0, 0.1, 45.0, 1.8, 1500.0)
     scattering = Scattering(drawn=drawn)
     expected, fitted = recorded(np.random.default_rng(5), scattering, N_FRAMES, with_stripe=False)
-    searched = search(expected.observed, fitted.passed, NO_MORE)
-    assert lines(9, searched[9].dark, searched[9].limit_dn)
-    bright, dark = passing(expected.observed, searched)
+    searched = search_lines(expected.observed, fitted.lights, NO_MORE)
+    assert lines_in_frame(9, searched[9].dark, searched[9].limit_dn)
+    bright, dark = transient_lines(expected.observed, searched)
     assert [line.position for line in bright] == [9]
     assert [line.position for line in dark] == [8]
 

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from tracker.seam.curve import MODES, SeamCurve
+from tracker.seam.curve import N_MODES, SeamCurve
 
 
 def tracked(y_of, sigma_mm=0.01, has_ridges=False):
@@ -19,9 +19,9 @@ def test_the_curve_runs_through_what_was_tracked():
         return 0.8 * np.sin(2.0 * np.pi * station / 100.0)
 
     curve = tracked(y)
-    (found, height), (slope, _) = curve.at(np.zeros(curve.n_modes))
+    (result, height), (slope, _) = curve.evaluate(np.zeros(curve.n_modes))
     inside = (curve.stations_mm >= 32.0) & (curve.stations_mm <= 58.0)
-    np.testing.assert_allclose(found[inside], y(curve.stations_mm[inside]), atol=0.02)
+    np.testing.assert_allclose(result[inside], y(curve.stations_mm[inside]), atol=0.02)
     np.testing.assert_allclose(height, 0.2, atol=0.02)
     true_slope = 0.8 * 2.0 * np.pi / 100.0 * np.cos(2.0 * np.pi * curve.stations_mm / 100.0)
     np.testing.assert_allclose(slope[inside], true_slope[inside], atol=0.006)
@@ -29,7 +29,7 @@ def test_the_curve_runs_through_what_was_tracked():
 
 def test_modes_are_small_where_the_seam_was_seen():
     curve = tracked(lambda station: 0.0)
-    spread = np.sqrt(np.sum(curve.modes_mm[: MODES[0]] ** 2, axis=0))
+    spread = np.sqrt(np.sum(curve.modes_mm[: N_MODES[0]] ** 2, axis=0))
     assert spread[curve.stations_mm == 45.0][0] < 0.5 * spread[curve.stations_mm == 0.0][0]
 
 
@@ -58,5 +58,5 @@ def test_ridges_keep_stretches_from_turning_so_there_are_more_of_them():
 
 def test_it_strays_as_far_as_a_parabola_leaves_its_chord():
     curve = tracked(lambda station: 2e-3 * (station - 45.0) ** 2)
-    strays = curve.strays_mm(np.zeros(curve.n_modes), 55.0, 35.0)
+    strays = curve.chord_deviation_mm(np.zeros(curve.n_modes), 55.0, 35.0)
     assert strays == pytest.approx(2e-3 * 10.0**2, rel=0.05)

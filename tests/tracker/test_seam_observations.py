@@ -8,7 +8,7 @@ from scipy.spatial.transform import Rotation
 
 from sim_to_real.data.binned import observe
 from tests.sim_to_real.small import example_setup, recorded
-from tracker.seam_observations import Sightings
+from tracker.seam_observations import SeamObservations
 
 N = 9
 
@@ -33,7 +33,7 @@ def seen(setup, T_tool_camera, late_s=0.0):
         point = start - along * (plane[:3] @ start + plane[3]) / (plane[:3] @ along)
         in_camera = np.linalg.inv(T_tool_camera) @ [*point, 1.0]
         image.append(camera.project(in_camera[None, :3])[0])
-    return Sightings(np.array(image), times, np.full((N, 2), 1e-4), (tool_at,) * N)
+    return SeamObservations(np.array(image), times, np.full((N, 2), 1e-4), (tool_at,) * N)
 
 
 HAND_EYE = {
@@ -63,11 +63,11 @@ def test_a_late_clock_bends_the_seam_and_the_right_one_does_not():
     sightings = seen(setup, setup.camera.T_tool_camera, late_s=0.05)
     _, as_stated = sightings.in_joint(setup)
     assert np.abs(as_stated[:, 0]).max() > 0.05
-    found = [
+    result = [
         np.abs(sightings.in_joint(replace(setup, effects={"pose_delay": {"delay_s": s}}))[1]).max()
         for s in (0.05, -0.05)
     ]
-    assert min(found) < 1e-6 < 0.05 < max(found)
+    assert min(result) < 1e-6 < 0.05 < max(result)
 
 
 def test_stations_and_displacements_are_those_of_a_seam_beside_the_nominal_line():
@@ -82,7 +82,7 @@ def test_stations_and_displacements_are_those_of_a_seam_beside_the_nominal_line(
 def test_the_tracker_sees_the_seam_in_each_frame_with_the_laser_on(tmp_path):
     setup, frames, pose_at = recorded(tmp_path / "recording", {})
     poses = [lambda t: pose_at(t).T_base_tool] * len(frames)
-    sightings = Sightings.of(setup, frames, poses)
+    sightings = SeamObservations.of(setup, frames, poses)
     assert len(sightings.timestamps_s) == sum(frame.laser_on for frame in frames)
     _, displacements = sightings.in_joint(setup)
     assert np.sqrt(np.mean(displacements**2)) == pytest.approx(0.0, abs=0.1)
@@ -101,6 +101,6 @@ def test_time_counts_from_the_recordings_first_frame(tmp_path):
 
 def test_what_nobody_saw_is_empty():
     setup = example_setup()
-    stations, displacements = Sightings.of(setup, [], []).in_joint(setup)
+    stations, displacements = SeamObservations.of(setup, [], []).in_joint(setup)
     assert stations.shape == (0,)
     assert displacements.shape == (0, 2)

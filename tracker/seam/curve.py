@@ -1,4 +1,4 @@
-"""The seam of a recording as a curve: where the tracker found it, and how it may run besides.
+"""The seam of a recording as a curve: where the tracker found it, and how it may depart from that.
 
 What the tracker does not know of the seam is its posterior covariance along the stations, and what a wrong
 camera adds to it, a constant and a slope. Its Karhunen-Loeve modes, each with a coefficient of unit variance,
@@ -15,8 +15,8 @@ from scipy.linalg import cho_factor, cho_solve
 from noise_model.arrays import Float64
 from noise_model.surface.joint import BentSeam, SeamLine
 
-OFF_MM, OFF_SLOPE = 5.0, 0.05
-"""1 sigma of how far a whole seam may lie off its nominal line, and of its slope against it."""
+PRIOR_OFFSET_MM, PRIOR_SLOPE = 5.0, 0.05
+"""1 sigma of a seam's offset from its nominal line, and of its slope against it."""
 
 BEND_MM, BEND_LENGTH_MM = (1.0, 0.02), 30.0
 """1 sigma of how far a seam wanders sideways and in height, and over what length; it bends without corners.
@@ -25,16 +25,16 @@ Plates are straight: a height that bent between view and torch would look like t
 """
 
 SYSTEMATIC_MM, SYSTEMATIC_SLOPE = 0.3, 0.01
-"""1 sigma of what the tracker's seam is off all along, by the camera's pose: in place and in slope."""
+"""1 sigma of the tracker's systematic error by the camera's pose: in offset and in slope."""
 
-MODES = (5, 3)
-"""Modes of either axis: what the others would add is below what a stripe shows."""
+N_MODES = (5, 3)
+"""Modes of y and of z: a stripe would not show further ones."""
 
 GRID_MM = 1.0
-"""Stations at which curves are held."""
+"""Spacing of the stations at which curves are given."""
 
-SCATTER_MM = 0.04
-"""1 sigma of the tracker's points about a smooth seam beyond what they state: tilt makes them wander."""
+POINT_SCATTER_MM = 0.04
+"""1 sigma of the tracker's points about a smooth seam, beyond what they state: tilt makes them wander."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -59,25 +59,25 @@ class SeamCurve:
         ends_mm: tuple[float, float],
         has_ridges: bool,
     ) -> SeamCurve:
-        """Return what sightings say of the stations between two ends.
+        """Return the curve between two stations that fits the seam's observations.
 
         They are displacements (n, 2) as y and z at stations (n,), with their variances (n, 2).
         """
         stations = np.arange(ends_mm[0], ends_mm[1] + GRID_MM, GRID_MM)
         means, modes = [], []
         for axis in range(2):
-            mean, left = _posterior(stations, axis, seen_mm, displacements_mm, variances_mm2)
+            mean, covariance_mm2 = _posterior(stations, axis, seen_mm, displacements_mm, variances_mm2)
             along = stations - _middle(stations)
             systematic = np.outer(along, along) * SYSTEMATIC_SLOPE**2
-            values, vectors = np.linalg.eigh(left + SYSTEMATIC_MM**2 + systematic)
+            values, vectors = np.linalg.eigh(covariance_mm2 + SYSTEMATIC_MM**2 + systematic)
             largest = vectors[np.argmax(np.abs(vectors), axis=0), np.arange(len(stations))]
             scaled = np.sqrt(np.maximum(values, 0.0)) * np.sign(largest) * vectors
             means.append(mean)
-            modes.append(scaled[:, ::-1].T[: MODES[axis]])
+            modes.append(scaled[:, ::-1].T[: N_MODES[axis]])
         return cls(stations, np.array(means), np.concatenate(modes), has_ridges)
 
     def through(self, seen_mm: Float64, displacements_mm: Float64, variances_mm2: Float64) -> SeamCurve:
-        """Return the curve through other sightings, see `of`; what is not known of it stays."""
+        """Return the curve through other observations, see `of`, with the same modes."""
         seen = seen_mm, displacements_mm, variances_mm2
         means = [_posterior(self.stations_mm, axis, *seen)[0] for axis in range(2)]
         return replace(self, mean_mm=np.array(means))
@@ -87,11 +87,11 @@ class SeamCurve:
         """The number of coefficients."""
         return len(self.modes_mm)
 
-    def at(self, coefficients: Float64) -> tuple[Float64, Float64]:
+    def evaluate(self, coefficients: Float64) -> tuple[Float64, Float64]:
         """Return displacement and slope (2, g) for coefficients (m,)."""
-        of_y = MODES[0]
-        y = self.mean_mm[0] + coefficients[:of_y] @ self.modes_mm[:of_y]
-        z = self.mean_mm[1] + coefficients[of_y:] @ self.modes_mm[of_y:]
+        n_y = N_MODES[0]
+        y = self.mean_mm[0] + coefficients[:n_y] @ self.modes_mm[:n_y]
+        z = self.mean_mm[1] + coefficients[n_y:] @ self.modes_mm[n_y:]
         y_z = np.stack([y, z])
         return y_z, np.gradient(y_z, self.stations_mm, axis=1)
 
@@ -104,9 +104,9 @@ class SeamCurve:
             np.interp(stations_mm, self.stations_mm, slopes),
         )
 
-    def strays_mm(self, coefficients: Float64, station_mm: float, torch_mm: float) -> float:
-        """Return how far the seam strays sideways from the chord between a station and the torch."""
-        y = self.at(coefficients)[0][0]
+    def chord_deviation_mm(self, coefficients: Float64, station_mm: float, torch_mm: float) -> float:
+        """Return the largest sideways distance of the seam from the chord between a station and the torch."""
+        y = self.evaluate(coefficients)[0][0]
         ends = sorted((station_mm, torch_mm))
         between = (self.stations_mm >= ends[0]) & (self.stations_mm <= ends[1])
         x = self.stations_mm[between]
@@ -118,11 +118,11 @@ class SeamCurve:
 
         The arc stands at the height that the seam has at the torch's station.
         """
-        curves = np.concatenate(self.at(coefficients))
+        curves = np.concatenate(self.evaluate(coefficients))
 
         def line_at(station_mm: float) -> SeamLine:
             return SeamLine(
-                station_mm, *(float(np.interp(station_mm, self.stations_mm, of)) for of in curves)
+                station_mm, *(float(np.interp(station_mm, self.stations_mm, curve)) for curve in curves)
             )
 
         return BentSeam.along(line_at, (first_mm, last_mm), torch_mm, self.has_ridges)
@@ -135,12 +135,12 @@ def _middle(stations_mm: Float64) -> float:
 def _posterior(
     stations_mm: Float64, axis: int, seen_mm: Float64, displacements_mm: Float64, variances_mm2: Float64
 ) -> tuple[Float64, Float64]:
-    """Return mean (g,), mm, and covariance (g, g), mm^2, at stations, of y or z as sightings leave them."""
+    """Return the posterior mean (g,), mm, and covariance (g, g), mm^2, of y or z at stations."""
     middle, bend_mm = _middle(stations_mm), BEND_MM[axis]
     prior = _prior(stations_mm, stations_mm, middle, bend_mm)
     if not len(seen_mm):
         return np.zeros(len(stations_mm)), prior
-    seen = _prior(seen_mm, seen_mm, middle, bend_mm) + np.diag(variances_mm2[:, axis] + SCATTER_MM**2)
+    seen = _prior(seen_mm, seen_mm, middle, bend_mm) + np.diag(variances_mm2[:, axis] + POINT_SCATTER_MM**2)
     across = _prior(seen_mm, stations_mm, middle, bend_mm)
     gain = cho_solve(cho_factor(seen), across)
     return gain.T @ displacements_mm[:, axis], prior - across.T @ gain
@@ -149,5 +149,5 @@ def _posterior(
 def _prior(x_mm: Float64, other_mm: Float64, middle_mm: float, bend_mm: float) -> Float64:
     """Return the prior covariance (n, m), mm^2, of the displacements at stations (n,) and (m,)."""
     apart = x_mm[:, None] - other_mm[None, :]
-    slope = np.outer(x_mm - middle_mm, other_mm - middle_mm) * OFF_SLOPE**2
-    return np.asarray(OFF_MM**2 + slope + bend_mm**2 * np.exp(-0.5 * (apart / BEND_LENGTH_MM) ** 2))
+    slope = np.outer(x_mm - middle_mm, other_mm - middle_mm) * PRIOR_SLOPE**2
+    return np.asarray(PRIOR_OFFSET_MM**2 + slope + bend_mm**2 * np.exp(-0.5 * (apart / BEND_LENGTH_MM) ** 2))

@@ -25,7 +25,7 @@ TEMPLATE = "diagnosis.html.j2"
 MAX_CURVES = 4
 """Covariates that are drawn; report.json has them all."""
 
-WORTH_DRAWING = 0.05
+MIN_R2_DRAWN = 0.05
 """A covariate, after the first, that explains a smaller share of the residual is not drawn."""
 
 MAX_RANKED = 12
@@ -166,7 +166,7 @@ def drawn_curves(diagnosis: Diagnosis) -> list[Curve]:
     if diagnosis.verdict is Verdict.NO_GAP:
         return []
     curves = [curve for curve in diagnosis.where.covariates if len(curve.centers)]
-    return curves[:1] + [curve for curve in curves[1:MAX_CURVES] if curve.r2 >= WORTH_DRAWING]
+    return curves[:1] + [curve for curve in curves[1:MAX_CURVES] if curve.r2 >= MIN_R2_DRAWN]
 
 
 def _ranking(diagnosis: Diagnosis) -> list[Row]:

@@ -23,10 +23,10 @@ FRAME_PX, MAP_PX = 640, 320
 CLIPPED_PERCENT = 99.5
 """The colours reach as far as this share of the pixels."""
 
-MIN_DN, MIN_SIGMAS = 1.0, 3.0
+MIN_LIMIT_DN, MIN_LIMIT_SIGMAS = 1.0, 3.0
 """The smallest values that the colours' ends stand for: what is below is no one's business."""
 
-WORTH_SIGMAS = 10.0
+MAX_RESIDUAL_SIGMAS = 10.0
 """A pixel counts no more than this towards the choice of a frame: a few saturated ones are not the tale."""
 
 FEW = 3
@@ -62,21 +62,21 @@ def frame_pictures(predicted: Predicted, place: int, sensor: Sensor) -> FramePic
     """Return the pictures of the held-out frame at a place of `predicted.frames`."""
     recorded = predicted.recorded[place]
     bin_px = max(1, math.ceil(recorded.shape[1] / MAP_PX))
-    left = []
+    differences = []
     for mean, variance in (
         (predicted.before[place], predicted.variance[place]),
         (predicted.after[place], predicted.variance_after[place]),
     ):
         difference = np.where(np.isfinite(variance), recorded - mean, np.nan).astype(np.float32)
-        left.append(binned(difference, bin_px))
-    limit = nice_limit(left[0], MIN_DN)
+        differences.append(binned(difference, bin_px))
+    limit = nice_limit(differences[0], MIN_LIMIT_DN)
     return FramePictures(
         frame=int(predicted.frames[place]),
         recorded=_grey(recorded, sensor),
         before=_grey(predicted.before[place], sensor),
         after=_grey(predicted.after[place], sensor),
-        left_before=coloured(left[0], CHANGE, -limit, limit),
-        left_after=coloured(left[1], CHANGE, -limit, limit),
+        left_before=coloured(differences[0], CHANGE, -limit, limit),
+        left_after=coloured(differences[1], CHANGE, -limit, limit),
         scale=scale(CHANGE, -limit, limit),
         bin_px=bin_px,
     )
@@ -85,7 +85,7 @@ def frame_pictures(predicted: Predicted, place: int, sensor: Sensor) -> FramePic
 def residual_map(z: Float32) -> tuple[str, Scale]:
     """Return the map of how far residuals (H, W) exceed their noise, in sigmas, and its scale."""
     shown = binned(z, max(1, math.ceil(z.shape[1] / MAP_PX)))
-    limit = nice_limit(shown, MIN_SIGMAS)
+    limit = nice_limit(shown, MIN_LIMIT_SIGMAS)
     name, low = (CHANGE, -limit) if np.nanmin(shown, initial=0.0) < 0.0 else (EXCESS, 0.0)
     return coloured(shown, name, low, limit), scale(name, low, limit)
 
@@ -123,7 +123,7 @@ def nice_limit(values: Float32, least: float) -> float:
 
 def _mean_square(recorded: Integers, mean: Float32, variance: Float32) -> Float32:
     """Return each frame's mean whitened square (n,), large ones cut."""
-    square = np.minimum((recorded - mean) ** 2 / variance, WORTH_SIGMAS**2)
+    square = np.minimum((recorded - mean) ** 2 / variance, MAX_RESIDUAL_SIGMAS**2)
     counts = np.isfinite(variance)
     return np.asarray(np.where(counts, square, 0.0).sum(axis=(1, 2)) / np.maximum(counts.sum(axis=(1, 2)), 1))
 

@@ -6,7 +6,7 @@ import math
 from collections.abc import Sequence
 
 from noise_model.effects import REGISTRY
-from sim_to_real.diagnosis import Diagnosis, Estimate, Gap, Trend, Verdict
+from sim_to_real.diagnosis import Diagnosis, Estimate, Gap, ReportedTrend, Verdict
 
 NO_VALUE = "–"
 
@@ -69,15 +69,15 @@ def headline(diagnosis: Diagnosis) -> str:
     if diagnosis.verdict is Verdict.NO_GAP:
         return "No gap: the recording agrees with the model within noise and stated tolerances."
     if diagnosis.verdict is Verdict.EFFECTS:
-        of = "most of the gap" if gap.is_left else "the gap"
+        how_much = "most of the gap" if gap.is_clear_after else "the gap"
         if len(diagnosis.effects) == 1:
-            return f"{diagnosis.effects[0].id} explains {of}: {summary(diagnosis.effects[0].id)}."
+            return f"{diagnosis.effects[0].id} explains {how_much}: {summary(diagnosis.effects[0].id)}."
         what = listed([f"{effect.id} ({summary(effect.id)})" for effect in diagnosis.effects], "and")
-        return f"{len(diagnosis.effects)} effects explain {of} together: {what}."
+        return f"{len(diagnosis.effects)} effects explain {how_much} together: {what}."
     if diagnosis.verdict is Verdict.AMBIGUOUS:
         alike = "; and ".join(_alternatives(ids) for ids in diagnosis.ambiguous_with)
         return f"There is a gap of {sigmas(gap.before)}, and this recording cannot tell which it is: {alike}."
-    held_back = [one.id for one in diagnosis.ranking[:1] if one.is_held_back]
+    held_back = [candidate.id for candidate in diagnosis.ranking[:1] if candidate.is_bound_limited]
     if held_back:
         return (
             f"There is a gap of {sigmas(gap.before)} that nothing in the catalogue of effects explains: "
@@ -108,7 +108,7 @@ def how_far(diagnosis: Diagnosis) -> str:
             f"{added(diagnosis)}."
         )
     lead += f"; {sigmas(gap.floor)} would be no gap."
-    if diagnosis.verdict is Verdict.EFFECTS and gap.is_left:
+    if diagnosis.verdict is Verdict.EFFECTS and gap.is_clear_after:
         return f"{lead} What is left may be a form that the catalogue simplifies."
     return lead
 
@@ -120,7 +120,7 @@ def added(diagnosis: Diagnosis) -> str:
 
 def seam_sentence(diagnosis: Diagnosis, bears_mm: float) -> str:
     """Return what the gap does to the seam point, of which the weld can bear `bears_mm`."""
-    moves, left = diagnosis.gap.seam_mm
+    moves, after_mm = diagnosis.gap.seam_mm
     if not math.isfinite(moves):
         return "What it does to the seam point is not known."
     if diagnosis.verdict is Verdict.NO_GAP:
@@ -128,7 +128,7 @@ def seam_sentence(diagnosis: Diagnosis, bears_mm: float) -> str:
     compared = "less" if moves <= bears_mm else "more"
     lead = f"The gap moves the seam point by {number(moves)} mm, {compared} than the {bears_mm:g} mm "
     lead += "that the weld bears"
-    return f"{lead}; {number(left)} mm are left." if math.isfinite(left) else f"{lead}."
+    return f"{lead}; {number(after_mm)} mm are left." if math.isfinite(after_mm) else f"{lead}."
 
 
 def summary(effect_id: str) -> str:
@@ -178,29 +178,30 @@ def probability(value: float) -> str:
     return "< 1 %" if value < 1.0 - CERTAIN_SHARE else percent(value)
 
 
-def estimate(of: Estimate) -> str:
+def estimate(value: Estimate) -> str:
     """Return value ± sigma and unit, as many digits as the sigma is worth."""
-    if not math.isfinite(of.value):
+    if not math.isfinite(value.value):
         return NO_VALUE
-    unit = f" {of.unit}" if of.unit else ""
-    if not (math.isfinite(of.sigma) and of.sigma > 0.0):
-        return f"{number(of.value, 3)}{unit}"
-    decimals = min(9, max(0, 1 - math.floor(math.log10(of.sigma))))
-    return f"{of.value:.{decimals}f}".replace("-", "−") + f" ± {of.sigma:.{decimals}f}{unit}"
+    unit = f" {value.unit}" if value.unit else ""
+    if not (math.isfinite(value.sigma) and value.sigma > 0.0):
+        return f"{number(value.value, 3)}{unit}"
+    decimals = min(9, max(0, 1 - math.floor(math.log10(value.sigma))))
+    return f"{value.value:.{decimals}f}".replace("-", "−") + f" ± {value.sigma:.{decimals}f}{unit}"
 
 
-def trend(of: Trend) -> str:
+def trend(change: ReportedTrend) -> str:
     """Return how an effect's parameters run over a recording."""
     runs = [
-        f"{name} from {number(first, 3)} to {number(last, 3)}" for name, (first, last) in of.values.items()
+        f"{name} from {number(first, 3)} to {number(last, 3)}"
+        for name, (first, last) in change.values.items()
     ]
-    ends = " to ".join(number(end, 2) for end in (of.least, of.most))
-    return f"changes with {of.driver}, {ends} {of.unit}: {listed(runs, 'and')}"
+    ends = " to ".join(number(end, 2) for end in (change.least, change.most))
+    return f"changes with {change.driver}, {ends} {change.unit}: {listed(runs, 'and')}"
 
 
-def as_factor(name: str, of: Estimate) -> str:
+def as_factor(name: str, value: Estimate) -> str:
     """Return what a logarithm means as a factor, nothing for other parameters."""
-    return f"× {number(math.exp(of.value), 3)}" if name.endswith("_ln") and abs(of.value) < 50.0 else ""
+    return f"× {number(math.exp(value.value), 3)}" if name.endswith("_ln") and abs(value.value) < 50.0 else ""
 
 
 def quantity(name: str, unit: str = "") -> str:
