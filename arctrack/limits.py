@@ -59,6 +59,19 @@ class Limits:
     value: float = _limit(
         1e15, "mm, deg, e-, …", "size of a number in recording.toml", "its square and its ratios stay finite"
     )
+    least_focal_px: float = _limit(1.0, "px", "least [camera] fx and fy", "a field of view of a half space")
+    focal_px: float = _limit(1e6, "px", "largest [camera] fx and fy", "a 1 m lens on pixels of 1 um")
+    center_px: float = _limit(1e5, "px", "size of [camera] cx and cy", "six times the longest side")
+    distortion: float = _limit(
+        1e4, "", "size of a value of [camera] distortion", "k3 of long lenses is in the thousands"
+    )
+    least_gamma: float = _limit(0.1, "", "least [sensor] gamma", "cameras show 0.4 to 2.5")
+    gamma: float = _limit(10.0, "", "largest [sensor] gamma", "cameras show 0.4 to 2.5")
+    tool_mm: float = _limit(
+        1e4, "mm", "distances of camera, laser and arc in the tool frame, a joint's dimensions", "ten metres"
+    )
+    arc_radius_mm: float = _limit(1e3, "mm", "largest [arc] radius_mm", "an arc is a few mm wide")
+    least_pitch_mm: float = _limit(1.0, "mm", "least [joint] pitch_mm", "corrugated sheets show 10 to 300")
     black_dn: int = _limit(65_535, "DN", "size of [sensor] black_level_dn", "the codes of 16 bits")
     current_exponent: float = _limit(
         10.0, "", "size of [arc] current_exponent", "measured arcs show 0.8 to 2"
@@ -68,7 +81,7 @@ class Limits:
     time_s: float = _limit(1e11, "s", "distance of a time from 0", "Unix seconds are 1.7e9, a log holds 1e11")
     exposure_s: float = _limit(3600.0, "s", "exposure of a frame", "an hour; longer ones are in other units")
     current_a: float = _limit(1e4, "A", "current of a frame", "welding sources end at 2000 A")
-    length_mm: float = _limit(1e7, "mm", "size of a coordinate in poses.csv and truth.csv", "ten kilometres")
+    length_mm: float = _limit(1e7, "mm", "size of a coordinate in base", "ten kilometres")
 
 
 LIMITS = Limits()

@@ -27,6 +27,7 @@ def inspect(
     """
     from arctrack.cli import console
     from arctrack.cli.inspect_text import print_survey
+    from arctrack.output import make_folder, writing
     from arctrack.recording import read_recording
     from arctrack.replay import RESULTS_FOLDER
     from arctrack.report.inspection import draw
@@ -39,10 +40,11 @@ def inspect(
     with console.progress() as bar:
         found = survey(read, console.track(bar, read.name, len(read.rows)))
     print_survey(console.tables(), read, found)
+    make_folder(picture.parent, ())
     try:
-        picture.parent.mkdir(parents=True, exist_ok=True)
-        draw(read, found).savefig(picture, format=picture.suffix[1:] or "png")
-    except (OSError, ValueError) as error:
+        with writing(picture):
+            draw(read, found).savefig(picture, format=picture.suffix[1:] or "png")
+    except ValueError as error:
         raise in_file(picture, f"cannot be written: {error}; give a .png or .pdf with --out") from None
     console.say(f"picture  {picture}")
     if found.bad_frames:

@@ -26,7 +26,7 @@ def read_setup(source: Path) -> SetupFile:
 
 def check_replaces_nothing(out: Path, recording: Recording) -> None:
     """Raise ArctrackError if a file to write is a folder, or of those that a recording is read from."""
-    _check_is_no_folder(out)
+    _check_is_a_files_name(out)
     if recording.is_read_from(out):
         raise ArctrackError(f"{out}: is of the recording itself; give --out another file")
 
@@ -36,11 +36,15 @@ def check_can_be_written(out: Path, setup: Path, data: Path | None = None) -> No
     for read, what in ((setup, "setup"), (data, "measurement")):
         if read is not None and out.exists() and real(out) == real(read):
             raise ArctrackError(f"{out}: is the {what} itself; give --out another file")
-    _check_is_no_folder(out)
+    _check_is_a_files_name(out)
     if not (out.parent.is_dir() and os.access(out.parent, os.W_OK)):
         raise ArctrackError(f"{out.parent}: nothing can be written there; give --out another place")
 
 
-def _check_is_no_folder(out: Path) -> None:
-    if out.is_dir():
-        raise ArctrackError(f"{out}: is a folder; give --out a file's name")
+def _check_is_a_files_name(out: Path) -> None:
+    """Raise ArctrackError for a folder, and for a FIFO or a device that would keep the writer waiting."""
+    from arctrack.recording.files import kind_of
+
+    kind = kind_of(out.stat().st_mode) if out.exists() else None
+    if kind is not None:
+        raise ArctrackError(f"{out}: is a {kind}; give --out a file's name")

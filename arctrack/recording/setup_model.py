@@ -34,10 +34,20 @@ NAMED_IN_KEYS = ("A", "nm", "px")
 
 _USABLE = f"must be a finite number, {LIMITS.value:g} at most"
 
+# One bound for each type: pydantic leaves out that of a field whose type has its own.
 Number = Annotated[FiniteFloat, Field(ge=-LIMITS.value, le=LIMITS.value)]
+Focal = Annotated[FiniteFloat, Field(ge=LIMITS.least_focal_px, le=LIMITS.focal_px)]
+Center = Annotated[FiniteFloat, Field(ge=-LIMITS.center_px, le=LIMITS.center_px)]
+Distortion = Annotated[FiniteFloat, Field(ge=-LIMITS.distortion, le=LIMITS.distortion)]
+InTool = Annotated[FiniteFloat, Field(ge=-LIMITS.tool_mm, le=LIMITS.tool_mm)]
+InBase = Annotated[FiniteFloat, Field(ge=-LIMITS.length_mm, le=LIMITS.length_mm)]
+Gamma = Annotated[FiniteFloat, Field(ge=LIMITS.least_gamma, le=LIMITS.gamma)]
+Current = Annotated[FiniteFloat, Field(ge=LIMITS.least_current_a, le=LIMITS.current_a)]
+PointInTool = Annotated[list[InTool], Field(min_length=3, max_length=3)]
+PointInBase = Annotated[list[InBase], Field(min_length=3, max_length=3)]
 Vector3 = Annotated[list[Number], Field(min_length=3, max_length=3)]
 Vector4 = Annotated[list[Number], Field(min_length=4, max_length=4)]
-Vector5 = Annotated[list[Number], Field(min_length=5, max_length=5)]
+Distortions = Annotated[list[Distortion], Field(min_length=5, max_length=5)]
 
 
 class Table(BaseModel):
@@ -49,7 +59,7 @@ class Table(BaseModel):
 class PoseTable(Table):
     """A rigid pose: translation in mm, quaternion x y z w."""
 
-    translation_mm: Vector3
+    translation_mm: PointInTool
     quaternion_xyzw: Vector4
 
     def matrix(self, place: str) -> Float64:
@@ -65,11 +75,11 @@ class CameraTable(Table):
 
     width: int = Field(le=LIMITS.side_px)
     height: int = Field(le=LIMITS.side_px)
-    fx: Number
-    fy: Number
-    cx: Number
-    cy: Number
-    distortion: Vector5
+    fx: Focal
+    fy: Focal
+    cx: Center
+    cy: Center
+    distortion: Distortions
     focal_length_mm: Number
     f_number: Number
     psf_sigma_px: FiniteFloat = Field(le=LIMITS.blur_px)
@@ -86,7 +96,7 @@ class SensorTable(Table):
     black_level_dn: FiniteFloat = Field(ge=-LIMITS.black_dn, le=LIMITS.black_dn)
     read_noise_e: Number
     full_well_e: Number
-    gamma: Number
+    gamma: Gamma
 
 
 class FilterTable(Table):
@@ -118,7 +128,7 @@ class LaserTable(Table):
 
     wavelength_nm: Number
     plane_in_tool: Vector4
-    origin_in_tool_mm: Vector3
+    origin_in_tool_mm: PointInTool
     stripe_sigma_mm: Number
     peak_e: Number
 
@@ -127,11 +137,11 @@ class ArcTable(Table):
     """[arc]."""
 
     shape: str
-    radius_mm: Number
-    center_in_tool_mm: Vector3
+    radius_mm: FiniteFloat = Field(le=LIMITS.arc_radius_mm)
+    center_in_tool_mm: PointInTool
     on_surface: bool
     radiance_e: Number
-    current_a: Number = Field(ge=LIMITS.least_current_a)
+    current_a: Current
     current_exponent: FiniteFloat = Field(ge=-LIMITS.current_exponent, le=LIMITS.current_exponent)
 
 
@@ -148,7 +158,7 @@ class JointTable(Table):
     """[joint]; the dimensions are extra keys, which ones depends on the type."""
 
     type: str
-    seam_in_base_mm: list[Vector3]
+    seam_in_base_mm: list[PointInBase]
     surface_normal_in_base: Vector3
 
     def dimensions(self) -> dict[str, float]:
@@ -160,8 +170,12 @@ class JointTable(Table):
             if value is None:
                 hint = meant_by(name, (key for key in extras if key not in DIMENSIONS[self.type]))
                 raise ValueError(f"[joint] {name}: missing, a {self.type} needs it{hint}")
-            if not _is_usable(value):
-                raise ValueError(f"{held(f'[joint] {name}', value)}: {_USABLE}")
+            least = LIMITS.least_pitch_mm if name == "pitch_mm" else -LIMITS.tool_mm
+            if not (_is_usable(value) and least <= value <= LIMITS.tool_mm):
+                raise ValueError(
+                    f"{held(f'[joint] {name}', value)}: must be a finite number from {least:g} to "
+                    f"{LIMITS.tool_mm:g}"
+                )
             found[name] = float(value)
         return found
 

@@ -1,5 +1,6 @@
 """What cannot be read or written is one line on stderr and exit code 2; what is whole stays whole."""
 
+import os
 import shutil
 from pathlib import Path
 
@@ -103,3 +104,19 @@ def test_a_folder_is_no_setup(
 ) -> None:
     error = refusal(command, recording, *frame, "--setup", recording)
     assert error == f"{recording}: is a folder; give the recording.toml in it"
+
+
+@pytest.mark.parametrize(("command", "frame"), [("inspect", []), ("explain", ["2"])])
+def test_a_fifo_is_no_file_to_write(
+    command: str, frame: list[str], recording: Path, tmp_path: Path, refusal: Refusal
+) -> None:
+    os.mkfifo(tmp_path / "fifo")
+    error = refusal(command, recording, *frame, "--out", tmp_path / "fifo")
+    assert error == f"{tmp_path / 'fifo'}: is a FIFO; give --out a file's name"
+
+
+def test_a_file_in_place_of_the_results(recording: Path, tmp_path: Path, refusal: Refusal) -> None:
+    path = Path(shutil.copytree(recording, tmp_path / "r"))
+    (path / "results").write_bytes(b"")
+    error = refusal("inspect", path)
+    assert error == f"{path / 'results'}: cannot be written: File exists; choose another with --out"

@@ -16,7 +16,7 @@ BAD: dict[str, tuple[Spoil, str, str]] = {
     "depth beyond a float": (
         toml("depth_mm = 4.0", f"depth_mm = 1{400 * '0'}"),
         "recording.toml",
-        " …: must be a finite number, 1e+15 at most",
+        " …: must be a finite number from -10000 to 10000",
     ),
     "depth beyond an integer": (
         toml("depth_mm = 4.0", f"depth_mm = 1{5000 * '0'}"),
@@ -51,7 +51,7 @@ BAD: dict[str, tuple[Spoil, str, str]] = {
     "depth beyond sense": (
         toml("depth_mm = 4.0", "depth_mm = 1e300"),
         "recording.toml",
-        "[joint] depth_mm = 1e+300: must be a finite number, 1e+15 at most",
+        "[joint] depth_mm = 1e+300: must be a finite number from -10000 to 10000",
     ),
     "colours": (
         toml('pixel_format = "mono8"', 'pixel_format = "BayerRG8"'),
@@ -99,6 +99,41 @@ BAD: dict[str, tuple[Spoil, str, str]] = {
         toml_end("[effects]\ngamma = 0.8"),
         "recording.toml",
         "[effects] gamma = 0.8: must be a table",
+    ),
+    "a lens without end": (
+        toml("fy = ", "fy = 1e9 #"),
+        "recording.toml",
+        "[camera] fy = 1000000000.0: input should be less than or equal to 1000000",
+    ),
+    "a lens that is none": (
+        toml("fx = ", "fx = 1e-300 #"),
+        "recording.toml",
+        "[camera] fx = 1e-300: input should be greater than or equal to 1",
+    ),
+    "a distortion beyond sense": (
+        toml("distortion = [0.0", "distortion = [1e15"),
+        "recording.toml",
+        "[camera] distortion[0] = 1000000000000000.0: input should be less than or equal to 10000",
+    ),
+    "a camera out of the room": (
+        toml("translation_mm = [", "translation_mm = [1e5, 0.0, 130.0] # ["),
+        "recording.toml",
+        "[camera.pose_in_tool] translation_mm[0] = 100000.0: input should be less than or equal to 10000",
+    ),
+    "a gamma beyond sense": (
+        toml("gamma = 1.0", "gamma = 90.0"),
+        "recording.toml",
+        "[sensor] gamma = 90.0: input should be less than or equal to 10",
+    ),
+    "hardly a current": (
+        toml("current_a = ", "current_a = 1e-300 #"),
+        "recording.toml",
+        "[arc] current_a = 1e-300: input should be greater than or equal to 0.001",
+    ),
+    "an arc larger than the room": (
+        toml("radius_mm = ", "radius_mm = 1e9 #"),
+        "recording.toml",
+        "[arc] radius_mm = 1000000000.0: input should be less than or equal to 1000",
     ),
 }
 
