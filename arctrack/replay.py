@@ -38,7 +38,7 @@ from robot_io import (
 )
 from tracker import flags
 from tracker.measure import Reading
-from tracker.state import NAN, Frame, Track
+from tracker.state import NAN, Frame, Pose, Track
 from tracker.tracker import Tracker
 from tracker.warm_up import OnCompiled, WarmUp
 
@@ -51,11 +51,15 @@ RESULTS_FOLDER = "results"
 
 @dataclass(frozen=True)
 class ReplayOptions:
-    """How to replay: `bus` is python-can's interface and channel, joined by a colon."""
+    """How to replay: `bus` is python-can's interface and channel, joined by a colon.
+
+    `exports` are files to write beside the others: `replay.mcap`, `replay.rrd`.
+    """
 
     bus: str = DEFAULT_BUS
     use_arc_map: bool = True
     pictures: bool = True
+    exports: tuple[str, ...] = ()
     limits: GateLimits = LIMITS
 
 
@@ -82,11 +86,13 @@ class Replay:
 class Step:
     """One row of frames.csv after the tracker saw it; `took_ms` is NaN where there was no frame to step.
 
-    `reading` is the look that the track rests on, None where none was taken.
+    `pose` is None where it was refused or there was no frame; `reading` is the look that the track rests on,
+    None where none was taken.
     """
 
     row: FrameRow
     frame: Frame | BadFrame
+    pose: Pose | None
     track: Track
     reading: Reading | None
     took_ms: float
@@ -118,9 +124,11 @@ def replay_recording(
     make_folder(folder, ())
     # Compiling takes long, and so does loading what draws: before there is a bus that nobody reads meanwhile.
     warm_up = tracker_of(recording, options.use_arc_map).warm_up(on_compiled)
-    if not options.pictures:
+    if not (options.pictures or options.exports):
         return _replay(recording, truth, folder, options, warm_up, None, on_frame)
-    drawing = _load_drawing()(recording, truth, folder, options.use_arc_map, on_drawn)
+    drawing = _load_drawing()(
+        recording, truth, folder, options.use_arc_map, options.pictures, options.exports, on_drawn
+    )
     with drawing.after() as seen:
         return _replay(recording, truth, folder, options, warm_up, seen, on_frame)
 
@@ -153,7 +161,7 @@ def _replay(
             offset = publisher.publish(step.track, moments.moment(step.row, step.took_ms))
             results.write(step.track, offset, step.took_ms)
             if seen is not None:
-                seen.add(Seen(step.track, step.reading, offset, step.took_ms))
+                seen.add(Seen(step.pose, step.track, step.reading, offset, step.took_ms))
             tracks.append(replace(step.track, stripe=None))
             compute_ms.append(step.took_ms)
             if isinstance(step.frame, BadFrame):
@@ -202,13 +210,13 @@ def _steps(recording: Recording, use_arc_map: bool) -> Iterator[Step]:
     for row, frame in zip(recording.rows, recording.frames(), strict=True):
         if isinstance(frame, BadFrame):
             raised = flags.FRAME_UNREADABLE.mask | tracker.state.lasting_flags
-            yield Step(row, frame, Track(row.index, row.timestamp_s, raised), None, NAN)
+            yield Step(row, frame, None, Track(row.index, row.timestamp_s, raised), None, NAN)
             continue
         pose = recording.pose_at(poses, frame.timestamp_s)
         began_ns = time.perf_counter_ns()
         track = tracker.step(frame, pose)
         took_ms = (time.perf_counter_ns() - began_ns) / 1e6
-        yield Step(row, frame, track, tracker.reading, took_ms)
+        yield Step(row, frame, pose, track, tracker.reading, took_ms)
 
 
 def _summary(

@@ -37,6 +37,12 @@ def replay(
     pictures: Annotated[
         bool, typer.Option("--pictures/--no-pictures", help="Write overlay.mp4, overview.png, replay.html.")
     ] = True,
+    mcap: Annotated[
+        bool, typer.Option("--mcap", help="Write replay.mcap too, for Foxglove. Needs arctrack\\[mcap].")
+    ] = False,
+    rrd: Annotated[
+        bool, typer.Option("--rrd", help="Write replay.rrd too, for Rerun. Needs arctrack\\[rerun].")
+    ] = False,
 ) -> None:
     """Track recordings; write results.csv, summary.json, bus.blf, overlay.mp4, overview.png, replay.html.
 
@@ -51,9 +57,11 @@ def replay(
     from arctrack.cli import console
     from arctrack.cli.replay_table import in_words, many_table, one_table
     from arctrack.recording import read_recording
+    from arctrack.recording.results import REPLAY_MCAP, REPLAY_RRD
 
     folders = results_folders(recordings, out)
-    options = engine.ReplayOptions(bus=bus, use_arc_map=arc_map, pictures=pictures)
+    exports = tuple(name for name, wanted in ((REPLAY_MCAP, mcap), (REPLAY_RRD, rrd)) if wanted)
+    options = engine.ReplayOptions(bus=bus, use_arc_map=arc_map, pictures=pictures, exports=exports)
     complaints: list[str] = []
     summaries: list[Summary] = []
     verdicts: list[Verdict] = []
@@ -66,7 +74,7 @@ def replay(
                 console.warn(recording.warnings)
                 on_frame = console.track(bar, recording.name, len(recording.rows))
                 on_drawn = None
-                if pictures:
+                if pictures or exports:
                     on_drawn = console.track(bar, f"{recording.name}, pictures", len(recording.rows))
                 on_compiled = console.compiling(bar, recording.name)
                 done = engine.replay_recording(recording, folder, options, on_frame, on_drawn, on_compiled)

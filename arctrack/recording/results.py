@@ -23,8 +23,18 @@ from tracker.state import NAN, Track
 
 RESULTS_CSV, SUMMARY_JSON, BUS_LOG = "results.csv", "summary.json", "bus.blf"
 OVERLAY_VIDEO, OVERVIEW_PICTURE, REPLAY_PAGE = "overlay.mp4", "overview.png", "replay.html"
-FILES = (RESULTS_CSV, SUMMARY_JSON, BUS_LOG, OVERLAY_VIDEO, OVERVIEW_PICTURE, REPLAY_PAGE)
-"""Every file that a replay writes."""
+REPLAY_MCAP, REPLAY_RRD = "replay.mcap", "replay.rrd"
+FILES = (
+    RESULTS_CSV,
+    SUMMARY_JSON,
+    BUS_LOG,
+    OVERLAY_VIDEO,
+    OVERVIEW_PICTURE,
+    REPLAY_PAGE,
+    REPLAY_MCAP,
+    REPLAY_RRD,
+)
+"""Every file that a replay may write."""
 
 SUMMARY_FORMAT = "arctrack-summary/1"
 

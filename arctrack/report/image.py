@@ -2,15 +2,20 @@
 
 from __future__ import annotations
 
+import io
+
 import cv2
 import numpy as np
 import numpy.typing as npt
+from PIL import Image
 
 from noise_model.arrays import Float64, UInt8
 from noise_model.instrument.camera import Camera
 from noise_model.instrument.sensor import Sensor
 from noise_model.transforms import invert, transform
 from tracker.state import Stripe, Track
+
+JPEG_QUALITY = 75
 
 STRIPE_BGR = (0, 159, 230)
 SEAM_BGR = (233, 180, 86)
@@ -22,6 +27,13 @@ def visible(image_dn: npt.NDArray[np.integer | np.floating], sensor: Sensor) -> 
     scaled = 255.0 * np.sqrt(signal / max(1.0, sensor.max_dn - sensor.black_level_dn))
     grey: UInt8 = np.clip(np.rint(scaled), 0, 255).astype(np.uint8)
     return grey
+
+
+def jpeg(grey: UInt8) -> bytes:
+    """Return a grey picture (H, W) as a JPEG file."""
+    file = io.BytesIO()
+    Image.fromarray(grey).save(file, format="jpeg", quality=JPEG_QUALITY, optimize=True)
+    return file.getvalue()
 
 
 def stripe_points_px(stripe: Stripe) -> Float64:

@@ -9,7 +9,7 @@ from matplotlib.font_manager import FontProperties, findfont, get_font
 from arctrack.printable import printable
 
 BLUE, VERMILLION, GREEN, ORANGE, SKY = "#0072B2", "#D55E00", "#009E73", "#E69F00", "#56B4E9"
-GREY, BLACK = "#7F7F7F", "#000000"
+YELLOW, GREY, BLACK = "#F0E442", "#7F7F7F", "#000000"
 
 DOTS_PER_INCH = 110
 

@@ -1,7 +1,8 @@
+import shutil
 from pathlib import Path
 
 import pytest
-from made import noise_frames, small_setup, write
+from made import UNREADABLE, noise_frames, small_setup, write
 from spoiled import Refusal
 
 from arctrack.nominal import nominal_setup
@@ -33,3 +34,16 @@ def recording(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def refusal(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> Refusal:
     """Return what runs a command and gives the line that it is refused with."""
     return Refusal(capsys, monkeypatch)
+
+
+@pytest.fixture(scope="session")
+def flawed_recording(simulated: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Return a recording that begins before 0 s and has a frame that cannot be read."""
+    path = Path(shutil.copytree(simulated, tmp_path_factory.mktemp("export") / "r"))
+    lines = (path / "frames.csv").read_text().splitlines()
+    assert lines[1].startswith("0,0.000000,")
+    lines[1] = lines[1].replace("0,0.000000,", "0,-0.100000,")
+    (path / "frames.csv").write_text("\n".join(lines))
+    frame = path / "frames" / f"{UNREADABLE:06d}.png"
+    frame.write_bytes(frame.read_bytes()[:500])
+    return path

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import csv
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -14,6 +15,9 @@ from noise_model.setup import Setup
 from tracker.state import Frame
 
 WIDTH, HEIGHT = 48, 36
+
+UNREADABLE = 5
+"""The frame of `flawed_recording` that cannot be read."""
 
 
 def small_setup(bits: int = 8) -> Setup:
@@ -76,3 +80,18 @@ def replace_line(path: Path, line: int, new: str) -> None:
     lines = path.read_text().splitlines()
     lines[line - 1] = new
     path.write_text("\n".join(lines) + "\n")
+
+
+def results_of(folder: Path) -> list[dict[str, str]]:
+    """Return the rows of results.csv."""
+    with (folder / "results.csv").open() as file:
+        return list(csv.DictReader(file))
+
+
+def assert_cell(value: float | None, cell: str) -> None:
+    """Hold a number, None for unknown, against its cell of results.csv."""
+    if cell == "":
+        assert value is None
+    else:
+        assert value is not None
+        assert abs(value - float(cell)) <= 1e-4

@@ -1,6 +1,6 @@
-import csv
 import json
 import shutil
+import sys
 from dataclasses import replace
 from pathlib import Path
 
@@ -8,22 +8,20 @@ import av
 import cv2
 import numpy as np
 import pytest
-from made import noise_frames, small_setup, write
+from made import noise_frames, results_of, small_setup, write
+from typer.testing import CliRunner
 
+from arctrack.cli import app
 from arctrack.errors import ArctrackError
 from arctrack.recording import Truth, read_recording
-from arctrack.recording.results import COLUMNS, FILES, Latency
+from arctrack.recording.results import COLUMNS, FILES, REPLAY_MCAP, REPLAY_RRD, Latency
 from arctrack.recording.score import score
 from arctrack.replay import ReplayOptions, parse_bus, replay_recording, track_alone
+from arctrack.report.replay.pictures import exporter
 from robot_io import BusLogReader, SeamOffset, TrackerStatus, Validity
 from tracker.state import Track
 
 QUICK = ReplayOptions(pictures=False)
-
-
-def rows_of(folder: Path) -> list[dict[str, str]]:
-    with (folder / "results.csv").open() as file:
-        return list(csv.DictReader(file))
 
 
 def test_a_replay_tracks_and_writes_every_file(simulated: Path, tmp_path: Path) -> None:
@@ -40,7 +38,7 @@ def test_a_replay_tracks_and_writes_every_file(simulated: Path, tmp_path: Path) 
         "results.csv",
         "summary.json",
     ]
-    rows = rows_of(tmp_path)
+    rows = results_of(tmp_path)
     assert tuple(rows[0]) == COLUMNS
     lit = [row.laser_on for row in recording.rows]
     assert [row["valid"] == "1" for row in rows] == lit
@@ -67,7 +65,7 @@ def test_what_is_in_the_results_went_over_the_bus(simulated: Path, tmp_path: Pat
     received = list(BusLogReader(tmp_path / "bus.blf"))
     offsets = [r for r in received if isinstance(r.message, SeamOffset)]
     assert sum(isinstance(r.message, TrackerStatus) for r in received) == len(recording.rows)
-    for row, frame, entry in zip(rows_of(tmp_path), recording.rows, offsets, strict=True):
+    for row, frame, entry in zip(results_of(tmp_path), recording.rows, offsets, strict=True):
         assert entry.timestamp_s == pytest.approx(frame.timestamp_s + frame.exposure_s / 2.0, abs=1e-5)
         message = entry.message
         assert isinstance(message, SeamOffset)
@@ -76,13 +74,13 @@ def test_what_is_in_the_results_went_over_the_bus(simulated: Path, tmp_path: Pat
         else:
             assert float(row["offset_y_mm"]) == pytest.approx(message.offset_y_mm, abs=1e-3)
             assert float(row["offset_z_mm"]) == pytest.approx(message.offset_z_mm, abs=1e-3)
-    assert any(row["offset_y_mm"] for row in rows_of(tmp_path))
+    assert any(row["offset_y_mm"] for row in results_of(tmp_path))
 
 
 def test_a_second_replay_gives_the_same_numbers(simulated: Path, tmp_path: Path) -> None:
     def without_wall_time(folder: Path) -> list[dict[str, str]]:
         replay_recording(read_recording(simulated), folder, QUICK)
-        return [{k: v for k, v in row.items() if k != "compute_ms"} for row in rows_of(folder)]
+        return [{k: v for k, v in row.items() if k != "compute_ms"} for row in results_of(folder)]
 
     assert without_wall_time(tmp_path / "a") == without_wall_time(tmp_path / "b")
 
@@ -114,7 +112,7 @@ def test_bad_frames_are_flagged_and_the_tracking_goes_on(simulated: Path, tmp_pa
     frame = path / "frames" / "000005.png"
     frame.write_bytes(frame.read_bytes()[:500])
     done = replay_recording(read_recording(path), tmp_path / "cut")
-    rows = rows_of(tmp_path / "cut")
+    rows = results_of(tmp_path / "cut")
     assert rows[5] == {name: "" for name in COLUMNS} | {
         "frame": "5",
         "timestamp_s": "0.500000",
@@ -146,13 +144,13 @@ def test_frames_before_the_poses_and_after_them_are_refused(simulated: Path, tmp
 def test_rows_before_a_crash_are_kept(simulated: Path, tmp_path: Path) -> None:
     def crash(done: int) -> None:
         if done == 6:
-            assert len(rows_of(tmp_path)) == 6
+            assert len(results_of(tmp_path)) == 6
             raise KeyboardInterrupt
 
     (tmp_path / "summary.json").write_text("from an earlier replay")
     with pytest.raises(KeyboardInterrupt):
         replay_recording(read_recording(simulated), tmp_path, on_frame=crash)
-    assert len(rows_of(tmp_path)) == 6
+    assert len(results_of(tmp_path)) == 6
     assert len([r for r in BusLogReader(tmp_path / "bus.blf") if isinstance(r.message, SeamOffset)]) == 6
     with av.open(str(tmp_path / "overlay.mp4")) as video:
         assert sum(1 for _ in video.decode(video=0)) == 6
@@ -166,7 +164,7 @@ def test_noise_is_tracked_without_complaint(tmp_path: Path) -> None:
     done = replay_recording(recording)
     assert done.folder == tmp_path / "r" / "results"
     assert (done.folder / "overview.png").exists()
-    assert len(rows_of(done.folder)) == 4
+    assert len(results_of(done.folder)) == 4
 
 
 @pytest.mark.slow
@@ -209,7 +207,7 @@ def test_a_recording_that_begins_before_0(simulated: Path, tmp_path: Path) -> No
     assert [r.timestamp_s for r in offsets] == pytest.approx(
         [row.timestamp_s + row.exposure_s / 2.0 + 1.0 for row in recording.rows], abs=1e-5
     )
-    assert rows_of(tmp_path / "out")[0]["timestamp_s"] == "-0.100000"
+    assert results_of(tmp_path / "out")[0]["timestamp_s"] == "-0.100000"
 
 
 def test_a_folder_that_cannot_be_written(simulated: Path, tmp_path: Path) -> None:
@@ -252,4 +250,25 @@ def test_pictures_are_drawn_when_the_last_offset_is_out(simulated: Path, tmp_pat
     assert done == [(what, n) for what in ("replayed", "drawn") for n in range(1, 15)]
     with av.open(str(tmp_path / "overlay.mp4")) as video:
         assert sum(1 for _ in video.decode(video=0)) == 14
-    assert sorted(path.name for path in tmp_path.iterdir()) == sorted(FILES)
+    assert {path.name for path in tmp_path.iterdir()} == set(FILES) - {REPLAY_MCAP, REPLAY_RRD}
+
+
+@pytest.mark.parametrize(
+    ("name", "package", "extra"), [(REPLAY_MCAP, "mcap", "mcap"), (REPLAY_RRD, "rerun", "rerun")]
+)
+def test_without_its_package_an_export_says_how_to_get_it(
+    simulated: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, name: str, package: str, extra: str
+) -> None:
+    for module in list(sys.modules):
+        if module.split(".")[0] == package or module.endswith(("replay.mcap_file", "replay.rrd_file")):
+            monkeypatch.delitem(sys.modules, module)
+    monkeypatch.setitem(sys.modules, package, None)
+    with pytest.raises(ArctrackError, match=rf"^{name}: needs .*pip install 'arctrack\[{extra}\]'$"):
+        exporter(name)
+    done = CliRunner().invoke(
+        app, ["replay", str(simulated), "--out", str(tmp_path), f"--{name.split('.')[1]}"]
+    )
+    assert done.exit_code == 2
+    assert f"pip install 'arctrack[{extra}]'" in done.output
+    # It is said before anything is tracked.
+    assert not (tmp_path / "results.csv").exists()

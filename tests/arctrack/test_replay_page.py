@@ -1,6 +1,5 @@
 """replay.html: what it holds, and how it behaves in a real browser."""
 
-import csv
 import json
 import math
 import re
@@ -14,7 +13,7 @@ import pytest
 from browser import CHROMIUM, Page
 from hypothesis import given
 from hypothesis import strategies as st
-from made import noise_frames, small_setup, write
+from made import UNREADABLE, noise_frames, results_of, small_setup, write
 
 from arctrack.recording import BadFrame, read_recording, read_truth
 from arctrack.recording.results import REPLAY_PAGE
@@ -32,16 +31,13 @@ from tracker.stripe.expected import expect_stripe
 
 needs_browser = pytest.mark.skipif(CHROMIUM is None, reason="needs Chromium: apt-get install chromium")
 
-BAD = 5
-"""The frame that cannot be read."""
-
 
 @pytest.fixture(scope="module")
 def recording_path(simulated: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Return a recording whose name and one frame are trouble."""
     path = tmp_path_factory.mktemp("page") / "a<b> & 'c'</script>"
     shutil.copytree(simulated, path)
-    frame = path / "frames" / f"{BAD:06d}.png"
+    frame = path / "frames" / f"{UNREADABLE:06d}.png"
     frame.write_bytes(frame.read_bytes()[:500])
     return path
 
@@ -69,11 +65,6 @@ def page(browser: Page, results: Path) -> Iterator[Page]:
     browser.open(results / REPLAY_PAGE)
     yield browser
     assert browser.complaints == []
-
-
-def rows_of(folder: Path) -> list[dict[str, str]]:
-    with (folder / "results.csv").open() as file:
-        return list(csv.DictReader(file))
 
 
 def content_of(path: Path) -> dict[str, object]:
@@ -108,7 +99,7 @@ def test_it_needs_nothing_else(results: Path) -> None:
 def test_it_holds_the_numbers_of_the_results(results: Path) -> None:
     columns = content_of(results / REPLAY_PAGE)["columns"]
     assert isinstance(columns, dict)
-    rows = rows_of(results)
+    rows = results_of(results)
     for name in ("seam_y_mm", "sigma_z_mm", "offset_y_mm", "gap_mm", "confidence", "arc_level", "map_misfit"):
         for value, row in zip(columns[name], rows, strict=True):
             assert (value is None) == (row[name] == "")
@@ -116,7 +107,7 @@ def test_it_holds_the_numbers_of_the_results(results: Path) -> None:
                 assert value == pytest.approx(float(row[name]), abs=1e-4)
     names = [flags.names(mask) for mask in columns["flags"]]
     assert ["|".join(each) for each in names] == [row["flags"] for row in rows]
-    assert columns["laser"][BAD] is None
+    assert columns["laser"][UNREADABLE] is None
 
 
 @given(
@@ -146,8 +137,9 @@ def test_the_view_is_the_trackers_own(simulated: Path) -> None:
     seen_valid = 0
     for frame in recording.frames():
         assert not isinstance(frame, BadFrame)
-        track = tracker.step(frame, recording.pose_at(poses, frame.timestamp_s))
-        view = viewer.view(frame, Seen(track, tracker.reading, nothing, math.nan))
+        pose = recording.pose_at(poses, frame.timestamp_s)
+        track = tracker.step(frame, pose)
+        view = viewer.view(frame, Seen(pose, track, tracker.reading, nothing, math.nan))
         assert view.grey is not None
         assert view.grey.shape == frame.image_dn.shape
         if not track.valid:
@@ -190,7 +182,7 @@ def test_the_view_is_the_trackers_own(simulated: Path) -> None:
 
 @needs_browser
 def test_the_slider_shows_the_numbers_of_the_results(page: Page, results: Path) -> None:
-    rows = rows_of(results)
+    rows = results_of(results)
     assert page.value("document.querySelector('#slider').max") == str(len(rows) - 1)
     for n, row in enumerate(rows):
         page.value(
@@ -210,9 +202,9 @@ def test_the_slider_shows_the_numbers_of_the_results(page: Page, results: Path) 
         if row["sigma_y_mm"]:
             sigma = page.text("#value_seam_y").split("±")[1]
             assert_shows(sigma.strip(), row["sigma_y_mm"], 3)
-        assert page.value("document.querySelector('#frame_missing').hidden") == (n != BAD)
+        assert page.value("document.querySelector('#frame_missing').hidden") == (n != UNREADABLE)
         drawn = page.value("document.querySelectorAll('#overlay path').length")
-        assert (drawn > 0) == (n != BAD)
+        assert (drawn > 0) == (n != UNREADABLE)
     cursors = page.value(
         "[...document.querySelectorAll('#charts svg > line')].map(e => e.getAttribute('x1'))"
     )
@@ -223,7 +215,7 @@ def test_the_slider_shows_the_numbers_of_the_results(page: Page, results: Path) 
 def test_a_click_on_a_frame_opens_its_explanation(page: Page, replayed: Replay, recording_path: Path) -> None:
     results = replayed.folder
     assert page.value("document.querySelector('#explanation').hidden")
-    for n in (BAD, 8):
+    for n in (UNREADABLE, 8):
         page.open(results / REPLAY_PAGE, f"#frame={n}")
         page.click("#picture")
         assert not page.value("document.querySelector('#explanation').hidden")
@@ -239,7 +231,7 @@ def test_a_click_on_a_frame_opens_its_explanation(page: Page, replayed: Replay, 
             "[...document.querySelectorAll('#explanation_checks tbody tr')].map(e => e.cells[3].textContent)"
         )
         assert table == [words.outcome_text(check) for check in track.checks]
-        assert page.value("document.querySelector('#all_checks').hidden") == (n == BAD)
+        assert page.value("document.querySelector('#all_checks').hidden") == (n == UNREADABLE)
         asked = shlex.split(page.text("#command"))
         assert asked == ["arctrack", "explain", str(recording_path), str(n)]
         page.press("Escape")
@@ -307,7 +299,7 @@ def test_a_long_replay_says_what_it_leaves_out(
     browser.value(f"show({out})")
     assert "left out" in browser.text("#frame_missing")
     assert str(max(n for n in map(int, shown) if n < out)) in browser.text("#frame_missing")
-    row = rows_of(tmp_path)[out]
+    row = results_of(tmp_path)[out]
     assert_shows(browser.text("#value_arc_level"), row["arc_level"], 3)
     browser.click("#picture")
     assert f"Why frame {out}" in browser.text("#explanation")

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import io
 import json
 import math
 from collections.abc import Sequence
@@ -11,7 +10,6 @@ from typing import Any
 
 import numpy as np
 from jinja2 import Environment, PackageLoader, StrictUndefined
-from PIL import Image
 
 from arctrack.output import write_whole
 from arctrack.printable import printable, quoted
@@ -21,10 +19,11 @@ from arctrack.recording.score import score
 from arctrack.recording.setup_file import FILE_NAME
 from arctrack.report.embedded import binned, uri
 from arctrack.report.explanation import words
+from arctrack.report.image import jpeg
+from arctrack.report.replay.numbers import numbers, on_bus
 from arctrack.report.replay.seen import Seen
 from arctrack.report.replay.view import Profile, View, Viewer
 from noise_model.arrays import Float64, UInt8
-from robot_io import SeamOffset, Validity
 from tracker import flags
 from tracker.checks import Check
 from tracker.state import Frame, Track
@@ -37,11 +36,8 @@ MAX_SHOWN = 240
 FRAME_PX, MAP_PX = 640, 320
 """Pictures are shrunk to about these widths."""
 
-JPEG_QUALITY = 75
 MAX_LINES, MAX_POINTS = 400, 400
 """So many scan lines of the stripe, and so many points of a profile, are on the page at most."""
-
-ON_BUS = {Validity.VALID: "sent", Validity.HELD: "held"}
 
 
 def frames_to_show(frame_flags: Sequence[int], most: int = MAX_SHOWN) -> list[int]:
@@ -83,7 +79,7 @@ class ReplayPage:
         checks = [check for check in track.checks if view is not None or not check.passed]
         self._checks.append([[self._text(text) for text in _check_texts(check)] for check in checks])
         true_mm = self._viewer.truth_mm.get(track.frame)
-        for name, value in _numbers(frame, seen, true_mm).items():
+        for name, value in _columns(frame, seen, true_mm).items():
             self._columns.setdefault(name, []).append(value)
         self._tracks.append(track)
 
@@ -164,59 +160,26 @@ def _check_texts(check: Check) -> tuple[str, str, str, str]:
     )
 
 
-def _numbers(frame: Frame | None, seen: Seen, true_mm: Float64 | None) -> dict[str, Any]:
-    """Return a frame's numbers; what is not known is None."""
-    track, offset = seen.track, seen.offset
-    _, seam_y_mm, seam_z_mm = track.seam_tool_mm
-    values = {
-        "time_s": track.timestamp_s,
-        "seam_y_mm": seam_y_mm,
-        "seam_z_mm": seam_z_mm,
-        "sigma_y_mm": track.sigma_y_mm,
-        "sigma_z_mm": track.sigma_z_mm,
-        "true_y_mm": math.nan if true_mm is None else true_mm[1],
-        "true_z_mm": math.nan if true_mm is None else true_mm[2],
-        "offset_y_mm": offset.offset_y_mm,
-        "offset_z_mm": offset.offset_z_mm,
-        "torch_y_mm": track.offset_y_mm,
-        "torch_z_mm": track.offset_z_mm,
-        "torch_sigma_y_mm": track.offset_sigma_y_mm,
-        "torch_sigma_z_mm": track.offset_sigma_z_mm,
-        "gap_mm": track.gap_mm,
-        "mismatch_mm": track.mismatch_mm,
-        "confidence": track.confidence,
-        "arc_level": track.arc_level,
-        "map_misfit": track.map_misfit,
-        "fov_margin_mm": track.fov_margin_mm,
-        "compute_ms": seen.compute_ms,
-        "current_a": math.nan if frame is None else frame.current_a,
-        "exposure_ms": math.nan if frame is None else 1000.0 * frame.exposure_s,
-    }
+def _columns(frame: Frame | None, seen: Seen, true_mm: Float64 | None) -> dict[str, Any]:
+    """Return a frame's cell of each of the page's columns; what is not known is None."""
+    values = numbers(frame, seen, true_mm)
     return {
-        "frame": track.frame,
-        "flags": track.flags,
-        "valid": int(track.valid),
-        "bus": _on_bus(offset),
+        "frame": seen.track.frame,
+        "flags": seen.track.flags,
+        "valid": int(seen.track.valid),
+        "bus": on_bus(seen),
         "laser": None if frame is None else int(frame.laser_on),
         "arc": None if frame is None else int(frame.arc_on),
-        **{name: _rounded(value) for name, value in values.items()},
+        **{name: round(value, 5) if math.isfinite(value) else None for name, value in values.items()},
     }
-
-
-def _rounded(value: float) -> float | None:
-    return round(float(value), 5) if math.isfinite(value) else None
-
-
-def _on_bus(offset: SeamOffset) -> str:
-    return ON_BUS.get(offset.validity, "none")
 
 
 def _view_json(view: View) -> dict[str, Any]:
     """Return a view for the page: image points in tenths of a px, points in the laser plane in um."""
     step = max(1, math.ceil(len(view.stripe_px) / MAX_LINES))
     return {
-        "frame": None if view.grey is None else _jpeg(view.grey, FRAME_PX),
-        "arc": None if view.arc_grey is None else _jpeg(view.arc_grey, MAP_PX),
+        "frame": None if view.grey is None else _picture(view.grey, FRAME_PX),
+        "arc": None if view.arc_grey is None else _picture(view.arc_grey, MAP_PX),
         "stripe": _points(view.stripe_px[::step], 10.0),
         "saturated": np.flatnonzero(view.saturated[::step]).tolist(),
         "expected": _points(view.expected_px[:: 2 * step], 10.0),
@@ -242,9 +205,7 @@ def _points(points: Float64, scale: float) -> list[list[int] | None]:
     return [[int(x), int(y)] if math.isfinite(x + y) else None for x, y in whole]
 
 
-def _jpeg(grey: UInt8, width_px: int) -> str:
+def _picture(grey: UInt8, width_px: int) -> str:
     bin_px = max(1, math.ceil(grey.shape[1] / width_px))
     shown = binned(grey.astype(np.float32), bin_px).round().astype(np.uint8) if bin_px > 1 else grey
-    drawn = io.BytesIO()
-    Image.fromarray(shown).save(drawn, format="jpeg", quality=JPEG_QUALITY, optimize=True)
-    return uri("image/jpeg", drawn.getvalue())
+    return uri("image/jpeg", jpeg(shown))

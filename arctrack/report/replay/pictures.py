@@ -3,42 +3,59 @@
 from __future__ import annotations
 
 import tempfile
-from collections.abc import Callable, Iterator
-from contextlib import ExitStack, contextmanager
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import AbstractContextManager, ExitStack, contextmanager
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Protocol
 
+from arctrack.errors import ArctrackError
 from arctrack.output import writing
 from arctrack.recording import BadFrame, Recording, Truth
-from arctrack.recording.results import OVERLAY_VIDEO, OVERVIEW_PICTURE, REPLAY_PAGE
+from arctrack.recording.results import OVERLAY_VIDEO, OVERVIEW_PICTURE, REPLAY_MCAP, REPLAY_PAGE, REPLAY_RRD
 from arctrack.report.replay.overlay import OverlayVideo
 from arctrack.report.replay.overview import Overview
 from arctrack.report.replay.page import ReplayPage, frames_to_show
 from arctrack.report.replay.seen import Seen, SeenFile
-from arctrack.report.replay.view import Viewer
+from arctrack.report.replay.view import View, Viewer
+from noise_model.arrays import Float64
 from tracker.geometry import SensorGeometry
 from tracker.state import Frame
+
+EXTRAS = {REPLAY_MCAP: "mcap", REPLAY_RRD: "rerun"}
+"""The exports, and arctrack's extra that holds the package that each needs."""
+
+
+class Export(Protocol):
+    """A file that takes a replay frame by frame."""
+
+    def add(self, frame: Frame | None, seen: Seen, view: View, true_mm: Float64 | None) -> None:
+        """Append a frame, None if it could not be read."""
 
 
 @dataclass(frozen=True)
 class ReplayPictures:
     """What draws a replay into a results folder; the truth beside what was tracked, where there is one.
 
-    `on_drawn` hears the number of frames drawn.
+    `exports` are the files of `EXTRAS` to write. `on_drawn` hears the number of frames drawn.
     """
 
     recording: Recording
     truth: Truth | None
     folder: Path
     use_arc_map: bool
+    pictures: bool = True
+    exports: tuple[str, ...] = ()
     on_drawn: Callable[[int], None] | None = None
 
     @contextmanager
     def after(self) -> Iterator[SeenFile]:
         """Take what a replay sees, and draw it at the context's end.
 
-        A replay that is broken off leaves the video of what it saw, no more.
+        A replay that is broken off leaves the video of what it saw, no more. Raises ArctrackError where a
+        package that an export needs is missing.
         """
+        exporters = {name: exporter(name) for name in self.exports}
         with ExitStack() as opened:
             with writing(self.folder):
                 # A file without a name: a replay that is killed leaves none behind.
@@ -47,32 +64,68 @@ class ReplayPictures:
             try:
                 yield seen
             except BaseException:
-                self._draw(seen, whole=False)
+                self._draw_video(seen)
                 raise
-            self._draw(seen, whole=True)
+            self._draw(seen, exporters)
 
-    def _draw(self, seen: SeenFile, whole: bool) -> None:
+    def _draw_video(self, seen: SeenFile) -> None:
+        if self.pictures and len(seen):
+            with self._video() as overlay:
+                for frame, each in self._frames(seen):
+                    overlay.write(frame, each.track, each.offset)
+
+    def _draw(self, seen: SeenFile, exporters: Mapping[str, Exporter]) -> None:
         recording = self.recording
-        if not len(seen):
-            return
-        overview = Overview(recording)
         viewer = Viewer(SensorGeometry.of(recording.setup), self.truth)
+        overview = Overview(recording)
         page = ReplayPage(recording, self.truth, self.use_arc_map, viewer)
-        shown = set(frames_to_show(seen.flags)) if whole else set()
-        path = self.folder / OVERLAY_VIDEO
-        with OverlayVideo(path, recording.setup, recording.frame_rate_hz) as overlay:
+        shown = set(frames_to_show(seen.flags)) if self.pictures else set()
+        with ExitStack() as opened:
+            overlay = opened.enter_context(self._video()) if self.pictures else None
+            exports = [
+                opened.enter_context(export(self.folder / name, recording))
+                for name, export in exporters.items()
+            ]
             for n, (frame, each) in enumerate(self._frames(seen)):
-                overlay.write(frame, each.track, each.offset)
-                overview.add(frame, each.track, each.offset)
-                page.add(frame, each, viewer.view(frame, each) if n in shown else None)
+                view = viewer.view(frame, each) if exports or n in shown else None
+                if overlay is not None:
+                    overlay.write(frame, each.track, each.offset)
+                    overview.add(frame, each.track, each.offset)
+                    page.add(frame, each, view if n in shown else None)
+                for export in exports:
+                    assert view is not None
+                    export.add(frame, each, view, viewer.truth_mm.get(each.track.frame))
                 if self.on_drawn is not None:
                     self.on_drawn(n + 1)
-        if whole:
+        if self.pictures:
             overview.save(self.folder / OVERVIEW_PICTURE, self.truth)
             page.save(self.folder / REPLAY_PAGE)
+
+    def _video(self) -> OverlayVideo:
+        return OverlayVideo(self.folder / OVERLAY_VIDEO, self.recording.setup, self.recording.frame_rate_hz)
 
     def _frames(self, seen: SeenFile) -> Iterator[tuple[Frame | None, Seen]]:
         """Read the frames that were seen once more; None where one could not be read."""
         frames = self.recording.frames(range(len(seen)))
         for frame, each in zip(frames, seen, strict=True):
             yield None if isinstance(frame, BadFrame) else frame, each
+
+
+Exporter = Callable[[Path, Recording], AbstractContextManager[Export]]
+
+
+def exporter(name: str) -> Exporter:
+    """Return what opens an export; ArctrackError, with the cure, if the package that it needs is missing."""
+    try:
+        if name == REPLAY_MCAP:
+            from arctrack.report.replay.mcap_file import McapFile
+
+            return McapFile
+        from arctrack.report.replay.rrd_file import RrdFile
+
+        return RrdFile
+    except ModuleNotFoundError as error:
+        extra = EXTRAS[name]
+        raise ArctrackError(
+            f"{name}: needs the package {error.name}, which is not installed; pip install 'arctrack[{extra}]'"
+        ) from None

@@ -11,16 +11,18 @@ from typing import IO
 from arctrack.output import writing
 from robot_io import SeamOffset
 from tracker.measure import Reading
-from tracker.state import Track
+from tracker.state import Pose, Track
 
 
 @dataclass(frozen=True, eq=False)
 class Seen:
-    """A frame's track, the look that it rests on, the offset that went to the bus.
+    """A frame's pose and track, the look that it rests on, the offset that went to the bus.
 
-    `reading` is None where no look was taken; `compute_ms` is NaN where there was no frame to step.
+    `pose` is None where it was refused or there was no frame, `reading` where no look was taken; `compute_ms`
+    is NaN where there was no frame to step.
     """
 
+    pose: Pose | None
     track: Track
     reading: Reading | None
     offset: SeamOffset

@@ -163,3 +163,15 @@ class Viewer:
             points_tool = meet_laser_plane(self.geometry.setup, transform(T_tool_joint, behind), along_tool)
             x = transform(scene.T_joint_tool, points_tool)[:, 0]
         return points_tool
+
+
+def stretches(points: Float64) -> list[Float64]:
+    """Return the stretches (k, d) of points (n, d) between those that are NaN, of two points at least."""
+    known = np.isfinite(points).all(axis=1)
+    ends = np.flatnonzero(np.diff(np.concatenate([[False], known, [False]]).astype(np.int8)))
+    return [points[first:last] for first, last in ends.reshape(-1, 2) if last - first > 1]
+
+
+def chosen(points: Float64, which: Bool) -> Float64:
+    """Return points (n, d), NaN where they are not among the chosen (n,)."""
+    return np.where(which[:, None], points, np.nan)

@@ -92,7 +92,7 @@ function rows(n) {
     if (known(truth)) list.push([`true ${axis}; error`, `${signed(truth, 3)}; ${known(C[`seam_${axis}_mm`][n]) ? signed(C[`seam_${axis}_mm`][n] - truth, 3) : "–"} mm`, `true_${axis}`]);
   }
   for (const axis of ["y", "z"]) {
-    list.push([`offset ${axis} at torch`, withSigma(C[`torch_${axis}_mm`][n], C[`torch_sigma_${axis}_mm`][n]), `torch_${axis}`]);
+    list.push([`offset ${axis} proposed`, withSigma(C[`proposed_${axis}_mm`][n], C[`proposed_sigma_${axis}_mm`][n]), `proposed_${axis}`]);
     list.push([`offset ${axis} on bus`, known(C[`offset_${axis}_mm`][n]) ? `${signed(C[`offset_${axis}_mm`][n], 3)} mm, ${C.bus[n]}` : C.bus[n] === "none" ? "none" : "–", `offset_${axis}`]);
   }
   list.push(["gap; mismatch", `${number(C.gap_mm[n], 3)}; ${signed(C.mismatch_mm[n], 3)} mm`, "gap"]);

@@ -99,9 +99,9 @@ function shape(parent, mark, x, y, colour) {
 // Charts over time.
 
 const CHARTS = [
-  { id: "offset_y", title: "offset y, to the left [mm]", value: "offset_y_mm", band: ["torch_y_mm", "torch_sigma_y_mm"], hollow: (n) => C.bus[n] === "held" },
+  { id: "offset_y", title: "offset y, to the left [mm]", value: "offset_y_mm", band: ["proposed_y_mm", "proposed_sigma_y_mm"], hollow: (n) => C.bus[n] === "held" },
   { id: "seam_y", title: "seam y, tool frame [mm]", value: "seam_y_mm", band: ["seam_y_mm", "sigma_y_mm"], truth: "true_y_mm", hollow: (n) => !C.valid[n] },
-  { id: "offset_z", title: "offset z, up [mm]", value: "offset_z_mm", band: ["torch_z_mm", "torch_sigma_z_mm"], hollow: (n) => C.bus[n] === "held" },
+  { id: "offset_z", title: "offset z, up [mm]", value: "offset_z_mm", band: ["proposed_z_mm", "proposed_sigma_z_mm"], hollow: (n) => C.bus[n] === "held" },
   { id: "seam_z", title: "seam z, tool frame [mm]", value: "seam_z_mm", band: ["seam_z_mm", "sigma_z_mm"], truth: "true_z_mm", hollow: (n) => !C.valid[n] },
   { id: "confidence", title: "confidence", value: "confidence", range: [0, 1] },
   { id: "arc_level", title: "arc over expected", value: "arc_level", second: "map_misfit", from: 0 },
