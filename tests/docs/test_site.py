@@ -13,6 +13,8 @@ from pages import EVERY_PAGE, ROOT, anchors, links, name
 
 import arctrack
 
+pytestmark = pytest.mark.slow
+
 
 @pytest.fixture(scope="module")
 def site(tmp_path_factory: pytest.TempPathFactory) -> Path:

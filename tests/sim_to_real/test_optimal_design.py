@@ -91,6 +91,7 @@ def test_every_effect_has_a_witness():
     assert set(WITNESS) == set(REGISTRY)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("hidden", "rival", "tells"),
     [

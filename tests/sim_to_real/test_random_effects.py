@@ -55,6 +55,7 @@ def test_nothing_is_found_where_nothing_is():
         assert (sigma_dn == frame.sigma_dn).all()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("effect", sorted(RANDOM))
 def test_each_effect_is_found_alone_with_its_parameters(effect):
     (expected, fitted), values = made(effect)
@@ -153,6 +154,7 @@ def test_of_a_read_noise_that_is_stated_in_part_the_whole_is_found():
     assert effects_found.effects["read_noise"]["noise_ratio"] == pytest.approx(1.8, abs=0.05)
 
 
+@pytest.mark.slow
 def test_bins_that_a_streak_reaches_do_not_count():
     (expected, fitted), _ = made("spatter")
     effects_found = random_effects(expected, fitted, ())

@@ -18,6 +18,7 @@ def look(path, name, planted):
     return score
 
 
+@pytest.mark.slow
 def test_patches_are_found_one_beside_another(tmp_path):
     places = {"u_1": -0.5, "v_1": -0.3, "u_2": 0.4, "v_2": 0.3}
     result = look(
@@ -36,18 +37,21 @@ def test_patches_are_found_one_beside_another(tmp_path):
     assert result.residual_fraction < 0.4
 
 
+@pytest.mark.slow
 def test_one_patch_is_not_taken_for_several(tmp_path):
     result = look(tmp_path, "dirty_window", {"u_1": 0.42, "v_1": 0.15, "radius_1": 0.12, "dimming_1": 0.3})
     assert (result.start["u_1"], result.start["v_1"]) == pytest.approx((0.42, 0.15), abs=0.01)
     assert result.start["dimming_2"] == result.start["dimming_3"] == 0.0
 
 
+@pytest.mark.slow
 def test_a_long_delay_is_started_from_beyond_the_short_one_s_reach(tmp_path):
     """A straight line is followed to three times its place: 0.03 s from the short one."""
     result = look(tmp_path, "pose_delay", {"delay_s": -0.06})
     assert -0.08 < result.start["delay_s"] < -0.03
 
 
+@pytest.mark.slow
 def test_what_the_setup_states_is_where_the_look_begins(tmp_path):
     first = {"u_1": -0.5, "v_1": -0.2, "radius_1": 0.3, "dimming_1": 0.3}
     both = {**first, "u_2": 0.45, "v_2": 0.25, "radius_2": 0.2, "dimming_2": 0.15}
@@ -68,6 +72,7 @@ def test_what_the_setup_states_is_where_the_look_begins(tmp_path):
     assert effect_size(fitted.effects, expected.stated_values) == pytest.approx(0.4, abs=0.05)
 
 
+@pytest.mark.slow
 def test_what_is_seen_from_another_fit_is_what_a_look_from_there_would_see(tmp_path):
     """Of two effects one is fitted: beside it the other's places do about what they did without it."""
     hidden = {"gamma": {"gamma": 1.1}, "vignetting": {"loss": 0.15}}

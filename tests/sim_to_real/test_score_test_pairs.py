@@ -21,6 +21,7 @@ def looked(path, hidden):
     return expected, baseline, score_effects(expected, baseline, TRIED)
 
 
+@pytest.mark.slow
 def test_two_effects_are_seen_though_others_seem_likelier_than_one_of_them(tmp_path):
     hidden = {"gamma": {"gamma": 1.15}, "veiling_glare": {"share": 0.1, "spread": 0.8}}
     _, baseline, screened = looked(tmp_path, hidden)
@@ -32,6 +33,7 @@ def test_two_effects_are_seen_though_others_seem_likelier_than_one_of_them(tmp_p
     assert best.starts["veiling_glare"]["share"] == pytest.approx(0.1, abs=0.03)
 
 
+@pytest.mark.slow
 def test_the_best_pairs_are_those_of_all_that_are_tried_one_by_one(tmp_path):
     hidden = {"gamma": {"gamma": 1.15}, "black_level": {"offset_dn": 3.0}}
     expected, baseline, screened = looked(tmp_path, hidden)
@@ -52,6 +54,7 @@ def test_the_best_pairs_are_those_of_all_that_are_tried_one_by_one(tmp_path):
     assert list(result.values()) == pytest.approx(sorted(wanted.values(), reverse=True)[:3])
 
 
+@pytest.mark.slow
 def test_a_pair_starts_within_bounds(tmp_path):
     _, baseline, screened = looked(tmp_path, {"gamma": {"gamma": 1.6}, "blooming": {"spill": 0.9}})
     for pair in score_pairs(baseline, screened, 5):

@@ -32,6 +32,7 @@ def found_of(images=None, seed=7):
     return spatter(expected.observed, fitted.lights, NO_MORE)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("seed", "rate", "peak_e"), [(1, 1.0, PEAK_E), (2, 2.5, PEAK_E), (3, 1.5, 18_000.0)])
 def test_parameters_of_drawn_streaks_come_back(seed, rate, peak_e):
     """Of peaks of 18 000 e- on average every other saturates."""
@@ -46,6 +47,7 @@ def test_parameters_of_drawn_streaks_come_back(seed, rate, peak_e):
     assert result.values["width_px"] == pytest.approx(WIDTH_PX, abs=0.2)
 
 
+@pytest.mark.slow
 def test_few_sigmas_of_many_recordings_lie_far_off():
     """The stated sigmas are those of the estimates: their squares over truth are about one on average."""
     off = []
@@ -72,6 +74,7 @@ def test_the_evidence_is_that_of_two_distributions_of_rates():
     assert evidence == pytest.approx(math.log(of_spatter_rate / of_clutter), rel=1e-5)
 
 
+@pytest.mark.slow
 def test_lines_where_no_spatter_can_be_speak_against_it():
     rng = np.random.default_rng(3)
     places = rng.uniform((30.0, 40.0, 0.0), (130.0, HEIGHT - 40.0, math.pi), (N_FRAMES, 3))
@@ -95,6 +98,7 @@ def test_without_streaks_there_is_no_spatter():
     assert not np.any(result.hit)
 
 
+@pytest.mark.slow
 def test_streaks_add_what_their_pixels_exceed_their_noise():
     images, _ = drawn(np.random.default_rng(4), 1.0)
     light = np.array([light_e(n)[0] for n in range(N_FRAMES)])

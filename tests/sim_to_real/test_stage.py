@@ -107,6 +107,7 @@ def longer_arc(tmp_path_factory):
     return expected, NominalFit.of(expected)
 
 
+@pytest.mark.slow
 def test_an_arc_that_stands_higher_is_found_by_rendering(longer_arc):
     expected, start = longer_arc
     of_stages = stages(expected, [(start, covariates(expected, start))])
@@ -115,6 +116,7 @@ def test_an_arc_that_stands_higher_is_found_by_rendering(longer_arc):
     assert of_stages[0].share > 0.5
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("stage", "effects"),
     [("geometry", {"surface_tilt": {"roll_deg": 1.5}}), ("timing", {"pose_delay": {"delay_s": 0.06}})],
@@ -127,6 +129,7 @@ def test_what_moves_otherwise_is_found_by_rendering(stage, effects, tmp_path):
     assert of_stages[0].share > 0.5
 
 
+@pytest.mark.slow
 def test_of_two_fits_that_counts_which_leaves_less(longer_arc):
     expected, start = longer_arc
     good = (start, covariates(expected, start))

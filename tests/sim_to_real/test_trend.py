@@ -74,6 +74,7 @@ def changed(expected, *hypotheses):
     return with_trends(only, baseline, score_catalogue(only, baseline), hypotheses)
 
 
+@pytest.mark.slow
 def test_the_first_look_sees_by_what_an_effect_changes(tmp_path):
     with patch.object(arctrack.simulate, "draw_frame", blown):
         expected = small_recording(tmp_path / "blown", {}, FINE)
@@ -91,6 +92,7 @@ def test_the_first_look_sees_by_what_an_effect_changes(tmp_path):
     assert best.start["y_mm"] == pytest.approx(GROWS_MM_S * best.trend.middle, rel=0.2)
 
 
+@pytest.mark.slow
 def test_an_arc_that_is_blown_ever_farther_grows_with_time(tmp_path):
     with patch.object(arctrack.simulate, "draw_frame", blown):
         expected = small_recording(tmp_path / "blown", {}, FINE)
@@ -112,12 +114,14 @@ def test_an_arc_that_is_blown_ever_farther_grows_with_time(tmp_path):
     assert changes.cv_mean_square < 1.1 * nothing.cv_mean_square < 0.5 * stays.cv_mean_square
 
 
+@pytest.mark.slow
 def test_an_arc_that_is_blown_aside_once_and_for_all_does_not_change(tmp_path):
     expected = small_recording(tmp_path / "stays", {"arc_deflection": {"y_mm": 1.0}}, FINE)
     stays = cross_validated(expected, refit(expected, {"arc_deflection": {}}, expected.neutral))
     assert changed(expected, stays) == [stays]
 
 
+@pytest.mark.slow
 def test_another_effect_is_found_beside_one_that_changes(tmp_path):
     glare = {"veiling_glare": {"share": 0.08}}
 
@@ -143,6 +147,7 @@ def test_another_effect_is_found_beside_one_that_changes(tmp_path):
     assert best.evidence - changes.evidence > MIN_EVIDENCE_NATS
 
 
+@pytest.mark.slow
 def test_what_pixels_speak_against_is_not_cleared_by_a_change_that_helps_little(tmp_path):
     expected = small_recording(tmp_path / "stays", {"arc_length": {"height_mm": 0.6}})
     stays = cross_validated(expected, refit(expected, {"arc_length": {}}, expected.neutral))

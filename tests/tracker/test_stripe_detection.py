@@ -215,6 +215,7 @@ def test_a_weak_stripe_is_still_a_stripe(joint: str) -> None:
         assert "two_stripes" not in track.flag_names
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("joint", JOINTS)
 def test_blocks_of_random_codes_hold_no_stripe(joint: str) -> None:
     setup, pose = small_setup(joint), pose_at(0.0)

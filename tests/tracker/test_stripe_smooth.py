@@ -43,6 +43,7 @@ def off_corners() -> Float64:
     return np.asarray(np.abs(np.arange(N)[:, np.newaxis] - CORNERS).min(axis=1))
 
 
+@pytest.mark.slow
 @settings(deadline=None, max_examples=15)
 @given(seeds)
 def test_the_smoothed_stripe_is_its_twin(seed: int) -> None:

@@ -64,6 +64,7 @@ def test_grains_in_a_row_that_scatter_alike_are_counted() -> None:
     assert Speckle(0.9, 3.0).alike < Speckle(0.1, 3.0).alike
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("contrast", "grain_px"), [(0.1, 1.0), (0.2, 0.5), (0.2, 2.0)])
 def test_frames_with_speckle_scatter_by_the_stated_sigma(contrast: float, grain_px: float) -> None:
     plain = rendered.small_setup("v_groove")

@@ -31,6 +31,7 @@ def cost_of(y, z, sigma, penalty, borders) -> float:
     return total + penalty * len(borders)
 
 
+@pytest.mark.slow
 @settings(deadline=None, max_examples=30)
 @given(st.integers(0, 2**32 - 1))
 def test_no_other_cut_into_pieces_is_cheaper(seed: int) -> None:
