@@ -329,7 +329,7 @@ def ranking(decision: Decision, baseline: Hypothesis, random: RandomEffects) -> 
     ranked += [
         (
             random.evidence[name],
-            Ranked(name, NAMING_RELIABILITY * random.confidence[name], random.closed[name]),
+            Ranked(name, NAMING_RELIABILITY * random.confidence[name], random.closed[name], is_random=True),
         )
         for name in random.evidence
     ]

@@ -1,4 +1,4 @@
-"""What a diagnosis says: is there a gap, where, what causes it, how far it shrinks, what to do next."""
+"""The result of a diagnosis: is there a gap, where, what causes it, how far it shrinks, what to do next."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from noise_model.setup import Setup
 
 
 class Verdict(Enum):
-    """What the recording says about the catalogue of effects."""
+    """The verdict on a recording."""
 
     NO_GAP = "no_gap"
     EFFECTS = "effects"
@@ -31,9 +31,9 @@ class Estimate:
 
 @dataclass(frozen=True)
 class ReportedTrend:
-    """How an effect's size changes within a recording: with `driver`, from its least to its most, in `unit`.
+    """How an effect's size changes within a recording, with a `driver` from `least` to `most`, in `unit`.
 
-    `values` are the parameters' values at either end of the driver's range.
+    `values` are the parameters' values at the two ends of the driver's range.
     """
 
     driver: str
@@ -45,9 +45,9 @@ class ReportedTrend:
 
 @dataclass(frozen=True)
 class Named:
-    """An effect that the verdict names; `share`, 0 to 1, is of the gap that all named close together.
+    """An effect that the verdict names; `share`, 0 to 1, is its part of the gap that all named effects close.
 
-    Where its size changes from frame to frame the parameters are those half-way, and `trend` says how.
+    If its size changes from frame to frame, the parameters are those half-way, and `trend` says how.
     """
 
     id: str
@@ -60,27 +60,33 @@ class Named:
 
 @dataclass(frozen=True)
 class Ranked:
-    """A candidate that was refitted: how probable it is, and which share of the gap it closes by itself.
+    """An effect that was fitted by itself: how probable it is, and the share of the gap that it closes.
 
-    If it `is_bound_limited` it would close it better with values beyond its bounds: then it explains nothing.
+    The confidences of effects that change a frame's mean are of exclusive hypotheses: one of these effects
+    is there, or none. They add up to no more than 1. The confidence of an effect that `is_random` is the
+    probability that it is there, whatever else is: such confidences need not add up to 1.
+
+    An effect that `is_bound_limited` would close more with values beyond its bounds: it explains nothing.
     """
 
     id: str
     confidence: float
     gap_closed: float
     is_bound_limited: bool = False
+    is_random: bool = False
 
 
 CLEAR_FLOORS = 2.0
-"""A gap of more floors is clearly one."""
+"""A gap of more floors than this is clearly one."""
 
 
 @dataclass(frozen=True)
 class Gap:
     """sqrt(mean r^2 - 1) of whitened residuals on frames held out of the fit, and their rms, DN.
 
-    `floor` is what the model may be off without any gap. `closed` = (before - after) / (before - floor), with
-    its 95 % interval over places of the image; NaN without a gap. `seam_mm` is how far the seam point moves.
+    `floor` is the model's own error. `closed` = (before - after) / (before - floor), with its 95 % interval
+    over places of the image; NaN without a gap. `seam_mm` is the rms distance of the tracker's seam from the
+    one fitted to all images, for a tracker without the named effects and for one with them.
     """
 
     before: float
@@ -93,7 +99,7 @@ class Gap:
 
     @property
     def is_clear_after(self) -> bool:
-        """Whether clearly a gap is left after."""
+        """Whether a clear gap remains after."""
         return self.after > CLEAR_FLOORS * self.floor
 
 
@@ -134,7 +140,7 @@ class Where:
 
 @dataclass(frozen=True)
 class Next:
-    """The experiment that would tell apart what this recording cannot, or a witness if none `resolves` it."""
+    """The experiment that would tell effects apart, or a witness if no experiment `resolves` it."""
 
     experiment: str
     separates: tuple[str, ...]
@@ -161,11 +167,11 @@ class Predicted:
 class Diagnosis:
     """A recording's diagnosis.
 
-    `effects` are those the verdict names, `ranking` all that were refitted, best first. `ambiguous_with` are
-    sets that explain the gap equally well, `not_resolvable` pairs that this recording cannot separate
-    whatever it holds, `smallest` the least magnitude of each effect that it would show. `spline_term` is the
-    share of the gap that a free function of one covariate closes beyond the catalogue, with its name.
-    `after_with` are the effects that predictions after hold, whether the verdict names them or not.
+    `effects` are those that the verdict names, `ranking` all that were fitted, best first. `ambiguous_with`
+    are sets of effects that explain the gap equally well, `not_resolvable` pairs that this recording cannot
+    tell apart, `smallest` the smallest magnitude of each effect that it would show. `spline_term` is the best
+    free function of a covariate and the share of the gap that it closes beyond the named effects.
+    `after_with` are the effects in the predictions after, whether the verdict names them or not.
     """
 
     verdict: Verdict

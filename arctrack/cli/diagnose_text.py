@@ -12,9 +12,11 @@ from arctrack.cli import console
 from arctrack.diagnose import Diagnosed
 from arctrack.recording.diagnosis_files import REPORT_PAGE
 from arctrack.report.diagnosis import words
-from sim_to_real.diagnosis import Diagnosis, Verdict
+from sim_to_real.diagnosis import Diagnosis, Ranked, Verdict
 
 MAX_RANKED = 5
+"""Effects that are listed here; the page has more."""
+
 MAX_PAIRS = 4
 """Pairs that cannot be told apart here; the page has them all."""
 
@@ -34,7 +36,8 @@ def print_one(done: Sequence[Diagnosed]) -> None:
             screen.print(f"[bold]{escape(name):<{width}}[/bold]  ", end="")
             screen.print(text, markup=False, soft_wrap=True)
         if diagnosis.ranking and diagnosis.verdict is not Verdict.NO_GAP:
-            screen.print(_ranking(diagnosis))
+            for table in _rankings(diagnosis):
+                screen.print(table)
         console.say(f"report in {diagnosed.job.folder / REPORT_PAGE}")
 
 
@@ -81,35 +84,40 @@ def _lines(diagnosis: Diagnosis) -> Iterator[tuple[str, str]]:
         yield "residual", f"{words.number(gap.rms_dn[0])} DN rms"
     else:
         yield "residual", f"{' → '.join(words.number(value) for value in gap.rms_dn)} DN rms"
-        curves = [f"{words.quantity(c.name)} ({words.percent(c.r2)})" for c in where.covariates[:3]]
-        follows = f"; follows {words.listed(curves, 'and')}" if curves else ""
-        yield "where", f"{where.stage}: {words.PLACES.get(where.stage, '')}{follows}"
+        parts = (f"{where.stage}: {words.PLACES.get(where.stage, '')}", words.follows(where))
+        yield "where", "; ".join(part for part in parts if part)
     for effect in diagnosis.effects:
         values = [f"{name} = {words.estimate(value)}" for name, value in effect.parameters.items()]
         values += [words.trend(effect.trend)] if effect.trend is not None else []
         yield effect.id if diagnosis.verdict is Verdict.EFFECTS else f"if {effect.id}", ", ".join(values)
     if diagnosis.verdict is Verdict.UNKNOWN and diagnosis.spline_term is not None:
-        name, share = diagnosis.spline_term
-        yield (
-            "left over",
-            f"{words.free_function(name)} would close {words.percent(share)} more",
-        )
+        yield "left over", words.spline_term(*diagnosis.spline_term)
     if diagnosis.not_resolvable:
         pairs = [" | ".join(pair) for pair in diagnosis.not_resolvable[:MAX_PAIRS]]
         more = len(diagnosis.not_resolvable) - len(pairs)
-        yield "not told apart here", "; ".join(pairs) + (f"; and {more} more pairs" if more else "")
+        yield "not told apart", "; ".join(pairs) + (f"; and {more} more pairs" if more else "")
     if diagnosis.next is not None:
         separates = words.listed(diagnosis.next.separates, "from")
-        yield "measure next", diagnosis.next.experiment + (f" (tells {separates})" if separates else "")
+        yield "record next", diagnosis.next.experiment + (f" (tells {separates})" if separates else "")
 
 
-def _ranking(diagnosis: Diagnosis) -> Table:
+def _rankings(diagnosis: Diagnosis) -> Iterator[Table]:
+    """Yield the exclusive effects, and the random ones, each of which may be there besides."""
+    exclusive = [candidate for candidate in diagnosis.ranking if not candidate.is_random]
+    present = [candidate for candidate in words.random_ranking(diagnosis) if words.is_likely(candidate)]
+    if exclusive:
+        yield _table("effect", words.probability_heading(diagnosis), exclusive[:MAX_RANKED])
+    if present:
+        yield _table("random effect", words.PRESENT, present)
+
+
+def _table(effect: str, probability: str, ranking: Sequence[Ranked]) -> Table:
     table = Table(box=box.SIMPLE_HEAD, padding=(0, 1, 0, 0))
-    table.add_column("effect", no_wrap=True)
+    table.add_column(effect, no_wrap=True)
     table.add_column("closes", justify="right", no_wrap=True)
-    table.add_column(words.probable(diagnosis.verdict), justify="right")
+    table.add_column(probability, justify="right")
     table.add_column("what it is")
-    for candidate in diagnosis.ranking[:MAX_RANKED]:
+    for candidate in ranking:
         table.add_row(
             candidate.id,
             words.percent(candidate.gap_closed),

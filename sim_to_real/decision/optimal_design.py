@@ -7,6 +7,7 @@ fitted to them, too (Atkinson and Fedorov 1975, Biometrika 62, 57).
 from __future__ import annotations
 
 import itertools
+import math
 from dataclasses import replace
 
 import numpy as np
@@ -26,6 +27,9 @@ from sim_to_real.search.hypothesis import bic_penalty_nats, likelihood_nats
 
 RIVAL_REFITS = 3
 """Gauss-Newton steps of the rival's fit to an experiment."""
+
+RECORDED_REL = 0.1
+"""A recording holds an experiment if exposure and current of a frame differ from its by a smaller share."""
 
 SATURATION_SIGMAS = 3.0
 """A bin whose mean is fewer sigmas below saturation may hold saturated pixels."""
@@ -49,14 +53,36 @@ def planned_frame(experiment: Experiment, frame: ObservedFrame, setup: Setup) ->
     return replace(frame, condition=condition, pose_at=pose_at)
 
 
+def is_recorded(experiment: Experiment, observed: Observed) -> bool:
+    """Say whether a recording holds frames of an experiment; of one that moves the tool it never does."""
+    setup = observed.setup
+    if any(experiment.turn_deg) or any(experiment.move_mm) or experiment.speed != 1.0:
+        return False
+
+    def is_like(condition: Condition) -> bool:
+        current = condition.arc_level ** (1.0 / setup.arc.current_exponent)
+        return (
+            (condition.laser_level > 0.0) == experiment.laser_on
+            and (condition.arc_level > 0.0) == experiment.arc_on
+            and math.isclose(
+                condition.exposure_s, experiment.exposure * setup.camera.exposure_s, rel_tol=RECORDED_REL
+            )
+            and (not experiment.arc_on or math.isclose(current, experiment.current, rel_tol=RECORDED_REL))
+        )
+
+    return any(is_like(frame.condition) for frame in observed.frames)
+
+
 def best_measurement(model: LinearizedModel, first: Refit, other: Refit) -> Next:
     """Return the experiment of the menu that best tells two fits apart, whichever of them is right.
 
-    The wrong one is fitted again to all frames: what it can adapt to tells nothing. If no experiment tells
-    them apart, a witness of the first is to be added.
+    The wrong one is fitted again to all frames: what it can adapt to tells nothing. Experiments that the
+    recording holds already are not asked for. If no other one tells the two apart, a witness of the first is
+    to be added.
     """
     planned = _planned(model)
     nats = np.minimum(_evidence_over(planned, first, other), _evidence_over(planned, other, first))
+    nats[[is_recorded(experiment, model.observed) for experiment in MENU]] = -np.inf
     best, ids = int(np.argmax(nats)), (*first.ids, *other.ids)
     if nats[best] > MIN_EVIDENCE_NATS:
         return Next(MENU[best].name, ids, True)

@@ -28,6 +28,9 @@ VALUES_PER_KNOT = 3
 KNOT_RIDGE_REL = 1e-3
 """Relative ridge on the information's diagonal: a knot that hardly any bin sees stays at 0."""
 
+DIAGONAL_REL, DIAGONAL = 1e-6, 1e-6
+"""What is added to the diagonal besides, relative and absolute, so that it can be inverted."""
+
 SPLINE_FOLDS = 4
 """Folds of frames; each is predicted from the others."""
 
@@ -243,15 +246,23 @@ class CrossValidation:
 
     @cached_property
     def nuisance_gain(self) -> float:
-        """By how much nuisances alone lower the mean square; not < 0."""
+        """By how much nuisances alone lower the mean square; 0 if they had better stay as they are."""
         return max(0.0, self.gain_from_moments(*self.moments(self.covariates.tangents)))
 
     def gain(self, X: Float32) -> float:
-        """Return by how much a design (n, k) lowers the mean square beyond what nuisances alone do."""
-        return (
-            self.gain_from_moments(*self.moments(np.hstack([self.covariates.tangents, X])))
-            - self.nuisance_gain
-        )
+        """Return by how much a design (n, k) lowers the mean square beyond what nuisances alone do.
+
+        Nuisances are fitted with the design or stay as they are, whichever predicts the scored frames better.
+        A frame's own piece of seam is not seen by others, so fitting can do more harm than the design does
+        good.
+        """
+        return self.best_gain(*self.moments(np.hstack([self.covariates.tangents, X]))) - self.nuisance_gain
+
+    def best_gain(self, A: Float64, b: Float64) -> float:
+        """Return the larger gain of these moments, nuisances first: with nuisances fitted, or as they are."""
+        p = len(self.covariates.nuisances)
+        kept = self._scored_gain(A[:, p:, p:], b[:, p:], _ridge_solution)
+        return max(self.gain_from_moments(A, b), kept)
 
     def excess_share(self, gained: float) -> float:
         """Return a gain as a share, 0 to 1, of the excess over noise that nuisances alone leave."""
@@ -259,10 +270,13 @@ class CrossValidation:
 
     def gain_from_moments(self, A: Float64, b: Float64) -> float:
         """Return by how much a design with these moments lowers the mean square; nuisances come first."""
+        return self._scored_gain(A, b, self.coefficients)
+
+    def _scored_gain(self, A: Float64, b: Float64, solve: Callable[[Float64, Float64], Float64]) -> float:
         all_A, all_b = A.sum(axis=0), b.sum(axis=0)
         gained = 0.0
         for k in self.scored:
-            c = self.coefficients(all_A - A[k], all_b - b[k])
+            c = solve(all_A - A[k], all_b - b[k])
             gained += float(2.0 * c @ b[k] - c @ A[k] @ c)
         return gained / max(self.total_weight, 1e-9)
 
@@ -275,7 +289,9 @@ class CrossValidation:
         upper = np.array([parameter.upper for parameter in nuisances]) - x
         prior[free], lower[free], upper[free] = 0.0, -np.inf, np.inf
         diagonal = np.diag(A)
-        A = A + np.diag(np.concatenate([prior, KNOT_RIDGE_REL * diagonal[p:]]) + 1e-6 * diagonal + 1e-6)
+        A = A + np.diag(
+            np.concatenate([prior, KNOT_RIDGE_REL * diagonal[p:]]) + DIAGONAL_REL * diagonal + DIAGONAL
+        )
         b = b - np.concatenate([prior * x, np.zeros(len(b) - p)])
         c, fixed = np.zeros(len(b)), np.zeros(len(b), dtype=bool)
         for _ in range(BOUND_ROUNDS):
@@ -287,3 +303,9 @@ class CrossValidation:
                 break
             c[:p] = inside
         return c
+
+
+def _ridge_solution(A: Float64, b: Float64) -> Float64:
+    """Return the coefficients (k,) of a design with these moments, without nuisances."""
+    diagonal = np.diag(A)
+    return np.asarray(np.linalg.solve(A + np.diag((KNOT_RIDGE_REL + DIAGONAL_REL) * diagonal + DIAGONAL), b))

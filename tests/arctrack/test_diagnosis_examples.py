@@ -80,8 +80,11 @@ def estimates(name: str, values: Mapping[str, float]) -> dict[str, Estimate]:
 def ranking(effects: Effects, verdict: Verdict) -> tuple[Ranked, ...]:
     closed = {Verdict.NO_GAP: 0.0, Verdict.UNKNOWN: 0.22}.get(verdict, 0.96)
     others = ("black_level", "exposure_drift", "hot_metal_glow", "fume", "vignetting", "arc_length")
-    best = [Ranked(name, 0.997, closed) for name in effects]
-    return (*best, *(Ranked(name, 0.4**n / 9.0, closed * 0.8**n) for n, name in enumerate(others, 1)))
+    best = [Ranked(name, 0.9 / len(effects), closed) for name in effects]
+    worse = [Ranked(name, 0.4**n / 9.0, closed * 0.8**n) for n, name in enumerate(others, 1)]
+    # Random effects are there or not, whatever else is.
+    random = [Ranked(name, p, 0.0, is_random=True) for name, p in (("read_noise", 0.95), ("spatter", 0.02))]
+    return (*best, *worse, *random)
 
 
 def predicted_frames(setup: Setup, really: Effects, found: Effects) -> Predicted:
@@ -115,7 +118,7 @@ def where(predicted: Predicted, stage: str, is_gap: bool) -> Where:
     return Where(
         stage=stage,
         covariates=(curve, weave),
-        image={"row": 0.1, "radial": 0.24, "stripe_band": math.nan},
+        image={"row": 0.1, "radial": 0.24, "fixed": 0.36, "stripe_band": math.nan},
         strata={"dark": 0.0, "laser": 0.9, "arc": size, "both": 3.0, "stripe_band": math.nan},
         z=z.astype(np.float32),
     )

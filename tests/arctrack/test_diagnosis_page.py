@@ -21,7 +21,7 @@ from arctrack.report.diagnosis.page import RECOMPUTE, advice, page
 from arctrack.report.diagnosis.pictures import nice_limit, telling_frame
 from noise_model.effects import REGISTRY
 from noise_model.setup import Setup
-from sim_to_real.diagnosis import Estimate, Gap, Next, ReportedTrend, Verdict
+from sim_to_real.diagnosis import Estimate, Gap, Next, Ranked, ReportedTrend, Verdict
 
 VOID = {"meta", "img", "br", "rect"}
 
@@ -83,7 +83,8 @@ def test_effects_are_named_with_numbers_and_cure(seen_setup: Setup, recording: R
         "2 effects explain the gap together: gamma (the response is not the stated power) and veiling_glare",
         "0.7400 ± 0.0074",
         ADVICE["gamma"],
-        "moves the seam point by 0.21 mm, less than the 0.25 mm that the weld bears; 0.050 mm are left",
+        "The tracker's seam lies 0.21 mm from the seam that fits all images, less than the 0.25 mm that the "
+        "weld can bear; with gamma and veiling_glare in the setup it lies 0.050 mm from it.",
         "predicted after, with gamma and veiling_glare",
         "two exposures, arc off. It tells gamma from exposure_drift",
         f"arctrack diagnose {recording.path} --apply",
@@ -103,7 +104,7 @@ def test_an_effect_that_changes_is_said_to(seen_setup: Setup, recording: Recordi
     said = "it changes with time, 0.10 to 2.3 s: gamma from 0.700 to 0.900"
     assert said in page(grows, recording)
     assert said not in page(diagnosis, recording)
-    assert "writes it, as it is half-way, into recording.toml" in page(grows, recording)
+    assert "writes it, with the values half-way, into recording.toml" in page(grows, recording)
     assert "writes it into recording.toml" in page(diagnosis, recording)
     assert report(grows)["effects"][0]["trend"]["values"] == {"gamma": [0.7, 0.9]}
 
@@ -112,17 +113,18 @@ def test_what_effects_leave_is_said(seen_setup: Setup) -> None:
     found = example(Verdict.EFFECTS, seen_setup, GAMMA)
     all_of_it = replace(found, gap=replace(found.gap, after=0.59, floor=0.3))
     assert words.headline(all_of_it).startswith("gamma explains the gap: ")
-    assert words.how_far(all_of_it).endswith("would be no gap.")
+    assert words.how_far(all_of_it).endswith("of what exceeds the model's own error of 0.30 σ.")
     most = replace(found, gap=replace(found.gap, after=0.61, floor=0.3))
     assert words.headline(most).startswith("gamma explains most of the gap: ")
-    assert words.how_far(most).endswith("What is left may be a form that the catalogue simplifies.")
+    assert words.how_far(most).endswith("due to the effect's form, which the catalogue simplifies.")
 
 
 def test_an_effect_below_the_floor_is_told_by_its_pattern(seen_setup: Setup) -> None:
     found = example(Verdict.EFFECTS, seen_setup, GAMMA)
     small = replace(found, gap=replace(found.gap, before=0.2, after=0.1, floor=0.3, closed=math.nan))
     assert words.how_far(small).endswith(
-        "from 0.20 σ to 0.10 σ; by 0.30 σ the model may be off by itself, but hardly in the pattern of gamma."
+        "from 0.20 σ to 0.10 σ. Both are within the model's own error of 0.30 σ, but that error hardly has "
+        "the pattern of gamma."
     )
 
 
@@ -131,19 +133,84 @@ def test_what_comes_nearest_is_said_though_it_is_not_named(seen_setup: Setup) ->
     nearer, farther = (
         replace(found, gap=replace(found.gap, before=3.0, after=after, floor=0.3)) for after in (1.0, 3.2)
     )
-    assert words.how_far(nearer).startswith("With gamma the gap shrinks from 3.0 σ to 1.0 σ")
-    nothing = "No effect that was fitted makes it smaller; 0.30 σ would be no gap."
-    assert words.how_far(farther) == nothing
+    shrinks = words.how_far(nearer)
+    assert shrinks.startswith("With gamma the gap in the images shrinks from 3.0 σ to 1.0 σ.")
+    assert shrinks.endswith("too little for it to be the cause.")
+    nothing = words.how_far(farther)
+    assert nothing.startswith("The best single effect, gamma, closes only 22 % of it.")
     assert words.how_far(replace(nearer, after_with=())) == nothing
+
+
+def test_no_page_says_that_no_effect_helps_above_one_that_does(
+    seen_setup: Setup, recording: Recording
+) -> None:
+    found = example(Verdict.UNKNOWN, seen_setup, GAMMA)
+    ranking = (Ranked("gamma", 0.6, 0.01), Ranked("pose_delay", 0.1, 0.07), Ranked("fume", 0.0, -0.01))
+    some = page(replace(found, ranking=ranking, after_with=()), recording)
+    assert "The best single effect, pose_delay, closes only 7 % of it." in some
+    assert "<b>7 %</b><span>closed by the best effect, pose_delay</span>" in some
+    assert "No effect of the catalogue makes it smaller" not in some
+    assert "0 % of the gap" not in some
+    none = page(replace(found, ranking=ranking[2:], after_with=()), recording)
+    assert "No effect of the catalogue makes it smaller" in none
+    assert "closed by the best effect" not in none
+
+
+def test_a_seam_that_the_gap_does_not_move_is_not_said_to_be_mended(
+    seen_setup: Setup, recording: Recording
+) -> None:
+    found = example(Verdict.EFFECTS, seen_setup, GAMMA)
+    stays = replace(found, gap=replace(found.gap, seam_mm=(0.0214, 0.0211)))
+    text = read(page(stays, recording)).text
+    assert "The gap does not move the seam point: the tracker's seam lies 0.021 mm from" in text
+    assert "with and without gamma, less than the 0.25 mm that the weld can bear" in text
+    assert "of the gap in the images closed" in text
+    same = "<b>0.021 mm</b><span>error of the seam point, before and after</span>"
+    assert same in page(stays, recording)
+    assert "<b>0.21 → 0.050 mm</b><span>error of the seam point</span>" in page(found, recording)
+    unknown = example(Verdict.UNKNOWN, seen_setup, GAMMA)
+    assert words.seam_sentence(unknown, 0.25).endswith("the true error may be larger.")
+
+
+def test_probabilities_of_one_table_are_of_effects_that_exclude_each_other(
+    seen_setup: Setup, recording: Recording
+) -> None:
+    found = example(Verdict.EFFECTS, seen_setup, GAMMA)
+    html = page(found, recording)
+    tables = re.findall(r"<table>.*?</table>", html, re.DOTALL)
+    (exclusive,) = (table for table in tables if "<th>effect</th><th>closes</th>" in table)
+    (random,) = (table for table in tables if "<th>random effect</th><th>closes</th>" in table)
+    assert "read_noise" not in exclusive
+    assert "read_noise" in random
+    assert "probability</th>" in exclusive
+    assert "is there</th>" in random
+    shares = [int(share) for share in re.findall(r'<td class="n">(\d+) %</td></tr>', exclusive)]
+    assert shares[0] == 90
+    assert sum(shares) <= 100
+    assert "these probabilities do not add up to 100 %" in read(html).text
+    both = example(Verdict.EFFECTS, seen_setup, GAMMA | GLARE)
+    assert "if one alone</th>" in page(both, recording)
+
+
+def test_what_no_quantity_explains_is_said_and_not_drawn(seen_setup: Setup, recording: Recording) -> None:
+    found = example(Verdict.UNKNOWN, seen_setup)
+    none = replace(found.where, covariates=tuple(replace(c, r2=0.02) for c in found.where.covariates))
+    text = words.follows(none)
+    assert text == (
+        "no single quantity explains more than 2 % of it; a pattern fixed in the image explains 36 % of it"
+    )
+    assert text in read(page(replace(found, where=none), recording)).text
+    assert "the residual along" not in page(replace(found, where=none), recording)
+    assert words.follows(found.where) == "it goes with grey level (81 %) and direction of the weave (14 %)"
 
 
 def test_what_its_bounds_hold_back_is_said_to_explain_nothing(seen_setup: Setup) -> None:
     found = example(Verdict.UNKNOWN, seen_setup, GAMMA)
     first, *others = found.ranking
     held_back = replace(found, ranking=(replace(first, is_bound_limited=True), *others))
-    assert words.headline(found).endswith("that nothing in the catalogue of effects closes.")
+    assert words.headline(found).endswith("that no effect of the catalogue explains.")
     assert words.headline(held_back).endswith(
-        f"explains: {first.id} closes most, but would have to go beyond its bounds."
+        f"explains: {first.id} comes nearest, but only with values beyond its bounds."
     )
     said = report(held_back)["ranking"]
     assert said[0]["is_held_back"] is True
@@ -153,13 +220,13 @@ def test_what_its_bounds_hold_back_is_said_to_explain_nothing(seen_setup: Setup)
 @pytest.mark.slow
 def test_what_is_open_is_said(seen_setup: Setup, recording: Recording) -> None:
     ambiguous = read(page(example(Verdict.AMBIGUOUS, seen_setup), recording))
-    assert "cannot tell which it is: gamma (the response is not the stated power) or bl" in ambiguous.text
+    assert "cannot tell what causes it: gamma (the response is not the stated power) or bl" in ambiguous.text
     assert f"If it is black_level: {ADVICE['black_level']}" in ambiguous.text
     unknown = read(page(example(Verdict.UNKNOWN, seen_setup, GLARE), recording, ["veiling_glare"]))
-    assert "nothing in the catalogue of effects closes" in unknown.text
+    assert "no effect of the catalogue explains" in unknown.text
     assert "Left out of the catalogue: veiling_glare" in unknown.text
     function = "a free function of angle off the mirror direction that multiplies the arc's light"
-    assert f"{function} closes 62 % of the gap beyond it" in unknown.text
+    assert f"Beyond the catalogue, {function} would close 62 % more of it." in unknown.text
     assert "What it may be" in ambiguous.text
     assert "What is wrong" not in ambiguous.text
     assert "predicted after" not in unknown.text
@@ -233,11 +300,12 @@ def test_there_is_advice_on_every_effect() -> None:
     ("verdict", "resolves", "line"),
     [
         (Verdict.EFFECTS, True, "Record next: dark frames. It tells gamma from fume."),
-        (Verdict.EFFECTS, False, "No other frames tell gamma from fume. Add dark frames."),
+        (Verdict.EFFECTS, False, "No other frames would tell gamma from fume. Add dark frames."),
         (
             Verdict.UNKNOWN,
             False,
-            "Nearest is gamma, which does not explain it. To see that by itself, add dark frames.",
+            "The likeliest effect, gamma, does not explain the gap. To measure that effect by itself, add "
+            "dark frames.",
         ),
     ],
 )
@@ -274,5 +342,7 @@ def test_no_gap_above_the_floor_is_not_said_to_be_below_it(seen_setup: Setup) ->
     above, below = (
         replace(found, gap=replace(found.gap, before=before, floor=0.22)) for before in (0.42, 0.2)
     )
-    assert "0.42 σ, more than the 0.22 σ by which the model may" in words.how_far(above)
-    assert words.how_far(below) == "What differs is 0.20 σ; up to 0.22 σ the model may be off by itself."
+    assert "by 0.42 σ, more than the model's own error of 0.22 σ." in words.how_far(above)
+    assert words.how_far(below) == (
+        "The images differ from the model by 0.20 σ, within the model's own error of 0.22 σ."
+    )

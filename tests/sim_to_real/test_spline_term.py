@@ -112,6 +112,23 @@ def test_what_nuisances_did_in_vain_is_undone_first():
     assert blind_fit.excess_share(blind_fit.gain(X)) < 0.8
 
 
+def test_a_nuisance_that_each_frame_has_its_own_value_of_hides_no_function():
+    """As the seam's: fitted to other frames it makes a frame's residuals worse than they were."""
+    bins = planted()
+    sway = np.sin(1.3 * bins.values["row"]).astype(np.float32)
+    swaying = replace(bins, tangents=np.column_stack([sway, *[0.0 * sway] * 8]).astype(np.float32))
+    fold = (bins.frame % 4).astype(np.int64)
+    gap = np.sin(bins.values["gray_level"] / 40.0)
+    r = noise(bins) + gap + np.where(fold < 2, 1.0, -1.0) * sway
+    fit, without = CrossValidation.of(swaying, r, fold), CrossValidation.of(bins, r, fold)
+    X = hat_basis(fit.covariates.values["gray_level"])
+    fitted = fit.gain_from_moments(*fit.moments(fit.covariates.tangents))
+    assert fitted < -0.2
+    assert fit.gain_from_moments(*fit.moments(np.hstack([fit.covariates.tangents, X]))) < 0.7 * fit.gain(X)
+    assert fit.gain(X) == pytest.approx(without.gain(X), rel=1e-3)
+    assert fit.gain(X) == pytest.approx(np.var(gap), rel=0.2)
+
+
 def test_nuisances_stay_within_their_bounds_unless_let_go():
     bins = planted()
     slope = (bins.arc_dn / 10.0).astype(np.float32)

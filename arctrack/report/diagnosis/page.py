@@ -18,18 +18,15 @@ from arctrack.recording.diagnosis_files import PREDICTED_NPZ, REPORT_JSON, WHERE
 from arctrack.report.diagnosis import pictures, words
 from arctrack.report.diagnosis.advice import ADVICE
 from noise_model.effects import REGISTRY
-from sim_to_real.diagnosis import Curve, Diagnosis, Named, Next, Verdict
+from sim_to_real.diagnosis import Curve, Diagnosis, Named, Next, Ranked, Verdict
 
 TEMPLATE = "diagnosis.html.j2"
 
 MAX_CURVES = 4
-"""Covariates that are drawn; report.json has them all."""
-
-MIN_R2_DRAWN = 0.05
-"""A covariate, after the first, that explains a smaller share of the residual is not drawn."""
+"""Covariates that are drawn at most; report.json has all of them."""
 
 MAX_RANKED = 12
-"""Candidates that are listed; report.json has them all."""
+"""Effects that are listed at most; report.json has all of them."""
 
 LABELS = {
     Verdict.NO_GAP: "no gap",
@@ -39,8 +36,8 @@ LABELS = {
 }
 
 LOOK_FURTHER = (
-    "See below where it lies and what it goes with, and think of what was changed last: "
-    "sensor, part, setup file."
+    'See under "Where the gap lies" where it is and what it goes with. Check what was changed last: sensor, '
+    "part or setup file."
 )
 
 RECOMPUTE = f"""\
@@ -52,18 +49,27 @@ for mean, variance in (("before", "variance"), ("after", "variance_after")):
     r = r[np.isfinite(held_out[variance])]
     print(mean, np.sqrt(max(np.mean(r**2) - 1.0, 0.0)))
 """
-"""Python that computes the gap anew from what was written."""
+"""Python that computes the gap from the files that were written."""
 
 
 @dataclass(frozen=True)
 class Row:
-    """A candidate on the page: which share of the gap it closes, and how probable it is, in words."""
+    """An effect in a table of the page: the share of the gap that it closes, and its probability in words."""
 
     id: str
     summary: str
     marked: bool
     closed: float
     confidence: str
+
+
+@dataclass(frozen=True)
+class Ranking:
+    """A table of effects: what they are, the heading over their probabilities, and the rows."""
+
+    kind: str
+    probability: str
+    rows: list[Row]
 
 
 def write_page(diagnosis: Diagnosis, recording: Recording, without: Sequence[str], path: Path) -> None:
@@ -99,7 +105,7 @@ def advice(diagnosis: Diagnosis) -> list[str]:
     if diagnosis.next is not None:
         lines.append(_to_record(diagnosis.next, diagnosis.verdict))
     if not lines:
-        lines.append("Nothing: the setup may stay as it is.")
+        lines.append("Nothing: the setup fits the recording.")
     return lines
 
 
@@ -108,13 +114,13 @@ def _to_record(measurement: Next, verdict: Verdict) -> str:
     if measurement.resolves:
         return f"Record next: {measurement.experiment}. It tells {separates}."
     if verdict is Verdict.UNKNOWN:
-        nearest = f"Nearest is {measurement.separates[0]}, which does not explain it"
-        return f"{nearest}. To see that by itself, add {measurement.experiment}."
-    return f"No other frames tell {separates}. Add {measurement.experiment}."
+        likeliest = f"The likeliest effect, {measurement.separates[0]}, does not explain the gap"
+        return f"{likeliest}. To measure that effect by itself, add {measurement.experiment}."
+    return f"No other frames would tell {separates}. Add {measurement.experiment}."
 
 
 def meant(diagnosis: Diagnosis) -> list[str]:
-    """Return the effects that the verdict is about: those that it names, and those that fit as well."""
+    """Return the effects that the verdict is about: those that it names, and those that fit equally well."""
     alike = (name for ids in diagnosis.ambiguous_with for name in ids)
     return list(dict.fromkeys([*(effect.id for effect in diagnosis.effects), *alike]))
 
@@ -151,10 +157,13 @@ def _content(diagnosis: Diagnosis, recording: Recording, without: Sequence[str])
         "map": z,
         "map_scale": scale,
         "curves": curves,
-        "ranking": _ranking(diagnosis),
+        "rankings": _rankings(diagnosis),
         "strata": _strata(diagnosis),
         "smallest": {name: diagnosis.smallest[name] for name in REGISTRY if name in diagnosis.smallest},
         "paste": paste(diagnosis.effects),
+        "shrinks": words.shrinks(diagnosis),
+        "best": words.best_alone(diagnosis),
+        "same_seam": words.is_same_seam(*diagnosis.gap.seam_mm),
         "apply": f"arctrack diagnose {quoted(recording.path)} --apply",
         "recompute": RECOMPUTE,
         "files": (REPORT_JSON, WHERE_NPZ, PREDICTED_NPZ),
@@ -162,16 +171,26 @@ def _content(diagnosis: Diagnosis, recording: Recording, without: Sequence[str])
 
 
 def drawn_curves(diagnosis: Diagnosis) -> list[Curve]:
-    """Return the covariates that are worth a picture; without a gap there is nothing to explain."""
+    """Return the covariates that explain enough of the residual for a picture; none without a gap."""
     if diagnosis.verdict is Verdict.NO_GAP:
         return []
     curves = [curve for curve in diagnosis.where.covariates if len(curve.centers)]
-    return curves[:1] + [curve for curve in curves[1:MAX_CURVES] if curve.r2 >= MIN_R2_DRAWN]
+    return [curve for curve in curves[:MAX_CURVES] if curve.r2 >= words.MIN_R2]
 
 
-def _ranking(diagnosis: Diagnosis) -> list[Row]:
+def _rankings(diagnosis: Diagnosis) -> list[Ranking]:
+    """Return a table of exclusive effects and one of random ones, which may be there besides."""
     if diagnosis.verdict is Verdict.NO_GAP:
         return []
+    exclusive = [candidate for candidate in diagnosis.ranking if not candidate.is_random][:MAX_RANKED]
+    tables = [
+        Ranking("effect", words.probability_heading(diagnosis), _rows(diagnosis, exclusive)),
+        Ranking("random effect", words.PRESENT, _rows(diagnosis, words.random_ranking(diagnosis))),
+    ]
+    return [table for table in tables if table.rows]
+
+
+def _rows(diagnosis: Diagnosis, candidates: Sequence[Ranked]) -> list[Row]:
     marked = meant(diagnosis)
     return [
         Row(
@@ -181,7 +200,7 @@ def _ranking(diagnosis: Diagnosis) -> list[Row]:
             candidate.gap_closed if math.isfinite(candidate.gap_closed) else 0.0,
             words.probability(candidate.confidence),
         )
-        for candidate in diagnosis.ranking[:MAX_RANKED]
+        for candidate in candidates
     ]
 
 

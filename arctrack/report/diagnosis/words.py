@@ -1,4 +1,4 @@
-"""A diagnosis in words: what a welding engineer reads on the terminal and on the page."""
+"""A diagnosis in words, for the terminal and for the page."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import math
 from collections.abc import Sequence
 
 from noise_model.effects import REGISTRY
-from sim_to_real.diagnosis import Diagnosis, Estimate, Gap, ReportedTrend, Verdict
+from sim_to_real.diagnosis import Diagnosis, Estimate, Gap, Ranked, ReportedTrend, Verdict, Where
 
 NO_VALUE = "–"
 
@@ -51,6 +51,9 @@ COVARIATES = {
 }
 """Covariates and patterns in the image whose names say too little."""
 
+PATTERNS = ("mirrored", "fixed")
+"""The patterns in the image that are no functions of a covariate."""
+
 FORMS = {
     "adds": "that adds to the image",
     "times_arc": "that multiplies the arc's light",
@@ -61,6 +64,18 @@ FORMS = {
 
 CERTAIN_SHARE = 0.995
 """From here on a probability is said to be above 99 %."""
+
+MIN_R2 = 0.05
+"""A covariate or pattern that explains a smaller share of the residual is not worth mentioning."""
+
+MAX_FOLLOWED = 3
+"""So many covariates are named at most."""
+
+MIN_CLOSED = 0.01
+"""What closes a smaller share of the gap closes nothing."""
+
+SAME_SEAM_REL, SAME_SEAM_MM = 0.1, 0.005
+"""Errors of the seam that differ by less than either are the same."""
 
 
 def headline(diagnosis: Diagnosis) -> str:
@@ -76,59 +91,107 @@ def headline(diagnosis: Diagnosis) -> str:
         return f"{len(diagnosis.effects)} effects explain {how_much} together: {what}."
     if diagnosis.verdict is Verdict.AMBIGUOUS:
         alike = "; and ".join(_alternatives(ids) for ids in diagnosis.ambiguous_with)
-        return f"There is a gap of {sigmas(gap.before)}, and this recording cannot tell which it is: {alike}."
-    held_back = [candidate.id for candidate in diagnosis.ranking[:1] if candidate.is_bound_limited]
-    if held_back:
-        return (
-            f"There is a gap of {sigmas(gap.before)} that nothing in the catalogue of effects explains: "
-            f"{held_back[0]} closes most, but would have to go beyond its bounds."
-        )
-    return f"There is a gap of {sigmas(gap.before)} that nothing in the catalogue of effects closes."
+        return f"There is a gap of {sigmas(gap.before)}. This recording cannot tell what causes it: {alike}."
+    unexplained = f"There is a gap of {sigmas(gap.before)} that no effect of the catalogue explains"
+    if diagnosis.ranking and diagnosis.ranking[0].is_bound_limited:
+        nearest = diagnosis.ranking[0].id
+        return f"{unexplained}: {nearest} comes nearest, but only with values beyond its bounds."
+    return f"{unexplained}."
 
 
 def how_far(diagnosis: Diagnosis) -> str:
-    """Return how large the gap is and how far it shrinks, in one sentence."""
+    """Return how large the gap in the images is and how far it shrinks, in a few sentences."""
     gap = diagnosis.gap
-    if diagnosis.verdict is Verdict.NO_GAP and gap.before > gap.floor:
-        return (
-            f"What differs is {sigmas(gap.before)}, more than the {sigmas(gap.floor)} by which the model may "
-            "be off by itself, but no effect explains it, and it is too little to be told from chance."
-        )
+    own_error = f"the model's own error of {sigmas(gap.floor)}"
     if diagnosis.verdict is Verdict.NO_GAP:
-        return (
-            f"What differs is {sigmas(gap.before)}; up to {sigmas(gap.floor)} the model may be off by itself."
-        )
-    if not diagnosis.after_with or gap.after >= gap.before:
-        return f"No effect that was fitted makes it smaller; {sigmas(gap.floor)} would be no gap."
-    closed = f", {closed_share(gap)} of it is closed" if math.isfinite(gap.closed) else ""
-    lead = f"With {added(diagnosis)} the gap shrinks from {sigmas(gap.before)} to {sigmas(gap.after)}{closed}"
+        differ = f"The images differ from the model by {sigmas(gap.before)}"
+        if gap.before > gap.floor:
+            return (
+                f"{differ}, more than {own_error}. No effect explains the difference, and it is too small to "
+                "be told from chance."
+            )
+        return f"{differ}, within {own_error}."
+    if not shrinks(diagnosis):
+        return f"{_best_alone(diagnosis)} Without a gap the images would differ by {own_error} at most."
+    lead = f"With {added(diagnosis)} the gap in the images shrinks from {sigmas(gap.before)} to "
+    lead += sigmas(gap.after)
     if gap.before <= gap.floor:
         return (
-            f"{lead}; by {sigmas(gap.floor)} the model may be off by itself, but hardly in the pattern of "
+            f"{lead}. Both are within {own_error}, but that error hardly has the pattern of "
             f"{added(diagnosis)}."
         )
-    lead += f"; {sigmas(gap.floor)} would be no gap."
+    if math.isfinite(gap.closed):
+        lead = f"{lead}. That closes {closed_share(gap)} of what exceeds {own_error}"
+    if diagnosis.verdict is Verdict.UNKNOWN:
+        return f"{lead}, too little for it to be the cause."
     if diagnosis.verdict is Verdict.EFFECTS and gap.is_clear_after:
-        return f"{lead} What is left may be a form that the catalogue simplifies."
-    return lead
+        return f"{lead}. The rest may be due to the effect's form, which the catalogue simplifies."
+    return f"{lead}."
+
+
+def shrinks(diagnosis: Diagnosis) -> bool:
+    """Say whether the effects in the predictions after make the gap smaller."""
+    return bool(diagnosis.after_with) and diagnosis.gap.after < diagnosis.gap.before
+
+
+def best_alone(diagnosis: Diagnosis) -> Ranked | None:
+    """Return the single effect that closes most of the gap; None if none closes any of it."""
+    closing = [effect for effect in diagnosis.ranking if effect.gap_closed >= MIN_CLOSED]
+    return max(closing, key=lambda effect: effect.gap_closed, default=None)
+
+
+def _best_alone(diagnosis: Diagnosis) -> str:
+    best = best_alone(diagnosis)
+    if best is None:
+        return "No effect of the catalogue makes it smaller."
+    return f"The best single effect, {best.id}, closes only {percent(best.gap_closed)} of it."
 
 
 def added(diagnosis: Diagnosis) -> str:
-    """Return what the model holds in predictions `after` and not in those `before`."""
+    """Return the effects in predictions `after` that are not in those `before`."""
     return listed(diagnosis.after_with, "and")
 
 
 def seam_sentence(diagnosis: Diagnosis, bears_mm: float) -> str:
     """Return what the gap does to the seam point, of which the weld can bear `bears_mm`."""
-    moves, after_mm = diagnosis.gap.seam_mm
-    if not math.isfinite(moves):
-        return "What it does to the seam point is not known."
-    if diagnosis.verdict is Verdict.NO_GAP:
-        return f"The seam point moves by {number(moves)} mm; the weld bears {bears_mm:g} mm."
-    compared = "less" if moves <= bears_mm else "more"
-    lead = f"The gap moves the seam point by {number(moves)} mm, {compared} than the {bears_mm:g} mm "
-    lead += "that the weld bears"
-    return f"{lead}; {number(after_mm)} mm are left." if math.isfinite(after_mm) else f"{lead}."
+    before_mm, after_mm = diagnosis.gap.seam_mm
+    if not math.isfinite(before_mm):
+        return "Its influence on the seam point is not known: the tracker found no seam."
+    bears = f"the {bears_mm:g} mm that the weld can bear"
+    compared = f"{'less' if before_mm <= bears_mm else 'more'} than {bears}"
+    seam = f"The tracker's seam lies {number(before_mm)} mm from the seam that fits all images"
+    if diagnosis.verdict is Verdict.UNKNOWN:
+        return f"{seam} best, {compared}. While the cause is unknown, the true error may be larger."
+    if diagnosis.verdict is Verdict.NO_GAP or not diagnosis.after_with or not math.isfinite(after_mm):
+        return f"{seam}, {compared}."
+    if is_same_seam(before_mm, after_mm):
+        both = f"{_lower(seam)} with and without {added(diagnosis)}"
+        return f"The gap does not move the seam point: {both}, {compared}."
+    return f"{seam}, {compared}; with {added(diagnosis)} in the setup it lies {number(after_mm)} mm from it."
+
+
+def is_same_seam(before_mm: float, after_mm: float) -> bool:
+    """Say whether two errors of the seam are the same, for all that they are worth."""
+    return abs(before_mm - after_mm) <= max(SAME_SEAM_REL * before_mm, SAME_SEAM_MM)
+
+
+def follows(where: Where) -> str:
+    """Return what the residual goes with: covariates, or a pattern of the image if that explains more."""
+    told = [curve for curve in where.covariates if curve.r2 >= MIN_R2][:MAX_FOLLOWED]
+    patterns = {name: share for name, share in where.image.items() if name in PATTERNS}
+    pattern = max(patterns, key=lambda name: patterns[name], default=None)
+    text = ""
+    if told:
+        shares = [f"{quantity(curve.name)} ({percent(curve.r2)})" for curve in told]
+        text = f"it goes with {listed(shares, 'and')}"
+    elif where.covariates:
+        best = where.covariates[0]
+        text = f"no single quantity explains more than {percent(best.r2)} of it"
+    strongest = max((curve.r2 for curve in told), default=0.0)
+    if pattern is not None and patterns[pattern] > max(MIN_R2, strongest):
+        explains = f"{quantity(pattern)} explains {percent(patterns[pattern])} of it"
+        return f"{text}; {explains}" if text else explains
+    return text
 
 
 def summary(effect_id: str) -> str:
@@ -138,7 +201,7 @@ def summary(effect_id: str) -> str:
 
 
 def closed_share(gap: Gap) -> str:
-    """Return the share of the gap that is closed, with its 95 % interval; below the floor all of it is."""
+    """Return the share of the gap above the floor that is closed, with its 95 % interval."""
     low, high = (min(end, 1.0) for end in gap.ci95)
     text = percent(min(gap.closed, 1.0))
     if math.isfinite(low) and math.isfinite(high) and low < high:
@@ -166,9 +229,41 @@ def percent(share: float) -> str:
     return f"{100.0 * share:.0f} %".replace("-", "−") if math.isfinite(share) else NO_VALUE
 
 
-def probable(verdict: Verdict) -> str:
-    """Return the heading over how probable the candidates are: unknown says that it is hardly one of them."""
-    return "if one of these" if verdict is Verdict.UNKNOWN else "probable"
+def exclusion(diagnosis: Diagnosis) -> str:
+    """Return what the probabilities of single effects take for granted, in one sentence."""
+    heading = probability_heading(diagnosis)
+    if heading == "if one of these":
+        return "they hold if one of these effects is the cause, which this verdict doubts."
+    if heading == "if one alone":
+        return "they hold if one effect alone were the cause, but several are named together."
+    return "one of these effects is there, or none."
+
+
+PRESENT = "is there"
+"""The heading over the probabilities of random effects: each may be there, whatever else is."""
+
+MIN_PRESENT = 0.05
+"""A random effect that is less probable is not listed."""
+
+
+def random_ranking(diagnosis: Diagnosis) -> list[Ranked]:
+    """Return the random effects that were sought, the likeliest first."""
+    return [candidate for candidate in diagnosis.ranking if candidate.is_random]
+
+
+def is_likely(candidate: Ranked) -> bool:
+    """Say whether an effect is likely enough to be listed."""
+    return candidate.confidence >= MIN_PRESENT
+
+
+def probability_heading(diagnosis: Diagnosis) -> str:
+    """Return the heading over the probabilities of single effects, which are exclusive hypotheses."""
+    if diagnosis.verdict is Verdict.UNKNOWN:
+        return "if one of these"
+    is_random = {candidate.id for candidate in diagnosis.ranking if candidate.is_random}
+    if sum(effect.id not in is_random for effect in diagnosis.effects) > 1:
+        return "if one alone"
+    return "probability"
 
 
 def probability(value: float) -> str:
@@ -217,11 +312,22 @@ def free_function(name: str) -> str:
     return f"a free function of {quantity(covariate)} {FORMS[form]}"
 
 
+def spline_term(name: str, share: float) -> str:
+    """Return how much of the gap a free function closes beyond the catalogue."""
+    if share < MIN_CLOSED:
+        return "no free function of a single quantity closes any more of it"
+    return f"{free_function(name)} would close {percent(share)} more of it"
+
+
 def listed(words: Sequence[str], last: str) -> str:
     """Return words joined by commas, the last one by `and` or `or`."""
     if len(words) < 2:
         return "".join(words)
     return f"{', '.join(words[:-1])} {last} {words[-1]}"
+
+
+def _lower(sentence: str) -> str:
+    return sentence[0].lower() + sentence[1:]
 
 
 def _alternatives(ids: Sequence[str]) -> str:
