@@ -28,18 +28,29 @@ BACKGROUND_REL = 0.05
 
 @dataclass(frozen=True, eq=False)
 class BrightLine:
-    """Image points (n, 2) x y of a line, px, one a scan line.
+    """A line: its `positions_px` (n,) in the `scan` lines (n,) that hold it, columns if it runs along rows.
 
     `share` is in how many of the scan lines it was found, `height_e` how far it stands over its surroundings
-    there in the median.
+    there in the median, `scale_px` which sigma shows it best.
     """
 
-    points_px: Float64
+    scan: Int64
+    positions_px: Float64
+    along_rows: bool
     share: float
     height_e: float
+    scale_px: float
+
+    @property
+    def points_px(self) -> Float64:
+        """Its image points (n, 2), x y."""
+        pair = [self.scan, self.positions_px] if self.along_rows else [self.positions_px, self.scan]
+        return np.column_stack(pair)
 
 
-NO_LINE = BrightLine(np.empty((0, 2)), share=0.0, height_e=0.0)
+def no_line(along_rows: bool) -> BrightLine:
+    """Return a line that was not found."""
+    return BrightLine(np.empty(0, dtype=np.int64), np.empty(0), along_rows, 0.0, 0.0, SCALES_PX[0])
 
 
 def find_lines(images_dn: Iterable[Integers], sensor: Sensor) -> list[BrightLine]:
@@ -79,17 +90,16 @@ def _line_along(charge: Float32, along_rows: bool, dark_e2: float) -> BrightLine
         if best is None or shows > best[0]:
             best = shows, sigma_px, score, near - wide
     if best is None:
-        return NO_LINE
+        return no_line(along_rows)
     _, sigma_px, score, height = best
     choice = np.empty(len(score), dtype=np.int64)
     best_path(score, choice)
     lines = np.flatnonzero(choice >= 0)
     if not len(lines):
-        return NO_LINE
-    at = _peaks(score, lines, choice[lines], round(2.0 * sigma_px) + 1)
-    points = np.column_stack([lines, at] if along_rows else [at, lines])
+        return no_line(along_rows)
+    positions = _peaks(score, lines, choice[lines], round(2.0 * sigma_px) + 1)
     share, height_e = len(lines) / len(score), float(np.median(height[lines, choice[lines]]))
-    return BrightLine(points, share, height_e)
+    return BrightLine(lines, positions, along_rows, share, height_e, sigma_px)
 
 
 def _peaks(score: Float32, lines: Int64, choice: Int64, reach: int) -> Float64:

@@ -10,10 +10,10 @@ import numpy as np
 
 from arctrack.check.bright_line import BrightLine, find_lines
 from arctrack.check.fit import Fit, Sight, fit
-from arctrack.recording import PoseTable, Recording
+from arctrack.recording import FrameRow, PoseTable, Recording
 from arctrack.recording.frames import Image
 from arctrack.recording.poses import pose_at, pose_buffer
-from noise_model.arrays import Float64
+from noise_model.arrays import Float64, Integers
 from noise_model.effects import apply_setup_effects, pose_time_s
 from noise_model.setup import Setup
 from noise_model.transforms import invert
@@ -31,12 +31,15 @@ NO_POSE = np.full((4, 4), np.nan)
 class Case:
     """Some frames' lines, the setup that should explain them and the poses.
 
-    `points_px` is each frame's line, (n, 2) x y, of images of `size_px` (width, height); `frames_s` are their
-    times, `poses` all poses over time, `T_base_tool` those at the frames, NaN where there is none.
+    `images_dn` (H, W) are the frames as they are and `rows` their lines of frames.csv; `points_px` is each
+    one's line, (n, 2) x y, of images of `size_px` (width, height); `frames_s` are their times, `poses` all
+    poses over time, `T_base_tool` those at the frames, NaN where there is none.
     `T_tool_controllertool` (4, 4) is the controller's tool frame as the setup states it.
     """
 
     setup: Setup
+    images_dn: tuple[Integers, ...]
+    rows: tuple[FrameRow, ...]
     points_px: tuple[Float64, ...]
     size_px: tuple[int, int]
     frames_s: tuple[float, ...]
@@ -92,10 +95,10 @@ class Case:
 
 def chosen_rows(recording: Recording) -> list[int]:
     """Return the positions of the frames to look at: the laser on, without arc first, over the whole run."""
-    rows = recording.rows
-    dark = _spread([n for n, row in enumerate(rows) if row.laser_on and not row.arc_on], MAX_DARK)
-    lit = [n for n, row in enumerate(rows) if row.laser_on and row.arc_on]
-    return sorted({*dark, *_spread(lit, MAX_FRAMES - len(dark))})
+    lasers = [(n, row.arc_on) for n, row in enumerate(recording.rows) if row.laser_on]
+    dark, lit = ([n for n, arc_on in lasers if arc_on is state] for state in (False, True))
+    some = _spread(dark, MAX_DARK if lit else MAX_FRAMES)
+    return sorted({*some, *_spread(lit, MAX_FRAMES - len(some))})
 
 
 def case_of(recording: Recording, positions: Sequence[int], images: Sequence[Image]) -> Case | None:
@@ -115,6 +118,8 @@ def case_of(recording: Recording, positions: Sequence[int], images: Sequence[Ima
     setup = apply_setup_effects(recording.setup)
     return Case(
         setup=setup,
+        images_dn=tuple(image for _, image in usable),
+        rows=tuple(row for row, _ in usable),
         points_px=tuple(line.points_px for line in lines),
         size_px=(shape[1], shape[0]),
         frames_s=frames_s,

@@ -8,6 +8,7 @@ moves: what counts is the share of the points on a section that is displaced alo
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -21,12 +22,6 @@ from tracker.joint.type_check import Family, shown_family
 from tracker.measure import SEARCH_REACH_MM
 from tracker.profile import Profile
 from tracker.seam.locate import pose_checks
-
-STEP_MM = 0.25
-"""In what steps the section is moved sideways."""
-
-WITHIN_MM, WITHIN_PX = 0.3, 1.5
-"""So far from the section a point is on it."""
 
 BESIDE_MM = 4.0
 """So far beyond the section's outer corners points count: farther out all joints are plates."""
@@ -42,6 +37,19 @@ STEEPEST = 0.1
 
 MAX_COST_MM = 2.0
 """A frame farther from the seam's straight line than this counts no more."""
+
+
+@dataclass(frozen=True)
+class Fineness:
+    """How closely is looked: the steps by which the section is moved, and how far off it a point is on it."""
+
+    step_mm: float
+    within_mm: float
+    within_px: float
+
+
+COARSE, FINE = Fineness(0.25, 0.3, 1.5), Fineness(0.05, 0.1, 0.5)
+"""For lines that were found anywhere, and for stripes that the tracker has read."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -65,10 +73,9 @@ class LinePoints:
     mm_per_px: float
     flags: int
 
-    @property
-    def within_mm(self) -> float:
+    def within_mm(self, fineness: Fineness) -> float:
         """How far from a section a point is on it."""
-        return max(WITHIN_MM, WITHIN_PX * self.mm_per_px)
+        return max(fineness.within_mm, fineness.within_px * self.mm_per_px)
 
     @property
     def family(self) -> Family | None:
@@ -94,14 +101,14 @@ class Fit:
     lines: tuple[LinePoints, ...]
 
 
-def fit(setup: Setup, sights: list[Sight]) -> Fit:
+def fit(setup: Setup, sights: Sequence[Sight], fineness: Fineness = COARSE) -> Fit:
     """Lay the lines over the setup's section."""
     vertices = section(setup.joint).vertices
     lines = [line_points(setup, sight) for sight in sights]
-    placed = [_place(line, vertices) for line in lines]
+    placed = [_place(line, vertices, fineness) for line in lines]
     straight = _straight(np.array([line.station_mm for line in lines]), np.array(placed).reshape(-1, 2))
     shares = [
-        float(_share_on(*_off(line, vertices, place[:1]), place[1:], line.within_mm)[0])
+        float(_share_on(*_off(line, vertices, place[:1]), place[1:], line.within_mm(fineness))[0])
         for line, place in zip(lines, straight, strict=True)
     ]
     return Fit(float(np.mean(shares)) if shares else 0.0, tuple(lines))
@@ -148,21 +155,22 @@ def _off(line: LinePoints, vertices: Float64, y_mm: Float64) -> tuple[Float64, F
     return np.where(beside & across[:, np.newaxis], off, np.nan), 1.0 / np.hypot(1.0, slope[face])
 
 
-def _place(line: LinePoints, vertices: Float64) -> Float64:
+def _place(line: LinePoints, vertices: Float64, fineness: Fineness) -> Float64:
     """Return the displacement (y, z), mm, that puts most points on the section; NaN where none does."""
     if not len(line.y_mm):
         return np.full(2, np.nan)
-    y_mm = np.arange(-SEARCH_REACH_MM, SEARCH_REACH_MM + STEP_MM, STEP_MM)
+    y_mm = np.arange(-SEARCH_REACH_MM, SEARCH_REACH_MM + fineness.step_mm, fineness.step_mm)
+    within_mm = line.within_mm(fineness)
     off, cosine = _off(line, vertices, y_mm)
-    n_bins = 2 * math.ceil(SEARCH_REACH_MM / line.within_mm)
-    first_mm = -0.5 * n_bins * line.within_mm
+    n_bins = 2 * math.ceil(SEARCH_REACH_MM / within_mm)
+    first_mm = -0.5 * n_bins * within_mm
     near = np.abs(np.nan_to_num(off, nan=math.inf)) < -first_mm
-    bins = ((off[near] - first_mm) / line.within_mm).astype(np.int64).clip(0, n_bins - 1)
+    bins = ((off[near] - first_mm) / within_mm).astype(np.int64).clip(0, n_bins - 1)
     flat = np.nonzero(near)[0] * n_bins + bins
     counts = np.bincount(flat, minlength=len(y_mm) * n_bins).reshape(len(y_mm), n_bins)
     # A peak may lie on two bins.
-    z_mm = first_mm + line.within_mm * (1.0 + np.argmax(counts[:, :-1] + counts[:, 1:], axis=1))
-    shares = _share_on(off, cosine, z_mm, line.within_mm)
+    z_mm = first_mm + within_mm * (1.0 + np.argmax(counts[:, :-1] + counts[:, 1:], axis=1))
+    shares = _share_on(off, cosine, z_mm, within_mm)
     best = int(np.argmax(shares))
     return np.array([y_mm[best], z_mm[best]]) if shares[best] > 0.0 else np.full(2, np.nan)
 

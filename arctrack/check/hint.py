@@ -24,7 +24,11 @@ MIN_SHOWN, SHOWN_SHARE = 2, 0.3
 
 @dataclass(frozen=True)
 class Hint:
-    """What most likely is wrong, and its cure; `share` of the bright lines' points then lie on the joint."""
+    """What most likely is wrong, and its cure; `case` is the one without that mistake.
+
+    `share` of the bright lines' points then lie on the joint; without a case, it is that of the frames that
+    show another joint.
+    """
 
     what: str
     cure: str
@@ -35,12 +39,15 @@ class Hint:
         return f"{self.what}; {self.cure}"
 
 
-def likely_mistake(case: Case) -> Hint | None:
-    """Return the mistake without which the lines lie where the stripe should be, None for none known."""
+def likely_mistake(case: Case, joint_is_seen: bool = False) -> Hint | None:
+    """Return the mistake without which the lines lie where the stripe should be, None for none known.
+
+    `joint_is_seen` says that the tracker finds the stated joint: then its type is not doubted.
+    """
     stated = case.fit() if case.fits_camera else None
     share = 0.0 if stated is None else stated.share
     hint = None if share > 1.0 - GAIN else _best(case, common_mistakes(case.T_tool_controllertool), share)
-    if hint is None and stated is not None:
+    if hint is None and stated is not None and not joint_is_seen:
         hint = _joint_hint(case.setup, stated.lines)
     if hint is None and share <= 1.0 - GAIN:
         hint = _best(case, focal_lengths(case.setup.camera), share)
@@ -68,6 +75,8 @@ def _best(case: Case, mistakes: Sequence[Mistake], stated_share: float) -> Hint 
 
 def _joint_hint(setup: Setup, lines: Sequence[LinePoints]) -> Hint | None:
     """Return the hint to the joint's type if the lines show another one."""
+    if setup.joint.type == "flat":
+        return Hint("[joint] type = 'flat': a plate has no seam", "recording.toml: state the joint", 0.0)
     stated = family_of(setup.joint)
     counts = Counter(line.family for line in lines)
     # Where the arc outshines a joint's faces a plate is left.

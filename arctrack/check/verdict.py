@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
 from arctrack.check.case import case_of, chosen_rows
@@ -73,15 +73,23 @@ class Verdict:
 def verdict_on(recording: Recording, tracks: Sequence[Track]) -> Verdict:
     """Return what a run over all of a recording's frames comes to."""
     lit = [track for row, track in zip(recording.rows, tracks, strict=True) if row.laser_on]
+    return verdict_of(len(tracks), lit, lambda: _hint_for(recording))
+
+
+def verdict_of(frames: int, lit: Sequence[Track], seek: Callable[[], Hint | None]) -> Verdict:
+    """Return what the tracks of frames with the laser on, of so many in all, come to.
+
+    `seek` finds what most likely is wrong; it is asked where few of them are valid.
+    """
     valid = sum(track.valid for track in lit)
     counts = count_flags([track for track in lit if not track.valid])
     invalidating = {flag.name for flag in flags.FLAGS if flag.invalidates}
     named = sorted((name for name in counts if name in invalidating), key=lambda name: -counts[name])
-    hint = None if valid >= ENOUGH * len(lit) else hint_for(recording)
-    return Verdict(len(tracks), len(lit), valid, {name: counts[name] for name in named}, hint)
+    hint = None if valid >= ENOUGH * len(lit) else seek()
+    return Verdict(frames, len(lit), valid, {name: counts[name] for name in named}, hint)
 
 
-def hint_for(recording: Recording) -> Hint | None:
+def _hint_for(recording: Recording) -> Hint | None:
     """Look at some frames of a recording and return what most likely is wrong, None for nothing known."""
     positions = chosen_rows(recording)
     case = case_of(recording, positions, list(recording.images(positions)))

@@ -9,8 +9,10 @@ from typing import Annotated, NoReturn
 import typer
 
 from arctrack.cli.calibrate import calibrate
+from arctrack.cli.check import check
 from arctrack.cli.diagnose import diagnose
-from arctrack.cli.diagnose_check import TwoWordGroup, check
+from arctrack.cli.diagnose_check import TwoWordGroup
+from arctrack.cli.diagnose_check import check as blind_check
 from arctrack.cli.explain import explain
 from arctrack.cli.figures import figures
 from arctrack.cli.inspect import inspect
@@ -25,6 +27,9 @@ from arctrack.printable import printable
 BAD_INPUT = 2
 """The exit code of an input that cannot be used; the shell's own for a command line that makes no sense."""
 
+WARNED = 1
+"""The exit code of a check that has warnings, of a recording that can be tracked."""
+
 NOTHING_TRACKED = 3
 """The exit code of a recording of which no frame is valid."""
 
@@ -38,6 +43,7 @@ app = typer.Typer(
     pretty_exceptions_enable=False,
 )
 app.command(epilog="Example: arctrack replay examples/v_groove --out /tmp/results")(replay)
+app.command(epilog="Example: arctrack check examples/v_groove --out /tmp/check.png")(check)
 app.command(epilog="Example: arctrack inspect examples/v_groove --out /tmp/v_groove.png")(inspect)
 app.command(epilog="Example: arctrack explain examples/v_groove 12 --out /tmp/frame_12.html")(explain)
 app.command(epilog="Example: arctrack new /tmp/my_sensor --joint lap")(new)
@@ -45,7 +51,7 @@ app.command(epilog="Example: arctrack simulate /tmp/lap --joint lap --material z
 app.command(epilog="Example: arctrack plan examples/v_groove --out /tmp/plan")(plan)
 app.command(epilog="Example: arctrack diagnose monday tuesday --workers 2")(diagnose)
 app.command(epilog="Example: arctrack warm examples/v_groove")(warm)
-app.add_typer(check)
+app.add_typer(blind_check)
 app.add_typer(calibrate)
 app.add_typer(figures)
 

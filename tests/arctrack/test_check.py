@@ -1,18 +1,24 @@
 import shutil
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
+import cv2
 import numpy as np
 import pytest
-from mistaken import MISTAKES, edit_frames, edit_table
+from mistaken import MISTAKES, edit_frames, edit_setup, edit_table, scale
 from typer.testing import CliRunner
 
 from arctrack.check.case import Case, case_of, chosen_rows
 from arctrack.check.hint import likely_mistake
 from arctrack.cli import BAD_INPUT, NOTHING_TRACKED, app
+from arctrack.errors import ArctrackError
 from arctrack.recording.reader import read_recording
 from arctrack.simulate import SimulationPlan, simulate_recording
 from noise_model.setup import Setup
+
+SEAM_4_MM_ASIDE = [[-100.0, 4.0, 0.0], [1000.0, 4.0, 0.0]]
 
 
 @pytest.fixture(scope="module")
@@ -92,3 +98,72 @@ def test_what_no_known_mistake_explains_is_asked_for(weaving: Path, tmp_path: Pa
     code, said = replayed(path, tmp_path / "out")
     assert code == NOTHING_TRACKED, said
     assert "no frame valid: stripe_lost 11; do [camera] and [laser] state where" in said
+
+
+def checked(path: Path, out: Path) -> tuple[int, str]:
+    """Check and return the exit code and what was said."""
+    result = CliRunner().invoke(app, ["check", str(path), "--out", str(out)])
+    assert result.exception is None or isinstance(result.exception, SystemExit | ArctrackError)
+    return result.exit_code, f"{result.output}\n{result.exception}"
+
+
+def test_a_sound_recording_is_checked_without_a_warning(weaving: Path, tmp_path: Path) -> None:
+    code, said = checked(weaving, tmp_path / "check.png")
+    assert code == 0, said
+    assert "v: tracked: 10 of 10 frames with the laser on are valid" in said
+    assert cv2.imread(str(tmp_path / "check.png")).shape[1] > 1000
+
+
+@pytest.mark.parametrize("mistake", MISTAKES)
+def test_a_check_names_the_mistake(mistake: str, weaving: Path, tmp_path: Path) -> None:
+    path = Path(shutil.copytree(weaving, tmp_path / "r"))
+    spoil, hint = MISTAKES[mistake]
+    spoil(path)
+    code, said = checked(path, tmp_path / "check.png")
+    assert code != 0, said
+    assert hint in said
+    assert (tmp_path / "check.png").exists()
+
+
+def set_key(table: str, key: str, factor: float) -> Callable[[Path], None]:
+    def edit(document: Any) -> None:
+        document[table][key] = factor * document[table][key]
+
+    return lambda path: edit_setup(path, edit)
+
+
+@pytest.mark.parametrize(
+    ("spoil", "warning"),
+    [
+        (set_key("laser", "stripe_sigma_mm", 0.7), "the stripe's width is 1 sigma"),
+        (set_key("laser", "peak_e", 3.0), "the stripe's peak is"),
+        (set_key("sensor", "black_level_dn", 3.0), "dark pixels read"),
+        (set_key("sensor", "read_noise_e", 4.0), "dark pixels scatter by"),
+        (set_key("arc", "radiance_e", 5.0), "the arc's light is"),
+        (set_key("camera", "exposure_s", 1000.0), "recording.toml: [camera] exposure_s: exposures are"),
+        (
+            lambda path: edit_table(path / "frames.csv", scale("exposure_s", 1e3)),
+            "frames.csv: exposure_s: exposures are 5 s in frames.csv, 0.005 s in [camera]",
+        ),
+        (
+            lambda path: edit_table(
+                path / "poses.csv", lambda row: row.update(x_mm=repr(100.0 * float(row["x_mm"])))
+            ),
+            "poses.csv: the tool moves at",
+        ),
+        (
+            lambda path: edit_setup(
+                path, lambda document: document["joint"].update(seam_in_base_mm=SEAM_4_MM_ASIDE)
+            ),
+            "the seam lies 4.",
+        ),
+    ],
+    ids=["width", "peak", "black", "noise", "arc", "setup's exposure", "exposure", "speed", "seam"],
+)
+def test_what_parts_is_warned_of_with_numbers(
+    spoil: Callable[[Path], None], warning: str, weaving: Path, tmp_path: Path
+) -> None:
+    path = Path(shutil.copytree(weaving, tmp_path / "r"))
+    spoil(path)
+    _, said = checked(path, tmp_path / "check.png")
+    assert warning in said

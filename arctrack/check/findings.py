@@ -1,0 +1,259 @@
+"""What was measured in some frames beside what the setup states, and a warning where they part."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from arctrack.check.fit import FINE, Sight, fit
+from arctrack.check.hint import FITS, GAIN
+from arctrack.check.look import Look
+from arctrack.check.sensor_seen import SensorSeen
+from arctrack.check.timing import Timing
+from noise_model.instrument.sensor import saturation_dn
+from noise_model.setup import Setup
+from tracker import flags
+from tracker.geometry import SensorGeometry
+from tracker.measure import SEARCH_REACH_MM
+from tracker.stripe.speckle import Speckle
+
+FAR_MM = 3.0
+"""A seam farther from its nominal line, in the median, comes near to where it is not looked for."""
+
+MAX_COURSE_PX = 1.0
+"""So far a stripe may run off its expected course."""
+
+WIDTH_RATIO, PEAK_RATIO, ARC_RATIO, NOISE_RATIO = 1.15, 1.5, 2.0, 1.5
+"""What is measured may be so many times what is expected, or the other way round."""
+
+MAX_SATURATED, MAX_SATURATED_PIXELS = 0.25, 0.5
+"""Of a stripe's scan lines, and of a frame's pixels, such a share may be saturated."""
+
+SPECKLE_FROM, SPECKLE_RATIO = 0.05, 1.5
+"""From this scatter of a stripe's brightness on speckle counts; stated, it may be so many times off."""
+
+BLACK_SIGMAS, BLACK_DN = 4.0, 0.3
+"""A black level may be off by so many of its tolerance's sigmas, and by what rounding leaves."""
+
+MIN_NOISE_DN = 0.4
+"""Less noise is lost in the rounding to whole codes."""
+
+FOCAL_RATIOS = np.arange(0.80, 1.255, 0.01)
+"""Focal lengths to try, over the stated one."""
+
+
+@dataclass(frozen=True)
+class Finding:
+    """Something measured: its name, what was measured and is stated, and what to tell where these part."""
+
+    name: str
+    text: str
+    warning: str | None = None
+
+
+def findings(
+    setup: Setup,
+    geometry: SensorGeometry,
+    looks: Sequence[Look],
+    sensor: SensorSeen,
+    exposures_fit: bool,
+) -> list[Finding]:
+    """Put what was measured beside what is stated; of a stripe only where a frame is valid.
+
+    Without exposures that fit no light does: then how bright things are is said without a warning.
+    """
+    valid = [look for look in looks if look.track.valid]
+    return [
+        *_images(setup, looks),
+        *_seam(geometry, valid),
+        *_stripe(valid, exposures_fit),
+        *_speckle(setup, valid),
+        *_sensor(setup, sensor),
+        *_arc(looks, exposures_fit),
+    ]
+
+
+def _images(setup: Setup, looks: Sequence[Look]) -> Iterator[Finding]:
+    """Say how bright the frames are."""
+    if not looks:
+        return
+    clipped = saturation_dn(setup.sensor)
+    brightest = max(int(look.frame.image_dn.max()) for look in looks)
+    share = float(np.median([(look.frame.image_dn >= clipped).mean() for look in looks]))
+    lost = sum(look.line.share < 0.5 for look in looks)
+    warning = None
+    if share > MAX_SATURATED_PIXELS:
+        warning = f"{_percent(share)} of the pixels are saturated: nothing can be read; shorten the exposure"
+    elif lost > 0.5 * len(looks):
+        warning = f"{lost} of {len(looks)} frames show no line; is the laser on, the exposure long enough?"
+    text = (
+        f"brightest pixel {brightest} DN of {setup.sensor.max_dn}, {_percent(share)} of the pixels saturated"
+    )
+    yield Finding("frames", text, warning)
+
+
+def _seam(geometry: SensorGeometry, valid: Sequence[Look]) -> Iterator[Finding]:
+    """Say where the seam lies beside its nominal line, and how the stripe runs there."""
+    if not valid:
+        return
+    y_mm, z_mm = (_median(look.seam_mm[axis] for look in valid) for axis in (0, 1))
+    where = f"{_mm(abs(y_mm))} to the {'left' if y_mm > 0.0 else 'right'} of its nominal line, "
+    where += f"{_mm(abs(z_mm))} {'above' if z_mm > 0.0 else 'below'} it"
+    far = max(abs(y_mm), abs(z_mm)) > FAR_MM
+    cure = "correct [joint] seam_in_base_mm, or the poses' base frame"
+    yield Finding(
+        "seam",
+        f"{where}, in the median; sought within {SEARCH_REACH_MM:g} mm",
+        f"the seam lies {where}, and is sought within {SEARCH_REACH_MM:g} mm; {cure}" if far else None,
+    )
+    course_px = _median(look.course_px for look in valid)
+    if math.isnan(course_px):
+        return
+    off = f"{course_px:.2g} px, {course_px / geometry.pixels_per_mm:.2g} mm,"
+    warning = None
+    if course_px > MAX_COURSE_PX:
+        focal_px = _better_focal_px(geometry, valid)
+        camera = geometry.setup.camera
+        cure = (
+            "do [camera] fx, fy, pose_in_tool, [laser] plane_in_tool and the dimensions in [joint] hold?"
+            if focal_px is None
+            else f"[camera] fx, fy: about {focal_px:.0f} px fit, not {camera.fx:.4g}"
+        )
+        warning = f"the stripe runs {off} off the course that the setup expects at this seam; {cure}"
+    yield Finding("course", f"the stripe runs {off} off its expected course", warning)
+
+
+def _better_focal_px(geometry: SensorGeometry, valid: Sequence[Look]) -> float | None:
+    """Return a focal length with which the stripes lie on the joint decidedly better, None for none."""
+    sights = []
+    for look in valid:
+        if look.track.stripe is None or look.pose is None:
+            continue
+        scan = np.flatnonzero(np.isfinite(look.track.stripe.position_px))
+        points_px = geometry.image_points(scan.astype(np.float64), look.track.stripe.position_px[scan])
+        sights.append(Sight(points_px, look.pose.T_base_tool))
+    camera = geometry.setup.camera
+
+    def share(ratio: float) -> float:
+        changed = replace(camera, fx=ratio * camera.fx, fy=ratio * camera.fy)
+        return fit(replace(geometry.setup, camera=changed), sights, FINE).share
+
+    shares = [share(float(ratio)) for ratio in FOCAL_RATIOS]
+    best = int(np.argmax(shares))
+    if shares[best] < max(FITS, share(1.0) + GAIN):
+        return None
+    return float(FOCAL_RATIOS[best] * camera.fx)
+
+
+def _stripe(valid: Sequence[Look], exposures_fit: bool) -> Iterator[Finding]:
+    """Say how wide and how bright the stripe is, and how much of it is saturated."""
+    looks = _without_arc(valid)
+    sigma_px = _median(look.seen.sigma_px for look in looks)
+    expected_px = _median(float(np.median(look.placed.sigma_px)) for look in looks if look.placed is not None)
+    if math.isfinite(sigma_px) and math.isfinite(expected_px):
+        text = f"1 sigma {sigma_px:.3g} px, expected {expected_px:.3g} px"
+        cure = "do [laser] stripe_sigma_mm, [camera] psf_sigma_px and fx, fy hold, and is the lens in focus?"
+        parted = _part(sigma_px, expected_px, WIDTH_RATIO)
+        yield Finding("width", text, f"the stripe's width is {text}; {cure}" if parted else None)
+    share = _median(look.seen.saturated_share for look in looks)
+    if share > 0.0:
+        text = f"{_percent(share)} of the stripe's scan lines are saturated"
+        cure = "shorten the exposure, or close the aperture"
+        yield Finding("saturation", text, f"{text}; {cure}" if share > MAX_SATURATED else None)
+    peak_e = _median(look.seen.peak_e for look in looks)
+    predicted_e = _median(look.peak_e for look in looks if math.isfinite(look.seen.peak_e))
+    if math.isfinite(peak_e) and math.isfinite(predicted_e):
+        text = f"{peak_e:.0f} e over its background, expected {predicted_e:.0f} e"
+        cure = "do [laser] peak_e, exposure_s, [sensor] gain_e_per_dn and gamma hold?"
+        parted = exposures_fit and share <= MAX_SATURATED and _part(peak_e, predicted_e, PEAK_RATIO)
+        yield Finding("peak", text, f"the stripe's peak is {text}; {cure}" if parted else None)
+
+
+def _speckle(setup: Setup, valid: Sequence[Look]) -> Iterator[Finding]:
+    """Say how much the stripe's brightness scatters along it."""
+    looks = _without_arc(valid)
+    contrast = _median(look.seen.contrast for look in looks)
+    if math.isnan(contrast):
+        return
+    stated = Speckle.of(setup).line_contrast(np.array([_median(look.seen.sigma_px for look in looks)]))
+    text = f"{contrast:.2f} from scan line to scan line, [effects.laser_speckle] states {stated:.2f}"
+    counts = max(contrast, stated) > SPECKLE_FROM
+    cure = "arctrack diagnose finds contrast and grain_px to state"
+    parted = counts and _part(contrast, stated, SPECKLE_RATIO)
+    yield Finding("speckle", text, f"the stripe's brightness scatters by {text}; {cure}" if parted else None)
+
+
+def _sensor(setup: Setup, sensor: SensorSeen) -> Iterator[Finding]:
+    """Say how dark pixels read."""
+    if math.isnan(sensor.black_dn):
+        return
+    where = "in frames without laser and arc" if sensor.is_dark else "off the stripe"
+    stated, tolerance_dn = setup.sensor, setup.tolerance.black_level_dn
+    text = f"{sensor.black_dn:.1f} DN {where}, stated {stated.black_level_dn:g} ± {tolerance_dn:g} DN"
+    off_dn = sensor.black_dn - stated.black_level_dn
+    cure = "correct [sensor] black_level_dn" + ("" if off_dn < 0.0 else ", or keep other light out")
+    parted = abs(off_dn) > BLACK_SIGMAS * tolerance_dn + BLACK_DN
+    yield Finding("black level", text, f"dark pixels read {text}; {cure}" if parted else None)
+    if not stated.is_linear or not math.isfinite(sensor.noise_dn):
+        return
+    # Rounding to whole codes adds its twelfth.
+    expected_dn = math.hypot(stated.read_noise_e / stated.gain_e_per_dn, math.sqrt(1.0 / 12.0))
+    text = f"{sensor.noise_dn:.2f} DN {where}, expected {expected_dn:.2f} DN"
+    counts = max(sensor.noise_dn, expected_dn) > MIN_NOISE_DN
+    parted = counts and _part(sensor.noise_dn, expected_dn, NOISE_RATIO)
+    cure = "do [sensor] read_noise_e and gain_e_per_dn hold?"
+    yield Finding("noise", text, f"dark pixels scatter by {text}; {cure}" if parted else None)
+
+
+def _arc(looks: Sequence[Look], exposures_fit: bool) -> Iterator[Finding]:
+    """Say how bright the arc is, from the frames whose light the map explains."""
+    lit = [look for look in looks if look.frame.arc_on]
+    if not lit:
+        return
+    dark = sum(bool(look.track.flags & flags.ARC_OFF.mask) for look in lit)
+    unexplained = sum(bool(look.track.flags & flags.MAP_MISFIT.mask) for look in lit)
+    level = _median(look.track.arc_level for look in lit if not look.track.flags & flags.MAP_MISFIT.mask)
+    light = f"{level:.2g} times the expected light" if math.isfinite(level) else "its light cannot be told"
+    text = f"{light}, map_misfit in {unexplained} of {len(lit)} frames"
+    warning = None
+    if dark > 0.5 * len(lit):
+        warning = f"{dark} of {len(lit)} frames show no arc light, though frames.csv says arc_on"
+    elif exposures_fit and _part(level, 1.0, ARC_RATIO):
+        cure = "do [arc] radiance_e, current_a and [camera] exposure_s hold?"
+        warning = f"the arc's light is {level:.2g} times the expected; {cure}"
+    yield Finding("arc", text, warning)
+
+
+def timing_findings(timing: Timing) -> Iterator[Finding]:
+    """Say how often frames and poses come, how fast the tool goes, and what of times and exposures is odd."""
+    rates = f"frames at {timing.frame_rate_hz:.3g} Hz, poses at {timing.pose_rate_hz:.3g} Hz"
+    yield Finding("times", f"{rates}, the tool at {timing.speed_mm_s:.3g} mm/s")
+    for warning in timing.warnings:
+        yield Finding("times", "", warning)
+
+
+def _without_arc(looks: Sequence[Look]) -> Sequence[Look]:
+    """Return the frames without arc, where the stripe is clearest, or all if all have one."""
+    return [look for look in looks if not look.frame.arc_on] or looks
+
+
+def _part(measured: float, expected: float, ratio: float) -> bool:
+    """Say whether two numbers are more than a ratio apart."""
+    return measured > ratio * expected or expected > ratio * measured
+
+
+def _median(values: Iterable[float]) -> float:
+    """Return the median of the values that are known, NaN for none."""
+    known = [value for value in values if math.isfinite(value)]
+    return float(np.median(known)) if known else math.nan
+
+
+def _mm(value: float) -> str:
+    return f"{value:.1f} mm"
+
+
+def _percent(share: float) -> str:
+    return f"{100.0 * share:.0f} %"

@@ -1,0 +1,116 @@
+"""Does a recording fit its setup? Some frames are looked at; nothing is tracked from frame to frame."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass, replace
+
+from arctrack.check.case import Case, case_of, chosen_rows
+from arctrack.check.findings import Finding, findings, timing_findings
+from arctrack.check.hint import Hint, likely_mistake
+from arctrack.check.look import Look, looks_at
+from arctrack.check.sensor_seen import SensorSeen, sensor_seen
+from arctrack.check.timing import timing_of
+from arctrack.check.verdict import ENOUGH, Verdict, verdict_of
+from arctrack.errors import ArctrackError, in_file
+from arctrack.recording import BadFrame, Recording
+from arctrack.recording.reader import fitted
+from tracker.flags import FRAME_UNREADABLE, JOINT_TYPE_MISMATCH
+from tracker.geometry import SensorGeometry
+from tracker.state import Frame, Track
+
+MAX_DARK_FRAMES = 2
+"""So many frames without laser and arc tell black level and noise."""
+
+
+@dataclass(frozen=True, eq=False)
+class Checked:
+    """What a check came to.
+
+    `refusal` is why a replay refuses the recording, None if it does not; `bad_frames` cannot be used. `hint`
+    says what most likely is wrong. It may be there although most frames are valid, each by itself. `case` are
+    the bright lines of the frames that were looked at, None where no image can be read.
+    """
+
+    recording: Recording
+    refusal: ArctrackError | None
+    verdict: Verdict
+    hint: Hint | None
+    findings: tuple[Finding, ...]
+    looks: tuple[Look, ...]
+    bad_frames: tuple[BadFrame, ...]
+    case: Case | None
+
+    @property
+    def warnings(self) -> tuple[str, ...]:
+        """What to tell a user, one line each."""
+        return tuple(finding.warning for finding in self.findings if finding.warning is not None)
+
+
+def check_recording(recording: Recording, on_frame: Callable[[int], None] | None = None) -> Checked:
+    """Check a recording that was read without `must_fit`; `on_frame` hears the number of frames looked at."""
+    refusal: ArctrackError | None = None
+    geometry: SensorGeometry | None = None
+    try:
+        fitted(recording)
+        geometry = SensorGeometry.of(recording.setup)
+    except ArctrackError as error:
+        refusal = error
+    except ValueError as error:
+        refusal = in_file(recording.setup_path, str(error))
+    positions = chosen_rows(recording)
+    case = case_of(recording, positions, list(recording.images(positions)))
+    frames, bad_frames = _parted(recording.frames(positions))
+    timing = timing_of(recording)
+    looks = [] if geometry is None else looks_at(recording, geometry, frames, on_frame)
+    tracks = [look.track for look in looks]
+    tracks += [Track(bad.row.index, bad.row.timestamp_s, FRAME_UNREADABLE.mask) for bad in bad_frames]
+    enough = ENOUGH * max(len(tracks), 1)
+    is_tracked = sum(track.valid for track in tracks) >= enough
+    seen = sum(track.valid and not track.flags & JOINT_TYPE_MISMATCH.mask for track in tracks)
+    hint = None if case is None else likely_mistake(case, joint_is_seen=seen >= enough)
+    found = list(timing_findings(timing))
+    if case is not None and case.fits_camera:
+        found.append(_lines_finding(case, hint if is_tracked else None))
+    if geometry is not None:
+        sensor = _sensor(recording, looks)
+        found += findings(recording.setup, geometry, looks, sensor, timing.exposures_fit)
+    if hint is not None:
+        # Where something decided is wrong, seam and stripe lie elsewhere for that reason.
+        found = [replace(f, warning=None) if f.name in ("seam", "course") else f for f in found]
+    verdict = verdict_of(len(recording.rows), tracks, lambda: hint)
+    return Checked(recording, refusal, verdict, hint, tuple(found), tuple(looks), tuple(bad_frames), case)
+
+
+def _lines_finding(case: Case, hint: Hint | None) -> Finding:
+    """Say how well the bright lines lie on the stated joint, and what most likely is wrong if not."""
+    text = f"{100.0 * case.fit().share:.0f} % of the bright lines' points lie on the stated joint"
+    if hint is None:
+        return Finding("lines", text)
+    if hint.case is None:
+        return Finding("lines", text, f"{text}; most likely {hint}")
+    return Finding("lines", text, f"{text}, {100.0 * hint.share:.0f} % if {hint}")
+
+
+def _parted(frames: Iterable[Frame | BadFrame]) -> tuple[list[Frame], list[BadFrame]]:
+    """Return the frames that can be used and those that cannot."""
+    usable: list[Frame] = []
+    bad: list[BadFrame] = []
+    for frame in frames:
+        if isinstance(frame, BadFrame):
+            bad.append(frame)
+        else:
+            usable.append(frame)
+    return usable, bad
+
+
+def _sensor(recording: Recording, looks: Sequence[Look]) -> SensorSeen:
+    """Look at frames without laser and arc, or else at those with the laser alone."""
+    dark = [n for n, row in enumerate(recording.rows) if not (row.laser_on or row.arc_on)]
+    frames, _ = _parted(recording.frames(dark[:MAX_DARK_FRAMES]))
+    laser_alone = [look for look in looks if not look.frame.arc_on]
+    return sensor_seen(
+        [frame.image_dn for frame in frames],
+        [look.frame.image_dn for look in laser_alone],
+        [look.line for look in laser_alone],
+    )

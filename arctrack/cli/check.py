@@ -1,0 +1,66 @@
+"""`arctrack check`: does a recording fit its setup, said before a run."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from arctrack.cli.setups import check_replaces_nothing
+from arctrack.errors import ArctrackError, in_file
+
+PICTURE = "check.png"
+
+
+def check(
+    recording: Annotated[Path, typer.Argument(help="Folder that holds a recording.")],
+    out: Annotated[
+        Path | None,
+        typer.Option(help=f"Where the picture goes; default: results/{PICTURE} in the recording."),
+    ] = None,
+    setup: Annotated[
+        Path | None, typer.Option(help="A recording.toml to use instead of the recording's own.")
+    ] = None,
+) -> None:
+    """Say from some frames whether a recording fits its setup, and what most likely is wrong if not.
+
+    Measured are seam and stripe, width, peak, saturation and speckle, black level and noise, the arc's light,
+    times and speeds, each beside what is stated. The picture shows the predicted stripe over two frames.
+    The exit code is 0 without a warning, 1 with one, 3 where nothing would be tracked, 2 for bad input.
+    """
+    from arctrack.check.run import check_recording
+    from arctrack.cli import NOTHING_TRACKED, WARNED, console
+    from arctrack.recording import read_recording
+    from arctrack.replay import RESULTS_FOLDER
+    from arctrack.report.check_picture import draw
+
+    read = read_recording(recording, setup, must_fit=False)
+    picture = out or recording / RESULTS_FOLDER / PICTURE
+    check_replaces_nothing(picture, read)
+    with console.progress() as bar:
+        checked = check_recording(read, console.track(bar, f"{read.name}: looking at frames", 10))
+    screen = console.tables()
+    for finding in checked.findings:
+        if finding.text:
+            screen.print(f"{finding.name:12} {finding.text}", markup=False, soft_wrap=True)
+    warnings = [*read.warnings, *checked.warnings]
+    console.warn(warnings)
+    try:
+        picture.parent.mkdir(parents=True, exist_ok=True)
+        draw(checked).savefig(picture, format=picture.suffix[1:] or "png")
+    except (OSError, ValueError) as error:
+        raise in_file(picture, f"cannot be written: {error}; give a .png or .pdf with --out") from None
+    console.say(f"picture      {picture}")
+    if checked.refusal is not None:
+        if checked.hint is not None:
+            console.say(f"{read.name}: most likely {checked.hint}")
+        raise checked.refusal
+    console.say(f"{read.name}: {checked.verdict.line}")
+    if checked.bad_frames:
+        bad = checked.bad_frames
+        raise ArctrackError(f"{bad[0].message}; {len(bad)} of the frames looked at could not be used")
+    if checked.verdict.nothing_tracked:
+        raise typer.Exit(NOTHING_TRACKED)
+    if warnings:
+        raise typer.Exit(WARNED)
