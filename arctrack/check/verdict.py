@@ -51,12 +51,17 @@ class Verdict:
         return self.valid == 0
 
     @property
+    def few_tracked(self) -> bool:
+        """Whether fewer of the frames with the laser on are valid than a sound run has."""
+        return self.valid < ENOUGH * self.laser_on or self.nothing_tracked
+
+    @property
     def line(self) -> str:
         """The verdict in a line."""
         if self.laser_on == 0:
             return f"no frame valid: the laser is off in all {self.frames}, says frames.csv"
         counts = ", ".join(f"{name} {count}" for name, count in list(self.flags.items())[:MAX_FLAGS])
-        if self.valid >= ENOUGH * self.laser_on:
+        if not self.few_tracked:
             rest = f" ({counts})" if counts else ""
             return f"tracked: {self.valid} of {self.laser_on} frames with the laser on are valid{rest}"
         number = "no frame" if self.nothing_tracked else f"only {self.valid} of {self.laser_on} frames"

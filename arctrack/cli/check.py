@@ -27,7 +27,8 @@ def check(
 
     Measured are seam and stripe, width, peak, saturation and speckle, black level and noise, the arc's light,
     times and speeds, each beside what is stated. The picture shows the predicted stripe over two frames.
-    The exit code is 0 without a warning, 1 with one, 3 where nothing would be tracked, 2 for bad input.
+    The exit code is 0 without a warning, 1 with one or if few frames would be tracked, 3 if none would be, 2
+    for bad input.
     """
     from arctrack.check.run import check_recording
     from arctrack.cli import NOTHING_TRACKED, WARNED, console
@@ -62,5 +63,5 @@ def check(
         raise ArctrackError(f"{bad[0].message}; {len(bad)} of the frames looked at could not be used")
     if checked.verdict.nothing_tracked:
         raise typer.Exit(NOTHING_TRACKED)
-    if warnings:
+    if warnings or checked.verdict.few_tracked:
         raise typer.Exit(WARNED)
