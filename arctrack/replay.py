@@ -17,6 +17,7 @@ from typing import TYPE_CHECKING
 from arctrack.errors import ArctrackError, in_file
 from arctrack.moments import RealTime, RecordingTime
 from arctrack.output import make_folder
+from arctrack.printable import printable
 from arctrack.publish import LIMITS, Publisher
 from arctrack.recording import BadFrame, FrameRow, Recording, Truth, read_truth
 from arctrack.recording.results import (
@@ -74,6 +75,9 @@ class Replay:
     bad_frames: tuple[BadFrame, ...]
     warnings: tuple[str, ...]
     warm_up: WarmUp
+
+    def __repr__(self) -> str:
+        return f"Replay({self.summary}; results in {printable(str(self.folder))})"
 
     @property
     def complaint(self) -> str | None:

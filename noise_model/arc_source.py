@@ -31,6 +31,12 @@ class Arc:
             if not getattr(self, name) > 0:
                 raise ValueError(f"[arc] {name} = {getattr(self, name)}: must be > 0")
 
+    def __str__(self) -> str:
+        return (
+            f"{self.shape} of {self.radius_mm:g} mm, radiance {self.radiance_e:.3g} e- at "
+            f"{self.current_a:g} A, ~ current^{self.current_exponent:g}"
+        )
+
 
 def level(arc: Arc, current_a: float) -> float:
     """Return the arc's output relative to that at `arc.current_a`: (I / I_0)^n; 0 at no current."""

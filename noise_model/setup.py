@@ -35,6 +35,13 @@ class Tolerance:
             if not value >= 0:
                 raise ValueError(f"[tolerance] {name} = {value}: must be >= 0")
 
+    def __str__(self) -> str:
+        return (
+            f"hand-eye {self.hand_eye_deg:g} deg and {self.hand_eye_mm:g} mm, "
+            f"arc {100 * self.arc_level_rel:g} %, laser {100 * self.laser_level_rel:g} %; "
+            f"the weld bears {self.seam_mm:g} mm"
+        )
+
 
 @dataclass(frozen=True)
 class Setup:
@@ -52,6 +59,15 @@ class Setup:
     joint: Joint
     tolerance: Tolerance = field(default_factory=Tolerance)
     effects: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
+
+    def __str__(self) -> str:
+        known = f"; known effects: {', '.join(self.effects)}" if self.effects else ""
+        return (
+            f"{self.joint}\nof {self.material}{known}\n"
+            f"camera {self.camera.width} x {self.camera.height} px, {self.sensor.bits} bit, "
+            f"{1000 * self.camera.exposure_s:g} ms; laser {self.laser.wavelength_nm:g} nm; "
+            f"arc {self.arc.current_a:g} A"
+        )
 
 
 def require_setup(setup: object) -> Setup:

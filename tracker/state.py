@@ -57,6 +57,15 @@ class Frame:
     laser_on: bool = True
     arc_on: bool = True
 
+    def __str__(self) -> str:
+        size = " x ".join(str(side) for side in reversed(self.image_dn.shape))
+        lit = [name for name, on in (("laser", self.laser_on), ("arc", self.arc_on)) if on]
+        current = f" at {self.current_a:g} A" if self.arc_on and math.isfinite(self.current_a) else ""
+        return (
+            f"frame {self.index} at {self.timestamp_s:.3f} s: {size} px {self.image_dn.dtype}, "
+            f"{' and '.join(lit) or 'no light'}{current}, {1000 * self.exposure_s:g} ms"
+        )
+
 
 def frame_misfit(shape: tuple[int, ...], dtype: npt.DTypeLike, setup: Setup) -> str | None:
     """Return what is wrong with an image's shape, (H, W) if right, and type for a setup; None if it fits."""
@@ -85,6 +94,13 @@ class Pose:
 
     T_base_tool: Float64
     extrapolated: bool = False
+
+    def __repr__(self) -> str:
+        x_mm, y_mm, z_mm = self.T_base_tool[:3, 3]
+        tilt_deg = math.degrees(math.acos(np.clip(self.T_base_tool[2, 2], -1.0, 1.0)))
+        how = ", extrapolated" if self.extrapolated else ""
+        place = f"({x_mm:.2f}, {y_mm:.2f}, {z_mm:.2f}) mm in base"
+        return f"Pose(tool at {place}, {tilt_deg:.1f} deg off its z{how})"
 
 
 @dataclass(frozen=True)
@@ -153,6 +169,18 @@ class Track:
     def valid(self) -> bool:
         """Whether the seam point may be used."""
         return not self.flags & flags.INVALIDATING and math.isfinite(self.seam_tool_mm[1])
+
+    def __str__(self) -> str:
+        raised = ", ".join(self.flag_names) or "none"
+        if not self.valid:
+            return f"track of frame {self.frame} at {self.timestamp_s:.3f} s: no seam; flags: {raised}"
+        _, y_mm, z_mm = self.seam_tool_mm
+        return (
+            f"track of frame {self.frame} at {self.timestamp_s:.3f} s: "
+            f"seam y {y_mm:+.3f} ± {self.sigma_y_mm:.3f}, z {z_mm:+.3f} ± {self.sigma_z_mm:.3f} mm in tool\n"
+            f"offset y {self.offset_y_mm:+.3f}, z {self.offset_z_mm:+.3f} mm; "
+            f"confidence {self.confidence:.2f}; flags: {raised}"
+        )
 
     @property
     def flag_names(self) -> tuple[str, ...]:

@@ -29,6 +29,12 @@ class Tracker:
         self.correction = correction
         self._work = Work.of(self.geometry)
 
+    def __repr__(self) -> str:
+        setup = self.geometry.setup
+        means = "with the arc map" if self.use_arc_map else "without the arc map"
+        size = f"{setup.camera.width} x {setup.camera.height} px"
+        return f"Tracker(a {setup.joint.type} seen by {size}, {means}; {self.state.frames} frames so far)"
+
     def step(self, frame: Frame, pose: Pose | None) -> Track:
         """Track one frame and keep the new state.
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 
-import numpy as np
 from rich.console import Console
 from rich.table import Table
 
@@ -49,53 +48,15 @@ def correction_words(correction: Correction) -> str:
 
 def setup_lines(setup: Setup) -> list[tuple[str, str]]:
     """Return what the nominal setup says, a line a part."""
-    camera, sensor, laser, arc = setup.camera, setup.sensor, setup.laser, setup.arc
-    fields_deg = [
-        math.degrees(2.0 * math.atan(size / 2.0 / focal))
-        for size, focal in ((camera.width, camera.fx), (camera.height, camera.fy))
-    ]
-    x_mm, y_mm, z_mm = camera.T_tool_camera[:3, 3]
-    down_deg = math.degrees(math.acos(np.clip(-camera.T_tool_camera[2, 2], -1.0, 1.0)))
-    material, joint, tolerance = setup.material, setup.joint, setup.tolerance
-    size = ", ".join(f"{name} {value:g}" for name, value in joint.dimensions.items())
-    length_mm = np.linalg.norm(np.diff(np.asarray(joint.seam_in_base_mm), axis=0), axis=1).sum()
-    plane = " ".join(f"{value:g}" for value in laser.plane_in_tool)
     return [
-        (
-            "camera",
-            f"{camera.width} x {camera.height} px, {camera.focal_length_mm:g} mm f/{camera.f_number:g}, "
-            f"field {fields_deg[0]:.1f} x {fields_deg[1]:.1f} deg, PSF {camera.psf_sigma_px:g} px; "
-            f"at ({x_mm:.1f}, {y_mm:.1f}, {z_mm:.1f}) mm in tool, {down_deg:.1f} deg off straight down",
-        ),
-        (
-            "sensor",
-            f"{sensor.bits} bit, {sensor.gain_e_per_dn:g} e-/DN, black {sensor.black_level_dn:g} DN, "
-            f"read noise {sensor.read_noise_e:g} e-, full well {sensor.full_well_e:g} e-, "
-            f"gamma {sensor.gamma:g}",
-        ),
+        ("camera", str(setup.camera)),
+        ("sensor", str(setup.sensor)),
         ("filter", f"{setup.filter.center_nm:g} nm, {setup.filter.fwhm_nm:g} nm wide"),
-        (
-            "laser",
-            f"{laser.wavelength_nm:g} nm, plane [{plane}] in tool, stripe sigma "
-            f"{laser.stripe_sigma_mm:g} mm, peak {laser.peak_e:g} e-",
-        ),
-        (
-            "arc",
-            f"{arc.shape} of {arc.radius_mm:g} mm, radiance {arc.radiance_e:.3g} e- at {arc.current_a:g} A, "
-            f"~ current^{arc.current_exponent:g}",
-        ),
-        (
-            "material",
-            f"{material.name}: kappa_diff {material.kappa_diff:g}, kappa_spec {material.kappa_spec:g}, "
-            f"c2 {material.c2:g}",
-        ),
-        ("joint", f"{joint.type}{': ' if size else ''}{size}; nominal seam {length_mm:.0f} mm long"),
-        (
-            "tolerance",
-            f"hand-eye {tolerance.hand_eye_deg:g} deg and {tolerance.hand_eye_mm:g} mm, "
-            f"arc {100 * tolerance.arc_level_rel:g} %, laser {100 * tolerance.laser_level_rel:g} %; "
-            f"the weld bears {tolerance.seam_mm:g} mm",
-        ),
+        ("laser", str(setup.laser)),
+        ("arc", str(setup.arc)),
+        ("material", str(setup.material)),
+        ("joint", str(setup.joint)),
+        ("tolerance", str(setup.tolerance)),
     ]
 
 

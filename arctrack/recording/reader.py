@@ -57,6 +57,14 @@ class Recording:
     frame_source: Path
     warnings: tuple[str, ...]
 
+    def __repr__(self) -> str:
+        joint, metal = self.setup.joint.type, printable(self.setup.material.name)
+        warned = f", {len(self.warnings)} warnings" if self.warnings else ""
+        return (
+            f"Recording({self.name}: {len(self.rows)} frames and {len(self.poses.timestamps_s)} poses "
+            f"of a {joint} in {metal}{warned})"
+        )
+
     @property
     def name(self) -> str:
         """The folder's name, fit to print."""

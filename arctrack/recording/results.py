@@ -171,6 +171,13 @@ class Summary:
     score: Score | None
     joint_ends_mm: Mapping[str, tuple[float, float]] = field(default_factory=dict)
 
+    def __str__(self) -> str:
+        error = ""
+        if self.score is not None:
+            lateral, vertical = self.score.lateral.whole.rms, self.score.vertical.whole.rms
+            error = f", RMS error {lateral:.3f} mm lateral and {vertical:.3f} mm vertical"
+        return f"{self.recording}: {self.valid} of {self.frames} frames valid{error}"
+
     def to_json(self) -> dict[str, Any]:
         """Return the content of summary.json; what is not known is null."""
         content: dict[str, Any] = {

@@ -15,7 +15,7 @@ from tomlkit.items import Table
 
 from arctrack.errors import in_file
 from arctrack.limits import LIMITS
-from arctrack.printable import cut, first_of
+from arctrack.printable import cut, first_of, printable
 from arctrack.recording.files import UnfitFileError, read_text
 from arctrack.recording.key_errors import describe
 from arctrack.recording.setup_model import FORMAT, UNITS, RecordingToml, unknown_keys
@@ -48,6 +48,11 @@ class SetupFile:
     T_tool_controllertool: Float64 | None = None
     unknown_keys: tuple[str, ...] = ()
     nearest_keys: Mapping[str, str] = field(default_factory=dict)
+
+    def __repr__(self) -> str:
+        joint, metal = self.setup.joint.type, printable(self.setup.material.name)
+        unknown = f", {len(self.unknown_keys)} unknown keys" if self.unknown_keys else ""
+        return f"SetupFile({printable(str(self.path))}: a {joint} in {metal}{unknown})"
 
     @property
     def warnings(self) -> tuple[str, ...]:

@@ -10,6 +10,7 @@ import numpy as np
 
 from arctrack.errors import in_file
 from arctrack.limits import LIMITS
+from arctrack.printable import printable
 from arctrack.recording.csv_file import CsvTable, number, number_or_unknown, read_csv, whole
 from noise_model.arrays import Float64, Int64
 from noise_model.transforms import pose_matrix
@@ -55,6 +56,11 @@ class PoseTable:
     timestamps_s: Float64
     T_base_tool: Float64
 
+    def __repr__(self) -> str:
+        first_s, last_s = self.timestamps_s[[0, -1]]
+        name = printable(self.path.name)
+        return f"PoseTable({len(self.timestamps_s)} poses from {first_s:.3f} to {last_s:.3f} s, of {name})"
+
     @property
     def period_s(self) -> float:
         """The median time between two poses; NaN if there is but one."""
@@ -67,6 +73,13 @@ class Truth:
 
     frames: Int64
     seam_tool_mm: Float64
+
+    def __repr__(self) -> str:
+        low_mm, high_mm = self.seam_tool_mm.min(axis=0), self.seam_tool_mm.max(axis=0)
+        return (
+            f"Truth({len(self.frames)} seam points, y {low_mm[1]:+.3f} to {high_mm[1]:+.3f}, "
+            f"z {low_mm[2]:+.3f} to {high_mm[2]:+.3f} mm in tool)"
+        )
 
 
 def read_frame_rows(path: Path) -> tuple[tuple[FrameRow, ...], list[str]]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, field, replace
 from typing import NamedTuple
 
@@ -55,6 +56,19 @@ class Camera:
             raise ValueError(
                 f"[camera] pixel_format = {self.pixel_format!r}: must be a monochrome one, such as mono8"
             )
+
+    def __str__(self) -> str:
+        fields_deg = [
+            math.degrees(2.0 * math.atan(size / 2.0 / focal))
+            for size, focal in ((self.width, self.fx), (self.height, self.fy))
+        ]
+        x_mm, y_mm, z_mm = self.T_tool_camera[:3, 3]
+        down_deg = math.degrees(math.acos(np.clip(-self.T_tool_camera[2, 2], -1.0, 1.0)))
+        return (
+            f"{self.width} x {self.height} px, {self.focal_length_mm:g} mm f/{self.f_number:g}, "
+            f"field {fields_deg[0]:.1f} x {fields_deg[1]:.1f} deg, PSF {self.psf_sigma_px:g} px; "
+            f"at ({x_mm:.1f}, {y_mm:.1f}, {z_mm:.1f}) mm in tool, {down_deg:.1f} deg off straight down"
+        )
 
     @property
     def geometry(self) -> tuple[int, int, float, float, float, float, tuple[float, ...]]:

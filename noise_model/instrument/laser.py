@@ -51,6 +51,13 @@ class Laser:
         if not (np.isfinite(self.plane_in_tool).all() and np.isfinite(self.origin_in_tool_mm).all()):
             raise ValueError("[laser] plane_in_tool, origin_in_tool_mm: must be finite")
 
+    def __str__(self) -> str:
+        plane = " ".join(f"{value:g}" for value in self.plane_in_tool)
+        return (
+            f"{self.wavelength_nm:g} nm, plane [{plane}] in tool, stripe sigma {self.stripe_sigma_mm:g} mm, "
+            f"peak {self.peak_e:g} e-"
+        )
+
     @property
     def plane(self) -> Float64:
         """`plane_in_tool` (4,) as an array: one for all who ask, it is not to be written to."""

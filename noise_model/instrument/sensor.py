@@ -48,6 +48,12 @@ class Sensor:
         if not abs(self.bend) < BEND_LIMIT:
             raise ValueError(f"bend = {self.bend}: must lie between -{BEND_LIMIT} and {BEND_LIMIT}")
 
+    def __str__(self) -> str:
+        return (
+            f"{self.bits} bit, {self.gain_e_per_dn:g} e-/DN, black {self.black_level_dn:g} DN, "
+            f"read noise {self.read_noise_e:g} e-, full well {self.full_well_e:g} e-, gamma {self.gamma:g}"
+        )
+
     @property
     def is_linear(self) -> bool:
         """Whether DN over black is proportional to the charge."""

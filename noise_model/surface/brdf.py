@@ -73,6 +73,11 @@ class Material:
         if not self.c2 > 0:
             raise ValueError(f"[material] c2 = {self.c2}: must be > 0")
 
+    def __str__(self) -> str:
+        # A name comes from a file, and may hold what a terminal obeys.
+        name = self.name if self.name.isprintable() else repr(self.name)
+        return f"{name}: kappa_diff {self.kappa_diff:g}, kappa_spec {self.kappa_spec:g}, c2 {self.c2:g}"
+
     @property
     def relative_albedo(self) -> float:
         """How much of the light that falls straight on it goes out, in the units of the kappas.

@@ -96,6 +96,11 @@ class Joint:
         if (np.linalg.norm(np.cross(steps, normal), axis=1) < 1e-3 * np.linalg.norm(steps, axis=1)).any():
             raise ValueError("[joint] surface_normal_in_base: is parallel to the seam line")
 
+    def __str__(self) -> str:
+        size = ", ".join(f"{name} {value:g}" for name, value in self.dimensions.items())
+        length_mm = np.linalg.norm(np.diff(np.asarray(self.seam_in_base_mm), axis=0), axis=1).sum()
+        return f"{self.type}{': ' if size else ''}{size}; nominal seam {length_mm:.0f} mm long"
+
     @property
     def has_ridges(self) -> bool:
         """Whether ridges run across the nominal seam line; they stay so when the seam between them turns."""
