@@ -12,7 +12,7 @@ from noise_model.effects import REGISTRY
 from noise_model.fit import Parameter
 from sim_to_real.data.binned import ObservedFrame
 from sim_to_real.decision.experiments import BY_NAME, MENU, WITNESS
-from sim_to_real.decision.optimal_design import best_measurement, planned_frame, with_experiment
+from sim_to_real.decision.optimal_design import best_measurement, is_recorded, planned_frame, with_experiment
 from sim_to_real.fit.gauss_newton import FRAME_LEVEL, refit
 from sim_to_real.fit.quadratic import N_EFFECTIVE, Quadratic
 from sim_to_real.search.identifiability import not_resolvable, projected_signatures, smallest_detectable
@@ -91,7 +91,6 @@ def test_every_effect_has_a_witness():
     assert set(WITNESS) == set(REGISTRY)
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize(
     ("hidden", "rival", "tells"),
     [
@@ -180,3 +179,16 @@ def test_the_menu_is_known_by_key_and_by_what_the_report_says():
     assert len({item.key for item in MENU}) == len(MENU) == len(BY_NAME)
     assert BY_NAME["the torch raised by 2 mm"].key == "raised"
     assert BY_NAME["the same run 3 times as fast"].key == "faster"
+
+
+def test_no_experiment_is_asked_for_that_the_recording_holds(tmp_path):
+    """The example has dark frames, laser and arc alone, 100 and 140 A, and two exposures."""
+    model = small_recording(tmp_path / "made", {"veiling_glare": {"share": 0.1}})
+    observed = model.observed
+    recorded = {experiment.key for experiment in MENU if is_recorded(experiment, observed)}
+    assert recorded == {"dark", "laser", "arc", "exposure", "current"}
+    only = observed.subset(np.array([frame.stratum == "laser" for frame in observed.frames]))
+    assert [experiment.key for experiment in MENU if is_recorded(experiment, only)] == ["laser"]
+    fits = [refit(model, {name: REGISTRY[name].typical}, model.neutral) for name in ("veiling_glare", "fume")]
+    experiment = BY_NAME.get(best_measurement(model, *fits).experiment)
+    assert experiment is None or experiment.key not in recorded
