@@ -2,16 +2,16 @@
 
 The stripe alone cannot tell a camera that is off by a tenth of a millimetre from a part that is. The arc can:
 it burns below the tool's origin, and how its reflected light falls off over the image says where the camera
-stands beside it. The estimate is therefore as good as the arc's stated place: an arc that is blown sideways
-moves the camera by as much. Priors hold it to the stated hand-eye tolerance, and what would have to leave it
-far behind is refused.
+stands beside it. The estimate is the maximum a posteriori of camera, light and seam together. What the model
+may be off by itself is fitted along, each with its own prior, so that the camera's covariance holds what it
+leaves open: the arc's place, radius and level, the metal's reflectance, a slow error of brightness over the
+image. What would have to leave its prior far behind is refused.
 
-The seam is where the tracker saw it, moved and turned as a whole by what is fitted along: a camera that is
-off shifts all of what was tracked by nearly the same: the way it wanders is right, its place is not.
+The seam goes with the camera: where the tracker sees it in the image stays, and each camera puts it elsewhere
+in space. Between and beyond the sightings it may run as its curve's posterior modes say.
 
 Each round chooses pixels that lie off the edges of the joint's faces, takes their residuals as linear, and
-goes on to the fit's result, but no further than the pixels go on seeing the faces that they were chosen for:
-what changes by a jump has no derivative.
+goes on to the fit's result.
 """
 
 from __future__ import annotations
@@ -22,354 +22,378 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from noise_model.arc.map import Scene, arc_at, arc_kernel, make_scene
-from noise_model.arc_source import level as current_level
-from noise_model.arrays import Float32, Float64, Int32, Int64
+from calibration.arc_pixels import ArcPixels
+from noise_model.arc.map import make_scene
+from noise_model.arrays import Float64
 from noise_model.effects import apply_setup_effects
 from noise_model.fit import Fit, Parameter, fit
+from noise_model.instrument.camera import Rays
 from noise_model.instrument.sensor import variance_e2
 from noise_model.setup import Setup
-from noise_model.surface.joint import SeamLine
-from noise_model.surface.ray_casting import trace
-from noise_model.transforms import invert, moved, transform
+from noise_model.transforms import moved, transform
 from tracker.arc.level import HUBER
-from tracker.arc.transmission import Transmission, seen_arc
 from tracker.geometry import SensorGeometry
-from tracker.seam.gaussian_process import CAPACITY
-from tracker.seam.locate import expected_seam
+from tracker.seam.curve import SeamCurve
+from tracker.seam_observations import SeamObservations
 from tracker.state import Frame, Pose
-from tracker.step import TrackerState
-from tracker.stripe.expected import expect_stripe
-from tracker.tracker import Tracker
 
-LATTICE_PX = 16
-"""So far apart are the pixels that are compared."""
+MAX_FRAMES, MAX_SIGHTINGS = 48, 300
+"""So many frames with the arc on are compared, and so many sightings tell the seam; of more every n-th."""
 
-MAP_SIGMA = 0.02
-"""What the arc's light may be off from pixel to pixel beyond its noise, relative."""
+PIXEL_SIGMA = 0.02
+"""What the arc's light may be off from pixel to pixel beyond its noise, relative, 1 sigma."""
 
-KEEP_OFF_SIGMAS = 5.0
-"""How far a pixel must lie from the stripe, in the stripe's sigmas."""
+FIELD_SIGMA = 0.006
+"""What the arc's light may be off slowly over the image, relative, 1 sigma of each of `FIELDS`.
 
-EDGE_PX, STEEPEST = 8, 0.3
-"""A pixel counts if so far to each side the same face is seen and the light changes by a smaller share."""
+It is the model's floor of the diagnosis, taken as alike in all frames: vignetting, the lens, the filter.
+"""
 
-STEP_PX = 0.5 * EDGE_PX
-"""So far a round may move what a pixel sees: with an edge that comes to meet it the pixel's face stays."""
+ARC_SIGMA_MM, ARC_RADIUS_SIGMA, REFLECTANCE_SIGMA = 0.1, 0.1, 0.1
+"""1 sigma of the arc's place in the tool, and, relative, of its radius, of kappa_diff and of c2."""
 
-SETTLED_SIGMAS, MAX_ROUNDS = 0.2, 30
-"""Rounds go on until the camera moves by no more of its sigmas."""
+FLICKER_SIGMA = 0.1
+"""1 sigma of a frame's arc level about that of all, relative."""
 
-SEAM_SIGMA_MM, SEAM_SLOPE_SIGMA = 5.0, 0.05
-"""1 sigma of how far the seam lies off where it was tracked, and of how it is turned against that."""
+MAX_KINK = 0.003
+"""A pixel counts if its light's second difference over a derivative's step is a smaller share of it."""
+
+NEAR_SIGMAS, SETTLED_SIGMAS, MAX_ROUNDS = 1.0, 0.3, 20
+"""Rounds choose pixels anew, and go on, until the camera moves by no more of its sigmas."""
+
+MAX_STEP_SIGMAS = 3.0
+"""A round goes no further, in the priors' sigmas."""
 
 SEAM_KNOWN_MM = 0.2
 """A frame counts if the tracked seam is known so well under its stripe, 1 sigma."""
 
-EVERY = CAPACITY // 3
-"""The state after every so many measurements is kept: what one has forgotten the one before still knows."""
-
-WANDER_MM = 0.03
-"""A seam that leaves no straight line by more is one: a camera that is off makes as much of a tilt."""
-
 FAR_SIGMAS = 4.0
-"""A camera further off than so many of its stated sigmas means that something else is wrong."""
+"""What has to be further off than so many of its prior's sigmas means that something else is wrong."""
 
 MAX_LEVEL_FACTOR = 20.0
 """An arc by so much brighter or darker than stated means the same."""
 
-NOTHING_TO_COMPARE = (
-    "no pixel with the arc's light is below saturation, off the stripe and off the joint's edges: shorten "
-    "the exposure"
-)
+MAX_ERROR_RATIO = 0.7
+"""The seam's expected error after over that before from which on there is no clear gain."""
 
 CAMERA = ("rot_x", "rot_y", "rot_z", "move_x", "move_y", "move_z")
+ARC = ("arc_x", "arc_y", "arc_z")
+FIELDS = ("field_u", "field_v", "field_uu", "field_uv", "field_vv")
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class HandEye:
-    """The result: T_tool_camera (4, 4), mm, the fit behind it, and the arc's level over the nominal one."""
+    """The result: T_tool_camera (4, 4), mm, the fit behind it, and the seam's expected error.
+
+    `seam_sigma_before_mm` and `seam_sigma_after_mm` (2,) are 1 sigma of the seam point's y and z, mm, that
+    the camera's stated tolerance leaves and that the fit leaves, RMS over the recording's poses.
+    """
 
     T_tool_camera: Float64
     fit: Fit
+    seam_sigma_before_mm: Float64
+    seam_sigma_after_mm: Float64
+
+    @property
+    def error_ratio(self) -> float:
+        """The expected error after over that before, y and z together."""
+        before, after = (
+            float(np.hypot(*sigma_mm)) for sigma_mm in (self.seam_sigma_before_mm, self.seam_sigma_after_mm)
+        )
+        return after / before if before > 0.0 else 1.0
+
+    @property
+    def is_gain(self) -> bool:
+        """Whether the seam's expected error is clearly smaller after than before."""
+        return self.error_ratio < MAX_ERROR_RATIO
 
 
 def estimate_hand_eye(
     setup: Setup,
     frames: Sequence[tuple[Frame, Pose]],
     progress: Callable[[int, int], None] = lambda done, total: None,
-    lattice_px: int = LATTICE_PX,
 ) -> HandEye:
     """Estimate T_tool_camera from frames and their poses, some of them with the arc on.
 
-    Place and direction of the tracked seam are fitted along. Every `lattice_px`-th pixel of each row and
-    column is compared; frames of unknown current count where none is known. `progress` hears the rounds done
-    and how many there may be. Raises ValueError if no frame has the arc on or none of them a pixel to
-    compare, if the joint was found in none, if the rounds do not settle, or if the camera would have to be
-    off by more than FAR_SIGMAS of its tolerance or the arc by a factor of MAX_LEVEL_FACTOR: then arc or
-    material are not as stated, or the seam bends within an image, where it is taken as straight.
+    Frames of unknown current count where none is known. `progress` hears the rounds done and how many there
+    may be. Raises ValueError if no frame has the arc on or none of them a pixel to compare, if the joint was
+    found in none, if the rounds do not settle, or if camera, arc or metal would have to be off by more than
+    FAR_SIGMAS of their priors or the arc's level by a factor of MAX_LEVEL_FACTOR.
     """
-    lit = [(frame, pose) for frame, pose in frames if frame.arc_on and frame.current_a != 0.0]
+    lit = [(frame, pose.T_base_tool) for frame, pose in frames if frame.arc_on and frame.current_a != 0.0]
     if any(frame.current_a > 0.0 for frame, _ in lit):
-        # One level is fitted for all: a frame whose current is unknown may have another.
-        lit = [(frame, pose) for frame, pose in lit if frame.current_a > 0.0]
+        # Levels are fitted about one for all: a frame whose current is unknown may have any other.
+        lit = [(frame, T_base_tool) for frame, T_base_tool in lit if frame.current_a > 0.0]
     if not lit:
         raise ValueError("no frame has the arc on: the hand-eye estimate needs the arc's light")
-    seen = _with_seam(setup, lit, _tracked(setup, frames))
-    result = _settled(setup, seen, progress, lattice_px)
-    change = result.values[:6]
-    return HandEye(moved(setup.camera.T_tool_camera, change[:3], change[3:6]), result)
+    problem = _Problem.of(setup, _sightings(setup, frames), lit)
+    result = _settled(problem, progress)
+    prior = np.diag([parameter.prior_sigma**2 for parameter in result.parameters[:6]])
+    found = problem.setup_at(result.values)
+    return HandEye(
+        found.camera.T_tool_camera,
+        result,
+        seam_sigma_mm(found, problem.sightings, prior),
+        seam_sigma_mm(found, problem.sightings, result.covariance[:6, :6]),
+    )
 
 
-@dataclass(frozen=True)
-class _Seen:
-    """A frame with the arc on, its pose, and the seam as tracked under its stripe."""
+def seam_sigma_mm(setup: Setup, sightings: SeamObservations, covariance: Float64) -> Float64:
+    """Return 1 sigma (2,) of the seam point's y and z, mm, RMS over sightings, of an uncertain camera.
 
-    frame: Frame
-    pose: Pose
-    tracked: SeamLine
-
-    def seam(self, x: Float64, about_mm: float) -> SeamLine:
-        """Return the seam as fitted (12,): the tracked one moved and, about a station, turned."""
-        at, (y, z, slope_y, slope_z) = self.tracked, x[8:].tolist()
-        along = at.station_mm - about_mm
-        return SeamLine(
-            at.station_mm,
-            at.y_mm + y + slope_y * along,
-            at.z_mm + z + slope_z * along,
-            at.slope_y + slope_y,
-            at.slope_z + slope_z,
-        )
+    `covariance` (6, 6), deg and mm, is that of the camera's turn and move in its own frame. What is seen in
+    the image stays: sigma^2 = <(dy/dx) C (dy/dx)^T>.
+    """
+    steps = np.diag(_CAMERA_STEPS)
+    _, here = sightings.in_joint(setup)
+    slopes = np.stack(
+        [
+            (sightings.in_joint(_with_camera(setup, step))[1] - here) / size
+            for step, size in zip(steps, _CAMERA_STEPS, strict=True)
+        ]
+    )
+    variance = np.einsum("pna,pq,qna->na", slopes, covariance, slopes)
+    return np.asarray(np.sqrt(variance.mean(axis=0)))
 
 
-def _tracked(setup: Setup, frames: Sequence[tuple[Frame, Pose]]) -> list[TrackerState]:
-    """Track the recording and return states that know a seam, all of what it has seen among them."""
-    tracker = Tracker(setup)
-    states: list[TrackerState] = []
-    for frame, pose in frames:
-        tracker.step(frame, pose)
-        if len(tracker.state.history) and not (states and states[-1].history is tracker.state.history):
-            states.append(tracker.state)
-    if not states:
+_CAMERA_STEPS = np.array([0.03, 0.03, 0.03, 0.04, 0.04, 0.04])
+"""Steps of the derivatives with the camera's turn, deg, and move, mm: the light of a shaded sheet is not
+smooth over smaller ones."""
+
+
+def _with_camera(setup: Setup, change: Float64) -> Setup:
+    """Return the setup with its camera turned and moved by (6,), deg and mm."""
+    T_tool_camera = moved(setup.camera.T_tool_camera, change[:3], change[3:6])
+    return replace(setup, camera=replace(setup.camera, T_tool_camera=T_tool_camera))
+
+
+def _sightings(setup: Setup, frames: Sequence[tuple[Frame, Pose]]) -> SeamObservations:
+    """Return where the tracker sees the seam, evenly chosen; ValueError if it does so nowhere."""
+    poses = [lambda _, T_base_tool=pose.T_base_tool: T_base_tool for _, pose in frames]
+    sightings = SeamObservations.of(setup, [frame for frame, _ in frames], poses)
+    if not len(sightings.image_px):
         raise ValueError("the joint was found in no frame: the hand-eye estimate needs its place")
-    return states[::-1][::EVERY][::-1]
+    return sightings.thinned(MAX_SIGHTINGS)
 
 
-def _with_seam(
-    setup: Setup, frames: Sequence[tuple[Frame, Pose]], states: Sequence[TrackerState]
-) -> list[_Seen]:
-    """Return the frames under whose stripe the seam is known, each with what knows it best.
+@dataclass(frozen=True, eq=False)
+class _Problem:
+    """What is fitted: parameters (p,) in the order of `parameters`, to frames with the arc on.
 
-    A history forgets what lies far behind, so that of a long recording no single one knows all of it.
+    `curve` is the seam through the sightings as the stated camera puts them.
     """
-    seen = []
-    for frame, pose in frames:
-        nominal_scene = make_scene(setup, pose.T_base_tool)
-        station_mm = expected_seam(setup, nominal_scene, states[-1].history)[0].station_mm
-        lines = [state.history_at(station_mm).line_at(station_mm) for state in states]
-        line, sigma = min(lines, key=lambda known: float(known[1].max()))
-        if sigma.max() <= SEAM_KNOWN_MM:
-            seen.append(_Seen(frame, pose, line))
-    if not seen:
-        raise ValueError(
-            "the joint was found near no frame with the arc on: the hand-eye estimate needs the seam there"
+
+    setup: Setup
+    sightings: SeamObservations
+    curve: SeamCurve
+    lit: list[tuple[Frame, Float64]]
+    rays: Rays
+
+    @classmethod
+    def of(cls, setup: Setup, sightings: SeamObservations, lit: list[tuple[Frame, Float64]]) -> _Problem:
+        """Take the frames under whose stripe the seam is known; ValueError if it is under none."""
+        true = apply_setup_effects(setup)
+        scenes = [make_scene(true, T_base_tool) for _, T_base_tool in lit]
+        curve = _curve(setup, sightings, np.array([scene.stations_mm for scene in scenes]))
+        is_known = [
+            curve.sigma_mm(float(transform(scene.T_joint_tool, setup.laser.point_mm)[0])).max()
+            <= SEAM_KNOWN_MM
+            for scene in scenes
+        ]
+        if not any(is_known):
+            raise ValueError(
+                "the joint was found near no frame with the arc on: the hand-eye estimate needs the seam "
+                "there"
+            )
+        kept = np.flatnonzero(is_known)
+        kept = kept[np.unique(np.linspace(0, len(kept) - 1, min(len(kept), MAX_FRAMES)).round().astype(int))]
+        curve = _curve(setup, sightings, np.array([scenes[n].stations_mm for n in kept]))
+        return cls(setup, sightings, curve, [lit[n] for n in kept], Rays.of(true.camera))
+
+    @property
+    def parameters(self) -> list[Parameter]:
+        """The parameters: camera, light, arc, metal, seam, fields, levels of the frames."""
+        tolerance, ln_level = self.setup.tolerance, math.log(MAX_LEVEL_FACTOR)
+        deg, mm = max(tolerance.hand_eye_deg, 1e-6), max(tolerance.hand_eye_mm, 1e-6)
+        black_e = max(tolerance.black_level_dn * self.setup.sensor.gain_e_per_dn, 1e-3)
+        turn_deg, move_mm = _CAMERA_STEPS[0], _CAMERA_STEPS[3]
+        return [
+            *(Parameter(name, "deg", 0.0, deg, step=turn_deg) for name in CAMERA[:3]),
+            *(Parameter(name, "mm", 0.0, mm, step=move_mm) for name in CAMERA[3:]),
+            Parameter("ln_arc_level", "", 0.0, lower=-ln_level, upper=ln_level, step=1e-3),
+            Parameter("black_level", "e-", 0.0, black_e, step=1.0),
+            *(Parameter(name, "mm", 0.0, ARC_SIGMA_MM, step=0.05) for name in ARC),
+            Parameter("ln_arc_radius", "", 0.0, ARC_RADIUS_SIGMA, step=0.05),
+            *(Parameter(name, "", 0.0, REFLECTANCE_SIGMA, step=0.05) for name in ("ln_kappa_diff", "ln_c2")),
+            *(Parameter(f"seam_{n}", "", 0.0, 1.0, step=0.3) for n in range(self.curve.n_modes)),
+            *(Parameter(name, "", 0.0, FIELD_SIGMA, step=1e-3) for name in FIELDS),
+            *(
+                Parameter(f"ln_level_{frame.index}", "", 0.0, FLICKER_SIGMA, step=1e-3)
+                for frame, _ in self.lit
+            ),
+        ]
+
+    @property
+    def _seam(self) -> slice:
+        return slice(14, 14 + self.curve.n_modes)
+
+    def setup_at(self, x: Float64) -> Setup:
+        """Return the setup with camera, arc and metal as parameters (p,) say."""
+        setup = _with_camera(self.setup, x[:6])
+        x_mm, y_mm, z_mm = np.asarray(setup.arc.center_in_tool_mm) + x[8:11]
+        arc = replace(
+            setup.arc,
+            center_in_tool_mm=(float(x_mm), float(y_mm), float(z_mm)),
+            radius_mm=setup.arc.radius_mm * math.exp(x[11]),
         )
-    return _straightened(seen)
+        metal = setup.material
+        metal = replace(metal, kappa_diff=metal.kappa_diff * math.exp(x[12]), c2=metal.c2 * math.exp(x[13]))
+        return replace(setup, arc=arc, material=metal)
+
+    def seam_at(self, x: Float64) -> SeamCurve:
+        """Return the seam through the sightings as the camera of parameters (p,) puts them."""
+        seen = self.sightings.in_joint(_with_camera(self.setup, x[:6]))
+        return self.curve.through(*seen, self.sightings.variances_mm2)
+
+    def choose(self, x: Float64) -> list[ArcPixels]:
+        """Choose each frame's pixels, all as parameters (p,) say."""
+        geometry, curve = SensorGeometry.of(self.setup_at(x)), self.seam_at(x)
+        return [
+            ArcPixels.of(geometry, self.rays, curve, x[self._seam], frame, T_base_tool)
+            for frame, T_base_tool in self.lit
+        ]
+
+    def light(self, views: Sequence[ArcPixels], x: Float64) -> tuple[Float64, Float64]:
+        """Return the arc's light at its stated levels and the other light (n,), e-, of all frames' pixels."""
+        setup, curve = self.setup_at(x), self.seam_at(x)
+        lights = [view.light(setup, self.rays, curve, x[self._seam]) for view in views]
+        arc_e, other_e = (np.concatenate(parts) for parts in zip(*lights, strict=True))
+        return arc_e, other_e
+
+    def linear(self, views: Sequence[ArcPixels], x: Float64) -> tuple[Float64, Float64]:
+        """Return the whitened residuals (n,) at parameters (p,) and their derivatives (n, p).
+
+        Pixels that come to see another face over a derivative's step, or whose light has a kink there, as at
+        a penumbra's border, are left out. The mean is
+
+            exp(ln_arc_level + ln_level) (1 + sum_k field_k phi_k(u, v)) arc_e + other_e + black_level.
+        """
+        parameters = self.parameters
+        u, v = np.concatenate([view.place for view in views]).T
+        fields = np.stack([u, v, u * u, u * v, v * v])
+        frame_of = np.repeat(np.arange(len(views)), [len(view.charge_e) for view in views])
+        first_field = self._seam.stop
+        first_level = first_field + len(FIELDS)
+        level = np.exp(x[6] + x[first_level:][frame_of])
+        factor = level * (1.0 + x[first_field:first_level] @ fields)
+        arc_e, other_e = self.light(views, x)
+        mean_e = factor * arc_e + other_e + x[7]
+        J_e = np.zeros((len(mean_e), len(parameters)))
+        smooth = np.isfinite(mean_e)
+        for n in (*range(6), *range(8, first_field)):
+            step = parameters[n].step * np.eye(len(x))[n]
+            below_e, above_e = (
+                factor * arc_there_e + other_there_e
+                for arc_there_e, other_there_e in (self.light(views, x - step), self.light(views, x + step))
+            )
+            J_e[:, n] = (above_e - below_e) / (2.0 * parameters[n].step)
+            # An arc that is wider is brighter by a square: only what moves the view tells a kink.
+            if n < 6:
+                kink_e = above_e - 2.0 * (factor * arc_e + other_e) + below_e
+                smooth &= ~(np.abs(kink_e) > MAX_KINK * factor * arc_e)
+        smooth &= np.isfinite(J_e).all(axis=1)
+        J_e[:, 6], J_e[:, 7] = factor * arc_e, 1.0
+        J_e[:, first_field:first_level] = (level * arc_e * fields).T
+        J_e[:, first_level:] = (factor * arc_e)[:, None] * (frame_of[:, None] == np.arange(len(views)))
+        sigma_e = np.sqrt(variance_e2(mean_e, self.setup.sensor) + (PIXEL_SIGMA * (mean_e - x[7])) ** 2)
+        charge_e = np.concatenate([view.charge_e for view in views])
+        residuals, J = (charge_e - mean_e) / sigma_e, -J_e / sigma_e[:, None]
+        return residuals[smooth], J[smooth]
 
 
-def _straightened(seen: list[_Seen]) -> list[_Seen]:
-    """Return the frames with their seams on one straight line, the least squares', if that will do.
-
-    The groove shows where the arc stands beside it, 35 mm off: there slopes of 0.003, which are the tracker's
-    own, would move it by 0.1 mm in each frame anew.
-    """
-    stations = np.array([one.tracked.station_mm for one in seen])
-    along = np.column_stack([np.ones_like(stations), stations - stations.mean()])
-    places = np.array([(one.tracked.y_mm, one.tracked.z_mm) for one in seen])
-    line = np.linalg.lstsq(along, places, rcond=None)[0]
-    on_line = along @ line
-    if np.abs(places - on_line).max() > WANDER_MM:
-        return seen
-    return [
-        replace(one, tracked=SeamLine(one.tracked.station_mm, *place.tolist(), *line[1].tolist()))
-        for one, place in zip(seen, on_line, strict=True)
-    ]
+def _curve(setup: Setup, sightings: SeamObservations, stations_mm: Float64) -> SeamCurve:
+    """Return the seam through sightings over all stations (n, 3) that frames and their torch need."""
+    return SeamCurve.of(
+        *sightings.in_joint(setup),
+        sightings.variances_mm2,
+        (float(stations_mm.min()), float(stations_mm.max())),
+        setup.joint.has_ridges,
+        systematic=(0.0, 0.0),
+    )
 
 
-def _settled(
-    setup: Setup, seen: Sequence[_Seen], progress: Callable[[int, int], None], lattice_px: int
-) -> Fit:
+def _settled(problem: _Problem, progress: Callable[[int, int], None]) -> Fit:
     """Choose pixels and fit in turn until the camera settles; ValueError if it does not, or far off."""
-    about_mm = float(np.median([one.tracked.station_mm for one in seen]))
-    x = np.zeros(12)
+    parameters = problem.parameters
+    reach = MAX_STEP_SIGMAS * np.array([parameter.prior_sigma for parameter in parameters])
+    x = np.zeros(len(parameters))
+    is_near = is_settled = False
     for done in range(MAX_ROUNDS):
         progress(done, MAX_ROUNDS)
-        geometry = SensorGeometry.of(_with_camera(setup, x[:6]))
-        views = [_View.of(geometry, one, one.seam(x, about_mm), lattice_px) for one in seen]
-        if not any(len(view.pixels) for view in views):
-            raise ValueError(NOTHING_TO_COMPARE)
+        if not is_near:
+            views = problem.choose(x)
         if done == 0:
-            x[6] = _ln_level(setup, views)
-        result = _fit(setup, views, about_mm, x)
-        turned = _with_camera(setup, result.values[:6])
-        shift_px = max(view.shift_px(turned, view.seen.seam(result.values, about_mm)) for view in views)
+            x[6] = _ln_level(problem, views, x)
+        residuals, J = problem.linear(views, x)
+        result = _fit(parameters, residuals, J, x)
         step = result.values - x
-        is_settled = shift_px < STEP_PX and bool((np.abs(step) < SETTLED_SIGMAS * result.sigmas)[:6].all())
+        # Other pixels would say something else each time: near the end they stay.
+        camera_sigmas = np.abs(step / result.sigmas)[:6].max()
+        is_near, is_settled = camera_sigmas < NEAR_SIGMAS, camera_sigmas < SETTLED_SIGMAS
         if is_settled:
             break
-        x = x + min(1.0, STEP_PX / max(shift_px, STEP_PX)) * step
+        x = x + np.clip(step, -reach, reach)
     progress(MAX_ROUNDS, MAX_ROUNDS)
+    _check(result)
+    if not is_settled:
+        raise ValueError(
+            f"camera and seam do not settle in {MAX_ROUNDS} rounds: arc, material or joint are not as "
+            "stated, or it takes more frames with the arc on"
+        )
+    return result
+
+
+def _fit(parameters: Sequence[Parameter], residuals: Float64, J: Float64, x: Float64) -> Fit:
+    """Fit parameters (p,) to residuals (n,) that are linear about `x`."""
+    return fit(parameters, lambda there: residuals + J @ (there - x), huber=HUBER, start=x)
+
+
+def _ln_level(problem: _Problem, views: Sequence[ArcPixels], x: Float64) -> float:
+    """Return about which level, within its bounds, the arc has where camera and seam are as stated."""
+    arc_e, _ = problem.light(views, x)
+    if not np.nansum(arc_e) > 0.0:
+        raise ValueError(
+            "no pixel with the arc's light is below saturation, off the stripe and off the joint's edges: "
+            "shorten the exposure"
+        )
+    # All at once: of pixels in shadow nothing is expected.
+    charge_e = sum(float(view.charge_e.sum()) for view in views)
+    factor = charge_e / float(np.nansum(arc_e))
+    return math.log(min(max(factor, 1.0 / MAX_LEVEL_FACTOR), MAX_LEVEL_FACTOR))
+
+
+def _check(result: Fit) -> None:
+    """Raise ValueError if something would have to be further off than its prior lets it be."""
     if "ln_arc_level" in result.at_bounds:
         raise ValueError(
             f"the arc would have to be off by a factor of {MAX_LEVEL_FACTOR:g}: arc or material are not as "
             "stated, or there are too few frames with the arc on"
         )
-    stated = np.array([parameter.prior_sigma for parameter in result.parameters[:6]])
-    far = float(np.max(np.abs(result.values[:6]) / stated))
+    sigmas = np.array([parameter.prior_sigma for parameter in result.parameters])
+    off = np.abs(result.values / sigmas)
+    far = float(off[:6].max())
     if far > FAR_SIGMAS:
         raise ValueError(
             f"the camera would have to be off by {far:.0f} of its stated sigmas: arc or material are not as "
-            "stated, the seam bends within the image, or [tolerance] hand_eye_deg and hand_eye_mm are too "
-            "small"
+            "stated, or [tolerance] hand_eye_deg and hand_eye_mm are too small"
         )
-    if is_settled:
-        return result
-    raise ValueError(
-        f"camera and seam do not settle in {MAX_ROUNDS} rounds: arc, material or joint are not as stated, "
-        "the seam bends within the image, or it takes more frames with the arc on"
-    )
-
-
-def _with_camera(setup: Setup, change: Float64) -> Setup:
-    """Return the setup with its camera turned and moved."""
-    camera = setup.camera
-    return replace(
-        setup, camera=replace(camera, T_tool_camera=moved(camera.T_tool_camera, change[:3], change[3:6]))
-    )
-
-
-@dataclass(frozen=True)
-class _View:
-    """One frame's pixels (n,) off stripe, edges and saturation.
-
-    Their places by scan line, charge, the face that each saw from `chosen`, and the expected output.
-    """
-
-    geometry: SensorGeometry
-    seen: _Seen
-    scene: Scene
-    pixels: Int64
-    faces: Int32
-    charge_e: Float64
-    output: float
-
-    @classmethod
-    def of(cls, geometry: SensorGeometry, seen: _Seen, seam: SeamLine, lattice_px: int) -> _View:
-        setup, frame = geometry.setup, seen.frame
-        s, r = geometry.lattice(lattice_px)
-        scene = make_scene(setup, seen.pose.T_base_tool, seam)
-        kernel = arc_kernel(setup, scene)
-        keep = np.ones(len(s), dtype=bool)
-        stripe = expect_stripe(geometry, scene)
-        if frame.laser_on and stripe is not None:
-            keep &= np.abs(r - stripe.position_px[s]) > KEEP_OFF_SIGMAS * stripe.sigma_px[s]
-        dn = frame.image_dn[r, s] if geometry.along_rows else frame.image_dn[s, r]
-        keep &= dn < geometry.saturation_dn
-        predicted, face = arc_at(kernel, geometry.xy, geometry.cos4, s * geometry.n_pos + r)
-        keep &= np.isfinite(predicted)
-        for ds, dr in ((EDGE_PX, 0), (-EDGE_PX, 0), (0, EDGE_PX), (0, -EDGE_PX)):
-            s_near = np.clip(s + ds, 0, geometry.n_scan - 1)
-            r_near = np.clip(r + dr, 0, geometry.n_pos - 1)
-            near, near_face = arc_at(kernel, geometry.xy, geometry.cos4, s_near * geometry.n_pos + r_near)
-            with np.errstate(invalid="ignore"):
-                keep &= (near_face == face) & (np.abs(near - predicted) <= STEEPEST * predicted)
-        current = current_level(setup.arc, frame.current_a) if frame.current_a > 0.0 else 1.0
-        output = current * frame.exposure_s / setup.camera.exposure_s
-        pixels = (s * geometry.n_pos + r)[keep]
-        charge_e = geometry.charge_e[dn[keep]].astype(np.float64)
-        return cls(geometry, seen, scene, pixels, face[keep], charge_e, output)
-
-    def residual(self, setup: Setup, level: float, black_e: float, seam: SeamLine) -> Float64:
-        """Return the whitened residuals (n,) against a setup, NaN of a pixel that sees another face."""
-        mean_e = self.mean_e(setup, level, black_e, seam)
-        variance = variance_e2(mean_e, self.geometry.setup.sensor) + (MAP_SIGMA * mean_e) ** 2
-        return np.asarray((self.charge_e - mean_e) / np.sqrt(variance))
-
-    def mean_e(self, setup: Setup, level: float, black_e: float, seam: SeamLine) -> Float64:
-        """Return the charge (n,) that a setup lets expect, NaN of a pixel that sees another face."""
-        true = apply_setup_effects(setup)
-        scene = make_scene(true, self.seen.pose.T_base_tool, seam)
-        output = level * self.output
-        kernel = arc_kernel(true, scene, output)
-
-        def light(pixels: Int64) -> Float32:
-            return arc_at(kernel, self.geometry.xy, self.geometry.cos4, pixels)[0]
-
-        own_e, faces = arc_at(kernel, self.geometry.xy, self.geometry.cos4, self.pixels)
-        transmission = Transmission.of(self.geometry, scene, light, output)
-        arc_e, other_e = seen_arc(lambda _: own_e, transmission, self.pixels)
-        return np.where(faces == self.faces, arc_e + other_e + black_e, np.nan)
-
-    def shift_px(self, setup: Setup, seam: SeamLine) -> float:
-        """Return how far what the pixels saw moves in the image at most with this camera and seam."""
-        before, after = self.scene, make_scene(apply_setup_effects(setup), self.seen.pose.T_base_tool, seam)
-        points, normals = np.empty((2, len(self.pixels), 3))
-        faces = np.empty(len(self.pixels), dtype=np.int32)
-        shape = before.shape
-        trace(
-            self.geometry.xy,
-            self.pixels,
-            before.T_joint_camera,
-            shape.vertices,
-            shape.corrugation,
-            points,
-            normals,
-            faces,
+    first_field = next(n for n, parameter in enumerate(result.parameters) if parameter.name == FIELDS[0])
+    light = [*range(8, 14), *range(first_field, first_field + len(FIELDS))]
+    worst = max(light, key=lambda n: float(off[n]))
+    if off[worst] > FAR_SIGMAS:
+        parameter = result.parameters[worst]
+        size = f"{result.values[worst]:.2g} {parameter.unit}".rstrip()
+        raise ValueError(
+            f"{parameter.name} would have to be off by {size}, {off[worst]:.0f} sigmas: arc, material or "
+            "lens are not as stated; arctrack diagnose says which"
         )
-        there, here = (
-            view.camera.project(transform(invert(view.T_joint_camera), points)) for view in (before, after)
-        )
-        return float(np.linalg.norm(here - there, axis=1).max(initial=0.0))
-
-
-def _ln_level(setup: Setup, views: Sequence[_View]) -> float:
-    """Return about which level, within its bounds, the arc has where camera and seam are as stated."""
-    mean_e = sum(float(view.mean_e(setup, 1.0, 0.0, view.seen.tracked).sum()) for view in views)
-    if not mean_e > 0.0:
-        raise ValueError(NOTHING_TO_COMPARE)
-    # All at once: of pixels in shadow nothing is expected.
-    charge_e = sum(float(view.charge_e.sum()) for view in views)
-    return math.log(min(max(charge_e / mean_e, 1.0 / MAX_LEVEL_FACTOR), MAX_LEVEL_FACTOR))
-
-
-def _fit(setup: Setup, views: Sequence[_View], about_mm: float, about: Float64) -> Fit:
-    """Fit the camera's change, the arc's level, the black level and the seam's move and turn to all views.
-
-    The residuals are those about some values (12,), taken as linear, of the pixels whose faces stay.
-    """
-    tolerance, ln_level = setup.tolerance, math.log(MAX_LEVEL_FACTOR)
-    deg, mm = max(tolerance.hand_eye_deg, 1e-6), max(tolerance.hand_eye_mm, 1e-6)
-    black_e = max(tolerance.black_level_dn * setup.sensor.gain_e_per_dn, 1e-3)
-    parameters = [
-        *(Parameter(name, "deg", 0.0, deg, step=0.01) for name in CAMERA[:3]),
-        *(Parameter(name, "mm", 0.0, mm, step=0.01) for name in CAMERA[3:]),
-        Parameter("ln_arc_level", "", 0.0, lower=-ln_level, upper=ln_level, step=1e-3),
-        Parameter("black_level", "e-", 0.0, black_e, step=1.0),
-        Parameter("seam_y", "mm", 0.0, SEAM_SIGMA_MM, step=0.01),
-        Parameter("seam_z", "mm", 0.0, SEAM_SIGMA_MM, step=0.01),
-        Parameter("seam_slope_y", "mm/mm", 0.0, SEAM_SLOPE_SIGMA, step=5e-4),
-        Parameter("seam_slope_z", "mm/mm", 0.0, SEAM_SLOPE_SIGMA, step=5e-4),
-    ]
-
-    def residuals(x: Float64) -> Float64:
-        turned = _with_camera(setup, x[:6])
-        return np.concatenate(
-            [view.residual(turned, math.exp(x[6]), x[7], view.seen.seam(x, about_mm)) for view in views]
-        )
-
-    at = residuals(about)
-    steps = [parameter.step * unit for parameter, unit in zip(parameters, np.eye(12), strict=True)]
-    J = np.column_stack([(residuals(about + step) - at) / step.sum() for step in steps])
-    stay = np.isfinite(J).all(axis=1)
-    at, J = at[stay], J[stay]
-    return fit(parameters, lambda x: at + J @ (x - about), huber=HUBER, start=about)

@@ -64,6 +64,13 @@ class SeamObservations:
         image, timestamps, variances, pose_functions = zip(*seen, strict=True)
         return cls(np.array(image), np.array(timestamps), np.array(variances), pose_functions)
 
+    def thinned(self, most: int) -> SeamObservations:
+        """Return at most so many of the sightings, evenly chosen."""
+        n = len(self.image_px)
+        kept = np.unique(np.linspace(0, n - 1, min(n, most)).round().astype(np.int64))
+        poses = tuple(self.poses[i] for i in kept)
+        return SeamObservations(self.image_px[kept], self.timestamps_s[kept], self.variances_mm2[kept], poses)
+
     def in_joint(self, setup: Setup) -> tuple[Float64, Float64]:
         """Return stations (n,) and displacements (n, 2) from the nominal line as y and z, mm, for a setup."""
         true = apply_setup_effects(setup)

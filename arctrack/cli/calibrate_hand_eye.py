@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import math
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
@@ -11,16 +12,20 @@ from arctrack.cli.setups import check_can_be_written, check_replaces_nothing
 from arctrack.errors import ArctrackError
 from arctrack.output import write_whole
 
+if TYPE_CHECKING:
+    from calibration.hand_eye import HandEye
+    from noise_model.arrays import Float64
+
 
 def hand_eye(
-    recording: Annotated[Path, typer.Argument(help="A recording with the arc on; best of a straight seam.")],
+    recording: Annotated[Path, typer.Argument(help="A recording with the arc on.")],
     out: Annotated[Path, typer.Option(help="Where to write recording.toml with the pose that was found.")],
 ) -> None:
     """Find the camera's pose in the tool from the arc's own light, within its stated tolerance.
 
     The arc burns below the torch; how its reflected light falls off over the image says where the camera
-    stands beside it. Use the file with `replay --setup`. An arc or material other than stated, or a seam that
-    bends within the image, is refused where it would move the camera too far.
+    stands beside it. The seam's expected error is printed, before and after; where it is not clearly smaller
+    after, no file is written. Use the file with `replay --setup`.
     """
     from arctrack.cli import console
     from arctrack.recording import read_recording, with_camera_pose
@@ -47,12 +52,39 @@ def hand_eye(
         except ValueError as error:
             raise ArctrackError(f"{read.path}: {error}") from None
     screen = console.tables()
-    for parameter, value, sigma in zip(found.fit.parameters, found.fit.values, found.fit.sigmas, strict=True):
-        screen.print(f"{parameter.name:13} {value:9.4f} ± {sigma:.4f} {parameter.unit}", markup=False)
-    if found.fit.not_learned:
-        screen.print(f"learned little about: {', '.join(found.fit.not_learned)}", markup=False)
+    for line in _lines(found):
+        screen.print(line, markup=False, soft_wrap=True)
+    if not found.is_gain:
+        raise ArctrackError(
+            f"{read.path}: the seam's expected error would be {_total_mm(found.seam_sigma_after_mm):.2f} mm, "
+            f"{_total_mm(found.seam_sigma_before_mm):.2f} mm before: no clear gain, and no file is written; "
+            "record more frames with the arc on, at several heights, tilts and sideways"
+        )
     write_whole(out, with_camera_pose(read.setup_path, found.T_tool_camera))
     console.say(f"{out}: the setup with the pose found")
     complaint = read.complaint(bad_frames, "the pose is that of the others")
     if complaint is not None:
         raise ArctrackError(complaint)
+
+
+def _lines(found: HandEye) -> list[str]:
+    """Return the result in words: the seam's expected error, the camera's change, what was hardly learned."""
+    before, after = found.seam_sigma_before_mm, found.seam_sigma_after_mm
+    camera = list(zip(found.fit.parameters, found.fit.values, found.fit.sigmas, strict=True))[:6]
+    names = {parameter.name for parameter, _, _ in camera}
+    few = [name for name in found.fit.not_learned if name in names]
+    return [
+        "expected error of the seam, 1 σ:",
+        f"  lateral  {before[0]:.3f} mm before, {after[0]:.3f} mm after",
+        f"  vertical {before[1]:.3f} mm before, {after[1]:.3f} mm after",
+        "change of the camera's pose, in its own frame:",
+        *(
+            f"  {parameter.name:6} {value:+.4f} ± {sigma:.4f} {parameter.unit}"
+            for parameter, value, sigma in camera
+        ),
+        *([f"learned little about: {', '.join(few)}"] if few else []),
+    ]
+
+
+def _total_mm(sigma_mm: Float64) -> float:
+    return math.hypot(*sigma_mm.tolist())

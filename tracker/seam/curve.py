@@ -7,6 +7,7 @@ are the fewest numbers that say how the seam really runs.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -58,18 +59,20 @@ class SeamCurve:
         variances_mm2: Float64,
         ends_mm: tuple[float, float],
         has_ridges: bool,
+        systematic: tuple[float, float] = (SYSTEMATIC_MM, SYSTEMATIC_SLOPE),
     ) -> SeamCurve:
         """Return the curve between two stations that fits the seam's observations.
 
-        They are displacements (n, 2) as y and z at stations (n,), with their variances (n, 2).
+        They are displacements (n, 2) as y and z at stations (n,), with their variances (n, 2). `systematic`
+        is 1 sigma, mm and mm/mm, of what all of them are off by alike, in place and in slope.
         """
         stations = np.arange(ends_mm[0], ends_mm[1] + GRID_MM, GRID_MM)
         means, modes = [], []
         for axis in range(2):
             mean, covariance_mm2 = _posterior(stations, axis, seen_mm, displacements_mm, variances_mm2)
             along = stations - _middle(stations)
-            systematic = np.outer(along, along) * SYSTEMATIC_SLOPE**2
-            values, vectors = np.linalg.eigh(covariance_mm2 + SYSTEMATIC_MM**2 + systematic)
+            turned = np.outer(along, along) * systematic[1] ** 2
+            values, vectors = np.linalg.eigh(covariance_mm2 + systematic[0] ** 2 + turned)
             largest = vectors[np.argmax(np.abs(vectors), axis=0), np.arange(len(stations))]
             scaled = np.sqrt(np.maximum(values, 0.0)) * np.sign(largest) * vectors
             means.append(mean)
@@ -118,14 +121,23 @@ class SeamCurve:
 
         The arc stands at the height that the seam has at the torch's station.
         """
+        return BentSeam.along(self.tangents(coefficients), (first_mm, last_mm), torch_mm, self.has_ridges)
+
+    def tangents(self, coefficients: Float64) -> Callable[[float], SeamLine]:
+        """Return the function that gives the seam's tangent at a station, mm, for coefficients (m,)."""
         curves = np.concatenate(self.evaluate(coefficients))
 
-        def line_at(station_mm: float) -> SeamLine:
+        def tangent_at(station_mm: float) -> SeamLine:
             return SeamLine(
                 station_mm, *(float(np.interp(station_mm, self.stations_mm, curve)) for curve in curves)
             )
 
-        return BentSeam.along(line_at, (first_mm, last_mm), torch_mm, self.has_ridges)
+        return tangent_at
+
+    def sigma_mm(self, station_mm: float) -> Float64:
+        """Return the 1 sigma (2,) of y and z at a station, mm, that the modes leave."""
+        values = [np.interp(station_mm, self.stations_mm, mode) for mode in self.modes_mm]
+        return np.sqrt([np.sum(np.square(part)) for part in (values[: N_MODES[0]], values[N_MODES[0] :])])
 
 
 def _middle(stations_mm: Float64) -> float:

@@ -1,0 +1,151 @@
+"""The pixels of a frame in which the arc's light is compared with the model's.
+
+They lie on a lattice over the image, off the stripe, off saturation and off the edges of the joint's faces:
+what changes by a jump has no derivative. Each keeps the face and the stretch of the seam that it was chosen
+for.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from noise_model.arc.map import make_scene
+from noise_model.arrays import Bool, Float64, Int64, Integers
+from noise_model.condition import Condition
+from noise_model.effects import apply_condition_effects, apply_setup_effects
+from noise_model.effects.light import Light
+from noise_model.forward import look, pass_on
+from noise_model.instrument.camera import Rays
+from noise_model.setup import Setup
+from noise_model.surface.joint import BentSeam
+from noise_model.surface.ray_casting import MISS
+from noise_model.transforms import transform
+from noise_model.view import View
+from tracker.geometry import SensorGeometry
+from tracker.seam.curve import SeamCurve
+from tracker.state import Frame
+from tracker.stripe.expected import expect_stripe
+
+ACROSS = 26
+"""So many pixels of a row of the image are compared."""
+
+KEEP_OFF_SIGMAS = 5.0
+"""How far a pixel must lie from the stripe, in the stripe's sigmas."""
+
+EDGE_PX, MAX_CHANGE = 8, 0.3
+"""A pixel counts if so far to each side the same face is seen and the light changes by a smaller share."""
+
+
+@dataclass(frozen=True, eq=False)
+class ArcPixels:
+    """A frame's lattice (n,) of pixels, and those of it that are compared (k,).
+
+    `pixels` are indices into the flattened image, an even sample of it; `stretch` and `faces` (n,) say which
+    stretch of the seam and which face each shows; `compared` (n,). `charge_e` (k,) is what they hold,
+    `place` (k, 2) where they lie as (u, v), from the image's middle in half widths. The stretches' stations
+    and the torch's are in `stretches_mm` and `torch_mm`.
+    """
+
+    frame: Frame
+    T_base_tool: Float64
+    stretches_mm: tuple[float, ...]
+    torch_mm: float
+    pixels: Int64
+    stretch: Int64
+    faces: Integers
+    compared: Bool
+    charge_e: Float64
+    place: Float64
+
+    @classmethod
+    def of(
+        cls,
+        geometry: SensorGeometry,
+        rays: Rays,
+        curve: SeamCurve,
+        coefficients: Float64,
+        frame: Frame,
+        T_base_tool: Float64,
+    ) -> ArcPixels:
+        """Choose the pixels of a frame, the seam as a curve's coefficients (m,) say."""
+        setup = geometry.setup
+        first_mm, last_mm, torch_mm = make_scene(setup, T_base_tool).stations_mm
+        seam = curve.bent(coefficients, first_mm, last_mm, torch_mm)
+        height, width = rays.cos4.shape
+        step_px = max(1, round(width / ACROSS))
+        v, u = (
+            axis.ravel() for axis in np.mgrid[step_px // 2 : height : step_px, step_px // 2 : width : step_px]
+        )
+        pixels = v * width + u
+        seen = View.of(setup, T_base_tool, seam.middle, rays, pixels, ground=seam.ground)
+        stretch = seam.stretch_at(seen.surface[0][:, 0])
+        here = look(setup, T_base_tool, seam, rays, pixels, stretch)
+        compared = (here.faces != MISS) & (frame.image_dn[v, u] < geometry.saturation_dn)
+        for dv, du in ((EDGE_PX, 0), (-EDGE_PX, 0), (0, EDGE_PX), (0, -EDGE_PX)):
+            beside = np.clip(v + dv, 0, height - 1) * width + np.clip(u + du, 0, width - 1)
+            there = look(setup, T_base_tool, seam, rays, beside)
+            compared &= there.faces == here.faces
+            compared &= np.abs(there.arc_e - here.arc_e) <= MAX_CHANGE * here.arc_e
+        if frame.laser_on:
+            compared &= _off_stripe(geometry, curve, coefficients, T_base_tool, u, v)
+        charge_e = geometry.charge_e[frame.image_dn[v, u]].astype(np.float64)
+        place = (np.column_stack([u, v]) - 0.5 * np.array([width, height])) / (0.5 * width)
+        return cls(
+            frame,
+            T_base_tool,
+            tuple(line.station_mm for line in seam.lines),
+            torch_mm,
+            pixels,
+            stretch,
+            here.faces,
+            compared,
+            charge_e[compared],
+            place[compared],
+        )
+
+    def light(
+        self, setup: Setup, rays: Rays, curve: SeamCurve, coefficients: Float64
+    ) -> tuple[Float64, Float64]:
+        """Return the arc's light and the other light (k,), e-, that a setup and a seam let expect.
+
+        The arc's is NaN of a pixel that sees another face.
+        """
+        true = apply_setup_effects(setup)
+        tangent_at = curve.tangents(coefficients)
+        ground = replace(tangent_at(self.torch_mm), slope_y=0.0, slope_z=0.0)
+        seam = BentSeam(tuple(tangent_at(station) for station in self.stretches_mm), ground)
+        seen = look(true, self.T_base_tool, seam, rays, self.pixels, self.stretch)
+        light = Light.of(seen.arc_e.copy(), np.zeros_like(seen.arc_e))
+        frame = self.frame
+        current_a = frame.current_a if math.isfinite(frame.current_a) else setup.arc.current_a
+        stated = Condition.of(
+            setup, laser_on=False, arc_on=True, current_a=current_a, exposure_s=frame.exposure_s
+        )
+        condition = apply_condition_effects(true, stated)
+        light.arc *= np.float32(condition.arc_level)
+        pass_on(true, light, seen.view, condition)
+        arc_e = np.where(seen.faces == self.faces, light.arc, np.nan)[self.compared]
+        return arc_e.astype(np.float64), light.other[self.compared].astype(np.float64)
+
+
+def _off_stripe(
+    geometry: SensorGeometry,
+    curve: SeamCurve,
+    coefficients: Float64,
+    T_base_tool: Float64,
+    u: Int64,
+    v: Int64,
+) -> Bool:
+    """Say of pixels (n,) whether they lie off the stripe."""
+    setup = geometry.setup
+    station_mm = transform(make_scene(setup, T_base_tool).T_joint_tool, setup.laser.point_mm)[0]
+    line = curve.tangents(coefficients)(float(station_mm))
+    stripe = expect_stripe(geometry, make_scene(setup, T_base_tool, line))
+    if stripe is None:
+        return np.ones(len(u), dtype=np.bool_)
+    scan, position = (u, v) if geometry.along_rows else (v, u)
+    off_px = np.abs(position - stripe.position_px[scan])
+    return np.asarray(off_px > KEEP_OFF_SIGMAS * stripe.sigma_px[scan])
