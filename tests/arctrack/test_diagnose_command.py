@@ -27,6 +27,8 @@ RUNNER = CliRunner(env={"COLUMNS": "120", "TERM": "dumb", "NO_COLOR": "1"})
 
 Found = Callable[[Verdict, Effects], None]
 
+NO_LASER = "[laser]: missing; did you misspell it as loser?"
+
 
 @pytest.fixture
 def found(monkeypatch: pytest.MonkeyPatch) -> Found:
@@ -81,7 +83,7 @@ def test_one_recording_on_one_screen(found: Found, recording: Path) -> None:
     lines = result.stdout.splitlines()
     assert len(lines) < 30
     assert lines[0].startswith("2 effects explain the gap together: gamma (the response")
-    assert "the gap shrinks from" in lines[1]
+    assert "the gap in the images shrinks from" in lines[1]
     assert "0.25 mm that the weld bears" in lines[2]
     text = " ".join(result.stdout.split())
     for part in (
@@ -178,7 +180,7 @@ def test_one_that_fails_does_not_stop_the_others(found: Found, simulated: Path, 
     result = run(*paths, "--out", tmp_path / "out")
     assert result.exit_code == 2
     first, second = result.stderr.splitlines()[-2:]
-    assert first == f"arctrack: error: {paths[0]}/recording.toml: [laser]: missing"
+    assert first == f"arctrack: error: {paths[0]}/recording.toml: {NO_LASER}"
     assert second == f"arctrack: error: {paths[2]}: two frames of each kind are the least"
     assert {path.name for path in (tmp_path / "out" / "b").iterdir()} == set(FILES)
     assert f"b: report in {tmp_path}/out/b/report.html" in result.stdout
@@ -226,7 +228,7 @@ def test_two_processes(simulated: Path, tmp_path: Path) -> None:
     result = run(*paths, "--workers", "2")
     assert result.exit_code == 2
     assert sorted(result.stderr.splitlines()) == [
-        f"arctrack: error: {path}/recording.toml: [laser]: missing" for path in paths
+        f"arctrack: error: {path}/recording.toml: {NO_LASER}" for path in paths
     ]
 
 

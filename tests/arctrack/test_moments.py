@@ -37,6 +37,7 @@ from robot_io import (
 )
 from tracker.state import Frame, Pose, Track
 from tracker.tracker import Tracker
+from tracker.warm_up import WarmUp
 
 CHANNELS = (f"test_moments_{n}" for n in itertools.count())
 ROWS = [FrameRow(n, 1.0 + 0.125 * n, True, True, 100.0, 0.0625) for n in range(40)]
@@ -171,23 +172,27 @@ def test_a_robot_that_talks_between_two_frames_is_heard_to_the_end(
 def test_the_bus_is_joined_when_all_is_compiled(
     simulated: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    steps = 0
-    joined_at: list[int] = []
-    step_of = Tracker.step
+    happened: list[str] = []
+    warm_up, step_of = Tracker.warm_up, Tracker.step
+
+    def warmed_up(tracker: Tracker, *options: Any) -> WarmUp:
+        done = warm_up(tracker, *options)
+        happened.append("ready")
+        return done
 
     def step(tracker: Tracker, frame: Frame, pose: Pose | None) -> Track:
-        nonlocal steps
-        steps += 1
+        happened.append("step")
         return step_of(tracker, frame, pose)
 
     def join(*options: Any, **more: Any) -> Link:
-        joined_at.append(steps)
+        happened.append("joined")
         return Link(*options, **more)
 
+    monkeypatch.setattr(Tracker, "warm_up", warmed_up)
     monkeypatch.setattr(Tracker, "step", step)
     monkeypatch.setattr("arctrack.replay.Link", join)
     replay_recording(read_recording(simulated), tmp_path, ReplayOptions(pictures=False))
-    assert joined_at == [1]
+    assert happened[:3] == ["ready", "joined", "step"]
 
 
 def test_a_replay_onto_a_bus_beyond_it_listens(

@@ -24,8 +24,8 @@ BLOCK_PX = 16
 
 
 def documented_command(out: Path) -> list[str]:
-    """Return the arguments that docs/commands.md gives for the example, its folder exchanged."""
-    text = (ROOT / "docs" / "commands.md").read_text(encoding="utf-8")
+    """Return the arguments that docs/reference/commands.md gives for the example, its folder exchanged."""
+    text = (ROOT / "docs" / "reference" / "commands.md").read_text(encoding="utf-8")
     lines = re.findall(r"^arctrack (simulate /tmp/v_groove .*)$", text, re.MULTILINE)
     assert len(lines) == 1
     return [str(out) if word == "/tmp/v_groove" else word for word in shlex.split(lines[0])]
