@@ -16,8 +16,10 @@ from arctrack.cli.diagnose_check import check as blind_check
 from arctrack.cli.explain import explain
 from arctrack.cli.figures import figures
 from arctrack.cli.inspect import inspect
+from arctrack.cli.interrupt import EXIT_CODE, InterruptedCommandError
 from arctrack.cli.new import new
 from arctrack.cli.plan import plan
+from arctrack.cli.reflow import reflow
 from arctrack.cli.replay import replay
 from arctrack.cli.simulate import simulate
 from arctrack.cli.warm import warm
@@ -54,6 +56,7 @@ app.command(epilog="Example: arctrack warm examples/v_groove")(warm)
 app.add_typer(blind_check)
 app.add_typer(calibrate)
 app.add_typer(figures)
+reflow(app)
 
 
 def _print_version(wanted: bool) -> None:
@@ -74,13 +77,19 @@ def _arctrack(
 
 
 def main() -> None:
-    """Run the command line; what is wrong with the input is one line on stderr and exit code 2."""
+    """Run the command line; what is wrong with the input is one line on stderr and exit code 2.
+
+    Ctrl-C says what it interrupted and what is kept; the exit code is then 130.
+    """
     for stream in (sys.stdout, sys.stderr):
         # Not every terminal can show a sigma.
         if isinstance(stream, io.TextIOWrapper):
             stream.reconfigure(errors="backslashreplace")
     try:
         app(prog_name="arctrack")
+    except InterruptedCommandError as interrupted:
+        print(f"arctrack: {printable(str(interrupted))}", file=sys.stderr)
+        sys.exit(EXIT_CODE)
     except ArctrackError as error:
         _complain(str(error))
     except OSError as error:

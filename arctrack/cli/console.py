@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sys
+import threading
 from collections.abc import Callable, Iterable
 from typing import TYPE_CHECKING
 
@@ -24,6 +25,9 @@ from arctrack.printable import printable
 
 if TYPE_CHECKING:
     from tracker.warm_up import WarmUp
+
+SPOKEN_EVERY_S = 5.0
+"""So often a line says how far it is where no bar can be shown."""
 
 PLAIN_WIDTH = 160
 """Columns of a table that goes to a file or a pipe, where nobody knows a width."""
@@ -53,10 +57,51 @@ def complain(problems: Iterable[str]) -> None:
         print(f"arctrack: error: {printable(problem)}", file=sys.stderr)
 
 
-def progress() -> Progress:
-    """Return a progress bar over frames with rate and time left, on stderr; silent where nobody watches."""
-    console = Console(stderr=True)
-    return Progress(
+class SpokenProgress(Progress):
+    """Progress bars on stderr; where that is no terminal, a plain line every some seconds instead."""
+
+    def __init__(self, *columns: ProgressColumn) -> None:
+        console = Console(stderr=True)
+        super().__init__(*columns, console=console, disable=not console.is_terminal)
+        self._is_over = threading.Event()
+        self._speaker: threading.Thread | None = None
+
+    def start(self) -> None:
+        """Begin to show how far it is."""
+        super().start()
+        if self.disable and self._speaker is None:
+            self._is_over.clear()
+            self._speaker = threading.Thread(target=self._speak, daemon=True)
+            self._speaker.start()
+
+    def stop(self) -> None:
+        """Show no more."""
+        super().stop()
+        self._is_over.set()
+        if self._speaker is not None:
+            self._speaker.join()
+            self._speaker = None
+
+    def _speak(self) -> None:
+        while not self._is_over.wait(SPOKEN_EVERY_S):
+            for task in self.tasks:
+                if not task.finished:
+                    print(f"arctrack: {printable(how_far(task))}", file=sys.stderr, flush=True)
+
+
+def how_far(task: Task) -> str:
+    """Return in words what is done, how far, and how long it has taken."""
+    elapsed_s = task.elapsed or 0.0
+    if task.total is None:
+        return f"{task.description}, {elapsed_s:.0f} s"
+    if task.total == 1.0:
+        return f"{task.description}, {100.0 * task.completed:.0f} %, {elapsed_s:.0f} s"
+    return f"{task.description}, {task.completed:.0f} of {task.total:.0f}, {elapsed_s:.0f} s"
+
+
+def progress() -> SpokenProgress:
+    """Return a progress bar over frames with rate and time left, on stderr."""
+    return SpokenProgress(
         TextColumn("{task.description}", markup=False),
         BarColumn(),
         MofNCompleteColumn(),
@@ -64,8 +109,6 @@ def progress() -> Progress:
         TextColumn("ETA"),
         TimeRemainingColumn(),
         TimeElapsedColumn(),
-        console=console,
-        disable=not console.is_terminal,
     )
 
 

@@ -106,18 +106,13 @@ def _apply(done: list[Diagnosed]) -> list[str]:
 
 
 def _progress() -> Progress:
-    """Return a bar over stages with the time that they took, on stderr; silent where nobody watches."""
-    from rich.console import Console
-    from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, TimeElapsedColumn
+    """Return a bar over stages with the time that they took, on stderr."""
+    from rich.progress import BarColumn, TaskProgressColumn, TextColumn, TimeElapsedColumn
 
-    console = Console(stderr=True)
-    return Progress(
-        TextColumn("{task.description}", markup=False),
-        BarColumn(),
-        TaskProgressColumn(),
-        TimeElapsedColumn(),
-        console=console,
-        disable=not console.is_terminal,
+    from arctrack.cli.console import SpokenProgress
+
+    return SpokenProgress(
+        TextColumn("{task.description}", markup=False), BarColumn(), TaskProgressColumn(), TimeElapsedColumn()
     )
 
 

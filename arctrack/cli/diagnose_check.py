@@ -9,6 +9,7 @@ from typing import Annotated, Any
 import typer
 from typer.core import TyperGroup
 
+from arctrack.cli.interrupt import InterruptedCommandError
 from arctrack.errors import in_file
 
 NAME = "diagnose check"
@@ -29,6 +30,14 @@ class TwoWordGroup(TyperGroup):
         """Take the first two words for one where they are a command."""
         both = " ".join(args[:2])
         return super().resolve_command(ctx, [both, *args[2:]] if both in self.commands else args)
+
+    def invoke(self, ctx: Any) -> Any:
+        """Run the command; of one that says nothing of its own, Ctrl-C says its name."""
+        try:
+            return super().invoke(ctx)
+        except KeyboardInterrupt:
+            name = f"arctrack {ctx.invoked_subcommand}"
+            raise InterruptedCommandError(f"{name} interrupted; what it had finished stays") from None
 
 
 @check.callback(epilog="Example: arctrack diagnose check make --out /tmp/check --draws 1 --tiers AE")

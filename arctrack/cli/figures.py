@@ -22,21 +22,21 @@ def paper(
     out: Annotated[Path, typer.Option(help="Folder for the pictures and their numbers; made if missing.")],
 ) -> None:
     """Draw the paper's Figures 6 to 12: figure_06.png and so on, and each one's curves as CSV beside it."""
-    from rich.console import Console
-    from rich.progress import track
-
+    from arctrack.cli import console
     from arctrack.report import paper_figures
     from noise_model.reference.paper_figures import FIGURES
 
-    console = Console(stderr=True)
     try:
         out.mkdir(parents=True, exist_ok=True)
-        for number in track(FIGURES, "figures", console=console, disable=not console.is_terminal):
-            curves = FIGURES[number]()
-            path = out / f"figure_{number:02d}.png"
-            paper_figures.write_png(paper_figures.draw(curves), path)
-            paper_figures.write_csv(curves, path.with_suffix(".csv"))
-            typer.echo(f"{path} and .csv")
+        with console.progress() as bar:
+            task = bar.add_task("figures", total=len(FIGURES))
+            for number in FIGURES:
+                curves = FIGURES[number]()
+                path = out / f"figure_{number:02d}.png"
+                paper_figures.write_png(paper_figures.draw(curves), path)
+                paper_figures.write_csv(curves, path.with_suffix(".csv"))
+                typer.echo(f"{path} and .csv")
+                bar.advance(task)
     except OSError as error:
         raise in_file(out, f"cannot be written: {error}") from None
 

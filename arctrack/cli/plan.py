@@ -19,10 +19,15 @@ if TYPE_CHECKING:
 
 Pair = tuple[float, float]
 
+FOLDER = "plan"
+
 
 def plan(
     source: Annotated[Path, typer.Argument(help="A recording, or a folder or file with a recording.toml.")],
-    out: Annotated[Path, typer.Option(help="Folder for tables and pictures; made if missing.")],
+    out: Annotated[
+        Path | None,
+        typer.Option(help="Folder for tables and pictures; default: plan/ beside the recording.toml."),
+    ] = None,
     recorded: Annotated[
         bool, typer.Option("--recorded", help="Follow the recording's own poses, not the nominal seam.")
     ] = False,
@@ -89,8 +94,9 @@ def plan(
         raise ArctrackError(str(error)) from None
     made = _plan(source, setup, options, poses)
     print_plan(console.tables(), made)
-    _write(made, torch_radius, out)
-    console.say(f"tables and pictures in {out}")
+    folder = out or (source if source.is_dir() else source.parent) / FOLDER
+    _write(made, torch_radius, folder)
+    console.say(f"tables and pictures in {folder}")
 
 
 def _read(source: Path, recorded: bool) -> tuple[Setup, list[Float64] | None]:

@@ -6,6 +6,7 @@ import math
 from collections.abc import Iterator
 
 import numpy as np
+from rich import box
 from rich.console import Console
 from rich.table import Table
 
@@ -35,32 +36,38 @@ def print_plan(console: Console, plan: Plan) -> None:
 
 
 def _designs(plan: Plan) -> Table:
+    """Return the designs, narrow enough for a terminal of 80 columns: units stand in the heads."""
     table = Table(
         title="sensor designs: 1 sigma of the seam against preview and stand-off",
         title_justify="left",
         title_style="bold",
+        box=box.SIMPLE_HEAD,
+        padding=0,
     )
-    headings = ("", "σ mm", "σ y", "σ z", "tilt", "azimuth", "preview", "stand-off", "filter", "exposure")
-    for heading in (*headings, "triang.", "σ px", "arc/stripe", "blind"):
+    headings = ("", "σ\nµm", "σ y\nµm", "σ z\nµm", "tilt\n°", "azim\n°", "prev\nmm", "stand\nmm")
+    for heading in (*headings, "filt\nnm", "exp\nms", "tri\n°", "σ\npx", "arc/\nstr", "blind\n%"):
         table.add_column(heading, justify="right" if heading else "left", no_wrap=True)
     for name, candidate in [("yours", plan.own), *(("", c) for c in plan.front)]:
         table.add_row(name, *_cells(candidate))
+    table.caption = "azim: azimuth, prev: preview, stand: stand-off, tri: triangulation, str: stripe"
+    table.caption_justify, table.caption_style = "left", ""
     return table
 
 
 def _cells(candidate: Candidate) -> Iterator[str]:
     design = candidate.design
-    yield from (_number(v) for v in (candidate.sigma_mm, candidate.sigma_y_mm, candidate.sigma_z_mm))
-    yield f"{design.tilt_deg:.0f}°"
-    yield f"{design.azimuth_deg:.0f}°"
-    yield f"{design.preview_mm:.0f} mm"
-    yield f"{design.stand_off_mm:.0f} mm"
-    yield f"{design.filter_fwhm_nm:g} nm"
-    yield f"{1e3 * design.exposure_s:.2f} ms"
-    yield f"{design.triangulation_deg:.0f}°"
+    for sigma_mm in (candidate.sigma_mm, candidate.sigma_y_mm, candidate.sigma_z_mm):
+        yield _number(1e3 * sigma_mm) if sigma_mm < 0.1 else _whole(1e3 * sigma_mm)
+    yield f"{design.tilt_deg:.0f}"
+    yield f"{design.azimuth_deg:.0f}"
+    yield f"{design.preview_mm:.0f}"
+    yield f"{design.stand_off_mm:.0f}"
+    yield f"{design.filter_fwhm_nm:g}"
+    yield f"{1e3 * design.exposure_s:.2f}"
+    yield f"{design.triangulation_deg:.0f}"
     yield _number(candidate.sigma_px)
     yield _number(candidate.arc_over_stripe)
-    yield f"{100.0 * candidate.blind_share:.0f} %"
+    yield f"{100.0 * candidate.blind_share:.0f}"
 
 
 def _rules(plan: Plan) -> Iterator[str]:
@@ -107,15 +114,15 @@ def _path(plan: Plan) -> Iterator[str]:
 
 
 def _cures(plan: Plan) -> Table:
-    table = Table()
+    table = Table(box=box.SIMPLE_HEAD, padding=(0, 1, 0, 0))
     for heading in (
-        "torch at mm",
-        "shorter exposure",
-        "σ mm",
-        "torch lean travel, work",
-        "σ mm",
-        "camera",
-        "σ mm",
+        "torch at\nmm",
+        "exposure\nms",
+        "σ\nmm",
+        "lean °\ntravel, work",
+        "σ\nmm",
+        "camera °\ntilt, azimuth",
+        "σ\nmm",
     ):
         table.add_column(heading, justify="right", no_wrap=True)
     station = plan.along.path.station_mm
@@ -126,9 +133,9 @@ def _cures(plan: Plan) -> Table:
 
 def _cure_cells(cure: Cure) -> Iterator[str]:
     moved = cure.moved.design
-    yield from _if_seen(f"{1e3 * cure.exposed.design.exposure_s:.2f} ms", cure.exposed)
-    yield from _if_seen(f"{cure.lean_deg[0]:+.0f}°, {cure.lean_deg[1]:+.0f}°", cure.leaned)
-    yield from _if_seen(f"tilt {moved.tilt_deg:.0f}°, azimuth {moved.azimuth_deg:.0f}°", cure.moved)
+    yield from _if_seen(f"{1e3 * cure.exposed.design.exposure_s:.2f}", cure.exposed)
+    yield from _if_seen(f"{cure.lean_deg[0]:+.0f}, {cure.lean_deg[1]:+.0f}", cure.leaned)
+    yield from _if_seen(f"{moved.tilt_deg:.0f}, {moved.azimuth_deg:.0f}", cure.moved)
 
 
 def _if_seen(cure: str, candidate: Candidate) -> tuple[str, str]:
@@ -137,3 +144,7 @@ def _if_seen(cure: str, candidate: Candidate) -> tuple[str, str]:
 
 def _number(value: float) -> str:
     return f"{value:.2g}" if math.isfinite(value) else "–"
+
+
+def _whole(value: float) -> str:
+    return f"{value:.0f}" if math.isfinite(value) else "–"

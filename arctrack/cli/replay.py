@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from arctrack.cli.interrupt import interruptible
 from arctrack.errors import ArctrackError, as_line
 
 if TYPE_CHECKING:
@@ -57,7 +58,7 @@ def replay(
     from arctrack.cli import console
     from arctrack.cli.replay_table import in_words, many_table, one_table
     from arctrack.recording import read_recording
-    from arctrack.recording.results import REPLAY_MCAP, REPLAY_RRD
+    from arctrack.recording.results import BUS_LOG, REPLAY_MCAP, REPLAY_RRD, RESULTS_CSV
 
     folders = results_folders(recordings, out)
     exports = tuple(name for name, wanted in ((REPLAY_MCAP, mcap), (REPLAY_RRD, rrd)) if wanted)
@@ -77,7 +78,11 @@ def replay(
                 if pictures or exports:
                     on_drawn = console.track(bar, f"{recording.name}, pictures", len(recording.rows))
                 on_compiled = console.compiling(bar, recording.name)
-                done = engine.replay_recording(recording, folder, options, on_frame, on_drawn, on_compiled)
+                kept = f"rows so far are in {folder / RESULTS_CSV}, what was sent in {folder / BUS_LOG}"
+                with interruptible(f"{recording.name}: replay", kept):
+                    done = engine.replay_recording(
+                        recording, folder, options, on_frame, on_drawn, on_compiled
+                    )
                 console.say_compiled(recording.name, done.warm_up)
                 console.warn(f"{recording.path}: {warning}" for warning in done.warnings)
                 summaries.append(done.summary)

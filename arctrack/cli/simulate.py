@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from arctrack.cli.interrupt import interruptible
 from arctrack.cli.setups import read_setup
 from arctrack.errors import ArctrackError
 
@@ -77,6 +78,7 @@ def simulate(
     """Make a recording, with its truth, from arctrack's own forward model: stripe, arc, sensor noise."""
     from arctrack import simulate as engine
     from arctrack.cli import console
+    from arctrack.recording.reader import UNFINISHED_SUFFIX
 
     plan = engine.SimulationPlan(
         frames=frames,
@@ -93,7 +95,8 @@ def simulate(
     stated = None if setup is None else read_setup(setup)
     nominal = _nominal(joint, material, width, height) if stated is None else stated.setup
     hidden = _effects(effect or [])
-    with console.progress() as bar:
+    unfinished = f"what was written stays in {out}{UNFINISHED_SUFFIX}"
+    with interruptible(f"{out.name}: simulation", unfinished), console.progress() as bar:
         engine.simulate_recording(out, nominal, plan, console.track(bar, out.name, frames), hidden, stated)
     console.say(f"{out}: {frames} frames of a {nominal.joint.type} in {nominal.material.name}")
 

@@ -1,0 +1,94 @@
+import io
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+import typer
+from rich.console import Console
+from rich.progress import TextColumn
+from typer.testing import CliRunner
+
+import arctrack
+from arctrack.cli import app, console
+from arctrack.cli.plan_text import print_plan
+from arctrack.cli.reflow import paragraphs
+from arctrack.nominal import nominal_setup
+from arctrack.simulate import balance
+from noise_model.plan.plan import PlanOptions, make_plan
+
+ROOT = Path(arctrack.__file__).parents[1]
+
+
+def paths(typer_app: typer.Typer, before: tuple[str, ...] = ()) -> list[tuple[str, ...]]:
+    """Return the words of all commands of an app and its groups."""
+    found = [before]
+    for command in typer_app.registered_commands:
+        name = command.name or (command.callback.__name__.replace("_", "-") if command.callback else "")
+        found.append((*before, name))
+    for group in typer_app.registered_groups:
+        if group.typer_instance is not None:
+            found += paths(group.typer_instance, (*before, *str(group.typer_instance.info.name).split()))
+    return found
+
+
+@pytest.mark.parametrize("command", paths(app), ids=" ".join)
+def test_every_help_fits_80_columns_and_has_an_example(command: tuple[str, ...]) -> None:
+    runner = CliRunner(env={"COLUMNS": "80", "TERMINAL_WIDTH": "80", "TERM": "dumb", "NO_COLOR": "1"})
+    result = runner.invoke(app, [*command, "--help"])
+    assert result.exit_code == 0, result.output
+    assert "Example: arctrack" in result.output
+    assert all(len(line) <= 80 for line in result.output.splitlines())
+
+
+def test_paragraphs_keep_apart_and_lose_their_breaks() -> None:
+    assert paragraphs("One\nline.\n\nTwo\n  lines.") == "One line.\n\nTwo lines."
+
+
+def test_the_table_of_a_plan_fits_80_columns_whole() -> None:
+    setup = balance(nominal_setup("v_groove", "mild_steel", width=160, height=120))
+    options = PlanOptions(tilt_deg=(20.0, 40.0), preview_mm=(35.0, 36.0), stand_off_mm=(140.0, 150.0))
+    screen = Console(width=80, record=True, file=io.StringIO())
+    print_plan(screen, make_plan(setup, options))
+    table = screen.export_text().split("the paper's rules")[0]
+    assert all(len(line) <= 80 for line in table.splitlines())
+    assert "tilt" in table
+    assert "…" not in table
+
+
+def test_where_no_bar_can_be_shown_lines_say_how_far_it_is(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr(console, "SPOKEN_EVERY_S", 0.01)
+    with console.SpokenProgress(TextColumn("{task.description}")) as bar:
+        bar.update(bar.add_task("v: frames", total=24), completed=12)
+        deadline_s = time.monotonic() + 30.0
+        said = ""
+        while "v: frames" not in said and time.monotonic() < deadline_s:
+            time.sleep(0.01)
+            said += capsys.readouterr().err
+    assert "arctrack: v: frames, 12 of 24, 0 s" in said
+
+
+def test_ctrl_c_says_what_is_kept(tmp_path: Path) -> None:
+    path = tmp_path / "long"
+    code = "from arctrack.cli import main; main()"
+    options = ["--width", "160", "--height", "120", "--frames", "100000", "--production"]
+    running = subprocess.Popen(
+        [sys.executable, "-c", code, "simulate", str(path), *options],
+        stderr=subprocess.PIPE,
+        text=True,
+        env=os.environ | {"PYTHONPATH": str(ROOT)},
+    )
+    unfinished = path.with_name("long.unfinished")
+    while not (unfinished / "frames.csv").exists() and running.poll() is None:
+        time.sleep(0.1)
+    running.send_signal(signal.SIGINT)
+    _, said = running.communicate()
+    assert running.returncode == 130, said
+    assert f"long: simulation interrupted; what was written stays in {unfinished}" in said
+    assert "Traceback" not in said
+    assert (unfinished / "frames.csv").exists()
