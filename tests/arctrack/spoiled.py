@@ -83,3 +83,12 @@ class Refusal:
         assert "\x1b" not in captured.out + captured.err
         (error,) = [text for text in captured.err.splitlines() if text.startswith("arctrack: error: ")]
         return error.removeprefix("arctrack: error: ")
+
+    def assert_names_the_place(self, command: str, path: Path, case: tuple[Spoil, str, str]) -> None:
+        """Spoil a recording: its line begins with its path, and says the file and the problem of the case."""
+        spoil, file, problem = case
+        spoil(path)
+        error = self(command, path, *(["--no-pictures"] if command == "replay" else []))
+        assert error.startswith(str(path))
+        assert file in error
+        assert problem in error

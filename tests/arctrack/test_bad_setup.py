@@ -143,10 +143,4 @@ BAD: dict[str, tuple[Spoil, str, str]] = {
 def test_it_is_one_line_with_the_place(
     command: str, name: str, recording: Path, tmp_path: Path, refusal: Refusal
 ) -> None:
-    spoil, file, problem = BAD[name]
-    path = Path(shutil.copytree(recording, tmp_path / "r"))
-    spoil(path)
-    error = refusal(command, path, *(["--no-pictures"] if command == "replay" else []))
-    assert error.startswith(str(path))
-    assert file in error
-    assert problem in error
+    refusal.assert_names_the_place(command, Path(shutil.copytree(recording, tmp_path / "r")), BAD[name])

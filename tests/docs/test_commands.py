@@ -30,7 +30,6 @@ PARSED_ONLY = {
     r"arctrack diagnose check ": "takes hours, and needs Mitsuba",
     r".*\b(monday|tuesday)\b": "names the reader's own recordings",
     r".*\bsocketcan:": "needs CAN hardware",
-    r"arctrack (calibrate hand-eye|.*/tmp/found.toml)": "refuses the shipped example, whose seam bends",
     r"arctrack figures effects ": "takes a minute; tests/arctrack/test_effects_page.py draws each of them",
 }
 """Commands that are parsed and not run, as regular expressions, and why."""

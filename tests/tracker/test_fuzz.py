@@ -7,6 +7,7 @@ from dataclasses import fields, replace
 from typing import Any, TypeGuard
 
 import numpy as np
+import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from rendered import pose_at, rolled
@@ -177,6 +178,8 @@ def assert_told(track: Track) -> None:
         assert (track.stripe.sigma_px[found] > 0.0).all()
 
 
+# A frame that is none of the camera's is warned of, and tracked over.
+@pytest.mark.filterwarnings(r"ignore:frame 0 (is|has|holds) :UserWarning")
 @settings(max_examples=60, deadline=None, suppress_health_check=[HealthCheck.too_slow])
 @given(st.data())
 def test_no_frame_raises(data: st.DataObject) -> None:

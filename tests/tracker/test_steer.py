@@ -198,6 +198,7 @@ def test_following_that_has_stopped_stays_so(v: Setup, lost: list[tuple[Frame, P
     assert not math.isnan(tracks(v, STOP, iter(lost[16:]))[-1].offset_y_mm)
 
 
+@pytest.mark.filterwarnings("ignore:frame 0 is 320 x 239:UserWarning")
 def test_following_stays_stopped_in_frames_that_cannot_be_tracked(v: Setup) -> None:
     tracker = Tracker(v, correction=Correction(y=AxisCorrection(limit_mm=0.5, at_limit="stop")))
     ((frame, pose),) = walk(v, 1, SEAM)

@@ -32,7 +32,7 @@ def test_a_cosine_is_that_of_the_angle():
 @pytest.mark.parametrize("planted", [{"gamma": {"gamma": 1.2}}, {"arc_length": {"height_mm": -1.0}}])
 def test_a_planted_signature_is_found(planted, tmp_path, monkeypatch):
     monkeypatch.setattr(module, "REGISTRY", {name: REGISTRY[name] for name in TRIED})
-    monkeypatch.setattr(module, "DEAR", {"fume"})
+    monkeypatch.setattr(module, "EXPENSIVE", {"fume"})
     found = cosines(*recorded(tmp_path / "made", planted))
     assert list(found) == list(TRIED)
     # What only scatters frames about their mean has no signature.
