@@ -84,9 +84,10 @@ class SpokenProgress(Progress):
 
     def _speak(self) -> None:
         while not self._is_over.wait(SPOKEN_EVERY_S):
-            for task in self.tasks:
-                if not task.finished:
-                    print(f"arctrack: {printable(how_far(task))}", file=sys.stderr, flush=True)
+            waiting = [task for task in self.tasks if not task.finished]
+            # What has not begun is told only while nothing has.
+            for task in [task for task in waiting if task.completed] or waiting[:1]:
+                print(f"arctrack: {printable(how_far(task))}", file=sys.stderr, flush=True)
 
 
 def how_far(task: Task) -> str:
@@ -115,7 +116,15 @@ def progress() -> SpokenProgress:
 def track(bar: Progress, name: str, frames: int) -> Callable[[int], None]:
     """Add a bar over frames and return the function that moves it to a number of them."""
     task = bar.add_task(name, total=frames)
-    return lambda done: bar.update(task, completed=done)
+
+    def on_frame(done: int) -> None:
+        for earlier in bar.tasks:
+            # What is compiled, without an end that is known, is compiled before the first frame.
+            if earlier.total is None:
+                bar.remove_task(earlier.id)
+        bar.update(task, completed=done)
+
+    return on_frame
 
 
 def compiling(bar: Progress, name: str) -> Callable[[str, int, float], None]:
@@ -125,8 +134,10 @@ def compiling(bar: Progress, name: str) -> Callable[[str, int, float], None]:
     def on_compiled(function: str, n_before: int, elapsed_s: float) -> None:
         if not tasks:
             tasks.append(bar.add_task(f"{name}: compiling", total=None))
-        what = f"{name}: compiling {function} ({elapsed_s:.0f} s; the first time takes some 80 s)"
-        bar.update(tasks[0], description=what, completed=n_before + 1)
+        if not function.startswith("numba."):
+            what = f"{name}: compiling {function} ({elapsed_s:.0f} s; the first time takes a minute or two)"
+            bar.update(tasks[0], description=what)
+        bar.update(tasks[0], completed=n_before + 1)
 
     return on_compiled
 
