@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
@@ -34,7 +34,8 @@ class Overview:
 
     def add(self, frame: Frame | None, track: Track, offset: SeamOffset) -> None:
         """Take a frame, None if it could not be read; the one shown is valid and near the middle."""
-        self.tracks.append(track)
+        # Only the frame that is shown keeps its stripe: a long replay's would fill the memory.
+        self.tracks.append(replace(track, stripe=None, checks=()))
         self.offsets.append(offset)
         first_half = len(self.tracks) <= (len(self.recording.rows) + 1) // 2
         if frame is not None and track.valid and (self.sample is None or (first_half and frame.arc_on)):

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import math
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -81,7 +82,7 @@ class ReplayPage:
         true_mm = self._viewer.truth_mm.get(track.frame)
         for name, value in _columns(frame, seen, true_mm).items():
             self._columns.setdefault(name, []).append(value)
-        self._tracks.append(track)
+        self._tracks.append(replace(track, stripe=None, checks=()))
 
     def save(self, path: Path) -> None:
         """Write the page; ArctrackError if it cannot be written."""
