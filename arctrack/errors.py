@@ -8,7 +8,13 @@ from arctrack.printable import printable
 
 
 class ArctrackError(Exception):
-    """Bad input or a wish that cannot be met; its text is one line that a terminal can be given."""
+    """Bad input, or a request that cannot be met; its text is one line that a terminal can be given.
+
+    Parameters
+    ----------
+    message : str
+        What is wrong, where, and the cure. Line breaks become spaces.
+    """
 
     def __init__(self, message: str) -> None:
         super().__init__(printable(" ".join(message.split())))

@@ -44,11 +44,29 @@ _ARC_HEIGHT_MM = {"lap": 2.0, "corrugation": 1.6, "fillet": 3.0}
 
 
 def nominal_setup(joint_type: str, material_name: str, *, width: int = 640, height: int = 480) -> Setup:
-    """Return a setup for a joint of `DIMENSIONS` and a material of Table 1.
+    """Return a setup to start from, for a joint and a material.
 
-    Other image sizes keep the field of view. `[arc] radiance_e` is 1 here: how bright the arc may be depends
-    on aperture and filter, see `arctrack.simulate.balance`. Raises ArctrackError for a joint or a material
-    that there is not, and for an image that is too large.
+    `[arc] radiance_e` is 1 here: how bright the arc may be depends on aperture and filter, see
+    `arctrack.simulate.balance`.
+
+    Parameters
+    ----------
+    joint_type : str
+        A joint of `arctrack.nominal.DIMENSIONS`, such as "v_groove".
+    material_name : str
+        A material of the paper's Table 1, "mild_steel" or "zn_coated".
+    width, height : int
+        The image's size, px; every size has the same field of view.
+
+    Returns
+    -------
+    Setup
+        The setup of a sensor that sees the stripe on this joint.
+
+    Raises
+    ------
+    ArctrackError
+        For a joint or a material that there is not, and for an image that is too large.
     """
     if joint_type not in DIMENSIONS:
         raise ArctrackError(f"there is no joint {joint_type!r}: {cure_for(joint_type, DIMENSIONS)}")

@@ -50,10 +50,18 @@ perfect measurement near a half, and that part of the error is constant.
 
 @dataclass(frozen=True)
 class Moment:
-    """When a track is published, s, on the clock of the captures, and what the robot then does.
+    """When a track is published, and what the robot then does.
 
-    `latency_ms` is how long the track took, NaN if nobody timed it; `logged_at_s` what the bus' log takes for
-    the time of sending, None for the wall clock.
+    Parameters
+    ----------
+    now_s : float
+        The time, s, on the clock of the captures.
+    robot : RobotStatus or None
+        The robot's status; None while no fresh status has been received.
+    latency_ms : float
+        How long the track took, ms; NaN if nobody timed it.
+    logged_at_s : float, optional
+        The time that the bus' log gives the messages, s; by default the wall clock.
     """
 
     now_s: float
@@ -63,7 +71,21 @@ class Moment:
 
 
 class Publisher:
-    """Sends seam offset, seam geometry and tracker status for each track; its state is the gate's memory."""
+    """Sends seam offset, seam geometry and tracker status for each track.
+
+    Its state is what the gate remembers.
+
+    Parameters
+    ----------
+    link : Link
+        The bus.
+    joint_type : str
+        The joint's type, which the seam geometry states.
+    limits : GateLimits
+        What an offset must keep to.
+    correction : Correction
+        Which axes are corrected.
+    """
 
     def __init__(
         self,
@@ -83,7 +105,27 @@ class Publisher:
         self.reasons: Counter[GateReason] = Counter()
 
     def publish(self, track: Track, moment: Moment) -> SeamOffset:
-        """Send a track's messages and return the offset as it went out; LinkError if the bus fails."""
+        """Send a track's messages.
+
+        Parameters
+        ----------
+        track : Track
+            A frame's result.
+        moment : Moment
+            When it is sent, and what the robot then does.
+
+        Returns
+        -------
+        SeamOffset
+            The offset as it went out.
+
+        Raises
+        ------
+        LinkError
+            If the bus fails.
+        BusLogError
+            If a log fails.
+        """
         # Written so that it is due at first, and where the clock has run backwards.
         if not 0.0 <= moment.now_s - self._introduced_at_s < self._introduce_every_s:
             self._link.send(dbc_version(), moment.logged_at_s)

@@ -52,9 +52,20 @@ RESULTS_FOLDER = "results"
 
 @dataclass(frozen=True)
 class ReplayOptions:
-    """How to replay: `bus` is python-can's interface and channel, joined by a colon.
+    """How to replay.
 
-    `exports` are files to write beside the others: `replay.mcap`, `replay.rrd`.
+    Parameters
+    ----------
+    bus : str
+        python-can's interface and channel, joined by a colon.
+    use_arc_map : bool
+        False reads the stripe over a local median with one variance for all pixels.
+    pictures : bool
+        False writes no video, pictures or page.
+    exports : tuple of str
+        Files to write beside the others: `replay.mcap`, `replay.rrd`.
+    limits : GateLimits
+        What an offset must keep to pass the gate.
     """
 
     bus: str = DEFAULT_BUS
@@ -110,11 +121,34 @@ def replay_recording(
     on_drawn: Callable[[int], None] | None = None,
     on_compiled: OnCompiled | None = None,
 ) -> Replay:
-    """Replay a recording into a folder (default: `results` in the recording's own).
+    """Replay a recording, and write what came of it into a folder.
 
-    `on_frame` hears the number of frames done, `on_drawn` that of frames drawn after the last offset,
-    `on_compiled` what is compiled before the first frame. Raises ArctrackError if folder, bus or truth.csv
-    fails, and TypeError for a path where the recording should be.
+    Parameters
+    ----------
+    recording : Recording
+        What `read_recording` returned.
+    folder : Path or str, optional
+        Where the files go; by default `results` in the recording's own folder.
+    options : ReplayOptions, optional
+        How to replay.
+    on_frame : callable, optional
+        Hears the number of frames done.
+    on_drawn : callable, optional
+        Hears the number of frames drawn after the last offset.
+    on_compiled : callable, optional
+        Hears what is compiled before the first frame.
+
+    Returns
+    -------
+    Replay
+        The tracks, without their stripes, and a summary.
+
+    Raises
+    ------
+    ArctrackError
+        If folder, bus or truth.csv fails.
+    TypeError
+        For a path where the recording should be.
     """
     if not isinstance(recording, Recording):
         raise TypeError(

@@ -58,10 +58,34 @@ ARC_SHARE = 0.15
 
 @dataclass(frozen=True)
 class SimulationPlan:
-    """What to simulate. Lengths mm, angles degrees; `height_mm` is low and high over the nominal seam.
+    """What to simulate.
 
-    `seam_wander_mm` is how far the true seam leaves its nominal line to the side, half of it up and down.
-    `production` has laser and arc on in every frame; `exact` keeps the nominal values for the true ones.
+    Parameters
+    ----------
+    frames : int
+        How many frames.
+    rate_hz : float
+        Frames a second.
+    travel_speed_mm_s : float
+        The torch's speed along the seam.
+    seed : int
+        The same seed makes the same recording.
+    seam_wander_mm : float
+        How far the true seam leaves its nominal line to the side, half of it up and down.
+    weave_mm : float
+        How far the tool swings to either side.
+    height_mm : tuple of float
+        The tool's lowest and highest height over the nominal seam.
+    tilt_deg : float
+        How far the tool tilts.
+    pose_rate_hz, pose_jitter_s : float
+        Poses a second, and 1 sigma of their times.
+    production : bool
+        True has laser and arc on in every frame.
+    exact : bool
+        True keeps the nominal values for the true ones.
+    video : bool
+        True writes one lossless video instead of PNGs.
     """
 
     frames: int = 24
@@ -112,12 +136,32 @@ def simulate_recording(
     hidden_effects: Mapping[str, Values] | None = None,
     stated: SetupFile | None = None,
 ) -> Path:
-    """Write a recording of a nominal setup to `path`, which must not exist yet, and return it.
+    """Write a recording of a nominal setup, with its truth.
 
-    `stated` is the file that the setup was read from: it is written as it stands, and poses are the
-    controller's as it says.
-    `on_frame` hears the number of frames done. `hidden_effects` act beside those of the setup, but the setup
-    that is written does not name them. Raises ArctrackError if the setup's seam is not straight.
+    Parameters
+    ----------
+    path : Path or str
+        The recording's folder, which must not exist yet.
+    setup : Setup
+        The nominal setup.
+    plan : SimulationPlan, optional
+        What to simulate.
+    on_frame : callable, optional
+        Hears the number of frames done.
+    hidden_effects : mapping, optional
+        Effects that act beside those of the setup, by id; the setup that is written does not name them.
+    stated : SetupFile, optional
+        The file that the setup was read from: it is written as it stands, and poses are the controller's.
+
+    Returns
+    -------
+    Path
+        The recording's folder.
+
+    Raises
+    ------
+    ArctrackError
+        If the folder exists, or if the setup's seam is not straight.
     """
     plan = plan or SimulationPlan()
     require_setup(setup)

@@ -14,6 +14,8 @@ myst_heading_anchors = 4
 default_role = "code"
 autodoc_member_order = "bysource"
 autodoc_typehints = "none"
+# A default by its name: its value would fill lines.
+autodoc_preserve_defaults = True
 numpydoc_show_class_members = False
 
 html_theme = "pydata_sphinx_theme"

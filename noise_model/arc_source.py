@@ -9,11 +9,30 @@ from dataclasses import dataclass
 class Arc:
     """The arc as stated: a hemisphere of uniform radiance of which only the upper half shines.
 
-    With `on_surface` its centre lies below the tool's origin (`center_in_tool_mm` turned with the tool, its z
-    included, says where), at the joint's reference surface, raised by a corrugation's height there, plus
-    `center_in_tool_mm[2]`. `radiance_e` is the charge that a pixel on the optical axis receives per unit of
-    the integral of f_r cos(phi) cos(theta_i) / r^2 dA at `current_a`; it scales with
-    (I / current_a)^current_exponent.
+    Parameters
+    ----------
+    radius_mm : float
+        The hemisphere's radius, mm.
+    center_in_tool_mm : tuple (3,)
+        The hemisphere's centre, mm, tool frame. See `on_surface` for its z.
+    radiance_e : float
+        The arc's brightness, e-: the charge that a pixel on the optical axis receives at `current_a`, per
+        unit of the integral of f_r cos(phi) cos(theta_i) / r^2 dA.
+    current_a : float
+        The current at which `radiance_e` is stated, A.
+    current_exponent : float
+        The brightness scales with (I / current_a)^current_exponent.
+    shape : str
+        "hemisphere", the one shape there is.
+    on_surface : bool
+        True puts the centre at the height of the workpiece below the tool's origin, plus
+        `center_in_tool_mm[2]`. The workpiece is the joint's reference surface, raised by a corrugation's
+        height there. `center_in_tool_mm`, turned with the tool, says below which point.
+
+    Raises
+    ------
+    ValueError
+        For a value out of its range; it names the key.
     """
 
     radius_mm: float

@@ -12,8 +12,19 @@ from noise_model.setup import Setup
 class Condition:
     """A frame's condition.
 
-    `laser_level` and `arc_level` are outputs over the nominal ones, 0 for off; `timestamp_s` counts from the
-    recording's first frame.
+    Parameters
+    ----------
+    laser_level, arc_level : float
+        Output over the nominal output, 0 for off.
+    exposure_s : float
+        The exposure, s.
+    timestamp_s : float
+        The time since the recording's first frame, s.
+
+    Raises
+    ------
+    ValueError
+        For a level below 0, and for an exposure that is not above 0.
     """
 
     laser_level: float
@@ -39,6 +50,27 @@ class Condition:
         exposure_s: float,
         timestamp_s: float = 0.0,
     ) -> Condition:
-        """Return what a setup expects of a frame: (I / I_0)^n of the arc's output at a current I."""
+        """Return the condition that a setup expects of a frame.
+
+        The arc's level is (I / current_a)^current_exponent at a current I (`Arc`).
+
+        Parameters
+        ----------
+        setup : Setup
+            The nominal setup.
+        laser_on, arc_on : bool
+            Whether laser and arc are on.
+        current_a : float
+            The welding current I, A; where it is 0 or NaN the arc's level is 0.
+        exposure_s : float
+            The exposure, s.
+        timestamp_s : float
+            The time since the recording's first frame, s.
+
+        Returns
+        -------
+        Condition
+            Levels are 0 for what is off.
+        """
         arc_level = current_level(setup.arc, current_a) if arc_on else 0.0
         return cls(float(laser_on), arc_level, exposure_s, timestamp_s)

@@ -49,12 +49,23 @@ Number = TypeVar("Number", np.float32, np.int32, np.bool_)
 
 @dataclass(frozen=True, eq=False)
 class Prediction:
-    """What is expected of the pixels (...,) of a frame.
+    """What is expected of the pixels of a frame.
 
-    `mean_e` and `variance_e2` are the charge's: shot noise, read noise and the effects' own scatter.
-    `mean_dn` and `variance_dn2` are those of the number that the sensor gives: response, full well and
-    quantisation. `saturated` says that the mean lies at the end of the scale. `modes_e` are charges (...,)
-    that go up and down together, by one unit-variance number a frame each; `variance_e2` does not hold them.
+    Attributes
+    ----------
+    mean_e : array (...,)
+        The mean charge, e-.
+    variance_e2 : array (...,)
+        The charge's variance, e-^2: shot noise, read noise and the effects' own scatter.
+    mean_dn : array (...,)
+        The mean grey level, DN, after response, full well and quantisation.
+    variance_dn2 : array (...,)
+        The grey level's variance, DN^2.
+    saturated : array (...,)
+        Whether the mean lies at the end of the scale.
+    modes_e : dict
+        Charges (...,), e-, by name. The pixels of one mode go up and down together, by one number of unit
+        variance a frame. `variance_e2` does not hold them.
     """
 
     mean_e: Float32
@@ -147,7 +158,13 @@ def _filled(frame: View, scene: Scene) -> Float32:
 
 
 class Renderer:
-    """Renders a pose's layers and remembers those of the last poses, `remembered` of them."""
+    """Renders a pose's light, and remembers that of the last poses.
+
+    Parameters
+    ----------
+    remembered : int
+        How many poses it remembers.
+    """
 
     def __init__(self, remembered: int = REMEMBERED) -> None:
         self._remembered = remembered
@@ -237,14 +254,36 @@ def predict(
     renderer: Renderer | None = None,
     pixels: Integers | None = None,
 ) -> Prediction:
-    """Return mean and variance of a frame, or of some `pixels` (n,) of it, indices into the flattened image.
+    """Return mean and variance of a frame, or of some pixels of it.
 
-    `seam` puts the true seam off its nominal line; `renderer` remembers what was rendered. Pixels that look
-    past the workpiece are dark. Some pixels alone are predicted at their centres, without point-spread
-    function and blooming, and light that spreads over the image comes from their own mean: take an even
-    sample.
+    Pixels that look past the workpiece are dark. Some pixels alone are predicted at their centres, without
+    point-spread function and blooming. Light that spreads over the image then comes from their own mean: take
+    an even sample.
 
-    Raises ValueError for a pose whose camera stands below the surface and for effects that cannot be.
+    Parameters
+    ----------
+    setup : Setup
+        The nominal setup, with the effects that act.
+    T_base_tool : array (4, 4)
+        The tool's pose, mm.
+    condition : Condition
+        The frame's condition.
+    seam : SeamLine or BentSeam
+        Where the true seam runs beside its nominal line, mm.
+    renderer : Renderer, optional
+        Remembers what was rendered.
+    pixels : array (n,), optional
+        Indices into the flattened image; by default all of it.
+
+    Returns
+    -------
+    Prediction
+        Its arrays are (H, W), or (n,) for some pixels.
+
+    Raises
+    ------
+    ValueError
+        For a pose whose camera stands below the surface, and for effects that cannot be.
     """
     true, light = _light(setup, T_base_tool, condition, seam, renderer, pixels, None)
     mean_e = light.total
@@ -263,7 +302,33 @@ def draw_frame(
     seam: Seam = NOMINAL_SEAM,
     renderer: Renderer | None = None,
 ) -> Integers:
-    """Draw one frame (H, W), DN in the sensor's type: random effects, shot noise, read noise, response."""
+    """Draw one frame at random: random effects, shot noise, read noise, response.
+
+    Parameters
+    ----------
+    setup : Setup
+        The nominal setup, with the effects that act.
+    T_base_tool : array (4, 4)
+        The tool's pose, mm.
+    condition : Condition
+        The frame's condition.
+    rng : numpy.random.Generator
+        Where the noise comes from.
+    seam : SeamLine or BentSeam
+        Where the true seam runs beside its nominal line, mm.
+    renderer : Renderer, optional
+        Remembers what was rendered.
+
+    Returns
+    -------
+    array (H, W)
+        Grey levels, DN, in the sensor's type.
+
+    Raises
+    ------
+    ValueError
+        For a pose whose camera stands below the surface, and for effects that cannot be.
+    """
     true, light = _light(setup, T_base_tool, condition, seam, renderer, None, rng)
     return expose(light.total.astype(np.float64), true.sensor, rng)
 

@@ -16,10 +16,26 @@ from noise_model.surface.joint import Joint
 
 @dataclass(frozen=True)
 class Tolerance:
-    """1 sigma of what a careful user cannot know better; `seam_mm` is what the weld can bear.
+    """How well a careful user knows the setup: 1 sigma each, but for `seam_mm`.
 
-    `seam_mm` is arctrack's own key: a track's confidence is the probability that the lateral and the
-    vertical error both stay below it.
+    Parameters
+    ----------
+    arc_level_rel, laser_level_rel : float
+        The output of arc and laser, relative.
+    hand_eye_deg, hand_eye_mm : float
+        The camera's pose in the tool frame, degrees and mm.
+    black_level_dn : float
+        The black level, DN.
+    read_noise_rel : float
+        The read noise, relative.
+    seam_mm : float
+        The error that the weld can bear, mm. A track's confidence is the probability that the lateral and the
+        vertical error both stay below it.
+
+    Raises
+    ------
+    ValueError
+        For a value below 0.
     """
 
     arc_level_rel: float = 0.1
@@ -47,7 +63,26 @@ class Tolerance:
 class Setup:
     """What is known of the sensor, the light and the part before the first frame.
 
-    `effects` are those that are known to act, by id, with their parameters by name (`noise_model.effects`).
+    Parameters
+    ----------
+    camera : Camera
+        Image size, lens and pose, px and mm.
+    sensor : Sensor
+        How charge becomes grey levels, e- and DN.
+    filter : Filter or FilterCurve
+        The interference filter, nm.
+    laser : Laser
+        The laser sheet, mm, tool frame.
+    arc : Arc
+        The arc's place, size and brightness, mm and e-, tool frame.
+    material : Material
+        The metal's reflectance, 1/sr.
+    joint : Joint
+        The joint's type, dimensions and seam line, mm, base frame.
+    tolerance : Tolerance
+        How well the values above are known.
+    effects : mapping
+        Effects that are known to act: parameters by name, by the effect's id (`noise_model.effects`).
     """
 
     camera: Camera

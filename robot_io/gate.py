@@ -29,10 +29,30 @@ class Verdict(Enum):
 
 @dataclass(frozen=True)
 class GateLimits:
-    """What an offset must keep to. `sigma_*` may be infinite, which switches that check off.
+    """What an offset must keep to.
 
-    `rate_*` limits the change between two captures, counted over at most `hold_s`: a seam that jumps further
-    than `rate · hold_s` is never followed before the tracker is armed anew.
+    Parameters
+    ----------
+    range_y_mm, range_z_mm : float
+        The largest offset, mm.
+    rate_y_mm_s, rate_z_mm_s : float
+        The largest change between two captures, mm/s, counted over at most `hold_s`. A seam that jumps
+        further than `rate · hold_s` is never followed before the tracker is armed anew.
+    capture_age_s : float
+        The largest age of the capture, s.
+    confidence : float
+        The least confidence, 0 to 1.
+    hold_s : float
+        How long the last offset is held while none passes, s.
+    sigma_y_mm, sigma_z_mm : float
+        The largest sigma, mm; infinite switches this check off.
+    arc_required : bool
+        Whether the robot must report that the arc is on.
+
+    Raises
+    ------
+    ValueError
+        For a limit that is not positive and finite, or that the bus cannot carry.
     """
 
     range_y_mm: float
@@ -60,9 +80,18 @@ class GateLimits:
 
 @dataclass(frozen=True)
 class Proposal:
-    """An offset that wants to go out: S, mm, at the torch's station, for the time of its capture.
+    """An offset that wants to go out, at the torch's station, for the time of its capture.
 
-    What was not measured is NaN. `captured_at_s` is on the clock of the gate's `now_s`.
+    Parameters
+    ----------
+    captured_at_s : float
+        The time of the capture, s, on the clock of the gate's `now_s`.
+    offset_y_mm, offset_z_mm : float
+        The offset, mm, joint frame; NaN where it was not measured.
+    confidence : float
+        The probability that the offset is within the weld's tolerance.
+    sigma_y_mm, sigma_z_mm : float
+        1 sigma of the offset, mm.
     """
 
     captured_at_s: float
@@ -75,7 +104,17 @@ class Proposal:
 
 @dataclass(frozen=True)
 class Conditions:
-    """What must hold beside the offset; `robot` is None while no fresh status has been received."""
+    """What must hold beside the offset.
+
+    Parameters
+    ----------
+    armed : bool
+        Whether the tracker may send offsets.
+    enable_y, enable_z : bool
+        Which axes are corrected.
+    robot : RobotStatus or None
+        The robot's last status; None while no fresh status has been received.
+    """
 
     armed: bool
     enable_y: bool
@@ -103,7 +142,16 @@ class LastSent:
 class Decision:
     """What goes to the bus, why, and what the gate must be given the next time.
 
-    `message` is always to be sent: a refusal, too, must reach the robot.
+    Attributes
+    ----------
+    verdict : Verdict
+        The offset is sent, the last offset is held, or it is refused.
+    reason : GateReason
+        Why it was not sent.
+    message : SeamOffset
+        Always to be sent: a refusal, too, must reach the robot.
+    last_sent : LastSent
+        What the next call of `decide` is given.
     """
 
     verdict: Verdict
@@ -115,10 +163,29 @@ class Decision:
 def decide(
     proposal: Proposal, conditions: Conditions, limits: GateLimits, last_sent: LastSent, now_s: float
 ) -> Decision:
-    """Return what becomes of a proposal at `now_s` (s, the clock of the captures).
+    """Return what becomes of a proposal.
 
-    An axis that is not enabled is neither checked nor sent; enabled again, it may not leap from what it was
-    sent last. Being disarmed forgets the last offset; the first one after that is free of the rate limit.
+    An axis that is not enabled is neither checked nor sent. Enabled again, it may not jump from the offset
+    that it was sent last. Being disarmed forgets the last offset, so the first offset after that is free of
+    the rate limit.
+
+    Parameters
+    ----------
+    proposal : Proposal
+        The offset that wants to go out.
+    conditions : Conditions
+        What must hold beside the offset.
+    limits : GateLimits
+        What the offset must keep to.
+    last_sent : LastSent
+        The offset that went out last, as the last `Decision` holds it.
+    now_s : float
+        The time, s, on the clock of the captures.
+
+    Returns
+    -------
+    Decision
+        What goes to the bus, and why.
     """
     if not conditions.armed:
         last_sent = LastSent()

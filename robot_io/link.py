@@ -45,11 +45,28 @@ class LinkError(ValueError):
 class Link:
     """A place on the bus. `close` it, or use it as a context manager.
 
-    `interface` and `channel` are python-can's (`virtual`, `udp_multicast`, `socketcan`, `slcan` …), and so
-    are further `bus_options`; `bitrate_bit_s` is for interfaces that set it themselves. Everything that goes
-    over the bus, foreign frames included, is written to each of `log_paths` (`.blf`, `.asc`, `.log`). One
-    thread may send while another receives, and a third may `close` it, which ends what `receive` yields.
-    Raises LinkError, BusLogError.
+    Everything that goes over the bus is logged, foreign frames included. One thread may send while another
+    receives. A third may `close` it, which ends what `receive` yields.
+
+    Parameters
+    ----------
+    interface : str
+        python-can's interface: `virtual`, `udp_multicast`, `socketcan`, `slcan` …
+    channel : str
+        python-can's channel.
+    bitrate_bit_s : int, optional
+        The bit rate, bit/s, for interfaces that set it themselves.
+    log_paths : sequence of Path
+        Logs to write: `.blf`, `.asc`, `.log`.
+    **bus_options
+        Further options of python-can's interface.
+
+    Raises
+    ------
+    LinkError
+        If the bus cannot be opened.
+    BusLogError
+        If a log cannot be written.
     """
 
     def __init__(
@@ -88,7 +105,13 @@ class Link:
         self.close()
 
     def close(self) -> None:
-        """Leave the bus and finish the logs; BusLogError if one cannot be finished."""
+        """Leave the bus and finish the logs.
+
+        Raises
+        ------
+        BusLogError
+            If a log cannot be finished.
+        """
         self._closed.set()
         with self._receiving:
             self._opened.close()
@@ -96,9 +119,22 @@ class Link:
     def send(self, message: BusMessage, timestamp_s: float | None = None) -> None:
         """Protect a message, send it and log it.
 
-        `timestamp_s` is the time that the log (and the `virtual` bus) gives the frame: a replay's recording
-        time; by default the wall clock. Raises CodecError if a signal cannot carry its value, LinkError if
-        the bus fails, BusLogError if a log cannot hold that time; nothing is sent then.
+        Parameters
+        ----------
+        message : BusMessage
+            The message.
+        timestamp_s : float, optional
+            The time that the log, and the `virtual` bus, gives the frame, s; by default the wall clock. A
+            replay gives the recording's time.
+
+        Raises
+        ------
+        CodecError
+            If a signal cannot carry its value; nothing is sent.
+        LinkError
+            If the bus fails; nothing is sent.
+        BusLogError
+            If a log cannot hold that time, and nothing is sent; or if it cannot be written.
         """
         sent_at_s = time.time() if timestamp_s is None else timestamp_s
         for log in self._logs:
@@ -121,11 +157,28 @@ class Link:
         self._log(frame)
 
     def receive(self, timeout_s: float | None = None) -> Iterator[Received]:
-        """Yield accepted messages until none has come for `timeout_s` s (0: what waits; None: until closed).
+        """Yield accepted messages until none has come for some time.
 
-        Their times are the wall clock's, also of an adapter that counts from its start; on `virtual` they are
-        the sender's. What is not ours, fails E2E or cannot be decoded is logged and counted in
-        `inbox.skipped`, no more. Raises LinkError if the bus fails.
+        A message that is not ours, fails E2E or cannot be decoded is logged and counted in `inbox.skipped`.
+
+        Parameters
+        ----------
+        timeout_s : float, optional
+            How long to wait for the next message, s. 0 yields what waits; None waits until the link is
+            closed.
+
+        Yields
+        ------
+        Received
+            Its time is the wall clock's, s, also where an adapter counts from its start. On `virtual` it is
+            the sender's.
+
+        Raises
+        ------
+        LinkError
+            If the bus fails.
+        BusLogError
+            If a log cannot be written.
         """
         was_open = not self._closed.is_set()
         deadline_s = _deadline_s(timeout_s)

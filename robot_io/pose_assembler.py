@@ -17,8 +17,19 @@ PAIRING_PERIODS = 5
 class PoseSample:
     """A whole pose T_base_tool off the bus.
 
-    `timestamp_s` is when the controller sampled it: the rotation frame's time less the sample age, or the
-    bare frame's time where the age is unknown (`sample_age_s` NaN). Position in base, mm; quaternion x y z w.
+    Attributes
+    ----------
+    timestamp_s : float
+        When the controller sampled the pose, s: the rotation frame's time less the sample age. Where the age
+        is unknown it is the frame's time.
+    position_base_mm : tuple (3,)
+        The tool's position, mm, base frame.
+    quaternion_xyzw : tuple (4,)
+        The tool's rotation in base, as a unit quaternion x y z w.
+    kind : PoseKind
+        Whether it is where the tool is, or where the programmed path has it.
+    sample_age_s : float
+        How old the pose was when it was sent, s; NaN where the sender does not know.
     """
 
     timestamp_s: float
@@ -37,9 +48,18 @@ class PoseAssembler:
         self._rotation: tuple[Received, RobotPoseRotation] | None = None
 
     def push(self, received: Received) -> PoseSample | None:
-        """Take an accepted message; return the pose that it completes, or None.
+        """Take an accepted message, and return the pose that it completes.
 
-        None also for other messages, and for a pose of which the sender does not know every part.
+        Parameters
+        ----------
+        received : Received
+            A message of any type.
+
+        Returns
+        -------
+        PoseSample or None
+            None while a half is missing, for other messages, and for a pose of which the sender does not know
+            every part.
         """
         if isinstance(received.message, RobotPosePosition):
             self._position = (received, received.message)

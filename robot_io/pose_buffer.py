@@ -48,10 +48,24 @@ class PoseRefusal(Enum):
 
 @dataclass(frozen=True, eq=False)
 class PoseAt:
-    """The pose at one time; a refused one is all NaN and says why.
+    """The pose at one time; a refused pose is all NaN and says why.
 
-    `T_base_tool` is 4x4 in mm, the velocities are the TCP's in base (mm/s, rad/s), `period_s` is the nominal
-    period that the rule used.
+    Attributes
+    ----------
+    timestamp_s : float
+        The time asked for, s.
+    status : PoseStatus
+        Interpolated, extrapolated or refused.
+    refusal : PoseRefusal or None
+        Why it was refused.
+    T_base_tool : array (4, 4)
+        The pose: it takes points of the tool frame to base, mm.
+    velocity_base_mm_s : array (3,)
+        The velocity of the tool's origin, mm/s, base frame.
+    angular_velocity_base_rad_s : array (3,)
+        The tool's angular velocity, rad/s, base frame.
+    period_s : float
+        The nominal period of the poses, s.
     """
 
     timestamp_s: float
@@ -64,7 +78,20 @@ class PoseAt:
 
 
 class PoseBuffer:
-    """The last `capacity` poses T_base_tool, and the pose at any time among them."""
+    """The last poses T_base_tool, and the pose at any time among them.
+
+    Parameters
+    ----------
+    capacity : int
+        How many poses are kept, 2 or more.
+    max_extrapolation_periods : float
+        How many nominal periods after the last pose a pose is still extrapolated.
+
+    Raises
+    ------
+    ValueError
+        For a capacity below 2 and for a negative extrapolation.
+    """
 
     def __init__(self, capacity: int = 1024, max_extrapolation_periods: float = 3.0) -> None:
         if capacity < 2:
@@ -85,7 +112,20 @@ class PoseBuffer:
         return self._stop - self._start
 
     def push(self, timestamp_s: float, T_base_tool: npt.ArrayLike) -> None:
-        """Add a pose as a 4x4 matrix (mm). Raises PoseError if it is no rigid pose, or not after the last."""
+        """Add a pose as a matrix.
+
+        Parameters
+        ----------
+        timestamp_s : float
+            The pose's time, s.
+        T_base_tool : array (4, 4)
+            The pose: it takes points of the tool frame to base, mm.
+
+        Raises
+        ------
+        PoseError
+            If it is no rigid pose, or its time is not after that of the last pose.
+        """
         pose = np.asarray(T_base_tool, dtype=np.float64)
         if pose.shape != (4, 4) or not np.array_equal(pose[3], (0.0, 0.0, 0.0, 1.0)):
             raise PoseError(f"pose at {timestamp_s:.6f} s: not a 4x4 matrix with last row 0 0 0 1")
@@ -98,10 +138,22 @@ class PoseBuffer:
     def push_quaternion(
         self, timestamp_s: float, position_base_mm: npt.ArrayLike, quaternion_xyzw: npt.ArrayLike
     ) -> None:
-        """Add a pose as position in base (3, mm) and unit quaternion (4, x y z w).
+        """Add a pose as position and quaternion.
 
-        Raises PoseError if a value is not finite, the quaternion's norm is not 1, or the time is not after
-        that of the last pose.
+        Parameters
+        ----------
+        timestamp_s : float
+            The pose's time, s.
+        position_base_mm : array (3,)
+            The tool's position, mm, base frame.
+        quaternion_xyzw : array (4,)
+            The tool's rotation in base, as a unit quaternion x y z w.
+
+        Raises
+        ------
+        PoseError
+            If a value is not finite, the quaternion's norm is not 1, or the time is not after that of the
+            last pose.
         """
         position = np.asarray(position_base_mm, dtype=np.float64)
         quaternion = np.asarray(quaternion_xyzw, dtype=np.float64)
@@ -126,12 +178,27 @@ class PoseBuffer:
         self._stop += 1
 
     def at(self, t_s: float) -> PoseAt:
-        """Return the pose at a time (s, the clock of the pushed poses).
+        """Return the pose at a time.
 
-        Interpolated (position linearly, rotation along the arc) where the next pose is known and lies within
-        one nominal period of `t_s`; else extrapolated at constant velocity and angular velocity, at most
-        `max_extrapolation_periods` beyond the last pose at or before `t_s`; else refused. Never raises for
-        a lack of poses; ValueError only if `t_s` is not finite.
+        It is interpolated where the next pose is known and lies within one nominal period of `t_s`: the
+        position linearly, the rotation along the arc. Else it is extrapolated at constant velocity and
+        angular velocity, at most `max_extrapolation_periods` beyond the last pose at or before `t_s`. Else it
+        is refused: a lack of poses never raises.
+
+        Parameters
+        ----------
+        t_s : float
+            The time, s, on the clock of the pushed poses.
+
+        Returns
+        -------
+        PoseAt
+            The pose, or why there is none.
+
+        Raises
+        ------
+        ValueError
+            If `t_s` is not finite.
         """
         if not np.isfinite(t_s):
             raise ValueError(f"pose asked for at {t_s}: the time must be finite")

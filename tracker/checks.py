@@ -20,9 +20,20 @@ Demand = Literal["yes", "at_least", "at_most", "more_than", "less_than"]
 
 @dataclass(frozen=True)
 class Question:
-    """One question: its words, the value's unit, what is demanded, and the flag of a value that fails.
+    """One question that a step asks of a frame.
 
-    `unit` is mm, share (of 1), lines, or nothing for plain numbers; a `yes` question has the values 1 and 0.
+    Attributes
+    ----------
+    id : str
+        Its name in files.
+    words : str
+        What is asked, in words.
+    demand : str
+        How the value must stand to the limit: "yes", "at_least", "at_most", "more_than" or "less_than".
+    flag : Flag
+        The flag of a value that fails.
+    unit : str
+        "mm", "share" (of 1), "lines", or "" for a plain number. A "yes" question has the values 1 and 0.
     """
 
     id: str
@@ -33,7 +44,19 @@ class Question:
 
 
 class Check(NamedTuple):
-    """An answer: the question, the value that a frame gave, its limit, and the flag that failing raises."""
+    """An answer.
+
+    Attributes
+    ----------
+    question : Question
+        What was asked.
+    value : float
+        The frame's value, in the question's unit.
+    limit : float
+        The limit, in the question's unit.
+    flag : Flag
+        The flag that failing raises.
+    """
 
     question: Question
     value: float
@@ -65,7 +88,15 @@ class Check(NamedTuple):
 
 @dataclass
 class Checks:
-    """The answers so far, in the order in which they were asked, and the flags that they raise."""
+    """The answers so far, and the flags that they raise.
+
+    Attributes
+    ----------
+    answers : list of Check
+        In the order in which the questions were asked.
+    flags : int
+        The flags that are set, as bits.
+    """
 
     answers: list[Check] = field(default_factory=list)
     flags: int = 0

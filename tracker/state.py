@@ -21,12 +21,27 @@ UNKNOWN: Pair = (math.nan, math.nan)
 
 @dataclass(frozen=True)
 class JointShape:
-    """What a section shows beside seam point, gap and mismatch, with 1 sigma; NaN where it has none.
+    """What a section of the joint shows beside seam point, gap and mismatch; NaN where it has none.
 
-    Pairs are (left, right). `bevel_angles_deg`: a bevel's angle from upright, joint frame;
-    `plate_angles_deg`: a plate's, or sheet's, from level, positive where it rises to the left; `area_mm2`:
-    the opening below the line from one plate's edge to the other's, of a butt its gap times the stated
-    thickness.
+    Pairs are (left, right).
+
+    Attributes
+    ----------
+    gap_sigma_mm, mismatch_sigma_mm : float
+        1 sigma of the track's gap and mismatch, mm.
+    bevel_angles_deg : tuple (2,)
+        Each bevel's angle from upright, degrees, joint frame.
+    bevel_sigmas_deg : tuple (2,)
+        1 sigma of `bevel_angles_deg`, degrees.
+    plate_angles_deg : tuple (2,)
+        The angle of each plate, or sheet, from level, degrees; positive where it rises to the left.
+    plate_sigmas_deg : tuple (2,)
+        1 sigma of `plate_angles_deg`, degrees.
+    area_mm2 : float
+        The opening below the line from one plate's edge to the other's, mm^2. Of a butt joint it is the gap
+        times the stated thickness.
+    area_sigma_mm2 : float
+        1 sigma of `area_mm2`, mm^2.
     """
 
     gap_sigma_mm: float = math.nan
@@ -44,9 +59,22 @@ NO_SHAPE = JointShape()
 
 @dataclass(frozen=True)
 class Frame:
-    """One raw frame (H, W), uint8 or uint16, and the condition it was taken under.
+    """One raw frame and the condition it was taken under.
 
-    `timestamp_s` is mid-exposure; `current_a`, `exposure_s` are NaN where nobody knows them.
+    Parameters
+    ----------
+    index : int
+        The frame's number.
+    timestamp_s : float
+        The middle of the exposure, s, on the poses' clock.
+    image_dn : array (H, W)
+        Grey levels as the sensor gave them, DN, uint8 or uint16.
+    exposure_s : float
+        The exposure, s.
+    current_a : float
+        The welding current, A; NaN where nobody knows it.
+    laser_on, arc_on : bool
+        Whether laser and arc were on.
     """
 
     index: int
@@ -90,7 +118,15 @@ def frame_misfit(shape: tuple[int, ...], dtype: npt.DTypeLike, setup: Setup) -> 
 
 @dataclass(frozen=True)
 class Pose:
-    """T_base_tool (4, 4), mm, at a frame's time."""
+    """The tool's pose at a frame's time.
+
+    Parameters
+    ----------
+    T_base_tool : array (4, 4)
+        It takes points of the tool frame to base, mm.
+    extrapolated : bool
+        Whether no later pose was known.
+    """
 
     T_base_tool: Float64
     extrapolated: bool = False
@@ -105,14 +141,30 @@ class Pose:
 
 @dataclass(frozen=True)
 class Stripe:
-    """The stripe per scan line, the image's columns if the stripe runs along its rows.
+    """The stripe of one frame, scan line by scan line; the joint is fitted to `position_px`.
 
-    `position_px` (n,) is NaN where there is no stripe; `sigma_px` its 1 sigma; `amplitude_e` the peak over
-    the background; `saturated` says where pixels were censored. These are the lines' own, and independent
-    but for speckle's grains, which reach over a few lines: `beside_px` (n,) is the 1 sigma with which each
-    counts among its neighbours. The joint is fitted to them. `smooth_px` and `smooth_sigma_px` (n,) are what
-    the neighbours along the stripe make of them (`tracker.stripe.smooth`), NaN also at outliers and where the
-    centre stays unsure.
+    The scan lines are the image's columns if the stripe runs along its rows, else its rows.
+
+    Attributes
+    ----------
+    position_px : array (n,)
+        The stripe's centre on each scan line, px; NaN where there is no stripe.
+    sigma_px : array (n,)
+        1 sigma of `position_px`, px.
+    smooth_px : array (n,)
+        The centre as the neighbours along the stripe smooth it (`tracker.stripe.smooth`), px. NaN also at
+        outliers, and where the centre stays unsure.
+    smooth_sigma_px : array (n,)
+        1 sigma of `smooth_px`, px.
+    amplitude_e : array (n,)
+        The stripe's peak over the background, e-.
+    saturated : array (n,)
+        Where pixels of the stripe were saturated.
+    along_rows : bool
+        Whether the stripe runs along the image's rows.
+    beside_px : array (n,)
+        The 1 sigma with which each centre counts among its neighbours, px. Speckle's grains reach over a few
+        lines, and make neighbours err alike.
     """
 
     position_px: Float64
@@ -127,18 +179,50 @@ class Stripe:
 
 @dataclass(frozen=True)
 class Track:
-    """One frame's result; what is not known is NaN with a flag that says why.
+    """The result of one frame; what is not known is NaN, with a flag that says why.
 
-    `seam_tool_mm` is the seam point in the laser plane, tool frame. `sigma_y_mm` and `sigma_z_mm` are its
-    1 sigma across and along the surface normal, the stated hand-eye tolerance included. The offsets are the
-    seam's displacement from the programmed path in S at the torch's station, valid at `valid_at_s`, as gain,
-    bias and limit of the correction leave it; their sigmas say how well the seam is known there, and
-    `offset_confidence`, with the hand-eye tolerance, how probably that is within the weld's tolerance.
-    `joint_start_mm` and `joint_end_mm` are station and 1 sigma of the joint's ends where they were found.
-    `arc_level` is the arc's output over what the setup expects for the frame's current and exposure;
-    `map_misfit` is the arc residual over its stated uncertainty, robustly, 1 or less where the map is right.
-    `fov_margin_mm` is how far the seam point lies inside the profile's nearer end, negative beyond it;
-    `shape` what else the section shows; `checks` all that the step asked of the frame, in its order.
+    Attributes
+    ----------
+    frame : int
+        The frame's number.
+    timestamp_s : float
+        The middle of its exposure, s.
+    flags : int
+        The flags that are set, as bits; `flag_names` names them.
+    seam_tool_mm : tuple (3,)
+        The seam point in the laser plane, mm, tool frame.
+    sigma_y_mm, sigma_z_mm : float
+        1 sigma of the seam point across the seam and along the surface normal, mm. They include the stated
+        hand-eye tolerance.
+    offset_y_mm, offset_z_mm : float
+        The correction at the torch, mm, joint frame: the seam's displacement from the programmed path, as
+        gain, bias and limit of `Correction` change it.
+    offset_sigma_y_mm, offset_sigma_z_mm : float
+        1 sigma of the seam's displacement at the torch, mm.
+    offset_confidence : float
+        The probability that the displacement at the torch is known within the weld's tolerance, `seam_mm`. It
+        includes the hand-eye tolerance.
+    valid_at_s : float
+        The time at which the offset holds, s.
+    gap_mm, mismatch_mm : float
+        The joint's gap and mismatch, mm.
+    confidence : float
+        The probability that the seam point is known within the weld's tolerance.
+    joint_start_mm, joint_end_mm : tuple (2,)
+        Station and 1 sigma of the joint's start and end, mm, where they were found.
+    arc_level : float
+        The arc's output over the output that the setup expects for the frame's current and exposure.
+    map_misfit : float
+        The residual of the arc map over its stated uncertainty, by a robust measure; 1 or less where the map
+        is right.
+    fov_margin_mm : float
+        How far the seam point lies inside the nearer end of the profile, mm; negative beyond it.
+    shape : JointShape
+        What else the section shows.
+    stripe : Stripe or None
+        The stripe that was read, px.
+    checks : tuple of Check
+        Every check of the frame, in the order in which the step made them.
     """
 
     frame: int

@@ -44,11 +44,22 @@ LOST_TO_SEARCH = 3
 class TrackerState:
     """What one step hands to the next; it can be saved with a recording.
 
-    `jumps` counts frames whose joint was elsewhere since it was where it should be, `lost` those in a row
-    in which it was not found, `frames` all of them.
-    `history` is the seam from its last jump on; `beyond` what has been measured elsewhere since, which
-    becomes the history if it goes on so; `behind` are the latest stretches before, in which the torch may
-    still stand.
+    Attributes
+    ----------
+    history : SeamHistory
+        The seam from its last jump on.
+    beyond : SeamHistory
+        What has been measured elsewhere since. It becomes the history if it goes on so.
+    behind : tuple of SeamHistory
+        The latest stretches before, in which the torch may still stand.
+    steering : Steering
+        What the steering remembers.
+    jumps : int
+        How many frames had their joint elsewhere, since it was last where it should be.
+    lost : int
+        How many frames in a row had no joint.
+    frames : int
+        How many frames were tracked.
     """
 
     history: SeamHistory = field(default_factory=SeamHistory)
@@ -91,9 +102,31 @@ def step(
 ) -> tuple[TrackerState, Track]:
     """Track one frame.
 
-    `geometry` is the setup with its tables, `pose` None where it was refused, `use_arc_map` False reads the
-    stripe over a running median with one variance for all pixels instead, for comparison; `correction` says
-    what of the seam's displacement is sent. Nothing about a frame raises: what fails is NaN with a flag.
+    Nothing about a frame raises: what fails is NaN with a flag.
+
+    Parameters
+    ----------
+    geometry : SensorGeometry
+        The setup with its tables.
+    state : TrackerState
+        What the step before handed on.
+    frame : Frame
+        A raw frame and its condition.
+    pose : Pose or None
+        The tool's pose at the frame's time, None where it was refused.
+    work : Work
+        Scratch, written over.
+    use_arc_map : bool
+        False reads the stripe over a running median with one variance for all pixels, for comparison.
+    correction : Correction
+        What of the seam's displacement is sent.
+
+    Returns
+    -------
+    TrackerState
+        The state for the next step.
+    Track
+        The frame's result.
     """
     return step_and_reading(geometry, state, frame, pose, work, use_arc_map, correction)[:2]
 

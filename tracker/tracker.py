@@ -16,9 +16,23 @@ from tracker.warm_up import OnCompiled, WarmUp, warm_up
 
 
 class Tracker:
-    """A thin holder of a setup's tables, the state and the scratch.
+    """A setup's tables, the state between frames and the scratch.
 
-    `reading` is the look at the last frame that its track rests on, None where none was taken.
+    Parameters
+    ----------
+    setup : Setup
+        The nominal setup.
+    use_arc_map : bool
+        False reads the stripe over a local median with one variance for all pixels, for comparison.
+    correction : Correction
+        What of the seam's displacement is sent; by default the displacement as it is.
+
+    Attributes
+    ----------
+    state : TrackerState
+        What the last step handed on.
+    reading : Reading or None
+        The look at the last frame that its track rests on, None where none was taken.
     """
 
     def __init__(self, setup: Setup, use_arc_map: bool = True, correction: Correction = UNSTATED) -> None:
@@ -38,7 +52,20 @@ class Tracker:
     def step(self, frame: Frame, pose: Pose | None) -> Track:
         """Track one frame and keep the new state.
 
-        Warns of a frame that is not of the setup's size and type: no seam was looked for in it.
+        Nothing about a frame raises: what is not known is NaN, with a flag that says why. A frame that is not
+        of the setup's size and type is warned of: no seam was looked for in it.
+
+        Parameters
+        ----------
+        frame : Frame
+            A raw frame and its condition.
+        pose : Pose or None
+            The tool's pose at the frame's time, None where there is none.
+
+        Returns
+        -------
+        Track
+            The seam, the offset at the torch, their sigmas and the flags.
         """
         self.state, track, self.reading = step_and_reading(
             self.geometry, self.state, frame, pose, self._work, self.use_arc_map, self.correction
@@ -51,7 +78,17 @@ class Tracker:
     def warm_up(self, on_compiled: OnCompiled | None = None) -> WarmUp:
         """Compile and load all that a step may need: afterwards no frame waits for it.
 
-        `on_compiled` hears each function as its compilation begins. The first time on a machine takes a
-        minute or two; what is compiled is kept on disk. The state is not touched.
+        The first time on a machine takes a minute or two; what is compiled is kept on disk. The state is not
+        touched.
+
+        Parameters
+        ----------
+        on_compiled : callable, optional
+            Hears each function's name as its compilation begins, how many there were before it, and seconds.
+
+        Returns
+        -------
+        WarmUp
+            How many functions were compiled, and the seconds in all.
         """
         return warm_up(self.geometry, self.correction, self.use_arc_map, on_compiled)

@@ -36,7 +36,15 @@ ASIDE_MM = 3.0
 
 @dataclass(frozen=True)
 class WarmUp:
-    """What a warm-up took: how many functions were compiled, and seconds in all."""
+    """What a warm-up took.
+
+    Attributes
+    ----------
+    compiled : int
+        How many functions were compiled.
+    elapsed_s : float
+        The whole time, s.
+    """
 
     compiled: int
     elapsed_s: float
@@ -52,7 +60,25 @@ def warm_up(
     use_arc_map: bool = True,
     on_compiled: OnCompiled | None = None,
 ) -> WarmUp:
-    """Take every path of `step` for a setup's joint and types of numbers; its own state is not touched."""
+    """Take every path of `step` for a setup's joint and types of numbers.
+
+    Parameters
+    ----------
+    geometry : SensorGeometry
+        The setup with its tables.
+    correction : Correction
+        What of the seam's displacement is sent.
+    use_arc_map : bool
+        As `step` will be given it.
+    on_compiled : callable, optional
+        Hears each function's name as its compilation begins, how many there were before it, and seconds so
+        far.
+
+    Returns
+    -------
+    WarmUp
+        What the warm-up took.
+    """
     began_s = time.perf_counter()
     with _listening(on_compiled, began_s) as compiled:
         work, state = Work.of(geometry), TrackerState()

@@ -28,7 +28,17 @@ VIDEO_NAME = "frames.mkv"
 
 @dataclass(frozen=True)
 class BadFrame:
-    """A frame that cannot be used: the file that should hold it and what is wrong with it."""
+    """A frame that cannot be used.
+
+    Attributes
+    ----------
+    row : FrameRow
+        The frame's line in frames.csv.
+    path : Path
+        The file that should hold the frame.
+    problem : str
+        What is wrong with it.
+    """
 
     row: FrameRow
     path: Path

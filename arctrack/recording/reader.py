@@ -39,10 +39,30 @@ UNFINISHED_SUFFIX = ".unfinished"
 class Recording:
     """A recording, checked but for its frames, which are read one at a time.
 
-    `setup_path` is the file that the setup came from, and `correction`, how its seam is followed;
-    `T_tool_controllertool` (4, 4) is the controller's tool frame, whose poses were turned into `poses`,
-    T_base_tool over time; `rows` are the lines of frames.csv, `unknown_keys` what recording.toml holds that
-    means nothing here, `warnings` one line each.
+    Attributes
+    ----------
+    path : Path
+        The recording's folder.
+    setup_path : Path
+        The file that the setup came from.
+    setup : Setup
+        The nominal setup.
+    correction : Correction
+        How the seam is followed: `[follow]` of the setup file.
+    robot : mapping
+        What `[robot]` of the setup file holds, by key.
+    T_tool_controllertool : array (4, 4)
+        The controller's tool frame in the tool frame, mm. `poses` are turned by it already.
+    unknown_keys : tuple of str
+        Keys of the setup file that mean nothing to arctrack.
+    rows : tuple of FrameRow
+        The lines of frames.csv, in order.
+    poses : PoseTable
+        T_base_tool (n, 4, 4), mm, over time, s.
+    frame_source : Path
+        The folder of PNGs, or the video.
+    warnings : tuple of str
+        One line each.
     """
 
     path: Path
@@ -82,24 +102,68 @@ class Recording:
         return (len(self.rows) - 1) / span_s if span_s > 0 else float("nan")
 
     def is_read_from(self, path: Path) -> bool:
-        """Return whether a path is among the files that make the recording and its setup, or would be."""
+        """Return whether a path is among the files that make the recording and its setup, or would be.
+
+        Parameters
+        ----------
+        path : Path
+            A file or folder; it need not exist.
+
+        Returns
+        -------
+        bool
+            Whether writing there would change what is read.
+        """
         names = (setup_file.FILE_NAME, FRAMES_CSV, TRUTH_CSV, CSV_NAME, *LOG_NAMES)
         sources = [self.setup_path, self.frame_source, *(self.path / name for name in names)]
         return any(real(path).is_relative_to(real(source)) for source in sources)
 
     def frames(self, positions: Sequence[int] | None = None) -> Iterator[Frame | BadFrame]:
-        """Yield the frames of all rows, or of the rows at rising positions, one at a time.
+        """Return frames, read one at a time.
 
-        A frame that cannot be read, or does not fit the setup, comes as a BadFrame.
+        Parameters
+        ----------
+        positions : sequence of int, optional
+            Positions in `rows`, rising; by default all rows.
+
+        Returns
+        -------
+        iterator of Frame or BadFrame
+            A frame that cannot be read, or does not fit the setup, comes as a BadFrame.
         """
         return read_frames(self.frame_source, self.rows, self.setup, positions)
 
     def images(self, positions: Sequence[int]) -> Iterator[Image]:
-        """Yield the images of the rows at rising positions; they may be turned, but not larger."""
+        """Return the images of some rows, read one at a time, whatever their shape.
+
+        Parameters
+        ----------
+        positions : sequence of int
+            Positions in `rows`, rising.
+
+        Returns
+        -------
+        iterator of array (H, W) or str
+            Grey levels, DN, or what is wrong with the file. An image may be turned, but is never larger than
+            the camera's.
+        """
         return read_images(self.frame_source, self.rows, self.setup, positions)
 
     def readable_frames(self) -> tuple[list[Frame], list[BadFrame]]:
-        """Return the frames that can be read and those that cannot; ArctrackError if none can."""
+        """Read all frames.
+
+        Returns
+        -------
+        frames : list of Frame
+            The frames that can be read.
+        bad : list of BadFrame
+            The frames that cannot.
+
+        Raises
+        ------
+        ArctrackError
+            If no frame can be read.
+        """
         frames: list[Frame] = []
         bad: list[BadFrame] = []
         for frame in self.frames():
@@ -112,18 +176,50 @@ class Recording:
         return frames, bad
 
     def complaint(self, bad_frames: Sequence[BadFrame], of_the_others: str) -> str | None:
-        """Return one line on frames that could not be read and what became of the others; None for none."""
+        """Return one line on frames that could not be read.
+
+        Parameters
+        ----------
+        bad_frames : sequence of BadFrame
+            The frames that could not be read.
+        of_the_others : str
+            What became of the other frames, such as "the pose is that of the others".
+
+        Returns
+        -------
+        str or None
+            The line; None where every frame could be read.
+        """
         if not bad_frames:
             return None
         count = f"{len(bad_frames)} of {len(self.rows)} frames could not be used"
         return f"{bad_frames[0].message}; {count}, {of_the_others}"
 
     def pose_at(self, poses: PoseBuffer, timestamp_s: float) -> Pose | None:
-        """Return the tool's pose at a frame's time, None where the buffer refuses one."""
+        """Return the tool's pose at a frame's time.
+
+        Parameters
+        ----------
+        poses : PoseBuffer
+            The poses received, as `pose_buffer` returns them.
+        timestamp_s : float
+            The middle of the frame's exposure, s.
+
+        Returns
+        -------
+        Pose or None
+            T_base_tool, mm; None where the buffer refuses a pose.
+        """
         return pose_at(poses, pose_time_s(self.setup, timestamp_s))
 
     def pose_buffer(self) -> PoseBuffer:
-        """Return the poses in the buffer that answers as the live run would have."""
+        """Return the poses in the buffer that answers as the live run would have.
+
+        Returns
+        -------
+        PoseBuffer
+            All poses of the recording.
+        """
         return pose_buffer(self.poses)
 
 
@@ -132,12 +228,26 @@ def read_recording(
 ) -> Recording:
     """Read and check all of a recording but its frames.
 
-    `setup_path` is a file to take the setup from instead of the recording's own recording.toml. Without
-    `must_fit` it is left to `fitted` whether poses, frames and seam line belong together.
+    Parameters
+    ----------
+    path : Path or str
+        The recording's folder.
+    setup_path : Path or str, optional
+        A file to take the setup from instead of the recording's own recording.toml.
+    must_fit : bool
+        False leaves out the checks of whether poses, frames and seam line belong together.
 
-    Raises ArctrackError, naming the file and the key or line, for a missing file, key or column, a value of
-    the wrong type or not finite, times that run backwards, a pose that is no rotation, poses that stop
-    before the frames, a seam line that runs against the travel.
+    Returns
+    -------
+    Recording
+        The recording; its frames are read one at a time by `Recording.frames`.
+
+    Raises
+    ------
+    ArctrackError
+        For a missing file, key or column, a value of the wrong type or not finite, times that run backwards,
+        a pose that is no rotation, poses that stop before the frames, a seam line that runs against the
+        travel. It names the file and the key or line.
     """
     folder = Path(path)
     _check_folder(folder)
@@ -177,9 +287,24 @@ def fitted(recording: Recording) -> Recording:
 
 
 def read_truth(path: Path | str) -> Truth | None:
-    """Read a recording's truth.csv, None if there is none.
+    """Read a recording's truth.csv.
 
     For scoring alone: nothing that tracks or diagnoses may call it.
+
+    Parameters
+    ----------
+    path : Path or str
+        The recording's folder.
+
+    Returns
+    -------
+    Truth or None
+        The true seam points, mm, tool frame; None if there is no truth.csv.
+
+    Raises
+    ------
+    ArctrackError
+        For a missing column, and for a value that is wrong. It names the file and the line.
     """
     truth = Path(path) / TRUTH_CSV
     return read_truth_csv(truth) if truth.exists() else None

@@ -66,7 +66,23 @@ class SetupFile:
 
 
 def read_setup_file(path: Path | str) -> SetupFile:
-    """Read a recording.toml; ArctrackError names the file and the key or line that is wrong."""
+    """Read a recording.toml.
+
+    Parameters
+    ----------
+    path : Path or str
+        The file.
+
+    Returns
+    -------
+    SetupFile
+        The setup as its `setup`, and what else the file states.
+
+    Raises
+    ------
+    ArctrackError
+        It names the file and the key or line that is wrong.
+    """
     path = Path(path)
     return parse_setup(setup_text(path), path)
 

@@ -32,9 +32,25 @@ class VideoFormat:
 
 
 class RecordingWriter:
-    """Writes one recording; use it as a context manager, an exception leaves the folder unfinished.
+    """Writes one recording.
 
-    `toml` is the text of its recording.toml where that says more than the setup.
+    Use it as a context manager. An exception leaves the folder with the suffix `.unfinished`.
+
+    Parameters
+    ----------
+    path : Path or str
+        The recording's folder, which must not exist yet.
+    setup : Setup
+        The nominal setup, which recording.toml states.
+    video : VideoFormat, optional
+        Writes one lossless video; by default frames are written as PNGs.
+    toml : str, optional
+        The text of recording.toml, where that says more than the setup.
+
+    Raises
+    ------
+    ArctrackError
+        If the folder exists or cannot be made.
     """
 
     def __init__(
@@ -76,7 +92,18 @@ class RecordingWriter:
             self._opened.enter_context(self._video)
 
     def write_frame(self, frame: Frame) -> None:
-        """Append a frame and its line in frames.csv."""
+        """Append a frame and its line in frames.csv.
+
+        Parameters
+        ----------
+        frame : Frame
+            Its image has the camera's size (H, W) and the sensor's type.
+
+        Raises
+        ------
+        ValueError
+            For an image of another size or type.
+        """
         misfit = frame_misfit(frame.image_dn.shape, frame.image_dn.dtype, self._setup)
         if misfit is not None:
             raise ValueError(f"frame {frame.index} {misfit}")
@@ -100,7 +127,15 @@ class RecordingWriter:
         )
 
     def write_pose(self, timestamp_s: float, T_base_tool: Float64) -> None:
-        """Append a line to poses.csv."""
+        """Append a line to poses.csv.
+
+        Parameters
+        ----------
+        timestamp_s : float
+            The pose's time, s, on the frames' clock.
+        T_base_tool : array (4, 4)
+            The pose: it takes points of the tool frame to base, mm.
+        """
         pose = setup_file.pose_table(T_base_tool)
         values = [f"{timestamp_s:.6f}"]
         values += [f"{value:.6f}" for value in pose["translation_mm"]]
@@ -109,7 +144,15 @@ class RecordingWriter:
         self._append(POSES_CSV, tables.POSE_COLUMNS, values)
 
     def write_truth(self, frame: int, seam_tool_mm: Float64) -> None:
-        """Append a line to truth.csv."""
+        """Append a line to truth.csv.
+
+        Parameters
+        ----------
+        frame : int
+            The frame's number.
+        seam_tool_mm : array (3,)
+            The true seam point, mm, tool frame.
+        """
         values = [str(frame), *(f"{value:.5f}" for value in seam_tool_mm)]
         self._append(TRUTH_CSV, tables.TRUTH_COLUMNS, values)
 

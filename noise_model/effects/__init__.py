@@ -92,5 +92,18 @@ def apply_condition_effects(setup: Setup, condition: Condition) -> Condition:
 
 
 def pose_time_s(setup: Setup, timestamp_s: float) -> float:
-    """Return when the controller stamped the pose that a frame of this time was taken at."""
+    """Return the time that the controller stamped on the pose of a frame.
+
+    Parameters
+    ----------
+    setup : Setup
+        Its effect `pose_delay`, if it has it, says how late the stamp is.
+    timestamp_s : float
+        The frame's time, s.
+
+    Returns
+    -------
+    float
+        The pose's time, s.
+    """
     return timestamp_s + setup.effects.get("pose_delay", {}).get("delay_s", 0.0)

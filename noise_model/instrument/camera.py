@@ -23,9 +23,35 @@ MONOCHROME = ("mono", "gray", "grey")
 
 @dataclass(frozen=True)
 class Camera:
-    """The camera as stated: OpenCV's axes and intrinsics, pixel centres at integers.
+    """The camera as stated, with OpenCV's axes and intrinsics; pixel centres lie at integers.
 
-    `psf_sigma_px` is a Gaussian that includes the pixel's own aperture; `T_tool_camera` is in mm.
+    Parameters
+    ----------
+    width, height : int
+        The image's size, px.
+    fx, fy : float
+        Focal lengths, px.
+    cx, cy : float
+        The principal point, px.
+    T_tool_camera : array (4, 4)
+        The camera's pose: it takes points of the camera frame to the tool frame, mm.
+    distortion : tuple (5,)
+        OpenCV's k1, k2, p1, p2, k3.
+    focal_length_mm : float
+        The lens' focal length, mm.
+    f_number : float
+        The lens' f-number.
+    psf_sigma_px : float
+        1 sigma of the point-spread function, px: a Gaussian that includes the pixel's own aperture.
+    exposure_s : float
+        The nominal exposure, s.
+    pixel_format : str
+        A monochrome format, such as "mono8".
+
+    Raises
+    ------
+    ValueError
+        For a value out of its range; it names the key.
     """
 
     width: int
@@ -104,7 +130,18 @@ class Camera:
         )
 
     def normalised(self, points_px: npt.ArrayLike) -> Float64:
-        """Return the undistorted normalised coordinates (N, 2) of points (N, 2), px: the ray is (x, y, 1)."""
+        """Return the undistorted normalised coordinates of image points.
+
+        Parameters
+        ----------
+        points_px : array (N, 2)
+            Image points, px.
+
+        Returns
+        -------
+        array (N, 2)
+            x and y; the ray is (x, y, 1) in the camera frame.
+        """
         points = np.ascontiguousarray(points_px, dtype=np.float64).reshape(-1, 1, 2)
         # OpenCV has no answer to no points.
         if not any(self.distortion) or not len(points):
@@ -117,7 +154,18 @@ class Camera:
         return np.asarray(undistorted, dtype=np.float64)[:, 0]
 
     def project(self, points_camera: Float64) -> Float64:
-        """Return the image points (N, 2), px, of camera-frame points (N, 3), mm, in front of the camera."""
+        """Return the image points of points in front of the camera.
+
+        Parameters
+        ----------
+        points_camera : array (N, 3)
+            Points, mm, camera frame.
+
+        Returns
+        -------
+        array (N, 2)
+            Image points, px.
+        """
         if not len(points_camera):
             return np.empty((0, 2))
         image, _ = cv2.projectPoints(

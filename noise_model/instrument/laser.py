@@ -24,11 +24,26 @@ MIN_TILT_NORM = 1e-6
 
 @dataclass(frozen=True)
 class Laser:
-    """A sheet that fans out from `origin_in_tool_mm` along -z of the tool frame.
+    """A sheet of light that fans out from a point along -z of the tool frame.
 
-    `plane_in_tool` is (n_x, n_y, n_z, d) with n.p + d = 0 in mm, `stripe_sigma_mm` the sheet's 1 sigma
-    half-thickness at tool height, `peak_e` the stripe's peak before the point-spread function on a flat
-    plate at tool height, level pose, middle column.
+    Parameters
+    ----------
+    wavelength_nm : float
+        The laser's wavelength, nm.
+    plane_in_tool : tuple (4,)
+        The sheet (n_x, n_y, n_z, d) with n.p + d = 0, mm, tool frame; the normal's length is 1.
+    origin_in_tool_mm : tuple (3,)
+        The point that the sheet comes from, mm, tool frame.
+    stripe_sigma_mm : float
+        1 sigma of half the sheet's thickness at tool height, mm.
+    peak_e : float
+        The stripe's peak before the point-spread function, e-: on a flat plate at tool height, level pose,
+        middle column.
+
+    Raises
+    ------
+    ValueError
+        For a value out of its range; it names the key.
     """
 
     wavelength_nm: float

@@ -22,10 +22,30 @@ BEND_LIMIT = 0.5
 
 @dataclass(frozen=True)
 class Sensor:
-    """The sensor; `gain_e_per_dn` is the slope at full well for gamma 1 and no bend.
+    """The sensor: how charge becomes grey levels.
 
-    `bend` is how far the response falls short of the power Eq. 20 at full well, as that of a sensor which
-    fills softly does; below `BEND_LIMIT` it rises all the way.
+    Parameters
+    ----------
+    bits : int
+        Bits a pixel, 8 to 16.
+    gain_e_per_dn : float
+        Charge per grey level, e-/DN: the slope at full well for gamma 1 and no bend.
+    black_level_dn : float
+        The grey level of no charge, DN.
+    read_noise_e : float
+        1 sigma of the read noise, e-.
+    full_well_e : float
+        The charge at which a pixel saturates, e-.
+    gamma : float
+        The exponent of Eq. 20; 1 is linear.
+    bend : float
+        How far the response falls short of Eq. 20 at full well, relative. A sensor that fills softly has one.
+        Below `BEND_LIMIT` the response rises all the way.
+
+    Raises
+    ------
+    ValueError
+        For a value out of its range; it names the key.
     """
 
     bits: int

@@ -45,9 +45,23 @@ PIECES = 12
 
 @dataclass(frozen=True)
 class Filter:
-    """An interference filter as stated: centre, full width at half maximum, effective refractive index.
+    """An interference filter as stated: a Gaussian passband of peak 1.
 
-    A Gaussian of peak 1; what a real peak lacks belongs to the levels of arc and laser.
+    What a real peak lacks belongs to the levels of arc and laser.
+
+    Parameters
+    ----------
+    center_nm : float
+        The passband's centre at normal incidence, nm.
+    fwhm_nm : float
+        Its full width at half maximum, nm.
+    effective_index : float
+        The effective refractive index, by which the passband shifts with the angle of incidence.
+
+    Raises
+    ------
+    ValueError
+        For a value out of its range; it names the key.
     """
 
     center_nm: float
@@ -80,14 +94,26 @@ class CurveError(ValueError):
 
 @dataclass(frozen=True, eq=False)
 class FilterCurve:
-    """An interference filter as measured at normal incidence: transmission (N,) at wavelengths (N,), nm.
+    """An interference filter as measured at normal incidence.
 
-    Between samples the optical density is interpolated by monotone cubics (Fritsch and Carlson 1980): the
+    Between samples the optical density is interpolated by monotone cubics (Fritsch and Carlson 1980). The
     foot of an edge is nearly exponential, where straight lines in the transmission let too much through.
-    Beyond its ends nothing passes; a curve that ends earlier than that does not cover the band.
+    Beyond its ends the curve passes nothing.
 
-    Raises CurveError, a ValueError, for wavelengths that do not rise, a transmission below 0 or above 1 and a
-    curve that does not cover its band.
+    Parameters
+    ----------
+    wavelength_nm : array (N,)
+        Wavelengths, nm, rising.
+    transmission : array (N,)
+        Transmission at them, 0 to 1.
+    effective_index : float
+        The effective refractive index, by which the passband shifts with the angle of incidence.
+
+    Raises
+    ------
+    CurveError
+        A ValueError: for wavelengths that do not rise, a transmission below 0 or above 1, and a curve that
+        does not cover its band.
     """
 
     wavelength_nm: Float64

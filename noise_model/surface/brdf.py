@@ -54,8 +54,25 @@ GAUSSIAN = Lobe()
 class Material:
     """A row of the paper's Table 1: f_r = kappa_diff + kappa_spec G / cos(theta_r) exp(-c2 alpha^2), 1/sr.
 
-    alpha is in radians. The kappas are relative: the paper normalised its grey levels. `lobe` is what the
-    paper leaves out of the lobe's shape.
+    The kappas are relative: the paper normalised its grey levels.
+
+    Parameters
+    ----------
+    name : str
+        The metal's name.
+    kappa_diff : float
+        The diffuse part, 1/sr.
+    kappa_spec : float
+        The specular part, 1/sr.
+    c2 : float
+        The lobe's narrowness, 1/rad^2; alpha is in radians.
+    lobe : Lobe
+        What the paper leaves out of the lobe's shape.
+
+    Raises
+    ------
+    ValueError
+        For a value out of its range.
     """
 
     name: str

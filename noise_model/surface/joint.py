@@ -46,9 +46,25 @@ SAGITTA_MM, MAX_CHORDS = 0.01, 16
 
 @dataclass(frozen=True)
 class Joint:
-    """The joint as stated: its type, its dimensions (mm, deg) by name and its nominal seam line in base.
+    """The joint as stated: its type, its dimensions and its nominal seam line.
 
-    Stations count from the foot of `station_origin_mm`, a point of base, on the seam's first segment.
+    Parameters
+    ----------
+    type : str
+        The joint's type, such as "v_groove".
+    dimensions : mapping
+        Dimensions by name, mm and degrees.
+    seam_in_base_mm : tuple of tuples (3,)
+        The nominal seam line's points along the travel, mm, base frame.
+    surface_normal_in_base : tuple (3,)
+        The surface's normal, out of the part, base frame.
+    station_origin_mm : tuple (3,)
+        A point of base, mm. Stations count from its foot on the seam's first segment.
+
+    Raises
+    ------
+    ValueError
+        For a value out of its range; it names the key.
     """
 
     type: str

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib
 import subprocess
 import sys
 from pathlib import Path
@@ -87,3 +88,32 @@ def test_every_link_of_a_page_leads_somewhere(path: Path) -> None:
         assert target.exists(), link
         if parts.fragment:
             assert unquote(parts.fragment) in anchors(target), link
+
+
+UNDESCRIBED = {"GL08", "SS01", "PR01", "PR02", "PR03", "PR04", "PR06", "PR07", "RT01", "RT03", "YD01"}
+"""numpydoc's codes of a summary, a parameter or a result that is not there, not typed or not described."""
+
+
+def undescribed(public: str) -> list[str]:
+    """Return what numpydoc misses in a docstring; a class without parameters lists its attributes."""
+    numpydoc = importlib.import_module("numpydoc.validate")
+
+    class Validator(numpydoc.Validator):  # type: ignore[misc, name-defined]
+        def __init__(self, obj_name: str) -> None:
+            stated = {"show_class_members": False}
+            super().__init__(numpydoc.get_doc_object(self._load_obj(obj_name), config=stated))
+
+        @property
+        def doc_all_parameters(self) -> dict[str, tuple[str, str]]:
+            return self.doc_parameters or self._doc_parameters(["Attributes"])
+
+    found = numpydoc.validate(public, validator_cls=Validator)["errors"]
+    return [f"{public}: {text}" for code, text in found if code in UNDESCRIBED]
+
+
+def test_every_name_of_the_reference_is_described(site: Path) -> None:
+    pages = sorted((site / "reference").glob("api*.html"))
+    names = {tag["id"] for page in pages for tag in read(page).find_all("dt", class_="sig", id=True)}
+    assert len(names) > len(arctrack.__all__)
+    described = sorted(names - {"arctrack.__version__"})
+    assert [text for public in described for text in undescribed(public)] == []

@@ -21,9 +21,25 @@ CorrugationPath = Literal["in_path", "followed"]
 
 @dataclass(frozen=True)
 class AxisCorrection:
-    """One axis: gain and bias make the correction of the displacement, `limit_mm` bounds it.
+    """The correction of one axis: gain times displacement plus bias, within a limit.
 
-    An axis that is not enabled stays unknown. Raises ValueError for a value that cannot be.
+    Parameters
+    ----------
+    enable : bool
+        Whether the axis is corrected. An axis that is not enabled stays unknown.
+    gain : float
+        The share of the displacement that is sent, above 0 and at most 1.
+    bias_mm : float
+        What is added to it, mm.
+    limit_mm : float
+        The largest correction, mm.
+    at_limit : str
+        "saturate" sends the limit beyond it, "stop" stops following.
+
+    Raises
+    ------
+    ValueError
+        For a value out of its range.
     """
 
     enable: bool = True
@@ -47,10 +63,27 @@ class AxisCorrection:
 class Correction:
     """How the seam is followed: `[follow]` of recording.toml.
 
-    `when_lost` says what is sent where the torch has passed the last measurement of the seam, for at most
-    `extrapolate_mm` and while its 1 sigma is at most `extrapolate_sigma_mm`. `ends_mm` is how far the joint's
-    real ends may lie from those of its nominal line; where it is not 0 they are searched. A corrugation is
-    `in_path` if the programmed path goes over it, and `followed` if that path is flat.
+    Parameters
+    ----------
+    y, z : AxisCorrection
+        The correction of each axis, joint frame.
+    when_lost : str
+        What is sent where the torch has passed the last measurement of the seam: "hold", "extrapolate" or
+        "stop".
+    extrapolate_mm : float
+        How far past the last measurement that is sent at most, mm.
+    extrapolate_sigma_mm : float
+        Up to which 1 sigma it is sent, mm.
+    ends_mm : float
+        How far the joint's real ends may lie from those of its nominal line, mm. They are searched if it is
+        not 0.
+    corrugation : str
+        "in_path" if the programmed path goes over a corrugation, "followed" if that path is flat.
+
+    Raises
+    ------
+    ValueError
+        For a value out of its range; it names the key.
     """
 
     y: AxisCorrection = field(default_factory=AxisCorrection)
