@@ -75,8 +75,10 @@ def test_where_no_bar_can_be_shown_lines_say_how_far_it_is(
 
 def test_ctrl_c_says_what_is_kept(tmp_path: Path) -> None:
     path = tmp_path / "long"
-    code = "from arctrack.cli import main; main()"
-    options = ["--width", "160", "--height", "120", "--frames", "100000", "--production"]
+    # Whoever runs the tests in a shell's background has them ignore Ctrl-C, and their children too.
+    code = "import signal; signal.signal(signal.SIGINT, signal.default_int_handler); "
+    code += "from arctrack.cli import main; main()"
+    options = ["--width", "160", "--height", "120", "--frames", "100000", "--fps", "1000", "--production"]
     running = subprocess.Popen(
         [sys.executable, "-c", code, "simulate", str(path), *options],
         stderr=subprocess.PIPE,
