@@ -22,6 +22,7 @@ MAY_IMPORT = {
     "sim_to_real": {"noise_model", "tracker"},
     "arctrack": {"noise_model", "tracker", "robot_io", "calibration", "sim_to_real"},
 }
+MAX_FUNCTION_LINES = 100
 ONLY_IN_ARCTRACK = {"matplotlib", "jinja2", "rich", "typer", "pydantic", "av", "aiohttp"}
 
 
@@ -81,6 +82,18 @@ def test_the_table_is_enforced(source: str, tmp_path: Path, monkeypatch: pytest.
     file = tmp_path / "noise_model" / "bad.py"
     file.write_text(source)
     assert len(wrong_imports(file)) == 1
+
+
+def test_no_function_is_longer_than_a_hundred_lines() -> None:
+    long = [
+        f"{file.relative_to(ROOT)}:{node.lineno} {node.name}"
+        for folder in (*MAY_IMPORT, "benchmarks", "examples", "tests")
+        for file in sorted((ROOT / folder).rglob("*.py"))
+        for node in ast.walk(ast.parse(file.read_text()))
+        if isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef)
+        and (node.end_lineno or node.lineno) - node.lineno + 1 > MAX_FUNCTION_LINES
+    ]
+    assert long == []
 
 
 @pytest.mark.slow

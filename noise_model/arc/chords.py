@@ -1,6 +1,6 @@
 """The borders of what a surface point sees of the arc, in the disc that the arc's sphere makes there.
 
-See `arc_integral` for the disc's coordinates (p, q). Borders are the outline (the unit circle), the equator's
+See `quadrature` for the disc's coordinates (p, q). Borders are the outline (the unit circle), the equator's
 near arc (an ellipse), the lines of half-spaces, and the circles that walls cut the sphere in.
 """
 

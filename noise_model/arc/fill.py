@@ -1,4 +1,4 @@
-"""The arc map of a band or a frame, filled from the faces' table (`arc_table`).
+"""The arc map of a band or a frame, filled from the faces' table (`table`).
 
 The image is taken in square cells. Where the 4 by 4 rays of a cell meet one face, a bicubic polynomial
 through their light times cos^4 fills it, if its highest Chebyshev coefficients are small; else the cell is
@@ -320,7 +320,7 @@ def _fill_band(
     group: int,
     band_e: Float32,
 ) -> None:
-    """Fill a band (n_scan, depth), see `arc_map.arc_band`."""
+    """Fill a band (n_scan, depth), see `fill_band`."""
     n_scan, depth = band_e.shape
     n_pos = cos4.shape[0] // n_scan
     work = scratch()
@@ -365,7 +365,7 @@ def _fill_band(
 def fill_band(
     k: ArcKernel, table: FaceTable, xy: Float32, cos4: Float32, lows: Int64, group: int, band_e: Float32
 ) -> None:
-    """Fill a band (n_scan, depth), e-; `group` scan lines share a place of `lows`. See `arc_map.ArcMap`."""
+    """Fill a band (n_scan, depth), e-; `group` scan lines share a place of `lows`. See `map.ArcMap`."""
     _fill_band(k, table, xy, cos4, *node_rules(), lows, group, band_e)
 
 

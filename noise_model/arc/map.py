@@ -4,8 +4,8 @@ The arc is a Lambertian emitter, so L cos(phi) dA / r^2 is L d(omega) and a pixe
 
     radiance_e cos^4 * integral over the visible directions of f_r(omega, omega_r) cos(theta_i) d(omega).
 
-`arc_integral` holds the integral of one surface point, `arc_ray` a ray's, `arc_table` the faces' light as
-piecewise polynomials and `arc_fill` the filling of bands and frames from them.
+`quadrature` holds the integral of one surface point, `ray` a ray's, `table` the faces' light as
+piecewise polynomials and `fill` the filling of bands and frames from them.
 """
 
 from __future__ import annotations
@@ -247,7 +247,7 @@ def _arc_pixels(
 def arc_at(kernel: ArcKernel, xy: Float32, cos4: Float32, pixels: Int64) -> tuple[Float32, Int32]:
     """Return the arc's mean, e- for `camera.exposure_s`, and the face seen at some pixels (n,).
 
-    `xy` (H W, 2) and `cos4` (H W,) are the flattened `optics.Rays`. Before the point-spread function; NaN
+    `xy` (H W, 2) and `cos4` (H W,) are the flattened `camera.Rays`. Before the point-spread function; NaN
     where a pixel looks past the workpiece.
     """
     mean_e = np.empty(len(pixels), dtype=np.float32)

@@ -14,6 +14,7 @@ from __future__ import annotations
 
 import functools
 import math
+from typing import NamedTuple
 
 import numpy as np
 
@@ -21,17 +22,17 @@ from noise_model.arc.chords import (
     MAX_NODES_P,
     MAX_PARTS,
     Axes,
+    Shape,
     chords,
     corner_p,
     crossings,
     disc,
     disc_lines,
-    insert,
     ledge_crossings,
     wall_parts,
 )
-from noise_model.arc.sheet_occlusion import Metal, chord_parts, is_clear, look_along, open_below, open_range
-from noise_model.arrays import Float64, Vector
+from noise_model.arc.sheet_occlusion import Metal, Rays, chord_parts, clip, is_clear, look_along
+from noise_model.arrays import Float64, Point, Vector
 from noise_model.kernel import REDUCTION, kernel
 from noise_model.surface.brdf import LobeNumbers, reflected
 
@@ -224,36 +225,67 @@ def _sum(
     )
 
 
+class Patch(NamedTuple):
+    """A surface point, mm, its unit normal, and the unit direction to the camera."""
+
+    P: Point
+    normal: Point
+    omega_r: Point
+
+
+class Hiding(NamedTuple):
+    """What hides the arc from a point.
+
+    The first `n_planes` of `planes` are the half-spaces m.omega > 0 that are open, the first `n_ledges` pairs
+    of `ledges` cut into the arc (`visibility.sky_planes`), and `metal` are a lap's sheets where planes do not
+    say what they hide.
+    """
+
+    planes: Float64
+    n_planes: int
+    ledges: Float64
+    n_ledges: int
+    metal: Metal
+
+
+class Rule(NamedTuple):
+    """`n_p` nodes across the disc and `n_q` up a chord, of `rules` (`gauss_nodes`)."""
+
+    rules: Float64
+    n_p: int
+    n_q: int
+
+
+class Room(NamedTuple):
+    """Scratch of one point's integral.
+
+    `nodes` (3, MAX_POINTS) with their weights, `cuts` (MAX_PLANES, 3) the lines, `breaks` (MAX_PIECES,) the
+    sorted crossings, `parts` (MAX_PARTS, 3) of a chord, `spans` (3, MAX_PIECES) the chords, and `ways`
+    (3, MAX_WAYS) the rays past the metal.
+    """
+
+    nodes: Float64
+    cuts: Float64
+    breaks: Float64
+    parts: Float64
+    spans: Float64
+    ways: Float64
+
+
 @kernel
 def arc_light(
-    P: tuple[float, float, float],
-    normal: tuple[float, float, float],
-    omega_r: tuple[float, float, float],
-    center: tuple[float, float, float],
+    patch: Patch,
+    center: Point,
     radius: float,
-    planes: Float64,
-    n_planes: int,
-    ledges: Float64,
-    n_ledges: int,
-    metal: Metal,
+    hiding: Hiding,
     material: LobeNumbers,
-    rules: Float64,
-    n_p: int,
-    n_q: int,
-    nodes: Float64,
-    cuts: Float64,
-    breaks: Float64,
-    parts: Float64,
-    at: Float64,
-    ways: Float64,
+    rule: Rule,
+    room: Room,
 ) -> float:
-    """Return integral f_r cos(theta_i) d(omega) over the part of the luminous half-sphere that P sees.
-
-    `planes` are the half-spaces m.omega > 0 that are open, `ledges` what cuts into the arc
-    (`visibility.sky_planes`) and `metal` a lap's sheets where planes do not say what they hide. `n_p` nodes
-    across the disc and `n_q` up a chord, of `rules` (`gauss_nodes`); `nodes` (3, MAX_POINTS) and what follows
-    are scratch.
-    """
+    """Return integral f_r cos(theta_i) d(omega) over the part of the luminous half-sphere that P sees."""
+    P, normal, omega_r = patch
+    planes, n_planes, ledges, n_ledges, metal = hiding
+    _, cuts, breaks, _, spans, ways = room
     nx, ny, nz = normal
     rx, ry, rz = omega_r
     distance, axes, arc = disc(P, center, radius)
@@ -263,7 +295,7 @@ def arc_light(
     if corner < 0.0:
         return 0.0
     wx, wy, wz, ux, uy, vx, vy, vz = axes
-    sin_b, _, tan_b, _, _ = arc
+    _, _, tan_b, _, _ = arc
     below = wz > 0.0
     p_max = corner if below else 1.0
 
@@ -291,37 +323,57 @@ def arc_light(
         distance,
         radius,
     )
-    has_metal = (metal[5] or metal[6]) and not is_clear(p_max, arc, cuts, rays, metal, at, ways)
+    has_metal = (metal[5] or metal[6]) and not is_clear(p_max, arc, cuts, rays, metal, spans, ways)
     p_first, p_last = -p_max, p_max
     if has_metal:
-        # Searched is what the planes leave open: a sliver is narrow against the whole disc.
-        p_first, p_last = p_max, -p_max
-        n_pieces = n_breaks - 1
-        for piece in range(n_pieces):
-            at[0, piece] = 0.5 * (breaks[piece] + breaks[piece + 1])
-        chords(at, n_pieces, arc, below, cuts, n_cuts)
-        for piece in range(n_pieces):
-            if at[2, piece] > at[1, piece]:
-                p_first, p_last = min(p_first, breaks[piece]), max(p_last, breaks[piece + 1])
+        p_first, p_last, n_breaks = clip(axes, arc, cuts, n_cuts, rays, metal, breaks, n_breaks, spans, ways)
         if p_last <= p_first:
             return 0.0
-        p_low, p_high = p_first, p_last
-        p_first, p_last = open_range(p_low, p_high, rays, metal, ways)
-        n_breaks = insert(breaks, n_breaks, p_first)
-        n_breaks = insert(breaks, n_breaks, p_last)
-        if metal[6] and metal[5] and not metal[7]:
-            tops = (p_first, p_last)
-            p_first, p_last = open_below(p_low, p_high, tops, arc, below, cuts, n_cuts, rays, metal, at, ways)
-            n_breaks = insert(breaks, n_breaks, p_first)
-            n_breaks = insert(breaks, n_breaks, p_last)
-        edge_y, slope, curve, _ = metal[3]
-        square = 2.0 * curve * (edge_y - P[1])
-        if square > 0.0:
-            # Ways that touch a bent edge: those on one side of them miss it.
-            for sign in (-1.0, 1.0):
-                along = slope + sign * math.sqrt(square)
-                n_breaks = insert(breaks, n_breaks, -(wy - along * wx) / (tan_b * (uy - along * ux)))
+    total = _integrate(
+        patch,
+        axes,
+        arc,
+        rays,
+        (p_max, p_first, p_last),
+        n_cuts,
+        n_breaks,
+        has_metal,
+        hiding,
+        material,
+        rule,
+        room,
+    )
+    return total * tan_b * tan_b
 
+
+@kernel(inline=True)
+def _integrate(
+    patch: Patch,
+    axes: Axes,
+    arc: Shape,
+    rays: Rays,
+    p_range: tuple[float, float, float],
+    n_cuts: int,
+    n_breaks: int,
+    has_metal: bool,
+    hiding: Hiding,
+    material: LobeNumbers,
+    rule: Rule,
+    room: Room,
+) -> float:
+    """Return the integral over p and q, without d(omega)'s tan(beta)^2, piece by piece between `breaks`.
+
+    `p_range` says how far the disc reaches, and between which p it is open.
+    """
+    P, normal, omega_r = patch
+    _, _, ledges, n_ledges, metal = hiding
+    rules, n_p, n_q = rule
+    nodes, cuts, breaks, parts, spans, ways = room
+    wx, wy, wz, _, _, _, _, _ = axes
+    sin_b, _, tan_b, _, _ = arc
+    below = wz > 0.0
+    p_max, p_first, p_last = p_range
+    distance, radius = rays[12], rays[13]
     near = 1.0 + 2.0 * max(0.0, sin_b - NEAR_ARC)
     more = max(near, disc_in_lobes(tan_b, (wx, wy, wz), omega_r, material) / LOBE_RADII)
     n_q = math.ceil(min(float(MAX_NODES_Q), n_q * more))
@@ -331,29 +383,29 @@ def arc_light(
     total = 0.0
     n = 0
     for piece in range(n_breaks - 1):
-        left, right = breaks[piece], breaks[piece + 1]
-        middle, half = 0.5 * (left + right), 0.5 * (right - left)
+        low_p, high_p = breaks[piece], breaks[piece + 1]
+        middle, half = 0.5 * (low_p + high_p), 0.5 * (high_p - low_p)
         if half < 1e-9 or not p_first < middle < p_last:
             continue
         share = half / p_max
         m = math.ceil(min(float(MAX_NODES_P), n_p * more * (share + PIECE_FLOOR * (1.0 - share))))
-        rule = 0
+        row = 0
         if n_breaks == 2 and n_ledges == 0 and not has_metal:
-            rule, m = 4, 2 * math.ceil(0.5 * UNCUT_SHARE * m)
+            row, m = 4, 2 * math.ceil(0.5 * UNCUT_SHARE * m)
         for i in range(m):
-            at[0, i] = middle + half * rules[rule, m, i]
-        at[0, m] = middle
-        chords(at, m + 1, arc, below, cuts, n_cuts)
+            spans[0, i] = middle + half * rules[row, m, i]
+        spans[0, m] = middle
+        chords(spans, m + 1, arc, below, cuts, n_cuts)
         # Nothing crosses within a piece, so it is open or dark as a whole.
-        if at[2, m] <= at[1, m]:
+        if spans[2, m] <= spans[1, m]:
             continue
         if is_followed:
-            look_along(at, m, rays, metal, ways)
+            look_along(spans, m, rays, metal, ways)
         for i in range(m):
-            p, low, high = at[0, i], at[1, i], at[2, i]
+            p, low, high = spans[0, i], spans[1, i], spans[2, i]
             if high <= low:
                 continue
-            weight = half * rules[rule + 1, m, i]
+            weight = half * rules[row + 1, m, i]
             parts[0, 0], parts[0, 1] = low, high
             n_parts = 1
             if n_ledges > 0:
@@ -369,5 +421,4 @@ def arc_light(
             if n > MAX_POINTS - MAX_PARTS * MAX_NODES_Q:
                 total += _sum(nodes, n, tan_b, axes, normal, omega_r, material)
                 n = 0
-    total += _sum(nodes, n, tan_b, axes, normal, omega_r, material)
-    return total * tan_b * tan_b
+    return total + _sum(nodes, n, tan_b, axes, normal, omega_r, material)

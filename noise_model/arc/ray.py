@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 
 from noise_model.arc.chords import MAX_PARTS, MAX_PIECES
-from noise_model.arc.quadrature import MAX_POINTS, arc_light
+from noise_model.arc.quadrature import MAX_POINTS, Hiding, Patch, Room, Rule, arc_light
 from noise_model.arc.sheet_occlusion import MAX_WAYS
 from noise_model.arrays import Float64, Point, Vector
 from noise_model.kernel import kernel
@@ -25,23 +25,27 @@ from noise_model.surface.visibility import (
     touch,
 )
 
-Scratch = tuple[Float64, Float64, Float64, Float64, Float64, Float64, Float64, Float64]
-"""What a point's integral needs room for, see `scratch`."""
+
+class Scratch(NamedTuple):
+    """What a point's integral needs room for; see `sky_planes` for `planes` and `ledges`."""
+
+    room: Room
+    planes: Float64
+    ledges: Float64
 
 
 @kernel(allocates=True)
 def scratch() -> Scratch:
-    """Return room for nodes and weights, lines, crossings, a chord's parts, chords, rays; planes, ledges."""
-    return (
+    """Return room for one point's integral."""
+    room = Room(
         np.empty((3, MAX_POINTS)),
         np.empty((MAX_PLANES, 3)),
         np.empty(MAX_PIECES),
         np.empty((MAX_PARTS, 3)),
         np.empty((3, MAX_PIECES)),
         np.empty((3, MAX_WAYS)),
-        np.empty((MAX_PLANES, 3)),
-        np.empty((2 * MAX_LEDGES, 3)),
     )
+    return Scratch(room, np.empty((MAX_PLANES, 3)), np.empty((2 * MAX_LEDGES, 3)))
 
 
 class ArcKernel(NamedTuple):
@@ -49,7 +53,7 @@ class ArcKernel(NamedTuple):
 
     `rotation` (3, 3) and `eye` are the camera's in the joint frame, mm; `radiance_e` the arc's at its level;
     `bend` is the scene's; `metal_cuts` says that a corrugation may cut into the arc; `reach` between which x
-    and which y the camera sees the plate, mm; `rules` are `arc_integral.gauss_nodes`, of which `n_p` and
+    and which y the camera sees the plate, mm; `rules` are `quadrature.gauss_nodes`, of which `n_p` and
     `n_q` nodes are used.
     """
 
@@ -77,7 +81,7 @@ def light_at(k: ArcKernel, P: Point, face: int, scratch: Scratch) -> float:
 
     `P` may lie on the face's plane beyond its edges.
     """
-    nodes, cuts, breaks, parts, at, ways, planes, ledges = scratch
+    room, planes, ledges = scratch
     vertices, corrugation, center, radius = k.vertices, k.corrugation, k.center, k.radius
     normal = face_normal(face, P[0], vertices, corrugation)
     rx, ry, rz = k.eye[0] - P[0], k.eye[1] - P[1], k.eye[2] - P[2]
@@ -118,26 +122,13 @@ def light_at(k: ArcKernel, P: Point, face: int, scratch: Scratch) -> float:
         face == 0,
     )
     light = arc_light(
-        P,
-        normal,
-        omega_r,
+        Patch(P, normal, omega_r),
         center,
         radius,
-        planes,
-        n_planes,
-        ledges,
-        n_ledges,
-        metal,
+        Hiding(planes, n_planes, ledges, n_ledges, metal),
         k.material,
-        k.rules,
-        k.n_p,
-        k.n_q,
-        nodes,
-        cuts,
-        breaks,
-        parts,
-        at,
-        ways,
+        Rule(k.rules, k.n_p, k.n_q),
+        room,
     )
     return k.radiance_e * light
 

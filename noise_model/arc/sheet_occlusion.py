@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 
-from noise_model.arc.chords import MAX_NODES_P, Shape, chords
+from noise_model.arc.chords import MAX_NODES_P, Axes, Shape, chords, insert
 from noise_model.arrays import Float64
 from noise_model.kernel import kernel
 from noise_model.surface.faces import raised
@@ -145,7 +145,7 @@ def border(
 
 @kernel
 def look_along(at: Float64, n: int, rays: Rays, metal: Metal, ways: Float64) -> None:
-    """Write p, q and clearance of CHORD_STEPS + 1 places on each of n `arc_disc.chords` into `ways`."""
+    """Write p, q and clearance of CHORD_STEPS + 1 places on each of n `chords` into `ways`."""
     for i in range(n):
         low, length = at[1, i], max(at[2, i] - at[1, i], 0.0)
         for j in range(CHORD_STEPS + 1):
@@ -202,7 +202,7 @@ def is_clear(
 
 
 @kernel
-def open_below(
+def _open_below(
     p_low: float,
     p_high: float,
     open_tops: tuple[float, float],
@@ -236,7 +236,7 @@ def open_below(
 
 
 @kernel
-def open_range(p_low: float, p_high: float, rays: Rays, metal: Metal, ways: Float64) -> tuple[float, float]:
+def _open_range(p_low: float, p_high: float, rays: Rays, metal: Metal, ways: Float64) -> tuple[float, float]:
     """Return between which p the tops of the chords are open; an empty range where none is."""
     middle, half = 0.5 * (p_low + p_high), 0.5 * (p_high - p_low)
     for i in range(RIM_STEPS + 1):
@@ -258,3 +258,52 @@ def open_range(p_low: float, p_high: float, rays: Rays, metal: Metal, ways: Floa
         p = p_hidden + border((p_hidden, p_open), (0.0, 0.0), True, ends, rays, metal) * (p_open - p_hidden)
         p_low, p_high = (p, p_high) if i_hidden < i_open else (p_low, p)
     return p_low, p_high
+
+
+@kernel
+def clip(
+    axes: Axes,
+    arc: Shape,
+    cuts: Float64,
+    n_cuts: int,
+    rays: Rays,
+    metal: Metal,
+    breaks: Float64,
+    n_breaks: int,
+    at: Float64,
+    ways: Float64,
+) -> tuple[float, float, int]:
+    """Add to the sorted `breaks` the p at which the metal's border turns.
+
+    Returns between which p the disc is open, an empty range where nowhere, and how many breaks there are.
+    `at` and `ways` are scratch.
+    """
+    wx, wy, wz, ux, uy, _, _, _ = axes
+    below = wz > 0.0
+    # Searched is what the planes leave open: a sliver is narrow against the whole disc.
+    n_pieces = n_breaks - 1
+    p_low, p_high = breaks[n_pieces], breaks[0]
+    for piece in range(n_pieces):
+        at[0, piece] = 0.5 * (breaks[piece] + breaks[piece + 1])
+    chords(at, n_pieces, arc, below, cuts, n_cuts)
+    for piece in range(n_pieces):
+        if at[2, piece] > at[1, piece]:
+            p_low, p_high = min(p_low, breaks[piece]), max(p_high, breaks[piece + 1])
+    if p_high <= p_low:
+        return p_low, p_high, n_breaks
+    p_first, p_last = _open_range(p_low, p_high, rays, metal, ways)
+    n_breaks = insert(breaks, n_breaks, p_first)
+    n_breaks = insert(breaks, n_breaks, p_last)
+    if metal[6] and metal[5] and not metal[7]:
+        tops = (p_first, p_last)
+        p_first, p_last = _open_below(p_low, p_high, tops, arc, below, cuts, n_cuts, rays, metal, at, ways)
+        n_breaks = insert(breaks, n_breaks, p_first)
+        n_breaks = insert(breaks, n_breaks, p_last)
+    edge_y, slope, curve, _ = metal[3]
+    square = 2.0 * curve * (edge_y - rays[1])
+    if square > 0.0:
+        # Ways that touch a bent edge: those on one side of them miss it.
+        for sign in (-1.0, 1.0):
+            along = slope + sign * math.sqrt(square)
+            n_breaks = insert(breaks, n_breaks, -(wy - along * wx) / (arc[2] * (uy - along * ux)))
+    return p_first, p_last, n_breaks

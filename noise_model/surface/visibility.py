@@ -16,7 +16,7 @@ import numpy as np
 
 from noise_model.arrays import Float64, Vector
 from noise_model.kernel import kernel
-from noise_model.surface.faces import ridge
+from noise_model.surface.faces import ridge, strip
 from noise_model.surface.joint import MAX_CHORDS, Section
 
 Bend = tuple[float, float]
@@ -96,7 +96,7 @@ def _steepest(P: Vector, sheet_z: float, center: Vector, radius: float, corrugat
 
 @kernel
 def is_curved_lap(vertices: Float64, corrugation: Float64, bend: Bend) -> bool:
-    """Say whether a section is a lap whose edge is no straight line: `arc_metal` follows it ray by ray."""
+    """Say whether a section is a lap with no straight edge: `sheet_occlusion` follows it ray by ray."""
     is_lap = vertices.shape[0] == 4 and vertices[1, 0] == vertices[2, 0] and vertices[1, 1] > vertices[2, 1]
     return is_lap and (corrugation[0] > 0.0 or bend[0] != 0.0 or bend[1] != 0.0)
 
@@ -152,6 +152,59 @@ def tangent(P: Vector, center: Vector, radius: float, edge_y: float, bend: Bend)
     return slope + curve * x, -0.5 * curve * x * x
 
 
+@kernel(inline=True)
+def _is_low_end(k: int, face: int, z: float, vertices: Float64) -> bool:
+    """Say whether vertex k is a plate's far end that hides nothing from a face's point at height z, mm.
+
+    It hides something where the plate rises towards it, as in a fillet's inside corner, or where the face
+    stands on the plate, as a lap's edge does.
+    """
+    last = vertices.shape[0] - 1
+    if k == 0:
+        return vertices[0, 1] <= vertices[1, 1] and (face != 1 or z <= vertices[0, 1])
+    return k == last and vertices[k, 1] <= vertices[k - 1, 1] and (face != k - 2 or z <= vertices[k, 1])
+
+
+@kernel
+def _ridge_planes(
+    P: Vector,
+    normal: Vector,
+    face: int,
+    center: Vector,
+    radius: float,
+    beside: float,
+    vertices: Float64,
+    corrugation: Float64,
+    horizon_start: float,
+    horizons: Float64,
+    planes: Float64,
+    count: int,
+) -> int:
+    """Add to `count` half-spaces those that the ridges of a corrugated lap leave open; return how many."""
+    towards = 1.0 if center[0] > P[0] else -1.0
+    # Only a lap is corrugated: vertex 1 is the upper sheet's edge, vertex 2 its foot.
+    edge_y = vertices[1, 0]
+    on_upper = face == 0
+    crosses = center[1] - beside > edge_y
+    for which in range(2):
+        # From the upper sheet: it hides up to its edge, beyond the edge the lower one does.
+        if which == 1 and not (on_upper and crosses):
+            continue
+        if face == 1:
+            # A point of the edge stands over the sheet that the table is for.
+            slope = _steepest(P, vertices[2, 1], center, radius, corrugation)
+        else:
+            slope, _ = touch(horizons[which], horizon_start, P[0])
+        if slope == -math.inf or (face != 1 and towards * normal[0] + slope * normal[2] <= 1e-9):
+            continue
+        # Past the edge the upper sheet hides nothing: `sheet_occlusion` follows such rays one by one.
+        if which == 0 and on_upper and center[1] - beside + radius > edge_y:
+            continue
+        planes[count, 0], planes[count, 1], planes[count, 2] = -towards * slope, 0.0, 1.0
+        count += 1
+    return count
+
+
 @kernel
 def sky_planes(
     P: Vector,
@@ -182,23 +235,11 @@ def sky_planes(
         # A face that bends stands in its own way.
         planes[1, 0], planes[1, 1], planes[1, 2] = normal[0] - beside / way * normal[1], normal[1], normal[2]
         count = 2
-    corrugated = corrugation[0] > 0.0
     is_followed = is_curved_lap(vertices, corrugation, bend)
-    n_vertices = vertices.shape[0]
     # Of all that stands on one side the steepest hides what the others do; (dy, dz) and askew of those.
     right_dy, right_dz, right_askew, left_dy, left_dz, left_askew = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
-    for k in range(n_vertices):
-        if is_followed or k in (face, face + 1):
-            continue
-        # A plate's far end counts where the plate rises towards it, as in a fillet's inside corner, or where
-        # P's face stands on the plate, as a lap's edge does.
-        if k == 0 and vertices[0, 1] <= vertices[1, 1] and (face != 1 or P[2] <= vertices[0, 1]):
-            continue
-        if (
-            k == n_vertices - 1
-            and vertices[k, 1] <= vertices[k - 1, 1]
-            and (face != k - 2 or P[2] <= vertices[k, 1])
-        ):
+    for k in range(vertices.shape[0]):
+        if is_followed or k in (face, face + 1) or _is_low_end(k, face, P[2], vertices):
             continue
         y_k, z_k = vertices[k, 0], vertices[k, 1]
         # A vertex no higher than the arc's foot hides nothing that stands before it, and nothing at all from
@@ -217,9 +258,8 @@ def sky_planes(
         else:
             # The face below a higher one, on P's side.
             low = k - 1 if side > 0.0 else k
-            width, rise = vertices[low + 1, 0] - vertices[low, 0], vertices[low + 1, 1] - vertices[low, 1]
-            length = math.sqrt(width * width + rise * rise)
-            n_y, n_z = -rise / length, width / length
+            _, _, along_y, along_z, _ = strip(low, vertices)
+            n_y, n_z = -along_z, along_y
             before = n_y * (center[1] - beside - y_k) + n_z * (center[2] - z_k)
             if before >= radius:
                 continue
@@ -240,28 +280,21 @@ def sky_planes(
     if right_dy != 0.0 or right_dz != 0.0:
         planes[count, 0], planes[count, 1], planes[count, 2] = -right_askew * right_dz, right_dz, -right_dy
         count += 1
-    if corrugated and abs(center[0] - P[0]) > radius:
-        towards = 1.0 if center[0] > P[0] else -1.0
-        # Only a lap is corrugated: vertex 1 is the upper sheet's edge, vertex 2 its foot.
-        edge_y = vertices[1, 0]
-        on_upper = face == 0
-        crosses = center[1] - beside > edge_y
-        for which in range(2):
-            # From the upper sheet: it hides up to its edge, beyond the edge the lower one does.
-            if which == 1 and not (on_upper and crosses):
-                continue
-            if face == 1:
-                # A point of the edge stands over the sheet that the table is for.
-                slope = _steepest(P, vertices[2, 1], center, radius, corrugation)
-            else:
-                slope, _ = touch(horizons[which], horizon_start, P[0])
-            if slope == -math.inf or (face != 1 and towards * normal[0] + slope * normal[2] <= 1e-9):
-                continue
-            # Past the edge the upper sheet hides nothing: `arc_metal` follows such rays one by one.
-            if which == 0 and on_upper and center[1] - beside + radius > edge_y:
-                continue
-            planes[count, 0], planes[count, 1], planes[count, 2] = -towards * slope, 0.0, 1.0
-            count += 1
+    if corrugation[0] > 0.0 and abs(way) > radius:
+        count = _ridge_planes(
+            P,
+            normal,
+            face,
+            center,
+            radius,
+            beside,
+            vertices,
+            corrugation,
+            horizon_start,
+            horizons,
+            planes,
+            count,
+        )
     return count, n_ledges
 
 

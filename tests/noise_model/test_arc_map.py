@@ -19,7 +19,7 @@ from noise_model.arc.map import (
     make_scene,
 )
 from noise_model.arc.patch_borders import seen_strip
-from noise_model.arc.quadrature import arc_light, gauss_nodes
+from noise_model.arc.quadrature import Hiding, Patch, Rule, arc_light, gauss_nodes
 from noise_model.arc.ray import light_at, scratch
 from noise_model.instrument.camera import Rays
 from noise_model.reference.hemisphere import Hemisphere, irradiance_extended, reflected_radiance_extended
@@ -164,11 +164,12 @@ def test_a_plate_shows_the_references_arc(material, center_mm):
 def disc_light(P, normal, omega_r, center, material, nodes, planes=()):
     """`arc_light` of a patch that nothing but its own horizon and `planes` shades."""
     cuts = np.vstack([normal, *planes])
-    vectors = [tuple(float(c) for c in vector) for vector in (P, normal, omega_r, center)]
+    vectors = [tuple(float(c) for c in vector) for vector in (P, normal, omega_r)]
     no_metal = (0.0, 0.0, 0.0, (0.0, 0.0, 0.0, 0.0), math.nan, False, False, False)
     return arc_light(
-        *vectors, 3.0, cuts, len(cuts), np.empty((0, 3)), 0, no_metal,
-        lobe_numbers(material), gauss_nodes(), *nodes, *scratch()[:6],
+        Patch(*vectors), tuple(float(c) for c in center), 3.0,
+        Hiding(cuts, len(cuts), np.empty((0, 3)), 0, no_metal),
+        lobe_numbers(material), Rule(gauss_nodes(), *nodes), scratch().room,
     )  # fmt: skip
 
 
