@@ -246,22 +246,23 @@ class CrossValidation:
 
     @cached_property
     def nuisance_gain(self) -> float:
-        """By how much nuisances alone lower the mean square; 0 if they had better stay as they are."""
-        return max(0.0, self.gain_from_moments(*self.moments(self.covariates.tangents)))
+        """By how much nuisances alone lower the mean square: all, those in `free`, or none of them."""
+        return max(0.0, self.best_gain(*self.moments(self.covariates.tangents)))
 
     def gain(self, X: Float32) -> float:
         """Return by how much a design (n, k) lowers the mean square beyond what nuisances alone do.
 
-        Nuisances are fitted with the design or stay as they are, whichever predicts the scored frames better.
+        Nuisances are fitted with the design, or those that are not in `free` stay as they are, whichever
+        predicts the scored frames better.
         A frame's own piece of seam is not seen by others, so fitting can do more harm than the design does
         good.
         """
         return self.best_gain(*self.moments(np.hstack([self.covariates.tangents, X]))) - self.nuisance_gain
 
     def best_gain(self, A: Float64, b: Float64) -> float:
-        """Return the larger gain of these moments, nuisances first: with nuisances fitted, or as they are."""
-        p = len(self.covariates.nuisances)
-        kept = self._scored_gain(A[:, p:, p:], b[:, p:], _ridge_solution)
+        """Return the larger gain of these moments, nuisances first: with all fitted, or those in `free`."""
+        used = np.array([*self.free, *range(len(self.covariates.nuisances), A.shape[1])], dtype=np.int64)
+        kept = self._scored_gain(A[:, used[:, np.newaxis], used], b[:, used], _ridge_solution)
         return max(self.gain_from_moments(A, b), kept)
 
     def excess_share(self, gained: float) -> float:
@@ -306,6 +307,6 @@ class CrossValidation:
 
 
 def _ridge_solution(A: Float64, b: Float64) -> Float64:
-    """Return the coefficients (k,) of a design with these moments, without nuisances."""
+    """Return the coefficients (k,) of a design with these moments, limited by no prior and no bound."""
     diagonal = np.diag(A)
     return np.asarray(np.linalg.solve(A + np.diag((KNOT_RIDGE_REL + DIAGONAL_REL) * diagonal + DIAGONAL), b))

@@ -172,7 +172,7 @@ def form_shares(
     shares = []
     for stage, name, used in forms:
         places_used = np.concatenate([np.arange(p), *(places[column] for column in used)])
-        gained = validation.gain_from_moments(A[:, places_used[:, None], places_used], b[:, places_used])
+        gained = validation.best_gain(A[:, places_used[:, None], places_used], b[:, places_used])
         explained = validation.excess_share(gained - validation.nuisance_gain)
         shares.append((stage, name, explained - COEFFICIENT_PENALTY * (len(places_used) - p)))
     return shares

@@ -11,7 +11,7 @@ from sim_to_real.data.binned import observe
 from sim_to_real.fit.gauss_newton import refit
 from sim_to_real.fit.linearized_model import LinearizedModel
 from sim_to_real.locate.covariates import NominalFit, covariates
-from sim_to_real.locate.spline_term import CrossValidation
+from sim_to_real.locate.spline_term import CrossValidation, folds_by_turn
 from sim_to_real.locate.stage import (
     LEVEL_NUISANCES,
     STAGE_FORMS,
@@ -99,6 +99,20 @@ def test_every_stage_is_ranked_and_shares_lie_between_nought_and_one():
     _, _, shares = first(bins, 30.0 * noise(bins) + 9.0 * bins.light_dn)
     assert len(shares) == 8
     assert all(0.0 <= share <= 1.0 for share in shares.values())
+
+
+def test_a_nuisance_that_each_frame_has_its_own_value_of_hides_no_form():
+    """As the seam's: fitted to other frames it makes a frame's residuals worse than they were."""
+    bins = planted()
+    sway = np.sin(1.3 * bins.values["row"]).astype(np.float32)
+    tangents = np.zeros_like(bins.tangents)
+    tangents[:, 2] = sway
+    swaying = replace(bins, tangents=tangents)
+    r = noise(bins) + 4.0 * np.sin(bins.values["gray_level"] / 50.0)
+    r += np.where(folds_by_turn(bins) < 2, 3.0, -3.0) * sway
+    fitted, kept = first(swaying, r), first(replace(bins, tangents=np.zeros_like(tangents)), r)
+    assert fitted[:2] == kept[:2] == ("sensor", "grey level")
+    assert fitted[2]["sensor"] == pytest.approx(kept[2]["sensor"], rel=0.02)
 
 
 @pytest.fixture(scope="module")
