@@ -114,7 +114,7 @@ def _rankings(diagnosis: Diagnosis) -> Iterator[Table]:
 def _table(effect: str, probability: str, ranking: Sequence[Ranked]) -> Table:
     table = Table(box=box.SIMPLE_HEAD, padding=(0, 1, 0, 0))
     table.add_column(effect, no_wrap=True)
-    table.add_column("closes", justify="right", no_wrap=True)
+    table.add_column(f"closes {words.where_closed(ranking[0])}", justify="right", no_wrap=True)
     table.add_column(probability, justify="right")
     table.add_column("what it is")
     for candidate in ranking:

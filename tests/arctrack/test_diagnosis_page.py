@@ -137,7 +137,7 @@ def test_what_comes_nearest_is_said_though_it_is_not_named(seen_setup: Setup) ->
     assert shrinks.startswith("With gamma the gap in the images shrinks from 3.0 σ to 1.0 σ.")
     assert shrinks.endswith("too little for it to be the cause.")
     nothing = words.how_far(farther)
-    assert nothing.startswith("The best single effect, gamma, closes only 22 % of it.")
+    assert nothing.startswith("The best single effect, gamma, closes only 22 % of it in bins.")
     assert words.how_far(replace(nearer, after_with=())) == nothing
 
 
@@ -147,13 +147,13 @@ def test_no_page_says_that_no_effect_helps_above_one_that_does(
     found = example(Verdict.UNKNOWN, seen_setup, GAMMA)
     ranking = (Ranked("gamma", 0.6, 0.01), Ranked("pose_delay", 0.1, 0.07), Ranked("fume", 0.0, -0.01))
     some = page(replace(found, ranking=ranking, after_with=()), recording)
-    assert "The best single effect, pose_delay, closes only 7 % of it." in some
-    assert "<b>7 %</b><span>closed by the best effect, pose_delay</span>" in some
+    assert "The best single effect, pose_delay, closes only 7 % of it in bins." in some
+    assert "<b>7 %</b><span>of the gap in bins closed by the best effect, pose_delay</span>" in some
     assert "No effect of the catalogue makes it smaller" not in some
     assert "0 % of the gap" not in some
     none = page(replace(found, ranking=ranking[2:], after_with=()), recording)
     assert "No effect of the catalogue makes it smaller" in none
-    assert "closed by the best effect" not in none
+    assert "of the gap in bins closed" not in none
 
 
 def test_a_seam_that_the_gap_does_not_move_is_not_said_to_be_mended(
@@ -164,7 +164,7 @@ def test_a_seam_that_the_gap_does_not_move_is_not_said_to_be_mended(
     text = read(page(stays, recording)).text
     assert "The gap does not move the seam point: the tracker's seam lies 0.021 mm from" in text
     assert "with and without gamma, less than the 0.25 mm that the weld can bear" in text
-    assert "of the gap in the images closed" in text
+    assert "of the gap in single pixels closed" in text
     same = "<b>0.021 mm</b><span>error of the seam point, before and after</span>"
     assert same in page(stays, recording)
     assert "<b>0.21 → 0.050 mm</b><span>error of the seam point</span>" in page(found, recording)
@@ -178,8 +178,10 @@ def test_probabilities_of_one_table_are_of_effects_that_exclude_each_other(
     found = example(Verdict.EFFECTS, seen_setup, GAMMA)
     html = page(found, recording)
     tables = re.findall(r"<table>.*?</table>", html, re.DOTALL)
-    (exclusive,) = (table for table in tables if "<th>effect</th><th>closes</th>" in table)
-    (random,) = (table for table in tables if "<th>random effect</th><th>closes</th>" in table)
+    (exclusive,) = (table for table in tables if "<th>effect</th><th>closes in bins</th>" in table)
+    (random,) = (
+        table for table in tables if "<th>random effect</th><th>closes in single pixels</th>" in table
+    )
     assert "read_noise" not in exclusive
     assert "read_noise" in random
     assert "probability</th>" in exclusive

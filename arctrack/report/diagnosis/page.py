@@ -65,9 +65,10 @@ class Row:
 
 @dataclass(frozen=True)
 class Ranking:
-    """A table of effects: what they are, the heading over their probabilities, and the rows."""
+    """A table of effects of one kind: the headings of its columns, and its rows."""
 
     kind: str
+    closes: str
     probability: str
     rows: list[Row]
 
@@ -183,9 +184,11 @@ def _rankings(diagnosis: Diagnosis) -> list[Ranking]:
     if diagnosis.verdict is Verdict.NO_GAP:
         return []
     exclusive = [candidate for candidate in diagnosis.ranking if not candidate.is_random][:MAX_RANKED]
+    headings = f"closes {words.IN_BINS}", words.probability_heading(diagnosis)
+    random_headings = f"closes {words.IN_PIXELS}", words.PRESENT
     tables = [
-        Ranking("effect", words.probability_heading(diagnosis), _rows(diagnosis, exclusive)),
-        Ranking("random effect", words.PRESENT, _rows(diagnosis, words.random_ranking(diagnosis))),
+        Ranking("effect", *headings, _rows(diagnosis, exclusive)),
+        Ranking("random effect", *random_headings, _rows(diagnosis, words.random_ranking(diagnosis))),
     ]
     return [table for table in tables if table.rows]
 

@@ -71,6 +71,9 @@ MIN_R2 = 0.05
 MAX_FOLLOWED = 3
 """So many covariates are named at most."""
 
+IN_PIXELS, IN_BINS = "in single pixels", "in bins"
+"""What the share of a gap is measured in that effects close."""
+
 MIN_CLOSED = 0.01
 """What closes a smaller share of the gap closes nothing."""
 
@@ -121,7 +124,7 @@ def how_far(diagnosis: Diagnosis) -> str:
             f"{added(diagnosis)}."
         )
     if math.isfinite(gap.closed):
-        lead = f"{lead}. That closes {closed_share(gap)} of what exceeds {own_error}"
+        lead = f"{lead}. In single pixels that closes {closed_share(gap)} of what exceeds {own_error}"
     if diagnosis.verdict is Verdict.UNKNOWN:
         return f"{lead}, too little for it to be the cause."
     if diagnosis.verdict is Verdict.EFFECTS and gap.is_clear_after:
@@ -140,11 +143,20 @@ def best_alone(diagnosis: Diagnosis) -> Ranked | None:
     return max(closing, key=lambda effect: effect.gap_closed, default=None)
 
 
+def where_closed(candidate: Ranked) -> str:
+    """Return what an effect's share of the gap is measured in.
+
+    A bin of several pixels has less noise than a pixel, so what is left weighs more there.
+    """
+    return IN_PIXELS if candidate.is_random else IN_BINS
+
+
 def _best_alone(diagnosis: Diagnosis) -> str:
     best = best_alone(diagnosis)
     if best is None:
         return "No effect of the catalogue makes it smaller."
-    return f"The best single effect, {best.id}, closes only {percent(best.gap_closed)} of it."
+    share = f"{percent(best.gap_closed)} of it {where_closed(best)}"
+    return f"The best single effect, {best.id}, closes only {share}."
 
 
 def added(diagnosis: Diagnosis) -> str:
