@@ -21,6 +21,9 @@ from noise_model.transforms import invert
 MAX_FRAMES, MAX_DARK = 10, 4
 """So many frames with the laser on are looked at; of these so many without arc, where lines are clearest."""
 
+MAX_LASER_OFF = 6
+"""So many frames with the laser off are looked at."""
+
 POSES_BEFORE, POSES_AFTER = 40, 3
 """The poses about a frame that its own is made of."""
 
@@ -99,6 +102,11 @@ def chosen_rows(recording: Recording) -> list[int]:
     dark, lit = ([n for n, arc_on in lasers if arc_on is state] for state in (False, True))
     some = _spread(dark, MAX_DARK if lit else MAX_FRAMES)
     return sorted({*some, *_spread(lit, MAX_FRAMES - len(some))})
+
+
+def laser_off_rows(recording: Recording) -> list[int]:
+    """Return the positions of the frames with the laser off to look at, over the whole run."""
+    return _spread([n for n, row in enumerate(recording.rows) if not row.laser_on], MAX_LASER_OFF)
 
 
 def case_of(recording: Recording, positions: Sequence[int], images: Sequence[Image]) -> Case | None:

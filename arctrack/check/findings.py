@@ -58,16 +58,19 @@ def findings(
     setup: Setup,
     geometry: SensorGeometry,
     looks: Sequence[Look],
+    unlit: Sequence[Look],
     sensor: SensorSeen,
     exposures_fit: bool,
 ) -> list[Finding]:
     """Put what was measured beside what is stated; of a stripe only where a frame is valid.
 
-    Without exposures that fit no light does: then how bright things are is said without a warning.
+    `unlit` are frames that frames.csv says the laser is off in, looked at as if it were on. Without exposures
+    that fit no light does: then how bright things are is said without a warning.
     """
     valid = [look for look in looks if look.track.valid]
     return [
         *_images(setup, looks),
+        *_laser(looks, unlit),
         *_seam(geometry, valid),
         *_stripe(valid, exposures_fit),
         *_speckle(setup, valid),
@@ -83,7 +86,7 @@ def _images(setup: Setup, looks: Sequence[Look]) -> Iterator[Finding]:
     clipped = saturation_dn(setup.sensor)
     brightest = max(int(look.frame.image_dn.max()) for look in looks)
     share = float(np.median([(look.frame.image_dn >= clipped).mean() for look in looks]))
-    lost = sum(look.line.share < 0.5 for look in looks)
+    lost = sum(not look.shows_line for look in looks)
     warning = None
     if share > MAX_SATURATED_PIXELS:
         warning = f"{_percent(share)} of the pixels are saturated: nothing can be read; shorten the exposure"
@@ -93,6 +96,37 @@ def _images(setup: Setup, looks: Sequence[Look]) -> Iterator[Finding]:
         f"brightest pixel {brightest} DN of {setup.sensor.max_dn}, {_percent(share)} of the pixels saturated"
     )
     yield Finding("frames", text, warning)
+
+
+def _laser(looks: Sequence[Look], unlit: Sequence[Look]) -> Iterator[Finding]:
+    """Say whether the frames show the laser where frames.csv has it on, and only there.
+
+    A frame with the laser off shows it where the tracker finds the stated joint in it. One with the laser on
+    is asked without arc alone, which may outshine a line, and only where other frames show that a line can be
+    seen.
+    """
+    alone = [look for look in looks if not look.frame.arc_on]
+    shown = [look.frame.index for look in unlit if look.track.valid]
+    missed = [look.frame.index for look in alone if not (look.shows_line or look.track.valid)]
+    if not (unlit or alone):
+        return
+    text = f"a stripe in {len(shown)} of {len(unlit)} frames with laser_on = 0"
+    if alone:
+        text += f", a line in {len(alone) - len(missed)} of {len(alone)} with laser_on = 1 and no arc"
+    wrong = []
+    if shown:
+        wrong.append(f"{_frames(shown)} the stripe, though frames.csv says laser_on = 0")
+    if missed and any(look.track.valid for look in (*looks, *unlit)):
+        wrong.append(f"{_frames(missed)} no line, though frames.csv says laser_on = 1")
+    cure = "correct frames.csv; are its rows those of the frames before or after?"
+    yield Finding("laser", text, f"{'; '.join(wrong)}; {cure}" if wrong else None)
+
+
+def _frames(indices: Sequence[int]) -> str:
+    """Return a sentence's beginning about some frames."""
+    if len(indices) == 1:
+        return f"frame {indices[0]} shows"
+    return f"frames {', '.join(map(str, indices))} show"
 
 
 def _seam(geometry: SensorGeometry, valid: Sequence[Look]) -> Iterator[Finding]:

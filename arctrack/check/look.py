@@ -24,6 +24,9 @@ from tracker.step import TrackerState, step_and_reading
 from tracker.stripe.expected import ExpectedStripe, expect_stripe
 from tracker.stripe.read import Work
 
+MIN_LINE_SHARE = 0.5
+"""A frame whose line is in fewer of the scan lines shows none."""
+
 MAX_PIXELS = 200
 """At so many of the stripe's pixels its light is predicted."""
 
@@ -46,6 +49,11 @@ class Look:
     placed: ExpectedStripe | None = None
     seam_mm: tuple[float, float] = (math.nan, math.nan)
     peak_e: float = math.nan
+
+    @property
+    def shows_line(self) -> bool:
+        """Whether most of the scan lines hold a bright line."""
+        return self.line.share >= MIN_LINE_SHARE
 
     @property
     def course_px(self) -> float:

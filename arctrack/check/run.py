@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
 
-from arctrack.check.case import Case, case_of, chosen_rows
+from arctrack.check.case import Case, case_of, chosen_rows, laser_off_rows
 from arctrack.check.findings import Finding, findings, timing_findings
 from arctrack.check.hint import Hint, likely_mistake
 from arctrack.check.look import Look, looks_at
@@ -17,7 +17,9 @@ from arctrack.recording import BadFrame, Recording
 from arctrack.recording.reader import fitted
 from tracker.flags import FRAME_UNREADABLE, JOINT_TYPE_MISMATCH
 from tracker.geometry import SensorGeometry
+from tracker.seam.correction import UNSTATED
 from tracker.state import Frame, Track
+from tracker.warm_up import OnCompiled, warm_up
 
 MAX_DARK_FRAMES = 2
 """So many frames without laser and arc tell black level and noise."""
@@ -47,8 +49,15 @@ class Checked:
         return tuple(finding.warning for finding in self.findings if finding.warning is not None)
 
 
-def check_recording(recording: Recording, on_frame: Callable[[int], None] | None = None) -> Checked:
-    """Check a recording that was read without `must_fit`; `on_frame` hears the number of frames looked at."""
+def check_recording(
+    recording: Recording,
+    on_frame: Callable[[int], None] | None = None,
+    on_compiled: OnCompiled | None = None,
+) -> Checked:
+    """Check a recording that was read without `must_fit`.
+
+    `on_frame` hears the number of frames looked at, `on_compiled` what is compiled before the first of them.
+    """
     refusal: ArctrackError | None = None
     geometry: SensorGeometry | None = None
     try:
@@ -62,7 +71,11 @@ def check_recording(recording: Recording, on_frame: Callable[[int], None] | None
     case = case_of(recording, positions, list(recording.images(positions)))
     frames, bad_frames = _parted(recording.frames(positions))
     timing = timing_of(recording)
-    looks = [] if geometry is None else looks_at(recording, geometry, frames, on_frame)
+    looks, unlit = [], []
+    if geometry is not None:
+        warm_up(geometry, UNSTATED, on_compiled=on_compiled)
+        looks = looks_at(recording, geometry, frames, on_frame)
+        unlit = looks_at(recording, geometry, _as_if_lit(recording))
     tracks = [look.track for look in looks]
     tracks += [Track(bad.row.index, bad.row.timestamp_s, FRAME_UNREADABLE.mask) for bad in bad_frames]
     enough = ENOUGH * max(len(tracks), 1)
@@ -74,7 +87,7 @@ def check_recording(recording: Recording, on_frame: Callable[[int], None] | None
         found.append(_lines_finding(case, hint if is_tracked else None))
     if geometry is not None:
         sensor = _sensor(recording, looks)
-        found += findings(recording.setup, geometry, looks, sensor, timing.exposures_fit)
+        found += findings(recording.setup, geometry, looks, unlit, sensor, timing.exposures_fit)
     if hint is not None:
         # Where something decided is wrong, seam and stripe lie elsewhere for that reason.
         found = [replace(f, warning=None) if f.name in ("seam", "course") else f for f in found]
@@ -102,6 +115,12 @@ def _parted(frames: Iterable[Frame | BadFrame]) -> tuple[list[Frame], list[BadFr
         else:
             usable.append(frame)
     return usable, bad
+
+
+def _as_if_lit(recording: Recording) -> list[Frame]:
+    """Return frames that frames.csv says the laser is off in, as if it were on."""
+    frames, _ = _parted(recording.frames(laser_off_rows(recording)))
+    return [replace(frame, laser_on=True) for frame in frames]
 
 
 def _sensor(recording: Recording, looks: Sequence[Look]) -> SensorSeen:

@@ -26,7 +26,8 @@ def check(
     """Say from some frames whether a recording fits its setup, and what most likely is wrong if not.
 
     Measured are seam and stripe, width, peak, saturation and speckle, black level and noise, the arc's light,
-    times and speeds, each beside what is stated. The picture shows the predicted stripe over two frames.
+    times and speeds, each beside what is stated. A stripe where frames.csv says laser_on = 0 is named, and a
+    missing line where it says 1. The picture shows the predicted stripe over two frames.
     The exit code is 0 without a warning, 1 with one or if few frames would be tracked, 3 if none would be, 2
     for bad input.
     """
@@ -40,7 +41,9 @@ def check(
     picture = out or recording / RESULTS_FOLDER / PICTURE
     check_replaces_nothing(picture, read)
     with console.progress() as bar:
-        checked = check_recording(read, console.track(bar, f"{read.name}: looking at frames", 10))
+        on_compiled = console.compiling(bar, read.name)
+        on_frame = console.track(bar, f"{read.name}: looking at frames", 10)
+        checked = check_recording(read, on_frame, on_compiled)
     screen = console.tables()
     for finding in checked.findings:
         if finding.text:

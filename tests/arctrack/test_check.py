@@ -167,3 +167,38 @@ def test_what_parts_is_warned_of_with_numbers(
     spoil(path)
     _, said = checked(path, tmp_path / "check.png")
     assert warning in said
+
+
+def laser_as(state: str, only_if: Callable[[dict[str, str]], bool]) -> Callable[[Path], None]:
+    """Return what states the laser's state in some rows of frames.csv."""
+    return lambda path: edit_table(
+        path / "frames.csv", lambda row: row.update(laser_on=state) if only_if(row) else None
+    )
+
+
+@pytest.mark.parametrize(
+    ("spoil", "warning"),
+    [
+        (laser_as("0", lambda row: row["frame"] == "1"), "frame 1 shows the stripe, though frames.csv says"),
+        (laser_as("0", lambda row: True), "show the stripe, though frames.csv says laser_on = 0"),
+        (
+            laser_as("1", lambda row: row["arc_on"] == "0"),
+            "no line, though frames.csv says laser_on = 1; correct frames.csv",
+        ),
+    ],
+    ids=["off in a frame", "off in all", "on in the dark"],
+)
+def test_a_laser_that_is_not_as_stated_is_warned_of(
+    spoil: Callable[[Path], None], warning: str, weaving: Path, tmp_path: Path
+) -> None:
+    path = Path(shutil.copytree(weaving, tmp_path / "r"))
+    spoil(path)
+    code, said = checked(path, tmp_path / "check.png")
+    assert code != 0
+    assert warning in said
+
+
+def test_a_laser_that_is_as_stated_is_not_warned_of(weaving: Path, tmp_path: Path) -> None:
+    _, said = checked(weaving, tmp_path / "check.png")
+    (found,) = [text for text in said.splitlines() if text.startswith("laser ")]
+    assert " a stripe in 0 of " in found
