@@ -16,7 +16,7 @@ import numpy as np
 from arctrack.errors import ArctrackError, in_file
 from arctrack.explain_lines import Refusals, SigmaParts, refusals, sigma_parts
 from arctrack.recording import BadFrame, Recording
-from arctrack.replay import tracker_of
+from arctrack.tracking import tracker_of
 from noise_model.arc.map import ArcKernel, Scene, arc_frame, arc_kernel, make_scene
 from noise_model.arrays import Float32, Float64
 from noise_model.instrument.sensor import variance_e2

@@ -14,7 +14,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from arctrack.errors import ArctrackError, in_file
+from arctrack.errors import ArctrackError
 from arctrack.moments import RealTime, RecordingTime
 from arctrack.output import make_folder
 from arctrack.printable import printable
@@ -30,6 +30,7 @@ from arctrack.recording.results import (
 )
 from arctrack.recording.score import score
 from arctrack.report.replay.seen import Seen, SeenFile
+from arctrack.tracking import tracker_of
 from robot_io import (
     BusLogError,
     GateLimits,
@@ -40,7 +41,6 @@ from robot_io import (
 from tracker import flags
 from tracker.measure import Reading
 from tracker.state import NAN, Frame, Pose, Track
-from tracker.tracker import Tracker
 from tracker.warm_up import OnCompiled, WarmUp
 
 if TYPE_CHECKING:
@@ -290,14 +290,6 @@ def _joint_ends_mm(tracks: Sequence[Track]) -> dict[str, tuple[float, float]]:
         if math.isfinite(end[1][0])
     ]
     return dict(ends_mm)
-
-
-def tracker_of(recording: Recording, use_arc_map: bool) -> Tracker:
-    """Return a tracker for a recording; ArctrackError if its setup's stripe is not in view."""
-    try:
-        return Tracker(recording.setup, use_arc_map, recording.correction)
-    except ValueError as error:
-        raise in_file(recording.setup_path, str(error)) from error
 
 
 def _load_drawing() -> type[ReplayPictures]:

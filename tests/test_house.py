@@ -8,6 +8,7 @@ import subprocess
 import sys
 import tomllib
 from collections.abc import Iterator
+from graphlib import CycleError, TopologicalSorter
 from pathlib import Path
 
 import pytest
@@ -21,6 +22,42 @@ MAY_IMPORT = {
     "calibration": {"noise_model", "tracker"},
     "sim_to_real": {"noise_model", "tracker"},
     "arctrack": {"noise_model", "tracker", "robot_io", "calibration", "sim_to_real"},
+}
+FOLDERS_MAY_IMPORT: dict[str, dict[str, set[str]]] = {
+    "noise_model": {
+        "surface": set(),
+        "instrument": {"surface"},
+        "reference": {"surface"},
+        "arc": {"surface", "instrument"},
+        "interreflection": {"surface", "instrument", "arc"},
+        "effects": {"surface", "instrument", "interreflection"},
+        "plan": {"surface", "instrument", "arc", "effects"},
+    },
+    "tracker": {
+        "arc": set(),
+        "stripe": {"arc"},
+        "joint": {"stripe"},
+        "seam": set(),
+    },
+    "robot_io": {},
+    "calibration": {},
+    "sim_to_real": {
+        "data": set(),
+        "fit": {"data"},
+        "search": {"data", "fit"},
+        "variance": {"data", "fit"},
+        "locate": {"data", "fit"},
+        "decision": {"data", "fit", "search", "variance"},
+        "check": {"data", "fit", "search", "decision"},
+    },
+    "arctrack": {
+        "recording": set(),
+        "calibration_files": {"recording"},
+        "check": {"recording"},
+        "blind_check": {"recording"},
+        "report": {"recording", "check"},
+        "cli": {"recording", "calibration_files", "check", "blind_check", "report"},
+    },
 }
 MAX_FUNCTION_LINES = 100
 ONLY_IN_ARCTRACK = {"matplotlib", "jinja2", "rich", "typer", "pydantic", "av", "aiohttp"}
@@ -82,6 +119,79 @@ def test_the_table_is_enforced(source: str, tmp_path: Path, monkeypatch: pytest.
     file = tmp_path / "noise_model" / "bad.py"
     file.write_text(source)
     assert len(wrong_imports(file)) == 1
+
+
+def imported_files(file: Path) -> Iterator[Path]:
+    """Yield the files of a file's own room that it imports, late imports included."""
+    for node in ast.walk(ast.parse(file.read_text())):
+        if isinstance(node, ast.Import):
+            names = [[alias.name] for alias in node.names]
+        elif isinstance(node, ast.ImportFrom) and node.module:
+            names = [[f"{node.module}.{alias.name}", node.module] for alias in node.names]
+        else:
+            continue
+        for candidates in names:
+            places = [ROOT.joinpath(*name.split(".")) for name in candidates]
+            files = [path for place in places for path in (place.with_suffix(".py"), place / "__init__.py")]
+            known = next((path for path in files if path.is_file()), None)
+            if known is not None and room_of(known) == room_of(file):
+                yield known
+
+
+def room_of(file: Path) -> str:
+    return file.relative_to(ROOT).parts[0]
+
+
+def part_of(file: Path) -> str:
+    """Return the folder of a room, or the file in its root, that holds a file."""
+    return file.relative_to(ROOT).parts[1]
+
+
+def wrong_folders(room: str) -> list[str]:
+    """Return what files in a room's folders import from other folders against the table."""
+    allowed = FOLDERS_MAY_IMPORT[room]
+    return [
+        f"{file.relative_to(ROOT)} imports {used.relative_to(ROOT)}"
+        for folder in allowed
+        for file in sorted((ROOT / room / folder).rglob("*.py"))
+        for used in imported_files(file)
+        if part_of(used) in set(allowed) - allowed[folder] - {folder}
+    ]
+
+
+def check_no_circle(room: str) -> None:
+    """Raise CycleError where a room's files import in a circle, or its folders and the files in its root."""
+    files, parts = TopologicalSorter[Path](), TopologicalSorter[str]()
+    for file in sorted((ROOT / room).rglob("*.py")):
+        for used in imported_files(file):
+            files.add(file, used)
+            if part_of(used) != part_of(file):
+                parts.add(part_of(file), part_of(used))
+    files.prepare()
+    parts.prepare()
+
+
+@pytest.mark.parametrize("room", MAY_IMPORT)
+def test_folders_import_only_what_the_table_allows_and_never_in_a_circle(room: str) -> None:
+    assert set(FOLDERS_MAY_IMPORT[room]) == {path.parent.name for path in (ROOT / room).glob("*/__init__.py")}
+    assert wrong_folders(room) == []
+    check_no_circle(room)
+
+
+def test_the_order_of_folders_is_enforced(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(sys.modules[__name__], "ROOT", tmp_path)
+    for file, source in {
+        "stripe/fit.py": "from tracker import step",
+        "stripe/read.py": "def f():\n    from tracker.seam.steer import steer",
+        "seam/steer.py": "",
+        "step.py": "import tracker.stripe.read",
+    }.items():
+        (tmp_path / "tracker" / file).parent.mkdir(parents=True, exist_ok=True)
+        (tmp_path / "tracker" / file).write_text(source)
+    assert wrong_folders("tracker") == ["tracker/stripe/read.py imports tracker/seam/steer.py"]
+    # From file to file nothing runs back; from the folder to the root's file and back it does.
+    with pytest.raises(CycleError, match=r"step\.py"):
+        check_no_circle("tracker")
 
 
 def test_no_function_is_longer_than_a_hundred_lines() -> None:

@@ -13,10 +13,11 @@ from arctrack.cli.check import check
 from arctrack.cli.diagnose import diagnose
 from arctrack.cli.diagnose_check import TwoWordGroup
 from arctrack.cli.diagnose_check import check as blind_check
+from arctrack.cli.exit_codes import BAD_INPUT, INTERRUPTED
 from arctrack.cli.explain import explain
 from arctrack.cli.figures import figures
 from arctrack.cli.inspect import inspect
-from arctrack.cli.interrupt import EXIT_CODE, InterruptedCommandError
+from arctrack.cli.interrupt import InterruptedCommandError
 from arctrack.cli.new import new
 from arctrack.cli.plan import plan
 from arctrack.cli.reflow import reflow
@@ -25,15 +26,6 @@ from arctrack.cli.simulate import simulate
 from arctrack.cli.warm import warm
 from arctrack.errors import ArctrackError
 from arctrack.printable import printable
-
-BAD_INPUT = 2
-"""The exit code of an input that cannot be used; the shell's own for a command line that makes no sense."""
-
-WARNED = 1
-"""The exit code of a check that has warnings, of a recording that can be tracked."""
-
-NOTHING_TRACKED = 3
-"""The exit code of a recording of which no frame is valid."""
 
 app = typer.Typer(
     name="arctrack",
@@ -89,7 +81,7 @@ def main() -> None:
         app(prog_name="arctrack")
     except InterruptedCommandError as interrupted:
         print(f"arctrack: {printable(str(interrupted))}", file=sys.stderr)
-        sys.exit(EXIT_CODE)
+        sys.exit(INTERRUPTED)
     except ArctrackError as error:
         _complain(str(error))
     except OSError as error:

@@ -32,7 +32,8 @@ def check(
     for bad input.
     """
     from arctrack.check.run import check_recording
-    from arctrack.cli import NOTHING_TRACKED, WARNED, console
+    from arctrack.cli import console
+    from arctrack.cli.exit_codes import NOTHING_TRACKED, WARNED
     from arctrack.recording import read_recording
     from arctrack.replay import RESULTS_FOLDER
     from arctrack.report.check_picture import draw

@@ -68,7 +68,7 @@ def diagnose(
         if not failure.foreseen:
             raise failure.error
     if complaints:
-        from arctrack.cli import BAD_INPUT
+        from arctrack.cli.exit_codes import BAD_INPUT
 
         raise typer.Exit(BAD_INPUT)
 

@@ -5,9 +5,6 @@ from __future__ import annotations
 from collections.abc import Iterator
 from contextlib import contextmanager
 
-EXIT_CODE = 130
-"""The shell's own for a command that an interrupt ended: 128 + SIGINT."""
-
 
 class InterruptedCommandError(Exception):
     """A command that Ctrl-C ended; its text says what was interrupted and what is kept."""

@@ -106,7 +106,7 @@ def replay(
             screen.print(in_words(summary), markup=False, soft_wrap=True)
     console.say(*written)
     console.complain(complaints)
-    from arctrack.cli import BAD_INPUT, NOTHING_TRACKED
+    from arctrack.cli.exit_codes import BAD_INPUT, NOTHING_TRACKED
 
     if complaints:
         raise typer.Exit(BAD_INPUT)

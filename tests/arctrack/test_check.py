@@ -12,7 +12,8 @@ from typer.testing import CliRunner
 
 from arctrack.check.case import Case, case_of, chosen_rows
 from arctrack.check.hint import likely_mistake
-from arctrack.cli import BAD_INPUT, NOTHING_TRACKED, app
+from arctrack.cli import app
+from arctrack.cli.exit_codes import BAD_INPUT, NOTHING_TRACKED
 from arctrack.errors import ArctrackError
 from arctrack.recording.reader import read_recording
 from arctrack.simulate import SimulationPlan, simulate_recording

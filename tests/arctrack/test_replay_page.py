@@ -17,12 +17,13 @@ from made import UNREADABLE, noise_frames, results_of, small_setup, write
 
 from arctrack.recording import BadFrame, read_recording, read_truth
 from arctrack.recording.results import REPLAY_PAGE
-from arctrack.replay import Replay, replay_recording, tracker_of
+from arctrack.replay import Replay, replay_recording
 from arctrack.report.explanation import words
 from arctrack.report.replay import pictures
 from arctrack.report.replay.page import frames_to_show
 from arctrack.report.replay.seen import Seen
 from arctrack.report.replay.view import Viewer
+from arctrack.tracking import tracker_of
 from noise_model.transforms import transform
 from robot_io import SeamOffset, Validity
 from tracker import flags

@@ -1,0 +1,13 @@
+"""The command line's exit codes."""
+
+BAD_INPUT = 2
+"""An input that cannot be used; the shell's own for a command line that makes no sense."""
+
+WARNED = 1
+"""A check that has warnings, of a recording that can be tracked."""
+
+NOTHING_TRACKED = 3
+"""A recording of which no frame is valid."""
+
+INTERRUPTED = 130
+"""The shell's own for a command that an interrupt ended: 128 + SIGINT."""
