@@ -30,7 +30,7 @@ from noise_model.arrays import Bool, Float64
 NOT_LEARNED = 0.9
 """A parameter whose 1 sigma is more than this share of its prior's has not been learned from the data."""
 
-ALIKE = 0.98
+INDISTINGUISHABLE = 0.98
 """Two parameters with a larger correlation cannot be told apart."""
 
 SINGULAR = 1e-10
@@ -287,7 +287,7 @@ def _assess(problem: _Problem, x: Float64, n: int, converged: bool) -> Fit:
     inverse = (vectors / np.maximum(eigenvalues, SINGULAR)) @ vectors.T / np.outer(scale, scale)
     covariance = inverse @ (m_2 * information + P) @ inverse
     names = [p.name for p in problem.parameters]
-    pairs = np.argwhere(np.triu(np.abs(correlation(covariance)) > ALIKE, 1))
+    pairs = np.argwhere(np.triu(np.abs(correlation(covariance)) > INDISTINGUISHABLE, 1))
     leverage = m_1 * np.einsum("ij,jk,ik->i", J, inverse, J)
     freedom = n - float(leverage.sum())
     return Fit(

@@ -89,15 +89,6 @@ def names(flags: int) -> tuple[str, ...]:
     return tuple(flag.name for flag in FLAGS if flags & flag.mask)
 
 
-def mask(flag_names: tuple[str, ...]) -> int:
-    """Return the bits of flag names; KeyError for a name that the registry does not hold."""
-    by_name = {flag.name: flag.mask for flag in FLAGS}
-    total = 0
-    for name in flag_names:
-        total |= by_name[name]
-    return total
-
-
 def flags_table() -> str:
     """Return docs/reference/flags.md: every flag's bit, name and meaning as a table."""
     lines = [

@@ -15,7 +15,7 @@ from tracker.joint.type_check import FAMILIES, Family, family_of
 FITS, GAIN = 0.8, 0.15
 """The share of a line's points that lies on the section where all is right, and what undoing must gain."""
 
-ALIKE = 0.02
+EQUAL_SHARE = 0.02
 """Shares that differ by less are the same."""
 
 MIN_SHOWN, SHOWN_SHARE = 2, 0.3
@@ -70,7 +70,7 @@ def _best(case: Case, mistakes: Sequence[Mistake], stated_share: float) -> Hint 
     if most < max(FITS, stated_share + GAIN):
         return None
     # Some mistakes have the same effect: the commonest is named.
-    return next(hint for hint in hints if hint.share >= most - ALIKE)
+    return next(hint for hint in hints if hint.share >= most - EQUAL_SHARE)
 
 
 def _joint_hint(setup: Setup, lines: Sequence[LinePoints]) -> Hint | None:

@@ -29,29 +29,6 @@ NO_PRIOR = (math.inf,) * len(PARAMETERS)
 SPECKLE_NODES = 64
 
 
-def white_position_sigma_px(
-    amplitude_e: float, width_px: float, noise_e: float, half_window_px: float = math.inf
-) -> float:
-    """Return the bound of the position, px, where every pixel has the same noise.
-
-    With a = L / w over the window x_0 -+ L and the slope of the background unknown,
-
-        sigma^2 = N^2 / A^2 / (G - 3 H^2 / (2 L^3)),
-        G = (sqrt(pi)/2 erf(a) - a exp(-a^2)) / w,
-        H = w (sqrt(2 pi) erf(a / sqrt 2) - 2 a exp(-a^2 / 2)),
-
-    the integrals of the squared derivative and of the derivative times x; amplitude, width and offset are
-    even in x - x_0 and cost nothing. Over a long window it is sqrt(2 / sqrt(pi)) sqrt(w) N / A. Pixels must
-    be small against the stripe: 0.1 % off at w = 1 px, 8 % at 0.7 px.
-    """
-    if math.isinf(half_window_px):
-        return math.sqrt(2.0 / math.sqrt(math.pi) * width_px) * noise_e / amplitude_e
-    a = half_window_px / width_px
-    G = (0.5 * math.sqrt(math.pi) * math.erf(a) - a * math.exp(-(a**2))) / width_px
-    H = width_px * (math.sqrt(2.0 * math.pi) * math.erf(a / math.sqrt(2.0)) - 2.0 * a * math.exp(-0.5 * a**2))
-    return noise_e / amplitude_e / math.sqrt(G - 1.5 * H**2 / half_window_px**3)
-
-
 def stripe_sigmas(
     offsets_px: Float64,
     amplitude_e: Float64,
@@ -87,25 +64,15 @@ def stripe_sigmas(
     return np.where(good[:, np.newaxis], sigmas, np.nan)
 
 
-def speckle_depth_sigma_mm(
-    wavelength_mm: float, sin_u_obs: float, triangulation_deg: float, contrast: float = 1.0
-) -> float:
-    """Return the distance uncertainty of laser triangulation by speckle alone, mm.
-
-    delta_z = C lambda / (2 pi sin(u_obs) sin(theta)): C the speckle contrast, u_obs half the angle under
-    which the point sees the lens' aperture, theta the angle between laser and camera (Dorsch, Haeusler and
-    Herrmann 1994, Applied Optics 33(7) 1306-1314).
-    """
-    theta = math.radians(triangulation_deg)
-    return contrast * wavelength_mm / (2.0 * math.pi * sin_u_obs * math.sin(theta))
-
-
 def speckle_image_sigma_mm(wavelength_mm: float, image_f_number: float, contrast: float = 1.0) -> float:
-    """Return the same uncertainty as a displacement in the image, mm: C lambda / (2 pi sin(u')).
+    """Return how far speckle alone moves a stripe in the image, 1 sigma, mm: C lambda / (2 pi sin(u')).
 
-    By Abbe's sine condition sin(u_obs) = m sin(u') with m the magnification, and a height delta_z moves the
-    image by m sin(theta) delta_z. sin(u') = 1 / (2 N'), N' = N (1 + m) the working f-number. It is a floor:
-    the centroid of a stripe of 1 sigma w, much wider than a speckle s = lambda N', wanders by
+    In depth that is delta_z = C lambda / (2 pi sin(u_obs) sin(theta)): C the speckle contrast, u_obs half the
+    angle under which the point sees the lens' aperture, theta the angle between laser and camera (Dorsch,
+    Haeusler and Herrmann 1994, Applied Optics 33(7) 1306-1314). By Abbe's sine condition
+    sin(u_obs) = m sin(u') with m the magnification, and a height delta_z moves the image by
+    m sin(theta) delta_z. sin(u') = 1 / (2 N'), N' = N (1 + m) the working f-number. It is a floor: the
+    centroid of a stripe of 1 sigma w, much wider than a speckle s = lambda N', wanders by
     C sqrt(s w / (4 sqrt(pi))); both agree at w = 0.72 s.
     """
     return contrast * wavelength_mm * image_f_number / math.pi

@@ -35,7 +35,7 @@ from noise_model.setup import Setup
 PERCENTILE = 95.0
 """A design is as good as this percentile of the seam's sigma along the path."""
 
-ALIKE = 0.02
+EQUAL_SIGMA_SHARE = 0.02
 """Sigmas nearer to each other than this share are no reason to prefer one."""
 
 Progress = Callable[[int, int], None]
@@ -205,7 +205,7 @@ def pareto(candidates: Sequence[Candidate]) -> list[Candidate]:
 
     One beats another that is no worse in all of the seam's sigma, the preview (short: the path errs less
     until the torch is there) and the stand-off (long: less spatter), and better in one; sigmas within
-    `ALIKE` of each other are the same. Designs that leave the seam unknown are out.
+    `EQUAL_SIGMA_SHARE` of each other are the same. Designs that leave the seam unknown are out.
     """
     known = sorted(
         (c for c in candidates if math.isfinite(c.sigma_mm)),
@@ -219,7 +219,7 @@ def _beats(one: Candidate, other: Candidate) -> bool:
     if a.preview_mm > b.preview_mm or a.stand_off_mm < b.stand_off_mm:
         return False
     if a.preview_mm < b.preview_mm or a.stand_off_mm > b.stand_off_mm:
-        return one.sigma_mm <= (1.0 + ALIKE) * other.sigma_mm
+        return one.sigma_mm <= (1.0 + EQUAL_SIGMA_SHARE) * other.sigma_mm
     return one.sigma_mm < other.sigma_mm
 
 

@@ -22,7 +22,13 @@ from scipy.optimize import brentq
 from noise_model.arrays import Float64
 from noise_model.setup import Setup
 from noise_model.transforms import invert, moved, transform
-from sim_to_real.check.world import FORMS, expected_charge, read_out, really, really_at
+from sim_to_real.check.world import (
+    FORMS,
+    apply_moment_effects,
+    apply_world_effects,
+    expected_charge,
+    read_out,
+)
 from sim_to_real.check.world_effect import CATALOGUE, Generator, Hidden, Moment
 from sim_to_real.check.world_light import Studio, TrueWorld
 from sim_to_real.check.world_stated import CURRENT_A, EXPOSURE_S, Continued, Motion, balanced, draw_stated
@@ -197,7 +203,7 @@ def make(scenario: Scenario, cache_dir: Path | None = None, first: int = 0) -> R
     cannot start.
     """
     effects = scenario.effects
-    world = really(scenario.world, effects)
+    world = apply_world_effects(scenario.world, effects)
     frames, truth = [], []
     for part, stations in _parts(scenario):
         indices = part[max(first - part.start, 0) :]
@@ -205,7 +211,7 @@ def make(scenario: Scenario, cache_dir: Path | None = None, first: int = 0) -> R
             continue
         studio = Studio(world, stations, cache_dir)
         for index in indices:
-            moment = really_at(stated_moment(scenario, index), effects)
+            moment = apply_moment_effects(stated_moment(scenario, index), effects)
             T_base_tool = scenario.motion.T_base_tool(moment.pose_time_s)
             noise = np.random.default_rng([scenario.seed, 4, index])
             charge = expected_charge(studio, effects, moment, T_base_tool, noise)

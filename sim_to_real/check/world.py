@@ -41,7 +41,7 @@ def in_order(effects: Sequence[Hidden]) -> list[tuple[Form, Hidden]]:
     return sorted(formed, key=lambda pair: list(FORMS).index(pair[1].id))
 
 
-def really(world: TrueWorld, effects: Sequence[Hidden]) -> TrueWorld:
+def apply_world_effects(world: TrueWorld, effects: Sequence[Hidden]) -> TrueWorld:
     """Return a world with the effects that change what is rendered."""
     for form, hidden in in_order(effects):
         if form.world is not None:
@@ -49,7 +49,7 @@ def really(world: TrueWorld, effects: Sequence[Hidden]) -> TrueWorld:
     return world
 
 
-def really_at(moment: Moment, effects: Sequence[Hidden]) -> Moment:
+def apply_moment_effects(moment: Moment, effects: Sequence[Hidden]) -> Moment:
     """Return a frame's moment with the effects that change levels, exposure, arc or pose."""
     for form, hidden in in_order(effects):
         if form.moment is not None:

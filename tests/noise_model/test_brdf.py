@@ -15,14 +15,10 @@ from noise_model.surface.brdf import (
     Lobe,
     Material,
     Mirror,
-    Regime,
     alpha_squared,
-    coherent_share,
     geometrical_attenuation,
     mirror_direction,
     reflectance,
-    reflecting_parts,
-    regime,
     spike_radiance,
 )
 
@@ -239,25 +235,6 @@ def test_a_mirror_is_the_limit_of_a_narrow_reciprocal_lobe():
 
 
 @pytest.mark.parametrize(
-    ("R_q_um", "expected"),
-    [(0.0, Regime.SPIKE), (0.01, Regime.SPIKE), (0.1, Regime.BOTH), (1.0, Regime.BOTH), (3.0, Regime.LOBE)],
-)
-def test_regime_by_roughness_over_wavelength(R_q_um, expected):
-    assert regime(R_q_um, 0.690) is expected
-
-
-def test_the_regimes_limits_in_terms_of_the_coherent_share():
-    assert coherent_share(0.025, 1.0, 1.0) == pytest.approx(0.906, abs=0.001)
-    assert coherent_share(1.5, 1.0, math.cos(math.radians(80.0))) < 1e-4
-
-
-def test_the_regime_chooses_what_reflects():
-    assert reflecting_parts(MILD_STEEL, SUS304, Regime.SPIKE) == (SUS304,)
-    assert reflecting_parts(MILD_STEEL, SUS304, Regime.BOTH) == (MILD_STEEL, SUS304)
-    assert reflecting_parts(MILD_STEEL, SUS304, Regime.LOBE) == (MILD_STEEL,)
-
-
-@pytest.mark.parametrize(
     ("change", "key"),
     [
         ({"c2": 0.0}, "c2"),
@@ -277,12 +254,6 @@ def test_an_impossible_material_is_refused(change, key):
 def test_an_impossible_mirror_is_refused(rho):
     with pytest.raises(ValueError, match="rho"):
         Mirror("bad", rho)
-
-
-@pytest.mark.parametrize(("R_q_um", "wavelength_um"), [(-1.0, 0.69), (math.nan, 0.69), (0.1, 0.0)])
-def test_an_impossible_roughness_is_refused(R_q_um, wavelength_um):
-    with pytest.raises(ValueError, match="um"):
-        regime(R_q_um, wavelength_um)
 
 
 @pytest.mark.parametrize("tail", [1e-17, 1e-12, 1e-8, 1e-5])

@@ -27,7 +27,7 @@ from noise_model.plan.path import (
 from noise_model.plan.plan import PlanOptions, make_plan, search_space
 from noise_model.plan.remedies import find_cure, find_cures
 from noise_model.plan.rules import Outcome, head_tilted, try_rules
-from noise_model.plan.search import ALIKE, Candidate, judge, pareto, summarise
+from noise_model.plan.search import EQUAL_SIGMA_SHARE, Candidate, judge, pareto, summarise
 from noise_model.surface.joint import Joint, corrugation_height, section
 from noise_model.transforms import invert, transform
 
@@ -68,7 +68,7 @@ def test_the_front_holds_what_nothing_beats(numbers: list[tuple[float, float, fl
                 o.sigma_mm < sigma
                 or (
                     (o.design.preview_mm, o.design.stand_off_mm) != (preview, stand_off)
-                    and o.sigma_mm <= (1 + ALIKE) * sigma
+                    and o.sigma_mm <= (1 + EQUAL_SIGMA_SHARE) * sigma
                 )
             )
             for o in every
@@ -316,7 +316,7 @@ def test_a_whole_plan() -> None:
     assert plan.cures == ()
     best = min(plan.judged, key=lambda c: c.sigma_mm)
     # Within what counts as alike the shorter preview is taken.
-    assert plan.front[0].sigma_mm <= (1 + ALIKE) * best.sigma_mm
+    assert plan.front[0].sigma_mm <= (1 + EQUAL_SIGMA_SHARE) * best.sigma_mm
     assert 20.0 <= plan.front[0].design.tilt_deg <= 30.0
     assert plan.noise_map.grid("sigma_mm").shape == (3, 2)
     assert np.isfinite(plan.along.column("sigma_mm")).all()

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from pathlib import Path
 
-import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -20,16 +19,10 @@ def test_bits_and_names_are_unique_and_in_order() -> None:
 
 
 @given(st.sets(st.sampled_from(flags.FLAGS)))
-def test_names_and_mask_undo_each_other(chosen: set[flags.Flag]) -> None:
+def test_names_are_those_of_the_bits(chosen: set[flags.Flag]) -> None:
     bits = sum(flag.mask for flag in chosen)
-    assert flags.mask(flags.names(bits)) == bits
     assert set(flags.names(bits)) == {flag.name for flag in chosen}
     assert bool(bits & flags.INVALIDATING) == any(flag.invalidates for flag in chosen)
-
-
-def test_an_unknown_name_is_an_error() -> None:
-    with pytest.raises(KeyError, match="stripe_found"):
-        flags.mask(("stripe_lost", "stripe_found"))
 
 
 def test_the_documentation_is_in_step() -> None:

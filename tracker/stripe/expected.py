@@ -190,7 +190,8 @@ def _per_line(
 
     False if no scan line meets it.
     """
-    order = np.argsort(points_px[:, 0], kind="mergesort")
+    # A strided column is another type, for which the sort would be compiled anew.
+    order = np.argsort(points_px[:, 0].copy(), kind="mergesort")
     n, n_scan = len(order), position.shape[0]
     if points_px[order[n - 1], 0] < 0.0 or points_px[order[0], 0] > n_scan - 1:
         return False

@@ -16,7 +16,7 @@ from sim_to_real.check.scenario import (
     stated_moment,
     true_seam_tool_mm,
 )
-from sim_to_real.check.world import FORMS, really_at
+from sim_to_real.check.world import FORMS, apply_moment_effects
 from sim_to_real.check.world_effect import CATALOGUE
 from sim_to_real.check.world_light import Studio, TrueWorld
 from sim_to_real.check.world_stated import JOINTS
@@ -230,8 +230,8 @@ def test_an_experiment_follows_the_run(nominal, key, laser_on, arc_on, current_a
 def test_effects_go_on_and_the_runs_frames_do_not_change(effect):
     scenario = draw(7, "C", joint="v_groove", effects=[effect], form=TIMED[effect], strength=1.0)
     longer = followed_by(scenario, BY_KEY["raised"])
-    at = [really_at(stated_moment(longer, n), longer.effects) for n in range(28)]
-    assert at[:24] == [really_at(stated_moment(scenario, n), scenario.effects) for n in range(24)]
+    at = [apply_moment_effects(stated_moment(longer, n), longer.effects) for n in range(28)]
+    assert at[:24] == [apply_moment_effects(stated_moment(scenario, n), scenario.effects) for n in range(24)]
     run, more = at[23], at[27]
     if effect == "arc_deflection":
         np.testing.assert_allclose(more.arc_shift_mm, np.array(run.arc_shift_mm) * 4.2 / 2.3)

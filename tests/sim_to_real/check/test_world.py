@@ -7,7 +7,14 @@ import pytest
 from worlds import ARC, BOTH, DARK, LASER, charge_of, moment_of, pose, studio_of, world_of
 
 from noise_model.effects import REGISTRY
-from sim_to_real.check.world import FORMS, form_of, in_order, read_out, really, really_at
+from sim_to_real.check.world import (
+    FORMS,
+    apply_moment_effects,
+    apply_world_effects,
+    form_of,
+    in_order,
+    read_out,
+)
 from sim_to_real.check.world_effect import CATALOGUE, Hidden
 
 pytestmark = pytest.mark.usefixtures("mitsuba")
@@ -57,12 +64,12 @@ def plain(world):
 @pytest.mark.parametrize(("effect", "form"), all_forms())
 def test_an_effect_shows_where_it_should_and_nowhere_else(world, plain, effect, form):
     acting = (hidden(effect, form, setup=world.setup),)
-    studio = studio_of(really(world, acting))
+    studio = studio_of(apply_world_effects(world, acting))
     for name, levels in LEVELS.items():
         moment = moment_of(levels)
         charge = charge_of(world, acting, levels=levels, studio=studio)
         draws = np.random.default_rng(6), np.random.default_rng(6)
-        frame = read_out(studio.world, acting, really_at(moment, acting), charge, draws[0])
+        frame = read_out(studio.world, acting, apply_moment_effects(moment, acting), charge, draws[0])
         stated = read_out(world, (), moment, plain[name], draws[1])
         changed = float(np.mean(frame != stated))
         expected = (

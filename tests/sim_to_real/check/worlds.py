@@ -9,7 +9,7 @@ from scipy.spatial.transform import Rotation
 
 from arctrack.nominal import nominal_setup
 from noise_model.surface.joint import Joint
-from sim_to_real.check.world import expected_charge, really, really_at
+from sim_to_real.check.world import apply_moment_effects, apply_world_effects, expected_charge
 from sim_to_real.check.world_effect import Moment
 from sim_to_real.check.world_light import Studio, TrueWorld
 
@@ -57,8 +57,8 @@ def studio_of(world, cache_dir=None):
 
 def charge_of(world, effects=(), levels=BOTH, T_base_tool=None, time_s=1.1, studio=None):
     """The expected charge of a frame with effects; `studio` is that of the world with its effects."""
-    studio = studio_of(really(world, effects)) if studio is None else studio
-    moment = really_at(moment_of(levels, time_s), effects)
+    studio = studio_of(apply_world_effects(world, effects)) if studio is None else studio
+    moment = apply_moment_effects(moment_of(levels, time_s), effects)
     # Without a pose the tool travels, and drifts to the left.
     travelled_mm = 8.0 * (moment.pose_time_s - 1.1)
     at = pose((2.0 + travelled_mm, 0.5 + 0.5 * travelled_mm, 1.0)) if T_base_tool is None else T_base_tool
