@@ -1,9 +1,11 @@
 import importlib.util
 import os
+from pathlib import Path
 from typing import Any
 
 import can
 import pytest
+from documented import make_scratch
 from hypothesis import settings
 
 # How long an example takes depends on the machine and on what is compiled first. The same code gives the same
@@ -19,6 +21,20 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     for item in items:
         if item.get_closest_marker("slow") is None:
             item.add_marker("quick")
+
+
+@pytest.fixture(scope="session")
+def shared(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Return the folder that all workers of this run share; see `once`."""
+    folder = tmp_path_factory.getbasetemp()
+    return folder.parent if "PYTEST_XDIST_WORKER" in os.environ else folder
+
+
+@pytest.fixture
+def scratch(tmp_path: Path) -> Path:
+    """Return a folder in which commands of the documentation can be run; see `documented`."""
+    make_scratch(tmp_path)
+    return tmp_path
 
 
 @pytest.fixture(scope="session")

@@ -5,11 +5,11 @@ from __future__ import annotations
 import json
 import re
 import shlex
-import shutil
 from pathlib import Path
 
 import numpy as np
 import pytest
+from documented import run_once
 from typer.testing import CliRunner
 
 from arctrack.cli import app
@@ -88,13 +88,10 @@ def test_the_shipped_example_has_all_conditions() -> None:
 
 
 @pytest.mark.slow
-def test_the_shipped_example_has_no_gap(tmp_path: Path) -> None:
-    recording = tmp_path / "v_groove"
-    shutil.copytree(EXAMPLE, recording, ignore=shutil.ignore_patterns("truth.csv", "results", "diagnosis"))
-    result = CliRunner().invoke(app, ["diagnose", str(recording)])
-    assert result.exit_code == 0, result.output
-    assert "No gap" in result.output
-    report = json.loads((recording / "diagnosis" / "report.json").read_text())
+def test_the_shipped_example_has_no_gap(scratch: Path, shared: Path) -> None:
+    output = run_once("arctrack diagnose examples/v_groove --out /tmp/diagnosis", scratch, shared)
+    assert "No gap" in output
+    report = json.loads((scratch / "tmp" / "diagnosis" / "report.json").read_text())
     assert report["verdict"] == "no_gap"
     assert report["effects"] == []
     assert report["gap"]["before"] < report["gap"]["floor"]
