@@ -175,7 +175,8 @@ def test_a_speckled_spot_wanders_by_the_floor() -> None:
     wavelength, sin_u = 1.0, 0.05
     floor = speckle_image_sigma_mm(wavelength, 1 / (2 * sin_u))
     speckle = wavelength / (2 * sin_u)
-    x = np.linspace(-60, 60, 241)
+    # Ten samples a speckle.
+    x = np.linspace(-60, 60, 121)
     for width, expected in ((0.717 * speckle, floor), (1.4 * speckle, 1.4 * floor)):
         centres = []
         for _ in range(1500):

@@ -1,6 +1,7 @@
 """Bounced light against closed forms, paths at random in plain NumPy, and another renderer's frames."""
 
 import dataclasses
+import functools
 import itertools
 import math
 
@@ -39,6 +40,12 @@ SHARP = Joint(
 
 def view_of(joint, material="zn_coated", pixels=None):
     return View.of(scenes.setup(joint, material), POSE, pixels=pixels)
+
+
+@functools.cache
+def light_of(joint, material="zn_coated"):
+    """The bounced light of a joint's whole view: several tests look at the same."""
+    return bounced_light(view_of(joint, material))
 
 
 def some_pixels(view, faces, n, seed):
@@ -169,7 +176,7 @@ def test_a_flat_plate_gets_no_bounced_light(material):
 
 @pytest.mark.slow
 def test_light_is_a_polynomial_in_the_scale():
-    light = bounced_light(view_of("v_groove"))
+    light = light_of("v_groove")
     assert not light.arc_e(0.0).any()
     assert not light.laser_e(0.0).any()
     for scale in (0.2, 0.5):
@@ -190,7 +197,7 @@ def test_a_laser_along_the_seam_is_refused():
 def test_some_pixels_are_those_of_the_frame():
     whole = view_of("lap")
     pixels = some_pixels(whole, [2], 40, seed=2)
-    of_frame, alone = bounced_light(whole), bounced_light(view_of("lap", pixels=pixels))
+    of_frame, alone = light_of("lap"), bounced_light(view_of("lap", pixels=pixels))
     for name in ("arc_orders_e", "laser_orders_e"):
         want, got = (getattr(of, name).reshape(ORDERS, -1) for of in (of_frame, alone))
         assert np.abs(got - want[:, pixels]).max() < 0.02 * want.max()
@@ -203,7 +210,7 @@ def test_some_pixels_are_those_of_the_frame():
 @pytest.mark.parametrize(("joint", "material"), [("v_groove", "mild_steel"), ("lap", "zn_coated")])
 def test_a_finer_grain_changes_little(joint, material, monkeypatch):
     """The once-bounced light and all of it at half the albedo, within 4 % nearly everywhere."""
-    usual = bounced_light(view_of(joint, material)).arc_orders_e
+    usual = light_of(joint, material).arc_orders_e
     finer = Grains(Grain((16, 22), 0.3, 1.2, 40, 16), FINE.seen_further, Grain((9, 16), 0.8, 3.0, 12, 9))
     monkeypatch.setattr(interreflection, "FINE", finer)
     monkeypatch.setattr(interreflection, "_first_rules", lambda _: rules(16, 6, 3, 5, 6, True))
@@ -218,8 +225,8 @@ def test_a_finer_grain_changes_little(joint, material, monkeypatch):
 @pytest.mark.slow
 @pytest.mark.parametrize(("joint", "material"), [("v_groove", "mild_steel"), ("lap", "zn_coated")])
 def test_a_coarse_view_is_a_few_percent_off_the_brightest(joint, material):
-    view = view_of(joint, material)
-    fine, coarse = (bounced_light(v).arc_e(0.3) for v in (view, dataclasses.replace(view, coarse=True)))
+    coarse_view = dataclasses.replace(view_of(joint, material), coarse=True)
+    fine, coarse = light_of(joint, material).arc_e(0.3), bounced_light(coarse_view).arc_e(0.3)
     assert np.quantile(np.abs(coarse - fine), 0.99) < 0.03 * fine.max()
     assert not np.array_equal(coarse, fine)
 
@@ -379,8 +386,8 @@ def traced(view, i, sent, n, seed, orders=2):
 @pytest.mark.parametrize("source", ["arc", "laser"])
 def test_bounced_light_is_what_paths_at_random_bring(joint, faces, material, source):
     """Within 3 % and 4 standard errors for one bounce, 10 % for two, 35 % for two of a narrow lobe."""
-    view = view_of(joint, material)
-    light = bounced_light(view)
+    light = light_of(joint, material)
+    view = light.view
     orders = light.arc_orders_e if source == "arc" else light.laser_orders_e
     sent = arc_sent if source == "arc" else laser_sent
     brightest = orders[0].max(), orders[1].max()

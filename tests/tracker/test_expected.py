@@ -65,9 +65,11 @@ def test_it_lies_where_the_forward_model_draws_it(joint: str, upright: bool) -> 
     assert np.nanmedian(wide) == pytest.approx(1.0, abs=0.03)
 
 
+PLAIN, DISTORTED = (0.0,) * 5, (-0.1, 0.02, 1e-3, -5e-4, 0.01)
+
+
 @pytest.mark.slow
-@pytest.mark.parametrize("distortion", [(0.0,) * 5, (-0.1, 0.02, 1e-3, -5e-4, 0.01)])
-@pytest.mark.parametrize("upright", [False, True])
+@pytest.mark.parametrize(("upright", "distortion"), [(False, DISTORTED), (True, PLAIN)])
 @pytest.mark.parametrize("joint", ["v_groove", "lap", "corrugation"])
 def test_it_is_its_twin(joint: str, upright: bool, distortion: tuple[float, ...]) -> None:
     setup = small_setup(joint, upright=upright)
