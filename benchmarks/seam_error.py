@@ -15,6 +15,7 @@ torch stands on what was measured.
 from __future__ import annotations
 
 import argparse
+import itertools
 import tempfile
 from collections.abc import Iterator
 from dataclasses import replace
@@ -133,7 +134,7 @@ def main() -> None:
     print(f"{'recording':20} {'map':4} {'valid':7}{axes}   {'torch':>4}{axes[1:]}")
     with tempfile.TemporaryDirectory() as folder:
         made = simulated(Path(folder), chosen.joint, chosen.simulate, chosen.speed_mm_s)
-        for path in [*chosen.recordings, *made]:
+        for path in itertools.chain(chosen.recordings, made):
             setup, frames = frames_of(path)
             if T_tool_camera is not None:
                 setup = replace(setup, camera=replace(setup.camera, T_tool_camera=T_tool_camera))

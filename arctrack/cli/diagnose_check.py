@@ -57,7 +57,7 @@ def make(
             "F: one, in a run whose frames are all taken alike."
         ),
     ] = "ABCDEF",
-    seed: Annotated[int, typer.Option(min=0, help="Of all that is drawn.")] = 0,
+    seed: Annotated[int, typer.Option(min=0, help="Seed of all that is drawn at random.")] = 0,
     workers: Workers = 1,
 ) -> None:
     """Make recordings with hidden effects and seal their labels; what is there is not made again."""

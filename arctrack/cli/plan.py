@@ -53,7 +53,7 @@ def plan(
         float, typer.Option(help="How far the torch may lean where the sensor is blind, deg.")
     ] = 10.0,
     torch_radius: Annotated[
-        float, typer.Option(help="The torch's radius, mm, that the camera must look past; 0: no matter.")
+        float, typer.Option(help="The torch's radius, mm, that the camera must look past; 0 for none.")
     ] = 12.5,
     limit: Annotated[
         float | None,

@@ -63,8 +63,8 @@ rendered.
 ```
 
 A parameter that the file leaves out takes its neutral value, which is where its prior starts. With all of
-them neutral an effect does nothing. An unknown id or parameter is reported and has no effect; a value out of
-its bounds is an error that names it, and so is `interreflection` on a `u_groove`, where it is not followed.
+them neutral an effect does nothing. An unknown id or parameter is reported and has no effect. A value out of
+its bounds is an error that names it. So is `interreflection` on a `u_groove`, where it is not followed.
 
 **What honours them.** Everything that predicts:
 
@@ -72,11 +72,11 @@ its bounds is an error that names it, and so is `interreflection` on a `u_groove
 | --- | --- |
 {honoured}
 
-**The pictures** show each effect at the values that its section states. Frames are 640 × 480, their
-brightness goes by √ and is the same in both; differences are in DN, red for brighter, blue for darker. Where
-both frames are saturated there is no difference. Expected frames are free of noise. Random effects are shown
-in single frames: beside the 1 σ that is predicted for each pixel, or one after another if they move all
-pixels at once.
+**The pictures** show each effect at the values that its section states. Frames are 640 × 480. Their
+brightness is drawn by √, on one scale for both. Differences are in DN, red for brighter, blue for darker.
+Where both frames are saturated there is no difference. Expected frames are free of noise. Random effects are
+shown in single frames. The 1 σ that is predicted for each pixel stands beside them. Effects that move all
+pixels at once are shown in one frame after another.
 """
 
 
