@@ -127,7 +127,7 @@ def diagnose_recording(job: Job, on_stage: OnStage | None = None, threads: int =
     poses = recording.pose_buffer()
     try:
         # The clock's delay is the diagnosis' to find: poses are those of the time it asks for.
-        found = diagnose(
+        result = diagnose(
             recording.setup,
             frames,
             lambda timestamp_s: pose_at(poses, timestamp_s),
@@ -138,12 +138,12 @@ def diagnose_recording(job: Job, on_stage: OnStage | None = None, threads: int =
     except ValueError as error:
         raise in_file(job.recording, str(error)) from error
     # Numbers first: whatever happens to the page, the work is not lost.
-    write_numbers(found, job.folder)
-    write_page(found, recording, excluded_effects(recording.setup, job.without), job.folder / REPORT_PAGE)
+    write_numbers(result, job.folder)
+    write_page(result, recording, excluded_effects(recording.setup, job.without), job.folder / REPORT_PAGE)
     return Diagnosed(
         job,
         recording.setup,
-        without_images(found),
+        without_images(result),
         recording.warnings,
         recording.complaint(bad_frames, "the diagnosis is that of the others"),
     )

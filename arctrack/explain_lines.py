@@ -93,7 +93,7 @@ def refusals(reading: StripeReading, expected: ExpectedStripe) -> Refusals:
         if math.isnan(start):
             why[s] = NO_PATH
             continue
-        width, found = float(expected.sigma_px[s]), np.full(N_PARAMETERS, np.nan)
+        width, parameters = float(expected.sigma_px[s]), np.full(N_PARAMETERS, np.nan)
         fit_line(
             band.charge[s],
             band.background[s],
@@ -106,10 +106,10 @@ def refusals(reading: StripeReading, expected: ExpectedStripe) -> Refusals:
             reading.base_sigma_e,
             map_edge(band.background, reading.lows, CELL, s, start),
             scratch,
-            found,
+            parameters,
         )
-        height[s], width_ratio[s] = found[2], found[3] / width
-        if math.isnan(found[3]):
+        height[s], width_ratio[s] = parameters[2], parameters[3] / width
+        if math.isnan(parameters[3]):
             why[s] = NO_FIT
         else:
             why[s] = ODD_WIDTH if abs(math.log(width_ratio[s])) > WIDTH_LIMIT_LN else TOO_WEAK

@@ -94,7 +94,9 @@ def survey(recording: Recording, on_frame: Callable[[int], None] | None = None) 
 def path_over_seam(poses: PoseTable, setup: Setup) -> Float64:
     """Return the tool's origin (n, 3), mm, over the nominal seam: along it, to its left, above it."""
     origins = poses.T_base_tool[:, :3, 3]
-    return np.array([transform(invert(seam_frame(setup.joint, at)), at[None, :])[0] for at in origins])
+    return np.array(
+        [transform(invert(seam_frame(setup.joint, origin)), origin[None, :])[0] for origin in origins]
+    )
 
 
 def motion_of(poses: PoseTable, setup: Setup) -> Motion:
@@ -156,4 +158,4 @@ def _middles(rows: tuple[FrameRow, ...]) -> dict[tuple[bool, bool, float, float]
     positions: dict[tuple[bool, bool, float, float], list[int]] = {}
     for n, row in enumerate(rows):
         positions.setdefault(row.condition, []).append(n)
-    return {condition: found[len(found) // 2] for condition, found in positions.items()}
+    return {condition: indices[len(indices) // 2] for condition, indices in positions.items()}

@@ -129,12 +129,12 @@ def estimate_hand_eye(
     problem = _Problem.of(setup, _sightings(setup, frames), lit)
     result = _settled(problem, progress)
     prior = np.diag([parameter.prior_sigma**2 for parameter in result.parameters[:6]])
-    found = problem.setup_at(result.values)
+    fitted = problem.setup_at(result.values)
     return HandEye(
-        found.camera.T_tool_camera,
+        fitted.camera.T_tool_camera,
         result,
-        seam_sigma_mm(found, problem.sightings, prior),
-        seam_sigma_mm(found, problem.sightings, result.covariance[:6, :6]),
+        seam_sigma_mm(fitted, problem.sightings, prior),
+        seam_sigma_mm(fitted, problem.sightings, result.covariance[:6, :6]),
     )
 
 

@@ -106,17 +106,17 @@ def identify_reflectance(
     model = readings_model(sample, response, white)
     by_repeats = fit_readings(model)
     fitted = fit_settings(model, by_repeats)
-    found = fitted.fit.scaled_by_scatter()
-    values, jacobian = _in_kappas(found.values, total)
-    covariance = jacobian @ found.covariance @ jacobian.T
-    half = student_t(CONFIDENCE, found.t_freedom) * np.sqrt(np.diag(covariance))
+    scaled = fitted.fit.scaled_by_scatter()
+    values, jacobian = _in_kappas(scaled.values, total)
+    covariance = jacobian @ scaled.covariance @ jacobian.T
+    half = student_t(CONFIDENCE, scaled.t_freedom) * np.sqrt(np.diag(covariance))
     m = len(sample.settings)
     scatter = compare(model, by_repeats, slice(m))
     refuse_if_undetermined(sample, model, fitted, scatter, values, half)
-    sigma = fitted.sigma * math.sqrt(found.chi2)
-    predicted = model.level(found.values)
+    sigma = fitted.sigma * math.sqrt(scaled.chi2)
+    predicted = model.level(scaled.values)
     residuals = model.gray_level - predicted
-    studentised = _studentised(residuals / sigma, found.leverage)
+    studentised = _studentised(residuals / sigma, scaled.leverage)
     standard = None
     if white is not None:
         of_white = compare(model, by_repeats, slice(m, None))
@@ -124,7 +124,7 @@ def identify_reflectance(
     return Reflectance(
         material=Material(name, *values.tolist()),
         absolute=white is not None,
-        scale=float(found.values[3]) if white is not None else float(found.values[:2].sum()) / total,
+        scale=float(scaled.values[3]) if white is not None else float(scaled.values[:2].sum()) / total,
         covariance=covariance,
         intervals=_intervals(values, half, math.inf if white is not None else total),
         predicted=predicted[:m],
@@ -135,7 +135,7 @@ def identify_reflectance(
         between=fitted.between,
         scatter=scatter,
         white=standard,
-        fit=found,
+        fit=scaled,
     )
 
 
@@ -164,5 +164,10 @@ def _intervals(values: Float64, half: Float64, total: float) -> Float64:
 
 def _studentised(residuals: Float64, leverage: Float64) -> Float64:
     """Return residuals in sigmas over what the fit leaves of them; NaN where it takes a reading up whole."""
-    left = 1.0 - leverage
-    return np.divide(residuals, np.sqrt(np.abs(left)), out=np.full_like(left, np.nan), where=left > 1e-6)
+    residual_share = 1.0 - leverage
+    return np.divide(
+        residuals,
+        np.sqrt(np.abs(residual_share)),
+        out=np.full_like(residual_share, np.nan),
+        where=residual_share > 1e-6,
+    )

@@ -195,8 +195,8 @@ def _fit(
 ) -> ReadingsFit:
     of_repeats = noise.variance(signal) / model.repeats
     sigma = np.sqrt(of_repeats + _rounding(model, noise, signal) + (between * signal) ** 2)
-    found = fit(model.parameters(start), lambda p: (model.gray_level - model.level(p)) / sigma)
-    return ReadingsFit(found, noise, sigma, between)
+    fitted = fit(model.parameters(start), lambda p: (model.gray_level - model.level(p)) / sigma)
+    return ReadingsFit(fitted, noise, sigma, between)
 
 
 def _rounding(model: ReadingsModel, noise: ReadingNoise, signal: Float64) -> Float64:
@@ -216,13 +216,13 @@ def _noise_of_all(
     model: ReadingsModel, signal: Float64, fitted: ReadingsFit, shares: Float64
 ) -> tuple[ReadingNoise, float]:
     """Return the noise, and what settings differ by, of which `shares` (m,) are in the residuals' squares."""
-    left = np.clip(1.0 - fitted.fit.leverage, 1e-9, 1.0)
-    of_residuals = model.repeats * (fitted.fit.residuals * fitted.sigma) ** 2 / left
+    residual_share = np.clip(1.0 - fitted.fit.leverage, 1e-9, 1.0)
+    of_residuals = model.repeats * (fitted.fit.residuals * fitted.sigma) ** 2 / residual_share
     rounding = model.repeats * _rounding(model, fitted.noise, signal)
     return estimate_scatter(
         np.tile(signal, 2),
         np.append(np.nan_to_num(model.variance), of_residuals),
-        np.append(model.repeats - 1.0, left),
+        np.append(model.repeats - 1.0, residual_share),
         np.append(np.zeros_like(signal), shares),
         np.append(np.zeros_like(signal), rounding),
     )

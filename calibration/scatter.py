@@ -57,6 +57,10 @@ def compare(model: ReadingsModel, fitted: ReadingsFit, part: slice) -> Scatter:
     freedom = float(more.sum())
     variance = fitted.noise.variance(model.level(fitted.fit.values) - model.response.black_dn)[part]
     squares = float(np.sum(more * np.nan_to_num(model.variance[part]) / variance))
-    left = float(np.sum(1.0 - fitted.fit.leverage[part]))
-    between = float(np.sum(fitted.fit.residuals[part] ** 2)) / left if left > MIN_FREEDOM else math.nan
-    return Scatter(between, left, squares / freedom if freedom else math.nan, freedom)
+    settings_freedom = float(np.sum(1.0 - fitted.fit.leverage[part]))
+    between = (
+        float(np.sum(fitted.fit.residuals[part] ** 2)) / settings_freedom
+        if settings_freedom > MIN_FREEDOM
+        else math.nan
+    )
+    return Scatter(between, settings_freedom, squares / freedom if freedom else math.nan, freedom)

@@ -243,13 +243,13 @@ class _Problem:
 
     def jacobian(self, x: Float64) -> Float64:
         """Return the derivatives (n + p, p) of both by forward differences, backward at an upper bound."""
-        at = self.residuals(x)
+        unmoved = self.residuals(x)
         columns = []
         for i, parameter in enumerate(self.parameters):
             step = -parameter.step if x[i] + parameter.step > parameter.upper else parameter.step
             moved = x.copy()
             moved[i] += step
-            columns.append((self.residuals(moved) - at) / (moved[i] - x[i]))
+            columns.append((self.residuals(moved) - unmoved) / (moved[i] - x[i]))
             if not np.isfinite(columns[-1]).all():
                 raise ValueError(f"{parameter.name}: a residual's derivative is not finite at {x[i]:g}")
         return np.vstack([np.column_stack(columns), np.diag(self.precision)])

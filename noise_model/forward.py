@@ -126,10 +126,10 @@ class Layers:
         """The face that each pixel (...,) shows, `ray_hits.MISS` past the workpiece."""
         return self._of_stretches(lambda view: view.surface[2])
 
-    def _of_stretches(self, of: Callable[[View], npt.NDArray[Number]]) -> npt.NDArray[Number]:
+    def _of_stretches(self, render: Callable[[View], npt.NDArray[Number]]) -> npt.NDArray[Number]:
         if not self.stretches:
-            return of(self.view)
-        return self._assembled([(pixels, of(view)) for pixels, view in self.stretches])
+            return render(self.view)
+        return self._assembled([(pixels, render(view)) for pixels, view in self.stretches])
 
     def _assembled(self, parts: Sequence[tuple[Integers, npt.NDArray[Number]]]) -> npt.NDArray[Number]:
         # Each pixel shows one of the stretches.

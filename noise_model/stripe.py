@@ -167,8 +167,8 @@ class _Peaking:
 
 
 @lru_cache(maxsize=256)
-def _reference(of: _Peaking) -> float:
-    setup = of.setup
+def _reference(peaking: _Peaking) -> float:
+    setup = peaking.setup
     point = stripe_point(setup)
     ray = transform(invert(setup.camera.T_tool_camera), point)
     light = 0.0

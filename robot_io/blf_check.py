@@ -56,16 +56,16 @@ def _unpacked(content: bytes) -> bytes:
 
 def _walk(objects: bytes) -> bytes:
     """Check the objects that lie one after another; return what continues in the next container."""
-    at = 0
+    position = 0
     while True:
-        start = objects.find(b"LOBJ", at, at + _PADDING)
+        start = objects.find(b"LOBJ", position, position + _PADDING)
         if start < 0 or start + _OBJECT_HEADER.size > len(objects):
-            return objects[at:]
+            return objects[position:]
         size = _OBJECT_HEADER.unpack_from(objects, start)[3]
         _check_size(size, LARGEST_OBJECT_BYTES, "an object in a container")
         if start + size > len(objects):
-            return objects[at:]
-        at = start + size
+            return objects[position:]
+        position = start + size
 
 
 def _check_size(size: int, most: int, what: str) -> None:

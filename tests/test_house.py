@@ -59,7 +59,9 @@ FOLDERS_MAY_IMPORT: dict[str, dict[str, set[str]]] = {
         "cli": {"recording", "calibration_files", "check", "blind_check", "report"},
     },
 }
+FUNCTIONS = (ast.FunctionDef, ast.AsyncFunctionDef)
 MAX_FUNCTION_LINES = 100
+NAMES_SAYING_NOTHING = {"of", "one", "found", "at", "left"}
 ONLY_IN_ARCTRACK = {"matplotlib", "jinja2", "rich", "typer", "pydantic", "av", "aiohttp"}
 
 
@@ -200,10 +202,68 @@ def test_no_function_is_longer_than_a_hundred_lines() -> None:
         for folder in (*MAY_IMPORT, "benchmarks", "examples", "tests")
         for file in sorted((ROOT / folder).rglob("*.py"))
         for node in ast.walk(ast.parse(file.read_text()))
-        if isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef)
+        if isinstance(node, FUNCTIONS)
         and (node.end_lineno or node.lineno) - node.lineno + 1 > MAX_FUNCTION_LINES
     ]
     assert long == []
+
+
+def names_that_say_nothing(source: str) -> list[str]:
+    """Return the variables and arguments that `NAMES_SAYING_NOTHING` holds, fields of classes left out.
+
+    `left` beside `right` in one function says a side.
+    """
+    tree = ast.parse(source)
+    fields = {id(item) for node in ast.walk(tree) if isinstance(node, ast.ClassDef) for item in node.body}
+    scopes = [node for node in ast.walk(tree) if isinstance(node, (*FUNCTIONS, ast.Module))]
+    wrong = set()
+    for scope in scopes:
+        names = {}
+        todo: list[ast.AST] = [scope]
+        while todo:
+            node = todo.pop()
+            if isinstance(node, ast.arg):
+                names[node.arg] = node.lineno
+            elif isinstance(node, ast.Name) and isinstance(node.ctx, ast.Store):
+                names[node.id] = node.lineno
+            inner = FUNCTIONS if isinstance(scope, ast.Module) else ()
+            todo += [
+                child
+                for child in ast.iter_child_nodes(node)
+                if not isinstance(child, inner)
+                and not (isinstance(child, ast.AnnAssign | ast.Assign) and id(child) in fields)
+            ]
+        allowed = {"left"} if "right" in names else set()
+        wrong |= {(names[name], name) for name in NAMES_SAYING_NOTHING & set(names) - allowed}
+    return [f"{line} {name}" for line, name in sorted(wrong)]
+
+
+def test_names_say_what_they_hold() -> None:
+    wrong = [
+        f"{file.relative_to(ROOT)}:{name}"
+        for room in MAY_IMPORT
+        for file in sorted((ROOT / room).rglob("*.py"))
+        for name in names_that_say_nothing(file.read_text())
+    ]
+    assert wrong == []
+
+
+@pytest.mark.parametrize(
+    ("source", "wrong"),
+    [
+        ("def f(of, n):\n    return n", ["1 of"]),
+        ("at = 1", ["1 at"]),
+        ("def f():\n    return [one for one in range(3)]", ["2 one"]),
+        ("def f():\n    n, found = g()", ["2 found"]),
+        ("def f():\n    left = 1", ["2 left"]),
+        ("def f():\n    left, right = 1, 2", []),
+        ("def f(right):\n    return right\ndef g(left):\n    return left", ["3 left"]),
+        ("class Rate:\n    right: int\n    of: int", []),
+        ("class Rate:\n    def share(self, of): ...", ["2 of"]),
+    ],
+)
+def test_a_name_that_says_nothing_is_seen(source: str, wrong: list[str]) -> None:
+    assert names_that_say_nothing(source) == wrong
 
 
 @pytest.mark.slow

@@ -27,8 +27,10 @@ def read_filter_curve(path: Path, effective_index: float) -> FilterCurve:
     table = read_csv(path, {WAVELENGTH: number}, {TRANSMISSION: number, DENSITY: number})
     given = table.columns[1:]
     if len(given) != 1:
-        found = "both" if given else "neither"
-        raise in_file(path, f"has {found} of the columns {TRANSMISSION} and {DENSITY}; one is needed", line=1)
+        present = "both" if given else "neither"
+        raise in_file(
+            path, f"has {present} of the columns {TRANSMISSION} and {DENSITY}; one is needed", line=1
+        )
     wavelength_nm, transmission = table.values.T
     if given == (DENSITY,):
         with np.errstate(over="ignore"):

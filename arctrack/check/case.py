@@ -146,7 +146,7 @@ def _spread(positions: list[int], most: int) -> list[int]:
 
 def _poses_at(poses: PoseTable, frames_s: Sequence[float], setup: Setup) -> tuple[Float64, ...]:
     """Return the pose (4, 4) at each time, as the run would have it, NaN where it is refused."""
-    found = []
+    T_base_tools = []
     for timestamp_s in frames_s:
         asked_s = pose_time_s(setup, timestamp_s)
         k = int(np.searchsorted(poses.timestamps_s, asked_s)) if math.isfinite(asked_s) else 0
@@ -154,5 +154,5 @@ def _poses_at(poses: PoseTable, frames_s: Sequence[float], setup: Setup) -> tupl
         # A run has all poses, but only those near a time count.
         few = PoseTable(poses.path, poses.timestamps_s[near], poses.T_base_tool[near])
         pose = pose_at(pose_buffer(few), asked_s)
-        found.append(NO_POSE if pose is None else pose.T_base_tool)
-    return tuple(found)
+        T_base_tools.append(NO_POSE if pose is None else pose.T_base_tool)
+    return tuple(T_base_tools)

@@ -82,17 +82,19 @@ def check_recording(
     is_tracked = sum(track.valid for track in tracks) >= enough
     seen = sum(track.valid and not track.flags & JOINT_TYPE_MISMATCH.mask for track in tracks)
     hint = None if case is None else likely_mistake(case, joint_is_seen=seen >= enough)
-    found = list(timing_findings(timing))
+    all_findings = list(timing_findings(timing))
     if case is not None and case.fits_camera:
-        found.append(_lines_finding(case, hint if is_tracked else None))
+        all_findings.append(_lines_finding(case, hint if is_tracked else None))
     if geometry is not None:
         sensor = _sensor(recording, looks)
-        found += findings(recording.setup, geometry, looks, unlit, sensor, timing.exposures_fit)
+        all_findings += findings(recording.setup, geometry, looks, unlit, sensor, timing.exposures_fit)
     if hint is not None:
         # Where something decided is wrong, seam and stripe lie elsewhere for that reason.
-        found = [replace(f, warning=None) if f.name in ("seam", "course") else f for f in found]
+        all_findings = [replace(f, warning=None) if f.name in ("seam", "course") else f for f in all_findings]
     verdict = verdict_of(len(recording.rows), tracks, lambda: hint)
-    return Checked(recording, refusal, verdict, hint, tuple(found), tuple(looks), tuple(bad_frames), case)
+    return Checked(
+        recording, refusal, verdict, hint, tuple(all_findings), tuple(looks), tuple(bad_frames), case
+    )
 
 
 def _lines_finding(case: Case, hint: Hint | None) -> Finding:

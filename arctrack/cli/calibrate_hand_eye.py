@@ -46,33 +46,34 @@ def hand_eye(
     with console.progress() as bar:
         task = bar.add_task("rounds", total=None)
         try:
-            found = estimate_hand_eye(
+            result = estimate_hand_eye(
                 read.setup, frames, lambda done, total: bar.update(task, completed=done, total=total)
             )
         except ValueError as error:
             raise ArctrackError(f"{read.path}: {error}") from None
     screen = console.tables()
-    for line in _lines(found):
+    for line in _lines(result):
         screen.print(line, markup=False, soft_wrap=True)
-    if not found.is_gain:
+    if not result.is_gain:
         raise ArctrackError(
-            f"{read.path}: the seam's expected error would be {_total_mm(found.seam_sigma_after_mm):.2f} mm, "
-            f"{_total_mm(found.seam_sigma_before_mm):.2f} mm before: no clear gain, and no file is written; "
+            f"{read.path}: the seam's expected error would be "
+            f"{_total_mm(result.seam_sigma_after_mm):.2f} mm, "
+            f"{_total_mm(result.seam_sigma_before_mm):.2f} mm before: no clear gain, and no file is written; "
             "record more frames with the arc on, at several heights, tilts and sideways"
         )
-    write_whole(out, with_camera_pose(read.setup_path, found.T_tool_camera))
+    write_whole(out, with_camera_pose(read.setup_path, result.T_tool_camera))
     console.say(f"{out}: the setup with the pose found")
     complaint = read.complaint(bad_frames, "the pose is that of the others")
     if complaint is not None:
         raise ArctrackError(complaint)
 
 
-def _lines(found: HandEye) -> list[str]:
+def _lines(result: HandEye) -> list[str]:
     """Return the result in words: the seam's expected error, the camera's change, what was hardly learned."""
-    before, after = found.seam_sigma_before_mm, found.seam_sigma_after_mm
-    camera = list(zip(found.fit.parameters, found.fit.values, found.fit.sigmas, strict=True))[:6]
+    before, after = result.seam_sigma_before_mm, result.seam_sigma_after_mm
+    camera = list(zip(result.fit.parameters, result.fit.values, result.fit.sigmas, strict=True))[:6]
     names = {parameter.name for parameter, _, _ in camera}
-    few = [name for name in found.fit.not_learned if name in names]
+    few = [name for name in result.fit.not_learned if name in names]
     return [
         "expected error of the seam, 1 σ:",
         f"  lateral  {before[0]:.3f} mm before, {after[0]:.3f} mm after",

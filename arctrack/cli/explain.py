@@ -46,17 +46,17 @@ def explain(
     check_replaces_nothing(path, read)
     with console.progress() as bar:
         on_frame = console.track(bar, read.name, engine.position_of(read, frame) + 1)
-        found = engine.explain(read, frame, arc_map, on_frame)
+        explanation = engine.explain(read, frame, arc_map, on_frame)
     make_folder(path.parent, ())
-    write_whole(path, page(found))
-    typer.echo(words.headline(found))
-    typer.echo(words.offset_sentence(found))
-    for check in found.track.checks:
+    write_whole(path, page(explanation))
+    typer.echo(words.headline(explanation))
+    typer.echo(words.offset_sentence(explanation))
+    for check in explanation.track.checks:
         if not check.passed:
             answer = f"{check.question.words}: {words.value_text(check)}"
             if check.question.demand != "yes":
                 answer += f", demanded {words.limit_text(check)}"
             typer.echo(f"  {check.flag.name}: {check.flag.meaning} ({answer})")
-    for sentence in (words.arc_sentence(found), f"page  {path}"):
+    for sentence in (words.arc_sentence(explanation), f"page  {path}"):
         if sentence:
             console.say(sentence)

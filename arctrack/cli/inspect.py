@@ -38,17 +38,17 @@ def inspect(
     picture = out or recording / RESULTS_FOLDER / PICTURE
     check_replaces_nothing(picture, read)
     with console.progress() as bar:
-        found = survey(read, console.track(bar, read.name, len(read.rows)))
-    print_survey(console.tables(), read, found)
+        result = survey(read, console.track(bar, read.name, len(read.rows)))
+    print_survey(console.tables(), read, result)
     make_folder(picture.parent, ())
     try:
         with writing(picture):
-            draw(read, found).savefig(picture, format=picture.suffix[1:] or "png")
+            draw(read, result).savefig(picture, format=picture.suffix[1:] or "png")
     except ValueError as error:
         raise in_file(picture, f"cannot be written: {error}; give a .png or .pdf with --out") from None
     console.say(f"picture  {picture}")
-    if found.bad_frames:
+    if result.bad_frames:
         raise ArctrackError(
-            f"{found.bad_frames[0].message}; "
-            f"{len(found.bad_frames)} of {len(read.rows)} frames could not be used"
+            f"{result.bad_frames[0].message}; "
+            f"{len(result.bad_frames)} of {len(read.rows)} frames could not be used"
         )

@@ -14,9 +14,9 @@ from noise_model.setup import Setup
 from tracker.seam.correction import UNSTATED, AxisCorrection, Correction
 
 
-def print_survey(console: Console, recording: Recording, found: Survey) -> None:
+def print_survey(console: Console, recording: Recording, survey: Survey) -> None:
     """Print what a recording holds: its setup, its conditions, its poses."""
-    lines = [("recording", _extent(recording)), *setup_lines(recording.setup), *motion_lines(found.motion)]
+    lines = [("recording", _extent(recording)), *setup_lines(recording.setup), *motion_lines(survey.motion)]
     if recording.has_truth:
         lines.append(("truth", "truth.csv holds the true seam points, for scoring"))
     if recording.correction != UNSTATED:
@@ -29,7 +29,7 @@ def print_survey(console: Console, recording: Recording, found: Survey) -> None:
     for name, text in lines:
         console.print(f"[bold]{name:<{width}}[/bold]  ", end="")
         console.print(printable(text), markup=False, soft_wrap=True)
-    console.print(condition_table(found.conditions))
+    console.print(condition_table(survey.conditions))
 
 
 def correction_words(correction: Correction) -> str:

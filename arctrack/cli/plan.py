@@ -117,9 +117,9 @@ def _plan(source: Path, setup: Setup, options: PlanOptions, poses: list[Float64]
     with console.progress() as bar:
         tasks = {}
 
-        def tell(stage: str, done: int, of: int) -> None:
+        def tell(stage: str, done: int, total: int) -> None:
             if stage not in tasks:
-                tasks[stage] = bar.add_task(stage, total=of)
+                tasks[stage] = bar.add_task(stage, total=total)
             bar.update(tasks[stage], completed=done)
 
         try:

@@ -103,12 +103,12 @@ def in_bytes(count: int) -> str:
     return f"{count} bytes"
 
 
-def _check(found: os.stat_result, most_bytes: int) -> None:
-    kind = kind_of(found.st_mode)
+def _check(status: os.stat_result, most_bytes: int) -> None:
+    kind = kind_of(status.st_mode)
     if kind is not None:
         raise UnfitFileError(f"is a {kind}: a regular file is needed")
-    if found.st_size > most_bytes:
-        raise UnfitFileError(_too_large(found.st_size, most_bytes))
+    if status.st_size > most_bytes:
+        raise UnfitFileError(_too_large(status.st_size, most_bytes))
 
 
 def _too_large(count: int, most_bytes: int) -> str:

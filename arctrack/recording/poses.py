@@ -111,10 +111,10 @@ def pose_buffer(poses: PoseTable) -> PoseBuffer:
 
 def pose_at(buffer: PoseBuffer, timestamp_s: float) -> Pose | None:
     """Return the pose at a time, None where the buffer refuses one."""
-    found = buffer.at(timestamp_s)
-    if found.status is PoseStatus.REFUSED:
+    buffered = buffer.at(timestamp_s)
+    if buffered.status is PoseStatus.REFUSED:
         return None
-    return Pose(found.T_base_tool, extrapolated=found.status is PoseStatus.EXTRAPOLATED)
+    return Pose(buffered.T_base_tool, extrapolated=buffered.status is PoseStatus.EXTRAPOLATED)
 
 
 def _read_log(path: Path) -> tuple[PoseTable, int]:

@@ -163,7 +163,7 @@ class JointTable(Table):
 
     def dimensions(self) -> dict[str, float]:
         """Return the dimensions that this type of joint needs and the file gives."""
-        found: dict[str, float] = {}
+        sizes: dict[str, float] = {}
         for name in DIMENSIONS.get(self.type, ()):
             extras = self.model_extra or {}
             value = extras.get(name)
@@ -176,8 +176,8 @@ class JointTable(Table):
                     f"{held(f'[joint] {name}', value)}: must be a finite number from {least:g} to "
                     f"{LIMITS.tool_mm:g}"
                 )
-            found[name] = float(value)
-        return found
+            sizes[name] = float(value)
+        return sizes
 
 
 class ToleranceTable(Table):
@@ -281,17 +281,17 @@ class RecordingToml(Table):
 
     def _known_effects(self) -> dict[str, dict[str, float]]:
         """Return the effects that are known, with their parameters that are; ValueError if they hold else."""
-        found: dict[str, dict[str, float]] = {}
+        known: dict[str, dict[str, float]] = {}
         for name, table in self.effects.items():
             if name not in REGISTRY:
                 continue
             if not isinstance(table, dict):
                 raise ValueError(f"[effects] {name} = {shown(table)}: must be a table, [effects.{name}]")
-            found[name] = {key: table[key] for key in REGISTRY[name].neutral if key in table}
-            for key, value in found[name].items():
+            known[name] = {key: table[key] for key in REGISTRY[name].neutral if key in table}
+            for key, value in known[name].items():
                 if not _is_usable(value):
                     raise ValueError(f"{held(f'[effects.{name}] {key}', value)}: {_USABLE}")
-        return found
+        return known
 
     def _camera(self) -> Camera:
         problem = size_problem(self.camera.width, self.camera.height)

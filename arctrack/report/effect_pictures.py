@@ -140,8 +140,8 @@ def _in_few_colours(picture: UInt8) -> Image.Image:
     maps = ((GREYS, 106), (CHANGE, 101), (SCATTER, 48))
     colours = np.vstack([mpl.colormaps[name](np.linspace(0.0, 1.0, n))[:, :3] for name, n in maps])
     palette = np.rint(255.0 * colours).astype(np.uint8)
-    found, place = np.unique(picture.reshape(-1, 3), axis=0, return_inverse=True)
-    nearest = KDTree(palette).query(found)[1].astype(np.uint8)
+    shown, place = np.unique(picture.reshape(-1, 3), axis=0, return_inverse=True)
+    nearest = KDTree(palette).query(shown)[1].astype(np.uint8)
     few = Image.fromarray(nearest[place].reshape(picture.shape[:2]))
     few.putpalette(palette.tobytes())
     return few
@@ -195,8 +195,8 @@ class Shown:
         """Return the part of an image (H, W) that is shown."""
         u, v, share = self.chosen.window
         height, width = image.shape
-        left, top = round(u * width), round(v * height)
-        return image[top : top + round(share * height), left : left + round(share * width)]
+        column, row = round(u * width), round(v * height)
+        return image[row : row + round(share * height), column : column + round(share * width)]
 
 
 def draw(effect: Effect, shown: Shown) -> Figure:

@@ -23,12 +23,12 @@ from tracker.stripe.expected import expect_stripe
 COLUMNS = 5
 
 
-def draw(recording: Recording, found: Survey) -> Figure:
+def draw(recording: Recording, survey: Survey) -> Figure:
     """Return the picture; dashed lines are where the nominal joint, at its nominal place, puts the stripe.
 
     ArctrackError if the setup's stripe is not in view.
     """
-    rows = math.ceil(len(found.conditions) / COLUMNS)
+    rows = math.ceil(len(survey.conditions) / COLUMNS)
     camera = recording.setup.camera
     cell_inch = 2.8 * camera.height / camera.width + 0.35
     title = (
@@ -45,7 +45,7 @@ def draw(recording: Recording, found: Survey) -> Figure:
     cells = sheet.subplots(rows, COLUMNS, squeeze=False).ravel()
     for axes in cells:
         axes.set_axis_off()
-    for axes, condition in zip(cells, found.conditions, strict=False):
+    for axes, condition in zip(cells, survey.conditions, strict=False):
         _frame(axes, recording, condition, geometry, poses)
     _path(paths, recording)
     return figure

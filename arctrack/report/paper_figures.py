@@ -128,10 +128,10 @@ def _over_azimuth(curves: OverAzimuth) -> Figure:
 
 def _off_specular(curves: OffSpecular) -> Figure:
     theta_i = curves.theta_i_deg
-    peaks = [off_specular_peaks(of.material, theta_i) for of in curves.of_materials]
+    peaks = [off_specular_peaks(entry.material, theta_i) for entry in curves.of_materials]
     words = "; ".join(
-        f"{NAMES[of.material.name]} {of.f_r_deg:.1f}° for fᵣ, {of.extended_deg:.1f}° under the arc"
-        for of in peaks
+        f"{NAMES[entry.material.name]} {entry.f_r_deg:.1f}° for fᵣ, {entry.extended_deg:.1f}° under the arc"
+        for entry in peaks
     )
     figure = _page(
         f"Figure {curves.number}: off-specular peaks, θᵢ = {theta_i:g}°, a = {DISTANCE_MM:g} mm",
@@ -139,13 +139,13 @@ def _off_specular(curves: OffSpecular) -> Figure:
         f"mirror angle: that factor moves the peaks, not G{ENDED_BY_G.get(curves.number, '')}. The arc "
         "shines above C, here at a smaller angle of incidence, which moves the peaks back.",
     )
-    for axes, of in zip(figure.subplots(1, 2, sharey=True), curves.of_materials, strict=True):
-        _viewing_angle(axes, curves.theta_r_deg, of, theta_i)
+    for axes, entry in zip(figure.subplots(1, 2, sharey=True), curves.of_materials, strict=True):
+        _viewing_angle(axes, curves.theta_r_deg, entry, theta_i)
     return figure
 
 
-def _viewing_angle(axes: Axes, theta_r_deg: Float64, of: OverViewingAngle, theta_i_deg: float) -> None:
-    style.plain(axes, "viewing angle θᵣ [deg]", "over its own peak", NAMES[of.material.name])
+def _viewing_angle(axes: Axes, theta_r_deg: Float64, curves: OverViewingAngle, theta_i_deg: float) -> None:
+    style.plain(axes, "viewing angle θᵣ [deg]", "over its own peak", NAMES[curves.material.name])
     axes.axvline(theta_i_deg, color=style.GREY, linewidth=0.8)
     axes.annotate(
         "mirror angle",
@@ -158,9 +158,9 @@ def _viewing_angle(axes: Axes, theta_r_deg: Float64, of: OverViewingAngle, theta
         color=style.GREY,
     )
     lines = (
-        (of.f_r, style.VERMILLION, (5, 2), "fᵣ alone"),
-        (of.lobe_flat, style.GREY, (1.5, 1.5), "fᵣ without 1/cos θᵣ"),
-        (of.extended, style.BLUE, (), "under the extended arc"),
+        (curves.f_r, style.VERMILLION, (5, 2), "fᵣ alone"),
+        (curves.lobe_flat, style.GREY, (1.5, 1.5), "fᵣ without 1/cos θᵣ"),
+        (curves.extended, style.BLUE, (), "under the extended arc"),
     )
     for values, colour, dashes, label in lines:
         axes.plot(theta_r_deg, values, color=colour, dashes=dashes, linewidth=1.6, label=label)

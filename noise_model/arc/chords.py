@@ -323,24 +323,24 @@ def disc_lines(planes: Float64, n_planes: int, axes: Axes, tan_b: float, cuts: F
 
 
 @kernel(fastmath={"contract"})
-def chords(at: Float64, n: int, arc: Shape, below: bool, cuts: Float64, n_cuts: int) -> None:
-    """Write between which q, at[1] and at[2], the chords at[0] (n,) of the disc are open.
+def chords(spans: Float64, n: int, arc: Shape, below: bool, cuts: Float64, n_cuts: int) -> None:
+    """Write between which q, spans[1] and spans[2], the chords spans[0] (n,) of the disc are open.
 
     But for ledges and metal; the first is no less than the second where nothing is open.
     """
     for i in range(n):
-        p = at[0, i]
+        p = spans[0, i]
         high = math.sqrt(max(0.0, 1.0 - p * p))
-        at[1, i] = max(-high, equator_q(p, arc, high if below else -high))
-        at[2, i] = high
+        spans[1, i] = max(-high, equator_q(p, arc, high if below else -high))
+        spans[2, i] = high
     for j in range(n_cuts):
         a, b, c = cuts[j, 0], cuts[j, 1], cuts[j, 2]
         if c > 1e-12:
             for i in range(n):
-                at[1, i] = max(at[1, i], -(a + b * at[0, i]) / c)
+                spans[1, i] = max(spans[1, i], -(a + b * spans[0, i]) / c)
         elif c < -1e-12:
             for i in range(n):
-                at[2, i] = min(at[2, i], -(a + b * at[0, i]) / c)
+                spans[2, i] = min(spans[2, i], -(a + b * spans[0, i]) / c)
         else:
             for i in range(n):
-                at[2, i] = at[2, i] if a + b * at[0, i] > 0.0 else at[1, i]
+                spans[2, i] = spans[2, i] if a + b * spans[0, i] > 0.0 else spans[1, i]

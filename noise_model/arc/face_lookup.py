@@ -34,11 +34,11 @@ def sight(k: ArcKernel) -> Sight:
         if down <= 0.0:
             continue
         slope = (k.vertices[i, 0] - k.eye[1]) / down
-        at = n
-        while at > 0 and slopes[at - 1] > slope:
-            slopes[at] = slopes[at - 1]
-            at -= 1
-        slopes[at] = slope
+        place = n
+        while place > 0 and slopes[place - 1] > slope:
+            slopes[place] = slopes[place - 1]
+            place -= 1
+        slopes[place] = slope
         n += 1
     faces = np.empty(n + 1, dtype=np.int64)
     for i in range(n + 1):

@@ -141,8 +141,8 @@ def _fill_smooth(powers: Float64, box: Box, lows: Int64, group: int, ramp: Float
         t = -1.0 + t_step * i
         if first == pos and last - first == LARGEST:
             # The usual case, of a length that the compiler knows.
-            at = first - low
-            _fill_row(powers, t, u_step, at, ramp, band_e, scan + i, at, at + LARGEST)
+            start = first - low
+            _fill_row(powers, t, u_step, start, ramp, band_e, scan + i, start, start + LARGEST)
         else:
             _fill_row(powers, t, u_step, pos - low, ramp, band_e, scan + i, first - low, last - low)
 

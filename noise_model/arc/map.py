@@ -174,8 +174,11 @@ def _write_footprint(
                     continue
             way = (level - eye_z) / min(d_z - slope * d_y, least)
             for c in range(2):
-                at = T[c, 3] + way * (d_x if c == 0 else d_y)
-                footprint[c, 0], footprint[c, 1] = min(footprint[c, 0], at), max(footprint[c, 1], at)
+                coordinate = T[c, 3] + way * (d_x if c == 0 else d_y)
+                footprint[c, 0], footprint[c, 1] = (
+                    min(footprint[c, 0], coordinate),
+                    max(footprint[c, 1], coordinate),
+                )
 
 
 @lru_cache

@@ -40,12 +40,12 @@ def seen_strip(face: int, vertices: Float64) -> Strip:
 
 
 @kernel
-def _add_border(borders: Float64, n: int, at: float) -> int:
+def _add_border(borders: Float64, n: int, place: float) -> int:
     """Put a border among the n sorted ones unless it is outside or too near to one of them."""
     for i in range(n):
-        if abs(borders[i] - at) < MERGE_MM:
+        if abs(borders[i] - place) < MERGE_MM:
             return n
-    return insert(borders, n, at)
+    return insert(borders, n, place)
 
 
 @kernel

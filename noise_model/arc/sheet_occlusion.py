@@ -80,15 +80,15 @@ def clearance(p: float, q: float, rays: Rays, metal: Metal) -> float:
         leaves = (across > 0.0) == from_upper and across != 0.0
         rest = across * across + 2.0 * bend * over
         half = across + math.copysign(math.sqrt(max(rest, 0.0)), across)
-        one, other = half / bend, -2.0 * over / half
-        one = one if one > 0.0 and rest >= 0.0 else math.inf
-        other = other if other > 0.0 and rest >= 0.0 else math.inf
+        t_1, t_2 = half / bend, -2.0 * over / half
+        t_1 = t_1 if t_1 > 0.0 and rest >= 0.0 else math.inf
+        t_2 = t_2 if t_2 > 0.0 and rest >= 0.0 else math.inf
         on_line = -over / across if leaves else math.inf
-        t = on_line if bend == 0.0 or (over == 0.0 and leaves) else min(one, other)
+        t = on_line if bend == 0.0 or (over == 0.0 and leaves) else min(t_1, t_2)
         # A point on the edge itself hides nothing from itself.
         meets = t < t_arc and (t > 0.0 or not from_upper)
-        at = t if meets else 0.0
-        at_edge = Pz + at * oz - _wave(Px + at * ox, metal) - edge_step
+        t_edge = t if meets else 0.0
+        at_edge = Pz + t_edge * oz - _wave(Px + t_edge * ox, metal) - edge_step
         free = min(free, at_edge if meets else 1e9)
         first, last = (0.0 if from_upper else t), (min(t, t_arc) if from_upper else t_arc)
         way = (crest_x - Px) * ox
@@ -144,12 +144,12 @@ def border(
 
 
 @kernel
-def look_along(at: Float64, n: int, rays: Rays, metal: Metal, ways: Float64) -> None:
+def look_along(spans: Float64, n: int, rays: Rays, metal: Metal, ways: Float64) -> None:
     """Write p, q and clearance of CHORD_STEPS + 1 places on each of n `chords` into `ways`."""
     for i in range(n):
-        low, length = at[1, i], max(at[2, i] - at[1, i], 0.0)
+        low, length = spans[1, i], max(spans[2, i] - spans[1, i], 0.0)
         for j in range(CHORD_STEPS + 1):
-            ways[0, (CHORD_STEPS + 1) * i + j] = at[0, i]
+            ways[0, (CHORD_STEPS + 1) * i + j] = spans[0, i]
             ways[1, (CHORD_STEPS + 1) * i + j] = low + length * j / CHORD_STEPS
     clearances(ways, (CHORD_STEPS + 1) * n, rays, metal)
 
@@ -180,20 +180,20 @@ def chord_parts(i: int, ways: Float64, rays: Rays, metal: Metal, parts: Float64)
 
 @kernel
 def is_clear(
-    p_max: float, arc: Shape, cuts: Float64, rays: Rays, metal: Metal, at: Float64, ways: Float64
+    p_max: float, arc: Shape, cuts: Float64, rays: Rays, metal: Metal, spans: Float64, ways: Float64
 ) -> bool:
     """Say whether the whole arc passes over the metal: looked at are its lower rim and its top.
 
-    No `cuts` are looked at; `at` and `ways` are scratch.
+    No `cuts` are looked at; `spans` and `ways` are scratch.
     """
     n = 2 * CLEAR_STEPS + 1
     for i in range(n):
-        at[0, i] = p_max * (i - CLEAR_STEPS) / CLEAR_STEPS
-    chords(at, n, arc, False, cuts, 0)
+        spans[0, i] = p_max * (i - CLEAR_STEPS) / CLEAR_STEPS
+    chords(spans, n, arc, False, cuts, 0)
     for i in range(n):
-        low, high = at[1, i], at[2, i]
-        ways[0, i], ways[1, i] = at[0, i], low
-        ways[0, n + i], ways[1, n + i] = at[0, i], 0.5 * (low + high)
+        low, high = spans[1, i], spans[2, i]
+        ways[0, i], ways[1, i] = spans[0, i], low
+        ways[0, n + i], ways[1, n + i] = spans[0, i], 0.5 * (low + high)
     clearances(ways, 2 * n, rays, metal)
     least = 0.0
     for i in range(2 * n):
@@ -212,7 +212,7 @@ def _open_below(
     n_cuts: int,
     rays: Rays,
     metal: Metal,
-    at: Float64,
+    spans: Float64,
     ways: Float64,
 ) -> tuple[float, float]:
     """Return a range of p that holds `open_tops` and all chords whose lower ends are open.
@@ -222,16 +222,16 @@ def _open_below(
     middle, half = 0.5 * (p_low + p_high), 0.5 * (p_high - p_low)
     n = RIM_STEPS + 1
     for i in range(n):
-        at[0, i] = middle - half * _RIM[i]
-    chords(at, n, arc, below, cuts, n_cuts)
+        spans[0, i] = middle - half * _RIM[i]
+    chords(spans, n, arc, below, cuts, n_cuts)
     for i in range(n):
-        ways[0, i], ways[1, i] = at[0, i], at[1, i] + 1e-3 * (at[2, i] - at[1, i])
+        ways[0, i], ways[1, i] = spans[0, i], spans[1, i] + 1e-3 * (spans[2, i] - spans[1, i])
     clearances(ways, n, rays, metal)
     first, last = open_tops
     for i in range(n):
-        if at[2, i] > at[1, i] and ways[2, i] >= 0.0:
-            first = min(first, at[0, max(i - 1, 0)])
-            last = max(last, at[0, min(i + 1, n - 1)])
+        if spans[2, i] > spans[1, i] and ways[2, i] >= 0.0:
+            first = min(first, spans[0, max(i - 1, 0)])
+            last = max(last, spans[0, min(i + 1, n - 1)])
     return first, last
 
 
@@ -270,13 +270,13 @@ def clip(
     metal: Metal,
     breaks: Float64,
     n_breaks: int,
-    at: Float64,
+    spans: Float64,
     ways: Float64,
 ) -> tuple[float, float, int]:
     """Add to the sorted `breaks` the p at which the metal's border turns.
 
     Returns between which p the disc is open, an empty range where nowhere, and how many breaks there are.
-    `at` and `ways` are scratch.
+    `spans` and `ways` are scratch.
     """
     wx, wy, wz, ux, uy, _, _, _ = axes
     below = wz > 0.0
@@ -284,10 +284,10 @@ def clip(
     n_pieces = n_breaks - 1
     p_low, p_high = breaks[n_pieces], breaks[0]
     for piece in range(n_pieces):
-        at[0, piece] = 0.5 * (breaks[piece] + breaks[piece + 1])
-    chords(at, n_pieces, arc, below, cuts, n_cuts)
+        spans[0, piece] = 0.5 * (breaks[piece] + breaks[piece + 1])
+    chords(spans, n_pieces, arc, below, cuts, n_cuts)
     for piece in range(n_pieces):
-        if at[2, piece] > at[1, piece]:
+        if spans[2, piece] > spans[1, piece]:
             p_low, p_high = min(p_low, breaks[piece]), max(p_high, breaks[piece + 1])
     if p_high <= p_low:
         return p_low, p_high, n_breaks
@@ -296,7 +296,7 @@ def clip(
     n_breaks = insert(breaks, n_breaks, p_last)
     if metal[6] and metal[5] and not metal[7]:
         tops = (p_first, p_last)
-        p_first, p_last = _open_below(p_low, p_high, tops, arc, below, cuts, n_cuts, rays, metal, at, ways)
+        p_first, p_last = _open_below(p_low, p_high, tops, arc, below, cuts, n_cuts, rays, metal, spans, ways)
         n_breaks = insert(breaks, n_breaks, p_first)
         n_breaks = insert(breaks, n_breaks, p_last)
     edge_y, slope, curve, _ = metal[3]

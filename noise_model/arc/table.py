@@ -81,14 +81,14 @@ class FaceTable(NamedTuple):
 
 
 @kernel(inline=True)
-def _place(borders: Float64, n: int, at: float) -> int:
-    """Return in which of the n - 1 intervals between sorted borders `at` lies, -1 for none."""
-    if not borders[0] <= at <= borders[n - 1]:
+def _place(borders: Float64, n: int, value: float) -> int:
+    """Return in which of the n - 1 intervals between sorted borders `value` lies, -1 for none."""
+    if not borders[0] <= value <= borders[n - 1]:
         return -1
     low, high = 0, n - 1
     while high - low > 1:
         middle = (low + high) // 2
-        if at < borders[middle]:
+        if value < borders[middle]:
             high = middle
         else:
             low = middle
@@ -165,10 +165,10 @@ def _make_cell(k: ArcKernel, table: FaceTable, face: int, cell: int, work: Scrat
         # The differences may be small by chance: two points between the nodes are looked at.
         check = table.check
         _fit(values, table.to_powers, check)
-        for at in (-CHECK, CHECK):
-            x, s = middle[cell, 0] + at * half_x, middle[cell, 1] + at * half_s
+        for offset in (-CHECK, CHECK):
+            x, s = middle[cell, 0] + offset * half_x, middle[cell, 1] + offset * half_s
             light = _fall_off(k, on, x, s) * light_at(k, face_point(x, s, on, corrugation), face, work)
-            is_smooth = is_smooth and abs(_value(check, at, at) - light) <= allowed
+            is_smooth = is_smooth and abs(_value(check, offset, offset) - light) <= allowed
     along = 0 if worst_x > worst_s else 1
     is_small = (half_x if along == 0 else half_s) < 0.5 * SMALLEST_MM
     if is_smooth or (is_small and max(worst_x, worst_s) <= ROUGH * allowed):

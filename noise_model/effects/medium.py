@@ -150,7 +150,9 @@ def _spatter(light: Light, view: View, condition: Condition, values: Values, dra
     for _ in range(int(draw.poisson(rate * wide * high / (camera.width * camera.height)))):
         u, v = draw.uniform(0.0, wide) - rim, draw.uniform(0.0, high) - rim
         angle, peak = draw.uniform(0.0, math.pi), draw.exponential(peak_e)
-        across, down = (slice(max(0, math.floor(at - rim)), max(0, math.ceil(at + rim) + 1)) for at in (u, v))
+        across, down = (
+            slice(max(0, math.floor(middle - rim)), max(0, math.ceil(middle + rim) + 1)) for middle in (u, v)
+        )
         uv = view.uv_px[down, across]
         light.other[down, across] += np.float32(peak) * _streak(uv, u, v, angle, length, width)
 

@@ -74,7 +74,7 @@ def arriving(
     """
     n_points = len(passing.faces)
     start = np.zeros(n_points + 1, dtype=np.int64)
-    found, used = np.empty((1024, COLUMNS)), 0
+    all_nodes, used = np.empty((1024, COLUMNS)), 0
     struck = np.zeros(n_points, dtype=np.int64)
     nodes = np.empty((room(k, coarse), COLUMNS))
     for i in range(n_points):
@@ -85,22 +85,22 @@ def arriving(
             n = look_around(
                 k, passing.points[i], passing.normals[i], passing.faces[i], focus, of_stripe, coarse, nodes
             )
-            if used + n > len(found):
-                larger = np.empty((2 * len(found) + n, COLUMNS))
-                larger[:used] = found[:used]
-                found = larger
-            found[used : used + n] = nodes[:n]
+            if used + n > len(all_nodes):
+                larger = np.empty((2 * len(all_nodes) + n, COLUMNS))
+                larger[:used] = all_nodes[:used]
+                all_nodes = larger
+            all_nodes[used : used + n] = nodes[:n]
             used += n
             if of_stripe or not of_laser:
                 struck[i] = n
         start[i + 1] = used
-    found = found[:used]
-    omega = found[:, OMEGA : OMEGA + 3].copy()
+    all_nodes = all_nodes[:used]
+    omega = all_nodes[:, OMEGA : OMEGA + 3].copy()
     irradiance = np.zeros((used, ORDERS - 1))
     for i in range(n_points):
         for j in range(start[i], start[i] + struck[i]):
-            irradiance[j, 0] = found[j, WEIGHT] * _leaving(k, found[j], of_laser)
-    _pass_on(k, passing, start, struck if of_laser else np.zeros_like(struck), found, omega, irradiance)
+            irradiance[j, 0] = all_nodes[j, WEIGHT] * _leaving(k, all_nodes[j], of_laser)
+    _pass_on(k, passing, start, struck if of_laser else np.zeros_like(struck), all_nodes, omega, irradiance)
     return start, omega, irradiance
 
 
@@ -110,7 +110,7 @@ def _pass_on(
     passing: Lattice,
     start: Int64,
     first: Int64,
-    found: Float64,
+    all_nodes: Float64,
     omega: Float64,
     irradiance: Float64,
 ) -> None:
@@ -120,25 +120,25 @@ def _pass_on(
     most = 0
     for i in range(len(first)):
         for j in range(start[i] + first[i], start[i + 1]):
-            for a in range(_about(k, passing, found[j], which, weights)):
+            for a in range(_about(k, passing, all_nodes[j], which, weights)):
                 most += start[which[a] + 1] - start[which[a]]
     shares = np.empty(most, dtype=np.float32)
     for order in range(ORDERS - 1):
-        at = 0
+        entry = 0
         for i in range(len(first)):
             for j in range(start[i] + first[i], start[i + 1]):
-                back = (-found[j, OMEGA], -found[j, OMEGA + 1], -found[j, OMEGA + 2])
+                back = (-all_nodes[j, OMEGA], -all_nodes[j, OMEGA + 1], -all_nodes[j, OMEGA + 2])
                 total = 0.0
-                for a in range(_about(k, passing, found[j], which, weights)):
+                for a in range(_about(k, passing, all_nodes[j], which, weights)):
                     n = passing.normals[which[a]]
                     for m in range(start[which[a]], start[which[a] + 1]):
                         if order == 0:
-                            shares[at] = weights[a] * reflected(k.material, omega[m], back, n)
+                            shares[entry] = weights[a] * reflected(k.material, omega[m], back, n)
                         else:
-                            total += shares[at] * irradiance[m, order - 1]
-                        at += 1
+                            total += shares[entry] * irradiance[m, order - 1]
+                        entry += 1
                 if order > 0:
-                    irradiance[j, order] = found[j, WEIGHT] * total
+                    irradiance[j, order] = all_nodes[j, WEIGHT] * total
 
 
 @kernel(inline=True)

@@ -186,12 +186,12 @@ def arc_leaving(k: Place, Q: Float64, normal: Float64, omega_r: Point) -> float:
         return 0.0
     total = 0.0
     n_chords = p_nodes.shape[0]
-    at = np.empty((3, n_chords))
+    spans = np.empty((3, n_chords))
     for i in range(n_chords):
-        at[0, i] = 0.5 * (p_low + p_high + (p_high - p_low) * p_nodes[i])
-    chords(at, n_chords, arc, below, borders, n_borders)
+        spans[0, i] = 0.5 * (p_low + p_high + (p_high - p_low) * p_nodes[i])
+    chords(spans, n_chords, arc, below, borders, n_borders)
     for i in range(n_chords):
-        p, low, high = at[0, i], at[1, i], at[2, i]
+        p, low, high = spans[0, i], spans[1, i], spans[2, i]
         if high <= low:
             continue
         column = 0.0

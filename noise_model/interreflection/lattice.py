@@ -57,8 +57,8 @@ def lattice(
     return Lattice(x, s, counts, start, points, normals, faces)
 
 
-def _across(vertices: Float64, face: int, of: Float64, n: int) -> Float64:
-    """Return places from of[0] to of[1] across a face, closer towards its ends that other faces enclose."""
+def _across(vertices: Float64, face: int, s_range: Float64, n: int) -> Float64:
+    """Return places over `s_range` across a face, closer towards its ends that other faces enclose."""
     width = float(np.hypot(*(vertices[face + 1] - vertices[face])))
     low, high = _encloses(vertices, face), _encloses(vertices, face + 1)
 
@@ -72,7 +72,7 @@ def _across(vertices: Float64, face: int, of: Float64, n: int) -> Float64:
     fine = np.linspace(0.0, 1.0, 20001)
     # On a face that is hardly wider than that the places would coincide.
     off_corner_mm = min(OFF_CORNER_MM, 0.25 * width)
-    ends = np.clip(of, off_corner_mm, width - off_corner_mm)
+    ends = np.clip(s_range, off_corner_mm, width - off_corner_mm)
     first, last = np.interp(ends, graded(fine), fine)
     across = graded(np.linspace(first, last, n))
     across[0], across[-1] = ends
@@ -127,18 +127,20 @@ def _place(
             _, slope = ridge(x[i], corrugation)
             normal, _ = slanted(slope, on)
             for j in range(n_s[face]):
-                at = start[face] + i * n_s[face] + j
-                points[at, 0], points[at, 1], points[at, 2] = face_point(x[i], s[face, j], on, corrugation)
-                normals[at, 0], normals[at, 1], normals[at, 2] = normal
+                point = start[face] + i * n_s[face] + j
+                points[point, 0], points[point, 1], points[point, 2] = face_point(
+                    x[i], s[face, j], on, corrugation
+                )
+                normals[point, 0], normals[point, 1], normals[point, 2] = normal
 
 
 @kernel(inline=True)
-def _left_of(grid: Float64, n: int, at: float) -> int:
+def _left_of(grid: Float64, n: int, value: float) -> int:
     """Return which of a grid's first n - 1 values is the last not above one; 0 if all are above."""
     low, high = 0, n - 1
     while high - low > 1:
         middle = (low + high) // 2
-        if grid[middle] <= at:
+        if grid[middle] <= value:
             low = middle
         else:
             high = middle
@@ -146,42 +148,42 @@ def _left_of(grid: Float64, n: int, at: float) -> int:
 
 
 @kernel(inline=True)
-def _cell(grid: Float64, n: int, at: float) -> tuple[int, float]:
+def _cell(grid: Float64, n: int, value: float) -> tuple[int, float]:
     """Return the cell of a grid's first n values that a value lies in, and where in it; -1 outside."""
-    if at < grid[0] or at > grid[n - 1]:
+    if value < grid[0] or value > grid[n - 1]:
         return -1, 0.0
-    low = _left_of(grid, n, at)
-    return low, (at - grid[low]) / (grid[low + 1] - grid[low])
+    low = _left_of(grid, n, value)
+    return low, (value - grid[low]) / (grid[low + 1] - grid[low])
 
 
 @kernel(inline=True)
-def _cubic(grid: Float64, n: int, at: float, weights: Float64) -> int:
+def _cubic(grid: Float64, n: int, value: float, weights: Float64) -> int:
     """Write Lagrange's weights of the four values of a grid about one; return the first of them."""
-    first = min(max(_left_of(grid, n, at) - 1, 0), n - 4)
+    first = min(max(_left_of(grid, n, value) - 1, 0), n - 4)
     for i in range(4):
         weight = 1.0
         for j in range(4):
             if j != i:
-                weight *= (at - grid[first + j]) / (grid[first + i] - grid[first + j])
+                weight *= (value - grid[first + j]) / (grid[first + i] - grid[first + j])
         weights[i] = weight
     return first
 
 
 @kernel
-def around(at: Lattice, face: int, s: float, x: float, which: Int64, weights: Float64) -> int:
+def around(mesh: Lattice, face: int, s: float, x: float, which: Int64, weights: Float64) -> int:
     """Write the eight points of a lattice about a place and their weights; return how many, 8, or 0 outside.
 
     Straight along, cubic across: there light falls off fast beside a corner.
     """
-    n = at.n_s[face]
-    if n < 4 or not at.s[face, 0] - 2.0 * OFF_CORNER_MM <= s <= at.s[face, n - 1] + 2.0 * OFF_CORNER_MM:
+    n = mesh.n_s[face]
+    if n < 4 or not mesh.s[face, 0] - 2.0 * OFF_CORNER_MM <= s <= mesh.s[face, n - 1] + 2.0 * OFF_CORNER_MM:
         return 0
-    i, b = _cell(at.x, at.x.shape[0], x)
+    i, b = _cell(mesh.x, mesh.x.shape[0], x)
     if i < 0:
         return 0
-    first = _cubic(at.s[face], n, s, weights[:4])
+    first = _cubic(mesh.s[face], n, s, weights[:4])
     for j in range(4):
-        which[j] = at.start[face] + i * n + first + j
+        which[j] = mesh.start[face] + i * n + first + j
         which[4 + j] = which[j] + n
         weights[4 + j] = weights[j] * b
         weights[j] *= 1.0 - b
@@ -190,7 +192,7 @@ def around(at: Lattice, face: int, s: float, x: float, which: Int64, weights: Fl
 
 @kernel(allocates=True)
 def interpolate(
-    at: Lattice,
+    mesh: Lattice,
     values: Float64,
     points: Float64,
     faces: Int32,
@@ -206,16 +208,16 @@ def interpolate(
     for i in range(faces.shape[0]):
         face = faces[i]
         image[:, i] = 0.0
-        if face < 0 or at.n_s[face] < 4:
+        if face < 0 or mesh.n_s[face] < 4:
             continue
-        n = at.n_s[face]
+        n = mesh.n_s[face]
         s = across(points[i], strip(face, vertices), corrugation)
-        first_x = _cubic(at.x, at.x.shape[0], points[i, 0], x_weights)
-        first_s = _cubic(at.s[face], n, s, s_weights)
+        first_x = _cubic(mesh.x, mesh.x.shape[0], points[i, 0], x_weights)
+        first_s = _cubic(mesh.s[face], n, s, s_weights)
         for a in range(4):
             for b in range(4):
                 weight = x_weights[a] * s_weights[b]
-                from_point = at.start[face] + (first_x + a) * n + first_s + b
+                from_point = mesh.start[face] + (first_x + a) * n + first_s + b
                 for order in range(image.shape[0]):
                     image[order, i] += weight * values[from_point, order]
         for order in range(image.shape[0]):

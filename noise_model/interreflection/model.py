@@ -206,8 +206,8 @@ def _seen(k: Place, points: Float64, faces: Int32, facing: Bool, focus: Focus, g
         ranges[face] = max(0.0, float(s.min()) - PAD_MM), min(width, float(s.max()) + PAD_MM)
     x = points[hit, 0]
     x_range = float(x.min()) - 2.0 * grain.far_mm, float(x.max()) + 2.0 * grain.far_mm
-    at = _stations(k, focus, x_range, grain)
-    return lattice(at, ranges, _counts(k, grain), k.vertices, k.corrugation)
+    stations = _stations(k, focus, x_range, grain)
+    return lattice(stations, ranges, _counts(k, grain), k.vertices, k.corrugation)
 
 
 def _counts(k: Place, grain: Grain) -> list[int]:
@@ -248,5 +248,5 @@ def _passing(k: Place, x_seen: Float64, facing: Bool, focus: Focus, grain: Grain
             ranges[face, 1] = min(width, BEYOND_MM)
     low, high = min(focus.x, float(np.nanmin(x_seen))), max(focus.x, float(np.nanmax(x_seen)))
     beyond = max(BEYOND_ALONG_MM, 0.5 * float(k.corrugation[2]) if k.corrugation[0] > 0.0 else 0.0)
-    at = _stations(k, focus, (low - beyond, high + beyond), grain)
-    return lattice(at, ranges, _counts(k, grain), k.vertices, k.corrugation)
+    stations = _stations(k, focus, (low - beyond, high + beyond), grain)
+    return lattice(stations, ranges, _counts(k, grain), k.vertices, k.corrugation)

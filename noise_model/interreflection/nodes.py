@@ -234,11 +234,11 @@ def _from_sheet(
     knots, sides = np.empty(X_KNOTS), np.empty(Y_KNOTS)
     n = 0
     for i in range(-2, 3):
-        at = pitch * (math.floor(P[0] / pitch + 0.5) + i)
+        crest_x = pitch * (math.floor(P[0] / pitch + 0.5) + i)
         for share in (-0.5, -0.25, 0.0, 0.25, 0.5):
-            knots[n] = at + share * bump
+            knots[n] = crest_x + share * bump
             n += 1
-        knots[n] = at + 0.5 * pitch
+        knots[n] = crest_x + 0.5 * pitch
         n += 1
     knots[n] = P[0]
     n += 1

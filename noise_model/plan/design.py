@@ -266,8 +266,8 @@ def _profile(
 ) -> tuple[Float64, Float64, Float64]:
     angles = np.linspace(0.0, LARGEST_FIELD_ANGLE, PROFILE_NODES)
 
-    def passed(of: Filter | FilterCurve, theta: Float64) -> Float64:
-        return passed_continuum(of, spectrum, theta) + passed_lines(of, spectrum, theta)
+    def passed(glass: Filter | FilterCurve, theta: Float64) -> Float64:
+        return passed_continuum(glass, spectrum, theta) + passed_lines(glass, spectrum, theta)
 
     on_axis = float(transmission(optics, laser_nm)) / float(transmission(stated, laser_nm))
     laser = on_axis * laser_transmission(optics, laser_nm, angles)

@@ -135,8 +135,8 @@ def speckle_floor_px(setup: Setup, contrast: float) -> float:
     image_f_number = farther * camera.f_number
     pixel_mm = farther * camera.focal_length_mm / math.sqrt(camera.fx * camera.fy)
     wavelength_mm = 1e-6 * setup.laser.wavelength_nm
-    left = contrast * pixel_contrast(wavelength_mm, image_f_number, pixel_mm)
-    return speckle_image_sigma_mm(wavelength_mm, image_f_number, left) / pixel_mm
+    remaining = contrast * pixel_contrast(wavelength_mm, image_f_number, pixel_mm)
+    return speckle_image_sigma_mm(wavelength_mm, image_f_number, remaining) / pixel_mm
 
 
 def saturation_e(sensor: Sensor) -> float:
@@ -167,9 +167,9 @@ def line_bounds(
     sigmas = stripe_sigmas(width[:, np.newaxis] * _T, stripe, width, variance_e2(mean, sensor), spacing)
     saturated = light.seen & (mean.max(axis=1, initial=0.0) >= saturation_e(sensor))
     with np.errstate(divide="ignore", invalid="ignore"):
-        found = stripe > DETECT_SIGMAS * sigmas[:, AMPLITUDE]
+        detected = stripe > DETECT_SIGMAS * sigmas[:, AMPLITUDE]
         ratio = np.where(light.seen, pixels.arc_e[:, NODES // 2] / pixels.stripe_e, np.nan)
-    readable = light.seen & found & ~saturated
+    readable = light.seen & detected & ~saturated
     sigma = np.where(readable, np.hypot(sigmas[:, POSITION], floor_px), np.nan)
     return LineBounds(sigma, readable, saturated, ratio)
 

@@ -139,7 +139,7 @@ def make_plan(
     own, around = design_of(setup), options.around
     space, poses = search_space(setup, options), search_path(setup).T_base_tool
     [as_is] = judge(setup, own, poses, around)
-    judged = search(setup, space, poses, around, lambda n, of: tell("designs", n, of))
+    judged = search(setup, space, poses, around, lambda n, total: tell("designs", n, total))
     coarse = pareto(judged)
     fine = []
     for n, candidate in enumerate(coarse):
@@ -158,7 +158,7 @@ def make_plan(
         around,
         options.lean_deg,
         _elsewhere(own, space),
-        lambda n, of: tell("blind stretches", n, of),
+        lambda n, total: tell("blind stretches", n, total),
     )
     return Plan(
         setup=setup,

@@ -176,23 +176,23 @@ def search(
 
 
 def refine(
-    setup: Setup, found: Candidate, space: SearchSpace, poses: Float64, around: Surroundings
+    setup: Setup, start: Candidate, space: SearchSpace, poses: Float64, around: Surroundings
 ) -> Candidate:
     """Look half a step of tilt and azimuth to every side of a design and return the best."""
     tilts, azimuths = (
         [v - 0.5 * step, v, v + 0.5 * step]
         for v, step in (
-            (found.design.tilt_deg, _step(space.tilts_deg)),
-            (found.design.azimuth_deg, _step(space.azimuths_deg)),
+            (start.design.tilt_deg, _step(space.tilts_deg)),
+            (start.design.azimuth_deg, _step(space.azimuths_deg)),
         )
     )
-    best = found
+    best = start
     for tilt, azimuth in itertools.product(tilts, azimuths):
         inside = min(space.tilts_deg) <= tilt <= max(space.tilts_deg)
         inside &= min(space.azimuths_deg) <= azimuth <= max(space.azimuths_deg)
-        if not inside or (tilt, azimuth) == (found.design.tilt_deg, found.design.azimuth_deg):
+        if not inside or (tilt, azimuth) == (start.design.tilt_deg, start.design.azimuth_deg):
             continue
-        design = replace(found.design, tilt_deg=tilt, azimuth_deg=azimuth)
+        design = replace(start.design, tilt_deg=tilt, azimuth_deg=azimuth)
         if not clears_torch(design, space.torch_radius_mm):
             continue
         [judged] = judge(setup, design, poses, around, None, space.most_exposure_s)
@@ -214,13 +214,13 @@ def pareto(candidates: Sequence[Candidate]) -> list[Candidate]:
     return [c for c in dict.fromkeys(known) if not any(_beats(other, c) for other in known)]
 
 
-def _beats(one: Candidate, other: Candidate) -> bool:
-    a, b = one.design, other.design
+def _beats(candidate: Candidate, other: Candidate) -> bool:
+    a, b = candidate.design, other.design
     if a.preview_mm > b.preview_mm or a.stand_off_mm < b.stand_off_mm:
         return False
     if a.preview_mm < b.preview_mm or a.stand_off_mm > b.stand_off_mm:
-        return one.sigma_mm <= (1.0 + EQUAL_SIGMA_SHARE) * other.sigma_mm
-    return one.sigma_mm < other.sigma_mm
+        return candidate.sigma_mm <= (1.0 + EQUAL_SIGMA_SHARE) * other.sigma_mm
+    return candidate.sigma_mm < other.sigma_mm
 
 
 def _light(setup: Setup, T_base_tool: Float64, level_e: float) -> StripeLight | None:

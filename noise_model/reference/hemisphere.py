@@ -320,20 +320,20 @@ def _tau_edges(facing: _Caps, above: _Caps) -> Float64:
     return np.sort(np.clip(np.column_stack(ends + edges), 0.0, 0.5 * np.pi), axis=1)
 
 
-def _crossing_tau(one: _Caps, other: _Caps) -> tuple[Float64, Float64]:
+def _crossing_tau(caps: _Caps, other: _Caps) -> tuple[Float64, Float64]:
     """Return tau (N,) of the two points that two rims share, 0 where they share none.
 
     A shared point is s u + t v +- z (u x v) with u.x and v.x given: two linear equations and |x| = 1.
     """
-    cosine = np.sum(one.axis * other.axis, axis=-1)
+    cosine = np.sum(caps.axis * other.axis, axis=-1)
     parallel = 1.0 - cosine**2 < 1e-14
     sine2 = np.where(parallel, 1.0, 1.0 - cosine**2)
-    s = (one.cosine - cosine * other.cosine) / sine2
-    t = (other.cosine - cosine * one.cosine) / sine2
-    z2 = (1.0 - s * one.cosine - t * other.cosine) / sine2
+    s = (caps.cosine - cosine * other.cosine) / sine2
+    t = (other.cosine - cosine * caps.cosine) / sine2
+    z2 = (1.0 - s * caps.cosine - t * other.cosine) / sine2
     crossing = (z2 >= 0) & ~parallel
-    height = s * one.axis[:, 2] + t * other.axis[:, 2]
-    swing = np.sqrt(np.where(crossing, z2, 0.0)) * np.cross(one.axis, other.axis)[:, 2]
+    height = s * caps.axis[:, 2] + t * other.axis[:, 2]
+    swing = np.sqrt(np.where(crossing, z2, 0.0)) * np.cross(caps.axis, other.axis)[:, 2]
     low, high = (
         np.arccos(np.clip(np.where(crossing, height + side * swing, 1.0), -1, 1)) for side in (-1, 1)
     )

@@ -202,11 +202,11 @@ class Peaks:
 def over_distance(number: int, material: Material, theta_i_deg: float, theta_r_deg: float) -> OverDistance:
     """Return Figure 6 or 7."""
     a_mm = np.geomspace(NEAREST_MM, FARTHEST_MM, 120)
-    at = patches(a_mm, theta_i_deg, theta_r_deg)
+    spots = patches(a_mm, theta_i_deg, theta_r_deg)
     extended = reflected_radiance_extended(
-        at.points_mm, at.normals, at.omega_r, ARC, material, nodes=2 * NODES
+        spots.points_mm, spots.normals, spots.omega_r, ARC, material, nodes=2 * NODES
     )
-    point = _point(at, material)
+    point = _point(spots, material)
     return OverDistance(
         number, material, theta_i_deg, theta_r_deg, a_mm, extended / extended[0], point / extended[0]
     )
@@ -215,10 +215,12 @@ def over_distance(number: int, material: Material, theta_i_deg: float, theta_r_d
 def mirror_over_distance(number: int, theta_deg: float) -> MirrorOverDistance:
     """Return Figure 8: SUS304 under theta_i = theta_r, measured to the middle of what it sees of the arc."""
     a_mm = np.geomspace(NEAREST_MM, FARTHEST_MM, 120)
-    at = patches(a_mm, theta_deg, theta_deg, aim_mm=MIDDLE_MM)
-    extended = irradiance_extended(at.points_mm, at.normals, ARC, nodes=2 * NODES)
-    point = irradiance_point(at.points_mm, at.normals, point_source(at.points_mm, ARC))
-    image = reflected_radiance_extended(at.points_mm, at.normals, at.omega_r, ARC, SUS304) / SUS304.rho
+    spots = patches(a_mm, theta_deg, theta_deg, aim_mm=MIDDLE_MM)
+    extended = irradiance_extended(spots.points_mm, spots.normals, ARC, nodes=2 * NODES)
+    point = irradiance_point(spots.points_mm, spots.normals, point_source(spots.points_mm, ARC))
+    image = (
+        reflected_radiance_extended(spots.points_mm, spots.normals, spots.omega_r, ARC, SUS304) / SUS304.rho
+    )
     return MirrorOverDistance(
         number, SUS304, theta_deg, theta_deg, a_mm, extended / extended[0], point / extended[0], image
     )
@@ -227,8 +229,8 @@ def mirror_over_distance(number: int, theta_deg: float) -> MirrorOverDistance:
 def over_azimuth(number: int, material: Material, theta_i_deg: float, theta_r_deg: float) -> OverAzimuth:
     """Return Figure 9 or 10."""
     phi_r_deg = np.linspace(-90.0, 90.0, 181)
-    at = patches(DISTANCE_MM, theta_i_deg, theta_r_deg, phi_r_deg)
-    extended, point = _extended(at, material), _point(at, material)
+    spots = patches(DISTANCE_MM, theta_i_deg, theta_r_deg, phi_r_deg)
+    extended, point = _extended(spots, material), _point(spots, material)
     in_plane = len(phi_r_deg) // 2
     return OverAzimuth(
         number,
@@ -244,7 +246,7 @@ def over_azimuth(number: int, material: Material, theta_i_deg: float, theta_r_de
 def off_specular(number: int, theta_i_deg: float) -> OffSpecular:
     """Return Figure 11 or 12."""
     theta_r_deg = np.linspace(0.0, 88.0, 353)
-    at = patches(DISTANCE_MM, theta_i_deg, theta_r_deg)
+    spots = patches(DISTANCE_MM, theta_i_deg, theta_r_deg)
     return OffSpecular(
         number,
         theta_i_deg,
@@ -252,7 +254,7 @@ def off_specular(number: int, theta_i_deg: float) -> OffSpecular:
         tuple(
             OverViewingAngle(
                 material,
-                *(_to_peak(curve(at, material)) for curve in (_f_r, _lobe_flat, _extended)),
+                *(_to_peak(curve(spots, material)) for curve in (_f_r, _lobe_flat, _extended)),
             )
             for material in (MILD_STEEL, ZN_COATED)
         ),
@@ -289,8 +291,8 @@ def off_specular_peaks(material: Material, theta_i_deg: float) -> Peaks:
 
     def peak_of(curve: Callable[[Patches, Material], Float64], towards_up: bool = True) -> float:
         def over(theta_r_deg: Float64) -> Float64:
-            at = patches(DISTANCE_MM, theta_i_deg, theta_r_deg, towards_up=towards_up)
-            return curve(at, material)
+            spots = patches(DISTANCE_MM, theta_i_deg, theta_r_deg, towards_up=towards_up)
+            return curve(spots, material)
 
         return _peak_deg(over)
 
@@ -309,28 +311,30 @@ def off_specular_peaks(material: Material, theta_i_deg: float) -> Peaks:
 
 def lobe_over_diffuse(material: Material, theta_deg: float) -> float:
     """Return what the lobe reflects over what the diffuse part does, in the mirror direction at theta."""
-    at = patches(DISTANCE_MM, theta_deg, theta_deg)
-    return float(_f_r(at, material)[0] / material.kappa_diff - 1.0)
+    spots = patches(DISTANCE_MM, theta_deg, theta_deg)
+    return float(_f_r(spots, material)[0] / material.kappa_diff - 1.0)
 
 
-def _f_r(at: Patches, material: Material) -> Float64:
+def _f_r(spots: Patches, material: Material) -> Float64:
     return reflectance(
-        at.omega_i, at.omega_r, at.normals, material.kappa_diff, material.kappa_spec, material.c2
+        spots.omega_i, spots.omega_r, spots.normals, material.kappa_diff, material.kappa_spec, material.c2
     )
 
 
-def _lobe_flat(at: Patches, material: Material) -> Float64:
-    cos_r = np.sum(at.omega_r * at.normals, axis=-1)
-    return np.asarray(material.kappa_diff + cos_r * (_f_r(at, material) - material.kappa_diff))
+def _lobe_flat(spots: Patches, material: Material) -> Float64:
+    cos_r = np.sum(spots.omega_r * spots.normals, axis=-1)
+    return np.asarray(material.kappa_diff + cos_r * (_f_r(spots, material) - material.kappa_diff))
 
 
-def _extended(at: Patches, material: Material) -> Float64:
-    return reflected_radiance_extended(at.points_mm, at.normals, at.omega_r, ARC, material, nodes=NODES)
+def _extended(spots: Patches, material: Material) -> Float64:
+    return reflected_radiance_extended(
+        spots.points_mm, spots.normals, spots.omega_r, ARC, material, nodes=NODES
+    )
 
 
-def _point(at: Patches, material: Material) -> Float64:
-    source = point_source(at.points_mm, ARC)
-    return reflected_radiance_point(at.points_mm, at.normals, at.omega_r, source, material)
+def _point(spots: Patches, material: Material) -> Float64:
+    source = point_source(spots.points_mm, ARC)
+    return reflected_radiance_point(spots.points_mm, spots.normals, spots.omega_r, source, material)
 
 
 def _to_peak(values: Float64) -> Float64:

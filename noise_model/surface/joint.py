@@ -197,10 +197,10 @@ def _u_groove(size: Size) -> Corners:
     step = turn / min(max(chords, 1), MAX_CHORDS)
     reach = radius / math.cos(0.5 * step)
     angles = np.arange(0.5 * step, turn, step)
-    left = [(half_gap + reach * math.sin(a), radius - depth - reach * math.cos(a)) for a in angles]
+    left_side = [(half_gap + reach * math.sin(a), radius - depth - reach * math.cos(a)) for a in angles]
     over = depth - _round_height_mm(size)
-    left.append((half_gap + radius * math.cos(bevel) + over * math.tan(bevel), 0.0))
-    return _mirrored([(-y, z) for y, z in reversed(left)])
+    left_side.append((half_gap + radius * math.cos(bevel) + over * math.tan(bevel), 0.0))
+    return _mirrored([(-y, z) for y, z in reversed(left_side)])
 
 
 def _slot(size: Size, depth_mm: float) -> Corners:

@@ -226,17 +226,17 @@ class _Lines:
         self.away = 1 if profile.scan[-1] > profile.scan[0] else -1
         scan = self.away * profile.scan
         pad = math.ceil((OUTSIDE_MM + SLACK_MM) / profile.column_mm) if beyond else 0
-        at = (scan - scan.min()).astype(np.int64) + pad
-        n = int(at.max()) + 1 + pad
+        place = (scan - scan.min()).astype(np.int64) + pad
+        n = int(place.max()) + 1 + pad
         self.first_scan = int(scan.min()) - pad
         self.light, self.column_mm = profile.light, profile.column_mm
         self.sees = np.full(n, UNREAD)
-        self.sees[at] = np.where(on_plate, 1.0, -1.0)
-        order = np.argsort(at, kind="stable")
+        self.sees[place] = np.where(on_plate, 1.0, -1.0)
+        order = np.argsort(place, kind="stable")
         if on_plate.any():
             # Where the plates would be seen: what lies deep in the gap looks shifted beside them.
             order = order[on_plate[order]]
-        lines, seen = np.arange(n), at[order]
+        lines, seen = np.arange(n), place[order]
         outside = np.minimum(lines - seen[0], 0) + np.maximum(lines - seen[-1], 0)
         self.y_mm = np.interp(lines, seen, profile.y_mm[order]) + self.column_mm * outside
 

@@ -40,14 +40,14 @@ def _bell_over(values: Float32, middle: float, width: float) -> float:
     before, behind = round(middle - width), round(middle + width)
     if before < low or behind >= high or math.isnan(values[before]) or math.isnan(values[behind]):
         return math.nan
-    zero, one = np.float32(0.0), np.float32(1.0)
+    zero, unity = np.float32(0.0), np.float32(1.0)
     inverse, first = np.float32(1.0 / width), np.float32(low - middle)
     n, g_sum, gg, v_sum, gv = zero, zero, zero, zero, zero
     for i in range(high - low):
         is_seen = not math.isnan(values[low + i])
-        g = bell((np.float32(i) + first) * inverse) * (one if is_seen else zero)
+        g = bell((np.float32(i) + first) * inverse) * (unity if is_seen else zero)
         value = values[low + i] if is_seen else zero
-        n += one if is_seen else zero
+        n += unity if is_seen else zero
         g_sum += g
         gg += g * g
         v_sum += value
@@ -70,11 +70,11 @@ def _left_over(
 @kernel(fastmath={"contract"})
 def _lay(remainder: Float32, share: float, laid: Float32, laid_on: Float32) -> None:
     """Add what a line leaves (n,), times `share`, to the sums and to the numbers of what was added."""
-    zero, one, most, per_e = np.float32(0.0), np.float32(1.0), np.float32(CUT), np.float32(share)
+    zero, unity, most, per_e = np.float32(0.0), np.float32(1.0), np.float32(CUT), np.float32(share)
     for r in range(remainder.shape[0]):
         is_seen = not math.isnan(remainder[r])
         laid[r] += min(max(remainder[r] * per_e, -most), most) if is_seen else zero
-        laid_on[r] += one if is_seen else zero
+        laid_on[r] += unity if is_seen else zero
 
 
 @kernel(allocates=True)

@@ -66,7 +66,7 @@ def moments_of(
     derivatives. `charge` (n,) and its like are the window's, `ramp` (n,) counts its pixels. Sums may be taken
     in any order, so they run 8 or 16 pixels at once.
     """
-    zero, one = np.float32(0.0), np.float32(1.0)
+    zero, unity = np.float32(0.0), np.float32(1.0)
     amplitude, offset, slope = np.float32(x[0]), np.float32(x[3]), np.float32(x[4])
     inverse, t0 = np.float32(1.0 / width), np.float32(x[1])
     shot32, dark32 = np.float32(shot), np.float32(dark_variance)
@@ -80,7 +80,7 @@ def moments_of(
         g = bell(t)
         mean = amplitude * g + background[j] + offset + slope * t
         residual = charge[j] - mean
-        counts = one if (not censored[j]) or residual > zero else zero
+        counts = unity if (not censored[j]) or residual > zero else zero
         weight = counts / (shot32 * max(mean, zero) + dark32)
         t2, off = t * t, weight * residual
         w_bell, off_bell = weight * g, off * g

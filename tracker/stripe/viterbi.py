@@ -41,8 +41,8 @@ def bell(t: np.floating[Any]) -> np.floating[Any]:
     """
     v = max(np.float32(-0.03125) * t * t, np.float32(-1.0))
     b = np.float32(1.0 / 24.0) + v * (np.float32(1.0 / 120.0) + v * np.float32(1.0 / 720.0))
-    one = np.float32(1.0)
-    b = one + v * (one + v * (np.float32(0.5) + v * (np.float32(1.0 / 6.0) + v * b)))
+    unity = np.float32(1.0)
+    b = unity + v * (unity + v * (np.float32(0.5) + v * (np.float32(1.0 / 6.0) + v * b)))
     b *= b
     b *= b
     b *= b

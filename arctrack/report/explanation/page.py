@@ -50,7 +50,7 @@ class Line:
     candidates: tuple[Candidate, ...]
 
 
-def page(of: Explanation) -> str:
+def page(explanation: Explanation) -> str:
     """Return the page, which needs no other file and no network."""
     environment = Environment(
         loader=PackageLoader("arctrack.report", "templates"),
@@ -60,7 +60,7 @@ def page(of: Explanation) -> str:
         lstrip_blocks=True,
     )
     environment.globals.update(words=words, number=number, percent=percent)
-    return environment.get_template(TEMPLATE).render(**_content(of))
+    return environment.get_template(TEMPLATE).render(**_content(explanation))
 
 
 def telling_lines(stripe: StripeLook) -> list[tuple[str, int]]:
@@ -85,14 +85,14 @@ def telling_lines(stripe: StripeLook) -> list[tuple[str, int]]:
     return [(name, s) for s, name in chosen.items()]
 
 
-def candidates(of: Explanation, stripe: StripeLook, s: int) -> tuple[Candidate, ...]:
+def candidates(explanation: Explanation, stripe: StripeLook, s: int) -> tuple[Candidate, ...]:
     """Return a scan line's likeliest candidates, the likeliest first, and the chosen one if it is no peak."""
-    assert of.look is not None
-    assert of.look.expected is not None
+    assert explanation.look is not None
+    assert explanation.look.expected is not None
     reading = stripe.reading
     score = reading.score[s].astype(float)
     gains = np.minimum(0.5 * np.maximum(score, 0.0) ** 2, GAIN_CAP)
-    places = np.rint(of.look.expected.position_px[s]) + reading.offsets_px
+    places = np.rint(explanation.look.expected.position_px[s]) + reading.offsets_px
     around = np.concatenate([[-np.inf], score, [-np.inf]])
     peaks = np.flatnonzero((score >= around[:-2]) & (score > around[2:]) & (gains >= MIN_GAIN))
     shown = list(peaks[np.argsort(-score[peaks], kind="stable")][:MAX_CANDIDATES])
@@ -103,71 +103,79 @@ def candidates(of: Explanation, stripe: StripeLook, s: int) -> tuple[Candidate, 
     return tuple(Candidate(float(places[i]), float(score[i]), float(gains[i]), i == taken) for i in shown)
 
 
-def _content(of: Explanation) -> dict[str, Any]:
-    look = of.look
+def _content(explanation: Explanation) -> dict[str, Any]:
+    look = explanation.look
     stripe = None if look is None else look.stripe
-    lines = [] if stripe is None else _lines(of, stripe)
+    lines = [] if stripe is None else _lines(explanation, stripe)
     # Without the map one variance stands for all pixels: it has no parts.
-    has_parts = stripe is not None and of.use_arc_map and bool(np.isfinite(stripe.parts.stripe).any())
-    has_path = look is not None and (look.seam is not None or len(of.before.history) > 0)
-    camera = of.geometry.setup.camera
+    has_parts = (
+        stripe is not None and explanation.use_arc_map and bool(np.isfinite(stripe.parts.stripe).any())
+    )
+    has_path = look is not None and (look.seam is not None or len(explanation.before.history) > 0)
+    camera = explanation.geometry.setup.camera
     return {
-        "of": of,
-        "track": of.track,
+        "explanation": explanation,
+        "track": explanation.track,
         "look": look,
-        "label": "valid" if of.track.valid else "no seam to use",
-        "flags": words.raised(of.track.flags),
-        "places": words.places(of),
-        "frame": pictures.frame_picture(of),
-        "overlay": pictures.overlay(of),
+        "label": "valid" if explanation.track.valid else "no seam to use",
+        "flags": words.raised(explanation.track.flags),
+        "places": words.places(explanation),
+        "frame": pictures.frame_picture(explanation),
+        "overlay": pictures.overlay(explanation),
         "camera": camera,
-        "saturated": int((of.frame.image_dn >= of.geometry.saturation_dn).sum()),
-        "marks": pictures.marks(of, [line.scan for line in lines]),
-        "arc": pictures.arc_pictures(of),
-        "candidates": None if stripe is None else plots.candidates_picture(of, stripe),
+        "saturated": int((explanation.frame.image_dn >= explanation.geometry.saturation_dn).sum()),
+        "marks": pictures.marks(explanation, [line.scan for line in lines]),
+        "arc": pictures.arc_pictures(explanation),
+        "candidates": None if stripe is None else plots.candidates_picture(explanation, stripe),
         "gain_cap": GAIN_CAP,
         "lines": lines,
-        "line": words.scan_line(of),
-        "refused": words.refused_lines(of),
-        "sigmas": plots.sigma_picture(of, stripe.parts) if stripe is not None and has_parts else None,
+        "line": words.scan_line(explanation),
+        "refused": words.refused_lines(explanation),
+        "sigmas": plots.sigma_picture(explanation, stripe.parts)
+        if stripe is not None and has_parts
+        else None,
         "parts": _medians(stripe) if stripe is not None and has_parts else [],
-        "profile": plots.profile_picture(of, look) if look is not None and look.profile else None,
-        "left_out": _left_out(of),
-        "history": plots.history_picture(of, look) if look is not None and has_path else None,
-        "replay": _replay(of),
+        "profile": plots.profile_picture(explanation, look) if look is not None and look.profile else None,
+        "left_out": _left_out(explanation),
+        "history": plots.history_picture(explanation, look) if look is not None and has_path else None,
+        "replay": _replay(explanation),
     }
 
 
-def _replay(of: Explanation) -> str:
+def _replay(explanation: Explanation) -> str:
     """Return the command that replays the whole recording in the same way."""
-    recording = of.recording
+    recording = explanation.recording
     command = f"arctrack replay {quoted(recording.path)}"
     if recording.setup_path != recording.path / FILE_NAME:
         command += f" --setup {quoted(recording.setup_path)}"
-    return command if of.use_arc_map else f"{command} --no-arc-map"
+    return command if explanation.use_arc_map else f"{command} --no-arc-map"
 
 
-def _lines(of: Explanation, stripe: StripeLook) -> list[Line]:
+def _lines(explanation: Explanation, stripe: StripeLook) -> list[Line]:
     lines = []
     for mark, (name, s) in zip("abcd", telling_lines(stripe), strict=False):
-        title = f"{mark}: {words.scan_line(of)} {s}, {name}"
-        uri = plots.line_picture(of, stripe, s, title)
-        lines.append(Line(mark, s, title, _summary(of, stripe, s), uri, candidates(of, stripe, s)))
+        title = f"{mark}: {words.scan_line(explanation)} {s}, {name}"
+        uri = plots.line_picture(explanation, stripe, s, title)
+        lines.append(
+            Line(mark, s, title, _summary(explanation, stripe, s), uri, candidates(explanation, stripe, s))
+        )
     return lines
 
 
-def _summary(of: Explanation, stripe: StripeLook, s: int) -> str:
+def _summary(explanation: Explanation, stripe: StripeLook, s: int) -> str:
     """Return a scan line's numbers."""
     refusals = stripe.refusals
     if refusals.why[s] != READ:
-        found = ""
+        measured = ""
         if math.isfinite(refusals.height_e[s]):
             height, ratio = refusals.height_e[s], refusals.width_ratio[s]
-            found = f" What it found is {number(height)} e- high, {ratio:.2f} times as wide as expected."
-        return f"No stripe: {words.REFUSALS[str(refusals.why[s])]}.{found}"
+            measured = f" What it found is {number(height)} e- high, {ratio:.2f} times as wide as expected."
+        return f"No stripe: {words.REFUSALS[str(refusals.why[s])]}.{measured}"
     position, sigma, amplitude, _, chi2 = stripe.reading.fits[s]
     share = (
-        f"; the arc's share of the variance {percent(stripe.parts.arc_share[s])}" if of.use_arc_map else ""
+        f"; the arc's share of the variance {percent(stripe.parts.arc_share[s])}"
+        if explanation.use_arc_map
+        else ""
     )
     return (
         f"Position {position:.2f} ± {number(sigma)} px; {number(amplitude)} e- high; "
@@ -183,10 +191,10 @@ def _medians(stripe: StripeLook) -> list[tuple[str, float]]:
     return [(label, float(np.nanmedian(share))) for label, share in shares]
 
 
-def _left_out(of: Explanation) -> tuple[int, int] | None:
+def _left_out(explanation: Explanation) -> tuple[int, int] | None:
     """Return how many of the profile's points lie off the fitted section, and how many there are."""
-    if of.look is None or of.look.joint is None:
+    if explanation.look is None or explanation.look.joint is None:
         return None
-    assert of.look.profile is not None
-    left_out = off_section(of.look.profile, of.look.joint)
+    assert explanation.look.profile is not None
+    left_out = off_section(explanation.look.profile, explanation.look.joint)
     return int(left_out.sum()), len(left_out)

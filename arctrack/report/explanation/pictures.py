@@ -66,17 +66,17 @@ class ArcPictures:
     bin_px: int
 
 
-def frame_picture(of: Explanation) -> str:
+def frame_picture(explanation: Explanation) -> str:
     """Return the frame in grey, by the square root, its saturated pixels in vermillion."""
-    image, geometry = of.frame.image_dn, of.geometry
+    image, geometry = explanation.frame.image_dn, explanation.geometry
     return _grey(image, image >= geometry.saturation_dn, geometry.setup.sensor)
 
 
-def arc_pictures(of: Explanation) -> ArcPictures | None:
+def arc_pictures(explanation: Explanation) -> ArcPictures | None:
     """Return the arc's pictures, None where no arc light could be predicted."""
-    if of.look is None or of.look.arc is None:
+    if explanation.look is None or explanation.look.arc is None:
         return None
-    sensor, arc = of.geometry.setup.sensor, of.look.arc
+    sensor, arc = explanation.geometry.setup.sensor, explanation.look.arc
     mean_dn = np.clip(respond(np.nan_to_num(arc.mean_e), sensor), 0.0, sensor.max_dn)
     bin_px = max(1, math.ceil(arc.whitened.shape[1] / MAP_PX))
     limit = RESIDUAL_SIGMAS
@@ -88,27 +88,27 @@ def arc_pictures(of: Explanation) -> ArcPictures | None:
     )
 
 
-def overlay(of: Explanation) -> Overlay:
+def overlay(explanation: Explanation) -> Overlay:
     """Return what is drawn over the frame."""
-    camera, look = of.geometry.setup.camera, of.look
+    camera, look = explanation.geometry.setup.camera, explanation.look
     # Where a seam was found is shown of a frame that is refused, too.
-    point = seam_point_px(replace(of.track, flags=0), camera)
+    point = seam_point_px(replace(explanation.track, flags=0), camera)
     seam = None if point is None else (float(point[0]), float(point[1]))
     if look is None or look.expected is None:
         return Overlay(seam=seam)
     expected = look.expected.position_px
     rims = (expected - look.reach_px, expected + look.reach_px)
     drawn = Overlay(
-        expected=path(of.geometry, expected),
-        limits=" ".join(path(of.geometry, rim) for rim in rims),
+        expected=path(explanation.geometry, expected),
+        limits=" ".join(path(explanation.geometry, rim) for rim in rims),
         seam=seam,
     )
-    return drawn if look.stripe is None else _with_stripe(drawn, of, look.stripe)
+    return drawn if look.stripe is None else _with_stripe(drawn, explanation, look.stripe)
 
 
-def marks(of: Explanation, scans: Sequence[int]) -> list[tuple[float, float]]:
+def marks(explanation: Explanation, scans: Sequence[int]) -> list[tuple[float, float]]:
     """Return where in the image (x, y), px, scan lines are marked, apart from each other."""
-    look, camera = of.look, of.geometry.setup.camera
+    look, camera = explanation.look, explanation.geometry.setup.camera
     if look is None or look.expected is None or look.stripe is None:
         return []
     fitted, size = look.stripe.reading.stripe.position_px, MARK_SHARE * camera.height
@@ -117,10 +117,12 @@ def marks(of: Explanation, scans: Sequence[int]) -> list[tuple[float, float]]:
     placed: list[Float64] = []
     for s in scans:
         tried = [
-            np.clip(of.geometry.image_points(np.array([s]), stripe[[s]] + away * size)[0], size, most)
+            np.clip(
+                explanation.geometry.image_points(np.array([s]), stripe[[s]] + away * size)[0], size, most
+            )
             for away in MARK_PLACES
         ]
-        free = [at for at in tried if all(math.dist(at, other) > 2.5 * size for other in placed)]
+        free = [point for point in tried if all(math.dist(point, other) > 2.5 * size for other in placed)]
         placed.append((free or tried)[0])
     return [(float(x), float(y)) for x, y in placed]
 
@@ -143,20 +145,22 @@ def path(geometry: SensorGeometry, position_px: Float64) -> str:
     return "".join(parts)
 
 
-def _with_stripe(drawn: Overlay, of: Explanation, look: StripeLook) -> Overlay:
+def _with_stripe(drawn: Overlay, explanation: Explanation, look: StripeLook) -> Overlay:
     stripe = look.reading.stripe
     if not np.isfinite(stripe.position_px).any():
         return drawn
     room = (
-        BAND_SHARE * of.geometry.setup.camera.height / float(np.nanquantile(stripe.sigma_px, SIGMA_QUANTILE))
+        BAND_SHARE
+        * explanation.geometry.setup.camera.height
+        / float(np.nanquantile(stripe.sigma_px, SIGMA_QUANTILE))
     )
     times = max((k for k in EXAGGERATIONS if k <= room), default=1)
     rims = (stripe.position_px - times * stripe.sigma_px, stripe.position_px + times * stripe.sigma_px)
     return Overlay(
         drawn.expected,
         drawn.limits,
-        path(of.geometry, stripe.position_px),
-        " ".join(path(of.geometry, rim) for rim in rims),
+        path(explanation.geometry, stripe.position_px),
+        " ".join(path(explanation.geometry, rim) for rim in rims),
         times,
         drawn.seam,
     )

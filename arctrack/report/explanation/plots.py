@@ -55,13 +55,13 @@ STATIONS = 160
 """Places along the path at which the history is drawn."""
 
 
-def candidates_picture(of: Explanation, look: StripeLook) -> str:
+def candidates_picture(explanation: Explanation, look: StripeLook) -> str:
     """Return each candidate's gain in log-likelihood over scan lines and offsets, and the likeliest path."""
     reading = look.reading
-    assert of.look is not None
-    assert of.look.expected is not None
+    assert explanation.look is not None
+    assert explanation.look.expected is not None
     figure = style.new_figure(WIDTH_INCH, 3.3, "Candidates: how far a stripe there stands out")
-    axes = style.plain(figure.subplots(), f"{scan_line(of)} [px]", "off the expected stripe [px]")
+    axes = style.plain(figure.subplots(), f"{scan_line(explanation)} [px]", "off the expected stripe [px]")
     axes.grid(visible=False)
     score = np.maximum(reading.score, 0.0)
     # A streak of spatter must not pale the stripe.
@@ -78,50 +78,57 @@ def candidates_picture(of: Explanation, look: StripeLook) -> str:
         extent=(-0.5, len(score) - 0.5, high + 1.0, low - 1.0),
     )
     figure.colorbar(shown, ax=axes, label="score [σ]", pad=0.01)
-    off = reading.start_px - np.rint(of.look.expected.position_px)
+    off = reading.start_px - np.rint(explanation.look.expected.position_px)
     lines = np.arange(len(off))
     axes.axhline(0.0, color=style.BLUE, linewidth=0.9, dashes=(6, 4), label="expected")
     axes.plot(lines, off, color=style.ORANGE, linewidth=1.2, label="likeliest path")
     refused = look.refusals.why != READ
     if refused.any():
-        at = np.where(look.refusals.why == NO_PATH, high, off)
-        axes.plot(lines[refused], at[refused], "x", color=style.VERMILLION, markersize=4, label="no stripe")
+        mark_px = np.where(look.refusals.why == NO_PATH, high, off)
+        axes.plot(
+            lines[refused], mark_px[refused], "x", color=style.VERMILLION, markersize=4, label="no stripe"
+        )
     _legend(axes, 3)
     return svg(figure)
 
 
-def line_picture(of: Explanation, look: StripeLook, s: int, title: str) -> str:
+def line_picture(explanation: Explanation, look: StripeLook, s: int, title: str) -> str:
     """Return one scan line: its pixels over the band, its candidates, and the fit close by."""
     reading = look.reading
-    assert of.look is not None
-    assert of.look.expected is not None
-    width, expected = float(of.look.expected.sigma_px[s]), float(of.look.expected.position_px[s])
+    assert explanation.look is not None
+    assert explanation.look.expected is not None
+    width, expected = (
+        float(explanation.look.expected.sigma_px[s]),
+        float(explanation.look.expected.position_px[s]),
+    )
     figure = style.new_figure(WIDTH_INCH, 3.4, title)
     grid = figure.add_gridspec(2, 2, width_ratios=(1.35, 1.0), height_ratios=(1.3, 1.0))
     whole, close = figure.add_subplot(grid[0, 0]), figure.add_subplot(grid[:, 1])
     tried = figure.add_subplot(grid[1, 0], sharex=whole)
     low = int(reading.lows[s // CELL])
-    at = low + np.arange(reading.band.charge.shape[1])
-    predicted = "arc map" if of.use_arc_map else "running median"
+    positions_px = low + np.arange(reading.band.charge.shape[1])
+    predicted = "arc map" if explanation.use_arc_map else "running median"
     start, fitted = float(reading.start_px[s]), float(reading.stripe.position_px[s])
     for axes in (whole, close):
         charge, background = reading.band.charge[s] / 1000.0, reading.band.background[s] / 1000.0
         censored = reading.band.censored[s]
         joined = "none" if axes is close else "-"
-        axes.plot(at, charge, color=style.GREY, linestyle=joined, linewidth=0.7, marker=".", markersize=3)
-        axes.plot(at[censored], charge[censored], "^", color=style.VERMILLION, label="saturated")
-        axes.plot(at, background, color=style.ORANGE, linewidth=1.3, label=predicted)
+        axes.plot(
+            positions_px, charge, color=style.GREY, linestyle=joined, linewidth=0.7, marker=".", markersize=3
+        )
+        axes.plot(positions_px[censored], charge[censored], "^", color=style.VERMILLION, label="saturated")
+        axes.plot(positions_px, background, color=style.ORANGE, linewidth=1.3, label=predicted)
         axes.axvline(expected, color=style.BLUE, linewidth=0.9, dashes=(6, 4))
     style.plain(whole, "", "charge [1000 e-]")
     whole.tick_params(labelbottom=False)
     style.plain(close, "position [px]", "")
     if np.isfinite(fitted):
-        x, mean = fitted_mean(of.look, look, s)
+        x, mean = fitted_mean(explanation.look, look, s)
         close.plot(x, mean / 1000.0, color=style.GREEN, linewidth=1.5, label="fit")
         sigma = float(reading.stripe.sigma_px[s])
         close.axvspan(fitted - sigma, fitted + sigma, color=style.GREEN, alpha=0.35, lw=0, label="± 1 σ")
     middle = fitted if np.isfinite(fitted) else start if np.isfinite(start) else expected
-    near = np.abs(at - middle) <= 6.0 * width
+    near = np.abs(positions_px - middle) <= 6.0 * width
     close.set_xlim(middle - 6.0 * width, middle + 6.0 * width)
     _frame_values(close, reading.band.charge[s, near] / 1000.0, reading.band.background[s, near] / 1000.0)
     handles, labels = close.get_legend_handles_labels()
@@ -146,16 +153,16 @@ def fitted_mean(look: Look, stripe: StripeLook, s: int) -> tuple[Float64, Float6
     assert look.expected is not None
     window, _ = window_of(reading, look.expected, s)
     low = int(reading.lows[s // CELL])
-    at = low + np.arange(window.start, window.stop)
-    x = np.linspace(at[0], at[-1], 8 * len(at))
+    pixels = low + np.arange(window.start, window.stop)
+    x = np.linspace(pixels[0], pixels[-1], 8 * len(pixels))
     position, _, amplitude, width, _ = reading.fits[s]
-    background = np.interp(x, at, reading.band.background[s, window])
+    background = np.interp(x, pixels, reading.band.background[s, window])
     u = x - position
     bell = amplitude * np.exp(-0.5 * (u / width) ** 2)
     return x, bell + background + parts.offset_e[s] + parts.slope_e_per_px[s] * u
 
 
-def sigma_picture(of: Explanation, parts: SigmaParts) -> str:
+def sigma_picture(explanation: Explanation, parts: SigmaParts) -> str:
     """Return each scan line's sigma, and what its variance is made of."""
     figure = style.new_figure(WIDTH_INCH, 4.6, "Where each scan line's σ comes from")
     upper, lower = figure.subplots(2, 1, sharex=True, height_ratios=(1.0, 1.4))
@@ -172,16 +179,16 @@ def sigma_picture(of: Explanation, parts: SigmaParts) -> str:
     upper.yaxis.set_minor_formatter(NullFormatter())
     _legend(upper, 3)
 
-    style.plain(lower, f"{scan_line(of)} [px]", "share of the variance [%]")
+    style.plain(lower, f"{scan_line(explanation)} [px]", "share of the variance [%]")
     each = max(1, -(-len(lines) // BINS))
     values = [_binned(getattr(parts, name), each) for name in PARTS]
     values.append(np.where(np.isfinite(values[0]), SIGMA_FLOOR_PX**2, np.nan))
     total = np.sum(values, axis=0)
-    at = (np.arange(len(total)) + 0.5) * each - 0.5
+    middles = (np.arange(len(total)) + 0.5) * each - 0.5
     below = np.zeros_like(total)
     for (label, colour), value in zip([*PARTS.values(), FLOOR], values, strict=True):
         above = below + 100.0 * value / total
-        lower.fill_between(at, below, above, color=colour, lw=0, label=label, alpha=0.85)
+        lower.fill_between(middles, below, above, color=colour, lw=0, label=label, alpha=0.85)
         below = above
     lower.set_ylim(0.0, 100.0)
     lower.grid(visible=False)
@@ -189,7 +196,7 @@ def sigma_picture(of: Explanation, parts: SigmaParts) -> str:
     return svg(figure)
 
 
-def profile_picture(of: Explanation, look: Look) -> str:
+def profile_picture(explanation: Explanation, look: Look) -> str:
     """Return the profile beside the joint, the fitted section, the seam point, and what is left over."""
     profile, joint = look.profile, look.joint
     assert profile is not None
@@ -219,27 +226,27 @@ def profile_picture(of: Explanation, look: Look) -> str:
     close.set_xlim(middle[0] - CLOSE_MM, middle[0] + CLOSE_MM)
     close.set_ylim(middle[1] - 0.6 * CLOSE_MM, middle[1] + 1.4 * CLOSE_MM)
     close.set_aspect("equal", adjustable="box")
-    left = figure.add_subplot(grid[1, 0], sharex=whole)
+    residuals = figure.add_subplot(grid[1, 0], sharex=whole)
     if joint is None:
         close.set_title("about the expected seam", loc="left", fontsize=10)
         nominal = z - np.interp(y, *expected.T)
-        style.plain(left, "y, to the left [mm]", "mm", "off the expected section")
-        _points(left, y, nominal, off)
+        style.plain(residuals, "y, to the left [mm]", "mm", "off the expected section")
+        _points(residuals, y, nominal, off)
         return svg(figure)
     times = _ellipse(close, joint.covariance_mm2, middle)
     close.set_title(f"about the seam; ellipse: 1 σ, {times} times enlarged", loc="left", fontsize=10)
     over = z - np.interp(y, *joint.corners_mm.T)
-    style.plain(left, "y, to the left [mm]", "mm", "off the fitted section")
-    _points(left, y, over, off)
-    left.axhline(0.0, color=style.GREEN, linewidth=1.0)
+    style.plain(residuals, "y, to the left [mm]", "mm", "off the fitted section")
+    _points(residuals, y, over, off)
+    residuals.axhline(0.0, color=style.GREEN, linewidth=1.0)
     spread = float(np.quantile(np.abs(over), 0.9))
-    left.set_ylim(-4.0 * spread, 4.0 * spread)
+    residuals.set_ylim(-4.0 * spread, 4.0 * spread)
     return svg(figure)
 
 
-def history_picture(of: Explanation, look: Look) -> str:
+def history_picture(explanation: Explanation, look: Look) -> str:
     """Return the seam along the path: what earlier frames put where, what this one measures, the torch."""
-    history, seam, track = of.before.history, look.seam, of.track
+    history, seam, track = explanation.before.history, look.seam, explanation.track
     figure = style.new_figure(WIDTH_INCH, 4.6, "The seam's displacement from the programmed path")
     torch = look.torch_station_mm
     marks = [torch, look.reading.seam.station_mm, *history.stations_mm]
@@ -270,7 +277,7 @@ def history_picture(of: Explanation, look: Look) -> str:
             )
         if seam is not None:
             own = float(np.sqrt(seam.variance_mm2[axis]))
-            found = float(seam.displacement_mm[axis])
+            displacement_mm = float(seam.displacement_mm[axis])
             if len(history):
                 place, limit = float(seam.expected_mm[axis]), float(seam.limit_mm[axis])
                 axes.errorbar(
@@ -286,9 +293,9 @@ def history_picture(of: Explanation, look: Look) -> str:
                 shown += [place - limit, place + limit]
             colour = style.GREEN if track.valid else style.VERMILLION
             axes.errorbar(
-                seam.station_mm, found, own, fmt="D", color=colour, markersize=6, label="this frame"
+                seam.station_mm, displacement_mm, own, fmt="D", color=colour, markersize=6, label="this frame"
             )
-            shown.append(found)
+            shown.append(displacement_mm)
         offset = (track.offset_y_mm, track.offset_z_mm)[axis]
         off_sigma = (track.offset_sigma_y_mm, track.offset_sigma_z_mm)[axis]
         axes.axvline(torch, color=style.BLACK, linewidth=0.8, dashes=(2, 2), label="the torch")

@@ -24,9 +24,9 @@ REFUSALS = {
 """Why a scan line holds no stripe."""
 
 
-def headline(of: Explanation) -> str:
+def headline(explanation: Explanation) -> str:
     """Return the verdict in one sentence."""
-    track = of.track
+    track = explanation.track
     if track.valid:
         _, y, z = track.seam_tool_mm
         return (
@@ -38,9 +38,9 @@ def headline(of: Explanation) -> str:
     return f"Frame {track.frame} {verb}: {why}."
 
 
-def offset_sentence(of: Explanation) -> str:
+def offset_sentence(explanation: Explanation) -> str:
     """Return what the frame leaves for the torch, in one sentence."""
-    track = of.track
+    track = explanation.track
     axes = (
         ("y", track.offset_y_mm, track.offset_sigma_y_mm),
         ("z", track.offset_z_mm, track.offset_sigma_z_mm),
@@ -48,20 +48,24 @@ def offset_sentence(of: Explanation) -> str:
     known = ", ".join(f"{name} {pm(value, sigma)}" for name, value, sigma in axes if math.isfinite(value))
     if not known:
         return "It gives no offset for the torch."
-    if of.recording.correction != UNSTATED:
+    if explanation.recording.correction != UNSTATED:
         return f"For the torch it proposes {known} mm, with what [follow] says of gain, bias and limits."
     return f"At the torch the seam lies {known} mm off the programmed path."
 
 
-def places(of: Explanation) -> list[tuple[str, str, str, str]]:
+def places(explanation: Explanation) -> list[tuple[str, str, str, str]]:
     """Return where the seam is, told in each frame: the frame, from where y and z count, y and z in mm."""
-    track, rows = of.track, []
+    track, rows = explanation.track, []
     _, y, z = track.seam_tool_mm
     if math.isfinite(y):
         origin = "from the electrode's working point; x along the travel"
         rows.append(("tool frame", origin, pm(y, track.sigma_y_mm), pm(z, track.sigma_z_mm)))
-    if of.look is not None and of.look.seam is not None and of.look.joint is not None:
-        seam, joint = of.look.seam, of.look.joint
+    if (
+        explanation.look is not None
+        and explanation.look.seam is not None
+        and explanation.look.joint is not None
+    ):
+        seam, joint = explanation.look.seam, explanation.look.joint
         y_sigma, z_sigma = np.sqrt(seam.variance_mm2)
         origin = "from where the seam was expected, across it and along the surface normal"
         rows.append(("profile", origin, pm(joint.y_mm, y_sigma), pm(joint.z_mm, z_sigma)))
@@ -69,35 +73,37 @@ def places(of: Explanation) -> list[tuple[str, str, str, str]]:
         origin = f"from the programmed path, where the stripe crosses it at {seam.station_mm:.1f} mm"
         rows.append(("path, at the stripe", origin, pm(y, y_sigma), pm(z, z_sigma)))
     if math.isfinite(track.offset_y_mm) or math.isfinite(track.offset_z_mm):
-        assert of.look is not None
-        origin = f"from the programmed path, where the torch stands at {of.look.torch_station_mm:.1f} mm"
+        assert explanation.look is not None
+        origin = (
+            f"from the programmed path, where the torch stands at {explanation.look.torch_station_mm:.1f} mm"
+        )
         y_text = pm(track.offset_y_mm, track.offset_sigma_y_mm) if math.isfinite(track.offset_y_mm) else "–"
         z_text = pm(track.offset_z_mm, track.offset_sigma_z_mm) if math.isfinite(track.offset_z_mm) else "–"
         rows.append(("path, at the torch", origin, y_text, z_text))
     return rows
 
 
-def own_sigma(of: Explanation) -> str:
+def own_sigma(explanation: Explanation) -> str:
     """Return which part of the seam's sigma is the measurement's own; nothing without a seam."""
-    if of.look is None or of.look.seam is None:
+    if explanation.look is None or explanation.look.seam is None:
         return ""
-    y, z = np.sqrt(of.look.seam.variance_mm2)
+    y, z = np.sqrt(explanation.look.seam.variance_mm2)
     return (
         f"Of the seam's σ {number(y)} mm in y and {number(z)} mm in z are the measurement's own; "
         "the rest is the stated hand-eye tolerance, much the same in all frames."
     )
 
 
-def condition(of: Explanation) -> str:
+def condition(explanation: Explanation) -> str:
     """Return what the frame was taken under."""
-    frame = of.frame
+    frame = explanation.frame
     lit = [name for name, on in (("laser on", frame.laser_on), ("arc on", frame.arc_on)) if on]
     current = f", {frame.current_a:.0f} A" if frame.arc_on and math.isfinite(frame.current_a) else ""
     return (
         f"at {frame.timestamp_s:.3f} s, {' and '.join(lit) or 'laser and arc off'}{current}, "
         f"{1000 * frame.exposure_s:g} ms; before it the tracker had seen "
-        f"{counted(of.before.frames, 'frame')} and knew the seam at "
-        f"{counted(len(of.before.history), 'place')}"
+        f"{counted(explanation.before.frames, 'frame')} and knew the seam at "
+        f"{counted(len(explanation.before.history), 'place')}"
     )
 
 
@@ -141,21 +147,25 @@ def _quantity(question: Question, value: float) -> str:
             return number(value)
 
 
-def arc_sentence(of: Explanation) -> str:
+def arc_sentence(explanation: Explanation) -> str:
     """Return what the arc costs: its share of the stripe's sigma."""
-    if of.look is None or of.look.stripe is None or of.track.flags & flags.STRIPE_LOST.mask:
+    if (
+        explanation.look is None
+        or explanation.look.stripe is None
+        or explanation.track.flags & flags.STRIPE_LOST.mask
+    ):
         return ""
-    if not of.use_arc_map:
+    if not explanation.use_arc_map:
         return (
             "Without the arc map one variance stands for all pixels, and the arc's share in it is not known."
         )
-    parts = of.look.stripe.parts
+    parts = explanation.look.stripe.parts
     sigma = np.sqrt(parts.variance_px2)
     if not np.isfinite(sigma).any():
         return ""
     share = float(np.nanmedian(parts.arc_share))
     typical = number(float(np.nanmedian(sigma)))
-    if of.track.flags & flags.ARC_OFF.mask:
+    if explanation.track.flags & flags.ARC_OFF.mask:
         return f"There is no arc light to read through: σ is {typical} px in the median scan line."
     without = float(np.nanmedian(sigma * np.sqrt(1.0 - parts.arc_share)))
     return (
@@ -164,18 +174,18 @@ def arc_sentence(of: Explanation) -> str:
     )
 
 
-def refused_lines(of: Explanation) -> list[tuple[str, str, int]]:
+def refused_lines(explanation: Explanation) -> list[tuple[str, str, int]]:
     """Return why scan lines hold no stripe: the reason, in words, and how many."""
-    if of.look is None or of.look.stripe is None:
+    if explanation.look is None or explanation.look.stripe is None:
         return []
-    refused = of.look.stripe.refusals.why
+    refused = explanation.look.stripe.refusals.why
     counts = [(name, words, int((refused == name).sum())) for name, words in REFUSALS.items()]
     return [row for row in counts if row[2]]
 
 
-def scan_line(of: Explanation) -> str:
+def scan_line(explanation: Explanation) -> str:
     """Return what a scan line is in the image."""
-    return "column" if of.geometry.along_rows else "row"
+    return "column" if explanation.geometry.along_rows else "row"
 
 
 def pm(value: float, sigma: float) -> str:

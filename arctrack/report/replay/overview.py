@@ -52,17 +52,17 @@ def draw(overview: Overview, truth: Truth | None) -> Figure:
     tracks = overview.tracks
     figure = style.new_figure(13.0, 9.5, _title(overview, truth))
     grid = figure.add_gridspec(4, 2, width_ratios=(1.25, 1.0))
-    left = figure.add_subplot(grid[0, 0])
-    _seam(left, tracks, truth, 1, "seam y, to the left, tool frame [mm]")
-    _seam(figure.add_subplot(grid[1, 0], sharex=left), tracks, truth, 2, "seam z, up, tool frame [mm]")
+    seam_axes = figure.add_subplot(grid[0, 0])
+    _seam(seam_axes, tracks, truth, 1, "seam y, to the left, tool frame [mm]")
+    _seam(figure.add_subplot(grid[1, 0], sharex=seam_axes), tracks, truth, 2, "seam z, up, tool frame [mm]")
     if truth is not None:
-        _errors(figure.add_subplot(grid[2, 0], sharex=left), tracks, truth, overview.recording.setup)
+        _errors(figure.add_subplot(grid[2, 0], sharex=seam_axes), tracks, truth, overview.recording.setup)
     else:
-        _confidence(figure.add_subplot(grid[2, 0], sharex=left), tracks)
-    _arc(figure.add_subplot(grid[3, 0], sharex=left), tracks)
+        _confidence(figure.add_subplot(grid[2, 0], sharex=seam_axes), tracks)
+    _arc(figure.add_subplot(grid[3, 0], sharex=seam_axes), tracks)
     _sample(figure.add_subplot(grid[0:2, 1]), overview)
-    _offsets(figure.add_subplot(grid[2, 1], sharex=left), tracks, overview.offsets)
-    _flags(figure.add_subplot(grid[3, 1], sharex=left), tracks)
+    _offsets(figure.add_subplot(grid[2, 1], sharex=seam_axes), tracks, overview.offsets)
+    _flags(figure.add_subplot(grid[3, 1], sharex=seam_axes), tracks)
     return figure
 
 
