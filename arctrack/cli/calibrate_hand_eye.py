@@ -44,7 +44,7 @@ def hand_eye(
         count = f"{len(readable) - len(frames)} of {len(readable)}"
         console.warn([f"{read.path}: {count} frames have no pose and are left out"])
     with console.progress() as bar:
-        task = bar.add_task("rounds", total=None)
+        task = bar.add_task("rounds", total=None, unit="rounds")
         try:
             result = estimate_hand_eye(
                 read.setup, frames, lambda done, total: bar.update(task, completed=done, total=total)

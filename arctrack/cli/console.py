@@ -101,7 +101,7 @@ def how_far(task: Task) -> str:
 
 
 def progress() -> SpokenProgress:
-    """Return a progress bar over frames with rate and time left, on stderr."""
+    """Return progress bars with rate and time left, on stderr; each task names what it counts, its `unit`."""
     return SpokenProgress(
         TextColumn("{task.description}", markup=False),
         BarColumn(),
@@ -115,7 +115,7 @@ def progress() -> SpokenProgress:
 
 def track(bar: Progress, name: str, frames: int) -> Callable[[int], None]:
     """Add a bar over frames and return the function that moves it to a number of them."""
-    task = bar.add_task(name, total=frames)
+    task = bar.add_task(name, total=frames, unit="frames")
 
     def on_frame(done: int) -> None:
         for earlier in bar.tasks:
@@ -133,7 +133,7 @@ def compiling(bar: Progress, name: str) -> Callable[[str, int, float], None]:
 
     def on_compiled(function: str, n_before: int, elapsed_s: float) -> None:
         if not tasks:
-            tasks.append(bar.add_task(f"{name}: compiling", total=None))
+            tasks.append(bar.add_task(f"{name}: compiling", total=None, unit="functions"))
         if not function.startswith("numba."):
             what = f"{name}: compiling {function} ({elapsed_s:.0f} s; the first time takes a minute or two)"
             bar.update(tasks[0], description=what)
@@ -152,4 +152,4 @@ def say_compiled(name: str, warm_up: WarmUp) -> None:
 class _Rate(ProgressColumn):
     def render(self, task: Task) -> Text:
         speed = task.finished_speed or task.speed
-        return Text("– frames/s" if speed is None else f"{speed:.1f} frames/s")
+        return Text(f"{'–' if speed is None else f'{speed:.1f}'} {task.fields['unit']}/s")

@@ -29,7 +29,7 @@ def paper(
     try:
         out.mkdir(parents=True, exist_ok=True)
         with console.progress() as bar:
-            task = bar.add_task("figures", total=len(FIGURES))
+            task = bar.add_task("figures", total=len(FIGURES), unit="figures")
             for number in FIGURES:
                 curves = FIGURES[number]()
                 path = out / f"figure_{number:02d}.png"
@@ -52,7 +52,7 @@ def effects(
 
     try:
         with console.progress() as bar:
-            task = bar.add_task("effects", total=len(REGISTRY))
+            task = bar.add_task("effects", total=len(REGISTRY), unit="effects")
             effects_page.write(out, REGISTRY, lambda path: bar.advance(task))
     except OSError as error:
         raise in_file(out, f"cannot be written: {error}") from None

@@ -99,6 +99,16 @@ def plan(
     console.say(f"tables and pictures in {folder}")
 
 
+COUNTED = {
+    "designs": "designs",
+    "refinement": "designs",
+    "map": "tilts",
+    "path": "stations",
+    "blind stretches": "stretches",
+}
+"""What each stage of a plan counts."""
+
+
 def _read(source: Path, recorded: bool) -> tuple[Setup, list[Float64] | None]:
     from arctrack.cli import console
     from arctrack.recording import read_recording
@@ -119,7 +129,7 @@ def _plan(source: Path, setup: Setup, options: PlanOptions, poses: list[Float64]
 
         def tell(stage: str, done: int, total: int) -> None:
             if stage not in tasks:
-                tasks[stage] = bar.add_task(stage, total=total)
+                tasks[stage] = bar.add_task(stage, total=total, unit=COUNTED[stage])
             bar.update(tasks[stage], completed=done)
 
         try:

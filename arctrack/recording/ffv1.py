@@ -7,8 +7,6 @@ from collections.abc import Iterable, Iterator
 from fractions import Fraction
 from itertools import islice
 from pathlib import Path
-from types import TracebackType
-from typing import Self
 
 import av
 import numpy as np
@@ -17,6 +15,7 @@ from av.video.codeccontext import VideoCodecContext
 from av.video.stream import VideoStream
 
 from arctrack.errors import in_file
+from arctrack.recording.video_file import VideoFile, address
 from noise_model.arrays import Integers
 
 CODECS = ("ffv1",)
@@ -34,7 +33,7 @@ def open_video(path: Path) -> av.container.InputContainer:
     try:
         # Told what it is: in search of a format FFmpeg takes a script for one, and opens what that names.
         container = av.open(
-            _address(path), mode="r", format="matroska", options={"codec_whitelist": ",".join(CODECS)}
+            address(path), mode="r", format="matroska", options={"codec_whitelist": ",".join(CODECS)}
         )
     except FileNotFoundError:
         raise in_file(path, "there is no such file") from None
@@ -89,11 +88,6 @@ def carries_checksums(path: Path) -> bool:
     with open_video(path) as container:
         packets = islice(_payloads(container.demux(container.streams.video[0])), CHECKSUMS_SOUGHT_IN)
         return any(checksums_hold(bytes(packet)) for packet in packets)
-
-
-def _address(path: Path) -> str:
-    # What stands before a colon in a relative path FFmpeg takes for a protocol.
-    return str(path.absolute())
 
 
 def _payloads(packets: Iterator[av.Packet[VideoStream]]) -> Iterator[av.Packet[VideoStream]]:
@@ -165,14 +159,12 @@ def checksums_hold(packet: bytes) -> bool:
     return end == 0 and len(packet) > 0
 
 
-class VideoWriter:
+class VideoWriter(VideoFile):
     """Writes frames to an FFV1 video; every frame stands alone and carries checksums."""
 
     def __init__(self, path: Path, width: int, height: int, dtype: npt.DTypeLike, rate_hz: float) -> None:
         self._format = "gray" if np.dtype(dtype) == np.uint8 else "gray16le"
-        self._container = av.open(_address(path), mode="w")
-        rate = Fraction(rate_hz).limit_denominator(1000)
-        self._stream: VideoStream = self._container.add_stream("ffv1", rate=rate)
+        super().__init__(path, "ffv1", Fraction(rate_hz).limit_denominator(1000))
         self._stream.width, self._stream.height = width, height
         self._stream.pix_fmt = self._format
         self._stream.options = {"level": "3", "slicecrc": "1", "g": "1"}
@@ -184,16 +176,3 @@ class VideoWriter:
         frame.pts = self._count
         self._count += 1
         self._container.mux(self._stream.encode(frame))
-
-    def close(self) -> None:
-        """Write what is buffered and close the file."""
-        self._container.mux(self._stream.encode())
-        self._container.close()
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        self.close()

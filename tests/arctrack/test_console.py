@@ -14,6 +14,7 @@ from typer.testing import CliRunner
 
 import arctrack
 from arctrack.cli import app, console
+from arctrack.cli.plan import COUNTED
 from arctrack.cli.plan_text import print_plan
 from arctrack.cli.reflow import paragraphs
 from arctrack.nominal import nominal_setup
@@ -71,6 +72,23 @@ def test_where_no_bar_can_be_shown_lines_say_how_far_it_is(
             time.sleep(0.01)
             said += capsys.readouterr().err
     assert "arctrack: v: frames, 12 of 24, 0 s" in said
+
+
+def test_a_bar_names_what_it_counts() -> None:
+    with console.progress() as bar:
+        console.track(bar, "v", 24)
+        bar.add_task("path", total=3, unit=COUNTED["path"])
+        rate = console._Rate()
+        assert [str(rate.render(task)) for task in bar.tasks] == ["– frames/s", "– stations/s"]
+
+
+def test_each_stage_of_a_plan_has_a_unit() -> None:
+    setup = balance(nominal_setup("v_groove", "mild_steel", width=160, height=120))
+    options = PlanOptions(tilt_deg=(20.0, 40.0), preview_mm=(35.0, 36.0), stand_off_mm=(140.0, 150.0))
+    told: set[str] = set()
+    make_plan(setup, options, progress=lambda stage, _done, _total: told.add(stage))
+    assert told <= set(COUNTED)
+    assert "designs" in told
 
 
 def test_ctrl_c_says_what_is_kept(tmp_path: Path) -> None:

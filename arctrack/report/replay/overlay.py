@@ -5,14 +5,12 @@ from __future__ import annotations
 import math
 from fractions import Fraction
 from pathlib import Path
-from types import TracebackType
-from typing import Self
 
 import av
 import cv2
 import numpy as np
-from av.video.stream import VideoStream
 
+from arctrack.recording.video_file import VideoFile
 from arctrack.report.image import annotate, visible
 from noise_model.arrays import UInt8
 from noise_model.setup import Setup
@@ -24,19 +22,15 @@ LINE_PX, LINES = 20, 3
 INK, FAINT = (255, 255, 255), (160, 160, 160)
 
 
-class OverlayVideo:
-    """Writes the video frame by frame; what was written before a crash can be played once it is closed."""
+class OverlayVideo(VideoFile):
+    """Writes the video frame by frame."""
 
     def __init__(self, path: Path, setup: Setup, rate_hz: float) -> None:
         self._setup = setup
         self._zoom = max(1, math.ceil(MIN_WIDTH / setup.camera.width))
         height = setup.camera.height * self._zoom + LINES * LINE_PX + 8
-        # What stands before a colon in a relative path FFmpeg takes for a protocol.
-        self._container = av.open(str(path.absolute()), mode="w")
         rate = rate_hz if math.isfinite(rate_hz) else 10.0
-        self._stream: VideoStream = self._container.add_stream(
-            "libx264", rate=Fraction(min(max(rate, 1.0), 60.0)).limit_denominator(1000)
-        )
+        super().__init__(path, "libx264", Fraction(min(max(rate, 1.0), 60.0)).limit_denominator(1000))
         # yuv420p, which every player knows, halves both sides of its colour.
         self._stream.width = _even(setup.camera.width * self._zoom)
         self._stream.height = _even(height)
@@ -56,19 +50,6 @@ class OverlayVideo:
         canvas[: picture.shape[0], : picture.shape[1]] = picture
         _write_lines(canvas, picture.shape[0], caption(frame, track, offset))
         self._container.mux(self._stream.encode(av.VideoFrame.from_ndarray(canvas, format="bgr24")))
-
-    def close(self) -> None:
-        """Write what is buffered and close the file."""
-        self._container.mux(self._stream.encode())
-        self._container.close()
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        self.close()
 
 
 def caption(frame: Frame | None, track: Track, offset: SeamOffset) -> tuple[str, str, str]:
