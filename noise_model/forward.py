@@ -123,7 +123,7 @@ class Layers:
 
     @cached_property
     def faces(self) -> Integers:
-        """The face that each pixel (...,) shows, `ray_hits.MISS` past the workpiece."""
+        """The face that each pixel (...,) shows, `ray_casting.MISS` past the workpiece."""
         return self._of_stretches(lambda view: view.surface[2])
 
     def _of_stretches(self, render: Callable[[View], npt.NDArray[Number]]) -> npt.NDArray[Number]:

@@ -98,7 +98,7 @@ class View:
     def surface(self) -> tuple[Float64, Float64, Int32]:
         """Where the rays end in the joint frame: points (..., 3), mm, unit normals (..., 3), faces (...,).
 
-        NaN, NaN and `ray_hits.MISS` for a ray that looks past the workpiece.
+        NaN, NaN and `ray_casting.MISS` for a ray that looks past the workpiece.
         """
         return self.keep("surface", self._surface)
 

@@ -59,7 +59,7 @@ def meet_plane(k: ArcKernel, x: float, y: float, on: Strip) -> tuple[Point, bool
 
 @kernel(inline=True)
 def face_seen(k: ArcKernel, seen: Sight, x: float, y: float) -> int:
-    """Return the face that a ray (x, y, 1) of the camera meets, `ray_hits.MISS` for none.
+    """Return the face that a ray (x, y, 1) of the camera meets, `ray_casting.MISS` for none.
 
     Rays that are listed nowhere, level ones or those through an edge itself, are followed.
     """

@@ -234,7 +234,7 @@ def places_on_rays(
 ) -> None:
     """Write which faces (n,) the rays of some pixels meet and where, x and s (n, 2).
 
-    `ray_hits.MISS` and NaN for a ray that looks past the workpiece.
+    `ray_casting.MISS` and NaN for a ray that looks past the workpiece.
     """
     is_plain = k.corrugation[0] == 0.0
     for i in range(n):

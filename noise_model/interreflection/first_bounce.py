@@ -150,7 +150,7 @@ def _borders(k: Place, Q: Float64, normal: Float64, borders: Float64) -> int:
 def arc_leaving(k: Place, Q: Float64, normal: Float64, omega_r: Point) -> float:
     """Return what Q sends of the arc's light along `omega_r`: integral f_r cos(theta_i) d(omega).
 
-    In units of the arc's radiance, over the part of the luminous half that Q sees, by the disc of `arc_map`.
+    In units of the arc's radiance, over what Q sees of the luminous half, by the disc of `quadrature`.
     What hides it otherwise than along a straight border is looked up node by node.
     """
     nx, ny, nz = normal[0], normal[1], normal[2]

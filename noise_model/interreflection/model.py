@@ -9,8 +9,8 @@ rendering equation, Kajiya 1986, SIGGRAPH Comput. Graph. 20(4) 143):
 L_0 being what the source's own light makes of Q. f_r is used in full at every bounce. As printed it is not
 reciprocal, so light is always followed from the source to the camera.
 
-The once-bounced light is gathered over everything that a point sees (`interreflection_nodes`), at points
-spread over the faces (`interreflection_lattice`), and interpolated to the pixels' own. For the further
+The once-bounced light is gathered over everything that a point sees (`nodes`), at points
+spread over the faces (`lattice`), and interpolated to the pixels' own. For the further
 bounces the points of a coarser lattice remember from where how much light comes to them; what they send on
 follows from f_r, and what points between them send is interpolated.
 """

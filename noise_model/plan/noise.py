@@ -126,7 +126,7 @@ BLIND = SeamNoise(math.nan, math.nan, math.nan, math.nan, 1.0, 0.0)
 def speckle_floor_px(setup: Setup, contrast: float) -> float:
     """Return the speckle floor of a scan line's position, px, for the lens at the setup's stand-off.
 
-    Dorsch et al. 1994 in the image, `bound.speckle_image_sigma_mm`, with N' = N (1 + m) of a thin lens
+    Dorsch et al. 1994 in the image, `cramer_rao.speckle_image_sigma_mm`, with N' = N (1 + m) of a thin lens
     focused on the plate, and the contrast that a pixel's width along the stripe leaves. The focal length in
     pixels is the image's distance f (1 + m) over the pixel.
     """

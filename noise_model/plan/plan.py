@@ -99,7 +99,7 @@ class NoiseMap:
 class Plan:
     """All that a plan says. `own` is the user's design as it is, `judged` every design of the search.
 
-    `front` are those that none beats, see `plan_search.pareto`; `cures` is empty where no station is blind.
+    `front` are those that none beats, see `search.pareto`; `cures` is empty where no station is blind.
     `left_out` are those of the setup's effects that did not act.
     """
 

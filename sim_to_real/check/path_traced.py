@@ -51,7 +51,7 @@ def path_traced_arc(
 ) -> tuple[Float64, Float64]:
     """Return the arc's light at pixel centres and its Monte-Carlo standard error, e-, both (...,).
 
-    As `arc_map.arc_at` gives it: for `camera.exposure_s` at `arc.current_a`, pinhole and cos^4, before the
+    As `map.arc_at` gives it: for `camera.exposure_s` at `arc.current_a`, pinhole and cos^4, before the
     point-spread function; NaN for a ray that meets nothing within `joint_mesh.REACH_MM` of the arc. `xy`
     (..., 2) are normalised rays (x, y, 1) of the camera, every pixel's (H, W, 2) without them. At least
     `samples` paths a ray go out, in `BATCHES` batches, each a multi-jittered set of its own with a square
