@@ -127,7 +127,7 @@ def test_what_scatters_has_no_say_in_what_else_helps(tmp_path, monkeypatch):
     monkeypatch.setattr(room, "probability_improved", smaller)
     spatter = {"rate_per_frame": 8.0, "peak_e": 11_000.0, "length_px": 12.0, "width_px": 1.7}
     hidden = {"spatter": spatter, "arc_length": {"height_mm": 1.0}}
-    diagnosis = diagnose(*recorded(tmp_path / "both", hidden, replace(EXACT, frames=24), coarser=3))
+    diagnosis = diagnose(*recorded(tmp_path / "both", hidden, replace(EXACT, frames=16), coarser=3))
     assert {effect.id for effect in diagnosis.effects} == set(hidden)
     assert len(asked) == 1
     # Its variance is in the prediction that is reported, not in the one that the arc's length was judged by.
