@@ -27,7 +27,7 @@ FRAME_UNREADABLE = Flag(
     0, "frame_unreadable", "the frame could not be read or has the wrong size or type", True
 )
 LASER_OFF = Flag(1, "laser_off", "the frame was taken with the laser off: there is no stripe to read", True)
-POSE_REFUSED = Flag(2, "pose_refused", "no pose is near enough in time, or its numbers are none", True)
+POSE_REFUSED = Flag(2, "pose_refused", "no pose is near enough in time, or its numbers make no pose", True)
 POSE_EXTRAPOLATED = Flag(3, "pose_extrapolated", "the pose was extrapolated from the last two")
 STRIPE_LOST = Flag(
     4, "stripe_lost", "too few columns hold a stripe, or the arc alone would show as much of one", True

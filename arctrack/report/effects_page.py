@@ -66,7 +66,7 @@ A parameter that the file leaves out takes its neutral value, which is where its
 them neutral an effect does nothing. An unknown id or parameter is reported and has no effect. A value out of
 its bounds is an error that names it. So is `interreflection` on a `u_groove`, where it is not followed.
 
-**What honours them.** Everything that predicts:
+**What uses them.** Everything that predicts light:
 
 | | |
 | --- | --- |
