@@ -155,7 +155,7 @@ def _look(
     """Take a reading apart, as far as the step went."""
     setup, scene = geometry.setup, reading.scene
     nominal_scene = make_scene(setup, pose.T_base_tool)
-    reach_px = reading.reach_mm * geometry.pixels_per_mm
+    reach_px = geometry.reach_px(reading.reach_mm)
     look = Look(reading, reach_px, float(nominal_scene.T_joint_tool[0, 3]))
     expected = None if scene.below_surface else expect_stripe(geometry, scene)
     if expected is None:
@@ -171,7 +171,16 @@ def _look(
 
     work = Work.of(geometry)
     stripe = read_stripe(
-        geometry, arc_map, transmission, reading.arc, frame, expected, reach_px, work, use_arc_map
+        geometry,
+        arc_map,
+        transmission,
+        reading.arc,
+        frame,
+        expected,
+        reach_px,
+        work,
+        use_arc_map,
+        before.scatter,
     )
     profile = profile_of(geometry, scene, expected, stripe, reading.reach_mm)
     look = replace(look, stripe=StripeLook(stripe, refusals(stripe, expected), sigma_parts(stripe, expected)))

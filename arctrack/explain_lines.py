@@ -15,7 +15,6 @@ from tracker.stripe.fit import (
     CORRELATION_PX,
     MAX_PIXELS,
     MIN_SIGMA_E,
-    WIDTH_LIMIT_LN,
     WIDTH_SIGMA_LN,
     WINDOW_SIGMAS,
     LineScratch,
@@ -53,7 +52,7 @@ class SigmaParts:
     information P its covariance C = (J'WJ + P)^-1 is C J'W V W J C + C P C, so the position's variance is a
     sum over what V and P are made of: `stripe` and `arc` are their light's shot noise, `dark` read noise and
     steps of the DN, `map` the priors of the background's offset and slope, `width` that of the stripe's
-    width. `misfit` is by how much chi2 widens all of it or, where the setup states speckle, what that adds.
+    width. `misfit` is by how much chi2 widens all of it, and what the lines scatter by beyond.
 
     `arc_share` is 1 - (variance without the arc) / variance: its shot noise and its map's uncertainty gone.
     `offset_e`, `slope_e_per_px` are what the fit adds to the background, the slope about the position.
@@ -93,7 +92,8 @@ def refusals(reading: StripeReading, expected: ExpectedStripe) -> Refusals:
         if math.isnan(start):
             why[s] = NO_PATH
             continue
-        width, parameters = float(expected.sigma_px[s]), np.full(N_PARAMETERS, np.nan)
+        width = float(expected.sigma_px[s]) * reading.learned.width_factor
+        parameters = np.full(N_PARAMETERS, np.nan)
         fit_line(
             band.charge[s],
             band.background[s],
@@ -102,6 +102,7 @@ def refusals(reading: StripeReading, expected: ExpectedStripe) -> Refusals:
             width,
             reading.shot,
             reading.dark_variance_e2,
+            reading.learned.weighing_contrast,
             reading.map_sigma,
             reading.base_sigma_e,
             map_edge(band.background, reading.lows, CELL, s, start),
@@ -112,7 +113,8 @@ def refusals(reading: StripeReading, expected: ExpectedStripe) -> Refusals:
         if math.isnan(parameters[3]):
             why[s] = NO_FIT
         else:
-            why[s] = ODD_WIDTH if abs(math.log(width_ratio[s])) > WIDTH_LIMIT_LN else TOO_WEAK
+            is_odd = abs(math.log(width_ratio[s])) > reading.learned.width_limit_ln
+            why[s] = ODD_WIDTH if is_odd else TOO_WEAK
     return Refusals(why, height, width_ratio)
 
 
@@ -138,6 +140,7 @@ def _line(reading: StripeReading, expected: ExpectedStripe, s: int) -> tuple[flo
     u = np.arange(window.start, window.stop) + low - position
     t = u / width
     stripe = amplitude * np.exp(-0.5 * t**2)
+    grains = (reading.learned.weighing_contrast * stripe) ** 2
 
     smooth = max(math.hypot(reading.map_sigma * background.mean(), reading.base_sigma_e), MIN_SIGMA_E)
     edge = map_edge(band.background, reading.lows, CELL, s, float(reading.start_px[s]))
@@ -147,7 +150,7 @@ def _line(reading: StripeReading, expected: ExpectedStripe, s: int) -> tuple[flo
     for _ in range(BACKGROUND_STEPS):
         mean = stripe + background + beside @ b
         counts = (censored == 0.0) | (charge > mean)
-        weight = counts / (reading.shot * np.maximum(mean, 0.0) + reading.dark_variance_e2)
+        weight = counts / (reading.shot * np.maximum(mean, 0.0) + reading.dark_variance_e2 + grains)
         H = beside.T @ (weight[:, None] * beside) + np.diag(known[3:])
         b += np.linalg.solve(H, beside.T @ (weight * (charge - mean)) - known[3:] * b)
 
@@ -155,17 +158,17 @@ def _line(reading: StripeReading, expected: ExpectedStripe, s: int) -> tuple[flo
     shot_stripe = reading.shot * stripe
     shot_arc = reading.shot * np.maximum(background + beside @ b, 0.0)
     dark = np.full_like(u, reading.dark_variance_e2)
-    weight = counts / (shot_stripe + shot_arc + dark)
+    weight = counts / (shot_stripe + shot_arc + dark + grains)
     C = _covariance(J, weight, known)
     pull = (J @ C[1]) ** 2 * weight**2
     of_priors = C[1] ** 2 * known
-    freedom = counts.sum() - 2.0
-    excess = max(chi2 - math.sqrt(2.0 / freedom), 1.0)
-    beyond = (reading.stripe.sigma_px[s] ** 2 - reading.fits[s, 1] ** 2) + C[1, 1] * (excess - 1.0)
+    told = float(pull @ (shot_stripe + shot_arc + dark)) + float(of_priors[2:].sum())
+    excess = max(chi2 - math.sqrt(2.0 / (counts.sum() - 2.0)), 1.0)
+    beyond = reading.stripe.sigma_px[s] ** 2 - reading.fits[s, 1] ** 2 + C[1, 1] * excess - told
 
     without = _information(*(2 * [max(reading.base_sigma_e, MIN_SIGMA_E)]))
     without[4] *= CORRELATION_PX**2
-    alone = _covariance(J, counts / (shot_stripe + dark), without)
+    alone = _covariance(J, counts / (shot_stripe + dark + grains), without)
     return (
         float(pull @ shot_stripe),
         float(pull @ shot_arc),
@@ -181,7 +184,8 @@ def _line(reading: StripeReading, expected: ExpectedStripe, s: int) -> tuple[flo
 
 def window_of(reading: StripeReading, expected: ExpectedStripe, s: int) -> tuple[slice, float]:
     """Return which of a band's pixels a line's fit read, and how far it reached from the path, px."""
-    start, width = float(reading.start_px[s]) - int(reading.lows[s // CELL]), float(expected.sigma_px[s])
+    start = float(reading.start_px[s]) - int(reading.lows[s // CELL])
+    width = float(expected.sigma_px[s]) * reading.learned.width_factor
     return slice(*line_window(start, width, reading.band.charge.shape[1])), WINDOW_SIGMAS * width
 
 

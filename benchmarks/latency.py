@@ -38,6 +38,7 @@ from tracker.measure import SEARCH_REACH_MM, Reading
 from tracker.state import Frame, Pose
 from tracker.step import TrackerState, step, step_and_reading
 from tracker.stripe.read import Work
+from tracker.stripe.scatter import NO_SCATTER
 
 JOINTS = {"v_groove": "mild_steel", "lap": "zn_coated", "corrugation": "zn_coated"}
 SIZES = (640, 480), (1280, 1024)
@@ -54,7 +55,8 @@ STAGES = {
     "band: place and pixels": ("place", "gather", "weigh"),
     "band: arc map": ("_predict_background",),
     "matched filter and path": ("matched_filter", "best_path", "peaks"),
-    "fits": ("fit_lines", "with_speckle"),
+    "fits": ("fit_lines", "own_sigma"),
+    "scatter": ("speckle_squared", "frame_scatter"),
     "a second stripe": ("second_place", "second_light"),
     "neighbours": ("smooth_stripe",),
     "reading, between these": ("read_stripe", "_fit_band"),
@@ -112,7 +114,7 @@ class Case:
     def look(self, frame: Frame, pose: Pose) -> Reading:
         """Read a frame once as a search does, about the nominal seam."""
         return tracker.measure.measure(
-            self.geometry, frame, pose, NOMINAL_SEAM, SEARCH_REACH_MM, self.work, True
+            self.geometry, frame, pose, NOMINAL_SEAM, SEARCH_REACH_MM, self.work, True, NO_SCATTER
         )
 
 

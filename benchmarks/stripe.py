@@ -5,8 +5,7 @@
 Frames of a V-groove are predicted for a grid of stripe level, arc level and stripe width, and drawn with
 noise. Columns on smooth faces and columns beside corners are told apart. The truth is where the laser plane's
 trace falls, and by how much the light's change across the stripe moves a symmetric fit. Ours is judged column
-by column and with its neighbours along the stripe. With --speckle the frames have laser speckle and the setup
-states it.
+by column and with its neighbours along the stripe. With --speckle the frames have laser speckle.
 """
 
 from __future__ import annotations

@@ -188,6 +188,12 @@ JOINT_TYPE = Question(
     "joint_type", "the profile shows no other type of joint decidedly", "yes", flags.JOINT_TYPE_MISMATCH
 )
 JOINT_SEEN = Question("joint_seen", "the profile determines the joint", "yes", flags.JOINT_NOT_FOUND)
+JOINT_EVIDENCE = Question(
+    "joint_evidence",
+    "evidence for the joint over a plate without one, nats",
+    "at_least",
+    flags.JOINT_NOT_FOUND,
+)
 VIEW_MARGIN = Question(
     "view_margin",
     "distance of the seam from the nearer end of the profile",
@@ -204,6 +210,13 @@ JOINT_UNEXPLAINED = Question(
     "at_most",
     flags.JOINT_MISFIT,
     "share",
+)
+NEAR_NOMINAL = Question(
+    "near_nominal",
+    "distance of the seam from its nominal line",
+    "at_most",
+    flags.SEAM_OUT_OF_VIEW,
+    "mm",
 )
 JUMP_Y = Question(
     "jump_y", "distance in y from where the earlier frames put the seam", "at_most", flags.SEAM_JUMP, "mm"

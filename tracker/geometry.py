@@ -23,6 +23,13 @@ from noise_model.transforms import invert, transform
 MIN_LIGHT = 0.05
 """The light, over full well, from which a bent response's noise counts."""
 
+MIN_PIXELS_PER_MM = 3.2
+"""A stripe is sought as if it moved by so much at least: a camera's pose, a plate's tilt and the stripe's
+scatter do not get less, in pixels, where height moves the stripe little."""
+
+MIN_ACROSS = 0.2
+"""The least cosine between the sheet's normal and the tool's x axis for a place in the sheet to follow x."""
+
 SAMPLE = 600
 """About so many pixels are an even sample of an image, however many it has."""
 
@@ -82,12 +89,22 @@ class SensorGeometry:
 
     @cached_property
     def pixels_per_mm(self) -> float:
-        """How far the stripe moves, px, per mm of height or of lateral place, whichever is more."""
+        """How far the stripe moves, px, per mm of height or of lateral place, whichever is more.
+
+        What is moved stays in the laser's sheet, however that leans.
+        """
         camera = self.setup.camera
-        moved = np.array([[0.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.0, 1.0, 0.0]])
+        nx, ny, nz, _ = self.setup.laser.plane
+        # A sheet that does not cut the tool's x axis runs along it: there a move up or aside stays in it.
+        lean = (-nz / nx, -ny / nx) if abs(nx) > MIN_ACROSS else (0.0, 0.0)
+        moved = np.array([[0.0, 0.0, 0.0], [lean[0], 0.0, 1.0], [lean[1], 1.0, 0.0]])
         points_camera = transform(invert(camera.T_tool_camera), self.setup.laser.point_mm + moved)
         scan_points = self.scan_points(camera.project(points_camera))
         return float(np.abs(scan_points[1:, 1] - scan_points[0, 1]).max())
+
+    def reach_px(self, reach_mm: float) -> float:
+        """Return how far about its place, px, a stripe is sought that may be off by a reach, mm."""
+        return reach_mm * max(self.pixels_per_mm, MIN_PIXELS_PER_MM)
 
     @cached_property
     def even_sample(self) -> tuple[Int64, Int64]:

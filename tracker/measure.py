@@ -10,15 +10,16 @@ import numpy as np
 from noise_model.arc.map import Scene, arc_kernel, make_scene
 from noise_model.arc_source import level as current_level
 from noise_model.setup import Setup
-from noise_model.surface.joint import SeamLine
+from noise_model.surface.joint import SeamLine, seam_height_mm
 from tracker import checks
 from tracker.arc.level import UNKNOWN, ArcLevel, estimate_arc_level
 from tracker.arc.transmission import Transmission
 from tracker.checks import Checks
 from tracker.geometry import SensorGeometry
 from tracker.joint import MeasuredJoint, fit_joint
+from tracker.joint.evidence import MIN_EVIDENCE_NATS
 from tracker.joint.type_check import is_another_type
-from tracker.profile import Profile, triangulate
+from tracker.profile import Profile, sheet_lines, triangulate
 from tracker.seam.locate import locate, sources
 from tracker.state import Frame, Pose, Stripe
 from tracker.stripe.detection import (
@@ -29,8 +30,10 @@ from tracker.stripe.detection import (
     path_of,
     seen_share,
 )
+from tracker.stripe.edge import clear_of_an_edge
 from tracker.stripe.expected import ExpectedStripe, expect_stripe
 from tracker.stripe.read import FIT_SIGMAS, StripeReading, Work, arc_map_of, read_stripe
+from tracker.stripe.scatter import NO_SCATTER, Scatter
 
 SEARCH_REACH_MM = 5.0
 """How far off its nominal place the seam is first looked for."""
@@ -69,6 +72,7 @@ class Reading:
     stripe: Stripe | None = None
     joint: MeasuredJoint | None = None
     fov_margin_mm: float = math.nan
+    scatter: Scatter = NO_SCATTER
 
     @property
     def flags(self) -> int:
@@ -84,17 +88,18 @@ def measure(
     reach_mm: float,
     work: Work,
     use_arc_map: bool,
+    scatter: Scatter,
 ) -> Reading:
-    """Look for arc, stripe and joint about a seam."""
+    """Look for arc, stripe and joint about a seam; `scatter` is what earlier frames show of the stripe's."""
     scene = make_scene(geometry.setup, pose.T_base_tool, seam)
     asked = Checks()
     if not asked.ask(checks.CAMERA_ABOVE, not scene.below_surface):
-        return Reading(asked, scene, seam, reach_mm)
+        return Reading(asked, scene, seam, reach_mm, scatter=scatter)
     expected = expect_stripe(geometry, scene)
     asked.ask(checks.STRIPE_EXPECTED, expected is not None)
     if expected is None:
-        return Reading(asked, scene, seam, reach_mm)
-    reach_px = reach_mm * geometry.pixels_per_mm
+        return Reading(asked, scene, seam, reach_mm, scatter=scatter)
+    reach_px = geometry.reach_px(reach_mm)
     output = expected_output(geometry.setup, frame)
     kernel = arc_kernel(geometry.setup, scene, output)
     keep_off = reach_px + FIT_SIGMAS * float(expected.sigma_px.max())
@@ -104,12 +109,15 @@ def measure(
     arc = estimate_arc_level(geometry, arc_map.at, transmission, frame.image_dn, stripe_px, keep_off)
     _ask_arc(asked, arc)
     if not asked.ask(checks.LASER_ON, frame.laser_on):
-        return Reading(asked, scene, seam, reach_mm, arc)
+        return Reading(asked, scene, seam, reach_mm, arc, scatter=scatter)
 
-    look = read_stripe(geometry, arc_map, transmission, arc, frame, expected, reach_px, work, use_arc_map)
+    look = read_stripe(
+        geometry, arc_map, transmission, arc, frame, expected, reach_px, work, use_arc_map, scatter
+    )
     stripe = look.stripe
     if not _is_stripe(asked, geometry, expected, look):
-        return Reading(asked, scene, seam, reach_mm, arc, stripe)
+        return Reading(asked, scene, seam, reach_mm, arc, stripe, scatter=scatter)
+    scatter = look.scatter
     profile = profile_of(geometry, scene, expected, look, reach_mm)
     joint = fit_joint(profile, geometry.setup.joint, *sources(geometry.setup, scene, seam.station_mm))
     # A narrower look shows only what lies where the stated joint should.
@@ -117,13 +125,15 @@ def measure(
         asked.ask(checks.JOINT_TYPE, not is_another_type(profile, geometry.setup.joint, joint))
     asked.ask(checks.JOINT_SEEN, joint is not None)
     if joint is None:
-        return Reading(asked, scene, seam, reach_mm, arc, stripe)
+        return Reading(asked, scene, seam, reach_mm, arc, stripe, scatter=scatter)
+    if not asked.ask(checks.JOINT_EVIDENCE, joint.evidence_nats, MIN_EVIDENCE_NATS):
+        return Reading(asked, scene, seam, reach_mm, arc, stripe, scatter=scatter)
     margin_mm = min(joint.y_mm - float(profile.y_mm[0]), float(profile.y_mm[-1]) - joint.y_mm)
     if not asked.ask(checks.VIEW_MARGIN, margin_mm, MIN_MARGIN_MM):
-        return Reading(asked, scene, seam, reach_mm, arc, stripe, fov_margin_mm=margin_mm)
+        return Reading(asked, scene, seam, reach_mm, arc, stripe, fov_margin_mm=margin_mm, scatter=scatter)
     asked.ask(checks.JOINT_CHI2, joint.chi2, JOINT_CHI2_LIMIT)
     asked.ask(checks.JOINT_UNEXPLAINED, joint.unexplained, UNEXPLAINED_LIMIT)
-    return Reading(asked, scene, seam, reach_mm, arc, stripe, joint, margin_mm)
+    return Reading(asked, scene, seam, reach_mm, arc, stripe, joint, margin_mm, scatter)
 
 
 def _is_stripe(
@@ -155,10 +165,12 @@ def profile_of(
     geometry: SensorGeometry, scene: Scene, expected: ExpectedStripe, look: StripeReading, reach_mm: float
 ) -> Profile:
     """Return a stripe's profile, whose seam is looked for within the look's reach and a little beyond."""
-    stripe, light = look.stripe, look.light(geometry.setup.camera.psf_sigma_px)
+    setup, stripe = geometry.setup, look.stripe
+    light = look.light(setup.camera.psf_sigma_px, sheet_lines(geometry, scene, seam_height_mm(setup.joint)))
     position_px = stripe.position_px - expected.bias_px
     profile = triangulate(geometry, scene, position_px, stripe.sigma_px, stripe.beside_px)
-    return replace(profile, reach_mm=reach_mm + BEYOND_REACH_MM, light=light)
+    mixed_mm = profile.column_mm * (clear_of_an_edge(light) - 1)
+    return replace(profile, reach_mm=reach_mm + BEYOND_REACH_MM, light=light, mixed_mm=mixed_mm)
 
 
 def measure_again(
@@ -170,6 +182,7 @@ def measure_again(
     first: Reading,
     work: Work,
     use_arc_map: bool,
+    scatter: Scatter,
 ) -> Reading:
     """Look again where a search has found the joint: the map for another place misleads, near its edges most.
 
@@ -178,7 +191,7 @@ def measure_again(
     """
     placed = first
     if first.joint is None and first.stripe is not None and use_arc_map:
-        placed = measure(geometry, frame, pose, seam, SEARCH_REACH_MM, work, False)
+        placed = measure(geometry, frame, pose, seam, SEARCH_REACH_MM, work, False, scatter)
     if placed.joint is None:
         return first
     setup = geometry.setup
@@ -186,7 +199,7 @@ def measure_again(
         setup, nominal_scene.T_joint_tool, placed.scene, placed.joint.y_mm, placed.joint.z_mm
     )
     there = replace(seam, station_mm=station, y_mm=float(displacement[0]), z_mm=float(displacement[1]))
-    again = measure(geometry, frame, pose, there, TRACK_REACH_MM, work, use_arc_map)
+    again = measure(geometry, frame, pose, there, TRACK_REACH_MM, work, use_arc_map, scatter)
     # What only a wrong map shows is no stripe: most of its lines are gone with the right one.
     if again.joint is None and _lines_held(again) >= MIN_HELD_SHARE * _lines_held(placed):
         return first

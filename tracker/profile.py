@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -13,6 +13,7 @@ from noise_model.instrument.camera import Intrinsics, undistorted
 from noise_model.instrument.laser import plane_in
 from noise_model.kernel import kernel
 from noise_model.surface.faces import ridge
+from noise_model.transforms import invert, transform
 from tracker.geometry import SensorGeometry
 from tracker.stripe.edge import StripeLight
 
@@ -25,7 +26,8 @@ class Profile:
     moves when its stripe centre moves by 1 px; `sigma_px` (n,): that centre's 1 sigma, `beside_px` (n,)
     that with which it counts among neighbours that are off alike. `column_mm` is the
     points' spacing in y, `scan` (n,) the scan lines they came from. The seam is looked for within
-    `reach_mm` of y = 0. `light` is what the stripe was read from, None where that is not at hand.
+    `reach_mm` of y = 0. `light` is what the stripe was read from, None where that is not at hand. Nearer to a
+    corner than `mixed_mm` a scan line holds light of both faces.
     """
 
     y_mm: Float64
@@ -38,6 +40,30 @@ class Profile:
     beside_px: Float64
     reach_mm: float = math.inf
     light: StripeLight | None = None
+    mixed_mm: float = 0.0
+
+    def by_scan(self) -> Profile:
+        """Return the profile in order of its scan lines, the way in which y rises on the whole.
+
+        Beside an edge, where a line holds light of two faces, it may lie at any y.
+        """
+        rises = len(self.scan) < 2 or self.scan[-1] > self.scan[0]
+        order = np.argsort(self.scan if rises else -self.scan, kind="stable")
+        if (order[1:] > order[:-1]).all():
+            return self
+        y, z, dy, dz, sigma, scan, beside = (
+            np.take(values, order)
+            for values in (
+                self.y_mm,
+                self.z_mm,
+                self.dy_mm,
+                self.dz_mm,
+                self.sigma_px,
+                self.scan,
+                self.beside_px,
+            )
+        )
+        return replace(self, y_mm=y, z_mm=z, dy_mm=dy, dz_mm=dz, sigma_px=sigma, scan=scan, beside_px=beside)
 
 
 def triangulate(
@@ -75,6 +101,20 @@ def triangulate(
         y, z, dy, dz, sigma = np.take(points, order, axis=1)
         scan, column = scan[order], float(np.median(np.diff(y)))
     return Profile(y, z, dy, dz, sigma, scan, column, beside_px[scan.astype(np.int64)])
+
+
+def sheet_lines(geometry: SensorGeometry, scene: Scene, z_mm: float) -> float:
+    """Return over how many scan lines the sheet's 1 sigma spreads an edge along the seam, at a height.
+
+    Seen from beside its plane, a sheet as thick as it is meets the edge in one line before its middle and in
+    another behind.
+    """
+    camera, laser = geometry.setup.camera, geometry.setup.laser
+    nx, _, nz, d = plane_in(scene.T_joint_tool, laser.plane)
+    x, along = -(nz * z_mm + d) / nx, laser.stripe_sigma_mm / nx
+    edge = np.array([[x - along, 0.0, z_mm], [x + along, 0.0, z_mm]])
+    lines = geometry.scan_points(camera.project(transform(invert(scene.T_joint_camera), edge)))[:, 0]
+    return 0.5 * abs(float(lines[1] - lines[0]))
 
 
 @kernel(allocates=True)

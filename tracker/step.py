@@ -17,7 +17,7 @@ from tracker.geometry import SensorGeometry
 from tracker.joint import MeasuredJoint
 from tracker.measure import SEARCH_REACH_MM, TRACK_REACH_MM, Reading, measure, measure_again
 from tracker.seam.correction import UNSTATED, Correction
-from tracker.seam.gaussian_process import SeamHistory
+from tracker.seam.gaussian_process import WIDE_SIGMA_MM, SeamHistory
 from tracker.seam.locate import (
     confidence,
     expected_seam,
@@ -28,6 +28,7 @@ from tracker.seam.locate import (
 from tracker.seam.steer import Steering, steer
 from tracker.state import Frame, Pose, Track, frame_misfit
 from tracker.stripe.read import Work
+from tracker.stripe.scatter import NO_SCATTER, Scatter
 
 JUMP_SIGMAS, JUMP_FLOOR_MM = 5.0, 0.3
 JUMPS_TO_RELEARN = 3
@@ -35,6 +36,15 @@ JUMPS_TO_RELEARN = 3
 
 MAX_STRETCHES = 8
 """So many stretches between jumps are remembered for the torch that comes after."""
+
+LOST_TO_FORGET = 10
+"""So many frames in a row without a joint, and what was measured before no longer says where to look.
+
+The torch, which comes later, is steered by it all the same.
+"""
+
+MAX_OFF_MM = 3.0 * WIDE_SIGMA_MM
+"""A seam so far off its nominal line is none: the line would be another joint's."""
 
 LOST_TO_SEARCH = 3
 """So many frames without a joint widen the search to what it was at first."""
@@ -54,6 +64,8 @@ class TrackerState:
         The latest stretches before, in which the torch may still stand.
     steering : Steering
         What the steering remembers.
+    scatter : Scatter
+        What the stripes so far show beyond their photons' noise.
     jumps : int
         How many frames had their joint elsewhere, since it was last where it should be.
     lost : int
@@ -66,6 +78,7 @@ class TrackerState:
     beyond: SeamHistory = field(default_factory=SeamHistory)
     behind: tuple[SeamHistory, ...] = ()
     steering: Steering = field(default_factory=Steering)
+    scatter: Scatter = NO_SCATTER
     jumps: int = 0
     lost: int = 0
     frames: int = 0
@@ -151,13 +164,17 @@ def step_and_reading(
 
     frame, pose = _as_compiled_for(frame, pose)
     nominal_scene = make_scene(geometry.setup, pose.T_base_tool)
-    seam, seam_sigma = expected_seam(geometry.setup, nominal_scene, state.history)
+    confirmed = state.history if state.lost < LOST_TO_FORGET else SeamHistory()
+    seam, seam_sigma = expected_seam(geometry.setup, nominal_scene, confirmed)
     reach_mm = min(SEARCH_REACH_MM, TRACK_REACH_MM + 3.0 * float(seam_sigma.max()))
     if state.lost >= LOST_TO_SEARCH:
         reach_mm = SEARCH_REACH_MM
-    reading = measure(geometry, frame, pose, seam, reach_mm, work, use_arc_map)
+    reading = measure(geometry, frame, pose, seam, reach_mm, work, use_arc_map, state.scatter)
     if not asked.ask(checks.REACH, reach_mm, SEARCH_REACH_MM):
-        reading = measure_again(geometry, frame, pose, nominal_scene, seam, reading, work, use_arc_map)
+        reading = measure_again(
+            geometry, frame, pose, nominal_scene, seam, reading, work, use_arc_map, state.scatter
+        )
+    state = replace(state, scatter=reading.scatter)
     asked.extend(tuple(reading.checks.answers))
     track = replace(
         track,
@@ -221,6 +238,8 @@ def _follow(
     seam_tool, station, displacement = locate(
         setup, nominal_scene.T_joint_tool, scene, joint.y_mm, joint.z_mm
     )
+    if not asked.ask(checks.NEAR_NOMINAL, float(np.abs(displacement).max()), MAX_OFF_MM):
+        return replace(state, lost=state.lost + 1), track
     variance = np.diag(joint.covariance_mm2)
     expected, expected_sigma = state.history.at(station)
     limit = jump_limit_mm(expected_sigma, variance)

@@ -12,13 +12,13 @@ from arctrack.check.fit import FINE, Sight, fit
 from arctrack.check.hint import FITS, GAIN
 from arctrack.check.look import Look
 from arctrack.check.sensor_seen import SensorSeen
+from arctrack.check.stated_speckle import stated_contrast
 from arctrack.check.timing import Timing
 from noise_model.instrument.sensor import saturation_dn
 from noise_model.setup import Setup
 from tracker import flags
 from tracker.geometry import SensorGeometry
 from tracker.measure import SEARCH_REACH_MM
-from tracker.stripe.speckle import Speckle
 
 FAR_MM = 3.0
 """A seam farther from its nominal line, in the median, comes near to where it is not looked for."""
@@ -212,7 +212,7 @@ def _speckle(setup: Setup, valid: Sequence[Look]) -> Iterator[Finding]:
     contrast = _median(look.seen.contrast for look in looks)
     if math.isnan(contrast):
         return
-    stated = Speckle.of(setup).line_contrast(np.array([_median(look.seen.sigma_px for look in looks)]))
+    stated = stated_contrast(setup, _median(look.seen.sigma_px for look in looks))
     text = f"{contrast:.2f} from scan line to scan line, [effects.laser_speckle] states {stated:.2f}"
     counts = max(contrast, stated) > SPECKLE_FROM
     cure = "arctrack diagnose finds contrast and grain_px to state"

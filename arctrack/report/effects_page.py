@@ -30,8 +30,8 @@ STAGES = {
 HONOURED = (
     (
         "`arctrack replay`, `arctrack explain`, `arctrack calibrate hand-eye`",
-        "geometry, surface and sensor; what becomes of the arc's light; the poses' clock. Of what random "
-        "effects scatter only `laser_speckle` is part of their noise",
+        "geometry, surface and sensor; what becomes of the arc's light; the poses' clock. What random "
+        "effects scatter is no part of their noise: the tracker learns its stripe's from the frames",
     ),
     (
         "`arctrack simulate`",

@@ -32,7 +32,7 @@ from tracker.state import Stripe
 from tracker.stripe.expected import ExpectedStripe
 from tracker.stripe.fit import fit_lines
 from tracker.stripe.read import StripeReading, Work
-from tracker.stripe.speckle import Speckle
+from tracker.stripe.scatter import NO_SCATTER
 
 EXAMPLE = Path(arctrack.__file__).parents[1] / "examples" / "v_groove"
 RUNNER = CliRunner(env={"COLUMNS": "120", "TERM": "dumb", "NO_COLOR": "1"})
@@ -135,9 +135,11 @@ def made(
         dark_variance_e2,
         0.0,
         0.0,
+        0.0,
         fits,
         saturated,
     )
+    fits[np.abs(np.log(fits[:, 3] / expected.sigma_px)) > NO_SCATTER.width_limit_ln] = np.nan
     stripe = Stripe(fits[:, 0], fits[:, 1], fits[:, 0], fits[:, 1], fits[:, 2], saturated, True, fits[:, 1])
     offsets, score = np.arange(-8, 9, 2), np.zeros((N_SCAN, 9), np.float32)
     reading = StripeReading(
@@ -153,7 +155,8 @@ def made(
         0.0,
         0.0,
         0.0,
-        Speckle(0.0, 1.0),
+        NO_SCATTER,
+        NO_SCATTER,
     )
     return reading, expected
 

@@ -14,7 +14,10 @@ from noise_model.surface.joint import corrugation_height
 from noise_model.transforms import invert, transform
 from tracker.geometry import SensorGeometry
 from tracker.stripe.bias import PLANES
-from tracker.stripe.expected import FLANKS, HALF_SPAN_MM, STEP_MM, ExpectedStripe
+from tracker.stripe.expected import FLANKS, SAME_ELEVATION, STEP_MM, ExpectedStripe
+
+HALF_SPAN_MM = 60.0
+"""How far to either side of the tool the stripe is followed: farther than the cameras here see."""
 
 
 def expect_stripe(geometry: SensorGeometry, scene: Scene) -> ExpectedStripe | None:
@@ -34,6 +37,7 @@ def expect_stripe(geometry: SensorGeometry, scene: Scene) -> ExpectedStripe | No
             return None
         at = geometry.scan_points(setup.camera.project(points_camera))
         order = np.argsort(at[:, 0], kind="stable")
+        order = order[_is_in_sight(setup, points_joint[:, 1], scene)[order]]
         if at[order[-1], 0] < 0.0 or at[order[0], 0] > geometry.n_scan - 1:
             return None
         position.append(np.interp(scan, at[order, 0], at[order, 1]))
@@ -134,6 +138,21 @@ def _cut(
     normals = np.column_stack([-rise_x, -slope_y, np.ones_like(y)])
     normals /= np.linalg.norm(normals, axis=1, keepdims=True)
     return np.column_stack([x, y, z]), normals, strip
+
+
+def _is_in_sight(setup: Setup, y: Float64, scene: Scene) -> npt.NDArray[np.bool_]:
+    """Say of the section's places y (n,) which neither camera nor laser sees behind others."""
+    z = np.interp(y, *scene.shape.vertices.T)
+    lift = float(corrugation_height(scene.T_joint_tool[0, 3], scene.shape.corrugation))
+    is_seen = np.ones(len(y), dtype=bool)
+    laser = transform(scene.T_joint_tool, np.array([setup.laser.origin_in_tool_mm]))[0]
+    for source in (scene.T_joint_camera[:3, 3], laser):
+        away = y - source[1]
+        elevation = (z - (source[2] - lift)) / np.maximum(np.abs(away), 1e-6)
+        for i in range(len(y)):
+            before = ((away >= 0.0) == (away[i] >= 0.0)) & (np.abs(away) <= np.abs(away[i]))
+            is_seen[i] &= elevation[i] >= elevation[before].max() - SAME_ELEVATION
+    return is_seen
 
 
 def _strength(

@@ -141,12 +141,24 @@ def test_a_sheet_that_mirrors_the_laser_leans_it_by_pixels() -> None:
     assert np.quantile(np.abs(np.log(wide)), 0.9) < 0.1
 
 
-def test_out_of_view_is_none() -> None:
+def test_beside_the_image_it_is_expected_where_the_plates_go_on() -> None:
     setup = small_setup("v_groove")
-    aside = setup.camera.T_tool_camera.copy()
-    aside[1, 3] += 200.0
-    geometry = SensorGeometry.of(replace(setup, camera=replace(setup.camera, T_tool_camera=aside)))
-    assert expect_stripe(geometry, make_scene(geometry.setup, pose_at(0.0).T_base_tool)) is None
+    for axis, off_mm in ((0, -40.0), (1, 200.0)):
+        aside = setup.camera.T_tool_camera.copy()
+        aside[axis, 3] += off_mm
+        geometry = SensorGeometry.of(replace(setup, camera=replace(setup.camera, T_tool_camera=aside)))
+        expected = expect_stripe(geometry, make_scene(geometry.setup, pose_at(0.0).T_base_tool))
+        assert expected is not None
+        inside = (expected.position_px > 0.0) & (expected.position_px < geometry.n_pos)
+        assert inside.all() if axis == 1 else not inside.any()
+    # Far beside the seam there is one plate.
+    np.testing.assert_allclose(np.diff(expected.position_px, 2), 0.0, atol=1e-6)
+
+
+def test_what_lies_behind_the_camera_is_none() -> None:
+    setup = small_setup("v_groove")
+    scene = make_scene(setup, pose_at(0.0, turn_deg=(0.0, 80.0, 0.0)).T_base_tool)
+    assert expect_stripe(SensorGeometry.of(setup), scene) is None
 
 
 def test_a_stripe_that_cannot_be_seen_is_no_setup() -> None:

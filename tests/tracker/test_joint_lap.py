@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from profiles import COLUMN_MM, lap, measure, only, spoil
 
 from noise_model.surface.joint import Joint
-from tracker.joint import MeasuredJoint, fit_joint
+from tracker.joint import ALIKE_OFF_PX, MeasuredJoint, fit_joint
 from tracker.joint.lap import CLEAR_OF_EDGE_MM, Sheets, clear_of_edge, near_sheets, share_off
 from tracker.joint.measured import OFF_SIGMAS, SIGMA_FLOOR_PX, count_with_floor, typical_mm
 from tracker.joint.upright_edge import hidden_strip, neighbours_of_edge
@@ -78,7 +78,7 @@ def test_its_covariance_is_honest() -> None:
     errors, scaled, chi2 = [], [], []
     for _ in range(400):
         seam = (rng.uniform(-1.0, 1.0), 0.5)
-        profile = measure(lap(2.2, 0.01, -0.01), seam, rng, sigma_px=TRUE_SIGMA_PX)
+        profile = measure(lap(2.2, 0.01, -0.01), seam, rng, sigma_px=TRUE_SIGMA_PX, alike_px=ALIKE_OFF_PX)
         profile.sigma_px[:] = 0.05
         above = np.array([0.0, seam[0], 0.0])
         found = fit(profile, CAMERA_MM + above, LASER_MM + above)
@@ -170,12 +170,13 @@ def test_what_lies_on_which_sheet_is_its_twin(seed: int) -> None:
     before, behind = clear_of_edge(y, sheets.y, clear)
     np.testing.assert_array_equal(clear, np.abs(y - sheets.y) > CLEAR_OF_EDGE_MM)
     assert (before, behind) == ((clear & (y < sheets.y)).sum(), (clear & (y > sheets.y)).sum())
-    near_sheets(y, z, sheets, upper, lower)
+    limit_mm = float(rng.uniform(0.05, 0.6))
+    near_sheets(y, z, sheets, limit_mm, upper, lower)
     off_upper = np.abs(z - np.polyval([-0.02, 2.3], y - sheets.y))
     off_lower = np.abs(z - np.polyval([0.01, 0.2], y - sheets.y))
     near = np.abs(y - sheets.y) < 2.0
-    np.testing.assert_array_equal(upper, near & (off_upper < 0.25 * 2.1))
-    np.testing.assert_array_equal(lower, near & (off_lower < 0.25 * 2.1))
+    np.testing.assert_array_equal(upper, near & (off_upper < limit_mm))
+    np.testing.assert_array_equal(lower, near & (off_lower < limit_mm))
     sigma = np.abs(profile.dz_mm) * np.hypot(profile.sigma_px, SIGMA_FLOOR_PX)
     off = np.where(y < edge, off_upper, off_lower) > OFF_SIGMAS * sigma
     share = share_off(y, z, profile.dz_mm, profile.sigma_px, sheets, edge)

@@ -13,16 +13,17 @@ from profiles import groove, lap, measure, only
 
 from noise_model.arrays import Float64
 from noise_model.surface.joint import Joint
-from tracker.joint import MeasuredJoint, fit_joint
+from tracker.joint import ALIKE_OFF_PX, MeasuredJoint, fit_joint
 from tracker.joint.measured import SIGMA_FLOOR_PX
 from tracker.measure import JOINT_CHI2_LIMIT, UNEXPLAINED_LIMIT
 
 LINE = ((-100.0, 0.0, 0.0), (100.0, 0.0, 0.0))
-TRUE_SIGMA_PX = float(np.hypot(0.05, SIGMA_FLOOR_PX))
+SIGMA_PX = 0.07
+TRUE_SIGMA_PX = float(np.hypot(SIGMA_PX, SIGMA_FLOOR_PX))
 FAR_MM = 60.0
 OUT_OF_VIEW_MM = 20.0
 PROFILES, TACKS = 400, 200
-SURE_SIGMAS = 3.0
+SURE_SIGMAS = 4.0
 """An error larger than this must come with a flag."""
 
 
@@ -142,8 +143,8 @@ CASES = {
 
 def seen(truth: Truth, seam: tuple[float, float], rng: np.random.Generator):
     """A profile of a drawn section, seen from straight above; what lies far below is out of view."""
-    profile = measure(truth.corners, seam, rng, sigma_px=TRUE_SIGMA_PX)
-    profile.sigma_px[:] = 0.05
+    profile = measure(truth.corners, seam, rng, sigma_px=TRUE_SIGMA_PX, alike_px=ALIKE_OFF_PX)
+    profile.sigma_px[:] = SIGMA_PX
     return only(profile, profile.z_mm > seam[1] - OUT_OF_VIEW_MM)
 
 
@@ -253,6 +254,7 @@ def test_a_tack_weld_gives_no_wrong_seam_unflagged(name: str) -> None:
     joint, draw = CASES[name]
     rng = np.random.default_rng(9)
     none = flagged = 0
+    scaled = []
     for _ in range(TACKS):
         seam = (rng.uniform(-3.0, 3.0), rng.uniform(-1.0, 1.0))
         truth = draw(rng)
@@ -269,9 +271,13 @@ def test_a_tack_weld_gives_no_wrong_seam_unflagged(name: str) -> None:
         else:
             error = np.array([found.y_mm - seam[0], found.z_mm - seam[1]])
             off = np.abs(error) / np.sqrt(np.diag(found.covariance_mm2))
+            # A right seam is off by three sigmas in one of 370: of all these tacks here, somewhere.
             assert (off < SURE_SIGMAS).all(), (name, error, found)
+            scaled.append(off**2)
     print(f"{name}: of {TACKS} tacks {none} hide the joint, {flagged} are flagged")
     assert none + flagged > 0
+    # And on the whole by what is stated; few may be all that is left.
+    assert not scaled or (np.mean(scaled, axis=0) < 1.0 + 5.0 * math.sqrt(2.0 / len(scaled))).all()
 
 
 @pytest.mark.slow

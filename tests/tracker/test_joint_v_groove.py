@@ -7,7 +7,8 @@ import pytest
 from profiles import groove, measure, only, spoil
 
 from noise_model.surface.joint import Joint
-from tracker.joint import MeasuredJoint, fit_joint
+from tracker.joint import ALIKE_OFF_PX, MeasuredJoint, fit_joint
+from tracker.joint.groove import GAP, PRIOR_SIGMA
 from tracker.joint.measured import SIGMA_FLOOR_PX
 
 CAMERA_MM, LASER_MM = np.array([60.0, 0.0, 130.0]), np.array([0.0, 0.0, 140.0])
@@ -50,7 +51,9 @@ def test_its_covariance_is_honest() -> None:
     seam = (2.0, -4.5)
     errors, scaled, chi2 = [], [], []
     for _ in range(120):
-        profile = measure(groove((30.0, 30.0), (4.2, 4.0), 1.1), seam, rng, sigma_px=TRUE_SIGMA_PX)
+        profile = measure(
+            groove((30.0, 30.0), (4.2, 4.0), 1.1), seam, rng, sigma_px=TRUE_SIGMA_PX, alike_px=ALIKE_OFF_PX
+        )
         profile = only(profile, np.ones(len(profile.y_mm), dtype=bool))
         profile.sigma_px[:] = profile.beside_px[:] = 0.05
         found = fit(profile)
@@ -87,12 +90,16 @@ def test_a_sharp_root_keeps_its_height() -> None:
 
 
 @pytest.mark.parametrize("stated_mm", [0.0, 0.1])
-@pytest.mark.parametrize("gap_mm", [0.0, 0.1, 0.3])
+@pytest.mark.parametrize("gap_mm", [0.0, 0.3])
 @pytest.mark.parametrize("depth_mm", [3.7, 4.0, 4.3])
 def test_a_narrow_root_keeps_its_height_however_deep_it_is(
     stated_mm: float, gap_mm: float, depth_mm: float
 ) -> None:
-    """Less gap, more depth and a lower root leave the bevels where they are: the root's few points decide."""
+    """Less gap, more depth and a lower root leave the bevels where they are: the root's few points decide.
+
+    Those of a tenth of a millimetre are one or two, which may be spatter as well: of such a gap the sigma is
+    asked for, not the place (`test_joint_root`).
+    """
     joint = Joint("v_groove", {**STATED.dimensions, "root_gap_mm": stated_mm}, LINE)
     rng, errors, pulls = np.random.default_rng(4), [], []
     for _ in range(20):
@@ -108,7 +115,11 @@ def test_a_narrow_root_keeps_its_height_however_deep_it_is(
 
 @pytest.mark.parametrize("joint_type", ["v_groove", "half_v"])
 def test_a_narrow_root_that_is_not_seen_is_not_said_to_be_closed(joint_type: str) -> None:
-    """Light falls through it: what is stated is all there is to go by, and the sigma says so."""
+    """Light falls through it: what is stated is all there is to go by, and the sigma says so.
+
+    A wider gap would end the bevels sooner than they are seen, so what is stated is cut off there: half a
+    normal's mean lies sqrt(2 / pi) of its sigma below.
+    """
     size = {"included_angle_deg": 60.0} if joint_type == "v_groove" else {"bevel_angle_deg": 30.0}
     joint = Joint(joint_type, {**size, "depth_mm": 4.0, "root_gap_mm": 0.6}, LINE)
     corners = groove((30.0, 30.0), (4.0, 4.0), 0.6)
@@ -120,7 +131,8 @@ def test_a_narrow_root_that_is_not_seen_is_not_said_to_be_closed(joint_type: str
     assert found is not None
     error, sigma = np.array([found.y_mm - 1.0, found.z_mm + 4.0]), np.sqrt(np.diag(found.covariance_mm2))
     assert (np.abs(error) < np.maximum(3.0 * sigma, 0.05)).all()
-    assert np.abs(error).max() < 0.2
+    rise = 1.0 / np.tan(np.radians(30.0)) * (0.5 if joint_type == "v_groove" else 1.0)
+    assert np.abs(error).max() < rise * np.sqrt(2.0 / np.pi) * PRIOR_SIGMA[GAP]
 
 
 @pytest.mark.parametrize("depth_mm", [3.7, 4.3])

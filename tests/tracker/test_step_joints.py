@@ -99,7 +99,7 @@ def test_a_root_too_narrow_to_be_told_from_a_closed_one_says_so(name: str, gap_m
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("name", "gap_mm"), [("butt", 0.25), ("butt", 0.5), ("edge", 0.5)])
+@pytest.mark.parametrize(("name", "gap_mm"), [("butt", 0.5), ("edge", 0.5)])
 def test_a_narrow_gap_is_as_sure_as_its_blurred_ends_are(name: str, gap_mm: float) -> None:
     """Of few scan lines: between those that surely show a plate and those that do not are some unread."""
     setup = small_setup(name)
@@ -113,6 +113,17 @@ def test_a_narrow_gap_is_as_sure_as_its_blurred_ends_are(name: str, gap_mm: floa
         y = track.seam_tool_mm[1] - true_seam_tool(setup, pose, seam)[1]
         pulls.append((y / track.sigma_y_mm, (track.gap_mm - gap_mm) / track.shape.gap_sigma_mm))
     assert (np.mean(np.square(pulls), axis=0) < 2.0).all(), pulls
+
+
+def test_a_gap_of_two_scan_lines_is_not_told_from_lost_lines() -> None:
+    """Chance loses two lines somewhere in one profile of seventy: no seam is made of them."""
+    setup = small_setup("butt")
+    joint = replace(setup.joint, dimensions={**setup.joint.dimensions, "gap_mm": 0.25})
+    setup = replace(setup, joint=joint)
+    for n in range(4):
+        pose, seam = pose_at(3.0 * n), SeamLine(0.0, 0.177 * n - 1.4, 0.05 * n)
+        track = Tracker(setup).step(frame_of(setup, pose, seam, index=n), pose)
+        assert track.flags & flags.JOINT_NOT_FOUND.mask, track.flag_names
 
 
 @pytest.mark.parametrize(("stated", "there"), [("v_groove", "lap"), ("lap", "v_groove"), ("butt", "half_v")])

@@ -42,6 +42,7 @@ def fit(
     lows: Float64 | None = None,
     map_sigma: float = MAP_SIGMA,
     base_sigma: float = BASE_SIGMA,
+    speckle: float = 0.0,
 ) -> tuple[Float64, Bool]:
     n = len(charge)
     fits, saturated = np.full((n, 5), -1.0), np.ones(n, dtype=bool)
@@ -55,6 +56,7 @@ def fit(
         CELL,
         1.0,
         DARK,
+        speckle,
         map_sigma,
         base_sigma,
         fits,
@@ -191,9 +193,9 @@ def test_solve_refuses_what_is_not_positive() -> None:
 
 
 @settings(deadline=None, max_examples=40)
-@given(seeds, st.floats(1.5, 8.0), st.sampled_from([0.0, 1.0]))
+@given(seeds, st.floats(1.5, 8.0), st.sampled_from([0.0, 1.0]), st.sampled_from([0.0, 0.2]))
 def test_the_normal_equations_are_those_of_numerical_derivatives(
-    seed: int, width: float, shot: float
+    seed: int, width: float, shot: float, speckle: float
 ) -> None:
     rng = np.random.default_rng(seed)
     n = int(rng.integers(8, 60))
@@ -211,10 +213,11 @@ def test_the_normal_equations_are_those_of_numerical_derivatives(
     J = np.stack([(mean(x + step) - mean(x - step)) / (2.0 * step.sum()) for step in steps], axis=1)
     residual = charge - mean(x)
     counts = ~censored | (residual > 0.0)
-    weight = counts / (shot * np.maximum(mean(x), 0.0) + DARK)
+    stripe = x[0] * np.exp(-0.5 * ((r - x[1] * width) / np.exp(x[2])) ** 2)
+    weight = counts / (shot * np.maximum(mean(x), 0.0) + DARK + (speckle * stripe) ** 2)
     H, g = np.zeros((5, 5)), np.empty(5)
     single = (charge.astype(np.float32), background.astype(np.float32), censored, r.astype(np.float32))
-    moments = moments_of(*single, x, width, shot, DARK)
+    moments = moments_of(*single, x, width, shot, DARK, speckle)
     normal_equations(moments, x, H, g)
     exact = J.T @ (weight[:, None] * J)
     scale = np.sqrt(np.diag(exact))

@@ -64,6 +64,7 @@ def light_of(
         1.0,
         contrast,
         PSF_PX,
+        0.0,
     )
 
 

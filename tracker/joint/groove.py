@@ -18,11 +18,11 @@ from tracker.joint.measured import (
     ShapeFit,
     angles_of,
     fit_shape,
-    narrow_root_fit,
     opening_of,
     place,
     section_of,
 )
+from tracker.joint.root import weigh_root
 from tracker.joint.section_shapes import GROOVE, ROUND_GROOVE
 from tracker.profile import Profile
 from tracker.state import JointShape
@@ -82,9 +82,7 @@ def _fit(
             fit = again
             seen = _seen_of(profile, fit, half_mouth)
     if shape == GROOVE and min(seen.right_bevel, seen.left_bevel) > 0.0:
-        middle_mm = float(fit.parameters[0])
-        inside = np.abs(profile.y_mm - middle_mm) < half_mouth
-        fit = narrow_root_fit(profile, shape, start, prior_sigma, GAP, _with_gap, middle_mm, inside, fit)
+        fit = weigh_root(profile, shape, start, prior_sigma, GAP, float(fit.parameters[0]), fit)
         seen = _seen_of(profile, fit, half_mouth)
     amid_mm = (1.0 - 2.0 * END_SHARE) * (half_mouth - 0.5 * gap)
     enough = min(MIN_POINTS, MIN_GROOVE_SHARE * amid_mm / profile.column_mm)
@@ -110,14 +108,6 @@ def _fit(
         seen.left_out,
         section_of(shape, fit),
     )
-
-
-def _with_gap(p: Float64) -> Float64:
-    """Return how a V's parameters (9,) go with its gap where bevels and plates stay as they are."""
-    tan_left, tan_right = p[3:5]
-    up = 1.0 / (tan_left + tan_right)
-    aside = 0.5 * up * (tan_left - tan_right)
-    return np.array([aside, up, 1.0, 0.0, 0.0, -up, -up, 0.0, 0.0])
 
 
 class Seen(NamedTuple):

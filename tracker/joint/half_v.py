@@ -9,19 +9,18 @@ import numpy as np
 from noise_model.arrays import Float64
 from noise_model.surface.joint import Joint, section
 from tracker.joint.measured import (
-    CLOSED_MM,
     SURE_MM,
     SURE_SIGMAS,
     MeasuredJoint,
     ShapeFit,
     angles_of,
     fit_shape,
-    narrow_root_fit,
     opening_of,
     place,
     section_of,
     unexplained,
 )
+from tracker.joint.root import weigh_root
 from tracker.joint.section_shapes import HALF_GROOVE
 from tracker.joint.upright_edge import edge_between, hidden_strip, neighbours_of_edge
 from tracker.profile import Profile
@@ -34,6 +33,9 @@ CLEAR_OF_EDGE_MM = 0.3
 GAP, ROOT, TAN, DEPTH_LEFT, DEPTH_RIGHT, SLOPE_LEFT, SLOPE_RIGHT = range(7)
 PRIOR_SIGMA = np.array([0.3, 5.0, 0.04, 0.3, 0.3, 0.03, 0.03])
 """1 sigma of the gap, the root's height, tan(bevel), both depths (mm), both plate slopes."""
+
+CLOSED_MM = 0.03
+"""A root whose mean gap comes out narrower is most probably closed."""
 
 MIN_POINTS = 5.0
 """The weight of the points that must be seen in the groove, and on the bevel if it is not to be bridged."""
@@ -57,13 +59,14 @@ def fit_half_v(profile: Profile, joint: Joint, camera_mm: Float64, laser_mm: Flo
     )
     if fit is None:
         return None
-    before, behind = _beside_the_upright(profile, fit, float(start[-1]))
+    lines = profile.by_scan()
+    before, behind = _beside_the_upright(lines, fit, float(start[-1]))
     if before < 0:
         return None
     hidden = max(hidden_strip(source, start[-1], z_0 + depth, depth) for source in (camera_mm, laser_mm))
-    start[-1], wall_variance = edge_between(profile, before, behind, hidden)
+    start[-1], wall_variance = edge_between(lines, before, behind, hidden)
     # What lies between may be either side's.
-    clear = (profile.y_mm <= profile.y_mm[before]) | (profile.y_mm >= profile.y_mm[behind])
+    clear = (profile.y_mm <= lines.y_mm[before]) | (profile.y_mm >= lines.y_mm[behind])
     fit = fit_shape(profile, HALF_GROOVE, start, PRIOR_SIGMA, clear)
     if fit is None:
         return None
@@ -82,9 +85,7 @@ def fit_half_v(profile: Profile, joint: Joint, camera_mm: Float64, laser_mm: Flo
     inside = (profile.y_mm > wall) & (profile.y_mm < mouth)
     if is_seen:
         middle_mm = wall + 0.5 * max(float(fit.parameters[GAP]), 0.0)
-        fit = narrow_root_fit(
-            profile, HALF_GROOVE, start, PRIOR_SIGMA, GAP, _with_gap, middle_mm, inside, fit, clear
-        )
+        fit = weigh_root(profile, HALF_GROOVE, start, PRIOR_SIGMA, GAP, middle_mm, fit, clear)
     if fit.weights[inside].sum() < MIN_POINTS:
         return None
     left_out = unexplained(profile, fit, 0.5 * (wall + mouth), 0.5 * (mouth - wall))
@@ -99,12 +100,6 @@ def _beside_the_upright(profile: Profile, fit: ShapeFit, wall: float) -> tuple[i
     over_groove = profile.z_mm - (p[ROOT] + np.maximum(y - p[GAP], 0.0) / p[TAN])
     near, limit = np.abs(y) < 5.0 * CLEAR_OF_EDGE_MM, 0.25 * p[DEPTH_RIGHT]
     return neighbours_of_edge(near & (np.abs(over_plate) < limit), near & (np.abs(over_groove) < limit))
-
-
-def _with_gap(p: Float64) -> Float64:
-    """Return how a half V's parameters (7,) go with its gap where sides and plates stay as they are."""
-    up = 1.0 / p[TAN]
-    return np.array([1.0, up, 0.0, -up, -up, 0.0, 0.0])
 
 
 def _measured(fit: ShapeFit, wall: float, wall_variance: float, left_out: float) -> MeasuredJoint:

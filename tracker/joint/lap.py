@@ -35,8 +35,9 @@ ROLL_BY = 8
 MIN_POINTS = 10
 """So many points of either sheet must be seen clear of the edge."""
 
-NEAR_MM, ON_SHEET = 2.0, 0.25
-"""Points so near to the edge are asked which sheet they lie on: this share of the step off it at most."""
+NEAR_MM, ON_SHEET, MIN_OFF_SHEET = 2.0, 0.25, 0.03
+"""Points so near to the edge are asked which sheet they lie on: off it by their noise, but by no more than
+this share of the step; and by this share at least, for no sheet is flat."""
 
 PRIOR_SIGMA = np.array([5.0, 0.5, 0.03, 0.03])
 """1 sigma of the lower sheet's height, the step (mm), both sheets' slopes beside the profile's own."""
@@ -63,16 +64,19 @@ def fit_lap(profile: Profile, joint: Joint, camera_mm: Float64, laser_mm: Float6
         return None
     z_s, step, slope_lower, slope_upper = shape.parameters.tolist()
     sheets = Sheets(y_0, z_s, step, slope_lower, slope_upper)
-    near_sheets(profile.y_mm, profile.z_mm, sheets, on_upper, on_lower)
+    lines = profile.by_scan()
+    off_mm = OFF_SIGMAS * float(np.median(np.abs(profile.dz_mm) * profile.sigma_px))
+    limit_mm = max(MIN_OFF_SHEET * thickness, min(off_mm, ON_SHEET * thickness))
+    near_sheets(lines.y_mm, lines.z_mm, sheets, limit_mm, on_upper, on_lower)
     before, behind = neighbours_of_edge(on_upper, on_lower)
     if before < 0:
         return None
     # The upper sheet is seen up to its edge; of the lower one the edge may hide a strip from camera or laser.
     hidden = max(hidden_strip(source, y_0, z_s + step, step) for source in (camera_mm, laser_mm))
     # Glare or spatter over all of the points near it: between those beyond, an edge may be anywhere.
-    if profile.y_mm[behind] - hidden - profile.y_mm[before] > 2.0 * CLEAR_OF_EDGE_MM:
+    if lines.y_mm[behind] - hidden - lines.y_mm[before] > 2.0 * CLEAR_OF_EDGE_MM:
         return None
-    edge, edge_variance = edge_between(profile, before, behind, hidden)
+    edge, edge_variance = edge_between(lines, before, behind, hidden)
     z_edge = z_s + slope_lower * (edge - y_0)
     at_edge = np.array([1.0, 0.0, edge - y_0, 0.0])
     covariance = np.array([[edge_variance, 0.0], [0.0, float(at_edge @ shape.covariance @ at_edge)]])
@@ -124,10 +128,12 @@ def clear_of_edge(y_mm: Float64, edge_mm: float, clear: Bool) -> tuple[int, int]
 
 
 @kernel
-def near_sheets(y_mm: Float64, z_mm: Float64, sheets: Sheets, on_upper: Bool, on_lower: Bool) -> None:
-    """Say of each point (n,) whether it lies near the edge and on the upper or on the lower sheet."""
+def near_sheets(
+    y_mm: Float64, z_mm: Float64, sheets: Sheets, limit: float, on_upper: Bool, on_lower: Bool
+) -> None:
+    """Say of each point (n,) whether it lies near the edge and, within a limit, mm, on either sheet."""
     for i in range(y_mm.shape[0]):
-        y, limit = y_mm[i] - sheets.y, ON_SHEET * sheets.step
+        y = y_mm[i] - sheets.y
         over = z_mm[i] - sheets.z
         is_near = abs(y) < NEAR_MM
         on_upper[i] = is_near and abs(over - sheets.step - sheets.slope_upper * y) < limit

@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -16,7 +15,7 @@ from tracker.joint.section_shapes import N_CORNERS, corners_of, opening
 from tracker.profile import Profile
 from tracker.state import NO_SHAPE, JointShape, Pair
 
-SIGMA_FLOOR_PX = 0.05
+SIGMA_FLOOR_PX = 0.01
 """What a stripe centre may be off beyond its noise: the surface's own roughness, pixels unlike each other."""
 
 START_SIGMA_MM = 0.3
@@ -46,7 +45,7 @@ class MeasuredJoint:
 
     `chi2` is the fit's per degree of freedom; `gap_mm` and `mismatch_mm` are NaN where the shape has none.
     `unexplained` is the share of the points near the seam that lie off the shape; `corners_mm` (n, 2) is the
-    fitted section as (y, z).
+    fitted section as (y, z). `evidence_nats` is by how much it is told from a plate without a joint.
     """
 
     y_mm: float
@@ -58,22 +57,7 @@ class MeasuredJoint:
     shape: JointShape = NO_SHAPE
     unexplained: float = 0.0
     corners_mm: Float64 = field(default_factory=lambda: np.empty((0, 2)), repr=False)
-
-
-NARROW_MM, ROOTS = 0.8, ((0.0, 1e-4), (0.15, 0.05), (0.3, 0.1))
-"""A root narrower than this is fitted from these gaps as well, with the 1 sigma of each, mm."""
-
-ROOT_COLUMNS = 2
-"""So many points must show a root, in as many columns on either side of its middle."""
-
-TOLD_COLUMNS = 2.5
-"""A root of fewer columns is not told from a closed one: blur rounds either."""
-
-CLOSED_MM = 1e-3
-"""What comes out narrower is closed."""
-
-CLOSED_ROOT_EXCESS = 0.3
-"""A closed root may leave so much more, in points that are all left out, than the best of the others."""
+    evidence_nats: float = math.nan
 
 
 @dataclass(frozen=True)
@@ -126,58 +110,6 @@ def fit_shape(
         y, dy, dz = profile.y_mm, profile.dy_mm, profile.dz_mm
         add_alike(shape, y, dy, dz, sigma, beside, weights, parameters, chi2, covariance)
     return ShapeFit(parameters[:n], covariance, chi2, weights)
-
-
-def narrow_root_fit(
-    profile: Profile,
-    shape: int,
-    start: Float64,
-    prior_sigma: Float64,
-    gap: int,
-    with_gap: Callable[[Float64], Float64],
-    middle_mm: float,
-    inside: Bool,
-    fit: ShapeFit,
-    used: Bool | None = None,
-) -> ShapeFit:
-    """Return a groove's fit, or one from another root gap that leaves less of the points `inside` (n,).
-
-    A gap less, depths more and a root lower by what that is worth leave bevels and plates where they are: of
-    a root of a few points the priors alone would say how wide and how deep it is, and the points that know
-    better are left out for good. So where the parameter `gap` comes out small it is fitted from `ROOTS` too,
-    closed first: then the root is where the bevels meet. Where no point shows the root, about `middle_mm`,
-    the priors are all there is. A root of fewer than `TOLD_COLUMNS` may be a column wider or narrower: how
-    parameters (p,) go with the gap, bevels and plates left as they are, `with_gap` says.
-    """
-    width_mm = float(fit.parameters[gap])
-    if not width_mm < NARROW_MM:
-        return fit
-    in_root = np.abs(profile.y_mm - middle_mm) < max(0.5 * width_mm, ROOT_COLUMNS * profile.column_mm)
-    if np.count_nonzero(in_root if used is None else in_root & used) < ROOT_COLUMNS:
-        return fit
-    counts = inside if used is None else inside & used
-
-    def excess(candidate: ShapeFit) -> float:
-        # Tukey's loss over its largest, from his weights: 1 - w^(3/2).
-        return float(np.sum(1.0 - candidate.weights[counts] ** 1.5)) - (
-            CLOSED_ROOT_EXCESS if candidate.parameters[gap] < CLOSED_MM else 0.0
-        )
-
-    fits = []
-    for gap_mm, sigma_mm in ROOTS:
-        from_gap, sigma = start.copy(), prior_sigma.copy()
-        from_gap[gap], sigma[gap] = gap_mm, sigma_mm
-        other = fit_shape(profile, shape, from_gap, sigma, used)
-        if other is not None:
-            fits.append(other)
-    # Less than no gap is a closed root whose height the priors chose.
-    fits += [fit] if fit.parameters[gap] > 0.0 else []
-    best = min(fits, key=excess, default=fit)
-    if not best.parameters[gap] < TOLD_COLUMNS * profile.column_mm:
-        return best
-    more = max(profile.column_mm**2 - float(best.covariance[gap, gap]), 0.0)
-    along = with_gap(best.parameters)
-    return replace(best, covariance=best.covariance + more * np.outer(along, along))
 
 
 @kernel

@@ -14,6 +14,7 @@ import numpy as np
 
 from noise_model.arrays import Bool, Float64
 from noise_model.surface.joint import Joint
+from tracker.joint.evidence import gap_evidence_nats, places_of
 from tracker.joint.measured import (
     OFF_SIGMAS,
     MeasuredJoint,
@@ -84,12 +85,13 @@ def fit_slot(profile: Profile, joint: Joint) -> MeasuredJoint | None:
 
 @dataclass(frozen=True)
 class _Gap:
-    """Where a gap's middle is and how wide it is, mm, and their variances, mm^2."""
+    """Where a gap's middle is and how wide it is, mm, and their variances, mm^2; its first and last line."""
 
     y_mm: float
     variance_mm2: float
     width_mm: float
     width_variance_mm2: float
+    lines: tuple[int, int]
 
 
 class _End(NamedTuple):
@@ -110,6 +112,7 @@ def _gap_of(lines: _Lines, joint: Joint, y_0: float) -> _Gap | None:
     slack = min(SLACK_MM, 0.5 * thickness) if joint.type == "edge" else SLACK_MM
     reach = 0.5 * gap + slack
     right, left = lines.end(y_0 - reach, y_0, True), lines.end(y_0, y_0 + reach, False)
+    between = right.line + 1, left.line - 1
     if lines.others_between(right.line, left.line) >= MIN_LINES:
         gap_lines = left.line - right.line - 1
         # A blurred end seems off to its own side: where one is not told, in the middle of both that cancels.
@@ -119,16 +122,18 @@ def _gap_of(lines: _Lines, joint: Joint, y_0: float) -> _Gap | None:
             right, left = right_told, left_told
         width = left.y_mm - right.y_mm
         variance = width_variance = left.variance_mm2 + right.variance_mm2
-        if width < BLURRED_LINES * lines.column_mm:
+        if width < lines.blurred * lines.column_mm:
             width_variance = max(width_variance, lines.column_mm**2)
-        return _Gap(0.5 * (left.y_mm + right.y_mm), 0.25 * variance, width, width_variance)
+        return _Gap(0.5 * (left.y_mm + right.y_mm), 0.25 * variance, width, width_variance, between)
     if joint.type != "edge":
         return None
     outer = 0.5 * gap + thickness
     right = lines.end(y_0 - outer - slack, y_0 - outer + slack, False)
     left = lines.end(y_0 + outer - slack, y_0 + outer + slack, True)
     variance = 0.25 * (left.variance_mm2 + right.variance_mm2) + 0.5 * THICKNESS_SIGMA_MM**2
-    return _Gap(0.5 * (left.y_mm + right.y_mm), variance, 0.0, (BLURRED_LINES * lines.column_mm) ** 2)
+    return _Gap(
+        0.5 * (left.y_mm + right.y_mm), variance, 0.0, (BLURRED_LINES * lines.column_mm) ** 2, between
+    )
 
 
 def _measure(
@@ -147,7 +152,8 @@ def _measure(
     fit = _plates(profile, y_0, clear)
     if fit is None:
         return None
-    opening = _gap_of(_Lines(profile, _on_plate(profile, fit, y_0, limit_mm), is_edge), joint, y_0)
+    seen = _Lines(profile, _on_plate(profile, fit, y_0, limit_mm), is_edge)
+    opening = _gap_of(seen, joint, y_0)
     if opening is None:
         return None
     right_mm, left_mm = opening.y_mm - 0.5 * opening.width_mm, opening.y_mm + 0.5 * opening.width_mm
@@ -170,6 +176,9 @@ def _measure(
     right_top, left_top = float(right_surface @ fit.parameters), float(left_surface @ fit.parameters)
     # What lies deep in the gap is the gap's, whatever it is.
     floor = z_s - thickness
+    evidence = math.inf
+    if not is_edge:
+        evidence = gap_evidence_nats(seen.sees < 0.0, *opening.lines, places_of(profile, profile.column_mm))
     corners = [far_right, (right_mm, right_top), (right_mm, floor), (left_mm, floor), (left_mm, left_top)]
     return MeasuredJoint(
         opening.y_mm,
@@ -181,6 +190,7 @@ def _measure(
         shape,
         _raised(profile, fit, y_0, (right_mm, left_mm)),
         np.array([*corners, far_left]),
+        evidence,
     )
 
 
@@ -302,6 +312,13 @@ class _Lines:
             return None
         y_mm = np.interp(end.line + towards * off, np.arange(len(self.y_mm)), self.y_mm)
         return _End(float(y_mm), variance, end.line)
+
+    @property
+    def blurred(self) -> int:
+        """The scan lines of a gap whose ends blur into one."""
+        if self.light is None:
+            return BLURRED_LINES
+        return max(BLURRED_LINES, 2 * (clear_of_an_edge(self.light) - 1))
 
     def others_between(self, first: int, last: int) -> int:
         """Return how many scan lines between two lines show no plate."""

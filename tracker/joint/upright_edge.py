@@ -60,19 +60,22 @@ def edge_between(profile: Profile, before: int, behind: int, hidden_mm: float) -
     if profile.light is None:
         return anywhere
     ends = stripe_ends(profile.light, int(profile.scan[before]), int(profile.scan[behind]))
-    # What shines from the upright side itself, if it is seen, may count as either's, anywhere between them.
-    upright = 0.0 if hidden_mm > 0.0 else abs(ends[1].line - ends[0].line) / math.sqrt(12.0)
-    total, information = 0.0, 0.0
+    places, variances = [], []
     sides = slice(max(before - BESIDE, 0), before), slice(behind + 1, behind + 1 + BESIDE)
     for end, side, hides_mm in zip(ends, sides, (0.0, hidden_mm), strict=True):
         y_mm = _at_line(profile, side, end.line) - hides_mm
         sigma_mm = end.sigma * profile.column_mm
         # Elsewhere some other light ends; and what tells less than the two points do is no end.
         if sigma_mm**2 < variance_mm2 and abs(y_mm - middle_mm) < 0.5 * spread_mm + OFF_SIGMAS * sigma_mm:
-            of_end = sigma_mm**2 + (upright * profile.column_mm) ** 2
-            total += y_mm / of_end
-            information += 1.0 / of_end
-    return Edge(total / information, 1.0 / information) if information > 0.0 else anywhere
+            places.append(y_mm)
+            variances.append(sigma_mm**2)
+    if not places:
+        return anywhere
+    information = sum(1.0 / variance for variance in variances)
+    edge_mm = sum(place / variance for place, variance in zip(places, variances, strict=True)) / information
+    # What shines from the upright side itself, if it is seen, counts as either's: then they do not agree.
+    apart_mm2 = (places[0] - places[-1]) ** 2 - sum(variances)
+    return Edge(edge_mm, 1.0 / information + 0.25 * max(apart_mm2, 0.0))
 
 
 def _at_line(profile: Profile, points: slice, line: float) -> float:

@@ -7,8 +7,9 @@ between them is
     d(r) = a_s u(r) + b_s v(r) + c_s + noise.
 
 Seen through a Gaussian of sigma_p, an edge at e leaves a_s = A Phi((e - s) / sigma_p), A near 1, and so of
-the other side. That a stripe's brightness scatters from line to line by a contrast C adds (C a_s)^2 to a
-share's variance.
+the other side. Where the edge crosses the stripe askew, the sheet's 1 sigma spreads it over lines of its own:
+a bell cut off at t of its sigmas has the least-squares share Phi(sqrt(2) t), so half of that square counts.
+That a stripe's brightness scatters from line to line by a contrast C adds (C a_s)^2 to a share's variance.
 """
 
 from __future__ import annotations
@@ -57,7 +58,8 @@ class StripeLight(NamedTuple):
 
     `charge_e`, `background_e` and `variance_e2`, of a pixel without the stripe; `shot` times the stripe's
     light comes on top. `position_px`, `width_px` (n_scan,) are the stripe's. `contrast` is by how much its
-    brightness scatters from line to line, relative, `psf_sigma_px` the optics' sigma.
+    brightness scatters from line to line, relative, `psf_sigma_px` the optics' sigma, `sheet_lines` over how
+    many lines an edge along the seam crosses the sheet's sigma.
     """
 
     charge_e: Float32
@@ -71,6 +73,7 @@ class StripeLight(NamedTuple):
     shot: float
     contrast: float
     psf_sigma_px: float
+    sheet_lines: float
 
 
 class StripeEnd(NamedTuple):
@@ -125,12 +128,13 @@ def stripe_end(light: StripeLight, last: int, away: int, gap_lines: int) -> Stri
 
 def clear_of_an_edge(light: StripeLight) -> int:
     """Return how many lines beyond a line beside an edge one is clear of it."""
-    return math.ceil(CLEAR_SIGMAS * light.psf_sigma_px) + 1
+    return math.ceil(CLEAR_SIGMAS * math.hypot(light.psf_sigma_px, light.sheet_lines)) + 1
 
 
 def _fitted(light: StripeLight, shares: Float64, variances: Float64) -> StripeEnd:
     """Return the end of shares (n,) of a light's stripe, in lines from the first."""
-    contrast, sigma = max(light.contrast, MIN_CONTRAST), max(light.psf_sigma_px, LINE_SIGMA)
+    contrast = max(light.contrast, MIN_CONTRAST)
+    sigma = max(math.hypot(light.psf_sigma_px, light.sheet_lines / math.sqrt(2.0)), LINE_SIGMA)
     return StripeEnd(*fit_end(shares, variances, contrast, sigma))
 
 

@@ -18,14 +18,17 @@ from noise_model.surface.joint import EDGE_STANDS_MM
 from tracker.geometry import SensorGeometry
 from tracker.stripe.bias import PLANES, fit_bell
 
-HALF_SPAN_MM, STEP_MM = 60.0, 0.75
-"""How far to either side of the tool the stripe is followed where the camera sees it, and in which steps."""
+STEP_MM, MAX_STEPS_SEEN = 0.75, 160
+"""In which steps the stripe is followed where the camera sees it: longer ones where these would be more."""
 
 FLANKS = np.array([-1.0, 0.0, 1.0])
 """Planes across the sheet, in its sigmas, that tell width and bias of a stripe on flat faces."""
 
 BESIDE_MM = 1e-6
 """The stripe is looked at so near to either side of each corner."""
+
+SAME_ELEVATION = 1e-6
+"""Points of one face that a source sees edge on differ by less."""
 
 MAX_STEPS, MET_MM = 20, 1e-9
 """Steps by which a plane is met on a corrugation at most; one that is shorter is the last."""
@@ -53,7 +56,8 @@ def expect_stripe(geometry: SensorGeometry, scene: Scene) -> ExpectedStripe | No
     """Return the expected stripe of a scene, or None where it is out of view.
 
     The sheet's middle and its two one-sigma planes are cut with the section, projected into the image and
-    read off per scan line; beyond what is seen the ends are held. A Gaussian stripe whose strength varies as
+    read off per scan line; what the section hides from camera or laser is left out, and beyond what is seen
+    the ends are held. A Gaussian stripe whose strength varies as
     exp(k v) is that Gaussian moved by k sigma^2. One that is wider on one side by the surface's curve,
     v = a x + b x^2, moves the least-squares centre by 3/2 b sigma_x^2, as its third-order term projects on
     the derivative of the Gaussian. Both together are the bias, with k from the model of the light. On a
@@ -166,11 +170,12 @@ def _samples(vertices: Float64, middle_mm: float, low_mm: float, high_mm: float)
     They reach a step beyond what is seen of it, from `low_mm` to `high_mm`, and stand beside every corner.
     """
     n_inner = vertices.shape[0] - 2
-    first = math.floor(max(low_mm - middle_mm, -HALF_SPAN_MM) / STEP_MM)
-    n_even = max(math.ceil(min(high_mm - middle_mm, HALF_SPAN_MM) / STEP_MM) + 1 - first, 0)
+    step_mm = max(STEP_MM, (high_mm - low_mm) / MAX_STEPS_SEEN)
+    first = math.floor((low_mm - middle_mm) / step_mm)
+    n_even = max(math.ceil((high_mm - middle_mm) / step_mm) + 1 - first, 0)
     y = np.empty(n_even + 2 * n_inner)
     for i in range(n_even):
-        y[i] = middle_mm + STEP_MM * (first + i)
+        y[i] = middle_mm + step_mm * (first + i)
     for k in range(n_inner):
         y[n_even + 2 * k] = vertices[k + 1, 0] - BESIDE_MM
         y[n_even + 2 * k + 1] = vertices[k + 1, 0] + BESIDE_MM
@@ -182,18 +187,47 @@ def _samples(vertices: Float64, middle_mm: float, low_mm: float, high_mm: float)
     return y, face
 
 
+@kernel
+def _hide_behind(y: Float64, z: Float64, source_y: float, source_z: float, seen: Bool) -> None:
+    """Say of a section's points (n,), y rising, which of them others hide from a source: they are not seen.
+
+    The section is swept, so what hides a point across it hides it: going away from the source, its elevation
+    is that of the horizon so far or more.
+    """
+    n = y.shape[0]
+    first = 0
+    while first < n and y[first] < source_y:
+        first += 1
+    horizon = -math.inf
+    for i in range(first, n):
+        elevation = (z[i] - source_z) / max(y[i] - source_y, BESIDE_MM)
+        seen[i] = seen[i] and elevation >= horizon - SAME_ELEVATION
+        horizon = max(horizon, elevation)
+    horizon = -math.inf
+    for i in range(first - 1, -1, -1):
+        elevation = (z[i] - source_z) / max(source_y - y[i], BESIDE_MM)
+        seen[i] = seen[i] and elevation >= horizon - SAME_ELEVATION
+        horizon = max(horizon, elevation)
+
+
 @kernel(allocates=True)
 def _per_line(
-    points_px: Float64, light: Float64, face: Int64, position: Float64, strength: Float64, shown: Int64
+    points_px: Float64,
+    light: Float64,
+    face: Int64,
+    seen: Int64,
+    position: Float64,
+    strength: Float64,
+    shown: Int64,
 ) -> bool:
     """Read a trace (n, 2) off at every scan line: place, light and face, -1 between two; ends are held.
 
-    False if no scan line meets it.
+    Only the points `seen` (m,) count. False if no scan line meets it.
     """
-    # A strided column is another type, for which the sort would be compiled anew.
-    order = np.argsort(points_px[:, 0].copy(), kind="mergesort")
+    # Indexed, the column is contiguous: a strided one would compile the sort anew.
+    order = seen[np.argsort(points_px[:, 0][seen], kind="mergesort")]
     n, n_scan = len(order), position.shape[0]
-    if points_px[order[n - 1], 0] < 0.0 or points_px[order[0], 0] > n_scan - 1:
+    if n == 0 or points_px[order[n - 1], 0] < 0.0 or points_px[order[0], 0] > n_scan - 1:
         return False
     after = 0
     for s in range(n_scan):
@@ -231,6 +265,13 @@ def _expect(
     y, face = _samples(vertices, tool_mm[1], seen_mm[0], seen_mm[1])
     n = len(y)
     points_px, light = np.empty((n, 2)), np.empty(n)
+    z, is_seen = np.empty(n), np.ones(n, dtype=np.bool_)
+    for i in range(n):
+        z[i] = vertices[face[i], 1] + slope_across(face[i], vertices) * (y[i] - vertices[face[i], 0])
+    lift = ridge(tool_mm[0], corrugation)[0]
+    _hide_behind(y, z, T_joint_camera[1, 3], T_joint_camera[2, 3] - lift, is_seen)
+    _hide_behind(y, z, sheet.origin[1], sheet.origin[2] - lift, is_seen)
+    in_sight = np.flatnonzero(is_seen)
     n_planes = planes.shape[0]
     places, strengths = np.empty((n_planes, n_scan)), np.empty((n_planes, n_scan))
     faces = np.empty((n_planes, n_scan), dtype=np.int64)
@@ -255,7 +296,7 @@ def _expect(
             light,
         ):
             return False
-        if not _per_line(points_px, light, face, places[k], strengths[k], faces[k]):
+        if not _per_line(points_px, light, face, in_sight, places[k], strengths[k], faces[k]):
             return False
     middle = n_planes // 2
     flank = round(1.0 / (planes[1] - planes[0]))

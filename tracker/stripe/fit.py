@@ -52,9 +52,6 @@ EDGE_PX = 3
 MIN_SIGNIFICANCE = 5.0
 """A stripe counts from this amplitude over its 1 sigma."""
 
-WIDTH_LIMIT_LN = 0.35
-"""A fitted width further off than this is two faces or no stripe."""
-
 
 class LineScratch(NamedTuple):
     """Room for one line's fit: pixel numbers (`MAX_PIXELS`,), information (5, 5), three vectors (5,)."""
@@ -101,6 +98,7 @@ def fit_line(
     width: float,
     shot: float,
     dark_variance: float,
+    speckle: float,
     map_sigma: float,
     base_sigma: float,
     edge_e: float,
@@ -111,8 +109,9 @@ def fit_line(
 
     `charge`, `background` (depth,) are the linearised pixels and the arc map at its level, e-; `start` and
     `width` px. The variance of a pixel is `shot` (1, or 0 for one variance for all) times its mean plus
-    `dark_variance`, e-^2. `map_sigma` is the map's relative 1 sigma, `base_sigma` the black level's, e-,
-    `edge_e` by how much the map changes to the neighbouring lines: an edge that may cut across this one.
+    `dark_variance`, e-^2, and the square of `speckle` times the stripe's light. `map_sigma` is the map's
+    relative 1 sigma, `base_sigma` the black level's, e-, `edge_e` by how much the map changes to the
+    neighbouring lines: an edge that may cut across this one.
     False if there is no stripe there; what is written then is the fit that was refused, if it ran to its
     end. The position is relative to the band's start.
     """
@@ -137,7 +136,7 @@ def fit_line(
     chi2, used, is_settled = 0.0, 0.0, False
     for _ in range(MAX_STEPS):
         x[1], x[2], x[4] = position / w, ln_w, b1 * w
-        moments = moments_of(charge, background, censored, ramp, x, w, shot, dark_variance)
+        moments = moments_of(charge, background, censored, ramp, x, w, shot, dark_variance, speckle)
         normal_equations(moments, x, H, g)
         off = (ln_w - ln_w0) / WIDTH_SIGMA_LN
         known_b0, known_b1 = 1.0 / sigma_b0**2, 1.0 / (sigma_b1 * w) ** 2
@@ -170,13 +169,16 @@ def fit_line(
     chi2 /= freedom
     # Only what chi2 shows beyond its own scatter widens the sigmas: else chance alone would, on average.
     excess = max(chi2 - math.sqrt(2.0 / freedom), 1.0)
-    significance = x[0] / math.sqrt(variance_a * excess)
+    # Where there is no stripe there is no speckle: a stripe is told from the noise without it.
+    without = max(shot * (level + x[0]) + dark_variance, MIN_SIGMA_E**2)
+    unspeckled = without / (without + (speckle * x[0]) ** 2)
+    significance = x[0] / math.sqrt(variance_a * excess * unspeckled)
     out[0] = low + position
     out[1] = math.sqrt(variance_x * excess)
     out[2] = x[0]
     out[3] = w
     out[4] = chi2
-    return significance >= MIN_SIGNIFICANCE and abs(ln_w - ln_w0) <= WIDTH_LIMIT_LN
+    return bool(significance >= MIN_SIGNIFICANCE)
 
 
 @kernel
@@ -204,6 +206,7 @@ def fit_lines(
     cell: int,
     shot: float,
     dark_variance: float,
+    speckle: float,
     map_sigma: float,
     base_sigma: float,
     fits: Float64,
@@ -231,6 +234,7 @@ def fit_lines(
                 width[s],
                 shot,
                 dark_variance,
+                speckle,
                 map_sigma,
                 base_sigma,
                 map_edge(background, lows, cell, s, start[s]),

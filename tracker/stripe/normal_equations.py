@@ -59,17 +59,19 @@ def moments_of(
     width: float,
     shot: float,
     dark_variance: float,
+    speckle: float,
 ) -> Moments:
     """Return the moments of a line's pixels at x.
 
     `x` holds amplitude, position over width, ln width, offset and slope times width: five numbers of alike
-    derivatives. `charge` (n,) and its like are the window's, `ramp` (n,) counts its pixels. Sums may be taken
-    in any order, so they run 8 or 16 pixels at once.
+    derivatives. `charge` (n,) and its like are the window's, `ramp` (n,) counts its pixels. A pixel has the
+    variance `shot` times its mean plus `dark_variance`, e-^2, and the square of `speckle` times the stripe's
+    light. Sums may be taken in any order, so they run 8 or 16 pixels at once.
     """
     zero, unity = np.float32(0.0), np.float32(1.0)
     amplitude, offset, slope = np.float32(x[0]), np.float32(x[3]), np.float32(x[4])
     inverse, t0 = np.float32(1.0 / width), np.float32(x[1])
-    shot32, dark32 = np.float32(shot), np.float32(dark_variance)
+    shot32, dark32, speckled = np.float32(shot), np.float32(dark_variance), np.float32(speckle * x[0])
     bell2_0, bell2_1, bell2_2, bell2_3, bell2_4 = zero, zero, zero, zero, zero
     bell_0, bell_1, bell_2, bell_3 = zero, zero, zero, zero
     flat_0, flat_1, flat_2 = zero, zero, zero
@@ -81,7 +83,8 @@ def moments_of(
         mean = amplitude * g + background[j] + offset + slope * t
         residual = charge[j] - mean
         counts = unity if (not censored[j]) or residual > zero else zero
-        weight = counts / (shot32 * max(mean, zero) + dark32)
+        grains = speckled * g
+        weight = counts / (shot32 * max(mean, zero) + dark32 + grains * grains)
         t2, off = t * t, weight * residual
         w_bell, off_bell = weight * g, off * g
         w_bell2, w_bell2_2 = w_bell * g, w_bell * g * t2

@@ -18,8 +18,8 @@ from tracker.stripe.edge import StripeLight
 from tracker.stripe.expected import ExpectedStripe
 from tracker.stripe.fit import fit_lines
 from tracker.stripe.ghost import second_light, second_place
+from tracker.stripe.scatter import FrameScatter, Scatter, frame_scatter, own_sigma, speckle_squared
 from tracker.stripe.smooth import smooth_stripe
-from tracker.stripe.speckle import Speckle, with_speckle
 from tracker.stripe.viterbi import OFFSET_STEP, best_path, matched_filter, peaks
 
 FIT_SIGMAS = 5.0
@@ -76,7 +76,7 @@ class StripeReading:
     `fits` (n_scan, 5) are `fit_line`'s. The variance of a pixel is `shot` times its mean plus
     `dark_variance_e2`; `map_sigma` is the background's relative 1 sigma, `base_sigma_e` the black level's.
     `second_share` is how bright a second stripe is over the first, 0 for none; the background has its light.
-    `speckle` is what the setup states.
+    `scatter` is what the frames up to this one show of it, `learned` what this one was read with.
     """
 
     stripe: Stripe
@@ -91,9 +91,10 @@ class StripeReading:
     map_sigma: float
     base_sigma_e: float
     second_share: float
-    speckle: Speckle
+    scatter: Scatter
+    learned: Scatter
 
-    def light(self, psf_sigma_px: float) -> StripeLight:
+    def light(self, psf_sigma_px: float, sheet_lines: float) -> StripeLight:
         """Return what shows where the stripe ends, as good as the band."""
         band, width_px = self.band, self.fits[:, 3]
         return StripeLight(
@@ -106,8 +107,9 @@ class StripeReading:
             self.stripe.position_px,
             width_px,
             self.shot,
-            self.speckle.line_contrast(width_px),
+            self.scatter.brightness_contrast,
             psf_sigma_px,
+            sheet_lines,
         )
 
 
@@ -126,8 +128,12 @@ def read_stripe(
     reach_px: float,
     work: Work,
     use_arc_map: bool,
+    scatter: Scatter,
 ) -> StripeReading:
-    """Find the stripe within `reach_px` of its expected place and fit its centre in every scan line."""
+    """Find the stripe within `reach_px` of its expected place and fit its centre in every scan line.
+
+    `scatter` is what earlier frames show of it; this frame's is added before it is used.
+    """
     half = math.ceil(reach_px + FIT_SIGMAS * float(expected.sigma_px.max()))
     lows, depth = place(expected.position_px, geometry.n_pos, half)
     band = work.band(depth)
@@ -154,7 +160,12 @@ def read_stripe(
     base_sigma = geometry.setup.tolerance.black_level_dn * geometry.setup.sensor.gain_e_per_dn
     offsets = np.arange(-math.floor(reach_px), math.floor(reach_px) + 1, OFFSET_STEP)
     noise = shot, dark_variance, map_sigma, base_sigma
-    score, start, fits, saturated = _fit_band(band, expected, lows, offsets, noise)
+    score, start, fits, saturated, seen = _fit_band(band, expected, lows, offsets, noise, scatter)
+    learned = scatter
+    if not scatter.frames:
+        # Of the first frame what it shows itself is all that is known.
+        learned = scatter.with_frame(seen)
+        score, start, fits, saturated, seen = _fit_band(band, expected, lows, offsets, noise, learned)
     plain, second_share = band.background, 0.0
     for _ in range(MAX_ROUNDS):
         share, apart_px = second_place(band.charge, plain, band.censored, fits, lows)
@@ -168,19 +179,9 @@ def read_stripe(
             second_light(band.charge, plain, band.censored, fits, lows, share, apart_px, light)
             band.background += light
         second_share = share
-        score, start, fits, saturated = _fit_band(band, expected, lows, offsets, noise)
-    speckle = Speckle.of(geometry.setup)
-    sigma, together = with_speckle(
-        speckle,
-        fits,
-        expected.sigma_px,
-        band.background,
-        lows,
-        shot,
-        dark_variance,
-        map_sigma,
-        base_sigma,
-    )
+        score, start, fits, saturated, seen = _fit_band(band, expected, lows, offsets, noise, learned)
+    scatter = scatter.with_frame(seen)
+    sigma, together = scatter.widened(own_sigma(fits, expected.sigma_px))
     smooth, smooth_sigma = smooth_stripe(fits[:, 0], sigma, together)
     stripe = Stripe(
         fits[:, 0], sigma, smooth, smooth_sigma, fits[:, 2], saturated, geometry.along_rows, together
@@ -198,7 +199,8 @@ def read_stripe(
         map_sigma,
         base_sigma,
         second_share,
-        speckle,
+        scatter,
+        learned,
     )
 
 
@@ -208,11 +210,14 @@ def _fit_band(
     lows: Int64,
     offsets: Int64,
     noise: tuple[float, float, float, float],
-) -> tuple[Float32, Float64, Float64, Bool]:
+    learned: Scatter,
+) -> tuple[Float32, Float64, Float64, Bool, FrameScatter]:
     """Return a band's score (n_scan, n_offsets), path's start (n_scan,), fits (n_scan, 5), saturated lines.
 
-    `noise` are `fit_lines`' shot, dark variance, and 1 sigma of map and base.
+    And what they show of the scatter. `noise` are `fit_lines`' shot, dark variance, and 1 sigma of map and
+    base; `learned` is the scatter that is known.
     """
+    width_px = expected.sigma_px * learned.width_factor
     shot, dark_variance, map_sigma, base_sigma = noise
     weigh(band.charge, band.background, shot, dark_variance, band.residual, band.variance)
     n_scan = len(band.charge)
@@ -221,7 +226,7 @@ def _fit_band(
         band.residual,
         band.variance,
         expected.position_px,
-        expected.sigma_px,
+        width_px,
         lows,
         CELL,
         offsets,
@@ -238,17 +243,26 @@ def _fit_band(
         band.background,
         band.censored,
         start,
-        expected.sigma_px,
+        width_px,
         lows,
         CELL,
         shot,
         dark_variance,
+        learned.weighing_contrast,
         map_sigma,
         base_sigma,
         fits,
         saturated,
     )
-    return score, start, fits, saturated
+    speckle = speckle_squared(
+        band.charge, band.background, band.censored, fits, lows, CELL, shot, dark_variance
+    )
+    own = own_sigma(fits, width_px)
+    seen = frame_scatter(fits, expected.position_px, expected.sigma_px, own, speckle)
+    # The limit is that of what is known: a frame without a stripe would widen it for itself.
+    odd = np.abs(np.log(fits[:, 3] / width_px)) > learned.width_limit_ln
+    fits[odd], saturated[odd] = np.nan, False
+    return score, start, fits, saturated, seen
 
 
 def _predict_background(

@@ -37,7 +37,7 @@ PARTS = {
     "map": ("uncertainty of the arc map", style.VERMILLION),
     "dark": ("read noise, steps of the DN", style.GREY),
     "width": ("unknown width", style.SKY),
-    "misfit": ("misfit (χ² above its scatter), speckle", style.BLACK),
+    "misfit": ("misfit (χ² above its scatter), scatter of the lines", style.BLACK),
 }
 """What a sigma is made of, bottom to top; the floor, which the joint's fit adds, is drawn above them."""
 

@@ -13,13 +13,13 @@ from tracker import flags
 from tracker.checks import Check, Question
 from tracker.flags import Flag
 from tracker.seam.correction import UNSTATED
-from tracker.stripe.fit import MIN_SIGNIFICANCE, WIDTH_LIMIT_LN
+from tracker.stripe.fit import MIN_SIGNIFICANCE
 
 REFUSALS = {
     NO_PATH: "the likeliest path passes over it: no candidate there is worth the way",
     NO_FIT: "the fit ran away, or too few pixels count: an edge, saturation, the band's end",
     TOO_WEAK: f"what the fit found is less than {MIN_SIGNIFICANCE:g} of its own σ high",
-    ODD_WIDTH: f"its width is off by a factor of {math.exp(WIDTH_LIMIT_LN):.1f}: two faces, or no stripe",
+    ODD_WIDTH: "its width is none that the stripe has: two faces, or no stripe",
 }
 """Why a scan line holds no stripe."""
 

@@ -1,0 +1,184 @@
+"""Evidence for a joint: how often a plain plate shows as much, and what real joints show."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from profiles import PX_MM, groove, lap, measure
+
+from noise_model.surface.joint import Joint
+from tracker.joint import fit_joint
+from tracker.joint.evidence import (
+    MIN_EVIDENCE_NATS,
+    RUN_PRIOR,
+    evidence_nats,
+    gap_evidence_nats,
+    places_of,
+    plate_loss,
+    runs_of,
+)
+from tracker.profile import Profile
+
+LINE = ((-100.0, 0.0, 0.0), (100.0, 0.0, 0.0))
+CAMERA_MM, LASER_MM = np.array([60.0, 0.0, 130.0]), np.array([0.0, 0.0, 140.0])
+JOINTS = {
+    "v_groove": Joint("v_groove", {"included_angle_deg": 60.0, "depth_mm": 4.0, "root_gap_mm": 1.0}, LINE),
+    "lap": Joint("lap", {"thickness_mm": 2.0}, LINE),
+    "half_v": Joint("half_v", {"bevel_angle_deg": 45.0, "depth_mm": 4.0, "root_gap_mm": 1.0}, LINE),
+    "fillet": Joint("fillet", {"included_angle_deg": 90.0}, LINE),
+}
+REACH_MM = 5.5
+PLATE = np.array([(-60.0, 0.0), (60.0, 0.0)])
+seeds = st.integers(0, 2**32 - 1)
+
+
+def scattered(rng: np.random.Generator, grain: float, bow_mm: float = 0.0) -> Profile:
+    """A plate whose centres are off by 0.2 px, each by itself or alike within a grain."""
+    exact = measure(PLATE, (0.0, 0.0), rng, noise=False)
+    n = len(exact.y_mm)
+    reach = np.arange(-20.0, 21.0)
+    kernel = np.exp(-0.5 * (reach / max(grain, 1e-3)) ** 2)
+    kernel /= np.linalg.norm(kernel)
+    error = 0.2 * np.convolve(rng.normal(size=n + 40), kernel, "valid")
+    z = exact.z_mm + PX_MM[1] * error + bow_mm * (exact.y_mm / 18.0) ** 2
+    sigma = np.full(n, 0.2)
+    return replace(exact, z_mm=z, sigma_px=sigma, beside_px=sigma * float(kernel.sum()), reach_mm=REACH_MM)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("bow_mm", [0.0, 0.5])
+@pytest.mark.parametrize("grain", [0.0, 2.0])
+@pytest.mark.parametrize("name", JOINTS)
+def test_a_plate_shows_so_much_by_chance_no_more_often_than_is_said(
+    name: str, grain: float, bow_mm: float
+) -> None:
+    """Evidence beyond x has the probability exp(-x) at most, of white noise and of neighbours off alike."""
+    rng, shown, n = np.random.default_rng(3), [], 300
+    for _ in range(n):
+        found = fit_joint(scattered(rng, grain, bow_mm), JOINTS[name], CAMERA_MM, LASER_MM)
+        shown.append(-math.inf if found is None else found.evidence_nats)
+    shares = [float(np.mean(np.array(shown) > x)) for x in (1.0, 2.0, MIN_EVIDENCE_NATS)]
+    print(f"{name}, grain {grain}, bow {bow_mm}: most {max(shown):.1f} nats, beyond 1, 2, 6.9: {shares}")
+    for x, share in zip((1.0, 2.0), shares, strict=False):
+        said = math.exp(-x)
+        assert share <= said + 3.0 * math.sqrt(said * (1.0 - said) / n)
+    # One of a thousand is allowed: of these, two at most.
+    assert shares[-1] * n <= 2.0
+
+
+@pytest.mark.parametrize("sigma_px", [0.05, 0.5])
+@pytest.mark.parametrize("name", ["v_groove", "lap"])
+def test_a_joint_is_told_from_a_plate(name: str, sigma_px: float) -> None:
+    corners = groove((30.0, 30.0), (4.0, 4.0), 1.0) if name == "v_groove" else lap(2.0)
+    rng, least = np.random.default_rng(4), math.inf
+    for _ in range(20):
+        profile = replace(measure(corners, (0.4, -0.2), rng, sigma_px=sigma_px), reach_mm=REACH_MM)
+        found = fit_joint(profile, JOINTS[name], CAMERA_MM, LASER_MM)
+        assert found is not None
+        least = min(least, found.evidence_nats)
+    print(f"{name}, {sigma_px} px: {least:.0f} nats at least")
+    assert least > 4.0 * MIN_EVIDENCE_NATS
+
+
+def test_neighbours_that_are_off_alike_count_as_fewer() -> None:
+    profile = measure(groove((30.0, 30.0), (4.0, 4.0), 1.0), (0.0, 0.0), np.random.default_rng(5))
+    found = fit_joint(profile, JOINTS["v_groove"], CAMERA_MM, LASER_MM)
+    assert found is not None
+    alone = evidence_nats(profile, found.corners_mm)
+    alike = evidence_nats(replace(profile, beside_px=2.0 * profile.sigma_px), found.corners_mm)
+    # The prices of places and parameters stay: a quarter of the likelihood is left, and some nats.
+    assert alike == pytest.approx(0.25 * alone, abs=8.0)
+    assert alike < alone
+
+
+def test_what_lies_on_a_section_as_on_a_plate_speaks_for_none() -> None:
+    profile = measure(PLATE, (0.0, 0.0), np.random.default_rng(6))
+    assert evidence_nats(profile, PLATE) < 0.0
+    assert plate_loss(profile) < 0.7 * len(profile.y_mm)
+
+
+def test_a_plates_cubic_and_some_spatter_are_no_loss() -> None:
+    rng = np.random.default_rng(7)
+    plain = measure(PLATE, (0.0, 0.0), rng)
+    bowed = replace(plain, z_mm=plain.z_mm + 1e-2 * plain.y_mm**2 - 1e-4 * plain.y_mm**3)
+    assert plate_loss(bowed) == pytest.approx(plate_loss(plain), rel=0.02)
+    spatter = plain.z_mm.copy()
+    spatter[::25] += 2.0
+    loss = plate_loss(replace(plain, z_mm=spatter)) - plate_loss(plain)
+    # Tukey's loss of a point that is far off: his width's square over 6, less what it would have had.
+    assert loss == pytest.approx(len(spatter[::25]) * (4.685**2 / 6.0 - 0.5), rel=0.15)
+
+
+@given(seeds, st.integers(1, 60), st.floats(0.0, 1.0))
+def test_runs_are_their_twin(seed: int, n: int, share: float) -> None:
+    rng = np.random.default_rng(seed)
+    is_lost = rng.random(n) < share
+    first = int(rng.integers(0, n))
+    last = int(rng.integers(first, n))
+    parts = is_lost[:first], is_lost[last + 1 :]
+    begun = sum(int((part & ~np.append(False, part[:-1])).sum()) for part in parts if len(part))
+    gone_on = sum(int((part[1:] & part[:-1]).sum()) for part in parts)
+    assert runs_of(is_lost, first, last) == (n - (last - first + 1), begun, gone_on)
+
+
+@settings(deadline=None, max_examples=50)
+@given(seeds, st.floats(0.0, 0.4), st.integers(1, 6))
+def test_a_longer_gap_says_more(seed: int, share: float, width: int) -> None:
+    rng = np.random.default_rng(seed)
+    is_lost = rng.random(200) < share
+    is_lost[90:110] = False
+
+    def told(lost: np.ndarray, lines: int) -> float:
+        gap = lost.copy()
+        gap[100 : 100 + lines] = True
+        return gap_evidence_nats(gap, 100, 99 + lines, 80.0)
+
+    assert told(is_lost, width + 1) > told(is_lost, width)
+    assert gap_evidence_nats(np.zeros(200, bool), 100, 104, 80.0) == -math.inf
+
+
+def test_a_gap_among_lines_of_which_none_is_lost_is_as_rare_as_the_prior_says() -> None:
+    is_lost = np.zeros(200, bool)
+    is_lost[100:104] = True
+    a, b = RUN_PRIOR
+    # The moment of a beta distribution: q^3 on average.
+    cube = math.gamma(a + 3.0) * math.gamma(a + b) / math.gamma(a) / math.gamma(a + b + 3.0)
+    rare = -math.log(0.5 / 197.0 * 80.0) - math.log(cube)
+    assert gap_evidence_nats(is_lost, 100, 103, 80.0) == pytest.approx(rare)
+
+
+@pytest.mark.parametrize(
+    ("rate", "goes_on", "most"), [(0.02, 0.1, 0.001), (0.02, 0.5, 0.04), (0.05, 0.5, 0.015)]
+)
+def test_chance_seldom_gives_a_gap(rate: float, goes_on: float, most: float) -> None:
+    """Lines are lost in runs; the longest of them anywhere is taken for the gap, as a search would.
+
+    What it leaves beside itself are shorter runs: where most go on they tell too little of that, and chance
+    gives a gap oftener than said, if still seldom.
+    """
+    rng, n, shown = np.random.default_rng(8), 320, []
+    for _ in range(2000):
+        is_lost = np.zeros(n, bool)
+        for i in range(n):
+            is_lost[i] = rng.random() < (goes_on if i and is_lost[i - 1] else rate)
+        edges = np.flatnonzero(np.diff(np.concatenate([[False], is_lost, [False]]).astype(int)))
+        if not len(edges):
+            continue
+        first, end = edges.reshape(-1, 2)[np.argmax(np.diff(edges.reshape(-1, 2))[:, 0])]
+        shown.append(gap_evidence_nats(is_lost, int(first), int(end) - 1, float(n)))
+    share = float(np.sum(np.array(shown) > MIN_EVIDENCE_NATS)) / 2000.0
+    print(f"rate {rate}, goes on {goes_on}: a gap in {share:.4f}")
+    assert share <= most
+
+
+def test_a_profile_is_searched_at_one_place_at_least() -> None:
+    profile = measure(PLATE, (0.0, 0.0), np.random.default_rng(9))
+    span_mm = float(np.ptp(profile.y_mm))
+    assert places_of(profile, 0.5) == pytest.approx(span_mm / 0.5)
+    assert places_of(replace(profile, reach_mm=2.0), 0.5) == pytest.approx(8.0)
+    assert places_of(replace(profile, reach_mm=0.1), 0.5) == 1.0

@@ -1,0 +1,142 @@
+"""Is it a joint? A plain plate is asked the same, at the scatter that the stripe shows.
+
+A shape of eight parameters can be laid into the scatter of any plate. So a joint counts only where the
+likelihood of its section over that of a plate without one is beyond what chance makes anywhere in the
+search. The plate may be bowed: it is the cubic that fits the same points best. Both losses are Tukey's, so
+that spatter speaks for neither; neighbours that scatter alike count as fewer. Twice what the section gains is
+a chi^2 on a plate, with as many degrees of freedom k as it has parameters more (Wilks 1938, Annals of
+Mathematical Statistics 9, 60); of k = 5 it exceeds x with the probability
+
+    P = erfc(sqrt(x / 2)) + sqrt(2 x / pi) exp(-x / 2) (1 + x / 3),
+
+and anywhere among N places with N P at most. The evidence is -ln of that.
+
+A gap shows by lines that hold no plate. Lines are lost by chance too, and in runs. With the rate r at which
+runs begin and the probability q that one goes on, a run of n lines or more is somewhere among N by chance
+with the probability N r q^(n - 1), at most. Few lines beside the gap tell q: where a of them went on with a
+run and b began one, Bayes' predictive probability stands for q^(n - 1), the product over j < n - 1 of
+(a + j) / (a + b + j).
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from noise_model.arrays import Bool, Float64
+from noise_model.kernel import kernel
+from tracker.joint.section_fit import BISQUARE_WIDTH
+from tracker.profile import Profile
+
+MIN_EVIDENCE_NATS = math.log(1e3)
+"""A joint must be told from a plate by so much: chance does so in one frame of a thousand at most."""
+
+PLACE_MM = 0.5
+"""Places of a section that lie so near to each other are one."""
+
+PLATE_PARAMETERS = 4
+"""A plate is a cubic: a bow, and what is left of the lens, but no corner."""
+
+PLATE_STEPS = 8
+"""Steps of the plate's fit by Tukey's weights."""
+
+RUN_PRIOR = 1.0, 9.0
+"""Lines that are lost where a run has begun, and that are not, before any is seen: a run is short."""
+
+
+def evidence_nats(profile: Profile, corners_mm: Float64) -> float:
+    """Return the evidence, nats, that a profile shows the section of corners (n, 2) and not a plate."""
+    y, z = corners_mm.T
+    n = len(profile.y_mm)
+    face = np.clip(np.searchsorted(y, profile.y_mm, side="right") - 1, 0, len(y) - 2)
+    width, rise = np.diff(y)[face], np.diff(z)[face]
+    slope = np.divide(rise, width, out=np.zeros(n), where=width > 0.0)
+    on_section = z[face] + slope * (profile.y_mm - y[face])
+    joint_loss = _loss((profile.z_mm - on_section) / _unit_mm(profile, slope))
+    alike = float(np.median((profile.beside_px / profile.sigma_px) ** 2))
+    x = 2.0 * (plate_loss(profile) - joint_loss) / alike
+    if not x > 0.0:
+        return -math.log(places_of(profile, PLACE_MM))
+    # erfc is less than its exponential.
+    return (
+        0.5 * x
+        - math.log(1.0 + math.sqrt(2.0 * x / math.pi) * (1.0 + x / 3.0))
+        - math.log(places_of(profile, PLACE_MM))
+    )
+
+
+def places_of(profile: Profile, apart_mm: float) -> float:
+    """Return at how many places, so far apart, a profile is searched for its seam; one at least."""
+    reach_mm = min(2.0 * profile.reach_mm, float(profile.y_mm[-1] - profile.y_mm[0]))
+    return max(reach_mm / apart_mm, 1.0)
+
+
+def plate_loss(profile: Profile) -> float:
+    """Return Tukey's loss of the plate, a cubic z(y), that fits a profile best."""
+    middle, half = float(profile.y_mm.mean()), max(float(np.ptp(profile.y_mm)) / 2.0, 1e-9)
+    basis = np.vander((profile.y_mm - middle) / half, PLATE_PARAMETERS)
+    slope = np.zeros(len(profile.y_mm))
+    weights = np.ones(len(profile.y_mm))
+    off = np.empty(len(profile.y_mm))
+    for _ in range(PLATE_STEPS):
+        unit = _unit_mm(profile, slope)
+        weighed = basis * (weights / unit**2)[:, np.newaxis]
+        p = np.linalg.lstsq(weighed.T @ basis, weighed.T @ profile.z_mm, rcond=None)[0]
+        off = (profile.z_mm - basis @ p) / unit
+        # A wide scale first: a plate with a few points of its own is not the few.
+        scale = max(1.0, 1.4826 * float(np.median(np.abs(off))))
+        weights = np.maximum(1.0 - (off / (BISQUARE_WIDTH * scale)) ** 2, 0.0) ** 2
+        slope = (
+            np.vander((profile.y_mm - middle) / half, PLATE_PARAMETERS - 1)
+            @ (p[:-1] * np.arange(PLATE_PARAMETERS - 1, 0, -1))
+            / half
+        )
+    return _loss(off)
+
+
+def _unit_mm(profile: Profile, slope: Float64) -> Float64:
+    """Return how far points (n,) lie off a face of a slope, mm, if their centre is off by its 1 sigma."""
+    return np.asarray(np.maximum(np.abs(profile.dz_mm - slope * profile.dy_mm), 1e-9) * profile.sigma_px)
+
+
+def _loss(off: Float64) -> float:
+    """Return Tukey's loss of residuals (n,), sigmas, in nats."""
+    kept = np.maximum(1.0 - (off / BISQUARE_WIDTH) ** 2, 0.0)
+    return float(np.sum(BISQUARE_WIDTH**2 / 6.0 * (1.0 - kept**3)))
+
+
+@kernel
+def runs_of(is_lost: Bool, first: int, last: int) -> tuple[int, int, int]:
+    """Return lines (n,), begun runs and lines that go on with one, of those not from `first` to `last`."""
+    lines, begun, gone_on = 0, 0, 0
+    was_lost = False
+    for i in range(is_lost.shape[0]):
+        if first <= i <= last:
+            was_lost = False
+            continue
+        lines += 1
+        if is_lost[i]:
+            begun += not was_lost
+            gone_on += was_lost
+        was_lost = is_lost[i]
+    return lines, begun, gone_on
+
+
+def gap_evidence_nats(is_lost: Bool, first: int, last: int, places: float) -> float:
+    """Return the evidence, nats, that the lost lines from `first` to `last` are a gap's and not chance's.
+
+    `is_lost` (n,) says of each scan line whether it holds no plate; the gap is sought at so many `places`.
+    The longest run within the gap counts.
+    """
+    lines, begun, gone_on = runs_of(is_lost, first, last)
+    longest, run = 0, 0
+    for i in range(first, last + 1):
+        run = run + 1 if is_lost[i] else 0
+        longest = max(longest, run)
+    if longest == 0:
+        return -math.inf
+    anywhere = (begun + 0.5) / (lines + 1.0) * places
+    went_on, lost = gone_on + RUN_PRIOR[0], gone_on + begun + sum(RUN_PRIOR)
+    goes_on = sum(math.log((went_on + j) / (lost + j)) for j in range(longest - 1))
+    return -math.log(anywhere) - goes_on
