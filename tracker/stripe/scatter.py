@@ -115,12 +115,12 @@ class Scatter:
     @property
     def brightness_contrast(self) -> float:
         """By how much the stripe's brightness scatters from line to line, relative."""
-        return math.sqrt(_largest(self.average.brightness))
+        return _root(self.average.brightness)
 
     @property
     def speckle_contrast(self) -> float:
         """By how much a pixel's share of the stripe's light scatters, relative."""
-        return math.sqrt(_largest(self.average.speckle))
+        return _root(self.average.speckle)
 
     @property
     def weighing_contrast(self) -> float:
@@ -142,7 +142,7 @@ class Scatter:
         """How far a line's ln(width) may lie off the stripe's: farther off it is two faces, or no stripe."""
         if not self._is_as_stated:
             return MIN_WIDTH_LIMIT_LN
-        spread = WIDTH_SIGMAS * math.sqrt(_largest(self.average.width_variance))
+        spread = WIDTH_SIGMAS * _root(self.average.width_variance)
         return min(max(spread, MIN_WIDTH_LIMIT_LN), MAX_WIDTH_LIMIT_LN)
 
     def with_frame(self, seen: FrameScatter) -> Scatter:
@@ -173,9 +173,9 @@ def own_sigma(fits: Float64, expected_px: Float64) -> Float64:
     return np.asarray(fits[:, 1] * np.sqrt(np.maximum(1.0 / usual, 1.0 / excess)))
 
 
-def _largest(variances: Float64) -> float:
-    known = np.atleast_1d(variances)[np.isfinite(np.atleast_1d(variances))]
-    return max(float(known.max()), 0.0) if len(known) else 0.0
+def _root(variance: Float64) -> float:
+    """Return a variance's root; 0 for one that is not known, or below 0 by chance."""
+    return math.sqrt(variance) if variance > 0.0 else 0.0
 
 
 def _plateau(variances: Float64) -> float:
@@ -254,6 +254,35 @@ def speckle_squared(
 
 
 @kernel(allocates=True)
+def _variance_of(values: Float64, lag: int, least: int) -> float:
+    """Return the variance of values (n,) by second differences: the median of d^2 / 6 over 0.455.
+
+    NaN where fewer than so many differences are known.
+    """
+    n = values.shape[0]
+    squares, count = np.empty(n), 0
+    for i in range(lag, n - lag):
+        d = values[i - lag] - 2.0 * values[i] + values[i + lag]
+        if math.isfinite(d):
+            squares[count] = d * d / 6.0
+            count += 1
+    return float(np.median(squares[:count]) / MEDIAN_CHI2) if count >= least else math.nan
+
+
+@kernel(allocates=True)
+def _own_variance_of(variances: Float64, lag: int) -> float:
+    """Return the median variance that second differences have of variances (n,) alone, NaN for none known."""
+    n = variances.shape[0]
+    own, count = np.empty(n), 0
+    for i in range(lag, n - lag):
+        of_three = (variances[i - lag] + 4.0 * variances[i] + variances[i + lag]) / 6.0
+        if math.isfinite(of_three):
+            own[count] = of_three
+            count += 1
+    return float(np.median(own[:count])) if count > 0 else math.nan
+
+
+@kernel(allocates=True)
 def differences(
     position_px: Float64,
     expected_px: Float64,
@@ -264,70 +293,40 @@ def differences(
     by_lag: Float64,
     by_length: Float64,
 ) -> float:
-    """Write the medians of squared second differences over 0.455, less the lines' own variance, px^2.
+    """Write the variances by second differences, by lag and of means, less the lines' own, px^2.
 
-    Returns the square of the amplitudes' contrast, the largest by lag of the same medians; NaN for none.
+    Returns the square of the amplitudes' contrast, the largest by lag; NaN for none.
     """
     n = position_px.shape[0]
-    squares, own = np.empty(n), np.empty(n)
-    for k in range(len(lags)):
-        lag, count = lags[k], 0
-        for i in range(lag, n - lag):
-            before, here, after = i - lag, i, i + lag
-            d = (
-                position_px[before]
-                - expected_px[before]
-                - 2.0 * (position_px[here] - expected_px[here])
-                + position_px[after]
-                - expected_px[after]
-            )
-            if math.isnan(d):
-                continue
-            squares[count] = d * d / 6.0
-            own[count] = (sigma_px[before] ** 2 + 4.0 * sigma_px[here] ** 2 + sigma_px[after] ** 2) / 6.0
-            count += 1
-        by_lag[k] = math.nan
-        if count >= MIN_PER_LAG * lag:
-            by_lag[k] = np.median(squares[:count]) / MEDIAN_CHI2 - np.median(own[:count])
-    means, variances = np.empty(n), np.empty(n)
-    for k in range(len(lengths)):
-        length = lengths[k]
-        n_means = n // length
-        for b in range(n_means):
-            total, variance, seen = 0.0, 0.0, 0
-            for i in range(b * length, (b + 1) * length):
-                if math.isfinite(position_px[i]):
-                    total += position_px[i] - expected_px[i]
-                    variance += sigma_px[i] ** 2
-                    seen += 1
-            is_mean = seen >= MIN_SEEN_SHARE * length
-            means[b] = total / seen if is_mean else math.nan
-            variances[b] = variance / seen if is_mean else math.nan
-        count = 0
-        for b in range(1, n_means - 1):
-            d = means[b - 1] - 2.0 * means[b] + means[b + 1]
-            if math.isnan(d):
-                continue
-            squares[count] = length * d * d / 6.0
-            own[count] = (variances[b - 1] + 4.0 * variances[b] + variances[b + 1]) / 6.0
-            count += 1
-        by_length[k] = math.nan
-        if count >= MIN_MEANS:
-            by_length[k] = np.median(squares[:count]) / MEDIAN_CHI2 - np.median(own[:count])
-    held, amplitudes = 0, np.empty(n)
+    off, variances, amplitudes = np.empty(n), np.empty(n), np.empty(n)
+    held = 0
     for i in range(n):
+        off[i] = position_px[i] - expected_px[i]
+        variances[i] = sigma_px[i] ** 2
         if math.isfinite(amplitude_e[i]):
             amplitudes[held] = amplitude_e[i]
             held += 1
-    largest = math.nan
+    contrast_squared = math.nan
     for k in range(len(lags)):
-        lag, count = lags[k], 0
-        for i in range(lag, n - lag):
-            d = amplitude_e[i - lag] - 2.0 * amplitude_e[i] + amplitude_e[i + lag]
-            if math.isfinite(d):
-                squares[count] = d * d / 6.0
-                count += 1
-        if count >= MIN_DIFFERENCES:
-            contrast_squared = np.median(squares[:count]) / MEDIAN_CHI2 / np.median(amplitudes[:held]) ** 2
-            largest = contrast_squared if math.isnan(largest) else max(largest, contrast_squared)
-    return float(largest)
+        by_lag[k] = _variance_of(off, lags[k], MIN_PER_LAG * lags[k]) - _own_variance_of(variances, lags[k])
+        brightness = _variance_of(amplitude_e, lags[k], MIN_DIFFERENCES)
+        if not math.isnan(brightness):
+            brightness /= np.median(amplitudes[:held]) ** 2
+            contrast_squared = (
+                brightness if math.isnan(contrast_squared) else max(contrast_squared, brightness)
+            )
+    for k in range(len(lengths)):
+        length = lengths[k]
+        means, own = np.empty(n // length), np.empty(n // length)
+        for b in range(n // length):
+            total, variance, seen = 0.0, 0.0, 0
+            for i in range(b * length, (b + 1) * length):
+                if math.isfinite(off[i]):
+                    total += off[i]
+                    variance += variances[i]
+                    seen += 1
+            is_mean = seen >= MIN_SEEN_SHARE * length
+            means[b] = total / seen if is_mean else math.nan
+            own[b] = variance / seen if is_mean else math.nan
+        by_length[k] = length * _variance_of(means, 1, MIN_MEANS) - _own_variance_of(own, 1)
+    return float(contrast_squared)
