@@ -26,7 +26,8 @@ import numpy as np
 
 from noise_model.arrays import Bool, Float64
 from noise_model.kernel import kernel
-from tracker.joint.section_fit import BISQUARE_WIDTH
+from tracker.joint.measured import section_at
+from tracker.joint.section_fit import BISQUARE_WIDTH, MAD_SIGMA, tukey_loss
 from tracker.profile import Profile
 
 MIN_EVIDENCE_NATS = math.log(1e3)
@@ -47,23 +48,13 @@ RUN_PRIOR = 1.0, 9.0
 
 def evidence_nats(profile: Profile, corners_mm: Float64) -> float:
     """Return the evidence, nats, that a profile shows the section of corners (n, 2) and not a plate."""
-    y, z = corners_mm.T
-    n = len(profile.y_mm)
-    face = np.clip(np.searchsorted(y, profile.y_mm, side="right") - 1, 0, len(y) - 2)
-    width, rise = np.diff(y)[face], np.diff(z)[face]
-    slope = np.divide(rise, width, out=np.zeros(n), where=width > 0.0)
-    on_section = z[face] + slope * (profile.y_mm - y[face])
-    joint_loss = _loss((profile.z_mm - on_section) / _unit_mm(profile, slope))
+    height_mm, slope = section_at(corners_mm, profile.y_mm)
+    joint_loss = _loss((profile.z_mm - height_mm) / _unit_mm(profile, slope))
     alike = float(np.median((profile.beside_px / profile.sigma_px) ** 2))
-    x = 2.0 * (plate_loss(profile) - joint_loss) / alike
-    if not x > 0.0:
-        return -math.log(places_of(profile, PLACE_MM))
-    # erfc is less than its exponential.
-    return (
-        0.5 * x
-        - math.log(1.0 + math.sqrt(2.0 * x / math.pi) * (1.0 + x / 3.0))
-        - math.log(places_of(profile, PLACE_MM))
-    )
+    # A section that explains no more than the plate gains nothing. erfc is less than its exponential.
+    x = 2.0 * max(plate_loss(profile) - joint_loss, 0.0) / alike
+    chance = math.log(1.0 + math.sqrt(2.0 * x / math.pi) * (1.0 + x / 3.0)) - 0.5 * x
+    return -chance - math.log(places_of(profile, PLACE_MM))
 
 
 def places_of(profile: Profile, apart_mm: float) -> float:
@@ -76,22 +67,17 @@ def plate_loss(profile: Profile) -> float:
     """Return Tukey's loss of the plate, a cubic z(y), that fits a profile best."""
     middle, half = float(profile.y_mm.mean()), max(float(np.ptp(profile.y_mm)) / 2.0, 1e-9)
     basis = np.vander((profile.y_mm - middle) / half, PLATE_PARAMETERS)
-    slope = np.zeros(len(profile.y_mm))
-    weights = np.ones(len(profile.y_mm))
-    off = np.empty(len(profile.y_mm))
+    # The derivative of a power is the next lower one, so many times.
+    steepness = basis[:, 1:] * np.arange(PLATE_PARAMETERS - 1, 0, -1) / half
+    slope, weights, off = np.zeros(len(basis)), np.ones(len(basis)), np.empty(len(basis))
     for _ in range(PLATE_STEPS):
         unit = _unit_mm(profile, slope)
         weighed = basis * (weights / unit**2)[:, np.newaxis]
         p = np.linalg.lstsq(weighed.T @ basis, weighed.T @ profile.z_mm, rcond=None)[0]
         off = (profile.z_mm - basis @ p) / unit
         # A wide scale first: a plate with a few points of its own is not the few.
-        scale = max(1.0, 1.4826 * float(np.median(np.abs(off))))
-        weights = np.maximum(1.0 - (off / (BISQUARE_WIDTH * scale)) ** 2, 0.0) ** 2
-        slope = (
-            np.vander((profile.y_mm - middle) / half, PLATE_PARAMETERS - 1)
-            @ (p[:-1] * np.arange(PLATE_PARAMETERS - 1, 0, -1))
-            / half
-        )
+        weights = _weights(off, max(1.0, MAD_SIGMA * float(np.median(np.abs(off)))))
+        slope = steepness @ p[:-1]
     return _loss(off)
 
 
@@ -100,10 +86,14 @@ def _unit_mm(profile: Profile, slope: Float64) -> Float64:
     return np.asarray(np.maximum(np.abs(profile.dz_mm - slope * profile.dy_mm), 1e-9) * profile.sigma_px)
 
 
+def _weights(off: Float64, scale: float) -> Float64:
+    """Return Tukey's weights of residuals (n,), sigmas, at a scale."""
+    return np.asarray(np.maximum(1.0 - (off / (BISQUARE_WIDTH * scale)) ** 2, 0.0) ** 2)
+
+
 def _loss(off: Float64) -> float:
     """Return Tukey's loss of residuals (n,), sigmas, in nats."""
-    kept = np.maximum(1.0 - (off / BISQUARE_WIDTH) ** 2, 0.0)
-    return float(np.sum(BISQUARE_WIDTH**2 / 6.0 * (1.0 - kept**3)))
+    return tukey_loss(_weights(off, 1.0))
 
 
 @kernel

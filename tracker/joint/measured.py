@@ -151,15 +151,21 @@ def off_line(profile: Profile, line_mm: Float64) -> Float64:
     return np.asarray((profile.z_mm - line_mm) / sigma)
 
 
-def off_section(profile: Profile, joint: MeasuredJoint) -> Bool:
-    """Return which points (n,) lie off a joint's section by more than `OFF_SIGMAS` of their stripe centre."""
-    y, z = joint.corners_mm.T
+def section_at(corners_mm: Float64, y_mm: Float64) -> tuple[Float64, Float64]:
+    """Return height (n,), mm, and slope (n,) of a section of corners (k, 2) at places y (n,)."""
+    y, z = corners_mm.T
     # An upright edge is a step that no point lies on.
-    face = np.clip(np.searchsorted(y, profile.y_mm, side="right") - 1, 0, len(y) - 2)
+    face = np.clip(np.searchsorted(y, y_mm, side="right") - 1, 0, len(y) - 2)
     width, rise = (np.diff(along)[face] for along in (y, z))
     slope = np.divide(rise, width, out=np.zeros(len(face)), where=width > 0.0)
+    return z[face] + slope * (y_mm - y[face]), slope
+
+
+def off_section(profile: Profile, joint: MeasuredJoint) -> Bool:
+    """Return which points (n,) lie off a joint's section by more than `OFF_SIGMAS` of their stripe centre."""
+    height_mm, slope = section_at(joint.corners_mm, profile.y_mm)
     moved = np.abs(profile.dz_mm - slope * profile.dy_mm) * np.hypot(profile.sigma_px, SIGMA_FLOOR_PX)
-    return np.asarray(np.abs(profile.z_mm - z[face] - slope * (profile.y_mm - y[face])) > OFF_SIGMAS * moved)
+    return np.asarray(np.abs(profile.z_mm - height_mm) > OFF_SIGMAS * moved)
 
 
 def unexplained(profile: Profile, fit: ShapeFit, y_mm: float, reach_mm: float) -> float:

@@ -15,7 +15,7 @@ import numpy as np
 
 from noise_model.arrays import Bool, Float64
 from tracker.joint.measured import ShapeFit, fit_shape
-from tracker.joint.section_fit import BISQUARE_WIDTH
+from tracker.joint.section_fit import tukey_loss
 from tracker.profile import Profile
 
 NARROW_MM = 0.8
@@ -78,8 +78,7 @@ def weigh_root(
         held = fit_shape(profile, shape, from_gap, sigma, clear)
         if held is None or not prior > 0.0:
             continue
-        # Tukey's loss, from his weights.
-        loss = BISQUARE_WIDTH**2 / 6.0 * float(np.sum(1.0 - held.weights[clear] ** 1.5))
+        loss = tukey_loss(held.weights[clear])
         moved = (float(held.parameters[gap]) - gap_mm) / cell_mm
         left_open = min(float(held.covariance[gap, gap]) / cell_mm**2, 1.0)
         fits.append(held)
