@@ -93,12 +93,13 @@ def measure(
     """Look for arc, stripe and joint about a seam; `scatter` is what earlier frames show of the stripe's."""
     scene = make_scene(geometry.setup, pose.T_base_tool, seam)
     asked = Checks()
+    reading = Reading(asked, scene, seam, reach_mm, scatter=scatter)
     if not asked.ask(checks.CAMERA_ABOVE, not scene.below_surface):
-        return Reading(asked, scene, seam, reach_mm, scatter=scatter)
+        return reading
     expected = expect_stripe(geometry, scene)
     asked.ask(checks.STRIPE_EXPECTED, expected is not None)
     if expected is None:
-        return Reading(asked, scene, seam, reach_mm, scatter=scatter)
+        return reading
     reach_px = geometry.reach_px(reach_mm)
     output = expected_output(geometry.setup, frame)
     kernel = arc_kernel(geometry.setup, scene, output)
@@ -108,16 +109,17 @@ def measure(
     transmission = Transmission.of(geometry, scene, arc_map.at, output if frame.arc_on else 0.0)
     arc = estimate_arc_level(geometry, arc_map.at, transmission, frame.image_dn, stripe_px, keep_off)
     _ask_arc(asked, arc)
+    reading = replace(reading, arc=arc)
     if not asked.ask(checks.LASER_ON, frame.laser_on):
-        return Reading(asked, scene, seam, reach_mm, arc, scatter=scatter)
+        return reading
 
     look = read_stripe(
         geometry, arc_map, transmission, arc, frame, expected, reach_px, work, use_arc_map, scatter
     )
-    stripe = look.stripe
+    reading = replace(reading, stripe=look.stripe)
     if not _is_stripe(asked, geometry, expected, look):
-        return Reading(asked, scene, seam, reach_mm, arc, stripe, scatter=scatter)
-    scatter = look.scatter
+        return reading
+    reading = replace(reading, scatter=look.scatter)
     profile = profile_of(geometry, scene, expected, look, reach_mm)
     joint = fit_joint(profile, geometry.setup.joint, *sources(geometry.setup, scene, seam.station_mm))
     # A narrower look shows only what lies where the stated joint should.
@@ -125,15 +127,16 @@ def measure(
         asked.ask(checks.JOINT_TYPE, not is_another_type(profile, geometry.setup.joint, joint))
     asked.ask(checks.JOINT_SEEN, joint is not None)
     if joint is None:
-        return Reading(asked, scene, seam, reach_mm, arc, stripe, scatter=scatter)
+        return reading
     if not asked.ask(checks.JOINT_EVIDENCE, joint.evidence_nats, MIN_EVIDENCE_NATS):
-        return Reading(asked, scene, seam, reach_mm, arc, stripe, scatter=scatter)
+        return reading
     margin_mm = min(joint.y_mm - float(profile.y_mm[0]), float(profile.y_mm[-1]) - joint.y_mm)
+    reading = replace(reading, fov_margin_mm=margin_mm)
     if not asked.ask(checks.VIEW_MARGIN, margin_mm, MIN_MARGIN_MM):
-        return Reading(asked, scene, seam, reach_mm, arc, stripe, fov_margin_mm=margin_mm, scatter=scatter)
+        return reading
     asked.ask(checks.JOINT_CHI2, joint.chi2, JOINT_CHI2_LIMIT)
     asked.ask(checks.JOINT_UNEXPLAINED, joint.unexplained, UNEXPLAINED_LIMIT)
-    return Reading(asked, scene, seam, reach_mm, arc, stripe, joint, margin_mm, scatter)
+    return replace(reading, joint=joint)
 
 
 def _is_stripe(

@@ -51,18 +51,8 @@ class Profile:
         order = np.argsort(self.scan if rises else -self.scan, kind="stable")
         if (order[1:] > order[:-1]).all():
             return self
-        y, z, dy, dz, sigma, scan, beside = (
-            np.take(values, order)
-            for values in (
-                self.y_mm,
-                self.z_mm,
-                self.dy_mm,
-                self.dz_mm,
-                self.sigma_px,
-                self.scan,
-                self.beside_px,
-            )
-        )
+        points = (self.y_mm, self.z_mm, self.dy_mm, self.dz_mm, self.sigma_px, self.scan, self.beside_px)
+        y, z, dy, dz, sigma, scan, beside = (values[order] for values in points)
         return replace(self, y_mm=y, z_mm=z, dy_mm=dy, dz_mm=dz, sigma_px=sigma, scan=scan, beside_px=beside)
 
 
