@@ -24,7 +24,7 @@ from scipy.spatial.transform import Rotation
 from swept_world import Speckle, SweptJoint, SweptWorld, departure
 
 from arctrack.nominal import nominal_setup
-from noise_model.arrays import Float64, Integers
+from noise_model.arrays import Float64
 from noise_model.setup import Setup, Tolerance
 from noise_model.surface.joint import Joint
 from tracker.state import Frame, Pose
@@ -40,7 +40,8 @@ STEP_MM = 0.8
 
 EXACT = 1e-5
 FALSE_SIGMAS, FALSE_MM = 5.0, 0.25
-WORST = 10
+WORST, SIGMA_FLOOR_MM = 10, 0.02
+"""So many frames are told as the worst, by their error over sigma, which counts as this at least."""
 
 
 @dataclass(frozen=True)
@@ -61,11 +62,10 @@ class Scene:
 class Outcome:
     """One frame's track beside the truth; NaN where there is no seam."""
 
+    seed: int
     scene: str
     joint: str
     view: str
-    speckle: float
-    arc_on: bool
     frame: int
     valid: bool
     error_mm: tuple[float, float]
@@ -201,8 +201,8 @@ def frames_of(scene: Scene) -> Iterable[tuple[Frame, Pose, Float64]]:
         yield frame, Pose(T), scene.world.seam_tool_mm(scene.setup, T)
 
 
-def run(seed: int, n_frames: int) -> tuple[list[Outcome], dict[int, Integers]]:
-    """Track one scene; return its outcomes and the frames that were valid and wrong, or wide of the truth."""
+def run(seed: int, n_frames: int) -> list[Outcome]:
+    """Track one scene; return its frames' outcomes."""
     scene = draw_scene(seed, n_frames)
     name = (
         f"{seed} {scene.joint} {scene.view} {scene.setup.camera.width}px C={scene.speckle.contrast:.2f} "
@@ -212,29 +212,25 @@ def run(seed: int, n_frames: int) -> tuple[list[Outcome], dict[int, Integers]]:
         tracker = Tracker(scene.setup)
     except ValueError as error:
         print(f"{name}: no setup: {error}", flush=True)
-        return [], {}
-    outcomes, images = [], {}
+        return []
+    outcomes = []
     for frame, pose, truth in frames_of(scene):
         track = tracker.step(frame, pose)
-        error = tuple(float(track.seam_tool_mm[axis] - truth[axis]) for axis in (1, 2))
+        error_y, error_z = np.subtract(track.seam_tool_mm, truth)[1:].tolist()
         sigma = track.sigma_y_mm, track.sigma_z_mm
-        flags = ",".join(track.flag_names)
-        outcomes.append(
-            Outcome(
-                name,
-                scene.joint,
-                scene.view,
-                scene.speckle.contrast,
-                scene.arc_on,
-                frame.index,
-                track.valid,
-                error,
-                sigma,
-                flags,
-            )
-        )
-        images[frame.index] = frame.image_dn
-    return outcomes, images
+        place = seed, name, scene.joint, scene.view, frame.index
+        outcomes.append(Outcome(*place, track.valid, (error_y, error_z), sigma, ",".join(track.flag_names)))
+    return outcomes
+
+
+def draw_picture(outcome: Outcome, n_frames: int, folder: Path) -> None:
+    """Draw the frame of an outcome into a folder; the scene is made again."""
+    folder.mkdir(parents=True, exist_ok=True)
+    for frame, _, _ in frames_of(draw_scene(outcome.seed, n_frames)):
+        if frame.index == outcome.frame:
+            name = f"{outcome.scene.replace(' ', '_')}_{frame.index}.png"
+            cv2.imwrite(str(folder / name), frame.image_dn)
+            return
 
 
 def _rms(values: Float64) -> float:
@@ -290,11 +286,9 @@ def main() -> None:
     options = parser.parse_args()
     seeds = range(options.seed, options.seed + options.draws)
     outcomes: list[Outcome] = []
-    images: dict[tuple[str, int], Integers] = {}
     with ProcessPoolExecutor(options.workers) as pool:
-        for done, (tracked, pictures) in enumerate(pool.map(run, seeds, [options.frames] * len(seeds)), 1):
+        for done, tracked in enumerate(pool.map(run, seeds, [options.frames] * len(seeds)), 1):
             outcomes += tracked
-            images |= {(o.scene, o.frame): pictures[o.frame] for o in tracked}
             if options.verbose and tracked:
                 say(done, tracked)
             elif not options.verbose:
@@ -307,7 +301,9 @@ def main() -> None:
     print(f"\nfalse valids: {len(false)} of {len(outcomes)} frames")
     ranked = sorted(
         (o for o in outcomes if o.valid),
-        key=lambda o: -max(abs(e) / max(s, 0.02) for e, s in zip(o.error_mm, o.sigma_mm, strict=True)),
+        key=lambda o: (
+            -max(abs(e) / max(s, SIGMA_FLOOR_MM) for e, s in zip(o.error_mm, o.sigma_mm, strict=True))
+        ),
     )[:WORST]
     for o in ranked:
         print(
@@ -315,10 +311,7 @@ def main() -> None:
             f"z {o.error_mm[1]:+.3f} ({o.sigma_mm[1]:.3f}) mm {o.flags}"
         )
         if options.pictures:
-            options.pictures.mkdir(parents=True, exist_ok=True)
-            cv2.imwrite(
-                str(options.pictures / f"{o.scene.replace(' ', '_')}_{o.frame}.png"), images[o.scene, o.frame]
-            )
+            draw_picture(o, options.frames, options.pictures)
 
 
 if __name__ == "__main__":
