@@ -9,14 +9,17 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from profiles import PX_MM, groove, lap, measure
+from profiles import PX_MM, groove, lap, measure, spoil
 
+from noise_model.arrays import Float64
 from noise_model.surface.joint import Joint
 from tracker.joint import fit_joint
 from tracker.joint.evidence import (
     MIN_EVIDENCE_NATS,
+    PLATE_STEPS,
     RUN_PRIOR,
     evidence_nats,
+    fit_plate,
     gap_evidence_nats,
     places_of,
     plate_loss,
@@ -112,6 +115,38 @@ def test_a_plates_cubic_and_some_spatter_are_no_loss() -> None:
     loss = plate_loss(replace(plain, z_mm=spatter)) - plate_loss(plain)
     # Tukey's loss of a point that is far off: his width's square over 6, less what it would have had.
     assert loss == pytest.approx(len(spatter[::25]) * (4.685**2 / 6.0 - 0.5), rel=0.15)
+
+
+def plate_twin(profile: Profile) -> Float64:
+    """How far points lie off the cubic that fits them best, in their sigmas, by NumPy's least squares."""
+    middle, half = profile.y_mm.mean(), np.ptp(profile.y_mm) / 2.0
+    basis = np.vander((profile.y_mm - middle) / half, 4)
+    steepness = basis[:, 1:] * [3.0, 2.0, 1.0] / half
+    slope, weights, off = np.zeros(len(basis)), np.ones(len(basis)), np.empty(len(basis))
+    for _ in range(PLATE_STEPS):
+        unit = np.abs(profile.dz_mm - slope * profile.dy_mm) * profile.sigma_px
+        root = np.sqrt(weights)[:, np.newaxis] / unit[:, np.newaxis]
+        p = np.linalg.lstsq(root * basis, root[:, 0] * profile.z_mm, rcond=None)[0]
+        off = (profile.z_mm - basis @ p) / unit
+        scale = 4.685 * max(1.0, 1.4826 * np.median(np.abs(off)))
+        weights, slope = np.maximum(1.0 - (off / scale) ** 2, 0.0) ** 2, steepness @ p[:-1]
+    return np.asarray(off)
+
+
+@settings(deadline=None, max_examples=30)
+@given(seeds, st.floats(0.0, 0.3), st.sampled_from([PLATE, groove((30.0, 30.0), (4.0, 4.0), 1.0), lap(2.0)]))
+def test_a_plates_fit_is_its_twin(seed: int, spoiled: float, corners: Float64) -> None:
+    rng = np.random.default_rng(seed)
+    profile = spoil(measure(corners, (1.0, 0.5), rng), spoiled, rng)
+    off = np.empty(len(profile.y_mm))
+    fit_plate(profile.y_mm, profile.z_mm, profile.dy_mm, profile.dz_mm, profile.sigma_px, off)
+    np.testing.assert_allclose(off, plate_twin(profile), rtol=1e-6, atol=1e-6)
+
+
+def test_points_at_a_single_place_have_a_plate_too() -> None:
+    place, off = np.full(30, 2.0), np.empty(30)
+    fit_plate(place, place, np.zeros(30), np.ones(30), np.ones(30), off)
+    assert np.isfinite(off).all()
 
 
 @given(seeds, st.integers(1, 60), st.floats(0.0, 1.0))

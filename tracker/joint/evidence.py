@@ -27,7 +27,7 @@ import numpy as np
 from noise_model.arrays import Bool, Float64
 from noise_model.kernel import kernel
 from tracker.joint.measured import section_at
-from tracker.joint.section_fit import BISQUARE_WIDTH, MAD_SIGMA, tukey_loss
+from tracker.joint.section_fit import BISQUARE_WIDTH, MAD_SIGMA, MIN_ALONG_MM, tukey_loss
 from tracker.profile import Profile
 
 MIN_EVIDENCE_NATS = math.log(1e3)
@@ -38,6 +38,9 @@ PLACE_MM = 0.5
 
 PLATE_PARAMETERS = 4
 """A plate is a cubic: a bow, and what is left of the lens, but no corner."""
+
+FIRM = 1e-12
+"""So much of the points' weight holds each parameter of a plate at 0."""
 
 PLATE_STEPS = 8
 """Steps of the plate's fit by Tukey's weights."""
@@ -65,35 +68,68 @@ def places_of(profile: Profile, apart_mm: float) -> float:
 
 def plate_loss(profile: Profile) -> float:
     """Return Tukey's loss of the plate, a cubic z(y), that fits a profile best."""
-    middle, half = float(profile.y_mm.mean()), max(float(np.ptp(profile.y_mm)) / 2.0, 1e-9)
-    basis = np.vander((profile.y_mm - middle) / half, PLATE_PARAMETERS)
-    # The derivative of a power is the next lower one, so many times.
-    steepness = basis[:, 1:] * np.arange(PLATE_PARAMETERS - 1, 0, -1) / half
-    slope, weights, off = np.zeros(len(basis)), np.ones(len(basis)), np.empty(len(basis))
-    for _ in range(PLATE_STEPS):
-        unit = _unit_mm(profile, slope)
-        weighed = basis * (weights / unit**2)[:, np.newaxis]
-        p = np.linalg.lstsq(weighed.T @ basis, weighed.T @ profile.z_mm, rcond=None)[0]
-        off = (profile.z_mm - basis @ p) / unit
-        # A wide scale first: a plate with a few points of its own is not the few.
-        weights = _weights(off, max(1.0, MAD_SIGMA * float(np.median(np.abs(off)))))
-        slope = steepness @ p[:-1]
+    off = np.empty(len(profile.y_mm))
+    fit_plate(profile.y_mm, profile.z_mm, profile.dy_mm, profile.dz_mm, profile.sigma_px, off)
     return _loss(off)
+
+
+@kernel(allocates=True)
+def fit_plate(
+    y_mm: Float64, z_mm: Float64, dy_mm: Float64, dz_mm: Float64, sigma_px: Float64, off: Float64
+) -> None:
+    """Fit a cubic z(y) to points (n,) by Tukey's weights; write how far they lie off it, in their sigmas.
+
+    A point's sigma is by how much its height changes beside the cubic with 1 sigma of its stripe's centre.
+    """
+    n, middle, half = y_mm.shape[0], y_mm.mean(), 0.5 * max(y_mm.max() - y_mm.min(), MIN_ALONG_MM)
+    p, H, g = (
+        np.zeros(PLATE_PARAMETERS),
+        np.empty((PLATE_PARAMETERS, PLATE_PARAMETERS)),
+        np.empty(PLATE_PARAMETERS),
+    )
+    sums = np.empty(2 * PLATE_PARAMETERS - 1)
+    weights, sizes, slope = np.ones(n), np.empty(n), np.zeros(n)
+    for _ in range(PLATE_STEPS):
+        sums[:], g[:] = 0.0, 0.0
+        for i in range(n):
+            unit = max(abs(dz_mm[i] - slope[i] * dy_mm[i]), MIN_ALONG_MM) * sigma_px[i]
+            t, power = (y_mm[i] - middle) / half, weights[i] / (unit * unit)
+            for k in range(len(sums)):
+                sums[k] += power
+                if k < PLATE_PARAMETERS:
+                    g[k] += power * z_mm[i]
+                power *= t
+        for k in range(PLATE_PARAMETERS):
+            H[k] = sums[k : k + PLATE_PARAMETERS]
+        for k in range(PLATE_PARAMETERS):
+            # Points at one place leave a cubic open: the solver would raise.
+            H[k, k] += FIRM * H[0, 0]
+        p[:] = np.linalg.solve(H, g)
+        for i in range(n):
+            t, height, steepness = (y_mm[i] - middle) / half, 0.0, 0.0
+            for k in range(PLATE_PARAMETERS - 1, -1, -1):
+                steepness = steepness * t + height
+                height = height * t + p[k]
+            unit = max(abs(dz_mm[i] - slope[i] * dy_mm[i]), MIN_ALONG_MM) * sigma_px[i]
+            off[i] = (z_mm[i] - height) / unit
+            sizes[i], slope[i] = abs(off[i]), steepness / half
+        # A wide scale first: a plate with a few points of its own is not the few.
+        narrow = 1.0 / (BISQUARE_WIDTH * max(1.0, MAD_SIGMA * np.median(sizes)))
+        for i in range(n):
+            kept = max(1.0 - (off[i] * narrow) ** 2, 0.0)
+            weights[i] = kept * kept
 
 
 def _unit_mm(profile: Profile, slope: Float64) -> Float64:
     """Return how far points (n,) lie off a face of a slope, mm, if their centre is off by its 1 sigma."""
-    return np.asarray(np.maximum(np.abs(profile.dz_mm - slope * profile.dy_mm), 1e-9) * profile.sigma_px)
-
-
-def _weights(off: Float64, scale: float) -> Float64:
-    """Return Tukey's weights of residuals (n,), sigmas, at a scale."""
-    return np.asarray(np.maximum(1.0 - (off / (BISQUARE_WIDTH * scale)) ** 2, 0.0) ** 2)
+    return np.asarray(
+        np.maximum(np.abs(profile.dz_mm - slope * profile.dy_mm), MIN_ALONG_MM) * profile.sigma_px
+    )
 
 
 def _loss(off: Float64) -> float:
     """Return Tukey's loss of residuals (n,), sigmas, in nats."""
-    return tukey_loss(_weights(off, 1.0))
+    return tukey_loss(np.maximum(1.0 - (off / BISQUARE_WIDTH) ** 2, 0.0) ** 2)
 
 
 @kernel
