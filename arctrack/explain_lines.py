@@ -25,8 +25,10 @@ from tracker.stripe.fit import (
 from tracker.stripe.normal_equations import N_PARAMETERS
 from tracker.stripe.read import StripeReading
 
-READ, NO_PATH, NO_FIT, TOO_WEAK, ODD_WIDTH = "", "no path", "no fit", "too weak", "odd width"
-"""Why a scan line holds no stripe: the path found none, the fit ran away, or what it found is none."""
+READ, UNLIT, NO_PATH, NO_FIT = "", "unlit", "no path", "no fit"
+TOO_WEAK, ODD_WIDTH = "too weak", "odd width"
+"""Why a scan line holds no stripe: it is beyond the fan, the path found none, the fit ran away, or what it
+found is none."""
 
 BACKGROUND_STEPS = 6
 """Steps in which the background's two numbers settle: their weights change little from step to step."""
@@ -90,7 +92,7 @@ def refusals(reading: StripeReading, expected: ExpectedStripe) -> Refusals:
     for s in map(int, np.flatnonzero(np.isnan(reading.stripe.position_px))):
         start, low = float(reading.start_px[s]), int(reading.lows[s // CELL])
         if math.isnan(start):
-            why[s] = NO_PATH
+            why[s] = NO_PATH if expected.is_sought[s] else UNLIT
             continue
         width = float(expected.sigma_px[s]) * reading.learned.width_factor
         parameters = np.full(N_PARAMETERS, np.nan)

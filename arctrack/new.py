@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import textwrap
-from collections.abc import Iterator
+from collections.abc import Collection, Iterator
 from dataclasses import dataclass, replace
 from enum import Enum
 from pathlib import Path
@@ -37,7 +37,10 @@ class Source(Enum):
 
 @dataclass(frozen=True)
 class Key:
-    """A key of recording.toml: what it is, where it comes from, how to get it, and what it usually is."""
+    """A key of recording.toml: what it is, where it comes from, how to get it, and what it usually is.
+
+    `optional` is the value that stands, commented out, for a key that need not be stated.
+    """
 
     table: str
     name: str
@@ -45,6 +48,7 @@ class Key:
     source: Source
     how: str
     typical: str
+    optional: str = ""
 
 
 KEYS = (
@@ -253,6 +257,16 @@ KEYS = (
         "0.2 to 0.8 of full_well_e",
     ),
     Key(
+        "laser",
+        "fan_half_angle_deg",
+        "Where the fan of light ends to either side of its axis, deg. Optional: without it the stripe is "
+        "longer than the image shows.",
+        Source.DATA_SHEET,
+        "Half the fan angle. Check: half the stripe's length over the laser's height is its tangent.",
+        "5 to 45",
+        optional="30.0",
+    ),
+    Key(
         "arc",
         "radius_mm",
         "Radius of the arc's bright half sphere, mm.",
@@ -426,7 +440,7 @@ KEYS = (
     Key("joint", "height_mm", "The crests' height, mm.", Source.RULER, "", "2 to 50"),
     Key("joint", "width_mm", "A crest's width at its foot, mm.", Source.RULER, "", "10 to the pitch"),
 )
-"""Every key of a setup that must be stated, and those of its tolerance, in the file's order."""
+"""Every key of a setup, in the file's order; those of the tolerance and those marked are optional."""
 
 _HEAD = """\
 # The nominal setup of a sensor: what is known of it before the first frame.
@@ -470,15 +484,26 @@ def commented_setup(setup: Setup) -> str:
     """Return a recording.toml that reads back as the setup, with a comment above each key."""
     described = {(key.table, key.name): key for key in KEYS}
     lines = _HEAD.splitlines()
-    table = ""
+    table, stated = "", set[str]()
     for line in format_setup(setup).splitlines():
         name, equals, _ = line.partition(" = ")
-        if line.startswith("["):
-            table = line.strip("[]")
+        if not line and table:
+            lines += _left_out(table, stated)
+        elif line.startswith("["):
+            table, stated = line.strip("[]"), set()
         elif equals and table:
             lines += _comment(described[table, name])
+            stated.add(name)
         lines.append(line)
     return "\n".join([*lines, *_FOOT.splitlines()]) + "\n"
+
+
+def _left_out(table: str, stated: Collection[str]) -> Iterator[str]:
+    """Return a table's optional keys that are not stated, commented out."""
+    for key in KEYS:
+        if key.optional and key.table == table and key.name not in stated:
+            yield from _comment(key)
+            yield f"# {key.name} = {key.optional}"
 
 
 def _comment(key: Key) -> Iterator[str]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import lru_cache
 from typing import NamedTuple
 
@@ -11,7 +11,14 @@ import numpy as np
 
 from noise_model.arrays import Bool, Float32, Float64, Integers
 from noise_model.instrument.camera import fall_off
-from noise_model.instrument.laser import SHEET_REACH, Sheet, irradiance, sheet_of, sheet_reflected
+from noise_model.instrument.laser import (
+    SHEET_REACH,
+    Sheet,
+    beyond_fan_mm,
+    irradiance,
+    sheet_of,
+    sheet_reflected,
+)
 from noise_model.kernel import kernel
 from noise_model.setup import Setup
 from noise_model.surface.brdf import LobeNumbers, lobe_numbers, reflectance
@@ -85,7 +92,7 @@ def _sheet_seen(view: View) -> SheetSeen:
     is_free = np.empty(np.count_nonzero(near), dtype=np.bool_)
     ways_are_open(points[near], origin_joint, where.shape.vertices, where.shape.corrugation, is_free)
     shaded = np.zeros(view.shape, dtype=np.bool_)
-    shaded[near] = ~is_free
+    shaded[near] = ~is_free | (beyond_fan_mm(points_tool[near], laser) > 0.0)
     return SheetSeen(near, shaded)
 
 
@@ -122,12 +129,15 @@ def crossed_by_borders(faces: Integers, sheet: SheetSeen) -> Bool:
 def stripe_reference(setup: Setup) -> float:
     """Return irradiance f_r cos^4 at the stripe's peak on a flat plate at tool height, middle column.
 
-    It is that of the laser plane's own point (`stripe_point`), whether or not it lies in the image: where
-    f_r changes over the sheet the peak beside it is higher, by 4e-4 at the nominal setups. Raises ValueError
-    if no light goes from there to the camera.
+    It is that of the laser plane's own point (`stripe_point`), whether or not it lies in the image, and in
+    the fan: where f_r changes over the sheet the peak beside it is higher, by 4e-4 at the nominal setups.
+    Raises ValueError if no light goes from there to the camera.
     """
     pose = setup.camera.T_tool_camera.tobytes()
-    return _reference(_Peaking((setup.camera.geometry, pose, setup.laser, setup.material), setup))
+    endless = replace(setup.laser, fan_half_angle_deg=None)
+    return _reference(
+        _Peaking((setup.camera.geometry, pose, endless, setup.material), replace(setup, laser=endless))
+    )
 
 
 def stripe_point(setup: Setup) -> Float64:

@@ -121,7 +121,7 @@ def _peak_e(
 ) -> float:
     """Return the stripe's predicted peak in a frame, of the median scan line."""
     n_pos = geometry.n_pos
-    scan = np.flatnonzero((placed.position_px > 0.0) & (placed.position_px < n_pos - 1.0))
+    scan = np.flatnonzero(placed.shown & (placed.position_px > 0.0) & (placed.position_px < n_pos - 1.0))
     scan = scan[:: max(1, len(scan) // MAX_PIXELS)]
     if not len(scan):
         return math.nan

@@ -218,7 +218,7 @@ def _tables(setup: Setup) -> dict[str, dict[str, Any]]:
         "camera": camera,
         "sensor": {name: value for name, value in vars(setup.sensor).items() if name != "bend"},
         "filter": _filter_table(setup.filter),
-        "laser": dict(vars(setup.laser)),
+        "laser": {name: value for name, value in vars(setup.laser).items() if value is not None},
         "arc": dict(vars(setup.arc)),
         "material": {name: value for name, value in vars(setup.material).items() if name != "lobe"},
         "tolerance": dict(vars(setup.tolerance)),

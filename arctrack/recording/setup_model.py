@@ -131,6 +131,7 @@ class LaserTable(Table):
     origin_in_tool_mm: PointInTool
     stripe_sigma_mm: Number
     peak_e: Number
+    fan_half_angle_deg: Number | None = None
 
 
 class ArcTable(Table):
@@ -271,6 +272,7 @@ class RecordingToml(Table):
                 origin_in_tool_mm=_three(self.laser.origin_in_tool_mm),
                 stripe_sigma_mm=self.laser.stripe_sigma_mm,
                 peak_e=self.laser.peak_e,
+                fan_half_angle_deg=self.laser.fan_half_angle_deg,
             ),
             arc=Arc(**{**_known(self.arc), "center_in_tool_mm": _three(self.arc.center_in_tool_mm)}),
             material=Material(**_known(self.material)),

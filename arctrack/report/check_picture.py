@@ -105,7 +105,7 @@ def _stripe_px(setup: Setup, T_base_tool: Float64) -> tuple[Float64, Float64, Fl
         return None
     scan, reach_px = np.arange(geometry.n_scan, dtype=np.float64), geometry.reach_px(SEARCH_REACH_MM)
     middle, low, high = (
-        geometry.image_points(scan, expected.position_px + off) for off in (0.0, -reach_px, reach_px)
+        geometry.image_points(scan, expected.shown_px + off) for off in (0.0, -reach_px, reach_px)
     )
     return middle, low, high
 

@@ -63,7 +63,7 @@ def expected_stripe_px(
     if expected is None:
         return None
     lines = np.arange(geometry.n_scan, dtype=np.float64)
-    return geometry.image_points(lines, expected.position_px)
+    return geometry.image_points(lines, expected.shown_px)
 
 
 def _frame(

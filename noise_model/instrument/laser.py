@@ -38,7 +38,10 @@ class Laser:
         1 sigma of half the sheet's thickness at tool height, mm.
     peak_e : float
         The stripe's peak before the point-spread function, e-: on a flat plate at tool height, level pose,
-        middle column.
+        middle column, whether or not the fan reaches so far.
+    fan_half_angle_deg : float, optional
+        Where the fan ends to either side of its axis, the steepest line in the sheet: the angle to it in the
+        sheet, deg. There the light falls to 0 at once. Without it the fan is wider than any image.
 
     Raises
     ------
@@ -51,6 +54,7 @@ class Laser:
     origin_in_tool_mm: tuple[float, float, float]
     stripe_sigma_mm: float
     peak_e: float
+    fan_half_angle_deg: float | None = None
 
     def __post_init__(self) -> None:
         for name in ("wavelength_nm", "stripe_sigma_mm", "peak_e"):
@@ -65,12 +69,17 @@ class Laser:
             raise ValueError("[laser] plane_in_tool: the sheet lies parallel to the plate")
         if not (np.isfinite(self.plane_in_tool).all() and np.isfinite(self.origin_in_tool_mm).all()):
             raise ValueError("[laser] plane_in_tool, origin_in_tool_mm: must be finite")
+        if self.fan_half_angle_deg is not None and not 0.0 < self.fan_half_angle_deg < 90.0:
+            raise ValueError(
+                f"[laser] fan_half_angle_deg = {self.fan_half_angle_deg}: must lie between 0 and 90"
+            )
 
     def __str__(self) -> str:
         plane = " ".join(f"{value:g}" for value in self.plane_in_tool)
+        fan = "" if self.fan_half_angle_deg is None else f", fan of +-{self.fan_half_angle_deg:g} deg"
         return (
             f"{self.wavelength_nm:g} nm, plane [{plane}] in tool, stripe sigma {self.stripe_sigma_mm:g} mm, "
-            f"peak {self.peak_e:g} e-"
+            f"peak {self.peak_e:g} e-{fan}"
         )
 
     @property
@@ -91,6 +100,20 @@ class Laser:
         """
         return _point_below(self.plane_in_tool, self.origin_in_tool_mm)
 
+    @property
+    def fan(self) -> tuple[Float64, Float64, float]:
+        """The fan's axis (3,) and the direction (3,) across it in the sheet, tool frame, and its slope.
+
+        The fan holds what lies no farther across its axis than the slope times the way along it; the slope is
+        infinite without an end.
+        """
+        n_x, n_y, n_z, _ = self.plane_in_tool
+        flat = math.hypot(n_x, n_y)
+        axis = np.array([n_x * n_z, n_y * n_z, -flat * flat]) / (flat * math.hypot(flat, n_z))
+        angle = self.fan_half_angle_deg
+        slope = math.inf if angle is None else math.tan(math.radians(angle))
+        return axis, np.array([-n_y, n_x, 0.0]) / flat, slope
+
 
 @lru_cache
 def _array(values: tuple[float, ...]) -> Float64:
@@ -107,7 +130,8 @@ class Sheet(NamedTuple):
     """A pose's laser sheet in the joint frame, as the kernels take it; mm.
 
     `plane` (4,) is n.p + d = 0 and `tool_up` (3,) the tool's z axis; `sigma` the sheet's half-thickness at
-    tool height and `stand` the height of its `origin` (3,) over it.
+    tool height and `stand` the height of its `origin` (3,) over it. `axis`, `side` (3,) and `slope` are the
+    laser's `fan`.
     """
 
     origin: Float64
@@ -115,6 +139,9 @@ class Sheet(NamedTuple):
     tool_up: Float64
     sigma: float
     stand: float
+    axis: Float64
+    side: Float64
+    slope: float
 
 
 @kernel
@@ -129,12 +156,16 @@ def plane_in(T_a_b: Float64, plane_b: Float64) -> tuple[float, float, float, flo
 
 def sheet_of(laser: Laser, T_joint_tool: Float64) -> Sheet:
     """Put a laser's sheet into the joint frame."""
+    axis, side, slope = laser.fan
     return Sheet(
         transform(T_joint_tool, laser.origin_mm),
         np.array(plane_in(T_joint_tool, laser.plane)),
         np.ascontiguousarray(T_joint_tool[:3, 2]),
         laser.stripe_sigma_mm,
         laser.origin_in_tool_mm[2],
+        T_joint_tool[:3, :3] @ axis,
+        T_joint_tool[:3, :3] @ side,
+        slope,
     )
 
 
@@ -146,13 +177,23 @@ def depth_below(sheet: Sheet, Q: Vector) -> float:
     return depth
 
 
+@kernel(inline=True)
+def is_beside_fan(sheet: Sheet, Q: Vector) -> bool:
+    """Say whether a point below the laser's origin lies beyond the fan's end."""
+    x, y, z = Q[0] - sheet.origin[0], Q[1] - sheet.origin[1], Q[2] - sheet.origin[2]
+    along: float = x * sheet.axis[0] + y * sheet.axis[1] + z * sheet.axis[2]
+    across: float = x * sheet.side[0] + y * sheet.side[1] + z * sheet.side[2]
+    return abs(across) > sheet.slope * along
+
+
 @kernel
 def sheet_reflected(
     sheet: Sheet, material: LobeNumbers, Q: Vector, normal: Vector, omega_r: Vector, reach: float = math.inf
 ) -> float:
     """Return what a point Q sends of the sheet along `omega_r`: `irradiance` times f_r.
 
-    It is 0 more than `reach` sigmas of the sheet away. Hidden points are the caller's to exclude.
+    It is 0 more than `reach` sigmas of the sheet away, and beyond the fan's end. Hidden points are the
+    caller's to exclude.
     """
     wx, wy, wz = sheet.origin[0] - Q[0], sheet.origin[1] - Q[1], sheet.origin[2] - Q[2]
     depth = depth_below(sheet, Q)
@@ -164,7 +205,7 @@ def sheet_reflected(
         return 0.0
     off = sheet.plane[0] * Q[0] + sheet.plane[1] * Q[1] + sheet.plane[2] * Q[2] + sheet.plane[3]
     off /= sheet.sigma * depth / sheet.stand
-    if abs(off) > reach:
+    if abs(off) > reach or is_beside_fan(sheet, Q):
         return 0.0
     light: float = math.exp(-0.5 * off * off) * (sheet.stand / depth) ** 2 * cos_i * distance / depth
     return light * reflected(material, (wx, wy, wz), omega_r, normal)
@@ -175,7 +216,8 @@ def irradiance(points_tool: Float64, normals_tool: Float64, laser: Laser) -> Flo
 
     exp(-1/2 (x' / (sigma z/h))^2) (h/z)^2 cos(theta_i) / cos(psi): x' the distance from the plane, z the
     depth below the origin, h the origin's height, psi the angle of the point's ray to the axis, theta_i its
-    incidence. 1 on the axis at tool height for a level plate. Hidden points are the caller's to exclude.
+    incidence. 1 on the axis at tool height for a level plate, 0 beyond the fan's end. Hidden points are the
+    caller's to exclude.
     """
     origin, plane = laser.origin_mm, laser.plane
     h = origin[2]
@@ -188,4 +230,16 @@ def irradiance(points_tool: Float64, normals_tool: Float64, laser: Laser) -> Flo
         x_prime = points_tool @ plane[:3] + plane[3]
         sheet = np.exp(-0.5 * (x_prime / (laser.stripe_sigma_mm * z / h)) ** 2)
         value = sheet * (h / z) ** 2 * cos_theta_i / cos_psi
-    return np.where((z > 0) & (cos_theta_i > 0), value, 0.0)
+    return np.where((z > 0) & (cos_theta_i > 0) & ~(beyond_fan_mm(points_tool, laser) > 0), value, 0.0)
+
+
+def beyond_fan_mm(points_tool: Float64, laser: Laser) -> Float64:
+    """Return how far across its axis points (N, 3), mm, tool frame, lie beyond the fan's end, (N,) mm.
+
+    It is negative within the fan, and minus infinity if the fan has no end.
+    """
+    axis, side, slope = laser.fan
+    from_origin = points_tool - laser.origin_mm
+    if math.isinf(slope):
+        return np.full(from_origin.shape[:-1], -math.inf)
+    return np.asarray(np.abs(from_origin @ side) - slope * (from_origin @ axis))

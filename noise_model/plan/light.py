@@ -103,7 +103,10 @@ def stripe_light(setup: Setup, T_base_tool: Float64, level_e: float) -> StripeLi
 
 
 def _fan(setup: Setup, scene: Scene) -> tuple[Float64, Float64, Float64]:
-    """Follow the fan: first points on the surface (n, 3), normals, and the length of stripe (n,) of each."""
+    """Follow the fan: first points on the surface (n, 3), normals, and the length of stripe (n,) of each.
+
+    Rays beyond the fan's end are left out.
+    """
     R = scene.T_joint_tool[:3, :3]
     plane = R @ setup.laser.plane[:3]
     plane /= np.linalg.norm(plane)
@@ -132,7 +135,7 @@ def _fan(setup: Setup, scene: Scene) -> tuple[Float64, Float64, Float64]:
         slip = far * (normals @ side) / np.sum(normals * d, axis=1)
         stretch = np.linalg.norm(far[:, np.newaxis] * side - slip[:, np.newaxis] * d, axis=1) * abs(step)
     met = np.isfinite(points).all(axis=1) & np.isfinite(stretch)
-    met &= np.abs(points[:, 1]) <= REACH_MM
+    met &= (np.abs(points[:, 1]) <= REACH_MM) & (np.abs(s) <= setup.laser.fan[2])
     return points[met], normals[met], stretch[met]
 
 

@@ -15,7 +15,7 @@ from pathlib import Path
 
 import numpy as np
 
-from noise_model.arrays import Float32, Float64, Int64
+from noise_model.arrays import Bool, Float32, Float64, Int64
 from noise_model.instrument.camera import Camera
 from noise_model.setup import Setup
 from noise_model.transforms import invert, transform
@@ -212,8 +212,24 @@ class Studio:
     def sheet(self, points: Float64, normals: Float64, T_joint_tool: Float64) -> Float64:
         """Return the laser sheet's irradiance (n,) at points (n, 3) of the joint frame, metal in between too.
 
-        exp(-x'^2 h^2 / (2 sigma^2 z^2)) (h / z)^2 cos(theta_i) / cos(psi); 0 from below.
+        exp(-x'^2 h^2 / (2 sigma^2 z^2)) (h / z)^2 cos(theta_i) / cos(psi); 0 from below and past the fan.
         """
+        lit = self._endless_sheet(points, normals, T_joint_tool)
+        return np.where(self._in_fan(points, T_joint_tool), lit, 0.0)
+
+    def _in_fan(self, points: Float64, T_joint_tool: Float64) -> Bool:
+        """Say whether points (n, 3) lie within the laser's fan, by their angles in the sheet."""
+        laser = self.world.setup.laser
+        if laser.fan_half_angle_deg is None:
+            return np.ones(len(points), dtype=np.bool_)
+        rays = transform(invert(T_joint_tool), points) - laser.origin_mm
+        rays -= np.outer(rays @ laser.plane[:3], laser.plane[:3])
+        across = np.cross(laser.plane[:3], [0.0, 0.0, 1.0])
+        aside = rays @ across / np.linalg.norm(across)
+        half_angle = np.arcsin(np.abs(aside) / np.linalg.norm(rays, axis=1))
+        return np.asarray(half_angle <= math.radians(laser.fan_half_angle_deg))
+
+    def _endless_sheet(self, points: Float64, normals: Float64, T_joint_tool: Float64) -> Float64:
         laser = self.world.setup.laser
         h = laser.origin_in_tool_mm[2]
         T_tool_joint = invert(T_joint_tool)
@@ -253,7 +269,8 @@ class Studio:
         origin = self.world.setup.laser.origin_mm
         towards = eye - points
         towards /= np.linalg.norm(towards, axis=1, keepdims=True)
-        value = self.sheet(points, normals, np.eye(4)) * self._reflectance(points, normals, origin, towards)
+        value = self._endless_sheet(points, normals, np.eye(4))
+        value *= self._reflectance(points, normals, origin, towards)
         return float(np.max(value * (1.0 + np.sum(xy**2, axis=1)) ** -2.0))
 
     def _reflectance(self, points: Float64, normals: Float64, source: Float64, towards: Float64) -> Float64:

@@ -48,6 +48,11 @@ BAD: dict[str, tuple[Spoil, str, str]] = {
         "recording.toml",
         "[laser] peak_e = 1e+300: input should be less than or equal to",
     ),
+    "a fan that is none": (
+        toml("peak_e = ", "fan_half_angle_deg = 95.0\npeak_e = "),
+        "recording.toml",
+        "[laser] fan_half_angle_deg = 95.0: must lie between 0 and 90",
+    ),
     "depth beyond sense": (
         toml("depth_mm = 4.0", "depth_mm = 1e300"),
         "recording.toml",

@@ -112,7 +112,7 @@ def made(
     amplitude_e: float, background_e: float, dark_variance_e2: float, width: float = WIDTH
 ) -> tuple[StripeReading, ExpectedStripe]:
     """Return the reading of a noiseless Gaussian over an even background that is known for sure."""
-    expected = ExpectedStripe(*np.tile([[60.0], [WIDTH], [0.0]], N_SCAN), np.ones(N_SCAN, bool))
+    expected = ExpectedStripe(*np.tile([[60.0], [WIDTH], [0.0]], N_SCAN), *np.ones((2, N_SCAN), bool))
     at = np.arange(DEPTH)
     bell = np.exp(-0.5 * ((at - 60.0) / width) ** 2)
     background = np.full((N_SCAN, DEPTH), background_e, np.float32)

@@ -46,7 +46,19 @@ def test_each_key_has_a_comment() -> None:
 def test_no_key_is_described_that_no_setup_has() -> None:
     texts = [commented_setup(nominal_setup(joint, "mild_steel")) for joint in DIMENSIONS]
     for key in KEYS:
-        assert any(f"\n{key.name} = " in text.split(f"[{key.table}]\n")[1] for text in texts), key
+        line = f"\n# {key.name} = {key.optional}" if key.optional else f"\n{key.name} = "
+        assert any(line in text.split(f"[{key.table}]\n")[1] for text in texts), key
+
+
+def test_an_optional_key_is_read_once_its_mark_is_gone(tmp_path: Path) -> None:
+    path = tmp_path / "recording.toml"
+    text = commented_setup(nominal_setup("v_groove", "mild_steel"))
+    path.write_text(text.replace("# fan_half_angle_deg", "fan_half_angle_deg"))
+    stated = read_setup_file(path)
+    assert stated.setup.laser.fan_half_angle_deg == 30.0
+    assert read_setup_file(path).unknown_keys == ()
+    path.write_text(format_setup(stated.setup))
+    assert read_setup_file(path).setup.laser == stated.setup.laser
 
 
 def test_a_robot_with_z_into_the_part_is_read_as_the_comment_says(tmp_path: Path) -> None:

@@ -39,6 +39,26 @@ def test_a_coarse_camera_s_stripe_peaks_as_high_as_a_fine_one_s(side):
     assert stripe_reference(coarse) == pytest.approx(stripe_reference(fine), rel=1e-3)
 
 
+def test_a_fan_ends_in_the_image_where_it_ends_on_the_plate():
+    """At y = h tan(psi): there the blurred stripe has half its light, and beside nothing has changed."""
+    setup = scenes.setup("flat")
+    half_mm = 140.0 * math.tan(math.radians(5.0))
+    narrow = dataclasses.replace(setup, laser=dataclasses.replace(setup.laser, fan_half_angle_deg=5.0))
+    wide_e, narrow_e = stripe_alone(setup), stripe_alone(narrow)
+    ends = np.sort(project(setup.camera, np.array([[35.0, -half_mm, 0.0], [35.0, half_mm, 0.0]]))[:, 0])
+    u = np.arange(wide_e.shape[1])
+    inside = (u > ends[0] + 5.0) & (u < ends[1] - 5.0)
+    outside = (u < ends[0] - 5.0) | (u > ends[1] + 5.0)
+    np.testing.assert_array_equal(narrow_e[:, inside], wide_e[:, inside])
+    assert not narrow_e[:, outside].any()
+    share = narrow_e.sum(axis=0) / wide_e.sum(axis=0)
+    for end, side in zip(ends, (1.0, -1.0), strict=True):
+        near = np.abs(u - end) < 5.0
+        assert np.interp(0.5, share[near][:: int(side)], u[near][:: int(side)]) == pytest.approx(
+            end, abs=0.05
+        )
+
+
 def peak_rows(image, columns):
     """The stripe's centre in each column by a parabola through the logarithms of its three highest rows."""
     rows = np.argmax(image[:, columns], axis=0)

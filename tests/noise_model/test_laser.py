@@ -7,7 +7,8 @@ import scenes
 from hypothesis import given
 from hypothesis import strategies as st
 
-from noise_model.instrument.laser import Laser, irradiance, plane_in
+from noise_model.instrument.laser import Laser, irradiance, plane_in, sheet_of, sheet_reflected
+from noise_model.surface.brdf import TABLE_1, lobe_numbers
 from noise_model.transforms import pose_matrix, transform
 
 LASER = scenes.setup("flat").laser
@@ -68,6 +69,29 @@ def test_a_leaning_sheet():
     assert one(beside, laser=laser) == pytest.approx(math.exp(-0.5))
 
 
+@given(st.floats(-60.0, 60.0), st.floats(20.0, 200.0), st.floats(-0.4, 0.4), st.floats(-40.0, 40.0))
+def test_the_fan_ends_at_its_angle_in_the_sheet(angle_deg, along_mm, beside_mm, lean_deg):
+    """A ray at an angle from the sheet's steepest line is lit as without an end, or not at all."""
+    lean, angle = math.radians(lean_deg), math.radians(angle_deg)
+    normal = np.array([math.cos(lean), 0.0, math.sin(lean)])
+    steepest, level = np.array([math.sin(lean), 0.0, -math.cos(lean)]), np.array([0.0, 1.0, 0.0])
+    origin = np.array([35.0, 0.0, 140.0])
+    wide = dataclasses.replace(LASER, plane_in_tool=(*normal.tolist(), -float(normal @ origin)))
+    narrow = dataclasses.replace(wide, fan_half_angle_deg=25.0)
+    point = origin + along_mm * (steepest + math.tan(angle) * level) + beside_mm * normal
+    toward_eye = np.array([0.0, 0.0, 1.0])
+    seen = [
+        sheet_reflected(
+            sheet_of(laser, np.eye(4)), lobe_numbers(TABLE_1["zn_coated"]), point, toward_eye, toward_eye
+        )
+        for laser in (wide, narrow)
+    ]
+    lit = abs(angle_deg) <= 25.0 - 1e-9
+    if lit or abs(angle_deg) >= 25.0 + 1e-9:
+        assert one(point, laser=narrow) == (one(point, laser=wide) if lit else 0.0)
+        assert seen[1] == (seen[0] if lit else 0.0)
+
+
 @pytest.mark.parametrize(
     ("point", "normal"),
     [
@@ -93,6 +117,9 @@ def test_dark_from_behind_and_above(point, normal):
         ("plane_in_tool", (0.0, 0.0, 1.0, -35.0)),
         ("plane_in_tool", (math.nan, 0.0, 0.0, -35.0)),
         ("plane_in_tool", (1.0, 0.0, 0.0, math.nan)),
+        ("fan_half_angle_deg", 0.0),
+        ("fan_half_angle_deg", 90.0),
+        ("fan_half_angle_deg", math.nan),
     ],
 )
 def test_a_laser_that_cannot_be_names_its_key(key, value):

@@ -112,6 +112,19 @@ def test_a_displaced_joint_moves_the_stripe_as_the_gradient_says(name: str) -> N
         np.testing.assert_allclose(found, gradient[good, axis], rtol=0.04, atol=0.12)
 
 
+def test_rays_beyond_the_fan_are_left_out() -> None:
+    setup = SETUPS["v_groove"]
+    narrow = replace(setup, laser=replace(setup.laser, fan_half_angle_deg=2.0))
+    every, some = lit(setup, tool()), lit(narrow, tool())
+    origin = every.source
+    lit_mm = (every.points - origin) @ np.asarray(tool()[:3, 1])
+    depth_mm = (origin - every.points) @ np.asarray(tool()[:3, 2])
+    inside = np.abs(lit_mm) <= math.tan(math.radians(2.0)) * depth_mm
+    assert 0 < inside.sum() < len(inside)
+    np.testing.assert_array_equal(some.points, every.points[inside])
+    np.testing.assert_array_equal(some.stripe_e, every.stripe_e[inside])
+
+
 def test_lines_are_counted_once() -> None:
     setup, T_base_tool = steel_groove(), tool(tilt=(0.0, 0.0))
     light = lit(setup, T_base_tool)

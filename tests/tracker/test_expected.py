@@ -15,8 +15,9 @@ from noise_model.condition import Condition
 from noise_model.forward import predict
 from noise_model.surface.brdf import TABLE_1
 from noise_model.surface.joint import SeamLine
+from noise_model.transforms import invert, transform
 from tracker.geometry import SensorGeometry
-from tracker.stripe.expected import expect_stripe
+from tracker.stripe.expected import FAN_SLACK_MM, expect_stripe
 
 SEAM = SeamLine(0.0, 0.8, -0.4, 0.01, 0.002)
 
@@ -153,6 +154,28 @@ def test_beside_the_image_it_is_expected_where_the_plates_go_on() -> None:
         assert inside.all() if axis == 1 else not inside.any()
     # Far beside the seam there is one plate.
     np.testing.assert_allclose(np.diff(expected.position_px, 2), 0.0, atol=1e-6)
+
+
+def test_beyond_the_fan_none_is_expected() -> None:
+    """It fans out 5 deg to either side 140 mm above the plate: that is 12.2 mm."""
+    setup = small_setup("v_groove")
+    laser = replace(setup.laser, fan_half_angle_deg=5.0)
+    wide, narrow = (
+        expect_stripe(geometry, make_scene(geometry.setup, pose_at(0.0).T_base_tool))
+        for geometry in map(SensorGeometry.of, (setup, replace(setup, laser=laser)))
+    )
+    assert wide is not None
+    assert narrow is not None
+    assert wide.shown.all()
+    assert wide.is_sought.all()
+    for name in ("position_px", "sigma_px", "bias_px"):
+        np.testing.assert_array_equal(getattr(narrow, name), getattr(wide, name))
+    half_mm = 140.0 * np.tan(np.radians(5.0))
+    T_camera_tool = invert(setup.camera.T_tool_camera)
+    for lines, end_mm in ((narrow.shown, half_mm), (narrow.is_sought, half_mm + FAN_SLACK_MM)):
+        ends = np.array([[35.0, side * end_mm, 0.0] for side in (-1.0, 1.0)])
+        u = np.sort(setup.camera.project(transform(T_camera_tool, ends))[:, 0])
+        np.testing.assert_array_equal(np.flatnonzero(lines)[[0, -1]], [np.ceil(u[0]), np.floor(u[1])])
 
 
 def test_what_lies_behind_the_camera_is_none() -> None:

@@ -69,6 +69,20 @@ def assert_seam(setup: Setup, track: Track, pose: Pose, seam: SeamLine, within_m
     assert abs(error[2]) < within_mm, (error, track.flag_names)
 
 
+def test_a_fan_that_ends_in_the_image_is_all_of_the_stripe(v: Setup) -> None:
+    """Where the setup states its end the lines beyond count for nothing, else most of the stripe is lost."""
+    narrow = replace(v, laser=replace(v.laser, fan_half_angle_deg=5.0))
+    frame = frame_of(v, pose_at(0.0), of=narrow)
+    stated, unstated = (Tracker(setup).step(frame, pose_at(0.0)) for setup in (narrow, v))
+    assert_seam(narrow, stated, pose_at(0.0), NOMINAL_SEAM)
+    assert "stripe_partial" not in stated.flag_names
+    assert "stripe_partial" in unstated.flag_names
+    assert stated.stripe is not None
+    held = np.flatnonzero(np.isfinite(stated.stripe.position_px))
+    lit_mm = 2.0 * 140.0 * np.tan(np.radians(5.0))
+    assert np.ptp(held) == pytest.approx(lit_mm * v.camera.fx / 140.0, rel=0.1)
+
+
 @pytest.mark.parametrize("upright", [False, True])
 @pytest.mark.parametrize("arc", [0.0, 1.0])
 @pytest.mark.parametrize("joint", ["v_groove", "lap"])

@@ -95,7 +95,8 @@ def test_path_and_rim_are_their_plain_twins() -> None:
     offsets = np.arange(-20, 21, OFFSET_STEP)
     for _ in range(50):
         expected = ExpectedStripe(
-            rng.uniform(10.0, 90.0, 30), rng.uniform(1.0, 9.0, 30), np.zeros(30), rng.random(30) < 0.7
+            *rng.uniform([[10.0], [1.0], [0.0]], [[90.0], [9.0], [1e-9]], (3, 30)),
+            *(rng.random((2, 30)) < 0.7),
         )
         position = expected.position_px + rng.normal(0.0, 9.0, 30)
         position[rng.random(30) < 0.3] = np.nan
@@ -112,7 +113,7 @@ def test_path_and_rim_are_their_plain_twins() -> None:
 def test_lines_that_would_show_it_and_do_not_are_counted() -> None:
     """100 lines hold a stripe of 4000 e-; of the others some are as dark, some too bright, some saturated."""
     width, amplitude_e, dark_e2 = 3.0, 4000.0, 2500.0
-    expected = ExpectedStripe(np.full(N_SCAN, 30.0), np.full(N_SCAN, width), np.zeros(N_SCAN), EVERYWHERE)
+    expected = ExpectedStripe(*np.tile([[30.0], [width], [0.0]], N_SCAN), EVERYWHERE, EVERYWHERE)
     position, amplitude = np.full((2, N_SCAN), np.nan)
     position[:100], amplitude[:100] = 30.0, amplitude_e
     variance, censored = np.full((N_SCAN, N), dark_e2, np.float32), np.zeros((N_SCAN, N), np.bool_)
@@ -194,7 +195,7 @@ def test_an_arc_in_bare_corrugated_steel_is_no_stripe(
 
 def test_a_stripe_off_the_image_is_told() -> None:
     expected = ExpectedStripe(
-        np.linspace(20.0, 90.0, 71), np.full(71, 3.0), np.zeros(71), np.ones(71, dtype=np.bool_)
+        np.linspace(20.0, 90.0, 71), np.full(71, 3.0), np.zeros(71), *np.ones((2, 71), dtype=np.bool_)
     )
     nowhere = np.full(71, np.nan)
     assert not leaves_image(expected, nowhere, 100)

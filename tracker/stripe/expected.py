@@ -10,12 +10,12 @@ import numpy as np
 from noise_model.arc.map import Scene
 from noise_model.arrays import Bool, Float64, Int64
 from noise_model.instrument.camera import Intrinsics
-from noise_model.instrument.laser import Sheet, depth_below, sheet_of, sheet_reflected
+from noise_model.instrument.laser import Sheet, beyond_fan_mm, depth_below, sheet_of, sheet_reflected
 from noise_model.kernel import kernel
 from noise_model.surface.brdf import LobeNumbers, lobe_numbers
 from noise_model.surface.faces import face_normal, face_under, ridge, slope_across
 from noise_model.surface.joint import EDGE_STANDS_MM
-from tracker.geometry import SensorGeometry
+from tracker.geometry import SensorGeometry, to_laser_plane
 from tracker.stripe.bias import PLANES, fit_bell
 
 STEP_MM, MAX_STEPS_SEEN = 0.75, 160
@@ -36,6 +36,9 @@ MAX_STEPS, MET_MM = 20, 1e-9
 NEAREST_MM = 1.0
 """What comes nearer to the camera than this is not in view."""
 
+FAN_SLACK_MM = 2.0
+"""So far beyond the fan's end a stripe is still looked for: a surface farther off is lit farther out."""
+
 
 @dataclass(frozen=True)
 class ExpectedStripe:
@@ -43,13 +46,20 @@ class ExpectedStripe:
 
     `position_px` its centre, `sigma_px` its 1 sigma (sheet and point-spread function), `bias_px` how far its
     light's centre lies off the laser plane's trace because reflectance and fall-off vary across it. `shown`
-    says where the joint would show it at all, and not what an edge joint stands on, deep out of sight.
+    says where the joint would show it at all, and not what an edge joint stands on, deep out of sight, nor
+    what lies beyond the fan's end; `is_sought` where it is looked for.
     """
 
     position_px: Float64
     sigma_px: Float64
     bias_px: Float64
     shown: Bool
+    is_sought: Bool
+
+    @property
+    def shown_px(self) -> Float64:
+        """The stripe's centre (n_scan,), px, NaN where it is not shown."""
+        return np.where(self.shown, self.position_px, np.nan)
 
 
 def expect_stripe(geometry: SensorGeometry, scene: Scene) -> ExpectedStripe | None:
@@ -81,7 +91,8 @@ def expect_stripe(geometry: SensorGeometry, scene: Scene) -> ExpectedStripe | No
         scene.shape.corrugation,
         np.ascontiguousarray(scene.T_joint_tool[:3, 3]),
         scene.footprint_mm[1],
-        sheet_of(setup.laser, scene.T_joint_tool),
+        # Place and width go on beyond the fan's end, where a light that stops would bend them.
+        sheet_of(setup.laser, scene.T_joint_tool)._replace(slope=math.inf),
         scene.T_joint_camera,
         setup.camera.intrinsics,
         lobe_numbers(setup.material),
@@ -97,7 +108,20 @@ def expect_stripe(geometry: SensorGeometry, scene: Scene) -> ExpectedStripe | No
     shown = np.ones(geometry.n_scan, dtype=np.bool_)
     if is_deep.any():
         shown = (face < 0) | ~is_deep[face]
-    return ExpectedStripe(position, sigma, bias, shown)
+    beyond_mm = _beyond_fan_mm(geometry, position)
+    return ExpectedStripe(position, sigma, bias, shown & ~(beyond_mm > 0.0), ~(beyond_mm > FAN_SLACK_MM))
+
+
+def _beyond_fan_mm(geometry: SensorGeometry, position_px: Float64) -> Float64:
+    """Return how far beyond the fan's end the sheet is seen at positions (n_scan,) of the scan lines, mm.
+
+    It is negative within the fan, and NaN where the sheet is not met.
+    """
+    laser = geometry.setup.laser
+    if laser.fan_half_angle_deg is None:
+        return np.full(geometry.n_scan, -math.inf)
+    points_px = geometry.image_points(np.arange(geometry.n_scan, dtype=np.float64), position_px)
+    return beyond_fan_mm(to_laser_plane(geometry.setup, points_px)[0], laser)
 
 
 @kernel

@@ -232,10 +232,13 @@ def _fit_band(
         offsets,
         score,
     )
+    # Where no light can be none is looked for.
+    score[~expected.is_sought] = 0.0
     choice = np.empty(n_scan, dtype=np.int64)
     best_path(score, choice)
     start = np.empty(n_scan)
     peaks(score, choice, expected.position_px, offsets, start)
+    start[~expected.is_sought] = np.nan
     fits = np.empty((n_scan, 5))
     saturated = np.empty(n_scan, dtype=np.bool_)
     fit_lines(

@@ -10,7 +10,7 @@ import numpy as np
 from jinja2 import Environment, PackageLoader, StrictUndefined
 
 from arctrack.explain import Explanation, StripeLook
-from arctrack.explain_lines import READ
+from arctrack.explain_lines import READ, UNLIT
 from arctrack.printable import quoted
 from arctrack.recording.setup_file import FILE_NAME
 from arctrack.report.diagnosis.words import number, percent
@@ -76,7 +76,7 @@ def telling_lines(stripe: StripeLook) -> list[tuple[str, int]]:
         for name, s in (("best", order[0]), ("median", order[len(order) // 2]), ("worst", order[-1])):
             chosen.setdefault(int(s), f"{name} σ")
     why = stripe.refusals.why
-    refused = np.flatnonzero(why != READ)
+    refused = np.flatnonzero((why != READ) & (why != UNLIT))
     if refused.size:
         fitted = refused[np.isfinite(stripe.reading.start_px[refused])]
         among = fitted if fitted.size else refused

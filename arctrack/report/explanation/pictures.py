@@ -96,7 +96,7 @@ def overlay(explanation: Explanation) -> Overlay:
     seam = None if point is None else (float(point[0]), float(point[1]))
     if look is None or look.expected is None:
         return Overlay(seam=seam)
-    expected = look.expected.position_px
+    expected = look.expected.shown_px
     rims = (expected - look.reach_px, expected + look.reach_px)
     drawn = Overlay(
         expected=path(explanation.geometry, expected),

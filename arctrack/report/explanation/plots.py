@@ -11,7 +11,7 @@ from matplotlib.patches import Ellipse
 from matplotlib.ticker import FormatStrFormatter, LogLocator, NullFormatter
 
 from arctrack.explain import Explanation, Look, StripeLook
-from arctrack.explain_lines import NO_PATH, READ, SigmaParts, window_of
+from arctrack.explain_lines import NO_PATH, READ, UNLIT, SigmaParts, window_of
 from arctrack.report import style
 from arctrack.report.embedded import svg
 from arctrack.report.explanation.words import scan_line
@@ -82,7 +82,7 @@ def candidates_picture(explanation: Explanation, look: StripeLook) -> str:
     lines = np.arange(len(off))
     axes.axhline(0.0, color=style.BLUE, linewidth=0.9, dashes=(6, 4), label="expected")
     axes.plot(lines, off, color=style.ORANGE, linewidth=1.2, label="likeliest path")
-    refused = look.refusals.why != READ
+    refused = (look.refusals.why != READ) & (look.refusals.why != UNLIT)
     if refused.any():
         mark_px = np.where(look.refusals.why == NO_PATH, high, off)
         axes.plot(

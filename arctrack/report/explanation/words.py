@@ -7,7 +7,7 @@ import math
 import numpy as np
 
 from arctrack.explain import Explanation
-from arctrack.explain_lines import NO_FIT, NO_PATH, ODD_WIDTH, TOO_WEAK
+from arctrack.explain_lines import NO_FIT, NO_PATH, ODD_WIDTH, TOO_WEAK, UNLIT
 from arctrack.report.diagnosis.words import listed, number, percent
 from tracker import flags
 from tracker.checks import Check, Question
@@ -16,6 +16,7 @@ from tracker.seam.correction import UNSTATED
 from tracker.stripe.fit import MIN_SIGNIFICANCE
 
 REFUSALS = {
+    UNLIT: "the laser's fan does not reach it",
     NO_PATH: "the likeliest path passes over it: no candidate there is worth the way",
     NO_FIT: "the fit ran away, or too few pixels count: an edge, saturation, the band's end",
     TOO_WEAK: f"what the fit found is less than {MIN_SIGNIFICANCE:g} of its own σ high",

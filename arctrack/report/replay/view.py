@@ -97,8 +97,8 @@ class Viewer:
         if expected is None:
             return seen_so_far
         lines = np.arange(geometry.n_scan, dtype=np.float64)
-        inside = expected.shown & (expected.position_px >= 0.0) & (expected.position_px < geometry.n_pos)
-        expected_px = geometry.image_points(lines, np.where(inside, expected.position_px, np.nan))
+        inside = (expected.shown_px >= 0.0) & (expected.shown_px < geometry.n_pos)
+        expected_px = geometry.image_points(lines, np.where(inside, expected.shown_px, np.nan))
         seen_so_far = replace(seen_so_far, expected_px=expected_px)
         stripe = track.stripe
         if stripe is None:

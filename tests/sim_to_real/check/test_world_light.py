@@ -10,6 +10,7 @@ from worlds import ARC, BOTH, charge_of, pose, setup_of, studio_of, world_of
 
 from noise_model.condition import Condition
 from noise_model.forward import predict
+from noise_model.instrument.laser import irradiance
 from noise_model.interreflection.model import bounced_light as modelled_bounces
 from noise_model.surface.brdf import Lobe, Material, reflectance
 from noise_model.surface.joint import BentSeam, SeamLine
@@ -61,6 +62,25 @@ def test_the_sheet_falls_off_as_a_gaussian_and_with_depth():
     got = studio.sheet(points, up, np.eye(4))
     # Twice as deep it is a quarter; 45 degrees aside cos(theta_i) / cos(psi) is 1.
     np.testing.assert_allclose(got, [1.0, math.exp(-0.5), 0.25, 1.0], rtol=1e-12)
+
+
+def test_a_fan_ends_where_the_forward_model_ends_it():
+    setup = setup_of("v_groove", "zn_coated", width=160)
+    leaning = np.array([0.95, 0.1, -math.sqrt(1.0 - 0.95**2 - 0.1**2)])
+    laser = dataclasses.replace(
+        setup.laser,
+        plane_in_tool=(*leaning.tolist(), -float(leaning @ setup.laser.origin_mm)),
+        fan_half_angle_deg=6.0,
+    )
+    studio = studio_of(TrueWorld(dataclasses.replace(setup, laser=laser), np.eye(4)))
+    rng = np.random.default_rng(3)
+    points = laser.origin_mm + rng.uniform(-30.0, 30.0, (500, 3)) - [0.0, 0.0, 120.0]
+    # Onto the sheet.
+    points -= np.outer((points - laser.origin_mm) @ leaning, leaning)
+    up = np.broadcast_to([0.0, 0.0, 1.0], points.shape)
+    lit, modelled = studio.sheet(points, up, np.eye(4)), irradiance(points, up, laser)
+    assert 100 < np.count_nonzero(lit) < 400
+    np.testing.assert_allclose(lit, modelled, rtol=1e-9)
 
 
 def test_the_point_spread_keeps_light_and_has_its_width():
