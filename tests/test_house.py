@@ -52,11 +52,12 @@ FOLDERS_MAY_IMPORT: dict[str, dict[str, set[str]]] = {
     },
     "arctrack": {
         "recording": set(),
+        "importing": {"recording"},
         "calibration_files": {"recording"},
         "check": {"recording"},
         "blind_check": {"recording"},
         "report": {"recording", "check"},
-        "cli": {"recording", "calibration_files", "check", "blind_check", "report"},
+        "cli": {"recording", "importing", "calibration_files", "check", "blind_check", "report"},
     },
 }
 FUNCTIONS = (ast.FunctionDef, ast.AsyncFunctionDef)

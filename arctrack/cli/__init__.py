@@ -16,6 +16,7 @@ from arctrack.cli.diagnose_check import check as blind_check
 from arctrack.cli.exit_codes import BAD_INPUT, INTERRUPTED
 from arctrack.cli.explain import explain
 from arctrack.cli.figures import figures
+from arctrack.cli.import_files import import_files
 from arctrack.cli.inspect import inspect
 from arctrack.cli.interrupt import InterruptedCommandError
 from arctrack.cli.new import new
@@ -41,6 +42,11 @@ app.command(epilog="Example: arctrack check examples/v_groove --out /tmp/check.p
 app.command(epilog="Example: arctrack inspect examples/v_groove --out /tmp/v_groove.png")(inspect)
 app.command(epilog="Example: arctrack explain examples/v_groove 12 --out /tmp/frame_12.html")(explain)
 app.command(epilog="Example: arctrack new /tmp/my_sensor --joint lap")(new)
+app.command(
+    "import",
+    epilog="Example: arctrack import photos --setup recording.toml --poses robot.csv --rotation kuka "
+    "--rate-hz 25 --out monday",
+)(import_files)
 app.command(epilog="Example: arctrack simulate /tmp/lap --joint lap --material zn_coated --seed 7")(simulate)
 app.command(epilog="Example: arctrack plan examples/v_groove --out /tmp/plan")(plan)
 app.command(epilog="Example: arctrack diagnose monday tuesday --workers 2")(diagnose)

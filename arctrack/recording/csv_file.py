@@ -8,6 +8,7 @@ import math
 import re
 from array import array
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -92,12 +93,27 @@ def read_csv(
     Raises ArctrackError for a missing column, a value that its parser refuses, a file beyond the limits or
     of another kind.
     """
+    with _opened(path) as records:
+        return _parse(records, path, columns, optional or {})
+
+
+def read_header(path: Path, wanted: str) -> tuple[str, ...]:
+    """Return the names of a CSV file's columns; ArctrackError, which names `wanted`, if it has none."""
+    with _opened(path) as records:
+        line, header = next(records, (1, []))
+        _check_is_header(header, wanted, line)
+        return tuple(name.strip() for name in header)
+
+
+@contextmanager
+def _opened(path: Path) -> Iterator[Iterator[tuple[int, list[str]]]]:
+    """Open a CSV file for its records; what is wrong becomes an ArctrackError that names the file."""
     try:
         with open_file(path, LIMITS.csv_bytes) as file:
             if is_utf16(file.peek(2)[:2]):
                 raise UnfitFileError("is UTF-16: save it as UTF-8")
-            text = io.TextIOWrapper(file, encoding="utf-8-sig", newline="")
-            return _parse(_records(text), path, columns, optional or {})
+            with io.TextIOWrapper(file, encoding="utf-8-sig", newline="") as text:
+                yield _records(text)
     except FileNotFoundError:
         raise in_file(path, "there is no such file") from None
     except UnfitFileError as error:
@@ -149,6 +165,15 @@ def _check_header(header: Sequence[str], needed: Sequence[str], optional: Sequen
     if not wrong:
         return
     wanted = ",".join(needed)
+    _check_is_header(header, wanted, line)
+    problem = "occurs twice" if wrong[0] in header else "is missing"
+    near = nearest(wrong[0], (name for name in header if name not in needed))
+    hint = "" if near is None else f" (there is {cut(near)})"
+    raise UnfitFileError(f"the column {wrong[0]} {problem}{hint}; needed are {wanted}", line)
+
+
+def _check_is_header(header: Sequence[str], wanted: str, line: int) -> None:
+    """Raise UnfitFileError for a first line that names no columns of a CSV file."""
     if not header:
         raise UnfitFileError(f"is empty; needed are {wanted}", line)
     for separator, name in SEPARATORS.items():
@@ -160,10 +185,6 @@ def _check_header(header: Sequence[str], needed: Sequence[str], optional: Sequen
         raise UnfitFileError("holds NUL bytes: save it as UTF-8 text", line)
     if all(map(_is_number, header)):
         raise UnfitFileError(f"holds numbers where the header should be: begin the file with {wanted}", line)
-    problem = "occurs twice" if wrong[0] in header else "is missing"
-    near = nearest(wrong[0], (name for name in header if name not in needed))
-    hint = "" if near is None else f" (there is {cut(near)})"
-    raise UnfitFileError(f"the column {wrong[0]} {problem}{hint}; needed are {wanted}", line)
 
 
 def _is_number(text: str) -> bool:

@@ -6,10 +6,13 @@ import os
 import re
 from pathlib import Path
 
-LOSSY = {".jpg", ".jpeg", ".webp", ".heic"}
+IMPORTED = (".bmp", ".jpeg", ".jpg", ".png", ".tif", ".tiff")
+"""Pictures that `arctrack import` reads."""
+
+LOSSY = (".jpg", ".jpeg", ".webp", ".heic")
 """Pictures whose codec has changed the noise that a frame is read by."""
 
-OTHER_PICTURES = (".PNG", ".tif", ".tiff", ".bmp", ".pgm", ".raw")
+OTHER_PICTURES = (".pgm", ".raw")
 VIDEOS = {".avi", ".mkv", ".mov", ".mp4", ".m4v", ".webm", ".wmv", ".mpg", ".mpeg"}
 
 MOST_LOOKED_AT = 10_000
@@ -20,10 +23,17 @@ _LAST_NUMBER = re.compile(r"(\d+)\D*$")
 
 def frame_hint(path: Path) -> str:
     """Return what to do where a frame's PNG is missing and it lies there in another format; else nothing."""
-    lossy = next((name for name in _beside(path, (*LOSSY, *map(str.upper, LOSSY)))), None)
-    if lossy is not None:
-        return f"; {lossy} is there, but its compression has changed the noise: record PNG"
-    other = next((name for name in _beside(path, OTHER_PICTURES)), None)
+    for name in _beside(path, (*LOSSY, *IMPORTED)):
+        suffix = os.path.splitext(name)[1].lower()
+        noise = "its compression has changed the noise"
+        if suffix == ".png":
+            return f"; {name} is there: name it {path.name}"
+        if suffix not in IMPORTED:
+            return f"; {name} is there, but {noise}: record PNG"
+        return f"; {name} is there: arctrack import reads it" + (
+            f", though {noise}" if suffix in LOSSY else ""
+        )
+    other = next(iter(_beside(path, OTHER_PICTURES)), None)
     return "" if other is None else f"; {other} is there: make a grey PNG of it, named {path.name}"
 
 
@@ -32,8 +42,9 @@ def number_hint(folder: Path, index: int) -> str:
     for name in _names(folder):
         stem, suffix = os.path.splitext(name)
         number = _LAST_NUMBER.search(stem)
-        if suffix.lower() == ".png" and number is not None and int(number[1][-18:]) == index:
-            return f"; {name} is there: name it {index:06d}.png"
+        if suffix.lower() in IMPORTED and number is not None and int(number[1][-18:]) == index:
+            cure = f"name it {index:06d}.png" if suffix.lower() == ".png" else "arctrack import reads it"
+            return f"; {name} is there: {cure}"
     return ""
 
 
@@ -49,7 +60,9 @@ def source_hint(recording: Path, index: int) -> str:
 
 
 def _beside(path: Path, suffixes: tuple[str, ...]) -> list[str]:
-    return [path.with_suffix(suffix).name for suffix in suffixes if path.with_suffix(suffix).exists()]
+    """Return the names that a frame's file has with other suffixes, in small letters or capitals."""
+    written = [letters for suffix in suffixes for letters in dict.fromkeys((suffix, suffix.upper()))]
+    return [path.with_suffix(suffix).name for suffix in written if path.with_suffix(suffix).exists()]
 
 
 def _names(folder: Path) -> list[str]:

@@ -152,6 +152,15 @@ def with_camera_pose(path: Path, T_tool_camera: Float64) -> str:
     return tomlkit.dumps(document)
 
 
+def with_camera_keys(path: Path, keys: Mapping[str, int | float]) -> str:
+    """Return a recording.toml's text with other values in `[camera]`; all else, comments included, stays."""
+    read_setup_file(path)
+    document = tomlkit.parse(setup_text(path))
+    for key, value in keys.items():
+        document["camera"][key] = value
+    return tomlkit.dumps(document)
+
+
 def pose_table(T_a_b: Float64) -> dict[str, list[float]]:
     """Return a pose as the file states it: translation in mm, unit quaternion x y z w with w >= 0."""
     # Twelve decimals: what rounding left behind the last ones does not come back the same.

@@ -89,7 +89,7 @@ def read_frame_rows(path: Path) -> tuple[tuple[FrameRow, ...], list[str]]:
     for values, line in zip(table.values.tolist(), table.lines.tolist(), strict=True):
         index, timestamp_s, laser_on, arc_on, current_a, exposure_s = values
         row = FrameRow(int(index), timestamp_s, bool(laser_on), bool(arc_on), current_a, exposure_s)
-        _check_frame(row, rows[-1] if rows else None, path, line)
+        check_frame(row, rows[-1] if rows else None, path, line)
         rows.append(row)
     return tuple(rows), table.warnings
 
@@ -121,7 +121,8 @@ def read_truth_csv(path: Path) -> Truth:
     return Truth(frames, table.values[:, 1:])
 
 
-def _check_frame(row: FrameRow, before: FrameRow | None, path: Path, line: int) -> None:
+def check_frame(row: FrameRow, before: FrameRow | None, path: Path, line: int) -> None:
+    """Raise ArctrackError, naming a file and a line, for values of a frame that are beyond the limits."""
     if not abs(row.timestamp_s) <= LIMITS.time_s:
         problem = f"is beyond {LIMITS.time_s:g} s; give seconds, not ms or ns"
         raise in_file(path, f"timestamp_s = {row.timestamp_s:g}: {problem}", line=line)

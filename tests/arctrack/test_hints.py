@@ -67,9 +67,19 @@ HINTS: dict[str, tuple[Spoil, str]] = {
     ),
     "jpg": (
         frames_as("{n:06d}.jpg"),
-        "000000.jpg is there, but its compression has changed the noise: record PNG",
+        "000000.jpg is there: arctrack import reads it, though its compression has changed the noise",
     ),
-    "tif": (frames_as("{n:06d}.tif"), "000000.tif is there: make a grey PNG of it, named 000000.png"),
+    "heic": (
+        frames_as("{n:06d}.heic"),
+        "000000.heic is there, but its compression has changed the noise: record PNG",
+    ),
+    "tif": (frames_as("{n:06d}.tif"), "000000.tif is there: arctrack import reads it"),
+    "PNG": (frames_as("{n:06d}.PNG"), "000000.PNG is there: name it 000000.png"),
+    "raw": (frames_as("{n:06d}.raw"), "000000.raw is there: make a grey PNG of it, named 000000.png"),
+    "four digits of a jpg": (
+        frames_as("frame_{n:04d}.JPG"),
+        "frame_0000.JPG is there: arctrack import reads it",
+    ),
     "four digits": (frames_as("frame_{n:04d}.png"), "frame_0000.png is there: name it 000000.png"),
     "beside the folder": (
         out_of_the_folder,
@@ -124,8 +134,8 @@ def test_a_single_frame_that_is_there_as_a_jpeg(recording: Path, tmp_path: Path)
     renamed([("frames/000001.png", "frames/000001.JPG")])(path)
     (bad,) = [frame for frame in read_recording(path).frames() if isinstance(frame, BadFrame)]
     assert bad.problem == (
-        "there is no such file, though frames.csv names the frame; 000001.JPG is there, but its compression "
-        "has changed the noise: record PNG"
+        "there is no such file, though frames.csv names the frame; 000001.JPG is there: arctrack import "
+        "reads it, though its compression has changed the noise"
     )
 
 

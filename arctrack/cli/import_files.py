@@ -1,0 +1,116 @@
+"""`arctrack import`: raw files of a camera and a robot made into a recording."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from arctrack.cli.interrupt import interruptible
+from arctrack.errors import ArctrackError
+from arctrack.importing.colours import Bayer, Channel
+
+
+def import_files(
+    sources: Annotated[
+        list[Path],
+        typer.Argument(metavar="SOURCE...", help="A folder of images, images, or a pattern in quotes."),
+    ],
+    setup: Annotated[Path, typer.Option(help="The sensor's recording.toml, or a recording that has it.")],
+    poses: Annotated[Path, typer.Option(help="The robot's poses: a CSV file, or matrices as text or YAML.")],
+    out: Annotated[Path, typer.Option(help="Folder for the recording; must not exist yet.")],
+    rotation: Annotated[
+        str | None,
+        typer.Option(
+            help="How rotations are written: kuka, fanuc, abb, ur, staubli, yaskawa; xyzw, wxyz, rotvec; "
+            "matrix; or axes: ZYX turns along, xyz is fixed. Default: columns qx, qy, qz, qw."
+        ),
+    ] = None,
+    units: Annotated[
+        str, typer.Option(help="Units that no name states, such as 'm, rad, ms'; names such as x_mm do.")
+    ] = "",
+    translations: Annotated[
+        Path | None, typer.Option(help="With --poses of rotation matrices: the file of their translations.")
+    ] = None,
+    column: Annotated[
+        list[str] | None, typer.Option(help="NAME=COLUMN: what a CSV column is, such as x=tcp_x; repeat.")
+    ] = None,
+    frames: Annotated[
+        Path | None,
+        typer.Option(help="CSV of the images: time, laser_on, arc_on, current_a, exposure; file or frame."),
+    ] = None,
+    rate_hz: Annotated[float | None, typer.Option(help="Images a second, by their numbers.")] = None,
+    times_in_names: Annotated[
+        bool, typer.Option("--times-in-names", help="The images' names end with their times.")
+    ] = False,
+    current_a: Annotated[
+        float | None, typer.Option(help="The arc burns, at this current, A. Default: no arc burns.", min=0.0)
+    ] = None,
+    exposure_s: Annotated[
+        float | None, typer.Option(help="Exposure of the images, s. Default: that of the setup.")
+    ] = None,
+    channel: Annotated[
+        Channel | None, typer.Option(help="The colour that becomes grey. Default: the laser's.")
+    ] = None,
+    bayer: Annotated[
+        Bayer | None, typer.Option(help="Images are mosaics: sites of one colour, at half the size.")
+    ] = None,
+) -> None:
+    """Make a recording of raw files: JPEG, PNG, BMP or TIFF images, and poses as the controller writes them.
+
+    Images are taken in the order of their numbers. Units and the way that rotations are written are stated,
+    never guessed. Nothing is written over, and what fails leaves nothing.
+    """
+    from arctrack.cli import console
+    from arctrack.importing.run import RawFiles, import_recording
+    from arctrack.importing.units import parse_units
+    from arctrack.printable import quoted
+    from arctrack.recording.setup_file import FILE_NAME
+
+    _check_range("--rate-hz", rate_hz, 1e-4, 1e5)
+    _check_range("--exposure-s", exposure_s, 1e-9, 3600.0)
+    _check_range("--current-a", current_a, 0.0, 1e4)
+    raw = RawFiles(
+        sources=sources,
+        setup=setup / FILE_NAME if setup.is_dir() else setup,
+        poses=poses,
+        translations=translations,
+        frames=frames,
+        rotation=rotation,
+        units=parse_units(units),
+        columns=_named(column or []),
+        rate_hz=rate_hz,
+        times_in_names=times_in_names,
+        current_a=current_a,
+        exposure_s=exposure_s,
+        channel=channel,
+        bayer=bayer,
+    )
+    with interruptible(f"{out.name}: import", "nothing is kept"), console.progress() as bar:
+        task = bar.add_task(f"{out.name}: importing", total=None, unit="frames")
+        imported = import_recording(
+            raw, out, lambda done, total: bar.update(task, completed=done, total=total)
+        )
+    console.warn([*imported.recording.warnings, *imported.warnings])
+    console.say(*(f"{name:11} {note}" for name, note in imported.notes.items() if note))
+    recording = imported.recording
+    console.say(f"{out}: {len(recording.rows)} frames, {len(recording.poses.timestamps_s)} poses")
+    console.say(f"Next: arctrack check {quoted(out)}")
+
+
+def _named(texts: list[str]) -> dict[str, str]:
+    named: dict[str, str] = {}
+    for text in texts:
+        name, equals, header = (part.strip() for part in text.partition("="))
+        if not (name and equals and header):
+            raise ArctrackError(f"--column {text}: give NAME=COLUMN, such as x=tcp_x")
+        if name in named:
+            raise ArctrackError(f"--column {text}: {name} is {named[name]} already; leave one of them")
+        named[name] = header
+    return named
+
+
+def _check_range(option: str, value: float | None, least: float, most: float) -> None:
+    if value is not None and not least <= value <= most:
+        raise ArctrackError(f"{option} {value:g}: must be from {least:g} to {most:g}")

@@ -1,0 +1,23 @@
+"""The colours of images, by name."""
+
+from __future__ import annotations
+
+from enum import StrEnum
+
+
+class Channel(StrEnum):
+    """What of a colour becomes the grey level."""
+
+    RED = "red"
+    GREEN = "green"
+    BLUE = "blue"
+    LUMINANCE = "luminance"
+
+
+class Bayer(StrEnum):
+    """The colours of a mosaic's first two rows, from the left."""
+
+    RGGB = "RGGB"
+    GRBG = "GRBG"
+    GBRG = "GBRG"
+    BGGR = "BGGR"

@@ -1,0 +1,145 @@
+"""Which images a source names, in what order, and what their numbers are."""
+
+from __future__ import annotations
+
+import glob
+import math
+import re
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+from pathlib import Path
+
+import numpy as np
+
+from arctrack.errors import ArctrackError, in_file
+from arctrack.limits import LIMITS
+from arctrack.printable import cut
+from arctrack.recording.frame_hints import IMPORTED
+
+MAX_GAPS_NAMED = 5
+"""Gaps in the numbering that are named one by one."""
+
+_DIGITS = re.compile(r"(\d+)")
+
+
+@dataclass(frozen=True)
+class ImageSeries:
+    """Images in the order of their numbers.
+
+    `paths` are the files, `indices` their frame numbers, which rise; `step` is by how much these go up where
+    none is missing; `notes` say how names became numbers, and which are missing.
+    """
+
+    paths: tuple[Path, ...]
+    indices: tuple[int, ...]
+    step: int
+    notes: tuple[str, ...]
+
+    def __len__(self) -> int:
+        return len(self.paths)
+
+    def in_order(self, order: Sequence[int]) -> ImageSeries:
+        """Return the images in another order, counted from 0; themselves if the order is theirs."""
+        if list(order) == list(range(len(self))):
+            return self
+        paths = tuple(self.paths[n] for n in order)
+        return ImageSeries(paths, tuple(range(len(self))), 1, ("frames are counted from 0, by their times",))
+
+
+def find_images(sources: Sequence[Path]) -> ImageSeries:
+    """Return the images of folders, files and patterns, by their numbers.
+
+    Numbers are compared as numbers: img_2 comes before img_10. Where one number alone tells the names apart,
+    it is the frame's number; else frames are counted from 0.
+
+    Raises ArctrackError if there is none, if names differ in more than their numbers, or if two of them have
+    the same number.
+    """
+    paths = [path for source in sources for path in _images_of(source)]
+    if len(paths) > LIMITS.csv_rows:
+        raise in_file(sources[0], f"names {len(paths)} images: {LIMITS.csv_rows} are the most")
+    ordered = sorted(set(paths), key=lambda path: (_numbers(path), path))
+    _check_alike(ordered, sources[0])
+    for before, after in pairwise(ordered):
+        if _numbers(before) == _numbers(after):
+            raise in_file(
+                after, f"has the number of {before.name}; leave one of them out, as by the pattern '*.png'"
+            )
+    indices, notes = _indices(ordered)
+    step = math.gcd(*np.diff(indices).tolist()) or 1
+    return ImageSeries(tuple(ordered), indices, step, (*notes, *_gaps(indices, step)))
+
+
+def is_pattern(source: Path) -> bool:
+    """Return whether a source that does not exist names files by wildcards."""
+    return glob.has_magic(str(source))
+
+
+def _images_of(source: Path) -> list[Path]:
+    if source.is_dir():
+        images = [path for path in source.iterdir() if _is_image(path)]
+        if not images:
+            raise in_file(source, f"holds no image: {', '.join(IMPORTED)} are read")
+        return images
+    if source.exists():
+        return [source]
+    if not is_pattern(source):
+        raise in_file(source, "there is no such file or folder")
+    matches = [Path(name) for name in glob.glob(str(source))]
+    if not matches:
+        raise in_file(source, "no file fits this pattern")
+    return matches
+
+
+def _is_image(path: Path) -> bool:
+    # What begins with a point is an editor's or a system's copy.
+    return path.suffix.lower() in IMPORTED and not path.name.startswith(".")
+
+
+def _texts(path: Path) -> tuple[str, ...]:
+    return (str(path.parent), *_DIGITS.split(path.stem)[::2])
+
+
+def _numbers(path: Path) -> tuple[int, ...]:
+    return tuple(int(digits) for digits in _DIGITS.split(path.stem)[1::2])
+
+
+def _check_alike(paths: Sequence[Path], source: Path) -> None:
+    """Raise ArctrackError unless all names are alike but for their numbers."""
+    first = paths[0]
+    other = next((path for path in paths if _texts(path) != _texts(first)), None)
+    if other is not None:
+        raise ArctrackError(
+            f"{source}: {cut(first.name)} and {cut(other.name)} are of two series, and nothing says which "
+            f"comes first; name one of them, as by the pattern '{_pattern(first)}'"
+        )
+
+
+def _pattern(path: Path) -> str:
+    return str(path.with_name(_DIGITS.sub("*", path.stem) + path.suffix))
+
+
+def _indices(paths: Sequence[Path]) -> tuple[tuple[int, ...], list[str]]:
+    numbers = [_numbers(path) for path in paths]
+    varying = [column for column in zip(*numbers, strict=True) if len(set(column)) > 1]
+    if not varying:
+        # A single image: its last number is its own.
+        varying = [(numbers[0][-1],)] if numbers[0] else []
+    if len(varying) == 1 and varying[0][-1] <= LIMITS.frame_number:
+        return varying[0], []
+    counted = "frames are counted from 0: their names hold "
+    reason = "no number" if not varying else "times or dates"
+    return tuple(range(len(paths))), [counted + reason]
+
+
+def _gaps(indices: Sequence[int], step: int) -> Iterable[str]:
+    if step > 1:
+        yield f"the numbers go up by {step}"
+    gaps = [(before + step, after - step) for before, after in pairwise(indices) if after - before > step]
+    if not gaps:
+        return
+    names = [f"{first}" if first == last else f"{first} to {last}" for first, last in gaps[:MAX_GAPS_NAMED]]
+    more = f" and {len(gaps) - MAX_GAPS_NAMED} more gaps" if len(gaps) > MAX_GAPS_NAMED else ""
+    count = sum((last - first) // step + 1 for first, last in gaps)
+    yield f"{count} numbers are missing: {', '.join(names)}{more}"
