@@ -147,6 +147,7 @@ CAMERA_ABOVE = Question("camera_above", "the camera stands above the workpiece",
 STRIPE_EXPECTED = Question(
     "stripe_expected", "the expected stripe lies in the image", "yes", flags.STRIPE_LOST
 )
+ARC_ON = Question("arc_on", "the arc is on", "yes", flags.ARC_OFF)
 ARC_LEVEL_KNOWN = Question(
     "arc_level_known", "enough pixels off the stripe tell the arc's output", "yes", flags.ARC_LEVEL_UNKNOWN
 )

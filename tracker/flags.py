@@ -34,7 +34,7 @@ STRIPE_LOST = Flag(
 )
 STRIPE_PARTIAL = Flag(5, "stripe_partial", "more than a quarter of the columns hold no stripe")
 SATURATED = Flag(6, "saturated", "saturated pixels were censored within the stripe")
-ARC_OFF = Flag(7, "arc_off", "no arc light was found in the frame")
+ARC_OFF = Flag(7, "arc_off", "the arc is off, or none of its light was found in the frame")
 MAP_MISFIT = Flag(8, "map_misfit", "the arc map does not explain the frame within its stated uncertainty")
 JOINT_NOT_FOUND = Flag(9, "joint_not_found", "the profile does not determine the joint", True)
 JOINT_MISFIT = Flag(10, "joint_misfit", "the profile departs from the joint's shape beyond its noise")

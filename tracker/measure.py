@@ -12,7 +12,7 @@ from noise_model.arc_source import level as current_level
 from noise_model.setup import Setup
 from noise_model.surface.joint import SeamLine, seam_height_mm
 from tracker import checks
-from tracker.arc.level import UNKNOWN, ArcLevel, estimate_arc_level
+from tracker.arc.level import UNKNOWN, ArcLevel, estimate_ambient_light, estimate_arc_level
 from tracker.arc.transmission import Transmission
 from tracker.checks import Checks
 from tracker.geometry import SensorGeometry
@@ -107,7 +107,8 @@ def measure(
     stripe_px = expected.position_px if frame.laser_on else None
     arc_map = arc_map_of(geometry, kernel)
     transmission = Transmission.of(geometry, scene, arc_map.at, output if frame.arc_on else 0.0)
-    arc = estimate_arc_level(geometry, arc_map.at, transmission, frame.image_dn, stripe_px, keep_off)
+    estimate = estimate_arc_level if frame.arc_on else estimate_ambient_light
+    arc = estimate(geometry, arc_map.at, transmission, frame.image_dn, stripe_px, keep_off)
     _ask_arc(asked, arc)
     reading = replace(reading, arc=arc)
     if not asked.ask(checks.LASER_ON, frame.laser_on):
@@ -236,6 +237,8 @@ def expected_output(setup: Setup, frame: Frame) -> float:
 
 def _ask_arc(asked: Checks, arc: ArcLevel) -> None:
     """Ask whether there is arc light, and whether the map explains it."""
+    if not asked.ask(checks.ARC_ON, arc.is_on):
+        return
     if not asked.ask(checks.ARC_LEVEL_KNOWN, arc is not UNKNOWN):
         return
     if asked.ask(checks.ARC_LEVEL, arc.level, ARC_OFF_SIGMAS * arc.sigma):

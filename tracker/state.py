@@ -211,7 +211,8 @@ class Track:
     joint_start_mm, joint_end_mm : tuple (2,)
         Station and 1 sigma of the joint's start and end, mm, where they were found.
     arc_level : float
-        The arc's output over the output that the setup expects for the frame's current and exposure.
+        The arc's output over the output that the setup expects for the frame's current and exposure. Known
+        only where the frame is said to have an arc.
     map_misfit : float
         The residual of the arc map over its stated uncertainty, by a robust measure; 1 or less where the map
         is right.

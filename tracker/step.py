@@ -178,7 +178,7 @@ def step_and_reading(
     asked.extend(tuple(reading.checks.answers))
     track = replace(
         track,
-        arc_level=reading.arc.level,
+        arc_level=reading.arc.level if reading.arc.is_on else np.nan,
         map_misfit=reading.arc.misfit,
         fov_margin_mm=reading.fov_margin_mm,
         stripe=reading.stripe,

@@ -427,14 +427,16 @@ def test_the_example_is_explained_by_the_command(tmp_path: Path) -> None:
     result = RUNNER.invoke(app, ["explain", str(EXAMPLE), "2", "--out", str(out)])
     assert result.exit_code == 0, result.output
     assert "Frame 2: the seam is at y " in result.output
-    assert "arc_off: no arc light was found in the frame (the arc's output" in result.output
+    assert "arc_off: the arc is off, or none of its light was found in the frame (the arc is on: no)" in (
+        result.output
+    )
     html = out.read_text(encoding="utf-8")
     assert len(html) < 1.5e6
     reader = read(html)
     for text in (
         "v_groove",
         "What was asked of the frame",
-        "the arc's output over the expected output",
+        "the arc is on",
         "Telling scan lines",
     ):
         assert text in reader.text

@@ -17,7 +17,15 @@ from noise_model.forward import predict
 from noise_model.instrument.sensor import expose
 from noise_model.setup import Setup
 from noise_model.surface.brdf import TABLE_1
-from tracker.arc.level import UNKNOWN, ArcLevel, _fit_level, _off_stripe, _only_seen, estimate_arc_level
+from tracker.arc.level import (
+    UNKNOWN,
+    ArcLevel,
+    _fit_level,
+    _off_stripe,
+    _only_seen,
+    estimate_ambient_light,
+    estimate_arc_level,
+)
 from tracker.geometry import SensorGeometry
 from tracker.state import Frame, Pose
 from tracker.stripe.expected import expect_stripe
@@ -42,7 +50,8 @@ def estimate(geometry: SensorGeometry, frame: Frame, pose: Pose = POSE) -> ArcLe
     assert expected is not None
     stripe_px = expected.position_px if frame.laser_on else None
     light = arc_map_of(geometry, arc_kernel(geometry.setup, scene)).at
-    return estimate_arc_level(geometry, light, None, frame.image_dn, stripe_px, 30.0)
+    look = estimate_arc_level if frame.arc_on else estimate_ambient_light
+    return look(geometry, light, None, frame.image_dn, stripe_px, 30.0)
 
 
 @pytest.mark.parametrize("laser", [0.0, 1.0])
@@ -133,10 +142,35 @@ def test_the_black_level_is_told_from_the_arc(geometry: SensorGeometry) -> None:
 def test_dark_frames_hold_no_arc(geometry: SensorGeometry) -> None:
     for draw in range(20):
         frame = frame_of(geometry.setup, POSE, arc=0.0, index=draw)
-        found = estimate(geometry, frame)
+        found = estimate(geometry, replace(frame, arc_on=True))
         assert found.level < 5.0 * found.sigma
         assert found.misfit < 1.1
         assert abs(found.black_e) < 20.0
+
+
+def test_where_the_arc_is_said_to_be_off_none_is_sought(geometry: SensorGeometry) -> None:
+    """Its pedestal is the offset, its noise no light of the hall."""
+    for draw in range(10):
+        frame = frame_of(geometry.setup, POSE, arc=0.0, index=draw)
+        brighter = replace(frame, image_dn=frame.image_dn + np.uint8(30))
+        dark, lit = estimate(geometry, frame), estimate(geometry, brighter)
+        assert not lit.is_on
+        assert lit.level == 0.0
+        assert np.isnan(lit.misfit)
+        assert lit.black_e - dark.black_e == pytest.approx(30.0 * geometry.setup.sensor.gain_e_per_dn)
+        assert dark.ambient_e == lit.ambient_e == 0.0
+
+
+def test_light_of_the_hall_is_known_as_well_as_it_is_even(geometry: SensorGeometry) -> None:
+    """A checkered plate whose light is 1500 e- off its mean, to either side."""
+    frame = frame_of(geometry.setup, POSE, arc=0.0)
+    v, u = np.indices(frame.image_dn.shape)
+    texture_dn = round(1500.0 / geometry.setup.sensor.gain_e_per_dn)
+    image = frame.image_dn + 2 * texture_dn * ((u // 8 + v // 8) % 2)
+    found = estimate(geometry, replace(frame, image_dn=image.astype(np.uint8)))
+    # The median lies on either of two levels, as far from the other as they are apart.
+    apart_e = 2.0 * texture_dn * geometry.setup.sensor.gain_e_per_dn
+    assert found.ambient_e == pytest.approx(apart_e / 1.645, rel=0.15)
 
 
 def test_a_ridge_before_the_arc_leaves_its_level_unknown() -> None:

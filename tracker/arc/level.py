@@ -1,4 +1,7 @@
-"""The arc's output and the map's fit, from pixels off the stripe, robustly: an arc breathes."""
+"""What lights a frame beside the laser, from pixels off the stripe, robustly.
+
+Where the arc is on, its output and the map's fit: an arc breathes. Where it is off, the light of the hall.
+"""
 
 from __future__ import annotations
 
@@ -31,19 +34,27 @@ MAX_STEPS, LEVEL_SETTLED = 20, 1e-6
 """Steps of the level's fit at most, and the relative one that is the last."""
 
 
+CHANCE = 3.5
+"""What the quantile of n pixels' noise exceeds by chance alone, over 1 / sqrt(n): 4 sigma of it."""
+
+
 @dataclass(frozen=True)
 class ArcLevel:
     """The arc's output over the expected one, its 1 sigma, the black level's offset (e-) and the misfit.
 
-    `misfit` is the residual's 90 % quantile over that of its stated uncertainty, 1 or less where the map is
-    right: spatter over a twentieth of the pixels leaves it, a map that is wrong over an eighth does not. NaN
-    where too few pixels can be used.
+    `is_on` says whether the frame is said to have an arc; without one the level is 0. `ambient_e` is the
+    1 sigma, e-, of what other light is left beyond the offset, known for frames without an arc. `misfit` is
+    the residual's 90 % quantile over that of its stated uncertainty, 1 or less where the map is right:
+    spatter over a twentieth of the pixels leaves it, a map that is wrong over an eighth does not. NaN where
+    too few pixels can be used.
     """
 
     level: float
     sigma: float
     black_e: float
     misfit: float
+    is_on: bool = True
+    ambient_e: float = 0.0
 
 
 UNKNOWN = ArcLevel(np.nan, np.nan, 0.0, np.nan)
@@ -63,6 +74,56 @@ def estimate_arc_level(
     squares with Huber weights; the variance is the pixel's at the fitted mean plus (MAP_SIGMA level map)^2,
     the black level's prior is its tolerance.
     """
+    m, e = _unlit_by_the_laser(geometry, light, transmission, image_dn, stripe_px, keep_off_px)
+    if len(m) < MIN_PIXELS or not (m > 0.0).any():
+        return UNKNOWN
+    sensor, tolerance = geometry.setup.sensor, geometry.setup.tolerance
+    black_sigma = max(tolerance.black_level_dn * sensor.gain_e_per_dn, 1e-3)
+    size = np.empty(len(m))
+    start = max(0.0, _quantile(e, 0.5) / (_quantile(m, 0.5) + 1e-9))
+    level, sigma, black = _fit_level(m, e, geometry.dark_variance_at(e), black_sigma, start, size)
+    # Where the sheet hides the arc, its level may be anything.
+    if not sigma < MAX_SIGMA * max(level, 1.0):
+        return UNKNOWN
+    misfit = _quantile(size, MISFIT_QUANTILE) / NORMAL_QUANTILE
+    return ArcLevel(level, sigma, black, misfit)
+
+
+def estimate_ambient_light(
+    geometry: SensorGeometry,
+    light: ArcLight,
+    transmission: Transmission | None,
+    image_dn: Integers,
+    stripe_px: Float64 | None,
+    keep_off_px: float,
+) -> ArcLevel:
+    """Read the light of a frame whose arc is off; the arguments are those of `estimate_arc_level`.
+
+    The offset is the median of what effects leave unexplained: the black level's, and even light of the hall.
+    That light has the scene's texture. Its 1 sigma is by how much the residuals scatter, by the quantile that
+    tells the misfit, beyond what the pixels' noise makes.
+    """
+    _, e = _unlit_by_the_laser(geometry, light, transmission, image_dn, stripe_px, keep_off_px)
+    if len(e) < MIN_PIXELS:
+        return ArcLevel(0.0, 0.0, 0.0, np.nan, is_on=False)
+    black = _quantile(e, 0.5)
+    noise_e = math.sqrt(max(black, 0.0) + geometry.dark_variance_at(e)) * (1.0 + CHANCE / math.sqrt(len(e)))
+    spread_e = _quantile(np.abs(e - black), MISFIT_QUANTILE) / NORMAL_QUANTILE
+    return ArcLevel(0.0, 0.0, black, np.nan, False, math.sqrt(max(spread_e**2 - noise_e**2, 0.0)))
+
+
+def _unlit_by_the_laser(
+    geometry: SensorGeometry,
+    light: ArcLight,
+    transmission: Transmission | None,
+    image_dn: Integers,
+    stripe_px: Float64 | None,
+    keep_off_px: float,
+) -> tuple[Float64, Float64]:
+    """Return the arc's light at its expected output and the charge less other stated light (n,), e-.
+
+    Those of an even sample's pixels that see metal, are not saturated and lie off the stripe.
+    """
     scan, position = geometry.even_sample
     pixels, charge_e = np.empty(len(scan), dtype=np.int64), np.empty(len(scan))
     n = _off_stripe(
@@ -80,19 +141,7 @@ def estimate_arc_level(
     )
     m, other = seen_arc(light, transmission, pixels[:n])
     n = _only_seen(m, charge_e, other)
-    m, e = m[:n], charge_e[:n]
-    if n < MIN_PIXELS or not (m > 0.0).any():
-        return UNKNOWN
-    sensor, tolerance = geometry.setup.sensor, geometry.setup.tolerance
-    black_sigma = max(tolerance.black_level_dn * sensor.gain_e_per_dn, 1e-3)
-    size = np.empty(len(m))
-    start = max(0.0, _quantile(e, 0.5) / (_quantile(m, 0.5) + 1e-9))
-    level, sigma, black = _fit_level(m, e, geometry.dark_variance_at(e), black_sigma, start, size)
-    # Where the sheet hides the arc, its level may be anything.
-    if not sigma < MAX_SIGMA * max(level, 1.0):
-        return UNKNOWN
-    misfit = _quantile(size, MISFIT_QUANTILE) / NORMAL_QUANTILE
-    return ArcLevel(level, sigma, black, misfit)
+    return m[:n], charge_e[:n]
 
 
 @kernel

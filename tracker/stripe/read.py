@@ -74,7 +74,8 @@ class StripeReading:
     each CELL scan lines. `score` (n_scan, n_offsets) is the matched filter's, in sigmas, at `offsets_px` from
     the rounded expected place; `start_px` (n_scan,) is where the likeliest path runs, NaN for no stripe;
     `fits` (n_scan, 5) are `fit_line`'s. The variance of a pixel is `shot` times its mean plus
-    `dark_variance_e2`; `map_sigma` is the background's relative 1 sigma, `base_sigma_e` the black level's.
+    `dark_variance_e2`; `map_sigma` is the background's relative 1 sigma, `base_sigma_e` that of the black
+    level and of the hall's light.
     `second_share` is how bright a second stripe is over the first, 0 for none; the background has its light.
     `scatter` is what the frames up to this one show of it, `learned` what this one was read with.
     """
@@ -157,7 +158,8 @@ def read_stripe(
         median_background(band.charge, MEDIAN_HALF_PX, band.background)
         spread = 1.4826 * float(np.median(np.abs(band.charge - band.background)))
         shot, map_sigma, dark_variance = 0.0, MEDIAN_SIGMA, max(spread**2, dark_variance)
-    base_sigma = geometry.setup.tolerance.black_level_dn * geometry.setup.sensor.gain_e_per_dn
+    black_sigma = geometry.setup.tolerance.black_level_dn * geometry.setup.sensor.gain_e_per_dn
+    base_sigma = math.hypot(black_sigma, arc.ambient_e)
     offsets = np.arange(-math.floor(reach_px), math.floor(reach_px) + 1, OFFSET_STEP)
     noise = shot, dark_variance, map_sigma, base_sigma
     score, start, fits, saturated, seen = _fit_band(band, expected, lows, offsets, noise, scatter)
