@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
@@ -11,11 +11,16 @@ from arctrack.cli.interrupt import interruptible
 from arctrack.errors import ArctrackError
 from arctrack.importing.colours import Bayer, Channel
 
+if TYPE_CHECKING:
+    from rich.progress import TaskID
+
 
 def import_files(
     sources: Annotated[
         list[Path],
-        typer.Argument(metavar="SOURCE...", help="A folder of images, images, or a pattern in quotes."),
+        typer.Argument(
+            metavar="SOURCE...", help="A folder of images, images, a pattern in quotes, or grey FFV1 video."
+        ),
     ],
     setup: Annotated[Path, typer.Option(help="The sensor's recording.toml, or a recording that has it.")],
     poses: Annotated[Path, typer.Option(help="The robot's poses: a CSV file, or matrices as text or YAML.")],
@@ -88,10 +93,14 @@ def import_files(
         bayer=bayer,
     )
     with interruptible(f"{out.name}: import", "nothing is kept"), console.progress() as bar:
-        task = bar.add_task(f"{out.name}: importing", total=None, unit="frames")
-        imported = import_recording(
-            raw, out, lambda done, total: bar.update(task, completed=done, total=total)
-        )
+        tasks: dict[str, TaskID] = {}
+
+        def on_frame(what: str, done: int, total: int) -> None:
+            if what not in tasks:
+                tasks[what] = bar.add_task(f"{out.name}: {what}", total=total, unit="frames")
+            bar.update(tasks[what], completed=done)
+
+        imported = import_recording(raw, out, on_frame)
     console.warn([*imported.recording.warnings, *imported.warnings])
     console.say(*(f"{name:11} {note}" for name, note in imported.notes.items() if note))
     recording = imported.recording

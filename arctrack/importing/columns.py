@@ -79,6 +79,15 @@ class Columns:
             )
         return fitting[0] if fitting else None
 
+    def find_time(self) -> Column | None:
+        """Return the column of times, None if there is none.
+
+        A bare T is none unless the user says so: KUKA's controllers call a pose's turn by that.
+        """
+        column = self.find(TIME_NAMES)
+        is_bare = column is not None and column.header.lower() == "t"
+        return None if is_bare and TIME_NAMES[0] not in self._named else column
+
     def need(self, names: Sequence[str]) -> Column:
         """Return the column of one of some names; ArctrackError if there is none."""
         column = self.find(names)
@@ -156,10 +165,8 @@ def rows_of_images(
     elif rows == len(series):
         return np.arange(rows), []
     else:
-        raise in_file(
-            table.path,
-            f"has {rows} rows for {len(series)} images: add a column file or frame that says which is whose",
-        )
+        counts = f"{rows} rows for {len(series)} images"
+        raise in_file(table.path, f"has {counts}: add a column time, file or frame that says which is whose")
     row_of: dict[int, int] = {}
     for n, position in enumerate(positions.tolist()):
         if position != UNKNOWN_IMAGE and row_of.setdefault(position, n) != n:

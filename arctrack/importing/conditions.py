@@ -78,18 +78,18 @@ def read_frame_table(columns: Columns, stated: Units, series: ImageSeries) -> Fr
     Raises ArctrackError if it says nothing, for a value that is none, a unit that nothing states, and as
     `rows_of_images`.
     """
-    found_time = columns.find(TIME_NAMES)
+    time = columns.find_time()
     frame, file = columns.find(FRAME_NAMES), columns.find(FILE_NAMES)
     conditions = [columns.find(names) for names in CONDITION_NAMES]
-    if found_time is None and not any(conditions):
+    if time is None and not any(conditions):
         raise in_file(
             columns.path, f"has none of the columns {', '.join(KNOWN_NAMES)}; name them by --column"
         )
     parsers: dict[str, Parser] = {
         column.header: parse for column, parse in zip(conditions, _PARSERS, strict=True) if column is not None
     }
-    if found_time is not None:
-        parsers[found_time.header] = number
+    if time is not None:
+        parsers[time.header] = number
     if file is not None:
         parsers[file.header] = image_parser(series)
     elif frame is not None:
@@ -102,7 +102,7 @@ def read_frame_table(columns: Columns, stated: Units, series: ImageSeries) -> Fr
     exposure_column = conditions[-1]
     if exposure is not None and exposure_column is not None:
         exposure = exposure * factor(TIME, columns.unit(exposure_column, TIME, stated, UNSTATED))
-    times = None if found_time is None else times_s(columns, table, found_time, stated)[rows]
+    times = None if time is None else times_s(columns, table, time, stated)[rows]
     return FrameTable(times, laser_on, arc_on, current_a, exposure, table.lines[rows], tuple(notes))
 
 

@@ -15,7 +15,10 @@ import numpy as np
 from arctrack.errors import ArctrackError, in_file
 from arctrack.limits import LIMITS
 from arctrack.printable import cut
-from arctrack.recording.frame_hints import IMPORTED
+from arctrack.recording import ffv1
+from arctrack.recording.frame_hints import IMPORTED, VIDEOS
+
+VIDEO_SUFFIX = ".mkv"
 
 MAX_GAPS_NAMED = 5
 """Gaps in the numbering that are named one by one."""
@@ -28,13 +31,15 @@ class ImageSeries:
     """Images in the order of their numbers.
 
     `paths` are the files, `indices` their frame numbers, which rise; `step` is by how much these go up where
-    none is missing; `notes` say how names became numbers, and which are missing.
+    none is missing; `notes` say how names became numbers, and which are missing. The frames of a `video` have
+    names after it.
     """
 
     paths: tuple[Path, ...]
     indices: tuple[int, ...]
     step: int
     notes: tuple[str, ...]
+    video: Path | None = None
 
     def __len__(self) -> int:
         return len(self.paths)
@@ -48,7 +53,7 @@ class ImageSeries:
 
 
 def find_images(sources: Sequence[Path]) -> ImageSeries:
-    """Return the images of folders, files and patterns, by their numbers.
+    """Return the images of folders, files and patterns, by their numbers, or the frames of a video.
 
     Numbers are compared as numbers: img_2 comes before img_10. Where one number alone tells the names apart,
     it is the frame's number; else frames are counted from 0.
@@ -56,6 +61,8 @@ def find_images(sources: Sequence[Path]) -> ImageSeries:
     Raises ArctrackError if there is none, if names differ in more than their numbers, or if two of them have
     the same number.
     """
+    if len(sources) == 1 and sources[0].suffix.lower() in VIDEOS and sources[0].is_file():
+        return _frames_of(sources[0])
     paths = [path for source in sources for path in _images_of(source)]
     if len(paths) > LIMITS.csv_rows:
         raise in_file(sources[0], f"names {len(paths)} images: {LIMITS.csv_rows} are the most")
@@ -71,9 +78,14 @@ def find_images(sources: Sequence[Path]) -> ImageSeries:
     return ImageSeries(tuple(ordered), indices, step, (*notes, *_gaps(indices, step)))
 
 
-def is_pattern(source: Path) -> bool:
-    """Return whether a source that does not exist names files by wildcards."""
-    return glob.has_magic(str(source))
+def _frames_of(video: Path) -> ImageSeries:
+    if video.suffix.lower() != VIDEO_SUFFIX:
+        raise in_file(video, "only grey FFV1 in .mkv is read; export the frames of other videos as PNG")
+    count = ffv1.count_frames(video)
+    if not 0 < count <= LIMITS.csv_rows:
+        raise in_file(video, f"holds {count} frames: 1 to {LIMITS.csv_rows} are read")
+    names = tuple(video.with_name(f"{video.name} frame {n}") for n in range(count))
+    return ImageSeries(names, tuple(range(count)), 1, (), video)
 
 
 def _images_of(source: Path) -> list[Path]:
@@ -84,7 +96,7 @@ def _images_of(source: Path) -> list[Path]:
         return images
     if source.exists():
         return [source]
-    if not is_pattern(source):
+    if not glob.has_magic(str(source)):
         raise in_file(source, "there is no such file or folder")
     matches = [Path(name) for name in glob.glob(str(source))]
     if not matches:

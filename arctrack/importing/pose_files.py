@@ -13,7 +13,6 @@ from arctrack.errors import ArctrackError, in_file
 from arctrack.importing.columns import (
     FILE_NAMES,
     FRAME_NAMES,
-    TIME_NAMES,
     Column,
     Columns,
     frame_number,
@@ -86,15 +85,22 @@ def read_matrix_poses(
     return PoseFile(rotations, T_base_tool, None, rows, stated.length, (), tuple(warnings))
 
 
-def read_pose_table(columns: Columns, rotation: str | None, stated: Units, series: ImageSeries) -> PoseFile:
+def read_pose_table(
+    columns: Columns, rotation: str | None, stated: Units, series: ImageSeries, is_timed: bool
+) -> PoseFile:
     """Return the poses of a CSV file.
+
+    Rows with times are the images' own only if these have no times from elsewhere, `is_timed`.
 
     Raises ArctrackError for a column that is missing, a unit that nothing states, numbers that contradict it,
     a rotation that is none, times that do not rise, and as `rows_of_images`.
     """
     place = [columns.need(names) for names in POSITION_NAMES]
     written, turn = _rotation_columns(columns, rotation)
-    time, frame, file = (columns.find(names) for names in (TIME_NAMES, FRAME_NAMES, FILE_NAMES))
+    time = columns.find_time()
+    frame, file = None, None
+    if time is None or not is_timed:
+        frame, file = columns.find(FRAME_NAMES), columns.find(FILE_NAMES)
     timed = () if time is None else (time,)
     parsers: dict[str, Parser] = {column.header: number for column in (*place, *turn, *timed)}
     if file is not None:
@@ -197,6 +203,7 @@ def read_poses(
     stated: Units,
     named: Mapping[str, str],
     series: ImageSeries,
+    is_timed: bool,
 ) -> tuple[PoseFile, list[Columns]]:
     """Return the poses of a CSV file or of matrices, and the columns of the file if it has any.
 
@@ -208,4 +215,4 @@ def read_poses(
         return read_matrix_poses(path, translations, stated, series), []
     wanted = ",".join((*known_names(rotation), "and a time, frame or file if there is one"))
     columns = Columns(path, named, wanted)
-    return read_pose_table(columns, rotation, stated, series), [columns]
+    return read_pose_table(columns, rotation, stated, series, is_timed), [columns]

@@ -50,19 +50,24 @@ def open_video(path: Path) -> av.container.InputContainer:
     return container
 
 
-def check_video(path: Path, width: int, height: int) -> None:
-    """Raise ArctrackError unless a video holds grey frames of this size."""
+def grey_size(path: Path) -> tuple[int, int]:
+    """Return the width and height of a video's frames; ArctrackError unless they are grey."""
     with open_video(path) as container:
         codec = container.streams.video[0].codec_context
-        if (codec.width, codec.height) != (width, height):
-            raise in_file(
-                path,
-                f"is {codec.width} x {codec.height}, [camera] width and height in recording.toml say "
-                f"{width} x {height}",
-            )
         pixels = codec.format.name if codec.format is not None else "unknown pixels"
         if pixels not in PIXEL_FORMATS:
             raise in_file(path, f"holds ffv1 with {pixels}: must be gray or gray16le, which is exact")
+        return codec.width, codec.height
+
+
+def check_video(path: Path, width: int, height: int) -> None:
+    """Raise ArctrackError unless a video holds grey frames of this size."""
+    size = grey_size(path)
+    if size != (width, height):
+        raise in_file(
+            path,
+            f"is {size[0]} x {size[1]}, [camera] width and height in recording.toml say {width} x {height}",
+        )
 
 
 def read_video(path: Path, positions: Iterable[int]) -> Iterator[Integers | str]:

@@ -30,7 +30,7 @@ def run(*arguments: str) -> subprocess.CompletedProcess[str]:
 
 
 def test_help_has_an_example_and_loads_nothing_heavy() -> None:
-    for command in ([], ["replay"], ["inspect"], ["explain"], ["simulate"]):
+    for command in ([], ["replay"], ["inspect"], ["explain"], ["import"], ["simulate"]):
         result = RUNNER.invoke(app, [*command, "--help"])
         assert result.exit_code == 0
         assert "Example: arctrack" in result.output

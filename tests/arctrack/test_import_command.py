@@ -17,6 +17,7 @@ from typer.testing import CliRunner
 from arctrack.cli import app
 from arctrack.importing import run
 from arctrack.recording import BadFrame, format_setup, read_recording, read_setup_file
+from arctrack.recording.ffv1 import VideoWriter
 from noise_model.arrays import Float64, Integers
 
 EXAMPLE = Path(__file__).parents[2] / "examples" / "v_groove"
@@ -215,6 +216,24 @@ def test_sixteen_bits_are_kept(raw: Path) -> None:
     np.testing.assert_array_equal(images_of(raw / "out"), images)
 
 
+def test_a_log_that_begins_with_the_first_image_reaches_it(raw: Path) -> None:
+    rows: list[list[object]] = [[0.1 * n, 8.0 * n, 0, 501, 10, 0, 0] for n in range(3)]
+    write_csv(raw / "robot.csv", ["time", "X", "Y", "Z", "A", "B", "C"], rows)
+    imported(*arguments(raw, "--units", "s"))
+    recording = read_recording(raw / "out")
+    assert recording.poses.timestamps_s.tolist() == [-0.1, 0.0, 0.1, 0.2]
+    assert recording.pose_at(recording.pose_buffer(), 0.0) is not None
+
+
+def test_a_grey_video_is_read(raw: Path) -> None:
+    with VideoWriter(raw / "scan.mkv", WIDTH, HEIGHT, np.uint8, 25.0) as video:
+        for n in range(3):
+            video.write(small_image(n))
+    said = imported(raw / "scan.mkv", *arguments(raw)[1:])
+    assert "3, scan.mkv frame 0 to scan.mkv frame 2" in said
+    np.testing.assert_array_equal(images_of(raw / "out"), [small_image(n) for n in range(3)])
+
+
 def test_what_does_not_fit_together_is_kept_with_a_warning(raw: Path) -> None:
     """`arctrack check` can say what is wrong with it, and nothing else could."""
     rows: list[list[object]] = [[900.0 + n, 8.0 * n, 0, 501, 10, 0, 0] for n in range(3)]
@@ -222,6 +241,21 @@ def test_what_does_not_fit_together_is_kept_with_a_warning(raw: Path) -> None:
     assert "warning: " in (said := imported(*arguments(raw)))
     assert "the poses start after the frames" in said
     assert (raw / "out" / "frames.csv").exists()
+
+
+@pytest.mark.parametrize(
+    ("name", "line"),
+    [
+        ("scan.avi", "scan.avi: only grey FFV1 in .mkv is read; export the frames of other videos as PNG"),
+        ("scan.mkv", "scan.mkv: cannot be read as a video"),
+        ("scan.txt", "scan.txt: is no JPEG, PNG, BMP or TIFF"),
+    ],
+)
+def test_a_source_that_is_neither_images_nor_video(name: str, line: str, raw: Path, refusal: Refusal) -> None:
+    (raw / name).write_bytes(b"something else")
+    options = ["--poses", raw / "one.csv"]
+    write_csv(raw / "one.csv", ["X", "Y", "Z", "A", "B", "C"], [[1, 2, 503, 10, 0, 0]])
+    assert line in refusal("import", raw / name, *arguments(raw)[1:], *options)
 
 
 def image(name: str, pixels: Integers):
@@ -306,7 +340,7 @@ BAD = {
     "the poses' count": (
         text("robot.csv", "X,Y,Z,A,B,C\n1,2,500,10,0,0\n"),
         [],
-        "robot.csv: has 1 rows for 3 images: add a column file or frame",
+        "robot.csv: has 1 rows for 3 images: add a column time, file or frame",
     ),
     "a setup's key": (
         setup_with("kappa_diff", "kapa_diff"),

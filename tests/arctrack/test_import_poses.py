@@ -121,7 +121,7 @@ def written(folder: Path, text: str) -> Path:
 def poses_of(
     path: Path, rotation: str | None = None, units: str = "", images: int = 2, **named: str
 ) -> PoseFile:
-    return read_poses(path, None, rotation, parse_units(units), named, series(images))[0]
+    return read_poses(path, None, rotation, parse_units(units), named, series(images), False)[0]
 
 
 def test_columns_are_taken_by_name_in_any_order(tmp_path: Path) -> None:
@@ -142,6 +142,17 @@ def test_columns_are_taken_as_the_user_names_them(tmp_path: Path) -> None:
     poses = poses_of(written(tmp_path, text), "ur", x="p0", y="p1", z="p2", rx="r0", ry="r1", rz="r2")
     np.testing.assert_allclose(poses.T_base_tool[0, :3, 3], [100.0, 200.0, 300.0])
     np.testing.assert_allclose(poses.T_base_tool[0, :3, :3], turn("z", np.degrees(1.5)), atol=1e-12)
+
+
+def test_a_controllers_own_columns_are_no_times_and_no_images(tmp_path: Path) -> None:
+    """KUKA's turn bits are called T; a log with times may have a column of user frames."""
+    poses = poses_of(written(tmp_path, f"{HEAD},S,T\n" + f"{ROW},2,35\n" * 2), "kuka")
+    assert poses.times_s is None
+    path = written(tmp_path, f"time,frame,{HEAD}\n1,7,{ROW}\n2,7,{ROW}\n")
+    logged, _ = read_poses(path, None, "kuka", parse_units("s"), {}, series(2), True)
+    assert logged.times_s is not None
+    assert logged.rows is None
+    assert poses_of(written(tmp_path, f"t,{HEAD}\n5,{ROW}\n"), "kuka", "ms", time="t").times_s == [0.005]
 
 
 def test_poses_without_times_belong_to_images_by_their_key(tmp_path: Path) -> None:
@@ -178,10 +189,10 @@ REFUSED = {
         "the column rz states no unit: give --units deg or rad",
     ),
     "no unit of time": (
-        f"t,{HEAD}\n1,{ROW}\n",
+        f"time,{HEAD}\n1,{ROW}\n",
         "kuka",
         "",
-        "the column t states no unit: give --units s or ms or us or ns",
+        "the column time states no unit: give --units s or ms or us or ns",
     ),
     "two units": (
         f"{HEAD}\n{ROW}".replace("x,", "x_mm,"),
@@ -245,7 +256,12 @@ REFUSED = {
         "line 3: 1.000000 s does not come after 1.000000",
     ),
     "nanoseconds": (f"t_s,{HEAD}\n1e12,{ROW}\n", "kuka", "", "1e+12 s is beyond 1e+11 s; give --units ms"),
-    "another count": (f"{HEAD}\n{ROW}\n", "kuka", "", "has 1 rows for 2 images: add a column file or frame"),
+    "another count": (
+        f"{HEAD}\n{ROW}\n",
+        "kuka",
+        "",
+        "has 1 rows for 2 images: add a column time, file or frame",
+    ),
     "an image without a pose": (
         f"frame,{HEAD}\n0,{ROW}\n5,{ROW}\n",
         "kuka",
