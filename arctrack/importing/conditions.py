@@ -23,6 +23,7 @@ from arctrack.importing.columns import (
 from arctrack.importing.image_files import ImageSeries
 from arctrack.importing.pose_files import PoseFile
 from arctrack.importing.units import TIME, UNSTATED, Units, factor
+from arctrack.limits import LIMITS
 from arctrack.recording.csv_file import Parser, number, number_or_unknown, read_csv, whole
 from arctrack.recording.tables import FrameRow, check_frame
 from noise_model.arrays import Float64, Int64
@@ -152,9 +153,12 @@ def frame_times(
             f"{sources[0][1]} and {sources[1][1]} both state the images' times; leave one of them"
         )
     times, source = sources[0]
+    for n in np.flatnonzero(np.abs(times) > LIMITS.time_s):
+        beyond = f"{times[n]:g} s, by {source}, is beyond {LIMITS.time_s:g} s"
+        raise in_file(series.paths[n], f"{beyond}; give --units ms, us or ns")
     for n in np.flatnonzero(np.diff(times) <= 0.0) + 1:
         earlier = f"{times[n - 1]:.6f} s of {series.paths[n - 1].name}"
-        raise in_file(series.paths[n], f"{times[n]:.6f} s does not come after {earlier}: by {source}")
+        raise in_file(series.paths[n], f"{times[n]:.6f} s does not come after {earlier}, by {source}")
     return times, source
 
 
@@ -171,8 +175,17 @@ def doubts(times: Float64, source: str) -> list[str]:
 def frame_rows(
     series: ImageSeries, times: Float64, table: FrameTable, conditions: Conditions, nominal_exposure_s: float
 ) -> tuple[list[FrameRow], list[str]]:
-    """Return the rows of frames.csv, and a line for each value that no table states."""
+    """Return the rows of frames.csv, and a note on each value that no table states.
+
+    Raises ArctrackError for a value of the table that is beyond the limits, and for one that is stated twice.
+    """
     count = len(series)
+    for option, value, column in (
+        ("--current-a", conditions.current_a, table.current_a),
+        ("--exposure-s", conditions.exposure_s, table.exposure_s),
+    ):
+        if value is not None and column is not None:
+            raise ArctrackError(f"{option} {value:g}: --frames states it image by image; leave one of them")
     burns = conditions.current_a is not None
     current = conditions.current_a if conditions.current_a is not None else 0.0
     exposure_s = nominal_exposure_s if conditions.exposure_s is None else conditions.exposure_s
@@ -180,9 +193,9 @@ def frame_rows(
     if table.laser_on is None:
         notes.append("laser_on 1")
     if table.arc_on is None and table.current_a is None:
-        notes.append(f"arc_on {int(burns)}, current_a {current:g}" + ("" if burns else " (no --current-a)"))
+        notes += [f"arc_on {int(burns)}", f"current_a {current:g}" + ("" if burns else " (no --current-a)")]
     if table.exposure_s is None:
-        where = "" if conditions.exposure_s is not None else " of [camera]"
+        where = "" if conditions.exposure_s is not None else " (that of [camera])"
         notes.append(f"exposure_s {exposure_s:g}{where}")
     laser_on = np.ones(count) if table.laser_on is None else table.laser_on
     arc_on, current_a = _arc(table, count, burns, current)

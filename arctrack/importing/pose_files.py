@@ -66,6 +66,8 @@ class PoseFile:
 
 def known_names(rotation: str | None) -> tuple[str, ...]:
     """Return the names that columns of a pose file have in --column."""
+    if rotation == MATRIX:
+        return ()
     return (*(names[0] for names in POSITION_NAMES), *_stated(rotation).columns[0])
 
 

@@ -152,7 +152,7 @@ def import_recording(
         "images": "; ".join((_span(series), *series.notes, *table.notes)),
         "grey": images.note,
         "times": f"{source}: {times[0]:.6g} to {times[-1]:.6g} s",
-        "frames.csv": "; ".join((*assumed, *([f"the rest of {raw.frames}"] if raw.frames else []))),
+        "conditions": _conditions_note(assumed, raw.frames),
         "poses": "; ".join((_pose_note(poses), *poses.notes)),
     }
     lossy = [f"{series.paths[0]}: {LOSSY}"] if images.is_lossy else []
@@ -228,6 +228,12 @@ def _read_back(out: Path, on_frame: OnFrame) -> tuple[Recording, list[str]]:
 def _span(series: ImageSeries) -> str:
     first, last = series.paths[0].name, series.paths[-1].name
     return f"{len(series)}, {first}" + (f" to {last}" if len(series) > 1 else "")
+
+
+def _conditions_note(assumed: Sequence[str], frames: Path | None) -> str:
+    in_all = f"{', '.join(assumed)} in all" if assumed else ""
+    by_table = f"as {frames} states" if frames is not None else ""
+    return "; ".join(filter(None, (in_all, by_table)))
 
 
 def _pose_note(poses: PoseFile) -> str:

@@ -56,13 +56,19 @@ def source_hint(recording: Path, index: int) -> str:
         return f"; {video} is there: only frames.mkv is read, grey FFV1, since other codecs change the noise"
     if any(name == f"{index:06d}.png" for name in names):
         return f"; {index:06d}.png lies beside it: put the PNGs into a folder frames"
-    return ""
+    image = next((name for name in names if _is_numbered_image(name)), None)
+    return "" if image is None else f"; {image} lies beside it: arctrack import makes a recording of images"
 
 
 def _beside(path: Path, suffixes: tuple[str, ...]) -> list[str]:
     """Return the names that a frame's file has with other suffixes, in small letters or capitals."""
     written = [letters for suffix in suffixes for letters in dict.fromkeys((suffix, suffix.upper()))]
     return [path.with_suffix(suffix).name for suffix in written if path.with_suffix(suffix).exists()]
+
+
+def _is_numbered_image(name: str) -> bool:
+    stem, suffix = os.path.splitext(name)
+    return suffix.lower() in IMPORTED and _LAST_NUMBER.search(stem) is not None
 
 
 def _names(folder: Path) -> list[str]:

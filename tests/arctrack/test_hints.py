@@ -33,6 +33,11 @@ def out_of_the_folder(path: Path) -> None:
     (path / "frames").rmdir()
 
 
+def images_beside(path: Path) -> None:
+    out_of_the_folder(path)
+    renamed([(f"{n:06d}.png", f"img{n}.bmp") for n in range(4)])(path)
+
+
 def video_as(name: str) -> Spoil:
     def put(path: Path) -> None:
         gone("frames")(path)
@@ -85,6 +90,11 @@ HINTS: dict[str, tuple[Spoil, str]] = {
         out_of_the_folder,
         "neither this folder nor frames.mkv exists; 000000.png lies beside it: put the PNGs into a folder "
         "frames",
+    ),
+    "images beside the folder": (
+        images_beside,
+        "neither this folder nor frames.mkv exists; img0.bmp lies beside it: arctrack import makes a "
+        "recording of images",
     ),
     "mp4": (
         video_as("frames.mp4"),

@@ -140,7 +140,10 @@ def test_a_pose_an_image_is_the_pose_of_each(raw: Path) -> None:
         pose = recording.pose_at(buffer, row.timestamp_s)
         assert pose is not None
         np.testing.assert_allclose(pose.T_base_tool[:3, 3], [8.0 * n, 0.0, 501.0], atol=1e-9)
-    assert "laser_on 1; arc_on 0, current_a 0 (no --current-a); exposure_s 0.005 of [camera]" in said
+    assert (
+        "laser_on 1, arc_on 0, current_a 0 (no --current-a), exposure_s 0.005 (that of [camera]) in all"
+        in said
+    )
     assert "3 in mm, deg, one an image" in said
 
 
@@ -159,6 +162,13 @@ def test_times_stand_in_names(raw: Path) -> None:
     imported(*arguments(raw, "--times-in-names", "--units", "s", rate=False))
     assert [row.timestamp_s for row in read_recording(raw / "out").rows] == [12.25, 12.5, 13.125]
     np.testing.assert_array_equal(images_of(raw / "out")[0], small_image(1))
+
+
+def test_times_of_another_unit_are_refused(raw: Path, refusal: Refusal) -> None:
+    for n in range(3):
+        (raw / "photos" / f"img_{n + 9}.png").rename(raw / "photos" / f"{14 * 10**17 + n * 10**8}.png")
+    options = arguments(raw, "--times-in-names", "--units", "s", rate=False)
+    assert "1.4e+18 s, by the times in the names, is beyond 1e+11 s" in refusal("import", *options)
 
 
 def test_times_stand_beside_the_poses(raw: Path) -> None:
@@ -223,6 +233,40 @@ def test_a_log_that_begins_with_the_first_image_reaches_it(raw: Path) -> None:
     recording = read_recording(raw / "out")
     assert recording.poses.timestamps_s.tolist() == [-0.1, 0.0, 0.1, 0.2]
     assert recording.pose_at(recording.pose_buffer(), 0.0) is not None
+
+
+def test_matrices_are_poses_of_images(raw: Path) -> None:
+    (raw / "T.txt").write_text("".join(f"1 0 0 {n}\n0 0 -1 0\n0 1 0 0.5\n0 0 0 1\n" for n in range(3)))
+    files = [
+        raw / "photos",
+        "--setup",
+        raw / "recording.toml",
+        "--poses",
+        raw / "T.txt",
+        "--out",
+        raw / "out",
+    ]
+    said = imported(*files, "--rotation", "matrix", "--units", "m", "--rate-hz", 2)
+    poses = read_recording(raw / "out").poses
+    assert poses.timestamps_s.tolist() == [-0.5, 0.0, 0.5, 1.0]
+    np.testing.assert_allclose(poses.T_base_tool[3, :3, 3], [2000.0, 0.0, 500.0])
+    np.testing.assert_allclose(poses.T_base_tool[0, :3, :3], [[1, 0, 0], [0, 0, -1], [0, 1, 0]], atol=1e-9)
+    assert "3 in m, one an image" in said
+
+
+def test_an_arc_that_is_on_takes_the_stated_current(raw: Path) -> None:
+    (raw / "f.csv").write_text("arc_on\n0\n1\n1\n")
+    said = imported(*arguments(raw, "--frames", raw / "f.csv", "--current-a", 90))
+    assert [row.current_a for row in read_recording(raw / "out").rows] == [0.0, 90.0, 90.0]
+    assert f"in all; as {raw / 'f.csv'} states" in said
+
+
+def test_a_current_says_that_the_arc_is_on(raw: Path) -> None:
+    (raw / "f.csv").write_text("Current_A,Exposure [us]\n0,500\n120,500\n,250\n")
+    imported(*arguments(raw, "--frames", raw / "f.csv"))
+    rows = read_recording(raw / "out").rows
+    assert [row.arc_on for row in rows] == [False, True, False]
+    assert [row.exposure_s for row in rows] == [0.0005, 0.0005, 0.00025]
 
 
 def test_a_grey_video_is_read(raw: Path) -> None:
@@ -386,6 +430,11 @@ BAD = {
         text("f.csv", "exposure_s\n1\n1\n0\n"),
         ["--frames", "f.csv"],
         "f.csv, line 4: exposure_s = 0: must be > 0",
+    ),
+    "two exposures": (
+        text("f.csv", "exposure_s\n1\n1\n1\n"),
+        ["--frames", "f.csv", "--exposure-s", "0.01"],
+        "--exposure-s 0.01: --frames states it image by image; leave one of them",
     ),
     "names without times": (
         nothing,
