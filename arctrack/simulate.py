@@ -23,6 +23,7 @@ from noise_model.arrays import Float64
 from noise_model.condition import Condition
 from noise_model.effects import Values, apply_setup_effects, checked, pose_time_s
 from noise_model.forward import Renderer, draw_frame, predict
+from noise_model.plan.noise import expected_speckle
 from noise_model.setup import Setup, require_setup
 from noise_model.stripe import check_stripe
 from noise_model.surface.joint import (
@@ -138,6 +139,9 @@ def simulate_recording(
 ) -> Path:
     """Write a recording of a nominal setup, with its truth.
 
+    The laser speckles as its optics say (`noise_model.plan.noise.expected_speckle`), unless the setup names
+    `laser_speckle`. Of the two parameters `hidden_effects` may give another one; a contrast of 0 is none.
+
     Parameters
     ----------
     path : Path or str
@@ -170,6 +174,9 @@ def simulate_recording(
     try:
         check_stripe(setup)
         effects = checked({**setup.effects, **(hidden_effects or {})}, setup.joint)
+        if "laser_speckle" not in setup.effects:
+            given = (hidden_effects or {}).get("laser_speckle", {})
+            effects = checked({**effects, "laser_speckle": {**expected_speckle(setup), **given}})
     except ValueError as error:
         raise ArctrackError(str(error)) from error
     draw_setup, draw_motion, draw_order, draw_noise = (
@@ -193,7 +200,13 @@ def simulate_recording(
             seam = motion.true_seam(*make_scene(apply_setup_effects(true_setup), T_base_tool).stations_mm)
             condition = Condition.of(setup, **vars(switches), timestamp_s=timestamp_s)
             image_dn = draw_frame(
-                true_setup, T_base_tool, condition, draw_noise, seam=seam, renderer=renderer
+                true_setup,
+                T_base_tool,
+                condition,
+                draw_noise,
+                seam=seam,
+                renderer=renderer,
+                part_seed=plan.seed,
             )
             writer.write_frame(
                 Frame(

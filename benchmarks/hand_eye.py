@@ -53,9 +53,10 @@ class Outcome:
 
 
 def hidden_effects(draw: np.random.Generator) -> dict[str, Values]:
-    """Draw what arc and metal are off by from the priors of the calibration."""
+    """Draw what arc and metal are off by from the priors of the calibration; the laser does not speckle."""
     x_mm, y_mm, z_mm = ARC_SIGMA_MM * draw.standard_normal(3)
     return {
+        "laser_speckle": {"contrast": 0.0},
         "arc_deflection": {"x_mm": float(x_mm), "y_mm": float(y_mm)},
         "arc_length": {"height_mm": float(z_mm)},
         "arc_radius": {"radius_ratio": math.exp(ARC_RADIUS_SIGMA * draw.standard_normal())},

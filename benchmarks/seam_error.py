@@ -39,7 +39,11 @@ from tracker.state import Frame, Pose, Track
 from tracker.tracker import Tracker
 
 WAY_MM, TRAVEL_MM_S = 118.0, 20.0
-ARC_NOISE = {"arc_flicker": {"sigma_rel": 0.1}, "spatter": {"rate_per_frame": 5.0}}
+HIDDEN = {
+    "laser_speckle": {"contrast": 0.0},
+    "arc_flicker": {"sigma_rel": 0.1},
+    "spatter": {"rate_per_frame": 5.0},
+}
 GUESSED = flags.OFFSET_EXTRAPOLATED.mask | flags.OFFSET_HELD.mask
 Posed = list[tuple[Frame, Pose | None]]
 
@@ -112,7 +116,7 @@ def simulated(folder: Path, joint: str, seeds: int, speed_mm_s: float) -> Iterat
         setup = balance(nominal_setup(joint, metal))
         for seed in range(seeds):
             plan = SimulationPlan(frames=frames, travel_speed_mm_s=speed_mm_s, seed=seed, production=True)
-            yield simulate_recording(folder / f"{metal}_{seed}", setup, plan, hidden_effects=ARC_NOISE)
+            yield simulate_recording(folder / f"{metal}_{seed}", setup, plan, hidden_effects=HIDDEN)
 
 
 def main() -> None:

@@ -301,6 +301,7 @@ def draw_frame(
     *,
     seam: Seam = NOMINAL_SEAM,
     renderer: Renderer | None = None,
+    part_seed: int | None = None,
 ) -> Integers:
     """Draw one frame at random: random effects, shot noise, read noise, response.
 
@@ -318,6 +319,9 @@ def draw_frame(
         Where the true seam runs beside its nominal line, mm.
     renderer : Renderer, optional
         Remembers what was rendered.
+    part_seed : int, optional
+        Which part it is: the pattern on its metal stays where it is from frame to frame. By default each
+        frame shows another part.
 
     Returns
     -------
@@ -329,7 +333,7 @@ def draw_frame(
     ValueError
         For a pose whose camera stands below the surface, and for effects that cannot be.
     """
-    true, light = _light(setup, T_base_tool, condition, seam, renderer, None, rng)
+    true, light = _light(setup, T_base_tool, condition, seam, renderer, None, rng, part_seed)
     return expose(light.total.astype(np.float64), true.sensor, rng)
 
 
@@ -341,6 +345,7 @@ def _light(
     renderer: Renderer | None,
     pixels: Integers | None,
     rng: Draw,
+    part_seed: int | None = None,
 ) -> tuple[Setup, Light]:
     """Return the setup that is really there and the charge (...,) that reaches the pixels."""
     true = apply_setup_effects(setup)
@@ -354,7 +359,7 @@ def _light(
         np.float32(condition.laser_level) * layers.laser_e if condition.laser_level > 0.0 else dark,
     )
     # The remembered view may be another setup's that renders alike, with another sensor or lens.
-    pass_on(true, light, replace(layers.view, setup=true), condition, rng)
+    pass_on(true, light, replace(layers.view, setup=true, part_seed=part_seed), condition, rng)
     return true, light
 
 

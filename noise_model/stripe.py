@@ -157,6 +157,11 @@ def stripe_point(setup: Setup) -> Float64:
     return np.asarray(laser.point_mm + way * along)
 
 
+def stripe_depth_mm(setup: Setup) -> float:
+    """Return how far along the camera's axis `stripe_point` lies, mm; negative behind the camera."""
+    return float(transform(invert(setup.camera.T_tool_camera), stripe_point(setup))[2])
+
+
 def check_stripe(setup: Setup) -> None:
     """Raise ValueError if a setup's camera does not see the stripe's peak, which `peak_e` is stated for."""
     camera = setup.camera

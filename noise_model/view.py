@@ -26,7 +26,8 @@ class View:
     `uv_px` (..., 2) the pixels' places as (u, v), `xy` (..., 2) their normalised rays, `cos4` (...,) the
     lens' fall-off. `is_frame` says that the pixels are a whole frame in image order; of others the first
     `n_even` are an even sample of it, all of them if it is None. `coarse` lets what is dear and smooth, light
-    that bounces, be followed at fewer points, and the laser's not at all.
+    that bounces, be followed at fewer points, and the laser's not at all. `part_seed` says which part lies
+    there, by the pattern on its metal; None for another one in each frame that is drawn.
     """
 
     setup: Setup
@@ -37,6 +38,7 @@ class View:
     is_frame: bool
     n_even: int | None = None
     coarse: bool = False
+    part_seed: int | None = None
     _kept: dict[str, object] = field(default_factory=dict, repr=False)
 
     @classmethod

@@ -23,6 +23,7 @@ from noise_model.plan.cramer_rao import (
 from noise_model.plan.design import design_of, gains_over_effects, magnification
 from noise_model.plan.light import ARC_PLACES, HALF_WINDOW_SIGMAS, StripeLight
 from noise_model.setup import Setup
+from noise_model.stripe import stripe_depth_mm
 from noise_model.surface.joint import DIMENSIONS, Joint, section
 
 NODES = 33
@@ -127,16 +128,39 @@ def speckle_floor_px(setup: Setup, contrast: float) -> float:
     """Return the speckle floor of a scan line's position, px, for the lens at the setup's stand-off.
 
     Dorsch et al. 1994 in the image, `cramer_rao.speckle_image_sigma_mm`, with N' = N (1 + m) of a thin lens
-    focused on the plate, and the contrast that a pixel's width along the stripe leaves. The focal length in
-    pixels is the image's distance f (1 + m) over the pixel.
+    focused on the plate, and the contrast that a pixel's width along the stripe leaves.
     """
-    camera = setup.camera
-    farther = 1.0 + magnification(setup, design_of(setup).stand_off_mm)
-    image_f_number = farther * camera.f_number
-    pixel_mm = farther * camera.focal_length_mm / math.sqrt(camera.fx * camera.fy)
-    wavelength_mm = 1e-6 * setup.laser.wavelength_nm
+    wavelength_mm, image_f_number, pixel_mm = _speckle_optics(setup, design_of(setup).stand_off_mm)
     remaining = contrast * pixel_contrast(wavelength_mm, image_f_number, pixel_mm)
     return speckle_image_sigma_mm(wavelength_mm, image_f_number, remaining) / pixel_mm
+
+
+def expected_speckle(setup: Setup) -> dict[str, float]:
+    """Return the parameters of `laser_speckle` that laser, lens and pixel make on a rough metal.
+
+    A grain s = lambda / (2 sin u') = lambda N' wide has the intensity's correlation sinc^2(x / s) (Goodman
+    2007, sec. 4.6; Dorsch et al. 1994). Metal keeps the polarisation, so the contrast is 1 before the pixel.
+    A square pixel p leaves `cramer_rao.pixel_contrast` of it along either axis. The correlation behind it has
+    the curvature of a Gaussian exp(-d^2 / 4 g^2), g^2 = 3 s^2 / (4 pi^2) + p^2 / 12.
+    """
+    wavelength_mm, image_f_number, pixel_mm = _speckle_optics(setup, stripe_depth_mm(setup))
+    grain_px = wavelength_mm * image_f_number / pixel_mm
+    contrast = pixel_contrast(wavelength_mm, image_f_number, pixel_mm) ** 2
+    return {
+        "contrast": contrast,
+        "grain_px": math.sqrt(3.0 * grain_px**2 / (4.0 * math.pi**2) + 1.0 / 12.0),
+    }
+
+
+def _speckle_optics(setup: Setup, stand_off_mm: float) -> tuple[float, float, float]:
+    """Return wavelength, mm, f-number in the image and a pixel's side, mm, of a lens focused on the plate.
+
+    The focal length in pixels is the image's distance f (1 + m) over the pixel.
+    """
+    camera = setup.camera
+    farther = 1.0 + magnification(setup, stand_off_mm)
+    pixel_mm = farther * camera.focal_length_mm / math.sqrt(camera.fx * camera.fy)
+    return 1e-6 * setup.laser.wavelength_nm, farther * camera.f_number, pixel_mm
 
 
 def saturation_e(sensor: Sensor) -> float:

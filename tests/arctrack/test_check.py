@@ -17,6 +17,7 @@ from arctrack.cli.exit_codes import BAD_INPUT, NOTHING_TRACKED
 from arctrack.errors import ArctrackError
 from arctrack.recording.reader import read_recording
 from arctrack.simulate import SimulationPlan, simulate_recording
+from noise_model.plan.noise import expected_speckle
 from noise_model.setup import Setup
 
 SEAM_4_MM_ASIDE = [[-100.0, 4.0, 0.0], [1000.0, 4.0, 0.0]]
@@ -24,8 +25,15 @@ SEAM_4_MM_ASIDE = [[-100.0, 4.0, 0.0], [1000.0, 4.0, 0.0]]
 
 @pytest.fixture(scope="module")
 def weaving(tmp_path_factory: pytest.TempPathFactory, seen_setup: Setup) -> Path:
-    """Return a recording of two weaves, under a dim arc: the joint shows in all frames with the laser on."""
-    dim = replace(seen_setup, arc=replace(seen_setup.arc, radiance_e=0.3 * seen_setup.arc.radiance_e))
+    """Return a recording of two weaves, under a dim arc: the joint shows in all frames with the laser on.
+
+    It states its speckle.
+    """
+    dim = replace(
+        seen_setup,
+        arc=replace(seen_setup.arc, radiance_e=0.3 * seen_setup.arc.radiance_e),
+        effects={"laser_speckle": expected_speckle(seen_setup)},
+    )
     plan = SimulationPlan(frames=16, rate_hz=5.0, tilt_deg=2.0)
     return simulate_recording(tmp_path_factory.mktemp("weaving") / "v", dim, plan)
 

@@ -39,6 +39,46 @@ def test_the_same_seed_makes_the_same_recording(seen_setup: Setup, tmp_path: Pat
         np.testing.assert_array_equal(a.image_dn, b.image_dn)
 
 
+def test_the_laser_speckles_unless_it_is_told_not_to(seen_setup: Setup, tmp_path: Path) -> None:
+    quiet = replace(
+        seen_setup,
+        arc=replace(seen_setup.arc, radiance_e=1e-3),
+        camera=replace(seen_setup.camera, f_number=60.0),
+        sensor=replace(seen_setup.sensor, read_noise_e=1.0),
+    )
+    still = SimulationPlan(
+        frames=2,
+        production=True,
+        exact=True,
+        travel_speed_mm_s=0.0,
+        weave_mm=0.0,
+        tilt_deg=0.0,
+        height_mm=(1.0, 1.0),
+    )
+    plain = {"laser_speckle": {"contrast": 0.0}}
+    images = {
+        name: [
+            linearise(frame.image_dn, quiet.sensor)
+            for frame in read_recording(
+                simulate_recording(tmp_path / name, quiet, plan, None, effects)
+            ).frames()
+            if not isinstance(frame, BadFrame)
+        ]
+        for name, plan, effects in (
+            ("speckled", still, None),
+            ("plain", still, plain),
+            ("other", replace(still, seed=1), None),
+        )
+    }
+    smooth = np.mean(images["plain"], axis=0)
+    stripe = smooth > 0.5 * smooth.max()
+    pattern = {name: [image[stripe] / smooth[stripe] - 1.0 for image in images[name]] for name in images}
+    assert np.std(pattern["speckled"]) > 5.0 * np.std(pattern["plain"])
+    # It stays while the robot stands still, and another seed is another part.
+    assert np.corrcoef(*pattern["speckled"])[0, 1] > 0.9
+    assert abs(np.corrcoef(pattern["speckled"][0], pattern["other"][0])[0, 1]) < 0.3
+
+
 def test_the_conditions_are_those_of_a_diagnosis(seen_setup: Setup) -> None:
     found = conditions(seen_setup, SimulationPlan(frames=24), np.random.default_rng(0))
     assert len(found) == 24

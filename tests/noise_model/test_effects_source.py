@@ -18,13 +18,16 @@ from effect_scenes import (
     on_the_plate,
     passed,
 )
+from scipy.interpolate import LinearNDInterpolator
 
 from noise_model.condition import Condition
-from noise_model.effects import REGISTRY
-from noise_model.forward import Renderer, predict
+from noise_model.effects import REGISTRY, apply_setup_effects
+from noise_model.forward import Renderer, pass_on, predict
 from noise_model.instrument.argon import AR_I, line_weights
 from noise_model.instrument.spectrum import FilterCurve
+from noise_model.plan.noise import expected_speckle
 from noise_model.reference.hemisphere import Hemisphere, reflected_radiance_extended
+from noise_model.view import View
 
 ARC = CONDITIONS["arc"]
 
@@ -269,6 +272,45 @@ def test_speckle_has_its_contrast_and_its_grain():
             assert np.mean(a * b) / np.mean(ln**2) == pytest.approx(math.exp(-(lag**2) / 16.0), abs=0.03)
     # At the rim as in the middle.
     assert fields[:, :2].std() == pytest.approx(0.4, rel=0.15)
+
+
+def speckle_at(T_base_tool, part_seed):
+    """The speckle's pattern (60, 80) from a pose, and the part's points that the pixels show, base frame."""
+    setup = affected(nominal("flat"), laser_speckle={"contrast": 0.4, "grain_px": 2.0})
+    true = apply_setup_effects(setup)
+    view = dataclasses.replace(View.of(true, T_base_tool), part_seed=part_seed)
+    light = light_of(np.zeros((60, 80)), np.full((60, 80), 1000.0))
+    pass_on(true, light, view, CONDITIONS["laser"], np.random.default_rng(1))
+    return np.log(light.laser / 1000.0), view.surface[0]
+
+
+def test_speckle_lies_on_the_part_and_moves_with_it():
+    still, points = speckle_at(scenes.pose(), 5)
+    np.testing.assert_array_equal(speckle_at(scenes.pose(), 5)[0], still)
+    another = speckle_at(scenes.pose(), 6)[0]
+    assert abs(np.corrcoef(still.ravel(), another.ravel())[0, 1]) < 0.1
+    # A level tool that has moved to the side and on sees the pattern where the part's points have gone.
+    moved, there = speckle_at(scenes.pose((6.0, 3.5, 0.0)), 5)
+    assert abs(np.corrcoef(still.ravel(), moved.ravel())[0, 1]) < 0.2
+    of_part = LinearNDInterpolator(points[..., :2].reshape(-1, 2), still.ravel())
+    expected = of_part(there[..., :2].reshape(-1, 2))
+    seen = np.isfinite(expected)
+    assert seen.mean() > 0.5
+    assert np.corrcoef(expected[seen], moved.ravel()[seen])[0, 1] > 0.95
+
+
+def test_the_optics_say_how_speckle_is():
+    setup = nominal()
+    camera = setup.camera
+    fine, coarse = (
+        expected_speckle(dataclasses.replace(setup, camera=dataclasses.replace(camera, f_number=f_number)))
+        for f_number in (0.5, 2000.0)
+    )
+    # Grains much larger than a pixel are fully developed, 0.28 lambda N' of 1 sigma; small ones average out.
+    assert coarse["contrast"] == pytest.approx(1.0, abs=0.01)
+    assert coarse["grain_px"] > 5.0
+    assert fine["contrast"] < 0.03
+    assert fine["grain_px"] == pytest.approx(1.0 / math.sqrt(12.0), rel=0.01)
 
 
 def test_speckle_scatters_the_laser_alone():

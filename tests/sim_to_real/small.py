@@ -16,6 +16,8 @@ EXAMPLE = Path(__file__).parents[2] / "examples" / "v_groove"
 SMALL = 6
 """By so much the example's camera is coarser here."""
 
+SMOOTH = {"laser_speckle": {"contrast": 0.0}}
+
 EXACT = SimulationPlan(frames=12, seam_wander_mm=0.0, exact=True)
 """A run in which all is as stated."""
 
@@ -26,8 +28,11 @@ def example_setup(coarser=SMALL):
 
 
 def recorded(path, effects, plan=EXACT, coarser=SMALL):
-    """Simulate a recording with hidden effects; what `diagnose` takes of it: setup, frames and pose_at."""
-    simulate_recording(path, example_setup(coarser), plan, hidden_effects=effects)
+    """Simulate a recording with hidden effects; what `diagnose` takes of it: setup, frames and pose_at.
+
+    These effects are all that there are: the laser does not speckle.
+    """
+    simulate_recording(path, example_setup(coarser), plan, hidden_effects={**SMOOTH, **effects})
     recording = read_recording(path)
     poses = recording.pose_buffer()
     return recording.setup, list(recording.frames()), lambda t: pose_at(poses, t)
