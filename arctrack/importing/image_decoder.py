@@ -63,9 +63,13 @@ class EncodedImage:
     def pixels(self) -> Integers:
         """Return the pixels as stored, (H, W) grey or (H, W, 3 or 4) blue first; ArctrackError if damaged."""
         try:
+            if self.is_lossy:
+                # OpenCV before 4.11 fills up a cut JPEG and says nothing.
+                with Image.open(io.BytesIO(self._content), formats=FORMATS) as image:
+                    image.load()
             # As stored: no turning by EXIF, no change of depth.
             pixels = cv2.imdecode(np.frombuffer(self._content, dtype=np.uint8), cv2.IMREAD_UNCHANGED)
-        except cv2.error:
+        except (OSError, cv2.error):
             pixels = None
         if pixels is None:
             raise in_file(self.path, "is truncated or damaged; copy it anew, or leave it out")
