@@ -1,8 +1,8 @@
 """Grey levels of colour images and Bayer mosaics: of the colour that lets the laser through.
 
-Behind a bandpass filter on the laser's line, a colour filter array's red sites see a red laser at almost full
-response, its green and blue sites at a few percent. A mean over the colours would add their noise and little
-light. Sites of one colour are taken as they are, on a grid of twice the pitch. Interpolated ones would repeat
+Behind a bandpass filter on the laser's line, a colour sensor's red sites see a red laser almost at their
+best, its green and blue sites hardly. A mean over the colours would add their noise and little light.
+Sites of one colour are taken as they are, on a grid of twice the pitch. Interpolated ones would repeat
 the same photons in several pixels, whose noise the tracker takes as independent.
 """
 
