@@ -1,5 +1,6 @@
 import importlib.util
 import os
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -7,6 +8,7 @@ import can
 import pytest
 from documented import make_scratch
 from hypothesis import settings
+from once import compiling_in_turn
 
 # How long an example takes depends on the machine and on what is compiled first. The same code gives the same
 # verdict; other examples than always the same are drawn with --hypothesis-profile explore.
@@ -28,6 +30,13 @@ def shared(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Return the folder that all workers of this run share; see `once`."""
     folder = tmp_path_factory.getbasetemp()
     return folder.parent if "PYTEST_XDIST_WORKER" in os.environ else folder
+
+
+@pytest.fixture(scope="session", autouse=True)
+def _compiled_once(shared: Path) -> Iterator[None]:
+    """Compile each kernel in one of the workers."""
+    with compiling_in_turn(shared / "compiling.lock"):
+        yield
 
 
 @pytest.fixture

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from functools import cache
+
 import numpy as np
 
 from noise_model.arrays import Float64
@@ -34,19 +37,32 @@ def line(
     return solution[0], np.linalg.inv(A.T @ A)[0, 0], np.sum((A @ solution - b) ** 2)
 
 
-def is_straight(y: Float64, sigma: Float64, low: int, length: int) -> bool:
-    if low < 0 or low + length > len(y):
-        return False
-    whole = line(y, sigma, low, low + length)[2]
-    if length == LENGTHS[0]:
-        missing = np.isnan(y[low : low + length]).sum()
-        return bool(missing <= MAX_MISSING and whole <= PIECE_CHI2)
-    half = length // 2
-    parts = [low, low + half // 2, low + half]
-    if not all(is_straight(y, sigma, part, half) for part in parts):
-        return False
-    halves = line(y, sigma, low, low + half)[2] + line(y, sigma, low + half, low + length)[2]
-    return bool(whole - halves <= PIECE_CHI2)
+def straightness(y: Float64, sigma: Float64) -> Callable[[int, int], bool]:
+    """Return what says whether the window of a length that starts at a column is straight.
+
+    The windows of neighbouring columns overlap: each is fitted once.
+    """
+
+    @cache
+    def chi2(low: int, high: int) -> float:
+        return float(line(y, sigma, low, high)[2])
+
+    @cache
+    def is_straight(low: int, length: int) -> bool:
+        if low < 0 or low + length > len(y):
+            return False
+        whole = chi2(low, low + length)
+        if length == LENGTHS[0]:
+            missing = np.isnan(y[low : low + length]).sum()
+            return bool(missing <= MAX_MISSING and whole <= PIECE_CHI2)
+        half = length // 2
+        parts = [low, low + half // 2, low + half]
+        if not all(is_straight(part, half) for part in parts):
+            return False
+        halves = chi2(low, low + half) + chi2(low + half, low + length)
+        return bool(whole - halves <= PIECE_CHI2)
+
+    return is_straight
 
 
 def is_outlier(y: Float64, sigma: Float64, i: int) -> bool:
@@ -72,12 +88,13 @@ def smooth_stripe(y: Float64, sigma: Float64) -> tuple[Float64, Float64]:
     good = np.array([np.isfinite(y[i]) and not is_outlier(y, sigma, i) for i in range(len(y))])
     y, sigma = np.where(good, y, np.nan), np.where(good, sigma, np.nan)
     smooth, smooth_sigma = y.copy(), sigma.copy()
+    is_straight = straightness(y, sigma)
     for i in np.flatnonzero(good):
         found = []
         for length in sorted(LENGTHS, reverse=True):
             for quarters in ((2,), (1, 3)):
                 for q in quarters:
-                    if length >= MIN_DRAWN and is_straight(y, sigma, i - q * length // 4, length):
+                    if length >= MIN_DRAWN and is_straight(i - q * length // 4, length):
                         first = i - q * length // 8
                         found.append(line(y, sigma, first, first + length // 2 + 1, i)[:2])
                 found = [one for one in found if one[1] < sigma[i] ** 2]
