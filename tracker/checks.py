@@ -189,6 +189,7 @@ JOINT_TYPE = Question(
     "joint_type", "the profile shows no other type of joint decidedly", "yes", flags.JOINT_TYPE_MISMATCH
 )
 JOINT_SEEN = Question("joint_seen", "the profile determines the joint", "yes", flags.JOINT_NOT_FOUND)
+GAP_SHOWN = Question("gap_shown", "the stripe shows the butt joint's gap", "yes", flags.SEAM_BY_LINE)
 JOINT_EVIDENCE = Question(
     "joint_evidence",
     "evidence for the joint over a plate without one, nats",

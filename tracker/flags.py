@@ -76,6 +76,11 @@ SEAM_REVERSED = Flag(
     "the laser stands behind the torch along the line: `seam_in_base_mm` runs backwards",
     True,
 )
+SEAM_BY_LINE = Flag(
+    27,
+    "seam_by_line",
+    "no gap shows in the stripe: the seam is the line that the image shows beside it, the gap is not known",
+)
 
 FLAGS: tuple[Flag, ...] = tuple(value for value in list(globals().values()) if isinstance(value, Flag))
 """Every flag, in order of its bit."""

@@ -16,8 +16,9 @@ from tracker.arc.level import UNKNOWN, ArcLevel, estimate_ambient_light, estimat
 from tracker.arc.transmission import Transmission
 from tracker.checks import Checks
 from tracker.geometry import SensorGeometry
-from tracker.joint import MeasuredJoint, fit_joint
+from tracker.joint import MeasuredJoint, fit_closed_joint, fit_joint
 from tracker.joint.evidence import MIN_EVIDENCE_NATS
+from tracker.joint.image_line import read_image_line
 from tracker.joint.type_check import is_another_type
 from tracker.profile import Profile, sheet_lines, triangulate
 from tracker.seam.locate import locate, sources
@@ -121,8 +122,14 @@ def measure(
     if not _is_stripe(asked, geometry, expected, look):
         return reading
     reading = replace(reading, scatter=look.scatter)
-    profile = profile_of(geometry, scene, expected, look, reach_mm)
+    by_line = frame.image_dn.T if geometry.along_rows else frame.image_dn
+    profile = replace(profile_of(geometry, scene, expected, look, reach_mm), image_dn=by_line)
     joint = fit_joint(profile, geometry.setup.joint, *sources(geometry.setup, scene, seam.station_mm))
+    if geometry.setup.joint.type == "butt" and not _is_told(joint):
+        closed = _closed_joint(geometry, scene, frame, look, profile)
+        if _is_told(closed):
+            asked.ask(checks.GAP_SHOWN, False)
+            joint = closed
     # A narrower look shows only what lies where the stated joint should.
     if reach_mm == SEARCH_REACH_MM:
         asked.ask(checks.JOINT_TYPE, not is_another_type(profile, geometry.setup.joint, joint))
@@ -138,6 +145,20 @@ def measure(
     asked.ask(checks.JOINT_CHI2, joint.chi2, JOINT_CHI2_LIMIT)
     asked.ask(checks.JOINT_UNEXPLAINED, joint.unexplained, UNEXPLAINED_LIMIT)
     return replace(reading, joint=joint)
+
+
+def _is_told(joint: MeasuredJoint | None) -> bool:
+    """Say whether a joint is told from a plate."""
+    return joint is not None and joint.evidence_nats >= MIN_EVIDENCE_NATS
+
+
+def _closed_joint(
+    geometry: SensorGeometry, scene: Scene, frame: Frame, look: StripeReading, profile: Profile
+) -> MeasuredJoint | None:
+    """Return the closed joint whose line the image shows beside the stripe, None where it shows none."""
+    stripe_sigma_px = float(np.nanmedian(look.fits[:, 3]))
+    line = read_image_line(geometry, scene, frame.image_dn, look.stripe.smooth_px, stripe_sigma_px, profile)
+    return None if line is None else fit_closed_joint(profile, geometry.setup.joint, line)
 
 
 def _is_stripe(

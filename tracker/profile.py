@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from noise_model.arc.map import Scene
-from noise_model.arrays import Float64
+from noise_model.arrays import Float64, Integers
 from noise_model.instrument.camera import Intrinsics, undistorted
 from noise_model.instrument.laser import plane_in
 from noise_model.kernel import kernel
@@ -26,8 +26,9 @@ class Profile:
     moves when its stripe centre moves by 1 px; `sigma_px` (n,): that centre's 1 sigma, `beside_px` (n,)
     that with which it counts among neighbours that are off alike. `column_mm` is the
     points' spacing in y, `scan` (n,) the scan lines they came from. The seam is looked for within
-    `reach_mm` of y = 0. `light` is what the stripe was read from, None where that is not at hand. Nearer to a
-    corner than `mixed_mm` a scan line holds light of both faces.
+    `reach_mm` of y = 0. `light` is what the stripe was read from, `image_dn` (n_scan, n_pos) the whole
+    frame by scan line, None where they are not at hand. Nearer to a corner than `mixed_mm` a scan line holds
+    light of both faces.
     """
 
     y_mm: Float64
@@ -40,6 +41,7 @@ class Profile:
     beside_px: Float64
     reach_mm: float = math.inf
     light: StripeLight | None = None
+    image_dn: Integers | None = None
     mixed_mm: float = 0.0
 
     def by_scan(self) -> Profile:

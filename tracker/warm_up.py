@@ -114,6 +114,9 @@ def _frames(geometry: SensorGeometry) -> Iterator[tuple[Frame, Pose | None]]:
     yield frame(shown.image(rng, share=0.6)), middle
     yield frame(shown.image(rng, share=0.1)), middle
     yield frame(np.full_like(dark, geometry.saturation_dn)), middle
+    # A plate without a joint, which a closed one looks like.
+    plate = SensorGeometry.of(replace(geometry.setup, joint=replace(geometry.setup.joint, type="flat")))
+    yield frame(_Picture.of(plate, middle).image(rng)), middle
     # Elsewhere: a jump, which becomes the seam's place; then lost, searched and not where it should be.
     for moved_px in (0.3 * aside_px, aside_px):
         for _ in range(JUMPS_TO_RELEARN + 1):

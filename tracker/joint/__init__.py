@@ -16,9 +16,10 @@ from tracker.joint.evidence import evidence_nats
 from tracker.joint.fillet import fit_fillet
 from tracker.joint.groove import fit_u_groove, fit_v_groove
 from tracker.joint.half_v import fit_half_v
+from tracker.joint.image_line import ImageLine
 from tracker.joint.lap import fit_lap
 from tracker.joint.measured import MeasuredJoint
-from tracker.joint.slot import fit_slot
+from tracker.joint.slot import fit_closed_slot, fit_slot
 from tracker.profile import Profile
 
 ALIKE_OFF_PX = 0.01
@@ -27,7 +28,7 @@ ALIKE_OFF_PX = 0.01
 `benchmarks/stripe_bias.py` shows it; no number of lines averages it out.
 """
 
-__all__ = ["MeasuredJoint", "fit_joint"]
+__all__ = ["MeasuredJoint", "fit_closed_joint", "fit_joint"]
 
 
 def fit_joint(profile: Profile, joint: Joint, camera_mm: Float64, laser_mm: Float64) -> MeasuredJoint | None:
@@ -37,14 +38,23 @@ def fit_joint(profile: Profile, joint: Joint, camera_mm: Float64, laser_mm: Floa
     """
     if len(profile.y_mm) < 20:
         return None
-    measured = _fit(profile, joint, camera_mm, laser_mm)
+    measured = _off_alike(profile, _fit(profile, joint, camera_mm, laser_mm))
+    if measured is None or not math.isnan(measured.evidence_nats):
+        return measured
+    return replace(measured, evidence_nats=evidence_nats(profile, measured.corners_mm))
+
+
+def fit_closed_joint(profile: Profile, joint: Joint, line: ImageLine) -> MeasuredJoint | None:
+    """Return the closed joint that a line in the image shows amid a profile, or None without two plates."""
+    return _off_alike(profile, fit_closed_slot(profile, joint, line))
+
+
+def _off_alike(profile: Profile, measured: MeasuredJoint | None) -> MeasuredJoint | None:
+    """Return a joint with the variance of what all centres of its stripe may be off alike."""
     if measured is None:
         return None
     off_mm = ALIKE_OFF_PX * np.array([np.median(profile.dy_mm), np.median(profile.dz_mm)])
-    measured = replace(measured, covariance_mm2=measured.covariance_mm2 + np.outer(off_mm, off_mm))
-    if not math.isnan(measured.evidence_nats):
-        return measured
-    return replace(measured, evidence_nats=evidence_nats(profile, measured.corners_mm))
+    return replace(measured, covariance_mm2=measured.covariance_mm2 + np.outer(off_mm, off_mm))
 
 
 def _fit(profile: Profile, joint: Joint, camera_mm: Float64, laser_mm: Float64) -> MeasuredJoint | None:

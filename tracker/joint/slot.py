@@ -12,9 +12,10 @@ from typing import NamedTuple
 
 import numpy as np
 
-from noise_model.arrays import Bool, Float64
+from noise_model.arrays import Bool, Float64, Int64
 from noise_model.surface.joint import Joint
 from tracker.joint.evidence import gap_evidence_nats, places_of
+from tracker.joint.image_line import ImageLine
 from tracker.joint.measured import (
     OFF_SIGMAS,
     MeasuredJoint,
@@ -32,11 +33,17 @@ from tracker.stripe.edge import clear_of_an_edge, stripe_end
 PRIOR_SIGMA = np.array([5.0, 0.5, 0.03, 0.03])
 """1 sigma of the left plate's height, the step to the right one (mm), both plates' slopes."""
 
-ON_PLATE_MM = 0.5
-"""What lies farther than this from either plate, or a quarter of the thickness, is not of it."""
+ON_PLATE_MM = {"butt": 1.5, "edge": 0.5}
+"""What lies farther than this from either plate, or a quarter of the thickness, is not of it.
+
+A plate is often bent down at its end, where it was sheared.
+"""
 
 BESIDE_MM, OUTSIDE_MM = 3.0, 1.0
 """How much of a plate beside the gap, and of what is beyond an edge joint, is looked at to place it."""
+
+NEAR_MM = 15.0
+"""So near to a joint its plates are straight: farther off they may be bowed."""
 
 SLACK_MM = 1.5
 """How far an end of a plate may lie off its stated place."""
@@ -53,6 +60,12 @@ BLURRED_LINES = 4
 UNREAD = -0.5
 """What a scan line without a stripe says of a plate, 1 being that it is there: spatter hides one, too."""
 
+BRIGHT_LINES, HELD_SHARE = 12, 0.5
+"""Lines of either plate that say how bright its stripe is; the share of it at which a gap's lines hold it."""
+
+BESIDE_SIGMAS = 4.0
+"""So many of its sigmas beside its middle a stripe leaves its background."""
+
 MIN_AGREEMENT = 0.6
 """By what share of the scan lines those that show what the joint would must outnumber the others."""
 
@@ -67,7 +80,7 @@ def fit_slot(profile: Profile, joint: Joint) -> MeasuredJoint | None:
     """
     thickness, gap = joint.dimensions["thickness_mm"], joint.dimensions["gap_mm"]
     is_edge = joint.type == "edge"
-    limit_mm = min(ON_PLATE_MM, 0.25 * thickness)
+    limit_mm = _on_plate_mm(joint)
     y_0 = float(np.median(profile.y_mm))
     everywhere = np.ones(len(profile.y_mm), dtype=bool)
     plates = _plates(profile, y_0, everywhere)
@@ -80,7 +93,21 @@ def fit_slot(profile: Profile, joint: Joint) -> MeasuredJoint | None:
         placed = lines.place(thickness + 0.5 * gap, 0.0, is_edge)
     if placed is None:
         return None
-    return _measure(profile, joint, plates, placed, limit_mm)
+    return _measure(profile, joint, _on_plate(profile, plates, y_0, 2.0 * limit_mm), placed, limit_mm)
+
+
+def fit_closed_slot(profile: Profile, joint: Joint, line: ImageLine) -> MeasuredJoint | None:
+    """Return the butt joint whose gap no scan line shows, but a line in the image; None without two plates.
+
+    How wide its gap is remains unknown.
+    """
+    near = np.abs(profile.y_mm - line.y_mm) < NEAR_MM
+    plates = _plates(profile, line.y_mm, near)
+    if plates is None:
+        return None
+    limit_mm = _on_plate_mm(joint)
+    on_plates = _on_plate(profile, plates, line.y_mm, 2.0 * limit_mm)
+    return _measure(profile, joint, on_plates, line.y_mm, limit_mm, line)
 
 
 @dataclass(frozen=True)
@@ -100,6 +127,11 @@ class _End(NamedTuple):
     y_mm: float
     variance_mm2: float
     line: int
+
+
+def _closed_at(line: ImageLine) -> _Gap:
+    """Return the gap that a line in the image shows: no scan line tells how wide it is."""
+    return _Gap(line.y_mm, line.sigma_mm**2, math.nan, math.nan, (0, 0))
 
 
 def _gap_of(lines: _Lines, joint: Joint, y_0: float) -> _Gap | None:
@@ -137,13 +169,21 @@ def _gap_of(lines: _Lines, joint: Joint, y_0: float) -> _Gap | None:
 
 
 def _measure(
-    profile: Profile, joint: Joint, plates: ShapeFit, y_0: float, limit_mm: float
+    profile: Profile,
+    joint: Joint,
+    on_plates: Bool,
+    y_0: float,
+    limit_mm: float,
+    line: ImageLine | None = None,
 ) -> MeasuredJoint | None:
-    """Fit the plates' lines beside a placed joint once more, and find the gap between them."""
+    """Fit lines to the points on the plates beside a placed joint once more; find the gap between them.
+
+    If a line in the image has placed it, the gap is closed.
+    """
     thickness, gap = joint.dimensions["thickness_mm"], joint.dimensions["gap_mm"]
     is_edge = joint.type == "edge"
-    clear = np.abs(profile.y_mm - y_0) > 0.5 * gap + CLEAR_OF_GAP_MM
-    clear &= _on_plate(profile, plates, float(np.median(profile.y_mm)), 2.0 * limit_mm)
+    off_mm = np.abs(profile.y_mm - y_0) - 0.5 * gap
+    clear = on_plates & (off_mm > CLEAR_OF_GAP_MM) & (off_mm < NEAR_MM)
     if is_edge:
         clear &= np.abs(profile.y_mm - y_0) < 0.5 * gap + thickness
     on_left = profile.y_mm > y_0
@@ -153,10 +193,13 @@ def _measure(
     if fit is None:
         return None
     seen = _Lines(profile, _on_plate(profile, fit, y_0, limit_mm), is_edge)
-    opening = _gap_of(seen, joint, y_0)
+    opening = _gap_of(seen, joint, y_0) if line is None else _closed_at(line)
     if opening is None:
         return None
-    right_mm, left_mm = opening.y_mm - 0.5 * opening.width_mm, opening.y_mm + 0.5 * opening.width_mm
+    if not is_edge and line is None and seen.hold_plates(*opening.lines):
+        return None
+    half_mm = 0.5 * opening.width_mm if line is None else 0.0
+    right_mm, left_mm = opening.y_mm - half_mm, opening.y_mm + half_mm
     # The plates' surfaces where they end.
     left_surface = np.array([1.0, 0.0, left_mm - y_0, 0.0])
     right_surface = np.array([1.0, 1.0, 0.0, right_mm - y_0])
@@ -176,9 +219,9 @@ def _measure(
     right_top, left_top = float(right_surface @ fit.parameters), float(left_surface @ fit.parameters)
     # What lies deep in the gap is the gap's, whatever it is.
     floor = z_s - thickness
-    evidence = math.inf
-    if not is_edge:
-        evidence = gap_evidence_nats(seen.sees < 0.0, *opening.lines, places_of(profile, profile.column_mm))
+    evidence = math.inf if line is None else line.evidence_nats
+    if not is_edge and line is None:
+        evidence = seen.gap_evidence_nats(*opening.lines, places_of(profile, profile.column_mm))
     corners = [far_right, (right_mm, right_top), (right_mm, floor), (left_mm, floor), (left_mm, left_top)]
     return MeasuredJoint(
         opening.y_mm,
@@ -216,6 +259,11 @@ def _plates(profile: Profile, y_0: float, used: Bool) -> ShapeFit | None:
     return fit_shape(profile, SHEETS, start, PRIOR_SIGMA, used)
 
 
+def _on_plate_mm(joint: Joint) -> float:
+    """Return how far off a plate's line its points may lie, mm."""
+    return min(ON_PLATE_MM[joint.type], 0.25 * joint.dimensions["thickness_mm"])
+
+
 def _on_plate(profile: Profile, plates: ShapeFit, y_0: float, limit_mm: float) -> Bool:
     """Say of each point whether it lies on one of the plates' lines."""
     z, step, slope_left, slope_right = plates.parameters
@@ -239,7 +287,7 @@ class _Lines:
         place = (scan - scan.min()).astype(np.int64) + pad
         n = int(place.max()) + 1 + pad
         self.first_scan = int(scan.min()) - pad
-        self.light, self.column_mm = profile.light, profile.column_mm
+        self.light, self.image_dn, self.column_mm = profile.light, profile.image_dn, profile.column_mm
         self.sees = np.full(n, UNREAD)
         self.sees[place] = np.where(on_plate, 1.0, -1.0)
         order = np.argsort(place, kind="stable")
@@ -313,12 +361,48 @@ class _Lines:
         y_mm = np.interp(end.line + towards * off, np.arange(len(self.y_mm)), self.y_mm)
         return _End(float(y_mm), variance, end.line)
 
+    def hold_plates(self, first: int, last: int) -> bool:
+        """Say whether the lines from `first` to `last` hold the plates' stripe all the same.
+
+        Where a gap is expected the stripe is sought on what is below it, and not where the plates have it.
+        """
+        if self.light is None or self.image_dn is None:
+            return False
+        between = np.arange(first, last + 1)
+        plates = np.flatnonzero(self.sees > 0.0)
+        plates = plates[np.argsort(np.minimum(abs(plates - first), abs(plates - last)))[: 2 * BRIGHT_LINES]]
+        scans = self.away * (self.first_scan + np.sort(plates))
+        path_px = np.interp(between, np.sort(plates), self.light.position_px[scans])
+        width_px = float(np.nanmedian(self.light.width_px[scans]))
+        held = self._brightness(self.away * (self.first_scan + between), path_px, width_px)
+        whole = self._brightness(scans, self.light.position_px[scans], width_px)
+        return float(np.median(held)) > HELD_SHARE * float(np.median(whole))
+
+    def _brightness(self, scans: Int64, path_px: Float64, width_px: float) -> Float64:
+        """Return how much brighter scan lines (n,) are about a path (n,), px, than beside it, DN."""
+        assert self.image_dn is not None
+        near = np.arange(-math.ceil(width_px), math.ceil(width_px) + 1)
+        far = math.ceil(BESIDE_SIGMAS * width_px)
+        offsets = np.concatenate([near, near - far, near + far])
+        places = np.clip(np.rint(path_px).astype(np.int64)[:, None] + offsets, 0, self.image_dn.shape[1] - 1)
+        within, *beside = np.split(self.image_dn[scans[:, None], places].astype(np.float64), 3, axis=1)
+        return np.asarray(within.mean(axis=1) - np.minimum(*(side.mean(axis=1) for side in beside)))
+
     @property
     def blurred(self) -> int:
         """The scan lines of a gap whose ends blur into one."""
         if self.light is None:
             return BLURRED_LINES
         return max(BLURRED_LINES, 2 * (clear_of_an_edge(self.light) - 1))
+
+    def gap_evidence_nats(self, first: int, last: int, places: float) -> float:
+        """Return the evidence, nats, that lines from `first` to `last` are a gap's and not lost by chance.
+
+        Beyond the last line that shows a plate nothing is lost: the stripe has ended, or leaves its reach.
+        """
+        plate = np.flatnonzero(self.sees > 0.0)
+        start, end = int(plate[0]), int(plate[-1]) + 1
+        return gap_evidence_nats(self.sees[start:end] < 0.0, first - start, last - start, places)
 
     def others_between(self, first: int, last: int) -> int:
         """Return how many scan lines between two lines show no plate."""

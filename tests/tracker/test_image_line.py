@@ -1,0 +1,226 @@
+"""The seam's line in the image, drawn by hand: where it is read, how far it is off, when it is not told."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+from typing import NamedTuple
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from rendered import small_setup
+
+from noise_model.arc.map import Scene, make_scene
+from noise_model.arrays import Float64
+from noise_model.setup import Setup
+from noise_model.transforms import invert, transform
+from tracker.geometry import SensorGeometry
+from tracker.joint import fit_closed_joint
+from tracker.joint.evidence import MIN_EVIDENCE_NATS
+from tracker.joint.image_line import (
+    CLIP_SIGMAS,
+    CODE_SIGMA_DN,
+    MAD_SIGMA,
+    ImageLine,
+    columns_beside,
+    read_image_line,
+    sum_along,
+    whiten,
+)
+from tracker.profile import Profile, triangulate
+from tracker.stripe.expected import expect_stripe
+
+PLATE_DN, NOISE_DN = 60.0, 2.0
+REACH_MM = 5.0
+seeds = st.integers(0, 2**32 - 1)
+
+
+class Bench(NamedTuple):
+    """A sensor over a flat plate, and the stripe that it shows there."""
+
+    geometry: SensorGeometry
+    scene: Scene
+    path_px: Float64
+    sigma_px: float
+    profile: Profile
+
+    def read(self, image: Float64) -> ImageLine | None:
+        """Read a drawn image, rounded to codes."""
+        codes = np.clip(np.rint(image), 0, 255).astype(np.uint8)
+        return read_image_line(self.geometry, self.scene, codes, self.path_px, self.sigma_px, self.profile)
+
+
+def bench_of(setup: Setup) -> Bench:
+    geometry = SensorGeometry.of(setup)
+    scene = make_scene(setup, np.eye(4))
+    expected = expect_stripe(geometry, scene)
+    assert expected is not None
+    sigma = np.full(geometry.n_scan, 0.1)
+    profile = triangulate(geometry, scene, expected.position_px, sigma, sigma)
+    profile = replace(profile, reach_mm=REACH_MM)
+    return Bench(geometry, scene, expected.position_px, float(np.median(expected.sigma_px)), profile)
+
+
+def closed_butt() -> Setup:
+    setup = small_setup("butt")
+    return replace(setup, joint=replace(setup.joint, dimensions={"gap_mm": 0.1, "thickness_mm": 4.0}))
+
+
+@pytest.fixture(scope="module")
+def bench() -> Bench:
+    return bench_of(closed_butt())
+
+
+def plate(bench: Bench, rng: np.random.Generator) -> Float64:
+    """A plate in dim light, with its sensor's noise."""
+    camera = bench.geometry.setup.camera
+    return PLATE_DN + NOISE_DN * rng.normal(size=(camera.height, camera.width))
+
+
+def drawn(
+    bench: Bench, y_mm: float, turn_deg: float, radius_mm: float, dark_dn: float, rim_dn: float = 0.0
+) -> Float64:
+    """A seam's slit, 1 px wide, and the rim beside it, DN: a circle through y at the sheet, joint frame."""
+    camera = bench.geometry.setup.camera
+    plane = bench.geometry.setup.laser.plane
+    at_sheet = -(plane[3] + plane[1] * y_mm) / plane[0]
+    s = np.linspace(-40.0, 40.0, 4001)
+    turn = math.tan(math.radians(turn_deg))
+    points = np.column_stack([at_sheet + s, y_mm + turn * s + 0.5 * s * s / radius_mm, np.zeros(len(s))])
+    seen = camera.project(transform(invert(bench.scene.T_joint_camera), points))
+    order = np.argsort(seen[:, 1] if bench.geometry.along_rows else seen[:, 0])
+    across, beside = (seen[order, 0], seen[order, 1]) if bench.geometry.along_rows else seen[order].T[::-1]
+    n_beside = camera.height if bench.geometry.along_rows else camera.width
+    n_across = camera.width if bench.geometry.along_rows else camera.height
+    line = np.interp(np.arange(n_beside), beside, across, left=-1e3, right=-1e3)
+    off = np.arange(n_across)[:, None] - line
+    light = -dark_dn * np.exp(-0.5 * off**2) + rim_dn * np.exp(-0.5 * (off - 2.0) ** 2)
+    return light.T if bench.geometry.along_rows else light
+
+
+def test_a_slit_is_read_where_it_meets_the_stripe_within_its_sigma(bench: Bench) -> None:
+    pulls, sigmas = [], []
+    for n in range(24):
+        rng = np.random.default_rng(n)
+        y, turn = rng.uniform(-3.0, 3.0), rng.uniform(-6.0, 6.0)
+        radius = rng.choice([-1.0, 1.0]) * rng.uniform(150.0, 1000.0)
+        line = bench.read(plate(bench, rng) + drawn(bench, y, turn, radius, 6.0))
+        assert line is not None
+        assert line.evidence_nats > MIN_EVIDENCE_NATS
+        pulls.append((line.y_mm - y) / line.sigma_mm)
+        sigmas.append(line.sigma_mm)
+    assert np.mean(np.square(pulls)) < 1.3, pulls
+    assert max(sigmas) < 1.5 * bench.profile.column_mm
+
+
+def test_a_rim_beside_the_slit_does_not_pull_the_seam_to_its_plate(bench: Bench) -> None:
+    pulls = []
+    for n in range(12):
+        rng = np.random.default_rng(n)
+        line = bench.read(plate(bench, rng) + drawn(bench, 0.7, 3.0, 400.0, 6.0, rim_dn=8.0))
+        assert line is not None
+        pulls.append((line.y_mm - 0.7) / line.sigma_mm)
+    assert np.mean(np.square(pulls)) < 1.5, pulls
+
+
+def test_a_plate_without_a_seam_shows_no_line(bench: Bench) -> None:
+    """Plain, brushed along and across the seam, and with an edge askew to it or a glare in view."""
+    told = 0
+    for n in range(40):
+        rng = np.random.default_rng(n)
+        image = plate(bench, rng)
+        brushed = rng.normal(size=image.shape)
+        along = np.cumsum(brushed, axis=n % 2)
+        along[30:] -= along[:-30].copy()
+        v, u = np.mgrid[: image.shape[0], : image.shape[1]]
+        askew = math.radians(rng.uniform(25.0, 155.0))
+        away = (u - 160.0) * math.cos(askew) + (v - 120.0) * math.sin(askew)
+        edge = np.where(away > rng.uniform(-30.0, 30.0), 30.0, 0.0)
+        glare = 150.0 * np.exp(-0.5 * (((u - 160.0) / 60.0) ** 2 + ((v - 240.0) / 80.0) ** 2))
+        for texture in (np.zeros_like(image), 0.7 * along, edge, glare):
+            line = bench.read(image + texture)
+            told += line is not None and line.evidence_nats >= MIN_EVIDENCE_NATS
+    assert told == 0
+
+
+def test_two_lines_alike_tell_no_seam(bench: Bench) -> None:
+    rng = np.random.default_rng(1)
+    image = plate(bench, rng) + drawn(bench, -2.0, 0.0, 1e6, 8.0) + drawn(bench, 2.0, 0.0, 1e6, 8.0)
+    line = bench.read(image)
+    assert line is None or line.evidence_nats <= 0.0
+
+
+def test_what_stands_on_the_stripe_alone_is_no_line(bench: Bench) -> None:
+    """A notch in the stripe itself, or spatter there, is left out with the stripe."""
+    rng = np.random.default_rng(2)
+    image = plate(bench, rng)
+    lines = np.arange(len(bench.path_px))
+    at = np.rint(bench.path_px).astype(int)
+    for away in range(-3, 4):
+        place = (at + away, lines) if bench.geometry.along_rows else (lines, at + away)
+        image[place] = np.where(np.abs(lines - 80) < 3, 20.0, 250.0)
+    line = bench.read(image)
+    assert line is None or line.evidence_nats < MIN_EVIDENCE_NATS
+
+
+def test_a_closed_joint_lies_on_its_plates(bench: Bench) -> None:
+    joint = bench.geometry.setup.joint
+    measured = fit_closed_joint(bench.profile, joint, ImageLine(1.2, 0.1, 40.0))
+    assert measured is not None
+    assert measured.y_mm == 1.2
+    assert measured.z_mm == pytest.approx(0.0, abs=1e-6)
+    assert measured.covariance_mm2[0, 0] == pytest.approx(0.01, rel=1e-2)
+    assert math.isnan(measured.gap_mm)
+    assert measured.evidence_nats == 40.0
+    assert fit_closed_joint(bench.profile, joint, ImageLine(bench.profile.y_mm[0], 0.1, 40.0)) is None
+
+
+@settings(deadline=None, max_examples=25)
+@given(seeds, st.booleans(), st.integers(1, 3))
+def test_columns_and_their_whitening_are_numpy_s(seed: int, along_rows: bool, averaged: int) -> None:
+    rng = np.random.default_rng(seed)
+    image = rng.integers(0, 255, (60, 50)).astype(np.uint8)
+    across = image.T if along_rows else image
+    path = rng.uniform(-5.0, across.shape[1] + 5.0, len(across))
+    columns, offsets = np.empty((8, len(across))), np.empty(8)
+    columns_beside(image, along_rows, path, 6, averaged, columns, offsets)
+    before = [-6 - averaged * k - np.arange(averaged) for k in range(4)]
+    behind = [6 + averaged * k + np.arange(averaged) for k in range(4)]
+    for j, pixels in enumerate([*before[::-1], *behind]):
+        assert offsets[j] == pytest.approx(pixels.mean())
+        places = np.rint(path).astype(int)[:, None] + pixels
+        inside = ((places >= 0) & (places < across.shape[1])).all(axis=1)
+        values = np.take_along_axis(across, np.clip(places, 0, across.shape[1] - 1), axis=1).mean(axis=1)
+        np.testing.assert_allclose(columns[j], np.where(inside, values, np.nan))
+    white = np.empty_like(columns)
+    whiten(columns, 3, white)
+    for column, read in zip(columns, white, strict=True):
+        windows = np.lib.stride_tricks.sliding_window_view(column, 7)
+        bare = np.full(len(column), np.nan)
+        bare[3:-3] = column[3:-3] - np.median(windows, axis=1)
+        if np.isfinite(bare).any():
+            sigma = max(MAD_SIGMA * float(np.nanmedian(np.abs(bare))), CODE_SIGMA_DN)
+            bare = np.clip(bare / sigma, -CLIP_SIGMAS, CLIP_SIGMAS)
+        np.testing.assert_allclose(read, bare, atol=1e-12)
+
+
+@settings(deadline=None, max_examples=25)
+@given(seeds)
+def test_sums_along_lines_are_numpy_s(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    white = rng.normal(size=(6, 40))
+    white[rng.random(white.shape) < 0.1] = np.nan
+    offsets, slopes = np.array([-9.0, -6.0, -3.0, 3.0, 6.0, 9.0]), rng.uniform(-1.5, 1.5, 4)
+    along, counts = np.empty((2, len(slopes), white.shape[1]))
+    sum_along(white, offsets, slopes, along, counts)
+    lines = np.arange(white.shape[1])
+    for a, slope in enumerate(slopes):
+        values = [
+            np.interp(lines + slope * offset, lines, column, left=np.nan, right=np.nan)
+            for offset, column in zip(offsets, white, strict=True)
+        ]
+        number = np.isfinite(values).sum(axis=0)
+        np.testing.assert_array_equal(counts[a], number)
+        np.testing.assert_allclose(along[a], np.nansum(values, axis=0) / np.sqrt(np.maximum(number, 1)))

@@ -1,0 +1,395 @@
+"""The seam's line in the image: it shows a closed joint beside the stripe, where the profile shows nothing.
+
+Two plates that touch leave no gap in a stripe. Their seam is a line all the same: a dark slit, a bright rim,
+both beside each other, or the border of two plates that shine unlike. It crosses the stripe. It is sought
+beside the stripe, on both sides of it and as far as `BESIDE_MM` along the seam, on straight lines of every
+place and of all directions about the seam's.
+
+Of each column beside the stripe the running median along the stripe is taken off, which takes the slow
+changes of brightness. What is left is divided by the column's robust scatter and summed along each straight
+line. Two filters read the sum: an even one for a slit or a rim, an odd one for both. They are a bell times
+the Hermite polynomials of the fourth and third order, which see neither slope nor bow of the brightness, as
+the arc's reflection has. The sum of their squares over their variances, both of all the places that are
+looked at, is a chi^2 with two degrees of freedom where there is no line: it exceeds Q anywhere among N
+places with the probability N exp(-Q / 2) at most. Scratches and grain of the plate are lines too. So the
+strongest of what lies elsewhere tells how far a plate like this exceeds chance: the scatter is widened until
+it is what is expected of N places. A line that is not decidedly stronger than all others is not the seam's.
+
+The line's course is then read in pieces along it, each by its shift against the line's mean section, whose
+Cramer-Rao bound is its sigma, and a parabola is laid through them: a seam may be curved. Where the parabola
+meets the stripe is the seam, to within the line's own width.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from noise_model.arc.map import Scene
+from noise_model.arrays import Bool, Float64, Int64, Integers
+from noise_model.instrument.laser import plane_in
+from noise_model.kernel import kernel
+from noise_model.transforms import invert, transform
+from tracker.geometry import SensorGeometry
+from tracker.joint.evidence import fit_plate
+from tracker.joint.section_fit import BISQUARE_WIDTH, MAD_SIGMA
+from tracker.profile import Profile
+
+BESIDE_MM = 12.0
+"""So far along the seam its line is read on either side of the stripe."""
+
+CLEAR_SIGMAS = 6.0
+"""So many of its sigmas beside the stripe its own light ends."""
+
+MAX_COLUMNS = 40
+"""Columns that are read on either side: more are averaged into so many."""
+
+MAX_TURN_DEG = 10.0
+"""The line's direction may be off the expected seam's by so much."""
+
+MIN_WIDTH_LINES = 1.5
+"""1 sigma of the narrowest line that is sought, scan lines: a slit that is blurred by lens and pixel."""
+
+MEDIAN_WIDTHS = 5.0
+"""Half the running median's length, over the line's 1 sigma."""
+
+CLIP_SIGMAS = 4.0
+"""A pixel counts as no farther off: glints and spatter are bright."""
+
+MAX_RIVAL = 0.6
+"""The next strongest line's share of the strongest, in sigmas, at which neither is told to be the seam's.
+
+On a plain plate it is above 0.8 in all frames that were looked at, beside a closed butt below 0.45.
+"""
+
+N_PIECES, MIN_PIECES = 12, 5
+"""Pieces in which a line's course is read, and that must show it."""
+
+MIN_RADIUS_MM = 100.0
+"""1 sigma of a seam's curvature is that of a circle so large."""
+
+FIT_ROUNDS = 5
+"""Rounds of the parabola's fit by Tukey's weights."""
+
+MIN_PIECE_SIGMAS = 2.0
+"""A piece in which the line stands out less does not show it."""
+
+MIN_DARK_SIGMAS = 4.0
+"""A slit that is darker by less is not told from the plates: the rim stands for it."""
+
+MIN_COLUMNS_SHARE = 0.5
+"""A line that leaves the image within more of its columns is not summed."""
+
+CODE_SIGMA_DN = 12.0**-0.5
+"""No column scatters by less than the rounding of its codes."""
+
+MIN_SIGMA = 1e-6
+"""The sums scatter by more, but for an image that is the same everywhere."""
+
+
+@dataclass(frozen=True)
+class ImageLine:
+    """Where the seam's line meets the stripe: y in the joint frame, its 1 sigma, mm; its evidence, nats."""
+
+    y_mm: float
+    sigma_mm: float
+    evidence_nats: float
+
+
+@dataclass(frozen=True)
+class _Sums:
+    """The whitened columns (m, n_scan) at `offsets_px` (m,) from the stripe, summed along straight lines.
+
+    `along` (k, n_scan) are the sums over lines that meet the stripe in each scan line with the slopes (k,),
+    scan lines a pixel, over the root of how many columns they are of. `energy` (k, n_scan) is the two
+    filters' chi^2, 0 where too few columns tell it; the filters' 1 sigma is `width` scan lines,
+    each `column_mm` wide.
+    """
+
+    white: Float64
+    offsets_px: Float64
+    slopes: Float64
+    along: Float64
+    energy: Float64
+    width: float
+    column_mm: float
+
+
+def read_image_line(
+    geometry: SensorGeometry,
+    scene: Scene,
+    image_dn: Integers,
+    path_px: Float64,
+    stripe_sigma_px: float,
+    profile: Profile,
+) -> ImageLine | None:
+    """Return the line that a seam leaves in the image beside its stripe; None where nothing can be read.
+
+    Parameters
+    ----------
+    geometry : SensorGeometry
+        The setup with its tables.
+    scene : Scene
+        The look's; its x axis runs along the expected seam.
+    image_dn : array (height, width)
+        The frame, DN.
+    path_px : array (n_scan,)
+        The stripe's centre, px; NaN where it was not read.
+    stripe_sigma_px : float
+        Its 1 sigma across, px.
+    profile : Profile
+        The stripe's points. They say which y a scan line has, and how far about 0 the seam is sought.
+    """
+    path = _plates_path(path_px)
+    expected = _expected_slopes(geometry, scene, path)
+    if expected is None:
+        return None
+    reach_px, first_slope, last_slope = expected
+    guard_px = math.ceil(CLEAR_SIGMAS * stripe_sigma_px)
+    averaged = max(1, math.ceil((reach_px - guard_px) / MAX_COLUMNS))
+    n_each = int((reach_px - guard_px) / averaged)
+    if n_each < MIN_PIECES:
+        return None
+    gap_lines = geometry.setup.joint.dimensions["gap_mm"] / profile.column_mm
+    width = max(MIN_WIDTH_LINES, 0.5 * gap_lines)
+    columns, offsets_px = np.empty((2 * n_each, len(path))), np.empty(2 * n_each)
+    columns_beside(image_dn, geometry.along_rows, path, guard_px, averaged, columns, offsets_px)
+    white = np.empty_like(columns)
+    whiten(columns, math.ceil(MEDIAN_WIDTHS * width), white)
+    n_slopes = 2 + math.ceil(abs(last_slope - first_slope) * reach_px / width)
+    slopes = np.linspace(first_slope, last_slope, n_slopes)
+    along, counts = np.empty((2, n_slopes, len(path)))
+    sum_along(white, offsets_px, slopes, along, counts)
+    energy = _energy(along, counts >= MIN_COLUMNS_SHARE * len(offsets_px), width)
+    return _place(profile, _Sums(white, offsets_px, slopes, along, energy, width, profile.column_mm))
+
+
+def _plates_path(path_px: Float64) -> Float64:
+    """Return a stripe's smooth course (n_scan,) on its plates, px, over lines that are off them too."""
+    is_read = np.flatnonzero(np.isfinite(path_px))
+    read_px, off_px = path_px[is_read], np.empty(len(is_read))
+    still, a_pixel = np.zeros(len(is_read)), np.ones(len(is_read))
+    fit_plate(is_read.astype(np.float64), read_px, still, a_pixel, a_pixel, off_px)
+    return np.interp(np.arange(len(path_px)), is_read, read_px - off_px)
+
+
+def _expected_slopes(
+    geometry: SensorGeometry, scene: Scene, path_px: Float64
+) -> tuple[float, float, float] | None:
+    """Return how far beside the stripe a seam is followed, px, and between which slopes it may run.
+
+    Slopes are scan lines a pixel of distance from the stripe. None where it is not seen to cross the stripe.
+    """
+    nx, _, _, d = plane_in(scene.T_joint_tool, geometry.setup.laser.plane)
+    turn = math.radians(MAX_TURN_DEG) * np.array([-1.0, -1.0, 1.0, 1.0])
+    along = BESIDE_MM * np.array([-1.0, 1.0, -1.0, 1.0])
+    points = np.column_stack([-d / nx + along * np.cos(turn), along * np.sin(turn), np.zeros(4)])
+    camera = geometry.setup.camera
+    seen = geometry.scan_points(camera.project(transform(invert(scene.T_joint_camera), points)))
+    across, beside = (seen[1::2] - seen[::2]).T
+    lean = float(np.polyfit(np.arange(len(path_px)), path_px, 1)[0])
+    # In pixels from the stripe itself, which may lie askew to the scan lines.
+    beside = beside - lean * across
+    if not (np.abs(beside) > MIN_PIECES).all() or beside[0] * beside[1] < 0.0:
+        return None
+    first, last = across / beside
+    return 0.5 * float(np.abs(beside).min()), float(first), float(last)
+
+
+@kernel(allocates=True)
+def columns_beside(
+    image_dn: Integers,
+    along_rows: bool,
+    path_px: Float64,
+    guard_px: int,
+    averaged: int,
+    columns: Float64,
+    offsets_px: Float64,
+) -> None:
+    """Write the light (2 m, n_scan) beside a stripe's path (n_scan,), DN, and how far beside it (2 m,), px.
+
+    The first m columns lie before the stripe, the others behind it, each the mean of so many pixels. NaN
+    outside the image.
+    """
+    each, n_pos = columns.shape[0] // 2, image_dn.shape[0] if along_rows else image_dn.shape[1]
+    for j in range(2 * each):
+        first = guard_px + (j - each) * averaged if j >= each else -guard_px - (each - j) * averaged + 1
+        offsets_px[j] = first + 0.5 * (averaged - 1)
+        for s in range(path_px.shape[0]):
+            low = round(path_px[s]) + first
+            if low < 0 or low + averaged > n_pos:
+                columns[j, s] = math.nan
+                continue
+            total = 0.0
+            for v in range(low, low + averaged):
+                total += image_dn[v, s] if along_rows else image_dn[s, v]
+            columns[j, s] = total / averaged
+
+
+@kernel(allocates=True)
+def whiten(columns: Float64, half: int, white: Float64) -> None:
+    """Write columns (m, n) less their running medians over 2 `half` + 1 lines, in their robust sigmas.
+
+    NaN where the column is, or the median's window leaves it.
+    """
+    n = columns.shape[1]
+    sizes = np.empty(n)
+    for j in range(columns.shape[0]):
+        count = 0
+        for s in range(n):
+            white[j, s] = math.nan
+            if s < half or s + half >= n:
+                continue
+            window = columns[j, s - half : s + half + 1]
+            if np.isnan(window).any():
+                continue
+            white[j, s] = columns[j, s] - np.median(window)
+            sizes[count] = abs(white[j, s])
+            count += 1
+        if count == 0:
+            continue
+        sigma = max(MAD_SIGMA * np.median(sizes[:count]), CODE_SIGMA_DN)
+        for s in range(n):
+            white[j, s] = min(max(white[j, s] / sigma, -CLIP_SIGMAS), CLIP_SIGMAS)
+
+
+@kernel
+def sum_along(white: Float64, offsets_px: Float64, slopes: Float64, along: Float64, counts: Float64) -> None:
+    """Sum columns (m, n) along lines of slopes (k,) that meet the stripe in each scan line.
+
+    Writes the sums over the roots of how many columns they are of, and these counts, (k, n) both.
+    """
+    n = white.shape[1]
+    for a in range(slopes.shape[0]):
+        for s in range(n):
+            along[a, s], counts[a, s] = 0.0, 0.0
+        for j in range(white.shape[0]):
+            away = slopes[a] * offsets_px[j]
+            whole = math.floor(away)
+            share = away - whole
+            for s in range(max(0, -whole), min(n, n - 1 - whole)):
+                value = (1.0 - share) * white[j, s + whole] + share * white[j, s + whole + 1]
+                if not math.isnan(value):
+                    along[a, s] += value
+                    counts[a, s] += 1.0
+        for s in range(n):
+            along[a, s] /= math.sqrt(max(counts[a, s], 1.0))
+
+
+def _energy(along: Float64, is_told: Bool, width: float) -> Float64:
+    """Return the chi^2 (k, n) of an even and an odd filter over sums (k, n), 0 where they are not told."""
+    half = math.ceil(4.0 * width)
+    x = np.arange(-half, half + 1) / width
+    bell = np.exp(-0.5 * x * x)
+    even = (x**4 - 6.0 * x**2 + 3.0) * bell
+    energy = np.zeros_like(along)
+    is_told = is_told & (np.arange(along.shape[1]) >= half) & (np.arange(along.shape[1])[::-1] >= half)
+    if not is_told.any():
+        return energy
+    for shape in (even, (x**3 - 3.0 * x) * bell):
+        response = np.array([np.correlate(line, shape, "same") for line in along])
+        sigma = MAD_SIGMA * float(np.median(np.abs(response[is_told])))
+        energy += (response / max(sigma, MIN_SIGMA)) ** 2
+    return np.where(is_told, energy, 0.0)
+
+
+def _place(profile: Profile, sums: _Sums) -> ImageLine | None:
+    """Return the strongest line within a profile's reach, and how far it is told from what lies elsewhere."""
+    ordered = profile.by_scan()
+    order = slice(None, None, 1 if ordered.scan[0] <= ordered.scan[-1] else -1)
+    y_of_scan = np.interp(
+        np.arange(sums.energy.shape[1]),
+        ordered.scan[order],
+        ordered.y_mm[order],
+        left=np.nan,
+        right=np.nan,
+    )
+    within = np.where(np.abs(y_of_scan) <= profile.reach_mm, sums.energy, 0.0)
+    slope, line = np.unravel_index(int(within.argmax()), within.shape)
+    strongest = float(within[slope, line])
+    if strongest == 0.0:
+        return None
+    # Where the line itself is summed askew it shows too.
+    fan = float(np.ptp(sums.slopes)) * float(np.abs(sums.offsets_px).max())
+    same = math.ceil(4.0 * sums.width + 0.5 * fan)
+    is_elsewhere = np.abs(np.arange(sums.energy.shape[1]) - line) > same
+    rival = float(sums.energy[:, is_elsewhere].max(initial=0.0))
+    is_told = (sums.energy > 0.0).any(axis=0)
+    places = max(is_told.sum() / sums.width, 1.0) * len(sums.slopes)
+    within_share = float((within > 0.0).any(axis=0).sum() / is_told.sum())
+    wider = max(1.0, rival / (2.0 * math.log(places)))
+    evidence = 0.5 * strongest / wider - math.log(max(places * within_share, 1.0))
+    if rival > MAX_RIVAL**2 * strongest:
+        evidence = min(evidence, 0.0)
+    course = _crossing(sums, int(slope), int(line))
+    if course is None:
+        return None
+    crossing, sigma = course
+    y_mm = float(np.interp(crossing, np.arange(len(y_of_scan)), y_of_scan))
+    return ImageLine(y_mm, sigma * profile.column_mm, evidence)
+
+
+def _crossing(sums: _Sums, slope: int, line: int) -> tuple[float, float] | None:
+    """Return in which scan line a line meets the stripe, and its 1 sigma; None if too few pieces show it."""
+    half = math.ceil(4.0 * sums.width)
+    n = sums.along.shape[1]
+    if line < 2 * half or line + 2 * half >= n:
+        return None
+    section = sums.along[slope, line - half : line + half + 1]
+    x = np.arange(-half, half + 1)
+    # A gap is dark. A rim that shines is one plate's, beside it.
+    energy = np.where(np.abs(x) <= 2.0 * sums.width, np.minimum(section, 0.0) ** 2, 0.0)
+    if energy.max() < MIN_DARK_SIGMAS**2:
+        energy = np.where(np.abs(x) <= 2.0 * sums.width, section**2, 0.0)
+    middle = float(energy @ x / energy.sum())
+    own_width = math.sqrt(float(energy @ (x - middle) ** 2 / energy.sum()))
+    told = [
+        piece
+        for columns in np.array_split(np.arange(len(sums.offsets_px)), N_PIECES)
+        if (piece := _piece(sums, columns, slope, line, section)) is not None
+    ]
+    if len(told) < MIN_PIECES:
+        return None
+    offset, shift, sigma = np.array(told).T
+    far = float(np.abs(sums.offsets_px).max())
+    t = offset / far
+    # A circle of the radius R leaves its tangent by s^2 / 2 R.
+    bow = 0.5 * BESIDE_MM**2 / MIN_RADIUS_MM / sums.column_mm
+    design = np.column_stack([np.ones_like(t), t, t * t])
+    prior = np.diag([0.0, 0.0, bow**-2])
+    weights = np.ones(len(t))
+    for _ in range(FIT_ROUNDS):
+        H = (design.T * (weights / sigma**2)) @ design + prior
+        p = np.linalg.solve(H, design.T @ (weights * shift / sigma**2))
+        off = (shift - design @ p) / sigma
+        scale = max(1.0, MAD_SIGMA * float(np.median(np.abs(off))))
+        weights = np.maximum(1.0 - (off / (BISQUARE_WIDTH * scale)) ** 2, 0.0) ** 2
+    variance = scale**2 * float(np.linalg.inv(H)[0, 0]) + own_width**2
+    return line + float(p[0]) + middle, math.sqrt(variance)
+
+
+def _piece(
+    sums: _Sums, columns: Int64, slope: int, line: int, section: Float64
+) -> tuple[float, float, float] | None:
+    """Return a piece's place beside the stripe, px, its shift off a straight line, its 1 sigma, scan lines.
+
+    None where the piece does not show the line.
+    """
+    half = len(section) // 2
+    x = np.arange(-2 * half, 2 * half + 1)
+    lines = np.arange(sums.white.shape[1])
+    light = np.zeros(len(x))
+    for j in columns:
+        light += np.interp(line + sums.slopes[slope] * sums.offsets_px[j] + x, lines, sums.white[j])
+    light /= math.sqrt(len(columns))
+    expected = section * math.sqrt(len(columns) / len(sums.offsets_px))
+    fit = np.correlate(light, expected, "valid")
+    best = int(fit.argmax())
+    if not (0 < best < len(fit) - 1 and fit[best] >= MIN_PIECE_SIGMAS * np.linalg.norm(expected)):
+        return None
+    before, peak, behind = fit[best - 1 : best + 2]
+    shift = best - half + 0.5 * (before - behind) / (before - 2.0 * peak + behind)
+    sigma = 1.0 / float(np.linalg.norm(np.gradient(expected)))
+    return float(sums.offsets_px[columns].mean()), float(shift), sigma
