@@ -25,7 +25,7 @@ from tracker.arc.level import MAP_SIGMA, ArcLevel
 from tracker.arc.transmission import Transmission
 from tracker.geometry import SensorGeometry
 from tracker.joint import MeasuredJoint, fit_joint
-from tracker.measure import Reading, expected_output, profile_of
+from tracker.measure import Reading, expected_output, profile_of, shows_arc
 from tracker.profile import Profile
 from tracker.seam.locate import locate, sources
 from tracker.state import Frame, Pose, Track
@@ -163,7 +163,7 @@ def _look(
     output = expected_output(setup, frame)
     kernel = arc_kernel(setup, scene, output)
     arc_map = arc_map_of(geometry, kernel)
-    transmission = Transmission.of(geometry, scene, arc_map.at, output if frame.arc_on else 0.0)
+    transmission = Transmission.of(geometry, scene, arc_map.at, output if shows_arc(setup, frame) else 0.0)
     arc = _arc_image(geometry, kernel, transmission, reading.arc, frame)
     look = replace(look, expected=expected, arc=arc)
     if reading.stripe is None:

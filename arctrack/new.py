@@ -447,6 +447,7 @@ _HEAD = """\
 # Each value below is that of a sensor that works; replace it by your own.
 # "Usual" says what a number is for most sensors, "from" where yours comes from.
 # Lengths are in mm, angles in degrees, times in seconds, charges in electrons.
+# A sensor that sees no arc needs no [arc]; whose filter or metal nobody knows, no [filter] and no [material].
 """
 
 _FOOT = """

@@ -173,7 +173,7 @@ def simulate_recording(
         raise ArctrackError("[joint] seam_in_base_mm: only a straight seam of two points can be simulated")
     try:
         check_stripe(setup)
-        effects = checked({**setup.effects, **(hidden_effects or {})}, setup.joint)
+        effects = checked({**setup.effects, **(hidden_effects or {})}, setup.joint, setup.missing)
         if "laser_speckle" not in setup.effects:
             given = (hidden_effects or {}).get("laser_speckle", {})
             effects = checked({**effects, "laser_speckle": {**expected_speckle(setup), **given}})
@@ -269,14 +269,15 @@ def true_values(setup: Setup, draw: np.random.Generator) -> Setup:
 
 
 def conditions(setup: Setup, plan: SimulationPlan, rng: np.random.Generator) -> list[Switches]:
-    """Return what is on in each frame.
+    """Return what is on in each frame; the arc in none of a setup without one.
 
     For diagnosis: dark, laser alone, arc alone, both, two currents, two exposures; the frames without arc
     at either end, since an arc is struck once.
     """
-    current_a, exposure_s = setup.arc.current_a, setup.camera.exposure_s
+    has_arc, exposure_s = setup.arc.shines, setup.camera.exposure_s
+    current_a = setup.arc.current_a if has_arc else 0.0
     short_s, high_a = SHORT_EXPOSURE * exposure_s, HIGH_CURRENT * current_a
-    both = Switches(True, True, current_a, exposure_s)
+    both = Switches(True, has_arc, current_a, exposure_s)
     if plan.production:
         return [both] * plan.frames
     both_high, both_short = replace(both, current_a=high_a), replace(both, exposure_s=short_s)

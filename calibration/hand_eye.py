@@ -116,10 +116,12 @@ def estimate_hand_eye(
     """Estimate T_tool_camera from frames and their poses, some of them with the arc on.
 
     Frames of unknown current count where none is known. `progress` hears the rounds done and how many there
-    may be. Raises ValueError if no frame has the arc on or none of them a pixel to compare, if the joint was
-    found in none, if the rounds do not settle, or if camera, arc or metal would have to be off by more than
-    FAR_SIGMAS of their priors or the arc's level by a factor of MAX_LEVEL_FACTOR.
+    may be. Raises ValueError if the setup states no arc or no metal, if no frame has the arc on or none of
+    them a pixel to compare, if the joint was found in none, if the rounds do not settle, or if camera, arc or
+    metal would have to be off by more than FAR_SIGMAS of their priors or the arc's level by a factor of
+    MAX_LEVEL_FACTOR.
     """
+    setup.require("the hand-eye estimate", "arc", "material")
     lit = [(frame, pose.T_base_tool) for frame, pose in frames if frame.arc_on and frame.current_a != 0.0]
     if any(frame.current_a > 0.0 for frame, _ in lit):
         # Levels are fitted about one for all: a frame whose current is unknown may have any other.

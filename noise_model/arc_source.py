@@ -17,7 +17,7 @@ class Arc:
         The hemisphere's centre, mm, tool frame. See `on_surface` for its z.
     radiance_e : float
         The arc's brightness, e-: the charge that a pixel on the optical axis receives at `current_a`, per
-        unit of the integral of f_r cos(phi) cos(theta_i) / r^2 dA.
+        unit of the integral of f_r cos(phi) cos(theta_i) / r^2 dA. 0 for no arc.
     current_a : float
         The current at which `radiance_e` is stated, A.
     current_exponent : float
@@ -46,15 +46,30 @@ class Arc:
     def __post_init__(self) -> None:
         if self.shape != "hemisphere":
             raise ValueError(f"[arc] shape = {self.shape!r}: only 'hemisphere' is known")
-        for name in ("radius_mm", "radiance_e", "current_a"):
+        for name in ("radius_mm", "current_a"):
             if not getattr(self, name) > 0:
                 raise ValueError(f"[arc] {name} = {getattr(self, name)}: must be > 0")
+        if not self.radiance_e >= 0:
+            raise ValueError(f"[arc] radiance_e = {self.radiance_e}: must be >= 0")
+
+    @property
+    def shines(self) -> bool:
+        """Whether there is an arc at all."""
+        return self.radiance_e > 0.0
 
     def __str__(self) -> str:
+        if not self.shines:
+            return "none"
         return (
             f"{self.shape} of {self.radius_mm:g} mm, radiance {self.radiance_e:.3g} e- at "
             f"{self.current_a:g} A, ~ current^{self.current_exponent:g}"
         )
+
+
+NO_ARC = Arc(
+    radius_mm=1.0, center_in_tool_mm=(0.0, 0.0, 0.0), radiance_e=0.0, current_a=1.0, current_exponent=1.0
+)
+"""The arc of a setup that states none: it gives no light."""
 
 
 def level(arc: Arc, current_a: float) -> float:

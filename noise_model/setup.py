@@ -5,12 +5,12 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 
-from noise_model.arc_source import Arc
+from noise_model.arc_source import NO_ARC, Arc
 from noise_model.instrument.camera import Camera
 from noise_model.instrument.laser import Laser
 from noise_model.instrument.sensor import Sensor
 from noise_model.instrument.spectrum import Filter, FilterCurve
-from noise_model.surface.brdf import Material
+from noise_model.surface.brdf import UNSTATED_METAL, Material
 from noise_model.surface.joint import Joint
 
 
@@ -69,16 +69,16 @@ class Setup:
         Image size, lens and pose, px and mm.
     sensor : Sensor
         How charge becomes grey levels, e- and DN.
-    filter : Filter or FilterCurve
-        The interference filter, nm.
     laser : Laser
         The laser sheet, mm, tool frame.
-    arc : Arc
-        The arc's place, size and brightness, mm and e-, tool frame.
-    material : Material
-        The metal's reflectance, 1/sr.
     joint : Joint
         The joint's type, dimensions and seam line, mm, base frame.
+    filter : Filter, FilterCurve or None
+        The interference filter, nm; None where none is stated: laser and arc pass alike all the same.
+    arc : Arc
+        The arc's place, size and brightness, mm and e-, tool frame; `NO_ARC` where none is stated.
+    material : Material
+        The metal's reflectance, 1/sr; `UNSTATED_METAL` where none is stated.
     tolerance : Tolerance
         How well the values above are known.
     effects : mapping
@@ -87,13 +87,40 @@ class Setup:
 
     camera: Camera
     sensor: Sensor
-    filter: Filter | FilterCurve
     laser: Laser
-    arc: Arc
-    material: Material
     joint: Joint
+    filter: Filter | FilterCurve | None = None
+    arc: Arc = NO_ARC
+    material: Material = UNSTATED_METAL
     tolerance: Tolerance = field(default_factory=Tolerance)
     effects: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
+
+    @property
+    def missing(self) -> tuple[str, ...]:
+        """Which of `arc`, `filter` and `material` nobody has stated."""
+        is_stated = {
+            "arc": self.arc.shines,
+            "filter": self.filter is not None,
+            "material": self.material != UNSTATED_METAL,
+        }
+        return tuple(name for name, stated in is_stated.items() if not stated)
+
+    def require(self, purpose: str, *sections: str) -> None:
+        """Raise ValueError if one of the sections that a purpose needs is missing."""
+        missing = [f"[{name}]" for name in self.missing if name in sections]
+        if missing:
+            are, them = ("is", "it") if len(missing) == 1 else ("are", "them")
+            raise ValueError(
+                f"{', '.join(missing)} {are} missing: {purpose} needs {them}; state {them}, "
+                "arctrack new writes an example"
+            )
+
+    @property
+    def stated_filter(self) -> Filter | FilterCurve:
+        """The filter; ValueError where none is stated."""
+        self.require("light off the axis", "filter")
+        assert self.filter is not None
+        return self.filter
 
     def __str__(self) -> str:
         known = f"; known effects: {', '.join(self.effects)}" if self.effects else ""
@@ -101,7 +128,7 @@ class Setup:
             f"{self.joint}\nof {self.material}{known}\n"
             f"camera {self.camera.width} x {self.camera.height} px, {self.sensor.bits} bit, "
             f"{1000 * self.camera.exposure_s:g} ms; laser {self.laser.wavelength_nm:g} nm; "
-            f"arc {self.arc.current_a:g} A"
+            f"{f'arc {self.arc.current_a:g} A' if self.arc.shines else 'no arc'}"
         )
 
 

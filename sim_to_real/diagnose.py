@@ -84,9 +84,10 @@ def diagnose(
     `on_stage` is told what is being done and the share of all work that is done. Frames are predicted on so
     many `threads`; one is best where other processes are at work.
 
-    Raises ValueError for an unknown effect, if no frame has a pose, if no frame can be held out of the fit,
-    and if nothing in the frames can be compared.
+    Raises ValueError for a setup without arc, filter or metal, for an unknown effect, if no frame has a pose,
+    if no frame can be held out of the fit, and if nothing in the frames can be compared.
     """
+    setup.require("a diagnosis", "arc", "filter", "material")
     for name in without:
         if name not in REGISTRY:
             raise ValueError(f"{name}: no such effect, there are {', '.join(REGISTRY)}")

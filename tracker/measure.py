@@ -107,8 +107,9 @@ def measure(
     keep_off = reach_px + FIT_SIGMAS * float(expected.sigma_px.max())
     stripe_px = expected.position_px if frame.laser_on else None
     arc_map = arc_map_of(geometry, kernel)
-    transmission = Transmission.of(geometry, scene, arc_map.at, output if frame.arc_on else 0.0)
-    estimate = estimate_arc_level if frame.arc_on else estimate_ambient_light
+    is_arc_on = shows_arc(geometry.setup, frame)
+    transmission = Transmission.of(geometry, scene, arc_map.at, output if is_arc_on else 0.0)
+    estimate = estimate_arc_level if is_arc_on else estimate_ambient_light
     arc = estimate(geometry, arc_map.at, transmission, frame.image_dn, stripe_px, keep_off)
     _ask_arc(asked, arc)
     reading = replace(reading, arc=arc)
@@ -243,6 +244,11 @@ def measure_again(
 def _lines_held(reading: Reading) -> int:
     """Return how many scan lines hold a stripe."""
     return 0 if reading.stripe is None else int(np.isfinite(reading.stripe.position_px).sum())
+
+
+def shows_arc(setup: Setup, frame: Frame) -> bool:
+    """Say whether a frame is said to show an arc that the setup knows."""
+    return frame.arc_on and setup.arc.shines
 
 
 def expected_output(setup: Setup, frame: Frame) -> float:

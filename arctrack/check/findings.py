@@ -75,7 +75,7 @@ def findings(
         *_stripe(valid, exposures_fit),
         *_speckle(setup, valid),
         *_sensor(setup, sensor),
-        *_arc(looks, exposures_fit),
+        *_arc(setup, looks, exposures_fit),
     ]
 
 
@@ -242,10 +242,14 @@ def _sensor(setup: Setup, sensor: SensorSeen) -> Iterator[Finding]:
     yield Finding("noise", text, f"dark pixels scatter by {text}; {cure}" if parted else None)
 
 
-def _arc(looks: Sequence[Look], exposures_fit: bool) -> Iterator[Finding]:
+def _arc(setup: Setup, looks: Sequence[Look], exposures_fit: bool) -> Iterator[Finding]:
     """Say how bright the arc is, from the frames whose light the map explains."""
     lit = [look for look in looks if look.frame.arc_on]
     if not lit:
+        return
+    if not setup.arc.shines:
+        text = f"[arc] is missing, though frames.csv says arc_on in {len(lit)} of {len(looks)} frames"
+        yield Finding("arc", text, f"{text}; state it, or its light counts as the hall's")
         return
     dark = sum(bool(look.track.flags & flags.ARC_OFF.mask) for look in lit)
     unexplained = sum(bool(look.track.flags & flags.MAP_MISFIT.mask) for look in lit)

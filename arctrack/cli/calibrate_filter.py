@@ -43,7 +43,9 @@ def filter_curve(
     read = read_setup(setup)
     stated = read.setup
     check_can_be_written(out, read.path, data)
-    index = stated.filter.effective_index if effective_index is None else effective_index
+    if effective_index is None and stated.filter is None:
+        raise in_file(read.path, "[filter] is missing: give --effective-index, the maker's n_eff")
+    index = stated.stated_filter.effective_index if effective_index is None else effective_index
     if not 1.0 <= index < math.inf:
         raise ArctrackError(f"--effective-index {index:g}: must be a finite number, 1 or more")
     try:

@@ -10,6 +10,7 @@ from rich.table import Table
 from arctrack.printable import cut, first_of, printable
 from arctrack.recording import Recording
 from arctrack.survey import Condition, Motion, Survey
+from noise_model.instrument.spectrum import Filter, FilterCurve
 from noise_model.setup import Setup
 from tracker.seam.correction import UNSTATED, AxisCorrection, Correction
 
@@ -46,12 +47,16 @@ def correction_words(correction: Correction) -> str:
     return ", ".join(words)
 
 
+def _filter_words(of_filter: Filter | FilterCurve | None) -> str:
+    return "none" if of_filter is None else f"{of_filter.center_nm:g} nm, {of_filter.fwhm_nm:g} nm wide"
+
+
 def setup_lines(setup: Setup) -> list[tuple[str, str]]:
     """Return what the nominal setup says, a line a part."""
     return [
         ("camera", str(setup.camera)),
         ("sensor", str(setup.sensor)),
-        ("filter", f"{setup.filter.center_nm:g} nm, {setup.filter.fwhm_nm:g} nm wide"),
+        ("filter", _filter_words(setup.filter)),
         ("laser", str(setup.laser)),
         ("arc", str(setup.arc)),
         ("material", str(setup.material)),

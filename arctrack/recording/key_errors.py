@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
+from types import UnionType
+from typing import get_args, get_origin
 
 from pydantic import BaseModel, ValidationError
 from pydantic_core import ErrorDetails
@@ -39,6 +41,8 @@ def _misspelt(missing: ErrorDetails, model: type[BaseModel]) -> str:
     for table in tables:
         field = model.model_fields.get(table)
         inner = None if field is None else field.annotation
+        if get_origin(inner) is UnionType:
+            inner = get_args(inner)[0]
         if not (isinstance(inner, type) and issubclass(inner, BaseModel)):
             return ""
         model = inner

@@ -175,8 +175,9 @@ def with_filter_curve(path: Path, curve: FilterCurve) -> str:
     """Return a recording.toml's text with a filter's measured curve; all else, comments included, stays."""
     read_setup_file(path)
     document = tomlkit.parse(setup_text(path))
+    table = document.setdefault("filter", tomlkit.table())
     for key, value in _filter_table(curve).items():
-        document["filter"][key] = value
+        table[key] = value
     return tomlkit.dumps(document)
 
 
@@ -202,7 +203,9 @@ def with_effects(path: Path, effects: Sequence[Named]) -> str:
     return text
 
 
-def _filter_table(of_filter: Filter | FilterCurve) -> dict[str, Any]:
+def _filter_table(of_filter: Filter | FilterCurve | None) -> dict[str, Any]:
+    if of_filter is None:
+        return {}
     table: dict[str, Any] = {
         "center_nm": of_filter.center_nm,
         "fwhm_nm": of_filter.fwhm_nm,
@@ -233,7 +236,11 @@ def _tables(setup: Setup) -> dict[str, dict[str, Any]]:
         "tolerance": dict(vars(setup.tolerance)),
         "joint": joint,
     }
-    plain = {name: {key: _plain(value) for key, value in table.items()} for name, table in tables.items()}
+    plain = {
+        name: {key: _plain(value) for key, value in table.items()}
+        for name, table in tables.items()
+        if name not in setup.missing
+    }
     plain["camera"]["pose_in_tool"] = pose_table(setup.camera.T_tool_camera)
     return plain
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from dataclasses import replace
 from typing import Annotated, Any, Literal
 
 import numpy as np
@@ -11,7 +12,7 @@ from pydantic import BaseModel, ConfigDict, Field, FiniteFloat
 from arctrack.limits import LIMITS, size_problem
 from arctrack.printable import shown
 from arctrack.recording.key_errors import held, meant_by, place
-from noise_model.arc_source import Arc
+from noise_model.arc_source import NO_ARC, Arc
 from noise_model.arrays import Float64
 from noise_model.effects import REGISTRY, checked
 from noise_model.instrument.camera import Camera
@@ -20,7 +21,7 @@ from noise_model.instrument.sensor import Sensor
 from noise_model.instrument.spectrum import CurveError, Filter, FilterCurve
 from noise_model.setup import Setup, Tolerance
 from noise_model.spelling import nearest
-from noise_model.surface.brdf import Material
+from noise_model.surface.brdf import UNSTATED_METAL, Material
 from noise_model.surface.joint import DIMENSIONS, Joint
 from noise_model.transforms import pose_matrix
 from tracker.seam.correction import AtLimit, AxisCorrection, Correction, CorrugationPath, WhenLost
@@ -145,6 +146,12 @@ class ArcTable(Table):
     current_a: Current
     current_exponent: FiniteFloat = Field(ge=-LIMITS.current_exponent, le=LIMITS.current_exponent)
 
+    def to_arc(self) -> Arc:
+        """Return the arc; ValueError names the key of a value that cannot be."""
+        if not self.radiance_e > 0.0:
+            raise ValueError(f"[arc] radiance_e = {self.radiance_e}: must be > 0; leave [arc] out for no arc")
+        return Arc(**{**_known(self), "center_in_tool_mm": _three(self.center_in_tool_mm)})
+
 
 class MaterialTable(Table):
     """[material]."""
@@ -241,10 +248,10 @@ class RecordingToml(Table):
     units: str
     camera: CameraTable
     sensor: SensorTable
-    filter: FilterTable
+    filter: FilterTable | None = None
     laser: LaserTable
-    arc: ArcTable
-    material: MaterialTable
+    arc: ArcTable | None = None
+    material: MaterialTable | None = None
     joint: JointTable
     tolerance: ToleranceTable = Field(default_factory=ToleranceTable)
     follow: FollowTable = Field(default_factory=FollowTable)
@@ -262,10 +269,9 @@ class RecordingToml(Table):
             seam_in_base_mm=tuple(_three(point) for point in self.joint.seam_in_base_mm),
             surface_normal_in_base=_three(self.joint.surface_normal_in_base),
         )
-        return Setup(
+        stated = Setup(
             camera=self._camera(),
             sensor=Sensor(**_known(self.sensor)),
-            filter=self.filter.to_filter(),
             laser=Laser(
                 wavelength_nm=self.laser.wavelength_nm,
                 plane_in_tool=_four(self.laser.plane_in_tool),
@@ -274,12 +280,13 @@ class RecordingToml(Table):
                 peak_e=self.laser.peak_e,
                 fan_half_angle_deg=self.laser.fan_half_angle_deg,
             ),
-            arc=Arc(**{**_known(self.arc), "center_in_tool_mm": _three(self.arc.center_in_tool_mm)}),
-            material=Material(**_known(self.material)),
             joint=joint,
+            filter=None if self.filter is None else self.filter.to_filter(),
+            arc=NO_ARC if self.arc is None else self.arc.to_arc(),
+            material=UNSTATED_METAL if self.material is None else Material(**_known(self.material)),
             tolerance=Tolerance(**_known(self.tolerance)),
-            effects=checked(self._known_effects(), joint),
         )
+        return replace(stated, effects=checked(self._known_effects(), joint, stated.missing))
 
     def _known_effects(self) -> dict[str, dict[str, float]]:
         """Return the effects that are known, with their parameters that are; ValueError if they hold else."""

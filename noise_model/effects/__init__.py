@@ -6,7 +6,7 @@ change what is rendered. `noise_model.forward` applies them.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Collection, Iterator, Mapping
 from dataclasses import replace
 
 from noise_model.condition import Condition
@@ -46,17 +46,22 @@ REGISTRY: Mapping[str, Effect] = {
 """All effects by id, in the order in which they act within one frame."""
 
 
-def checked(effects: Mapping[str, Values], joint: Joint | None = None) -> dict[str, dict[str, float]]:
+def checked(
+    effects: Mapping[str, Values], joint: Joint | None = None, missing: Collection[str] = ()
+) -> dict[str, dict[str, float]]:
     """Return effects with all their parameters, in the registry's order.
 
     Raises ValueError for an unknown id, an unknown parameter or a value out of its bounds, and for an effect
-    that is not predicted for a joint, where one is given.
+    that is not predicted for a joint, where one is given, or that needs a section of a setup that is missing.
     """
     for name in effects:
         if name not in REGISTRY:
             raise ValueError(f"[effects.{name}]: there is no such effect; {cure_for(name, REGISTRY)}")
         if joint is not None and not REGISTRY[name].is_followed(joint):
             raise ValueError(f"[effects.{name}]: is not predicted for a {joint.type}; leave it out")
+        needed = [section for section in REGISTRY[name].needs if section in missing]
+        if needed:
+            raise ValueError(f"[effects.{name}]: needs [{needed[0]}], which is missing; state it")
     return {name: effect.complete(effects[name]) for name, effect in REGISTRY.items() if name in effects}
 
 

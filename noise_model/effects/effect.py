@@ -59,8 +59,9 @@ class Effect:
     - `light`: changes the light before the lens' point-spread function, e- for `camera.exposure_s`;
     - `image`: changes the charge behind it, e- for the frame's own exposure.
 
-    `is_followed` says whether it is predicted for a joint at all, `form_rel` by which share of what it does
-    to an image its form may be off in a plant.
+    `is_followed` says whether it is predicted for a joint at all, `needs` names the optional sections of a
+    setup that must be stated for it, `form_rel` by which share of what it does to an image its form may be
+    off in a plant.
     """
 
     id: str
@@ -75,6 +76,7 @@ class Effect:
     light: OnLight | None = None
     image: OnLight | None = None
     is_followed: Callable[[Joint], bool] = lambda joint: True
+    needs: tuple[str, ...] = ()
     form_rel: float = 0.1
 
     def __post_init__(self) -> None:

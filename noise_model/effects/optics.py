@@ -56,7 +56,7 @@ def _dirty_window(light: Light, view: View, condition: Condition, values: Values
 
 
 def _filter_shift(light: Light, view: View, condition: Condition, values: Values, draw: Draw) -> None:
-    of_filter = view.setup.filter
+    of_filter = view.setup.stated_filter
     # lambda_theta depends on sin^2(theta) / n_eff^2 alone: a share of the shift is another index.
     share = values["shift_share"]
     shifted = replace(of_filter, effective_index=1.0)
@@ -140,6 +140,7 @@ EFFECTS = (
         parameters=(Parameter("shift_share", "", 0.0, 1.0, 0.0, 6.0, 0.01),),
         typical={"shift_share": 1.0},
         light=_filter_shift,
+        needs=("filter",),
     ),
     Effect(
         id="vignetting",

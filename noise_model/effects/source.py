@@ -47,7 +47,7 @@ def _arc_flicker(light: Light, view: View, condition: Condition, values: Values,
 
 def _argon_line_leak(light: Light, view: View, condition: Condition, values: Values, draw: Draw) -> None:
     # Behind the lens as well: what bounces, and what fume scatters, goes through the same filter.
-    spectrum, of_filter = ArcSpectrum(line_width_nm=values["line_width_nm"]), view.setup.filter
+    spectrum, of_filter = ArcSpectrum(line_width_nm=values["line_width_nm"]), view.setup.stated_filter
 
     def over_continuum(theta: Float64) -> Float64:
         moved_nm = REFERENCE_NM * (1.0 / angle_shift(theta, of_filter.effective_index) - 1.0)
@@ -69,6 +69,7 @@ EFFECTS = (
         typical={"height_mm": 1.5},
         setup=_arc_length,
         form_rel=ANOTHER_VALUE,
+        needs=("arc",),
     ),
     Effect(
         id="arc_deflection",
@@ -83,6 +84,7 @@ EFFECTS = (
         typical={"x_mm": 1.0, "y_mm": 1.5},
         setup=_arc_deflection,
         form_rel=ANOTHER_VALUE,
+        needs=("arc",),
     ),
     Effect(
         id="arc_radius",
@@ -94,6 +96,7 @@ EFFECTS = (
         typical={"radius_ratio": 1.5},
         setup=_arc_radius,
         form_rel=ANOTHER_VALUE,
+        needs=("arc",),
     ),
     Effect(
         id="arc_flicker",
@@ -105,6 +108,7 @@ EFFECTS = (
         parameters=(Parameter("sigma_rel", "", 0.0, 0.2, 0.0, 1.0, 0.005),),
         typical={"sigma_rel": 0.2},
         image=_arc_flicker,
+        needs=("arc",),
     ),
     Effect(
         id="argon_line_leak",
@@ -122,5 +126,6 @@ EFFECTS = (
         ),
         typical={"line_width_nm": 20.0},
         image=_argon_line_leak,
+        needs=("arc", "filter"),
     ),
 )

@@ -76,6 +76,7 @@ EFFECTS = (
         typical={"kappa_diff_ln": 1.5, "kappa_spec_ln": -0.7},
         setup=_wrong_material,
         form_rel=ANOTHER_VALUE,
+        needs=("material",),
     ),
     Effect(
         id="roughness_change",
@@ -87,6 +88,7 @@ EFFECTS = (
         typical={"c2_ln": -0.9},
         setup=_roughness_change,
         form_rel=ANOTHER_VALUE,
+        needs=("material",),
     ),
     Effect(
         id="brdf_tail",
@@ -97,6 +99,7 @@ EFFECTS = (
         parameters=(Parameter("tail", "", 0.0, 0.5, 0.0, 4.0, 0.01),),
         typical={"tail": 0.6},
         setup=_brdf_tail,
+        needs=("material",),
     ),
     Effect(
         id="rolling_marks",
@@ -111,6 +114,7 @@ EFFECTS = (
         ),
         typical={"anisotropy": 0.8, "marks_deg": 0.0},
         setup=_rolling_marks,
+        needs=("material",),
     ),
     Effect(
         id="interreflection",

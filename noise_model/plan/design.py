@@ -104,7 +104,7 @@ def design_of(setup: Setup) -> SensorDesign:
         stand_off_mm=float(-origin[2] / axis[2]),
         # The sheet rises along n x y: (-n_z, 0, n_x).
         lean_deg=math.degrees(math.atan2(-plane[2] * np.sign(plane[0]), abs(plane[0]))) + 0.0,
-        filter_fwhm_nm=setup.filter.fwhm_nm,
+        filter_fwhm_nm=setup.stated_filter.fwhm_nm,
         exposure_s=float(setup.camera.exposure_s),
     )
 
@@ -129,7 +129,7 @@ def clears_torch(design: SensorDesign, torch_radius_mm: float) -> bool:
 
 def filter_of(setup: Setup, fwhm_nm: float) -> Filter | FilterCurve:
     """Return the setup's own filter if that is its width, else a Gaussian one about the same centre."""
-    own = setup.filter
+    own = setup.stated_filter
     return own if fwhm_nm == own.fwhm_nm else Filter(own.center_nm, fwhm_nm, own.effective_index)
 
 
@@ -166,7 +166,7 @@ def with_design(setup: Setup, design: SensorDesign, spectrum: ArcSpectrum | None
     optics = filter_of(setup, design.filter_fwhm_nm)
     # What is to come behind the design's filter, as `argon_line_leak`, is no part of the level.
     of_level = CONTINUUM if LINE_LEAK in setup.effects else spectrum
-    laser_gain, arc_gain = filter_gains(setup.filter, optics, setup.laser.wavelength_nm, of_level, 0.0)
+    laser_gain, arc_gain = filter_gains(setup.stated_filter, optics, setup.laser.wavelength_nm, of_level, 0.0)
     longer = (1.0 + magnification(setup, design.stand_off_mm)) / (
         1.0 + magnification(setup, own.stand_off_mm)
     )
@@ -231,7 +231,7 @@ def gains_over_effects(
     theta already, (B + L) / B of a level that is the continuum's: what another filter passes is set against
     those.
     """
-    own, laser_nm = setup.filter, setup.laser.wavelength_nm
+    own, laser_nm = setup.stated_filter, setup.laser.wavelength_nm
     leak = setup.effects.get(LINE_LEAK)
     if leak is None:
         return filter_gains(own, optics, laser_nm, spectrum, theta)

@@ -172,7 +172,7 @@ def expected_pixels(
     light: StripeLight, setup: Setup, around: Surroundings, optics: Filter | FilterCurve | None = None
 ) -> ExpectedPixels:
     """Return the expected pixels of a light behind a filter, the setup's own if none is given."""
-    gains = gains_over_effects(setup, optics or setup.filter, around.spectrum, light.theta)
+    gains = gains_over_effects(setup, optics or setup.stated_filter, around.spectrum, light.theta)
     stripe = np.where(light.seen, light.stripe_e, 0.0) * gains[0]
     return ExpectedPixels(stripe, (light.arc_e * gains[1][:, np.newaxis]) @ _TO_NODES)
 

@@ -129,6 +129,7 @@ def make_plan(
     joint without a seam point, a setup whose sensor sees no stripe on a plate and filters behind which there
     is none.
     """
+    setup.require("a plan", "arc", "filter", "material")
     if setup.joint.type == "flat":
         raise ValueError("[joint] type = 'flat': has no seam point to plan for")
     setup = apply_setup_effects(setup)
@@ -176,11 +177,11 @@ def make_plan(
 
 def _check_filters(setup: Setup, filters_nm: Sequence[float]) -> None:
     laser = f"the laser's {setup.laser.wavelength_nm:g} nm"
-    if not passes_laser(setup, setup.filter.fwhm_nm):
+    if not passes_laser(setup, setup.stated_filter.fwhm_nm):
         raise ValueError(f"[filter]: does not pass {laser}; correct its centre or width")
-    for fwhm in (setup.filter.fwhm_nm, *filters_nm):
+    for fwhm in (setup.stated_filter.fwhm_nm, *filters_nm):
         if not filter_of(setup, fwhm).edges_nm()[0] > 0.0:
-            wide = f"a filter {fwhm:g} nm wide about {setup.filter.center_nm:g} nm"
+            wide = f"a filter {fwhm:g} nm wide about {setup.stated_filter.center_nm:g} nm"
             raise ValueError(f"{wide} reaches down to 0 nm; take a narrower one, [filter] or --filter-nm")
     if not any(passes_laser(setup, fwhm) for fwhm in filters_nm):
         tried = ", ".join(f"{fwhm:g}" for fwhm in filters_nm)

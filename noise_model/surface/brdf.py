@@ -89,6 +89,8 @@ class Material:
             raise ValueError(f"[material] c2 = {self.c2}: must be > 0")
 
     def __str__(self) -> str:
+        if self == UNSTATED_METAL:
+            return self.name
         # A name comes from a file, and may hold what a terminal obeys.
         name = self.name if self.name.isprintable() else repr(self.name)
         return f"{name}: kappa_diff {self.kappa_diff:g}, kappa_spec {self.kappa_spec:g}, c2 {self.c2:g}"
@@ -101,6 +103,12 @@ class Material:
         """
         return math.pi * self.kappa_diff + self.kappa_spec * _lobe_albedo(self.c2, self.lobe)
 
+
+UNSTATED_METAL = Material("an unstated metal", 1.0, 0.0, 1.0)
+"""What stands for a metal that no setup states: it reflects evenly.
+
+How bright a stripe is nobody needs it for: that is `[laser] peak_e`, whatever even metal it falls on.
+"""
 
 ALBEDO_NODES, ALBEDO_AZIMUTHS = 32, 128
 """Nodes of a lobe's albedo on either side of 60 degrees, where G begins to fall, and about the normal."""

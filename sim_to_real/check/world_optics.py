@@ -182,7 +182,7 @@ def _black_body(wavelength_nm: Float64) -> Float64:
 
 
 def _gaussian_shift(frame: FrameLight, p: Values) -> None:
-    stated = frame.studio.world.setup.filter
+    stated = frame.studio.world.setup.stated_filter
     per_nm2 = 4.0 * math.log(2.0) / stated.fwhm_nm**2
     band_nm = stated.center_nm + stated.fwhm_nm * np.linspace(-3.0, 3.0, 601)
     _shift(frame, p, lambda nm: np.exp(-per_nm2 * (nm - stated.center_nm) ** 2), band_nm)

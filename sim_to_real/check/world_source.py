@@ -33,7 +33,7 @@ ARGON_NM = 696.54
 
 def filter_angle_shift(frame: FrameLight, share: float = 1.0) -> Float64:
     """Return lambda_0 / lambda_theta (H, W) of the stated filter, `share` of the shift."""
-    index = frame.studio.world.setup.filter.effective_index
+    index = frame.studio.world.setup.stated_filter.effective_index
     return np.asarray(1.0 / np.sqrt(1.0 - share * (np.sin(frame.sight.theta) / index) ** 2))
 
 
@@ -134,7 +134,7 @@ def _argon_edge(frame: FrameLight, p: Values) -> None:
 
 def _argon_gauss(frame: FrameLight, p: Values) -> None:
     # As the stated filter passes the line: a Gaussian of its width.
-    stated = frame.studio.world.setup.filter
+    stated = frame.studio.world.setup.stated_filter
     off_nm = ARGON_NM * filter_angle_shift(frame) - stated.center_nm
     k = 4.0 * math.log(2.0) / stated.fwhm_nm**2
     passed = np.exp(-k * (off_nm**2 - (ARGON_NM - stated.center_nm) ** 2))

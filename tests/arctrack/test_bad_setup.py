@@ -9,7 +9,22 @@ from spoiled import Refusal, Spoil, content, gone, toml, toml_end
 BAD: dict[str, tuple[Spoil, str, str]] = {
     "no setup": (gone("recording.toml"), "recording.toml", "no such file"),
     "no key": (toml("c2 = 112.0\n", ""), "recording.toml", "[material] c2: missing"),
-    "no table": (toml("[material]", "[metal]"), "recording.toml", "[material]: missing"),
+    "no table": (toml("[sensor]", "[chip]"), "recording.toml", "[sensor]: missing"),
+    "an arc without light": (
+        toml("radiance_e = ", "radiance_e = 0.0 #"),
+        "recording.toml",
+        "[arc] radiance_e = 0.0: must be > 0; leave [arc] out for no arc",
+    ),
+    "a misspelt key of an optional table": (
+        toml("radius_mm = ", "radius = "),
+        "recording.toml",
+        "[arc] radius_mm: missing; did you misspell it as radius?",
+    ),
+    "an effect of a metal that is not stated": (
+        toml("[material]", "[effects.wrong_material]\nkappa_diff_ln = 0.1\n[metal]"),
+        "recording.toml",
+        "[effects.wrong_material]: needs [material], which is missing; state it",
+    ),
     "no dimension": (toml("depth_mm = 4.0\n", ""), "recording.toml", "[joint] depth_mm: missing"),
     "wrong type": (toml("bits = 8", "bits = 'eight'"), "recording.toml", "[sensor] bits = 'eight'"),
     "nan in setup": (toml("c2 = 112.0", "c2 = nan"), "recording.toml", "[material] c2 = nan"),
@@ -78,7 +93,7 @@ BAD: dict[str, tuple[Spoil, str, str]] = {
         "[laser] plane_in_tool",
     ),
     "unknown joint": (toml('"v_groove"', '"zigzag"'), "recording.toml", "[joint] type = 'zigzag'"),
-    "no bytes": (content("recording.toml", lambda _: b""), "recording.toml", "format: missing (and 8 more)"),
+    "no bytes": (content("recording.toml", lambda _: b""), "recording.toml", "format: missing (and 5 more)"),
     "utf-16": (
         content("recording.toml", lambda text: text.decode().encode("utf-16")),
         "recording.toml",

@@ -55,7 +55,7 @@ HINTS: dict[str, tuple[Spoil, str]] = {
         toml("kappa_diff", "kapa_diff"),
         "[material] kappa_diff: missing; did you misspell it as kapa_diff?",
     ),
-    "a table": (toml("[material]", "[materiel]"), "[material]: missing; did you misspell it as materiel?"),
+    "a table": (toml("[sensor]", "[senser]"), "[sensor]: missing; did you misspell it as senser?"),
     "a dimension": (
         toml("depth_mm", "dept_mm"),
         "[joint] depth_mm: missing, a v_groove needs it; did you misspell it as dept_mm?",

@@ -18,7 +18,7 @@ from noise_model.transforms import invert, transform
 from tracker.arc.transmission import Transmission
 from tracker.geometry import SensorGeometry, meet_laser_plane, to_laser_plane
 from tracker.joint.measured import off_section
-from tracker.measure import Reading, expected_output
+from tracker.measure import Reading, expected_output, shows_arc
 from tracker.profile import triangulate
 from tracker.state import Frame, Stripe
 from tracker.stripe.expected import expect_stripe
@@ -116,7 +116,10 @@ class Viewer:
         output = expected_output(geometry.setup, frame)
         kernel = arc_kernel(geometry.setup, reading.scene, output)
         transmission = Transmission.of(
-            geometry, reading.scene, arc_map_of(geometry, kernel).at, output if frame.arc_on else 0.0
+            geometry,
+            reading.scene,
+            arc_map_of(geometry, kernel).at,
+            output if shows_arc(geometry.setup, frame) else 0.0,
         )
         _, mean_e = arc_light(geometry, kernel, transmission, reading.arc)
         image_e = mean_e.T if geometry.along_rows else mean_e
