@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import cache
 
 import numpy as np
 
@@ -17,6 +18,7 @@ from noise_model.arrays import Float64, Integers
 from noise_model.effects import apply_setup_effects, pose_time_s
 from noise_model.setup import Setup
 from noise_model.transforms import invert
+from robot_io.pose_buffer import PoseBuffer
 
 MAX_FRAMES, MAX_DARK = 10, 4
 """So many frames with the laser on are looked at; of these so many without arc, where lines are clearest."""
@@ -146,13 +148,16 @@ def _spread(positions: list[int], most: int) -> list[int]:
 
 def _poses_at(poses: PoseTable, frames_s: Sequence[float], setup: Setup) -> tuple[Float64, ...]:
     """Return the pose (4, 4) at each time, as the run would have it, NaN where it is refused."""
+
+    @cache
+    def buffered(first: int, end: int) -> PoseBuffer:
+        return pose_buffer(PoseTable(poses.path, poses.timestamps_s[first:end], poses.T_base_tool[first:end]))
+
     T_base_tools = []
     for timestamp_s in frames_s:
         asked_s = pose_time_s(setup, timestamp_s)
         k = int(np.searchsorted(poses.timestamps_s, asked_s)) if math.isfinite(asked_s) else 0
-        near = slice(max(0, k - POSES_BEFORE), k + POSES_AFTER)
-        # A run has all poses, but only those near a time count.
-        few = PoseTable(poses.path, poses.timestamps_s[near], poses.T_base_tool[near])
-        pose = pose_at(pose_buffer(few), asked_s)
+        # A run has all poses, but only those near a time count. Many times lie before or after all poses.
+        pose = pose_at(buffered(max(0, k - POSES_BEFORE), k + POSES_AFTER), asked_s)
         T_base_tools.append(NO_POSE if pose is None else pose.T_base_tool)
     return tuple(T_base_tools)

@@ -219,12 +219,13 @@ def test_a_small_step_changes_little_and_in_proportion(name, renderer):
     joint = "v_groove" if name == "interreflection" else "flat"
     setup, bright = nominal(joint), Condition(1.0, 1.0, 4.0 * EXPOSURE_S, LATE_S)
     at_rest = numbers(setup, bright, renderer)
+    apart = Renderer()
     moved = 0
     for parameter in REGISTRY[name].parameters:
         change = []
         for share in (2.0, 1.0):
             values = {parameter.name: parameter.start + share * parameter.step}
-            got = numbers(affected(setup, **{name: values}), bright)
+            got = numbers(affected(setup, **{name: values}), bright, apart)
             change.append(got - np.pad(at_rest, (0, len(got) - len(at_rest))))
         size = [float(np.linalg.norm(row)) for row in change]
         assert np.sqrt(np.mean(change[1][: len(at_rest) // 2] ** 2)) < 5.0
@@ -237,10 +238,10 @@ def test_a_small_step_changes_little_and_in_proportion(name, renderer):
 @every_effect
 def test_typical_values_show_where_they_should_and_nowhere_else(name, renderer):
     setup = nominal(full_well_e=3000.0 if name == "blooming" else 20400.0)
-    typical = affected(setup, **{name: REGISTRY[name].typical})
+    typical, apart = affected(setup, **{name: REGISTRY[name].typical}), Renderer()
     for which, condition in CONDITIONS.items():
         before = predict(setup, TURNED, condition, renderer=renderer)
-        after = predict(typical, TURNED, condition, renderer=Renderer())
+        after = predict(typical, TURNED, condition, renderer=apart)
         if (name, which) in HARDLY:
             continue
         if which in WHERE.get(name, WHERE[REGISTRY[name].stage.value]):
@@ -258,11 +259,11 @@ def test_typical_values_show_where_they_should_and_nowhere_else(name, renderer):
 @every_effect
 def test_bounds_can_be_predicted(name):
     """No number that is not finite, no negative variance, at either end of each parameter."""
-    setup, effect = nominal(width=24, height=18), REGISTRY[name]
+    setup, effect, renderer = nominal(width=24, height=18), REGISTRY[name], Renderer()
     for parameter in effect.parameters:
         for value in (parameter.lower, parameter.upper):
             typical = {**effect.typical, parameter.name: value}
-            got = predict(affected(setup, **{name: typical}), TURNED, CONDITIONS["both"])
+            got = predict(affected(setup, **{name: typical}), TURNED, CONDITIONS["both"], renderer=renderer)
             for image in (got.mean_e, got.variance_e2, got.mean_dn, got.variance_dn2):
                 assert np.isfinite(image).all(), (parameter.name, value)
             assert (got.mean_e >= 0.0).all()
