@@ -7,6 +7,7 @@ from pathlib import Path
 import matplotlib.image
 import numpy as np
 import pytest
+from documented import run_once
 from scipy.spatial.transform import Rotation
 from typer.testing import CliRunner, Result
 
@@ -58,10 +59,9 @@ def test_help_has_an_example() -> None:
 
 
 @pytest.mark.slow
-def test_the_hand_eye_example_finds_its_camera(tmp_path: Path) -> None:
-    out = tmp_path / "found.toml"
-    result = RUNNER.invoke(cli.app, ["calibrate", "hand-eye", str(EXAMPLES / "v_groove"), "--out", str(out)])
-    assert result.exit_code == 0, result.output
+def test_the_hand_eye_example_finds_its_camera(scratch: Path, shared: Path) -> None:
+    command = "arctrack calibrate hand-eye examples/v_groove --out /tmp/found.toml"
+    output, out = run_once(command, scratch, shared), scratch / "tmp" / "found.toml"
     stated = read_setup_file(EXAMPLES / "v_groove" / "recording.toml").setup
     # The example was simulated with seed 1.
     true = true_values(stated, np.random.default_rng([1, 0])).camera.T_tool_camera
@@ -70,7 +70,7 @@ def test_the_hand_eye_example_finds_its_camera(tmp_path: Path) -> None:
         for T in (true, read_setup_file(out).setup.camera.T_tool_camera)
     )
     off_deg = np.degrees(Rotation.from_matrix(to_found[:3, :3] @ to_true[:3, :3].T).as_rotvec())
-    lines = {line.split()[0]: line.split() for line in result.output.splitlines() if "±" in line}
+    lines = {line.split()[0]: line.split() for line in output.splitlines() if "±" in line}
     sigmas_deg, sigmas_mm = (
         np.array([float(lines[f"{kind}_{axis}"][3]) for axis in "xyz"]) for kind in ("rot", "move")
     )
@@ -78,7 +78,7 @@ def test_the_hand_eye_example_finds_its_camera(tmp_path: Path) -> None:
     assert (np.abs(to_found[:3, 3] - to_true[:3, 3]) < 3.0 * sigmas_mm).all()
     # The expected error of the seam is said before and after, and clearly smaller after.
     for axis in ("lateral", "vertical"):
-        words = next(line.split() for line in result.output.splitlines() if line.split()[:1] == [axis])
+        words = next(line.split() for line in output.splitlines() if line.split()[:1] == [axis])
         before_mm, after_mm = float(words[1]), float(words[4])
         assert 0.0 < after_mm < 0.7 * before_mm
 
