@@ -344,6 +344,7 @@ def test_lines_end_as_they_may_and_a_mark_is_no_text(tmp_path: Path) -> None:
     assert read_text(path, 100) == "a\nb\nc\n"
 
 
+@pytest.mark.slow
 def test_each_limit_says_what_it_bounds_and_where_it_comes_from() -> None:
     docs = (ROOT / "docs" / "reference" / "recording.md").read_text()
     for limit in fields(Limits):

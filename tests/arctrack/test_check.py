@@ -52,6 +52,7 @@ def test_nothing_is_wrong_with_a_sound_recording(weaving: Path) -> None:
     assert likely_mistake(case) is None
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("mistake", MISTAKES)
 def test_the_hint_names_the_mistake(mistake: str, weaving: Path, tmp_path: Path) -> None:
     path = Path(shutil.copytree(weaving, tmp_path / "r"))
@@ -101,6 +102,7 @@ def test_a_laser_that_is_never_on(weaving: Path, tmp_path: Path) -> None:
     assert "no frame valid: the laser is off in all 16, says frames.csv" in said
 
 
+@pytest.mark.slow
 def test_what_no_known_mistake_explains_is_asked_for(weaving: Path, tmp_path: Path) -> None:
     path = Path(shutil.copytree(weaving, tmp_path / "r"))
     edit_frames(path, np.zeros_like)
@@ -123,6 +125,7 @@ def test_a_sound_recording_is_checked_without_a_warning(weaving: Path, tmp_path:
     assert cv2.imread(str(tmp_path / "check.png")).shape[1] > 1000
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("mistake", MISTAKES)
 def test_a_check_names_the_mistake(mistake: str, weaving: Path, tmp_path: Path) -> None:
     path = Path(shutil.copytree(weaving, tmp_path / "r"))
@@ -141,6 +144,7 @@ def set_key(table: str, key: str, factor: float) -> Callable[[Path], None]:
     return lambda path: edit_setup(path, edit)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("spoil", "warning"),
     [
@@ -185,6 +189,7 @@ def laser_as(state: str, only_if: Callable[[dict[str, str]], bool]) -> Callable[
     )
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("spoil", "warning"),
     [
@@ -207,6 +212,7 @@ def test_a_laser_that_is_not_as_stated_is_warned_of(
     assert warning in said
 
 
+@pytest.mark.slow
 def test_a_laser_that_is_as_stated_is_not_warned_of(weaving: Path, tmp_path: Path) -> None:
     _, said = checked(weaving, tmp_path / "check.png")
     (found,) = [text for text in said.splitlines() if text.startswith("laser ")]

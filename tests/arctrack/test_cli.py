@@ -89,6 +89,7 @@ def test_without_the_arc_map_both_are_shown_side_by_side(simulated: Path, tmp_pa
     assert json.loads((tmp_path / "summary.json").read_text())["arc_map"] is False
 
 
+@pytest.mark.slow
 def test_a_recording_without_truth_has_no_error_table(simulated: Path, tmp_path: Path) -> None:
     path = Path(shutil.copytree(simulated, tmp_path / "r"))
     (path / "truth.csv").unlink()

@@ -49,6 +49,7 @@ def test_paragraphs_keep_apart_and_lose_their_breaks() -> None:
     assert paragraphs("One\nline.\n\nTwo\n  lines.") == "One line.\n\nTwo lines."
 
 
+@pytest.mark.slow
 def test_the_table_of_a_plan_fits_80_columns_whole() -> None:
     setup = balance(nominal_setup("v_groove", "mild_steel", width=160, height=120))
     options = PlanOptions(tilt_deg=(20.0, 40.0), preview_mm=(35.0, 36.0), stand_off_mm=(140.0, 150.0))
@@ -82,6 +83,7 @@ def test_a_bar_names_what_it_counts() -> None:
         assert [str(rate.render(task)) for task in bar.tasks] == ["– frames/s", "– stations/s"]
 
 
+@pytest.mark.slow
 def test_each_stage_of_a_plan_has_a_unit() -> None:
     setup = balance(nominal_setup("v_groove", "mild_steel", width=160, height=120))
     options = PlanOptions(tilt_deg=(20.0, 40.0), preview_mm=(35.0, 36.0), stand_off_mm=(140.0, 150.0))
@@ -91,6 +93,7 @@ def test_each_stage_of_a_plan_has_a_unit() -> None:
     assert "designs" in told
 
 
+@pytest.mark.slow
 def test_ctrl_c_says_what_is_kept(tmp_path: Path) -> None:
     path = tmp_path / "long"
     # Whoever runs the tests in a shell's background has them ignore Ctrl-C, and their children too.

@@ -77,6 +77,7 @@ def test_the_page_is_self_contained(verdict: Verdict, seen_setup: Setup, recordi
     assert "nan" not in re.findall(r"[a-z]+", reader.text)
 
 
+@pytest.mark.slow
 def test_effects_are_named_with_numbers_and_cure(seen_setup: Setup, recording: Recording) -> None:
     reader = read(page(example(Verdict.EFFECTS, seen_setup, GAMMA | GLARE), recording))
     for text in (
@@ -156,6 +157,7 @@ def test_no_page_says_that_no_effect_helps_above_one_that_does(
     assert "of the gap in bins closed" not in none
 
 
+@pytest.mark.slow
 def test_a_seam_that_the_gap_does_not_move_is_not_said_to_be_mended(
     seen_setup: Setup, recording: Recording
 ) -> None:

@@ -222,6 +222,7 @@ def assert_predicted(found: Explanation) -> None:
     assert np.nanmedian(np.abs(whitened[clear])) < 1.5
 
 
+@pytest.mark.slow
 def test_the_predicted_image_is_the_bands_background(explained: list[Explanation]) -> None:
     lit = [found for found in explained if found.track.stripe is not None and found.frame.arc_on]
     assert len(lit) >= 3
@@ -324,6 +325,7 @@ def test_a_frame_whose_line_runs_backwards(recording: Recording) -> None:
     assert failed(found, flags.SEAM_REVERSED).outcome == "refused"
 
 
+@pytest.mark.slow
 def test_a_jump_is_told_with_its_limit(recording: Recording) -> None:
     lit = [row for row in recording.rows if row.laser_on]
     row = lit[-1]
@@ -373,6 +375,7 @@ def test_a_misfit_that_was_asked_is_told_as_it_was_judged(explained: list[Explan
     assert 0 < judged < len(explained)
 
 
+@pytest.mark.slow
 def test_the_seam_is_told_in_each_frame_by_name(explained: list[Explanation]) -> None:
     found = next(e for e in explained if e.track.valid and math.isfinite(e.track.offset_y_mm))
     rows = words.places(found)

@@ -37,6 +37,7 @@ def test_a_picture_and_its_numbers_for_each_figure(drawn: Path) -> None:
         assert path.stat().st_size < 80_000
 
 
+@pytest.mark.slow
 def test_the_numbers_can_be_read_again(drawn: Path) -> None:
     curves = np.genfromtxt(drawn / "figure_09.csv", delimiter=",", names=True)
     assert curves.dtype.names == ("phi_r_deg", "extended", "point")
@@ -78,6 +79,7 @@ def test_help_shows_an_example() -> None:
         assert "Example: arctrack figures paper" in result.output
 
 
+@pytest.mark.slow
 def test_a_folder_that_cannot_be_is_one_line_and_exit_code_2(tmp_path: Path) -> None:
     file = tmp_path / "file"
     file.write_text("")

@@ -103,6 +103,7 @@ def test_blind_stretches_and_their_cures_are_in_table_and_picture(glare: Plan, t
     draw_designs(glare, 12.5).savefig(tmp_path / "plan.png")
 
 
+@pytest.mark.slow
 def test_a_bent_seam_is_drawn_from_above(glare: Plan) -> None:
     bent = ((0.0, 0.0, 0.0), (60.0, 0.0, 0.0), (60.0, 60.0, 0.0))
     setup = replace(glare.setup, joint=replace(glare.setup.joint, seam_in_base_mm=bent))

@@ -68,6 +68,7 @@ def hostile(recording: Path, tmp_path: Path) -> Path:
     return path
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "command",
     [["inspect"], ["replay"], ["explain", "2"], ["plan", "--out"], ["diagnose"]],

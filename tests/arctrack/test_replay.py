@@ -24,6 +24,7 @@ from tracker.state import Track
 QUICK = ReplayOptions(pictures=False)
 
 
+@pytest.mark.slow
 def test_a_replay_tracks_and_writes_every_file(simulated: Path, tmp_path: Path) -> None:
     recording = read_recording(simulated)
     seen: list[int] = []
@@ -239,6 +240,7 @@ def test_latency_of_nothing_is_unknown() -> None:
     assert Latency.of([1.0, float("nan"), 3.0]).max == 3.0
 
 
+@pytest.mark.slow
 def test_pictures_are_drawn_when_the_last_offset_is_out(simulated: Path, tmp_path: Path) -> None:
     done: list[tuple[str, int]] = []
     replay_recording(

@@ -89,6 +89,7 @@ def assert_shows(text: str, value: str, digits: int) -> None:
         assert shown_number(text) == pytest.approx(float(value), abs=0.51 * 10.0**-digits)
 
 
+@pytest.mark.slow
 def test_it_needs_nothing_else(results: Path) -> None:
     text = (results / REPLAY_PAGE).read_text()
     assert (results / REPLAY_PAGE).stat().st_size < 2e6
@@ -284,6 +285,7 @@ def test_a_click_into_a_chart_moves_there(page: Page) -> None:
     assert page.value("document.querySelector('#number').value") in ("6", "7")
 
 
+@pytest.mark.slow
 @needs_browser
 def test_a_long_replay_says_what_it_leaves_out(
     browser: Page, simulated: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
@@ -308,6 +310,7 @@ def test_a_long_replay_says_what_it_leaves_out(
     assert browser.complaints == []
 
 
+@pytest.mark.slow
 @needs_browser
 def test_a_replay_that_sees_nothing_has_its_page(browser: Page, tmp_path: Path) -> None:
     setup = small_setup(bits=12)

@@ -216,6 +216,7 @@ def test_pixels_that_see_another_face_are_told() -> None:
         assert least <= lost <= most
 
 
+@pytest.mark.slow
 def test_frames_count_where_the_seam_is_known_under_their_stripe() -> None:
     setup = small_setup()
     posed = []

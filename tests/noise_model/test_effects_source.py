@@ -284,6 +284,7 @@ def speckle_at(T_base_tool, part_seed):
     return np.log(light.laser / 1000.0), view.surface[0]
 
 
+@pytest.mark.slow
 def test_speckle_lies_on_the_part_and_moves_with_it():
     still, points = speckle_at(scenes.pose(), 5)
     np.testing.assert_array_equal(speckle_at(scenes.pose(), 5)[0], still)

@@ -91,6 +91,7 @@ def test_every_effect_has_a_witness():
     assert set(WITNESS) == set(REGISTRY)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("hidden", "rival", "tells"),
     [
@@ -181,6 +182,7 @@ def test_the_menu_is_known_by_key_and_by_what_the_report_says():
     assert BY_NAME["the same run 3 times as fast"].key == "faster"
 
 
+@pytest.mark.slow
 def test_no_experiment_is_asked_for_that_the_recording_holds(tmp_path):
     """The example has dark frames, laser and arc alone, 100 and 140 A, and two exposures."""
     model = small_recording(tmp_path / "made", {"veiling_glare": {"share": 0.1}})

@@ -166,6 +166,7 @@ def height(joint_type, size, x, y):
     return step + np.where(np.abs(u) < size["width_mm"] / 2.0, wave, 0.0)
 
 
+@pytest.mark.slow
 @given(JOINTS, st.floats(-50.0, 50.0))
 @settings(max_examples=30, deadline=None)
 def test_the_mesh_is_the_joint_of_recording_md(joint, middle_x_mm):

@@ -102,6 +102,7 @@ def test_a_single_frame_is_judged_by_the_fit_that_saw_it():
     assert cross_validated(expected, fitted).cv_mean_square > 5.0
 
 
+@pytest.mark.slow
 def test_of_the_arcs_levels_those_about_their_mean_in_frames_that_show_it_are_parameters(tmp_path):
     expected = small_recording(tmp_path / "flickers", {"arc_flicker": {"sigma_rel": 0.1}})
     flicker = {"arc_flicker": {"sigma_rel": 0.0}}
@@ -225,6 +226,7 @@ def test_followed_derivatives_do_not_depend_on_units():
     )
 
 
+@pytest.mark.slow
 def test_in_pixels_the_right_effect_leaves_little_of_what_the_baseline_does(tmp_path):
     expected = small_recording(tmp_path / "recording", {"gamma": {"gamma": 1.3}}, coarser=3)
     without = refit(expected, {}, expected.neutral)
