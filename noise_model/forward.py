@@ -289,6 +289,9 @@ def predict(
     mean_e = light.total
     variance_e2 = np.maximum(mean_e, 0.0) + light.variance_e2 + np.float32(true.sensor.read_noise_e**2)
     mean_dn, variance_dn2 = respond_moments(mean_e, variance_e2, true.sensor)
+    for effect, values in acting(true):
+        if effect.codes_variance is not None:
+            variance_dn2 = effect.codes_variance(mean_dn, variance_dn2, true.sensor, values)
     saturated = mean_dn >= saturation_dn(true.sensor) - 0.5
     return Prediction(mean_e, variance_e2, mean_dn, variance_dn2, saturated, light.modes)
 
@@ -334,7 +337,11 @@ def draw_frame(
         For a pose whose camera stands below the surface, and for effects that cannot be.
     """
     true, light = _light(setup, T_base_tool, condition, seam, renderer, None, rng, part_seed)
-    return expose(light.total.astype(np.float64), true.sensor, rng)
+    image_dn = expose(light.total.astype(np.float64), true.sensor, rng)
+    for effect, values in acting(true):
+        if effect.codes is not None:
+            image_dn = effect.codes(image_dn, true.sensor, values)
+    return image_dn
 
 
 def _light(

@@ -12,7 +12,6 @@ import numpy as np
 from noise_model.arrays import Bool, Float32, Float64, Integers
 from noise_model.instrument.camera import fall_off
 from noise_model.instrument.laser import (
-    SHEET_REACH,
     Sheet,
     beyond_fan_mm,
     irradiance,
@@ -86,7 +85,7 @@ def _sheet_seen(view: View) -> SheetSeen:
     plane = laser.plane
     with np.errstate(invalid="ignore"):
         depth = laser.origin_in_tool_mm[2] - points_tool[..., 2]
-        reach = SHEET_REACH * laser.stripe_sigma_mm * np.abs(depth) / laser.origin_in_tool_mm[2]
+        reach = laser.reach_sigmas * laser.stripe_sigma_mm * np.abs(depth) / laser.origin_in_tool_mm[2]
         near = np.abs(points_tool @ plane[:3] + plane[3]) < reach
     origin_joint = transform(where.T_joint_tool, laser.origin_mm)
     is_free = np.empty(np.count_nonzero(near), dtype=np.bool_)

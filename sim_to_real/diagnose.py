@@ -19,6 +19,7 @@ from sim_to_real.decision.holdout_checks import (
     names_negligible,
     random_shares,
     required_probability,
+    with_compression,
     with_random_effects,
     with_withheld,
     without_negligible,
@@ -160,6 +161,7 @@ def _diagnosed(
         predicted = predicted_of(after, random.effects)
         gap = measure_gap(predicted, setup, seam_errors_mm(setup, frames, pose_at, model, after))
     decision = checked_on_holdout(decision, baseline, gap)
+    decision = with_compression(decision, baseline, random)
     if without:
         decision = with_withheld(decision, random_effects(model, before, ()), without)
     tell("locating the gap", 0.9)
@@ -305,7 +307,8 @@ def _with_random_shares(
     rest = max(1.0 - sum(scatters.values()), 0.0) if share else 0.0
     total = rest + sum(scatters.values())
     of_all = {**{name: rest * part for name, part in share.items()}, **scatters}
-    return {name: part / total if total > 0.0 else math.nan for name, part in of_all.items()}
+    # What has no share of a gap, compression, is all that there is.
+    return {name: part / total if total > 0.0 else 1.0 / len(of_all) for name, part in of_all.items()}
 
 
 def ranking(decision: Decision, baseline: Hypothesis, random: RandomEffects) -> tuple[Ranked, ...]:

@@ -230,7 +230,11 @@ def _tables(setup: Setup) -> dict[str, dict[str, Any]]:
         "camera": camera,
         "sensor": {name: value for name, value in vars(setup.sensor).items() if name != "bend"},
         "filter": _filter_table(setup.filter),
-        "laser": {name: value for name, value in vars(setup.laser).items() if value is not None},
+        "laser": {
+            name: value
+            for name, value in vars(setup.laser).items()
+            if name != "profile_exponent" and value is not None
+        },
         "arc": dict(vars(setup.arc)),
         "material": {name: value for name, value in vars(setup.material).items() if name != "lobe"},
         "tolerance": dict(vars(setup.tolerance)),

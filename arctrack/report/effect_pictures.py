@@ -94,6 +94,10 @@ CHOICES: Mapping[str, Choice] = {
     "argon_line_leak": ARC,
     "laser_power_drift": replace(LASER, form=Form.IN_TURN),
     "laser_speckle": replace(LASER, form=Form.SINGLE, window=CLOSE),
+    "uneven_fan": LASER,
+    "stripe_profile": replace(LASER, window=NEAR),
+    "ambient_light": LASER,
+    "plate_outline": Choice("lap", "zn_coated"),
     "interreflection": Choice("corrugation", "zn_coated", station_mm=20.0),
     "wrong_material": LOBE,
     "roughness_change": LOBE,
@@ -101,10 +105,12 @@ CHOICES: Mapping[str, Choice] = {
     "rolling_marks": LOBE,
     "spatter": Choice(form=Form.SINGLE),
     "defocus": Choice(window=NEAR),
+    "ghost_stripe": LASER,
     "exposure_drift": Choice(form=Form.IN_TURN),
     "fixed_pattern": Choice(form=Form.SINGLE, window=CLOSE),
     "blooming": LOBE,
     "read_noise": Choice(form=Form.SINGLE, window=CLOSE),
+    "image_compression": Choice(form=Form.SINGLE, window=CLOSE),
     "lens_distortion": LOBE,
 }
 """Where each effect shows best; one that is not named here is shown on the groove, laser and arc on."""

@@ -8,9 +8,11 @@ from enum import Enum
 
 import numpy as np
 
+from noise_model.arrays import Float64, Integers
 from noise_model.condition import Condition
 from noise_model.effects.light import Light
 from noise_model.fit import Parameter
+from noise_model.instrument.sensor import Sensor
 from noise_model.setup import Setup
 from noise_model.spelling import cure_for
 from noise_model.surface.joint import Joint
@@ -26,8 +28,12 @@ ANOTHER_VALUE, UNSTATED = 0.05, 0.5
 """By which share an effect's form may be off if it is but another value of what a setup states.
 
 And if it depends on much that no setup states: where the fume drifts, what else stands about a joint, how a
-response that is no power runs.
+response that is no power runs, what mirrors the laser, where the hall's lamps hang.
 """
+
+OnCodes = Callable[[Integers, Sensor, Values], Integers]
+
+OnVariance = Callable[[Float64, Float64, Sensor, Values], Float64]
 
 OnLight = Callable[[Light, View, Condition, Values, Draw], None]
 
@@ -57,7 +63,8 @@ class Effect:
       point-spread function or exposure needs no new rendering;
     - `condition`: returns the frame's real levels and exposure;
     - `light`: changes the light before the lens' point-spread function, e- for `camera.exposure_s`;
-    - `image`: changes the charge behind it, e- for the frame's own exposure.
+    - `image`: changes the charge behind it, e- for the frame's own exposure;
+    - `codes`: changes a frame's DN behind the sensor, and `codes_variance` their predicted variance, DN^2.
 
     `is_followed` says whether it is predicted for a joint at all, `needs` names the optional sections of a
     setup that must be stated for it, `form_rel` by which share of what it does to an image its form may be
@@ -75,6 +82,8 @@ class Effect:
     condition: Callable[[Condition, Values], Condition] | None = None
     light: OnLight | None = None
     image: OnLight | None = None
+    codes: OnCodes | None = None
+    codes_variance: OnVariance | None = None
     is_followed: Callable[[Joint], bool] = lambda joint: True
     needs: tuple[str, ...] = ()
     form_rel: float = 0.1
@@ -83,7 +92,7 @@ class Effect:
         names = {parameter.name for parameter in self.parameters}
         if len(names) < len(self.parameters) or not set(self.typical) <= names:
             raise ValueError(f"{self.id}: its parameters' names do not fit")
-        if self.setup is not None and (self.condition or self.light or self.image):
+        if self.setup is not None and (self.condition or self.light or self.image or self.codes):
             raise ValueError(f"{self.id}: what changes the setup is applied once and acts nowhere else")
 
     @property

@@ -52,7 +52,8 @@ EFFECTS = (
         stage=Stage.GEOMETRY,
         summary="the camera's pose in the tool is off",
         equation="T_tool_camera' = T_tool_camera exp(turn, move), both in the camera's own frame",
-        source="Tsai and Lenz 1989: hand-eye calibration",
+        source="Tsai and Lenz 1989: hand-eye calibration. A stale one, of another bracket or tool, is off "
+        "by degrees and centimetres",
         parameters=(
             *(Parameter(f"rot_{axis}_deg", "deg", 0.0, 0.5, -10.0, 10.0, 3e-4) for axis in "xyz"),
             *(Parameter(f"move_{axis}_mm", "mm", 0.0, 0.5, -20.0, 20.0, 5e-4) for axis in "xyz"),

@@ -11,11 +11,12 @@ from scipy.ndimage import gaussian_filter1d
 
 from noise_model.arrays import Float32
 from noise_model.condition import Condition
-from noise_model.effects.effect import Draw, Effect, Stage, Values
+from noise_model.effects.effect import UNSTATED, Draw, Effect, Stage, Values
 from noise_model.effects.light import Light
 from noise_model.fit import Parameter
 from noise_model.instrument.spectrum import ArcSpectrum, laser_transmission, over_field, passed_continuum
 from noise_model.setup import Setup
+from noise_model.stripe import stripe_runs_along_rows
 from noise_model.view import View
 
 EVEN_SPREAD = 3.0
@@ -106,6 +107,24 @@ def _veiling_glare(light: Light, view: View, condition: Condition, values: Value
         light.spread(np.float32(1) - share, share, lambda image: wide_blur(image, spread_px))
 
 
+def _ghost_stripe(light: Light, view: View, condition: Condition, values: Values, draw: Draw) -> None:
+    if values["strength"] == 0.0 or not view.is_frame:
+        return
+    camera = view.setup.camera
+    half_px = 0.5 * math.hypot(camera.width, camera.height)
+    shift = [half_px * values["along"], half_px * values["across"]]
+    u_px, v_px = shift if stripe_runs_along_rows(view.setup) else shift[::-1]
+    moved = cv2.warpAffine(
+        light.laser,
+        np.array([[1.0, 0.0, u_px], [0.0, 1.0, v_px]]),
+        (camera.width, camera.height),
+        flags=cv2.INTER_LINEAR,
+        borderMode=cv2.BORDER_CONSTANT,
+        borderValue=0.0,
+    )
+    light.laser = light.laser + np.float32(values["strength"]) * moved.astype(np.float32)
+
+
 EFFECTS = (
     Effect(
         id="dirty_window",
@@ -128,6 +147,23 @@ EFFECTS = (
         ),
         typical={"dimming_1": 0.5, "scatter_1": 0.1, "dimming_2": 0.3},
         light=_dirty_window,
+    ),
+    Effect(
+        id="ghost_stripe",
+        stage=Stage.OPTICS,
+        summary="a second image of the stripe, from a window or a filter; or the laser on torch and fixture",
+        equation="laser' = laser + strength laser displaced by (along, across) in the image, in half "
+        "diagonals: along the axis that the stripe runs along, to the right or down, and across it",
+        source="Murty 1964 (Appl. Opt. 3, 535): the two faces of a plane plate send two images, displaced. "
+        "What mirrors the laser onto fixtures can make the second one the brighter",
+        parameters=(
+            Parameter("strength", "", 0.0, 0.3, 0.0, 10.0, 0.002),
+            Parameter("along", "", 0.0, 0.3, -1.5, 1.5, 0.001),
+            Parameter("across", "", 0.15, 0.3, -1.5, 1.5, 0.001),
+        ),
+        typical={"strength": 0.3, "along": 0.05, "across": 0.2},
+        light=_ghost_stripe,
+        form_rel=UNSTATED,
     ),
     Effect(
         id="filter_shift",

@@ -7,11 +7,14 @@ from dataclasses import replace
 
 import numpy as np
 
+from noise_model.arrays import Float64, Integers
 from noise_model.condition import Condition
 from noise_model.effects import drift
+from noise_model.effects.compression import BEST_QUALITY, compressed, compressed_variance
 from noise_model.effects.effect import UNSTATED, Draw, Effect, Stage, Values
 from noise_model.effects.light import Light
 from noise_model.fit import Parameter
+from noise_model.instrument.sensor import Sensor
 from noise_model.setup import Setup
 from noise_model.view import View
 
@@ -69,6 +72,14 @@ def _black_level(setup: Setup, values: Values) -> Setup:
 def _read_noise(setup: Setup, values: Values) -> Setup:
     sensor = setup.sensor
     return replace(setup, sensor=replace(sensor, read_noise_e=sensor.read_noise_e * values["noise_ratio"]))
+
+
+def _compressed(image_dn: Integers, sensor: Sensor, values: Values) -> Integers:
+    return compressed(image_dn, sensor, values["quality"])
+
+
+def _compressed_variance(mean_dn: Float64, variance_dn2: Float64, sensor: Sensor, values: Values) -> Float64:
+    return compressed_variance(mean_dn, variance_dn2, sensor, values["quality"])
 
 
 EFFECTS = (
@@ -141,5 +152,19 @@ EFFECTS = (
         parameters=(Parameter("noise_ratio", "", 1.0, 1.0, 0.05, 30.0, 0.01),),
         typical={"noise_ratio": 3.0},
         setup=_read_noise,
+    ),
+    Effect(
+        id="image_compression",
+        stage=Stage.SENSOR,
+        summary="frames were kept as JPEG, or by a camera's own lossy code",
+        equation="the cosine transform of each block of 8 x 8 pixels is rounded to whole steps, table K.1's "
+        "for a quality of 50, times 50 / quality below, 2 - quality / 50 above. The variance is what "
+        "rounding leaves of the mean and its noise",
+        source="ITU-T T.81 (1992), the steps' scale after libjpeg; Fan and de Queiroz 2003 (IEEE Trans. "
+        "Image Process. 12, 230): the steps show in an image that was compressed before",
+        parameters=(Parameter("quality", "", BEST_QUALITY, 25.0, 1.0, BEST_QUALITY, 0.5),),
+        typical={"quality": 60.0},
+        codes=_compressed,
+        codes_variance=_compressed_variance,
     ),
 )

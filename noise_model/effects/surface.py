@@ -6,6 +6,7 @@ import math
 from dataclasses import replace
 
 import numpy as np
+from scipy.special import ndtr
 
 from noise_model.condition import Condition
 from noise_model.effects.effect import ANOTHER_VALUE, UNSTATED, Draw, Effect, Stage, Values
@@ -15,6 +16,9 @@ from noise_model.interreflection.model import bounced_light, is_followed
 from noise_model.setup import Setup
 from noise_model.stripe import stripe_reference
 from noise_model.view import View
+
+OUTLINE_MM = 0.1
+"""1 sigma of the way over which light ends at a plate's edge."""
 
 
 def _wrong_material(setup: Setup, values: Values) -> Setup:
@@ -46,6 +50,15 @@ def _rolling_marks(setup: Setup, values: Values) -> Setup:
     material = setup.material
     lobe = replace(material.lobe, anisotropy=values["anisotropy"], marks_deg=values["marks_deg"])
     return replace(setup, material=replace(material, lobe=lobe))
+
+
+def _plate_outline(light: Light, view: View, condition: Condition, values: Values, draw: Draw) -> None:
+    y_mm = np.nan_to_num(view.surface[0][..., 1])
+    on_left = ndtr((values["left_mm"] - y_mm) / OUTLINE_MM)
+    on_right = ndtr((values["right_mm"] + y_mm) / OUTLINE_MM)
+    on_plate = (on_left * on_right).astype(np.float32)
+    light.scale_arc(on_plate)
+    light.laser = light.laser * on_plate
 
 
 def _interreflection(light: Light, view: View, condition: Condition, values: Values, draw: Draw) -> None:
@@ -115,6 +128,22 @@ EFFECTS = (
         typical={"anisotropy": 0.8, "marks_deg": 0.0},
         setup=_rolling_marks,
         needs=("material",),
+    ),
+    Effect(
+        id="plate_outline",
+        stage=Stage.SURFACE,
+        summary="the plates end within the view: neither laser nor arc is seen on what lies beyond",
+        equation="laser' = laser Phi((left_mm - y) / 0.1 mm) Phi((right_mm + y) / 0.1 mm), y to the left of "
+        "the seam; arc' alike",
+        source="an edge that is lit from above shows as a step; what lies below it is out of the sensor's "
+        "depth and is taken to be dark",
+        parameters=(
+            Parameter("left_mm", "mm", 500.0, 300.0, 0.5, 500.0, 0.01),
+            Parameter("right_mm", "mm", 500.0, 300.0, 0.5, 500.0, 0.01),
+        ),
+        typical={"right_mm": 12.0},
+        light=_plate_outline,
+        form_rel=ANOTHER_VALUE,
     ),
     Effect(
         id="interreflection",

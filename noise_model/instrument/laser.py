@@ -39,6 +39,9 @@ class Laser:
     peak_e : float
         The stripe's peak before the point-spread function, e-: on a flat plate at tool height, level pose,
         middle column, whether or not the fan reaches so far.
+    profile_exponent : float
+        How the irradiance falls off across the sheet: exp(-1/2 |x' / sigma|^exponent). A stated laser has 2,
+        a Gaussian.
     fan_half_angle_deg : float, optional
         Where the fan ends to either side of its axis, the steepest line in the sheet: the angle to it in the
         sheet, deg. There the light falls to 0 at once. Without it the fan is wider than any image.
@@ -55,9 +58,10 @@ class Laser:
     stripe_sigma_mm: float
     peak_e: float
     fan_half_angle_deg: float | None = None
+    profile_exponent: float = 2.0
 
     def __post_init__(self) -> None:
-        for name in ("wavelength_nm", "stripe_sigma_mm", "peak_e"):
+        for name in ("wavelength_nm", "stripe_sigma_mm", "peak_e", "profile_exponent"):
             if not getattr(self, name) > 0:
                 raise ValueError(f"[laser] {name} = {getattr(self, name)}: must be > 0")
         if not self.origin_in_tool_mm[2] > 0:
@@ -101,6 +105,11 @@ class Laser:
         return _point_below(self.plane_in_tool, self.origin_in_tool_mm)
 
     @property
+    def reach_sigmas(self) -> float:
+        """How many sigmas of the sheet are rendered: `SHEET_REACH` of a Gaussian, as dim for any other."""
+        return float(SHEET_REACH ** (2.0 / self.profile_exponent))
+
+    @property
     def fan(self) -> tuple[Float64, Float64, float]:
         """The fan's axis (3,) and the direction (3,) across it in the sheet, tool frame, and its slope.
 
@@ -131,7 +140,7 @@ class Sheet(NamedTuple):
 
     `plane` (4,) is n.p + d = 0 and `tool_up` (3,) the tool's z axis; `sigma` the sheet's half-thickness at
     tool height and `stand` the height of its `origin` (3,) over it. `axis`, `side` (3,) and `slope` are the
-    laser's `fan`.
+    laser's `fan`, `exponent` its profile's.
     """
 
     origin: Float64
@@ -142,6 +151,7 @@ class Sheet(NamedTuple):
     axis: Float64
     side: Float64
     slope: float
+    exponent: float
 
 
 @kernel
@@ -166,6 +176,7 @@ def sheet_of(laser: Laser, T_joint_tool: Float64) -> Sheet:
         T_joint_tool[:3, :3] @ axis,
         T_joint_tool[:3, :3] @ side,
         slope,
+        laser.profile_exponent,
     )
 
 
@@ -207,17 +218,18 @@ def sheet_reflected(
     off /= sheet.sigma * depth / sheet.stand
     if abs(off) > reach or is_beside_fan(sheet, Q):
         return 0.0
-    light: float = math.exp(-0.5 * off * off) * (sheet.stand / depth) ** 2 * cos_i * distance / depth
+    power = off * off if sheet.exponent == 2.0 else abs(off) ** sheet.exponent
+    light: float = math.exp(-0.5 * power) * (sheet.stand / depth) ** 2 * cos_i * distance / depth
     return light * reflected(material, (wx, wy, wz), omega_r, normal)
 
 
 def irradiance(points_tool: Float64, normals_tool: Float64, laser: Laser) -> Float64:
     """Return the sheet's irradiance at points (N, 3) mm with unit normals (N, 3), relative to its peak.
 
-    exp(-1/2 (x' / (sigma z/h))^2) (h/z)^2 cos(theta_i) / cos(psi): x' the distance from the plane, z the
-    depth below the origin, h the origin's height, psi the angle of the point's ray to the axis, theta_i its
-    incidence. 1 on the axis at tool height for a level plate, 0 beyond the fan's end. Hidden points are the
-    caller's to exclude.
+    exp(-1/2 |x' / (sigma z/h)|^p) (h/z)^2 cos(theta_i) / cos(psi): x' the distance from the plane, p the
+    profile's exponent, z the depth below the origin, h the origin's height, psi the angle of the point's ray
+    to the axis, theta_i its incidence. 1 on the axis at tool height for a level plate, 0 beyond the fan's
+    end. Hidden points are the caller's to exclude.
     """
     origin, plane = laser.origin_mm, laser.plane
     h = origin[2]
@@ -228,7 +240,7 @@ def irradiance(points_tool: Float64, normals_tool: Float64, laser: Laser) -> Flo
         cos_psi = z / distance
         cos_theta_i = np.sum(towards * normals_tool, axis=-1) / distance
         x_prime = points_tool @ plane[:3] + plane[3]
-        sheet = np.exp(-0.5 * (x_prime / (laser.stripe_sigma_mm * z / h)) ** 2)
+        sheet = np.exp(-0.5 * np.abs(x_prime / (laser.stripe_sigma_mm * z / h)) ** laser.profile_exponent)
         value = sheet * (h / z) ** 2 * cos_theta_i / cos_psi
     return np.where((z > 0) & (cos_theta_i > 0) & ~(beyond_fan_mm(points_tool, laser) > 0), value, 0.0)
 

@@ -12,7 +12,14 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from noise_model.arrays import Float64, Integers
-from sim_to_real.check import world_medium, world_optics, world_scene, world_sensor, world_source
+from sim_to_real.check import (
+    world_laser,
+    world_medium,
+    world_optics,
+    world_scene,
+    world_sensor,
+    world_source,
+)
 from sim_to_real.check.world_effect import Form, FrameLight, Generator, Hidden, Moment
 from sim_to_real.check.world_light import Studio, TrueWorld
 from sim_to_real.check.world_optics import point_spread
@@ -20,7 +27,7 @@ from sim_to_real.check.world_sensor import digitised, stated_response
 
 FORMS: Mapping[str, Mapping[str, Form]] = {
     effect: {form.name: form for form in forms}
-    for stage in (world_scene, world_source, world_medium, world_optics, world_sensor)
+    for stage in (world_scene, world_source, world_laser, world_medium, world_optics, world_sensor)
     for effect, forms in stage.FORMS.items()
 }
 """All effects' forms by id and name, in the order in which they act within a frame."""
@@ -65,8 +72,8 @@ def expected_charge(
     `studio.world` and `moment` are what is really there; `draw` is for effects that differ from frame to
     frame, speckle and spatter.
     """
-    camera = studio.world.setup.camera
-    if moment.arc_level == moment.laser_level == 0.0:
+    camera, acting = studio.world.setup.camera, in_order(effects)
+    if moment.arc_level == moment.laser_level == 0.0 and not any(form.in_dark for form, _ in acting):
         return np.zeros((camera.height, camera.width))
     sight = studio.sight(T_base_tool)
     body = studio.arc_body(sight, moment.arc_shift_mm)
@@ -81,7 +88,6 @@ def expected_charge(
         laser=moment.laser_level * studio.stripe(sight) if moment.laser_level > 0.0 else dark,
         other=dark,
     )
-    acting = in_order(effects)
     for form, hidden in acting:
         if form.light is not None:
             form.light(frame, hidden.values)
@@ -115,4 +121,8 @@ def read_out(
     for form, hidden in acting:
         if form.response is not None:
             over_black = form.response(charge, world, hidden.values)
-    return digitised(over_black, black_dn, sensor)
+    codes = digitised(over_black, black_dn, sensor)
+    for form, hidden in acting:
+        if form.codes is not None:
+            codes = form.codes(codes, hidden.values)
+    return codes

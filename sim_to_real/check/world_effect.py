@@ -12,7 +12,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from noise_model.arrays import Float64
+from noise_model.arrays import Float64, Integers
 from noise_model.setup import Setup
 from sim_to_real.check.world_light import Sight, Studio, TrueWorld
 from sim_to_real.check.world_rays import ArcBody
@@ -89,7 +89,10 @@ class Form:
     - `light` acts before the lens' point-spread function, `image` behind it;
     - `charge` changes the expected charge (H, W), e-, of the frame's exposure;
     - `noise` draws the read noise (H, W), e-, in place of the stated Gaussian;
-    - `response` gives the DN (H, W) over black of a charge, `offset` is added to the black level, DN.
+    - `response` gives the DN (H, W) over black of a charge, `offset` is added to the black level, DN;
+    - `codes` changes the frame's codes (H, W) when all else is done.
+
+    `in_dark` says that it shines where laser and arc are off.
     """
 
     name: str
@@ -103,6 +106,8 @@ class Form:
     noise: Callable[[Generator, tuple[int, int], float, Values], Float64] | None = None
     response: Callable[[Float64, TrueWorld, Values], Float64] | None = None
     offset: Callable[[Moment, tuple[int, int], Values], Float64] | None = None
+    codes: Callable[[Integers, Values], Integers] | None = None
+    in_dark: bool = False
 
 
 @dataclass(frozen=True)

@@ -60,12 +60,31 @@ class Lens:
         return np.asarray(x_u)
 
 
+@dataclass(frozen=True)
+class SheetProfile:
+    """How the laser's irradiance falls off across its sheet, t in sigmas.
+
+    (1 - pedestal) exp(-1/2 |t|^exponent) + pedestal exp(-1/2 (t / pedestal_ratio)^2).
+    """
+
+    exponent: float = 2.0
+    pedestal: float = 0.0
+    pedestal_ratio: float = 1.0
+
+    def at(self, across: Float64) -> Float64:
+        """Return the irradiance (n,) at distances (n,), sigmas, over that in the middle."""
+        core = np.exp(-0.5 * np.abs(across) ** self.exponent)
+        return (1.0 - self.pedestal) * core + self.pedestal * np.exp(
+            -0.5 * (across / self.pedestal_ratio) ** 2
+        )
+
+
 @dataclass(frozen=True, eq=False)
 class TrueWorld:
     """What is really there. `setup` has the true values in place of the stated ones.
 
     `T_base_joint` (4, 4), mm, is where the joint really lies, `departure` how its seam runs, `lobe` how the
-    metal's lobe falls, `lens` how the camera projects.
+    metal's lobe falls, `lens` how the camera projects, `profile` how the sheet falls off.
     """
 
     setup: Setup
@@ -73,6 +92,7 @@ class TrueWorld:
     departure: Departure = field(default_factory=Departure)
     lobe: LobeShape = STATED_LOBE
     lens: Lens = field(default_factory=Lens)
+    profile: SheetProfile = field(default_factory=SheetProfile)
 
 
 @dataclass(frozen=True, eq=False)
@@ -239,8 +259,13 @@ class Studio:
         aside = (laser.origin_mm - up) @ plane[:3] + plane[3]
         z = up[:, 2]
         across = aside * h / (laser.stripe_sigma_mm * z)
-        lit = np.exp(-0.5 * across**2) * (h / z) ** 2 * np.sum(up * normals_tool, axis=1) / z
-        return np.where((z > 0.0) & (np.abs(across) < SHEET_REACH), np.maximum(lit, 0.0), 0.0)
+        lit = self.world.profile.at(across) * (h / z) ** 2 * np.sum(up * normals_tool, axis=1) / z
+        return np.where((z > 0.0) & (np.abs(across) < self._reach), np.maximum(lit, 0.0), 0.0)
+
+    @property
+    def _reach(self) -> float:
+        profile = self.world.profile
+        return float(max(SHEET_REACH ** (2.0 / profile.exponent), SHEET_REACH * profile.pedestal_ratio))
 
     def stripe(self, sight: Sight) -> Float64:
         """Return the laser stripe (H, W), e- for `camera.exposure_s`: it peaks at `peak_e` on the plate."""

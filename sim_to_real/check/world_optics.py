@@ -7,7 +7,7 @@ from collections.abc import Callable
 
 import numpy as np
 from scipy.constants import Boltzmann, Planck, speed_of_light
-from scipy.ndimage import gaussian_filter
+from scipy.ndimage import affine_transform, gaussian_filter
 from scipy.signal import fftconvolve
 
 from noise_model.arrays import Float64
@@ -20,6 +20,7 @@ from sim_to_real.check.world_effect import (
     Values,
     drawn_seed,
     magnitude,
+    signed,
 )
 from sim_to_real.check.world_light import pixel_grid
 from sim_to_real.check.world_source import EDGE_NM, edge_transmission, filter_angle_shift
@@ -196,11 +197,55 @@ def _edge_shift(frame: FrameLight, p: Values) -> None:
     _shift(frame, p, edge_transmission, np.linspace(EDGE_NM[0], EDGE_NM[-1], 601))
 
 
+def _draw_ghost(draw: Generator, strength: float, setup: Setup) -> dict[str, float]:
+    return {
+        "share": magnitude(strength, 0.03, 0.8),
+        "down_px": setup.camera.height * signed(draw, draw.uniform(0.07, 0.23)),
+        "right_px": setup.camera.width * draw.uniform(-0.05, 0.05),
+    }
+
+
+def _draw_blurred_ghost(draw: Generator, strength: float, setup: Setup) -> dict[str, float]:
+    return {
+        **_draw_ghost(draw, strength, setup),
+        "share": magnitude(strength, 0.06, 2.0),
+        "blur_px": draw.uniform(1.0, 6.0),
+        "turn_deg": draw.uniform(-2.0, 2.0),
+    }
+
+
+def _displaced(image: Float64, p: Values, turn_deg: float = 0.0) -> Float64:
+    """Return an image moved right and down, and turned about its middle; dark beyond its rim."""
+    middle, move = 0.5 * (np.array(image.shape) - 1.0), np.array([p["down_px"], p["right_px"]])
+    angle = math.radians(turn_deg)
+    turn = np.array([[math.cos(angle), -math.sin(angle)], [math.sin(angle), math.cos(angle)]])
+    offset = middle - turn @ (middle + move)
+    return np.asarray(affine_transform(image, turn, offset, order=3, mode="constant", prefilter=True))
+
+
+def _ghost(frame: FrameLight, p: Values) -> None:
+    frame.laser = frame.laser + p["share"] * np.maximum(_displaced(frame.laser, p), 0.0)
+
+
+def _blurred_ghost(frame: FrameLight, p: Values) -> None:
+    ghost = point_spread(np.maximum(_displaced(frame.laser, p, p["turn_deg"]), 0.0), p["blur_px"])
+    frame.laser = frame.laser + p["share"] * ghost
+
+
 FORMS: dict[str, tuple[Form, ...]] = {
     "dirty_window": (
         Form(CATALOGUE, "Gaussian patches that dim and scatter the mean", _draw_dirt, light=_round_dirt),
         Form("droplets", "discs with soft edges", _draw_dirt, light=_droplets),
         Form("fingerprint", "ridges within a soft disc", _draw_dirt, light=_fingerprint),
+    ),
+    "ghost_stripe": (
+        Form(CATALOGUE, "laser + share laser, moved by (right_px, down_px)", _draw_ghost, light=_ghost),
+        Form(
+            "blurred",
+            "the same turned by turn_deg and blurred by blur_px",
+            _draw_blurred_ghost,
+            light=_blurred_ghost,
+        ),
     ),
     "filter_shift": (
         Form(

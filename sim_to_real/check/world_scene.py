@@ -163,6 +163,20 @@ def _wandering_clock(moment: Moment, p: Values) -> Moment:
     return replace(moment, pose_time_s=moment.pose_time_s + late_s)
 
 
+def _draw_outline(draw: Generator, strength: float, setup: Setup) -> dict[str, float]:
+    return {"reach_mm": magnitude(strength, 17.0, 7.0), "side": signed(draw, 1.0), "turn_deg": 0.0}
+
+
+def _draw_slanted_outline(draw: Generator, strength: float, setup: Setup) -> dict[str, float]:
+    return {**_draw_outline(draw, strength, setup), "turn_deg": draw.uniform(-3.0, 3.0)}
+
+
+def _cut_plate(frame: FrameLight, p: Values) -> None:
+    x, y = np.nan_to_num(frame.sight.points[:, :2]).T
+    beyond = p["side"] * y > p["reach_mm"] + math.tan(math.radians(p["turn_deg"])) * x
+    frame.through(lambda image: np.where(beyond.reshape(image.shape), 0.0, image))
+
+
 FORMS: dict[str, tuple[Form, ...]] = {
     "wrong_material": (
         Form(
@@ -213,6 +227,15 @@ FORMS: dict[str, tuple[Form, ...]] = {
             "an elliptical Gaussian of the half vector's slopes",
             _draw_marks,
             world=lambda world, p: replace(world, lobe=LobeShape("slopes", p["anisotropy"], p["marks_deg"])),
+        ),
+    ),
+    "plate_outline": (
+        Form(CATALOGUE, "dark from reach_mm beside the seam on", _draw_outline, light=_cut_plate),
+        Form(
+            "slanted",
+            "the same, the edge turned by turn_deg to the seam",
+            _draw_slanted_outline,
+            light=_cut_plate,
         ),
     ),
     "interreflection": (

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import replace
 
+import cv2
 import numpy as np
 
 from noise_model.arrays import Float64, Integers
@@ -140,6 +141,15 @@ def _heavy_noise(draw: Generator, shape: tuple[int, int], sigma_e: float, p: Val
     return p["noise_ratio"] * sigma_e * draw.standard_t(5.0, shape) / math.sqrt(5.0 / 3.0)
 
 
+def _draw_jpeg(draw: Generator, strength: float, setup: Setup) -> dict[str, float]:
+    return {"quality": float(round(100.0 - magnitude(strength, 5.0, 60.0)))}
+
+
+def _jpeg(codes: Integers, p: Values) -> Integers:
+    _, kept = cv2.imencode(".jpg", codes, [cv2.IMWRITE_JPEG_QUALITY, int(p["quality"])])
+    return np.asarray(cv2.imdecode(kept, cv2.IMREAD_UNCHANGED), dtype=codes.dtype)
+
+
 FORMS: dict[str, tuple[Form, ...]] = {
     "exposure_drift": drift_forms(
         "exposure", _scaled_exposure, settling=(0.03, 0.4), swing=(0.02, 0.2), hop=(0.03, 0.3)
@@ -179,5 +189,8 @@ FORMS: dict[str, tuple[Form, ...]] = {
             _draw_read_noise,
             noise=_heavy_noise,
         ),
+    ),
+    "image_compression": (
+        Form(CATALOGUE, "JPEG of a quality, as libjpeg writes it", _draw_jpeg, codes=_jpeg),
     ),
 }

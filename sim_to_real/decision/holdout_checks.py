@@ -14,6 +14,9 @@ from sim_to_real.search.hypothesis import Hypothesis
 from sim_to_real.search.probe_points import is_negligible
 from sim_to_real.variance.random_effects import RandomEffects
 
+COMPRESSION = "image_compression"
+"""The random effect that needs no gap to be seen."""
+
 MIN_RANDOM_SHARE = 0.5
 """Random effects explain a gap by themselves if they make up this share of it."""
 
@@ -61,6 +64,13 @@ def with_withheld(decision: Decision, random: RandomEffects, without: Sequence[s
     """
     if decision.verdict is Verdict.NO_GAP and set(random.effects) & set(without):
         return replace(decision, verdict=Verdict.UNKNOWN)
+    return decision
+
+
+def with_compression(decision: Decision, baseline: Hypothesis, random: RandomEffects) -> Decision:
+    """Return the decision with compression named wherever frames' own codes show it, gap or none."""
+    if decision.verdict is Verdict.NO_GAP and COMPRESSION in random.effects:
+        return replace(decision, verdict=Verdict.EFFECTS, chosen=baseline)
     return decision
 
 

@@ -50,6 +50,9 @@ def _patches() -> tuple[Family, ...]:
     )
 
 
+GHOSTS_ACROSS = tuple(round(sign * 0.035 * n, 3) for n in range(1, 19) for sign in (1, -1))
+"""How far from the stripe its ghost is looked for, in half diagonals: a stripe's usual 2 sigma apart."""
+
 FAMILIES: Mapping[str, tuple[Family, ...]] = {
     "arc_length": _each({"height_mm": 0.7}, {"height_mm": -0.7}),
     "arc_deflection": (Family(({"x_mm": 0.7}, {"y_mm": 0.7})), Family(({"x_mm": -0.7}, {"y_mm": -0.7}))),
@@ -60,6 +63,15 @@ FAMILIES: Mapping[str, tuple[Family, ...]] = {
         for edge in (0.0, 0.5)
     ),
     "laser_power_drift": _drifts(),
+    "uneven_fan": (
+        Family(({"slope": 0.2}, {"curvature": 0.2})),
+        *_each(*({"half_angle_deg": half_deg} for half_deg in (2.0, 3.0, 4.0, 5.0, 6.0, 7.0, 8.0, 10.0))),
+    ),
+    "stripe_profile": (
+        Family(({"width_ratio": 1.1}, {"exponent": 2.3})),
+        *_each({"width_ratio": 0.8}, {"width_ratio": 1.4}, {"exponent": 3.5}, {"exponent": 1.6}),
+    ),
+    "ambient_light": tuple(Family(({"level_e": 300.0},), {"from_left": side}) for side in (0.0, 0.5, -0.5)),
     "wrong_material": tuple(
         Family(places, {"stripe_share": share})
         for share in (0.0, 1.0)
@@ -78,6 +90,9 @@ FAMILIES: Mapping[str, tuple[Family, ...]] = {
     "rolling_marks": tuple(
         Family(({"anisotropy": size},), {"marks_deg": deg}) for deg in (0.0, 45.0) for size in (0.4, -0.4)
     ),
+    "plate_outline": _each(
+        *({side: reach_mm} for side in ("left_mm", "right_mm") for reach_mm in (4.0, 8.0, 12.0, 16.0, 20.0))
+    ),
     "hot_metal_glow": tuple(
         Family(({"peak_e": 2e4},), {"length_mm": length, "arc_off_share": share})
         for length in (5.0, 10.0, 20.0, 40.0)
@@ -89,6 +104,9 @@ FAMILIES: Mapping[str, tuple[Family, ...]] = {
         for scatter in (0.0, 0.03, 0.3, 3.0)
     ),
     "dirty_window": _patches(),
+    "ghost_stripe": tuple(
+        Family(({"strength": 0.2},), {"across": across, "along": 0.0}) for across in GHOSTS_ACROSS
+    ),
     "filter_shift": _each({"shift_share": 0.5}, {"shift_share": 2.0}),
     "vignetting": (Family(({"loss": 0.1}, {"corner_loss": 0.1})),),
     "defocus": _each({"sigma_px": 1.5}, {"sigma_px": 4.0}),

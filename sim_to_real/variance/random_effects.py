@@ -17,10 +17,13 @@ from scipy.stats import norm
 
 from noise_model.arrays import Bool, Float64
 from noise_model.effects import REGISTRY
-from sim_to_real.data.binned import Observed, ObservedFrame
+from noise_model.effects.compression import BLOCK_PX, compressed_variance, quantisation_steps
+from sim_to_real.data.binned import Observed, ObservedFrame, variances_dn2
+from sim_to_real.data.blocks import block_means
 from sim_to_real.fit.gauss_newton import MIN_EVIDENCE_NATS, Refit
 from sim_to_real.fit.linearized_model import LinearizedModel
 from sim_to_real.fit.nuisances import WITHIN_SIGMAS
+from sim_to_real.variance.compression import find_compression
 from sim_to_real.variance.haar_details import (
     HaarDetails,
     VarianceSizes,
@@ -94,6 +97,7 @@ def random_effects(model: LinearizedModel, fitted: Refit, without: Sequence[str]
         *_fixed_pattern(fit, masked, keeps, observed),
         *_laser_speckle(fit, masked, observed),
         *_spatter(streaks, observed),
+        *_image_compression(observed),
     ]
     stated = set(observed.setup.effects) - {"read_noise"}
     candidates = [effect for effect in effects if effect.id not in stated and effect.id not in without]
@@ -244,6 +248,40 @@ def _spatter(streaks: Spatter, observed: Observed) -> list[_RandomEffect]:
             lambda details: np.zeros(len(details.stated)),
         )
     ]
+
+
+def _image_compression(observed: Observed) -> list[_RandomEffect]:
+    """Return the compression that the frames' codes show, if they show enough."""
+    frames, setup = observed.frames, observed.setup
+    seen = find_compression([frame.image_dn for frame in frames], setup.sensor)
+    if seen is None:
+        return []
+    # Where codes show none, none scatters.
+    is_seen = seen.evidence > MIN_EVIDENCE_NATS
+    excess = (
+        _mean([_compressed_excess(frame, observed, seen.quality) for frame in frames]) if is_seen else 0.0
+    )
+    # A bin's mean is made of the slowest waves of a block.
+    slow = quantisation_steps(seen.quality)[:2, :2]
+    of_bin_dn2 = float(np.sum(slow**2)) / 12.0 / BLOCK_PX**2
+    return [
+        _RandomEffect(
+            "image_compression",
+            seen.evidence,
+            {"quality": seen.quality},
+            {"quality": seen.sigma},
+            excess,
+            lambda details: np.full(len(details.stated), of_bin_dn2),
+        )
+    ]
+
+
+def _compressed_excess(frame: ObservedFrame, observed: Observed, quality: float) -> Float64:
+    """Return what compression adds to r^2 of pixels in the bins of a frame that count (n,)."""
+    image_dn, sensor = frame.image_dn.astype(np.float64), observed.setup.sensor
+    stated_dn2, _ = variances_dn2(image_dn, observed.setup)
+    compressed_dn2 = compressed_variance(image_dn, stated_dn2, sensor, quality)
+    return block_means(compressed_dn2 / stated_dn2 - 1.0, observed.bin_px)[frame.keep]
 
 
 def _size_error(fit: VarianceSizes, pixels: Sequence[HaarDetails], name: str) -> float:

@@ -14,6 +14,7 @@ from sim_to_real.variance.random_effects import MIN_EVIDENCE_NATS, random_effect
 from tests.sim_to_real.scattered import HEIGHT, WIDTH, Scattering, recorded, streak
 
 RANDOM = {"read_noise", "fixed_pattern", "laser_speckle", "spatter"}
+SOUGHT = RANDOM | {"image_compression"}
 N_FRAMES = 18
 
 
@@ -49,7 +50,7 @@ def test_nothing_is_found_where_nothing_is():
     (expected, fitted), _ = made("nothing")
     effects_found = random_effects(expected, fitted, ())
     assert effects_found.effects == {}
-    assert set(effects_found.evidence) == set(effects_found.confidence) == set(effects_found.closed) == RANDOM
+    assert set(effects_found.evidence) == set(effects_found.confidence) == set(effects_found.closed) == SOUGHT
     assert max(effects_found.confidence.values()) < 0.5
     for sigma_dn, frame in zip(effects_found.sigmas_dn, expected.observed.frames, strict=True):
         assert (sigma_dn == frame.sigma_dn).all()
@@ -166,7 +167,7 @@ def test_an_effect_out_of_the_catalogue_is_not_looked_for():
     (expected, fitted), _ = made("fixed_pattern")
     effects_found = random_effects(expected, fitted, ("fixed_pattern",))
     assert effects_found.effects == {}
-    assert set(effects_found.confidence) == RANDOM - {"fixed_pattern"}
+    assert set(effects_found.confidence) == SOUGHT - {"fixed_pattern"}
 
 
 def test_what_the_setup_states_is_noise_and_no_gap():
@@ -190,7 +191,10 @@ def test_effects_of_sources_that_are_hardly_on_are_not_looked_for():
         frames=tuple(replace(expected.observed.frames[n], position=k) for k, n in enumerate(dark)),
     )
     fit = type(fitted)(lights=tuple(fitted.lights[n] for n in dark))
-    assert set(random_effects(type(expected)(observed=few), fit, ()).confidence) == {"read_noise"}
+    assert set(random_effects(type(expected)(observed=few), fit, ()).confidence) == {
+        "read_noise",
+        "image_compression",
+    }
 
 
 @pytest.mark.parametrize(("size", "error", "prior"), [(0.2, 0.06, 1.0), (0.0, 0.05, 1.0), (-0.1, 0.05, 0.5)])

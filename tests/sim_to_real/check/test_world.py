@@ -26,8 +26,8 @@ SHOWS = {
         *("arc_length", "arc_deflection", "arc_radius", "arc_flicker", "argon_line_leak"),
         *("spatter", "hot_metal_glow"),
     },
-    "laser": {"laser_power_drift", "laser_speckle"},
-    "dark": {"black_level", "read_noise"},
+    "laser": {"laser_power_drift", "laser_speckle", "uneven_fan", "stripe_profile", "ghost_stripe"},
+    "dark": {"black_level", "read_noise", "ambient_light", "image_compression"},
 }
 """Effects that show with the arc alone, the laser alone, or all over; all others show with either light."""
 
