@@ -10,6 +10,7 @@ from urllib.parse import unquote, urlsplit
 
 import pytest
 from bs4 import BeautifulSoup
+from once import once
 from pages import EVERY_PAGE, ROOT, anchors, links, name
 
 import arctrack
@@ -18,26 +19,16 @@ pytestmark = pytest.mark.slow
 
 
 @pytest.fixture(scope="module")
-def site(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def site(shared: Path) -> Path:
     pytest.importorskip("sphinx", reason="arctrack[docs] is not installed")
-    folder = tmp_path_factory.mktemp("site")
-    built = subprocess.run(
-        [
-            sys.executable,
-            "-m",
-            "sphinx",
-            "--fail-on-warning",
-            "--keep-going",
-            "--quiet",
-            ROOT / "docs",
-            folder,
-        ],
-        capture_output=True,
-        text=True,
-        check=False,
-    )
+    return once(shared, "site", build)
+
+
+def build(folder: Path) -> None:
+    options = ["--fail-on-warning", "--keep-going", "--quiet"]
+    command = [sys.executable, "-m", "sphinx", *options, ROOT / "docs", folder]
+    built = subprocess.run(command, capture_output=True, text=True, check=False)
     assert built.returncode == 0, built.stderr
-    return folder
 
 
 def read(path: Path) -> BeautifulSoup:
