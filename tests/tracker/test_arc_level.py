@@ -161,6 +161,19 @@ def test_where_the_arc_is_said_to_be_off_none_is_sought(geometry: SensorGeometry
         assert dark.ambient_e == lit.ambient_e == 0.0
 
 
+@pytest.mark.parametrize("uneven", [0.0, 0.4])
+def test_light_of_the_hall_is_no_arc(geometry: SensorGeometry, uneven: float) -> None:
+    """75 grey levels of it, as much as the arc's own light; a plate that is brighter on one side as well."""
+    frame = frame_of(geometry.setup, POSE, arc=0.5)
+    u = np.arange(frame.image_dn.shape[1])
+    ambient_dn = 75.0 * (1.0 + uneven * np.sign(u - 0.6 * u.max()))
+    image = np.minimum(frame.image_dn + ambient_dn, 255.0).astype(np.uint8)
+    found = estimate(geometry, replace(frame, image_dn=image))
+    print(f"level {found.level:.3f} ± {found.sigma:.3f}, offset {found.black_e:.0f} e-, {found.misfit:.2f}")
+    assert found.level == pytest.approx(0.5, abs=0.02 if uneven == 0.0 else 0.1)
+    assert (found.misfit < 1.0) == (uneven == 0.0)
+
+
 def test_light_of_the_hall_is_known_as_well_as_it_is_even(geometry: SensorGeometry) -> None:
     """A checkered plate whose light is 1500 e- off its mean, to either side."""
     frame = frame_of(geometry.setup, POSE, arc=0.0)

@@ -34,6 +34,9 @@ MAX_STEPS, LEVEL_SETTLED = 20, 1e-6
 """Steps of the level's fit at most, and the relative one that is the last."""
 
 
+AMBIENT_SIGMAS = 5.0
+"""An offset of more of the black level's sigmas is light of the hall: no black level is stated so wrongly."""
+
 CHANCE = 3.5
 """What the quantile of n pixels' noise exceeds by chance alone, over 1 / sqrt(n): 4 sigma of it."""
 
@@ -72,16 +75,19 @@ def estimate_arc_level(
 
     `light` is the arc's at its expected output, `transmission` what effects make of it. Weighted least
     squares with Huber weights; the variance is the pixel's at the fitted mean plus (MAP_SIGMA level map)^2,
-    the black level's prior is its tolerance.
+    the black level's prior is its tolerance. Where the pixels ask for an offset far beyond that, light of the
+    hall is in it, and nothing is known of it before.
     """
     m, e = _unlit_by_the_laser(geometry, light, transmission, image_dn, stripe_px, keep_off_px)
     if len(m) < MIN_PIXELS or not (m > 0.0).any():
         return UNKNOWN
     sensor, tolerance = geometry.setup.sensor, geometry.setup.tolerance
     black_sigma = max(tolerance.black_level_dn * sensor.gain_e_per_dn, 1e-3)
-    size = np.empty(len(m))
+    dark_e2, size = geometry.dark_variance_at(e), np.empty(len(m))
     start = max(0.0, _quantile(e, 0.5) / (_quantile(m, 0.5) + 1e-9))
-    level, sigma, black = _fit_level(m, e, geometry.dark_variance_at(e), black_sigma, start, size)
+    level, sigma, black = _fit_level(m, e, dark_e2, black_sigma, start, size)
+    if black > AMBIENT_SIGMAS * black_sigma:
+        level, sigma, black = _fit_level(m, e, dark_e2, sensor.full_well_e, level, size)
     # Where the sheet hides the arc, its level may be anything.
     if not sigma < MAX_SIGMA * max(level, 1.0):
         return UNKNOWN
