@@ -126,6 +126,10 @@ def _section(effect: Effect) -> Iterator[str]:
     yield "| --- | --- | --- | --- | --- |"
     yield from (_row(parameter) for parameter in effect.parameters)
     yield ""
+    if effect.needs:
+        needed = " and ".join(f"`[{section}]`" for section in effect.needs)
+        yield from _wrapped(f"Needs {needed}, which a setup may leave out.")
+        yield ""
     yield from _wrapped(f"Source: {effect.source}.")
     yield ""
     values = ", ".join(f"`{value}`".replace(" ", UNBROKEN) for value in _toml(effect))
