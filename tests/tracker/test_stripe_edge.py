@@ -9,7 +9,6 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from scipy.optimize import minimize_scalar
 from scipy.special import ndtr
 
 from noise_model.arc.map import CELL
@@ -19,8 +18,10 @@ from tracker.stripe.edge import (
     BEYOND,
     MIN_SIGMA,
     MIN_STRIPE_SHARE,
+    SPREAD,
+    STEP,
     StripeLight,
-    end_chi2,
+    end_misfit,
     fit_end,
     line_shares,
     stripe_end,
@@ -226,18 +227,28 @@ def test_an_end_is_its_twin(true: float, sigma: float, contrast: float, seed: in
     variance = rng.uniform(1e-4, 1e-3, 9)
     share = ndtr((true - lines) / sigma) + np.sqrt(variance) * rng.standard_normal(9)
 
-    def chi2(at: float) -> float:
-        """The whole covariance's, the brightness that all lines share put into it."""
-        mean = ndtr((at - lines) / sigma)
-        covariance = np.diag(variance + (contrast * mean) ** 2 + MIN_STRIPE_SHARE**2)
-        covariance += contrast**2 / BEYOND * np.outer(mean, mean)
-        off = share - mean
-        return float(off @ np.linalg.solve(covariance, off))
+    def misfit(at: float) -> float:
+        return sum(parts(at))
 
-    assert end_chi2(share, variance, contrast, sigma, true).chi2 == pytest.approx(chi2(true), rel=1e-6)
-    at, _ = fit_end(share, variance, contrast, sigma)
-    # The weights change with the place too, which the steps do not follow.
-    assert chi2(at) < minimize_scalar(chi2, bounds=(0.0, 8.0), options={"xatol": 1e-6}).fun + 0.5
+    def parts(at: float) -> tuple[float, float]:
+        """chi^2 and ln of the determinant by the whole covariance, with the brightness that lines share."""
+        mean = ndtr((at - lines) / sigma)
+        own = variance + (contrast * mean) ** 2 + MIN_STRIPE_SHARE**2 + (SPREAD * contrast) ** 2
+        covariance = np.diag(own) + contrast**2 / BEYOND * np.outer(mean, mean)
+        off = share - mean
+        return float(off @ np.linalg.solve(covariance, off)), float(np.linalg.slogdet(covariance)[1])
+
+    for at in (true, true + 0.8):
+        assert end_misfit(share, variance, contrast, sigma, at).misfit == pytest.approx(misfit(at), rel=1e-6)
+    places = np.arange(1.0, 7.0, 0.01)
+    misfits = np.array([misfit(at) for at in places])
+    weights = np.exp(-0.5 * (misfits - misfits.min()))
+    mean = weights @ places / weights.sum()
+    deviation = math.sqrt(weights @ (places - mean) ** 2 / weights.sum())
+    end, end_sigma = fit_end(share, variance, contrast, sigma, 1.0, 7.0)
+    assert end == pytest.approx(mean, abs=0.3 * STEP)
+    excess = max(parts(end)[0] / 7.0 - math.sqrt(2.0 / 7.0), 1.0)
+    assert end_sigma == pytest.approx(math.hypot(math.sqrt(excess) * deviation, MIN_SIGMA), rel=0.2)
 
 
 def profile_of(light: StripeLight) -> Profile:

@@ -9,7 +9,8 @@ between them is
 Seen through a Gaussian of sigma_p, an edge at e leaves a_s = A Phi((e - s) / sigma_p), A near 1, and so of
 the other side. Where the edge crosses the stripe askew, the sheet's 1 sigma spreads it over lines of its own:
 a bell cut off at t of its sigmas has the least-squares share Phi(sqrt(2) t), so half of that square counts.
-That a stripe's brightness scatters from line to line by a contrast C adds (C a_s)^2 to a share's variance.
+That a stripe's brightness scatters from line to line by a contrast C adds (C a_s)^2 to a share's variance. A
+line that is whole may thus be dimmer than one that holds half: an end is the mean of its posterior.
 """
 
 from __future__ import annotations
@@ -46,8 +47,14 @@ LINE_SIGMA = 12.0**-0.5
 MIN_SIGMA = 0.1
 """No end is known better, in lines: an edge is rounded and has burrs."""
 
-STEPS, SEARCH_STEP = 5, 0.5
-"""Gauss-Newton steps, from the best place of a search in steps of so many lines."""
+SEARCH_STEP, STEP, HALF_STEPS = 0.5, 0.1, 60
+"""An end is searched in steps of so many lines; its posterior is summed in finer ones about the best."""
+
+MIN_LINES, MAX_VARIANCE_SHARE = 3, 0.1
+"""Fewer lines tell no end, nor do lines that leave more of the variance that it had before they were read."""
+
+SPREAD = 0.1
+"""What a grain of speckle in the last lines throws beyond them, over the contrast: it is no bell."""
 
 MAX_LINES = 128
 """No edge is looked for between lines that lie farther apart."""
@@ -96,11 +103,14 @@ def stripe_ends(light: StripeLight, last: int, first: int) -> tuple[StripeEnd, S
         light, last - away * clear, first + away * clear, away, BEYOND, shares, variances
     ):
         return NOT_TOLD, NOT_TOLD
-    ends = _fitted(light, shares[0], variances[0])
-    # The other stripe seen from its own side.
-    begins = _fitted(light, *(np.ascontiguousarray(lines[1, ::-1]) for lines in (shares, variances)))
-    if math.isnan(ends.line) or math.isnan(begins.line):
+    if np.isnan(shares[1]).all():
         return NOT_TOLD, NOT_TOLD
+    # A line's centre says which stripe is the brighter there, so the end is a line off it at most.
+    earliest, latest = clear - 2.0, n - clear + 1.0
+    ends = _fitted(light, shares[0], variances[0], earliest, latest)
+    # The other stripe seen from its own side.
+    shares, variances = (np.ascontiguousarray(lines[1, ::-1]) for lines in (shares, variances))
+    begins = _fitted(light, shares, variances, earliest, latest)
     next_one = last - away * (clear - 1)
     return (
         StripeEnd(next_one + away * ends.line, ends.sigma),
@@ -122,7 +132,8 @@ def stripe_end(light: StripeLight, last: int, away: int, gap_lines: int) -> Stri
     first = last + away * (1 + (gap_lines - deep) // 2)
     if not line_shares(light, last - away * clear, first, away, deep, shares, variances):
         return NOT_TOLD
-    ends = _fitted(light, shares[0], variances[0])
+    # Beside a gap a line that holds little of the stripe shows its centre too.
+    ends = _fitted(light, shares[0], variances[0], 0.0, n - 1.0)
     return StripeEnd(last - away * (clear - 1) + away * ends.line, ends.sigma)
 
 
@@ -131,11 +142,13 @@ def clear_of_an_edge(light: StripeLight) -> int:
     return math.ceil(CLEAR_SIGMAS * math.hypot(light.psf_sigma_px, light.sheet_lines)) + 1
 
 
-def _fitted(light: StripeLight, shares: Float64, variances: Float64) -> StripeEnd:
-    """Return the end of shares (n,) of a light's stripe, in lines from the first."""
+def _fitted(
+    light: StripeLight, shares: Float64, variances: Float64, earliest: float, latest: float
+) -> StripeEnd:
+    """Return the end of shares (n,) of a light's stripe, in lines from the first, within two and the blur."""
     contrast = max(light.contrast, MIN_CONTRAST)
     sigma = max(math.hypot(light.psf_sigma_px, light.sheet_lines / math.sqrt(2.0)), LINE_SIGMA)
-    return StripeEnd(*fit_end(shares, variances, contrast, sigma))
+    return StripeEnd(*fit_end(shares, variances, contrast, sigma, max(earliest - sigma, 0.0), latest + sigma))
 
 
 @kernel
@@ -247,59 +260,72 @@ def line_shares(
     return True
 
 
-class EndChi2(NamedTuple):
-    """chi2 of an end at a place, over so many `lines`, its gradient by the place, and what it tells of it."""
+class EndMisfit(NamedTuple):
+    """-2 ln of the likelihood of an end at a place, but for a constant, and its chi^2 over so many lines."""
 
+    misfit: float
     chi2: float
-    gradient: float
-    information: float
     lines: int
 
 
 @kernel
-def end_chi2(share: Float64, variance: Float64, contrast: float, sigma: float, end: float) -> EndChi2:
-    """Return chi2 of shares (n,) with an end at a place, A at its best there within its prior."""
-    # What A - 1 may be: the lines beyond that make its 1 scatter too.
-    H_ee, H_ea, H_aa, g_e, g_a, chi2, n = 0.0, 0.0, BEYOND / contrast**2, 0.0, 0.0, 0.0, 0
+def end_misfit(share: Float64, variance: Float64, contrast: float, sigma: float, end: float) -> EndMisfit:
+    """Return how unlike shares (n,) are those of a stripe that ends at a place.
+
+    All lines share A, which is known as well as the mean of BEYOND lines is: with the shares' means m and
+    their own variances V the covariance is diag(V) + C^2 / BEYOND m m^T. V goes with the place, so ln V
+    counts.
+    """
+    H, g, chi2, determinant, lines = BEYOND / contrast**2, 0.0, 0.0, 0.0, 0
+    spread_2 = MIN_STRIPE_SHARE**2 + (SPREAD * contrast) ** 2
+    information = H
     for i in range(share.shape[0]):
         if math.isnan(share[i]):
             continue
-        t = (end - i) / sigma
-        mean = 0.5 * math.erfc(-t / math.sqrt(2.0))
-        by_place = math.exp(-0.5 * t * t) / (math.sqrt(2.0 * math.pi) * sigma)
-        weight = 1.0 / (variance[i] + (contrast * mean) ** 2 + MIN_STRIPE_SHARE**2)
+        mean = 0.5 * math.erfc((i - end) / (sigma * math.sqrt(2.0)))
+        own = variance[i] + (contrast * mean) ** 2 + spread_2
         off = share[i] - mean
-        H_ee += weight * by_place * by_place
-        H_ea += weight * by_place * mean
-        H_aa += weight * mean * mean
-        g_e += weight * by_place * off
-        g_a += weight * mean * off
-        chi2 += weight * off * off
-        n += 1
-    return EndChi2(chi2 - g_a * g_a / H_aa, g_e - H_ea * g_a / H_aa, H_ee - H_ea * H_ea / H_aa, n)
+        information += mean * mean / own
+        g += mean * off / own
+        chi2 += off * off / own
+        determinant += math.log(own)
+        lines += 1
+    chi2 -= g * g / information
+    return EndMisfit(chi2 + determinant + math.log(information / H), chi2, lines)
 
 
 @kernel
-def fit_end(share: Float64, variance: Float64, contrast: float, sigma: float) -> tuple[float, float]:
+def fit_end(
+    share: Float64, variance: Float64, contrast: float, sigma: float, earliest: float, latest: float
+) -> tuple[float, float]:
     """Return where shares (n,) that begin with 1 and end with 0 fall off, lines from the first, and 1 sigma.
 
-    What chi2 shows beyond its degrees of freedom widens the sigma; NaN where the shares tell no place.
+    It is the mean and the deviation of the posterior, each place between `earliest` and `latest` as likely
+    before. NaN where fewer than MIN_LINES tell it, and where they tell little beyond these bounds.
     """
     best, least = math.nan, math.inf
-    for k in range(int((share.shape[0] - 1) / SEARCH_STEP) + 1):
-        fit = end_chi2(share, variance, contrast, sigma, k * SEARCH_STEP)
-        if fit.lines > 2 and fit.chi2 < least:
-            best, least = k * SEARCH_STEP, fit.chi2
-    end = best
-    for _ in range(STEPS):
-        fit = end_chi2(share, variance, contrast, sigma, end)
-        if not fit.information > 0.0:
-            return math.nan, math.nan
-        end = min(max(end + fit.gradient / fit.information, best - SEARCH_STEP), best + SEARCH_STEP)
-    fit = end_chi2(share, variance, contrast, sigma, end)
-    if not fit.information > 0.0:
+    for k in range(int((latest - earliest) / SEARCH_STEP) + 1):
+        place = earliest + k * SEARCH_STEP
+        fit = end_misfit(share, variance, contrast, sigma, place)
+        if fit.lines >= MIN_LINES and fit.misfit < least:
+            best, least = place, fit.misfit
+    if math.isnan(best):
         return math.nan, math.nan
+    total, first, second = 0.0, 0.0, 0.0
+    for k in range(-HALF_STEPS, HALF_STEPS + 1):
+        off = k * STEP
+        if earliest <= best + off <= latest:
+            fit = end_misfit(share, variance, contrast, sigma, best + off)
+            weight = math.exp(-0.5 * (fit.misfit - least))
+            total += weight
+            first += weight * off
+            second += weight * off * off
+    mean = first / total
+    posterior = max(second / total - mean * mean, 0.0)
+    if posterior > MAX_VARIANCE_SHARE * (latest - earliest) ** 2 / 12.0:
+        return math.nan, math.nan
+    fit = end_misfit(share, variance, contrast, sigma, best + mean)
     freedom = fit.lines - 2.0
     # Only what chi2 shows beyond its own scatter widens the sigma.
     excess = max(fit.chi2 / freedom - math.sqrt(2.0 / freedom), 1.0)
-    return end, math.sqrt(excess / fit.information + MIN_SIGMA**2)
+    return best + mean, math.sqrt(excess * posterior + MIN_SIGMA**2)
