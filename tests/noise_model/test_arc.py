@@ -353,11 +353,19 @@ def test_no_nodes_is_refused():
 STATED = Arc(2.0, (0.0, 0.0, 0.0), 3000.0, 120.0, 1.5)
 
 
-@pytest.mark.parametrize("key", ["radius_mm", "radiance_e", "current_a"])
-@pytest.mark.parametrize("value", [0.0, -1.0, np.nan])
+@pytest.mark.parametrize(
+    ("key", "value"),
+    [(key, value) for key in ("radius_mm", "current_a") for value in (0.0, -1.0, np.nan)]
+    + [("radiance_e", -1.0), ("radiance_e", np.nan)],
+)
 def test_an_impossible_arc_is_refused(key, value):
     with pytest.raises(ValueError, match=key):
         dataclasses.replace(STATED, **{key: value})
+
+
+def test_an_arc_without_radiance_is_none():
+    assert STATED.shines
+    assert not dataclasses.replace(STATED, radiance_e=0.0).shines
 
 
 def test_an_unknown_shape_is_refused():
