@@ -196,7 +196,10 @@ def profile_of(
     position_px = stripe.position_px - expected.bias_px
     profile = triangulate(geometry, scene, position_px, stripe.sigma_px, stripe.beside_px)
     mixed_mm = profile.column_mm * (clear_of_an_edge(light) - 1)
-    return replace(profile, reach_mm=reach_mm + BEYOND_REACH_MM, light=light, mixed_mm=mixed_mm)
+    bias_px = expected.bias_px[profile.scan.astype(np.int64)]
+    return replace(
+        profile, reach_mm=reach_mm + BEYOND_REACH_MM, light=light, mixed_mm=mixed_mm, bias_px=bias_px
+    )
 
 
 def measure_again(

@@ -28,7 +28,8 @@ class Profile:
     points' spacing in y, `scan` (n,) the scan lines they came from. The seam is looked for within
     `reach_mm` of y = 0. `light` is what the stripe was read from, `image_dn` (n_scan, n_pos) the whole
     frame by scan line, None where they are not at hand. Nearer to a corner than `mixed_mm` a scan line holds
-    light of both faces.
+    light of both faces. `bias_px` (n,) is by how much the centres were corrected for light that is no bell,
+    None if they were not.
     """
 
     y_mm: Float64
@@ -43,6 +44,7 @@ class Profile:
     light: StripeLight | None = None
     image_dn: Integers | None = None
     mixed_mm: float = 0.0
+    bias_px: Float64 | None = None
 
     def by_scan(self) -> Profile:
         """Return the profile in order of its scan lines, the way in which y rises on the whole.
@@ -55,7 +57,18 @@ class Profile:
             return self
         points = (self.y_mm, self.z_mm, self.dy_mm, self.dz_mm, self.sigma_px, self.scan, self.beside_px)
         y, z, dy, dz, sigma, scan, beside = (values[order] for values in points)
-        return replace(self, y_mm=y, z_mm=z, dy_mm=dy, dz_mm=dz, sigma_px=sigma, scan=scan, beside_px=beside)
+        bias = None if self.bias_px is None else self.bias_px[order]
+        return replace(
+            self,
+            y_mm=y,
+            z_mm=z,
+            dy_mm=dy,
+            dz_mm=dz,
+            sigma_px=sigma,
+            scan=scan,
+            beside_px=beside,
+            bias_px=bias,
+        )
 
 
 def triangulate(

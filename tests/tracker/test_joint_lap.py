@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from profiles import COLUMN_MM, lap, measure, only, spoil
+from profiles import COLUMN_MM, PX_MM, lap, measure, only, spoil
 
 from noise_model.surface.joint import Joint
-from tracker.joint import ALIKE_OFF_PX, MeasuredJoint, fit_joint
+from tracker.joint import ALIKE_OFF_PX, BIAS_SHARE, MeasuredJoint, fit_joint
 from tracker.joint.lap import CLEAR_OF_EDGE_MM, Sheets, clear_of_edge, near_sheets, share_off
 from tracker.joint.measured import OFF_SIGMAS, SIGMA_FLOOR_PX, count_with_floor, typical_mm
 from tracker.joint.upright_edge import hidden_strip, neighbours_of_edge
@@ -93,6 +95,21 @@ def test_its_covariance_is_honest() -> None:
     )
     assert ((np.mean(scaled, axis=0) > 0.75) & (np.mean(scaled, axis=0) < 1.25)).all()
     assert (np.abs(np.mean(errors, axis=0)) < 4.0 * scatter / np.sqrt(len(errors))).all()
+
+
+def test_a_correction_of_the_centres_is_known_to_a_share() -> None:
+    """All centres near the seam may be off by it alike; what was corrected far off does not count."""
+    profile = measure(lap(2.2, 0.0, 0.0), (0.3, 0.2), np.random.default_rng(0))
+    near = np.abs(profile.y_mm - 0.3) < 3.0
+    known = fit(profile)
+    assert known is not None
+    for bias_px, share in ((np.where(near, -0.8, 0.0), BIAS_SHARE), (np.where(near, 0.0, 2.0), 0.0)):
+        corrected = fit(replace(profile, bias_px=bias_px))
+        assert corrected is not None
+        off_mm = 0.8 * share * np.array(PX_MM)
+        np.testing.assert_allclose(
+            corrected.covariance_mm2 - known.covariance_mm2, np.outer(off_mm, off_mm), atol=1e-9
+        )
 
 
 def test_three_wrong_points_in_ten_do_not_move_it() -> None:
