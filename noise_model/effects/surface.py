@@ -143,7 +143,6 @@ EFFECTS = (
         ),
         typical={"right_mm": 12.0},
         light=_plate_outline,
-        form_rel=ANOTHER_VALUE,
     ),
     Effect(
         id="interreflection",

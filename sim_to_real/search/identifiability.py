@@ -73,7 +73,8 @@ def smallest_detectable(
         per_unit = float(np.sum(signatures[score.id][:, 0] ** 2)) / n
         evidence = MIN_EVIDENCE_NATS + bic_penalty_nats(len(REGISTRY[score.id].parameters))
         needed = math.expm1(2.0 * evidence / N_EFFECTIVE)
-        if per_unit > 0.0:
+        # Where light ends is a place, and has no magnitude.
+        if per_unit > 0.0 and score.steps[0].any():
             moved = int(np.flatnonzero(score.steps[0])[0])
             step, unit = float(score.steps[0, moved]), REGISTRY[score.id].parameters[moved].unit
             magnitudes[score.id] = Estimate(abs(step) * math.sqrt(needed / per_unit), math.nan, unit)

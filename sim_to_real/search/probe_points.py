@@ -50,6 +50,16 @@ def _patches() -> tuple[Family, ...]:
     )
 
 
+def _ending(key: str, neutral: float, shape: Values) -> Family:
+    """Return a family of light that ends somewhere: between there and no end it does not go straight.
+
+    A fit starts from that end, whatever step along the residual's change is best.
+    """
+    return Family(({key: neutral},), shape)
+
+
+PLATE_GOES_ON_MM = REGISTRY["plate_outline"].neutral["left_mm"]
+
 GHOSTS_ACROSS = tuple(round(sign * 0.035 * n, 3) for n in range(1, 19) for sign in (1, -1))
 """How far from the stripe its ghost is looked for, in half diagonals: a stripe's usual 2 sigma apart."""
 
@@ -65,7 +75,11 @@ FAMILIES: Mapping[str, tuple[Family, ...]] = {
     "laser_power_drift": _drifts(),
     "uneven_fan": (
         Family(({"slope": 0.2}, {"curvature": 0.2})),
-        *_each(*({"half_angle_deg": half_deg} for half_deg in (2.0, 3.0, 4.0, 5.0, 6.0, 7.0, 8.0, 10.0))),
+        *_each({"half_angle_deg": 5.0}),
+        *(
+            _ending("slope", 0.0, {"half_angle_deg": half_deg})
+            for half_deg in (2.0, 3.0, 4.0, 5.0, 6.0, 7.0, 8.0, 10.0)
+        ),
     ),
     "stripe_profile": (
         Family(({"width_ratio": 1.1}, {"exponent": 2.3})),
@@ -90,8 +104,13 @@ FAMILIES: Mapping[str, tuple[Family, ...]] = {
     "rolling_marks": tuple(
         Family(({"anisotropy": size},), {"marks_deg": deg}) for deg in (0.0, 45.0) for size in (0.4, -0.4)
     ),
-    "plate_outline": _each(
-        *({side: reach_mm} for side in ("left_mm", "right_mm") for reach_mm in (4.0, 8.0, 12.0, 16.0, 20.0))
+    "plate_outline": (
+        *_each({"left_mm": 12.0}, {"right_mm": 12.0}),
+        *(
+            _ending(other, PLATE_GOES_ON_MM, {side: reach_mm})
+            for side, other in (("left_mm", "right_mm"), ("right_mm", "left_mm"))
+            for reach_mm in (4.0, 7.0, 10.0, 12.5, 15.0, 17.5, 20.0)
+        ),
     ),
     "hot_metal_glow": tuple(
         Family(({"peak_e": 2e4},), {"length_mm": length, "arc_off_share": share})

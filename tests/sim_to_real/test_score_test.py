@@ -1,12 +1,15 @@
 """The first look: where a fit should start."""
 
 import math
+from dataclasses import replace
 
+import numpy as np
 import pytest
 from small import small_recording
 
 from noise_model.effects import REGISTRY
 from sim_to_real.fit.gauss_newton import refit
+from sim_to_real.search.identifiability import smallest_detectable
 from sim_to_real.search.probe_points import effect_size
 from sim_to_real.search.score_test import rescored, score_effects
 
@@ -49,6 +52,21 @@ def test_a_long_delay_is_started_from_beyond_the_short_one_s_reach(tmp_path):
     """A straight line is followed to three times its place: 0.03 s from the short one."""
     result = look(tmp_path, "pose_delay", {"delay_s": -0.06})
     assert -0.08 < result.start["delay_s"] < -0.03
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("name", "parameter", "value"),
+    [("uneven_fan", "half_angle_deg", 5.6), ("plate_outline", "right_mm", 11.0)],
+)
+def test_what_ends_is_started_from_the_end_that_was_probed(tmp_path, name, parameter, value):
+    """Between an end and no end light does not go straight: a share of the way would be far beyond."""
+    score = look(tmp_path, name, {parameter: value})
+    assert score.residual_fraction < 0.5
+    assert score.start[parameter] == pytest.approx(value, rel=0.2)
+    # An end is a place, and has no smallest magnitude.
+    at_end = replace(score, steps=np.zeros_like(score.steps))
+    assert not smallest_detectable({name: score.signature}, [at_end])
 
 
 @pytest.mark.slow
