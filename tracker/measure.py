@@ -173,7 +173,8 @@ def _is_stripe(
     if not asked.ask(checks.LINES_HELD, share, MIN_HELD_SHARE):
         return False
     path = path_of(look.offsets_px, expected.position_px, stripe.position_px)
-    ratio = evidence_ratio(look.score, path, expected.shown)
+    width_px = float(np.median(expected.sigma_px)) * look.learned.width_factor
+    ratio = evidence_ratio(look.score, path, expected.shown, width_px)
     if not asked.ask(checks.STRIPE_EVIDENCE, ratio, MIN_RATIO):
         return False
     if share < WHOLE_SHARE:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 
 import numpy as np
@@ -15,9 +16,11 @@ from tracker.stripe.detection import (
     CHANCE_SIGMAS,
     CLEAR_SIGMAS,
     LOBE,
+    LOBE_MARGIN,
     MIN_RATIO,
     evidence_ratio,
     leaves_image,
+    own_lobes,
     path_of,
     seen_share,
 )
@@ -30,11 +33,15 @@ EVERYWHERE = np.ones(N_SCAN, dtype=np.bool_)
 JOINTS = ("v_groove", "lap", "corrugation", "butt", "fillet", "half_v", "u_groove", "edge")
 
 
-def ratio_plainly(score: np.ndarray, at: np.ndarray, shown: np.ndarray) -> float:
+def ratio_plainly(score: np.ndarray, at: np.ndarray, shown: np.ndarray, width_px: float) -> float:
+    worst, reach_px = own_lobes(width_px)
     found = np.where(at >= 0, np.maximum(np.take_along_axis(score, at[:, None], 1)[:, 0], 0.0), 0.0)
-    dark = np.where(shown | (at >= 0), -score.min(axis=1), 0.0)
-    beside = np.where(at >= 0, found, found[at >= 0].mean())
-    dark = dark[dark > np.maximum(LOBE * beside, CHANCE_SIGMAS)]
+    beside = np.where(at >= 0, np.take_along_axis(score, at[:, None], 1)[:, 0], found[at >= 0].mean())
+    away_px = np.abs(np.arange(score.shape[1]) - at[:, None]) * OFFSET_STEP
+    is_near = (at[:, None] < 0) | (away_px <= reach_px)
+    limit = np.where(is_near, max(LOBE, LOBE_MARGIN * worst), LOBE) * beside[:, None]
+    dark = np.where(-score > limit, -score, 0.0).max(axis=1)
+    dark = dark[(dark > CHANCE_SIGMAS) & (shown | (at >= 0))]
     against = np.minimum(dark**2 / 2, GAIN_CAP).sum()
     return float(np.minimum(found**2 / 2, GAIN_CAP).sum() / against) if against else np.inf
 
@@ -45,7 +52,9 @@ def test_the_ratio_is_its_plain_twins() -> None:
         score = rng.normal(0.0, rng.uniform(0.5, 8.0), (N_SCAN, N)).astype(np.float32)
         at = rng.integers(-1, N, N_SCAN)
         shown = rng.random(N_SCAN) < 0.7
-        assert evidence_ratio(score, at, shown) == pytest.approx(ratio_plainly(score, at, shown), rel=1e-5)
+        width_px = rng.uniform(0.7, 4.0)
+        plainly = ratio_plainly(score, at, shown, width_px)
+        assert evidence_ratio(score, at, shown, width_px) == pytest.approx(plainly, rel=1e-5)
 
 
 def test_noise_is_no_evidence_and_either_sign_alike_is_a_tie() -> None:
@@ -53,23 +62,28 @@ def test_noise_is_no_evidence_and_either_sign_alike_is_a_tie() -> None:
     score = rng.normal(0.0, 1.0, (N_SCAN, N)).astype(np.float32)
     at = np.full(N_SCAN, MIDDLE)
     score[:, MIDDLE] = 6.0
-    assert evidence_ratio(score, at, EVERYWHERE) > 100.0
+    assert evidence_ratio(score, at, EVERYWHERE, 3.0) > 100.0
     mimicked = rng.normal(0.0, 20.0, (N_SCAN, N)).astype(np.float32)
-    assert 0.9 < evidence_ratio(mimicked, mimicked.argmax(axis=1), EVERYWHERE) < 0.8 * MIN_RATIO
+    assert 0.9 < evidence_ratio(mimicked, mimicked.argmax(axis=1), EVERYWHERE, 3.0) < 0.8 * MIN_RATIO
 
 
-@pytest.mark.parametrize("width", [1.5, 3.5, 7.0])
-def test_a_stripes_own_lobes_stay_below_their_share(width: float) -> None:
-    """A noise-free bell through the matched filter itself."""
-    r = np.arange(200.0)
-    residual = np.exp(-0.5 * ((r - 100.0) / width) ** 2).astype(np.float32)[None]
-    offsets = np.arange(-60, 61, OFFSET_STEP)
-    score = np.empty((1, len(offsets)), np.float32)
-    args = residual, np.ones_like(residual), np.array([100.0]), np.array([width]), np.zeros(1, np.int64), 16
-    matched_filter(*args, offsets, score)
-    lobe = -score.min() / score.max()
-    print(f"width {width} px: darkest lobe {lobe:.2f} of the score")
-    assert 0.3 < lobe < 0.8 * LOBE
+@pytest.mark.parametrize("phase", [0.0, 0.3, 0.5, 0.9])
+@pytest.mark.parametrize("width", [0.8, 1.1, 1.5, 3.5, 7.0])
+def test_a_stripe_alone_is_no_dark_one(width: float, phase: float) -> None:
+    """A noise-free bell through the matched filter itself, wherever it lies between its offsets."""
+    for shift in range(OFFSET_STEP):
+        place = 100.0 + shift + phase
+        residual = 50.0 * np.exp(-0.5 * ((np.arange(200.0) - place) / width) ** 2).astype(np.float32)[None]
+        offsets = np.arange(-60, 61, OFFSET_STEP)
+        score = np.empty((1, len(offsets)), np.float32)
+        lines = np.array([100.0]), np.array([width]), np.zeros(1, np.int64), 16
+        matched_filter(residual, np.ones_like(residual), *lines, offsets, score)
+        worst, reach_px = own_lobes(width)
+        path = score.argmax(axis=1)
+        assert -score.min() / score.max() <= worst * 1.01
+        away = np.abs(np.arange(len(offsets)) - path[0]) * OFFSET_STEP > reach_px
+        assert np.abs(score[0, away]).max() < 0.02 * score.max()
+        assert evidence_ratio(score, path, EVERYWHERE[:1], width) == math.inf
 
 
 def test_the_path_is_where_the_stripe_was_found() -> None:

@@ -13,10 +13,17 @@ import numpy as np
 from noise_model.arrays import Bool, Float32, Float64, Int64
 from noise_model.kernel import kernel
 from tracker.stripe.expected import ExpectedStripe
-from tracker.stripe.viterbi import GAIN_CAP, OFFSET_STEP
+from tracker.stripe.viterbi import GAIN_CAP, OFFSET_STEP, TEMPLATE_SIGMAS, write_template
 
-LOBE = 0.7
-"""A stripe's own dark lobes in the matched filter, beside it, stay below this share of its score (0.46)."""
+LOBE, LOBE_MARGIN = 0.7, 1.5
+"""A place that is dark by a smaller share of the stripe's score is no dark stripe.
+
+Beside the stripe lie its own lobes in the matched filter: there the share is so many times that of the lobes,
+if that is more. A stripe that is hardly wider than a pixel has lobes as strong as its score.
+"""
+
+PHASES = 4
+"""Places within a pixel at which a stripe's lobes are looked at."""
 
 CHANCE_SIGMAS = 4.0
 """A place that is no darker than this may be noise."""
@@ -48,15 +55,39 @@ def path_of(offsets_px: Int64, expected_px: Float64, position_px: Float64) -> In
     return path
 
 
-@kernel
-def evidence_ratio(score: Float32, path: Int64, shown: Bool) -> float:
+@kernel(allocates=True)
+def own_lobes(width_px: float) -> tuple[float, int]:
+    """Return a stripe's darkest lobe in its own matched filter over its score, and how far lobes reach, px.
+
+    Scores are OFFSET_STEP apart: the stripe's may be seen half a step off its peak, its lobe at their worst.
+    """
+    half = math.ceil(TEMPLATE_SIGMAS * width_px)
+    template = np.empty(2 * half + 1, dtype=np.float32)
+    write_template(width_px, half, template)
+    reach = 2 * half + 1
+    least, worst = math.inf, 0.0
+    for k in range(-PHASES * reach, PHASES * reach + 1):
+        off, total = k / PHASES, 0.0
+        for j in range(-half, half + 1):
+            total += template[j + half] * math.exp(-0.5 * ((j - off) / width_px) ** 2)
+        worst = max(worst, -total)
+        if abs(off) <= 0.5 * OFFSET_STEP:
+            least = min(least, total)
+    return worst / least, reach
+
+
+@kernel(allocates=True)
+def evidence_ratio(score: Float32, path: Int64, shown: Bool, width_px: float) -> float:
     """Return the evidence for a stripe over that for a dark one, which no laser makes; inf if that is none.
 
     `score` (n_scan, n_offsets) is the matched filter's, in sigmas, `path` (n_scan,) where along it a stripe
-    was found, -1 for none, `shown` (n_scan,) which lines may hold one. Evidence is the path's gain,
-    score^2 / 2 with its cap: for a stripe where one was found, for a dark one at each scan line's darkest
-    place, unless that may be a lobe of the stripe, or of its like just out of sight where none was found.
+    was found, -1 for none, `shown` (n_scan,) which lines may hold one, `width_px` the stripe's sigma.
+    Evidence is the path's gain, score^2 / 2 with its cap: for a stripe where one was found, for a dark one at
+    each scan line's darkest place, unless that may be a lobe of the stripe, or of its like just out of sight
+    where none was found.
     """
+    worst, reach_px = own_lobes(width_px)
+    lobe = max(LOBE, LOBE_MARGIN * worst)
     bright, dark, total, held = 0.0, 0.0, 0.0, 0
     for s in range(score.shape[0]):
         if path[s] >= 0:
@@ -68,11 +99,12 @@ def evidence_ratio(score: Float32, path: Int64, shown: Bool) -> float:
     for s in range(score.shape[0]):
         if path[s] < 0 and not shown[s]:
             continue
-        darkest = score[s, 0]
+        beside, depth = float(score[s, path[s]]) if path[s] >= 0 else typical, 0.0
         for i in range(score.shape[1]):
-            darkest = min(darkest, score[s, i])
-        depth, beside = -float(darkest), float(score[s, path[s]]) if path[s] >= 0 else typical
-        if depth > max(LOBE * beside, CHANCE_SIGMAS):
+            is_near = path[s] < 0 or abs(i - path[s]) * OFFSET_STEP <= reach_px
+            if -score[s, i] > (lobe if is_near else LOBE) * beside:
+                depth = max(depth, -float(score[s, i]))
+        if depth > CHANCE_SIGMAS:
             dark += min(0.5 * depth * depth, GAIN_CAP)
     return bright / dark if dark > 0.0 else math.inf
 

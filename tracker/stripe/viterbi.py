@@ -50,7 +50,7 @@ def bell(t: np.floating[Any]) -> np.floating[Any]:
 
 
 @kernel(fastmath=REDUCTION)
-def _template(width: float, half: int, template: Float32) -> None:
+def write_template(width: float, half: int, template: Float32) -> None:
     """Write a stripe's shape over 2 half + 1 pixels (n,), its mean taken out."""
     inverse, middle, mean = np.float32(1.0 / width), np.float32(half), np.float32(0.0)
     for j in range(template.shape[0]):
@@ -205,7 +205,7 @@ def matched_filter(
     for s in range(n_scan):
         half = math.ceil(TEMPLATE_SIGMAS * width[s])
         template = values[: 2 * half + 1]
-        _template(width[s], half, template)
+        write_template(width[s], half, template)
         begin = round(center[s]) - lows[s // cell] + offsets[0] - half
         if n_offsets < MANY_OFFSETS:
             _score_each(template, residual_e[s], variance_e2[s], begin, score[s])
