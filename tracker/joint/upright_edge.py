@@ -10,7 +10,6 @@ from typing import NamedTuple
 
 from noise_model.arrays import Bool, Float64
 from noise_model.kernel import kernel
-from tracker.joint.measured import OFF_SIGMAS
 from tracker.profile import Profile
 from tracker.stripe.edge import stripe_ends
 
@@ -65,8 +64,8 @@ def edge_between(profile: Profile, before: int, behind: int, hidden_mm: float) -
     for end, side, hides_mm in zip(ends, sides, (0.0, hidden_mm), strict=True):
         y_mm = _at_line(profile, side, end.line) - hides_mm
         sigma_mm = end.sigma * profile.column_mm
-        # Elsewhere some other light ends; and what tells less than the two points do is no end.
-        if sigma_mm**2 < variance_mm2 and abs(y_mm - middle_mm) < 0.5 * spread_mm + OFF_SIGMAS * sigma_mm:
+        # What tells less than the two points do is no end.
+        if sigma_mm**2 < variance_mm2:
             places.append(y_mm)
             variances.append(sigma_mm**2)
     if not places:

@@ -301,15 +301,17 @@ def fit_end(
     """Return where shares (n,) that begin with 1 and end with 0 fall off, lines from the first, and 1 sigma.
 
     It is the mean and the deviation of the posterior, each place between `earliest` and `latest` as likely
-    before. NaN where fewer than MIN_LINES tell it, and where they tell little beyond these bounds.
+    before. NaN where fewer than MIN_LINES tell it, where they tell little beyond these bounds, and where they
+    tell a place outside.
     """
     best, least = math.nan, math.inf
-    for k in range(int((latest - earliest) / SEARCH_STEP) + 1):
+    for k in range(-1, int((latest - earliest) / SEARCH_STEP) + 2):
         place = earliest + k * SEARCH_STEP
         fit = end_misfit(share, variance, contrast, sigma, place)
         if fit.lines >= MIN_LINES and fit.misfit < least:
             best, least = place, fit.misfit
-    if math.isnan(best):
+    # Another light that ends elsewhere is not this one.
+    if not earliest <= best <= latest:
         return math.nan, math.nan
     total, first, second = 0.0, 0.0, 0.0
     for k in range(-HALF_STEPS, HALF_STEPS + 1):
