@@ -213,9 +213,13 @@ def _speckle(setup: Setup, valid: Sequence[Look]) -> Iterator[Finding]:
     if math.isnan(contrast):
         return
     stated = stated_contrast(setup, _median(look.seen.sigma_px for look in looks))
+    if stated == 0.0:
+        # The tracker learns what no setup states.
+        yield Finding("speckle", f"{contrast:.2f} from scan line to scan line, not stated", None)
+        return
     text = f"{contrast:.2f} from scan line to scan line, [effects.laser_speckle] states {stated:.2f}"
     counts = max(contrast, stated) > SPECKLE_FROM
-    cure = "arctrack diagnose finds contrast and grain_px to state"
+    cure = "leave it out, or let arctrack diagnose find contrast and grain_px"
     parted = counts and _part(contrast, stated, SPECKLE_RATIO)
     yield Finding("speckle", text, f"the stripe's brightness scatters by {text}; {cure}" if parted else None)
 

@@ -17,23 +17,16 @@ from arctrack.cli.exit_codes import BAD_INPUT, NOTHING_TRACKED
 from arctrack.errors import ArctrackError
 from arctrack.recording.reader import read_recording
 from arctrack.simulate import SimulationPlan, simulate_recording
-from noise_model.plan.noise import expected_speckle
 from noise_model.setup import Setup
 
+LITTLE_SPECKLE = {"laser_speckle": {"contrast": 0.01, "grain_px": 0.5}}
 SEAM_4_MM_ASIDE = [[-100.0, 4.0, 0.0], [1000.0, 4.0, 0.0]]
 
 
 @pytest.fixture(scope="module")
 def weaving(tmp_path_factory: pytest.TempPathFactory, seen_setup: Setup) -> Path:
-    """Return a recording of two weaves, under a dim arc: the joint shows in all frames with the laser on.
-
-    It states its speckle.
-    """
-    dim = replace(
-        seen_setup,
-        arc=replace(seen_setup.arc, radiance_e=0.3 * seen_setup.arc.radiance_e),
-        effects={"laser_speckle": expected_speckle(seen_setup)},
-    )
+    """Return a recording of two weaves, under a dim arc: the joint shows in all frames with the laser on."""
+    dim = replace(seen_setup, arc=replace(seen_setup.arc, radiance_e=0.3 * seen_setup.arc.radiance_e))
     plan = SimulationPlan(frames=16, rate_hz=5.0, tilt_deg=2.0)
     return simulate_recording(tmp_path_factory.mktemp("weaving") / "v", dim, plan)
 
@@ -155,6 +148,10 @@ def set_key(table: str, key: str, factor: float) -> Callable[[Path], None]:
         (set_key("arc", "radiance_e", 5.0), "the arc's light is"),
         (set_key("camera", "exposure_s", 1000.0), "recording.toml: [camera] exposure_s: exposures are"),
         (
+            lambda path: edit_setup(path, lambda document: document.update(effects=LITTLE_SPECKLE)),
+            "[effects.laser_speckle] states",
+        ),
+        (
             lambda path: edit_table(path / "frames.csv", scale("exposure_s", 1e3)),
             "frames.csv: exposure_s: exposures are 5 s in frames.csv, 0.005 s in [camera]",
         ),
@@ -171,7 +168,18 @@ def set_key(table: str, key: str, factor: float) -> Callable[[Path], None]:
             "the seam lies 4.",
         ),
     ],
-    ids=["width", "peak", "black", "noise", "arc", "setup's exposure", "exposure", "speed", "seam"],
+    ids=[
+        "width",
+        "peak",
+        "black",
+        "noise",
+        "arc",
+        "setup's exposure",
+        "speckle",
+        "exposure",
+        "speed",
+        "seam",
+    ],
 )
 def test_what_parts_is_warned_of_with_numbers(
     spoil: Callable[[Path], None], warning: str, weaving: Path, tmp_path: Path
