@@ -72,7 +72,8 @@ class Look:
     """What the step saw in a frame; None where it did not get that far.
 
     `reach_px` is how far about the expected stripe it was searched, `torch_station_mm` where the torch stands
-    along the path. `joint` is what the profile shows, `seam` None unless the step took that joint.
+    along the path. `joint` is the one that the step took, else what the profile shows. `seam` is None where
+    it took none.
     """
 
     reading: Reading
@@ -182,18 +183,21 @@ def _look(
         use_arc_map,
         before.scatter,
     )
-    profile = profile_of(geometry, scene, expected, stripe, reading.reach_mm)
+    profile = profile_of(geometry, scene, frame, expected, stripe, reading.reach_mm)
     look = replace(look, stripe=StripeLook(stripe, refusals(stripe, expected), sigma_parts(stripe, expected)))
     if len(profile.y_mm) < 2:
         return look
     look = replace(look, profile=profile)
     if reading.flags & flags.STRIPE_LOST.mask:
         return look
-    joint = fit_joint(profile, setup.joint, *sources(setup, scene, reading.seam.station_mm))
-    seam = (
-        None if reading.joint is None else _seam_look(geometry, before, nominal_scene, scene, reading.joint)
+    if reading.joint is None:
+        shown = fit_joint(profile, setup.joint, *sources(setup, scene, reading.seam.station_mm))
+        return replace(look, joint=shown)
+    return replace(
+        look,
+        joint=reading.joint,
+        seam=_seam_look(geometry, before, nominal_scene, scene, reading.joint),
     )
-    return replace(look, joint=joint, seam=seam)
 
 
 def arc_light(

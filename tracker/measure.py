@@ -123,8 +123,7 @@ def measure(
     if not _is_stripe(asked, geometry, expected, look):
         return reading
     reading = replace(reading, scatter=look.scatter)
-    by_line = frame.image_dn.T if geometry.along_rows else frame.image_dn
-    profile = replace(profile_of(geometry, scene, expected, look, reach_mm), image_dn=by_line)
+    profile = profile_of(geometry, scene, frame, expected, look, reach_mm)
     joint = fit_joint(profile, geometry.setup.joint, *sources(geometry.setup, scene, seam.station_mm))
     if geometry.setup.joint.type == "butt" and not _is_told(joint):
         closed = _closed_joint(geometry, scene, frame, look, profile)
@@ -189,7 +188,12 @@ def _is_stripe(
 
 
 def profile_of(
-    geometry: SensorGeometry, scene: Scene, expected: ExpectedStripe, look: StripeReading, reach_mm: float
+    geometry: SensorGeometry,
+    scene: Scene,
+    frame: Frame,
+    expected: ExpectedStripe,
+    look: StripeReading,
+    reach_mm: float,
 ) -> Profile:
     """Return a stripe's profile, whose seam is looked for within the look's reach and a little beyond."""
     setup, stripe = geometry.setup, look.stripe
@@ -198,8 +202,14 @@ def profile_of(
     profile = triangulate(geometry, scene, position_px, stripe.sigma_px, stripe.beside_px)
     mixed_mm = profile.column_mm * (clear_of_an_edge(light) - 1)
     bias_px = expected.bias_px[profile.scan.astype(np.int64)]
+    by_line = frame.image_dn.T if geometry.along_rows else frame.image_dn
     return replace(
-        profile, reach_mm=reach_mm + BEYOND_REACH_MM, light=light, mixed_mm=mixed_mm, bias_px=bias_px
+        profile,
+        reach_mm=reach_mm + BEYOND_REACH_MM,
+        light=light,
+        image_dn=by_line,
+        mixed_mm=mixed_mm,
+        bias_px=bias_px,
     )
 
 
