@@ -47,19 +47,25 @@ def normal_field(places: Float64, grain: float, seed: int) -> Float64:
     White noise on a square lattice, `grain` apart, seen through a Gaussian of 1 sigma `grain`. Each node's
     number comes from its row, its column and the seed alone. 0 at a place that is NaN.
     """
-    scaled = np.nan_to_num(places / grain)
+    field = np.zeros(len(places))
+    is_known = ~np.isnan(places[:, 0])
+    if not is_known.any():
+        return field
+    scaled = places[is_known] / grain
     nearest = np.rint(scaled)
     apart = scaled - nearest
-    first = nearest.min(axis=0, initial=0.0).astype(np.int64) - REACH
-    last = nearest.max(axis=0, initial=0.0).astype(np.int64) + REACH
+    # Only the nodes that are needed: a view far along the seam is far from the lattice's origin.
+    first = nearest.min(axis=0).astype(np.int64) - REACH
+    last = nearest.max(axis=0).astype(np.int64) + REACH
     noise = _white(np.arange(first[0], last[0] + 1), np.arange(first[1], last[1] + 1), seed)
     i, j = (nearest.astype(np.int64) - first).T
-    total, square = np.zeros(len(places)), np.zeros(len(places))
+    total, square = np.zeros((2, len(scaled)))
     for di, dj in product(range(-REACH, REACH + 1), repeat=2):
         weight = np.exp(-0.5 * ((apart[:, 0] - di) ** 2 + (apart[:, 1] - dj) ** 2))
         total += weight * noise[i + di, j + dj]
         square += weight**2
-    return np.where(np.isnan(places[:, 0]), 0.0, total / np.sqrt(square))
+    field[is_known] = total / np.sqrt(square)
+    return field
 
 
 def _white(rows: Int64, columns: Int64, seed: int) -> Float64:

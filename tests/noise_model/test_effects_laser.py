@@ -9,6 +9,7 @@ from effect_scenes import CONDITIONS, affected, charge, cos4, light_of, nominal,
 
 from noise_model.condition import Condition
 from noise_model.effects import apply_setup_effects
+from noise_model.effects.pattern import normal_field
 from noise_model.forward import predict
 from noise_model.setup import Setup
 
@@ -99,3 +100,17 @@ def test_a_scenes_texture_lies_on_the_part():
     plain = predict(dataclasses.replace(setup, effects={}), scenes.pose(), CONDITIONS["dark"]).variance_e2
     expected = 2000.0 * cos4(setup.camera)
     np.testing.assert_allclose(more - plain, expected + (0.3 * expected) ** 2, rtol=1e-3)
+
+
+def test_a_pattern_far_along_the_seam_takes_no_more_nodes_than_a_near_one():
+    """A lattice from its origin to a place 10^8 px away would hold more numbers than any memory."""
+    places = np.random.default_rng(1).uniform(0.0, 200.0, (4000, 2))
+    places[::10] = np.nan
+    far = normal_field(places + 1e8, 0.5, 7)
+    assert not far[::10].any()
+    seen = far[np.isfinite(places[:, 0])]
+    assert seen.mean() == pytest.approx(0.0, abs=0.1)
+    assert seen.std() == pytest.approx(1.0, abs=0.05)
+    # A point's number is its own, whatever else is in view.
+    np.testing.assert_array_equal(normal_field(places[1:2] + 1e8, 0.5, 7), far[1:2])
+    assert not normal_field(places[:1], 0.5, 7).any()
