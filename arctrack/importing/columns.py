@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import unicodedata
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -134,10 +135,12 @@ def check_all_named(named: Mapping[str, str], known: Iterable[str], files: Seque
 
 def image_parser(series: ImageSeries) -> Callable[[str], float]:
     """Return what makes an image's position in a series of its file's name, -1 of a name that is none."""
-    positions = {path.name: n for n, path in enumerate(series.paths)}
+    # macOS writes an umlaut as two characters, other systems as one.
+    positions = {unicodedata.normalize("NFC", path.name): n for n, path in enumerate(series.paths)}
 
     def parse(text: str) -> float:
-        return float(positions.get(text.strip().replace("\\", "/").rsplit("/", 1)[-1], UNKNOWN_IMAGE))
+        name = unicodedata.normalize("NFC", text).strip().replace("\\", "/").rsplit("/", 1)[-1]
+        return float(positions.get(name, UNKNOWN_IMAGE))
 
     return parse
 

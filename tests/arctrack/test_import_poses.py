@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import unicodedata
 from pathlib import Path
+from typing import Literal
 
 import numpy as np
 import pytest
@@ -11,13 +13,15 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
 from arctrack.errors import ArctrackError
-from arctrack.importing.columns import Columns
+from arctrack.importing.columns import Columns, image_parser
 from arctrack.importing.image_files import ImageSeries
 from arctrack.importing.matrix_files import read_matrices
 from arctrack.importing.pose_files import PoseFile, read_poses
 from arctrack.importing.rotations import convention
 from arctrack.importing.units import UNSTATED, parse_units, split_unit
 from noise_model.arrays import Float64
+
+Form = Literal["NFC", "NFD"]
 
 ANGLES = arrays(np.float64, 3, elements=st.floats(-180.0, 180.0))
 AXES = {"x": (1, 2), "y": (2, 0), "z": (0, 1)}
@@ -162,6 +166,13 @@ def test_poses_without_times_belong_to_images_by_their_key(tmp_path: Path) -> No
     assert poses.rows is not None
     assert poses.T_base_tool[poses.rows, 0, 3].tolist() == [0.0, 1000.0]
     assert poses.notes == ("1 rows of robot.csv are of no image",)
+
+
+@pytest.mark.parametrize(("stored", "listed"), [("NFC", "NFD"), ("NFD", "NFC")])
+def test_an_umlaut_names_the_same_image_however_it_is_written(stored: Form, listed: Form) -> None:
+    paths = [Path(unicodedata.normalize(stored, f"Naht_für_{n}.png")) for n in range(2)]
+    position_of = image_parser(ImageSeries(tuple(paths), (0, 1), 1, ()))
+    assert position_of(unicodedata.normalize(listed, "D:\\Naht\\Naht_für_1.png")) == 1.0
 
 
 def test_numbered_quaternions_have_the_order_that_is_stated(tmp_path: Path) -> None:
