@@ -17,6 +17,9 @@ from noise_model.transforms import invert, transform
 from tracker.geometry import SensorGeometry
 from tracker.stripe.edge import StripeLight
 
+MIN_POINTS = 20
+"""A profile of fewer points shows no joint."""
+
 
 @dataclass(frozen=True)
 class Profile:

@@ -224,3 +224,13 @@ def test_sums_along_lines_are_numpy_s(seed: int) -> None:
         number = np.isfinite(values).sum(axis=0)
         np.testing.assert_array_equal(counts[a], number)
         np.testing.assert_allclose(along[a], np.nansum(values, axis=0) / np.sqrt(np.maximum(number, 1)))
+
+
+@pytest.mark.parametrize("points", [0, 1, 19])
+def test_a_profile_of_hardly_any_points_places_no_line(bench: Bench, points: int) -> None:
+    image = plate(bench, np.random.default_rng(5)) + drawn(bench, 0.0, 0.0, 500.0, 20.0)
+    names = ("y_mm", "z_mm", "dy_mm", "dz_mm", "sigma_px", "scan", "beside_px")
+    middle = len(bench.profile.y_mm) // 2
+    few = {name: getattr(bench.profile, name)[middle : middle + points] for name in names}
+    assert bench.read(image) is not None
+    assert bench._replace(profile=replace(bench.profile, **few)).read(image) is None

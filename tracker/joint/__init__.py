@@ -20,7 +20,7 @@ from tracker.joint.image_line import ImageLine
 from tracker.joint.lap import fit_lap
 from tracker.joint.measured import MeasuredJoint
 from tracker.joint.slot import fit_closed_slot, fit_slot
-from tracker.profile import Profile
+from tracker.profile import MIN_POINTS, Profile
 
 ALIKE_OFF_PX = 0.01
 """By how much all centres of a stripe may be off alike, px: its bell is none, and pixels are not all alike.
@@ -43,7 +43,7 @@ def fit_joint(profile: Profile, joint: Joint, camera_mm: Float64, laser_mm: Floa
 
     `camera_mm` and `laser_mm` (3,), joint frame: what stands between them and a point hides it.
     """
-    if len(profile.y_mm) < 20:
+    if len(profile.y_mm) < MIN_POINTS:
         return None
     measured = _off_alike(profile, _fit(profile, joint, camera_mm, laser_mm))
     if measured is None or not math.isnan(measured.evidence_nats):

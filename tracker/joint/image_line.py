@@ -35,7 +35,7 @@ from noise_model.transforms import invert, transform
 from tracker.geometry import SensorGeometry
 from tracker.joint.evidence import fit_plate
 from tracker.joint.section_fit import BISQUARE_WIDTH, MAD_SIGMA
-from tracker.profile import Profile
+from tracker.profile import MIN_POINTS, Profile
 
 BESIDE_MM = 12.0
 """So far along the seam its line is read on either side of the stripe."""
@@ -142,6 +142,8 @@ def read_image_line(
     profile : Profile
         The stripe's points. They say which y a scan line has, and how far about 0 the seam is sought.
     """
+    if len(profile.y_mm) < MIN_POINTS:
+        return None
     path = _plates_path(path_px)
     expected = _expected_slopes(geometry, scene, path)
     if expected is None:
