@@ -234,3 +234,11 @@ def test_a_profile_of_hardly_any_points_places_no_line(bench: Bench, points: int
     few = {name: getattr(bench.profile, name)[middle : middle + points] for name in names}
     assert bench.read(image) is not None
     assert bench._replace(profile=replace(bench.profile, **few)).read(image) is None
+
+
+@pytest.mark.parametrize("lines", [0, 1, 19])
+def test_a_stripe_of_hardly_any_sure_lines_places_no_line(bench: Bench, lines: int) -> None:
+    image = plate(bench, np.random.default_rng(6)) + drawn(bench, 0.0, 0.0, 500.0, 20.0)
+    path_px = np.full(len(bench.path_px), np.nan)
+    path_px[:lines] = bench.path_px[:lines]
+    assert bench._replace(path_px=path_px).read(image) is None
