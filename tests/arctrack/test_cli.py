@@ -1,5 +1,6 @@
 import json
 import os
+import re
 import shutil
 import signal
 import subprocess
@@ -154,7 +155,8 @@ def test_a_recordings_setup_is_not_written_over(simulated: Path, tmp_path: Path)
 def test_the_installed_way(simulated: Path, tmp_path: Path) -> None:
     done = run("replay", str(simulated), "--out", str(tmp_path), "--no-pictures")
     assert done.returncode == 0, done.stderr
-    assert done.stderr == ""
+    # A slow machine is told how far it is.
+    assert [line for line in done.stderr.splitlines() if not re.fullmatch(r"arctrack: .*, \d+ s", line)] == []
     assert "lateral" in done.stdout
     bad = run("replay", str(tmp_path / "nowhere"))
     assert bad.returncode == 2
