@@ -114,9 +114,9 @@ EFFECTS = (
         id="laser_speckle",
         stage=Stage.ILLUMINATION,
         summary="coherent granularity of the stripe",
-        equation="variance += (contrast laser)^2 in the image behind lens and pixel; a realisation is "
-        "log-normal, its logarithm correlated as exp(-d^2 / 4 grain_px^2), d between two points of the part "
-        "as the level camera sees them: the pattern moves with the part",
+        equation="variance += (contrast laser)^2 in the image behind lens and pixel. A realisation is "
+        "log-normal. Its logarithm is correlated as exp(-d^2 / 4 grain_px^2), d the distance of two points "
+        "of the part as the level camera sees them. The pattern moves with the part",
         source="Goodman, Speckle Phenomena in Optics; Dorsch, Haeusler, Herrmann 1994, Appl. Opt. 33, 1306. "
         "The optics say how large both are: `noise_model.plan.noise.expected_speckle`",
         parameters=(

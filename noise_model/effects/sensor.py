@@ -157,9 +157,9 @@ EFFECTS = (
         id="image_compression",
         stage=Stage.SENSOR,
         summary="frames were kept as JPEG, or by a camera's own lossy code",
-        equation="the cosine transform of each block of 8 x 8 pixels is rounded to whole steps, table K.1's "
-        "for a quality of 50, times 50 / quality below, 2 - quality / 50 above. The variance is what "
-        "rounding leaves of the mean and its noise",
+        equation="the cosine transform of each block of 8 x 8 pixels is rounded to whole steps. They are "
+        "table K.1's, times 50 / quality below a quality of 50, times 2 - quality / 50 above. The variance "
+        "is what rounding leaves of the mean and its noise",
         source="ITU-T T.81 (1992), the steps' scale after libjpeg; Fan and de Queiroz 2003 (IEEE Trans. "
         "Image Process. 12, 230): the steps show in an image that was compressed before",
         parameters=(Parameter("quality", "", BEST_QUALITY, 25.0, 1.0, BEST_QUALITY, 0.5),),
