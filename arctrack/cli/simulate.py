@@ -61,7 +61,10 @@ def simulate(
     tilt_deg: Annotated[float, typer.Option(help="How far the tool tilts, at most 45.")] = 4.0,
     seed: Annotated[int, typer.Option(help="Same seed, same recording.", min=0)] = 0,
     production: Annotated[
-        bool, typer.Option("--production", help="Laser and arc on in every frame; else all conditions.")
+        bool,
+        typer.Option(
+            "--production", help="Laser, and the arc if there is one, on in every frame; else all conditions."
+        ),
     ] = False,
     exact: Annotated[
         bool,
