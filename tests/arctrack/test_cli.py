@@ -132,7 +132,8 @@ def test_a_recording_that_fails_does_not_stop_the_others(simulated: Path, tmp_pa
         app, ["replay", str(tmp_path / "gone"), str(bad), str(good), "--no-pictures", "--out", str(out)]
     )
     assert result.exit_code == 2
-    assert result.stderr.splitlines() == [
+    # A machine that has to compile says so too.
+    assert [line for line in result.stderr.splitlines() if "error" in line] == [
         f"arctrack: error: {tmp_path / 'gone'}: there is no such folder",
         f"arctrack: error: {bad / 'truth.csv'}, line 2: has 3 values where the header names 4",
     ]
