@@ -40,17 +40,19 @@ def light_of(
     apart_px: float = 12.0,
     peak_e: float = 3000.0,
     contrast: float = 0.0,
+    scatter_px: float = 0.0,
     noise: bool = True,
     flipped: bool = False,
 ) -> StripeLight:
     """A stripe that ends at a line and one, `apart_px` off and sloped, that begins at another."""
     s, r = np.arange(N_SCAN, dtype=float), np.arange(DEPTH, dtype=float)
     upper, lower = 40.3 + 0.1031 * (s - EDGE), 40.3 + apart_px - 0.1517 * (s - EDGE)
-    bells = (np.exp(-0.5 * ((r - run[:, None]) / WIDTH_PX) ** 2) for run in (upper, lower))
+    moved_px = scatter_px * rng.standard_normal(N_SCAN)
+    bells = (np.exp(-0.5 * ((r - (run + moved_px)[:, None]) / WIDTH_PX) ** 2) for run in (upper, lower))
     u, v = (peak_e * np.exp(contrast * rng.standard_normal((N_SCAN, 1))) * bell for bell in bells)
     mean = ndtr((ends - s) / PSF_PX)[:, None] * u + ndtr((s - begins) / PSF_PX)[:, None] * v + 500.0
     charge = rng.normal(mean, np.sqrt(mean + DARK_E2)) if noise else mean
-    position = np.where(s < 0.5 * (ends + begins), upper, lower)
+    position = np.where(s < 0.5 * (ends + begins), upper, lower) + moved_px
     if flipped:
         charge, position = charge[::-1], position[::-1]
     return StripeLight(
@@ -66,6 +68,7 @@ def light_of(
         contrast,
         PSF_PX,
         0.0,
+        scatter_px,
     )
 
 
@@ -102,6 +105,20 @@ def test_their_sigma_is_honest(contrast: float) -> None:
     assert abs(np.mean(off)) < 4.0 * np.std(off) / math.sqrt(len(off))
     assert np.std(off) < 0.2
     assert 0.7 < chi2 < 1.3
+
+
+def test_stripes_that_lie_near_each_other_and_scatter_tell_little() -> None:
+    """What moves by a tenth of their distance looks as if a tenth of it were the other's."""
+    rng, off, stated = np.random.default_rng(8), [], []
+    for _ in range(100):
+        true = EDGE + rng.uniform(-0.5, 0.5)
+        light = light_of(rng, true, true, apart_px=1.5, peak_e=30000.0, scatter_px=0.2)
+        for found in stripe_ends(light, EDGE, EDGE + 1):
+            if found.sigma < 1.0:
+                off.append(found.line - true)
+                stated.append(found.sigma)
+    assert len(off) > 50
+    assert np.mean(np.square(np.array(off) / stated)) < 1.4
 
 
 def test_a_stripe_that_is_not_seen_beyond_has_no_end() -> None:

@@ -11,7 +11,7 @@ from typing import NamedTuple
 from noise_model.arrays import Bool, Float64
 from noise_model.kernel import kernel
 from tracker.profile import Profile
-from tracker.stripe.edge import stripe_ends
+from tracker.stripe.edge import StripeLight, apart_px, stripe_ends
 
 BESIDE = 20
 """So many points beside an edge say which y its scan lines have there."""
@@ -74,7 +74,17 @@ def edge_between(profile: Profile, before: int, behind: int, hidden_mm: float) -
     edge_mm = sum(place / variance for place, variance in zip(places, variances, strict=True)) / information
     # What shines from the upright side itself, if it is seen, counts as either's: then they do not agree.
     apart_mm2 = (places[0] - places[-1]) ** 2 - sum(variances)
-    return Edge(edge_mm, 1.0 / information + 0.25 * max(apart_mm2, 0.0))
+    alike = _likeness(profile.light, int(profile.scan[before]), int(profile.scan[behind]))
+    both = 1.0 + alike if len(places) == 2 else 1.0
+    return Edge(edge_mm, both / information + 0.25 * max(apart_mm2, 0.0))
+
+
+def _likeness(light: StripeLight, last: int, first: int) -> float:
+    """Return by how much the ends of two lines' stripes err alike, 0 to 1: by the overlap of their bells.
+
+    Of stripes that lie in each other's light what one gains the other loses, which moves both ends alike.
+    """
+    return math.exp(-0.25 * (apart_px(light, last, first) / float(light.width_px[first])) ** 2)
 
 
 def _at_line(profile: Profile, points: slice, line: float) -> float:

@@ -56,6 +56,9 @@ MIN_LINES, MAX_VARIANCE_SHARE = 3, 0.1
 SPREAD = 0.1
 """What a grain of speckle in the last lines throws beyond them, over the contrast: it is no bell."""
 
+TINY_PX = 1e-6
+"""Stripes that lie so near to each other are one."""
+
 MAX_LINES = 128
 """No edge is looked for between lines that lie farther apart."""
 
@@ -66,7 +69,7 @@ class StripeLight(NamedTuple):
     `charge_e`, `background_e` and `variance_e2`, of a pixel without the stripe; `shot` times the stripe's
     light comes on top. `position_px`, `width_px` (n_scan,) are the stripe's. `contrast` is by how much its
     brightness scatters from line to line, relative, `psf_sigma_px` the optics' sigma, `sheet_lines` over how
-    many lines an edge along the seam crosses the sheet's sigma.
+    many lines an edge along the seam crosses the sheet's sigma, `centre_sigma_px` the 1 sigma of centres.
     """
 
     charge_e: Float32
@@ -81,6 +84,7 @@ class StripeLight(NamedTuple):
     contrast: float
     psf_sigma_px: float
     sheet_lines: float
+    centre_sigma_px: float
 
 
 class StripeEnd(NamedTuple):
@@ -105,6 +109,10 @@ def stripe_ends(light: StripeLight, last: int, first: int) -> tuple[StripeEnd, S
         return NOT_TOLD, NOT_TOLD
     if np.isnan(shares[1]).all():
         return NOT_TOLD, NOT_TOLD
+    # Of a stripe that is off by its scatter the other one seems to have a share.
+    variances += (
+        light.centre_sigma_px / max(apart_px(light, last, first), light.centre_sigma_px, TINY_PX)
+    ) ** 2
     # A line's centre says which stripe is the brighter there, so the end is a line off it at most.
     earliest, latest = clear - 2.0, n - clear + 1.0
     ends = _fitted(light, shares[0], variances[0], earliest, latest)
@@ -135,6 +143,11 @@ def stripe_end(light: StripeLight, last: int, away: int, gap_lines: int) -> Stri
     # Beside a gap a line that holds little of the stripe shows its centre too.
     ends = _fitted(light, shares[0], variances[0], 0.0, n - 1.0)
     return StripeEnd(last - away * (clear - 1) + away * ends.line, ends.sigma)
+
+
+def apart_px(light: StripeLight, last: int, first: int) -> float:
+    """Return how far apart the stripes of two lines are, px."""
+    return abs(float(light.position_px[first] - light.position_px[last]))
 
 
 def clear_of_an_edge(light: StripeLight) -> int:

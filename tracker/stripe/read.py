@@ -111,6 +111,7 @@ class StripeReading:
             self.scatter.brightness_contrast,
             psf_sigma_px,
             sheet_lines,
+            float(np.nanmedian(self.stripe.sigma_px)),
         )
 
 
