@@ -39,12 +39,12 @@ class Laser:
     peak_e : float
         The stripe's peak before the point-spread function, e-: on a flat plate at tool height, level pose,
         middle column, whether or not the fan reaches so far.
-    profile_exponent : float
-        How the irradiance falls off across the sheet: exp(-1/2 |x' / sigma|^exponent). A stated laser has 2,
-        a Gaussian.
     fan_half_angle_deg : float, optional
         Where the fan ends to either side of its axis, the steepest line in the sheet: the angle to it in the
         sheet, deg. There the light falls to 0 at once. Without it the fan is wider than any image.
+    profile_exponent : float
+        How the irradiance falls off across the sheet: exp(-1/2 abs(x' / sigma)^exponent). A stated laser has
+        2, a Gaussian.
 
     Raises
     ------

@@ -98,6 +98,7 @@ class StripeReading:
     def light(self, psf_sigma_px: float, sheet_lines: float) -> StripeLight:
         """Return what shows where the stripe ends, as good as the band."""
         band, width_px = self.band, self.fits[:, 3]
+        sigma_px = self.stripe.sigma_px[np.isfinite(self.stripe.sigma_px)]
         return StripeLight(
             band.charge,
             band.background,
@@ -111,7 +112,7 @@ class StripeReading:
             self.scatter.brightness_contrast,
             psf_sigma_px,
             sheet_lines,
-            float(np.nanmedian(self.stripe.sigma_px)),
+            float(np.median(sigma_px)) if len(sigma_px) else math.nan,
         )
 
 
