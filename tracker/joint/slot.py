@@ -93,7 +93,17 @@ def fit_slot(profile: Profile, joint: Joint) -> MeasuredJoint | None:
         placed = lines.place(thickness + 0.5 * gap, 0.0, is_edge)
     if placed is None:
         return None
-    return _measure(profile, joint, _on_plate(profile, plates, y_0, 2.0 * limit_mm), placed, limit_mm)
+    fit = _plates_beside(profile, joint, _on_plate(profile, plates, y_0, 2.0 * limit_mm), placed)
+    if fit is None:
+        return None
+    seen = _Lines(profile, _on_plate(profile, fit, placed, limit_mm), is_edge)
+    opening = _gap_of(seen, joint, placed)
+    if opening is None or (not is_edge and seen.hold_plates(*opening.lines)):
+        return None
+    evidence = math.inf
+    if not is_edge:
+        evidence = seen.gap_evidence_nats(*opening.lines, places_of(profile, profile.column_mm))
+    return _measured(profile, joint, fit, placed, opening, evidence)
 
 
 def fit_closed_slot(profile: Profile, joint: Joint, line: ImageLine) -> MeasuredJoint | None:
@@ -105,14 +115,20 @@ def fit_closed_slot(profile: Profile, joint: Joint, line: ImageLine) -> Measured
     plates = _plates(profile, line.y_mm, near)
     if plates is None:
         return None
-    limit_mm = _on_plate_mm(joint)
-    on_plates = _on_plate(profile, plates, line.y_mm, 2.0 * limit_mm)
-    return _measure(profile, joint, on_plates, line.y_mm, limit_mm, line)
+    on_plates = _on_plate(profile, plates, line.y_mm, 2.0 * _on_plate_mm(joint))
+    fit = _plates_beside(profile, joint, on_plates, line.y_mm)
+    if fit is None:
+        return None
+    closed = _Gap(line.y_mm, line.sigma_mm**2, math.nan, math.nan, (0, 0))
+    return _measured(profile, joint, fit, line.y_mm, closed, line.evidence_nats)
 
 
 @dataclass(frozen=True)
 class _Gap:
-    """Where a gap's middle is and how wide it is, mm, and their variances, mm^2; its first and last line."""
+    """Where a gap's middle is and how wide it is, mm, and their variances, mm^2; its first and last line.
+
+    Of a closed one no scan line tells how wide it is: NaN.
+    """
 
     y_mm: float
     variance_mm2: float
@@ -127,11 +143,6 @@ class _End(NamedTuple):
     y_mm: float
     variance_mm2: float
     line: int
-
-
-def _closed_at(line: ImageLine) -> _Gap:
-    """Return the gap that a line in the image shows: no scan line tells how wide it is."""
-    return _Gap(line.y_mm, line.sigma_mm**2, math.nan, math.nan, (0, 0))
 
 
 def _gap_of(lines: _Lines, joint: Joint, y_0: float) -> _Gap | None:
@@ -168,37 +179,25 @@ def _gap_of(lines: _Lines, joint: Joint, y_0: float) -> _Gap | None:
     )
 
 
-def _measure(
-    profile: Profile,
-    joint: Joint,
-    on_plates: Bool,
-    y_0: float,
-    limit_mm: float,
-    line: ImageLine | None = None,
-) -> MeasuredJoint | None:
-    """Fit lines to the points on the plates beside a placed joint once more; find the gap between them.
-
-    If a line in the image has placed it, the gap is closed.
-    """
-    thickness, gap = joint.dimensions["thickness_mm"], joint.dimensions["gap_mm"]
-    is_edge = joint.type == "edge"
+def _plates_beside(profile: Profile, joint: Joint, on_plates: Bool, y_0: float) -> ShapeFit | None:
+    """Fit lines to the points on the plates beside a placed joint once more; None if either is too short."""
+    gap = joint.dimensions["gap_mm"]
     off_mm = np.abs(profile.y_mm - y_0) - 0.5 * gap
     clear = on_plates & (off_mm > CLEAR_OF_GAP_MM) & (off_mm < NEAR_MM)
-    if is_edge:
-        clear &= np.abs(profile.y_mm - y_0) < 0.5 * gap + thickness
+    if joint.type == "edge":
+        clear &= np.abs(profile.y_mm - y_0) < 0.5 * gap + joint.dimensions["thickness_mm"]
     on_left = profile.y_mm > y_0
     if min((clear & on_left).sum(), (clear & ~on_left).sum()) < MIN_POINTS:
         return None
-    fit = _plates(profile, y_0, clear)
-    if fit is None:
-        return None
-    seen = _Lines(profile, _on_plate(profile, fit, y_0, limit_mm), is_edge)
-    opening = _gap_of(seen, joint, y_0) if line is None else _closed_at(line)
-    if opening is None:
-        return None
-    if not is_edge and line is None and seen.hold_plates(*opening.lines):
-        return None
-    half_mm = 0.5 * opening.width_mm if line is None else 0.0
+    return _plates(profile, y_0, clear)
+
+
+def _measured(
+    profile: Profile, joint: Joint, fit: ShapeFit, y_0: float, opening: _Gap, evidence_nats: float
+) -> MeasuredJoint:
+    """Return the joint of two plates, whose lines are fitted about a place, with a gap between them."""
+    thickness, is_edge = joint.dimensions["thickness_mm"], joint.type == "edge"
+    half_mm = 0.0 if math.isnan(opening.width_mm) else 0.5 * opening.width_mm
     right_mm, left_mm = opening.y_mm - half_mm, opening.y_mm + half_mm
     # The plates' surfaces where they end.
     left_surface = np.array([1.0, 0.0, left_mm - y_0, 0.0])
@@ -219,9 +218,6 @@ def _measure(
     right_top, left_top = float(right_surface @ fit.parameters), float(left_surface @ fit.parameters)
     # What lies deep in the gap is the gap's, whatever it is.
     floor = z_s - thickness
-    evidence = math.inf if line is None else line.evidence_nats
-    if not is_edge and line is None:
-        evidence = seen.gap_evidence_nats(*opening.lines, places_of(profile, profile.column_mm))
     corners = [far_right, (right_mm, right_top), (right_mm, floor), (left_mm, floor), (left_mm, left_top)]
     return MeasuredJoint(
         opening.y_mm,
@@ -233,7 +229,7 @@ def _measure(
         shape,
         _raised(profile, fit, y_0, (right_mm, left_mm)),
         np.array([*corners, far_left]),
-        evidence,
+        evidence_nats,
     )
 
 
