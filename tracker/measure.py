@@ -126,7 +126,7 @@ def measure(
     profile = profile_of(geometry, scene, frame, expected, look, reach_mm)
     joint = fit_joint(profile, geometry.setup.joint, *sources(geometry.setup, scene, seam.station_mm))
     if geometry.setup.joint.type == "butt" and not _is_told(joint):
-        closed = _closed_joint(geometry, scene, frame, look, profile)
+        closed = _closed_joint(geometry, scene, look, profile)
         if _is_told(closed):
             asked.ask(checks.GAP_SHOWN, False)
             joint = closed
@@ -153,11 +153,11 @@ def _is_told(joint: MeasuredJoint | None) -> bool:
 
 
 def _closed_joint(
-    geometry: SensorGeometry, scene: Scene, frame: Frame, look: StripeReading, profile: Profile
+    geometry: SensorGeometry, scene: Scene, look: StripeReading, profile: Profile
 ) -> MeasuredJoint | None:
     """Return the closed joint whose line the image shows beside the stripe, None where it shows none."""
     stripe_sigma_px = float(np.nanmedian(look.fits[:, 3]))
-    line = read_image_line(geometry, scene, frame.image_dn, look.stripe.smooth_px, stripe_sigma_px, profile)
+    line = read_image_line(geometry, scene, look.stripe.smooth_px, stripe_sigma_px, profile)
     return None if line is None else fit_closed_joint(profile, geometry.setup.joint, line)
 
 

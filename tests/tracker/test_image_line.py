@@ -49,7 +49,9 @@ class Bench(NamedTuple):
     def read(self, image: Float64) -> ImageLine | None:
         """Read a drawn image, rounded to codes."""
         codes = np.clip(np.rint(image), 0, 255).astype(np.uint8)
-        return read_image_line(self.geometry, self.scene, codes, self.path_px, self.sigma_px, self.profile)
+        by_line = codes.T if self.geometry.along_rows else codes
+        profile = replace(self.profile, image_dn=by_line)
+        return read_image_line(self.geometry, self.scene, self.path_px, self.sigma_px, profile)
 
 
 def bench_of(setup: Setup) -> Bench:
@@ -185,7 +187,7 @@ def test_columns_and_their_whitening_are_numpy_s(seed: int, along_rows: bool, av
     across = image.T if along_rows else image
     path = rng.uniform(-5.0, across.shape[1] + 5.0, len(across))
     columns, offsets = np.empty((8, len(across))), np.empty(8)
-    columns_beside(image, along_rows, path, 6, averaged, columns, offsets)
+    columns_beside(across, path, 6, averaged, columns, offsets)
     before = [-6 - averaged * k - np.arange(averaged) for k in range(4)]
     behind = [6 + averaged * k + np.arange(averaged) for k in range(4)]
     for j, pixels in enumerate([*before[::-1], *behind]):

@@ -120,7 +120,6 @@ class _Sums:
 def read_image_line(
     geometry: SensorGeometry,
     scene: Scene,
-    image_dn: Integers,
     path_px: Float64,
     stripe_sigma_px: float,
     profile: Profile,
@@ -133,17 +132,17 @@ def read_image_line(
         The setup with its tables.
     scene : Scene
         The look's; its x axis runs along the expected seam.
-    image_dn : array (height, width)
-        The frame, DN.
     path_px : array (n_scan,)
         The stripe's centre, px; NaN where it was not read.
     stripe_sigma_px : float
         Its 1 sigma across, px.
     profile : Profile
-        The stripe's points. They say which y a scan line has, and how far about 0 the seam is sought.
+        The stripe's points and its frame. They say which y a scan line has, and how far about 0 the seam is
+        sought.
     """
     # Of a weak stripe no line's smooth centre may be sure enough to be one.
-    if min(len(profile.y_mm), np.isfinite(path_px).sum()) < MIN_POINTS:
+    is_read = min(len(profile.y_mm), np.isfinite(path_px).sum()) >= MIN_POINTS
+    if profile.image_dn is None or not is_read:
         return None
     path = _plates_path(path_px)
     expected = _expected_slopes(geometry, scene, path)
@@ -158,7 +157,7 @@ def read_image_line(
     gap_lines = geometry.setup.joint.dimensions["gap_mm"] / profile.column_mm
     width = max(MIN_WIDTH_LINES, 0.5 * gap_lines)
     columns, offsets_px = np.empty((2 * n_each, len(path))), np.empty(2 * n_each)
-    columns_beside(image_dn, geometry.along_rows, path, guard_px, averaged, columns, offsets_px)
+    columns_beside(profile.image_dn, path, guard_px, averaged, columns, offsets_px)
     white = np.empty_like(columns)
     whiten(columns, math.ceil(MEDIAN_WIDTHS * width), white)
     n_slopes = 2 + math.ceil(abs(last_slope - first_slope) * reach_px / width)
@@ -204,7 +203,6 @@ def _expected_slopes(
 @kernel(allocates=True)
 def columns_beside(
     image_dn: Integers,
-    along_rows: bool,
     path_px: Float64,
     guard_px: int,
     averaged: int,
@@ -213,10 +211,10 @@ def columns_beside(
 ) -> None:
     """Write the light (2 m, n_scan) beside a stripe's path (n_scan,), DN, and how far beside it (2 m,), px.
 
-    The first m columns lie before the stripe, the others behind it, each the mean of so many pixels. NaN
-    outside the image.
+    `image_dn` (n_scan, n_pos) is the frame by scan line. The first m columns lie before the stripe, the
+    others behind it, each the mean of so many pixels. NaN outside the image.
     """
-    each, n_pos = columns.shape[0] // 2, image_dn.shape[0] if along_rows else image_dn.shape[1]
+    each, n_pos = columns.shape[0] // 2, image_dn.shape[1]
     for j in range(2 * each):
         first = guard_px + (j - each) * averaged if j >= each else -guard_px - (each - j) * averaged + 1
         offsets_px[j] = first + 0.5 * (averaged - 1)
@@ -227,7 +225,7 @@ def columns_beside(
                 continue
             total = 0.0
             for v in range(low, low + averaged):
-                total += image_dn[v, s] if along_rows else image_dn[s, v]
+                total += image_dn[s, v]
             columns[j, s] = total / averaged
 
 
