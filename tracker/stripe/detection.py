@@ -22,8 +22,8 @@ Beside the stripe lie its own lobes in the matched filter: there the share is so
 if that is more. A stripe that is hardly wider than a pixel has lobes as strong as its score.
 """
 
-PHASES = 4
-"""Places within a pixel at which a stripe's lobes are looked at."""
+PHASES, SMOOTH_PX = 4, 4.0
+"""Places within a pixel at which a stripe's lobes are looked at; one is enough for wider stripes."""
 
 CHANCE_SIGMAS = 4.0
 """A place that is no darker than this may be noise."""
@@ -66,8 +66,10 @@ def own_lobes(width_px: float) -> tuple[float, int]:
     write_template(width_px, half, template)
     reach = 2 * half + 1
     least, worst = math.inf, 0.0
-    for k in range(-PHASES * reach, PHASES * reach + 1):
-        off, total = k / PHASES, 0.0
+    # It looks alike to either side, and a wide stripe's lobes are as smooth.
+    phases = PHASES if width_px < SMOOTH_PX else 1
+    for k in range(phases * reach + 1):
+        off, total = k / phases, 0.0
         for j in range(-half, half + 1):
             total += template[j + half] * math.exp(-0.5 * ((j - off) / width_px) ** 2)
         worst = max(worst, -total)

@@ -158,7 +158,10 @@ def clear_of_an_edge(light: StripeLight) -> int:
 def _fitted(
     light: StripeLight, shares: Float64, variances: Float64, earliest: float, latest: float
 ) -> StripeEnd:
-    """Return the end of shares (n,) of a light's stripe, in lines from the first, within two and the blur."""
+    """Return the end of shares (n,) of a light's stripe, in lines from the first.
+
+    It lies between `earliest` and `latest`, or beyond them by the blur's sigma.
+    """
     contrast = max(light.contrast, MIN_CONTRAST)
     sigma = max(math.hypot(light.psf_sigma_px, light.sheet_lines / math.sqrt(2.0)), LINE_SIGMA)
     return StripeEnd(*fit_end(shares, variances, contrast, sigma, max(earliest - sigma, 0.0), latest + sigma))
