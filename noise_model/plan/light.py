@@ -108,12 +108,9 @@ def _fan(setup: Setup, scene: Scene) -> tuple[Float64, Float64, Float64]:
     Rays beyond the fan's end are left out.
     """
     R = scene.T_joint_tool[:3, :3]
-    plane = R @ setup.laser.plane[:3]
-    plane /= np.linalg.norm(plane)
+    axis, across, slope = setup.laser.fan
+    down, side = R @ axis, R @ across
     origin = transform(scene.T_joint_tool, setup.laser.origin_mm)
-    down = -R[:, 2] + (R[:, 2] @ plane) * plane
-    down /= np.linalg.norm(down)
-    side = np.cross(plane, down)
     # Where on a level plate the rays o + t (down + s side) come out beside the seam.
     reach = REACH_MM + MARGIN_MM
     t = -origin[2] / down[2]
@@ -135,7 +132,7 @@ def _fan(setup: Setup, scene: Scene) -> tuple[Float64, Float64, Float64]:
         slip = far * (normals @ side) / np.sum(normals * d, axis=1)
         stretch = np.linalg.norm(far[:, np.newaxis] * side - slip[:, np.newaxis] * d, axis=1) * abs(step)
     met = np.isfinite(points).all(axis=1) & np.isfinite(stretch)
-    met &= (np.abs(points[:, 1]) <= REACH_MM) & (np.abs(s) <= setup.laser.fan[2])
+    met &= (np.abs(points[:, 1]) <= REACH_MM) & (np.abs(s) <= slope)
     return points[met], normals[met], stretch[met]
 
 
