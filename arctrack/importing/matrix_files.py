@@ -11,7 +11,7 @@ import numpy as np
 from arctrack.errors import in_file
 from arctrack.importing.rotations import NoRotationError, rotation_matrices
 from arctrack.limits import LIMITS
-from arctrack.recording.files import UnfitFileError, read_text
+from arctrack.recording.files import UnfitFileError, blamed_on, read_text
 from noise_model.arrays import Float64
 
 _OPENCV_STARTS = ("%YAML", "<?xml")
@@ -77,17 +77,11 @@ def _whole_poses(values: Float64, width: int, path: Path) -> Float64:
 
 def _numbers(path: Path) -> tuple[Float64, int]:
     """Return the numbers of a file, flat, and how many stand in a row; ArctrackError if it has none."""
-    try:
+    with blamed_on(path):
         text = read_text(path, LIMITS.csv_bytes)
         values, width = _opencv(text) if text.startswith(_OPENCV_STARTS) else _plain(text)
         if not np.isfinite(values).all():
             raise UnfitFileError("holds a number that is not finite")
-    except FileNotFoundError:
-        raise in_file(path, "there is no such file") from None
-    except UnfitFileError as error:
-        raise in_file(path, str(error), line=error.line) from None
-    except OSError as error:
-        raise in_file(path, f"cannot be read: {error.strerror}") from None
     return values, width
 
 

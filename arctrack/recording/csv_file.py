@@ -14,10 +14,9 @@ from pathlib import Path
 
 import numpy as np
 
-from arctrack.errors import in_file
 from arctrack.limits import LIMITS
 from arctrack.printable import cut, first_of, shown
-from arctrack.recording.files import UnfitFileError, is_utf16, not_utf8, open_file
+from arctrack.recording.files import UnfitFileError, blamed_on, is_utf16, not_utf8, open_file
 from noise_model.arrays import Float64, Int64
 from noise_model.spelling import nearest
 
@@ -108,18 +107,11 @@ def read_header(path: Path, wanted: str) -> tuple[str, ...]:
 @contextmanager
 def _opened(path: Path) -> Iterator[Iterator[tuple[int, list[str]]]]:
     """Open a CSV file for its records; what is wrong becomes an ArctrackError that names the file."""
-    try:
-        with open_file(path, LIMITS.csv_bytes) as file:
-            if is_utf16(file.peek(2)[:2]):
-                raise UnfitFileError("is UTF-16: save it as UTF-8")
-            with io.TextIOWrapper(file, encoding="utf-8-sig", newline="") as text:
-                yield _records(text)
-    except FileNotFoundError:
-        raise in_file(path, "there is no such file") from None
-    except UnfitFileError as error:
-        raise in_file(path, str(error), line=error.line) from None
-    except OSError as error:
-        raise in_file(path, f"cannot be read: {error.strerror}") from None
+    with blamed_on(path), open_file(path, LIMITS.csv_bytes) as file:
+        if is_utf16(file.peek(2)[:2]):
+            raise UnfitFileError("is UTF-16: save it as UTF-8")
+        with io.TextIOWrapper(file, encoding="utf-8-sig", newline="") as text:
+            yield _records(text)
 
 
 def _parse(

@@ -9,7 +9,11 @@ import codecs
 import io
 import os
 import stat
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
+
+from arctrack.errors import in_file
 
 KINDS = (
     (stat.S_ISDIR, "folder"),
@@ -26,6 +30,19 @@ class UnfitFileError(ValueError):
     def __init__(self, problem: str, line: int | None = None) -> None:
         super().__init__(problem)
         self.line = line
+
+
+@contextmanager
+def blamed_on(path: Path, missing: str = "there is no such file") -> Iterator[None]:
+    """Turn what is wrong with a file that is read into an ArctrackError that names it."""
+    try:
+        yield
+    except FileNotFoundError:
+        raise in_file(path, missing) from None
+    except UnfitFileError as error:
+        raise in_file(path, str(error), line=error.line) from None
+    except OSError as error:
+        raise in_file(path, f"cannot be read: {error.strerror}") from None
 
 
 def open_file(path: Path, most_bytes: int) -> io.BufferedReader:

@@ -16,7 +16,7 @@ from tomlkit.items import Table
 from arctrack.errors import in_file
 from arctrack.limits import LIMITS
 from arctrack.printable import cut, first_of, printable
-from arctrack.recording.files import UnfitFileError, read_text
+from arctrack.recording.files import blamed_on, read_text
 from arctrack.recording.key_errors import describe
 from arctrack.recording.setup_model import FORMAT, UNITS, RecordingToml, unknown_keys
 from arctrack.recording.toml_text import parse_toml
@@ -91,14 +91,8 @@ def setup_text(path: Path) -> str:
     """Return the text of a recording.toml; ArctrackError if there is none."""
     if path.is_dir():
         raise in_file(path, f"is a folder; give the {FILE_NAME} in it")
-    try:
+    with blamed_on(path, "there is no such file; a recording needs one"):
         return read_text(path, LIMITS.toml_bytes)
-    except FileNotFoundError:
-        raise in_file(path, "there is no such file; a recording needs one") from None
-    except UnfitFileError as error:
-        raise in_file(path, str(error), line=error.line) from None
-    except OSError as error:
-        raise in_file(path, f"cannot be read: {error.strerror}") from None
 
 
 def parse_setup(text: str, path: Path) -> SetupFile:
