@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import glob
 import os
 import shutil
 from collections.abc import Iterable, Iterator
@@ -51,3 +52,38 @@ def write_whole(path: Path, text: str) -> None:
             draft.replace(target)
         finally:
             draft.unlink(missing_ok=True)
+
+
+def write_keeping(path: Path, text: str) -> Path | None:
+    """Write a file in one go, and keep the one that was there under its name and the next free number.
+
+    Parameters
+    ----------
+    path : Path
+        The file to write.
+    text : str
+        What it is to hold.
+
+    Returns
+    -------
+    Path or None
+        Where the earlier file is kept, such as recording.toml.1; the largest number is the newest. None if
+        there was none, or if it held the same.
+
+    Raises
+    ------
+    ArctrackError
+        If it cannot be written; what was there is then as it was.
+    """
+    kept = None
+    with writing(path):
+        if path.exists() and path.read_bytes() != text.encode():
+            kept = _next_number(path)
+            shutil.copy2(path, kept)
+    write_whole(path, text)
+    return kept
+
+
+def _next_number(path: Path) -> Path:
+    taken = [name.suffix[1:] for name in path.parent.glob(f"{glob.escape(path.name)}.*")]
+    return path.with_name(f"{path.name}.{1 + max((int(n) for n in taken if n.isdecimal()), default=0)}")

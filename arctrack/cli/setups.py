@@ -10,7 +10,7 @@ from arctrack.errors import ArctrackError
 from arctrack.output import real
 
 if TYPE_CHECKING:
-    from arctrack.recording import Recording, SetupFile
+    from arctrack.recording import Calibrated, Recording, SetupFile
 
 
 def read_setup(source: Path) -> SetupFile:
@@ -39,6 +39,21 @@ def check_can_be_written(out: Path, setup: Path, data: Path | None = None) -> No
     _check_is_a_files_name(out)
     if not (out.parent.is_dir() and os.access(out.parent, os.W_OK)):
         raise ArctrackError(f"{out.parent}: nothing can be written there; give --out another place")
+
+
+def write_calibrated(out: Path, setup: Path, *found: Calibrated) -> None:
+    """Write a setup with calibrated values; say where it is, and where the one before it is kept.
+
+    `out` may be the setup itself: the earlier file stays beside it under a number.
+    """
+    from arctrack.cli import console
+    from arctrack.output import write_keeping
+    from arctrack.recording import with_calibrated
+
+    _check_is_a_files_name(out)
+    kept = write_keeping(out, with_calibrated(setup, *found))
+    before = "" if kept is None else f"; the one before is {kept.name}"
+    console.say(f"{out}: the setup with the values found{before}")
 
 
 def _check_is_a_files_name(out: Path) -> None:

@@ -1,5 +1,6 @@
 """Recordings: one reader, one writer, and the files that a replay writes."""
 
+from arctrack.recording.calibrated import Calibrated, with_calibrated
 from arctrack.recording.frames import BadFrame
 from arctrack.recording.poses import pose_at
 from arctrack.recording.reader import Recording, read_recording, read_truth
@@ -15,6 +16,7 @@ from arctrack.recording.writer import RecordingWriter, VideoFormat
 
 __all__ = [
     "BadFrame",
+    "Calibrated",
     "FrameRow",
     "PoseTable",
     "Recording",
@@ -27,6 +29,7 @@ __all__ = [
     "read_recording",
     "read_setup_file",
     "read_truth",
+    "with_calibrated",
     "with_camera_pose",
     "with_filter_curve",
 ]

@@ -241,6 +241,14 @@ class RobotTable(Table):
     controllertool_to_tool: PoseTable | None = None
 
 
+class CalibrationTable(Table):
+    """[calibration.NAME]: how well a calibration knows its parameters; any other key is a remark."""
+
+    parameters: list[str]
+    sigma: list[Number]
+    covariance: list[list[Number]]
+
+
 class RecordingToml(Table):
     """The whole file."""
 
@@ -256,6 +264,7 @@ class RecordingToml(Table):
     tolerance: ToleranceTable = Field(default_factory=ToleranceTable)
     follow: FollowTable = Field(default_factory=FollowTable)
     robot: RobotTable | None = None
+    calibration: dict[str, CalibrationTable] = Field(default_factory=dict)
     effects: dict[str, Any] = Field(default_factory=dict)
 
     def to_setup(self) -> Setup:

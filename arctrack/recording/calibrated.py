@@ -1,0 +1,121 @@
+"""What a calibration found, in a recording.toml: values where they are read, their covariance beside them.
+
+The values go into their table, such as `[camera]`. Their sigmas and covariance go into a table of their own,
+`[calibration.camera]`, which no reader needs.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+import tomlkit
+from tomlkit.items import Array
+
+from arctrack.recording.setup_file import parse_setup, read_setup_file, setup_text
+from noise_model.arrays import Float64
+
+TABLE = "calibration"
+
+Value = float | int | Sequence[float]
+
+
+@dataclass(frozen=True)
+class Calibrated:
+    """Values of one table of recording.toml, and how well they are known.
+
+    Parameters
+    ----------
+    table : str
+        The table that holds the values, such as "camera"; "camera.pose_in_tool" is one within it.
+    values : mapping
+        A key of that table to its new value: a number, or the numbers of an array.
+    parameters : tuple of str
+        What the rows of the covariance stand for, with the unit in the name where the key has none.
+    covariance : array (n, n)
+        The covariance of these parameters, in the squares of their units.
+    made_by : str
+        The command that found them.
+    about : mapping
+        What else is worth keeping of the calibration: counts, residuals.
+    name : str
+        The calibration's name: `[calibration.NAME]`; the table's unless stated.
+
+    Raises
+    ------
+    ValueError
+        Where the covariance is not finite, or has not a row and a column for each parameter.
+    """
+
+    table: str
+    values: Mapping[str, Value]
+    parameters: tuple[str, ...]
+    covariance: Float64
+    made_by: str
+    about: Mapping[str, float | int | str] = field(default_factory=dict)
+    name: str = ""
+
+    def __post_init__(self) -> None:
+        n = len(self.parameters)
+        if self.covariance.shape != (n, n) or not np.isfinite(self.covariance).all():
+            raise ValueError(f"the covariance of {n} parameters must be {n} x {n} finite numbers")
+
+    @property
+    def sigma(self) -> Float64:
+        """1 sigma of each parameter (n,)."""
+        return np.asarray(np.sqrt(np.diag(self.covariance)))
+
+
+def with_calibrated(path: Path, *found: Calibrated) -> str:
+    """Return a recording.toml's text with calibrated values; all else, comments included, stays.
+
+    Parameters
+    ----------
+    path : Path
+        The file that is there.
+    *found : Calibrated
+        What calibrations found. An earlier `[calibration.NAME]` of the same name is replaced.
+
+    Returns
+    -------
+    str
+        The text: it reads back.
+
+    Raises
+    ------
+    ArctrackError
+        For a file that cannot be read, and for a value that it could not hold.
+    """
+    read_setup_file(path)
+    document = tomlkit.parse(setup_text(path))
+    for result in found:
+        table = document
+        for name in result.table.split("."):
+            table = table.setdefault(name, tomlkit.table())
+        for key, value in result.values.items():
+            table[key] = _plain(value)
+        kept = document.setdefault(TABLE, tomlkit.table(is_super_table=True))
+        kept[result.name or result.table] = _record(result)
+    text = tomlkit.dumps(document)
+    parse_setup(text, path)
+    return text
+
+
+def _record(result: Calibrated) -> dict[str, object]:
+    rows = Array([], tomlkit.items.Trivia())
+    for row in result.covariance:
+        rows.append(_plain(row))
+    return {
+        "made_by": result.made_by,
+        **result.about,
+        "parameters": list(result.parameters),
+        "sigma": [float(f"{value:.4g}") for value in result.sigma],
+        "covariance": rows.multiline(multiline=True),
+    }
+
+
+def _plain(value: Value | Float64) -> object:
+    # Numbers of NumPy and tuples are no TOML.
+    return np.asarray(value).tolist()

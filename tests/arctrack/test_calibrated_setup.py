@@ -1,0 +1,74 @@
+import tomllib
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from arctrack.errors import ArctrackError
+from arctrack.nominal import nominal_setup
+from arctrack.output import write_keeping
+from arctrack.recording import Calibrated, format_setup, read_setup_file, with_calibrated
+
+
+def lens(**values: float) -> Calibrated:
+    return Calibrated(
+        "camera", values, ("fx", "k1"), np.array([[4.0, 0.1], [0.1, 0.01]]), "arctrack calibrate camera"
+    )
+
+
+@pytest.fixture
+def setup_toml(tmp_path: Path) -> Path:
+    path = tmp_path / "recording.toml"
+    text = format_setup(nominal_setup("v_groove", "mild_steel"))
+    path.write_text(text.replace("fx =", 'bought = "in May"\nfx =').replace("fy =", "# square pixels\nfy ="))
+    return path
+
+
+def test_values_and_their_covariance_are_added_and_all_else_stays(setup_toml: Path) -> None:
+    before = setup_toml.read_text().splitlines()
+    text = with_calibrated(setup_toml, lens(fx=1432.25))
+    # What `calibrate` adds stands behind all that was there, where one line alone has changed.
+    changed = [(a, b) for a, b in zip(before, text.splitlines(), strict=False) if a != b]
+    assert [b for _, b in changed] == ["fx = 1432.25"]
+    record = tomllib.loads(text)["calibration"]["camera"]
+    assert record["sigma"] == [2.0, 0.1]
+    assert np.array_equal(record["covariance"], lens().covariance)
+    assert record["made_by"] == "arctrack calibrate camera"
+
+
+def test_the_file_reads_back_without_a_new_warning(setup_toml: Path) -> None:
+    unknown = read_setup_file(setup_toml).unknown_keys
+    setup_toml.write_text(with_calibrated(setup_toml, lens(fx=1432.25)))
+    read = read_setup_file(setup_toml)
+    assert read.setup.camera.fx == 1432.25
+    assert read.unknown_keys == unknown == ("[camera] bought",)
+
+
+def test_a_later_calibration_replaces_the_earlier_one_and_leaves_others(setup_toml: Path) -> None:
+    sensor = Calibrated(
+        "sensor", {"read_noise_e": 9.0}, ("read_noise_e",), np.array([[0.25]]), "arctrack calibrate sensor"
+    )
+    for found in (lens(fx=1.0e3), sensor, lens(fx=2.0e3)):
+        setup_toml.write_text(with_calibrated(setup_toml, found))
+    assert list(tomllib.loads(setup_toml.read_text())["calibration"]) == ["camera", "sensor"]
+    setup = read_setup_file(setup_toml).setup
+    assert (setup.camera.fx, setup.sensor.read_noise_e) == (2.0e3, 9.0)
+
+
+def test_a_value_that_the_file_cannot_hold_is_refused(setup_toml: Path) -> None:
+    with pytest.raises(ArctrackError, match=r"recording.toml: \[camera\] fx"):
+        with_calibrated(setup_toml, lens(fx=-5.0))
+    with pytest.raises(ValueError, match="covariance of 2 parameters must be 2 x 2"):
+        Calibrated("camera", {}, ("fx", "fy"), np.eye(3), "a test")
+
+
+def test_earlier_files_are_kept_under_rising_numbers(tmp_path: Path) -> None:
+    path = tmp_path / "recording.toml"
+    assert write_keeping(path, "a") is None
+    assert write_keeping(path, "a") is None
+    kept = [write_keeping(path, text) for text in "bc"]
+    assert [(file.name, file.read_text()) for file in kept if file is not None] == [
+        ("recording.toml.1", "a"),
+        ("recording.toml.2", "b"),
+    ]
+    assert path.read_text() == "c"
