@@ -24,8 +24,11 @@ ROUND_CHORDS = 40
 """Chords of a rounded root."""
 
 NEWTON_STEPS, MET_MM = 12, 1e-7
-MARCH_STEPS = 48
-"""Where ridges run a ray is followed in so many steps, for Newton's might find the ridge behind."""
+STEEP_ENOUGH, SPARE_MM = 1e-3, 0.05
+"""A face is left out where the ray's tangent misses it by more than the seam's sag and this."""
+
+MARCH_MM, MIN_MARCH_STEPS = 0.75, 4
+"""Where ridges run a ray is followed in steps of the station, for Newton's might find the ridge behind."""
 
 OFF_MM, SHORT = 2e-3, 1e-3
 """Shadow rays leave the metal by so much, and end that share before their source."""
@@ -120,16 +123,21 @@ def departure(x: float, bend: Float64) -> tuple[float, float, float, float]:
 
 @njit(cache=True)
 def _level(o, d, t, k, corners, bend):  # type: ignore[no-untyped-def]
-    """Return a face's equation at o + t d, its derivative by t, and y and z from the section's frame."""
+    """Return a face's equation at o + t d, its derivative by t, the place along the face, and its length."""
     aside, aside_slope, lift, lift_slope = departure(o[0] + t * d[0], bend)
     y, z = o[1] + t * d[1] - aside, o[2] + t * d[2] - lift
+    return _level_there(y, z, d[1] - aside_slope * d[0], d[2] - lift_slope * d[0], k, corners)[:4]
+
+
+@njit(cache=True)
+def _level_there(y, z, y_slope, z_slope, k, corners):  # type: ignore[no-untyped-def]
+    """Return what `_level` does for a place of the section, and how fast the place moves along the face."""
     dy, dz = corners[k + 1, 0] - corners[k, 0], corners[k + 1, 1] - corners[k, 1]
     length = math.hypot(dy, dz)
     dy, dz = dy / length, dz / length
     value = (z - corners[k, 1]) * dy - (y - corners[k, 0]) * dz
-    slope = (d[2] - lift_slope * d[0]) * dy - (d[1] - aside_slope * d[0]) * dz
     along = (y - corners[k, 0]) * dy + (z - corners[k, 1]) * dz
-    return value, slope, along, length
+    return value, z_slope * dy - y_slope * dz, along, length, y_slope * dy + z_slope * dz
 
 
 @njit(cache=True)
@@ -151,35 +159,82 @@ def _newton(o, d, start, k, corners, bend, least, most):  # type: ignore[no-unty
 
 
 @njit(cache=True)
-def first_hit(o, d, corners, bend, least, most):  # type: ignore[no-untyped-def]
-    """Return how far along a ray the metal is met first, and the face; NaN and -1 for nowhere."""
+def _straight_hit(o, d, corners, bend, least, most, any_hit):  # type: ignore[no-untyped-def]
+    """Do what `first_hit` does where no ridges run: the seam hardly bends over a joint's width.
+
+    A face that the tangent at one place of the ray misses by more than the seam's bend allows is left out.
+    """
     best, face = most, -1
-    if bend[3] > 0.0:
-        # The ray is in the ridges' reach between two heights only.
-        top, bottom = bend[3] + corners[:, 1].max() + 2.0, corners[:, 1].min() - 2.0
-        t_1, t_2 = (top - o[2]) / d[2], (bottom - o[2]) / d[2]
-        low, high = max(min(t_1, t_2), least), min(max(t_1, t_2), most)
+    t_0 = min(max(-o[2] / d[2], least), most) if d[2] != 0.0 else least
+    aside, aside_slope, lift, lift_slope = departure(o[0] + t_0 * d[0], bend)
+    y, z = o[1] + t_0 * d[1] - aside, o[2] + t_0 * d[2] - lift
+    y_slope, z_slope = d[1] - aside_slope * d[0], d[2] - lift_slope * d[0]
+    curvature = abs(bend[0]) * (2.0 * math.pi / bend[1]) ** 2
     for k in range(corners.shape[0] - 1):
-        if bend[3] > 0.0:
-            before = _level(o, d, low, k, corners, bend)[0]
-            for i in range(1, MARCH_STEPS + 1):
-                t = low + (high - low) * i / MARCH_STEPS
-                here = _level(o, d, t, k, corners, bend)[0]
-                if before * here <= 0.0:
-                    step = (high - low) / MARCH_STEPS
-                    start = t - step * abs(here) / max(abs(here) + abs(before), 1e-300)
-                    met = _newton(o, d, start, k, corners, bend, least, best)
-                    if not math.isnan(met):
-                        best, face = met, k
-                        break
-                before = here
-        else:
-            value, slope, _, _ = _level(o, d, 0.0, k, corners, bend)
-            if slope != 0.0:
-                met = _newton(o, d, -value / slope, k, corners, bend, least, best)
+        value, slope, along, length, pace = _level_there(y, z, y_slope, z_slope, k, corners)
+        start = t_0
+        if abs(slope) > STEEP_ENOUGH:
+            step = -value / slope
+            sag = 0.5 * curvature * (d[0] * step) ** 2 + SPARE_MM
+            slack = sag * (1.0 + abs(pace / slope))
+            if not -slack <= along + pace * step <= length + slack:
+                continue
+            start += step
+            if not least - sag / abs(slope) <= start <= best + sag / abs(slope):
+                continue
+        met = _newton(o, d, start, k, corners, bend, least, best)
+        if not math.isnan(met):
+            best, face = met, k
+            if any_hit:
+                break
+    return best, face
+
+
+@njit(cache=True)
+def _ridged_hit(o, d, corners, bend, least, most, any_hit):  # type: ignore[no-untyped-def]
+    """Do what `first_hit` does where ridges run, step after step along the ray."""
+    best, face, n_faces = most, -1, corners.shape[0] - 1
+    # The ray is in the ridges' reach between two heights only.
+    top, bottom = bend[3] + corners[:, 1].max() + 2.0, corners[:, 1].min() - 2.0
+    t_1, t_2 = (top - o[2]) / d[2], (bottom - o[2]) / d[2]
+    low, high = max(min(t_1, t_2), least), min(max(t_1, t_2), most)
+    n_steps = max(math.ceil(abs(d[0]) * (high - low) / MARCH_MM), MIN_MARCH_STEPS)
+    before = np.empty(n_faces)
+    for i in range(n_steps + 1):
+        t = low + (high - low) * i / n_steps
+        aside, _, lift, _ = departure(o[0] + t * d[0], bend)
+        y, z = o[1] + t * d[1] - aside, o[2] + t * d[2] - lift
+        for k in range(n_faces):
+            here = _level_there(y, z, 0.0, 0.0, k, corners)[0]
+            if i > 0 and before[k] * here <= 0.0:
+                start = t - (high - low) / n_steps * abs(here) / max(abs(here) + abs(before[k]), 1e-300)
+                met = _newton(o, d, start, k, corners, bend, least, best)
                 if not math.isnan(met):
                     best, face = met, k
+            before[k] = here
+        if face >= 0 and (any_hit or best <= t):
+            break
+    return best, face
+
+
+@njit(cache=True)
+def first_hit(o, d, corners, bend, least, most, any_hit=False):  # type: ignore[no-untyped-def]
+    """Return how far along a ray the metal is met first (any hit: met), and the face; NaN and -1."""
+    if bend[3] > 0.0:
+        best, face = _ridged_hit(o, d, corners, bend, least, most, any_hit)
+    else:
+        best, face = _straight_hit(o, d, corners, bend, least, most, any_hit)
     return (best, face) if face >= 0 else (math.nan, -1)
+
+
+@njit(cache=True)
+def first_hits(rays, eye, corners, bend):  # type: ignore[no-untyped-def]
+    """Return where rays (n, 3) from the eye meet the metal first (n, 3) and the faces (n,); NaN and -1."""
+    places, faces = np.full(rays.shape, np.nan), np.empty(rays.shape[0], np.int64)
+    for i in range(rays.shape[0]):
+        t, faces[i] = first_hit(eye, rays[i], corners, bend, 1.0, 1e4)
+        places[i] = eye + t * rays[i]
+    return places, faces
 
 
 @njit(cache=True)
@@ -197,4 +252,4 @@ def is_open(p, n, target, corners, bend):  # type: ignore[no-untyped-def]
     o = p + OFF_MM * n
     way = target - o
     length = math.sqrt(way[0] ** 2 + way[1] ** 2 + way[2] ** 2)
-    return first_hit(o, way / length, corners, bend, 1e-4, (1.0 - SHORT) * length)[1] < 0
+    return first_hit(o, way / length, corners, bend, 1e-4, (1.0 - SHORT) * length, True)[1] < 0

@@ -15,9 +15,9 @@ import cv2
 import numpy as np
 from numba import njit
 from scipy.ndimage import gaussian_filter, shift
-from swept_joint import SweptJoint, departure, first_hit, normal_at
+from swept_joint import SweptJoint, departure, normal_at
 
-from noise_model.arrays import Float64
+from noise_model.arrays import Float64, Integers
 
 TILE = 512
 """Cells of the texture to each side; it repeats."""
@@ -87,11 +87,14 @@ def texture(look: Look) -> Float64:
 
 
 def seen_metal(
-    rays: Float64, eye: Float64, joint: SweptJoint, shape: tuple[int, int], look: Look, tile: Float64
+    met: Float64, faces: Integers, joint: SweptJoint, shape: tuple[int, int], look: Look, tile: Float64
 ) -> tuple[Float64, Float64]:
-    """Return the metal's reflectance and the share of an even sky above it, (H, W) each; 0 off the metal."""
-    places = np.zeros((len(rays), 4))
-    _surface(rays, eye, joint.corners, joint.bend, places)
+    """Return the metal's reflectance and the share of an even sky above it, (H, W) each; 0 off the metal.
+
+    The pixels' rays meet the metal at `met` (H W, 3), on `faces` (H W,).
+    """
+    places = np.zeros((len(met), 4))
+    _surface(met, faces, joint.corners, joint.bend, places)
     x, along, y, sky = (places[:, i].reshape(shape) for i in range(4))
     cells = (CELLS_PER_GRAIN / look.grain_mm * np.stack([x, along])) % TILE
     u, v = cells.astype(np.float32)
@@ -111,17 +114,16 @@ def _covered(y: Float64, footprint: Float64, low: float, high: float) -> Float64
 
 
 @njit(cache=True)
-def _surface(rays, eye, corners, bend, places):  # type: ignore[no-untyped-def]
-    """Write x, the way along the section, y from the seam's middle, and the sky's share (n, 4) for rays."""
+def _surface(met, faces, corners, bend, places):  # type: ignore[no-untyped-def]
+    """Write x, the way along the section, y from the seam's middle, and the sky's share (n, 4)."""
     starts = np.zeros(corners.shape[0])
     for k in range(1, corners.shape[0]):
         dy, dz = corners[k, 0] - corners[k - 1, 0], corners[k, 1] - corners[k - 1, 1]
         starts[k] = starts[k - 1] + math.hypot(dy, dz)
-    for i in range(rays.shape[0]):
-        t, k = first_hit(eye, rays[i], corners, bend, 1.0, 1e4)
+    for i in range(met.shape[0]):
+        k, p = faces[i], met[i]
         if k < 0:
             continue
-        p = eye + t * rays[i]
         aside, _, lift, _ = departure(p[0], bend)
         places[i, 0] = p[0]
         places[i, 1] = starts[k] + math.hypot(p[1] - aside - corners[k, 0], p[2] - lift - corners[k, 1])

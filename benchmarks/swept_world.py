@@ -13,13 +13,13 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 from numba import njit
-from scipy.ndimage import gaussian_filter
-from swept_joint import ACROSS_MM, SweptJoint, departure, first_hit, is_open, normal_at
+from scipy.ndimage import gaussian_filter, maximum_filter
+from swept_joint import ACROSS_MM, SweptJoint, departure, first_hit, first_hits, is_open, normal_at
 from swept_light import Look, Surroundings, glints, seen_metal, texture, with_ghost
 
-from noise_model.arrays import Float64, Integers
+from noise_model.arrays import Bool, Float64, Integers
 from noise_model.setup import Setup
-from noise_model.transforms import transform
+from noise_model.transforms import invert, transform
 
 ARC_POINTS, ARC_COARSER = 32, 4
 """Points of the arc's upper half, and by how much coarser its light is computed than the image."""
@@ -27,7 +27,7 @@ ARC_POINTS, ARC_COARSER = 32, 4
 PARTS = 3
 """A pixel's light is the mean of so many by so many of its parts."""
 
-SHEET_REACH = 6.0
+SHEET_REACH, NEIGHBOURS_PX = 6.0, 3
 
 
 @njit(cache=True)
@@ -46,12 +46,10 @@ def _lobe(n, w_i, w_r, c2):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True)
-def _stripe(rays, eye, corners, bend, origin, plane, up, stand, sigma, fan, metal, image, near):  # type: ignore[no-untyped-def]
+def _stripe(rays, eye, corners, bend, origin, plane, up, stand, sigma, fan, metal, image):  # type: ignore[no-untyped-def]
     """Write the stripe's light (n,) over kappa-free peak for rays (n, 3) from the eye."""
     for i in range(rays.shape[0]):
         image[i] = 0.0
-        if not near[i]:
-            continue
         t, k = first_hit(eye, rays[i], corners, bend, 1.0, 1e4)
         if k < 0:
             continue
@@ -136,18 +134,19 @@ class SweptWorld:
         """Return an image (H, W), DN, of one pose."""
         setup, around = self.setup, self.around
         shape = (setup.camera.height, setup.camera.width)
+        rays, eye = self._rays(T_joint_tool, self._xy)
+        met, faces = first_hits(rays, eye, self.joint.corners, self.joint.bend)
         cos4 = ((1.0 + np.sum(self._xy**2, axis=1)) ** -2.0).reshape(shape)
         metal, light = np.ones(shape), np.zeros(shape)
         if around.look != Look():
-            rays = self._rays(T_joint_tool, self._xy)
-            metal, sky = seen_metal(*rays, self.joint, shape, around.look, self._texture)
+            metal, sky = seen_metal(met, faces, self.joint, shape, around.look, self._texture)
             light += around.hall_e * sky
         if arc_on:
             light += self.arc_light(T_joint_tool)
         charge = gaussian_filter(light * metal * cos4, setup.camera.psf_sigma_px)
         if laser_on:
-            parts = [self._stripe(T_joint_tool, self.joint, xy) for xy in self._parts]
-            stripe = np.mean(parts, axis=0).reshape(shape) * cos4 * (setup.laser.peak_e / self._peak)
+            lit = self._stripe(T_joint_tool, self.joint, met, self._parts)
+            stripe = lit.reshape(shape) * cos4 * (setup.laser.peak_e / self._peak)
             stripe = gaussian_filter(stripe * metal, self._lens_px, truncate=6.0)
             stripe *= self._grains(shape, draw)
             charge += stripe if around.ghost is None else with_ghost(stripe, around.ghost)
@@ -174,8 +173,13 @@ class SweptWorld:
         rays /= np.linalg.norm(rays, axis=1, keepdims=True)
         return np.ascontiguousarray(rays), np.ascontiguousarray(T_joint_camera[:3, 3])
 
-    def _stripe(self, T_joint_tool: Float64, joint: SweptJoint, xy: Float64) -> Float64:
-        rays, eye = self._rays(T_joint_tool, xy)
+    def _stripe(
+        self, T_joint_tool: Float64, joint: SweptJoint, met: Float64, parts: list[Float64]
+    ) -> Float64:
+        """Return the stripe's light (H W,) over kappa-free peak, the mean over parts of pixels.
+
+        `met` (H W, 3) is where the pixels' rays meet the metal.
+        """
         laser, metal = self.setup.laser, self.setup.material
         normal = T_joint_tool[:3, :3] @ laser.plane[:3]
         plane = np.array([*normal, laser.plane[3] - normal @ T_joint_tool[:3, 3]])
@@ -185,23 +189,26 @@ class SweptWorld:
         half_deg = laser.fan_half_angle_deg
         wide = math.inf if half_deg is None else math.tan(math.radians(half_deg))
         fan = np.array([np.cross(normal, side), side, [wide, 0.0, 0.0]])
-        image = np.empty(len(rays))
-        # A ray that passes the sheet far beside any height of the metal is left out.
-        top, bottom = (
-            max(joint.corners[1:-1, 1], default=0.0) + joint.bend[3] + 40.0,
-            joint.corners[:, 1].min() - 15.0,
-        )
-        low = eye + rays * ((bottom - eye[2]) / rays[:, 2:])
-        high = eye + rays * ((min(top, eye[2] - 1.0) - eye[2]) / rays[:, 2:])
-        reach = SHEET_REACH * laser.stripe_sigma_mm * 2.0
-        off_low, off_high = low @ plane[:3] + plane[3], high @ plane[:3] + plane[3]
-        near = (np.minimum(off_low, off_high) < reach) & (np.maximum(off_low, off_high) > -reach)
-        _stripe(
-            rays, eye, joint.corners, joint.bend, transform(T_joint_tool, laser.origin_mm), plane,
-            np.ascontiguousarray(T_joint_tool[:3, 2]), laser.origin_in_tool_mm[2], laser.stripe_sigma_mm, fan,
-            np.array([metal.kappa_diff, metal.kappa_spec, metal.c2]), image, near,
-        )  # fmt: skip
+        near = self._near_sheet(T_joint_tool, met)
+        image, lit = np.zeros(len(self._xy)), np.empty(int(near.sum()))
+        for xy in parts:
+            rays, eye = self._rays(T_joint_tool, xy[near])
+            _stripe(
+                rays, eye, joint.corners, joint.bend, transform(T_joint_tool, laser.origin_mm), plane,
+                np.ascontiguousarray(T_joint_tool[:3, 2]), laser.origin_in_tool_mm[2], laser.stripe_sigma_mm,
+                fan, np.array([metal.kappa_diff, metal.kappa_spec, metal.c2]), lit,
+            )  # fmt: skip
+            image[near] += lit / len(parts)
         return image
+
+    def _near_sheet(self, T_joint_tool: Float64, met: Float64) -> Bool:
+        """Say for each pixel (H W,) whether it, or a neighbour, meets the metal (H W, 3) near the sheet."""
+        laser, camera = self.setup.laser, self.setup.camera
+        aside = transform(invert(T_joint_tool), met) @ laser.plane[:3] + laser.plane[3]
+        # The sheet grows with the way below its origin; nothing is twice as far as the tool's point.
+        near = np.abs(aside) < 2.0 * SHEET_REACH * laser.stripe_sigma_mm
+        wide = 2 * NEIGHBOURS_PX + 1
+        return maximum_filter(near.reshape(camera.height, camera.width), wide).ravel()
 
     def arc_light(self, T_joint_tool: Float64) -> Float64:
         """Return the arc's light (H, W), e-, before the lens."""
@@ -224,11 +231,9 @@ class SweptWorld:
 
     def _stripe_on_plate(self) -> float:
         """Return the stripe's peak on a flat plate at tool height, level pose, middle column."""
-        camera = self.setup.camera
         plate = SweptJoint(
             np.array([[-ACROSS_MM, 0.0], [ACROSS_MM, 0.0]]), np.zeros(2), np.array([0, 1, 0, 0, 1, 1.0])
         )
+        met, _ = first_hits(*self._rays(np.eye(4), self._xy), plate.corners, plate.bend)
         cos4 = (1.0 + np.sum(self._xy**2, axis=1)) ** -2.0
-        return float(
-            (self._stripe(np.eye(4), plate, self._xy) * cos4).reshape(camera.height, camera.width).max()
-        )
+        return float((self._stripe(np.eye(4), plate, met, [self._xy]) * cos4).max())
