@@ -510,12 +510,3 @@ def _left_out(table: str, stated: Collection[str]) -> Iterator[str]:
 def _comment(key: Key) -> Iterator[str]:
     for text in (f"{key.meaning} Usual: {key.typical}.", f"From {key.source.value}. {key.how}"):
         yield from textwrap.wrap(text, COLUMNS, initial_indent="# ", subsequent_indent="# ")
-
-
-def keys_table() -> str:
-    """Return the table of keys, their meaning, source and usual values, for docs/how_to/own_sensor.md."""
-    rows = ["| key | what it is | where it comes from | usual |", "| --- | --- | --- | --- |"]
-    for key in KEYS:
-        source = f"**{key.source.value}** {key.how}".rstrip()
-        rows.append(f"| `[{key.table}]` `{key.name}` | {key.meaning} | {source} | {key.typical} |")
-    return "\n".join(rows) + "\n"

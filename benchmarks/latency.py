@@ -51,7 +51,7 @@ SEARCHES, PEER_RUNS, PASSES = 24, 5, 200
 STAGES = {
     "pose, scene, expected seam": ("pose_checks", "make_scene", "expected_seam"),
     "expected stripe": ("expect_stripe",),
-    "arc: tables and level": ("arc_kernel", "arc_map_of", "estimate_arc_level"),
+    "arc: tables and level": ("arc_kernel", "arc_map_of", "unlit_by_the_laser", "estimate_arc_level"),
     "band: place and pixels": ("place", "gather", "weigh"),
     "band: arc map": ("_predict_background",),
     "matched filter and path": ("matched_filter", "best_path", "peaks"),

@@ -14,13 +14,12 @@ from noise_model.instrument.camera import fall_off
 from noise_model.instrument.laser import (
     Sheet,
     beyond_fan_mm,
-    irradiance,
     sheet_of,
     sheet_reflected,
 )
 from noise_model.kernel import kernel
 from noise_model.setup import Setup
-from noise_model.surface.brdf import LobeNumbers, lobe_numbers, reflectance
+from noise_model.surface.brdf import LobeNumbers, lobe_numbers
 from noise_model.surface.ray_casting import ways_are_open
 from noise_model.transforms import cross, invert, transform
 from noise_model.view import View
@@ -49,21 +48,6 @@ def _reflect(
         distance = math.sqrt(x * x + y * y + z * z)
         omega_r = (x / distance, y / distance, z / distance)
         light[i] = sheet_reflected(sheet, material, P, normals[i], omega_r)
-
-
-def reflected_sheet_plain(setup: Setup, points: Float64, normals: Float64, T_joint_tool: Float64) -> Float64:
-    """Return what `reflected_sheet` does: its plain twin."""
-    material = setup.material
-    T_tool_joint = invert(T_joint_tool)
-    light = irradiance(transform(T_tool_joint, points), normals @ T_tool_joint[:3, :3].T, setup.laser)
-    omega_i = transform(T_joint_tool, setup.laser.origin_mm) - points
-    omega_i /= np.linalg.norm(omega_i, axis=1, keepdims=True)
-    omega_r = (T_joint_tool @ setup.camera.T_tool_camera)[:3, 3] - points
-    omega_r /= np.linalg.norm(omega_r, axis=1, keepdims=True)
-    f_r = reflectance(
-        omega_i, omega_r, normals, material.kappa_diff, material.kappa_spec, material.c2, material.lobe
-    )
-    return light * f_r
 
 
 class SheetSeen(NamedTuple):

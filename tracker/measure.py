@@ -12,7 +12,13 @@ from noise_model.arc_source import level as current_level
 from noise_model.setup import Setup
 from noise_model.surface.joint import SeamLine, seam_height_mm
 from tracker import checks
-from tracker.arc.level import UNKNOWN, ArcLevel, estimate_ambient_light, estimate_arc_level
+from tracker.arc.level import (
+    UNKNOWN,
+    ArcLevel,
+    estimate_ambient_light,
+    estimate_arc_level,
+    unlit_by_the_laser,
+)
 from tracker.arc.transmission import Transmission
 from tracker.checks import Checks
 from tracker.geometry import SensorGeometry
@@ -109,8 +115,8 @@ def measure(
     arc_map = arc_map_of(geometry, kernel)
     is_arc_on = shows_arc(geometry.setup, frame)
     transmission = Transmission.of(geometry, scene, arc_map.at, output if is_arc_on else 0.0)
-    estimate = estimate_arc_level if is_arc_on else estimate_ambient_light
-    arc = estimate(geometry, arc_map.at, transmission, frame.image_dn, stripe_px, keep_off)
+    unlit = unlit_by_the_laser(geometry, arc_map.at, transmission, frame.image_dn, stripe_px, keep_off)
+    arc = (estimate_arc_level if is_arc_on else estimate_ambient_light)(geometry, unlit)
     _ask_arc(asked, arc)
     reading = replace(reading, arc=arc)
     if not asked.ask(checks.LASER_ON, frame.laser_on):

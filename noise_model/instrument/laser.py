@@ -201,8 +201,11 @@ def is_beside_fan(sheet: Sheet, Q: Vector) -> bool:
 def sheet_reflected(
     sheet: Sheet, material: LobeNumbers, Q: Vector, normal: Vector, omega_r: Vector, reach: float = math.inf
 ) -> float:
-    """Return what a point Q sends of the sheet along `omega_r`: `irradiance` times f_r.
+    """Return what a point Q sends of the sheet along `omega_r`: its irradiance over the peak's, times f_r.
 
+    The irradiance is exp(-1/2 |x' / (sigma z/h)|^p) (h/z)^2 cos(theta_i) / cos(psi): x' the distance from the
+    plane, p the profile's exponent, z the depth below the origin, h the origin's height, psi the angle of the
+    point's ray to the tool's axis, theta_i its incidence; 1 on the axis at tool height for a level plate.
     It is 0 more than `reach` sigmas of the sheet away, and beyond the fan's end. Hidden points are the
     caller's to exclude.
     """
@@ -221,28 +224,6 @@ def sheet_reflected(
     power = off * off if sheet.exponent == 2.0 else abs(off) ** sheet.exponent
     light: float = math.exp(-0.5 * power) * (sheet.stand / depth) ** 2 * cos_i * distance / depth
     return light * reflected(material, (wx, wy, wz), omega_r, normal)
-
-
-def irradiance(points_tool: Float64, normals_tool: Float64, laser: Laser) -> Float64:
-    """Return the sheet's irradiance at points (N, 3) mm with unit normals (N, 3), relative to its peak.
-
-    exp(-1/2 |x' / (sigma z/h)|^p) (h/z)^2 cos(theta_i) / cos(psi): x' the distance from the plane, p the
-    profile's exponent, z the depth below the origin, h the origin's height, psi the angle of the point's ray
-    to the axis, theta_i its incidence. 1 on the axis at tool height for a level plate, 0 beyond the fan's
-    end. Hidden points are the caller's to exclude.
-    """
-    origin, plane = laser.origin_mm, laser.plane
-    h = origin[2]
-    towards = origin - points_tool
-    z = towards[..., 2]
-    distance = np.linalg.norm(towards, axis=-1)
-    with np.errstate(divide="ignore", invalid="ignore"):
-        cos_psi = z / distance
-        cos_theta_i = np.sum(towards * normals_tool, axis=-1) / distance
-        x_prime = points_tool @ plane[:3] + plane[3]
-        sheet = np.exp(-0.5 * np.abs(x_prime / (laser.stripe_sigma_mm * z / h)) ** laser.profile_exponent)
-        value = sheet * (h / z) ** 2 * cos_theta_i / cos_psi
-    return np.where((z > 0) & (cos_theta_i > 0) & ~(beyond_fan_mm(points_tool, laser) > 0), value, 0.0)
 
 
 def beyond_fan_mm(points_tool: Float64, laser: Laser) -> Float64:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import runpy
 import shutil
 from pathlib import Path
 
@@ -10,7 +11,7 @@ from typer.testing import CliRunner
 
 from arctrack.cli import app
 from arctrack.errors import ArctrackError
-from arctrack.new import KEYS, RADIANCE_E, commented_setup, keys_table, write_new
+from arctrack.new import KEYS, RADIANCE_E, commented_setup, write_new
 from arctrack.nominal import DIMENSIONS, MATERIALS, nominal_setup
 from arctrack.recording import format_setup, read_recording, read_setup_file
 
@@ -96,6 +97,8 @@ def test_what_is_there_is_not_touched(tmp_path: Path) -> None:
 
 
 def test_the_documentation_is_in_step() -> None:
-    """Put the output of arctrack.new.keys_table() between the page's marks."""
     text = (ROOT / "docs" / "how_to" / "own_sensor.md").read_text(encoding="utf-8")
-    assert text.split("<!-- keys: begin -->\n")[1].split("<!-- keys: end -->")[0] == keys_table()
+    table = text.split("<!-- keys: begin -->\n")[1].split("<!-- keys: end -->")[0]
+    assert table == runpy.run_path(str(ROOT / "docs" / "keys_table.py"))["keys_table"](), (
+        "docs/how_to/own_sensor.md: put the output of `python docs/keys_table.py` between its marks"
+    )

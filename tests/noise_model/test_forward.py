@@ -5,6 +5,7 @@ import cv2
 import numpy as np
 import pytest
 import scenes
+from sheet_twin import reflected_sheet_plain
 
 from noise_model import forward
 from noise_model.arc.map import arc_at, arc_kernel, make_scene
@@ -12,7 +13,7 @@ from noise_model.condition import Condition
 from noise_model.effects import REGISTRY, checked
 from noise_model.forward import FILL_TOLERANCE, Renderer, draw_frame, predict
 from noise_model.instrument.camera import Camera, Rays
-from noise_model.stripe import check_stripe, reflected_sheet, reflected_sheet_plain, stripe_reference
+from noise_model.stripe import check_stripe, reflected_sheet, stripe_reference
 from noise_model.surface.brdf import Lobe
 from noise_model.surface.joint import NOMINAL_SEAM, SeamLine
 from noise_model.transforms import invert, moved

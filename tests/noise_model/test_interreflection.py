@@ -8,12 +8,12 @@ import math
 import cv2
 import numpy as np
 import pytest
+from sheet_twin import irradiance
 
 from noise_model.arc.map import arc_at, arc_kernel
 from noise_model.arc_source import level
 from noise_model.forward import Layers
 from noise_model.instrument.camera import blur
-from noise_model.instrument.laser import irradiance
 from noise_model.interreflection import model as interreflection
 from noise_model.interreflection.bounces import ORDERS
 from noise_model.interreflection.first_bounce import arc_leaving, place, sees

@@ -6,8 +6,9 @@ import pytest
 import scenes
 from hypothesis import given
 from hypothesis import strategies as st
+from sheet_twin import irradiance
 
-from noise_model.instrument.laser import Laser, irradiance, plane_in, sheet_of, sheet_reflected
+from noise_model.instrument.laser import Laser, plane_in, sheet_of, sheet_reflected
 from noise_model.surface.brdf import TABLE_1, lobe_numbers
 from noise_model.transforms import pose_matrix, transform
 

@@ -5,11 +5,11 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 from scipy.optimize import least_squares
+from sheet_twin import reflected_sheet_plain
 
 from noise_model.arc.map import Scene
 from noise_model.arrays import Bool, Float64
 from noise_model.setup import Setup
-from noise_model.stripe import reflected_sheet_plain
 from noise_model.surface.joint import corrugation_height
 from noise_model.transforms import invert, transform
 from tracker.geometry import SensorGeometry

@@ -25,6 +25,7 @@ from tracker.arc.level import (
     _only_seen,
     estimate_ambient_light,
     estimate_arc_level,
+    unlit_by_the_laser,
 )
 from tracker.geometry import SensorGeometry
 from tracker.state import Frame, Pose
@@ -51,7 +52,7 @@ def estimate(geometry: SensorGeometry, frame: Frame, pose: Pose = POSE) -> ArcLe
     stripe_px = expected.position_px if frame.laser_on else None
     light = arc_map_of(geometry, arc_kernel(geometry.setup, scene)).at
     look = estimate_arc_level if frame.arc_on else estimate_ambient_light
-    return look(geometry, light, None, frame.image_dn, stripe_px, 30.0)
+    return look(geometry, unlit_by_the_laser(geometry, light, None, frame.image_dn, stripe_px, 30.0))
 
 
 @pytest.mark.parametrize("laser", [0.0, 1.0])

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -32,7 +33,6 @@ MAX_SIGMA = 0.2
 
 MAX_STEPS, LEVEL_SETTLED = 20, 1e-6
 """Steps of the level's fit at most, and the relative one that is the last."""
-
 
 AMBIENT_SIGMAS = 5.0
 """An offset of more of the black level's sigmas is light of the hall: no black level is stated so wrongly."""
@@ -63,72 +63,28 @@ class ArcLevel:
 UNKNOWN = ArcLevel(np.nan, np.nan, 0.0, np.nan)
 
 
-def estimate_arc_level(
-    geometry: SensorGeometry,
-    light: ArcLight,
-    transmission: Transmission | None,
-    image_dn: Integers,
-    stripe_px: Float64 | None,
-    keep_off_px: float,
-) -> ArcLevel:
-    """Fit charge = level * map + black to a lattice of pixels farther than `keep_off_px` from the stripe.
+class Unlit(NamedTuple):
+    """Pixels that the laser does not light: the arc's light at its expected output, and the charge, (n,) e-.
 
-    `light` is the arc's at its expected output, `transmission` what effects make of it. Weighted least
-    squares with Huber weights; the variance is the pixel's at the fitted mean plus (MAP_SIGMA level map)^2,
-    the black level's prior is its tolerance. Where the pixels ask for an offset far beyond that, light of the
-    hall is in it, and nothing is known of it before.
+    The charge is less the other light that is stated.
     """
-    m, e = _unlit_by_the_laser(geometry, light, transmission, image_dn, stripe_px, keep_off_px)
-    if len(m) < MIN_PIXELS or not (m > 0.0).any():
-        return UNKNOWN
-    sensor, tolerance = geometry.setup.sensor, geometry.setup.tolerance
-    black_sigma = max(tolerance.black_level_dn * sensor.gain_e_per_dn, 1e-3)
-    dark_e2, size = geometry.dark_variance_at(e), np.empty(len(m))
-    start = max(0.0, _quantile(e, 0.5) / (_quantile(m, 0.5) + 1e-9))
-    level, sigma, black = _fit_level(m, e, dark_e2, black_sigma, start, size)
-    if black > AMBIENT_SIGMAS * black_sigma:
-        level, sigma, black = _fit_level(m, e, dark_e2, sensor.full_well_e, level, size)
-    # Where the sheet hides the arc, its level may be anything.
-    if not sigma < MAX_SIGMA * max(level, 1.0):
-        return UNKNOWN
-    misfit = _quantile(size, MISFIT_QUANTILE) / NORMAL_QUANTILE
-    return ArcLevel(level, sigma, black, misfit)
+
+    arc_e: Float64
+    charge_e: Float64
 
 
-def estimate_ambient_light(
+def unlit_by_the_laser(
     geometry: SensorGeometry,
     light: ArcLight,
     transmission: Transmission | None,
     image_dn: Integers,
     stripe_px: Float64 | None,
     keep_off_px: float,
-) -> ArcLevel:
-    """Read the light of a frame whose arc is off; the arguments are those of `estimate_arc_level`.
+) -> Unlit:
+    """Read an even sample's pixels that see metal, are not saturated and lie off the stripe.
 
-    The offset is the median of what effects leave unexplained: the black level's, and even light of the hall.
-    That light has the scene's texture. Its 1 sigma is by how much the residuals scatter, by the quantile that
-    tells the misfit, beyond what the pixels' noise makes.
-    """
-    _, e = _unlit_by_the_laser(geometry, light, transmission, image_dn, stripe_px, keep_off_px)
-    if len(e) < MIN_PIXELS:
-        return ArcLevel(0.0, 0.0, 0.0, np.nan, is_on=False)
-    black = _quantile(e, 0.5)
-    noise_e = math.sqrt(max(black, 0.0) + geometry.dark_variance_at(e)) * (1.0 + CHANCE / math.sqrt(len(e)))
-    spread_e = _quantile(np.abs(e - black), MISFIT_QUANTILE) / NORMAL_QUANTILE
-    return ArcLevel(0.0, 0.0, black, np.nan, False, math.sqrt(max(spread_e**2 - noise_e**2, 0.0)))
-
-
-def _unlit_by_the_laser(
-    geometry: SensorGeometry,
-    light: ArcLight,
-    transmission: Transmission | None,
-    image_dn: Integers,
-    stripe_px: Float64 | None,
-    keep_off_px: float,
-) -> tuple[Float64, Float64]:
-    """Return the arc's light at its expected output and the charge less other stated light (n,), e-.
-
-    Those of an even sample's pixels that see metal, are not saturated and lie off the stripe.
+    `light` is the arc's at its expected output, `transmission` what effects make of it. Off the stripe is
+    farther than `keep_off_px` from `stripe_px` (n_scan,); without a stripe every pixel is.
     """
     scan, position = geometry.even_sample
     pixels, charge_e = np.empty(len(scan), dtype=np.int64), np.empty(len(scan))
@@ -147,7 +103,47 @@ def _unlit_by_the_laser(
     )
     m, other = seen_arc(light, transmission, pixels[:n])
     n = _only_seen(m, charge_e, other)
-    return m[:n], charge_e[:n]
+    return Unlit(m[:n], charge_e[:n])
+
+
+def estimate_arc_level(geometry: SensorGeometry, unlit: Unlit) -> ArcLevel:
+    """Fit charge = level * map + black to pixels off the stripe.
+
+    Weighted least squares with Huber weights; the variance is the pixel's at the fitted mean plus (MAP_SIGMA
+    level map)^2, the black level's prior is its tolerance. Where the pixels ask for one far beyond that,
+    light of the hall is in it, and nothing is known of it before.
+    """
+    m, e = unlit
+    if len(m) < MIN_PIXELS or not (m > 0.0).any():
+        return UNKNOWN
+    sensor, tolerance = geometry.setup.sensor, geometry.setup.tolerance
+    black_sigma = max(tolerance.black_level_dn * sensor.gain_e_per_dn, 1e-3)
+    dark_e2, size = geometry.dark_variance_at(e), np.empty(len(m))
+    start = max(0.0, _quantile(e, 0.5) / (_quantile(m, 0.5) + 1e-9))
+    level, sigma, black = _fit_level(m, e, dark_e2, black_sigma, start, size)
+    if black > AMBIENT_SIGMAS * black_sigma:
+        level, sigma, black = _fit_level(m, e, dark_e2, sensor.full_well_e, level, size)
+    # Where the sheet hides the arc, its level may be anything.
+    if not sigma < MAX_SIGMA * max(level, 1.0):
+        return UNKNOWN
+    misfit = _quantile(size, MISFIT_QUANTILE) / NORMAL_QUANTILE
+    return ArcLevel(level, sigma, black, misfit)
+
+
+def estimate_ambient_light(geometry: SensorGeometry, unlit: Unlit) -> ArcLevel:
+    """Read the light of a frame whose arc is off.
+
+    The offset is the median of what effects leave unexplained: the black level's, and even light of the hall.
+    That light has the scene's texture. Its 1 sigma is by how much the residuals scatter, by the quantile that
+    tells the misfit, beyond what the pixels' noise makes.
+    """
+    e = unlit.charge_e
+    if len(e) < MIN_PIXELS:
+        return ArcLevel(0.0, 0.0, 0.0, np.nan, is_on=False)
+    black = _quantile(e, 0.5)
+    noise_e = math.sqrt(max(black, 0.0) + geometry.dark_variance_at(e)) * (1.0 + CHANCE / math.sqrt(len(e)))
+    spread_e = _quantile(np.abs(e - black), MISFIT_QUANTILE) / NORMAL_QUANTILE
+    return ArcLevel(0.0, 0.0, black, np.nan, False, math.sqrt(max(spread_e**2 - noise_e**2, 0.0)))
 
 
 @kernel

@@ -6,11 +6,11 @@ import math
 import cv2
 import numpy as np
 import pytest
+from sheet_twin import irradiance
 from worlds import ARC, BOTH, charge_of, pose, setup_of, studio_of, world_of
 
 from noise_model.condition import Condition
 from noise_model.forward import predict
-from noise_model.instrument.laser import irradiance
 from noise_model.interreflection.model import bounced_light as modelled_bounces
 from noise_model.surface.brdf import Lobe, Material, reflectance
 from noise_model.surface.joint import BentSeam, SeamLine
