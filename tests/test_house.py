@@ -40,7 +40,7 @@ FOLDERS_MAY_IMPORT: dict[str, dict[str, set[str]]] = {
         "seam": set(),
     },
     "robot_io": {},
-    "calibration": {},
+    "calibration": {"sensor": set()},
     "sim_to_real": {
         "data": set(),
         "fit": {"data"},
@@ -53,7 +53,7 @@ FOLDERS_MAY_IMPORT: dict[str, dict[str, set[str]]] = {
     "arctrack": {
         "recording": set(),
         "importing": {"recording"},
-        "calibration_files": {"recording"},
+        "calibration_files": {"recording", "importing"},
         "check": {"recording"},
         "blind_check": {"recording"},
         "report": {"recording", "check"},

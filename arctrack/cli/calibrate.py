@@ -10,6 +10,8 @@ import typer
 
 from arctrack.cli.calibrate_filter import filter_curve
 from arctrack.cli.calibrate_hand_eye import hand_eye
+from arctrack.cli.calibrate_sensor import EXAMPLE as SENSOR_EXAMPLE
+from arctrack.cli.calibrate_sensor import sensor
 from arctrack.errors import ArctrackError, in_file
 
 if TYPE_CHECKING:
@@ -38,6 +40,7 @@ calibrate.command(
 calibrate.command(
     "hand-eye", epilog="Example: arctrack calibrate hand-eye examples/v_groove --out /tmp/found.toml"
 )(hand_eye)
+calibrate.command("sensor", epilog=SENSOR_EXAMPLE)(sensor)
 
 
 @calibrate.callback(epilog=EXAMPLE)

@@ -36,6 +36,11 @@ def check_can_be_written(out: Path, setup: Path, data: Path | None = None) -> No
     for read, what in ((setup, "setup"), (data, "measurement")):
         if read is not None and out.exists() and real(out) == real(read):
             raise ArctrackError(f"{out}: is the {what} itself; give --out another file")
+    check_can_be_replaced(out)
+
+
+def check_can_be_replaced(out: Path) -> None:
+    """Raise ArctrackError if a file that may be there already, and is kept if it is, cannot be written."""
     _check_is_a_files_name(out)
     if not (out.parent.is_dir() and os.access(out.parent, os.W_OK)):
         raise ArctrackError(f"{out.parent}: nothing can be written there; give --out another place")

@@ -1,0 +1,70 @@
+"""calibrate_*.html: one calibration on one self-contained page; each kind brings its rows and pictures."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+from jinja2 import Environment, PackageLoader, StrictUndefined
+
+TEMPLATE = "calibration.html.j2"
+
+
+@dataclass(frozen=True)
+class Row:
+    """A value as the page shows it: what it is, its key in the setup, value, 1 sigma, 95 % interval, unit."""
+
+    what: str
+    key: str
+    value: str
+    sigma: str
+    interval: str
+    unit: str
+
+
+@dataclass(frozen=True)
+class Picture:
+    """A picture, what it shows in one line, and a note on how to read it."""
+
+    uri: str
+    caption: str
+    note: str = ""
+
+
+@dataclass(frozen=True)
+class CalibrationPage:
+    """What a calibration's page holds.
+
+    `maps` are pictures whose pixels stay sharp, side by side; `mark` is the colour of the verdict: no_gap,
+    ambiguous or unknown.
+    """
+
+    title: str
+    label: str
+    headline: str
+    sentences: tuple[str, ...]
+    rows: tuple[Row, ...]
+    pictures: tuple[Picture, ...]
+    maps: tuple[Picture, ...]
+    notes: tuple[str, ...]
+    mark: str
+
+
+def with_sigma(value: float, sigma: float) -> tuple[str, str]:
+    """Return a value and its 1 sigma with as many decimals as two digits of the sigma have."""
+    if not 0.0 < sigma < math.inf:
+        return f"{value:.6g}", ""
+    decimals = max(0, 1 - math.floor(math.log10(sigma)))
+    return f"{value:.{decimals}f}", f"{sigma:.{decimals}f}"
+
+
+def render(page: CalibrationPage) -> str:
+    """Return the page's HTML, which needs no other file and no network."""
+    environment = Environment(
+        loader=PackageLoader("arctrack.report", "templates"),
+        autoescape=True,
+        undefined=StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
+    )
+    return environment.get_template(TEMPLATE).render(page=page)
