@@ -66,6 +66,12 @@ BRIGHT_LINES, HELD_SHARE = 12, 0.5
 BESIDE_SIGMAS = 4.0
 """So many of its sigmas beside its middle a stripe leaves its background."""
 
+HIDDEN = 0.0
+"""What a scan line says of a plate whose stripe would run over saturated pixels."""
+
+MAX_CLOSED_MM = 1.0
+"""A joint with a stated gap as wide is never closed: plates are tacked to a few tenths of a millimetre."""
+
 MIN_AGREEMENT = 0.6
 """By what share of the scan lines those that show what the joint would must outnumber the others."""
 
@@ -109,8 +115,10 @@ def fit_slot(profile: Profile, joint: Joint) -> MeasuredJoint | None:
 def fit_closed_slot(profile: Profile, joint: Joint, line: ImageLine) -> MeasuredJoint | None:
     """Return the butt joint whose gap no scan line shows, but a line in the image; None without two plates.
 
-    How wide its gap is remains unknown.
+    How wide its gap is remains unknown. None also where the stated gap is too wide to be closed.
     """
+    if joint.dimensions["gap_mm"] >= MAX_CLOSED_MM:
+        return None
     near = np.abs(profile.y_mm - line.y_mm) < NEAR_MM
     plates = _plates(profile, line.y_mm, near)
     if plates is None:
@@ -272,8 +280,9 @@ def _on_plate(profile: Profile, plates: ShapeFit, y_0: float, limit_mm: float) -
 class _Lines:
     """The scan lines in order of y: 1 where a plate is seen, -1 where it is not; y of each (n,), mm.
 
-    Where nothing is seen it is UNREAD. `beyond` the profile's ends no plate is seen either if the plates end
-    there, as an edge joint's do.
+    Where nothing is seen it is UNREAD, and HIDDEN where saturated pixels lie over the plates' stripe, a
+    glint's. `beyond` the profile's ends no plate is seen either if the plates end there, as an edge joint's
+    do.
     """
 
     def __init__(self, profile: Profile, on_plate: Bool, beyond: bool) -> None:
@@ -293,6 +302,25 @@ class _Lines:
         lines, seen = np.arange(n), place[order]
         outside = np.minimum(lines - seen[0], 0) + np.maximum(lines - seen[-1], 0)
         self.y_mm = np.interp(lines, seen, profile.y_mm[order]) + self.column_mm * outside
+        self._leave_out_hidden()
+
+    def _leave_out_hidden(self) -> None:
+        """Let lines say nothing whose pixels are saturated where the plates' stripe would run."""
+        plates = np.flatnonzero(self.sees > 0.0)
+        if self.light is None or not len(plates):
+            return
+        scans = self.away * (self.first_scan + plates)
+        width_px = self.light.width_px[scans]
+        for line in np.flatnonzero(self.sees <= 0.0):
+            scan = self.away * (self.first_scan + int(line))
+            if not 0 <= scan < len(self.light.censored):
+                continue
+            low = self.light.lows[scan // self.light.cell]
+            path_px = np.interp(line, plates, self.light.position_px[scans]) - low
+            half_px = np.interp(line, plates, width_px)
+            near = slice(max(math.floor(path_px - half_px), 0), max(math.ceil(path_px + half_px) + 1, 0))
+            if self.light.censored[scan, near].any():
+                self.sees[line] = HIDDEN
 
     def place(self, plate_mm: float, gap_mm: float, ends: bool) -> float | None:
         """Return where two plates of a width with a gap between them agree best, None if nowhere enough."""
@@ -304,7 +332,7 @@ class _Lines:
         if len(signs) > len(self.sees):
             return None
         votes = np.correlate(np.abs(self.sees), np.ones(len(signs)), "valid")
-        agreement = np.correlate(self.sees, signs, "valid") / votes
+        agreement = np.correlate(self.sees, signs, "valid") / np.maximum(votes, 1.0)
         best = int(np.argmax(agreement))
         middle = best + len(signs) // 2
         in_gap = self.sees[middle - gap // 2 : middle - gap // 2 + gap]
@@ -349,6 +377,8 @@ class _Lines:
         scan = self.away * (self.first_scan + end.line)
         seen_end = stripe_end(self.light, scan, self.away * towards, gap_lines)
         off = self.away * towards * (seen_end.line - scan)
+        if (self.sees[end.line + towards :: towards][:1] == HIDDEN).any():
+            return None
         is_read = self.sees[end.line + towards :: towards] != UNREAD
         unread = int(np.argmax(is_read)) if is_read.any() else 0
         variance, blurred = (seen_end.sigma * self.column_mm) ** 2, clear_of_an_edge(self.light)
