@@ -76,8 +76,11 @@ FIT_ROUNDS = 5
 MIN_PIECE_SIGMAS = 2.0
 """A piece in which the line stands out less does not show it."""
 
-MIN_DARK_SIGMAS = 4.0
-"""A slit that is darker by less is not told from the plates: the rim stands for it."""
+MIN_DARK_SIGMAS, MIN_DARK_SHARE = 4.0, 0.2
+"""A slit that is darker by less is not told from the plates: the rim stands for it.
+
+Nor is one that is darker by less than this share of what the rim is brighter: texture is as dark.
+"""
 
 MIN_COLUMNS_SHARE = 0.5
 """A line that leaves the image within more of its columns is not summed."""
@@ -342,8 +345,8 @@ def _crossing(sums: _Sums, slope: int, line: int) -> tuple[float, float] | None:
     x = np.arange(-half, half + 1)
     # A gap is dark. A rim that shines is one plate's, beside it.
     energy = np.where(np.abs(x) <= 2.0 * sums.width, np.minimum(section, 0.0) ** 2, 0.0)
-    if energy.max() < MIN_DARK_SIGMAS**2:
-        energy = np.where(np.abs(x) <= 2.0 * sums.width, section**2, 0.0)
+    if energy.max() < max(MIN_DARK_SIGMAS, MIN_DARK_SHARE * float(section.max())) ** 2:
+        energy = np.where(np.abs(x) <= 2.0 * sums.width, np.maximum(section, 0.0) ** 2, 0.0)
     middle = float(energy @ x / energy.sum())
     own_width = math.sqrt(float(energy @ (x - middle) ** 2 / energy.sum()))
     told = [
