@@ -15,6 +15,7 @@ from tracker.stripe.fit import (
     CORRELATION_PX,
     MAX_PIXELS,
     MIN_SIGMA_E,
+    N_FITTED,
     WIDTH_SIGMA_LN,
     WINDOW_SIGMAS,
     LineScratch,
@@ -95,7 +96,7 @@ def refusals(reading: StripeReading, expected: ExpectedStripe) -> Refusals:
             why[s] = NO_PATH if expected.is_sought[s] else UNLIT
             continue
         width = float(expected.sigma_px[s]) * reading.learned.width_factor
-        parameters = np.full(N_PARAMETERS, np.nan)
+        parameters = np.full(N_FITTED, np.nan)
         fit_line(
             band.charge[s],
             band.background[s],
@@ -134,7 +135,7 @@ def sigma_parts(reading: StripeReading, expected: ExpectedStripe) -> SigmaParts:
 def _line(reading: StripeReading, expected: ExpectedStripe, s: int) -> tuple[float, ...]:
     """Return one line's numbers in the order of `SigmaParts`' fields."""
     band, low = reading.band, int(reading.lows[s // CELL])
-    position, _, amplitude, width, chi2 = reading.fits[s]
+    position, _, amplitude, width, chi2 = reading.fits[s, :5]
     window, half = window_of(reading, expected, s)
     charge, background, censored = (
         image[s, window].astype(float) for image in (band.charge, band.background, band.censored)

@@ -207,7 +207,7 @@ def profile_of(
     position_px = stripe.position_px - expected.bias_px
     profile = triangulate(geometry, scene, position_px, stripe.sigma_px, stripe.beside_px)
     mixed_mm = profile.column_mm * (clear_of_an_edge(light) - 1)
-    bias_px = expected.bias_px[profile.scan.astype(np.int64)]
+    lines = profile.scan.astype(np.int64)
     by_line = frame.image_dn.T if geometry.along_rows else frame.image_dn
     return replace(
         profile,
@@ -215,7 +215,8 @@ def profile_of(
         light=light,
         image_dn=by_line,
         mixed_mm=mixed_mm,
-        bias_px=bias_px,
+        bias_px=expected.bias_px[lines],
+        misfit_px=look.misfit_px[lines],
     )
 
 

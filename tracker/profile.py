@@ -32,7 +32,8 @@ class Profile:
     `reach_mm` of y = 0. `light` is what the stripe was read from, `image_dn` (n_scan, n_pos) the whole
     frame by scan line, None where they are not at hand. Nearer to a corner than `mixed_mm` a scan line holds
     light of both faces. `bias_px` (n,) is by how much the centres were corrected for light that is no bell,
-    None if they were not.
+    None if they were not. `misfit_px` (n,) is by how much centres may be off, alike with their neighbours',
+    for light beneath the stripe that is not as expected, None for not at all.
     """
 
     y_mm: Float64
@@ -48,6 +49,7 @@ class Profile:
     image_dn: Integers | None = None
     mixed_mm: float = 0.0
     bias_px: Float64 | None = None
+    misfit_px: Float64 | None = None
 
     def by_scan(self) -> Profile:
         """Return the profile in order of its scan lines, the way in which y rises on the whole.
@@ -61,6 +63,7 @@ class Profile:
         points = (self.y_mm, self.z_mm, self.dy_mm, self.dz_mm, self.sigma_px, self.scan, self.beside_px)
         y, z, dy, dz, sigma, scan, beside = (values[order] for values in points)
         bias = None if self.bias_px is None else self.bias_px[order]
+        misfit = None if self.misfit_px is None else self.misfit_px[order]
         return replace(
             self,
             y_mm=y,
@@ -71,6 +74,7 @@ class Profile:
             scan=scan,
             beside_px=beside,
             bias_px=bias,
+            misfit_px=misfit,
         )
 
 

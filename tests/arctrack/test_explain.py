@@ -31,7 +31,7 @@ from tracker.checks import Check
 from tracker.geometry import SensorGeometry
 from tracker.state import Stripe
 from tracker.stripe.expected import ExpectedStripe
-from tracker.stripe.fit import fit_lines
+from tracker.stripe.fit import N_FITTED, fit_lines
 from tracker.stripe.read import StripeReading, Work
 from tracker.stripe.scatter import NO_SCATTER
 
@@ -137,7 +137,7 @@ def made(
     )
     lows, start = np.zeros(-(-N_SCAN // CELL), np.int64), np.full(N_SCAN, 59.0)
     start[0] = np.nan
-    fits, saturated = np.empty((N_SCAN, 5)), np.empty(N_SCAN, np.bool_)
+    fits, saturated = np.empty((N_SCAN, N_FITTED)), np.empty(N_SCAN, np.bool_)
     fit_lines(
         charge,
         background,
@@ -172,6 +172,7 @@ def made(
         0.0,
         NO_SCATTER,
         NO_SCATTER,
+        np.zeros(N_SCAN),
     )
     return reading, expected
 

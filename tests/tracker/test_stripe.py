@@ -14,6 +14,7 @@ from noise_model.arrays import Bool, Float64
 from tracker.stripe.fit import (
     BLOCK,
     CORRELATION_PX,
+    N_FITTED,
     WIDTH_SIGMA_LN,
     WINDOW_SIGMAS,
     fit_lines,
@@ -45,7 +46,7 @@ def fit(
     speckle: float = 0.0,
 ) -> tuple[Float64, Bool]:
     n = len(charge)
-    fits, saturated = np.full((n, 5), -1.0), np.ones(n, dtype=bool)
+    fits, saturated = np.full((n, N_FITTED), -1.0), np.ones(n, dtype=bool)
     fit_lines(
         charge.astype(np.float32),
         background.astype(np.float32),
@@ -272,7 +273,7 @@ def test_the_fit_is_the_most_likely_one(
     charge, background = np.minimum(lines.charge, full_e), lines.background * tilt
     censored = charge >= full_e
     fits, saturated = fit(charge, background, lines.start, width, censored=censored)
-    position, sigma, height, fitted_width, _ = fits[0]
+    position, sigma, height, fitted_width, _, offset_e, slope_e = fits[0]
     if not np.isfinite(position):
         return
     assert saturated[0] == censored.any()
@@ -286,6 +287,9 @@ def test_the_fit_is_the_most_likely_one(
     bound = math.sqrt(np.linalg.inv(model.information(likeliest))[1, 1])
     assert position == pytest.approx(likeliest[1], abs=0.01 * bound)
     assert fitted_width == pytest.approx(math.exp(likeliest[2]), rel=1e-3)
+    scatter = np.sqrt(np.diag(np.linalg.inv(model.information(likeliest))))
+    assert offset_e == pytest.approx(likeliest[3], abs=0.02 * scatter[3])
+    assert slope_e == pytest.approx(likeliest[4], abs=0.02 * scatter[4])
     assert sigma >= 0.98 * bound
 
 

@@ -37,7 +37,7 @@ def fit_fillet(profile: Profile, joint: Joint) -> MeasuredJoint | None:
     if fit is None:
         return None
     y_s, z_s = float(fit.parameters[0]), float(fit.parameters[1])
-    left_out = unexplained(profile, fit, y_s, BESIDE_MM)
+    left_out = unexplained(profile, fit, y_s, BESIDE_MM, np.ones(len(profile.y_mm), dtype=bool))
     on_left = profile.y_mm > y_s
     turned = np.abs(fit.parameters[2:] - start[2:]).max() / plate_sigma
     if (

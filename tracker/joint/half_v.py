@@ -65,8 +65,8 @@ def fit_half_v(profile: Profile, joint: Joint, camera_mm: Float64, laser_mm: Flo
         return None
     hidden = max(hidden_strip(source, start[-1], z_0 + depth, depth) for source in (camera_mm, laser_mm))
     start[-1], wall_variance = edge_between(lines, before, behind, hidden)
-    # What lies between may be either side's.
-    clear = (profile.y_mm <= lines.y_mm[before]) | (profile.y_mm >= lines.y_mm[behind])
+    # What lies between may be either side's, and the first lines in the groove hold light of the plate too.
+    clear = (profile.y_mm <= lines.y_mm[before]) | (profile.y_mm >= lines.y_mm[behind] + profile.mixed_mm)
     fit = fit_shape(profile, HALF_GROOVE, start, PRIOR_SIGMA, clear)
     if fit is None:
         return None
@@ -88,7 +88,7 @@ def fit_half_v(profile: Profile, joint: Joint, camera_mm: Float64, laser_mm: Flo
         fit = weigh_root(profile, HALF_GROOVE, start, PRIOR_SIGMA, GAP, middle_mm, fit, clear)
     if fit.weights[inside].sum() < MIN_POINTS:
         return None
-    left_out = unexplained(profile, fit, 0.5 * (wall + mouth), 0.5 * (mouth - wall))
+    left_out = unexplained(profile, fit, 0.5 * (wall + mouth), 0.5 * (mouth - wall), clear)
     return _measured(fit, wall, wall_variance, left_out)
 
 

@@ -9,7 +9,7 @@ import numpy as np
 
 from noise_model.arrays import Bool, Float64
 from noise_model.kernel import kernel
-from tracker.joint.alike import add_alike
+from tracker.joint.alike import add_alike, add_misfit
 from tracker.joint.section_fit import best_shift, fit_section
 from tracker.joint.section_shapes import N_CORNERS, corners_of, opening
 from tracker.profile import Profile
@@ -109,6 +109,9 @@ def fit_shape(
         beside = np.hypot(profile.beside_px, SIGMA_FLOOR_PX)
         y, dy, dz = profile.y_mm, profile.dy_mm, profile.dz_mm
         add_alike(shape, y, dy, dz, sigma, beside, weights, parameters, chi2, covariance)
+    if profile.misfit_px is not None:
+        y, dy, dz, scan = profile.y_mm, profile.dy_mm, profile.dz_mm, profile.scan
+        add_misfit(shape, y, dy, dz, scan, sigma, profile.misfit_px, weights, parameters, chi2, covariance)
     return ShapeFit(parameters[:n], covariance, chi2, weights)
 
 
@@ -168,9 +171,9 @@ def off_section(profile: Profile, joint: MeasuredJoint) -> Bool:
     return np.asarray(np.abs(profile.z_mm - height_mm) > OFF_SIGMAS * moved)
 
 
-def unexplained(profile: Profile, fit: ShapeFit, y_mm: float, reach_mm: float) -> float:
-    """Return the share of the points within a reach of a place that a fit leaves out; 1 without any."""
-    near = np.abs(profile.y_mm - y_mm) < reach_mm
+def unexplained(profile: Profile, fit: ShapeFit, y_mm: float, reach_mm: float, used: Bool) -> float:
+    """Return the share of the points used within a reach of a place that a fit leaves out; 1 without any."""
+    near = used & (np.abs(profile.y_mm - y_mm) < reach_mm)
     return float(np.mean(fit.weights[near] < LEFT_OUT)) if near.any() else 1.0
 
 

@@ -28,6 +28,9 @@ BLOCK = 8
 MAX_PIXELS = 512
 """No stripe's window is longer."""
 
+N_FITTED = 7
+"""A line's fit writes so many numbers."""
+
 MIN_PIXELS = 8
 """Fewer pixels that count tell nothing of five parameters."""
 
@@ -105,7 +108,9 @@ def fit_line(
     scratch: LineScratch,
     out: Float64,
 ) -> bool:
-    """Fit one scan line by Gauss-Newton on the likelihood; write (position, sigma, amplitude, width, chi2).
+    """Fit one scan line by Gauss-Newton on the likelihood.
+
+    Written are position, sigma, amplitude, width, chi2, and the offset b_0 and slope b_1 of the background.
 
     `charge`, `background` (depth,) are the linearised pixels and the arc map at its level, e-; `start` and
     `width` px. The variance of a pixel is `shot` (1, or 0 for one variance for all) times its mean plus
@@ -178,6 +183,8 @@ def fit_line(
     out[2] = x[0]
     out[3] = w
     out[4] = chi2
+    out[5] = x[3]
+    out[6] = b1
     return bool(significance >= MIN_SIGNIFICANCE)
 
 
@@ -212,7 +219,7 @@ def fit_lines(
     fits: Float64,
     saturated: Bool,
 ) -> None:
-    """Fit every scan line from `start` (n_scan,), NaN for none; write `fits` (n_scan, 5) and `saturated`."""
+    """Fit every scan line from `start` (n_scan,), NaN for none; write `fits` (n_scan, 7) and `saturated`."""
     n_scan = charge.shape[0]
     scratch = LineScratch(
         np.arange(MAX_PIXELS).astype(np.float32),

@@ -16,8 +16,9 @@ from tracker.state import Frame, Stripe
 from tracker.stripe.band import gather, median_background, place, weigh
 from tracker.stripe.edge import StripeLight
 from tracker.stripe.expected import ExpectedStripe
-from tracker.stripe.fit import fit_lines
+from tracker.stripe.fit import N_FITTED, fit_lines
 from tracker.stripe.ghost import second_light, second_place
+from tracker.stripe.misfit import misfit_sigma_px, odd_residuals
 from tracker.stripe.scatter import FrameScatter, Scatter, frame_scatter, own_sigma, speckle_squared
 from tracker.stripe.smooth import smooth_stripe
 from tracker.stripe.viterbi import OFFSET_STEP, best_path, matched_filter, peaks
@@ -73,11 +74,13 @@ class StripeReading:
     `band` holds views of the scratch, which are good until the next frame; `lows` says where it begins for
     each CELL scan lines. `score` (n_scan, n_offsets) is the matched filter's, in sigmas, at `offsets_px` from
     the rounded expected place; `start_px` (n_scan,) is where the likeliest path runs, NaN for no stripe;
-    `fits` (n_scan, 5) are `fit_line`'s. The variance of a pixel is `shot` times its mean plus
+    `fits` (n_scan, 7) are `fit_line`'s. The variance of a pixel is `shot` times its mean plus
     `dark_variance_e2`; `map_sigma` is the background's relative 1 sigma, `base_sigma_e` that of the black
     level and of the hall's light.
     `second_share` is how bright a second stripe is over the first, 0 for none; the background has its light.
     `scatter` is what the frames up to this one show of it, `learned` what this one was read with.
+    `misfit_px` (n_scan,) is by how much each centre may be off, alike with its neighbours', for light beneath
+    it that is not as expected.
     """
 
     stripe: Stripe
@@ -94,6 +97,7 @@ class StripeReading:
     second_share: float
     scatter: Scatter
     learned: Scatter
+    misfit_px: Float64
 
     def light(self, psf_sigma_px: float, sheet_lines: float) -> StripeLight:
         """Return what shows where the stripe ends, as good as the band."""
@@ -187,6 +191,8 @@ def read_stripe(
     scatter = scatter.with_frame(seen)
     sigma, together = scatter.widened(own_sigma(fits, expected.sigma_px))
     smooth, smooth_sigma = smooth_stripe(fits[:, 0], sigma, together)
+    odd = odd_residuals(band.charge, band.background, band.censored, fits, lows, CELL)
+    alike = float(np.nanmedian((together / sigma) ** 2)) if np.isfinite(sigma).any() else 1.0
     stripe = Stripe(
         fits[:, 0], sigma, smooth, smooth_sigma, fits[:, 2], saturated, geometry.along_rows, together
     )
@@ -205,6 +211,7 @@ def read_stripe(
         second_share,
         scatter,
         learned,
+        misfit_sigma_px(odd, fits, alike),
     )
 
 
@@ -216,7 +223,7 @@ def _fit_band(
     noise: tuple[float, float, float, float],
     learned: Scatter,
 ) -> tuple[Float32, Float64, Float64, Bool, FrameScatter]:
-    """Return a band's score (n_scan, n_offsets), path's start (n_scan,), fits (n_scan, 5), saturated lines.
+    """Return a band's score (n_scan, n_offsets), path's start (n_scan,), fits (n_scan, 7), saturated lines.
 
     And what they show of the scatter. `noise` are `fit_lines`' shot, dark variance, and 1 sigma of map and
     base; `learned` is the scatter that is known.
@@ -243,7 +250,7 @@ def _fit_band(
     start = np.empty(n_scan)
     peaks(score, choice, expected.position_px, offsets, start)
     start[~expected.is_sought] = np.nan
-    fits = np.empty((n_scan, 5))
+    fits = np.empty((n_scan, N_FITTED))
     saturated = np.empty(n_scan, dtype=np.bool_)
     fit_lines(
         band.charge,

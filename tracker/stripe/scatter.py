@@ -163,7 +163,7 @@ NO_SCATTER = Scatter()
 def own_sigma(fits: Float64, expected_px: Float64) -> Float64:
     """Return the lines' 1 sigma (n,), px, by their photons, more where a line fits worse than most do.
 
-    `fits` (n, 5) are `fit_lines`', `expected_px` (n,) the widths whose windows they read. What all lines'
+    `fits` (n, 7) are `fit_lines`', `expected_px` (n,) the widths whose windows they read. What all lines'
     chi2 shows beyond 1 is the same for all, a profile that is no bell or speckle: the scatter tells what it
     does to the centres.
     """
@@ -198,7 +198,7 @@ def frame_scatter(
 ) -> FrameScatter:
     """Return what one frame shows of its scatter.
 
-    `fits` (n, 5) are `fit_lines`', NaN where there is no stripe, `expected_px` the places and `width_px` the
+    `fits` (n, 7) are `fit_lines`', NaN where there is no stripe, `expected_px` the places and `width_px` the
     widths that the setup gives, `sigma_px` (n,) the lines' own 1 sigma; `speckle` is the square of the
     pixels' contrast, as `speckle_squared` has it.
     """

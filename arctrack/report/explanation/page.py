@@ -171,7 +171,7 @@ def _summary(explanation: Explanation, stripe: StripeLook, s: int) -> str:
             height, ratio = refusals.height_e[s], refusals.width_ratio[s]
             measured = f" What it found is {number(height)} e- high, {ratio:.2f} times as wide as expected."
         return f"No stripe: {words.REFUSALS[str(refusals.why[s])]}.{measured}"
-    position, sigma, amplitude, _, chi2 = stripe.reading.fits[s]
+    position, sigma, amplitude, _, chi2 = stripe.reading.fits[s, :5]
     share = (
         f"; the arc's share of the variance {percent(stripe.parts.arc_share[s])}"
         if explanation.use_arc_map

@@ -155,7 +155,7 @@ def fitted_mean(look: Look, stripe: StripeLook, s: int) -> tuple[Float64, Float6
     low = int(reading.lows[s // CELL])
     pixels = low + np.arange(window.start, window.stop)
     x = np.linspace(pixels[0], pixels[-1], 8 * len(pixels))
-    position, _, amplitude, width, _ = reading.fits[s]
+    position, _, amplitude, width = reading.fits[s, :4]
     background = np.interp(x, pixels, reading.band.background[s, window])
     u = x - position
     bell = amplitude * np.exp(-0.5 * (u / width) ** 2)
