@@ -40,7 +40,11 @@ FOLDERS_MAY_IMPORT: dict[str, dict[str, set[str]]] = {
         "seam": set(),
     },
     "robot_io": {},
-    "calibration": {"sensor": set()},
+    "calibration": {
+        "boards": set(),
+        "camera": {"boards"},
+        "sensor": set(),
+    },
     "sim_to_real": {
         "data": set(),
         "fit": {"data"},
@@ -56,7 +60,7 @@ FOLDERS_MAY_IMPORT: dict[str, dict[str, set[str]]] = {
         "calibration_files": {"recording", "importing"},
         "check": {"recording"},
         "blind_check": {"recording"},
-        "report": {"recording", "check"},
+        "report": {"recording", "calibration_files", "check"},
         "cli": {"recording", "importing", "calibration_files", "check", "blind_check", "report"},
     },
 }

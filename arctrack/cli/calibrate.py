@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from arctrack.cli.calibrate_camera import camera
 from arctrack.cli.calibrate_filter import filter_curve
 from arctrack.cli.calibrate_hand_eye import hand_eye
 from arctrack.cli.calibrate_sensor import EXAMPLE as SENSOR_EXAMPLE
@@ -32,6 +33,11 @@ EXAMPLE = (
 )
 
 
+calibrate.command(
+    "camera",
+    epilog="Example: arctrack calibrate camera /tmp/boards --board chessboard:8x6:4mm "
+    "--setup examples/v_groove --out /tmp/camera.toml",
+)(camera)
 calibrate.command(
     "filter",
     epilog="Example: arctrack calibrate filter examples/filter_690_10.csv --setup examples/v_groove "

@@ -46,7 +46,7 @@ def check_can_be_replaced(out: Path) -> None:
         raise ArctrackError(f"{out.parent}: nothing can be written there; give --out another place")
 
 
-def write_calibrated(out: Path, setup: Path, *found: Calibrated) -> None:
+def write_calibrated(out: Path, setup: Path, *results: Calibrated) -> None:
     """Write a setup with calibrated values; say where it is, and where the one before it is kept.
 
     `out` may be the setup itself: the earlier file stays beside it under a number.
@@ -55,8 +55,7 @@ def write_calibrated(out: Path, setup: Path, *found: Calibrated) -> None:
     from arctrack.output import write_keeping
     from arctrack.recording import with_calibrated
 
-    _check_is_a_files_name(out)
-    kept = write_keeping(out, with_calibrated(setup, *found))
+    kept = write_keeping(out, with_calibrated(setup, *results))
     before = "" if kept is None else f"; the one before is {kept.name}"
     console.say(f"{out}: the setup with the values found{before}")
 

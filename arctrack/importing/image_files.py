@@ -63,10 +63,7 @@ def find_images(sources: Sequence[Path]) -> ImageSeries:
     """
     if len(sources) == 1 and sources[0].suffix.lower() in VIDEOS and sources[0].is_file():
         return _frames_of(sources[0])
-    paths = [path for source in sources for path in _images_of(source)]
-    if len(paths) > LIMITS.csv_rows:
-        raise in_file(sources[0], f"names {len(paths)} images: {LIMITS.csv_rows} are the most")
-    ordered = sorted(set(paths), key=lambda path: (_numbers(path), path))
+    ordered = images_of(sources)
     _check_alike(ordered, sources[0])
     for before, after in pairwise(ordered):
         if _numbers(before) == _numbers(after):
@@ -76,6 +73,14 @@ def find_images(sources: Sequence[Path]) -> ImageSeries:
     indices, notes = _indices(ordered)
     step = math.gcd(*np.diff(indices).tolist()) or 1
     return ImageSeries(tuple(ordered), indices, step, (*notes, *_gaps(indices, step)))
+
+
+def images_of(sources: Sequence[Path]) -> list[Path]:
+    """Return the images of folders, files and patterns by their numbers; ArctrackError if there is none."""
+    paths = [path for source in sources for path in _images_of(source)]
+    if len(paths) > LIMITS.csv_rows:
+        raise in_file(sources[0], f"names {len(paths)} images: {LIMITS.csv_rows} are the most")
+    return sorted(set(paths), key=lambda path: (_numbers(path), path))
 
 
 def _frames_of(video: Path) -> ImageSeries:

@@ -68,14 +68,14 @@ class Calibrated:
         return np.asarray(np.sqrt(np.diag(self.covariance)))
 
 
-def with_calibrated(path: Path, *found: Calibrated) -> str:
+def with_calibrated(path: Path, *results: Calibrated) -> str:
     """Return a recording.toml's text with calibrated values; all else, comments included, stays.
 
     Parameters
     ----------
     path : Path
         The file that is there.
-    *found : Calibrated
+    *results : Calibrated
         What calibrations found. An earlier `[calibration.NAME]` of the same name is replaced.
 
     Returns
@@ -90,7 +90,7 @@ def with_calibrated(path: Path, *found: Calibrated) -> str:
     """
     read_setup_file(path)
     document = tomlkit.parse(setup_text(path))
-    for result in found:
+    for result in results:
         table = document
         for name in result.table.split("."):
             table = table.setdefault(name, tomlkit.table())

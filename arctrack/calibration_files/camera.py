@@ -1,0 +1,59 @@
+"""A camera's calibration as recording.toml holds it."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from arctrack.recording import Calibrated
+from calibration.camera.calibrate import CameraCalibration
+from calibration.camera.lens import OPENCV
+
+MADE_BY = "arctrack calibrate camera"
+
+HELD = 5
+"""Coefficients of `[camera] distortion`: k1 k2 p1 p2 k3."""
+
+
+def calibrated_camera(result: CameraCalibration) -> Calibrated:
+    """Return what a calibration found as values of `[camera]`, with their covariance.
+
+    Parameters
+    ----------
+    result : CameraCalibration
+        The calibration; its distortion has none but the coefficients that `[camera]` holds.
+
+    Returns
+    -------
+    Calibrated
+        Image size, focal lengths, principal point and distortion.
+    """
+    lens = result.scene.lens
+    n = len(lens.names)
+    fx, fy, cx, cy = (float(f"{value:.9g}") for value in lens.values[:4])
+    return Calibrated(
+        "camera",
+        {
+            "width": lens.width,
+            "height": lens.height,
+            "fx": fx,
+            "fy": fy,
+            "cx": cx,
+            "cy": cy,
+            "distortion": [float(f"{value:.9g}") for value in lens.distortion[:HELD]],
+        },
+        lens.names,
+        result.covariance[:n, :n],
+        MADE_BY,
+        {
+            "board": str(result.seen.board),
+            "images": len(result.seen.names),
+            "corners": len(result.seen),
+            "rms_px": float(f"{result.rms_px:.4g}"),
+            "corner_sigma_px": float(f"{np.mean(result.noise.sigma_px):.4g}"),
+        },
+    )
+
+
+def can_be_held(names: tuple[str, ...]) -> bool:
+    """Return whether `[camera] distortion` has a place for all of these coefficients."""
+    return set(names) <= set(OPENCV[:HELD])

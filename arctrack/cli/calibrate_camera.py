@@ -1,0 +1,115 @@
+"""`arctrack calibrate camera`: intrinsics and distortion from images of a board."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from arctrack.cli.interrupt import interruptible
+from arctrack.cli.setups import check_can_be_replaced, read_setup, write_calibrated
+from arctrack.errors import ArctrackError
+
+REPORT = "calibrate_camera.html"
+AUTOMATIC = "auto"
+
+
+def camera(
+    sources: Annotated[
+        list[Path],
+        typer.Argument(metavar="SOURCE...", help="Folders of images, images, or patterns in quotes."),
+    ],
+    board: Annotated[
+        str,
+        typer.Option(
+            help="chessboard:9x6:5mm (inner corners), or charuco:8x6:5mm:3.7mm:5X5_100 (squares, sides of a "
+            "square and a marker, dictionary)."
+        ),
+    ],
+    setup: Annotated[
+        Path | None, typer.Option(help="A recording.toml, or a recording, to write the values into.")
+    ] = None,
+    out: Annotated[
+        Path | None, typer.Option(help="Where to write it; default: --setup, whose file before is kept.")
+    ] = None,
+    report: Annotated[
+        Path | None,
+        typer.Option(help="The page with the pictures; default: calibrate_camera.html by the setup."),
+    ] = None,
+    distortion: Annotated[
+        str,
+        typer.Option(help="none, k1, 'k1 k2', 'k1 k2 p1 p2', 'k1 k2 p1 p2 k3', rational; auto chooses."),
+    ] = AUTOMATIC,
+    tilted: Annotated[
+        bool, typer.Option("--tilted", help="The sensor is tilted to the lens, after Scheimpflug.")
+    ] = False,
+) -> None:
+    """Find the camera's focal lengths, principal point and distortion from images of a board.
+
+    Each value has its sigma, and so has the projection all over the image. Images that do not determine the
+    lens are refused, and what is missing is named.
+    """
+    from arctrack.calibration_files.board_images import read_boards
+    from arctrack.calibration_files.camera import calibrated_camera
+    from arctrack.cli import console
+    from arctrack.cli.camera_text import DIM, lines, warnings
+    from arctrack.report.camera.page import write_page
+    from calibration.boards.board import Board
+    from calibration.camera.calibrate import calibrate_camera
+    from calibration.camera.enough import UndeterminedError
+
+    try:
+        pattern = Board.parse(board)
+    except ValueError as error:
+        raise ArctrackError(f"--board: {error}") from None
+    if out is not None and setup is None:
+        raise ArctrackError("--out: needs --setup, whose other values stay; `arctrack new` writes one")
+    stated = None if setup is None else read_setup(setup)
+    target = None if stated is None else out or stated.path
+    shown = report or (Path(REPORT) if target is None else target.with_name(REPORT))
+    for path in filter(None, (target, shown)):
+        check_can_be_replaced(path)
+    orders = _orders(distortion, tilted, is_written=target is not None)
+    with interruptible("the calibration was", "nothing was written"), console.progress() as bar:
+        looking = bar.add_task("looking for the board", total=None, unit="images")
+        images = read_boards(sources, pattern, lambda n, total: bar.update(looking, completed=n, total=total))
+        console.warn(f"{name}: left out: {reason}" for name, reason in images.left_out.items())
+        console.warn([DIM] if images.is_dim else [])
+        fitting = bar.add_task("fitting the lens", total=None, unit="steps")
+        try:
+            result = calibrate_camera(
+                pattern,
+                images.views,
+                images.size,
+                tilted=tilted,
+                orders=orders,
+                progress=lambda n, total: bar.update(fitting, completed=n, total=total),
+            )
+        except UndeterminedError as error:
+            raise ArctrackError(f"{sources[0]}: {error}") from None
+    console.warn(warnings(result, stated))
+    console.say(*lines(result, images))
+    write_page(shown, result, images)
+    console.say(f"{shown}: the pictures")
+    if result.model_error is not None:
+        raise ArctrackError(f"{sources[0]}: {result.model_error}; {shown} shows it, and no setup is written")
+    if stated is not None and target is not None:
+        write_calibrated(target, stated.path, calibrated_camera(result))
+
+
+def _orders(distortion: str, tilted: bool, *, is_written: bool) -> tuple[str, ...]:
+    """Return the distortions to choose from; ArctrackError for one that is none, or for no setup."""
+    from arctrack.calibration_files.camera import can_be_held
+    from calibration.camera.lens import ORDERS, TILT
+
+    if distortion != AUTOMATIC and distortion not in ORDERS:
+        raise ArctrackError(f"--distortion {distortion}: must be {AUTOMATIC}, {', '.join(ORDERS)}")
+    wanted = tuple(ORDERS) if distortion == AUTOMATIC else (distortion,)
+    if not is_written:
+        return wanted
+    held = tuple(name for name in wanted if can_be_held((*ORDERS[name], *(TILT if tilted else ()))))
+    if not held:
+        what = "--tilted" if tilted else f"--distortion {distortion}"
+        raise ArctrackError(f"{what}: [camera] distortion holds k1 k2 p1 p2 k3 alone; leave --setup or it")
+    return held

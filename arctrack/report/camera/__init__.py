@@ -1,0 +1,1 @@
+"""camera.html: a camera's calibration on one self-contained page."""

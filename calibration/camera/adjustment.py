@@ -1,0 +1,140 @@
+"""Bundle adjustment: lens, board's warp and the boards' poses that explain the corners best.
+
+Residuals are those of the image points over their sigma. Poses move by a small rotation and translation in
+the camera frame, so that no pose is singular. Steps are Levenberg's and Marquardt's.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from calibration.camera.lens import Lens
+from calibration.camera.normal_equations import NormalEquations
+from calibration.camera.sightings import Sightings
+from noise_model.arrays import Float64
+
+MAX_ROUNDS = 100
+SETTLED = 1e-9
+"""A round that lowers the cost by a smaller share is the last."""
+
+FIRST_DAMPING, LEAST_DAMPING, MOST_DAMPING = 1e-4, 1e-9, 1e12
+EASIER, HARDER = 0.1, 10.0
+
+WARP = ("warp_x", "warp_y")
+"""What is shared beside the lens: the board's warp along its columns and rows, mm."""
+
+
+@dataclass(frozen=True)
+class Scene:
+    """What explains the corners: a lens, the board's warp, and its pose in each image.
+
+    Parameters
+    ----------
+    lens : Lens
+        The lens.
+    warp_mm : array (2,)
+        The board's rise in its middle from bending along the columns and along the rows.
+    T_camera_board : array (V, 4, 4)
+        The board's pose in each image, mm.
+    """
+
+    lens: Lens
+    warp_mm: Float64
+    T_camera_board: Float64
+
+    def points_camera(self, seen: Sightings) -> Float64:
+        """Return the corners (N, 3) in the camera frame, mm."""
+        board = seen.flat_mm.copy()
+        board[:, 2] += seen.bulge @ self.warp_mm
+        T = self.T_camera_board[seen.view]
+        return np.asarray(np.einsum("nij,nj->ni", T[:, :3, :3], board) + T[:, :3, 3])
+
+    def residuals(self, seen: Sightings) -> Float64:
+        """Return observed less predicted image points (N, 2), px."""
+        return np.asarray(seen.points_px - self.lens.project(self.points_camera(seen)))
+
+    def of_views(self, chosen: list[int]) -> Scene:
+        """Return the scene of some of the images."""
+        return replace(self, T_camera_board=self.T_camera_board[chosen])
+
+    def moved(self, shared: Float64, motion: Float64) -> Scene:
+        """Return the scene after a step of lens and warp (n + 2,) and of each board (V, 6)."""
+        n = len(self.lens.values)
+        T = np.tile(np.eye(4), (len(motion), 1, 1))
+        T[:, :3, :3] = Rotation.from_rotvec(motion[:, :3]).as_matrix()
+        T[:, :3, 3] = motion[:, 3:]
+        lens = replace(self.lens, values=self.lens.values + shared[:n])
+        return Scene(lens, self.warp_mm + shared[n:], T @ self.T_camera_board)
+
+
+def linearised(scene: Scene, seen: Sightings, weight: Float64) -> NormalEquations:
+    """Return the normal equations at a scene; `weight` (N,) is 1 / sigma of each corner, 1/px."""
+    points = scene.points_camera(seen)
+    image, per_motion, per_lens = scene.lens.project_with_jacobian(points)
+    normals = scene.T_camera_board[seen.view][:, :3, 2]
+    lift = np.einsum("nij,nj->ni", per_motion[:, :, 3:], normals)
+    per_shared = np.concatenate([per_lens, lift[:, :, None] * seen.bulge[:, None, :]], axis=2)
+    w = weight[:, None, None]
+    residual = (seen.points_px - image) * weight[:, None]
+    return NormalEquations.of(seen.slices, per_shared * w, per_motion * w, residual)
+
+
+def adjusted(scene: Scene, seen: Sightings, weight: Float64, *, poses_only: bool = False) -> Scene:
+    """Return the scene of least squares.
+
+    Parameters
+    ----------
+    scene : Scene
+        Where to start.
+    seen : Sightings
+        The corners.
+    weight : array (N,)
+        1 / sigma of each corner, 1/px.
+    poses_only : bool
+        Hold lens and warp.
+
+    Returns
+    -------
+    Scene
+        The one at which no step lowers the sum of squares any more.
+    """
+    cost, damping = _cost(scene, seen, weight), FIRST_DAMPING
+    for _ in range(MAX_ROUNDS):
+        equations = linearised(scene, seen, weight)
+        while True:
+            moved = _stepped(scene, equations.damped(damping), poses_only)
+            new_cost = np.inf if moved is None else _cost(moved, seen, weight)
+            if new_cost <= cost:
+                break
+            damping *= HARDER
+            if damping > MOST_DAMPING:
+                return scene
+        if moved is None:
+            return scene
+        gained, scene, cost = cost - new_cost, moved, new_cost
+        damping = max(damping * EASIER, LEAST_DAMPING)
+        if gained <= SETTLED * cost:
+            break
+    return scene
+
+
+def _stepped(scene: Scene, equations: NormalEquations, poses_only: bool) -> Scene | None:
+    try:
+        if poses_only:
+            return scene.moved(np.zeros(len(scene.lens.values) + 2), equations.motion_step())
+        return scene.moved(*equations.step())
+    except np.linalg.LinAlgError:
+        return None
+
+
+def _cost(scene: Scene, seen: Sightings, weight: Float64) -> float:
+    # A board behind the camera, or a focal length below 0, explains nothing.
+    points = scene.points_camera(seen)
+    if not (points[:, 2] > 0.0).all() or not (scene.lens.values[:2] > 0.0).all():
+        return float("inf")
+    residual = (seen.points_px - scene.lens.project(points)) * weight[:, None]
+    cost = float(np.sum(residual**2))
+    return cost if np.isfinite(cost) else float("inf")

@@ -1,0 +1,307 @@
+"""The camera's calibration from corners to a lens with its covariance, and what speaks against it."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from calibration.boards.board import Board
+from calibration.camera.adjustment import Scene, linearised
+from calibration.camera.enough import (
+    UndeterminedError,
+    check_count,
+    check_cover,
+    check_focal_length,
+)
+from calibration.camera.halves import MOST_RATIO, Difference, difference_of_halves, splits
+from calibration.camera.lens import ORDERS, TILT
+from calibration.camera.next_board import NextBoard, best_next_board
+from calibration.camera.noise import LEAST_CORNERS, Noise, fitted, noise_of_most, robust, wrong_corners
+from calibration.camera.normal_equations import scaled_inverse
+from calibration.camera.order import Held, held_out_errors, leanest_within_error
+from calibration.camera.projection import Knowledge, image_grid, rms_sigma
+from calibration.camera.scatter import scatter_between_images
+from calibration.camera.sightings import Sightings, View
+from calibration.camera.start import first_scene, with_better_poses
+from noise_model.arrays import Float64
+
+FIRST_ORDER = "k1 k2 p1 p2"
+"""The distortion with which wrong corners are looked for, before one is chosen."""
+
+MOST_WRONG = 0.3
+"""An image with a larger share of wrong corners is left out as a whole."""
+
+MOST_NOISE = 10.0
+"""An image whose corners scatter so many times as far as those of most was moved, or its board misread."""
+
+MOST_SIGMA_PX = 1.0
+"""A distortion that leaves the projection less known than this, anywhere in the image, is not determined."""
+
+MOST_TILT_SIGMA = math.radians(3.0)
+"""1 sigma of the sensor's tilt, rad: beyond it is as good as unknown."""
+
+
+@dataclass(frozen=True)
+class WrongCorner:
+    """A corner that was left out: of which image, which corner, and its residual (2,), px."""
+
+    view: int
+    corner: int
+    point_px: Float64
+    residual_px: Float64
+
+
+@dataclass(frozen=True)
+class CameraCalibration:
+    """A lens with all that is known of it.
+
+    Parameters
+    ----------
+    scene : Scene
+        Lens, board's warp and poses, of the images that are used.
+    seen : Sightings
+        The corners that are used.
+    noise : Noise
+        The corners' noise.
+    order : str
+        The distortion that was chosen, one of `ORDERS`.
+    held : list of Held
+        How well each distortion predicts.
+    known : Knowledge
+        What corners with that noise know.
+    scatter : float
+        By how much the covariance is larger than that, since images differ by more; 1 or more.
+    wrong : tuple of WrongCorner
+        Corners that were left out.
+    left_out : dict
+        Images that were left out, and why.
+    distance_mm : float
+        Where the projection is judged: the corners' median depth.
+    halves : list of Difference
+        How halves of the images differ.
+    next_board : NextBoard or None
+        The pose that is worth an image most.
+    """
+
+    scene: Scene
+    seen: Sightings
+    noise: Noise
+    order: str
+    held: list[Held]
+    known: Knowledge
+    scatter: float
+    wrong: tuple[WrongCorner, ...]
+    left_out: dict[str, str]
+    distance_mm: float
+    halves: list[Difference] = field(default_factory=list)
+    next_board: NextBoard | None = None
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """The parameters of the covariance: those of the lens, then the warp along columns and rows."""
+        return (*self.scene.lens.names, "warp_x_mm", "warp_y_mm")
+
+    @property
+    def covariance(self) -> Float64:
+        """The covariance (m, m) of lens and warp."""
+        return self.scatter * self.known.covariance()
+
+    @property
+    def sigma(self) -> Float64:
+        """1 sigma of lens and warp (m,)."""
+        return np.asarray(np.sqrt(np.diag(self.covariance)))
+
+    @property
+    def rms_px(self) -> float:
+        """The RMS distance of the corners used from where the scene puts them, px."""
+        return float(np.sqrt(np.mean(np.sum(self.scene.residuals(self.seen) ** 2, axis=1))))
+
+    def sigma_map(self) -> tuple[Float64, Float64]:
+        """Return points over the image (h, w, 2), px, and the projection's sigma there (h, w), px."""
+        grid, shape = image_grid(self.scene.lens)
+        covariance = self.scatter * self.known.of_projection(self.scene.lens, grid, self.distance_mm)
+        return grid.reshape(*shape, 2), rms_sigma(covariance).reshape(shape)
+
+    @property
+    def ratio_of_halves(self) -> float:
+        """The difference of two halves over what the corners' noise predicts, the splits' median."""
+        return float(np.median([difference.ratio for difference in self.halves]))
+
+    @property
+    def model_error(self) -> str | None:
+        """What to say where two halves contradict each other, None if they agree."""
+        if self.ratio_of_halves <= MOST_RATIO:
+            return None
+        return (
+            f"two halves of the images differ {self.ratio_of_halves:.1f} times as much as their noise "
+            f"predicts, {MOST_RATIO:g} is the most: the model is wrong. Try: hold the board still; lock "
+            "focus and aperture; use a stiff flat board, its squares' side the same both ways; leave out "
+            "images with large residuals; give --tilted if the sensor is tilted to the lens"
+        )
+
+
+def calibrate_camera(
+    board: Board,
+    views: Sequence[View],
+    size: tuple[int, int],
+    *,
+    tilted: bool = False,
+    orders: Sequence[str] = tuple(ORDERS),
+    progress: Callable[[int, int], None] | None = None,
+) -> CameraCalibration:
+    """Find a camera's lens from corners of a board in several images, and hold halves against each other.
+
+    Parameters
+    ----------
+    board : Board
+        The board.
+    views : sequence of View
+        The corners in each image, `LEAST_CORNERS` at least.
+    size : tuple of int
+        The images' width and height, px.
+    tilted : bool
+        The sensor is tilted to the lens, after Scheimpflug.
+    orders : sequence of str
+        The distortions of `ORDERS` to choose from.
+    progress : callable, optional
+        Told how many steps are done, and of how many.
+
+    Returns
+    -------
+    CameraCalibration
+        The lens. Its `model_error` says whether to use it.
+
+    Raises
+    ------
+    UndeterminedError
+        If the images do not determine the lens; it says which image is missing.
+    """
+    ways = splits(len(views))
+    steps = len(orders) + len(ways) + 1
+
+    def tell(done: int) -> None:
+        if progress is not None:
+            progress(done, steps)
+
+    result = find_lens(board, views, size, tilted=tilted, orders=orders, progress=tell)
+    halves = []
+    for n, first in enumerate(splits(len(result.seen.names))):
+        halves.append(difference_of_halves(result.scene, result.seen, first))
+        tell(len(orders) + n + 1)
+    sigma_px = float(np.median(result.noise.sigma_px))
+    pose = best_next_board(result.known, result.scene, result.seen, sigma_px, result.distance_mm)
+    tell(steps)
+    return replace(result, halves=halves, next_board=pose)
+
+
+def find_lens(
+    board: Board,
+    views: Sequence[View],
+    size: tuple[int, int],
+    *,
+    tilted: bool = False,
+    orders: Sequence[str] = tuple(ORDERS),
+    progress: Callable[[int], None] | None = None,
+) -> CameraCalibration:
+    """Find a camera's lens; see `calibrate_camera`, which judges it too."""
+    check_count(len(views), 0)
+    all_seen = Sightings.of(board, views)
+    start = first_scene(*size, all_seen)
+    agreed = _robust(replace(start, lens=start.lens.with_distortion(ORDERS[FIRST_ORDER])), all_seen)
+    kept, left_out = _views_to_keep(agreed, all_seen)
+    check_count(len(kept), len(left_out))
+    all_seen, agreed = all_seen.of_views(kept), agreed.of_views(kept)
+    seen = all_seen.where(~wrong_corners(agreed, all_seen))
+    scene, noise = fitted(agreed, seen)
+    _check(scene, seen, noise)
+    distance_mm = float(np.median(scene.points_camera(seen)[:, 2]))
+    held = held_out_errors(scene, seen, noise, orders, tilted=tilted, progress=progress)
+    known = [each for each in held if _is_determined(each, seen, noise, distance_mm)]
+    chosen = leanest_within_error(known or held[:1])
+    agreed = _robust(chosen.scene, all_seen)
+    is_wrong = wrong_corners(agreed, all_seen)
+    seen = all_seen.where(~is_wrong)
+    scene, noise = fitted(agreed, seen)
+    result = CameraCalibration(
+        scene,
+        seen,
+        noise,
+        chosen.name,
+        held,
+        Knowledge.of(linearised(scene, seen, noise.weight(seen))),
+        scatter_between_images(scene, seen, noise.weight(seen)),
+        _named(scene, all_seen.where(is_wrong)),
+        left_out,
+        distance_mm,
+    )
+    if tilted:
+        _check_tilt(result)
+    return result
+
+
+def _robust(scene: Scene, seen: Sightings) -> Scene:
+    return robust(with_better_poses(robust(scene, seen), seen), seen)
+
+
+def _views_to_keep(scene: Scene, seen: Sightings) -> tuple[list[int], dict[str, str]]:
+    is_wrong, kept, left_out = wrong_corners(scene, seen), [], {}
+    sigma_px = noise_of_most(scene, seen).sigma_px
+    typical_px = float(np.median(sigma_px))
+    for n, (name, part) in enumerate(zip(seen.names, seen.slices, strict=True)):
+        bad, count = int(is_wrong[part].sum()), part.stop - part.start
+        if bad > MOST_WRONG * count or count - bad < LEAST_CORNERS:
+            left_out[name] = f"{bad} of {count} corners are not where the board has them"
+        elif sigma_px[n] > MOST_NOISE * typical_px:
+            left_out[name] = (
+                f"its corners scatter by {sigma_px[n]:.2g} px, those of most by {typical_px:.2g} px"
+            )
+        else:
+            kept.append(n)
+    return kept, left_out
+
+
+def _check(scene: Scene, seen: Sightings, noise: Noise) -> None:
+    """Raise UndeterminedError if the images do not determine the lens."""
+    try:
+        covariance = scaled_inverse(linearised(scene, seen, noise.weight(seen)).information())
+        sigma = np.sqrt(np.abs(np.diag(covariance)))
+    except np.linalg.LinAlgError:
+        sigma = np.full(len(scene.lens.values) + 2, np.inf)
+    check_focal_length(scene, sigma)
+    check_cover(scene.lens, seen)
+
+
+def _check_tilt(result: CameraCalibration) -> None:
+    """Raise UndeterminedError if the sensor's tilt is not told from the principal point.
+
+    Without distortion a tilted sensor sees what one sees that is turned and shifted.
+    """
+    variance = np.diag(result.covariance)[[result.names.index(name) for name in TILT]]
+    if not ((variance > 0.0) & (variance <= MOST_TILT_SIGMA**2)).all():
+        raise UndeterminedError(
+            "the sensor's tilt is unknown: the lens has too little distortion to tell it from the principal "
+            "point; leave --tilted, the projection is the same without"
+        )
+
+
+def _is_determined(held: Held, seen: Sightings, noise: Noise, distance_mm: float) -> bool:
+    lens = held.scene.lens
+    try:
+        known = Knowledge.of(linearised(held.scene, seen, noise.weight(seen)))
+        variance = known.of_projection(lens, image_grid(lens)[0], distance_mm)
+    except np.linalg.LinAlgError:
+        return False
+    return bool(rms_sigma(variance).max() <= MOST_SIGMA_PX)
+
+
+def _named(scene: Scene, wrong: Sightings) -> tuple[WrongCorner, ...]:
+    residuals = scene.residuals(wrong) if len(wrong) else np.empty((0, 2))
+    return tuple(
+        WrongCorner(int(view), int(corner), point, residual)
+        for view, corner, point, residual in zip(
+            wrong.view, wrong.corner, wrong.points_px, residuals, strict=True
+        )
+    )

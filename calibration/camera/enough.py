@@ -1,0 +1,105 @@
+"""Do the images determine the lens? If not, which image is missing."""
+
+from __future__ import annotations
+
+import numpy as np
+from scipy.spatial import ConvexHull
+
+from calibration.camera.adjustment import Scene
+from calibration.camera.lens import Lens
+from calibration.camera.sightings import Sightings
+from noise_model.arrays import Float64
+
+LEAST_VIEWS = 6
+"""Images: two halves of three each determine a lens by themselves."""
+
+MOST_FOCAL_SIGMA = 0.01
+"""1 sigma of a focal length over its value: beyond it is as good as unknown."""
+
+LEAST_TILT_DEG = 10.0
+"""Boards that lean less, all of them, tell little of the focal length."""
+
+LEAST_COVER = 0.15
+"""The share of the image within the hull of all corners: below it, most of the lens is not seen."""
+
+GOOD_COVER = 0.6
+"""Below this share a user is told which parts of the image are without corners."""
+
+CELLS = (("upper", "", "lower"), ("left", "", "right"))
+
+
+class UndeterminedError(ValueError):
+    """The images do not determine the lens; the text says why, and which image is missing."""
+
+
+def check_count(views: int, left_out: int) -> None:
+    """Raise UndeterminedError if there are too few images."""
+    if views < LEAST_VIEWS:
+        others = f" ({left_out} left out)" if left_out else ""
+        raise UndeterminedError(
+            f"{views} images show the board{others}: {LEAST_VIEWS} at least are needed, and 15 are good; "
+            "take more, the board leaning another way and elsewhere in the image in each"
+        )
+
+
+def check_focal_length(scene: Scene, sigma: Float64) -> None:
+    """Raise UndeterminedError if the boards do not tell the focal length.
+
+    Parameters
+    ----------
+    scene : Scene
+        The scene found.
+    sigma : array (m,)
+        1 sigma of its lens and warp.
+    """
+    worst = float(np.max(sigma[:2] / scene.lens.values[:2]))
+    if worst <= MOST_FOCAL_SIGMA:
+        return
+    known = "unknown" if not worst < 1.0 else f"known to {100.0 * worst:.1f} % only"
+    about_x, about_y = tilts_deg(scene)
+    if max(np.ptp(about_x), np.ptp(about_y)) < 2.0 * LEAST_TILT_DEG:
+        reason = "all boards lie nearly parallel to the sensor"
+        missing = "leans 20 to 40 deg about the image's horizontal in some, about its vertical in others"
+    else:
+        axis = "horizontal" if np.ptp(about_x) < np.ptp(about_y) else "vertical"
+        reason = "the boards lean too little or about one axis alone"
+        missing = f"leans 20 to 40 deg about the image's {axis}, either way"
+    raise UndeterminedError(
+        f"the focal length is {known}: {reason}; take images in which the board {missing}, and nearer by"
+    )
+
+
+def check_cover(lens: Lens, seen: Sightings) -> None:
+    """Raise UndeterminedError if the boards keep to a small part of the image."""
+    share = cover(lens, seen)
+    if share < LEAST_COVER:
+        raise UndeterminedError(
+            f"the boards cover {100.0 * share:.0f} % of the image: the lens is not seen beyond; take images "
+            f"with the board nearer by, so that it fills the image, and in its {empty_parts(lens, seen)}"
+        )
+
+
+def cover(lens: Lens, seen: Sightings) -> float:
+    """Return the share of the image within the hull of all corners."""
+    return float(ConvexHull(seen.points_px).volume) / (lens.width * lens.height)
+
+
+def empty_parts(lens: Lens, seen: Sightings) -> str:
+    """Return the parts of the image without a corner, of three by three, in words; empty if none is."""
+    parts = np.floor(3.0 * seen.points_px / [lens.width, lens.height]).astype(int).clip(0, 2)
+    shown = {(int(row), int(column)) for column, row in parts}
+    missing = [
+        " ".join(filter(None, (CELLS[0][row], CELLS[1][column]))) or "middle"
+        for row in range(3)
+        for column in range(3)
+        if (row, column) not in shown
+    ]
+    return ", ".join(missing)
+
+
+def tilts_deg(scene: Scene) -> tuple[Float64, Float64]:
+    """Return how far each board leans about the image's horizontal and its vertical (V,), deg."""
+    normal = scene.T_camera_board[:, :3, 2]
+    toward = np.sign(normal[:, 2])
+    about_x = np.degrees(np.arctan2(-normal[:, 1] * toward, np.abs(normal[:, 2])))
+    return about_x, np.degrees(np.arctan2(normal[:, 0] * toward, np.abs(normal[:, 2])))

@@ -1,0 +1,116 @@
+"""Cross-validation: two halves of the images must say the same of the lens, within what they claim to know.
+
+Each half gives a lens. The camera frames of both differ by a small motion, which is fitted. What is left of
+the difference between their projections is compared with the sigma that both predict. More than twice that
+is no noise: the model is wrong (mrcal's documentation, "cross-validation").
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.spatial import Delaunay
+from scipy.spatial.transform import Rotation
+
+from calibration.camera.adjustment import Scene, linearised
+from calibration.camera.lens import Lens
+from calibration.camera.noise import fitted
+from calibration.camera.normal_equations import scaled_inverse
+from calibration.camera.projection import image_grid
+from calibration.camera.sightings import Sightings
+from noise_model.arrays import Bool, Float64
+
+SPLITS = 9
+"""Ways to split the images: every second one, then drawn at random. Their median decides."""
+
+MOST_RATIO = 2.0
+"""Differences above so many predicted sigmas are a wrong model."""
+
+MATCH_ROUNDS = 5
+SEED = 7
+
+
+@dataclass(frozen=True)
+class Difference:
+    """How two lenses of the same camera differ.
+
+    Parameters
+    ----------
+    points_px : array (N, 2)
+        Where in the image, px.
+    shift_px : array (N, 2)
+        The second's projection less the first's, px.
+    sigma_px : array (N,)
+        Its predicted sigma, RMS over directions, px.
+    """
+
+    points_px: Float64
+    shift_px: Float64
+    sigma_px: Float64
+
+    @property
+    def ratio(self) -> float:
+        """The RMS of the difference over that which is predicted."""
+        return float(np.sqrt(np.sum(self.shift_px**2) / (2.0 * np.sum(self.sigma_px**2))))
+
+
+def splits(views: int) -> list[Bool]:
+    """Return ways (V,) to split so many images in halves."""
+    rng = np.random.default_rng(SEED)
+    alternate = np.arange(views) % 2 == 0
+    return [alternate, *(rng.permutation(alternate) for _ in range(SPLITS - 1))]
+
+
+def difference_of_halves(scene: Scene, seen: Sightings, first: Bool) -> Difference:
+    """Return how the lens of some images differs from that of the others.
+
+    Parameters
+    ----------
+    scene : Scene
+        The scene of all images, where both halves start.
+    seen : Sightings
+        The corners, without wrong ones.
+    first : array (V,)
+        The images of the first half.
+
+    Returns
+    -------
+    Difference
+        Over that part of the image where boards were seen.
+    """
+    lenses, covariances = [], []
+    for half in (first, ~first):
+        chosen = np.flatnonzero(half).tolist()
+        corners = seen.of_views(chosen)
+        own, noise = fitted(scene.of_views(chosen), corners)
+        equations = linearised(own, corners, noise.weight(corners))
+        lenses.append(own.lens)
+        covariances.append(scaled_inverse(equations.information())[:-2, :-2])
+    depths_mm = np.quantile(scene.points_camera(seen)[:, 2], [0.05, 0.95])
+    grid, _ = image_grid(scene.lens)
+    grid = grid[Delaunay(seen.points_px).find_simplex(grid) >= 0]
+    return _difference(lenses[0], lenses[1], covariances[0] + covariances[1], grid, depths_mm)
+
+
+def _difference(
+    first: Lens, second: Lens, covariance: Float64, grid: Float64, depths_mm: Float64
+) -> Difference:
+    rays = first.rays(grid)
+    points = np.concatenate([rays * depth for depth in depths_mm])
+    target = np.tile(grid, (len(depths_mm), 1))
+    R, t = np.eye(3), np.zeros(3)
+    for _ in range(MATCH_ROUNDS):
+        image, per_motion, per_lens = second.project_with_jacobian(points @ R.T + t)
+        shift = image - target
+        J = per_motion.reshape(-1, 6)
+        step = -np.linalg.lstsq(J, shift.ravel(), rcond=None)[0]
+        turn = Rotation.from_rotvec(step[:3]).as_matrix()
+        R, t = turn @ R, turn @ t + step[3:]
+    # What the fitted motion takes out of the noise, it takes out of the prediction too.
+    Q = per_lens.reshape(len(J), -1)
+    Q = Q - J @ np.linalg.lstsq(J, Q, rcond=None)[0]
+    variance = np.einsum(
+        "nij,jk,nik->n", Q.reshape(-1, 2, Q.shape[1]), covariance, Q.reshape(-1, 2, Q.shape[1])
+    )
+    return Difference(target, shift, np.sqrt(0.5 * variance))

@@ -1,0 +1,127 @@
+"""Where to hold the board next: the pose that shrinks the projection's variance over the image most."""
+
+from __future__ import annotations
+
+import itertools
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from calibration.boards.board import Kind
+from calibration.camera.adjustment import Scene, linearised
+from calibration.camera.projection import Knowledge, image_grid, rms_sigma
+from calibration.camera.sightings import Sightings, View
+from noise_model.arrays import Float64
+
+PLACES = (0.2, 0.5, 0.8)
+"""Where in the image the board's middle may be, shares of width and height."""
+
+SIZES = (0.35, 0.55, 0.8)
+"""How much of the image's shorter side the board may span: how near it is held."""
+
+TILTS_DEG = (0.0, 20.0, 40.0)
+ABOUT = {"the image's horizontal": (1.0, 0.0, 0.0), "the image's vertical": (0.0, 1.0, 0.0)}
+SIGNS = (1.0, -1.0)
+
+
+@dataclass(frozen=True)
+class NextBoard:
+    """A pose that is worth an image.
+
+    Parameters
+    ----------
+    T_camera_board : array (4, 4)
+        The pose, mm.
+    points_px : array (N, 2)
+        Where its corners would be seen, px.
+    words : str
+        How to hold the board.
+    sigma_px : float
+        The projection's RMS sigma over the image with one more image of that pose, px.
+    """
+
+    T_camera_board: Float64
+    points_px: Float64
+    words: str
+    sigma_px: float
+
+
+def mean_sigma(known: Knowledge, scene: Scene, distance_mm: float) -> float:
+    """Return the projection's RMS sigma over the image, px."""
+    grid, _ = image_grid(scene.lens)
+    return float(np.sqrt(np.mean(rms_sigma(known.of_projection(scene.lens, grid, distance_mm)) ** 2)))
+
+
+def best_next_board(
+    known: Knowledge, scene: Scene, seen: Sightings, sigma_px: float, distance_mm: float
+) -> NextBoard | None:
+    """Return the pose among a set of candidates that helps most.
+
+    Parameters
+    ----------
+    known : Knowledge
+        What is known so far.
+    scene : Scene
+        The scene found.
+    seen : Sightings
+        The corners; of a chessboard all must be in view, of markers some.
+    sigma_px : float
+        The noise that a new image's corners will have, px.
+    distance_mm : float
+        Where the projection matters, mm from the camera.
+
+    Returns
+    -------
+    NextBoard or None
+        None if no candidate can be seen.
+    """
+    candidates = [
+        candidate
+        for place, size, tilt in itertools.product(itertools.product(PLACES, PLACES), SIZES, _tilts())
+        if (candidate := _candidate(known, scene, seen, sigma_px, distance_mm, place, size, tilt)) is not None
+    ]
+    return min(candidates, key=lambda each: each.sigma_px, default=None)
+
+
+def _tilts() -> list[tuple[float, str]]:
+    leaning = [(sign * tilt, axis) for tilt, axis, sign in itertools.product(TILTS_DEG[1:], ABOUT, SIGNS)]
+    return [(0.0, next(iter(ABOUT))), *leaning]
+
+
+def _candidate(
+    known: Knowledge,
+    scene: Scene,
+    seen: Sightings,
+    sigma_px: float,
+    distance_mm: float,
+    place: tuple[float, float],
+    size: float,
+    tilt: tuple[float, str],
+) -> NextBoard | None:
+    lens, board = scene.lens, seen.board
+    middle_px = np.array([[place[0] * (lens.width - 1), place[1] * (lens.height - 1)]])
+    span_mm = float(np.max(board.points_mm))
+    depth_mm = float(lens.values[0]) * span_mm / (size * min(lens.width, lens.height))
+    T = np.eye(4)
+    T[:3, :3] = Rotation.from_rotvec(np.radians(tilt[0]) * np.array(ABOUT[tilt[1]])).as_matrix()
+    T[:3, 3] = lens.rays(middle_px)[0] * depth_mm - T[:3, :3] @ (0.5 * board.points_mm.max(axis=0))
+    pose = Scene(lens, scene.warp_mm, T[np.newaxis])
+    corners = np.arange(len(board.points_mm))
+    blank = Sightings.of(board, [View("", corners, np.zeros((len(corners), 2)))])
+    points = lens.project(pose.points_camera(blank))
+    inside = np.all((points >= 0.0) & (points <= [lens.width - 1.0, lens.height - 1.0]), axis=1)
+    if not inside.all() and (board.kind is Kind.CHESSBOARD or inside.sum() < 0.5 * len(inside)):
+        return None
+    shown = blank.where(inside)
+    more = linearised(pose, shown, np.full(len(shown), 1.0 / sigma_px))
+    sigma = mean_sigma(known.with_more(more), scene, distance_mm)
+    return NextBoard(T, points[inside], _words(place, depth_mm, tilt), sigma)
+
+
+def _words(place: tuple[float, float], depth_mm: float, tilt: tuple[float, str]) -> str:
+    across = {PLACES[0]: "left", PLACES[1]: "", PLACES[2]: "right"}[place[0]]
+    down = {PLACES[0]: "upper", PLACES[1]: "", PLACES[2]: "lower"}[place[1]]
+    where = " ".join(filter(None, (down, across))) or "middle"
+    lean = "parallel to the sensor" if not tilt[0] else f"turned by {tilt[0]:+.0f} deg about {tilt[1]}"
+    return f"in the image's {where}, some {depth_mm:.0f} mm from the camera, {lean}"

@@ -1,0 +1,163 @@
+"""Noise of the corners, from their residuals: one sigma for each image, and the corners that are none.
+
+An image that is blurred or dark has noisier corners, so each has its own sigma. One image alone knows its
+sigma to some 7 % from a hundred corners, so that it leans on the others as much as their scatter warrants
+(Smyth, Linear models and empirical Bayes methods, 2004, section 6).
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.optimize import brentq
+from scipy.special import digamma, polygamma
+from scipy.stats import f
+
+from calibration.camera.adjustment import Scene, adjusted, linearised
+from calibration.camera.normal_equations import scaled_inverse
+from calibration.camera.sightings import Sightings
+from noise_model.arrays import Bool, Float64
+
+TAIL = 4.0
+"""Degrees of freedom of Student's t in the robust fit: a fifth of wrong corners hardly moves it."""
+
+ROBUST_ROUNDS, NOISE_ROUNDS = 30, 4
+SETTLED = 1e-3
+
+FALSE_ALARM = 0.01
+"""The probability that a set without a wrong corner loses one."""
+
+MEDIAN_EFFICIENCY = 0.48
+"""Variance of the mean over that of the median, of squares of two normal numbers: ln(2)²."""
+
+MOST_PRIOR_DOF = 1e6
+LEAST_SIGMA_PX = 1e-9
+"""Corners without noise occur in tests alone; their weights stay finite."""
+
+LEAST_CORNERS = 6
+"""An image with fewer corners left tells nothing beyond its pose."""
+
+
+@dataclass(frozen=True)
+class Noise:
+    """The corners' noise.
+
+    Parameters
+    ----------
+    sigma_px : array (V,)
+        1 sigma of a corner in each image, along x and y alike.
+    prior_dof : float
+        With how many degrees of freedom the images together state the sigma of each.
+    """
+
+    sigma_px: Float64
+    prior_dof: float
+
+    def weight(self, seen: Sightings) -> Float64:
+        """Return 1 / sigma of each corner (N,), 1/px."""
+        return np.asarray(1.0 / self.sigma_px[seen.view])
+
+
+def robust(scene: Scene, seen: Sightings) -> Scene:
+    """Return the scene that explains most corners: the maximum likelihood of Student's t.
+
+    Each round weighs a corner by (t + 2) / (t + r²/s²), and takes s from the weighted squares.
+    """
+    square = np.sum(scene.residuals(seen) ** 2, axis=1)
+    scale = max(float(np.median(square)) / (2.0 * math.log(2.0)), LEAST_SIGMA_PX**2)
+    for _ in range(ROBUST_ROUNDS):
+        weight = (TAIL + 2.0) / (TAIL + square / scale)
+        scene = adjusted(scene, seen, np.sqrt(weight))
+        square = np.sum(scene.residuals(seen) ** 2, axis=1)
+        before = scale
+        scale = max(float(np.mean(weight * square)) / 2.0, LEAST_SIGMA_PX**2)
+        if abs(scale / before - 1.0) < SETTLED:
+            break
+    return scene
+
+
+def noise_of_most(scene: Scene, seen: Sightings) -> Noise:
+    """Return the noise of each image from the median of its squares: some wrong corners hardly move it.
+
+    The squares of a corner's residual are chi² of two degrees of freedom.
+    """
+    square = np.sum(scene.residuals(seen) ** 2, axis=1) / _free_share(scene, seen)
+    medians = np.array([np.median(square[part]) for part in seen.slices]) / (2.0 * math.log(2.0))
+    variance, prior_dof = moderated(medians, _dof_of_medians(seen))
+    return Noise(np.sqrt(np.maximum(variance, LEAST_SIGMA_PX**2)), prior_dof)
+
+
+def wrong_corners(scene: Scene, seen: Sightings) -> Bool:
+    """Return which corners (N,) no noise of their image explains, at a scene that most corners agree on.
+
+    Squares of residuals over twice the image's variance are F of two degrees of freedom and of those that the
+    variance has.
+    """
+    noise = noise_of_most(scene, seen)
+    dof = noise.prior_dof + _dof_of_medians(seen)
+    limit = 2.0 * f.isf(FALSE_ALARM / len(seen), 2.0, dof) * noise.sigma_px**2
+    square = np.sum(scene.residuals(seen) ** 2, axis=1) / _free_share(scene, seen)
+    return np.asarray(square > limit[seen.view])
+
+
+def _free_share(scene: Scene, seen: Sightings) -> float:
+    """Return the share of the corners' coordinates that the fit does not spend."""
+    spent = len(scene.lens.values) + 2 + 6 * len(seen.names)
+    return max(1.0 - spent / (2.0 * len(seen)), 0.25)
+
+
+def _dof_of_medians(seen: Sightings) -> Float64:
+    return np.asarray(MEDIAN_EFFICIENCY * 2.0 * seen.counts, dtype=np.float64)
+
+
+def fitted(scene: Scene, seen: Sightings) -> tuple[Scene, Noise]:
+    """Return the scene of maximum likelihood and the noise, each image with its own sigma.
+
+    A sum of squares is divided by the corners' coordinates less what the image spends on its pose and on lens
+    and warp: 2 N_i - 6 - tr(S_i S^-1).
+    """
+    noise = Noise(np.ones(len(seen.names)), 0.0)
+    for _ in range(NOISE_ROUNDS):
+        weight = noise.weight(seen)
+        scene = adjusted(scene, seen, weight)
+        parts = linearised(scene, seen, weight).information_of_views()
+        spent = np.einsum("vij,ji->v", parts, scaled_inverse(parts.sum(axis=0)))
+        free = np.maximum(2.0 * seen.counts - 6.0 - spent, 1.0)
+        square = np.sum(scene.residuals(seen) ** 2, axis=1)
+        variance = np.array([square[part].sum() for part in seen.slices]) / free
+        variance, prior_dof = moderated(variance, free)
+        before, noise = noise, Noise(np.sqrt(np.maximum(variance, LEAST_SIGMA_PX**2)), prior_dof)
+        if np.allclose(noise.sigma_px, before.sigma_px, rtol=SETTLED):
+            break
+    return adjusted(scene, seen, noise.weight(seen)), noise
+
+
+def moderated(variance: Float64, dof: Float64) -> tuple[Float64, float]:
+    """Return variances that lean on each other as much as their scatter warrants.
+
+    Parameters
+    ----------
+    variance : array (V,)
+        Estimates, each with
+    dof : array (V,)
+        so many degrees of freedom.
+
+    Returns
+    -------
+    variance : array (V,)
+        (d0 s0² + d v) / (d0 + d) with the prior's d0 and s0² of the log variances' mean and variance.
+    prior_dof : float
+        d0; so many that they are as good as infinite where the estimates scatter no more than they must.
+    """
+    if len(variance) < 2 or not (variance > 0.0).all():
+        return variance, 0.0
+    shifted = np.log(variance) - digamma(0.5 * dof) + np.log(0.5 * dof)
+    mean = float(shifted.mean())
+    excess = float(shifted.var(ddof=1) - polygamma(1, 0.5 * dof).mean())
+    prior_dof = MOST_PRIOR_DOF
+    if excess > float(polygamma(1, 0.5 * MOST_PRIOR_DOF)):
+        prior_dof = 2.0 * float(brentq(lambda half: polygamma(1, half) - excess, 1e-3, 0.5 * MOST_PRIOR_DOF))
+    prior = math.exp(mean + float(digamma(0.5 * prior_dof)) - math.log(0.5 * prior_dof))
+    return np.asarray((prior_dof * prior + dof * variance) / (prior_dof + dof)), prior_dof

@@ -1,0 +1,128 @@
+"""Normal equations whose poses are eliminated image by image: Schur's complement.
+
+The unknowns are the shared ones s, lens and warp, and for each image i a small motion f_i of its board in the
+camera frame. With J the derivatives of the image points over their sigma and e the residuals over theirs:
+
+    H = [[A, B_1, B_2, ...], [B_1', D_1, 0, ...], [B_2', 0, D_2, ...], ...],   g = J' e
+    S = A - sum B_i D_i^-1 B_i',   S ds = g_s - sum B_i D_i^-1 g_i,   D_i df_i = g_i - B_i' ds
+
+(Triggs et al., Bundle adjustment - a modern synthesis, 2000, section 6.1). S is the information on what is
+shared: its inverse is the covariance.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from noise_model.arrays import Float64
+
+
+@dataclass(frozen=True)
+class NormalEquations:
+    """The blocks of the normal equations, image by image.
+
+    Parameters
+    ----------
+    shared : array (V, m, m)
+        Each image's part of A.
+    mixed : array (V, m, 6)
+        B_i.
+    motion : array (V, 6, 6)
+        D_i.
+    gradient_shared : array (V, m)
+        Each image's part of g_s.
+    gradient_motion : array (V, 6)
+        g_i.
+    """
+
+    shared: Float64
+    mixed: Float64
+    motion: Float64
+    gradient_shared: Float64
+    gradient_motion: Float64
+
+    @classmethod
+    def of(
+        cls, slices: list[slice], per_shared: Float64, per_motion: Float64, residual: Float64
+    ) -> NormalEquations:
+        """Sum over the corners of each image.
+
+        Parameters
+        ----------
+        slices : list of slice
+            The corners of each image.
+        per_shared, per_motion : array (N, 2, m), (N, 2, 6)
+            Derivatives of the image points over sigma.
+        residual : array (N, 2)
+            Observed less predicted image points over sigma.
+
+        Returns
+        -------
+        NormalEquations
+            Their blocks.
+        """
+        m = per_shared.shape[2]
+        rows = np.concatenate([per_shared, per_motion, residual[:, :, None]], axis=2)
+        squares = np.stack([_square(rows[part].reshape(-1, m + 7)) for part in slices])
+        return cls(
+            squares[:, :m, :m],
+            squares[:, :m, m : m + 6],
+            squares[:, m : m + 6, m : m + 6],
+            squares[:, :m, -1],
+            squares[:, m : m + 6, -1],
+        )
+
+    def damped(self, damping: float) -> NormalEquations:
+        """Return them with each diagonal raised by a share: Levenberg's and Marquardt's step."""
+        motion, total = self.motion.copy(), self.shared.sum(axis=0)
+        motion[:, range(6), range(6)] *= 1.0 + damping
+        shared = self.shared.copy()
+        diagonal = range(len(total))
+        shared[0, diagonal, diagonal] += damping * total[diagonal, diagonal]
+        return NormalEquations(shared, self.mixed, motion, self.gradient_shared, self.gradient_motion)
+
+    def information_of_views(self) -> Float64:
+        """Return each image's part (V, m, m) of S."""
+        solved = np.linalg.solve(self.motion, self.mixed.transpose(0, 2, 1))
+        return np.asarray(self.shared - self.mixed @ solved)
+
+    def information(self) -> Float64:
+        """Return S (m, m), the information on what is shared."""
+        return np.asarray(self.information_of_views().sum(axis=0))
+
+    def pulls(self) -> Float64:
+        """Return each image's part (V, m) of the right side of S ds."""
+        eliminated = np.linalg.solve(self.motion, self.gradient_motion[:, :, None])
+        return np.asarray(self.gradient_shared - (self.mixed @ eliminated)[:, :, 0])
+
+    def step(self) -> tuple[Float64, Float64]:
+        """Return the step of what is shared (m,) and of each image's board (V, 6).
+
+        Raises numpy.linalg.LinAlgError where they are singular.
+        """
+        shared = scaled_inverse(self.information()) @ self.pulls().sum(axis=0)
+        pulled = self.gradient_motion - np.einsum("vmk,m->vk", self.mixed, shared)
+        return shared, np.linalg.solve(self.motion, pulled[:, :, None])[:, :, 0]
+
+    def motion_step(self) -> Float64:
+        """Return the step of each image's board (V, 6) with lens and warp held."""
+        return np.asarray(np.linalg.solve(self.motion, self.gradient_motion[:, :, None])[:, :, 0])
+
+
+def scaled_inverse(matrix: Float64) -> Float64:
+    """Return the inverse of a positive matrix whose rows have units of their own.
+
+    Raises numpy.linalg.LinAlgError if it is singular.
+    """
+    diagonal = np.diag(matrix)
+    if not (diagonal > 0.0).all():
+        raise np.linalg.LinAlgError("an unknown is not seen at all")
+    scale = 1.0 / np.sqrt(diagonal)
+    inverse = np.linalg.inv(matrix * np.outer(scale, scale)) * np.outer(scale, scale)
+    return np.asarray(0.5 * (inverse + inverse.T))
+
+
+def _square(rows: Float64) -> Float64:
+    return np.asarray(rows.T @ rows)

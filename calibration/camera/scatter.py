@@ -1,0 +1,51 @@
+"""Do images agree with each other as well as the noise of their corners lets them?
+
+Corners of one image may err together: the board is not as it was printed, it moved, light shifts its edges.
+Then images differ by more than their corners' noise. With u_i an image's pull on lens and warp at the
+solution, and S_i its information on them, S = sum S_i,
+
+    sum u_i' S^-1 u_i   is expected to be   m - sum tr((S^-1 S_i)²)
+
+The ratio of both is by how much the covariance is too small. It is roughly chi² over its m degrees of
+freedom.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from scipy.stats import chi2
+
+from calibration.camera.adjustment import Scene, linearised
+from calibration.camera.normal_equations import scaled_inverse
+from calibration.camera.sightings import Sightings
+from noise_model.arrays import Float64
+
+FALSE_ALARM = 0.01
+"""The probability that images without a common error are taken to have one."""
+
+
+def scatter_between_images(scene: Scene, seen: Sightings, weight: Float64) -> float:
+    """Return by what factor the covariance of lens and warp is too small, 1 if noise explains all.
+
+    Parameters
+    ----------
+    scene : Scene
+        The scene of least squares.
+    seen : Sightings
+        Its corners.
+    weight : array (N,)
+        1 / sigma of each, 1/px.
+
+    Returns
+    -------
+    float
+        The ratio of the images' scatter to that which the noise predicts, where it is significant; else 1.
+    """
+    equations = linearised(scene, seen, weight)
+    parts = equations.information_of_views()
+    covariance = scaled_inverse(parts.sum(axis=0))
+    pulls = equations.pulls()
+    share = covariance @ parts
+    expected = float(len(covariance) - np.einsum("vij,vji->", share, share))
+    ratio = float(np.einsum("vi,ij,vj->", pulls, covariance, pulls)) / expected
+    return ratio if chi2.sf(ratio * len(covariance), len(covariance)) < FALSE_ALARM else 1.0

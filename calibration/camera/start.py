@@ -1,0 +1,76 @@
+"""Where the adjustment starts: a focal length from a scan, and a pose for each image.
+
+Zhang's closed form has no answer where boards lie parallel to the sensor, and a single board of wrong corners
+spoils it. A scan has one: the focal length at which most boards fit, by the median of their residuals.
+"""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+
+from calibration.camera.adjustment import Scene, adjusted
+from calibration.camera.lens import Lens
+from calibration.camera.sightings import Sightings
+from noise_model.arrays import Float64
+
+FOCALS_OVER_WIDTH = np.geomspace(0.4, 20.0, 24)
+"""Focal lengths that are tried, over the image's longer side: fields of view from 103 down to 3 deg."""
+
+
+def first_scene(width: int, height: int, seen: Sightings) -> Scene:
+    """Return a scene to start from: a lens without distortion, a flat board, and its poses.
+
+    Parameters
+    ----------
+    width, height : int
+        The images' size, px.
+    seen : Sightings
+        The corners.
+
+    Returns
+    -------
+    Scene
+        The one of the focal length at which the median board fits best.
+    """
+    scenes = [
+        _posed(Lens.simple(width, height, focal), seen) for focal in FOCALS_OVER_WIDTH * max(width, height)
+    ]
+    misfits = [float(np.median(_squares(scene, seen))) for scene in scenes]
+    return scenes[int(np.argmin(misfits))]
+
+
+def with_better_poses(scene: Scene, seen: Sightings) -> Scene:
+    """Return the scene with each board's pose taken anew, where that explains its corners better.
+
+    A board that is seen from far looks much the same when it leans the other way. The adjustment does not
+    get from one to the other.
+    """
+    ones = np.ones(len(seen))
+    best, squares = scene, _squares(scene, seen)
+    for mirrored in (False, True):
+        other = adjusted(_posed(scene.lens, seen, scene.warp_mm, mirrored), seen, ones, poses_only=True)
+        anew = _squares(other, seen)
+        better = anew < squares
+        T = np.where(better[:, None, None], other.T_camera_board, best.T_camera_board)
+        best, squares = Scene(scene.lens, scene.warp_mm, T), np.minimum(anew, squares)
+    return best
+
+
+def _posed(lens: Lens, seen: Sightings, warp_mm: Float64 | None = None, mirrored: bool = False) -> Scene:
+    T = np.tile(np.eye(4), (len(seen.names), 1, 1))
+    flat, rays = seen.flat_mm, np.ascontiguousarray(lens.rays(seen.points_px)[:, :2])
+    for n, part in enumerate(seen.slices):
+        _, turns, moves, _ = cv2.solvePnPGeneric(
+            flat[part], rays[part].reshape(-1, 1, 2), np.eye(3), None, flags=cv2.SOLVEPNP_IPPE
+        )
+        chosen = min(int(mirrored), len(turns) - 1)
+        T[n, :3, :3] = cv2.Rodrigues(turns[chosen])[0]
+        T[n, :3, 3] = moves[chosen].ravel()
+    return Scene(lens, np.zeros(2) if warp_mm is None else warp_mm, T)
+
+
+def _squares(scene: Scene, seen: Sightings) -> Float64:
+    """Return the mean square of each image's residuals (V,), px²."""
+    squares = np.sum(scene.residuals(seen) ** 2, axis=1)
+    return np.asarray([squares[part].mean() for part in seen.slices])

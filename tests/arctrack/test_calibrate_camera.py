@@ -1,0 +1,112 @@
+import shutil
+import tomllib
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+from camera_scenes import SIZE, VARIED, Held, picture_of
+from typer.testing import CliRunner, Result
+
+from arctrack import cli
+from arctrack.recording.setup_file import read_setup_file
+
+RUNNER = CliRunner(env={"COLUMNS": "120", "TERM": "dumb", "NO_COLOR": "1"})
+EXAMPLES = Path(__file__).parents[2] / "examples"
+PINHOLE = {"fx": 1000.0, "fy": 1003.0, "cx": 410.0, "cy": 290.0}
+BOARD = ["--board", "chessboard:7x6:10mm"]
+
+
+def calibrate(*words: str | Path) -> Result:
+    return RUNNER.invoke(cli.app, ["calibrate", "camera", *map(str, words)])
+
+
+@pytest.fixture(scope="module")
+def boards(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Return a folder of ten boards in several formats, and of five images that cannot be used."""
+    folder = tmp_path_factory.mktemp("boards")
+    pictures = [picture_of(held, PINHOLE) for held in VARIED]
+    pictures[1] = 255 - pictures[1]
+    pictures[2] = cv2.cvtColor(pictures[2], cv2.COLOR_GRAY2BGR)
+    pictures[3] = pictures[3].astype(np.uint16) * 257
+    pictures[4] = (20 + pictures[4] // 6).astype(np.uint8)
+    for n, picture in enumerate(pictures):
+        suffix = {5: "bmp", 6: "tiff"}.get(n, "png")
+        cv2.imwrite(str(folder / f"board_{n}.{suffix}"), picture)
+    shutil.copy(folder / "board_0.png", folder / "board_20.png")
+    cv2.imwrite(str(folder / "board_21.png"), pictures[0][:500])
+    cv2.imwrite(str(folder / "board_22.png"), np.full(SIZE[::-1], 90, dtype=np.uint8))
+    (folder / "board_23.png").write_bytes((folder / "board_0.png").read_bytes()[:4000])
+    cut = pictures[0].copy()
+    cut[:, :330] = 200
+    cv2.imwrite(str(folder / "board_24.png"), cut)
+    return folder
+
+
+@pytest.mark.slow
+def test_boards_become_a_setup_and_what_is_none_is_named(boards: Path, tmp_path: Path) -> None:
+    setup = tmp_path / "recording.toml"
+    setup.write_text((EXAMPLES / "v_groove" / "recording.toml").read_text() + "# mine\n")
+    before = setup.read_text()
+    result = calibrate(boards, *BOARD, "--setup", setup, "--distortion", "k1")
+    assert result.exit_code == 0, result.output
+    for line in (
+        "10 of 15 images",
+        "board_20.png: left out: shows the board where board_0.png shows it",
+        "board_21.png: left out: is 800 x 500 px, most images are 800 x 600 px",
+        "board_22.png: left out: is all of one grey level",
+        "board_23.png: left out: is truncated",
+        "board_24.png: left out: shows no whole board",
+        "the one before is recording.toml.1",
+    ):
+        assert line in result.output
+    assert (tmp_path / "recording.toml.1").read_text() == before
+    assert "# mine" in setup.read_text()
+    camera = read_setup_file(setup).setup.camera
+    record = tomllib.loads(setup.read_text())["calibration"]["camera"]
+    assert record["parameters"] == ["fx", "fy", "cx", "cy", "k1"]
+    z = (np.array([camera.fx, camera.fy, camera.cx, camera.cy]) - [*PINHOLE.values()]) / record["sigma"][:4]
+    assert np.abs(z).max() < 4.0
+    page = (tmp_path / "calibrate_camera.html").read_text()
+    assert "http://www.w3.org" not in page.replace("data:", "")
+    assert "board_24.png" in page
+    assert 'src="data:image' in page
+
+
+@pytest.mark.slow
+def test_boards_that_do_not_tell_the_focal_length_are_refused(tmp_path: Path) -> None:
+    for n in range(6):
+        held = Held((0.35 + 0.06 * n, 0.5), 150.0 + 12.0 * n, about_z_deg=15.0 * n)
+        cv2.imwrite(str(tmp_path / f"{n}.png"), picture_of(held, PINHOLE))
+    result = calibrate(tmp_path, *BOARD)
+    assert result.exit_code != 0
+    assert "parallel to the sensor" in str(result.exception)
+
+
+def test_a_wrong_count_of_corners_is_hinted_at(boards: Path, tmp_path: Path) -> None:
+    shutil.copy(boards / "board_0.png", tmp_path)
+    result = calibrate(tmp_path, "--board", "chessboard:8x7:10mm")
+    assert "chessboard:7x6:10mm is seen: inner corners are counted, not squares" in str(result.exception)
+
+
+@pytest.mark.parametrize(
+    ("words", "why"),
+    [
+        (["--board", "9x6"], "--board: '9x6' is no board: it is written as chessboard:"),
+        ([*BOARD, "--out", "x.toml"], "--out: needs --setup"),
+        ([*BOARD, "--distortion", "k7"], "--distortion k7: must be auto, none, k1"),
+        (
+            [*BOARD, "--setup", str(EXAMPLES / "v_groove"), "--tilted"],
+            "--tilted: [camera] distortion holds k1 k2 p1 p2 k3 alone",
+        ),
+    ],
+)
+def test_wrong_options_are_refused(boards: Path, words: list[str], why: str) -> None:
+    result = calibrate(boards, *words)
+    assert result.exit_code != 0
+    assert why in str(result.exception)
+
+
+def test_help_has_an_example() -> None:
+    result = RUNNER.invoke(cli.app, ["calibrate", "camera", "--help"])
+    assert "Example: arctrack calibrate camera /tmp/boards --board chessboard:8x6:4mm" in result.output

@@ -1,0 +1,235 @@
+import itertools
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from camera_scenes import BOARD, LENS, SIZE, VARIED, WARP_MM, Held, project, views
+
+from calibration.boards.board import Board, Kind
+from calibration.camera.adjustment import Scene, adjusted, linearised
+from calibration.camera.calibrate import CameraCalibration, calibrate_camera, find_lens
+from calibration.camera.enough import UndeterminedError
+from calibration.camera.halves import MOST_RATIO
+from calibration.camera.lens import ORDERS, Lens
+from calibration.camera.next_board import mean_sigma
+from calibration.camera.noise import moderated
+from calibration.camera.projection import Knowledge
+from calibration.camera.sightings import Sightings, View
+
+
+@pytest.fixture(scope="module")
+def found() -> CameraCalibration:
+    return calibrate_camera(BOARD, views(), SIZE, orders=["k1", "k1 k2"])
+
+
+def truth(found: CameraCalibration) -> list[float]:
+    return [*(LENS[name] for name in found.scene.lens.names), *WARP_MM]
+
+
+def test_lens_and_warp_are_within_their_sigmas(found: CameraCalibration) -> None:
+    values = [*found.scene.lens.values, *found.scene.warp_mm]
+    z = (np.array(values) - truth(found)) / found.sigma
+    assert found.order == "k1 k2"
+    assert np.abs(z).max() < 3.5
+    assert found.noise.sigma_px == pytest.approx(0.1, rel=0.1)
+    assert found.model_error is None
+
+
+def test_without_noise_the_truth_comes_back() -> None:
+    exact = find_lens(BOARD, views(sigma_px=0.0), SIZE, orders=["k1 k2"])
+    assert [*exact.scene.lens.values, *exact.scene.warp_mm] == pytest.approx(truth(exact), rel=1e-4)
+
+
+def test_the_projection_is_that_of_the_documentation() -> None:
+    lens = Lens(*SIZE, tuple(LENS), np.array([*LENS.values()]))
+    points = np.random.default_rng(1).uniform(-50.0, 50.0, (20, 3)) + np.array([0.0, 0.0, 150.0])
+    assert lens.project(points) == pytest.approx(project(LENS, points), abs=1e-9)
+    rays = lens.rays(lens.project(points))
+    assert rays == pytest.approx(points / points[:, 2:], abs=1e-9)
+
+
+def test_normal_equations_are_those_of_finite_differences(found: CameraCalibration) -> None:
+    seen, scene = found.seen, found.scene
+    weight = np.full(len(seen), 10.0)
+    equations = linearised(scene, seen, weight)
+    n, step = len(scene.lens.values) + 2, 1e-6
+    columns = []
+    for k in range(n + 6 * len(seen.names)):
+        change = np.zeros(n + 6 * len(seen.names))
+        change[k] = step
+        ends = [
+            scene.moved(sign * change[:n], sign * change[n:].reshape(-1, 6)).residuals(seen)
+            for sign in (1.0, -1.0)
+        ]
+        columns.append(10.0 * (ends[1] - ends[0]).ravel() / (2.0 * step))
+    J = np.array(columns).T
+    H = J.T @ J
+    whole = np.linalg.inv(H[:n, :n] - H[:n, n:] @ np.linalg.solve(H[n:, n:], H[n:, :n]))
+    scale = np.sqrt(np.diag(whole))
+    correlation = equations.information() * np.outer(scale, scale)
+    assert np.linalg.inv(correlation) == pytest.approx(whole / np.outer(scale, scale), abs=1e-3)
+    # The step solves the whole of the equations.
+    shared, motion = replace(
+        equations,
+        gradient_shared=np.ones((len(seen.names), n)),
+        gradient_motion=np.ones((len(seen.names), 6)),
+    ).step()
+    right = np.concatenate([np.full(n, float(len(seen.names))), np.ones(6 * len(seen.names))])
+    solved = np.concatenate([shared, motion.ravel()])
+    assert np.abs(H @ solved - right).max() < 1e-3 * np.abs(H * solved).max()
+
+
+def test_sigma_of_the_projection_is_the_scatter_over_repeats() -> None:
+    """Repeated calibrations see a point as far apart as stated, once the boards bring them together."""
+    start = find_lens(BOARD, views(sigma_px=0.0), SIZE, orders=["k1 k2"]).scene
+    point = np.array([[-55.0, 40.0, 180.0]])
+    errors, stated = [], []
+    for seed in range(60):
+        seen = Sightings.of(BOARD, views(seed=seed))
+        weight = np.full(len(seen), 10.0)
+        scene = adjusted(start, seen, weight)
+        motions = scene.T_camera_board @ np.linalg.inv(start.T_camera_board)
+        D = linearised(scene, seen, weight).motion
+        small = np.column_stack([motions[:, 2, 1], motions[:, 0, 2], motions[:, 1, 0], motions[:, :3, 3]])
+        turn_move = np.linalg.solve(D.sum(axis=0), np.einsum("vij,vj->i", D, small))
+        moved = point + np.cross(turn_move[:3], point) + turn_move[3:]
+        errors.append(scene.lens.project(moved)[0] - start.lens.project(point)[0])
+        known = Knowledge.of(linearised(scene, seen, weight))
+        stated.append(known.of_projection(scene.lens, start.lens.project(point), 180.0)[0])
+    squares = np.einsum("ni,nij,nj->n", errors, np.linalg.inv(stated), errors)
+    # The mean of 60 chi² of 2 degrees of freedom is 2 ± 0.26.
+    assert np.mean(squares) == pytest.approx(2.0, abs=0.8)
+
+
+def test_wrong_corners_are_named_and_do_no_harm(found: CameraCalibration) -> None:
+    spoiled = views()
+    spoiled[3].points_px[7] += [1.5, 0.0]
+    spoiled[8].points_px[30] += [0.0, -40.0]
+    result = find_lens(BOARD, spoiled, SIZE, orders=["k1 k2"])
+    assert [(wrong.view, wrong.corner) for wrong in result.wrong] == [(3, 7), (8, 30)]
+    assert result.wrong[1].residual_px == pytest.approx([0.0, -40.0], abs=0.5)
+    assert result.scene.lens.values == pytest.approx(found.scene.lens.values, abs=0.5)
+
+
+def test_an_image_of_scattered_corners_is_left_out() -> None:
+    spoiled = views()
+    spoiled[4].points_px[::2] += np.random.default_rng(2).uniform(5.0, 9.0, spoiled[4].points_px[::2].shape)
+    result = find_lens(BOARD, spoiled, SIZE, orders=["k1 k2"])
+    assert list(result.left_out) == ["4"]
+    assert len(result.seen.names) == len(VARIED) - 1
+
+
+def test_a_noisier_image_gets_a_larger_sigma() -> None:
+    blurred = views()
+    rng = np.random.default_rng(3)
+    blurred[2] = replace(blurred[2], points_px=blurred[2].points_px + 0.5 * rng.standard_normal((42, 2)))
+    sigma = find_lens(BOARD, blurred, SIZE, orders=["k1 k2"]).noise.sigma_px
+    assert sigma[2] > 3.0 * np.delete(sigma, 2).max()
+
+
+def test_variances_lean_on_each_other_as_far_as_they_scatter() -> None:
+    rng = np.random.default_rng(1)
+    dof = np.full(400, 20.0)
+    alike = rng.chisquare(20.0, 400) / 20.0
+    shrunk, prior_dof = moderated(alike, dof)
+    assert prior_dof > 200.0
+    assert shrunk.std() < 0.2 * alike.std()
+    # Variances that are themselves scaled inverse chi² of 8 degrees of freedom.
+    _, prior_dof = moderated(alike * 8.0 / rng.chisquare(8.0, 400), dof)
+    assert prior_dof == pytest.approx(8.0, rel=0.35)
+
+
+@pytest.mark.parametrize(
+    ("held", "why"),
+    [
+        (VARIED[:5], "5 images show the board: 6 at least"),
+        (
+            tuple(Held((0.3 + 0.1 * n, 0.5), 130.0 + 5.0 * n, about_z_deg=15.0 * n) for n in range(8)),
+            "focal length is .* parallel to the sensor; .* leans 20 to 40 deg",
+        ),
+        (
+            tuple(replace(each, place=(0.5, 0.5), depth_mm=600.0) for each in VARIED),
+            "cover . % of the image.*nearer by.*upper left",
+        ),
+    ],
+    ids=["few", "parallel", "in the middle"],
+)
+def test_images_that_do_not_determine_the_lens_are_refused(held: tuple[Held, ...], why: str) -> None:
+    with pytest.raises(UndeterminedError, match=why):
+        find_lens(BOARD, views(held, sigma_px=0.05), SIZE, orders=["none"])
+
+
+def test_halves_contradict_each_other_where_the_model_is_wrong(found: CameraCalibration) -> None:
+    assert found.ratio_of_halves < MOST_RATIO
+    lean = calibrate_camera(BOARD, views(sigma_px=0.02), SIZE, orders=["none"])
+    assert lean.model_error is not None
+    assert "differ" in lean.model_error
+
+
+def test_the_next_board_helps_as_much_as_it_says(found: CameraCalibration) -> None:
+    pose = found.next_board
+    assert pose is not None
+    assert pose.sigma_px < 0.95 * mean_sigma(found.known, found.scene, found.distance_mm)
+    # An image of that very pose, taken, makes the sigma what was said.
+    points = pose.points_px + 0.1 * np.random.default_rng(5).standard_normal(pose.points_px.shape)
+    more = [*views(), View("next", np.arange(len(points)), points)]
+    after = find_lens(BOARD, more, SIZE, orders=["k1 k2"])
+    assert mean_sigma(after.known, after.scene, found.distance_mm) == pytest.approx(pose.sigma_px, rel=0.15)
+
+
+def tilted_views(lens: Lens) -> list[View]:
+    """Return what a lens with a tilted sensor sees of the varied boards."""
+    straight = find_lens(BOARD, views(sigma_px=0.0, lens={**LENS, "k2": 0.0}), SIZE, orders=["k1"])
+    seen = straight.seen
+    points = lens.project(Scene(lens, WARP_MM, straight.scene.T_camera_board).points_camera(seen))
+    points += 0.02 * np.random.default_rng(1).standard_normal(points.shape)
+    return [
+        View(name, seen.corner[part], points[part])
+        for name, part in zip(seen.names, seen.slices, strict=True)
+    ]
+
+
+def test_a_tilted_sensor_is_found_by_the_lens_distortion() -> None:
+    names = ("fx", "fy", "cx", "cy", "k1", "tau_x", "tau_y")
+    lens = Lens(*SIZE, names, np.array([1000.0, 1003.0, 400.0, 300.0, -0.4, 0.12, -0.05]))
+    result = find_lens(BOARD, tilted_views(lens), SIZE, tilted=True, orders=["k1"])
+    z = (result.scene.lens.values - lens.values) / result.sigma[: len(names)]
+    assert np.abs(z).max() < 3.5
+
+
+def test_a_tilt_that_nothing_tells_is_refused() -> None:
+    names = ("fx", "fy", "cx", "cy", "tau_x", "tau_y")
+    lens = Lens(*SIZE, names, np.array([1000.0, 1003.0, 400.0, 300.0, 0.12, -0.05]))
+    with pytest.raises(UndeterminedError, match="the sensor's tilt is unknown"):
+        find_lens(BOARD, tilted_views(lens), SIZE, tilted=True, orders=["none"])
+
+
+@pytest.mark.parametrize("text", ["chessboard:9x6:5mm", "charuco:8x6:5mm:3.7mm:5X5_100"])
+def test_a_board_is_written_as_it_is_read(text: str) -> None:
+    assert str(Board.parse(text)) == text
+
+
+def test_a_charuco_board_counts_squares() -> None:
+    board = Board.parse("charuco:8x6:5mm:3.7mm:DICT_5x5_100")
+    assert (board.kind, board.columns, board.rows, board.dictionary) == (Kind.CHARUCO, 7, 5, "5X5_100")
+
+
+@pytest.mark.parametrize(
+    ("text", "why"),
+    [
+        ("9x6:5mm", "is no board"),
+        ("chessboard:9x6", "is no board"),
+        ("chessboard:2x6:5mm", "2 x 6 inner corners"),
+        ("chessboard:9x6:0mm", "must be > 0 mm"),
+        ("charuco:8x6:5mm:6mm:5X5_100", "smaller than the squares"),
+        ("charuco:8x6:5mm:3mm:7X7_1", "no dictionary DICT_7X7_1"),
+    ],
+)
+def test_what_is_no_board_is_refused(text: str, why: str) -> None:
+    with pytest.raises(ValueError, match=why):
+        Board.parse(text)
+
+
+def test_every_distortion_holds_those_before_it() -> None:
+    names = list(ORDERS.values())
+    assert all(set(lean) < set(rich) for lean, rich in itertools.pairwise(names))
