@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import re
-from collections.abc import Callable, Set
+from collections.abc import Callable, Iterable, Mapping, Set
 from functools import cache
 from pathlib import Path
 from typing import Any, TypeVar, overload
@@ -60,10 +60,24 @@ def kernel(
     def keep(plain: Callable[..., Any]) -> Callable[..., Any]:
         dispatcher = compiled(plain)
         dispatcher._cache = _SourceKeyedCache(plain)
+        dispatcher.get_call_template = _by_types_alone(dispatcher.get_call_template)
         result: Callable[..., Any] = dispatcher
         return result
 
     return keep if function is None else keep(function)
+
+
+def _by_types_alone(template: Callable[..., Any]) -> Callable[..., Any]:
+    """Return `template`, by which one kernel calls another, without the constants among the arguments.
+
+    numba would compile the other anew for each constant, even for one that a loop starts from.
+    """
+    plain = numba.types.unliteral
+
+    def without_constants(arguments: Iterable[Any], by_name: Mapping[str, Any]) -> Any:
+        return template(tuple(map(plain, arguments)), {name: plain(type_) for name, type_ in by_name.items()})
+
+    return without_constants
 
 
 @cache

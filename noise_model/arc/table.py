@@ -205,7 +205,7 @@ def _cell_at(
     if i < 0 or j < 0:
         return -1
     axis, middle, inverse = table.axis, table.middle, table.inverse
-    cell = table.roots[face, i, j]
+    cell = int(table.roots[face, i, j])
     if cell < 0:
         if table.n_cells[0] >= MAX_CELLS:
             return -1

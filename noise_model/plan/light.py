@@ -154,7 +154,7 @@ def _look(setup: Setup, scene: Scene, points: Float64, normals: Float64) -> _Loo
     camera, laser = setup.camera, setup.laser
     T_camera_joint = invert(scene.T_joint_camera)
     axis = 1 if stripe_runs_along_rows(setup) else 0
-    R, eye = scene.T_joint_camera[:3, :3], scene.T_joint_camera[:3, 3]
+    R, eye = scene.T_joint_camera[:3, :3], np.ascontiguousarray(scene.T_joint_camera[:3, 3])
     plane = scene.T_joint_tool[:3, :3] @ laser.plane[:3]
     ahead = transform(T_camera_joint, points)
     in_front = ahead[:, 2] > 1.0

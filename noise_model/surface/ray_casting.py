@@ -116,7 +116,7 @@ def first_hit(origin: Vector, d: Vector, vertices: Float64, corrugation: Float64
     return best, face
 
 
-@kernel(allocates=True)
+@kernel
 def trace(
     xy: npt.NDArray[np.floating],
     pixels: Integers,
@@ -132,12 +132,15 @@ def trace(
     `xy` (H W, 2) are the camera's normalised rays, `pixels` (n,) indices into it. Written are, in the joint
     frame, `points` (n, 3) mm and `normals` (n, 3), NaN for a miss, and `faces` (n,) int32.
     """
-    d = np.empty(3)
-    origin = T_joint_camera[:3, 3].copy()
+    T = T_joint_camera
+    origin = T[0, 3], T[1, 3], T[2, 3]
     for i in range(pixels.shape[0]):
         x, y = xy[pixels[i], 0], xy[pixels[i], 1]
-        for j in range(3):
-            d[j] = T_joint_camera[j, 0] * x + T_joint_camera[j, 1] * y + T_joint_camera[j, 2]
+        d = (
+            T[0, 0] * x + T[0, 1] * y + T[0, 2],
+            T[1, 0] * x + T[1, 1] * y + T[1, 2],
+            T[2, 0] * x + T[2, 1] * y + T[2, 2],
+        )
         t, face = first_hit(origin, d, vertices, corrugation)
         faces[i] = face
         if face == MISS:

@@ -109,7 +109,7 @@ def test_the_listed_face_is_the_one_that_a_ray_meets(name, shift, turn_deg, x, y
     # To rounding, a ray through an edge meets either of its faces.
     edges = np.column_stack([kernel.vertices[:, 0] - kernel.eye[1], kernel.vertices[:, 1] - kernel.eye[2]])
     assume(np.min(np.abs(edges @ [d[2], -d[1]]) / np.hypot(*edges.T)) > 1e-12)
-    _, want = first_hit(kernel.eye, d, kernel.vertices, np.zeros(3))
+    _, want = first_hit(kernel.eye, tuple(d), kernel.vertices, np.zeros(3))
     assert face_seen(kernel, seen, x, y) == want
 
 

@@ -38,7 +38,7 @@ def arc_at_pixels(setup, T_base_tool, pixels=None, seam=None, level=1.0, nodes=(
     """The arc's light and the faces at some pixels (or all), flattened."""
     rays = Rays.of(setup.camera)
     scene = make_scene(setup, T_base_tool) if seam is None else make_scene(setup, T_base_tool, seam)
-    pixels = np.arange(rays.cos4.size) if pixels is None else pixels
+    pixels = np.arange(rays.cos4.size) if pixels is None else np.ascontiguousarray(pixels)
     kernel = arc_kernel(setup, scene, level, nodes)
     return arc_at(kernel, rays.xy.reshape(-1, 2), rays.cos4.reshape(-1), pixels)
 

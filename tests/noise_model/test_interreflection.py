@@ -57,7 +57,7 @@ def some_pixels(view, faces, n, seed):
 def nodes_from(view, P, normal, face, fine):
     k = place(view.setup, view.scene)
     nodes = np.empty((room(k, fine), COLUMNS))
-    n = look_around(k, P, normal, face, Focus(0.0, 0.0, 6.0), False, fine, nodes)
+    n = look_around(k, P, normal, np.int32(face), Focus(0.0, 0.0, 6.0), False, fine, nodes)
     return nodes[:n]
 
 
@@ -139,7 +139,7 @@ def test_there_is_room_for_every_node(joint):
             P = np.array(face_point(x, s, on, corrugation))
             normal = np.array(slanted(ridge(x, corrugation)[1], on)[0])
             focus = Focus(x + 3.0, 0.5, 6.0)
-            assert look_around(k, P, normal, face, focus, of_stripe, fine, nodes) <= most
+            assert look_around(k, P, normal, np.int32(face), focus, of_stripe, fine, nodes) <= most
 
 
 @pytest.mark.parametrize(

@@ -115,7 +115,7 @@ def test_hits_agree_with_a_marched_ray(name):
     for _ in range(60):
         origin = rng.uniform([-60.0, -10.0, 60.0], [100.0, 10.0, 150.0])
         d = rng.uniform([-60.0, -6.0, -4.0], [80.0, 6.0, 2.0]) - origin
-        t, _ = first_hit(origin, d, shape.vertices, shape.corrugation)
+        t, _ = first_hit(tuple(origin), tuple(d), shape.vertices, shape.corrugation)
         assert t == pytest.approx(scenes.march(joint, origin, d, steps=8000), abs=1e-9)
 
 
@@ -125,8 +125,7 @@ def surface_points(joint, rng, count):
     for _ in range(count):
         x, y = rng.uniform(-60.0, 80.0), rng.uniform(-8.0, 8.0)
         P = np.array([x, y, float(scenes.height(joint, x, y))])
-        above, down = np.add(P, [0.0, 0.0, 50.0]), np.array([0.0, 0.0, -1.0])
-        _, face = first_hit(above, down, shape.vertices, shape.corrugation)
+        _, face = first_hit((x, y, P[2] + 50.0), (0.0, 0.0, -1.0), shape.vertices, shape.corrugation)
         yield P, face, scenes.normal_at(joint, P)
 
 
@@ -223,7 +222,7 @@ def test_the_footprint_holds_all_that_the_camera_sees(name):
     for xy in Rays.of(setup.camera).xy.reshape(-1, 2)[::37]:
         d = scene.T_joint_camera[:3, :3] @ [xy[0], xy[1], 1.0]
         eye = scene.T_joint_camera[:3, 3]
-        t, _ = first_hit(eye, d, shape.vertices, shape.corrugation)
+        t, _ = first_hit(tuple(eye), tuple(d), shape.vertices, shape.corrugation)
         P = eye + t * d
         assert (scene.footprint_mm[:, 0] <= P[:2] + 1e-4).all()
         assert (scene.footprint_mm[:, 1] >= P[:2] - 1e-4).all()

@@ -31,7 +31,7 @@ slow = settings(max_examples=150, deadline=None)
 
 def hit(joint, origin, d):
     shape = section(joint)
-    return first_hit(origin, d, shape.vertices, shape.corrugation)
+    return first_hit(tuple(origin), tuple(d), shape.vertices, shape.corrugation)
 
 
 def check_hit(joint, origin, d):
@@ -196,10 +196,10 @@ def open_by_half_spaces(shape, P, normal, face, center, rng):
     planes, ledges = np.empty((MAX_PLANES, 3)), np.empty((2 * MAX_LEDGES, 3))
     tables = horizon_tables(shape, (-70.0, 90.0), center, RADIUS_MM)
     count, n_ledges = sky_planes(
-        P,
-        normal,
+        tuple(P),
+        tuple(normal),
         face,
-        center,
+        tuple(center),
         RADIUS_MM,
         (0.0, 0.0),
         shape.vertices,
@@ -297,10 +297,10 @@ def test_a_ridge_hides_the_arc_as_a_walk_finds_it(station_mm, arc_height_mm):
             continue
         normal = scenes.normal_at(joint, P)
         count, _ = sky_planes(
-            P,
-            normal,
+            tuple(P),
+            tuple(normal),
             2,
-            center,
+            tuple(center),
             RADIUS_MM,
             (0.0, 0.0),
             shape.vertices,
