@@ -6,9 +6,9 @@ from typing import Any
 
 import can
 import pytest
-from documented import make_scratch
+from documented import compile_kernels, make_scratch
 from hypothesis import settings
-from once import compiling_in_turn
+from once import compiling_in_turn, once
 
 # How long an example takes depends on the machine and on what is compiled first. The same code gives the same
 # verdict; other examples than always the same are drawn with --hypothesis-profile explore.
@@ -39,8 +39,15 @@ def _compiled_once(shared: Path) -> Iterator[None]:
         yield
 
 
+@pytest.fixture(scope="session")
+def compiled(shared: Path) -> None:
+    """Compile in one of several workers what processes need that tests start: they take no turns."""
+    if "PYTEST_XDIST_WORKER" in os.environ:
+        once(shared, "compiled", compile_kernels)
+
+
 @pytest.fixture
-def scratch(tmp_path: Path) -> Path:
+def scratch(compiled: None, tmp_path: Path) -> Path:
     """Return a folder in which commands of the documentation can be run; see `documented`."""
     make_scratch(tmp_path)
     return tmp_path

@@ -1,7 +1,12 @@
-"""The locks hold what pyproject.toml states: every pin hashed, the oldest lock at the stated lower bounds."""
+"""The locks hold what pyproject.toml states: every pin hashed, the oldest lock at the stated lower bounds.
+
+What is installed is enough to import every module.
+"""
 
 from __future__ import annotations
 
+import importlib
+import pkgutil
 import tomllib
 from collections.abc import Iterator
 from pathlib import Path
@@ -15,6 +20,9 @@ from packaging.version import Version
 ROOT = Path(__file__).resolve().parents[1]
 STATED = tomllib.loads((ROOT / "pyproject.toml").read_text())
 EXTRAS = {"requirements.lock": (), "requirements-dev.lock": ("dev",), "requirements-oldest.lock": ("test",)}
+
+IN_NO_LOCK = {"rerun"}
+"""What a module imports that only an extra brings which no lock holds."""
 
 
 class Pin(NamedTuple):
@@ -82,3 +90,12 @@ def test_the_development_lock_runs_what_the_other_lock_runs() -> None:
     assert {locked[:2] for locked in pins("requirements.lock")} <= {
         locked[:2] for locked in pins("requirements-dev.lock")
     }
+
+
+def test_every_module_can_be_imported() -> None:
+    for package in STATED["tool"]["hatch"]["build"]["targets"]["wheel"]["packages"]:
+        for module in pkgutil.walk_packages([str(ROOT / package)], f"{package}."):
+            try:
+                importlib.import_module(module.name)
+            except ModuleNotFoundError as missing:
+                assert missing.name in IN_NO_LOCK, module.name  # noqa: PT017
