@@ -23,6 +23,10 @@ LENSES: dict[str, dict[str, float]] = {
 """The distortions that are drawn, and 1 sigma of each coefficient at the image's corner, r = 1."""
 
 
+FAR, LEAST_SLOPE = 1.5, 0.2
+"""A lens must not fold up to so many times the radius of the image's corner, nor come near to it."""
+
+
 @dataclass(frozen=True)
 class World:
     """A camera, a board, and where it was held.
@@ -82,6 +86,13 @@ def project(lens: dict[str, float], points: Float64) -> Float64:
     return np.column_stack([lens["fx"] * u + lens["cx"], lens["fy"] * v + lens["cy"]])
 
 
+def folds(lens: dict[str, float], far: float) -> bool:
+    """Return whether a lens shows what is further out no further out, up to r = `far`."""
+    r2 = np.linspace(0.0, far, 50) ** 2
+    k1, k2, k3 = (lens.get(name, 0.0) for name in ("k1", "k2", "k3"))
+    return bool((1.0 + r2 * (3.0 * k1 + r2 * (5.0 * k2 + r2 * 7.0 * k3))).min() < LEAST_SLOPE)
+
+
 def draw_world(rng: np.random.Generator, order: str, views: int | None = None) -> World:
     """Return a random world whose lens has this distortion."""
     size = [(640, 480), (1280, 1024), (1700, 1200), (1024, 1024)][rng.integers(4)]
@@ -94,10 +105,11 @@ def draw_world(rng: np.random.Generator, order: str, views: int | None = None) -
         "cy": 0.5 * size[1] + 0.02 * size[1] * rng.standard_normal(),
     }
     corner = 0.5 * diagonal / focal
-    for name, sigma in LENSES[order].items():
-        power = {"k1": 2, "k2": 4, "k3": 6}.get(name, 1)
-        # At the image's corner every term moves the image by a few per cent at most.
-        lens[name] = 0.15 * sigma * rng.standard_normal() / corner**power
+    while not lens.keys() >= LENSES[order].keys() or folds(lens, FAR * corner):
+        for name, sigma in LENSES[order].items():
+            power = {"k1": 2, "k2": 4, "k3": 6}.get(name, 1)
+            # At the image's corner every term moves the image by a few per cent at most.
+            lens[name] = 0.15 * sigma * rng.standard_normal() / corner**power
     counts = (int(rng.integers(6, 12)), int(rng.integers(5, 10)))
     square_mm = float(rng.choice([3.0, 5.0, 10.0, 30.0]))
     views = int(rng.integers(10, 26)) if views is None else views

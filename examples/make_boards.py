@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import sys
 from dataclasses import dataclass
+from functools import cache
 from pathlib import Path
 
 import cv2
@@ -22,6 +23,10 @@ WHITE, BLACK, OUTSIDE = 180.0, 25.0, 110.0
 BLUR_PX, NOISE_E_PER_DN = 0.7, 60.0
 SAMPLES = 3
 """Samples of a pixel along each axis."""
+
+MOST_ROUNDS, UNDISTORTED = 100, 1e-10
+BEND_ROUNDS = 4
+"""Rounds by which a ray meets the bent board: each is nearer by the bend's slope, some hundredths."""
 
 
 @dataclass(frozen=True)
@@ -65,25 +70,32 @@ def undistorted(camera: Camera, u: Array, v: Array) -> tuple[Array, Array]:
     """Return the rays (x, y, 1) of image points: OpenCV's distortion, undone by fixed points."""
     to_x, to_y = (u - camera.cx) / camera.fx, (v - camera.cy) / camera.fy
     x, y = to_x, to_y
-    for _ in range(30):
+    for _ in range(MOST_ROUNDS):
         r2 = x * x + y * y
         radial = 1.0 + r2 * (camera.k1 + r2 * (camera.k2 + r2 * camera.k3))
         off_x = 2.0 * camera.p1 * x * y + camera.p2 * (r2 + 2.0 * x * x)
         off_y = camera.p1 * (r2 + 2.0 * y * y) + 2.0 * camera.p2 * x * y
-        x, y = (to_x - off_x) / radial, (to_y - off_y) / radial
+        before, x, y = x, (to_x - off_x) / radial, (to_y - off_y) / radial
+        if np.abs(x - before).max() < UNDISTORTED:
+            break
     return x, y
+
+
+@cache
+def rays(camera: Camera) -> Array:
+    """Return the rays (3, H, W) of all samples of an image."""
+    u, v = ((np.arange(size * SAMPLES) + 0.5) / SAMPLES - 0.5 for size in (camera.width, camera.height))
+    return np.stack([*undistorted(camera, *np.meshgrid(u, v)), np.ones((len(v), len(u)))])
 
 
 def draw(
     camera: Camera, board: Chessboard, R: Array, t: Array, rng: np.random.Generator, light: float = 1.0
 ) -> npt.NDArray[np.uint8]:
     """Return a picture of the board; R and t take its points, mm, to the camera."""
-    u, v = ((np.arange(size * SAMPLES) + 0.5) / SAMPLES - 0.5 for size in (camera.width, camera.height))
-    rays = np.stack([*undistorted(camera, *np.meshgrid(u, v)), np.ones((len(v), len(u)))])
     # In the board's frame a ray starts at the camera's centre and meets z = height.
-    eye, direction = -R.T @ t, np.einsum("ji,jhw->ihw", R, rays)
+    eye, direction = -R.T @ t, np.tensordot(R.T, rays(camera), axes=1)
     height = np.zeros(direction.shape[1:])
-    for _ in range(6):
+    for _ in range(BEND_ROUNDS):
         reach = (height - eye[2]) / direction[2]
         x, y = eye[0] + reach * direction[0], eye[1] + reach * direction[1]
         height = board.height_mm(x, y)

@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
+from contextlib import AbstractContextManager
 from dataclasses import dataclass, field, replace
 
 import numpy as np
+from threadpoolctl import threadpool_limits
 
 from calibration.boards.board import Board
 from calibration.camera.adjustment import Scene, linearised
@@ -186,13 +188,14 @@ def calibrate_camera(
         if progress is not None:
             progress(done, steps)
 
-    result = find_lens(board, views, size, tilted=tilted, orders=orders, progress=tell)
-    halves = []
-    for n, first in enumerate(splits(len(result.seen.names))):
-        halves.append(difference_of_halves(result.scene, result.seen, first))
-        tell(len(orders) + n + 1)
-    sigma_px = float(np.median(result.noise.sigma_px))
-    pose = best_next_board(result.known, result.scene, result.seen, sigma_px, result.distance_mm)
+    with one_thread():
+        result = _lens(board, views, size, tilted, orders, tell)
+        halves = []
+        for n, first in enumerate(splits(len(result.seen.names))):
+            halves.append(difference_of_halves(result.scene, result.seen, first))
+            tell(len(orders) + n + 1)
+        sigma_px = float(np.median(result.noise.sigma_px))
+        pose = best_next_board(result.known, result.scene, result.seen, sigma_px, result.distance_mm)
     tell(steps)
     return replace(result, halves=halves, next_board=pose)
 
@@ -204,9 +207,25 @@ def find_lens(
     *,
     tilted: bool = False,
     orders: Sequence[str] = tuple(ORDERS),
-    progress: Callable[[int], None] | None = None,
 ) -> CameraCalibration:
     """Find a camera's lens; see `calibrate_camera`, which judges it too."""
+    with one_thread():
+        return _lens(board, views, size, tilted, orders, None)
+
+
+def one_thread() -> AbstractContextManager[object]:
+    """Let BLAS compute with one thread: matrices are so small that several only wait for each other."""
+    return threadpool_limits(1, user_api="blas")  # type: ignore[no-any-return]
+
+
+def _lens(
+    board: Board,
+    views: Sequence[View],
+    size: tuple[int, int],
+    tilted: bool,
+    orders: Sequence[str],
+    progress: Callable[[int], None] | None,
+) -> CameraCalibration:
     check_count(len(views), 0)
     all_seen = Sightings.of(board, views)
     start = first_scene(*size, all_seen)

@@ -104,5 +104,9 @@ def image_grid(lens: Lens) -> tuple[Float64, tuple[int, int]]:
 
 
 def rms_sigma(covariance: Float64) -> Float64:
-    """Return each point's sigma (N,), px, of covariances (N, 2, 2): the RMS over directions."""
-    return np.asarray(np.sqrt(0.5 * np.trace(covariance, axis1=1, axis2=2)))
+    """Return each point's sigma (N,), px, of covariances (N, 2, 2): the RMS over directions.
+
+    A variance below 0 is one that rounding has eaten up: that point is as good as unknown.
+    """
+    variance = 0.5 * np.trace(covariance, axis1=1, axis2=2)
+    return np.asarray(np.sqrt(np.where(variance > 0.0, variance, np.inf)))
