@@ -45,17 +45,6 @@ def test_nothing_is_wrong_with_a_sound_recording(weaving: Path) -> None:
     assert likely_mistake(case) is None
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("mistake", MISTAKES)
-def test_the_hint_names_the_mistake(mistake: str, weaving: Path, tmp_path: Path) -> None:
-    path = Path(shutil.copytree(weaving, tmp_path / "r"))
-    spoil, said = MISTAKES[mistake]
-    spoil(path)
-    hint = likely_mistake(case_from(path))
-    assert hint is not None
-    assert str(hint).startswith(said)
-
-
 def replayed(path: Path, out: Path) -> tuple[int, str]:
     """Replay and return the exit code and what was said."""
     result = CliRunner().invoke(app, ["replay", str(path), "--no-pictures", "--out", str(out)])
@@ -124,10 +113,11 @@ def test_a_check_names_the_mistake(mistake: str, weaving: Path, tmp_path: Path) 
     path = Path(shutil.copytree(weaving, tmp_path / "r"))
     spoil, hint = MISTAKES[mistake]
     spoil(path)
-    code, said = checked(path, tmp_path / "check.png")
+    # The picture as it is drawn: to press it into a PNG takes as long.
+    code, said = checked(path, tmp_path / "check.raw")
     assert code != 0, said
-    assert hint in said
-    assert (tmp_path / "check.png").exists()
+    assert f"most likely {hint}" in said or f" % if {hint}" in said
+    assert (tmp_path / "check.raw").exists()
 
 
 def set_key(table: str, key: str, factor: float) -> Callable[[Path], None]:
@@ -186,7 +176,7 @@ def test_what_parts_is_warned_of_with_numbers(
 ) -> None:
     path = Path(shutil.copytree(weaving, tmp_path / "r"))
     spoil(path)
-    _, said = checked(path, tmp_path / "check.png")
+    _, said = checked(path, tmp_path / "check.raw")
     assert warning in said
 
 
@@ -215,7 +205,7 @@ def test_a_laser_that_is_not_as_stated_is_warned_of(
 ) -> None:
     path = Path(shutil.copytree(weaving, tmp_path / "r"))
     spoil(path)
-    code, said = checked(path, tmp_path / "check.png")
+    code, said = checked(path, tmp_path / "check.raw")
     assert code != 0
     assert warning in said
 

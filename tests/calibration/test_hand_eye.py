@@ -122,7 +122,7 @@ def test_an_arc_that_is_far_darker_than_stated_is_refused() -> None:
     setup = small_setup()
     dark = replace(setup, arc=replace(setup.arc, radiance_e=0.01 * setup.arc.radiance_e))
     with pytest.raises(ValueError, match="off by a factor of 20"):
-        estimate_hand_eye(setup, frames(dark, SeamLine()))
+        estimate_hand_eye(setup, frames(dark, SeamLine())[:3])
 
 
 def exact_black_level() -> Setup:
@@ -200,7 +200,7 @@ def test_what_does_not_settle_is_refused(monkeypatch: pytest.MonkeyPatch) -> Non
     setup = small_setup()
     monkeypatch.setattr(hand_eye, "MAX_ROUNDS", 1)
     with pytest.raises(ValueError, match="camera and seam do not settle in 1 rounds"):
-        estimate_hand_eye(setup, frames(setup, SeamLine(45.0, 0.4, -0.2)))
+        estimate_hand_eye(setup, frames(setup, SeamLine(45.0, 0.4, -0.2))[:3])
 
 
 def test_pixels_that_see_another_face_are_told() -> None:

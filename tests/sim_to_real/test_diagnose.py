@@ -15,7 +15,7 @@ from tests.sim_to_real.small import EXACT, example_setup, recorded
 
 pytestmark = pytest.mark.slow
 
-PLAN = SimulationPlan(frames=16, seam_wander_mm=0.1, seed=3)
+PLAN = SimulationPlan(frames=12, seam_wander_mm=0.1, seed=3)
 """True values are off by their tolerance."""
 
 
