@@ -1,6 +1,6 @@
 """How good `arctrack calibrate camera` is on cameras whose truth is known.
 
-    python benchmarks/calibrate_camera.py [--worlds WORLDS] [--chosen WORLDS] [--seed SEED]
+    python benchmarks/calibrate_camera.py [--worlds WORLDS] [--printed WORLDS] [--chosen WORLDS] [--seed SEED]
 
 Random cameras see a bent board; the corners scatter. In the first table the kind of distortion is given, in
 the second one it is chosen. z is an error over its stated sigma. Its mean over worlds is 0 but for chance:
@@ -32,7 +32,7 @@ from noise_model.arrays import Float64
 FAMILY_ALARM = 0.0027
 """The probability that any of the parameters is called biased without being so: 3 sigma."""
 
-WRONG_SHARE = 0.01
+WRONG_SHARE, PRINT_SHARE = 0.01, 0.001
 NAMES = ("fx", "fy", "cx", "cy", "k1", "k2", "p1", "p2", "k3", "warp_x_mm", "warp_y_mm")
 
 
@@ -50,23 +50,31 @@ class Scores:
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--worlds", type=int, default=400, help="worlds whose kind of distortion is given")
+    parser.add_argument("--printed", type=int, default=100, help="worlds whose boards are not exact")
     parser.add_argument("--chosen", type=int, default=60, help="worlds whose distortion is chosen")
     parser.add_argument("--seed", type=int, default=1)
     options = parser.parse_args()
     if options.worlds:
         given(options.worlds, options.seed)
+    if options.printed:
+        given(options.printed, options.seed, PRINT_SHARE)
     if options.chosen:
         chosen(options.chosen, options.seed)
 
 
-def given(worlds: int, seed: int) -> None:
-    """Print bias, coverage and efficiency where the kind of distortion is given."""
+def given(worlds: int, seed: int, print_share: float = 0.0) -> None:
+    """Print bias, coverage and efficiency where the kind of distortion is given.
+
+    `print_share` is 1 sigma of the corners' places on the board, over the squares' side.
+    """
     scores = Scores()
     wrong_found = wrong_all = right_lost = right_all = 0
     for n in range(worlds):
         rng = np.random.default_rng([seed, n])
         world = draw_world(rng, list(LENSES)[n % len(LENSES)])
         share = WRONG_SHARE if n % 2 else 0.0
+        if print_share:
+            world = printed(world, rng, print_share)
         images, wrong = draw_corners(rng, world, share)
         start = time.perf_counter()
         try:
@@ -81,7 +89,8 @@ def given(worlds: int, seed: int) -> None:
         wrong_found, wrong_all = wrong_found + len(named & truly), wrong_all + len(truly)
         right_lost += len(named - truly)
         right_all += sum(map(len, images)) - len(truly)
-    print(f"{worlds} worlds, distortion given, seed {seed}; {scores.refused} of them refused")
+    how = f"corners off by {print_share:g} squares on the board, " if print_share else ""
+    print(f"\n{worlds} worlds, {how}distortion given, seed {seed}; {scores.refused} of them refused")
     show(scores)
     print(f"wrong corners named: {wrong_found} of {wrong_all}; right ones lost: {right_lost} of {right_all}")
 
@@ -114,6 +123,13 @@ def chosen(worlds: int, seed: int) -> None:
         f"above {MOST_RATIO:g} in {sum(r > MOST_RATIO for r in ratios)}"
     )
     print(f"sigma widened without need: {spread}; {np.median(scores.seconds):.2f} s a calibration")
+
+
+def printed(world: World, rng: np.random.Generator, share: float) -> World:
+    """Return a world whose board is not exact, of an odd and an even side so that its ends are told."""
+    counts = (world.counts[0], world.counts[1] + 1 - sum(world.counts) % 2)
+    offsets = share * world.square_mm * rng.standard_normal((counts[0] * counts[1], 2))
+    return replace(world, counts=counts, print_mm=offsets)
 
 
 def board_of(world: World) -> Board:

@@ -49,6 +49,8 @@ class World:
         Where it was: board to camera, mm.
     sigma_px : array (V,)
         1 sigma of the corners in each image.
+    print_mm : array (n, 2)
+        How far each corner is off where the board states it.
     """
 
     size: tuple[int, int]
@@ -59,6 +61,7 @@ class World:
     warp_mm: Float64
     poses: list[tuple[Rotation, Float64]]
     sigma_px: Float64
+    print_mm: Float64 | float = 0.0
 
     def board_mm(self) -> Float64:
         """Return the bent board's corners (n, 3), mm, row by row."""
@@ -66,7 +69,9 @@ class World:
         z = self.warp_mm[0] * (1.0 - x**2) + self.warp_mm[1] * (1.0 - y**2)
         across = 0.5 * (self.counts[0] - 1) * self.square_mm * (x + 1.0)
         down = 0.5 * (self.counts[1] - 1) * self.square_mm * (y + 1.0)
-        return np.column_stack([across.ravel(), down.ravel(), z.ravel()])
+        points = np.column_stack([across.ravel(), down.ravel(), z.ravel()])
+        points[:, :2] += self.print_mm
+        return points
 
     def corners_camera(self, view: int) -> Float64:
         """Return an image's corners (n, 3) in the camera frame, mm."""

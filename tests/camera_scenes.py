@@ -32,10 +32,11 @@ def project(lens: dict[str, float], points: Float64) -> Float64:
     return np.column_stack([lens["fx"] * u + lens["cx"], lens["fy"] * v + lens["cy"]])
 
 
-def bent_board(board: Board = BOARD) -> Float64:
-    """Return the corners of a board that is bent by `WARP_MM`."""
-    points = board.points_mm.copy()
+def bent_board(print_mm: Float64 | float = 0.0) -> Float64:
+    """Return the corners of a board that is bent by `WARP_MM`, each off its place by `print_mm` (42, 2)."""
+    points = BOARD.points_mm.copy()
     x, y = (2.0 * points[:, n] / points[:, n].max() - 1.0 for n in (0, 1))
+    points[:, :2] += print_mm
     points[:, 2] = WARP_MM[0] * (1.0 - x**2) + WARP_MM[1] * (1.0 - y**2)
     return points
 
@@ -81,11 +82,15 @@ def pose(held: Held, lens: dict[str, float] = LENS) -> tuple[Rotation, Float64]:
 
 
 def views(
-    held: tuple[Held, ...] = VARIED, sigma_px: float = 0.1, seed: int = 1, lens: dict[str, float] = LENS
+    held: tuple[Held, ...] = VARIED,
+    sigma_px: float = 0.1,
+    seed: int = 1,
+    lens: dict[str, float] = LENS,
+    print_mm: Float64 | float = 0.0,
 ) -> list[View]:
     """Return what a camera sees of boards so held."""
     rng = np.random.default_rng(seed)
-    points, seen = bent_board(), []
+    points, seen = bent_board(print_mm), []
     for n, each in enumerate(held):
         turn = Rotation.from_euler(
             "XYZ", [each.about_x_deg, each.about_y_deg, each.about_z_deg], degrees=True

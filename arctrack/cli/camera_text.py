@@ -58,7 +58,8 @@ def lines(result: CameraCalibration, images: BoardImages) -> Iterator[str]:
     )
     yield f"distortion: {result.order}"
     for row in parameter_rows(result):
-        yield f"  {row.name:6} {row.value:>10} ± {row.sigma:<8} {row.unit}".rstrip()
+        within = f"± {row.sigma}" if row.sigma else ""
+        yield f"  {row.name:6} {row.value:>10} {within:<10} {row.unit}".rstrip()
     sigma = result.sigma_map()[1]
     yield (
         f"1 σ of the projection at {result.distance_mm:.0f} mm: {sigma.min():.3f} px at best, "

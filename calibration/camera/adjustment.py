@@ -1,4 +1,4 @@
-"""Bundle adjustment: lens, board's warp and the boards' poses that explain the corners best.
+"""Bundle adjustment: lens, the board's shape and its poses that explain the corners best.
 
 Residuals are those of the image points over their sigma. Poses move by a small rotation and translation in
 the camera frame, so that no pose is singular. Steps are Levenberg's and Marquardt's.
@@ -39,15 +39,19 @@ class Scene:
         The board's rise in its middle from bending along the columns and along the rows.
     T_camera_board : array (V, 4, 4)
         The board's pose in each image, mm.
+    print_mm : array (columns * rows, 2)
+        How far each corner is off its place on the board, along x and y.
     """
 
     lens: Lens
     warp_mm: Float64
     T_camera_board: Float64
+    print_mm: Float64
 
     def points_camera(self, seen: Sightings) -> Float64:
         """Return the corners (N, 3) in the camera frame, mm."""
         board = seen.flat_mm.copy()
+        board[:, :2] += self.print_mm[seen.corner]
         board[:, 2] += seen.bulge @ self.warp_mm
         T = self.T_camera_board[seen.view]
         return np.asarray(np.einsum("nij,nj->ni", T[:, :3, :3], board) + T[:, :3, 3])
@@ -61,28 +65,63 @@ class Scene:
         return replace(self, T_camera_board=self.T_camera_board[chosen])
 
     def moved(self, shared: Float64, motion: Float64) -> Scene:
-        """Return the scene after a step of lens and warp (n + 2,) and of each board (V, 6)."""
+        """Return the scene after a step of each board (V, 6), and of what is shared.
+
+        This is the lens and the warp (n + 2,), or these and the corners' places on the board.
+        """
         n = len(self.lens.values)
         T = np.tile(np.eye(4), (len(motion), 1, 1))
         T[:, :3, :3] = Rotation.from_rotvec(motion[:, :3]).as_matrix()
         T[:, :3, 3] = motion[:, 3:]
         lens = replace(self.lens, values=self.lens.values + shared[:n])
-        return Scene(lens, self.warp_mm + shared[n:], T @ self.T_camera_board)
+        places = shared[n + 2 :].reshape(-1, 2) if len(shared) > n + 2 else 0.0
+        return Scene(lens, self.warp_mm + shared[n : n + 2], T @ self.T_camera_board, self.print_mm + places)
 
 
-def linearised(scene: Scene, seen: Sightings, weight: Float64) -> NormalEquations:
-    """Return the normal equations at a scene; `weight` (N,) is 1 / sigma of each corner, 1/px."""
+def linearised(
+    scene: Scene, seen: Sightings, weight: Float64, *, with_print: bool = False
+) -> NormalEquations:
+    """Return the normal equations at a scene.
+
+    Parameters
+    ----------
+    scene : Scene
+        Where.
+    seen : Sightings
+        The corners.
+    weight : array (N,)
+        1 / sigma of each corner, 1/px.
+    with_print : bool
+        Count the corners' places on the board among the unknowns, behind lens and warp.
+
+    Returns
+    -------
+    NormalEquations
+        Without what is known of the places beforehand.
+    """
     points = scene.points_camera(seen)
     image, per_motion, per_lens = scene.lens.project_with_jacobian(points)
     normals = scene.T_camera_board[seen.view][:, :3, 2]
     lift = np.einsum("nij,nj->ni", per_motion[:, :, 3:], normals)
     per_shared = np.concatenate([per_lens, lift[:, :, None] * seen.bulge[:, None, :]], axis=2)
+    if with_print:
+        per_place = np.zeros((len(seen), 2, len(scene.print_mm), 2))
+        axes = scene.T_camera_board[seen.view][:, :3, :2]
+        per_place[np.arange(len(seen)), :, seen.corner] = per_motion[:, :, 3:] @ axes
+        per_shared = np.concatenate([per_shared, per_place.reshape(len(seen), 2, -1)], axis=2)
     w = weight[:, None, None]
     residual = (seen.points_px - image) * weight[:, None]
     return NormalEquations.of(seen.slices, per_shared * w, per_motion * w, residual)
 
 
-def adjusted(scene: Scene, seen: Sightings, weight: Float64, *, poses_only: bool = False) -> Scene:
+def adjusted(
+    scene: Scene,
+    seen: Sightings,
+    weight: Float64,
+    *,
+    poses_only: bool = False,
+    print_sigma_mm: float = 0.0,
+) -> Scene:
     """Return the scene of least squares.
 
     Parameters
@@ -95,18 +134,20 @@ def adjusted(scene: Scene, seen: Sightings, weight: Float64, *, poses_only: bool
         1 / sigma of each corner, 1/px.
     poses_only : bool
         Hold lens and warp.
+    print_sigma_mm : float
+        1 sigma of the corners' places on the board; 0 holds them.
 
     Returns
     -------
     Scene
         The one at which no step lowers the sum of squares any more.
     """
-    cost, damping = _cost(scene, seen, weight), FIRST_DAMPING
+    cost, damping = _cost(scene, seen, weight, print_sigma_mm), FIRST_DAMPING
     for _ in range(MAX_ROUNDS):
-        equations = linearised(scene, seen, weight)
+        equations = known_beforehand(scene, seen, weight, print_sigma_mm)
         while True:
             moved = _stepped(scene, equations.damped(damping), poses_only)
-            new_cost = np.inf if moved is None else _cost(moved, seen, weight)
+            new_cost = np.inf if moved is None else _cost(moved, seen, weight, print_sigma_mm)
             if new_cost <= cost:
                 break
             damping *= HARDER
@@ -121,6 +162,20 @@ def adjusted(scene: Scene, seen: Sightings, weight: Float64, *, poses_only: bool
     return scene
 
 
+def known_beforehand(
+    scene: Scene, seen: Sightings, weight: Float64, print_sigma_mm: float
+) -> NormalEquations:
+    """Return the normal equations, with the corners' places on the board and their prior unless held."""
+    if not print_sigma_mm > 0.0:
+        return linearised(scene, seen, weight)
+    equations = linearised(scene, seen, weight, with_print=True)
+    precision = np.zeros(equations.shared.shape[1])
+    precision[len(scene.lens.values) + 2 :] = print_sigma_mm**-2
+    value = np.zeros(len(precision))
+    value[len(scene.lens.values) + 2 :] = scene.print_mm.ravel()
+    return equations.with_prior(precision, value)
+
+
 def _stepped(scene: Scene, equations: NormalEquations, poses_only: bool) -> Scene | None:
     try:
         if poses_only:
@@ -130,11 +185,13 @@ def _stepped(scene: Scene, equations: NormalEquations, poses_only: bool) -> Scen
         return None
 
 
-def _cost(scene: Scene, seen: Sightings, weight: Float64) -> float:
+def _cost(scene: Scene, seen: Sightings, weight: Float64, print_sigma_mm: float) -> float:
     # A board behind the camera, or a focal length below 0, explains nothing.
     points = scene.points_camera(seen)
     if not (points[:, 2] > 0.0).all() or not (scene.lens.values[:2] > 0.0).all():
         return float("inf")
     residual = (seen.points_px - scene.lens.project(points)) * weight[:, None]
     cost = float(np.sum(residual**2))
+    if print_sigma_mm > 0.0:
+        cost += float(np.sum((scene.print_mm / print_sigma_mm) ** 2))
     return cost if np.isfinite(cost) else float("inf")

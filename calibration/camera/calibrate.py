@@ -11,7 +11,7 @@ import numpy as np
 from threadpoolctl import threadpool_limits
 
 from calibration.boards.board import Board
-from calibration.camera.adjustment import Scene, linearised
+from calibration.camera.adjustment import Scene, known_beforehand, linearised
 from calibration.camera.enough import (
     UndeterminedError,
     check_count,
@@ -24,6 +24,7 @@ from calibration.camera.next_board import NextBoard, best_next_board
 from calibration.camera.noise import LEAST_CORNERS, Noise, fitted, noise_of_most, robust, wrong_corners
 from calibration.camera.normal_equations import scaled_inverse
 from calibration.camera.order import Held, held_out_errors, leanest_within_error
+from calibration.camera.printed import are_ends_told, print_sigma_mm
 from calibration.camera.projection import Knowledge, image_grid, rms_sigma
 from calibration.camera.scatter import scatter_between_images
 from calibration.camera.sightings import Sightings, View
@@ -35,6 +36,9 @@ FIRST_ORDER = "k1 k2 p1 p2"
 
 MOST_WRONG = 0.3
 """An image with a larger share of wrong corners is left out as a whole."""
+
+PRINT_ROUNDS, PRINT_SETTLED = 5, 0.02
+"""The print and the noise are estimated in turn until the print's sigma changes by a smaller share."""
 
 MOST_NOISE = 10.0
 """An image whose corners scatter so many times as far as those of most was moved, or its board misread."""
@@ -76,6 +80,8 @@ class CameraCalibration:
         What corners with that noise know.
     scatter : float
         By how much the covariance is larger than that, since images differ by more; 1 or more.
+    print_sigma_mm : float
+        1 sigma of the corners' places on the board as it was printed; 0 where they are as stated.
     wrong : tuple of WrongCorner
         Corners that were left out.
     left_out : dict
@@ -95,6 +101,7 @@ class CameraCalibration:
     held: list[Held]
     known: Knowledge
     scatter: float
+    print_sigma_mm: float
     wrong: tuple[WrongCorner, ...]
     left_out: dict[str, str]
     distance_mm: float
@@ -109,7 +116,8 @@ class CameraCalibration:
     @property
     def covariance(self) -> Float64:
         """The covariance (m, m) of lens and warp."""
-        return self.scatter * self.known.covariance()
+        n = len(self.names)
+        return self.scatter * self.known.covariance()[:n, :n]
 
     @property
     def sigma(self) -> Float64:
@@ -243,15 +251,17 @@ def _lens(
     agreed = _robust(chosen.scene, all_seen)
     is_wrong = wrong_corners(agreed, all_seen)
     seen = all_seen.where(~is_wrong)
-    scene, noise = fitted(agreed, seen)
+    scene, noise, print_sigma = _as_printed(*fitted(agreed, seen), seen)
+    weight = noise.weight(seen)
     result = CameraCalibration(
         scene,
         seen,
         noise,
         chosen.name,
         held,
-        Knowledge.of(linearised(scene, seen, noise.weight(seen))),
-        scatter_between_images(scene, seen, noise.weight(seen)),
+        Knowledge.of(known_beforehand(scene, seen, weight, print_sigma)),
+        scatter_between_images(scene, seen, weight),
+        print_sigma,
         _named(scene, all_seen.where(is_wrong)),
         left_out,
         distance_mm,
@@ -280,6 +290,21 @@ def _views_to_keep(scene: Scene, seen: Sightings) -> tuple[list[int], dict[str, 
         else:
             kept.append(n)
     return kept, left_out
+
+
+def _as_printed(scene: Scene, noise: Noise, seen: Sightings) -> tuple[Scene, Noise, float]:
+    """Return scene and noise with the corners where the print has them, and 1 sigma of that, mm."""
+    sigma_mm = 0.0
+    if not are_ends_told(seen.board):
+        return scene, noise, sigma_mm
+    for _ in range(PRINT_ROUNDS):
+        before, sigma_mm = sigma_mm, print_sigma_mm(scene, seen, noise)
+        if sigma_mm == 0.0:
+            break
+        scene, noise = fitted(scene, seen, sigma_mm)
+        if abs(sigma_mm / max(before, 1e-12) - 1.0) < PRINT_SETTLED:
+            break
+    return scene, noise, sigma_mm
 
 
 def _check(scene: Scene, seen: Sightings, noise: Noise) -> None:

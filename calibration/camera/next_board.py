@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import itertools
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -106,7 +106,7 @@ def _candidate(
     T = np.eye(4)
     T[:3, :3] = Rotation.from_rotvec(np.radians(tilt[0]) * np.array(ABOUT[tilt[1]])).as_matrix()
     T[:3, 3] = lens.rays(middle_px)[0] * depth_mm - T[:3, :3] @ (0.5 * board.points_mm.max(axis=0))
-    pose = Scene(lens, scene.warp_mm, T[np.newaxis])
+    pose = replace(scene, T_camera_board=T[np.newaxis])
     corners = np.arange(len(board.points_mm))
     blank = Sightings.of(board, [View("", corners, np.zeros((len(corners), 2)))])
     points = lens.project(pose.points_camera(blank))

@@ -15,7 +15,7 @@ from scipy.optimize import brentq
 from scipy.special import digamma, polygamma
 from scipy.stats import f
 
-from calibration.camera.adjustment import Scene, adjusted, linearised
+from calibration.camera.adjustment import Scene, adjusted, known_beforehand, linearised
 from calibration.camera.normal_equations import scaled_inverse
 from calibration.camera.sightings import Sightings
 from noise_model.arrays import Bool, Float64
@@ -112,18 +112,20 @@ def _dof_of_medians(seen: Sightings) -> Float64:
     return np.asarray(MEDIAN_EFFICIENCY * 2.0 * seen.counts, dtype=np.float64)
 
 
-def fitted(scene: Scene, seen: Sightings) -> tuple[Scene, Noise]:
+def fitted(scene: Scene, seen: Sightings, print_sigma_mm: float = 0.0) -> tuple[Scene, Noise]:
     """Return the scene of maximum likelihood and the noise, each image with its own sigma.
 
-    A sum of squares is divided by the corners' coordinates less what the image spends on its pose and on lens
-    and warp: 2 N_i - 6 - tr(S_i S^-1).
+    A sum of squares is divided by the corners' coordinates less what the image spends on its pose and on what
+    is shared: 2 N_i - 6 - tr(S_i S^-1).
     """
+    with_print = print_sigma_mm > 0.0
     noise = Noise(np.ones(len(seen.names)), 0.0)
     for _ in range(NOISE_ROUNDS):
         weight = noise.weight(seen)
-        scene = adjusted(scene, seen, weight)
-        parts = linearised(scene, seen, weight).information_of_views()
-        spent = np.einsum("vij,ji->v", parts, scaled_inverse(parts.sum(axis=0)))
+        scene = adjusted(scene, seen, weight, print_sigma_mm=print_sigma_mm)
+        parts = linearised(scene, seen, weight, with_print=with_print).information_of_views()
+        whole = known_beforehand(scene, seen, weight, print_sigma_mm).information()
+        spent = np.einsum("vij,ji->v", parts, scaled_inverse(whole))
         free = np.maximum(2.0 * seen.counts - 6.0 - spent, 1.0)
         square = np.sum(scene.residuals(seen) ** 2, axis=1)
         variance = np.array([square[part].sum() for part in seen.slices]) / free
@@ -131,7 +133,7 @@ def fitted(scene: Scene, seen: Sightings) -> tuple[Scene, Noise]:
         before, noise = noise, Noise(np.sqrt(np.maximum(variance, LEAST_SIGMA_PX**2)), prior_dof)
         if np.allclose(noise.sigma_px, before.sigma_px, rtol=SETTLED):
             break
-    return adjusted(scene, seen, noise.weight(seen)), noise
+    return adjusted(scene, seen, noise.weight(seen), print_sigma_mm=print_sigma_mm), noise
 
 
 def moderated(variance: Float64, dof: Float64) -> tuple[Float64, float]:

@@ -83,6 +83,18 @@ class NormalEquations:
         shared[0, diagonal, diagonal] += damping * total[diagonal, diagonal]
         return NormalEquations(shared, self.mixed, motion, self.gradient_shared, self.gradient_motion)
 
+    def with_prior(self, precision: Float64, value: Float64) -> NormalEquations:
+        """Return them with what is known of the shared unknowns beforehand: normal about 0.
+
+        `precision` (m,) is 1 / sigma² of each, 0 where nothing is known; `value` (m,) is each now. It counts
+        as a part of the first image.
+        """
+        shared, gradient = self.shared.copy(), self.gradient_shared.copy()
+        diagonal = range(len(precision))
+        shared[0, diagonal, diagonal] += precision
+        gradient[0] -= precision * value
+        return NormalEquations(shared, self.mixed, self.motion, gradient, self.gradient_motion)
+
     def information_of_views(self) -> Float64:
         """Return each image's part (V, m, m) of S."""
         solved = np.linalg.solve(self.motion, self.mixed.transpose(0, 2, 1))

@@ -9,7 +9,7 @@ is the leanest whose mean is within one standard error of the best's, of the dif
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -85,7 +85,7 @@ def held_out_errors(
     held = []
     for n, name in enumerate(orders):
         lens = scene.lens.with_distortion((*ORDERS[name], *(TILT if tilted else ())))
-        whole = adjusted(Scene(lens, scene.warp_mm, scene.T_camera_board), seen, noise.weight(seen))
+        whole = adjusted(replace(scene, lens=lens), seen, noise.weight(seen))
         # With nothing to choose from, nothing need be held out.
         losses = _losses(whole, seen, noise) if len(orders) > 1 else np.ones(len(seen.names))
         held.append(Held(name, losses, whole))
@@ -114,7 +114,7 @@ def _losses(whole: Scene, seen: Sightings, noise: Noise) -> Float64:
         trained = adjusted(whole.of_views(kept), corners, (1.0 / noise.sigma_px[kept])[corners.view])
         others = seen.of_views(held)
         weight = (1.0 / noise.sigma_px[held])[others.view]
-        start = Scene(trained.lens, trained.warp_mm, whole.T_camera_board[held])
+        start = replace(trained, T_camera_board=whole.T_camera_board[held])
         posed = adjusted(start, others, weight, poses_only=True)
         squares = np.sum((posed.residuals(others) * weight[:, None]) ** 2, axis=1)
         free = 2.0 * others.counts - 6.0

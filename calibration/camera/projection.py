@@ -35,7 +35,7 @@ class Knowledge:
     Parameters
     ----------
     information : array (m, m)
-        S.
+        S, of lens and warp, and of the corners' places on the board where these are unknown.
     mixed : array (m, 6)
         B.
     motion : array (6, 6)
@@ -52,14 +52,17 @@ class Knowledge:
         return cls(equations.information(), equations.mixed.sum(axis=0), equations.motion.sum(axis=0))
 
     def with_more(self, other: NormalEquations) -> Knowledge:
-        """Return what is known with further images."""
+        """Return what is known with further images, of which lens and warp alone are unknown."""
         more = Knowledge.of(other)
+        rest = (0, len(self.information) - len(more.information))
         return Knowledge(
-            self.information + more.information, self.mixed + more.mixed, self.motion + more.motion
+            self.information + np.pad(more.information, (rest, rest)),
+            self.mixed + np.pad(more.mixed, (rest, (0, 0))),
+            self.motion + more.motion,
         )
 
     def covariance(self) -> Float64:
-        """Return S^-1 (m, m), the covariance of lens and warp."""
+        """Return S^-1 (m, m), the covariance of what is shared."""
         return scaled_inverse(self.information)
 
     def of_projection(self, lens: Lens, points_px: Float64, distance_mm: float) -> Float64:

@@ -6,6 +6,8 @@ spoils it. A scan has one: the focal length at which most boards fit, by the med
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import cv2
 import numpy as np
 
@@ -33,9 +35,9 @@ def first_scene(width: int, height: int, seen: Sightings) -> Scene:
     Scene
         The one of the focal length at which the median board fits best.
     """
-    scenes = [
-        _posed(Lens.simple(width, height, focal), seen) for focal in FOCALS_OVER_WIDTH * max(width, height)
-    ]
+    lenses = [Lens.simple(width, height, focal) for focal in FOCALS_OVER_WIDTH * max(width, height)]
+    exact = np.zeros((len(seen.board.points_mm), 2))
+    scenes = [Scene(lens, np.zeros(2), _poses(lens, seen), exact) for lens in lenses]
     misfits = [float(np.median(_squares(scene, seen))) for scene in scenes]
     return scenes[int(np.argmin(misfits))]
 
@@ -49,15 +51,17 @@ def with_better_poses(scene: Scene, seen: Sightings) -> Scene:
     ones = np.ones(len(seen))
     best, squares = scene, _squares(scene, seen)
     for mirrored in (False, True):
-        other = adjusted(_posed(scene.lens, seen, scene.warp_mm, mirrored), seen, ones, poses_only=True)
+        posed = replace(scene, T_camera_board=_poses(scene.lens, seen, mirrored))
+        other = adjusted(posed, seen, ones, poses_only=True)
         anew = _squares(other, seen)
         better = anew < squares
         T = np.where(better[:, None, None], other.T_camera_board, best.T_camera_board)
-        best, squares = Scene(scene.lens, scene.warp_mm, T), np.minimum(anew, squares)
+        best, squares = replace(scene, T_camera_board=T), np.minimum(anew, squares)
     return best
 
 
-def _posed(lens: Lens, seen: Sightings, warp_mm: Float64 | None = None, mirrored: bool = False) -> Scene:
+def _poses(lens: Lens, seen: Sightings, mirrored: bool = False) -> Float64:
+    """Return the pose (V, 4, 4) of a flat board that fits each image best, or the second best."""
     T = np.tile(np.eye(4), (len(seen.names), 1, 1))
     flat, rays = seen.flat_mm, np.ascontiguousarray(lens.rays(seen.points_px)[:, :2])
     for n, part in enumerate(seen.slices):
@@ -67,7 +71,7 @@ def _posed(lens: Lens, seen: Sightings, warp_mm: Float64 | None = None, mirrored
         chosen = min(int(mirrored), len(turns) - 1)
         T[n, :3, :3] = cv2.Rodrigues(turns[chosen])[0]
         T[n, :3, 3] = moves[chosen].ravel()
-    return Scene(lens, np.zeros(2) if warp_mm is None else warp_mm, T)
+    return T
 
 
 def _squares(scene: Scene, seen: Sightings) -> Float64:

@@ -6,7 +6,7 @@ import pytest
 from camera_scenes import BOARD, LENS, SIZE, VARIED, WARP_MM, Held, project, views
 
 from calibration.boards.board import Board, Kind
-from calibration.camera.adjustment import Scene, adjusted, linearised
+from calibration.camera.adjustment import adjusted, linearised
 from calibration.camera.calibrate import CameraCalibration, calibrate_camera, find_lens
 from calibration.camera.enough import UndeterminedError
 from calibration.camera.halves import MOST_RATIO
@@ -166,6 +166,33 @@ def test_halves_contradict_each_other_where_the_model_is_wrong(found: CameraCali
     assert "differ" in lean.model_error
 
 
+def test_a_board_that_is_not_exact_is_taken_as_it_was_printed() -> None:
+    """Corners that are off on the board are told from noise, and the lens is as good as its sigmas say."""
+    offsets_mm = 0.02 * np.random.default_rng(4).standard_normal((42, 2))
+    shown = views(sigma_px=0.03, print_mm=offsets_mm)
+    result = find_lens(BOARD, shown, SIZE, orders=["k1 k2"])
+    assert result.print_sigma_mm == pytest.approx(0.02, rel=0.25)
+    # The board's own place, turn and size are not those of the print.
+    flat = BOARD.points_mm[:, :2] - BOARD.points_mm[:, :2].mean(axis=0)
+    common = np.zeros((84, 4))
+    common[0::2, 0] = common[1::2, 1] = 1.0
+    common[:, 2], common[:, 3] = flat.ravel(), (flat @ [[0.0, 1.0], [-1.0, 0.0]]).ravel()
+    truth, estimate = (
+        places.ravel() - common @ np.linalg.lstsq(common, places.ravel(), rcond=None)[0]
+        for places in (offsets_mm, result.scene.print_mm)
+    )
+    assert np.std(estimate - truth) < 0.3 * 0.02
+    z = (result.scene.lens.values - [LENS[name] for name in result.scene.lens.names]) / result.sigma[:-2]
+    assert np.abs(z).max() < 3.5
+    assert result.noise.sigma_px == pytest.approx(0.03, rel=0.1)
+    assert result.scatter == 1.0
+
+
+def test_an_exact_board_stays_exact(found: CameraCalibration) -> None:
+    assert found.print_sigma_mm == 0.0
+    assert not found.scene.print_mm.any()
+
+
 def test_the_next_board_helps_as_much_as_it_says(found: CameraCalibration) -> None:
     pose = found.next_board
     assert pose is not None
@@ -181,7 +208,7 @@ def tilted_views(lens: Lens) -> list[View]:
     """Return what a lens with a tilted sensor sees of the varied boards."""
     straight = find_lens(BOARD, views(sigma_px=0.0, lens={**LENS, "k2": 0.0}), SIZE, orders=["k1"])
     seen = straight.seen
-    points = lens.project(Scene(lens, WARP_MM, straight.scene.T_camera_board).points_camera(seen))
+    points = lens.project(replace(straight.scene, lens=lens, warp_mm=WARP_MM).points_camera(seen))
     points += 0.02 * np.random.default_rng(1).standard_normal(points.shape)
     return [
         View(name, seen.corner[part], points[part])

@@ -42,4 +42,7 @@ def parameter_rows(result: CameraCalibration) -> list[Row]:
         unit = "mm" if name.endswith("_mm") else UNITS.get(name, "")
         meaning = MEANINGS.get(label, "radial distortion")
         rows.append(Row(label, *with_sigma(value, sigma), unit, meaning))
+    if result.print_sigma_mm > 0.0:
+        print_mm = f"{result.print_sigma_mm:.4f}"
+        rows.append(Row("print", print_mm, "", "mm", "how far corners are off on the board as printed, 1 σ"))
     return rows

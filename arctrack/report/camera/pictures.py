@@ -17,6 +17,9 @@ COLOURS = "viridis"
 ARROW_SHARE = 0.03
 """How long the arrow of a residual of the 95 % quantile is, over the image's width."""
 
+PRINT_ARROW = 0.4
+"""How long the arrow of a corner is that is twice as far off as most, over the squares' side."""
+
 SAMPLE_PX = 800
 """The image behind the corners is thinned to so many px."""
 
@@ -109,7 +112,7 @@ def sigma_map(result: CameraCalibration) -> Figure:
 def warp(result: CameraCalibration) -> Figure:
     """Return the board's shape."""
     board = result.seen.board
-    figure = style.new_figure(WIDTH_INCH, 3.6, "The board's warp")
+    figure = style.new_figure(WIDTH_INCH, 3.6, "The board as it is")
     axes = style.plain(figure.subplots(), "along the columns [mm]", "along the rows [mm]")
     axes.grid(visible=False)
     height_um = 1e3 * (board.bulge @ result.scene.warp_mm).reshape(board.rows, board.columns)
@@ -119,6 +122,11 @@ def warp(result: CameraCalibration) -> Figure:
     axes.set_aspect("equal")
     axes.invert_yaxis()
     figure.colorbar(shown, ax=axes, label="height, away from the camera [µm]")
+    if result.print_sigma_mm > 0.0:
+        stretch = PRINT_ARROW * board.square_mm / (2.0 * float(np.sqrt(np.mean(result.scene.print_mm**2))))
+        arrows = stretch * result.scene.print_mm.T
+        axes.quiver(x, y, *arrows, angles="xy", scale_units="xy", scale=1.0, width=0.004)
+        axes.set_title(f"arrows: where corners are off, {stretch:.0f} times as long", loc="left", fontsize=10)
     return figure
 
 

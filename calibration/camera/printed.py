@@ -1,0 +1,78 @@
+"""How far a board's corners are off where it states them, as it was printed: from the corners' residuals.
+
+Every image shows the same board. So corners that are off on it are off alike in all images, which the noise
+of an image's corners is not. With S and g the information on all corners' places and the pull on them, lens,
+warp and poses eliminated, and S = V diag(l) V':
+
+    y = V' o + V' g / l   is normal about 0 with the variance   tau² + 1 / l
+
+o are the places so far, tau is 1 sigma of the print. Where l is 0 the board as a whole is moved, turned or
+scaled: that is no error of the print.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from scipy.optimize import minimize_scalar
+from scipy.stats import chi2
+
+from calibration.boards.board import Board, Kind
+from calibration.camera.adjustment import Scene, linearised
+from calibration.camera.noise import Noise
+from calibration.camera.sightings import Sightings
+
+FALSE_ALARM = 1e-3
+"""The probability that an exact board is taken for one that is not."""
+
+UNSEEN = 1e-9
+"""Information below this share of the largest is none."""
+
+LEAST_SHARE, MOST_SHARE = 1e-6, 0.1
+"""1 sigma of a print over the squares' side, at least and at most."""
+
+
+def are_ends_told(board: Board) -> bool:
+    """Return whether a corner has the same number in all images, however the board is turned.
+
+    Half a turn leaves a chessboard as it is unless one of its sides is odd and the other even.
+    """
+    return board.kind is Kind.CHARUCO or (board.columns + board.rows) % 2 == 1
+
+
+def print_sigma_mm(scene: Scene, seen: Sightings, noise: Noise) -> float:
+    """Return 1 sigma of the corners' places on the board, along each axis, mm; 0 where noise explains all.
+
+    Parameters
+    ----------
+    scene : Scene
+        The scene of least squares.
+    seen : Sightings
+        Its corners.
+    noise : Noise
+        Their noise.
+
+    Returns
+    -------
+    float
+        The maximum of the likelihood, mm.
+    """
+    equations = linearised(scene, seen, noise.weight(seen), with_print=True)
+    n = len(scene.lens.values) + 2
+    information, pull = equations.information(), equations.pulls().sum(axis=0)
+    solved = np.linalg.solve(information[:n, :n], information[:n, n:])
+    information = information[n:, n:] - information[n:, :n] @ solved
+    pull = pull[n:] - solved.T @ pull[:n]
+    told, basis = np.linalg.eigh(0.5 * (information + information.T))
+    kept = told > UNSEEN * told.max()
+    told, basis = told[kept], basis[:, kept]
+    places = basis.T @ scene.print_mm.ravel() + (basis.T @ pull) / told
+    if chi2.sf(float(np.sum(places**2 * told)), len(told)) > FALSE_ALARM:
+        return 0.0
+
+    def cost(log_sigma: float) -> float:
+        variance = np.exp(2.0 * log_sigma) + 1.0 / told
+        return float(np.sum(np.log(variance) + places**2 / variance))
+
+    side = seen.board.square_mm
+    bounds = np.log(LEAST_SHARE * side), np.log(MOST_SHARE * side)
+    return float(np.exp(minimize_scalar(cost, bounds=bounds, method="bounded").x))
