@@ -146,24 +146,24 @@ def seam_sigma_mm(setup: Setup, sightings: SeamObservations, covariance: Float64
     `covariance` (6, 6), deg and mm, is that of the camera's turn and move in its own frame. What is seen in
     the image stays: sigma^2 = <(dy/dx) C (dy/dx)^T>.
     """
-    steps = np.diag(_CAMERA_STEPS)
+    steps = np.diag(CAMERA_STEPS)
     _, here = sightings.in_joint(setup)
     slopes = np.stack(
         [
-            (sightings.in_joint(_with_camera(setup, step))[1] - here) / size
-            for step, size in zip(steps, _CAMERA_STEPS, strict=True)
+            (sightings.in_joint(with_camera(setup, step))[1] - here) / size
+            for step, size in zip(steps, CAMERA_STEPS, strict=True)
         ]
     )
     variance = np.einsum("pna,pq,qna->na", slopes, covariance, slopes)
     return np.asarray(np.sqrt(variance.mean(axis=0)))
 
 
-_CAMERA_STEPS = np.array([0.03, 0.03, 0.03, 0.04, 0.04, 0.04])
+CAMERA_STEPS = np.array([0.03, 0.03, 0.03, 0.04, 0.04, 0.04])
 """Steps of the derivatives with the camera's turn, deg, and move, mm: the light of a shaded sheet is not
 smooth over smaller ones."""
 
 
-def _with_camera(setup: Setup, change: Float64) -> Setup:
+def with_camera(setup: Setup, change: Float64) -> Setup:
     """Return the setup with its camera turned and moved by (6,), deg and mm."""
     T_tool_camera = moved(setup.camera.T_tool_camera, change[:3], change[3:6])
     return replace(setup, camera=replace(setup.camera, T_tool_camera=T_tool_camera))
@@ -218,7 +218,7 @@ class _Problem:
         tolerance, ln_level = self.setup.tolerance, math.log(MAX_LEVEL_FACTOR)
         deg, mm = max(tolerance.hand_eye_deg, 1e-6), max(tolerance.hand_eye_mm, 1e-6)
         black_e = max(tolerance.black_level_dn * self.setup.sensor.gain_e_per_dn, 1e-3)
-        turn_deg, move_mm = _CAMERA_STEPS[0], _CAMERA_STEPS[3]
+        turn_deg, move_mm = CAMERA_STEPS[0], CAMERA_STEPS[3]
         return [
             *(Parameter(name, "deg", 0.0, deg, step=turn_deg) for name in CAMERA[:3]),
             *(Parameter(name, "mm", 0.0, mm, step=move_mm) for name in CAMERA[3:]),
@@ -241,7 +241,7 @@ class _Problem:
 
     def setup_at(self, x: Float64) -> Setup:
         """Return the setup with camera, arc and metal as parameters (p,) say."""
-        setup = _with_camera(self.setup, x[:6])
+        setup = with_camera(self.setup, x[:6])
         x_mm, y_mm, z_mm = np.asarray(setup.arc.center_in_tool_mm) + x[8:11]
         arc = replace(
             setup.arc,
@@ -254,7 +254,7 @@ class _Problem:
 
     def seam_at(self, x: Float64) -> SeamCurve:
         """Return the seam through the sightings as the camera of parameters (p,) puts them."""
-        seen = self.sightings.in_joint(_with_camera(self.setup, x[:6]))
+        seen = self.sightings.in_joint(with_camera(self.setup, x[:6]))
         return self.curve.through(*seen, self.sightings.variances_mm2)
 
     def choose(self, x: Float64) -> list[ArcPixels]:

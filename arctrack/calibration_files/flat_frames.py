@@ -60,8 +60,7 @@ def find_flat_frames(folder: Path) -> tuple[list[FlatFile], list[str]]:
         raise in_file(
             folder,
             "holds no flat or dark frames: name them like flat_2.5ms_1.png and dark_2.5ms_1.png, or put a "
-            "table "
-            f"{TABLE} beside them, file,exposure_ms,lit",
+            f"table {TABLE} beside them, file,exposure_ms,lit",
         )
     vague = [path for path, file in zip(images, files, strict=True) if file is None]
     if not vague:
@@ -89,8 +88,7 @@ def read_levels(
     if lossy:
         warnings.append(
             f"{lossy[0].path}: is a JPEG, whose codec takes the noise away: {len(lossy)} of them are left "
-            "out; save "
-            "PNG or TIFF"
+            "out; save PNG or TIFF"
         )
     levels = []
     for done, ((is_lit, exposure_s), group) in enumerate(sorted(groups.items())):

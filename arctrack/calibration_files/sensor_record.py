@@ -2,8 +2,12 @@
 
 from __future__ import annotations
 
+from dataclasses import asdict
+
 from arctrack.recording import Calibrated
 from calibration.sensor.flat_fields import KEYS, SensorCalibration
+from calibration.sensor.still import KEYS as STILL_KEYS
+from calibration.sensor.still import StillCalibration
 
 MADE_BY = "arctrack calibrate sensor"
 
@@ -24,6 +28,25 @@ def flat_record(result: SensorCalibration) -> Calibrated:
         result.covariance,
         MADE_BY,
         {**about, "levels": int(result.levels.is_lit.sum()), "pixels": result.levels.n_pixels},
+    )
+
+
+def still_record(result: StillCalibration) -> Calibrated:
+    """Return the values of a still stripe, with its speckle as remarks."""
+    about: dict[str, float | int | str] = {"frames": result.statistics.n_frames}
+    if result.speckle is not None:
+        about |= {f"speckle_{name}": rounded(value) for name, value in asdict(result.speckle).items()}
+    return Calibrated(
+        "sensor",
+        # The code of saturation stays: the charge there goes with the gain.
+        {
+            **{name: rounded(result[name].value) for name in STILL_KEYS},
+            "full_well_e": rounded(result.sensor.full_well_e),
+        },
+        STILL_KEYS,
+        result.covariance,
+        MADE_BY,
+        about,
     )
 
 

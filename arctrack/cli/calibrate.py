@@ -9,6 +9,8 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from arctrack.cli.calibrate_camera import camera
+from arctrack.cli.calibrate_delay import EXAMPLE as DELAY_EXAMPLE
+from arctrack.cli.calibrate_delay import delay
 from arctrack.cli.calibrate_filter import filter_curve
 from arctrack.cli.calibrate_hand_eye import hand_eye
 from arctrack.cli.calibrate_sensor import EXAMPLE as SENSOR_EXAMPLE
@@ -47,6 +49,7 @@ calibrate.command(
     "hand-eye", epilog="Example: arctrack calibrate hand-eye examples/v_groove --out /tmp/found.toml"
 )(hand_eye)
 calibrate.command("sensor", epilog=SENSOR_EXAMPLE)(sensor)
+calibrate.command("delay", epilog=DELAY_EXAMPLE)(delay)
 
 
 @calibrate.callback(epilog=EXAMPLE)

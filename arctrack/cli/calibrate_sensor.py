@@ -7,13 +7,12 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from arctrack.cli.setups import check_can_be_replaced, read_setup, write_calibrated
+from arctrack.cli.calibration_output import check_outputs, finish
+from arctrack.cli.setups import read_setup, write_calibrated
 from arctrack.errors import ArctrackError, in_file
-from arctrack.output import write_whole
 
 if TYPE_CHECKING:
     from arctrack.recording import SetupFile
-    from arctrack.report.calibration.page import CalibrationPage
 
 REPORT = "calibrate_sensor.html"
 
@@ -21,8 +20,13 @@ EXAMPLE = "Example: arctrack calibrate sensor /tmp/flats --setup examples/v_groo
 
 
 def sensor(
-    source: Annotated[Path, typer.Argument(help="Folder of flat and dark frames.")],
-    setup: Annotated[Path, typer.Option(help="A recording.toml, or a recording, that it belongs to.")],
+    source: Annotated[
+        Path, typer.Argument(help="Folder of flat and dark frames, or a recording of a still stripe.")
+    ],
+    setup: Annotated[
+        Path | None,
+        typer.Option(help="A recording.toml, or a recording, that it belongs to; default: the recording's."),
+    ] = None,
     out: Annotated[
         Path | None,
         typer.Option(help="Where to write recording.toml; default: the setup, the one before is kept."),
@@ -37,15 +41,48 @@ def sensor(
     The folder holds two or more frames of an even, steady light at five or more exposures, and two or more in
     the dark. Names say which is which: flat_2.5ms_1.png, dark_500us/0002.tif; or a table exposures.csv does,
     with file,exposure_ms,lit. What the frames cannot determine is refused, with the frames that are missing.
+
+    Of a recording, twenty or more frames of the laser alone on a part at rest will do. They say gain, read
+    noise, black level, and the speckle's contrast and grain, less sharply. Gamma and full well stay as
+    stated.
     """
+    from arctrack.recording.setup_file import FILE_NAME
+
+    is_recording = (source / FILE_NAME).exists()
+    if setup is None and not is_recording:
+        raise ArctrackError(f"{source}: holds flat and dark frames: give --setup, the setup of their sensor")
+    if is_recording and gamma is not None:
+        raise ArctrackError("--gamma: a still recording cannot tell it; state it in the setup")
     if gamma is not None and not 0.1 < gamma < 10.0:
         raise ArctrackError(f"--gamma {gamma:g}: a sensor's lies between 0.1 and 10")
-    stated = read_setup(setup)
+    stated = read_setup(source if setup is None else setup)
     target = out or stated.path
     page_path = report or target.with_name(REPORT)
-    for path in (target, page_path):
-        check_can_be_replaced(path)
-    _flat_fields(source, stated, target, page_path, gamma)
+    check_outputs(target, page_path)
+    if is_recording:
+        _still_recording(source, stated, target, page_path)
+    else:
+        _flat_fields(source, stated, target, page_path, gamma)
+
+
+def _still_recording(source: Path, stated: SetupFile, target: Path, page_path: Path) -> None:
+    from arctrack.calibration_files.sensor_record import still_record
+    from arctrack.calibration_files.still_recording import read_still_frames
+    from arctrack.cli import console
+    from arctrack.recording import read_recording
+    from arctrack.report.calibration.still import still_page
+    from calibration.sensor.still import calibrate_still
+
+    read = read_recording(source, stated.path, must_fit=False)
+    with console.progress() as bar:
+        try:
+            frames, problems = read_still_frames(read, console.track(bar, read.name, len(read.rows)))
+            result = calibrate_still(frames, read.setup.sensor)
+        except ValueError as error:
+            raise in_file(source, str(error)) from None
+    console.warn(problems)
+    finish(still_page(result, read.name, problems), page_path)
+    write_calibrated(target, stated.path, still_record(result))
 
 
 def _flat_fields(source: Path, stated: SetupFile, target: Path, page_path: Path, gamma: float | None) -> None:
@@ -72,31 +109,5 @@ def _flat_fields(source: Path, stated: SetupFile, target: Path, page_path: Path,
             raise in_file(source, str(error)) from None
     warnings = [*vague, *lossy]
     console.warn(warnings)
-    _finish(sensor_page(result, levels, source.name, warnings), page_path)
+    finish(sensor_page(result, levels, source.name, warnings), page_path)
     write_calibrated(target, stated.path, flat_record(result))
-
-
-def _finish(page: CalibrationPage, path: Path) -> None:
-    """Print a page's values and write it."""
-    from rich.table import Table
-
-    from arctrack.cli import console
-    from arctrack.report.calibration.page import render
-
-    table = Table(box=None, pad_edge=False)
-    for name, justify in (
-        ("", "left"),
-        ("value", "right"),
-        ("1 σ", "right"),
-        ("95 %", "right"),
-        ("", "left"),
-    ):
-        table.add_column(name, justify=justify)  # type: ignore[arg-type]
-    for row in page.rows:
-        table.add_row(row.what, row.value, row.sigma, row.interval, row.unit)
-    screen = console.tables()
-    screen.print(table)
-    for sentence in (*page.sentences, *page.notes):
-        screen.print(sentence, markup=False, soft_wrap=True)
-    write_whole(path, render(page))
-    console.say(f"report in {path}")

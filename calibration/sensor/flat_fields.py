@@ -117,8 +117,7 @@ def calibrate_sensor(levels: Sequence[Level], bits: int, gamma: float | None = N
     if kept.shading_rel > MAX_SHADING_REL:
         raise ValueError(
             f"the light changes by {100.0 * kept.shading_rel:.0f} % over the image (1 sigma): put a "
-            "diffuser before "
-            "the lens, or take the lens off"
+            "diffuser before the lens, or take the lens off"
         )
     fit = fit_photon_transfer(PhotonTransferProblem(kept, bits, top, gamma))
     if not fit.is_settled:
@@ -150,23 +149,20 @@ def _check_levels(dark: Sequence[Level], lit: Sequence[Level], usable: Sequence[
             shorter = f"; {len(saturated)} are saturated, from {shortest:g} ms on: take shorter ones"
         raise ValueError(
             f"{len(usable)} exposures of flat frames lie below saturation, {MIN_LEVELS} are needed, best "
-            "ten from a "
-            f"twentieth of saturation to nine tenths{shorter}"
+            f"ten from a twentieth of saturation to nine tenths{shorter}"
         )
     span = usable[-1].exposure_s / usable[0].exposure_s
     if span < MIN_SPAN:
         raise ValueError(
             f"the longest exposure below saturation is {span:.1f} times the shortest, {MIN_SPAN:g} are "
-            "needed: take "
-            f"flat frames down to {1e3 * usable[-1].exposure_s / 20.0:.3g} ms"
+            f"needed: take flat frames down to {1e3 * usable[-1].exposure_s / 20.0:.3g} ms"
         )
     means = [float(level.mean_dn.mean()) for level in usable]
     for n in range(1, len(usable)):
         if means[n] <= means[n - 1]:
             raise ValueError(
                 f"{usable[n].name} are no brighter than those of {1e3 * usable[n - 1].exposure_s:g} ms: the "
-                "light "
-                "or the exposure was not as stated"
+                "light or the exposure was not as stated"
             )
     if max(float(level.mean_dn.mean()) for level in dark) >= means[0]:
         raise ValueError("the dark frames are as bright as the darkest flat frames: cover the lens for them")
@@ -174,8 +170,7 @@ def _check_levels(dark: Sequence[Level], lit: Sequence[Level], usable: Sequence[
     if dark_sigma < MIN_DARK_SIGMA_DN:
         raise ValueError(
             f"the dark frames' noise is {dark_sigma:.2f} DN, less than {MIN_DARK_SIGMA_DN}: rounding hides "
-            "it; record "
-            "with more bits, or with a higher gain"
+            "it; record with more bits, or with a higher gain"
         )
 
 

@@ -109,16 +109,14 @@ def check_steady(level: Level, black_dn: float) -> None:
     if level.is_lit and spread > max(MAX_FLICKER_REL * light, FLICKER_SIGMAS * error):
         raise ValueError(
             f"{level.name}: one is {100.0 * spread / light:.1f} % brighter than another: the light "
-            "flickers; take "
-            "them anew under direct current, or with exposures of whole periods"
+            "flickers; take them anew under direct current, or with exposures of whole periods"
         )
     # Frames whose noise rounding swallows have no correlation to speak of.
     if abs(level.neighbour_correlation) > MAX_NEIGHBOUR_CORRELATION + FLICKER_SIGMAS / np.sqrt(pixels):
         raise ValueError(
             f"{level.name}: neighbouring pixels differ alike from frame to frame (correlation "
             f"{level.neighbour_correlation:.2f}): camera or scene moved between them, or they are "
-            "compressed or "
-            "interpolated; take raw frames of a still, even surface"
+            "compressed or interpolated; take raw frames of a still, even surface"
         )
 
 

@@ -10,7 +10,9 @@ from arctrack import cli
 from arctrack.calibration_files.flat_frames import find_flat_frames
 from arctrack.errors import ArctrackError
 from arctrack.nominal import nominal_setup
-from arctrack.recording import format_setup, read_setup_file
+from arctrack.recording import RecordingWriter, format_setup, read_setup_file
+from noise_model.setup import Setup
+from tracker.state import Frame
 
 RUNNER = CliRunner(env={"COLUMNS": "160", "TERM": "dumb", "NO_COLOR": "1"})
 GAIN, BLACK, READ, SIDE = 50.0, 12.0, 40.0, 64
@@ -96,3 +98,40 @@ def test_a_folder_of_other_things_is_refused_with_an_example(tmp_path: Path, set
     empty.mkdir()
     result = RUNNER.invoke(cli.app, ["calibrate", "sensor", str(empty), "--setup", str(setup_toml)])
     assert "name them like flat_2.5ms_1.png" in str(result.exception)
+
+
+def still_recording(path: Path, setup: Setup) -> Path:
+    """Write a recording of a bright bar that stands still, and a dark frame."""
+    draw = np.random.default_rng(1)
+    y = np.arange(96.0)[:, np.newaxis]
+    # A grain of a pixel, 1 sigma of ln 0.2.
+    field = cv2.GaussianBlur(draw.standard_normal((96, 128)), (0, 0), 1.0) * 2.0 * np.sqrt(np.pi)
+    light = 3500.0 * np.exp(-0.5 * ((y - 48.0) / 6.0) ** 2 + 0.2 * field)
+    with RecordingWriter(path, setup) as writer:
+        for n in range(25):
+            charge = draw.poisson(light * (n > 0)) + draw.normal(0.0, READ, light.shape)
+            image = np.clip(np.rint(BLACK + charge / GAIN), 0, 255).astype(np.uint8)
+            writer.write_frame(Frame(n, 0.1 * n, image, 0.005, 0.0, laser_on=n > 0, arc_on=False))
+            writer.write_pose(0.1 * n, np.eye(4))
+    return path
+
+
+def test_a_still_recording_becomes_its_own_setup(tmp_path: Path) -> None:
+    setup = nominal_setup("v_groove", "mild_steel", width=128, height=96)
+    recording = still_recording(tmp_path / "still", setup)
+    result = RUNNER.invoke(cli.app, ["calibrate", "sensor", str(recording)])
+    assert result.exit_code == 0, result.output
+    sensor = read_setup_file(recording / "recording.toml").setup.sensor
+    record = tomllib.loads((recording / "recording.toml").read_text())["calibration"]["sensor"]
+    sigma = dict(zip(record["parameters"], record["sigma"], strict=True))
+    assert abs(sensor.gain_e_per_dn - GAIN) < 4.0 * sigma["gain_e_per_dn"] < 0.4 * GAIN
+    assert abs(sensor.read_noise_e - READ) < 4.0 * sigma["read_noise_e"]
+    assert record["frames"] == 24
+    assert abs(record["speckle_contrast"] - 0.2) < 4.0 * record["speckle_contrast_sigma"]
+    assert (recording / "recording.toml.1").exists()
+    assert "speckle&#39;s contrast" in (recording / "calibrate_sensor.html").read_text()
+
+
+def test_flat_frames_need_a_setup(flats: Path) -> None:
+    result = RUNNER.invoke(cli.app, ["calibrate", "sensor", str(flats)])
+    assert "flats: holds flat and dark frames: give --setup" in str(result.exception)

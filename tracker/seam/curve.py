@@ -149,16 +149,18 @@ def _posterior(
 ) -> tuple[Float64, Float64]:
     """Return the posterior mean (g,), mm, and covariance (g, g), mm^2, of y or z at stations."""
     middle, bend_mm = _middle(stations_mm), BEND_MM[axis]
-    prior = _prior(stations_mm, stations_mm, middle, bend_mm)
+    prior = prior_covariance(stations_mm, stations_mm, middle, bend_mm)
     if not len(seen_mm):
         return np.zeros(len(stations_mm)), prior
-    seen = _prior(seen_mm, seen_mm, middle, bend_mm) + np.diag(variances_mm2[:, axis] + POINT_SCATTER_MM**2)
-    across = _prior(seen_mm, stations_mm, middle, bend_mm)
+    seen = prior_covariance(seen_mm, seen_mm, middle, bend_mm) + np.diag(
+        variances_mm2[:, axis] + POINT_SCATTER_MM**2
+    )
+    across = prior_covariance(seen_mm, stations_mm, middle, bend_mm)
     gain = cho_solve(cho_factor(seen), across)
     return gain.T @ displacements_mm[:, axis], prior - across.T @ gain
 
 
-def _prior(x_mm: Float64, other_mm: Float64, middle_mm: float, bend_mm: float) -> Float64:
+def prior_covariance(x_mm: Float64, other_mm: Float64, middle_mm: float, bend_mm: float) -> Float64:
     """Return the prior covariance (n, m), mm^2, of the displacements at stations (n,) and (m,)."""
     apart = x_mm[:, None] - other_mm[None, :]
     slope = np.outer(x_mm - middle_mm, other_mm - middle_mm) * PRIOR_SLOPE**2

@@ -63,8 +63,7 @@ def sensor_page(
     fits = result.chi2_is_likely
     sentences = (
         f"{int(kept.is_lit.sum())} exposures below saturation, {kept.n_pixels} pixels each about the "
-        "image's middle; "
-        f"{kept.n_defects} defect pixels are left out.",
+        f"image's middle; {kept.n_defects} defect pixels are left out.",
         f"The full well {well}.",
         f"χ² of means and variances is {result.chi2:.2f} per degree of freedom"
         + (
@@ -84,8 +83,7 @@ def sensor_page(
                 _transfer(result),
                 "photon transfer: variance from frame to frame over the mean",
                 "Points are levels, with 1 σ of a variance of so many pixels; the line is the fit. Shot "
-                "noise alone "
-                "has the slope 1 for gamma 1, and 2 − 1/γ else.",
+                "noise alone has the slope 1 for gamma 1, and 2 − 1/γ else.",
             ),
             Picture(
                 _residuals(result),

@@ -1,0 +1,36 @@
+"""The frames of a recording that show the laser alone under one exposure."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Callable
+
+from arctrack.recording import Recording
+from noise_model.arrays import Integers
+
+
+def read_still_frames(
+    recording: Recording, on_frame: Callable[[int], None]
+) -> tuple[list[Integers], list[str]]:
+    """Return the images (H, W) of the laser alone, of the commonest exposure, and what could not be read.
+
+    `on_frame` hears how many were read.
+    """
+    alone = [n for n, row in enumerate(recording.rows) if row.laser_on and not row.arc_on]
+    exposures = Counter(recording.rows[n].exposure_s for n in alone)
+    wanted = [n for n in alone if recording.rows[n].exposure_s == exposures.most_common(1)[0][0]]
+    images, problems = [], []
+    for done, image in enumerate(recording.images(wanted)):
+        if isinstance(image, str):
+            problems.append(image)
+        else:
+            images.append(image)
+        on_frame(done + 1)
+    # Frames that were cut off or turned are no part of one scene.
+    shape = (recording.setup.camera.height, recording.setup.camera.width)
+    fitting = [image for image in images if image.shape == shape]
+    if len(fitting) < len(images):
+        problems.append(
+            f"{recording.path}: {len(images) - len(fitting)} frames are of another size and left out"
+        )
+    return fitting, problems
