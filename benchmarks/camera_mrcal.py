@@ -14,8 +14,8 @@ import argparse
 import time
 from dataclasses import dataclass
 from importlib import metadata
+from typing import TYPE_CHECKING
 
-import mrcal
 import numpy as np
 from calibrate_camera import board_of, views_of
 from camera_worlds import World, draw_corners, draw_world
@@ -27,6 +27,9 @@ from calibration.camera.projection import Knowledge, rms_sigma
 from calibration.camera.sightings import Sightings
 from calibration.camera.start import first_scene, with_better_poses
 from noise_model.arrays import Float64
+
+if TYPE_CHECKING:
+    import mrcal
 
 MODELS = {"k1 k2 p1 p2": "LENSMODEL_OPENCV4", "k1 k2 p1 p2 k3": "LENSMODEL_OPENCV5"}
 
@@ -44,6 +47,9 @@ class Compared:
 
 def compare(world: World, images: list[Float64]) -> Compared:
     """Return what both make of the same corners."""
+    # Here, so that the command line is read without it.
+    import mrcal
+
     seen = Sightings.of(board_of(world), views_of(images))
     start = first_scene(*world.size, seen)
     names = tuple(world.order.split())
@@ -78,6 +84,8 @@ def compare(world: World, images: list[Float64]) -> Compared:
 
 def optimised(world: World, images: list[Float64], start: Scene) -> tuple[Scene, mrcal.cameramodel]:
     """Return mrcal's scene and its model; it starts at ours, some of its sigmas off."""
+    import mrcal
+
     columns, rows = world.counts
     frames = np.array(
         [[*Rotation.from_matrix(T[:3, :3]).as_rotvec(), *T[:3, 3]] for T in start.T_camera_board]

@@ -227,7 +227,8 @@ def test_two_processes(simulated: Path, tmp_path: Path) -> None:
         replace_in(path / "recording.toml", "[laser]", "[loser]")
     result = run(*paths, "--workers", "2")
     assert result.exit_code == 2
-    assert sorted(result.stderr.splitlines()) == [
+    # A slow machine is told how far it is.
+    assert sorted(line for line in result.stderr.splitlines() if "error" in line) == [
         f"arctrack: error: {path}/recording.toml: {NO_LASER}" for path in paths
     ]
 

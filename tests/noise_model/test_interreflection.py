@@ -403,6 +403,9 @@ def test_bounced_light_is_what_paths_at_random_bring(joint, faces, material, sou
                 compared += 1
             else:
                 assert got[order] < 2.0 * mean + 4.0 * error + 0.02 * brightest[order]
+        # Paths are dear; of both orders there were two then.
+        if compared >= 4:
+            break
     assert compared >= 1 or (joint, source) == ("lap", "laser")
 
 
