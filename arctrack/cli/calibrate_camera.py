@@ -110,6 +110,10 @@ def _orders(distortion: str, tilted: bool, *, is_written: bool) -> tuple[str, ..
         return wanted
     held = tuple(name for name in wanted if can_be_held((*ORDERS[name], *(TILT if tilted else ()))))
     if not held:
-        what = "--tilted" if tilted else f"--distortion {distortion}"
-        raise ArctrackError(f"{what}: [camera] distortion holds k1 k2 p1 p2 k3 alone; leave --setup or it")
+        holds = "[camera] distortion holds k1 k2 p1 p2 k3 alone"
+        if tilted:
+            raise ArctrackError(
+                f"--tilted: {holds}; leave it, they take up a tilt about one side of the image"
+            )
+        raise ArctrackError(f"--distortion {distortion}: {holds}; leave it or --setup")
     return held

@@ -82,7 +82,7 @@ def find_corners(image_dn: Integers, board: Board) -> Corners | None:
     shrink = min(1.0, SEARCHED_PX / max(image_dn.shape))
     for scale in sorted({shrink, 1.0}):
         for picture in _pictures(image_dn, scale):
-            place = _search(picture, board)
+            place = _search(picture, board, is_again=scale > shrink)
             if place is None:
                 continue
             corners, points = place
@@ -110,10 +110,13 @@ def _pictures(image_dn: Integers, scale: float) -> Iterator[UInt8]:
         yield 255 - small
 
 
-def _search(picture: UInt8, board: Board) -> tuple[Int64, Float64] | None:
+def _search(picture: UInt8, board: Board, *, is_again: bool) -> tuple[Int64, Float64] | None:
     if board.kind is Kind.CHARUCO:
         return _search_charuco(picture, board)
     size, flags = (board.columns, board.rows), cv2.CALIB_CB_ADAPTIVE_THRESH | cv2.CALIB_CB_NORMALIZE_IMAGE
+    if is_again:
+        # A large image without a board may hold so much texture that a whole search takes a minute.
+        flags |= cv2.CALIB_CB_FAST_CHECK
     ok, points = cv2.findChessboardCorners(picture, size, flags=flags)
     if not ok:
         return None
