@@ -283,6 +283,7 @@ REFUSED: dict[str, tuple[Spoil, str, str]] = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", REFUSED)
 def test_it_is_refused_without_waiting_and_without_memory(
     name: str, recording: Path, tmp_path: Path, reader: Reader

@@ -39,6 +39,7 @@ def case_from(path: Path) -> Case:
     return case
 
 
+@pytest.mark.slow
 def test_nothing_is_wrong_with_a_sound_recording(weaving: Path) -> None:
     case = case_from(weaving)
     assert case.fit().share > 0.9
@@ -51,12 +52,14 @@ def replayed(path: Path, out: Path) -> tuple[int, str]:
     return result.exit_code, result.output
 
 
+@pytest.mark.slow
 def test_a_replay_ends_with_its_verdict(weaving: Path, tmp_path: Path) -> None:
     code, said = replayed(weaving, tmp_path)
     assert code == 0, said
     assert "v: tracked: 11 of 11 frames with the laser on are valid" in said
 
 
+@pytest.mark.slow
 def test_a_replay_that_sees_nothing_says_what_is_wrong(weaving: Path, tmp_path: Path) -> None:
     path = Path(shutil.copytree(weaving, tmp_path / "r"))
     spoil, hint = MISTAKES["tool z down"]
@@ -67,6 +70,7 @@ def test_a_replay_that_sees_nothing_says_what_is_wrong(weaving: Path, tmp_path: 
     assert (tmp_path / "out" / "results.csv").exists()
 
 
+@pytest.mark.slow
 def test_what_cannot_be_used_comes_before_what_sees_nothing(weaving: Path, tmp_path: Path) -> None:
     path = Path(shutil.copytree(weaving, tmp_path / "r"))
     spoil, hint = MISTAKES["frames transposed"]
@@ -76,6 +80,7 @@ def test_what_cannot_be_used_comes_before_what_sees_nothing(weaving: Path, tmp_p
     assert f"no frame valid: frame_unreadable 11; most likely {hint}" in said
 
 
+@pytest.mark.slow
 def test_a_laser_that_is_never_on(weaving: Path, tmp_path: Path) -> None:
     path = Path(shutil.copytree(weaving, tmp_path / "r"))
     edit_table(path / "frames.csv", lambda row: row.update(laser_on="0"))
@@ -100,6 +105,7 @@ def checked(path: Path, out: Path) -> tuple[int, str]:
     return result.exit_code, f"{result.output}\n{result.exception}"
 
 
+@pytest.mark.slow
 def test_a_sound_recording_is_checked_without_a_warning(weaving: Path, tmp_path: Path) -> None:
     code, said = checked(weaving, tmp_path / "check.png")
     assert code == 0, said

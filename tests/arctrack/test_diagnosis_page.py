@@ -142,6 +142,7 @@ def test_what_comes_nearest_is_said_though_it_is_not_named(seen_setup: Setup) ->
     assert words.how_far(replace(nearer, after_with=())) == nothing
 
 
+@pytest.mark.slow
 def test_no_page_says_that_no_effect_helps_above_one_that_does(
     seen_setup: Setup, recording: Recording
 ) -> None:
@@ -174,6 +175,7 @@ def test_a_seam_that_the_gap_does_not_move_is_not_said_to_be_mended(
     assert words.seam_sentence(unknown, 0.25).endswith("the true error may be larger.")
 
 
+@pytest.mark.slow
 def test_probabilities_of_one_table_are_of_effects_that_exclude_each_other(
     seen_setup: Setup, recording: Recording
 ) -> None:

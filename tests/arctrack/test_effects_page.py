@@ -90,6 +90,7 @@ def test_choices_are_places_that_there_are() -> None:
         assert chosen.laser_on or chosen.arc_on
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "effect_id",
     [pytest.param(name, marks=pytest.mark.slow) if name == "interreflection" else name for name in REGISTRY],
@@ -157,6 +158,7 @@ def test_a_delayed_pose_moves_the_view() -> None:
     assert abs(moved[1]) > 0.1
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("effect_id", ["dirty_window", "defocus", "laser_speckle", "arc_flicker"])
 def test_nothing_is_cut_off(effect_id: str) -> None:
     figure = drawn(effect_id)

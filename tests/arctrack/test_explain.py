@@ -87,6 +87,7 @@ def test_what_is_explained_is_what_the_replay_did(
     assert seams >= 3
 
 
+@pytest.mark.slow
 def test_a_closed_joint_is_shown_where_the_step_has_it(tmp_path: Path) -> None:
     """No gap shows in the stripe: what the profile alone shows is another joint, or none."""
     setup = nominal_setup("butt", "zn_coated", width=320, height=240)
@@ -424,6 +425,7 @@ def test_an_overlay_is_broken_where_nothing_is_known(explained: list[Explanation
     assert path(upright, position) == "M10.5 2.5L10.5 3.5M12.8 6.5"
 
 
+@pytest.mark.slow
 def test_marks_stand_apart(explained: list[Explanation]) -> None:
     found = next(e for e in explained if e.track.valid)
     camera = found.geometry.setup.camera

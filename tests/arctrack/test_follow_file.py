@@ -123,6 +123,7 @@ def plain(simulated: Path, tmp_path_factory: pytest.TempPathFactory) -> list[dic
     return replayed(simulated, tmp_path_factory.mktemp("plain"), "")[0]
 
 
+@pytest.mark.slow
 def test_the_bus_hears_the_corrected_offset(
     simulated: Path, plain: list[dict[str, str]], tmp_path: Path
 ) -> None:

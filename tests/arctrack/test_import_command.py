@@ -287,6 +287,7 @@ def test_what_does_not_fit_together_is_kept_with_a_warning(raw: Path) -> None:
     assert (raw / "out" / "frames.csv").exists()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("name", "line"),
     [

@@ -48,6 +48,7 @@ def test_numbers_are_compared_as_numbers(tmp_path: Path) -> None:
     )
 
 
+@pytest.mark.slow
 @settings(max_examples=20)
 @given(numbers=st.lists(st.integers(0, 10**6), min_size=2, max_size=30, unique=True))
 def test_any_numbers_come_in_their_order(

@@ -75,6 +75,7 @@ def test_its_stripe_is_that_of_any_even_metal(plain: Setup) -> None:
     assert not predict(plain, np.eye(4), laser_off).mean_e.any()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", REGISTRY)
 def test_effects_act_or_say_what_they_need(name: str, plain: Setup) -> None:
     effect = REGISTRY[name]

@@ -39,6 +39,7 @@ def test_the_same_seed_makes_the_same_recording(seen_setup: Setup, tmp_path: Pat
         np.testing.assert_array_equal(a.image_dn, b.image_dn)
 
 
+@pytest.mark.slow
 def test_the_laser_speckles_unless_it_is_told_not_to(seen_setup: Setup, tmp_path: Path) -> None:
     quiet = replace(
         seen_setup,

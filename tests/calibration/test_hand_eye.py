@@ -203,6 +203,7 @@ def test_what_does_not_settle_is_refused(monkeypatch: pytest.MonkeyPatch) -> Non
         estimate_hand_eye(setup, frames(setup, SeamLine(45.0, 0.4, -0.2))[:3])
 
 
+@pytest.mark.slow
 def test_pixels_that_see_another_face_are_told() -> None:
     setup = small_setup()
     problem = problem_of(setup, frames(setup, SeamLine()))

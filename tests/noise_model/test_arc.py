@@ -129,6 +129,7 @@ def test_against_a_plain_grid(material):
     np.testing.assert_allclose(L_r / scale, brute / scale, atol=2e-3)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("material", TABLE_1.values(), ids=TABLE_1)
 def test_more_nodes_change_little(material):
     points, normals, omega_r = random_patches(100, seed=3)
@@ -202,6 +203,7 @@ def test_a_mirror_shows_the_arc_itself_at_any_distance():
         assert reflected_radiance_extended(points, UP[np.newaxis], beside, ARC, SUS304) == 0.0
 
 
+@pytest.mark.slow
 def test_a_mirror_shows_the_solid_angle_of_the_arc():
     # Directions over the hemisphere, weighted with cos(theta), must add up to the irradiance.
     x, w = np.polynomial.legendre.leggauss(400)

@@ -62,6 +62,7 @@ def ray_clearance(p: float, q: float, rays: Rays, metal: Metal) -> float:
     return free
 
 
+@pytest.mark.slow
 @settings(max_examples=200, deadline=None)
 @given(
     distance=st.floats(1.05, 20.0),

@@ -106,6 +106,7 @@ def light_past_bent_edges(joint, P, normal, omega_r, center, material, slope, cu
     return float(np.sum(scenes.f_r(omega_i, omega_r, normal, material) * (omega_i @ normal) * weight))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("bend_mm", [(0.0, -1.9), (0.0, 1.2), (0.03, 0.4), (0.0, 0.0)])
 @pytest.mark.parametrize(("name", "y_mm"), [("lap", 0.5), ("lap", 2.0), ("lap", -2.0), ("corrugation", 1.0)])
 def test_a_bent_edge_hides_the_arc_way_by_way(name, y_mm, bend_mm):

@@ -183,6 +183,7 @@ def test_the_stripe_follows_a_v_groove():
         np.testing.assert_allclose(peak_rows(image, columns), want, atol=0.03)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", scenes.JOINTS)
 @pytest.mark.parametrize("material", ["mild_steel", "zn_coated"])
 def test_the_stripe_pixel_by_pixel(name, material):

@@ -58,6 +58,7 @@ def test_a_cameras_ray_stops_at_the_surface(name, x, y, z, to_x, to_y, to_z):
     check_hit(scenes.JOINTS[name], origin, np.array([to_x, to_y, to_z]) - origin)
 
 
+@pytest.mark.slow
 @slow
 @given(names, stations, sides, st.floats(0.05, 12.0), stations, sides, st.floats(-4.0, 12.0))
 def test_a_ray_along_the_ground_stops_at_the_surface(name, x, y, above, to_x, to_y, to_z):

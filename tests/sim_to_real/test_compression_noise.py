@@ -36,6 +36,7 @@ def jpeg(image, quality):
     )
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("quality", [40, 75, 95])
 def test_the_quality_is_found(quality):
     for kept in (
@@ -47,6 +48,7 @@ def test_the_quality_is_found(quality):
         assert found.quality == pytest.approx(quality, abs=1.0)
 
 
+@pytest.mark.slow
 def test_frames_that_were_never_compressed_show_none():
     for seed in range(3):
         assert find_compression(frames(seed=seed), SENSOR).evidence < 0.0

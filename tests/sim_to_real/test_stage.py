@@ -73,6 +73,7 @@ PLANTED = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("stage", "form"), PLANTED)
 def test_the_stage_of_a_planted_residual_comes_first(stage, form):
     bins = planted()

@@ -179,6 +179,7 @@ def assert_told(track: Track) -> None:
 
 
 # A frame that is none of the camera's is warned of, and tracked over.
+@pytest.mark.slow
 @pytest.mark.filterwarnings(r"ignore:frame 0 (is|has|holds) :UserWarning")
 @settings(max_examples=60, deadline=None, suppress_health_check=[HealthCheck.too_slow])
 @given(st.data())

@@ -127,6 +127,7 @@ def test_a_rim_beside_the_slit_does_not_pull_the_seam_to_its_plate(bench: Bench)
     assert np.mean(np.square(pulls)) < 1.5, pulls
 
 
+@pytest.mark.slow
 def test_a_plate_without_a_seam_shows_no_line(bench: Bench) -> None:
     """Plain, brushed along and across the seam, and with an edge askew to it or a glare in view."""
     told = 0

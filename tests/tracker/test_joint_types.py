@@ -249,6 +249,7 @@ def tack_over(truth: Truth, name: str, rng: np.random.Generator) -> Callable[[Fl
     return height
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", CASES)
 def test_a_tack_weld_gives_no_wrong_seam_unflagged(name: str) -> None:
     joint, draw = CASES[name]

@@ -329,6 +329,7 @@ def test_the_frame_is_not_written_to(v: Setup) -> None:
 # A seam that moves or hides.
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("arc", [0.0, 1.0])
 @pytest.mark.parametrize("gamma", [0.7, 1.0, 1.35, 2.0])
 def test_a_bent_response_is_as_good_as_a_straight_one(v: Setup, gamma: float, arc: float) -> None:
@@ -447,6 +448,7 @@ def test_the_recordings_of_another_renderer_are_tracked(name: str) -> None:
     assert largest <= 0.25
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("off_share", [1.0, 0.5, 0.0])
 @pytest.mark.parametrize("joint", ["v_groove", "lap"])
 def test_a_stated_glow_stays_in_the_background_where_the_arc_is_off(joint: str, off_share: float) -> None:
