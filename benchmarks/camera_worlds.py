@@ -88,7 +88,20 @@ def project(lens: dict[str, float], points: Float64) -> Float64:
     radial = (1.0 + r2 * (k[0] + r2 * (k[1] + r2 * k[2]))) / (1.0 + r2 * (k[3] + r2 * (k[4] + r2 * k[5])))
     u = x * radial + 2.0 * p1 * x * y + p2 * (r2 + 2.0 * x * x)
     v = y * radial + p1 * (r2 + 2.0 * y * y) + 2.0 * p2 * x * y
+    if "tau_x" in lens:
+        u, v = tilted(u, v, lens["tau_x"], lens["tau_y"])
     return np.column_stack([lens["fx"] * u + lens["cx"], lens["fy"] * v + lens["cy"]])
+
+
+def tilted(u: Float64, v: Float64, tau_x: float, tau_y: float) -> tuple[Float64, Float64]:
+    """Return where a tilted sensor sees what a straight one sees: OpenCV's tilted model, angles in rad."""
+    cx, sx, cy, sy = np.cos(tau_x), np.sin(tau_x), np.cos(tau_y), np.sin(tau_y)
+    R = np.array([[cy, 0.0, -sy], [0.0, 1.0, 0.0], [sy, 0.0, cy]]) @ np.array(
+        [[1.0, 0.0, 0.0], [0.0, cx, sx], [0.0, -sx, cx]]
+    )
+    shifted = np.array([[R[2, 2], 0.0, -R[0, 2]], [0.0, R[2, 2], -R[1, 2]], [0.0, 0.0, 1.0]]) @ R
+    x, y, w = shifted @ np.stack([u, v, np.ones_like(u)])
+    return x / w, y / w
 
 
 def folds(lens: dict[str, float], far: float) -> bool:

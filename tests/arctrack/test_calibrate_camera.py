@@ -11,6 +11,8 @@ from typer.testing import CliRunner, Result
 from arctrack import cli
 from arctrack.recording.setup_file import read_setup_file
 
+pytestmark = pytest.mark.slow
+
 RUNNER = CliRunner(env={"COLUMNS": "120", "TERM": "dumb", "NO_COLOR": "1"})
 EXAMPLES = Path(__file__).parents[2] / "examples"
 PINHOLE = {"fx": 1000.0, "fy": 1003.0, "cx": 410.0, "cy": 290.0}
@@ -43,7 +45,6 @@ def boards(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
-@pytest.mark.slow
 def test_boards_become_a_setup_and_what_is_none_is_named(boards: Path, tmp_path: Path) -> None:
     setup = tmp_path / "recording.toml"
     setup.write_text((EXAMPLES / "v_groove" / "recording.toml").read_text() + "# mine\n")
@@ -73,7 +74,6 @@ def test_boards_become_a_setup_and_what_is_none_is_named(boards: Path, tmp_path:
     assert 'src="data:image' in page
 
 
-@pytest.mark.slow
 def test_boards_that_do_not_tell_the_focal_length_are_refused(tmp_path: Path) -> None:
     for n in range(6):
         held = Held((0.35 + 0.06 * n, 0.5), 150.0 + 12.0 * n, about_z_deg=15.0 * n)

@@ -9,6 +9,8 @@ from calibration.boards.board import Board
 from calibration.boards.detect import Corners, find_corners
 from noise_model.arrays import Float64, UInt8
 
+pytestmark = pytest.mark.slow
+
 CHARUCO = Board.parse("charuco:8x6:10mm:7mm:5X5_100")
 SIZE = (480, 360)
 CHESS = BOARD

@@ -16,6 +16,8 @@ from calibration.camera.noise import moderated
 from calibration.camera.projection import Knowledge
 from calibration.camera.sightings import Sightings, View
 
+pytestmark = pytest.mark.slow
+
 
 @pytest.fixture(scope="module")
 def found() -> CameraCalibration:

@@ -52,7 +52,7 @@ def coverage(result: CameraCalibration, sample: Integers | None) -> Figure:
             extent=(-0.5, sample.shape[1] - 0.5, sample.shape[0] - 0.5, -0.5),
         )
     for part in result.seen.slices:
-        axes.plot(*result.seen.points_px[part].T, ".", markersize=3, alpha=0.9)
+        axes.plot(*result.seen.points_px[part].T, ".", markersize=3, alpha=0.9, rasterized=True)
     for wrong in result.wrong:
         axes.plot(*wrong.point_px, "x", color=style.VERMILLION, markersize=8, markeredgewidth=2)
     if result.next_board is not None:
