@@ -66,7 +66,7 @@ KEYS = (
         "fx",
         "Focal length across the image, px.",
         Source.CALIBRATION,
-        "cv2.calibrateCamera, with a checkerboard. Check: focal_length_mm over the pixel's size in mm, "
+        "`arctrack calibrate camera`, with a chessboard. Check: focal_length_mm over the pixel's size in mm, "
         "some 10 % more when focused near by.",
         "1000 to 6000",
     ),
@@ -83,7 +83,7 @@ KEYS = (
         "cx",
         "Where the optical axis meets the image, px; the first pixel's centre is 0.",
         Source.CALIBRATION,
-        "cv2.calibrateCamera. Check: near (width - 1) / 2.",
+        "`arctrack calibrate camera`. Check: near (width - 1) / 2.",
         "0.4 to 0.6 of the width",
     ),
     Key(
@@ -99,7 +99,7 @@ KEYS = (
         "distortion",
         "The lens' distortion, OpenCV's k1 k2 p1 p2 k3.",
         Source.CALIBRATION,
-        "cv2.calibrateCamera returns the five. All 0 for a lens that has none.",
+        "`arctrack calibrate camera` chooses among the five. All 0 for a lens that has none.",
         "k1 -0.3 to 0.3",
     ),
     Key(

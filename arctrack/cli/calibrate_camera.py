@@ -68,8 +68,9 @@ def camera(
     stated = None if setup is None else read_setup(setup)
     target = None if stated is None else out or stated.path
     shown = report or (Path(REPORT) if target is None else target.with_name(REPORT))
-    for path in filter(None, (target, shown)):
-        check_can_be_replaced(path)
+    if target is not None:
+        check_can_be_replaced(target)
+    check_can_be_replaced(shown, "--report")
     orders = _orders(distortion, tilted, is_written=target is not None)
     with interruptible("the calibration was", "nothing was written"), console.progress() as bar:
         looking = bar.add_task("looking for the board", total=None, unit="images")
@@ -93,7 +94,8 @@ def camera(
     write_page(shown, result, images)
     console.say(f"{shown}: the pictures")
     if result.model_error is not None:
-        raise ArctrackError(f"{sources[0]}: {result.model_error}; {shown} shows it, and no setup is written")
+        richer = "" if distortion == AUTOMATIC else "; leave --distortion, which may be too lean"
+        raise ArctrackError(f"{sources[0]}: {result.model_error}{richer}. No setup is written; see {shown}")
     if stated is not None and target is not None:
         write_calibrated(target, stated.path, calibrated_camera(result))
 

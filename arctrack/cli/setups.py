@@ -39,11 +39,11 @@ def check_can_be_written(out: Path, setup: Path, data: Path | None = None) -> No
     check_can_be_replaced(out)
 
 
-def check_can_be_replaced(out: Path) -> None:
+def check_can_be_replaced(out: Path, option: str = "--out") -> None:
     """Raise ArctrackError if a file that may be there already, and is kept if it is, cannot be written."""
-    _check_is_a_files_name(out)
+    _check_is_a_files_name(out, option)
     if not (out.parent.is_dir() and os.access(out.parent, os.W_OK)):
-        raise ArctrackError(f"{out.parent}: nothing can be written there; give --out another place")
+        raise ArctrackError(f"{out.parent}: nothing can be written there; give {option} another place")
 
 
 def write_calibrated(out: Path, setup: Path, *results: Calibrated) -> None:
@@ -60,10 +60,10 @@ def write_calibrated(out: Path, setup: Path, *results: Calibrated) -> None:
     console.say(f"{out}: the setup with the values found{before}")
 
 
-def _check_is_a_files_name(out: Path) -> None:
+def _check_is_a_files_name(out: Path, option: str = "--out") -> None:
     """Raise ArctrackError for a folder, and for a FIFO or a device that would keep the writer waiting."""
     from arctrack.recording.files import kind_of
 
     kind = kind_of(out.stat().st_mode) if out.exists() else None
     if kind is not None:
-        raise ArctrackError(f"{out}: is a {kind}; give --out a file's name")
+        raise ArctrackError(f"{out}: is a {kind}; give {option} a file's name")

@@ -37,7 +37,8 @@ def check_count(views: int, left_out: int) -> None:
     if views < LEAST_VIEWS:
         others = f" ({left_out} left out)" if left_out else ""
         raise UndeterminedError(
-            f"{views} images show the board{others}: {LEAST_VIEWS} at least are needed, and 15 are good; "
+            f"{views} image{'s show' if views != 1 else ' shows'} the board{others}: {LEAST_VIEWS} at least "
+            "are needed, and 15 are good; "
             "take more, the board leaning another way and elsewhere in the image in each"
         )
 
