@@ -25,7 +25,7 @@ from tracker.arc.level import MAP_SIGMA, ArcLevel
 from tracker.arc.transmission import Transmission
 from tracker.geometry import SensorGeometry
 from tracker.joint import MeasuredJoint, fit_joint
-from tracker.measure import Reading, expected_output, profile_of, shows_arc
+from tracker.measure import SEARCH_REACH_MM, Reading, expected_output, profile_of, shows_arc
 from tracker.profile import Profile
 from tracker.seam.locate import locate, sources
 from tracker.state import Frame, Pose, Track
@@ -182,6 +182,7 @@ def _look(
         work,
         use_arc_map,
         before.scatter,
+        reading.reach_mm >= SEARCH_REACH_MM,
     )
     profile = profile_of(geometry, scene, frame, expected, stripe, reading.reach_mm)
     look = replace(look, stripe=StripeLook(stripe, refusals(stripe, expected), sigma_parts(stripe, expected)))

@@ -123,7 +123,17 @@ def measure(
         return reading
 
     look = read_stripe(
-        geometry, arc_map, transmission, arc, frame, expected, reach_px, work, use_arc_map, scatter
+        geometry,
+        arc_map,
+        transmission,
+        arc,
+        frame,
+        expected,
+        reach_px,
+        work,
+        use_arc_map,
+        scatter,
+        reach_mm >= SEARCH_REACH_MM,
     )
     reading = replace(reading, stripe=look.stripe)
     if not _is_stripe(asked, geometry, expected, look):

@@ -76,11 +76,12 @@ FIT_ROUNDS = 5
 MIN_PIECE_SIGMAS = 2.0
 """A piece in which the line stands out less does not show it."""
 
-MIN_DARK_SIGMAS, MIN_DARK_SHARE = 4.0, 0.2
-"""A slit that is darker by less is not told from the plates: the rim stands for it.
+MIN_DARK_SIGMAS = 4.0
+"""A slit that is darker by less is not told from the plates: the rim stands for it."""
 
-Nor is one that is darker by less than this share of what the rim is brighter: texture is as dark.
-"""
+DARK_SHARES = 0.2, 0.6
+"""What is darker by less than the first share of what the rim is brighter is the plate's texture, by more
+than the second it is the slit; between them it may be either."""
 
 MIN_COLUMNS_SHARE = 0.5
 """A line that leaves the image within more of its columns is not summed."""
@@ -343,12 +344,7 @@ def _crossing(sums: _Sums, slope: int, line: int) -> tuple[float, float] | None:
         return None
     section = sums.along[slope, line - half : line + half + 1]
     x = np.arange(-half, half + 1)
-    # A gap is dark. A rim that shines is one plate's, beside it.
-    energy = np.where(np.abs(x) <= 2.0 * sums.width, np.minimum(section, 0.0) ** 2, 0.0)
-    if energy.max() < max(MIN_DARK_SIGMAS, MIN_DARK_SHARE * float(section.max())) ** 2:
-        energy = np.where(np.abs(x) <= 2.0 * sums.width, np.maximum(section, 0.0) ** 2, 0.0)
-    middle = float(energy @ x / energy.sum())
-    own_width = math.sqrt(float(energy @ (x - middle) ** 2 / energy.sum()))
+    middle, own_variance = _middle(section[np.abs(x) <= 2.0 * sums.width])
     told = [
         piece
         for columns in np.array_split(np.arange(len(sums.offsets_px)), N_PIECES)
@@ -370,8 +366,26 @@ def _crossing(sums: _Sums, slope: int, line: int) -> tuple[float, float] | None:
         off = (shift - design @ p) / sigma
         scale = max(1.0, MAD_SIGMA * float(np.median(np.abs(off))))
         weights = np.maximum(1.0 - (off / (BISQUARE_WIDTH * scale)) ** 2, 0.0) ** 2
-    variance = scale**2 * float(np.linalg.inv(H)[0, 0]) + own_width**2
+    variance = scale**2 * float(np.linalg.inv(H)[0, 0]) + own_variance
     return line + float(p[0]) + middle, math.sqrt(variance)
+
+
+def _middle(section: Float64) -> tuple[float, float]:
+    """Return where the seam lies in a line's section (n,), lines from its middle, and its variance.
+
+    A gap is dark. A rim that shines is one plate's, beside it: it stands for a slit that is not seen.
+    """
+    x = np.arange(len(section)) - len(section) // 2
+    dark, bright = np.maximum(-section, 0.0), np.maximum(section, 0.0)
+    low, high = (share * float(bright.max()) for share in DARK_SHARES)
+    places = []
+    if dark.max() >= max(MIN_DARK_SIGMAS, low):
+        places.append(dark**2 / np.sum(dark**2))
+    if not places or dark.max() < high:
+        places.append(bright**2 / np.sum(bright**2))
+    share = np.mean(places, axis=0)
+    middle = float(share @ x)
+    return middle, float(share @ (x - middle) ** 2)
 
 
 def _piece(

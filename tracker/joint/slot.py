@@ -28,7 +28,7 @@ from tracker.joint.measured import (
 from tracker.joint.section_shapes import SHEETS
 from tracker.profile import Profile
 from tracker.state import JointShape, Pair
-from tracker.stripe.edge import clear_of_an_edge, stripe_end
+from tracker.stripe.edge import WINDOW_SIGMAS, clear_of_an_edge, stripe_end
 
 PRIOR_SIGMA = np.array([5.0, 0.5, 0.03, 0.03])
 """1 sigma of the left plate's height, the step to the right one (mm), both plates' slopes."""
@@ -305,7 +305,7 @@ class _Lines:
         self._leave_out_hidden()
 
     def _leave_out_hidden(self) -> None:
-        """Let lines say nothing whose pixels are saturated where the plates' stripe would run."""
+        """Let lines say nothing that hold saturated pixels where the plates' stripe would be read."""
         plates = np.flatnonzero(self.sees > 0.0)
         if self.light is None or not len(plates):
             return
@@ -317,7 +317,7 @@ class _Lines:
                 continue
             low = self.light.lows[scan // self.light.cell]
             path_px = np.interp(line, plates, self.light.position_px[scans]) - low
-            half_px = np.interp(line, plates, width_px)
+            half_px = WINDOW_SIGMAS * np.interp(line, plates, width_px)
             near = slice(max(math.floor(path_px - half_px), 0), max(math.ceil(path_px + half_px) + 1, 0))
             if self.light.censored[scan, near].any():
                 self.sees[line] = HIDDEN

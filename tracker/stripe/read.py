@@ -136,10 +136,12 @@ def read_stripe(
     work: Work,
     use_arc_map: bool,
     scatter: Scatter,
+    is_searching: bool,
 ) -> StripeReading:
     """Find the stripe within `reach_px` of its expected place and fit its centre in every scan line.
 
-    `scatter` is what earlier frames show of it; this frame's is added before it is used.
+    `scatter` is what earlier frames show of it; this frame's is added before it is used. `is_searching` says
+    whether the joint may lie far off its expected place.
     """
     half = math.ceil(reach_px + FIT_SIGMAS * float(expected.sigma_px.max()))
     lows, depth = place(expected.position_px, geometry.n_pos, half)
@@ -168,12 +170,16 @@ def read_stripe(
     base_sigma = math.hypot(black_sigma, arc.ambient_e)
     offsets = np.arange(-math.floor(reach_px), math.floor(reach_px) + 1, OFFSET_STEP)
     noise = shot, dark_variance, map_sigma, base_sigma
-    score, start, fits, saturated, seen = _fit_band(band, expected, lows, offsets, noise, scatter)
+    score, start, fits, saturated, seen = _fit_band(
+        band, expected, lows, offsets, noise, scatter, is_searching
+    )
     learned = scatter
     if not scatter.frames:
         # Of the first frame what it shows itself is all that is known.
         learned = scatter.with_frame(seen)
-        score, start, fits, saturated, seen = _fit_band(band, expected, lows, offsets, noise, learned)
+        score, start, fits, saturated, seen = _fit_band(
+            band, expected, lows, offsets, noise, learned, is_searching
+        )
     plain, second_share = band.background, 0.0
     for _ in range(MAX_ROUNDS):
         share, apart_px = second_place(band.charge, plain, band.censored, fits, lows)
@@ -187,7 +193,9 @@ def read_stripe(
             second_light(band.charge, plain, band.censored, fits, lows, share, apart_px, light)
             band.background += light
         second_share = share
-        score, start, fits, saturated, seen = _fit_band(band, expected, lows, offsets, noise, learned)
+        score, start, fits, saturated, seen = _fit_band(
+            band, expected, lows, offsets, noise, learned, is_searching
+        )
     scatter = scatter.with_frame(seen)
     sigma, together = scatter.widened(own_sigma(fits, expected.sigma_px))
     smooth, smooth_sigma = smooth_stripe(fits[:, 0], sigma, together)
@@ -222,6 +230,7 @@ def _fit_band(
     offsets: Int64,
     noise: tuple[float, float, float, float],
     learned: Scatter,
+    is_searching: bool,
 ) -> tuple[Float32, Float64, Float64, Bool, FrameScatter]:
     """Return a band's score (n_scan, n_offsets), path's start (n_scan,), fits (n_scan, 7), saturated lines.
 
@@ -272,7 +281,7 @@ def _fit_band(
         band.charge, band.background, band.censored, fits, lows, CELL, shot, dark_variance
     )
     own = own_sigma(fits, width_px)
-    seen = frame_scatter(fits, expected.position_px, expected.sigma_px, own, speckle)
+    seen = frame_scatter(fits, expected.position_px, expected.sigma_px, own, speckle, is_searching)
     # The limit is that of what is known: a frame without a stripe would widen it for itself.
     odd = np.abs(np.log(fits[:, 3] / width_px)) > learned.width_limit_ln
     fits[odd], saturated[odd] = np.nan, False

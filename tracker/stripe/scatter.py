@@ -41,11 +41,12 @@ MIN_SEEN_SHARE = 0.75
 MIN_DIFFERENCES = 8
 """Fewer lines tell nothing."""
 
-MIN_PER_LAG, MIN_MEANS = 32, 36
+MIN_PER_LAG, MIN_MEANS, MIN_MEANS_SEARCHING = 32, 36, 72
 """So many differences tell something, for each line of a lag and of means.
 
 A joint off its expected place has four corners, each of which spoils two of the first and three of the
-second; a median bears a third.
+second. A third of spoilt differences triples the variance that their median says. While the joint
+is still searched that would hide it: a sixth costs a half.
 """
 
 CORE_SIGMAS = 1.5
@@ -194,16 +195,25 @@ def _averaged(before: Float64, seen: Float64, weight: float) -> Float64:
 
 
 def frame_scatter(
-    fits: Float64, expected_px: Float64, width_px: Float64, sigma_px: Float64, speckle: float
+    fits: Float64,
+    expected_px: Float64,
+    width_px: Float64,
+    sigma_px: Float64,
+    speckle: float,
+    is_searching: bool,
 ) -> FrameScatter:
     """Return what one frame shows of its scatter.
 
     `fits` (n, 7) are `fit_lines`', NaN where there is no stripe, `expected_px` the places and `width_px` the
     widths that the setup gives, `sigma_px` (n,) the lines' own 1 sigma; `speckle` is the square of the
-    pixels' contrast, as `speckle_squared` has it.
+    pixels' contrast, as `speckle_squared` has it; `is_searching` says whether the joint may be far off its
+    expected place.
     """
     by_lag, by_length = np.empty(len(LAGS)), np.empty(len(LENGTHS))
-    brightness = differences(fits[:, 0], expected_px, sigma_px, fits[:, 2], LAGS, LENGTHS, by_lag, by_length)
+    min_means = MIN_MEANS_SEARCHING if is_searching else MIN_MEANS
+    brightness = differences(
+        fits[:, 0], expected_px, sigma_px, fits[:, 2], LAGS, LENGTHS, min_means, by_lag, by_length
+    )
     ln_width = np.log(fits[:, 3] / width_px)
     known = ln_width[np.isfinite(ln_width)]
     middle, variance = math.nan, math.nan
@@ -290,10 +300,13 @@ def differences(
     amplitude_e: Float64,
     lags: Int64,
     lengths: Int64,
+    min_means: int,
     by_lag: Float64,
     by_length: Float64,
 ) -> float:
     """Write the variances by second differences, by lag and of means, less the lines' own, px^2.
+
+    Fewer than `min_means` differences of means tell nothing.
 
     Returns the square of the amplitudes' contrast, the largest by lag; NaN for none.
     """
@@ -328,5 +341,5 @@ def differences(
             is_mean = seen >= MIN_SEEN_SHARE * length
             means[b] = total / seen if is_mean else math.nan
             own[b] = variance / seen if is_mean else math.nan
-        by_length[k] = length * _variance_of(means, 1, MIN_MEANS) - _own_variance_of(own, 1)
+        by_length[k] = length * _variance_of(means, 1, min_means) - _own_variance_of(own, 1)
     return float(contrast_squared)
