@@ -178,6 +178,7 @@ def check_no_circle(room: str) -> None:
     parts.prepare()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("room", MAY_IMPORT)
 def test_folders_import_only_what_the_table_allows_and_never_in_a_circle(room: str) -> None:
     assert set(FOLDERS_MAY_IMPORT[room]) == {path.parent.name for path in (ROOT / room).glob("*/__init__.py")}
@@ -201,6 +202,7 @@ def test_the_order_of_folders_is_enforced(tmp_path: Path, monkeypatch: pytest.Mo
         check_no_circle("tracker")
 
 
+@pytest.mark.slow
 def test_no_function_is_longer_than_a_hundred_lines() -> None:
     long = [
         f"{file.relative_to(ROOT)}:{node.lineno} {node.name}"
@@ -243,6 +245,7 @@ def names_that_say_nothing(source: str) -> list[str]:
     return [f"{line} {name}" for line, name in sorted(wrong)]
 
 
+@pytest.mark.slow
 def test_names_say_what_they_hold() -> None:
     wrong = [
         f"{file.relative_to(ROOT)}:{name}"

@@ -24,6 +24,7 @@ def test_a_disk_that_is_full(
     assert error == f"{tmp_path}/results.csv: No space left on device"
 
 
+@pytest.mark.slow
 def test_a_full_disk_of_one_recording_does_not_stop_the_others(
     recording: Path, tmp_path: Path, refusal: Refusal
 ) -> None:

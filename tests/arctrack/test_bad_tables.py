@@ -132,6 +132,7 @@ BAD: dict[str, tuple[Spoil, str, str]] = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", BAD)
 @pytest.mark.parametrize("command", ["replay", "inspect"])
 def test_it_is_one_line_with_the_place(

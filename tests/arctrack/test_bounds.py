@@ -339,6 +339,7 @@ def test_a_file_that_grows_while_it_is_read(tmp_path: Path) -> None:
         open_file(Path("a\0b"), 9)
 
 
+@pytest.mark.slow
 def test_lines_end_as_they_may_and_a_mark_is_no_text(tmp_path: Path) -> None:
     path = tmp_path / "file"
     path.write_bytes(b"\xef\xbb\xbfa\r\nb\rc\n")

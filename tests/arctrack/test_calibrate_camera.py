@@ -83,6 +83,7 @@ def test_boards_that_do_not_tell_the_focal_length_are_refused(tmp_path: Path) ->
     assert "parallel to the sensor" in str(result.exception)
 
 
+@pytest.mark.slow
 def test_a_wrong_count_of_corners_is_hinted_at(boards: Path, tmp_path: Path) -> None:
     shutil.copy(boards / "board_0.png", tmp_path)
     result = calibrate(tmp_path, "--board", "chessboard:8x7:10mm")

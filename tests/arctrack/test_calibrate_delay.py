@@ -31,6 +31,7 @@ def test_the_example_has_no_delay_within_its_sigma(scratch: Path, shared: Path) 
     assert "beyond the tracker&#39;s own sigmas" in page
 
 
+@pytest.mark.slow
 def test_what_is_not_known_is_not_written(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     known = PoseDelay(
         0.01,

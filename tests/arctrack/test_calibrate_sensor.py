@@ -47,6 +47,7 @@ def flats(tmp_path: Path) -> Path:
     return folder
 
 
+@pytest.mark.slow
 def test_a_folder_of_frames_becomes_a_setup_and_a_page(flats: Path, setup_toml: Path, tmp_path: Path) -> None:
     before = setup_toml.read_text()
     result = RUNNER.invoke(cli.app, ["calibrate", "sensor", str(flats), "--setup", str(setup_toml)])

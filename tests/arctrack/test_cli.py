@@ -123,6 +123,7 @@ def test_a_picture_has_the_name_that_is_said(simulated: Path, tmp_path: Path) ->
     assert sorted(path.name for path in tmp_path.iterdir()) == ["seen", "seen.pdf", "seen.png"]
 
 
+@pytest.mark.slow
 def test_a_recording_that_fails_does_not_stop_the_others(simulated: Path, tmp_path: Path) -> None:
     bad = Path(shutil.copytree(simulated, tmp_path / "bad"))
     (bad / "truth.csv").write_text("frame,seam_x_mm,seam_y_mm,seam_z_mm\n0,1,2\n")

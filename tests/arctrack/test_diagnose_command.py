@@ -186,6 +186,7 @@ def test_one_that_fails_does_not_stop_the_others(found: Found, simulated: Path, 
     assert f"b: report in {tmp_path}/out/b/report.html" in result.stdout
 
 
+@pytest.mark.slow
 def test_frames_that_cannot_be_read_are_left_out(found: Found, recording: Path) -> None:
     with (recording / "frames.csv").open("a") as file:
         file.write("14,1.4,1,1,100,0.005\n")

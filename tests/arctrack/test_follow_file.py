@@ -153,6 +153,7 @@ def test_without_an_axis_nothing_is_corrected(simulated: Path, tmp_path: Path) -
     assert "no_axis_enabled" in summary["offsets"]["reasons"]
 
 
+@pytest.mark.slow
 def test_following_that_has_stopped_is_refused_at_once_and_disarms(
     simulated: Path, plain: list[dict[str, str]], tmp_path: Path
 ) -> None:

@@ -265,6 +265,7 @@ def test_the_sites_of_a_colour_are_taken_as_they_are(bayer: Bayer) -> None:
         assert taken.shape == (keys["height"], keys["width"])
 
 
+@pytest.mark.slow
 @settings(max_examples=20)
 @given(x=st.floats(-0.2, 0.2), y=st.floats(-0.15, 0.15))
 @pytest.mark.parametrize("bayer", Bayer)

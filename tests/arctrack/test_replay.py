@@ -78,6 +78,7 @@ def test_what_is_in_the_results_went_over_the_bus(simulated: Path, tmp_path: Pat
     assert any(row["offset_y_mm"] for row in results_of(tmp_path))
 
 
+@pytest.mark.slow
 def test_a_second_replay_gives_the_same_numbers(simulated: Path, tmp_path: Path) -> None:
     def without_wall_time(folder: Path) -> list[dict[str, str]]:
         replay_recording(read_recording(simulated), folder, QUICK)
@@ -86,6 +87,7 @@ def test_a_second_replay_gives_the_same_numbers(simulated: Path, tmp_path: Path)
     assert without_wall_time(tmp_path / "a") == without_wall_time(tmp_path / "b")
 
 
+@pytest.mark.slow
 def test_the_truth_never_reaches_the_tracker(simulated: Path, tmp_path: Path) -> None:
     shutil.copytree(simulated, tmp_path / "r")
     (tmp_path / "r" / "truth.csv").unlink()
@@ -96,6 +98,7 @@ def test_the_truth_never_reaches_the_tracker(simulated: Path, tmp_path: Path) ->
     assert "error_mm" not in json.loads((tmp_path / "blind" / "summary.json").read_text())
 
 
+@pytest.mark.slow
 def test_without_the_arc_map_it_runs_as_well(simulated: Path, tmp_path: Path) -> None:
     recording = read_recording(simulated)
     done = replay_recording(recording, tmp_path, replace(QUICK, use_arc_map=False))

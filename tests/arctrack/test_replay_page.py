@@ -279,6 +279,7 @@ def test_it_fits_narrow_windows(page: Page) -> None:
     page.resize(1280, 900)
 
 
+@pytest.mark.slow
 @needs_browser
 def test_a_click_into_a_chart_moves_there(page: Page) -> None:
     page.click("#chart_seam_y")

@@ -96,6 +96,7 @@ def test_markers_tell_all_corners_apart_also_inverted() -> None:
         assert np.linalg.norm(corners.points_px - seen_at(CHARUCO), axis=1).max() < 0.4
 
 
+@pytest.mark.slow
 def test_no_board_is_found_where_there_is_none() -> None:
     noise = np.random.default_rng(1).integers(0, 255, (SIZE[1], SIZE[0]), dtype=np.uint8)
     assert find_corners(noise, CHESS) is None

@@ -28,6 +28,7 @@ def truth(found: CameraCalibration) -> list[float]:
     return [*(LENS[name] for name in found.scene.lens.names), *WARP_MM]
 
 
+@pytest.mark.slow
 def test_lens_and_warp_are_within_their_sigmas(found: CameraCalibration) -> None:
     values = [*found.scene.lens.values, *found.scene.warp_mm]
     z = (np.array(values) - truth(found)) / found.sigma
@@ -81,6 +82,7 @@ def test_normal_equations_are_those_of_finite_differences(found: CameraCalibrati
     assert np.abs(H @ solved - right).max() < 1e-3 * np.abs(H * solved).max()
 
 
+@pytest.mark.slow
 def test_sigma_of_the_projection_is_the_scatter_over_repeats() -> None:
     """Repeated calibrations see a point as far apart as stated, once the boards bring them together."""
     start = find_lens(BOARD, views(sigma_px=0.0), SIZE, orders=["k1 k2"]).scene
@@ -141,6 +143,7 @@ def test_variances_lean_on_each_other_as_far_as_they_scatter() -> None:
     assert prior_dof == pytest.approx(8.0, rel=0.35)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("held", "why"),
     [
@@ -161,6 +164,7 @@ def test_images_that_do_not_determine_the_lens_are_refused(held: tuple[Held, ...
         find_lens(BOARD, views(held, sigma_px=0.05), SIZE, orders=["none"])
 
 
+@pytest.mark.slow
 def test_halves_contradict_each_other_where_the_model_is_wrong(found: CameraCalibration) -> None:
     assert found.ratio_of_halves < MOST_RATIO
     lean = calibrate_camera(BOARD, views(sigma_px=0.02), SIZE, orders=["none"])

@@ -15,6 +15,7 @@ def settings(*rows: tuple[float, float, float], source: float = 1.0) -> Settings
     return Settings(theta_i, theta_r, phi_r, np.full(len(rows), source))
 
 
+@pytest.mark.slow
 @given(st.floats(0.2, 3.0), st.floats(0.0, 1.0), st.floats(0.0, 60.0))
 def test_the_response_comes_back(gamma: float, light: float, black_dn: float) -> None:
     response = Response(gamma, black_dn, 255.0)

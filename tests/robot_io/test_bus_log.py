@@ -162,6 +162,7 @@ time.sleep(600.0)
 """
 
 
+@pytest.mark.slow
 def test_a_killed_process_leaves_the_time_of_day(tmp_path):
     path = tmp_path / "bus.blf"
     with subprocess.Popen([sys.executable, "-c", BEGUN, str(path)], stdout=subprocess.PIPE) as process:

@@ -42,6 +42,7 @@ def test_codes_beyond_the_sensors_bits_are_its_last_one() -> None:
     np.testing.assert_array_equal(censored[0], [False, True, True, True])
 
 
+@pytest.mark.slow
 @settings(deadline=None, max_examples=20)
 @given(seeds, st.integers(0, 12))
 def test_the_running_median_is_its_twin(seed: int, half: int) -> None:

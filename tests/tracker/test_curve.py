@@ -39,6 +39,7 @@ def test_a_seam_that_was_never_seen_is_the_nominal_one_give_or_take():
     assert np.abs(curve.modes_mm[0]).max() > 1.0
 
 
+@pytest.mark.slow
 def test_stretches_are_tangents_and_more_where_it_turns():
     straight = tracked(lambda station: 0.1)
     bent = tracked(lambda station: 2e-3 * (station - 45.0) ** 2)

@@ -182,6 +182,7 @@ def test_the_torch_follows_the_measured_stretch_while_the_sensor_is_blind(
     assert found[11].flag_names == ("stripe_lost", "searched", "offset_extrapolated")
 
 
+@pytest.mark.slow
 def test_a_lost_seam_is_held(v: Setup, lost: list[tuple[Frame, Pose]]) -> None:
     found = tracks(v, HOLD, iter(lost[:13]))
     assert "offset_held" in found[11].flag_names

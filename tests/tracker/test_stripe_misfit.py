@@ -111,6 +111,7 @@ def stretch(error_e: Float64, rng: np.random.Generator) -> tuple[float, float]:
     return float(np.mean(fits[:, 0]) - at), float(np.median(misfit_sigma_px(odd, fits, 1.0)))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("covariance", "length_px"), [("smooth", 10.0), ("matern", 10.0), ("matern", 30.0), ("rough", 30.0)]
 )
@@ -140,6 +141,7 @@ def test_a_profile_that_is_no_bell_but_even_adds_little() -> None:
     assert np.abs(off).max() < 0.15
 
 
+@pytest.mark.slow
 def test_a_joint_whose_centres_are_off_together_says_so() -> None:
     """The covariance with shared errors is honest against drawn ones, a running sum against dense algebra."""
     rng = np.random.default_rng(SEED)
