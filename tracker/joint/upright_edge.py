@@ -8,6 +8,8 @@ from __future__ import annotations
 import math
 from typing import NamedTuple
 
+import numpy as np
+
 from noise_model.arrays import Bool, Float64
 from noise_model.kernel import kernel
 from tracker.profile import Profile
@@ -56,7 +58,9 @@ def edge_between(profile: Profile, before: int, behind: int, hidden_mm: float) -
     spread_mm = max(abs(first_mm - last_mm), profile.column_mm)
     middle_mm, variance_mm2 = 0.5 * (last_mm + first_mm), spread_mm**2 / 12.0
     anywhere = Edge(middle_mm, variance_mm2)
-    if profile.light is None:
+    if profile.light is None or _is_hidden(
+        profile.light, int(profile.scan[before]), int(profile.scan[behind])
+    ):
         return anywhere
     ends = stripe_ends(profile.light, int(profile.scan[before]), int(profile.scan[behind]))
     places, variances = [], []
@@ -77,6 +81,13 @@ def edge_between(profile: Profile, before: int, behind: int, hidden_mm: float) -
     alike = _likeness(profile.light, int(profile.scan[before]), int(profile.scan[behind]))
     both = 1.0 + alike if len(places) == 2 else 1.0
     return Edge(edge_mm, both / information + 0.25 * max(apart_mm2, 0.0))
+
+
+def _is_hidden(light: StripeLight, last: int, first: int) -> bool:
+    """Say whether a line between two hides its stripe under saturated pixels, a glint's."""
+    between = slice(min(last, first) + 1, max(last, first))
+    is_unread = np.isnan(light.position_px[between])
+    return bool(light.censored[between][is_unread].any())
 
 
 def _likeness(light: StripeLight, last: int, first: int) -> float:

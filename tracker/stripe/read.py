@@ -34,6 +34,10 @@ MEDIAN_HALF_PX = 30
 MEDIAN_SIGMA = 1.0
 """Without an arc map: half the running median's length, and its background's relative 1 sigma (anything)."""
 
+REACH_SIGMAS, BRIGHTER_IS_FIRST_NATS = 3.0, 2.2
+"""A search reaches so many sigmas of the seam's place; of two stripes the brighter is the first nine times of
+ten."""
+
 MAX_ROUNDS = 3
 """So many times at most the stripe is read again without a second one's light."""
 
@@ -180,7 +184,7 @@ def read_stripe(
         score, start, fits, saturated, seen = _fit_band(
             band, expected, lows, offsets, noise, learned, is_searching
         )
-    plain, second_share = band.background, 0.0
+    plain, second_share, apart_px = band.background, 0.0, 0.0
     for _ in range(MAX_ROUNDS):
         share, apart_px = second_place(band.charge, plain, band.censored, fits, lows)
         if share == second_share == 0.0:
@@ -196,6 +200,13 @@ def read_stripe(
         score, start, fits, saturated, seen = _fit_band(
             band, expected, lows, offsets, noise, learned, is_searching
         )
+    if is_searching and second_share > 0.0:
+        near = _near_the_weaker(fits[:, 0] - expected.position_px, apart_px, offsets, reach_px)
+        if near is not None:
+            band.background[:], offsets = plain, near
+            score, start, fits, saturated, seen = _fit_band(
+                band, expected, lows, offsets, noise, learned, is_searching
+            )
     scatter = scatter.with_frame(seen)
     sigma, together = scatter.widened(own_sigma(fits, expected.sigma_px))
     smooth, smooth_sigma = smooth_stripe(fits[:, 0], sigma, together)
@@ -221,6 +232,20 @@ def read_stripe(
         learned,
         misfit_sigma_px(odd, fits, alike),
     )
+
+
+def _near_the_weaker(off_px: Float64, apart_px: float, offsets_px: Int64, reach_px: float) -> Int64 | None:
+    """Return the offsets about the weaker of two stripes, None if the brighter one is the likelier stripe.
+
+    The brighter one lies `off_px` (n_scan,) off its expected place, the weaker one `apart_px` from it. A
+    reflection is seldom the brighter, and a seam that is searched seldom at the end of its reach.
+    """
+    brighter_px = float(np.nanmedian(off_px))
+    weaker_px, sigma_px = brighter_px + apart_px, reach_px / REACH_SIGMAS
+    if brighter_px**2 - weaker_px**2 < 2.0 * sigma_px**2 * BRIGHTER_IS_FIRST_NATS:
+        return None
+    near = offsets_px[np.abs(offsets_px - weaker_px) < 0.5 * abs(apart_px)]
+    return near if len(near) else None
 
 
 def _fit_band(
