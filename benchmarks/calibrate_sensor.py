@@ -152,7 +152,6 @@ def least_sigmas(world: World) -> dict[str, float]:
     levels = len(world.exposures)
     information[6:, 6:] += (np.eye(levels) - 1.0 / levels) / world.light_error**2
     covariance = np.linalg.inv(information)
-    covariance[1, 1] += 0.0
     sigma = dict(zip([k for k in names if k != "full_well_e"], np.sqrt(np.diag(covariance)[:6]), strict=True))
     swing = world.top - world.black
     row = np.zeros(len(x))
@@ -171,7 +170,7 @@ def judge(worlds: int, seed: int) -> None:
     ratio: dict[str, list[tuple[float, float]]] = {}
     inside: dict[str, list[bool]] = {}
     refused: list[str] = []
-    chi2 = []
+    chi2, lines = [], []
     for number in range(worlds):
         draw = np.random.default_rng([seed, number])
         world = draw_world(draw)
@@ -185,6 +184,8 @@ def judge(worlds: int, seed: int) -> None:
             continue
         bound = least_sigmas(world)
         chi2.append(result.chi2)
+        line = result["linearity_rel"]
+        lines.append(((line.value / world.light_error) ** 2, line.low <= world.light_error <= line.high))
         for name, true in world.truth.items():
             estimate = result[name]
             off.setdefault(name, []).append((estimate.value - true) / estimate.sigma)
@@ -193,6 +194,11 @@ def judge(worlds: int, seed: int) -> None:
             )
             inside.setdefault(name, []).append(estimate.low <= true <= estimate.high)
     report(off, ratio, inside)
+    squares, hit = np.array(lines).T
+    print(
+        f"linearity_rel    its square over the true one {np.mean(squares):.2f} ± "
+        f"{np.std(squares) / math.sqrt(len(squares)):.2f}  covered {100.0 * np.mean(hit):5.1f} %"
+    )
     print(f"{len(chi2)} worlds calibrated, {len(refused)} refused; chi2 per freedom {np.mean(chi2):.2f}")
     for line in refused:
         print(line)

@@ -120,6 +120,7 @@ def judge(worlds: int, seed: int) -> None:
     """Print bias, coverage and error over the bound of each value."""
     z: dict[str, list[float]] = {}
     ratio: dict[str, list[float]] = {}
+    inside: dict[str, list[bool]] = {}
     refused = []
     for number in range(worlds):
         draw = np.random.default_rng([seed, number])
@@ -132,22 +133,24 @@ def judge(worlds: int, seed: int) -> None:
             refused.append(f"world {number}: {error}")
             continue
         pairs = {name: (e.value, e.sigma) for name, e in result.estimates.items()}
+        half = dict.fromkeys(pairs, norm.isf(0.025))
         if result.speckle is not None:
             pairs["contrast"] = result.speckle.contrast, result.speckle.contrast_sigma
             pairs["grain_px"] = result.speckle.grain_px, result.speckle.grain_sigma_px
+            half |= dict.fromkeys(("contrast", "grain_px"), result.speckle.half_width)
         bound = least_sigmas(world, light)
         for name, (value, sigma) in pairs.items():
             error = value - world.truth[name]
             z.setdefault(name, []).append(error / sigma)
+            inside.setdefault(name, []).append(abs(error) < half[name] * sigma)
             if name in bound:
                 ratio.setdefault(name, []).append(error / bound[name])
     print(f"bias in standard errors (Bonferroni's limit {norm.isf(0.5 * 0.0027 / len(z)):.1f})")
     for name, off in z.items():
-        inside = 100.0 * np.mean(np.abs(off) < norm.isf(0.025))
         over = f"{math.sqrt(np.mean(np.square(ratio[name]))):.2f}" if name in ratio else "-"
         print(
             f"{name:16} {len(off)} worlds, bias {np.mean(off) / np.std(off) * math.sqrt(len(off)):+5.2f} "
-            f"({np.mean(off):+.2f} sigma)  covered {inside:5.1f} %  error/bound {over}"
+            f"({np.mean(off):+.2f} sigma)  covered {100.0 * np.mean(inside[name]):5.1f} %  error/bound {over}"
         )
     print(f"{len(refused)} refused")
     for line in refused:

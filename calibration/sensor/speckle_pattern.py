@@ -17,7 +17,8 @@ import numpy as np
 from scipy.ndimage import gaussian_filter1d, map_coordinates
 
 from calibration.sensor.still_frames import StillStatistics
-from noise_model.arrays import Float64
+from noise_model.arrays import Bool, Float64
+from noise_model.fit import student_t
 
 MIN_LINES = 64
 """So many lines of an unbroken stripe tell its speckle."""
@@ -28,11 +29,20 @@ CORE_SIGMAS = 1.0
 SMOOTH_LINES = 24.0
 """The stripe's path, width and brightness change over more lines than this, 1 sigma of the smoothing."""
 
+PATH_LINES, NEARBY_LINES = 2.0 * SMOOTH_LINES, 4.0
+"""The path is smoother than what is taken off along it: it must not follow the speckle."""
+
+MAX_OFF_PATH, MAX_OFF_SHARE = 0.5, 0.05
+"""Lines further off a smooth path, in sigmas of the stripe; with a larger share of them it has corners."""
+
 LEVEL_LINES = 4.0 * SMOOTH_LINES
 """The stripe's level is smoother still: what is taken off twice would be counted once."""
 
-MAX_SATURATED_SHARE = 0.003
+MAX_SATURATED_SHARE = 3e-3
 """With more of the core saturated the brightest speckles are missing, and the contrast would be too low."""
+
+MIN_RATIO = 0.05
+"""Pixels darker than this share of the smooth stripe are noise."""
 
 MAX_LINES = 640
 """So many lines at most are looked at for what a smooth stripe leaves."""
@@ -64,24 +74,30 @@ class SpecklePattern:
     n_lines: int
     n_columns: int
 
+    @property
+    def half_width(self) -> float:
+        """Half of a 95 % interval, in sigmas: Student's, of the jackknife's blocks."""
+        return student_t(0.95, N_BLOCKS - 1.0)
+
 
 def fit_speckle_pattern(seen: StillStatistics) -> SpecklePattern | None:
     """Return the speckle of a still stripe, None where there is too little of the stripe."""
     straight = _straightened(seen)
     if straight is None:
         return None
-    remainder, noise = straight
+    remainder, noise, is_level = straight
     along = remainder[1:] * remainder[:-1]
+    # Lines between which the path steps to another column are no neighbours along it.
+    remainder, noise, along = remainder[:-1][is_level], noise[:-1][is_level], along[is_level]
     across = remainder[:, 1:] * remainder[:, :-1]
-    # The last line has no neighbour behind it.
     parts = np.stack(
         [
-            (remainder[:-1] ** 2 - noise[:-1]).mean(axis=1),
-            0.5 * (along.mean(axis=1) + across[:-1].mean(axis=1)),
+            (remainder**2 - noise).mean(axis=1),
+            0.5 * (along.mean(axis=1) + across.mean(axis=1)),
         ]
     )
     blocks = np.array_split(parts, N_BLOCKS, axis=1)
-    kept = _Kept.along(len(remainder))
+    kept = _Kept.along(len(is_level) + 1)
     whole = kept.contrast_and_grain(parts.mean(axis=1))
     without = [
         kept.contrast_and_grain(
@@ -94,8 +110,15 @@ def fit_speckle_pattern(seen: StillStatistics) -> SpecklePattern | None:
         return None
     spread = np.array(told) - np.mean(told, axis=0)
     sigma = np.sqrt((N_BLOCKS - 1) / N_BLOCKS * np.sum(spread**2, axis=0))
+    # The jackknife's own correction of a bias that falls as one over the lines.
+    contrast, grain = N_BLOCKS * np.array(whole) - (N_BLOCKS - 1) * np.mean(told, axis=0)
     return SpecklePattern(
-        whole[0], float(sigma[0]), whole[1], float(sigma[1]), remainder.shape[0], remainder.shape[1]
+        float(contrast),
+        float(sigma[0]),
+        float(grain),
+        float(sigma[1]),
+        remainder.shape[0],
+        remainder.shape[1],
     )
 
 
@@ -138,7 +161,7 @@ class _Kept:
         return math.sqrt(math.expm1(whole)), math.exp(ln_grain)
 
 
-def _straightened(seen: StillStatistics) -> tuple[Float64, Float64] | None:
+def _straightened(seen: StillStatistics) -> tuple[Float64, Float64, Bool] | None:
     """Return the logarithm's remainder and its noise's variance (n, m) in the stripe's core, or None."""
     light = seen.image_dn - seen.black_dn
     noise = seen.noise_dn2 / seen.n_frames
@@ -161,14 +184,14 @@ def _straightened(seen: StillStatistics) -> tuple[Float64, Float64] | None:
     off = columns - centre[:, np.newaxis]
     bell = np.exp(-0.5 * (off / width[:, np.newaxis]) ** 2)
     level = gaussian_filter1d((core * bell).sum(axis=1) / (bell**2).sum(axis=1), LEVEL_LINES)
-    ratio = np.where(ok, core, np.nan) / (level[:, np.newaxis] * bell)
-    if np.isnan(ratio).mean() > MAX_SATURATED_SHARE or level.min() <= 0.0:
+    if (~ok).mean() > MAX_SATURATED_SHARE or level.min() <= 0.0:
         return None
-    ratio = np.where(np.isfinite(ratio), np.maximum(ratio, 0.05), 1.0)
+    # A few saturated pixels stand for at least what they read.
+    ratio = np.maximum(core / (level[:, np.newaxis] * bell), MIN_RATIO)
     relative = noise[rows, columns] / (level[:, np.newaxis] * bell * ratio) ** 2
     remainder = np.log(ratio)
     remainder -= gaussian_filter1d(remainder, SMOOTH_LINES, axis=0)
-    return remainder, np.asarray(relative)
+    return remainder, np.asarray(relative), np.diff(columns[:, 0]) == 0
 
 
 def _path(light: Float64, noise: Float64, usable: np.ndarray) -> tuple[int, int, Float64, Float64] | None:
@@ -196,11 +219,18 @@ def _path(light: Float64, noise: Float64, usable: np.ndarray) -> tuple[int, int,
     for _ in range(3):
         window = np.exp(-0.5 * ((places - centre[:, np.newaxis]) / (1.5 * sigma)) ** 2)
         weight = part * window
-        total = gaussian_filter1d(weight.sum(axis=1), SMOOTH_LINES, mode="nearest")
-        moved = gaussian_filter1d(
-            (weight * (places - centre[:, np.newaxis])).sum(axis=1), SMOOTH_LINES, mode="nearest"
-        )
-        centre = centre + moved / total * (1.0 + 1.0 / 1.5**2)
+        total = weight.sum(axis=1)
+        moved = (weight * (places - centre[:, np.newaxis])).sum(axis=1) * (1.0 + 1.0 / 1.5**2)
+        # All of the path is smoothed each time: steps that are smoothed alone would follow the speckle.
+        pulled = gaussian_filter1d(total * centre + moved, PATH_LINES, mode="nearest")
+        centre = pulled / gaussian_filter1d(total, PATH_LINES, mode="nearest")
+    nearby = gaussian_filter1d(total, NEARBY_LINES)
+    off = (
+        gaussian_filter1d((part * window * (places - centre[:, np.newaxis])).sum(axis=1), NEARBY_LINES)
+        / nearby
+    )
+    if float(np.mean(np.abs(off) > MAX_OFF_PATH * sigma)) > MAX_OFF_SHARE:
+        return None
     return first, last, centre, np.full(last - first, sigma)
 
 

@@ -35,6 +35,9 @@ MIN_BRIGHT_SIGMAS = 4.0
 CLEAR_OF_READ_NOISE = 6.0
 """With a gamma, bins whose charge is less than so many read noises are left out."""
 
+MAX_HIDDEN_DN = 0.4
+"""Read noise that rounding hides is anything from 0 to this (EMVA Standard 1288, section 6)."""
+
 MIN_VARIANCE_DN2 = 0.25
 """Bins that scatter less are left out: below half a code rounding is no twelfth."""
 
@@ -53,9 +56,9 @@ class StillCalibration:
     """What still frames say of the sensor and of the speckle.
 
     `covariance` (3, 3) is that of `KEYS`. `fitted_dn2` (b,) are the bins' variances as fitted, `shake_px` and
-    `flicker_rel` the 1 sigma of what shakes and boils. `limits` are the lowest black, DN, and read noise, e-,
-    that light of the hall would leave; `unlike_rel` is by how much bins lie off the model beyond chance.
-    `speckle` is None where the stripe shows too little of it.
+    `flicker_rel` the 1 sigma of what shakes and boils. `unlike_rel` is by how much bins lie off the model
+    beyond chance, `is_read_noise_hidden` whether rounding hides the read noise. `speckle` is None where the
+    stripe shows too little of it.
     """
 
     estimates: dict[str, Estimate]
@@ -66,6 +69,7 @@ class StillCalibration:
     shake_px: float
     flicker_rel: float
     unlike_rel: float
+    is_read_noise_hidden: bool
     speckle: SpecklePattern | None
 
     def __getitem__(self, name: str) -> Estimate:
@@ -78,11 +82,6 @@ def calibrate_still(frames_dn: Sequence[Integers], stated: Sensor) -> StillCalib
     brightest = max((int(frame.max()) for frame in frames_dn), default=0)
     top = float(saturation_dn(stated) if brightest <= saturation_dn(stated) else stated.max_dn)
     seen = still_statistics(frames_dn, top)
-    if math.sqrt(seen.dark_variance_dn2) < MIN_DARK_SIGMA_DN:
-        raise ValueError(
-            f"dark pixels scatter by {math.sqrt(seen.dark_variance_dn2):.2f} DN, less than "
-            f"{MIN_DARK_SIGMA_DN}: rounding hides the noise; record with more bits, or with a higher gain"
-        )
     shapes = _shapes(seen, stated.gamma, top)
     x, C, fitted, unlike = _weighted_fit(shapes, seen, _counts(seen, stated, top))
     inverse_gain, sigma = float(x[0]), math.sqrt(C[0, 0])
@@ -95,11 +94,16 @@ def calibrate_still(frames_dn: Sequence[Integers], stated: Sensor) -> StillCalib
     black, dark = seen.black_dn, seen.dark_variance_dn2 - 1.0 / 12.0
     read, slopes = _read_noise(seen, gain, top, stated)
     dark_sigma = math.hypot(seen.dark_sigma_dn2, _rounding_dn2(dark), unlike * seen.dark_variance_dn2)
+    is_hidden = math.sqrt(seen.dark_variance_dn2) < MIN_DARK_SIGMA_DN
+    if is_hidden:
+        read, slopes, dark_sigma = 0.5 * MAX_HIDDEN_DN * gain, [0.5 * MAX_HIDDEN_DN, 0.0, gain], 0.0
     # Gain, black and the dark variance are hardly correlated: black and gain tie in the curve's foot alone.
     gain_sigma = gain**2 * sigma
     J = np.array([[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], slopes])
     own = np.diag([gain_sigma**2, seen.black_sigma_dn**2, dark_sigma**2])
     covariance = J @ own @ J.T
+    if is_hidden:
+        covariance[2, 2] += (MAX_HIDDEN_DN * gain) ** 2 / 12.0
     half = student_t(0.95, math.inf)
     estimates = {
         name: Estimate(value, s, value - half * s, value + half * s, unit)
@@ -121,6 +125,7 @@ def calibrate_still(frames_dn: Sequence[Integers], stated: Sensor) -> StillCalib
         math.sqrt(max(float(x[-2]), 0.0)),
         math.sqrt(max(float(x[-1]), 0.0)),
         unlike,
+        is_hidden,
         fit_speckle_pattern(seen),
     )
 

@@ -117,6 +117,7 @@ def still_recording(path: Path, setup: Setup) -> Path:
     return path
 
 
+@pytest.mark.slow
 def test_a_still_recording_becomes_its_own_setup(tmp_path: Path) -> None:
     setup = nominal_setup("v_groove", "mild_steel", width=128, height=96)
     recording = still_recording(tmp_path / "still", setup)

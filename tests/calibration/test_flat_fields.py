@@ -37,6 +37,7 @@ def sigmas_off(result: SensorCalibration, sensor: DrawnSensor) -> dict[str, floa
     return {name: (result[name].value - value) / result[name].sigma for name, value in true.items()}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("gamma", [1.0, 0.5])
 def test_a_sensor_is_found_within_its_sigmas(gamma: float) -> None:
     sensor = DrawnSensor(gamma=gamma)
@@ -50,6 +51,7 @@ def test_a_sensor_is_found_within_its_sigmas(gamma: float) -> None:
     assert result.chi2_is_likely
 
 
+@pytest.mark.slow
 def test_a_gamma_that_is_known_makes_the_gain_sharper() -> None:
     sensor = DrawnSensor()
     levels = levels_of(sensor)
@@ -59,6 +61,7 @@ def test_a_gamma_that_is_known_makes_the_gain_sharper() -> None:
     assert abs(held["gain_e_per_dn"].value - sensor.gain) < 3.5 * held["gain_e_per_dn"].sigma
 
 
+@pytest.mark.slow
 def test_defect_pixels_are_left_out_and_counted() -> None:
     sensor = DrawnSensor()
     draw = np.random.default_rng(1)

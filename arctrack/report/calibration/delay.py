@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+from matplotlib.ticker import FormatStrFormatter
 
 from arctrack.recording import Recording
 from arctrack.report import style
@@ -19,7 +20,6 @@ HALF = 1.96
 
 def delay_page(result: PoseDelay, recording: Recording) -> CalibrationPage:
     """Return what the page holds."""
-    is_known = result.unestimated is None
     value, sigma = with_sigma(1e3 * result.delay_s, 1e3 * result.sigma_s)
     low, high = (
         with_sigma(1e3 * (result.delay_s + sign * HALF * result.sigma_s), 1e3 * result.sigma_s)[0]
@@ -27,7 +27,10 @@ def delay_page(result: PoseDelay, recording: Recording) -> CalibrationPage:
     )
     count = len(result.observations.timestamps_s)
     stated_s = recording.setup.effects.get("pose_delay", {}).get("delay_s", 0.0)
+    is_known = result.unestimated is None
+    why = () if result.unestimated is None else (f"{result.unestimated[0].upper()}{result.unestimated[1:]}.",)
     sentences = (
+        *why,
         "A frame's pose is the one that the controller stamps this much after the frame's own time. The "
         f"setup stated {1e3 * stated_s:g} ms.",
         f"{count} frames show the seam. Across it and in height their points move by "
@@ -36,7 +39,7 @@ def delay_page(result: PoseDelay, recording: Recording) -> CalibrationPage:
     return CalibrationPage(
         f"arctrack calibrates the delay of {recording.name}",
         "pose delay" if is_known else "unestimated",
-        f"{value} ± {sigma} ms" if is_known else f"The delay is unestimated: {result.unestimated}.",
+        f"{value} ± {sigma} ms" if is_known else "The delay is unestimated",
         sentences,
         (Row("delay of the poses' clock", "delay_s", value, sigma, f"{low} to {high}", "ms"),)
         if is_known
@@ -72,7 +75,7 @@ def _seam(result: PoseDelay, recording: Recording) -> str:
         style.plain(axes, "station [mm]", "mm", title)
         for delay_s, colour, marker, name in (
             (stated, style.GREY, "x", "as stated"),
-            (result.delay_s, style.BLUE, ".", "as estimated"),
+            (result.delay_s, style.BLUE, ".", "as estimated" if result.unestimated is None else "likeliest"),
         ):
             stations, seen = result.observations.in_joint(with_delay(recording.setup, delay_s))
             axes.plot(
@@ -96,8 +99,9 @@ def _likelihood(result: PoseDelay) -> str:
         axes.axvspan(*ends, color=style.VERMILLION, alpha=0.3, lw=0, label="95 %")
         axes.legend(fontsize=8)
     axes.axvline(1e3 * result.delay_s, color=style.VERMILLION, linewidth=0.9)
-    axes.set_yscale("symlog", linthresh=LINEAR_NATS)
-    axes.set_ylim(
-        1.2 * float(np.min(result.ln_likelihood, where=np.isfinite(result.ln_likelihood), initial=-1.0)), 2.0
-    )
+    lowest = float(np.min(result.ln_likelihood, where=np.isfinite(result.ln_likelihood), initial=-1.0))
+    if lowest < -LINEAR_NATS:
+        axes.set_yscale("symlog", linthresh=LINEAR_NATS)
+    axes.set_ylim(1.2 * lowest, 2.0)
+    axes.yaxis.set_major_formatter(FormatStrFormatter("%g"))
     return svg(figure)

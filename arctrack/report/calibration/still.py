@@ -15,9 +15,6 @@ from calibration.sensor.still import StillCalibration
 
 WORDS = {"gain_e_per_dn": "gain", "black_level_dn": "black level", "read_noise_e": "read noise"}
 
-HALF = 1.96
-"""Half of a 95 % interval, in sigmas."""
-
 LARGE_UNLIKE = 0.1
 """With bins that much off the model, relative, the gain is not to be relied upon: the page is orange."""
 
@@ -32,7 +29,8 @@ def still_page(result: StillCalibration, source: str, warnings: Sequence[str]) -
             ("speckle's contrast", speckle.contrast, speckle.contrast_sigma, ""),
             ("speckle's grain", speckle.grain_px, speckle.grain_sigma_px, "px"),
         ):
-            estimate = Estimate(value, sigma, value - HALF * sigma, value + HALF * sigma, unit)
+            half = speckle.half_width * sigma
+            estimate = Estimate(value, sigma, value - half, value + half, unit)
             rows.append(_row(what, "", estimate))
     is_fine = result.unlike_rel < LARGE_UNLIKE
     headline, within = with_sigma(gain.value, gain.sigma)
@@ -44,6 +42,10 @@ def still_page(result: StillCalibration, source: str, warnings: Sequence[str]) -
         "Black is the level of the darkest pixels. If light of the hall falls there, black lies lower and "
         "the read noise is smaller.",
     ]
+    if result.is_read_noise_hidden:
+        sentences.append(
+            "Rounding hides the read noise: it is anything from 0 to 0.4 DN, and the middle is given."
+        )
     if not is_fine:
         sentences.append(
             f"Variances lie {100.0 * result.unlike_rel:.0f} % off any line of the photon transfer: "
