@@ -329,6 +329,7 @@ def test_a_nominal_camera_that_is_too_large(tmp_path: Path, refusal: Refusal) ->
     assert error == "width, height: 20000 x 20000 px: a side has 16384 px at most"
 
 
+@pytest.mark.slow
 def test_a_file_that_grows_while_it_is_read(tmp_path: Path) -> None:
     path = tmp_path / "file"
     path.write_bytes(bytes(10))

@@ -143,6 +143,7 @@ def test_a_recording_that_fails_does_not_stop_the_others(simulated: Path, tmp_pa
     assert "14" in result.stdout
 
 
+@pytest.mark.slow
 def test_a_recordings_setup_is_not_written_over(simulated: Path, tmp_path: Path) -> None:
     path = Path(shutil.copytree(simulated, tmp_path / "r"))
     own = path / "recording.toml"

@@ -169,6 +169,7 @@ def test_a_robot_that_talks_between_two_frames_is_heard_to_the_end(
     assert len(list(BusLogReader(log))) == next(sent)
 
 
+@pytest.mark.slow
 def test_the_bus_is_joined_when_all_is_compiled(
     simulated: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

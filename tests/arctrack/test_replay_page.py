@@ -269,6 +269,7 @@ def test_it_goes_by_keys(page: Page) -> None:
     assert page.value("location.hash") == "#frame=13&explain"
 
 
+@pytest.mark.slow
 @needs_browser
 def test_it_fits_narrow_windows(page: Page) -> None:
     for width in (1280, 800):

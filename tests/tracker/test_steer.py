@@ -191,6 +191,7 @@ def test_a_lost_seam_is_held(v: Setup, lost: list[tuple[Frame, Pose]]) -> None:
     assert found[12].flag_names == ("stripe_lost", "searched", "offset_unknown", "offset_held")
 
 
+@pytest.mark.slow
 def test_following_that_has_stopped_stays_so(v: Setup, lost: list[tuple[Frame, Pose]]) -> None:
     found = tracks(v, STOP, iter(lost))
     assert [("follow_stopped" in track.flag_names) for track in found] == [n >= 11 for n in range(20)]
