@@ -6,7 +6,7 @@ Random cameras see a bent board; the corners scatter. In the first table the kin
 the second one it is chosen. z is an error over its stated sigma. Its mean over worlds is 0 but for chance:
 beside it stands how many standard errors it is off, and the most that chance allows with Bonferroni's
 correction. 95 % and 68 % are how often the truth lies within. The Cramer-Rao bound is that of the true noise.
---tilts fits the five coefficients that a setup holds to exact corners of tilted sensors, and nothing else.
+--tilts fits five coefficients without a tilt to exact corners of tilted sensors, and nothing else.
 """
 
 from __future__ import annotations

@@ -7,11 +7,9 @@ import numpy as np
 from arctrack.recording import Calibrated
 from calibration.camera.calibrate import CameraCalibration
 from calibration.camera.lens import OPENCV
+from noise_model.instrument.camera import COEFFICIENTS
 
 MADE_BY = "arctrack calibrate camera"
-
-HELD = 5
-"""Coefficients of `[camera] distortion`: k1 k2 p1 p2 k3."""
 
 
 def calibrated_camera(result: CameraCalibration) -> Calibrated:
@@ -20,7 +18,7 @@ def calibrated_camera(result: CameraCalibration) -> Calibrated:
     Parameters
     ----------
     result : CameraCalibration
-        The calibration; its distortion has none but the coefficients that `[camera]` holds.
+        The calibration.
 
     Returns
     -------
@@ -29,6 +27,8 @@ def calibrated_camera(result: CameraCalibration) -> Calibrated:
     """
     lens = result.scene.lens
     n = len(lens.names)
+    used = max((OPENCV.index(name) + 1 for name in lens.names[4:]), default=0)
+    count = next(count for count in COEFFICIENTS if count >= used)
     fx, fy, cx, cy = (float(f"{value:.9g}") for value in lens.values[:4])
     return Calibrated(
         "camera",
@@ -39,7 +39,7 @@ def calibrated_camera(result: CameraCalibration) -> Calibrated:
             "fy": fy,
             "cx": cx,
             "cy": cy,
-            "distortion": [float(f"{value:.9g}") for value in lens.distortion[:HELD]],
+            "distortion": [float(f"{value:.9g}") for value in lens.distortion[:count]],
         },
         lens.names,
         result.covariance[:n, :n],
@@ -52,8 +52,3 @@ def calibrated_camera(result: CameraCalibration) -> Calibrated:
             "corner_sigma_px": float(f"{np.mean(result.noise.sigma_px):.4g}"),
         },
     )
-
-
-def can_be_held(names: tuple[str, ...]) -> bool:
-    """Return whether `[camera] distortion` has a place for all of these coefficients."""
-    return set(names) <= set(OPENCV[:HELD])

@@ -71,7 +71,7 @@ def camera(
     if target is not None:
         check_can_be_replaced(target)
     check_can_be_replaced(shown, "--report")
-    orders = _orders(distortion, tilted, is_written=target is not None)
+    orders = _orders(distortion)
     with interruptible("the calibration was", "nothing was written"), console.progress() as bar:
         looking = bar.add_task("looking for the board", total=None, unit="images")
         images = read_boards(sources, pattern, lambda n, total: bar.update(looking, completed=n, total=total))
@@ -100,22 +100,12 @@ def camera(
         write_calibrated(target, stated.path, calibrated_camera(result))
 
 
-def _orders(distortion: str, tilted: bool, *, is_written: bool) -> tuple[str, ...]:
-    """Return the distortions to choose from; ArctrackError for one that is none, or for no setup."""
-    from arctrack.calibration_files.camera import can_be_held
-    from calibration.camera.lens import ORDERS, TILT
+def _orders(distortion: str) -> tuple[str, ...]:
+    """Return the distortions to choose from; ArctrackError for one that is none."""
+    from calibration.camera.lens import ORDERS
 
-    if distortion != AUTOMATIC and distortion not in ORDERS:
+    if distortion == AUTOMATIC:
+        return tuple(ORDERS)
+    if distortion not in ORDERS:
         raise ArctrackError(f"--distortion {distortion}: must be {AUTOMATIC}, {', '.join(ORDERS)}")
-    wanted = tuple(ORDERS) if distortion == AUTOMATIC else (distortion,)
-    if not is_written:
-        return wanted
-    held = tuple(name for name in wanted if can_be_held((*ORDERS[name], *(TILT if tilted else ()))))
-    if not held:
-        holds = "[camera] distortion holds k1 k2 p1 p2 k3 alone"
-        if tilted:
-            raise ArctrackError(
-                f"--tilted: {holds}; leave it, they take up a tilt about one side of the image"
-            )
-        raise ArctrackError(f"--distortion {distortion}: {holds}; leave it or --setup")
-    return held
+    return (distortion,)

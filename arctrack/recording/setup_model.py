@@ -15,7 +15,7 @@ from arctrack.recording.key_errors import held, meant_by, place
 from noise_model.arc_source import NO_ARC, Arc
 from noise_model.arrays import Float64
 from noise_model.effects import REGISTRY, checked
-from noise_model.instrument.camera import Camera
+from noise_model.instrument.camera import COEFFICIENTS, Camera
 from noise_model.instrument.laser import Laser
 from noise_model.instrument.sensor import Sensor
 from noise_model.instrument.spectrum import CurveError, Filter, FilterCurve
@@ -48,7 +48,7 @@ PointInTool = Annotated[list[InTool], Field(min_length=3, max_length=3)]
 PointInBase = Annotated[list[InBase], Field(min_length=3, max_length=3)]
 Vector3 = Annotated[list[Number], Field(min_length=3, max_length=3)]
 Vector4 = Annotated[list[Number], Field(min_length=4, max_length=4)]
-Distortions = Annotated[list[Distortion], Field(min_length=5, max_length=5)]
+Distortions = Annotated[list[Distortion], Field(min_length=min(COEFFICIENTS), max_length=max(COEFFICIENTS))]
 
 
 class Table(BaseModel):

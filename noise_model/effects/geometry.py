@@ -41,8 +41,8 @@ def _surface_tilt(setup: Setup, values: Values) -> Setup:
 
 
 def _lens_distortion(setup: Setup, values: Values) -> Setup:
-    k1, k2, p1, p2, k3 = setup.camera.distortion
-    changed = (k1 + values["k1"], k2 + values["k2"], p1 + values["p1"], p2 + values["p2"], k3)
+    k1, k2, p1, p2, *more = setup.camera.distortion
+    changed = (k1 + values["k1"], k2 + values["k2"], p1 + values["p1"], p2 + values["p2"], *more)
     return replace(setup, camera=replace(setup.camera, distortion=changed))
 
 

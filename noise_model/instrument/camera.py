@@ -17,6 +17,9 @@ NARROW_PX = 0.65
 """Below this 1 sigma a Gaussian sampled at the pixel centres is narrower than it should be."""
 
 
+COEFFICIENTS = (5, 8, 14)
+"""How many of OpenCV's coefficients of distortion a camera may state."""
+
 MONOCHROME = ("mono", "gray", "grey")
 """How the name of a pixel format begins that has no colour: the one thing that is asked of it."""
 
@@ -35,8 +38,8 @@ class Camera:
         The principal point, px.
     T_tool_camera : array (4, 4)
         The camera's pose: it takes points of the camera frame to the tool frame, mm.
-    distortion : tuple (5,)
-        OpenCV's k1, k2, p1, p2, k3.
+    distortion : tuple (5,), (8,) or (14,)
+        OpenCV's k1, k2, p1, p2, k3; then k4, k5, k6; then s1 to s4 and the sensor's tilts, rad.
     focal_length_mm : float
         The lens' focal length, mm.
     f_number : float
@@ -76,8 +79,10 @@ class Camera:
                 raise ValueError(f"[camera] {name} = {getattr(self, name)}: must be > 0")
         if not self.psf_sigma_px >= 0:
             raise ValueError(f"[camera] psf_sigma_px = {self.psf_sigma_px}: must be >= 0")
-        if len(self.distortion) != 5:
-            raise ValueError("[camera] distortion: needs the five values k1 k2 p1 p2 k3")
+        if len(self.distortion) not in COEFFICIENTS:
+            raise ValueError(
+                "[camera] distortion: needs the five values k1 k2 p1 p2 k3, or OpenCV's first 8 or 14"
+            )
         if not self.pixel_format.lower().startswith(MONOCHROME):
             raise ValueError(
                 f"[camera] pixel_format = {self.pixel_format!r}: must be a monochrome one, such as mono8"
@@ -104,9 +109,19 @@ class Camera:
     @property
     def intrinsics(self) -> Intrinsics:
         """What projects a point and its ray, for the kernels."""
-        k1, k2, p1, p2, k3 = (float(k) for k in self.distortion)
+        given = np.array([*self.distortion, *np.zeros(max(COEFFICIENTS) - len(self.distortion))])
+        k1, k2, p1, p2, k3 = given[:5].tolist()
+        k4, k5, k6, s1, s2, s3, s4, tau_x, tau_y = given[5:].tolist()
         return Intrinsics(
-            float(self.fx), float(self.fy), float(self.cx), float(self.cy), (k1, k2, p1, p2, k3)
+            float(self.fx),
+            float(self.fy),
+            float(self.cx),
+            float(self.cy),
+            (k1, k2, p1, p2, k3),
+            bool(given[5:].any()),
+            (k4, k5, k6),
+            (s1, s2, s3, s4),
+            tilt_numbers(tau_x, tau_y),
         )
 
     @property
@@ -178,18 +193,87 @@ class Camera:
         return np.asarray(image, dtype=np.float64)[:, 0]
 
 
+Nine = tuple[float, float, float, float, float, float, float, float, float]
+
+
 class Intrinsics(NamedTuple):
-    """A camera's OpenCV intrinsics as the kernels take them, px; distortion is k1 k2 p1 p2 k3."""
+    """A camera's OpenCV intrinsics as the kernels take them, px; distortion is k1 k2 p1 p2 k3.
+
+    `has_more` says whether what follows counts: k4 k5 k6, s1 to s4, the tilted sensor's matrix row by row.
+    """
 
     fx: float
     fy: float
     cx: float
     cy: float
     distortion: tuple[float, float, float, float, float]
+    has_more: bool
+    denominator: tuple[float, float, float]
+    prism: tuple[float, float, float, float]
+    tilt: Nine
+
+
+def tilt_numbers(tau_x: float, tau_y: float) -> Nine:
+    """Return the matrix, row by row, that takes a straight sensor's image to that of a tilted one.
+
+    It is that of OpenCV's tilted model; angles are in rad.
+    """
+    cx, sx, cy, sy = math.cos(tau_x), math.sin(tau_x), math.cos(tau_y), math.sin(tau_y)
+    R = np.array([[cy, sy * sx, -sy * cx], [0.0, cx, sx], [sy, -cy * sx, cy * cx]])
+    shifted = np.array([[R[2, 2], 0.0, -R[0, 2]], [0.0, R[2, 2], -R[1, 2]], [0.0, 0.0, 1.0]]) @ R
+    a, b, c, d, e, f, g, h, i = shifted.ravel().tolist()
+    return a, b, c, d, e, f, g, h, i
+
+
+@kernel
+def distorted(x: float, y: float, lens: Intrinsics) -> tuple[float, float, float, float, float, float]:
+    """Return where a lens of many coefficients puts a ray (x, y, 1): X, Y, dX/dx, dX/dy, dY/dx, dY/dy.
+
+    OpenCV's rational, thin prism and tilted models, before focal lengths and principal point.
+    """
+    k1, k2, p1, p2, k3 = lens.distortion
+    k4, k5, k6 = lens.denominator
+    s1, s2, s3, s4 = lens.prism
+    q = x * x + y * y
+    over, under = 1.0 + q * (k1 + q * (k2 + q * k3)), 1.0 + q * (k4 + q * (k5 + q * k6))
+    radial = over / under
+    rise = (k1 + q * (2.0 * k2 + q * 3.0 * k3) - radial * (k4 + q * (2.0 * k5 + q * 3.0 * k6))) / under
+    u = x * radial + 2.0 * p1 * x * y + p2 * (q + 2.0 * x * x) + q * (s1 + q * s2)
+    v = y * radial + p1 * (q + 2.0 * y * y) + 2.0 * p2 * x * y + q * (s3 + q * s4)
+    mixed = 2.0 * x * y * rise + 2.0 * p1 * x + 2.0 * p2 * y
+    prism_u, prism_v = 2.0 * (s1 + 2.0 * q * s2), 2.0 * (s3 + 2.0 * q * s4)
+    u_x = radial + 2.0 * x * x * rise + 2.0 * p1 * y + 6.0 * p2 * x + prism_u * x
+    u_y, v_x = mixed + prism_u * y, mixed + prism_v * x
+    v_y = radial + 2.0 * y * y * rise + 6.0 * p1 * y + 2.0 * p2 * x + prism_v * y
+    a, b, c, d, e, f, g, h, i = lens.tilt
+    w = g * u + h * v + i
+    X, Y = (a * u + b * v + c) / w, (d * u + e * v + f) / w
+    a, b, d, e = (a - g * X) / w, (b - h * X) / w, (d - g * Y) / w, (e - h * Y) / w
+    return X, Y, a * u_x + b * v_x, a * u_y + b * v_y, d * u_x + e * v_x, d * u_y + e * v_y
 
 
 UNDISTORT_STEPS, UNDISTORTED = 20, 1e-12
 """Newton steps by which a lens' distortion is undone at most; one that is shorter is the last."""
+
+
+@kernel
+def _undistorted_more(
+    to_x: float, to_y: float, lens: Intrinsics
+) -> tuple[float, float, float, float, float, float]:
+    """Return what `undistorted` does, of a lens of many coefficients, for a place before fx and cx."""
+    x, y = to_x, to_y
+    xx, xy, yx, yy, determinant = 1.0, 0.0, 0.0, 1.0, 1.0
+    for _ in range(UNDISTORT_STEPS):
+        X, Y, xx, xy, yx, yy = distorted(x, y, lens)
+        determinant = xx * yy - xy * yx
+        step_x = (yy * (X - to_x) - xy * (Y - to_y)) / determinant
+        step_y = (xx * (Y - to_y) - yx * (X - to_x)) / determinant
+        x -= step_x
+        y -= step_y
+        if abs(step_x) + abs(step_y) < UNDISTORTED:
+            break
+    per_u, per_v = 1.0 / (determinant * lens.fx), 1.0 / (determinant * lens.fy)
+    return x, y, yy * per_u, -xy * per_v, -yx * per_u, xx * per_v
 
 
 @kernel
@@ -201,6 +285,8 @@ def undistorted(u: float, v: float, lens: Intrinsics) -> tuple[float, float, flo
     k1, k2, p1, p2, k3 = lens.distortion
     to_x, to_y = (u - lens.cx) / lens.fx, (v - lens.cy) / lens.fy
     x, y = to_x, to_y
+    if lens.has_more:
+        return _undistorted_more(x, y, lens)
     xx, xy, yy, determinant = 1.0, 0.0, 1.0, 1.0
     for _ in range(UNDISTORT_STEPS):
         q = x * x + y * y

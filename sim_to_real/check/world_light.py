@@ -47,7 +47,7 @@ class Lens:
         x_d = (uv_px - [camera.cx, camera.cy]) / [camera.fx, camera.fy]
         if self.kind == "division":
             return np.asarray(x_d / (1.0 + self.k1 * np.sum(x_d**2, axis=1, keepdims=True)))
-        k1, k2, p1, p2, k3 = camera.distortion
+        k1, k2, p1, p2, k3 = camera.distortion[:5]
         k1, k2 = k1 + self.k1, k2 + self.k2
         x_u = x_d
         for _ in range(UNDISTORT_STEPS if any((k1, k2, p1, p2, k3)) else 0):

@@ -55,6 +55,23 @@ def test_a_later_calibration_replaces_the_earlier_one_and_leaves_others(setup_to
     assert (setup.camera.fx, setup.sensor.read_noise_e) == (2.0e3, 9.0)
 
 
+@pytest.mark.parametrize("count", [5, 8, 14])
+def test_a_distortion_of_many_coefficients_reads_back(setup_toml: Path, count: int) -> None:
+    values = tuple(0.01 * n for n in range(count))
+    result = Calibrated("camera", {"distortion": values}, ("k1",), np.eye(1), "a test")
+    setup_toml.write_text(with_calibrated(setup_toml, result))
+    setup = read_setup_file(setup_toml).setup
+    assert setup.camera.distortion == values
+    setup_toml.write_text(format_setup(setup))
+    assert read_setup_file(setup_toml).setup.camera.distortion == values
+
+
+def test_a_distortion_of_another_count_is_refused(setup_toml: Path) -> None:
+    result = Calibrated("camera", {"distortion": (0.0,) * 6}, ("k1",), np.eye(1), "a test")
+    with pytest.raises(ArctrackError, match=r"\[camera\] distortion: needs the five values"):
+        with_calibrated(setup_toml, result)
+
+
 def test_a_value_that_the_file_cannot_hold_is_refused(setup_toml: Path) -> None:
     with pytest.raises(ArctrackError, match=r"recording.toml: \[camera\] fx"):
         with_calibrated(setup_toml, lens(fx=-5.0))

@@ -18,6 +18,13 @@ CAMERA = Camera(
     distortion=(-0.12, 0.03, 0.001, -0.0015, 0.01),
 )
 PLAIN = dataclasses.replace(CAMERA, distortion=(0.0, 0.0, 0.0, 0.0, 0.0))
+RATIONAL = dataclasses.replace(CAMERA, distortion=(*CAMERA.distortion, 0.05, -0.02, 0.01))
+TILTED = dataclasses.replace(
+    CAMERA, distortion=(*RATIONAL.distortion, 0.001, -0.002, 5e-4, 0.001, 0.12, -0.07)
+)
+CAMERAS = pytest.mark.parametrize(
+    "camera", [CAMERA, PLAIN, RATIONAL, TILTED], ids=["distorted", "plain", "rational", "tilted"]
+)
 
 
 def all_pixels(camera):
@@ -31,7 +38,7 @@ def test_of_no_points_there_is_none(camera):
     assert camera.project(np.empty((0, 3))).shape == (0, 2)
 
 
-@pytest.mark.parametrize("camera", [CAMERA, PLAIN], ids=["distorted", "plain"])
+@CAMERAS
 def test_project_undoes_normalised(camera):
     pixels = all_pixels(camera)
     xy = camera.normalised(pixels)
@@ -50,7 +57,7 @@ def test_a_coarser_pixel_looks_where_its_fine_ones_do_on_average(by):
     )
 
 
-@pytest.mark.parametrize("camera", [CAMERA, PLAIN], ids=["distorted", "plain"])
+@CAMERAS
 def test_undistorted_is_opencvs_ray_and_knows_how_it_turns(camera):
     step = 1e-4
     for u, v in all_pixels(camera)[::97]:

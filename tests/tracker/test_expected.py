@@ -67,10 +67,11 @@ def test_it_lies_where_the_forward_model_draws_it(joint: str, upright: bool) -> 
 
 
 PLAIN, DISTORTED = (0.0,) * 5, (-0.1, 0.02, 1e-3, -5e-4, 0.01)
+TILTED = (*DISTORTED, 0.05, -0.02, 0.01, 0.001, -0.002, 5e-4, 0.001, 0.05, -0.03)
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("upright", "distortion"), [(False, DISTORTED), (True, PLAIN)])
+@pytest.mark.parametrize(("upright", "distortion"), [(False, DISTORTED), (True, PLAIN), (False, TILTED)])
 @pytest.mark.parametrize("joint", ["v_groove", "lap", "corrugation"])
 def test_it_is_its_twin(joint: str, upright: bool, distortion: tuple[float, ...]) -> None:
     setup = small_setup(joint, upright=upright)

@@ -9,7 +9,7 @@ import numpy as np
 
 from noise_model.arc.map import Scene
 from noise_model.arrays import Bool, Float64, Int64
-from noise_model.instrument.camera import Intrinsics
+from noise_model.instrument.camera import Intrinsics, distorted
 from noise_model.instrument.laser import Sheet, beyond_fan_mm, depth_below, sheet_of, sheet_reflected
 from noise_model.kernel import kernel
 from noise_model.surface.brdf import LobeNumbers, lobe_numbers
@@ -171,6 +171,9 @@ def _cut_and_project(
         radial = 1.0 + q * (k1 + q * (k2 + q * k3))
         u = lens.fx * (a * radial + 2.0 * p1 * a * b + p2 * (q + 2.0 * a * a)) + lens.cx
         v = lens.fy * (b * radial + p1 * (q + 2.0 * b * b) + 2.0 * p2 * a * b) + lens.cy
+        if lens.has_more:
+            X, Y, _, _, _, _ = distorted(a, b, lens)
+            u, v = lens.fx * X + lens.cx, lens.fy * Y + lens.cy
         points_px[i, 0], points_px[i, 1] = (u, v) if along_rows else (v, u)
 
         if not with_light:

@@ -110,7 +110,7 @@ class McapFile:
             "frame_id": "camera",
             "width": camera.width,
             "height": camera.height,
-            "distortion_model": "plumb_bob",
+            "distortion_model": "plumb_bob" if len(camera.distortion) == 5 else "rational_polynomial",
             "D": list(camera.distortion),
             "K": K.ravel().tolist(),
             "R": np.eye(3).ravel().tolist(),
