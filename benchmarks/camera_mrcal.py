@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import argparse
 import time
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from importlib import metadata
 from typing import TYPE_CHECKING
 
@@ -53,7 +53,7 @@ def compare(world: World, images: list[Float64]) -> Compared:
     seen = Sightings.of(board_of(world), views_of(images))
     start = first_scene(*world.size, seen)
     names = tuple(world.order.split())
-    start = Scene(start.lens.with_distortion(names), start.warp_mm, start.T_camera_board)
+    start = replace(start, lens=start.lens.with_distortion(names))
     began = time.perf_counter()
     weight = np.ones(len(seen))
     ours = adjusted(with_better_poses(adjusted(start, seen, weight), seen), seen, weight)
@@ -123,7 +123,7 @@ def optimised(world: World, images: list[Float64], start: Scene) -> tuple[Scene,
     T[:, :3, :3] = Rotation.from_rotvec(inputs["rt_ref_frame"][:, :3]).as_matrix()
     T[:, :3, 3] = inputs["rt_ref_frame"][:, 3:]
     model = mrcal.cameramodel(optimization_inputs=inputs, icam_intrinsics=0)
-    return Scene(lens, inputs["calobject_warp"].copy(), T), model
+    return Scene(lens, inputs["calobject_warp"].copy(), T, start.print_mm), model
 
 
 def common_motion(first: Scene, second: Scene, seen: Sightings) -> Float64:
