@@ -15,6 +15,7 @@ from noise_model.surface.joint import SeamLine, seam_height_mm
 from tracker.seam.locate import seam_point_tool
 from tracker.state import Frame, Pose, Track
 from tracker.stripe.ghost import MIN_GHOST_LINES, MIN_GHOST_SHARE, second_light, second_place
+from tracker.stripe.read import _near_the_weaker
 from tracker.tracker import Tracker
 
 N_SCAN, DEPTH, WIDTH, AMPLITUDE_E, DARK_E2 = 160, 120, 3.5, 4000.0, 2500.0
@@ -127,3 +128,24 @@ def test_one_four_to_six_sigmas_beside_costs_no_track(joint: str, arc: float) ->
             # At the rim of what a narrow look reads, its place is known by one flank.
             assert off[-1] < (0.08 if abs(apart_px) < 20 else 0.12)
     print(f"{joint}, arc {arc}: {max(off):.3f} mm at most")
+
+
+def test_a_brighter_one_farther_from_its_place_is_the_second() -> None:
+    """A reflection may be the brighter: the seam is nearer to its nominal place."""
+    setup = small_setup("v_groove")
+    tracker = Tracker(setup)
+    for index in range(2):
+        pose = pose_at(1.5 * index)
+        track = tracker.step(ghosted(setup, pose, 40, 1.4, 0.0, index), pose)
+        assert track.valid, track.flag_names
+        assert np.abs(error_mm(setup, pose, track)).max() < 0.12
+
+
+def test_of_two_near_their_place_the_brighter_one_is_the_stripe() -> None:
+    offsets_px = np.arange(-60, 61)
+    assert _near_the_weaker(np.full(9, 4.0), -6.0, offsets_px, 60.0) is None
+    assert _near_the_weaker(np.full(9, 1.0), 40.0, offsets_px, 60.0) is None
+    near = _near_the_weaker(np.full(9, 45.0), -44.0, offsets_px, 60.0)
+    assert near is not None
+    assert near.min() > 1.0 - 22.0
+    assert near.max() < 1.0 + 22.0

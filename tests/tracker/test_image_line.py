@@ -24,6 +24,7 @@ from tracker.joint.image_line import (
     CODE_SIGMA_DN,
     MAD_SIGMA,
     ImageLine,
+    _middle,
     columns_beside,
     read_image_line,
     sum_along,
@@ -125,6 +126,22 @@ def test_a_rim_beside_the_slit_does_not_pull_the_seam_to_its_plate(bench: Bench)
         assert line is not None
         pulls.append((line.y_mm - 0.7) / line.sigma_mm)
     assert np.mean(np.square(pulls)) < 1.5, pulls
+
+
+def test_a_rim_alone_stands_for_the_slit_and_says_how_unsure_it_is() -> None:
+    """Dark beside a rim is the slit, or the plate's texture, or may be either."""
+    x = np.arange(-3, 4)
+    rim, slit = np.exp(-0.5 * (x + 1.0) ** 2), np.exp(-0.5 * (x - 2.0) ** 2)
+    places, sigmas = [], []
+    for dark in (0.0, 2.0, 7.0, 20.0):
+        middle, variance = _middle(20.0 * rim - dark * slit)
+        places.append(middle)
+        sigmas.append(math.sqrt(variance))
+    assert places[0] == pytest.approx(-1.0, abs=0.1)
+    assert places[1] == pytest.approx(-1.0, abs=0.1)
+    assert -0.5 < places[2] < 1.5
+    assert sigmas[2] > 1.2 > max(sigmas[0], sigmas[3])
+    assert places[3] == pytest.approx(2.0, abs=0.3)
 
 
 @pytest.mark.slow

@@ -9,9 +9,12 @@ import numpy as np
 import pytest
 from rendered import frame_of, pose_at, small_setup, true_seam_tool, walk
 
+from noise_model.arrays import Float64
 from noise_model.setup import Setup
 from noise_model.surface.joint import SeamLine
+from noise_model.transforms import invert, transform
 from tracker import flags
+from tracker.state import Frame
 from tracker.tracker import Tracker
 
 SEAM = SeamLine(0.0, 0.8, -0.3, 0.004, 0.001)
@@ -160,3 +163,41 @@ def test_the_margin_shrinks_as_the_joint_leaves_the_view() -> None:
         pose = pose_at(0.0, y_mm)
         margins.append(Tracker(setup).step(frame_of(setup, pose), pose).fov_margin_mm)
     np.testing.assert_allclose(np.diff(margins), -2.0, atol=0.15)
+
+
+def with_glint(frame: Frame, setup: Setup, point_tool_mm: Float64, radius_px: int) -> Frame:
+    """The frame with a saturated disc about a point of the tool frame."""
+    T_camera_tool = invert(setup.camera.T_tool_camera)
+    u, v = setup.camera.project(transform(T_camera_tool, point_tool_mm[None]))[0]
+    image_dn = frame.image_dn.copy()
+    rows, columns = np.indices(image_dn.shape)
+    image_dn[(columns - u) ** 2 + (rows - v) ** 2 < radius_px**2] = 2**setup.sensor.bits - 1
+    return replace(frame, image_dn=image_dn)
+
+
+@pytest.mark.parametrize("away_mm", [-0.8, 1.2])
+def test_a_glint_over_an_end_of_a_gap_gives_no_wrong_seam(away_mm: float) -> None:
+    """What lines under it do not show is neither plate nor gap: the seam is as unsure as they are wide."""
+    setup = small_setup("butt")
+    setup = replace(setup, tolerance=replace(setup.tolerance, hand_eye_deg=0.0, hand_eye_mm=0.0))
+    tracker = Tracker(setup)
+    for n in range(3):
+        pose = pose_at(1.5 * n)
+        frame, truth = frame_of(setup, pose, SEAM, index=n, arc=0.0), true_seam_tool(setup, pose, SEAM)
+        if n == 2:
+            frame = with_glint(frame, setup, truth + np.array([0.0, away_mm, 0.0]), 6)
+        track = tracker.step(frame, pose)
+        if track.valid:
+            error = np.array(track.seam_tool_mm) - truth
+            assert abs(error[1]) < max(3.0 * track.sigma_y_mm, 0.05), (n, error, track.sigma_y_mm)
+
+
+def test_a_gap_that_is_stated_wide_is_never_closed() -> None:
+    """A line beside the stripe is not the seam of a joint whose gap should be seen."""
+    setup = small_setup("butt")
+    wide = replace(setup, joint=replace(setup.joint, dimensions={**setup.joint.dimensions, "gap_mm": 1.5}))
+    there = narrow_butt()
+    for n in range(3):
+        pose, seam = pose_at(3.0 * n), SeamLine(0.0, 0.177 * n - 1.4, 0.05 * n)
+        track = Tracker(wide).step(frame_of(wide, pose, seam, index=n, of=there), pose)
+        assert not track.flags & flags.SEAM_BY_LINE.mask, track.flag_names

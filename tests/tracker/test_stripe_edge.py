@@ -12,6 +12,7 @@ from hypothesis import strategies as st
 from scipy.special import ndtr
 
 from noise_model.arc.map import CELL
+from tracker.joint.slot import HIDDEN, UNREAD, _Lines
 from tracker.joint.upright_edge import edge_between
 from tracker.profile import Profile
 from tracker.stripe.edge import (
@@ -297,3 +298,32 @@ def test_light_that_ends_elsewhere_is_no_edge() -> None:
     assert edge_between(profile, EDGE, EDGE + 1, 0.0) == edge_between(
         replace(profile, light=None), EDGE, EDGE + 1, 0.0
     )
+
+
+def under_a_glint(light: StripeLight, first: int, last: int) -> StripeLight:
+    """The light with no stripe read from line `first` to `last`, for pixels beside it are saturated."""
+    censored, position_px = light.censored.copy(), light.position_px.copy()
+    censored[first : last + 1, 20:30] = True
+    position_px[first : last + 1] = math.nan
+    return light._replace(censored=censored, position_px=position_px)
+
+
+def test_no_share_is_read_under_a_glint() -> None:
+    light = light_of(np.random.default_rng(5), EDGE + 0.3, EDGE + 1.6)
+    hidden = profile_of(under_a_glint(light, EDGE + 1, EDGE + 1))
+    blind = edge_between(replace(hidden, light=None), EDGE, EDGE + 2, 0.0)
+    assert edge_between(hidden, EDGE, EDGE + 2, 0.0) == blind
+    assert edge_between(profile_of(light), EDGE, EDGE + 2, 0.0) != blind
+
+
+def test_lines_under_a_glint_say_nothing_of_a_plate() -> None:
+    light = under_a_glint(light_of(np.random.default_rng(5), 100.0, 200.0), EDGE, EDGE + 4)
+    profile = profile_of(light)
+    seen = np.isfinite(light.position_px)
+    along = ("y_mm", "z_mm", "dy_mm", "dz_mm", "sigma_px", "scan", "beside_px")
+    shown = replace(profile, **{name: getattr(profile, name)[seen] for name in along})
+    sees = _Lines(shown, np.ones(int(seen.sum()), dtype=bool), False).sees
+    assert (sees[EDGE : EDGE + 5] == HIDDEN).all()
+    plain = _Lines(replace(shown, light=None), np.ones(int(seen.sum()), dtype=bool), False).sees
+    assert (plain[EDGE : EDGE + 5] == UNREAD).all()
+    assert (np.delete(sees, np.arange(EDGE, EDGE + 5)) == 1.0).all()

@@ -34,6 +34,7 @@ from tracker.stripe.scatter import (
     FrameScatter,
     Scatter,
     differences,
+    frame_scatter,
     own_sigma,
     speckle_squared,
 )
@@ -122,6 +123,18 @@ def test_the_variance_that_lines_share_is_what_was_drawn(grain: float) -> None:
     assert by_lag[-1] == pytest.approx(shared**2, rel=0.1)
     # A mean over 16 lines holds some grains whole and cuts those at its ends.
     assert by_length[-1] == pytest.approx(alike * shared**2, rel=0.3)
+
+
+def test_means_of_a_joint_that_is_searched_tell_nothing_by_themselves() -> None:
+    """While it is searched, a joint's corners may be anywhere among few means."""
+    rng = np.random.default_rng(5)
+    fits = np.column_stack([rng.normal(size=640), np.ones((640, 6))])
+    ones = np.ones(640)
+    settled = frame_scatter(fits, np.zeros(640), ones, ones, 0.0, False)
+    searched = frame_scatter(fits, np.zeros(640), ones, ones, 0.0, True)
+    assert np.isfinite(settled.by_length).all()
+    np.testing.assert_array_equal(searched.by_length[:-1], settled.by_length[:-1])
+    assert math.isnan(searched.by_length[-1])
 
 
 @pytest.mark.parametrize("n", [160, 320, 640])
