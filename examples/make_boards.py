@@ -137,7 +137,7 @@ def held(camera: Camera, board: Chessboard, R: Array, place: tuple[float, float]
 
 
 CAMERA = Camera(640, 480, 2186.0, 2190.0, 325.5, 236.0, k1=-0.35)
-BOARD = Chessboard(8, 6, 4.0, (0.06, -0.04))
+BOARD = Chessboard(9, 6, 4.0, (0.06, -0.04))
 
 POSES = (
     (0.50, 0.50, 0.75, 35, 0, 0),

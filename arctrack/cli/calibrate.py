@@ -37,7 +37,7 @@ EXAMPLE = (
 
 calibrate.command(
     "camera",
-    epilog="Example: arctrack calibrate camera /tmp/boards --board chessboard:8x6:4mm "
+    epilog="Example: arctrack calibrate camera /tmp/boards --board chessboard:9x6:4mm "
     "--setup examples/v_groove --out /tmp/camera.toml",
 )(camera)
 calibrate.command(

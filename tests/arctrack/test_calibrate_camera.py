@@ -117,4 +117,4 @@ def test_wrong_options_are_refused(boards: Path, words: list[str], why: str) -> 
 
 def test_help_has_an_example() -> None:
     result = RUNNER.invoke(cli.app, ["calibrate", "camera", "--help"])
-    assert "Example: arctrack calibrate camera /tmp/boards --board chessboard:8x6:4mm" in result.output
+    assert "Example: arctrack calibrate camera /tmp/boards --board chessboard:9x6:4mm" in result.output
