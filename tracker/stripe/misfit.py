@@ -22,6 +22,7 @@ import numpy as np
 from noise_model.arrays import Bool, Float32, Float64, Int64
 from noise_model.kernel import kernel
 from tracker.stripe.fit import CORRELATION_PX, WINDOW_SIGMAS
+from tracker.stripe.viterbi import bell
 
 N_BINS = 4
 """Into so many parts of a side's window a line's odd residual is averaged."""
@@ -36,6 +37,32 @@ CHANCE = 3.3
 """A mean of N_BINS squares of noise exceeds its expectation by this factor once in 100 (chi2 of 4)."""
 
 
+@kernel(fastmath={"contract"})
+def _left_over(
+    charge_e: Float32, background_e: Float32, censored: Bool, start: float, fit: Float64, left_e: Float32
+) -> None:
+    """Write what a fit leaves of pixels (n,), e-, the first of which lies `start` from its centre, px.
+
+    0 of censored ones.
+    """
+    amplitude, level, slope = np.float32(fit[2]), np.float32(fit[5]), np.float32(fit[6])
+    zero, inverse, before = np.float32(0.0), np.float32(1.0 / fit[3]), np.float32(start)
+    for i in range(charge_e.shape[0]):
+        away = np.float32(i) + before
+        mean = background_e[i] + amplitude * bell(away * inverse) + level + slope * away
+        left_e[i] = zero if censored[i] else charge_e[i] - mean
+
+
+@kernel
+def _mean(left_e: Float32, censored: Bool) -> float:
+    """Return the mean of the pixels (n,) that are not censored, NaN of none."""
+    total, count = np.float32(0.0), 0
+    for i in range(left_e.shape[0]):
+        total += left_e[i]
+        count += not censored[i]
+    return float(total) / count if count > 0 else math.nan
+
+
 @kernel(allocates=True)
 def odd_residuals(
     charge_e: Float32, background_e: Float32, censored: Bool, fits: Float64, lows: Int64, cell: int
@@ -47,26 +74,24 @@ def odd_residuals(
     """
     n, depth = charge_e.shape
     odd = np.full((n, N_BINS), math.nan)
-    sums, counts = np.empty(2 * N_BINS), np.empty(2 * N_BINS)
+    scratch = np.empty(depth, dtype=np.float32)
     for s in range(n):
         if math.isnan(fits[s, 0]):
             continue
-        centre, width = fits[s, 0] - lows[s // cell], fits[s, 3]
-        reach = WINDOW_SIGMAS * width
-        if centre - reach < 0.0 or centre + reach > depth - 1:
+        centre, part = fits[s, 0] - lows[s // cell], WINDOW_SIGMAS / N_BINS * fits[s, 3]
+        if centre - N_BINS * part < 0.0 or centre + N_BINS * part > depth - 1:
             continue
-        sums[:], counts[:] = 0.0, 0.0
-        for j in range(math.ceil(centre - reach), math.floor(centre + reach) + 1):
-            t = (j - centre) / width
-            mean = fits[s, 2] * math.exp(-0.5 * t * t) + fits[s, 5] + fits[s, 6] * (j - centre)
-            k = min(int(abs(t) * N_BINS / WINDOW_SIGMAS), N_BINS - 1)
-            k = N_BINS + k if t > 0.0 else k
-            if not censored[s, j]:
-                sums[k] += charge_e[s, j] - background_e[s, j] - mean
-                counts[k] += 1.0
+        first, end = math.ceil(centre - N_BINS * part), math.floor(centre + N_BINS * part) + 1
+        left_e, hidden = scratch[: end - first], censored[s, first:end]
+        _left_over(
+            charge_e[s, first:end], background_e[s, first:end], hidden, first - centre, fits[s], left_e
+        )
+        middle = centre - first
         for k in range(N_BINS):
-            if counts[k] > 0.0 and counts[N_BINS + k] > 0.0:
-                odd[s, k] = 0.5 * (sums[N_BINS + k] / counts[N_BINS + k] - sums[k] / counts[k])
+            near, far = k * part, (k + 1) * part
+            after = slice(math.ceil(middle + near), math.ceil(middle + far))
+            before = slice(max(math.floor(middle - far) + 1, 0), math.floor(middle - near) + 1)
+            odd[s, k] = 0.5 * (_mean(left_e[after], hidden[after]) - _mean(left_e[before], hidden[before]))
     return odd
 
 
