@@ -326,8 +326,8 @@ def fit_end(
         fit = end_misfit(share, variance, contrast, sigma, place)
         if fit.lines >= MIN_LINES and fit.misfit < least:
             best, least = place, fit.misfit
-    # Another light that ends elsewhere is not this one.
-    if not earliest <= best <= latest:
+    # Another light that ends elsewhere is not this one; one that is likeliest at a bound ends beyond it.
+    if not earliest + SEARCH_STEP <= best <= latest - SEARCH_STEP:
         return math.nan, math.nan
     total, first, second = 0.0, 0.0, 0.0
     for k in range(-HALF_STEPS, HALF_STEPS + 1):
