@@ -120,7 +120,7 @@ def _add(boards: BoardImages, path: Path, image: EncodedImage, board: Board) -> 
         boards.left_out[path.name] = f"shows the board where {same} shows it"
         return
     boards.views.append(View(path.name, corners.corners, corners.points_px))
-    boards.contrast.append(corners.contrast_dn / np.iinfo(pixels.dtype).max)
+    boards.contrast.append(corners.contrast_dn / _full_scale_dn(pixels))
     if boards.sample is None:
         boards.sample = pixels
 
@@ -134,6 +134,11 @@ def _brightest(pixels: Integers) -> Integers:
     if pixels.ndim == 2:
         return pixels
     return max((grey(pixels, channel) for channel in (Channel.GREEN, Channel.RED, Channel.BLUE)), key=np.std)
+
+
+def _full_scale_dn(pixels: Integers) -> int:
+    """Return the last code of as many bits as the brightest pixel takes: 12 bits are kept in 16."""
+    return int(2 ** max(8, int(pixels.max()).bit_length()) - 1)
 
 
 def _not_seen(pixels: Integers, board: Board) -> str:

@@ -27,7 +27,7 @@ TABLE = "exposures.csv"
 
 _UNITS_S = {"us": 1e-6, "µs": 1e-6, "ms": 1e-3, "s": 1.0}
 _KIND = re.compile(r"(flat|dark)", re.IGNORECASE)
-_EXPOSURE = re.compile(r"(?<![\d.])(\d+(?:\.\d+)?)\s*(us|µs|ms|s)(?![a-z])", re.IGNORECASE)
+_EXPOSURE = re.compile(r"(?<![\d.])(?<!\d,)(\d+(?:\.\d+)?)\s*(us|µs|ms|s)(?![a-z])", re.IGNORECASE)
 
 
 @dataclass(frozen=True)

@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+import math
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
+from arctrack.cli.calibration_output import check_outputs
 from arctrack.cli.interrupt import interruptible
-from arctrack.cli.setups import check_can_be_replaced, read_setup, write_calibrated
+from arctrack.cli.setups import read_setup, write_calibrated
 from arctrack.errors import ArctrackError
 
 REPORT = "calibrate_camera.html"
@@ -58,6 +60,7 @@ def camera(
     from calibration.boards.board import Board
     from calibration.camera.calibrate import calibrate_camera
     from calibration.camera.enough import UndeterminedError
+    from calibration.camera.lens import ORDERS
 
     try:
         pattern = Board.parse(board)
@@ -68,9 +71,7 @@ def camera(
     stated = None if setup is None else read_setup(setup)
     target = None if stated is None else out or stated.path
     shown = report or (Path(REPORT) if target is None else target.with_name(REPORT))
-    if target is not None:
-        check_can_be_replaced(target)
-    check_can_be_replaced(shown, "--report")
+    check_outputs(target, shown, None if stated is None else stated.path)
     orders = _orders(distortion)
     with interruptible("the calibration was", "nothing was written"), console.progress() as bar:
         looking = bar.add_task("looking for the board", total=None, unit="images")
@@ -94,7 +95,8 @@ def camera(
     write_page(shown, result, images)
     console.say(f"{shown}: the pictures")
     if result.model_error is not None:
-        richer = "" if distortion == AUTOMATIC else "; leave --distortion, which may be too lean"
+        is_lean = distortion not in (AUTOMATIC, [*ORDERS][-1]) and math.isfinite(result.ratio_of_halves)
+        richer = "; leave --distortion, which may be too lean" if is_lean else ""
         raise ArctrackError(f"{sources[0]}: {result.model_error}{richer}. No setup is written; see {shown}")
     if stated is not None and target is not None:
         write_calibrated(target, stated.path, calibrated_camera(result))

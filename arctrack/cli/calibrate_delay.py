@@ -42,7 +42,7 @@ def delay(
     console.warn(read.warnings)
     target = out or read.setup_path
     page_path = report or target.with_name(REPORT)
-    check_outputs(target, page_path)
+    check_outputs(target, page_path, read.setup_path, read)
     frames, bad_frames = read.readable_frames()
     track = PoseTrack.through(read.poses.timestamps_s, read.poses.T_base_tool)
     with console.progress() as bar:

@@ -48,6 +48,9 @@ def sensor(
     """
     from arctrack.recording.setup_file import FILE_NAME
 
+    if not source.is_dir():
+        is_what = "is a file" if source.exists() else "there is no such folder"
+        raise ArctrackError(f"{source}: {is_what}; give a folder of frames, or a recording")
     is_recording = (source / FILE_NAME).exists()
     if setup is None and not is_recording:
         raise ArctrackError(f"{source}: holds flat and dark frames: give --setup, the setup of their sensor")
@@ -58,7 +61,6 @@ def sensor(
     stated = read_setup(source if setup is None else setup)
     target = out or stated.path
     page_path = report or target.with_name(REPORT)
-    check_outputs(target, page_path)
     if is_recording:
         _still_recording(source, stated, target, page_path)
     else:
@@ -74,6 +76,7 @@ def _still_recording(source: Path, stated: SetupFile, target: Path, page_path: P
     from calibration.sensor.still import calibrate_still
 
     read = read_recording(source, stated.path, must_fit=False)
+    check_outputs(target, page_path, stated.path, read)
     with console.progress() as bar:
         try:
             frames, problems = read_still_frames(read, console.track(bar, read.name, len(read.rows)))
@@ -93,6 +96,7 @@ def _flat_fields(source: Path, stated: SetupFile, target: Path, page_path: Path,
     from arctrack.report.calibration.sensor import sensor_page
     from calibration.sensor.flat_fields import calibrate_sensor
 
+    check_outputs(target, page_path, stated.path)
     files, vague = find_flat_frames(source)
     bits = stated.setup.sensor.bits
     with console.progress() as bar:

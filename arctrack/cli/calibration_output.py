@@ -6,16 +6,31 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from arctrack.cli.setups import check_can_be_replaced
-from arctrack.output import write_whole
+from arctrack.errors import ArctrackError
+from arctrack.output import real, write_whole
 
 if TYPE_CHECKING:
+    from arctrack.recording import Recording
     from arctrack.report.calibration.page import CalibrationPage
 
 
-def check_outputs(setup: Path, page: Path) -> None:
-    """Raise ArctrackError if the setup or the page could not be written."""
-    for path in (setup, page):
-        check_can_be_replaced(path)
+def check_outputs(
+    setup: Path | None, page: Path, stated: Path | None, recording: Recording | None = None
+) -> None:
+    """Raise ArctrackError if setup or page could not be written, or would replace what is read.
+
+    `setup` is the file to write, `stated` the one that is read: it may be the same, the earlier one is kept.
+    """
+    if setup is not None:
+        check_can_be_replaced(setup)
+        is_new = stated is None or real(setup) != real(stated)
+        if recording is not None and is_new and recording.is_read_from(setup):
+            raise ArctrackError(f"{setup}: is of the recording itself; give --out another file")
+    check_can_be_replaced(page, "--report")
+    if any(path is not None and real(page) == real(path) for path in (setup, stated)):
+        raise ArctrackError(f"{page}: is the setup's file; give --report another one")
+    if recording is not None and recording.is_read_from(page):
+        raise ArctrackError(f"{page}: is of the recording itself; give --report another file")
 
 
 def finish(page: CalibrationPage, path: Path) -> None:

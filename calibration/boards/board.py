@@ -76,6 +76,15 @@ class Board:
                 raise ValueError("the markers must be smaller than the squares")
             if not hasattr(cv2.aruco, f"DICT_{self.dictionary}"):
                 raise ValueError(f"OpenCV has no dictionary DICT_{self.dictionary}; one is 5X5_100")
+            self._check_markers()
+
+    def _check_markers(self) -> None:
+        """Raise ValueError if the dictionary has not a marker for every light square."""
+        needed = (self.columns + 1) * (self.rows + 1) // 2
+        dictionary = cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, f"DICT_{self.dictionary}"))
+        held = len(dictionary.bytesList)
+        if held < needed:
+            raise ValueError(f"such a board has {needed} markers, DICT_{self.dictionary} holds {held}")
 
     @classmethod
     def parse(cls, text: str) -> Board:

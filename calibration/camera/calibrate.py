@@ -145,11 +145,18 @@ class CameraCalibration:
         """What to say where two halves contradict each other, None if they agree."""
         if self.ratio_of_halves <= MOST_RATIO:
             return None
+        if not math.isfinite(self.ratio_of_halves):
+            return (
+                f"half of the images does not tell the distortion {self.order}: take more images, or give "
+                "--distortion fewer coefficients"
+            )
+        is_tilted = any(name in TILT for name in self.scene.lens.names)
+        tilt = "" if is_tilted else "; give --tilted if the sensor is tilted to the lens"
         return (
             f"two halves of the images differ {self.ratio_of_halves:.1f} times as much as their noise "
             f"predicts, {MOST_RATIO:g} is the most: the model is wrong. Try: hold the board still; lock "
             "focus and aperture; use a stiff flat board, its squares' side the same both ways; leave out "
-            "images with large residuals; give --tilted if the sensor is tilted to the lens"
+            f"images with large residuals{tilt}"
         )
 
 

@@ -21,6 +21,9 @@ MAX_SIDE_PX = 512
 BOX_PX = 11
 """The side of the box whose mean is taken off: the pattern of pixels stays, the light's slow change goes."""
 
+MIN_SIDE_PX = 2 * BOX_PX
+"""Smaller frames hold too few boxes: a box is left out along each border."""
+
 MEDIAN_PX = 5
 """The side of the box whose median says what a defect's surroundings are."""
 
@@ -80,6 +83,9 @@ def level_from(frames_dn: Sequence[Integers], exposure_s: float, is_lit: bool, b
         raise ValueError(f"{kind}: there is one; noise takes two of the same light: add another")
     if len({frame.shape for frame in frames_dn}) > 1:
         raise ValueError(f"{kind}: they differ in size; leave out those of another camera or crop")
+    if min(frames_dn[0].shape) < MIN_SIDE_PX:
+        rows, columns = frames_dn[0].shape
+        raise ValueError(f"{kind}: are of {columns} x {rows} px, {MIN_SIDE_PX} a side are needed: crop less")
     brightest = max(int(frame.max()) for frame in frames_dn)
     if brightest >= 2**bits:
         raise ValueError(f"{kind}: hold {brightest} DN, [sensor] bits = {bits} ends at {2**bits - 1}")

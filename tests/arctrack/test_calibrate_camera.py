@@ -1,5 +1,7 @@
+import math
 import shutil
 import tomllib
+from dataclasses import replace
 from pathlib import Path
 
 import cv2
@@ -10,9 +12,12 @@ from camera_scenes import SIZE, VARIED, Held, picture_of, views
 from typer.testing import CliRunner, Result
 
 from arctrack import cli
+from arctrack.calibration_files.board_images import read_boards
 from arctrack.calibration_files.camera import calibrated_camera
 from arctrack.recording.setup_file import read_setup_file
+from calibration.boards.board import Board
 from calibration.camera.calibrate import find_lens
+from calibration.camera.halves import Difference
 
 pytestmark = pytest.mark.slow
 
@@ -107,12 +112,37 @@ def test_a_wrong_count_of_corners_is_hinted_at(boards: Path, tmp_path: Path) -> 
         (["--board", "9x6"], "--board: '9x6' is no board: it is written as chessboard:"),
         ([*BOARD, "--out", "x.toml"], "--out: needs --setup"),
         ([*BOARD, "--distortion", "k7"], "--distortion k7: must be auto, none, k1"),
+        (["--board", "charuco:11x10:9mm:6mm:4X4_50"], "such a board has 55 markers, DICT_4X4_50 holds 50"),
     ],
 )
 def test_wrong_options_are_refused(boards: Path, words: list[str], why: str) -> None:
     result = calibrate(boards, *words)
     assert result.exit_code != 0
     assert why in str(result.exception)
+
+
+def test_a_page_does_not_replace_the_setup(boards: Path, tmp_path: Path) -> None:
+    setup = tmp_path / "recording.toml"
+    setup.write_text((EXAMPLES / "v_groove" / "recording.toml").read_text())
+    before = setup.read_text()
+    result = calibrate(boards, *BOARD, "--setup", setup, "--report", setup)
+    assert "recording.toml: is the setup's file; give --report another one" in str(result.exception)
+    assert setup.read_text() == before
+
+
+def test_twelve_bits_in_sixteen_are_not_dim(tmp_path: Path) -> None:
+    picture = picture_of(VARIED[0], PINHOLE).astype(np.uint16)
+    cv2.imwrite(str(tmp_path / "board.png"), picture * 16)
+    assert not read_boards([tmp_path], Board.parse(BOARD[1])).is_dim
+
+
+def test_halves_that_know_nothing_do_not_blame_the_board() -> None:
+    result = find_lens(SCENE_BOARD, views(), SIZE, orders=["k1"])
+    points = np.zeros((1, 2))
+    unknown = Difference(points, points, np.array([math.nan]))
+    error = replace(result, halves=[unknown]).model_error
+    assert error is not None
+    assert "half of the images does not tell the distortion k1" in error
 
 
 def test_help_has_an_example() -> None:

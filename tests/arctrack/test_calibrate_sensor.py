@@ -11,6 +11,7 @@ from arctrack.calibration_files.flat_frames import find_flat_frames
 from arctrack.errors import ArctrackError
 from arctrack.nominal import nominal_setup
 from arctrack.recording import RecordingWriter, format_setup, read_setup_file
+from calibration.sensor.levels import level_from
 from noise_model.setup import Setup
 from tracker.state import Frame
 
@@ -137,3 +138,52 @@ def test_a_still_recording_becomes_its_own_setup(tmp_path: Path) -> None:
 def test_flat_frames_need_a_setup(flats: Path) -> None:
     result = RUNNER.invoke(cli.app, ["calibrate", "sensor", str(flats)])
     assert "flats: holds flat and dark frames: give --setup" in str(result.exception)
+
+
+@pytest.mark.parametrize(
+    ("words", "why"),
+    [
+        (["gone"], "gone: there is no such folder; give a folder of frames, or a recording"),
+        (["flats/bench.png"], "flats/bench.png: is a file; give a folder of frames, or a recording"),
+        (
+            ["flats", "--report", "recording.toml"],
+            "recording.toml: is the setup's file; give --report another",
+        ),
+        (
+            ["flats", "--report", "none/page.html"],
+            "none: nothing can be written there; give --report another",
+        ),
+    ],
+)
+def test_places_that_cannot_be_are_refused(
+    flats: Path, setup_toml: Path, monkeypatch: pytest.MonkeyPatch, words: list[str], why: str
+) -> None:
+    monkeypatch.chdir(flats.parent)
+    before = setup_toml.read_text()
+    result = RUNNER.invoke(cli.app, ["calibrate", "sensor", *words, "--setup", str(setup_toml)])
+    assert why in str(result.exception)
+    assert setup_toml.read_text() == before
+
+
+@pytest.mark.parametrize("option", ["--out", "--report"])
+def test_a_recordings_own_files_are_not_replaced(tmp_path: Path, option: str) -> None:
+    setup = nominal_setup("v_groove", "mild_steel", width=128, height=96)
+    recording = still_recording(tmp_path / "still", setup)
+    before = (recording / "poses.csv").read_text()
+    result = RUNNER.invoke(
+        cli.app, ["calibrate", "sensor", str(recording), option, str(recording / "poses.csv")]
+    )
+    assert f"poses.csv: is of the recording itself; give {option} another file" in str(result.exception)
+    assert (recording / "poses.csv").read_text() == before
+
+
+def test_a_comma_in_an_exposure_is_not_misread(flats: Path) -> None:
+    (flats / "flat_6ms_0.tif").rename(flats / "flat_6,5ms_0.tif")
+    files, warnings = find_flat_frames(flats)
+    assert "flat_6,5ms_0.tif" not in [file.path.name for file in files]
+    assert "2 images" in warnings[0]
+
+
+def test_frames_too_small_for_a_pattern_are_refused() -> None:
+    with pytest.raises(ValueError, match="are of 8 x 9 px, 22 a side are needed"):
+        level_from([np.zeros((9, 8), dtype=np.uint8)] * 2, 0.001, is_lit=True, bits=8)
