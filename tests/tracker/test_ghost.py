@@ -149,3 +149,7 @@ def test_of_two_near_their_place_the_brighter_one_is_the_stripe() -> None:
     assert near is not None
     assert near.min() > 1.0 - 22.0
     assert near.max() < 1.0 + 22.0
+
+
+def test_no_line_of_the_brighter_one_tells_no_other_place() -> None:
+    assert _near_the_weaker(np.full(N_SCAN, np.nan), 18.0, np.arange(-40, 41), 40.0) is None

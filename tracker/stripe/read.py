@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 
@@ -174,16 +175,13 @@ def read_stripe(
     base_sigma = math.hypot(black_sigma, arc.ambient_e)
     offsets = np.arange(-math.floor(reach_px), math.floor(reach_px) + 1, OFFSET_STEP)
     noise = shot, dark_variance, map_sigma, base_sigma
-    score, start, fits, saturated, seen = _fit_band(
-        band, expected, lows, offsets, noise, scatter, is_searching
-    )
+    fit = partial(_fit_band, band, expected, lows, noise=noise, is_searching=is_searching)
+    score, start, fits, saturated, seen = fit(offsets=offsets, learned=scatter)
     learned = scatter
     if not scatter.frames:
         # Of the first frame what it shows itself is all that is known.
         learned = scatter.with_frame(seen)
-        score, start, fits, saturated, seen = _fit_band(
-            band, expected, lows, offsets, noise, learned, is_searching
-        )
+        score, start, fits, saturated, seen = fit(offsets=offsets, learned=learned)
     plain, second_share, apart_px = band.background, 0.0, 0.0
     for _ in range(MAX_ROUNDS):
         share, apart_px = second_place(band.charge, plain, band.censored, fits, lows)
@@ -197,16 +195,12 @@ def read_stripe(
             second_light(band.charge, plain, band.censored, fits, lows, share, apart_px, light)
             band.background += light
         second_share = share
-        score, start, fits, saturated, seen = _fit_band(
-            band, expected, lows, offsets, noise, learned, is_searching
-        )
+        score, start, fits, saturated, seen = fit(offsets=offsets, learned=learned)
     if is_searching and second_share > 0.0:
         near = _near_the_weaker(fits[:, 0] - expected.position_px, apart_px, offsets, reach_px)
         if near is not None:
             band.background[:], offsets = plain, near
-            score, start, fits, saturated, seen = _fit_band(
-                band, expected, lows, offsets, noise, learned, is_searching
-            )
+            score, start, fits, saturated, seen = fit(offsets=offsets, learned=learned)
     scatter = scatter.with_frame(seen)
     sigma, together = scatter.widened(own_sigma(fits, expected.sigma_px))
     smooth, smooth_sigma = smooth_stripe(fits[:, 0], sigma, together)
@@ -240,6 +234,8 @@ def _near_the_weaker(off_px: Float64, apart_px: float, offsets_px: Int64, reach_
     The brighter one lies `off_px` (n_scan,) off its expected place, the weaker one `apart_px` from it. A
     reflection is seldom the brighter, and a seam that is searched seldom at the end of its reach.
     """
+    if np.isnan(off_px).all():
+        return None
     brighter_px = float(np.nanmedian(off_px))
     weaker_px, sigma_px = brighter_px + apart_px, reach_px / REACH_SIGMAS
     if brighter_px**2 - weaker_px**2 < 2.0 * sigma_px**2 * BRIGHTER_IS_FIRST_NATS:
