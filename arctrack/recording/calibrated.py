@@ -6,13 +6,14 @@ The values go into their table, such as `[camera]`. Their sigmas and covariance 
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping, MutableMapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import tomlkit
-from tomlkit.items import Array
+from tomlkit.items import Array, InlineTable
 
 from arctrack.recording.setup_file import parse_setup, read_setup_file, setup_text
 from noise_model.arrays import Float64
@@ -93,14 +94,27 @@ def with_calibrated(path: Path, *results: Calibrated) -> str:
     for result in results:
         table = document
         for name in result.table.split("."):
-            table = table.setdefault(name, tomlkit.table())
+            is_inline = isinstance(table, InlineTable)
+            table = table.setdefault(name, tomlkit.inline_table() if is_inline else tomlkit.table())
         for key, value in result.values.items():
             table[key] = _plain(value)
         kept = document.setdefault(TABLE, tomlkit.table(is_super_table=True))
-        kept[result.name or result.table] = _record(result)
+        _replace(kept, result.name or result.table, _record(result))
     text = tomlkit.dumps(document)
     parse_setup(text, path)
     return text
+
+
+def _replace(tables: MutableMapping[str, Any], name: str, record: Mapping[str, object]) -> None:
+    """Put a record into its table, key by key: comments that stand in it, or before the next one, stay."""
+    if name not in tables:
+        tables[name] = record
+        return
+    table = tables[name]
+    for key in [key for key in table if key not in record]:
+        del table[key]
+    for key, value in record.items():
+        table[key] = value
 
 
 def _record(result: Calibrated) -> dict[str, object]:

@@ -55,6 +55,28 @@ def test_a_later_calibration_replaces_the_earlier_one_and_leaves_others(setup_to
     assert (setup.camera.fx, setup.sensor.read_noise_e) == (2.0e3, 9.0)
 
 
+def test_comments_in_and_behind_an_earlier_calibration_stay(setup_toml: Path) -> None:
+    text = with_calibrated(setup_toml, lens(fx=1.0e3)).replace("made_by =", "# by hand\nlot = 7\nmade_by =")
+    setup_toml.write_text(f"{text}# the last line\n")
+    again = with_calibrated(setup_toml, lens(fx=2.0e3))
+    assert "# by hand\n" in again
+    assert again.endswith("# the last line\n")
+    assert "lot" not in tomllib.loads(again)["calibration"]["camera"]
+
+
+def test_a_value_goes_into_effects_that_are_one_line(setup_toml: Path) -> None:
+    line = "effects = {hand_eye = {move_x_mm = 0.1}} # moved"
+    setup_toml.write_text(f"{line}\n{setup_toml.read_text()}")
+    late = Calibrated(
+        "effects.pose_delay", {"delay_s": 0.02}, ("delay_s",), np.eye(1), "arctrack", name="late"
+    )
+    setup_toml.write_text(with_calibrated(setup_toml, late))
+    effects = read_setup_file(setup_toml).setup.effects
+    assert effects["pose_delay"]["delay_s"] == 0.02
+    assert effects["hand_eye"]["move_x_mm"] == 0.1
+    assert "# moved" in setup_toml.read_text()
+
+
 @pytest.mark.parametrize("count", [5, 8, 14])
 def test_a_distortion_of_many_coefficients_reads_back(setup_toml: Path, count: int) -> None:
     values = tuple(0.01 * n for n in range(count))
