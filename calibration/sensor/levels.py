@@ -89,6 +89,7 @@ def level_from(frames_dn: Sequence[Integers], exposure_s: float, is_lit: bool, b
     brightest = max(int(frame.max()) for frame in frames_dn)
     if brightest >= 2**bits:
         raise ValueError(f"{kind}: hold {brightest} DN, [sensor] bits = {bits} ends at {2**bits - 1}")
+    _check_different(frames_dn, kind)
     stack = np.stack([_middle(frame) for frame in frames_dn]).astype(np.float64)
     means = stack.mean(axis=(1, 2))
     noise = stack - means[:, np.newaxis, np.newaxis]
@@ -103,6 +104,15 @@ def level_from(frames_dn: Sequence[Integers], exposure_s: float, is_lit: bool, b
         np.bincount(stack.astype(np.int64).ravel(), minlength=2**bits),
         _neighbour_correlation(noise),
     )
+
+
+def _check_different(frames_dn: Sequence[Integers], kind: str) -> None:
+    """Raise ValueError for a frame that is there twice: noise makes no two alike, but saturation does."""
+    if len({frame.tobytes() for frame in frames_dn}) == len(frames_dn):
+        return
+    codes = np.bincount(frames_dn[0].ravel())
+    if codes.max() <= 0.5 * codes.sum():
+        raise ValueError(f"{kind}: one of them is there twice, and a copy has no noise: leave it out")
 
 
 def check_steady(level: Level, black_dn: float) -> None:

@@ -184,6 +184,14 @@ def test_a_comma_in_an_exposure_is_not_misread(flats: Path) -> None:
     assert "2 images" in warnings[0]
 
 
+def test_a_frame_that_is_there_twice_is_refused() -> None:
+    frame = draw_frame(2, np.random.default_rng(3))
+    with pytest.raises(ValueError, match="2 ms: one of them is there twice, and a copy has no noise"):
+        level_from([frame, frame.copy()], 0.002, is_lit=True, bits=8)
+    saturated = np.full_like(frame, 255)
+    assert level_from([saturated, saturated], 0.1, is_lit=True, bits=8).share_from(255.0) == 1.0
+
+
 def test_frames_too_small_for_a_pattern_are_refused() -> None:
     with pytest.raises(ValueError, match="are of 8 x 9 px, 22 a side are needed"):
         level_from([np.zeros((9, 8), dtype=np.uint8)] * 2, 0.001, is_lit=True, bits=8)
