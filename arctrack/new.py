@@ -228,7 +228,7 @@ KEYS = (
         "plane_in_tool",
         "The sheet of light in the tool frame: n_x, n_y, n_z, d of n·p + d = 0, n of length 1, d in mm.",
         Source.CALIBRATION,
-        "Stripe on a checkerboard at several heights, its points in the tool frame, a plane through them. "
+        "`arctrack calibrate laser`, from images of a board without and with the stripe. "
         "An upright sheet 35 mm ahead of the torch is [1, 0, 0, -35].",
         "30 to 60 ahead",
     ),

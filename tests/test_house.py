@@ -43,6 +43,7 @@ FOLDERS_MAY_IMPORT: dict[str, dict[str, set[str]]] = {
     "calibration": {
         "boards": set(),
         "camera": {"boards"},
+        "laser": {"boards", "camera"},
         "sensor": set(),
     },
     "sim_to_real": {

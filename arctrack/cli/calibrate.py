@@ -13,6 +13,8 @@ from arctrack.cli.calibrate_delay import EXAMPLE as DELAY_EXAMPLE
 from arctrack.cli.calibrate_delay import delay
 from arctrack.cli.calibrate_filter import filter_curve
 from arctrack.cli.calibrate_hand_eye import hand_eye
+from arctrack.cli.calibrate_laser import EXAMPLE as LASER_EXAMPLE
+from arctrack.cli.calibrate_laser import laser
 from arctrack.cli.calibrate_sensor import EXAMPLE as SENSOR_EXAMPLE
 from arctrack.cli.calibrate_sensor import sensor
 from arctrack.errors import ArctrackError, in_file
@@ -48,6 +50,7 @@ calibrate.command(
 calibrate.command(
     "hand-eye", epilog="Example: arctrack calibrate hand-eye examples/v_groove --out /tmp/found.toml"
 )(hand_eye)
+calibrate.command("laser", epilog=LASER_EXAMPLE)(laser)
 calibrate.command("sensor", epilog=SENSOR_EXAMPLE)(sensor)
 calibrate.command("delay", epilog=DELAY_EXAMPLE)(delay)
 

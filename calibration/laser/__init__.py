@@ -1,0 +1,1 @@
+"""The laser sheet from its stripe on calibration boards: a plane, and how well it is known."""

@@ -1,0 +1,269 @@
+"""The laser sheet's plane from pairs of images of a board, without and with the laser."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.stats import chi2
+
+from calibration.boards.board import Board
+from calibration.camera.adjustment import Scene, adjusted, linearised
+from calibration.camera.calibrate import one_thread
+from calibration.camera.enough import UndeterminedError
+from calibration.camera.lens import OPENCV, PINHOLE, Lens
+from calibration.camera.noise import LEAST_CORNERS, LEAST_SIGMA_PX, moderated, wrong_corners
+from calibration.camera.sightings import Sightings, View
+from calibration.camera.start import with_better_poses
+from calibration.laser.image_line import ImageLine, fit_line
+from calibration.laser.plane import LEAST_PAIRS, BoardLine, PlaneFit, consistent, fit_plane
+from calibration.laser.stripe import Stripe
+from noise_model.arrays import Float64
+from noise_model.instrument.camera import Camera
+
+MOST_TILT_SIGMA_DEG = 0.5
+"""1 sigma of the sheet's lean: beyond it, a part 10 mm off the boards is 0.09 mm off and more."""
+
+MOST_RMS_PX = 2.0
+"""Corners that are farther off than this, RMS, are not seen by the stated camera."""
+
+FALSE_ALARM = 0.01
+"""The probability that lines which agree are taken not to."""
+
+STEP_SIGMAS = 0.1
+"""Steps of the lens in finite differences, in sigmas."""
+
+FAR_MM = 1e3
+"""Where boards stand before their poses are sought."""
+
+
+@dataclass(frozen=True)
+class LaserCalibration:
+    """The laser sheet with all that is known of it.
+
+    Parameters
+    ----------
+    fit : PlaneFit
+        The plane in the camera frame, and what pairs alone say of its covariance.
+    lens_covariance : array (4, 4)
+        What the lens' uncertainty adds to that.
+    scatter : float
+        By how much the pairs' covariance is larger than their noise makes it, 1 or more.
+    names : tuple of str
+        The pairs used, by their images without the laser.
+    stripes : tuple of Stripe
+        Their stripes, of the points that lie on a line.
+    lines : tuple of BoardLine
+        Their lines on the boards.
+    points_mm : tuple of array (n, 3)
+        The stripes' points on the boards, camera frame.
+    corner_sigma_px : array (k,)
+        1 sigma of a corner in each pair.
+    left_out : dict
+        The pairs that were left out, and why.
+    """
+
+    fit: PlaneFit
+    lens_covariance: Float64
+    scatter: float
+    names: tuple[str, ...]
+    stripes: tuple[Stripe, ...]
+    lines: tuple[BoardLine, ...]
+    points_mm: tuple[Float64, ...]
+    corner_sigma_px: Float64
+    left_out: dict[str, str]
+
+    @property
+    def plane(self) -> Float64:
+        """The plane (4,), n.X + d = 0, camera frame, mm."""
+        return self.fit.plane
+
+    @property
+    def covariance(self) -> Float64:
+        """Its covariance (4, 4), of rank 3."""
+        return np.asarray(self.scatter * self.fit.covariance + self.lens_covariance)
+
+    @property
+    def off_mm(self) -> tuple[Float64, ...]:
+        """How far the points of each pair are off the plane."""
+        return tuple(points @ self.plane[:3] + self.plane[3] for points in self.points_mm)
+
+    @property
+    def rms_mm(self) -> float:
+        """The RMS distance of all points from the plane."""
+        return float(np.sqrt(np.mean(np.concatenate(self.off_mm) ** 2)))
+
+    def in_tool(self, T_tool_camera: Float64) -> tuple[Float64, Float64]:
+        """Return plane (4,) and covariance (4, 4) in the tool frame; the camera's pose counts as exact."""
+        R, t = T_tool_camera[:3, :3], T_tool_camera[:3, 3]
+        to_tool = np.zeros((4, 4))
+        to_tool[:3, :3], to_tool[3, :3], to_tool[3, 3] = R, -t @ R, 1.0
+        return to_tool @ self.plane, to_tool @ self.covariance @ to_tool.T
+
+    def distance_sigma_mm(self, points_mm: Float64) -> Float64:
+        """Return 1 sigma of the plane's place along its normal at points (n, 3), mm, camera frame."""
+        row = np.column_stack([points_mm, np.ones(len(points_mm))])
+        return np.asarray(np.sqrt(np.einsum("ni,ij,nj->n", row, self.covariance, row)))
+
+
+def lens_of(camera: Camera, free: Sequence[str] = ()) -> Lens:
+    """Return a stated camera's lens, with the coefficients that are not 0, or that are `free`."""
+    stated = dict(zip(OPENCV, camera.distortion, strict=False))
+    names = tuple(name for name in OPENCV if stated.get(name, 0.0) != 0.0 or name in free)
+    values = [camera.fx, camera.fy, camera.cx, camera.cy, *(stated.get(name, 0.0) for name in names)]
+    return Lens(camera.width, camera.height, (*PINHOLE, *names), np.array(values))
+
+
+def board_poses(board: Board, views: Sequence[View], lens: Lens) -> tuple[Scene, Sightings]:
+    """Return the boards' poses before a known lens, and the corners that are where the board has them."""
+    seen = Sightings.of(board, views)
+    far = np.tile(np.eye(4), (len(views), 1, 1))
+    far[:, 2, 3] = FAR_MM
+    scene = Scene(lens, np.zeros(2), far, np.zeros((len(board.points_mm), 2)))
+    with one_thread():
+        scene = with_better_poses(scene, seen)
+        kept = ~wrong_corners(scene, seen)
+        if not kept.all() and (seen.where(kept).counts >= LEAST_CORNERS).all():
+            seen = seen.where(kept)
+            scene = adjusted(scene, seen, np.ones(len(seen)), poses_only=True)
+    return scene, seen
+
+
+def calibrate_laser(
+    scene: Scene,
+    seen: Sightings,
+    stripes: Mapping[str, Stripe],
+    lens_covariance: Float64 | None = None,
+) -> LaserCalibration:
+    """Find the laser sheet's plane from stripes on boards whose poses are known.
+
+    Parameters
+    ----------
+    scene : Scene
+        Lens and boards, from `board_poses`.
+    seen : Sightings
+        The corners.
+    stripes : mapping
+        The stripe of each view, by its name; views without one are not used.
+    lens_covariance : array (n, n), optional
+        The covariance of the lens' free parameters; without it the lens counts as exact.
+
+    Returns
+    -------
+    LaserCalibration
+        The plane in the camera frame.
+
+    Raises
+    ------
+    UndeterminedError
+        If the pairs do not determine the plane; it says which pair is missing.
+    """
+    chosen = [n for n, name in enumerate(seen.names) if name in stripes]
+    _check_count(len(chosen))
+    scene, seen = scene.of_views(chosen), seen.of_views(chosen)
+    shown = [stripes[name] for name in seen.names]
+    rms = math.sqrt(float(np.mean(np.sum(scene.residuals(seen) ** 2, axis=1))))
+    if rms > MOST_RMS_PX:
+        raise UndeterminedError(
+            f"the boards' corners are {rms:.1f} px off where the setup's camera sees them: calibrate the "
+            "camera first, `arctrack calibrate camera`; or the board's counts or squares are others"
+        )
+    with one_thread():
+        lines, sigma_px = _board_lines(scene, seen, shown)
+        try:
+            kept = consistent(lines)
+            fit = fit_plane([lines[n] for n in kept])
+        except np.linalg.LinAlgError:
+            raise UndeterminedError(_on_one_line(0.0)) from None
+        scatter = _scatter(fit)
+        if math.degrees(fit.tilt_sigma * math.sqrt(scatter)) > MOST_TILT_SIGMA_DEG:
+            raise UndeterminedError(_on_one_line(fit.spread_mm))
+        left_out = {
+            name: "its stripe does not lie in the plane of the others: the board moved between its images, "
+            "or a reflection was taken for the stripe"
+            for n, name in enumerate(seen.names)
+            if n not in kept
+        }
+        scene, seen = scene.of_views(kept), seen.of_views(kept)
+        shown = [shown[n] for n in kept]
+        by_lens = _by_lens(scene, seen, shown, lens_covariance, fit.plane)
+    lines = [lines[n] for n in kept]
+    stripes_kept = tuple(
+        replace(stripe, points_px=stripe.points_px[line.line.kept])
+        for stripe, line in zip(shown, lines, strict=True)
+    )
+    points = tuple(
+        line.points(scene.lens.rays(stripe.points_px))
+        for stripe, line in zip(stripes_kept, lines, strict=True)
+    )
+    return LaserCalibration(
+        fit, by_lens, scatter, seen.names, stripes_kept, tuple(lines), points, sigma_px[kept], left_out
+    )
+
+
+def _board_lines(scene: Scene, seen: Sightings, stripes: Sequence[Stripe]) -> tuple[list[BoardLine], Float64]:
+    """Return the stripes' lines on their boards, and 1 sigma of a corner in each image."""
+    square = np.sum(scene.residuals(seen) ** 2, axis=1)
+    free = np.maximum(2.0 * seen.counts - 6.0, 1.0)
+    variance, _ = moderated(np.array([square[part].sum() for part in seen.slices]) / free, free)
+    sigma_px = np.sqrt(np.maximum(variance, LEAST_SIGMA_PX**2))
+    motion = linearised(scene, seen, 1.0 / sigma_px[seen.view]).motion
+    lines = [
+        BoardLine(_image_line(scene.lens, stripe), T, covariance)
+        for stripe, T, covariance in zip(stripes, scene.T_camera_board, np.linalg.inv(motion), strict=True)
+    ]
+    return lines, np.asarray(sigma_px)
+
+
+def _image_line(lens: Lens, stripe: Stripe) -> ImageLine:
+    return fit_line(lens.rays(stripe.points_px), stripe.along_rows)
+
+
+def _by_lens(
+    scene: Scene,
+    seen: Sightings,
+    stripes: Sequence[Stripe],
+    lens_covariance: Float64 | None,
+    plane: Float64,
+) -> Float64:
+    """Return what the lens' covariance adds to the plane's: poses and stripes go with the lens."""
+    if lens_covariance is None:
+        return np.zeros((4, 4))
+    sigma = np.sqrt(np.diag(lens_covariance))
+    columns = []
+    for n, each in enumerate(sigma):
+        ends = []
+        for sign in (1.0, -1.0):
+            values = scene.lens.values.copy()
+            values[n] += sign * STEP_SIGMAS * each
+            other = replace(scene, lens=replace(scene.lens, values=values))
+            other = adjusted(other, seen, np.ones(len(seen)), poses_only=True)
+            found_plane = fit_plane(_board_lines(other, seen, stripes)[0]).plane
+            ends.append(found_plane * np.sign(found_plane[:3] @ plane[:3]))
+        columns.append((ends[0] - ends[1]) / (2.0 * STEP_SIGMAS * each) if each > 0.0 else np.zeros(4))
+    J = np.column_stack(columns)
+    return np.asarray(J @ lens_covariance @ J.T)
+
+
+def _scatter(fit: PlaneFit) -> float:
+    """Return by what factor the covariance is too small, 1 where the lines' noise explains all."""
+    total = float(fit.squares.sum())
+    return total / fit.freedom if chi2.sf(total, fit.freedom) < FALSE_ALARM else 1.0
+
+
+def _check_count(pairs: int) -> None:
+    if pairs < LEAST_PAIRS:
+        raise UndeterminedError(
+            f"{pairs} pair{'s show' if pairs != 1 else ' shows'} board and stripe: {LEAST_PAIRS} at least "
+            "are needed, and 8 are good; take more, with the board at other distances"
+        )
+
+
+def _on_one_line(spread_mm: float) -> str:
+    return (
+        f"the stripes of all boards lie within {spread_mm:.2g} mm of one line, and the sheet's lean about it "
+        "is unknown: add a pair with the board nearer to the camera and one with it farther away, by a tenth "
+        "of the distance or more"
+    )

@@ -1,0 +1,145 @@
+"""The straight line that a stripe on a flat board is in an undistorted image, and how well it is known.
+
+Speckle makes neighbouring scan lines err together, so that n of them tell less than n. With the residuals'
+autocorrelation r_k along the stripe, they tell as much as n / (1 + 2 sum r_k) independent ones (Sokal, Monte
+Carlo methods in statistical mechanics, 1997, section 3); the sum ends where r_k is lost in its own noise.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from noise_model.arrays import Bool, Float64
+
+TAIL = 4.0
+"""Degrees of freedom of Student's t: points off the line hardly move it."""
+
+ROUNDS, SETTLED = 50, 1e-4
+
+FAR_SIGMAS = 5.0
+"""A point that many sigmas off the line is none of it."""
+
+MOST_LAG = 0.2
+"""The autocorrelation is summed up to this share of the stripe's lines at most."""
+
+LEAST_SIGMA = 1e-9
+"""Stripes without noise occur in tests alone."""
+
+LEAST_FREE = 2.0
+
+
+@dataclass(frozen=True)
+class ImageLine:
+    """A stripe's straight line.
+
+    Parameters
+    ----------
+    rays : array (2, 3)
+        Two of its points, one standard deviation of the stripe's points to either side of their mean; z = 1.
+    across : array (3,)
+        The direction in which these two are uncertain: that of the scan lines.
+    covariance : array (2, 2)
+        The covariance of the two along it.
+    kept : array (n,)
+        Which of the stripe's points lie on it.
+    sigma : float
+        1 sigma of a point about the line, in units of the focal length.
+    independent : float
+        How many independent points tell as much.
+    """
+
+    rays: Float64
+    across: Float64
+    covariance: Float64
+    kept: Bool
+    sigma: float
+    independent: float
+
+
+def fit_line(rays: Float64, along_rows: bool) -> ImageLine:
+    """Fit a line to a stripe's rays.
+
+    Parameters
+    ----------
+    rays : array (n, 3)
+        The rays of its points in the order of its scan lines, z = 1.
+    along_rows : bool
+        The stripe runs along rows: its points err along y.
+
+    Returns
+    -------
+    ImageLine
+        The maximum of Student's likelihood, with the covariance that the residuals show.
+    """
+    t, y = (rays[:, 0], rays[:, 1]) if along_rows else (rays[:, 1], rays[:, 0])
+    slope = _slope_of_most(t, y)
+    level = float(np.median(y - slope * t))
+    scale = np.inf
+    weight = np.ones(len(t))
+    for _ in range(ROUNDS):
+        off = y - level - slope * t
+        if not np.isfinite(scale):
+            scale = max(1.4826 * float(np.median(np.abs(off))), LEAST_SIGMA)
+        weight = (TAIL + 1.0) / (TAIL + (off / scale) ** 2)
+        before, scale = scale, max(float(np.sqrt(np.mean(weight * off**2))), LEAST_SIGMA)
+        middle = float(np.average(t, weights=weight))
+        slope = float(np.sum(weight * (t - middle) * y) / np.sum(weight * (t - middle) ** 2))
+        level = float(np.average(y, weights=weight) - slope * middle)
+        if abs(scale / before - 1.0) < SETTLED:
+            break
+    off = y - level - slope * t
+    kept = np.abs(off) <= FAR_SIGMAS * scale
+    t, off, weight = t[kept], off[kept], weight[kept]
+    middle = float(np.average(t, weights=weight))
+    spread = float(np.sqrt(np.average((t - middle) ** 2, weights=weight)))
+    design = np.column_stack([np.ones(len(t)), (t - middle) / spread])
+    pull = weight * off
+    bread = np.linalg.inv(design.T @ (weight_of_information(off, scale)[:, np.newaxis] * design))
+    meat = design.T @ (pull[:, np.newaxis] ** 2 * design)
+    together = lines_together(pull)
+    independent = len(t) / together
+    free = max(independent - 2.0, LEAST_FREE)
+    covariance = bread @ meat @ bread * together * independent / free
+    ends = np.array([[1.0, -1.0], [1.0, 1.0]])
+    along = middle + spread * np.array([-1.0, 1.0])
+    place = level + slope * along
+    pair = (along, place) if along_rows else (place, along)
+    across = np.array([0.0, 1.0, 0.0]) if along_rows else np.array([1.0, 0.0, 0.0])
+    return ImageLine(
+        np.column_stack([*pair, np.ones(2)]),
+        across,
+        ends @ covariance @ ends.T,
+        kept,
+        float(np.sqrt(np.mean(off**2))),
+        independent,
+    )
+
+
+def weight_of_information(off: Float64, scale: float) -> Float64:
+    """Return the slope of Student's pull over the residual, for each residual (n,)."""
+    square = (off / scale) ** 2
+    return np.asarray((TAIL + 1.0) * (TAIL - square) / (TAIL + square) ** 2)
+
+
+def lines_together(pull: Float64) -> float:
+    """Return how many neighbours (1 or more) tell as much as one that is independent."""
+    n = len(pull)
+    centred = pull - pull.mean()
+    power = float(centred @ centred)
+    if not power > 0.0:
+        return 1.0
+    total, noise = 1.0, 1.0 / np.sqrt(n)
+    for lag in range(1, max(int(MOST_LAG * n), 2)):
+        r = float(centred[lag:] @ centred[:-lag]) / power
+        if r <= noise:
+            break
+        total += 2.0 * r
+    return total
+
+
+def _slope_of_most(t: Float64, y: Float64) -> float:
+    """Return the median slope of pairs of points half the stripe apart: a quarter may be off."""
+    half = len(t) // 2
+    return float(np.median((y[half:] - y[: len(y) - half]) / (t[half:] - t[: len(t) - half])))

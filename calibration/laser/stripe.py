@@ -1,0 +1,296 @@
+"""The stripe on a board, from an image with the laser off and one with the laser on.
+
+Room light cancels in the difference. A matched filter and the tracker's likeliest path say where the stripe
+may be, along rows or along columns. A flat board's stripe is straight but for the lens: most of those places
+agree on a line, and all scan lines are then looked at near it. The place in each is the centroid of its light
+under a Gaussian of the stripe's width: the matched filter's maximum.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+
+from calibration.boards.board import Board
+from calibration.camera.lens import Lens
+from noise_model.arrays import Bool, Float32, Float64, Int64, Integers
+from tracker.stripe.viterbi import best_path
+
+SCALES_PX = (1.5, 3.0, 6.0, 12.0)
+"""The sigmas of the stripes that are looked for."""
+
+SURROUND = 2.5
+"""The mean about a stripe is taken with so many times its sigma."""
+
+ALONG_PX = 1.0
+"""The matched filter's sigma along the stripe."""
+
+LEAST_SCORE = 6.0
+"""A scan line shows the stripe where the matched filter's output is so many of its sigmas."""
+
+LEAST_LINES = 20
+"""Fewer scan lines with a stripe tell no direction."""
+
+REACH = 3.0
+"""How far light counts about the stripe, in sigmas."""
+
+MOST_STEPS, SETTLED_PX = 60, 1e-4
+"""Steps of the centroid at most, and the one that is the last."""
+
+MARGIN = 0.9
+"""How far the board goes beyond its outer corners, in squares."""
+
+EDGE_POINTS = 10
+"""Points on each side of the board's outline: a lens may bend it."""
+
+LIGHT_ROUNDS, LIGHT_SIGMAS = 4, 3.0
+"""Rounds by which room light is matched, and beyond how many sigmas a pixel does not count in them."""
+
+BRIGHTNESSES = 4
+"""The noise of the difference is told for so many parts of the board, from the darkest to the brightest."""
+
+TRIALS, SEED = 500, 1
+"""Pairs of places through which a line is laid to count who agrees with it."""
+
+BEND_PX = 3.0
+"""How far a lens may bend a line within the board."""
+
+TRIM_ROUNDS, TRIM_SIGMAS, LEAST_TRIM_PX = 8, 4.0, 0.3
+"""Places that many sigmas off the stripe's curve, and so many px, are no stripe's."""
+
+GAP_LINES, LEAST_PIECE, LEAST_SHARE = 10, 0.2, 0.08
+"""Pieces of a stripe are so many lines apart. A smaller share of the longest, or of all, is a scrap."""
+
+GAIN_CAP = 60.0
+"""The most that a scan line counts, in log-likelihood, as in the tracker's path."""
+
+NOISE_FLOOR_DN = 0.3
+"""Rounding of two images leaves that much noise at least."""
+
+MAD_TO_SIGMA = 1.4826
+
+
+@dataclass(frozen=True)
+class Stripe:
+    """A stripe in an image.
+
+    Parameters
+    ----------
+    points_px : array (n, 2)
+        Where it is, a point in each scan line.
+    along_rows : bool
+        It runs along the rows: scan lines are columns.
+    scale_px : float
+        Which sigma of a stripe shows it best.
+    """
+
+    points_px: Float64
+    along_rows: bool
+    scale_px: float
+
+
+def board_area(board: Board, lens: Lens, T_camera_board: Float64) -> Bool:
+    """Return which pixels (H, W) show the board, its outer squares included."""
+    low, high = -MARGIN * board.square_mm, np.array([board.columns, board.rows]) - 1.0 + MARGIN
+    (x1, y1), step = high * board.square_mm, np.linspace(0.0, 1.0, EDGE_POINTS, endpoint=False)
+    corners = np.array([[low, low, 0.0], [x1, low, 0.0], [x1, y1, 0.0], [low, y1, 0.0]])
+    sides = corners[:, np.newaxis] + step[:, np.newaxis] * (np.roll(corners, -1, axis=0) - corners)[:, None]
+    outline = sides.reshape(-1, 3) @ T_camera_board[:3, :3].T + T_camera_board[:3, 3]
+    drawn = np.zeros((lens.height, lens.width), dtype=np.uint8)
+    reach = 4 * max(drawn.shape)
+    cv2.fillPoly(drawn, [lens.project(outline).clip(-reach, reach).round().astype(np.int32)], 1)
+    return np.asarray(drawn > 0)
+
+
+@dataclass(frozen=True)
+class LaserLight:
+    """The laser's light on a board.
+
+    Parameters
+    ----------
+    light_dn : array (H, W)
+        The image with it less that without, DN; 0 beside the board.
+    noise_dn : array (H, W)
+        1 sigma of that without a stripe, DN.
+    area : array (H, W)
+        Which pixels show the board.
+    """
+
+    light_dn: Float32
+    noise_dn: Float32
+    area: Bool
+
+
+def laser_light(off_dn: Integers, on_dn: Integers, area: Bool) -> LaserLight:
+    """Return the laser's light on a board, from images (H, W) without and with it.
+
+    Lamps flicker: on = gain off + offset is fitted to the board's pixels, without what the laser lights.
+    """
+    off, on = (image[area].astype(np.float64) for image in (off_dn, on_dn))
+    kept = np.ones(len(off), dtype=bool)
+    gain, offset = 1.0, 0.0
+    for _ in range(LIGHT_ROUNDS):
+        if not np.ptp(off[kept]) > 0.0:
+            break
+        gain, offset = np.polyfit(off[kept], on[kept], 1)
+        rest = on - gain * off - offset
+        middle = float(np.median(rest))
+        kept = np.abs(rest - middle) <= LIGHT_SIGMAS * max(_spread(rest), 1.0)
+    light = np.zeros(off_dn.shape, dtype=np.float32)
+    rest = on - gain * off - offset
+    light[area] = rest
+    # Bright squares have more shot noise, and more of what a codec leaves.
+    limits = np.quantile(off, np.linspace(0.0, 1.0, BRIGHTNESSES + 1)[1:-1])
+    part = np.searchsorted(limits, off)
+    spreads = [_spread(rest[part == n]) if (part == n).any() else 0.0 for n in range(BRIGHTNESSES)]
+    noise = np.ones(off_dn.shape, dtype=np.float32)
+    noise[area] = np.maximum(spreads, NOISE_FLOOR_DN)[part]
+    return LaserLight(light, noise, area)
+
+
+def find_stripe(seen: LaserLight) -> Stripe | None:
+    """Find the stripe on a board.
+
+    Parameters
+    ----------
+    seen : LaserLight
+        The laser's light.
+
+    Returns
+    -------
+    Stripe or None
+        The stripe along the direction in which it is clearer; None without one.
+    """
+    rows, columns = (np.flatnonzero(seen.area.any(axis=axis)) for axis in (1, 0))
+    if not len(rows):
+        return None
+    box = slice(rows[0], rows[-1] + 1), slice(columns[0], columns[-1] + 1)
+    light, noise, area = seen.light_dn[box], seen.noise_dn[box], seen.area[box]
+    both = [_along(np.ascontiguousarray(light.T), noise.T, area.T), _along(light, noise, area)]
+    along_rows = both[0].clearness >= both[1].clearness
+    best = both[0] if along_rows else both[1]
+    if len(best.scan) < LEAST_LINES:
+        return None
+    pair = [best.scan, best.places] if along_rows else [best.places, best.scan]
+    corner = np.array([columns[0], rows[0]])
+    return Stripe(np.column_stack(pair) + corner, along_rows, best.scale_px)
+
+
+@dataclass(frozen=True)
+class _Track:
+    """A stripe across scan lines (n,): how clear it is in all, its places (n,), and its sigma, px."""
+
+    clearness: float
+    scan: Int64
+    places: Float64
+    scale_px: float
+
+
+def _along(lines: Float32, noise: Float32, inside: Bool) -> _Track:
+    """Return the straightest of the likely stripes across scan lines (n, m)."""
+    score, sigma = _matched(lines, noise, inside)
+    nothing = _Track(0.0, np.empty(0, dtype=np.int64), np.empty(0), sigma)
+    choice = np.empty(len(score), dtype=np.int64)
+    best_path(score, choice)
+    scan = np.flatnonzero(choice >= 0)
+    scan = scan[score[scan, choice[scan]] >= LEAST_SCORE]
+    if len(scan) < LEAST_LINES:
+        return nothing
+    agreed = _agreed(scan, choice[scan], score[scan, choice[scan]], BEND_PX + 2.0 * sigma)
+    if agreed.sum() < LEAST_LINES:
+        return nothing
+    # A bent line: twice, as the first time only those near a straight one count.
+    for _ in range(2):
+        course = np.polynomial.Polynomial.fit(scan[agreed], choice[scan[agreed]], 2)
+        agreed = np.abs(choice[scan] - course(scan)) <= 2.0 * sigma + 1.0
+        if agreed.sum() < LEAST_LINES:
+            return nothing
+    near = np.arange(scan[agreed].min(), scan[agreed].max() + 1)
+    start = course(near)
+    places, settled = _centroids(lines[near], start, sigma)
+    reach = REACH * sigma
+    settled &= (places > reach) & (places < lines.shape[1] - 1 - reach)
+    near, places, start = near[settled], places[settled], start[settled]
+    clear = score[near, places.round().astype(np.int64)]
+    kept = (clear >= LEAST_SCORE) & (np.abs(places - start) <= 2.0 * sigma + 1.0)
+    kept &= _on_one_curve(near, places, kept)
+    return _Track(float(np.minimum(0.5 * clear[kept] ** 2, GAIN_CAP).sum()), near[kept], places[kept], sigma)
+
+
+def _on_one_curve(scan: Int64, places: Float64, kept: Bool) -> Bool:
+    """Return which places (n,) lie on the parabola of most of those kept: a board's edges cross it."""
+    for _ in range(TRIM_ROUNDS):
+        if kept.sum() < LEAST_LINES:
+            return kept
+        off = places - np.polynomial.Polynomial.fit(scan[kept], places[kept], 2)(scan)
+        kept = np.abs(off) <= max(TRIM_SIGMAS * _spread(off[kept]), LEAST_TRIM_PX)
+        kept = _without_scraps(scan, kept)
+    return kept
+
+
+def _without_scraps(scan: Int64, kept: Bool) -> Bool:
+    """Return those kept (n,) that are in long pieces of the stripe."""
+    where = np.flatnonzero(kept)
+    piece = np.cumsum(np.diff(scan[where], prepend=scan[where[:1]]) > GAP_LINES)
+    counts = np.bincount(piece)
+    long = np.zeros(len(kept), dtype=bool)
+    least = max(LEAST_PIECE * counts.max(initial=0), LEAST_SHARE * len(where))
+    long[where[counts[piece] >= least]] = True
+    return long
+
+
+def _matched(lines: Float32, noise: Float32, inside: Bool) -> tuple[Float32, float]:
+    """Return the matched filter's output in its sigmas (n, m), of the stripe's sigma that shows most."""
+    best, best_score = (-np.inf, SCALES_PX[0]), np.zeros_like(lines)
+    for sigma in SCALES_PX:
+        if 2.0 * SURROUND * sigma >= lines.shape[1]:
+            continue
+        near = cv2.GaussianBlur(lines, (0, 0), sigmaX=sigma, sigmaY=ALONG_PX)
+        wide = cv2.GaussianBlur(lines, (0, 0), sigmaX=SURROUND * sigma, sigmaY=ALONG_PX)
+        output = (near - wide) / noise
+        # The output's own spread says how much noise is left, whatever a codec has made of it.
+        score = np.where(inside, output / max(_spread(output[inside]), 1e-6), 0.0).astype(np.float32)
+        shows = float(score.max(axis=1).mean())
+        if shows > best[0]:
+            best, best_score = (shows, sigma), score
+    return best_score, best[1]
+
+
+def _agreed(scan: Int64, place: Int64, score: Float32, within_px: float) -> Bool:
+    """Return which places (n,) agree on the line that has most of the evidence."""
+    rng = np.random.default_rng(SEED)
+    first, second = rng.integers(0, len(scan), (2, TRIALS))
+    apart = np.abs(scan[first] - scan[second]) >= min(LEAST_LINES, len(scan) // 2)
+    first, second = first[apart], second[apart]
+    slope = (place[second] - place[first]) / (scan[second] - scan[first])
+    level = place[first] - slope * scan[first]
+    is_near = np.abs(place - level[:, np.newaxis] - slope[:, np.newaxis] * scan) <= within_px
+    gain = np.minimum(0.5 * score.astype(np.float64) ** 2, GAIN_CAP)
+    return np.asarray(is_near[int(np.argmax(is_near @ gain))]) if len(slope) else np.zeros(len(scan), bool)
+
+
+def _centroids(lines: Float32, start_px: Float64, sigma_px: float) -> tuple[Float64, Bool]:
+    """Return the centroid of each line's light (n,) under a Gaussian about itself, and whether it settled."""
+    half = int(np.ceil(REACH * sigma_px)) + 2
+    first = np.rint(start_px).astype(np.int64) - half
+    offsets = first[:, np.newaxis] + np.arange(2 * half + 1)
+    light = np.take_along_axis(lines, offsets.clip(0, lines.shape[1] - 1), axis=1)
+    place = start_px.copy()
+    step = np.full(len(place), np.inf)
+    for _ in range(MOST_STEPS):
+        weight = light * np.exp(-0.5 * ((offsets - place[:, np.newaxis]) / sigma_px) ** 2)
+        total = weight.sum(axis=1)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            step = np.where(total > 0.0, (weight * offsets).sum(axis=1) / total - place, np.nan)
+        place = np.where(np.isfinite(step), place + step, place)
+        if not np.nanmax(np.abs(step), initial=0.0) > SETTLED_PX:
+            break
+    near = np.abs(place - start_px) <= REACH * sigma_px
+    return place, near & (np.abs(np.nan_to_num(step, nan=np.inf)) < 0.01)
+
+
+def _spread(values: Float64 | Float32) -> float:
+    """Return 1 sigma of values, from their median distance to the median."""
+    return MAD_TO_SIGMA * float(np.median(np.abs(values - np.median(values))))

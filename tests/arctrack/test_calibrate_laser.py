@@ -1,0 +1,106 @@
+import shutil
+import tomllib
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+from laser_scenes import BOARDS, PINHOLE, PLANE, SIZE, pictures
+from typer.testing import CliRunner, Result
+
+from arctrack import cli
+from arctrack.recording import Calibrated, read_setup_file, with_calibrated
+
+pytestmark = pytest.mark.slow
+
+RUNNER = CliRunner(env={"COLUMNS": "120", "TERM": "dumb", "NO_COLOR": "1"})
+EXAMPLES = Path(__file__).parents[2] / "examples"
+BOARD = ["--board", "chessboard:7x6:10mm"]
+
+
+def calibrate(*words: str | Path) -> Result:
+    return RUNNER.invoke(cli.app, ["calibrate", "laser", *map(str, words)])
+
+
+@pytest.fixture
+def setup_toml(tmp_path: Path) -> Path:
+    """Return a setup whose camera is that of the pictures, with the covariance of its calibration."""
+    path = tmp_path / "recording.toml"
+    shutil.copy(EXAMPLES / "v_groove" / "recording.toml", path)
+    values = {"width": SIZE[0], "height": SIZE[1], **PINHOLE}
+    camera = Calibrated("camera", values, tuple(PINHOLE), np.diag([0.01] * 4), "arctrack calibrate camera")
+    path.write_text(with_calibrated(path, camera) + "# mine\n")
+    return path
+
+
+@pytest.fixture(scope="module")
+def pairs(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Return a folder of five pairs, one without a stripe, and one image without a partner."""
+    folder = tmp_path_factory.mktemp("pairs")
+    for n, held in enumerate(BOARDS):
+        off, on = pictures(held, seed=n, flicker=1.0 + 0.02 * n)
+        cv2.imwrite(str(folder / f"board_{n}.png"), off)
+        cv2.imwrite(str(folder / f"laser_{n}.png"), cv2.cvtColor(on, cv2.COLOR_GRAY2BGR))
+    dark = pictures(BOARDS[1], seed=9, with_laser=False)
+    shifted = [np.roll(picture, 20, axis=1) for picture in dark]
+    cv2.imwrite(str(folder / "board_8.png"), shifted[0])
+    cv2.imwrite(str(folder / "laser_8.png"), shifted[1])
+    cv2.imwrite(str(folder / "board_9.png"), shifted[0])
+    return folder
+
+
+def test_pairs_become_a_sheet_in_the_setup(pairs: Path, setup_toml: Path, tmp_path: Path) -> None:
+    before = setup_toml.read_text()
+    result = calibrate(pairs, *BOARD, "--setup", setup_toml)
+    assert result.exit_code == 0, result.output
+    for line in (
+        "board_9.png: left out: has no image with the laser",
+        "laser_8.png: left out: shows no stripe on the board",
+        "5 pairs",
+        "the one before is recording.toml.1",
+    ):
+        assert line in result.output
+    assert (tmp_path / "recording.toml.1").read_text() == before
+    assert "# mine" in setup_toml.read_text()
+    setup = read_setup_file(setup_toml).setup
+    record = tomllib.loads(setup_toml.read_text())["calibration"]["laser"]
+    assert record["parameters"] == ["n_x", "n_y", "n_z", "d_mm"]
+    T = setup.camera.T_tool_camera
+    truth = np.array([*(T[:3, :3] @ PLANE[:3]), PLANE[3] - T[:3, 3] @ T[:3, :3] @ PLANE[:3]])
+    truth *= np.sign(truth[:3] @ setup.laser.plane[:3])
+    assert np.abs((setup.laser.plane - truth) / record["sigma"]).max() < 4.0
+    assert max(record["sigma"][:3]) < 1e-3
+    off_mm = setup.laser.origin_mm @ setup.laser.plane[:3] + setup.laser.plane[3]
+    assert off_mm == pytest.approx(0.0, abs=1e-3)
+    page = (tmp_path / "calibrate_laser.html").read_text()
+    assert 'src="data:image' in page
+    assert "laser_8.png: left out" in page
+    assert "the lens counts as exact" not in page
+
+
+def test_two_pairs_are_not_enough(pairs: Path, setup_toml: Path) -> None:
+    files = [pairs / f"{half}_{n}.png" for half in ("board", "laser") for n in "01"]
+    result = calibrate(*files, *BOARD, "--setup", setup_toml)
+    assert "2 pairs show board and stripe: 3 at least are needed" in str(result.exception)
+
+
+@pytest.mark.parametrize(
+    ("names", "why"),
+    [
+        (["a_1.png", "b_1.png"], "has the number of a_1.png, and both are of one kind"),
+        (["off_1.png", "laser_off_2.png"], "holds no pair of images without and with the laser: pairs share"),
+        (["off_1.png", "on_1.png"], "[camera] width, height: 640 x 480, but the images are 800 x 600 px"),
+    ],
+)
+def test_files_that_are_no_pairs_are_named(pairs: Path, tmp_path: Path, names: list[str], why: str) -> None:
+    for name in names:
+        shutil.copy(pairs / "board_0.png", tmp_path / name)
+    out = tmp_path / "out.toml"
+    result = calibrate(tmp_path, *BOARD, "--setup", EXAMPLES / "v_groove", "--out", out)
+    assert why in str(result.exception)
+    assert not out.exists()
+
+
+def test_help_has_an_example() -> None:
+    result = RUNNER.invoke(cli.app, ["calibrate", "laser", "--help"])
+    assert "Example: arctrack calibrate laser /tmp/pairs --board chessboard:8x6:2.5mm" in result.output
