@@ -114,6 +114,8 @@ def _by_table(path: Path) -> Iterator[FlatFile]:
     table = read_csv(path, {"exposure_ms": number, "lit": whole(1)})
     with blamed_on(path):
         rows = list(csv.DictReader(read_text(path, LIMITS.csv_bytes).splitlines()))
+    if rows and "file" not in rows[0]:
+        raise in_file(path, "the column file is missing; needed are file,exposure_ms,lit", line=1)
     for row, exposure_ms, lit, line in zip(
         rows, table.column("exposure_ms"), table.column("lit"), table.lines.tolist(), strict=True
     ):

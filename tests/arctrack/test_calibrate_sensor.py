@@ -184,6 +184,14 @@ def test_a_comma_in_an_exposure_is_not_misread(flats: Path) -> None:
     assert "2 images" in warnings[0]
 
 
+def test_a_table_without_files_says_which_column_is_missing(flats: Path) -> None:
+    (flats / "exposures.csv").write_text("exposure_ms,lit\n8,1\n")
+    with pytest.raises(
+        ArctrackError, match=r"line 1: the column file is missing; needed are file,exposure_ms"
+    ):
+        find_flat_frames(flats)
+
+
 def test_a_frame_that_is_there_twice_is_refused() -> None:
     frame = draw_frame(2, np.random.default_rng(3))
     with pytest.raises(ValueError, match="2 ms: one of them is there twice, and a copy has no noise"):
