@@ -99,7 +99,7 @@ KEYS = (
         "distortion",
         "The lens' distortion, OpenCV's k1 k2 p1 p2 k3.",
         Source.CALIBRATION,
-        "`arctrack calibrate camera` chooses among the five. All 0 for a lens that has none.",
+        "`arctrack calibrate camera` chooses how many it needs. All 0 for a lens that has none.",
         "k1 -0.3 to 0.3",
     ),
     Key(

@@ -254,6 +254,11 @@ def _lens(
     distance_mm = float(np.median(scene.points_camera(seen)[:, 2]))
     held = held_out_errors(scene, seen, noise, orders, tilted=tilted, progress=progress)
     known = [each for each in held if _is_determined(each, seen, noise, distance_mm)]
+    if not known and len(held) == 1 and ORDERS[held[0].name]:
+        raise UndeterminedError(
+            f"the distortion {held[0].name} leaves the image unknown to more than {MOST_SIGMA_PX:g} px: take "
+            "images with the board nearer to the image's corners, or give --distortion fewer coefficients"
+        )
     chosen = leanest_within_error(known or held[:1])
     agreed = _robust(chosen.scene, all_seen)
     is_wrong = wrong_corners(agreed, all_seen)

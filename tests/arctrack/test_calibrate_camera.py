@@ -17,6 +17,7 @@ from arctrack.calibration_files.camera import calibrated_camera
 from arctrack.recording.setup_file import read_setup_file
 from calibration.boards.board import Board
 from calibration.camera.calibrate import find_lens
+from calibration.camera.enough import UndeterminedError
 from calibration.camera.halves import Difference
 
 pytestmark = pytest.mark.slow
@@ -134,6 +135,11 @@ def test_twelve_bits_in_sixteen_are_not_dim(tmp_path: Path) -> None:
     picture = picture_of(VARIED[0], PINHOLE).astype(np.uint16)
     cv2.imwrite(str(tmp_path / "board.png"), picture * 16)
     assert not read_boards([tmp_path], Board.parse(BOARD[1])).is_dim
+
+
+def test_a_distortion_that_few_boards_do_not_tell_is_refused() -> None:
+    with pytest.raises(UndeterminedError, match="the distortion rational leaves the image unknown to more"):
+        find_lens(SCENE_BOARD, views()[:6], SIZE, orders=["rational"], tilted=True)
 
 
 def test_halves_that_know_nothing_do_not_blame_the_board() -> None:
