@@ -50,5 +50,6 @@ def laser_record(result: LaserCalibration, setup: Setup) -> Calibrated:
             "pairs": len(result.names),
             "points": sum(map(len, result.points_mm)),
             "rms_mm": float(f"{result.rms_mm:.4g}"),
+            "bow_mm": float(f"{result.bow.bow_mm:.4g}"),
         },
     )

@@ -17,6 +17,7 @@ from calibration.camera.lens import OPENCV, PINHOLE, Lens
 from calibration.camera.noise import LEAST_CORNERS, LEAST_SIGMA_PX, moderated, wrong_corners
 from calibration.camera.sightings import Sightings, View
 from calibration.camera.start import with_better_poses
+from calibration.laser.bow import Bow, bow_of
 from calibration.laser.image_line import ImageLine, fit_line
 from calibration.laser.plane import LEAST_PAIRS, BoardLine, PlaneFit, consistent, fit_plane
 from calibration.laser.stripe import Stripe
@@ -94,6 +95,11 @@ class LaserCalibration:
     def rms_mm(self) -> float:
         """The RMS distance of all points from the plane."""
         return float(np.sqrt(np.mean(np.concatenate(self.off_mm) ** 2)))
+
+    @property
+    def bow(self) -> Bow:
+        """How far the sheet is bent along the stripes."""
+        return bow_of(self.points_mm, self.off_mm)
 
     def in_tool(self, T_tool_camera: Float64) -> tuple[Float64, Float64]:
         """Return plane (4,) and covariance (4, 4) in the tool frame; the camera's pose counts as exact."""

@@ -215,18 +215,19 @@ def _along(lines: Float32, noise: Float32, inside: Bool) -> _Track:
     near, places, start = near[settled], places[settled], start[settled]
     clear = score[near, places.round().astype(np.int64)]
     kept = (clear >= LEAST_SCORE) & (np.abs(places - start) <= 2.0 * sigma + 1.0)
-    kept &= _on_one_curve(near, places, kept)
+    kept = _on_one_curve(near, places, kept)
     return _Track(float(np.minimum(0.5 * clear[kept] ** 2, GAIN_CAP).sum()), near[kept], places[kept], sigma)
 
 
-def _on_one_curve(scan: Int64, places: Float64, kept: Bool) -> Bool:
-    """Return which places (n,) lie on the parabola of most of those kept: a board's edges cross it."""
+def _on_one_curve(scan: Int64, places: Float64, clear: Bool) -> Bool:
+    """Return which of the clear places (n,) lie on the parabola of most: a board's edges cross it."""
+    kept = _without_scraps(scan, clear)
     for _ in range(TRIM_ROUNDS):
         if kept.sum() < LEAST_LINES:
             return kept
         off = places - np.polynomial.Polynomial.fit(scan[kept], places[kept], 2)(scan)
-        kept = np.abs(off) <= max(TRIM_SIGMAS * _spread(off[kept]), LEAST_TRIM_PX)
-        kept = _without_scraps(scan, kept)
+        near = np.abs(off) <= max(TRIM_SIGMAS * _spread(off[kept]), LEAST_TRIM_PX)
+        kept = _without_scraps(scan, clear & near)
     return kept
 
 

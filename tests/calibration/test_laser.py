@@ -62,6 +62,20 @@ def test_a_board_that_moved_between_its_images_is_named() -> None:
     assert np.abs(z_of(result)).max() < 3.5
 
 
+def test_a_bent_sheet_is_told_from_a_flat_one() -> None:
+    seen = stripes()
+    for name, stripe in seen.items():
+        v = stripe.points_px[:, 1]
+        place = (v - v.mean()) / (0.5 * np.ptp(v))
+        seen[name] = replace(stripe, points_px=stripe.points_px + np.outer(2.0 * place**2, [1.0, 0.0]))
+    bent = found_sheet(seen=seen).bow
+    # Two px at 175 mm and 1000 px are 0.35 mm in the image, and as much of that along the normal as its x.
+    assert abs(bent.bow_mm) == pytest.approx(0.35 * PLANE[0], rel=0.15)
+    assert bent.half_mm == pytest.approx(22.0, rel=0.1)
+    assert bent.is_sure
+    assert not found_sheet().bow.is_sure
+
+
 def test_boards_at_one_height_are_refused() -> None:
     with pytest.raises(UndeterminedError, match=r"within .* mm of one line.*nearer to the camera"):
         found_sheet(LEVEL)

@@ -33,6 +33,8 @@ def laser_page(
     points = np.concatenate(result.points_mm)
     middle = points.mean(axis=0, keepdims=True)
     sigma_mm = float(result.distance_sigma_mm(middle)[0])
+    row = np.append(middle, 1.0)
+    pairs_mm = math.sqrt(result.scatter * float(row @ result.fit.covariance @ row))
     depth = points[:, 2]
     tilt_deg = math.degrees(result.fit.tilt_sigma * math.sqrt(result.scatter))
     plane, _ = plane_in_tool(result, setup)
@@ -40,11 +42,18 @@ def laser_page(
     sentences = [
         f"{len(result.names)} pairs, {len(points)} points from {depth.min():.0f} to {depth.max():.0f} mm of "
         f"depth lie {result.rms_mm:.3f} mm off the plane (RMS).",
-        f"Along its normal the plane is known to {sigma_mm:.3f} mm amid the points, 1 σ. Its lean about the "
-        f"stripes is known to {tilt_deg:.3f}°.",
+        f"Along its normal the plane is known to {sigma_mm:.3f} mm amid the points, 1 σ: {pairs_mm:.3f} mm "
+        f"from the pairs, the rest from the lens. Its lean about the stripes is known to {tilt_deg:.3f}°.",
         f"It is turned by {turned_deg:.2f}° against the plane stated before. The stated origin is moved "
         "into it.",
     ]
+    bow = result.bow
+    if bow.is_sure:
+        size, within = with_sigma(abs(bow.bow_mm), bow.sigma_mm)
+        sentences.append(
+            f"The sheet is bent: {bow.half_mm:.0f} mm to either side its ends lie {size} ± {within} mm off "
+            "its middle. A plane does not hold that."
+        )
     if result.scatter > 1.0:
         sentences.append(
             f"Pairs differ {math.sqrt(result.scatter):.1f} times as much as their noise predicts, and sigmas "

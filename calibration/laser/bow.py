@@ -1,0 +1,64 @@
+"""The bow of a laser sheet: line lasers draw a smile, and a plane does not hold it."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from noise_model.arrays import Float64
+
+SURE_SIGMAS = 4.0
+"""A bow of fewer sigmas may be chance: pairs are few, and so the sigma is rough."""
+
+
+@dataclass(frozen=True)
+class Bow:
+    """The sheet's bow.
+
+    Parameters
+    ----------
+    bow_mm : float
+        How far its ends lie off its middle, along the plane's normal.
+    sigma_mm : float
+        1 sigma of that, from how the pairs differ.
+    half_mm : float
+        From the stripe's middle to either end: half the median stripe's length.
+    """
+
+    bow_mm: float
+    sigma_mm: float
+    half_mm: float
+
+    @property
+    def is_sure(self) -> bool:
+        """Whether the sheet is bent beyond doubt."""
+        return abs(self.bow_mm) > SURE_SIGMAS * self.sigma_mm
+
+
+def bow_of(points_mm: Sequence[Float64], off_mm: Sequence[Float64]) -> Bow:
+    """Return the bow that stripes share: a parabola is fitted to each, and their mean is taken.
+
+    Parameters
+    ----------
+    points_mm : sequence of array (n, 3)
+        Each stripe's points.
+    off_mm : sequence of array (n,)
+        How far they lie off the plane.
+
+    Returns
+    -------
+    Bow
+        The bow over the median stripe.
+    """
+    curvatures, halves = [], []
+    for points, off in zip(points_mm, off_mm, strict=True):
+        centred = points - points.mean(axis=0)
+        along = centred @ np.linalg.svd(centred, full_matrices=False)[2][0]
+        curvatures.append(float(np.polyfit(along, off, 2)[0]))
+        halves.append(0.5 * float(np.ptp(along)))
+    half_mm = float(np.median(halves))
+    spread = float(np.std(curvatures, ddof=1)) / math.sqrt(len(curvatures))
+    return Bow(float(np.mean(curvatures)) * half_mm**2, spread * half_mm**2, half_mm)
