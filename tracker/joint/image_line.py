@@ -382,7 +382,8 @@ def _middle(section: Float64) -> tuple[float, float]:
     if dark.max() >= max(MIN_DARK_SIGMAS, low):
         places.append(dark**2 / np.sum(dark**2))
     if not places or dark.max() < high:
-        places.append(bright**2 / np.sum(bright**2))
+        told = bright if bright.any() else np.ones(len(section))
+        places.append(told**2 / np.sum(told**2))
     share = np.mean(places, axis=0)
     middle = float(share @ x)
     return middle, float(share @ (x - middle) ** 2)
