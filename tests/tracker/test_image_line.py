@@ -143,7 +143,7 @@ def test_a_rim_alone_stands_for_the_slit_and_says_how_unsure_it_is() -> None:
     assert sigmas[2] > 1.2 > max(sigmas[0], sigmas[3])
     assert places[3] == pytest.approx(2.0, abs=0.3)
     # A section that shows neither tells nothing.
-    assert _middle(np.full(7, -1.0)) == (0.0, 4.0)
+    assert _middle(np.full(7, -1.0)) == pytest.approx((0.0, 4.0))
 
 
 @pytest.mark.slow
