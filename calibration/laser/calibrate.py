@@ -27,6 +27,9 @@ from noise_model.instrument.camera import Camera
 MOST_TILT_SIGMA_DEG = 0.5
 """1 sigma of the sheet's lean: beyond it, a part 10 mm off the boards is 0.09 mm off and more."""
 
+LEAST_SPREAD = 10.0
+"""The stripes' scatter from one line over what noise alone makes of it: below it, the sheet follows noise."""
+
 MOST_RMS_PX = 2.0
 """Corners that are farther off than this, RMS, are not seen by the stated camera."""
 
@@ -184,7 +187,8 @@ def calibrate_laser(
         except np.linalg.LinAlgError:
             raise UndeterminedError(_on_one_line(0.0)) from None
         scatter = _scatter(fit)
-        if math.degrees(fit.tilt_sigma * math.sqrt(scatter)) > MOST_TILT_SIGMA_DEG:
+        is_loose = math.degrees(fit.tilt_sigma * math.sqrt(scatter)) > MOST_TILT_SIGMA_DEG
+        if is_loose or fit.spread_mm < LEAST_SPREAD * fit.spread_noise_mm:
             raise UndeterminedError(_on_one_line(fit.spread_mm))
         left_out = {
             name: "its stripe does not lie in the plane of the others: the board moved between its images, "

@@ -55,16 +55,16 @@ class BoardLine:
         """Return where rays (n, 3) meet the board (n, 3), mm, camera frame."""
         return points_on_board(self.T_camera_board, rays)
 
-    def covariance(self, normal: Float64) -> Float64:
-        """Return the covariance (2, 2) of the distances of the line's two points from a plane, mm²."""
+    def covariance(self, direction: Float64) -> Float64:
+        """Return the covariance (2, 2) of the line's two points along a direction, mm²."""
         m = self.T_camera_board[:3, 2]
         rays, across = self.line.rays, self.line.across
         s = (m @ self.T_camera_board[:3, 3]) / (rays @ m)
-        per_depth = rays @ normal / (rays @ m)
+        per_depth = rays @ direction / (rays @ m)
         by_pose = per_depth[:, np.newaxis] * np.column_stack(
             [-s[:, np.newaxis] * np.cross(m, rays), np.tile(m, (2, 1))]
         )
-        by_line = s * (normal @ across - per_depth * (m @ across))
+        by_line = s * (direction @ across - per_depth * (m @ across))
         return np.asarray(
             by_pose @ self.pose_covariance @ by_pose.T
             + by_line[:, np.newaxis] * self.line.covariance * by_line
@@ -87,6 +87,8 @@ class PlaneFit:
         The line's direction about which the plane is known least.
     spread_mm : float
         How far the lines' points scatter from one line of that direction, within the plane, RMS.
+    spread_noise_mm : float
+        How far noise alone makes them scatter so.
     squares : array (k,)
         Each line's d' C^-1 d.
     """
@@ -96,6 +98,7 @@ class PlaneFit:
     tilt_sigma: float
     loose_axis: Float64
     spread_mm: float
+    spread_noise_mm: float
     squares: Float64
 
     @property
@@ -144,12 +147,14 @@ def fit_plane(lines: Sequence[BoardLine]) -> PlaneFit:
     # The normal leans along this direction most: it turns about the one square to it.
     leaning = turn[:, 1] @ basis
     within = (points - centre).reshape(-1, 3) @ leaning
+    noise = np.mean([np.trace(line.covariance(leaning)) for line in lines]) / 2.0
     return PlaneFit(
         np.array([*normal, d]),
         per_small @ small @ per_small.T,
         float(np.sqrt(variance[1])),
         np.cross(normal, leaning),
         float(np.sqrt(np.mean(within**2))),
+        float(np.sqrt(noise)),
         np.array(squares),
     )
 

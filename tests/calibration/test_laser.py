@@ -76,9 +76,12 @@ def test_a_bent_sheet_is_told_from_a_flat_one() -> None:
     assert not found_sheet().bow.is_sure
 
 
-def test_boards_at_one_height_are_refused() -> None:
+@pytest.mark.parametrize("stripe_px", [0.01, 0.2])
+@pytest.mark.parametrize("corner_px", [0.01, 0.1])
+def test_boards_at_one_height_are_refused(stripe_px: float, corner_px: float) -> None:
+    """Noise of the boards' depths must not pass for a spread of the stripes."""
     with pytest.raises(UndeterminedError, match=r"within .* mm of one line.*nearer to the camera"):
-        found_sheet(LEVEL)
+        found_sheet(LEVEL, stripes(LEVEL, stripe_px), corner_px)
 
 
 def test_two_pairs_are_refused() -> None:
