@@ -52,6 +52,8 @@ def camera(
     Each value has its sigma, and so has the projection all over the image. Images that do not determine the
     lens are refused, and what is missing is named.
     """
+    from numpy.linalg import LinAlgError
+
     from arctrack.calibration_files.board_images import read_boards
     from arctrack.calibration_files.camera import calibrated_camera
     from arctrack.cli import console
@@ -90,6 +92,11 @@ def camera(
             )
         except UndeterminedError as error:
             raise ArctrackError(f"{sources[0]}: {error}") from None
+        except LinAlgError:
+            missing = (
+                "the images leave a value of the lens open: add images of the board tilted, beside the middle"
+            )
+            raise ArctrackError(f"{sources[0]}: {missing}") from None
     console.warn(warnings(result, stated))
     console.say(*lines(result, images))
     write_page(shown, result, images)

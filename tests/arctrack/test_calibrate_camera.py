@@ -122,6 +122,20 @@ def test_wrong_options_are_refused(boards: Path, words: list[str], why: str) -> 
     assert why in str(result.exception)
 
 
+def test_an_unknown_that_no_image_shows_is_a_line_of_error(
+    boards: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A half of the images may leave open what all of them tell."""
+
+    def leave_open(*_: object, **__: object) -> None:
+        raise np.linalg.LinAlgError("an unknown is not seen at all")
+
+    monkeypatch.setattr("calibration.camera.calibrate.calibrate_camera", leave_open)
+    result = calibrate(boards, *BOARD)
+    assert result.exit_code != 0
+    assert "leave a value of the lens open: add images of the board tilted" in str(result.exception)
+
+
 def test_a_page_does_not_replace_the_setup(boards: Path, tmp_path: Path) -> None:
     setup = tmp_path / "recording.toml"
     setup.write_text((EXAMPLES / "v_groove" / "recording.toml").read_text())
