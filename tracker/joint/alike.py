@@ -23,100 +23,110 @@ from tracker.joint.section_shapes import N_CORNERS
 from tracker.stripe.fit import CORRELATION_PX
 
 
-@kernel
-def _by_parameters(
-    on: tuple[float, float, float],
-    slope: float,
-    share: float,
-    k: int,
-    changed: Float64,
-    J: Float64,
-) -> None:
-    """Write how a point's residual, in its sigmas, changes with the parameters (m,).
-
-    `on` holds by how much it moves across y and up with its centre, dy and dz, and that centre's sigma; the
-    face k has a `slope`, and the point lies at a `share` of it; `changed` are the corners' slopes.
-    """
-    along = max(abs(on[1] - slope * on[0]), MIN_ALONG_MM)
-    for j in range(J.shape[0]):
-        before = changed[k, j, 1] - slope * changed[k, j, 0]
-        behind = changed[k + 1, j, 1] - slope * changed[k + 1, j, 0]
-        J[j] = ((1.0 - share) * before + share * behind) / (along * on[2])
-
-
 @kernel(allocates=True)
-def add_alike(
-    shape: int,
-    y: Float64,
-    dy: Float64,
-    dz: Float64,
-    sigma: Float64,
-    beside: Float64,
-    weights: Float64,
-    p: Float64,
-    chi2: float,
-    covariance: Float64,
-) -> None:
-    """Add to the covariance (m, m) of a fit of `section_fit` what it leaves out of errors that are alike.
+def _by_parameters(
+    shape: int, y: Float64, dy: Float64, dz: Float64, sigma: Float64, p: Float64, m: int
+) -> Float64:
+    """Return how the residuals of points (n,), in their sigmas, change with the first m parameters, (n, m).
 
-    `y`, `dy`, `dz`, `sigma`, `weights` (n,), the parameters `p` and `chi2` are the fit's; `beside` (n,) px is
-    the 1 sigma with which each point's centre counts beside its neighbours.
+    `y`, `dy`, `dz`, `sigma` (n,) and the parameters `p` are those of a fit of `section_fit`.
     """
-    m, n_corners = covariance.shape[0], N_CORNERS[shape]
+    n_corners = N_CORNERS[shape]
     corners, moved = np.empty((n_corners, 2)), np.empty((n_corners, 2))
-    changed, J = np.empty((n_corners, m, 2)), np.empty(m)
+    changed, J = np.empty((n_corners, m, 2)), np.empty((y.shape[0], m))
     corners_and_slopes(shape, p, corners, moved, changed)
-    more = np.zeros((m, m))
     k = 0
     for i in range(y.shape[0]):
         k = face_under(y[i], k, corners)
         slope = slope_across(k, corners)
         share = (y[i] - corners[k, 0]) / (corners[k + 1, 0] - corners[k, 0])
-        _by_parameters((dy[i], dz[i], sigma[i]), slope, share, k, changed, J)
+        along = max(abs(dz[i] - slope * dy[i]), MIN_ALONG_MM)
+        for j in range(m):
+            before = changed[k, j, 1] - slope * changed[k, j, 0]
+            behind = changed[k + 1, j, 1] - slope * changed[k + 1, j, 0]
+            J[i, j] = ((1.0 - share) * before + share * behind) / (along * sigma[i])
+    return J
+
+
+@kernel(allocates=True)
+def _add_alike(
+    J: Float64, sigma: Float64, beside: Float64, weights: Float64, chi2: float, covariance: Float64
+) -> None:
+    """Add to the covariance (m, m) of a fit what it leaves out of errors that are alike.
+
+    `J` (n, m) is that of `_by_parameters`, `sigma`, `weights` (n,) and `chi2` are the fit's; `beside` (n,) px
+    is the 1 sigma with which each point's centre counts beside its neighbours.
+    """
+    m = covariance.shape[0]
+    more = np.zeros((m, m))
+    for i in range(J.shape[0]):
         weight = weights[i] * ((beside[i] / sigma[i]) ** 2 - 1.0)
         for j in range(m):
             for other in range(m):
-                more[j, other] += weight * J[j] * J[other]
+                more[j, other] += weight * J[i, j] * J[i, other]
     covariance += covariance @ more @ covariance / max(1.0, chi2)
 
 
 @kernel(allocates=True)
-def add_misfit(
-    shape: int,
-    y: Float64,
-    dy: Float64,
-    dz: Float64,
+def _add_misfit(
+    J: Float64,
     scan: Float64,
     sigma: Float64,
     misfit_px: Float64,
     weights: Float64,
-    p: Float64,
     chi2: float,
     covariance: Float64,
 ) -> None:
     """Add to the covariance (m, m) of a fit what unexpected light does to its points together.
 
     Two centres' errors, of 1 sigma `misfit_px` (n,), have the correlation exp(-|s - s'| / CORRELATION_PX),
-    `scan` (n,) their lines: a sum over all pairs is a running sum. The rest is as `add_alike` has it.
+    `scan` (n,) their lines: a sum over all pairs is a running sum. The rest is as `_add_alike` has it.
     """
-    m, n_corners = covariance.shape[0], N_CORNERS[shape]
-    corners, moved = np.empty((n_corners, 2)), np.empty((n_corners, 2))
-    changed, J = np.empty((n_corners, m, 2)), np.empty(m)
-    corners_and_slopes(shape, p, corners, moved, changed)
-    more, before = np.zeros((m, m)), np.zeros(m)
-    k = 0
-    for i in range(y.shape[0]):
-        k = face_under(y[i], k, corners)
-        slope = slope_across(k, corners)
-        share = (y[i] - corners[k, 0]) / (corners[k + 1, 0] - corners[k, 0])
-        _by_parameters((dy[i], dz[i], sigma[i]), slope, share, k, changed, J)
+    m = covariance.shape[0]
+    more, before, here = np.zeros((m, m)), np.zeros(m), np.empty(m)
+    for i in range(J.shape[0]):
         if i > 0:
             before *= math.exp(-abs(scan[i] - scan[i - 1]) / CORRELATION_PX)
-        if not weights[i] > 0.0 or math.isnan(misfit_px[i]):
+        if not (weights[i] > 0.0 and misfit_px[i] > 0.0):
             continue
-        J *= weights[i] * misfit_px[i] / sigma[i]
+        here[:] = J[i]
+        here *= weights[i] * misfit_px[i] / sigma[i]
         for j in range(m):
             for other in range(m):
-                more[j, other] += J[j] * J[other] + J[j] * before[other] + before[j] * J[other]
-        before += J
+                more[j, other] += here[j] * here[other] + here[j] * before[other] + before[j] * here[other]
+        before += here
     covariance += covariance @ more @ covariance / max(1.0, chi2) ** 2
+
+
+@kernel(allocates=True)
+def add_shared_errors(
+    shape: int,
+    y: Float64,
+    dy: Float64,
+    dz: Float64,
+    scan: Float64,
+    sigma: Float64,
+    beside: Float64,
+    misfit_px: Float64,
+    weights: Float64,
+    p: Float64,
+    chi2: float,
+    covariance: Float64,
+) -> None:
+    """Add to the covariance (m, m) of a fit of `section_fit` what it leaves out of errors that points share.
+
+    `y`, `dy`, `dz`, `sigma`, `weights` (n,), the parameters `p` and `chi2` are the fit's; `scan` (n,) are the
+    points' lines. `beside` (n,) px is the 1 sigma with which a point's centre counts beside its neighbours,
+    `misfit_px` (n,) that of what unexpected light does to it.
+    """
+    is_alike, is_misfit = False, False
+    for i in range(y.shape[0]):
+        is_alike |= beside[i] > sigma[i]
+        is_misfit |= misfit_px[i] > 0.0
+    if not (is_alike or is_misfit):
+        return
+    J = _by_parameters(shape, y, dy, dz, sigma, p, covariance.shape[0])
+    if is_alike:
+        _add_alike(J, sigma, beside, weights, chi2, covariance)
+    if is_misfit:
+        _add_misfit(J, scan, sigma, misfit_px, weights, chi2, covariance)

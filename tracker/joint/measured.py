@@ -9,7 +9,7 @@ import numpy as np
 
 from noise_model.arrays import Bool, Float64
 from noise_model.kernel import kernel
-from tracker.joint.alike import add_alike, add_misfit
+from tracker.joint.alike import add_shared_errors
 from tracker.joint.section_fit import best_shift, fit_section
 from tracker.joint.section_shapes import N_CORNERS, corners_of, opening
 from tracker.profile import Profile
@@ -105,13 +105,20 @@ def fit_shape(
     )
     if not math.isfinite(chi2):
         return None
-    if (profile.beside_px > profile.sigma_px).any():
-        beside = np.hypot(profile.beside_px, SIGMA_FLOOR_PX)
-        y, dy, dz = profile.y_mm, profile.dy_mm, profile.dz_mm
-        add_alike(shape, y, dy, dz, sigma, beside, weights, parameters, chi2, covariance)
-    if profile.misfit_px is not None:
-        y, dy, dz, scan = profile.y_mm, profile.dy_mm, profile.dz_mm, profile.scan
-        add_misfit(shape, y, dy, dz, scan, sigma, profile.misfit_px, weights, parameters, chi2, covariance)
+    add_shared_errors(
+        shape,
+        profile.y_mm,
+        profile.dy_mm,
+        profile.dz_mm,
+        profile.scan,
+        sigma,
+        np.hypot(profile.beside_px, SIGMA_FLOOR_PX),
+        np.zeros(len(sigma)) if profile.misfit_px is None else profile.misfit_px,
+        weights,
+        parameters,
+        chi2,
+        covariance,
+    )
     return ShapeFit(parameters[:n], covariance, chi2, weights)
 
 
