@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from typing import NamedTuple
 
 import cv2
@@ -106,7 +107,7 @@ class Camera:
         """All that its rays depend on, to compare by: size, fx, fy, cx, cy, distortion; its pose is not."""
         return self.width, self.height, self.fx, self.fy, self.cx, self.cy, self.distortion
 
-    @property
+    @cached_property
     def intrinsics(self) -> Intrinsics:
         """What projects a point and its ray, for the kernels."""
         given = np.array([*self.distortion, *np.zeros(max(COEFFICIENTS) - len(self.distortion))])
@@ -118,7 +119,6 @@ class Camera:
             float(self.cx),
             float(self.cy),
             (k1, k2, p1, p2, k3),
-            bool(given[5:].any()),
             (k4, k5, k6),
             (s1, s2, s3, s4),
             tilt_numbers(tau_x, tau_y),
@@ -199,7 +199,7 @@ Nine = tuple[float, float, float, float, float, float, float, float, float]
 class Intrinsics(NamedTuple):
     """A camera's OpenCV intrinsics as the kernels take them, px; distortion is k1 k2 p1 p2 k3.
 
-    `has_more` says whether what follows counts: k4 k5 k6, s1 to s4, the tilted sensor's matrix row by row.
+    What follows is k4 k5 k6, s1 to s4, and the tilted sensor's matrix row by row.
     """
 
     fx: float
@@ -207,7 +207,6 @@ class Intrinsics(NamedTuple):
     cx: float
     cy: float
     distortion: tuple[float, float, float, float, float]
-    has_more: bool
     denominator: tuple[float, float, float]
     prism: tuple[float, float, float, float]
     tilt: Nine
@@ -227,7 +226,7 @@ def tilt_numbers(tau_x: float, tau_y: float) -> Nine:
 
 @kernel
 def distorted(x: float, y: float, lens: Intrinsics) -> tuple[float, float, float, float, float, float]:
-    """Return where a lens of many coefficients puts a ray (x, y, 1): X, Y, dX/dx, dX/dy, dY/dx, dY/dy.
+    """Return where the lens puts a ray (x, y, 1): X, Y, dX/dx, dX/dy, dY/dx, dY/dy.
 
     OpenCV's rational, thin prism and tilted models, before focal lengths and principal point.
     """
@@ -257,55 +256,26 @@ UNDISTORT_STEPS, UNDISTORTED = 20, 1e-12
 
 
 @kernel
-def _undistorted_more(
-    to_x: float, to_y: float, lens: Intrinsics
-) -> tuple[float, float, float, float, float, float]:
-    """Return what `undistorted` does, of a lens of many coefficients, for a place before fx and cx."""
+def undistorted(u: float, v: float, lens: Intrinsics) -> tuple[float, float, float, float, float, float]:
+    """Return an image point's normalised coordinates x, y and their derivatives dx/du, dx/dv, dy/du, dy/dv.
+
+    OpenCV's distortion is undone by Newton's steps from the distorted place.
+    """
+    to_x, to_y = (u - lens.cx) / lens.fx, (v - lens.cy) / lens.fy
     x, y = to_x, to_y
     xx, xy, yx, yy, determinant = 1.0, 0.0, 0.0, 1.0, 1.0
     for _ in range(UNDISTORT_STEPS):
         X, Y, xx, xy, yx, yy = distorted(x, y, lens)
         determinant = xx * yy - xy * yx
-        step_x = (yy * (X - to_x) - xy * (Y - to_y)) / determinant
-        step_y = (xx * (Y - to_y) - yx * (X - to_x)) / determinant
+        off_x, off_y = X - to_x, Y - to_y
+        step_x = (yy * off_x - xy * off_y) / determinant
+        step_y = (xx * off_y - yx * off_x) / determinant
         x -= step_x
         y -= step_y
         if abs(step_x) + abs(step_y) < UNDISTORTED:
             break
     per_u, per_v = 1.0 / (determinant * lens.fx), 1.0 / (determinant * lens.fy)
     return x, y, yy * per_u, -xy * per_v, -yx * per_u, xx * per_v
-
-
-@kernel
-def undistorted(u: float, v: float, lens: Intrinsics) -> tuple[float, float, float, float, float, float]:
-    """Return an image point's normalised coordinates x, y and their derivatives dx/du, dx/dv, dy/du, dy/dv.
-
-    OpenCV's distortion is undone by Newton's steps from the distorted place.
-    """
-    k1, k2, p1, p2, k3 = lens.distortion
-    to_x, to_y = (u - lens.cx) / lens.fx, (v - lens.cy) / lens.fy
-    x, y = to_x, to_y
-    if lens.has_more:
-        return _undistorted_more(x, y, lens)
-    xx, xy, yy, determinant = 1.0, 0.0, 1.0, 1.0
-    for _ in range(UNDISTORT_STEPS):
-        q = x * x + y * y
-        radial, rise = 1.0 + q * (k1 + q * (k2 + q * k3)), k1 + q * (2.0 * k2 + q * 3.0 * k3)
-        off_x = x * radial + 2.0 * p1 * x * y + p2 * (q + 2.0 * x * x) - to_x
-        off_y = y * radial + p1 * (q + 2.0 * y * y) + 2.0 * p2 * x * y - to_y
-        # The distortion's Jacobian is symmetric.
-        xx = radial + 2.0 * x * x * rise + 2.0 * p1 * y + 6.0 * p2 * x
-        xy = 2.0 * x * y * rise + 2.0 * p1 * x + 2.0 * p2 * y
-        yy = radial + 2.0 * y * y * rise + 6.0 * p1 * y + 2.0 * p2 * x
-        determinant = xx * yy - xy * xy
-        step_x = (yy * off_x - xy * off_y) / determinant
-        step_y = (xx * off_y - xy * off_x) / determinant
-        x -= step_x
-        y -= step_y
-        if abs(step_x) + abs(step_y) < UNDISTORTED:
-            break
-    per_u, per_v = 1.0 / (determinant * lens.fx), 1.0 / (determinant * lens.fy)
-    return x, y, yy * per_u, -xy * per_v, -xy * per_u, xx * per_v
 
 
 def fall_off(xy: Float64) -> Float64:

@@ -148,7 +148,6 @@ def _cut_and_project(
     point lies behind the camera.
     """
     nx, ny, nz, d = sheet.plane[0], sheet.plane[1], sheet.plane[2], sheet.plane[3] - shift_mm
-    k1, k2, p1, p2, k3 = lens.distortion
     T, x = T_joint_camera, start_x
     for i in range(y.shape[0]):
         k = face[i]
@@ -167,13 +166,8 @@ def _cut_and_project(
             return False
         a = -(T[0, 0] * wx + T[1, 0] * wy + T[2, 0] * wz) / depth
         b = -(T[0, 1] * wx + T[1, 1] * wy + T[2, 1] * wz) / depth
-        q = a * a + b * b
-        radial = 1.0 + q * (k1 + q * (k2 + q * k3))
-        u = lens.fx * (a * radial + 2.0 * p1 * a * b + p2 * (q + 2.0 * a * a)) + lens.cx
-        v = lens.fy * (b * radial + p1 * (q + 2.0 * b * b) + 2.0 * p2 * a * b) + lens.cy
-        if lens.has_more:
-            X, Y, _, _, _, _ = distorted(a, b, lens)
-            u, v = lens.fx * X + lens.cx, lens.fy * Y + lens.cy
+        X, Y, _, _, _, _ = distorted(a, b, lens)
+        u, v = lens.fx * X + lens.cx, lens.fy * Y + lens.cy
         points_px[i, 0], points_px[i, 1] = (u, v) if along_rows else (v, u)
 
         if not with_light:
