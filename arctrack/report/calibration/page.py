@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
-from jinja2 import Environment, PackageLoader, StrictUndefined
+from arctrack.report.template import environment
 
 TEMPLATE = "calibration.html.j2"
 
@@ -60,11 +60,4 @@ def with_sigma(value: float, sigma: float) -> tuple[str, str]:
 
 def render(page: CalibrationPage) -> str:
     """Return the page's HTML, which needs no other file and no network."""
-    environment = Environment(
-        loader=PackageLoader("arctrack.report", "templates"),
-        autoescape=True,
-        undefined=StrictUndefined,
-        trim_blocks=True,
-        lstrip_blocks=True,
-    )
-    return environment.get_template(TEMPLATE).render(page=page)
+    return environment().get_template(TEMPLATE).render(page=page)

@@ -9,7 +9,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from jinja2 import Environment, PackageLoader, StrictUndefined
 
 from arctrack.output import write_whole
 from arctrack.printable import quoted
@@ -17,6 +16,7 @@ from arctrack.recording import Recording
 from arctrack.recording.diagnosis_files import PREDICTED_NPZ, REPORT_JSON, WHERE_NPZ
 from arctrack.report.diagnosis import pictures, words
 from arctrack.report.diagnosis.advice import ADVICE
+from arctrack.report.template import environment
 from noise_model.effects import REGISTRY
 from sim_to_real.diagnosis import Curve, Diagnosis, Named, Next, Ranked, Verdict
 
@@ -83,15 +83,9 @@ def write_page(diagnosis: Diagnosis, recording: Recording, without: Sequence[str
 
 def page(diagnosis: Diagnosis, recording: Recording, without: Sequence[str] = ()) -> str:
     """Return the page, which needs no other file and no network."""
-    environment = Environment(
-        loader=PackageLoader("arctrack.report", "templates"),
-        autoescape=True,
-        undefined=StrictUndefined,
-        trim_blocks=True,
-        lstrip_blocks=True,
-    )
-    environment.globals.update(words=words, Verdict=Verdict)
-    return environment.get_template(TEMPLATE).render(**_content(diagnosis, recording, without))
+    pages = environment()
+    pages.globals.update(words=words, Verdict=Verdict)
+    return pages.get_template(TEMPLATE).render(**_content(diagnosis, recording, without))
 
 
 def advice(diagnosis: Diagnosis) -> list[str]:

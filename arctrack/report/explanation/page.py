@@ -7,7 +7,6 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from jinja2 import Environment, PackageLoader, StrictUndefined
 
 from arctrack.explain import Explanation, StripeLook
 from arctrack.explain_lines import READ, UNLIT
@@ -15,6 +14,7 @@ from arctrack.printable import quoted
 from arctrack.recording.setup_file import FILE_NAME
 from arctrack.report.diagnosis.words import number, percent
 from arctrack.report.explanation import pictures, plots, words
+from arctrack.report.template import environment
 from noise_model.arrays import Float64
 from tracker.joint.measured import off_section
 from tracker.stripe.viterbi import GAIN_CAP
@@ -52,15 +52,9 @@ class Line:
 
 def page(explanation: Explanation) -> str:
     """Return the page, which needs no other file and no network."""
-    environment = Environment(
-        loader=PackageLoader("arctrack.report", "templates"),
-        autoescape=True,
-        undefined=StrictUndefined,
-        trim_blocks=True,
-        lstrip_blocks=True,
-    )
-    environment.globals.update(words=words, number=number, percent=percent)
-    return environment.get_template(TEMPLATE).render(**_content(explanation))
+    pages = environment()
+    pages.globals.update(words=words, number=number, percent=percent)
+    return pages.get_template(TEMPLATE).render(**_content(explanation))
 
 
 def telling_lines(stripe: StripeLook) -> list[tuple[str, int]]:

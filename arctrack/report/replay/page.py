@@ -10,7 +10,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from jinja2 import Environment, PackageLoader, StrictUndefined
 
 from arctrack.output import write_whole
 from arctrack.printable import printable, quoted
@@ -24,6 +23,7 @@ from arctrack.report.image import jpeg
 from arctrack.report.replay.numbers import numbers, on_bus
 from arctrack.report.replay.seen import Seen
 from arctrack.report.replay.view import Profile, View, Viewer
+from arctrack.report.template import environment
 from noise_model.arrays import Float64, UInt8
 from tracker import flags
 from tracker.checks import Check
@@ -90,13 +90,6 @@ class ReplayPage:
 
     def html(self) -> str:
         """Return the page, which needs no other file and no network."""
-        environment = Environment(
-            loader=PackageLoader("arctrack.report", "templates"),
-            autoescape=True,
-            undefined=StrictUndefined,
-            trim_blocks=True,
-            lstrip_blocks=True,
-        )
         tracks, setup = self._tracks, self._recording.setup
         camera = self._viewer.geometry.setup.camera
         scored = None if self._truth is None else score(tracks, self._truth, setup.tolerance.seam_mm)
@@ -118,22 +111,26 @@ class ReplayPage:
             "shown": self._shown,
             "explain": self._explain_command(),
         }
-        return environment.get_template(TEMPLATE).render(
-            recording=self._recording,
-            material=printable(setup.material.name),
-            joint=setup.joint.type.replace("_", " "),
-            use_arc_map=self._use_arc_map,
-            count=len(tracks),
-            valid=sum(track.valid for track in tracks),
-            span_s=tracks[-1].timestamp_s - tracks[0].timestamp_s,
-            counts=count_flags(tracks),
-            score=scored,
-            width=camera.width,
-            height=camera.height,
-            has_truth=bool(self._viewer.truth_mm),
-            shown=len(self._shown),
-            # A "<" in a name would end the script element.
-            content=json.dumps(content, allow_nan=False, separators=(",", ":")).replace("<", "\\u003c"),
+        return (
+            environment()
+            .get_template(TEMPLATE)
+            .render(
+                recording=self._recording,
+                material=printable(setup.material.name),
+                joint=setup.joint.type.replace("_", " "),
+                use_arc_map=self._use_arc_map,
+                count=len(tracks),
+                valid=sum(track.valid for track in tracks),
+                span_s=tracks[-1].timestamp_s - tracks[0].timestamp_s,
+                counts=count_flags(tracks),
+                score=scored,
+                width=camera.width,
+                height=camera.height,
+                has_truth=bool(self._viewer.truth_mm),
+                shown=len(self._shown),
+                # A "<" in a name would end the script element.
+                content=json.dumps(content, allow_nan=False, separators=(",", ":")).replace("<", "\\u003c"),
+            )
         )
 
     def _text(self, text: str) -> int:
