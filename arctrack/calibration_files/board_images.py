@@ -87,7 +87,7 @@ def read_boards(
         try:
             encoded[path] = EncodedImage(path)
         except ArctrackError as error:
-            unread[path.name] = _reason(error, path)
+            unread[path.name] = reason_of(error, path)
     if not encoded:
         raise ArctrackError(f"{sources[0]}: no image can be read: {next(iter(unread.values()))}")
     size = Counter(image.size for image in encoded.values()).most_common(1)[0][0]
@@ -109,7 +109,7 @@ def _add(boards: BoardImages, path: Path, image: EncodedImage, board: Board) -> 
     try:
         pixels = _brightest(image.pixels())
     except ArctrackError as error:
-        boards.left_out[path.name] = _reason(error, path)
+        boards.left_out[path.name] = reason_of(error, path)
         return
     corners = find_corners(pixels, board)
     if corners is None:
@@ -125,7 +125,8 @@ def _add(boards: BoardImages, path: Path, image: EncodedImage, board: Board) -> 
         boards.sample = pixels
 
 
-def _reason(error: ArctrackError, path: Path) -> str:
+def reason_of(error: ArctrackError, path: Path) -> str:
+    """Return what an error says of a file, without the file's name."""
     return str(error).removeprefix(f"{path}: ")
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from arctrack.recording import Calibrated
+from arctrack.recording.toml_text import rounded
 from calibration.camera.calibrate import CameraCalibration
 from calibration.camera.lens import OPENCV
 from noise_model.instrument.camera import COEFFICIENTS
@@ -29,7 +30,7 @@ def calibrated_camera(result: CameraCalibration) -> Calibrated:
     n = len(lens.names)
     used = max((OPENCV.index(name) + 1 for name in lens.names[4:]), default=0)
     count = next(count for count in COEFFICIENTS if count >= used)
-    fx, fy, cx, cy = (float(f"{value:.9g}") for value in lens.values[:4])
+    fx, fy, cx, cy = (rounded(value, 9) for value in lens.values[:4])
     return Calibrated(
         "camera",
         {
@@ -39,7 +40,7 @@ def calibrated_camera(result: CameraCalibration) -> Calibrated:
             "fy": fy,
             "cx": cx,
             "cy": cy,
-            "distortion": [float(f"{value:.9g}") for value in lens.distortion[:count]],
+            "distortion": [rounded(value, 9) for value in lens.distortion[:count]],
         },
         lens.names,
         result.covariance[:n, :n],
@@ -48,7 +49,7 @@ def calibrated_camera(result: CameraCalibration) -> Calibrated:
             "board": str(result.seen.board),
             "images": len(result.seen.names),
             "corners": len(result.seen),
-            "rms_px": float(f"{result.rms_px:.4g}"),
-            "corner_sigma_px": float(f"{np.mean(result.noise.sigma_px):.4g}"),
+            "rms_px": rounded(result.rms_px, 4),
+            "corner_sigma_px": rounded(float(np.mean(result.noise.sigma_px)), 4),
         },
     )

@@ -77,25 +77,25 @@ def read_levels(
     What is lossy is left out. Raises ArctrackError for a file that cannot be read, and ValueError for a level
     that tells nothing.
     """
-    lossy: list[FlatFile] = []
-    groups: dict[tuple[bool, float], list[FlatFile]] = {}
+    lossy: list[Path] = []
+    groups: dict[tuple[bool, float], list[Path]] = {}
     for file in files:
-        if EncodedImage(file.path).is_lossy:
-            lossy.append(file)
-        else:
-            groups.setdefault((file.is_lit, file.exposure_s), []).append(file)
+        groups.setdefault((file.is_lit, file.exposure_s), []).append(file.path)
+    levels = []
+    for done, ((is_lit, exposure_s), paths) in enumerate(sorted(groups.items())):
+        on_level(done, len(groups))
+        encoded = [EncodedImage(path) for path in paths]
+        lossy += [image.path for image in encoded if image.is_lossy]
+        images = [grey(image.pixels(), channel) for image in encoded if not image.is_lossy]
+        if images:
+            levels.append(level_from(images, exposure_s, is_lit, bits))
+    on_level(len(groups), len(groups))
     warnings = []
     if lossy:
         warnings.append(
-            f"{lossy[0].path}: is a JPEG, whose codec takes the noise away: {len(lossy)} of them are left "
-            "out; save PNG or TIFF"
+            f"{lossy[0]}: is a JPEG, whose codec takes the noise away: {len(lossy)} of them are left out; "
+            "save PNG or TIFF"
         )
-    levels = []
-    for done, ((is_lit, exposure_s), group) in enumerate(sorted(groups.items())):
-        on_level(done, len(groups))
-        images = [grey(EncodedImage(file.path).pixels(), channel) for file in group]
-        levels.append(level_from(images, exposure_s, is_lit, bits))
-    on_level(len(groups), len(groups))
     if len({level.mean_dn.shape for level in levels}) > 1:
         raise ValueError("the exposures' frames differ in size: leave out those of another camera or crop")
     return levels, warnings

@@ -3,20 +3,19 @@
 from __future__ import annotations
 
 import re
-import tomllib
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
 
-from arctrack.calibration_files.board_images import BoardImages, read_boards
+from arctrack.calibration_files.board_images import BoardImages, read_boards, reason_of
 from arctrack.errors import ArctrackError, in_file
 from arctrack.importing.grey import channel_of_laser, grey
 from arctrack.importing.image_decoder import EncodedImage
 from arctrack.importing.image_files import images_of
 from arctrack.recording import SetupFile
-from arctrack.recording.setup_file import setup_text
+from arctrack.recording.setup_model import CalibrationTable
 from calibration.boards.board import Board
 from calibration.camera.adjustment import Scene
 from calibration.camera.lens import PINHOLE, Lens
@@ -45,6 +44,8 @@ class LaserPairs:
         The boards' poses.
     seen : Sightings
         Their corners.
+    lens_covariance : array (n, n) or None
+        That of the lens' parameters, as the setup keeps it; None where it keeps none.
     stripes : dict
         The stripe of each pair, by the name of its image without the laser.
     left_out : dict
@@ -56,6 +57,7 @@ class LaserPairs:
     boards: BoardImages
     scene: Scene
     seen: Sightings
+    lens_covariance: Float64 | None
     stripes: dict[str, Stripe] = field(default_factory=dict)
     left_out: dict[str, str] = field(default_factory=dict)
     sample: Integers | None = None
@@ -126,15 +128,21 @@ def read_pairs(
             f"{stated.path}: [camera] width, height: {camera.width} x {camera.height}, but the images are "
             f"{boards.size[0]} x {boards.size[1]} px: `arctrack calibrate camera` comes first"
         )
-    lens = lens_of(camera, [name for name, _ in lens_table(stated)])
-    result = LaserPairs(boards, *board_poses(board, boards.views, lens), left_out=alone | boards.left_out)
+    record = stated.calibrations.get("camera")
+    lens = lens_of(camera, [] if record is None else record.parameters)
+    result = LaserPairs(
+        boards,
+        *board_poses(board, boards.views, lens),
+        None if record is None else _lens_covariance(record, lens),
+        left_out=alone | boards.left_out,
+    )
     partner = {off.name: (off, on) for off, on in pairs.items()}
     for n, name in enumerate(result.seen.names):
         off_path, on_path = partner[name]
         try:
             off, on = (grey(EncodedImage(path).pixels(), channel) for path in (off_path, on_path))
         except ArctrackError as error:
-            result.left_out[on_path.name] = str(error).removeprefix(f"{on_path}: ")
+            result.left_out[on_path.name] = reason_of(error, on_path)
             continue
         if on.shape != off.shape or on.dtype != off.dtype:
             result.left_out[on_path.name] = f"has another size or depth than {name}"
@@ -151,29 +159,13 @@ def read_pairs(
     return result
 
 
-def lens_table(stated: SetupFile) -> list[tuple[str, int]]:
-    """Return the lens parameters of a setup's `[calibration.camera]` and their rows; none without one."""
-    record = _record(stated)
-    names = [] if record is None else record["parameters"]
-    return [(name, row) for row, name in enumerate(names)]
-
-
-def lens_covariance(stated: SetupFile, lens: Lens) -> Float64 | None:
-    """Return the covariance (n, n) of a lens' parameters that a setup keeps; None if it keeps none."""
-    record = _record(stated)
-    rows = dict(lens_table(stated))
-    if record is None or not set(PINHOLE) <= set(rows):
+def _lens_covariance(record: CalibrationTable, lens: Lens) -> Float64 | None:
+    """Return the covariance (n, n) of a lens' parameters that a calibration has; None if it lacks some."""
+    rows = {name: row for row, name in enumerate(record.parameters)}
+    if not set(PINHOLE) <= set(rows):
         return None
     covariance = np.zeros((len(lens.names), len(lens.names)))
     known = [n for n, name in enumerate(lens.names) if name in rows]
     picked = [rows[lens.names[n]] for n in known]
-    covariance[np.ix_(known, known)] = np.array(record["covariance"], dtype=np.float64)[
-        np.ix_(picked, picked)
-    ]
+    covariance[np.ix_(known, known)] = np.array(record.covariance)[np.ix_(picked, picked)]
     return covariance
-
-
-def _record(stated: SetupFile) -> dict[str, list] | None:  # type: ignore[type-arg]
-    document = tomllib.loads(setup_text(stated.path))
-    record = document.get("calibration", {}).get("camera")
-    return None if record is None else dict(record)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from arctrack.recording import Calibrated
+from arctrack.recording.toml_text import rounded
 from calibration.laser.calibrate import LaserCalibration
 from noise_model.arrays import Float64
 from noise_model.setup import Setup
@@ -40,7 +41,7 @@ def laser_record(result: LaserCalibration, setup: Setup) -> Calibrated:
     return Calibrated(
         "laser",
         {
-            "plane_in_tool": [float(f"{value:.9g}") for value in plane],
+            "plane_in_tool": [rounded(value, 9) for value in plane],
             "origin_in_tool_mm": [round(float(value), 4) for value in origin],
         },
         PARAMETERS,
@@ -49,7 +50,7 @@ def laser_record(result: LaserCalibration, setup: Setup) -> Calibrated:
         {
             "pairs": len(result.names),
             "points": sum(map(len, result.points_mm)),
-            "rms_mm": float(f"{result.rms_mm:.4g}"),
-            "bow_mm": float(f"{result.bow.bow_mm:.4g}"),
+            "rms_mm": rounded(result.rms_mm, 4),
+            "bow_mm": rounded(result.bow.bow_mm, 4),
         },
     )

@@ -11,6 +11,7 @@ import tomlkit
 
 from arctrack.calibration_files.goniometer import GoniometerFile
 from arctrack.errors import in_file
+from arctrack.recording.toml_text import rounded
 from calibration.reflectance import Agreement, Reflectance
 from calibration.reflectance_model import NAMES
 from noise_model.arrays import Float64
@@ -27,7 +28,7 @@ def material_toml(result: Reflectance) -> str:
     table = tomlkit.table()
     table["name"] = result.material.name
     for name, value, interval in zip(NAMES, result.values, result.intervals, strict=True):
-        table[name] = _rounded(value)
+        table[name] = rounded(value, DIGITS)
         table[name].comment(f"95 %: {interval[0]:.4g} to {interval[1]:.4g}")
     document = tomlkit.document()
     document.add(tomlkit.comment(scale_sentence(result)))
@@ -111,10 +112,6 @@ def _columns(read: GoniometerFile, agreement: Reflectance | Agreement) -> dict[s
         "residual": agreement.residuals,
         "studentised": agreement.studentised,
     }
-
-
-def _rounded(value: float) -> float:
-    return float(f"{value:.{DIGITS}g}")
 
 
 def _or_none(value: float) -> float | None:

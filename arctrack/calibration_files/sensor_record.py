@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import asdict
 
 from arctrack.recording import Calibrated
+from arctrack.recording.toml_text import rounded
 from calibration.sensor.flat_fields import KEYS, SensorCalibration
 from calibration.sensor.still import KEYS as STILL_KEYS
 from calibration.sensor.still import StillCalibration
@@ -17,13 +18,13 @@ DIGITS = 7
 
 def flat_record(result: SensorCalibration) -> Calibrated:
     """Return the values of flat and dark frames, with DSNU, PRNU and linearity as remarks."""
-    about = {name: rounded(result[name].value) for name in ("dsnu_e", "prnu_rel", "linearity_rel")}
-    about |= {
-        f"{name}_sigma": rounded(result[name].sigma) for name in ("dsnu_e", "prnu_rel", "linearity_rel")
-    }
+    about = {}
+    for name in ("dsnu_e", "prnu_rel", "linearity_rel"):
+        about[name] = rounded(result[name].value, DIGITS)
+        about[f"{name}_sigma"] = rounded(result[name].sigma, DIGITS)
     return Calibrated(
         "sensor",
-        {name: rounded(result[name].value) for name in KEYS},
+        {name: rounded(result[name].value, DIGITS) for name in KEYS},
         KEYS,
         result.covariance,
         MADE_BY,
@@ -35,21 +36,16 @@ def still_record(result: StillCalibration) -> Calibrated:
     """Return the values of a still stripe, with its speckle as remarks."""
     about: dict[str, float | int | str] = {"frames": result.statistics.n_frames}
     if result.speckle is not None:
-        about |= {f"speckle_{name}": rounded(value) for name, value in asdict(result.speckle).items()}
+        about |= {f"speckle_{name}": rounded(value, DIGITS) for name, value in asdict(result.speckle).items()}
     return Calibrated(
         "sensor",
         # The code of saturation stays: the charge there goes with the gain.
         {
-            **{name: rounded(result[name].value) for name in STILL_KEYS},
-            "full_well_e": rounded(result.sensor.full_well_e),
+            **{name: rounded(result[name].value, DIGITS) for name in STILL_KEYS},
+            "full_well_e": rounded(result.sensor.full_well_e, DIGITS),
         },
         STILL_KEYS,
         result.covariance,
         MADE_BY,
         about,
     )
-
-
-def rounded(value: float) -> float:
-    """Return a value to the digits that are written."""
-    return float(f"{value:.{DIGITS}g}")

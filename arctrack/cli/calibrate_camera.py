@@ -8,7 +8,7 @@ from typing import Annotated
 
 import typer
 
-from arctrack.cli.calibration_output import check_outputs
+from arctrack.cli.calibration_output import Out, Pattern, Report, Sources, board_of, check_outputs
 from arctrack.cli.interrupt import interruptible
 from arctrack.cli.setups import read_setup, write_calibrated
 from arctrack.errors import ArctrackError
@@ -18,27 +18,13 @@ AUTOMATIC = "auto"
 
 
 def camera(
-    sources: Annotated[
-        list[Path],
-        typer.Argument(metavar="SOURCE...", help="Folders of images, images, or patterns in quotes."),
-    ],
-    board: Annotated[
-        str,
-        typer.Option(
-            help="chessboard:9x6:5mm (inner corners), or charuco:8x6:5mm:3.7mm:5X5_100 (squares, sides of a "
-            "square and a marker, dictionary)."
-        ),
-    ],
+    sources: Sources,
+    board: Pattern,
     setup: Annotated[
         Path | None, typer.Option(help="A recording.toml, or a recording, to write the values into.")
     ] = None,
-    out: Annotated[
-        Path | None, typer.Option(help="Where to write it; default: --setup, whose file before is kept.")
-    ] = None,
-    report: Annotated[
-        Path | None,
-        typer.Option(help="The page with the pictures; default: calibrate_camera.html by the setup."),
-    ] = None,
+    out: Out = None,
+    report: Report = None,
     distortion: Annotated[
         str,
         typer.Option(help="none, k1, 'k1 k2', 'k1 k2 p1 p2', 'k1 k2 p1 p2 k3', rational; auto chooses."),
@@ -59,15 +45,11 @@ def camera(
     from arctrack.cli import console
     from arctrack.cli.camera_text import DIM, lines, warnings
     from arctrack.report.camera.page import write_page
-    from calibration.boards.board import Board
     from calibration.camera.calibrate import calibrate_camera
     from calibration.camera.enough import UndeterminedError
     from calibration.camera.lens import ORDERS
 
-    try:
-        pattern = Board.parse(board)
-    except ValueError as error:
-        raise ArctrackError(f"--board: {error}") from None
+    pattern = board_of(board)
     if out is not None and setup is None:
         raise ArctrackError("--out: needs --setup, whose other values stay; `arctrack new` writes one")
     stated = None if setup is None else read_setup(setup)

@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from arctrack.cli.calibration_output import check_outputs, finish
+from arctrack.cli.calibration_output import Out, Report, check_outputs, finish
 from arctrack.cli.setups import write_calibrated
 from arctrack.errors import ArctrackError
 
@@ -18,13 +18,8 @@ EXAMPLE = "Example: arctrack calibrate delay examples/v_groove --out /tmp/in_tim
 
 def delay(
     recording: Annotated[Path, typer.Argument(help="A recording whose tool weaves or rises as it travels.")],
-    out: Annotated[
-        Path | None,
-        typer.Option(help="Where to write recording.toml; default: the setup, the one before is kept."),
-    ] = None,
-    report: Annotated[
-        Path | None, typer.Option(help=f"Where the page goes; default: {REPORT} beside the written file.")
-    ] = None,
+    out: Out = None,
+    report: Report = None,
 ) -> None:
     """Find the delay between poses and frames, with its sigma: the seam stands still, whatever the tool does.
 

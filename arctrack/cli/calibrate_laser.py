@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from arctrack.cli.calibration_output import check_outputs, finish
+from arctrack.cli.calibration_output import Out, Pattern, Report, Sources, board_of, check_outputs, finish
 from arctrack.cli.interrupt import interruptible
 from arctrack.cli.setups import read_setup, write_calibrated
 from arctrack.errors import ArctrackError
@@ -21,23 +21,13 @@ EXAMPLE = (
 
 
 def laser(
-    sources: Annotated[
-        list[Path],
-        typer.Argument(metavar="SOURCE...", help="Folders of images, images, or patterns in quotes."),
-    ],
-    board: Annotated[
-        str,
-        typer.Option(help="As for calibrate camera: chessboard:9x6:5mm, or charuco:8x6:5mm:3.7mm:5X5_100."),
-    ],
+    sources: Sources,
+    board: Pattern,
     setup: Annotated[
         Path, typer.Option(help="A recording.toml, or a recording, whose camera is calibrated already.")
     ],
-    out: Annotated[
-        Path | None, typer.Option(help="Where to write it; default: --setup, whose file before is kept.")
-    ] = None,
-    report: Annotated[
-        Path | None, typer.Option(help=f"Where the page goes; default: {REPORT} beside the written file.")
-    ] = None,
+    out: Out = None,
+    report: Report = None,
 ) -> None:
     """Find the laser sheet's plane from images of a board, each without and with the laser.
 
@@ -46,18 +36,14 @@ def laser(
     another distance in each pair. Pairs that do not determine the plane are refused, and what is missing is
     named.
     """
-    from arctrack.calibration_files.laser_pairs import lens_covariance, read_pairs
+    from arctrack.calibration_files.laser_pairs import read_pairs
     from arctrack.calibration_files.laser_record import laser_record
     from arctrack.cli import console
     from arctrack.report.calibration.laser import laser_page
-    from calibration.boards.board import Board
     from calibration.camera.enough import UndeterminedError
     from calibration.laser.calibrate import calibrate_laser
 
-    try:
-        pattern = Board.parse(board)
-    except ValueError as error:
-        raise ArctrackError(f"--board: {error}") from None
+    pattern = board_of(board)
     stated = read_setup(setup)
     target = out or stated.path
     shown = report or target.with_name(REPORT)
@@ -68,12 +54,10 @@ def laser(
             sources, pattern, stated, lambda n, total: bar.update(looking, completed=n, total=total)
         )
         console.warn(f"{name}: left out: {reason}" for name, reason in pairs.left_out.items())
-        known = lens_covariance(stated, pairs.scene.lens)
         try:
-            result = calibrate_laser(pairs.scene, pairs.seen, pairs.stripes, known)
+            result = calibrate_laser(pairs.scene, pairs.seen, pairs.stripes, pairs.lens_covariance)
         except UndeterminedError as error:
             raise ArctrackError(f"{sources[0]}: {error}") from None
     console.warn(f"{name}: left out: {reason}" for name, reason in result.left_out.items())
-    page = laser_page(result, pairs, stated.setup, is_lens_known=known is not None)
-    finish(page, shown)
+    finish(laser_page(result, pairs, stated.setup), shown)
     write_calibrated(target, stated.path, laser_record(result, stated.setup))

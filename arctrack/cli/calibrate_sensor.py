@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from arctrack.cli.calibration_output import check_outputs, finish
+from arctrack.cli.calibration_output import Out, Report, check_outputs, finish
 from arctrack.cli.setups import read_setup, write_calibrated
 from arctrack.errors import ArctrackError, in_file
 
@@ -27,13 +27,8 @@ def sensor(
         Path | None,
         typer.Option(help="A recording.toml, or a recording, that it belongs to; default: the recording's."),
     ] = None,
-    out: Annotated[
-        Path | None,
-        typer.Option(help="Where to write recording.toml; default: the setup, the one before is kept."),
-    ] = None,
-    report: Annotated[
-        Path | None, typer.Option(help=f"Where the page goes; default: {REPORT} beside the written file.")
-    ] = None,
+    out: Out = None,
+    report: Report = None,
     gamma: Annotated[float | None, typer.Option(help="Hold this gamma in place of fitting it.")] = None,
 ) -> None:
     """Find gain, read noise, black level, full well, gamma, DSNU and PRNU of a sensor, each with its sigma.

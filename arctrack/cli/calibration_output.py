@@ -1,9 +1,11 @@
-"""What the calibrations that leave a setup and a page have in common: their files, their table."""
+"""What the calibrations that leave a setup and a page have in common: options, files, table."""
 
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Annotated
+
+import typer
 
 from arctrack.cli.setups import check_can_be_replaced
 from arctrack.errors import ArctrackError
@@ -12,6 +14,35 @@ from arctrack.output import real, write_whole
 if TYPE_CHECKING:
     from arctrack.recording import Recording
     from arctrack.report.calibration.page import CalibrationPage
+    from calibration.boards.board import Board
+
+Sources = Annotated[
+    list[Path], typer.Argument(metavar="SOURCE...", help="Folders of images, images, or patterns in quotes.")
+]
+Pattern = Annotated[
+    str,
+    typer.Option(
+        help="chessboard:9x6:5mm (inner corners), or charuco:8x6:5mm:3.7mm:5X5_100 (squares, sides of a "
+        "square and a marker, dictionary)."
+    ),
+]
+Out = Annotated[
+    Path | None,
+    typer.Option(help="Where to write recording.toml; default: the setup, the one before is kept."),
+]
+Report = Annotated[
+    Path | None, typer.Option(help="Where the page with the pictures goes; default: beside the written file.")
+]
+
+
+def board_of(pattern: str) -> Board:
+    """Return the board that `--board` states; ArctrackError for one that is none."""
+    from calibration.boards.board import Board
+
+    try:
+        return Board.parse(pattern)
+    except ValueError as error:
+        raise ArctrackError(f"--board: {error}") from None
 
 
 def check_outputs(

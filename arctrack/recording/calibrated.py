@@ -16,6 +16,7 @@ import tomlkit
 from tomlkit.items import Array, InlineTable
 
 from arctrack.recording.setup_file import parse_setup, read_setup_file, setup_text
+from arctrack.recording.toml_text import rounded
 from noise_model.arrays import Float64
 
 TABLE = "calibration"
@@ -125,7 +126,7 @@ def _record(result: Calibrated) -> dict[str, object]:
         "made_by": result.made_by,
         **result.about,
         "parameters": list(result.parameters),
-        "sigma": [float(f"{value:.4g}") for value in result.sigma],
+        "sigma": [rounded(value, 4) for value in result.sigma],
         "covariance": rows.multiline(multiline=True),
     }
 

@@ -18,8 +18,8 @@ from arctrack.limits import LIMITS
 from arctrack.printable import cut, first_of, printable
 from arctrack.recording.files import blamed_on, read_text
 from arctrack.recording.key_errors import describe
-from arctrack.recording.setup_model import FORMAT, UNITS, RecordingToml, unknown_keys
-from arctrack.recording.toml_text import parse_toml
+from arctrack.recording.setup_model import FORMAT, UNITS, CalibrationTable, RecordingToml, unknown_keys
+from arctrack.recording.toml_text import parse_toml, rounded
 from noise_model.arrays import Float64
 from noise_model.instrument.spectrum import Filter, FilterCurve
 from noise_model.setup import Setup
@@ -38,7 +38,7 @@ class SetupFile:
     `correction` is how the seam is followed; `robot` is the raw table; `T_tool_controllertool` (4, 4), mm,
     takes points of the controller's own tool frame to arctrack's, None if they are the same; `unknown_keys`
     are the keys that mean nothing here: they are reported and otherwise without effect. `nearest_keys` are
-    the known keys that some of them may be meant for.
+    the known keys that some of them may be meant for. `calibrations` are the `[calibration.NAME]` tables.
     """
 
     path: Path
@@ -48,6 +48,7 @@ class SetupFile:
     T_tool_controllertool: Float64 | None = None
     unknown_keys: tuple[str, ...] = ()
     nearest_keys: Mapping[str, str] = field(default_factory=dict)
+    calibrations: Mapping[str, CalibrationTable] = field(default_factory=dict)
 
     def __repr__(self) -> str:
         joint, metal = self.setup.joint.type, printable(self.setup.material.name)
@@ -119,6 +120,7 @@ def parse_setup(text: str, path: Path) -> SetupFile:
             else controllertool.matrix("robot.controllertool_to_tool"),
             unknown_keys=tuple(unknown),
             nearest_keys={key: near for key, near in unknown.items() if near is not None},
+            calibrations=model.calibration,
         )
     except ValueError as error:
         raise in_file(path, str(error)) from None
@@ -187,7 +189,7 @@ def with_effects(path: Path, effects: Sequence[Named]) -> str:
         table = named.setdefault(effect.id, tomlkit.table())
         for key, estimate in effect.parameters.items():
             # Six digits: nobody knows it better, and the file stays readable.
-            table[key] = float(f"{estimate.value:.6g}")
+            table[key] = rounded(estimate.value, 6)
             # A table on one line has no room for comments.
             if isinstance(table, Table):
                 within = f"± {estimate.sigma:.2g}, " if math.isfinite(estimate.sigma) else ""

@@ -13,6 +13,11 @@ _DEEP_KEY = re.compile(rf"(?<![\w-]){_PART}(?:[ \t]*\.[ \t]*{_PART}){{{LIMITS.to
 """A key of more parts than tables may be deep: a parser takes the square of their number in time."""
 
 
+def rounded(value: float, digits: int) -> float:
+    """Return a number that is written in so many significant digits."""
+    return float(f"{value:.{digits}g}")
+
+
 def parse_toml(text: str) -> dict[str, Any]:
     """Return what a TOML text holds; ValueError says what is wrong with it, and where."""
     deep = _DEEP_KEY.search(text)

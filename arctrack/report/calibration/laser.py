@@ -26,9 +26,7 @@ BINS, LEAST_IN_BIN = 30, 20
 """Parts of the stripe whose mean shows the sheet's bow, and the points that make a mean."""
 
 
-def laser_page(
-    result: LaserCalibration, pairs: LaserPairs, setup: Setup, *, is_lens_known: bool
-) -> CalibrationPage:
+def laser_page(result: LaserCalibration, pairs: LaserPairs, setup: Setup) -> CalibrationPage:
     """Return what the page holds."""
     points = np.concatenate(result.points_mm)
     middle = points.mean(axis=0, keepdims=True)
@@ -62,7 +60,7 @@ def laser_page(
     notes = [
         "The plane in the tool frame rests on the setup's pose of the camera, which counts as exact here."
     ]
-    if not is_lens_known:
+    if pairs.lens_covariance is None:
         notes.append(
             "The setup has no [calibration.camera]: the lens counts as exact, and the sigmas are too small. "
             "`arctrack calibrate camera` writes it."
