@@ -9,13 +9,12 @@ estimator. The least possible error is Cramer and Rao's, of closed formulas for 
 
 from __future__ import annotations
 
-import argparse
 import math
 from dataclasses import dataclass
 
 import numpy as np
+from calibration_tally import Tally, judge_worlds
 from scipy.special import gamma as gamma_function
-from scipy.stats import norm
 
 from calibration.sensor.flat_fields import calibrate_sensor
 from calibration.sensor.levels import level_from
@@ -166,11 +165,9 @@ def least_sigmas(world: World) -> dict[str, float]:
 
 def judge(worlds: int, seed: int) -> None:
     """Print bias, coverage and error over the bound of each parameter."""
-    off: dict[str, list[float]] = {}
-    ratio: dict[str, list[tuple[float, float]]] = {}
-    inside: dict[str, list[bool]] = {}
+    tally = Tally()
     refused: list[str] = []
-    chi2, lines = [], []
+    chi2, linear = [], []
     for number in range(worlds):
         draw = np.random.default_rng([seed, number])
         world = draw_world(draw)
@@ -185,48 +182,21 @@ def judge(worlds: int, seed: int) -> None:
         bound = least_sigmas(world)
         chi2.append(result.chi2)
         line = result["linearity_rel"]
-        lines.append(((line.value / world.light_error) ** 2, line.low <= world.light_error <= line.high))
+        linear.append(((line.value / world.light_error) ** 2, line.low <= world.light_error <= line.high))
         for name, true in world.truth.items():
             estimate = result[name]
-            off.setdefault(name, []).append((estimate.value - true) / estimate.sigma)
-            ratio.setdefault(name, []).append(
-                ((estimate.value - true) / bound[name], estimate.sigma / bound[name])
-            )
-            inside.setdefault(name, []).append(estimate.low <= true <= estimate.high)
-    report(off, ratio, inside)
-    squares, hit = np.array(lines).T
+            is_inside = estimate.low <= true <= estimate.high
+            tally.add(name, estimate.value - true, estimate.sigma, is_inside, bound[name])
+    tally.report()
+    squares, hit = np.array(linear).T
     print(
         f"linearity_rel    its square over the true one {np.mean(squares):.2f} ± "
         f"{np.std(squares) / math.sqrt(len(squares)):.2f}  covered {100.0 * np.mean(hit):5.1f} %"
     )
     print(f"{len(chi2)} worlds calibrated, {len(refused)} refused; chi2 per freedom {np.mean(chi2):.2f}")
-    for line in refused:
-        print(line)
-
-
-def report(
-    off: dict[str, list[float]], ratio: dict[str, list[tuple[float, float]]], inside: dict[str, list[bool]]
-) -> None:
-    limit = norm.isf(0.5 * 0.0027 / len(off))
-    print(f"bias in standard errors of the mean (Bonferroni's limit {limit:.1f}); error over the bound")
-    for name, z in off.items():
-        bias = np.mean(z) / np.std(z) * math.sqrt(len(z))
-        errors, sigmas = np.array(ratio[name]).T
-        print(
-            f"{name:16} bias {bias:+5.2f}  covered {100.0 * np.mean(inside[name]):5.1f} %  "
-            f"error/bound {math.sqrt(np.mean(errors**2)):.2f}  sigma/bound "
-            f"{math.sqrt(np.mean(sigmas**2)):.2f}"
-        )
-
-
-def main() -> None:
-    """Judge the calibration on random worlds."""
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--worlds", type=int, default=400)
-    parser.add_argument("--seed", type=int, default=1)
-    chosen = parser.parse_args()
-    judge(chosen.worlds, chosen.seed)
+    for reason in refused:
+        print(reason)
 
 
 if __name__ == "__main__":
-    main()
+    judge_worlds(judge, __doc__)

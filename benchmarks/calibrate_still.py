@@ -9,11 +9,11 @@ of known means, beside a shake and a flicker that are fitted along.
 
 from __future__ import annotations
 
-import argparse
 import math
 from dataclasses import dataclass
 
 import numpy as np
+from calibration_tally import Tally, judge_worlds
 from scipy.ndimage import gaussian_filter
 from scipy.stats import norm
 
@@ -118,9 +118,7 @@ def least_sigmas(world: World, light: np.ndarray) -> dict[str, float]:
 
 def judge(worlds: int, seed: int) -> None:
     """Print bias, coverage and error over the bound of each value."""
-    z: dict[str, list[float]] = {}
-    ratio: dict[str, list[float]] = {}
-    inside: dict[str, list[bool]] = {}
+    tally = Tally()
     refused = []
     for number in range(worlds):
         draw = np.random.default_rng([seed, number])
@@ -141,30 +139,12 @@ def judge(worlds: int, seed: int) -> None:
         bound = least_sigmas(world, light)
         for name, (value, sigma) in pairs.items():
             error = value - world.truth[name]
-            z.setdefault(name, []).append(error / sigma)
-            inside.setdefault(name, []).append(abs(error) < half[name] * sigma)
-            if name in bound:
-                ratio.setdefault(name, []).append(error / bound[name])
-    print(f"bias in standard errors (Bonferroni's limit {norm.isf(0.5 * 0.0027 / len(z)):.1f})")
-    for name, off in z.items():
-        over = f"{math.sqrt(np.mean(np.square(ratio[name]))):.2f}" if name in ratio else "-"
-        print(
-            f"{name:16} {len(off)} worlds, bias {np.mean(off) / np.std(off) * math.sqrt(len(off)):+5.2f} "
-            f"({np.mean(off):+.2f} sigma)  covered {100.0 * np.mean(inside[name]):5.1f} %  error/bound {over}"
-        )
+            tally.add(name, error, sigma, abs(error) < half[name] * sigma, bound.get(name))
+    tally.report()
     print(f"{len(refused)} refused")
-    for line in refused:
-        print(line)
-
-
-def main() -> None:
-    """Judge the calibration on random still stripes."""
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--worlds", type=int, default=400)
-    parser.add_argument("--seed", type=int, default=1)
-    chosen = parser.parse_args()
-    judge(chosen.worlds, chosen.seed)
+    for reason in refused:
+        print(reason)
 
 
 if __name__ == "__main__":
-    main()
+    judge_worlds(judge, __doc__)
