@@ -16,6 +16,7 @@ import numpy as np
 from calibration.boards.board import Board
 from calibration.camera.lens import Lens
 from noise_model.arrays import Bool, Float32, Float64, Int64, Integers
+from tracker.joint.section_fit import MAD_SIGMA
 from tracker.stripe.viterbi import best_path
 
 SCALES_PX = (1.5, 3.0, 6.0, 12.0)
@@ -68,8 +69,6 @@ GAIN_CAP = 60.0
 
 NOISE_FLOOR_DN = 0.3
 """Rounding of two images leaves that much noise at least."""
-
-MAD_TO_SIGMA = 1.4826
 
 
 @dataclass(frozen=True)
@@ -294,4 +293,4 @@ def _centroids(lines: Float32, start_px: Float64, sigma_px: float) -> tuple[Floa
 
 def _spread(values: Float64 | Float32) -> float:
     """Return 1 sigma of values, from their median distance to the median."""
-    return MAD_TO_SIGMA * float(np.median(np.abs(values - np.median(values))))
+    return MAD_SIGMA * float(np.median(np.abs(values - np.median(values))))
