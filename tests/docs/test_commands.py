@@ -65,10 +65,17 @@ def _do_nothing(command: Any) -> None:
             below.callback = None
 
 
+def _has_options(path: Path) -> bool:
+    """Whether a script, or a module beside it that it imports, reads a command line."""
+    text = path.read_text(encoding="utf-8")
+    beside = (path.parent / f"{name}.py" for name in re.findall(r"^(?:from|import) (\w+)", text, re.M))
+    return "parse_args" in text or any(_has_options(module) for module in beside if module.exists())
+
+
 def parse_script(words: list[str], monkeypatch: pytest.MonkeyPatch) -> None:
     """Read a command line as a script does that has one."""
     path = ROOT / words[0]
-    if "parse_args" not in path.read_text(encoding="utf-8"):
+    if not _has_options(path):
         assert not [word for word in words[1:] if word.startswith("-")]
         return
     parse = argparse.ArgumentParser.parse_args
