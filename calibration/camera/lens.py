@@ -8,6 +8,7 @@ import cv2
 import numpy as np
 
 from noise_model.arrays import Float64
+from noise_model.instrument.camera import undistorted_rays
 
 PINHOLE = ("fx", "fy", "cx", "cy")
 OPENCV = ("k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6", "s1", "s2", "s3", "s4", "tau_x", "tau_y")
@@ -24,9 +25,6 @@ ORDERS: dict[str, tuple[str, ...]] = {
     "rational": ("k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6"),
 }
 """The distortions to choose from, the leanest first."""
-
-UNDISTORT_STEPS, UNDISTORTED, LONGEST_STEP = 30, 1e-11, 0.3
-"""Newton steps at most, the one that is the last, and the longest: where the lens folds there is no end."""
 
 
 @dataclass(frozen=True)
@@ -102,14 +100,8 @@ class Lens:
 
         Newton's steps undo the distortion: OpenCV's fixed points run away where it is strong.
         """
-        fx, fy, cx, cy = self.values[:4]
-        rays = np.column_stack([(points_px - [cx, cy]) / [fx, fy], np.ones(len(points_px))])
         if len(self.names) == len(PINHOLE):
-            return rays
-        for _ in range(UNDISTORT_STEPS):
-            image, per_motion, _ = self.project_with_jacobian(rays)
-            step = np.linalg.solve(per_motion[:, :, 3:5], (points_px - image)[:, :, np.newaxis])[:, :, 0]
-            rays[:, :2] += step.clip(-LONGEST_STEP, LONGEST_STEP)
-            if np.abs(step).max() < UNDISTORTED:
-                break
-        return rays
+            xy = (points_px - self.values[2:4]) / self.values[:2]
+        else:
+            xy = undistorted_rays(points_px, self.matrix, self.distortion)
+        return np.column_stack([xy, np.ones(len(points_px))])

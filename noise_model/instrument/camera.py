@@ -166,7 +166,19 @@ class Camera:
         undistorted = cv2.undistortPointsIter(
             points, self.matrix, np.asarray(self.distortion), np.eye(3), np.eye(3), criteria
         )
-        return np.asarray(undistorted, dtype=np.float64)[:, 0]
+        xy = np.asarray(undistorted, dtype=np.float64)[:, 0]
+        # OpenCV's fixed points come near slowly, or never, where the distortion is strong.
+        far = np.flatnonzero(~(self._misses_px(xy, points[:, 0]) <= MOST_MISS_PX))
+        if len(far):
+            by_newton = undistorted_rays(points[far, 0], self.matrix, np.asarray(self.distortion))
+            is_hit = self._misses_px(by_newton, points[far, 0]) <= MOST_MISS_PX
+            xy[far[is_hit]] = by_newton[is_hit]
+        return xy
+
+    def _misses_px(self, xy: Float64, points_px: Float64) -> Float64:
+        """Return how far from image points (N, 2) rays (N, 2) are seen (N,), px."""
+        seen = self.project(np.column_stack([xy, np.ones(len(xy))]))
+        return np.asarray(np.abs(seen - points_px).max(axis=1))
 
     def project(self, points_camera: Float64) -> Float64:
         """Return the image points of points in front of the camera.
@@ -253,6 +265,41 @@ def distorted(x: float, y: float, lens: Intrinsics) -> tuple[float, float, float
 
 UNDISTORT_STEPS, UNDISTORTED = 20, 1e-12
 """Newton steps by which a lens' distortion is undone at most; one that is shorter is the last."""
+
+LONGEST_STEP = 0.3
+"""The longest step from a pixel's ray, slope: where the lens folds the steps would have no end."""
+
+MOST_MISS_PX = 1e-7
+"""A ray that is seen farther than this from its image point is sought anew."""
+
+
+def undistorted_rays(points_px: Float64, matrix: Float64, distortion: Float64) -> Float64:
+    """Return the normalised coordinates of image points, by Newton's steps from the distorted places.
+
+    Parameters
+    ----------
+    points_px : array (N, 2)
+        Image points, px.
+    matrix : array (3, 3)
+        The intrinsic matrix, px.
+    distortion : array (n,)
+        OpenCV's coefficients.
+
+    Returns
+    -------
+    array (N, 2)
+        x and y of the rays (x, y, 1); where the lens folds and has no such point, anything.
+    """
+    rays = np.column_stack([(points_px - matrix[:2, 2]) / np.diag(matrix)[:2], np.ones(len(points_px))])
+    for _ in range(UNDISTORT_STEPS):
+        seen, slopes = cv2.projectPoints(rays[:, np.newaxis], np.zeros(3), np.zeros(3), matrix, distortion)
+        # Columns 3 and 4: OpenCV gives the slopes by a shift of the camera, here of a ray at z = 1.
+        per_ray = slopes.reshape(len(rays), 2, -1)[:, :, 3:5]
+        step = np.linalg.solve(per_ray, (points_px - seen[:, 0])[:, :, np.newaxis])[:, :, 0]
+        rays[:, :2] += step.clip(-LONGEST_STEP, LONGEST_STEP)
+        if np.abs(step).max(initial=0.0) < UNDISTORTED:
+            break
+    return rays[:, :2]
 
 
 @kernel

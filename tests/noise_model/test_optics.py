@@ -46,6 +46,18 @@ def test_project_undoes_normalised(camera):
     np.testing.assert_allclose(camera.project(37.0 * rays), pixels, atol=1e-6)
 
 
+@pytest.mark.parametrize(
+    "distortion",
+    [(0.2, 5.0, 0.0, 0.0, 0.0), (-0.2, 0.1, *6 * (0.0,), *4 * (0.0,), 0.3, 0.2)],
+    ids=["barrel", "tilted"],
+)
+def test_normalised_holds_where_opencvs_fixed_points_come_near_slowly(distortion):
+    camera = dataclasses.replace(PLAIN, distortion=distortion)
+    corners = np.array([[0.0, 0.0], [camera.width - 1.0, 0.0], [0.0, camera.height - 1.0]])
+    rays = np.column_stack([camera.normalised(corners), np.ones(len(corners))])
+    np.testing.assert_allclose(camera.project(rays), corners, atol=1e-6)
+
+
 @pytest.mark.parametrize("by", [1, 5])
 def test_a_coarser_pixel_looks_where_its_fine_ones_do_on_average(by):
     coarse = PLAIN.coarser(by)
