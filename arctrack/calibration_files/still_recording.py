@@ -7,6 +7,7 @@ from collections.abc import Callable
 
 from arctrack.recording import Recording
 from noise_model.arrays import Integers
+from tracker.state import frame_misfit
 
 
 def read_still_frames(
@@ -26,11 +27,9 @@ def read_still_frames(
         else:
             images.append(image)
         on_frame(done + 1)
-    # Frames that were cut off or turned are no part of one scene.
-    shape = (recording.setup.camera.height, recording.setup.camera.width)
-    fitting = [image for image in images if image.shape == shape]
-    if len(fitting) < len(images):
-        problems.append(
-            f"{recording.path}: {len(images) - len(fitting)} frames are of another size and left out"
-        )
-    return fitting, problems
+    # Frames that were cut off or turned are no part of one scene, those of fewer bits of another sensor's.
+    misfits = [frame_misfit(image.shape, image.dtype, recording.setup) for image in images]
+    unlike = [misfit for misfit in misfits if misfit is not None]
+    if unlike:
+        problems.append(f"{recording.path}: {len(unlike)} frames are left out; the first {unlike[0]}")
+    return [image for image, misfit in zip(images, misfits, strict=True) if misfit is None], problems

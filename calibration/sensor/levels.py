@@ -89,6 +89,11 @@ def level_from(frames_dn: Sequence[Integers], exposure_s: float, is_lit: bool, b
     brightest = max(int(frame.max()) for frame in frames_dn)
     if brightest >= 2**bits:
         raise ValueError(f"{kind}: hold {brightest} DN, [sensor] bits = {bits} ends at {2**bits - 1}")
+    depth = 8 * frames_dn[0].dtype.itemsize
+    if depth < bits:
+        raise ValueError(
+            f"{kind}: hold {depth} bits, [sensor] bits = {bits}: record with all of them, or state {depth}"
+        )
     _check_different(frames_dn, kind)
     stack = np.stack([_middle(frame) for frame in frames_dn]).astype(np.float64)
     means = stack.mean(axis=(1, 2))

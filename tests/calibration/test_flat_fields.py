@@ -145,3 +145,9 @@ def test_what_cannot_be_determined_is_refused_by_name(levels: Callable[[], list[
 def test_one_frame_of_an_exposure_is_refused() -> None:
     with pytest.raises(ValueError, match="flat frames of 2 ms: there is one"):
         level_from(DrawnSensor().pair(2800.0, np.random.default_rng(1))[:1], 2e-3, True, 10)
+
+
+def test_frames_of_fewer_bits_than_the_sensors_are_refused() -> None:
+    frames = np.random.default_rng(1).integers(0, 99, (2, 32, 32)).astype(np.uint8)
+    with pytest.raises(ValueError, match=r"hold 8 bits, \[sensor\] bits = 12: record with all of them"):
+        level_from([*frames], 0.002, True, 12)
