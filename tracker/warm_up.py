@@ -80,7 +80,7 @@ def warm_up(
         What the warm-up took.
     """
     began_s = time.perf_counter()
-    with _listening(on_compiled, began_s) as compiled:
+    with heard_compilations(on_compiled) as compiled:
         work, state = Work.of(geometry), TrackerState()
         for frame, pose in _frames(geometry):
             state, _ = step(geometry, state, frame, pose, work, use_arc_map, correction)
@@ -215,9 +215,22 @@ class _Picture:
 
 
 @contextmanager
-def _listening(on_compiled: OnCompiled | None, began_s: float) -> Iterator[list[str]]:
-    """Give the names of the functions that numba compiles meanwhile, as they are."""
+def heard_compilations(on_compiled: OnCompiled | None) -> Iterator[list[str]]:
+    """Give the names of the functions that numba compiles meanwhile, as they are.
+
+    Parameters
+    ----------
+    on_compiled : callable, optional
+        Hears each function's name as its compilation begins, how many there were before it, and seconds so
+        far.
+
+    Yields
+    ------
+    list of str
+        The names so far.
+    """
     compiled: list[str] = []
+    began_s = time.perf_counter()
 
     class Listener(numba_events.Listener):  # type: ignore[misc]
         def on_start(self, event: numba_events.Event) -> None:

@@ -31,7 +31,8 @@ def delay(
     from arctrack.cli import console
     from arctrack.recording import read_recording
     from arctrack.report.calibration.delay import delay_page
-    from calibration.pose_delay import PoseTrack, estimate_pose_delay
+    from calibration.pose_delay import MAX_TRACKINGS, PoseTrack, estimate_pose_delay
+    from tracker.warm_up import heard_compilations
 
     read = read_recording(recording)
     console.warn(read.warnings)
@@ -41,14 +42,10 @@ def delay(
     frames, bad_frames = read.readable_frames()
     track = PoseTrack.through(read.poses.timestamps_s, read.poses.T_base_tool)
     with console.progress() as bar:
-        task = bar.add_task("rounds", total=None, unit="rounds")
+        on_round = console.track(bar, "rounds", MAX_TRACKINGS, unit="rounds")
         try:
-            result = estimate_pose_delay(
-                read.setup,
-                frames,
-                track,
-                lambda done, total: bar.update(task, completed=done, total=total),
-            )
+            with heard_compilations(console.compiling(bar, read.name)):
+                result = estimate_pose_delay(read.setup, frames, track, lambda done, _: on_round(done))
         except ValueError as error:
             raise ArctrackError(f"{read.path}: {error}") from None
     finish(delay_page(result, read), page_path)

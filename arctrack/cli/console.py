@@ -113,9 +113,9 @@ def progress() -> SpokenProgress:
     )
 
 
-def track(bar: Progress, name: str, frames: int) -> Callable[[int], None]:
-    """Add a bar over frames and return the function that moves it to a number of them."""
-    task = bar.add_task(name, total=frames, unit="frames")
+def track(bar: Progress, name: str, total: int, unit: str = "frames") -> Callable[[int], None]:
+    """Add a bar over frames, or other units, and return the function that moves it to a number of them."""
+    task = bar.add_task(name, total=total, unit=unit)
 
     def on_frame(done: int) -> None:
         for earlier in bar.tasks:
