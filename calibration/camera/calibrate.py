@@ -253,19 +253,34 @@ def _lens(
     _check(scene, seen, noise)
     distance_mm = float(np.median(scene.points_camera(seen)[:, 2]))
     held = held_out_errors(scene, seen, noise, orders, tilted=tilted, progress=progress)
-    known = [each for each in held if _is_determined(each, seen, noise, distance_mm)]
-    if not known and len(held) == 1 and ORDERS[held[0].name]:
-        raise UndeterminedError(
-            f"the distortion {held[0].name} leaves the image unknown to more than {MOST_SIGMA_PX:g} px: take "
-            "images with the board nearer to the image's corners, or give --distortion fewer coefficients"
-        )
-    chosen = leanest_within_error(known or held[:1])
+    known = [each for each in held if _is_determined(each, seen, noise, distance_mm)] or held[:1]
+    while True:
+        chosen = leanest_within_error(known)
+        result = _last_fit(chosen, held, all_seen, left_out, distance_mm)
+        # The last fit knows how the images scatter and how the board is printed: sigmas are wider.
+        if result.sigma_map()[1].max() <= MOST_SIGMA_PX or not ORDERS[chosen.name]:
+            break
+        known = known[: known.index(chosen)]
+        if not known:
+            raise UndeterminedError(
+                f"the distortion {chosen.name} leaves the image unknown to more than {MOST_SIGMA_PX:g} px: "
+                "take images with the board nearer to the image's corners, or give --distortion fewer "
+                "coefficients"
+            )
+    if tilted:
+        _check_tilt(result)
+    return result
+
+
+def _last_fit(
+    chosen: Held, held: list[Held], all_seen: Sightings, left_out: dict[str, str], distance_mm: float
+) -> CameraCalibration:
     agreed = _robust(chosen.scene, all_seen)
     is_wrong = wrong_corners(agreed, all_seen)
     seen = all_seen.where(~is_wrong)
     scene, noise, print_sigma = _as_printed(*fitted(agreed, seen), seen)
     weight = noise.weight(seen)
-    result = CameraCalibration(
+    return CameraCalibration(
         scene,
         seen,
         noise,
@@ -278,9 +293,6 @@ def _lens(
         left_out,
         distance_mm,
     )
-    if tilted:
-        _check_tilt(result)
-    return result
 
 
 def _robust(scene: Scene, seen: Sightings) -> Scene:
