@@ -13,7 +13,7 @@ from arctrack.errors import ArctrackError
 from arctrack.importing.colours import Channel
 from arctrack.importing.grey import grey
 from arctrack.importing.image_decoder import EncodedImage
-from arctrack.importing.image_files import images_of
+from arctrack.importing.image_files import distinct_names, images_of
 from calibration.boards.board import Board, Kind
 from calibration.boards.detect import Corners, find_corners
 from calibration.camera.sightings import View
@@ -81,19 +81,20 @@ def read_boards(
         Where there is no image, or none that can be read.
     """
     paths = images_of(sources)
+    names = distinct_names(paths)
     encoded: dict[Path, EncodedImage] = {}
     unread: dict[str, str] = {}
     for path in paths:
         try:
             encoded[path] = EncodedImage(path)
         except ArctrackError as error:
-            unread[path.name] = reason_of(error, path)
+            unread[names[path]] = reason_of(error, path)
     if not encoded:
         raise ArctrackError(f"{sources[0]}: no image can be read: {next(iter(unread.values()))}")
     size = Counter(image.size for image in encoded.values()).most_common(1)[0][0]
     boards = BoardImages(size, left_out=unread)
     for n, (path, image) in enumerate(encoded.items()):
-        _add(boards, path, image, board)
+        _add(boards, names[path], image, board)
         if progress is not None:
             progress(n + 1, len(encoded))
     if not boards.views:
@@ -101,25 +102,25 @@ def read_boards(
     return boards
 
 
-def _add(boards: BoardImages, path: Path, image: EncodedImage, board: Board) -> None:
+def _add(boards: BoardImages, name: str, image: EncodedImage, board: Board) -> None:
     if image.size != boards.size:
         stated, most = (f"{width} x {height} px" for width, height in (image.size, boards.size))
-        boards.left_out[path.name] = f"is {stated}, most images are {most}"
+        boards.left_out[name] = f"is {stated}, most images are {most}"
         return
     try:
         pixels = _brightest(image.pixels())
     except ArctrackError as error:
-        boards.left_out[path.name] = reason_of(error, path)
+        boards.left_out[name] = reason_of(error, image.path)
         return
     corners = find_corners(pixels, board)
     if corners is None:
-        boards.left_out[path.name] = _not_seen(pixels, board)
+        boards.left_out[name] = _not_seen(pixels, board)
         return
     same = next((view.name for view in boards.views if _is_same_place(view, corners)), None)
     if same is not None:
-        boards.left_out[path.name] = f"shows the board where {same} shows it"
+        boards.left_out[name] = f"shows the board where {same} shows it"
         return
-    boards.views.append(View(path.name, corners.corners, corners.points_px))
+    boards.views.append(View(name, corners.corners, corners.points_px))
     boards.contrast.append(corners.contrast_dn / _full_scale_dn(pixels))
     if boards.sample is None:
         boards.sample = pixels

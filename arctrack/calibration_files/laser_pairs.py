@@ -13,7 +13,7 @@ from arctrack.calibration_files.board_images import BoardImages, read_boards, re
 from arctrack.errors import ArctrackError, in_file
 from arctrack.importing.grey import channel_of_laser, grey
 from arctrack.importing.image_decoder import EncodedImage
-from arctrack.importing.image_files import images_of
+from arctrack.importing.image_files import distinct_names, images_of
 from arctrack.recording import SetupFile
 from arctrack.recording.setup_model import CalibrationTable
 from calibration.boards.board import Board
@@ -80,8 +80,13 @@ def find_pairs(sources: Sequence[Path]) -> tuple[dict[Path, Path], dict[str, str
     pairs = {off[number]: on[number] for number in off if number in on}
     if not pairs:
         raise in_file(sources[0], f"holds no pair of images without and with the laser: {NAMING}")
-    alone = {off[number].name: "has no image with the laser" for number in off if number not in on}
-    alone |= {on[number].name: "has no image without the laser" for number in on if number not in off}
+    off_names, on_names = distinct_names([*off.values()]), distinct_names([*on.values()])
+    alone = {
+        off_names[path]: "has no image with the laser" for number, path in off.items() if number not in on
+    }
+    alone |= {
+        on_names[path]: "has no image without the laser" for number, path in on.items() if number not in off
+    }
     return pairs, alone
 
 
@@ -133,24 +138,26 @@ def read_pairs(
     result = LaserPairs(
         boards,
         *board_poses(board, boards.views, lens),
-        None if record is None else _lens_covariance(record, lens),
+        None if record is None else _lens_covariance(record, lens, stated.path),
         left_out=alone | boards.left_out,
     )
-    partner = {off.name: (off, on) for off, on in pairs.items()}
+    names = distinct_names([*pairs])
+    partner = {names[off]: (off, on) for off, on in pairs.items()}
+    on_names = distinct_names([*pairs.values()])
     for n, name in enumerate(result.seen.names):
         off_path, on_path = partner[name]
         try:
             off, on = (grey(EncodedImage(path).pixels(), channel) for path in (off_path, on_path))
         except ArctrackError as error:
-            result.left_out[on_path.name] = reason_of(error, on_path)
+            result.left_out[on_names[on_path]] = reason_of(error, on_path)
             continue
         if on.shape != off.shape or on.dtype != off.dtype:
-            result.left_out[on_path.name] = f"has another size or depth than {name}"
+            result.left_out[on_names[on_path]] = f"has another size or depth than {name}"
             continue
         area = board_area(board, lens, result.scene.T_camera_board[n])
         stripe = find_stripe(laser_light(off, on, area))
         if stripe is None:
-            result.left_out[on_path.name] = "shows no stripe on the board"
+            result.left_out[on_names[on_path]] = "shows no stripe on the board"
             continue
         result.stripes[name] = stripe
         if result.sample is None:
@@ -159,13 +166,17 @@ def read_pairs(
     return result
 
 
-def _lens_covariance(record: CalibrationTable, lens: Lens) -> Float64 | None:
+def _lens_covariance(record: CalibrationTable, lens: Lens, path: Path) -> Float64 | None:
     """Return the covariance (n, n) of a lens' parameters that a calibration has; None if it lacks some."""
     rows = {name: row for row, name in enumerate(record.parameters)}
+    try:
+        whole = record.matrix("calibration.camera")
+    except ValueError as error:
+        raise in_file(path, str(error)) from None
     if not set(PINHOLE) <= set(rows):
         return None
     covariance = np.zeros((len(lens.names), len(lens.names)))
     known = [n for n, name in enumerate(lens.names) if name in rows]
     picked = [rows[lens.names[n]] for n in known]
-    covariance[np.ix_(known, known)] = np.array(record.covariance)[np.ix_(picked, picked)]
+    covariance[np.ix_(known, known)] = whole[np.ix_(picked, picked)]
     return covariance

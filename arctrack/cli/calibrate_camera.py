@@ -44,6 +44,7 @@ def camera(
     from arctrack.calibration_files.camera import calibrated_camera
     from arctrack.cli import console
     from arctrack.cli.camera_text import DIM, lines, warnings
+    from arctrack.importing.image_files import images_of
     from arctrack.report.camera.page import write_page
     from calibration.camera.calibrate import calibrate_camera
     from calibration.camera.enough import UndeterminedError
@@ -55,7 +56,7 @@ def camera(
     stated = None if setup is None else read_setup(setup)
     target = None if stated is None else out or stated.path
     shown = report or (Path(REPORT) if target is None else target.with_name(REPORT))
-    check_outputs(target, shown, None if stated is None else stated.path)
+    check_outputs(target, shown, None if stated is None else stated.path, images=images_of(sources))
     orders = _orders(distortion)
     with interruptible("the calibration was", "nothing was written"), console.progress() as bar:
         looking = bar.add_task("looking for the board", total=None, unit="images")

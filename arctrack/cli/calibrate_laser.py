@@ -39,6 +39,7 @@ def laser(
     from arctrack.calibration_files.laser_pairs import read_pairs
     from arctrack.calibration_files.laser_record import laser_record
     from arctrack.cli import console
+    from arctrack.importing.image_files import images_of
     from arctrack.report.calibration.laser import laser_page
     from calibration.camera.enough import UndeterminedError
     from calibration.laser.calibrate import calibrate_laser
@@ -47,7 +48,7 @@ def laser(
     stated = read_setup(setup)
     target = out or stated.path
     shown = report or target.with_name(REPORT)
-    check_outputs(target, shown, stated.path)
+    check_outputs(target, shown, stated.path, images=images_of(sources))
     with interruptible("the calibration was", "nothing was written"), console.progress() as bar:
         looking = bar.add_task("looking for board and stripe", total=None, unit="images")
         pairs = read_pairs(

@@ -91,8 +91,8 @@ def _flat_fields(source: Path, stated: SetupFile, target: Path, page_path: Path,
     from arctrack.report.calibration.sensor import sensor_page
     from calibration.sensor.flat_fields import calibrate_sensor
 
-    check_outputs(target, page_path, stated.path)
     files, vague = find_flat_frames(source)
+    check_outputs(target, page_path, stated.path, images=[file.path for file in files])
     bits = stated.setup.sensor.bits
     with console.progress() as bar:
         task = bar.add_task("exposures", total=None, unit="exposures")

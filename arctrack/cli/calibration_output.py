@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -46,11 +47,16 @@ def board_of(pattern: str) -> Board:
 
 
 def check_outputs(
-    setup: Path | None, page: Path, stated: Path | None, recording: Recording | None = None
+    setup: Path | None,
+    page: Path,
+    stated: Path | None,
+    recording: Recording | None = None,
+    images: Iterable[Path] = (),
 ) -> None:
     """Raise ArctrackError if setup or page could not be written, or would replace what is read.
 
     `setup` is the file to write, `stated` the one that is read: it may be the same, the earlier one is kept.
+    `images` are read as well.
     """
     if setup is not None:
         check_can_be_replaced(setup)
@@ -62,6 +68,10 @@ def check_outputs(
         raise ArctrackError(f"{page}: is the setup's file; give --report another one")
     if recording is not None and recording.is_read_from(page):
         raise ArctrackError(f"{page}: is of the recording itself; give --report another file")
+    read = {real(path) for path in images}
+    for path, option in ((setup, "--out"), (page, "--report")):
+        if path is not None and real(path) in read:
+            raise ArctrackError(f"{path}: is one of the images; give {option} another file")
 
 
 def finish(page: CalibrationPage, path: Path) -> None:

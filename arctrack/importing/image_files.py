@@ -5,6 +5,7 @@ from __future__ import annotations
 import glob
 import math
 import re
+from collections import Counter
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
@@ -81,6 +82,15 @@ def images_of(sources: Sequence[Path]) -> list[Path]:
     if len(paths) > LIMITS.csv_rows:
         raise in_file(sources[0], f"names {len(paths)} images: {LIMITS.csv_rows} are the most")
     return sorted(set(paths), key=lambda path: (_numbers(path), path))
+
+
+def distinct_names(paths: Sequence[Path]) -> dict[Path, str]:
+    """Return each file's name, with its folder's, or the whole path, where two would be alike."""
+    names = {path: path.name for path in paths}
+    for longer in (lambda path: f"{path.parent.name}/{path.name}", str):
+        counts = Counter(names.values())
+        names = {path: name if counts[name] == 1 else longer(path) for path, name in names.items()}
+    return names
 
 
 def _frames_of(video: Path) -> ImageSeries:

@@ -248,6 +248,16 @@ class CalibrationTable(Table):
     sigma: list[Number]
     covariance: list[list[Number]]
 
+    def matrix(self, place: str) -> Float64:
+        """Return the covariance (n, n); ValueError names `place` if it has other rows than parameters."""
+        n = len(self.parameters)
+        if len(self.covariance) != n or any(len(row) != n for row in self.covariance):
+            raise ValueError(
+                f"[{place}] covariance: must have {n} rows of {n} numbers, one for each of its parameters; "
+                "calibrate anew, or leave the table out"
+            )
+        return np.array(self.covariance, dtype=np.float64).reshape(n, n)
+
 
 class RecordingToml(Table):
     """The whole file."""

@@ -101,6 +101,19 @@ def test_files_that_are_no_pairs_are_named(pairs: Path, tmp_path: Path, names: l
     assert not out.exists()
 
 
+def test_a_covariance_of_other_rows_than_parameters_is_named(pairs: Path, setup_toml: Path) -> None:
+    text = setup_toml.read_text()
+    setup_toml.write_text(text.replace('parameters = ["fx", ', 'parameters = ["fx", "k1", '))
+    result = calibrate(pairs, *BOARD, "--setup", setup_toml)
+    assert "[calibration.camera] covariance: must have 5 rows of 5 numbers" in str(result.exception)
+
+
+@pytest.mark.parametrize("option", ["--out", "--report"])
+def test_no_image_is_replaced(pairs: Path, setup_toml: Path, option: str) -> None:
+    result = calibrate(pairs, *BOARD, "--setup", setup_toml, option, pairs / "laser_1.png")
+    assert f"laser_1.png: is one of the images; give {option} another file" in str(result.exception)
+
+
 def test_help_has_an_example() -> None:
     result = RUNNER.invoke(cli.app, ["calibrate", "laser", "--help"])
     assert "Example: arctrack calibrate laser /tmp/pairs --board chessboard:8x6:2.5mm" in result.output

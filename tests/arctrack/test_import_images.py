@@ -19,7 +19,7 @@ from arctrack.errors import ArctrackError
 from arctrack.importing.colours import Bayer, Channel
 from arctrack.importing.grey import camera_of_sites, channel_of_laser, grey, sites
 from arctrack.importing.image_decoder import EncodedImage
-from arctrack.importing.image_files import find_images
+from arctrack.importing.image_files import distinct_names, find_images
 from noise_model.arrays import Integers
 
 RNG = np.random.default_rng(5)
@@ -157,6 +157,11 @@ def test_a_jpeg_is_near_and_is_not_turned(tmp_path: Path) -> None:
     content = by_pillow(Image.fromarray(smooth), "JPEG", quality=98, exif=exif)
     np.testing.assert_allclose(read(content, tmp_path).astype(int), smooth.astype(int), atol=2)
     assert EncodedImage(tmp_path / "image").is_lossy
+
+
+def test_equal_names_are_told_apart_by_their_folders() -> None:
+    paths = [Path("a/1.png"), Path("b/1.png"), Path("a/2.png"), Path("c/b/1.png")]
+    assert [*distinct_names(paths).values()] == ["a/1.png", "b/1.png", "2.png", "c/b/1.png"]
 
 
 def test_a_palette_gives_its_colours(tmp_path: Path) -> None:
