@@ -103,7 +103,10 @@ def laser_rows(result: LaserCalibration, setup: Setup) -> tuple[Row, ...]:
     sigmas = np.sqrt(np.maximum(np.diag(covariance), 0.0))
     rows = []
     for what, name, value, sigma in zip(WORDS, PARAMETERS, plane, sigmas, strict=True):
-        low, high = (with_sigma(value + sign * HALF * sigma, sigma)[0] for sign in (-1.0, 1.0))
+        ends = np.array([value - HALF * sigma, value + HALF * sigma])
+        # A unit vector's component ends at 1.
+        ends = ends if name == "d_mm" else ends.clip(-1.0, 1.0)
+        low, high = (with_sigma(end, sigma)[0] for end in ends.tolist())
         shown, within = with_sigma(float(value), float(sigma))
         unit = "mm" if name == "d_mm" else ""
         rows.append(Row(what, f"plane_in_tool, {name}", shown, within, f"{low} to {high}", unit))
