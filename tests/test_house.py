@@ -62,7 +62,16 @@ FOLDERS_MAY_IMPORT: dict[str, dict[str, set[str]]] = {
         "check": {"recording"},
         "blind_check": {"recording"},
         "report": {"recording", "calibration_files", "check"},
-        "cli": {"recording", "importing", "calibration_files", "check", "blind_check", "report"},
+        "calibrating": {"recording", "importing", "calibration_files", "check", "report"},
+        "cli": {
+            "recording",
+            "importing",
+            "calibration_files",
+            "check",
+            "blind_check",
+            "report",
+            "calibrating",
+        },
     },
 }
 FUNCTIONS = (ast.FunctionDef, ast.AsyncFunctionDef)

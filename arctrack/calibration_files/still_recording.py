@@ -11,11 +11,11 @@ from tracker.state import frame_misfit
 
 
 def read_still_frames(
-    recording: Recording, on_frame: Callable[[int], None]
+    recording: Recording, progress: Callable[[int, int], None]
 ) -> tuple[list[Integers], list[str]]:
     """Return the images (H, W) of the laser alone, of the commonest exposure, and what could not be read.
 
-    `on_frame` hears how many were read.
+    `progress` hears how many were read, and of how many.
     """
     alone = [n for n, row in enumerate(recording.rows) if row.laser_on and not row.arc_on]
     exposures = Counter(recording.rows[n].exposure_s for n in alone)
@@ -26,7 +26,7 @@ def read_still_frames(
             problems.append(image)
         else:
             images.append(image)
-        on_frame(done + 1)
+        progress(done + 1, len(wanted))
     # Frames that were cut off or turned are no part of one scene, those of fewer bits of another sensor's.
     misfits = [frame_misfit(image.shape, image.dtype, recording.setup) for image in images]
     unlike = [misfit for misfit in misfits if misfit is not None]

@@ -27,11 +27,9 @@ def delay(
     the right one. It goes into the effect pose_delay of the setup. Where the motion is too weak, the answer
     is 'unestimated': what motion is missing is said, nothing but the page is written, and the exit code is 2.
     """
-    from arctrack.calibration_files.delay_record import delay_record
+    from arctrack.calibrating.delay import delay_stage
     from arctrack.cli import console
     from arctrack.recording import read_recording
-    from arctrack.report.calibration.delay import delay_page
-    from calibration.pose_delay import MAX_TRACKINGS, PoseTrack, estimate_pose_delay
     from tracker.warm_up import heard_compilations
 
     read = read_recording(recording)
@@ -39,19 +37,12 @@ def delay(
     target = out or read.setup_path
     page_path = report or target.with_name(REPORT)
     check_outputs(target, page_path, read.setup_path, read)
-    frames, bad_frames = read.readable_frames()
-    track = PoseTrack.through(read.poses.timestamps_s, read.poses.T_base_tool)
-    with console.progress() as bar:
-        on_round = console.track(bar, "rounds", MAX_TRACKINGS, unit="rounds")
-        try:
-            with heard_compilations(console.compiling(bar, read.name)):
-                result = estimate_pose_delay(read.setup, frames, track, lambda done, _: on_round(done))
-        except ValueError as error:
-            raise ArctrackError(f"{read.path}: {error}") from None
-    finish(delay_page(result, read), page_path)
-    if result.unestimated is not None:
-        raise ArctrackError(f"{read.path}: the delay is unestimated: {result.unestimated}")
-    write_calibrated(target, read.setup_path, delay_record(result))
+    with console.progress() as bar, heard_compilations(console.compiling(bar, read.name)):
+        stage, bad_frames = delay_stage(read, console.steps(bar))
+    finish(stage.page, page_path)
+    if stage.refusal is not None:
+        raise ArctrackError(f"{read.path}: {stage.refusal}")
+    write_calibrated(target, read.setup_path, *stage.records)
     complaint = read.complaint(bad_frames, "the delay is that of the others")
     if complaint is not None:
         raise ArctrackError(complaint)

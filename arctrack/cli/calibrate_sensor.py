@@ -9,7 +9,7 @@ import typer
 
 from arctrack.cli.calibration_output import Out, Report, check_outputs, finish
 from arctrack.cli.setups import read_setup, write_calibrated
-from arctrack.errors import ArctrackError, in_file
+from arctrack.errors import ArctrackError
 
 if TYPE_CHECKING:
     from arctrack.recording import SetupFile
@@ -63,50 +63,27 @@ def sensor(
 
 
 def _still_recording(source: Path, stated: SetupFile, target: Path, page_path: Path) -> None:
-    from arctrack.calibration_files.sensor_record import still_record
-    from arctrack.calibration_files.still_recording import read_still_frames
+    from arctrack.calibrating.sensor import still_stage
     from arctrack.cli import console
     from arctrack.recording import read_recording
-    from arctrack.report.calibration.still import still_page
-    from calibration.sensor.still import calibrate_still
 
     read = read_recording(source, stated.path, must_fit=False)
     check_outputs(target, page_path, stated.path, read)
     with console.progress() as bar:
-        try:
-            frames, problems = read_still_frames(read, console.track(bar, read.name, len(read.rows)))
-            result = calibrate_still(frames, read.setup.sensor)
-        except ValueError as error:
-            raise in_file(source, str(error)) from None
-    console.warn(problems)
-    finish(still_page(result, read.name, problems), page_path)
-    write_calibrated(target, stated.path, still_record(result))
+        stage = still_stage(read, console.steps(bar), console.warn)
+    finish(stage.page, page_path)
+    write_calibrated(target, stated.path, *stage.records)
 
 
 def _flat_fields(source: Path, stated: SetupFile, target: Path, page_path: Path, gamma: float | None) -> None:
-    from arctrack.calibration_files.flat_frames import find_flat_frames, read_levels
-    from arctrack.calibration_files.sensor_record import flat_record
+    from arctrack.calibrating.sensor import flat_stage
+    from arctrack.calibration_files.flat_frames import find_flat_frames
     from arctrack.cli import console
-    from arctrack.importing.grey import channel_of_laser
-    from arctrack.report.calibration.sensor import sensor_page
-    from calibration.sensor.flat_fields import calibrate_sensor
 
     files, vague = find_flat_frames(source)
     check_outputs(target, page_path, stated.path, images=[file.path for file in files])
-    bits = stated.setup.sensor.bits
+    console.warn(vague)
     with console.progress() as bar:
-        task = bar.add_task("exposures", total=None, unit="exposures")
-        try:
-            levels, lossy = read_levels(
-                files,
-                channel_of_laser(stated.setup),
-                bits,
-                lambda done, total: bar.update(task, completed=done, total=total),
-            )
-            result = calibrate_sensor(levels, bits, gamma)
-        except ValueError as error:
-            raise in_file(source, str(error)) from None
-    warnings = [*vague, *lossy]
-    console.warn(warnings)
-    finish(sensor_page(result, levels, source.name, warnings), page_path)
-    write_calibrated(target, stated.path, flat_record(result))
+        stage = flat_stage(source, files, stated, console.steps(bar), console.warn, gamma)
+    finish(stage.page, page_path)
+    write_calibrated(target, stated.path, *stage.records)

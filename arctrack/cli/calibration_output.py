@@ -75,7 +75,7 @@ def check_outputs(
 
 
 def finish(page: CalibrationPage, path: Path) -> None:
-    """Print a page's values and sentences, and write it."""
+    """Print a page's headline, values and sentences, and write it."""
     from rich.table import Table
 
     from arctrack.cli import console
@@ -89,6 +89,7 @@ def finish(page: CalibrationPage, path: Path) -> None:
     for row in page.rows:
         table.add_row(row.what, row.value, row.sigma, row.interval, row.unit)
     screen = console.tables()
+    screen.print(f"{page.label}: {page.headline}", markup=False, soft_wrap=True)
     screen.print(table)
     for sentence in (*page.sentences, *page.notes):
         screen.print(sentence, markup=False, soft_wrap=True)

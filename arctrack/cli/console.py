@@ -29,6 +29,9 @@ if TYPE_CHECKING:
 SPOKEN_EVERY_S = 5.0
 """So often a line says how far it is where no bar can be shown."""
 
+COMPILED = "functions"
+"""The unit of what is compiled."""
+
 PLAIN_WIDTH = 160
 """Columns of a table that goes to a file or a pipe, where nobody knows a width."""
 
@@ -118,13 +121,32 @@ def track(bar: Progress, name: str, total: int, unit: str = "frames") -> Callabl
     task = bar.add_task(name, total=total, unit=unit)
 
     def on_frame(done: int) -> None:
-        for earlier in bar.tasks:
-            # What is compiled, without an end that is known, is compiled before the first frame.
-            if earlier.total is None:
-                bar.remove_task(earlier.id)
+        _remove_compiling(bar)
         bar.update(task, completed=done)
 
     return on_frame
+
+
+def steps(bar: Progress) -> Callable[[str, str], Callable[[int, int], None]]:
+    """Return the function that adds a bar for a step of work, by what is done and what is counted."""
+
+    def begin(what: str, unit: str) -> Callable[[int, int], None]:
+        task = bar.add_task(what, total=None, unit=unit)
+
+        def tell(done: int, total: int) -> None:
+            _remove_compiling(bar)
+            bar.update(task, completed=done, total=total)
+
+        return tell
+
+    return begin
+
+
+def _remove_compiling(bar: Progress) -> None:
+    """Remove the bar of what is compiled: that is done before anything else is counted."""
+    for task in bar.tasks:
+        if task.fields["unit"] == COMPILED:
+            bar.remove_task(task.id)
 
 
 def compiling(bar: Progress, name: str) -> Callable[[str, int, float], None]:
@@ -133,7 +155,7 @@ def compiling(bar: Progress, name: str) -> Callable[[str, int, float], None]:
 
     def on_compiled(function: str, n_before: int, elapsed_s: float) -> None:
         if not tasks:
-            tasks.append(bar.add_task(f"{name}: compiling", total=None, unit="functions"))
+            tasks.append(bar.add_task(f"{name}: compiling", total=None, unit=COMPILED))
         if not function.startswith("numba."):
             what = f"{name}: compiling {function} ({elapsed_s:.0f} s; the first time takes a minute or two)"
             bar.update(tasks[0], description=what)

@@ -130,7 +130,7 @@ def test_an_unknown_that_no_image_shows_is_a_line_of_error(
     def leave_open(*_: object, **__: object) -> None:
         raise np.linalg.LinAlgError("an unknown is not seen at all")
 
-    monkeypatch.setattr("calibration.camera.calibrate.calibrate_camera", leave_open)
+    monkeypatch.setattr("arctrack.calibrating.camera.calibrate_camera", leave_open)
     result = calibrate(boards, *BOARD)
     assert result.exit_code != 0
     assert "leave a value of the lens open: add images of the board tilted" in str(result.exception)

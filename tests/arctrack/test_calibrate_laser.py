@@ -74,7 +74,7 @@ def test_pairs_become_a_sheet_in_the_setup(pairs: Path, setup_toml: Path, tmp_pa
     assert off_mm == pytest.approx(0.0, abs=1e-3)
     page = (tmp_path / "calibrate_laser.html").read_text()
     assert 'src="data:image' in page
-    assert "laser_8.png: left out" in page
+    assert "laser_8.png: shows no stripe" in page
     assert "the lens counts as exact" not in page
 
 

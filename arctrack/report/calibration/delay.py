@@ -7,22 +7,19 @@ from matplotlib.ticker import FormatStrFormatter
 
 from arctrack.recording import Recording
 from arctrack.report import style
-from arctrack.report.calibration.page import CalibrationPage, Picture, Row, with_sigma
+from arctrack.report.calibration.page import HALF_95, CalibrationPage, Picture, Row, with_sigma
 from arctrack.report.embedded import svg
 from calibration.pose_delay import MAX_SIGMA_S, PoseDelay, with_delay
 
 LINEAR_NATS = 10.0
 """Further below its maximum the likelihood's scale is a logarithm: other maxima show."""
 
-HALF = 1.96
-"""Half of a 95 % interval, in sigmas."""
-
 
 def delay_page(result: PoseDelay, recording: Recording) -> CalibrationPage:
     """Return what the page holds."""
     value, sigma = with_sigma(1e3 * result.delay_s, 1e3 * result.sigma_s)
     low, high = (
-        with_sigma(1e3 * (result.delay_s + sign * HALF * result.sigma_s), 1e3 * result.sigma_s)[0]
+        with_sigma(1e3 * (result.delay_s + sign * HALF_95 * result.sigma_s), 1e3 * result.sigma_s)[0]
         for sign in (-1.0, 1.0)
     )
     count = len(result.observations.timestamps_s)
@@ -95,7 +92,7 @@ def _likelihood(result: PoseDelay) -> str:
     axes = style.plain(figure.add_subplot(), "delay [ms]", "ln likelihood")
     axes.plot(1e3 * result.delays_s, result.ln_likelihood, "-", color=style.BLUE, linewidth=1.2)
     if np.isfinite(result.sigma_s):
-        ends = 1e3 * (result.delay_s + HALF * result.sigma_s * np.array([-1.0, 1.0]))
+        ends = 1e3 * (result.delay_s + HALF_95 * result.sigma_s * np.array([-1.0, 1.0]))
         axes.axvspan(*ends, color=style.VERMILLION, alpha=0.3, lw=0, label="95 %")
         axes.legend(fontsize=8)
     axes.axvline(1e3 * result.delay_s, color=style.VERMILLION, linewidth=0.9)

@@ -9,16 +9,13 @@ import numpy as np
 from arctrack.calibration_files.laser_pairs import LaserPairs
 from arctrack.calibration_files.laser_record import PARAMETERS, plane_in_tool
 from arctrack.report import style
-from arctrack.report.calibration.page import CalibrationPage, Picture, Row, with_sigma
+from arctrack.report.calibration.page import HALF_95, CalibrationPage, Picture, Row, with_sigma
 from arctrack.report.embedded import svg
 from calibration.laser.calibrate import LaserCalibration
 from noise_model.arrays import Float64
 from noise_model.setup import Setup
 
 WORDS = ("normal, x", "normal, y", "normal, z", "distance, d")
-HALF = 1.96
-"""Half of a 95 % interval, in sigmas."""
-
 SAMPLE_PX = 800
 """The image behind the stripes is thinned to so many px."""
 
@@ -65,7 +62,6 @@ def laser_page(result: LaserCalibration, pairs: LaserPairs, setup: Setup) -> Cal
             "The setup has no [calibration.camera]: the lens counts as exact, and the sigmas are too small. "
             "`arctrack calibrate camera` writes it."
         )
-    notes += [f"{name}: left out: {reason}." for name, reason in (pairs.left_out | result.left_out).items()]
     n_x, n_y, n_z, d = plane
     return CalibrationPage(
         "arctrack calibrates the laser sheet",
@@ -94,6 +90,7 @@ def laser_page(result: LaserCalibration, pairs: LaserPairs, setup: Setup) -> Cal
         (),
         tuple(notes),
         "no_gap" if result.scatter == 1.0 else "ambiguous",
+        tuple(f"{name}: {reason}" for name, reason in (pairs.left_out | result.left_out).items()),
     )
 
 
@@ -103,7 +100,7 @@ def laser_rows(result: LaserCalibration, setup: Setup) -> tuple[Row, ...]:
     sigmas = np.sqrt(np.maximum(np.diag(covariance), 0.0))
     rows = []
     for what, name, value, sigma in zip(WORDS, PARAMETERS, plane, sigmas, strict=True):
-        ends = np.array([value - HALF * sigma, value + HALF * sigma])
+        ends = np.array([value - HALF_95 * sigma, value + HALF_95 * sigma])
         # A unit vector's component ends at 1.
         ends = ends if name == "d_mm" else ends.clip(-1.0, 1.0)
         low, high = (with_sigma(end, sigma)[0] for end in ends.tolist())

@@ -9,6 +9,9 @@ from arctrack.report.template import environment
 
 TEMPLATE = "calibration.html.j2"
 
+HALF_95 = 1.96
+"""Half of a 95 % interval of a normal law, in sigmas."""
+
 
 @dataclass(frozen=True)
 class Row:
@@ -36,7 +39,7 @@ class CalibrationPage:
     """What a calibration's page holds.
 
     `maps` are pictures whose pixels stay sharp, side by side; `mark` is the colour of the verdict: no_gap,
-    ambiguous or unknown.
+    ambiguous or unknown; `left_out` names what was not used, and why.
     """
 
     title: str
@@ -48,6 +51,7 @@ class CalibrationPage:
     maps: tuple[Picture, ...]
     notes: tuple[str, ...]
     mark: str
+    left_out: tuple[str, ...] = ()
 
 
 def with_sigma(value: float, sigma: float) -> tuple[str, str]:

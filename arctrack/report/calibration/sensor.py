@@ -92,8 +92,9 @@ def sensor_page(
             ),
         ),
         _maps(result, levels),
-        (*(f"Left out, saturated: {name}." for name in result.left_out), *warnings),
+        (),
         "no_gap" if fits else "ambiguous",
+        (*(f"{name}: is saturated" for name in result.left_out), *warnings),
     )
 
 

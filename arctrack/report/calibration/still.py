@@ -68,8 +68,9 @@ def still_page(result: StillCalibration, source: str, warnings: Sequence[str]) -
             ),
         ),
         (Picture(png(visible(seen.image_dn, result.sensor)), "the mean of the frames, brightness by √"),),
-        tuple(warnings),
+        (),
         "no_gap" if is_fine else "ambiguous",
+        tuple(warnings),
     )
 
 

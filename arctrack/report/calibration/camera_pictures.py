@@ -1,4 +1,4 @@
-"""The pictures of a camera's calibration: where boards were seen, what is left, how well what is known."""
+"""Pictures of a camera's calibration: where boards were seen, what is left, how well what is known."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ def _image_axes(result: CameraCalibration, title: str) -> tuple[Figure, Axes]:
 
 def coverage(result: CameraCalibration, sample: Integers | None) -> Figure:
     """Return where corners were seen, over the first image, and where the next board belongs."""
-    figure, axes = _image_axes(result, "Corners that were seen")
+    figure, axes = _image_axes(result, "")
     if sample is not None:
         low, high = np.percentile(sample, [1.0, 99.5])
         step = -(-max(sample.shape) // SAMPLE_PX)
@@ -112,7 +112,7 @@ def sigma_map(result: CameraCalibration) -> Figure:
 def warp(result: CameraCalibration) -> Figure:
     """Return the board's shape."""
     board = result.seen.board
-    figure = style.new_figure(WIDTH_INCH, 3.6, "The board as it is")
+    figure = style.new_figure(WIDTH_INCH, 3.6, "")
     axes = style.plain(figure.subplots(), "along the columns [mm]", "along the rows [mm]")
     axes.grid(visible=False)
     height_um = 1e3 * (board.bulge @ result.scene.warp_mm).reshape(board.rows, board.columns)
@@ -132,7 +132,7 @@ def warp(result: CameraCalibration) -> Figure:
 
 def noise(result: CameraCalibration) -> Figure:
     """Return each image's noise of a corner, and its RMS residual."""
-    figure = style.new_figure(WIDTH_INCH, 3.2, "Noise of a corner, image by image")
+    figure = style.new_figure(WIDTH_INCH, 3.2, "")
     axes = style.plain(figure.subplots(), "image", "px")
     square = np.sum(result.scene.residuals(result.seen) ** 2, axis=1)
     rms = np.array([np.sqrt(0.5 * square[part].mean()) for part in result.seen.slices])
@@ -149,7 +149,7 @@ def halves(result: CameraCalibration) -> Figure:
     ordered = sorted(result.halves, key=lambda difference: difference.ratio)
     middle = ordered[len(ordered) // 2]
     lens = result.scene.lens
-    figure = style.new_figure(2.0 * WIDTH_INCH, 0.9 + WIDTH_INCH * lens.height / lens.width, "Two halves")
+    figure = style.new_figure(2.0 * WIDTH_INCH, 0.9 + WIDTH_INCH * lens.height / lens.width, "")
     most = max(float(np.linalg.norm(middle.shift_px, axis=1).max()), 2.0 * float(middle.sigma_px.max()))
     sizes: tuple[tuple[str, Float64], ...] = (
         ("how they differ", np.linalg.norm(middle.shift_px, axis=1)),
@@ -169,8 +169,8 @@ def halves(result: CameraCalibration) -> Figure:
 
 def orders(result: CameraCalibration) -> Figure:
     """Return how well each distortion predicts boards that its fit did not see."""
-    figure = style.new_figure(WIDTH_INCH, 3.2, "Boards held out: mean square of residuals over noise")
-    axes = style.plain(figure.subplots(), "distortion", "1 if noise were all")
+    figure = style.new_figure(WIDTH_INCH, 3.2, "")
+    axes = style.plain(figure.subplots(), "distortion", "mean square of residuals over noise")
     best = min(result.held, key=lambda each: each.mean)
     places = np.arange(len(result.held))
     errors = [each.excess(best)[1] for each in result.held]

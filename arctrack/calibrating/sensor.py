@@ -1,0 +1,98 @@
+"""From flat and dark frames, or a recording of a still stripe, to the sensor's values."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable
+from pathlib import Path
+
+from arctrack.calibrating.stage import Stage, Steps
+from arctrack.calibration_files.flat_frames import FlatFile, read_levels
+from arctrack.calibration_files.sensor_record import flat_record, still_record
+from arctrack.calibration_files.still_recording import read_still_frames
+from arctrack.errors import in_file
+from arctrack.importing.grey import channel_of_laser
+from arctrack.recording import Recording, SetupFile
+from arctrack.report.calibration.sensor import sensor_page
+from arctrack.report.calibration.still import still_page
+from calibration.sensor.flat_fields import SensorCalibration, calibrate_sensor
+from calibration.sensor.still import StillCalibration, calibrate_still
+
+
+def flat_stage(
+    source: Path,
+    files: list[FlatFile],
+    stated: SetupFile,
+    steps: Steps,
+    warn: Callable[[Iterable[str]], None],
+    gamma: float | None = None,
+) -> Stage[SensorCalibration]:
+    """Find gain, noise and response in flat and dark frames.
+
+    Parameters
+    ----------
+    source : Path
+        Their folder.
+    files : list of FlatFile
+        The frames, from `find_flat_frames`.
+    stated : SetupFile
+        The setup that the sensor belongs to.
+    steps : callable
+        Begins a step of the progress.
+    warn : callable
+        Is told what is lossy.
+    gamma : float, optional
+        Holds this gamma.
+
+    Returns
+    -------
+    Stage
+        The calibration.
+
+    Raises
+    ------
+    ArctrackError
+        Where the frames do not determine the values.
+    """
+    bits = stated.setup.sensor.bits
+    try:
+        levels, lossy = read_levels(
+            files, channel_of_laser(stated.setup), bits, steps("reading exposures", "exposures")
+        )
+        result = calibrate_sensor(levels, bits, gamma)
+    except ValueError as error:
+        raise in_file(source, str(error)) from None
+    warn(lossy)
+    return Stage(result, sensor_page(result, levels, source.name, lossy), (flat_record(result),))
+
+
+def still_stage(
+    read: Recording, steps: Steps, warn: Callable[[Iterable[str]], None]
+) -> Stage[StillCalibration]:
+    """Find gain, read noise, black level and speckle in a recording of a still stripe.
+
+    Parameters
+    ----------
+    read : Recording
+        The recording.
+    steps : callable
+        Begins a step of the progress.
+    warn : callable
+        Is told which frames are left out.
+
+    Returns
+    -------
+    Stage
+        The calibration.
+
+    Raises
+    ------
+    ArctrackError
+        Where the frames do not determine the values.
+    """
+    try:
+        frames, problems = read_still_frames(read, steps(read.name, "frames"))
+        result = calibrate_still(frames, read.setup.sensor)
+    except ValueError as error:
+        raise in_file(read.path, str(error)) from None
+    warn(problems)
+    return Stage(result, still_page(result, read.name, problems), (still_record(result),))

@@ -1,0 +1,46 @@
+"""What every calibration leaves, and how it says how far it is."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Generic, TypeVar
+
+from arctrack.recording import Calibrated
+from arctrack.report.calibration.page import CalibrationPage
+
+Tell = Callable[[int, int], None]
+"""Is told how much is done, and of how much."""
+
+Steps = Callable[[str, str], Tell]
+"""Begins a step, by what is done and what is counted; what it returns is told how far the step is."""
+
+Result = TypeVar("Result")
+
+
+@dataclass(frozen=True)
+class Stage(Generic[Result]):
+    """A calibration that was done.
+
+    Parameters
+    ----------
+    result : Result
+        What was found.
+    page : CalibrationPage
+        What its page holds.
+    records : tuple of Calibrated
+        The values for the setup.
+    refusal : str, optional
+        Why the values must not go into a setup.
+    """
+
+    result: Result
+    page: CalibrationPage
+    records: tuple[Calibrated, ...]
+    refusal: str | None = None
+
+
+def no_steps(what: str, unit: str) -> Tell:
+    """Begin a step that nobody watches."""
+    del what, unit
+    return lambda done, total: None

@@ -1,1 +1,0 @@
-"""camera.html: a camera's calibration on one self-contained page."""

@@ -1,0 +1,217 @@
+"""What the seam's absolute position is good for: all calibrations' covariance, carried to the seam.
+
+A seam point lies where the pixel's ray meets the laser sheet, carried to the tool frame:
+
+    X = -d r / (n . r),    p = R X + t.
+
+Camera, sheet and hand-eye are calibrated one after the other. What the lens has wrong goes into the sheet and
+the hand-eye too, where it partly cancels. Each of these therefore comes with its derivatives by the lens'
+values, and the lens' share is carried along all three ways at once.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from calibration.camera.lens import Lens
+from noise_model.arrays import Float64
+
+CAMERA, LASER, HAND_EYE, ROBOT, DELAY = "camera", "laser", "hand-eye", "robot", "delay"
+
+STEP_SIGMAS = 0.1
+"""Steps of the lens in finite differences, in sigmas."""
+
+LATERAL, VERTICAL = 1, 2
+"""Axes of the tool frame across the seam."""
+
+
+@dataclass(frozen=True)
+class KnownLens:
+    """The lens and the covariance (k, k) of its free parameters; zeros where it counts as exact."""
+
+    lens: Lens
+    covariance: Float64
+
+
+@dataclass(frozen=True)
+class KnownSheet:
+    """The laser sheet in the camera frame.
+
+    Parameters
+    ----------
+    plane : array (4,)
+        n.X + d = 0, mm.
+    covariance : array (4, 4)
+        What the sheet's own measurement leaves unknown, the lens being exact.
+    per_lens : array (4, k)
+        The derivatives of the plane by the lens' parameters.
+    """
+
+    plane: Float64
+    covariance: Float64
+    per_lens: Float64
+
+
+@dataclass(frozen=True)
+class KnownHandEye:
+    """The camera's pose in the tool.
+
+    Parameters
+    ----------
+    T_tool_camera : array (4, 4)
+        The pose, mm.
+    covariance : array (6, 6)
+        Of a turn, rad, and a move, mm, both in the camera's own frame, the lens being exact.
+    per_lens : array (6, k)
+        The derivatives of turn and move by the lens' parameters.
+    """
+
+    T_tool_camera: Float64
+    covariance: Float64
+    per_lens: Float64
+
+
+@dataclass(frozen=True)
+class Certificate:
+    """How well the seam's position is known, at points of the laser sheet.
+
+    Parameters
+    ----------
+    points_px : array (n, 2)
+        Where the points are seen, px.
+    points_tool_mm : array (n, 3)
+        The points, tool frame.
+    shares_mm2 : mapping
+        Each source's share (n, 3, 3) in their covariance, tool frame, mm^2; shares add up.
+    """
+
+    points_px: Float64
+    points_tool_mm: Float64
+    shares_mm2: Mapping[str, Float64] = field(default_factory=dict)
+
+    @property
+    def covariance_mm2(self) -> Float64:
+        """The points' covariance (n, 3, 3), tool frame."""
+        return np.asarray(np.sum([*self.shares_mm2.values()], axis=0))
+
+    @property
+    def sigma_mm(self) -> Float64:
+        """1 sigma (n, 3) along the tool's axes."""
+        return np.asarray(np.sqrt(np.diagonal(self.covariance_mm2, axis1=1, axis2=2)))
+
+    def share_sigma_mm(self, source: str) -> Float64:
+        """Return 1 sigma (n, 3) that one source alone makes."""
+        return np.asarray(np.sqrt(np.diagonal(self.shares_mm2[source], axis1=1, axis2=2)))
+
+    @property
+    def across_sigma_mm(self) -> Float64:
+        """1 sigma (n,) of the position across the seam, lateral and vertical together."""
+        return np.asarray(np.hypot(self.sigma_mm[:, LATERAL], self.sigma_mm[:, VERTICAL]))
+
+    @property
+    def worst(self) -> int:
+        """The point that is known least across the seam."""
+        return int(np.argmax(self.across_sigma_mm))
+
+    def without(self, source: str) -> float:
+        """Return 1 sigma across the seam at the worst point, mm, were one source exact."""
+        kept = {name: share for name, share in self.shares_mm2.items() if name != source}
+        return float(replace(self, shares_mm2=kept).across_sigma_mm[self.worst]) if kept else 0.0
+
+    @property
+    def weakest(self) -> str:
+        """The source whose better measurement would improve the seam's position most."""
+        return min(self.shares_mm2, key=self.without)
+
+
+def certify(
+    known_lens: KnownLens,
+    sheet: KnownSheet,
+    hand_eye: KnownHandEye,
+    points_px: Float64,
+    robot_sigma_mm: float = 0.0,
+    delay_sigma_mm: float = 0.0,
+) -> Certificate:
+    """Carry the covariance of all calibrations to points on the laser sheet.
+
+    Parameters
+    ----------
+    known_lens : KnownLens
+        The lens.
+    sheet : KnownSheet
+        The laser sheet.
+    hand_eye : KnownHandEye
+        The camera's pose in the tool.
+    points_px : array (n, 2)
+        Where the points are seen, px.
+    robot_sigma_mm : float
+        1 sigma of the tool's position along each axis, as the robot states it.
+    delay_sigma_mm : float
+        1 sigma of the way, mm along each axis across the seam, that the tool goes in the unknown delay.
+
+    Returns
+    -------
+    Certificate
+        The points and each source's share, to first order: J cov J^T.
+    """
+    lens, R = known_lens.lens, hand_eye.T_tool_camera[:3, :3]
+    rays = lens.rays(points_px)
+    normal, distance = sheet.plane[:3], sheet.plane[3]
+    slope = rays @ normal
+    depth = -distance / slope
+    points = depth[:, np.newaxis] * rays
+
+    # n.X + d = 0 holds for every ray: X dn + dd + n.dX = 0 with dX = depth dr + r ddepth.
+    per_plane = -rays[:, :, np.newaxis] * (
+        np.column_stack([points, np.ones(len(points))])[:, np.newaxis, :] / slope[:, np.newaxis, np.newaxis]
+    )
+    across = np.eye(3) - rays[:, :, np.newaxis] * normal / slope[:, np.newaxis, np.newaxis]
+    per_ray = depth[:, np.newaxis, np.newaxis] * across
+    per_lens = np.einsum("nij,njk->nik", per_ray, _rays_per_lens(known_lens, points_px))
+    per_pose = np.concatenate([-_skew(points), np.broadcast_to(np.eye(3), (len(points), 3, 3))], axis=2)
+    per_lens = per_lens + per_plane @ sheet.per_lens + per_pose @ hand_eye.per_lens
+
+    def share(jacobian: Float64, covariance: Float64) -> Float64:
+        in_tool = R @ jacobian
+        return np.asarray(in_tool @ covariance @ np.swapaxes(in_tool, 1, 2))
+
+    even = np.broadcast_to(np.eye(3), (len(points), 3, 3))
+    is_across = np.diag([0.0, 1.0, 1.0])
+    return Certificate(
+        points_px,
+        points @ R.T + hand_eye.T_tool_camera[:3, 3],
+        {
+            CAMERA: share(per_lens, known_lens.covariance),
+            LASER: share(per_plane, sheet.covariance),
+            HAND_EYE: share(per_pose, hand_eye.covariance),
+            ROBOT: robot_sigma_mm**2 * even,
+            DELAY: delay_sigma_mm**2 * is_across * even,
+        },
+    )
+
+
+def _rays_per_lens(known: KnownLens, points_px: Float64) -> Float64:
+    """Return the derivatives (n, 3, k) of the pixels' rays by the lens' values, by central differences."""
+    sigma = np.sqrt(np.diag(known.covariance))
+    per_lens = np.zeros((len(points_px), 3, len(sigma)))
+    for column, one_sigma in enumerate(sigma):
+        if one_sigma == 0.0:
+            continue
+        step = np.zeros(len(sigma))
+        step[column] = STEP_SIGMAS * one_sigma
+        above, below = (
+            replace(known.lens, values=known.lens.values + sign * step).rays(points_px)
+            for sign in (1.0, -1.0)
+        )
+        per_lens[:, :, column] = (above - below) / (2.0 * step[column])
+    return per_lens
+
+
+def _skew(points: Float64) -> Float64:
+    """Return the matrices (n, 3, 3) whose product with a vector is the cross product with it."""
+    zero = np.zeros(len(points))
+    x, y, z = points.T
+    return np.stack([[zero, -z, y], [z, zero, -x], [-y, x, zero]]).transpose(2, 0, 1)

@@ -1,0 +1,118 @@
+"""The certificate carries covariances to the seam as samples of all parameters do."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from calibration.camera.lens import Lens
+from calibration.certificate import (
+    CAMERA,
+    HAND_EYE,
+    LASER,
+    ROBOT,
+    Certificate,
+    KnownHandEye,
+    KnownLens,
+    KnownSheet,
+    certify,
+)
+from noise_model.arrays import Float64
+
+LENS = Lens(640, 480, ("fx", "fy", "cx", "cy", "k1"), np.array([2190.0, 2188.0, 321.0, 239.0, -0.3]))
+PLANE = np.array([0.05, 0.6, -0.8, 150.0])
+PLANE[:3] /= np.linalg.norm(PLANE[:3])
+POINTS_PX = np.array([[320.0, 240.0], [50.0, 400.0], [600.0, 80.0]])
+SAMPLES = 20_000
+
+
+def known(rng: np.random.Generator) -> tuple[KnownLens, KnownSheet, KnownHandEye]:
+    def covariance(sigmas: list[float]) -> Float64:
+        factor = rng.standard_normal((len(sigmas), len(sigmas)))
+        correlation = factor @ factor.T
+        scale = np.array(sigmas) / np.sqrt(np.diag(correlation))
+        return np.asarray(correlation * np.outer(scale, scale))
+
+    T_tool_camera = np.eye(4)
+    T_tool_camera[:3, :3] = Rotation.from_euler("xyz", [150.0, 5.0, 88.0], degrees=True).as_matrix()
+    T_tool_camera[:3, 3] = 95.0, 2.0, 130.0
+    return (
+        KnownLens(LENS, covariance([2.0, 2.0, 3.0, 3.0, 0.004])),
+        KnownSheet(PLANE, covariance([2e-4, 2e-4, 2e-4, 0.03]), 1e-5 * rng.standard_normal((4, 5))),
+        KnownHandEye(
+            T_tool_camera,
+            covariance([3e-4, 3e-4, 3e-4, 0.03, 0.03, 0.03]),
+            np.vstack([1e-5 * rng.standard_normal((3, 5)), 0.01 * rng.standard_normal((3, 5))]),
+        ),
+    )
+
+
+def seam_points(lens: Lens, plane: Float64, T_tool_camera: Float64, motion: Float64) -> Float64:
+    """Return where the rays meet the sheet, tool frame, after the camera moved in its own frame."""
+    rays = lens.rays(POINTS_PX)
+    points = -plane[3] / (rays @ plane[:3])[:, np.newaxis] * rays
+    points = points + np.cross(motion[:3], points) + motion[3:]
+    return np.asarray(points @ T_tool_camera[:3, :3].T + T_tool_camera[:3, 3])
+
+
+def sampled(rng: np.random.Generator) -> tuple[Certificate, Float64]:
+    """Return a certificate, and the covariance (n, 3, 3) of points whose parameters are drawn."""
+    known_lens, sheet, hand_eye = known(rng)
+    draws = [
+        rng.multivariate_normal(np.zeros(len(each)), each, SAMPLES)
+        for each in (known_lens.covariance, sheet.covariance, hand_eye.covariance)
+    ]
+    points = np.array(
+        [
+            seam_points(
+                replace(LENS, values=LENS.values + lens),
+                PLANE + plane + sheet.per_lens @ lens,
+                hand_eye.T_tool_camera,
+                motion + hand_eye.per_lens @ lens,
+            )
+            for lens, plane, motion in zip(*draws, strict=True)
+        ]
+    )
+    off = points - points.mean(axis=0)
+    return certify(known_lens, sheet, hand_eye, POINTS_PX), np.einsum("sni,snj->nij", off, off) / SAMPLES
+
+
+@pytest.mark.slow
+def test_covariances_are_those_of_samples() -> None:
+    certificate, covariance = sampled(np.random.default_rng(3))
+    scale = np.sqrt(np.einsum("ni,nj->nij", *[np.diagonal(covariance, axis1=1, axis2=2)] * 2))
+    np.testing.assert_allclose(certificate.covariance_mm2 / scale, covariance / scale, atol=0.04)
+
+
+def test_the_weakest_is_the_one_whose_exactness_helps_most() -> None:
+    known_lens, sheet, hand_eye = known(np.random.default_rng(4))
+    nothing = replace(hand_eye, covariance=1e-6 * hand_eye.covariance, per_lens=0.0 * hand_eye.per_lens)
+    loose = replace(sheet, covariance=100.0 * sheet.covariance)
+    assert certify(known_lens, loose, nothing, POINTS_PX).weakest == LASER
+    certificate = certify(known_lens, sheet, nothing, POINTS_PX, robot_sigma_mm=5.0)
+    assert certificate.weakest == ROBOT
+    total = certificate.across_sigma_mm[certificate.worst]
+    assert certificate.without(HAND_EYE) == pytest.approx(total, rel=1e-3)
+    assert certificate.without(ROBOT) < 0.5 * total
+
+
+def test_a_sheet_that_goes_with_the_lens_leaves_depths_alone() -> None:
+    """A longer lens sees a point on another ray; a sheet measured by that lens has it at the same depth."""
+    known_lens, sheet, hand_eye = known(np.random.default_rng(5))
+    points = seam_points(LENS, PLANE, np.eye(4), np.zeros(6))
+    step_px, sigma_px = 1e-3, 2.0
+    longer = replace(LENS, values=np.array([LENS.values[0] + step_px, *LENS.values[1:]]))
+    move_per_px = (longer.rays(POINTS_PX) - LENS.rays(POINTS_PX)) * points[:, 2:] / step_px
+    plane_per_lens = np.zeros((4, 5))
+    plane_per_lens[:, 0] = -np.linalg.pinv(np.column_stack([points, np.ones(3)])) @ (move_per_px @ PLANE[:3])
+    certificate = certify(
+        replace(known_lens, covariance=np.diag([sigma_px**2, 0.0, 0.0, 0.0, 0.0])),
+        replace(sheet, per_lens=plane_per_lens),
+        replace(hand_eye, per_lens=np.zeros((6, 5))),
+        POINTS_PX,
+    )
+    moved_mm = np.sqrt(np.trace(certificate.shares_mm2[CAMERA], axis1=1, axis2=2))
+    np.testing.assert_allclose(moved_mm, sigma_px * np.linalg.norm(move_per_px, axis=1), rtol=1e-4)
