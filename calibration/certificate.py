@@ -112,6 +112,11 @@ class Certificate:
         return np.asarray(np.hypot(self.sigma_mm[:, LATERAL], self.sigma_mm[:, VERTICAL]))
 
     @property
+    def nearest_to_tool(self) -> int:
+        """The point nearest to the tool's axis x, along which the seam runs."""
+        return int(np.argmin(np.hypot(self.points_tool_mm[:, LATERAL], self.points_tool_mm[:, VERTICAL])))
+
+    @property
     def worst(self) -> int:
         """The point that is known least across the seam."""
         return int(np.argmax(self.across_sigma_mm))

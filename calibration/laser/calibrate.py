@@ -51,8 +51,10 @@ class LaserCalibration:
     ----------
     fit : PlaneFit
         The plane in the camera frame, and what pairs alone say of its covariance.
-    lens_covariance : array (4, 4)
-        What the lens' uncertainty adds to that.
+    per_lens : array (4, k)
+        The derivatives of the plane by the lens' parameters: boards' poses and stripes go with the lens.
+    lens_covariance : array (k, k)
+        The covariance of these parameters; zeros where the lens counts as exact.
     scatter : float
         By how much the pairs' covariance is larger than their noise makes it, 1 or more.
     names : tuple of str
@@ -70,6 +72,7 @@ class LaserCalibration:
     """
 
     fit: PlaneFit
+    per_lens: Float64
     lens_covariance: Float64
     scatter: float
     names: tuple[str, ...]
@@ -87,7 +90,12 @@ class LaserCalibration:
     @property
     def covariance(self) -> Float64:
         """Its covariance (4, 4), of rank 3."""
-        return np.asarray(self.scatter * self.fit.covariance + self.lens_covariance)
+        return np.asarray(self.own_covariance + self.per_lens @ self.lens_covariance @ self.per_lens.T)
+
+    @property
+    def own_covariance(self) -> Float64:
+        """Its covariance (4, 4) were the lens exact."""
+        return np.asarray(self.scatter * self.fit.covariance)
 
     @property
     def off_mm(self) -> tuple[Float64, ...]:
@@ -198,7 +206,8 @@ def calibrate_laser(
         }
         scene, seen = scene.of_views(kept), seen.of_views(kept)
         shown = [shown[n] for n in kept]
-        by_lens = _by_lens(scene, seen, shown, lens_covariance, fit.plane)
+        known_lens = np.zeros((len(scene.lens.values),) * 2) if lens_covariance is None else lens_covariance
+        per_lens = _per_lens(scene, seen, shown, known_lens, fit.plane)
     lines = [lines[n] for n in kept]
     stripes_kept = tuple(
         replace(stripe, points_px=stripe.points_px[line.line.kept])
@@ -209,7 +218,16 @@ def calibrate_laser(
         for stripe, line in zip(stripes_kept, lines, strict=True)
     )
     return LaserCalibration(
-        fit, by_lens, scatter, seen.names, stripes_kept, tuple(lines), points, sigma_px[kept], left_out
+        fit,
+        per_lens,
+        known_lens,
+        scatter,
+        seen.names,
+        stripes_kept,
+        tuple(lines),
+        points,
+        sigma_px[kept],
+        left_out,
     )
 
 
@@ -231,19 +249,20 @@ def _image_line(lens: Lens, stripe: Stripe) -> ImageLine:
     return fit_line(lens.rays(stripe.points_px), stripe.along_rows)
 
 
-def _by_lens(
+def _per_lens(
     scene: Scene,
     seen: Sightings,
     stripes: Sequence[Stripe],
-    lens_covariance: Float64 | None,
+    lens_covariance: Float64,
     plane: Float64,
 ) -> Float64:
-    """Return what the lens' covariance adds to the plane's: poses and stripes go with the lens."""
-    if lens_covariance is None:
-        return np.zeros((4, 4))
+    """Return the plane's derivatives (4, k) by the lens' values that are not exact, others are 0."""
     sigma = np.sqrt(np.diag(lens_covariance))
     columns = []
     for n, each in enumerate(sigma):
+        if each == 0.0:
+            columns.append(np.zeros(4))
+            continue
         ends = []
         for sign in (1.0, -1.0):
             values = scene.lens.values.copy()
@@ -252,9 +271,8 @@ def _by_lens(
             other = adjusted(other, seen, np.ones(len(seen)), poses_only=True)
             found_plane = fit_plane(_board_lines(other, seen, stripes)[0]).plane
             ends.append(found_plane * np.sign(found_plane[:3] @ plane[:3]))
-        columns.append((ends[0] - ends[1]) / (2.0 * STEP_SIGMAS * each) if each > 0.0 else np.zeros(4))
-    J = np.column_stack(columns)
-    return np.asarray(J @ lens_covariance @ J.T)
+        columns.append((ends[0] - ends[1]) / (2.0 * STEP_SIGMAS * each))
+    return np.column_stack(columns)
 
 
 def _scatter(fit: PlaneFit) -> float:
