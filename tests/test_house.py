@@ -43,6 +43,7 @@ FOLDERS_MAY_IMPORT: dict[str, dict[str, set[str]]] = {
     "calibration": {
         "boards": set(),
         "camera": {"boards"},
+        "hand_eye_boards": {"boards", "camera"},
         "laser": {"boards", "camera"},
         "sensor": set(),
     },

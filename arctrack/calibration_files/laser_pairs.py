@@ -138,7 +138,7 @@ def read_pairs(
     result = LaserPairs(
         boards,
         *board_poses(board, boards.views, lens),
-        None if record is None else _lens_covariance(record, lens, stated.path),
+        None if record is None else lens_covariance(record, lens, stated.path),
         left_out=alone | boards.left_out,
     )
     names = distinct_names([*pairs])
@@ -166,7 +166,7 @@ def read_pairs(
     return result
 
 
-def _lens_covariance(record: CalibrationTable, lens: Lens, path: Path) -> Float64 | None:
+def lens_covariance(record: CalibrationTable, lens: Lens, path: Path) -> Float64 | None:
     """Return the covariance (n, n) of a lens' parameters that a calibration has; None if it lacks some."""
     rows = {name: row for row, name in enumerate(record.parameters)}
     try:

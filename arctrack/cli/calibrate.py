@@ -12,6 +12,7 @@ from arctrack.cli.calibrate_camera import camera
 from arctrack.cli.calibrate_delay import EXAMPLE as DELAY_EXAMPLE
 from arctrack.cli.calibrate_delay import delay
 from arctrack.cli.calibrate_filter import filter_curve
+from arctrack.cli.calibrate_hand_eye import EXAMPLE as HAND_EYE_EXAMPLE
 from arctrack.cli.calibrate_hand_eye import hand_eye
 from arctrack.cli.calibrate_laser import EXAMPLE as LASER_EXAMPLE
 from arctrack.cli.calibrate_laser import laser
@@ -47,9 +48,7 @@ calibrate.command(
     epilog="Example: arctrack calibrate filter examples/filter_690_10.csv --setup examples/v_groove "
     "--out /tmp/filtered.toml",
 )(filter_curve)
-calibrate.command(
-    "hand-eye", epilog="Example: arctrack calibrate hand-eye examples/v_groove --out /tmp/found.toml"
-)(hand_eye)
+calibrate.command("hand-eye", epilog=HAND_EYE_EXAMPLE)(hand_eye)
 calibrate.command("laser", epilog=LASER_EXAMPLE)(laser)
 calibrate.command("sensor", epilog=SENSOR_EXAMPLE)(sensor)
 calibrate.command("delay", epilog=DELAY_EXAMPLE)(delay)

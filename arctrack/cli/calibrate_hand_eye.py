@@ -1,91 +1,109 @@
-"""`arctrack calibrate hand-eye`: the camera's pose in the tool from the arc's own light."""
+"""`arctrack calibrate hand-eye`: the camera's pose in the tool, from a board or from the arc's own light."""
 
 from __future__ import annotations
 
-import math
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 import typer
 
-from arctrack.cli.setups import check_can_be_written, check_replaces_nothing
+from arctrack.cli.calibration_output import Out, Report
 from arctrack.errors import ArctrackError
-from arctrack.output import write_whole
 
-if TYPE_CHECKING:
-    from calibration.hand_eye import HandEye
-    from noise_model.arrays import Float64
+EXAMPLE = (
+    "Example: arctrack calibrate hand-eye /tmp/hand_eye --board chessboard:9x6:4mm "
+    "--poses /tmp/hand_eye/poses.csv --rotation kuka --setup examples/v_groove --out /tmp/hand_eye.toml\n\n"
+    "Example: arctrack calibrate hand-eye examples/v_groove --out /tmp/found.toml"
+)
 
 
 def hand_eye(
-    recording: Annotated[Path, typer.Argument(help="A recording with the arc on.")],
-    out: Annotated[Path, typer.Option(help="Where to write recording.toml with the pose that was found.")],
-) -> None:
-    """Find the camera's pose in the tool from the arc's own light, within its stated tolerance.
-
-    The arc burns below the torch; how its reflected light falls off over the image says where the camera
-    stands beside it. The seam's expected error is printed, before and after; where it is not clearly smaller
-    after, no file is written. Use the file with `replay --setup`.
-    """
-    from arctrack.cli import console
-    from arctrack.recording import read_recording, with_camera_pose
-    from calibration.hand_eye import estimate_hand_eye
-
-    read = read_recording(recording)
-    console.warn(read.warnings)
-    check_can_be_written(out, read.setup_path)
-    check_replaces_nothing(out, read)
-    buffer = read.pose_buffer()
-    readable, bad_frames = read.readable_frames()
-    frames = [
-        (frame, pose) for frame in readable if (pose := read.pose_at(buffer, frame.timestamp_s)) is not None
-    ]
-    if len(frames) < len(readable):
-        count = f"{len(readable) - len(frames)} of {len(readable)}"
-        console.warn([f"{read.path}: {count} frames have no pose and are left out"])
-    with console.progress() as bar:
-        task = bar.add_task("rounds", total=None, unit="rounds")
-        try:
-            result = estimate_hand_eye(
-                read.setup, frames, lambda done, total: bar.update(task, completed=done, total=total)
-            )
-        except ValueError as error:
-            raise ArctrackError(f"{read.path}: {error}") from None
-    screen = console.tables()
-    for line in _lines(result):
-        screen.print(line, markup=False, soft_wrap=True)
-    if not result.is_gain:
-        raise ArctrackError(
-            f"{read.path}: the seam's expected error would be "
-            f"{_total_mm(result.seam_sigma_after_mm):.2f} mm, "
-            f"{_total_mm(result.seam_sigma_before_mm):.2f} mm before: no clear gain, and no file is written; "
-            "record more frames with the arc on, at several heights, tilts and sideways"
-        )
-    write_whole(out, with_camera_pose(read.setup_path, result.T_tool_camera))
-    console.say(f"{out}: the setup with the pose found")
-    complaint = read.complaint(bad_frames, "the pose is that of the others")
-    if complaint is not None:
-        raise ArctrackError(complaint)
-
-
-def _lines(result: HandEye) -> list[str]:
-    """Return the result in words: the seam's expected error, the camera's change, what was hardly learned."""
-    before, after = result.seam_sigma_before_mm, result.seam_sigma_after_mm
-    camera = list(zip(result.fit.parameters, result.fit.values, result.fit.sigmas, strict=True))[:6]
-    names = {parameter.name for parameter, _, _ in camera}
-    few = [name for name in result.fit.not_learned if name in names]
-    return [
-        "expected error of the seam, 1 σ:",
-        f"  lateral  {before[0]:.3f} mm before, {after[0]:.3f} mm after",
-        f"  vertical {before[1]:.3f} mm before, {after[1]:.3f} mm after",
-        "change of the camera's pose, in its own frame:",
-        *(
-            f"  {parameter.name:6} {value:+.4f} ± {sigma:.4f} {parameter.unit}"
-            for parameter, value, sigma in camera
+    sources: Annotated[
+        list[Path],
+        typer.Argument(
+            metavar="SOURCE...",
+            help="With --board: folders of images, images, or patterns in quotes. Else a recording with the "
+            "arc on.",
         ),
-        *([f"learned little about: {', '.join(few)}"] if few else []),
-    ]
+    ],
+    board: Annotated[
+        str | None,
+        typer.Option(
+            help="chessboard:9x6:5mm (inner corners), or charuco:8x6:5mm:3.7mm:5X5_100 (squares, sides of a "
+            "square and a marker, dictionary)."
+        ),
+    ] = None,
+    poses: Annotated[
+        Path | None, typer.Option(help="The robot's pose of each image: a CSV file, or matrices.")
+    ] = None,
+    setup: Annotated[
+        Path | None,
+        typer.Option(help="A recording.toml, or a recording, whose camera is calibrated already."),
+    ] = None,
+    out: Out = None,
+    report: Report = None,
+    rotation: Annotated[
+        str | None,
+        typer.Option(
+            help="How rotations are written: kuka, fanuc, abb, ur, staubli, yaskawa; xyzw, wxyz, rotvec; "
+            "matrix; or axes: ZYX turns along, xyz is fixed. Default: columns qx, qy, qz, qw."
+        ),
+    ] = None,
+    units: Annotated[
+        str, typer.Option(help="Units that no name states, such as 'm, rad'; names such as x_mm do.")
+    ] = "",
+    translations: Annotated[
+        Path | None, typer.Option(help="With --poses of rotation matrices: the file of their translations.")
+    ] = None,
+    column: Annotated[
+        list[str] | None, typer.Option(help="NAME=COLUMN: what a CSV column is, such as x=tcp_x; repeat.")
+    ] = None,
+    eye_to_hand: Annotated[
+        bool, typer.Option("--eye-to-hand", help="The camera stands still, and the robot carries the board.")
+    ] = False,
+) -> None:
+    """Find the camera's pose in the tool: from images of a board and the robot's poses, or from the arc.
 
+    With --board the board stands still, and the robot shows it to the camera from several sides. The robot's
+    own inaccuracy is estimated along. Poses that do not determine the camera are refused, and the motion that
+    is missing is named.
 
-def _total_mm(sigma_mm: Float64) -> float:
-    return math.hypot(*sigma_mm.tolist())
+    Without --board the arc's own light says where the camera stands, within its stated tolerance. Where the
+    seam's expected error is not clearly smaller after, no file is written.
+    """
+    from arctrack.cli.calibrate_hand_eye_arc import from_arc
+    from arctrack.cli.calibrate_hand_eye_boards import from_boards
+
+    if board is None:
+        for_boards = {
+            "--poses": poses is not None,
+            "--setup": setup is not None,
+            "--report": report is not None,
+            "--rotation": rotation is not None,
+            "--units": bool(units),
+            "--translations": translations is not None,
+            "--column": bool(column),
+            "--eye-to-hand": eye_to_hand,
+        }
+        useless = next((option for option, is_given in for_boards.items() if is_given), None)
+        if useless is not None:
+            raise ArctrackError(f"{useless}: has no effect without --board; state the board, or leave it")
+        if len(sources) > 1:
+            raise ArctrackError(f"{sources[1]}: without --board one recording is read; give one")
+        if out is None:
+            raise ArctrackError("--out: give the file to write the setup with the pose found to")
+        from_arc(sources[0], out)
+        return
+    if poses is None:
+        raise ArctrackError("--poses: give the robot's pose of each image, as a CSV file or as matrices")
+    if setup is None:
+        raise ArctrackError("--setup: give the recording.toml whose camera took the images")
+    from_boards(
+        sources,
+        board,
+        setup,
+        (poses, translations, rotation, units, column or []),
+        is_eye_to_hand=eye_to_hand,
+        out=out,
+        report=report,
+    )

@@ -84,7 +84,7 @@ def import_files(
         frames=frames,
         rotation=rotation,
         units=parse_units(units),
-        columns=_named(column or []),
+        columns=named_columns(column or []),
         rate_hz=rate_hz,
         times_in_names=times_in_names,
         current_a=current_a,
@@ -108,7 +108,8 @@ def import_files(
     console.say(f"Next: arctrack check {quoted(out)}")
 
 
-def _named(texts: list[str]) -> dict[str, str]:
+def named_columns(texts: list[str]) -> dict[str, str]:
+    """Return the columns that --column names; ArctrackError for what names none, or one twice."""
     named: dict[str, str] = {}
     for text in texts:
         name, equals, header = (part.strip() for part in text.partition("="))

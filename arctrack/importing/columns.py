@@ -149,14 +149,20 @@ frame_number = whole(LIMITS.frame_number)
 
 
 def rows_of_images(
-    table: CsvTable, frame: Column | None, file: Column | None, series: ImageSeries
+    table: CsvTable,
+    frame: Column | None,
+    file: Column | None,
+    series: ImageSeries,
+    *,
+    may_lack: bool = False,
 ) -> tuple[Int64, list[str]]:
     """Return the row (n,) of a table that belongs to each image, and notes.
 
-    A column of file names or of frame numbers says it; else the n-th row belongs to the n-th image.
+    A column of file names or of frame numbers says it; else the n-th row belongs to the n-th image. An image
+    without a row has -1 if it `may_lack` one.
 
-    Raises ArctrackError for an image without a row, for two rows of one, and without such a column if there
-    are more or fewer rows than images.
+    Raises ArctrackError for another image without a row, for two rows of one, and without such a column if
+    there are more or fewer rows than images.
     """
     rows = len(table.lines)
     if file is not None:
@@ -176,14 +182,14 @@ def rows_of_images(
             name = series.paths[position].name
             raise in_file(table.path, f"has a second row for {name}", line=int(table.lines[n]))
     missing = next((n for n in range(len(series)) if n not in row_of), None)
-    if missing is not None:
+    if missing is not None and not may_lack:
         key = "file" if file is not None else f"frame {series.indices[missing]}"
         raise in_file(
             table.path, f"has no row for {series.paths[missing].name} ({key}); add it, or leave the image out"
         )
     spare = rows - len(row_of)
     notes = [f"{spare} rows of {table.path.name} are of no image"] if spare else []
-    return np.array([row_of[n] for n in range(len(series))]), notes
+    return np.array([row_of.get(n, UNKNOWN_IMAGE) for n in range(len(series))]), notes
 
 
 def times_s(columns: Columns, table: CsvTable, column: Column, stated: Units) -> Float64:

@@ -52,7 +52,8 @@ class PoseFile:
     """The poses of a file.
 
     `T_base_tool` (n, 4, 4), mm; `times_s` (n,) if the file has times; `rows` (images,) the row of each image,
-    if the file says it or has no times; `units` as read, for people; `warnings` where they look wrong.
+    if the file says it or has no times, -1 for none; `units` as read, for people; `warnings` where they look
+    wrong; `rotation` (n, 3) or (n, 4) the numbers of the rotation as the file has them, None of matrices.
     """
 
     path: Path
@@ -62,6 +63,7 @@ class PoseFile:
     units: str
     notes: tuple[str, ...] = ()
     warnings: tuple[str, ...] = ()
+    rotation: Float64 | None = None
 
 
 def known_names(rotation: str | None) -> tuple[str, ...]:
@@ -88,7 +90,13 @@ def read_matrix_poses(
 
 
 def read_pose_table(
-    columns: Columns, rotation: str | None, stated: Units, series: ImageSeries, is_timed: bool
+    columns: Columns,
+    rotation: str | None,
+    stated: Units,
+    series: ImageSeries,
+    is_timed: bool,
+    *,
+    may_lack: bool = False,
 ) -> PoseFile:
     """Return the poses of a CSV file.
 
@@ -125,9 +133,10 @@ def read_pose_table(
     times = None if time is None else _rising(times_s(columns, table, time, stated), table)
     rows, notes = None, list[str]()
     if time is None or file is not None or frame is not None:
-        rows, notes = rows_of_images(table, frame, file, series)
+        rows, notes = rows_of_images(table, frame, file, series, may_lack=may_lack)
     spoken = ", ".join(dict.fromkeys(units))
-    return PoseFile(columns.path, T_base_tool, times, rows, spoken, tuple(notes), tuple(warnings))
+    numbers = _column_values(table, turn)
+    return PoseFile(columns.path, T_base_tool, times, rows, spoken, tuple(notes), tuple(warnings), numbers)
 
 
 def _stated(rotation: str | None) -> Convention:
@@ -206,8 +215,12 @@ def read_poses(
     named: Mapping[str, str],
     series: ImageSeries,
     is_timed: bool,
+    *,
+    may_lack: bool = False,
 ) -> tuple[PoseFile, list[Columns]]:
     """Return the poses of a CSV file or of matrices, and the columns of the file if it has any.
+
+    Where images `may_lack` a pose, their row is -1.
 
     Raises ArctrackError as `read_pose_table` and `read_matrix_poses`.
     """
@@ -217,4 +230,4 @@ def read_poses(
         return read_matrix_poses(path, translations, stated, series), []
     wanted = ",".join((*known_names(rotation), "and a time, frame or file if there is one"))
     columns = Columns(path, named, wanted)
-    return read_pose_table(columns, rotation, stated, series, is_timed), [columns]
+    return read_pose_table(columns, rotation, stated, series, is_timed, may_lack=may_lack), [columns]

@@ -41,7 +41,7 @@ class Calibrated:
     made_by : str
         The command that found them.
     about : mapping
-        What else is worth keeping of the calibration: counts, residuals.
+        What else is worth keeping of the calibration: counts, residuals, lists of numbers or names.
     name : str
         The calibration's name: `[calibration.NAME]`; the table's unless stated.
 
@@ -56,7 +56,7 @@ class Calibrated:
     parameters: tuple[str, ...]
     covariance: Float64
     made_by: str
-    about: Mapping[str, float | int | str] = field(default_factory=dict)
+    about: Mapping[str, Value | str | Sequence[str]] = field(default_factory=dict)
     name: str = ""
 
     def __post_init__(self) -> None:

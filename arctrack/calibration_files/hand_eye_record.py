@@ -1,0 +1,62 @@
+"""The camera's pose on a robot as recording.toml holds it."""
+
+from __future__ import annotations
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from arctrack.recording import Calibrated
+from arctrack.recording.calibrated import Value
+from arctrack.recording.toml_text import rounded
+from calibration.hand_eye_boards.calibrate import PARAMETERS, HandEyeCalibration
+from noise_model.arrays import Float64
+
+MADE_BY = "arctrack calibrate hand-eye"
+IN_TOOL, IN_BASE = "hand_eye", "camera_in_base"
+"""The calibration's name: eye in hand and eye to hand."""
+
+
+def hand_eye_record(result: HandEyeCalibration) -> Calibrated:
+    """Return the pose as values of `[camera.pose_in_tool]`, with its covariance.
+
+    A camera that stands still has no pose in the tool: its pose in base is kept beside its covariance.
+
+    Parameters
+    ----------
+    result : HandEyeCalibration
+        The calibration.
+
+    Returns
+    -------
+    Calibrated
+        Translation and quaternion. The covariance is that of a small motion of the camera in its own frame,
+        deg and mm.
+    """
+    pose = pose_values(result.T_holder_camera)
+    lens = result.refined.boards.scene.lens
+    about: dict[str, Value | str | list[str]] = {
+        "board": str(result.refined.boards.seen.board),
+        "poses": len(result.names),
+        "poses_left_out": len(result.left_out),
+        "corner_sigma_px": rounded(result.corner_sigma_px, 4),
+        "robot_sigma_deg": rounded(result.robot_deg, 4),
+        "robot_sigma_mm": rounded(result.robot_mm, 4),
+    }
+    if result.lens_root.shape[1]:
+        about["lens_parameters"] = list(lens.names)
+        about |= {
+            f"{name}_per_lens": [rounded(value, 6) for value in row]
+            for name, row in zip(PARAMETERS, result.per_lens, strict=True)
+        }
+    if result.is_eye_to_hand:
+        return Calibrated("camera", {}, PARAMETERS, result.covariance, MADE_BY, {**pose, **about}, IN_BASE)
+    return Calibrated("camera.pose_in_tool", pose, PARAMETERS, result.covariance, MADE_BY, about, IN_TOOL)
+
+
+def pose_values(T_holder_camera: Float64) -> dict[str, list[float]]:
+    """Return translation_mm and quaternion_xyzw of a pose (4, 4), mm."""
+    quaternion = Rotation.from_matrix(T_holder_camera[:3, :3]).as_quat()
+    return {
+        "translation_mm": [round(float(value), 6) for value in T_holder_camera[:3, 3]],
+        "quaternion_xyzw": [round(float(value), 12) for value in np.asarray(quaternion)],
+    }

@@ -1,0 +1,141 @@
+"""calibrate_hand_eye.html: the camera's pose on a robot in words and pictures."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from arctrack.calibration_files.hand_eye_poses import PosedBoards
+from arctrack.report.calibration.hand_eye_pictures import excitation, image, misfits, places
+from arctrack.report.calibration.page import CalibrationPage, Picture, Row, with_sigma
+from calibration.hand_eye_boards.calibrate import HandEyeCalibration
+from noise_model.setup import Setup
+
+AXES = "xyz"
+HALF = 1.96
+"""Half of a 95 % interval, in sigmas."""
+
+
+def hand_eye_page(result: HandEyeCalibration, posed: PosedBoards, setup: Setup) -> CalibrationPage:
+    """Return what the page holds."""
+    x, y, z = result.T_holder_camera[:3, 3]
+    sigma_mm = math.sqrt(float(np.trace(result.place_covariance)))
+    count = len(result.names) + len(result.left_out) + len(posed.left_out)
+    turns = ", ".join(f"{turn:.0f}" for turn in result.turns_deg)
+    holder = "robot's base" if result.is_eye_to_hand else "tool"
+    sentences = [
+        f"{len(result.names)} of {count} images and poses are used. The camera's place is known to "
+        f"{sigma_mm:.3f} mm, 1 σ of its three axes together.",
+        f"The robot's own error is {result.robot_mm:.3f} ± {result.robot_sigma[1]:.3f} mm and "
+        f"{result.robot_deg:.4f} ± {result.robot_sigma[0]:.4f}° about each axis (1 σ). A corner's noise is "
+        f"{result.corner_sigma_px:.3f} px.",
+        f"The poses turn by {turns}° RMS about x, y and z of the {holder}. A turn about one axis tells the "
+        "camera's place along the other two.",
+    ]
+    if result.is_eye_to_hand:
+        sentences.append(
+            "The camera stands still: its pose in base is kept in [calibration.camera_in_base]. "
+            "[camera.pose_in_tool] stays as it was."
+        )
+    else:
+        turn_deg, move_mm = change(result, setup)
+        sentences.append(
+            f"The camera is turned by {np.linalg.norm(turn_deg):.2f}° and moved by "
+            f"{np.linalg.norm(move_mm):.2f} mm against the pose stated before."
+        )
+    return CalibrationPage(
+        "arctrack calibrates the camera's pose",
+        "camera in base" if result.is_eye_to_hand else "camera in the tool",
+        f"[{x:.3f}, {y:.3f}, {z:.3f}] mm in the {holder}",
+        tuple(sentences),
+        hand_eye_rows(result, setup),
+        (
+            Picture(
+                misfits(result),
+                "how far the robot is off each pose, by the fit of all",
+                "Both are the tool's. Lines are what three axes of the estimated noise have on average.",
+            ),
+            Picture(
+                excitation(result),
+                "how far the poses turn, and how well each part of the camera's pose is known",
+                "Bars on the right are 1 σ. A long one wants poses that turn about another axis.",
+            ),
+            Picture(
+                places(result),
+                "where the camera stood, and where it looked, in the board's frame",
+                "",
+            ),
+            Picture(
+                image(result, posed),
+                "the board where it is seen (circles), and where the robot puts it (crosses)",
+                "Their distance is the robot's error, seen by the camera.",
+            ),
+        ),
+        (),
+        tuple(_notes(result, posed)),
+        "ambiguous" if result.left_out or result.is_scale_off else "no_gap",
+    )
+
+
+def change(result: HandEyeCalibration, setup: Setup) -> tuple[np.ndarray, np.ndarray]:
+    """Return by how much the camera is turned (3,), deg, and moved (3,), mm, in its own frame."""
+    stated = setup.camera.T_tool_camera
+    turn = stated[:3, :3].T @ result.T_holder_camera[:3, :3]
+    move = stated[:3, :3].T @ (result.T_holder_camera[:3, 3] - stated[:3, 3])
+    return np.degrees(Rotation.from_matrix(turn).as_rotvec()), move
+
+
+def hand_eye_rows(result: HandEyeCalibration, setup: Setup) -> tuple[Row, ...]:
+    """Return place, turn, the robot's noise, and the board's size by the robot."""
+    rows = []
+    sigmas = np.sqrt(np.diag(result.place_covariance))
+    wider = float(np.max(result.half_interval() / result.sigma))
+    for axis, value, sigma in zip(AXES, result.T_holder_camera[:3, 3], sigmas, strict=True):
+        rows.append(_row(f"place, {axis}", f"translation_mm, {axis}", value, sigma, wider * sigma, "mm"))
+    if result.is_eye_to_hand:
+        turns = np.degrees(Rotation.from_matrix(result.T_holder_camera[:3, :3]).as_rotvec())
+    else:
+        turns = change(result, setup)[0]
+    halves = result.half_interval()[:3]
+    for axis, value, sigma, half in zip(AXES, turns, result.sigma[:3], halves, strict=True):
+        what = f"turn about the camera's {axis}" + ("" if result.is_eye_to_hand else ", against before")
+        rows.append(_row(what, "quaternion_xyzw", value, sigma, half, "deg"))
+    for what, key, value, sigma, unit in (
+        ("robot's place, each axis", "robot_sigma_mm", result.robot_mm, result.robot_sigma[1], "mm"),
+        ("robot's turn, each axis", "robot_sigma_deg", result.robot_deg, result.robot_sigma[0], "deg"),
+        ("board's size by the robot", "", result.scale, result.scale_sigma, "of that stated"),
+    ):
+        rows.append(_row(what, key, value, sigma, HALF * sigma, unit))
+    return tuple(rows)
+
+
+def _row(what: str, key: str, value: float, sigma: float, half: float, unit: str) -> Row:
+    low, high = (with_sigma(float(value + sign * half), float(sigma))[0] for sign in (-1.0, 1.0))
+    shown, within = with_sigma(float(value), float(sigma))
+    return Row(what, key, shown, within, f"{low} to {high}", unit)
+
+
+def _notes(result: HandEyeCalibration, posed: PosedBoards) -> list[str]:
+    notes = [
+        "The lens is held as the setup states it. Its error is in these sigmas, and so is an error of the "
+        "camera's place that undoes it: the two together see better than either."
+    ]
+    if posed.lens_covariance is None:
+        notes = [
+            "The setup has no [calibration.camera]: the lens counts as exact, and the sigmas are too small. "
+            "`arctrack calibrate camera` writes it."
+        ]
+    if not result.is_eye_to_hand:
+        notes.append(
+            "The laser's plane in the tool stays as it was stated. `arctrack calibrate laser` puts it where "
+            "this pose of the camera sees it."
+        )
+    if result.is_scale_off:
+        notes.append(
+            f"The robot's motions make the board {result.scale:.4f} ± {result.scale_sigma:.4f} times as "
+            "large as stated: measure its squares, or calibrate the camera anew."
+        )
+    left_out = posed.left_out | result.left_out
+    return notes + [f"{name}: left out: {reason}." for name, reason in left_out.items()]

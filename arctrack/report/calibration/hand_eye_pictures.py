@@ -1,0 +1,111 @@
+"""The pictures of a camera's pose on a robot: misfits, motions, views."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from matplotlib.axes import Axes
+
+from arctrack.calibration_files.hand_eye_poses import PosedBoards
+from arctrack.report import style
+from arctrack.report.embedded import svg
+from calibration.hand_eye_boards.calibrate import PARAMETERS, HandEyeCalibration
+from calibration.hand_eye_boards.rigid import inverse
+
+SAMPLE_PX = 800
+"""The image behind the corners is thinned to so many px."""
+
+ARROW_SHARE = 0.25
+"""How long the camera's line of sight is drawn, over its distance to the board."""
+
+
+def misfits(result: HandEyeCalibration) -> str:
+    """Return how far the robot is off each pose."""
+    figure = style.new_figure(10.5, 3.8, "")
+    mean = 2.0 * math.sqrt(2.0 / math.pi)
+    for axes, off, sigma, unit, title in zip(
+        figure.subplots(1, 2),
+        (result.off_mm, result.off_deg),
+        (result.robot_mm, result.robot_deg),
+        ("mm", "deg"),
+        ("place", "turn"),
+        strict=True,
+    ):
+        style.plain(axes, "", unit, title)
+        rows = range(len(off))
+        axes.bar(rows, off, color=style.SKY)
+        axes.axhline(mean * sigma, color=style.BLACK, linewidth=0.8)
+        axes.set_xticks(rows, [name[-16:] for name in result.names], rotation=90, fontsize=7)
+    return svg(figure)
+
+
+def excitation(result: HandEyeCalibration) -> str:
+    """Return how far the poses turn, and 1 sigma of the camera's turns and places."""
+    figure = style.new_figure(10.5, 3.2, "")
+    turns, sigma_deg, sigma_mm = figure.subplots(1, 3)
+    holder = "base" if result.is_eye_to_hand else "tool"
+    for axes, names, values, unit, title, colour in (
+        (turns, list("xyz"), result.turns_deg, "deg", f"turn about the {holder}'s axes, RMS", style.GREEN),
+        (sigma_deg, list(PARAMETERS[:3]), result.sigma[:3], "deg", "1 σ, camera's own axes", style.BLUE),
+        (sigma_mm, list(PARAMETERS[3:]), result.sigma[3:], "mm", "1 σ, camera's own axes", style.BLUE),
+    ):
+        style.plain(axes, "", unit, title)
+        axes.bar(range(3), values, color=colour)
+        axes.set_xticks(range(3), [name.removesuffix("_deg").removesuffix("_mm") for name in names])
+    return svg(figure)
+
+
+def places(result: HandEyeCalibration) -> str:
+    """Return where the camera stood in the board's frame, from above and from the side."""
+    figure = style.new_figure(10.5, 4.2, "")
+    T_board_camera = inverse(result.refined.boards.scene.T_camera_board)
+    where, sight = T_board_camera[:, :3, 3], T_board_camera[:, :3, 2]
+    reach = ARROW_SHARE * float(np.median(np.linalg.norm(where, axis=1)))
+    corners = result.refined.boards.seen.board.points_mm
+    for axes, (a, b) in zip(figure.subplots(1, 2), ((0, 1), (0, 2)), strict=True):
+        style.plain(axes, f"board's {'xyz'[a]} [mm]", f"board's {'xyz'[b]} [mm]")
+        axes.plot(corners[:, a], corners[:, b], ".", color=style.GREY, markersize=2)
+        axes.quiver(
+            where[:, a],
+            where[:, b],
+            reach * sight[:, a],
+            reach * sight[:, b],
+            angles="xy",
+            scale_units="xy",
+            scale=1.0,
+            color=style.BLUE,
+            width=0.004,
+        )
+        axes.plot(where[:, a], where[:, b], "o", color=style.VERMILLION, markersize=4)
+        axes.set_aspect("equal", adjustable="datalim")
+        axes.invert_yaxis()
+    return svg(figure)
+
+
+def image(result: HandEyeCalibration, posed: PosedBoards) -> str:
+    """Return the corners of the first used image that is kept, and where the chain puts them."""
+    boards = result.refined.boards
+    lens, part = boards.scene.lens, boards.seen.slices[0]
+    figure = style.new_figure(7.0, 0.7 + 7.0 * lens.height / lens.width, "")
+    axes: Axes = style.plain(figure.add_subplot(), "column [px]", "row [px]", result.names[0])
+    if posed.boards.sample is not None and posed.boards.views[0].name == result.names[0]:
+        sample = posed.boards.sample
+        low, high = np.percentile(sample, [1.0, 99.5])
+        step = -(-max(sample.shape) // SAMPLE_PX)
+        axes.imshow(
+            sample[::step, ::step],
+            cmap="gray",
+            vmin=low,
+            vmax=max(high, low + 1.0),
+            extent=(-0.5, lens.width - 0.5, lens.height - 0.5, -0.5),
+        )
+    points = boards.seen.flat_mm[part]
+    T = result.refined.chain.T_camera_board[0]
+    predicted = lens.project(points @ T[:3, :3].T + T[:3, 3])
+    axes.plot(*boards.seen.points_px[part].T, "o", color=style.SKY, markersize=4, fillstyle="none")
+    axes.plot(*predicted.T, "+", color=style.VERMILLION, markersize=5)
+    axes.grid(visible=False)
+    axes.set_xlim(-0.5, lens.width - 0.5)
+    axes.set_ylim(lens.height - 0.5, -0.5)
+    return svg(figure)

@@ -1,0 +1,340 @@
+"""The camera's pose on a robot, from the robot's poses and corners of a board in images."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.stats import chi2, t
+
+from calibration.camera.adjustment import Scene, adjusted
+from calibration.camera.calibrate import one_thread
+from calibration.camera.enough import UndeterminedError
+from calibration.camera.sightings import Sightings
+from calibration.hand_eye_boards.chain import Chain
+from calibration.hand_eye_boards.consistent import Agreement, consistent
+from calibration.hand_eye_boards.enough import (
+    InconsistentError,
+    check_count,
+    check_sigmas,
+    check_turns,
+    turns_deg,
+)
+from calibration.hand_eye_boards.refine import Boards, Refined, with_warp
+from calibration.hand_eye_boards.start import first_chain, renumbered
+from noise_model.arrays import Bool, Float64
+
+PARAMETERS = ("rot_x_deg", "rot_y_deg", "rot_z_deg", "move_x_mm", "move_y_mm", "move_z_mm")
+"""A small motion of the camera in its own frame, as `noise_model.transforms.moved` applies it."""
+
+MOST_RMS_PX = 2.0
+"""Corners that are farther off than this, RMS, are not seen by the stated camera."""
+
+MOST_LEFT_OUT = 0.4
+"""The share of poses that may contradict the rest: of more nobody knows which are right."""
+
+MOST_ROBOT_DEG, MOST_ROBOT_MM = 1.0, 5.0
+"""1 sigma of the robot's error that no robot has: the poses mean something else."""
+
+SAME_BOARD = 1e-3
+"""The probability that a board's pose is refused whose corners fit it as well as the best one."""
+
+MOST_SCALE_SIGMAS = 4.0
+"""A board's scale that the robot's motions contradict by more is named."""
+
+MOST_SCALE_ERROR = 0.01
+"""A board that is so much larger or smaller for sure was measured wrong, or the robot's unit is another."""
+
+UNITS = np.array([math.degrees(1.0)] * 3 + [1.0] * 3)
+
+
+@dataclass(frozen=True)
+class HandEyeCalibration:
+    """The camera's pose with all that is known of it.
+
+    Parameters
+    ----------
+    refined : Refined
+        Camera, board, boards' poses and the robot's noise.
+    lens_root : array (n, k)
+        A root of the lens' covariance as it was stated; k is 0 for a lens that counts as exact.
+    off_deg, off_mm : array (V,)
+        By how much each pose that is used is off what all say: turn and place of the tool.
+    scale, scale_sigma : float
+        The size of the board that the robot's motions tell, over that stated, and its 1 sigma.
+    left_out : dict
+        The poses that were left out, and why.
+    """
+
+    refined: Refined
+    lens_root: Float64
+    off_deg: Float64
+    off_mm: Float64
+    scale: float
+    scale_sigma: float
+    left_out: dict[str, str]
+
+    @property
+    def T_holder_camera(self) -> Float64:
+        """The camera's pose (4, 4), mm, in the tool, or eye to hand in the robot's base."""
+        return self.refined.chain.T_holder_camera
+
+    @property
+    def is_eye_to_hand(self) -> bool:
+        """Whether the camera stands still and the robot carries the board."""
+        return self.refined.chain.is_eye_to_hand
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """The images that are used."""
+        return self.refined.boards.seen.names
+
+    @property
+    def covariance(self) -> Float64:
+        """The covariance (6, 6) of a small motion of the camera in its own frame, deg and mm."""
+        return np.asarray(self.refined.solution.total[:6, :6] * np.outer(UNITS, UNITS))
+
+    @property
+    def sigma(self) -> Float64:
+        """1 sigma (6,) of that motion, deg and mm."""
+        return np.asarray(np.sqrt(np.diag(self.covariance)))
+
+    def half_interval(self, share: float = 0.95) -> Float64:
+        """Return half of each interval (6,) that holds the truth with a probability, deg and mm."""
+        return np.asarray(t.isf(0.5 * (1.0 - share), self.refined.solution.freedom()[:6]) * self.sigma)
+
+    @property
+    def place_covariance(self) -> Float64:
+        """The covariance (3, 3) of the camera's place, mm², along the holder's axes."""
+        R = self.T_holder_camera[:3, :3]
+        return np.asarray(R @ self.covariance[3:, 3:] @ R.T)
+
+    @property
+    def per_lens(self) -> Float64:
+        """By how much the camera (6, n), deg and mm, moves for each of the lens' values."""
+        # The root may be of lower rank: what no lens error reaches has no derivative.
+        by_root = UNITS[:, np.newaxis] * self.refined.solution.per_lens[:6]
+        return np.asarray(by_root @ np.linalg.pinv(self.lens_root))
+
+    @property
+    def robot_deg(self) -> float:
+        """1 sigma of the robot's turn about each axis, deg."""
+        return math.degrees(self.refined.solution.sigma[0])
+
+    @property
+    def robot_mm(self) -> float:
+        """1 sigma of the robot's place along each axis, mm."""
+        return float(self.refined.solution.sigma[1])
+
+    @property
+    def robot_sigma(self) -> tuple[float, float]:
+        """1 sigma of both, deg and mm, by the variances' own: d sigma = d sigma² / (2 sigma)."""
+        spread = np.sqrt(np.diag(self.refined.solution.sigma_covariance)) / (
+            2.0 * self.refined.solution.sigma
+        )
+        return math.degrees(spread[0]), float(spread[1])
+
+    @property
+    def corner_sigma_px(self) -> float:
+        """1 sigma of a corner, RMS over the images."""
+        return float(np.sqrt(np.mean(self.refined.boards.sigma_px**2)))
+
+    @property
+    def rms_px(self) -> float:
+        """The RMS distance of corners from where the boards' poses put them, px."""
+        boards = self.refined.boards
+        return float(np.sqrt(np.mean(np.sum(boards.scene.residuals(boards.seen) ** 2, axis=1))))
+
+    @property
+    def turns_deg(self) -> Float64:
+        """How far the poses turn (3,), RMS, about the holder's axes, deg."""
+        return np.asarray(np.sqrt(np.mean(turns_deg(self.refined.chain) ** 2, axis=0)))
+
+    @property
+    def is_scale_off(self) -> bool:
+        """Whether the robot's motions contradict the board's size."""
+        return abs(self.scale - 1.0) > MOST_SCALE_SIGMAS * self.scale_sigma
+
+
+def calibrate_hand_eye(
+    scene: Scene,
+    seen: Sightings,
+    T_base_tool: Float64,
+    *,
+    is_eye_to_hand: bool = False,
+    lens_covariance: Float64 | None = None,
+    progress: Callable[[int, int], None] | None = None,
+) -> HandEyeCalibration:
+    """Find the camera's pose on a robot.
+
+    Parameters
+    ----------
+    scene : Scene
+        The lens, which is held, and the boards' poses, from `calibration.laser.calibrate.board_poses`.
+    seen : Sightings
+        The corners.
+    T_base_tool : array (V, 4, 4)
+        The robot's pose of each image, mm.
+    is_eye_to_hand : bool
+        The camera stands still, and the robot carries the board. Else the robot carries the camera.
+    lens_covariance : array (n, n), optional
+        The covariance of the lens' free parameters; without it the lens counts as exact.
+    progress : callable, optional
+        Told how many steps are done, and of how many.
+
+    Returns
+    -------
+    HandEyeCalibration
+        The camera in the tool, or eye to hand in base.
+
+    Raises
+    ------
+    UndeterminedError
+        If the poses do not determine the camera; it says which motion is missing.
+    InconsistentError
+        If robot and boards contradict each other.
+    """
+    tell = progress or (lambda done, total: None)
+    check_count(len(T_base_tool), 0)
+    chain = Chain(T_base_tool, np.eye(4), np.eye(4), is_eye_to_hand)
+    check_turns(chain)
+    n = len(scene.lens.values)
+    root = np.zeros((n, 0)) if lens_covariance is None else _root(lens_covariance)
+    with one_thread():
+        boards = with_warp(scene, seen)
+        _check_corners(boards)
+        tell(1, 4)
+        chain, boards, off_px = _started(chain, boards)
+        tell(2, 4)
+        try:
+            agreement = consistent(chain, boards, root, off_px)
+        except np.linalg.LinAlgError:
+            raise UndeterminedError(
+                "the poses leave the camera open: add poses in which the robot turns 20 to 40 deg either way "
+                "about two other axes"
+            ) from None
+        tell(3, 4)
+        scale, scale_sigma = _scale(agreement.result)
+        _check_agreement(agreement)
+        _check_scale(scale, scale_sigma)
+        check_sigmas(agreement.result.chain, agreement.result.solution.total[:6, :6])
+    tell(4, 4)
+    off = agreement.robot_error[agreement.kept]
+    return HandEyeCalibration(
+        agreement.result,
+        root,
+        np.degrees(np.linalg.norm(off[:, :3], axis=1)),
+        np.linalg.norm(off[:, 3:], axis=1),
+        scale,
+        scale_sigma,
+        _left_out(agreement, seen.names),
+    )
+
+
+def _started(chain: Chain, boards: Boards) -> tuple[Chain, Boards, Float64]:
+    """Return a chain to start from, the boards at the ends that it tells, and how far each is off it, px."""
+    scene, seen = boards.scene, boards.seen
+    try:
+        chain, T_camera_board, off_px = first_chain(
+            chain.T_base_tool,
+            scene.T_camera_board,
+            seen.board,
+            scene.lens,
+            is_eye_to_hand=chain.is_eye_to_hand,
+        )
+    except np.linalg.LinAlgError as error:
+        raise UndeterminedError(f"the camera's pose is open: {error}") from None
+    seen = renumbered(seen, scene.T_camera_board, T_camera_board)
+    own = replace(scene, T_camera_board=T_camera_board)
+    # A board that is seen from far looks much the same when it leans the other way: the robot tells which.
+    predicted = chain.T_camera_board
+    in_front = (predicted[:, :3, :3] @ seen.board.points_mm.T)[:, 2] + predicted[:, 2, 3:4]
+    is_seen = np.all(in_front > 0.0, axis=1)
+    other = replace(scene, T_camera_board=_chosen(is_seen, predicted, T_camera_board))
+    other = adjusted(other, seen, boards.weight, poses_only=True)
+    squares = [np.sum(each.residuals(seen) ** 2, axis=1) * boards.weight**2 for each in (own, other)]
+    excess = np.array([float((squares[1] - squares[0])[part].sum()) for part in seen.slices])
+    is_same = np.asarray(excess < chi2.isf(SAME_BOARD, 6))
+    scene = replace(scene, T_camera_board=_chosen(is_same, other.T_camera_board, T_camera_board))
+    return chain, replace(boards, scene=scene, seen=seen), off_px
+
+
+def _chosen(is_first: Bool, first: Float64, second: Float64) -> Float64:
+    return np.asarray(np.where(is_first[:, np.newaxis, np.newaxis], first, second))
+
+
+def _root(covariance: Float64) -> Float64:
+    """Return a root (n, n) of a covariance (n, n) that may be singular."""
+    variance, directions = np.linalg.eigh(covariance)
+    return np.asarray(directions * np.sqrt(np.maximum(variance, 0.0)))
+
+
+def _check_corners(boards: Boards) -> None:
+    square = np.sum(boards.scene.residuals(boards.seen) ** 2, axis=1)
+    rms = math.sqrt(float(np.mean(square)))
+    if rms > MOST_RMS_PX:
+        raise UndeterminedError(
+            f"the boards' corners are {rms:.1f} px off where the setup's camera sees them: calibrate the "
+            "camera first, `arctrack calibrate camera`; or the board's counts or squares are others"
+        )
+
+
+def _check_agreement(agreement: Agreement) -> None:
+    """Raise InconsistentError if too many poses contradict the rest, or the noise is no robot's."""
+    count, kept = len(agreement.distance), len(agreement.kept)
+    sigma = agreement.result.solution.sigma
+    deg, mm = math.degrees(sigma[0]), float(sigma[1])
+    if count - kept > MOST_LEFT_OUT * count:
+        raise InconsistentError(f"only {kept} of {count} poses agree with what the camera sees")
+    if deg > MOST_ROBOT_DEG or mm > MOST_ROBOT_MM:
+        raise InconsistentError(
+            f"the robot's poses are {mm:.2g} mm and {deg:.2g} deg off what the camera sees (1 sigma, "
+            f"{MOST_ROBOT_MM:g} mm and {MOST_ROBOT_DEG:g} deg are the most)"
+        )
+
+
+def _check_scale(scale: float, sigma: float) -> None:
+    """Raise InconsistentError if the robot moves in another unit than the board."""
+    if abs(scale - 1.0) > max(MOST_SCALE_SIGMAS * sigma, MOST_SCALE_ERROR):
+        raise InconsistentError(
+            f"the robot's motions make the board {max(scale, 0.0):.3g} times as large as stated (1 sigma is "
+            f"{sigma:.1g})"
+        )
+
+
+def _left_out(agreement: Agreement, names: tuple[str, ...]) -> dict[str, str]:
+    left_out = {}
+    for n, name in enumerate(names):
+        if n not in agreement.kept:
+            error = agreement.robot_error[n]
+            deg, mm = math.degrees(float(np.linalg.norm(error[:3]))), float(np.linalg.norm(error[3:]))
+            left_out[name] = (
+                f"its pose is {mm:.2g} mm and {deg:.2g} deg off what the others say: it is another image's, "
+                "or the board was moved"
+            )
+    return left_out
+
+
+def _scale(result: Refined) -> tuple[float, float]:
+    """Return the board's size over that stated, as the robot's motions tell it, and its 1 sigma.
+
+    A board of 1 + q times the size stands as much farther away than it seems: e has a part -q t, with t
+    the board's place in the camera. Lens and robot stay as they were estimated.
+    """
+    errors, solution = result.errors, result.solution
+    column = np.zeros((len(errors.error), 6, 1))
+    column[:, 3:, 0] = -result.boards.scene.T_camera_board[:, :3, 3]
+    rows = np.concatenate([errors.per_unknown, errors.per_lens, column], axis=2)
+    m, n = errors.per_unknown.shape[2], errors.per_lens.shape[2]
+    known = np.zeros((m + n + 1,) * 2)
+    known[:m, :m], known[range(m, m + n), range(m, m + n)] = errors.known, 1.0
+    WR = np.linalg.solve(errors.covariance(solution.sigma), rows)
+    information = np.einsum("vim,vin->mn", rows, WR) + known
+    right = np.einsum("vim,vi->m", WR, errors.error) + np.pad(errors.pull, (0, n + 1))
+    unit = np.zeros(m + n + 1)
+    unit[-1] = 1.0
+    scale = 1.0 / np.sqrt(np.diag(information))
+    of_size = scale * np.linalg.solve(information * np.outer(scale, scale), scale * unit)
+    return 1.0 + float(of_size @ right), math.sqrt(float(of_size[-1]))

@@ -1,0 +1,100 @@
+"""Which poses agree: a wrong pair of image and pose is found by what the others predict.
+
+The half of the poses that a start explains best is refined. Then those that it predicts within its noise
+are taken in, and so on until the set stays.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.stats import f
+
+from calibration.hand_eye_boards.chain import Chain
+from calibration.hand_eye_boards.enough import LEAST_POSES
+from calibration.hand_eye_boards.refine import UNKNOWNS, Boards, Refined, pose_errors, refined
+from noise_model.arrays import Float64
+
+FALSE_ALARM = 0.01
+"""The probability that a set without a wrong pair loses one."""
+
+MAX_ROUNDS = 12
+MOTION = 6
+
+
+@dataclass(frozen=True)
+class Agreement:
+    """The poses that agree, and how far all are off.
+
+    Parameters
+    ----------
+    kept : list of int
+        The poses that agree, `LEAST_POSES` at least.
+    result : Refined
+        What they make.
+    distance : array (V,)
+        The mean square of each pose's error over its noise, by what those that agree say.
+    robot_error : array (V, 6)
+        By what motion of the tool each pose is off, rad and mm.
+    """
+
+    kept: list[int]
+    result: Refined
+    distance: Float64
+    robot_error: Float64
+
+
+def consistent(chain: Chain, boards: Boards, lens_root: Float64, off_px: Float64) -> Agreement:
+    """Return the poses that agree, and what they make.
+
+    Parameters
+    ----------
+    chain : Chain
+        Where to start.
+    boards : Boards
+        All boards.
+    lens_root : array (n, k)
+        A root of the lens' covariance.
+    off_px : array (V,)
+        How far each board is off what the start predicts.
+
+    Returns
+    -------
+    Agreement
+        The poses.
+
+    Raises
+    ------
+    numpy.linalg.LinAlgError
+        If those that agree do not determine camera and board.
+    """
+    count = len(off_px)
+    half = max(count // 2 + 1, LEAST_POSES)
+    kept = sorted(np.argsort(off_px)[:half].tolist())
+    sigma: Float64 | None = None
+    for _ in range(MAX_ROUNDS):
+        result = refined(chain.of_views(kept), boards.of_views(kept), lens_root, sigma)
+        sigma = result.solution.sigma
+        agreement = _judged(
+            kept, result, replace(result.chain, T_base_tool=chain.T_base_tool), boards, lens_root
+        )
+        freedom = max(MOTION * len(kept) - UNKNOWNS - len(sigma), 2)
+        limit = float(f.isf(FALSE_ALARM / count, MOTION, freedom))
+        agree = np.flatnonzero(agreement.distance < limit).tolist()
+        if len(agree) < LEAST_POSES or agree == kept:
+            break
+        kept = agree
+    return agreement
+
+
+def _judged(kept: list[int], result: Refined, whole: Chain, boards: Boards, lens_root: Float64) -> Agreement:
+    errors, _, _ = pose_errors(whole, boards, lens_root)
+    V, H = errors.covariance(result.solution.sigma), errors.per_unknown
+    spread = H @ result.solution.covariance @ H.transpose(0, 2, 1)
+    # What was fitted to is nearer than its noise alone makes it.
+    spread[kept] = 0.0
+    solved = np.linalg.solve(V + spread, errors.error[:, :, np.newaxis])[:, :, 0]
+    distance = np.sum(errors.error * solved, axis=1) / MOTION
+    robot_error = np.linalg.solve(errors.per_robot, errors.error[:, :, np.newaxis])[:, :, 0]
+    return Agreement(kept, result, np.asarray(distance), np.asarray(robot_error))

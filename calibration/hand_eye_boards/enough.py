@@ -1,0 +1,104 @@
+"""Do the robot's motions determine the camera's pose? If not, which motion is missing."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from calibration.camera.enough import UndeterminedError
+from calibration.hand_eye_boards.chain import Chain
+from calibration.hand_eye_boards.rigid import inverse
+from noise_model.arrays import Float64
+
+LEAST_POSES = 5
+"""Poses: three determine the camera, two more say how large the robot's noise is."""
+
+LEAST_TURN_DEG = 1.0
+"""The RMS turn about an axis, deg: below it, robots' errors of rotation pass for a motion."""
+
+MOST_SIGMA_MM, MOST_SIGMA_DEG = 2.0, 0.5
+"""1 sigma of the camera's place and turn along their worst axes: beyond it they are as good as unknown."""
+
+AXES = "xyz"
+ADVICE = "20 to 40 deg either way"
+
+
+class InconsistentError(UndeterminedError):
+    """Robot and boards contradict each other: the poses mean something else than was stated."""
+
+
+def turns_deg(chain: Chain) -> Float64:
+    """Return how the holder turns (V, 3): rotation vectors about its own axes from the mean pose, deg."""
+    turns = Rotation.from_matrix(inverse(chain.T_holder_mount)[:, :3, :3])
+    return np.asarray(np.degrees((turns.mean().inv() * turns).as_rotvec()))
+
+
+def check_count(poses: int, left_out: int) -> None:
+    """Raise UndeterminedError if there are too few poses."""
+    if poses < LEAST_POSES:
+        others = f" ({left_out} left out)" if left_out else ""
+        raise UndeterminedError(
+            f"{poses} image{'s' if poses != 1 else ''} of the board with a pose of the robot{others}: "
+            f"{LEAST_POSES} at least are needed, and 15 are good; take more, the robot turned {ADVICE} about "
+            "another axis in each"
+        )
+
+
+def check_turns(chain: Chain) -> None:
+    """Raise UndeterminedError if the robot turns about no axis, or about one alone."""
+    holder = holder_name(chain)
+    turns = turns_deg(chain)
+    _, size, axes = np.linalg.svd(turns / math.sqrt(len(turns)))
+    if size[0] < LEAST_TURN_DEG:
+        raise UndeterminedError(
+            f"the robot does not turn between the images ({size[0]:.2g} deg RMS), and the camera's place is "
+            f"unknown: add poses turned {ADVICE} about two axes of the {holder}, such as x and y"
+        )
+    if size[1] < LEAST_TURN_DEG:
+        raise UndeterminedError(
+            f"the robot turns about one axis alone, {axis_words(axes[0])} of the {holder}, and the camera's "
+            f"place along it is unknown: add poses turned {ADVICE} about {_others(axes[0])} of the {holder}"
+        )
+
+
+def check_sigmas(chain: Chain, covariance: Float64) -> None:
+    """Raise UndeterminedError if the camera's pose is badly known; `covariance` (6, 6) is in rad and mm."""
+    R, holder = chain.T_holder_camera[:3, :3], holder_name(chain)
+    turn, place = covariance[:3, :3], covariance[3:, 3:]
+    for matrix, most, scale, what, unit in (
+        (place, MOST_SIGMA_MM, 1.0, "place along", "mm"),
+        (turn, MOST_SIGMA_DEG, math.degrees(1.0), "turn about", "deg"),
+    ):
+        variance, directions = np.linalg.eigh(matrix)
+        sigma = scale * math.sqrt(max(float(variance[-1]), 0.0))
+        if sigma > most:
+            worst = R @ directions[:, -1]
+            sizes = np.sqrt(np.mean(turns_deg(chain) ** 2, axis=0))
+            shown = ", ".join(f"{size:.0f}" for size in sizes)
+            raise UndeterminedError(
+                f"the camera's {what} {axis_words(worst)} of the {holder} is known to {sigma:.2g} {unit} "
+                f"only (1 sigma, {most:g} is the most); the robot turns by {shown} deg RMS about x, y, z: "
+                f"add poses turned {ADVICE} about {_others(worst)} of the {holder}"
+            )
+
+
+def holder_name(chain: Chain) -> str:
+    """Return what carries the camera, in words."""
+    return "robot's base" if chain.is_eye_to_hand else "tool"
+
+
+def axis_words(axis: Float64) -> str:
+    """Return an axis in words: the coordinate axis that it nearly is, or its numbers."""
+    n = int(np.abs(axis).argmax())
+    if abs(axis[n]) > math.cos(math.radians(20.0)):
+        return AXES[n]
+    axis = axis * np.sign(axis[n])
+    return f"({axis[0]:.2f}, {axis[1]:.2f}, {axis[2]:.2f})"
+
+
+def _others(axis: Float64) -> str:
+    """Return the two coordinate axes that are most square to an axis, in words."""
+    first, second = sorted(np.argsort(np.abs(axis))[:2])
+    return f"{AXES[first]} and {AXES[second]}"

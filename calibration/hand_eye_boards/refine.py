@@ -1,0 +1,184 @@
+"""The joint refinement by reprojection: camera, board, warp, and where the robot really was, with its noise.
+
+The boards' poses in the camera are free, and the robot's poses predict them with an error of unknown
+size. So the sum of squares is that of the corners over their noise and of the robot's errors over theirs.
+Each round linearises it at the boards' present poses T. With f a small motion of a board, g and D the
+corners' pull on it and its information, and eta how far T is off what the chain predicts, the corners
+alone would move the board by D^-1 g:
+
+    e = eta + D^-1 g
+
+Camera and board follow by least squares of e (`variances`). With W = (M Sigma M')^-1, and K the
+derivatives by camera and board, the boards follow by (D + W) f = g - B' dw + W (K step - eta). The lens
+is held.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from calibration.camera.adjustment import WARP, Scene, adjusted, linearised
+from calibration.camera.noise import LEAST_SIGMA_PX, moderated
+from calibration.camera.normal_equations import NormalEquations
+from calibration.camera.sightings import Sightings
+from calibration.hand_eye_boards.chain import Chain
+from calibration.hand_eye_boards.rigid import inverse, motions, twists
+from calibration.hand_eye_boards.variances import PoseErrors, Solution, robot_sigma, solve
+from noise_model.arrays import Float64
+
+MAX_ROUNDS, SETTLED_SIGMAS = 20, 1e-3
+"""Rounds at most; one that moves nothing by more of its sigmas is the last."""
+
+WARP_ROUNDS = 4
+"""Rounds of warp and poses with the lens held: far more than a nearly linear problem takes."""
+
+UNKNOWNS = 12
+"""Camera's and board's motions come first, then the warp."""
+
+
+@dataclass(frozen=True)
+class Boards:
+    """Lens, warp and boards' poses, the corners, and 1 sigma of a corner in each image (V,), px."""
+
+    scene: Scene
+    seen: Sightings
+    sigma_px: Float64
+
+    @property
+    def weight(self) -> Float64:
+        """1 / sigma of each corner (N,), 1/px."""
+        return np.asarray(1.0 / self.sigma_px[self.seen.view])
+
+    def of_views(self, chosen: list[int]) -> Boards:
+        """Return what some of the images say."""
+        return Boards(self.scene.of_views(chosen), self.seen.of_views(chosen), self.sigma_px[chosen])
+
+
+@dataclass(frozen=True)
+class Refined:
+    """The result of a refinement.
+
+    Parameters
+    ----------
+    chain : Chain
+        Camera and board.
+    boards : Boards
+        Warp, and the boards' poses of the largest likelihood.
+    solution : Solution
+        The covariance, and the robot's sigma.
+    errors : PoseErrors
+        How far boards are off their prediction.
+    """
+
+    chain: Chain
+    boards: Boards
+    solution: Solution
+    errors: PoseErrors
+
+
+def with_warp(scene: Scene, seen: Sightings) -> Boards:
+    """Return boards fitted each by itself, with the warp that all share, and their corners' noise."""
+    n, ones = len(scene.lens.values), np.ones(len(seen))
+    for _ in range(WARP_ROUNDS):
+        whole = linearised(scene, seen, ones)
+        warp = slice(n, n + len(WARP))
+        part = NormalEquations(
+            whole.shared[:, warp, warp],
+            whole.mixed[:, warp],
+            whole.motion,
+            whole.gradient_shared[:, warp],
+            whole.gradient_motion,
+        )
+        step, motion = part.step()
+        scene = scene.moved(np.concatenate([np.zeros(n), step]), motion)
+    scene = adjusted(scene, seen, ones, poses_only=True)
+    square = np.sum(scene.residuals(seen) ** 2, axis=1)
+    free = np.maximum(2.0 * seen.counts - 6.0 - len(WARP) / len(seen.names), 1.0)
+    variance, _ = moderated(np.array([square[part].sum() for part in seen.slices]) / free, free)
+    return Boards(scene, seen, np.sqrt(np.maximum(variance, LEAST_SIGMA_PX**2)))
+
+
+def pose_errors(
+    chain: Chain, boards: Boards, lens_root: Float64
+) -> tuple[PoseErrors, NormalEquations, Float64]:
+    """Return how far the boards are off their prediction, the corners' normal equations, and eta (V, 6).
+
+    `lens_root` (n, k) times its transpose is the lens' covariance.
+    """
+    equations = linearised(boards.scene, boards.seen, boards.weight)
+    n = len(boards.scene.lens.values)
+    covariance = np.linalg.inv(equations.motion)
+    per_shared = covariance @ equations.mixed.transpose(0, 2, 1)
+    eta = twists(boards.scene.T_camera_board @ inverse(chain.T_camera_board))
+    known = np.zeros((UNKNOWNS + len(WARP),) * 2)
+    known[UNKNOWNS:, UNKNOWNS:] = equations.information()[n:, n:]
+    pull = np.zeros(len(known))
+    pull[UNKNOWNS:] = equations.pulls().sum(axis=0)[n:]
+    errors = PoseErrors(
+        eta + np.einsum("vij,vj->vi", covariance, equations.gradient_motion),
+        np.asarray(covariance),
+        chain.per_robot_error(),
+        np.concatenate([chain.per_unknown(), per_shared[:, :, n:]], axis=2),
+        known,
+        pull,
+        per_shared[:, :, :n] @ lens_root,
+    )
+    return errors, equations, eta
+
+
+def refined(chain: Chain, boards: Boards, lens_root: Float64, sigma: Float64 | None = None) -> Refined:
+    """Return camera, board, warp, boards' poses and the robot's noise of the largest likelihood.
+
+    Parameters
+    ----------
+    chain : Chain
+        Where to start.
+    boards : Boards
+        The boards, from `with_warp`.
+    lens_root : array (n, k)
+        A root of the lens' covariance; (n, 0) for a lens that is exact.
+    sigma : array (2,), optional
+        Where the search for the robot's sigma starts, rad and mm.
+
+    Returns
+    -------
+    Refined
+        The result.
+
+    Raises
+    ------
+    numpy.linalg.LinAlgError
+        If the poses do not determine camera and board.
+    """
+    for _ in range(MAX_ROUNDS):
+        errors, equations, eta = pose_errors(chain, boards, lens_root)
+        solution = solve(errors, robot_sigma(errors, sigma))
+        sigma = solution.sigma
+        chain, boards = _stepped(chain, boards, equations, eta, errors, solution)
+        if (np.abs(solution.step) <= SETTLED_SIGMAS * np.sqrt(np.diag(solution.covariance))).all():
+            break
+    errors, _, _ = pose_errors(chain, boards, lens_root)
+    return Refined(chain, boards, solve(errors, solution.sigma), errors)
+
+
+def _stepped(
+    chain: Chain,
+    boards: Boards,
+    equations: NormalEquations,
+    eta: Float64,
+    errors: PoseErrors,
+    solution: Solution,
+) -> tuple[Chain, Boards]:
+    step, warp = solution.step[:UNKNOWNS], solution.step[UNKNOWNS:]
+    spread = errors.covariance(solution.sigma) - errors.by_corners
+    W = np.linalg.inv(spread)
+    mixed = equations.mixed[:, -len(WARP) :]
+    pull = equations.gradient_motion - np.einsum("vmi,m->vi", mixed, warp)
+    pull = pull + np.einsum("vij,vj->vi", W, errors.per_unknown[:, :, :UNKNOWNS] @ step - eta)
+    motion = np.linalg.solve(equations.motion + W, pull[:, :, np.newaxis])[:, :, 0]
+    scene = boards.scene
+    moved = motions(motion) @ scene.T_camera_board
+    scene = replace(scene, T_camera_board=moved, warp_mm=scene.warp_mm + warp)
+    return chain.moved(step), replace(boards, scene=scene)

@@ -1,0 +1,179 @@
+"""The robot's inaccuracy as a noise whose size is estimated: restricted maximum likelihood.
+
+Board poses in the camera are off by e_i where the robot's poses predict them:
+
+    e_i = H_i b + L_i l + noise,   V_i = D_i^-1 + M_i diag(sigma_r², sigma_t²) M_i'
+
+b is what is unknown: camera, board, warp. l is the lens' error, whose covariance the setup states. D_i^-1
+is what the corners' noise makes of the pose, M_i takes the robot's error to the camera. The restricted
+likelihood is that of all contrasts of e that b does not move, so that poses spent on b do not make the
+noise look smaller (Patterson and Thompson, Recovery of inter-block information when block sizes are
+unequal, 1971):
+
+    -2 ln L = sum ln |V_i| + ln |H' V^-1 H| + e' V^-1 e - b' (H' V^-1 H) b
+
+The covariance of b counts that V is estimated (Kenward and Roger, Small sample inference for fixed
+effects from restricted maximum likelihood, 1997), and so do the degrees of freedom of its intervals
+(Satterthwaite).
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.optimize import minimize
+
+from calibration.camera.normal_equations import scaled_inverse
+from noise_model.arrays import Float64
+
+TURN, PLACE = slice(0, 3), slice(3, 6)
+
+LEAST, MOST = np.array([math.radians(1e-5), 1e-4]), np.array([math.radians(30.0), 300.0])
+"""Bounds of the robot's sigmas, rad and mm: below them, its noise is none."""
+
+FIRST = np.array([math.radians(0.03), 0.1])
+"""Where the search begins: a common robot, rad and mm."""
+
+
+@dataclass(frozen=True)
+class PoseErrors:
+    """How far boards are off where the robot's poses predict them, linear in what is unknown.
+
+    Parameters
+    ----------
+    error : array (V, 6)
+        e: a small motion of the board in the camera frame, rad and mm.
+    by_corners : array (V, 6, 6)
+        D^-1: the covariance that the corners' noise makes.
+    per_robot : array (V, 6, 6)
+        M.
+    per_unknown : array (V, 6, m)
+        H.
+    known : array (m, m)
+        What the corners within each image say of the unknowns (of the board's warp).
+    pull : array (m,)
+        The right side that belongs to it.
+    per_lens : array (V, 6, n)
+        L, by the lens' errors in units of their sigmas, uncorrelated.
+    """
+
+    error: Float64
+    by_corners: Float64
+    per_robot: Float64
+    per_unknown: Float64
+    known: Float64
+    pull: Float64
+    per_lens: Float64
+
+    def covariance(self, sigma: Float64) -> Float64:
+        """Return V (V, 6, 6) for the robot's sigma (2,), rad and mm."""
+        return np.asarray(self.by_corners + np.einsum("k,vkij->vij", sigma**2, self.parts()))
+
+    def parts(self) -> Float64:
+        """Return what a unit of each variance of the robot adds to V (V, 2, 6, 6)."""
+        return np.stack(
+            [columns @ columns.transpose(0, 2, 1) for columns in self._columns()],
+            axis=1,
+        )
+
+    def _columns(self) -> tuple[Float64, Float64]:
+        return self.per_robot[:, :, TURN], self.per_robot[:, :, PLACE]
+
+
+@dataclass(frozen=True)
+class Solution:
+    """The unknowns at the robot's sigma.
+
+    Parameters
+    ----------
+    sigma : array (2,)
+        The robot's, rad and mm.
+    step : array (m,)
+        b.
+    covariance : array (m, m)
+        That of b, small samples counted, for a lens that is exact.
+    sigma_covariance : array (2, 2)
+        The covariance of the robot's two variances.
+    slopes : array (2, m, m)
+        By how much the covariance of b grows with each variance.
+    per_lens : array (m, n)
+        By how much b moves for the lens' errors, in units of their sigmas.
+    """
+
+    sigma: Float64
+    step: Float64
+    covariance: Float64
+    sigma_covariance: Float64
+    slopes: Float64
+    per_lens: Float64
+
+    @property
+    def total(self) -> Float64:
+        """The covariance of b (m, m) with that of the lens."""
+        return np.asarray(self.covariance + self.per_lens @ self.per_lens.T)
+
+    def freedom(self) -> Float64:
+        """Return the degrees of freedom (m,) of each unknown's variance: 2 v² / var v (Satterthwaite)."""
+        slopes = np.diagonal(self.slopes, axis1=1, axis2=2)
+        variance = np.einsum("km,kl,lm->m", slopes, self.sigma_covariance, slopes)
+        return np.asarray(2.0 * np.diag(self.total) ** 2 / np.maximum(variance, 1e-300))
+
+
+def robot_sigma(errors: PoseErrors, start: Float64 | None = None) -> Float64:
+    """Return the robot's sigma (2,), rad and mm, of the largest restricted likelihood."""
+    # The lens is marginal, too: its error must not pass for the robot's.
+    rows = np.concatenate([errors.per_unknown, errors.per_lens], axis=2)
+    m, n = errors.per_unknown.shape[2], errors.per_lens.shape[2]
+    known = np.zeros((m + n, m + n))
+    known[:m, :m], known[range(m, m + n), range(m, m + n)] = errors.known, 1.0
+    pull = np.concatenate([errors.pull, np.zeros(n)])
+    parts = errors.parts()
+
+    def cost(log_sigma: Float64) -> float:
+        V = errors.by_corners + np.einsum("k,vkij->vij", np.exp(2.0 * log_sigma), parts)
+        lower = np.linalg.cholesky(V)
+        whitened = np.linalg.solve(lower, np.concatenate([rows, errors.error[:, :, np.newaxis]], axis=2))
+        flat = whitened.reshape(-1, m + n + 1)
+        squares = flat.T @ flat
+        information, right = squares[:-1, :-1] + known, squares[:-1, -1] + pull
+        fitted = float(right @ np.linalg.solve(information, right))
+        determinants = 2.0 * float(np.log(np.diagonal(lower, axis1=1, axis2=2)).sum())
+        return determinants + float(np.linalg.slogdet(information)[1]) + float(squares[-1, -1]) - fitted
+
+    bounds = list(zip(np.log(LEAST), np.log(MOST), strict=True))
+    first = np.log(FIRST if start is None else start.clip(3.0 * LEAST, MOST / 3.0))
+    result = minimize(cost, first, method="L-BFGS-B", bounds=bounds)
+    return np.asarray(np.exp(result.x))
+
+
+def solve(errors: PoseErrors, sigma: Float64) -> Solution:
+    """Return the unknowns by generalised least squares at the robot's sigma (2,), rad and mm.
+
+    Raises numpy.linalg.LinAlgError if they are not determined.
+    """
+    H, parts = errors.per_unknown, errors.parts()
+    W = np.linalg.inv(errors.covariance(sigma))
+    WH = W @ H
+    C = scaled_inverse(np.einsum("vim,vin->mn", H, WH) + errors.known)
+    step = C @ (np.einsum("vim,vi->m", WH, errors.error) + errors.pull)
+    # With P = W - W H C H' W, the information on the variances is tr(P V_k P V_l) / 2.
+    WV = np.einsum("vij,vkjl->kvil", W, parts)
+    once = np.einsum("kvij,vjm->kvim", WV, WH)
+    inner = np.einsum("vim,vkij,vjn->kmn", WH, parts, WH)
+    twice = np.einsum("vim,vkij,lvjn->klmn", WH, parts, once)
+    both = np.einsum("kmp,pq,lqn->klmn", inner, C, inner)
+    own = np.einsum("kvij,lvji->kl", WV, WV)
+    information = own + np.einsum("mn,klnm->kl", C, both - 2.0 * twice)
+    sigma_covariance = scaled_inverse(0.5 * information)
+    spread = np.einsum("kl,klmn->mn", sigma_covariance, twice - both)
+    covariance = C + 2.0 * C @ spread @ C
+    return Solution(
+        sigma,
+        step,
+        0.5 * (covariance + covariance.T),
+        sigma_covariance,
+        C @ inner @ C,
+        C @ np.einsum("vim,vin->mn", WH, errors.per_lens),
+    )
