@@ -42,7 +42,7 @@ def hand_eye_record(result: HandEyeCalibration) -> Calibrated:
         "robot_sigma_deg": rounded(result.robot_deg, 4),
         "robot_sigma_mm": rounded(result.robot_mm, 4),
     }
-    if result.lens_root.shape[1]:
+    if result.lens_covariance.any():
         about["lens_parameters"] = list(lens.names)
         about |= {
             f"{name}_per_lens": [rounded(value, 6) for value in row]

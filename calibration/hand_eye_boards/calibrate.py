@@ -58,8 +58,8 @@ class HandEyeCalibration:
     ----------
     refined : Refined
         Camera, board, boards' poses and the robot's noise.
-    lens_root : array (n, k)
-        A root of the lens' covariance as it was stated; k is 0 for a lens that counts as exact.
+    lens_covariance : array (n, n)
+        The covariance of the lens' parameters as it was stated; zeros where the lens counts as exact.
     off_deg, off_mm : array (V,)
         By how much each pose that is used is off what all say: turn and place of the tool.
     scale, scale_sigma : float
@@ -69,7 +69,7 @@ class HandEyeCalibration:
     """
 
     refined: Refined
-    lens_root: Float64
+    lens_covariance: Float64
     off_deg: Float64
     off_mm: Float64
     scale: float
@@ -114,9 +114,12 @@ class HandEyeCalibration:
     @property
     def per_lens(self) -> Float64:
         """By how much the camera (6, n), deg and mm, moves for each of the lens' values."""
-        # The root may be of lower rank: what no lens error reaches has no derivative.
-        by_root = UNITS[:, np.newaxis] * self.refined.solution.per_lens[:6]
-        return np.asarray(by_root @ np.linalg.pinv(self.lens_root))
+        return np.asarray(UNITS[:, np.newaxis] * self.refined.solution.per_lens[:6])
+
+    @property
+    def own_covariance(self) -> Float64:
+        """The covariance (6, 6) of that motion, deg and mm, were the lens exact."""
+        return np.asarray(self.refined.solution.covariance[:6, :6] * np.outer(UNITS, UNITS))
 
     @property
     def robot_deg(self) -> float:
@@ -224,7 +227,7 @@ def calibrate_hand_eye(
     off = agreement.robot_error[agreement.kept]
     return HandEyeCalibration(
         agreement.result,
-        root,
+        root @ root.T,
         np.degrees(np.linalg.norm(off[:, :3], axis=1)),
         np.linalg.norm(off[:, 3:], axis=1),
         scale,
@@ -326,8 +329,9 @@ def _scale(result: Refined) -> tuple[float, float]:
     errors, solution = result.errors, result.solution
     column = np.zeros((len(errors.error), 6, 1))
     column[:, 3:, 0] = -result.boards.scene.T_camera_board[:, :3, 3]
-    rows = np.concatenate([errors.per_unknown, errors.per_lens, column], axis=2)
-    m, n = errors.per_unknown.shape[2], errors.per_lens.shape[2]
+    by_lens = errors.per_lens @ errors.lens_root
+    rows = np.concatenate([errors.per_unknown, by_lens, column], axis=2)
+    m, n = errors.per_unknown.shape[2], by_lens.shape[2]
     known = np.zeros((m + n + 1,) * 2)
     known[:m, :m], known[range(m, m + n), range(m, m + n)] = errors.known, 1.0
     WR = np.linalg.solve(errors.covariance(solution.sigma), rows)

@@ -123,7 +123,8 @@ def pose_errors(
         np.concatenate([chain.per_unknown(), per_shared[:, :, n:]], axis=2),
         known,
         pull,
-        per_shared[:, :, :n] @ lens_root,
+        np.asarray(per_shared[:, :, :n]),
+        lens_root,
     )
     return errors, equations, eta
 

@@ -56,7 +56,9 @@ class PoseErrors:
     pull : array (m,)
         The right side that belongs to it.
     per_lens : array (V, 6, n)
-        L, by the lens' errors in units of their sigmas, uncorrelated.
+        L.
+    lens_root : array (n, k)
+        A root of the covariance of l; k is 0 for a lens that is exact.
     """
 
     error: Float64
@@ -66,6 +68,7 @@ class PoseErrors:
     known: Float64
     pull: Float64
     per_lens: Float64
+    lens_root: Float64
 
     def covariance(self, sigma: Float64) -> Float64:
         """Return V (V, 6, 6) for the robot's sigma (2,), rad and mm."""
@@ -99,7 +102,9 @@ class Solution:
     slopes : array (2, m, m)
         By how much the covariance of b grows with each variance.
     per_lens : array (m, n)
-        By how much b moves for the lens' errors, in units of their sigmas.
+        By how much b moves for the lens' errors.
+    lens_root : array (n, k)
+        A root of their covariance.
     """
 
     sigma: Float64
@@ -108,11 +113,13 @@ class Solution:
     sigma_covariance: Float64
     slopes: Float64
     per_lens: Float64
+    lens_root: Float64
 
     @property
     def total(self) -> Float64:
         """The covariance of b (m, m) with that of the lens."""
-        return np.asarray(self.covariance + self.per_lens @ self.per_lens.T)
+        by_lens = self.per_lens @ self.lens_root
+        return np.asarray(self.covariance + by_lens @ by_lens.T)
 
     def freedom(self) -> Float64:
         """Return the degrees of freedom (m,) of each unknown's variance: 2 v² / var v (Satterthwaite)."""
@@ -124,8 +131,9 @@ class Solution:
 def robot_sigma(errors: PoseErrors, start: Float64 | None = None) -> Float64:
     """Return the robot's sigma (2,), rad and mm, of the largest restricted likelihood."""
     # The lens is marginal, too: its error must not pass for the robot's.
-    rows = np.concatenate([errors.per_unknown, errors.per_lens], axis=2)
-    m, n = errors.per_unknown.shape[2], errors.per_lens.shape[2]
+    by_lens = errors.per_lens @ errors.lens_root
+    rows = np.concatenate([errors.per_unknown, by_lens], axis=2)
+    m, n = errors.per_unknown.shape[2], by_lens.shape[2]
     known = np.zeros((m + n, m + n))
     known[:m, :m], known[range(m, m + n), range(m, m + n)] = errors.known, 1.0
     pull = np.concatenate([errors.pull, np.zeros(n)])
@@ -176,4 +184,5 @@ def solve(errors: PoseErrors, sigma: Float64) -> Solution:
         sigma_covariance,
         C @ inner @ C,
         C @ np.einsum("vim,vin->mn", WH, errors.per_lens),
+        errors.lens_root,
     )

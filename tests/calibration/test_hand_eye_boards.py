@@ -147,7 +147,8 @@ def test_the_covariance_is_that_of_dense_matrices() -> None:
         rng.normal(size=(count, 6, m)),
         np.zeros((m, m)),
         np.zeros(m),
-        np.zeros((count, 6, 0)),
+        np.zeros((count, 6, 1)),
+        np.zeros((1, 0)),
     )
     sigma = np.array([0.7, 1.3])
     solution = solve(errors, sigma)

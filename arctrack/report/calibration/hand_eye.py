@@ -8,7 +8,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from arctrack.calibration_files.hand_eye_poses import PosedBoards
-from arctrack.report.calibration.hand_eye_pictures import excitation, image, misfits, places
+from arctrack.report.calibration.hand_eye_pictures import excitation, misfits, places, robot_off
 from arctrack.report.calibration.page import CalibrationPage, Picture, Row, with_sigma
 from calibration.hand_eye_boards.calibrate import HandEyeCalibration
 from noise_model.setup import Setup
@@ -68,9 +68,9 @@ def hand_eye_page(result: HandEyeCalibration, posed: PosedBoards, setup: Setup) 
                 "",
             ),
             Picture(
-                image(result, posed),
-                "the board where it is seen (circles), and where the robot puts it (crosses)",
-                "Their distance is the robot's error, seen by the camera.",
+                robot_off(result),
+                "from where the robot's pose puts ends and middle of each board, to where they are seen",
+                "This is the robot's error, seen by the camera. Grey are all corners.",
             ),
         ),
         (),

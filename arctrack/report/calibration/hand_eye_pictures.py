@@ -7,17 +7,16 @@ import math
 import numpy as np
 from matplotlib.axes import Axes
 
-from arctrack.calibration_files.hand_eye_poses import PosedBoards
 from arctrack.report import style
 from arctrack.report.embedded import svg
 from calibration.hand_eye_boards.calibrate import PARAMETERS, HandEyeCalibration
 from calibration.hand_eye_boards.rigid import inverse
 
-SAMPLE_PX = 800
-"""The image behind the corners is thinned to so many px."""
-
 ARROW_SHARE = 0.25
 """How long the camera's line of sight is drawn, over its distance to the board."""
+
+ARROW_PX_SHARE = 0.08
+"""How long the arrow of the 95 % quantile is drawn, over the image's width."""
 
 
 def misfits(result: HandEyeCalibration) -> str:
@@ -83,29 +82,26 @@ def places(result: HandEyeCalibration) -> str:
     return svg(figure)
 
 
-def image(result: HandEyeCalibration, posed: PosedBoards) -> str:
-    """Return the corners of the first used image that is kept, and where the chain puts them."""
-    boards = result.refined.boards
-    lens, part = boards.scene.lens, boards.seen.slices[0]
+def robot_off(result: HandEyeCalibration) -> str:
+    """Return how far each board's ends are seen from where the robot's pose puts them, as arrows."""
+    boards, T = result.refined.boards, result.refined.chain.T_camera_board
+    lens, seen = boards.scene.lens, boards.seen
+    ends = np.array([part.start + n for part in seen.slices for n in (0, (part.stop - part.start) - 1)])
+    ends = np.concatenate([ends, [part.start + (part.stop - part.start) // 2 for part in seen.slices]])
+    view = seen.view[ends]
+    points = np.einsum("nij,nj->ni", T[view, :3, :3], seen.flat_mm[ends]) + T[view, :3, 3]
+    predicted = lens.project(points)
+    off = seen.points_px[ends] - predicted
+    longest = float(np.quantile(np.linalg.norm(off, axis=1), 0.95))
+    stretch = ARROW_PX_SHARE * lens.width / max(longest, 1e-9)
+    title = f"arrows {stretch:.2g} times as long; {longest:.2g} px is the 95 % quantile"
     figure = style.new_figure(7.0, 0.7 + 7.0 * lens.height / lens.width, "")
-    axes: Axes = style.plain(figure.add_subplot(), "column [px]", "row [px]", result.names[0])
-    if posed.boards.sample is not None and posed.boards.views[0].name == result.names[0]:
-        sample = posed.boards.sample
-        low, high = np.percentile(sample, [1.0, 99.5])
-        step = -(-max(sample.shape) // SAMPLE_PX)
-        axes.imshow(
-            sample[::step, ::step],
-            cmap="gray",
-            vmin=low,
-            vmax=max(high, low + 1.0),
-            extent=(-0.5, lens.width - 0.5, lens.height - 0.5, -0.5),
-        )
-    points = boards.seen.flat_mm[part]
-    T = result.refined.chain.T_camera_board[0]
-    predicted = lens.project(points @ T[:3, :3].T + T[:3, 3])
-    axes.plot(*boards.seen.points_px[part].T, "o", color=style.SKY, markersize=4, fillstyle="none")
-    axes.plot(*predicted.T, "+", color=style.VERMILLION, markersize=5)
-    axes.grid(visible=False)
+    axes: Axes = style.plain(figure.add_subplot(), "column [px]", "row [px]", title)
+    axes.plot(*seen.points_px.T, ".", color=style.GREY, markersize=1.5, alpha=0.5, rasterized=True)
+    arrows = stretch * off.T
+    axes.quiver(
+        *predicted.T, *arrows, angles="xy", scale_units="xy", scale=1.0, color=style.BLUE, width=0.003
+    )
     axes.set_xlim(-0.5, lens.width - 0.5)
     axes.set_ylim(lens.height - 0.5, -0.5)
     return svg(figure)

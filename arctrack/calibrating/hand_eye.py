@@ -1,0 +1,84 @@
+"""From board images and the robot's poses to the camera's pose."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Sequence
+from pathlib import Path
+
+from arctrack.calibrating.stage import Stage, Steps
+from arctrack.calibration_files.hand_eye_meaning import other_meaning
+from arctrack.calibration_files.hand_eye_poses import PoseSource, read_posed_boards
+from arctrack.calibration_files.hand_eye_record import hand_eye_record
+from arctrack.errors import in_file
+from arctrack.recording import SetupFile
+from arctrack.report.calibration.hand_eye import hand_eye_page
+from calibration.boards.board import Board
+from calibration.camera.enough import UndeterminedError
+from calibration.hand_eye_boards.calibrate import HandEyeCalibration, calibrate_hand_eye
+from calibration.hand_eye_boards.enough import InconsistentError
+
+CHECK = (
+    "check how rotations are written (--rotation), units, which pose is of which image, and the squares' side"
+)
+
+
+def hand_eye_stage(
+    sources: Sequence[Path],
+    board: Board,
+    stated: SetupFile,
+    source: PoseSource,
+    steps: Steps,
+    warn: Callable[[Iterable[str]], None],
+    is_eye_to_hand: bool = False,
+) -> Stage[HandEyeCalibration]:
+    """Find the camera's pose in the tool, or in base.
+
+    Parameters
+    ----------
+    sources : sequence of Path
+        Folders of images, images, and patterns.
+    board : Board
+        The board.
+    stated : SetupFile
+        The setup, whose camera is calibrated.
+    source : PoseSource
+        The robot's poses.
+    steps : callable
+        Begins a step of the progress.
+    warn : callable
+        Is told at once which images are left out.
+    is_eye_to_hand : bool
+        The camera stands still, and the robot carries the board.
+
+    Returns
+    -------
+    Stage
+        The calibration.
+
+    Raises
+    ------
+    ArctrackError
+        Where the poses do not determine the camera, with the motion that is missing, or contradict the
+        boards.
+    """
+    posed = read_posed_boards(sources, board, stated, source, steps("looking for the board", "images"))
+    warn(posed.warnings)
+    warn(f"{name}: left out: {reason}" for name, reason in posed.left_out.items())
+    try:
+        result = calibrate_hand_eye(
+            posed.scene,
+            posed.seen,
+            posed.T_base_tool,
+            is_eye_to_hand=is_eye_to_hand,
+            lens_covariance=posed.lens_covariance,
+            progress=steps("fitting the camera's pose", "steps"),
+        )
+    except InconsistentError as error:
+        # Another reading that fits is named: numbers alone do not say which convention they follow.
+        meaning = other_meaning(posed, source.rotation, is_eye_to_hand=is_eye_to_hand)
+        cure = CHECK if meaning is None else f"the poses fit the boards if they are read otherwise: {meaning}"
+        raise in_file(source.path, f"{error}: {cure}") from None
+    except UndeterminedError as error:
+        raise in_file(source.path, str(error)) from None
+    warn(f"{name}: left out: {reason}" for name, reason in result.left_out.items())
+    return Stage(result, hand_eye_page(result, posed, stated.setup), (hand_eye_record(result),))
