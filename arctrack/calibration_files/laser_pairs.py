@@ -1,10 +1,13 @@
-"""Pairs of board images without and with the laser: which belong together, and the stripes that they show."""
+"""Board images without and with the laser: which belong together, and the stripes that they show.
+
+An image with the laser that has no partner may show both, board and stripe.
+"""
 
 from __future__ import annotations
 
 import re
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
@@ -17,18 +20,28 @@ from arctrack.importing.image_files import distinct_names, images_of
 from arctrack.recording import SetupFile
 from arctrack.recording.setup_model import CalibrationTable
 from calibration.boards.board import Board
-from calibration.camera.adjustment import Scene
+from calibration.boards.detect import WINDOW
+from calibration.camera.adjustment import Scene, adjusted
+from calibration.camera.calibrate import one_thread
 from calibration.camera.lens import PINHOLE, Lens
+from calibration.camera.noise import LEAST_CORNERS
 from calibration.camera.sightings import Sightings
 from calibration.laser.calibrate import board_poses, lens_of
+from calibration.laser.cross_sections import CrossSections, cross_sections, placed
+from calibration.laser.lit_board import lit_board
 from calibration.laser.stripe import Stripe, board_area, find_stripe, laser_light
 from noise_model.arrays import Float64, Integers
+from noise_model.setup import Setup
+
+LIT_SIGMAS = 3.0
+"""A corner that is so many sigmas of the stripe beside it, and half its own window, is not in its light."""
 
 WITH, WITHOUT = ("laser", "on"), "off"
 """Words in a file's name: an image with the laser has one of the first, and not the second."""
 
 NAMING = (
-    "pairs share their numbers, and `laser` or `on` is in the name of that with the laser: board_01, laser_01"
+    "pairs share their numbers, and `laser` or `on` is in the name of that with the laser: board_01, "
+    "laser_01; an image of both has it too"
 )
 
 
@@ -47,7 +60,11 @@ class LaserPairs:
     lens_covariance : array (n, n) or None
         That of the lens' parameters, as the setup keeps it; None where it keeps none.
     stripes : dict
-        The stripe of each pair, by the name of its image without the laser.
+        The stripe of each pair, by the name of its image without the laser, or of the one with both.
+    sections : dict
+        Its light across it, likewise.
+    lit : dict
+        Of images with both: what the drawn board leaves of its own contrast, 1 sigma.
     left_out : dict
         Images that are not used, and why.
     sample : array (H, W), optional
@@ -59,14 +76,16 @@ class LaserPairs:
     seen: Sightings
     lens_covariance: Float64 | None
     stripes: dict[str, Stripe] = field(default_factory=dict)
+    sections: dict[str, CrossSections] = field(default_factory=dict)
+    lit: dict[str, float] = field(default_factory=dict)
     left_out: dict[str, str] = field(default_factory=dict)
     sample: Integers | None = None
 
 
-def find_pairs(sources: Sequence[Path]) -> tuple[dict[Path, Path], dict[str, str]]:
-    """Return the images without the laser with theirs with it, and those that have no partner.
+def find_pairs(sources: Sequence[Path]) -> tuple[dict[Path, Path], list[Path], list[Path]]:
+    """Return images without the laser with theirs with it, and those of either kind without a partner.
 
-    Raises ArctrackError if there is no pair, or if two images could be the same half of one.
+    Raises ArctrackError if there is none with the laser, or if two images could be the same half of a pair.
     """
     halves: dict[bool, dict[tuple[int, ...], Path]] = {True: {}, False: {}}
     for path in images_of(sources):
@@ -77,17 +96,11 @@ def find_pairs(sources: Sequence[Path]) -> tuple[dict[Path, Path], dict[str, str
             raise in_file(path, f"has the number of {half[number].name}, and both are of one kind: {NAMING}")
         half[number] = path
     off, on = halves[False], halves[True]
-    pairs = {off[number]: on[number] for number in off if number in on}
-    if not pairs:
+    if not on:
         raise in_file(sources[0], f"holds no pair of images without and with the laser: {NAMING}")
-    off_names, on_names = distinct_names([*off.values()]), distinct_names([*on.values()])
-    alone = {
-        off_names[path]: "has no image with the laser" for number, path in off.items() if number not in on
-    }
-    alone |= {
-        on_names[path]: "has no image without the laser" for number, path in on.items() if number not in off
-    }
-    return pairs, alone
+    pairs = {path: on[number] for number, path in off.items() if number in on}
+    dark = [path for number, path in off.items() if number not in on]
+    return pairs, [path for number, path in on.items() if number not in off], dark
 
 
 def read_pairs(
@@ -96,7 +109,7 @@ def read_pairs(
     stated: SetupFile,
     progress: Callable[[int, int], None] | None = None,
 ) -> LaserPairs:
-    """Find boards and stripes in pairs of images.
+    """Find boards and stripes in pairs of images, and in images that show both.
 
     Parameters
     ----------
@@ -117,53 +130,105 @@ def read_pairs(
     Raises
     ------
     ArctrackError
-        Where there is no pair, no board, or images of another size than the camera's.
+        Where there is no image with the laser, no board, or images of another size than the camera's.
     """
-    pairs, alone = find_pairs(sources)
-    total = 2 * len(pairs)
+    pairs, with_both, dark = find_pairs(sources)
+    with_board = [*pairs, *with_both]
+    total = len(with_board) + len(pairs)
 
     def tell(done: int) -> None:
         if progress is not None:
             progress(done, total)
 
-    boards = read_boards(list(pairs), board, lambda n, _: tell(n))
-    camera, channel = stated.setup.camera, channel_of_laser(stated.setup)
+    boards = read_boards(with_board, board, lambda n, _: tell(n))
+    camera = stated.setup.camera
     if boards.size != (camera.width, camera.height):
         raise ArctrackError(
             f"{stated.path}: [camera] width, height: {camera.width} x {camera.height}, but the images are "
             f"{boards.size[0]} x {boards.size[1]} px: `arctrack calibrate camera` comes first"
         )
+    names, on_names, dark_names = (distinct_names(each) for each in (with_board, [*pairs.values()], dark))
+    left_out = {dark_names[path]: "has no image with the laser" for path in dark}
+    for path in with_both:
+        if names[path] in boards.left_out:
+            boards.left_out[names[path]] += "; and it has no image without the laser"
     record = stated.calibrations.get("camera")
     lens = lens_of(camera, [] if record is None else record.parameters)
     result = LaserPairs(
         boards,
         *board_poses(board, boards.views, lens),
         None if record is None else lens_covariance(record, lens, stated.path),
-        left_out=alone | boards.left_out,
+        left_out=left_out | boards.left_out,
     )
-    names = distinct_names([*pairs])
-    partner = {names[off]: (off, on) for off, on in pairs.items()}
-    on_names = distinct_names([*pairs.values()])
+    paths = {names[path]: path for path in with_board}
     for n, name in enumerate(result.seen.names):
-        off_path, on_path = partner[name]
+        off_path = paths[name]
+        on_path = pairs.get(off_path, off_path)
+        shown_name = on_names.get(on_path, name)
         try:
-            off, on = (grey(EncodedImage(path).pixels(), channel) for path in (off_path, on_path))
+            stripe = _add_stripe(result, n, board, stated.setup, off_path, on_path)
         except ArctrackError as error:
-            result.left_out[on_names[on_path]] = reason_of(error, on_path)
+            result.left_out[shown_name] = reason_of(error, on_path)
             continue
-        if on.shape != off.shape or on.dtype != off.dtype:
-            result.left_out[on_names[on_path]] = f"has another size or depth than {name}"
-            continue
-        area = board_area(board, lens, result.scene.T_camera_board[n])
-        stripe = find_stripe(laser_light(off, on, area))
         if stripe is None:
-            result.left_out[on_names[on_path]] = "shows no stripe on the board"
-            continue
-        result.stripes[name] = stripe
-        if result.sample is None:
-            result.sample = on
-        tell(len(pairs) + n + 1)
-    return result
+            result.left_out[shown_name] = "shows no stripe on the board"
+        tell(len(with_board) + n + 1)
+    return _without_lit_corners(result)
+
+
+def _add_stripe(
+    result: LaserPairs, n: int, board: Board, setup: Setup, off_path: Path, on_path: Path
+) -> Stripe | None:
+    """Add a view's stripe and its light, if there is one; ArctrackError for images that are no pair."""
+    lens, T, name = result.scene.lens, result.scene.T_camera_board[n], result.seen.names[n]
+    channel = channel_of_laser(setup)
+    on = grey(EncodedImage(on_path).pixels(), channel)
+    without: Integers | Float64
+    if off_path == on_path:
+        lit = lit_board(on, board, lens, T, setup.camera.psf_sigma_px)
+        light, without = lit.light, lit.board_dn
+        result.lit[name] = lit.rest_dn / max(lit.contrast_dn, 1e-9)
+    else:
+        off = grey(EncodedImage(off_path).pixels(), channel)
+        if on.shape != off.shape or on.dtype != off.dtype:
+            raise in_file(on_path, f"has another size or depth than {name}")
+        light, without = laser_light(off, on, board_area(board, lens, T)), off
+    stripe = find_stripe(light)
+    if stripe is None:
+        return None
+    # A gamma makes widths others: they are told of linear codes alone.
+    sections = cross_sections(light, without, on, stripe, setup.sensor.black_level_dn)
+    if sections is not None and setup.sensor.is_linear:
+        result.sections[name] = sections
+        stripe = placed(stripe, sections)
+    result.stripes[name] = stripe
+    if result.sample is None:
+        result.sample = on
+    return stripe
+
+
+def _without_lit_corners(pairs: LaserPairs) -> LaserPairs:
+    """Return the pairs without corners that lie in the stripe's light, where an image shows both."""
+    seen = pairs.seen
+    kept = np.ones(len(seen), dtype=bool)
+    for n, (name, part) in enumerate(zip(seen.names, seen.slices, strict=True)):
+        if name in pairs.lit and name in pairs.stripes:
+            stripe, points = pairs.stripes[name], seen.points_px[part]
+            square_px = (
+                pairs.scene.lens.values[0] * seen.board.square_mm / pairs.scene.T_camera_board[n, 2, 3]
+            )
+            near_px = LIT_SIGMAS * stripe.scale_px + WINDOW * square_px
+            kept[part] = np.linalg.norm(points[:, None] - stripe.points_px, axis=2).min(axis=1) > near_px
+            if kept[part].sum() < LEAST_CORNERS:
+                kept[part] = True
+                del pairs.stripes[name]
+                pairs.left_out[name] = "the stripe hides too many of the board's corners"
+    if kept.all():
+        return pairs
+    with one_thread():
+        rest = seen.where(kept)
+        scene = adjusted(pairs.scene, rest, np.ones(len(rest)), poses_only=True)
+    return replace(pairs, scene=scene, seen=rest)
 
 
 def lens_covariance(record: CalibrationTable, lens: Lens, path: Path) -> Float64 | None:

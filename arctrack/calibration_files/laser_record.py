@@ -3,15 +3,19 @@
 from __future__ import annotations
 
 import numpy as np
+from scipy.linalg import block_diag
 
 from arctrack.recording import Calibrated
+from arctrack.recording.calibrated import Value
 from arctrack.recording.toml_text import rounded
+from calibration.laser.beam import Beam
 from calibration.laser.calibrate import LaserCalibration
 from noise_model.arrays import Float64
 from noise_model.setup import Setup
 
 MADE_BY = "arctrack calibrate laser"
 PARAMETERS = ("n_x", "n_y", "n_z", "d_mm")
+FAN = ("origin_x_mm", "origin_y_mm", "origin_z_mm", "fan_half_angle_deg")
 
 
 def plane_in_tool(result: LaserCalibration, setup: Setup) -> tuple[Float64, Float64]:
@@ -21,36 +25,49 @@ def plane_in_tool(result: LaserCalibration, setup: Setup) -> tuple[Float64, Floa
     return sign * plane, covariance
 
 
-def laser_record(result: LaserCalibration, setup: Setup) -> Calibrated:
-    """Return the plane as values of `[laser]`, with its covariance; the stated origin is moved into it.
+def laser_record(result: LaserCalibration, beam: Beam, setup: Setup) -> Calibrated:
+    """Return the sheet as values of `[laser]`, with their covariance.
 
     Parameters
     ----------
     result : LaserCalibration
-        The calibration.
+        The plane.
+    beam : Beam
+        What is known of the light within it.
     setup : Setup
         The setup that it belongs to: the camera's pose takes the plane to the tool frame.
 
     Returns
     -------
     Calibrated
-        The plane, and the point of it that is nearest to the origin stated.
+        The plane, the origin: the one stated is moved into the plane, and angle and thickness that are known.
     """
     plane, covariance = plane_in_tool(result, setup)
-    origin = setup.laser.origin_mm - (plane[:3] @ setup.laser.origin_mm + plane[3]) * plane[:3]
-    return Calibrated(
-        "laser",
-        {
-            "plane_in_tool": [rounded(value, 9) for value in plane],
-            "origin_in_tool_mm": [round(float(value), 4) for value in origin],
-        },
-        PARAMETERS,
-        np.asarray(covariance),
-        MADE_BY,
-        {
-            "pairs": len(result.names),
-            "points": sum(map(len, result.points_mm)),
-            "rms_mm": rounded(result.rms_mm, 4),
-            "bow_mm": rounded(result.bow.bow_mm, 4),
-        },
-    )
+    values: dict[str, Value] = {
+        "plane_in_tool": [rounded(value, 9) for value in plane],
+        "origin_in_tool_mm": [round(float(value), 4) for value in beam.origin_mm],
+    }
+    names, whole = [*PARAMETERS], np.asarray(covariance)
+    about: dict[str, float | int | str] = {
+        "pairs": len(result.names),
+        "points": sum(map(len, result.points_mm)),
+        "rms_mm": rounded(result.rms_mm, 4),
+        "bow_mm": rounded(result.bow.bow_mm, 4),
+    }
+    if not isinstance(beam.fan, str):
+        values["fan_half_angle_deg"] = rounded(beam.fan.half_angle_deg, 6)
+        about["fan_turn_deg"] = rounded(beam.fan.turn_deg, 4)
+        assert beam.covariance is not None
+        names, whole = [*names, *FAN], beam.covariance
+    if not isinstance(beam.width, str):
+        if beam.width.at_height_mm is not None:
+            sigma_mm, error_mm = beam.width.at_height_mm
+            values["stripe_sigma_mm"] = rounded(sigma_mm, 5)
+            names, whole = [*names, "stripe_sigma_mm"], block_diag(whole, error_mm**2)
+        if beam.width.waist is not None:
+            waist = beam.width.waist
+            about["waist_depth_mm"], about["waist_sigma_mm"] = (
+                rounded(value, 5) for value, _ in (waist.depth_mm, waist.sigma_mm)
+            )
+            about["rayleigh_mm"] = rounded(waist.rayleigh_mm[0], 5)
+    return Calibrated("laser", values, tuple(names), whole, MADE_BY, about)

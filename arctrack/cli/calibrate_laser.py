@@ -1,4 +1,4 @@
-"""`arctrack calibrate laser`: the laser sheet's plane from board images without and with the stripe."""
+"""`arctrack calibrate laser`: the laser sheet from board images without and with the stripe."""
 
 from __future__ import annotations
 
@@ -10,7 +10,6 @@ import typer
 from arctrack.cli.calibration_output import Out, Pattern, Report, Sources, board_of, check_outputs, finish
 from arctrack.cli.interrupt import interruptible
 from arctrack.cli.setups import read_setup, write_calibrated
-from arctrack.errors import ArctrackError
 
 REPORT = "calibrate_laser.html"
 
@@ -29,20 +28,17 @@ def laser(
     out: Out = None,
     report: Report = None,
 ) -> None:
-    """Find the laser sheet's plane from images of a board, each without and with the laser.
+    """Find the laser sheet from images of a board, each without and with the laser, or with both at once.
 
     Two images are a pair by the numbers in their names; the one with the laser has `laser` or `on` in its
     name: board_01.png and laser_01.png, or 7_off.png and 7_on.png. The board stands still meanwhile, and at
-    another distance in each pair. Pairs that do not determine the plane are refused, and what is missing is
-    named.
+    another distance in each pair. An image with the laser alone in its number may show the lit board as well.
+    Pairs that do not determine the plane are refused, and what is missing is named. Where the stripe ends on
+    the board in several pairs, the fan's origin and angle follow; its width says the sheet's thickness.
     """
-    from arctrack.calibration_files.laser_pairs import read_pairs
-    from arctrack.calibration_files.laser_record import laser_record
+    from arctrack.calibrating.laser import laser_stage
     from arctrack.cli import console
     from arctrack.importing.image_files import images_of
-    from arctrack.report.calibration.laser import laser_page
-    from calibration.camera.enough import UndeterminedError
-    from calibration.laser.calibrate import calibrate_laser
 
     pattern = board_of(board)
     stated = read_setup(setup)
@@ -50,15 +46,6 @@ def laser(
     shown = report or target.with_name(REPORT)
     check_outputs(target, shown, stated.path, images=images_of(sources))
     with interruptible("the calibration was", "nothing was written"), console.progress() as bar:
-        looking = bar.add_task("looking for board and stripe", total=None, unit="images")
-        pairs = read_pairs(
-            sources, pattern, stated, lambda n, total: bar.update(looking, completed=n, total=total)
-        )
-        console.warn(f"{name}: left out: {reason}" for name, reason in pairs.left_out.items())
-        try:
-            result = calibrate_laser(pairs.scene, pairs.seen, pairs.stripes, pairs.lens_covariance)
-        except UndeterminedError as error:
-            raise ArctrackError(f"{sources[0]}: {error}") from None
-    console.warn(f"{name}: left out: {reason}" for name, reason in result.left_out.items())
-    finish(laser_page(result, pairs, stated.setup), shown)
-    write_calibrated(target, stated.path, laser_record(result, stated.setup))
+        stage = laser_stage(sources, pattern, stated, console.steps(bar), console.warn)
+    finish(stage.page, shown)
+    write_calibrated(target, stated.path, *stage.records)

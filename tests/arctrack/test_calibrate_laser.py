@@ -1,5 +1,6 @@
 import shutil
 import tomllib
+from dataclasses import replace
 from pathlib import Path
 
 import cv2
@@ -35,7 +36,7 @@ def setup_toml(tmp_path: Path) -> Path:
 
 @pytest.fixture(scope="module")
 def pairs(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Return a folder of five pairs, one without a stripe, and one image without a partner."""
+    """Return a folder of five pairs, one without a stripe, and three images without a partner."""
     folder = tmp_path_factory.mktemp("pairs")
     for n, held in enumerate(BOARDS):
         off, on = pictures(held, seed=n, flicker=1.0 + 0.02 * n)
@@ -46,6 +47,9 @@ def pairs(tmp_path_factory: pytest.TempPathFactory) -> Path:
     cv2.imwrite(str(folder / "board_8.png"), shifted[0])
     cv2.imwrite(str(folder / "laser_8.png"), shifted[1])
     cv2.imwrite(str(folder / "board_9.png"), shifted[0])
+    lit = pictures(replace(BOARDS[1], depth_mm=185.0), seed=11)[1]
+    cv2.imwrite(str(folder / "laser_6.png"), lit)
+    cv2.imwrite(str(folder / "laser_7.png"), np.full_like(lit, 30))
     return folder
 
 
@@ -56,7 +60,10 @@ def test_pairs_become_a_sheet_in_the_setup(pairs: Path, setup_toml: Path, tmp_pa
     for line in (
         "board_9.png: left out: has no image with the laser",
         "laser_8.png: left out: shows no stripe on the board",
-        "5 pairs",
+        "laser_7.png: left out: is all of one grey level; and it has no image without the laser",
+        "6 pairs",
+        "1 images show board and stripe at once",
+        "on both sides no pair shows where the stripe ends, which is beyond the board's edge",
         "the one before is recording.toml.1",
     ):
         assert line in result.output
@@ -64,11 +71,11 @@ def test_pairs_become_a_sheet_in_the_setup(pairs: Path, setup_toml: Path, tmp_pa
     assert "# mine" in setup_toml.read_text()
     setup = read_setup_file(setup_toml).setup
     record = tomllib.loads(setup_toml.read_text())["calibration"]["laser"]
-    assert record["parameters"] == ["n_x", "n_y", "n_z", "d_mm"]
+    assert record["parameters"] == ["n_x", "n_y", "n_z", "d_mm", "stripe_sigma_mm"]
     T = setup.camera.T_tool_camera
     truth = np.array([*(T[:3, :3] @ PLANE[:3]), PLANE[3] - T[:3, 3] @ T[:3, :3] @ PLANE[:3]])
     truth *= np.sign(truth[:3] @ setup.laser.plane[:3])
-    assert np.abs((setup.laser.plane - truth) / record["sigma"]).max() < 4.0
+    assert np.abs((setup.laser.plane - truth) / record["sigma"][:4]).max() < 4.0
     assert max(record["sigma"][:3]) < 1e-3
     off_mm = setup.laser.origin_mm @ setup.laser.plane[:3] + setup.laser.plane[3]
     assert off_mm == pytest.approx(0.0, abs=1e-3)

@@ -9,8 +9,10 @@ import numpy as np
 from arctrack.calibration_files.laser_pairs import LaserPairs
 from arctrack.calibration_files.laser_record import PARAMETERS, plane_in_tool
 from arctrack.report import style
+from arctrack.report.calibration.beam import beam_pictures, beam_rows, beam_sentences
 from arctrack.report.calibration.page import HALF_95, CalibrationPage, Picture, Row, with_sigma
 from arctrack.report.embedded import svg
+from calibration.laser.beam import Beam
 from calibration.laser.calibrate import LaserCalibration
 from noise_model.arrays import Float64
 from noise_model.setup import Setup
@@ -23,7 +25,7 @@ BINS, LEAST_IN_BIN = 30, 20
 """Parts of the stripe whose mean shows the sheet's bow, and the points that make a mean."""
 
 
-def laser_page(result: LaserCalibration, pairs: LaserPairs, setup: Setup) -> CalibrationPage:
+def laser_page(result: LaserCalibration, pairs: LaserPairs, beam: Beam, setup: Setup) -> CalibrationPage:
     """Return what the page holds."""
     points = np.concatenate(result.points_mm)
     middle = points.mean(axis=0, keepdims=True)
@@ -39,8 +41,7 @@ def laser_page(result: LaserCalibration, pairs: LaserPairs, setup: Setup) -> Cal
         f"depth lie {result.rms_mm:.3f} mm off the plane (RMS).",
         f"Along its normal the plane is known to {sigma_mm:.3f} mm amid the points, 1 σ: {pairs_mm:.3f} mm "
         f"from the pairs, the rest from the lens. Its lean about the stripes is known to {tilt_deg:.3f}°.",
-        f"It is turned by {turned_deg:.2f}° against the plane stated before. The stated origin is moved "
-        "into it.",
+        f"It is turned by {turned_deg:.2f}° against the plane stated before.",
     ]
     bow = result.bow
     if bow.is_sure:
@@ -54,6 +55,7 @@ def laser_page(result: LaserCalibration, pairs: LaserPairs, setup: Setup) -> Cal
             f"Pairs differ {math.sqrt(result.scatter):.1f} times as much as their noise predicts, and sigmas "
             "are as much wider."
         )
+    sentences += beam_sentences(beam)
     notes = [
         "The plane in the tool frame rests on the setup's pose of the camera, which counts as exact here."
     ]
@@ -62,13 +64,19 @@ def laser_page(result: LaserCalibration, pairs: LaserPairs, setup: Setup) -> Cal
             "The setup has no [calibration.camera]: the lens counts as exact, and the sigmas are too small. "
             "`arctrack calibrate camera` writes it."
         )
+    if pairs.lit:
+        most = 100.0 * max(pairs.lit.values())
+        notes.append(
+            f"{len(pairs.lit)} images show board and stripe at once. The board's own picture is taken off "
+            f"them, and up to {most:.1f} % of its contrast is left (1 σ)."
+        )
     n_x, n_y, n_z, d = plane
     return CalibrationPage(
         "arctrack calibrates the laser sheet",
         "laser plane",
         f"[{n_x:.5f}, {n_y:.5f}, {n_z:.5f}, {d:.3f}] in the tool frame",
         tuple(sentences),
-        laser_rows(result, setup),
+        (*laser_rows(result, setup), *beam_rows(beam)),
         (
             Picture(
                 _in_plane(result),
@@ -86,6 +94,7 @@ def laser_page(result: LaserCalibration, pairs: LaserPairs, setup: Setup) -> Cal
                 "where stripes and corners were seen, over the first image with the laser",
                 "",
             ),
+            *beam_pictures(beam),
         ),
         (),
         tuple(notes),

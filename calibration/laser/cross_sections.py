@@ -1,0 +1,188 @@
+"""The stripe's light in each scan line of a board: how wide it is, and how much of it there is.
+
+Squares reflect more light or less. The image without the laser says how much, so that the laser's
+light on the board is a r(u) exp(-1/2 ((u - u0) / s)²): r is the room light that a pixel reflects, s the
+stripe's sigma.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from calibration.laser.stripe import LaserLight, Stripe
+from noise_model.arrays import Bool, Float64, Int64, Integers
+
+REACH = 4.0
+"""How far light counts about the stripe, in sigmas."""
+
+STEPS, LONGEST = 12, 0.5
+"""Gauss-Newton's steps for a line's width, and the longest, of place over sigma and of ln sigma."""
+
+LEAST_SHOWN = 8.0
+"""The stripe's width is taken where its light is so many sigmas."""
+
+MOST_ASIDE = 1.0
+"""A line whose maximum is that many of its sigmas off the stripe's curve shows something else."""
+
+MOST_FACTOR = 4.0
+"""A line that is so many times wider or narrower than what was looked for shows something else."""
+
+FULL = 0.98
+"""From this share of the last code on, a pixel may be saturated."""
+
+LIGHT_SQUARE = 0.5
+"""A light square reflects more than this share of the brightest ones' light."""
+
+DARK = 0.02
+"""Pixels reflect this share of the brightest ones' light at least."""
+
+
+@dataclass(frozen=True)
+class CrossSections:
+    """A stripe's light, scan line by scan line over the whole board.
+
+    Parameters
+    ----------
+    scan : array (n,)
+        The scan lines that lie within the board.
+    places_px : array (n,)
+        The place of the stripe's curve in each.
+    along_rows : bool
+        The stripe runs along the rows: scan lines are columns.
+    aside_px : array (n,)
+        How far beside the curve the stripe is: squares' edges do not draw it to the light side, as they do a
+        centroid. NaN where it is not told.
+    width_px : array (n,)
+        1 sigma of the stripe in the image, its blur included; NaN where it is not told.
+    amount : array (n,)
+        The laser's light over the room's.
+    amount_sigma : array (n,)
+        1 sigma of that from the image's noise; infinite on dark squares, of which stray light says too much.
+    """
+
+    scan: Int64
+    places_px: Float64
+    along_rows: bool
+    aside_px: Float64
+    width_px: Float64
+    amount: Float64
+    amount_sigma: Float64
+
+    def points_px(self, scan: Float64 | None = None, aside_px: float = 0.0) -> Float64:
+        """Return image points (m, 2) of the curve, or beside it, at scan lines (m,); at all without any."""
+        where = self.scan.astype(np.float64) if scan is None else scan
+        places = np.interp(where, self.scan, self.places_px) + aside_px
+        return np.column_stack([where, places] if self.along_rows else [places, where])
+
+
+def cross_sections(
+    seen: LaserLight, off_dn: Integers | Float64, on_dn: Integers, stripe: Stripe, black_dn: float = 0.0
+) -> CrossSections | None:
+    """Measure a stripe's light across it.
+
+    Parameters
+    ----------
+    seen : LaserLight
+        The laser's light on the board.
+    off_dn, on_dn : array (H, W)
+        The images without and with it; what is full in the latter tells no width.
+    stripe : Stripe
+        The stripe on the board.
+    black_dn : float
+        The code of no light.
+
+    Returns
+    -------
+    CrossSections or None
+        None where too little of the board lies about the stripe.
+    """
+    room = np.maximum(off_dn.astype(np.float64) - black_dn, 0.0)
+    top = float(np.quantile(room[seen.area], 0.95))
+    reflects = np.maximum(room / max(top, 1.0), DARK)
+    images = [seen.light_dn.astype(np.float64), seen.noise_dn.astype(np.float64), reflects]
+    is_full = on_dn >= FULL * _last_code(on_dn)
+    inside = seen.area
+    if stripe.along_rows:
+        images, is_full, inside = [image.T for image in images], is_full.T, inside.T
+    scan, curve = _curve(stripe, inside)
+    half = int(np.ceil(REACH * stripe.scale_px)) + 2
+    first = np.rint(curve).astype(np.int64) - half
+    columns = first[:, np.newaxis] + np.arange(2 * half + 1)
+    is_within = (first >= 0) & (columns[:, -1] < inside.shape[1])
+    scan, curve, columns = scan[is_within], curve[is_within], columns[is_within]
+    whole = inside[scan[:, np.newaxis], columns].all(axis=1)
+    scan, curve, columns = scan[whole], curve[whole], columns[whole]
+    if not len(scan):
+        return None
+    light, noise, room_part = (image[scan[:, np.newaxis], columns] for image in images)
+    offsets = columns - curve[:, np.newaxis]
+    aside, width = _widths(light, noise, room_part, offsets, stripe.scale_px)
+    shown = stripe.points_px[:, 0 if stripe.along_rows else 1]
+    is_no_measure = is_full[scan[:, np.newaxis], columns].any(axis=1)
+    is_no_measure |= (scan < shown.min()) | (scan > shown.max())
+    aside[is_no_measure], width[is_no_measure] = np.nan, np.nan
+    known = np.isfinite(width)
+    typical = float(np.median(width[known])) if known.any() else stripe.scale_px
+    shape = room_part * np.exp(-0.5 * (offsets / typical) ** 2)
+    power = np.sum((shape / noise) ** 2, axis=1)
+    amount = np.sum(light * shape / noise**2, axis=1) / power
+    is_dark = np.median(room_part, axis=1) < LIGHT_SQUARE
+    amount_sigma = np.where(is_dark, np.inf, 1.0 / np.sqrt(power))
+    return CrossSections(scan, curve, stripe.along_rows, aside, width, amount, amount_sigma)
+
+
+def placed(stripe: Stripe, sections: CrossSections) -> Stripe:
+    """Return a stripe whose points are where its cross-sections are, as far as these are told."""
+    column = 0 if stripe.along_rows else 1
+    scan, place = stripe.points_px[:, column], stripe.points_px[:, 1 - column].copy()
+    row = np.searchsorted(sections.scan, scan).clip(0, len(sections.scan) - 1)
+    told = sections.places_px[row] + sections.aside_px[row]
+    is_told = (sections.scan[row] == scan) & np.isfinite(told)
+    place[is_told] = told[is_told]
+    points = np.column_stack([scan, place] if stripe.along_rows else [place, scan])
+    return replace(stripe, points_px=points)
+
+
+def _last_code(image: Integers) -> float:
+    """Return the last code of as many bits as the brightest pixel takes: 12 bits are kept in 16."""
+    return float(2 ** max(8, int(image.max()).bit_length()) - 1)
+
+
+def _curve(stripe: Stripe, inside: Bool) -> tuple[Int64, Float64]:
+    """Return scan lines (n,) that show the board, and the stripe's place in each by its parabola."""
+    column = 0 if stripe.along_rows else 1
+    course = np.polynomial.Polynomial.fit(stripe.points_px[:, column], stripe.points_px[:, 1 - column], 2)
+    scan = np.flatnonzero(inside.any(axis=1))
+    return scan, np.asarray(course(scan), dtype=np.float64)
+
+
+def _widths(
+    light: Float64, noise: Float64, room: Float64, offsets: Float64, start_px: float
+) -> tuple[Float64, Float64]:
+    """Return each line's place and sigma (n,), px, by least squares; NaN where the stripe is not clear."""
+    weight = 1.0 / noise
+    n = len(light)
+    place, ln_width = np.zeros(n), np.full(n, np.log(start_px))
+    amount, sigma = np.zeros(n), np.full(n, np.inf)
+    for _ in range(STEPS):
+        width = np.exp(ln_width)[:, np.newaxis]
+        z = (offsets - place[:, np.newaxis]) / width
+        shape = room * np.exp(-0.5 * z**2) * weight
+        power = np.maximum(np.sum(shape**2, axis=1), 1e-30)
+        amount, sigma = np.sum(shape * light * weight, axis=1) / power, 1.0 / np.sqrt(power)
+        size = amount[:, np.newaxis] * shape
+        J = np.stack([shape, size * z, size * z**2], axis=2)
+        H = np.einsum("nmi,nmj->nij", J, J)
+        scale = 1.0 / np.sqrt(np.maximum(np.einsum("nii->ni", H), 1e-30))
+        H = H * scale[:, :, np.newaxis] * scale[:, np.newaxis, :] + 1e-6 * np.eye(3)
+        g = np.einsum("nmi,nm->ni", J, light * weight - size) * scale
+        step = np.linalg.solve(H, g[:, :, np.newaxis])[:, :, 0] * scale
+        place += width[:, 0] * step[:, 1].clip(-LONGEST, LONGEST)
+        ln_width += step[:, 2].clip(-LONGEST, LONGEST)
+        ln_width = ln_width.clip(*(np.log(start_px) + np.log(MOST_FACTOR) * np.array([-1.0, 1.0])))
+    width_px = np.exp(ln_width)
+    is_clear = (amount >= LEAST_SHOWN * sigma) & (np.abs(place) <= MOST_ASIDE * width_px)
+    is_clear &= np.abs(ln_width - np.log(start_px)) < 0.999 * np.log(MOST_FACTOR)
+    return np.where(is_clear, place, np.nan), np.where(is_clear, width_px, np.nan)

@@ -1,0 +1,194 @@
+"""The fan: where its light ends on the boards, and so its angle and the point that it comes from.
+
+The ends on one side lie on one ray from the laser's origin. In the sheet, with a along the model's axis and
+s across it, either side is a line s = c + k a: they meet in the origin, and (atan k_2 - atan k_1) / 2 is the
+half angle.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from enum import StrEnum
+
+import numpy as np
+from scipy.stats import norm
+from scipy.stats import t as student
+
+from calibration.laser.cross_sections import CrossSections
+from noise_model.arrays import Bool, Float64
+from tracker.joint.section_fit import MAD_SIGMA
+
+MOST_NOISE = 0.2
+"""Scan lines whose light is known worse, of the stripe's, tell nothing: dark squares."""
+
+LEVEL_LINES = 15
+"""The light before an end is the median of so many lines."""
+
+DARK_LINES, MOST_DARK = 5, 0.25
+"""Next to an end so many lines show less light than that share of what is before it."""
+
+MOST_GAP = 3
+"""So many more lines may lie between the last lit and the last of these, at most."""
+
+LEAST_ENDS = 2
+"""Ends on one side: two make a line."""
+
+MOST_REL_SIGMA = 0.1
+"""1 sigma of the difference of the sides' slopes over it: beyond it the origin is as good as unknown."""
+
+FAR_SIGMAS = 5.0
+"""An end that is so many sigmas off its side's line is another thing's."""
+
+QUANTIZED = 1.0 / math.sqrt(12.0)
+"""1 sigma of a place that is known to a scan line."""
+
+
+class Missing(StrEnum):
+    """Why an end of the stripe is not seen."""
+
+    BOARD = "beyond the board's edge"
+    SQUARE = "in a dark square"
+
+
+@dataclass(frozen=True)
+class Fan:
+    """The fan in the sheet.
+
+    Parameters
+    ----------
+    apex : array (2,)
+        Where the sides meet: along the axis and across it, from the origin stated, mm.
+    half_angle_deg : float
+        Half of the angle between the sides.
+    turn_deg : float
+        By how much their bisector is turned from the model's axis towards its side direction.
+    covariance : array (4, 4)
+        The covariance of apex (mm), half angle and turn (deg); it holds what few ends leave unsure of it.
+    residual_mm : float
+        How far the ends lie off the sides, RMS.
+    """
+
+    apex: Float64
+    half_angle_deg: float
+    turn_deg: float
+    covariance: Float64
+    residual_mm: float
+
+    @property
+    def sigma(self) -> Float64:
+        """1 sigma of apex, half angle and turn (4,)."""
+        return np.asarray(np.sqrt(np.diag(self.covariance)))
+
+
+def ends_of(sections: CrossSections) -> tuple[float | Missing, float | Missing]:
+    """Return at which scan lines a stripe begins and ends, or why that is not seen."""
+    down, up = (_end(sections, sign) for sign in (-1, 1))
+    return down, up
+
+
+def _end(sections: CrossSections, sign: int) -> float | Missing:
+    """Return the end towards lower (-1) or higher (+1) scan lines: where half the light is lost."""
+    lit = np.isfinite(sections.width_px) & np.isfinite(sections.amount_sigma)
+    if lit.sum() < LEVEL_LINES:
+        return Missing.BOARD
+    middle = float(np.median(sections.scan[lit]))
+    level = float(np.median(sections.amount[lit]))
+    outward = sign * (sections.scan - middle) >= 0.0
+    tells = outward & (sections.amount_sigma < MOST_NOISE * level)
+    scan, amount = sections.scan[tells][::sign], sections.amount[tells][::sign]
+    n = _last_lit(amount, level)
+    level = float(np.median(amount[max(0, n - LEVEL_LINES) : n])) if n else level
+    n = _last_lit(amount, level)
+    if n == 0 or n > len(amount) - DARK_LINES:
+        last = int(sections.scan[outward][::sign][-1])
+        return Missing.SQUARE if len(scan) and abs(int(scan[-1]) - last) > MOST_GAP else Missing.BOARD
+    if abs(int(scan[n + DARK_LINES - 1]) - int(scan[n - 1])) > DARK_LINES + MOST_GAP:
+        return Missing.SQUARE
+    if float(np.mean(amount[n : n + DARK_LINES])) > MOST_DARK * level:
+        return Missing.BOARD
+    return 0.5 * float(scan[n - 1] + scan[n])
+
+
+def _last_lit(amount: Float64, level: float) -> int:
+    """Return how many lines are lit: light (n,) that is `level`, and then none, has the least squares."""
+    gain = (amount - level) ** 2 - amount**2
+    return int(np.argmin(np.concatenate([[0.0], np.cumsum(gain)])))
+
+
+def fit_fan(sides: Sequence[Float64], quantized_mm: float) -> Fan | str:
+    """Fit the fan's sides.
+
+    Parameters
+    ----------
+    sides : sequence of array (n, 2)
+        The ends on either side, along the axis and across it, mm.
+    quantized_mm : float
+        The distance between scan lines on the boards.
+
+    Returns
+    -------
+    Fan or str
+        What is missing, where the ends do not determine it.
+    """
+    sides = [side[_agreed(side, quantized_mm)] for side in sides]
+    few = [len(side) for side in sides]
+    if min(few) < LEAST_ENDS or sum(few) < 2 * LEAST_ENDS + 1:
+        return (
+            f"{few[0]} and {few[1]} ends of the stripe are seen on its two sides, "
+            f"{LEAST_ENDS} and {LEAST_ENDS + 1} are the least: add pairs in which both ends lie on the "
+            "board, in light squares"
+        )
+    freedom = sum(few) - 4
+    centre = float(np.mean(np.concatenate([side[:, 0] for side in sides])))
+    fits = [_line(side[:, 0] - centre, side[:, 1]) for side in sides]
+    squares = sum(fit[2] for fit in fits)
+    variance = max(squares / freedom, (QUANTIZED * quantized_mm) ** 2)
+    # Few ends say little of their scatter: Student's t is wider.
+    variance *= float(student.isf(0.025, freedom) / norm.isf(0.025)) ** 2
+    (c1, k1), (c2, k2) = (fit[0] for fit in fits)
+    P = np.zeros((4, 4))
+    P[:2, :2], P[2:, 2:] = variance * fits[0][1], variance * fits[1][1]
+    opening = k2 - k1
+    if not abs(opening) * MOST_REL_SIGMA > math.sqrt(P[1, 1] + P[3, 3]):
+        return (
+            "the stripes' ends are at too equal depths to tell where the fan's sides meet: add pairs with "
+            "the board nearer to the laser and farther away"
+        )
+    a = -(c2 - c1) / opening
+    by_a = np.array([1.0, a, -1.0, -a]) / opening
+    by_s = np.array([1.0, a, 0.0, 0.0]) + k1 * by_a
+    low, high = 1.0 / (1.0 + k1**2), 1.0 / (1.0 + k2**2)
+    by_half = np.degrees(0.5 * np.sign(opening) * np.array([0.0, -low, 0.0, high]))
+    by_turn = np.degrees(0.5 * np.array([0.0, low, 0.0, high]))
+    J = np.stack([by_a, by_s, by_half, by_turn])
+    angles = np.degrees(np.arctan([k1, k2]))
+    return Fan(
+        np.array([centre + a, c1 + k1 * a]),
+        0.5 * abs(float(angles[1] - angles[0])),
+        0.5 * float(angles.sum()),
+        J @ P @ J.T,
+        math.sqrt(squares / sum(few)),
+    )
+
+
+def _agreed(side: Float64, quantized_mm: float) -> Bool:
+    """Return which ends (n, 2) lie on the line of most: the median of pairs' slopes, after Theil and Sen."""
+    a, s = side.T
+    first, second = np.triu_indices(len(a), 1)
+    apart = np.abs(a[second] - a[first]) > quantized_mm
+    if len(a) <= LEAST_ENDS + 1 or not apart.any():
+        return np.ones(len(a), dtype=bool)
+    slope = float(np.median((s[second] - s[first])[apart] / (a[second] - a[first])[apart]))
+    off = s - slope * a
+    off = np.abs(off - np.median(off))
+    return np.asarray(off <= FAR_SIGMAS * max(MAD_SIGMA * float(np.median(off)), QUANTIZED * quantized_mm))
+
+
+def _line(a: Float64, s: Float64) -> tuple[Float64, Float64, float]:
+    """Return c and k of s = c + k a, their covariance for a variance of 1, and the sum of squares."""
+    A = np.column_stack([np.ones(len(a)), a])
+    small = np.linalg.pinv(A.T @ A)
+    line = small @ A.T @ s
+    return line, small, float(np.sum((A @ line - s) ** 2))
