@@ -147,7 +147,7 @@ KEYS = (
         "translation_mm",
         "Where the camera's centre stands in the tool frame: x, y, z, mm.",
         Source.CALIBRATION,
-        "cv2.calibrateHandEye, or the drawing; `arctrack calibrate hand-eye` refines it by the arc's light. "
+        "`arctrack calibrate hand-eye` from images of a board, or the drawing; the arc's light refines it. "
         "The tool frame: origin at the electrode's working point, x along the travel, y to its left, z away "
         "from the part.",
         "50 to 250 from the tool's origin",

@@ -1,7 +1,7 @@
 """Draw pictures of a chessboard from a robot's hand, and its poses: python examples/make_hand_eye.py FOLDER.
 
 The camera is that of examples/v_groove in its tool. The board lies on a table, and the robot shows it to
-the camera from a dozen sides. Its true poses are off the reported ones by its repeatability. `poses.csv`
+the camera from nine sides. Its true poses are off the reported ones by its repeatability. `poses.csv`
 holds the reported ones as KUKA writes them, beside the images' names. Nothing here is arctrack's own.
 `truth.txt` says what was drawn.
 """
@@ -33,11 +33,8 @@ VIEWS = (
     (0.48, 0.50, 200, 5, -28, -50),
     (0.52, 0.48, 185, 20, 20, 80),
     (0.50, 0.50, 195, -20, 20, -80),
-    (0.47, 0.53, 190, 20, -20, 10),
     (0.53, 0.50, 200, -20, -20, 30),
-    (0.50, 0.47, 205, 30, -10, -15),
     (0.50, 0.50, 190, -10, 30, 120),
-    (0.52, 0.52, 195, 10, -30, -100),
 )
 """Where the board's middle is in the image (shares), how far away, mm, and how it is turned, deg."""
 

@@ -224,7 +224,7 @@ def calibrate_hand_eye(
         _check_scale(scale, scale_sigma)
         check_sigmas(agreement.result.chain, agreement.result.solution.total[:6, :6])
     tell(4, 4)
-    off = agreement.robot_error[agreement.kept]
+    off = agreement.result.robot_error
     return HandEyeCalibration(
         agreement.result,
         root @ root.T,

@@ -77,6 +77,12 @@ class Refined:
     solution: Solution
     errors: PoseErrors
 
+    @property
+    def robot_error(self) -> Float64:
+        """By what motion of the tool each pose was off most likely (V, 6), rad and mm."""
+        eta = twists(self.boards.scene.T_camera_board @ inverse(self.chain.T_camera_board))
+        return np.asarray(np.linalg.solve(self.errors.per_robot, eta[:, :, np.newaxis])[:, :, 0])
+
 
 def with_warp(scene: Scene, seen: Sightings) -> Boards:
     """Return boards fitted each by itself, with the warp that all share, and their corners' noise."""

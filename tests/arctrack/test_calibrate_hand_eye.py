@@ -6,9 +6,8 @@ import cv2
 import numpy as np
 import pytest
 from camera_scenes import BOARD as BOARD_SHOWN
-from camera_scenes import SIZE, picture
+from camera_scenes import picture
 from hand_eye_scenes import HELD, T_HOLDER_CAMERA, TRUE_LENS, board_in_camera, off, shown
-from laser_scenes import PINHOLE
 from scipy.spatial.transform import Rotation
 from typer.testing import CliRunner, Result
 
@@ -25,6 +24,7 @@ RUNNER = CliRunner(env={"COLUMNS": "120", "TERM": "dumb", "NO_COLOR": "1"})
 EXAMPLES = Path(__file__).parents[2] / "examples"
 BOARD = ("--board", "chessboard:7x6:10mm")
 SHOWN = HELD[:6]
+SIZE, PINHOLE = (400, 300), {"fx": 500.0, "fy": 501.5, "cx": 205.0, "cy": 145.0}
 
 
 def calibrate(*words: str | Path) -> Result:
@@ -139,7 +139,7 @@ def test_another_convention_that_fits_is_named(images: Path, setup_toml: Path, t
         ),
         (
             (*BOARD, "--poses", "{images}/poses.csv", "--rotation", "kuka", "--setup", "{examples}/v_groove"),
-            "[camera] width, height: 640 x 480, but the images are 800 x 600 px",
+            "[camera] width, height: 640 x 480, but the images are 400 x 300 px",
         ),
     ],
 )

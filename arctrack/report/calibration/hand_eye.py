@@ -54,8 +54,8 @@ def hand_eye_page(result: HandEyeCalibration, posed: PosedBoards, setup: Setup) 
         (
             Picture(
                 misfits(result),
-                "how far the robot is off each pose, by the fit of all",
-                "Both are the tool's. Lines are what three axes of the estimated noise have on average.",
+                "how far the robot was off each pose, most likely",
+                "Both are the tool's. Lines are the mean of three axes of the estimated noise.",
             ),
             Picture(
                 excitation(result),
@@ -128,6 +128,11 @@ def _notes(result: HandEyeCalibration, posed: PosedBoards) -> list[str]:
             "`arctrack calibrate camera` writes it."
         ]
     if not result.is_eye_to_hand:
+        deg, mm = float(result.sigma[:3].max()), float(result.sigma[3:].max())
+        notes.append(
+            "A track's sigmas go by hand_eye_deg and hand_eye_mm of [tolerance], which stay as they were: "
+            f"this calibration knows {deg:.2g}° and {mm:.2g} mm along the worst axes."
+        )
         notes.append(
             "The laser's plane in the tool stays as it was stated. `arctrack calibrate laser` puts it where "
             "this pose of the camera sees it."
