@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections.abc import Iterator
 from itertools import permutations
 
+import numpy as np
+
 from arctrack.calibration_files.hand_eye_poses import PosedBoards
 from arctrack.importing.rotations import CONVENTIONS, NoRotationError, convention
 from arctrack.importing.units import ANGLE, LENGTH, UNITS, factor
@@ -80,6 +82,8 @@ def _rotations(posed: PosedBoards, numbers: Float64, stated: str | None) -> Iter
             except NoRotationError:
                 continue
             T_base_tool = posed.poses.T_base_tool[posed.rows]
+            if np.allclose(T_base_tool[:, :3, :3], R):
+                continue  # The same by another name.
             T_base_tool[:, :3, :3] = R
             words = f"--rotation {name}" if name != stated else ""
             if unit not in ("", "deg" if written.units.angle is None else written.units.angle):

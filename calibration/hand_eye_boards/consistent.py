@@ -96,7 +96,11 @@ def _judged(kept: list[int], result: Refined, whole: Chain, boards: Boards, lens
     spread = H @ result.solution.covariance @ H.transpose(0, 2, 1)
     # What was fitted to is nearer than its noise alone makes it.
     spread[kept] = 0.0
-    solved = np.linalg.solve(V + spread, errors.error[:, :, np.newaxis])[:, :, 0]
+    # What the lens has wrong is no fault of a pose: the part of it that camera and board do not undo.
+    by_lens = errors.per_lens - H @ result.solution.per_lens
+    solved = np.linalg.solve(
+        V + spread + by_lens @ by_lens.transpose(0, 2, 1), errors.error[:, :, np.newaxis]
+    )[:, :, 0]
     distance = np.sum(errors.error * solved, axis=1) / MOTION
     robot_error = np.linalg.solve(errors.per_robot, errors.error[:, :, np.newaxis])[:, :, 0]
     return Agreement(kept, result, np.asarray(distance), np.asarray(robot_error))

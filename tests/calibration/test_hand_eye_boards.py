@@ -184,3 +184,13 @@ def test_the_covariance_is_that_of_dense_matrices() -> None:
     best = robot_sigma(errors)
     steps = (np.array(factor) for factor in ((1.05, 1.0), (1.0, 1.05), (0.95, 1.0), (1.0, 0.95)))
     assert all(cost(best) <= cost(best * step) + 1e-6 for step in steps)
+
+
+def test_a_lens_that_is_off_within_its_covariance_leaves_no_pose_out() -> None:
+    variances = np.full(len(TRUE_LENS.values), 1e-12)
+    variances[:4] = 4.0, 4.0, 9.0, 9.0
+    values = TRUE_LENS.values.copy()
+    values[:4] += [2.0, 2.0, -3.0, 3.0]
+    wrong = replace(TRUE_LENS, values=values)
+    seen = shown(noise=0.2)
+    assert found_camera(seen, lens=wrong, lens_covariance=np.diag(variances)).left_out == {}
