@@ -113,8 +113,9 @@ class HandEyeCalibration:
 
     @property
     def per_lens(self) -> Float64:
-        """By how much the camera (6, n), deg and mm, moves for each of the lens' values."""
-        return np.asarray(UNITS[:, np.newaxis] * self.refined.solution.per_lens[:6])
+        """By how much the camera (6, n), deg and mm, moves in its own frame for each of the lens' values."""
+        # The solution goes with the lens' error, which falls as the stated value grows.
+        return np.asarray(-UNITS[:, np.newaxis] * self.refined.solution.per_lens[:6])
 
     @property
     def own_covariance(self) -> Float64:

@@ -131,8 +131,8 @@ def test_an_uncertain_lens_makes_an_uncertain_camera() -> None:
     shift = off(exact.T_holder_camera) - off(other.T_holder_camera)
     added = np.diag(result.covariance - exact.covariance)
     assert np.sqrt(added[[1, 3]]) == pytest.approx(np.abs(shift[[1, 3]]), rel=0.15)
-    # A lens that is off by more moves the camera by as much less.
-    assert -result.per_lens[:, 2] * 0.3 == pytest.approx(shift, abs=0.1 * np.abs(shift).max())
+    # What is off is the way from the camera found to the true one.
+    assert -result.per_lens[:, 2] * 0.3 == pytest.approx(-shift, abs=0.1 * np.abs(shift).max())
 
 
 def test_the_covariance_is_that_of_dense_matrices() -> None:
