@@ -75,6 +75,17 @@ class KnownHandEye:
 
 
 @dataclass(frozen=True)
+class RobotNoise:
+    """1 sigma of the tool's pose about and along each of its axes: a turn, rad, and a move, mm."""
+
+    turn_rad: float
+    move_mm: float
+
+
+EXACT_ROBOT = RobotNoise(0.0, 0.0)
+
+
+@dataclass(frozen=True)
 class Certificate:
     """How well the seam's position is known, at points of the laser sheet.
 
@@ -137,7 +148,7 @@ def certify(
     sheet: KnownSheet,
     hand_eye: KnownHandEye,
     points_px: Float64,
-    robot_sigma_mm: float = 0.0,
+    robot: RobotNoise = EXACT_ROBOT,
     delay_sigma_mm: float = 0.0,
 ) -> Certificate:
     """Carry the covariance of all calibrations to points on the laser sheet.
@@ -152,8 +163,8 @@ def certify(
         The camera's pose in the tool.
     points_px : array (n, 2)
         Where the points are seen, px.
-    robot_sigma_mm : float
-        1 sigma of the tool's position along each axis, as the robot states it.
+    robot : RobotNoise
+        By how much the tool is off the pose that the robot states.
     delay_sigma_mm : float
         1 sigma of the way, mm along each axis across the seam, that the tool goes in the unknown delay.
 
@@ -180,19 +191,21 @@ def certify(
     per_lens = per_lens + per_plane @ sheet.per_lens + per_pose @ hand_eye.per_lens
 
     def share(jacobian: Float64, covariance: Float64) -> Float64:
-        in_tool = R @ jacobian
-        return np.asarray(in_tool @ covariance @ np.swapaxes(in_tool, 1, 2))
+        turned = R @ jacobian
+        return np.asarray(turned @ covariance @ np.swapaxes(turned, 1, 2))
 
-    even = np.broadcast_to(np.eye(3), (len(points), 3, 3))
+    in_tool = points @ R.T + hand_eye.T_tool_camera[:3, 3]
+    lever = _skew(in_tool)
+    even = np.broadcast_to(np.eye(3), lever.shape)
     is_across = np.diag([0.0, 1.0, 1.0])
     return Certificate(
         points_px,
-        points @ R.T + hand_eye.T_tool_camera[:3, 3],
+        in_tool,
         {
             CAMERA: share(per_lens, known_lens.covariance),
             LASER: share(per_plane, sheet.covariance),
             HAND_EYE: share(per_pose, hand_eye.covariance),
-            ROBOT: robot_sigma_mm**2 * even,
+            ROBOT: robot.move_mm**2 * even + robot.turn_rad**2 * (lever @ np.swapaxes(lever, 1, 2)),
             DELAY: delay_sigma_mm**2 * is_across * even,
         },
     )

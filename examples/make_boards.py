@@ -95,7 +95,7 @@ def draw(
     # In the board's frame a ray starts at the camera's centre and meets z = height.
     eye, direction = -R.T @ t, np.tensordot(R.T, rays(camera), axes=1)
     height = np.zeros(direction.shape[1:])
-    for _ in range(BEND_ROUNDS):
+    for _ in range(BEND_ROUNDS if any(board.warp_mm) else 1):
         reach = (height - eye[2]) / direction[2]
         x, y = eye[0] + reach * direction[0], eye[1] + reach * direction[1]
         height = board.height_mm(x, y)
@@ -158,15 +158,15 @@ POSES = (
 """Where the board's middle is, how large it is, and how it is turned about x, y and z, deg."""
 
 
-def main(folder: Path) -> None:
+def main(folder: Path, camera: Camera = CAMERA) -> None:
     """Draw the pictures."""
     folder.mkdir(parents=True, exist_ok=True)
     rng = np.random.default_rng(5)
     for n, (x, y, share, *angles) in enumerate(POSES):
         R = turned(*map(float, angles))
-        picture = draw(CAMERA, BOARD, R, held(CAMERA, BOARD, R, (x, y), share), rng)
+        picture = draw(camera, BOARD, R, held(camera, BOARD, R, (x, y), share), rng)
         cv2.imwrite(str(folder / f"board_{n:02d}.png"), picture)
-    (folder / "truth.txt").write_text(f"{CAMERA}\n{BOARD}\n", encoding="utf-8")
+    (folder / "truth.txt").write_text(f"{camera}\n{BOARD}\n", encoding="utf-8")
 
 
 if __name__ == "__main__":

@@ -25,7 +25,7 @@ LIGHT_ERROR = 1e-3
 SHAPE = (160, 200)
 
 
-def main(folder: Path) -> None:
+def main(folder: Path, sensor: Sensor = SENSOR) -> None:
     """Write two frames of each exposure, and two dark ones, into a folder."""
     folder.mkdir(parents=True, exist_ok=True)
     rng = np.random.default_rng(SEED)
@@ -36,9 +36,9 @@ def main(folder: Path) -> None:
         level = exposure_ms * (1.0 + LIGHT_ERROR * rng.standard_normal())
         for n in (1, 2):
             charge = (
-                rng.poisson(max(level, 0.0) * light) + dark_e + rng.normal(0.0, SENSOR.read_noise_e, SHAPE)
+                rng.poisson(max(level, 0.0) * light) + dark_e + rng.normal(0.0, sensor.read_noise_e, SHAPE)
             )
-            dn = np.clip(np.rint(respond(charge, SENSOR)), 0.0, SENSOR.max_dn)
+            dn = np.clip(np.rint(respond(charge, sensor)), 0.0, sensor.max_dn)
             stated_ms = exposure_ms or EXPOSURES_MS[0]
             cv2.imwrite(str(folder / f"{name}_{stated_ms:g}ms_{n}.png"), dn.astype(np.uint8))
 

@@ -6,16 +6,32 @@ from collections.abc import Callable, Iterable
 from pathlib import Path
 
 from arctrack.calibrating.stage import Stage, Steps
-from arctrack.calibration_files.flat_frames import FlatFile, read_levels
+from arctrack.calibration_files.flat_frames import FlatFile, find_flat_frames, read_levels
 from arctrack.calibration_files.sensor_record import flat_record, still_record
 from arctrack.calibration_files.still_recording import read_still_frames
 from arctrack.errors import in_file
 from arctrack.importing.grey import channel_of_laser
-from arctrack.recording import Recording, SetupFile
+from arctrack.recording import Recording, SetupFile, read_recording
+from arctrack.recording.setup_file import FILE_NAME
 from arctrack.report.calibration.sensor import sensor_page
 from arctrack.report.calibration.still import still_page
 from calibration.sensor.flat_fields import SensorCalibration, calibrate_sensor
 from calibration.sensor.still import StillCalibration, calibrate_still
+
+
+def sensor_stage(
+    source: Path,
+    stated: SetupFile,
+    steps: Steps,
+    warn: Callable[[Iterable[str]], None],
+    gamma: float | None = None,
+) -> Stage[SensorCalibration] | Stage[StillCalibration]:
+    """Find a sensor's values in flat and dark frames, or in a recording where the folder is one."""
+    if (source / FILE_NAME).exists():
+        return still_stage(read_recording(source, stated.path, must_fit=False), steps, warn)
+    files, vague = find_flat_frames(source)
+    warn(vague)
+    return flat_stage(source, files, stated, steps, warn, gamma)
 
 
 def flat_stage(

@@ -8,6 +8,8 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from arctrack.cli.calibrate_all import EXAMPLE as ALL_EXAMPLE
+from arctrack.cli.calibrate_all import calibrate_all
 from arctrack.cli.calibrate_camera import camera
 from arctrack.cli.calibrate_delay import EXAMPLE as DELAY_EXAMPLE
 from arctrack.cli.calibrate_delay import delay
@@ -52,6 +54,7 @@ calibrate.command("hand-eye", epilog=HAND_EYE_EXAMPLE)(hand_eye)
 calibrate.command("laser", epilog=LASER_EXAMPLE)(laser)
 calibrate.command("sensor", epilog=SENSOR_EXAMPLE)(sensor)
 calibrate.command("delay", epilog=DELAY_EXAMPLE)(delay)
+calibrate.command("all", epilog=ALL_EXAMPLE)(calibrate_all)
 
 
 @calibrate.callback(epilog=EXAMPLE)

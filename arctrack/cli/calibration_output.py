@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -74,8 +74,8 @@ def check_outputs(
             raise ArctrackError(f"{path}: is one of the images; give {option} another file")
 
 
-def finish(page: CalibrationPage, path: Path) -> None:
-    """Print a page's headline, values and sentences, and write it."""
+def finish(page: CalibrationPage, path: Path, stages: Sequence[CalibrationPage] = ()) -> None:
+    """Print a page's headline, values and sentences; write it, with those of other calibrations below."""
     from rich.table import Table
 
     from arctrack.cli import console
@@ -83,8 +83,8 @@ def finish(page: CalibrationPage, path: Path) -> None:
 
     table = Table(box=None, pad_edge=False)
     table.add_column("")
-    for name in ("value", "1 σ", "95 %"):
-        table.add_column(name, justify="right")
+    for head in page.heads:
+        table.add_column(head, justify="right")
     table.add_column("")
     for row in page.rows:
         table.add_row(row.what, row.value, row.sigma, row.interval, row.unit)
@@ -93,5 +93,5 @@ def finish(page: CalibrationPage, path: Path) -> None:
     screen.print(table)
     for sentence in (*page.sentences, *page.notes):
         screen.print(sentence, markup=False, soft_wrap=True)
-    write_whole(path, render(page))
+    write_whole(path, render(page, stages))
     console.say(f"report in {path}")

@@ -97,7 +97,7 @@ def _judged(kept: list[int], result: Refined, whole: Chain, boards: Boards, lens
     # What was fitted to is nearer than its noise alone makes it.
     spread[kept] = 0.0
     # What the lens has wrong is no fault of a pose: the part of it that camera and board do not undo.
-    by_lens = errors.per_lens - H @ result.solution.per_lens
+    by_lens = (errors.per_lens - H @ result.solution.per_lens) @ lens_root
     solved = np.linalg.solve(
         V + spread + by_lens @ by_lens.transpose(0, 2, 1), errors.error[:, :, np.newaxis]
     )[:, :, 0]

@@ -51,6 +51,8 @@ class LaserCalibration:
     ----------
     fit : PlaneFit
         The plane in the camera frame, and what pairs alone say of its covariance.
+    lens : Lens
+        The lens before which the boards were seen.
     per_lens : array (4, k)
         The derivatives of the plane by the lens' parameters: boards' poses and stripes go with the lens.
     lens_covariance : array (k, k)
@@ -72,6 +74,7 @@ class LaserCalibration:
     """
 
     fit: PlaneFit
+    lens: Lens
     per_lens: Float64
     lens_covariance: Float64
     scatter: float
@@ -219,6 +222,7 @@ def calibrate_laser(
     )
     return LaserCalibration(
         fit,
+        scene.lens,
         per_lens,
         known_lens,
         scatter,

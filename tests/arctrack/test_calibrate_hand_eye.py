@@ -93,7 +93,7 @@ def test_boards_and_poses_become_a_camera(images: Path, setup_toml: Path, tmp_pa
     assert sigma[3:].max() < 0.3
     page = (tmp_path / "calibrate_hand_eye.html").read_text()
     assert page.count('src="data:image') == 4
-    assert "board_5.png: left out" in page
+    assert "board_5.png: has no pose" in page
     assert "the lens counts as exact" not in page
 
 

@@ -18,6 +18,7 @@ from calibration.certificate import (
     KnownHandEye,
     KnownLens,
     KnownSheet,
+    RobotNoise,
     certify,
 )
 from noise_model.arrays import Float64
@@ -92,7 +93,7 @@ def test_the_weakest_is_the_one_whose_exactness_helps_most() -> None:
     nothing = replace(hand_eye, covariance=1e-6 * hand_eye.covariance, per_lens=0.0 * hand_eye.per_lens)
     loose = replace(sheet, covariance=100.0 * sheet.covariance)
     assert certify(known_lens, loose, nothing, POINTS_PX).weakest == LASER
-    certificate = certify(known_lens, sheet, nothing, POINTS_PX, robot_sigma_mm=5.0)
+    certificate = certify(known_lens, sheet, nothing, POINTS_PX, RobotNoise(0.0, 5.0))
     assert certificate.weakest == ROBOT
     total = certificate.across_sigma_mm[certificate.worst]
     assert certificate.without(HAND_EYE) == pytest.approx(total, rel=1e-3)

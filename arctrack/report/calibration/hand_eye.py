@@ -9,13 +9,11 @@ from scipy.spatial.transform import Rotation
 
 from arctrack.calibration_files.hand_eye_poses import PosedBoards
 from arctrack.report.calibration.hand_eye_pictures import excitation, misfits, places, robot_off
-from arctrack.report.calibration.page import CalibrationPage, Picture, Row, with_sigma
+from arctrack.report.calibration.page import HALF_95, CalibrationPage, Picture, Row, with_sigma
 from calibration.hand_eye_boards.calibrate import HandEyeCalibration
 from noise_model.setup import Setup
 
 AXES = "xyz"
-HALF = 1.96
-"""Half of a 95 % interval, in sigmas."""
 
 
 def hand_eye_page(result: HandEyeCalibration, posed: PosedBoards, setup: Setup) -> CalibrationPage:
@@ -76,6 +74,7 @@ def hand_eye_page(result: HandEyeCalibration, posed: PosedBoards, setup: Setup) 
         (),
         tuple(_notes(result, posed)),
         "ambiguous" if result.left_out or result.is_scale_off else "no_gap",
+        tuple(f"{name}: {reason}" for name, reason in (posed.left_out | result.left_out).items()),
     )
 
 
@@ -107,7 +106,7 @@ def hand_eye_rows(result: HandEyeCalibration, setup: Setup) -> tuple[Row, ...]:
         ("robot's turn, each axis", "robot_sigma_deg", result.robot_deg, result.robot_sigma[0], "deg"),
         ("board's size by the robot", "", result.scale, result.scale_sigma, "of that stated"),
     ):
-        rows.append(_row(what, key, value, sigma, HALF * sigma, unit))
+        rows.append(_row(what, key, value, sigma, HALF_95 * sigma, unit))
     return tuple(rows)
 
 
@@ -142,5 +141,4 @@ def _notes(result: HandEyeCalibration, posed: PosedBoards) -> list[str]:
             f"The robot's motions make the board {result.scale:.4f} ± {result.scale_sigma:.4f} times as "
             "large as stated: measure its squares, or calibrate the camera anew."
         )
-    left_out = posed.left_out | result.left_out
-    return notes + [f"{name}: left out: {reason}." for name, reason in left_out.items()]
+    return notes

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 from arctrack.report.template import environment
@@ -39,7 +40,8 @@ class CalibrationPage:
     """What a calibration's page holds.
 
     `maps` are pictures whose pixels stay sharp, side by side; `mark` is the colour of the verdict: no_gap,
-    ambiguous or unknown; `left_out` names what was not used, and why.
+    ambiguous or unknown; `left_out` names what was not used, and why;
+    `heads` are those of the columns of numbers.
     """
 
     title: str
@@ -52,6 +54,7 @@ class CalibrationPage:
     notes: tuple[str, ...]
     mark: str
     left_out: tuple[str, ...] = ()
+    heads: tuple[str, str, str] = ("value", "1 σ", "95 %")
 
 
 def with_sigma(value: float, sigma: float) -> tuple[str, str]:
@@ -62,6 +65,6 @@ def with_sigma(value: float, sigma: float) -> tuple[str, str]:
     return f"{value:.{decimals}f}", f"{sigma:.{decimals}f}"
 
 
-def render(page: CalibrationPage) -> str:
-    """Return the page's HTML, which needs no other file and no network."""
-    return environment().get_template(TEMPLATE).render(page=page)
+def render(page: CalibrationPage, stages: Sequence[CalibrationPage] = ()) -> str:
+    """Return the page's HTML, with those of other calibrations below; it needs no other file, no network."""
+    return environment().get_template(TEMPLATE).render(page=page, stages=stages)

@@ -1,0 +1,135 @@
+"""All calibrations of a folder in their order, each on what the earlier ones wrote, and the certificate."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any
+
+from arctrack.calibrating.camera import camera_stage
+from arctrack.calibrating.certify import certificate_of
+from arctrack.calibrating.delay import delay_stage
+from arctrack.calibrating.folder import RawFiles
+from arctrack.calibrating.hand_eye import hand_eye_stage
+from arctrack.calibrating.laser import laser_stage
+from arctrack.calibrating.sensor import sensor_stage
+from arctrack.calibrating.stage import Stage, Steps
+from arctrack.errors import ArctrackError
+from arctrack.recording import Calibrated, Recording, SetupFile, read_recording, with_calibrated
+from arctrack.recording.setup_file import parse_setup
+from calibration.certificate import Certificate
+
+CAMERA_FIRST = "needs the camera, which was refused"
+
+Warn = Callable[[Iterable[str]], None]
+
+
+@dataclass
+class Calibrations:
+    """What a folder's calibrations left.
+
+    Parameters
+    ----------
+    stated : SetupFile
+        The setup with all values found.
+    records : list of Calibrated
+        These values.
+    stages : dict
+        The calibrations that were done, by name.
+    refused : dict
+        Those that were not, and why; the setup keeps its own values there.
+    certificate : Certificate or None
+        What the seam's position is good for; None without a laser sheet.
+    unmeasured : dict
+        What the certificate takes as stated, and what stands for it.
+    """
+
+    stated: SetupFile
+    records: list[Calibrated] = field(default_factory=list)
+    stages: dict[str, Stage[Any]] = field(default_factory=dict)
+    refused: dict[str, str] = field(default_factory=dict)
+    certificate: Certificate | None = None
+    unmeasured: dict[str, str] = field(default_factory=dict)
+
+    def add(self, name: str, make: Callable[[], Stage[Any]]) -> None:
+        """Do a calibration, and put its values into the setup; one that is refused leaves them alone."""
+        try:
+            stage = make()
+        except ArctrackError as error:
+            self.refused[name] = str(error)
+            return
+        self.stages[name] = stage
+        if stage.refusal is not None:
+            self.refused[name] = stage.refusal
+            return
+        self.records += stage.records
+        path = self.stated.path
+        self.stated = parse_setup(with_calibrated(path, *self.records), path)
+
+
+def calibrate_folder(raw: RawFiles, stated: SetupFile, steps: Steps, warn: Warn) -> Calibrations:
+    """Calibrate what a folder holds files for.
+
+    Parameters
+    ----------
+    raw : RawFiles
+        The folder.
+    stated : SetupFile
+        The setup to start from.
+    steps : callable
+        Begins a step of the progress.
+    warn : callable
+        Is told at once what is left out.
+
+    Returns
+    -------
+    Calibrations
+        Setup, stages, refusals and certificate.
+    """
+    result = Calibrations(stated)
+    if raw.sensor is not None:
+        sensor = raw.sensor
+        result.add("sensor", lambda: sensor_stage(sensor.source, result.stated, steps, warn, sensor.gamma))
+    if raw.camera is not None:
+        camera = raw.camera
+        result.add(
+            "camera",
+            lambda: camera_stage(
+                camera.sources, camera.board, result.stated, steps, warn, camera.orders, camera.tilted
+            ),
+        )
+    if "camera" in result.refused:
+        result.refused |= {
+            name: CAMERA_FIRST for name in ("hand_eye", "laser") if getattr(raw, name) is not None
+        }
+    else:
+        if raw.hand_eye is not None:
+            posed = raw.hand_eye
+            result.add(
+                "hand_eye",
+                lambda: hand_eye_stage(
+                    posed.sources,
+                    posed.board,
+                    result.stated,
+                    posed.poses,
+                    steps,
+                    warn,
+                    posed.is_eye_to_hand,
+                ),
+            )
+        if raw.laser is not None:
+            pairs = raw.laser
+            result.add("laser", lambda: laser_stage(pairs.sources, pairs.board, result.stated, steps, warn))
+    if raw.delay is not None:
+        moving = raw.delay
+        result.add("delay", lambda: delay_stage(_recording(moving, result.stated, warn), steps)[0])
+    result.certificate, result.unmeasured = certificate_of(result.stages, result.stated)
+    return result
+
+
+def _recording(path: Path, stated: SetupFile, warn: Warn) -> Recording:
+    """Return a recording, with the setup that the calibrations have made so far."""
+    read = read_recording(path, stated.path)
+    warn(read.warnings)
+    return replace(read, setup=stated.setup)

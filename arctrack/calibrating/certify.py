@@ -1,0 +1,91 @@
+"""What the seam's position is good for, from the calibrations that were done."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+
+from arctrack.calibrating.stage import Stage
+from arctrack.recording import SetupFile
+from calibration.camera.lens import Lens
+from calibration.certificate import Certificate, KnownHandEye, KnownLens, KnownSheet, RobotNoise, certify
+from calibration.hand_eye_boards.calibrate import HandEyeCalibration
+from calibration.laser.calibrate import LaserCalibration
+from calibration.pose_delay import PoseDelay
+from noise_model.arrays import Float64
+
+COLUMNS, ROWS = 17, 13
+"""Points over the image at which the sheet is judged."""
+
+
+def certificate_of(
+    stages: Mapping[str, Stage[Any]], stated: SetupFile
+) -> tuple[Certificate | None, dict[str, str]]:
+    """Return the certificate, None without a measured sheet, and what it takes as stated.
+
+    Parameters
+    ----------
+    stages : mapping
+        The calibrations that were done.
+    stated : SetupFile
+        The setup with their values.
+
+    Returns
+    -------
+    certificate : Certificate or None
+        The seam's covariance over the image.
+    unmeasured : dict
+        What was not measured, and what stands for it.
+    """
+    if "laser" not in stages:
+        return None, {}
+    sheet: LaserCalibration = stages["laser"].result
+    unmeasured = {}
+    if not sheet.lens_covariance.any():
+        unmeasured["lens"] = "its values are the setup's, and count as exact"
+    hand_eye, robot = _hand_eye(stages, stated, len(sheet.lens.values))
+    if "hand_eye" not in stages:
+        tolerance = stated.setup.tolerance
+        unmeasured["camera's pose in the tool"] = (
+            f"the setup's, within its tolerance: {tolerance.hand_eye_deg:g}°, {tolerance.hand_eye_mm:g} mm"
+        )
+        unmeasured["robot's inaccuracy"] = "counts as none: poses with a board tell it"
+    delay_mm = 0.0
+    if "delay" in stages:
+        delay: PoseDelay = stages["delay"].result
+        delay_mm = delay.sigma_s * delay.motion_mm_s if delay.unestimated is None else 0.0
+    if not delay_mm:
+        unmeasured["delay of the poses"] = "counts as exact"
+    certificate = certify(
+        KnownLens(sheet.lens, sheet.lens_covariance),
+        KnownSheet(sheet.plane, sheet.own_covariance, sheet.per_lens),
+        hand_eye,
+        _points_px(sheet.lens),
+        robot,
+        delay_mm,
+    )
+    return certificate, unmeasured
+
+
+def _hand_eye(
+    stages: Mapping[str, Stage[Any]], stated: SetupFile, n_lens: int
+) -> tuple[KnownHandEye, RobotNoise]:
+    """Return the camera's pose, measured or within the setup's tolerance, and the robot's noise."""
+    pose = stated.setup.camera.T_tool_camera
+    if "hand_eye" not in stages:
+        tolerance = stated.setup.tolerance
+        sigma = [math.radians(tolerance.hand_eye_deg)] * 3 + [tolerance.hand_eye_mm] * 3
+        return KnownHandEye(pose, np.diag(np.square(sigma)), np.zeros((6, n_lens))), RobotNoise(0.0, 0.0)
+    result: HandEyeCalibration = stages["hand_eye"].result
+    to_rad = np.array([math.pi / 180.0] * 3 + [1.0] * 3)
+    own = result.own_covariance * np.outer(to_rad, to_rad)
+    known = KnownHandEye(pose, own, to_rad[:, np.newaxis] * result.per_lens)
+    return known, RobotNoise(math.radians(result.robot_deg), result.robot_mm)
+
+
+def _points_px(lens: Lens) -> Float64:
+    columns, rows = np.linspace(0.0, lens.width - 1.0, COLUMNS), np.linspace(0.0, lens.height - 1.0, ROWS)
+    return np.stack(np.meshgrid(columns, rows), axis=-1).reshape(-1, 2)

@@ -1,0 +1,67 @@
+"""`arctrack calibrate all`: from a folder of raw files to one setup, one report and one certificate."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from arctrack.cli.calibration_output import Out, Report, check_outputs, finish
+from arctrack.cli.interrupt import interruptible
+from arctrack.cli.setups import read_setup, write_calibrated
+from arctrack.errors import ArctrackError
+
+REPORT = "calibrate_all.html"
+
+EXAMPLE = (
+    "Example: arctrack calibrate all /tmp/afternoon --setup examples/v_groove --out /tmp/calibrated.toml"
+)
+
+
+def calibrate_all(
+    folder: Annotated[
+        Path,
+        typer.Argument(
+            help="Folder with raw files in sensor, camera, hand_eye, laser, delay, arc; calibration.toml "
+            "says the board and the rest."
+        ),
+    ],
+    setup: Annotated[
+        Path, typer.Option(help="A recording.toml, or a recording, to start from; `arctrack new` writes one.")
+    ],
+    out: Out = None,
+    report: Report = None,
+) -> None:
+    """Calibrate all that a folder holds files for, and certify what the seam's absolute position is good for.
+
+    Each calibration builds on those before it: sensor, camera, hand-eye, laser, delay, arc. What is refused
+    is named and keeps its stated values; the others are done nevertheless, and the exit code is 2. The
+    certificate carries the whole covariance to the seam, in mm, and says which measurement would improve it
+    most.
+    """
+    from arctrack.calibrating.all import calibrate_folder
+    from arctrack.calibrating.folder import read_raw_files
+    from arctrack.cli import console
+    from arctrack.report.calibration.certificate import certificate_page
+    from tracker.warm_up import heard_compilations
+
+    stated = read_setup(setup)
+    target = out or stated.path
+    page_path = report or target.with_name(REPORT)
+    raw = read_raw_files(folder)
+    console.warn(raw.warnings)
+    check_outputs(target, page_path, stated.path, images=raw.images)
+    with (
+        interruptible("the calibration was", "nothing was written"),
+        console.progress() as bar,
+        heard_compilations(console.compiling(bar, folder.name)),
+    ):
+        result = calibrate_folder(raw, stated, console.steps(bar), console.warn)
+    page = certificate_page(result.certificate, result.unmeasured, result.refused)
+    finish(page, page_path, [stage.page for stage in result.stages.values()])
+    if result.records:
+        write_calibrated(target, stated.path, *result.records)
+    if result.refused:
+        refused = "; ".join(f"{name}: {why}" for name, why in result.refused.items())
+        raise ArctrackError(f"{folder}: not all is calibrated: {refused}")
