@@ -46,6 +46,7 @@ FOLDERS_MAY_IMPORT: dict[str, dict[str, set[str]]] = {
         "hand_eye_boards": {"boards", "camera"},
         "laser": {"boards", "camera"},
         "sensor": set(),
+        "check": set(),
     },
     "sim_to_real": {
         "data": set(),
@@ -62,7 +63,8 @@ FOLDERS_MAY_IMPORT: dict[str, dict[str, set[str]]] = {
         "calibration_files": {"recording", "importing"},
         "check": {"recording"},
         "blind_check": {"recording"},
-        "report": {"recording", "calibration_files", "check"},
+        "setup_check": {"recording", "check"},
+        "report": {"recording", "calibration_files", "check", "setup_check"},
         "calibrating": {"recording", "importing", "calibration_files", "check", "report"},
         "cli": {
             "recording",
@@ -70,6 +72,7 @@ FOLDERS_MAY_IMPORT: dict[str, dict[str, set[str]]] = {
             "calibration_files",
             "check",
             "blind_check",
+            "setup_check",
             "report",
             "calibrating",
         },

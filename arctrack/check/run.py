@@ -69,7 +69,7 @@ def check_recording(
         refusal = in_file(recording.setup_path, str(error))
     positions = chosen_rows(recording)
     case = case_of(recording, positions, list(recording.images(positions)))
-    frames, bad_frames = _parted(recording.frames(positions))
+    frames, bad_frames = parted(recording.frames(positions))
     timing = timing_of(recording)
     looks, unlit = [], []
     if geometry is not None:
@@ -86,7 +86,7 @@ def check_recording(
     if case is not None and case.fits_camera:
         all_findings.append(_lines_finding(case, hint if is_tracked else None))
     if geometry is not None:
-        sensor = _sensor(recording, looks)
+        sensor = sensor_of(recording, looks)
         all_findings += findings(recording.setup, geometry, looks, unlit, sensor, timing.exposures_fit)
     if hint is not None:
         # Where something decided is wrong, seam and stripe lie elsewhere for that reason.
@@ -107,7 +107,7 @@ def _lines_finding(case: Case, hint: Hint | None) -> Finding:
     return Finding("lines", text, f"{text}, {100.0 * hint.share:.0f} % if {hint}")
 
 
-def _parted(frames: Iterable[Frame | BadFrame]) -> tuple[list[Frame], list[BadFrame]]:
+def parted(frames: Iterable[Frame | BadFrame]) -> tuple[list[Frame], list[BadFrame]]:
     """Return the frames that can be used and those that cannot."""
     usable: list[Frame] = []
     bad: list[BadFrame] = []
@@ -121,14 +121,14 @@ def _parted(frames: Iterable[Frame | BadFrame]) -> tuple[list[Frame], list[BadFr
 
 def _as_if_lit(recording: Recording) -> list[Frame]:
     """Return frames that frames.csv says the laser is off in, as if it were on."""
-    frames, _ = _parted(recording.frames(laser_off_rows(recording)))
+    frames, _ = parted(recording.frames(laser_off_rows(recording)))
     return [replace(frame, laser_on=True) for frame in frames]
 
 
-def _sensor(recording: Recording, looks: Sequence[Look]) -> SensorSeen:
+def sensor_of(recording: Recording, looks: Sequence[Look]) -> SensorSeen:
     """Look at frames without laser and arc, or else at those with the laser alone."""
     dark = [n for n, row in enumerate(recording.rows) if not (row.laser_on or row.arc_on)]
-    frames, _ = _parted(recording.frames(dark[:MAX_DARK_FRAMES]))
+    frames, _ = parted(recording.frames(dark[:MAX_DARK_FRAMES]))
     laser_alone = [look for look in looks if not look.frame.arc_on]
     return sensor_seen(
         [frame.image_dn for frame in frames],

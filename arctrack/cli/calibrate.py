@@ -11,6 +11,8 @@ import typer
 from arctrack.cli.calibrate_all import EXAMPLE as ALL_EXAMPLE
 from arctrack.cli.calibrate_all import calibrate_all
 from arctrack.cli.calibrate_camera import camera
+from arctrack.cli.calibrate_check import EXAMPLE as CHECK_EXAMPLE
+from arctrack.cli.calibrate_check import check
 from arctrack.cli.calibrate_delay import EXAMPLE as DELAY_EXAMPLE
 from arctrack.cli.calibrate_delay import delay
 from arctrack.cli.calibrate_filter import filter_curve
@@ -55,6 +57,7 @@ calibrate.command("laser", epilog=LASER_EXAMPLE)(laser)
 calibrate.command("sensor", epilog=SENSOR_EXAMPLE)(sensor)
 calibrate.command("delay", epilog=DELAY_EXAMPLE)(delay)
 calibrate.command("all", epilog=ALL_EXAMPLE)(calibrate_all)
+calibrate.command("check", epilog=CHECK_EXAMPLE)(check)
 
 
 @calibrate.callback(epilog=EXAMPLE)

@@ -13,13 +13,19 @@ if TYPE_CHECKING:
     from arctrack.recording import Calibrated, Recording, SetupFile
 
 
+def setup_path(source: Path) -> Path:
+    """Return the recording.toml that a path names: itself, or that of a recording's folder."""
+    from arctrack.recording.setup_file import FILE_NAME
+
+    return source / FILE_NAME if source.is_dir() else source
+
+
 def read_setup(source: Path) -> SetupFile:
     """Read a recording.toml, or that of a recording's folder; warn of keys that mean nothing in it."""
     from arctrack.cli import console
     from arctrack.recording import read_setup_file
-    from arctrack.recording.setup_file import FILE_NAME
 
-    stated = read_setup_file(source / FILE_NAME if source.is_dir() else source)
+    stated = read_setup_file(setup_path(source))
     console.warn(stated.warnings)
     return stated
 

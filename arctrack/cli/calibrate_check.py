@@ -1,0 +1,102 @@
+"""`arctrack calibrate check`: does a setup explain a recording, and what to calibrate anew if not."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from arctrack.cli.calibration_output import Report, check_outputs
+from arctrack.cli.setups import setup_path
+
+if TYPE_CHECKING:
+    from arctrack.setup_check.measure import Measure
+    from arctrack.setup_check.run import SetupCheck
+
+REPORT = "calibrate_check.html"
+
+EXAMPLE = "Example: arctrack calibrate check examples/v_groove/recording.toml examples/v_groove"
+
+
+def check(
+    setup: Annotated[Path, typer.Argument(help="A recording.toml, or a recording whose setup it is.")],
+    recording: Annotated[Path, typer.Argument(help="Folder that holds a recording.")],
+    report: Report = None,
+) -> None:
+    """Say by stage whether a setup explains a recording, and what to calibrate anew if not.
+
+    The stages are the sensor, camera with laser and hand-eye, the stripe, and the arc. Each quantity is
+    printed as measured and as expected, with the sigma of their difference, a verdict and a cure. A stripe
+    beside its place is held against each part of the setup that may be off. Where the poses do not tell
+    them apart, all are named, and the recording that would tell. The exit code is 0 if the setup explains
+    the recording, 1 if not, 2 for bad input.
+    """
+    from arctrack.cli import console
+    from arctrack.cli.exit_codes import WARNED
+    from arctrack.output import write_whole
+    from arctrack.recording import read_recording
+    from arctrack.replay import RESULTS_FOLDER
+    from arctrack.report.calibration.setup_check import render
+    from arctrack.setup_check.run import check_setup
+
+    read = read_recording(recording, setup_path(setup), must_fit=False)
+    console.warn(read.warnings)
+    page = report or recording / RESULTS_FOLDER / REPORT
+    if report is None:
+        page.parent.mkdir(parents=True, exist_ok=True)
+    check_outputs(None, page, read.setup_path, read)
+    with console.progress() as bar:
+        on_compiled = console.compiling(bar, read.name)
+        checked = check_setup(read, console.track(bar, f"{read.name}: looking at frames", 10), on_compiled)
+    _print(checked)
+    write_whole(page, render(checked))
+    console.say(f"report in {page}")
+    console.say(f"{read.name}: {checked.headline}")
+    if checked.bad_frames:
+        console.warn([f"{checked.bad_frames[0].message}; {len(checked.bad_frames)} of the frames looked at"])
+    if checked.not_explained:
+        raise typer.Exit(WARNED)
+
+
+def _print(checked: SetupCheck) -> None:
+    """Print the quantities as a table, and what they say."""
+    from rich.table import Table
+
+    from arctrack.cli import console
+    from arctrack.setup_check.measure import Verdict
+
+    table = Table(box=None, pad_edge=False)
+    for name in ("stage", "quantity"):
+        table.add_column(name)
+    for name in ("measured", "expected", "1 σ"):
+        table.add_column(name, justify="right")
+    for name in ("", "verdict"):
+        table.add_column(name)
+    colours = {Verdict.NOT_EXPLAINED: "red", Verdict.UNTOLD: "yellow", Verdict.OK: "green"}
+    stage = None
+    for measure in checked.measures:
+        first = measure.stage.value if measure.stage is not stage else ""
+        stage = measure.stage
+        table.add_row(
+            first,
+            measure.name,
+            *measure.shown,
+            measure.unit,
+            f"[{colours[measure.verdict]}]{measure.verdict.value}[/]",
+        )
+    screen = console.tables()
+    screen.print(table)
+    for sentence in (*checked.sentences, *cures(checked.measures)):
+        screen.print(sentence, markup=False, soft_wrap=True)
+
+
+def cures(measures: tuple[Measure, ...]) -> list[str]:
+    """Return what to do about quantities that are not explained, a line each."""
+    from arctrack.setup_check.measure import Stage, Verdict
+
+    return [
+        f"{measure.name}: {measure.cure}"
+        for measure in measures
+        if measure.verdict is Verdict.NOT_EXPLAINED and measure.stage is not Stage.PLACE
+    ]

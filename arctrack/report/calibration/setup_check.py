@@ -1,0 +1,144 @@
+"""calibrate_check.html: what a recording says of a setup, stage by stage, with pictures."""
+
+from __future__ import annotations
+
+import numpy as np
+from matplotlib.axes import Axes
+
+from arctrack.report import style
+from arctrack.report.calibration.page import Picture
+from arctrack.report.embedded import svg
+from arctrack.report.image import visible
+from arctrack.report.template import environment
+from arctrack.setup_check.measure import Stage, Verdict
+from arctrack.setup_check.run import SetupCheck
+from calibration.check.arc_light import ArcLight
+from noise_model.arc.map import make_scene
+from noise_model.arrays import Float64
+from noise_model.setup import Setup
+from noise_model.surface.joint import NOMINAL_SEAM, SeamLine
+from tracker.geometry import SensorGeometry
+from tracker.stripe.expected import expect_stripe
+
+TEMPLATE = "setup_check.html.j2"
+
+MARKS = {Verdict.OK: "no_gap", Verdict.NOT_EXPLAINED: "unknown", Verdict.UNTOLD: "ambiguous"}
+
+MAX_SHOWN = 2
+"""So many frames are shown with their stripes."""
+
+SHAPE_RANGE = 0.1
+"""The colours of the arc map's error end at so much, relative."""
+
+
+def render(checked: SetupCheck) -> str:
+    """Return the page's HTML, which needs no other file and no network."""
+    stages = [
+        (
+            stage.value,
+            checked.verdict_of(stage).value,
+            MARKS[checked.verdict_of(stage)],
+            [
+                (measure, *measure.shown, MARKS[measure.verdict])
+                for measure in checked.measures
+                if measure.stage is stage
+            ],
+        )
+        for stage in Stage
+    ]
+    pictures = []
+    if checked.sights:
+        pictures.append(
+            Picture(
+                _stripes(checked),
+                "the stripe seen and expected, over the first and the last frame looked at; brightness by √",
+                "Orange is where the setup puts the stripe at the nominal seam. Green is where it would "
+                "lie with the part, or what else explains it, set right.",
+            )
+        )
+    if checked.arc is not None:
+        pictures.append(
+            Picture(
+                _arc(checked.arc),
+                "the arc's level in each frame, and the error of its map in the brightest frame",
+                "All levels alike at another height than 1 are the arc's output. A pattern over the image "
+                "is the map's shape.",
+            )
+        )
+    mark = "unknown" if checked.not_explained else "no_gap"
+    return (
+        environment()
+        .get_template(TEMPLATE)
+        .render(
+            name=checked.recording.name,
+            setup=str(checked.recording.setup_path),
+            headline=checked.headline,
+            sentences=checked.sentences,
+            stages=stages,
+            pictures=pictures,
+            mark=mark,
+        )
+    )
+
+
+def _stripes(checked: SetupCheck) -> str:
+    looks = [look for look in checked.looks if look.pose is not None and len(look.line.scan)]
+    shown = sorted({0, len(looks) - 1})[:MAX_SHOWN]
+    camera = checked.setup.camera
+    figure = style.new_figure(10.5, 0.6 + 10.5 / len(shown) * camera.height / camera.width, "")
+    cells = figure.subplots(1, len(shown), squeeze=False)[0]
+    place = checked.place
+    for axes, n in zip(cells, shown, strict=True):
+        look, sight = looks[n], checked.sights[n]
+        axes.set_title(f"frame {look.frame.index}", fontsize=9, loc="left")
+        axes.imshow(visible(look.frame.image_dn, checked.setup.sensor), cmap="gray", vmin=0, vmax=255)
+        axes.plot(*sight.points_px.T, ".", color=style.SKY, markersize=2, rasterized=True, label="seen")
+        _draw(axes, checked.setup, sight.T_base_tool, NOMINAL_SEAM, style.ORANGE, "expected")
+        if place is not None:
+            best = place.best
+            setup, seam = place.setup_by(best), place.seam_by(best)
+            label = "set right" if place.is_explained else f"if the {best.name} is off"
+            _draw(axes, setup, sight.T_base_tool, seam, style.GREEN, label)
+        axes.set_xlim(-0.5, camera.width - 0.5)
+        axes.set_ylim(camera.height - 0.5, -0.5)
+        axes.set_axis_off()
+    cells[0].legend(fontsize=8, loc="upper right")
+    return svg(figure)
+
+
+def _draw(axes: Axes, setup: Setup, T_base_tool: Float64, seam: SeamLine, colour: str, label: str) -> None:
+    try:
+        geometry = SensorGeometry.of(setup)
+        scene = make_scene(geometry.setup, T_base_tool, seam)
+        stripe = None if scene.below_surface else expect_stripe(geometry, scene)
+    except ValueError:
+        stripe = None
+    if stripe is None:
+        return
+    scan = np.arange(geometry.n_scan, dtype=np.float64)
+    axes.plot(*geometry.image_points(scan, stripe.shown_px).T, color=colour, linewidth=1.2, label=label)
+
+
+def _arc(arc: ArcLight) -> str:
+    figure = style.new_figure(10.5, 3.6, "")
+    levels, shape = figure.subplots(1, 2)
+    style.plain(levels, "frame", "level over the expected one")
+    levels.plot(
+        [f.frame.index for f in arc.frames],
+        [f.level for f in arc.frames],
+        "o",
+        color=style.BLUE,
+        markersize=5,
+    )
+    levels.axhline(1.0, color=style.BLACK, linewidth=0.8)
+    brightest = max(arc.frames, key=lambda f: float(np.median(f.charge_e)))
+    style.plain(shape, "column [px]", "row [px]", f"frame {brightest.frame.index}: charge over the fit − 1")
+    drawn = shape.scatter(
+        *brightest.uv_px.T, c=brightest.off, cmap="RdBu_r", vmin=-SHAPE_RANGE, vmax=SHAPE_RANGE, s=14
+    )
+    height, width = brightest.frame.image_dn.shape
+    shape.set_xlim(-0.5, width - 0.5)
+    shape.set_ylim(height - 0.5, -0.5)
+    shape.set_aspect("equal")
+    figure.colorbar(drawn, ax=shape)
+    return svg(figure)

@@ -1,0 +1,1 @@
+"""Does a setup explain what was recorded with it: measures, and which part of it would have to be off."""

@@ -1,0 +1,276 @@
+"""Is the arc's light what a setup expects: its level in each frame, and its shape over the image.
+
+Pixels of a lattice, off the stripe, off saturation and off the edges of the joint's faces, are compared with
+the arc map at the seam that the stripes show. In each frame
+
+    charge = level (map + spread <map>) + black,
+
+<map> the map's mean over the frame: what lies evenly over the image is light that optics scatter. What is
+left of a pixel, relative to the light there, is the error of the map's shape. Between stripe and torch the
+seam may wander: what that makes of each quantity is part of its sigma.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import cv2
+import numpy as np
+
+from noise_model.arc.map import make_scene
+from noise_model.arrays import Bool, Float64, Int64
+from noise_model.condition import Condition
+from noise_model.effects import apply_condition_effects
+from noise_model.effects.light import Light
+from noise_model.fit import Parameter, fit
+from noise_model.forward import look, pass_on
+from noise_model.instrument.camera import Rays
+from noise_model.instrument.sensor import linearise, saturation_dn, variance_e2
+from noise_model.setup import Setup
+from noise_model.surface.joint import SeamLine
+from noise_model.surface.ray_casting import MISS
+from noise_model.transforms import transform
+from tracker.arc.level import HUBER
+from tracker.geometry import SensorGeometry
+from tracker.state import Frame
+from tracker.stripe.expected import expect_stripe
+
+ACROSS, BLOCK_PX = 24, 5
+"""So many pixels of a row of the image are compared, each the mean over a block of so many px a side."""
+
+EDGE_PX, MAX_CHANGE = 8, 0.3
+"""A pixel counts if so far to each side the same face is seen and the light changes by a smaller share."""
+
+KEEP_OFF_SIGMAS = 6.0
+"""How far a pixel must lie from the stripe, in the stripe's sigmas."""
+
+SHAPE_SIGMA = 0.02
+"""What the map may be off from pixel to pixel, relative, 1 sigma, with all within its tolerance."""
+
+MIN_PIXELS = 40
+"""A frame with fewer pixels tells nothing."""
+
+MAX_NOISE = 0.03
+"""The shape is judged where a block's noise is a smaller share of the light."""
+
+WANDER_MM = (1.0, 0.3)
+"""1 sigma of how far the seam at the torch lies off the straight line of the stripes' seam, y and z."""
+
+MIN_LN_RANGE = 0.1
+"""Exposures or currents vary if their logarithms do by more."""
+
+TO_SIGMA = 1.4826
+"""A normal law's sigma over its median absolute deviation."""
+
+
+@dataclass(frozen=True)
+class Known:
+    """A value and its 1 sigma; NaN where the frames do not tell it."""
+
+    value: float
+    sigma: float
+
+
+@dataclass(frozen=True, eq=False)
+class ArcFrame:
+    """A frame's arc light at the pixels (n,) that are compared.
+
+    `uv_px` (n, 2) are their places, `charge_e` what they hold, `noise_e` its 1 sigma, `map_e` the light that
+    the setup expects. `level` is the arc's output over the expected one, and `off` (n,) how far the charge
+    lies off the fit, relative to the light there.
+    """
+
+    frame: Frame
+    uv_px: Int64
+    charge_e: Float64
+    noise_e: Float64
+    map_e: Float64
+    level: float
+    off: Float64
+
+
+@dataclass(frozen=True, eq=False)
+class ArcLight:
+    """The arc's light beside the expected one, over all frames.
+
+    `level` is the median output over the expected one, `unsteady` its scatter from frame to frame, relative.
+    With `exposure_power` and `current_power` of exposure and current it goes beyond what is expected. `shape`
+    is the map's relative error, RMS by a robust measure, noise taken off; `spread` the share of a frame's
+    light that lies evenly over it. Sigmas hold the fit's own and what an unknown seam at the torch makes.
+    """
+
+    frames: tuple[ArcFrame, ...]
+    level: Known
+    unsteady: Known
+    exposure_power: Known
+    current_power: Known
+    shape: Known
+    spread: Known
+
+
+QUANTITIES = ("level", "unsteady", "exposure_power", "current_power", "shape", "spread")
+"""The quantities of `ArcLight`, in their order."""
+
+
+def compare_arc(setup: Setup, frames: Sequence[tuple[Frame, Float64]], seam: SeamLine) -> ArcLight:
+    """Compare the arc's light in frames, each with T_base_tool (4, 4), with what a setup expects at a seam.
+
+    Raises ValueError if the setup states no arc or no metal, and where no frame shows enough of its light.
+    """
+    setup.require("the check of the arc's light", "arc", "material")
+    geometry = SensorGeometry.of(setup)
+    rays = Rays.of(geometry.setup.camera)
+    here = _compared(geometry, rays, frames, seam)
+    torch_mm = float(np.median([_torch_mm(geometry.setup, T_base_tool) for _, T_base_tool in frames]))
+    away_mm = torch_mm - seam.station_mm
+    others = [
+        _compared(geometry, rays, frames, replace(seam, slope_y=seam.slope_y + WANDER_MM[0] / away_mm)),
+        _compared(geometry, rays, frames, replace(seam, slope_z=seam.slope_z + WANDER_MM[1] / away_mm)),
+    ]
+
+    def with_wander(name: str) -> Known:
+        known: Known = getattr(here, name)
+        changes = [getattr(other, name).value - known.value for other in others]
+        return Known(known.value, math.hypot(known.sigma, *changes))
+
+    return ArcLight(here.frames, *map(with_wander, QUANTITIES))
+
+
+def _torch_mm(true: Setup, T_base_tool: Float64) -> float:
+    """Return the torch's station, mm."""
+    return float(transform(make_scene(true, T_base_tool).T_joint_tool, np.zeros(3))[0])
+
+
+def _compared(
+    geometry: SensorGeometry, rays: Rays, frames: Sequence[tuple[Frame, Float64]], seam: SeamLine
+) -> ArcLight:
+    seen = [_seen(geometry, rays, frame, T_base_tool, seam) for frame, T_base_tool in frames]
+    seen = [frame for frame in seen if len(frame.charge_e) >= MIN_PIXELS]
+    if not seen:
+        raise ValueError("no frame shows the arc's light below saturation, off the stripe and off edges")
+    return _fitted(geometry.setup, seen)
+
+
+def _seen(
+    geometry: SensorGeometry, rays: Rays, frame: Frame, T_base_tool: Float64, seam: SeamLine
+) -> ArcFrame:
+    """Return a frame's pixels that count; level and `off` are not known yet."""
+    true = geometry.setup
+    height, width = true.camera.height, true.camera.width
+    spacing = max(1, width // ACROSS)
+    u, v = (
+        grid.ravel()
+        for grid in np.meshgrid(
+            np.arange(EDGE_PX, width - EDGE_PX, spacing), np.arange(EDGE_PX, height - EDGE_PX, spacing)
+        )
+    )
+    places = [(0, 0), (EDGE_PX, 0), (-EDGE_PX, 0), (0, EDGE_PX), (0, -EDGE_PX)]
+    pixels = np.concatenate([(v + dv) * width + u + du for du, dv in places])
+    layers = look(true, T_base_tool, seam, rays, pixels)
+    light = Light.of(layers.arc_e.copy(), np.zeros_like(layers.arc_e))
+    current_a = frame.current_a if math.isfinite(frame.current_a) else true.arc.current_a
+    stated = Condition.of(true, laser_on=False, arc_on=True, current_a=current_a, exposure_s=frame.exposure_s)
+    condition = apply_condition_effects(true, stated)
+    light.arc *= np.float32(condition.arc_level)
+    pass_on(true, light, layers.view, condition)
+    arc_e = light.arc.astype(np.float64).reshape(len(places), -1)
+    faces = layers.faces.reshape(len(places), -1)
+    use = (faces == faces[0]).all(axis=0) & (faces[0] != MISS) & (arc_e[0] > 0.0)
+    use &= (np.abs(arc_e - arc_e[0]) <= MAX_CHANGE * arc_e[0]).all(axis=0)
+    use &= _block_means(frame.image_dn >= saturation_dn(true.sensor), u, v) == 0.0
+    if frame.laser_on:
+        use &= _off_stripe(geometry, T_base_tool, seam, u, v)
+    charge_e = _block_means(linearise(frame.image_dn.astype(np.float64), true.sensor), u, v)[use]
+    noise_e = np.sqrt(variance_e2(np.maximum(charge_e, 0.0), true.sensor)) / BLOCK_PX
+    return ArcFrame(
+        frame, np.column_stack([u, v])[use], charge_e, noise_e, arc_e[0][use], math.nan, np.empty(0)
+    )
+
+
+def _block_means(image: Float64 | Bool, u: Int64, v: Int64) -> Float64:
+    """Return the means of an image (H, W) over blocks about pixels (n,)."""
+    return np.asarray(cv2.blur(image.astype(np.float64), (BLOCK_PX, BLOCK_PX))[v, u])
+
+
+def _off_stripe(geometry: SensorGeometry, T_base_tool: Float64, seam: SeamLine, u: Int64, v: Int64) -> Bool:
+    """Say of pixels (n,) whether they lie off the stripe."""
+    stripe = expect_stripe(geometry, make_scene(geometry.setup, T_base_tool, seam))
+    if stripe is None:
+        return np.ones(len(u), dtype=np.bool_)
+    scan, position = (u, v) if geometry.along_rows else (v, u)
+    return np.asarray(np.abs(position - stripe.position_px[scan]) > KEEP_OFF_SIGMAS * stripe.sigma_px[scan])
+
+
+def _fitted(true: Setup, seen: Sequence[ArcFrame]) -> ArcLight:
+    """Fit the frames' levels, the black level's offset and the share that is spread."""
+    n = len(seen)
+    starts = [max(float(np.median(f.charge_e / f.map_e)), 1e-3) for f in seen]
+    black_e = max(true.tolerance.black_level_dn * true.sensor.gain_e_per_dn, 1e-3)
+    parameters = [
+        *(Parameter(f"ln_level_{i}", "", math.log(start)) for i, start in enumerate(starts)),
+        Parameter("black", "e-", 0.0, black_e, step=0.01 * black_e),
+        Parameter("spread", "", 0.0),
+    ]
+
+    def off_e(x: Float64, i: int) -> Float64:
+        mean_e = math.exp(x[i]) * (seen[i].map_e + x[n + 1] * seen[i].map_e.mean()) + x[n]
+        return np.asarray(seen[i].charge_e - mean_e)
+
+    def residuals(x: Float64) -> Float64:
+        parts = [
+            off_e(x, i) / np.hypot(f.noise_e, SHAPE_SIGMA * start * f.map_e)
+            for i, (f, start) in enumerate(zip(seen, starts, strict=True))
+        ]
+        return np.concatenate(parts)
+
+    result = fit(parameters, residuals, huber=HUBER)
+    x, sigmas = result.values, result.sigmas * math.sqrt(max(result.chi2, 1.0))
+    levels = np.exp(x[:n])
+    frames = tuple(
+        replace(f, level=float(level), off=off_e(x, i) / (level * f.map_e))
+        for i, (f, level) in enumerate(zip(seen, levels, strict=True))
+    )
+    level = float(np.median(levels))
+    exposure_power, current_power, scatter = _powers([f.frame for f in seen], x[:n], sigmas[:n])
+    return ArcLight(
+        frames,
+        Known(level, level * float(np.median(sigmas[:n]))),
+        scatter,
+        exposure_power,
+        current_power,
+        _shape(frames),
+        Known(float(x[n + 1]), float(sigmas[n + 1])),
+    )
+
+
+def _shape(frames: Sequence[ArcFrame]) -> Known:
+    """Return the map's relative error, RMS by a robust measure, the noise taken off."""
+    off = np.concatenate([f.off for f in frames])
+    noise = np.concatenate([f.noise_e / (f.level * f.map_e) for f in frames])
+    bright = noise < MAX_NOISE
+    if bright.sum() < MIN_PIXELS:
+        return Known(math.nan, math.nan)
+    rms = TO_SIGMA * float(np.median(np.abs(off[bright])))
+    noise_rms = float(np.sqrt(np.mean(noise[bright] ** 2)))
+    return Known(math.sqrt(max(rms**2 - noise_rms**2, 0.0)), rms / math.sqrt(2.0 * bright.sum()))
+
+
+def _powers(frames: Sequence[Frame], ln_levels: Float64, sigmas: Float64) -> tuple[Known, Known, Known]:
+    """Return with which powers of exposure and current levels (n,) go, and their scatter beyond that."""
+    ln = np.log([[frame.exposure_s, frame.current_a] for frame in frames])
+    varies = np.isfinite(ln).all(axis=0) & (np.ptp(ln, axis=0) > MIN_LN_RANGE)
+    columns = [np.ones(len(frames)), *(ln[:, k] - ln[:, k].mean() for k in np.flatnonzero(varies))]
+    A = np.column_stack(columns)
+    freedom = len(frames) - A.shape[1]
+    known = [Known(math.nan, math.nan)] * 2
+    if freedom < 1 or np.linalg.matrix_rank(A) < A.shape[1]:
+        return known[0], known[1], Known(math.nan, math.nan)
+    x, *_ = np.linalg.lstsq(A, ln_levels, rcond=None)
+    scatter = float(np.sqrt(np.sum((ln_levels - A @ x) ** 2) / freedom))
+    size = math.hypot(scatter, float(np.median(sigmas)))
+    x_sigmas = size * np.sqrt(np.diag(np.linalg.inv(A.T @ A)))
+    for place, k in enumerate(np.flatnonzero(varies), start=1):
+        known[k] = Known(float(x[place]), float(x_sigmas[place]))
+    return known[0], known[1], Known(scatter, size / math.sqrt(2.0 * freedom))

@@ -1,0 +1,462 @@
+"""Is the stripe where a setup puts it, and if not, which part of the setup would have to be off.
+
+A stripe's points are met with the laser plane and laid on the stated section of the joint, which may lie off
+its nominal place as parts do. What is left over is explained in turn by one part of the setup that is far
+from its stated value, all others within their tolerance:
+
+    Z_k = p(points | part k off) = integral of p(points | x) p_k(x) dx,
+
+x the camera's pose, the laser's plane, the sensor's pose, the lens and the part's place, p_k a normal law
+that is wide for part k. Laplace's approximation gives ln Z_k (MacKay 2003, chapter 27). Parts whose Z_k are
+alike cannot be told apart by these poses: a plate stays in base while the tool moves, a sensor goes with the
+tool. So turned and lifted poses tell them apart, and a tool that only travels does not.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import partial
+
+import numpy as np
+from numpy.polynomial.legendre import legval
+from scipy.spatial.transform import Rotation
+
+from noise_model.arrays import Float64
+from noise_model.effects import apply_setup_effects
+from noise_model.fit import Fit, Parameter, fit
+from noise_model.setup import Setup
+from noise_model.stripe import stripe_runs_along_rows
+from noise_model.surface.joint import SeamLine, corrugation_height, seam_frame, section
+from noise_model.transforms import cross, invert, moved, transform
+from tracker.geometry import to_laser_plane
+
+BINS_A_FRAME, MIN_IN_BIN = 16, 3
+"""A stripe is read as medians over so many parts of it, each of so many scan lines at least."""
+
+MIN_SIGMA_PX, MIN_SIGMA_MM = 0.2, 0.03
+"""1 sigma of such a median, px, and of a section's own shape, mm, are no less.
+
+On metal the mean of 64 lines still scatters by 0.15 px.
+"""
+
+SHAPE_PX = (0.5, 0.5, 0.5, 0.3)
+"""1 sigma of what lens, sheet and plate bend all stripes by, px: Legendre's polynomials along them."""
+
+OFF_UPRIGHT_MM = 3.0
+"""A point counts so far beside an upright face: beneath it the section jumps."""
+
+MAX_OFF_MM = 60.0
+"""A point farther off the joint lies on something else."""
+
+MAX_ROUNDS, DERIVATIVE_STEP, MIN_SHARE, SETTLED = 20, 0.01, 0.05, 0.02
+"""A fit's rounds at most, its derivatives' step over the prior's sigma, the least share of a round's step
+that is tried, and the gain in squares that is the last round's."""
+
+COARSE_Y_MM, COARSE_Z_MM = np.arange(-6.0, 7.0, 3.0), np.arange(-18.0, 18.5, 1.5)
+"""Places of the part that a fit begins at, mm sideways and in height."""
+
+TO_SIGMA = 1.4826
+"""A normal law's sigma over its median absolute deviation."""
+
+FAR = 1e3
+"""A residual that counts for one beyond all reach, sigmas."""
+
+HUBER = 2.0
+"""Residuals beyond so many sigmas pull no harder: upright faces, glints, what lies beside the joint."""
+
+PART_SIGMAS = (2.0, 2.0, 0.02, 0.02, 0.3)
+"""1 sigma of how a part lies off its nominal place: sideways and in height, mm, along the seam, mm/mm, and
+turned about it, deg."""
+
+MIN_TOLERANCE = 1e-3
+"""A tolerance of 0 is taken for so much, deg and mm."""
+
+OFF_NATS = 7.0
+"""So much likelier must the points be with one part off before the setup counts as not explaining them."""
+
+ALIKE_NATS = 6.0
+"""Parts whose likelihoods differ by less cannot be told apart: a plate that is bent makes odds doubtful."""
+
+PART_BLOCK = ("seam_y", "seam_z", "seam_slope_y", "seam_slope_z", "part_roll")
+CAMERA_BLOCK = ("camera_rot_x", "camera_rot_y", "camera_rot_z", "camera_x", "camera_y", "camera_z")
+LASER_BLOCK = ("laser_rot_1", "laser_rot_2", "laser_offset")
+SENSOR_BLOCK = ("sensor_rot_x", "sensor_rot_y", "sensor_rot_z", "sensor_x", "sensor_y", "sensor_z")
+LENS_BLOCK = ("ln_focal",)
+SHAPE_BLOCK = ("shape_0", "shape_1", "shape_2", "shape_3")
+
+AS_STATED, CAMERA, LASER, SENSOR, LENS, PART = "as stated", "camera", "laser", "sensor", "lens", "part"
+
+BLOCKS: Mapping[str, tuple[str, ...]] = {
+    CAMERA: CAMERA_BLOCK,
+    SENSOR: SENSOR_BLOCK,
+    LASER: LASER_BLOCK,
+    LENS: LENS_BLOCK,
+    PART: PART_BLOCK,
+}
+"""The parts of a setup that may be off: the camera alone in the tool, camera and laser together in the tool,
+the laser alone, the lens' focal lengths, and the part itself, with the base and the tool's length.
+
+The first two are the hand-eye's.
+"""
+
+
+def _named(names: Sequence[str], values: Sequence[float]) -> dict[str, float]:
+    return dict(zip(names, values, strict=True))
+
+
+STALE_POSE = (1.0, 1.0, 1.0, 5.0, 5.0, 5.0)
+"""1 sigma of a pose that is not as stated any more, deg and mm."""
+
+STALE: Mapping[str, Mapping[str, float]] = {
+    CAMERA: _named(CAMERA_BLOCK, STALE_POSE),
+    SENSOR: _named(SENSOR_BLOCK, STALE_POSE),
+    LASER: _named(LASER_BLOCK, (1.0, 1.0, 5.0)),
+    LENS: _named(LENS_BLOCK, (0.05,)),
+    PART: _named(PART_BLOCK, (20.0, 20.0, 0.05, 0.05, 3.0)),
+}
+"""1 sigma of what is off where a part of the setup is not as stated, in the units of its parameters."""
+
+
+@dataclass(frozen=True, eq=False)
+class StripeSight:
+    """A frame's stripe, image points (n, 2) x y, px, in the order of its scan lines, and the tool's pose."""
+
+    points_px: Float64
+    T_base_tool: Float64
+
+
+@dataclass(frozen=True, eq=False)
+class Cause:
+    """A part of the setup that is off, as an explanation of the stripes.
+
+    `ln_evidence` is ln Z, `values` what it would take by parameter name, in deg, mm and ln, `fit` the fit
+    behind them; `rms_px` how far the stripes then lie off their places, by a robust measure. `turn_deg` and
+    `move_mm` are the turn and the move of the part in all; of the lens `turn_deg` is 0, and `move_mm` too.
+    """
+
+    name: str
+    ln_evidence: float
+    fit: Fit
+    values: Mapping[str, float]
+    rms_px: float
+    turn_deg: float
+    move_mm: float
+
+
+@dataclass(frozen=True, eq=False)
+class StripePlace:
+    """Where stripes lie beside the places that a setup expects, and what explains it.
+
+    `off_px` is the median over all points, `off_sigma_px` the 1 sigma that tolerances and the part's place
+    let expect; `rms_px` what is left where all is within them. `causes` are the likeliest first, without
+    `AS_STATED`; `gain_nats` says by how much the first is likelier than the setup as stated.
+    The tool was turned by up to `turned_deg` and lifted by `lifted_mm` between the frames. The part's place
+    is stated about `middle_mm`, the station amid the points.
+    """
+
+    setup: Setup
+
+    off_px: float
+    off_sigma_px: float
+    rms_px: float
+    as_stated: Cause
+    causes: tuple[Cause, ...]
+    turned_deg: float
+    lifted_mm: float
+    n_frames: int
+    middle_mm: float
+
+    @property
+    def gain_nats(self) -> float:
+        """How much likelier the best cause makes the stripes than the setup as stated."""
+        return self.causes[0].ln_evidence - self.as_stated.ln_evidence
+
+    @property
+    def is_explained(self) -> bool:
+        """Whether the setup as stated explains the stripes."""
+        return self.gain_nats < OFF_NATS
+
+    @property
+    def likely(self) -> tuple[Cause, ...]:
+        """The causes that cannot be told from the best one; none where the setup explains the stripes."""
+        if self.is_explained:
+            return ()
+        best = self.causes[0].ln_evidence
+        return tuple(cause for cause in self.causes if cause.ln_evidence > best - ALIKE_NATS)
+
+    @property
+    def best(self) -> Cause:
+        """What explains the stripes best: the setup as stated where it does."""
+        return self.as_stated if self.is_explained else self.causes[0]
+
+    def setup_by(self, cause: Cause) -> Setup:
+        """Return the setup as a cause would have it."""
+        return with_changes(self.setup, cause.values)
+
+    def seam_by(self, cause: Cause) -> SeamLine:
+        """Return where the part lies as a cause would have it."""
+        y, z, slope_y, slope_z = (cause.values[name] for name in PART_BLOCK[:4])
+        return SeamLine(self.middle_mm, y, z, slope_y, slope_z)
+
+
+def locate_stripes(setup: Setup, sights: Sequence[StripeSight]) -> StripePlace:
+    """Compare the stripes of some frames with the places that a setup expects them in.
+
+    Raises ValueError where no stripe meets the laser plane in front of the camera.
+    """
+    problem = _Problem.of(setup, sights)
+    coarse = problem.coarse_place()
+    as_stated = problem.explained_by(AS_STATED, coarse, {})
+    causes = sorted(
+        (problem.explained_by(name, as_stated.values, coarse) for name in BLOCKS),
+        key=lambda cause: -cause.ln_evidence,
+    )
+    off_px, sigma_px = problem.displacement(as_stated.fit)
+    turns = np.array([sight.T_base_tool[:3, :3] for sight in sights])
+    turned = Rotation.from_matrix(turns[0].T @ turns).magnitude()
+    heights = [sight.T_base_tool[:3, 3] @ np.asarray(setup.joint.surface_normal_in_base) for sight in sights]
+    return StripePlace(
+        setup,
+        off_px,
+        sigma_px,
+        as_stated.rms_px,
+        as_stated,
+        tuple(causes),
+        float(np.degrees(turned.max())),
+        float(np.ptp(heights)),
+        len(sights),
+        problem.middle_mm,
+    )
+
+
+@dataclass(frozen=True, eq=False)
+class _Problem:
+    """Points (n, 2) of all frames with T_joint_tool (n, 4, 4), their 1 sigma (n,), px, across the stripe."""
+
+    setup: Setup
+    points_px: Float64
+    T_joint_tool: Float64
+    sigma_px: Float64
+    middle_mm: float
+    bends_px: Float64
+    across: Float64
+
+    @classmethod
+    def of(cls, setup: Setup, sights: Sequence[StripeSight]) -> _Problem:
+        true = apply_setup_effects(setup)
+        points, transforms, sigmas = [], [], []
+        for sight in sights:
+            binned, sigma_px = _binned(sight.points_px)
+            ahead_base = transform(sight.T_base_tool, true.laser.point_mm)
+            T_joint_tool = invert(seam_frame(true.joint, ahead_base)) @ sight.T_base_tool
+            points.append(binned)
+            sigmas.append(sigma_px)
+            transforms.append(np.broadcast_to(T_joint_tool, (len(binned), 4, 4)))
+        points_px, sigma_px = np.concatenate(points), np.concatenate(sigmas)
+        T_joint_tool = np.concatenate(transforms)
+        across = np.array([0.0, 1.0] if stripe_runs_along_rows(true) else [1.0, 0.0])
+        met, beside = (to_laser_plane(true, points_px + step)[0] for step in (0.0, across))
+        in_joint = _in_joint(T_joint_tool, met)
+        off_mm = _off_section(true, in_joint)
+        mm_per_px = np.abs(_off_section(true, _in_joint(T_joint_tool, beside)) - off_mm)
+        known = np.isfinite(mm_per_px) & (mm_per_px > 0.0) & (np.abs(off_mm) < MAX_OFF_MM)
+        vertices = section(true.joint).vertices
+        uprights_mm = vertices[:-1][np.diff(vertices[:, 0]) == 0.0, 0]
+        near_mm = np.abs(in_joint[:, 1:2] - uprights_mm).min(axis=1, initial=np.inf)
+        known &= near_mm > OFF_UPRIGHT_MM
+        if not known.any():
+            raise ValueError("no stripe meets the laser plane where the joint is")
+        return cls(
+            true,
+            points_px[known],
+            T_joint_tool[known],
+            np.hypot(sigma_px, MIN_SIGMA_MM / np.where(known, mm_per_px, 1.0))[known],
+            float(np.median(in_joint[known, 0])),
+            _bends(points_px, true)[:, known],
+            across,
+        )
+
+    def coarse_place(self) -> dict[str, float]:
+        """Return about where the part lies beside its nominal place: the best of a grid."""
+        places = [{"seam_y": y, "seam_z": z} for z in COARSE_Z_MM for y in COARSE_Y_MM]
+        nothing = dict.fromkeys((*PART_BLOCK, *SHAPE_BLOCK), 0.0)
+        costs = [_cost(self.residuals({**nothing, **place}), np.zeros(0)) for place in places]
+        return places[int(np.argmin(costs))]
+
+    def explained_by(self, name: str, *starts: Mapping[str, float]) -> Cause:
+        """Return what it takes to explain the points where one part is off, the best of some starts."""
+        return max((self._explained(name, start) for start in starts), key=lambda cause: cause.ln_evidence)
+
+    def _explained(self, name: str, near: Mapping[str, float]) -> Cause:
+        parameters = self._parameters(name)
+        sigmas = np.array([parameter.prior_sigma for parameter in parameters])
+        start = np.array([near.get(parameter.name, 0.0) for parameter in parameters])
+        result = self._fitted(parameters, start)
+        values = dict(zip((parameter.name for parameter in parameters), result.values, strict=True))
+        residuals = self.residuals(values)
+        _, ln_correlation = np.linalg.slogdet(result.correlation)
+        ln_volume = 0.5 * ln_correlation + float(np.log(result.sigmas / sigmas).sum())
+        turn, move = _size(name, [values[n] for n in BLOCKS.get(name, ())])
+        rms_px = TO_SIGMA * float(np.median(np.abs(residuals * self.sigma_px)))
+        cost = _cost(residuals, result.values / sigmas)
+        return Cause(name, ln_volume - 0.5 * cost, result, values, rms_px, turn, move)
+
+    def _fitted(self, parameters: Sequence[Parameter], start: Float64) -> Fit:
+        """Fit in rounds, each of them linear about the last one's result."""
+        names = [parameter.name for parameter in parameters]
+        sigmas = np.array([parameter.prior_sigma for parameter in parameters])
+
+        def residuals_at(x: Float64) -> Float64:
+            return self.residuals(dict(zip(names, x, strict=True)))
+
+        x, r = start, residuals_at(start)
+        for _ in range(MAX_ROUNDS):
+            steps = np.diag([parameter.step for parameter in parameters])
+            J = np.column_stack([(residuals_at(x + step) - r) / step.sum() for step in steps])
+            result = fit(parameters, partial(_linear, r, J, x), huber=HUBER, start=x)
+            cost, share = _cost(r, x / sigmas), 1.0
+            while True:
+                there = x + share * (result.values - x)
+                r_there = residuals_at(there)
+                gain = cost - _cost(r_there, there / sigmas)
+                if gain > 0.0 or share < MIN_SHARE:
+                    break
+                share *= 0.5
+            if gain > 0.0:
+                x, r = there, r_there
+            if gain < SETTLED:
+                break
+        return replace(result, values=x, residuals=r)
+
+    def _parameters(self, name: str) -> list[Parameter]:
+        tolerance = self.setup.tolerance
+        deg, mm = max(tolerance.hand_eye_deg, MIN_TOLERANCE), max(tolerance.hand_eye_mm, MIN_TOLERANCE)
+        sigmas = {
+            **_named(PART_BLOCK, PART_SIGMAS),
+            **_named(CAMERA_BLOCK, (deg, deg, deg, mm, mm, mm)),
+            **_named(LASER_BLOCK, (deg, deg, mm)),
+            **_named(SHAPE_BLOCK, SHAPE_PX),
+            **STALE.get(name, {}),
+        }
+        return [Parameter(n, "", 0.0, sigma, step=DERIVATIVE_STEP * sigma) for n, sigma in sigmas.items()]
+
+    def residuals(self, x: Mapping[str, float]) -> Float64:
+        """Return how far the stripe's points (n,) lie off their places, in their sigmas."""
+        setup = with_changes(self.setup, x)
+        seen_px = self.points_px + np.tensordot([x[name] for name in SHAPE_BLOCK], self.bends_px, axes=1)
+        here_mm, beside_mm = (self._off_mm(setup, seen_px + step, x) for step in (0.0, self.across))
+        with np.errstate(divide="ignore", invalid="ignore"):
+            off_px = here_mm / (beside_mm - here_mm)
+        return np.clip(np.nan_to_num(off_px / self.sigma_px, nan=FAR), -FAR, FAR)
+
+    def _off_mm(self, setup: Setup, points_px: Float64, x: Mapping[str, float]) -> Float64:
+        in_joint = _in_joint(self.T_joint_tool, to_laser_plane(setup, points_px)[0])
+        along = in_joint[:, 0] - self.middle_mm
+        in_joint[:, 1] -= x["seam_y"] + x["seam_slope_y"] * along
+        in_joint[:, 2] -= x["seam_z"] + x["seam_slope_z"] * along
+        in_joint[:, 2] -= math.radians(x["part_roll"]) * in_joint[:, 1]
+        return _off_section(setup, in_joint)
+
+    def displacement(self, stated: Fit) -> tuple[float, float]:
+        """Return the points' median distance from their nominal places, px, and its expected 1 sigma."""
+        nominal = dict.fromkeys((parameter.name for parameter in stated.parameters), 0.0)
+
+        def median_px(x: Mapping[str, float]) -> float:
+            return float(np.median(self.residuals(x) * self.sigma_px))
+
+        here = median_px(nominal)
+        off = [
+            (median_px({**nominal, p.name: p.step}) - here) / p.step * p.prior_sigma
+            for p in stated.parameters
+        ]
+        return here, math.hypot(*off)
+
+
+def with_changes(setup: Setup, x: Mapping[str, float]) -> Setup:
+    """Return a setup whose camera, laser, sensor and lens are changed by parameters, deg, mm and ln."""
+    camera, laser = setup.camera, setup.laser
+    T_tool_camera = _moved(camera.T_tool_camera, x, CAMERA_BLOCK)
+    plane = _turned(laser.plane, laser.point_mm, *(x.get(name, 0.0) for name in LASER_BLOCK))
+    T_tool_moved = _moved(T_tool_camera, x, SENSOR_BLOCK)
+    n_x, n_y, n_z, d = (plane @ T_tool_camera @ invert(T_tool_moved)).tolist()
+    factor = math.exp(x.get("ln_focal", 0.0))
+    camera = replace(camera, T_tool_camera=T_tool_moved, fx=factor * camera.fx, fy=factor * camera.fy)
+    return replace(setup, camera=camera, laser=replace(laser, plane_in_tool=(n_x, n_y, n_z, d)))
+
+
+def _moved(T: Float64, x: Mapping[str, float], block: Sequence[str]) -> Float64:
+    change = [x.get(name, 0.0) for name in block]
+    return moved(T, change[:3], change[3:])
+
+
+def _turned(plane: Float64, point_mm: Float64, steep_deg: float, level_deg: float, off_mm: float) -> Float64:
+    """Return a plane (4,) turned about its steepest and its level line through a point, and moved."""
+    normal = plane[:3]
+    level = cross(normal, np.array([0.0, 0.0, 1.0]))
+    level /= np.linalg.norm(level)
+    axis = np.radians(steep_deg) * cross(normal, level) + np.radians(level_deg) * level
+    turned = Rotation.from_rotvec(axis).apply(normal)
+    return np.append(turned, -turned @ point_mm - off_mm)
+
+
+def _bends(points_px: Float64, setup: Setup) -> Float64:
+    """Return how points (n, 2) move, px, with one unit of each of `SHAPE_BLOCK`: (k, n, 2)."""
+    along_rows = stripe_runs_along_rows(setup)
+    size = setup.camera.width if along_rows else setup.camera.height
+    place = 2.0 * points_px[:, 0 if along_rows else 1] / size - 1.0
+    across = np.array([0.0, 1.0] if along_rows else [1.0, 0.0])
+    return np.array([np.outer(legval(place, unit), across) for unit in np.eye(len(SHAPE_BLOCK))])
+
+
+def _in_joint(T_joint_tool: Float64, points_tool: Float64) -> Float64:
+    turned = np.einsum("nij,nj->ni", T_joint_tool[:, :3, :3], points_tool)
+    return np.asarray(turned + T_joint_tool[:, :3, 3])
+
+
+def _off_section(setup: Setup, in_joint: Float64) -> Float64:
+    """Return how far points (n, 3) of the joint frame lie above the joint's section, along its normal, mm."""
+    shape = section(setup.joint)
+    vertices, y = shape.vertices, in_joint[:, 1]
+    z = in_joint[:, 2] - corrugation_height(in_joint[:, 0], shape.corrugation)
+    run = np.diff(vertices[:, 0])
+    # No point lies on an upright face.
+    slope = np.divide(np.diff(vertices[:, 1]), run, out=np.zeros_like(run), where=run > 0.0)
+    face = np.clip(np.searchsorted(vertices[:, 0], y) - 1, 0, len(run) - 1)
+    plain = vertices[face, 1] + slope[face] * (y - vertices[face, 0])
+    return np.asarray((z - plain) / np.hypot(1.0, slope[face]))
+
+
+def _binned(points_px: Float64) -> tuple[Float64, Float64]:
+    """Return medians (m, 2) over parts of a stripe (n, 2) and their 1 sigma (m,), px."""
+    parts = np.array_split(points_px, min(BINS_A_FRAME, max(1, len(points_px) // MIN_IN_BIN)))
+    middles = np.array([np.median(part, axis=0) for part in parts])
+    across = 0 if np.ptp(points_px[:, 0]) < np.ptp(points_px[:, 1]) else 1
+    sigmas = []
+    for part in parts:
+        steps = np.diff(part[:, across])
+        scatter = float(np.median(np.abs(steps - np.median(steps)))) * 1.05 if len(steps) else 1.0
+        sigmas.append(max(MIN_SIGMA_PX, scatter / math.sqrt(len(part))))
+    return middles, np.array(sigmas)
+
+
+def _linear(residuals: Float64, J: Float64, x: Float64, there: Float64) -> Float64:
+    return np.asarray(residuals + J @ (there - x))
+
+
+def _cost(residuals: Float64, pulls: Float64) -> float:
+    """Return Huber's sum over residuals (n,) and the squares of the priors' pulls (p,)."""
+    size = np.abs(residuals)
+    beyond = 2.0 * HUBER * size - HUBER**2
+    return float(np.where(size > HUBER, beyond, size**2).sum() + (pulls**2).sum())
+
+
+def _size(name: str, block: Sequence[float]) -> tuple[float, float]:
+    if name in (CAMERA, SENSOR):
+        return float(np.linalg.norm(block[:3])), float(np.linalg.norm(block[3:]))
+    if name == LASER:
+        return math.hypot(block[0], block[1]), abs(block[2])
+    if name == PART:
+        return abs(block[4]), math.hypot(block[0], block[1])
+    return 0.0, 0.0
