@@ -62,6 +62,8 @@ def warm_up(
 ) -> WarmUp:
     """Take every path of `step` for a setup's joint and types of numbers.
 
+    What this process has taken before for a setup of the same kind is not taken again.
+
     Parameters
     ----------
     geometry : SensorGeometry
@@ -81,10 +83,32 @@ def warm_up(
     """
     began_s = time.perf_counter()
     with heard_compilations(on_compiled) as compiled:
-        work, state = Work.of(geometry), TrackerState()
-        for frame, pose in _frames(geometry):
-            state, _ = step(geometry, state, frame, pose, work, use_arc_map, correction)
+        kind = _kind(geometry, use_arc_map)
+        if kind not in _warm:
+            work, state = Work.of(geometry), TrackerState()
+            for frame, pose in _frames(geometry):
+                state, _ = step(geometry, state, frame, pose, work, use_arc_map, correction)
+            _warm.add(kind)
     return WarmUp(len(compiled), time.perf_counter() - began_s)
+
+
+_warm: set[tuple[object, ...]] = set()
+"""The kinds of setups for which this process has taken every path."""
+
+
+def _kind(geometry: SensorGeometry, use_arc_map: bool) -> tuple[object, ...]:
+    """Return what of a setup decides which functions a step calls, and with which types."""
+    setup = geometry.setup
+    return (
+        use_arc_map,
+        geometry.along_rows,
+        setup.joint.type,
+        setup.joint.has_ridges,
+        setup.sensor.dtype,
+        setup.missing,
+        any(setup.camera.distortion),
+        frozenset(setup.effects),
+    )
 
 
 def _frames(geometry: SensorGeometry) -> Iterator[tuple[Frame, Pose | None]]:

@@ -20,6 +20,7 @@ from rendered import EXPOSURE_S, frame_of, pose_at, small_setup
 from arctrack.nominal import DIMENSIONS
 from noise_model.surface.joint import SeamLine
 from tracker.state import Frame, Pose
+from tracker.tracker import Tracker
 
 pytestmark = pytest.mark.slow
 
@@ -121,3 +122,19 @@ def test_no_frame_waits_after_the_warm_up(
     assert ready > 30
     assert sorted(waited) == []
     assert for_constants == []
+
+
+def test_what_is_warm_takes_no_path_again(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("tracker.warm_up._warm", set())
+    setup = small_setup("v_groove")
+    Tracker(setup).warm_up()
+
+    def called(*_: object) -> None:
+        raise AssertionError("a step was taken")
+
+    monkeypatch.setattr("tracker.warm_up.step", called)
+    nearer = replace(setup, camera=replace(setup.camera, fx=0.9 * setup.camera.fx))
+    assert Tracker(nearer).warm_up().compiled == 0
+    for other in (small_setup("lap"), small_setup("v_groove", upright=True)):
+        with pytest.raises(AssertionError, match="a step was taken"):
+            Tracker(other).warm_up()
