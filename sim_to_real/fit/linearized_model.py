@@ -139,6 +139,7 @@ class LinearizedModel:
         self._bounced: dict[int, BouncedLight] = {}
         self._rays: dict[tuple[object, ...], Rays] = {}
         self._curves: dict[tuple[object, ...], SeamCurve] = {}
+        self._seams: dict[tuple[object, ...], BentSeam] = {}
         self._threads = threads
         self._executor = ThreadPoolExecutor(threads)
 
@@ -273,13 +274,20 @@ class LinearizedModel:
 
     def seam(self, frame: ObservedFrame, nuisance: Float64, effects: Effects) -> BentSeam:
         """Return the seam that a frame sees as nuisances (p,) and effects say."""
-        return self.seam_curve(effects).bent(self.seam_coefficients(nuisance), *frame.stations_mm)
+        coefficients = self.seam_coefficients(nuisance)
+        key = (_tracked_with(effects), coefficients.tobytes(), frame.stations_mm)
+        # Most of what is rendered anew has the seam of what was rendered before.
+        seam = self._seams.get(key)
+        if seam is None:
+            seam = self.seam_curve(effects).bent(coefficients, *frame.stations_mm)
+            if len(self._seams) >= N_CACHED * len(self.observed.frames):
+                self._seams = {}
+            self._seams[key] = seam
+        return seam
 
     def seam_curve(self, effects: Effects) -> SeamCurve:
         """Return the seam that a tracker with these effects in its setup finds."""
-        key = tuple(
-            (name, tuple(effects[name].items())) for name in sorted(TRIANGULATION_EFFECTS & set(effects))
-        )
+        key = _tracked_with(effects)
         if key not in self._curves:
             if len(self._curves) >= N_CACHED:
                 self._curves = {}
@@ -416,6 +424,13 @@ class LinearizedModel:
             slopes_of(lambda layers: layers.arc_e) if frame.condition.arc_level > 0.0 else None,
             slopes_of(lambda layers: layers.laser_e) if frame.condition.laser_level > 0.0 else None,
         )
+
+
+def _tracked_with(effects: Effects) -> tuple[object, ...]:
+    """Return those effects, with their values, that change the seam which a tracker finds."""
+    return tuple(
+        (name, tuple(effects[name].items())) for name in sorted(TRIANGULATION_EFFECTS & set(effects))
+    )
 
 
 def _nearest(rendered: Bool) -> npt.NDArray[np.intp]:
