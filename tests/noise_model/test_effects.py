@@ -1,6 +1,7 @@
 """The registry: what the contract names, limits, continuity, where effects act, and in which order."""
 
 import dataclasses
+import functools
 import math
 
 import numpy as np
@@ -85,6 +86,12 @@ every_effect = pytest.mark.parametrize(
 
 @pytest.fixture(scope="module")
 def renderer():
+    return Renderer()
+
+
+@functools.cache
+def renderer_apart(name):
+    """A renderer of setups with one effect alone: several tests look at the same bounced light."""
     return Renderer()
 
 
@@ -233,7 +240,7 @@ def test_a_small_step_changes_little_and_in_proportion(name, renderer):
     joint = "v_groove" if name == "interreflection" else "flat"
     setup, bright = nominal(joint), Condition(1.0, 1.0, 4.0 * EXPOSURE_S, LATE_S)
     at_rest = numbers(setup, bright, renderer)
-    apart = Renderer()
+    apart = renderer_apart(name)
     moved = 0
     for parameter in REGISTRY[name].parameters:
         change = []
@@ -254,7 +261,7 @@ def test_a_small_step_changes_little_and_in_proportion(name, renderer):
 @every_effect
 def test_typical_values_show_where_they_should_and_nowhere_else(name, renderer):
     setup = nominal(full_well_e=3000.0 if name == "blooming" else 20400.0)
-    typical, apart = affected(setup, **{name: REGISTRY[name].typical}), Renderer()
+    typical, apart = affected(setup, **{name: REGISTRY[name].typical}), renderer_apart(name)
     for which, condition in CONDITIONS.items():
         before = predict(setup, TURNED, condition, renderer=renderer)
         after = predict(typical, TURNED, condition, renderer=apart)
@@ -276,6 +283,8 @@ def test_typical_values_show_where_they_should_and_nowhere_else(name, renderer):
 def test_bounds_can_be_predicted(name):
     """No number that is not finite, no negative variance, at either end of each parameter."""
     setup, effect, renderer = nominal(width=24, height=18), REGISTRY[name], Renderer()
+    if name == "interreflection":
+        setup, renderer = nominal(), renderer_apart(name)
     for parameter in effect.parameters:
         for value in (parameter.lower, parameter.upper):
             typical = {**effect.typical, parameter.name: value}
