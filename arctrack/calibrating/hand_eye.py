@@ -9,6 +9,7 @@ from arctrack.calibrating.stage import Stage, Steps
 from arctrack.calibration_files.hand_eye_meaning import other_meaning
 from arctrack.calibration_files.hand_eye_poses import PoseSource, read_posed_boards
 from arctrack.calibration_files.hand_eye_record import hand_eye_record
+from arctrack.calibration_files.laser_record import moved_with_camera
 from arctrack.errors import in_file
 from arctrack.recording import SetupFile
 from arctrack.report.calibration.hand_eye import hand_eye_page
@@ -81,4 +82,6 @@ def hand_eye_stage(
     except UndeterminedError as error:
         raise in_file(source.path, str(error)) from None
     warn(f"{name}: left out: {reason}" for name, reason in result.left_out.items())
-    return Stage(result, hand_eye_page(result, posed, stated.setup), (hand_eye_record(result),))
+    sheet = None if is_eye_to_hand else moved_with_camera(stated, result.T_holder_camera)
+    page = hand_eye_page(result, posed, stated.setup, moves_sheet=sheet is not None)
+    return Stage(result, page, (hand_eye_record(result), *([] if sheet is None else [sheet])))

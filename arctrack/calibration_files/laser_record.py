@@ -5,17 +5,19 @@ from __future__ import annotations
 import numpy as np
 from scipy.linalg import block_diag
 
-from arctrack.recording import Calibrated
+from arctrack.recording import Calibrated, SetupFile
 from arctrack.recording.calibrated import Value
 from arctrack.recording.toml_text import rounded
 from calibration.laser.beam import Beam
 from calibration.laser.calibrate import LaserCalibration
 from noise_model.arrays import Float64
 from noise_model.setup import Setup
+from noise_model.transforms import invert, transform
 
 MADE_BY = "arctrack calibrate laser"
 PARAMETERS = ("n_x", "n_y", "n_z", "d_mm")
-FAN = ("origin_x_mm", "origin_y_mm", "origin_z_mm", "fan_half_angle_deg")
+ORIGIN = ("origin_x_mm", "origin_y_mm", "origin_z_mm")
+FAN = (*ORIGIN, "fan_half_angle_deg")
 
 
 def plane_in_tool(result: LaserCalibration, setup: Setup) -> tuple[Float64, Float64]:
@@ -71,3 +73,46 @@ def laser_record(result: LaserCalibration, beam: Beam, setup: Setup) -> Calibrat
             )
             about["rayleigh_mm"] = rounded(waist.rayleigh_mm[0], 5)
     return Calibrated("laser", values, tuple(names), whole, MADE_BY, about)
+
+
+def moved_with_camera(stated: SetupFile, T_tool_camera: Float64) -> Calibrated | None:
+    """Return a calibrated sheet in the tool where the camera's pose in it becomes another one.
+
+    The sheet is measured in the camera's frame: camera and laser are one body.
+
+    Parameters
+    ----------
+    stated : SetupFile
+        The setup, with the pose that the sheet was taken to the tool with.
+    T_tool_camera : array (4, 4)
+        The new pose, mm.
+
+    Returns
+    -------
+    Calibrated or None
+        Plane, origin and covariance; None for a setup whose sheet was never calibrated.
+    """
+    record = stated.calibrations.get("laser")
+    if record is None or tuple(record.parameters[:4]) != PARAMETERS:
+        return None
+    T_new_old = T_tool_camera @ invert(stated.setup.camera.T_tool_camera)
+    R, t = T_new_old[:3, :3], T_new_old[:3, 3]
+    whole = np.eye(len(record.parameters))
+    whole[:3, :3], whole[3, :3] = R, -t @ R
+    if ORIGIN[0] in record.parameters:
+        first = record.parameters.index(ORIGIN[0])
+        whole[first : first + 3, first : first + 3] = R
+    plane = whole[:4, :4] @ stated.setup.laser.plane
+    origin = transform(T_new_old, stated.setup.laser.origin_mm)
+    about = dict(record.model_extra or {})
+    return Calibrated(
+        "laser",
+        {
+            "plane_in_tool": [rounded(value, 9) for value in plane],
+            "origin_in_tool_mm": [round(float(value), 4) for value in origin],
+        },
+        tuple(record.parameters),
+        whole @ np.array(record.covariance) @ whole.T,
+        str(about.pop("made_by", MADE_BY)),
+        about,
+    )

@@ -4,10 +4,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from arctrack.calibration_files.laser_record import moved_with_camera
 from arctrack.errors import ArctrackError
 from arctrack.nominal import nominal_setup
 from arctrack.output import write_keeping
 from arctrack.recording import Calibrated, format_setup, read_setup_file, with_calibrated
+from noise_model.transforms import invert, moved
 
 
 def lens(**values: float) -> Calibrated:
@@ -111,3 +113,32 @@ def test_earlier_files_are_kept_under_rising_numbers(tmp_path: Path) -> None:
         ("recording.toml.2", "b"),
     ]
     assert path.read_text() == "c"
+
+
+def test_a_calibrated_sheet_moves_with_the_camera(setup_toml: Path) -> None:
+    """It stays where it is in the camera's frame, and so does how well it is known."""
+    stated = read_setup_file(setup_toml)
+    T_old = stated.setup.camera.T_tool_camera
+    assert moved_with_camera(stated, T_old) is None
+    names = ("n_x", "n_y", "n_z", "d_mm", "origin_x_mm", "origin_y_mm", "origin_z_mm", "fan_half_angle_deg")
+    root = np.random.default_rng(2).standard_normal((8, 8))
+    found = Calibrated("laser", {}, names, root @ root.T, "arctrack calibrate laser", {"pairs": 8})
+    setup_toml.write_text(with_calibrated(setup_toml, found))
+    stated = read_setup_file(setup_toml)
+    T_new = moved(T_old, [1.0, -2.0, 3.0], [4.0, 5.0, -6.0])
+    record = moved_with_camera(stated, T_new)
+    assert record is not None
+    assert record.about == {"pairs": 8}
+    laser = stated.setup.laser
+    pairs = (
+        (laser.plane, laser.origin_mm, found.covariance, T_old),
+        (*record.values.values(), record.covariance, T_new),
+    )
+    in_camera = []
+    for plane, origin, covariance, T in pairs:
+        to_camera = np.eye(8)
+        to_camera[:4, :4] = T.T
+        to_camera[4:7, 4:7] = T[:3, :3].T
+        in_camera.append((T.T @ plane, invert(T)[:3] @ [*origin, 1.0], to_camera @ covariance @ to_camera.T))
+    for old, new in zip(*in_camera, strict=True):
+        np.testing.assert_allclose(new, old, atol=1e-4)

@@ -16,8 +16,10 @@ from noise_model.setup import Setup
 AXES = "xyz"
 
 
-def hand_eye_page(result: HandEyeCalibration, posed: PosedBoards, setup: Setup) -> CalibrationPage:
-    """Return what the page holds."""
+def hand_eye_page(
+    result: HandEyeCalibration, posed: PosedBoards, setup: Setup, *, moves_sheet: bool
+) -> CalibrationPage:
+    """Return what the page holds; `moves_sheet` says that a calibrated laser sheet goes with the camera."""
     x, y, z = result.T_holder_camera[:3, 3]
     sigma_mm = math.sqrt(float(np.trace(result.place_covariance)))
     count = len(result.names) + len(result.left_out) + len(posed.left_out)
@@ -72,7 +74,7 @@ def hand_eye_page(result: HandEyeCalibration, posed: PosedBoards, setup: Setup) 
             ),
         ),
         (),
-        tuple(_notes(result, posed)),
+        tuple(_notes(result, posed, moves_sheet)),
         "ambiguous" if result.left_out or result.is_scale_off else "no_gap",
         tuple(f"{name}: {reason}" for name, reason in (posed.left_out | result.left_out).items()),
     )
@@ -116,7 +118,7 @@ def _row(what: str, key: str, value: float, sigma: float, half: float, unit: str
     return Row(what, key, shown, within, f"{low} to {high}", unit)
 
 
-def _notes(result: HandEyeCalibration, posed: PosedBoards) -> list[str]:
+def _notes(result: HandEyeCalibration, posed: PosedBoards, moves_sheet: bool) -> list[str]:
     notes = [
         "The lens is held as the setup states it. Its error is in these sigmas, and so is an error of the "
         "camera's place that undoes it: the two together see better than either."
@@ -133,8 +135,10 @@ def _notes(result: HandEyeCalibration, posed: PosedBoards) -> list[str]:
             f"this calibration knows {deg:.2g}° and {mm:.2g} mm along the worst axes."
         )
         notes.append(
-            "The laser's plane in the tool stays as it was stated. `arctrack calibrate laser` puts it where "
-            "this pose of the camera sees it."
+            "The laser sheet was calibrated before, in the camera's frame. It moves with the camera."
+            if moves_sheet
+            else "The laser's plane in the tool stays as it was stated. `arctrack calibrate laser` puts it "
+            "where this pose of the camera sees it."
         )
     if result.is_scale_off:
         notes.append(
