@@ -89,13 +89,21 @@ def project(lens: Lens, points: Float64) -> Float64:
     return np.column_stack([fx * x * radial + cx, fy * y * radial + cy])
 
 
-def draw_world(rng: np.random.Generator, *, with_wrong: bool, with_lens: bool) -> World:
-    """Return a random world."""
+def draw_lens(rng: np.random.Generator) -> Lens:
+    """Return a random lens."""
     width, height = 1280, 960
     focal = rng.uniform(0.9, 2.5) * width
     center = 0.5 * np.array([width - 1.0, height - 1.0]) + rng.normal(0.0, 0.02 * width, 2)
     values = np.array([focal, focal * rng.uniform(0.995, 1.005), *center, rng.normal(0, 0.1), 0.0])
-    true = Lens(width, height, LENS_NAMES, values)
+    return Lens(width, height, LENS_NAMES, values)
+
+
+def draw_world(
+    rng: np.random.Generator, *, with_wrong: bool, with_lens: bool, lens: Lens | None = None
+) -> World:
+    """Return a random world, with a random lens where none is given."""
+    true = draw_lens(rng) if lens is None else lens
+    width, height, focal, values = true.width, true.height, float(true.values[0]), true.values
     columns, rows = int(rng.integers(6, 12)), int(rng.integers(5, 10))
     board = Board(Kind.CHESSBOARD, columns, rows, float(rng.uniform(3.0, 30.0)))
     span = np.array([columns - 1, rows - 1]) * board.square_mm
