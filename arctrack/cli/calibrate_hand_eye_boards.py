@@ -16,13 +16,17 @@ def from_boards(
     sources: list[Path],
     board: str,
     setup: Path,
-    poses: tuple[Path, Path | None, str | None, str, list[str]],
     *,
+    poses: Path,
+    translations: Path | None,
+    rotation: str | None,
+    units: str,
+    columns: list[str],
     is_eye_to_hand: bool,
     out: Path | None,
     report: Path | None,
 ) -> None:
-    """Calibrate, and write page and setup; `poses` are file, translations, rotation, units and columns."""
+    """Calibrate, and write page and setup."""
     from arctrack.calibrating.hand_eye import hand_eye_stage
     from arctrack.calibration_files.hand_eye_poses import PoseSource
     from arctrack.cli import console
@@ -30,12 +34,11 @@ def from_boards(
     from arctrack.importing.units import parse_units
 
     pattern = board_of(board)
-    path, translations, rotation, units, columns = poses
-    source = PoseSource(path, translations, rotation, parse_units(units), named_columns(columns))
+    source = PoseSource(poses, translations, rotation, parse_units(units), named_columns(columns))
     stated = read_setup(setup)
     target = out or stated.path
     page_path = report or target.with_name(REPORT)
-    read = [*images_of(sources), *(file for file in (path, translations) if file is not None)]
+    read = [*images_of(sources), *(file for file in (poses, translations) if file is not None)]
     check_outputs(target, page_path, stated.path, images=read)
     with interruptible("the calibration was", "nothing was written"), console.progress() as bar:
         stage = hand_eye_stage(

@@ -12,6 +12,10 @@ unequal, 1971):
 
     -2 ln L = sum ln |V_i| + ln |H' V^-1 H| + e' V^-1 e - b' (H' V^-1 H) b
 
+Of few poses its maximum often lies at a sigma of 0, and the camera's covariance is then too small. L
+sigma_r sigma_t has none there (Chung et al., A nondegenerate penalized likelihood estimator for variance
+parameters in multilevel models, 2013); of many poses its maximum is that of L.
+
 The covariance of b counts that V is estimated (Kenward and Roger, Small sample inference for fixed
 effects from restricted maximum likelihood, 1997), and so do the degrees of freedom of its intervals
 (Satterthwaite).
@@ -129,7 +133,7 @@ class Solution:
 
 
 def robot_sigma(errors: PoseErrors, start: Float64 | None = None) -> Float64:
-    """Return the robot's sigma (2,), rad and mm, of the largest restricted likelihood."""
+    """Return the robot's sigma (2,), rad and mm, of the largest penalised restricted likelihood."""
     # The lens is marginal, too: its error must not pass for the robot's.
     by_lens = errors.per_lens @ errors.lens_root
     rows = np.concatenate([errors.per_unknown, by_lens], axis=2)
@@ -148,7 +152,8 @@ def robot_sigma(errors: PoseErrors, start: Float64 | None = None) -> Float64:
         information, right = squares[:-1, :-1] + known, squares[:-1, -1] + pull
         fitted = float(right @ np.linalg.solve(information, right))
         determinants = 2.0 * float(np.log(np.diagonal(lower, axis1=1, axis2=2)).sum())
-        return determinants + float(np.linalg.slogdet(information)[1]) + float(squares[-1, -1]) - fitted
+        likelihood = determinants + float(np.linalg.slogdet(information)[1] + squares[-1, -1]) - fitted
+        return likelihood - 2.0 * float(log_sigma.sum())
 
     bounds = list(zip(np.log(LEAST), np.log(MOST), strict=True))
     first = np.log(FIRST if start is None else start.clip(3.0 * LEAST, MOST / 3.0))

@@ -179,7 +179,8 @@ def test_the_covariance_is_that_of_dense_matrices() -> None:
         S = H.T @ W @ H
         e = errors.error.ravel()
         left = e - H @ np.linalg.solve(S, H.T @ W @ e)
-        return float(np.linalg.slogdet(V)[1] + np.linalg.slogdet(S)[1] + left @ W @ left)
+        likelihood = np.linalg.slogdet(V)[1] + np.linalg.slogdet(S)[1] + left @ W @ left
+        return float(likelihood - 2.0 * np.log(sigma).sum())
 
     best = robot_sigma(errors)
     steps = (np.array(factor) for factor in ((1.05, 1.0), (1.0, 1.05), (0.95, 1.0), (1.0, 0.95)))
