@@ -8,6 +8,8 @@ from arctrack.cli.calibration_output import board_of, check_outputs, finish
 from arctrack.cli.import_files import named_columns
 from arctrack.cli.interrupt import interruptible
 from arctrack.cli.setups import read_setup, write_calibrated
+from arctrack.errors import ArctrackError
+from arctrack.output import real
 
 REPORT = "calibrate_hand_eye.html"
 
@@ -38,8 +40,11 @@ def from_boards(
     stated = read_setup(setup)
     target = out or stated.path
     page_path = report or target.with_name(REPORT)
-    read = [*images_of(sources), *(file for file in (poses, translations) if file is not None)]
-    check_outputs(target, page_path, stated.path, images=read)
+    check_outputs(target, page_path, stated.path, images=images_of(sources))
+    held = {real(file) for file in (poses, translations) if file is not None}
+    for file, option in ((target, "--out"), (page_path, "--report")):
+        if real(file) in held:
+            raise ArctrackError(f"{file}: holds the robot's poses; give {option} another file")
     with interruptible("the calibration was", "nothing was written"), console.progress() as bar:
         stage = hand_eye_stage(
             sources, pattern, stated, source, console.steps(bar), console.warn, is_eye_to_hand

@@ -23,6 +23,7 @@ pytestmark = pytest.mark.slow
 RUNNER = CliRunner(env={"COLUMNS": "120", "TERM": "dumb", "NO_COLOR": "1"})
 EXAMPLES = Path(__file__).parents[2] / "examples"
 BOARD = ("--board", "chessboard:7x6:10mm")
+POSES = ("--poses", "{images}/poses.csv", "--rotation", "kuka")
 SHOWN = HELD[:6]
 SIZE, PINHOLE = (400, 300), {"fx": 500.0, "fy": 501.5, "cx": 205.0, "cy": 145.0}
 
@@ -134,11 +135,15 @@ def test_another_convention_that_fits_is_named(images: Path, setup_toml: Path, t
         (BOARD, "--poses: give the robot's pose of each image"),
         ((*BOARD, "--poses", "poses.csv"), "--setup: give the recording.toml whose camera took the images"),
         (
-            (*BOARD, "--poses", "{images}/poses.csv", "--setup", "{examples}/v_groove"),
+            (*BOARD, *POSES, "--setup", "{examples}/v_groove", "--report", "{images}/poses.csv"),
+            "poses.csv: holds the robot's poses; give --report another file",
+        ),
+        (
+            (*BOARD, *POSES[:2], "--setup", "{examples}/v_groove"),
             "no columns are called qx, qy, qz, qw: say by --rotation how it is written",
         ),
         (
-            (*BOARD, "--poses", "{images}/poses.csv", "--rotation", "kuka", "--setup", "{examples}/v_groove"),
+            (*BOARD, *POSES, "--setup", "{examples}/v_groove"),
             "[camera] width, height: 640 x 480, but the images are 400 x 300 px",
         ),
     ],
