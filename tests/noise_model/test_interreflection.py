@@ -209,17 +209,24 @@ def test_some_pixels_are_those_of_the_frame():
 @pytest.mark.slow
 @pytest.mark.parametrize(("joint", "material"), [("v_groove", "mild_steel"), ("lap", "zn_coated")])
 def test_a_finer_grain_changes_little(joint, material, monkeypatch):
-    """The once-bounced light and all of it at half the albedo, within 4 % nearly everywhere."""
-    usual = light_of(joint, material).arc_orders_e
+    """The once-bounced light and all of it at half the albedo, within 3 % nearly everywhere.
+
+    Where the camera sees the middle of its stretch of the seam: the finer the grain, the dearer each mm of it.
+    """
+    x_mm = view_of(joint, material).surface[0].reshape(-1, 3)[:, 0]
+    first, last = np.nanmin(x_mm), np.nanmax(x_mm)
+    pixels = np.flatnonzero(np.abs(x_mm - np.nanmedian(x_mm)) < 0.15 * (last - first))
+    assert len(pixels) > 4000
+    usual = bounced_light(view_of(joint, material, pixels)).arc_orders_e
     finer = Grains(Grain((16, 22), 0.3, 1.2, 40, 16), FINE.seen_further, Grain((9, 16), 0.8, 3.0, 12, 9))
     monkeypatch.setattr(interreflection, "FINE", finer)
     monkeypatch.setattr(interreflection, "_first_rules", lambda _: rules(16, 6, 3, 5, 6, True))
-    fine = bounced_light(view_of(joint, material)).arc_orders_e
+    fine = bounced_light(view_of(joint, material, pixels)).arc_orders_e
     scale = {"zn_coated": 0.3, "mild_steel": 3.0}[material]
     powers = scale ** np.arange(1.0, 1.0 + ORDERS)
     for got, want in ((usual[0], fine[0]), (np.tensordot(powers, usual, 1), np.tensordot(powers, fine, 1))):
         lit = want > 0.1 * want.max()
-        assert np.quantile(np.abs(got[lit] / want[lit] - 1.0), 0.9) < 0.04
+        assert np.quantile(np.abs(got[lit] / want[lit] - 1.0), 0.9) < 0.03
 
 
 @pytest.mark.slow
