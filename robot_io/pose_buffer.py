@@ -6,6 +6,7 @@ within one period of the frame's: a replay, which has every pose, then sees what
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from enum import Enum
 
@@ -134,6 +135,34 @@ class PoseBuffer:
         if not rigid:
             raise PoseError(f"pose at {timestamp_s:.6f} s: its 3x3 part is no rotation")
         self.push_quaternion(timestamp_s, pose[:3, 3], Rotation.from_matrix(R).as_quat())
+
+    def push_all(self, timestamps_s: Sequence[float] | Float64, T_base_tool: Float64) -> None:
+        """Add poses as matrices: `push` for each of them, in a fraction of its time.
+
+        Parameters
+        ----------
+        timestamps_s : array (n,)
+            The poses' times, s.
+        T_base_tool : array (n, 4, 4)
+            The poses: they take points of the tool frame to base, mm.
+
+        Raises
+        ------
+        PoseError
+            As `push` does, of the first pose that it refuses.
+        """
+        rotations = T_base_tool[:, :3, :3]
+        with np.errstate(invalid="ignore", over="ignore"):
+            off = np.abs(rotations @ rotations.transpose(0, 2, 1) - np.eye(3)).max(axis=(1, 2))
+            is_rigid = (off <= ROTATION_TOLERANCE) & (np.linalg.det(rotations) > 0.0)
+        is_rigid &= (T_base_tool[:, 3] == (0.0, 0.0, 0.0, 1.0)).all(axis=1)
+        n_rigid = len(is_rigid) if is_rigid.all() else int(np.argmin(is_rigid))
+        if n_rigid:
+            quaternions = Rotation.from_matrix(rotations[:n_rigid]).as_quat()
+            for timestamp_s, pose, quaternion in zip(timestamps_s, T_base_tool, quaternions, strict=False):
+                self.push_quaternion(float(timestamp_s), pose[:3, 3], quaternion)
+        for timestamp_s, pose in zip(timestamps_s[n_rigid:], T_base_tool[n_rigid:], strict=True):
+            self.push(float(timestamp_s), pose)
 
     def push_quaternion(
         self, timestamp_s: float, position_base_mm: npt.ArrayLike, quaternion_xyzw: npt.ArrayLike

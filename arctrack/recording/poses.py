@@ -104,8 +104,7 @@ def runs_against_travel(poses: PoseTable, frames_s: Sequence[float], joint: Join
 def pose_buffer(poses: PoseTable) -> PoseBuffer:
     """Return the buffer that answers as the live run would have."""
     buffer = PoseBuffer(max(2, len(poses.timestamps_s)))
-    for timestamp_s, T_base_tool in zip(poses.timestamps_s, poses.T_base_tool, strict=True):
-        buffer.push(float(timestamp_s), T_base_tool)
+    buffer.push_all(poses.timestamps_s, poses.T_base_tool)
     return buffer
 
 

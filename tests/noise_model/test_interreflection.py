@@ -211,7 +211,7 @@ def test_some_pixels_are_those_of_the_frame():
 def test_a_finer_grain_changes_little(joint, material, monkeypatch):
     """The once-bounced light and all of it at half the albedo, within 3 % nearly everywhere.
 
-    Where the camera sees the middle of its stretch of the seam: the finer the grain, the dearer each mm of it.
+    Only the middle of the stretch that the camera sees is looked at: a fine grain takes long.
     """
     x_mm = view_of(joint, material).surface[0].reshape(-1, 3)[:, 0]
     first, last = np.nanmin(x_mm), np.nanmax(x_mm)

@@ -56,6 +56,37 @@ def test_a_pose_that_was_pushed_comes_back():
     np.testing.assert_allclose(pose.T_base_tool, true_pose(STEADY_S[-1]), atol=1e-12)
 
 
+def test_poses_at_once_are_those_one_by_one():
+    rng = np.random.default_rng(3)
+    rotations = Rotation.from_quat(rng.normal(size=(200, 4))).as_matrix()
+    turns = [(1.0, 1.0, 1.0), (1.0, -1.0, -1.0), (-1.0, 1.0, -1.0), (-1.0, -1.0, 1.0)]
+    rotations[:4] = [np.diag(turn) for turn in turns]
+    # As a controller rounds them off.
+    rotations[100:] = rotations[100:].round(4)
+    T_base_tool = np.tile(np.eye(4), (200, 1, 1))
+    T_base_tool[:, :3, :3] = rotations
+    T_base_tool[:, :3, 3] = rng.normal(size=(200, 3))
+    times_s = 0.01 * np.arange(200)
+    single, at_once = PoseBuffer(), PoseBuffer()
+    for t_s, pose in zip(times_s, T_base_tool, strict=True):
+        single.push(t_s, pose)
+    at_once.push_all(times_s, T_base_tool)
+    assert len(at_once) == 200
+    for t_s in np.arange(0.0, 2.0, 0.003):
+        assert same(at_once.at(t_s), single.at(t_s))
+
+
+@pytest.mark.parametrize("bad", [2.0 * np.eye(4), np.full((4, 4), np.nan), np.diag([1.0, 1.0, -1.0, 1.0])])
+@pytest.mark.parametrize("k", [0, 3])
+def test_of_poses_at_once_the_first_that_is_none_is_named(bad, k):
+    T_base_tool = np.tile(np.eye(4), (5, 1, 1))
+    T_base_tool[k] = bad
+    buffer = PoseBuffer()
+    with pytest.raises(PoseError, match=rf"pose at 0\.{k}00000 s: "):
+        buffer.push_all(0.1 * np.arange(5), T_base_tool)
+    assert len(buffer) == k
+
+
 def test_beyond_the_last_pose_it_is_extrapolated_and_then_refused():
     buffer = filled(STEADY_S)
     pose = buffer.at(0.49 + 0.0299)
