@@ -15,6 +15,9 @@ from noise_model.setup import Setup
 
 AXES = "xyz"
 
+STEP_DEG = 1e-4
+"""Step of the derivatives of a rotation vector."""
+
 
 def hand_eye_page(
     result: HandEyeCalibration, posed: PosedBoards, setup: Setup, *, moves_sheet: bool
@@ -95,14 +98,13 @@ def hand_eye_rows(result: HandEyeCalibration, setup: Setup) -> tuple[Row, ...]:
     wider = float(np.max(result.half_interval() / result.sigma))
     for axis, value, sigma in zip(AXES, result.T_holder_camera[:3, 3], sigmas, strict=True):
         rows.append(_row(f"place, {axis}", f"translation_mm, {axis}", value, sigma, wider * sigma, "mm"))
+    turns, turn_sigmas, halves = change(result, setup)[0], result.sigma[:3], result.half_interval()[:3]
+    words = "turn about the camera's {}, against before"
     if result.is_eye_to_hand:
-        turns = np.degrees(Rotation.from_matrix(result.T_holder_camera[:3, :3]).as_rotvec())
-    else:
-        turns = change(result, setup)[0]
-    halves = result.half_interval()[:3]
-    for axis, value, sigma, half in zip(AXES, turns, result.sigma[:3], halves, strict=True):
-        what = f"turn about the camera's {axis}" + ("" if result.is_eye_to_hand else ", against before")
-        rows.append(_row(what, "quaternion_xyzw", value, sigma, half, "deg"))
+        turns, turn_sigmas = _rotation_vector(result)
+        words, halves = "rotation vector, {}", wider * turn_sigmas
+    for axis, value, sigma, half in zip(AXES, turns, turn_sigmas, halves, strict=True):
+        rows.append(_row(words.format(axis), "quaternion_xyzw", value, sigma, half, "deg"))
     for what, key, value, sigma, unit in (
         ("robot's place, each axis", "robot_sigma_mm", result.robot_mm, result.robot_sigma[1], "mm"),
         ("robot's turn, each axis", "robot_sigma_deg", result.robot_deg, result.robot_sigma[0], "deg"),
@@ -110,6 +112,15 @@ def hand_eye_rows(result: HandEyeCalibration, setup: Setup) -> tuple[Row, ...]:
     ):
         rows.append(_row(what, key, value, sigma, HALF_95 * sigma, unit))
     return tuple(rows)
+
+
+def _rotation_vector(result: HandEyeCalibration) -> tuple[np.ndarray, np.ndarray]:
+    """Return the camera's rotation vector (3,) and its sigmas (3,), deg."""
+    turn = Rotation.from_matrix(result.T_holder_camera[:3, :3])
+    vector = turn.as_rotvec(degrees=True)
+    steps = Rotation.from_rotvec(STEP_DEG * np.eye(3), degrees=True)
+    J = ((turn * steps).as_rotvec(degrees=True) - vector).T / STEP_DEG
+    return vector, np.sqrt(np.diag(J @ result.covariance[:3, :3] @ J.T))
 
 
 def _row(what: str, key: str, value: float, sigma: float, half: float, unit: str) -> Row:
