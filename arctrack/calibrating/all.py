@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -56,16 +57,15 @@ class Calibrations:
         """Do a calibration, and put its values into the setup; one that is refused leaves them alone."""
         try:
             stage = make()
+            records = [*self.records, *(() if stage.refusal is not None else stage.records)]
+            stated = parse_setup(with_calibrated(self.stated.path, *records), self.stated.path)
         except ArctrackError as error:
-            self.refused[name] = str(error)
+            # Here the options of the single command are keys of calibration.toml.
+            self.refused[name] = re.sub(r"--(units|rotation|board)\b", rf"[{name}] \1", str(error))
             return
-        self.stages[name] = stage
+        self.stages[name], self.records, self.stated = stage, records, stated
         if stage.refusal is not None:
             self.refused[name] = stage.refusal
-            return
-        self.records += stage.records
-        path = self.stated.path
-        self.stated = parse_setup(with_calibrated(path, *self.records), path)
 
 
 def calibrate_folder(raw: RawFiles, stated: SetupFile, steps: Steps, warn: Warn) -> Calibrations:

@@ -10,15 +10,14 @@ import numpy as np
 
 from arctrack.calibrating.stage import Stage
 from arctrack.recording import SetupFile
-from calibration.camera.lens import Lens
 from calibration.certificate import Certificate, KnownHandEye, KnownLens, KnownSheet, RobotNoise, certify
 from calibration.hand_eye_boards.calibrate import HandEyeCalibration
 from calibration.laser.calibrate import LaserCalibration
 from calibration.pose_delay import PoseDelay
 from noise_model.arrays import Float64
 
-COLUMNS, ROWS = 17, 13
-"""Points over the image at which the sheet is judged."""
+POINTS_OF_PAIR = 25
+"""The sheet is judged at so many points of the stripe in each pair: beyond them nobody has seen it."""
 
 
 def certificate_of(
@@ -63,7 +62,7 @@ def certificate_of(
         KnownLens(sheet.lens, sheet.lens_covariance),
         KnownSheet(sheet.plane, sheet.own_covariance, sheet.per_lens),
         hand_eye,
-        _points_px(sheet.lens),
+        _points_px(sheet),
         robot,
         delay_mm,
     )
@@ -86,6 +85,11 @@ def _hand_eye(
     return known, RobotNoise(math.radians(result.robot_deg), result.robot_mm)
 
 
-def _points_px(lens: Lens) -> Float64:
-    columns, rows = np.linspace(0.0, lens.width - 1.0, COLUMNS), np.linspace(0.0, lens.height - 1.0, ROWS)
-    return np.stack(np.meshgrid(columns, rows), axis=-1).reshape(-1, 2)
+def _points_px(sheet: LaserCalibration) -> Float64:
+    # Fewer points than that are taken more than once, which changes nothing.
+    return np.concatenate(
+        [
+            stripe.points_px[np.linspace(0, len(stripe.points_px) - 1, POINTS_OF_PAIR).round().astype(int)]
+            for stripe in sheet.stripes
+        ]
+    )

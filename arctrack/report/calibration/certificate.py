@@ -62,9 +62,10 @@ def certificate_page(
     rest = certificate.without(certificate.weakest)
     field = certificate.points_tool_mm
     sentences = (
-        f"That is {COVER:g} σ at the point of the laser sheet nearest to the tool's axis. At the image's "
+        f"That is {COVER:g} σ at the point of the laser sheet nearest to the tool's axis. At the "
         f"worst point it is ± {COVER * certificate.sigma_mm[worst, LATERAL]:.2f} mm lateral and "
-        f"± {COVER * certificate.sigma_mm[worst, VERTICAL]:.2f} mm vertical. The sheet was judged from "
+        f"± {COVER * certificate.sigma_mm[worst, VERTICAL]:.2f} mm vertical. "
+        "The sheet was judged where the pairs show it, from "
         f"{field[:, LATERAL].min():.0f} to {field[:, LATERAL].max():.0f} mm across the seam and from "
         f"{field[:, VERTICAL].min():.0f} to {field[:, VERTICAL].max():.0f} mm in height.",
         f"The largest share is that of the {what}. Were it exact, 1 σ across the seam at the worst point "
