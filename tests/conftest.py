@@ -18,12 +18,13 @@ settings.load_profile("arctrack")
 
 
 def pytest_configure() -> None:
-    """Let workers, and the commands that tests start, solve linear equations by one thread each.
+    """Let workers, and the commands that tests start, compute by one thread each.
 
     Threads of BLAS wait for each other by turning in circles. Where all processors are at work, that took
     three quarters of the time of a hand-eye calibration.
     """
-    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+    for name in ("OPENBLAS_NUM_THREADS", "OPENCV_FOR_THREADS_NUM"):
+        os.environ.setdefault(name, "1")
 
 
 @pytest.hookimpl(tryfirst=True)
