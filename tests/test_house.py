@@ -45,6 +45,7 @@ FOLDERS_MAY_IMPORT: dict[str, dict[str, set[str]]] = {
         "camera": {"boards"},
         "hand_eye_boards": {"boards", "camera"},
         "laser": {"boards", "camera"},
+        "gauge": {"camera", "laser"},
         "sensor": set(),
         "check": set(),
     },

@@ -16,6 +16,8 @@ from arctrack.cli.calibrate_check import check
 from arctrack.cli.calibrate_delay import EXAMPLE as DELAY_EXAMPLE
 from arctrack.cli.calibrate_delay import delay
 from arctrack.cli.calibrate_filter import filter_curve
+from arctrack.cli.calibrate_gauge import EXAMPLE as GAUGE_EXAMPLE
+from arctrack.cli.calibrate_gauge import gauge
 from arctrack.cli.calibrate_hand_eye import EXAMPLE as HAND_EYE_EXAMPLE
 from arctrack.cli.calibrate_hand_eye import hand_eye
 from arctrack.cli.calibrate_laser import EXAMPLE as LASER_EXAMPLE
@@ -54,6 +56,7 @@ calibrate.command(
 )(filter_curve)
 calibrate.command("hand-eye", epilog=HAND_EYE_EXAMPLE)(hand_eye)
 calibrate.command("laser", epilog=LASER_EXAMPLE)(laser)
+calibrate.command("gauge", epilog=GAUGE_EXAMPLE)(gauge)
 calibrate.command("sensor", epilog=SENSOR_EXAMPLE)(sensor)
 calibrate.command("delay", epilog=DELAY_EXAMPLE)(delay)
 calibrate.command("all", epilog=ALL_EXAMPLE)(calibrate_all)

@@ -177,6 +177,31 @@ def find_stripe(seen: LaserLight) -> Stripe | None:
     return Stripe(np.column_stack(pair) + corner, along_rows, best.scale_px)
 
 
+def likeliest_path(seen: LaserLight) -> Stripe | None:
+    """Find the stripe whatever its course, corners and steps included.
+
+    Parameters
+    ----------
+    seen : LaserLight
+        The laser's light.
+
+    Returns
+    -------
+    Stripe or None
+        A point in each scan line that shows it, along the direction in which it is clearer; None without one.
+    """
+    both = [
+        _path(np.ascontiguousarray(seen.light_dn.T), seen.noise_dn.T, seen.area.T),
+        _path(seen.light_dn, seen.noise_dn, seen.area),
+    ]
+    along_rows = both[0].clearness >= both[1].clearness
+    best = both[0] if along_rows else both[1]
+    if len(best.scan) < LEAST_LINES:
+        return None
+    pair = [best.scan, best.places] if along_rows else [best.places, best.scan]
+    return Stripe(np.column_stack(pair).astype(np.float64), along_rows, best.scale_px)
+
+
 @dataclass(frozen=True)
 class _Track:
     """A stripe across scan lines (n,): how clear it is in all, its places (n,), and its sigma, px."""
@@ -216,6 +241,21 @@ def _along(lines: Float32, noise: Float32, inside: Bool) -> _Track:
     kept = (clear >= LEAST_SCORE) & (np.abs(places - start) <= 2.0 * sigma + 1.0)
     kept = _on_one_curve(near, places, kept)
     return _Track(float(np.minimum(0.5 * clear[kept] ** 2, GAIN_CAP).sum()), near[kept], places[kept], sigma)
+
+
+def _path(lines: Float32, noise: Float32, inside: Bool) -> _Track:
+    """Return the likeliest path across scan lines (n, m), where it is clear."""
+    score, sigma = _matched(lines, noise, inside)
+    choice = np.empty(len(score), dtype=np.int64)
+    best_path(score, choice)
+    scan = np.flatnonzero(choice >= 0)
+    scan = scan[score[scan, choice[scan]] >= LEAST_SCORE]
+    start = choice[scan].astype(np.float64)
+    places, settled = _centroids(lines[scan], start, sigma)
+    settled &= np.abs(places - start) <= 2.0 * sigma + 1.0
+    clear = score[scan, choice[scan]][settled]
+    clearness = float(np.minimum(0.5 * clear**2, GAIN_CAP).sum())
+    return _Track(clearness, scan[settled], places[settled], sigma)
 
 
 def _on_one_curve(scan: Int64, places: Float64, clear: Bool) -> Bool:

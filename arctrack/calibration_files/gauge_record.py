@@ -1,0 +1,49 @@
+"""The laser sheet from a gauge as recording.toml holds it."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from arctrack.calibration_files.laser_record import PARAMETERS
+from arctrack.recording import Calibrated
+from arctrack.recording.toml_text import rounded
+from calibration.gauge.calibrate import GaugeCalibration
+from noise_model.setup import Setup
+
+MADE_BY = "arctrack calibrate gauge"
+
+
+def gauge_record(result: GaugeCalibration, setup: Setup) -> Calibrated:
+    """Return the plane as values of `[laser]`, with its covariance; the stated origin is moved into it.
+
+    Parameters
+    ----------
+    result : GaugeCalibration
+        The calibration.
+    setup : Setup
+        The setup that it belongs to.
+
+    Returns
+    -------
+    Calibrated
+        The plane, and the point of it that is nearest to the origin stated.
+    """
+    plane = result.plane
+    origin = setup.laser.origin_mm - (plane[:3] @ setup.laser.origin_mm + plane[3]) * plane[:3]
+    robot_mm, form_mm = result.fitted.noise_mm.tolist()
+    return Calibrated(
+        "laser",
+        {
+            "plane_in_tool": [rounded(value, 9) for value in plane],
+            "origin_in_tool_mm": [round(float(value), 4) for value in origin],
+        },
+        PARAMETERS,
+        np.asarray(result.covariance),
+        MADE_BY,
+        {
+            "gauge": str(result.problem.gauge),
+            "images": len(result.problem.sightings),
+            "robot_mm": rounded(robot_mm, 4),
+            "form_mm": rounded(form_mm, 4),
+        },
+    )

@@ -1,0 +1,138 @@
+"""`arctrack calibrate gauge`: the laser sheet from a step or a V of known size, and its daily check."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from arctrack.cli.calibration_output import Out, Report, check_outputs, finish
+from arctrack.cli.interrupt import interruptible
+from arctrack.cli.setups import read_setup, write_calibrated
+from arctrack.errors import ArctrackError
+
+if TYPE_CHECKING:
+    from arctrack.calibration_files.hand_eye_poses import PoseSource
+    from arctrack.recording import Recording
+    from calibration.gauge.shape import Gauge
+
+REPORT = "calibrate_gauge.html"
+
+EXAMPLE = (
+    "Example: arctrack calibrate gauge /tmp/gauge --gauge v:90deg:5mm --poses /tmp/gauge/poses.csv "
+    "--setup examples/v_groove --out /tmp/gauge.toml\n\n"
+    "Example: arctrack calibrate gauge /tmp/gauge/gauge_00.png --gauge v:90deg:5mm --setup examples/v_groove "
+    "--check --report /tmp/gauge.html"
+)
+
+
+def gauge(
+    sources: Annotated[
+        list[Path],
+        typer.Argument(
+            metavar="SOURCE...", help="A recording, or folders of images, images, or patterns in quotes."
+        ),
+    ],
+    gauge: Annotated[str, typer.Option(help="step:10mm, or v:90deg:5mm: the flanks' angle and the depth.")],
+    setup: Annotated[
+        Path | None, typer.Option(help="A recording.toml, or a recording; default: the recording's own.")
+    ] = None,
+    poses: Annotated[
+        Path | None, typer.Option(help="The robot's pose of each image: a CSV file, or matrices.")
+    ] = None,
+    rotation: Annotated[
+        str | None,
+        typer.Option(
+            help="How rotations are written, as for calibrate hand-eye: kuka, xyzw, ZYX and others."
+        ),
+    ] = None,
+    units: Annotated[str, typer.Option(help="Units that no name states, such as 'm, rad'.")] = "",
+    check: Annotated[
+        bool, typer.Option("--check", help="Only say whether the setup measures it right.")
+    ] = False,
+    within: Annotated[float, typer.Option(help="With --check: how far the size may be off, mm.")] = 0.1,
+    out: Out = None,
+    report: Report = None,
+) -> None:
+    """Find the laser sheet from its stripe on a gauge at several poses of the robot, or check it from a few.
+
+    The gauge stands still, and the robot looks at it from several sides: raised, tilted, turned about its z.
+    Its own place is found along, and so is the robot's inaccuracy. Poses that do not determine the sheet are
+    refused, and the motion that is missing is named.
+
+    With --check one image is enough: the setup's sheet measures the gauge's size, and what to calibrate anew
+    is said where it is off. Nothing but the page is written. The exit code is 1 where it is not OK.
+    """
+    from arctrack.calibrating.gauge import check_stage, gauge_stage
+    from arctrack.cli import console
+    from arctrack.cli.exit_codes import WARNED
+
+    shape = _gauge_of(gauge)
+    if not within > 0.0:
+        raise ArctrackError(f"--within {within:g}: must be > 0 mm")
+    if check and out is not None:
+        raise ArctrackError("--out: --check writes no setup; leave one of them")
+    recording = _recording_of(sources, setup)
+    if setup is None and recording is None:
+        raise ArctrackError("--setup: give the recording.toml whose camera took the images")
+    stated = read_setup(recording.setup_path if recording is not None else setup)  # type: ignore[arg-type]
+    target = out or stated.path
+    page_path = report or target.with_name(REPORT)
+    images = [] if recording is not None else _images_of(sources)
+    check_outputs(None if check else target, page_path, stated.path, recording, images)
+    source = recording or sources
+    given = _poses_of(poses, rotation, units)
+    with interruptible("the calibration was", "nothing was written"), console.progress() as bar:
+        if check:
+            seen, verdict = check_stage(
+                source, shape, stated, given, within, console.steps(bar), console.warn
+            )
+        else:
+            stage = gauge_stage(source, shape, stated, given, console.steps(bar), console.warn)
+    if not check:
+        finish(stage.page, page_path)
+        write_calibrated(target, stated.path, *stage.records)
+        return
+    finish(seen.page, page_path)
+    if not verdict.is_good:
+        raise typer.Exit(WARNED)
+
+
+def _gauge_of(text: str) -> Gauge:
+    from calibration.gauge.shape import Gauge
+
+    try:
+        return Gauge.parse(text)
+    except ValueError as error:
+        raise ArctrackError(f"--gauge: {error}") from None
+
+
+def _recording_of(sources: list[Path], setup: Path | None) -> Recording | None:
+    """Return the recording that the sources are, None for images."""
+    from arctrack.recording import read_recording
+    from arctrack.recording.setup_file import FILE_NAME
+
+    if len(sources) > 1 or not (sources[0] / FILE_NAME).exists():
+        return None
+    stated = setup / FILE_NAME if setup is not None and setup.is_dir() else setup
+    return read_recording(sources[0], stated, must_fit=False)
+
+
+def _images_of(sources: list[Path]) -> list[Path]:
+    from arctrack.importing.image_files import images_of
+
+    return images_of(sources)
+
+
+def _poses_of(poses: Path | None, rotation: str | None, units: str) -> PoseSource | None:
+    from arctrack.calibration_files.hand_eye_poses import PoseSource
+    from arctrack.importing.units import parse_units
+
+    if poses is None:
+        if rotation is not None or units:
+            raise ArctrackError(
+                "--rotation, --units: have no effect without --poses; state them, or leave these"
+            )
+        return None
+    return PoseSource(poses, None, rotation, parse_units(units))

@@ -1,0 +1,1 @@
+"""The laser sheet from its stripe on a gauge of known size: found from many poses, checked from a few."""

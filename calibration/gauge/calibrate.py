@@ -1,0 +1,369 @@
+"""The laser sheet from a gauge at known poses of the robot, and a check of a sheet against a gauge."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+from scipy.stats import chi2, norm
+from scipy.stats import t as student
+
+from calibration.camera.enough import UndeterminedError
+from calibration.camera.lens import Lens
+from calibration.gauge.adjustment import SHEET, SIZE, Fit, Problem, State, fit_with_noise, inverse
+from calibration.gauge.shape import Gauge
+from calibration.gauge.sightings import Posed, place_gauge
+from noise_model.arrays import Float64
+
+LEAST_IMAGES = 4
+"""Fewer images determine no sheet and leave nothing to judge it by."""
+
+MOST_LEAN_DEG, MOST_PLACE_MM = 0.5, 0.2
+"""1 sigma of the sheet's leans and place: beyond it the sheet is as good as unknown."""
+
+FALSE_ALARM = 0.01
+"""The probability that a set without a wrong image loses one, and that a right sheet is taken for wrong."""
+
+SIZE_SIGMA_MM = 0.01
+"""1 sigma of a gauge's size: a ground one is better, a milled one as good."""
+
+MOST_FORM_MM = 0.1
+"""Pieces of the stripe that lie farther off the gauge's faces, 1 sigma, are of another gauge."""
+
+FEW_IMAGES = 3
+"""Fewer images say nothing of the errors: those that are usual count."""
+
+MOST_WRONG = 0.3
+"""The largest share of images that is left out."""
+
+HELD = 1e-9
+"""1 sigma of what is held."""
+
+TILT_SIGMA = math.radians(3.0)
+"""1 sigma of how far a gauge leans from where its stripes say, rad: one image does not say all."""
+
+LIFT_MM, TILT_DEG, SPIN_DEG = 10.0, 15.0, 40.0
+"""The motions that are proposed where some are missing: the stripe still crosses the gauge."""
+
+
+@dataclass(frozen=True)
+class GaugeCalibration:
+    """The sheet from a gauge.
+
+    Parameters
+    ----------
+    problem : Problem
+        The images used.
+    fitted : Fit
+        Sheet and gauge.
+    left_out : dict
+        The images that were left out, and why.
+    """
+
+    problem: Problem
+    fitted: Fit
+    left_out: dict[str, str]
+
+    @property
+    def plane(self) -> Float64:
+        """The sheet (4,) in the tool frame, n.X + d = 0, mm."""
+        return self.fitted.state.plane
+
+    @property
+    def sigma(self) -> Float64:
+        """1 sigma (3,) of its two leans, rad, and of its place amid the points, mm."""
+        return np.asarray(np.sqrt(np.diag(self.small)))
+
+    @property
+    def small(self) -> Float64:
+        """The covariance (3, 3) of leans and place."""
+        return np.asarray(self.fitted.covariance[SHEET, SHEET] * _wider(len(self.fitted.counts)) ** 2)
+
+    @property
+    def covariance(self) -> Float64:
+        """The covariance (4, 4) of the plane, of rank 3."""
+        state = self.fitted.state
+        per = np.zeros((4, 3))
+        per[:3, :2], per[3, :2], per[3, 2] = state.leans.T, -state.leans @ state.centre_mm, 1.0
+        return np.asarray(per @ self.small @ per.T)
+
+    @property
+    def off_mm(self) -> tuple[Float64, ...]:
+        """How far each image's points are off the gauge's faces, mm."""
+        off = self.problem.distances(self.fitted.state)
+        return tuple(off[part] for part in self.problem.slices)
+
+
+@dataclass(frozen=True)
+class GaugeCheck:
+    """What a gauge says of a setup.
+
+    Parameters
+    ----------
+    problem : Problem
+        The images.
+    fitted : Fit
+        The gauge, its size free, with the sheet as stated.
+    size_mm, sigma_mm : float
+        The size that the setup measures, and 1 sigma of that.
+    left_out : dict
+        The images that show no such gauge, and why.
+    """
+
+    problem: Problem
+    fitted: Fit
+    size_mm: float
+    sigma_mm: float
+    left_out: dict[str, str]
+
+    @property
+    def off_mm(self) -> float:
+        """The size that is measured less the gauge's own."""
+        return self.size_mm - self.problem.gauge.size_mm
+
+
+def _wider(images: int) -> float:
+    """Return by how much sigmas are wider since few images say how large the errors are: Student's t."""
+    return float(student.isf(0.025, max(images, 1)) / norm.isf(0.025))
+
+
+def calibrate_gauge(
+    shown: Sequence[Posed], gauge: Gauge, lens: Lens, T_tool_camera: Float64, plane: Float64, up: Float64
+) -> GaugeCalibration:
+    """Find the sheet from stripes on a gauge that stands still in base.
+
+    Parameters
+    ----------
+    shown : sequence of Posed
+        Images' stripes and poses.
+    gauge : Gauge
+        The gauge.
+    lens : Lens
+        The lens.
+    T_tool_camera : array (4, 4)
+        The camera's pose in the tool, mm.
+    plane : array (4,)
+        The sheet as stated, tool frame, mm: near enough to tell the gauge's faces apart.
+    up : array (3,)
+        The direction out of the gauge's top, within some degrees, base frame.
+
+    Returns
+    -------
+    GaugeCalibration
+        The sheet.
+
+    Raises
+    ------
+    UndeterminedError
+        Where the poses do not determine it, with the motion that is missing.
+    """
+    start, sightings, left_out = place_gauge(shown, gauge, lens, T_tool_camera, plane, up)
+    _check_count(len(sightings), left_out)
+    problem = Problem(gauge, T_tool_camera, tuple(sightings))
+    known = np.full(SIZE + 1, np.inf)
+    known[SIZE] = SIZE_SIGMA_MM
+    fitted = fit_with_noise(problem, start, known)
+    while len(sightings) > LEAST_IMAGES and len(left_out) < MOST_WRONG * len(shown):
+        worst = int(np.argmax(fitted.squares / fitted.counts))
+        rest = replace(problem, sightings=(*sightings[:worst], *sightings[worst + 1 :]))
+        without = fit_with_noise(rest, start, known)
+        if not _is_wrong(problem, worst, without):
+            break
+        name = sightings.pop(worst).name
+        left_out[name] = (
+            "its stripe does not lie where the others' do: the gauge moved, or the pose is another's"
+        )
+        problem, fitted = rest, without
+    result = GaugeCalibration(problem, fitted, left_out)
+    form_mm = float(fitted.noise_mm[1])
+    if form_mm > MOST_FORM_MM:
+        raise UndeterminedError(
+            f"the stripe's pieces lie {form_mm:.2f} mm off the faces of {gauge}, 1 σ: it is another gauge, "
+            "or camera and lens are not as the setup has them"
+        )
+    missing = missing_motion(problem, fitted)
+    if missing is not None:
+        raise UndeterminedError(missing)
+    return result
+
+
+def _is_wrong(problem: Problem, image: int, without: Fit) -> bool:
+    """Say whether an image is farther off a fit without it than noise and that fit's own errors explain."""
+    part = problem.slices[image]
+    d, J = problem.distances(without.state)[part], problem.slopes(without.state)[part]
+    C = problem.covariances(without.state, without.noise_mm)[image] + J @ without.covariance @ J.T
+    square = float(d @ np.linalg.solve(C, d)) / _wider(len(without.counts)) ** 2
+    return square > float(chi2.isf(FALSE_ALARM / len(problem.sightings), len(d)))
+
+
+def _check_count(images: int, left_out: dict[str, str]) -> None:
+    if images >= LEAST_IMAGES:
+        return
+    why = f": {next(iter(left_out))} {next(iter(left_out.values()))}" if left_out else ""
+    raise UndeterminedError(
+        f"{images} image{'s show' if images != 1 else ' shows'} the gauge{why}: {LEAST_IMAGES} at least are "
+        "needed, and 12 are good; one is enough for --check"
+    )
+
+
+def _excess(information: Float64) -> Float64:
+    """Return by how much the sheet's sigmas (3,) are over what is allowed: two leans, and the place."""
+    sigma = np.sqrt(np.diag(inverse(information)))[SHEET]
+    return np.array([*(sigma[:2] / math.radians(MOST_LEAN_DEG)), sigma[2] / MOST_PLACE_MM])
+
+
+def missing_motion(problem: Problem, fitted: Fit) -> str | None:
+    """Return which motion is missing where the sheet is not determined; None where it is.
+
+    Each motion is tried: the one counts by whose images the sheet would be known best.
+    """
+    excess = _excess(fitted.information)
+    if excess.max() <= 1.0:
+        return None
+    sigma = excess * [MOST_LEAN_DEG, MOST_LEAN_DEG, MOST_PLACE_MM]
+    information, wanted = fitted.information, []
+    for _ in range(2):
+        gains = {
+            what: information + sum(_information(problem, fitted, T) for T in poses)
+            for what, poses in _motions(problem, fitted.state).items()
+            if what not in wanted
+        }
+        best = min(gains, key=lambda what: float(_excess(gains[what]).max()))
+        wanted.append(best)
+        information = gains[best]
+        if _excess(information).max() <= 1.0:
+            break
+    leans = f"its leans are known to {_about(sigma[0], '°')} and {_about(sigma[1], '°')}"
+    return (
+        f"the sheet is not determined: {leans}, its place to {_about(sigma[2], ' mm')} (1 σ). Add images for "
+        f"which you {', and '.join(wanted)}"
+    )
+
+
+def _about(value: float, unit: str) -> str:
+    return f"{value:.2g}{unit}" if value < 90.0 else "nothing"
+
+
+def _motions(problem: Problem, state: State) -> dict[str, tuple[Float64, Float64]]:
+    """Return motions of the tool by name, each with two poses (4, 4), about the stripe's middle."""
+    T = problem.sightings[0].T_base_tool
+    middle = T[:3, :3] @ state.centre_mm + T[:3, 3]
+
+    def turned(axis: int, angle_deg: float) -> Float64:
+        R = Rotation.from_rotvec(math.radians(angle_deg) * T[:3, axis]).as_matrix()
+        other = np.eye(4)
+        other[:3, :3], other[:3, 3] = R, middle - R @ middle
+        return np.asarray(other @ T)
+
+    def lifted(by_mm: float) -> Float64:
+        other = T.copy()
+        other[:3, 3] += by_mm * state.T_base_gauge[:3, 2]
+        return other
+
+    return {
+        f"raise and lower the tool by {LIFT_MM:g} mm": (lifted(LIFT_MM), lifted(-LIFT_MM)),
+        f"tilt it by ±{TILT_DEG:g}° about its x": (turned(0, TILT_DEG), turned(0, -TILT_DEG)),
+        f"tilt it by ±{TILT_DEG:g}° about its y": (turned(1, TILT_DEG), turned(1, -TILT_DEG)),
+        f"turn it by ±{SPIN_DEG:g}° about its z": (turned(2, SPIN_DEG), turned(2, -SPIN_DEG)),
+        "turn it by 180° about its z": (turned(2, 180.0), turned(2, 180.0 - SPIN_DEG)),
+    }
+
+
+def _information(problem: Problem, fitted: Fit, T_base_tool: Float64) -> Float64:
+    """Return what an image at a pose would add: its stripe as wide and as noisy as those that there are."""
+    state, like = fitted.state, problem.sightings[0]
+    to_camera = np.linalg.inv(T_base_tool @ problem.T_tool_camera)
+    normals, offsets = problem.gauge.faces
+    in_tool = np.linalg.inv(T_base_tool) @ state.T_base_gauge
+    reach = max(3.0 * state.size_mm, 5.0)
+    rows: list[Float64] = []
+    for face in like.faces.tolist():
+        m = in_tool[:3, :3] @ normals[face]
+        point = in_tool[:3, 3] + offsets[face] * state.size_mm * m
+        along = np.cross(m, state.plane[:3])
+        along = along / max(float(np.linalg.norm(along)), 1e-9)
+        place = np.linalg.lstsq(
+            np.stack([m, state.plane[:3], along]),
+            np.array([m @ point, -state.plane[3], along @ point]),
+            rcond=None,
+        )[0]
+        sign = 1.0 if rows and len(rows) % 2 else -1.0
+        rows.append(place + (0.5 * sign * reach) * along)
+    in_base = np.array(rows) @ T_base_tool[:3, :3].T + T_base_tool[:3, 3]
+    seen = in_base @ to_camera[:3, :3].T + to_camera[:3, 3]
+    rays = seen / seen[:, 2:]
+    sighting = replace(like, T_base_tool=T_base_tool, rays=rays)
+    other = replace(problem, sightings=(sighting,))
+    J = other.slopes(state)
+    return np.asarray(J.T @ np.linalg.solve(other.covariances(state, fitted.noise_mm)[0], J))
+
+
+def check_gauge(
+    shown: Sequence[Posed], gauge: Gauge, lens: Lens, T_tool_camera: Float64, plane: Float64, up: Float64
+) -> GaugeCheck:
+    """Measure a gauge's size by a sheet as stated.
+
+    Parameters
+    ----------
+    shown : sequence of Posed
+        One image or more.
+    gauge, lens, T_tool_camera, plane, up
+        As for `calibrate_gauge`.
+
+    Returns
+    -------
+    GaugeCheck
+        The size measured.
+
+    Raises
+    ------
+    UndeterminedError
+        Where no image shows the gauge.
+    """
+    start, sightings, left_out = place_gauge(shown, gauge, lens, T_tool_camera, plane, up)
+    if not sightings:
+        name, reason = next(iter(left_out.items()))
+        raise UndeterminedError(f"no image shows the gauge: {name} {reason}")
+    problem = Problem(gauge, T_tool_camera, tuple(sightings))
+    held = np.array([*[HELD] * 3, TILT_SIGMA, TILT_SIGMA, *[np.inf] * 4])
+    fitted = fit_with_noise(problem, start, held)
+    sigma = math.sqrt(float(fitted.covariance[SIZE, SIZE]))
+    if len(sightings) >= FEW_IMAGES:
+        sigma *= _wider(len(sightings))
+    return GaugeCheck(problem, fitted, fitted.state.size_mm, sigma, left_out)
+
+
+def check_each(
+    shown: Sequence[Posed], gauge: Gauge, lens: Lens, T_tool_camera: Float64, plane: Float64
+) -> list[GaugeCheck]:
+    """Measure a gauge's size in each image alone: nothing is known of the robot, but that it stands upright.
+
+    Parameters
+    ----------
+    shown, gauge, lens, T_tool_camera, plane
+        As for `calibrate_gauge`; poses are not used.
+
+    Returns
+    -------
+    list of GaugeCheck
+        One for each image that shows the gauge.
+
+    Raises
+    ------
+    UndeterminedError
+        Where no image shows the gauge.
+    """
+    up = np.array([0.0, 0.0, 1.0])
+    checks, why = [], None
+    for each in shown:
+        alone = replace(each, T_base_tool=np.eye(4))
+        try:
+            checks.append(check_gauge([alone], gauge, lens, T_tool_camera, plane, up))
+        except UndeterminedError as error:
+            why = error
+    if why is not None and not checks:
+        raise why
+    return checks

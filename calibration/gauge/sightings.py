@@ -1,0 +1,202 @@
+"""Pieces of the stripe, told which face of the gauge each lies on; and where the gauge is, at first."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.linalg import block_diag
+
+from calibration.camera.lens import Lens
+from calibration.gauge.adjustment import Sighting, State
+from calibration.gauge.shape import EDGE, Gauge, Shape
+from calibration.gauge.stripe_pieces import Piece, Pieces
+from noise_model.arrays import Float64
+
+EDGE_SIGMA_MM = 0.2
+"""1 sigma of where the stripe ends on a step's edge: edges are broken, and the stripe is as wide."""
+
+EDGE_SIGMA_PX = 0.5
+"""The same in the image: an end is known to a scan line."""
+
+MOST_OFF = 0.35
+"""A size that is measured farther than that share off the stated one is of another thing."""
+
+SLOPE_RATIOS = (0.8, 1.6)
+"""A V looks that much wider or narrower than it is at most: wider where the stripe crosses it aslant."""
+
+LEAST_ANGLE_DEG = 5.0
+"""Two lines in space that are less apart in direction do not tell the gauge's top."""
+
+
+@dataclass(frozen=True)
+class Posed:
+    """An image's pieces and the robot's pose (4, 4), mm, at which it was taken."""
+
+    name: str
+    pieces: Pieces
+    T_base_tool: Float64
+
+
+def ends_in_base(each: Posed, piece: Piece, lens: Lens, T_tool_camera: Float64, plane: Float64) -> Float64:
+    """Return where a piece begins and ends (2, 3), mm, base frame, for a sheet in the tool frame."""
+    rays = _on_line(piece, lens, each.pieces.along_rows)
+    return _in_base(each.T_base_tool, _on_sheet(rays, T_tool_camera, plane))
+
+
+def _on_line(piece: Piece, lens: Lens, along_rows: bool) -> Float64:
+    """Return the rays (2, 3) of the line's points beside the piece's ends."""
+    ends = lens.rays(np.stack([piece.first, piece.last]))
+    a, b = piece.line.rays
+    column = 0 if along_rows else 1
+    share = (ends[:, column] - a[column]) / (b[column] - a[column])
+    return np.asarray(a + share[:, np.newaxis] * (b - a))
+
+
+def _on_sheet(rays: Float64, T_tool_camera: Float64, plane: Float64) -> Float64:
+    directions, o = rays @ T_tool_camera[:3, :3].T, T_tool_camera[:3, 3]
+    return np.asarray(o - ((plane[:3] @ o + plane[3]) / (directions @ plane[:3]))[:, np.newaxis] * directions)
+
+
+def _in_base(T: Float64, points: Float64) -> Float64:
+    return np.asarray(points @ T[:3, :3].T + T[:3, 3])
+
+
+def place_gauge(
+    shown: Sequence[Posed], gauge: Gauge, lens: Lens, T_tool_camera: Float64, plane: Float64, up: Float64
+) -> tuple[State, list[Sighting], dict[str, str]]:
+    """Tell pieces' faces and the gauge's place by the sheet as stated.
+
+    Parameters
+    ----------
+    shown : sequence of Posed
+        The images.
+    gauge : Gauge
+        The gauge.
+    lens : Lens
+        The lens.
+    T_tool_camera : array (4, 4)
+        The camera's pose, mm.
+    plane : array (4,)
+        The sheet as stated, tool frame, mm.
+    up : array (3,)
+        The direction out of the gauge's top, within some degrees, base frame.
+
+    Returns
+    -------
+    start : State
+        Where to begin.
+    sightings : list of Sighting
+        The images that show the gauge.
+    left_out : dict
+        The others, and why.
+    """
+    left_out: dict[str, str] = {}
+    kept: list[tuple[Posed, int]] = []
+    all_ends: list[Float64] = []
+    sides: list[Float64] = []
+    for each in shown:
+        ends = [ends_in_base(each, piece, lens, T_tool_camera, plane) for piece in each.pieces.pieces]
+        reason, order = _order(gauge, ends, up)
+        if reason:
+            left_out[each.name] = reason
+            continue
+        sorted_ends = [end if order > 0 else end[::-1] for end in ends[::order]]
+        across = sorted_ends[-1].mean(axis=0) - sorted_ends[0].mean(axis=0)
+        if gauge.shape is Shape.V and sides and across @ sides[0] < 0.0:
+            order, sorted_ends, across = -order, [end[::-1] for end in sorted_ends[::-1]], -across
+        kept.append((each, order))
+        all_ends.append(np.stack(sorted_ends))
+        sides.append(across)
+    if not kept:
+        return State(plane, np.eye(4), np.zeros(3), gauge.size_mm), [], left_out
+    z = _top(all_ends, gauge, up)
+    edges = np.stack([_edge_of(ends, gauge) for ends in all_ends])
+    y = np.mean([side / np.linalg.norm(side) for side in sides], axis=0)
+    y = y - (y @ z) * z
+    T = np.eye(4)
+    T[:3, 1], T[:3, 2] = y / np.linalg.norm(y), z
+    T[:3, 0] = np.cross(T[:3, 1], z)
+    T[:3, 3] = edges.mean(axis=0)
+    in_tool = [np.asarray(np.linalg.inv(each.T_base_tool), dtype=np.float64) for each, _ in kept]
+    points = np.concatenate(
+        [_in_base(T_tb, ends.reshape(-1, 3)) for T_tb, ends in zip(in_tool, all_ends, strict=True)]
+    )
+    centre = points.mean(axis=0)
+    centre = centre - (plane[:3] @ centre + plane[3]) * plane[:3]
+    sightings = [_sighting(each, order, gauge, lens, T_tool_camera, plane) for each, order in kept]
+    return State(plane, T, centre, gauge.size_mm), sightings, left_out
+
+
+def _order(gauge: Gauge, ends: Sequence[Float64], up: Float64) -> tuple[str, int]:
+    """Return why an image shows no such gauge, empty where it does; 1 or -1: pieces run with y or against."""
+    heights = [end @ up for end in ends]
+    if gauge.shape is Shape.STEP:
+        # At the step itself: a gauge that leans makes heights differ elsewhere.
+        drop = float(heights[0][1] - heights[1][0])
+        if not abs(abs(drop) / gauge.size_mm - 1.0) < MOST_OFF:
+            return f"shows a step of {abs(drop):.2f} mm, the gauge's has {gauge.size_mm:g} mm", 1
+        return "", 1 if drop > 0.0 else -1
+    root = 0.5 * float(heights[1][1] + heights[2][0])
+    depth = 0.5 * float(heights[0][1] + heights[3][0]) - root
+    if not abs(depth / gauge.size_mm - 1.0) < MOST_OFF:
+        return f"shows a V {depth:.2f} mm deep, the gauge's has {gauge.size_mm:g} mm", 1
+    mouth = ends[3][0] - ends[0][1]
+    slope = 0.5 * float(np.linalg.norm(mouth - (mouth @ up) * up)) / depth
+    ratio = slope / math.tan(math.radians(0.5 * gauge.angle_deg))
+    if not SLOPE_RATIOS[0] < ratio < SLOPE_RATIOS[1]:
+        angle_deg = 2.0 * math.degrees(math.atan(slope))
+        return f"shows a V of some {angle_deg:.0f}° across, the gauge's has {gauge.angle_deg:g}°", 1
+    return "", 1
+
+
+def _edge_of(ends: Float64, gauge: Gauge) -> Float64:
+    """Return the gauge's origin (3,) in an image, mm: a step's upper edge, above a V's root."""
+    return np.asarray(ends[0, 1] if gauge.shape is Shape.STEP else 0.5 * (ends[0, 1] + ends[-1, 0]))
+
+
+def _top(all_ends: Sequence[Float64], gauge: Gauge, up: Float64) -> Float64:
+    """Return the top's normal (3,), base frame, that fits the pieces on it and leans little from `up`."""
+    pieces = gauge.pieces
+    flat = [n for n, face in enumerate(pieces) if face == 0 or gauge.shape is Shape.STEP]
+    directions = np.array([ends[n][1] - ends[n][0] for ends in all_ends for n in flat])
+    directions = directions / np.linalg.norm(directions, axis=1)[:, np.newaxis]
+    # The normal is square to all of them; where they are alike, it is `up` as far as it can be.
+    M = directions.T @ directions / len(directions) + np.radians(LEAST_ANGLE_DEG) ** 2 * (
+        np.eye(3) - np.outer(up, up)
+    )
+    z = np.linalg.eigh(M)[1][:, 0]
+    return np.asarray(z * np.sign(z @ up))
+
+
+def _sighting(
+    each: Posed, order: int, gauge: Gauge, lens: Lens, T_tool_camera: Float64, plane: Float64
+) -> Sighting:
+    pieces = each.pieces.pieces[::order]
+    rays = [piece.line.rays for piece in pieces]
+    across = [np.tile(piece.line.across, (2, 1)) for piece in pieces]
+    blocks = [piece.line.covariance for piece in pieces]
+    faces = [[face] * 2 for face in gauge.pieces]
+    if gauge.shape is Shape.STEP:
+        high = pieces[0]
+        end = _on_line(high, lens, each.pieces.along_rows)[1 if order > 0 else 0]
+        along = high.line.rays[1] - high.line.rays[0]
+        along = along / np.linalg.norm(along)
+        step = 1e-4
+        a, b = _on_sheet(np.stack([end, end + step * along]), T_tool_camera, plane)
+        mm_per_slope = float(np.linalg.norm(b - a)) / step
+        sigma = np.hypot(EDGE_SIGMA_MM / mm_per_slope, EDGE_SIGMA_PX / float(lens.values[0]))
+        rays.append(end[np.newaxis])
+        across.append(along[np.newaxis])
+        blocks.append(np.array([[sigma**2]]))
+        faces.append([EDGE])
+    return Sighting(
+        each.name,
+        each.T_base_tool,
+        np.concatenate(rays),
+        np.concatenate(faces).astype(np.int64),
+        np.concatenate(across),
+        np.asarray(block_diag(*blocks)),
+    )
