@@ -86,7 +86,7 @@ def _bell(place: Float64, light: Float64, width: float) -> Float64:
 
     x = np.array([peak, np.average(place, weights=light), np.log(width)])
     for _ in range(8):
-        weight = np.sqrt(lit * length / (bell(x) + peak))
+        before, weight = x, np.sqrt(lit * length / (bell(x) + peak))
         x = least_squares(
             lambda x, weight=weight: weight * (light - bell(x)) / np.sqrt(peak),
             x,
@@ -95,6 +95,8 @@ def _bell(place: Float64, light: Float64, width: float) -> Float64:
             ftol=1e-12,
             gtol=1e-12,
         ).x
+        if np.abs(x - before).max() < 1e-7:
+            break
     return np.array([x[1], np.exp(x[2])])
 
 
