@@ -47,8 +47,10 @@ seeds = st.integers(0, 2**32 - 1)
 def shown(of: Float64, sigma: Float64, amplitude: Float64) -> tuple[Float64, Float64, float]:
     """What `differences` shows of centres off their expected places."""
     by_lag, by_length = np.empty(len(LAGS)), np.empty(len(LENGTHS))
+    # Columns of the lines' fits: of another layout it would be compiled once more.
+    centers, amplitudes = np.column_stack([of, amplitude]).T
     brightness = differences(
-        of, np.zeros(len(of)), sigma, amplitude, LAGS, LENGTHS, MIN_MEANS, by_lag, by_length
+        centers, np.zeros(len(of)), sigma, amplitudes, LAGS, LENGTHS, MIN_MEANS, by_lag, by_length
     )
     return by_lag, by_length, brightness
 
