@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from arctrack.calibrating.camera import camera_stage
-from arctrack.calibrating.certify import certificate_of
+from arctrack.calibrating.certify import certificate_of, certificate_record
 from arctrack.calibrating.delay import delay_stage
 from arctrack.calibrating.folder import RawFiles
 from arctrack.calibrating.hand_eye import hand_eye_stage
@@ -125,6 +125,9 @@ def calibrate_folder(raw: RawFiles, stated: SetupFile, steps: Steps, warn: Warn)
         moving = raw.delay
         result.add("delay", lambda: delay_stage(_recording(moving, result.stated, warn), steps)[0])
     result.certificate, result.unmeasured = certificate_of(result.stages, result.stated)
+    if result.certificate is not None and "hand_eye" in result.stages:
+        result.records.append(certificate_record(result.certificate, result.stated))
+        result.stated = parse_setup(with_calibrated(stated.path, *result.records), stated.path)
     return result
 
 

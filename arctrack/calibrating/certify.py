@@ -7,17 +7,25 @@ from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
+from scipy.optimize import linprog
 
 from arctrack.calibrating.stage import Stage
-from arctrack.recording import SetupFile
+from arctrack.recording import Calibrated, SetupFile
+from arctrack.recording.toml_text import rounded
 from calibration.certificate import Certificate, KnownHandEye, KnownLens, KnownSheet, RobotNoise, certify
 from calibration.hand_eye_boards.calibrate import HandEyeCalibration
 from calibration.laser.calibrate import LaserCalibration
 from calibration.pose_delay import PoseDelay
 from noise_model.arrays import Float64
+from tracker.seam.locate import moved_variance
 
 POINTS_OF_PAIR = 25
 """The sheet is judged at so many points of the stripe in each pair: beyond them nobody has seen it."""
+
+UNIT_RAD, UNIT_MM = 1e-3, 0.1
+"""The turn and the move whose variances are scaled to the certificate's."""
+
+MADE_BY = "arctrack calibrate all"
 
 
 def certificate_of(
@@ -67,6 +75,54 @@ def certificate_of(
         delay_mm,
     )
     return certificate, unmeasured
+
+
+def certificate_record(certificate: Certificate, stated: SetupFile) -> Calibrated:
+    """Return the tolerance of the camera's pose with which no track is surer than the certificate.
+
+    A track's sigma knows of the setup's errors by `hand_eye_deg` and `hand_eye_mm` alone: turns and moves of
+    the camera before a sheet that stands still. Of all pairs that leave no variance below the certificate's,
+    at any of its points, lateral or vertical, that with the least sum over them is taken: a linear programme
+    in the two squares.
+
+    Parameters
+    ----------
+    certificate : Certificate
+        What the seam's position is good for.
+    stated : SetupFile
+        The setup with all calibrated values.
+
+    Returns
+    -------
+    Calibrated
+        The tolerance; its covariance is that of the seam, lateral and vertical, nearest to the tool's axis.
+    """
+    setup = stated.setup
+    wanted = np.square(certificate.sigma_mm[:, 1:]).ravel()
+    columns = [
+        np.concatenate(
+            [
+                moved_variance(setup.camera.T_tool_camera, setup.laser.plane, np.eye(4), point, *unit)
+                for point in certificate.points_tool_mm
+            ]
+        )
+        / wanted
+        for unit in ((UNIT_RAD, 0.0), (0.0, UNIT_MM))
+    ]
+    over = np.column_stack(columns)
+    turn2, move2 = linprog(over.sum(axis=0), A_ub=-over, b_ub=-np.ones(len(wanted))).x
+    near = certificate.covariance_mm2[certificate.nearest_to_tool][1:, 1:]
+    return Calibrated(
+        "tolerance",
+        {
+            "hand_eye_deg": rounded(math.degrees(UNIT_RAD * math.sqrt(turn2)), 3),
+            "hand_eye_mm": rounded(UNIT_MM * math.sqrt(move2), 3),
+        },
+        ("seam_y_mm", "seam_z_mm"),
+        near,
+        MADE_BY,
+        name="certificate",
+    )
 
 
 def _hand_eye(

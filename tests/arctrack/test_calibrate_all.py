@@ -25,11 +25,11 @@ CALIBRATE = (
 MOST_MM = 0.05
 
 
-def seam(results: Path) -> Float64:
+def read(results: Path, what: str) -> Float64:
     """Return y and z (n, 2) of a replay's valid frames, NaN for others."""
     with (results / "results.csv").open() as file:
         rows = list(csv.DictReader(file))
-    return np.array([[float(row[f"seam_{axis}_mm"] or "nan") for axis in "yz"] for row in rows])
+    return np.array([[float(row[f"{what}_{axis}_mm"] or "nan") for axis in "yz"] for row in rows])
 
 
 def test_raw_images_lead_to_the_seam_of_the_true_setup(scratch: Path, shared: Path) -> None:
@@ -38,11 +38,16 @@ def test_raw_images_lead_to_the_seam_of_the_true_setup(scratch: Path, shared: Pa
     replays = [("", "/tmp/results"), (" --setup /tmp/calibrated.toml", "/tmp/replayed")]
     for option, out in replays:
         run_once(f"arctrack replay examples/v_groove{option} --out {out}", scratch, shared)
-    true, found = (seam(scratch / out[1:]) for _, out in replays)
+    true, found = (read(scratch / out[1:], "seam") for _, out in replays)
     assert np.isfinite(true).all(axis=1).sum() == 17
     off_mm = np.sqrt(np.nanmean((found - true) ** 2, axis=0))
     assert np.isfinite(found).all(axis=1).sum() == 17
     assert off_mm.max() < MOST_MM
+    calibrated = read_setup_file(scratch / "tmp" / "calibrated.toml")
+    sigma_mm = np.nanmin(read(scratch / "tmp" / "replayed", "sigma"), axis=0)
+    # No frame is surer than the certificate, which is sharper than the tolerance that the drawing states.
+    assert (sigma_mm > 0.99 * np.array(calibrated.calibrations["certificate"].sigma)).all()
+    assert (sigma_mm < np.nanmin(read(scratch / "tmp" / "results", "sigma"), axis=0)).all()
     page = (scratch / "tmp" / "calibrate_all.html").read_text()
     assert page.count("<details") == 5
     assert "http://www.w3.org" not in page.replace("data:", "")
