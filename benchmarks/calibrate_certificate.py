@@ -19,10 +19,11 @@ import numpy as np
 from calibration_tally import Tally, judge_worlds
 
 from calibration.camera.enough import UndeterminedError
+from calibration.camera.known_lens import board_poses
 from calibration.camera.lens import Lens
 from calibration.certificate import CAMERA, Certificate, KnownHandEye, KnownLens, KnownSheet, certify
 from calibration.hand_eye_boards.calibrate import HandEyeCalibration, calibrate_hand_eye
-from calibration.laser.calibrate import LaserCalibration, board_poses, calibrate_laser
+from calibration.laser.calibrate import LaserCalibration, calibrate_laser
 from noise_model.arrays import Float64
 
 IN_HAND_WRONG_LENS = 8

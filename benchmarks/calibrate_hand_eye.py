@@ -28,10 +28,10 @@ from calibration.boards.board import Board, Kind
 from calibration.boards.detect import find_corners
 from calibration.camera.calibrate import find_lens
 from calibration.camera.enough import UndeterminedError
+from calibration.camera.known_lens import board_poses
 from calibration.camera.lens import Lens
 from calibration.camera.sightings import View
 from calibration.hand_eye_boards.calibrate import PARAMETERS, HandEyeCalibration, calibrate_hand_eye
-from calibration.laser.calibrate import board_poses
 from noise_model.arrays import Float64
 
 METHODS = {

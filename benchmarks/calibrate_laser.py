@@ -20,9 +20,10 @@ from scipy.stats import chi2, norm
 
 from calibration.boards.board import Board, Kind
 from calibration.camera.enough import UndeterminedError
+from calibration.camera.known_lens import board_poses
 from calibration.camera.lens import Lens
 from calibration.camera.sightings import View
-from calibration.laser.calibrate import LaserCalibration, board_poses, calibrate_laser
+from calibration.laser.calibrate import LaserCalibration, calibrate_laser
 from calibration.laser.stripe import Stripe
 from noise_model.arrays import Float64
 

@@ -17,11 +17,11 @@ from arctrack.importing.image_decoder import EncodedImage
 from arctrack.importing.image_files import ImageSeries, distinct_names, find_images
 from arctrack.importing.pose_files import read_poses
 from arctrack.recording import BadFrame, Recording, SetupFile
+from calibration.camera.known_lens import lens_of
 from calibration.camera.lens import Lens
 from calibration.gauge.shape import Gauge
 from calibration.gauge.sightings import Posed
 from calibration.gauge.stripe_pieces import Pieces, stripe_pieces
-from calibration.laser.calibrate import lens_of
 from noise_model.arrays import Float64, Integers
 from noise_model.transforms import invert
 

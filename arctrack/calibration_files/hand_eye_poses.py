@@ -18,8 +18,8 @@ from arctrack.importing.units import Units
 from arctrack.recording import SetupFile
 from calibration.boards.board import Board
 from calibration.camera.adjustment import Scene
+from calibration.camera.known_lens import board_poses, lens_of
 from calibration.camera.sightings import Sightings
-from calibration.laser.calibrate import board_poses, lens_of
 from noise_model.arrays import Float64, Int64
 from noise_model.transforms import invert
 

@@ -23,10 +23,10 @@ from calibration.boards.board import Board
 from calibration.boards.detect import WINDOW
 from calibration.camera.adjustment import Scene, adjusted
 from calibration.camera.calibrate import one_thread
+from calibration.camera.known_lens import board_poses, lens_of
 from calibration.camera.lens import PINHOLE, Lens
 from calibration.camera.noise import LEAST_CORNERS
 from calibration.camera.sightings import Sightings
-from calibration.laser.calibrate import board_poses, lens_of
 from calibration.laser.cross_sections import CrossSections, cross_sections, placed
 from calibration.laser.lit_board import lit_board
 from calibration.laser.stripe import Stripe, board_area, find_stripe, laser_light

@@ -176,7 +176,7 @@ def calibrate_hand_eye(
     Parameters
     ----------
     scene : Scene
-        The lens, which is held, and the boards' poses, from `calibration.laser.calibrate.board_poses`.
+        The lens, which is held, and the boards' poses, from `calibration.camera.known_lens.board_poses`.
     seen : Sightings
         The corners.
     T_base_tool : array (V, 4, 4)

@@ -9,20 +9,17 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.stats import chi2
 
-from calibration.boards.board import Board
 from calibration.camera.adjustment import Scene, adjusted, linearised
 from calibration.camera.calibrate import one_thread
 from calibration.camera.enough import UndeterminedError
-from calibration.camera.lens import OPENCV, PINHOLE, Lens
-from calibration.camera.noise import LEAST_CORNERS, LEAST_SIGMA_PX, moderated, wrong_corners
-from calibration.camera.sightings import Sightings, View
-from calibration.camera.start import with_better_poses
+from calibration.camera.lens import Lens
+from calibration.camera.noise import LEAST_SIGMA_PX, moderated
+from calibration.camera.sightings import Sightings
 from calibration.laser.bow import Bow, bow_of
 from calibration.laser.image_line import ImageLine, fit_line
 from calibration.laser.plane import LEAST_PAIRS, BoardLine, PlaneFit, consistent, fit_plane
 from calibration.laser.stripe import Stripe
 from noise_model.arrays import Float64
-from noise_model.instrument.camera import Camera
 
 MOST_TILT_SIGMA_DEG = 0.5
 """1 sigma of the sheet's lean: beyond it, a part 10 mm off the boards is 0.09 mm off and more."""
@@ -38,9 +35,6 @@ FALSE_ALARM = 0.01
 
 STEP_SIGMAS = 0.1
 """Steps of the lens in finite differences, in sigmas."""
-
-FAR_MM = 1e3
-"""Where boards stand before their poses are sought."""
 
 
 @dataclass(frozen=True)
@@ -126,29 +120,6 @@ class LaserCalibration:
         """Return 1 sigma of the plane's place along its normal at points (n, 3), mm, camera frame."""
         row = np.column_stack([points_mm, np.ones(len(points_mm))])
         return np.asarray(np.sqrt(np.einsum("ni,ij,nj->n", row, self.covariance, row)))
-
-
-def lens_of(camera: Camera, free: Sequence[str] = ()) -> Lens:
-    """Return a stated camera's lens, with the coefficients that are not 0, or that are `free`."""
-    stated = dict(zip(OPENCV, camera.distortion, strict=False))
-    names = tuple(name for name in OPENCV if stated.get(name, 0.0) != 0.0 or name in free)
-    values = [camera.fx, camera.fy, camera.cx, camera.cy, *(stated.get(name, 0.0) for name in names)]
-    return Lens(camera.width, camera.height, (*PINHOLE, *names), np.array(values))
-
-
-def board_poses(board: Board, views: Sequence[View], lens: Lens) -> tuple[Scene, Sightings]:
-    """Return the boards' poses before a known lens, and the corners that are where the board has them."""
-    seen = Sightings.of(board, views)
-    far = np.tile(np.eye(4), (len(views), 1, 1))
-    far[:, 2, 3] = FAR_MM
-    scene = Scene(lens, np.zeros(2), far, np.zeros((len(board.points_mm), 2)))
-    with one_thread():
-        scene = with_better_poses(scene, seen)
-        kept = ~wrong_corners(scene, seen)
-        if not kept.all() and (seen.where(kept).counts >= LEAST_CORNERS).all():
-            seen = seen.where(kept)
-            scene = adjusted(scene, seen, np.ones(len(seen)), poses_only=True)
-    return scene, seen
 
 
 def calibrate_laser(

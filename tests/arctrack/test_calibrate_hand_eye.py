@@ -14,8 +14,8 @@ from typer.testing import CliRunner, Result
 from arctrack import cli
 from arctrack.calibration_files.hand_eye_record import hand_eye_record
 from arctrack.recording import Calibrated, read_setup_file, with_calibrated
+from calibration.camera.known_lens import board_poses
 from calibration.hand_eye_boards.calibrate import calibrate_hand_eye
-from calibration.laser.calibrate import board_poses
 from noise_model.arrays import Float64
 
 pytestmark = pytest.mark.slow

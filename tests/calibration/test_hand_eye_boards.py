@@ -8,12 +8,12 @@ from scipy.spatial.transform import Rotation
 
 from calibration.boards.board import Board, Kind
 from calibration.camera.enough import UndeterminedError
+from calibration.camera.known_lens import board_poses
 from calibration.camera.lens import Lens
 from calibration.camera.sightings import View
 from calibration.hand_eye_boards.calibrate import HandEyeCalibration, calibrate_hand_eye
 from calibration.hand_eye_boards.enough import InconsistentError
 from calibration.hand_eye_boards.variances import PoseErrors, robot_sigma, solve
-from calibration.laser.calibrate import board_poses
 from noise_model.arrays import Float64
 
 

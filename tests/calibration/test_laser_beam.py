@@ -3,8 +3,8 @@ import pytest
 from camera_scenes import BOARD, SIZE, Held, project
 from laser_scenes import BOARDS, PINHOLE, PLANE, SHEET_SIGMA_MM, flat_pose, pictures, stripe_points, views
 
+from calibration.camera.known_lens import board_poses
 from calibration.camera.lens import Lens
-from calibration.laser.calibrate import board_poses
 from calibration.laser.cross_sections import CrossSections, cross_sections, placed
 from calibration.laser.fan import Fan, Missing, ends_of, fit_fan
 from calibration.laser.lit_board import LitBoard, lit_board

@@ -7,8 +7,9 @@ from laser_scenes import BOARDS, LEVEL, PINHOLE, PLANE, pictures, stripe_points,
 from scipy.spatial.transform import Rotation
 
 from calibration.camera.enough import UndeterminedError
+from calibration.camera.known_lens import board_poses
 from calibration.camera.lens import Lens
-from calibration.laser.calibrate import LaserCalibration, board_poses, calibrate_laser
+from calibration.laser.calibrate import LaserCalibration, calibrate_laser
 from calibration.laser.image_line import lines_together
 from calibration.laser.stripe import Stripe, board_area, find_stripe, laser_light
 from noise_model.arrays import Float64

@@ -1,0 +1,42 @@
+"""Boards before a lens that is known: the lens that a setup states, and the boards' poses before it."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from calibration.boards.board import Board
+from calibration.camera.adjustment import Scene, adjusted
+from calibration.camera.calibrate import one_thread
+from calibration.camera.lens import OPENCV, PINHOLE, Lens
+from calibration.camera.noise import LEAST_CORNERS, wrong_corners
+from calibration.camera.sightings import Sightings, View
+from calibration.camera.start import with_better_poses
+from noise_model.instrument.camera import Camera
+
+FAR_MM = 1e3
+"""Where boards stand before their poses are sought."""
+
+
+def lens_of(camera: Camera, free: Sequence[str] = ()) -> Lens:
+    """Return a stated camera's lens, with the coefficients that are not 0, or that are `free`."""
+    stated = dict(zip(OPENCV, camera.distortion, strict=False))
+    names = tuple(name for name in OPENCV if stated.get(name, 0.0) != 0.0 or name in free)
+    values = [camera.fx, camera.fy, camera.cx, camera.cy, *(stated.get(name, 0.0) for name in names)]
+    return Lens(camera.width, camera.height, (*PINHOLE, *names), np.array(values))
+
+
+def board_poses(board: Board, views: Sequence[View], lens: Lens) -> tuple[Scene, Sightings]:
+    """Return the boards' poses before a known lens, and the corners that are where the board has them."""
+    seen = Sightings.of(board, views)
+    far = np.tile(np.eye(4), (len(views), 1, 1))
+    far[:, 2, 3] = FAR_MM
+    scene = Scene(lens, np.zeros(2), far, np.zeros((len(board.points_mm), 2)))
+    with one_thread():
+        scene = with_better_poses(scene, seen)
+        kept = ~wrong_corners(scene, seen)
+        if not kept.all() and (seen.where(kept).counts >= LEAST_CORNERS).all():
+            seen = seen.where(kept)
+            scene = adjusted(scene, seen, np.ones(len(seen)), poses_only=True)
+    return scene, seen
