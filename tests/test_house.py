@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ast
+import functools
 import re
 import subprocess
 import sys
@@ -85,10 +86,16 @@ NAMES_SAYING_NOTHING = {"of", "one", "found", "at", "left"}
 ONLY_IN_ARCTRACK = {"matplotlib", "jinja2", "rich", "typer", "pydantic", "av", "aiohttp"}
 
 
+@functools.cache
+def parsed(source: str) -> ast.Module:
+    """Return a source's tree: several tests look at the same."""
+    return ast.parse(source)
+
+
 def imported(source: str, path: Path) -> Iterator[tuple[int, str]]:
     """Yield line and top-level package of every import, relative and late ones included."""
     room = path.relative_to(ROOT).parts[0]
-    for node in ast.walk(ast.parse(source)):
+    for node in ast.walk(parsed(source)):
         if isinstance(node, ast.Import):
             for alias in node.names:
                 yield node.lineno, alias.name.split(".")[0]
@@ -145,7 +152,7 @@ def test_the_table_is_enforced(source: str, tmp_path: Path, monkeypatch: pytest.
 
 def imported_files(file: Path) -> Iterator[Path]:
     """Yield the files of a file's own room that it imports, late imports included."""
-    for node in ast.walk(ast.parse(file.read_text())):
+    for node in ast.walk(parsed(file.read_text())):
         if isinstance(node, ast.Import):
             names = [[alias.name] for alias in node.names]
         elif isinstance(node, ast.ImportFrom) and node.module:
@@ -223,7 +230,7 @@ def test_no_function_is_longer_than_a_hundred_lines() -> None:
         f"{file.relative_to(ROOT)}:{node.lineno} {node.name}"
         for folder in (*MAY_IMPORT, "benchmarks", "examples", "tests")
         for file in sorted((ROOT / folder).rglob("*.py"))
-        for node in ast.walk(ast.parse(file.read_text()))
+        for node in ast.walk(parsed(file.read_text()))
         if isinstance(node, FUNCTIONS)
         and (node.end_lineno or node.lineno) - node.lineno + 1 > MAX_FUNCTION_LINES
     ]
@@ -235,7 +242,7 @@ def names_that_say_nothing(source: str) -> list[str]:
 
     `left` beside `right` in one function says a side.
     """
-    tree = ast.parse(source)
+    tree = parsed(source)
     fields = {id(item) for node in ast.walk(tree) if isinstance(node, ast.ClassDef) for item in node.body}
     scopes = [node for node in ast.walk(tree) if isinstance(node, (*FUNCTIONS, ast.Module))]
     wrong = set()
