@@ -14,7 +14,7 @@ from scipy.stats import t as student
 from calibration.camera.enough import UndeterminedError
 from calibration.camera.lens import Lens
 from calibration.gauge.adjustment import SHEET, SIZE, Fit, Problem, State, fit_with_noise, inverse
-from calibration.gauge.shape import Gauge
+from calibration.gauge.shape import Gauge, Shape
 from calibration.gauge.sightings import Posed, place_gauge
 from noise_model.arrays import Float64
 
@@ -24,8 +24,11 @@ LEAST_IMAGES = 4
 MOST_LEAN_DEG, MOST_PLACE_MM = 0.5, 0.2
 """1 sigma of the sheet's leans and place: beyond it the sheet is as good as unknown."""
 
-FALSE_ALARM = 0.01
-"""The probability that a set without a wrong image loses one, and that a right sheet is taken for wrong."""
+FALSE_ALARM = 0.001
+"""The probability that a set without a wrong image loses one."""
+
+LEAST_FREEDOM = 2
+"""Degrees of freedom of the errors' size, at least."""
 
 SIZE_SIGMA_MM = 0.01
 """1 sigma of a gauge's size: a ground one is better, a milled one as good."""
@@ -80,7 +83,8 @@ class GaugeCalibration:
     @property
     def small(self) -> Float64:
         """The covariance (3, 3) of leans and place."""
-        return np.asarray(self.fitted.covariance[SHEET, SHEET] * _wider(len(self.fitted.counts)) ** 2)
+        wider = _wider(self.problem.gauge, len(self.fitted.counts))
+        return np.asarray(self.fitted.covariance[SHEET, SHEET] * wider**2)
 
     @property
     def covariance(self) -> Float64:
@@ -125,9 +129,14 @@ class GaugeCheck:
         return self.size_mm - self.problem.gauge.size_mm
 
 
-def _wider(images: int) -> float:
-    """Return by how much sigmas are wider since few images say how large the errors are: Student's t."""
-    return float(student.isf(0.025, max(images, 1)) / norm.isf(0.025))
+def _wider(gauge: Gauge, images: int) -> float:
+    """Return by how much sigmas are wider since few images say how large the errors are: Student's t.
+
+    Across a V an image tells the robot's error in two directions, across a step in its height alone. Sheet
+    and gauge take some of that.
+    """
+    freedom = 2 * images - 7 if gauge.shape is Shape.V else images - 4
+    return float(student.isf(0.025, max(freedom, LEAST_FREEDOM)) / norm.isf(0.025))
 
 
 def calibrate_gauge(
@@ -195,7 +204,7 @@ def _is_wrong(problem: Problem, image: int, without: Fit) -> bool:
     part = problem.slices[image]
     d, J = problem.distances(without.state)[part], problem.slopes(without.state)[part]
     C = problem.covariances(without.state, without.noise_mm)[image] + J @ without.covariance @ J.T
-    square = float(d @ np.linalg.solve(C, d)) / _wider(len(without.counts)) ** 2
+    square = float(d @ np.linalg.solve(C, d)) / _wider(problem.gauge, len(without.counts)) ** 2
     return square > float(chi2.isf(FALSE_ALARM / len(problem.sightings), len(d)))
 
 
@@ -332,7 +341,7 @@ def check_gauge(
     fitted = fit_with_noise(problem, start, held)
     sigma = math.sqrt(float(fitted.covariance[SIZE, SIZE]))
     if len(sightings) >= FEW_IMAGES:
-        sigma *= _wider(len(sightings))
+        sigma *= _wider(gauge, len(sightings))
     return GaugeCheck(problem, fitted, fitted.state.size_mm, sigma, left_out)
 
 
