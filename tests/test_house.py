@@ -48,7 +48,8 @@ FOLDERS_MAY_IMPORT: dict[str, dict[str, set[str]]] = {
         "laser": {"boards", "camera"},
         "gauge": {"camera", "laser"},
         "sensor": set(),
-        "check": set(),
+        "arc": set(),
+        "check": {"arc"},
     },
     "sim_to_real": {
         "data": set(),
@@ -67,7 +68,7 @@ FOLDERS_MAY_IMPORT: dict[str, dict[str, set[str]]] = {
         "blind_check": {"recording"},
         "setup_check": {"recording", "check"},
         "report": {"recording", "calibration_files", "check", "setup_check"},
-        "calibrating": {"recording", "importing", "calibration_files", "check", "report"},
+        "calibrating": {"recording", "importing", "calibration_files", "check", "setup_check", "report"},
         "cli": {
             "recording",
             "importing",

@@ -10,6 +10,8 @@ import typer
 
 from arctrack.cli.calibrate_all import EXAMPLE as ALL_EXAMPLE
 from arctrack.cli.calibrate_all import calibrate_all
+from arctrack.cli.calibrate_arc import EXAMPLE as ARC_EXAMPLE
+from arctrack.cli.calibrate_arc import arc
 from arctrack.cli.calibrate_camera import camera
 from arctrack.cli.calibrate_check import EXAMPLE as CHECK_EXAMPLE
 from arctrack.cli.calibrate_check import check
@@ -61,6 +63,7 @@ calibrate.command("sensor", epilog=SENSOR_EXAMPLE)(sensor)
 calibrate.command("delay", epilog=DELAY_EXAMPLE)(delay)
 calibrate.command("all", epilog=ALL_EXAMPLE)(calibrate_all)
 calibrate.command("check", epilog=CHECK_EXAMPLE)(check)
+calibrate.command("arc", epilog=ARC_EXAMPLE)(arc)
 
 
 @calibrate.callback(epilog=EXAMPLE)

@@ -100,7 +100,7 @@ def check_setup(
     frames, bad_frames = parted(recording.frames(chosen_rows(recording)))
     warm_up(geometry, UNSTATED, on_compiled=on_compiled)
     looks = looks_at(recording, geometry, frames, on_frame)
-    sights = tuple(_sight(geometry, look) for look in looks if look.pose is not None and len(look.line.scan))
+    sights = sights_of(geometry, looks)
     place, said_of_place = _placed(recording.setup, sights)
     arc, said_of_arc = _arc_seen(recording, place)
     measures = sensor_measures(recording.setup, sensor_of(recording, looks), arc)
@@ -140,6 +140,11 @@ def _first(measures: Sequence[Measure]) -> str:
     """Return what an earlier stage asks to be set right first, nothing where all explain the recording."""
     wrong = [m for m in measures if m.verdict is Verdict.NOT_EXPLAINED and m.stage is not Stage.STRIPE]
     return wrong[0].stage.value if wrong else ""
+
+
+def sights_of(geometry: SensorGeometry, looks: Sequence[Look]) -> tuple[StripeSight, ...]:
+    """Return the stripes of the looks that have a pose and show a line."""
+    return tuple(_sight(geometry, look) for look in looks if look.pose is not None and len(look.line.scan))
 
 
 def _sight(geometry: SensorGeometry, look: Look) -> StripeSight:

@@ -17,15 +17,16 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import partial
 
 import numpy as np
 from numpy.polynomial.legendre import legval
 from scipy.spatial.transform import Rotation
+from threadpoolctl import threadpool_limits
 
+from calibration.settle import robust_cost, settled
 from noise_model.arrays import Float64
 from noise_model.effects import apply_setup_effects
-from noise_model.fit import Fit, Parameter, fit
+from noise_model.fit import Fit, Parameter
 from noise_model.setup import Setup
 from noise_model.stripe import stripe_runs_along_rows
 from noise_model.surface.joint import SeamLine, corrugation_height, seam_frame, section
@@ -50,9 +51,8 @@ OFF_UPRIGHT_MM = 3.0
 MAX_OFF_MM = 60.0
 """A point farther off the joint lies on something else."""
 
-MAX_ROUNDS, DERIVATIVE_STEP, MIN_SHARE, SETTLED = 20, 0.01, 0.05, 0.02
-"""A fit's rounds at most, its derivatives' step over the prior's sigma, the least share of a round's step
-that is tried, and the gain in squares that is the last round's."""
+DERIVATIVE_STEP = 0.01
+"""The step of a derivative, over the prior's sigma."""
 
 COARSE_Y_MM, COARSE_Z_MM = np.arange(-6.0, 7.0, 3.0), np.arange(-18.0, 18.5, 1.5)
 """Places of the part that a fit begins at, mm sideways and in height."""
@@ -206,6 +206,12 @@ def locate_stripes(setup: Setup, sights: Sequence[StripeSight]) -> StripePlace:
 
     Raises ValueError where no stripe meets the laser plane in front of the camera.
     """
+    # Matrices are so small that several threads of BLAS only wait for each other.
+    with threadpool_limits(1, user_api="blas"):
+        return _located(setup, sights)
+
+
+def _located(setup: Setup, sights: Sequence[StripeSight]) -> StripePlace:
     problem = _Problem.of(setup, sights)
     coarse = problem.coarse_place()
     as_stated = problem.explained_by(AS_STATED, coarse, {})
@@ -282,7 +288,7 @@ class _Problem:
         """Return about where the part lies beside its nominal place: the best of a grid."""
         places = [{"seam_y": y, "seam_z": z} for z in COARSE_Z_MM for y in COARSE_Y_MM]
         nothing = dict.fromkeys((*PART_BLOCK, *SHAPE_BLOCK), 0.0)
-        costs = [_cost(self.residuals({**nothing, **place}), np.zeros(0)) for place in places]
+        costs = [robust_cost(self.residuals({**nothing, **place}), np.zeros(0), HUBER) for place in places]
         return places[int(np.argmin(costs))]
 
     def explained_by(self, name: str, *starts: Mapping[str, float]) -> Cause:
@@ -300,35 +306,20 @@ class _Problem:
         ln_volume = 0.5 * ln_correlation + float(np.log(result.sigmas / sigmas).sum())
         turn, move = _size(name, [values[n] for n in BLOCKS.get(name, ())])
         rms_px = TO_SIGMA * float(np.median(np.abs(residuals * self.sigma_px)))
-        cost = _cost(residuals, result.values / sigmas)
+        cost = robust_cost(residuals, result.values / sigmas, HUBER)
         return Cause(name, ln_volume - 0.5 * cost, result, values, rms_px, turn, move)
 
     def _fitted(self, parameters: Sequence[Parameter], start: Float64) -> Fit:
-        """Fit in rounds, each of them linear about the last one's result."""
         names = [parameter.name for parameter in parameters]
-        sigmas = np.array([parameter.prior_sigma for parameter in parameters])
 
-        def residuals_at(x: Float64) -> Float64:
+        def residuals(x: Float64) -> Float64:
             return self.residuals(dict(zip(names, x, strict=True)))
 
-        x, r = start, residuals_at(start)
-        for _ in range(MAX_ROUNDS):
+        def derivatives(x: Float64, r: Float64) -> Float64:
             steps = np.diag([parameter.step for parameter in parameters])
-            J = np.column_stack([(residuals_at(x + step) - r) / step.sum() for step in steps])
-            result = fit(parameters, partial(_linear, r, J, x), huber=HUBER, start=x)
-            cost, share = _cost(r, x / sigmas), 1.0
-            while True:
-                there = x + share * (result.values - x)
-                r_there = residuals_at(there)
-                gain = cost - _cost(r_there, there / sigmas)
-                if gain > 0.0 or share < MIN_SHARE:
-                    break
-                share *= 0.5
-            if gain > 0.0:
-                x, r = there, r_there
-            if gain < SETTLED:
-                break
-        return replace(result, values=x, residuals=r)
+            return np.column_stack([(residuals(x + step) - r) / step.sum() for step in steps])
+
+        return settled(parameters, residuals, derivatives, start, HUBER)
 
     def _parameters(self, name: str) -> list[Parameter]:
         tolerance = self.setup.tolerance
@@ -439,17 +430,6 @@ def _binned(points_px: Float64) -> tuple[Float64, Float64]:
         scatter = float(np.median(np.abs(steps - np.median(steps)))) * 1.05 if len(steps) else 1.0
         sigmas.append(max(MIN_SIGMA_PX, scatter / math.sqrt(len(part))))
     return middles, np.array(sigmas)
-
-
-def _linear(residuals: Float64, J: Float64, x: Float64, there: Float64) -> Float64:
-    return np.asarray(residuals + J @ (there - x))
-
-
-def _cost(residuals: Float64, pulls: Float64) -> float:
-    """Return Huber's sum over residuals (n,) and the squares of the priors' pulls (p,)."""
-    size = np.abs(residuals)
-    beyond = 2.0 * HUBER * size - HUBER**2
-    return float(np.where(size > HUBER, beyond, size**2).sum() + (pulls**2).sum())
 
 
 def _size(name: str, block: Sequence[float]) -> tuple[float, float]:

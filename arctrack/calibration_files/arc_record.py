@@ -1,0 +1,39 @@
+"""What the arc's calibration writes into a setup: `[arc]`, `[material]`, and their covariance."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from arctrack.recording import Calibrated
+from arctrack.recording.calibrated import Value
+from calibration.arc.calibrate import KEYS, ArcCalibration
+
+MADE_BY = "arctrack calibrate arc"
+
+
+def arc_records(result: ArcCalibration) -> tuple[Calibrated, ...]:
+    """Return the values that were told; what was refused stays as it is."""
+    radius, *center, radiance, kappa_diff, kappa_spec, c2 = (float(f"{value:.8g}") for value in result.values)
+    about: dict[str, float | int | str] = {
+        "frames": len(result.problem.frames),
+        "pixels": len(result.problem.charge_e),
+        "texture": round(result.pixel_sigma, 5),
+        "flicker": round(result.flicker, 5),
+        "held_as_stated": ", ".join(result.held_keys),
+    }
+    arc: dict[str, Value] = {"radius_mm": radius, "center_in_tool_mm": center, "radiance_e": radiance}
+    material: dict[str, Value] = {"kappa_diff": kappa_diff, "kappa_spec": kappa_spec, "c2": c2}
+    told = [
+        {key: value for key, value in table.items() if key not in result.held_keys}
+        for table in (arc, material)
+    ]
+    n_arc, radiance_at = 5, KEYS.index("radiance_e")
+    # Electrons are so many that a square of them is no number that a setup holds: relative it is.
+    scale = np.ones(len(KEYS))
+    scale[radiance_at] = 1.0 / radiance
+    C = result.covariance * np.outer(scale, scale)
+    names = tuple("radiance_rel" if key == "radiance_e" else key for key in KEYS)
+    return (
+        Calibrated("arc", told[0], names[:n_arc], C[:n_arc, :n_arc], MADE_BY, about),
+        Calibrated("material", told[1], names[n_arc:], C[n_arc:, n_arc:], MADE_BY, about),
+    )

@@ -1,0 +1,352 @@
+"""Radius, place and brightness of the arc, and its metal's reflectance, from frames of the arc's light alone.
+
+The estimate is the maximum a posteriori of `Problem`: the camera within its tolerance, the part where stripes
+put it, slow fields of brightness, a level for each frame and a black level are fitted along. Texture of the
+metal and the arc's flicker are estimated from what is left, so that the sigmas hold them. What comes out with
+too wide a sigma is refused: its stated value stays, with the stated tolerance, and all else is fitted anew.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import partial
+
+import numpy as np
+from scipy.optimize import minimize_scalar
+from scipy.special import stdtrit
+from threadpoolctl import threadpool_limits
+
+from calibration.arc.problem import ARC, BROAD, C2, RADIANCE, RADIUS, RATIO, STATED, Part, Problem, X, Y, Z
+from calibration.settle import settled
+from noise_model.arrays import Float64
+from noise_model.fit import Fit
+from noise_model.setup import Setup
+from tracker.arc.level import HUBER
+from tracker.state import Frame
+
+MAX_FRAMES = 24
+"""So many frames are compared; of more every n-th."""
+
+MIN_PIXELS = 100
+"""Fewer pixels over all frames tell nothing."""
+
+FIRST_PIXEL_SIGMA, MIN_PIXEL_SIGMA, MAX_PIXEL_SIGMA = 0.02, 0.01, 0.3
+"""1 sigma of texture and map, relative, that the rounds begin with, and that is no less and no more.
+
+Neighbours err alike where the model is off, by 0.5 % on an independent renderer's frames: so no less.
+"""
+
+OUTLYING = 4.0
+"""Pixels farther off, in sigmas, are no texture."""
+
+FIRST_FLICKER, MIN_FLICKER = 0.1, 0.001
+"""1 sigma of a frame's level that the rounds begin with, and of one frame alone; and that is no less."""
+
+SCALE_ROUNDS = 3
+"""So often the fit is made, each time with the texture and the flicker that the one before left."""
+
+LIMITS: Mapping[str, float] = {RADIUS: 0.1, X: 0.3, Y: 0.3, Z: 0.2, RADIANCE: 0.3, RATIO: 0.2, C2: 0.15}
+"""With a wider sigma, relative or mm, a value is refused: the setup's own is as good."""
+
+WEAK_SHARE = 0.35
+"""A parameter belongs to a combination if its part of the unit vector is larger."""
+
+MAX_LEVEL_FACTOR = 50.0
+"""An arc by so much brighter or darker than stated means that something else is wrong."""
+
+KEYS = (
+    "radius_mm",
+    "center_x_mm",
+    "center_y_mm",
+    "center_z_mm",
+    "radiance_e",
+    "kappa_diff",
+    "kappa_spec",
+    "c2",
+)
+"""The setup's values, in the order of `ArcCalibration.covariance`."""
+
+
+KEYS_OF: Mapping[str, tuple[str, ...]] = {
+    RADIUS: ("radius_mm",),
+    X: ("center_x_mm",),
+    Y: ("center_y_mm",),
+    Z: ("center_z_mm",),
+    RADIANCE: ("radiance_e",),
+    RATIO: ("kappa_diff", "kappa_spec"),
+    C2: ("c2",),
+}
+"""Which of `KEYS` a parameter of `ARC` stands for."""
+
+
+@dataclass(frozen=True, eq=False)
+class Combination:
+    """A combination of parameters that frames hardly tell: its parts by name, and its sigma over the limit.
+
+    `parts` are those of a unit vector in the parameters over their limits.
+    """
+
+    parts: Mapping[str, float]
+    sigma: float
+
+
+@dataclass(frozen=True, eq=False)
+class ArcCalibration:
+    """What frames say of arc and metal.
+
+    Parameters
+    ----------
+    setup : Setup
+        The setup with the values.
+    values, sigmas : array (8,)
+        Of `KEYS`.
+    covariance : array (8, 8)
+        Of `KEYS`, with what is refused within the stated tolerance. The kappas' sum is held: their sigmas are
+        those of their ratio.
+    fit : Fit
+        The fit behind them.
+    refused : mapping
+        A parameter of `ARC` that the frames do not tell, to its sigma, relative or mm.
+    combinations : tuple of Combination
+        What cannot be told apart, the least known first.
+    pixel_sigma, flicker : float
+        Texture and flicker, relative, 1 sigma.
+    problem : Problem
+        The pixels, and how they are explained.
+    mirror_deg : float
+        How near to the mirror direction the nearest pixel is: the half vector's angle to the normal, degrees.
+    """
+
+    setup: Setup
+    values: Float64
+    covariance: Float64
+    fit: Fit
+    refused: Mapping[str, float]
+    combinations: tuple[Combination, ...]
+    pixel_sigma: float
+    flicker: float
+    problem: Problem
+    mirror_deg: float
+
+    @property
+    def sigmas(self) -> Float64:
+        """1 sigma (8,) of the values."""
+        return np.sqrt(np.diag(self.covariance))
+
+    @property
+    def held_keys(self) -> tuple[str, ...]:
+        """Which of `KEYS` keep their stated values."""
+        return tuple(key for name in self.refused for key in KEYS_OF[name])
+
+    @property
+    def residuals(self) -> Float64:
+        """The charge over the fit less 1 (n,), of all pixels."""
+        x, problem = self.fit.values, self.problem
+        light_e = problem.light(problem.named(x))
+        mean_e = problem.mean_e(x, light_e)
+        return np.asarray((problem.charge_e - mean_e) / (mean_e - x[problem.names.index("black")]))
+
+
+def calibrate_arc(
+    setup: Setup,
+    frames: Sequence[tuple[Frame, Float64]],
+    part: Part | None = None,
+    progress: Callable[[int, int], None] = lambda done, total: None,
+) -> ArcCalibration:
+    """Calibrate arc and metal from frames with the arc on and the laser off, each with T_base_tool (4, 4).
+
+    `part` says where stripes put the part; without it, it lies within what parts do about its nominal place.
+    `progress` hears the rounds done and how many there are. Raises ValueError if the setup states no arc or
+    no metal, if nothing can be compared, and if the arc's brightness is off by MAX_LEVEL_FACTOR.
+    """
+    # Matrices are so small that several threads of BLAS only wait for each other.
+    with threadpool_limits(1, user_api="blas"):
+        return _calibrate(setup, frames, part, progress)
+
+
+def _calibrate(
+    setup: Setup,
+    frames: Sequence[tuple[Frame, Float64]],
+    part: Part | None,
+    progress: Callable[[int, int], None],
+) -> ArcCalibration:
+    setup.require("the arc's calibration", "arc", "material")
+    if setup.material.kappa_diff == 0.0 or setup.material.kappa_spec == 0.0:
+        raise ValueError("[material] kappa_diff, kappa_spec: both must be above 0 for a start")
+    some = np.unique(np.linspace(0, len(frames) - 1, min(len(frames), MAX_FRAMES)).round().astype(int))
+    chosen = [frames[n] for n in some]
+    known = Part.unseen(setup, 0.0) if part is None else part
+    problem = Problem.of(setup, chosen, known, FIRST_PIXEL_SIGMA, FIRST_FLICKER)
+    if sum(len(lattice.charge_e) for lattice in problem.frames) < MIN_PIXELS:
+        raise ValueError(
+            "no pixel with the arc's light is below saturation and off the joint's edges: shorten the "
+            "exposure"
+        )
+    problem, result = _fitted(problem, _start(problem), progress)
+    covariance = _covariance(problem, result)
+    problem = _with_refused(problem, covariance)
+    if problem.held:
+        problem, result = _fitted(problem, result.values, progress)
+    refused = {name: math.sqrt(covariance[ARC.index(name), ARC.index(name)]) for name in problem.held}
+    return _calibrated(problem, result, refused, _combinations(covariance))
+
+
+def _covariance(problem: Problem, result: Fit) -> Float64:
+    """Return that of `ARC` (7, 7), at the fit or where all is as stated, whichever knows less.
+
+    What is hardly told may come out where it seems to be told well.
+    """
+    x = np.zeros(len(problem.names))
+    x[ARC.index(RADIANCE)] = result.values[ARC.index(RADIANCE)]
+    x[len(ARC) :] = result.values[len(ARC) :]
+    J = problem.whitened(problem.derivatives_e(x), problem.sigma_e(x, problem.light(problem.named(x))))
+    priors = np.array([parameter.prior_sigma for parameter in problem.parameters])
+    stated = np.linalg.inv(J.T @ J + np.diag(priors**-2.0))[: len(ARC), : len(ARC)]
+    fitted = np.asarray(result.covariance[: len(ARC), : len(ARC)])
+    limits = np.array([LIMITS[name] for name in ARC])
+    is_less = float((np.diag(stated) / limits**2).sum()) > float((np.diag(fitted) / limits**2).sum())
+    return np.asarray(stated) if is_less else fitted
+
+
+def _start(problem: Problem) -> Float64:
+    """Return where the rounds begin (p,): all as stated, the radiance about that of the frames."""
+    x = np.zeros(len(problem.names))
+    x[len(ARC) : len(ARC) + 10] = problem.part.values
+    light_e = problem.light(problem.named(x))
+    factor = float(problem.charge_e.sum() / max(float(light_e.sum()), 1e-9))
+    if not 1.0 / MAX_LEVEL_FACTOR < factor < MAX_LEVEL_FACTOR:
+        raise ValueError(
+            f"the arc's light is {factor:.2g} times the stated one: do [arc] radiance_e, [camera] exposure_s "
+            "and the frames' current_a hold?"
+        )
+    x[ARC.index(RADIANCE)] = math.log(factor)
+    return x
+
+
+def _fitted(problem: Problem, x: Float64, progress: Callable[[int, int], None]) -> tuple[Problem, Fit]:
+    """Fit, and estimate texture and flicker from what is left, in turn."""
+    for done in range(SCALE_ROUNDS):
+        progress(done, SCALE_ROUNDS)
+        sigma_e = problem.sigma_e(x, problem.light(problem.named(x)))
+        result = settled(
+            problem.parameters,
+            partial(problem.residuals, sigma_e=sigma_e),
+            partial(_derivatives, problem, sigma_e),
+            x,
+            HUBER,
+        )
+        x = result.values
+        if done < SCALE_ROUNDS - 1:
+            problem = _rescaled(problem, result, sigma_e)
+    progress(SCALE_ROUNDS, SCALE_ROUNDS)
+    return problem, result
+
+
+def _derivatives(problem: Problem, sigma_e: Float64, x: Float64, residuals: Float64) -> Float64:
+    del residuals
+    return problem.whitened(problem.derivatives_e(x), sigma_e)
+
+
+def _with_refused(problem: Problem, covariance: Float64) -> Problem:
+    """Return the problem with what the frames do not tell held at its stated value, the worst first.
+
+    What is held has the stated tolerance for its prior: (C^-1 + h h^T (1/s^2 - 1/b^2))^-1. What else was too
+    uncertain only together with that is known then.
+    """
+    covariance = covariance.copy()
+    limits = np.array([LIMITS[name] for name in ARC])
+    held: list[str] = []
+    while True:
+        over = np.sqrt(np.diag(covariance)) / limits
+        # Radiance is told wherever there is light, once what it goes with is held.
+        over[[ARC.index(name) for name in (*held, RADIANCE)]] = 0.0
+        worst = int(np.argmax(over))
+        if over[worst] < 1.0:
+            return replace(problem, held=tuple(held))
+        name = ARC[worst]
+        held.append(name)
+        more = 1.0 / STATED[name] ** 2 - 1.0 / BROAD[name] ** 2
+        column = covariance[:, worst]
+        covariance -= np.outer(column, column) / (1.0 / more + covariance[worst, worst])
+
+
+def _rescaled(problem: Problem, result: Fit, sigma_e: Float64) -> Problem:
+    """Return the problem with the texture and the flicker that a fit leaves."""
+    x, n_frames = result.values, len(problem.frames)
+    light_e = problem.light(problem.named(x))
+    n_pixels = len(light_e)
+    known = np.abs(result.residuals[:n_pixels]) < OUTLYING
+    off_e2 = (result.residuals[:n_pixels] * sigma_e)[known] ** 2
+    off_e2 /= np.maximum(1.0 - result.leverage[:n_pixels][known], 0.1)
+
+    def minus_ln_likelihood(ln_sigma: float) -> float:
+        variance_e2 = replace(problem, pixel_sigma=math.exp(ln_sigma)).sigma_e(x, light_e)[known] ** 2
+        return float(np.sum(np.log(variance_e2) + off_e2 / variance_e2))
+
+    bounds = math.log(MIN_PIXEL_SIGMA), math.log(MAX_PIXEL_SIGMA)
+    pixel_sigma = math.exp(minimize_scalar(minus_ln_likelihood, bounds=bounds, method="bounded").x)
+    flicker = FIRST_FLICKER
+    if n_frames > 1:
+        levels = x[-n_frames:]
+        # Few frames tell their scatter badly: Student's quantile over the normal one makes up for it.
+        wider = float(stdtrit(n_frames - 1, 0.975)) / 1.96
+        flicker = max(wider * float(np.std(levels, ddof=1)), MIN_FLICKER)
+    return replace(problem, pixel_sigma=pixel_sigma, flicker=flicker)
+
+
+def _combinations(covariance: Float64) -> tuple[Combination, ...]:
+    """Return the directions of `ARC` whose sigma is wider than the limits."""
+    limits = np.array([LIMITS[name] for name in ARC])
+    values, vectors = np.linalg.eigh(covariance / np.outer(limits, limits))
+    weak = []
+    for value, vector in zip(values[::-1], vectors.T[::-1], strict=True):
+        if value < 1.0:
+            break
+        vector = vector * np.sign(vector[np.argmax(np.abs(vector))])
+        parts = {name: float(v) for name, v in zip(ARC, vector, strict=True) if abs(v) > WEAK_SHARE}
+        weak.append(Combination(parts, math.sqrt(value)))
+    return tuple(weak)
+
+
+def _calibrated(
+    problem: Problem, result: Fit, refused: Mapping[str, float], combinations: tuple[Combination, ...]
+) -> ArcCalibration:
+    held = [ARC.index(name) for name in problem.held]
+    values, C = result.values, result.covariance
+    if held:
+        # The others' means where what is held has its stated value.
+        values = values - C[:, held] @ np.linalg.solve(C[np.ix_(held, held)], values[held])
+    result = replace(result, values=values)
+    x = problem.named(values)
+    # The camera's pose is a calibration of its own, and stays.
+    stated = replace(problem.setup_at(x), camera=problem.setup.camera)
+    radiance_e = problem.setup.arc.radiance_e * math.exp(x[RADIANCE])
+    setup = replace(stated, arc=replace(stated.arc, radiance_e=radiance_e))
+    arc, metal = setup.arc, setup.material
+    numbers = np.array(
+        [arc.radius_mm, *arc.center_in_tool_mm, radiance_e, metal.kappa_diff, metal.kappa_spec, metal.c2]
+    )
+    # Both kappas go with their ratio: d kappa_spec = -d kappa_diff = kappa_diff kappa_spec / sum d ln ratio.
+    slope = metal.kappa_diff * metal.kappa_spec / (metal.kappa_diff + metal.kappa_spec)
+    J = np.zeros((len(KEYS), len(ARC)))
+    J[0, ARC.index(RADIUS)] = arc.radius_mm
+    for row, name in enumerate((X, Y, Z), start=1):
+        J[row, ARC.index(name)] = 1.0
+    J[4, ARC.index(RADIANCE)] = radiance_e
+    J[5, ARC.index(RATIO)], J[6, ARC.index(RATIO)] = -slope, slope
+    J[7, ARC.index(C2)] = metal.c2
+    covariance = J @ result.covariance[: len(ARC), : len(ARC)] @ J.T
+    return ArcCalibration(
+        setup,
+        numbers,
+        covariance,
+        result,
+        refused,
+        combinations,
+        problem.pixel_sigma,
+        problem.flicker,
+        problem,
+        math.nan,
+    )

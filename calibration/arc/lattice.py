@@ -1,0 +1,113 @@
+"""The pixels of a frame in which the arc's light is compared with the model's, and that light.
+
+They lie on a lattice over the image, off the stripe, off saturation and off the edges of the joint's faces.
+What a pixel holds is the mean over a block about it: noise is no matter there.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+
+from noise_model.arc.map import make_scene
+from noise_model.arrays import Bool, Float64, Int64
+from noise_model.condition import Condition
+from noise_model.effects import apply_condition_effects
+from noise_model.effects.light import Light
+from noise_model.forward import Layers, look, pass_on
+from noise_model.instrument.camera import Rays
+from noise_model.instrument.sensor import linearise, saturation_dn, variance_e2
+from noise_model.setup import Setup
+from noise_model.surface.joint import SeamLine
+from noise_model.surface.ray_casting import MISS
+from tracker.geometry import SensorGeometry
+from tracker.state import Frame
+from tracker.stripe.expected import expect_stripe
+
+ACROSS, BLOCK_PX = 24, 5
+"""So many pixels of a row of the image are compared, each the mean over a block of so many px a side."""
+
+EDGE_PX, MAX_CHANGE = 8, 0.3
+"""A pixel counts if so far to each side the same face is seen and the light changes by a smaller share."""
+
+KEEP_OFF_SIGMAS = 6.0
+"""How far a pixel must lie from the stripe, in the stripe's sigmas."""
+
+
+@dataclass(frozen=True, eq=False)
+class Lattice:
+    """A frame's pixels (n,) that are compared.
+
+    `uv_px` (n, 2) are their places, `charge_e` what they hold and `noise_e` its 1 sigma, e-, and `map_e` the
+    light that the setup expected when they were chosen. `T_base_tool` (4, 4) is the frame's pose.
+    """
+
+    frame: Frame
+    T_base_tool: Float64
+    uv_px: Int64
+    charge_e: Float64
+    noise_e: Float64
+    map_e: Float64
+
+
+def choose_pixels(
+    geometry: SensorGeometry, rays: Rays, frame: Frame, T_base_tool: Float64, seam: SeamLine
+) -> Lattice:
+    """Choose the pixels of a frame, as a setup and a seam let expect its light."""
+    true = geometry.setup
+    height, width = true.camera.height, true.camera.width
+    spacing = max(1, width // ACROSS)
+    u, v = (
+        grid.ravel()
+        for grid in np.meshgrid(
+            np.arange(EDGE_PX, width - EDGE_PX, spacing), np.arange(EDGE_PX, height - EDGE_PX, spacing)
+        )
+    )
+    places = [(0, 0), (EDGE_PX, 0), (-EDGE_PX, 0), (0, EDGE_PX), (0, -EDGE_PX)]
+    around = np.concatenate([np.column_stack([u + du, v + dv]) for du, dv in places])
+    arc_e, layers = _light(true, rays, frame, T_base_tool, seam, around)
+    arc_e, faces = arc_e.reshape(len(places), -1), layers.faces.reshape(len(places), -1)
+    use = (faces == faces[0]).all(axis=0) & (faces[0] != MISS) & (arc_e[0] > 0.0)
+    use &= (np.abs(arc_e - arc_e[0]) <= MAX_CHANGE * arc_e[0]).all(axis=0)
+    use &= _block_means(frame.image_dn >= saturation_dn(true.sensor), u, v) == 0.0
+    if frame.laser_on:
+        use &= _off_stripe(geometry, T_base_tool, seam, u, v)
+    charge_e = _block_means(linearise(frame.image_dn.astype(np.float64), true.sensor), u, v)[use]
+    noise_e = np.sqrt(variance_e2(np.maximum(charge_e, 0.0), true.sensor)) / BLOCK_PX
+    return Lattice(frame, T_base_tool, np.column_stack([u, v])[use], charge_e, noise_e, arc_e[0][use])
+
+
+def expected_light(true: Setup, rays: Rays, lattice: Lattice, seam: SeamLine) -> Float64:
+    """Return the arc's light (n,), e-, that a setup, effects applied, lets expect at a seam."""
+    return _light(true, rays, lattice.frame, lattice.T_base_tool, seam, lattice.uv_px)[0]
+
+
+def _light(
+    true: Setup, rays: Rays, frame: Frame, T_base_tool: Float64, seam: SeamLine, uv_px: Int64
+) -> tuple[Float64, Layers]:
+    """Return the arc's light (n,), e-, at pixels (n, 2), and their layers."""
+    layers = look(true, T_base_tool, seam, rays, uv_px[:, 1] * true.camera.width + uv_px[:, 0])
+    light = Light.of(layers.arc_e.copy(), np.zeros_like(layers.arc_e))
+    current_a = frame.current_a if math.isfinite(frame.current_a) else true.arc.current_a
+    stated = Condition.of(true, laser_on=False, arc_on=True, current_a=current_a, exposure_s=frame.exposure_s)
+    condition = apply_condition_effects(true, stated)
+    light.arc *= np.float32(condition.arc_level)
+    pass_on(true, light, layers.view, condition)
+    return light.arc.astype(np.float64), layers
+
+
+def _block_means(image: Float64 | Bool, u: Int64, v: Int64) -> Float64:
+    """Return the means of an image (H, W) over blocks about pixels (n,)."""
+    return np.asarray(cv2.blur(image.astype(np.float64), (BLOCK_PX, BLOCK_PX))[v, u])
+
+
+def _off_stripe(geometry: SensorGeometry, T_base_tool: Float64, seam: SeamLine, u: Int64, v: Int64) -> Bool:
+    """Say of pixels (n,) whether they lie off the stripe."""
+    stripe = expect_stripe(geometry, make_scene(geometry.setup, T_base_tool, seam))
+    if stripe is None:
+        return np.ones(len(u), dtype=np.bool_)
+    scan, position = (u, v) if geometry.along_rows else (v, u)
+    return np.asarray(np.abs(position - stripe.position_px[scan]) > KEEP_OFF_SIGMAS * stripe.sigma_px[scan])
