@@ -17,7 +17,7 @@ from scipy.stats import norm
 from scipy.stats import t as student
 
 from calibration.laser.cross_sections import CrossSections
-from noise_model.arrays import Bool, Float64
+from noise_model.arrays import Float64
 from tracker.joint.section_fit import MAD_SIGMA
 
 MOST_NOISE = 0.2
@@ -38,8 +38,8 @@ LEAST_ENDS = 2
 MOST_REL_SIGMA = 0.1
 """1 sigma of the difference of the sides' slopes over it: beyond it the origin is as good as unknown."""
 
-FAR_SIGMAS = 5.0
-"""An end that is so many sigmas off its side's line is another thing's."""
+FAR_SIGMAS = 7.0
+"""An end that is so many sigmas off its side's line is another thing's: few ends say little of the sigma."""
 
 QUANTIZED = 1.0 / math.sqrt(12.0)
 """1 sigma of a place that is known to a scan line."""
@@ -132,7 +132,13 @@ def fit_fan(sides: Sequence[Float64], quantized_mm: float) -> Fan | str:
     Fan or str
         What is missing, where the ends do not determine it.
     """
-    sides = [side[_agreed(side, quantized_mm)] for side in sides]
+    off = [_off_most(side, quantized_mm) for side in sides]
+    together = np.concatenate(off)
+    # What a line of n ends leaves of their scatter, on both sides together.
+    share = max(1.0 - 4.0 / max(len(together), 1), 0.25)
+    scale = MAD_SIGMA * float(np.median(together)) / share if len(together) else 0.0
+    most = FAR_SIGMAS * max(scale, QUANTIZED * quantized_mm)
+    sides = [side[each <= most] for side, each in zip(sides, off, strict=True)]
     few = [len(side) for side in sides]
     if min(few) < LEAST_ENDS or sum(few) < 2 * LEAST_ENDS + 1:
         return (
@@ -173,17 +179,16 @@ def fit_fan(sides: Sequence[Float64], quantized_mm: float) -> Fan | str:
     )
 
 
-def _agreed(side: Float64, quantized_mm: float) -> Bool:
-    """Return which ends (n, 2) lie on the line of most: the median of pairs' slopes, after Theil and Sen."""
+def _off_most(side: Float64, quantized_mm: float) -> Float64:
+    """Return how far ends (n, 2) are off the line of most (n,): of the median slope, after Theil and Sen."""
     a, s = side.T
     first, second = np.triu_indices(len(a), 1)
     apart = np.abs(a[second] - a[first]) > quantized_mm
     if len(a) <= LEAST_ENDS + 1 or not apart.any():
-        return np.ones(len(a), dtype=bool)
+        return np.zeros(len(a))
     slope = float(np.median((s[second] - s[first])[apart] / (a[second] - a[first])[apart]))
     off = s - slope * a
-    off = np.abs(off - np.median(off))
-    return np.asarray(off <= FAR_SIGMAS * max(MAD_SIGMA * float(np.median(off)), QUANTIZED * quantized_mm))
+    return np.asarray(np.abs(off - np.median(off)))
 
 
 def _line(a: Float64, s: Float64) -> tuple[Float64, Float64, float]:
