@@ -25,8 +25,8 @@ from noise_model.surface.joint import NOMINAL_SEAM
 from tracker.geometry import SensorGeometry
 from tracker.state import Frame
 
-MAX_SLOPE = 0.03
-"""A seam that leaves its nominal line faster bends, mm/mm."""
+MAX_SLOPE, MAX_BEND_MM = 0.03, 0.3
+"""A seam that leaves its nominal line faster, mm/mm, or bends more, is not straight up to the torch."""
 
 
 def arc_stage(read: Recording, steps: Steps) -> tuple[Stage[ArcCalibration], list[BadFrame]]:
@@ -81,11 +81,13 @@ def _refuse_bent_seam(read: Recording, place: StripePlace | None) -> None:
     if place is None or read.setup.joint.type == "flat":
         return
     slope = place.seam_by(place.as_stated).slope_y
-    if abs(slope) > MAX_SLOPE:
+    bend_mm = place.bends.range_mm(place.as_stated.values)
+    if abs(slope) > MAX_SLOPE or bend_mm > MAX_BEND_MM:
         raise in_file(
             read.path,
-            f"the seam leaves its nominal line by {slope:+.3f} mm/mm where it is seen, and may bend on its "
-            "way to the torch: take a straight seam along its nominal line, or a flat plate",
+            f"the seam leaves its nominal line by {slope:+.3f} mm/mm and bends by {bend_mm:.1f} mm where it "
+            "is seen, and nobody sees how it runs on to the torch: take a straight seam along its nominal "
+            "line, or a flat plate",
         )
 
 

@@ -13,7 +13,7 @@ from arctrack.errors import ArctrackError
 
 REPORT = "calibrate_arc.html"
 
-EXAMPLE = "Example: arctrack calibrate arc examples/v_groove --out /tmp/arc.toml"
+EXAMPLE = "Example: arctrack calibrate arc /tmp/straight --out /tmp/arc.toml"
 
 
 def arc(

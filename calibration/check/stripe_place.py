@@ -32,6 +32,7 @@ from noise_model.stripe import stripe_runs_along_rows
 from noise_model.surface.joint import SeamLine, corrugation_height, seam_frame, section
 from noise_model.transforms import cross, invert, moved, transform
 from tracker.geometry import to_laser_plane
+from tracker.seam.curve import BEND_LENGTH_MM, BEND_MM
 
 BINS_A_FRAME, MIN_IN_BIN = 16, 3
 """A stripe is read as medians over so many parts of it, each of so many scan lines at least."""
@@ -53,6 +54,9 @@ MAX_OFF_MM = 60.0
 
 DERIVATIVE_STEP = 0.01
 """The step of a derivative, over the prior's sigma."""
+
+GRID_MM, MAX_MODES = 2.0, 6
+"""Spacing of the stations at which a seam's bends are told, and how many of their modes are."""
 
 COARSE_Y_MM, COARSE_Z_MM = np.arange(-6.0, 7.0, 3.0), np.arange(-18.0, 18.5, 1.5)
 """Places of the part that a fit begins at, mm sideways and in height."""
@@ -167,6 +171,7 @@ class StripePlace:
     lifted_mm: float
     n_frames: int
     middle_mm: float
+    bends: SeamBends
 
     @property
     def gain_nats(self) -> float:
@@ -198,7 +203,10 @@ class StripePlace:
     def seam_by(self, cause: Cause) -> SeamLine:
         """Return where the part lies as a cause would have it."""
         y, z, slope_y, slope_z = (cause.values[name] for name in PART_BLOCK[:4])
-        return SeamLine(self.middle_mm, y, z, slope_y, slope_z)
+        about = self.middle_mm + np.array([-0.5, 0.0, 0.5]) * GRID_MM
+        before, here, after = self.bends.y_mm(cause.values, about)
+        bent = float(after - before) / GRID_MM
+        return SeamLine(self.middle_mm, y + float(here), z, slope_y + bent, slope_z)
 
 
 def locate_stripes(setup: Setup, sights: Sequence[StripeSight]) -> StripePlace:
@@ -234,7 +242,45 @@ def _located(setup: Setup, sights: Sequence[StripeSight]) -> StripePlace:
         float(np.ptp(heights)),
         len(sights),
         problem.middle_mm,
+        problem.bends,
     )
+
+
+@dataclass(frozen=True, eq=False)
+class SeamBends:
+    """How a seam may bend sideways: modes (m, g), mm, at `stations_mm` (g,), each with unit variance.
+
+    They are the Karhunen-Loeve modes of `tracker.seam.curve`'s prior.
+    """
+
+    stations_mm: Float64
+    modes_mm: Float64
+
+    @classmethod
+    def between(cls, first_mm: float, last_mm: float) -> SeamBends:
+        """Return the modes between two stations, the largest first."""
+        stations = np.arange(first_mm, last_mm + GRID_MM, GRID_MM)
+        apart = stations[:, None] - stations[None, :]
+        values, vectors = np.linalg.eigh(BEND_MM[0] ** 2 * np.exp(-0.5 * (apart / BEND_LENGTH_MM) ** 2))
+        modes = (np.sqrt(np.maximum(values, 0.0)) * vectors)[:, ::-1].T
+        return cls(stations, modes[:MAX_MODES])
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """The names of the modes' coefficients."""
+        return tuple(f"bend_{n}" for n in range(len(self.modes_mm)))
+
+    def y_mm(self, x: Mapping[str, float], at_mm: Float64) -> Float64:
+        """Return how far to the left the seam bends at stations (n,), for coefficients by name."""
+        y_mm = np.array([x[name] for name in self.names]) @ self.modes_mm
+        return np.interp(at_mm, self.stations_mm, y_mm)
+
+    def range_mm(self, x: Mapping[str, float]) -> float:
+        """Return the range of the seam's distances from a straight line, mm."""
+        y_mm = self.y_mm(x, self.stations_mm)
+        if len(y_mm) < MIN_IN_BIN:
+            return 0.0
+        return float(np.ptp(y_mm - np.polyval(np.polyfit(self.stations_mm, y_mm, 1), self.stations_mm)))
 
 
 @dataclass(frozen=True, eq=False)
@@ -248,6 +294,7 @@ class _Problem:
     middle_mm: float
     bends_px: Float64
     across: Float64
+    bends: SeamBends
 
     @classmethod
     def of(cls, setup: Setup, sights: Sequence[StripeSight]) -> _Problem:
@@ -282,12 +329,13 @@ class _Problem:
             float(np.median(in_joint[known, 0])),
             _bends(points_px, true)[:, known],
             across,
+            SeamBends.between(in_joint[known, 0].min(), in_joint[known, 0].max()),
         )
 
     def coarse_place(self) -> dict[str, float]:
         """Return about where the part lies beside its nominal place: the best of a grid."""
         places = [{"seam_y": y, "seam_z": z} for z in COARSE_Z_MM for y in COARSE_Y_MM]
-        nothing = dict.fromkeys((*PART_BLOCK, *SHAPE_BLOCK), 0.0)
+        nothing = dict.fromkeys((*PART_BLOCK, *SHAPE_BLOCK, *self.bends.names), 0.0)
         costs = [robust_cost(self.residuals({**nothing, **place}), np.zeros(0), HUBER) for place in places]
         return places[int(np.argmin(costs))]
 
@@ -329,6 +377,7 @@ class _Problem:
             **_named(CAMERA_BLOCK, (deg, deg, deg, mm, mm, mm)),
             **_named(LASER_BLOCK, (deg, deg, mm)),
             **_named(SHAPE_BLOCK, SHAPE_PX),
+            **dict.fromkeys(self.bends.names, 1.0),
             **STALE.get(name, {}),
         }
         return [Parameter(n, "", 0.0, sigma, step=DERIVATIVE_STEP * sigma) for n, sigma in sigmas.items()]
@@ -345,7 +394,7 @@ class _Problem:
     def _off_mm(self, setup: Setup, points_px: Float64, x: Mapping[str, float]) -> Float64:
         in_joint = _in_joint(self.T_joint_tool, to_laser_plane(setup, points_px)[0])
         along = in_joint[:, 0] - self.middle_mm
-        in_joint[:, 1] -= x["seam_y"] + x["seam_slope_y"] * along
+        in_joint[:, 1] -= x["seam_y"] + x["seam_slope_y"] * along + self.bends.y_mm(x, in_joint[:, 0])
         in_joint[:, 2] -= x["seam_z"] + x["seam_slope_z"] * along
         in_joint[:, 2] -= math.radians(x["part_roll"]) * in_joint[:, 1]
         return _off_section(setup, in_joint)
