@@ -34,8 +34,8 @@ WIDTH, HEIGHT, GRID_PX = 320, 240, 10
 POLAR, AZIMUTHS = 24, 48
 """Nodes over the hemisphere."""
 
-POSES, CLEAR_MM = 6, 3.0
-"""A world's poses, and how far from the arc's surface their views end at least."""
+POSES, CLEAR_MM, MAX_TRIES = 6, 3.0, 18
+"""A world's poses, how far from the arc's surface their views end at least, and how many poses are tried."""
 
 NEARER_MM = 12.0
 """By so much at most a world's view is nearer to the arc than that of the nominal setup."""
@@ -136,7 +136,9 @@ def draw(rng: np.random.Generator) -> World:
     true = replace(setup, arc=arc, material=metal, camera=camera)
     plate = (rng.normal(0.0, PART_SIGMAS[1]), rng.normal(0.0, PART_SIGMAS[3]))
     poses, maps = [], []
-    while len(poses) < POSES:
+    for _ in range(MAX_TRIES):
+        if len(poses) == POSES:
+            break
         T_base_tool = np.eye(4)
         turn = Rotation.from_euler("xyz", rng.uniform(-10.0, 10.0, 3), degrees=True)
         T_base_tool[:3, :3] = turn.as_matrix()
@@ -145,6 +147,8 @@ def draw(rng: np.random.Generator) -> World:
         if image is not None:
             poses.append(T_base_tool)
             maps.append(image)
+    if len(poses) < POSES:
+        return draw(rng)
     radiance_e = PEAK_E / max(float(image.max()) for image in maps)
     texture, flicker = rng.uniform(0.01, 0.03), rng.uniform(0.003, 0.03)
     true = replace(true, arc=replace(arc, radiance_e=radiance_e))

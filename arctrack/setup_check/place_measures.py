@@ -17,7 +17,7 @@ laser and lens sit fixed in one housing.
 SUSPECT_OF = {CAMERA: "hand-eye", SENSOR: "hand-eye", PART: "part", LASER: "laser plane", LENS: "lens"}
 
 CURES = {
-    "hand-eye": "arctrack calibrate hand-eye; is the tool frame still the one that it was calibrated with",
+    "hand-eye": "arctrack calibrate hand-eye, in the tool frame that the poses are of",
     "part": "touch the plate with the tip: [joint] seam_in_base_mm, the base frame or the tool's length",
     "laser plane": "arctrack calibrate laser",
     "lens": "arctrack calibrate camera",
@@ -42,7 +42,7 @@ def place_measures(place: StripePlace) -> list[Measure]:
         return measures
     likely = suspects(place)
     for name in SUSPECTS:
-        cause = next(cause for cause in place.causes if SUSPECT_OF[cause.name] == name)
+        cause = cause_of(place, name)
         verdict = Verdict.OK
         if name in likely:
             verdict = Verdict.NOT_EXPLAINED if len(likely) == 1 else Verdict.UNTOLD
@@ -66,6 +66,11 @@ def suspects(place: StripePlace) -> tuple[str, ...]:
     """Return what the stripes do not tell apart as the one thing that is off, most suspect first."""
     names = {SUSPECT_OF[cause.name] for cause in place.likely}
     return tuple(name for name in SUSPECTS if name in names)
+
+
+def cause_of(place: StripePlace, suspect: str) -> Cause:
+    """Return the likeliest cause that a suspect stands for."""
+    return next(cause for cause in place.causes if SUSPECT_OF[cause.name] == suspect)
 
 
 def first_suspect(place: StripePlace) -> str:

@@ -71,7 +71,7 @@ def arc_page(result: ArcCalibration, recording: Recording) -> CalibrationPage:
         (
             Picture(
                 _residuals(result),
-                "what is left in each frame, relative to the arc's light, and the light over the distance",
+                "what is left, relative to the arc's light: over the image, and in each frame (68 %)",
                 "A pattern that all frames share is what the model lacks: arctrack diagnose names it.",
             ),
         ),

@@ -11,6 +11,7 @@ from arctrack.report.embedded import svg
 from arctrack.report.image import visible
 from arctrack.report.template import environment
 from arctrack.setup_check.measure import Stage, Verdict
+from arctrack.setup_check.place_measures import cause_of, first_suspect
 from arctrack.setup_check.run import SetupCheck
 from calibration.check.arc_light import ArcLight
 from noise_model.arc.map import make_scene
@@ -95,9 +96,9 @@ def _stripes(checked: SetupCheck) -> str:
         axes.plot(*sight.points_px.T, ".", color=style.SKY, markersize=2, rasterized=True, label="seen")
         _draw(axes, checked.setup, sight.T_base_tool, NOMINAL_SEAM, style.ORANGE, "expected")
         if place is not None:
-            best = place.best
-            setup, seam = place.setup_by(best), place.seam_by(best)
-            label = "set right" if place.is_explained else f"if the {best.name} is off"
+            cause = place.best if place.is_explained else cause_of(place, first_suspect(place))
+            setup, seam = place.setup_by(cause), place.seam_by(cause)
+            label = "part set right" if place.is_explained else f"if the {first_suspect(place)} is off"
             _draw(axes, setup, sight.T_base_tool, seam, style.GREEN, label)
         axes.set_xlim(-0.5, camera.width - 0.5)
         axes.set_ylim(camera.height - 0.5, -0.5)
