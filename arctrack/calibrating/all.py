@@ -5,9 +5,11 @@ from __future__ import annotations
 import re
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field, replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
+from arctrack.calibrating.arc import arc_stage
 from arctrack.calibrating.camera import camera_stage
 from arctrack.calibrating.certify import certificate_of, certificate_record
 from arctrack.calibrating.delay import delay_stage
@@ -17,7 +19,7 @@ from arctrack.calibrating.laser import laser_stage
 from arctrack.calibrating.sensor import sensor_stage
 from arctrack.calibrating.stage import Stage, Steps
 from arctrack.errors import ArctrackError
-from arctrack.recording import Calibrated, Recording, SetupFile, read_recording, with_calibrated
+from arctrack.recording import BadFrame, Calibrated, Recording, SetupFile, read_recording, with_calibrated
 from arctrack.recording.setup_file import parse_setup
 from calibration.certificate import Certificate
 
@@ -121,9 +123,9 @@ def calibrate_folder(raw: RawFiles, stated: SetupFile, steps: Steps, warn: Warn)
         if raw.laser is not None:
             pairs = raw.laser
             result.add("laser", lambda: laser_stage(pairs.sources, pairs.board, result.stated, steps, warn))
-    if raw.delay is not None:
-        moving = raw.delay
-        result.add("delay", lambda: delay_stage(_recording(moving, result.stated, warn), steps)[0])
+    for name, path, make in (("delay", raw.delay, delay_stage), ("arc", raw.arc, arc_stage)):
+        if path is not None:
+            result.add(name, partial(_of_recording, make, path, result.stated, steps, warn))
     result.certificate, result.unmeasured = certificate_of(result.stages, result.stated)
     if result.certificate is not None and "hand_eye" in result.stages:
         result.records.append(certificate_record(result.certificate, result.stated))
@@ -131,8 +133,17 @@ def calibrate_folder(raw: RawFiles, stated: SetupFile, steps: Steps, warn: Warn)
     return result
 
 
-def _recording(path: Path, stated: SetupFile, warn: Warn) -> Recording:
-    """Return a recording, with the setup that the calibrations have made so far."""
-    read = read_recording(path, stated.path)
+def _of_recording(
+    make: Callable[[Recording, Steps], tuple[Stage[Any], list[BadFrame]]],
+    path: Path,
+    stated: SetupFile,
+    steps: Steps,
+    warn: Warn,
+) -> Stage[Any]:
+    """Calibrate with a recording, and the setup that the calibrations have made so far."""
+    read = replace(read_recording(path, stated.path), setup=stated.setup)
     warn(read.warnings)
-    return replace(read, setup=stated.setup)
+    stage, bad_frames = make(read, steps)
+    complaint = read.complaint(bad_frames, "the values are those of the others")
+    warn([] if complaint is None else [complaint])
+    return stage

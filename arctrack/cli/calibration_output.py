@@ -90,7 +90,8 @@ def finish(page: CalibrationPage, path: Path, stages: Sequence[CalibrationPage] 
         table.add_row(row.what, row.value, row.sigma, row.interval, row.unit)
     screen = console.tables()
     screen.print(f"{page.label}: {page.headline}", markup=False, soft_wrap=True)
-    screen.print(table)
+    if page.rows:
+        screen.print(table)
     for sentence in (*page.sentences, *page.notes):
         screen.print(sentence, markup=False, soft_wrap=True)
     write_whole(path, render(page, stages))
