@@ -209,10 +209,14 @@ def exposed(
     return frames
 
 
-def bound(world: World) -> Float64:
-    """Return the least 1 sigma (7,) of `ARC` at the true values, with the true texture and flicker."""
+def bound(world: World, held: tuple[str, ...]) -> Float64:
+    """Return the least 1 sigma (7,) of `ARC` at the true values, with the true texture and flicker.
+
+    What is `held` is known as it is stated.
+    """
     stated = replace(world.true, camera=world.stated.camera)
     problem = Problem.of(stated, world.frames, Part.unseen(stated, 0.0), world.texture, world.flicker)
+    problem = replace(problem, held=held)
     x = np.zeros(len(problem.names))
     sigma_e = problem.sigma_e(x, problem.light(problem.named(x)))
     J = problem.whitened(problem.derivatives_e(x), sigma_e)
@@ -231,7 +235,7 @@ def judge(worlds: int, seed: int) -> None:
             print(f"world {n}: {error}")
             continue
         refusals.update(result.refused)
-        limits = dict(zip(ARC, bound(world), strict=True))
+        limits = dict(zip(ARC, bound(world, tuple(result.refused)), strict=True))
         arc, metal = world.true.arc, world.true.material
         truth = [
             arc.radius_mm,
@@ -249,10 +253,14 @@ def judge(worlds: int, seed: int) -> None:
             scale = {RADIUS: true, "ln_radiance": true, C2: true}.get(name, 1.0)
             if name == RATIO:
                 scale = metal.kappa_diff * metal.kappa_spec / (metal.kappa_diff + metal.kappa_spec)
-            # What is refused leaves the others less certain than the bound, which knows its stated value not.
-            own = limits[name] * scale if not result.refused else None
             error = float(value) - float(true)
-            tally.add(key, error, float(sigma), abs(error) < -float(ndtri(0.025)) * float(sigma), own)
+            tally.add(
+                key,
+                error,
+                float(sigma),
+                abs(error) < -float(ndtri(0.025)) * float(sigma),
+                limits[name] * scale,
+            )
     tally.report()
     print(f"failed {failed}; refused: {dict(refusals)}")
 
