@@ -22,7 +22,7 @@ import can
 from can.io.blf import BLFParseError
 
 from robot_io.blf_check import check_blf
-from robot_io.inbox import Inbox, Received, SkipReason
+from robot_io.inbox import ANY_SOURCE, Inbox, Received, SkipReason
 
 LOG_SUFFIXES = (".asc", ".blf", ".log")
 """The formats that are written and read."""
@@ -133,6 +133,8 @@ def _blf_writer(path: Path, append: bool = False) -> can.BLFWriter:
 class BusLogReader:
     """Iterates over the accepted messages of a log; `skipped` counts the frames left out, by reason.
 
+    Live, replayed and simulated frames are accepted; `Received.source` tells them apart.
+
     Every pass over it reads the file anew, with fresh counters. Times are those that were logged: wall-clock
     seconds, or recording seconds where the log's start is not a wall-clock time. An `.asc` file states its
     start in local time: read it in the time zone in which it was written, or use `.blf`.
@@ -147,7 +149,7 @@ class BusLogReader:
         self.skipped: Counter[SkipReason] = Counter()
 
     def __iter__(self) -> Iterator[Received]:
-        inbox = Inbox()
+        inbox = Inbox(ANY_SOURCE)
         self.skipped = inbox.skipped
         try:
             for frame in _frames(self.path):

@@ -10,7 +10,7 @@ from importlib import resources
 from cantools.database.can import Database, Message, Signal
 from cantools.database.namedsignalvalue import NamedSignalValue
 
-from robot_io.messages import DbcVersion
+from robot_io.messages import DbcVersion, Source
 
 HEADER_SIGNALS = ("e2e_crc", "e2e_counter")
 """The signals of the E2E header, which every message has and no dataclass shows."""
@@ -29,9 +29,16 @@ def message_layout(name: str) -> Message:
     return database().get_message_by_name(name)
 
 
-def e2e_data_id(layout: Message) -> int:
-    """Return the E2E data id of a message (16 bit)."""
-    return int(_attribute(layout, "E2EDataId"))
+SOURCE_STEP = 0x100
+"""How far the E2E data ids of two sources are apart."""
+
+
+def e2e_data_id(layout: Message, source: Source = Source.LIVE) -> int:
+    """Return the E2E data id of a message (16 bit) from a source.
+
+    The CRC covers it: a frame of another source fails the check of who listens to one.
+    """
+    return int(_attribute(layout, "E2EDataId")) + SOURCE_STEP * source
 
 
 def cycle_time_s(layout: Message) -> float:
@@ -67,10 +74,10 @@ def layout_checksum() -> int:
     return zlib.crc32("\n".join(lines).encode("utf-8")) & 0xFFFFFF
 
 
-def dbc_version() -> DbcVersion:
+def dbc_version(source: Source = Source.LIVE) -> DbcVersion:
     """Return the version message of this layout."""
     major, minor, patch = (int(part) for part in (database().version or "").split("."))
-    return DbcVersion(major=major, minor=minor, patch=patch, layout_checksum=layout_checksum())
+    return DbcVersion(major=major, minor=minor, patch=patch, layout_checksum=layout_checksum(), source=source)
 
 
 def messages_table() -> str:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
+from collections.abc import Collection
 from dataclasses import dataclass
 from enum import Enum
 from typing import TypeVar
@@ -11,8 +12,8 @@ import can
 
 from robot_io.codec import FRAME_LENGTH, CodecError, decode, message_type_of
 from robot_io.dbc import cycle_time_s, e2e_data_id, message_layout
-from robot_io.messages import BusMessage
-from robot_io.protect import MAX_DELTA_COUNTER, Checker, CheckStatus, counter_of
+from robot_io.messages import BusMessage, Source
+from robot_io.protect import MAX_DELTA_COUNTER, SOURCES, Checker, CheckStatus, counter_of, source_of
 
 M = TypeVar("M", bound=BusMessage)
 
@@ -28,11 +29,11 @@ class SkipReason(Enum):
     E2E_ERROR = "e2e_error"
     REPEATED = "repeated"
     WRONG_SEQUENCE = "wrong_sequence"
+    OTHER_SOURCE = "other_source"
     UNDECODABLE = "undecodable"
 
 
 _SKIPS = {
-    CheckStatus.ERROR: SkipReason.E2E_ERROR,
     CheckStatus.REPEATED: SkipReason.REPEATED,
     CheckStatus.WRONG_SEQUENCE: SkipReason.WRONG_SEQUENCE,
 }
@@ -40,24 +41,73 @@ _SKIPS = {
 
 @dataclass(frozen=True)
 class Received:
-    """An accepted message, its time (s, the frame's own timestamp) and its E2E counter."""
+    """An accepted message.
+
+    Attributes
+    ----------
+    timestamp_s : float
+        The frame's own time, s.
+    message : BusMessage
+        What it says.
+    counter : int
+        Its E2E counter.
+    source : Source
+        Where what it says comes from.
+    max_age_s : float
+        How long before its reading the frame came at most, s.
+    """
 
     timestamp_s: float
     message: BusMessage
     counter: int
+    source: Source = Source.LIVE
+    max_age_s: float = 0.0
+
+
+@dataclass(frozen=True)
+class Trusted:
+    """Whose frames are accepted, by the sender that the layout names.
+
+    Parameters
+    ----------
+    robot, tracker : collection of Source
+        The sources that are accepted of each.
+    """
+
+    robot: Collection[Source] = (Source.LIVE,)
+    tracker: Collection[Source] = (Source.LIVE,)
+
+
+LIVE = Trusted()
+"""Live frames alone."""
+
+ANY_SOURCE = Trusted(SOURCES, SOURCES)
+"""All frames, as a reader of logs takes them; `Received.source` tells them apart."""
 
 
 class Inbox:
-    """Checks and decodes frames, keeps the latest message of each type, counts what it skipped and why."""
+    """Checks and decodes frames, keeps the latest message of each type, counts what it skipped and why.
 
-    def __init__(self, max_delta_counter: int = MAX_DELTA_COUNTER) -> None:
+    Parameters
+    ----------
+    trusted : Trusted
+        Whose frames are accepted.
+    max_delta_counter : int
+        How many counts a frame may be ahead of the one before.
+    """
+
+    def __init__(self, trusted: Trusted = LIVE, max_delta_counter: int = MAX_DELTA_COUNTER) -> None:
+        self._trusted = {"ROBOT": trusted.robot, "TRACKER": trusted.tracker}
         self._checker = Checker(max_delta_counter)
         self._latest: dict[type[BusMessage], Received] = {}
         self.skipped: Counter[SkipReason] = Counter()
 
-    def receive(self, frame: can.Message) -> Received | None:
-        """Return the message of a frame, or None (counted in `skipped`) if it must not update any state."""
-        outcome = self._examine(frame)
+    def receive(self, frame: can.Message, max_age_s: float = 0.0) -> Received | None:
+        """Return the message of a frame, or None (counted in `skipped`) if it must not update any state.
+
+        `max_age_s` is how long before its reading the frame came at most, s.
+        """
+        outcome = self._examine(frame, max_age_s)
         if isinstance(outcome, SkipReason):
             self.skipped[outcome] += 1
             return None
@@ -77,18 +127,24 @@ class Inbox:
         assert isinstance(received.message, message_type)
         return received.message
 
-    def _examine(self, frame: can.Message) -> Received | SkipReason:
+    def _examine(self, frame: can.Message, max_age_s: float) -> Received | SkipReason:
         message_type = message_type_of(frame.arbitration_id)
         special = frame.is_extended_id or frame.is_remote_frame or frame.is_error_frame or frame.is_fd
         if message_type is None or special:
             return SkipReason.FOREIGN
         if len(frame.data) != FRAME_LENGTH:
             return SkipReason.WRONG_LENGTH
-        status = self._checker.check(e2e_data_id(message_layout(message_type.__name__)), frame.data)
+        layout = message_layout(message_type.__name__)
+        source = source_of(layout, frame.data)
+        if source is None:
+            return SkipReason.E2E_ERROR
+        if source not in self._trusted[layout.senders[0]]:
+            return SkipReason.OTHER_SOURCE
+        status = self._checker.check(e2e_data_id(layout, source), frame.data)
         if not status.accepted:
             return _SKIPS[status]
         try:
             message = decode(frame.arbitration_id, frame.data)
         except CodecError:
             return SkipReason.UNDECODABLE
-        return Received(frame.timestamp, message, counter_of(frame.data))
+        return Received(frame.timestamp, message, counter_of(frame.data), source, max_age_s)

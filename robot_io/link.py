@@ -15,8 +15,8 @@ import can
 
 from robot_io.bus_clock import BusClock
 from robot_io.bus_log import UNIX_TIME_FROM_S, BusLogWriter
-from robot_io.inbox import Inbox, Received
-from robot_io.messages import BusMessage
+from robot_io.inbox import LIVE, Inbox, Received, Trusted
+from robot_io.messages import BusMessage, Source
 from robot_io.protect import Protector
 
 _CURES = {
@@ -58,6 +58,10 @@ class Link:
         The bit rate, bit/s, for interfaces that set it themselves.
     log_paths : sequence of Path
         Logs to write: `.blf`, `.asc`, `.log`.
+    source : Source
+        Where what is sent comes from. Who trusts live frames alone takes no others.
+    trusted : Trusted
+        Whose frames are accepted.
     **bus_options
         Further options of python-can's interface.
 
@@ -76,12 +80,14 @@ class Link:
         *,
         bitrate_bit_s: int | None = None,
         log_paths: Sequence[Path] = (),
+        source: Source = Source.LIVE,
+        trusted: Trusted = LIVE,
         **bus_options: Any,
     ) -> None:
         self.interface = interface
         self.channel = channel
-        self.inbox = Inbox()
-        self._protector = Protector()
+        self.inbox = Inbox(trusted)
+        self._protector = Protector(source)
         self._lock = Lock()
         self._receiving = Lock()
         self._closed = Event()

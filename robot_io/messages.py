@@ -11,6 +11,15 @@ from dataclasses import dataclass
 from enum import IntEnum
 
 
+class Source(IntEnum):
+    """Where what a sender says comes from."""
+
+    LIVE = 0
+    REPLAY = 1
+    SIMULATION = 2
+    UNKNOWN = 3
+
+
 class PoseKind(IntEnum):
     """Whether a pose is where the TCP is, or where the programmed path has it."""
 
@@ -77,11 +86,15 @@ class Switch(IntEnum):
 
 
 class Command(IntEnum):
-    """What the robot wants of the tracker."""
+    """What the robot wants of the tracker; ARM is the name that layout 1.1 has for TRACK."""
 
     DISARM = 0
     ARM = 1
     RESET = 2
+    SEARCH = 3
+    TRACK = 4
+    HOLD = 5
+    STORE_ZERO = 6
 
 
 class JointType(IntEnum):
@@ -112,7 +125,7 @@ class TrackerState(IntEnum):
 
 
 class GateReason(IntEnum):
-    """Why the gate did not let an offset through."""
+    """Why the gate did not let an offset through as it was measured."""
 
     NONE = 0
     NOT_ARMED = 1
@@ -129,7 +142,47 @@ class GateReason(IntEnum):
     SIGMA_TOO_LARGE = 12
     OUT_OF_RANGE = 13
     RATE_TOO_HIGH = 14
+    ROBOT_NOT_MOVING = 15
+    WELDING_FAULT = 16
+    NOT_WELDING = 17
+    POSE_IMPLAUSIBLE = 18
+    ROBOT_ELSEWHERE = 19
+    JUMP = 20
+    HEARTBEAT_LOST = 21
+    OTHER_TRACKER = 22
+    CAMERA_STOPPED = 23
+    SHUTTING_DOWN = 24
+    SOFT_START = 25
+    SEARCH_ONLY = 26
+    HOLD_COMMANDED = 27
     UNKNOWN = 31
+
+
+class LaserState(IntEnum):
+    """What the laser does."""
+
+    OFF = 0
+    ON = 1
+    INTERLOCK_OPEN = 2
+    FAULT = 3
+    UNKNOWN = 7
+
+
+class Fault(IntEnum):
+    """Why the tracker is in FAULT."""
+
+    NONE = 0
+    OTHER_TRACKER = 1
+    UNKNOWN = 31
+
+
+class RequestResult(IntEnum):
+    """What became of a request that acts once."""
+
+    NONE = 0
+    DONE = 1
+    REFUSED = 2
+    UNKNOWN = 7
 
 
 @dataclass(frozen=True)
@@ -204,6 +257,33 @@ class SeamOffset(BusMessage):
 
 
 @dataclass(frozen=True)
+class SeamPoint(BusMessage):
+    """Where the laser saw the seam, mm in base, at the capture of the SeamOffset sent before it."""
+
+    x_mm: float
+    y_mm: float
+    z_mm: float
+
+
+@dataclass(frozen=True)
+class RobotSync(BusMessage):
+    """The robot's clock, and how long the exchange before took on its way there and back."""
+
+    sequence: int
+    robot_time_us: int
+    last_round_trip_us: int | None
+
+
+@dataclass(frozen=True)
+class TrackerSyncEcho(BusMessage):
+    """The answer to a RobotSync; `echo_delay_us` runs from its arrival to the sending of this frame."""
+
+    sequence: int
+    echo_delay_us: int | None
+    source: Source
+
+
+@dataclass(frozen=True)
 class RobotStatus(BusMessage):
     """What the robot and the power source are doing."""
 
@@ -221,7 +301,7 @@ class RobotStatus(BusMessage):
 
 @dataclass(frozen=True)
 class TrackerCommand(BusMessage):
-    """What the robot wants of the tracker; the latest one holds."""
+    """What the robot wants of the tracker, and its heartbeat: the latest one holds."""
 
     command: Command
     enable_y: bool
@@ -229,6 +309,7 @@ class TrackerCommand(BusMessage):
     request_number: int
     job_number: int | None
     program_number: int | None
+    laser_enable: Switch
 
 
 @dataclass(frozen=True)
@@ -267,6 +348,20 @@ class TrackerStatus(BusMessage):
 
 
 @dataclass(frozen=True)
+class TrackerHeartbeat(BusMessage):
+    """That the tracker lives, and what it does."""
+
+    state: TrackerState
+    source: Source
+    laser: LaserState
+    fault: Fault
+    request_number: int
+    request_result: RequestResult
+    job_number: int | None
+    rolling: int
+
+
+@dataclass(frozen=True)
 class DbcVersion(BusMessage):
     """Which layout of the bus the tracker speaks."""
 
@@ -274,16 +369,21 @@ class DbcVersion(BusMessage):
     minor: int
     patch: int
     layout_checksum: int
+    source: Source
 
 
 MESSAGE_TYPES: tuple[type[BusMessage], ...] = (
     RobotPosePosition,
     RobotPoseRotation,
     SeamOffset,
+    SeamPoint,
+    RobotSync,
+    TrackerSyncEcho,
     RobotStatus,
     TrackerCommand,
     SeamGeometry,
     TrackerStatus,
+    TrackerHeartbeat,
     DbcVersion,
 )
 """Every message type, in order of its id on the bus."""

@@ -1,17 +1,36 @@
-"""End-to-end protection of every frame: AUTOSAR E2E profile 11, data ID mode BOTH, one data id per message.
+"""End-to-end protection of every frame: AUTOSAR E2E profile 11, data ID mode BOTH.
 
 Byte 0 holds the CRC-8 over the data id and the rest of the frame, the low nibble of byte 1 a counter 0 … 14.
+Each message has a data id for each source: what a replay or a simulation sends is wrong to who trusts live
+frames alone.
 """
 
 from __future__ import annotations
 
 from enum import Enum
 
+from cantools.database.can import Message
 from e2e.p11 import e2e_p11_check, e2e_p11_protect
 
 from robot_io.codec import encode
 from robot_io.dbc import e2e_data_id, message_layout
-from robot_io.messages import BusMessage, RobotPosePosition, RobotPoseRotation
+from robot_io.messages import (
+    BusMessage,
+    RobotPosePosition,
+    RobotPoseRotation,
+    SeamOffset,
+    SeamPoint,
+    Source,
+)
+
+SOURCES = (Source.LIVE, Source.REPLAY, Source.SIMULATION)
+"""Those that a frame can come from."""
+
+_COUNTED_BY: dict[type[BusMessage], type[BusMessage]] = {
+    RobotPoseRotation: RobotPosePosition,
+    SeamPoint: SeamOffset,
+}
+"""Messages that carry the counter of another, the one sent before them: by it the two find each other."""
 
 COUNTER_MODULUS = 15
 """The counter runs 0 … 14; 15 never appears on the bus."""
@@ -39,24 +58,45 @@ class Protector:
     """The sending side: one counter per message, from 0.
 
     A RobotPoseRotation carries the counter of the last RobotPosePosition: by it the two halves of a pose find
-    each other, and a half that failed to go out cannot put the later pairs out of step.
+    each other, and a half that failed to go out cannot put the later pairs out of step. A SeamPoint carries
+    that of the last SeamOffset.
+
+    Parameters
+    ----------
+    source : Source
+        Where what is sent comes from.
+
+    Raises
+    ------
+    ValueError
+        For a source that is not known.
     """
 
-    def __init__(self) -> None:
+    def __init__(self, source: Source = Source.LIVE) -> None:
+        if source not in SOURCES:
+            raise ValueError("source UNKNOWN: a frame is sent as LIVE, REPLAY or SIMULATION")
+        self._source = source
         self._counters: dict[str, int] = {}
 
     def protect(self, message: BusMessage) -> tuple[int, bytes]:
         """Return the identifier and the 8 protected bytes of a message; CodecError as `encode`."""
         arbitration_id, frame = encode(message)
         name = type(message).__name__
-        if isinstance(message, RobotPoseRotation):
-            counter = self._counters.get(RobotPosePosition.__name__, 0)
+        counted_by = _COUNTED_BY.get(type(message))
+        if counted_by is not None:
+            counter = self._counters.get(counted_by.__name__, 0)
         else:
             counter = (self._counters.get(name, -1) + 1) % COUNTER_MODULUS
             self._counters[name] = counter
         frame[1] = (frame[1] & 0xF0) | counter
-        e2e_p11_protect(frame, e2e_data_id(message_layout(name)), increment_counter=False)
+        e2e_p11_protect(frame, e2e_data_id(message_layout(name), self._source), increment_counter=False)
         return arbitration_id, bytes(frame)
+
+
+def source_of(layout: Message, frame: bytes | bytearray) -> Source | None:
+    """Return the source whose data id fits a frame's CRC, or None: then the frame is damaged."""
+    checked = bytearray(frame)
+    return next((source for source in SOURCES if e2e_p11_check(checked, e2e_data_id(layout, source))), None)
 
 
 class Checker:

@@ -14,20 +14,28 @@ from robot_io.messages import (
     BusMessage,
     Command,
     DbcVersion,
+    Fault,
     GateReason,
     JointType,
+    LaserState,
     MotionState,
     PoseKind,
+    RequestResult,
     RobotMode,
     RobotPosePosition,
     RobotPoseRotation,
     RobotStatus,
+    RobotSync,
     SeamGeometry,
     SeamOffset,
+    SeamPoint,
+    Source,
     Switch,
     TrackerCommand,
+    TrackerHeartbeat,
     TrackerState,
     TrackerStatus,
+    TrackerSyncEcho,
     Validity,
     WeldingState,
 )
@@ -48,7 +56,7 @@ EXAMPLES: tuple[BusMessage, ...] = (
         2.5,
         4,
     ),
-    TrackerCommand(Command.ARM, True, True, 7, 12, None),
+    TrackerCommand(Command.ARM, True, True, 7, 12, None, Switch.ON),
     SeamGeometry(0.4, -0.05, 0.012, math.nan, JointType.V_GROOVE),
     TrackerStatus(
         TrackerState.TRACKING,
@@ -66,7 +74,13 @@ EXAMPLES: tuple[BusMessage, ...] = (
         3,
         12.25,
     ),
-    DbcVersion(1, 0, 0, 0x57CDBC),
+    DbcVersion(1, 0, 0, 0x57CDBC, Source.LIVE),
+    SeamPoint(447.5, -88.0, math.nan),
+    RobotSync(9, 12_345_678, None),
+    TrackerSyncEcho(9, 1500, Source.LIVE),
+    TrackerHeartbeat(
+        TrackerState.TRACKING, Source.LIVE, LaserState.ON, Fault.NONE, 7, RequestResult.DONE, 12, 200
+    ),
 )
 
 

@@ -77,8 +77,8 @@ def test_a_signal_that_cannot_be_unknown_refuses_none():
 
 def test_a_state_without_meaning_is_refused():
     frame = bytearray(8)
-    frame[1] = 0x50
-    with pytest.raises(CodecError, match=r"TrackerCommand\.command: 5 has no meaning; use one of 0 DISARM"):
+    frame[1] = 0x70
+    with pytest.raises(CodecError, match=r"TrackerCommand\.command: 7 has no meaning; use one of 0 DISARM"):
         decode(0x119, frame)
 
 

@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import dataclasses
+import itertools
 from enum import IntEnum
 from pathlib import Path
 from typing import get_type_hints
@@ -20,6 +21,7 @@ from robot_io.dbc import (
     payload_signals,
 )
 from robot_io.messages import MESSAGE_TYPES
+from robot_io.protect import SOURCES
 
 LAYOUTS = database().messages
 DOCS = Path(__file__).parents[2] / "docs" / "reference" / "can.md"
@@ -77,16 +79,21 @@ def test_unknown_codes_are_the_extreme_ones_and_outside_the_range(layout):
 def test_no_message_can_pass_for_another():
     # Two data ids with the same CRC contribution would let one message be taken for the other.
     crcs = set()
-    for layout in LAYOUTS:
+    for layout, source in itertools.product(LAYOUTS, SOURCES):
         frame = bytearray(8)
-        e2e_p11_protect(frame, e2e_data_id(layout), increment_counter=False)
+        e2e_p11_protect(frame, e2e_data_id(layout, source), increment_counter=False)
         crcs.add(frame[0])
-    assert len(crcs) == len(LAYOUTS)
+    assert len(crcs) == len(LAYOUTS) * len(SOURCES)
 
 
 def test_layout_changes_only_together_with_the_version():
     # A new layout needs a new version in arctrack.dbc and a new line here; the old lines stay.
-    checksums = {(1, 0, 0): LAYOUT_1_0_0, (1, 1, 0): LAYOUT_1_1_0, (1, 1, 1): LAYOUT_1_1_0}
+    checksums = {
+        (1, 0, 0): LAYOUT_1_0_0,
+        (1, 1, 0): LAYOUT_1_1_0,
+        (1, 1, 1): LAYOUT_1_1_0,
+        (1, 2, 0): LAYOUT_1_2_0,
+    }
     version = dbc_version()
     assert checksums[version.major, version.minor, version.patch] == layout_checksum()
 
@@ -101,3 +108,4 @@ def test_docs_show_the_layout():
 
 LAYOUT_1_0_0 = 0xF5A298
 LAYOUT_1_1_0 = 0xFF894D
+LAYOUT_1_2_0 = 0xAD60DA

@@ -12,9 +12,17 @@ from hypothesis import strategies as st
 
 from robot_io.codec import encode
 from robot_io.dbc import e2e_data_id, message_layout
-from robot_io.inbox import Inbox, SkipReason
-from robot_io.messages import DbcVersion, RobotPosePosition, RobotPoseRotation, SeamOffset
-from robot_io.protect import COUNTER_MODULUS, Checker, CheckStatus, Protector, counter_of
+from robot_io.inbox import ANY_SOURCE, Inbox, SkipReason, Trusted
+from robot_io.messages import (
+    DbcVersion,
+    RobotPosePosition,
+    RobotPoseRotation,
+    RobotStatus,
+    SeamOffset,
+    SeamPoint,
+    Source,
+)
+from robot_io.protect import COUNTER_MODULUS, SOURCES, Checker, CheckStatus, Protector, counter_of, source_of
 
 POSITION, ROTATION, OFFSET = EXAMPLES[:3]
 
@@ -104,6 +112,55 @@ def test_a_lost_position_does_not_put_later_pairs_out_of_step():
     assert counter_of(position) == counter_of(rotation) == 3
 
 
+def test_a_seam_point_carries_the_counter_of_its_offset():
+    protector = Protector()
+    for _ in range(5):
+        offset, point = protector.protect(OFFSET)[1], protector.protect(EXAMPLES[8])[1]
+        assert isinstance(EXAMPLES[8], SeamPoint)
+        assert counter_of(offset) == counter_of(point)
+
+
+@pytest.mark.parametrize("message", EXAMPLES, ids=lambda m: type(m).__name__)
+@pytest.mark.parametrize("source", [Source.REPLAY, Source.SIMULATION])
+def test_no_frame_of_another_source_is_taken_for_a_live_one(message, source):
+    frame = frame_of(*Protector(source).protect(message))
+    assert source_of(message_layout(type(message).__name__), frame.data) is source
+    inbox = Inbox()
+    assert inbox.receive(frame) is None
+    assert inbox.skipped == {SkipReason.OTHER_SOURCE: 1}
+    # Nor does one flipped bit make it one.
+    for bit in range(64):
+        flipped = int.from_bytes(frame.data, "little") ^ (1 << bit)
+        assert Inbox().receive(frame_of(frame.arbitration_id, flipped.to_bytes(8, "little"))) is None
+    assert Inbox(ANY_SOURCE).receive(frame).source is source
+
+
+def test_trust_is_by_sender():
+    trusted = Trusted(robot=(Source.LIVE,), tracker=(Source.REPLAY,))
+    status = next(m for m in EXAMPLES if isinstance(m, RobotStatus))
+    for source in SOURCES:
+        inbox = Inbox(trusted)
+        robots = inbox.receive(frame_of(*Protector(source).protect(status)))
+        trackers = inbox.receive(frame_of(*Protector(source).protect(OFFSET)))
+        assert (robots is not None) == (source is Source.LIVE)
+        assert (trackers is not None) == (source is Source.REPLAY)
+
+
+def test_two_sources_of_a_message_are_counted_apart():
+    inbox = Inbox(ANY_SOURCE)
+    live, replay = Protector(), Protector(Source.REPLAY)
+    for _ in range(20):
+        assert inbox.receive(frame_of(*live.protect(OFFSET))).source is Source.LIVE
+    for _ in range(20):
+        assert inbox.receive(frame_of(*replay.protect(OFFSET))).source is Source.REPLAY
+    assert not inbox.skipped
+
+
+def test_nothing_is_sent_of_an_unknown_source():
+    with pytest.raises(ValueError, match="source UNKNOWN"):
+        Protector(Source.UNKNOWN)
+
+
 @given(st.integers(0, 14), st.integers(1, 14), st.lists(st.integers(0, 14), max_size=20))
 def test_counter_semantics(start, max_delta, steps):
     checker = Checker(max_delta)
@@ -180,7 +237,7 @@ def test_inbox_leaves_out_what_is_not_ours():
     assert inbox.receive(frame_of(0x7FF, b"")) is None
     assert inbox.receive(frame_of(arbitration_id, payload[:7])) is None
     undecodable = bytearray(8)
-    undecodable[1] = 0x50
+    undecodable[1] = 0x70
     e2e_p11_protect(undecodable, data_id(EXAMPLES[4]), increment_counter=False)
     assert inbox.receive(frame_of(0x119, undecodable)) is None
     assert inbox.skipped == {
