@@ -1,0 +1,249 @@
+"""The robot's clock against the tracker's, from SYNC and its echo, without the bias of arrival times.
+
+The robot sends its time t1; the tracker reads it at t2 on its own clock, and answers; the robot says how
+long the exchange was on the bus, r = (t4 - t1) - (t3 - t2): the four times of NTP (RFC 5905, section 8) and
+of PTP's delay request. The offset o = t2 - t1 less the way there is what is sought. Neither way takes less
+than no time, so each exchange holds it between hard bounds, t2 - t1 - r <= o <= t2 - t1, whatever queues.
+
+Clocks drift: o is a line over the robot's time, with a skew of some 10 ppm. All lines between all bounds make
+a polygon of offset and skew (Moon, Skelly, Towsley 1999, INFOCOM, 227, for one way). Its ends at the present
+are exact solutions of a linear programme in two unknowns: the skew of a feasible line is bounded by pairs of
+exchanges, and the offset at the latest time grows with the skew. No average is taken, so no queue biases it;
+the one thing that no clock can tell is how the least delays share among both ways.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, fields, replace
+from enum import Enum
+
+import numpy as np
+import numpy.typing as npt
+
+from robot_io.messages import RobotSync
+
+Float64 = npt.NDArray[np.float64]
+
+TIME_BITS, SEQUENCE_BITS = 28, 8
+"""The robot's time and the sequence number begin anew after so many bits (arctrack.dbc)."""
+
+
+class Unestimated(Enum):
+    """Why there is no offset."""
+
+    TOO_FEW = "too few exchanges with a round trip"
+    STALE = "no exchange for too long"
+    TOO_WIDE = "the bounds are too far apart"
+
+
+@dataclass(frozen=True)
+class SyncLimits:
+    """What the estimate rests on.
+
+    Parameters
+    ----------
+    window_s : float
+        How long an exchange counts, s (chosen: over it a quartz's skew is steady to 1 ppm).
+    skew : float
+        The largest skew between the two clocks (100 ppm: two quartzes of 50 ppm each).
+    resolution_s : float
+        How far a bound may be off, s (arctrack.dbc's microsecond in each of three times, and the skew over an
+        echo's delay).
+    min_exchanges : int
+        How many exchanges with a round trip are needed (chosen).
+    stale_s : float
+        How old the newest exchange may be, s (chosen: ten cycles).
+    width_s : float
+        How far apart the bounds may be, s (chosen: at 10 mm/s that is 0.05 mm of the way).
+
+    Raises
+    ------
+    ValueError
+        For a limit that is not positive and finite.
+    """
+
+    window_s: float = 30.0
+    skew: float = 100e-6
+    resolution_s: float = 5e-6
+    min_exchanges: int = 5
+    stale_s: float = 1.0
+    width_s: float = 0.005
+
+    def __post_init__(self) -> None:
+        for name in (f.name for f in fields(self)):
+            if not (getattr(self, name) > 0.0 and math.isfinite(getattr(self, name))):
+                raise ValueError(
+                    f"sync limit {name}: is {getattr(self, name)}; it must be positive and finite"
+                )
+
+
+@dataclass(frozen=True)
+class Exchange:
+    """One SYNC that arrived.
+
+    Parameters
+    ----------
+    robot_s : float
+        When the robot sent it, s, robot's clock.
+    arrived_s : float
+        When it was read, s, tracker's clock.
+    round_trip_s : float
+        How long it and its echo were on the bus, s; NaN where that is not known.
+    """
+
+    robot_s: float
+    arrived_s: float
+    round_trip_s: float = math.nan
+
+
+@dataclass(frozen=True)
+class ClockOffset:
+    """The tracker's clock less the robot's, at one time; all NaN where it is unestimated.
+
+    Attributes
+    ----------
+    offset_s : float
+        The middle of the bounds, s.
+    lower_s, upper_s : float
+        What it lies between for certain, s.
+    sigma_s : float
+        1 sigma of `offset_s`, s, if the least delays share in any way among both ways with the same
+        probability.
+    skew : tuple (2,)
+        The bounds of the tracker's rate over the robot's less 1.
+    unestimated : Unestimated or None
+        Why there is none.
+    """
+
+    offset_s: float = math.nan
+    lower_s: float = math.nan
+    upper_s: float = math.nan
+    sigma_s: float = math.nan
+    skew: tuple[float, float] = (math.nan, math.nan)
+    unestimated: Unestimated | None = None
+
+
+@dataclass(frozen=True)
+class ClockSync:
+    """The exchanges of the last seconds; `steps` counts how often a clock was set."""
+
+    exchanges: tuple[Exchange, ...] = ()
+    last_sequence: int | None = None
+    last_time_us: int = 0
+    robot_s: float = 0.0
+    steps: int = 0
+
+    def heard(self, sync: RobotSync, arrived_s: float, limits: SyncLimits) -> ClockSync:
+        """Return the state after a RobotSync.
+
+        Parameters
+        ----------
+        sync : RobotSync
+            The message. Its round trip is that of the message before it.
+        arrived_s : float
+            When it was read, s, tracker's clock.
+        limits : SyncLimits
+            What the estimate rests on.
+        """
+        exchanges = self.exchanges
+        follows = self.last_sequence is not None and (
+            (sync.sequence - self.last_sequence) % 2**SEQUENCE_BITS == 1
+        )
+        if follows and exchanges and sync.last_round_trip_us is not None:
+            before = replace(exchanges[-1], round_trip_s=sync.last_round_trip_us * 1e-6)
+            exchanges = (*exchanges[:-1], before)
+        elapsed_us = (sync.robot_time_us - self.last_time_us) % 2**TIME_BITS
+        state = replace(
+            self,
+            exchanges=exchanges,
+            last_sequence=sync.sequence,
+            last_time_us=sync.robot_time_us,
+            robot_s=self.robot_s + elapsed_us * 1e-6,
+        )
+        return state.exchanged(Exchange(state.robot_s, arrived_s), limits)
+
+    def exchanged(self, exchange: Exchange, limits: SyncLimits) -> ClockSync:
+        """Return the state with one more exchange; what contradicts it is of before a clock was set."""
+        kept = tuple(e for e in self.exchanges if 0.0 < exchange.robot_s - e.robot_s <= limits.window_s)
+        exchanges = (*kept, exchange)
+        if kept and _polygon(exchanges, limits) is None:
+            return replace(self, exchanges=(exchange,), steps=self.steps + 1)
+        return replace(self, exchanges=exchanges)
+
+    def offset(self, now_s: float, limits: SyncLimits) -> ClockOffset:
+        """Return the tracker's clock less the robot's at the newest exchange.
+
+        Parameters
+        ----------
+        now_s : float
+            The time, s, tracker's clock.
+        limits : SyncLimits
+            What the estimate rests on.
+
+        Returns
+        -------
+        ClockOffset
+            The offset and its bounds, or why there is none.
+        """
+        answered = sum(math.isfinite(e.round_trip_s) for e in self.exchanges)
+        if answered < limits.min_exchanges:
+            return ClockOffset(unestimated=Unestimated.TOO_FEW)
+        if not abs(now_s - self.exchanges[-1].arrived_s) <= limits.stale_s:
+            return ClockOffset(unestimated=Unestimated.STALE)
+        polygon = _polygon(self.exchanges, limits)
+        assert polygon is not None
+        if polygon.upper_s - polygon.lower_s > limits.width_s:
+            return ClockOffset(unestimated=Unestimated.TOO_WIDE)
+        return ClockOffset(
+            offset_s=0.5 * (polygon.lower_s + polygon.upper_s),
+            lower_s=polygon.lower_s,
+            upper_s=polygon.upper_s,
+            sigma_s=(polygon.upper_s - polygon.lower_s) / math.sqrt(12.0),
+            skew=polygon.skew,
+        )
+
+    def delay_s(self, now_s: float, limits: SyncLimits) -> tuple[float, float]:
+        """Return what the newest SYNC's way here took at least and at most, s; NaN if unestimated."""
+        offset = self.offset(now_s, limits)
+        if offset.unestimated is not None:
+            return (math.nan, math.nan)
+        newest = self.exchanges[-1]
+        apart_s = newest.arrived_s - newest.robot_s
+        return (max(0.0, apart_s - offset.upper_s), apart_s - offset.lower_s)
+
+
+@dataclass(frozen=True)
+class _Polygon:
+    lower_s: float
+    upper_s: float
+    skew: tuple[float, float]
+
+
+def _polygon(exchanges: tuple[Exchange, ...], limits: SyncLimits) -> _Polygon | None:
+    """Return the ends of all feasible lines at the newest exchange, None if there is no such line.
+
+    Between the bounds l_j and u_i a line of skew b fits where u_i - l_j >= b (x_i - x_j) for all pairs. At
+    the latest time, x = 0 here, its offset is at most the least u_i - b x_i, and at least the largest
+    l_j - b x_j: both rise with b.
+    """
+    rows = np.array([(e.robot_s, e.arrived_s, e.round_trip_s) for e in exchanges])
+    x = rows[:, 0] - rows[-1, 0]
+    # Not to lose microseconds of a large offset.
+    apart = (rows[:, 1] - rows[-1, 1]) - x
+    upper = apart + limits.resolution_s
+    lower = np.where(np.isnan(rows[:, 2]), -np.inf, apart - rows[:, 2] - limits.resolution_s)
+    dx = x[:, None] - x[None, :]
+    room = upper[:, None] - lower[None, :]
+    if (np.diagonal(room) < 0.0).any():
+        return None
+    with np.errstate(invalid="ignore", divide="ignore"):
+        slope = room / dx
+    low = max(-limits.skew, float(np.max(slope, where=dx < 0.0, initial=-np.inf)))
+    high = min(limits.skew, float(np.min(slope, where=dx > 0.0, initial=np.inf)))
+    if low > high:
+        return None
+    base_s = rows[-1, 1] - rows[-1, 0]
+    return _Polygon(
+        base_s + float(np.max(lower - low * x)), base_s + float(np.min(upper - high * x)), (low, high)
+    )
