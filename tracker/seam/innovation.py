@@ -1,0 +1,237 @@
+"""Whether the seam moves as pose and seam line predict: a test of innovations.
+
+In base a seam stands still. So each measurement must be where those before it put the seam, within its sigma
+and what a seam may bend on the way: the innovation nu of a Kalman filter along the stations, with the process
+of `gaussian_process`. Of a right pose nu^2 / S is chi-squared with one degree of freedom for each axis, white
+over frames (Bar-Shalom, Li, Kirubarajan 2001, Estimation with Applications, section 5.4.2). Of a pose that is
+late by t a weave of velocity v puts v t into it, of one that is mirrored twice the weave, of one that drifts
+its slope. Their sum over a window is held against a quantile at a stated rate of false alarms.
+
+A single value counts for a few sigmas at most: a tack or a bad frame is no pose that is wrong.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field, fields
+from enum import Enum
+from functools import lru_cache
+
+from scipy.special import gammainccinv
+
+from tracker.seam.gaussian_process import BEND_LENGTH_MM, BEND_SIGMA_MM, MODEL_SIGMA_MM, WIDE_SIGMA_MM
+
+DECAY = math.sqrt(3.0) / BEND_LENGTH_MM
+VALUE_MM2, SLOPE_MM2 = BEND_SIGMA_MM**2, (DECAY * BEND_SIGMA_MM) ** 2
+
+
+class SeamMotion(Enum):
+    """Whether the seam moves in the image as the poses say."""
+
+    UNPROVEN = "too few measurements yet"
+    CONSISTENT = "as pose and seam line predict"
+    CONTRADICTED = "the seam moves otherwise than the poses say"
+
+
+@dataclass(frozen=True)
+class InnovationLimits:
+    """What the test asks.
+
+    Parameters
+    ----------
+    window : int
+        How many measurements it looks at (chosen: 0.4 s of 50 frames a second).
+    false_alarm : float
+        The probability that a window of right poses fails (chosen: at 50 frames a second once in some days of
+        weld, were windows apart; each shares 19 of 20 with the next).
+    sigma_floor_mm : float
+        A measurement's sigma is not taken for less, mm (speckle that neighbouring frames share).
+    most_sigmas : float
+        A single innovation counts for so many sigmas at most (chosen: one bad frame alone cannot fail it).
+    gap_mm : float
+        A station this far off the last begins anew, mm (chosen: a third of the length over which seams bend).
+
+    Raises
+    ------
+    ValueError
+        For a limit that is not positive and finite.
+    """
+
+    window: int = 20
+    false_alarm: float = 1e-6
+    sigma_floor_mm: float = 0.03
+    most_sigmas: float = 4.0
+    gap_mm: float = 20.0
+
+    def __post_init__(self) -> None:
+        for name in (f.name for f in fields(self)):
+            value = getattr(self, name)
+            if not (value > 0 and math.isfinite(value)):
+                raise ValueError(f"innovation limit {name}: is {value}; it must be positive and finite")
+
+    @property
+    def chi2(self) -> float:
+        """The largest sum over a window of two axes."""
+        return _chi2_quantile(2 * self.window, self.false_alarm)
+
+
+@dataclass(frozen=True)
+class SeamMeasured:
+    """A measurement of the seam.
+
+    Parameters
+    ----------
+    station_mm : float
+        Its station along the nominal line, mm.
+    displacement_mm : tuple (2,)
+        The seam's displacement (y, z) from that line, mm, joint frame, as the pose at the capture puts it.
+    sigma_mm : tuple (2,)
+        1 sigma of each, mm.
+    """
+
+    station_mm: float
+    displacement_mm: tuple[float, float]
+    sigma_mm: tuple[float, float]
+
+
+@dataclass(frozen=True)
+class _Axis:
+    """Bend, its slope and the whole seam's displacement, and the upper triangle of their covariance."""
+
+    mean: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    covariance: tuple[float, float, float, float, float, float] = (
+        VALUE_MM2,
+        0.0,
+        0.0,
+        SLOPE_MM2,
+        0.0,
+        WIDE_SIGMA_MM**2,
+    )
+
+    def moved(self, distance_mm: float) -> _Axis:
+        """Return what is known of a station further on."""
+        fade = math.exp(-DECAY * distance_mm)
+        a, b = fade * (1.0 + DECAY * distance_mm), fade * distance_mm
+        c, d = -(DECAY**2) * fade * distance_mm, fade * (1.0 - DECAY * distance_mm)
+        bend, slope, whole = self.mean
+        p00, p01, p02, p11, p12, p22 = self.covariance
+        # What the process gains is what the step takes from its stationary variance.
+        q00 = VALUE_MM2 - a * a * VALUE_MM2 - b * b * SLOPE_MM2
+        q11 = SLOPE_MM2 - c * c * VALUE_MM2 - d * d * SLOPE_MM2
+        q01 = -(a * c * VALUE_MM2 + b * d * SLOPE_MM2)
+        return _Axis(
+            (a * bend + b * slope, c * bend + d * slope, whole),
+            (
+                a * a * p00 + 2.0 * a * b * p01 + b * b * p11 + q00,
+                a * c * p00 + (a * d + b * c) * p01 + b * d * p11 + q01,
+                a * p02 + b * p12,
+                c * c * p00 + 2.0 * c * d * p01 + d * d * p11 + q11,
+                c * p02 + d * p12,
+                p22,
+            ),
+        )
+
+    def measured(
+        self, displacement_mm: float, variance_mm2: float, most_sigmas: float = math.inf
+    ) -> tuple[_Axis, float]:
+        """Return what is known after a measurement, and its innovation over its sigma, both cut (Huber)."""
+        p00, p01, p02, p11, p12, p22 = self.covariance
+        g0, g1, g2 = p00 + p02, p01 + p12, p02 + p22
+        spread = g0 + g2 + variance_mm2
+        sigma_mm = math.sqrt(spread)
+        innovation = (displacement_mm - self.mean[0] - self.mean[2]) / sigma_mm
+        innovation = math.copysign(min(abs(innovation), most_sigmas), innovation)
+        share = innovation / sigma_mm
+        mean = (
+            self.mean[0] + g0 * share,
+            self.mean[1] + g1 * share,
+            self.mean[2] + g2 * share,
+        )
+        covariance = (
+            p00 - g0 * g0 / spread,
+            p01 - g0 * g1 / spread,
+            p02 - g0 * g2 / spread,
+            p11 - g1 * g1 / spread,
+            p12 - g1 * g2 / spread,
+            p22 - g2 * g2 / spread,
+        )
+        return _Axis(mean, covariance), innovation
+
+
+@dataclass(frozen=True)
+class SeamInnovation:
+    """The filter, the window's innovations over their sigmas as pairs (y, z), and the verdict.
+
+    Attributes
+    ----------
+    motion : SeamMotion
+        Whether the seam moves as the poses say. Once contradicted it stays so until a whole window that began
+        after that fits.
+    """
+
+    motion: SeamMotion = SeamMotion.UNPROVEN
+    station_mm: float = math.nan
+    axes: tuple[_Axis, _Axis] = (_Axis(), _Axis())
+    innovations: tuple[tuple[float, float], ...] = field(default=(), repr=False)
+
+    @property
+    def chi2(self) -> float:
+        """The sum of the window's squared innovations over their variances."""
+        return math.fsum(y * y + z * z for y, z in self.innovations)
+
+    def with_seam(self, seam: SeamMeasured, limits: InnovationLimits) -> SeamInnovation:
+        """Return the state after one more measurement.
+
+        Parameters
+        ----------
+        seam : SeamMeasured
+            The measurement. One whose values are not finite says nothing.
+        limits : InnovationLimits
+            What the test asks.
+        """
+        if not all(map(math.isfinite, (seam.station_mm, *seam.displacement_mm, *seam.sigma_mm))):
+            return self
+        step_mm = seam.station_mm - self.station_mm
+        if not abs(step_mm) <= limits.gap_mm:
+            return SeamInnovation(self.motion).begun(seam, limits)
+        # Backwards the same law holds: of a seam that runs the other way the slope changes its sign.
+        axes, innovations = [], []
+        for axis, displacement_mm, sigma_mm in zip(
+            self.axes, seam.displacement_mm, seam.sigma_mm, strict=True
+        ):
+            there = axis.moved(step_mm) if step_mm >= 0.0 else _mirrored(_mirrored(axis).moved(-step_mm))
+            known, innovation = there.measured(
+                displacement_mm, _variance_mm2(sigma_mm, limits), limits.most_sigmas
+            )
+            axes.append(known)
+            innovations.append(innovation)
+        window = (*self.innovations, (innovations[0], innovations[1]))[-limits.window :]
+        state = SeamInnovation(self.motion, seam.station_mm, (axes[0], axes[1]), window)
+        if state.chi2 > limits.chi2:
+            return SeamInnovation(SeamMotion.CONTRADICTED).begun(seam, limits)
+        if len(window) < limits.window:
+            return state
+        return SeamInnovation(SeamMotion.CONSISTENT, state.station_mm, state.axes, window)
+
+    def begun(self, seam: SeamMeasured, limits: InnovationLimits) -> SeamInnovation:
+        """Return the state with a first measurement, which the wide prior makes no innovation of."""
+        y, z = (
+            _Axis().measured(displacement_mm, _variance_mm2(sigma_mm, limits))[0]
+            for displacement_mm, sigma_mm in zip(seam.displacement_mm, seam.sigma_mm, strict=True)
+        )
+        return SeamInnovation(self.motion, seam.station_mm, (y, z))
+
+
+def _mirrored(axis: _Axis) -> _Axis:
+    bend, slope, whole = axis.mean
+    p00, p01, p02, p11, p12, p22 = axis.covariance
+    return _Axis((bend, -slope, whole), (p00, -p01, p02, p11, -p12, p22))
+
+
+def _variance_mm2(sigma_mm: float, limits: InnovationLimits) -> float:
+    return max(sigma_mm, limits.sigma_floor_mm) ** 2 + MODEL_SIGMA_MM**2
+
+
+@lru_cache
+def _chi2_quantile(degrees: int, false_alarm: float) -> float:
+    return 2.0 * float(gammainccinv(0.5 * degrees, false_alarm))
