@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Iterable
+from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
@@ -17,15 +17,13 @@ from arctrack.calibrating.folder import RawFiles
 from arctrack.calibrating.hand_eye import hand_eye_stage
 from arctrack.calibrating.laser import laser_stage
 from arctrack.calibrating.sensor import sensor_stage
-from arctrack.calibrating.stage import Stage, Steps
+from arctrack.calibrating.stage import Stage, Steps, Warn
 from arctrack.errors import ArctrackError
 from arctrack.recording import BadFrame, Calibrated, Recording, SetupFile, read_recording, with_calibrated
 from arctrack.recording.setup_file import parse_setup
 from calibration.certificate import Certificate
 
 CAMERA_FIRST = "needs the camera, which was refused"
-
-Warn = Callable[[Iterable[str]], None]
 
 
 @dataclass
@@ -59,15 +57,20 @@ class Calibrations:
         """Do a calibration, and put its values into the setup; one that is refused leaves them alone."""
         try:
             stage = make()
-            records = [*self.records, *(() if stage.refusal is not None else stage.records)]
-            stated = parse_setup(with_calibrated(self.stated.path, *records), self.stated.path)
+            self.keep(*(() if stage.refusal is not None else stage.records))
         except ArctrackError as error:
             # Here the options of the single command are keys of calibration.toml.
             self.refused[name] = re.sub(r"--(units|rotation|board)\b", rf"[{name}] \1", str(error))
             return
-        self.stages[name], self.records, self.stated = stage, records, stated
+        self.stages[name] = stage
         if stage.refusal is not None:
             self.refused[name] = stage.refusal
+
+    def keep(self, *records: Calibrated) -> None:
+        """Put values into the setup; ArctrackError, and nothing changes, where it does not take them."""
+        kept = [*self.records, *records]
+        self.stated = parse_setup(with_calibrated(self.stated.path, *kept), self.stated.path)
+        self.records = kept
 
 
 def calibrate_folder(raw: RawFiles, stated: SetupFile, steps: Steps, warn: Warn) -> Calibrations:
@@ -128,8 +131,7 @@ def calibrate_folder(raw: RawFiles, stated: SetupFile, steps: Steps, warn: Warn)
             result.add(name, partial(_of_recording, make, path, result.stated, steps, warn))
     result.certificate, result.unmeasured = certificate_of(result.stages, result.stated)
     if result.certificate is not None and "hand_eye" in result.stages:
-        result.records.append(certificate_record(result.certificate, result.stated))
-        result.stated = parse_setup(with_calibrated(stated.path, *result.records), stated.path)
+        result.keep(certificate_record(result.certificate, result.stated))
     return result
 
 

@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 
 from numpy.linalg import LinAlgError
 
-from arctrack.calibrating.stage import Stage, Steps
+from arctrack.calibrating.stage import Stage, Steps, Warn, left_out
 from arctrack.calibration_files.board_images import read_boards
 from arctrack.calibration_files.camera import calibrated_camera
 from arctrack.errors import in_file
@@ -27,7 +27,7 @@ def camera_stage(
     board: Board,
     stated: SetupFile | None,
     steps: Steps,
-    warn: Callable[[Iterable[str]], None],
+    warn: Warn,
     orders: Sequence[str] = tuple(ORDERS),
     tilted: bool = False,
 ) -> Stage[CameraCalibration]:
@@ -61,7 +61,7 @@ def camera_stage(
         Where the images do not determine the lens; it says which image is missing.
     """
     images = read_boards(sources, board, steps("looking for the board", "images"))
-    warn(f"{name}: left out: {reason}" for name, reason in images.left_out.items())
+    warn(left_out(images.left_out))
     try:
         result = calibrate_camera(
             board,
@@ -75,7 +75,7 @@ def camera_stage(
         raise in_file(sources[0], str(error)) from None
     except LinAlgError:
         raise in_file(sources[0], OPEN_VALUE) from None
-    warn(f"{name}: left out: {reason}" for name, reason in result.left_out.items())
+    warn(left_out(result.left_out))
     return Stage(
         result,
         camera_page(result, images, stated),

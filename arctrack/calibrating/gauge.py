@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
-from arctrack.calibrating.stage import Stage, Steps
+from arctrack.calibrating.stage import Stage, Steps, Warn, left_out
 from arctrack.calibration_files.gauge_images import GaugeImages, read_gauge_frames, read_gauge_images
 from arctrack.calibration_files.gauge_record import gauge_record
 from arctrack.calibration_files.hand_eye_poses import PoseSource
@@ -26,8 +26,6 @@ from calibration.gauge.calibrate import (
     check_gauge,
 )
 from calibration.gauge.shape import Gauge
-
-Warn = Callable[[Iterable[str]], None]
 
 NO_POSES = "the robot's poses are unknown: give them with --poses, or take a recording; --check needs none"
 
@@ -86,7 +84,7 @@ def gauge_stage(
         )
     except UndeterminedError as error:
         raise in_file(_path(source), str(error)) from None
-    warn(f"{name}: left out: {reason}" for name, reason in result.left_out.items())
+    warn(left_out(result.left_out))
     return Stage(result, gauge_page(result, images, setup), (gauge_record(result, setup),))
 
 
@@ -154,7 +152,7 @@ def check_stage(
     except UndeterminedError as error:
         raise in_file(_path(source), str(error)) from None
     for check in checks:
-        warn(f"{name}: left out: {reason}" for name, reason in check.left_out.items())
+        warn(left_out(check.left_out))
     off_mm, sigma_mm = size_off(checks)
     if sigma_mm > SURE * within_mm:
         raise in_file(
@@ -218,7 +216,7 @@ def _read(
         images = read_gauge_frames(source, gauge, stated, tell)
     else:
         images = read_gauge_images(source, gauge, stated, poses, tell)
-    warn(f"{name}: left out: {reason}" for name, reason in images.left_out.items())
+    warn(left_out(images.left_out))
     return images
 
 

@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 
-from arctrack.calibrating.stage import Stage, Steps
+from arctrack.calibrating.stage import Stage, Steps, Warn, left_out
 from arctrack.calibration_files.hand_eye_meaning import other_meaning
 from arctrack.calibration_files.hand_eye_poses import PoseSource, read_posed_boards
 from arctrack.calibration_files.hand_eye_record import hand_eye_record
@@ -29,7 +29,7 @@ def hand_eye_stage(
     stated: SetupFile,
     source: PoseSource,
     steps: Steps,
-    warn: Callable[[Iterable[str]], None],
+    warn: Warn,
     is_eye_to_hand: bool = False,
 ) -> Stage[HandEyeCalibration]:
     """Find the camera's pose in the tool, or in base.
@@ -64,7 +64,7 @@ def hand_eye_stage(
     """
     posed = read_posed_boards(sources, board, stated, source, steps("looking for the board", "images"))
     warn(posed.warnings)
-    warn(f"{name}: left out: {reason}" for name, reason in posed.left_out.items())
+    warn(left_out(posed.left_out))
     try:
         result = calibrate_hand_eye(
             posed.scene,
@@ -81,7 +81,7 @@ def hand_eye_stage(
         raise in_file(source.path, f"{error}: {cure}") from None
     except UndeterminedError as error:
         raise in_file(source.path, str(error)) from None
-    warn(f"{name}: left out: {reason}" for name, reason in result.left_out.items())
+    warn(left_out(result.left_out))
     sheet = None if is_eye_to_hand else moved_with_camera(stated, result.T_holder_camera)
     page = hand_eye_page(result, posed, stated.setup, moves_sheet=sheet is not None)
     return Stage(result, page, (hand_eye_record(result), *([] if sheet is None else [sheet])))

@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 
-from arctrack.calibrating.stage import Stage, Steps
+from arctrack.calibrating.stage import Stage, Steps, Warn, left_out
 from arctrack.calibration_files.laser_pairs import read_pairs
 from arctrack.calibration_files.laser_record import laser_record
 from arctrack.errors import in_file
@@ -22,7 +22,7 @@ def laser_stage(
     board: Board,
     stated: SetupFile,
     steps: Steps,
-    warn: Callable[[Iterable[str]], None],
+    warn: Warn,
 ) -> Stage[LaserCalibration]:
     """Find the laser sheet in images of a board.
 
@@ -50,12 +50,12 @@ def laser_stage(
         Where the images do not determine the sheet; it says which are missing.
     """
     pairs = read_pairs(sources, board, stated, steps("looking for board and stripe", "images"))
-    warn(f"{name}: left out: {reason}" for name, reason in pairs.left_out.items())
+    warn(left_out(pairs.left_out))
     try:
         result = calibrate_laser(pairs.scene, pairs.seen, pairs.stripes, pairs.lens_covariance)
     except UndeterminedError as error:
         raise in_file(sources[0], str(error)) from None
-    warn(f"{name}: left out: {reason}" for name, reason in result.left_out.items())
+    warn(left_out(result.left_out))
     beam = beam_of(result, pairs.sections, pairs.scene.lens, stated.setup.camera, stated.setup.laser)
     page = laser_page(result, pairs, beam, stated.setup)
     return Stage(result, page, (laser_record(result, beam, stated.setup),))

@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
 from pathlib import Path
 
-from arctrack.calibrating.stage import Stage, Steps
+from arctrack.calibrating.stage import Stage, Steps, Warn
 from arctrack.calibration_files.flat_frames import FlatFile, find_flat_frames, read_levels
 from arctrack.calibration_files.sensor_record import flat_record, still_record
 from arctrack.calibration_files.still_recording import read_still_frames
@@ -23,7 +22,7 @@ def sensor_stage(
     source: Path,
     stated: SetupFile,
     steps: Steps,
-    warn: Callable[[Iterable[str]], None],
+    warn: Warn,
     gamma: float | None = None,
 ) -> Stage[SensorCalibration] | Stage[StillCalibration]:
     """Find a sensor's values in flat and dark frames, or in a recording where the folder is one."""
@@ -39,7 +38,7 @@ def flat_stage(
     files: list[FlatFile],
     stated: SetupFile,
     steps: Steps,
-    warn: Callable[[Iterable[str]], None],
+    warn: Warn,
     gamma: float | None = None,
 ) -> Stage[SensorCalibration]:
     """Find gain, noise and response in flat and dark frames.
@@ -81,9 +80,7 @@ def flat_stage(
     return Stage(result, sensor_page(result, levels, source.name, lossy), (flat_record(result),))
 
 
-def still_stage(
-    read: Recording, steps: Steps, warn: Callable[[Iterable[str]], None]
-) -> Stage[StillCalibration]:
+def still_stage(read: Recording, steps: Steps, warn: Warn) -> Stage[StillCalibration]:
     """Find gain, read noise, black level and speckle in a recording of a still stripe.
 
     Parameters

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from typing import Generic, TypeVar
 
@@ -14,6 +14,9 @@ Tell = Callable[[int, int], None]
 
 Steps = Callable[[str, str], Tell]
 """Begins a step, by what is done and what is counted; what it returns is told how far the step is."""
+
+Warn = Callable[[Iterable[str]], None]
+"""Is told at once what a user should know, a line each."""
 
 Result = TypeVar("Result")
 
@@ -44,3 +47,8 @@ def no_steps(what: str, unit: str) -> Tell:
     """Begin a step that nobody watches."""
     del what, unit
     return lambda done, total: None
+
+
+def left_out(reasons: Mapping[str, str]) -> Iterator[str]:
+    """Say what of an input is not used, and why, a line each."""
+    return (f"{name}: left out: {reason}" for name, reason in reasons.items())
