@@ -12,6 +12,7 @@ from scipy.optimize import curve_fit
 from arctrack.check.bright_line import BrightLine
 from noise_model.arrays import Float64, Integers
 from noise_model.instrument.sensor import Sensor, linearise, saturation_dn, variance_e2
+from noise_model.robust import spread
 
 REACH_SCALES = 6.0
 """How far across a line is looked, in the sigma that shows it best; the outer third is background."""
@@ -21,9 +22,6 @@ SMOOTH_LINES = 31
 
 MIN_LINES = 20
 """Of fewer scan lines nothing is told."""
-
-TO_SIGMA = 1.4826
-"""A normal law's sigma over its median absolute deviation."""
 
 
 @dataclass(frozen=True)
@@ -96,7 +94,7 @@ def _contrast(offsets_px: Float64, charge_e: Float64, sigma_px: float, sensor: S
     if known.sum() < MIN_LINES:
         return math.nan
     ratio = brightness_e[known] / smooth_e[known]
-    scatter = TO_SIGMA * float(np.median(np.abs(ratio - np.median(ratio))))
+    scatter = spread(ratio)
     noise_e2 = variance_e2(charge_e, sensor) @ weights**2
     noise = float(np.median(noise_e2[known] / smooth_e[known] ** 2))
     return math.sqrt(max(scatter**2 - noise, 0.0))

@@ -23,6 +23,7 @@ from noise_model.arc.map import make_scene
 from noise_model.arrays import Float64, Int64
 from noise_model.fit import Parameter, fit
 from noise_model.instrument.camera import Rays
+from noise_model.robust import sigma_of
 from noise_model.setup import Setup
 from noise_model.surface.joint import SeamLine
 from noise_model.transforms import transform
@@ -44,9 +45,6 @@ WANDER_MM = (1.0, 0.3)
 
 MIN_LN_RANGE = 0.1
 """Exposures or currents vary if their logarithms do by more."""
-
-TO_SIGMA = 1.4826
-"""A normal law's sigma over its median absolute deviation."""
 
 
 @dataclass(frozen=True)
@@ -194,7 +192,7 @@ def _shape(frames: Sequence[ArcFrame]) -> Known:
     bright = noise < MAX_NOISE
     if bright.sum() < MIN_PIXELS:
         return Known(math.nan, math.nan)
-    rms = TO_SIGMA * float(np.median(np.abs(off[bright])))
+    rms = sigma_of(off[bright])
     noise_rms = float(np.sqrt(np.mean(noise[bright] ** 2)))
     return Known(math.sqrt(max(rms**2 - noise_rms**2, 0.0)), rms / math.sqrt(2.0 * bright.sum()))
 

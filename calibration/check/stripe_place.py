@@ -27,6 +27,7 @@ from calibration.settle import robust_cost, settled
 from noise_model.arrays import Float64
 from noise_model.effects import apply_setup_effects
 from noise_model.fit import Fit, Parameter
+from noise_model.robust import sigma_of
 from noise_model.setup import Setup
 from noise_model.stripe import stripe_runs_along_rows
 from noise_model.surface.joint import SeamLine, corrugation_height, seam_frame, section
@@ -60,9 +61,6 @@ GRID_MM, MAX_MODES = 2.0, 6
 
 COARSE_Y_MM, COARSE_Z_MM = np.arange(-6.0, 7.0, 3.0), np.arange(-18.0, 18.5, 1.5)
 """Places of the part that a fit begins at, mm sideways and in height."""
-
-TO_SIGMA = 1.4826
-"""A normal law's sigma over its median absolute deviation."""
 
 FAR = 1e3
 """A residual that counts for one beyond all reach, sigmas."""
@@ -353,7 +351,7 @@ class _Problem:
         _, ln_correlation = np.linalg.slogdet(result.correlation)
         ln_volume = 0.5 * ln_correlation + float(np.log(result.sigmas / sigmas).sum())
         turn, move = _size(name, [values[n] for n in BLOCKS.get(name, ())])
-        rms_px = TO_SIGMA * float(np.median(np.abs(residuals * self.sigma_px)))
+        rms_px = sigma_of(residuals * self.sigma_px)
         cost = robust_cost(residuals, result.values / sigmas, HUBER)
         return Cause(name, ln_volume - 0.5 * cost, result, values, rms_px, turn, move)
 

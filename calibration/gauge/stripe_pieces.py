@@ -13,7 +13,7 @@ from calibration.camera.lens import Lens
 from calibration.laser.image_line import ImageLine, fit_line
 from calibration.laser.stripe import LaserLight, likeliest_path
 from noise_model.arrays import Float64, Integers
-from tracker.joint.section_fit import MAD_SIGMA
+from noise_model.robust import spread
 
 BACKGROUND_PX = 41
 """The side of the box whose mean is what lies behind the stripe."""
@@ -77,8 +77,7 @@ def laser_light_alone(image_dn: Integers) -> LaserLight:
     """Return the laser's light in an image (H, W) without another of the same scene without it."""
     image = image_dn.astype(np.float32)
     light = image - cv2.blur(image, (BACKGROUND_PX, BACKGROUND_PX), borderType=cv2.BORDER_REFLECT)
-    spread = MAD_SIGMA * float(np.median(np.abs(light - np.median(light))))
-    noise = np.full(image.shape, max(spread, NOISE_FLOOR_DN), np.float32)
+    noise = np.full(image.shape, max(spread(light), NOISE_FLOOR_DN), np.float32)
     return LaserLight(image - float(np.median(image)), noise, np.ones(image.shape, dtype=bool))
 
 

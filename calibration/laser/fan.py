@@ -18,7 +18,7 @@ from scipy.stats import t as student
 
 from calibration.laser.cross_sections import CrossSections
 from noise_model.arrays import Float64
-from tracker.joint.section_fit import MAD_SIGMA
+from noise_model.robust import sigma_of
 
 MOST_NOISE = 0.2
 """Scan lines whose light is known worse, of the stripe's, tell nothing: dark squares."""
@@ -136,7 +136,7 @@ def fit_fan(sides: Sequence[Float64], quantized_mm: float) -> Fan | str:
     together = np.concatenate(off)
     # What a line of n ends leaves of their scatter, on both sides together.
     share = max(1.0 - 4.0 / max(len(together), 1), 0.25)
-    scale = MAD_SIGMA * float(np.median(together)) / share if len(together) else 0.0
+    scale = sigma_of(together) / share if len(together) else 0.0
     most = FAR_SIGMAS * max(scale, QUANTIZED * quantized_mm)
     sides = [side[each <= most] for side, each in zip(sides, off, strict=True)]
     few = [len(side) for side in sides]

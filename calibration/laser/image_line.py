@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from noise_model.arrays import Bool, Float64
-from tracker.joint.section_fit import MAD_SIGMA
+from noise_model.robust import sigma_of
 
 TAIL = 4.0
 """Degrees of freedom of Student's t: points off the line hardly move it."""
@@ -82,7 +82,7 @@ def fit_line(rays: Float64, along_rows: bool) -> ImageLine:
     for _ in range(ROUNDS):
         off = y - level - slope * t
         if not np.isfinite(scale):
-            scale = max(MAD_SIGMA * float(np.median(np.abs(off))), LEAST_SIGMA)
+            scale = max(sigma_of(off), LEAST_SIGMA)
         weight = (TAIL + 1.0) / (TAIL + (off / scale) ** 2)
         before, scale = scale, max(float(np.sqrt(np.mean(weight * off**2))), LEAST_SIGMA)
         middle = float(np.average(t, weights=weight))

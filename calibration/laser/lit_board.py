@@ -15,7 +15,7 @@ from calibration.boards.board import Board, Kind
 from calibration.camera.lens import Lens
 from calibration.laser.stripe import LaserLight, board_area
 from noise_model.arrays import Bool, Float64, Integers
-from tracker.joint.section_fit import MAD_SIGMA
+from noise_model.robust import spread
 
 SAMPLES = 3
 """Samples a pixel along each axis: squares' edges run through pixels."""
@@ -164,10 +164,10 @@ def _without_board(image_dn: Integers, shading: Float64) -> LitBoard:
     drawn = np.zeros(image_dn.shape)
     light[area], drawn[area] = rest, value - rest
     noise[area] = np.where(
-        at_edge, *(max(_spread(rest[part]), NOISE_FLOOR_DN) for part in (at_edge, ~at_edge))
+        at_edge, *(max(spread(rest[part]), NOISE_FLOOR_DN) for part in (at_edge, ~at_edge))
     )
     low, high = np.quantile(drawn[area], [0.1, 0.9])
-    return LitBoard(LaserLight(light, noise, area), drawn, float(high - low), _spread(rest))
+    return LitBoard(LaserLight(light, noise, area), drawn, float(high - low), spread(rest))
 
 
 def _fitted(A: Float64, value: Float64, at_edge: Bool) -> Float64:
@@ -180,11 +180,6 @@ def _fitted(A: Float64, value: Float64, at_edge: Bool) -> Float64:
         H = A[kept].T @ A[kept]
         coefficients = np.linalg.solve(H + RIDGE * np.trace(H) * np.eye(len(H)), A[kept].T @ value[kept])
         rest = value - A @ coefficients
-        spread = np.where(at_edge, _spread(rest[at_edge]), _spread(rest[~at_edge]))
-        kept = np.abs(rest) <= TRIM_SIGMAS * np.maximum(spread, 1.0)
+        sigma = np.where(at_edge, spread(rest[at_edge]), spread(rest[~at_edge]))
+        kept = np.abs(rest) <= TRIM_SIGMAS * np.maximum(sigma, 1.0)
     return coefficients
-
-
-def _spread(values: Float64) -> float:
-    """Return 1 sigma of values, from their median distance to the median; 0 of none."""
-    return MAD_SIGMA * float(np.median(np.abs(values - np.median(values)))) if len(values) else 0.0

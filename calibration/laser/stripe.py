@@ -8,7 +8,8 @@ under a Gaussian of the stripe's width: the matched filter's maximum.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Callable
+from dataclasses import dataclass, replace
 
 import cv2
 import numpy as np
@@ -16,7 +17,7 @@ import numpy as np
 from calibration.boards.board import Board
 from calibration.camera.lens import Lens
 from noise_model.arrays import Bool, Float32, Float64, Int64, Integers
-from tracker.joint.section_fit import MAD_SIGMA
+from noise_model.robust import spread
 from tracker.stripe.viterbi import best_path
 
 SCALES_PX = (1.5, 3.0, 6.0, 12.0)
@@ -136,14 +137,14 @@ def laser_light(off_dn: Integers, on_dn: Integers, area: Bool) -> LaserLight:
         gain, offset = np.polyfit(off[kept], on[kept], 1)
         rest = on - gain * off - offset
         middle = float(np.median(rest))
-        kept = np.abs(rest - middle) <= LIGHT_SIGMAS * max(_spread(rest), 1.0)
+        kept = np.abs(rest - middle) <= LIGHT_SIGMAS * max(spread(rest), 1.0)
     light = np.zeros(off_dn.shape, dtype=np.float32)
     rest = on - gain * off - offset
     light[area] = rest
     # Bright squares have more shot noise, and more of what a codec leaves.
     limits = np.quantile(off, np.linspace(0.0, 1.0, BRIGHTNESSES + 1)[1:-1])
     part = np.searchsorted(limits, off)
-    spreads = [_spread(rest[part == n]) if (part == n).any() else 0.0 for n in range(BRIGHTNESSES)]
+    spreads = [spread(rest[part == n]) for n in range(BRIGHTNESSES)]
     noise = np.ones(off_dn.shape, dtype=np.float32)
     noise[area] = np.maximum(spreads, NOISE_FLOOR_DN)[part]
     return LaserLight(light, noise, area)
@@ -167,14 +168,10 @@ def find_stripe(seen: LaserLight) -> Stripe | None:
         return None
     box = slice(rows[0], rows[-1] + 1), slice(columns[0], columns[-1] + 1)
     light, noise, area = seen.light_dn[box], seen.noise_dn[box], seen.area[box]
-    both = [_along(np.ascontiguousarray(light.T), noise.T, area.T), _along(light, noise, area)]
-    along_rows = both[0].clearness >= both[1].clearness
-    best = both[0] if along_rows else both[1]
-    if len(best.scan) < LEAST_LINES:
+    stripe = _clearer(_along, LaserLight(light, noise, area))
+    if stripe is None:
         return None
-    pair = [best.scan, best.places] if along_rows else [best.places, best.scan]
-    corner = np.array([columns[0], rows[0]])
-    return Stripe(np.column_stack(pair) + corner, along_rows, best.scale_px)
+    return replace(stripe, points_px=stripe.points_px + np.array([columns[0], rows[0]]))
 
 
 def likeliest_path(seen: LaserLight) -> Stripe | None:
@@ -190,16 +187,7 @@ def likeliest_path(seen: LaserLight) -> Stripe | None:
     Stripe or None
         A point in each scan line that shows it, along the direction in which it is clearer; None without one.
     """
-    both = [
-        _path(np.ascontiguousarray(seen.light_dn.T), seen.noise_dn.T, seen.area.T),
-        _path(seen.light_dn, seen.noise_dn, seen.area),
-    ]
-    along_rows = both[0].clearness >= both[1].clearness
-    best = both[0] if along_rows else both[1]
-    if len(best.scan) < LEAST_LINES:
-        return None
-    pair = [best.scan, best.places] if along_rows else [best.places, best.scan]
-    return Stripe(np.column_stack(pair).astype(np.float64), along_rows, best.scale_px)
+    return _clearer(_path, seen)
 
 
 @dataclass(frozen=True)
@@ -212,23 +200,41 @@ class _Track:
     scale_px: float
 
 
-def _along(lines: Float32, noise: Float32, inside: Bool) -> _Track:
-    """Return the straightest of the likely stripes across scan lines (n, m)."""
-    score, sigma = _matched(lines, noise, inside)
-    nothing = _Track(0.0, np.empty(0, dtype=np.int64), np.empty(0), sigma)
+def _clearer(track: Callable[[Float32, Float32, Bool], _Track], seen: LaserLight) -> Stripe | None:
+    """Return the stripe along the direction in which it is tracked more clearly; None without one."""
+    light, noise, area = seen.light_dn, seen.noise_dn, seen.area
+    both = [track(np.ascontiguousarray(light.T), noise.T, area.T), track(light, noise, area)]
+    along_rows = both[0].clearness >= both[1].clearness
+    best = both[0] if along_rows else both[1]
+    if len(best.scan) < LEAST_LINES:
+        return None
+    pair = [best.scan, best.places] if along_rows else [best.places, best.scan]
+    return Stripe(np.column_stack(pair), along_rows, best.scale_px)
+
+
+def _likely(score: Float32) -> tuple[Int64, Int64]:
+    """Return the scan lines (k,) in which the likeliest path is clear, and its places there (k,)."""
     choice = np.empty(len(score), dtype=np.int64)
     best_path(score, choice)
     scan = np.flatnonzero(choice >= 0)
     scan = scan[score[scan, choice[scan]] >= LEAST_SCORE]
+    return scan, choice[scan]
+
+
+def _along(lines: Float32, noise: Float32, inside: Bool) -> _Track:
+    """Return the straightest of the likely stripes across scan lines (n, m)."""
+    score, sigma = _matched(lines, noise, inside)
+    nothing = _Track(0.0, np.empty(0, dtype=np.int64), np.empty(0), sigma)
+    scan, place = _likely(score)
     if len(scan) < LEAST_LINES:
         return nothing
-    agreed = _agreed(scan, choice[scan], score[scan, choice[scan]], BEND_PX + 2.0 * sigma)
+    agreed = _agreed(scan, place, score[scan, place], BEND_PX + 2.0 * sigma)
     if agreed.sum() < LEAST_LINES:
         return nothing
     # A bent line: twice, as the first time only those near a straight one count.
     for _ in range(2):
-        course = np.polynomial.Polynomial.fit(scan[agreed], choice[scan[agreed]], 2)
-        agreed = np.abs(choice[scan] - course(scan)) <= 2.0 * sigma + 1.0
+        course = np.polynomial.Polynomial.fit(scan[agreed], place[agreed], 2)
+        agreed = np.abs(place - course(scan)) <= 2.0 * sigma + 1.0
         if agreed.sum() < LEAST_LINES:
             return nothing
     near = np.arange(scan[agreed].min(), scan[agreed].max() + 1)
@@ -246,14 +252,11 @@ def _along(lines: Float32, noise: Float32, inside: Bool) -> _Track:
 def _path(lines: Float32, noise: Float32, inside: Bool) -> _Track:
     """Return the likeliest path across scan lines (n, m), where it is clear."""
     score, sigma = _matched(lines, noise, inside)
-    choice = np.empty(len(score), dtype=np.int64)
-    best_path(score, choice)
-    scan = np.flatnonzero(choice >= 0)
-    scan = scan[score[scan, choice[scan]] >= LEAST_SCORE]
-    start = choice[scan].astype(np.float64)
+    scan, place = _likely(score)
+    start = place.astype(np.float64)
     places, settled = _centroids(lines[scan], start, sigma)
     settled &= np.abs(places - start) <= 2.0 * sigma + 1.0
-    clear = score[scan, choice[scan]][settled]
+    clear = score[scan, place][settled]
     clearness = float(np.minimum(0.5 * clear**2, GAIN_CAP).sum())
     return _Track(clearness, scan[settled], places[settled], sigma)
 
@@ -265,7 +268,7 @@ def _on_one_curve(scan: Int64, places: Float64, clear: Bool) -> Bool:
         if kept.sum() < LEAST_LINES:
             return kept
         off = places - np.polynomial.Polynomial.fit(scan[kept], places[kept], 2)(scan)
-        near = np.abs(off) <= max(TRIM_SIGMAS * _spread(off[kept]), LEAST_TRIM_PX)
+        near = np.abs(off) <= max(TRIM_SIGMAS * spread(off[kept]), LEAST_TRIM_PX)
         kept = _without_scraps(scan, clear & near)
     return kept
 
@@ -291,7 +294,7 @@ def _matched(lines: Float32, noise: Float32, inside: Bool) -> tuple[Float32, flo
         wide = cv2.GaussianBlur(lines, (0, 0), sigmaX=SURROUND * sigma, sigmaY=ALONG_PX)
         output = (near - wide) / noise
         # The output's own spread says how much noise is left, whatever a codec has made of it.
-        score = np.where(inside, output / max(_spread(output[inside]), 1e-6), 0.0).astype(np.float32)
+        score = np.where(inside, output / max(spread(output[inside]), 1e-6), 0.0).astype(np.float32)
         shows = float(score.max(axis=1).mean())
         if shows > best[0]:
             best, best_score = (shows, sigma), score
@@ -329,8 +332,3 @@ def _centroids(lines: Float32, start_px: Float64, sigma_px: float) -> tuple[Floa
             break
     near = np.abs(place - start_px) <= REACH * sigma_px
     return place, near & (np.abs(np.nan_to_num(step, nan=np.inf)) < 0.01)
-
-
-def _spread(values: Float64 | Float32) -> float:
-    """Return 1 sigma of values, from their median distance to the median."""
-    return MAD_SIGMA * float(np.median(np.abs(values - np.median(values))))

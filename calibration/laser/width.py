@@ -18,7 +18,7 @@ from scipy.stats import chi2
 
 from calibration.laser.image_line import lines_together
 from noise_model.arrays import Float64
-from tracker.joint.section_fit import MAD_SIGMA
+from noise_model.robust import spread
 
 LEAST_LINES = 15
 """Fewer scan lines tell no width."""
@@ -117,9 +117,11 @@ def width_of_pair(width_px: Float64, per_px_mm: Float64, blur_px: float) -> tupl
     variance = float(np.median(square))
     if variance < LEAST_OVER_BLUR * float(np.median((per_px_mm[known] * width_px[known]) ** 2)):
         return None
-    spread = MAD_SIGMA * float(np.median(np.abs(square - variance)))
-    independent = len(square) / lines_together(square.clip(variance - 5.0 * spread, variance + 5.0 * spread))
-    error = MEDIAN_ERROR * spread / math.sqrt(max(independent, 1.0))
+    scatter = spread(square)
+    independent = len(square) / lines_together(
+        square.clip(variance - 5.0 * scatter, variance + 5.0 * scatter)
+    )
+    error = MEDIAN_ERROR * scatter / math.sqrt(max(independent, 1.0))
     sigma = math.sqrt(variance)
     return sigma, max(0.5 * error / sigma, 1e-6 * sigma)
 
@@ -182,8 +184,8 @@ def _fit(law: Law, depth: Float64, sigma: Float64, error: Float64) -> _Fit | Non
     freedom = len(depth) - A.shape[1]
     if freedom < 1:
         return None
-    value, spread = (sigma**2, 2.0 * sigma * error) if law is Law.WAIST else (sigma, error)
-    A, value = A / spread[:, np.newaxis], value / spread
+    value, each = (sigma**2, 2.0 * sigma * error) if law is Law.WAIST else (sigma, error)
+    A, value = A / each[:, np.newaxis], value / each
     scale = np.linalg.norm(A, axis=0)
     small = np.linalg.pinv((A / scale).T @ (A / scale)) / np.outer(scale, scale)
     coefficients = small @ A.T @ value

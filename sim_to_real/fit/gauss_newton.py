@@ -12,15 +12,13 @@ import numpy as np
 from noise_model.arrays import Float64
 from noise_model.effects import REGISTRY, Values
 from noise_model.fit import Parameter, within_bounds
+from noise_model.robust import sigma_of
 from sim_to_real.fit.linearized_model import RENDERED_EFFECTS, FrameLight, LinearizedModel
 from sim_to_real.fit.quadratic import Quadratic
 from sim_to_real.fit.trend import Trend, trend_among
 
 HUBER_SIGMAS = 3.0
 """Huber's bound, in robust sigmas of the residuals."""
-
-MAD_SIGMA = 1.4826
-"""A normal distribution's sigma over its median absolute deviation."""
 
 MIN_EVIDENCE_NATS = 3.0
 """Evidence by which effects must beat their absence, nats."""
@@ -222,7 +220,7 @@ def broyden_update(J: Float64, step: Float64, residual_change: Float64) -> Float
 
 def huber_bound(r: Float64) -> float:
     """Return Huber's bound for residuals (n,), proportional to their own spread."""
-    return HUBER_SIGMAS * max(1.0, MAD_SIGMA * float(np.median(np.abs(r))))
+    return HUBER_SIGMAS * max(1.0, sigma_of(r))
 
 
 def huber_weights(r: Float64, bound: float) -> Float64:

@@ -9,9 +9,9 @@ import numpy as np
 from scipy.ndimage import distance_transform_edt
 
 from noise_model.arrays import Bool, Float32, Float64, Int64, Integers
+from noise_model.robust import sigma_of
 from sim_to_real.data.binned import STRATA, THINNING
 from sim_to_real.diagnosis import Curve, Where
-from sim_to_real.fit.gauss_newton import MAD_SIGMA
 from sim_to_real.locate.covariates import UNITS, Covariates
 from sim_to_real.locate.spline_term import (
     MIN_EXCESS,
@@ -243,7 +243,7 @@ def noise_shares(covariates: Covariates, residuals: Float64) -> NoiseShares:
         if told:
             count = float(np.sum(covariates.in_stripe == in_stripe))
             d = min(told, key=lambda of_axis: float(np.mean(of_axis**2)))
-            usual = SPARK_SIGMAS * max(1.0, MAD_SIGMA * float(np.median(np.abs(d))))
+            usual = SPARK_SIGMAS * max(1.0, sigma_of(d))
             steady = float(np.mean(np.minimum(np.abs(d), usual) ** 2))
             noise[in_stripe] = max(0.0, steady - 1.0) * count / excess
             sparks += (float(np.mean(d**2)) - steady) * count / excess

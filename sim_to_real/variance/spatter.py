@@ -20,9 +20,9 @@ from scipy.special import gammaln, xlogy
 from noise_model.arrays import Bool, Float32, Float64
 from noise_model.effects import REGISTRY
 from noise_model.instrument.sensor import Sensor, electrons_per_dn, linearise, saturation_dn
+from noise_model.robust import sigma_of, spread
 from sim_to_real.data.binned import Observed
 from sim_to_real.data.blocks import dilated, in_blocks
-from sim_to_real.fit.gauss_newton import MAD_SIGMA
 from sim_to_real.fit.linearized_model import FrameLight
 from sim_to_real.variance.haar_details import VarianceSizes
 from sim_to_real.variance.streaks import Line, LineSearch, search_lines, transient_lines
@@ -219,7 +219,7 @@ def _background(electrons: Float64, beside: Bool, noise_e: float) -> Float64 | N
             return None
         fitted = basis @ np.linalg.lstsq(basis[use], electrons[use], rcond=None)[0]
         remainder = electrons - fitted
-        spread_e = MAD_SIGMA * float(np.median(np.abs(remainder[use])))
+        spread_e = sigma_of(remainder[use])
         use = beside & (np.abs(remainder) < OUTLIER_SIGMAS * max(noise_e, spread_e))
     is_smooth = (
         float(np.std(remainder[use])) < MAX_BACKGROUND_NOISE * noise_e
@@ -306,8 +306,7 @@ def _unlikely(values: Mapping[str, float]) -> float:
 
 def _of_median(values: Float64) -> float:
     """Return 1 sigma of the median of values (n,), at least the error of moments."""
-    spread = MAD_SIGMA * float(np.median(np.abs(values - np.median(values))))
-    return math.sqrt(0.5 * math.pi * spread**2 / len(values) + MOMENT_ERROR_PX**2)
+    return math.sqrt(0.5 * math.pi * spread(values) ** 2 / len(values) + MOMENT_ERROR_PX**2)
 
 
 def _evidence(n: int, n_lit: int, n_others: int, n_frames: int) -> float:
