@@ -11,7 +11,7 @@ from pathlib import Path
 
 from pydantic import BaseModel, ConfigDict, ValidationError
 
-from arctrack.calibration_files.hand_eye_poses import PoseSource
+from arctrack.calibration_files.robot_poses import PoseSource
 from arctrack.errors import ArctrackError, in_file
 from arctrack.importing.image_files import images_of
 from arctrack.importing.units import parse_units

@@ -9,13 +9,11 @@ from pathlib import Path
 import numpy as np
 
 from arctrack.calibration_files.board_images import reason_of
-from arctrack.calibration_files.hand_eye_poses import PoseSource
+from arctrack.calibration_files.robot_poses import PoseSource, read_robot_poses
 from arctrack.errors import ArctrackError, in_file
-from arctrack.importing.columns import UNKNOWN_IMAGE
 from arctrack.importing.grey import channel_of_laser, grey
 from arctrack.importing.image_decoder import EncodedImage
-from arctrack.importing.image_files import ImageSeries, distinct_names, find_images
-from arctrack.importing.pose_files import read_poses
+from arctrack.importing.image_files import distinct_names, find_images
 from arctrack.recording import BadFrame, Recording, SetupFile
 from calibration.camera.known_lens import lens_of
 from calibration.camera.lens import Lens
@@ -23,7 +21,6 @@ from calibration.gauge.shape import Gauge
 from calibration.gauge.sightings import Posed
 from calibration.gauge.stripe_pieces import Pieces, stripe_pieces
 from noise_model.arrays import Float64, Integers
-from noise_model.transforms import invert
 
 MOST_FRAMES = 40
 """So many frames of a recording are looked at, evenly over it."""
@@ -110,12 +107,11 @@ def read_gauge_images(
     series = find_images(sources)
     names = distinct_names(series.paths)
     images = GaugeImages(_lens(stated), poses is not None)
-    T_base_tool = _poses(poses, stated, series)
+    robot = None if poses is None else read_robot_poses(poses, series, stated)
     channel = channel_of_laser(stated.setup)
     for n, path in enumerate(series.paths):
         progress(n, len(series))
-        pose = T_base_tool[n]
-        if pose is None:
+        if robot is not None and not robot.has(n):
             images.left_out[names[path]] = "has no pose"
             continue
         try:
@@ -123,7 +119,8 @@ def read_gauge_images(
         except ArctrackError as error:
             images.left_out[names[path]] = reason_of(error, path)
             continue
-        images.add(names[path], image, pose, gauge)
+        T_base_tool = np.eye(4) if robot is None else robot.at(int(robot.rows[n]))
+        images.add(names[path], image, T_base_tool, gauge)
     progress(len(series), len(series))
     return images
 
@@ -179,25 +176,3 @@ def read_gauge_frames(
 
 def _lens(stated: SetupFile) -> Lens:
     return lens_of(stated.setup.camera)
-
-
-def _poses(source: PoseSource | None, stated: SetupFile, series: ImageSeries) -> list[Float64 | None]:
-    """Return the robot's pose (4, 4) at each image, mm; the unit pose where none are given."""
-    if source is None:
-        return [np.eye(4)] * len(series)
-    poses, _ = read_poses(
-        source.path,
-        source.translations,
-        source.rotation,
-        source.units,
-        source.columns,
-        series,
-        False,
-        may_lack=True,
-    )
-    if poses.rows is None and len(poses.T_base_tool) != len(series):
-        counts = f"{len(poses.T_base_tool)} poses for {len(series)} images"
-        raise in_file(source.path, f"has {counts}: add a column file or frame that says which is whose")
-    rows = range(len(series)) if poses.rows is None else poses.rows.tolist()
-    to_tool = np.eye(4) if stated.T_tool_controllertool is None else invert(stated.T_tool_controllertool)
-    return [None if row == UNKNOWN_IMAGE else poses.T_base_tool[row] @ to_tool for row in rows]

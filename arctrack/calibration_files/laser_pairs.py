@@ -13,18 +13,17 @@ from pathlib import Path
 import numpy as np
 
 from arctrack.calibration_files.board_images import BoardImages, read_boards, reason_of
+from arctrack.calibration_files.stated_camera import check_size, stated_lens
 from arctrack.errors import ArctrackError, in_file
 from arctrack.importing.grey import channel_of_laser, grey
 from arctrack.importing.image_decoder import EncodedImage
 from arctrack.importing.image_files import distinct_names, images_of
 from arctrack.recording import SetupFile
-from arctrack.recording.setup_model import CalibrationTable
 from calibration.boards.board import Board
 from calibration.boards.detect import WINDOW
 from calibration.camera.adjustment import Scene, adjusted
 from calibration.camera.calibrate import one_thread
-from calibration.camera.known_lens import board_poses, lens_of
-from calibration.camera.lens import PINHOLE, Lens
+from calibration.camera.known_lens import board_poses
 from calibration.camera.noise import LEAST_CORNERS
 from calibration.camera.sightings import Sightings
 from calibration.laser.cross_sections import CrossSections, cross_sections, placed
@@ -141,23 +140,17 @@ def read_pairs(
             progress(done, total)
 
     boards = read_boards(with_board, board, lambda n, _: tell(n))
-    camera = stated.setup.camera
-    if boards.size != (camera.width, camera.height):
-        raise ArctrackError(
-            f"{stated.path}: [camera] width, height: {camera.width} x {camera.height}, but the images are "
-            f"{boards.size[0]} x {boards.size[1]} px: `arctrack calibrate camera` comes first"
-        )
+    check_size(boards.size, stated)
     names, on_names, dark_names = (distinct_names(each) for each in (with_board, [*pairs.values()], dark))
     left_out = {dark_names[path]: "has no image with the laser" for path in dark}
     for path in with_both:
         if names[path] in boards.left_out:
             boards.left_out[names[path]] += "; and it has no image without the laser"
-    record = stated.calibrations.get("camera")
-    lens = lens_of(camera, [] if record is None else record.parameters)
+    lens, covariance = stated_lens(stated)
     result = LaserPairs(
         boards,
         *board_poses(board, boards.views, lens),
-        None if record is None else lens_covariance(record, lens, stated.path),
+        covariance,
         left_out=left_out | boards.left_out,
     )
     paths = {names[path]: path for path in with_board}
@@ -229,19 +222,3 @@ def _without_lit_corners(pairs: LaserPairs) -> LaserPairs:
         rest = seen.where(kept)
         scene = adjusted(pairs.scene, rest, np.ones(len(rest)), poses_only=True)
     return replace(pairs, scene=scene, seen=rest)
-
-
-def lens_covariance(record: CalibrationTable, lens: Lens, path: Path) -> Float64 | None:
-    """Return the covariance (n, n) of a lens' parameters that a calibration has; None if it lacks some."""
-    rows = {name: row for row, name in enumerate(record.parameters)}
-    try:
-        whole = record.matrix("calibration.camera")
-    except ValueError as error:
-        raise in_file(path, str(error)) from None
-    if not set(PINHOLE) <= set(rows):
-        return None
-    covariance = np.zeros((len(lens.names), len(lens.names)))
-    known = [n for n, name in enumerate(lens.names) if name in rows]
-    picked = [rows[lens.names[n]] for n in known]
-    covariance[np.ix_(known, known)] = whole[np.ix_(picked, picked)]
-    return covariance

@@ -13,7 +13,7 @@ from arctrack.cli.setups import read_setup, write_calibrated
 from arctrack.errors import ArctrackError
 
 if TYPE_CHECKING:
-    from arctrack.calibration_files.hand_eye_poses import PoseSource
+    from arctrack.calibration_files.robot_poses import PoseSource
     from arctrack.recording import Recording
     from calibration.gauge.shape import Gauge
 
@@ -126,7 +126,7 @@ def _images_of(sources: list[Path]) -> list[Path]:
 
 
 def _poses_of(poses: Path | None, rotation: str | None, units: str) -> PoseSource | None:
-    from arctrack.calibration_files.hand_eye_poses import PoseSource
+    from arctrack.calibration_files.robot_poses import PoseSource
     from arctrack.importing.units import parse_units
 
     if poses is None:

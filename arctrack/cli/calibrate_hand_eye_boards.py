@@ -30,7 +30,7 @@ def from_boards(
 ) -> None:
     """Calibrate, and write page and setup."""
     from arctrack.calibrating.hand_eye import hand_eye_stage
-    from arctrack.calibration_files.hand_eye_poses import PoseSource
+    from arctrack.calibration_files.robot_poses import PoseSource
     from arctrack.cli import console
     from arctrack.importing.image_files import images_of
     from arctrack.importing.units import parse_units
