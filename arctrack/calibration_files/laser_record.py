@@ -20,13 +20,6 @@ ORIGIN = ("origin_x_mm", "origin_y_mm", "origin_z_mm")
 FAN = (*ORIGIN, "fan_half_angle_deg")
 
 
-def plane_in_tool(result: LaserCalibration, setup: Setup) -> tuple[Float64, Float64]:
-    """Return the plane (4,) in the tool frame and its covariance (4, 4); n points as the stated one does."""
-    plane, covariance = result.in_tool(setup.camera.T_tool_camera)
-    sign = 1.0 if plane[:3] @ setup.laser.plane[:3] >= 0.0 else -1.0
-    return sign * plane, covariance
-
-
 def laser_record(result: LaserCalibration, beam: Beam, setup: Setup) -> Calibrated:
     """Return the sheet as values of `[laser]`, with their covariance.
 
@@ -44,7 +37,7 @@ def laser_record(result: LaserCalibration, beam: Beam, setup: Setup) -> Calibrat
     Calibrated
         The plane, the origin: the one stated is moved into the plane, and angle and thickness that are known.
     """
-    plane, covariance = plane_in_tool(result, setup)
+    plane, covariance = result.in_tool(setup.camera.T_tool_camera, setup.laser.plane)
     values: dict[str, Value] = {
         "plane_in_tool": [rounded(value, 9) for value in plane],
         "origin_in_tool_mm": [round(float(value), 4) for value in beam.origin_mm],

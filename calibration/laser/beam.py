@@ -104,9 +104,7 @@ def beam_of(
         What the pairs tell.
     """
     T = camera.T_tool_camera
-    plane, covariance = result.in_tool(T)
-    sign = 1.0 if plane[:3] @ laser.plane[:3] >= 0.0 else -1.0
-    plane = sign * plane
+    plane, covariance = result.in_tool(T, laser.plane)
     origin = laser.origin_mm - (plane[:3] @ laser.origin_mm + plane[3]) * plane[:3]
     axis, side, _ = replace(laser, plane_in_tool=tuple(plane)).fan
     in_sheet = np.stack([axis, side])

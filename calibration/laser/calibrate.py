@@ -109,12 +109,17 @@ class LaserCalibration:
         """How far the sheet is bent along the stripes."""
         return bow_of(self.points_mm, self.off_mm)
 
-    def in_tool(self, T_tool_camera: Float64) -> tuple[Float64, Float64]:
-        """Return plane (4,) and covariance (4, 4) in the tool frame; the camera's pose counts as exact."""
+    def in_tool(self, T_tool_camera: Float64, stated: Float64) -> tuple[Float64, Float64]:
+        """Return plane (4,) and covariance (4, 4) in the tool frame; the camera's pose counts as exact.
+
+        The normal points as that of the plane (4,) `stated` does.
+        """
         R, t = T_tool_camera[:3, :3], T_tool_camera[:3, 3]
         to_tool = np.zeros((4, 4))
         to_tool[:3, :3], to_tool[3, :3], to_tool[3, 3] = R, -t @ R, 1.0
-        return to_tool @ self.plane, to_tool @ self.covariance @ to_tool.T
+        plane = to_tool @ self.plane
+        sign = 1.0 if plane[:3] @ stated[:3] >= 0.0 else -1.0
+        return sign * plane, to_tool @ self.covariance @ to_tool.T
 
     def distance_sigma_mm(self, points_mm: Float64) -> Float64:
         """Return 1 sigma of the plane's place along its normal at points (n, 3), mm, camera frame."""

@@ -113,7 +113,9 @@ def test_the_plane_goes_to_the_tool_frame_with_its_covariance() -> None:
     result = found_sheet()
     T = np.eye(4)
     T[:3, :3], T[:3, 3] = Rotation.from_rotvec([0.3, -1.2, 0.5]).as_matrix(), [90.0, 5.0, 130.0]
-    plane, covariance = result.in_tool(T)
+    stated = np.array([*(T[:3, :3] @ result.plane[:3]), 0.0])
+    plane, covariance = result.in_tool(T, stated)
+    assert result.in_tool(T, -stated)[0].tolist() == (-plane).tolist()
     points = stripe_points(BOARDS[2])
     in_tool = points @ T[:3, :3].T + T[:3, 3]
     assert in_tool @ plane[:3] + plane[3] == pytest.approx(points @ result.plane[:3] + result.plane[3])

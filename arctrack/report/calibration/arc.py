@@ -6,7 +6,7 @@ import numpy as np
 
 from arctrack.recording import Recording
 from arctrack.report import style
-from arctrack.report.calibration.page import HALF_95, CalibrationPage, Picture, Row, with_sigma
+from arctrack.report.calibration.page import CalibrationPage, Picture, Row, row_of, with_sigma
 from arctrack.report.embedded import svg
 from calibration.arc.calibrate import KEYS, ArcCalibration, Combination
 from calibration.arc.problem import C2, RADIANCE, RADIUS, RATIO, X, Y, Z
@@ -90,15 +90,13 @@ def _rows(result: ArcCalibration) -> tuple[Row, ...]:
         if key in result.held_keys:
             rows.append(Row(what, key, f"{value:.5g}", "", "as stated", unit))
             continue
-        shown, within = _number(value, sigma)
-        low, high = (_number(value + sign * HALF_95 * sigma, sigma)[0] for sign in (-1.0, 1.0))
-        rows.append(Row(what, key, shown, within, f"{low} to {high}", unit))
+        rows.append(row_of(what, key, value, sigma, unit, shown=_number))
     return tuple(rows)
 
 
 def _number(value: float, sigma: float) -> tuple[str, str]:
     # Brightness has seven digits before its point.
-    return (f"{value:.4g}", f"{sigma:.2g}") if abs(value) > 1e4 else with_sigma(float(value), float(sigma))
+    return (f"{value:.4g}", f"{sigma:.2g}") if abs(value) > 1e4 else with_sigma(value, sigma)
 
 
 def _wide(name: str, sigma: float) -> str:

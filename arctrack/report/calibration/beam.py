@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from arctrack.report import style
-from arctrack.report.calibration.page import HALF_95, Picture, Row, with_sigma
+from arctrack.report.calibration.page import Picture, Row, row_of, with_sigma
 from arctrack.report.embedded import svg
 from calibration.laser.beam import Beam
 from calibration.laser.fan import Fan, Missing
@@ -26,22 +26,16 @@ def beam_rows(beam: Beam) -> tuple[Row, ...]:
         assert beam.covariance is not None
         sigma = np.sqrt(np.diag(beam.covariance))[4:7]
         for axis, value, each in zip("xyz", beam.origin_mm, sigma, strict=True):
-            rows.append(_row(f"origin, {axis}", f"origin_in_tool_mm, {axis}", value, each, "mm"))
+            rows.append(row_of(f"origin, {axis}", f"origin_in_tool_mm, {axis}", value, each, "mm"))
         rows.append(
-            _row(
+            row_of(
                 "half angle of the fan", "fan_half_angle_deg", beam.fan.half_angle_deg, beam.fan.sigma[2], "°"
             )
         )
     if not isinstance(beam.width, str) and beam.width.at_height_mm is not None:
         value, error = beam.width.at_height_mm
-        rows.append(_row("thickness at tool height, 1 σ of half", "stripe_sigma_mm", value, error, "mm"))
+        rows.append(row_of("thickness at tool height, 1 σ of half", "stripe_sigma_mm", value, error, "mm"))
     return tuple(rows)
-
-
-def _row(what: str, key: str, value: float, sigma: float, unit: str) -> Row:
-    low, high = (with_sigma(value + sign * HALF_95 * sigma, sigma)[0] for sign in (-1.0, 1.0))
-    shown, within = with_sigma(float(value), float(sigma))
-    return Row(what, key, shown, within, f"{low} to {high}", unit)
 
 
 def beam_sentences(beam: Beam) -> list[str]:

@@ -10,7 +10,7 @@ from matplotlib.figure import Figure
 from arctrack.calibration_files.board_images import BoardImages
 from arctrack.recording import SetupFile
 from arctrack.report.calibration import camera_pictures
-from arctrack.report.calibration.page import HALF_95, CalibrationPage, Picture, Row, with_sigma
+from arctrack.report.calibration.page import CalibrationPage, Picture, Row, row_of, with_reasons
 from arctrack.report.embedded import svg
 from calibration.camera.calibrate import CameraCalibration
 from calibration.camera.enough import GOOD_COVER, cover, empty_parts
@@ -55,7 +55,6 @@ def camera_page(result: CameraCalibration, images: BoardImages, stated: SetupFil
             f"One more image is worth most with the board {result.next_board.words}: the projection's sigma "
             f"would be {result.next_board.sigma_px:.3f} px RMS over the image."
         )
-    left_out = {**images.left_out, **result.left_out}
     return CalibrationPage(
         f"arctrack calibrates a camera of {lens.width} × {lens.height} px",
         "refused" if result.model_error else "lens",
@@ -67,7 +66,7 @@ def camera_page(result: CameraCalibration, images: BoardImages, stated: SetupFil
         (),
         tuple(camera_notes(result, stated, images.is_dim)),
         "unknown" if result.model_error else "no_gap",
-        (*(f"{name}: {reason}" for name, reason in left_out.items()), *_wrong_corners(result)),
+        (*with_reasons(images.left_out | result.left_out), *_wrong_corners(result)),
     )
 
 
@@ -77,9 +76,8 @@ def camera_rows(result: CameraCalibration) -> tuple[Row, ...]:
     rows = []
     for name, value, sigma in zip(result.names, values, result.sigma, strict=True):
         unit = "mm" if name.endswith("_mm") else UNITS.get(name, "")
-        low, high = (with_sigma(value + sign * HALF_95 * sigma, sigma)[0] for sign in (-1.0, 1.0))
         key = "" if name.endswith("_mm") else name
-        rows.append(Row(MEANINGS.get(name, RADIAL), key, *with_sigma(value, sigma), f"{low} to {high}", unit))
+        rows.append(row_of(MEANINGS.get(name, RADIAL), key, value, sigma, unit))
     if result.print_sigma_mm > 0.0:
         off = f"{result.print_sigma_mm:.4f}"
         rows.append(Row("how far corners are off on the board as printed, 1 σ", "", off, "", "", "mm"))

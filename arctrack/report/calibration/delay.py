@@ -7,7 +7,7 @@ from matplotlib.ticker import FormatStrFormatter
 
 from arctrack.recording import Recording
 from arctrack.report import style
-from arctrack.report.calibration.page import HALF_95, CalibrationPage, Picture, Row, with_sigma
+from arctrack.report.calibration.page import HALF_95, CalibrationPage, Picture, row_of, with_sigma
 from arctrack.report.embedded import svg
 from calibration.pose_delay import MAX_SIGMA_S, PoseDelay, with_delay
 
@@ -17,11 +17,8 @@ LINEAR_NATS = 10.0
 
 def delay_page(result: PoseDelay, recording: Recording) -> CalibrationPage:
     """Return what the page holds."""
-    value, sigma = with_sigma(1e3 * result.delay_s, 1e3 * result.sigma_s)
-    low, high = (
-        with_sigma(1e3 * (result.delay_s + sign * HALF_95 * result.sigma_s), 1e3 * result.sigma_s)[0]
-        for sign in (-1.0, 1.0)
-    )
+    delay_ms, sigma_ms = 1e3 * result.delay_s, 1e3 * result.sigma_s
+    value, sigma = with_sigma(delay_ms, sigma_ms)
     count = len(result.observations.timestamps_s)
     stated_s = recording.setup.effects.get("pose_delay", {}).get("delay_s", 0.0)
     is_known = result.unestimated is None
@@ -38,9 +35,7 @@ def delay_page(result: PoseDelay, recording: Recording) -> CalibrationPage:
         "pose delay" if is_known else "unestimated",
         f"{value} ± {sigma} ms" if is_known else "The delay is unestimated",
         sentences,
-        (Row("delay of the poses' clock", "delay_s", value, sigma, f"{low} to {high}", "ms"),)
-        if is_known
-        else (),
+        (row_of("delay of the poses' clock", "delay_s", delay_ms, sigma_ms, "ms"),) if is_known else (),
         (
             Picture(
                 _seam(result, recording),

@@ -8,9 +8,9 @@ from collections.abc import Sequence
 import numpy as np
 
 from arctrack.calibration_files.gauge_images import GaugeImages
-from arctrack.calibration_files.laser_record import PARAMETERS
 from arctrack.report import style
-from arctrack.report.calibration.page import HALF_95, CalibrationPage, Picture, Row, with_sigma
+from arctrack.report.calibration.laser import plane_in_words, plane_rows, turned_deg
+from arctrack.report.calibration.page import CalibrationPage, Picture, row_of, with_reasons
 from arctrack.report.embedded import svg
 from calibration.gauge.adjustment import Fit, Problem
 from calibration.gauge.calibrate import GaugeCalibration, GaugeCheck
@@ -18,7 +18,6 @@ from calibration.gauge.shape import Gauge, Shape
 from noise_model.arrays import Float64
 from noise_model.setup import Setup
 
-WORDS = ("normal, x", "normal, y", "normal, z", "distance, d")
 NOT_IN_SIGMAS = "The camera's pose in the tool and the lens count as exact here."
 
 
@@ -26,29 +25,27 @@ def gauge_page(result: GaugeCalibration, images: GaugeImages, setup: Setup) -> C
     """Return what the page of a calibration holds."""
     lean = np.degrees(result.sigma[:2])
     robot_mm, form_mm = result.fitted.noise_mm
-    turned_deg = math.degrees(math.acos(np.clip(result.plane[:3] @ setup.laser.plane[:3], -1.0, 1.0)))
     moved_mm = float((result.plane - setup.laser.plane) @ [*result.fitted.state.centre_mm, 1.0])
     sentences = (
         f"{len(result.problem.sightings)} images of {result.problem.gauge}. Amid the points the sheet is "
         f"known to {result.sigma[2]:.3f} mm along its normal, its two leans to {lean[0]:.3f}° and "
         f"{lean[1]:.3f}°, 1 σ.",
-        f"It is turned by {turned_deg:.2f}° against the one stated before, and {abs(moved_mm):.3f} mm away "
-        "from it amid the points. The stated origin is moved into it.",
+        f"It is turned by {turned_deg(result.plane, setup):.2f}° against the one stated before, and "
+        f"{abs(moved_mm):.3f} mm away from it amid the points. The stated origin is moved into it.",
         f"From pose to pose the gauge lies {robot_mm:.3f} mm off (1 σ in each direction): the robot's "
         f"inaccuracy, or the camera's pose. Along a piece of the stripe {form_mm:.3f} mm are left.",
     )
-    n_x, n_y, n_z, d = result.plane
     return CalibrationPage(
         "arctrack calibrates the laser sheet by a gauge",
         "laser plane",
-        f"[{n_x:.5f}, {n_y:.5f}, {n_z:.5f}, {d:.3f}] in the tool frame",
+        plane_in_words(result.plane),
         sentences,
-        _plane_rows(result),
+        plane_rows(result.plane, result.covariance),
         _pictures(result.problem, result.fitted, images),
         (),
         (NOT_IN_SIGMAS,),
         "no_gap",
-        tuple(f"{name}: {reason}" for name, reason in (images.left_out | result.left_out).items()),
+        with_reasons(images.left_out | result.left_out),
     )
 
 
@@ -58,14 +55,9 @@ def check_page(
     """Return what the page of a check holds; `line` is its verdict, `cure` what to do."""
     rows = []
     for check in checks:
-        shown, within = with_sigma(check.size_mm, check.sigma_mm)
-        low, high = (
-            with_sigma(check.size_mm + sign * HALF_95 * check.sigma_mm, check.sigma_mm)[0]
-            for sign in (-1.0, 1.0)
-        )
         count = len(check.problem.sightings)
         name = check.problem.sightings[0].name if count == 1 else f"{count} images"
-        rows.append(Row("the gauge's size", name, shown, within, f"{low} to {high}", "mm"))
+        rows.append(row_of("the gauge's size", name, check.size_mm, check.sigma_mm, "mm"))
     left_out = dict(images.left_out)
     for check in checks:
         left_out |= check.left_out
@@ -80,21 +72,8 @@ def check_page(
         (),
         (NOT_IN_SIGMAS,),
         "no_gap" if is_good else "ambiguous",
-        tuple(f"{name}: {reason}" for name, reason in left_out.items()),
+        with_reasons(left_out),
     )
-
-
-def _plane_rows(result: GaugeCalibration) -> tuple[Row, ...]:
-    rows = []
-    sigmas = np.sqrt(np.maximum(np.diag(result.covariance), 0.0))
-    for what, name, value, sigma in zip(WORDS, PARAMETERS, result.plane, sigmas, strict=True):
-        ends = np.array([value - HALF_95 * sigma, value + HALF_95 * sigma])
-        ends = ends if name == "d_mm" else ends.clip(-1.0, 1.0)
-        low, high = (with_sigma(end, sigma)[0] for end in ends.tolist())
-        shown, within = with_sigma(float(value), float(sigma))
-        unit = "mm" if name == "d_mm" else ""
-        rows.append(Row(what, f"plane_in_tool, {name}", shown, within, f"{low} to {high}", unit))
-    return tuple(rows)
 
 
 def _pictures(problem: Problem, fitted: Fit, images: GaugeImages) -> tuple[Picture, ...]:

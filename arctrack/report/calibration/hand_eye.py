@@ -9,7 +9,7 @@ from scipy.spatial.transform import Rotation
 
 from arctrack.calibration_files.hand_eye_poses import PosedBoards
 from arctrack.report.calibration.hand_eye_pictures import excitation, misfits, places, robot_off
-from arctrack.report.calibration.page import HALF_95, CalibrationPage, Picture, Row, with_sigma
+from arctrack.report.calibration.page import EXACT_LENS, CalibrationPage, Picture, Row, row_of, with_reasons
 from calibration.hand_eye_boards.calibrate import HandEyeCalibration
 from noise_model.setup import Setup
 
@@ -79,7 +79,7 @@ def hand_eye_page(
         (),
         tuple(_notes(result, posed, moves_sheet)),
         "ambiguous" if result.left_out or result.is_scale_off else "no_gap",
-        tuple(f"{name}: {reason}" for name, reason in (posed.left_out | result.left_out).items()),
+        with_reasons(posed.left_out | result.left_out),
     )
 
 
@@ -110,7 +110,7 @@ def hand_eye_rows(result: HandEyeCalibration, setup: Setup) -> tuple[Row, ...]:
         ("robot's turn, each axis", "robot_sigma_deg", result.robot_deg, result.robot_sigma[0], "deg"),
         ("board's size by the robot", "", result.scale, result.scale_sigma, "of that stated"),
     ):
-        rows.append(_row(what, key, value, sigma, HALF_95 * sigma, unit))
+        rows.append(row_of(what, key, value, sigma, unit))
     return tuple(rows)
 
 
@@ -124,9 +124,7 @@ def _rotation_vector(result: HandEyeCalibration) -> tuple[np.ndarray, np.ndarray
 
 
 def _row(what: str, key: str, value: float, sigma: float, half: float, unit: str) -> Row:
-    low, high = (with_sigma(float(value + sign * half), float(sigma))[0] for sign in (-1.0, 1.0))
-    shown, within = with_sigma(float(value), float(sigma))
-    return Row(what, key, shown, within, f"{low} to {high}", unit)
+    return row_of(what, key, value, sigma, unit, ends=(value - half, value + half))
 
 
 def _notes(result: HandEyeCalibration, posed: PosedBoards, moves_sheet: bool) -> list[str]:
@@ -135,10 +133,7 @@ def _notes(result: HandEyeCalibration, posed: PosedBoards, moves_sheet: bool) ->
         "camera's place that undoes it: the two together see better than either."
     ]
     if posed.lens_covariance is None:
-        notes = [
-            "The setup has no [calibration.camera]: the lens counts as exact, and the sigmas are too small. "
-            "`arctrack calibrate camera` writes it."
-        ]
+        notes = [EXACT_LENS]
     if not result.is_eye_to_hand:
         deg, mm = float(result.sigma[:3].max()), float(result.sigma[3:].max())
         notes.append(

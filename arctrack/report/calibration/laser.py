@@ -7,10 +7,19 @@ import math
 import numpy as np
 
 from arctrack.calibration_files.laser_pairs import LaserPairs
-from arctrack.calibration_files.laser_record import PARAMETERS, plane_in_tool
+from arctrack.calibration_files.laser_record import PARAMETERS
 from arctrack.report import style
 from arctrack.report.calibration.beam import beam_pictures, beam_rows, beam_sentences
-from arctrack.report.calibration.page import HALF_95, CalibrationPage, Picture, Row, with_sigma
+from arctrack.report.calibration.page import (
+    EXACT_LENS,
+    HALF_95,
+    CalibrationPage,
+    Picture,
+    Row,
+    row_of,
+    with_reasons,
+    with_sigma,
+)
 from arctrack.report.embedded import svg
 from calibration.laser.beam import Beam
 from calibration.laser.calibrate import LaserCalibration
@@ -34,14 +43,13 @@ def laser_page(result: LaserCalibration, pairs: LaserPairs, beam: Beam, setup: S
     pairs_mm = math.sqrt(result.scatter * float(row @ result.fit.covariance @ row))
     depth = points[:, 2]
     tilt_deg = math.degrees(result.fit.tilt_sigma * math.sqrt(result.scatter))
-    plane, _ = plane_in_tool(result, setup)
-    turned_deg = math.degrees(math.acos(np.clip(plane[:3] @ setup.laser.plane[:3], -1.0, 1.0)))
+    plane, covariance = result.in_tool(setup.camera.T_tool_camera, setup.laser.plane)
     sentences = [
         f"{len(result.names)} pairs, {len(points)} points from {depth.min():.0f} to {depth.max():.0f} mm of "
         f"depth lie {result.rms_mm:.3f} mm off the plane (RMS).",
         f"Along its normal the plane is known to {sigma_mm:.3f} mm amid the points, 1 σ: {pairs_mm:.3f} mm "
         f"from the pairs, the rest from the lens. Its lean about the stripes is known to {tilt_deg:.3f}°.",
-        f"It is turned by {turned_deg:.2f}° against the plane stated before.",
+        f"It is turned by {turned_deg(plane, setup):.2f}° against the plane stated before.",
     ]
     bow = result.bow
     if bow.is_sure:
@@ -60,23 +68,19 @@ def laser_page(result: LaserCalibration, pairs: LaserPairs, beam: Beam, setup: S
         "The plane in the tool frame rests on the setup's pose of the camera, which counts as exact here."
     ]
     if pairs.lens_covariance is None:
-        notes.append(
-            "The setup has no [calibration.camera]: the lens counts as exact, and the sigmas are too small. "
-            "`arctrack calibrate camera` writes it."
-        )
+        notes.append(EXACT_LENS)
     if pairs.lit:
         most = 100.0 * max(pairs.lit.values())
         notes.append(
             f"{len(pairs.lit)} images show board and stripe at once. The board's own picture is taken off "
             f"them, and up to {most:.1f} % of its contrast is left (1 σ)."
         )
-    n_x, n_y, n_z, d = plane
     return CalibrationPage(
         "arctrack calibrates the laser sheet",
         "laser plane",
-        f"[{n_x:.5f}, {n_y:.5f}, {n_z:.5f}, {d:.3f}] in the tool frame",
+        plane_in_words(plane),
         tuple(sentences),
-        (*laser_rows(result, setup), *beam_rows(beam)),
+        (*plane_rows(plane, covariance), *beam_rows(beam)),
         (
             Picture(
                 _in_plane(result),
@@ -99,24 +103,33 @@ def laser_page(result: LaserCalibration, pairs: LaserPairs, beam: Beam, setup: S
         (),
         tuple(notes),
         "no_gap" if result.scatter == 1.0 else "ambiguous",
-        tuple(f"{name}: {reason}" for name, reason in (pairs.left_out | result.left_out).items()),
+        with_reasons(pairs.left_out | result.left_out),
     )
 
 
-def laser_rows(result: LaserCalibration, setup: Setup) -> tuple[Row, ...]:
-    """Return the plane's four numbers in the tool frame."""
-    plane, covariance = plane_in_tool(result, setup)
-    sigmas = np.sqrt(np.maximum(np.diag(covariance), 0.0))
+def plane_rows(plane: Float64, covariance: Float64) -> tuple[Row, ...]:
+    """Return the four numbers of a plane (4,) in the tool frame, with its covariance (4, 4)."""
     rows = []
-    for what, name, value, sigma in zip(WORDS, PARAMETERS, plane, sigmas, strict=True):
-        ends = np.array([value - HALF_95 * sigma, value + HALF_95 * sigma])
-        # A unit vector's component ends at 1.
-        ends = ends if name == "d_mm" else ends.clip(-1.0, 1.0)
-        low, high = (with_sigma(end, sigma)[0] for end in ends.tolist())
-        shown, within = with_sigma(float(value), float(sigma))
+    sigmas = np.sqrt(np.maximum(np.diag(covariance), 0.0))
+    for what, name, value, sigma in zip(WORDS, PARAMETERS, plane.tolist(), sigmas.tolist(), strict=True):
+        low, high = value - HALF_95 * sigma, value + HALF_95 * sigma
         unit = "mm" if name == "d_mm" else ""
-        rows.append(Row(what, f"plane_in_tool, {name}", shown, within, f"{low} to {high}", unit))
+        if not unit:
+            # A unit vector's component ends at 1.
+            low, high = (min(max(end, -1.0), 1.0) for end in (low, high))
+        rows.append(row_of(what, f"plane_in_tool, {name}", value, sigma, unit, ends=(low, high)))
     return tuple(rows)
+
+
+def plane_in_words(plane: Float64) -> str:
+    """Return a plane (4,) of the tool frame as a headline."""
+    n_x, n_y, n_z, d = plane
+    return f"[{n_x:.5f}, {n_y:.5f}, {n_z:.5f}, {d:.3f}] in the tool frame"
+
+
+def turned_deg(plane: Float64, setup: Setup) -> float:
+    """Return by how much a plane (4,) is turned against the one that a setup states, deg."""
+    return math.degrees(math.acos(np.clip(plane[:3] @ setup.laser.plane[:3], -1.0, 1.0)))
 
 
 def _axes_of(result: LaserCalibration) -> tuple[Float64, Float64]:

@@ -3,12 +3,18 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
 from arctrack.report.template import environment
 
 TEMPLATE = "calibration.html.j2"
+
+EXACT_LENS = (
+    "The setup has no [calibration.camera]: the lens counts as exact, and the sigmas are too small. "
+    "`arctrack calibrate camera` writes it."
+)
+"""A note on a setup that does not say how well its lens is known."""
 
 HALF_95 = 1.96
 """Half of a 95 % interval of a normal law, in sigmas."""
@@ -63,6 +69,41 @@ def with_sigma(value: float, sigma: float) -> tuple[str, str]:
         return f"{value:.6g}", ""
     decimals = max(0, 1 - math.floor(math.log10(sigma)))
     return f"{value:.{decimals}f}", f"{sigma:.{decimals}f}"
+
+
+def row_of(
+    what: str,
+    key: str,
+    value: float,
+    sigma: float,
+    unit: str,
+    *,
+    ends: tuple[float, float] | None = None,
+    shown: Callable[[float, float], tuple[str, str]] = with_sigma,
+) -> Row:
+    """Return a value's row.
+
+    Parameters
+    ----------
+    what, key : str
+        What it is, and its key in the setup.
+    value, sigma : float
+        The value and its 1 sigma.
+    unit : str
+        The unit of both.
+    ends : tuple of float, optional
+        Where the 95 % interval begins and ends; default: that of a normal law.
+    shown : callable
+        Makes text of a value and its 1 sigma.
+    """
+    low, high = ends or (value - HALF_95 * sigma, value + HALF_95 * sigma)
+    first, last = (shown(float(end), float(sigma))[0] for end in (low, high))
+    return Row(what, key, *shown(float(value), float(sigma)), f"{first} to {last}", unit)
+
+
+def with_reasons(left_out: Mapping[str, str]) -> tuple[str, ...]:
+    """Return what was left out, each with why."""
+    return tuple(f"{name}: {reason}" for name, reason in left_out.items())
 
 
 def render(page: CalibrationPage, stages: Sequence[CalibrationPage] = ()) -> str:

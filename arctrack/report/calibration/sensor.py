@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 from matplotlib.ticker import FormatStrFormatter, LogLocator, NullFormatter
 from scipy.ndimage import uniform_filter
 
 from arctrack.report import style
-from arctrack.report.calibration.page import CalibrationPage, Picture, Row, with_sigma
+from arctrack.report.calibration.page import CalibrationPage, Picture, Row, row_of
 from arctrack.report.embedded import CHANGE, coloured, svg
 from calibration.sensor.flat_fields import SensorCalibration
 from calibration.sensor.levels import BOX_PX, Level
@@ -42,14 +43,9 @@ def sensor_rows(result: SensorCalibration) -> tuple[Row, ...]:
     for name, (what, key) in WORDS.items():
         estimate = result[name]
         factor, unit = (100.0, "%") if name in PERCENTS else (1.0, estimate.unit)
-        value, sigma = with_sigma(factor * estimate.value, factor * estimate.sigma)
-        low, high = (
-            with_sigma(factor * end, factor * estimate.sigma)[0] for end in (estimate.low, estimate.high)
-        )
-        is_held = estimate.sigma == 0.0
-        rows.append(
-            Row(what, key, value, "held" if is_held else sigma, "" if is_held else f"{low} to {high}", unit)
-        )
+        ends = (factor * estimate.low, factor * estimate.high)
+        row = row_of(what, key, factor * estimate.value, factor * estimate.sigma, unit, ends=ends)
+        rows.append(replace(row, sigma="held", interval="") if estimate.sigma == 0.0 else row)
     return tuple(rows)
 
 

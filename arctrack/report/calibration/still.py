@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from arctrack.report import style
-from arctrack.report.calibration.page import CalibrationPage, Picture, Row, with_sigma
+from arctrack.report.calibration.page import CalibrationPage, Picture, Row, row_of, with_sigma
 from arctrack.report.embedded import png, svg
 from arctrack.report.image import visible
 from calibration.sensor.flat_fields import Estimate
@@ -75,9 +75,8 @@ def still_page(result: StillCalibration, source: str, warnings: Sequence[str]) -
 
 
 def _row(what: str, key: str, estimate: Estimate) -> Row:
-    value, sigma = with_sigma(estimate.value, estimate.sigma)
-    low, high = (with_sigma(end, estimate.sigma)[0] for end in (estimate.low, estimate.high))
-    return Row(what, key, value, sigma, f"{low} to {high}", estimate.unit)
+    ends = (estimate.low, estimate.high)
+    return row_of(what, key, estimate.value, estimate.sigma, estimate.unit, ends=ends)
 
 
 def _transfer(result: StillCalibration) -> str:
