@@ -17,6 +17,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from calibration.camera.lens import Lens
+from calibration.hand_eye_boards.rigid import cross_matrices
 from noise_model.arrays import Float64
 
 CAMERA, LASER, HAND_EYE, ROBOT, DELAY = "camera", "laser", "hand-eye", "robot", "delay"
@@ -187,7 +188,9 @@ def certify(
     across = np.eye(3) - rays[:, :, np.newaxis] * normal / slope[:, np.newaxis, np.newaxis]
     per_ray = depth[:, np.newaxis, np.newaxis] * across
     per_lens = np.einsum("nij,njk->nik", per_ray, _rays_per_lens(known_lens, points_px))
-    per_pose = np.concatenate([-_skew(points), np.broadcast_to(np.eye(3), (len(points), 3, 3))], axis=2)
+    per_pose = np.concatenate(
+        [-cross_matrices(points), np.broadcast_to(np.eye(3), (len(points), 3, 3))], axis=2
+    )
     per_lens = per_lens + per_plane @ sheet.per_lens + per_pose @ hand_eye.per_lens
 
     def share(jacobian: Float64, covariance: Float64) -> Float64:
@@ -195,7 +198,7 @@ def certify(
         return np.asarray(turned @ covariance @ np.swapaxes(turned, 1, 2))
 
     in_tool = points @ R.T + hand_eye.T_tool_camera[:3, 3]
-    lever = _skew(in_tool)
+    lever = cross_matrices(in_tool)
     even = np.broadcast_to(np.eye(3), lever.shape)
     is_across = np.diag([0.0, 1.0, 1.0])
     return Certificate(
@@ -226,10 +229,3 @@ def _rays_per_lens(known: KnownLens, points_px: Float64) -> Float64:
         )
         per_lens[:, :, column] = (above - below) / (2.0 * step[column])
     return per_lens
-
-
-def _skew(points: Float64) -> Float64:
-    """Return the matrices (n, 3, 3) whose product with a vector is the cross product with it."""
-    zero = np.zeros(len(points))
-    x, y, z = points.T
-    return np.stack([[zero, -z, y], [z, zero, -x], [-y, x, zero]]).transpose(2, 0, 1)

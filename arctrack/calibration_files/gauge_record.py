@@ -8,6 +8,7 @@ from arctrack.calibration_files.laser_record import PARAMETERS
 from arctrack.recording import Calibrated
 from arctrack.recording.toml_text import rounded
 from calibration.gauge.calibrate import GaugeCalibration
+from calibration.laser.plane import foot_on
 from noise_model.setup import Setup
 
 MADE_BY = "arctrack calibrate gauge"
@@ -29,7 +30,7 @@ def gauge_record(result: GaugeCalibration, setup: Setup) -> Calibrated:
         The plane, and the point of it that is nearest to the origin stated.
     """
     plane = result.plane
-    origin = setup.laser.origin_mm - (plane[:3] @ setup.laser.origin_mm + plane[3]) * plane[:3]
+    origin = foot_on(plane, setup.laser.origin_mm)
     robot_mm, form_mm = result.fitted.noise_mm.tolist()
     return Calibrated(
         "laser",

@@ -18,6 +18,7 @@ from scipy.optimize import minimize
 from scipy.spatial.transform import Rotation
 
 from calibration.gauge.shape import Gauge
+from calibration.laser.plane import points_on_plane
 from noise_model.arrays import Float64, Int64
 
 ROUNDS, SETTLED = 40, 1e-4
@@ -154,8 +155,7 @@ class Problem:
         """Return where the rays (N, 3) of all images meet the sheet (N, 3), mm, base frame."""
         T = self.T_tool_camera
         directions = (self._rays if rays is None else rays) @ T[:3, :3].T
-        o, n = T[:3, 3], state.plane[:3]
-        points = o - ((n @ o + state.plane[3]) / (directions @ n))[:, np.newaxis] * directions
+        points = points_on_plane(state.plane, T[:3, 3], directions)
         robot = self._T_base_tool
         return np.asarray(np.einsum("nij,nj->ni", robot[:, :3, :3], points) + robot[:, :3, 3])
 

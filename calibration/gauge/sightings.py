@@ -13,7 +13,9 @@ from calibration.camera.lens import Lens
 from calibration.gauge.adjustment import Sighting, State
 from calibration.gauge.shape import EDGE, Gauge, Shape
 from calibration.gauge.stripe_pieces import Piece, Pieces
+from calibration.laser.plane import foot_on, points_on_plane
 from noise_model.arrays import Float64
+from noise_model.transforms import transform
 
 EDGE_SIGMA_MM = 0.2
 """1 sigma of where the stripe ends on a step's edge: edges are broken, and the stripe is as wide."""
@@ -43,7 +45,7 @@ class Posed:
 def ends_in_base(each: Posed, piece: Piece, lens: Lens, T_tool_camera: Float64, plane: Float64) -> Float64:
     """Return where a piece begins and ends (2, 3), mm, base frame, for a sheet in the tool frame."""
     rays = _on_line(piece, lens, each.pieces.along_rows)
-    return _in_base(each.T_base_tool, _on_sheet(rays, T_tool_camera, plane))
+    return transform(each.T_base_tool, _on_sheet(rays, T_tool_camera, plane))
 
 
 def _on_line(piece: Piece, lens: Lens, along_rows: bool) -> Float64:
@@ -56,12 +58,7 @@ def _on_line(piece: Piece, lens: Lens, along_rows: bool) -> Float64:
 
 
 def _on_sheet(rays: Float64, T_tool_camera: Float64, plane: Float64) -> Float64:
-    directions, o = rays @ T_tool_camera[:3, :3].T, T_tool_camera[:3, 3]
-    return np.asarray(o - ((plane[:3] @ o + plane[3]) / (directions @ plane[:3]))[:, np.newaxis] * directions)
-
-
-def _in_base(T: Float64, points: Float64) -> Float64:
-    return np.asarray(points @ T[:3, :3].T + T[:3, 3])
+    return points_on_plane(plane, T_tool_camera[:3, 3], rays @ T_tool_camera[:3, :3].T)
 
 
 def place_gauge(
@@ -122,10 +119,9 @@ def place_gauge(
     T[:3, 3] = edges.mean(axis=0)
     in_tool = [np.asarray(np.linalg.inv(each.T_base_tool), dtype=np.float64) for each, _ in kept]
     points = np.concatenate(
-        [_in_base(T_tb, ends.reshape(-1, 3)) for T_tb, ends in zip(in_tool, all_ends, strict=True)]
+        [transform(T_tb, ends.reshape(-1, 3)) for T_tb, ends in zip(in_tool, all_ends, strict=True)]
     )
-    centre = points.mean(axis=0)
-    centre = centre - (plane[:3] @ centre + plane[3]) * plane[:3]
+    centre = foot_on(plane, points.mean(axis=0))
     sightings = [_sighting(each, order, gauge, lens, T_tool_camera, plane) for each, order in kept]
     return State(plane, T, centre, gauge.size_mm), sightings, left_out
 

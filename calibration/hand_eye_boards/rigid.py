@@ -38,13 +38,17 @@ def twists(T: Float64) -> Float64:
 def adjoints(T_a_b: Float64) -> Float64:
     """Return the matrices (n, 6, 6) that take a small motion in frame b to the same one in frame a."""
     R, t = T_a_b[:, :3, :3], T_a_b[:, :3, 3]
-    x, y, z = t.T
-    zero = np.zeros(len(t))
-    across = np.stack([zero, -z, y, z, zero, -x, -y, x, zero], axis=1).reshape(-1, 3, 3)
     result = np.zeros((len(t), 6, 6))
     result[:, :3, :3] = result[:, 3:, 3:] = R
-    result[:, 3:, :3] = across @ R
+    result[:, 3:, :3] = cross_matrices(t) @ R
     return result
+
+
+def cross_matrices(vectors: Float64) -> Float64:
+    """Return the matrices (n, 3, 3) whose product with a vector is the cross product of (n, 3) with it."""
+    x, y, z = vectors.T
+    zero = np.zeros(len(vectors))
+    return np.stack([zero, -z, y, z, zero, -x, -y, x, zero], axis=1).reshape(-1, 3, 3)
 
 
 def mean_pose(T: Float64) -> Float64:

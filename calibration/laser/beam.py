@@ -15,11 +15,12 @@ from calibration.camera.lens import Lens
 from calibration.laser.calibrate import LaserCalibration
 from calibration.laser.cross_sections import CrossSections
 from calibration.laser.fan import Fan, Missing, ends_of, fit_fan
-from calibration.laser.plane import BoardLine
+from calibration.laser.plane import BoardLine, foot_on
 from calibration.laser.width import Width, fit_width, width_of_pair
 from noise_model.arrays import Bool, Float64
 from noise_model.instrument.camera import Camera
 from noise_model.instrument.laser import Laser
+from noise_model.transforms import transform
 
 NO_LIGHT = (
     "no pair tells the stripe's light: the sensor's gamma is not 1, or the board ends beside the stripe"
@@ -105,7 +106,7 @@ def beam_of(
     """
     T = camera.T_tool_camera
     plane, covariance = result.in_tool(T, laser.plane)
-    origin = laser.origin_mm - (plane[:3] @ laser.origin_mm + plane[3]) * plane[:3]
+    origin = foot_on(plane, laser.origin_mm)
     axis, side, _ = replace(laser, plane_in_tool=tuple(plane)).fan
     in_sheet = np.stack([axis, side])
     lights, widths, steps = [], {}, []
@@ -149,8 +150,7 @@ class _OnBoard:
 
     def points(self, points_px: Float64) -> Float64:
         """Return where image points (n, 2) lie on the board (n, 3), mm, tool frame."""
-        T = self.T_tool_camera
-        return self.line.points(self.lens.rays(points_px)) @ T[:3, :3].T + T[:3, 3]
+        return transform(self.T_tool_camera, self.line.points(self.lens.rays(points_px)))
 
     @property
     def normal(self) -> Float64:

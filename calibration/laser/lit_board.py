@@ -13,6 +13,7 @@ import numpy as np
 
 from calibration.boards.board import Board, Kind
 from calibration.camera.lens import Lens
+from calibration.laser.plane import points_on_board
 from calibration.laser.stripe import LaserLight, board_area
 from noise_model.arrays import Bool, Float64, Integers
 from noise_model.robust import spread
@@ -60,7 +61,7 @@ def board_shading(
         for dv in steps:
             xy = grid[area] + [du / fx, dv / fy]
             rays = np.column_stack([xy, np.ones(len(xy))])
-            points = rays * ((R[:, 2] @ t) / (rays @ R[:, 2]))[:, np.newaxis]
+            points = points_on_board(T_camera_board, rays)
             samples.append(_printed(board, (points - t) @ R[:, :2], is_legacy))
     shading[area] = np.mean(samples, axis=0)
     return _blurred(shading, area, blur_px)

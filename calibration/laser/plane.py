@@ -113,6 +113,17 @@ def points_on_board(T_camera_board: Float64, rays: Float64) -> Float64:
     return np.asarray(rays * ((m @ T_camera_board[:3, 3]) / (rays @ m))[:, np.newaxis])
 
 
+def points_on_plane(plane: Float64, origin: Float64, directions: Float64) -> Float64:
+    """Return where rays from one origin (3,), along directions (n, 3), meet a plane (4,): points (n, 3)."""
+    n = plane[:3]
+    return np.asarray(origin - ((n @ origin + plane[3]) / (directions @ n))[:, np.newaxis] * directions)
+
+
+def foot_on(plane: Float64, point: Float64) -> Float64:
+    """Return the point (3,) of a plane (4,), n of length 1, that is nearest to another one (3,)."""
+    return np.asarray(point - (plane[:3] @ point + plane[3]) * plane[:3])
+
+
 def fit_plane(lines: Sequence[BoardLine]) -> PlaneFit:
     """Fit a plane to lines on boards.
 
