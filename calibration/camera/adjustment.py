@@ -60,6 +60,10 @@ class Scene:
         """Return observed less predicted image points (N, 2), px."""
         return np.asarray(seen.points_px - self.lens.project(self.points_camera(seen)))
 
+    def rms_px(self, seen: Sightings) -> float:
+        """Return the RMS distance of observed from predicted image points, px."""
+        return float(np.sqrt(np.mean(np.sum(self.residuals(seen) ** 2, axis=1))))
+
     def of_views(self, chosen: list[int]) -> Scene:
         """Return the scene of some of the images."""
         return replace(self, T_camera_board=self.T_camera_board[chosen])

@@ -127,7 +127,7 @@ class CameraCalibration:
     @property
     def rms_px(self) -> float:
         """The RMS distance of the corners used from where the scene puts them, px."""
-        return float(np.sqrt(np.mean(np.sum(self.scene.residuals(self.seen) ** 2, axis=1))))
+        return self.scene.rms_px(self.seen)
 
     def sigma_map(self) -> tuple[Float64, Float64]:
         """Return points over the image (h, w, 2), px, and the projection's sigma there (h, w), px."""

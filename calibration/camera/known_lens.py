@@ -9,11 +9,15 @@ import numpy as np
 from calibration.boards.board import Board
 from calibration.camera.adjustment import Scene, adjusted
 from calibration.camera.calibrate import one_thread
+from calibration.camera.enough import UndeterminedError
 from calibration.camera.lens import OPENCV, PINHOLE, Lens
 from calibration.camera.noise import LEAST_CORNERS, wrong_corners
 from calibration.camera.sightings import Sightings, View
 from calibration.camera.start import with_better_poses
 from noise_model.instrument.camera import Camera
+
+MOST_RMS_PX = 2.0
+"""Corners that are farther off than this, RMS, are not seen by the stated camera."""
 
 FAR_MM = 1e3
 """Where boards stand before their poses are sought."""
@@ -40,3 +44,13 @@ def board_poses(board: Board, views: Sequence[View], lens: Lens) -> tuple[Scene,
             seen = seen.where(kept)
             scene = adjusted(scene, seen, np.ones(len(seen)), poses_only=True)
     return scene, seen
+
+
+def check_corners(scene: Scene, seen: Sightings) -> None:
+    """Raise UndeterminedError for corners that are not where the stated lens sees them."""
+    rms = scene.rms_px(seen)
+    if rms > MOST_RMS_PX:
+        raise UndeterminedError(
+            f"the boards' corners are {rms:.1f} px off where the setup's camera sees them: calibrate the "
+            "camera first, `arctrack calibrate camera`; or the board's counts or squares are others"
+        )

@@ -136,6 +136,17 @@ def fitted(scene: Scene, seen: Sightings, print_sigma_mm: float = 0.0) -> tuple[
     return adjusted(scene, seen, noise.weight(seen), print_sigma_mm=print_sigma_mm), noise
 
 
+def corner_sigmas_px(scene: Scene, seen: Sightings, spent: float = 0.0) -> Float64:
+    """Return 1 sigma of a corner in each image (V,), px, where the lens is held.
+
+    Of the coordinates each image spends 6 on its pose, and `spent` on what all share.
+    """
+    square = np.sum(scene.residuals(seen) ** 2, axis=1)
+    free = np.maximum(2.0 * seen.counts - 6.0 - spent, 1.0)
+    variance, _ = moderated(np.array([square[part].sum() for part in seen.slices]) / free, free)
+    return np.asarray(np.sqrt(np.maximum(variance, LEAST_SIGMA_PX**2)))
+
+
 def moderated(variance: Float64, dof: Float64) -> tuple[Float64, float]:
     """Return variances that lean on each other as much as their scatter warrants.
 

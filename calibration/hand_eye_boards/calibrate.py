@@ -12,6 +12,7 @@ from scipy.stats import chi2, t
 from calibration.camera.adjustment import Scene, adjusted
 from calibration.camera.calibrate import one_thread
 from calibration.camera.enough import UndeterminedError
+from calibration.camera.known_lens import check_corners
 from calibration.camera.sightings import Sightings
 from calibration.hand_eye_boards.chain import Chain
 from calibration.hand_eye_boards.consistent import Agreement, consistent
@@ -28,9 +29,6 @@ from noise_model.arrays import Bool, Float64
 
 PARAMETERS = ("rot_x_deg", "rot_y_deg", "rot_z_deg", "move_x_mm", "move_y_mm", "move_z_mm")
 """A small motion of the camera in its own frame, as `noise_model.transforms.moved` applies it."""
-
-MOST_RMS_PX = 2.0
-"""Corners that are farther off than this, RMS, are not seen by the stated camera."""
 
 MOST_LEFT_OUT = 0.4
 """The share of poses that may contradict the rest: of more nobody knows which are right."""
@@ -149,7 +147,7 @@ class HandEyeCalibration:
     def rms_px(self) -> float:
         """The RMS distance of corners from where the boards' poses put them, px."""
         boards = self.refined.boards
-        return float(np.sqrt(np.mean(np.sum(boards.scene.residuals(boards.seen) ** 2, axis=1))))
+        return boards.scene.rms_px(boards.seen)
 
     @property
     def turns_deg(self) -> Float64:
@@ -208,7 +206,7 @@ def calibrate_hand_eye(
     root = np.zeros((n, 0)) if lens_covariance is None else _root(lens_covariance)
     with one_thread():
         boards = with_warp(scene, seen)
-        _check_corners(boards)
+        check_corners(boards.scene, boards.seen)
         tell(1, 4)
         chain, boards, off_px = _started(chain, boards)
         tell(2, 4)
@@ -273,16 +271,6 @@ def _root(covariance: Float64) -> Float64:
     """Return a root (n, n) of a covariance (n, n) that may be singular."""
     variance, directions = np.linalg.eigh(covariance)
     return np.asarray(directions * np.sqrt(np.maximum(variance, 0.0)))
-
-
-def _check_corners(boards: Boards) -> None:
-    square = np.sum(boards.scene.residuals(boards.seen) ** 2, axis=1)
-    rms = math.sqrt(float(np.mean(square)))
-    if rms > MOST_RMS_PX:
-        raise UndeterminedError(
-            f"the boards' corners are {rms:.1f} px off where the setup's camera sees them: calibrate the "
-            "camera first, `arctrack calibrate camera`; or the board's counts or squares are others"
-        )
 
 
 def _check_agreement(agreement: Agreement) -> None:

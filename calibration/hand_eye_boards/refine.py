@@ -20,7 +20,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from calibration.camera.adjustment import WARP, Scene, adjusted, linearised
-from calibration.camera.noise import LEAST_SIGMA_PX, moderated
+from calibration.camera.noise import corner_sigmas_px
 from calibration.camera.normal_equations import NormalEquations
 from calibration.camera.sightings import Sightings
 from calibration.hand_eye_boards.chain import Chain
@@ -100,10 +100,7 @@ def with_warp(scene: Scene, seen: Sightings) -> Boards:
         step, motion = part.step()
         scene = scene.moved(np.concatenate([np.zeros(n), step]), motion)
     scene = adjusted(scene, seen, ones, poses_only=True)
-    square = np.sum(scene.residuals(seen) ** 2, axis=1)
-    free = np.maximum(2.0 * seen.counts - 6.0 - len(WARP) / len(seen.names), 1.0)
-    variance, _ = moderated(np.array([square[part].sum() for part in seen.slices]) / free, free)
-    return Boards(scene, seen, np.sqrt(np.maximum(variance, LEAST_SIGMA_PX**2)))
+    return Boards(scene, seen, corner_sigmas_px(scene, seen, len(WARP) / len(seen.names)))
 
 
 def pose_errors(

@@ -12,8 +12,9 @@ from scipy.stats import chi2
 from calibration.camera.adjustment import Scene, adjusted, linearised
 from calibration.camera.calibrate import one_thread
 from calibration.camera.enough import UndeterminedError
+from calibration.camera.known_lens import check_corners
 from calibration.camera.lens import Lens
-from calibration.camera.noise import LEAST_SIGMA_PX, moderated
+from calibration.camera.noise import corner_sigmas_px
 from calibration.camera.sightings import Sightings
 from calibration.laser.bow import Bow, bow_of
 from calibration.laser.image_line import ImageLine, fit_line
@@ -26,9 +27,6 @@ MOST_TILT_SIGMA_DEG = 0.5
 
 LEAST_SPREAD = 10.0
 """The stripes' scatter from one line over what noise alone makes of it: below it, the sheet follows noise."""
-
-MOST_RMS_PX = 2.0
-"""Corners that are farther off than this, RMS, are not seen by the stated camera."""
 
 FALSE_ALARM = 0.01
 """The probability that lines which agree are taken not to."""
@@ -160,12 +158,7 @@ def calibrate_laser(
     _check_count(len(chosen))
     scene, seen = scene.of_views(chosen), seen.of_views(chosen)
     shown = [stripes[name] for name in seen.names]
-    rms = math.sqrt(float(np.mean(np.sum(scene.residuals(seen) ** 2, axis=1))))
-    if rms > MOST_RMS_PX:
-        raise UndeterminedError(
-            f"the boards' corners are {rms:.1f} px off where the setup's camera sees them: calibrate the "
-            "camera first, `arctrack calibrate camera`; or the board's counts or squares are others"
-        )
+    check_corners(scene, seen)
     with one_thread():
         lines, sigma_px = _board_lines(scene, seen, shown)
         try:
@@ -213,16 +206,13 @@ def calibrate_laser(
 
 def _board_lines(scene: Scene, seen: Sightings, stripes: Sequence[Stripe]) -> tuple[list[BoardLine], Float64]:
     """Return the stripes' lines on their boards, and 1 sigma of a corner in each image."""
-    square = np.sum(scene.residuals(seen) ** 2, axis=1)
-    free = np.maximum(2.0 * seen.counts - 6.0, 1.0)
-    variance, _ = moderated(np.array([square[part].sum() for part in seen.slices]) / free, free)
-    sigma_px = np.sqrt(np.maximum(variance, LEAST_SIGMA_PX**2))
+    sigma_px = corner_sigmas_px(scene, seen)
     motion = linearised(scene, seen, 1.0 / sigma_px[seen.view]).motion
     lines = [
         BoardLine(_image_line(scene.lens, stripe), T, covariance)
         for stripe, T, covariance in zip(stripes, scene.T_camera_board, np.linalg.inv(motion), strict=True)
     ]
-    return lines, np.asarray(sigma_px)
+    return lines, sigma_px
 
 
 def _image_line(lens: Lens, stripe: Stripe) -> ImageLine:
