@@ -1,30 +1,63 @@
-"""When each frame of a replay is published, and what the robot then does."""
+"""When each frame of a replay goes out, and what the robot then does."""
 
 from __future__ import annotations
 
 import math
 import time
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 
-from arctrack.publish import Moment
+from arctrack.pose_agreement import PoseAgreement
 from arctrack.recording import FrameRow
-from robot_io import Link, MotionState, RobotMode, RobotStatus, Switch, WeldingState
+from arctrack.service.controller import Controller
+from noise_model.arrays import Float64
+from robot_io import (
+    BusMessage,
+    Command,
+    Link,
+    MotionState,
+    Received,
+    RobotMode,
+    RobotStatus,
+    SeamOffset,
+    Switch,
+    TrackerCommand,
+    WeldingState,
+)
+from tracker.state import Track
+
+POLL_S = 0.02
+"""So often the controller is asked what is due while a frame's time has not come."""
 
 
 class RecordingTime:
     """Nobody in real time listens: as fast as one can, as if computing took no time.
 
-    So the same recording sends the same on every machine. A log begins at 0: where a recording begins before,
-    its log is whole seconds late.
+    So the same recording sends the same on every machine. The robot is the recording's: it welds while a
+    frame's arc burns, and wants the tracker to track. A log begins at 0: where a recording begins before, its
+    log is whole seconds late.
     """
 
-    def __init__(self, rows: Sequence[FrameRow]) -> None:
-        self._log_is_late_s = float(max(0, math.ceil(-min(_exposed_s(row) for row in rows))))
+    def __init__(self, rows: Sequence[FrameRow], link: Link, controller: Controller) -> None:
+        self._link, self._controller = link, controller
+        self._now_s = first_s = min(_exposed_s(row) for row in rows)
+        self._log_is_late_s = float(max(0, math.ceil(-first_s)))
+        self._hear(assumed_command(rows[0], Command.DISARM))
 
-    def moment(self, row: FrameRow, took_ms: float) -> Moment:
-        """Return the frame's end of exposure, and a robot that welds while the frame's arc burns."""
-        now_s = _exposed_s(row)
-        return Moment(now_s, assumed_robot(row), took_ms, now_s + self._log_is_late_s)
+    def publish(self, row: FrameRow, track: Track, T_base_tool: Float64 | None, took_ms: float) -> SeamOffset:
+        """Send a frame's messages at its end of exposure, and return its offset as it went out.
+
+        Raises LinkError if the bus fails, BusLogError if a log does.
+        """
+        self._now_s = _exposed_s(row)
+        self._hear(assumed_robot(row))
+        self._hear(assumed_command(row))
+        messages = self._controller.on_track(track, self._now_s, T_base_tool, took_ms)
+        self._send(messages)
+        return _offset(messages)
+
+    def close(self) -> None:
+        """Send the last refusal."""
+        self._send(self._controller.close(self._now_s))
 
     @property
     def warnings(self) -> tuple[str, ...]:
@@ -36,43 +69,54 @@ class RecordingTime:
             "later",
         )
 
+    def _hear(self, message: BusMessage) -> None:
+        self._controller.on_message(Received(self._now_s, message, 0), self._now_s)
+
+    def _send(self, messages: Iterable[BusMessage]) -> None:
+        _send(self._link, self._controller, messages, self._now_s + self._log_is_late_s)
+
 
 class RealTime:
     """On a bus beyond this process a frame goes out when its time has come; who sends there is heard.
 
-    The robot is the one that is heard. Until there is one it is assumed to weld while a frame's arc burns.
+    The robot is the one that is heard. It must stand where the recording's robot stood. The clock is the
+    recording's, from the first frame on.
     """
 
-    def __init__(self, rows: Sequence[FrameRow], link: Link) -> None:
-        self._first_s = rows[0].timestamp_s
-        self._link = link
+    def __init__(
+        self, rows: Sequence[FrameRow], link: Link, controller: Controller, agreement: PoseAgreement
+    ) -> None:
+        self._first_s = _exposed_s(rows[0])
+        self._link, self._controller, self._agreement = link, controller, agreement
         self._began_s = math.nan
         self._heard = False
-        self._moments = self._assumed = 0
 
-    def moment(self, row: FrameRow, took_ms: float) -> Moment:
-        """Wait for a frame and return its end of exposure, later by as much as the replay lags behind.
+    def publish(self, row: FrameRow, track: Track, T_base_tool: Float64 | None, took_ms: float) -> SeamOffset:
+        """Wait for a frame's time, send its messages, and return its offset as it went out.
 
-        The clock starts with the first: what is got ready before that takes its own time. Raises LinkError if
-        the bus fails.
+        The clock starts with the first: what is got ready before that takes its own time. Where the replay
+        lags behind, the messages go out late. Raises LinkError if the bus fails, BusLogError if a log does.
         """
-        due_s = row.timestamp_s - self._first_s
         if math.isnan(self._began_s):
             self._began_s = time.monotonic()
-        self._listen_until(due_s)
-        robot = self._link.inbox.latest(RobotStatus, time.time()) if self._heard else assumed_robot(row)
-        self._moments += 1
-        self._assumed += not self._heard
-        return Moment(_exposed_s(row) + max(0.0, self._elapsed_s() - due_s), robot, took_ms)
+        self._listen_until(_exposed_s(row))
+        messages = self._controller.on_track(track, self._now_s(), T_base_tool, took_ms)
+        _send(self._link, self._controller, messages)
+        return _offset(messages)
+
+    def close(self) -> None:
+        """Send the last refusal."""
+        now_s = self._first_s if math.isnan(self._began_s) else self._now_s()
+        _send(self._link, self._controller, self._controller.close(now_s))
 
     @property
     def warnings(self) -> tuple[str, ...]:
         """What to tell a user of the robot, one line."""
-        if not self._assumed:
+        if self._heard:
             return ()
         return (
-            f"{self._link.interface}:{self._link.channel}: no RobotStatus was heard for {self._assumed} of "
-            f"{self._moments} frames: a robot in automatic, its arc as in frames.csv, was assumed",
+            f"{self._link.interface}:{self._link.channel}: no RobotStatus was heard, so every offset was "
+            "refused",
         )
 
     def _listen_until(self, due_s: float) -> None:
@@ -83,14 +127,24 @@ class RealTime:
         """
         while True:
             # One message at a time: a robot that talks all the time must not hold the frame up.
-            left_s = max(0.0, due_s - self._elapsed_s())
-            received = next(self._link.receive(left_s), None)
-            if received is None:
+            remaining_s = max(0.0, due_s - self._now_s())
+            received = next(self._link.receive(min(remaining_s, POLL_S)), None)
+            if received is not None:
+                self._hear(received)
+            _send(self._link, self._controller, self._controller.poll(self._now_s()))
+            if received is None and remaining_s <= POLL_S:
                 return
-            self._heard |= isinstance(received.message, RobotStatus)
 
-    def _elapsed_s(self) -> float:
-        return time.monotonic() - self._began_s
+    def _hear(self, received: Received) -> None:
+        now_s = self._now_s()
+        self._heard |= isinstance(received.message, RobotStatus)
+        verdict = self._agreement.verdict(received, now_s)
+        if verdict is not None:
+            self._controller.on_poses(verdict, now_s)
+        _send(self._link, self._controller, self._controller.on_message(received, now_s))
+
+    def _now_s(self) -> float:
+        return self._first_s + time.monotonic() - self._began_s
 
 
 def assumed_robot(row: FrameRow) -> RobotStatus:
@@ -109,6 +163,33 @@ def assumed_robot(row: FrameRow) -> RobotStatus:
     )
 
 
+def assumed_command(row: FrameRow, command: Command = Command.TRACK) -> TrackerCommand:
+    """Return what the recording's robot wanted: that its seam be tracked, by the laser of a frame."""
+    return TrackerCommand(
+        command=command,
+        enable_y=True,
+        enable_z=True,
+        request_number=0,
+        job_number=None,
+        program_number=None,
+        laser_enable=Switch.ON if row.laser_on else Switch.OFF,
+    )
+
+
 def _exposed_s(row: FrameRow) -> float:
     """Return a frame's end of exposure."""
     return row.timestamp_s + row.exposure_s / 2.0
+
+
+def _send(
+    link: Link, controller: Controller, messages: Iterable[BusMessage], logged_at_s: float | None = None
+) -> None:
+    for message in messages:
+        if not link.send(message, logged_at_s):
+            controller.unsent(message)
+
+
+def _offset(messages: Iterable[BusMessage]) -> SeamOffset:
+    """Return the one offset of a frame's messages."""
+    (offset,) = (message for message in messages if isinstance(message, SeamOffset))
+    return offset

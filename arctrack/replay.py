@@ -10,15 +10,15 @@ import math
 import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack, contextmanager
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from arctrack.errors import ArctrackError
 from arctrack.moments import RealTime, RecordingTime
 from arctrack.output import make_folder
+from arctrack.pose_agreement import PoseAgreement
 from arctrack.printable import printable
-from arctrack.publish import LIMITS, Publisher
 from arctrack.recording import BadFrame, FrameRow, Recording, Truth, read_truth
 from arctrack.recording.results import (
     BUS_LOG,
@@ -30,12 +30,16 @@ from arctrack.recording.results import (
 )
 from arctrack.recording.score import score
 from arctrack.report.replay.seen import Seen, SeenFile
+from arctrack.service.controller import Controller, Job
 from arctrack.tracking import tracker_of
 from robot_io import (
+    SOURCES,
     BusLogError,
     GateLimits,
     Link,
     LinkError,
+    Source,
+    Trusted,
     Verdict,
 )
 from tracker import flags
@@ -47,6 +51,9 @@ if TYPE_CHECKING:
     from arctrack.report.replay.pictures import ReplayPictures
 
 DEFAULT_BUS = "virtual:arctrack"
+HEARD = Trusted(robot=(Source.LIVE,), tracker=SOURCES)
+"""The robot must be a live one; a tracker of any source is another one."""
+
 RESULTS_FOLDER = "results"
 
 
@@ -66,13 +73,16 @@ class ReplayOptions:
         Files to write beside the others: `replay.mcap`, `replay.rrd`.
     limits : GateLimits
         What an offset must keep to pass the gate.
+    onto_a_robot : bool
+        Whether a bus beyond this process is meant: without it no bus but `virtual` is joined.
     """
 
     bus: str = DEFAULT_BUS
     use_arc_map: bool = True
     pictures: bool = True
     exports: tuple[str, ...] = ()
-    limits: GateLimits = LIMITS
+    limits: GateLimits = field(default_factory=GateLimits)
+    onto_a_robot: bool = False
 
 
 @dataclass(frozen=True)
@@ -156,7 +166,7 @@ def replay_recording(
         )
     options = options or ReplayOptions()
     folder = recording.path / RESULTS_FOLDER if folder is None else Path(folder)
-    parse_bus(options.bus)
+    _check_bus(options)
     # Nothing tracks by it, but nothing is sent before all that is needed in the end has been read.
     truth = read_truth(recording.path)
     make_folder(folder, ())
@@ -188,15 +198,29 @@ def _replay(
     started_s = time.monotonic()
     with ExitStack() as opened:
         opened.enter_context(_bus_errors())
-        link = opened.enter_context(Link(interface, channel, log_paths=(folder / BUS_LOG,)))
+        # The robot on the bus is a live one; what it hears is not, and is no other than it says.
+        link = opened.enter_context(
+            Link(interface, channel, log_paths=(folder / BUS_LOG,), source=Source.REPLAY, trusted=HEARD)
+        )
         # Only now do an earlier run's files go: what was sent over a bus that is not there cannot be again.
         make_folder(folder, (name for name in FILES if name != BUS_LOG))
         results = opened.enter_context(ResultsWriter(folder))
-        publisher = Publisher(link, recording.setup.joint.type, options.limits, recording.correction)
-        rows = recording.rows
-        moments = RecordingTime(rows) if interface == "virtual" else RealTime(rows, link)
+        job = Job(
+            recording.setup.joint.type,
+            options.limits,
+            recording.correction,
+            poses_proven=interface != "virtual",
+        )
+        controller = Controller(job, Source.REPLAY)
+        moments: RecordingTime | RealTime = RecordingTime(recording.rows, link, controller)
+        if interface != "virtual":
+            agreement = PoseAgreement(recording.pose_buffer())
+            moments = RealTime(recording.rows, link, controller, agreement)
+        # However it ends, the robot hears that nothing holds any longer.
+        opened.callback(moments.close)
         for step in _steps(recording, options.use_arc_map):
-            offset = publisher.publish(step.track, moments.moment(step.row, step.took_ms))
+            T_base_tool = None if step.pose is None else step.pose.T_base_tool
+            offset = moments.publish(step.row, step.track, T_base_tool, step.took_ms)
             results.write(step.track, offset, step.took_ms)
             if seen is not None:
                 seen.add(Seen(step.pose, step.track, step.reading, offset, step.took_ms))
@@ -208,8 +232,8 @@ def _replay(
                 on_frame(len(tracks))
     summary = replace(
         _summary(recording, truth, options.use_arc_map, tracks, compute_ms, time.monotonic() - started_s),
-        offsets={verdict.value: publisher.verdicts[verdict] for verdict in Verdict},
-        refusals={reason.name.lower(): count for reason, count in sorted(publisher.reasons.items())},
+        offsets={verdict.value: controller.verdicts[verdict] for verdict in Verdict},
+        refusals={reason.name.lower(): count for reason, count in sorted(controller.reasons.items())},
     )
     summary.write(folder)
     return Replay(recording, folder, summary, tuple(tracks), tuple(bad_frames), moments.warnings, warm_up)
@@ -240,6 +264,14 @@ def parse_bus(text: str) -> tuple[str, str]:
             f"--bus {text!r}: give interface:channel, such as {DEFAULT_BUS} or socketcan:can0"
         )
     return interface, channel
+
+
+def _check_bus(options: ReplayOptions) -> None:
+    interface, _ = parse_bus(options.bus)
+    if interface != "virtual" and not options.onto_a_robot:
+        raise ArctrackError(
+            f"--bus {options.bus}: a replay moves what listens there; say --onto-a-robot if that is meant"
+        )
 
 
 def _steps(recording: Recording, use_arc_map: bool) -> Iterator[Step]:

@@ -10,7 +10,8 @@ from robot_io.dbc import (
     message_layout,
     messages_table,
 )
-from robot_io.gate import Conditions, Decision, GateLimits, LastSent, Proposal, Verdict, decide
+from robot_io.gate import Conditions, Decision, LastSent, Proposal, Verdict, decide, forbidden_by
+from robot_io.gate_limits import GateLimits
 from robot_io.inbox import ANY_SOURCE, LIVE, Inbox, Received, SkipReason, Trusted
 from robot_io.link import Link, LinkError
 from robot_io.messages import (
@@ -46,12 +47,13 @@ from robot_io.messages import (
 )
 from robot_io.pose_assembler import PoseAssembler, PoseSample
 from robot_io.pose_buffer import PoseAt, PoseBuffer, PoseError, PoseRefusal, PoseStatus
-from robot_io.protect import Checker, CheckStatus, Protector
+from robot_io.protect import SOURCES, Checker, CheckStatus, Protector
 
 __all__ = [
     "ANY_SOURCE",
     "LIVE",
     "MESSAGE_TYPES",
+    "SOURCES",
     "BusLogError",
     "BusLogReader",
     "BusLogWriter",
@@ -112,6 +114,7 @@ __all__ = [
     "decide",
     "decode",
     "encode",
+    "forbidden_by",
     "layout_checksum",
     "message_layout",
     "messages_table",

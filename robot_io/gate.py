@@ -2,21 +2,29 @@
 
 A refusal says that nothing may be corrected at all (not armed, emergency stop, no arc …). A hold says that
 this one capture is no good: the offset sent last is repeated, until its own capture is older than `hold_s`;
-then the hold becomes a refusal with the same reason. Values are never changed on the way: an offset goes
-through as it is or not at all. All limits are inclusive: a value at its limit passes.
+then the hold becomes a refusal with the same reason. An offset goes through as it was measured or not at all,
+but for the soft start: from nought an axis approaches the seam at its rate limit, with a confidence of 0 and
+the reason SOFT_START until it is there. All limits are inclusive: a value at its limit passes.
 """
 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field, fields, replace
+from dataclasses import dataclass, field, replace
 from enum import Enum
 
 from robot_io.codec import out_of_range_as_unknown
-from robot_io.messages import GateReason, RobotMode, RobotStatus, SeamOffset, Switch, Validity
-
-BUS_RANGE_MM = 32.767
-"""The largest offset that the bus can carry, mm."""
+from robot_io.gate_limits import GateLimits
+from robot_io.messages import (
+    GateReason,
+    MotionState,
+    RobotMode,
+    RobotStatus,
+    SeamOffset,
+    Switch,
+    Validity,
+    WeldingState,
+)
 
 
 class Verdict(Enum):
@@ -25,57 +33,6 @@ class Verdict(Enum):
     SEND = "send"
     HOLD = "hold"
     REFUSE = "refuse"
-
-
-@dataclass(frozen=True)
-class GateLimits:
-    """What an offset must keep to.
-
-    Parameters
-    ----------
-    range_y_mm, range_z_mm : float
-        The largest offset, mm.
-    rate_y_mm_s, rate_z_mm_s : float
-        The largest change between two captures, mm/s, counted over at most `hold_s`. A seam that jumps
-        further than `rate · hold_s` is never followed before the tracker is armed anew.
-    capture_age_s : float
-        The largest age of the capture, s.
-    confidence : float
-        The least confidence, 0 to 1.
-    hold_s : float
-        How long the last offset is held while none passes, s.
-    sigma_y_mm, sigma_z_mm : float
-        The largest sigma, mm; infinite switches this check off.
-    arc_required : bool
-        Whether the robot must report that the arc is on.
-
-    Raises
-    ------
-    ValueError
-        For a limit that is not positive and finite, or that the bus cannot carry.
-    """
-
-    range_y_mm: float
-    range_z_mm: float
-    rate_y_mm_s: float
-    rate_z_mm_s: float
-    capture_age_s: float
-    confidence: float
-    hold_s: float
-    sigma_y_mm: float = math.inf
-    sigma_z_mm: float = math.inf
-    arc_required: bool = True
-
-    def __post_init__(self) -> None:
-        for limit in (f.name for f in fields(self) if f.name != "arc_required"):
-            value = getattr(self, limit)
-            if not value > 0.0 or (math.isinf(value) and not limit.startswith("sigma")):
-                raise ValueError(f"gate limit {limit}: is {value}; it must be positive and finite")
-        for limit in ("range_y_mm", "range_z_mm"):
-            if getattr(self, limit) > BUS_RANGE_MM:
-                raise ValueError(f"gate limit {limit}: above {BUS_RANGE_MM} mm, which the bus cannot carry")
-        if self.confidence > 1.0:
-            raise ValueError(f"gate limit confidence: is {self.confidence}; it is a probability, at most 1")
 
 
 @dataclass(frozen=True)
@@ -114,12 +71,21 @@ class Conditions:
         Which axes are corrected.
     robot : RobotStatus or None
         The robot's last status; None while no fresh status has been received.
+    fault : GateReason
+        What forbids every offset, and is named before all else; NONE if nothing does.
+    doubt : GateReason
+        What forbids every offset, and is named after what the robot itself says; NONE if nothing does.
+    hold : bool
+        Whether the robot wants the last offset to be held.
     """
 
     armed: bool
     enable_y: bool
     enable_z: bool
     robot: RobotStatus | None
+    fault: GateReason = GateReason.NONE
+    doubt: GateReason = GateReason.NONE
+    hold: bool = False
 
 
 @dataclass(frozen=True)
@@ -127,7 +93,8 @@ class LastSent:
     """The offset that the gate let through last; all NaN before the first.
 
     `offset_*` is what each axis was sent last, of its own capture: of an earlier one than `captured_at_s` if
-    the axis was not enabled then.
+    the axis was not enabled then. `measured_*` is the offset that was measured then: that which was sent, but
+    for a soft start.
     """
 
     captured_at_s: float = math.nan
@@ -136,6 +103,8 @@ class LastSent:
     confidence: float = math.nan
     captured_y_at_s: float = math.nan
     captured_z_at_s: float = math.nan
+    measured_y_mm: float = math.nan
+    measured_z_mm: float = math.nan
 
 
 @dataclass(frozen=True)
@@ -147,7 +116,7 @@ class Decision:
     verdict : Verdict
         The offset is sent, the last offset is held, or it is refused.
     reason : GateReason
-        Why it was not sent.
+        Why it was not sent, or not as it was measured.
     message : SeamOffset
         Always to be sent: a refusal, too, must reach the robot.
     last_sent : LastSent
@@ -166,8 +135,8 @@ def decide(
     """Return what becomes of a proposal.
 
     An axis that is not enabled is neither checked nor sent. Enabled again, it may not jump from the offset
-    that it was sent last. Being disarmed forgets the last offset, so the first offset after that is free of
-    the rate limit.
+    that it was sent last. Being disarmed forgets the last offset: the first offset after that is nought, and
+    each axis approaches the seam from there.
 
     Parameters
     ----------
@@ -189,16 +158,24 @@ def decide(
     """
     if not conditions.armed:
         last_sent = LastSent()
-    forbidden = _forbidden(conditions, limits)
+    forbidden = forbidden_by(conditions, limits)
     if forbidden is not GateReason.NONE:
         return _refuse(forbidden, last_sent)
     reason = _objection(proposal, conditions, limits, last_sent, now_s)
     if reason is GateReason.NONE:
-        return _send(proposal, conditions, last_sent, now_s)
+        return _send(proposal, conditions, limits, last_sent, now_s)
     return _hold(reason, conditions, limits, last_sent, now_s)
 
 
-def _forbidden(conditions: Conditions, limits: GateLimits) -> GateReason:
+def forbidden_by(conditions: Conditions, limits: GateLimits) -> GateReason:
+    """Return what forbids every offset, whatever is measured; NONE if nothing does."""
+    if conditions.fault is not GateReason.NONE:
+        return conditions.fault
+    reason = _forbidden_by_robot(conditions, limits)
+    return conditions.doubt if reason is GateReason.NONE else reason
+
+
+def _forbidden_by_robot(conditions: Conditions, limits: GateLimits) -> GateReason:
     robot = conditions.robot
     if not conditions.armed:
         return GateReason.NOT_ARMED
@@ -208,10 +185,19 @@ def _forbidden(conditions: Conditions, limits: GateLimits) -> GateReason:
         return GateReason.EMERGENCY_STOP
     if robot.mode not in (RobotMode.AUTOMATIC, RobotMode.DRY_RUN):
         return GateReason.NOT_AUTOMATIC
+    if robot.motion is not MotionState.MOVING:
+        return GateReason.ROBOT_NOT_MOVING
+    if robot.welding is WeldingState.FAULT:
+        return GateReason.WELDING_FAULT
     if robot.correction is not Switch.ON:
         return GateReason.CORRECTION_OFF
     if limits.arc_required and robot.arc is not Switch.ON:
         return GateReason.ARC_OFF
+    # In a search or a dry run the sequence stands anywhere, but it must be known.
+    if robot.welding is WeldingState.UNKNOWN or (
+        limits.arc_required and robot.welding is not WeldingState.WELDING
+    ):
+        return GateReason.NOT_WELDING
     if not (conditions.enable_y or conditions.enable_z):
         return GateReason.NO_AXIS_ENABLED
     return GateReason.NONE
@@ -220,6 +206,8 @@ def _forbidden(conditions: Conditions, limits: GateLimits) -> GateReason:
 def _objection(
     proposal: Proposal, conditions: Conditions, limits: GateLimits, last_sent: LastSent, now_s: float
 ) -> GateReason:
+    if conditions.hold:
+        return GateReason.HOLD_COMMANDED
     axes = _enabled_axes(proposal, conditions, limits, last_sent)
     age_s = now_s - proposal.captured_at_s
     if not all(map(math.isfinite, (age_s, *(axis.offset_mm for axis in axes)))):
@@ -235,8 +223,11 @@ def _objection(
         return GateReason.SIGMA_TOO_LARGE
     if any(abs(axis.offset_mm) > axis.range_mm for axis in axes):
         return GateReason.OUT_OF_RANGE
-    sent_before = (axis for axis in axes if not math.isnan(axis.change_mm))
-    if any(axis.change_mm > axis.rate_mm_s * min(axis.elapsed_s, limits.hold_s) for axis in sent_before):
+    changes = [(axis, abs(axis.offset_mm - axis.measured_mm)) for axis in axes]
+    # An axis that was never sent has changed by NaN, which is beyond no limit.
+    if any(change_mm > limits.jump_mm for _, change_mm in changes):
+        return GateReason.JUMP
+    if any(change_mm > axis.rate_mm_s * min(axis.elapsed_s, limits.hold_s) for axis, change_mm in changes):
         return GateReason.RATE_TOO_HIGH
     return GateReason.NONE
 
@@ -245,12 +236,13 @@ def _objection(
 class _Axis:
     """One enabled axis of a proposal beside its limits.
 
-    `change_mm` and `elapsed_s` are since the axis was sent last, NaN if it never was.
+    `sent_mm`, `measured_mm` and `elapsed_s` are of what the axis was sent last, NaN if it never was.
     """
 
     offset_mm: float
     sigma_mm: float
-    change_mm: float
+    sent_mm: float
+    measured_mm: float
     elapsed_s: float
     range_mm: float
     rate_mm_s: float
@@ -266,7 +258,8 @@ def _enabled_axes(
             _Axis(
                 proposal.offset_y_mm,
                 proposal.sigma_y_mm,
-                abs(proposal.offset_y_mm - last_sent.offset_y_mm),
+                last_sent.offset_y_mm,
+                last_sent.measured_y_mm,
                 proposal.captured_at_s - last_sent.captured_y_at_s,
                 limits.range_y_mm,
                 limits.rate_y_mm_s,
@@ -278,7 +271,8 @@ def _enabled_axes(
             _Axis(
                 proposal.offset_z_mm,
                 proposal.sigma_z_mm,
-                abs(proposal.offset_z_mm - last_sent.offset_z_mm),
+                last_sent.offset_z_mm,
+                last_sent.measured_z_mm,
                 proposal.captured_at_s - last_sent.captured_z_at_s,
                 limits.range_z_mm,
                 limits.rate_z_mm_s,
@@ -288,13 +282,49 @@ def _enabled_axes(
     return axes
 
 
-def _send(proposal: Proposal, conditions: Conditions, last_sent: LastSent, now_s: float) -> Decision:
-    sent = replace(last_sent, captured_at_s=proposal.captured_at_s, confidence=proposal.confidence)
+def _send(
+    proposal: Proposal, conditions: Conditions, limits: GateLimits, last_sent: LastSent, now_s: float
+) -> Decision:
+    axes = iter(_enabled_axes(proposal, conditions, limits, last_sent))
+    captured_at_s = proposal.captured_at_s
+    sent = replace(last_sent, captured_at_s=captured_at_s, confidence=proposal.confidence)
+    is_there = True
     if conditions.enable_y:
-        sent = replace(sent, captured_y_at_s=proposal.captured_at_s, offset_y_mm=proposal.offset_y_mm)
+        offset_mm = _approached(next(axes), limits)
+        is_there &= offset_mm == proposal.offset_y_mm
+        sent = replace(
+            sent,
+            captured_y_at_s=captured_at_s,
+            offset_y_mm=offset_mm,
+            measured_y_mm=proposal.offset_y_mm,
+        )
     if conditions.enable_z:
-        sent = replace(sent, captured_z_at_s=proposal.captured_at_s, offset_z_mm=proposal.offset_z_mm)
-    return Decision(Verdict.SEND, GateReason.NONE, _message(sent, conditions, Validity.VALID, now_s), sent)
+        offset_mm = _approached(next(axes), limits)
+        is_there &= offset_mm == proposal.offset_z_mm
+        sent = replace(
+            sent,
+            captured_z_at_s=captured_at_s,
+            offset_z_mm=offset_mm,
+            measured_z_mm=proposal.offset_z_mm,
+        )
+    reason = GateReason.NONE
+    if not is_there:
+        # Where the robot is sent is not where the seam is.
+        sent, reason = replace(sent, confidence=0.0), GateReason.SOFT_START
+    return Decision(Verdict.SEND, reason, _message(sent, conditions, Validity.VALID, now_s), sent)
+
+
+def _approached(axis: _Axis, limits: GateLimits) -> float:
+    """Return the measured offset, or how near to it the rate limit lets come what was sent last.
+
+    An axis that was sent nothing yet is at nought, where the robot is armed.
+    """
+    sent_mm, elapsed_s = axis.sent_mm, axis.elapsed_s
+    if math.isnan(sent_mm):
+        sent_mm = elapsed_s = 0.0
+    step_mm = min(axis.rate_mm_s * min(elapsed_s, limits.hold_s), limits.jump_mm)
+    way_mm = axis.offset_mm - sent_mm
+    return axis.offset_mm if abs(way_mm) <= step_mm else sent_mm + math.copysign(step_mm, way_mm)
 
 
 def _hold(

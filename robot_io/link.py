@@ -122,8 +122,8 @@ class Link:
         with self._receiving:
             self._opened.close()
 
-    def send(self, message: BusMessage, timestamp_s: float | None = None) -> None:
-        """Protect a message, send it and log it.
+    def send(self, message: BusMessage, timestamp_s: float | None = None) -> bool:
+        """Protect a message, send it and log it; return whether it went out.
 
         Parameters
         ----------
@@ -161,6 +161,7 @@ class Link:
         except _FAILURES as error:
             raise self._error("send", error) from error
         self._log(frame)
+        return True
 
     def receive(self, timeout_s: float | None = None) -> Iterator[Received]:
         """Yield accepted messages until none has come for some time.

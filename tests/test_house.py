@@ -66,6 +66,7 @@ FOLDERS_MAY_IMPORT: dict[str, dict[str, set[str]]] = {
         "calibration_files": {"recording", "importing"},
         "check": {"recording"},
         "blind_check": {"recording"},
+        "service": set(),
         "setup_check": {"recording", "check"},
         "report": {"recording", "calibration_files", "check", "setup_check"},
         "calibrating": {"recording", "importing", "calibration_files", "check", "setup_check", "report"},

@@ -27,6 +27,14 @@ def replay(
     bus: Annotated[
         str, typer.Option(help="CAN bus for the offsets, python-can's interface:channel.")
     ] = "virtual:arctrack",
+    onto_a_robot: Annotated[
+        bool,
+        typer.Option(
+            "--onto-a-robot",
+            help="Allow a bus other than virtual: a robot may listen there. It must stand where the "
+            "recording's robot stood, and what it hears is marked as a replay.",
+        ),
+    ] = False,
     arc_map: Annotated[
         bool,
         typer.Option(
@@ -49,20 +57,22 @@ def replay(
 
     The offsets go onto the named CAN bus. Where truth.csv exists, the errors are shown at the end.
     A frame that cannot be read gets a row with its flag, and the rest is tracked. A recording that fails does
-    not stop the others. The exit code is then 2. On a bus other than virtual the robot is listened to.
+    not stop the others. The exit code is then 2. A bus other than virtual needs --onto-a-robot; the robot
+    there is listened to.
     The last lines say how many frames are valid and, where few are, what most likely is wrong. The exit code
     is 3 where no frame is valid.
     """
     from arctrack import replay as engine
     from arctrack.check.verdict import verdict_on
     from arctrack.cli import console
-    from arctrack.cli.replay_table import in_words, many_table, one_table
     from arctrack.recording import read_recording
     from arctrack.recording.results import BUS_LOG, REPLAY_MCAP, REPLAY_RRD, RESULTS_CSV
 
     folders = results_folders(recordings, out)
     exports = tuple(name for name, wanted in ((REPLAY_MCAP, mcap), (REPLAY_RRD, rrd)) if wanted)
-    options = engine.ReplayOptions(bus=bus, use_arc_map=arc_map, pictures=pictures, exports=exports)
+    options = engine.ReplayOptions(
+        bus=bus, use_arc_map=arc_map, pictures=pictures, exports=exports, onto_a_robot=onto_a_robot
+    )
     complaints: list[str] = []
     summaries: list[Summary] = []
     verdicts: list[Verdict] = []
@@ -96,14 +106,7 @@ def replay(
                     summaries.append(engine.track_alone(recording, True, on_frame))
             except (ArctrackError, OSError) as error:
                 complaints.append(as_line(error, path))
-    screen = console.tables()
-    if len(recordings) > 1 and summaries:
-        screen.print(many_table(summaries))
-    elif summaries:
-        if summaries[0].score is not None:
-            screen.print(one_table(summaries))
-        for summary in summaries:
-            screen.print(in_words(summary), markup=False, soft_wrap=True)
+    _show(summaries, len(recordings) > 1)
     console.say(*written)
     console.complain(complaints)
     from arctrack.cli.exit_codes import BAD_INPUT, NOTHING_TRACKED
@@ -112,6 +115,20 @@ def replay(
         raise typer.Exit(BAD_INPUT)
     if any(verdict.nothing_tracked for verdict in verdicts):
         raise typer.Exit(NOTHING_TRACKED)
+
+
+def _show(summaries: list[Summary], of_several: bool) -> None:
+    from arctrack.cli import console
+    from arctrack.cli.replay_table import in_words, many_table, one_table
+
+    screen = console.tables()
+    if of_several and summaries:
+        screen.print(many_table(summaries))
+    elif summaries:
+        if summaries[0].score is not None:
+            screen.print(one_table(summaries))
+        for summary in summaries:
+            screen.print(in_words(summary), markup=False, soft_wrap=True)
 
 
 def results_folders(recordings: list[Path], out: Path | None) -> list[Path]:

@@ -3,36 +3,51 @@
 from __future__ import annotations
 
 import itertools
+import math
 import threading
 import time
 from collections import Counter
+from collections.abc import Iterable
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import can
+import numpy as np
 import pytest
 from can.interfaces.virtual import VirtualBus
 
 from arctrack import moments
-from arctrack.moments import RealTime, RecordingTime, assumed_robot
-from arctrack.publish import LIMITS, Publisher
+from arctrack.errors import ArctrackError
+from arctrack.moments import RealTime, RecordingTime, assumed_command, assumed_robot
+from arctrack.pose_agreement import PoseAgreement
 from arctrack.recording import FrameRow, read_recording
-from arctrack.replay import ReplayOptions, replay_recording
+from arctrack.replay import HEARD, ReplayOptions, replay_recording
+from arctrack.service.controller import Controller, Job
 from robot_io import (
     BusLogReader,
-    BusMessage,
+    Command,
     DbcVersion,
     GateReason,
     Link,
-    LinkError,
+    PoseBuffer,
+    PoseKind,
     Received,
+    RobotPosePosition,
+    RobotPoseRotation,
     RobotStatus,
     SeamGeometry,
     SeamOffset,
+    SeamPoint,
+    SkipReason,
+    Source,
     Switch,
+    TrackerCommand,
+    TrackerHeartbeat,
     TrackerStatus,
+    Trusted,
     Validity,
+    Verdict,
     link,
 )
 from tracker.state import Frame, Pose, Track
@@ -93,53 +108,137 @@ def heard(link: Link) -> list[Received]:
     return list(link.receive(0.0))
 
 
+STILL = PoseBuffer()
+"""The recording's poses: the tool stands still at base's origin."""
+STILL.push_all(0.01 * np.arange(1000), np.tile(np.eye(4), (1000, 1, 1)))
+
+JOB = Job("v_groove", poses_proven=True)
+
+
+class Robot:
+    """A live robot on a bus, which says what a good one says."""
+
+    def __init__(self, channel: str, clock: Clock) -> None:
+        self.link = Link("virtual", channel, trusted=Trusted(tracker=(Source.REPLAY,)))
+        self._clock = clock
+        self.status, self.x_mm = assumed_robot(ROWS[0]), 0.0
+
+    def say(self, command: Command = Command.TRACK, with_poses: bool = True) -> None:
+        now_s = self._clock.time()
+        self.link.send(self.status, now_s)
+        self.link.send(assumed_command(ROWS[0], command), now_s)
+        if with_poses:
+            self.link.send(RobotPosePosition(self.x_mm, 0.0, 0.0, PoseKind.ACTUAL), now_s)
+            self.link.send(RobotPoseRotation.from_quaternion((0.0, 0.0, 0.0, 1.0), 0.0), now_s)
+
+
+def replaying(channel: str, rows: list[FrameRow] = ROWS) -> tuple[Link, Controller, RealTime]:
+    link = Link("virtual", channel, source=Source.REPLAY, trusted=HEARD)
+    controller = Controller(JOB, Source.REPLAY)
+    return link, controller, RealTime(rows, link, controller, PoseAgreement(STILL))
+
+
+def offsets_of(received: Iterable[Received]) -> list[SeamOffset]:
+    return [r.message for r in received if isinstance(r.message, SeamOffset)]
+
+
 def test_a_frame_goes_out_when_its_time_has_come(clock: Clock) -> None:
-    with Link("virtual", next(CHANNELS)) as link:
-        real_time = RealTime(ROWS, link)
+    link, _, real_time = replaying(next(CHANNELS))
+    with link:
         # Kernels are compiled meanwhile: the frames of that time are not to go out in a burst.
         clock.sleep(20.0)
         began_s = clock.now_s
         for row in ROWS[:3]:
-            moment = real_time.moment(row, 1.0)
-            assert clock.now_s == began_s + row.timestamp_s - ROWS[0].timestamp_s
-            assert moment.now_s == row.timestamp_s + row.exposure_s / 2.0
-            assert moment.logged_at_s is None
+            real_time.publish(row, track(row), None, 1.0)
+            assert clock.now_s == pytest.approx(began_s + row.timestamp_s - ROWS[0].timestamp_s)
 
 
 def test_what_comes_too_late_is_refused(clock: Clock) -> None:
     channel = next(CHANNELS)
-    with Link("virtual", channel) as link, Link("virtual", channel) as robot:
-        real_time, publisher = RealTime(ROWS, link), Publisher(link, "v_groove")
+    link, controller, real_time = replaying(channel)
+    robot = Robot(channel, clock)
+    with link, robot.link:
+        robot.say(Command.DISARM)
         for row in ROWS:
             # A tenth of a second more than there is from frame to frame.
             clock.sleep(0.225)
-            publisher.publish(track(row), real_time.moment(row, 225.0))
-        offsets = [r.message for r in heard(robot) if isinstance(r.message, SeamOffset)]
-    ages_ms = [offset.capture_age_ms for offset in offsets[:4]]
-    assert ages_ms[:2] == pytest.approx([31.25, 131.25], abs=0.5)
-    assert [offset.validity for offset in offsets[:3]] == [Validity.VALID, Validity.VALID, Validity.HELD]
-    assert publisher.reasons == Counter({GateReason.CAPTURE_TOO_OLD: len(ROWS) - 2})
+            robot.say()
+            real_time.publish(row, track(row), None, 225.0)
+        offsets = offsets_of(heard(robot.link))
+    frames = [offset for offset in offsets if offset.validity is not Validity.REFUSED]
+    assert [offset.capture_age_ms for offset in frames[:2]] == pytest.approx([31.25, 131.25], abs=0.5)
+    assert [offset.validity for offset in frames[:3]] == [Validity.VALID, Validity.VALID, Validity.HELD]
+    assert controller.reasons == Counter({GateReason.CAPTURE_TOO_OLD: len(ROWS) - 2})
     assert offsets[-1].validity is Validity.REFUSED
 
 
-def test_the_robot_is_the_one_that_is_heard(clock: Clock, tmp_path: Path) -> None:
-    channel = next(CHANNELS)
-    log = tmp_path / "bus.blf"
-    stopped = replace(assumed_robot(ROWS[0]), emergency_stop=Switch.ON)
-    with Link("virtual", channel, log_paths=[log]) as link, Link("virtual", channel) as robot:
-        real_time, publisher = RealTime(ROWS, link), Publisher(link, "v_groove")
-        assert real_time.moment(ROWS[0], 1.0).robot == assumed_robot(ROWS[0])
-        robot.send(stopped, clock.time())
-        moment = real_time.moment(ROWS[1], 1.0)
-        assert moment.robot is not None
-        assert moment.robot.emergency_stop is Switch.ON
-        publisher.publish(track(ROWS[1]), moment)
-        # It falls silent: that is no robot, and none is made up.
-        assert real_time.moment(ROWS[9], 1.0).robot is None
+def test_without_a_robot_nothing_is_valid(clock: Clock) -> None:
+    link, controller, real_time = replaying(next(CHANNELS))
+    with link:
+        offsets = [real_time.publish(row, track(row), None, 1.0) for row in ROWS[:5]]
         (warning,) = real_time.warnings
-    assert publisher.reasons == Counter({GateReason.EMERGENCY_STOP: 1})
-    assert warning.startswith(f"virtual:{channel}: no RobotStatus was heard for 1 of 3 frames")
-    assert [type(r.message) for r in BusLogReader(log)][:1] == [RobotStatus]
+    assert {offset.validity for offset in offsets} == {Validity.REFUSED}
+    assert controller.reasons == Counter({GateReason.NOT_ARMED: 5})
+    assert warning == f"virtual:{link.channel}: no RobotStatus was heard, so every offset was refused"
+
+
+def test_the_robot_is_the_one_that_is_heard(clock: Clock) -> None:
+    channel = next(CHANNELS)
+    link, controller, real_time = replaying(channel)
+    robot = Robot(channel, clock)
+    with link, robot.link:
+        robot.say(Command.DISARM)
+        robot.say()
+        assert real_time.publish(ROWS[0], track(ROWS[0]), None, 1.0).validity is Validity.VALID
+        clock.sleep(0.1)
+        robot.status = replace(robot.status, emergency_stop=Switch.ON)
+        robot.say()
+        assert real_time.publish(ROWS[1], track(ROWS[1]), None, 1.0).validity is Validity.REFUSED
+        # It falls silent: that is no robot, and none is made up.
+        assert real_time.publish(ROWS[9], track(ROWS[9]), None, 1.0).validity is Validity.REFUSED
+        assert real_time.warnings == ()
+    assert controller.reasons == Counter({GateReason.EMERGENCY_STOP: 1, GateReason.HEARTBEAT_LOST: 1})
+
+
+@pytest.mark.parametrize(
+    ("x_mm", "with_poses", "reason"),
+    [
+        (5.0, True, GateReason.NONE),
+        (5.1, True, GateReason.ROBOT_ELSEWHERE),
+        (-300.0, True, GateReason.ROBOT_ELSEWHERE),
+        (0.0, False, GateReason.POSE_IMPLAUSIBLE),
+    ],
+)
+def test_the_robot_must_stand_where_the_recordings_robot_stood(
+    clock: Clock, x_mm: float, with_poses: bool, reason: GateReason
+) -> None:
+    channel = next(CHANNELS)
+    link, controller, real_time = replaying(channel)
+    robot = Robot(channel, clock)
+    robot.x_mm = x_mm
+    with link, robot.link:
+        for command in (Command.DISARM, Command.TRACK):
+            robot.say(command, with_poses)
+        real_time.publish(ROWS[0], track(ROWS[0]), None, 1.0)
+    assert controller.reasons == Counter({reason: 1} if reason is not GateReason.NONE else {})
+
+
+def test_a_robot_that_is_turned_stands_elsewhere() -> None:
+    half = math.radians(3.05) / 2.0
+    agreement = PoseAgreement(STILL)
+    messages = (
+        RobotPosePosition(0.0, 0.0, 0.0, PoseKind.ACTUAL),
+        RobotPoseRotation.from_quaternion((0.0, 0.0, math.sin(half), math.cos(half)), 2.0),
+    )
+    verdicts = [agreement.verdict(Received(7.0, message, 3), 1.0) for message in messages]
+    assert verdicts == [None, GateReason.ROBOT_ELSEWHERE]
+    # Where the recording has no pose, no robot can agree with it.
+    assert [agreement.verdict(Received(7.0, message, 3), 90.0) for message in messages][1] is (
+        GateReason.ROBOT_ELSEWHERE
+    )
+    programmed = replace(messages[0], kind=PoseKind.PROGRAMMED)
+    assert agreement.verdict(Received(7.0, programmed, 4), 1.0) is None
+    assert agreement.verdict(Received(7.0, messages[1], 4), 1.0) is None
 
 
 def test_a_robot_that_talks_between_two_frames_is_heard_to_the_end(
@@ -156,17 +255,17 @@ def test_a_robot_that_talks_between_two_frames_is_heard_to_the_end(
                 robot.send(assumed_robot(rows[next(sent) % 2]))
                 time.sleep(0.001)
 
-        real_time = RealTime(rows, tracker)
-        real_time.moment(rows[0], 1.0)
+        real_time = RealTime(rows, tracker, Controller(JOB), PoseAgreement(STILL))
+        real_time.publish(rows[0], track(rows[0]), None, 1.0)
         talking = threading.Thread(target=talk)
         talking.start()
-        real_time.moment(rows[1], 1.0)
+        real_time.publish(rows[1], track(rows[1]), None, 1.0)
         enough.set()
         talking.join()
         # What came after the frame was due.
         heard(tracker)
         assert not tracker.inbox.skipped
-    assert len(list(BusLogReader(log))) == next(sent)
+    assert sum(isinstance(r.message, RobotStatus) for r in BusLogReader(log)) == next(sent)
 
 
 @pytest.mark.slow
@@ -196,70 +295,81 @@ def test_the_bus_is_joined_when_all_is_compiled(
     assert happened[:3] == ["ready", "joined", "step"]
 
 
+def test_a_bus_beyond_this_process_must_be_meant(simulated: Path, tmp_path: Path) -> None:
+    options = ReplayOptions(bus="udp_multicast:239.74.163.2", pictures=False)
+    with pytest.raises(ArctrackError, match="say --onto-a-robot if that is meant"):
+        replay_recording(read_recording(simulated), tmp_path / "out", options)
+    assert not (tmp_path / "out").exists()
+
+
 def test_a_replay_onto_a_bus_beyond_it_listens(
     simulated: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, clock: Clock
 ) -> None:
     channel = next(CHANNELS)
     recording = read_recording(simulated)
     stopped = replace(assumed_robot(recording.rows[5]), emergency_stop=Switch.ON)
-    robot = Link("virtual", channel)
+    robot = Link("virtual", channel, trusted=Trusted(tracker=(Source.REPLAY,)))
 
-    def beyond(_interface: str, channel: str, *, log_paths: tuple[Path, ...]) -> Link:
-        link = Link("virtual", channel, log_paths=log_paths)
+    def beyond(_interface: str, channel: str, **options: Any) -> Link:
+        link = Link("virtual", channel, **options)
+        robot.send(assumed_command(recording.rows[0], Command.DISARM), clock.time() + 0.45)
+        robot.send(assumed_command(recording.rows[0]), clock.time() + 0.45)
         robot.send(stopped, clock.time() + 0.45)
         return link
 
     monkeypatch.setattr("arctrack.replay.Link", beyond)
-    options = ReplayOptions(bus=f"socketcan:{channel}", pictures=False)
+    options = ReplayOptions(bus=f"socketcan:{channel}", pictures=False, onto_a_robot=True)
     with robot:
         done = replay_recording(recording, tmp_path / "out", options)
         received = heard(robot)
-    # Frames 3 to 6 lie within 0.2 s of the one status; before and after it, it is stale.
     assert done.summary.offsets == {"send": 0, "hold": 0, "refuse": 14}
-    assert done.summary.refusals == {"robot_status_stale": 10, "emergency_stop": 4}
+    assert done.summary.refusals["emergency_stop"] >= 1
+    assert done.summary.refusals["heartbeat_lost"] >= 10
     assert done.warnings == ()
-    assert len([r for r in received if isinstance(r.message, SeamOffset)]) == 14
+    assert {offset.validity for offset in offsets_of(received)} == {Validity.REFUSED}
     logged = list(BusLogReader(tmp_path / "out" / "bus.blf"))
-    assert isinstance(logged[0].message, RobotStatus)
+    assert isinstance(logged[0].message, TrackerCommand)
 
 
-def test_what_did_not_go_out_is_not_held(monkeypatch: pytest.MonkeyPatch) -> None:
-    send = Link.send
-
-    def fail(link: Link, message: BusMessage, timestamp_s: float | None = None) -> None:
-        if isinstance(message, SeamOffset):
-            raise LinkError("no acknowledgement")
-        send(link, message, timestamp_s)
-
-    with Link("virtual", next(CHANNELS)) as tracker:
-        publisher, recording_time = Publisher(tracker, "v_groove"), RecordingTime(ROWS)
-        monkeypatch.setattr(Link, "send", fail)
-        with pytest.raises(LinkError):
-            publisher.publish(track(ROWS[0]), recording_time.moment(ROWS[0], 1.0))
-        monkeypatch.setattr(Link, "send", send)
-        assert not publisher.verdicts
-        doubtful = replace(track(ROWS[1]), offset_confidence=0.0)
-        offset = publisher.publish(doubtful, recording_time.moment(ROWS[1], 1.0))
-    assert offset.validity is Validity.REFUSED
+def recording_time() -> tuple[Link, Controller, RecordingTime]:
+    link = Link("virtual", next(CHANNELS), source=Source.REPLAY)
+    controller = Controller(Job("v_groove"), Source.REPLAY)
+    return link, controller, RecordingTime(ROWS, link, controller)
 
 
 def test_nobody_listens_to_virtual() -> None:
-    recording_time = RecordingTime(ROWS)
-    moment = recording_time.moment(ROWS[3], 7.0)
-    assert moment.now_s == moment.logged_at_s == ROWS[3].timestamp_s + ROWS[3].exposure_s / 2.0
-    assert moment.robot == assumed_robot(ROWS[3])
-    assert recording_time.warnings == ()
+    link, controller, by_recording = recording_time()
+    with (
+        link,
+        Link("virtual", link.channel, trusted=Trusted(tracker=(Source.REPLAY,))) as robot,
+        Link("virtual", link.channel) as live,
+    ):
+        offset = by_recording.publish(ROWS[0], track(ROWS[0]), None, 7.0)
+        assert (offset.validity, offset.offset_y_mm) == (Validity.VALID, 0.0)
+        offset = by_recording.publish(ROWS[3], track(ROWS[3]), None, 7.0)
+        by_recording.close()
+        received = heard(robot)
+        # Who trusts live frames alone hears nothing.
+        assert heard(live) == []
+        assert set(live.inbox.skipped) == {SkipReason.OTHER_SOURCE}
+    assert (offset.validity, offset.offset_y_mm) == (Validity.VALID, 0.5)
+    assert controller.verdicts == Counter({Verdict.SEND: 2})
+    at_s = [ROWS[n].timestamp_s + ROWS[n].exposure_s / 2.0 for n in (0, 3, 3)]
+    assert [r.timestamp_s for r in received if isinstance(r.message, SeamOffset)] == at_s
+    assert offsets_of(received)[-1].validity is Validity.REFUSED
+    assert by_recording.warnings == ()
 
 
 def test_the_version_is_sent_again_and_again() -> None:
-    channel = next(CHANNELS)
-    with Link("virtual", channel) as link, Link("virtual", channel) as robot:
-        publisher, recording_time = Publisher(link, "v_groove", LIMITS), RecordingTime(ROWS)
+    link, _, by_recording = recording_time()
+    with link, Link("virtual", link.channel, trusted=Trusted(tracker=(Source.REPLAY,))) as robot:
         for row in ROWS:
-            publisher.publish(track(row), recording_time.moment(row, 1.0))
+            by_recording.publish(row, track(row), None, 1.0)
         received = heard(robot)
     counts = Counter(type(r.message) for r in received)
     # 40 frames at 8 a second.
-    assert counts == {SeamOffset: 40, SeamGeometry: 40, TrackerStatus: 40, DbcVersion: 5}
+    frame = dict.fromkeys((SeamOffset, SeamPoint, SeamGeometry, TrackerStatus, TrackerHeartbeat), 40)
+    assert counts == {**frame, DbcVersion: 5}
     at_s = [r.timestamp_s for r in received if isinstance(r.message, DbcVersion)]
     assert at_s == [ROWS[n].timestamp_s + ROWS[n].exposure_s / 2.0 for n in (0, 8, 16, 24, 32)]
+    assert {r.message.source for r in received if isinstance(r.message, DbcVersion)} == {Source.REPLAY}

@@ -18,7 +18,7 @@ from arctrack.recording.results import COLUMNS, FILES, REPLAY_MCAP, REPLAY_RRD, 
 from arctrack.recording.score import score
 from arctrack.replay import ReplayOptions, parse_bus, replay_recording, track_alone
 from arctrack.report.replay.pictures import exporter
-from robot_io import BusLogReader, SeamOffset, TrackerStatus, Validity
+from robot_io import BusLogReader, SeamOffset, Source, TrackerStatus, Validity
 from tracker.state import Track
 
 QUICK = ReplayOptions(pictures=False)
@@ -65,7 +65,11 @@ def test_what_is_in_the_results_went_over_the_bus(simulated: Path, tmp_path: Pat
     replay_recording(recording, tmp_path, QUICK)
     received = list(BusLogReader(tmp_path / "bus.blf"))
     offsets = [r for r in received if isinstance(r.message, SeamOffset)]
-    assert sum(isinstance(r.message, TrackerStatus) for r in received) == len(recording.rows)
+    assert sum(isinstance(r.message, TrackerStatus) for r in received) == len(recording.rows) + 1
+    assert {r.source for r in received} == {Source.REPLAY}
+    last = offsets.pop().message
+    assert isinstance(last, SeamOffset)
+    assert last.validity is Validity.REFUSED
     for row, frame, entry in zip(results_of(tmp_path), recording.rows, offsets, strict=True):
         assert entry.timestamp_s == pytest.approx(frame.timestamp_s + frame.exposure_s / 2.0, abs=1e-5)
         message = entry.message
@@ -155,7 +159,10 @@ def test_rows_before_a_crash_are_kept(simulated: Path, tmp_path: Path) -> None:
     with pytest.raises(KeyboardInterrupt):
         replay_recording(read_recording(simulated), tmp_path, on_frame=crash)
     assert len(results_of(tmp_path)) == 6
-    assert len([r for r in BusLogReader(tmp_path / "bus.blf") if isinstance(r.message, SeamOffset)]) == 6
+    offsets = [r.message for r in BusLogReader(tmp_path / "bus.blf") if isinstance(r.message, SeamOffset)]
+    # Six frames, and the last word.
+    assert len(offsets) == 7
+    assert offsets[-1].validity is Validity.REFUSED
     with av.open(str(tmp_path / "overlay.mp4")) as video:
         assert sum(1 for _ in video.decode(video=0)) == 6
     assert not (tmp_path / "summary.json").exists()
@@ -208,7 +215,7 @@ def test_a_recording_that_begins_before_0(simulated: Path, tmp_path: Path) -> No
     (warning,) = done.warnings
     assert "in bus.blf all times are 1 s later" in warning
     offsets = [r for r in BusLogReader(tmp_path / "out" / "bus.blf") if isinstance(r.message, SeamOffset)]
-    assert [r.timestamp_s for r in offsets] == pytest.approx(
+    assert [r.timestamp_s for r in offsets[:-1]] == pytest.approx(
         [row.timestamp_s + row.exposure_s / 2.0 + 1.0 for row in recording.rows], abs=1e-5
     )
     assert results_of(tmp_path / "out")[0]["timestamp_s"] == "-0.100000"

@@ -1,0 +1,407 @@
+"""What the tracker says on the bus, and when: no thread, clock or socket, so that every run can be repeated.
+
+A live run, a replay and a simulation tell the controller what came (`on_message`, `on_track`, `on_poses`) and
+what time it is (`poll`), on one clock of their own. It answers with the messages to send, in order. Nothing
+is VALID before the robot is heard, and whatever ends that is answered with REFUSED.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from dataclasses import dataclass, field
+from typing import Generic, TypeVar
+
+from arctrack.service import track_messages
+from arctrack.service.policy import ServicePolicy
+from arctrack.service.track_messages import NO_TRACK, UNKNOWN_POINT, has
+from noise_model.arrays import Float64
+from robot_io import (
+    BusMessage,
+    Command,
+    Conditions,
+    DbcVersion,
+    Fault,
+    GateLimits,
+    GateReason,
+    JointType,
+    LaserState,
+    LastSent,
+    Received,
+    RequestResult,
+    RobotStatus,
+    RobotSync,
+    SeamOffset,
+    Source,
+    Switch,
+    TrackerCommand,
+    TrackerHeartbeat,
+    TrackerState,
+    TrackerSyncEcho,
+    Validity,
+    Verdict,
+    cycle_time_s,
+    dbc_version,
+    decide,
+    forbidden_by,
+    message_layout,
+)
+from tracker import flags
+from tracker.seam.correction import UNSTATED, Correction
+from tracker.state import NAN, Track
+
+M = TypeVar("M", bound=BusMessage)
+
+ARMING = (Command.ARM, Command.TRACK, Command.SEARCH, Command.HOLD)
+"""The commands under which offsets may go out."""
+
+_REFUSED = SeamOffset(NAN, NAN, NAN, NAN, Validity.REFUSED)
+_ROLLING = 256
+
+
+@dataclass(frozen=True)
+class Job:
+    """What is tracked, and how.
+
+    Parameters
+    ----------
+    joint_type : str
+        The joint's type, which the seam geometry states.
+    limits : GateLimits
+        What an offset must keep to.
+    correction : Correction
+        Which axes are corrected.
+    offsets_in_search : bool
+        Whether offsets go out while the robot commands SEARCH.
+    poses_proven : bool
+        Whether nothing goes out before `on_poses` said that the poses are to be trusted, and again and again.
+    """
+
+    joint_type: str
+    limits: GateLimits = field(default_factory=GateLimits)
+    correction: Correction = UNSTATED
+    offsets_in_search: bool = False
+    poses_proven: bool = False
+
+
+@dataclass(frozen=True)
+class _Heard(Generic[M]):
+    message: M
+    came_at_s: float
+
+
+class Controller:
+    """Decides what goes over the bus.
+
+    All times are on one clock, which the caller chooses. Times that run backwards make what was heard stale.
+
+    A robot that is armed already as the controller begins must be disarmed first: it may still stand where a
+    tracker before this one sent it, and the first offset after arming is nought.
+
+    Parameters
+    ----------
+    job : Job
+        What is tracked, and how.
+    source : Source
+        Where frames and poses come from. Frames are protected by whoever sends the messages.
+    policy : ServicePolicy
+        How long what was heard is trusted.
+
+    Attributes
+    ----------
+    verdicts : Counter of Verdict
+        What became of the offsets of all tracks.
+    reasons : Counter of GateReason
+        Why they were held or refused.
+    """
+
+    def __init__(self, job: Job, source: Source = Source.LIVE, policy: ServicePolicy | None = None) -> None:
+        self.verdicts: Counter[Verdict] = Counter()
+        self.reasons: Counter[GateReason] = Counter()
+        self._job = job
+        self._joint = JointType[job.joint_type.upper()]
+        self._source = source
+        self._policy = policy or ServicePolicy()
+        self._robot: _Heard[RobotStatus] | None = None
+        self._command: _Heard[TrackerCommand] | None = None
+        self._poses_doubt, self._poses_at_s = GateReason.POSE_IMPLAUSIBLE, NAN
+        self._laser = LaserState.UNKNOWN
+        self._fault = Fault.NONE
+        self._closed = False
+        self._was_disarmed = False
+        self._request_number, self._request_result = 0, RequestResult.NONE
+        self._zero_mm = (0.0, 0.0)
+        self._track, self._track_at_s = NO_TRACK, NAN
+        self._last_sent = self._sent_before = LastSent()
+        self._offset = _REFUSED
+        self._refused_at_s, self._is_refusal_owed = NAN, False
+        self._state = TrackerState.STARTING
+        self._due_at_s = {DbcVersion: NAN, TrackerHeartbeat: NAN}
+        self._rolling = 0
+
+    @property
+    def state(self) -> TrackerState:
+        """The state that was told last."""
+        return self._state
+
+    @property
+    def fault(self) -> Fault:
+        """What holds until the robot commands RESET."""
+        return self._fault
+
+    def is_laser_on(self, now_s: float) -> bool:
+        """Return whether the laser may be on: commanded, by a robot that is heard, and no fault."""
+        command = self._fresh_command(now_s)
+        return (
+            command is not None
+            and command.laser_enable is Switch.ON
+            and command.command not in (Command.DISARM, Command.RESET)
+            and self._fault is Fault.NONE
+            and not self._closed
+        )
+
+    def on_message(self, received: Received, now_s: float) -> list[BusMessage]:
+        """Take an accepted message, and return what answers it.
+
+        Parameters
+        ----------
+        received : Received
+            A message off the bus. One that a tracker sends is not ours: another tracker is there.
+        now_s : float
+            The time of its reading, s; it came at most `received.max_age_s` before.
+
+        Returns
+        -------
+        list of BusMessage
+            The echo of a RobotSync; else empty. `poll` says what else follows.
+        """
+        message, came_at_s = received.message, now_s - received.max_age_s
+        if message_layout(type(message).__name__).senders == ["TRACKER"]:
+            self._fault = Fault.OTHER_TRACKER
+        elif isinstance(message, RobotStatus):
+            self._robot = _Heard(message, came_at_s)
+        elif isinstance(message, TrackerCommand):
+            self._obey(message, came_at_s, now_s)
+        elif isinstance(message, RobotSync):
+            delay_us = round(1e6 * received.max_age_s)
+            known = 0 <= delay_us <= 1_048_574
+            return [TrackerSyncEcho(message.sequence, delay_us if known else None, self._source)]
+        return []
+
+    def on_poses(self, doubt: GateReason, now_s: float) -> None:
+        """Take the verdict on the newest poses: NONE, POSE_IMPLAUSIBLE or ROBOT_ELSEWHERE."""
+        self._poses_doubt, self._poses_at_s = doubt, now_s
+
+    def on_laser(self, laser: LaserState) -> None:
+        """Take what the laser does."""
+        self._laser = laser
+
+    def on_track(
+        self, track: Track, now_s: float, T_base_tool: Float64 | None = None, latency_ms: float = NAN
+    ) -> list[BusMessage]:
+        """Take a frame's result, and return what is to be sent.
+
+        Parameters
+        ----------
+        track : Track
+            The frame's result, its capture on the controller's clock.
+        now_s : float
+            The time, s.
+        T_base_tool : array (4, 4), optional
+            The pose at the capture, mm.
+        latency_ms : float
+            How long the track took, ms; NaN if nobody timed it.
+
+        Returns
+        -------
+        list of BusMessage
+            One SeamOffset, SeamPoint, SeamGeometry and TrackerStatus, behind what is due of version and
+            heartbeat.
+        """
+        self._track, self._track_at_s = track, now_s
+        conditions = self._conditions(track, now_s)
+        decision = decide(
+            track_messages.proposal(track, self._zero_mm),
+            conditions,
+            self._job.limits,
+            self._last_sent,
+            now_s,
+        )
+        self._sent_before, self._last_sent = self._last_sent, decision.last_sent
+        self._offset, self._is_refusal_owed = decision.message, False
+        self.verdicts[decision.verdict] += 1
+        if decision.verdict is not Verdict.SEND:
+            self.reasons[decision.reason] += 1
+        self._state = self._state_of(track, decision.verdict, now_s)
+        return [
+            *self._due(now_s),
+            decision.message,
+            track_messages.seam_point(track, T_base_tool),
+            track_messages.geometry(track, self._joint),
+            track_messages.status(track, self._state, decision.reason, conditions.robot is None, latency_ms),
+        ]
+
+    def poll(self, now_s: float) -> list[BusMessage]:
+        """Return what is due: version, heartbeat, and REFUSED where an offset on the bus holds no longer."""
+        if not self._track_at_s <= now_s:
+            # It begins, or the clock was set back: from now on a camera has its time.
+            self._track_at_s = now_s
+        is_camera_stopped = now_s - self._track_at_s > self._policy.camera_timeout_s
+        reason = forbidden_by(self._conditions(self._track, now_s, is_camera_stopped), self._job.limits)
+        refused = self._offset.validity is Validity.REFUSED
+        is_repeated = is_camera_stopped and self._is_due(self._refused_at_s, now_s)
+        is_told = refused and not (is_repeated or self._is_refusal_owed)
+        if reason is GateReason.NONE or is_told:
+            self._state = self._state_of(self._track, None, now_s)
+            return self._due(now_s)
+        return [*self._refuse(reason, now_s), *self._due(now_s)]
+
+    def unsent(self, message: BusMessage) -> None:
+        """Take back a message that did not go out.
+
+        What the robot did not hear is nothing to hold or to follow; a refusal is said again.
+        """
+        if message is self._offset:
+            self._last_sent = self._sent_before
+            self._is_refusal_owed = self._offset.validity is Validity.REFUSED
+
+    def close(self, now_s: float) -> list[BusMessage]:
+        """Return the last messages, REFUSED first; nothing is VALID any more."""
+        self._closed = True
+        self._due_at_s[TrackerHeartbeat] = NAN
+        return [*self._refuse(GateReason.SHUTTING_DOWN, now_s), *self._due(now_s)]
+
+    def _refuse(self, reason: GateReason, now_s: float) -> list[BusMessage]:
+        self._refused_at_s = now_s
+        self._is_refusal_owed = False
+        self._offset, self._sent_before = _REFUSED, self._last_sent
+        self._state = self._state_of(self._track, Verdict.REFUSE, now_s)
+        is_stale = self._fresh_robot(now_s) is None
+        return [
+            _REFUSED,
+            UNKNOWN_POINT,
+            track_messages.status(self._track, self._state, reason, is_stale, NAN),
+        ]
+
+    def _conditions(self, track: Track, now_s: float, is_camera_stopped: bool = False) -> Conditions:
+        """Return what holds beside an offset.
+
+        A command that is missing does not forget what was sent: the robot still stands there.
+        """
+        heard = self._command
+        command = None if heard is None else heard.message
+        fault = GateReason.NONE
+        if self._closed:
+            fault = GateReason.SHUTTING_DOWN
+        elif self._fault is Fault.OTHER_TRACKER:
+            fault = GateReason.OTHER_TRACKER
+        elif heard is not None and self._fresh_command(now_s) is None:
+            fault = GateReason.HEARTBEAT_LOST
+        doubt = GateReason.NONE
+        if is_camera_stopped:
+            doubt = GateReason.CAMERA_STOPPED
+        elif command is not None and command.command is Command.SEARCH and not self._job.offsets_in_search:
+            doubt = GateReason.SEARCH_ONLY
+        elif self._job.poses_proven:
+            is_fresh = 0.0 <= now_s - self._poses_at_s <= self._policy.poses_age_s
+            doubt = self._poses_doubt if is_fresh else GateReason.POSE_IMPLAUSIBLE
+        enable_y, enable_z = self._job.correction.enabled
+        return Conditions(
+            # A tracker that has stopped following is not to be held to its last offset: it refuses at once.
+            armed=self._is_armed(command, track),
+            enable_y=enable_y and command is not None and command.enable_y,
+            enable_z=enable_z and command is not None and command.enable_z,
+            robot=self._fresh_robot(now_s),
+            fault=fault,
+            doubt=doubt,
+            hold=command is not None and command.command is Command.HOLD,
+        )
+
+    def _is_armed(self, command: TrackerCommand | None, track: Track) -> bool:
+        return (
+            command is not None
+            and command.command in ARMING
+            and self._was_disarmed
+            and not has(track, flags.FOLLOW_STOPPED)
+        )
+
+    def _state_of(self, track: Track, verdict: Verdict | None, now_s: float) -> TrackerState:
+        if self._fault is not Fault.NONE:
+            return TrackerState.FAULT
+        if self._robot is None and self._command is None:
+            return TrackerState.STARTING
+        command = self._fresh_command(now_s)
+        if command is None or self._closed or not self._is_armed(command, track):
+            return TrackerState.DISARMED
+        is_held = self._offset.validity is Validity.HELD if verdict is None else verdict is Verdict.HOLD
+        if is_held or command.command is Command.HOLD or has(track, flags.OFFSET_HELD):
+            return TrackerState.HOLDING
+        if command.command is Command.SEARCH or not track.valid:
+            return TrackerState.SEARCHING
+        return TrackerState.TRACKING
+
+    def _obey(self, command: TrackerCommand, came_at_s: float, now_s: float) -> None:
+        before = self._command
+        self._command = _Heard(command, came_at_s)
+        if before is not None and before.message.job_number != command.job_number:
+            # Another job's nought, and another job's seam.
+            self._zero_mm, self._last_sent = (0.0, 0.0), LastSent()
+        if command.command not in ARMING:
+            self._was_disarmed, self._last_sent = True, LastSent()
+        if before is not None and before.message.request_number == command.request_number:
+            return
+        self._request_number, self._request_result = command.request_number, RequestResult.NONE
+        if command.command is Command.RESET:
+            self._fault = Fault.NONE
+            self._request_result = RequestResult.DONE
+        elif command.command is Command.STORE_ZERO:
+            # Whether the first request after the start is a new one, nobody knows.
+            zero_mm = track_messages.displacement(
+                self._track, self._job.limits, self._job.correction.enabled, now_s
+            )
+            self._request_result = RequestResult.REFUSED
+            if before is not None and zero_mm is not None:
+                self._zero_mm, self._request_result = zero_mm, RequestResult.DONE
+
+    def _fresh_robot(self, now_s: float) -> RobotStatus | None:
+        return _fresh(self._robot, now_s, self._policy.status_age_s)
+
+    def _fresh_command(self, now_s: float) -> TrackerCommand | None:
+        return _fresh(self._command, now_s, self._policy.command_age_s)
+
+    def _due(self, now_s: float) -> list[BusMessage]:
+        """Return version and heartbeat where their time has come."""
+        due: list[BusMessage] = []
+        for kind, due_at_s in self._due_at_s.items():
+            cycle_s = cycle_time_s(message_layout(kind.__name__))
+            # Written so that it is due at first, and where the clock has run backwards.
+            if 0.0 < due_at_s - now_s <= cycle_s:
+                continue
+            # The beat is kept, but nothing is made up for.
+            on_time = 0.0 <= now_s - due_at_s < cycle_s
+            self._due_at_s[kind] = (due_at_s if on_time else now_s) + cycle_s
+            due.append(dbc_version(self._source) if kind is DbcVersion else self._heartbeat())
+        return due
+
+    def _is_due(self, since_s: float, now_s: float) -> bool:
+        return not 0.0 <= now_s - since_s < self._policy.repeat_s
+
+    def _heartbeat(self) -> TrackerHeartbeat:
+        self._rolling = (self._rolling + 1) % _ROLLING
+        job_number = None if self._command is None else self._command.message.job_number
+        return TrackerHeartbeat(
+            state=self._state,
+            source=self._source,
+            laser=self._laser,
+            fault=self._fault,
+            request_number=self._request_number,
+            request_result=self._request_result,
+            job_number=job_number,
+            rolling=self._rolling,
+        )
+
+
+def _fresh(heard: _Heard[M] | None, now_s: float, max_age_s: float) -> M | None:
+    """Return a message that is not stale; one from as far in the future is stale as well."""
+    if heard is None or not abs(now_s - heard.came_at_s) <= max_age_s:
+        return None
+    return heard.message

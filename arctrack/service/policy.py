@@ -1,0 +1,40 @@
+"""How long the controller trusts what it heard last, and how often it speaks of itself."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field, fields
+
+
+def _seconds(value: float, role: str, source: str) -> float:
+    seconds: float = field(default=value, metadata={"unit": "s", "role": role, "source": source})
+    return seconds
+
+
+@dataclass(frozen=True)
+class ServicePolicy:
+    """The controller's times. Each field's metadata states `unit`, `role` and `source`.
+
+    Raises
+    ------
+    ValueError
+        For a time that is not positive and finite.
+    """
+
+    status_age_s: float = _seconds(0.2, "oldest RobotStatus", "ten periods of 20 ms")
+    command_age_s: float = _seconds(
+        0.15,
+        "oldest TrackerCommand, the robot's heartbeat",
+        "one and a half periods: none is missed",
+    )
+    poses_age_s: float = _seconds(0.1, "oldest verdict on the poses", "ten periods of 10 ms")
+    camera_timeout_s: float = _seconds(
+        0.2, "longest time without a track", "the oldest capture that the gate lets out"
+    )
+    repeat_s: float = _seconds(0.1, "time between refusals without a track", "the cycle of TrackerStatus")
+
+    def __post_init__(self) -> None:
+        for name in (f.name for f in fields(self)):
+            value = getattr(self, name)
+            if not (value > 0.0 and math.isfinite(value)):
+                raise ValueError(f"service policy {name}: is {value}; it must be positive and finite")

@@ -1,0 +1,114 @@
+"""A track as the messages of the bus."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from noise_model.arrays import Float64
+from robot_io import (
+    GateLimits,
+    GateReason,
+    JointType,
+    Proposal,
+    SeamGeometry,
+    SeamPoint,
+    TrackerState,
+    TrackerStatus,
+    out_of_range_as_unknown,
+)
+from tracker import flags
+from tracker.state import NAN, Track
+
+UNKNOWN_POINT = SeamPoint(NAN, NAN, NAN)
+"""Where nothing is known of the seam's place."""
+
+NO_TRACK = Track(0, NAN, 0)
+"""What stands for the newest track before the first."""
+
+
+def has(track: Track, flag: flags.Flag) -> bool:
+    """Return whether a track carries a flag."""
+    return bool(track.flags & flag.mask)
+
+
+def proposal(track: Track, zero_mm: tuple[float, float]) -> Proposal:
+    """Return what a track proposes to send, less the displacement (y, z) that counts as nought, mm."""
+    return Proposal(
+        captured_at_s=track.timestamp_s,
+        offset_y_mm=track.offset_y_mm - zero_mm[0],
+        offset_z_mm=track.offset_z_mm - zero_mm[1],
+        confidence=track.offset_confidence,
+        sigma_y_mm=track.offset_sigma_y_mm,
+        sigma_z_mm=track.offset_sigma_z_mm,
+    )
+
+
+def displacement(
+    track: Track, limits: GateLimits, enabled: tuple[bool, bool], now_s: float
+) -> tuple[float, float] | None:
+    """Return the seam's displacement (y, z), mm, 0 for an axis that is not enabled.
+
+    None where the track is too old, or known less well than the gate's limits ask for.
+    """
+    is_fresh = track.valid and 0.0 <= now_s - track.timestamp_s <= limits.capture_age_s
+    if not (is_fresh and track.offset_confidence >= limits.confidence):
+        return None
+    axes = (
+        (track.offset_y_mm, limits.range_y_mm, track.offset_sigma_y_mm, limits.sigma_y_mm),
+        (track.offset_z_mm, limits.range_z_mm, track.offset_sigma_z_mm, limits.sigma_z_mm),
+    )
+    displaced_mm = [0.0, 0.0]
+    for n, (offset_mm, range_mm, sigma_mm, sigma_limit_mm) in enumerate(axes):
+        if enabled[n]:
+            if not (abs(offset_mm) <= range_mm and 0.0 <= sigma_mm <= sigma_limit_mm):
+                return None
+            displaced_mm[n] = offset_mm
+    return displaced_mm[0], displaced_mm[1]
+
+
+def geometry(track: Track, joint: JointType) -> SeamGeometry:
+    """Return what was measured of a joint."""
+    measured = SeamGeometry(
+        gap_mm=track.gap_mm,
+        mismatch_mm=track.mismatch_mm,
+        sigma_y_mm=track.sigma_y_mm,
+        sigma_z_mm=track.sigma_z_mm,
+        joint=joint if track.valid else JointType.UNKNOWN,
+    )
+    return out_of_range_as_unknown(measured)
+
+
+def seam_point(track: Track, T_base_tool: Float64 | None) -> SeamPoint:
+    """Return where the laser saw the seam, unknown without a valid track or a pose (4, 4)."""
+    if not track.valid or T_base_tool is None:
+        return UNKNOWN_POINT
+    x_mm, y_mm, z_mm = (T_base_tool @ np.array([*track.seam_tool_mm, 1.0]))[:3]
+    point = out_of_range_as_unknown(SeamPoint(float(x_mm), float(y_mm), float(z_mm)))
+    # A point has three coordinates or none.
+    return UNKNOWN_POINT if any(map(math.isnan, (point.x_mm, point.y_mm, point.z_mm))) else point
+
+
+def status(
+    track: Track, state: TrackerState, reason: GateReason, is_robot_stale: bool, latency_ms: float
+) -> TrackerStatus:
+    """Return how the tracker is."""
+    return out_of_range_as_unknown(
+        TrackerStatus(
+            state=state,
+            gate_reason=reason,
+            frame_unreadable=has(track, flags.FRAME_UNREADABLE),
+            stripe_lost=has(track, flags.STRIPE_LOST),
+            joint_not_found=has(track, flags.JOINT_NOT_FOUND),
+            saturated=has(track, flags.SATURATED),
+            arc_map_distrusted=has(track, flags.MAP_MISFIT),
+            pose_extrapolated=has(track, flags.POSE_EXTRAPOLATED),
+            pose_refused=has(track, flags.POSE_REFUSED),
+            robot_stale=is_robot_stale,
+            arc_level=track.arc_level,
+            map_misfit=track.map_misfit,
+            dropped_frames_mod256=0,
+            latency_ms=latency_ms,
+        )
+    )
