@@ -26,6 +26,7 @@ from calibration.arc_pixels import ArcPixels
 from noise_model.arc.map import make_scene
 from noise_model.arrays import Float64
 from noise_model.effects import apply_setup_effects
+from noise_model.evenly import evenly
 from noise_model.fit import Fit, Parameter, fit
 from noise_model.instrument.camera import Rays
 from noise_model.instrument.sensor import variance_e2
@@ -208,7 +209,7 @@ class _Problem:
                 "there"
             )
         kept = np.flatnonzero(is_known)
-        kept = kept[np.unique(np.linspace(0, len(kept) - 1, min(len(kept), MAX_FRAMES)).round().astype(int))]
+        kept = kept[evenly(len(kept), MAX_FRAMES)]
         curve = _curve(setup, sightings, np.array([scenes[n].stations_mm for n in kept]))
         return cls(setup, sightings, curve, [lit[n] for n in kept], Rays.of(true.camera))
 

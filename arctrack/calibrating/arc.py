@@ -53,9 +53,7 @@ def arc_stage(read: Recording, steps: Steps) -> tuple[Stage[ArcCalibration], lis
     """
     rows = [n for n, row in enumerate(read.rows) if row.arc_on and not row.laser_on and row.current_a != 0.0]
     frames, bad_frames = parted(read.frames(rows))
-    poses = read.pose_buffer()
-    posed = [(frame, read.pose_at(poses, frame.timestamp_s)) for frame in frames]
-    lit = [(frame, pose.T_base_tool) for frame, pose in posed if pose is not None]
+    lit = [(frame, pose.T_base_tool) for frame, pose in read.posed(frames)]
     if not lit:
         raise in_file(
             read.path, "no frame has the arc on, the laser off and a pose: record some at several heights"

@@ -43,12 +43,6 @@ class Stage(Generic[Result]):
     refusal: str | None = None
 
 
-def no_steps(what: str, unit: str) -> Tell:
-    """Begin a step that nobody watches."""
-    del what, unit
-    return lambda done, total: None
-
-
 def left_out(reasons: Mapping[str, str]) -> Iterator[str]:
     """Say what of an input is not used, and why, a line each."""
     return (f"{name}: left out: {reason}" for name, reason in reasons.items())

@@ -21,6 +21,7 @@ from calibration.gauge.shape import Gauge
 from calibration.gauge.sightings import Posed
 from calibration.gauge.stripe_pieces import Pieces, stripe_pieces
 from noise_model.arrays import Float64, Integers
+from noise_model.evenly import evenly
 
 MOST_FRAMES = 40
 """So many frames of a recording are looked at, evenly over it."""
@@ -154,9 +155,7 @@ def read_gauge_frames(
     lit = [n for n, row in enumerate(recording.rows) if row.laser_on and not row.arc_on]
     if not lit:
         raise in_file(recording.path, "has no frame of the laser alone: take them with the arc off")
-    chosen = sorted(
-        {lit[n] for n in np.linspace(0, len(lit) - 1, min(MOST_FRAMES, len(lit))).round().astype(int)}
-    )
+    chosen = [lit[n] for n in evenly(len(lit), MOST_FRAMES)]
     images = GaugeImages(_lens(stated), has_poses=True)
     buffer = recording.pose_buffer()
     for done, frame in enumerate(recording.frames(chosen)):

@@ -16,6 +16,7 @@ from arctrack.recording.frames import Image
 from arctrack.recording.poses import pose_at, pose_buffer
 from noise_model.arrays import Float64, Integers
 from noise_model.effects import apply_setup_effects, pose_time_s
+from noise_model.evenly import evenly
 from noise_model.setup import Setup
 from noise_model.transforms import invert
 from robot_io.pose_buffer import PoseBuffer
@@ -141,9 +142,7 @@ def case_of(recording: Recording, positions: Sequence[int], images: Sequence[Ima
 
 def _spread(positions: list[int], most: int) -> list[int]:
     """Return at most so many of some positions, over all of them."""
-    if not positions:
-        return []
-    return [positions[round(n)] for n in np.linspace(0, len(positions) - 1, min(most, len(positions)))]
+    return [positions[n] for n in evenly(len(positions), most)]
 
 
 def _poses_at(poses: PoseTable, frames_s: Sequence[float], setup: Setup) -> tuple[Float64, ...]:

@@ -30,11 +30,8 @@ def from_arc(recording: Path, out: Path) -> None:
     console.warn(read.warnings)
     check_can_be_written(out, read.setup_path)
     check_replaces_nothing(out, read)
-    buffer = read.pose_buffer()
     readable, bad_frames = read.readable_frames()
-    frames = [
-        (frame, pose) for frame in readable if (pose := read.pose_at(buffer, frame.timestamp_s)) is not None
-    ]
+    frames = read.posed(readable)
     if len(frames) < len(readable):
         count = f"{len(readable) - len(frames)} of {len(readable)}"
         console.warn([f"{read.path}: {count} frames have no pose and are left out"])

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -194,6 +194,12 @@ class Recording:
             return None
         count = f"{len(bad_frames)} of {len(self.rows)} frames could not be used"
         return f"{bad_frames[0].message}; {count}, {of_the_others}"
+
+    def posed(self, frames: Iterable[Frame]) -> list[tuple[Frame, Pose]]:
+        """Return frames with the tool's pose at each; those without one are left out."""
+        poses = self.pose_buffer()
+        pairs = [(frame, self.pose_at(poses, frame.timestamp_s)) for frame in frames]
+        return [(frame, pose) for frame, pose in pairs if pose is not None]
 
     def pose_at(self, poses: PoseBuffer, timestamp_s: float) -> Pose | None:
         """Return the tool's pose at a frame's time.

@@ -19,6 +19,7 @@ from arctrack.setup_check.place_measures import first_suspect, place_measures, p
 from calibration.check.arc_light import ArcLight, compare_arc
 from calibration.check.stripe_place import StripePlace, StripeSight, locate_stripes
 from noise_model.arrays import Float64
+from noise_model.evenly import evenly
 from noise_model.setup import Setup
 from noise_model.surface.joint import NOMINAL_SEAM
 from tracker.geometry import SensorGeometry
@@ -161,8 +162,5 @@ def _sight(geometry: SensorGeometry, look: Look) -> StripeSight:
 def _arc_frames(recording: Recording) -> list[tuple[Frame, Float64]]:
     """Return frames with the arc on, over the whole run, with their poses (4, 4)."""
     lit = np.flatnonzero([row.arc_on and row.current_a != 0.0 for row in recording.rows])
-    some = np.unique(np.linspace(0, len(lit) - 1, min(MAX_ARC_FRAMES, len(lit))).round().astype(np.int64))
-    frames, _ = parted(recording.frames([int(n) for n in lit[some]]))
-    poses = recording.pose_buffer()
-    pairs = [(frame, recording.pose_at(poses, frame.timestamp_s)) for frame in frames]
-    return [(frame, pose.T_base_tool) for frame, pose in pairs if pose is not None]
+    frames, _ = parted(recording.frames(lit[evenly(len(lit), MAX_ARC_FRAMES)].tolist()))
+    return [(frame, pose.T_base_tool) for frame, pose in recording.posed(frames)]

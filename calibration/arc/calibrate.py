@@ -21,6 +21,7 @@ from threadpoolctl import threadpool_limits
 from calibration.arc.problem import ARC, BROAD, C2, RADIANCE, RADIUS, RATIO, STATED, Part, Problem, X, Y, Z
 from calibration.settle import settled
 from noise_model.arrays import Float64
+from noise_model.evenly import evenly
 from noise_model.fit import Fit
 from noise_model.setup import Setup
 from tracker.arc.level import HUBER
@@ -115,8 +116,6 @@ class ArcCalibration:
         Texture and flicker, relative, 1 sigma.
     problem : Problem
         The pixels, and how they are explained.
-    mirror_deg : float
-        How near to the mirror direction the nearest pixel is: the half vector's angle to the normal, degrees.
     """
 
     setup: Setup
@@ -128,7 +127,6 @@ class ArcCalibration:
     pixel_sigma: float
     flicker: float
     problem: Problem
-    mirror_deg: float
 
     @property
     def sigmas(self) -> Float64:
@@ -175,8 +173,7 @@ def _calibrate(
     setup.require("the arc's calibration", "arc", "material")
     if setup.material.kappa_diff == 0.0 or setup.material.kappa_spec == 0.0:
         raise ValueError("[material] kappa_diff, kappa_spec: both must be above 0 for a start")
-    some = np.unique(np.linspace(0, len(frames) - 1, min(len(frames), MAX_FRAMES)).round().astype(int))
-    chosen = [frames[n] for n in some]
+    chosen = [frames[n] for n in evenly(len(frames), MAX_FRAMES)]
     known = Part.unseen(setup, 0.0) if part is None else part
     problem = Problem.of(setup, chosen, known, FIRST_PIXEL_SIGMA, FIRST_FLICKER)
     if sum(len(lattice.charge_e) for lattice in problem.frames) < MIN_PIXELS:
@@ -348,5 +345,4 @@ def _calibrated(
         problem.pixel_sigma,
         problem.flicker,
         problem,
-        math.nan,
     )

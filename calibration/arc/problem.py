@@ -247,11 +247,7 @@ class Problem:
 
     def residuals(self, x: Float64, sigma_e: Float64) -> Float64:
         """Return the whitened residuals (n + 10,) of pixels and stripes; sigmas (n,) are held."""
-        return self.residuals_of(x, self.light(self.named(x)), sigma_e)
-
-    def residuals_of(self, x: Float64, light_e: Float64, sigma_e: Float64) -> Float64:
-        """Return the same where the light (n,) at parameters (p,) is known."""
-        off_e = self.mean_e(x, light_e) - self.charge_e
+        off_e = self.mean_e(x, self.light(self.named(x))) - self.charge_e
         return np.concatenate([off_e / sigma_e, self.of_part(x)])
 
     def derivatives_e(self, x: Float64) -> Float64:

@@ -9,6 +9,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from noise_model.arrays import Float64
+from noise_model.evenly import evenly
 from noise_model.plan.light import stripe_level_e, stripe_light
 from noise_model.plan.noise import (
     BLIND,
@@ -81,8 +82,7 @@ def search_path(setup: Setup) -> Path:
 def recorded_path(setup: Setup, poses: Sequence[Float64]) -> Path:
     """Return the path of reported poses T_base_tool, thinned to `MAX_STATIONS`, by place on the seam."""
     joint = setup.joint
-    chosen = np.unique(np.linspace(0, len(poses) - 1, min(len(poses), MAX_STATIONS)).round().astype(int))
-    T_base_tool = np.array([poses[i] for i in chosen])
+    T_base_tool = np.array([poses[n] for n in evenly(len(poses), MAX_STATIONS)])
     stations = [transform(invert(seam_frame(joint, T[:3, 3])), T[:3, 3])[0] for T in T_base_tool]
     return Path(np.array(stations) - _first_station(joint), T_base_tool, float(_segment_lengths(joint)[-1]))
 
