@@ -7,11 +7,10 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
+from calibrate_commands import BOARD, EXAMPLES, command
 from camera_scenes import BOARD as SCENE_BOARD
 from camera_scenes import SIZE, VARIED, Held, picture_of, views
-from typer.testing import CliRunner, Result
 
-from arctrack import cli
 from arctrack.calibration_files.board_images import read_boards
 from arctrack.calibration_files.camera import calibrated_camera
 from arctrack.recording.setup_file import read_setup_file
@@ -22,14 +21,8 @@ from calibration.camera.halves import Difference
 
 pytestmark = pytest.mark.slow
 
-RUNNER = CliRunner(env={"COLUMNS": "120", "TERM": "dumb", "NO_COLOR": "1"})
-EXAMPLES = Path(__file__).parents[2] / "examples"
+calibrate = command("camera")
 PINHOLE = {"fx": 1000.0, "fy": 1003.0, "cx": 410.0, "cy": 290.0}
-BOARD = ["--board", "chessboard:7x6:10mm"]
-
-
-def calibrate(*words: str | Path) -> Result:
-    return RUNNER.invoke(cli.app, ["calibrate", "camera", *map(str, words)])
 
 
 @pytest.fixture(scope="module")
@@ -166,5 +159,5 @@ def test_halves_that_know_nothing_do_not_blame_the_board() -> None:
 
 
 def test_help_has_an_example() -> None:
-    result = RUNNER.invoke(cli.app, ["calibrate", "camera", "--help"])
+    result = calibrate("--help")
     assert "Example: arctrack calibrate camera /tmp/boards --board chessboard:9x6:4mm" in result.output

@@ -1,13 +1,11 @@
-import shutil
 import sys
 import tomllib
 from pathlib import Path
 
 import numpy as np
 import pytest
-from typer.testing import CliRunner, Result
+from calibrate_commands import EXAMPLES, command, copied_setup
 
-from arctrack import cli
 from arctrack.errors import ArctrackError
 from arctrack.recording import read_setup_file
 
@@ -17,13 +15,8 @@ import make_gauge
 
 pytestmark = pytest.mark.slow
 
-RUNNER = CliRunner(env={"COLUMNS": "120", "TERM": "dumb", "NO_COLOR": "1"})
-EXAMPLES = Path(__file__).parents[2] / "examples"
+calibrate = command("gauge")
 V = ["--gauge", "v:90deg:5mm"]
-
-
-def calibrate(*words: str | Path) -> Result:
-    return RUNNER.invoke(cli.app, ["calibrate", "gauge", *map(str, words)])
 
 
 @pytest.fixture(scope="module")
@@ -38,9 +31,7 @@ def pictures(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture
 def setup_toml(tmp_path: Path) -> Path:
-    path = tmp_path / "recording.toml"
-    shutil.copy(EXAMPLES / "v_groove" / "recording.toml", path)
-    return path
+    return copied_setup(tmp_path)
 
 
 def test_pictures_of_a_gauge_become_a_sheet_in_the_setup(pictures: Path, setup_toml: Path) -> None:

@@ -1,46 +1,32 @@
-import shutil
 import tomllib
 from pathlib import Path
 
 import cv2
 import numpy as np
 import pytest
+from calibrate_commands import BOARD, EXAMPLES, command, setup_with_camera
 from camera_scenes import BOARD as BOARD_SHOWN
 from camera_scenes import picture
 from hand_eye_scenes import HELD, T_HOLDER_CAMERA, TRUE_LENS, board_in_camera, off, shown
 from scipy.spatial.transform import Rotation
-from typer.testing import CliRunner, Result
 
-from arctrack import cli
 from arctrack.calibration_files.hand_eye_record import hand_eye_record
-from arctrack.recording import Calibrated, read_setup_file, with_calibrated
+from arctrack.recording import read_setup_file, with_calibrated
 from calibration.camera.known_lens import board_poses
 from calibration.hand_eye_boards.calibrate import calibrate_hand_eye
 from noise_model.arrays import Float64
 
 pytestmark = pytest.mark.slow
 
-RUNNER = CliRunner(env={"COLUMNS": "120", "TERM": "dumb", "NO_COLOR": "1"})
-EXAMPLES = Path(__file__).parents[2] / "examples"
-BOARD = ("--board", "chessboard:7x6:10mm")
+calibrate = command("hand-eye")
 POSES = ("--poses", "{images}/poses.csv", "--rotation", "kuka")
 SHOWN = HELD[:6]
 SIZE, PINHOLE = (400, 300), {"fx": 500.0, "fy": 501.5, "cx": 205.0, "cy": 145.0}
 
 
-def calibrate(*words: str | Path) -> Result:
-    return RUNNER.invoke(cli.app, ["calibrate", "hand-eye", *map(str, words)])
-
-
 @pytest.fixture
 def setup_toml(tmp_path: Path) -> Path:
-    """Return a setup whose camera is that of the pictures, with the covariance of its calibration."""
-    path = tmp_path / "recording.toml"
-    shutil.copy(EXAMPLES / "v_groove" / "recording.toml", path)
-    values = {"width": SIZE[0], "height": SIZE[1], **PINHOLE}
-    camera = Calibrated("camera", values, tuple(PINHOLE), np.diag([0.01] * 4), "arctrack calibrate camera")
-    path.write_text(with_calibrated(path, camera) + "# mine\n")
-    return path
+    return setup_with_camera(tmp_path, SIZE, PINHOLE)
 
 
 @pytest.fixture(scope="module")

@@ -6,32 +6,19 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
+from calibrate_commands import BOARD, EXAMPLES, command, setup_with_camera
 from laser_scenes import BOARDS, PINHOLE, PLANE, SIZE, pictures
-from typer.testing import CliRunner, Result
 
-from arctrack import cli
-from arctrack.recording import Calibrated, read_setup_file, with_calibrated
+from arctrack.recording import read_setup_file
 
 pytestmark = pytest.mark.slow
 
-RUNNER = CliRunner(env={"COLUMNS": "120", "TERM": "dumb", "NO_COLOR": "1"})
-EXAMPLES = Path(__file__).parents[2] / "examples"
-BOARD = ["--board", "chessboard:7x6:10mm"]
-
-
-def calibrate(*words: str | Path) -> Result:
-    return RUNNER.invoke(cli.app, ["calibrate", "laser", *map(str, words)])
+calibrate = command("laser")
 
 
 @pytest.fixture
 def setup_toml(tmp_path: Path) -> Path:
-    """Return a setup whose camera is that of the pictures, with the covariance of its calibration."""
-    path = tmp_path / "recording.toml"
-    shutil.copy(EXAMPLES / "v_groove" / "recording.toml", path)
-    values = {"width": SIZE[0], "height": SIZE[1], **PINHOLE}
-    camera = Calibrated("camera", values, tuple(PINHOLE), np.diag([0.01] * 4), "arctrack calibrate camera")
-    path.write_text(with_calibrated(path, camera) + "# mine\n")
-    return path
+    return setup_with_camera(tmp_path, SIZE, PINHOLE)
 
 
 @pytest.fixture(scope="module")
@@ -122,5 +109,5 @@ def test_no_image_is_replaced(pairs: Path, setup_toml: Path, option: str) -> Non
 
 
 def test_help_has_an_example() -> None:
-    result = RUNNER.invoke(cli.app, ["calibrate", "laser", "--help"])
+    result = calibrate("--help")
     assert "Example: arctrack calibrate laser /tmp/pairs --board chessboard:8x6:2.5mm" in result.output
