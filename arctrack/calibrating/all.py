@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from functools import partial
@@ -13,7 +12,7 @@ from arctrack.calibrating.arc import arc_stage
 from arctrack.calibrating.camera import camera_stage
 from arctrack.calibrating.certify import certificate_of, certificate_record
 from arctrack.calibrating.delay import delay_stage
-from arctrack.calibrating.folder import RawFiles
+from arctrack.calibrating.folder import RawFiles, by_keys
 from arctrack.calibrating.hand_eye import hand_eye_stage
 from arctrack.calibrating.laser import laser_stage
 from arctrack.calibrating.sensor import sensor_stage
@@ -59,8 +58,7 @@ class Calibrations:
             stage = make()
             self.keep(*(() if stage.refusal is not None else stage.records))
         except ArctrackError as error:
-            # Here the options of the single command are keys of calibration.toml.
-            self.refused[name] = re.sub(r"--(units|rotation|board)\b", rf"[{name}] \1", str(error))
+            self.refused[name] = by_keys(name, error)
             return
         self.stages[name] = stage
         if stage.refusal is not None:

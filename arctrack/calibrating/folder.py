@@ -5,6 +5,7 @@ The file may be short: a stage's files lie in the subfolder of its name unless t
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -174,6 +175,11 @@ def read_raw_files(folder: Path) -> RawFiles:
     )
 
 
+def by_keys(stage: str, error: ArctrackError) -> str:
+    """Return what is wrong in a calibration: options of its single command are keys of calibration.toml."""
+    return re.sub(r"--(units|rotation|board)\b", rf"[{stage}] \1", str(error))
+
+
 def _stated(folder: Path) -> _File:
     path = folder / FILE_NAME
     if not path.exists():
@@ -223,8 +229,7 @@ class _Reading:
         try:
             units = parse_units(table.units)
         except ArctrackError as error:
-            problem = str(error).replace("--units", "[hand_eye] units")
-            raise in_file(self.folder / FILE_NAME, problem) from None
+            raise in_file(self.folder / FILE_NAME, by_keys("hand_eye", error)) from None
         source = PoseSource(poses, translations, table.rotation, units, table.columns)
         return PosedFiles(files.sources, files.board, source, table.eye_to_hand)
 

@@ -7,9 +7,7 @@ from typing import Annotated
 
 import typer
 
-from arctrack.cli.calibration_output import Out, Report, check_outputs, finish
-from arctrack.cli.setups import write_calibrated
-from arctrack.errors import ArctrackError
+from arctrack.cli.calibration_output import Out, Report, calibrate_from_recording
 
 REPORT = "calibrate_arc.html"
 
@@ -30,19 +28,5 @@ def arc(
     values go into [arc] and [material] of the setup, their covariance beside them.
     """
     from arctrack.calibrating.arc import arc_stage
-    from arctrack.cli import console
-    from arctrack.recording import read_recording
-    from tracker.warm_up import heard_compilations
 
-    read = read_recording(recording)
-    console.warn(read.warnings)
-    target = out or read.setup_path
-    page_path = report or target.with_name(REPORT)
-    check_outputs(target, page_path, read.setup_path, read)
-    with console.progress() as bar, heard_compilations(console.compiling(bar, read.name)):
-        stage, bad_frames = arc_stage(read, console.steps(bar))
-    finish(stage.page, page_path)
-    write_calibrated(target, read.setup_path, *stage.records)
-    complaint = read.complaint(bad_frames, "the values are those of the others")
-    if complaint is not None:
-        raise ArctrackError(complaint)
+    calibrate_from_recording(arc_stage, recording, out, report, REPORT, "the values are those of the others")

@@ -7,9 +7,7 @@ from typing import Annotated
 
 import typer
 
-from arctrack.cli.calibration_output import Out, Report, check_outputs, finish
-from arctrack.cli.setups import write_calibrated
-from arctrack.errors import ArctrackError
+from arctrack.cli.calibration_output import Out, Report, calibrate_from_recording
 
 REPORT = "calibrate_delay.html"
 
@@ -28,21 +26,5 @@ def delay(
     is 'unestimated': what motion is missing is said, nothing but the page is written, and the exit code is 2.
     """
     from arctrack.calibrating.delay import delay_stage
-    from arctrack.cli import console
-    from arctrack.recording import read_recording
-    from tracker.warm_up import heard_compilations
 
-    read = read_recording(recording)
-    console.warn(read.warnings)
-    target = out or read.setup_path
-    page_path = report or target.with_name(REPORT)
-    check_outputs(target, page_path, read.setup_path, read)
-    with console.progress() as bar, heard_compilations(console.compiling(bar, read.name)):
-        stage, bad_frames = delay_stage(read, console.steps(bar))
-    finish(stage.page, page_path)
-    if stage.refusal is not None:
-        raise ArctrackError(f"{read.path}: {stage.refusal}")
-    write_calibrated(target, read.setup_path, *stage.records)
-    complaint = read.complaint(bad_frames, "the delay is that of the others")
-    if complaint is not None:
-        raise ArctrackError(complaint)
+    calibrate_from_recording(delay_stage, recording, out, report, REPORT, "the delay is that of the others")

@@ -9,6 +9,7 @@ import typer
 
 from arctrack.cli.calibration_output import Out, Report, check_outputs, finish
 from arctrack.cli.interrupt import interruptible
+from arctrack.cli.pose_options import Poses
 from arctrack.cli.setups import read_setup, write_calibrated
 from arctrack.errors import ArctrackError
 
@@ -38,9 +39,7 @@ def gauge(
     setup: Annotated[
         Path | None, typer.Option(help="A recording.toml, or a recording; default: the recording's own.")
     ] = None,
-    poses: Annotated[
-        Path | None, typer.Option(help="The robot's pose of each image: a CSV file, or matrices.")
-    ] = None,
+    poses: Poses = None,
     rotation: Annotated[
         str | None,
         typer.Option(

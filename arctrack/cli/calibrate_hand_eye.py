@@ -7,7 +7,8 @@ from typing import Annotated
 
 import typer
 
-from arctrack.cli.calibration_output import Out, Report
+from arctrack.cli.calibration_output import BOARD, Out, Report
+from arctrack.cli.pose_options import NamedColumns, Poses, Rotation, Translations
 from arctrack.errors import ArctrackError
 
 EXAMPLE = (
@@ -26,38 +27,20 @@ def hand_eye(
             "arc on.",
         ),
     ],
-    board: Annotated[
-        str | None,
-        typer.Option(
-            help="chessboard:9x6:5mm (inner corners), or charuco:8x6:5mm:3.7mm:5X5_100 (squares, sides of a "
-            "square and a marker, dictionary)."
-        ),
-    ] = None,
-    poses: Annotated[
-        Path | None, typer.Option(help="The robot's pose of each image: a CSV file, or matrices.")
-    ] = None,
+    board: Annotated[str | None, BOARD] = None,
+    poses: Poses = None,
     setup: Annotated[
         Path | None,
         typer.Option(help="A recording.toml, or a recording, whose camera is calibrated already."),
     ] = None,
     out: Out = None,
     report: Report = None,
-    rotation: Annotated[
-        str | None,
-        typer.Option(
-            help="How rotations are written: kuka, fanuc, abb, ur, staubli, yaskawa; xyzw, wxyz, rotvec; "
-            "matrix; or axes: ZYX turns along, xyz is fixed. Default: columns qx, qy, qz, qw."
-        ),
-    ] = None,
+    rotation: Rotation = None,
     units: Annotated[
         str, typer.Option(help="Units that no name states, such as 'm, rad'; names such as x_mm do.")
     ] = "",
-    translations: Annotated[
-        Path | None, typer.Option(help="With --poses of rotation matrices: the file of their translations.")
-    ] = None,
-    column: Annotated[
-        list[str] | None, typer.Option(help="NAME=COLUMN: what a CSV column is, such as x=tcp_x; repeat.")
-    ] = None,
+    translations: Translations = None,
+    column: NamedColumns = None,
     eye_to_hand: Annotated[
         bool, typer.Option("--eye-to-hand", help="The camera stands still, and the robot carries the board.")
     ] = False,

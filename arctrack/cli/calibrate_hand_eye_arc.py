@@ -6,6 +6,7 @@ import math
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from arctrack.cli.calibration_output import refuse_bad_frames
 from arctrack.cli.setups import check_can_be_written, check_replaces_nothing
 from arctrack.errors import ArctrackError
 from arctrack.output import write_whole
@@ -55,9 +56,7 @@ def from_arc(recording: Path, out: Path) -> None:
         )
     write_whole(out, with_camera_pose(read.setup_path, result.T_tool_camera))
     console.say(f"{out}: the setup with the pose found")
-    complaint = read.complaint(bad_frames, "the pose is that of the others")
-    if complaint is not None:
-        raise ArctrackError(complaint)
+    refuse_bad_frames(read, bad_frames, "the pose is that of the others")
 
 
 def _lines(result: HandEye) -> list[str]:

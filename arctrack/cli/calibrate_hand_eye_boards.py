@@ -5,8 +5,8 @@ from __future__ import annotations
 from pathlib import Path
 
 from arctrack.cli.calibration_output import board_of, check_outputs, finish
-from arctrack.cli.import_files import named_columns
 from arctrack.cli.interrupt import interruptible
+from arctrack.cli.pose_options import named_columns
 from arctrack.cli.setups import read_setup, write_calibrated
 from arctrack.errors import ArctrackError
 from arctrack.output import real

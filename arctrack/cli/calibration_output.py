@@ -2,31 +2,30 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from arctrack.cli.setups import check_can_be_replaced
+from arctrack.cli.setups import check_can_be_replaced, write_calibrated
 from arctrack.errors import ArctrackError
 from arctrack.output import real, write_whole
 
 if TYPE_CHECKING:
-    from arctrack.recording import Recording
+    from arctrack.calibrating.stage import Stage, Steps
+    from arctrack.recording import BadFrame, Recording
     from arctrack.report.calibration.page import CalibrationPage
     from calibration.boards.board import Board
 
 Sources = Annotated[
     list[Path], typer.Argument(metavar="SOURCE...", help="Folders of images, images, or patterns in quotes.")
 ]
-Pattern = Annotated[
-    str,
-    typer.Option(
-        help="chessboard:9x6:5mm (inner corners), or charuco:8x6:5mm:3.7mm:5X5_100 (squares, sides of a "
-        "square and a marker, dictionary)."
-    ),
-]
+BOARD = typer.Option(
+    help="chessboard:9x6:5mm (inner corners), or charuco:8x6:5mm:3.7mm:5X5_100 (squares, sides of a "
+    "square and a marker, dictionary)."
+)
+Pattern = Annotated[str, BOARD]
 Out = Annotated[
     Path | None,
     typer.Option(help="Where to write recording.toml; default: the setup, the one before is kept."),
@@ -72,6 +71,59 @@ def check_outputs(
     for path, option in ((setup, "--out"), (page, "--report")):
         if path is not None and real(path) in read:
             raise ArctrackError(f"{path}: is one of the images; give {option} another file")
+
+
+def calibrate_from_recording(
+    make: Callable[[Recording, Steps], tuple[Stage[Any], list[BadFrame]]],
+    recording: Path,
+    out: Path | None,
+    report: Path | None,
+    page: str,
+    of_the_others: str,
+) -> None:
+    """Calibrate with a recording, and write its page and the setup.
+
+    Parameters
+    ----------
+    make : callable
+        Calibrates; its frames that cannot be read are named at the end.
+    recording : Path
+        The recording.
+    out, report : Path, optional
+        Where setup and page go; default: the recording's setup, and beside it.
+    page : str
+        The page's name where `report` states none.
+    of_the_others : str
+        What became of the frames that can be read, such as "the delay is that of the others".
+
+    Raises
+    ------
+    ArctrackError
+        Where nothing can be written, where the calibration is refused, and at last for bad frames.
+    """
+    from arctrack.cli import console
+    from arctrack.recording import read_recording
+    from tracker.warm_up import heard_compilations
+
+    read = read_recording(recording)
+    console.warn(read.warnings)
+    target = out or read.setup_path
+    page_path = report or target.with_name(page)
+    check_outputs(target, page_path, read.setup_path, read)
+    with console.progress() as bar, heard_compilations(console.compiling(bar, read.name)):
+        stage, bad_frames = make(read, console.steps(bar))
+    finish(stage.page, page_path)
+    if stage.refusal is not None:
+        raise ArctrackError(f"{read.path}: {stage.refusal}")
+    write_calibrated(target, read.setup_path, *stage.records)
+    refuse_bad_frames(read, bad_frames, of_the_others)
+
+
+def refuse_bad_frames(read: Recording, bad_frames: Sequence[BadFrame], of_the_others: str) -> None:
+    """Raise ArctrackError, when all is written, if there were frames that could not be read."""
+    complaint = read.complaint(bad_frames, of_the_others)
+    if complaint is not None:
+        raise ArctrackError(complaint)
 
 
 def finish(page: CalibrationPage, path: Path, stages: Sequence[CalibrationPage] = ()) -> None:

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from arctrack.cli.interrupt import interruptible
+from arctrack.cli.pose_options import NamedColumns, Rotation, Translations, named_columns
 from arctrack.errors import ArctrackError
 from arctrack.importing.colours import Bayer, Channel
 
@@ -25,22 +26,12 @@ def import_files(
     setup: Annotated[Path, typer.Option(help="The sensor's recording.toml, or a recording that has it.")],
     poses: Annotated[Path, typer.Option(help="The robot's poses: a CSV file, or matrices as text or YAML.")],
     out: Annotated[Path, typer.Option(help="Folder for the recording; must not exist yet.")],
-    rotation: Annotated[
-        str | None,
-        typer.Option(
-            help="How rotations are written: kuka, fanuc, abb, ur, staubli, yaskawa; xyzw, wxyz, rotvec; "
-            "matrix; or axes: ZYX turns along, xyz is fixed. Default: columns qx, qy, qz, qw."
-        ),
-    ] = None,
+    rotation: Rotation = None,
     units: Annotated[
         str, typer.Option(help="Units that no name states, such as 'm, rad, ms'; names such as x_mm do.")
     ] = "",
-    translations: Annotated[
-        Path | None, typer.Option(help="With --poses of rotation matrices: the file of their translations.")
-    ] = None,
-    column: Annotated[
-        list[str] | None, typer.Option(help="NAME=COLUMN: what a CSV column is, such as x=tcp_x; repeat.")
-    ] = None,
+    translations: Translations = None,
+    column: NamedColumns = None,
     frames: Annotated[
         Path | None,
         typer.Option(help="CSV of the images: time, laser_on, arc_on, current_a, exposure; file or frame."),
@@ -106,19 +97,6 @@ def import_files(
     recording = imported.recording
     console.say(f"{out}: {len(recording.rows)} frames, {len(recording.poses.timestamps_s)} poses")
     console.say(f"Next: arctrack check {quoted(out)}")
-
-
-def named_columns(texts: list[str]) -> dict[str, str]:
-    """Return the columns that --column names; ArctrackError for what names none, or one twice."""
-    named: dict[str, str] = {}
-    for text in texts:
-        name, equals, header = (part.strip() for part in text.partition("="))
-        if not (name and equals and header):
-            raise ArctrackError(f"--column {text}: give NAME=COLUMN, such as x=tcp_x")
-        if name in named:
-            raise ArctrackError(f"--column {text}: {name} is {named[name]} already; leave one of them")
-        named[name] = header
-    return named
 
 
 def _check_range(option: str, value: float | None, least: float, most: float) -> None:
