@@ -64,16 +64,26 @@ FOLDERS_MAY_IMPORT: dict[str, dict[str, set[str]]] = {
         "recording": set(),
         "importing": {"recording"},
         "calibration_files": {"recording", "importing"},
+        "calibration_records": {"recording", "calibration_files"},
         "check": {"recording"},
         "blind_check": {"recording"},
         "service": set(),
         "setup_check": {"recording", "check"},
-        "report": {"recording", "calibration_files", "check", "setup_check"},
-        "calibrating": {"recording", "importing", "calibration_files", "check", "setup_check", "report"},
+        "report": {"recording", "calibration_files", "calibration_records", "check", "setup_check"},
+        "calibrating": {
+            "recording",
+            "importing",
+            "calibration_files",
+            "calibration_records",
+            "check",
+            "setup_check",
+            "report",
+        },
         "cli": {
             "recording",
             "importing",
             "calibration_files",
+            "calibration_records",
             "check",
             "blind_check",
             "setup_check",
@@ -200,6 +210,17 @@ def check_no_circle(room: str) -> None:
                 parts.add(part_of(file), part_of(used))
     files.prepare()
     parts.prepare()
+
+
+@pytest.mark.parametrize("room", [room for room, folders in FOLDERS_MAY_IMPORT.items() if folders])
+def test_the_page_on_the_architecture_lists_all_folders_in_an_order_that_holds(room: str) -> None:
+    page = (ROOT / "docs" / "explanation" / "architecture.md").read_text()
+    table = page.partition("| package | folders, in order |")[2].partition("\n\n")[0]
+    (row,) = (line for line in table.splitlines() if line.startswith(f"| `{room}` |"))
+    listed = re.findall(r"`(\w+)`", row)[1:]
+    allowed = FOLDERS_MAY_IMPORT[room]
+    assert sorted(listed) == sorted(allowed)
+    assert [name for n, name in enumerate(listed) if allowed[name] - set(listed[:n])] == []
 
 
 @pytest.mark.slow

@@ -6,7 +6,7 @@ import math
 from collections.abc import Sequence
 
 from arctrack.calibrating.stage import Stage, Steps
-from arctrack.calibration_files.arc_record import arc_records
+from arctrack.calibration_records.arc_record import arc_records
 from arctrack.check.case import chosen_rows
 from arctrack.check.look import looks_at
 from arctrack.check.run import parted

@@ -10,7 +10,7 @@ from numpy.linalg import LinAlgError
 
 from arctrack.calibrating.stage import Stage, Steps, Warn, left_out
 from arctrack.calibration_files.board_images import read_boards
-from arctrack.calibration_files.camera import calibrated_camera
+from arctrack.calibration_records.camera_record import calibrated_camera
 from arctrack.errors import in_file
 from arctrack.recording import SetupFile
 from arctrack.report.calibration.camera import camera_page

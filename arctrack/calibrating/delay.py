@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from arctrack.calibrating.stage import Stage, Steps
-from arctrack.calibration_files.delay_record import delay_record
+from arctrack.calibration_records.delay_record import delay_record
 from arctrack.errors import in_file
 from arctrack.recording import BadFrame, Recording
 from arctrack.report.calibration.delay import delay_page

@@ -11,8 +11,8 @@ import numpy as np
 
 from arctrack.calibrating.stage import Stage, Steps, Warn, left_out
 from arctrack.calibration_files.gauge_images import GaugeImages, read_gauge_frames, read_gauge_images
-from arctrack.calibration_files.gauge_record import gauge_record
 from arctrack.calibration_files.robot_poses import PoseSource
+from arctrack.calibration_records.gauge_record import gauge_record
 from arctrack.errors import ArctrackError, in_file
 from arctrack.recording import Recording, SetupFile
 from arctrack.report.calibration.gauge import check_page, gauge_page

@@ -8,9 +8,9 @@ from pathlib import Path
 from arctrack.calibrating.stage import Stage, Steps, Warn, left_out
 from arctrack.calibration_files.hand_eye_meaning import other_meaning
 from arctrack.calibration_files.hand_eye_poses import read_posed_boards
-from arctrack.calibration_files.hand_eye_record import hand_eye_record
-from arctrack.calibration_files.laser_record import moved_with_camera
 from arctrack.calibration_files.robot_poses import PoseSource
+from arctrack.calibration_records.hand_eye_record import hand_eye_record
+from arctrack.calibration_records.laser_record import moved_with_camera
 from arctrack.errors import in_file
 from arctrack.recording import SetupFile
 from arctrack.report.calibration.hand_eye import hand_eye_page

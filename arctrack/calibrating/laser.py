@@ -7,7 +7,7 @@ from pathlib import Path
 
 from arctrack.calibrating.stage import Stage, Steps, Warn, left_out
 from arctrack.calibration_files.laser_pairs import read_pairs
-from arctrack.calibration_files.laser_record import laser_record
+from arctrack.calibration_records.laser_record import laser_record
 from arctrack.errors import in_file
 from arctrack.recording import SetupFile
 from arctrack.report.calibration.laser import laser_page

@@ -6,8 +6,8 @@ from pathlib import Path
 
 from arctrack.calibrating.stage import Stage, Steps, Warn
 from arctrack.calibration_files.flat_frames import FlatFile, find_flat_frames, read_levels
-from arctrack.calibration_files.sensor_record import flat_record, still_record
 from arctrack.calibration_files.still_recording import read_still_frames
+from arctrack.calibration_records.sensor_record import flat_record, still_record
 from arctrack.errors import in_file
 from arctrack.importing.grey import channel_of_laser
 from arctrack.recording import Recording, SetupFile, read_recording

@@ -1,1 +1,1 @@
-"""Files that calibrations read and write: goniometer readings, filter curves, reflectances."""
+"""Raw measurements that calibrations read: boards, gauges, poses, flat frames, goniometer, filter curves."""

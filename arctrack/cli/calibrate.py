@@ -175,7 +175,7 @@ def _write(
     response: Response,
     out: Path,
 ) -> None:
-    from arctrack.calibration_files.reflectance import PICTURE, write_results
+    from arctrack.calibration_records.reflectance_record import PICTURE, write_results
     from arctrack.report.reflectance import draw
 
     write_results(result, sample, standard, out)

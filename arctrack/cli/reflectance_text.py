@@ -11,7 +11,7 @@ from rich.markup import escape
 from rich.table import Table
 
 from arctrack.calibration_files.goniometer import GoniometerFile
-from arctrack.calibration_files.reflectance import material_toml, scale_sentence
+from arctrack.calibration_records.reflectance_record import material_toml, scale_sentence
 from arctrack.printable import printable
 from calibration.reflectance import Agreement, Reflectance
 from calibration.reflectance_model import NAMES

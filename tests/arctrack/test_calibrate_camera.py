@@ -12,7 +12,7 @@ from camera_scenes import BOARD as SCENE_BOARD
 from camera_scenes import SIZE, VARIED, Held, picture_of, views
 
 from arctrack.calibration_files.board_images import read_boards
-from arctrack.calibration_files.camera import calibrated_camera
+from arctrack.calibration_records.camera_record import calibrated_camera
 from arctrack.recording.setup_file import read_setup_file
 from calibration.boards.board import Board
 from calibration.camera.calibrate import find_lens

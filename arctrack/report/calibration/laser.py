@@ -7,7 +7,7 @@ import math
 import numpy as np
 
 from arctrack.calibration_files.laser_pairs import LaserPairs
-from arctrack.calibration_files.laser_record import PARAMETERS
+from arctrack.calibration_records.laser_record import PARAMETERS
 from arctrack.report import style
 from arctrack.report.calibration.beam import beam_pictures, beam_rows, beam_sentences
 from arctrack.report.calibration.page import (

@@ -38,10 +38,7 @@ def laser_record(result: LaserCalibration, beam: Beam, setup: Setup) -> Calibrat
         The plane, the origin: the one stated is moved into the plane, and angle and thickness that are known.
     """
     plane, covariance = result.in_tool(setup.camera.T_tool_camera, setup.laser.plane)
-    values: dict[str, Value] = {
-        "plane_in_tool": [rounded(value, 9) for value in plane],
-        "origin_in_tool_mm": [round(float(value), 4) for value in beam.origin_mm],
-    }
+    values = sheet_values(plane, beam.origin_mm)
     names, whole = [*PARAMETERS], np.asarray(covariance)
     about: dict[str, float | int | str] = {
         "pairs": len(result.names),
@@ -66,6 +63,14 @@ def laser_record(result: LaserCalibration, beam: Beam, setup: Setup) -> Calibrat
             )
             about["rayleigh_mm"] = rounded(waist.rayleigh_mm[0], 5)
     return Calibrated("laser", values, tuple(names), whole, MADE_BY, about)
+
+
+def sheet_values(plane: Float64, origin_mm: Float64) -> dict[str, Value]:
+    """Return plane (4,) and origin (3,) of a sheet as values of `[laser]`."""
+    return {
+        "plane_in_tool": [rounded(value, 9) for value in plane],
+        "origin_in_tool_mm": [round(float(value), 4) for value in origin_mm],
+    }
 
 
 def moved_with_camera(stated: SetupFile, T_tool_camera: Float64) -> Calibrated | None:
@@ -100,10 +105,7 @@ def moved_with_camera(stated: SetupFile, T_tool_camera: Float64) -> Calibrated |
     about = dict(record.model_extra or {})
     return Calibrated(
         "laser",
-        {
-            "plane_in_tool": [rounded(value, 9) for value in plane],
-            "origin_in_tool_mm": [round(float(value), 4) for value in origin],
-        },
+        sheet_values(plane, origin),
         tuple(record.parameters),
         whole @ np.array(record.covariance) @ whole.T,
         str(about.pop("made_by", MADE_BY)),

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from arctrack.calibration_files.laser_record import PARAMETERS
+from arctrack.calibration_records.laser_record import PARAMETERS, sheet_values
 from arctrack.recording import Calibrated
 from arctrack.recording.toml_text import rounded
 from calibration.gauge.calibrate import GaugeCalibration
@@ -34,10 +34,7 @@ def gauge_record(result: GaugeCalibration, setup: Setup) -> Calibrated:
     robot_mm, form_mm = result.fitted.noise_mm.tolist()
     return Calibrated(
         "laser",
-        {
-            "plane_in_tool": [rounded(value, 9) for value in plane],
-            "origin_in_tool_mm": [round(float(value), 4) for value in origin],
-        },
+        sheet_values(plane, origin),
         PARAMETERS,
         np.asarray(result.covariance),
         MADE_BY,
