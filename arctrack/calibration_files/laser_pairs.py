@@ -22,13 +22,13 @@ from arctrack.recording import SetupFile
 from calibration.boards.board import Board
 from calibration.boards.detect import WINDOW
 from calibration.camera.adjustment import Scene, adjusted
-from calibration.camera.calibrate import one_thread
 from calibration.camera.known_lens import board_poses
 from calibration.camera.noise import LEAST_CORNERS
 from calibration.camera.sightings import Sightings
 from calibration.laser.cross_sections import CrossSections, cross_sections, placed
 from calibration.laser.lit_board import lit_board
 from calibration.laser.stripe import Stripe, board_area, find_stripe, laser_light
+from calibration.threads import one_thread
 from noise_model.arrays import Float64, Integers
 from noise_model.setup import Setup
 

@@ -10,7 +10,7 @@ import typer
 from arctrack.cli.calibration_output import Out, Report, check_outputs, finish
 from arctrack.cli.interrupt import interruptible
 from arctrack.cli.pose_options import Poses
-from arctrack.cli.setups import read_setup, write_calibrated
+from arctrack.cli.setups import read_setup, setup_path, write_calibrated
 from arctrack.errors import ArctrackError
 
 if TYPE_CHECKING:
@@ -66,6 +66,7 @@ def gauge(
     from arctrack.calibrating.gauge import check_stage, gauge_stage
     from arctrack.cli import console
     from arctrack.cli.exit_codes import WARNED
+    from arctrack.importing.image_files import images_of
 
     shape = _gauge_of(gauge)
     if not within > 0.0:
@@ -78,7 +79,7 @@ def gauge(
     stated = read_setup(recording.setup_path if recording is not None else setup)  # type: ignore[arg-type]
     target = out or stated.path
     page_path = report or target.with_name(REPORT)
-    images = [] if recording is not None else _images_of(sources)
+    images = [] if recording is not None else images_of(sources)
     check_outputs(None if check else target, page_path, stated.path, recording, images)
     source = recording or sources
     given = _poses_of(poses, rotation, units)
@@ -114,14 +115,7 @@ def _recording_of(sources: list[Path], setup: Path | None) -> Recording | None:
 
     if len(sources) > 1 or not (sources[0] / FILE_NAME).exists():
         return None
-    stated = setup / FILE_NAME if setup is not None and setup.is_dir() else setup
-    return read_recording(sources[0], stated, must_fit=False)
-
-
-def _images_of(sources: list[Path]) -> list[Path]:
-    from arctrack.importing.image_files import images_of
-
-    return images_of(sources)
+    return read_recording(sources[0], None if setup is None else setup_path(setup), must_fit=False)
 
 
 def _poses_of(poses: Path | None, rotation: str | None, units: str) -> PoseSource | None:

@@ -9,6 +9,7 @@ import typer
 
 from arctrack.cli.interrupt import interruptible
 from arctrack.cli.pose_options import NamedColumns, Rotation, Translations, named_columns
+from arctrack.cli.setups import setup_path
 from arctrack.errors import ArctrackError
 from arctrack.importing.colours import Bayer, Channel
 
@@ -62,14 +63,13 @@ def import_files(
     from arctrack.importing.run import RawFiles, import_recording
     from arctrack.importing.units import parse_units
     from arctrack.printable import quoted
-    from arctrack.recording.setup_file import FILE_NAME
 
     _check_range("--rate-hz", rate_hz, 1e-4, 1e5)
     _check_range("--exposure-s", exposure_s, 1e-9, 3600.0)
     _check_range("--current-a", current_a, 0.0, 1e4)
     raw = RawFiles(
         sources=sources,
-        setup=setup / FILE_NAME if setup.is_dir() else setup,
+        setup=setup_path(setup),
         poses=poses,
         translations=translations,
         frames=frames,

@@ -111,6 +111,5 @@ def _stripe_px(setup: Setup, T_base_tool: Float64) -> tuple[Float64, Float64, Fl
 
 
 def _set_limits(axes: Axes, width: int, height: int) -> None:
-    axes.set_xlim(-0.5, width - 0.5)
-    axes.set_ylim(height - 0.5, -0.5)
+    style.over_image(axes, width, height)
     axes.set_aspect("equal")

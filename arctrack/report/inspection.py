@@ -79,8 +79,7 @@ def _frame(
     stripe = expected_stripe_px(recording, geometry, poses, frame) if condition.laser_on else None
     if stripe is not None:
         axes.plot(*stripe.T, color=style.ORANGE, linewidth=0.9, dashes=(6, 4))
-    axes.set_xlim(-0.5, camera.width - 0.5)
-    axes.set_ylim(camera.height - 0.5, -0.5)
+    style.over_image(axes, camera.width, camera.height)
 
 
 def _path(paths: SubFigure, recording: Recording) -> None:

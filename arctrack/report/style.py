@@ -29,6 +29,13 @@ def _drawable(text: str) -> str:
     return "".join(letter if font.get_char_index(ord(letter)) else "?" for letter in text)
 
 
+def over_image(axes: Axes, width: int, height: int) -> Axes:
+    """Show a whole image of so many px, the first row on top."""
+    axes.set_xlim(-0.5, width - 0.5)
+    axes.set_ylim(height - 0.5, -0.5)
+    return axes
+
+
 def plain(axes: Axes, xlabel: str, ylabel: str, title: str = "") -> Axes:
     """Label axes and take what is not needed off them."""
     axes.set_xlabel(xlabel)

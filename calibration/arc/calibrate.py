@@ -16,10 +16,10 @@ from functools import partial
 import numpy as np
 from scipy.optimize import minimize_scalar
 from scipy.special import stdtrit
-from threadpoolctl import threadpool_limits
 
 from calibration.arc.problem import ARC, BROAD, C2, RADIANCE, RADIUS, RATIO, STATED, Part, Problem, X, Y, Z
 from calibration.settle import settled
+from calibration.threads import one_thread
 from noise_model.arrays import Float64
 from noise_model.evenly import evenly
 from noise_model.fit import Fit
@@ -159,8 +159,7 @@ def calibrate_arc(
     `progress` hears the rounds done and how many there are. Raises ValueError if the setup states no arc or
     no metal, if nothing can be compared, and if the arc's brightness is off by MAX_LEVEL_FACTOR.
     """
-    # Matrices are so small that several threads of BLAS only wait for each other.
-    with threadpool_limits(1, user_api="blas"):
+    with one_thread():
         return _calibrate(setup, frames, part, progress)
 
 

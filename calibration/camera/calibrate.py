@@ -4,11 +4,9 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from contextlib import AbstractContextManager
 from dataclasses import dataclass, field, replace
 
 import numpy as np
-from threadpoolctl import threadpool_limits
 
 from calibration.boards.board import Board
 from calibration.camera.adjustment import Scene, known_beforehand, linearised
@@ -29,6 +27,7 @@ from calibration.camera.projection import Knowledge, image_grid, rms_sigma
 from calibration.camera.scatter import scatter_between_images
 from calibration.camera.sightings import Sightings, View
 from calibration.camera.start import first_scene, with_better_poses
+from calibration.threads import one_thread
 from noise_model.arrays import Float64
 
 FIRST_ORDER = "k1 k2 p1 p2"
@@ -226,11 +225,6 @@ def find_lens(
     """Find a camera's lens; see `calibrate_camera`, which judges it too."""
     with one_thread():
         return _lens(board, views, size, tilted, orders, None)
-
-
-def one_thread() -> AbstractContextManager[object]:
-    """Let BLAS compute with one thread: matrices are so small that several only wait for each other."""
-    return threadpool_limits(1, user_api="blas")  # type: ignore[no-any-return]
 
 
 def _lens(

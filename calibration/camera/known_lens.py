@@ -8,12 +8,12 @@ import numpy as np
 
 from calibration.boards.board import Board
 from calibration.camera.adjustment import Scene, adjusted
-from calibration.camera.calibrate import one_thread
 from calibration.camera.enough import UndeterminedError
 from calibration.camera.lens import OPENCV, PINHOLE, Lens
 from calibration.camera.noise import LEAST_CORNERS, wrong_corners
 from calibration.camera.sightings import Sightings, View
 from calibration.camera.start import with_better_poses
+from calibration.threads import one_thread
 from noise_model.instrument.camera import Camera
 
 MOST_RMS_PX = 2.0

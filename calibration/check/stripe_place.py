@@ -21,9 +21,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.polynomial.legendre import legval
 from scipy.spatial.transform import Rotation
-from threadpoolctl import threadpool_limits
 
 from calibration.settle import robust_cost, settled
+from calibration.threads import one_thread
 from noise_model.arrays import Float64
 from noise_model.effects import apply_setup_effects
 from noise_model.fit import Fit, Parameter
@@ -212,8 +212,7 @@ def locate_stripes(setup: Setup, sights: Sequence[StripeSight]) -> StripePlace:
 
     Raises ValueError where no stripe meets the laser plane in front of the camera.
     """
-    # Matrices are so small that several threads of BLAS only wait for each other.
-    with threadpool_limits(1, user_api="blas"):
+    with one_thread():
         return _located(setup, sights)
 
 

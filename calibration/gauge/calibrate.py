@@ -8,11 +8,11 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.spatial.transform import Rotation
-from scipy.stats import chi2, norm
-from scipy.stats import t as student
+from scipy.stats import chi2
 
 from calibration.camera.enough import UndeterminedError
 from calibration.camera.lens import Lens
+from calibration.few_values import wider_by_few
 from calibration.gauge.adjustment import SHEET, SIZE, Fit, Problem, State, fit_with_noise, inverse
 from calibration.gauge.shape import Gauge, Shape
 from calibration.gauge.sightings import Posed, place_gauge
@@ -136,7 +136,7 @@ def _wider(gauge: Gauge, images: int) -> float:
     and gauge take some of that.
     """
     freedom = 2 * images - 7 if gauge.shape is Shape.V else images - 4
-    return float(student.isf(0.025, max(freedom, LEAST_FREEDOM)) / norm.isf(0.025))
+    return wider_by_few(max(freedom, LEAST_FREEDOM))
 
 
 def calibrate_gauge(

@@ -10,7 +10,6 @@ import numpy as np
 from scipy.stats import chi2, t
 
 from calibration.camera.adjustment import Scene, adjusted
-from calibration.camera.calibrate import one_thread
 from calibration.camera.enough import UndeterminedError
 from calibration.camera.known_lens import check_corners
 from calibration.camera.sightings import Sightings
@@ -25,6 +24,7 @@ from calibration.hand_eye_boards.enough import (
 )
 from calibration.hand_eye_boards.refine import Boards, Refined, with_warp
 from calibration.hand_eye_boards.start import first_chain, renumbered
+from calibration.threads import one_thread
 from noise_model.arrays import Bool, Float64
 
 PARAMETERS = ("rot_x_deg", "rot_y_deg", "rot_z_deg", "move_x_mm", "move_y_mm", "move_z_mm")

@@ -10,7 +10,6 @@ import numpy as np
 from scipy.stats import chi2
 
 from calibration.camera.adjustment import Scene, adjusted, linearised
-from calibration.camera.calibrate import one_thread
 from calibration.camera.enough import UndeterminedError
 from calibration.camera.known_lens import check_corners
 from calibration.camera.lens import Lens
@@ -20,6 +19,7 @@ from calibration.laser.bow import Bow, bow_of
 from calibration.laser.image_line import ImageLine, fit_line
 from calibration.laser.plane import LEAST_PAIRS, BoardLine, PlaneFit, consistent, fit_plane
 from calibration.laser.stripe import Stripe
+from calibration.threads import one_thread
 from noise_model.arrays import Float64
 
 MOST_TILT_SIGMA_DEG = 0.5

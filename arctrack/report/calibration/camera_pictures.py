@@ -30,8 +30,7 @@ def _image_axes(result: CameraCalibration, title: str) -> tuple[Figure, Axes]:
     lens = result.scene.lens
     figure = style.new_figure(WIDTH_INCH, 0.8 + WIDTH_INCH * lens.height / lens.width, title)
     axes = style.plain(figure.subplots(), "column [px]", "row [px]")
-    axes.set_xlim(-0.5, lens.width - 0.5)
-    axes.set_ylim(lens.height - 0.5, -0.5)
+    style.over_image(axes, lens.width, lens.height)
     axes.set_aspect("equal")
     axes.grid(visible=False)
     return figure, axes
@@ -160,8 +159,7 @@ def halves(result: CameraCalibration) -> Figure:
         shown = axes.scatter(
             *middle.points_px.T, c=values, s=60, marker="s", cmap=COLOURS, vmin=0.0, vmax=most
         )
-        axes.set_xlim(-0.5, lens.width - 0.5)
-        axes.set_ylim(lens.height - 0.5, -0.5)
+        style.over_image(axes, lens.width, lens.height)
         axes.set_aspect("equal")
         figure.colorbar(shown, ax=axes, label="px")
     return figure

@@ -102,6 +102,5 @@ def robot_off(result: HandEyeCalibration) -> str:
     axes.quiver(
         *predicted.T, *arrows, angles="xy", scale_units="xy", scale=1.0, color=style.BLUE, width=0.003
     )
-    axes.set_xlim(-0.5, lens.width - 0.5)
-    axes.set_ylim(lens.height - 0.5, -0.5)
+    style.over_image(axes, lens.width, lens.height)
     return svg(figure)

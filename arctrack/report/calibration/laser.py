@@ -209,6 +209,5 @@ def _image(result: LaserCalibration, pairs: LaserPairs) -> str:
     for stripe in result.stripes:
         axes.plot(*stripe.points_px.T, ".", markersize=1.5, rasterized=True)
     axes.grid(visible=False)
-    axes.set_xlim(-0.5, lens.width - 0.5)
-    axes.set_ylim(lens.height - 0.5, -0.5)
+    style.over_image(axes, lens.width, lens.height)
     return svg(figure)

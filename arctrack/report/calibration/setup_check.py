@@ -100,8 +100,7 @@ def _stripes(checked: SetupCheck) -> str:
             setup, seam = place.setup_by(cause), place.seam_by(cause)
             label = "part set right" if place.is_explained else f"if the {first_suspect(place)} is off"
             _draw(axes, setup, sight.T_base_tool, seam, style.GREEN, label)
-        axes.set_xlim(-0.5, camera.width - 0.5)
-        axes.set_ylim(camera.height - 0.5, -0.5)
+        style.over_image(axes, camera.width, camera.height)
         axes.set_axis_off()
     cells[0].legend(fontsize=8, loc="upper right")
     return svg(figure)
@@ -138,8 +137,7 @@ def _arc(arc: ArcLight) -> str:
         *brightest.uv_px.T, c=brightest.off, cmap="RdBu_r", vmin=-SHAPE_RANGE, vmax=SHAPE_RANGE, s=14
     )
     height, width = brightest.frame.image_dn.shape
-    shape.set_xlim(-0.5, width - 0.5)
-    shape.set_ylim(height - 0.5, -0.5)
+    style.over_image(shape, width, height)
     shape.set_aspect("equal")
     figure.colorbar(drawn, ax=shape)
     return svg(figure)
