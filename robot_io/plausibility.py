@@ -79,13 +79,15 @@ class _Kept:
 
 @dataclass(frozen=True)
 class _Anchor:
-    """The last trusted sample before a doubt, and the velocity then.
+    """The last trusted sample before a doubt, and the velocity and the ranges beside the path then.
 
     `is_steady` says that the robot has stated one motion since, on a clock that did not step.
     """
 
     kept: _Kept
     velocity_mm_s: Vector
+    lateral_mm: tuple[float, float]
+    height_mm: tuple[float, float]
     is_steady: bool
 
 
@@ -150,11 +152,15 @@ def update(
         if window:
             return _doubted(state, clock)
         # That clock was set back: how long ago anything was is not known.
-        state = _unsteady(_doubted(state, clock), newest.time_s + limits.settle_s)
+        state = clock_set(_doubted(state, clock), newest.time_s, limits)
+    jump = _against_the_last(window, newest, limits)
+    if jump is not None:
+        # What came before a jump says nothing of the way after it.
+        window = ()
     doubt = (
         clock
+        or jump
         or (Implausibility.AGE_UNKNOWN if limits.age_required and math.isnan(sample.sample_age_s) else None)
-        or _against_the_last(window, newest, limits)
         or _against_the_status(state, window, newest, limits)
         or _against_the_program(seen, newest, limits)
         or _against_the_seam(newest, limits, path)
@@ -178,6 +184,14 @@ def _with_status(
     if stated[0] is before[0] and same_speed:
         return state
     return _unsteady(replace(state, stated=stated), time_s + limits.settle_s)
+
+
+def clock_set(state: Plausibility, now_s: float, limits: PlausibilityLimits) -> Plausibility:
+    """Return the state after someone learnt that the samples' clock was set, s on that clock.
+
+    How long ago anything was is not known then: the way since a doubt is not asked for.
+    """
+    return _unsteady(state, now_s + limits.settle_s)
 
 
 def _unsteady(state: Plausibility, until_s: float) -> Plausibility:
@@ -318,8 +332,15 @@ def _against_the_seam(
 def _doubted(state: Plausibility, doubt: Implausibility) -> Plausibility:
     anchor = state.anchor
     if state.doubt is None:
-        last = state.window[-1]
-        anchor = _Anchor(last, _velocity_mm_s(state.window), last.time_s >= state.steady_from_s)
+        last, places = state.window[-1], [k.place for k in state.window if k.place is not None]
+        laterals_mm, heights_mm = [p.lateral_mm for p in places], [p.height_mm for p in places]
+        anchor = _Anchor(
+            kept=last,
+            velocity_mm_s=_velocity_mm_s(state.window),
+            lateral_mm=(min(laterals_mm, default=math.nan), max(laterals_mm, default=math.nan)),
+            height_mm=(min(heights_mm, default=math.nan), max(heights_mm, default=math.nan)),
+            is_steady=last.time_s >= state.steady_from_s,
+        )
     return replace(state, doubt=doubt, clean_from_s=math.nan, anchor=anchor)
 
 
@@ -328,11 +349,15 @@ def _proven(state: Plausibility, newest: _Kept, limits: PlausibilityLimits) -> P
     if state.doubt is None:
         return state
     clean_from_s = newest.time_s if math.isnan(state.clean_from_s) else state.clean_from_s
-    state = replace(state, clean_from_s=clean_from_s)
+    elsewhere = _elsewhere(state, newest, limits)
+    if elsewhere is not None:
+        # The proof begins anew: of a tool that is elsewhere a weave alone may bring some samples near.
+        assert state.anchor is not None
+        is_over = newest.time_s - state.anchor.kept.time_s >= limits.prove_s
+        return replace(state, doubt=elsewhere if is_over else state.doubt, clean_from_s=math.nan)
     if newest.time_s - clean_from_s < limits.prove_s:
-        return state
-    doubt = _elsewhere(state, newest, limits)
-    return replace(state, doubt=doubt, anchor=state.anchor if doubt else None)
+        return replace(state, clean_from_s=clean_from_s)
+    return replace(state, doubt=None, clean_from_s=math.nan, anchor=None)
 
 
 def _elsewhere(state: Plausibility, newest: _Kept, limits: PlausibilityLimits) -> Implausibility | None:
@@ -350,8 +375,12 @@ def _elsewhere(state: Plausibility, newest: _Kept, limits: PlausibilityLimits) -
         off_mm = math.dist(minus(newest.position_mm, anchor.kept.position_mm), moved_mm)
         limit_mm = limits.rejoin_mm + limits.rejoin_share * math.hypot(*moved_mm)
         return Implausibility.NOT_REJOINED if off_mm > limit_mm else None
-    if math.hypot(here.lateral_mm - there.lateral_mm, here.height_mm - there.height_mm) > limits.rejoin_mm:
-        return Implausibility.NOT_REJOINED
+    for place_mm, (low_mm, high_mm) in (
+        (here.lateral_mm, anchor.lateral_mm),
+        (here.height_mm, anchor.height_mm),
+    ):
+        if not low_mm - limits.rejoin_mm <= place_mm <= high_mm + limits.rejoin_mm:
+            return Implausibility.NOT_REJOINED
     if not anchor.is_steady or motion is not MotionState.MOVING or not speed_mm_s > 0.0:
         return None
     ahead_mm = here.station_mm - there.station_mm - speed_mm_s * elapsed_s

@@ -80,8 +80,8 @@ class PlausibilityLimits:
     prove_s : float
         How long poses must be plausible before they are trusted, s (chosen: thirty cycles).
     rejoin_mm, rejoin_deg : float
-        After a doubt, how far the tool may be off where it would be by what the robot said since, mm and
-        degrees (chosen: a weave, and a turn on a curve).
+        After a doubt, how far the tool may be beyond where it was beside the path in the window before, mm,
+        and how far turned, degrees (chosen: the offset goes on for a while, and a turn on a curve).
     rejoin_late_s : float
         How far it may be behind along the travel then, s (chosen: half of 100 ms).
     rejoin_share : float
@@ -121,7 +121,7 @@ class PlausibilityLimits:
     programmed_age_s: float = 0.1
     follow_s: float = 0.2
     prove_s: float = 0.3
-    rejoin_mm: float = 3.0
+    rejoin_mm: float = 2.0
     rejoin_deg: float = 10.0
     rejoin_late_s: float = 0.05
     rejoin_share: float = 0.05

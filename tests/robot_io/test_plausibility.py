@@ -11,7 +11,7 @@ from scipy.spatial.transform import Rotation
 
 from robot_io import MotionState, PoseKind
 from robot_io.nominal_path import NominalPath
-from robot_io.plausibility import Implausibility, Plausibility, PoseSeen, turn_rad, update
+from robot_io.plausibility import Implausibility, Plausibility, PoseSeen, clock_set, turn_rad, update
 from tests.robot_io.moving_robot import LIMITS, PATH, Robot, doubts, moved, on_the_bus, status
 
 FAULT_S, END_S = 2.0, 3.0
@@ -100,11 +100,7 @@ def test_a_flipped_sign_is_a_jump_and_ends_with_the_jump_back():
     flip = between(lambda _, seen: moved(seen, (0.0, -2.0 * seen.sample.position_base_mm[1], 0.0)))
     found = doubts(Robot().seen(5.0, flip))
     assert delay_s(found) < 0.005
-    assert names(found, FAULT_S - 0.005, END_S - 0.005) == {
-        Implausibility.SPEED,
-        Implausibility.ACCELERATION,
-        Implausibility.OFF_SEAM,
-    }
+    assert names(found, FAULT_S - 0.005, END_S - 0.005) == {Implausibility.SPEED, Implausibility.OFF_SEAM}
     assert recovers(found)
 
 
@@ -202,8 +198,8 @@ def test_poses_behind_on_the_path_after_a_jump_are_late():
         return replace(seen, sample=on_the_bus(t_s, robot.place(t_s - 0.2), robot.rotation))
 
     found = doubts(Robot(weave_mm=0.0).seen(4.0, late))
-    assert names(found, FAULT_S + 0.19, FAULT_S + 0.48) == {Implausibility.STOPPED}
-    assert names(found, FAULT_S + 0.55, 4.0) == {Implausibility.LATE}
+    assert names(found, FAULT_S + 0.19, FAULT_S + 0.28) == {Implausibility.STOPPED}
+    assert names(found, FAULT_S + 0.3, 4.0) == {Implausibility.LATE}
 
 
 def test_poses_that_stop_and_come_back_are_trusted_again():
@@ -399,6 +395,40 @@ def test_where_the_motion_changed_meanwhile_the_way_is_not_asked():
         return moved(replace(seen, robot=slower), (10.0, 0.0, 0.0))
 
     assert recovers(doubts(Robot(weave_mm=0.0).seen(4.0, skips)))
+
+
+def test_a_weave_does_not_hide_a_jump_that_stays():
+    def jump(t_s, seen):
+        return moved(seen, (0.0, 4.7, 0.0)) if t_s >= FAULT_S else seen
+
+    found = names(doubts(Robot(weave_mm=2.5).seen(6.0, jump)), FAULT_S - 0.005)
+    assert found == {Implausibility.SPEED, Implausibility.NOT_REJOINED}
+
+
+def test_a_weave_rejoins_wherever_it_was_when_a_doubt_began():
+    for n in range(20):
+        begin_s = FAULT_S + 0.025 * n
+
+        def gap(t_s, seen, begin_s=begin_s):
+            return None if begin_s <= t_s < begin_s + 0.3 else seen
+
+        assert recovers(doubts(Robot(weave_mm=2.5).seen(4.0, gap)))
+
+
+def test_a_clock_that_someone_saw_being_set_is_no_delay():
+    def set_on(t_s, seen):
+        return moved(seen, by_s=1.0) if t_s >= FAULT_S else seen
+
+    state = Plausibility()
+    robot = Robot()
+    for seen in robot.seen(4.0, set_on):
+        state = update(state, seen, LIMITS, PATH)
+        if abs(seen.sample.timestamp_s - FAULT_S - 1.2) < 0.004:
+            assert state.doubt is not None
+            state = clock_set(state, seen.sample.timestamp_s, LIMITS)
+    assert state.doubt is None
+    assert doubts(robot.seen(4.0, set_on))[-1][1] is Implausibility.LATE
+    assert clock_set(Plausibility(), 0.0, LIMITS).anchor is None
 
 
 def test_a_single_trusted_sample_has_no_velocity():

@@ -60,6 +60,7 @@ FAULTS = {
     "frozen": lambda t_s: (weave(FAULT_S) - weave(t_s), 0.0),
     "drifting by 2 mm/s": lambda t_s: (2.0 * (t_s - FAULT_S), 0.0),
     "height jumps": lambda _: (0.0, 1.0),
+    "jumps to and fro": lambda t_s: (0.0 if int(2.0 * t_s) % 2 else 2.0, 0.0),
 }
 
 
@@ -81,6 +82,12 @@ def test_a_pose_that_is_wrong_from_the_first_frame_is_never_consistent(name):
     states = list(run(1, FAULTS[name]))
     assert SeamMotion.CONSISTENT not in motions(states)
     assert states[-1][1].motion is SeamMotion.CONTRADICTED
+
+
+@pytest.mark.parametrize(("jump_mm", "until_s"), [(1.0, 3.0), (1.5, 4.0), (-3.0, 8.0)])
+def test_a_seam_that_stays_elsewhere_stays_contradicted_as_long_as_none_bends_so(jump_mm, until_s):
+    states = list(run(2, lambda t_s: (jump_mm, 0.0) if t_s >= FAULT_S else (0.0, 0.0), until_s=until_s))
+    assert motions(states, FAULT_S + 0.4) == {SeamMotion.CONTRADICTED}
 
 
 def test_a_slow_drift_is_a_seam_that_runs_off():

@@ -13,7 +13,7 @@ A single value counts for a few sigmas at most: a tack or a bad frame is no pose
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, field, fields, replace
 from enum import Enum
 from functools import lru_cache
 
@@ -108,6 +108,17 @@ class _Axis:
         WIDE_SIGMA_MM**2,
     )
 
+    @property
+    def displacement_mm(self) -> float:
+        """The seam's displacement, mm."""
+        return self.mean[0] + self.mean[2]
+
+    @property
+    def variance_mm2(self) -> float:
+        """Its variance, mm^2."""
+        p00, _, p02, _, _, p22 = self.covariance
+        return p00 + 2.0 * p02 + p22
+
     def moved(self, distance_mm: float) -> _Axis:
         """Return what is known of a station further on."""
         fade = math.exp(-DECAY * distance_mm)
@@ -159,6 +170,31 @@ class _Axis:
 
 
 @dataclass(frozen=True)
+class _Known:
+    """What is known of the seam at a station."""
+
+    station_mm: float
+    axes: tuple[_Axis, _Axis]
+
+    def moved(self, station_mm: float) -> tuple[_Axis, _Axis]:
+        """Return what is known of another station."""
+        step_mm = station_mm - self.station_mm
+        y, z = self.axes
+        if step_mm >= 0.0:
+            return y.moved(step_mm), z.moved(step_mm)
+        # Backwards the same law holds: of a seam that runs the other way the slope changes its sign.
+        return _mirrored(_mirrored(y).moved(-step_mm)), _mirrored(_mirrored(z).moved(-step_mm))
+
+    def agrees(self, other: _Known, limits: InnovationLimits) -> bool:
+        """Say whether two that share no measurement may be of one seam."""
+        chi2 = 0.0
+        for here, there in zip(self.axes, other.moved(self.station_mm), strict=True):
+            variance_mm2 = here.variance_mm2 + there.variance_mm2
+            chi2 += (here.displacement_mm - there.displacement_mm) ** 2 / variance_mm2
+        return chi2 <= _chi2_quantile(2, limits.false_alarm)
+
+
+@dataclass(frozen=True)
 class SeamInnovation:
     """The filter, the window's innovations over their sigmas as pairs (y, z), and the verdict.
 
@@ -166,13 +202,14 @@ class SeamInnovation:
     ----------
     motion : SeamMotion
         Whether the seam moves as the poses say. Once contradicted it stays so until a whole window that began
-        after that fits.
+        after that fits, and the seam is where those before the contradiction put it.
     """
 
     motion: SeamMotion = SeamMotion.UNPROVEN
-    station_mm: float = math.nan
-    axes: tuple[_Axis, _Axis] = (_Axis(), _Axis())
+    known: _Known | None = None
     innovations: tuple[tuple[float, float], ...] = field(default=(), repr=False)
+    past: tuple[_Known, ...] = field(default=(), repr=False)
+    reference: _Known | None = field(default=None, repr=False)
 
     @property
     def chi2(self) -> float:
@@ -191,35 +228,44 @@ class SeamInnovation:
         """
         if not all(map(math.isfinite, (seam.station_mm, *seam.displacement_mm, *seam.sigma_mm))):
             return self
-        step_mm = seam.station_mm - self.station_mm
-        if not abs(step_mm) <= limits.gap_mm:
-            return SeamInnovation(self.motion).begun(seam, limits)
-        # Backwards the same law holds: of a seam that runs the other way the slope changes its sign.
+        if self.known is None or not abs(seam.station_mm - self.known.station_mm) <= limits.gap_mm:
+            return replace(self, known=_begun(seam, limits), innovations=(), past=())
         axes, innovations = [], []
-        for axis, displacement_mm, sigma_mm in zip(
-            self.axes, seam.displacement_mm, seam.sigma_mm, strict=True
-        ):
-            there = axis.moved(step_mm) if step_mm >= 0.0 else _mirrored(_mirrored(axis).moved(-step_mm))
-            known, innovation = there.measured(
+        there = self.known.moved(seam.station_mm)
+        for axis, displacement_mm, sigma_mm in zip(there, seam.displacement_mm, seam.sigma_mm, strict=True):
+            known, innovation = axis.measured(
                 displacement_mm, _variance_mm2(sigma_mm, limits), limits.most_sigmas
             )
             axes.append(known)
             innovations.append(innovation)
         window = (*self.innovations, (innovations[0], innovations[1]))[-limits.window :]
-        state = SeamInnovation(self.motion, seam.station_mm, (axes[0], axes[1]), window)
+        state = replace(
+            self,
+            known=_Known(seam.station_mm, (axes[0], axes[1])),
+            innovations=window,
+            past=(*self.past, self.known)[-limits.window :],
+        )
         if state.chi2 > limits.chi2:
-            return SeamInnovation(SeamMotion.CONTRADICTED).begun(seam, limits)
+            # What the window took in is doubted with it: the seam is where it was before.
+            before = self.reference
+            if self.motion is SeamMotion.CONSISTENT:
+                before = state.past[0]
+            return SeamInnovation(SeamMotion.CONTRADICTED, _begun(seam, limits), reference=before)
         if len(window) < limits.window:
             return state
-        return SeamInnovation(SeamMotion.CONSISTENT, state.station_mm, state.axes, window)
+        assert state.known is not None
+        if state.reference is not None and not state.known.agrees(state.reference, limits):
+            return state
+        return replace(state, motion=SeamMotion.CONSISTENT, reference=None)
 
-    def begun(self, seam: SeamMeasured, limits: InnovationLimits) -> SeamInnovation:
-        """Return the state with a first measurement, which the wide prior makes no innovation of."""
-        y, z = (
-            _Axis().measured(displacement_mm, _variance_mm2(sigma_mm, limits))[0]
-            for displacement_mm, sigma_mm in zip(seam.displacement_mm, seam.sigma_mm, strict=True)
-        )
-        return SeamInnovation(self.motion, seam.station_mm, (y, z))
+
+def _begun(seam: SeamMeasured, limits: InnovationLimits) -> _Known:
+    """Return what a first measurement says, of which the wide prior makes no innovation."""
+    y, z = (
+        _Axis().measured(displacement_mm, _variance_mm2(sigma_mm, limits))[0]
+        for displacement_mm, sigma_mm in zip(seam.displacement_mm, seam.sigma_mm, strict=True)
+    )
+    return _Known(seam.station_mm, (y, z))
 
 
 def _mirrored(axis: _Axis) -> _Axis:
