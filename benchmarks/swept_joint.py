@@ -228,13 +228,24 @@ def first_hit(o, d, corners, bend, least, most, any_hit=False):  # type: ignore[
 
 
 @njit(cache=True)
-def first_hits(rays, eye, corners, bend):  # type: ignore[no-untyped-def]
-    """Return where rays (n, 3) from the eye meet the metal first (n, 3) and the faces (n,); NaN and -1."""
-    places, faces = np.full(rays.shape, np.nan), np.empty(rays.shape[0], np.int64)
+def first_hits(rays, eye, corners, bend, asked):  # type: ignore[no-untyped-def]
+    """Return where rays (n, 3) from the eye meet the metal first (n, 3) and the faces (n,); NaN and -1.
+
+    Rays that are not `asked` (n,) for meet nothing.
+    """
+    places, faces = np.full(rays.shape, np.nan), np.full(rays.shape[0], -1)
     for i in range(rays.shape[0]):
-        t, faces[i] = first_hit(eye, rays[i], corners, bend, 1.0, 1e4)
-        places[i] = eye + t * rays[i]
+        if asked[i]:
+            t, faces[i] = first_hit(eye, rays[i], corners, bend, 1.0, 1e4)
+            places[i] = eye + t * rays[i]
     return places, faces
+
+
+@njit(cache=True)
+def hit_near(o, d, place, k, corners, bend):  # type: ignore[no-untyped-def]
+    """Return how far along a ray it meets face k near a place where its neighbour met it; NaN for nowhere."""
+    start = (place[0] - o[0]) * d[0] + (place[1] - o[1]) * d[1] + (place[2] - o[2]) * d[2]
+    return _newton(o, d, start, k, corners, bend, 1.0, 1e4)
 
 
 @njit(cache=True)

@@ -13,8 +13,17 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 from numba import njit
-from scipy.ndimage import gaussian_filter, maximum_filter
-from swept_joint import ACROSS_MM, SweptJoint, departure, first_hit, first_hits, is_open, normal_at
+from scipy.ndimage import gaussian_filter, maximum_filter, minimum_filter
+from swept_joint import (
+    ACROSS_MM,
+    SweptJoint,
+    departure,
+    first_hit,
+    first_hits,
+    hit_near,
+    is_open,
+    normal_at,
+)
 from swept_light import Look, Surroundings, glints, seen_metal, texture, with_ghost
 
 from noise_model.arrays import Bool, Float64, Integers
@@ -28,6 +37,8 @@ PARTS = 3
 """A pixel's light is the mean of so many by so many of its parts."""
 
 SHEET_REACH, NEIGHBOURS_PX = 6.0, 3
+SHEET_COARSER, NEIGHBOURS_COARSE = 4, 2
+"""Where the sheet meets the metal is first looked for on a coarser grid, within so many of its cells."""
 
 
 @njit(cache=True)
@@ -46,12 +57,30 @@ def _lobe(n, w_i, w_r, c2):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True)
-def _stripe(rays, eye, corners, bend, origin, plane, up, stand, sigma, fan, metal, image):  # type: ignore[no-untyped-def]
-    """Write the stripe's light (n,) over kappa-free peak for rays (n, 3) from the eye."""
+def _opens(met, faces, near, corners, bend, origin, opens):  # type: ignore[no-untyped-def]
+    """Write whether the laser at `origin` sees the metal (n,): 1 or 0, -1 where it is not `near` or none."""
+    for i in range(met.shape[0]):
+        opens[i] = -1
+        if near[i] and faces[i] >= 0:
+            n = normal_at(met[i, 0], faces[i], corners, bend)
+            opens[i] = is_open(met[i], n, origin, corners, bend)
+
+
+@njit(cache=True)
+def _stripe(rays, eye, met, faces, opens, corners, bend, origin, plane, up, stand, sigma, fan, metal, image):  # type: ignore[no-untyped-def]
+    """Write the stripe's light (n,) over kappa-free peak for rays (n, 3) from the eye.
+
+    Where all pixels about one see one face alike, `opens` (n,) says how, and `met` (n, 3) where about.
+    """
     for i in range(rays.shape[0]):
         image[i] = 0.0
-        t, k = first_hit(eye, rays[i], corners, bend, 1.0, 1e4)
-        if k < 0:
+        k, t = faces[i], math.nan
+        if opens[i] >= 0:
+            t = hit_near(eye, rays[i], met[i], k, corners, bend)
+        alike = not math.isnan(t)
+        if not alike:
+            t, k = first_hit(eye, rays[i], corners, bend, 1.0, 1e4)
+        if k < 0 or (alike and opens[i] == 0):
             continue
         p = eye + t * rays[i]
         depth = (origin[0] - p[0]) * up[0] + (origin[1] - p[1]) * up[1] + (origin[2] - p[2]) * up[2]
@@ -67,7 +96,7 @@ def _stripe(rays, eye, corners, bend, origin, plane, up, stand, sigma, fan, meta
             continue
         far = math.sqrt(way[0] ** 2 + way[1] ** 2 + way[2] ** 2)
         cos_i = (n[0] * way[0] + n[1] * way[1] + n[2] * way[2]) / depth
-        if cos_i <= 0.0 or not is_open(p, n, origin, corners, bend):
+        if cos_i <= 0.0 or not (alike or is_open(p, n, origin, corners, bend)):
             continue
         lit = math.exp(-0.5 * across * across) * (stand / depth) ** 2 * cos_i
         image[i] = lit * (metal[0] + metal[1] * _lobe(n, way / far, -rays[i], metal[2]))
@@ -125,7 +154,9 @@ class SweptWorld:
         parts = (np.arange(PARTS) + 0.5) / PARTS - 0.5
         self._parts = [setup.camera.normalised(pixels + np.array([du, dv])) for du in parts for dv in parts]
         self._lens_px = math.sqrt(max(setup.camera.psf_sigma_px**2 - 1.0 / 12.0, 0.01))
-        self._coarse = (np.indices((setup.camera.height, setup.camera.width)) % ARC_COARSER == 0).all(axis=0)
+        indices = np.indices((setup.camera.height, setup.camera.width))
+        self._coarse = (indices % ARC_COARSER == 0).all(axis=0)
+        self._sparse = (indices % SHEET_COARSER == 0).all(axis=0)
         self._peak = self._stripe_on_plate()
 
     def frame(
@@ -134,8 +165,7 @@ class SweptWorld:
         """Return an image (H, W), DN, of one pose."""
         setup, around = self.setup, self.around
         shape = (setup.camera.height, setup.camera.width)
-        rays, eye = self._rays(T_joint_tool, self._xy)
-        met, faces = first_hits(rays, eye, self.joint.corners, self.joint.bend)
+        met, faces = self._met(T_joint_tool, self.joint, everywhere=around.look != Look())
         cos4 = ((1.0 + np.sum(self._xy**2, axis=1)) ** -2.0).reshape(shape)
         metal, light = np.ones(shape), np.zeros(shape)
         if around.look != Look():
@@ -145,7 +175,7 @@ class SweptWorld:
             light += self.arc_light(T_joint_tool)
         charge = gaussian_filter(light * metal * cos4, setup.camera.psf_sigma_px)
         if laser_on:
-            lit = self._stripe(T_joint_tool, self.joint, met, self._parts)
+            lit = self._stripe(T_joint_tool, self.joint, met, faces, self._parts)
             stripe = lit.reshape(shape) * cos4 * (setup.laser.peak_e / self._peak)
             stripe = gaussian_filter(stripe * metal, self._lens_px, truncate=6.0)
             stripe *= self._grains(shape, draw)
@@ -174,11 +204,11 @@ class SweptWorld:
         return np.ascontiguousarray(rays), np.ascontiguousarray(T_joint_camera[:3, 3])
 
     def _stripe(
-        self, T_joint_tool: Float64, joint: SweptJoint, met: Float64, parts: list[Float64]
+        self, T_joint_tool: Float64, joint: SweptJoint, met: Float64, faces: Integers, parts: list[Float64]
     ) -> Float64:
         """Return the stripe's light (H W,) over kappa-free peak, the mean over parts of pixels.
 
-        `met` (H W, 3) is where the pixels' rays meet the metal.
+        `met` (H W, 3) is where the pixels' rays meet the metal, on `faces` (H W,).
         """
         laser, metal = self.setup.laser, self.setup.material
         normal = T_joint_tool[:3, :3] @ laser.plane[:3]
@@ -189,26 +219,56 @@ class SweptWorld:
         half_deg = laser.fan_half_angle_deg
         wide = math.inf if half_deg is None else math.tan(math.radians(half_deg))
         fan = np.array([np.cross(normal, side), side, [wide, 0.0, 0.0]])
-        near = self._near_sheet(T_joint_tool, met)
+        near = self._near_sheet(T_joint_tool, met, 1, NEIGHBOURS_PX)
+        origin = transform(T_joint_tool, laser.origin_mm)
+        opens = self._opens(met, faces, near, joint, origin)
         image, lit = np.zeros(len(self._xy)), np.empty(int(near.sum()))
         for xy in parts:
             rays, eye = self._rays(T_joint_tool, xy[near])
             _stripe(
-                rays, eye, joint.corners, joint.bend, transform(T_joint_tool, laser.origin_mm), plane,
+                rays, eye, met[near], faces[near], opens[near], joint.corners, joint.bend, origin, plane,
                 np.ascontiguousarray(T_joint_tool[:3, 2]), laser.origin_in_tool_mm[2], laser.stripe_sigma_mm,
                 fan, np.array([metal.kappa_diff, metal.kappa_spec, metal.c2]), lit,
             )  # fmt: skip
             image[near] += lit / len(parts)
         return image
 
-    def _near_sheet(self, T_joint_tool: Float64, met: Float64) -> Bool:
-        """Say for each pixel (H W,) whether it, or a neighbour, meets the metal (H W, 3) near the sheet."""
+    def _met(self, T_joint_tool: Float64, joint: SweptJoint, everywhere: bool) -> tuple[Float64, Integers]:
+        """Return where pixels' rays meet the metal (H W, 3) and the faces (H W,); NaN and -1 for none.
+
+        Rays are cast near the sheet of light alone unless they are wanted everywhere.
+        """
+        rays, eye = self._rays(T_joint_tool, self._xy)
+        asked = np.ones(len(rays), dtype=bool)
+        if not everywhere:
+            places, _ = first_hits(rays, eye, joint.corners, joint.bend, self._sparse.ravel())
+            asked = self._near_sheet(T_joint_tool, places, SHEET_COARSER, NEIGHBOURS_COARSE)
+        return first_hits(rays, eye, joint.corners, joint.bend, asked)
+
+    def _near_sheet(self, T_joint_tool: Float64, met: Float64, coarser: int, neighbours: int) -> Bool:
+        """Say for each pixel (H W,) whether it, or a neighbour, meets the metal (H W, 3) near the sheet.
+
+        A neighbour is within so many cells of a grid that is coarser than the pixels.
+        """
         laser, camera = self.setup.laser, self.setup.camera
         aside = transform(invert(T_joint_tool), met) @ laser.plane[:3] + laser.plane[3]
         # The sheet grows with the way below its origin; nothing is twice as far as the tool's point.
         near = np.abs(aside) < 2.0 * SHEET_REACH * laser.stripe_sigma_mm
-        wide = 2 * NEIGHBOURS_PX + 1
+        wide = 2 * neighbours * coarser + 1
         return maximum_filter(near.reshape(camera.height, camera.width), wide).ravel()
+
+    def _opens(
+        self, met: Float64, faces: Integers, near: Bool, joint: SweptJoint, origin_mm: Float64
+    ) -> Integers:
+        """Return whether the laser sees the metal about pixels (H W,), -1 where neighbours are unlike."""
+        opens = np.empty(len(met), np.int64)
+        _opens(met, faces, near, joint.corners, joint.bend, origin_mm, opens)
+        shape = self.setup.camera.height, self.setup.camera.width
+        for seen in (opens.copy(), faces):
+            image = seen.reshape(shape)
+            unlike = minimum_filter(image, 3) != maximum_filter(image, 3)
+            opens[unlike.ravel()] = -1
+        return opens
 
     def arc_light(self, T_joint_tool: Float64) -> Float64:
         """Return the arc's light (H, W), e-, before the lens."""
@@ -234,6 +294,6 @@ class SweptWorld:
         plate = SweptJoint(
             np.array([[-ACROSS_MM, 0.0], [ACROSS_MM, 0.0]]), np.zeros(2), np.array([0, 1, 0, 0, 1, 1.0])
         )
-        met, _ = first_hits(*self._rays(np.eye(4), self._xy), plate.corners, plate.bend)
+        met, faces = self._met(np.eye(4), plate, everywhere=False)
         cos4 = (1.0 + np.sum(self._xy**2, axis=1)) ** -2.0
-        return float((self._stripe(np.eye(4), plate, met, [self._xy]) * cos4).max())
+        return float((self._stripe(np.eye(4), plate, met, faces, [self._xy]) * cos4).max())
