@@ -92,16 +92,28 @@ def test_neighbours_that_are_off_alike_count_as_fewer() -> None:
     profile = measure(groove((30.0, 30.0), (4.0, 4.0), 1.0), (0.0, 0.0), np.random.default_rng(5))
     found = fit_joint(profile, JOINTS["v_groove"], CAMERA_MM, LASER_MM)
     assert found is not None
-    alone = evidence_nats(profile, found.corners_mm)
-    alike = evidence_nats(replace(profile, beside_px=2.0 * profile.sigma_px), found.corners_mm)
+    alone = evidence_nats(profile, found.corners_mm, 1.0)
+    alike = evidence_nats(replace(profile, beside_px=2.0 * profile.sigma_px), found.corners_mm, 1.0)
     # The prices of places and parameters stay: a quarter of the likelihood is left, and some nats.
     assert alike == pytest.approx(0.25 * alone, abs=8.0)
     assert alike < alone
 
 
+def test_points_off_a_section_are_worse_witnesses_of_it() -> None:
+    """Sigmas that are half of what points scatter by gain the section no more than true ones do."""
+    rng = np.random.default_rng(11)
+    profile = measure(groove((30.0, 30.0), (4.0, 4.0), 1.0), (0.0, 0.0), rng, sigma_px=1.0)
+    stated = replace(profile, sigma_px=0.5 * profile.sigma_px, beside_px=0.5 * profile.beside_px)
+    told = [fit_joint(p, JOINTS["v_groove"], CAMERA_MM, LASER_MM) for p in (profile, stated)]
+    assert told[0] is not None
+    assert told[1] is not None
+    assert told[1].chi2 > 2.5
+    assert told[1].evidence_nats < 1.2 * told[0].evidence_nats
+
+
 def test_what_lies_on_a_section_as_on_a_plate_speaks_for_none() -> None:
     profile = measure(PLATE, (0.0, 0.0), np.random.default_rng(6))
-    assert evidence_nats(profile, PLATE) < 0.0
+    assert evidence_nats(profile, PLATE, 1.0) < 0.0
     assert plate_loss(profile) < 0.7 * len(profile.y_mm)
 
 

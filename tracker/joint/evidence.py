@@ -3,7 +3,10 @@
 A shape of eight parameters can be laid into the scatter of any plate. So a joint counts only where the
 likelihood of its section over that of a plate without one is beyond what chance makes anywhere in the
 search. The plate may be bowed: it is the cubic that fits the same points best. Both losses are Tukey's, so
-that spatter speaks for neither; neighbours that scatter alike count as fewer. Twice what the section gains is
+that spatter speaks for neither; neighbours that scatter alike count as fewer. Points that lie farther off the
+section than their sigmas say are no witnesses at these sigmas either: the gain is divided by the chi^2 of the
+section's fit per degree of freedom, if that is above 1, as its covariance is multiplied by it (McCullagh and
+Nelder 1989, Generalized Linear Models, 4.5). Twice what the section gains is
 a chi^2 on a plate, with as many degrees of freedom k as it has parameters more (Wilks 1938, Annals of
 Mathematical Statistics 9, 60); of k = 5 it exceeds x with the probability
 
@@ -49,13 +52,16 @@ RUN_PRIOR = 1.0, 9.0
 """Lines that are lost where a run has begun, and that are not, before any is seen: a run is short."""
 
 
-def evidence_nats(profile: Profile, corners_mm: Float64) -> float:
-    """Return the evidence, nats, that a profile shows the section of corners (n, 2) and not a plate."""
+def evidence_nats(profile: Profile, corners_mm: Float64, chi2: float) -> float:
+    """Return the evidence, nats, that a profile shows the section of corners (n, 2) and not a plate.
+
+    `chi2` is that of the section's fit, per degree of freedom.
+    """
     height_mm, slope = section_at(corners_mm, profile.y_mm)
     joint_loss = _loss((profile.z_mm - height_mm) / _unit_mm(profile, slope))
     alike = float(np.median((profile.beside_px / profile.sigma_px) ** 2))
     # A section that explains no more than the plate gains nothing. erfc is less than its exponential.
-    x = 2.0 * max(plate_loss(profile) - joint_loss, 0.0) / alike
+    x = 2.0 * max(plate_loss(profile) - joint_loss, 0.0) / (alike * max(1.0, chi2))
     chance = math.log(1.0 + math.sqrt(2.0 * x / math.pi) * (1.0 + x / 3.0)) - 0.5 * x
     return -chance - math.log(places_of(profile, PLACE_MM))
 
