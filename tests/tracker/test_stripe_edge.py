@@ -12,8 +12,9 @@ from hypothesis import strategies as st
 from scipy.special import ndtr
 
 from noise_model.arc.map import CELL
-from tracker.joint.slot import HIDDEN, UNREAD, _Lines
-from tracker.joint.upright_edge import edge_between
+from tracker.joint.measured import meet_face
+from tracker.joint.slot import HIDDEN, UNREAD, _Lines, _OnPlates
+from tracker.joint.upright_edge import Edge, edge_between
 from tracker.profile import Profile
 from tracker.stripe.edge import (
     BEYOND,
@@ -278,12 +279,51 @@ def profile_of(light: StripeLight) -> Profile:
     )
 
 
+def edge_of(profile: Profile, before: int, behind: int, hidden_mm: float) -> Edge:
+    """The edge between two points of a profile whose faces lie at z = 0."""
+    n = len(profile.y_mm)
+    return edge_between(profile, before, behind, hidden_mm, meet_face(profile, np.zeros(n), 0.0))
+
+
+def test_an_edge_seen_from_beside_does_not_scatter_with_its_neighbours_centres() -> None:
+    """A centre that is off moves its point along the ray; the scan line stays where the face has it."""
+    light = light_of(np.random.default_rng(5), EDGE + 0.3, EDGE + 1.6)
+    straight, rng = profile_of(light), np.random.default_rng(8)
+    off_px = 2.0 * rng.standard_normal(N_SCAN)
+    beside = replace(
+        straight,
+        y_mm=straight.y_mm + 0.15 * off_px,
+        z_mm=straight.z_mm + 0.1 * off_px,
+        dy_mm=np.full(N_SCAN, 0.15),
+    )
+    expected, seen = edge_of(straight, EDGE, EDGE + 2, 0.0), edge_of(beside, EDGE, EDGE + 2, 0.0)
+    assert expected.y_per_z == 0.0
+    assert seen.y_mm == pytest.approx(expected.y_mm, abs=1e-9)
+    assert seen.variance_mm2 == pytest.approx(expected.variance_mm2)
+    assert seen.y_per_z == pytest.approx(1.5)
+    # A face that is believed 0.1 mm higher than it is moves the edge by that much of 0.1 mm.
+    higher = edge_between(beside, EDGE, EDGE + 2, 0.0, meet_face(beside, np.full(N_SCAN, 0.1), 0.0))
+    assert higher.y_mm - seen.y_mm == pytest.approx(0.15)
+    covariance = seen.covariance(np.array([1.0]), np.array([1.0]), np.array([[0.04]]))
+    assert covariance - np.diag([seen.variance_mm2, 0.0]) == pytest.approx(
+        np.array([[0.09, 0.06], [0.06, 0.04]])
+    )
+
+
+def test_a_ray_along_a_face_meets_it_nowhere_else() -> None:
+    light = light_of(np.random.default_rng(5), EDGE + 0.3, EDGE + 1.6)
+    profile = replace(profile_of(light), dy_mm=np.full(N_SCAN, 0.2), dz_mm=np.full(N_SCAN, 0.1))
+    met = meet_face(profile, np.ones(N_SCAN), 0.5)
+    assert (met.y_mm == profile.y_mm).all()
+    assert (met.y_per_z == 0.0).all()
+
+
 @pytest.mark.parametrize(("hidden_mm", "foot_lines"), [(0.13, 1.3), (0.0, 0.6)])
 def test_an_edge_is_where_the_stripes_end(hidden_mm: float, foot_lines: float) -> None:
     """Where nothing is hidden, the stripes end at the upright side's top and foot, as the camera sees it."""
     light = light_of(np.random.default_rng(5), EDGE + 0.3, EDGE + 0.3 + foot_lines)
-    edge = edge_between(profile_of(light), EDGE, EDGE + 2, hidden_mm)
-    blind = edge_between(replace(profile_of(light), light=None), EDGE, EDGE + 2, hidden_mm)
+    edge = edge_of(profile_of(light), EDGE, EDGE + 2, hidden_mm)
+    blind = edge_of(replace(profile_of(light), light=None), EDGE, EDGE + 2, hidden_mm)
     true = 0.03 if hidden_mm else 0.06
     assert edge.y_mm == pytest.approx(true, abs=0.01)
     assert edge.variance_mm2 < blind.variance_mm2
@@ -295,9 +335,7 @@ def test_an_edge_is_where_the_stripes_end(hidden_mm: float, foot_lines: float) -
 def test_light_that_ends_elsewhere_is_no_edge() -> None:
     light = light_of(np.random.default_rng(5), EDGE + 3.4, EDGE + 3.4)
     profile = profile_of(light)
-    assert edge_between(profile, EDGE, EDGE + 1, 0.0) == edge_between(
-        replace(profile, light=None), EDGE, EDGE + 1, 0.0
-    )
+    assert edge_of(profile, EDGE, EDGE + 1, 0.0) == edge_of(replace(profile, light=None), EDGE, EDGE + 1, 0.0)
 
 
 def under_a_glint(light: StripeLight, first: int, last: int) -> StripeLight:
@@ -311,9 +349,9 @@ def under_a_glint(light: StripeLight, first: int, last: int) -> StripeLight:
 def test_no_share_is_read_under_a_glint() -> None:
     light = light_of(np.random.default_rng(5), EDGE + 0.3, EDGE + 1.6)
     hidden = profile_of(under_a_glint(light, EDGE + 1, EDGE + 1))
-    blind = edge_between(replace(hidden, light=None), EDGE, EDGE + 2, 0.0)
-    assert edge_between(hidden, EDGE, EDGE + 2, 0.0) == blind
-    assert edge_between(profile_of(light), EDGE, EDGE + 2, 0.0) != blind
+    blind = edge_of(replace(hidden, light=None), EDGE, EDGE + 2, 0.0)
+    assert edge_of(hidden, EDGE, EDGE + 2, 0.0) == blind
+    assert edge_of(profile_of(light), EDGE, EDGE + 2, 0.0) != blind
 
 
 def test_lines_under_a_glint_say_nothing_of_a_plate() -> None:
@@ -322,8 +360,23 @@ def test_lines_under_a_glint_say_nothing_of_a_plate() -> None:
     seen = np.isfinite(light.position_px)
     along = ("y_mm", "z_mm", "dy_mm", "dz_mm", "sigma_px", "scan", "beside_px")
     shown = replace(profile, **{name: getattr(profile, name)[seen] for name in along})
-    sees = _Lines(shown, np.ones(int(seen.sum()), dtype=bool), False).sees
+    on_plates = _OnPlates(np.ones(int(seen.sum()), dtype=bool), meet_face(shown, shown.z_mm, 0.0))
+    sees = _Lines(shown, on_plates, False).sees
     assert (sees[EDGE : EDGE + 5] == HIDDEN).all()
-    plain = _Lines(replace(shown, light=None), np.ones(int(seen.sum()), dtype=bool), False).sees
+    plain = _Lines(replace(shown, light=None), on_plates, False).sees
     assert (plain[EDGE : EDGE + 5] == UNREAD).all()
+    assert (np.delete(sees, np.arange(EDGE, EDGE + 5)) == 1.0).all()
+
+
+def test_lines_with_hardly_any_of_a_plate_s_light_hold_none() -> None:
+    """The optics throw a few percent of the stripe into a gap, where its centre is read all the same."""
+    light = light_of(np.random.default_rng(5), 100.0, 200.0, contrast=0.1)
+    gap, half_lit = slice(EDGE, EDGE + 5), EDGE + 5
+    image_dn = (light.charge_e - 500.0) * np.ones((N_SCAN, 1), dtype=np.float32)
+    image_dn[gap] *= 0.05
+    image_dn[half_lit] *= 0.5
+    profile = replace(profile_of(light), image_dn=np.rint(image_dn).astype(np.int64))
+    on_plates = _OnPlates(np.ones(N_SCAN, dtype=bool), meet_face(profile, profile.z_mm, 0.0))
+    sees = _Lines(profile, on_plates, False).sees
+    assert (sees[gap] == UNREAD).all()
     assert (np.delete(sees, np.arange(EDGE, EDGE + 5)) == 1.0).all()

@@ -12,9 +12,11 @@ from tracker.joint.measured import (
     SURE_MM,
     SURE_SIGMAS,
     MeasuredJoint,
+    OnFace,
     ShapeFit,
     angles_of,
     fit_shape,
+    meet_face,
     opening_of,
     place,
     section_of,
@@ -33,6 +35,9 @@ CLEAR_OF_EDGE_MM = 0.3
 GAP, ROOT, TAN, DEPTH_LEFT, DEPTH_RIGHT, SLOPE_LEFT, SLOPE_RIGHT = range(7)
 PRIOR_SIGMA = np.array([0.3, 5.0, 0.04, 0.3, 0.3, 0.03, 0.03])
 """1 sigma of the gap, the root's height, tan(bevel), both depths (mm), both plate slopes."""
+
+MEAN_HEIGHT = np.array([0.0, 1.0, 0.0, 0.0, 0.5, 0.0, 0.0])
+"""How the mean height of the faces beside the upright side goes with the parameters."""
 
 CLOSED_MM = 0.03
 """A root whose mean gap comes out narrower is most probably closed."""
@@ -64,7 +69,9 @@ def fit_half_v(profile: Profile, joint: Joint, camera_mm: Float64, laser_mm: Flo
     if before < 0:
         return None
     hidden = max(hidden_strip(source, start[-1], z_0 + depth, depth) for source in (camera_mm, laser_mm))
-    start[-1], wall_variance = edge_between(lines, before, behind, hidden)
+    upright = edge_between(lines, before, behind, hidden, _met(lines, fit, float(start[-1]), before))
+    start[-1] = upright.y_mm
+    wall_variance = float(upright.covariance(MEAN_HEIGHT, MEAN_HEIGHT, fit.covariance)[0, 0])
     # What lies between may be either side's, and the first lines in the groove hold light of the plate too.
     clear = (profile.y_mm <= lines.y_mm[before]) | (profile.y_mm >= lines.y_mm[behind] + profile.mixed_mm)
     fit = fit_shape(profile, HALF_GROOVE, start, PRIOR_SIGMA, clear)
@@ -100,6 +107,16 @@ def _beside_the_upright(profile: Profile, fit: ShapeFit, wall: float) -> tuple[i
     over_groove = profile.z_mm - (p[ROOT] + np.maximum(y - p[GAP], 0.0) / p[TAN])
     near, limit = np.abs(y) < 5.0 * CLEAR_OF_EDGE_MM, 0.25 * p[DEPTH_RIGHT]
     return neighbours_of_edge(near & (np.abs(over_plate) < limit), near & (np.abs(over_groove) < limit))
+
+
+def _met(profile: Profile, fit: ShapeFit, wall: float, before: int) -> OnFace:
+    """Return where points' rays meet the right plate, up to the point `before` the upright, or the groove."""
+    p, y = fit.parameters, profile.y_mm - wall
+    is_plate, is_bevel = np.arange(len(y)) <= before, y > p[GAP]
+    plate_mm = p[DEPTH_RIGHT] + p[SLOPE_RIGHT] * y
+    groove_mm = np.maximum(y - p[GAP], 0.0) / p[TAN]
+    slope = np.where(is_plate, p[SLOPE_RIGHT], np.where(is_bevel, 1.0 / p[TAN], 0.0))
+    return meet_face(profile, p[ROOT] + np.where(is_plate, plate_mm, groove_mm), slope)
 
 
 def _measured(fit: ShapeFit, wall: float, wall_variance: float, left_out: float) -> MeasuredJoint:

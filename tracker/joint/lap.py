@@ -15,8 +15,10 @@ from tracker.joint.measured import (
     OFF_SIGMAS,
     SIGMA_FLOOR_PX,
     MeasuredJoint,
+    OnFace,
     angles_of,
     fit_shape,
+    meet_face,
     place,
     section_of,
 )
@@ -76,10 +78,12 @@ def fit_lap(profile: Profile, joint: Joint, camera_mm: Float64, laser_mm: Float6
     # Glare or spatter over all of the points near it: between those beyond, an edge may be anywhere.
     if lines.y_mm[behind] - hidden - lines.y_mm[before] > 2.0 * CLEAR_OF_EDGE_MM:
         return None
-    edge, edge_variance = edge_between(lines, before, behind, hidden)
+    upright = edge_between(lines, before, behind, hidden, sheets.met_by(lines, before))
+    edge = upright.y_mm
     z_edge = z_s + slope_lower * (edge - y_0)
+    between = np.array([1.0, 0.5, 0.5 * (edge - y_0), 0.5 * (edge - y_0)])
     at_edge = np.array([1.0, 0.0, edge - y_0, 0.0])
-    covariance = np.array([[edge_variance, 0.0], [0.0, float(at_edge @ shape.covariance @ at_edge)]])
+    covariance = upright.covariance(between, at_edge, shape.covariance)
     left_out = share_off(profile.y_mm, profile.z_mm, profile.dz_mm, profile.sigma_px, sheets, edge)
     plates, plate_sigmas = angles_of(shape, 2, 3)
     step += (slope_upper - slope_lower) * (edge - y_0)
@@ -113,6 +117,13 @@ class Sheets(NamedTuple):
     step: float
     slope_lower: float
     slope_upper: float
+
+    def met_by(self, profile: Profile, before: int) -> OnFace:
+        """Return where points' rays meet the upper sheet, up to the point `before` the edge, or the lower."""
+        is_upper = np.arange(len(profile.y_mm)) <= before
+        slope = np.where(is_upper, self.slope_upper, self.slope_lower)
+        height_mm = self.z + np.where(is_upper, self.step, 0.0) + slope * (profile.y_mm - self.y)
+        return meet_face(profile, height_mm, slope)
 
 
 @kernel

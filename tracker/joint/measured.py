@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, field
+from typing import NamedTuple
 
 import numpy as np
 
 from noise_model.arrays import Bool, Float64
 from noise_model.kernel import kernel
 from tracker.joint.alike import add_shared_errors
-from tracker.joint.section_fit import best_shift, fit_section
+from tracker.joint.section_fit import MIN_ALONG_MM, best_shift, fit_section
 from tracker.joint.section_shapes import N_CORNERS, corners_of, opening
 from tracker.profile import Profile
 from tracker.state import NO_SHAPE, JointShape, Pair
@@ -159,6 +160,25 @@ def off_line(profile: Profile, line_mm: Float64) -> Float64:
     """Return how far points lie over a level line (n,), in the sigmas of their own height."""
     sigma = np.abs(profile.dz_mm) * np.hypot(profile.sigma_px, SIGMA_FLOOR_PX)
     return np.asarray((profile.z_mm - line_mm) / sigma)
+
+
+class OnFace(NamedTuple):
+    """Where points' rays meet a face: y (n,), mm, and by how much each y goes with the face's height (n,)."""
+
+    y_mm: Float64
+    y_per_z: Float64
+
+
+def meet_face(profile: Profile, height_mm: Float64, slope: Float64 | float) -> OnFace:
+    """Return where points' rays meet a face of heights (n,), mm, and slopes at the points' own y.
+
+    A centre that is off by c px moves its point by c (dy, dz). On the face it would be at
+    y - dy (z - height) / (dz - slope dy): which scan line lies where goes with the whole face's height, and
+    not with the scatter of its own centre. From beside the seam the two differ by much.
+    """
+    across = profile.dz_mm - slope * profile.dy_mm
+    y_per_z = np.divide(profile.dy_mm, across, out=np.zeros(len(across)), where=np.abs(across) > MIN_ALONG_MM)
+    return OnFace(profile.y_mm - y_per_z * (profile.z_mm - height_mm), y_per_z)
 
 
 def section_at(corners_mm: Float64, y_mm: Float64) -> tuple[Float64, Float64]:

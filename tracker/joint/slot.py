@@ -19,9 +19,11 @@ from tracker.joint.image_line import ImageLine
 from tracker.joint.measured import (
     OFF_SIGMAS,
     MeasuredJoint,
+    OnFace,
     ShapeFit,
     angles_of,
     fit_shape,
+    meet_face,
     off_line,
     section_of,
 )
@@ -63,6 +65,9 @@ UNREAD = -0.5
 BRIGHT_LINES, HELD_SHARE = 12, 0.5
 """Lines of either plate that say how bright its stripe is; the share of it at which a gap's lines hold it."""
 
+DIM_SHARE = 0.25
+"""A line with less of the plates' brightness holds what the optics throw into a gap, and no plate."""
+
 BESIDE_SIGMAS = 4.0
 """So many of its sigmas beside its middle a stripe leaves its background."""
 
@@ -92,17 +97,18 @@ def fit_slot(profile: Profile, joint: Joint) -> MeasuredJoint | None:
     plates = _plates(profile, y_0, everywhere)
     if plates is None:
         return None
-    lines = _Lines(profile, _on_plate(profile, plates, y_0, limit_mm), is_edge)
+    lines = _Lines(profile, _on_plates(profile, plates, y_0, limit_mm), is_edge)
     seen_gap = max(gap, (MIN_LINES + 1) * profile.column_mm)
     placed = lines.place(thickness if is_edge else BESIDE_MM, seen_gap, is_edge)
     if placed is None and is_edge:
         placed = lines.place(thickness + 0.5 * gap, 0.0, is_edge)
     if placed is None:
         return None
-    fit = _plates_beside(profile, joint, _on_plate(profile, plates, y_0, 2.0 * limit_mm), placed)
+    on_plates = _on_plates(profile, plates, y_0, 2.0 * limit_mm)
+    fit = _plates_beside(profile, joint, on_plates.are_on, placed)
     if fit is None:
         return None
-    seen = _Lines(profile, _on_plate(profile, fit, placed, limit_mm), is_edge)
+    seen = _Lines(profile, _on_plates(profile, fit, placed, limit_mm), is_edge)
     opening = _gap_of(seen, joint, placed)
     if opening is None or (not is_edge and seen.hold_plates(*opening.lines)):
         return None
@@ -123,11 +129,11 @@ def fit_closed_slot(profile: Profile, joint: Joint, line: ImageLine) -> Measured
     plates = _plates(profile, line.y_mm, near)
     if plates is None:
         return None
-    on_plates = _on_plate(profile, plates, line.y_mm, 2.0 * _on_plate_mm(joint))
-    fit = _plates_beside(profile, joint, on_plates, line.y_mm)
+    on_plates = _on_plates(profile, plates, line.y_mm, 2.0 * _on_plate_mm(joint))
+    fit = _plates_beside(profile, joint, on_plates.are_on, line.y_mm)
     if fit is None:
         return None
-    closed = _Gap(line.y_mm, line.sigma_mm**2, math.nan, math.nan, (0, 0))
+    closed = _Gap(line.y_mm, line.sigma_mm**2, math.nan, math.nan, (0, 0), 0.0)
     return _measured(profile, joint, fit, line.y_mm, closed, line.evidence_nats)
 
 
@@ -135,7 +141,8 @@ def fit_closed_slot(profile: Profile, joint: Joint, line: ImageLine) -> Measured
 class _Gap:
     """Where a gap's middle is and how wide it is, mm, and their variances, mm^2; its first and last line.
 
-    Of a closed one no scan line tells how wide it is: NaN.
+    `y_per_z` is by how much its scan lines' y goes with the plates' height. Of a closed one no scan line
+    tells how wide it is: NaN.
     """
 
     y_mm: float
@@ -143,6 +150,7 @@ class _Gap:
     width_mm: float
     width_variance_mm2: float
     lines: tuple[int, int]
+    y_per_z: float
 
 
 class _End(NamedTuple):
@@ -175,16 +183,16 @@ def _gap_of(lines: _Lines, joint: Joint, y_0: float) -> _Gap | None:
         variance = width_variance = left.variance_mm2 + right.variance_mm2
         if width < lines.blurred * lines.column_mm:
             width_variance = max(width_variance, lines.column_mm**2)
-        return _Gap(0.5 * (left.y_mm + right.y_mm), 0.25 * variance, width, width_variance, between)
+        middle = 0.5 * (left.y_mm + right.y_mm)
+        return _Gap(middle, 0.25 * variance, width, width_variance, between, lines.y_per_z_at(middle))
     if joint.type != "edge":
         return None
     outer = 0.5 * gap + thickness
     right = lines.end(y_0 - outer - slack, y_0 - outer + slack, False)
     left = lines.end(y_0 + outer - slack, y_0 + outer + slack, True)
     variance = 0.25 * (left.variance_mm2 + right.variance_mm2) + 0.5 * THICKNESS_SIGMA_MM**2
-    return _Gap(
-        0.5 * (left.y_mm + right.y_mm), variance, 0.0, (BLURRED_LINES * lines.column_mm) ** 2, between
-    )
+    middle, blurred_mm = 0.5 * (left.y_mm + right.y_mm), BLURRED_LINES * lines.column_mm
+    return _Gap(middle, variance, 0.0, blurred_mm**2, between, lines.y_per_z_at(middle))
 
 
 def _plates_beside(profile: Profile, joint: Joint, on_plates: Bool, y_0: float) -> ShapeFit | None:
@@ -213,10 +221,15 @@ def _measured(
     at_seam, step = 0.5 * (left_surface + right_surface), left_surface - right_surface
     z_s = float(at_seam @ fit.parameters)
     plate_angles, plate_sigmas = angles_of(fit, 2, 3)
-    width_sigma = math.sqrt(opening.width_variance_mm2)
+    # Which scan line lies where goes with the plates' heights.
+    y_per_z, height_variance = opening.y_per_z, float(at_seam @ fit.covariance @ at_seam)
+    variance = opening.variance_mm2 + y_per_z**2 * height_variance
+    across = y_per_z * height_variance
+    step_variance = float(step @ fit.covariance @ step)
+    width_sigma = math.sqrt(opening.width_variance_mm2 + y_per_z**2 * step_variance)
     shape = JointShape(
         width_sigma,
-        math.sqrt(step @ fit.covariance @ step),
+        math.sqrt(step_variance),
         plate_angles_deg=plate_angles,
         plate_sigmas_deg=plate_sigmas,
         area_mm2=math.nan if is_edge else opening.width_mm * thickness,
@@ -230,7 +243,7 @@ def _measured(
     return MeasuredJoint(
         opening.y_mm,
         z_s,
-        np.diag([opening.variance_mm2, float(at_seam @ fit.covariance @ at_seam)]),
+        np.array([[variance, across], [across, height_variance]]),
         opening.width_mm,
         float(step @ fit.parameters),
         fit.chi2,
@@ -268,13 +281,22 @@ def _on_plate_mm(joint: Joint) -> float:
     return min(ON_PLATE_MM[joint.type], 0.25 * joint.dimensions["thickness_mm"])
 
 
-def _on_plate(profile: Profile, plates: ShapeFit, y_0: float, limit_mm: float) -> Bool:
-    """Say of each point whether it lies on one of the plates' lines."""
+class _OnPlates(NamedTuple):
+    """Which points (n,) lie on either plate's line, and where their rays meet it."""
+
+    are_on: Bool
+    face: OnFace
+
+
+def _on_plates(profile: Profile, plates: ShapeFit, y_0: float, limit_mm: float) -> _OnPlates:
+    """Say of each point whether it lies on one of the plates' lines, and where."""
     z, step, slope_left, slope_right = plates.parameters
     y = profile.y_mm - y_0
-    off_left = np.abs(profile.z_mm - z - slope_left * y)
-    off_right = np.abs(profile.z_mm - z - step - slope_right * y)
-    return np.asarray(np.minimum(off_left, off_right) < limit_mm)
+    left_mm, right_mm = z + slope_left * y, z + step + slope_right * y
+    off_left, off_right = np.abs(profile.z_mm - left_mm), np.abs(profile.z_mm - right_mm)
+    is_left = off_left < off_right
+    height_mm, slope = np.where(is_left, left_mm, right_mm), np.where(is_left, slope_left, slope_right)
+    return _OnPlates(np.minimum(off_left, off_right) < limit_mm, meet_face(profile, height_mm, slope))
 
 
 class _Lines:
@@ -282,10 +304,11 @@ class _Lines:
 
     Where nothing is seen it is UNREAD, and HIDDEN where saturated pixels lie over the plates' stripe, a
     glint's. `beyond` the profile's ends no plate is seen either if the plates end there, as an edge joint's
-    do.
+    do. A line's y is where the plate is met in it.
     """
 
-    def __init__(self, profile: Profile, on_plate: Bool, beyond: bool) -> None:
+    def __init__(self, profile: Profile, on_plates: _OnPlates, beyond: bool) -> None:
+        on_plate, face = on_plates
         self.away = 1 if profile.scan[-1] > profile.scan[0] else -1
         scan = self.away * profile.scan
         pad = math.ceil((OUTSIDE_MM + SLACK_MM) / profile.column_mm) if beyond else 0
@@ -301,8 +324,20 @@ class _Lines:
             order = order[on_plate[order]]
         lines, seen = np.arange(n), place[order]
         outside = np.minimum(lines - seen[0], 0) + np.maximum(lines - seen[-1], 0)
-        self.y_mm = np.interp(lines, seen, profile.y_mm[order]) + self.column_mm * outside
+        self.y_mm = np.interp(lines, seen, face.y_mm[order]) + self.column_mm * outside
+        self._y_per_z = np.interp(lines, seen, face.y_per_z[order])
+        self._leave_out_dim()
         self._leave_out_hidden()
+
+    def _leave_out_dim(self) -> None:
+        """Take lines as unread that hold a stripe where the plates' is, but hardly any of its light."""
+        if self.light is None or self.image_dn is None:
+            return
+        plates = np.flatnonzero(self.sees > 0.0)
+        scans = self.away * (self.first_scan + plates)
+        width_px = float(np.nanmedian(self.light.width_px[scans]))
+        brightness = self._brightness(scans, self.light.position_px[scans], width_px)
+        self.sees[plates[brightness < DIM_SHARE * np.median(brightness)]] = UNREAD
 
     def _leave_out_hidden(self) -> None:
         """Let lines say nothing that hold saturated pixels where the plates' stripe would be read."""
@@ -429,6 +464,10 @@ class _Lines:
         plate = np.flatnonzero(self.sees > 0.0)
         start, end = int(plate[0]), int(plate[-1]) + 1
         return gap_evidence_nats(self.sees[start:end] < 0.0, first - start, last - start, places)
+
+    def y_per_z_at(self, y_mm: float) -> float:
+        """Return by how much a line's y at a place goes with the plates' height."""
+        return float(np.interp(y_mm, self.y_mm, self._y_per_z))
 
     def others_between(self, first: int, last: int) -> int:
         """Return how many scan lines between two lines show no plate."""

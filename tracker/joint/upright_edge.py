@@ -12,6 +12,7 @@ import numpy as np
 
 from noise_model.arrays import Bool, Float64
 from noise_model.kernel import kernel
+from tracker.joint.measured import OnFace
 from tracker.profile import Profile
 from tracker.stripe.edge import StripeLight, apart_px, stripe_ends
 
@@ -42,22 +43,34 @@ def neighbours_of_edge(before: Bool, behind: Bool) -> tuple[int, int]:
 
 
 class Edge(NamedTuple):
-    """Where an upright edge is, mm, and its variance, mm^2."""
+    """Where an upright edge is, mm, its variance in its faces, mm^2, and how its y goes with their height."""
 
     y_mm: float
     variance_mm2: float
+    y_per_z: float
+
+    def covariance(self, height_between: Float64, height_there: Float64, of_faces: Float64) -> Float64:
+        """Return the covariance (2, 2) of (y, z) where its y goes with the mean height of both its faces.
+
+        `height_between` (p,) are that height's slopes by the parameters of the faces, whose covariance (p, p)
+        is `of_faces`; `height_there` (p,) are those of its own z.
+        """
+        moved = np.array([self.y_per_z * height_between, height_there])
+        return np.asarray(moved @ of_faces @ moved.T + np.diag([self.variance_mm2, 0.0]))
 
 
-def edge_between(profile: Profile, before: int, behind: int, hidden_mm: float) -> Edge:
+def edge_between(profile: Profile, before: int, behind: int, hidden_mm: float, face: OnFace) -> Edge:
     """Return the edge between two neighbouring points of a profile that lie on either side's face.
 
-    Of the lower side, behind, the edge hides a strip. Anywhere between the two points is as likely; where the
-    image is at hand, its scan lines there say how much of them is either side's (`stripe_end`).
+    Where they meet it is `face`. Of the lower side, behind, the edge hides a strip. Anywhere between the two
+    points is as likely; where the image is at hand, its scan lines there say how much of them is either
+    side's (`stripe_end`).
     """
-    last_mm, first_mm = float(profile.y_mm[before]), float(profile.y_mm[behind]) - hidden_mm
+    last_mm, first_mm = float(face.y_mm[before]), float(face.y_mm[behind]) - hidden_mm
+    y_per_z = 0.5 * float(face.y_per_z[before] + face.y_per_z[behind])
     spread_mm = max(abs(first_mm - last_mm), profile.column_mm)
     middle_mm, variance_mm2 = 0.5 * (last_mm + first_mm), spread_mm**2 / 12.0
-    anywhere = Edge(middle_mm, variance_mm2)
+    anywhere = Edge(middle_mm, variance_mm2, y_per_z)
     if profile.light is None or _is_hidden(
         profile.light, int(profile.scan[before]), int(profile.scan[behind])
     ):
@@ -66,7 +79,7 @@ def edge_between(profile: Profile, before: int, behind: int, hidden_mm: float) -
     places, variances = [], []
     sides = slice(max(before - BESIDE, 0), before), slice(behind + 1, behind + 1 + BESIDE)
     for end, side, hides_mm in zip(ends, sides, (0.0, hidden_mm), strict=True):
-        y_mm = _at_line(profile, side, end.line) - hides_mm
+        y_mm = _at_line(face.y_mm[side], profile.scan[side], end.line) - hides_mm
         sigma_mm = end.sigma * profile.column_mm
         # What tells less than the two points do is no end.
         if sigma_mm**2 < variance_mm2:
@@ -80,7 +93,7 @@ def edge_between(profile: Profile, before: int, behind: int, hidden_mm: float) -
     apart_mm2 = (places[0] - places[-1]) ** 2 - sum(variances)
     alike = _likeness(profile.light, int(profile.scan[before]), int(profile.scan[behind]))
     both = 1.0 + alike if len(places) == 2 else 1.0
-    return Edge(edge_mm, both / information + 0.25 * max(apart_mm2, 0.0))
+    return Edge(edge_mm, both / information + 0.25 * max(apart_mm2, 0.0), y_per_z)
 
 
 def _is_hidden(light: StripeLight, last: int, first: int) -> bool:
@@ -98,9 +111,8 @@ def _likeness(light: StripeLight, last: int, first: int) -> float:
     return math.exp(-0.25 * (apart_px(light, last, first) / float(light.width_px[first])) ** 2)
 
 
-def _at_line(profile: Profile, points: slice, line: float) -> float:
-    """Return the y, mm, at which a scan line crosses the face that some points lie on."""
-    y_mm, scan = profile.y_mm[points], profile.scan[points]
+def _at_line(y_mm: Float64, scan: Float64, line: float) -> float:
+    """Return the y, mm, at which a scan line crosses the face that some points (n,) lie on."""
     middle = scan.mean()
     off = scan - middle
     return float(y_mm.mean() + (off @ y_mm) / (off @ off) * (line - middle))
