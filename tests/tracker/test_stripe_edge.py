@@ -13,7 +13,7 @@ from scipy.special import ndtr
 
 from noise_model.arc.map import CELL
 from tracker.joint.measured import meet_face
-from tracker.joint.slot import HIDDEN, UNREAD, _Lines, _OnPlates
+from tracker.joint.plate_lines import HIDDEN, UNREAD, OnPlates, PlateLines
 from tracker.joint.upright_edge import Edge, edge_between
 from tracker.profile import Profile
 from tracker.stripe.edge import (
@@ -360,10 +360,10 @@ def test_lines_under_a_glint_say_nothing_of_a_plate() -> None:
     seen = np.isfinite(light.position_px)
     along = ("y_mm", "z_mm", "dy_mm", "dz_mm", "sigma_px", "scan", "beside_px")
     shown = replace(profile, **{name: getattr(profile, name)[seen] for name in along})
-    on_plates = _OnPlates(np.ones(int(seen.sum()), dtype=bool), meet_face(shown, shown.z_mm, 0.0))
-    sees = _Lines(shown, on_plates, False).sees
+    on_plates = OnPlates(np.ones(int(seen.sum()), dtype=bool), meet_face(shown, shown.z_mm, 0.0))
+    sees = PlateLines(shown, on_plates, False).sees
     assert (sees[EDGE : EDGE + 5] == HIDDEN).all()
-    plain = _Lines(replace(shown, light=None), on_plates, False).sees
+    plain = PlateLines(replace(shown, light=None), on_plates, False).sees
     assert (plain[EDGE : EDGE + 5] == UNREAD).all()
     assert (np.delete(sees, np.arange(EDGE, EDGE + 5)) == 1.0).all()
 
@@ -376,7 +376,7 @@ def test_lines_with_hardly_any_of_a_plate_s_light_hold_none() -> None:
     image_dn[gap] *= 0.05
     image_dn[half_lit] *= 0.5
     profile = replace(profile_of(light), image_dn=np.rint(image_dn).astype(np.int64))
-    on_plates = _OnPlates(np.ones(N_SCAN, dtype=bool), meet_face(profile, profile.z_mm, 0.0))
-    sees = _Lines(profile, on_plates, False).sees
+    on_plates = OnPlates(np.ones(N_SCAN, dtype=bool), meet_face(profile, profile.z_mm, 0.0))
+    sees = PlateLines(profile, on_plates, False).sees
     assert (sees[gap] == UNREAD).all()
     assert (np.delete(sees, np.arange(EDGE, EDGE + 5)) == 1.0).all()

@@ -19,7 +19,7 @@ from noise_model.arrays import Float64, Int64
 from noise_model.kernel import kernel
 from noise_model.surface.joint import Joint
 from tracker.joint.measured import MeasuredJoint
-from tracker.joint.slot import BLURRED_LINES
+from tracker.joint.plate_lines import BLURRED_LINES
 from tracker.profile import Profile
 
 GROUPS = 120
