@@ -17,7 +17,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from calibration.camera.lens import Lens
-from calibration.hand_eye_boards.rigid import cross_matrices
+from calibration.rigid import cross_matrices
 from noise_model.arrays import Float64
 
 CAMERA, LASER, HAND_EYE, ROBOT, DELAY = "camera", "laser", "hand-eye", "robot", "delay"

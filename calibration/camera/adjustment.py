@@ -9,11 +9,11 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from calibration.camera.lens import Lens
 from calibration.camera.normal_equations import NormalEquations
 from calibration.camera.sightings import Sightings
+from calibration.rigid import motions, transform_each
 from noise_model.arrays import Float64
 
 MAX_ROUNDS = 100
@@ -53,8 +53,7 @@ class Scene:
         board = seen.flat_mm.copy()
         board[:, :2] += self.print_mm[seen.corner]
         board[:, 2] += seen.bulge @ self.warp_mm
-        T = self.T_camera_board[seen.view]
-        return np.asarray(np.einsum("nij,nj->ni", T[:, :3, :3], board) + T[:, :3, 3])
+        return transform_each(self.T_camera_board[seen.view], board)
 
     def residuals(self, seen: Sightings) -> Float64:
         """Return observed less predicted image points (N, 2), px."""
@@ -74,12 +73,14 @@ class Scene:
         This is the lens and the warp (n + 2,), or these and the corners' places on the board.
         """
         n = len(self.lens.values)
-        T = np.tile(np.eye(4), (len(motion), 1, 1))
-        T[:, :3, :3] = Rotation.from_rotvec(motion[:, :3]).as_matrix()
-        T[:, :3, 3] = motion[:, 3:]
         lens = replace(self.lens, values=self.lens.values + shared[:n])
         places = shared[n + 2 :].reshape(-1, 2) if len(shared) > n + 2 else 0.0
-        return Scene(lens, self.warp_mm + shared[n : n + 2], T @ self.T_camera_board, self.print_mm + places)
+        return Scene(
+            lens,
+            self.warp_mm + shared[n : n + 2],
+            motions(motion) @ self.T_camera_board,
+            self.print_mm + places,
+        )
 
 
 def linearised(

@@ -22,6 +22,7 @@ import numpy as np
 from numpy.polynomial.legendre import legval
 from scipy.spatial.transform import Rotation
 
+from calibration.rigid import transform_each
 from calibration.settle import robust_cost, settled
 from calibration.threads import one_thread
 from noise_model.arrays import Float64
@@ -308,9 +309,9 @@ class _Problem:
         T_joint_tool = np.concatenate(transforms)
         across = np.array([0.0, 1.0] if stripe_runs_along_rows(true) else [1.0, 0.0])
         met, beside = (to_laser_plane(true, points_px + step)[0] for step in (0.0, across))
-        in_joint = _in_joint(T_joint_tool, met)
+        in_joint = transform_each(T_joint_tool, met)
         off_mm = _off_section(true, in_joint)
-        mm_per_px = np.abs(_off_section(true, _in_joint(T_joint_tool, beside)) - off_mm)
+        mm_per_px = np.abs(_off_section(true, transform_each(T_joint_tool, beside)) - off_mm)
         known = np.isfinite(mm_per_px) & (mm_per_px > 0.0) & (np.abs(off_mm) < MAX_OFF_MM)
         vertices = section(true.joint).vertices
         uprights_mm = vertices[:-1][np.diff(vertices[:, 0]) == 0.0, 0]
@@ -389,7 +390,7 @@ class _Problem:
         return np.clip(np.nan_to_num(off_px / self.sigma_px, nan=FAR), -FAR, FAR)
 
     def _off_mm(self, setup: Setup, points_px: Float64, x: Mapping[str, float]) -> Float64:
-        in_joint = _in_joint(self.T_joint_tool, to_laser_plane(setup, points_px)[0])
+        in_joint = transform_each(self.T_joint_tool, to_laser_plane(setup, points_px)[0])
         along = in_joint[:, 0] - self.middle_mm
         in_joint[:, 1] -= x["seam_y"] + x["seam_slope_y"] * along + self.bends.y_mm(x, in_joint[:, 0])
         in_joint[:, 2] -= x["seam_z"] + x["seam_slope_z"] * along
@@ -445,11 +446,6 @@ def _bends(points_px: Float64, setup: Setup) -> Float64:
     place = 2.0 * points_px[:, 0 if along_rows else 1] / size - 1.0
     across = np.array([0.0, 1.0] if along_rows else [1.0, 0.0])
     return np.array([np.outer(legval(place, unit), across) for unit in np.eye(len(SHAPE_BLOCK))])
-
-
-def _in_joint(T_joint_tool: Float64, points_tool: Float64) -> Float64:
-    turned = np.einsum("nij,nj->ni", T_joint_tool[:, :3, :3], points_tool)
-    return np.asarray(turned + T_joint_tool[:, :3, 3])
 
 
 def _off_section(setup: Setup, in_joint: Float64) -> Float64:

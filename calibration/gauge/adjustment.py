@@ -19,6 +19,7 @@ from scipy.spatial.transform import Rotation
 
 from calibration.gauge.shape import Gauge
 from calibration.laser.plane import points_on_plane
+from calibration.rigid import transform_each
 from noise_model.arrays import Float64, Int64
 
 ROUNDS, SETTLED = 40, 1e-4
@@ -156,8 +157,7 @@ class Problem:
         T = self.T_tool_camera
         directions = (self._rays if rays is None else rays) @ T[:3, :3].T
         points = points_on_plane(state.plane, T[:3, 3], directions)
-        robot = self._T_base_tool
-        return np.asarray(np.einsum("nij,nj->ni", robot[:, :3, :3], points) + robot[:, :3, 3])
+        return transform_each(self._T_base_tool, points)
 
     def distances(self, state: State, rays: Float64 | None = None) -> Float64:
         """Return how far all points are off their faces (N,), mm."""

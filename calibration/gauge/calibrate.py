@@ -17,6 +17,7 @@ from calibration.gauge.adjustment import SHEET, SIZE, Fit, Problem, State, fit_w
 from calibration.gauge.shape import Gauge, Shape
 from calibration.gauge.sightings import Posed, place_gauge
 from noise_model.arrays import Float64
+from noise_model.transforms import transform
 
 LEAST_IMAGES = 4
 """Fewer images determine no sheet and leave nothing to judge it by."""
@@ -284,7 +285,7 @@ def _motions(problem: Problem, state: State) -> dict[str, tuple[Float64, Float64
 def _information(problem: Problem, fitted: Fit, T_base_tool: Float64) -> Float64:
     """Return what an image at a pose would add: its stripe as wide and as noisy as those that there are."""
     state, like = fitted.state, problem.sightings[0]
-    to_camera = np.linalg.inv(T_base_tool @ problem.T_tool_camera)
+    to_camera = np.asarray(np.linalg.inv(T_base_tool @ problem.T_tool_camera), dtype=np.float64)
     normals, offsets = problem.gauge.faces
     in_tool = np.linalg.inv(T_base_tool) @ state.T_base_gauge
     reach = max(3.0 * state.size_mm, 5.0)
@@ -301,8 +302,7 @@ def _information(problem: Problem, fitted: Fit, T_base_tool: Float64) -> Float64
         )[0]
         sign = 1.0 if rows and len(rows) % 2 else -1.0
         rows.append(place + (0.5 * sign * reach) * along)
-    in_base = np.array(rows) @ T_base_tool[:3, :3].T + T_base_tool[:3, 3]
-    seen = in_base @ to_camera[:3, :3].T + to_camera[:3, 3]
+    seen = transform(to_camera, transform(T_base_tool, np.array(rows)))
     rays = seen / seen[:, 2:]
     sighting = replace(like, T_base_tool=T_base_tool, rays=rays)
     other = replace(problem, sightings=(sighting,))

@@ -13,7 +13,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from calibration.hand_eye_boards.rigid import adjoints, inverse, motions
+from calibration.rigid import adjoints, inverse, motions
 from noise_model.arrays import Float64
 
 

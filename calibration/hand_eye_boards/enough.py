@@ -9,7 +9,7 @@ from scipy.spatial.transform import Rotation
 
 from calibration.camera.enough import UndeterminedError
 from calibration.hand_eye_boards.chain import Chain
-from calibration.hand_eye_boards.rigid import inverse
+from calibration.rigid import inverse
 from noise_model.arrays import Float64
 
 LEAST_POSES = 5

@@ -24,8 +24,8 @@ from calibration.camera.noise import corner_sigmas_px
 from calibration.camera.normal_equations import NormalEquations
 from calibration.camera.sightings import Sightings
 from calibration.hand_eye_boards.chain import Chain
-from calibration.hand_eye_boards.rigid import inverse, motions, twists
 from calibration.hand_eye_boards.variances import PoseErrors, Solution, robot_sigma, solve
+from calibration.rigid import inverse, motions, twists
 from noise_model.arrays import Float64
 
 MAX_ROUNDS, SETTLED_SIGMAS = 20, 1e-3

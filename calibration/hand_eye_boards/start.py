@@ -19,8 +19,9 @@ from calibration.camera.lens import Lens
 from calibration.camera.printed import are_ends_told
 from calibration.camera.sightings import Sightings
 from calibration.hand_eye_boards.chain import Chain
-from calibration.hand_eye_boards.rigid import inverse, mean_pose
+from calibration.rigid import inverse, mean_pose
 from noise_model.arrays import Float64
+from noise_model.transforms import transform
 
 METHODS = (
     cv2.CALIB_HAND_EYE_TSAI,
@@ -100,7 +101,7 @@ def renumbered(seen: Sightings, T_camera_board: Float64, T_camera_turned: Float6
     corner = seen.corner.copy()
     points = seen.board.points_mm
     for part, T_turned_board in zip(seen.slices, inverse(T_camera_turned) @ T_camera_board, strict=True):
-        places = points[seen.corner[part]] @ T_turned_board[:3, :3].T + T_turned_board[:3, 3]
+        places = transform(T_turned_board, points[seen.corner[part]])
         column, row, _ = np.rint(places / seen.board.square_mm).astype(np.int64).T
         corner[part] = row * seen.board.columns + column
     return replace(seen, corner=corner)

@@ -18,6 +18,7 @@ from calibration.boards.board import Board
 from calibration.camera.lens import Lens
 from noise_model.arrays import Bool, Float32, Float64, Int64, Integers
 from noise_model.robust import spread
+from noise_model.transforms import transform
 from tracker.stripe.viterbi import best_path
 
 SCALES_PX = (1.5, 3.0, 6.0, 12.0)
@@ -97,7 +98,7 @@ def board_area(board: Board, lens: Lens, T_camera_board: Float64) -> Bool:
     (x1, y1), step = high * board.square_mm, np.linspace(0.0, 1.0, EDGE_POINTS, endpoint=False)
     corners = np.array([[low, low, 0.0], [x1, low, 0.0], [x1, y1, 0.0], [low, y1, 0.0]])
     sides = corners[:, np.newaxis] + step[:, np.newaxis] * (np.roll(corners, -1, axis=0) - corners)[:, None]
-    outline = sides.reshape(-1, 3) @ T_camera_board[:3, :3].T + T_camera_board[:3, 3]
+    outline = transform(T_camera_board, sides.reshape(-1, 3))
     drawn = np.zeros((lens.height, lens.width), dtype=np.uint8)
     reach = 4 * max(drawn.shape)
     cv2.fillPoly(drawn, [lens.project(outline).clip(-reach, reach).round().astype(np.int32)], 1)

@@ -10,7 +10,7 @@ from matplotlib.axes import Axes
 from arctrack.report import style
 from arctrack.report.embedded import svg
 from calibration.hand_eye_boards.calibrate import PARAMETERS, HandEyeCalibration
-from calibration.hand_eye_boards.rigid import inverse
+from calibration.rigid import inverse, transform_each
 
 ARROW_SHARE = 0.25
 """How long the camera's line of sight is drawn, over its distance to the board."""
@@ -89,7 +89,7 @@ def robot_off(result: HandEyeCalibration) -> str:
     ends = np.array([part.start + n for part in seen.slices for n in (0, (part.stop - part.start) - 1)])
     ends = np.concatenate([ends, [part.start + (part.stop - part.start) // 2 for part in seen.slices]])
     view = seen.view[ends]
-    points = np.einsum("nij,nj->ni", T[view, :3, :3], seen.flat_mm[ends]) + T[view, :3, 3]
+    points = transform_each(T[view], seen.flat_mm[ends])
     predicted = lens.project(points)
     off = seen.points_px[ends] - predicted
     longest = float(np.quantile(np.linalg.norm(off, axis=1), 0.95))

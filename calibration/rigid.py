@@ -22,6 +22,11 @@ def inverse(T: Float64) -> Float64:
     return result
 
 
+def transform_each(T_a_b: Float64, points_b: Float64) -> Float64:
+    """Return points (n, 3) of frames b in frame a, each by a pose (n, 4, 4) of its own."""
+    return np.asarray(np.einsum("nij,nj->ni", T_a_b[:, :3, :3], points_b) + T_a_b[:, :3, 3])
+
+
 def motions(twists: Float64) -> Float64:
     """Return the poses (n, 4, 4) of twists (n, 6)."""
     T = np.tile(np.eye(4), (len(twists), 1, 1))
