@@ -45,9 +45,11 @@ from robot_io.messages import (
     Validity,
     WeldingState,
 )
+from robot_io.offset_use import OffsetUse
 from robot_io.pose_assembler import PoseAssembler, PoseSample
 from robot_io.pose_buffer import PoseAt, PoseBuffer, PoseError, PoseRefusal, PoseStatus
 from robot_io.protect import SOURCES, Checker, CheckStatus, Protector
+from robot_io.reconnecting import LinkFault
 
 __all__ = [
     "ANY_SOURCE",
@@ -74,7 +76,9 @@ __all__ = [
     "LastSent",
     "Link",
     "LinkError",
+    "LinkFault",
     "MotionState",
+    "OffsetUse",
     "PoseAssembler",
     "PoseAt",
     "PoseBuffer",

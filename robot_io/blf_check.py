@@ -25,7 +25,10 @@ _PADDING = 8
 
 
 def check_blf(file: BinaryIO) -> None:
-    """Walk through a BLF file's objects; ValueError for one that is too large, or too small to be one."""
+    """Walk through a BLF file's objects; ValueError for one that is too large, or too small to be one.
+
+    One that the file's end cuts off is none: whoever wrote it was killed.
+    """
     signature, header_bytes = _FILE_HEADER.unpack(file.read(_FILE_HEADER.size))
     if signature != b"LOGG":
         raise ValueError("Unexpected file format")
@@ -37,6 +40,8 @@ def check_blf(file: BinaryIO) -> None:
             raise ValueError("no object where one should begin")
         _check_size(size, LARGEST_CONTAINER_BYTES, "an object")
         content = file.read(size - _OBJECT_HEADER.size)
+        if len(content) < size - _OBJECT_HEADER.size:
+            return
         file.read(size % 4)
         if kind == _CONTAINER:
             rest = _walk(rest + _unpacked(content))

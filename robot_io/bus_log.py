@@ -11,6 +11,7 @@ import copy
 import io
 import math
 import struct
+import time
 import zlib
 from collections import Counter
 from collections.abc import Iterator
@@ -33,6 +34,9 @@ UNIX_TIME_FROM_S = 631_152_000.0
 _BLF_CONTAINER_BYTES = 4096
 """A BLF file is written in containers; a small one loses little if the process is killed."""
 
+KEPT_EVERY_S = 1.0
+"""A process that is killed loses no more than this of a log; a machine that stops may lose more."""
+
 
 LONGEST_LINE = 65_536
 """Characters: a line of an `.asc` or `.log` holds one frame."""
@@ -49,6 +53,7 @@ class BusLogWriter:
         _require_suffix(path)
         self.path = path
         self._start_s: float | None = None
+        self._kept_at_s = time.monotonic()
         self._writer: can.BLFWriter | can.ASCWriter | can.CanutilsLogWriter
         try:
             if path.suffix == ".blf":
@@ -92,6 +97,22 @@ class BusLogWriter:
             self._writer.file.flush()
         except OSError as error:
             raise self._cannot_be_written(error) from error
+        self.keep()
+
+    def keep(self) -> None:
+        """Put on disk what is not there yet, once a second; who logs calls it also where nothing comes.
+
+        Raises BusLogError if it cannot be written, as on a full disk.
+        """
+        now_s = time.monotonic()
+        if self._start_s is None or not now_s - self._kept_at_s >= KEPT_EVERY_S:
+            return
+        self._kept_at_s = now_s
+        if isinstance(self._writer, can.BLFWriter):
+            try:
+                self._renew()
+            except OSError as error:
+                raise self._cannot_be_written(error) from error
 
     def close(self) -> None:
         """Finish the file; BusLogError if it cannot be written, as on a full disk."""
@@ -120,10 +141,15 @@ class BusLogWriter:
         if isinstance(self._writer, can.BLFWriter):
             # A BLF file's header is written at its end: without one, a killed process leaves times since 0.
             self._writer.start_timestamp = start_s
-            self._writer.stop()
-            self._writer = _blf_writer(self.path, append=True)
+            self._renew()
         elif isinstance(self._writer, can.ASCWriter):
             self._writer.log_event("Start of measurement", start_s)
+
+    def _renew(self) -> None:
+        """Finish a BLF file and go on behind it: what is in no container yet is only in memory."""
+        assert isinstance(self._writer, can.BLFWriter)
+        self._writer.stop()
+        self._writer = _blf_writer(self.path, append=True)
 
 
 def _blf_writer(path: Path, append: bool = False) -> can.BLFWriter:
@@ -167,7 +193,12 @@ def _frames(path: Path) -> Iterator[can.Message]:
         with path.open("rb") as file:
             check_blf(file)
             file.seek(0)
-            yield from can.BLFReader(file)
+            try:
+                yield from can.BLFReader(file)
+            except struct.error:
+                # Whoever wrote it was killed: of the last object only a part is there.
+                if file.read(1):
+                    raise
     else:
         with _Lines(path.open("rb"), encoding="utf-8") as lines:
             yield from _asc_frames(lines) if path.suffix == ".asc" else can.CanutilsLogReader(lines)

@@ -1,10 +1,13 @@
-"""The bus itself: any python-can interface, protected messages out, accepted messages in, all logged."""
+"""The bus itself: any python-can interface, protected messages out, accepted messages in, all logged.
+
+Nothing waits to be sent: a message goes out at once or not at all, so that no old one comes before a new one.
+"""
 
 from __future__ import annotations
 
 import math
 import time
-from collections import deque
+from collections import Counter, deque
 from collections.abc import Iterator, Sequence
 from contextlib import ExitStack
 from pathlib import Path
@@ -18,6 +21,7 @@ from robot_io.bus_log import UNIX_TIME_FROM_S, BusLogWriter
 from robot_io.inbox import LIVE, Inbox, Received, Trusted
 from robot_io.messages import BusMessage, Source
 from robot_io.protect import Protector
+from robot_io.reconnecting import LinkFault, Nothing, ReconnectingBus
 
 _CURES = {
     "kvaser": "install Kvaser's CANlib, and check the channel's number",
@@ -32,7 +36,7 @@ _ECHOING = ("udp_multicast",)
 
 _ECHOES_KEPT = 256
 
-_LOOK_UP_S = 0.1
+_LOOK_UP_S = 0.02
 """Who waits for a message looks up so often whether the link was closed: a bus does not wake who waits."""
 
 _FAILURES = (can.CanError, OSError, ImportError, ValueError, TypeError, NotImplementedError)
@@ -47,6 +51,9 @@ class Link:
 
     Everything that goes over the bus is logged, foreign frames included. One thread may send while another
     receives. A third may `close` it, which ends what `receive` yields.
+
+    Once it is open, what fails is counted in `faults` and dropped: a frame that cannot be read, a full queue,
+    a frame that nobody takes in time. A bus that went away is opened again.
 
     Parameters
     ----------
@@ -92,6 +99,7 @@ class Link:
         self._receiving = Lock()
         self._closed = Event()
         self._clock = BusClock()
+        self._was_empty_at_s = time.monotonic()
         self._echoes: deque[tuple[int, bytes]] = deque(maxlen=_ECHOES_KEPT)
         if bitrate_bit_s is not None:
             bus_options["bitrate"] = bitrate_bit_s
@@ -99,8 +107,8 @@ class Link:
             bus_options.setdefault("preserve_timestamps", True)
         with ExitStack() as opened:
             # First the bus: where there is none, no log that is there is begun anew.
-            self._bus = self._open(bus_options)
-            opened.callback(self._bus.shutdown)
+            self._bus = ReconnectingBus(f"CAN {interface}:{channel}", lambda: self._open(bus_options))
+            opened.callback(self._bus.close)
             self._logs = [opened.enter_context(BusLogWriter(path)) for path in log_paths]
             self._opened = opened.pop_all()
 
@@ -109,6 +117,11 @@ class Link:
 
     def __exit__(self, *_exception: object) -> None:
         self.close()
+
+    @property
+    def faults(self) -> Counter[LinkFault]:
+        """What went wrong on the bus."""
+        return self._bus.faults
 
     def close(self) -> None:
         """Leave the bus and finish the logs.
@@ -123,7 +136,7 @@ class Link:
             self._opened.close()
 
     def send(self, message: BusMessage, timestamp_s: float | None = None) -> bool:
-        """Protect a message, send it and log it; return whether it went out.
+        """Protect a message, send it and log it.
 
         Parameters
         ----------
@@ -133,15 +146,22 @@ class Link:
             The time that the log, and the `virtual` bus, gives the frame, s; by default the wall clock. A
             replay gives the recording's time.
 
+        Returns
+        -------
+        bool
+            Whether it went out in time. If not, it is dropped.
+
         Raises
         ------
         CodecError
             If a signal cannot carry its value; nothing is sent.
         LinkError
-            If the bus fails; nothing is sent.
+            If the link is closed.
         BusLogError
             If a log cannot hold that time, and nothing is sent; or if it cannot be written.
         """
+        if self._closed.is_set():
+            raise self._error("send", ValueError("the link is closed"))
         sent_at_s = time.time() if timestamp_s is None else timestamp_s
         for log in self._logs:
             log.require(sent_at_s)
@@ -156,10 +176,8 @@ class Link:
         if self.interface in _ECHOING:
             with self._lock:
                 self._echoes.append((arbitration_id, payload))
-        try:
-            self._bus.send(frame)
-        except _FAILURES as error:
-            raise self._error("send", error) from error
+        if not self._bus.send(frame):
+            return False
         self._log(frame)
         return True
 
@@ -167,6 +185,7 @@ class Link:
         """Yield accepted messages until none has come for some time.
 
         A message that is not ours, fails E2E or cannot be decoded is logged and counted in `inbox.skipped`.
+        `Received.max_age_s` says how long before its reading it came at most.
 
         Parameters
         ----------
@@ -183,55 +202,78 @@ class Link:
         Raises
         ------
         LinkError
-            If the bus fails.
+            If the link is closed before it begins.
         BusLogError
             If a log cannot be written.
         """
-        was_open = not self._closed.is_set()
+        if self._closed.is_set():
+            raise self._error("receive", ValueError("the link is closed"))
         deadline_s = _deadline_s(timeout_s)
         while True:
-            left_s = math.inf if deadline_s is None else max(0.0, deadline_s - time.monotonic())
+            remaining_s = math.inf if deadline_s is None else max(0.0, deadline_s - time.monotonic())
             with self._receiving:
-                if was_open and self._closed.is_set():
+                if self._closed.is_set():
                     return
-                try:
-                    frame = self._bus.recv(min(left_s, _LOOK_UP_S))
-                except _FAILURES as error:
-                    raise self._error("receive", error) from error
-                if frame is not None:
-                    if self._is_echo(frame):
-                        continue
-                    frame.timestamp = self._time_of(frame)
-                    self._log(frame)
-            if frame is None:
-                if left_s <= _LOOK_UP_S:
-                    return
-                continue
-            received = self.inbox.receive(frame)
-            if received is not None:
+                received = self._next(min(remaining_s, _LOOK_UP_S))
+            if received is Nothing.QUIET and remaining_s <= _LOOK_UP_S:
+                return
+            if isinstance(received, Received):
                 yield received
                 deadline_s = _deadline_s(timeout_s)
+
+    def _next(self, timeout_s: float) -> Received | Nothing | None:
+        """Return the next message, logged; None for a frame that is no message."""
+        # What waits is read first: where nothing does, what comes then has not waited.
+        frame = self._bus.receive(0.0)
+        if frame is Nothing.QUIET:
+            self._was_empty_at_s = time.monotonic()
+            self._keep_logs()
+            frame = self._bus.receive(timeout_s)
+        if isinstance(frame, Nothing):
+            return frame
+        if self._is_echo(frame):
+            return None
+        max_age_s = self._set_time(frame)
+        self._log(frame)
+        return self.inbox.receive(frame, max_age_s)
 
     def _open(self, bus_options: dict[str, Any]) -> can.BusABC:
         try:
             # Configuration files of the machine must not change what was asked for here.
+            if self.interface == "slcan":
+                from robot_io.slcan import SlcanBus
+
+                return SlcanBus(self.channel, **bus_options)
             return can.Bus(interface=self.interface, channel=self.channel, ignore_config=True, **bus_options)
         except (*_FAILURES, NameError) as error:
             # Without its vendor's library an interface of python-can may miss names of its own.
             raise self._error("open", error) from error
 
-    def _time_of(self, frame: can.Message) -> float:
-        """Return a received frame's time: a recording's on `virtual`, the wall clock's on any other bus."""
-        if self.interface == "virtual" or frame.timestamp >= UNIX_TIME_FROM_S:
-            return frame.timestamp
-        # Some adapters count from their start, some give no time at all.
+    def _set_time(self, frame: can.Message) -> float:
+        """Give a received frame its time, and return how long before now it came at most, s.
+
+        The time is a recording's on `virtual`, the wall clock's on any other bus.
+        """
+        if self.interface == "virtual":
+            return 0.0
         now_s = time.time()
-        return self._clock.wall_s(frame.timestamp, now_s) if frame.timestamp else now_s
+        if not frame.timestamp:
+            # There is no time at all: it came after nothing was there.
+            frame.timestamp = now_s - (time.monotonic() - self._was_empty_at_s)
+        elif frame.timestamp < UNIX_TIME_FROM_S:
+            # Some adapters count from their start.
+            frame.timestamp = self._clock.wall_s(frame.timestamp, now_s)
+        return max(0.0, now_s - frame.timestamp)
 
     def _log(self, frame: can.Message) -> None:
         with self._lock:
             for log in self._logs:
                 log.write(frame)
+
+    def _keep_logs(self) -> None:
+        with self._lock:
+            for log in self._logs:
+                log.keep()
 
     def _is_echo(self, frame: can.Message) -> bool:
         key = (frame.arbitration_id, bytes(frame.data))

@@ -134,6 +134,22 @@ def test_a_killed_writer_loses_little(tmp_path):
     assert len(list(BusLogReader(tmp_path / "killed.blf"))) > 850
 
 
+@pytest.mark.slow
+def test_of_a_log_that_is_cut_off_all_before_the_cut_is_read(tmp_path):
+    whole = tmp_path / "bus.blf"
+    write(whole, [0.01 * i for i in range(400)])
+    everything, on_disk = [r.timestamp_s for r in BusLogReader(whole)], whole.read_bytes()
+    cut = tmp_path / "cut.blf"
+    n_before = 0
+    for n_bytes in range(144, len(on_disk), 61):
+        cut.write_bytes(on_disk[:n_bytes])
+        times_s = [r.timestamp_s for r in BusLogReader(cut)]
+        assert times_s == everything[: len(times_s)]
+        assert len(times_s) >= n_before
+        n_before = len(times_s)
+    assert n_before > 300
+
+
 def test_a_full_disk_is_one_line_that_names_the_log(tmp_path):
     path = tmp_path / "bus.blf"
     path.symlink_to("/dev/full")
@@ -160,6 +176,33 @@ for n in range(200):
 print("written", flush=True)
 time.sleep(600.0)
 """
+
+
+QUIET = """
+import sys
+import time
+from pathlib import Path
+
+from robot_io import BusLogWriter, Link, SeamOffset, Validity
+
+link = Link("virtual", "quiet", log_paths=[Path(sys.argv[1])])
+link.send(SeamOffset(0.5, 0.25, 8.0, 0.9, Validity.VALID))
+ends_s = time.monotonic() + 1.1
+while time.monotonic() < ends_s:
+    list(link.receive(0.05))
+print("kept", flush=True)
+time.sleep(600.0)
+"""
+
+
+@pytest.mark.slow
+def test_on_a_quiet_bus_a_killed_process_loses_no_more_than_the_last_second(tmp_path):
+    path = tmp_path / "bus.blf"
+    with subprocess.Popen([sys.executable, "-c", QUIET, str(path)], stdout=subprocess.PIPE) as process:
+        assert process.stdout.readline() == b"kept\n"
+        process.kill()
+    (received,) = BusLogReader(path)
+    assert received.message.offset_y_mm == 0.5
 
 
 @pytest.mark.slow

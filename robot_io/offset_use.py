@@ -1,0 +1,51 @@
+"""The robot's side of the offsets: when one may be used, as `docs/reference/can.md` asks of every robot."""
+
+from __future__ import annotations
+
+from robot_io.dbc import cycle_time_s, message_layout
+from robot_io.inbox import STALE_PERIODS, Received
+from robot_io.messages import SeamOffset, TrackerHeartbeat, TrackerState, Validity
+
+BEAT_PERIODS = 1.5
+"""A heartbeat that is later than this has been missed."""
+
+_ROLLING = 256
+
+
+class OffsetUse:
+    """Says which offset a robot may use now.
+
+    One that counts is VALID or HELD, came in the last ten cycles, and stands on a heartbeat: the newest one
+    is no later than one and a half cycles, follows the one before by one, and says that the tracker tracks.
+    So a tracker that was killed ends its offsets within 150 ms, and two trackers on one bus give none.
+    """
+
+    def __init__(self) -> None:
+        beat, offset = (cycle_time_s(message_layout(m.__name__)) for m in (TrackerHeartbeat, SeamOffset))
+        self._max_beat_age_s, self._max_offset_age_s = BEAT_PERIODS * beat, STALE_PERIODS * offset
+        self._beat: tuple[TrackerHeartbeat, float] | None = None
+        self._follows = False
+        self._offset: tuple[SeamOffset, float] | None = None
+
+    def on_message(self, received: Received, now_s: float) -> None:
+        """Take an accepted message; `now_s` is the time of its reading, on the robot's clock."""
+        message, came_at_s = received.message, now_s - received.max_age_s
+        if isinstance(message, TrackerHeartbeat):
+            before = self._beat
+            self._follows = before is not None and (message.rolling - before[0].rolling) % _ROLLING == 1
+            self._beat = message, came_at_s
+        elif isinstance(message, SeamOffset):
+            self._offset = message, came_at_s
+
+    def offset(self, now_s: float) -> SeamOffset | None:
+        """Return the offset that counts, None if none does."""
+        if self._beat is None or self._offset is None or not self._follows:
+            return None
+        (beat, beat_at_s), (offset, offset_at_s) = self._beat, self._offset
+        if not 0.0 <= now_s - beat_at_s <= self._max_beat_age_s:
+            return None
+        if beat.state not in (TrackerState.SEARCHING, TrackerState.TRACKING, TrackerState.HOLDING):
+            return None
+        if not 0.0 <= now_s - offset_at_s <= self._max_offset_age_s:
+            return None
+        return offset if offset.validity in (Validity.VALID, Validity.HELD) else None

@@ -1,0 +1,167 @@
+"""A bus that stays: what fails is counted and dropped, and an adapter that went away is opened again."""
+
+from __future__ import annotations
+
+import logging
+import threading
+import time
+from collections import Counter
+from collections.abc import Callable
+from contextlib import suppress
+from enum import Enum
+
+import can
+
+SEND_TIMEOUT_S = 0.01
+"""How long a frame may take to go out. At 125 kbit/s one takes 1.1 ms; the next offset comes in 20 ms."""
+
+LOST_AFTER_S = 0.2
+"""Where nothing but failures came for so long, it is the bus that is gone: ten periods of a status."""
+
+BACK_OFF_S = (0.1, 0.2, 0.5, 1.0, 2.0)
+"""The waits before each attempt to open it again; the last one over and over."""
+
+_BUS_OFF = 0x40
+"""The bit of an error frame's identifier by which SocketCAN says that the controller is off the bus."""
+
+_LOG = logging.getLogger(__name__)
+
+
+class LinkFault(Enum):
+    """What went wrong on a bus without ending the run."""
+
+    UNREADABLE = "unreadable"
+    UNSENT = "unsent"
+    ERROR_FRAME = "error_frame"
+    BUS_OFF = "bus_off"
+    LOST = "lost"
+
+
+class Nothing(Enum):
+    """What is received where no frame is."""
+
+    QUIET = "nothing came in time"
+    UNREADABLE = "something came that is no frame"
+
+
+class ReconnectingBus:
+    """A python-can bus that never raises once it is open.
+
+    Parameters
+    ----------
+    name : str
+        What the log calls it.
+    open_bus : callable
+        Opens the bus. What it raises at first goes to the caller.
+
+    Attributes
+    ----------
+    faults : Counter of LinkFault
+        What went wrong.
+    """
+
+    def __init__(self, name: str, open_bus: Callable[[], can.BusABC]) -> None:
+        self.faults: Counter[LinkFault] = Counter()
+        self._name = name
+        self._open_bus = open_bus
+        self._bus: can.BusABC | None = open_bus()
+        self._fails_since_s: float | None = None
+        self._closed = threading.Event()
+        self._lock = threading.Lock()
+        self._reopening: threading.Thread | None = None
+
+    @property
+    def is_lost(self) -> bool:
+        """Whether there is no bus at present."""
+        return self._bus is None
+
+    def send(self, frame: can.Message) -> bool:
+        """Send a frame, and return whether it went out in time."""
+        bus = self._bus
+        if bus is not None:
+            try:
+                bus.send(frame, SEND_TIMEOUT_S)
+            except Exception as error:  # an interface raises what its driver does
+                self._say(LinkFault.UNSENT, error)
+            else:
+                return True
+        self.faults[LinkFault.UNSENT] += 1
+        return False
+
+    def receive(self, timeout_s: float) -> can.Message | Nothing:
+        """Return the next frame."""
+        bus = self._bus
+        if bus is None:
+            time.sleep(timeout_s)
+            return Nothing.QUIET
+        try:
+            frame = bus.recv(timeout_s)
+        except Exception as error:  # a parser raises what the line makes it raise
+            self._say(LinkFault.UNREADABLE, error)
+            self.faults[LinkFault.UNREADABLE] += 1
+            now_s = time.monotonic()
+            if self._fails_since_s is None:
+                self._fails_since_s = now_s
+            elif now_s - self._fails_since_s > LOST_AFTER_S:
+                self._lose(bus)
+            # A bus that is gone says so at once, again and again.
+            time.sleep(0.001)
+            return Nothing.UNREADABLE
+        self._fails_since_s = None
+        if frame is None:
+            return Nothing.QUIET
+        if frame.is_error_frame:
+            self.faults[LinkFault.ERROR_FRAME] += 1
+            if frame.arbitration_id & _BUS_OFF:
+                self.faults[LinkFault.BUS_OFF] += 1
+                self._lose(bus)
+        return frame
+
+    def close(self) -> None:
+        """Leave the bus."""
+        self._closed.set()
+        with self._lock:
+            bus, self._bus = self._bus, None
+        if bus is not None:
+            _shut_down(bus)
+        if self._reopening is not None:
+            self._reopening.join(BACK_OFF_S[-1])
+
+    def _lose(self, bus: can.BusABC) -> None:
+        with self._lock:
+            if self._bus is not bus:
+                return
+            self._bus, self._fails_since_s = None, None
+        self.faults[LinkFault.LOST] += 1
+        _LOG.warning("%s: lost; it is opened again", self._name)
+        _shut_down(bus)
+        self._reopening = threading.Thread(target=self._reopen, name=f"reopen {self._name}", daemon=True)
+        self._reopening.start()
+
+    def _reopen(self) -> None:
+        attempt = 0
+        while not self._closed.wait(BACK_OFF_S[min(attempt, len(BACK_OFF_S) - 1)]):
+            attempt += 1
+            try:
+                bus = self._open_bus()
+            except Exception as error:  # whatever it is, it is tried again
+                _LOG.info("%s: not open yet: %s", self._name, error)
+                continue
+            with self._lock:
+                if not self._closed.is_set():
+                    self._bus = bus
+            if self._closed.is_set():
+                _shut_down(bus)
+                return
+            _LOG.warning("%s: open again after %d attempts", self._name, attempt)
+            return
+
+    def _say(self, fault: LinkFault, error: Exception) -> None:
+        # Once: a bus that fails fails a thousand times a minute.
+        if not self.faults[fault]:
+            _LOG.warning("%s: %s: %s", self._name, fault.value, error)
+
+
+def _shut_down(bus: can.BusABC) -> None:
+    with suppress(Exception):  # it is gone, or goes
+        bus.shutdown()
