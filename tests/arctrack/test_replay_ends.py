@@ -1,0 +1,126 @@
+"""A replay in a process of its own beside a robot on udp_multicast: how it ends, and what is used then."""
+
+from __future__ import annotations
+
+import signal
+import subprocess
+import sys
+import threading
+import time
+from pathlib import Path
+from typing import Any
+
+import pytest
+from scipy.spatial.transform import Rotation
+
+from arctrack.moments import assumed_command, assumed_robot
+from arctrack.recording import Recording, read_recording
+from robot_io import (
+    Command,
+    Link,
+    OffsetUse,
+    PoseKind,
+    PoseStatus,
+    Received,
+    RobotPosePosition,
+    RobotPoseRotation,
+    SeamOffset,
+    Source,
+    TrackerStatus,
+    Trusted,
+    Validity,
+)
+
+pytestmark = pytest.mark.slow
+
+PERIOD_S = 0.01
+
+
+class Robot:
+    """A live robot that goes where the recording's robot went, from the first word of the replay on."""
+
+    def __init__(self, recording: Recording, bus: dict[str, Any]) -> None:
+        self.link = Link(**bus, trusted=Trusted(tracker=(Source.REPLAY,)))
+        self.received: list[Received] = []
+        self.use = OffsetUse()
+        self._recording, self._poses = recording, recording.pose_buffer()
+        self._row = recording.rows[5]
+        self._began_s: float | None = None
+
+    def step(self) -> SeamOffset | None:
+        """Speak and listen for a period; return the offset that counts then."""
+        elapsed_s = 0.0 if self._began_s is None else time.monotonic() - self._began_s
+        self.link.send(assumed_robot(self._row))
+        armed = self._began_s is not None and elapsed_s > 0.05
+        self.link.send(assumed_command(self._row, Command.TRACK if armed else Command.DISARM))
+        pose = self._poses.at(self._recording.rows[0].timestamp_s + elapsed_s)
+        if pose.status is not PoseStatus.REFUSED:
+            x_mm, y_mm, z_mm = pose.T_base_tool[:3, 3]
+            self.link.send(RobotPosePosition(x_mm, y_mm, z_mm, PoseKind.ACTUAL))
+            x, y, z, w = Rotation.from_matrix(pose.T_base_tool[:3, :3]).as_quat()
+            self.link.send(RobotPoseRotation.from_quaternion((x, y, z, w), 0.0))
+        for received in self.link.receive(PERIOD_S):
+            self.received.append(received)
+            self.use.on_message(received, time.monotonic())
+            if self._began_s is None:
+                self._began_s = time.monotonic()
+            if time.monotonic() - self._began_s > elapsed_s + PERIOD_S:
+                break
+        return self.use.offset(time.monotonic())
+
+    @property
+    def offsets(self) -> list[SeamOffset]:
+        return [r.message for r in self.received if isinstance(r.message, SeamOffset)]
+
+    @property
+    def statuses(self) -> list[TrackerStatus]:
+        return [r.message for r in self.received if isinstance(r.message, TrackerStatus)]
+
+
+def replaying(path: Path, out: Path, bus: dict[str, Any]) -> subprocess.Popen[bytes]:
+    """Start a replay onto a bus whose port is that of this test."""
+    code = (
+        "import can.interfaces.udp_multicast.bus as udp\n"
+        f"udp.UdpMulticastBus.DEFAULT_PORT = {bus['port']}\n"
+        "init = udp.UdpMulticastBus.__init__\n"
+        f"udp.UdpMulticastBus.__init__ = lambda self, channel, **o: init(self, channel, port={bus['port']}, "
+        "hop_limit=0, **o)\n"
+        "from arctrack.cli import main\n"
+        "main()\n"
+    )
+    arguments = ["replay", str(path), "--out", str(out), "--no-pictures", "--onto-a-robot"]
+    command = [sys.executable, "-c", code, *arguments, "--bus", f"udp_multicast:{bus['channel']}"]
+    return subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE)
+
+
+@pytest.mark.parametrize("how", [signal.SIGINT, signal.SIGTERM, signal.SIGKILL, None])
+def test_however_a_replay_ends_no_offset_counts_any_more(
+    compiled: None, simulated: Path, tmp_path: Path, multicast: dict[str, Any], how: signal.Signals | None
+) -> None:
+    robot = Robot(read_recording(simulated), multicast)
+    process = replaying(simulated, tmp_path / "out", multicast)
+    # Who hangs is ended from outside; the test then fails by what it asserts.
+    guard = threading.Timer(240.0, process.kill)
+    guard.start()
+    with robot.link, process:
+        counted, was_sent = 0, False
+        while process.poll() is None:
+            offset = robot.step()
+            counted += offset is not None
+            if how is not None and counted == 3 and not was_sent:
+                process.send_signal(how)
+                was_sent = True
+        guard.cancel()
+        _, errors = process.communicate()
+        ended_s = time.monotonic()
+        while time.monotonic() - ended_s < 0.16:
+            robot.step()
+        assert robot.step() is None
+    reasons = {status.gate_reason for status in robot.statuses}
+    assert counted >= 3, (reasons, errors.decode())
+    assert robot.offsets[0].validity is Validity.REFUSED
+    if how is signal.SIGKILL:
+        assert process.returncode == -signal.SIGKILL
+        return
+    assert robot.offsets[-1].validity is Validity.REFUSED
+    assert process.returncode == (0 if how is None else 130), errors.decode()
