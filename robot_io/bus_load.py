@@ -1,0 +1,44 @@
+"""How much of a bus the messages take at most, by bit rate and by the camera's frame rate."""
+
+from __future__ import annotations
+
+from robot_io.codec import FRAME_LENGTH
+from robot_io.dbc import cycle_time_s, database
+
+FRAME_MESSAGES = ("SeamOffset", "SeamPoint", "SeamGeometry", "TrackerStatus")
+"""Those that go out with each frame of the camera."""
+
+BIT_RATES_BIT_S = (125_000, 250_000, 500_000)
+FRAME_RATES_HZ = (25, 50, 100, 200)
+
+
+def frame_bits(length: int = FRAME_LENGTH) -> int:
+    """Return the most bits that a frame of the standard format takes, the space behind it included.
+
+    47 bits stand around the data, and of 34 bits of header and the data's every fourth may be a stuff bit
+    (R. I. Davis et al., "Controller Area Network (CAN) schedulability analysis", Real-Time Systems 35, 2007).
+    """
+    return 47 + 8 * length + (34 + 8 * length - 1) // 4
+
+
+def frames_per_s(frame_rate_hz: float) -> float:
+    """Return how many frames a second all messages take at a camera's frame rate, 1/s."""
+    return sum(
+        frame_rate_hz if layout.name in FRAME_MESSAGES else 1.0 / cycle_time_s(layout)
+        for layout in database().messages
+    )
+
+
+def load_table() -> str:
+    """Return the load as Markdown: frames a second and the share of each bit rate, by camera."""
+    rates = " | ".join(f"{bit_rate // 1000} kbit/s" for bit_rate in BIT_RATES_BIT_S)
+    lines = [
+        f"| camera, frames a second | frames on the bus a second | kbit/s | of {rates} |",
+        "| ---: " * (3 + len(BIT_RATES_BIT_S)) + "|",
+    ]
+    for frame_rate_hz in FRAME_RATES_HZ:
+        per_s = frames_per_s(frame_rate_hz)
+        bit_s = frame_bits() * per_s
+        shares = " | ".join(f"{100.0 * bit_s / bit_rate:.0f} %" for bit_rate in BIT_RATES_BIT_S)
+        lines.append(f"| {frame_rate_hz} | {per_s:.0f} | {bit_s / 1000.0:.1f} | {shares} |")
+    return "\n".join(lines) + "\n"

@@ -1,0 +1,87 @@
+"""The exchange that the documentation shows, and what an independent reader of the DBC makes of its log."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import fields
+from enum import IntEnum
+from importlib import resources
+from pathlib import Path
+
+import can
+import cantools
+import pytest
+
+from arctrack.service.exchange import exchange, exchange_table
+from robot_io import MESSAGE_TYPES, BusLogWriter, GateReason, SeamOffset, Source, TrackerStatus, Validity
+from robot_io.bus_load import frame_bits, frames_per_s, load_table
+
+CAN_PAGE = Path(__file__).parents[3] / "docs" / "reference" / "can.md"
+
+
+def part_of_page(mark: str) -> str:
+    text = CAN_PAGE.read_text(encoding="utf-8")
+    return text.split(f"<!-- {mark}: begin -->\n")[1].split(f"<!-- {mark}: end -->")[0]
+
+
+def test_the_page_shows_the_exchange() -> None:
+    assert part_of_page("exchange") == exchange_table(), (
+        "docs/reference/can.md: put arctrack.service.exchange.exchange_table() between its marks"
+    )
+
+
+def test_the_page_shows_the_load() -> None:
+    assert part_of_page("load") == load_table(), (
+        "docs/reference/can.md: put the output of robot_io.bus_load.load_table() between its marks"
+    )
+
+
+def test_the_load_is_that_of_the_longest_frames() -> None:
+    # Davis et al., table of the paper: 8 bytes of data, 135 bits.
+    assert frame_bits(8) == 135
+    assert frame_bits(0) == 55
+    # Poses, status, command and sync of the robot; heartbeat, echo and version of the tracker; four a frame.
+    assert frames_per_s(50.0) == pytest.approx(200 + 50 + 10 + 10 + 10 + 10 + 1 + 4 * 50)
+
+
+def test_the_exchange_starts_softly() -> None:
+    messages = [message for _, _, message, _, _ in exchange()]
+    offsets = [m for m in messages if isinstance(m, SeamOffset)]
+    assert [m.validity for m in offsets] == [Validity.REFUSED] + [Validity.VALID] * 3
+    assert [m.offset_y_mm for m in offsets[1:]] == pytest.approx([0.0, 0.4, 0.6])
+    reasons = [m.gate_reason for m in messages if isinstance(m, TrackerStatus)]
+    assert reasons == [
+        GateReason.NOT_ARMED,
+        GateReason.SOFT_START,
+        GateReason.SOFT_START,
+        GateReason.NONE,
+    ]
+
+
+def test_cantools_reads_the_same_off_the_log(tmp_path: Path) -> None:
+    said = list(exchange())
+    with BusLogWriter(tmp_path / "bus.blf") as log:
+        for at_s, _, _, identifier, payload in said:
+            log.write(
+                can.Message(timestamp=at_s, arbitration_id=identifier, data=payload, is_extended_id=False)
+            )
+    dbc = cantools.database.load_string(
+        resources.files("robot_io").joinpath("arctrack.dbc").read_text(encoding="utf-8"), "dbc"
+    )
+    with can.BLFReader(tmp_path / "bus.blf") as frames:
+        for frame, (_, _, message, _, _) in zip(frames, said, strict=True):
+            layout = dbc.get_message_by_frame_id(frame.arbitration_id)
+            assert layout.name == type(message).__name__
+            decoded = layout.decode(frame.data)
+            for field in fields(message):
+                value, read = getattr(message, field.name), decoded[field.name]
+                signal = layout.get_signal_by_name(field.name)
+                if isinstance(value, IntEnum):
+                    assert str(read) == value.name
+                elif value is None or math.isnan(value):
+                    unknown = signal.dbc.attributes["InvalidRaw"].value
+                    assert round((read - signal.offset) / signal.scale) == unknown
+                else:
+                    assert abs(float(read) - value) <= 0.5 * signal.scale + 1e-9
+    assert {type(message) for _, _, message, _, _ in said} == set(MESSAGE_TYPES)
+    assert Source.LIVE in {getattr(message, "source", None) for _, _, message, _, _ in said}
