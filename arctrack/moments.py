@@ -111,13 +111,16 @@ class RealTime:
 
     @property
     def warnings(self) -> tuple[str, ...]:
-        """What to tell a user of the robot, one line."""
-        if self._heard:
-            return ()
-        return (
-            f"{self._link.interface}:{self._link.channel}: no RobotStatus was heard, so every offset was "
-            "refused",
-        )
+        """What to tell a user of the robot and the bus, one line each."""
+        bus = f"{self._link.interface}:{self._link.channel}"
+        warnings = []
+        if not self._heard:
+            warnings.append(f"{bus}: no RobotStatus was heard, so every offset was refused")
+        faults = {fault.value: count for fault, count in self._link.faults.items() if count}
+        if faults:
+            counts = ", ".join(f"{count} {name.replace('_', ' ')}" for name, count in sorted(faults.items()))
+            warnings.append(f"{bus}: faults of the bus: {counts}")
+        return tuple(warnings)
 
     def _listen_until(self, due_s: float) -> None:
         """Read the bus until a frame is due, and in any case what waits there.

@@ -25,11 +25,14 @@ from arctrack.recording import FrameRow, read_recording
 from arctrack.replay import HEARD, ReplayOptions, replay_recording
 from arctrack.service.controller import Controller, Job
 from robot_io import (
+    BusLogError,
     BusLogReader,
+    BusLogWriter,
     Command,
     DbcVersion,
     GateReason,
     Link,
+    LinkFault,
     PoseBuffer,
     PoseKind,
     Received,
@@ -198,6 +201,37 @@ def test_the_robot_is_the_one_that_is_heard(clock: Clock) -> None:
         assert real_time.publish(ROWS[9], track(ROWS[9]), None, 1.0).validity is Validity.REFUSED
         assert real_time.warnings == ()
     assert controller.reasons == Counter({GateReason.EMERGENCY_STOP: 1, GateReason.HEARTBEAT_LOST: 1})
+
+
+def test_faults_of_the_bus_are_said(clock: Clock) -> None:
+    link, _, real_time = replaying(next(CHANNELS))
+    with link:
+        link.faults[LinkFault.UNSENT] += 3
+        link.faults[LinkFault.BUS_OFF] += 1
+        _, warning = real_time.warnings
+    assert warning == f"virtual:{link.channel}: faults of the bus: 1 bus off, 3 unsent"
+
+
+def test_a_log_that_cannot_be_written_ends_a_replay_with_a_refusal(
+    simulated: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    write, written = BusLogWriter.write, itertools.count()
+
+    def fills_up(log: BusLogWriter, frame: can.Message) -> None:
+        if next(written) > 30:
+            raise BusLogError("log bus.blf: cannot be written: No space left on device")
+        write(log, frame)
+
+    monkeypatch.setattr(BusLogWriter, "write", fills_up)
+    channel = next(CHANNELS)
+    with Link("virtual", channel, trusted=Trusted(tracker=(Source.REPLAY,))) as robot:
+        with pytest.raises(ArctrackError, match="No space left on device"):
+            replay_recording(
+                read_recording(simulated), tmp_path, ReplayOptions(bus=f"virtual:{channel}", pictures=False)
+            )
+        offsets = offsets_of(heard(robot))
+    assert Validity.VALID in {offset.validity for offset in offsets}
+    assert offsets[-1].validity is Validity.REFUSED
 
 
 @pytest.mark.parametrize(
