@@ -33,6 +33,7 @@ SOURCE_STEP = 0x100
 """How far the E2E data ids of two sources are apart."""
 
 
+@cache
 def e2e_data_id(layout: Message, source: Source = Source.LIVE) -> int:
     """Return the E2E data id of a message (16 bit) from a source.
 
@@ -41,6 +42,7 @@ def e2e_data_id(layout: Message, source: Source = Source.LIVE) -> int:
     return int(_attribute(layout, "E2EDataId")) + SOURCE_STEP * source
 
 
+@cache
 def cycle_time_s(layout: Message) -> float:
     """Return the cycle time of a message, s."""
     return int(_attribute(layout, "GenMsgCycleTime")) / 1000.0

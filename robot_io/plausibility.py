@@ -13,6 +13,7 @@ across the seam by less than they allow. `docs/explanation/plausibility.md` says
 from __future__ import annotations
 
 import math
+from bisect import bisect_left
 from dataclasses import dataclass, replace
 from enum import Enum
 
@@ -62,11 +63,14 @@ class PoseSeen:
         The robot's status; None while no fresh status has been received.
     programmed : PoseSample or None
         The newest sample of the programmed path, None where the robot sends none.
+    is_contradicted : bool
+        Whether the seam in the image moves otherwise than the poses say: no trust comes back meanwhile.
     """
 
     sample: PoseSample
     robot: RobotStatus | None
     programmed: PoseSample | None = None
+    is_contradicted: bool = False
 
 
 @dataclass(frozen=True)
@@ -161,24 +165,25 @@ def update(
         clock
         or jump
         or (Implausibility.AGE_UNKNOWN if limits.age_required and math.isnan(sample.sample_age_s) else None)
-        or _against_the_status(state, window, newest, limits)
+        or (None if seen.robot is None else _against_the_status(state, window, newest, limits))
         or _against_the_program(seen, newest, limits)
         or _against_the_seam(newest, limits, path)
     )
     if doubt is not None:
         state = _doubted(state, doubt)
-    first = next((n for n, k in enumerate(window) if newest.time_s - k.time_s <= limits.window_s), 0)
+    first = bisect_left(window, newest.time_s - limits.window_s, key=lambda k: k.time_s)
     state = replace(state, window=(*window[first:], newest))
-    return state if doubt is not None else _proven(state, newest, limits)
+    return state if doubt is not None else _proven(state, newest, limits, seen.is_contradicted)
 
 
 def _with_status(
     state: Plausibility, time_s: float, robot: RobotStatus | None, limits: PlausibilityLimits
 ) -> Plausibility:
     """Note what the robot says of its motion, and from when its poses must show it."""
-    unknown = (MotionState.UNKNOWN, math.nan)
-    stated = unknown if robot is None else (robot.motion, robot.travel_speed_mm_s)
-    before = state.stated
+    if robot is None:
+        # If it says the same again, it is taken to have done so meanwhile.
+        return state
+    stated, before = (robot.motion, robot.travel_speed_mm_s), state.stated
     ripple_mm_s = max(limits.speed_change_mm_s, limits.speed_change_share * before[1])
     same_speed = stated[0] is not MotionState.MOVING or abs(stated[1] - before[1]) <= ripple_mm_s
     if stated[0] is before[0] and same_speed:
@@ -257,7 +262,7 @@ def _against_the_status(
     state: Plausibility, window: tuple[_Kept, ...], newest: _Kept, limits: PlausibilityLimits
 ) -> Implausibility | None:
     motion, speed_mm_s = state.stated
-    steady = [k for k in window if k.time_s >= state.steady_from_s]
+    steady = window[bisect_left(window, state.steady_from_s, key=lambda k: k.time_s) :]
     if not steady:
         return None
     if motion in (MotionState.STOPPED, MotionState.PAUSED):
@@ -344,7 +349,9 @@ def _doubted(state: Plausibility, doubt: Implausibility) -> Plausibility:
     return replace(state, doubt=doubt, clean_from_s=math.nan, anchor=anchor)
 
 
-def _proven(state: Plausibility, newest: _Kept, limits: PlausibilityLimits) -> Plausibility:
+def _proven(
+    state: Plausibility, newest: _Kept, limits: PlausibilityLimits, is_contradicted: bool
+) -> Plausibility:
     """Return the state after a sample without a doubt: trusted again after enough of them."""
     if state.doubt is None:
         return state
@@ -355,7 +362,7 @@ def _proven(state: Plausibility, newest: _Kept, limits: PlausibilityLimits) -> P
         assert state.anchor is not None
         is_over = newest.time_s - state.anchor.kept.time_s >= limits.prove_s
         return replace(state, doubt=elsewhere if is_over else state.doubt, clean_from_s=math.nan)
-    if newest.time_s - clean_from_s < limits.prove_s:
+    if newest.time_s - clean_from_s < limits.prove_s or is_contradicted:
         return replace(state, clean_from_s=clean_from_s)
     return replace(state, doubt=None, clean_from_s=math.nan, anchor=None)
 

@@ -265,6 +265,20 @@ def test_what_the_robot_does_not_say_is_not_asked():
         assert names(found, 0.35) == {None}
 
 
+def test_a_delay_shows_though_the_status_was_silent_with_the_poses():
+    robot = Robot(weave_mm=0.0)
+
+    def late(t_s, seen):
+        if t_s < FAULT_S:
+            return seen
+        if t_s < FAULT_S + 0.3:
+            return None
+        status_now = None if t_s < FAULT_S + 0.35 else seen.robot
+        return replace(seen, sample=on_the_bus(t_s, robot.place(t_s - 0.3), robot.rotation), robot=status_now)
+
+    assert doubts(robot.seen(4.0, late))[-1][1] is Implausibility.LATE
+
+
 def test_a_change_of_motion_is_given_time():
     robot = Robot()
 
@@ -413,6 +427,17 @@ def test_a_weave_rejoins_wherever_it_was_when_a_doubt_began():
             return None if begin_s <= t_s < begin_s + 0.3 else seen
 
         assert recovers(doubts(Robot(weave_mm=2.5).seen(4.0, gap)))
+
+
+def test_no_trust_comes_back_while_the_image_contradicts():
+    def gap(t_s, seen):
+        if FAULT_S <= t_s < FAULT_S + 0.3:
+            return None
+        return replace(seen, is_contradicted=FAULT_S <= t_s < END_S)
+
+    found = doubts(Robot().seen(4.0, gap))
+    assert names(found, FAULT_S + 0.35, END_S - 0.01) == {Implausibility.STOPPED}
+    assert names(found, END_S + 0.02) == {None}
 
 
 def test_a_clock_that_someone_saw_being_set_is_no_delay():
