@@ -7,8 +7,9 @@ is VALID before the robot is heard, and whatever ends that is answered with REFU
 
 from __future__ import annotations
 
+import math
 from collections import Counter
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Generic, TypeVar
 
 from arctrack.service import track_messages
@@ -132,6 +133,7 @@ class Controller:
         self._zero_mm = (0.0, 0.0)
         self._track, self._track_at_s = NO_TRACK, NAN
         self._last_sent = self._sent_before = LastSent()
+        self._now_s = -math.inf
         self._offset = _REFUSED
         self._refused_at_s, self._is_refusal_owed = NAN, False
         self._state = TrackerState.STARTING
@@ -217,6 +219,7 @@ class Controller:
             One SeamOffset, SeamPoint, SeamGeometry and TrackerStatus, behind what is due of version and
             heartbeat.
         """
+        self._follow_clock(now_s)
         self._track, self._track_at_s = track, now_s
         conditions = self._conditions(track, now_s)
         decision = decide(
@@ -242,6 +245,7 @@ class Controller:
 
     def poll(self, now_s: float) -> list[BusMessage]:
         """Return what is due: version, heartbeat, and REFUSED where an offset on the bus holds no longer."""
+        self._follow_clock(now_s)
         if not self._track_at_s <= now_s:
             # It begins, or the clock was set back: from now on a camera has its time.
             self._track_at_s = now_s
@@ -269,6 +273,15 @@ class Controller:
         self._closed = True
         self._due_at_s[TrackerHeartbeat] = NAN
         return [*self._refuse(GateReason.SHUTTING_DOWN, now_s), *self._due(now_s)]
+
+    def _follow_clock(self, now_s: float) -> None:
+        """Note the time; where the clock was set back, what was sent is as old as it was a moment ago."""
+        back_s = self._now_s - now_s
+        if 0.0 < back_s < math.inf:
+            # Else, once the clock is there again, it would pass for new.
+            self._last_sent = _set_back(self._last_sent, back_s)
+            self._sent_before = _set_back(self._sent_before, back_s)
+        self._now_s = now_s
 
     def _refuse(self, reason: GateReason, now_s: float) -> list[BusMessage]:
         self._refused_at_s = now_s
@@ -398,6 +411,15 @@ class Controller:
             job_number=job_number,
             rolling=self._rolling,
         )
+
+
+def _set_back(sent: LastSent, back_s: float) -> LastSent:
+    return replace(
+        sent,
+        captured_at_s=sent.captured_at_s - back_s,
+        captured_y_at_s=sent.captured_y_at_s - back_s,
+        captured_z_at_s=sent.captured_z_at_s - back_s,
+    )
 
 
 def _fresh(heard: _Heard[M] | None, now_s: float, max_age_s: float) -> M | None:

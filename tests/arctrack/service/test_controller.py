@@ -467,6 +467,20 @@ def test_a_position_that_is_not_known_is_no_zero(problem) -> None:
     assert last(cell.sent, TrackerHeartbeat).request_result is RequestResult.REFUSED
 
 
+def test_what_was_sent_before_a_clock_was_set_back_never_passes_for_new() -> None:
+    cell = tracking()
+    cell.run(50)
+    set_back_at_s, cell.flag_bits = cell.now_s, 0
+    cell.now_s -= 1.0
+    cell.offset_y_mm = math.nan
+    while cell.now_s < set_back_at_s + 0.5:
+        offset = cell.step()
+        if offset.validity is Validity.HELD:
+            # The last capture was taken when the clock was set back.
+            assert offset.capture_age_ms / 1000.0 >= cell.now_s - (set_back_at_s - 1.0) - 0.03
+    assert_refused(cell, GateReason.NOT_MEASURED)
+
+
 def test_a_clock_that_is_set_back_refuses_and_recovers() -> None:
     cell = tracking()
     cell.now_s -= 50.0
