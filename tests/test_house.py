@@ -68,6 +68,7 @@ FOLDERS_MAY_IMPORT: dict[str, dict[str, set[str]]] = {
         "check": {"recording"},
         "blind_check": {"recording"},
         "service": set(),
+        "cell": {"service"},
         "setup_check": {"recording", "check"},
         "report": {"recording", "calibration_files", "calibration_records", "check", "setup_check"},
         "calibrating": {
@@ -87,6 +88,7 @@ FOLDERS_MAY_IMPORT: dict[str, dict[str, set[str]]] = {
             "check",
             "blind_check",
             "setup_check",
+            "cell",
             "report",
             "calibrating",
         },

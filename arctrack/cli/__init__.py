@@ -9,6 +9,7 @@ from typing import Annotated, NoReturn
 import typer
 
 from arctrack.cli.calibrate import calibrate
+from arctrack.cli.cell import cell
 from arctrack.cli.check import check
 from arctrack.cli.diagnose import diagnose
 from arctrack.cli.diagnose_check import TwoWordGroup
@@ -53,6 +54,7 @@ app.command(epilog="Example: arctrack diagnose monday tuesday --workers 2")(diag
 app.command(epilog="Example: arctrack warm examples/v_groove")(warm)
 app.add_typer(blind_check)
 app.add_typer(calibrate)
+app.add_typer(cell)
 app.add_typer(figures)
 reflow(app)
 

@@ -1,0 +1,127 @@
+"""Robot, tracker and bus behind one scheduler, and what is watched while they run."""
+
+from __future__ import annotations
+
+import math
+from collections import Counter
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from arctrack.cell.bus import Bus, Frame
+from arctrack.cell.robot import Robot
+from arctrack.cell.robot_party import RobotParty
+from arctrack.cell.scheduler import Scheduler
+from arctrack.cell.tracker_party import TrackerParty
+from arctrack.cell.world import World
+from arctrack.service.controller import Job
+from robot_io import (
+    BusMessage,
+    Command,
+    GateReason,
+    Received,
+    SeamOffset,
+    TrackerStatus,
+    Validity,
+)
+
+ARMED_S = 0.2
+"""When the robot commands TRACK."""
+
+USABLE = (Validity.VALID, Validity.HELD)
+
+
+@dataclass(frozen=True)
+class Heard:
+    """An offset that reached the robot.
+
+    Attributes
+    ----------
+    sent_s, came_s : float
+        When it was sent and came, s.
+    true_capture_s : float
+        When the frame behind it was taken, s; NaN where it is refused.
+    offset : SeamOffset
+        The offset.
+    """
+
+    sent_s: float
+    came_s: float
+    true_capture_s: float
+    offset: SeamOffset
+
+
+class Cell:
+    """One run of a cell.
+
+    Parameters
+    ----------
+    world : World
+        What is there.
+    rng : numpy.random.Generator
+        What chance decides while it runs.
+
+    Attributes
+    ----------
+    heard : list of Heard
+        Every offset of the tracker that reached the robot.
+    reasons : list of (float, GateReason)
+        When each TrackerStatus reached it, s, and why offsets were not let through.
+    torch_error_mm : list of (float, float)
+        How far the torch was off the seam, by time.
+    """
+
+    def __init__(self, world: World, rng: np.random.Generator) -> None:
+        self.world, self.rng = world, rng
+        self.job = Job("lap", poses_proven=True)
+        self.scheduler = Scheduler()
+        self.bus = Bus(self.scheduler, rng)
+        self.robot = RobotParty(Robot(world), self.bus, self.scheduler)
+        self.tracker = TrackerParty(self.robot.robot, self.bus, self.scheduler, rng, self.job)
+        self.heard: list[Heard] = []
+        self.reasons: list[tuple[float, GateReason]] = []
+        self.torch_error_mm: list[tuple[float, float]] = []
+        self._captured: dict[float, float] = {}
+        self.robot.on_message = self._on_message
+        self.tracker.on_sent = self._on_sent
+        self.scheduler.at(ARMED_S, lambda: self.command(Command.TRACK))
+        self.scheduler.every(0.02, self._measure_error, 0.0007)
+
+    def command(self, command: Command, is_new_request: bool = False) -> None:
+        """Let the robot want something else of the tracker."""
+        wanted = self.robot.robot.command
+        number = (wanted.request_number + is_new_request) % 256
+        self.robot.robot.command = replace(wanted, command=command, request_number=number)
+
+    def run(self, until_s: float) -> None:
+        """Run to a time, s."""
+        self.scheduler.run(until_s)
+
+    def _measure_error(self) -> None:
+        robot = self.robot.robot
+        robot.advance(self.scheduler.now_s)
+        off_mm = robot.offset_mm - np.array(self.world.seam_mm(robot.station_mm))
+        self.torch_error_mm.append((self.scheduler.now_s, math.hypot(*off_mm)))
+
+    def _on_sent(self, message: BusMessage) -> None:
+        assert isinstance(message, SeamOffset)
+        true_s = math.nan
+        if message.validity in USABLE and self.tracker.captured:
+            captured_s = self.tracker.now_s - message.capture_age_ms / 1000.0
+            nearest = min(self.tracker.captured, key=lambda time_s: abs(time_s - captured_s))
+            true_s = self.tracker.captured[nearest]
+        self._captured[self.scheduler.now_s] = true_s
+
+    def _on_message(self, received: Received, frame: Frame) -> None:
+        if frame.sender != self.tracker.name:
+            return
+        now_s = self.scheduler.now_s
+        if isinstance(received.message, SeamOffset):
+            true_s = self._captured.get(frame.sent_s, math.nan)
+            self.heard.append(Heard(frame.sent_s, now_s, true_s, received.message))
+        elif isinstance(received.message, TrackerStatus):
+            self.reasons.append((now_s, received.message.gate_reason))
+
+    def validities(self, from_s: float, to_s: float) -> Counter[Validity]:
+        """Return how often each validity reached the robot of what was sent from one time to another, s."""
+        return Counter(h.offset.validity for h in self.heard if from_s <= h.sent_s < to_s)

@@ -1,0 +1,117 @@
+"""A manipulator: it moves along its path, weaves, follows offsets with dead time and lag, and says so."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from arctrack.cell.world import World
+from noise_model.arrays import Float64
+from robot_io import (
+    Command,
+    MotionState,
+    RobotMode,
+    RobotStatus,
+    SeamOffset,
+    Switch,
+    TrackerCommand,
+    Validity,
+    WeldingState,
+)
+
+OFFSET_TIMEOUT_S = 0.2
+"""A robot stops correcting when no good frame came for so long: docs/reference/can.md, point 4."""
+
+RETRACT_MM_S = 20.0
+"""How fast it backs up."""
+
+WELDING = RobotStatus(
+    mode=RobotMode.AUTOMATIC,
+    motion=MotionState.MOVING,
+    welding=WeldingState.WELDING,
+    arc=Switch.ON,
+    emergency_stop=Switch.OFF,
+    correction=Switch.ON,
+    weave=Switch.ON,
+    current_a=120.0,
+    travel_speed_mm_s=10.0,
+    path_section=0,
+)
+
+DISARMED = TrackerCommand(Command.DISARM, True, True, 0, 1, 1, Switch.ON)
+
+
+@dataclass
+class Robot:
+    """The manipulator's own state; `advance` brings it to a time.
+
+    Parameters
+    ----------
+    world : World
+        Where it works.
+
+    Attributes
+    ----------
+    status : RobotStatus
+        What it does, and says.
+    command : TrackerCommand
+        What it wants of the tracker.
+    offset_mm : array (2,)
+        The offset (y, z) that it has reached, mm.
+    """
+
+    world: World
+    status: RobotStatus = WELDING
+    command: TrackerCommand = DISARMED
+    offset_mm: Float64 = field(default_factory=lambda: np.zeros(2))
+    station_mm: float = 0.0
+    now_s: float = 0.0
+    weave_s: float = 0.0
+    _wanted_mm: Float64 = field(default_factory=lambda: np.zeros(2))
+    _queue: list[tuple[float, Float64]] = field(default_factory=list)
+
+    def __post_init__(self) -> None:
+        self.status = replace(self.status, travel_speed_mm_s=self.world.speed_mm_s)
+
+    def hear(self, offset: SeamOffset, now_s: float) -> None:
+        """Take an offset: absolute, and only if it is VALID or HELD; an axis that is unknown stays."""
+        if offset.validity not in (Validity.VALID, Validity.HELD):
+            return
+        wanted = np.array([offset.offset_y_mm, offset.offset_z_mm])
+        self._queue.append((now_s + self.world.latency_s, wanted))
+
+    def advance(self, now_s: float) -> None:
+        """Move on to a time, s."""
+        while self._queue and self._queue[0][0] <= now_s:
+            due_s, wanted = self._queue.pop(0)
+            self._move(max(due_s, self.now_s))
+            self._wanted_mm = np.where(np.isnan(wanted), self._wanted_mm, wanted)
+        self._move(now_s)
+
+    def place_mm(self) -> Float64:
+        """Return where the tool is in base, (3,) mm."""
+        lateral_mm, height_mm = self.offset_mm.tolist()
+        x, y, z = self.programmed_mm().tolist()
+        return np.array([x, y + lateral_mm + self._weave_mm(), z + height_mm])
+
+    def programmed_mm(self) -> Float64:
+        """Return where the program has the tool, (3,) mm."""
+        x, y, z = self.world.start_base_mm
+        return np.array([x + self.station_mm, y, z])
+
+    def _weave_mm(self) -> float:
+        return self.world.weave_mm * math.sin(2.0 * math.pi * self.world.weave_hz * self.weave_s)
+
+    def _move(self, now_s: float) -> None:
+        elapsed_s = now_s - self.now_s
+        self.now_s = now_s
+        motion = self.status.motion
+        if motion is MotionState.MOVING:
+            self.station_mm += self.world.speed_mm_s * elapsed_s
+            self.weave_s += elapsed_s
+            share = 1.0 - math.exp(-elapsed_s / self.world.time_constant_s)
+            self.offset_mm = self.offset_mm + share * (self._wanted_mm - self.offset_mm)
+        elif motion is MotionState.RETRACTING:
+            self.station_mm -= RETRACT_MM_S * elapsed_s

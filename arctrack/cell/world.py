@@ -1,0 +1,94 @@
+"""What is really there: the seam, the programmed path, and how they were drawn."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from noise_model.arrays import Float64
+from robot_io.nominal_path import NominalPath
+
+
+@dataclass(frozen=True)
+class World:
+    """A straight nominal seam along base's x, the true seam beside it, and a robot that travels along.
+
+    Parameters
+    ----------
+    start_base_mm : tuple (3,)
+        Where the nominal seam begins, mm.
+    speed_mm_s : float
+        The travel speed, mm/s.
+    weave_mm, weave_hz : float
+        The weave across, mm and Hz.
+    turned_deg : tuple (3,)
+        The tool about base's x, y and z, degrees.
+    displaced_mm : tuple (2,)
+        How far (y, z) the true seam lies off the nominal one at its start, mm.
+    slope : tuple (2,)
+        How it leaves it, mm per mm.
+    bend_mm, bend_length_mm : float
+        A bend in y on top, mm, and its wave length, mm.
+    latency_s, time_constant_s : float
+        How the robot follows an offset: dead time and first-order lag, s.
+    look_ahead_mm : float
+        How far before the torch the stripe meets the seam, mm.
+    noise_mm : float
+        1 sigma of a measurement of the seam, mm.
+    """
+
+    start_base_mm: tuple[float, float, float]
+    speed_mm_s: float
+    weave_mm: float
+    weave_hz: float
+    turned_deg: tuple[float, float, float]
+    displaced_mm: tuple[float, float]
+    slope: tuple[float, float]
+    bend_mm: float
+    bend_length_mm: float
+    latency_s: float
+    time_constant_s: float
+    look_ahead_mm: float = 35.0
+    noise_mm: float = 0.03
+    length_mm: float = 400.0
+
+    @cached_property
+    def path(self) -> NominalPath:
+        """The nominal seam."""
+        x, y, z = self.start_base_mm
+        return NominalPath(((x, y, z), (x + self.length_mm, y, z)))
+
+    @cached_property
+    def R_base_tool(self) -> Float64:
+        """The tool's rotation, (3, 3)."""
+        return np.asarray(Rotation.from_euler("xyz", self.turned_deg, degrees=True).as_matrix())
+
+    def seam_mm(self, station_mm: float) -> tuple[float, float]:
+        """Return the true displacement (y, z) of the seam at a station, mm."""
+        bend_mm = self.bend_mm * math.sin(2.0 * math.pi * station_mm / self.bend_length_mm)
+        return (
+            self.displaced_mm[0] + self.slope[0] * station_mm + bend_mm,
+            self.displaced_mm[1] + self.slope[1] * station_mm,
+        )
+
+
+def draw_world(rng: np.random.Generator) -> World:
+    """Return a world at random."""
+    side = float(rng.choice((-1.0, 1.0)))
+    return World(
+        start_base_mm=(rng.uniform(-100.0, 100.0), side * rng.uniform(20.0, 200.0), rng.uniform(-20.0, 20.0)),
+        speed_mm_s=rng.uniform(4.0, 12.0),
+        weave_mm=rng.uniform(0.8, 2.5),
+        weave_hz=rng.uniform(1.0, 3.0),
+        turned_deg=(rng.uniform(-8.0, 8.0), rng.uniform(4.0, 15.0), rng.uniform(-10.0, 10.0)),
+        displaced_mm=(rng.uniform(-3.0, 3.0), rng.uniform(-1.0, 1.0)),
+        slope=(rng.uniform(-0.02, 0.02), rng.uniform(-0.01, 0.01)),
+        bend_mm=rng.uniform(0.0, 0.4),
+        bend_length_mm=rng.uniform(150.0, 400.0),
+        latency_s=rng.uniform(0.02, 0.12),
+        time_constant_s=rng.uniform(0.03, 0.15),
+    )

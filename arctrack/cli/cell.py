@@ -1,0 +1,48 @@
+"""`arctrack cell`: a robot, a tracker and a bus on one machine."""
+
+from __future__ import annotations
+
+from typing import Annotated
+
+import typer
+
+from arctrack.cli.exit_codes import WARNED
+
+cell = typer.Typer(name="cell", help="Run a simulated cell.", no_args_is_help=True)
+
+
+@cell.callback(epilog="Example: arctrack cell schedules --count 41 --seed 1")
+def _cell() -> None:
+    """Run a simulated cell: robot, tracker and bus behind one clock."""
+
+
+@cell.command(epilog="Example: arctrack cell schedules --count 41 --seed 1 --workers 2")
+def schedules(
+    count: Annotated[int, typer.Option(min=1, help="How many schedules; each has the next fault.")] = 41,
+    seed: Annotated[int, typer.Option(min=0, help="Seed of all that is drawn at random.")] = 1,
+    only: Annotated[int | None, typer.Option(min=0, help="Run this one schedule of the seed alone.")] = None,
+    workers: Annotated[int, typer.Option(min=1, help="Schedules run at once, a process each.")] = 1,
+) -> None:
+    """Let faults happen in a cell, and print what became of them as a table.
+
+    A schedule that failed is named by the options that run it again. The exit code is then 1.
+    """
+    from arctrack.cell.schedules import executor, run_schedule, run_schedules
+    from arctrack.cell.table import failures, table
+    from arctrack.cli import console
+
+    if only is not None:
+        outcomes = [run_schedule(seed, only)]
+    else:
+        with console.progress() as bar, executor(workers) as pool:
+            task = bar.add_task("schedules", total=count, unit="schedules")
+            outcomes = []
+            for outcome in run_schedules(seed, count, pool):
+                outcomes.append(outcome)
+                bar.advance(task)
+    typer.echo(table(outcomes))
+    failed = list(failures(seed, outcomes))
+    for line in failed:
+        typer.echo(line, err=True)
+    if failed:
+        raise typer.Exit(WARNED)
