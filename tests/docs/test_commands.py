@@ -27,6 +27,7 @@ PARSED_ONLY = {
     r"pytest ": "is run as a test of its own",
     r"python benchmarks/": "takes minutes to hours",
     r"arctrack diagnose check ": "takes hours, and needs Mitsuba",
+    r"arctrack cell schedules --count \d{3,} ": "takes minutes; tests/arctrack/cell runs each of its faults",
     r".*\b(monday|tuesday)\b": "names the reader's own recordings",
     r".*\bsocketcan:": "needs CAN hardware",
     r"arctrack figures effects ": "takes a minute; tests/arctrack/test_effects_page.py draws each of them",
