@@ -1,12 +1,13 @@
 """How good `arctrack calibrate hand-eye --board` is on robots and cameras whose truth is known.
 
-    python benchmarks/calibrate_hand_eye.py [--worlds N] [--rendered N] [--seed SEED]
+    python benchmarks/calibrate_hand_eye.py [--worlds N] [--rendered N] [--mitsuba N] [--seed SEED]
 
 Random robots show a bent board to random cameras in 8 to 25 poses, or the camera to the board. A pose is
 off by 0.02 to 0.3 mm and 0.003 to 0.05 deg about each axis, a corner by 0.03 to 0.3 px. In every third
 world the lens is as far off as its covariance says. In every fifth one the images of two poses are swapped.
 Projection, poses and the Cramer-Rao bound are written out here. --rendered draws pictures of 15 poses each
-with the renderer of examples/make_boards.py, finds their corners, and the lens in them, too.
+with the renderer of examples/make_boards.py, finds their corners, and the lens in them, too. --mitsuba has
+Mitsuba render them; see mitsuba_boards.
 """
 
 from __future__ import annotations
@@ -15,12 +16,14 @@ import argparse
 import sys
 import time
 from collections import defaultdict
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
 
 import cv2
 import numpy as np
 from calibration_tally import Tally
+from mitsuba_boards import ROUGHNESS, Paper, draw_studio
 from scipy.spatial.transform import Rotation
 from scipy.stats import norm
 
@@ -32,7 +35,7 @@ from calibration.camera.known_lens import board_poses
 from calibration.camera.lens import Lens
 from calibration.camera.sightings import View
 from calibration.hand_eye_boards.calibrate import PARAMETERS, HandEyeCalibration, calibrate_hand_eye
-from noise_model.arrays import Float64
+from noise_model.arrays import Float64, Integers
 
 METHODS = {
     "Tsai": cv2.CALIB_HAND_EYE_TSAI,
@@ -53,6 +56,11 @@ STEP = 1e-6
 """Steps of the bound's finite differences: rad, mm and 1."""
 
 RENDERED_MM, RENDERED_DEG, RENDERED_POSES = 0.05, 0.01, 15
+RENDERED_WARP_MM, RENDERED_MEAN_MM = (0.03, -0.02), 210.0
+"""The boards' bend, and how far away they are on average."""
+
+
+Renderer = Callable[[np.random.Generator, Lens, Board], Callable[[Float64], Integers]]
 
 
 @dataclass(frozen=True)
@@ -295,19 +303,32 @@ def print_methods(errors: dict[str, list[tuple[float, float, float]]]) -> None:
         )
 
 
-def judge_rendered(worlds: int, seed: int) -> None:
-    """Draw pictures, find corners and lens in them, and print how far the camera's place is off."""
+def ray_caster(rng: np.random.Generator, lens: Lens, board: Board) -> Callable[[Float64], Integers]:
+    """Return what draws a board at a pose in the camera: the renderer of the examples."""
     sys.path.insert(0, str(Path(__file__).parents[1] / "examples"))
     from make_boards import Camera, Chessboard, draw
 
+    camera = Camera(lens.width, lens.height, **dict(zip(lens.names, lens.values.tolist(), strict=True)))
+    drawn = Chessboard(board.columns, board.rows, board.square_mm, RENDERED_WARP_MM)
+    return lambda T: draw(camera, drawn, T[:3, :3], T[:3, 3], rng)
+
+
+def path_tracer(rng: np.random.Generator, lens: Lens, board: Board) -> Callable[[Float64], Integers]:
+    """Return what draws a board at a pose in the camera: Mitsuba."""
+    values = dict(zip(lens.names, lens.values.tolist(), strict=True))
+    studio = draw_studio(rng, (lens.width, lens.height), values, RENDERED_MEAN_MM)
+    paper = Paper(board, np.array(RENDERED_WARP_MM), float(rng.uniform(*ROUGHNESS)))
+    return lambda T: studio.picture(studio.light_e(paper, T[:3, :3], T[:3, 3]))
+
+
+def judge_rendered(worlds: int, seed: int, renderer: Renderer) -> None:
+    """Draw pictures, find corners and lens in them, and print how far the camera's place is off."""
     rows: dict[str, list[tuple[float, float, Float64]]] = {"lens as drawn": [], "lens from the pictures": []}
     for n in range(worlds):
         rng = np.random.default_rng([seed, 1000 + n])
-        camera = Camera(640, 480, 1500.0, 1502.0, 322.0, 236.0, k1=-0.2, k2=0.1)
         board = Board(Kind.CHESSBOARD, 9, 6, 5.0)
-        drawn = Chessboard(board.columns, board.rows, board.square_mm, (0.03, -0.02))
-        values = np.array([camera.fx, camera.fy, camera.cx, camera.cy, camera.k1, camera.k2])
-        lens = Lens(camera.width, camera.height, LENS_NAMES, values)
+        lens = Lens(640, 480, LENS_NAMES, np.array([1500.0, 1502.0, 322.0, 236.0, -0.2, 0.1]))
+        picture = renderer(rng, lens, board)
         T_holder_camera = rigid(Rotation.random(random_state=rng), rng.normal(0.0, 80.0, 3))
         T_mount_board = rigid(Rotation.random(random_state=rng), rng.normal(0.0, 400.0, 3))
         poses, views, drawn_boards = [], [], []
@@ -316,7 +337,7 @@ def judge_rendered(worlds: int, seed: int) -> None:
             depth = 1500.0 * 40.0 / (rng.uniform(0.45, 0.75) * 480.0)
             place = np.array([*rng.uniform(-0.03, 0.03, 2), 1.0])
             T = rigid(turn, depth * place - turn.apply([20.0, 12.5, 0.0]))
-            found = find_corners(draw(camera, drawn, T[:3, :3], T[:3, 3], rng), board)
+            found = find_corners(picture(T), board)
             if found is None:
                 continue
             views.append(View(f"{len(views)}", found.corners, found.points_px))
@@ -324,7 +345,7 @@ def judge_rendered(worlds: int, seed: int) -> None:
             true = T_mount_board @ np.linalg.inv(T) @ np.linalg.inv(T_holder_camera)
             off = np.repeat([np.radians(RENDERED_DEG), RENDERED_MM], 3) * rng.standard_normal(6)
             poses.append(true @ np.linalg.inv(small(off)))
-        camera_found = find_lens(board, views, (camera.width, camera.height))
+        camera_found = find_lens(board, views, (lens.width, lens.height))
         k = len(camera_found.scene.lens.names)
         for name, used, covariance in (
             ("lens as drawn", lens, None),
@@ -364,13 +385,16 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--worlds", type=int, default=450)
     parser.add_argument("--rendered", type=int, default=0, help="worlds whose pictures are drawn")
+    parser.add_argument("--mitsuba", type=int, default=0, help="worlds whose pictures Mitsuba renders")
     parser.add_argument("--seed", type=int, default=1)
     options = parser.parse_args()
     start = time.process_time()
     if options.worlds:
         judge(options.worlds, options.seed)
     if options.rendered:
-        judge_rendered(options.rendered, options.seed)
+        judge_rendered(options.rendered, options.seed, ray_caster)
+    if options.mitsuba:
+        judge_rendered(options.mitsuba, options.seed, path_tracer)
     print(f"{time.process_time() - start:.0f} s of CPU")
 
 

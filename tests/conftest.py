@@ -64,6 +64,17 @@ def scratch(compiled: None, tmp_path: Path) -> Path:
 
 
 @pytest.fixture(scope="session")
+def mitsuba() -> Any:
+    """Return Mitsuba; where it cannot start, what needs it is skipped and says so."""
+    from sim_to_real.check.path_traced import load_mitsuba
+
+    try:
+        return load_mitsuba()
+    except ImportError as error:
+        pytest.skip(f"no Mitsuba to cast rays or trace paths with: {error}")
+
+
+@pytest.fixture(scope="session")
 def multicast() -> dict[str, Any]:
     """Return the options of a bus that other processes can join; a machine without multicast skips."""
     if importlib.util.find_spec("msgpack") is None:
