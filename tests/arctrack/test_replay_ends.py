@@ -73,6 +73,10 @@ class Robot:
         return [r.message for r in self.received if isinstance(r.message, SeamOffset)]
 
     @property
+    def heard_valid(self) -> bool:
+        return any(offset.validity is Validity.VALID for offset in self.offsets)
+
+    @property
     def statuses(self) -> list[TrackerStatus]:
         return [r.message for r in self.received if isinstance(r.message, TrackerStatus)]
 
@@ -93,21 +97,24 @@ def replaying(path: Path, out: Path, bus: dict[str, Any]) -> subprocess.Popen[by
     return subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE)
 
 
-@pytest.mark.parametrize("how", [signal.SIGINT, signal.SIGTERM, signal.SIGKILL, None])
-def test_however_a_replay_ends_no_offset_counts_any_more(
-    compiled: None, simulated: Path, tmp_path: Path, multicast: dict[str, Any], how: signal.Signals | None
-) -> None:
-    robot = Robot(read_recording(simulated), multicast)
-    process = replaying(simulated, tmp_path / "out", multicast)
+ATTEMPTS = 5
+"""A machine that is busy may be too late for every offset of a recording of a second: that is tried again."""
+
+
+def ended(
+    recording: Path, out: Path, bus: dict[str, Any], how: signal.Signals | None
+) -> tuple[Robot, int, str]:
+    """Replay beside a robot, and end it by a signal once an offset was valid."""
+    robot = Robot(read_recording(recording), bus)
+    process = replaying(recording, out, bus)
     # Who hangs is ended from outside; the test then fails by what it asserts.
     guard = threading.Timer(240.0, process.kill)
     guard.start()
+    was_sent = False
     with robot.link, process:
-        counted, was_sent = 0, False
         while process.poll() is None:
-            offset = robot.step()
-            counted += offset is not None
-            if how is not None and counted == 3 and not was_sent:
+            robot.step()
+            if how is not None and robot.heard_valid and not was_sent:
                 process.send_signal(how)
                 was_sent = True
         guard.cancel()
@@ -116,11 +123,20 @@ def test_however_a_replay_ends_no_offset_counts_any_more(
         while time.monotonic() - ended_s < 0.16:
             robot.step()
         assert robot.step() is None
-    reasons = {status.gate_reason for status in robot.statuses}
-    assert counted >= 3, (reasons, errors.decode())
-    assert robot.offsets[0].validity is Validity.REFUSED
+    return robot, process.returncode, errors.decode()
+
+
+@pytest.mark.parametrize("how", [signal.SIGINT, signal.SIGTERM, signal.SIGKILL, None])
+def test_however_a_replay_ends_no_offset_counts_any_more(
+    compiled: None, simulated: Path, tmp_path: Path, multicast: dict[str, Any], how: signal.Signals | None
+) -> None:
+    for _ in range(ATTEMPTS):
+        robot, code, errors = ended(simulated, tmp_path / "out", multicast, how)
+        if robot.heard_valid:
+            break
+    assert robot.heard_valid, ({status.gate_reason for status in robot.statuses}, errors)
     if how is signal.SIGKILL:
-        assert process.returncode == -signal.SIGKILL
+        assert code == -signal.SIGKILL
         return
     assert robot.offsets[-1].validity is Validity.REFUSED
-    assert process.returncode == (0 if how is None else 130), errors.decode()
+    assert code == (0 if how is None else 130), errors
