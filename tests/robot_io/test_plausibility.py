@@ -368,6 +368,38 @@ def test_the_tool_must_look_along_the_seam(turned, is_along):
     assert found[-1][1] is (None if is_along else Implausibility.AGAINST_SEAM)
 
 
+@given(st.lists(st.floats(-1.0, 1.0), min_size=4, max_size=4))
+def test_which_way_the_tool_looks_is_that_of_its_rotation(q):
+    norm = math.hypot(*q)
+    if norm < 0.1:
+        return
+    rotation = Rotation.from_quat([x / norm for x in q])
+    R = rotation.as_matrix()
+    travel, tilt = (math.degrees(math.acos(np.clip(R[n, n], -1.0, 1.0))) for n in (0, 2))
+    if min(abs(travel - LIMITS.travel_deg), abs(tilt - LIMITS.tilt_deg)) < 0.1:
+        return
+    seen = PoseSeen(on_the_bus(0.0, (10.0, 40.0, 0.0), rotation), status())
+    is_along = travel < LIMITS.travel_deg and tilt < LIMITS.tilt_deg
+    doubt = update(Plausibility(), seen, LIMITS, PATH).doubt
+    assert (doubt is Implausibility.AGAINST_SEAM) != is_along
+
+
+@pytest.mark.parametrize("speed", [0.0, 10.0, 100.0])
+@pytest.mark.parametrize(("share", "is_told"), [(0.98, False), (1.02, True)])
+def test_a_jump_is_told_beyond_what_acceleration_rounding_and_jitter_make(speed, share, is_told):
+    limits = replace(LIMITS, acceleration_mm_s2=2000.0)
+    sample = on_the_bus(0.0, (0.0, 0.0, 0.0), Rotation.identity())
+    noise_mm = limits.sigmas * math.sqrt(6.0) * limits.position_sigma_mm(speed)
+    jump_mm = share * (2000.0 * 0.01**2 + noise_mm)
+    state = Plausibility()
+    for n in range(20):
+        x_mm = speed * 0.01 * n
+        place = (x_mm, jump_mm if n == 19 else 0.0, 0.0)
+        told = replace(sample, timestamp_s=0.01 * n, position_base_mm=place)
+        state = update(state, PoseSeen(told, None), limits)
+    assert (state.doubt is Implausibility.ACCELERATION) == is_told
+
+
 def test_without_a_path_a_straight_way_is_rejoined():
     robot = Robot(weave_mm=0.0)
     found = doubts(robot.seen(5.0, between(lambda *_: None)), path=None)

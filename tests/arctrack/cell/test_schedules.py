@@ -2,6 +2,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -134,3 +135,15 @@ def test_the_robot_says_what_the_fault_makes_it_say():
     assert cell.robot.robot.status.arc is Switch.OFF
     end()
     assert cell.robot.robot.status.arc is Switch.ON
+
+
+def test_the_page_has_a_row_for_each_fault():
+    page = (Path(__file__).parents[3] / "docs" / "reference" / "cell.md").read_text()
+    rows = (
+        page.partition("<!-- schedules: begin -->")[2]
+        .partition("<!-- schedules: end -->")[0]
+        .splitlines()[3:]
+    )
+    listed = [(cells[1].strip(), cells[7].strip()) for cells in (row.split("|") for row in rows)]
+    stated = [(kind.name, kind.note) for kind in KINDS]
+    assert listed == stated, "print the table anew: the page names the command"
