@@ -144,7 +144,7 @@ def _fall_off(k: ArcKernel, on: Strip, x: float, s: float) -> float:
     return square * square
 
 
-@kernel
+@kernel(inline=True)
 def _make_cell(k: ArcKernel, table: FaceTable, face: int, cell: int, work: Scratch) -> None:
     """Integrate the light at a new cell's missing nodes; make it a polynomial's, or halve it."""
     axis, child, middle, inverse, powers = table.axis, table.child, table.middle, table.inverse, table.powers
@@ -195,7 +195,7 @@ def _make_cell(k: ArcKernel, table: FaceTable, face: int, cell: int, work: Scrat
     n_cells[0] += 2
 
 
-@kernel
+@kernel(inline=True)
 def _cell_at(
     k: ArcKernel, table: FaceTable, face: int, x: float, s: float, least_mm2: float, work: Scratch
 ) -> int:
@@ -209,7 +209,7 @@ def _cell_at(
     if cell < 0:
         if table.n_cells[0] >= MAX_CELLS:
             return -1
-        cell = table.n_cells[0]
+        cell = int(table.n_cells[0])
         table.n_cells[0] += 1
         table.roots[face, i, j] = cell
         axis[cell] = NEW + 2
@@ -225,7 +225,7 @@ def _cell_at(
         along = axis[cell]
         if along >= SMOOTH:
             return cell if along == SMOOTH else -1
-        cell = table.child[cell] + (1 if (x if along == 0 else s) > middle[cell, along] else 0)
+        cell = int(table.child[cell]) + (1 if (x if along == 0 else s) > middle[cell, along] else 0)
 
 
 @kernel
