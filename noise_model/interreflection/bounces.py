@@ -55,12 +55,23 @@ def _towards(P: Float64, Q: Float64, omega: Float64) -> None:
         omega[a] /= r
 
 
-@kernel(allocates=True)
+@kernel(allocates=True, inline=True)
 def _leaving(k: Place, node: Float64, of_laser: bool) -> float:
     """Return what a node sends of the source's own light to the point that looks at it."""
     Q, normal, o = node[:3], node[3:OMEGA], node[OMEGA : OMEGA + 3]
     back = (-o[0], -o[1], -o[2])
     return laser_leaving(k, Q, normal, back) if of_laser else arc_leaving(k, Q, normal, back)
+
+
+@kernel
+def _copy(source: Float64, n: int, target: Float64, start: int) -> None:
+    """Copy n rows to a table's rows from `start` on.
+
+    A slice that is assigned makes numba compile the message of shapes that do not fit.
+    """
+    for i in range(n):
+        for column in range(source.shape[1]):
+            target[start + i, column] = source[i, column]
 
 
 @kernel(allocates=True)
@@ -87,9 +98,9 @@ def arriving(
             )
             if used + n > len(all_nodes):
                 larger = np.empty((2 * len(all_nodes) + n, COLUMNS))
-                larger[:used] = all_nodes[:used]
+                _copy(all_nodes, used, larger, 0)
                 all_nodes = larger
-            all_nodes[used : used + n] = nodes[:n]
+            _copy(nodes, n, all_nodes, used)
             used += n
             if of_stripe or not of_laser:
                 struck[i] = n
@@ -104,7 +115,7 @@ def arriving(
     return start, omega, irradiance
 
 
-@kernel(allocates=True)
+@kernel(allocates=True, inline=True)
 def _pass_on(
     k: Place,
     passing: Lattice,

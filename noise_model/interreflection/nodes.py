@@ -151,14 +151,27 @@ def stripe_at(k: Place, face: int, s: float) -> tuple[float, float]:
 @kernel(allocates=True)
 def _cuts(knots: Float64, low: float, high: float) -> Float64:
     """Return the borders of the pieces that knots cut a range into."""
-    inner = np.unique(knots[(knots > low + 1e-9) & (knots < high - 1e-9)])
-    cuts = np.empty(len(inner) + 2)
-    cuts[0], cuts[-1] = low, high
-    cuts[1:-1] = inner
-    return cuts
+    cuts = np.empty(len(knots) + 2)
+    cuts[0] = low
+    # Few knots are put in their order by hand: NumPy's sorts take seconds to compile.
+    n = 1
+    for knot in knots:
+        if not low + 1e-9 < knot < high - 1e-9:
+            continue
+        i = n
+        while cuts[i - 1] > knot:
+            i -= 1
+        if cuts[i - 1] == knot:
+            continue
+        for j in range(n, i, -1):
+            cuts[j] = cuts[j - 1]
+        cuts[i] = knot
+        n += 1
+    cuts[n] = high
+    return cuts[: n + 1]
 
 
-@kernel(allocates=True)
+@kernel(allocates=True, inline=True)
 def _from_strip(
     k: Place,
     P: Float64,
@@ -216,7 +229,7 @@ def _from_strip(
     return count
 
 
-@kernel(allocates=True)
+@kernel(allocates=True, inline=True)
 def _from_sheet(
     k: Place,
     P: Float64,
@@ -275,7 +288,7 @@ def _from_sheet(
     return count
 
 
-@kernel(allocates=True)
+@kernel(allocates=True, inline=True)
 def _from_stripe_on_sheet(
     k: Place, P: Float64, normal: Float64, face: int, rules: Rules, nodes: Float64, count: int
 ) -> int:
