@@ -10,6 +10,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from profiles import PX_MM, groove, lap, measure, spoil
+from scipy.ndimage import gaussian_filter1d
+from scipy.signal import lfilter
 
 from noise_model.arrays import Float64
 from noise_model.surface.joint import Joint
@@ -23,6 +25,7 @@ from tracker.joint.evidence import (
     gap_evidence_nats,
     places_of,
     plate_loss,
+    points_alike,
     runs_of,
 )
 from tracker.profile import Profile
@@ -97,6 +100,31 @@ def test_neighbours_that_are_off_alike_count_as_fewer() -> None:
     # The prices of places and parameters stay: a quarter of the likelihood is left, and some nats.
     assert alike == pytest.approx(0.25 * alone, abs=8.0)
     assert alike < alone
+
+
+def test_residuals_that_wander_count_as_few() -> None:
+    """Of an AR(1) with coefficient r the mean counts (1 + r) / (1 - r) neighbours as one."""
+    rng, r, n = np.random.default_rng(12), 0.8, 4000
+    white = rng.standard_normal(n)
+    wandering = lfilter([math.sqrt(1.0 - r * r)], [1.0, -r], white)
+    assert points_alike(white) == pytest.approx(1.0, abs=0.3)
+    assert points_alike(wandering) == pytest.approx((1.0 + r) / (1.0 - r), rel=0.25)
+    # Spatter between is no neighbour of anything.
+    spattered = np.where(rng.random(n) < 0.05, 50.0, wandering)
+    assert points_alike(spattered) == pytest.approx((1.0 + r) / (1.0 - r), rel=0.3)
+    assert points_alike(np.zeros(8)) == 1.0
+
+
+def test_a_plate_that_coarse_texture_bends_is_no_joint() -> None:
+    """Its stripe wanders by two sigmas over 40 lines: a lap's step is soon found in that."""
+    rng, n_told, n = np.random.default_rng(13), 0, 20
+    for _ in range(n):
+        profile = measure(PLATE, (0.0, 0.0), rng, sigma_px=3.0)
+        wander = gaussian_filter1d(rng.standard_normal(len(profile.y_mm)), 15.0)
+        bent = profile.z_mm + 2.0 * profile.dz_mm * profile.sigma_px * wander / wander.std()
+        found = fit_joint(replace(profile, z_mm=bent, reach_mm=REACH_MM), JOINTS["lap"], CAMERA_MM, LASER_MM)
+        n_told += found is not None and found.evidence_nats > MIN_EVIDENCE_NATS
+    assert n_told == 0
 
 
 def test_points_off_a_section_are_worse_witnesses_of_it() -> None:

@@ -3,7 +3,8 @@
 A shape of eight parameters can be laid into the scatter of any plate. So a joint counts only where the
 likelihood of its section over that of a plate without one is beyond what chance makes anywhere in the
 search. The plate may be bowed: it is the cubic that fits the same points best. Both losses are Tukey's, so
-that spatter speaks for neither; neighbours that scatter alike count as fewer. Points that lie farther off the
+that spatter speaks for neither; neighbours that scatter alike count as fewer, as the stripe or their own
+residuals show it. Points that lie farther off the
 section than their sigmas say are no witnesses at these sigmas either: the gain is divided by the chi^2 of the
 section's fit per degree of freedom, if that is above 1, as its covariance is multiplied by it (McCullagh and
 Nelder 1989, Generalized Linear Models, 4.5). Twice what the section gains is
@@ -39,6 +40,9 @@ MIN_EVIDENCE_NATS = math.log(1e3)
 PLACE_MM = 0.5
 """Places of a section that lie so near to each other are one."""
 
+MAX_LAG_SHARE = 4
+"""Residuals are compared over a quarter of a profile at most."""
+
 PLATE_PARAMETERS = 4
 """A plate is a cubic: a bow, and what is left of the lens, but no corner."""
 
@@ -58,12 +62,33 @@ def evidence_nats(profile: Profile, corners_mm: Float64, chi2: float) -> float:
     `chi2` is that of the section's fit, per degree of freedom.
     """
     height_mm, slope = section_at(corners_mm, profile.y_mm)
-    joint_loss = _loss((profile.z_mm - height_mm) / _unit_mm(profile, slope))
-    alike = float(np.median((profile.beside_px / profile.sigma_px) ** 2))
+    off = (profile.z_mm - height_mm) / _unit_mm(profile, slope)
+    joint_loss = _loss(off)
+    alike = max(float(np.median((profile.beside_px / profile.sigma_px) ** 2)), points_alike(off))
     # A section that explains no more than the plate gains nothing. erfc is less than its exponential.
     x = 2.0 * max(plate_loss(profile) - joint_loss, 0.0) / (alike * max(1.0, chi2))
     chance = math.log(1.0 + math.sqrt(2.0 * x / math.pi) * (1.0 + x / 3.0)) - 0.5 * x
     return -chance - math.log(places_of(profile, PLACE_MM))
+
+
+def points_alike(off: Float64) -> float:
+    """Return how many neighbouring residuals (n,), in sigmas and in order, count as one; 1 at least.
+
+    It is 1 + 2 sum of their autocorrelations, up to where those of two lags together are no longer above 0
+    (Geyer 1992, Statistical Science 7, 473). Coarse texture bends a stripe over more lines than are compared
+    while it is read.
+    """
+    core = np.where(np.abs(off) < BISQUARE_WIDTH, off, 0.0)
+    power = float(core @ core)
+    if power == 0.0:
+        return 1.0
+    total = 0.0
+    for lag in range(1, len(core) // MAX_LAG_SHARE, 2):
+        pair = float(core[lag:] @ core[:-lag] + core[lag + 1 :] @ core[: -lag - 1]) / power
+        if pair <= 0.0:
+            break
+        total += pair
+    return 1.0 + 2.0 * total
 
 
 def places_of(profile: Profile, apart_mm: float) -> float:
