@@ -106,6 +106,7 @@ STATED = np.array([np.cos(0.02), 0.0, np.sin(0.02), -35.5])
 """A sheet that is one degree and half a millimetre off."""
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("gauge", [V, STEP], ids=["V", "step"])
 def test_the_sheet_is_within_its_sigmas_and_the_robots_error_is_told(gauge: Gauge) -> None:
     result = calibrate_gauge(shown_at(MOTIONS, gauge), gauge, LENS, T_TOOL_CAMERA, STATED, UP)
@@ -118,6 +119,7 @@ def test_the_sheet_is_within_its_sigmas_and_the_robots_error_is_told(gauge: Gaug
     assert np.sqrt(row @ result.covariance @ row) == pytest.approx(result.sigma[2], rel=1e-6)
 
 
+@pytest.mark.slow
 def test_a_pose_of_another_image_is_named() -> None:
     shown = shown_at(MOTIONS)
     moved = shown[4].T_base_tool.copy()
@@ -128,6 +130,7 @@ def test_a_pose_of_another_image_is_named() -> None:
     assert np.abs(z_of(result)).max() < 3.5
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("motions", "missing"),
     [
@@ -142,6 +145,7 @@ def test_a_motion_that_is_missing_is_named(motions: list[tuple[float, ...]], mis
         calibrate_gauge(shown_at(motions, STEP), STEP, LENS, T_TOOL_CAMERA, SHEET_IN_TOOL, UP)
 
 
+@pytest.mark.slow
 def test_one_image_checks_the_gauges_size() -> None:
     shown = shown_at([(0, 0, 0, 0)])
     right = check_gauge(shown, V, LENS, T_TOOL_CAMERA, SHEET_IN_TOOL, UP)
@@ -156,6 +160,7 @@ def test_another_gauge_is_refused() -> None:
         check_gauge(shown_at([(0, 0, 0, 0)]), other, LENS, T_TOOL_CAMERA, SHEET_IN_TOOL, UP)
 
 
+@pytest.mark.slow
 def test_a_stripes_pieces_are_cut_at_the_corners() -> None:
     at = np.array([400.0, 50.0, 20.0]) - np.array([35.0, 0.0, 0.0])
     pieces = stripe_pieces(draw(pose(np.eye(3), at), np.random.default_rng(1)), LENS, 4)

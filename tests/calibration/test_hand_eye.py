@@ -243,6 +243,7 @@ def test_frames_count_where_the_seam_is_known_under_their_stripe() -> None:
         _Problem.of(setup, sightings, posed[1:2])
 
 
+@pytest.mark.slow
 def test_frames_without_a_pixel_to_compare_are_refused() -> None:
     setup = small_setup()
     bright = [

@@ -35,6 +35,7 @@ def off_course_px(stripe: Stripe, held: Held = HELD) -> Float64:
     return np.asarray(stripe.points_px[:, 0] - course(stripe.points_px[:, 1]))
 
 
+@pytest.mark.slow
 def test_the_stripes_width_is_the_sheets_as_the_camera_sees_it(shown: tuple[UInt8, UInt8, Float64]) -> None:
     off, on, T = shown
     light = laser_light(off, on, board_area(BOARD, LENS, T))
@@ -52,6 +53,7 @@ def test_the_stripes_width_is_the_sheets_as_the_camera_sees_it(shown: tuple[UInt
     assert np.nanmedian(width_mm) == pytest.approx(SHEET_SIGMA_MM, rel=0.02)
 
 
+@pytest.mark.slow
 def test_a_squares_edge_draws_the_stripe_to_its_light_side_but_not_its_cross_sections() -> None:
     held = BOARDS[0]
     scene, _ = board_poses(BOARD, views((held,)), LENS)
@@ -66,6 +68,7 @@ def test_a_squares_edge_draws_the_stripe_to_its_light_side_but_not_its_cross_sec
     assert np.std(by_sections) < 0.2
 
 
+@pytest.mark.slow
 def test_a_stripe_is_found_on_a_lit_board_in_one_image(lit: LitBoard) -> None:
     stripe = find_stripe(lit.light)
     assert stripe is not None

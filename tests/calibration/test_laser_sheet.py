@@ -134,6 +134,7 @@ def test_alike_neighbours_count_as_fewer() -> None:
     assert lines_together(alike) == pytest.approx(4.0, rel=0.2)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("turned", [False, True])
 def test_a_stripe_is_found_in_pictures_whichever_way_it_runs(turned: bool) -> None:
     held = BOARDS[1]
@@ -154,6 +155,7 @@ def test_a_stripe_is_found_in_pictures_whichever_way_it_runs(turned: bool) -> No
     assert np.sqrt(np.mean(off_px**2)) < 0.3
 
 
+@pytest.mark.slow
 def test_a_board_without_a_stripe_shows_none() -> None:
     held = BOARDS[0]
     scene, _ = board_poses(BOARD, views((held,)), LENS)

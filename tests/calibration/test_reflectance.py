@@ -143,6 +143,7 @@ def test_settings_read_more_often_do_not_decide_alone() -> None:
     assert np.std([found.values[2] for found in results]) < 0.8
 
 
+@pytest.mark.slow
 def test_rounding_is_not_taken_for_a_wrong_model() -> None:
     for additive_dn in (0.1, 0.2, 0.3):
         noise = ReadingNoise(additive_dn, 0.0)
@@ -263,6 +264,7 @@ def test_readings_out_of_the_lobe_are_refused() -> None:
     assert "add settings near the mirror direction" in text
 
 
+@pytest.mark.slow
 def test_a_diffuse_surface_has_no_lobe_to_fit() -> None:
     refused = [complaint(read(PLANE, Material("paper", 0.7, 0.0, 1.0), seed)) for seed in range(20)]
     assert all("kappa_spec and c2 are not determined" in text for text in refused)

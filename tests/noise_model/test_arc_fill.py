@@ -47,6 +47,7 @@ def test_a_filled_frame_is_each_pixels_own_light(name, material, shift, turn_deg
     assert np.quantile(error, 0.99) < 0.8
 
 
+@pytest.mark.slow
 @given(st.sampled_from(list(scenes.TABLE_1)), shifts, turns)
 # Some poses have a little over 1 %, docs/explanation/arc_map.md names one: draws are the same each time.
 @settings(max_examples=6, deadline=None, derandomize=True)

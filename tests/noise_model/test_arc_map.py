@@ -273,6 +273,7 @@ def test_an_arc_that_the_workpiece_cuts_into(name, height_mm, pose):
 HALF_V = Joint("half_v", {"bevel_angle_deg": 45.0, "depth_mm": 4.0, "root_gap_mm": 1.0}, scenes.LINE)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("joint", "center_mm", "at_mm"),
     [
