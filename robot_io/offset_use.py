@@ -28,7 +28,15 @@ class OffsetUse:
         self._offset: tuple[SeamOffset, float] | None = None
 
     def on_message(self, received: Received, now_s: float) -> None:
-        """Take an accepted message; `now_s` is the time of its reading, on the robot's clock."""
+        """Take an accepted message.
+
+        Parameters
+        ----------
+        received : Received
+            The message, as an inbox accepted it.
+        now_s : float
+            The time of its reading, s, on the robot's clock.
+        """
         message, came_at_s = received.message, now_s - received.max_age_s
         if isinstance(message, TrackerHeartbeat):
             before = self._beat
@@ -38,7 +46,18 @@ class OffsetUse:
             self._offset = message, came_at_s
 
     def offset(self, now_s: float) -> SeamOffset | None:
-        """Return the offset that counts, None if none does."""
+        """Return the offset that counts.
+
+        Parameters
+        ----------
+        now_s : float
+            The time, s, on the robot's clock.
+
+        Returns
+        -------
+        SeamOffset or None
+            The offset to be used, None if none counts.
+        """
         if self._beat is None or self._offset is None or not self._follows:
             return None
         (beat, beat_at_s), (offset, offset_at_s) = self._beat, self._offset

@@ -196,7 +196,18 @@ class Recording:
         return f"{bad_frames[0].message}; {count}, {of_the_others}"
 
     def posed(self, frames: Iterable[Frame]) -> list[tuple[Frame, Pose]]:
-        """Return frames with the tool's pose at each; those without one are left out."""
+        """Return frames with the tool's pose at each.
+
+        Parameters
+        ----------
+        frames : iterable of Frame
+            The frames.
+
+        Returns
+        -------
+        list of (Frame, Pose)
+            Those that have a pose; the others are left out.
+        """
         poses = self.pose_buffer()
         pairs = [(frame, self.pose_at(poses, frame.timestamp_s)) for frame in frames]
         return [(frame, pose) for frame, pose in pairs if pose is not None]

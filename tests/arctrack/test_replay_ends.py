@@ -98,7 +98,7 @@ def replaying(path: Path, out: Path, bus: dict[str, Any]) -> subprocess.Popen[by
 
 
 ATTEMPTS = 5
-"""A machine that is busy may be too late for every offset of a recording of a second: that is tried again."""
+"""A busy machine may be too late for a recording of a second, or for its signal: that is tried again."""
 
 
 def ended(
@@ -132,7 +132,8 @@ def test_however_a_replay_ends_no_offset_counts_any_more(
 ) -> None:
     for _ in range(ATTEMPTS):
         robot, code, errors = ended(simulated, tmp_path / "out", multicast, how)
-        if robot.heard_valid:
+        # A signal may come after the replay's own end.
+        if robot.heard_valid and (how is None or code != 0):
             break
     assert robot.heard_valid, ({status.gate_reason for status in robot.statuses}, errors)
     if how is signal.SIGKILL:
