@@ -4,9 +4,8 @@ A shape of eight parameters can be laid into the scatter of any plate. So a join
 likelihood of its section over that of a plate without one is beyond what chance makes anywhere in the
 search. The plate may be bowed: it is the cubic that fits the same points best. Both losses are Tukey's, so
 that spatter speaks for neither; neighbours that scatter alike count as fewer, as the stripe or their own
-residuals show it. Points that lie farther off the
-section than their sigmas say are no witnesses at these sigmas either: the gain is divided by the chi^2 of the
-section's fit per degree of freedom, if that is above 1, as its covariance is multiplied by it (McCullagh and
+residuals show it. Points may lie farther off the section than their sigmas say. Then the gain is divided by
+the chi^2 of the section's fit per degree of freedom, as its covariance is multiplied by it (McCullagh and
 Nelder 1989, Generalized Linear Models, 4.5). Twice what the section gains is
 a chi^2 on a plate, with as many degrees of freedom k as it has parameters more (Wilks 1938, Annals of
 Mathematical Statistics 9, 60); of k = 5 it exceeds x with the probability
