@@ -1,8 +1,16 @@
 """The robot's side: protected messages on CAN, the gate before the bus, the pose in time."""
 
-from robot_io.bus_log import BusLogError, BusLogReader, BusLogWriter
-from robot_io.codec import CodecError, decode, encode, out_of_range_as_unknown
-from robot_io.dbc import (
+from robot_io.gate import Conditions, Decision, LastSent, Proposal, Verdict, decide, forbidden_by
+from robot_io.gate_limits import GateLimits
+from robot_io.link.bus_log import BusLogError, BusLogReader, BusLogWriter
+from robot_io.link.inbox import ANY_SOURCE, LIVE, Inbox, Received, SkipReason, Trusted
+from robot_io.link.link import Link, LinkError
+from robot_io.link.reconnecting import LinkFault
+from robot_io.offset_use import OffsetUse
+from robot_io.poses.pose_assembler import PoseAssembler, PoseSample
+from robot_io.poses.pose_buffer import PoseAt, PoseBuffer, PoseError, PoseRefusal, PoseStatus
+from robot_io.protocol.codec import CodecError, decode, encode, out_of_range_as_unknown
+from robot_io.protocol.dbc import (
     cycle_time_s,
     database,
     dbc_version,
@@ -10,11 +18,7 @@ from robot_io.dbc import (
     message_layout,
     messages_table,
 )
-from robot_io.gate import Conditions, Decision, LastSent, Proposal, Verdict, decide, forbidden_by
-from robot_io.gate_limits import GateLimits
-from robot_io.inbox import ANY_SOURCE, LIVE, Inbox, Received, SkipReason, Trusted
-from robot_io.link import Link, LinkError
-from robot_io.messages import (
+from robot_io.protocol.messages import (
     MESSAGE_TYPES,
     BusMessage,
     Command,
@@ -45,11 +49,7 @@ from robot_io.messages import (
     Validity,
     WeldingState,
 )
-from robot_io.offset_use import OffsetUse
-from robot_io.pose_assembler import PoseAssembler, PoseSample
-from robot_io.pose_buffer import PoseAt, PoseBuffer, PoseError, PoseRefusal, PoseStatus
-from robot_io.protect import SOURCES, Checker, CheckStatus, Protector
-from robot_io.reconnecting import LinkFault
+from robot_io.protocol.protect import SOURCES, Checker, CheckStatus, Protector
 
 __all__ = [
     "ANY_SOURCE",

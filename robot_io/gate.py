@@ -13,9 +13,9 @@ import math
 from dataclasses import dataclass, field, replace
 from enum import Enum
 
-from robot_io.codec import out_of_range_as_unknown
 from robot_io.gate_limits import GateLimits
-from robot_io.messages import (
+from robot_io.protocol.codec import out_of_range_as_unknown
+from robot_io.protocol.messages import (
     GateReason,
     MotionState,
     RobotMode,

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from robot_io.dbc import cycle_time_s, message_layout
-from robot_io.inbox import STALE_PERIODS, Received
-from robot_io.messages import SeamOffset, TrackerHeartbeat, TrackerState, Validity
+from robot_io.link.inbox import STALE_PERIODS, Received
+from robot_io.protocol.dbc import cycle_time_s, message_layout
+from robot_io.protocol.messages import SeamOffset, TrackerHeartbeat, TrackerState, Validity
 
 BEAT_PERIODS = 1.5
 """A heartbeat that is later than this has been missed."""

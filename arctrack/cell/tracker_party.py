@@ -30,9 +30,9 @@ from robot_io import (
     SeamPoint,
     Trusted,
 )
-from robot_io.nominal_path import NominalPath
-from robot_io.plausibility_limits import PlausibilityLimits
-from robot_io.sync import SyncLimits
+from robot_io.clocks.sync import SyncLimits
+from robot_io.poses.nominal_path import NominalPath
+from robot_io.poses.plausibility_limits import PlausibilityLimits
 from tracker import flags
 from tracker.seam.gaussian_process import SeamHistory
 from tracker.seam.innovation import InnovationLimits, SeamMeasured

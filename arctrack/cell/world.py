@@ -10,7 +10,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from noise_model.arrays import Float64
-from robot_io.nominal_path import NominalPath
+from robot_io.poses.nominal_path import NominalPath
 
 
 @dataclass(frozen=True)

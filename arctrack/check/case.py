@@ -19,7 +19,7 @@ from noise_model.effects import apply_setup_effects, pose_time_s
 from noise_model.evenly import evenly
 from noise_model.setup import Setup
 from noise_model.transforms import invert
-from robot_io.pose_buffer import PoseBuffer
+from robot_io.poses.pose_buffer import PoseBuffer
 
 MAX_FRAMES, MAX_DARK = 10, 4
 """So many frames with the laser on are looked at; of these so many without arc, where lines are clearest."""

@@ -13,10 +13,10 @@ from robot_io import (
     RobotSync,
     TrackerCommand,
 )
-from robot_io.nominal_path import NominalPath
-from robot_io.plausibility import Implausibility, Plausibility, PoseSeen, clock_set, update
-from robot_io.plausibility_limits import PlausibilityLimits
-from robot_io.sync import ClockSync, SyncLimits
+from robot_io.clocks.sync import ClockSync, SyncLimits
+from robot_io.poses.nominal_path import NominalPath
+from robot_io.poses.plausibility import Implausibility, Plausibility, PoseSeen, clock_set, update
+from robot_io.poses.plausibility_limits import PlausibilityLimits
 from tracker.seam.innovation import InnovationLimits, SeamInnovation, SeamMeasured, SeamMotion
 
 BEGINNING = (Command.DISARM, Command.RESET)

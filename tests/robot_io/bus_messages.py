@@ -8,8 +8,8 @@ from typing import get_args, get_type_hints
 
 from hypothesis import strategies as st
 
-from robot_io.dbc import invalid_raw, message_layout
-from robot_io.messages import (
+from robot_io.protocol.dbc import invalid_raw, message_layout
+from robot_io.protocol.messages import (
     MESSAGE_TYPES,
     BusMessage,
     Command,

@@ -10,10 +10,10 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from robot_io import MotionState, PoseKind, PoseSample, RobotMode, RobotStatus, Switch, WeldingState
-from robot_io.messages import RobotPoseRotation
-from robot_io.nominal_path import NominalPath
-from robot_io.plausibility import Implausibility, Plausibility, PoseSeen, update
-from robot_io.plausibility_limits import PlausibilityLimits
+from robot_io.poses.nominal_path import NominalPath
+from robot_io.poses.plausibility import Implausibility, Plausibility, PoseSeen, update
+from robot_io.poses.plausibility_limits import PlausibilityLimits
+from robot_io.protocol.messages import RobotPoseRotation
 
 LIMITS = PlausibilityLimits()
 PERIOD_S = 0.01

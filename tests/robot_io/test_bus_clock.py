@@ -2,7 +2,7 @@ from __future__ import annotations
 
 import pytest
 
-from robot_io.bus_clock import BusClock
+from robot_io.clocks.bus_clock import BusClock
 
 START_S = 1.7e9
 """When the adapter's clock was 0, Unix time."""

@@ -7,10 +7,10 @@ import can
 import pytest
 from bus_messages import EXAMPLES
 
-from robot_io.bus_log import BusLogError, BusLogReader, BusLogWriter
-from robot_io.codec import decode, encode
-from robot_io.inbox import SkipReason
-from robot_io.protect import Protector
+from robot_io.link.bus_log import BusLogError, BusLogReader, BusLogWriter
+from robot_io.link.inbox import SkipReason
+from robot_io.protocol.codec import decode, encode
+from robot_io.protocol.protect import Protector
 
 SUFFIXES = [".blf", ".asc", ".log"]
 # What the format itself can tell apart, s.
@@ -167,7 +167,7 @@ from pathlib import Path
 
 import can
 
-from robot_io.bus_log import BusLogWriter
+from robot_io.link.bus_log import BusLogWriter
 
 log = BusLogWriter(Path(sys.argv[1]))
 for n in range(200):

@@ -10,9 +10,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-from robot_io.codec import CodecError, decode, encode, out_of_range_as_unknown
-from robot_io.dbc import message_layout, payload_signals
-from robot_io.messages import (
+from robot_io.protocol.codec import CodecError, decode, encode, out_of_range_as_unknown
+from robot_io.protocol.dbc import message_layout, payload_signals
+from robot_io.protocol.messages import (
     PoseKind,
     QuaternionComponent,
     RobotPosePosition,

@@ -9,7 +9,7 @@ from typing import get_type_hints
 import pytest
 from e2e.p11 import e2e_p11_protect
 
-from robot_io.dbc import (
+from robot_io.protocol.dbc import (
     HEADER_SIGNALS,
     cycle_time_s,
     database,
@@ -20,8 +20,8 @@ from robot_io.dbc import (
     messages_table,
     payload_signals,
 )
-from robot_io.messages import MESSAGE_TYPES
-from robot_io.protect import SOURCES
+from robot_io.protocol.messages import MESSAGE_TYPES
+from robot_io.protocol.protect import SOURCES
 
 LAYOUTS = database().messages
 DOCS = Path(__file__).parents[2] / "docs" / "reference" / "can.md"

@@ -8,10 +8,18 @@ from bus_messages import EXAMPLES
 from hypothesis import given
 from hypothesis import strategies as st
 
-from robot_io.codec import encode
 from robot_io.gate import Conditions, LastSent, Proposal, Verdict, decide
 from robot_io.gate_limits import GateLimits
-from robot_io.messages import GateReason, MotionState, RobotMode, RobotStatus, Switch, Validity, WeldingState
+from robot_io.protocol.codec import encode
+from robot_io.protocol.messages import (
+    GateReason,
+    MotionState,
+    RobotMode,
+    RobotStatus,
+    Switch,
+    Validity,
+    WeldingState,
+)
 
 ROBOT = next(m for m in EXAMPLES if isinstance(m, RobotStatus))
 # Binary fractions throughout, so that values at a limit are exactly at it.

@@ -10,7 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.integrate import solve_ivp
 
-from robot_io.lag import LagLimits, LagUnestimated, Motion, estimate_lag, respond
+from robot_io.clocks.lag import LagLimits, LagUnestimated, Motion, estimate_lag, respond
 
 LIMITS = LagLimits()
 

@@ -13,12 +13,12 @@ from bus_messages import EXAMPLES
 from can.interfaces.virtual import VirtualBus
 from slcan_adapters import SlcanAdapters
 
-from robot_io.bus_log import BusLogError, BusLogReader
-from robot_io.codec import CodecError, decode, encode
-from robot_io.inbox import SkipReason
-from robot_io.link import Link, LinkError
-from robot_io.messages import SeamOffset, Validity
-from robot_io.pose_assembler import PoseAssembler
+from robot_io.link.bus_log import BusLogError, BusLogReader
+from robot_io.link.inbox import SkipReason
+from robot_io.link.link import Link, LinkError
+from robot_io.poses.pose_assembler import PoseAssembler
+from robot_io.protocol.codec import CodecError, decode, encode
+from robot_io.protocol.messages import SeamOffset, Validity
 
 OFFSET = EXAMPLES[2]
 CHANNELS = (f"test_link_{n}" for n in itertools.count())

@@ -18,13 +18,13 @@ from bus_messages import EXAMPLES
 from faulty_bus import OPENED, Faults
 from slcan_adapters import SlcanAdapters
 
-from robot_io import reconnecting
-from robot_io.codec import encode
-from robot_io.inbox import SkipReason
-from robot_io.link import Link
-from robot_io.messages import RobotStatus, SeamOffset, Validity
-from robot_io.protect import Protector
-from robot_io.reconnecting import LinkFault
+from robot_io.link import reconnecting
+from robot_io.link.inbox import SkipReason
+from robot_io.link.link import Link
+from robot_io.link.reconnecting import LinkFault
+from robot_io.protocol.codec import encode
+from robot_io.protocol.messages import RobotStatus, SeamOffset, Validity
+from robot_io.protocol.protect import Protector
 
 CHANNELS = (f"test_link_faults_{n}" for n in itertools.count())
 OFFSET = EXAMPLES[2]

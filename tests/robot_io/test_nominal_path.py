@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-from robot_io.nominal_path import NominalPath
+from robot_io.poses.nominal_path import NominalPath
 
 CORNER = NominalPath(((0.0, 0.0, 0.0), (100.0, 0.0, 0.0), (100.0, 50.0, 0.0)))
 NUMBERS = st.floats(-50.0, 50.0)

@@ -9,8 +9,9 @@ from bus_messages import EXAMPLES
 from hypothesis import given
 from hypothesis import strategies as st
 
-from robot_io.inbox import Received
-from robot_io.messages import (
+from robot_io.link.inbox import Received
+from robot_io.offset_use import OffsetUse
+from robot_io.protocol.messages import (
     Fault,
     LaserState,
     RequestResult,
@@ -20,7 +21,6 @@ from robot_io.messages import (
     TrackerState,
     Validity,
 )
-from robot_io.offset_use import OffsetUse
 
 OFFSET = EXAMPLES[2]
 

@@ -10,8 +10,8 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 from robot_io import MotionState, PoseKind
-from robot_io.nominal_path import NominalPath
-from robot_io.plausibility import Implausibility, Plausibility, PoseSeen, clock_set, turn_rad, update
+from robot_io.poses.nominal_path import NominalPath
+from robot_io.poses.plausibility import Implausibility, Plausibility, PoseSeen, clock_set, turn_rad, update
 from tests.robot_io.moving_robot import LIMITS, PATH, Robot, doubts, moved, on_the_bus, status
 
 FAULT_S, END_S = 2.0, 3.0

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from robot_io import RobotPosePosition, RobotPoseRotation, message_layout
-from robot_io.plausibility_limits import MAY_BE_ZERO, PlausibilityLimits, noise_sigmas
+from robot_io.poses.plausibility_limits import MAY_BE_ZERO, PlausibilityLimits, noise_sigmas
 
 LIMITS = PlausibilityLimits()
 

@@ -9,10 +9,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-from robot_io.inbox import Inbox, Received
-from robot_io.messages import PoseKind, RobotPosePosition, RobotPoseRotation
-from robot_io.pose_assembler import PoseAssembler
-from robot_io.protect import Protector
+from robot_io.link.inbox import Inbox, Received
+from robot_io.poses.pose_assembler import PoseAssembler
+from robot_io.protocol.messages import PoseKind, RobotPosePosition, RobotPoseRotation
+from robot_io.protocol.protect import Protector
 
 PERIOD_S = 0.01
 

@@ -6,7 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-from robot_io.pose_buffer import PERIOD_INTERVALS, PoseBuffer, PoseError, PoseRefusal, PoseStatus
+from robot_io.poses.pose_buffer import PERIOD_INTERVALS, PoseBuffer, PoseError, PoseRefusal, PoseStatus
 
 VELOCITY_MM_S = np.array([8.0, -1.0, 0.5])
 SPIN_RAD_S = np.array([0.1, -0.2, 0.3])

@@ -10,10 +10,10 @@ from e2e.p11 import e2e_p11_protect
 from hypothesis import given
 from hypothesis import strategies as st
 
-from robot_io.codec import encode
-from robot_io.dbc import e2e_data_id, message_layout
-from robot_io.inbox import ANY_SOURCE, Inbox, SkipReason, Trusted
-from robot_io.messages import (
+from robot_io.link.inbox import ANY_SOURCE, Inbox, SkipReason, Trusted
+from robot_io.protocol.codec import encode
+from robot_io.protocol.dbc import e2e_data_id, message_layout
+from robot_io.protocol.messages import (
     DbcVersion,
     RobotPosePosition,
     RobotPoseRotation,
@@ -22,7 +22,15 @@ from robot_io.messages import (
     SeamPoint,
     Source,
 )
-from robot_io.protect import COUNTER_MODULUS, SOURCES, Checker, CheckStatus, Protector, counter_of, source_of
+from robot_io.protocol.protect import (
+    COUNTER_MODULUS,
+    SOURCES,
+    Checker,
+    CheckStatus,
+    Protector,
+    counter_of,
+    source_of,
+)
 
 POSITION, ROTATION, OFFSET = EXAMPLES[:3]
 

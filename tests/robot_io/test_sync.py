@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from scipy.optimize import linprog
 
 from robot_io import RobotSync, message_layout
-from robot_io.sync import SEQUENCE_BITS, TIME_BITS, ClockSync, Exchange, SyncLimits, Unestimated
+from robot_io.clocks.sync import SEQUENCE_BITS, TIME_BITS, ClockSync, Exchange, SyncLimits, Unestimated
 
 LIMITS = SyncLimits()
 

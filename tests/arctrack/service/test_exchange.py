@@ -14,7 +14,7 @@ import pytest
 
 from arctrack.service.exchange import exchange, exchange_table
 from robot_io import MESSAGE_TYPES, BusLogWriter, GateReason, SeamOffset, Source, TrackerStatus, Validity
-from robot_io.bus_load import frame_bits, frames_per_s, load_table
+from robot_io.protocol.bus_load import frame_bits, frames_per_s, load_table
 
 CAN_PAGE = Path(__file__).parents[3] / "docs" / "reference" / "can.md"
 
@@ -32,7 +32,7 @@ def test_the_page_shows_the_exchange() -> None:
 
 def test_the_page_shows_the_load() -> None:
     assert part_of_page("load") == load_table(), (
-        "docs/reference/can.md: put the output of robot_io.bus_load.load_table() between its marks"
+        "docs/reference/can.md: put the output of robot_io.protocol.bus_load.load_table() between its marks"
     )
 
 
@@ -66,7 +66,7 @@ def test_cantools_reads_the_same_off_the_log(tmp_path: Path) -> None:
                 can.Message(timestamp=at_s, arbitration_id=identifier, data=payload, is_extended_id=False)
             )
     dbc = cantools.database.load_string(
-        resources.files("robot_io").joinpath("arctrack.dbc").read_text(encoding="utf-8"), "dbc"
+        resources.files("robot_io.protocol").joinpath("arctrack.dbc").read_text(encoding="utf-8"), "dbc"
     )
     with can.BLFReader(tmp_path / "bus.blf") as frames:
         for frame, (_, _, message, _, _) in zip(frames, said, strict=True):

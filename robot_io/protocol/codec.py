@@ -11,8 +11,8 @@ from typing import Any, TypeVar, cast, get_args, get_type_hints
 
 from cantools.database.can import Signal
 
-from robot_io.dbc import HEADER_SIGNALS, database, invalid_raw, message_layout, payload_signals
-from robot_io.messages import MESSAGE_TYPES, BusMessage
+from robot_io.protocol.dbc import HEADER_SIGNALS, database, invalid_raw, message_layout, payload_signals
+from robot_io.protocol.messages import MESSAGE_TYPES, BusMessage
 
 M = TypeVar("M", bound=BusMessage)
 

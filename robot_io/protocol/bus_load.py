@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from robot_io.codec import FRAME_LENGTH
-from robot_io.dbc import cycle_time_s, database
+from robot_io.protocol.codec import FRAME_LENGTH
+from robot_io.protocol.dbc import cycle_time_s, database
 
 FRAME_MESSAGES = ("SeamOffset", "SeamPoint", "SeamGeometry", "TrackerStatus")
 """Those that go out with each frame of the camera."""

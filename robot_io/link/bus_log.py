@@ -22,8 +22,8 @@ from typing import TextIO
 import can
 from can.io.blf import BLFParseError
 
-from robot_io.blf_check import check_blf
-from robot_io.inbox import ANY_SOURCE, Inbox, Received, SkipReason
+from robot_io.link.blf_check import check_blf
+from robot_io.link.inbox import ANY_SOURCE, Inbox, Received, SkipReason
 
 LOG_SUFFIXES = (".asc", ".blf", ".log")
 """The formats that are written and read."""

@@ -5,9 +5,9 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
-from robot_io.dbc import cycle_time_s, message_layout
-from robot_io.inbox import Received
-from robot_io.messages import PoseKind, RobotPosePosition, RobotPoseRotation
+from robot_io.link.inbox import Received
+from robot_io.protocol.dbc import cycle_time_s, message_layout
+from robot_io.protocol.messages import PoseKind, RobotPosePosition, RobotPoseRotation
 
 PAIRING_PERIODS = 5
 """Halves further apart than this many cycle times are not paired: after 15 the counter comes round again."""

@@ -12,9 +12,9 @@ from enum import Enum
 from cantools.database.can import Message
 from e2e.p11 import e2e_p11_check, e2e_p11_protect
 
-from robot_io.codec import encode
-from robot_io.dbc import e2e_data_id, message_layout
-from robot_io.messages import (
+from robot_io.protocol.codec import encode
+from robot_io.protocol.dbc import e2e_data_id, message_layout
+from robot_io.protocol.messages import (
     BusMessage,
     RobotPosePosition,
     RobotPoseRotation,

@@ -10,10 +10,10 @@ from typing import TypeVar
 
 import can
 
-from robot_io.codec import FRAME_LENGTH, CodecError, decode, message_type_of
-from robot_io.dbc import cycle_time_s, e2e_data_id, message_layout
-from robot_io.messages import BusMessage, Source
-from robot_io.protect import MAX_DELTA_COUNTER, SOURCES, Checker, CheckStatus, counter_of, source_of
+from robot_io.protocol.codec import FRAME_LENGTH, CodecError, decode, message_type_of
+from robot_io.protocol.dbc import cycle_time_s, e2e_data_id, message_layout
+from robot_io.protocol.messages import BusMessage, Source
+from robot_io.protocol.protect import MAX_DELTA_COUNTER, SOURCES, Checker, CheckStatus, counter_of, source_of
 
 M = TypeVar("M", bound=BusMessage)
 

@@ -17,10 +17,10 @@ from bisect import bisect_left
 from dataclasses import dataclass, replace
 from enum import Enum
 
-from robot_io.messages import MotionState, RobotStatus
-from robot_io.nominal_path import NominalPath, PathPlace, Vector, dot, minus, times
-from robot_io.plausibility_limits import PlausibilityLimits
-from robot_io.pose_assembler import PoseSample
+from robot_io.poses.nominal_path import NominalPath, PathPlace, Vector, dot, minus, times
+from robot_io.poses.plausibility_limits import PlausibilityLimits
+from robot_io.poses.pose_assembler import PoseSample
+from robot_io.protocol.messages import MotionState, RobotStatus
 
 Quaternion = tuple[float, float, float, float]
 

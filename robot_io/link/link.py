@@ -16,12 +16,12 @@ from typing import Any
 
 import can
 
-from robot_io.bus_clock import BusClock
-from robot_io.bus_log import UNIX_TIME_FROM_S, BusLogWriter
-from robot_io.inbox import LIVE, Inbox, Received, Trusted
-from robot_io.messages import BusMessage, Source
-from robot_io.protect import Protector
-from robot_io.reconnecting import LinkFault, Nothing, ReconnectingBus
+from robot_io.clocks.bus_clock import BusClock
+from robot_io.link.bus_log import UNIX_TIME_FROM_S, BusLogWriter
+from robot_io.link.inbox import LIVE, Inbox, Received, Trusted
+from robot_io.link.reconnecting import LinkFault, Nothing, ReconnectingBus
+from robot_io.protocol.messages import BusMessage, Source
+from robot_io.protocol.protect import Protector
 
 _CURES = {
     "kvaser": "install Kvaser's CANlib, and check the channel's number",
@@ -241,7 +241,7 @@ class Link:
         try:
             # Configuration files of the machine must not change what was asked for here.
             if self.interface == "slcan":
-                from robot_io.slcan import SlcanBus
+                from robot_io.link.slcan import SlcanBus
 
                 return SlcanBus(self.channel, **bus_options)
             return can.Bus(interface=self.interface, channel=self.channel, ignore_config=True, **bus_options)

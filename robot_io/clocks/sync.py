@@ -21,7 +21,7 @@ from enum import Enum
 import numpy as np
 import numpy.typing as npt
 
-from robot_io.messages import RobotSync
+from robot_io.protocol.messages import RobotSync
 
 Float64 = npt.NDArray[np.float64]
 

@@ -10,7 +10,7 @@ from importlib import resources
 from cantools.database.can import Database, Message, Signal
 from cantools.database.namedsignalvalue import NamedSignalValue
 
-from robot_io.messages import DbcVersion, Source
+from robot_io.protocol.messages import DbcVersion, Source
 
 HEADER_SIGNALS = ("e2e_crc", "e2e_counter")
 """The signals of the E2E header, which every message has and no dataclass shows."""
@@ -20,7 +20,9 @@ HEADER_SIGNALS = ("e2e_crc", "e2e_counter")
 def database() -> Database:
     """Return the layout of the bus."""
     layout = Database()
-    layout.add_dbc_string(resources.files("robot_io").joinpath("arctrack.dbc").read_text(encoding="utf-8"))
+    layout.add_dbc_string(
+        resources.files("robot_io.protocol").joinpath("arctrack.dbc").read_text(encoding="utf-8")
+    )
     return layout
 
 

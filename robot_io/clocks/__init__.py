@@ -1,0 +1,1 @@
+"""Whose clock a time is by, how clocks differ, and how late a robot follows."""

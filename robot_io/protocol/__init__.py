@@ -1,0 +1,1 @@
+"""What goes over the bus: messages, their layout, their protection, the load that they make."""
