@@ -75,7 +75,14 @@ FOLDERS_MAY_IMPORT: dict[str, dict[str, set[str]]] = {
         "service": set(),
         "cell": {"service"},
         "setup_check": {"recording", "check"},
-        "report": {"recording", "calibration_files", "calibration_records", "check", "setup_check"},
+        "report": {
+            "recording",
+            "calibration_files",
+            "calibration_records",
+            "check",
+            "setup_check",
+            "cell",
+        },
         "calibrating": {
             "recording",
             "importing",

@@ -4,15 +4,18 @@ from __future__ import annotations
 
 import math
 from collections import Counter
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from arctrack.cell.bus import Bus, Frame
+from arctrack.cell.eye import Eye
+from arctrack.cell.measured_eye import MeasuredEye
 from arctrack.cell.robot import Robot
 from arctrack.cell.robot_party import RobotParty
 from arctrack.cell.scheduler import Scheduler
-from arctrack.cell.tracker_party import TrackerParty
+from arctrack.cell.tracker_party import FRAME_PERIOD_S, TrackerParty
 from arctrack.cell.world import World
 from arctrack.service.controller import Job
 from robot_io import (
@@ -60,6 +63,10 @@ class Cell:
         What is there.
     rng : numpy.random.Generator
         What chance decides while it runs.
+    see : callable, optional
+        Makes the eye at a robot's tool; by default one that measures the seam without a picture.
+    frame_period_s : float
+        From a frame to the next, s.
 
     Attributes
     ----------
@@ -71,13 +78,22 @@ class Cell:
         How far the torch was off the seam, by time.
     """
 
-    def __init__(self, world: World, rng: np.random.Generator) -> None:
-        self.world, self.rng = world, rng
+    def __init__(
+        self,
+        world: World,
+        rng: np.random.Generator,
+        see: Callable[[Robot], Eye] | None = None,
+        frame_period_s: float = FRAME_PERIOD_S,
+    ) -> None:
+        self.rng = rng
         self.job = Job("lap", poses_proven=True)
         self.scheduler = Scheduler()
         self.bus = Bus(self.scheduler, rng)
         self.robot = RobotParty(Robot(world), self.bus, self.scheduler)
-        self.tracker = TrackerParty(self.robot.robot, self.bus, self.scheduler, rng, self.job)
+        eye = MeasuredEye(self.robot.robot, rng) if see is None else see(self.robot.robot)
+        self.tracker = TrackerParty(
+            self.robot.robot, self.bus, self.scheduler, rng, self.job, eye, frame_period_s
+        )
         self.heard: list[Heard] = []
         self.reasons: list[tuple[float, GateReason]] = []
         self.torch_error_mm: list[tuple[float, float]] = []
@@ -86,6 +102,15 @@ class Cell:
         self.tracker.on_sent = self._on_sent
         self.scheduler.at(ARMED_S, lambda: self.command(Command.TRACK))
         self.scheduler.every(0.02, self._measure_error, 0.0007)
+
+    @property
+    def world(self) -> World:
+        """What is there now."""
+        return self.robot.robot.world
+
+    @world.setter
+    def world(self, world: World) -> None:
+        self.robot.robot.world = world
 
     def command(self, command: Command, is_new_request: bool = False) -> None:
         """Let the robot want something else of the tracker."""

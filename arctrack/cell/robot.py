@@ -99,7 +99,13 @@ class Robot:
     def programmed_mm(self) -> Float64:
         """Return where the program has the tool, (3,) mm."""
         x, y, z = self.world.start_base_mm
-        return np.array([x + self.station_mm, y, z])
+        return np.array([x + self.station_mm, y, z + self.world.ridge_mm(self.station_mm)])
+
+    def T_base_tool(self) -> Float64:
+        """Return the tool's pose, (4, 4) mm."""
+        T = np.eye(4)
+        T[:3, :3], T[:3, 3] = self.world.R_base_tool, self.place_mm()
+        return T
 
     def _weave_mm(self) -> float:
         return self.world.weave_mm * math.sin(2.0 * math.pi * self.world.weave_hz * self.weave_s)

@@ -1,8 +1,7 @@
-"""The tracker at its place on the bus: the real controller, behind a camera that measures a seam at once."""
+"""The tracker at its place on the bus: the real controller, behind a camera."""
 
 from __future__ import annotations
 
-import math
 from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass, field
@@ -11,13 +10,13 @@ from enum import Enum
 import numpy as np
 
 from arctrack.cell.bus import Bus, Frame
+from arctrack.cell.eye import Capture, Eye, Shown
 from arctrack.cell.robot import Robot
 from arctrack.cell.robot_party import SOURCE, as_message
 from arctrack.cell.scheduler import Scheduler
 from arctrack.service.controller import Controller, Job
 from arctrack.service.policy import ServicePolicy
 from arctrack.service.pose_watch import PoseWatch
-from noise_model.arrays import Float64
 from robot_io import (
     BusMessage,
     Inbox,
@@ -25,6 +24,7 @@ from robot_io import (
     PoseError,
     PoseStatus,
     Protector,
+    RobotStatus,
     SeamGeometry,
     SeamOffset,
     SeamPoint,
@@ -34,8 +34,7 @@ from robot_io.clocks.sync import SyncLimits
 from robot_io.poses.nominal_path import NominalPath
 from robot_io.poses.plausibility_limits import PlausibilityLimits
 from tracker import flags
-from tracker.seam.gaussian_process import SeamHistory
-from tracker.seam.innovation import InnovationLimits, SeamMeasured
+from tracker.seam.innovation import InnovationLimits
 from tracker.state import Track
 
 FRAME_PERIOD_S, EXPOSED_S, COMPUTED_S = 0.02, 0.002, 0.012
@@ -44,8 +43,6 @@ FRAME_PERIOD_S, EXPOSED_S, COMPUTED_S = 0.02, 0.002, 0.012
 POLL_S = 0.01
 UNHEARD = (SeamPoint, SeamGeometry)
 """What this robot does not listen to is not sent: it would take a fifth of the time."""
-
-TOLERANCE_MM = 0.25
 
 
 class Camera(Enum):
@@ -59,21 +56,16 @@ class Camera(Enum):
     GHOST = "ghost"
 
 
-@dataclass(frozen=True)
-class Capture:
-    """A frame: when it was taken, truly and on the tracker's clock, and what it shows."""
-
-    true_s: float
-    captured_s: float
-    seam_tool_mm: Float64 | None
-
-
 @dataclass
 class TrackerParty:
     """Runs the controller on a clock of its own.
 
     Attributes
     ----------
+    eye : Eye
+        Its camera, and what tracks.
+    frame_period_s : float
+        From a frame to the next, s.
     clock_s : float
         How far its clock is ahead of the true time, s.
     camera : Camera
@@ -82,6 +74,10 @@ class TrackerParty:
         Whether the process runs: what comes meanwhile waits in the bus' buffer.
     queue_full : bool
         Whether nothing that is sent goes out.
+    captured : dict
+        When each frame was taken, s, by its time on the tracker's clock.
+    on_track : callable or None
+        Hears each track, and what was sent of it.
     """
 
     robot: Robot
@@ -89,6 +85,8 @@ class TrackerParty:
     scheduler: Scheduler
     rng: np.random.Generator
     job: Job
+    eye: Eye
+    frame_period_s: float = FRAME_PERIOD_S
     clock_s: float = 0.0
     camera: Camera = Camera.RIGHT
     is_running: bool = True
@@ -96,29 +94,35 @@ class TrackerParty:
     ghost_mm: float = 2.0
     captured: dict[float, float] = field(default_factory=dict)
     on_sent: Callable[[BusMessage], None] | None = None
+    on_track: Callable[[Track, list[BusMessage]], None] | None = None
 
     name = "tracker"
 
     def __post_init__(self) -> None:
         self.inbox = Inbox(Trusted((SOURCE,), (SOURCE,)))
         self.path: NominalPath = self.robot.world.path
-        self._shown: Float64 | None = None
+        self._shown: Shown = None
+        self._has_shown = False
         self._waiting: deque[tuple[Frame, float]] = deque()
         self._index = 0
-        self.start()
+        self._begin_bus()
         self.bus.join(self.name, self._hear)
-        self.scheduler.every(FRAME_PERIOD_S, self._capture, 0.0037)
+        self.scheduler.every(self.frame_period_s, self._capture, 0.0037)
         self.scheduler.every(POLL_S, self._poll, 0.0041)
 
     def start(self) -> None:
         """Begin as a new process."""
+        self._begin_bus()
+        self.eye.begin()
+
+    def _begin_bus(self) -> None:
         self._protector = Protector(SOURCE)
         self.controller = Controller(self.job, SOURCE)
         self.watch = PoseWatch(
             self.path, PlausibilityLimits(), InnovationLimits(), SyncLimits(), ServicePolicy().status_age_s
         )
         self._poses = PoseBuffer(256)
-        self.history = self._searched()
+        self._robot_said: RobotStatus | None = None
         self._waiting.clear()
 
     @property
@@ -133,15 +137,6 @@ class TrackerParty:
             frame, came_s = self._waiting.popleft()
             self._read(frame, came_s)
 
-    def _searched(self) -> SeamHistory:
-        """Return what a search pass left: the stretch that the torch begins on."""
-        history, world = SeamHistory(), self.robot.world
-        start_mm = self.robot.station_mm
-        for station_mm in np.arange(start_mm - 5.0, start_mm + world.look_ahead_mm, 1.5):
-            seam_mm = np.array(world.seam_mm(float(station_mm))) + self.rng.normal(0.0, world.noise_mm, 2)
-            history = history.with_measurement(float(station_mm), seam_mm, np.full(2, world.noise_mm**2))
-        return history
-
     def _hear(self, frame: Frame) -> None:
         if self.is_running:
             self._read(frame, self.now_s)
@@ -153,6 +148,8 @@ class TrackerParty:
         received = self.inbox.receive(as_message(frame, came_s), max_age_s=now_s - came_s)
         if received is None:
             return
+        if isinstance(received.message, RobotStatus):
+            self._robot_said = received.message
         sample = self.watch.hear(received, now_s)
         if sample is not None:
             try:
@@ -169,79 +166,37 @@ class TrackerParty:
         camera = self.camera
         if camera is Camera.STOPPED or (camera is Camera.DROPPING and self.rng.random() < 0.1):
             return
-        now_s = self.scheduler.now_s
-        self.robot.advance(now_s)
-        if camera is not Camera.FROZEN or self._shown is None:
-            self._shown = self._seen(self.ghost_mm if camera is Camera.GHOST else 0.0)
-        shown = None if camera is Camera.GARBAGE else self._shown
-        capture = Capture(now_s, self.now_s, shown)
+        true_s, captured_s = self.scheduler.now_s, self.now_s
+        self.robot.advance(true_s)
+        if camera is not Camera.FROZEN or not self._has_shown:
+            self._shown = self.eye.look(self.ghost_mm if camera is Camera.GHOST else 0.0)
+            self._has_shown = True
+        shown = self.eye.garbage() if camera is Camera.GARBAGE else self._shown
         self.scheduler.at(
-            now_s + EXPOSED_S + COMPUTED_S * self.rng.uniform(0.8, 1.2), lambda: self._track(capture)
+            true_s + EXPOSED_S + COMPUTED_S * self.rng.uniform(0.8, 1.2),
+            lambda: self._track(shown, true_s, captured_s),
         )
 
-    def _seen(self, off_mm: float) -> Float64:
-        """Return where the stripe meets the seam, (3,) mm, in the frame of the true tool."""
-        world = self.robot.world
-        station_mm = self.robot.station_mm + world.look_ahead_mm
-        y_mm, z_mm = world.seam_mm(station_mm)
-        x, y, z = world.start_base_mm
-        seam_base_mm = np.array([x + station_mm, y + y_mm + off_mm, z + z_mm])
-        seam_tool = world.R_base_tool.T @ (seam_base_mm - self.robot.place_mm())
-        return np.asarray(seam_tool + np.array([0.0, *self.rng.normal(0.0, world.noise_mm, 2)]))
-
-    def _track(self, capture: Capture) -> None:
+    def _track(self, shown: Shown, true_s: float, captured_s: float) -> None:
         if not self.is_running:
             return
         now_s = self.now_s
-        self.captured[capture.captured_s] = capture.true_s
+        self.captured[captured_s] = true_s
         self._index += 1
-        pose = self._poses.at(capture.captured_s)
+        pose = self._poses.at(captured_s)
         trusted = self.watch.doubt(now_s) is None
         if pose.status is PoseStatus.REFUSED:
-            track = Track(self._index, capture.captured_s, flags.POSE_REFUSED.mask)
-        elif capture.seam_tool_mm is None:
-            track = self._tracked(capture, pose.T_base_tool, flags.JOINT_NOT_FOUND.mask)
+            track = Track(self._index, captured_s, flags.POSE_REFUSED.mask)
         else:
-            self._measure(capture.seam_tool_mm, pose.T_base_tool, trusted)
-            track = self._tracked(capture, pose.T_base_tool, 0)
+            capture = Capture(self._index, captured_s, pose, self._robot_said, trusted)
+            track, measured = self.eye.track(shown, capture)
+            if measured is not None:
+                self.watch.see(measured)
         self.controller.on_poses(self.watch.verdict(now_s), now_s)
-        self._send(self.controller.on_track(track, now_s, pose.T_base_tool, 1000.0 * COMPUTED_S))
-
-    def _measure(self, seam_tool_mm: Float64, T_base_tool: Float64, trusted: bool) -> None:
-        """Take a measurement into the seam; not of a pose that is doubted, which the watch alone must see."""
-        seam_base = T_base_tool[:3, :3] @ seam_tool_mm + T_base_tool[:3, 3]
-        x, y, z = seam_base.tolist()
-        place = self.path.place((x, y, z))
-        displacement = (place.lateral_mm, place.height_mm)
-        noise_mm = self.robot.world.noise_mm
-        self.watch.see(SeamMeasured(place.station_mm, displacement, (noise_mm, noise_mm)))
-        if trusted:
-            self.history = self.history.with_measurement(
-                place.station_mm, np.array(displacement), np.full(2, noise_mm**2)
-            )
-
-    def _tracked(self, capture: Capture, T_base_tool: Float64, flag_bits: int) -> Track:
-        x, y, z = T_base_tool[:3, 3].tolist()
-        displacement, sigma = self.history.at(self.path.place((x, y, z)).station_mm)
-        y_mm, z_mm = displacement.tolist()
-        sigma_y_mm, sigma_z_mm = sigma.tolist()
-        seam_tool = (math.nan,) * 3 if capture.seam_tool_mm is None else tuple(capture.seam_tool_mm.tolist())
-        noise_mm = self.robot.world.noise_mm
-        within = TOLERANCE_MM / math.sqrt(2.0)
-        return Track(
-            self._index,
-            capture.captured_s,
-            flag_bits,
-            seam_tool_mm=seam_tool,
-            sigma_y_mm=noise_mm,
-            sigma_z_mm=noise_mm,
-            offset_y_mm=y_mm,
-            offset_z_mm=z_mm,
-            offset_sigma_y_mm=sigma_y_mm,
-            offset_sigma_z_mm=sigma_z_mm,
-            offset_confidence=math.erf(within / sigma_y_mm) * math.erf(within / sigma_z_mm),
-            valid_at_s=capture.captured_s,
-        )
+        messages = self.controller.on_track(track, now_s, pose.T_base_tool, 1000.0 * COMPUTED_S)
+        self._send(messages)
+        if self.on_track is not None:
+            self.on_track(track, messages)
 
     def _poll(self) -> None:
         if self.is_running:

@@ -10,6 +10,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from noise_model.arrays import Float64
+from noise_model.surface.joint import corrugation_height
 from robot_io.poses.nominal_path import NominalPath
 
 
@@ -39,6 +40,11 @@ class World:
         How far before the torch the stripe meets the seam, mm.
     noise_mm : float
         1 sigma of a measurement of the seam, mm.
+    length_mm : float
+        How long the nominal seam is, mm.
+    corrugation : tuple (3,)
+        Height, width and pitch of ridges across the seam, mm, as `noise_model.surface.joint.Section` has
+        them. The programmed path goes over them.
     """
 
     start_base_mm: tuple[float, float, float]
@@ -55,6 +61,7 @@ class World:
     look_ahead_mm: float = 35.0
     noise_mm: float = 0.03
     length_mm: float = 400.0
+    corrugation: tuple[float, float, float] = (0.0, 0.0, 0.0)
 
     @cached_property
     def path(self) -> NominalPath:
@@ -74,6 +81,19 @@ class World:
             self.displaced_mm[0] + self.slope[0] * station_mm + bend_mm,
             self.displaced_mm[1] + self.slope[1] * station_mm,
         )
+
+    def seam_slope(self, station_mm: float) -> tuple[float, float]:
+        """Return by how much (y, z) the true seam leaves the nominal one at a station, mm per mm."""
+        wave_number = 2.0 * math.pi / self.bend_length_mm
+        bend_slope = self.bend_mm * wave_number * math.cos(wave_number * station_mm)
+        return self.slope[0] + bend_slope, self.slope[1]
+
+    def ridge_mm(self, station_mm: float) -> float:
+        """Return how high the ridges, and the programmed path over them, are at a station, mm."""
+        if self.corrugation[0] == 0.0:
+            return 0.0
+        x_mm = self.start_base_mm[0] + station_mm
+        return float(corrugation_height(np.array(x_mm), np.array(self.corrugation)))
 
 
 def draw_world(rng: np.random.Generator) -> World:

@@ -79,10 +79,10 @@ def test_what_must_hold_can_fail():
     assert line.startswith("not VALID again at the end: {<Validity.REFUSED: 2>: ")
 
     def moves_part(cell, rng):
-        # The part goes on after the last that anyone sees of it.
+        # The part goes on after the last that anyone tells of it.
         def end():
             later = replace(cell.world, displaced_mm=(9.0, 9.0))
-            cell.scheduler.at(cell.scheduler.now_s + 1.5, lambda: setattr(cell, "world", later))
+            cell.scheduler.at(cell.scheduler.now_s + 1.57, lambda: setattr(cell, "world", later))
 
         return end
 

@@ -1,0 +1,149 @@
+"""A rendered camera: what the sensor sees from where the tool truly is, and the real tracker behind it."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from arctrack.cell.eye import Capture, Shown
+from arctrack.cell.robot import Robot
+from noise_model.arc.map import make_scene
+from noise_model.arrays import Integers
+from noise_model.condition import Condition
+from noise_model.effects import checked
+from noise_model.forward import Renderer, draw_frame
+from noise_model.plan.noise import expected_speckle
+from noise_model.setup import Setup
+from noise_model.surface.joint import BentSeam, Seam, SeamLine
+from robot_io import PoseAt, PoseStatus, Switch
+from tracker.seam.innovation import SeamMeasured
+from tracker.seam.locate import seam_displacement
+from tracker.state import Frame, Pose, Track
+from tracker.tracker import Tracker
+
+
+@dataclass
+class RenderedEye:
+    """Draws each frame by the forward model, and tracks it as a live tracker would.
+
+    The tool stands still during an exposure. The tracker knows the setup alone: where the seam truly is, and
+    what is truly there beside the setup, it does not.
+
+    Parameters
+    ----------
+    robot : Robot
+        At whose tool it is. The nominal seam of its world is that of the setup.
+    setup : Setup
+        What the tracker knows. Without `laser_speckle` the laser speckles as its optics say.
+    true_setup : Setup
+        What is truly there.
+    rng : numpy.random.Generator
+        Its noise.
+
+    Attributes
+    ----------
+    arc_level : callable or None
+        The arc's output over its nominal one by the time, s; None burns as the robot's status says.
+    retouch : callable or None
+        Changes a frame that is drawn: image (H, W) and the robot.
+    """
+
+    robot: Robot
+    setup: Setup
+    true_setup: Setup
+    rng: np.random.Generator
+    arc_level: Callable[[float], float] | None = None
+    retouch: Callable[[Integers, Robot], Integers] | None = None
+    part_seed: int = field(init=False)
+
+    def __post_init__(self) -> None:
+        self.part_seed = int(self.rng.integers(2**31))
+        self._renderer = Renderer(1)
+        effects = dict(self.true_setup.effects)
+        effects.setdefault("laser_speckle", expected_speckle(self.setup))
+        joint, missing = self.true_setup.joint, self.true_setup.missing
+        self._true = replace(self.true_setup, effects=checked(effects, joint, missing))
+        self.begin()
+
+    def begin(self) -> None:
+        """Begin to track anew, as a new process does."""
+        self.tracker = Tracker(self.setup)
+
+    def look(self, off_mm: float) -> Shown:
+        """Return the image (H, W), DN, that the camera takes now of a seam so far to the left, mm."""
+        T_base_tool = self.robot.T_base_tool()
+        true = self._true
+        arc_level = self._arc_level()
+        condition = Condition(1.0, arc_level, true.camera.exposure_s, self.robot.now_s)
+        image_dn = draw_frame(
+            true,
+            T_base_tool,
+            condition,
+            self.rng,
+            seam=self._seam(off_mm),
+            renderer=self._renderer,
+            part_seed=self.part_seed,
+        )
+        return image_dn if self.retouch is None else self.retouch(image_dn, self.robot)
+
+    def garbage(self) -> Shown:
+        """Return an image of noise alone."""
+        camera, sensor = self.setup.camera, self.setup.sensor
+        size = (camera.height, camera.width)
+        return self.rng.integers(0, 2**sensor.bits, size).astype(sensor.dtype)
+
+    def track(self, shown: Shown, capture: Capture) -> tuple[Track, SeamMeasured | None]:
+        """Track a frame; of poses that are doubted nothing lasts."""
+        assert shown is not None
+        said = capture.robot
+        frame = Frame(
+            index=capture.index,
+            timestamp_s=capture.captured_s,
+            image_dn=shown,
+            exposure_s=self.setup.camera.exposure_s,
+            current_a=self.setup.arc.current_a,
+            arc_on=said is not None and said.arc is Switch.ON,
+        )
+        before = self.tracker.state
+        pose = Pose(capture.pose.T_base_tool, capture.pose.status is PoseStatus.EXTRAPOLATED)
+        track = self.tracker.step(frame, pose)
+        if not capture.is_trusted:
+            self.tracker.state = before
+        return track, self._measured(track, capture.pose)
+
+    def _measured(self, track: Track, pose: PoseAt) -> SeamMeasured | None:
+        """Return where the seam is beside its path, with its own noise: hand-eye errors move it as one."""
+        if not track.valid:
+            return None
+        scene = make_scene(self.setup, pose.T_base_tool)
+        station_mm, displacement = seam_displacement(
+            self.setup, scene.T_joint_tool, np.array(track.seam_tool_mm)
+        )
+        hand_eye_mm2 = self.tracker.state.steering.hand_eye_variance_mm2
+        sigma_mm = [
+            math.sqrt(max(sigma**2 - hand_eye, 0.0))
+            for sigma, hand_eye in zip((track.sigma_y_mm, track.sigma_z_mm), hand_eye_mm2, strict=True)
+        ]
+        y_mm, z_mm = displacement.tolist()
+        return SeamMeasured(station_mm, (y_mm, z_mm), (sigma_mm[0], sigma_mm[1]))
+
+    def _arc_level(self) -> float:
+        if self.arc_level is not None:
+            return self.arc_level(self.robot.now_s)
+        return 1.0 if self.robot.status.arc is Switch.ON else 0.0
+
+    def _seam(self, off_mm: float) -> Seam:
+        """Return the true seam as it is seen, straight where it is."""
+        world, joint = self.robot.world, self.true_setup.joint
+
+        def line(station_mm: float) -> SeamLine:
+            y_mm, z_mm = world.seam_mm(station_mm)
+            slope_y, slope_z = world.seam_slope(station_mm)
+            return SeamLine(station_mm, y_mm + off_mm, z_mm, slope_y, slope_z)
+
+        T_base_tool = self.robot.T_base_tool()
+        first_mm, last_mm, torch_mm = make_scene(self.true_setup, T_base_tool).stations_mm
+        return BentSeam.along(line, (first_mm, last_mm), torch_mm, joint.has_ridges)
