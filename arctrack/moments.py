@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 
 from arctrack.pose_agreement import PoseAgreement
 from arctrack.recording import FrameRow
@@ -13,6 +13,7 @@ from noise_model.arrays import Float64
 from robot_io import (
     BusMessage,
     Command,
+    GateReason,
     Link,
     MotionState,
     Received,
@@ -24,6 +25,9 @@ from robot_io import (
     WeldingState,
 )
 from tracker.state import Track
+
+PosesVerdict = Callable[[float], GateReason]
+"""Says whether the recording's poses are to be trusted at a time, s; times rise from call to call."""
 
 POLL_S = 0.02
 """So often the controller is asked what is due while a frame's time has not come."""
@@ -37,8 +41,10 @@ class RecordingTime:
     log is whole seconds late.
     """
 
-    def __init__(self, rows: Sequence[FrameRow], link: Link, controller: Controller) -> None:
-        self._link, self._controller = link, controller
+    def __init__(
+        self, rows: Sequence[FrameRow], link: Link, controller: Controller, poses_verdict: PosesVerdict
+    ) -> None:
+        self._link, self._controller, self._poses_verdict = link, controller, poses_verdict
         self._now_s = first_s = min(_exposed_s(row) for row in rows)
         self._log_is_late_s = float(max(0, math.ceil(-first_s)))
         self._hear(assumed_command(rows[0], Command.DISARM))
@@ -51,6 +57,7 @@ class RecordingTime:
         self._now_s = _exposed_s(row)
         self._hear(assumed_robot(row))
         self._hear(assumed_command(row))
+        self._controller.on_poses(self._poses_verdict(self._now_s), self._now_s)
         messages = self._controller.on_track(track, self._now_s, T_base_tool, took_ms)
         self._send(messages)
         return _offset(messages)
@@ -79,15 +86,21 @@ class RecordingTime:
 class RealTime:
     """On a bus beyond this process a frame goes out when its time has come; who sends there is heard.
 
-    The robot is the one that is heard. It must stand where the recording's robot stood. The clock is the
-    recording's, from the first frame on.
+    The robot is the one that is heard. It must stand where the recording's robot stood, and the recording's
+    own poses must be trusted. The clock is the recording's, from the first frame on.
     """
 
     def __init__(
-        self, rows: Sequence[FrameRow], link: Link, controller: Controller, agreement: PoseAgreement
+        self,
+        rows: Sequence[FrameRow],
+        link: Link,
+        controller: Controller,
+        agreement: PoseAgreement,
+        poses_verdict: PosesVerdict,
     ) -> None:
         self._first_s = _exposed_s(rows[0])
-        self._link, self._controller, self._agreement = link, controller, agreement
+        self._link, self._controller = link, controller
+        self._agreement, self._poses_verdict = agreement, poses_verdict
         self._began_s = math.nan
         self._heard = False
 
@@ -142,6 +155,9 @@ class RealTime:
         now_s = self._now_s()
         self._heard |= isinstance(received.message, RobotStatus)
         verdict = self._agreement.verdict(received, now_s)
+        if verdict is GateReason.NONE:
+            # What it is sent rests on the recording's poses.
+            verdict = self._poses_verdict(now_s)
         if verdict is not None:
             self._controller.on_poses(verdict, now_s)
         _send(self._link, self._controller, self._controller.on_message(received, now_s))

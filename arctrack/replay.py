@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 import time
+from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, field, replace
@@ -19,6 +20,7 @@ from arctrack.moments import RealTime, RecordingTime
 from arctrack.output import make_folder
 from arctrack.pose_agreement import PoseAgreement
 from arctrack.printable import printable
+from arctrack.recorded_poses import Doubt, RecordedPoses, seam_measured
 from arctrack.recording import BadFrame, FrameRow, Recording, Truth, read_truth
 from arctrack.recording.results import (
     BUS_LOG,
@@ -42,8 +44,10 @@ from robot_io import (
     Trusted,
     Verdict,
 )
+from robot_io.poses.plausibility import Implausibility
 from tracker import flags
 from tracker.measure import Reading
+from tracker.seam.innovation import SeamMeasured
 from tracker.state import NAN, Frame, Pose, Track
 from tracker.warm_up import OnCompiled, WarmUp
 
@@ -112,7 +116,7 @@ class Step:
     """One row of frames.csv after the tracker saw it; `took_ms` is NaN where there was no frame to step.
 
     `pose` is None where it was refused or there was no frame; `reading` is the look that the track rests on,
-    None where none was taken.
+    None where none was taken. `seam` is where the pose puts what was seen, None where nothing was.
     """
 
     row: FrameRow
@@ -121,6 +125,7 @@ class Step:
     track: Track
     reading: Reading | None
     took_ms: float
+    seam: SeamMeasured | None
 
 
 def replay_recording(
@@ -194,6 +199,7 @@ def _replay(
     interface, channel = parse_bus(options.bus)
     tracks: list[Track] = []
     compute_ms: list[float] = []
+    doubts: list[Doubt | None] = []
     bad_frames: list[BadFrame] = []
     started_s = time.monotonic()
     with ExitStack() as opened:
@@ -209,19 +215,22 @@ def _replay(
             recording.setup.joint.type,
             options.limits,
             recording.correction,
-            poses_proven=interface != "virtual",
+            poses_proven=True,
         )
         controller = Controller(job, Source.REPLAY)
-        moments: RecordingTime | RealTime = RecordingTime(recording.rows, link, controller)
+        poses = RecordedPoses(recording)
+        moments: RecordingTime | RealTime = RecordingTime(recording.rows, link, controller, poses.verdict)
         if interface != "virtual":
             agreement = PoseAgreement(recording.pose_buffer())
-            moments = RealTime(recording.rows, link, controller, agreement)
+            moments = RealTime(recording.rows, link, controller, agreement, poses.verdict)
         # However it ends, the robot hears that nothing holds any longer.
         opened.callback(moments.close)
         for step in _steps(recording, options.use_arc_map):
             T_base_tool = None if step.pose is None else step.pose.T_base_tool
+            poses.see(step.seam)
             offset = moments.publish(step.row, step.track, T_base_tool, step.took_ms)
-            results.write(step.track, offset, step.took_ms)
+            results.write(step.track, offset, step.took_ms, poses.doubt)
+            doubts.append(poses.doubt)
             if seen is not None:
                 seen.add(Seen(step.pose, step.track, step.reading, offset, step.took_ms))
             tracks.append(replace(step.track, stripe=None))
@@ -234,9 +243,24 @@ def _replay(
         _summary(recording, truth, options.use_arc_map, tracks, compute_ms, time.monotonic() - started_s),
         offsets={verdict.value: controller.verdicts[verdict] for verdict in Verdict},
         refusals={reason.name.lower(): count for reason, count in sorted(controller.reasons.items())},
+        pose_doubts=Counter(doubt.name.lower() for doubt in doubts if doubt is not None),
+        heard_robot_status=poses.hears_robot,
     )
     summary.write(folder)
-    return Replay(recording, folder, summary, tuple(tracks), tuple(bad_frames), moments.warnings, warm_up)
+    warnings = (*moments.warnings, *_pose_warnings(recording, doubts))
+    return Replay(recording, folder, summary, tuple(tracks), tuple(bad_frames), warnings, warm_up)
+
+
+def _pose_warnings(recording: Recording, doubts: Sequence[Doubt | None]) -> Iterator[str]:
+    """Yield a line for each doubt of the poses; that they have yet to show enough is none."""
+    for doubt in dict.fromkeys(doubts):
+        if doubt is None or doubt is Implausibility.UNPROVEN:
+            continue
+        count, first = doubts.count(doubt), recording.rows[doubts.index(doubt)].index
+        yield (
+            f"{recording.poses.path.name}: {doubt.value}: no offset is sent for {count} frames, "
+            f"the first is {first}"
+        )
 
 
 def track_alone(
@@ -280,13 +304,15 @@ def _steps(recording: Recording, use_arc_map: bool) -> Iterator[Step]:
     for row, frame in zip(recording.rows, recording.frames(), strict=True):
         if isinstance(frame, BadFrame):
             raised = flags.FRAME_UNREADABLE.mask | tracker.state.lasting_flags
-            yield Step(row, frame, None, Track(row.index, row.timestamp_s, raised), None, NAN)
+            yield Step(row, frame, None, Track(row.index, row.timestamp_s, raised), None, NAN, None)
             continue
         pose = recording.pose_at(poses, frame.timestamp_s)
         began_ns = time.perf_counter_ns()
         track = tracker.step(frame, pose)
         took_ms = (time.perf_counter_ns() - began_ns) / 1e6
-        yield Step(row, frame, pose, track, tracker.reading, took_ms)
+        of_hand_eye = tracker.state.steering.hand_eye_variance_mm2
+        seam = seam_measured(recording.setup, track, pose, of_hand_eye)
+        yield Step(row, frame, pose, track, tracker.reading, took_ms, seam)
 
 
 def _summary(

@@ -9,6 +9,7 @@ from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import asdict, dataclass, field
+from enum import Enum
 from pathlib import Path
 from types import TracebackType
 from typing import Any, Self
@@ -69,6 +70,7 @@ COLUMNS = (
     "plate_right_sigma_deg",
     "area_mm2",
     "area_sigma_mm2",
+    "pose_doubt",
 )
 """The format's own columns, then arctrack's."""
 
@@ -86,8 +88,10 @@ class ResultsWriter:
         self._writer = csv.writer(self._file, lineterminator="\n")
         self._append(COLUMNS)
 
-    def write(self, track: Track, offset: SeamOffset, compute_ms: float = NAN) -> None:
-        """Append a frame's row: its track and the offset that went to the bus."""
+    def write(
+        self, track: Track, offset: SeamOffset, compute_ms: float = NAN, pose_doubt: Enum | None = None
+    ) -> None:
+        """Append a frame's row: track, offset as it went to the bus, and why poses were not trusted."""
         lengths_mm = (
             *track.seam_tool_mm,
             track.sigma_y_mm,
@@ -109,6 +113,7 @@ class ResultsWriter:
                 _text(track.map_misfit, 4),
                 _text(compute_ms, 3),
                 *(_text(value, 5) for value in _section_values(track)),
+                "" if pose_doubt is None else pose_doubt.name.lower(),
             )
         )
 
@@ -155,7 +160,9 @@ class Summary:
     """A whole replay in numbers.
 
     `offsets` counts what the gate did by verdict, `refusals` what it did not let through by reason.
-    `joint_ends_mm` is station and 1 sigma of the joint's start and end, where they were found.
+    `joint_ends_mm` is station and 1 sigma of the joint's start and end, where they were found. `pose_doubts`
+    counts the frames at which poses were not trusted, by doubt; `heard_robot_status` says whether a
+    RobotStatus was recorded, without which fewer doubts can arise.
     """
 
     recording: str
@@ -170,6 +177,8 @@ class Summary:
     latency_ms: Latency
     score: Score | None
     joint_ends_mm: Mapping[str, tuple[float, float]] = field(default_factory=dict)
+    pose_doubts: Mapping[str, int] = field(default_factory=dict)
+    heard_robot_status: bool = False
 
     def __str__(self) -> str:
         error = ""
@@ -192,6 +201,7 @@ class Summary:
             },
             "flags": dict(self.flags),
             "offsets": {**self.offsets, "reasons": dict(self.refusals)},
+            "poses": {"robot_status": self.heard_robot_status, "doubts": dict(self.pose_doubts)},
             "rate_hz": {"recorded": self.recorded_rate_hz, "replayed": self.replayed_rate_hz},
             "latency_ms": asdict(self.latency_ms),
         }

@@ -2,6 +2,12 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from noise_model.arrays import Float64
 from robot_io import (
     Command,
     GateReason,
@@ -41,6 +47,8 @@ class PoseWatch:
         What the comparison of clocks rests on.
     status_age_s : float
         How old a RobotStatus may be to say how the robot moves, s.
+    T_controllertool_tool : array (4, 4), optional
+        The tool in the tool frame of the controller that sends the poses, mm; by default they are one.
     """
 
     def __init__(
@@ -50,10 +58,13 @@ class PoseWatch:
         seam_limits: InnovationLimits,
         sync_limits: SyncLimits,
         status_age_s: float,
+        T_controllertool_tool: Float64 | None = None,
     ) -> None:
         self._path, self._limits = path, limits
         self._seam_limits, self._sync_limits = seam_limits, sync_limits
         self._status_age_s = status_age_s
+        is_same = T_controllertool_tool is None or np.array_equal(T_controllertool_tool, np.eye(4))
+        self._T_controllertool_tool = None if is_same else T_controllertool_tool
         self._assembler = PoseAssembler()
         self._robot: tuple[RobotStatus, float] | None = None
         self._programmed: PoseSample | None = None
@@ -89,16 +100,22 @@ class PoseWatch:
         sample = self._assembler.push(received)
         if sample is None:
             return None
-        sample = _at(sample, came_at_s - (received.timestamp_s - sample.timestamp_s))
+        sample = replace(sample, timestamp_s=came_at_s - (received.timestamp_s - sample.timestamp_s))
+        if self._T_controllertool_tool is not None:
+            sample = _of_tool(sample, self._T_controllertool_tool)
         if sample.kind is PoseKind.PROGRAMMED:
             self._programmed = sample
             return None
+        self.take(sample, came_at_s)
+        return sample
+
+    def take(self, sample: PoseSample, came_at_s: float) -> None:
+        """Take a sample of where the tool is, which came at a time, s."""
         robot = self._robot
         is_fresh = robot is not None and abs(came_at_s - robot[1]) <= self._status_age_s
         status = robot[0] if robot is not None and is_fresh else None
         seen = PoseSeen(sample, status, self._programmed, self._seam.motion is SeamMotion.CONTRADICTED)
         self._poses = update(self._poses, seen, self._limits, self._path)
-        return sample
 
     def see(self, seam: SeamMeasured) -> None:
         """Take a measurement of the seam, as the pose at its capture puts it."""
@@ -116,7 +133,9 @@ class PoseWatch:
         return GateReason.NONE if self.doubt(now_s) is None else GateReason.POSE_IMPLAUSIBLE
 
 
-def _at(sample: PoseSample, timestamp_s: float) -> PoseSample:
-    return PoseSample(
-        timestamp_s, sample.position_base_mm, sample.quaternion_xyzw, sample.kind, sample.sample_age_s
-    )
+def _of_tool(sample: PoseSample, T_controllertool_tool: Float64) -> PoseSample:
+    """Return where the tool is, from a sample of where the controller has its own tool frame."""
+    turn = Rotation.from_quat(sample.quaternion_xyzw)
+    x, y, z = (np.array(sample.position_base_mm) + turn.apply(T_controllertool_tool[:3, 3])).tolist()
+    qx, qy, qz, qw = (turn * Rotation.from_matrix(T_controllertool_tool[:3, :3])).as_quat().tolist()
+    return replace(sample, position_base_mm=(x, y, z), quaternion_xyzw=(qx, qy, qz, qw))

@@ -19,7 +19,7 @@ from can.interfaces.virtual import VirtualBus
 
 from arctrack import moments
 from arctrack.errors import ArctrackError
-from arctrack.moments import RealTime, RecordingTime, assumed_command, assumed_robot
+from arctrack.moments import PosesVerdict, RealTime, RecordingTime, assumed_command, assumed_robot
 from arctrack.pose_agreement import PoseAgreement
 from arctrack.recording import FrameRow, read_recording
 from arctrack.replay import HEARD, ReplayOptions, replay_recording
@@ -51,8 +51,8 @@ from robot_io import (
     Trusted,
     Validity,
     Verdict,
-    link,
 )
+from robot_io.link import link
 from tracker.state import Frame, Pose, Track
 from tracker.tracker import Tracker
 from tracker.warm_up import WarmUp
@@ -118,6 +118,10 @@ STILL.push_all(0.01 * np.arange(1000), np.tile(np.eye(4), (1000, 1, 1)))
 JOB = Job("v_groove", poses_proven=True)
 
 
+def trusted(_now_s: float) -> GateReason:
+    return GateReason.NONE
+
+
 class Robot:
     """A live robot on a bus, which says what a good one says."""
 
@@ -135,10 +139,12 @@ class Robot:
             self.link.send(RobotPoseRotation.from_quaternion((0.0, 0.0, 0.0, 1.0), 0.0), now_s)
 
 
-def replaying(channel: str, rows: list[FrameRow] = ROWS) -> tuple[Link, Controller, RealTime]:
+def replaying(
+    channel: str, rows: list[FrameRow] = ROWS, poses_verdict: PosesVerdict = trusted
+) -> tuple[Link, Controller, RealTime]:
     link = Link("virtual", channel, source=Source.REPLAY, trusted=HEARD)
     controller = Controller(JOB, Source.REPLAY)
-    return link, controller, RealTime(rows, link, controller, PoseAgreement(STILL))
+    return link, controller, RealTime(rows, link, controller, PoseAgreement(STILL), poses_verdict)
 
 
 def offsets_of(received: Iterable[Received]) -> list[SeamOffset]:
@@ -257,6 +263,17 @@ def test_the_robot_must_stand_where_the_recordings_robot_stood(
     assert controller.reasons == Counter({reason: 1} if reason is not GateReason.NONE else {})
 
 
+def test_a_robot_is_sent_nothing_that_rests_on_poses_in_doubt(clock: Clock) -> None:
+    channel = next(CHANNELS)
+    link, controller, real_time = replaying(channel, poses_verdict=lambda _: GateReason.POSE_IMPLAUSIBLE)
+    robot = Robot(channel, clock)
+    with link, robot.link:
+        for command in (Command.DISARM, Command.TRACK):
+            robot.say(command)
+        real_time.publish(ROWS[0], track(ROWS[0]), None, 1.0)
+    assert controller.reasons == Counter({GateReason.POSE_IMPLAUSIBLE: 1})
+
+
 def test_a_robot_that_is_turned_stands_elsewhere() -> None:
     half = math.radians(3.05) / 2.0
     agreement = PoseAgreement(STILL)
@@ -289,7 +306,7 @@ def test_a_robot_that_talks_between_two_frames_is_heard_to_the_end(
                 robot.send(assumed_robot(rows[next(sent) % 2]))
                 time.sleep(0.001)
 
-        real_time = RealTime(rows, tracker, Controller(JOB), PoseAgreement(STILL))
+        real_time = RealTime(rows, tracker, Controller(JOB), PoseAgreement(STILL), trusted)
         real_time.publish(rows[0], track(rows[0]), None, 1.0)
         talking = threading.Thread(target=talk)
         talking.start()
@@ -368,7 +385,7 @@ def test_a_replay_onto_a_bus_beyond_it_listens(
 def recording_time() -> tuple[Link, Controller, RecordingTime]:
     link = Link("virtual", next(CHANNELS), source=Source.REPLAY)
     controller = Controller(Job("v_groove"), Source.REPLAY)
-    return link, controller, RecordingTime(ROWS, link, controller)
+    return link, controller, RecordingTime(ROWS, link, controller, trusted)
 
 
 def test_nobody_listens_to_virtual() -> None:
