@@ -26,9 +26,10 @@ from tracker.joint import MeasuredJoint, fit_closed_joint, fit_joint
 from tracker.joint.evidence import MIN_EVIDENCE_NATS
 from tracker.joint.image_line import read_image_line
 from tracker.joint.type_check import is_another_type
-from tracker.profile import Profile, sheet_lines, triangulate
+from tracker.profile import Profile, edge_lines, triangulate
 from tracker.seam.locate import locate, sources
 from tracker.state import Frame, Pose, Stripe
+from tracker.stripe.askew import askew_sigma_px
 from tracker.stripe.detection import (
     MIN_RATIO,
     MIN_SEEN,
@@ -213,9 +214,11 @@ def profile_of(
 ) -> Profile:
     """Return a stripe's profile, whose seam is looked for within the look's reach and a little beyond."""
     setup, stripe = geometry.setup, look.stripe
-    light = look.light(setup.camera.psf_sigma_px, sheet_lines(geometry, scene, seam_height_mm(setup.joint)))
-    position_px = stripe.position_px - expected.bias_px
-    profile = triangulate(geometry, scene, position_px, stripe.sigma_px, stripe.beside_px)
+    lines_over = edge_lines(geometry, scene, seam_height_mm(setup.joint))
+    light = look.light(setup.camera.psf_sigma_px, lines_over.stated)
+    askew_px = askew_sigma_px(stripe.amplitude_e, light.width_px, light.contrast, lines_over.possible)
+    sigma_px, beside_px = (np.hypot(sigma, askew_px) for sigma in (stripe.sigma_px, stripe.beside_px))
+    profile = triangulate(geometry, scene, stripe.position_px - expected.bias_px, sigma_px, beside_px)
     mixed_mm = profile.column_mm * (clear_of_an_edge(light) - 1)
     lines = profile.scan.astype(np.int64)
     by_line = frame.image_dn.T if geometry.along_rows else frame.image_dn

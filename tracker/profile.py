@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 
@@ -19,6 +20,9 @@ from tracker.stripe.edge import StripeLight
 
 MIN_POINTS = 20
 """A profile of fewer points shows no joint."""
+
+SLOPE_SIGMA = 0.05
+"""1 sigma of a seam's slope against the line on which it is expected."""
 
 
 @dataclass(frozen=True)
@@ -115,18 +119,30 @@ def triangulate(
     return Profile(y, z, dy, dz, sigma, scan, column, beside_px[scan.astype(np.int64)])
 
 
-def sheet_lines(geometry: SensorGeometry, scene: Scene, z_mm: float) -> float:
+class EdgeLines(NamedTuple):
+    """Over how many scan lines an edge along the seam crosses the sheet's 1 sigma.
+
+    `stated` as the seam is expected to run, `possible` with how well its direction is known.
+    """
+
+    stated: float
+    possible: float
+
+
+def edge_lines(geometry: SensorGeometry, scene: Scene, z_mm: float) -> EdgeLines:
     """Return over how many scan lines the sheet's 1 sigma spreads an edge along the seam, at a height.
 
     Seen from beside its plane, a sheet as thick as it is meets the edge in one line before its middle and in
-    another behind.
+    another behind. So it does where the seam runs askew to the sheet.
     """
     camera, laser = geometry.setup.camera, geometry.setup.laser
     nx, _, nz, d = plane_in(scene.T_joint_tool, laser.plane)
     x, along = -(nz * z_mm + d) / nx, laser.stripe_sigma_mm / nx
-    edge = np.array([[x - along, 0.0, z_mm], [x + along, 0.0, z_mm]])
-    lines = geometry.scan_points(camera.project(transform(invert(scene.T_joint_camera), edge)))[:, 0]
-    return 0.5 * abs(float(lines[1] - lines[0]))
+    aside = SLOPE_SIGMA * along
+    edges = np.array([[x - along, 0.0, z_mm], [x + along, 0.0, z_mm], [x, -aside, z_mm], [x, aside, z_mm]])
+    lines = geometry.scan_points(camera.project(transform(invert(scene.T_joint_camera), edges)))[:, 0]
+    stated, turned = 0.5 * abs(float(lines[1] - lines[0])), 0.5 * abs(float(lines[3] - lines[2]))
+    return EdgeLines(stated, math.hypot(stated, turned))
 
 
 @kernel(allocates=True)
