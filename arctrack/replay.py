@@ -32,7 +32,8 @@ from arctrack.recording.results import (
 )
 from arctrack.recording.score import score
 from arctrack.report.replay.seen import Seen, SeenFile
-from arctrack.service.controller import Controller, Job
+from arctrack.service.controller import Controller
+from arctrack.service.job import Job
 from arctrack.tracking import tracker_of
 from robot_io import (
     SOURCES,

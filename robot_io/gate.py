@@ -106,6 +106,15 @@ class LastSent:
     measured_y_mm: float = math.nan
     measured_z_mm: float = math.nan
 
+    def set_back(self, back_s: float) -> LastSent:
+        """Return the same by a clock that was set back, s."""
+        return replace(
+            self,
+            captured_at_s=self.captured_at_s - back_s,
+            captured_y_at_s=self.captured_y_at_s - back_s,
+            captured_z_at_s=self.captured_z_at_s - back_s,
+        )
+
 
 @dataclass(frozen=True)
 class Decision:

@@ -17,7 +17,7 @@ from arctrack.cell.robot_party import RobotParty
 from arctrack.cell.scheduler import Scheduler
 from arctrack.cell.tracker_party import FRAME_PERIOD_S, TrackerParty
 from arctrack.cell.world import World
-from arctrack.service.controller import Job
+from arctrack.service.job import Job
 from robot_io import (
     BusMessage,
     Command,

@@ -14,7 +14,8 @@ from arctrack.cell.eye import Capture, Eye, Shown
 from arctrack.cell.robot import Robot
 from arctrack.cell.robot_party import SOURCE, as_message
 from arctrack.cell.scheduler import Scheduler
-from arctrack.service.controller import Controller, Job
+from arctrack.service.controller import Controller
+from arctrack.service.job import Job
 from arctrack.service.policy import ServicePolicy
 from arctrack.service.pose_watch import PoseWatch
 from robot_io import (

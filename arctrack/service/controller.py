@@ -9,10 +9,13 @@ from __future__ import annotations
 
 import math
 from collections import Counter
-from dataclasses import dataclass, field, replace
-from typing import Generic, TypeVar
+from collections.abc import Mapping
 
 from arctrack.service import track_messages
+from arctrack.service.beat import Beat
+from arctrack.service.heard import Heard, fresh
+from arctrack.service.job import NO_JOB, Job
+from arctrack.service.part import PartWatch
 from arctrack.service.policy import ServicePolicy
 from arctrack.service.track_messages import NO_TRACK, UNKNOWN_POINT, has
 from noise_model.arrays import Float64
@@ -20,9 +23,7 @@ from robot_io import (
     BusMessage,
     Command,
     Conditions,
-    DbcVersion,
     Fault,
-    GateLimits,
     GateReason,
     JointType,
     LaserState,
@@ -40,54 +41,17 @@ from robot_io import (
     TrackerSyncEcho,
     Validity,
     Verdict,
-    cycle_time_s,
-    dbc_version,
     decide,
     forbidden_by,
     message_layout,
 )
 from tracker import flags
-from tracker.seam.correction import UNSTATED, Correction
 from tracker.state import NAN, Track
-
-M = TypeVar("M", bound=BusMessage)
 
 ARMING = (Command.ARM, Command.TRACK, Command.SEARCH, Command.HOLD)
 """The commands under which offsets may go out."""
 
 _REFUSED = SeamOffset(NAN, NAN, NAN, NAN, Validity.REFUSED)
-_ROLLING = 256
-
-
-@dataclass(frozen=True)
-class Job:
-    """What is tracked, and how.
-
-    Parameters
-    ----------
-    joint_type : str
-        The joint's type, which the seam geometry states.
-    limits : GateLimits
-        What an offset must keep to.
-    correction : Correction
-        Which axes are corrected.
-    offsets_in_search : bool
-        Whether offsets go out while the robot commands SEARCH.
-    poses_proven : bool
-        Whether nothing goes out before `on_poses` said that the poses are to be trusted, and again and again.
-    """
-
-    joint_type: str
-    limits: GateLimits = field(default_factory=GateLimits)
-    correction: Correction = UNSTATED
-    offsets_in_search: bool = False
-    poses_proven: bool = False
-
-
-@dataclass(frozen=True)
-class _Heard(Generic[M]):
-    message: M
-    came_at_s: float
 
 
 class Controller:
@@ -100,8 +64,9 @@ class Controller:
 
     Parameters
     ----------
-    job : Job
-        What is tracked, and how.
+    job : Job or mapping of int to Job
+        What is tracked, and how; or jobs by the number by which `TrackerCommand` names them. A number that
+        none of them has is refused.
     source : Source
         Where frames and poses come from. Frames are protected by whoever sends the messages.
     policy : ServicePolicy
@@ -115,15 +80,20 @@ class Controller:
         Why they were held or refused.
     """
 
-    def __init__(self, job: Job, source: Source = Source.LIVE, policy: ServicePolicy | None = None) -> None:
+    def __init__(
+        self,
+        job: Job | Mapping[int, Job],
+        source: Source = Source.LIVE,
+        policy: ServicePolicy | None = None,
+    ) -> None:
         self.verdicts: Counter[Verdict] = Counter()
         self.reasons: Counter[GateReason] = Counter()
-        self._job = job
-        self._joint = JointType[job.joint_type.upper()]
+        self._jobs = job
+        self._part = PartWatch()
         self._source = source
         self._policy = policy or ServicePolicy()
-        self._robot: _Heard[RobotStatus] | None = None
-        self._command: _Heard[TrackerCommand] | None = None
+        self._robot: Heard[RobotStatus] | None = None
+        self._command: Heard[TrackerCommand] | None = None
         self._poses_doubt, self._poses_at_s = GateReason.POSE_IMPLAUSIBLE, NAN
         self._laser = LaserState.UNKNOWN
         self._fault = Fault.NONE
@@ -137,8 +107,15 @@ class Controller:
         self._offset = _REFUSED
         self._refused_at_s, self._is_refusal_owed = NAN, False
         self._state = TrackerState.STARTING
-        self._due_at_s = {DbcVersion: NAN, TrackerHeartbeat: NAN}
-        self._rolling = 0
+        self._beat = Beat(source)
+
+    @property
+    def job(self) -> Job:
+        """The job that the robot names; `NO_JOB` while it names none that there is."""
+        if isinstance(self._jobs, Job):
+            return self._jobs
+        number = None if self._command is None else self._command.message.job_number
+        return NO_JOB if number is None else self._jobs.get(number, NO_JOB)
 
     @property
     def state(self) -> TrackerState:
@@ -180,7 +157,7 @@ class Controller:
         if message_layout(type(message).__name__).senders == ["TRACKER"]:
             self._fault = Fault.OTHER_TRACKER
         elif isinstance(message, RobotStatus):
-            self._robot = _Heard(message, came_at_s)
+            self._robot = Heard(message, came_at_s)
         elif isinstance(message, TrackerCommand):
             self._obey(message, came_at_s, now_s)
         elif isinstance(message, RobotSync):
@@ -221,11 +198,12 @@ class Controller:
         """
         self._follow_clock(now_s)
         self._track, self._track_at_s = track, now_s
+        self._judge_part(track, T_base_tool, now_s)
         conditions = self._conditions(track, now_s)
         decision = decide(
             track_messages.proposal(track, self._zero_mm),
             conditions,
-            self._job.limits,
+            self.job.limits,
             self._last_sent,
             now_s,
         )
@@ -239,7 +217,7 @@ class Controller:
             *self._due(now_s),
             decision.message,
             track_messages.seam_point(track, T_base_tool),
-            track_messages.geometry(track, self._joint),
+            track_messages.geometry(track, JointType[self.job.joint_type.upper()]),
             track_messages.status(track, self._state, decision.reason, conditions.robot is None, latency_ms),
         ]
 
@@ -250,7 +228,7 @@ class Controller:
             # It begins, or the clock was set back: from now on a camera has its time.
             self._track_at_s = now_s
         is_camera_stopped = now_s - self._track_at_s > self._policy.camera_timeout_s
-        reason = forbidden_by(self._conditions(self._track, now_s, is_camera_stopped), self._job.limits)
+        reason = forbidden_by(self._conditions(self._track, now_s, is_camera_stopped), self.job.limits)
         refused = self._offset.validity is Validity.REFUSED
         is_repeated = is_camera_stopped and self._is_due(self._refused_at_s, now_s)
         is_told = refused and not (is_repeated or self._is_refusal_owed)
@@ -271,7 +249,7 @@ class Controller:
     def close(self, now_s: float) -> list[BusMessage]:
         """Return the last messages, REFUSED first; nothing is VALID any more."""
         self._closed = True
-        self._due_at_s[TrackerHeartbeat] = NAN
+        self._beat.hurry()
         return [*self._refuse(GateReason.SHUTTING_DOWN, now_s), *self._due(now_s)]
 
     def _follow_clock(self, now_s: float) -> None:
@@ -279,8 +257,8 @@ class Controller:
         back_s = self._now_s - now_s
         if 0.0 < back_s < math.inf:
             # Else, once the clock is there again, it would pass for new.
-            self._last_sent = _set_back(self._last_sent, back_s)
-            self._sent_before = _set_back(self._sent_before, back_s)
+            self._last_sent = self._last_sent.set_back(back_s)
+            self._sent_before = self._sent_before.set_back(back_s)
         self._now_s = now_s
 
     def _refuse(self, reason: GateReason, now_s: float) -> list[BusMessage]:
@@ -305,19 +283,24 @@ class Controller:
         fault = GateReason.NONE
         if self._closed:
             fault = GateReason.SHUTTING_DOWN
-        elif self._fault is Fault.OTHER_TRACKER:
-            fault = GateReason.OTHER_TRACKER
+        elif self._fault is not Fault.NONE:
+            is_other = self._fault is Fault.OTHER_TRACKER
+            fault = GateReason.OTHER_TRACKER if is_other else GateReason.PART_REFUSED
         elif heard is not None and self._fresh_command(now_s) is None:
             fault = GateReason.HEARTBEAT_LOST
+        elif command is not None and self.job is NO_JOB:
+            fault = GateReason.JOB_UNKNOWN
         doubt = GateReason.NONE
         if is_camera_stopped:
             doubt = GateReason.CAMERA_STOPPED
-        elif command is not None and command.command is Command.SEARCH and not self._job.offsets_in_search:
+        elif command is not None and command.command is Command.SEARCH and not self.job.offsets_in_search:
             doubt = GateReason.SEARCH_ONLY
-        elif self._job.poses_proven:
+        elif not self._part.is_fit(self.job):
+            doubt = GateReason.PART_REFUSED
+        elif self.job.poses_proven:
             is_fresh = 0.0 <= now_s - self._poses_at_s <= self._policy.poses_age_s
             doubt = self._poses_doubt if is_fresh else GateReason.POSE_IMPLAUSIBLE
-        enable_y, enable_z = self._job.correction.enabled
+        enable_y, enable_z = self.job.correction.enabled
         return Conditions(
             # A tracker that has stopped following is not to be held to its last offset: it refuses at once.
             armed=self._is_armed(command, track),
@@ -328,6 +311,14 @@ class Controller:
             doubt=doubt,
             hold=command is not None and command.command is Command.HOLD,
         )
+
+    def _judge_part(self, track: Track, T_base_tool: Float64 | None, now_s: float) -> None:
+        command, robot = self._fresh_command(now_s), self._fresh_robot(now_s)
+        if command is None or command.command not in ARMING:
+            return
+        fault = self._part.look(track, T_base_tool, self.job, robot is not None and robot.arc is Switch.OFF)
+        if self._fault is Fault.NONE:
+            self._fault = fault
 
     def _is_armed(self, command: TrackerCommand | None, track: Track) -> bool:
         return (
@@ -354,12 +345,15 @@ class Controller:
 
     def _obey(self, command: TrackerCommand, came_at_s: float, now_s: float) -> None:
         before = self._command
-        self._command = _Heard(command, came_at_s)
+        self._command = Heard(command, came_at_s)
         if before is not None and before.message.job_number != command.job_number:
             # Another job's nought, and another job's seam.
             self._zero_mm, self._last_sent = (0.0, 0.0), LastSent()
+            self._part.begin()
         if command.command not in ARMING:
             self._was_disarmed, self._last_sent = True, LastSent()
+            if command.command is not Command.STORE_ZERO:
+                self._part.begin()
         if before is not None and before.message.request_number == command.request_number:
             return
         self._request_number, self._request_result = command.request_number, RequestResult.NONE
@@ -369,37 +363,26 @@ class Controller:
         elif command.command is Command.STORE_ZERO:
             # Whether the first request after the start is a new one, nobody knows.
             zero_mm = track_messages.displacement(
-                self._track, self._job.limits, self._job.correction.enabled, now_s
+                self._track, self.job.limits, self.job.correction.enabled, now_s
             )
             self._request_result = RequestResult.REFUSED
             if before is not None and zero_mm is not None:
                 self._zero_mm, self._request_result = zero_mm, RequestResult.DONE
 
     def _fresh_robot(self, now_s: float) -> RobotStatus | None:
-        return _fresh(self._robot, now_s, self._policy.status_age_s)
+        return fresh(self._robot, now_s, self._policy.status_age_s)
 
     def _fresh_command(self, now_s: float) -> TrackerCommand | None:
-        return _fresh(self._command, now_s, self._policy.command_age_s)
+        return fresh(self._command, now_s, self._policy.command_age_s)
 
     def _due(self, now_s: float) -> list[BusMessage]:
         """Return version and heartbeat where their time has come."""
-        due: list[BusMessage] = []
-        for kind, due_at_s in self._due_at_s.items():
-            cycle_s = cycle_time_s(message_layout(kind.__name__))
-            # Written so that it is due at first, and where the clock has run backwards.
-            if 0.0 < due_at_s - now_s <= cycle_s:
-                continue
-            # The beat is kept, but nothing is made up for.
-            on_time = 0.0 <= now_s - due_at_s < cycle_s
-            self._due_at_s[kind] = (due_at_s if on_time else now_s) + cycle_s
-            due.append(dbc_version(self._source) if kind is DbcVersion else self._heartbeat())
-        return due
+        return self._beat.due(self._heartbeat(), now_s)
 
     def _is_due(self, since_s: float, now_s: float) -> bool:
         return not 0.0 <= now_s - since_s < self._policy.repeat_s
 
     def _heartbeat(self) -> TrackerHeartbeat:
-        self._rolling = (self._rolling + 1) % _ROLLING
         job_number = None if self._command is None else self._command.message.job_number
         return TrackerHeartbeat(
             state=self._state,
@@ -409,21 +392,5 @@ class Controller:
             request_number=self._request_number,
             request_result=self._request_result,
             job_number=job_number,
-            rolling=self._rolling,
+            rolling=0,
         )
-
-
-def _set_back(sent: LastSent, back_s: float) -> LastSent:
-    return replace(
-        sent,
-        captured_at_s=sent.captured_at_s - back_s,
-        captured_y_at_s=sent.captured_y_at_s - back_s,
-        captured_z_at_s=sent.captured_z_at_s - back_s,
-    )
-
-
-def _fresh(heard: _Heard[M] | None, now_s: float, max_age_s: float) -> M | None:
-    """Return a message that is not stale; one from as far in the future is stale as well."""
-    if heard is None or not abs(now_s - heard.came_at_s) <= max_age_s:
-        return None
-    return heard.message

@@ -155,6 +155,9 @@ class GateReason(IntEnum):
     SOFT_START = 25
     SEARCH_ONLY = 26
     HOLD_COMMANDED = 27
+    JOB_UNKNOWN = 28
+    PART_REFUSED = 29
+    BUS_DELAYED = 30
     UNKNOWN = 31
 
 
@@ -173,6 +176,11 @@ class Fault(IntEnum):
 
     NONE = 0
     OTHER_TRACKER = 1
+    GAP = 2
+    MISMATCH = 3
+    DEPTH = 4
+    ANGLE = 5
+    BRIDGED_TOO_FAR = 6
     UNKNOWN = 31
 
 

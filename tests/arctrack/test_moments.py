@@ -23,7 +23,8 @@ from arctrack.moments import PosesVerdict, RealTime, RecordingTime, assumed_comm
 from arctrack.pose_agreement import PoseAgreement
 from arctrack.recording import FrameRow, read_recording
 from arctrack.replay import HEARD, ReplayOptions, replay_recording
-from arctrack.service.controller import Controller, Job
+from arctrack.service.controller import Controller
+from arctrack.service.job import Job
 from robot_io import (
     BusLogError,
     BusLogReader,

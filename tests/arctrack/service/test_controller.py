@@ -11,7 +11,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from arctrack.service.controller import ARMING, Controller, Job
+from arctrack.service.controller import ARMING, Controller
+from arctrack.service.job import Job
 from arctrack.service.policy import ServicePolicy
 from robot_io import (
     BusMessage,
@@ -85,6 +86,7 @@ class Cell:
         self.robot_sends = self.robot_commands = self.camera_sends = True
         self.offset_y_mm = 0.0
         self.flag_bits = 0
+        self.gap_mm, self.x_mm, self.sees = math.nan, 0.0, True
         self.sent: list[BusMessage] = []
         self.step()
         self.command = TRACKS
@@ -101,8 +103,12 @@ class Cell:
             self.hear(self.robot)
             self.robot_heard = self.robot
         if self.camera_sends:
-            captured = track(self.now_s - 0.01, self.offset_y_mm, self.flag_bits)
-            self.sent += self.controller.on_track(captured, self.now_s, np.eye(4), 5.0)
+            captured = replace(track(self.now_s - 0.01, self.offset_y_mm, self.flag_bits), gap_mm=self.gap_mm)
+            if not self.sees:
+                captured = replace(captured, seam_tool_mm=(math.nan,) * 3)
+            T_base_tool = np.eye(4)
+            T_base_tool[0, 3] = self.x_mm
+            self.sent += self.controller.on_track(captured, self.now_s, T_base_tool, 5.0)
         self.sent += self.controller.poll(self.now_s)
         return self.offset
 

@@ -15,7 +15,8 @@ from dataclasses import replace
 import can
 import pytest
 
-from arctrack.service.controller import Controller, Job
+from arctrack.service.controller import Controller
+from arctrack.service.job import Job
 from robot_io import (
     SOURCES,
     BusMessage,

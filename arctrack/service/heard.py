@@ -1,0 +1,25 @@
+"""What was heard last, and how long it counts."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Generic, TypeVar
+
+from robot_io import BusMessage
+
+M = TypeVar("M", bound=BusMessage)
+
+
+@dataclass(frozen=True)
+class Heard(Generic[M]):
+    """A message and the time, s, at which it came."""
+
+    message: M
+    came_at_s: float
+
+
+def fresh(heard: Heard[M] | None, now_s: float, max_age_s: float) -> M | None:
+    """Return a message that is not stale; one from as far in the future is stale as well."""
+    if heard is None or not abs(now_s - heard.came_at_s) <= max_age_s:
+        return None
+    return heard.message
