@@ -42,12 +42,18 @@ class RecordingTime:
     """
 
     def __init__(
-        self, rows: Sequence[FrameRow], link: Link, controller: Controller, poses_verdict: PosesVerdict
+        self,
+        rows: Sequence[FrameRow],
+        link: Link,
+        controller: Controller,
+        poses_verdict: PosesVerdict,
+        job_number: int | None = None,
     ) -> None:
         self._link, self._controller, self._poses_verdict = link, controller, poses_verdict
+        self._job_number = job_number
         self._now_s = first_s = min(_exposed_s(row) for row in rows)
         self._log_is_late_s = float(max(0, math.ceil(-first_s)))
-        self._hear(assumed_command(rows[0], Command.DISARM))
+        self._hear(assumed_command(rows[0], Command.DISARM, job_number))
 
     def publish(self, row: FrameRow, track: Track, T_base_tool: Float64 | None, took_ms: float) -> SeamOffset:
         """Send a frame's messages at its end of exposure, and return its offset as it went out.
@@ -56,7 +62,7 @@ class RecordingTime:
         """
         self._now_s = _exposed_s(row)
         self._hear(assumed_robot(row))
-        self._hear(assumed_command(row))
+        self._hear(assumed_command(row, job_number=self._job_number))
         self._controller.on_poses(self._poses_verdict(self._now_s), self._now_s)
         messages = self._controller.on_track(track, self._now_s, T_base_tool, took_ms)
         self._send(messages)
@@ -182,14 +188,16 @@ def assumed_robot(row: FrameRow) -> RobotStatus:
     )
 
 
-def assumed_command(row: FrameRow, command: Command = Command.TRACK) -> TrackerCommand:
+def assumed_command(
+    row: FrameRow, command: Command = Command.TRACK, job_number: int | None = None
+) -> TrackerCommand:
     """Return what the recording's robot wanted: that its seam be tracked, by the laser of a frame."""
     return TrackerCommand(
         command=command,
         enable_y=True,
         enable_z=True,
         request_number=0,
-        job_number=None,
+        job_number=job_number,
         program_number=None,
         laser_enable=Switch.ON if row.laser_on else Switch.OFF,
     )

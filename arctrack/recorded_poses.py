@@ -13,13 +13,12 @@ from arctrack.errors import in_file
 from arctrack.recording import Recording
 from arctrack.recording.poses import LOG_NAMES
 from arctrack.service.policy import ServicePolicy
-from arctrack.service.pose_watch import PoseWatch
+from arctrack.service.pose_watch import PoseWatch, nominal_path
 from noise_model.setup import Setup
-from noise_model.surface.joint import Joint, seam_frame
+from noise_model.surface.joint import seam_frame
 from noise_model.transforms import invert, transform
 from robot_io import BusLogError, BusLogReader, GateReason, PoseKind, PoseSample, Received, RobotStatus
 from robot_io.clocks.sync import SyncLimits
-from robot_io.poses.nominal_path import NominalPath
 from robot_io.poses.plausibility import Implausibility
 from robot_io.poses.plausibility_limits import PlausibilityLimits
 from tracker.seam.innovation import InnovationLimits, SeamMeasured, SeamMotion
@@ -52,6 +51,8 @@ class RecordedPoses:
     ----------
     recording : Recording
         The recording.
+    limits : PlausibilityLimits
+        What poses must keep to. How old a sample is, and how far apart two may be, is the recording's.
 
     Attributes
     ----------
@@ -61,15 +62,18 @@ class RecordedPoses:
         Whether a RobotStatus was among what was recorded so far.
     """
 
-    def __init__(self, recording: Recording) -> None:
+    def __init__(self, recording: Recording, limits: PlausibilityLimits) -> None:
         self.doubt: Doubt | None = Implausibility.UNPROVEN
         self.hears_robot = False
         self._path = recording.poses.path
         T_tool_controllertool = recording.T_tool_controllertool
-        limits = PlausibilityLimits(age_required=False)
         self._watch = PoseWatch(
             nominal_path(recording.setup.joint),
-            replace(limits, gap_s=max(limits.gap_s, GAP_PERIODS * recording.poses.period_s)),
+            replace(
+                limits,
+                age_required=False,
+                gap_s=max(limits.gap_s, GAP_PERIODS * recording.poses.period_s),
+            ),
             seam_limits(recording.frame_rate_hz),
             SyncLimits(),
             ServicePolicy().status_age_s,
@@ -108,13 +112,6 @@ class RecordedPoses:
             return
         self.hears_robot |= isinstance(came.message, RobotStatus)
         self._watch.hear(came, came.timestamp_s)
-
-
-def nominal_path(joint: Joint) -> NominalPath:
-    """Return a joint's nominal seam as the path that poses are held against."""
-    points = tuple((float(x), float(y), float(z)) for x, y, z in joint.seam_in_base_mm)
-    x, y, z = joint.surface_normal_in_base
-    return NominalPath(points, (float(x), float(y), float(z)))
 
 
 def seam_limits(frame_rate_hz: float) -> InnovationLimits:

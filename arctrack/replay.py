@@ -11,10 +11,11 @@ import time
 from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack, contextmanager
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from arctrack.cell_file import CellFile, as_the_job_says, jobs_for
 from arctrack.errors import ArctrackError
 from arctrack.moments import RealTime, RecordingTime
 from arctrack.output import make_folder
@@ -33,12 +34,10 @@ from arctrack.recording.results import (
 from arctrack.recording.score import score
 from arctrack.report.replay.seen import Seen, SeenFile
 from arctrack.service.controller import Controller
-from arctrack.service.job import Job
 from arctrack.tracking import tracker_of
 from robot_io import (
     SOURCES,
     BusLogError,
-    GateLimits,
     Link,
     LinkError,
     Source,
@@ -46,6 +45,7 @@ from robot_io import (
     Verdict,
 )
 from robot_io.poses.plausibility import Implausibility
+from robot_io.poses.plausibility_limits import PlausibilityLimits
 from tracker import flags
 from tracker.measure import Reading
 from tracker.seam.innovation import SeamMeasured
@@ -68,26 +68,36 @@ class ReplayOptions:
 
     Parameters
     ----------
-    bus : str
-        python-can's interface and channel, joined by a colon.
+    bus : str, optional
+        python-can's interface and channel, joined by a colon; by default the cell's, else `virtual:arctrack`.
     use_arc_map : bool
         False reads the stripe over a local median with one variance for all pixels.
     pictures : bool
         False writes no video, pictures or page.
     exports : tuple of str
         Files to write beside the others: `replay.mcap`, `replay.rrd`.
-    limits : GateLimits
-        What an offset must keep to pass the gate.
+    cell : CellFile, optional
+        The choices for a cell: bus, limits, jobs. A bus that is stated beside it goes before.
+    job_number : int, optional
+        Which of the cell's jobs the recording's seam is; by default the only one.
     onto_a_robot : bool
         Whether a bus beyond this process is meant: without it no bus but `virtual` is joined.
     """
 
-    bus: str = DEFAULT_BUS
+    bus: str | None = None
     use_arc_map: bool = True
     pictures: bool = True
     exports: tuple[str, ...] = ()
-    limits: GateLimits = field(default_factory=GateLimits)
+    cell: CellFile | None = None
+    job_number: int | None = None
     onto_a_robot: bool = False
+
+    @property
+    def chosen_bus(self) -> str:
+        """The bus that is meant."""
+        if self.bus is not None:
+            return self.bus
+        return DEFAULT_BUS if self.cell is None else str(self.cell.bus)
 
 
 @dataclass(frozen=True)
@@ -173,6 +183,7 @@ def replay_recording(
     options = options or ReplayOptions()
     folder = recording.path / RESULTS_FOLDER if folder is None else Path(folder)
     _check_bus(options)
+    recording = as_the_job_says(recording, options.cell, options.job_number)
     # Nothing tracks by it, but nothing is sent before all that is needed in the end has been read.
     truth = read_truth(recording.path)
     make_folder(folder, ())
@@ -197,7 +208,8 @@ def _replay(
     on_frame: Callable[[int], None] | None,
 ) -> Replay:
     """Replay onto the bus and keep what was seen, where someone draws it."""
-    interface, channel = parse_bus(options.bus)
+    interface, channel = parse_bus(options.chosen_bus)
+    bit_rate_bit_s = None if options.cell is None else options.cell.bus.bit_rate_bit_s
     tracks: list[Track] = []
     compute_ms: list[float] = []
     doubts: list[Doubt | None] = []
@@ -207,20 +219,26 @@ def _replay(
         opened.enter_context(_bus_errors())
         # The robot on the bus is a live one; what it hears is not, and is no other than it says.
         link = opened.enter_context(
-            Link(interface, channel, log_paths=(folder / BUS_LOG,), source=Source.REPLAY, trusted=HEARD)
+            Link(
+                interface,
+                channel,
+                bitrate_bit_s=bit_rate_bit_s,
+                log_paths=(folder / BUS_LOG,),
+                source=Source.REPLAY,
+                trusted=HEARD,
+            )
         )
         # Only now do an earlier run's files go: what was sent over a bus that is not there cannot be again.
         make_folder(folder, (name for name in FILES if name != BUS_LOG))
         results = opened.enter_context(ResultsWriter(folder))
-        job = Job(
-            recording.setup.joint.type,
-            options.limits,
-            recording.correction,
-            poses_proven=True,
+        number, jobs = jobs_for(recording, options.cell, options.job_number)
+        controller = Controller(jobs, Source.REPLAY)
+        poses = RecordedPoses(
+            recording, PlausibilityLimits() if options.cell is None else options.cell.plausibility
         )
-        controller = Controller(job, Source.REPLAY)
-        poses = RecordedPoses(recording)
-        moments: RecordingTime | RealTime = RecordingTime(recording.rows, link, controller, poses.verdict)
+        moments: RecordingTime | RealTime = RecordingTime(
+            recording.rows, link, controller, poses.verdict, number
+        )
         if interface != "virtual":
             agreement = PoseAgreement(recording.pose_buffer())
             moments = RealTime(recording.rows, link, controller, agreement, poses.verdict)
@@ -292,10 +310,11 @@ def parse_bus(text: str) -> tuple[str, str]:
 
 
 def _check_bus(options: ReplayOptions) -> None:
-    interface, _ = parse_bus(options.bus)
+    bus = options.chosen_bus
+    interface, _ = parse_bus(bus)
     if interface != "virtual" and not options.onto_a_robot:
         raise ArctrackError(
-            f"--bus {options.bus}: a replay moves what listens there; say --onto-a-robot if that is meant"
+            f"--bus {bus}: a replay moves what listens there; say --onto-a-robot if that is meant"
         )
 
 

@@ -77,7 +77,14 @@ class GateLimits:
         "[follow] extrapolate_sigma_mm: beyond no offset is known",
     )
     sigma_z_mm: float = _limit(0.5, "mm", "largest 1 sigma of height", "as across the seam")
-    arc_required: bool = True
+    arc_required: bool = field(
+        default=True,
+        metadata={
+            "unit": "",
+            "role": "whether the arc must burn",
+            "source": "a search and a dry run need no arc",
+        },
+    )
 
     def __post_init__(self) -> None:
         for limit in (f.name for f in fields(self) if f.name != "arc_required"):

@@ -73,6 +73,7 @@ FOLDERS_MAY_IMPORT: dict[str, dict[str, set[str]]] = {
         "check": {"recording"},
         "blind_check": {"recording"},
         "service": set(),
+        "cell_file": {"recording", "service"},
         "cell": {"service"},
         "setup_check": {"recording", "check"},
         "report": {
@@ -100,6 +101,7 @@ FOLDERS_MAY_IMPORT: dict[str, dict[str, set[str]]] = {
             "check",
             "blind_check",
             "setup_check",
+            "cell_file",
             "cell",
             "report",
             "calibrating",

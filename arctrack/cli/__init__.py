@@ -9,7 +9,7 @@ from typing import Annotated, NoReturn
 import typer
 
 from arctrack.cli.calibrate import calibrate
-from arctrack.cli.cell import cell
+from arctrack.cli.cell_file import cell
 from arctrack.cli.check import check
 from arctrack.cli.diagnose import diagnose
 from arctrack.cli.diagnose_check import TwoWordGroup

@@ -11,8 +11,12 @@ from arctrack.cli.interrupt import interruptible
 from arctrack.errors import ArctrackError, as_line
 
 if TYPE_CHECKING:
+    from rich.progress import Progress
+
     from arctrack.check.verdict import Verdict
+    from arctrack.recording import Recording
     from arctrack.recording.results import Summary
+    from arctrack.replay import Replay, ReplayOptions
 
 
 def replay(
@@ -24,9 +28,18 @@ def replay(
     setup: Annotated[
         Path | None, typer.Option(help="A recording.toml to use instead of each recording's own.")
     ] = None,
+    cell: Annotated[
+        Path | None,
+        typer.Option(help="A cell.toml: its bus, gate limits and job instead of what the setup follows by."),
+    ] = None,
+    job: Annotated[int | None, typer.Option(help="The job of the cell file, by its number.")] = None,
     bus: Annotated[
-        str, typer.Option(help="CAN bus for the offsets, python-can's interface:channel.")
-    ] = "virtual:arctrack",
+        str | None,
+        typer.Option(
+            help="CAN bus for the offsets, python-can's interface:channel; default: the cell file's, else "
+            "virtual:arctrack."
+        ),
+    ] = None,
     onto_a_robot: Annotated[
         bool,
         typer.Option(
@@ -63,15 +76,22 @@ def replay(
     is 3 where no frame is valid.
     """
     from arctrack import replay as engine
+    from arctrack.cell_file import read_cell_file
     from arctrack.check.verdict import verdict_on
     from arctrack.cli import console
     from arctrack.recording import read_recording
-    from arctrack.recording.results import BUS_LOG, REPLAY_MCAP, REPLAY_RRD, RESULTS_CSV
+    from arctrack.recording.results import REPLAY_MCAP, REPLAY_RRD
 
     folders = results_folders(recordings, out)
     exports = tuple(name for name, wanted in ((REPLAY_MCAP, mcap), (REPLAY_RRD, rrd)) if wanted)
     options = engine.ReplayOptions(
-        bus=bus, use_arc_map=arc_map, pictures=pictures, exports=exports, onto_a_robot=onto_a_robot
+        bus=bus,
+        use_arc_map=arc_map,
+        pictures=pictures,
+        exports=exports,
+        cell=None if cell is None else read_cell_file(cell),
+        job_number=job,
+        onto_a_robot=onto_a_robot,
     )
     complaints: list[str] = []
     summaries: list[Summary] = []
@@ -81,20 +101,8 @@ def replay(
         for path, folder in zip(recordings, folders, strict=True):
             # What is wrong with one recording does not stop the others.
             try:
-                recording = read_recording(path, setup)
-                console.warn(recording.warnings)
-                on_frame = console.track(bar, recording.name, len(recording.rows))
-                on_drawn = None
-                if pictures or exports:
-                    on_drawn = console.track(bar, f"{recording.name}, pictures", len(recording.rows))
-                on_compiled = console.compiling(bar, recording.name)
-                kept = f"rows so far are in {folder / RESULTS_CSV}, what was sent in {folder / BUS_LOG}"
-                with interruptible(f"{recording.name}: replay", kept):
-                    done = engine.replay_recording(
-                        recording, folder, options, on_frame, on_drawn, on_compiled
-                    )
-                console.say_compiled(recording.name, done.warm_up)
-                console.warn(f"{recording.path}: {warning}" for warning in done.warnings)
+                done = _replayed(bar, read_recording(path, setup), folder, options)
+                recording = done.recording
                 summaries.append(done.summary)
                 verdicts.append(verdict_on(recording, done.tracks))
                 written.append(f"{recording.name}: {verdicts[-1].line}")
@@ -109,6 +117,31 @@ def replay(
     _show(summaries, len(recordings) > 1)
     console.say(*written)
     console.complain(complaints)
+    _end(complaints, verdicts)
+
+
+def _replayed(bar: Progress, recording: Recording, folder: Path, options: ReplayOptions) -> Replay:
+    """Replay a recording with all that is said meanwhile."""
+    from arctrack import replay as engine
+    from arctrack.cli import console
+    from arctrack.recording.results import BUS_LOG, RESULTS_CSV
+
+    console.warn(recording.warnings)
+    on_frame = console.track(bar, recording.name, len(recording.rows))
+    on_drawn = None
+    if options.pictures or options.exports:
+        on_drawn = console.track(bar, f"{recording.name}, pictures", len(recording.rows))
+    on_compiled = console.compiling(bar, recording.name)
+    kept = f"rows so far are in {folder / RESULTS_CSV}, what was sent in {folder / BUS_LOG}"
+    with interruptible(f"{recording.name}: replay", kept):
+        done = engine.replay_recording(recording, folder, options, on_frame, on_drawn, on_compiled)
+    console.say_compiled(recording.name, done.warm_up)
+    console.warn(f"{recording.path}: {warning}" for warning in done.warnings)
+    return done
+
+
+def _end(complaints: list[str], verdicts: list[Verdict]) -> None:
+    """Leave with the exit code of what came out, if it is not 0."""
     from arctrack.cli.exit_codes import BAD_INPUT, NOTHING_TRACKED
 
     if complaints:

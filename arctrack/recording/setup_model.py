@@ -169,6 +169,15 @@ class JointTable(Table):
     seam_in_base_mm: list[PointInBase]
     surface_normal_in_base: Vector3
 
+    def to_joint(self) -> Joint:
+        """Return the joint; ValueError names the key of a value that cannot be."""
+        return Joint(
+            type=self.type,
+            dimensions=self.dimensions(),
+            seam_in_base_mm=tuple(_three(point) for point in self.seam_in_base_mm),
+            surface_normal_in_base=_three(self.surface_normal_in_base),
+        )
+
     def dimensions(self) -> dict[str, float]:
         """Return the dimensions that this type of joint needs and the file gives."""
         sizes: dict[str, float] = {}
@@ -282,12 +291,7 @@ class RecordingToml(Table):
         known = *_units(UNITS), *NAMED_IN_KEYS
         if any(unit not in known for unit in _units(self.units)):
             raise ValueError(f"{held('units', self.units)}: must be of {UNITS}; convert the file's values")
-        joint = Joint(
-            type=self.joint.type,
-            dimensions=self.joint.dimensions(),
-            seam_in_base_mm=tuple(_three(point) for point in self.joint.seam_in_base_mm),
-            surface_normal_in_base=_three(self.joint.surface_normal_in_base),
-        )
+        joint = self.joint.to_joint()
         stated = Setup(
             camera=self._camera(),
             sensor=Sensor(**_known(self.sensor)),

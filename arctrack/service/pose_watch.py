@@ -8,6 +8,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from noise_model.arrays import Float64
+from noise_model.surface.joint import Joint
 from robot_io import (
     Command,
     GateReason,
@@ -131,6 +132,13 @@ class PoseWatch:
     def verdict(self, now_s: float) -> GateReason:
         """Return what the gate is told."""
         return GateReason.NONE if self.doubt(now_s) is None else GateReason.POSE_IMPLAUSIBLE
+
+
+def nominal_path(joint: Joint) -> NominalPath:
+    """Return a joint's nominal seam as the path that poses are held against."""
+    points = tuple((float(x), float(y), float(z)) for x, y, z in joint.seam_in_base_mm)
+    x, y, z = joint.surface_normal_in_base
+    return NominalPath(points, (float(x), float(y), float(z)))
 
 
 def _of_tool(sample: PoseSample, T_controllertool_tool: Float64) -> PoseSample:

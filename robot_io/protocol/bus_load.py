@@ -29,6 +29,11 @@ def frames_per_s(frame_rate_hz: float) -> float:
     )
 
 
+def load_share(frame_rate_hz: float, bit_rate_bit_s: float) -> float:
+    """Return the share of a bit rate that all messages take at most at a camera's frame rate."""
+    return frame_bits() * frames_per_s(frame_rate_hz) / bit_rate_bit_s
+
+
 def load_table() -> str:
     """Return the load as Markdown: frames a second and the share of each bit rate, by camera."""
     rates = " | ".join(f"{bit_rate // 1000} kbit/s" for bit_rate in BIT_RATES_BIT_S)
@@ -38,7 +43,8 @@ def load_table() -> str:
     ]
     for frame_rate_hz in FRAME_RATES_HZ:
         per_s = frames_per_s(frame_rate_hz)
-        bit_s = frame_bits() * per_s
-        shares = " | ".join(f"{100.0 * bit_s / bit_rate:.0f} %" for bit_rate in BIT_RATES_BIT_S)
-        lines.append(f"| {frame_rate_hz} | {per_s:.0f} | {bit_s / 1000.0:.1f} | {shares} |")
+        shares = " | ".join(
+            f"{100.0 * load_share(frame_rate_hz, bit_rate):.0f} %" for bit_rate in BIT_RATES_BIT_S
+        )
+        lines.append(f"| {frame_rate_hz} | {per_s:.0f} | {frame_bits() * per_s / 1000.0:.1f} | {shares} |")
     return "\n".join(lines) + "\n"

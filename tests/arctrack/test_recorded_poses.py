@@ -31,10 +31,12 @@ from robot_io import (
     WeldingState,
 )
 from robot_io.poses.plausibility import Implausibility
+from robot_io.poses.plausibility_limits import PlausibilityLimits
 from tracker.state import NAN, Pose, Track
 
 EXAMPLE = Path(__file__).parents[2] / "examples" / "v_groove"
 FAULT_S = 0.8
+LIMITS = PlausibilityLimits()
 
 
 def frozen(times_s: Float64, poses: Float64) -> Float64:
@@ -119,15 +121,15 @@ def test_what_poses_alone_tell_is_asked_without_an_image(example: Recording) -> 
     def stops(times_s: Float64, poses: Float64) -> Float64:
         return poses[times_s < FAULT_S]
 
-    assert doubts_of(RecordedPoses(example)) == [None] * 3
-    assert doubts_of(RecordedPoses(with_poses(example, jumps))) == [
+    assert doubts_of(RecordedPoses(example, LIMITS)) == [None] * 3
+    assert doubts_of(RecordedPoses(with_poses(example, jumps), LIMITS)) == [
         None,
         Implausibility.SPEED,
         Implausibility.NOT_REJOINED,
     ]
     short = replace(example.poses, timestamps_s=example.poses.timestamps_s[:100])
     short = replace(short, T_base_tool=example.poses.T_base_tool[:100])
-    assert doubts_of(RecordedPoses(replace(example, poses=short)))[1:] == [Implausibility.STOPPED] * 2
+    assert doubts_of(RecordedPoses(replace(example, poses=short), LIMITS))[1:] == [Implausibility.STOPPED] * 2
 
 
 def doubts_of(poses: RecordedPoses) -> list[object]:
@@ -163,7 +165,7 @@ def test_a_log_brings_what_the_robot_said(example: Recording, tmp_path: Path) ->
         poses=replace(example.poses, path=log),
         T_tool_controllertool=T_tool_controllertool,
     )
-    poses = RecordedPoses(logged)
+    poses = RecordedPoses(logged, LIMITS)
     doubts = [(poses.verdict(now_s), poses.doubt)[1] for now_s in (0.45, 0.55, 0.7)]
     assert doubts == [None, None, Implausibility.FROZEN]
     assert poses.hears_robot

@@ -1,0 +1,150 @@
+"""What is chosen for a cell: bus, camera, limits, jobs."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+from arctrack.errors import ArctrackError, in_file
+from arctrack.recording.setup_file import SetupFile
+from arctrack.service.job import Bridging, Job, PartLimits
+from arctrack.service.pose_watch import nominal_path
+from noise_model.setup import Setup
+from noise_model.surface.joint import Joint
+from robot_io import GateLimits
+from robot_io.poses.plausibility_limits import PlausibilityLimits
+from robot_io.protocol.bus_load import load_share
+from tracker.seam.correction import Correction
+
+DEEP = ("v_groove", "half_v")
+"""The joints whose depth a track tells."""
+
+
+@dataclass(frozen=True)
+class BusChoice:
+    """The bus: python-can's interface and channel, and the bit rate, bit/s."""
+
+    interface: str
+    channel: str
+    bit_rate_bit_s: int
+
+    def __str__(self) -> str:
+        return f"{self.interface}:{self.channel}"
+
+
+@dataclass(frozen=True)
+class CellJob:
+    """A job of the cell file.
+
+    Parameters
+    ----------
+    name : str
+        What people call it.
+    joint : Joint or None
+        The joint, where it is not the setup's.
+    correction : Correction
+        How the seam is followed.
+    offsets_in_search : bool
+        Whether offsets go out while the robot commands SEARCH.
+    part : PartLimits
+        What the part must be like before the arc is lit.
+    bridge_mm : float or None
+        How far a stretch without a joint may reach, mm; None for without end.
+    """
+
+    name: str
+    joint: Joint | None
+    correction: Correction
+    offsets_in_search: bool
+    part: PartLimits
+    bridge_mm: float | None
+
+    def setup_for(self, setup: Setup) -> Setup:
+        """Return a setup with the job's joint."""
+        return setup if self.joint is None else replace(setup, joint=self.joint)
+
+    def to_job(self, setup: Setup, limits: GateLimits) -> Job:
+        """Return the job as the controller takes it.
+
+        Parameters
+        ----------
+        setup : Setup
+            The facts. Its joint counts where the job states none.
+        limits : GateLimits
+            What an offset must keep to.
+
+        Raises
+        ------
+        ValueError
+            For a depth that is asked of a joint whose depth no track tells; it names the key.
+        """
+        setup = self.setup_for(setup)
+        if self.part.depth_mm is not None and setup.joint.type not in DEEP:
+            raise ValueError(
+                f"[part] depth_mm: the depth of a {setup.joint.type} is not measured; leave it out, or "
+                f"choose a joint of {', '.join(DEEP)}"
+            )
+        bridging = None
+        if self.bridge_mm is not None:
+            x_mm, y_mm, z_mm = setup.laser.point_mm.tolist()
+            bridging = Bridging(nominal_path(setup.joint), (x_mm, y_mm, z_mm), self.bridge_mm)
+        return Job(
+            setup.joint.type,
+            limits,
+            self.correction,
+            self.offsets_in_search,
+            poses_proven=True,
+            part=self.part,
+            bridging=bridging,
+        )
+
+
+@dataclass(frozen=True)
+class CellFile:
+    """What a cell file holds.
+
+    Parameters
+    ----------
+    path : Path
+        The file.
+    setup : SetupFile
+        The facts that it points to.
+    bus : BusChoice
+        The bus.
+    frame_rate_hz : float
+        Frames a second of the camera.
+    limits : GateLimits
+        What an offset must keep to.
+    plausibility : PlausibilityLimits
+        What poses must keep to.
+    jobs : mapping of int to CellJob
+        The jobs, by the number by which the robot names them.
+    """
+
+    path: Path
+    setup: SetupFile
+    bus: BusChoice
+    frame_rate_hz: float
+    limits: GateLimits
+    plausibility: PlausibilityLimits
+    jobs: Mapping[int, CellJob]
+
+    @property
+    def bus_load(self) -> float:
+        """The share of the bus that all messages take at most."""
+        return load_share(self.frame_rate_hz, self.bus.bit_rate_bit_s)
+
+    def job_numbered(self, number: int | None) -> int:
+        """Return a job's number: that which is asked for, or that of the only job.
+
+        Raises ArctrackError where there is no such job, and where one of several must be named.
+        """
+        held = ", ".join(map(str, self.jobs))
+        if number is None:
+            if len(self.jobs) > 1:
+                raise in_file(self.path, f"holds the jobs {held}; say --job and a number")
+            return next(iter(self.jobs))
+        if number not in self.jobs:
+            raise ArctrackError(f"--job {number}: {self.path} holds the jobs {held}")
+        return number

@@ -1,0 +1,106 @@
+"""cell.toml's keys and types; what the values must be beyond that is said by the records that they make."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import fields
+from typing import TYPE_CHECKING, Annotated, Any, Literal, TypeAlias, get_type_hints
+
+from pydantic import Field, FiniteFloat, create_model
+
+from arctrack.recording.key_errors import place
+from arctrack.recording.setup_model import FollowTable, JointTable, Number, Table
+from arctrack.service.job import PartLimits
+from noise_model.spelling import cure_for
+from noise_model.surface.joint import DIMENSIONS
+from robot_io import GateLimits
+from robot_io.poses.plausibility_limits import PlausibilityLimits
+
+FORMAT = "arctrack-cell/1"
+
+MAX_JOB_NUMBER = 65_534
+"""The largest job number that the bus carries."""
+
+Range = Annotated[list[Number], Field(min_length=2, max_length=2)]
+Rate = Annotated[FiniteFloat, Field(gt=0.0, le=10_000.0)]
+
+
+def _table_of(record: type) -> type[Table]:
+    """Return the table whose keys are a record's fields, each optional."""
+    hints = get_type_hints(record)
+    keys: dict[str, Any] = {
+        f.name: (Number if hints[f.name] is float else hints[f.name], f.default) for f in fields(record)
+    }
+    return create_model(f"{record.__name__}Table", __base__=Table, **keys)
+
+
+if TYPE_CHECKING:
+    # A type that is made cannot be checked by name; its keys are.
+    GateTable: TypeAlias = Table
+    PlausibilityTable: TypeAlias = Table
+else:
+    GateTable, PlausibilityTable = _table_of(GateLimits), _table_of(PlausibilityLimits)
+
+
+class BusTable(Table):
+    """[bus]."""
+
+    interface: str = Field(min_length=1)
+    channel: str = Field(min_length=1)
+    bit_rate_bit_s: int = Field(default=500_000, ge=10_000, le=1_000_000)
+
+
+class CameraTable(Table):
+    """[camera]."""
+
+    frame_rate_hz: Rate
+
+
+class PartTable(Table):
+    """[jobs.N.part], every key optional."""
+
+    gap_mm: Range | None = None
+    mismatch_mm: Range | None = None
+    depth_mm: Range | None = None
+    angle_deg: Range | None = None
+    looks: int = PartLimits.looks
+
+
+class JobTable(Table):
+    """[jobs.N]."""
+
+    name: str
+    joint: JointTable | None = None
+    follow: FollowTable = Field(default_factory=FollowTable)
+    offsets_in_search: bool = False
+    bridge_mm: Number | None = None
+    part: PartTable = Field(default_factory=PartTable)
+
+
+class CellToml(Table):
+    """The whole file."""
+
+    format: Literal["arctrack-cell/1"]
+    setup: str = Field(min_length=1)
+    bus: BusTable
+    camera: CameraTable
+    gate: GateTable = Field(default_factory=GateTable)
+    plausibility: PlausibilityTable = Field(default_factory=PlausibilityTable)
+    jobs: dict[str, JobTable] = Field(min_length=1)
+
+
+def unknown_keys(table: Table, location: tuple[str | int, ...] = ()) -> Iterator[str]:
+    """Yield a line for each key that means nothing: which one it is, and which one may be meant."""
+    known = {*type(table).model_fields}
+    if isinstance(table, JointTable):
+        # Of a type that there is not, nothing is known; that is said of the type.
+        known |= {*DIMENSIONS.get(table.type, table.model_extra or {})}
+    for name in table.model_extra or {}:
+        if name not in known:
+            yield f"{place((*location, name))}: is not known; {cure_for(name, sorted(known))}"
+    for name in type(table).model_fields:
+        value = getattr(table, name)
+        inner = value.items() if isinstance(value, dict) else [(None, value)]
+        for key, held in inner:
+            if isinstance(held, Table):
+                yield from unknown_keys(held, (*location, name) if key is None else (*location, name, key))

@@ -1,0 +1,109 @@
+"""A cell file to fill in, and the setup that it points to."""
+
+from __future__ import annotations
+
+import textwrap
+from collections.abc import Iterator
+from dataclasses import fields, replace
+from pathlib import Path
+
+from arctrack.cell_file.model import FORMAT
+from arctrack.errors import in_file
+from arctrack.new import RADIANCE_E, commented_setup
+from arctrack.nominal import nominal_setup
+from arctrack.output import writing
+from robot_io import GateLimits
+
+CELL_TOML, SETUP_TOML = "cell.toml", "setup.toml"
+COLUMNS = 100
+
+_HEAD = f"""\
+# The choices for a cell. The facts of its sensor and its part are in the setup.
+# What stands behind a # has the value that it shows. Take the # off to choose another.
+format = "{FORMAT}"
+setup = "{SETUP_TOML}"
+
+[bus]
+# python-can's interface and channel. virtual goes to nobody: try things out with it first.
+interface = "virtual"                  # on a robot: "socketcan", "slcan", ...
+channel = "arctrack"                   # "can0", "/dev/ttyACM0"
+bit_rate_bit_s = 500000
+
+[camera]
+frame_rate_hz = 25.0                   # four messages go out with each frame: it makes the bus' load
+
+[gate]
+"""
+
+_JOBS = """\
+
+[plausibility]
+# What the robot can do at most: poses that do more are doubted. State your robot's own.
+# speed_mm_s = 250.0
+# acceleration_mm_s2 = 5000.0
+# rotation_deg_s = 180.0
+
+# A job for each number by which the robot names one, TrackerCommand.job_number.
+[jobs.1]
+name = "first job"
+# offsets_in_search = false            # true: offsets go out while the robot commands SEARCH
+# bridge_mm = 8.0                      # a tack, or another stretch without a joint, may reach so far
+
+# The joint of this job, where it is not the setup's; its keys are those of [joint] of the setup.
+# [jobs.1.joint]
+# type = "half_v"
+# bevel_angle_deg = 45.0
+# depth_mm = 4.0
+# root_gap_mm = 1.0
+# seam_in_base_mm = [[0.0, 0.0, 0.0], [200.0, 0.0, 0.0]]
+# surface_normal_in_base = [0.0, 0.0, 1.0]
+
+# What is sent of the seam: the keys are those of [follow] of a setup.
+[jobs.1.follow.y]
+# bias_mm = 0.0                        # to the left of the travel
+# limit_mm = 3.0                       # the largest correction; without it the gate's range
+[jobs.1.follow.z]
+# enable = false                       # the arc-voltage control has the height
+# bias_mm = 0.0
+
+# What the part must be like before the arc is lit: the least and the largest. Without a key nothing is asked.
+[jobs.1.part]
+# gap_mm = [0.0, 1.5]
+# mismatch_mm = [-0.8, 0.8]
+# depth_mm = [3.5, 4.5]
+# angle_deg = [55.0, 65.0]
+"""
+
+
+def write_new_cell(folder: Path, joint_type: str, material_name: str) -> tuple[Path, Path]:
+    """Write a cell file and its setup into a new folder, and return both files.
+
+    Raises ArctrackError if the folder holds anything, or if it cannot be written.
+    """
+    if folder.exists() and not (folder.is_dir() and not any(folder.iterdir())):
+        raise in_file(folder, "exists already; choose the name of a new folder")
+    setup = nominal_setup(joint_type, material_name)
+    texts = {
+        CELL_TOML: commented_cell(),
+        SETUP_TOML: commented_setup(replace(setup, arc=replace(setup.arc, radiance_e=RADIANCE_E))),
+    }
+    with writing(folder):
+        folder.mkdir(parents=True, exist_ok=True)
+        for name, text in texts.items():
+            (folder / name).write_text(text, encoding="utf-8")
+    return folder / CELL_TOML, folder / SETUP_TOML
+
+
+def commented_cell() -> str:
+    """Return a cell file with a comment on each key."""
+    return _HEAD + "\n".join(_gate_lines()) + "\n" + _JOBS
+
+
+def _gate_lines() -> Iterator[str]:
+    """Yield each limit of the gate behind a #, with its role, its unit and its source."""
+    for limit in fields(GateLimits):
+        role, unit = limit.metadata["role"], limit.metadata["unit"]
+        text = f"{role[:1].upper()}{role[1:]}{f', {unit}' if unit else ''}. {limit.metadata['source']}"
+        yield from textwrap.wrap(text, COLUMNS, initial_indent="# ", subsequent_indent="# ")
+        value = str(limit.default).lower() if isinstance(limit.default, bool) else limit.default
+        yield f"# {limit.name} = {value}"

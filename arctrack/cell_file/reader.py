@@ -1,0 +1,144 @@
+"""The one reader of cell files."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from functools import partial
+from pathlib import Path
+from typing import TypeVar
+
+from pydantic import ValidationError
+
+from arctrack.cell_file.choices import BusChoice, CellFile, CellJob
+from arctrack.cell_file.model import FORMAT, MAX_JOB_NUMBER, CellToml, JobTable, unknown_keys
+from arctrack.errors import in_file
+from arctrack.limits import LIMITS
+from arctrack.recording.files import blamed_on, read_text
+from arctrack.recording.key_errors import describe
+from arctrack.recording.setup_file import SetupFile, read_setup_file
+from arctrack.recording.setup_model import Table
+from arctrack.recording.toml_text import parse_toml
+from arctrack.service.job import PartLimits, Range
+from noise_model.surface.joint import Joint
+from robot_io import GateLimits
+from robot_io.poses.plausibility_limits import PlausibilityLimits
+
+R = TypeVar("R")
+
+
+def read_cell_file(path: Path | str) -> CellFile:
+    """Read a cell file and the setup that it points to.
+
+    Parameters
+    ----------
+    path : Path or str
+        The file.
+
+    Returns
+    -------
+    CellFile
+        What it holds.
+
+    Raises
+    ------
+    ArctrackError
+        It names the file and the key or line that is wrong. A key that is not known is wrong.
+    """
+    path = Path(path)
+    if path.is_dir():
+        raise in_file(path, "is a folder; give the cell.toml in it")
+    with blamed_on(path, "there is no such file; arctrack cell new writes one"):
+        text = read_text(path, LIMITS.toml_bytes)
+    try:
+        document = parse_toml(text)
+        if document.get("format") == "joint-tracking-recording/1":
+            raise ValueError(f"is a setup; a cell file states format = {FORMAT!r}")
+        model = CellToml.model_validate(document)
+    except ValidationError as error:
+        raise in_file(path, describe(error, CellToml)) from None
+    except ValueError as error:
+        raise in_file(path, str(error)) from None
+    for line in unknown_keys(model):
+        raise in_file(path, line)
+    setup = read_setup_file(path.parent / model.setup)
+    try:
+        return _cell(path, model, setup)
+    except ValueError as error:
+        raise in_file(path, str(error)) from None
+
+
+def _cell(path: Path, model: CellToml, setup: SetupFile) -> CellFile:
+    limits = _record(GateLimits, model.gate, "gate limit", "gate")
+    cell = CellFile(
+        path=path,
+        setup=setup,
+        bus=BusChoice(model.bus.interface, model.bus.channel, model.bus.bit_rate_bit_s),
+        frame_rate_hz=model.camera.frame_rate_hz,
+        limits=limits,
+        plausibility=_record(PlausibilityLimits, model.plausibility, "plausibility limit", "plausibility"),
+        jobs=dict(sorted((_number(key), _job(key, table)) for key, table in model.jobs.items())),
+    )
+    for number, job in cell.jobs.items():
+        _within(str(number), partial(job.to_job, setup.setup, limits))
+    if cell.bus_load >= 1.0:
+        raise ValueError(
+            f"[bus] bit_rate_bit_s = {cell.bus.bit_rate_bit_s}: {cell.frame_rate_hz:g} frames a second take "
+            f"{100.0 * cell.bus_load:.0f} % of it; choose a higher one, or fewer frames"
+        )
+    return cell
+
+
+def _record(record: Callable[..., R], table: Table, called: str, name: str) -> R:
+    """Return the record that a table makes; ValueError names the table and the key."""
+    try:
+        return record(**{key: getattr(table, key) for key in type(table).model_fields})
+    except ValueError as error:
+        raise ValueError(str(error).replace(f"{called} ", f"[{name}] ", 1)) from None
+
+
+def _number(key: str) -> int:
+    if not (key.isascii() and key.isdigit() and int(key) <= MAX_JOB_NUMBER and key == str(int(key))):
+        raise ValueError(f"[jobs.{key}]: a job has a whole number from 0 to {MAX_JOB_NUMBER}")
+    return int(key)
+
+
+def _job(key: str, table: JobTable) -> CellJob:
+    def built() -> CellJob:
+        joint: Joint | None = None if table.joint is None else table.joint.to_joint()
+        return CellJob(
+            name=table.name,
+            joint=joint,
+            correction=table.follow.to_correction(),
+            offsets_in_search=table.offsets_in_search,
+            part=_part(table),
+            bridge_mm=table.bridge_mm,
+        )
+
+    return _within(key, built)
+
+
+def _part(table: JobTable) -> PartLimits:
+    def limits(values: list[float] | None) -> Range | None:
+        return None if values is None else (values[0], values[1])
+
+    part = table.part
+    try:
+        return PartLimits(
+            limits(part.gap_mm),
+            limits(part.mismatch_mm),
+            limits(part.depth_mm),
+            limits(part.angle_deg),
+            part.looks,
+        )
+    except ValueError as error:
+        raise ValueError(f"[part] {error}") from None
+
+
+def _within(key: str, build: Callable[[], R]) -> R:
+    """Return what is built of a job; ValueError names the job's own table."""
+    try:
+        return build()
+    except ValueError as error:
+        text = str(error)
+        inner = text.startswith("[")
+        raise ValueError(f"[jobs.{key}.{text[1:]}" if inner else f"[jobs.{key}] {text}") from None

@@ -1,0 +1,92 @@
+"""`arctrack cell new` and `arctrack cell check`: the file that holds a cell's choices."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from arctrack.cli.cell import cell
+from arctrack.cli.exit_codes import WARNED
+from arctrack.cli.simulate import JointName, MaterialName
+
+if TYPE_CHECKING:
+    from arctrack.cell_file import CellFile, CellJob
+
+__all__ = ["cell"]
+
+HIGH_LOAD = 0.7
+"""Above it messages of low priority wait for long, as for any bus of fixed priorities."""
+
+
+@cell.command(epilog="Example: arctrack cell new /tmp/my_cell --joint lap")
+def new(
+    folder: Annotated[Path, typer.Argument(help="Folder for cell.toml and setup.toml; must not exist yet.")],
+    joint: Annotated[JointName, typer.Option(help="The setup's joint.")] = JointName.V_GROOVE,
+    material: Annotated[MaterialName, typer.Option(help="The base metal.")] = MaterialName.MILD_STEEL,
+) -> None:
+    """Write a cell file that explains its keys: bus, camera, gate limits, jobs. A setup lies beside it."""
+    from arctrack.cell_file.new import write_new_cell
+
+    cell_path, setup_path = write_new_cell(folder, joint.value, material.value)
+    typer.echo(f"{cell_path}\n{setup_path}")
+    typer.echo(f"Next: state your sensor in {setup_path.name}, then arctrack cell check {cell_path}")
+
+
+@cell.command(epilog="Example: arctrack cell check /tmp/my_cell/cell.toml")
+def check(file: Annotated[Path, typer.Argument(help="The cell file, cell.toml.")]) -> None:
+    """Say whether a cell file and its setup are sound, what each job does, and what load the bus bears.
+
+    The exit code is 1 where the setup has keys that are not known, or the bus is loaded above 70 %.
+    """
+    from arctrack.cell_file import read_cell_file
+    from arctrack.cli import console
+
+    read = read_cell_file(file)
+    typer.echo("\n".join(_lines(read)))
+    warnings = list(read.setup.warnings)
+    if read.bus_load > HIGH_LOAD:
+        warnings.append(f"{file}: the bus is loaded to {100.0 * read.bus_load:.0f} %: what is last may wait")
+    console.warn(warnings)
+    if warnings:
+        raise typer.Exit(WARNED)
+
+
+def _lines(read: CellFile) -> list[str]:
+    from robot_io.protocol.bus_load import frames_per_s
+
+    bus = read.bus
+    return [
+        f"setup: {read.setup.path}, a {read.setup.setup.joint.type} in {read.setup.setup.material.name}",
+        f"bus: {bus} at {bus.bit_rate_bit_s / 1000.0:g} kbit/s; {read.frame_rate_hz:g} frames of the camera "
+        f"make {frames_per_s(read.frame_rate_hz):.0f} frames on it a second, at most "
+        f"{100.0 * read.bus_load:.0f} % of its load",
+        *(f"job {number}: {_of_job(read, job)}" for number, job in read.jobs.items()),
+    ]
+
+
+def _of_job(read: CellFile, job: CellJob) -> str:
+    """Return a job in words."""
+    parts = [f"{job.name}, a {job.setup_for(read.setup.setup).joint.type}"]
+    for name, axis, range_mm in (
+        ("y", job.correction.y, read.limits.range_y_mm),
+        ("z", job.correction.z, read.limits.range_z_mm),
+    ):
+        within_mm = min(axis.limit_mm, range_mm)
+        bias = f", bias {axis.bias_mm:+g} mm" if axis.bias_mm else ""
+        parts.append(f"{name} within {within_mm:g} mm{bias}" if axis.enable else f"{name} not corrected")
+    if job.bridge_mm is not None:
+        parts.append(f"bridges {job.bridge_mm:g} mm")
+    asked = {
+        "gap": (job.part.gap_mm, "mm"),
+        "mismatch": (job.part.mismatch_mm, "mm"),
+        "depth": (job.part.depth_mm, "mm"),
+        "angle": (job.part.angle_deg, "deg"),
+    }
+    parts += [
+        f"{name} {limits[0]:g} to {limits[1]:g} {unit}"
+        for name, (limits, unit) in asked.items()
+        if limits is not None
+    ]
+    return "; ".join(parts)
