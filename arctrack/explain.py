@@ -184,7 +184,7 @@ def _look(
         before.scatter,
         reading.reach_mm >= SEARCH_REACH_MM,
     )
-    profile = profile_of(geometry, scene, frame, expected, stripe, reading.reach_mm)
+    profile = profile_of(geometry, scene, frame, expected, stripe, reading.reach_mm, reading.seam.slope_sigma)
     look = replace(look, stripe=StripeLook(stripe, refusals(stripe, expected), sigma_parts(stripe, expected)))
     if len(profile.y_mm) < 2:
         return look

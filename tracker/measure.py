@@ -140,7 +140,7 @@ def measure(
     if not _is_stripe(asked, geometry, expected, look):
         return reading
     reading = replace(reading, scatter=look.scatter)
-    profile = profile_of(geometry, scene, frame, expected, look, reach_mm)
+    profile = profile_of(geometry, scene, frame, expected, look, reach_mm, seam.slope_sigma)
     joint = fit_joint(profile, geometry.setup.joint, *sources(geometry.setup, scene, seam.station_mm))
     if geometry.setup.joint.type == "butt" and not _is_told(joint):
         closed = _closed_joint(geometry, scene, look, profile)
@@ -211,10 +211,11 @@ def profile_of(
     expected: ExpectedStripe,
     look: StripeReading,
     reach_mm: float,
+    slope_sigma: float,
 ) -> Profile:
     """Return a stripe's profile, whose seam is looked for within the look's reach and a little beyond."""
     setup, stripe = geometry.setup, look.stripe
-    lines_over = edge_lines(geometry, scene, seam_height_mm(setup.joint))
+    lines_over = edge_lines(geometry, scene, seam_height_mm(setup.joint), slope_sigma)
     light = look.light(setup.camera.psf_sigma_px, lines_over.stated)
     askew_px = askew_sigma_px(stripe.amplitude_e, light.width_px, light.contrast, lines_over.possible)
     sigma_px, beside_px = (np.hypot(sigma, askew_px) for sigma in (stripe.sigma_px, stripe.beside_px))
@@ -230,6 +231,7 @@ def profile_of(
         mixed_mm=mixed_mm,
         bias_px=expected.bias_px[lines],
         misfit_px=look.misfit_px[lines],
+        slope_sigma=slope_sigma,
     )
 
 

@@ -21,9 +21,6 @@ from tracker.stripe.edge import StripeLight
 MIN_POINTS = 20
 """A profile of fewer points shows no joint."""
 
-SLOPE_SIGMA = 0.05
-"""1 sigma of a seam's slope against the line on which it is expected."""
-
 
 @dataclass(frozen=True)
 class Profile:
@@ -37,7 +34,8 @@ class Profile:
     frame by scan line, None where they are not at hand. Nearer to a corner than `mixed_mm` a scan line holds
     light of both faces. `bias_px` (n,) is by how much the centres were corrected for light that is no bell,
     None if they were not. `misfit_px` (n,) is by how much centres may be off, alike with their neighbours',
-    for light beneath the stripe that is not as expected, None for not at all.
+    for light beneath the stripe that is not as expected, None for not at all. `slope_sigma` is how well the
+    seam's direction is known.
     """
 
     y_mm: Float64
@@ -54,6 +52,7 @@ class Profile:
     mixed_mm: float = 0.0
     bias_px: Float64 | None = None
     misfit_px: Float64 | None = None
+    slope_sigma: float = 0.0
 
     def by_scan(self) -> Profile:
         """Return the profile in order of its scan lines, the way in which y rises on the whole.
@@ -129,16 +128,16 @@ class EdgeLines(NamedTuple):
     possible: float
 
 
-def edge_lines(geometry: SensorGeometry, scene: Scene, z_mm: float) -> EdgeLines:
+def edge_lines(geometry: SensorGeometry, scene: Scene, z_mm: float, slope_sigma: float) -> EdgeLines:
     """Return over how many scan lines the sheet's 1 sigma spreads an edge along the seam, at a height.
 
     Seen from beside its plane, a sheet as thick as it is meets the edge in one line before its middle and in
-    another behind. So it does where the seam runs askew to the sheet.
+    another behind. So it does where the seam runs askew: its slope is known to `slope_sigma`.
     """
     camera, laser = geometry.setup.camera, geometry.setup.laser
     nx, _, nz, d = plane_in(scene.T_joint_tool, laser.plane)
     x, along = -(nz * z_mm + d) / nx, laser.stripe_sigma_mm / nx
-    aside = SLOPE_SIGMA * along
+    aside = slope_sigma * along
     edges = np.array([[x - along, 0.0, z_mm], [x + along, 0.0, z_mm], [x, -aside, z_mm], [x, aside, z_mm]])
     lines = geometry.scan_points(camera.project(transform(invert(scene.T_joint_camera), edges)))[:, 0]
     stated, turned = 0.5 * abs(float(lines[1] - lines[0])), 0.5 * abs(float(lines[3] - lines[2]))

@@ -244,7 +244,7 @@ class SeamLine:
     """Where the true seam runs beside its nominal line: a straight stretch about one station.
 
     At `station_mm` of the joint frame it lies `y_mm` to the left and `z_mm` higher, and it leaves the nominal
-    direction by `slope_y` = dy/dx and `slope_z` = dz/dx.
+    direction by `slope_y` = dy/dx and `slope_z` = dz/dx, which are known to 1 sigma of `slope_sigma`.
     """
 
     station_mm: float = 0.0
@@ -252,6 +252,7 @@ class SeamLine:
     z_mm: float = 0.0
     slope_y: float = 0.0
     slope_z: float = 0.0
+    slope_sigma: float = 0.0
 
     def frame(self) -> Float64:
         """Return T_nominal_true (4, 4), mm: the joint frame turned about the station, moved to the seam.

@@ -214,6 +214,22 @@ def test_what_points_may_be_off_is_its_twin(seed: int, n: int) -> None:
 
 def test_an_edge_hides_what_its_shadow_covers() -> None:
     # A ray from (-4, 12) over the edge at (1, 2) falls 10 mm on its way 5 mm to the right: half of that.
-    assert hidden_strip(np.array([7.0, -4.0, 12.0]), 1.0, 2.0, 2.0) == pytest.approx(1.0)
-    assert hidden_strip(np.array([7.0, 4.0, 12.0]), 1.0, 2.0, 2.0) == 0.0
-    assert hidden_strip(np.array([7.0, -4.0, 2.0]), 1.0, 2.0, 2.0) == np.inf
+    beside, opposite, below = (
+        np.array(eye) for eye in ([7.0, -4.0, 12.0], [7.0, 4.0, 12.0], [7.0, -4.0, 2.0])
+    )
+    assert hidden_strip((beside, opposite), 1.0, 2.0, 2.0, 0.0) == pytest.approx((1.0, 0.0))
+    assert hidden_strip((opposite,), 1.0, 2.0, 2.0, 0.0) == (0.0, 0.0)
+    assert hidden_strip((beside, below), 1.0, 2.0, 2.0, 0.1).width_mm == np.inf
+
+
+@pytest.mark.parametrize(("y_mm", "x_mm"), [(-4.0, 30.0), (0.9, -60.0), (2.0, 40.0)])
+def test_what_an_edge_hides_is_as_unsure_as_the_seams_slope(y_mm: float, x_mm: float) -> None:
+    """Rays are followed over edges of many slopes: they pass the edge where it lies aside."""
+    slope_sigma, over_mm, step_mm = 0.05, 90.0, 3.0
+    slopes = slope_sigma * np.random.default_rng(2).standard_normal(400_000)
+    # The ray to the lower side at x = 0 passes the edge's height at x_mm step / (over + step).
+    edge_mm = 1.0 + slopes * x_mm * step_mm / (over_mm + step_mm)
+    foot_mm = edge_mm + (edge_mm - y_mm) / over_mm * step_mm
+    widths = np.maximum(foot_mm - 1.0, 0.0)
+    told = hidden_strip((np.array([x_mm, y_mm, over_mm]),), 1.0, 0.0, step_mm, slope_sigma)
+    assert told == pytest.approx((widths.mean(), widths.std()), rel=0.05, abs=1e-3)

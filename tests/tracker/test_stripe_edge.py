@@ -12,9 +12,10 @@ from hypothesis import strategies as st
 from scipy.special import ndtr
 
 from noise_model.arc.map import CELL
+from noise_model.arrays import Float64
 from tracker.joint.measured import meet_face
 from tracker.joint.plate_lines import HIDDEN, UNREAD, OnPlates, PlateLines
-from tracker.joint.upright_edge import Edge, edge_between
+from tracker.joint.upright_edge import NOTHING_HIDDEN, Edge, HiddenStrip, edge_between
 from tracker.profile import Profile
 from tracker.stripe.edge import (
     BEYOND,
@@ -34,6 +35,14 @@ N_SCAN, DEPTH, EDGE = 64, 96, 31
 WIDTH_PX, PSF_PX, DARK_E2 = 5.0, 0.8, 100.0
 
 
+def alike_from_line_to_line(rng: np.random.Generator, alike: float) -> Float64:
+    """N_SCAN numbers of variance 1, two neighbours' correlation being `alike`."""
+    numbers = rng.standard_normal(N_SCAN)
+    for s in range(1, N_SCAN):
+        numbers[s] = alike * numbers[s - 1] + math.sqrt(1.0 - alike**2) * numbers[s]
+    return numbers
+
+
 def light_of(
     rng: np.random.Generator,
     ends: float,
@@ -42,6 +51,7 @@ def light_of(
     apart_px: float = 12.0,
     peak_e: float = 3000.0,
     contrast: float = 0.0,
+    alike: float = 0.0,
     scatter_px: float = 0.0,
     noise: bool = True,
     flipped: bool = False,
@@ -51,7 +61,7 @@ def light_of(
     upper, lower = 40.3 + 0.1031 * (s - EDGE), 40.3 + apart_px - 0.1517 * (s - EDGE)
     moved_px = scatter_px * rng.standard_normal(N_SCAN)
     bells = (np.exp(-0.5 * ((r - (run + moved_px)[:, None]) / WIDTH_PX) ** 2) for run in (upper, lower))
-    u, v = (peak_e * np.exp(contrast * rng.standard_normal((N_SCAN, 1))) * bell for bell in bells)
+    u, v = (peak_e * np.exp(contrast * alike_from_line_to_line(rng, alike))[:, None] * bell for bell in bells)
     mean = ndtr((ends - s) / PSF_PX)[:, None] * u + ndtr((s - begins) / PSF_PX)[:, None] * v + 500.0
     charge = rng.normal(mean, np.sqrt(mean + DARK_E2)) if noise else mean
     position = np.where(s < 0.5 * (ends + begins), upper, lower) + moved_px
@@ -68,6 +78,7 @@ def light_of(
         np.full(N_SCAN, WIDTH_PX),
         1.0,
         contrast,
+        alike,
         PSF_PX,
         0.0,
         scatter_px,
@@ -92,12 +103,12 @@ def test_ends_without_noise_are_found_exactly(
         assert MIN_SIGMA <= found.sigma < 0.15
 
 
-@pytest.mark.parametrize("contrast", [0.1, 0.2])
-def test_their_sigma_is_honest(contrast: float) -> None:
+@pytest.mark.parametrize(("contrast", "alike"), [(0.1, 0.0), (0.2, 0.0), (0.2, 0.8)])
+def test_their_sigma_is_honest(contrast: float, alike: float) -> None:
     rng, off, stated = np.random.default_rng(4), [], []
     for _ in range(200):
         true = EDGE + rng.uniform(-0.5, 0.5)
-        light = light_of(rng, true, true + 0.7, peak_e=600.0, contrast=contrast)
+        light = light_of(rng, true, true + 0.7, peak_e=600.0, contrast=contrast, alike=alike)
         for found, line in zip(stripe_ends(light, EDGE, EDGE + 1), (true, true + 0.7), strict=True):
             off.append(found.line - line)
             # The floor is for real edges.
@@ -240,8 +251,14 @@ def test_an_end_does_not_look_past_the_image() -> None:
 
 
 @settings(deadline=None, max_examples=30)
-@given(st.floats(2.0, 6.0), st.floats(0.3, 1.5), st.floats(0.03, 0.3), st.integers(0, 2**32 - 1))
-def test_an_end_is_its_twin(true: float, sigma: float, contrast: float, seed: int) -> None:
+@given(
+    st.floats(2.0, 6.0),
+    st.floats(0.3, 1.5),
+    st.floats(0.03, 0.3),
+    st.floats(0.0, 0.9),
+    st.integers(0, 2**32 - 1),
+)
+def test_an_end_is_its_twin(true: float, sigma: float, contrast: float, alike: float, seed: int) -> None:
     rng, lines = np.random.default_rng(seed), np.arange(9.0)
     variance = rng.uniform(1e-4, 1e-3, 9)
     share = ndtr((true - lines) / sigma) + np.sqrt(variance) * rng.standard_normal(9)
@@ -252,20 +269,22 @@ def test_an_end_is_its_twin(true: float, sigma: float, contrast: float, seed: in
     def parts(at: float) -> tuple[float, float]:
         """chi^2 and ln of the determinant by the whole covariance, with the brightness that lines share."""
         mean = ndtr((at - lines) / sigma)
-        own = variance + (contrast * mean) ** 2 + MIN_STRIPE_SHARE**2 + (SPREAD * contrast) ** 2
-        covariance = np.diag(own) + contrast**2 / BEYOND * np.outer(mean, mean)
+        own = variance + MIN_STRIPE_SHARE**2 + (SPREAD * contrast) ** 2
+        together = alike ** np.abs(lines[:, None] - lines) + min((1 + alike) / (1 - alike) / BEYOND, 1.0)
+        covariance = np.diag(own) + contrast**2 * together * np.outer(mean, mean)
         off = share - mean
         return float(off @ np.linalg.solve(covariance, off)), float(np.linalg.slogdet(covariance)[1])
 
     for at in (true, true + 0.8):
-        assert end_misfit(share, variance, contrast, sigma, at).misfit == pytest.approx(misfit(at), rel=1e-6)
+        fit = end_misfit(share, variance, contrast, alike, sigma, at)
+        assert fit.misfit == pytest.approx(misfit(at), rel=1e-6)
     places = np.arange(1.0, 7.0, 0.01)
     misfits = np.array([misfit(at) for at in places])
     weights = np.exp(-0.5 * (misfits - misfits.min()))
     mean = weights @ places / weights.sum()
     deviation = math.sqrt(weights @ (places - mean) ** 2 / weights.sum())
-    end, end_sigma = fit_end(share, variance, contrast, sigma, 1.0, 7.0)
-    assert end == pytest.approx(mean, abs=0.3 * STEP)
+    end, end_sigma = fit_end(share, variance, contrast, alike, sigma, 1.0, 7.0)
+    assert end == pytest.approx(mean, abs=0.5 * STEP)
     excess = max(parts(end)[0] / 7.0 - math.sqrt(2.0 / 7.0), 1.0)
     assert end_sigma == pytest.approx(math.hypot(math.sqrt(excess) * deviation, MIN_SIGMA), rel=0.2)
 
@@ -282,7 +301,8 @@ def profile_of(light: StripeLight) -> Profile:
 def edge_of(profile: Profile, before: int, behind: int, hidden_mm: float) -> Edge:
     """The edge between two points of a profile whose faces lie at z = 0."""
     n = len(profile.y_mm)
-    return edge_between(profile, before, behind, hidden_mm, meet_face(profile, np.zeros(n), 0.0))
+    strip = HiddenStrip(hidden_mm, 0.0)
+    return edge_between(profile, before, behind, strip, meet_face(profile, np.zeros(n), 0.0))
 
 
 def test_an_edge_seen_from_beside_does_not_scatter_with_its_neighbours_centres() -> None:
@@ -302,7 +322,8 @@ def test_an_edge_seen_from_beside_does_not_scatter_with_its_neighbours_centres()
     assert seen.variance_mm2 == pytest.approx(expected.variance_mm2)
     assert seen.y_per_z == pytest.approx(1.5)
     # A face that is believed 0.1 mm higher than it is moves the edge by that much of 0.1 mm.
-    higher = edge_between(beside, EDGE, EDGE + 2, 0.0, meet_face(beside, np.full(N_SCAN, 0.1), 0.0))
+    face = meet_face(beside, np.full(N_SCAN, 0.1), 0.0)
+    higher = edge_between(beside, EDGE, EDGE + 2, NOTHING_HIDDEN, face)
     assert higher.y_mm - seen.y_mm == pytest.approx(0.15)
     covariance = seen.covariance(np.array([1.0]), np.array([1.0]), np.array([[0.04]]))
     assert covariance - np.diag([seen.variance_mm2, 0.0]) == pytest.approx(

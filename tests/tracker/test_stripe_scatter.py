@@ -44,14 +44,13 @@ CELL = 8
 seeds = st.integers(0, 2**32 - 1)
 
 
-def shown(of: Float64, sigma: Float64, amplitude: Float64) -> tuple[Float64, Float64, float]:
+def shown(of: Float64, sigma: Float64, amplitude: Float64) -> tuple[Float64, Float64, Float64]:
     """What `differences` shows of centres off their expected places."""
-    by_lag, by_length = np.empty(len(LAGS)), np.empty(len(LENGTHS))
+    by_lag, by_length, brightness = np.empty(len(LAGS)), np.empty(len(LENGTHS)), np.empty(len(LAGS))
     # Columns of the lines' fits: of another layout it would be compiled once more.
     centers, amplitudes = np.column_stack([of, amplitude]).T
-    brightness = differences(
-        centers, np.zeros(len(of)), sigma, amplitudes, LAGS, LENGTHS, MIN_MEANS, by_lag, by_length
-    )
+    expected = np.zeros(len(of))
+    differences(centers, expected, sigma, amplitudes, LAGS, LENGTHS, MIN_MEANS, by_lag, by_length, brightness)
     return by_lag, by_length, brightness
 
 
@@ -95,7 +94,7 @@ def test_differences_are_their_twin(seed: int, n: int, lost: float) -> None:
     bright = [
         beyond(of_three(amplitude, lag), np.zeros(n - 2 * lag), 1.0, MIN_DIFFERENCES) for lag in LAGS.tolist()
     ]
-    assert brightness == pytest.approx(np.fmax.reduce(bright) / np.nanmedian(amplitude) ** 2, nan_ok=True)
+    assert brightness == pytest.approx(np.array(bright) / np.nanmedian(amplitude) ** 2, nan_ok=True)
 
 
 @settings(deadline=None, max_examples=20)
@@ -148,7 +147,7 @@ def test_a_joint_that_is_off_its_expected_place_is_no_scatter(n: int) -> None:
         deep = [100.0 * np.maximum(1.0 - np.abs(s - n / 2.0 - off) / half, 0.0) for off in (0.0, half / 4.0)]
         off = deep[1] - deep[0] + own * rng.normal(size=n)
         scatter = NO_SCATTER.with_frame(
-            FrameScatter(*shown(off, np.full(n, own), np.ones(n))[:2], *(np.array(math.nan),) * 4)
+            FrameScatter(*shown(off, np.full(n, own), np.ones(n)), *(np.array(math.nan),) * 3)
         )
         most.append(scatter.mean_variance_px2 / own**2)
     print(f"{n} lines: {np.mean(most):.2f} of the lines' own variance, {np.max(most):.2f} at most")
@@ -184,9 +183,21 @@ def test_speckle_squared_is_its_twin(seed: int, contrast: float) -> None:
 
 
 def frame(value: float) -> FrameScatter:
-    return FrameScatter(
-        np.full(len(LAGS), value), np.full(len(LENGTHS), value), *(np.array(value) for _ in range(4))
-    )
+    by_lag = np.full(len(LAGS), value)
+    return FrameScatter(by_lag, np.full(len(LENGTHS), value), by_lag, *(np.array(value) for _ in range(3)))
+
+
+@pytest.mark.parametrize("alike", [0.0, 0.5, 0.8])
+def test_neighbours_brightness_is_as_alike_as_it_was_drawn(alike: float) -> None:
+    rng, n, contrast = np.random.default_rng(11), 4000, 0.2
+    scatter = [rng.standard_normal()]
+    for drawn in rng.standard_normal(n - 1):
+        scatter.append(alike * scatter[-1] + math.sqrt(1.0 - alike**2) * drawn)
+    amplitude = 1000.0 * (1.0 + contrast * np.array(scatter))
+    seen = shown(np.zeros(n), np.ones(n), amplitude)
+    learned = NO_SCATTER.with_frame(FrameScatter(*seen, *(np.array(math.nan),) * 3))
+    assert learned.brightness_contrast == pytest.approx(contrast, rel=0.15)
+    assert learned.brightness_alike == pytest.approx(alike, abs=0.1)
 
 
 def test_the_first_frame_counts_whole_and_old_ones_fade() -> None:

@@ -68,7 +68,7 @@ def fit_half_v(profile: Profile, joint: Joint, camera_mm: Float64, laser_mm: Flo
     before, behind = _beside_the_upright(lines, fit, float(start[-1]))
     if before < 0:
         return None
-    hidden = max(hidden_strip(source, start[-1], z_0 + depth, depth) for source in (camera_mm, laser_mm))
+    hidden = hidden_strip((camera_mm, laser_mm), float(start[-1]), z_0 + depth, depth, profile.slope_sigma)
     upright = edge_between(lines, before, behind, hidden, _met(lines, fit, float(start[-1]), before))
     start[-1] = upright.y_mm
     wall_variance = float(upright.covariance(MEAN_HEIGHT, MEAN_HEIGHT, fit.covariance)[0, 0])

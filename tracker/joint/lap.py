@@ -74,9 +74,9 @@ def fit_lap(profile: Profile, joint: Joint, camera_mm: Float64, laser_mm: Float6
     if before < 0:
         return None
     # The upper sheet is seen up to its edge; of the lower one the edge may hide a strip from camera or laser.
-    hidden = max(hidden_strip(source, y_0, z_s + step, step) for source in (camera_mm, laser_mm))
+    hidden = hidden_strip((camera_mm, laser_mm), y_0, z_s + step, step, profile.slope_sigma)
     # Glare or spatter over all of the points near it: between those beyond, an edge may be anywhere.
-    if lines.y_mm[behind] - hidden - lines.y_mm[before] > 2.0 * CLEAR_OF_EDGE_MM:
+    if lines.y_mm[behind] - hidden.width_mm - lines.y_mm[before] > 2.0 * CLEAR_OF_EDGE_MM:
         return None
     upright = edge_between(lines, before, behind, hidden, sheets.met_by(lines, before))
     edge = upright.y_mm

@@ -6,6 +6,7 @@ Where between them the image's scan lines say.
 from __future__ import annotations
 
 import math
+from collections.abc import Iterable
 from typing import NamedTuple
 
 import numpy as np
@@ -59,17 +60,24 @@ class Edge(NamedTuple):
         return np.asarray(moved @ of_faces @ moved.T + np.diag([self.variance_mm2, 0.0]))
 
 
-def edge_between(profile: Profile, before: int, behind: int, hidden_mm: float, face: OnFace) -> Edge:
+class HiddenStrip(NamedTuple):
+    """How much of the lower side beside its foot an edge hides, mm, and its 1 sigma."""
+
+    width_mm: float
+    sigma_mm: float
+
+
+def edge_between(profile: Profile, before: int, behind: int, hidden: HiddenStrip, face: OnFace) -> Edge:
     """Return the edge between two neighbouring points of a profile that lie on either side's face.
 
     Where they meet it is `face`. Of the lower side, behind, the edge hides a strip. Anywhere between the two
     points is as likely; where the image is at hand, its scan lines there say how much of them is either
     side's (`stripe_end`).
     """
-    last_mm, first_mm = float(face.y_mm[before]), float(face.y_mm[behind]) - hidden_mm
+    last_mm, first_mm = float(face.y_mm[before]), float(face.y_mm[behind]) - hidden.width_mm
     y_per_z = 0.5 * float(face.y_per_z[before] + face.y_per_z[behind])
     spread_mm = max(abs(first_mm - last_mm), profile.column_mm)
-    middle_mm, variance_mm2 = 0.5 * (last_mm + first_mm), spread_mm**2 / 12.0
+    middle_mm, variance_mm2 = 0.5 * (last_mm + first_mm), spread_mm**2 / 12.0 + 0.25 * hidden.sigma_mm**2
     anywhere = Edge(middle_mm, variance_mm2, y_per_z)
     if profile.light is None or _is_hidden(
         profile.light, int(profile.scan[before]), int(profile.scan[behind])
@@ -78,9 +86,9 @@ def edge_between(profile: Profile, before: int, behind: int, hidden_mm: float, f
     ends = stripe_ends(profile.light, int(profile.scan[before]), int(profile.scan[behind]))
     places, variances = [], []
     sides = slice(max(before - BESIDE, 0), before), slice(behind + 1, behind + 1 + BESIDE)
-    for end, side, hides_mm in zip(ends, sides, (0.0, hidden_mm), strict=True):
-        y_mm = _at_line(face.y_mm[side], profile.scan[side], end.line) - hides_mm
-        sigma_mm = end.sigma * profile.column_mm
+    for end, side, strip in zip(ends, sides, (NOTHING_HIDDEN, hidden), strict=True):
+        y_mm = _at_line(face.y_mm[side], profile.scan[side], end.line) - strip.width_mm
+        sigma_mm = math.hypot(end.sigma * profile.column_mm, strip.sigma_mm)
         # What tells less than the two points do is no end.
         if sigma_mm**2 < variance_mm2:
             places.append(y_mm)
@@ -118,10 +126,37 @@ def _at_line(y_mm: Float64, scan: Float64, line: float) -> float:
     return float(y_mm.mean() + (off @ y_mm) / (off @ off) * (line - middle))
 
 
-def hidden_strip(source_mm: Float64, edge_y_mm: float, edge_z_mm: float, step_mm: float) -> float:
-    """Return how much of the lower side beside the foot an edge hides from a point (3,), mm.
+NOTHING_HIDDEN = HiddenStrip(0.0, 0.0)
 
-    From a point that is not above the edge all of it is hidden: infinity.
+
+def hidden_strip(
+    sources_mm: Iterable[Float64], edge_y_mm: float, edge_z_mm: float, step_mm: float, slope_sigma: float
+) -> HiddenStrip:
+    """Return how much of the lower side beside the foot an edge hides from points (3,), mm.
+
+    The strip is what the point that hides more leaves dark. It ends below where the edge is (`edge_y_mm`,
+    x = 0) by how far the point stands aside, t = (y_edge - y) / (z - z_edge) step. A ray that comes from x
+    passes the edge x / (z - z_edge) step away from x = 0, where the edge lies aside by as much as the seam's
+    slope is unknown. A strip cannot be narrower than nothing: width and sigma are the mean and deviation of
+    max(0, t). From a point that is not above the edge all of it is hidden: infinity.
     """
-    over_mm = float(source_mm[2]) - edge_z_mm
-    return max(0.0, (edge_y_mm - float(source_mm[1])) / over_mm * step_mm) if over_mm > 0.0 else math.inf
+    strips = []
+    for source in sources_mm:
+        over_mm = float(source[2]) - edge_z_mm
+        if not over_mm > 0.0:
+            return HiddenStrip(math.inf, 0.0)
+        width_mm = (edge_y_mm - float(source[1])) / over_mm * step_mm
+        strips.append(_not_below_nothing(width_mm, slope_sigma * abs(float(source[0])) / over_mm * step_mm))
+    return max(strips)
+
+
+def _not_below_nothing(mean: float, sigma: float) -> HiddenStrip:
+    """Return the mean and deviation of max(0, t) where t is normal, of a mean and 1 sigma."""
+    if not sigma > 0.0:
+        return HiddenStrip(max(mean, 0.0), 0.0)
+    t = mean / sigma
+    above = 0.5 * math.erfc(-t / math.sqrt(2.0))
+    density = math.exp(-0.5 * t * t) / math.sqrt(2.0 * math.pi)
+    width = mean * above + sigma * density
+    square = (mean * mean + sigma * sigma) * above + mean * sigma * density
+    return HiddenStrip(width, math.sqrt(max(square - width * width, 0.0)))

@@ -36,6 +36,9 @@ WIDE_SIGMA_MM = 5.0
 BEND_SIGMA_MM, BEND_LENGTH_MM = 0.5, 60.0
 """s_1 and l: how far a seam wanders about its mean, and over what length."""
 
+SLOPE_SIGMA = 0.05
+"""1 sigma of a seam's slope before it is measured: parts lie askew, and seams bow."""
+
 MODEL_SIGMA_MM = 0.01
 """What a measurement may be off beyond its stated noise, so that repeats do not average without end."""
 
@@ -96,21 +99,30 @@ class SeamHistory:
 
     def line_at(self, station_mm: float) -> tuple[SeamLine, Float64]:
         """Return the seam as a straight stretch about a station, and the 1 sigma (2,) of its y and z, mm."""
-        here, sigma, slope = self._state_at(station_mm)
-        return SeamLine(station_mm, float(here[0]), float(here[1]), float(slope[0]), float(slope[1])), sigma
+        here, sigma, slope, slope_sigma = self._state_at(station_mm)
+        y_mm, z_mm = here.tolist()
+        slope_y, slope_z = slope.tolist()
+        return SeamLine(station_mm, y_mm, z_mm, slope_y, slope_z, float(slope_sigma.max())), sigma
 
     def at(self, station_mm: float) -> tuple[Float64, Float64]:
         """Return the displacement (2,) as (y, z), mm, and its 1 sigma (2,) at a station."""
-        value, sigma, _ = self._state_at(station_mm)
+        value, sigma, _, _ = self._state_at(station_mm)
         return value, sigma
 
-    def _state_at(self, station_mm: float) -> tuple[Float64, Float64, Float64]:
-        """Return the displacement, its 1 sigma and the seam's slope, (2,) each, at a station."""
-        value, sigma, slope = np.empty((3, 2))
+    def _state_at(self, station_mm: float) -> tuple[Float64, Float64, Float64, Float64]:
+        """Return displacement, its 1 sigma, the seam's slope and its 1 sigma, (2,) each, at a station."""
+        value, sigma, slope, slope_sigma = np.empty((4, 2))
         _condition(
-            self.stations_mm, self.displacements_mm, self.variances_mm2, station_mm, value, sigma, slope
+            self.stations_mm,
+            self.displacements_mm,
+            self.variances_mm2,
+            station_mm,
+            value,
+            sigma,
+            slope,
+            slope_sigma,
         )
-        return value, sigma, slope
+        return value, sigma, slope, slope_sigma
 
 
 N_STATES = 5
@@ -126,11 +138,12 @@ def _condition(
     value: Float64,
     sigma: Float64,
     slope: Float64,
+    slope_sigma: Float64,
 ) -> None:
-    """Write displacement, 1 sigma and slope (2,) at a station, as measurements at stations (n,) leave them.
+    """Write displacement and slope (2,), and their 1 sigma, as measurements at stations (n,) leave them.
 
     Displacements and variances are (n, 2). The last two of the states stay once the station that is asked for
-    is passed.
+    is passed. What the measurements tell of the bend's slope, they tell of the seam's, which may be more.
     """
     n = len(stations_mm)
     order = np.argsort(stations_mm, kind="mergesort")
@@ -173,6 +186,8 @@ def _condition(
         value[axis] = m[3] + m[2]
         sigma[axis] = math.sqrt(max(P[3, 3] + 2.0 * P[3, 2] + P[2, 2], 0.0))
         slope[axis] = m[4]
+        told = max(1.0 / max(P[4, 4], MIN_VARIANCE_MM2) - 1.0 / (decay * BEND_SIGMA_MM) ** 2, 0.0)
+        slope_sigma[axis] = 1.0 / math.sqrt(1.0 / SLOPE_SIGMA**2 + told)
 
 
 @kernel

@@ -90,13 +90,17 @@ def expected_seam(setup: Setup, nominal_scene: Scene, history: SeamHistory) -> t
 
 
 def sources(setup: Setup, scene: Scene, station: float) -> tuple[Float64, Float64]:
-    """Return where camera and laser stand, (3,) mm, a corrugation's tangent plane at a station levelled."""
+    """Return where camera and laser stand, (3,) mm, x from a station where the tangent plane is levelled.
+
+    That is a corrugation's.
+    """
     corrugation = scene.shape.corrugation
     ahead, here, behind = (ridge(station + step, corrugation)[0] for step in (0.5, 0.0, -0.5))
     laser_mm = transform(scene.T_joint_tool, setup.laser.origin_mm)
     sources = scene.T_joint_camera[:3, 3].copy(), laser_mm
     for source in sources:
-        source[2] -= here + (ahead - behind) * (source[0] - station)
+        source[0] -= station
+        source[2] -= here + (ahead - behind) * source[0]
     return sources
 
 

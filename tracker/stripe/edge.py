@@ -9,8 +9,9 @@ between them is
 Seen through a Gaussian of sigma_p, an edge at e leaves a_s = A Phi((e - s) / sigma_p), A near 1, and so of
 the other side. Where the edge crosses the stripe askew, the sheet's 1 sigma spreads it over lines of its own:
 a bell cut off at t of its sigmas has the least-squares share Phi(sqrt(2) t), so half of that square counts.
-That a stripe's brightness scatters from line to line by a contrast C adds (C a_s)^2 to a share's variance. A
-line that is whole may thus be dimmer than one that holds half: an end is the mean of its posterior.
+A stripe's brightness scatters by a contrast C, neighbouring lines alike: two lines k apart by rho^k. So a
+whole line may be dimmer than one that holds half, and so may its neighbours: an end is the mean of its
+posterior. The likelihood is a Kalman filter's along the lines (Kalman 1960, J. Basic Eng. 82, 35).
 """
 
 from __future__ import annotations
@@ -68,8 +69,9 @@ class StripeLight(NamedTuple):
 
     `charge_e`, `background_e` and `variance_e2`, of a pixel without the stripe; `shot` times the stripe's
     light comes on top. `position_px`, `width_px` (n_scan,) are the stripe's. `contrast` is by how much its
-    brightness scatters from line to line, relative, `psf_sigma_px` the optics' sigma, `sheet_lines` over how
-    many lines an edge along the seam crosses the sheet's sigma, `centre_sigma_px` the 1 sigma of centres.
+    brightness scatters from line to line, relative, `alike` the correlation of two neighbouring lines in
+    that, `psf_sigma_px` the optics' sigma, `sheet_lines` over how many lines an edge along the seam crosses
+    the sheet's sigma, `centre_sigma_px` the 1 sigma of centres.
     """
 
     charge_e: Float32
@@ -82,6 +84,7 @@ class StripeLight(NamedTuple):
     width_px: Float64
     shot: float
     contrast: float
+    alike: float
     psf_sigma_px: float
     sheet_lines: float
     centre_sigma_px: float
@@ -164,7 +167,8 @@ def _fitted(
     """
     contrast = max(light.contrast, MIN_CONTRAST)
     sigma = max(math.hypot(light.psf_sigma_px, light.sheet_lines / math.sqrt(2.0)), LINE_SIGMA)
-    return StripeEnd(*fit_end(shares, variances, contrast, sigma, max(earliest - sigma, 0.0), latest + sigma))
+    bounds = max(earliest - sigma, 0.0), latest + sigma
+    return StripeEnd(*fit_end(shares, variances, contrast, light.alike, sigma, *bounds))
 
 
 @kernel
@@ -285,34 +289,52 @@ class EndMisfit(NamedTuple):
 
 
 @kernel
-def end_misfit(share: Float64, variance: Float64, contrast: float, sigma: float, end: float) -> EndMisfit:
+def end_misfit(
+    share: Float64, variance: Float64, contrast: float, alike: float, sigma: float, end: float
+) -> EndMisfit:
     """Return how unlike shares (n,) are those of a stripe that ends at a place.
 
-    All lines share A, which is known as well as the mean of BEYOND lines is: with the shares' means m and
-    their own variances V the covariance is diag(V) + C^2 / BEYOND m m^T. V goes with the place, so ln V
-    counts.
+    With the shares' means m a line holds m (1 + a + n) and its own error, of variance V. All lines share a:
+    whole lines are known as well as the mean of BEYOND of them is. n scatters by the contrast, `alike` is
+    its correlation from line to line. V goes with the place, so ln V counts.
     """
-    H, g, chi2, determinant, lines = BEYOND / contrast**2, 0.0, 0.0, 0.0, 0
-    spread_2 = MIN_STRIPE_SHARE**2 + (SPREAD * contrast) ** 2
-    information = H
+    scatter = contrast * contrast
+    of_mean = scatter * min((1.0 + alike) / (1.0 - alike) / BEYOND, 1.0)
+    spread_2 = MIN_STRIPE_SHARE**2 + SPREAD**2 * scatter
+    whole, line = 0.0, 0.0
+    P_ww, P_wl, P_ll = of_mean, 0.0, scatter
+    chi2, determinant, lines = 0.0, 0.0, 0
     for i in range(share.shape[0]):
+        if i > 0:
+            line *= alike
+            P_wl *= alike
+            P_ll = alike * alike * P_ll + (1.0 - alike * alike) * scatter
         if math.isnan(share[i]):
             continue
         mean = 0.5 * math.erfc((i - end) / (sigma * math.sqrt(2.0)))
-        own = variance[i] + (contrast * mean) ** 2 + spread_2
-        off = share[i] - mean
-        information += mean * mean / own
-        g += mean * off / own
-        chi2 += off * off / own
-        determinant += math.log(own)
+        of_whole, of_line = mean * (P_ww + P_wl), mean * (P_wl + P_ll)
+        total = mean * (of_whole + of_line) + variance[i] + spread_2
+        off = share[i] - mean * (1.0 + whole + line)
+        chi2 += off * off / total
+        determinant += math.log(total)
         lines += 1
-    chi2 -= g * g / information
-    return EndMisfit(chi2 + determinant + math.log(information / H), chi2, lines)
+        whole += of_whole * off / total
+        line += of_line * off / total
+        P_ww -= of_whole * of_whole / total
+        P_wl -= of_whole * of_line / total
+        P_ll -= of_line * of_line / total
+    return EndMisfit(chi2 + determinant, chi2, lines)
 
 
 @kernel
 def fit_end(
-    share: Float64, variance: Float64, contrast: float, sigma: float, earliest: float, latest: float
+    share: Float64,
+    variance: Float64,
+    contrast: float,
+    alike: float,
+    sigma: float,
+    earliest: float,
+    latest: float,
 ) -> tuple[float, float]:
     """Return where shares (n,) that begin with 1 and end with 0 fall off, lines from the first, and 1 sigma.
 
@@ -323,7 +345,7 @@ def fit_end(
     best, least = math.nan, math.inf
     for k in range(-1, int((latest - earliest) / SEARCH_STEP) + 2):
         place = earliest + k * SEARCH_STEP
-        fit = end_misfit(share, variance, contrast, sigma, place)
+        fit = end_misfit(share, variance, contrast, alike, sigma, place)
         if fit.lines >= MIN_LINES and fit.misfit < least:
             best, least = place, fit.misfit
     # Another light that ends elsewhere is not this one; one that is likeliest at a bound ends beyond it.
@@ -333,7 +355,7 @@ def fit_end(
     for k in range(-HALF_STEPS, HALF_STEPS + 1):
         off = k * STEP
         if earliest <= best + off <= latest:
-            fit = end_misfit(share, variance, contrast, sigma, best + off)
+            fit = end_misfit(share, variance, contrast, alike, sigma, best + off)
             weight = math.exp(-0.5 * (fit.misfit - least))
             total += weight
             first += weight * off
@@ -342,7 +364,7 @@ def fit_end(
     posterior = max(second / total - mean * mean, 0.0)
     if posterior > MAX_VARIANCE_SHARE * (latest - earliest) ** 2 / 12.0:
         return math.nan, math.nan
-    fit = end_misfit(share, variance, contrast, sigma, best + mean)
+    fit = end_misfit(share, variance, contrast, alike, sigma, best + mean)
     freedom = fit.lines - 2.0
     # Only what chi2 shows beyond its own scatter widens the sigma.
     excess = max(fit.chi2 / freedom - math.sqrt(2.0 / freedom), 1.0)

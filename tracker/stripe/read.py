@@ -119,6 +119,7 @@ class StripeReading:
             width_px,
             self.shot,
             self.scatter.brightness_contrast,
+            self.scatter.brightness_alike,
             psf_sigma_px,
             sheet_lines,
             float(np.median(sigma_px)) if len(sigma_px) else math.nan,

@@ -68,6 +68,9 @@ least from 0.25 to 0.5, and by a quarter more at 1.
 MAX_LN_WIDTH = 0.45
 """A stripe that is wider or narrower than the setup says by more is another light."""
 
+MAX_ALIKE = 0.9
+"""Neighbouring lines' brightness is alike by no more: the rest is what the optics leave."""
+
 REMEMBERED = 10
 """About so many frames are averaged: the metal changes along the seam."""
 
@@ -75,8 +78,8 @@ REMEMBERED = 10
 class FrameScatter(NamedTuple):
     """What one frame shows beyond photons' noise; NaN where it shows nothing.
 
-    `by_lag` and `by_length`, px^2: the centres' variance beyond the lines' own. `brightness`: the square of
-    the amplitudes' contrast from line to line; `speckle`: that of a pixel's light about the fitted bell.
+    `by_lag` and `by_length`, px^2: the centres' variance beyond the lines' own. `brightness`, by lag: the
+    square of the amplitudes' contrast; `speckle`: that of a pixel's light about the fitted bell.
     `ln_width` and `width_variance`: the median of ln(width / expected width) and its robust variance.
     """
 
@@ -89,7 +92,10 @@ class FrameScatter(NamedTuple):
 
 
 _NOTHING = FrameScatter(
-    np.full(len(LAGS), math.nan), np.full(len(LENGTHS), math.nan), *(np.array(math.nan) for _ in range(4))
+    np.full(len(LAGS), math.nan),
+    np.full(len(LENGTHS), math.nan),
+    np.full(len(LAGS), math.nan),
+    *(np.array(math.nan) for _ in range(3)),
 )
 
 
@@ -116,7 +122,25 @@ class Scatter:
     @property
     def brightness_contrast(self) -> float:
         """By how much the stripe's brightness scatters from line to line, relative."""
-        return _root(self.average.brightness)
+        return math.sqrt(self._brightness_plateau)
+
+    @property
+    def brightness_alike(self) -> float:
+        """The correlation of two neighbouring lines' brightness, where two k apart have its k-th power.
+
+        Second differences over L lines have the variance (1 - r) (3 - r) / 3, r = rho^L, over that of lines
+        far apart. A grain is rounder than that law: L = 2 tells its width best.
+        """
+        near = float(self.average.brightness[LAGS == 2][0])
+        if not self._brightness_plateau > 0.0 or math.isnan(near):
+            return 0.0
+        of_two = 2.0 - math.sqrt(1.0 + 3.0 * near / self._brightness_plateau)
+        return min(math.sqrt(max(of_two, 0.0)), MAX_ALIKE)
+
+    @property
+    def _brightness_plateau(self) -> float:
+        known = self.average.brightness[np.isfinite(self.average.brightness)]
+        return float(known.max()) if len(known) else 0.0
 
     @property
     def speckle_contrast(self) -> float:
@@ -209,10 +233,10 @@ def frame_scatter(
     pixels' contrast, as `speckle_squared` has it; `is_searching` says whether the joint may be far off its
     expected place.
     """
-    by_lag, by_length = np.empty(len(LAGS)), np.empty(len(LENGTHS))
+    by_lag, by_length, brightness = np.empty(len(LAGS)), np.empty(len(LENGTHS)), np.empty(len(LAGS))
     min_means = MIN_MEANS_SEARCHING if is_searching else MIN_MEANS
-    brightness = differences(
-        fits[:, 0], expected_px, sigma_px, fits[:, 2], LAGS, LENGTHS, min_means, by_lag, by_length
+    differences(
+        fits[:, 0], expected_px, sigma_px, fits[:, 2], LAGS, LENGTHS, min_means, by_lag, by_length, brightness
     )
     ln_width = np.log(fits[:, 3] / width_px)
     known = ln_width[np.isfinite(ln_width)]
@@ -220,8 +244,9 @@ def frame_scatter(
     if len(known) >= MIN_DIFFERENCES:
         middle = float(np.median(known))
         variance = float(np.median((known - middle) ** 2)) / MEDIAN_CHI2
-    alone = (np.array(value) for value in (brightness, speckle, middle, variance))
-    return FrameScatter(by_lag, by_length, *alone)
+    return FrameScatter(
+        by_lag, by_length, brightness, *(np.array(value) for value in (speckle, middle, variance))
+    )
 
 
 @kernel(allocates=True)
@@ -303,12 +328,12 @@ def differences(
     min_means: int,
     by_lag: Float64,
     by_length: Float64,
-) -> float:
+    brightness: Float64,
+) -> None:
     """Write the variances by second differences, by lag and of means, less the lines' own, px^2.
 
-    Fewer than `min_means` differences of means tell nothing.
-
-    Returns the square of the amplitudes' contrast, the largest by lag; NaN for none.
+    Fewer than `min_means` differences of means tell nothing. Into `brightness` goes the square of the
+    amplitudes' contrast, by lag.
     """
     n = position_px.shape[0]
     off, variances, amplitudes = np.empty(n), np.empty(n), np.empty(n)
@@ -319,15 +344,10 @@ def differences(
         if math.isfinite(amplitude_e[i]):
             amplitudes[held] = amplitude_e[i]
             held += 1
-    contrast_squared = math.nan
+    typical_e = np.median(amplitudes[:held]) if held > 0 else math.nan
     for k in range(len(lags)):
         by_lag[k] = _variance_of(off, lags[k], MIN_PER_LAG * lags[k]) - _own_variance_of(variances, lags[k])
-        brightness = _variance_of(amplitude_e, lags[k], MIN_DIFFERENCES)
-        if not math.isnan(brightness):
-            brightness /= np.median(amplitudes[:held]) ** 2
-            contrast_squared = (
-                brightness if math.isnan(contrast_squared) else max(contrast_squared, brightness)
-            )
+        brightness[k] = _variance_of(amplitude_e, lags[k], MIN_DIFFERENCES) / typical_e**2
     for k in range(len(lengths)):
         length = lengths[k]
         means, own = np.empty(n // length), np.empty(n // length)
@@ -342,4 +362,3 @@ def differences(
             means[b] = total / seen if is_mean else math.nan
             own[b] = variance / seen if is_mean else math.nan
         by_length[k] = length * _variance_of(means, 1, min_means) - _own_variance_of(own, 1)
-    return float(contrast_squared)
