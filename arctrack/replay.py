@@ -232,7 +232,7 @@ def _replay(
         make_folder(folder, (name for name in FILES if name != BUS_LOG))
         results = opened.enter_context(ResultsWriter(folder))
         number, jobs = jobs_for(recording, options.cell, options.job_number)
-        controller = Controller(jobs, Source.REPLAY)
+        controller = Controller(jobs, Source.REPLAY, None if options.cell is None else options.cell.policy)
         poses = RecordedPoses(
             recording, PlausibilityLimits() if options.cell is None else options.cell.plausibility
         )

@@ -35,6 +35,7 @@ Spoiler = Callable[[Cell, np.random.Generator, float], Spoil]
 """Draws what is wrong with poses from a time, s, on."""
 
 POSES = frozenset({GateReason.POSE_IMPLAUSIBLE})
+DELAYED = frozenset({GateReason.BUS_DELAYED})
 
 
 @dataclass(frozen=True)
@@ -388,8 +389,24 @@ KINDS: tuple[FaultKind, ...] = (
     FaultKind(
         "tracker's frames late by the counter's turns",
         _bus(lambda rng: BusTrouble(("tracker",), late_s=0.15 * int(rng.integers(1, 3)))),
+        DELAYED,
+        0.5,
         is_slow_bus=True,
-        note="the robot alone can tell, by the echoes of its SYNC",
+        note="told by the round trip that the robot states no more",
+    ),
+    FaultKind(
+        "robot's frames 100 ms late",
+        _bus(lambda _: BusTrouble(("robot",), late_s=0.1)),
+        DELAYED | POSES,
+        0.3,
+        note="told by the way of its SYNC",
+    ),
+    FaultKind(
+        "robot's frames 100 ms late from the start",
+        _bus(lambda _: BusTrouble(("robot",), late_s=0.1)),
+        DELAYED | POSES,
+        0.0,
+        from_start=True,
     ),
     FaultKind("clock set on by 1 s", _clock(1.0), note="at once; SYNC shows that it was set"),
     FaultKind("clock set back by 1 s", _clock(-1.0), note="at once; SYNC shows that it was set"),

@@ -9,6 +9,7 @@ from pathlib import Path
 from arctrack.errors import ArctrackError, in_file
 from arctrack.recording.setup_file import SetupFile
 from arctrack.service.job import Bridging, Job, PartLimits
+from arctrack.service.policy import ServicePolicy
 from arctrack.service.pose_watch import nominal_path
 from noise_model.setup import Setup
 from noise_model.surface.joint import Joint
@@ -116,6 +117,8 @@ class CellFile:
         Frames a second of the camera.
     limits : GateLimits
         What an offset must keep to.
+    policy : ServicePolicy
+        How long what was heard counts.
     plausibility : PlausibilityLimits
         What poses must keep to.
     jobs : mapping of int to CellJob
@@ -127,6 +130,7 @@ class CellFile:
     bus: BusChoice
     frame_rate_hz: float
     limits: GateLimits
+    policy: ServicePolicy
     plausibility: PlausibilityLimits
     jobs: Mapping[int, CellJob]
 

@@ -11,6 +11,7 @@ from pydantic import Field, FiniteFloat, create_model
 from arctrack.recording.key_errors import place
 from arctrack.recording.setup_model import FollowTable, JointTable, Number, Table
 from arctrack.service.job import PartLimits
+from arctrack.service.policy import ServicePolicy
 from noise_model.spelling import cure_for
 from noise_model.surface.joint import DIMENSIONS
 from robot_io import GateLimits
@@ -37,9 +38,12 @@ def _table_of(record: type) -> type[Table]:
 if TYPE_CHECKING:
     # A type that is made cannot be checked by name; its keys are.
     GateTable: TypeAlias = Table
+    ServiceTable: TypeAlias = Table
     PlausibilityTable: TypeAlias = Table
 else:
-    GateTable, PlausibilityTable = _table_of(GateLimits), _table_of(PlausibilityLimits)
+    GateTable = _table_of(GateLimits)
+    ServiceTable = _table_of(ServicePolicy)
+    PlausibilityTable = _table_of(PlausibilityLimits)
 
 
 class BusTable(Table):
@@ -85,6 +89,7 @@ class CellToml(Table):
     bus: BusTable
     camera: CameraTable
     gate: GateTable = Field(default_factory=GateTable)
+    service: ServiceTable = Field(default_factory=ServiceTable)
     plausibility: PlausibilityTable = Field(default_factory=PlausibilityTable)
     jobs: dict[str, JobTable] = Field(min_length=1)
 

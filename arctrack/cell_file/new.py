@@ -12,6 +12,7 @@ from arctrack.errors import in_file
 from arctrack.new import RADIANCE_E, commented_setup
 from arctrack.nominal import nominal_setup
 from arctrack.output import writing
+from arctrack.service.policy import ServicePolicy
 from robot_io import GateLimits
 
 CELL_TOML, SETUP_TOML = "cell.toml", "setup.toml"
@@ -96,12 +97,13 @@ def write_new_cell(folder: Path, joint_type: str, material_name: str) -> tuple[P
 
 def commented_cell() -> str:
     """Return a cell file with a comment on each key."""
-    return _HEAD + "\n".join(_gate_lines()) + "\n" + _JOBS
+    lines = (*_limits(GateLimits), "", "[service]", *_limits(ServicePolicy))
+    return _HEAD + "\n".join(lines) + "\n" + _JOBS
 
 
-def _gate_lines() -> Iterator[str]:
-    """Yield each limit of the gate behind a #, with its role, its unit and its source."""
-    for limit in fields(GateLimits):
+def _limits(record: type[GateLimits | ServicePolicy]) -> Iterator[str]:
+    """Yield each limit of a record behind a #, with its role, its unit and its source."""
+    for limit in fields(record):
         role, unit = limit.metadata["role"], limit.metadata["unit"]
         text = f"{role[:1].upper()}{role[1:]}{f', {unit}' if unit else ''}. {limit.metadata['source']}"
         yield from textwrap.wrap(text, COLUMNS, initial_indent="# ", subsequent_indent="# ")

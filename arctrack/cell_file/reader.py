@@ -19,6 +19,7 @@ from arctrack.recording.setup_file import SetupFile, read_setup_file
 from arctrack.recording.setup_model import Table
 from arctrack.recording.toml_text import parse_toml
 from arctrack.service.job import PartLimits, Range
+from arctrack.service.policy import ServicePolicy
 from noise_model.surface.joint import Joint
 from robot_io import GateLimits
 from robot_io.poses.plausibility_limits import PlausibilityLimits
@@ -75,6 +76,7 @@ def _cell(path: Path, model: CellToml, setup: SetupFile) -> CellFile:
         bus=BusChoice(model.bus.interface, model.bus.channel, model.bus.bit_rate_bit_s),
         frame_rate_hz=model.camera.frame_rate_hz,
         limits=limits,
+        policy=_record(ServicePolicy, model.service, "service policy", "service"),
         plausibility=_record(PlausibilityLimits, model.plausibility, "plausibility limit", "plausibility"),
         jobs=dict(sorted((_number(key), _job(key, table)) for key, table in model.jobs.items())),
     )

@@ -13,6 +13,7 @@ from collections.abc import Mapping
 
 from arctrack.service import track_messages
 from arctrack.service.beat import Beat
+from arctrack.service.bus_delay import BusDelay
 from arctrack.service.heard import Heard, fresh
 from arctrack.service.job import NO_JOB, Job
 from arctrack.service.part import PartWatch
@@ -89,9 +90,9 @@ class Controller:
         self.verdicts: Counter[Verdict] = Counter()
         self.reasons: Counter[GateReason] = Counter()
         self._jobs = job
-        self._part = PartWatch()
         self._source = source
         self._policy = policy or ServicePolicy()
+        self._part, self._bus_delay = PartWatch(), BusDelay(self._policy)
         self._robot: Heard[RobotStatus] | None = None
         self._command: Heard[TrackerCommand] | None = None
         self._poses_doubt, self._poses_at_s = GateReason.POSE_IMPLAUSIBLE, NAN
@@ -161,6 +162,7 @@ class Controller:
         elif isinstance(message, TrackerCommand):
             self._obey(message, came_at_s, now_s)
         elif isinstance(message, RobotSync):
+            self._bus_delay.hear(message, came_at_s)
             delay_us = round(1e6 * received.max_age_s)
             known = 0 <= delay_us <= 1_048_574
             return [TrackerSyncEcho(message.sequence, delay_us if known else None, self._source)]
@@ -295,6 +297,8 @@ class Controller:
             doubt = GateReason.CAMERA_STOPPED
         elif command is not None and command.command is Command.SEARCH and not self.job.offsets_in_search:
             doubt = GateReason.SEARCH_ONLY
+        elif self._bus_delay.doubt(now_s) is not GateReason.NONE:
+            doubt = self._bus_delay.doubt(now_s)
         elif not self._part.is_fit(self.job):
             doubt = GateReason.PART_REFUSED
         elif self.job.poses_proven:

@@ -32,9 +32,23 @@ class ServicePolicy:
         0.2, "longest time without a track", "the oldest capture that the gate lets out"
     )
     repeat_s: float = _seconds(0.1, "time between refusals without a track", "the cycle of TrackerStatus")
+    round_trip_s: float = _seconds(
+        0.02, "longest way of a SYNC and its echo", "at 10 mm/s the torch goes 0.2 mm, what a weld can bear"
+    )
+    round_trip_age_s: float = _seconds(
+        0.35, "oldest SYNC that states a round trip", "three cycles and a half: two may be lost"
+    )
+    sync_required: bool = field(
+        default=False,
+        metadata={
+            "unit": "",
+            "role": "whether the robot must send RobotSync",
+            "source": "a robot may know no time of its frames; what is late on the way is then not seen",
+        },
+    )
 
     def __post_init__(self) -> None:
-        for name in (f.name for f in fields(self)):
+        for name in (f.name for f in fields(self) if f.name != "sync_required"):
             value = getattr(self, name)
             if not (value > 0.0 and math.isfinite(value)):
                 raise ValueError(f"service policy {name}: is {value}; it must be positive and finite")

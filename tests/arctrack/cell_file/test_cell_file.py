@@ -18,6 +18,7 @@ from arctrack.errors import ArctrackError
 from arctrack.recording import Recording, read_recording
 from arctrack.replay import ReplayOptions, replay_recording
 from arctrack.service.job import Job, PartLimits
+from arctrack.service.policy import ServicePolicy
 from robot_io import BusLogReader, GateLimits, TrackerHeartbeat
 from robot_io.poses.plausibility_limits import PlausibilityLimits
 
@@ -56,6 +57,7 @@ def test_a_new_cell_file_says_what_is_so_unless_stated(new_cell: Path) -> None:
     assert (str(cell.bus), cell.bus.bit_rate_bit_s) == ("virtual:arctrack", 500_000)
     assert cell.limits == GateLimits()
     assert cell.plausibility == PlausibilityLimits()
+    assert cell.policy == ServicePolicy()
     assert cell.jobs[1].to_job(cell.setup.setup, cell.limits) == Job("v_groove", poses_proven=True)
     assert cell.bus_load == pytest.approx(0.1056, abs=1e-4)
 
@@ -72,7 +74,7 @@ def test_what_stands_behind_a_mark_in_it_can_be_taken_as_it_is(new_cell: Path) -
     path.write_text("\n".join(lines), encoding="utf-8")
     assert {*tomllib.loads("\n".join(lines))["gate"]} == {f.name for f in fields(GateLimits)}
     cell = read_cell_file(path)
-    assert cell.limits == GateLimits()
+    assert (cell.limits, cell.policy) == (GateLimits(), ServicePolicy())
     job = cell.jobs[1]
     assert job.joint is not None
     assert job.joint.type == "half_v"
@@ -99,6 +101,7 @@ def test_the_page_shows_a_cell_file_that_can_be_read(new_cell: Path) -> None:
 @pytest.mark.parametrize(
     ("change", "complaint"),
     [
+        (lambda d: d["service"].update(round_trip_s=0.0), "[service] round_trip_s: is 0.0; it must be pos"),
         (
             lambda d: d.update(format="arctrack-cell/2"),
             "format = 'arctrack-cell/2': must be 'arctrack-cell/1'",
