@@ -203,7 +203,7 @@ class Track:
         The probability that the displacement at the torch is known within the weld's tolerance, `seam_mm`. It
         includes the hand-eye tolerance.
     valid_at_s : float
-        The time at which the offset holds, s.
+        The time at which the offset holds, s: that of the capture, or once the correction acts.
     gap_mm, mismatch_mm : float
         The joint's gap and mismatch, mm.
     confidence : float

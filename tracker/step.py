@@ -25,7 +25,7 @@ from tracker.seam.locate import (
     locate,
     pose_checks,
 )
-from tracker.seam.steer import Steering, steer
+from tracker.seam.steer import AT_ONCE, Lead, Steering, steer
 from tracker.state import Frame, Pose, Track, frame_misfit
 from tracker.stripe.read import Work
 from tracker.stripe.scatter import NO_SCATTER, Scatter
@@ -112,6 +112,7 @@ def step(
     work: Work,
     use_arc_map: bool = True,
     correction: Correction = UNSTATED,
+    lead: Lead = AT_ONCE,
 ) -> tuple[TrackerState, Track]:
     """Track one frame.
 
@@ -133,6 +134,8 @@ def step(
         False reads the stripe over a running median with one variance for all pixels, for comparison.
     correction : Correction
         What of the seam's displacement is sent.
+    lead : Lead
+        When, and how much farther along the seam, the correction will act.
 
     Returns
     -------
@@ -141,7 +144,7 @@ def step(
     Track
         The frame's result.
     """
-    return step_and_reading(geometry, state, frame, pose, work, use_arc_map, correction)[:2]
+    return step_and_reading(geometry, state, frame, pose, work, use_arc_map, correction, lead)[:2]
 
 
 def step_and_reading(
@@ -152,6 +155,7 @@ def step_and_reading(
     work: Work,
     use_arc_map: bool = True,
     correction: Correction = UNSTATED,
+    lead: Lead = AT_ONCE,
 ) -> tuple[TrackerState, Track, Reading | None]:
     """Return what `step` does and the look at the frame that it rests on, None where it took none."""
     state = replace(state, frames=state.frames + 1)
@@ -197,6 +201,7 @@ def step_and_reading(
         state.steering,
         replace(track, flags=asked.flags, checks=tuple(asked.answers)),
         seam,
+        lead,
     )
     return replace(state, steering=steering), track, reading
 

@@ -9,6 +9,7 @@ from tracker import flags
 from tracker.geometry import SensorGeometry
 from tracker.measure import Reading
 from tracker.seam.correction import UNSTATED, Correction
+from tracker.seam.steer import AT_ONCE, Lead
 from tracker.state import Frame, Pose, Track, frame_misfit
 from tracker.step import TrackerState, step_and_reading
 from tracker.stripe.read import Work
@@ -49,7 +50,7 @@ class Tracker:
         size = f"{setup.camera.width} x {setup.camera.height} px"
         return f"Tracker(a {setup.joint.type} seen by {size}, {means}; {self.state.frames} frames so far)"
 
-    def step(self, frame: Frame, pose: Pose | None) -> Track:
+    def step(self, frame: Frame, pose: Pose | None, lead: Lead = AT_ONCE) -> Track:
         """Track one frame and keep the new state.
 
         Nothing about a frame raises: what is not known is NaN, with a flag that says why. A frame that is not
@@ -61,6 +62,8 @@ class Tracker:
             A raw frame and its condition.
         pose : Pose or None
             The tool's pose at the frame's time, None where there is none.
+        lead : Lead
+            When, and how much farther along the seam, the correction will act.
 
         Returns
         -------
@@ -68,7 +71,7 @@ class Tracker:
             The seam, the offset at the torch, their sigmas and the flags.
         """
         self.state, track, self.reading = step_and_reading(
-            self.geometry, self.state, frame, pose, self._work, self.use_arc_map, self.correction
+            self.geometry, self.state, frame, pose, self._work, self.use_arc_map, self.correction, lead
         )
         if track.flags & flags.FRAME_UNREADABLE.mask:
             misfit = frame_misfit(frame.image_dn.shape, frame.image_dn.dtype, self.geometry.setup)

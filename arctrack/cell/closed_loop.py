@@ -25,7 +25,9 @@ from noise_model.effects import apply_setup_effects
 from noise_model.setup import Setup
 from noise_model.surface.joint import section
 from robot_io import BusMessage, GateReason, SeamOffset, TrackerStatus, Validity
+from robot_io.clocks.lag import Lag
 from tracker import flags
+from tracker.seam.steer import Lead
 from tracker.state import Track
 
 START_MM = 30.0
@@ -64,6 +66,8 @@ class LoopPlan:
         Frames a second.
     seed : int
         The same seed gives the same run.
+    looks_ahead : bool
+        Whether the lag is estimated and offsets are asked for where the torch will be once they act.
     exact : bool
         Whether what is there is as the setup says; else it is off by the setup's tolerances.
     """
@@ -80,6 +84,7 @@ class LoopPlan:
     weave_hz: float = 2.0
     rate_hz: float = 25.0
     seed: int = 1
+    looks_ahead: bool = True
     exact: bool = True
 
     @property
@@ -104,12 +109,17 @@ class Sample:
 
 @dataclass(frozen=True)
 class LoopFrame:
-    """A frame of the run: its track, what was sent of it, and where the torch was then."""
+    """A frame of the run: its track, what was sent of it, and where the torch was then.
+
+    `lag` is how late the robot follows, as it was known then, and `lead` what was made of it.
+    """
 
     track: Track
     offset: SeamOffset
     reason: GateReason
     sample: Sample
+    lag: Lag
+    lead: Lead
 
 
 @dataclass(frozen=True)
@@ -129,6 +139,8 @@ class LoopResult:
         The share of frames whose offset is VALID.
     reasons : dict
         How many frames had each reason but NONE.
+    lag : Lag
+        How late the robot follows an offset, from its capture on, as it was known at the end.
     weave_mm : float
         The weave's amplitude as the torch made it, by least squares at the weave's frequency.
     """
@@ -140,6 +152,7 @@ class LoopResult:
     rms_z_mm: float
     valid_share: float
     reasons: dict[str, int]
+    lag: Lag
     weave_mm: float
 
 
@@ -176,6 +189,7 @@ class ClosedLoop:
             return self.eye
 
         self.cell = Cell(_world(plan, self.setup), draw_cell, see, 1.0 / plan.rate_hz)
+        self.cell.tracker.looks_ahead = plan.looks_ahead
         self.cell.tracker.on_track = self._on_track
         self.cell.scheduler.every(SAMPLE_S, self._sample, 0.0007)
 
@@ -192,8 +206,9 @@ class ClosedLoop:
         valid = [frame.offset.validity is Validity.VALID for frame in self.frames]
         valid_share = float(np.mean(valid)) if valid else math.nan
         reasons = Counter(frame.reason.name for frame in self.frames if frame.reason is not GateReason.NONE)
+        lag = self.cell.tracker.look_ahead.lag
         if not locked:
-            return LoopResult(lock_s, *(math.nan,) * 4, valid_share, dict(reasons), math.nan)
+            return LoopResult(lock_s, *(math.nan,) * 4, valid_share, dict(reasons), lag, math.nan)
         off = np.array([np.subtract(sample.torch_mm, sample.seam_mm) for sample in locked])
         distance = np.hypot(off[:, 0], off[:, 1])
         rms_y_mm, rms_z_mm = np.sqrt((off**2).mean(axis=0)).tolist()
@@ -205,6 +220,7 @@ class ClosedLoop:
             rms_z_mm,
             valid_share,
             dict(reasons),
+            lag,
             _weave_mm(locked, self.plan.weave_hz),
         )
 
@@ -223,7 +239,11 @@ class ClosedLoop:
         status = next(m for m in messages if isinstance(m, TrackerStatus))
         # What is kept of a run is small: its stripes are not.
         track = replace(track, stripe=None, checks=())
-        self.frames.append(LoopFrame(track, offset, status.gate_reason, self._now()))
+        tracker = self.cell.tracker
+        frame = LoopFrame(
+            track, offset, status.gate_reason, self._now(), tracker.look_ahead.lag, tracker.lead
+        )
+        self.frames.append(frame)
         if self._on_frame is not None:
             self._on_frame(len(self.frames))
 

@@ -9,6 +9,7 @@ import numpy.typing as npt
 
 from robot_io import PoseAt, RobotStatus
 from tracker.seam.innovation import SeamMeasured
+from tracker.seam.steer import Lead
 from tracker.state import Track
 
 Shown = npt.NDArray[Any] | None
@@ -31,6 +32,8 @@ class Capture:
         What the robot said last; None before it was heard.
     is_trusted : bool
         Whether poses are trusted: what is measured by others must not last.
+    lead : Lead
+        How far ahead of the torch the offset is asked for.
     """
 
     index: int
@@ -38,6 +41,7 @@ class Capture:
     pose: PoseAt
     robot: RobotStatus | None
     is_trusted: bool
+    lead: Lead
 
 
 class Eye(Protocol):

@@ -20,11 +20,17 @@ COLUMNS = (
     "across_mm",
     "offset_y_mm",
     "offset_z_mm",
+    "lag_s",
+    "lag_sigma_s",
+    "lead_mm",
     "validity",
     "reason",
     "flags",
 )
-"""Time and place are those at which a frame's offset was sent; `across_mm` is the torch with its weave."""
+"""Time and place are those at which a frame's offset was sent; `across_mm` is the torch with its weave.
+
+`lag_s` is nan while it is unestimated.
+"""
 
 
 def write_run(path: Path, frames: Sequence[LoopFrame]) -> None:
@@ -42,6 +48,9 @@ def write_run(path: Path, frames: Sequence[LoopFrame]) -> None:
                 sample.across_mm,
                 offset.offset_y_mm,
                 offset.offset_z_mm,
+                frame.lag.lag_s,
+                frame.lag.sigma_s,
+                frame.lead.way_mm,
             )
             names = (offset.validity.name, frame.reason.name, " ".join(frame.track.flag_names))
             writer.writerow([*(f"{number:.4f}" for number in numbers), *names])

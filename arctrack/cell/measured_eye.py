@@ -76,7 +76,7 @@ class MeasuredEye:
         return self._tracked(shown, capture, 0), measured
 
     def _tracked(self, shown: Shown, capture: Capture, flag_bits: int) -> Track:
-        displacement, sigma = self._history.at(self._torch_mm(capture.pose))
+        displacement, sigma = self._history.at(self._torch_mm(capture.pose) + capture.lead.way_mm)
         y_mm, z_mm = displacement.tolist()
         sigma_y_mm, sigma_z_mm = sigma.tolist()
         noise_mm = self.robot.world.noise_mm
@@ -93,7 +93,7 @@ class MeasuredEye:
             offset_sigma_y_mm=sigma_y_mm,
             offset_sigma_z_mm=sigma_z_mm,
             offset_confidence=math.erf(within / sigma_y_mm) * math.erf(within / sigma_z_mm),
-            valid_at_s=capture.captured_s,
+            valid_at_s=capture.captured_s + capture.lead.time_s,
         )
 
     def _torch_mm(self, pose: PoseAt) -> float:

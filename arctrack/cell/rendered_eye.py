@@ -109,7 +109,7 @@ class RenderedEye:
         )
         before = self.tracker.state
         pose = Pose(capture.pose.T_base_tool, capture.pose.status is PoseStatus.EXTRAPOLATED)
-        track = self.tracker.step(frame, pose)
+        track = self.tracker.step(frame, pose, capture.lead)
         if not capture.is_trusted:
             self.tracker.state = before
         return track, self._measured(track, capture.pose)
@@ -140,8 +140,10 @@ class RenderedEye:
         world, joint = self.robot.world, self.true_setup.joint
 
         def line(station_mm: float) -> SeamLine:
-            y_mm, z_mm = world.seam_mm(station_mm)
-            slope_y, slope_z = world.seam_slope(station_mm)
+            # A joint's stations count from base's origin, a world's from where its path begins.
+            on_path_mm = station_mm - world.start_base_mm[0]
+            y_mm, z_mm = world.seam_mm(on_path_mm)
+            slope_y, slope_z = world.seam_slope(on_path_mm)
             return SeamLine(station_mm, y_mm + off_mm, z_mm, slope_y, slope_z)
 
         T_base_tool = self.robot.T_base_tool()

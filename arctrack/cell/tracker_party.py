@@ -16,6 +16,7 @@ from arctrack.cell.robot_party import SOURCE, as_message
 from arctrack.cell.scheduler import Scheduler
 from arctrack.service.controller import Controller
 from arctrack.service.job import Job
+from arctrack.service.look_ahead import LookAhead
 from arctrack.service.policy import ServicePolicy
 from arctrack.service.pose_watch import PoseWatch
 from robot_io import (
@@ -36,6 +37,7 @@ from robot_io.poses.nominal_path import NominalPath
 from robot_io.poses.plausibility_limits import PlausibilityLimits
 from tracker import flags
 from tracker.seam.innovation import InnovationLimits
+from tracker.seam.steer import AT_ONCE, Lead
 from tracker.state import Track
 
 FRAME_PERIOD_S, EXPOSED_S, COMPUTED_S = 0.02, 0.002, 0.012
@@ -67,6 +69,8 @@ class TrackerParty:
         Its camera, and what tracks.
     frame_period_s : float
         From a frame to the next, s.
+    looks_ahead : bool
+        Whether offsets are asked for where the torch will be once they act.
     clock_s : float
         How far its clock is ahead of the true time, s.
     camera : Camera
@@ -75,6 +79,8 @@ class TrackerParty:
         Whether the process runs: what comes meanwhile waits in the bus' buffer.
     queue_full : bool
         Whether nothing that is sent goes out.
+    lead : Lead
+        How far ahead of the torch the latest offset was asked for.
     captured : dict
         When each frame was taken, s, by its time on the tracker's clock.
     on_track : callable or None
@@ -88,11 +94,13 @@ class TrackerParty:
     job: Job
     eye: Eye
     frame_period_s: float = FRAME_PERIOD_S
+    looks_ahead: bool = True
     clock_s: float = 0.0
     camera: Camera = Camera.RIGHT
     is_running: bool = True
     queue_full: bool = False
     ghost_mm: float = 2.0
+    lead: Lead = AT_ONCE
     captured: dict[float, float] = field(default_factory=dict)
     on_sent: Callable[[BusMessage], None] | None = None
     on_track: Callable[[Track, list[BusMessage]], None] | None = None
@@ -122,6 +130,7 @@ class TrackerParty:
         self.watch = PoseWatch(
             self.path, PlausibilityLimits(), InnovationLimits(), SyncLimits(), ServicePolicy().status_age_s
         )
+        self.look_ahead = LookAhead(self.path)
         self._poses = PoseBuffer(256)
         self._robot_said: RobotStatus | None = None
         self._waiting.clear()
@@ -151,8 +160,10 @@ class TrackerParty:
             return
         if isinstance(received.message, RobotStatus):
             self._robot_said = received.message
+        self.look_ahead.hear(received.message)
         sample = self.watch.hear(received, now_s)
         if sample is not None:
+            self.look_ahead.see(sample, self.watch.doubt(now_s) is None)
             try:
                 self._poses.push_quaternion(
                     sample.timestamp_s, sample.position_base_mm, sample.quaternion_xyzw
@@ -189,7 +200,9 @@ class TrackerParty:
         if pose.status is PoseStatus.REFUSED:
             track = Track(self._index, captured_s, flags.POSE_REFUSED.mask)
         else:
-            capture = Capture(self._index, captured_s, pose, self._robot_said, trusted)
+            lead = self.look_ahead.lead(now_s)
+            self.lead = lead if self.looks_ahead else AT_ONCE
+            capture = Capture(self._index, captured_s, pose, self._robot_said, trusted, self.lead)
             track, measured = self.eye.track(shown, capture)
             if measured is not None:
                 self.watch.see(measured)
@@ -211,6 +224,8 @@ class TrackerParty:
                 continue
             if isinstance(message, UNHEARD):
                 continue
-            if isinstance(message, SeamOffset) and self.on_sent is not None:
-                self.on_sent(message)
+            if isinstance(message, SeamOffset):
+                self.look_ahead.sent(message, self.now_s)
+                if self.on_sent is not None:
+                    self.on_sent(message)
             self.bus.send(self.name, *self._protector.protect(message))

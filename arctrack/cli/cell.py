@@ -13,6 +13,7 @@ from arctrack.cli.simulate import JointName, MaterialName
 
 if TYPE_CHECKING:
     from arctrack.cell.closed_loop import LoopPlan, LoopResult
+    from robot_io.clocks.lag import Lag
 
 cell = typer.Typer(name="cell", help="Run a simulated cell.", no_args_is_help=True)
 
@@ -73,6 +74,9 @@ def run(
     ] = 1.5,
     fps: Annotated[float, typer.Option(help="Frames a second.", min=5, max=50)] = 25.0,
     seed: Annotated[int, typer.Option(help="Same seed, same run.", min=0)] = 1,
+    at_once: Annotated[
+        bool, typer.Option("--at-once", help="Send the offset of where the torch is, as if it acted at once.")
+    ] = False,
     off_nominal: Annotated[
         bool, typer.Option("--off-nominal", help="True values are drawn from the setup's tolerance.")
     ] = False,
@@ -100,6 +104,7 @@ def run(
         weave_mm=weave_mm,
         rate_hz=fps,
         seed=seed,
+        looks_ahead=not at_once,
         exact=not off_nominal,
     )
     make_folder(out, (RUN_CSV, RUN_PICTURE))
@@ -122,5 +127,12 @@ def _lines(plan: LoopPlan, result: LoopResult) -> list[str]:
         f"  {result.rms_mm:.3f} mm RMS (across {result.rms_y_mm:.3f}, height {result.rms_z_mm:.3f}), "
         f"{result.max_mm:.3f} mm at most",
         valid,
+        _lag_line(result.lag),
         f"weave: {result.weave_mm:.3f} mm to either side, {plan.weave_mm:g} mm programmed",
     ]
+
+
+def _lag_line(lag: Lag) -> str:
+    if lag.unestimated is not None:
+        return f"lag from capture to motion: unestimated, {lag.unestimated.value}"
+    return f"lag from capture to motion: {lag.lag_s:.3f} s, 1 sigma {lag.sigma_s:.3f} s"

@@ -52,3 +52,39 @@ class ServicePolicy:
             value = getattr(self, name)
             if not (value > 0.0 and math.isfinite(value)):
                 raise ValueError(f"service policy {name}: is {value}; it must be positive and finite")
+
+
+@dataclass(frozen=True)
+class LookAheadPolicy:
+    """How the lag is estimated while it runs.
+
+    Parameters
+    ----------
+    window_s : float
+        How long what was commanded and seen is kept, s (chosen: some periods of a weave, and a soft start).
+    every_s : float
+        How often the lag is estimated, s (chosen: an estimate takes a tenth of a second).
+    speed_s : float
+        Over how long the speed along the path is measured, s (chosen: the bus' rounding is then 0.02 mm/s).
+    timing_sigma_s : float
+        1 sigma of a lag that the bus' rounding of ages and computing times leave, whatever is seen, s (ages
+        are rounded to 1 ms).
+    differ_sigmas : float
+        From how many sigmas on a new estimate is of another lag than the one that is kept (chosen).
+    guessed_lags : int
+        At how many lags the offsets are told from the weave (chosen: a tenth of a second apart).
+    weave_hz : tuple (2,)
+        Between which frequencies the weave is looked for, Hz (chosen: from slow wide ones to what arms can
+        swing).
+    harmonics : int
+        How many harmonics of it are taken out (chosen: a triangle's third is a ninth).
+    """
+
+    window_s: float = 8.0
+    every_s: float = 1.0
+    speed_s: float = 0.5
+    timing_sigma_s: float = 0.001
+    differ_sigmas: float = 5.0
+    guessed_lags: int = 7
+    weave_hz: tuple[float, float] = (0.5, 10.0)
+    harmonics: int = 3

@@ -21,7 +21,7 @@ from tracker.seam.gaussian_process import (
     WIDE_SIGMA_MM,
     SeamHistory,
 )
-from tracker.seam.steer import SeamAtTorch, seam_at_torch
+from tracker.seam.steer import Lead, SeamAtTorch, seam_at_torch
 from tracker.state import Frame, Pose, Track
 from tracker.tracker import Tracker
 
@@ -390,3 +390,19 @@ def test_past_a_bend_the_torch_stands_where_its_own_segment_says(v: Setup) -> No
     pose = pose_at(66.0)
     track = tracker.step(replace(frame_of(setup, pose), laser_on=False), pose)
     assert track.offset_y_mm == pytest.approx(1.0, abs=0.02)
+
+
+@pytest.mark.slow
+def test_a_lead_asks_for_the_seam_farther_on(v: Setup) -> None:
+    seen = list(walk(v, 12, SEAM, 8.0))
+    plain, ahead = Tracker(v), Tracker(v)
+    lead = Lead(0.2, 8.0)
+    here = [plain.step(frame, pose) for frame, pose in seen]
+    there = [ahead.step(frame, pose, lead) for frame, pose in seen]
+    # A lead of one frame's way: the offset of the next frame, but for what that one measures in addition.
+    for n in range(7, 11):
+        assert there[n].offset_y_mm == pytest.approx(here[n + 1].offset_y_mm, abs=0.01)
+        assert there[n].valid_at_s == pytest.approx(there[n].timestamp_s + 0.2)
+        # What is measured is not moved by it.
+        assert there[n].seam_tool_mm == here[n].seam_tool_mm
+    assert there[9].offset_y_mm - here[9].offset_y_mm == pytest.approx(0.08, abs=0.02)

@@ -47,6 +47,26 @@ class Steering:
 
 
 @dataclass(frozen=True)
+class Lead:
+    """How far ahead of the torch the offset is asked for: where it will be once the correction acts.
+
+    Parameters
+    ----------
+    time_s : float
+        From the capture until the correction acts, s.
+    way_mm : float
+        How far the torch goes along the seam meanwhile, mm.
+    """
+
+    time_s: float = 0.0
+    way_mm: float = 0.0
+
+
+AT_ONCE = Lead()
+"""The offset of where the torch is at the capture."""
+
+
+@dataclass(frozen=True)
 class SeamAtTorch:
     """The seam's displacement and 1 sigma (2,) as (y, z) at the torch, mm, NaN where it is not known."""
 
@@ -116,19 +136,20 @@ def steer(
     steering: Steering,
     track: Track,
     seam: SeamLine,
+    lead: Lead = AT_ONCE,
 ) -> tuple[Steering, Track]:
     """Return the track with the offset that is proposed to the gate, and what is handed on.
 
     `nominal_scene` is the pose seen from the nominal joint, `seam` the stretch that the sensor looked for,
     `latest` the seam's latest stretch with the track's own measurement, `history_at` the one that a station
-    lies on.
+    lies on. The torch is taken for where it will be after the `lead`.
     """
     line_mm = nominal_ends(setup.joint, nominal_scene.T_joint_tool @ invert(T_base_tool))
     ends = steering.ends
     if correction.ends_mm > 0.0 and not track.flags & NO_LOOK:
         ends = ends.with_look(seam.station_mm, track.valid, line_mm, correction.ends_mm)
     # Past a bend the torch may be on another segment than the sensor: each goes by its own.
-    torch_mm = float((invert(seam_frame(setup.joint, T_base_tool[:3, 3])) @ T_base_tool)[0, 3])
+    torch_mm = float((invert(seam_frame(setup.joint, T_base_tool[:3, 3])) @ T_base_tool)[0, 3]) + lead.way_mm
     joint_mm = ends.stretch_mm(line_mm, correction.ends_mm)
     history = history_at(max(torch_mm, joint_mm[0]))
     there = seam_at_torch(correction, history, torch_mm, joint_mm, history is not latest)
@@ -156,7 +177,7 @@ def steer(
         offset_sigma_y_mm=sigma[0],
         offset_sigma_z_mm=sigma[1],
         offset_confidence=_confidence(setup, steering, sigma),
-        valid_at_s=track.timestamp_s if any(is_known) else NAN,
+        valid_at_s=track.timestamp_s + lead.time_s if any(is_known) else NAN,
         joint_start_mm=_where(ends.start),
         joint_end_mm=_where(ends.end),
     )
