@@ -1,13 +1,15 @@
 """The tracker anywhere: joints, views, metals, lasers, sensors at random, in a world that is not the model.
 
     python benchmarks/anywhere.py [--draws 60] [--frames 6] [--seed 1] [--joint NAME] [--workers 2]
-                                  [--pictures FOLDER]
+                                  [--bounds] [--pictures FOLDER]
 
 Each draw states a setup with the true camera and dimensions. What it does not state: where the seam runs,
 speckle, the frame's noise, light of the hall, ghosts, glints, and half of the fans that end in the image. A
 scene's name says what it has of these. Some draws are plates without the joint that the setup states. Told by
 joint and by view: how many frames are valid, errors across (y) and along the normal (z), error over sigma,
-and valid frames that are wrong beyond 5 sigma and 0.25 mm. `--pictures` draws the ten worst frames.
+and valid frames that are wrong beyond 5 sigma and 0.25 mm. `--bounds` holds each scene's RMS against what its
+middle frame can show (`scene_bound.py`), which takes some seconds a scene. `--pictures` draws the ten worst
+frames.
 """
 
 from __future__ import annotations
@@ -23,11 +25,15 @@ from pathlib import Path
 import cv2
 import numpy as np
 from random_scene import JOINTS, draw_scene, frames_of, joint_of
+from scene_bound import SeamBound, seam_bound
 
 from noise_model.arrays import Float64
 from tracker.tracker import Tracker
 
 FALSE_SIGMAS, FALSE_MM = 5.0, 0.25
+RIGHT_MM, OVER_BOUND, TELLING_MM = 0.03, 1.3, 0.1
+"""A scene's RMS is right at so many mm, or times its bound; the seam is shown where that is below the last."""
+
 WORST, SIGMA_FLOOR_MM = 10, 0.02
 """So many frames are told as the worst, by their error over sigma, which counts as this at least."""
 
@@ -73,6 +79,39 @@ def run(seed: int, n_frames: int) -> list[Outcome]:
         place = seed, scene.name, scene.joint, scene.view, frame.index
         outcomes.append(Outcome(*place, track.valid, (error_y, error_z), sigma, ",".join(track.flag_names)))
     return outcomes
+
+
+def bound_of(seed: int, n_frames: int) -> SeamBound | None:
+    """Return how well the middle frame of a scene shows its seam; None of a plate."""
+    scene = draw_scene(seed, n_frames)
+    return None if scene.joint == "plate" else seam_bound(scene, n_frames // 2)
+
+
+def bounds_table(outcomes: list[Outcome], bounds: dict[int, SeamBound]) -> None:
+    """Print how scenes' RMS lie beside what their frames can show, a line a joint."""
+    groups: dict[str, list[tuple[float, Float64, Float64]]] = defaultdict(list)
+    for seed, bound in bounds.items():
+        tracked = [o for o in outcomes if o.seed == seed]
+        if not tracked:
+            continue
+        error, _ = _errors([o for o in tracked if o.valid])
+        rms_mm = np.sqrt(np.mean(error**2, axis=0)) if len(error) else np.full(2, math.nan)
+        limits = np.array([np.maximum(OVER_BOUND * np.array(sigma), RIGHT_MM) for sigma in bound])
+        valid = len(error) / len(tracked) if bound.least_squares_mm.max() < TELLING_MM else math.nan
+        groups[tracked[0].joint].append((valid, rms_mm, limits))
+    print("\nRMS within the larger of 0.03 mm and 1.3 times what the frame can show, share of the scenes")
+    print("joint        scenes  bound y    z  least squares y    z  valid where these show it to 0.1 mm")
+    for name, scenes in groups.items():
+        rms_mm = np.array([scene[1] for scene in scenes])
+        right = rms_mm[:, None] <= np.array([scene[2] for scene in scenes])
+        known = np.isfinite(rms_mm).all(axis=1)
+        valid = np.array([scene[0] for scene in scenes])
+        shares = 100 * right[known].mean(axis=0) if known.any() else np.full((2, 2), math.nan)
+        share = 100 * float(np.nanmean(valid)) if np.isfinite(valid).any() else math.nan
+        print(
+            f"{name:12} {len(scenes):6} {shares[0, 0]:7.0f}% {shares[0, 1]:3.0f}% "
+            f"{shares[1, 0]:14.0f}% {shares[1, 1]:3.0f}% {share:6.0f}%"
+        )
 
 
 def draw_picture(outcome: Outcome, n_frames: int, folder: Path) -> None:
@@ -138,6 +177,7 @@ def main() -> None:
         help="draw this joint alone, at its own seeds from --seed on",
     )
     parser.add_argument("--workers", type=int, default=1, help="processes at once")
+    parser.add_argument("--bounds", action="store_true", help="hold RMS against what frames can show")
     parser.add_argument("--pictures", type=Path, help="draw the worst frames into this folder")
     parser.add_argument("--verbose", action="store_true", help="print every scene")
     options = parser.parse_args()
@@ -155,6 +195,11 @@ def main() -> None:
     table(told, "joint")
     table(told, "view")
     table([o for o in outcomes if o.joint == "plate"], "joint")
+    if options.bounds:
+        with ProcessPoolExecutor(options.workers) as pool:
+            found = pool.map(bound_of, seeds, [options.frames] * len(seeds))
+            bounds = {seed: bound for seed, bound in zip(seeds, found, strict=True) if bound is not None}
+        bounds_table(outcomes, bounds)
     false = [o for o in outcomes if o.is_false]
     print(f"\nfalse valids: {len(false)} of {len(outcomes)} frames")
     ranked = sorted(

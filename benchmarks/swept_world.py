@@ -164,6 +164,28 @@ class SweptWorld:
     ) -> Integers:
         """Return an image (H, W), DN, of one pose."""
         setup, around = self.setup, self.around
+        charge, stripe = self.mean_light(T_joint_tool, laser_on, arc_on)
+        if laser_on:
+            stripe *= self._grains(stripe.shape, draw)
+            charge += stripe if around.ghost is None else with_ghost(stripe, around.ghost)
+            charge += glints(stripe, around, setup.sensor.full_well_e, draw)
+        sensor = setup.sensor
+        noisy = draw.poisson(np.maximum(charge, 0.0)) + sensor.read_noise_e * draw.standard_normal(
+            charge.shape
+        )
+        share = np.minimum(noisy, sensor.full_well_e) / sensor.full_well_e
+        over_black = (
+            np.sign(share) * np.abs(share) ** sensor.gamma * sensor.full_well_e / sensor.gain_e_per_dn
+        )
+        codes = np.rint(over_black + sensor.black_level_dn).clip(0, 2**sensor.bits - 1)
+        return codes.astype(np.uint8 if sensor.bits == 8 else np.uint16)
+
+    def mean_light(self, T_joint_tool: Float64, laser_on: bool, arc_on: bool) -> tuple[Float64, Float64]:
+        """Return what arc and hall, and what the stripe sends to the pixels (H, W), e-.
+
+        Without speckle, ghost, glints and noise.
+        """
+        setup, around = self.setup, self.around
         shape = (setup.camera.height, setup.camera.width)
         met, faces = self._met(T_joint_tool, self.joint, everywhere=around.look != Look())
         cos4 = ((1.0 + np.sum(self._xy**2, axis=1)) ** -2.0).reshape(shape)
@@ -173,22 +195,12 @@ class SweptWorld:
             light += around.hall_e * sky
         if arc_on:
             light += self.arc_light(T_joint_tool)
-        charge = gaussian_filter(light * metal * cos4, setup.camera.psf_sigma_px)
-        if laser_on:
-            lit = self._stripe(T_joint_tool, self.joint, met, faces, self._parts)
-            stripe = lit.reshape(shape) * cos4 * (setup.laser.peak_e / self._peak)
-            stripe = gaussian_filter(stripe * metal, self._lens_px, truncate=6.0)
-            stripe *= self._grains(shape, draw)
-            charge += stripe if around.ghost is None else with_ghost(stripe, around.ghost)
-            charge += glints(stripe, around, setup.sensor.full_well_e, draw)
-        sensor = setup.sensor
-        noisy = draw.poisson(np.maximum(charge, 0.0)) + sensor.read_noise_e * draw.standard_normal(shape)
-        share = np.minimum(noisy, sensor.full_well_e) / sensor.full_well_e
-        over_black = (
-            np.sign(share) * np.abs(share) ** sensor.gamma * sensor.full_well_e / sensor.gain_e_per_dn
-        )
-        codes = np.rint(over_black + sensor.black_level_dn).clip(0, 2**sensor.bits - 1)
-        return codes.astype(np.uint8 if sensor.bits == 8 else np.uint16)
+        background = gaussian_filter(light * metal * cos4, setup.camera.psf_sigma_px)
+        if not laser_on:
+            return background, np.zeros(shape)
+        lit = self._stripe(T_joint_tool, self.joint, met, faces, self._parts)
+        stripe = lit.reshape(shape) * cos4 * (setup.laser.peak_e / self._peak)
+        return background, gaussian_filter(stripe * metal, self._lens_px, truncate=6.0)
 
     def _grains(self, shape: tuple[int, int], draw: np.random.Generator) -> Float64:
         if self.speckle.contrast == 0.0:
