@@ -32,7 +32,7 @@ from tracker.tracker import Tracker
 
 FALSE_SIGMAS, FALSE_MM = 5.0, 0.25
 RIGHT_MM, OVER_BOUND, TELLING_MM = 0.03, 1.3, 0.1
-"""A scene's RMS is right at so many mm, or times its bound; the seam is shown where that is below the last."""
+"""A scene's RMS is right at so many mm, or times its bound. The last bounds a seam that is shown well."""
 
 WORST, SIGMA_FLOOR_MM = 10, 0.02
 """So many frames are told as the worst, by their error over sigma, which counts as this at least."""
