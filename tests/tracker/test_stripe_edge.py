@@ -243,6 +243,16 @@ def test_a_gap_s_ends_are_where_the_plate_s_stripe_ends(
     assert np.mean(np.square(np.array(off) / stated)) < 1.3
 
 
+def test_an_end_may_lie_beyond_lines_that_were_not_read() -> None:
+    """A shadow's border beneath the stripe hides the last lines of a plate from the fit, and not its light."""
+    light = gap_of(np.random.default_rng(9), 24.4, 44.0, 0.0)
+    position = light.position_px.copy()
+    position[20:25] = np.nan
+    light = light._replace(position_px=position)
+    assert stripe_end(light, 19, 1, 19, 5).line == pytest.approx(24.4, abs=0.2)
+    assert math.isnan(stripe_end(light, 19, 1, 19).line)
+
+
 def test_an_end_does_not_look_past_the_image() -> None:
     light = gap_of(np.random.default_rng(7), 20.0, 36.0, 0.0)
     assert stripe_end(light, 20, 1, 15).sigma < 0.2

@@ -170,12 +170,12 @@ class PlateLines:
             return None
         towards = 1 if plate_first else -1
         scan = self.away * (self.first_scan + end.line)
-        seen_end = stripe_end(self.light, scan, self.away * towards, gap_lines)
-        off = self.away * towards * (seen_end.line - scan)
         if (self.sees[end.line + towards :: towards][:1] == HIDDEN).any():
             return None
         is_read = self.sees[end.line + towards :: towards] != UNREAD
         unread = int(np.argmax(is_read)) if is_read.any() else 0
+        seen_end = stripe_end(self.light, scan, self.away * towards, gap_lines, unread)
+        off = self.away * towards * (seen_end.line - scan)
         variance, blurred = (seen_end.sigma * self.column_mm) ** 2, clear_of_an_edge(self.light)
         if not (variance < end.variance_mm2 and -blurred < off < unread + blurred):
             return None

@@ -129,15 +129,15 @@ def stripe_ends(light: StripeLight, last: int, first: int) -> tuple[StripeEnd, S
     )
 
 
-def stripe_end(light: StripeLight, last: int, away: int, gap_lines: int) -> StripeEnd:
+def stripe_end(light: StripeLight, last: int, away: int, gap_lines: int, unread: int = 0) -> StripeEnd:
     """Return where the stripe that is whole in line `last` ends, before a gap of some lines.
 
     What is seen deep in the gap, clear of either end or else amid it, is the other stripe; where nothing is,
-    there is none.
+    there is none. So many lines after `last` are `unread`, and may hold all of it too.
     """
     clear = clear_of_an_edge(light)
     # No more than half of the gap: behind it the stripe begins again.
-    n = clear + min(clear, (gap_lines + 1) // 2)
+    n = clear + min(clear + min(unread, clear), (gap_lines + 1) // 2)
     shares, variances = np.empty((2, 2, n))
     deep = max(gap_lines - 2 * clear, min(MIN_BEYOND, gap_lines))
     first = last + away * (1 + (gap_lines - deep) // 2)
