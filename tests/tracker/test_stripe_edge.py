@@ -244,7 +244,7 @@ def test_a_gap_s_ends_are_where_the_plate_s_stripe_ends(
 
 
 def test_an_end_may_lie_beyond_lines_that_were_not_read() -> None:
-    """A shadow's border beneath the stripe hides the last lines of a plate from the fit, and not its light."""
+    """A shadow's border beneath the stripe hides a plate's last lines from the fit, and not their light."""
     light = gap_of(np.random.default_rng(9), 24.4, 44.0, 0.0)
     position = light.position_px.copy()
     position[20:25] = np.nan
