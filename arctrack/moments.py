@@ -58,7 +58,7 @@ class RecordingTime:
     def publish(self, row: FrameRow, track: Track, T_base_tool: Float64 | None, took_ms: float) -> SeamOffset:
         """Send a frame's messages at its end of exposure, and return its offset as it went out.
 
-        Raises LinkError if the bus fails, BusLogError if a log does.
+        Raises LinkError if the link is closed, BusLogError if the log cannot hold its time.
         """
         self._now_s = _exposed_s(row)
         self._hear(assumed_robot(row))
@@ -74,10 +74,11 @@ class RecordingTime:
 
     @property
     def warnings(self) -> tuple[str, ...]:
-        """What to tell a user of the log, one line."""
+        """What to tell a user of the log and the bus, one line each."""
         if not self._log_is_late_s:
-            return ()
+            return _faults(self._link)
         return (
+            *_faults(self._link),
             f"frames come before 0 s, where a log begins: in bus.blf all times are {self._log_is_late_s:g} s "
             "later",
         )
@@ -114,7 +115,8 @@ class RealTime:
         """Wait for a frame's time, send its messages, and return its offset as it went out.
 
         The clock starts with the first: what is got ready before that takes its own time. Where the replay
-        lags behind, the messages go out late. Raises LinkError if the bus fails, BusLogError if a log does.
+        lags behind, the messages go out late. Raises LinkError if the link is closed, BusLogError if the log
+        cannot hold its time.
         """
         if math.isnan(self._began_s):
             self._began_s = time.monotonic()
@@ -135,11 +137,7 @@ class RealTime:
         warnings = []
         if not self._heard:
             warnings.append(f"{bus}: no RobotStatus was heard, so every offset was refused")
-        faults = {fault.value: count for fault, count in self._link.faults.items() if count}
-        if faults:
-            counts = ", ".join(f"{count} {name.replace('_', ' ')}" for name, count in sorted(faults.items()))
-            warnings.append(f"{bus}: faults of the bus: {counts}")
-        return tuple(warnings)
+        return (*warnings, *_faults(self._link))
 
     def _listen_until(self, due_s: float) -> None:
         """Read the bus until a frame is due, and in any case what waits there.
@@ -206,6 +204,15 @@ def assumed_command(
 def _exposed_s(row: FrameRow) -> float:
     """Return a frame's end of exposure."""
     return row.timestamp_s + row.exposure_s / 2.0
+
+
+def _faults(link: Link) -> tuple[str, ...]:
+    """Return a line on the faults of a bus, if there were any."""
+    faults = {fault.value: count for fault, count in link.faults.items() if count}
+    if not faults:
+        return ()
+    counts = ", ".join(f"{count} {name.replace('_', ' ')}" for name, count in sorted(faults.items()))
+    return (f"{link.interface}:{link.channel}: faults of the bus: {counts}",)
 
 
 def _send(

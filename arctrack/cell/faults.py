@@ -8,9 +8,10 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from arctrack.cell import pose_faults
 from arctrack.cell.bus import BusTrouble
 from arctrack.cell.cell import Cell
-from arctrack.cell.robot_party import SOURCE, Spoil, Told
+from arctrack.cell.robot_party import SOURCE
 from arctrack.cell.tracker_party import Camera
 from robot_io import (
     Command,
@@ -30,9 +31,6 @@ End = Callable[[], None]
 
 Begin = Callable[[Cell, np.random.Generator], End]
 """Begins a fault in a cell, with what chance decides."""
-
-Spoiler = Callable[[Cell, np.random.Generator, float], Spoil]
-"""Draws what is wrong with poses from a time, s, on."""
 
 POSES = frozenset({GateReason.POSE_IMPLAUSIBLE})
 DELAYED = frozenset({GateReason.BUS_DELAYED})
@@ -85,7 +83,7 @@ def _camera(camera: Camera) -> Begin:
     return begin
 
 
-def _poses(spoiler: Spoiler) -> Begin:
+def _poses(spoiler: pose_faults.Spoiler) -> Begin:
     def begin(cell: Cell, rng: np.random.Generator) -> End:
         cell.robot.spoil = spoiler(cell, rng, cell.scheduler.now_s)
 
@@ -95,105 +93,6 @@ def _poses(spoiler: Spoiler) -> Begin:
         return end
 
     return begin
-
-
-def _stop(_cell: Cell, _rng: np.random.Generator, _begun_s: float) -> Spoil:
-    return lambda _, told: None
-
-
-def _jump(_cell: Cell, rng: np.random.Generator, _begun_s: float) -> Spoil:
-    direction = rng.normal(size=3)
-    by = direction / np.linalg.norm(direction) * rng.uniform(2.0, 10.0)
-
-    def spoil(_: float, told: Told) -> Told:
-        x, y, z = (np.array(told.place_mm) + by).tolist()
-        return replace(told, place_mm=(x, y, z))
-
-    return spoil
-
-
-def _freeze(_cell: Cell, _rng: np.random.Generator, _begun_s: float) -> Spoil:
-    first: list[Told] = []
-
-    def spoil(_: float, told: Told) -> Told:
-        first.append(told)
-        return first[0]
-
-    return spoil
-
-
-def _delayed(delay_s: Callable[[float], float]) -> Spoiler:
-    def spoiler(cell: Cell, _rng: np.random.Generator, begun_s: float) -> Spoil:
-        shadow = _Shadow(cell)
-
-        def spoil(now_s: float, told: Told) -> Told:
-            return shadow.told(told, now_s - delay_s(now_s - begun_s))
-
-        return spoil
-
-    return spoiler
-
-
-class _Shadow:
-    """Where the tool was: the travel and the weave at another time, the offset that it has now."""
-
-    def __init__(self, cell: Cell) -> None:
-        self._cell = cell
-
-    def told(self, told: Told, then_s: float) -> Told:
-        robot, world = self._cell.robot.robot, self._cell.world
-        back_s = robot.now_s - then_s
-        phase = 2.0 * math.pi * world.weave_hz
-        weave_mm = world.weave_mm * (
-            math.sin(phase * (robot.weave_s - back_s)) - math.sin(phase * robot.weave_s)
-        )
-        x, y, z = told.place_mm
-        return replace(told, place_mm=(x - world.speed_mm_s * back_s, y + weave_mm, z))
-
-
-def _repeat(_cell: Cell, rng: np.random.Generator, _begun_s: float) -> Spoil:
-    kept: list[Told] = []
-    times = int(rng.integers(2, 4))
-
-    def spoil(_: float, told: Told) -> Told:
-        # The same sample again, and honest about its age.
-        if len(kept) % times == 0:
-            kept.append(told)
-        else:
-            kept.append(replace(kept[-1], age_s=kept[-1].age_s + 0.01))
-        return kept[-1]
-
-    return spoil
-
-
-def _mirror_y(_cell: Cell, _rng: np.random.Generator, _begun_s: float) -> Spoil:
-    return lambda _, told: replace(told, place_mm=(told.place_mm[0], -told.place_mm[1], told.place_mm[2]))
-
-
-def _mirror_about_seam(cell: Cell, _rng: np.random.Generator, _begun_s: float) -> Spoil:
-    def spoil(_: float, told: Told) -> Told:
-        x, y, z = told.place_mm
-        return replace(told, place_mm=(x, 2.0 * cell.world.start_base_mm[1] - y, z))
-
-    return spoil
-
-
-def _conjugate(_cell: Cell, _rng: np.random.Generator, _begun_s: float) -> Spoil:
-    def spoil(_: float, told: Told) -> Told:
-        x, y, z, w = told.quaternion
-        return replace(told, quaternion=(-x, -y, -z, w))
-
-    return spoil
-
-
-def _drift(_cell: Cell, rng: np.random.Generator, begun_s: float) -> Spoil:
-    rate_mm_s = float(rng.choice((-1.0, 1.0)) * rng.uniform(0.2, 1.0))
-
-    def spoil(now_s: float, told: Told) -> Told:
-        x, y, z = told.place_mm
-        return replace(told, place_mm=(x, y + rate_mm_s * (now_s - begun_s), z))
-
-    return spoil
 
 
 def _said(change: Callable[[RobotStatus], RobotStatus | None]) -> Begin:
@@ -257,6 +156,48 @@ def _queue_full(cell: Cell, _rng: np.random.Generator) -> End:
 
     def end() -> None:
         cell.tracker.queue_full = False
+
+    return end
+
+
+def _disk_full(cell: Cell, _rng: np.random.Generator) -> End:
+    cell.tracker.disk.is_full = True
+
+    def end() -> None:
+        cell.tracker.disk.is_full = False
+
+    return end
+
+
+def _stutter(cell: Cell, rng: np.random.Generator) -> End:
+    """Stop the process again and again, each time for as long as chance has it."""
+    ended: list[bool] = []
+
+    def stop() -> None:
+        if not ended:
+            cell.tracker.is_running = False
+            cell.scheduler.at(cell.scheduler.now_s + rng.uniform(0.01, 0.15), go_on)
+
+    def go_on() -> None:
+        if not ended:
+            cell.tracker.resume()
+            cell.scheduler.at(cell.scheduler.now_s + rng.uniform(0.01, 0.15), stop)
+
+    stop()
+
+    def end() -> None:
+        ended.append(True)
+        cell.tracker.resume()
+
+    return end
+
+
+def _restarted(cell: Cell, _rng: np.random.Generator) -> End:
+    cell.tracker.start()
+
+    def end() -> None:
+        cell.command(Command.DISARM)
+        cell.scheduler.at(cell.scheduler.now_s + 0.25, lambda: cell.command(Command.TRACK))
 
     return end
 
@@ -329,20 +270,26 @@ KINDS: tuple[FaultKind, ...] = (
     ),
     FaultKind("camera drops 10 %", _camera(Camera.DROPPING), note="offsets go on"),
     FaultKind("camera shows a seam elsewhere", _camera(Camera.GHOST), POSES, 0.5),
-    FaultKind("poses stop", _poses(_stop), POSES, 0.13),
-    FaultKind("poses jump", _poses(_jump), POSES, 0.05),
-    FaultKind("poses run backwards", _poses(_delayed(lambda t_s: 2.0 * t_s)), POSES, 0.3),
-    FaultKind("poses repeat", _poses(_repeat), POSES, 0.1),
-    FaultKind("poses freeze", _poses(_freeze), POSES, 0.25),
-    FaultKind("y mirrored", _poses(_mirror_y), POSES, 0.05),
-    FaultKind("y mirrored from the start", _poses(_mirror_y), POSES, 0.0, from_start=True),
-    FaultKind("y mirrored about the seam", _poses(_mirror_about_seam), POSES, 0.6),
-    FaultKind("quaternion conjugated", _poses(_conjugate), POSES, 0.05),
-    FaultKind("poses 100 ms late", _poses(_delayed(lambda _: 0.1)), POSES, 0.6),
+    FaultKind("poses stop", _poses(pose_faults.stop), POSES, 0.13),
+    FaultKind("poses jump", _poses(pose_faults.jump), POSES, 0.05),
+    FaultKind("poses run backwards", _poses(pose_faults.delayed(lambda t_s: 2.0 * t_s)), POSES, 0.3),
+    FaultKind("poses repeat", _poses(pose_faults.repeat), POSES, 0.1),
+    FaultKind("poses freeze", _poses(pose_faults.freeze), POSES, 0.25),
+    FaultKind("y mirrored", _poses(pose_faults.mirror_y), POSES, 0.05),
+    FaultKind("y mirrored from the start", _poses(pose_faults.mirror_y), POSES, 0.0, from_start=True),
+    FaultKind("y mirrored about the seam", _poses(pose_faults.mirror_about_seam), POSES, 0.6),
+    FaultKind("quaternion conjugated", _poses(pose_faults.conjugate), POSES, 0.05),
+    FaultKind("poses 100 ms late", _poses(pose_faults.delayed(lambda _: 0.1)), POSES, 0.6),
     FaultKind(
-        "poses 100 ms late from the start", _poses(_delayed(lambda _: 0.1)), POSES, 1.0, from_start=True
+        "poses 100 ms late from the start",
+        _poses(pose_faults.delayed(lambda _: 0.1)),
+        POSES,
+        1.0,
+        from_start=True,
     ),
-    FaultKind("poses drift", _poses(_drift), recovery_s=3.5, note="a seam that runs off looks the same"),
+    FaultKind(
+        "poses drift", _poses(pose_faults.drift), recovery_s=3.5, note="a seam that runs off looks the same"
+    ),
     FaultKind("status lost", _said(lambda _: None), frozenset({R.ROBOT_STATUS_STALE}), 0.25),
     FaultKind("status with a bad CRC", _bad_crc, frozenset({R.ROBOT_STATUS_STALE}), 0.25),
     FaultKind(
@@ -412,6 +359,15 @@ KINDS: tuple[FaultKind, ...] = (
     FaultKind("clock set back by 1 s", _clock(-1.0), note="at once; SYNC shows that it was set"),
     FaultKind("second tracker", _second_tracker, frozenset({R.OTHER_TRACKER}), 0.05),
     FaultKind("process stopped", _stopped, note="nothing goes out"),
+    FaultKind("process stops again and again", _stutter, note="what waited is read with its age"),
+    FaultKind(
+        "process killed, another begins at once",
+        _restarted,
+        frozenset({R.NOT_ARMED}),
+        0.03,
+        note="it waits to be disarmed: the robot may stand anywhere",
+    ),
+    FaultKind("disk full", _disk_full, note="offsets go on; what is not logged is counted"),
     FaultKind("process killed, another begins", _killed, note="nothing goes out"),
 )
 """All faults, in the table's order."""

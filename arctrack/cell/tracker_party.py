@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
-from collections import deque
+from collections import Counter, deque
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from enum import Enum
+from pathlib import Path
 
 import numpy as np
 
 from arctrack.cell.bus import Bus, Frame
+from arctrack.cell.disk import Disk
 from arctrack.cell.eye import Capture, Eye, Shown
 from arctrack.cell.robot import Robot
 from arctrack.cell.robot_party import SOURCE, as_message
@@ -33,6 +35,8 @@ from robot_io import (
     Trusted,
 )
 from robot_io.clocks.sync import SyncLimits
+from robot_io.link.reconnecting import LinkFault
+from robot_io.link.steady_log import SteadyLog
 from robot_io.poses.nominal_path import NominalPath
 from robot_io.poses.plausibility_limits import PlausibilityLimits
 from tracker import flags
@@ -81,6 +85,12 @@ class TrackerParty:
         Whether nothing that is sent goes out.
     lead : Lead
         How far ahead of the torch the latest offset was asked for.
+    disk : Disk
+        What its log is written to.
+    faults : Counter of LinkFault
+        What went wrong without ending the run.
+    said : list of str
+        What it told its user.
     captured : dict
         When each frame was taken, s, by its time on the tracker's clock.
     on_track : callable or None
@@ -99,6 +109,9 @@ class TrackerParty:
     camera: Camera = Camera.RIGHT
     is_running: bool = True
     queue_full: bool = False
+    disk: Disk = field(default_factory=Disk)
+    faults: Counter[LinkFault] = field(default_factory=Counter)
+    said: list[str] = field(default_factory=list)
     ghost_mm: float = 2.0
     lead: Lead = AT_ONCE
     captured: dict[float, float] = field(default_factory=dict)
@@ -114,6 +127,9 @@ class TrackerParty:
         self._has_shown = False
         self._waiting: deque[tuple[Frame, float]] = deque()
         self._index = 0
+        self._log = SteadyLog(
+            Path("bus.blf"), self.faults, self.disk.open, lambda: self.scheduler.now_s, self.said.append
+        )
         self._begin_bus()
         self.bus.join(self.name, self._hear)
         self.scheduler.every(self.frame_period_s, self._capture, 0.0037)
@@ -155,7 +171,9 @@ class TrackerParty:
 
     def _read(self, frame: Frame, came_s: float) -> None:
         now_s = self.now_s
-        received = self.inbox.receive(as_message(frame, came_s), max_age_s=now_s - came_s)
+        message = as_message(frame, came_s)
+        self._log.write(message)
+        received = self.inbox.receive(message, max_age_s=now_s - came_s)
         if received is None:
             return
         if isinstance(received.message, RobotStatus):
@@ -228,4 +246,6 @@ class TrackerParty:
                 self.look_ahead.sent(message, self.now_s)
                 if self.on_sent is not None:
                     self.on_sent(message)
-            self.bus.send(self.name, *self._protector.protect(message))
+            arbitration_id, data = self._protector.protect(message)
+            self.bus.send(self.name, arbitration_id, data)
+            self._log.write(as_message(Frame(self.name, arbitration_id, data, self.now_s), self.now_s))

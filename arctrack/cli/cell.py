@@ -18,14 +18,14 @@ if TYPE_CHECKING:
 cell = typer.Typer(name="cell", help="Run a simulated cell.", no_args_is_help=True)
 
 
-@cell.callback(epilog="Example: arctrack cell schedules --count 43 --seed 1")
+@cell.callback(epilog="Example: arctrack cell schedules --count 46 --seed 1")
 def _cell() -> None:
     """Run a simulated cell: robot, tracker and bus behind one clock."""
 
 
-@cell.command(epilog="Example: arctrack cell schedules --count 43 --seed 1 --workers 2")
+@cell.command(epilog="Example: arctrack cell schedules --count 46 --seed 1 --workers 2")
 def schedules(
-    count: Annotated[int, typer.Option(min=1, help="How many schedules; each has the next fault.")] = 43,
+    count: Annotated[int, typer.Option(min=1, help="How many schedules; each has the next fault.")] = 46,
     seed: Annotated[int, typer.Option(min=0, help="Seed of all that is drawn at random.")] = 1,
     only: Annotated[int | None, typer.Option(min=0, help="Run this one schedule of the seed alone.")] = None,
     workers: Annotated[int, typer.Option(min=1, help="Schedules run at once, a process each.")] = 1,

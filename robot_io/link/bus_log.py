@@ -46,6 +46,10 @@ class BusLogError(ValueError):
     """A log that cannot be written or read."""
 
 
+class BusLogWriteError(BusLogError):
+    """A log that the disk does not take."""
+
+
 class BusLogWriter:
     """Writes frames to one log file; `close` it, or use it as a context manager."""
 
@@ -124,8 +128,8 @@ class BusLogWriter:
                 self._writer.file.close()
             raise self._cannot_be_written(error) from error
 
-    def _cannot_be_written(self, error: OSError) -> BusLogError:
-        return BusLogError(f"log {self.path}: cannot be written: {error.strerror}; choose another place")
+    def _cannot_be_written(self, error: OSError) -> BusLogWriteError:
+        return BusLogWriteError(f"log {self.path}: cannot be written: {error.strerror}; choose another place")
 
     def _start(self, timestamp_s: float) -> float:
         if self._start_s is None:

@@ -17,9 +17,10 @@ from typing import Any
 import can
 
 from robot_io.clocks.bus_clock import BusClock
-from robot_io.link.bus_log import UNIX_TIME_FROM_S, BusLogWriter
+from robot_io.link.bus_log import UNIX_TIME_FROM_S
 from robot_io.link.inbox import LIVE, Inbox, Received, Trusted
 from robot_io.link.reconnecting import LinkFault, Nothing, ReconnectingBus
+from robot_io.link.steady_log import SteadyLog
 from robot_io.protocol.messages import BusMessage, Source
 from robot_io.protocol.protect import Protector
 
@@ -53,7 +54,7 @@ class Link:
     receives. A third may `close` it, which ends what `receive` yields.
 
     Once it is open, what fails is counted in `faults` and dropped: a frame that cannot be read, a full queue,
-    a frame that nobody takes in time. A bus that went away is opened again.
+    a frame that nobody takes in time, a log on a disk that is full. A bus that went away is opened again.
 
     Parameters
     ----------
@@ -77,7 +78,7 @@ class Link:
     LinkError
         If the bus cannot be opened.
     BusLogError
-        If a log cannot be written.
+        If a log cannot be opened.
     """
 
     def __init__(
@@ -109,7 +110,10 @@ class Link:
             # First the bus: where there is none, no log that is there is begun anew.
             self._bus = ReconnectingBus(f"CAN {interface}:{channel}", lambda: self._open(bus_options))
             opened.callback(self._bus.close)
-            self._logs = [opened.enter_context(BusLogWriter(path)) for path in log_paths]
+            self._logs: list[SteadyLog] = []
+            for path in log_paths:
+                self._logs.append(SteadyLog(path, self._bus.faults))
+                opened.callback(self._logs[-1].close)
             self._opened = opened.pop_all()
 
     def __enter__(self) -> Link:
@@ -124,13 +128,7 @@ class Link:
         return self._bus.faults
 
     def close(self) -> None:
-        """Leave the bus and finish the logs.
-
-        Raises
-        ------
-        BusLogError
-            If a log cannot be finished.
-        """
+        """Leave the bus and finish the logs."""
         self._closed.set()
         with self._receiving:
             self._opened.close()
@@ -158,7 +156,7 @@ class Link:
         LinkError
             If the link is closed.
         BusLogError
-            If a log cannot hold that time, and nothing is sent; or if it cannot be written.
+            If a log cannot hold that time; nothing is sent.
         """
         if self._closed.is_set():
             raise self._error("send", ValueError("the link is closed"))
@@ -203,8 +201,6 @@ class Link:
         ------
         LinkError
             If the link is closed before it begins.
-        BusLogError
-            If a log cannot be written.
         """
         if self._closed.is_set():
             raise self._error("receive", ValueError("the link is closed"))

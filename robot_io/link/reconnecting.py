@@ -35,6 +35,7 @@ class LinkFault(Enum):
     ERROR_FRAME = "error_frame"
     BUS_OFF = "bus_off"
     LOST = "lost"
+    UNLOGGED = "unlogged"
 
 
 class Nothing(Enum):

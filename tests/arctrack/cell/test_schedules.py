@@ -16,6 +16,7 @@ from arctrack.cell.table import failures, table
 from arctrack.cell.world import draw_world
 from arctrack.cli import app
 from robot_io import GateReason, Switch, Validity
+from robot_io.link.reconnecting import LinkFault
 
 pytestmark = pytest.mark.slow
 
@@ -135,6 +136,25 @@ def test_the_robot_says_what_the_fault_makes_it_say():
     assert cell.robot.robot.status.arc is Switch.OFF
     end()
     assert cell.robot.robot.status.arc is Switch.ON
+
+
+def test_a_full_disk_stops_nothing_and_is_said():
+    cell = cell_of(2)
+    kind = next(kind for kind in KINDS if kind.name == "disk full")
+    cell.run(1.0)
+    end = kind.begin(cell, cell.rng)
+    cell.run(1.3)
+    unlogged = cell.tracker.faults[LinkFault.UNLOGGED]
+    assert unlogged > 50
+    assert set(cell.validities(1.0, 1.3)) == {Validity.VALID}
+    end()
+    cell.run(3.0)
+    # A second after it was tried last, the log goes on in another file.
+    assert set(cell.tracker.disk.frames) == {"bus.blf", "bus.1.blf"}
+    assert unlogged < cell.tracker.faults[LinkFault.UNLOGGED] < 10 * unlogged
+    assert cell.tracker.said == [
+        "log bus.blf: cannot be written: No space left on device; frames are left out"
+    ]
 
 
 def test_the_page_has_a_row_for_each_fault():
