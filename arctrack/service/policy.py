@@ -15,6 +15,23 @@ def _seconds(value: float, role: str, source: str) -> float:
 class ServicePolicy:
     """The controller's times. Each field's metadata states `unit`, `role` and `source`.
 
+    Parameters
+    ----------
+    status_age_s, command_age_s : float
+        How old a RobotStatus and a TrackerCommand may be, s.
+    poses_age_s : float
+        How old the verdict on the poses may be, s.
+    camera_timeout_s : float
+        How long there may be no track, s.
+    repeat_s : float
+        The time between refusals while there is none, s.
+    round_trip_s : float
+        How long a SYNC and its echo may be on the bus, s.
+    round_trip_age_s : float
+        How old the SYNC may be that stated that last, s.
+    sync_required : bool
+        Whether the robot must send RobotSync.
+
     Raises
     ------
     ValueError

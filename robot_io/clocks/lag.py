@@ -22,6 +22,8 @@ import numpy as np
 import numpy.typing as npt
 from scipy.optimize import least_squares
 
+from robot_io.described import described
+
 Float64 = npt.NDArray[np.float64]
 
 GRID_TIME_CONSTANTS_S = (0.0, 0.02, 0.05, 0.1, 0.2, 0.4)
@@ -32,6 +34,7 @@ NO_TIME_CONSTANT_S = 1e-6
 """What is shorter is none."""
 
 
+@described
 class LagUnestimated(Enum):
     """Why there is no lag."""
 

@@ -21,6 +21,7 @@ from enum import Enum
 import numpy as np
 import numpy.typing as npt
 
+from robot_io.described import described
 from robot_io.protocol.messages import RobotSync
 
 Float64 = npt.NDArray[np.float64]
@@ -29,6 +30,7 @@ TIME_BITS, SEQUENCE_BITS = 28, 8
 """The robot's time and the sequence number begin anew after so many bits (arctrack.dbc)."""
 
 
+@described
 class Unestimated(Enum):
     """Why there is no offset."""
 
@@ -126,7 +128,21 @@ class ClockOffset:
 
 @dataclass(frozen=True)
 class ClockSync:
-    """The exchanges of the last seconds; `steps` counts how often a clock was set."""
+    """What is known of the two clocks; a new one knows nothing.
+
+    Parameters
+    ----------
+    exchanges : tuple of Exchange
+        Those of the last seconds, none of them from before a clock was set.
+    last_sequence : int or None
+        The number of the newest RobotSync; None before the first.
+    last_time_us : int
+        The robot's time in it, us, as it begins anew.
+    robot_s : float
+        The robot's time, s, counted on from the first RobotSync.
+    steps : int
+        How often a clock was set.
+    """
 
     exchanges: tuple[Exchange, ...] = ()
     last_sequence: int | None = None
@@ -145,6 +161,11 @@ class ClockSync:
             When it was read, s, tracker's clock.
         limits : SyncLimits
             What the estimate rests on.
+
+        Returns
+        -------
+        ClockSync
+            The state.
         """
         exchanges = self.exchanges
         follows = self.last_sequence is not None and (
@@ -164,7 +185,20 @@ class ClockSync:
         return state.exchanged(Exchange(state.robot_s, arrived_s), limits)
 
     def exchanged(self, exchange: Exchange, limits: SyncLimits) -> ClockSync:
-        """Return the state with one more exchange; what contradicts it is of before a clock was set."""
+        """Return the state with one more exchange; what contradicts it is of before a clock was set.
+
+        Parameters
+        ----------
+        exchange : Exchange
+            A SYNC that arrived.
+        limits : SyncLimits
+            What the estimate rests on.
+
+        Returns
+        -------
+        ClockSync
+            The state. Where the exchange contradicts those before, it holds this one alone.
+        """
         kept = tuple(e for e in self.exchanges if 0.0 < exchange.robot_s - e.robot_s <= limits.window_s)
         exchanges = (*kept, exchange)
         if kept and _polygon(exchanges, limits) is None:
@@ -204,7 +238,20 @@ class ClockSync:
         )
 
     def delay_s(self, now_s: float, limits: SyncLimits) -> tuple[float, float]:
-        """Return what the newest SYNC's way here took at least and at most, s; NaN if unestimated."""
+        """Return what the newest SYNC's way here took.
+
+        Parameters
+        ----------
+        now_s : float
+            The time, s, tracker's clock.
+        limits : SyncLimits
+            What the estimate rests on.
+
+        Returns
+        -------
+        tuple (2,)
+            How long it took at least and at most, s; NaN where the offset is unestimated.
+        """
         offset = self.offset(now_s, limits)
         if offset.unestimated is not None:
             return (math.nan, math.nan)

@@ -28,7 +28,23 @@ _LOG = logging.getLogger(__name__)
 
 
 class LinkFault(Enum):
-    """What went wrong on a bus without ending the run."""
+    """What went wrong on a bus without ending the run.
+
+    Attributes
+    ----------
+    UNREADABLE
+        Something came that is no frame.
+    UNSENT
+        A frame did not go out in time.
+    ERROR_FRAME
+        The bus' hardware told of an error.
+    BUS_OFF
+        The adapter's controller left the bus.
+    LOST
+        The bus was gone, and is opened again.
+    UNLOGGED
+        A frame is in no log: the disk did not take it.
+    """
 
     UNREADABLE = "unreadable"
     UNSENT = "unsent"

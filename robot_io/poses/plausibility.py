@@ -17,6 +17,7 @@ from bisect import bisect_left
 from dataclasses import dataclass, replace
 from enum import Enum
 
+from robot_io.described import described
 from robot_io.poses.nominal_path import NominalPath, PathPlace, Vector, dot, minus, times
 from robot_io.poses.plausibility_limits import PlausibilityLimits
 from robot_io.poses.pose_assembler import PoseSample
@@ -28,6 +29,7 @@ SPEED_SAMPLES = 5
 """The speed that jitter is counted at comes from so many samples before the newest."""
 
 
+@described
 class Implausibility(Enum):
     """Why poses are not trusted."""
 
@@ -99,10 +101,20 @@ class _Anchor:
 class Plausibility:
     """What is known of the poses so far; a new one trusts nothing.
 
-    Attributes
+    Parameters
     ----------
     doubt : Implausibility or None
         Why poses are not trusted; None where they are.
+    window : tuple
+        The samples of the last second, none of them from before a jump.
+    stated : tuple of MotionState and float
+        The motion and the travel speed, mm/s, that the robot stated last.
+    steady_from_s : float
+        From when on, s, poses must show that motion.
+    clean_from_s : float
+        Since when, s, samples are without a doubt; NaN where the newest is not.
+    anchor : object or None
+        The last trusted sample before a doubt; None where poses are trusted.
     """
 
     doubt: Implausibility | None = Implausibility.UNPROVEN
@@ -113,7 +125,20 @@ class Plausibility:
     anchor: _Anchor | None = None
 
     def at(self, now_s: float, limits: PlausibilityLimits) -> Implausibility | None:
-        """Return the doubt at a time, s, on the samples' clock: poses may have stopped since the last."""
+        """Return the doubt at a time: poses may have stopped since the last.
+
+        Parameters
+        ----------
+        now_s : float
+            The time, s, on the samples' clock.
+        limits : PlausibilityLimits
+            What poses must keep to.
+
+        Returns
+        -------
+        Implausibility or None
+            Why poses are not trusted then; None where they are.
+        """
         if not self.window:
             return Implausibility.UNPROVEN
         # Written so that a NaN, and a clock that was set back, fail.

@@ -5,6 +5,7 @@ from __future__ import annotations
 import importlib
 import subprocess
 import sys
+from enum import Enum
 from pathlib import Path
 from urllib.parse import unquote, urlsplit
 
@@ -98,6 +99,10 @@ def undescribed(public: str) -> list[str]:
         def doc_all_parameters(self) -> dict[str, tuple[str, str]]:
             return self.doc_parameters or self._doc_parameters(["Attributes"])
 
+    held = Validator._load_obj(public)
+    if isinstance(held, type) and issubclass(held, Enum):
+        listed = Validator(public)._doc_parameters(["Attributes"])
+        return [f"{public}.{name}: is not described" for name in held.__members__ if name not in listed]
     found = numpydoc.validate(public, validator_cls=Validator)["errors"]
     return [f"{public}: {text}" for code, text in found if code in UNDESCRIBED]
 
