@@ -128,13 +128,9 @@ class PoseBuffer:
             If it is no rigid pose, or its time is not after that of the last pose.
         """
         pose = np.asarray(T_base_tool, dtype=np.float64)
-        if pose.shape != (4, 4) or not np.array_equal(pose[3], (0.0, 0.0, 0.0, 1.0)):
+        if pose.shape != (4, 4):
             raise PoseError(f"pose at {timestamp_s:.6f} s: not a 4x4 matrix with last row 0 0 0 1")
-        R = pose[:3, :3]
-        rigid = np.allclose(R @ R.T, np.eye(3), rtol=0.0, atol=ROTATION_TOLERANCE) and np.linalg.det(R) > 0.0
-        if not rigid:
-            raise PoseError(f"pose at {timestamp_s:.6f} s: its 3x3 part is no rotation")
-        self.push_quaternion(timestamp_s, pose[:3, 3], Rotation.from_matrix(R).as_quat())
+        self.push_all([timestamp_s], pose[np.newaxis])
 
     def push_all(self, timestamps_s: Sequence[float] | Float64, T_base_tool: Float64) -> None:
         """Add poses as matrices: `push` for each of them, in a fraction of its time.
@@ -149,20 +145,24 @@ class PoseBuffer:
         Raises
         ------
         PoseError
-            As `push` does, of the first pose that it refuses.
+            As `push` does, of the first pose that it refuses; for other than a time for each pose.
         """
+        if len(timestamps_s) != len(T_base_tool):
+            raise PoseError(f"{len(timestamps_s)} times for {len(T_base_tool)} poses")
         rotations = T_base_tool[:, :3, :3]
         with np.errstate(invalid="ignore", over="ignore"):
             off = np.abs(rotations @ rotations.transpose(0, 2, 1) - np.eye(3)).max(axis=(1, 2))
-            is_rigid = (off <= ROTATION_TOLERANCE) & (np.linalg.det(rotations) > 0.0)
-        is_rigid &= (T_base_tool[:, 3] == (0.0, 0.0, 0.0, 1.0)).all(axis=1)
-        n_rigid = len(is_rigid) if is_rigid.all() else int(np.argmin(is_rigid))
-        if n_rigid:
-            quaternions = Rotation.from_matrix(rotations[:n_rigid]).as_quat()
-            for timestamp_s, pose, quaternion in zip(timestamps_s, T_base_tool, quaternions, strict=False):
-                self.push_quaternion(float(timestamp_s), pose[:3, 3], quaternion)
-        for timestamp_s, pose in zip(timestamps_s[n_rigid:], T_base_tool[n_rigid:], strict=True):
-            self.push(float(timestamp_s), pose)
+            is_turn = (off <= ROTATION_TOLERANCE) & (np.linalg.det(rotations) > 0.0)
+        is_whole = (T_base_tool[:, 3] == (0.0, 0.0, 0.0, 1.0)).all(axis=1)
+        n_rigid = int(np.append(~(is_turn & is_whole), True).argmax())
+        quaternions = Rotation.from_matrix(rotations[:n_rigid]).as_quat() if n_rigid else []
+        for timestamp_s, pose, quaternion in zip(timestamps_s, T_base_tool, quaternions, strict=False):
+            self.push_quaternion(float(timestamp_s), pose[:3, 3], quaternion)
+        if n_rigid < len(is_whole):
+            problem = "its 3x3 part is no rotation"
+            if not is_whole[n_rigid]:
+                problem = "not a 4x4 matrix with last row 0 0 0 1"
+            raise PoseError(f"pose at {timestamps_s[n_rigid]:.6f} s: {problem}")
 
     def push_quaternion(
         self, timestamp_s: float, position_base_mm: npt.ArrayLike, quaternion_xyzw: npt.ArrayLike
@@ -283,7 +283,6 @@ class PoseBuffer:
             for rows in (self._times_s, self._positions_base_mm, self._quaternions_xyzw):
                 rows[: self._capacity - 1] = rows[self._stop - self._capacity + 1 : self._stop]
             self._start, self._stop = 0, self._capacity - 1
-            self._forgot = True
         elif len(self) == self._capacity:
             self._start += 1
             self._forgot = True

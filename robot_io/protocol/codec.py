@@ -1,4 +1,7 @@
-"""Messages to frame bytes and back, by the layout in `arctrack.dbc`; `protect` fills in the E2E header."""
+"""Messages to frame bytes and back, by the layout in `arctrack.dbc`; `protect` fills in the E2E header.
+
+No signal of the layout has an offset: a raw code is the value over the scale.
+"""
 
 from __future__ import annotations
 
@@ -31,7 +34,6 @@ class _Field:
     name: str
     kind: type[float | int | bool | IntEnum]
     scale: float
-    offset: float
     raw_minimum: int
     raw_maximum: int
     raw_unknown: int | None
@@ -49,7 +51,7 @@ class _Field:
             return int(self._member(int(value), owner))
         if not math.isfinite(value):
             raise CodecError(f"{owner}.{self.name}: is {value}; send nan for a value that is not known")
-        raw = round((value - self.offset) / self.scale)
+        raw = round(value / self.scale)
         if not self.raw_minimum <= raw <= self.raw_maximum:
             raise CodecError(
                 f"{owner}.{self.name}: {value:g} is outside {self._range()}; send what fits or 'unknown'"
@@ -66,8 +68,7 @@ class _Field:
             raise CodecError(
                 f"{owner}.{self.name}: raw code {raw} is outside {self._range()}; check the sender's DBC"
             )
-        physical = raw * self.scale + self.offset
-        return physical if self.kind is float else self.kind(raw)
+        return raw * self.scale if self.kind is float else self.kind(raw)
 
     def _member(self, raw: int, owner: str) -> IntEnum:
         assert issubclass(self.kind, IntEnum)
@@ -78,7 +79,7 @@ class _Field:
             raise CodecError(f"{owner}.{self.name}: {raw} has no meaning; use one of {names}") from None
 
     def _range(self) -> str:
-        low, high = (raw * self.scale + self.offset for raw in (self.raw_minimum, self.raw_maximum))
+        low, high = (raw * self.scale for raw in (self.raw_minimum, self.raw_maximum))
         return f"{low:g} to {high:g} {self.unit}".rstrip()
 
 
@@ -148,16 +149,15 @@ def _fields(name: str) -> tuple[_Field, ...]:
 
 
 def _field(signal: Signal, hint: Any) -> _Field:
-    scale, offset = float(signal.scale), float(signal.offset)
+    scale = float(signal.scale)
     assert signal.minimum is not None
     assert signal.maximum is not None
     return _Field(
         name=signal.name,
         kind=next((arm for arm in get_args(hint) if arm is not type(None)), hint),
         scale=scale,
-        offset=offset,
-        raw_minimum=round((signal.minimum - offset) / scale),
-        raw_maximum=round((signal.maximum - offset) / scale),
+        raw_minimum=round(signal.minimum / scale),
+        raw_maximum=round(signal.maximum / scale),
         raw_unknown=invalid_raw(signal),
         unit=signal.unit or "",
     )

@@ -103,8 +103,9 @@ def test_a_raw_code_between_range_and_unknown_is_refused():
 def test_foreign_identifier_and_wrong_length():
     with pytest.raises(CodecError, match="0x200"):
         decode(0x200, bytes(8))
-    with pytest.raises(CodecError, match="RobotPosePosition: 7 bytes"):
-        decode(0x110, bytes(7))
+    for length in (0, 7, 9, 64):
+        with pytest.raises(CodecError, match=f"RobotPosePosition: {length} bytes instead of 8"):
+            decode(0x110, bytes(length))
 
 
 def test_unknown_is_never_zero_on_the_wire():

@@ -62,6 +62,8 @@ def test_every_message_is_classic_intel_with_the_e2e_header(layout):
     assert layout.comment
     assert cycle_time_s(layout) > 0.0
     assert all(s.comment and len(s.name) <= 32 for s in payload_signals(layout))
+    # The codec knows of no offset.
+    assert {s.offset for s in payload_signals(layout)} == {0}
 
 
 @pytest.mark.parametrize("layout", LAYOUTS, ids=lambda layout: layout.name)

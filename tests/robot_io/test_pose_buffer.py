@@ -6,7 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-from robot_io.poses.pose_buffer import PERIOD_INTERVALS, PoseBuffer, PoseError, PoseRefusal, PoseStatus
+from robot_io.poses.pose_buffer import PoseBuffer, PoseError, PoseRefusal, PoseStatus
 
 VELOCITY_MM_S = np.array([8.0, -1.0, 0.5])
 SPIN_RAD_S = np.array([0.1, -0.2, 0.3])
@@ -76,7 +76,26 @@ def test_poses_at_once_are_those_one_by_one():
         assert same(at_once.at(t_s), single.at(t_s))
 
 
-@pytest.mark.parametrize("bad", [2.0 * np.eye(4), np.full((4, 4), np.nan), np.diag([1.0, 1.0, -1.0, 1.0])])
+def lower_left(value):
+    T_base_tool = np.eye(4)
+    T_base_tool[3, 0] = value
+    return T_base_tool
+
+
+@pytest.mark.parametrize(
+    "bad",
+    [
+        2.0 * np.eye(4),
+        np.full((4, 4), np.nan),
+        np.diag([1.0, 1.0, -1.0, 1.0]),
+        # Within what is rounded off, but a mirror.
+        np.diag([1.0, 1.0, -0.9999, 1.0]),
+        np.diag([1.0, 1.0, 1.0, 2.0]),
+        np.diag([1.0, 1.0, 1.0, 0.0]),
+        lower_left(1.0),
+        lower_left(-1.0),
+    ],
+)
 @pytest.mark.parametrize("k", [0, 3])
 def test_of_poses_at_once_the_first_that_is_none_is_named(bad, k):
     T_base_tool = np.tile(np.eye(4), (5, 1, 1))
@@ -87,6 +106,31 @@ def test_of_poses_at_once_the_first_that_is_none_is_named(bad, k):
     assert len(buffer) == k
 
 
+def test_each_pose_has_a_time():
+    buffer = PoseBuffer()
+    with pytest.raises(PoseError, match="3 times for 2 poses"):
+        buffer.push_all([0.0, 0.1, 0.2], np.tile(np.eye(4), (2, 1, 1)))
+    assert len(buffer) == 0
+    buffer.push_all([], np.empty((0, 4, 4)))
+    assert len(buffer) == 0
+
+
+@pytest.mark.parametrize(("stretch", "is_taken"), [(0.0004, True), (-0.0004, True), (0.0006, False)])
+def test_what_a_controller_rounds_off_is_a_rotation(stretch, is_taken):
+    """R R^T is then off the identity by twice as much."""
+    buffer = PoseBuffer()
+    pose = np.diag([1.0 + stretch, 1.0, 1.0, 1.0])
+    if is_taken:
+        buffer.push(0.0, pose)
+        buffer.push_quaternion(0.1, np.zeros(3), (0.0, 0.0, 0.0, 1.0 + 2.0 * stretch))
+        assert len(buffer) == 2
+        return
+    with pytest.raises(PoseError, match="no rotation"):
+        buffer.push(0.0, pose)
+    with pytest.raises(PoseError, match="no rotation"):
+        buffer.push_quaternion(0.1, np.zeros(3), (0.0, 0.0, 0.0, 1.0 + 2.0 * stretch))
+
+
 def test_beyond_the_last_pose_it_is_extrapolated_and_then_refused():
     buffer = filled(STEADY_S)
     pose = buffer.at(0.49 + 0.0299)
@@ -94,8 +138,14 @@ def test_beyond_the_last_pose_it_is_extrapolated_and_then_refused():
     np.testing.assert_allclose(pose.T_base_tool, true_pose(0.5199), atol=1e-9)
     pose = buffer.at(0.49 + 0.0301)
     assert (pose.status, pose.refusal) == (PoseStatus.REFUSED, PoseRefusal.POSES_STOPPED)
-    assert np.isnan(pose.T_base_tool).all()
-    assert np.isnan(pose.velocity_base_mm_s).all()
+    for value, shape in (
+        (pose.T_base_tool, (4, 4)),
+        (pose.velocity_base_mm_s, (3,)),
+        (pose.angular_velocity_base_rad_s, (3,)),
+    ):
+        assert value.shape == shape
+        assert np.isnan(value).all()
+    assert pose.period_s == pytest.approx(0.01)
 
 
 def test_the_extrapolation_limit_is_set_in_periods():
@@ -143,6 +193,32 @@ def test_poses_beyond_one_period_never_change_an_answer(intervals, fraction, ext
     assert same(replay.at(t_s), answer)
 
 
+def test_only_the_two_neighbours_count():
+    """The tool accelerates: what was before them says nothing of the way between them, nor beyond."""
+    buffer = PoseBuffer()
+    for t_s, x_mm in ((0.0, 0.0), (0.01, 0.0), (0.02, 0.0), (0.03, 1.0), (0.04, 3.0)):
+        buffer.push_quaternion(t_s, (x_mm, 0.0, 0.0), (0.0, 0.0, 0.0, 1.0))
+    for t_s, x_mm, velocity_mm_s in ((0.025, 0.5, 100.0), (0.035, 2.0, 200.0), (0.045, 4.0, 200.0)):
+        pose = buffer.at(t_s)
+        assert pose.T_base_tool[0, 3] == pytest.approx(x_mm)
+        assert pose.velocity_base_mm_s[0] == pytest.approx(velocity_mm_s)
+    # Two that are half a period apart, or nearer, make no speed: the one before them is taken.
+    buffer.push_quaternion(0.0449, (3.0, 0.0, 0.0), (0.0, 0.0, 0.0, 1.0))
+    assert buffer.at(0.0499).velocity_base_mm_s[0] == pytest.approx(2.0 / 0.0149)
+    few = PoseBuffer()
+    for t_s, x_mm in ((0.0, 0.0), (0.01, 1.0), (0.0101, 1.0)):
+        few.push_quaternion(t_s, (x_mm, 0.0, 0.0), (0.0, 0.0, 0.0, 1.0))
+    assert few.at(0.0105).velocity_base_mm_s[0] == pytest.approx(1.0 / 0.0101)
+
+
+def test_a_gap_begins_beyond_four_periods():
+    times_s = [0.25 * i for i in range(8)]
+    for gap_s, status in ((1.0, PoseStatus.EXTRAPOLATED), (1.0625, PoseStatus.REFUSED)):
+        buffer = filled([*times_s, times_s[-1] + gap_s])
+        assert buffer.at(times_s[-1] + gap_s + 0.25).status is status
+        assert buffer.at(times_s[-1] + gap_s).status is PoseStatus.INTERPOLATED
+
+
 def test_nothing_to_go_by_is_refused():
     assert PoseBuffer().at(0.0).refusal is PoseRefusal.TOO_FEW_POSES
     assert filled([0.0]).at(0.0).refusal is PoseRefusal.TOO_FEW_POSES
@@ -170,10 +246,22 @@ def test_two_poses_almost_at_once_do_not_make_a_speed():
 
 
 def test_the_period_follows_a_change_of_rate():
-    slow_s = 0.49 + 0.02 * np.arange(1, PERIOD_INTERVALS + 1)
+    slow_s = 0.49 + 0.02 * np.arange(1, 32)
     buffer = filled([*STEADY_S, *slow_s])
     assert buffer.at(0.4).period_s == pytest.approx(0.01)
+    # The median of the last 31 intervals: of 15 slow ones it is still the quick one.
+    assert buffer.at(slow_s[14]).period_s == pytest.approx(0.01)
+    assert buffer.at(slow_s[15]).period_s == pytest.approx(0.02)
     assert buffer.at(slow_s[-1]).period_s == pytest.approx(0.02)
+
+
+def test_a_buffer_remembers_a_thousand_and_24_poses_unless_told():
+    buffer = PoseBuffer()
+    for i in range(1026):
+        buffer.push_quaternion(0.01 * i, np.zeros(3), (0.0, 0.0, 0.0, 1.0))
+    assert len(buffer) == 1024
+    assert buffer.at(0.025).refusal is PoseRefusal.BEFORE_BUFFER
+    assert buffer.at(0.03).status is PoseStatus.INTERPOLATED
 
 
 def test_memory_is_bounded_and_says_so():
