@@ -185,6 +185,12 @@ STRIPE_WHOLE = Question(
 SECOND_STRIPE = Question(
     "second_stripe", "brightness of a second stripe over the first", "at_most", flags.TWO_STRIPES, "share"
 )
+STRIPE_TOLD = Question(
+    "stripe_told",
+    "evidence that of two stripes the one that was read is the laser's, nats",
+    "at_least",
+    flags.STRIPE_AMBIGUOUS,
+)
 JOINT_TYPE = Question(
     "joint_type", "the profile shows no other type of joint decidedly", "yes", flags.JOINT_TYPE_MISMATCH
 )

@@ -82,6 +82,13 @@ SEAM_BY_LINE = Flag(
     "no gap shows in the stripe: the seam is the line that the image shows beside it, the gap is not known",
 )
 
+STRIPE_AMBIGUOUS = Flag(
+    28,
+    "stripe_ambiguous",
+    "of two stripes neither is told to be the laser's: one is a reflection of the other",
+    True,
+)
+
 FLAGS: tuple[Flag, ...] = tuple(value for value in list(globals().values()) if isinstance(value, Flag))
 """Every flag, in order of its bit."""
 

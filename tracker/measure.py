@@ -52,6 +52,9 @@ TRACK_REACH_MM = 1.0
 MIN_HELD_SHARE, WHOLE_SHARE = 0.2, 0.75
 """The share of the scan lines that the joint crosses which must hold a stripe, and below it is partial."""
 
+MIN_TOLD_NATS = math.log(1e2)
+"""Of two stripes the laser's must be told by so much: its reflection is read once in a hundred at most."""
+
 ARC_OFF_SIGMAS = 5.0
 MISFIT_LIMIT = 2.0
 JOINT_CHI2_LIMIT = 9.0
@@ -201,7 +204,7 @@ def _is_stripe(
     asked.ask(checks.STRIPE_WHOLE, share, WHOLE_SHARE)
     # Of what is no stripe nothing is the second.
     asked.ask(checks.SECOND_STRIPE, look.second_share, 0.0)
-    return True
+    return not math.isfinite(look.told_nats) or asked.ask(checks.STRIPE_TOLD, look.told_nats, MIN_TOLD_NATS)
 
 
 def profile_of(

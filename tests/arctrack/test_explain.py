@@ -172,6 +172,7 @@ def made(
         0.0,
         0.0,
         0.0,
+        math.inf,
         NO_SCATTER,
         NO_SCATTER,
         np.zeros(N_SCAN),

@@ -35,9 +35,11 @@ MEDIAN_HALF_PX = 30
 MEDIAN_SIGMA = 1.0
 """Without an arc map: half the running median's length, and its background's relative 1 sigma (anything)."""
 
-REACH_SIGMAS, BRIGHTER_IS_FIRST_NATS = 3.0, 2.2
-"""A search reaches so many sigmas of the seam's place; of two stripes the brighter is the first nine times of
-ten."""
+REACH_SIGMAS = 3.0
+"""A search reaches so many sigmas of the seam's place."""
+
+REFLECTED_SHARE, REFLECTED_SIGMA_LN = 0.4, 0.7
+"""A reflection has about so much of its stripe's light, within a factor of two; it is seldom the brighter."""
 
 MAX_ROUNDS = 3
 """So many times at most the stripe is read again without a second one's light."""
@@ -83,6 +85,7 @@ class StripeReading:
     `dark_variance_e2`; `map_sigma` is the background's relative 1 sigma, `base_sigma_e` that of the black
     level and of the hall's light.
     `second_share` is how bright a second stripe is over the first, 0 for none; the background has its light.
+    `told_nats` is the evidence that the other one is the reflection, infinite where none is searched.
     `scatter` is what the frames up to this one show of it, `learned` what this one was read with.
     `misfit_px` (n_scan,) is by how much each centre may be off, alike with its neighbours', for light beneath
     it that is not as expected.
@@ -100,6 +103,7 @@ class StripeReading:
     map_sigma: float
     base_sigma_e: float
     second_share: float
+    told_nats: float
     scatter: Scatter
     learned: Scatter
     misfit_px: Float64
@@ -197,11 +201,13 @@ def read_stripe(
             band.background += light
         second_share = share
         score, start, fits, saturated, seen = fit(offsets=offsets, learned=learned)
+    told_nats, near = math.inf, None
     if is_searching and second_share > 0.0:
-        near = _near_the_weaker(fits[:, 0] - expected.position_px, apart_px, offsets, reach_px)
-        if near is not None:
-            band.background[:], offsets = plain, near
-            score, start, fits, saturated, seen = fit(offsets=offsets, learned=learned)
+        off_px = fits[:, 0] - expected.position_px
+        told_nats, near = _told_of_two(off_px, apart_px, second_share, offsets, reach_px)
+    if near is not None:
+        band.background[:], offsets = plain, near
+        score, start, fits, saturated, seen = fit(offsets=offsets, learned=learned)
     scatter = scatter.with_frame(seen)
     sigma, together = scatter.widened(own_sigma(fits, expected.sigma_px))
     smooth, smooth_sigma = smooth_stripe(fits[:, 0], sigma, together)
@@ -223,26 +229,33 @@ def read_stripe(
         map_sigma,
         base_sigma,
         second_share,
+        told_nats,
         scatter,
         learned,
         misfit_sigma_px(odd, fits, alike),
     )
 
 
-def _near_the_weaker(off_px: Float64, apart_px: float, offsets_px: Int64, reach_px: float) -> Int64 | None:
-    """Return the offsets about the weaker of two stripes, None if the brighter one is the likelier stripe.
+def _told_of_two(
+    off_px: Float64, apart_px: float, share: float, offsets_px: Int64, reach_px: float
+) -> tuple[float, Int64 | None]:
+    """Return by how many nats the laser's of two stripes is told, and the offsets about it if it is dimmer.
 
-    The brighter one lies `off_px` (n_scan,) off its expected place, the weaker one `apart_px` from it. A
-    reflection is seldom the brighter, and a seam that is searched seldom at the end of its reach.
+    The brighter one lies `off_px` (n_scan,) off its expected place, the weaker one, of a `share` of its
+    light, `apart_px` from it. Either reflection's ln(strength) is normal about ln(REFLECTED_SHARE), and the
+    stripe's place is normal about the expected one. With r = ln(share), m and s the reflection's mean and
+    sigma, the log odds that the brighter one is the laser's are
+
+        L = 2 m r / s^2 + (weaker^2 - brighter^2) / (2 sigma^2).
     """
     if np.isnan(off_px).all():
-        return None
-    brighter_px = float(np.nanmedian(off_px))
-    weaker_px, sigma_px = brighter_px + apart_px, reach_px / REACH_SIGMAS
-    if brighter_px**2 - weaker_px**2 < 2.0 * sigma_px**2 * BRIGHTER_IS_FIRST_NATS:
-        return None
+        return math.inf, None
+    brighter_px, sigma_px = float(np.nanmedian(off_px)), reach_px / REACH_SIGMAS
+    weaker_px = brighter_px + apart_px
+    by_light = 2.0 * math.log(REFLECTED_SHARE) * math.log(share) / REFLECTED_SIGMA_LN**2
+    odds = by_light + (weaker_px**2 - brighter_px**2) / (2.0 * sigma_px**2)
     near = offsets_px[np.abs(offsets_px - weaker_px) < 0.5 * abs(apart_px)]
-    return near if len(near) else None
+    return abs(odds), near if odds < 0.0 and len(near) else None
 
 
 def _fit_band(
