@@ -48,6 +48,9 @@ LOADED_BEFORE = (
 )
 """What tests need that takes long to load, and that no mutant is in."""
 
+NO_TESTS = 5
+"""pytest's exit code where there was nothing to run."""
+
 KILLED, SURVIVED, TIMED_OUT = "killed", "survived", "killed by time"
 
 
@@ -102,7 +105,12 @@ def run_tests(module: str, tree: ast.Module, quiet: bool = True) -> int:
     options = ["-q", "-x", "-p", "no:cacheprovider", "-p", "no:xdist", "--no-header", "--tb=no"]
     # What is loaded before is not loaded by pytest's own hook.
     options += ["-W", "ignore::pytest.PytestAssertRewriteWarning"]
-    return int(pytest.main([*options, str(ROOT / TESTS[module])]))
+    # The quick ones first: most mutants need no others.
+    for chosen in ("not slow", "slow"):
+        code = int(pytest.main([*options, "-m", chosen, str(ROOT / TESTS[module])]))
+        if code not in (0, NO_TESTS):
+            return code
+    return 0
 
 
 def fate(module: str, mutant: Mutant, seconds: float) -> str:

@@ -64,6 +64,11 @@ def test_out_of_range_is_an_error_that_names_the_signal(message):
             encode(dataclasses.replace(message, **{signal.name: value}))
 
 
+def test_an_error_states_the_range_in_the_signals_unit():
+    with pytest.raises(CodecError, match=r"x_mm: 1700 is outside -1638\.38 to 1638\.38 mm; send what fits"):
+        encode(dataclasses.replace(POSITION, x_mm=1700.0))
+
+
 def test_infinity_is_refused():
     with pytest.raises(CodecError, match=r"RobotPosePosition\.z_mm: is inf"):
         encode(dataclasses.replace(POSITION, z_mm=math.inf))
@@ -128,6 +133,10 @@ def test_out_of_range_as_unknown_keeps_the_rest():
     assert math.isnan(sendable.mismatch_mm)
     assert (sendable.sigma_y_mm, sendable.sigma_z_mm) == (0.01, 0.02)
     assert out_of_range_as_unknown(POSITION) is POSITION
+    # A count that cannot be sent is a mistake, which sending it will name.
+    command = next(m for m in EXAMPLES if isinstance(m, TrackerCommand))
+    wrong = dataclasses.replace(command, job_number=70_000)
+    assert out_of_range_as_unknown(wrong) is wrong
 
 
 UNIT_QUATERNIONS = (
