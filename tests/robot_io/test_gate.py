@@ -82,6 +82,11 @@ def test_a_good_offset_goes_out_as_it_is():
     assert decision.last_sent == sent(NOW_S, confidence=1.0)
 
 
+def test_what_was_sent_is_as_old_as_before_by_a_clock_that_was_set_back():
+    assert LAST.set_back(0.5) == sent(NOW_S - 0.75)
+    assert math.isnan(LastSent().set_back(0.5).captured_at_s)
+
+
 @pytest.mark.parametrize(
     ("robot_changes", "reason"),
     [

@@ -517,3 +517,149 @@ def test_a_turn_is_the_angle_between_rotations(q, angle):
     b = Rotation.from_rotvec([0.0, angle, 0.0]) * a
     for sign in (1.0, -1.0):
         assert turn_rad(tuple(a.as_quat()), tuple(sign * b.as_quat())) == pytest.approx(angle, abs=1e-6)
+
+
+STEP_S = 1.0 / 64.0
+EXACT = replace(
+    LIMITS, gap_s=0.125, prove_s=0.25, settle_s=0.25, frozen_s=0.125, window_s=0.5, time_jitter_s=0.0
+)
+"""Limits that are binary fractions, so that times at a limit are exactly at it."""
+
+
+def still(t_s, place_mm=(10.0, 40.0, 0.0), quaternion=(0.0, 0.0, 0.0, 1.0), robot=None):
+    sample = on_the_bus(t_s, place_mm, Rotation.identity())
+    return PoseSeen(replace(sample, position_base_mm=place_mm, quaternion_xyzw=quaternion), robot)
+
+
+def after(times_s, limits=EXACT, path=None, state=None, **seen):
+    state = Plausibility() if state is None else state
+    for t_s in times_s:
+        state = update(state, still(t_s, **seen), limits, path)
+    return state
+
+
+def steps(from_s, to_s):
+    """Yield times, both ends included."""
+    return [from_s + STEP_S * n for n in range(round((to_s - from_s) / STEP_S) + 1)]
+
+
+def test_trust_comes_exactly_with_the_time_that_proves():
+    assert after(steps(1.0, 1.25 - STEP_S)).doubt is Implausibility.UNPROVEN
+    assert after(steps(1.0, 1.25)).doubt is None
+
+
+def test_poses_may_be_silent_for_exactly_the_gap():
+    trusted = after(steps(1.0, 2.0))
+    assert trusted.at(2.125, EXACT) is None
+    assert trusted.at(2.125 + STEP_S, EXACT) is Implausibility.STOPPED
+    assert trusted.at(1.875, EXACT) is None
+    assert trusted.at(1.875 - STEP_S, EXACT) is Implausibility.STOPPED
+    assert after([2.125], state=trusted).doubt is None
+    stopped = after([2.125 + STEP_S], state=trusted)
+    assert stopped.doubt is Implausibility.STOPPED
+    # What was before the silence is no part of the window any more.
+    assert len(stopped.window) == 1
+    # As long back is a sample that is late, and longer a clock that was set back.
+    late = after([1.875], state=trusted)
+    assert late.doubt is Implausibility.TIME_BACKWARDS
+    assert late.window == trusted.window
+    set_back = after([1.875 - STEP_S], state=trusted)
+    assert set_back.doubt is Implausibility.TIME_BACKWARDS
+    assert len(set_back.window) == 1
+
+
+def test_the_window_reaches_exactly_so_far_back():
+    assert [k.time_s for k in after(steps(1.0, 2.0)).window] == steps(1.5, 2.0)
+
+
+@pytest.mark.parametrize("n", range(8))
+def test_each_value_of_a_pose_must_be_finite(n):
+    values = [1.0, 10.0, 40.0, 0.0, 0.0, 0.0, 0.0, 1.0]
+    values[n] = math.inf
+    seen = still(1.0)
+    sample = replace(
+        seen.sample,
+        timestamp_s=values[0],
+        position_base_mm=tuple(values[1:4]),
+        quaternion_xyzw=tuple(values[4:]),
+    )
+    with pytest.raises(ValueError, match="not finite"):
+        update(Plausibility(), replace(seen, sample=sample), EXACT, None)
+
+
+@pytest.mark.parametrize(
+    ("speed_mm_s", "other_mm_s", "is_same"),
+    [(10.0, 10.5, True), (10.0, 9.5, True), (10.0, 10.53, False), (1.0, 1.09, True), (1.0, 1.13, False)],
+)
+def test_a_stated_speed_ripples_by_a_share_or_by_two_steps_of_the_bus(speed_mm_s, other_mm_s, is_same):
+    state = after(steps(1.0, 2.0), robot=status(speed_mm_s=speed_mm_s))
+    other = after([2.0 + STEP_S], state=state, robot=status(speed_mm_s=other_mm_s))
+    assert (other.steady_from_s == state.steady_from_s == 1.25) == is_same
+    assert is_same or other.steady_from_s == 2.25 + STEP_S
+    # Of a robot that stands no speed is asked.
+    stands = after(steps(1.0, 2.0), robot=status(MotionState.PAUSED, 0.0))
+    stands = after([2.0 + STEP_S], state=stands, robot=status(MotionState.PAUSED, other_mm_s))
+    assert stands.steady_from_s == 1.25
+    assert after([2.0 + STEP_S], state=state, robot=status(MotionState.PAUSED)).steady_from_s > 2.0
+    assert after([2.0 + STEP_S], state=state).steady_from_s == 1.25
+
+
+def test_a_frozen_pose_is_told_once_the_way_must_show_and_not_before():
+    """At 64 mm/s the way over 0.125 s is far beyond the noise: the time alone counts."""
+    told = [after(steps(1.0, 1.25 + STEP_S * n), robot=status(speed_mm_s=64.0)).doubt for n in range(12)]
+    assert told[:8] == [None] * 8
+    assert told[8:] == [Implausibility.FROZEN] * 4
+
+
+@pytest.mark.parametrize(("x_mm", "is_told"), [(0.1, False), (0.17, False), (0.18, True), (-0.18, True)])
+def test_a_tool_that_stands_may_settle_by_a_tenth(x_mm, is_told):
+    """Beyond the limit of 0.1 mm only what rounding makes: 7.3 sigma of 0.0072 mm, over two samples."""
+    state = after(steps(1.0, 2.0), robot=status(MotionState.STOPPED, 0.0))
+    limit_mm = 0.1 + LIMITS.sigmas * math.sqrt(2.0) * 0.025 / math.sqrt(12.0)
+    assert limit_mm == pytest.approx(0.175, abs=0.001)
+    settled = after(
+        [2.0 + STEP_S],
+        replace(EXACT, acceleration_mm_s2=1e5),
+        state=state,
+        place_mm=(10.0 + x_mm, 40.0, 0.0),
+        robot=status(MotionState.STOPPED, 0.0),
+    )
+    assert (settled.doubt is Implausibility.MOVES) == is_told
+
+
+@pytest.mark.parametrize(("share", "is_told"), [(0.99, False), (1.01, True)])
+def test_a_jump_is_a_speed_beyond_the_largest_and_the_noise(share, is_told):
+    limits = replace(EXACT, acceleration_mm_s2=1e9)
+    noise_mm = limits.sigmas * math.sqrt(2.0) * 0.025 / math.sqrt(12.0)
+    jump_mm = share * (250.0 * STEP_S + noise_mm)
+    state = after([2.0 + STEP_S], limits, state=after(steps(1.0, 2.0)), place_mm=(10.0, 40.0 + jump_mm, 0.0))
+    assert (state.doubt is Implausibility.SPEED) == is_told
+
+
+@pytest.mark.parametrize(("share", "is_told"), [(0.99, False), (1.01, True)])
+def test_a_turn_is_told_beyond_the_largest_rate_and_the_noise(share, is_told):
+    noise_rad = EXACT.sigmas * math.sqrt(2.0) * 4.0 * 4.32e-5 / math.sqrt(12.0)
+    angle = share * (math.pi * STEP_S + noise_rad)
+    turned = (0.0, 0.0, math.sin(angle / 2.0), math.cos(angle / 2.0))
+    state = after([2.0 + STEP_S], state=after(steps(1.0, 2.0)), quaternion=turned)
+    assert (state.doubt is Implausibility.ROTATION) == is_told
+
+
+@pytest.mark.parametrize(
+    ("beside_mm", "apart_s", "is_told"),
+    [(16.9, 0.0, False), (17.1, 0.0, True), (17.5, 0.0625, False), (17.75, 0.0625, True)],
+)
+def test_the_program_may_lag_by_the_way_of_its_delay(beside_mm, apart_s, is_told):
+    """15 mm, and 10 mm/s over the 0.2 s that a robot follows late, and over what the two are apart."""
+    programmed = replace(still(2.0 - apart_s).sample, position_base_mm=(10.0, 40.0 + beside_mm, 0.0))
+    seen = replace(still(2.0, robot=status()), programmed=programmed)
+    doubt = update(Plausibility(), seen, LIMITS, None).doubt
+    assert (doubt is Implausibility.PROGRAMMED_PLACE) == is_told
+
+
+@pytest.mark.parametrize(("turned_deg", "is_told"), [(4.9, False), (5.1, True)])
+def test_the_program_turns_as_the_tool_does(turned_deg, is_told):
+    half = math.radians(turned_deg) / 2.0
+    programmed = replace(still(2.0).sample, quaternion_xyzw=(0.0, math.sin(half), 0.0, math.cos(half)))
+    doubt = update(Plausibility(), replace(still(2.0), programmed=programmed), LIMITS, None).doubt
+    assert (doubt is Implausibility.PROGRAMMED_ROTATION) == is_told
