@@ -31,8 +31,11 @@ from tracker.stripe.read import Work
 from tracker.stripe.scatter import NO_SCATTER, Scatter
 
 JUMP_SIGMAS, JUMP_FLOOR_MM = 5.0, 0.3
-JUMPS_TO_RELEARN = 3
-"""So many jumps in a row to one place are the seam's new place."""
+JUMPS_TO_RELEARN, RELEARN_MM, RELEARN_SHARE = 3, 1.5, 0.5
+"""So many jumps to one place are the seam's new place, if most frames show it there over such a way.
+
+The rim of a tack shows a joint for some frames, or now and then: a seam shows it on and on.
+"""
 
 MAX_STRETCHES = 8
 """So many stretches between jumps are remembered for the torch that comes after."""
@@ -68,6 +71,8 @@ class TrackerState:
         What the stripes so far show beyond their photons' noise.
     jumps : int
         How many frames had their joint elsewhere, since it was last where it should be.
+    jumped_at : int
+        The number of the frame that began them.
     lost : int
         How many frames in a row had no joint.
     frames : int
@@ -80,6 +85,7 @@ class TrackerState:
     steering: Steering = field(default_factory=Steering)
     scatter: Scatter = NO_SCATTER
     jumps: int = 0
+    jumped_at: int = 0
     lost: int = 0
     frames: int = 0
 
@@ -249,14 +255,18 @@ def _follow(
     expected, expected_sigma = state.history.at(station)
     limit = jump_limit_mm(expected_sigma, variance)
     history, beyond, behind, jumps, lost = state.history, SeamHistory(), state.behind, 0, 0
+    jumped_at = state.jumped_at
     if len(history) and not _is_near(asked, np.abs(displacement - expected), limit):
         jumps, lost, beyond = state.jumps + 1, state.lost, state.beyond
         elsewhere, elsewhere_sigma = beyond.at(station)
         if (np.abs(displacement - elsewhere) > jump_limit_mm(elsewhere_sigma, variance)).any():
             # Nor where the last jump was: what is here and there is no seam.
             jumps, beyond = 1, SeamHistory()
+        jumped_at = state.frames if jumps == 1 else jumped_at
         beyond = beyond.with_measurement(station, displacement, variance)
-        if jumps >= JUMPS_TO_RELEARN:
+        way_mm = abs(station - float(beyond.stations_mm[0]))
+        share = jumps / (1 + state.frames - jumped_at)
+        if jumps >= JUMPS_TO_RELEARN and way_mm >= RELEARN_MM and share >= RELEARN_SHARE:
             # The torch comes to the new stretch later: until then it is on the one before, if that was one.
             if len(history) >= JUMPS_TO_RELEARN:
                 behind = (*behind, history)[-MAX_STRETCHES:]
@@ -266,7 +276,14 @@ def _follow(
     hand_eye = hand_eye_variance(setup, nominal_scene, seam_tool)
     steering = replace(state.steering, hand_eye_variance_mm2=(float(hand_eye[0]), float(hand_eye[1])))
     state = replace(
-        state, history=history, beyond=beyond, behind=behind, steering=steering, jumps=jumps, lost=lost
+        state,
+        history=history,
+        beyond=beyond,
+        behind=behind,
+        steering=steering,
+        jumps=jumps,
+        jumped_at=jumped_at,
+        lost=lost,
     )
     sigma = np.sqrt(variance + hand_eye)
     return state, replace(

@@ -17,7 +17,7 @@ from arctrack.cell.robot_party import RobotParty
 from arctrack.cell.scheduler import Scheduler
 from arctrack.cell.tracker_party import FRAME_PERIOD_S, TrackerParty
 from arctrack.cell.world import World
-from arctrack.service.job import Job
+from arctrack.service.job import Bridging, Job
 from robot_io import (
     BusMessage,
     Command,
@@ -30,6 +30,9 @@ from robot_io import (
 
 ARMED_S = 0.2
 """When the robot commands TRACK."""
+
+BRIDGE_MM = 20.0
+"""How far the job lets a tracker go without a joint."""
 
 USABLE = (Validity.VALID, Validity.HELD)
 
@@ -86,7 +89,9 @@ class Cell:
         frame_period_s: float = FRAME_PERIOD_S,
     ) -> None:
         self.rng = rng
-        self.job = Job("lap", poses_proven=True)
+        ahead_tool_mm = (world.look_ahead_mm, 0.0, 0.0)
+        bridging = Bridging(world.path, ahead_tool_mm, BRIDGE_MM)
+        self.job = Job("lap", poses_proven=True, bridging=bridging)
         self.scheduler = Scheduler()
         self.bus = Bus(self.scheduler, rng)
         self.robot = RobotParty(Robot(world), self.bus, self.scheduler)

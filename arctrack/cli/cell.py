@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from enum import StrEnum
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -12,20 +13,33 @@ from arctrack.cli.exit_codes import WARNED
 from arctrack.cli.simulate import JointName, MaterialName
 
 if TYPE_CHECKING:
-    from arctrack.cell.closed_loop import LoopPlan, LoopResult
+    from arctrack.cell.weld.closed_loop import EventResult, LoopPlan, LoopResult
     from robot_io.clocks.lag import Lag
+
+
+class EventName(StrEnum):
+    """What may happen in a run."""
+
+    IGNITION = "ignition"
+    ARC_TOLD_LATE = "arc_told_late"
+    ARC_FAULT = "arc_fault"
+    TACK = "tack"
+    LONG_TACK = "long_tack"
+    OUT_OF_VIEW = "out_of_view"
+    SLIP = "slip"
+
 
 cell = typer.Typer(name="cell", help="Run a simulated cell.", no_args_is_help=True)
 
 
-@cell.callback(epilog="Example: arctrack cell schedules --count 46 --seed 1")
+@cell.callback(epilog="Example: arctrack cell schedules --count 50 --seed 1")
 def _cell() -> None:
     """Run a simulated cell: robot, tracker and bus behind one clock."""
 
 
-@cell.command(epilog="Example: arctrack cell schedules --count 46 --seed 1 --workers 2")
+@cell.command(epilog="Example: arctrack cell schedules --count 50 --seed 1 --workers 2")
 def schedules(
-    count: Annotated[int, typer.Option(min=1, help="How many schedules; each has the next fault.")] = 46,
+    count: Annotated[int, typer.Option(min=1, help="How many schedules; each has the next fault.")] = 50,
     seed: Annotated[int, typer.Option(min=0, help="Seed of all that is drawn at random.")] = 1,
     only: Annotated[int | None, typer.Option(min=0, help="Run this one schedule of the seed alone.")] = None,
     workers: Annotated[int, typer.Option(min=1, help="Schedules run at once, a process each.")] = 1,
@@ -34,8 +48,8 @@ def schedules(
 
     A schedule that failed is named by the options that run it again. The exit code is then 1.
     """
-    from arctrack.cell.schedules import executor, run_schedule, run_schedules
-    from arctrack.cell.table import failures, table
+    from arctrack.cell.faults.schedules import executor, run_schedule, run_schedules
+    from arctrack.cell.faults.table import failures, table
     from arctrack.cli import console
 
     if only is not None:
@@ -74,6 +88,7 @@ def run(
     ] = 1.5,
     fps: Annotated[float, typer.Option(help="Frames a second.", min=5, max=50)] = 25.0,
     seed: Annotated[int, typer.Option(help="Same seed, same run.", min=0)] = 1,
+    event: Annotated[EventName | None, typer.Option(help="What happens on the way.")] = None,
     at_once: Annotated[
         bool, typer.Option("--at-once", help="Send the offset of where the torch is, as if it acted at once.")
     ] = False,
@@ -86,8 +101,8 @@ def run(
     Time is simulated: a run takes as long as its frames take to render. It prints how far the torch was off
     the seam, and what became of the offsets.
     """
-    from arctrack.cell.closed_loop import ClosedLoop, LoopPlan
-    from arctrack.cell.loop_file import RUN_CSV, write_run
+    from arctrack.cell.weld.closed_loop import ClosedLoop, LoopPlan
+    from arctrack.cell.weld.run_file import RUN_CSV, write_run
     from arctrack.cli import console
     from arctrack.output import make_folder
     from arctrack.report.cell_run import RUN_PICTURE, draw_run
@@ -105,15 +120,18 @@ def run(
         rate_hz=fps,
         seed=seed,
         looks_ahead=not at_once,
+        event=None if event is None else event.value,
         exact=not off_nominal,
     )
     make_folder(out, (RUN_CSV, RUN_PICTURE))
     with console.progress() as bar, heard_compilations(console.compiling(bar, plan.joint)):
         loop = ClosedLoop(plan)
-        result = loop.run(console.track(bar, plan.joint, round(plan.duration_s * fps)))
+        result = loop.run(console.track(bar, plan.joint, round(loop.duration_s * fps)))
     write_run(out / RUN_CSV, loop.frames)
     draw_run(out / RUN_PICTURE, loop, result)
-    console.say(*_lines(plan, result), f"{out / RUN_CSV}, {out / RUN_PICTURE}")
+    happened = loop.event_result()
+    lines = _lines(plan, result) if happened is None else _event_lines(happened)
+    console.say(*lines, f"{out / RUN_CSV}, {out / RUN_PICTURE}")
 
 
 def _lines(plan: LoopPlan, result: LoopResult) -> list[str]:
@@ -129,6 +147,20 @@ def _lines(plan: LoopPlan, result: LoopResult) -> list[str]:
         valid,
         _lag_line(result.lag),
         f"weave: {result.weave_mm:.3f} mm to either side, {plan.weave_mm:g} mm programmed",
+    ]
+
+
+def _event_lines(happened: EventResult) -> list[str]:
+    """Return what became of an event in words."""
+    validities = ", ".join(f"{name} {count}" for name, count in sorted(happened.validities.items()))
+    reasons = ", ".join(f"{name} {count}" for name, count in sorted(happened.reasons.items()))
+    again = "never VALID again"
+    if math.isfinite(happened.valid_again_s):
+        again = f"VALID again {happened.valid_again_s:.2f} s after its end"
+    return [
+        f"{happened.name}, {happened.begin_s:.2f} to {happened.end_s:.2f} s",
+        f"offsets meanwhile: {validities}; the tracker says {reasons or 'nothing'}; {again}",
+        f"from its begin on the torch is off the seam by {happened.torch_off_mm:.3f} mm at most",
     ]
 
 

@@ -154,12 +154,13 @@ def compiling(bar: Progress, name: str) -> Callable[[str, int, float], None]:
     tasks: list[TaskID] = []
 
     def on_compiled(function: str, n_before: int, elapsed_s: float) -> None:
-        if not tasks:
+        # A bar that was removed is over, but what comes late is compiled all the same.
+        if not tasks or tasks[-1] not in bar.task_ids:
             tasks.append(bar.add_task(f"{name}: compiling", total=None, unit=COMPILED))
         if not function.startswith("numba."):
             what = f"{name}: compiling {function} ({elapsed_s:.0f} s; the first time takes a minute or two)"
-            bar.update(tasks[0], description=what)
-        bar.update(tasks[0], completed=n_before + 1)
+            bar.update(tasks[-1], description=what)
+        bar.update(tasks[-1], completed=n_before + 1)
 
     return on_compiled
 

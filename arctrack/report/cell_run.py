@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 from matplotlib.axes import Axes
 
-from arctrack.cell.closed_loop import ClosedLoop, LoopFrame, LoopResult
+from arctrack.cell.weld.closed_loop import ClosedLoop, LoopFrame, LoopResult
 from arctrack.output import writing
 from arctrack.report.style import BLACK, BLUE, GREEN, GREY, ORANGE, SKY, VERMILLION, new_figure, plain
 from robot_io import Validity

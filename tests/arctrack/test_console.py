@@ -115,3 +115,15 @@ def test_ctrl_c_says_what_is_kept(tmp_path: Path) -> None:
     assert f"long: simulation interrupted; what was written stays in {unfinished}" in said
     assert "Traceback" not in said
     assert (unfinished / "frames.csv").exists()
+
+
+def test_what_is_compiled_after_the_first_frame_has_a_bar_of_its_own() -> None:
+    with console.progress() as bar:
+        on_compiled, on_frame = console.compiling(bar, "rec"), console.track(bar, "rec", 3)
+        on_compiled("tracker.step", 0, 1.0)
+        on_frame(1)
+        assert [task.fields["unit"] for task in bar.tasks] == ["frames"]
+        on_compiled("tracker.late", 1, 2.0)
+        assert "tracker.late" in bar.tasks[-1].description
+        on_frame(2)
+        assert [task.completed for task in bar.tasks] == [2]

@@ -346,6 +346,21 @@ def test_a_bent_response_is_as_good_as_a_straight_one(v: Setup, gamma: float, ar
     assert np.median(sigmas) < 0.1
 
 
+def test_what_shows_elsewhere_over_a_short_way_or_now_and_then_is_not_learned(v: Setup) -> None:
+    jumped = SeamLine(0.0, 0.8, 0.0)
+    for step_mm, blind in ((0.3, 0), (2.0, 2)):
+        tracker = Tracker(v)
+        for frame, pose in walk(v, 4):
+            assert tracker.step(frame, pose).valid
+        for frame, pose in walk(v, 5, jumped, step_mm=step_mm, start_mm=32.0):
+            assert "seam_jump" in tracker.step(frame, pose).flag_names
+            for _ in range(blind):
+                dark = replace(frame_of(v, pose, jumped, laser=0.0), laser_on=True)
+                assert not tracker.step(dark, pose).valid
+        back = [tracker.step(*seen) for seen in walk(v, 2, start_mm=42.0)]
+        assert all("seam_jump" not in track.flag_names for track in back)
+
+
 def test_a_jump_is_flagged_and_then_learned(v: Setup) -> None:
     tracker = Tracker(v)
     for frame, pose in walk(v, 4):

@@ -9,11 +9,14 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
-from arctrack.cell.closed_loop import ClosedLoop, LoopPlan
+from arctrack.cell.cell import Cell
+from arctrack.cell.faults.welding import ARC_FAULT
 from arctrack.cell.robot import Robot
+from arctrack.cell.weld.closed_loop import ClosedLoop, LoopPlan
 from arctrack.cell.world import draw_world
 from arctrack.cli import app
-from robot_io import SeamOffset, Validity
+from arctrack.cli.cell import _event_lines
+from robot_io import SeamOffset, Validity, WeldingState
 
 QUICK = LoopPlan(joint="lap", speed_mm_s=20.0, length_mm=64.0, rate_hz=12.5)
 """A run of few frames that is long enough to lock."""
@@ -63,3 +66,48 @@ def test_an_offset_that_comes_twice_moves_the_robot_once():
         places.append(robot.offset_mm)
     assert places[1] == pytest.approx(places[0], abs=1e-9)
     assert places[1] == pytest.approx([1.5, -0.5], abs=1e-6)
+
+
+@pytest.mark.slow
+def test_nothing_is_valid_before_a_struck_arc_is_steady_and_a_tack_hides_the_joint():
+    loop = ClosedLoop(replace(QUICK, event="ignition", length_mm=20.0))
+    levels = []
+    loop.cell.scheduler.every(0.05, lambda: levels.append(loop.eye._arc_level()), 0.01)
+    loop.run()
+    happened = loop.event_result()
+    assert (happened.begin_s, happened.end_s) == (0.0, pytest.approx(0.9))
+    assert set(happened.validities) == {"REFUSED"}
+    assert "ROBOT_NOT_MOVING" in happened.reasons
+    assert happened.valid_again_s < 1.0
+    # The image had no arc, then an unsteady one, then a steady one.
+    assert set(levels[:10]) == {0.0}
+    assert np.std(levels[10:18]) > 0.3
+    assert set(levels[18:]) == {1.0}
+    assert "VALID again" in "\n".join(_event_lines(happened))
+    eye, robot = loop.eye, loop.cell.robot.robot
+    eye.rng = np.random.default_rng(1)
+    plain = eye.look(0.0).astype(float)
+    first_mm = robot.station_mm + 32.0
+    eye.rng, eye.tacks_mm = np.random.default_rng(1), ((first_mm, first_mm + 6.0),)
+    hidden = eye.look(0.0) != plain
+    columns = np.nonzero(hidden)[1]
+    assert 0.01 < hidden.mean() < 0.1
+    # The stripe's middle is under it, both its ends are not.
+    assert hidden[:, columns.min() : columns.max()].any(axis=0).mean() > 0.95
+    assert not hidden[:, :100].any()
+    assert not hidden[:, -100:].any()
+
+
+@pytest.mark.slow
+def test_an_arc_fault_moves_the_robot_back_and_it_goes_on():
+    rng = np.random.default_rng(4)
+    cell = Cell(draw_world(rng), rng)
+    cell.run(2.0)
+    before_mm = cell.robot.robot.station_mm
+    cell.scheduler.at(2.0 + ARC_FAULT.lasts_s(cell.world), ARC_FAULT.begin(cell, rng))
+    cell.run(2.0 + 0.3 + 0.75 + 0.1)
+    assert cell.robot.robot.station_mm == pytest.approx(before_mm - 15.0, abs=0.1)
+    assert cell.robot.robot.status.welding is WeldingState.IGNITING
+    cell.run(5.0)
+    assert cell.robot.robot.station_mm > before_mm - 15.0
+    assert set(cell.validities(4.0, 5.0)) == {Validity.VALID}

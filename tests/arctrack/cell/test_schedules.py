@@ -8,11 +8,12 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
-from arctrack.cell import schedules
 from arctrack.cell.cell import Cell
-from arctrack.cell.faults import KINDS, FaultKind
-from arctrack.cell.schedules import Outcome, run_schedule, run_schedules
-from arctrack.cell.table import failures, table
+from arctrack.cell.faults import schedules
+from arctrack.cell.faults.kind import FaultKind
+from arctrack.cell.faults.kinds import KINDS
+from arctrack.cell.faults.schedules import Outcome, run_schedule, run_schedules
+from arctrack.cell.faults.table import failures, table
 from arctrack.cell.world import draw_world
 from arctrack.cli import app
 from robot_io import GateReason, Switch, Validity

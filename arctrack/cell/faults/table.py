@@ -5,8 +5,8 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Iterator, Sequence
 
-from arctrack.cell.faults import KINDS
-from arctrack.cell.schedules import Outcome
+from arctrack.cell.faults.kinds import KINDS
+from arctrack.cell.faults.schedules import Outcome
 
 HEADER = (
     "| fault | schedules | offsets end after, s | the tracker says | torch off by, mm | failed | remark |\n"

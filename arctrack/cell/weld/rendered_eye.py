@@ -11,10 +11,11 @@ import numpy as np
 from arctrack.cell.eye import Capture, Shown
 from arctrack.cell.robot import Robot
 from noise_model.arc.map import make_scene
-from noise_model.arrays import Integers
+from noise_model.arrays import Float64, Integers
 from noise_model.condition import Condition
-from noise_model.effects import checked
+from noise_model.effects import apply_setup_effects, checked
 from noise_model.forward import Renderer, draw_frame
+from noise_model.instrument.sensor import saturation_dn
 from noise_model.plan.noise import expected_speckle
 from noise_model.setup import Setup
 from noise_model.surface.joint import BentSeam, Seam, SeamLine
@@ -23,6 +24,12 @@ from tracker.seam.innovation import SeamMeasured
 from tracker.seam.locate import seam_displacement
 from tracker.state import Frame, Pose, Track
 from tracker.tracker import Tracker
+
+FAR_MM = 1e6
+"""Where there is no workpiece."""
+
+TACK_HALF_WIDTH_MM = 4.0
+"""How far a tack's bead reaches to either side of the seam, mm."""
 
 
 @dataclass
@@ -47,8 +54,10 @@ class RenderedEye:
     ----------
     arc_level : callable or None
         The arc's output over its nominal one by the time, s; None burns as the robot's status says.
-    retouch : callable or None
-        Changes a frame that is drawn: image (H, W) and the robot.
+    tacks_mm : tuple of tuples (2,)
+        From which station of the path to which the joint is under a tack, mm.
+    aside_mm : float
+        How much farther to the left the seam lies than the world says, mm: out of the camera's view.
     """
 
     robot: Robot
@@ -56,7 +65,8 @@ class RenderedEye:
     true_setup: Setup
     rng: np.random.Generator
     arc_level: Callable[[float], float] | None = None
-    retouch: Callable[[Integers, Robot], Integers] | None = None
+    tacks_mm: tuple[tuple[float, float], ...] = ()
+    aside_mm: float = 0.0
     part_seed: int = field(init=False)
 
     def __post_init__(self) -> None:
@@ -74,20 +84,39 @@ class RenderedEye:
 
     def look(self, off_mm: float) -> Shown:
         """Return the image (H, W), DN, that the camera takes now of a seam so far to the left, mm."""
-        T_base_tool = self.robot.T_base_tool()
-        true = self._true
-        arc_level = self._arc_level()
-        condition = Condition(1.0, arc_level, true.camera.exposure_s, self.robot.now_s)
+        T_base_tool, seam = self.robot.T_base_tool(), self._seam(off_mm + self.aside_mm)
+        condition = Condition(1.0, self._arc_level(), self._true.camera.exposure_s, self.robot.now_s)
         image_dn = draw_frame(
-            true,
+            self._true,
             T_base_tool,
             condition,
             self.rng,
-            seam=self._seam(off_mm),
+            seam=seam,
             renderer=self._renderer,
             part_seed=self.part_seed,
         )
-        return image_dn if self.retouch is None else self.retouch(image_dn, self.robot)
+        if self.tacks_mm:
+            view = self._renderer.layers(apply_setup_effects(self._true), T_base_tool, seam).view
+            self._tack(image_dn, view.surface[0])
+        return image_dn
+
+    def _tack(self, image_dn: Integers, surface_mm: Float64) -> None:
+        """Draw tacks over an image (H, W) that shows points (H, W, 3), mm, joint frame: bright, uneven beads.
+
+        They are drawn on the image alone: a bead hides joint and stripe, but casts no shadow.
+        """
+        # Past the workpiece there is no bead.
+        surface_mm = np.nan_to_num(surface_mm.reshape(*image_dn.shape, 3), nan=FAR_MM)
+        station_mm = surface_mm[..., 0] - self.robot.world.start_base_mm[0]
+        aside_mm = surface_mm[..., 1]
+        # Its rims wander, and its ripples run over the joint beneath.
+        rim_mm = TACK_HALF_WIDTH_MM + 0.8 * np.sin(1.3 * station_mm)
+        off_mm = np.abs(aside_mm - 0.8 * np.sin(0.9 * station_mm))
+        rows, columns = np.indices(image_dn.shape)
+        ripples = 0.7 + 0.2 * np.sin(0.11 * rows) + 0.1 * np.cos(0.07 * columns)
+        for first_mm, last_mm in self.tacks_mm:
+            is_bead = (first_mm < station_mm) & (station_mm < last_mm) & (off_mm < rim_mm)
+            image_dn[is_bead] = (ripples[is_bead] * saturation_dn(self.setup.sensor)).astype(image_dn.dtype)
 
     def garbage(self) -> Shown:
         """Return an image of noise alone."""
@@ -147,5 +176,5 @@ class RenderedEye:
             return SeamLine(station_mm, y_mm + off_mm, z_mm, slope_y, slope_z)
 
         T_base_tool = self.robot.T_base_tool()
-        first_mm, last_mm, torch_mm = make_scene(self.true_setup, T_base_tool).stations_mm
+        first_mm, last_mm, torch_mm = make_scene(apply_setup_effects(self._true), T_base_tool).stations_mm
         return BentSeam.along(line, (first_mm, last_mm), torch_mm, joint.has_ridges)

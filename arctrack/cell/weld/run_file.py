@@ -6,7 +6,7 @@ import csv
 from collections.abc import Sequence
 from pathlib import Path
 
-from arctrack.cell.closed_loop import LoopFrame
+from arctrack.cell.weld.closed_loop import LoopFrame
 from arctrack.output import writing
 
 RUN_CSV = "run.csv"

@@ -12,7 +12,8 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from arctrack.cell.cell import USABLE, Cell, Heard
-from arctrack.cell.faults import KINDS, FaultKind
+from arctrack.cell.faults.kind import FaultKind
+from arctrack.cell.faults.kinds import KINDS
 from arctrack.cell.world import draw_world
 from robot_io import GateLimits, GateReason, Validity
 
@@ -85,9 +86,12 @@ def run_schedule(seed: int, number: int, kinds: Sequence[FaultKind] = KINDS) -> 
     kind = kinds[number % len(kinds)]
     begin_s = 0.0 if kind.from_start else float(rng.uniform(*BEGIN_S))
     lasts_s = float(rng.uniform(0.2, LONGEST_S))
+    world = draw_world(rng)
+    if kind.lasts_s is not None:
+        lasts_s = kind.lasts_s(world)
     end_s = 1.3 + lasts_s if kind.from_start else begin_s + lasts_s
     schedule = Schedule(kind, begin_s, end_s)
-    cell = Cell(draw_world(rng), rng)
+    cell = Cell(world, rng)
 
     def begin() -> None:
         cell.scheduler.at(end_s, kind.begin(cell, rng))

@@ -15,13 +15,13 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from arctrack.cell.cell import Cell
-from arctrack.cell.rendered_eye import RenderedEye
 from arctrack.cell.robot import Robot
+from arctrack.cell.weld.events import LOOP_EVENTS
+from arctrack.cell.weld.rendered_eye import RenderedEye
 from arctrack.cell.world import World
 from arctrack.nominal import nominal_setup
 from arctrack.simulate import balance, true_values
 from noise_model.arrays import Float64
-from noise_model.effects import apply_setup_effects
 from noise_model.setup import Setup
 from noise_model.surface.joint import section
 from robot_io import BusMessage, GateReason, SeamOffset, TrackerStatus, Validity
@@ -38,6 +38,10 @@ SETTLED_TIME_CONSTANTS = 5.0
 
 SAMPLE_S = 0.01
 """So often the torch is measured against the seam, s."""
+
+
+EVENT_S, AFTER_EVENT_S = 6.0, 5.0
+"""When an event begins that is none of the start, and how long a run goes on after its end, s."""
 
 
 @dataclass(frozen=True)
@@ -68,6 +72,8 @@ class LoopPlan:
         The same seed gives the same run.
     looks_ahead : bool
         Whether the lag is estimated and offsets are asked for where the torch will be once they act.
+    event : str, optional
+        What happens on the way: a name of `loop_events.LOOP_EVENTS`.
     exact : bool
         Whether what is there is as the setup says; else it is off by the setup's tolerances.
     """
@@ -85,12 +91,8 @@ class LoopPlan:
     rate_hz: float = 25.0
     seed: int = 1
     looks_ahead: bool = True
+    event: str | None = None
     exact: bool = True
-
-    @property
-    def duration_s(self) -> float:
-        """How long the run takes, s."""
-        return self.length_mm / self.speed_mm_s
 
 
 @dataclass(frozen=True)
@@ -120,6 +122,33 @@ class LoopFrame:
     sample: Sample
     lag: Lag
     lead: Lead
+
+
+@dataclass(frozen=True)
+class EventResult:
+    """What became of an event.
+
+    Attributes
+    ----------
+    name : str
+        What happened.
+    begin_s, end_s : float
+        When, s.
+    validities, reasons : dict
+        How many frames meanwhile had each validity, and each reason but NONE.
+    torch_off_mm : float
+        How far the torch was off the seam at most, from its begin on, mm.
+    valid_again_s : float
+        How long after its end offsets were VALID and the soft start over, s; infinite if they never were.
+    """
+
+    name: str
+    begin_s: float
+    end_s: float
+    validities: dict[str, int]
+    reasons: dict[str, int]
+    torch_off_mm: float
+    valid_again_s: float
 
 
 @dataclass(frozen=True)
@@ -185,10 +214,14 @@ class ClosedLoop:
         true_setup = self.setup if plan.exact else true_values(self.setup, draw_true)
 
         def see(robot: Robot) -> RenderedEye:
-            self.eye = RenderedEye(robot, self.setup, apply_setup_effects(true_setup), draw_images)
+            self.eye = RenderedEye(robot, self.setup, true_setup, draw_images)
             return self.eye
 
         self.cell = Cell(_world(plan, self.setup), draw_cell, see, 1.0 / plan.rate_hz)
+        self.event_s = self._plan_event()
+        self.duration_s = plan.length_mm / plan.speed_mm_s
+        if self.event_s is not None:
+            self.duration_s = max(self.duration_s, self.event_s[1] + AFTER_EVENT_S)
         self.cell.tracker.looks_ahead = plan.looks_ahead
         self.cell.tracker.on_track = self._on_track
         self.cell.scheduler.every(SAMPLE_S, self._sample, 0.0007)
@@ -196,7 +229,7 @@ class ClosedLoop:
     def run(self, on_frame: Callable[[int], None] | None = None) -> LoopResult:
         """Run to the end, and return what came of it; `on_frame` hears the number of frames done."""
         self._on_frame = on_frame
-        self.cell.run(self.plan.duration_s)
+        self.cell.run(self.duration_s)
         return self.result()
 
     def result(self) -> LoopResult:
@@ -205,10 +238,10 @@ class ClosedLoop:
         locked = [sample for sample in self.samples if sample.time_s >= lock_s]
         valid = [frame.offset.validity is Validity.VALID for frame in self.frames]
         valid_share = float(np.mean(valid)) if valid else math.nan
-        reasons = Counter(frame.reason.name for frame in self.frames if frame.reason is not GateReason.NONE)
+        reasons = _reasons(self.frames)
         lag = self.cell.tracker.look_ahead.lag
         if not locked:
-            return LoopResult(lock_s, *(math.nan,) * 4, valid_share, dict(reasons), lag, math.nan)
+            return LoopResult(lock_s, *(math.nan,) * 4, valid_share, reasons, lag, math.nan)
         off = np.array([np.subtract(sample.torch_mm, sample.seam_mm) for sample in locked])
         distance = np.hypot(off[:, 0], off[:, 1])
         rms_y_mm, rms_z_mm = np.sqrt((off**2).mean(axis=0)).tolist()
@@ -219,10 +252,52 @@ class ClosedLoop:
             rms_y_mm,
             rms_z_mm,
             valid_share,
-            dict(reasons),
+            reasons,
             lag,
             _weave_mm(locked, self.plan.weave_hz),
         )
+
+    def event_result(self) -> EventResult | None:
+        """Return what became of the event, None without one."""
+        if self.event_s is None:
+            return None
+        begin_s, end_s = self.event_s
+        during = [frame for frame in self.frames if begin_s <= frame.sample.time_s < end_s]
+        off_mm = [
+            math.dist(sample.torch_mm, sample.seam_mm) for sample in self.samples if sample.time_s >= begin_s
+        ]
+        again_s = (
+            frame.sample.time_s - end_s
+            for frame in self.frames
+            if frame.sample.time_s >= end_s
+            and frame.offset.validity is Validity.VALID
+            and frame.reason is GateReason.NONE
+        )
+        return EventResult(
+            name=LOOP_EVENTS[self.plan.event or ""].name,
+            begin_s=begin_s,
+            end_s=end_s,
+            validities=dict(Counter(frame.offset.validity.name for frame in during)),
+            reasons=_reasons(during),
+            torch_off_mm=max(off_mm, default=math.nan),
+            valid_again_s=next(again_s, math.inf),
+        )
+
+    def _plan_event(self) -> tuple[float, float] | None:
+        """Let the plan's event begin and end in its time, and return its times, s."""
+        if self.plan.event is None:
+            return None
+        kind = LOOP_EVENTS[self.plan.event]
+        assert kind.lasts_s is not None
+        begin_s = 0.0 if kind.from_start else EVENT_S
+        end_s = begin_s + kind.lasts_s(self.cell.world)
+        draw = np.random.default_rng([self.plan.seed, 3])
+
+        def begin() -> None:
+            self.cell.scheduler.at(end_s, kind.begin(self.cell, draw))
+
+        self.cell.scheduler.at(begin_s, begin)
+        return begin_s, end_s
 
     def lock_s(self) -> float:
         """Return from when on the torch follows, s; infinite if it never does."""
@@ -283,6 +358,11 @@ def _world(plan: LoopPlan, setup: Setup) -> World:
         length_mm=plan.length_mm + 100.0,
         corrugation=(height_mm, width_mm, pitch_mm),
     )
+
+
+def _reasons(frames: list[LoopFrame]) -> dict[str, int]:
+    """Return how many frames had each reason but NONE."""
+    return dict(Counter(frame.reason.name for frame in frames if frame.reason is not GateReason.NONE))
 
 
 def _weave_mm(samples: list[Sample], weave_hz: float) -> float:

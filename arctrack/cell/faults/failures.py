@@ -1,16 +1,16 @@
-"""What may go wrong in a cell, each fault with what must be said of it and how soon."""
+"""What may fail in a cell: cameras, poses, robots, buses, processes; and what must be said of each."""
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
-from arctrack.cell import pose_faults
 from arctrack.cell.bus import BusTrouble
 from arctrack.cell.cell import Cell
+from arctrack.cell.faults import pose_faults
+from arctrack.cell.faults.kind import DELAYED, POSES, Begin, End, FaultKind
 from arctrack.cell.robot_party import SOURCE
 from arctrack.cell.tracker_party import Camera
 from robot_io import (
@@ -25,49 +25,6 @@ from robot_io import (
     Validity,
     WeldingState,
 )
-
-End = Callable[[], None]
-"""What ends a fault."""
-
-Begin = Callable[[Cell, np.random.Generator], End]
-"""Begins a fault in a cell, with what chance decides."""
-
-POSES = frozenset({GateReason.POSE_IMPLAUSIBLE})
-DELAYED = frozenset({GateReason.BUS_DELAYED})
-
-
-@dataclass(frozen=True)
-class FaultKind:
-    """One thing that goes wrong.
-
-    Parameters
-    ----------
-    name : str
-        What it is called in the table.
-    begin : callable
-        Makes it so in a cell, and returns what ends it.
-    reasons : frozenset of GateReason
-        What the tracker may say of it; empty where it need not say anything.
-    told_s : float
-        After how long nothing is VALID or HELD any more, s; NaN where offsets may go on.
-    from_start : bool
-        Whether it holds from the first frame on.
-    is_slow_bus : bool
-        Whether offsets get old on the bus itself, which the tracker cannot know.
-    recovery_s : float
-        How long after its end all is to be well again, s.
-    note : str
-        What the table says of it.
-    """
-
-    name: str
-    begin: Begin
-    reasons: frozenset[GateReason] = frozenset()
-    told_s: float = math.nan
-    from_start: bool = False
-    is_slow_bus: bool = False
-    recovery_s: float = 1.6
-    note: str = ""
 
 
 def _camera(camera: Camera) -> Begin:
@@ -260,7 +217,7 @@ STATUS_S = 0.05
 """Two cycles of the status, and the way on the bus."""
 
 R = GateReason
-KINDS: tuple[FaultKind, ...] = (
+FAULTS: tuple[FaultKind, ...] = (
     FaultKind(
         "camera stops", _camera(Camera.STOPPED), frozenset({R.CAMERA_STOPPED, R.CAPTURE_TOO_OLD}), 1.05
     ),
@@ -370,4 +327,4 @@ KINDS: tuple[FaultKind, ...] = (
     FaultKind("disk full", _disk_full, note="offsets go on; what is not logged is counted"),
     FaultKind("process killed, another begins", _killed, note="nothing goes out"),
 )
-"""All faults, in the table's order."""
+"""All of them, in the table's order."""
