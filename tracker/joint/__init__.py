@@ -48,7 +48,7 @@ def fit_joint(profile: Profile, joint: Joint, camera_mm: Float64, laser_mm: Floa
     measured = _off_alike(profile, _fit(profile, joint, camera_mm, laser_mm))
     if measured is None or not math.isnan(measured.evidence_nats):
         return measured
-    return replace(measured, evidence_nats=evidence_nats(profile, measured.corners_mm, measured.chi2))
+    return replace(measured, evidence_nats=evidence_nats(profile, measured.corners_mm))
 
 
 def fit_closed_joint(profile: Profile, joint: Joint, line: ImageLine) -> MeasuredJoint | None:

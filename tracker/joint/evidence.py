@@ -2,13 +2,16 @@
 
 A shape of eight parameters can be laid into the scatter of any plate. So a joint counts only where the
 likelihood of its section over that of a plate without one is beyond what chance makes anywhere in the
-search. The plate may be bowed: it is the cubic that fits the same points best. Both losses are Tukey's, so
-that spatter speaks for neither; neighbours that scatter alike count as fewer, as the stripe or their own
-residuals show it. Points may lie farther off the section than their sigmas say. Then the gain is divided by
-the chi^2 of the section's fit per degree of freedom, as its covariance is multiplied by it (McCullagh and
-Nelder 1989, Generalized Linear Models, 4.5). Twice what the section gains is
-a chi^2 on a plate, with as many degrees of freedom k as it has parameters more (Wilks 1938, Annals of
-Mathematical Statistics 9, 60); of k = 5 it exceeds x with the probability
+search. The plate may be bowed: it is the cubic that fits the same points best.
+
+Neighbours scatter alike, by speckle and by the metal's texture: their residuals are each one's own noise, of
+variance v, and a wander of variance q of which rho is left from line to line (an ARMA(1, 1)). Both are read
+off the autocovariances of the section's own residuals. Of either hypothesis' residuals that counts which is
+new in each, the innovation of a Kalman filter, over its sigma: texture's long waves are foreseen, and a
+joint's corners are not (Schweppe 1965, IEEE Trans. Inf. Theory 11, 61). Both losses are Tukey's of that, so
+that spatter speaks for neither. Twice what the section gains is a chi^2 on a plate, with as many degrees of
+freedom k as it has parameters more (Wilks 1938, Annals of Mathematical Statistics 9, 60); of k = 5 it exceeds
+x with the probability
 
     P = erfc(sqrt(x / 2)) + sqrt(2 x / pi) exp(-x / 2) (1 + x / 3),
 
@@ -24,6 +27,7 @@ run and b began one, Bayes' predictive probability stands for q^(n - 1), the pro
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 
@@ -38,6 +42,12 @@ MIN_EVIDENCE_NATS = math.log(1e3)
 
 PLACE_MM = 0.5
 """Places of a section that lie so near to each other are one."""
+
+LAGS, CHANCE_SIGMAS = 8, 2.0
+"""Over so many lines a wander is read; an autocorrelation of less than so many sigmas is chance."""
+
+MIN_LEFT, MAX_LEFT, OWN_SHARE = 0.1, 0.98, 0.01
+"""What is left of a wander from line to line, at least and at most, and each line's own share of all."""
 
 MAX_LAG_SHARE = 4
 """Residuals are compared over a quarter of a profile at most."""
@@ -55,27 +65,69 @@ RUN_PRIOR = 1.0, 9.0
 """Lines that are lost where a run has begun, and that are not, before any is seen: a run is short."""
 
 
-def evidence_nats(profile: Profile, corners_mm: Float64, chi2: float) -> float:
-    """Return the evidence, nats, that a profile shows the section of corners (n, 2) and not a plate.
-
-    `chi2` is that of the section's fit, per degree of freedom.
-    """
+def evidence_nats(profile: Profile, corners_mm: Float64) -> float:
+    """Return the evidence, nats, that a profile shows the section of corners (n, 2) and not a plate."""
     height_mm, slope = section_at(corners_mm, profile.y_mm)
     off = (profile.z_mm - height_mm) / _unit_mm(profile, slope)
-    joint_loss = _loss(off)
-    alike = max(float(np.median((profile.beside_px / profile.sigma_px) ** 2)), points_alike(off))
+    off_plate = off_the_plate(profile)
+    wander = wander_of(off)
+    new, new_of_plate = (innovations(residuals, profile.scan, *wander) for residuals in (off, off_plate))
+    alike = points_alike(new)
     # A section that explains no more than the plate gains nothing. erfc is less than its exponential.
-    x = 2.0 * max(plate_loss(profile) - joint_loss, 0.0) / (alike * max(1.0, chi2))
+    gain = max(_loss(new_of_plate) - _loss(new), 0.0)
+    x = 2.0 * gain / alike
     chance = math.log(1.0 + math.sqrt(2.0 * x / math.pi) * (1.0 + x / 3.0)) - 0.5 * x
     return -chance - math.log(places_of(profile, PLACE_MM))
+
+
+class Wander(NamedTuple):
+    """Residuals' own variance, that of their wander, and the share of it that is left from line to line."""
+
+    own: float
+    wander: float
+    left: float
+
+
+def wander_of(off: Float64) -> Wander:
+    """Return what residuals (n,), in sigmas and in order, consist of, by their autocovariances c_k.
+
+    The wander's share that is left is sum(c_k c_(k+1)) / sum(c_k^2) over LAGS, its variance c_1 over that.
+    Outliers are left out. Residuals smaller than their sigmas are taken for as large.
+    """
+    width = BISQUARE_WIDTH * max(1.0, MAD_SIGMA * float(np.median(np.abs(off))))
+    core = np.where(np.abs(off) < width, off, 0.0)
+    n = len(core)
+    c = np.array([core[lag:] @ core[: n - lag] for lag in range(LAGS + 2)]) / n
+    if not c[1] > CHANCE_SIGMAS / math.sqrt(n) * c[0]:
+        return Wander(max(float(c[0]), 1.0), 0.0, 0.0)
+    left = float(np.clip(c[1:-1] @ c[2:] / (c[1:-1] @ c[1:-1]), MIN_LEFT, MAX_LEFT))
+    wander = min(float(c[1]) / left, float(c[0]))
+    scale = max(1.0, 1.0 / float(c[0]))
+    return Wander(max(float(c[0]) - wander, OWN_SHARE * float(c[0])) * scale, wander * scale, left)
+
+
+@kernel(allocates=True)
+def innovations(off: Float64, scan: Float64, own: float, wander: float, left: float) -> Float64:
+    """Return what is new in residuals (n,) on scan lines (n,), in order, over its sigma: see `Wander`."""
+    new, foreseen, variance = np.empty(off.shape[0]), 0.0, wander
+    for i in range(off.shape[0]):
+        if i > 0:
+            shared = left ** abs(scan[i] - scan[i - 1])
+            foreseen *= shared
+            variance = shared * shared * variance + (1.0 - shared * shared) * wander
+        total = variance + own
+        surprise = off[i] - foreseen
+        new[i] = surprise / math.sqrt(total)
+        foreseen += variance / total * surprise
+        variance *= own / total
+    return new
 
 
 def points_alike(off: Float64) -> float:
     """Return how many neighbouring residuals (n,), in sigmas and in order, count as one; 1 at least.
 
     It is 1 + 2 sum of their autocorrelations, up to where those of two lags together are no longer above 0
-    (Geyer 1992, Statistical Science 7, 473). Coarse texture bends a stripe over more lines than are compared
-    while it is read.
+    (Geyer 1992, Statistical Science 7, 473).
     """
     core = np.where(np.abs(off) < BISQUARE_WIDTH, off, 0.0)
     power = float(core @ core)
@@ -96,11 +148,11 @@ def places_of(profile: Profile, apart_mm: float) -> float:
     return max(reach_mm / apart_mm, 1.0)
 
 
-def plate_loss(profile: Profile) -> float:
-    """Return Tukey's loss of the plate, a cubic z(y), that fits a profile best."""
+def off_the_plate(profile: Profile) -> Float64:
+    """Return how far points (n,) lie off the plate, a cubic z(y), that fits them best, in their sigmas."""
     off = np.empty(len(profile.y_mm))
     fit_plate(profile.y_mm, profile.z_mm, profile.dy_mm, profile.dz_mm, profile.sigma_px, off)
-    return _loss(off)
+    return off
 
 
 @kernel(allocates=True)
