@@ -46,8 +46,8 @@ PLACE_MM = 0.5
 LAGS, CHANCE_SIGMAS = 8, 2.0
 """Over so many lines a wander is read; an autocorrelation of less than so many sigmas is chance."""
 
-MIN_LEFT, MAX_LEFT, OWN_SHARE = 0.1, 0.98, 0.01
-"""What is left of a wander from line to line, at least and at most, and each line's own share of all."""
+MIN_KEPT, MAX_KEPT, OWN_SHARE = 0.1, 0.98, 0.01
+"""What is kept of a wander from line to line, at least and at most, and each line's own share of all."""
 
 MAX_LAG_SHARE = 4
 """Residuals are compared over a quarter of a profile at most."""
@@ -85,13 +85,13 @@ class Wander(NamedTuple):
 
     own: float
     wander: float
-    left: float
+    kept: float
 
 
 def wander_of(off: Float64) -> Wander:
     """Return what residuals (n,), in sigmas and in order, consist of, by their autocovariances c_k.
 
-    The wander's share that is left is sum(c_k c_(k+1)) / sum(c_k^2) over LAGS, its variance c_1 over that.
+    The wander's share that is kept is sum(c_k c_(k+1)) / sum(c_k^2) over LAGS, its variance c_1 over that.
     Outliers are left out. Residuals smaller than their sigmas are taken for as large.
     """
     width = BISQUARE_WIDTH * max(1.0, MAD_SIGMA * float(np.median(np.abs(off))))
@@ -100,19 +100,19 @@ def wander_of(off: Float64) -> Wander:
     c = np.array([core[lag:] @ core[: n - lag] for lag in range(LAGS + 2)]) / n
     if not c[1] > CHANCE_SIGMAS / math.sqrt(n) * c[0]:
         return Wander(max(float(c[0]), 1.0), 0.0, 0.0)
-    left = float(np.clip(c[1:-1] @ c[2:] / (c[1:-1] @ c[1:-1]), MIN_LEFT, MAX_LEFT))
-    wander = min(float(c[1]) / left, float(c[0]))
+    kept = float(np.clip(c[1:-1] @ c[2:] / (c[1:-1] @ c[1:-1]), MIN_KEPT, MAX_KEPT))
+    wander = min(float(c[1]) / kept, float(c[0]))
     scale = max(1.0, 1.0 / float(c[0]))
-    return Wander(max(float(c[0]) - wander, OWN_SHARE * float(c[0])) * scale, wander * scale, left)
+    return Wander(max(float(c[0]) - wander, OWN_SHARE * float(c[0])) * scale, wander * scale, kept)
 
 
 @kernel(allocates=True)
-def innovations(off: Float64, scan: Float64, own: float, wander: float, left: float) -> Float64:
+def innovations(off: Float64, scan: Float64, own: float, wander: float, kept: float) -> Float64:
     """Return what is new in residuals (n,) on scan lines (n,), in order, over its sigma: see `Wander`."""
     new, foreseen, variance = np.empty(off.shape[0]), 0.0, wander
     for i in range(off.shape[0]):
         if i > 0:
-            shared = left ** abs(scan[i] - scan[i - 1])
+            shared = kept ** abs(scan[i] - scan[i - 1])
             foreseen *= shared
             variance = shared * shared * variance + (1.0 - shared * shared) * wander
         total = variance + own
