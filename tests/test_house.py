@@ -74,7 +74,8 @@ FOLDERS_MAY_IMPORT: dict[str, dict[str, set[str]]] = {
         "blind_check": {"recording"},
         "service": set(),
         "cell_file": {"recording", "service"},
-        "cell": {"service"},
+        "cameras": set(),
+        "cell": {"service", "cameras"},
         "setup_check": {"recording", "check"},
         "report": {
             "recording",

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
+from typing import Protocol
 
 import numpy as np
 
@@ -62,6 +63,16 @@ class BusTrouble:
 
 
 Listener = Callable[[Frame], None]
+
+
+class BusParty(Protocol):
+    """A bus as who sends and listens sees it."""
+
+    def join(self, party: str, listener: Listener) -> None:
+        """Let a party hear what the others send."""
+
+    def send(self, sender: str, arbitration_id: int, data: bytes) -> None:
+        """Put a frame on the bus."""
 
 
 @dataclass

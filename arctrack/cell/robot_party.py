@@ -9,7 +9,7 @@ from dataclasses import dataclass, field
 import can
 from scipy.spatial.transform import Rotation
 
-from arctrack.cell.bus import Bus, Frame
+from arctrack.cell.bus import BusParty, Frame
 from arctrack.cell.robot import Robot
 from arctrack.cell.scheduler import Scheduler
 from robot_io import (
@@ -73,7 +73,7 @@ class RobotParty:
     """
 
     robot: Robot
-    bus: Bus
+    bus: BusParty
     scheduler: Scheduler
     spoil: Spoil | None = None
     said: Callable[[RobotStatus], RobotStatus | None] | None = None
@@ -106,11 +106,12 @@ class RobotParty:
             told = self.spoil(now_s, told)
         if told is not None:
             pose = told
-            self.scheduler.at(now_s + SEND_LAG_S, lambda: self._send_pose(pose))
+            self.scheduler.at(now_s + SEND_LAG_S, lambda: self._send_pose(pose, now_s + SEND_LAG_S))
 
-    def _send_pose(self, told: Told) -> None:
+    def _send_pose(self, told: Told, due_s: float) -> None:
         self._send(RobotPosePosition(*told.place_mm, PoseKind.ACTUAL))
-        age_ms = 1000.0 * told.age_s
+        # In real time it may be later than it was to be.
+        age_ms = 1000.0 * (told.age_s + self.scheduler.now_s - due_s)
         self._send(RobotPoseRotation.from_quaternion(told.quaternion, age_ms if age_ms <= 30.0 else math.nan))
 
     def _send_status(self) -> None:

@@ -17,6 +17,10 @@ if TYPE_CHECKING:
     from robot_io.clocks.lag import Lag
 
 
+SERVED_BUS = "udp_multicast:239.74.163.2"
+"""The bus that a live cell is on: other processes of the machine, or of its network, hear it."""
+
+
 class EventName(StrEnum):
     """What may happen in a run."""
 
@@ -132,6 +136,48 @@ def run(
     happened = loop.event_result()
     lines = _lines(plan, result) if happened is None else _event_lines(happened)
     console.say(*lines, f"{out / RUN_CSV}, {out / RUN_PICTURE}")
+
+
+@cell.command(
+    epilog="Example: arctrack cell serve --bus udp_multicast:239.74.163.2 --frames cell --seconds 60"
+)
+def serve(
+    bus: Annotated[str, typer.Option(help="python-can's interface and channel.")] = SERVED_BUS,
+    frames: Annotated[str, typer.Option(help="Name under which frames are published.")] = "cell",
+    joint: Annotated[JointName, typer.Option(help="The joint.")] = JointName.LAP,
+    displaced_mm: Annotated[
+        float, typer.Option(help="How far the true seam lies to the left of the nominal one.", min=-8, max=8)
+    ] = 3.0,
+    fps: Annotated[
+        float,
+        typer.Option(help="Frames a second; what cannot be rendered in time is left out.", min=1, max=50),
+    ] = 10.0,
+    seconds: Annotated[
+        float | None, typer.Option(help="How long; without it until Ctrl-C or SIGTERM.", min=0)
+    ] = None,
+    seed: Annotated[int, typer.Option(help="Seed of the images' noise.", min=0)] = 1,
+) -> None:
+    """Run a simulated robot on a real bus in real time, and its rendered camera into shared memory.
+
+    Whoever tracks is another process: it reads frames by their name, and poses off the bus.
+    """
+    from arctrack.cell.live.serve import serve_cell
+    from arctrack.cell.weld.closed_loop import LoopPlan
+    from arctrack.cli import console
+    from arctrack.cli.interrupt import interruptible
+    from arctrack.replay import parse_bus
+
+    interface, channel = parse_bus(bus)
+    plan = LoopPlan(joint=joint.value, displaced_mm=displaced_mm, length_mm=10_000.0, rate_hz=fps, seed=seed)
+    with interruptible("the cell was", "frames and robot are gone"):
+        serve_cell(
+            plan,
+            interface,
+            channel,
+            frames,
+            lambda robot: seconds is None or robot.now_s < seconds,
+            lambda: console.say(f"robot on {bus}, frames as {frames!r}; Ctrl-C ends it"),
+        )
 
 
 def _lines(plan: LoopPlan, result: LoopResult) -> list[str]:

@@ -209,7 +209,7 @@ class ClosedLoop:
 
     def __post_init__(self) -> None:
         plan = self.plan
-        self.setup = _setup(plan)
+        self.setup = setup_of(plan)
         draw_true, draw_images, draw_cell = (np.random.default_rng([plan.seed, n]) for n in range(3))
         true_setup = self.setup if plan.exact else true_values(self.setup, draw_true)
 
@@ -217,7 +217,7 @@ class ClosedLoop:
             self.eye = RenderedEye(robot, self.setup, true_setup, draw_images)
             return self.eye
 
-        self.cell = Cell(_world(plan, self.setup), draw_cell, see, 1.0 / plan.rate_hz)
+        self.cell = Cell(world_of(plan, self.setup), draw_cell, see, 1.0 / plan.rate_hz)
         self.event_s = self._plan_event()
         self.duration_s = plan.length_mm / plan.speed_mm_s
         if self.event_s is not None:
@@ -334,14 +334,15 @@ class ClosedLoop:
         return Sample(robot.now_s, robot.station_mm, (y_mm, z_mm), seam_mm, across_mm)
 
 
-def _setup(plan: LoopPlan) -> Setup:
+def setup_of(plan: LoopPlan) -> Setup:
     """Return the setup that the tracker knows; its seam begins where the torch does."""
     setup = balance(nominal_setup(plan.joint, plan.material))
     points = ((START_MM, 0.0, 0.0), (START_MM + plan.length_mm + 100.0, 0.0, 0.0))
     return replace(setup, joint=replace(setup.joint, seam_in_base_mm=points))
 
 
-def _world(plan: LoopPlan, setup: Setup) -> World:
+def world_of(plan: LoopPlan, setup: Setup) -> World:
+    """Return what is there: the true seam beside the nominal one, and the robot."""
     height_mm, width_mm, pitch_mm = section(setup.joint).corrugation.tolist()
     return World(
         start_base_mm=(START_MM, 0.0, 0.0),

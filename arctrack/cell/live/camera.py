@@ -1,0 +1,85 @@
+"""The camera of a live cell, a process of its own: it renders from where the robot was, and publishes."""
+
+from __future__ import annotations
+
+import signal
+from dataclasses import dataclass
+from multiprocessing.connection import Connection
+
+import numpy as np
+
+from arctrack.cameras.shared_frames import SharedFramesWriter
+from arctrack.cell.robot import Robot
+from arctrack.cell.weld.closed_loop import LoopPlan, setup_of, world_of
+from arctrack.cell.weld.rendered_eye import RenderedEye
+from robot_io import RobotStatus, Switch
+from tracker.state import Frame
+
+
+@dataclass(frozen=True)
+class Shot:
+    """Where the robot is at a capture, and what it does.
+
+    Attributes
+    ----------
+    captured_s : float
+        When, s, on the machine's monotonic clock.
+    station_mm, weave_s : float
+        How far it is along the path, and in its weave.
+    offset_mm : tuple (2,)
+        The offset (y, z) that it has reached, mm.
+    status : RobotStatus
+        What it does.
+    """
+
+    captured_s: float
+    station_mm: float
+    weave_s: float
+    offset_mm: tuple[float, float]
+    status: RobotStatus
+
+    @classmethod
+    def of(cls, robot: Robot, captured_s: float) -> Shot:
+        """Return a robot's at a time."""
+        y_mm, z_mm = robot.offset_mm.tolist()
+        return cls(captured_s, robot.station_mm, robot.weave_s, (y_mm, z_mm), robot.status)
+
+
+def run_camera(shots: Connection, plan: LoopPlan, name: str) -> None:
+    """Publish a frame for each shot that comes, the newest where several wait, until the other end is closed.
+
+    Once it is ready, its kernels compiled, it says so over the same connection.
+    """
+    # Whoever runs the robot ends this process by closing its end.
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    setup = setup_of(plan)
+    camera = setup.camera
+    robot = Robot(world_of(plan, setup))
+    eye = RenderedEye(robot, setup, setup, np.random.default_rng([plan.seed, 1]))
+    eye.look(0.0)
+    with SharedFramesWriter(name, camera.height, camera.width, setup.sensor.dtype) as frames:
+        shots.send(True)
+        index = 0
+        while True:
+            try:
+                shot = shots.recv()
+                while shots.poll():
+                    shot = shots.recv()
+            except (EOFError, ConnectionResetError):
+                return
+            robot.station_mm, robot.weave_s = shot.station_mm, shot.weave_s
+            robot.offset_mm, robot.status = np.array(shot.offset_mm), shot.status
+            image_dn = eye.look(0.0)
+            assert image_dn is not None
+            arc_on = shot.status.arc is Switch.ON
+            frames.publish(
+                Frame(
+                    index=index,
+                    timestamp_s=shot.captured_s,
+                    image_dn=image_dn,
+                    exposure_s=camera.exposure_s,
+                    current_a=shot.status.current_a,
+                    arc_on=arc_on,
+                )
+            )
+            index += 1

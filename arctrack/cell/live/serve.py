@@ -1,0 +1,101 @@
+"""A robot in real time on a real bus, and its camera beside it: who tracks is another process."""
+
+from __future__ import annotations
+
+import multiprocessing
+import time
+from collections.abc import Callable
+from dataclasses import replace
+from typing import Any
+
+import can
+
+from arctrack.cell.cell import ARMED_S
+from arctrack.cell.live.camera import Shot, run_camera
+from arctrack.cell.live.real_time import RealBus, RealTimeScheduler
+from arctrack.cell.robot import Robot
+from arctrack.cell.robot_party import RobotParty
+from arctrack.cell.weld.closed_loop import LoopPlan, setup_of, world_of
+from arctrack.errors import ArctrackError
+from robot_io import Command
+
+CAMERA_ENDS_S = 5.0
+"""How long the camera may take to end, s."""
+
+
+def serve_cell(
+    plan: LoopPlan,
+    interface: str,
+    channel: str,
+    frames: str,
+    goes_on: Callable[[Robot], bool],
+    on_ready: Callable[[], None] | None = None,
+    **bus_options: Any,
+) -> None:
+    """Run robot and camera until it does not go on.
+
+    Parameters
+    ----------
+    plan : LoopPlan
+        What is welded; the tracker's part of it says nothing here.
+    interface, channel : str
+        python-can's, such as udp_multicast and 239.74.163.2.
+    frames : str
+        The name under which frames are published (`arctrack.cameras.shared_frames`).
+    goes_on : callable
+        Takes the robot, and says whether it goes on: asked some fifty times a second.
+    on_ready : callable, optional
+        Hears that the camera is ready: rendering is compiled, frames will come.
+    **bus_options
+        What else python-can needs.
+
+    Raises
+    ------
+    ArctrackError
+        If the bus cannot be joined, or the camera ends by itself.
+    """
+    spawn = multiprocessing.get_context("spawn")
+    shots, camera_end = spawn.Pipe()
+    camera = spawn.Process(target=run_camera, args=(camera_end, plan, frames), daemon=True)
+    try:
+        can_bus = can.Bus(channel, interface=interface, **bus_options)
+    except (can.CanError, OSError, ValueError) as error:
+        raise ArctrackError(f"--bus {interface}:{channel}: {error}") from None
+    camera.start()
+    camera_end.close()
+    try:
+        try:
+            shots.recv()
+        except EOFError:
+            raise ArctrackError(f"--frames {frames}: the camera did not begin; is the name in use?") from None
+        if on_ready is not None:
+            on_ready()
+        _run_robot(plan, can_bus, shots.send, lambda robot: goes_on(robot) and camera.is_alive())
+        if not camera.is_alive():
+            raise ArctrackError(f"--frames {frames}: the camera ended")
+    finally:
+        shots.close()
+        camera.join(CAMERA_ENDS_S)
+        if camera.is_alive():
+            camera.kill()
+        can_bus.shutdown()
+
+
+def _run_robot(
+    plan: LoopPlan, can_bus: can.BusABC, shoot: Callable[[Shot], None], goes_on: Callable[[Robot], bool]
+) -> None:
+    scheduler = RealTimeScheduler()
+    bus = RealBus(can_bus, scheduler)
+    party = RobotParty(Robot(world_of(plan, setup_of(plan))), bus, scheduler)
+    robot = party.robot
+
+    def capture() -> None:
+        robot.advance(scheduler.now_s)
+        shoot(Shot.of(robot, time.monotonic()))
+
+    def arm() -> None:
+        robot.command = replace(robot.command, command=Command.TRACK)
+
+    scheduler.every(1.0 / plan.rate_hz, capture, 0.0037)
+    scheduler.at(ARMED_S, arm)
+    scheduler.run_while(lambda: goes_on(robot), bus.listen)

@@ -1,0 +1,166 @@
+"""The cell as two processes of its own, and a tracker's side of it in this one."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+import textwrap
+import time
+
+import can
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+from arctrack.cameras.shared_frames import SharedFramesError, SharedFramesReader, path_of
+from arctrack.cell.live.real_time import RealBus, RealTimeScheduler
+from arctrack.cell.live.serve import serve_cell
+from arctrack.cell.weld.closed_loop import LoopPlan, setup_of
+from arctrack.cli import app
+from arctrack.errors import ArctrackError
+from robot_io import (
+    SOURCES,
+    Command,
+    Inbox,
+    PoseAssembler,
+    Protector,
+    RobotStatus,
+    SeamOffset,
+    Source,
+    TrackerCommand,
+    Trusted,
+    Validity,
+)
+from tracker.state import Pose
+from tracker.tracker import Tracker
+
+SERVE = """
+    import sys
+    from arctrack.cell.live.serve import serve_cell
+    from arctrack.cell.weld.closed_loop import LoopPlan
+    plan = LoopPlan(joint="lap", displaced_mm=3.0, weave_mm=0.0, length_mm=1000.0, rate_hz=5.0)
+    frames, port = sys.argv[1], int(sys.argv[2])
+    serve_cell(
+        plan, "udp_multicast", "239.74.163.2", frames, lambda robot: robot.now_s < 60.0,
+        lambda: print("ready", flush=True), port=port, hop_limit=0,
+    )
+"""
+
+
+class Heard:
+    """What a tracker hears of the robot."""
+
+    def __init__(self, bus):
+        self.bus, self.inbox, self.poses = bus, Inbox(Trusted(SOURCES, SOURCES)), PoseAssembler()
+        self.last = {}
+
+    def listen(self, seconds):
+        until_s = time.monotonic() + seconds
+        while time.monotonic() < until_s:
+            message = self.bus.recv(0.05)
+            if message is None:
+                continue
+            message.timestamp = time.monotonic()
+            received = self.inbox.receive(message)
+            if received is not None:
+                self.last[type(received.message)] = received.message
+                sample = self.poses.push(received)
+                if sample is not None:
+                    self.last["pose"] = sample
+
+    def until(self, is_so, seconds=30.0):
+        until_s = time.monotonic() + seconds
+        while time.monotonic() < until_s:
+            self.listen(0.1)
+            if is_so(self.last):
+                return
+        raise AssertionError(f"did not come: {self.last}")
+
+
+@pytest.mark.slow
+def test_a_robot_and_its_camera_are_processes_that_a_tracker_finds_and_that_leave_nothing(multicast):
+    name = f"test-{os.getpid()}"
+    words = [sys.executable, "-c", textwrap.dedent(SERVE), name, str(multicast["port"])]
+    process = subprocess.Popen(words, stdout=subprocess.PIPE, text=True)
+    try:
+        assert process.stdout.readline() == "ready\n"
+        with can.Bus(**multicast, ignore_config=True) as bus, SharedFramesReader(name) as reader:
+            heard = Heard(bus)
+            heard.until(lambda last: {RobotStatus, TrackerCommand, "pose"} <= set(last))
+            heard.until(lambda last: last[TrackerCommand].command is Command.TRACK)
+            protector = Protector(Source.LIVE)
+            for _ in range(2):
+                # Absolute: twice the same is once.
+                arbitration_id, data = protector.protect(SeamOffset(1.0, 0.0, 20.0, 0.9, Validity.VALID))
+                bus.send(can.Message(arbitration_id=arbitration_id, data=data, is_extended_id=False))
+                time.sleep(0.02)
+            heard.until(lambda last: last["pose"].position_base_mm[1] > 0.95)
+            heard.listen(0.5)
+            x_mm, y_mm, z_mm = heard.last["pose"].position_base_mm
+            assert y_mm == pytest.approx(1.0, abs=0.05)
+            frame, until_s = reader.newest(), time.monotonic() + 30.0
+            while (frame is None or frame.timestamp_s < until_s - 30.0) and time.monotonic() < until_s:
+                heard.listen(0.05)
+                frame = reader.newest() or frame
+            # The clock is the machine's, and the image shows the seam where it truly lies.
+            assert 0.0 < time.monotonic() - frame.timestamp_s < 10.0
+            T_base_tool = np.eye(4)
+            T_base_tool[:3, 3] = x_mm, y_mm, z_mm
+            track = Tracker(setup_of(LoopPlan(joint="lap"))).step(frame, Pose(T_base_tool))
+            assert track.valid
+            assert y_mm + track.seam_tool_mm[1] == pytest.approx(3.0, abs=0.2)
+            process.kill()
+            process.wait(10.0)
+            until_s = time.monotonic() + 20.0
+            while reader.is_writer_alive and time.monotonic() < until_s:
+                time.sleep(0.05)
+            assert not reader.is_writer_alive
+        assert not path_of(name).exists()
+        with pytest.raises(SharedFramesError, match="nobody publishes"):
+            SharedFramesReader(name)
+    finally:
+        process.kill()
+        process.communicate()
+
+
+@pytest.mark.slow
+def test_the_command_says_where_robot_and_frames_are(tmp_path):
+    name = f"command-{os.getpid()}"
+    words = ["cell", "serve", "--bus", "virtual:live", "--frames", name, "--seconds", "0.2"]
+    done = CliRunner().invoke(app, words)
+    assert done.exit_code == 0, done.output
+    assert f"robot on virtual:live, frames as '{name}'" in done.output
+    assert not path_of(name).exists()
+
+
+def test_a_bus_that_there_is_not_is_named():
+    plan = LoopPlan(joint="lap")
+    with pytest.raises(ArctrackError, match=r"--bus nosuch:bus: ") as raised:
+        serve_cell(plan, "nosuch", "bus", "frames", lambda robot: False)
+    assert "\n" not in str(raised.value)
+
+
+def test_a_real_bus_drops_its_own_echo_and_counts_what_it_cannot_send():
+    own = can.Bus("live", interface="virtual", receive_own_messages=True)
+    with own, can.Bus("live", interface="virtual") as other:
+        bus, heard = RealBus(own, RealTimeScheduler()), []
+        bus.join("robot", heard.append)
+        bus.send("robot", 0x123, b"abc")
+        bus.listen(0.1)
+        assert heard == []
+        assert other.recv(0.1).data == b"abc"
+        other.send(can.Message(arbitration_id=0x124, data=b"xyz", is_extended_id=False))
+        bus.listen(0.1)
+        assert [(frame.arbitration_id, frame.data) for frame in heard] == [(0x124, b"xyz")]
+    bus.send("robot", 0x123, b"abc")
+    assert bus.unsent == 1
+
+
+def test_a_real_time_scheduler_does_in_order_what_is_due():
+    scheduler, done = RealTimeScheduler(), []
+    scheduler.at(0.03, lambda: done.append("later"))
+    scheduler.at(0.01, lambda: done.append("sooner"))
+    scheduler.run_while(lambda: len(done) < 2, time.sleep)
+    assert done == ["sooner", "later"]
+    assert scheduler.now_s >= 0.03
