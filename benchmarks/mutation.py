@@ -30,11 +30,14 @@ from mutants import Mutant, mutants
 
 ROOT = Path(__file__).resolve().parents[1]
 TESTS = {
-    "robot_io/protocol/codec.py": "tests/robot_io/test_codec.py",
-    "robot_io/protocol/protect.py": "tests/robot_io/test_protect.py",
-    "robot_io/gate.py": "tests/robot_io/test_gate.py",
-    "robot_io/poses/pose_buffer.py": "tests/robot_io/test_pose_buffer.py",
-    "robot_io/poses/plausibility.py": "tests/robot_io/test_plausibility.py",
+    "robot_io/protocol/codec.py": ("tests/robot_io/test_codec.py",),
+    "robot_io/protocol/protect.py": ("tests/robot_io/test_protect.py",),
+    "robot_io/gate.py": ("tests/robot_io/test_gate.py",),
+    "robot_io/poses/pose_buffer.py": ("tests/robot_io/test_pose_buffer.py",),
+    "robot_io/poses/plausibility.py": (
+        "tests/robot_io/test_plausibility.py",
+        "tests/robot_io/test_plausibility_bounds.py",
+    ),
 }
 """The modules whose tests must see what is wrong, and these tests."""
 
@@ -107,7 +110,7 @@ def run_tests(module: str, tree: ast.Module, quiet: bool = True) -> int:
     options += ["-W", "ignore::pytest.PytestAssertRewriteWarning"]
     # The quick ones first: most mutants need no others.
     for chosen in ("not slow", "slow"):
-        code = int(pytest.main([*options, "-m", chosen, str(ROOT / TESTS[module])]))
+        code = int(pytest.main([*options, "-m", chosen, *(str(ROOT / file) for file in TESTS[module])]))
         if code not in (0, NO_TESTS):
             return code
     return 0

@@ -339,9 +339,10 @@ def _against_the_program(seen: PoseSeen, newest: _Kept, limits: PlausibilityLimi
 def _against_the_seam(
     newest: _Kept, limits: PlausibilityLimits, path: NominalPath | None
 ) -> Implausibility | None:
-    if path is None or newest.place is None:
-        return None
     place = newest.place
+    if place is None:
+        return None
+    assert path is not None
     is_near = (
         abs(place.lateral_mm) <= limits.lateral_mm
         and -limits.below_mm <= place.height_mm <= limits.above_mm
