@@ -26,6 +26,8 @@ def draw_run(path: Path, loop: ClosedLoop, result: LoopResult) -> None:
         f"Closed loop on a {plan.joint}, seam displaced by {plan.displaced_mm:+g} mm, "
         f"{plan.speed_mm_s:g} mm/s, weave {plan.weave_mm:g} mm at {plan.weave_hz:g} Hz, seed {plan.seed}"
     )
+    if plan.event is not None:
+        title += f"\n{plan.event.replace('_', ' ')}"
     figure = new_figure(11.0, 9.0, title)
     axes = figure.subplots(4, 1, sharex=True, height_ratios=(3, 2, 2, 0.7))
     for n in range(2):
