@@ -6,6 +6,8 @@ import math
 from dataclasses import replace
 
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 from robot_io import MotionState
@@ -259,3 +261,22 @@ def test_a_tool_whose_speed_is_not_known_is_where_it_was():
     trusted = after(steps(1.0, 2.0), brief)
     assert len(trusted.window) == 1
     assert after(steps(5.0, 5.5), brief, state=trusted).doubt is None
+
+
+UNIT = st.lists(st.floats(-1.0, 1.0), min_size=4, max_size=4).filter(lambda q: math.hypot(*q) > 0.1)
+
+
+TURNS_DEG = ((0, 0, 44), (0, 0, 46), (59, 0, 0), (61, 0, 0), (-59, 0, 0), (0, 44, 0), (0, 46, 0))
+
+
+@given(UNIT, st.sampled_from(TURNS_DEG))
+def test_a_tool_looks_along_a_seam_wherever_that_runs(q, turned_deg):
+    """Seam and tool are turned as one: that changes nothing of how one stands to the other."""
+    turn = Rotation.from_quat([x / math.hypot(*q) for x in q])
+    ends = turn.apply([(0.0, 0.0, 0.0), (100.0, 0.0, 0.0)])
+    path = NominalPath(tuple(map(tuple, ends.tolist())), tuple(turn.apply((0.0, 0.0, 1.0)).tolist()))
+    tool = turn * Rotation.from_euler("xyz", turned_deg, degrees=True)
+    seen = still(1.0, tuple(turn.apply((10.0, 0.0, 0.0)).tolist()), tuple(tool.as_quat().tolist()))
+    doubt = update(Plausibility(), seen, LIMITS, path).doubt
+    is_along = max(abs(turned_deg[1]), abs(turned_deg[2])) < 45 and abs(turned_deg[0]) < 60
+    assert (doubt is Implausibility.AGAINST_SEAM) != is_along
