@@ -254,7 +254,7 @@ class PoseBuffer:
     def _twist_start(self, times_s: Float64, last: int, period_s: float) -> int:
         # Two poses almost at once say nothing about speed: over a tiny interval rounding looks like speed.
         apart = int(np.searchsorted(times_s, times_s[last] - 0.5 * period_s, side="right")) - 1
-        return min(max(apart, 0), last - 1)
+        return min(apart, last - 1)
 
     def _along(self, first: int, last: int, t_s: float, status: PoseStatus, period_s: float) -> PoseAt:
         i, k = self._start + first, self._start + last

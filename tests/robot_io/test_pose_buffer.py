@@ -211,6 +211,15 @@ def test_only_the_two_neighbours_count():
     assert few.at(0.0105).velocity_base_mm_s[0] == pytest.approx(1.0 / 0.0101)
 
 
+def test_what_lies_exactly_one_period_later_counts_and_three_are_bridged():
+    times_s = [0.25 * i for i in range(8)]
+    later = filled([*times_s, 2.25])
+    assert later.at(2.0).status is PoseStatus.INTERPOLATED
+    assert later.at(2.0 - 2.0**-20).status is PoseStatus.EXTRAPOLATED
+    assert filled(times_s).at(2.5).status is PoseStatus.EXTRAPOLATED
+    assert filled(times_s).at(2.5 + 2.0**-20).refusal is PoseRefusal.POSES_STOPPED
+
+
 def test_a_gap_begins_beyond_four_periods():
     times_s = [0.25 * i for i in range(8)]
     for gap_s, status in ((1.0, PoseStatus.EXTRAPOLATED), (1.0625, PoseStatus.REFUSED)):
