@@ -5,7 +5,8 @@
 Random cameras see a board in 4 to 12 poses; a sheet of light crosses it. Corners scatter by 0.03 to 0.3 px.
 The stripe's points scatter by 0.1 to 0.6 px, alike over up to five scan lines. In every second world 3 % of
 the points are up to 10 px off. In every third world the lens is as far off as its covariance says.
-The projection is written out here. z is an error over its stated sigma. --mitsuba has Mitsuba render
+The projection is written out here. z is an error over its stated sigma; the bound is Cramer and Rao's, with
+right points alone, and with a lens that the boards' corners tell too. --mitsuba has Mitsuba render
 ten pairs of pictures a world, of a line that a projector throws on glossy boards (see mitsuba_boards), and
 finds corners and stripe in them.
 """
@@ -18,6 +19,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 
 import numpy as np
+from laser_bound import Boards, Seen
 from mitsuba_boards import ROUGHNESS, Paper, Sheet, draw_studio
 from scipy.spatial.transform import Rotation
 from scipy.stats import chi2, norm
@@ -54,6 +56,7 @@ class World:
     plane: Float64
     views: list[View]
     stripes: dict[str, Stripe]
+    bound: Float64 | None = None
 
 
 @dataclass
@@ -61,6 +64,8 @@ class Scores:
     """What all worlds say, collected."""
 
     z: dict[str, list[float]] = field(default_factory=lambda: {name: [] for name in NAMES})
+    over_bound: dict[str, list[Float64]] = field(default_factory=lambda: {"right": [], "off": []})
+    sigma_over_bound: dict[str, list[Float64]] = field(default_factory=lambda: {"right": [], "off": []})
     squares: list[float] = field(default_factory=list)
     off_mm: list[float] = field(default_factory=list)
     sigma_mm: list[float] = field(default_factory=list)
@@ -182,7 +187,7 @@ def draw_world(
     plane = np.array([*normal, -normal @ np.array([0.0, 0.0, distance])])
     corner_px, point_px = rng.uniform(0.03, 0.3), rng.uniform(0.1, 0.6)
     alike = rng.uniform(0.0, 0.8)
-    views, stripes = [], {}
+    views, stripes, seen = [], {}, []
     along_rows = bool(abs(normal[1]) > abs(normal[0]))
     for n in range(int(rng.integers(4, 13))):
         turn = Rotation.from_euler("XYZ", [*rng.uniform(-30, 30, 2), rng.uniform(-90, 90)], degrees=True)
@@ -197,17 +202,31 @@ def draw_world(
         points = crossing(plane, turn, origin, span)
         image = project(true, points)
         image = image[np.argsort(image[:, 0 if along_rows else 1])]
+        seen.append(Seen(turn, origin, image[:, 0 if along_rows else 1].copy()))
         noise = correlated(rng, len(image), point_px, alike)
         if with_wrong:
             is_wrong = rng.random(len(image)) < 0.03
             noise[is_wrong] += rng.uniform(-10.0, 10.0, is_wrong.sum())
         image[:, 1 if along_rows else 0] += noise
         stripes[f"{n}"] = Stripe(image, along_rows, 2.0)
-    if not with_lens:
-        return World(true, None, board, plane, views, stripes)
     sigma = LENS_SIGMA * np.array([focal, focal, width, width, 1.0, 1.0])
+    boards = Boards(
+        plane,
+        board,
+        values,
+        sigma if with_lens else None,
+        corner_px,
+        point_px,
+        alike,
+        along_rows,
+        lambda lens_values, points: project(replace(true, values=lens_values), points),
+        lambda moved, turn, origin: crossing(moved, turn, origin, span),
+    )
+    bound = boards.bound(seen)
+    if not with_lens:
+        return World(true, None, board, plane, views, stripes, bound)
     wrong = replace(true, values=values + sigma * rng.standard_normal(6))
-    return World(wrong, np.diag(sigma**2), board, plane, views, stripes)
+    return World(wrong, np.diag(sigma**2), board, plane, views, stripes, bound)
 
 
 def crossing(plane: Float64, turn: Rotation, origin: Float64, span: Float64) -> Float64:
@@ -243,6 +262,11 @@ def add(scores: Scores, world: World, result: LaserCalibration) -> None:
     error, covariance = rows @ (plane - world.plane), rows @ result.covariance @ rows.T
     for name, value in zip(NAMES, error / np.sqrt(np.diag(covariance)), strict=True):
         scores.z[name].append(float(value))
+    if world.bound is not None:
+        bound = np.sqrt(np.diag(rows @ world.bound @ rows.T))
+        lens = "right" if world.lens_covariance is None else "off"
+        scores.over_bound[lens].append(error / bound)
+        scores.sigma_over_bound[lens].append(np.sqrt(np.diag(covariance)) / bound)
     scores.squares.append(float(error @ np.linalg.solve(covariance, error)))
     scores.off_mm.append(float(error[2]))
     scores.sigma_mm.append(float(np.sqrt(covariance[2, 2])))
@@ -262,6 +286,14 @@ def show(scores: Scores) -> None:
     for share in (0.68, 0.95):
         covered = 100.0 * np.mean(squares <= chi2.ppf(share, 3))
         print(f"{100.0 * share:.0f} % ellipsoid of all three: {covered:.1f} %")
+    for lens, over_bound in scores.over_bound.items():
+        if over_bound:
+            over = np.sqrt(np.mean(np.square(over_bound), axis=0))
+            stated = np.median(scores.sigma_over_bound[lens], axis=0)
+            print(
+                f"lens {lens}: RMS error over the bound {', '.join(f'{value:.2f}' for value in over)}; "
+                f"median sigma over it {', '.join(f'{value:.2f}' for value in stated)}"
+            )
     off_mm = np.abs(scores.off_mm)
     print(f"off amid the points: median {np.median(off_mm):.4f} mm, most {off_mm.max():.4f} mm")
     print(f"sigma amid the points: median {np.median(scores.sigma_mm):.4f} mm")

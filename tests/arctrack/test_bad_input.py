@@ -7,6 +7,8 @@ from pathlib import Path
 import pytest
 from spoiled import Refusal
 
+from arctrack import cli
+
 
 def cut_png(path: Path) -> None:
     png = path / "frames" / "000002.png"
@@ -25,16 +27,28 @@ def test_a_disk_that_is_full(
 
 
 @pytest.mark.slow
-def test_a_full_disk_of_one_recording_does_not_stop_the_others(
-    recording: Path, tmp_path: Path, refusal: Refusal
+def test_a_full_disk_of_one_log_stops_neither_its_replay_nor_the_others(
+    recording: Path,
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+    caplog: pytest.LogCaptureFixture,
+    monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     full, other = Path(shutil.copytree(recording, tmp_path / "full")), tmp_path / "other"
     shutil.copytree(recording, other)
     (full / "results").mkdir()
     (full / "results" / "bus.blf").symlink_to("/dev/full")
-    error = refusal("replay", full, other, "--no-pictures")
-    assert f"{full}/results/bus.blf: cannot be written: No space left on device" in error
-    assert (other / "results" / "summary.json").exists()
+    monkeypatch.setattr("sys.argv", ["arctrack", "replay", str(full), str(other), "--no-pictures"])
+    with pytest.raises(SystemExit) as exited:
+        cli.main()
+    said = " ".join(capsys.readouterr().err.split())
+    # That these frames show no seam is another matter.
+    assert exited.value.code == 3
+    assert f"{full}/results/bus.blf: cannot be written: No space left on device" in caplog.text
+    assert f"arctrack: warning: {full}: " in said
+    assert "unlogged" in said
+    for path in (full, other):
+        assert (path / "results" / "summary.json").exists()
 
 
 def test_what_the_system_refuses_of_one_recording_does_not_stop_the_others(
