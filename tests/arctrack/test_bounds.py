@@ -297,6 +297,7 @@ def test_it_is_refused_without_waiting_and_without_memory(
     assert problem in text
 
 
+@pytest.mark.slow
 def test_the_reader_has_nothing_against_a_good_recording(recording: Path, reader: Reader) -> None:
     assert reader.problem(recording) == "nothing is wrong"
 

@@ -269,6 +269,7 @@ def test_without_dask_the_cure_is_named(
     )
 
 
+@pytest.mark.slow
 @pytest.mark.filterwarnings("default")
 def test_a_dask_cluster(found: Found, recording: Path) -> None:
     distributed = pytest.importorskip("distributed", reason="the extra 'cluster' is not installed")

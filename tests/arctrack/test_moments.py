@@ -295,6 +295,7 @@ def test_a_robot_that_is_turned_stands_elsewhere() -> None:
     assert agreement.verdict(Received(7.0, messages[1], 4), 1.0) is None
 
 
+@pytest.mark.slow
 def test_a_robot_that_talks_between_two_frames_is_heard_to_the_end(
     tmp_path: Path, multicast: dict[str, Any]
 ) -> None:

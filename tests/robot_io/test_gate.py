@@ -351,6 +351,7 @@ def test_limits_must_fit_the_bus():
 MAYBE = st.floats(allow_nan=True, allow_infinity=True) | st.floats(-10.0, 10.0)
 
 
+@pytest.mark.slow
 @given(
     st.builds(Proposal, st.floats(15.0, 17.0) | MAYBE, MAYBE, MAYBE, MAYBE, MAYBE, MAYBE),
     st.builds(Conditions, st.booleans(), st.booleans(), st.booleans(), st.just(ROBOT) | st.none()),

@@ -346,6 +346,7 @@ def test_a_bent_response_is_as_good_as_a_straight_one(v: Setup, gamma: float, ar
     assert np.median(sigmas) < 0.1
 
 
+@pytest.mark.slow
 def test_what_shows_elsewhere_over_a_short_way_or_now_and_then_is_not_learned(v: Setup) -> None:
     jumped = SeamLine(0.0, 0.8, 0.0)
     for step_mm, blind in ((0.3, 0), (2.0, 2)):

@@ -36,6 +36,7 @@ def test_every_effect_is_hidden_as_often(planned):
         assert not drawn or max(drawn.values()) - min(drawn.values()) <= 1
 
 
+@pytest.mark.slow
 def test_numbers_tell_nothing_and_seeds_differ(planned):
     assert [one.number for one in planned] == list(range(1, len(planned) + 1))
     order = [list(FORMS).index(one.effects[0]) for one in planned if one.tier == "A"]
