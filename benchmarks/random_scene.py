@@ -250,11 +250,15 @@ def _balanced(setup: Setup, world: SweptJoint, T_base_tool: Float64) -> Setup:
     return replace(setup, arc=replace(setup.arc, radiance_e=share * setup.sensor.full_well_e))
 
 
+def world_of(scene: Scene) -> SweptWorld:
+    """Return the world that a scene's frames are taken in."""
+    true_laser = replace(scene.setup.laser, fan_half_angle_deg=scene.fan_half_angle_deg)
+    return SweptWorld(replace(scene.setup, laser=true_laser), scene.world, scene.speckle, scene.around)
+
+
 def frames_of(scene: Scene) -> Iterable[tuple[Frame, Pose, Float64]]:
     """Yield frames, poses and true seam points (3,), mm, tool frame."""
-    true_laser = replace(scene.setup.laser, fan_half_angle_deg=scene.fan_half_angle_deg)
-    true_setup = replace(scene.setup, laser=true_laser)
-    world = SweptWorld(true_setup, scene.world, scene.speckle, scene.around)
+    world = world_of(scene)
     arc = scene.setup.arc.current_a if scene.arc_on else 0.0
     for n, T in enumerate(scene.poses):
         draw = np.random.default_rng([scene.seed, 1, n])

@@ -19,12 +19,13 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterator
+from copy import copy
 from dataclasses import replace
 from functools import partial
 from typing import NamedTuple
 
 import numpy as np
-from random_scene import Scene
+from random_scene import Scene, world_of
 from scipy.linalg import solveh_banded
 from scipy.spatial.transform import Rotation
 from swept_joint import SweptJoint, outline
@@ -59,7 +60,8 @@ class SeamBound(NamedTuple):
 def seam_bound(scene: Scene, n: int) -> SeamBound:
     """Return how well a frame of a scene shows its seam point."""
     T, sensor = scene.poses[n], scene.setup.sensor
-    background, stripe = _light(scene, scene.world, T)
+    world = world_of(scene)
+    background, stripe = _light(scene, world, scene.world, T)
     mean = background + stripe
     rows, columns = np.nonzero((stripe > SEEN_SHARE * stripe.max()) & (mean < sensor.full_well_e))
     if np.ptp(columns) > np.ptp(rows):
@@ -68,7 +70,7 @@ def seam_bound(scene: Scene, n: int) -> SeamBound:
         rows, columns = rows[order], columns[order]
     derivatives, priors = [], []
     for change, step, sigma in _changes(scene, T):
-        ahead, behind = (sum(_light(scene, *change(side * step))) for side in (1.0, -1.0))
+        ahead, behind = (sum(_light(scene, world, *change(side * step))) for side in (1.0, -1.0))
         derivatives.append((ahead - behind)[rows, columns] / (2.0 * step))
         priors.append(sigma)
     for light in (stripe, background):
@@ -85,11 +87,11 @@ def seam_bound(scene: Scene, n: int) -> SeamBound:
     return SeamBound(*(np.sqrt(np.diagonal(squares)[:2]) for squares in (bound, scatter)))
 
 
-def _light(scene: Scene, world: SweptJoint, T: Float64) -> tuple[Float64, Float64]:
+def _light(scene: Scene, world: SweptWorld, joint: SweptJoint, T: Float64) -> tuple[Float64, Float64]:
     """Return what the rest and what the stripe, with its ghost, sends to the pixels (H, W), e-."""
-    true_laser = replace(scene.setup.laser, fan_half_angle_deg=scene.fan_half_angle_deg)
-    drawn = SweptWorld(replace(scene.setup, laser=true_laser), world, scene.speckle, scene.around)
-    background, stripe = drawn.mean_light(T, True, scene.arc_on)
+    changed = copy(world)
+    changed.joint = joint
+    background, stripe = changed.mean_light(T, True, scene.arc_on)
     ghost = scene.around.ghost
     return background, stripe if ghost is None else with_ghost(stripe, ghost)
 

@@ -21,9 +21,6 @@ from robot_io import (
     WeldingState,
 )
 
-OFFSET_TIMEOUT_S = 0.2
-"""A robot stops correcting when no good frame came for so long: docs/reference/can.md, point 4."""
-
 RETRACT_MM_S = 20.0
 """How fast it backs up."""
 

@@ -12,6 +12,7 @@ import pytest
 from made import results_of
 from scipy.spatial.transform import Rotation
 
+from arctrack.cell.robot import WELDING
 from arctrack.recorded_poses import RecordedPoses, seam_limits, seam_measured
 from arctrack.recording import Recording, read_recording
 from arctrack.replay import ReplayOptions, replay_recording
@@ -20,15 +21,10 @@ from robot_io import (
     BusMessage,
     GateReason,
     Link,
-    MotionState,
     PoseKind,
-    RobotMode,
     RobotPosePosition,
     RobotPoseRotation,
-    RobotStatus,
-    Switch,
     Verdict,
-    WeldingState,
 )
 from robot_io.poses.plausibility import Implausibility
 from robot_io.poses.plausibility_limits import PlausibilityLimits
@@ -171,18 +167,7 @@ def test_a_log_brings_what_the_robot_said(example: Recording, tmp_path: Path) ->
     assert poses.hears_robot
 
 
-WELDS = RobotStatus(
-    RobotMode.AUTOMATIC,
-    MotionState.MOVING,
-    WeldingState.WELDING,
-    Switch.ON,
-    Switch.OFF,
-    Switch.ON,
-    Switch.ON,
-    120.0,
-    10.0,
-    None,
-)
+WELDS = replace(WELDING, path_section=None)
 
 
 def test_the_image_is_asked_over_a_time_and_not_over_frames() -> None:

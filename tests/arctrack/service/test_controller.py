@@ -11,6 +11,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from arctrack.cell.robot import WELDING
 from arctrack.service.controller import ARMING, Controller
 from arctrack.service.job import Job
 from arctrack.service.policy import ServicePolicy
@@ -25,7 +26,6 @@ from robot_io import (
     Received,
     RequestResult,
     RobotMode,
-    RobotStatus,
     RobotSync,
     SeamGeometry,
     SeamOffset,
@@ -45,18 +45,7 @@ from tracker.state import Track
 
 FRAME_S = 0.02
 JOB = Job("v_groove")
-WELDS = RobotStatus(
-    mode=RobotMode.AUTOMATIC,
-    motion=MotionState.MOVING,
-    welding=WeldingState.WELDING,
-    arc=Switch.ON,
-    emergency_stop=Switch.OFF,
-    correction=Switch.ON,
-    weave=Switch.OFF,
-    current_a=120.0,
-    travel_speed_mm_s=5.0,
-    path_section=None,
-)
+WELDS = replace(WELDING, weave=Switch.OFF, travel_speed_mm_s=5.0, path_section=None)
 TRACKS = TrackerCommand(Command.TRACK, True, True, 0, None, None, Switch.ON)
 
 

@@ -15,6 +15,7 @@ from dataclasses import replace
 import can
 import pytest
 
+from arctrack.cell.robot import WELDING
 from arctrack.service.controller import Controller
 from arctrack.service.job import Job
 from robot_io import (
@@ -26,7 +27,6 @@ from robot_io import (
     MotionState,
     OffsetUse,
     Protector,
-    RobotMode,
     RobotStatus,
     SeamOffset,
     Switch,
@@ -41,18 +41,7 @@ from tracker.state import Track
 
 CHANNELS = (f"test_fails_closed_{n}" for n in itertools.count())
 FRAME_S = 0.02
-WELDS = RobotStatus(
-    mode=RobotMode.AUTOMATIC,
-    motion=MotionState.MOVING,
-    welding=WeldingState.WELDING,
-    arc=Switch.ON,
-    emergency_stop=Switch.OFF,
-    correction=Switch.ON,
-    weave=Switch.OFF,
-    current_a=120.0,
-    travel_speed_mm_s=5.0,
-    path_section=None,
-)
+WELDS = replace(WELDING, weave=Switch.OFF, travel_speed_mm_s=5.0, path_section=None)
 TRACKS = TrackerCommand(Command.TRACK, True, True, 0, None, None, Switch.ON)
 
 

@@ -3,24 +3,22 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import pytest
 
+from arctrack.cell.robot import WELDING
 from arctrack.service.pose_watch import PoseWatch
 from robot_io import (
     Command,
     GateReason,
-    MotionState,
     PoseKind,
     Received,
-    RobotMode,
     RobotPosePosition,
     RobotPoseRotation,
-    RobotStatus,
     RobotSync,
     Switch,
     TrackerCommand,
-    WeldingState,
 )
 from robot_io.clocks.sync import SyncLimits
 from robot_io.poses.nominal_path import NominalPath
@@ -29,18 +27,7 @@ from robot_io.poses.plausibility_limits import PlausibilityLimits
 from tracker.seam.innovation import InnovationLimits, SeamMeasured, SeamMotion
 
 PATH = NominalPath(((0.0, 0.0, 0.0), (300.0, 0.0, 0.0)))
-WELDS = RobotStatus(
-    RobotMode.AUTOMATIC,
-    MotionState.MOVING,
-    WeldingState.WELDING,
-    Switch.ON,
-    Switch.OFF,
-    Switch.ON,
-    Switch.ON,
-    120.0,
-    10.0,
-    None,
-)
+WELDS = replace(WELDING, path_section=None)
 
 
 class Bus:
