@@ -160,7 +160,8 @@ def test_of_two_fits_that_counts_which_leaves_less(longer_arc):
 def test_another_renderers_hand_eye_error_is_geometry():
     recording = read_recording(SHARED / "v_hand_eye")
     poses = recording.pose_buffer()
-    frames = [frame for frame in recording.frames() if frame.index % 3 == 0]
+    # Eight frames leave open what is the camera's pose and what a bent seam; twelve do not.
+    frames = [frame for frame in recording.frames() if frame.index % 2 == 0]
     expected = LinearizedModel(observe(recording.setup, frames, lambda t: pose_at(poses, t)))
     expected.take_tangents(expected.neutral, {})
     fit = refit(expected, {}, expected.neutral)
