@@ -6,7 +6,6 @@ import math
 from collections.abc import Iterator
 from dataclasses import replace
 
-import numpy as np
 from scipy.spatial.transform import Rotation
 
 from arctrack.errors import in_file
@@ -14,16 +13,12 @@ from arctrack.recording import Recording
 from arctrack.recording.poses import LOG_NAMES
 from arctrack.service.policy import ServicePolicy
 from arctrack.service.pose_watch import PoseWatch, nominal_path
-from noise_model.setup import Setup
-from noise_model.surface.joint import seam_frame
-from noise_model.transforms import invert, transform
+from noise_model.transforms import invert
 from robot_io import BusLogError, BusLogReader, GateReason, PoseKind, PoseSample, Received, RobotStatus
 from robot_io.clocks.sync import SyncLimits
 from robot_io.poses.plausibility import Implausibility
 from robot_io.poses.plausibility_limits import PlausibilityLimits
 from tracker.seam.innovation import InnovationLimits, SeamMeasured, SeamMotion
-from tracker.seam.locate import seam_displacement
-from tracker.state import Pose, Track
 
 GAP_PERIODS = 4.0
 """After so many periods without a pose poses have stopped, where that is longer than the limit."""
@@ -120,41 +115,6 @@ def seam_limits(frame_rate_hz: float) -> InnovationLimits:
     if not frame_rate_hz * LOOK_BACK_S < limits.window:
         return limits
     return replace(limits, window=max(LEAST_LOOKS, math.ceil(frame_rate_hz * LOOK_BACK_S)))
-
-
-def seam_measured(
-    setup: Setup, track: Track, pose: Pose | None, hand_eye_variance_mm2: tuple[float, float]
-) -> SeamMeasured | None:
-    """Return where a track's pose puts the seam that it saw; None where it saw none.
-
-    Its sigma leaves the hand-eye tolerance out. That error turns with the tool, and is the same from frame to
-    frame.
-
-    Parameters
-    ----------
-    setup : Setup
-        The nominal setup.
-    track : Track
-        The frame's result.
-    pose : Pose or None
-        The tool's pose at the capture.
-    hand_eye_variance_mm2 : tuple (2,)
-        What the tolerance has added to the variances of the track's (y, z), mm^2.
-    """
-    if pose is None or not math.isfinite(track.seam_tool_mm[1]):
-        return None
-    seam_tool = np.array(track.seam_tool_mm)
-    seam_base = transform(pose.T_base_tool, seam_tool)
-    T_joint_tool = invert(seam_frame(setup.joint, seam_base)) @ pose.T_base_tool
-    station_mm, displacement = seam_displacement(setup, T_joint_tool, seam_tool)
-    y_mm, z_mm = displacement.tolist()
-    sigma_y_mm, sigma_z_mm = (
-        math.sqrt(max(0.0, sigma_mm**2 - of_hand_eye))
-        for sigma_mm, of_hand_eye in zip(
-            (track.sigma_y_mm, track.sigma_z_mm), hand_eye_variance_mm2, strict=True
-        )
-    )
-    return SeamMeasured(station_mm, (y_mm, z_mm), (sigma_y_mm, sigma_z_mm))
 
 
 def _coming(recording: Recording) -> Iterator[Received | PoseSample]:

@@ -21,7 +21,7 @@ from arctrack.moments import RealTime, RecordingTime
 from arctrack.output import make_folder
 from arctrack.pose_agreement import PoseAgreement
 from arctrack.printable import printable
-from arctrack.recorded_poses import Doubt, RecordedPoses, seam_measured
+from arctrack.recorded_poses import Doubt, RecordedPoses
 from arctrack.recording import BadFrame, FrameRow, Recording, Truth, read_truth
 from arctrack.recording.results import (
     BUS_LOG,
@@ -34,6 +34,7 @@ from arctrack.recording.results import (
 from arctrack.recording.score import score
 from arctrack.report.replay.seen import Seen, SeenFile
 from arctrack.service.controller import Controller
+from arctrack.service.seam_measured import seam_measured
 from arctrack.tracking import tracker_of
 from robot_io import (
     SOURCES,

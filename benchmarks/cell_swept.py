@@ -66,6 +66,7 @@ def main() -> None:
     loop = ClosedLoop(plan)
     draw = np.random.default_rng([plan.seed, 4])
     loop.cell.tracker.eye = SweptEye(loop.cell.robot.robot, loop.setup, loop.setup, draw)
+    loop.cell.tracker.start()
     result = loop.run()
     print(f"{plan.joint}, displaced by {plan.displaced_mm:+g} mm: locked after {result.lock_s:.2f} s")
     print(

@@ -7,9 +7,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from arctrack.cell.eye import Capture, Shown
+from arctrack.cell.eye import Shown
 from arctrack.cell.robot import Robot
-from robot_io import PoseAt
+from arctrack.service.frame_tracking import Capture
+from robot_io import PoseAt, PoseStatus
 from tracker import flags
 from tracker.seam.gaussian_process import SeamHistory
 from tracker.seam.innovation import SeamMeasured
@@ -62,6 +63,8 @@ class MeasuredEye:
 
     def track(self, shown: Shown, capture: Capture) -> tuple[Track, SeamMeasured | None]:
         """Take a measurement into the seam, and return the offset at the torch."""
+        if capture.pose.status is PoseStatus.REFUSED:
+            return Track(capture.index, capture.captured_s, flags.POSE_REFUSED.mask), None
         if shown is None:
             return self._tracked(shown, capture, flags.JOINT_NOT_FOUND.mask), None
         world, T_base_tool = self.robot.world, capture.pose.T_base_tool

@@ -12,36 +12,29 @@ import numpy as np
 
 from arctrack.cell.bus import Bus, Frame
 from arctrack.cell.disk import Disk
-from arctrack.cell.eye import Capture, Eye, Shown
+from arctrack.cell.eye import Eye, Shown
 from arctrack.cell.robot import Robot
 from arctrack.cell.robot_party import SOURCE, as_message
 from arctrack.cell.scheduler import Scheduler
+from arctrack.service.bus_poses import BusPoses
 from arctrack.service.controller import Controller
 from arctrack.service.job import Job
-from arctrack.service.look_ahead import LookAhead
 from arctrack.service.policy import ServicePolicy
-from arctrack.service.pose_watch import PoseWatch
+from arctrack.service.tracking_service import TrackingService
 from robot_io import (
     BusMessage,
     Inbox,
-    PoseBuffer,
-    PoseError,
-    PoseStatus,
     Protector,
-    RobotStatus,
     SeamGeometry,
     SeamOffset,
     SeamPoint,
     Trusted,
 )
-from robot_io.clocks.sync import SyncLimits
 from robot_io.link.reconnecting import LinkFault
 from robot_io.link.steady_log import SteadyLog
 from robot_io.poses.nominal_path import NominalPath
 from robot_io.poses.plausibility_limits import PlausibilityLimits
-from tracker import flags
 from tracker.seam.innovation import InnovationLimits
-from tracker.seam.steer import AT_ONCE, Lead
 from tracker.state import Track
 
 FRAME_PERIOD_S, EXPOSED_S, COMPUTED_S = 0.02, 0.002, 0.012
@@ -73,8 +66,6 @@ class TrackerParty:
         Its camera, and what tracks.
     frame_period_s : float
         From a frame to the next, s.
-    looks_ahead : bool
-        Whether offsets are asked for where the torch will be once they act.
     clock_s : float
         How far its clock is ahead of the true time, s.
     camera : Camera
@@ -83,14 +74,16 @@ class TrackerParty:
         Whether the process runs: what comes meanwhile waits in the bus' buffer.
     queue_full : bool
         Whether nothing that is sent goes out.
-    lead : Lead
-        How far ahead of the torch the latest offset was asked for.
     disk : Disk
         What its log is written to.
     faults : Counter of LinkFault
         What went wrong without ending the run.
     said : list of str
         What it told its user.
+    poses : BusPoses
+        What the bus says of the tool.
+    service : TrackingService
+        What answers frames and messages.
     captured : dict
         When each frame was taken, s, by its time on the tracker's clock.
     on_track : callable or None
@@ -104,7 +97,6 @@ class TrackerParty:
     job: Job
     eye: Eye
     frame_period_s: float = FRAME_PERIOD_S
-    looks_ahead: bool = True
     clock_s: float = 0.0
     camera: Camera = Camera.RIGHT
     is_running: bool = True
@@ -113,7 +105,6 @@ class TrackerParty:
     faults: Counter[LinkFault] = field(default_factory=Counter)
     said: list[str] = field(default_factory=list)
     ghost_mm: float = 2.0
-    lead: Lead = AT_ONCE
     captured: dict[float, float] = field(default_factory=dict)
     on_sent: Callable[[BusMessage], None] | None = None
     on_track: Callable[[Track, list[BusMessage]], None] | None = None
@@ -130,6 +121,7 @@ class TrackerParty:
         self._log = SteadyLog(
             Path("bus.blf"), self.faults, self.disk.open, lambda: self.scheduler.now_s, self.said.append
         )
+        self.poses = BusPoses(self.path, PlausibilityLimits(), InnovationLimits(), ServicePolicy())
         self._begin_bus()
         self.bus.join(self.name, self._hear)
         self.scheduler.every(self.frame_period_s, self._capture, 0.0037)
@@ -143,12 +135,8 @@ class TrackerParty:
     def _begin_bus(self) -> None:
         self._protector = Protector(SOURCE)
         self.controller = Controller(self.job, SOURCE)
-        self.watch = PoseWatch(
-            self.path, PlausibilityLimits(), InnovationLimits(), SyncLimits(), ServicePolicy().status_age_s
-        )
-        self.look_ahead = LookAhead(self.path)
-        self._poses = PoseBuffer(256)
-        self._robot_said: RobotStatus | None = None
+        self.poses.begin()
+        self.service = TrackingService[Shown](self.controller, self.poses, self.eye)
         self._waiting.clear()
 
     @property
@@ -176,21 +164,7 @@ class TrackerParty:
         received = self.inbox.receive(message, max_age_s=now_s - came_s)
         if received is None:
             return
-        if isinstance(received.message, RobotStatus):
-            self._robot_said = received.message
-        self.look_ahead.hear(received.message)
-        sample = self.watch.hear(received, now_s)
-        if sample is not None:
-            self.look_ahead.see(sample, self.watch.doubt(now_s) is None)
-            try:
-                self._poses.push_quaternion(
-                    sample.timestamp_s, sample.position_base_mm, sample.quaternion_xyzw
-                )
-            except PoseError:
-                # A clock was set: what is older says nothing of now.
-                self._poses = PoseBuffer(256)
-        self.controller.on_poses(self.watch.verdict(now_s), now_s)
-        self._send(self.controller.on_message(received, now_s))
+        self._send(self.service.hear(received, now_s))
 
     def _capture(self) -> None:
         camera = self.camera
@@ -213,27 +187,15 @@ class TrackerParty:
         now_s = self.now_s
         self.captured[captured_s] = true_s
         self._index += 1
-        pose = self._poses.at(captured_s)
-        trusted = self.watch.doubt(now_s) is None
-        if pose.status is PoseStatus.REFUSED:
-            track = Track(self._index, captured_s, flags.POSE_REFUSED.mask)
-        else:
-            lead = self.look_ahead.lead(now_s)
-            self.lead = lead if self.looks_ahead else AT_ONCE
-            capture = Capture(self._index, captured_s, pose, self._robot_said, trusted, self.lead)
-            track, measured = self.eye.track(shown, capture)
-            if measured is not None:
-                self.watch.see(measured)
-        self.controller.on_poses(self.watch.verdict(now_s), now_s)
-        messages = self.controller.on_track(track, now_s, pose.T_base_tool, 1000.0 * COMPUTED_S)
+        tracked = self.service.track(shown, self._index, captured_s, now_s)
+        messages = self.service.answer(tracked, now_s, 1000.0 * COMPUTED_S)
         self._send(messages)
         if self.on_track is not None:
-            self.on_track(track, messages)
+            self.on_track(tracked.track, messages)
 
     def _poll(self) -> None:
         if self.is_running:
-            self.controller.on_poses(self.watch.verdict(self.now_s), self.now_s)
-            self._send(self.controller.poll(self.now_s))
+            self._send(self.service.poll(self.now_s))
 
     def _send(self, messages: list[BusMessage]) -> None:
         for message in messages:
@@ -243,7 +205,7 @@ class TrackerParty:
             if isinstance(message, UNHEARD):
                 continue
             if isinstance(message, SeamOffset):
-                self.look_ahead.sent(message, self.now_s)
+                self.service.sent(message, self.now_s)
                 if self.on_sent is not None:
                     self.on_sent(message)
             arbitration_id, data = self._protector.protect(message)

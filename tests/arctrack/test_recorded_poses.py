@@ -13,9 +13,10 @@ from made import results_of
 from scipy.spatial.transform import Rotation
 
 from arctrack.cell.robot import WELDING
-from arctrack.recorded_poses import RecordedPoses, seam_limits, seam_measured
+from arctrack.recorded_poses import RecordedPoses, seam_limits
 from arctrack.recording import Recording, read_recording
 from arctrack.replay import ReplayOptions, replay_recording
+from arctrack.service.seam_measured import seam_measured
 from noise_model.arrays import Float64
 from robot_io import (
     BusMessage,

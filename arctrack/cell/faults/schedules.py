@@ -178,7 +178,7 @@ def _not_recovered(cell: Cell, until_s: float) -> Iterator[str]:
     last = cell.validities(until_s - SETTLED_S, until_s)
     if set(last) != {Validity.VALID}:
         said = {r.name for t_s, r in cell.reasons if t_s >= until_s - SETTLED_S}
-        doubt = cell.tracker.watch.doubt(cell.tracker.now_s)
+        doubt = cell.tracker.poses.watch.doubt(cell.tracker.now_s)
         yield f"not VALID again at the end: {dict(last)}, {sorted(said)}, poses: {doubt}"
         return
     error_mm = cell.torch_error_mm[-1][1]

@@ -222,7 +222,7 @@ class ClosedLoop:
         self.duration_s = plan.length_mm / plan.speed_mm_s
         if self.event_s is not None:
             self.duration_s = max(self.duration_s, self.event_s[1] + AFTER_EVENT_S)
-        self.cell.tracker.looks_ahead = plan.looks_ahead
+        self.cell.tracker.poses.looks_ahead = plan.looks_ahead
         self.cell.tracker.on_track = self._on_track
         self.cell.scheduler.every(SAMPLE_S, self._sample, 0.0007)
 
@@ -239,7 +239,7 @@ class ClosedLoop:
         valid = [frame.offset.validity is Validity.VALID for frame in self.frames]
         valid_share = float(np.mean(valid)) if valid else math.nan
         reasons = _reasons(self.frames)
-        lag = self.cell.tracker.look_ahead.lag
+        lag = self.cell.tracker.poses.look_ahead.lag
         if not locked:
             return LoopResult(lock_s, *(math.nan,) * 4, valid_share, reasons, lag, math.nan)
         off = np.array([np.subtract(sample.torch_mm, sample.seam_mm) for sample in locked])
@@ -315,9 +315,8 @@ class ClosedLoop:
         # What is kept of a run is small: its stripes are not.
         track = replace(track, stripe=None, checks=())
         tracker = self.cell.tracker
-        frame = LoopFrame(
-            track, offset, status.gate_reason, self._now(), tracker.look_ahead.lag, tracker.lead
-        )
+        lag, lead = tracker.poses.look_ahead.lag, tracker.service.lead
+        frame = LoopFrame(track, offset, status.gate_reason, self._now(), lag, lead)
         self.frames.append(frame)
         if self._on_frame is not None:
             self._on_frame(len(self.frames))

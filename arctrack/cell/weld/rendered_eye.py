@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from arctrack.cell.eye import Capture, Shown
+from arctrack.cell.eye import Shown
 from arctrack.cell.robot import Robot
+from arctrack.service.frame_tracking import Capture, FrameTracking
 from noise_model.arc.map import make_scene
 from noise_model.arrays import Float64, Integers
 from noise_model.condition import Condition
@@ -19,11 +19,9 @@ from noise_model.instrument.sensor import saturation_dn
 from noise_model.plan.noise import expected_speckle
 from noise_model.setup import Setup
 from noise_model.surface.joint import BentSeam, Seam, SeamLine
-from robot_io import PoseAt, PoseStatus, Switch
+from robot_io import Switch
 from tracker.seam.innovation import SeamMeasured
-from tracker.seam.locate import seam_displacement
-from tracker.state import Frame, Pose, Track
-from tracker.tracker import Tracker
+from tracker.state import Frame, Track
 
 FAR_MM = 1e6
 """Where there is no workpiece."""
@@ -80,7 +78,7 @@ class RenderedEye:
 
     def begin(self) -> None:
         """Begin to track anew, as a new process does."""
-        self.tracker = Tracker(self.setup)
+        self.tracking = FrameTracking(self.setup)
 
     def look(self, off_mm: float) -> Shown:
         """Return the image (H, W), DN, that the camera takes now of a seam so far to the left, mm."""
@@ -136,28 +134,7 @@ class RenderedEye:
             current_a=self.setup.arc.current_a,
             arc_on=said is not None and said.arc is Switch.ON,
         )
-        before = self.tracker.state
-        pose = Pose(capture.pose.T_base_tool, capture.pose.status is PoseStatus.EXTRAPOLATED)
-        track = self.tracker.step(frame, pose, capture.lead)
-        if not capture.is_trusted:
-            self.tracker.state = before
-        return track, self._measured(track, capture.pose)
-
-    def _measured(self, track: Track, pose: PoseAt) -> SeamMeasured | None:
-        """Return where the seam is beside its path, with its own noise: hand-eye errors move it as one."""
-        if not track.valid:
-            return None
-        scene = make_scene(self.setup, pose.T_base_tool)
-        station_mm, displacement = seam_displacement(
-            self.setup, scene.T_joint_tool, np.array(track.seam_tool_mm)
-        )
-        hand_eye_mm2 = self.tracker.state.steering.hand_eye_variance_mm2
-        sigma_mm = [
-            math.sqrt(max(sigma**2 - hand_eye, 0.0))
-            for sigma, hand_eye in zip((track.sigma_y_mm, track.sigma_z_mm), hand_eye_mm2, strict=True)
-        ]
-        y_mm, z_mm = displacement.tolist()
-        return SeamMeasured(station_mm, (y_mm, z_mm), (sigma_mm[0], sigma_mm[1]))
+        return self.tracking.track(frame, capture)
 
     def _arc_level(self) -> float:
         if self.arc_level is not None:

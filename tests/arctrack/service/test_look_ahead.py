@@ -123,7 +123,7 @@ def test_looking_ahead_takes_a_torch_along_a_bent_seam_in_the_cell():
         cell.run(8.0)
         errors = np.array([error for t_s, error in cell.torch_error_mm if t_s > 4.0])
         off_mm.append(math.sqrt((errors**2).mean()))
-    lag = cell.tracker.look_ahead.lag
+    lag = cell.tracker.poses.look_ahead.lag
     # From the capture: exposure, computing and the bus are in it.
     true_s = world.latency_s + world.time_constant_s + 0.015
     assert abs(lag.lag_s - true_s) < 4.0 * lag.sigma_s

@@ -1,0 +1,136 @@
+"""Poses off the bus: where the tool was at a capture, whether that is trusted, how late the robot follows."""
+
+from __future__ import annotations
+
+import math
+
+from arctrack.service.look_ahead import LookAhead
+from arctrack.service.policy import ServicePolicy
+from arctrack.service.pose_watch import PoseWatch
+from noise_model.arrays import Float64
+from robot_io import (
+    GateReason,
+    PoseAt,
+    PoseBuffer,
+    PoseError,
+    Received,
+    RobotPosePosition,
+    SeamOffset,
+    cycle_time_s,
+    message_layout,
+)
+from robot_io.clocks.sync import SyncLimits
+from robot_io.poses.nominal_path import NominalPath
+from robot_io.poses.plausibility_limits import PlausibilityLimits
+from tracker.seam.innovation import InnovationLimits, SeamMeasured
+from tracker.seam.steer import AT_ONCE, Lead
+
+KEPT_POSES = 256
+
+WAIT_PERIODS = 2.0
+"""So many periods a frame waits for the pose after it: one until it is sampled, one for its way."""
+
+
+class BusPoses:
+    """What the robot's messages say of the tool.
+
+    Parameters
+    ----------
+    path : NominalPath
+        The nominal seam.
+    limits : PlausibilityLimits
+        What poses must keep to.
+    seam_limits : InnovationLimits
+        What the seam in the image must keep to.
+    policy : ServicePolicy
+        How long what was heard counts.
+    T_controllertool_tool : array (4, 4), optional
+        The tool in the tool frame of the controller that sends the poses, mm; by default they are one.
+    late_s : float
+        How much later than true the controller stamps its poses, s.
+
+    Attributes
+    ----------
+    watch : PoseWatch
+        Whether poses are to be trusted.
+    look_ahead : LookAhead
+        How late the robot follows.
+    looks_ahead : bool
+        Whether offsets are asked for where the torch will be once they act.
+    """
+
+    def __init__(
+        self,
+        path: NominalPath,
+        limits: PlausibilityLimits,
+        seam_limits: InnovationLimits,
+        policy: ServicePolicy,
+        T_controllertool_tool: Float64 | None = None,
+        late_s: float = 0.0,
+    ) -> None:
+        self._path, self._limits, self._seam_limits = path, limits, seam_limits
+        self._status_age_s = policy.status_age_s
+        self._T_controllertool_tool = T_controllertool_tool
+        self._late_s, self.looks_ahead = late_s, True
+        self._wait_s = WAIT_PERIODS * cycle_time_s(message_layout(RobotPosePosition.__name__))
+        self.begin()
+
+    def begin(self) -> None:
+        """Begin as a new process: nothing was heard yet."""
+        self.watch = PoseWatch(
+            self._path,
+            self._limits,
+            self._seam_limits,
+            SyncLimits(),
+            self._status_age_s,
+            self._T_controllertool_tool,
+        )
+        self.look_ahead = LookAhead(self._path)
+        self._forget_poses()
+
+    def hear(self, received: Received, now_s: float) -> None:
+        """Take an accepted message of any type, read at a time, s."""
+        self.look_ahead.hear(received.message)
+        sample = self.watch.hear(received, now_s)
+        if sample is None:
+            return
+        self.look_ahead.see(sample, self.watch.doubt(now_s) is None)
+        try:
+            self._buffer.push_quaternion(sample.timestamp_s, sample.position_base_mm, sample.quaternion_xyzw)
+            self._newest_s = sample.timestamp_s
+        except PoseError:
+            # A clock was set: what is older says nothing of now.
+            self._forget_poses()
+
+    def is_settled(self, captured_s: float, now_s: float) -> bool:
+        """Return whether the pose of a capture is known as well as it will be: the one after it has come."""
+        stamped_s = captured_s + self._late_s
+        return self._newest_s >= stamped_s or not 0.0 <= now_s - stamped_s < self._wait_s
+
+    def at(self, captured_s: float) -> PoseAt:
+        """Return the tool's pose at a capture."""
+        return self._buffer.at(captured_s + self._late_s)
+
+    def see(self, measured: SeamMeasured) -> None:
+        """Take where a pose put the seam that was seen."""
+        self.watch.see(measured)
+
+    def verdict(self, now_s: float) -> GateReason:
+        """Return what the gate is told of the poses."""
+        return self.watch.verdict(now_s)
+
+    def may_last(self, now_s: float) -> bool:
+        """Return whether what is measured by the poses now may be kept: they are trusted."""
+        return self.watch.doubt(now_s) is None
+
+    def lead(self, now_s: float) -> Lead:
+        """Return how far ahead of the torch an offset is to be asked for."""
+        lead = self.look_ahead.lead(now_s)
+        return lead if self.looks_ahead else AT_ONCE
+
+    def sent(self, offset: SeamOffset, now_s: float) -> None:
+        """Take an offset that went out at a time, s."""
+        self.look_ahead.sent(offset, now_s)
+
+    def _forget_poses(self) -> None:
+        self._buffer, self._newest_s = PoseBuffer(KEPT_POSES), -math.inf
