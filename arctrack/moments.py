@@ -6,6 +6,7 @@ import math
 import time
 from collections.abc import Callable, Iterable, Sequence
 
+from arctrack.cameras.recording import exposed_s
 from arctrack.pose_agreement import PoseAgreement
 from arctrack.recording import FrameRow
 from arctrack.service.controller import Controller
@@ -51,7 +52,7 @@ class RecordingTime:
     ) -> None:
         self._link, self._controller, self._poses_verdict = link, controller, poses_verdict
         self._job_number = job_number
-        self._now_s = first_s = min(_exposed_s(row) for row in rows)
+        self._now_s = first_s = min(exposed_s(row) for row in rows)
         self._log_is_late_s = float(max(0, math.ceil(-first_s)))
         self._hear(assumed_command(rows[0], Command.DISARM, job_number))
 
@@ -60,7 +61,7 @@ class RecordingTime:
 
         Raises LinkError if the link is closed, BusLogError if the log cannot hold its time.
         """
-        self._now_s = _exposed_s(row)
+        self._now_s = exposed_s(row)
         self._hear(assumed_robot(row))
         self._hear(assumed_command(row, job_number=self._job_number))
         self._controller.on_poses(self._poses_verdict(self._now_s), self._now_s)
@@ -105,7 +106,7 @@ class RealTime:
         agreement: PoseAgreement,
         poses_verdict: PosesVerdict,
     ) -> None:
-        self._first_s = _exposed_s(rows[0])
+        self._first_s = exposed_s(rows[0])
         self._link, self._controller = link, controller
         self._agreement, self._poses_verdict = agreement, poses_verdict
         self._began_s = math.nan
@@ -120,7 +121,7 @@ class RealTime:
         """
         if math.isnan(self._began_s):
             self._began_s = time.monotonic()
-        self._listen_until(_exposed_s(row))
+        self._listen_until(exposed_s(row))
         messages = self._controller.on_track(track, self._now_s(), T_base_tool, took_ms)
         _send(self._link, self._controller, messages)
         return _offset(messages)
@@ -199,11 +200,6 @@ def assumed_command(
         program_number=None,
         laser_enable=Switch.ON if row.laser_on else Switch.OFF,
     )
-
-
-def _exposed_s(row: FrameRow) -> float:
-    """Return a frame's end of exposure."""
-    return row.timestamp_s + row.exposure_s / 2.0
 
 
 def _faults(link: Link) -> tuple[str, ...]:

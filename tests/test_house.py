@@ -74,8 +74,9 @@ FOLDERS_MAY_IMPORT: dict[str, dict[str, set[str]]] = {
         "blind_check": {"recording"},
         "service": set(),
         "cell_file": {"recording", "service"},
-        "cameras": set(),
+        "cameras": {"recording"},
         "cell": {"service", "cameras"},
+        "serve": {"recording", "service", "cell_file", "cameras", "cell"},
         "setup_check": {"recording", "check"},
         "report": {
             "recording",
@@ -104,6 +105,7 @@ FOLDERS_MAY_IMPORT: dict[str, dict[str, set[str]]] = {
             "setup_check",
             "cell_file",
             "cell",
+            "serve",
             "report",
             "calibrating",
         },

@@ -48,10 +48,14 @@ class SharedFramesError(RuntimeError):
     """Frames cannot be shared, or read."""
 
 
+def memory_folder() -> Path:
+    """Return the folder whose files are memory, where the machine has one."""
+    return MEMORY if MEMORY.is_dir() else Path(tempfile.gettempdir())
+
+
 def path_of(name: str) -> Path:
     """Return where frames of a name lie."""
-    folder = MEMORY if MEMORY.is_dir() else Path(tempfile.gettempdir())
-    return folder / f"arctrack-frames-{name}"
+    return memory_folder() / f"arctrack-frames-{name}"
 
 
 @dataclass(frozen=True)
@@ -200,6 +204,16 @@ class SharedFramesReader:
             os.close(self._file)
             raise
         self._layout = _Layout(slots, height, width, np.dtype(kind.rstrip(b"\0").decode()))
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """The images' height and width, px."""
+        return self._layout.height, self._layout.width
+
+    @property
+    def dtype(self) -> np.dtype[Any]:
+        """The type of their grey levels."""
+        return self._layout.dtype
 
     @property
     def is_writer_alive(self) -> bool:

@@ -1,7 +1,16 @@
 """The cell file: the choices for a cell, beside the facts that its setup holds."""
 
-from arctrack.cell_file.choices import BusChoice, CellFile, CellJob
+from arctrack.cell_file.choices import BusChoice, CameraChoice, CellFile, CellJob, ProcessChoice
 from arctrack.cell_file.reader import read_cell_file
 from arctrack.cell_file.recorded import as_the_job_says, jobs_for
 
-__all__ = ["BusChoice", "CellFile", "CellJob", "as_the_job_says", "jobs_for", "read_cell_file"]
+__all__ = [
+    "BusChoice",
+    "CameraChoice",
+    "CellFile",
+    "CellJob",
+    "ProcessChoice",
+    "as_the_job_says",
+    "jobs_for",
+    "read_cell_file",
+]

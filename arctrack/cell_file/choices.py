@@ -35,6 +35,44 @@ class BusChoice:
 
 
 @dataclass(frozen=True)
+class CameraChoice:
+    """The camera.
+
+    Parameters
+    ----------
+    frame_rate_hz : float
+        Its frames a second.
+    kind : str or None
+        What it is, such as shared_memory; None where nothing is run live.
+    name : str or None
+        Which one of its kind.
+    """
+
+    frame_rate_hz: float
+    kind: str | None = None
+    name: str | None = None
+
+
+@dataclass(frozen=True)
+class ProcessChoice:
+    """How the process of a live run is scheduled; None leaves a thing to the machine.
+
+    Parameters
+    ----------
+    priority : int or None
+        Its real-time priority, 1 to 99.
+    cpus : tuple of int or None
+        The processors that it may run on.
+    lock_memory : bool
+        Whether its memory is kept from being swapped out.
+    """
+
+    priority: int | None = None
+    cpus: tuple[int, ...] | None = None
+    lock_memory: bool = False
+
+
+@dataclass(frozen=True)
 class CellJob:
     """A job of the cell file.
 
@@ -113,8 +151,8 @@ class CellFile:
         The facts that it points to.
     bus : BusChoice
         The bus.
-    frame_rate_hz : float
-        Frames a second of the camera.
+    camera : CameraChoice
+        The camera.
     limits : GateLimits
         What an offset must keep to.
     policy : ServicePolicy
@@ -123,21 +161,24 @@ class CellFile:
         What poses must keep to.
     jobs : mapping of int to CellJob
         The jobs, by the number by which the robot names them.
+    process : ProcessChoice
+        How a live run is scheduled.
     """
 
     path: Path
     setup: SetupFile
     bus: BusChoice
-    frame_rate_hz: float
+    camera: CameraChoice
     limits: GateLimits
     policy: ServicePolicy
     plausibility: PlausibilityLimits
     jobs: Mapping[int, CellJob]
+    process: ProcessChoice
 
     @property
     def bus_load(self) -> float:
         """The share of the bus that all messages take at most."""
-        return load_share(self.frame_rate_hz, self.bus.bit_rate_bit_s)
+        return load_share(self.camera.frame_rate_hz, self.bus.bit_rate_bit_s)
 
     def job_numbered(self, number: int | None) -> int:
         """Return a job's number: that which is asked for, or that of the only job.

@@ -58,6 +58,16 @@ class CameraTable(Table):
     """[camera]."""
 
     frame_rate_hz: Rate
+    kind: Literal["shared_memory", "recording"] | None = None
+    name: Annotated[str, Field(min_length=1)] | None = None
+
+
+class ProcessTable(Table):
+    """[process], every key optional."""
+
+    priority: Annotated[int, Field(ge=1, le=99)] | None = None
+    cpus: Annotated[list[Annotated[int, Field(ge=0)]], Field(min_length=1)] | None = None
+    lock_memory: bool = False
 
 
 class PartTable(Table):
@@ -91,6 +101,7 @@ class CellToml(Table):
     gate: GateTable = Field(default_factory=GateTable)
     service: ServiceTable = Field(default_factory=ServiceTable)
     plausibility: PlausibilityTable = Field(default_factory=PlausibilityTable)
+    process: ProcessTable = Field(default_factory=ProcessTable)
     jobs: dict[str, JobTable] = Field(min_length=1)
 
 

@@ -32,6 +32,8 @@ bit_rate_bit_s = 500000
 
 [camera]
 frame_rate_hz = 25.0                   # four messages go out with each frame: it makes the bus' load
+# kind = "shared_memory"               # another process publishes frames; "recording": one is played
+# name = "cell"                        # the frames' name, or the recording's folder
 
 [gate]
 """
@@ -43,6 +45,12 @@ _JOBS = """\
 # speed_mm_s = 250.0
 # acceleration_mm_s2 = 5000.0
 # rotation_deg_s = 180.0
+
+[process]
+# How arctrack serve is scheduled. What the machine does not allow is said at the start.
+# priority = 50                        # real-time priority, 1 to 99
+# cpus = [1]                           # the processors that it may run on
+# lock_memory = true                   # no memory is swapped out
 
 # A job for each number by which the robot names one, TrackerCommand.job_number.
 [jobs.1]

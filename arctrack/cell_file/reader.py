@@ -9,8 +9,16 @@ from typing import TypeVar
 
 from pydantic import ValidationError
 
-from arctrack.cell_file.choices import BusChoice, CellFile, CellJob
-from arctrack.cell_file.model import FORMAT, MAX_JOB_NUMBER, CellToml, JobTable, unknown_keys
+from arctrack.cell_file.choices import BusChoice, CameraChoice, CellFile, CellJob, ProcessChoice
+from arctrack.cell_file.model import (
+    FORMAT,
+    MAX_JOB_NUMBER,
+    CameraTable,
+    CellToml,
+    JobTable,
+    ProcessTable,
+    unknown_keys,
+)
 from arctrack.errors import in_file
 from arctrack.limits import LIMITS
 from arctrack.recording.files import blamed_on, read_text
@@ -74,20 +82,33 @@ def _cell(path: Path, model: CellToml, setup: SetupFile) -> CellFile:
         path=path,
         setup=setup,
         bus=BusChoice(model.bus.interface, model.bus.channel, model.bus.bit_rate_bit_s),
-        frame_rate_hz=model.camera.frame_rate_hz,
+        camera=_camera(model.camera),
         limits=limits,
         policy=_record(ServicePolicy, model.service, "service policy", "service"),
         plausibility=_record(PlausibilityLimits, model.plausibility, "plausibility limit", "plausibility"),
         jobs=dict(sorted((_number(key), _job(key, table)) for key, table in model.jobs.items())),
+        process=_process(model.process),
     )
     for number, job in cell.jobs.items():
         _within(str(number), partial(job.to_job, setup.setup, limits))
     if cell.bus_load >= 1.0:
         raise ValueError(
-            f"[bus] bit_rate_bit_s = {cell.bus.bit_rate_bit_s}: {cell.frame_rate_hz:g} frames a second take "
-            f"{100.0 * cell.bus_load:.0f} % of it; choose a higher one, or fewer frames"
+            f"[bus] bit_rate_bit_s = {cell.bus.bit_rate_bit_s}: {cell.camera.frame_rate_hz:g} frames a "
+            f"second take {100.0 * cell.bus_load:.0f} % of it; choose a higher one, or fewer frames"
         )
     return cell
+
+
+def _camera(table: CameraTable) -> CameraChoice:
+    if (table.kind is None) != (table.name is None):
+        missing = "kind" if table.kind is None else "name"
+        raise ValueError(f"[camera] {missing}: missing; a camera is stated by kind and name")
+    return CameraChoice(table.frame_rate_hz, table.kind, table.name)
+
+
+def _process(table: ProcessTable) -> ProcessChoice:
+    cpus = None if table.cpus is None else tuple(table.cpus)
+    return ProcessChoice(table.priority, cpus, table.lock_memory)
 
 
 def _record(record: Callable[..., R], table: Table, called: str, name: str) -> R:

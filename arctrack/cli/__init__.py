@@ -24,6 +24,7 @@ from arctrack.cli.new import new
 from arctrack.cli.plan import plan
 from arctrack.cli.reflow import reflow
 from arctrack.cli.replay import replay
+from arctrack.cli.serve import serve
 from arctrack.cli.simulate import simulate
 from arctrack.cli.warm import warm
 from arctrack.errors import ArctrackError
@@ -51,6 +52,7 @@ app.command(
 app.command(epilog="Example: arctrack simulate /tmp/lap --joint lap --material zn_coated --seed 7")(simulate)
 app.command(epilog="Example: arctrack plan examples/v_groove --out /tmp/plan")(plan)
 app.command(epilog="Example: arctrack diagnose monday tuesday --workers 2")(diagnose)
+app.command(epilog="Example: arctrack serve --simulated --seconds 30")(serve)
 app.command(epilog="Example: arctrack warm examples/v_groove")(warm)
 app.add_typer(blind_check)
 app.add_typer(calibrate)

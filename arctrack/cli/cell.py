@@ -21,6 +21,10 @@ SERVED_BUS = "udp_multicast:239.74.163.2"
 """The bus that a live cell is on: other processes of the machine, or of its network, hear it."""
 
 
+LIVE_MM = 10_000.0
+"""How far a live robot may go: for a quarter of an hour."""
+
+
 class EventName(StrEnum):
     """What may happen in a run."""
 
@@ -156,19 +160,36 @@ def serve(
         float | None, typer.Option(help="How long; without it until Ctrl-C or SIGTERM.", min=0)
     ] = None,
     seed: Annotated[int, typer.Option(help="Seed of the images' noise.", min=0)] = 1,
+    write_cell: Annotated[
+        Path | None,
+        typer.Option(
+            help="New folder for the cell file and the setup of this cell: arctrack serve takes it."
+        ),
+    ] = None,
 ) -> None:
     """Run a simulated robot on a real bus in real time, and its rendered camera into shared memory.
 
-    Whoever tracks is another process: it reads frames by their name, and poses off the bus.
+    Whoever tracks is another process, such as arctrack serve: it reads frames by their name, and poses off
+    the bus. The robot wants nothing of a tracker before it hears its heartbeat.
     """
-    from arctrack.cell.live.serve import serve_cell
+    from arctrack.cell.live.serve import REAL_TIME_PX, serve_cell
     from arctrack.cell.weld.closed_loop import LoopPlan
     from arctrack.cli import console
     from arctrack.cli.interrupt import interruptible
     from arctrack.replay import parse_bus
+    from arctrack.serve.simulated import write_simulated_cell
 
     interface, channel = parse_bus(bus)
-    plan = LoopPlan(joint=joint.value, displaced_mm=displaced_mm, length_mm=10_000.0, rate_hz=fps, seed=seed)
+    plan = LoopPlan(
+        joint=joint.value,
+        displaced_mm=displaced_mm,
+        length_mm=LIVE_MM,
+        rate_hz=fps,
+        seed=seed,
+        size_px=REAL_TIME_PX,
+    )
+    if write_cell is not None:
+        console.say(f"{write_simulated_cell(write_cell, plan, interface, channel, frames)}")
     with interruptible("the cell was", "frames and robot are gone"):
         serve_cell(
             plan,

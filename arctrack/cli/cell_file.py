@@ -56,11 +56,11 @@ def check(file: Annotated[Path, typer.Argument(help="The cell file, cell.toml.")
 def _lines(read: CellFile) -> list[str]:
     from robot_io.protocol.bus_load import frames_per_s
 
-    bus = read.bus
+    bus, rate_hz = read.bus, read.camera.frame_rate_hz
     return [
         f"setup: {read.setup.path}, a {read.setup.setup.joint.type} in {read.setup.setup.material.name}",
-        f"bus: {bus} at {bus.bit_rate_bit_s / 1000.0:g} kbit/s; {read.frame_rate_hz:g} frames of the camera "
-        f"make {frames_per_s(read.frame_rate_hz):.0f} frames on it a second, at most "
+        f"bus: {bus} at {bus.bit_rate_bit_s / 1000.0:g} kbit/s; {rate_hz:g} frames of the camera "
+        f"make {frames_per_s(rate_hz):.0f} frames on it a second, at most "
         f"{100.0 * read.bus_load:.0f} % of its load",
         *(f"job {number}: {_of_job(read, job)}" for number, job in read.jobs.items()),
     ]

@@ -1,10 +1,10 @@
-"""Ctrl-C and SIGTERM: what was interrupted, what is kept, and where."""
+"""Ctrl-C and SIGTERM: what was interrupted, what is kept, and where; or a run that they end as it should."""
 
 from __future__ import annotations
 
 import signal
 import threading
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 
 
@@ -25,3 +25,17 @@ def interruptible(what: str, kept: str) -> Iterator[None]:
     finally:
         if before is not None:
             signal.signal(signal.SIGTERM, before)
+
+
+@contextmanager
+def stoppable() -> Iterator[Callable[[], bool]]:
+    """Give what says whether Ctrl-C or SIGTERM has asked what runs within to end; nothing is interrupted."""
+    asked = threading.Event()
+    before = {
+        number: signal.signal(number, lambda *_: asked.set()) for number in (signal.SIGINT, signal.SIGTERM)
+    }
+    try:
+        yield asked.is_set
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)

@@ -97,6 +97,7 @@ class Controller:
         self._command: Heard[TrackerCommand] | None = None
         self._poses_doubt, self._poses_at_s = GateReason.POSE_IMPLAUSIBLE, NAN
         self._laser = LaserState.UNKNOWN
+        self._dropped = 0
         self._fault = Fault.NONE
         self._closed = False
         self._was_disarmed = False
@@ -176,6 +177,10 @@ class Controller:
         """Take what the laser does."""
         self._laser = laser
 
+    def on_dropped(self, dropped: int) -> None:
+        """Take how many frames were dropped since the start."""
+        self._dropped = dropped
+
     def on_track(
         self, track: Track, now_s: float, T_base_tool: Float64 | None = None, latency_ms: float = NAN
     ) -> list[BusMessage]:
@@ -220,7 +225,9 @@ class Controller:
             decision.message,
             track_messages.seam_point(track, T_base_tool),
             track_messages.geometry(track, JointType[self.job.joint_type.upper()]),
-            track_messages.status(track, self._state, decision.reason, conditions.robot is None, latency_ms),
+            track_messages.status(
+                track, self._state, decision.reason, conditions.robot is None, latency_ms, self._dropped
+            ),
         ]
 
     def poll(self, now_s: float) -> list[BusMessage]:
@@ -272,7 +279,7 @@ class Controller:
         return [
             _REFUSED,
             UNKNOWN_POINT,
-            track_messages.status(self._track, self._state, reason, is_stale, NAN),
+            track_messages.status(self._track, self._state, reason, is_stale, NAN, self._dropped),
         ]
 
     def _conditions(self, track: Track, now_s: float, is_camera_stopped: bool = False) -> Conditions:

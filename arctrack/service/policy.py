@@ -29,6 +29,8 @@ class ServicePolicy:
         How long a SYNC and its echo may be on the bus, s.
     round_trip_age_s : float
         How old the SYNC may be that stated that last, s.
+    watchdog_s : float
+        How long a turn of a live run may take before its process is ended, s.
     sync_required : bool
         Whether the robot must send RobotSync.
 
@@ -54,6 +56,11 @@ class ServicePolicy:
     )
     round_trip_age_s: float = _seconds(
         0.35, "oldest SYNC that states a round trip", "three cycles and a half: two may be lost"
+    )
+    watchdog_s: float = _seconds(
+        2.0,
+        "longest turn of a live run, after which its process is ended",
+        "a hundred times a frame's step; the robot's own time-outs end what was VALID within 0.2 s",
     )
     sync_required: bool = field(
         default=False,

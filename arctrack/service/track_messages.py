@@ -91,9 +91,14 @@ def seam_point(track: Track, T_base_tool: Float64 | None) -> SeamPoint:
 
 
 def status(
-    track: Track, state: TrackerState, reason: GateReason, is_robot_stale: bool, latency_ms: float
+    track: Track,
+    state: TrackerState,
+    reason: GateReason,
+    is_robot_stale: bool,
+    latency_ms: float,
+    dropped: int,
 ) -> TrackerStatus:
-    """Return how the tracker is."""
+    """Return how the tracker is; `dropped` is how many frames it has not seen since the start."""
     return out_of_range_as_unknown(
         TrackerStatus(
             state=state,
@@ -108,7 +113,7 @@ def status(
             robot_stale=is_robot_stale,
             arc_level=track.arc_level,
             map_misfit=track.map_misfit,
-            dropped_frames_mod256=0,
+            dropped_frames_mod256=dropped % 256,
             latency_ms=latency_ms,
         )
     )

@@ -96,6 +96,7 @@ def test_layout_changes_only_together_with_the_version():
         (1, 1, 1): LAYOUT_1_1_0,
         (1, 2, 0): LAYOUT_1_2_0,
         (1, 3, 0): LAYOUT_1_3_0,
+        (1, 3, 1): LAYOUT_1_3_0,
     }
     version = dbc_version()
     assert checksums[version.major, version.minor, version.patch] == layout_checksum()

@@ -8,6 +8,7 @@ from multiprocessing.connection import Connection
 
 import numpy as np
 
+from arctrack.cameras.laser_line import is_laser_on, remove_line
 from arctrack.cameras.shared_frames import SharedFramesWriter
 from arctrack.cell.robot import Robot
 from arctrack.cell.weld.closed_loop import LoopPlan, setup_of, world_of
@@ -48,7 +49,8 @@ class Shot:
 def run_camera(shots: Connection, plan: LoopPlan, name: str) -> None:
     """Publish a frame for each shot that comes, the newest where several wait, until the other end is closed.
 
-    Once it is ready, its kernels compiled, it says so over the same connection.
+    The laser is on unless a tracker drives its line (`arctrack.cameras.laser_line`) and lets it be off. Once
+    the camera is ready, its kernels compiled, it says so over the same connection.
     """
     # Whoever runs the robot ends this process by closing its end.
     signal.signal(signal.SIGINT, signal.SIG_IGN)
@@ -57,6 +59,8 @@ def run_camera(shots: Connection, plan: LoopPlan, name: str) -> None:
     robot = Robot(world_of(plan, setup))
     eye = RenderedEye(robot, setup, setup, np.random.default_rng([plan.seed, 1]))
     eye.look(0.0)
+    # Before there are frames: a tracker takes the line once it finds them.
+    remove_line(name)
     with SharedFramesWriter(name, camera.height, camera.width, setup.sensor.dtype) as frames:
         shots.send(True)
         index = 0
@@ -69,6 +73,7 @@ def run_camera(shots: Connection, plan: LoopPlan, name: str) -> None:
                 return
             robot.station_mm, robot.weave_s = shot.station_mm, shot.weave_s
             robot.offset_mm, robot.status = np.array(shot.offset_mm), shot.status
+            eye.is_laser_on = is_laser_on(name)
             image_dn = eye.look(0.0)
             assert image_dn is not None
             arc_on = shot.status.arc is Switch.ON
@@ -79,6 +84,7 @@ def run_camera(shots: Connection, plan: LoopPlan, name: str) -> None:
                     image_dn=image_dn,
                     exposure_s=camera.exposure_s,
                     current_a=shot.status.current_a,
+                    laser_on=eye.is_laser_on,
                     arc_on=arc_on,
                 )
             )

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import multiprocessing
 import time
 from collections.abc import Callable
@@ -10,6 +11,7 @@ from typing import Any
 
 import can
 
+from arctrack.cell.bus import Frame
 from arctrack.cell.cell import ARMED_S
 from arctrack.cell.live.camera import Shot, run_camera
 from arctrack.cell.live.real_time import RealBus, RealTimeScheduler
@@ -17,10 +19,16 @@ from arctrack.cell.robot import Robot
 from arctrack.cell.robot_party import RobotParty
 from arctrack.cell.weld.closed_loop import LoopPlan, setup_of, world_of
 from arctrack.errors import ArctrackError
-from robot_io import Command
+from robot_io import Command, Received, TrackerHeartbeat
+
+REAL_TIME_PX = (320, 240)
+"""An image that is rendered in some 25 ms: its offset is not too old for the gate."""
 
 CAMERA_ENDS_S = 5.0
 """How long the camera may take to end, s."""
+
+SILENT_S = 0.5
+"""A tracker that was not heard for so long is gone."""
 
 
 def serve_cell(
@@ -81,6 +89,32 @@ def serve_cell(
         can_bus.shutdown()
 
 
+class _Program:
+    """What the robot's program wants of the tracker: nothing before it hears one, and none that fell silent.
+
+    A tracker that begins must be disarmed first. So TRACK comes ARMED_S after its first heartbeat.
+    """
+
+    def __init__(self, party: RobotParty, scheduler: RealTimeScheduler) -> None:
+        self._robot, self._scheduler = party.robot, scheduler
+        self._beat_s = self._since_s = -math.inf
+        party.on_message = self._hear
+        scheduler.every(0.02, self._command, 0.0007)
+
+    def _hear(self, received: Received, _frame: Frame) -> None:
+        if isinstance(received.message, TrackerHeartbeat):
+            now_s = self._scheduler.now_s
+            if now_s - self._beat_s > SILENT_S:
+                self._since_s = now_s
+            self._beat_s = now_s
+
+    def _command(self) -> None:
+        now_s = self._scheduler.now_s
+        is_there = now_s - self._beat_s <= SILENT_S and now_s - self._since_s >= ARMED_S
+        command = Command.TRACK if is_there else Command.DISARM
+        self._robot.command = replace(self._robot.command, command=command)
+
+
 def _run_robot(
     plan: LoopPlan, can_bus: can.BusABC, shoot: Callable[[Shot], None], goes_on: Callable[[Robot], bool]
 ) -> None:
@@ -88,14 +122,11 @@ def _run_robot(
     bus = RealBus(can_bus, scheduler)
     party = RobotParty(Robot(world_of(plan, setup_of(plan))), bus, scheduler)
     robot = party.robot
+    _Program(party, scheduler)
 
     def capture() -> None:
         robot.advance(scheduler.now_s)
         shoot(Shot.of(robot, time.monotonic()))
 
-    def arm() -> None:
-        robot.command = replace(robot.command, command=Command.TRACK)
-
     scheduler.every(1.0 / plan.rate_hz, capture, 0.0037)
-    scheduler.at(ARMED_S, arm)
     scheduler.run_while(lambda: goes_on(robot), bus.listen)

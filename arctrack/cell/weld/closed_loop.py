@@ -76,6 +76,8 @@ class LoopPlan:
         What happens on the way: a name of `loop_events.LOOP_EVENTS`.
     exact : bool
         Whether what is there is as the setup says; else it is off by the setup's tolerances.
+    size_px : tuple (2,)
+        The image's width and height, px; every size has the same field of view.
     """
 
     joint: str = "corrugation"
@@ -93,6 +95,7 @@ class LoopPlan:
     looks_ahead: bool = True
     event: str | None = None
     exact: bool = True
+    size_px: tuple[int, int] = (640, 480)
 
 
 @dataclass(frozen=True)
@@ -335,7 +338,8 @@ class ClosedLoop:
 
 def setup_of(plan: LoopPlan) -> Setup:
     """Return the setup that the tracker knows; its seam begins where the torch does."""
-    setup = balance(nominal_setup(plan.joint, plan.material))
+    width, height = plan.size_px
+    setup = balance(nominal_setup(plan.joint, plan.material, width=width, height=height))
     points = ((START_MM, 0.0, 0.0), (START_MM + plan.length_mm + 100.0, 0.0, 0.0))
     return replace(setup, joint=replace(setup.joint, seam_in_base_mm=points))
 

@@ -54,6 +54,8 @@ class RenderedEye:
         The arc's output over its nominal one by the time, s; None burns as the robot's status says.
     tacks_mm : tuple of tuples (2,)
         From which station of the path to which the joint is under a tack, mm.
+    is_laser_on : bool
+        Whether the laser is on.
     aside_mm : float
         How much farther to the left the seam lies than the world says, mm: out of the camera's view.
     """
@@ -64,6 +66,7 @@ class RenderedEye:
     rng: np.random.Generator
     arc_level: Callable[[float], float] | None = None
     tacks_mm: tuple[tuple[float, float], ...] = ()
+    is_laser_on: bool = True
     aside_mm: float = 0.0
     part_seed: int = field(init=False)
 
@@ -83,7 +86,8 @@ class RenderedEye:
     def look(self, off_mm: float) -> Shown:
         """Return the image (H, W), DN, that the camera takes now of a seam so far to the left, mm."""
         T_base_tool, seam = self.robot.T_base_tool(), self._seam(off_mm + self.aside_mm)
-        condition = Condition(1.0, self._arc_level(), self._true.camera.exposure_s, self.robot.now_s)
+        laser_level, exposure_s = float(self.is_laser_on), self._true.camera.exposure_s
+        condition = Condition(laser_level, self._arc_level(), exposure_s, self.robot.now_s)
         image_dn = draw_frame(
             self._true,
             T_base_tool,

@@ -7,6 +7,7 @@ import subprocess
 import sys
 import textwrap
 import time
+from dataclasses import replace
 
 import can
 import numpy as np
@@ -22,13 +23,18 @@ from arctrack.errors import ArctrackError
 from robot_io import (
     SOURCES,
     Command,
+    Fault,
     Inbox,
+    LaserState,
     PoseAssembler,
     Protector,
+    RequestResult,
     RobotStatus,
     SeamOffset,
     Source,
     TrackerCommand,
+    TrackerHeartbeat,
+    TrackerState,
     Trusted,
     Validity,
 )
@@ -46,6 +52,11 @@ SERVE = """
         lambda: print("ready", flush=True), port=port, hop_limit=0,
     )
 """
+
+
+BEAT = TrackerHeartbeat(
+    TrackerState.DISARMED, Source.LIVE, LaserState.UNKNOWN, Fault.NONE, 0, RequestResult.NONE, 1, 0
+)
 
 
 class Heard:
@@ -88,12 +99,22 @@ def test_a_robot_and_its_camera_are_processes_that_a_tracker_finds_and_that_leav
         with can.Bus(**multicast, ignore_config=True) as bus, SharedFramesReader(name) as reader:
             heard = Heard(bus)
             heard.until(lambda last: {RobotStatus, TrackerCommand, "pose"} <= set(last))
-            heard.until(lambda last: last[TrackerCommand].command is Command.TRACK)
             protector = Protector(Source.LIVE)
+
+            def send(message):
+                arbitration_id, data = protector.protect(message)
+                bus.send(can.Message(arbitration_id=arbitration_id, data=data, is_extended_id=False))
+
+            # Nothing is wanted of a tracker that was not heard.
+            assert heard.last[TrackerCommand].command is Command.DISARM
+            for rolling in range(10):
+                send(replace(BEAT, rolling=rolling))
+                heard.listen(0.1)
+            assert heard.last[TrackerCommand].command is Command.TRACK
+            heard.until(lambda last: last[TrackerCommand].command is Command.DISARM)
             for _ in range(2):
                 # Absolute: twice the same is once.
-                arbitration_id, data = protector.protect(SeamOffset(1.0, 0.0, 20.0, 0.9, Validity.VALID))
-                bus.send(can.Message(arbitration_id=arbitration_id, data=data, is_extended_id=False))
+                send(SeamOffset(1.0, 0.0, 20.0, 0.9, Validity.VALID))
                 time.sleep(0.02)
             heard.until(lambda last: last["pose"].position_base_mm[1] > 0.95)
             heard.listen(0.5)

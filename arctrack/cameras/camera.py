@@ -1,0 +1,63 @@
+"""What the tracker asks of a camera, whatever kind it is."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Protocol
+
+from robot_io import LaserState
+from tracker.state import Frame
+
+
+@dataclass(frozen=True)
+class UnreadableFrame:
+    """A frame that came and cannot be used.
+
+    Attributes
+    ----------
+    index : int
+        The frame's number.
+    timestamp_s : float
+        The middle of its exposure, s, on the camera's clock.
+    problem : str
+        What is wrong with it.
+    """
+
+    index: int
+    timestamp_s: float
+    problem: str
+
+
+class Camera(Protocol):
+    """Frames as they come, and the laser whose stripe they show.
+
+    Attributes
+    ----------
+    knows_light : bool
+        Whether its frames say if laser and arc were on, and the current; else robot and tracker say it.
+    """
+
+    knows_light: bool
+
+    @property
+    def dropped(self) -> int:
+        """How many frames were taken since `begin` and never handed out."""
+
+    @property
+    def is_over(self) -> bool:
+        """Whether no frame will come any more. A live camera may always begin again."""
+
+    def begin(self) -> None:
+        """Let frames count from now on."""
+
+    def now_s(self) -> float:
+        """Return the time on the clock of the frames, s: the host's monotonic clock for a live camera."""
+
+    def newest(self) -> Frame | UnreadableFrame | None:
+        """Return the newest frame that was not handed out yet, None where there is none; never wait."""
+
+    def switch_laser(self, is_on: bool) -> LaserState:
+        """Switch the laser, and return what it does; UNKNOWN where the camera has no hold on it."""
+
+    def close(self) -> None:
+        """Take no more frames; the laser goes off."""

@@ -1,0 +1,125 @@
+"""`arctrack serve`: frames of a camera and poses off the bus in, offsets onto the bus, until it is ended."""
+
+from __future__ import annotations
+
+import math
+import os
+import tempfile
+import time
+from contextlib import ExitStack
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from arctrack.cli.cell import LIVE_MM
+from arctrack.cli.interrupt import interruptible, stoppable
+from arctrack.errors import ArctrackError
+
+if TYPE_CHECKING:
+    from arctrack.cell_file import CellFile
+    from arctrack.serve.loop import LoopResult, OnTrack
+
+
+def serve(
+    cell: Annotated[Path | None, typer.Argument(help="The cell file, cell.toml.")] = None,
+    simulated: Annotated[
+        bool,
+        typer.Option("--simulated", help="Start a simulated robot and its camera beside it; no cell file."),
+    ] = False,
+    job: Annotated[
+        int | None, typer.Option(help="Which of the jobs a recording's seam is; a robot names its own.")
+    ] = None,
+    seconds: Annotated[
+        float | None, typer.Option(help="How long; without it until Ctrl-C or SIGTERM.", min=0)
+    ] = None,
+) -> None:
+    """Track live: frames of the cell's camera and poses off its bus in, offsets onto the bus.
+
+    It says ready once all is compiled, loaded and open. Ctrl-C or SIGTERM ends it: the last offset is
+    REFUSED, the laser goes off, and it prints what the run came to. A recording as camera is played at its
+    own pace.
+    """
+    from arctrack.cell_file import read_cell_file
+    from arctrack.cli import console
+
+    if simulated == (cell is not None):
+        raise ArctrackError("serve: give a cell file, or --simulated")
+    if cell is None:
+        _serve_simulated(job, seconds)
+        return
+    console.say(*_result_lines(_serve(read_cell_file(cell), job, seconds)))
+
+
+def _serve(
+    cell: CellFile,
+    job: int | None,
+    seconds: float | None,
+    on_track: OnTrack | None = None,
+    **bus_options: int,
+) -> LoopResult:
+    """Run a cell live, and say when it is ready."""
+    from arctrack.cli import console
+    from arctrack.serve.process import schedule
+    from arctrack.serve.run import opened_loop, run
+
+    console.warn(cell.setup.warnings)
+    with ExitStack() as opened:
+        with interruptible("serve was", "nothing was sent"), console.progress() as bar:
+            on_compiled = console.compiling(bar, "serve")
+            loop = opened.enter_context(opened_loop(cell, job, on_compiled, on_track, **bus_options))
+            done, refused = schedule(cell.process)
+        with stoppable() as is_asked:
+            console.warn(refused)
+            console.say(
+                *done, f"ready: {cell.camera.kind} {cell.camera.name}, bus {cell.bus}; Ctrl-C ends it"
+            )
+            ends_s = math.inf if seconds is None else time.monotonic() + seconds
+            return run(loop, lambda: not is_asked() and time.monotonic() < ends_s, cell.policy.watchdog_s)
+
+
+def _serve_simulated(job: int | None, seconds: float | None) -> None:
+    """Run a simulated cell beside the live run, and say how far its torch was off the seam."""
+    from arctrack.cell.live.serve import REAL_TIME_PX
+    from arctrack.cell.weld.closed_loop import LoopPlan
+    from arctrack.cell_file import read_cell_file
+    from arctrack.cli import console
+    from arctrack.serve import simulated
+
+    plan = LoopPlan(joint="lap", length_mm=LIVE_MM, rate_hz=10.0, size_px=REAL_TIME_PX)
+    frames = f"simulated-{os.getpid()}"
+    lock = simulated.Lock(plan)
+    with tempfile.TemporaryDirectory() as folder:
+        path = simulated.write_simulated_cell(
+            Path(folder) / "cell", plan, simulated.INTERFACE, simulated.GROUP, frames
+        )
+        cell = read_cell_file(path)
+        with simulated.simulated_cell(plan, frames) as robot:
+            result = _serve(cell, job, seconds, lock.on_track, **robot.bus_options)
+            ended_s = time.monotonic()
+            samples = robot.end()
+    console.say(*_result_lines(result))
+    error = simulated.torch_error(samples, lock.at_s, ended_s)
+    if error is None:
+        console.say("the torch never locked onto the seam")
+        return
+    console.say(
+        f"torch: off the seam by {error.rms_mm:.3f} mm RMS, {error.max_mm:.3f} mm at most, "
+        f"over {error.watched_s:.1f} s from the lock on"
+    )
+
+
+def _result_lines(result: LoopResult) -> list[str]:
+    """Return what a run came to in words."""
+    offsets = ", ".join(f"{name} {count}" for name, count in result.offsets.items()) or "none"
+    reasons = ", ".join(f"{name} {count}" for name, count in result.reasons.items()) or "none"
+    lines = [
+        f"frames: {result.frames}, dropped {result.dropped}, tracks valid {result.valid}",
+        f"offsets: {offsets}; not as measured: {reasons}",
+    ]
+    if math.isfinite(result.max_ms):
+        lines.append(
+            f"latency from mid-exposure to send: p50 {result.p50_ms:.1f} ms, p99 {result.p99_ms:.1f} ms, "
+            f"at most {result.max_ms:.1f} ms"
+        )
+    return lines

@@ -1,0 +1,40 @@
+"""How late offsets go out, counted in bins: a shift takes no more memory than a minute."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+BIN_MS, BINS = 0.1, 10_000
+"""A bin's width, ms, and how many there are: up to a second. What is later is in the last one."""
+
+
+class LatencyCounts:
+    """Counts times, and gives their quantiles to a bin's width.
+
+    Attributes
+    ----------
+    max_ms : float
+        The largest time, ms; NaN before the first.
+    """
+
+    def __init__(self) -> None:
+        self._counts = np.zeros(BINS, np.int64)
+        self.max_ms = math.nan
+
+    def add(self, took_s: float) -> None:
+        """Count a time, s."""
+        took_ms = 1000.0 * took_s
+        self._counts[min(max(int(took_ms / BIN_MS), 0), BINS - 1)] += 1
+        # Written so that a NaN gives way.
+        if not took_ms <= self.max_ms:
+            self.max_ms = took_ms
+
+    def quantile_ms(self, share: float) -> float:
+        """Return the upper end of the bin below which a share of the times lies, ms; NaN without any."""
+        total = int(self._counts.sum())
+        if total == 0:
+            return math.nan
+        position = int(np.searchsorted(np.cumsum(self._counts), share * total))
+        return min(BIN_MS * (position + 1), self.max_ms)

@@ -1,0 +1,213 @@
+"""The loop's core: one turn takes what came, tracks the newest frame, and sends what is due.
+
+No thread, process or signal: whoever calls `turn` has the time. Frames and times are the camera's. Messages
+wait in the bus' buffer while a frame is tracked; each says how old it is when it is read.
+"""
+
+from __future__ import annotations
+
+import math
+import time
+from collections import Counter
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass, replace
+
+from arctrack.cameras.camera import Camera, UnreadableFrame
+from arctrack.serve.latency import LatencyCounts
+from arctrack.service.pose_watch import BEGINNING
+from arctrack.service.tracking_service import TrackingService
+from robot_io import (
+    BusMessage,
+    LaserState,
+    Link,
+    Received,
+    SeamOffset,
+    Switch,
+    TrackerCommand,
+    Validity,
+)
+from tracker.state import NAN, Frame, Track
+
+TURN_S = 0.002
+"""So long a turn waits for a message; a frame that came meanwhile waits as long at most."""
+
+MAX_MESSAGES = 64
+"""So many messages are read in a turn at most: a robot that talks all the time must not hold a frame up."""
+
+Service = TrackingService[Frame | None]
+OnTrack = Callable[[Track, list[BusMessage]], None]
+"""Hears each track, and what was sent of it."""
+
+
+@dataclass(frozen=True)
+class LoopResult:
+    """What a run came to.
+
+    Attributes
+    ----------
+    frames, dropped : int
+        How many frames were tracked, and how many were not for a newer one.
+    valid : int
+        How many tracks are valid.
+    offsets : mapping of str to int
+        How many offsets went out, by validity.
+    reasons : mapping of str to int
+        Why the gate did not let the tracks' own offsets out.
+    p50_ms, p99_ms, max_ms : float
+        From a frame's mid-exposure to the sending of its offset, ms; NaN without one.
+    """
+
+    frames: int
+    dropped: int
+    valid: int
+    offsets: Mapping[str, int]
+    reasons: Mapping[str, int]
+    p50_ms: float
+    p99_ms: float
+    max_ms: float
+
+
+class LiveLoop:
+    """Takes frames and messages, and sends what the controller answers.
+
+    Parameters
+    ----------
+    camera : Camera
+        Where frames come from.
+    link : Link
+        The bus.
+    services : mapping of int to TrackingService
+        What answers, by the number by which the robot names its job; all have one controller. Until the
+        robot names one of them the first one tracks.
+    is_live : bool
+        Whether the robot's commands choose the seam. A recording has its own.
+    on_track : callable, optional
+        Hears each track, and what was sent of it.
+    """
+
+    def __init__(
+        self,
+        camera: Camera,
+        link: Link,
+        services: Mapping[int, Service],
+        is_live: bool = True,
+        on_track: OnTrack | None = None,
+    ) -> None:
+        self.camera, self.link = camera, link
+        self._services, self._is_live, self._on_track = services, is_live, on_track
+        self.service = next(iter(services.values()))
+        self.controller = self.service.controller
+        self._command: TrackerCommand | None = None
+        self._waiting: Frame | UnreadableFrame | None = None
+        self._replaced = 0
+        self._laser = LaserState.UNKNOWN
+        self._frames = self._valid = 0
+        self._offsets: Counter[Validity] = Counter()
+        self._latency = LatencyCounts()
+
+    @property
+    def is_over(self) -> bool:
+        """Whether nothing is left to be tracked, now or ever."""
+        return self.camera.is_over and self._waiting is None
+
+    def turn(self, wait_s: float = TURN_S) -> None:
+        """Hear the bus, switch the laser, track the newest frame once its pose is there, send what is due."""
+        self._listen(wait_s)
+        self._laser = self.camera.switch_laser(self.controller.is_laser_on(self.camera.now_s()))
+        self.controller.on_laser(self._laser)
+        frame = self.camera.newest()
+        if frame is not None:
+            self._replaced += self._waiting is not None
+            self._waiting = frame
+        waiting = self._waiting
+        if waiting is not None and self.service.poses.is_settled(waiting.timestamp_s, self.camera.now_s()):
+            self._waiting = None
+            self._track(waiting)
+        self._send(self.service.poll(self.camera.now_s()))
+
+    def close(self) -> None:
+        """Send the last refusal, and switch the laser off."""
+        self.controller.on_laser(self.camera.switch_laser(False))
+        self._send(self.controller.close(self.camera.now_s()))
+
+    def result(self) -> LoopResult:
+        """Return what the run has come to so far."""
+        return LoopResult(
+            frames=self._frames,
+            dropped=self._dropped,
+            valid=self._valid,
+            offsets={validity.name: count for validity, count in sorted(self._offsets.items())},
+            reasons={reason.name: count for reason, count in sorted(self.controller.reasons.items())},
+            p50_ms=self._latency.quantile_ms(0.5),
+            p99_ms=self._latency.quantile_ms(0.99),
+            max_ms=self._latency.max_ms,
+        )
+
+    @property
+    def _dropped(self) -> int:
+        return self.camera.dropped + self._replaced
+
+    def _listen(self, wait_s: float) -> None:
+        """Read what waits on the bus; wait for the first message alone."""
+        for _ in range(MAX_MESSAGES):
+            received = next(self.link.receive(wait_s), None)
+            if received is None:
+                return
+            self._hear(received)
+            wait_s = 0.0
+
+    def _hear(self, received: Received) -> None:
+        if self._is_live and isinstance(received.message, TrackerCommand):
+            self._obey(received.message)
+        self._send(self.service.hear(received, self.camera.now_s()))
+
+    def _obey(self, command: TrackerCommand) -> None:
+        """Take up the seam that the robot names; after DISARM and RESET another part may come."""
+        before, self._command = self._command, command
+        service = None if command.job_number is None else self._services.get(command.job_number)
+        if service is not None and service is not self.service:
+            self.service = service
+            service.begin()
+        elif command.command in BEGINNING and (before is None or before.command not in BEGINNING):
+            self.service.tracking.begin()
+
+    def _track(self, frame: Frame | UnreadableFrame) -> None:
+        began_s = time.perf_counter()
+        shown = self._lit(frame) if isinstance(frame, Frame) else None
+        tracked = self.service.track(shown, frame.index, frame.timestamp_s, self.camera.now_s())
+        took_ms = 1000.0 * (time.perf_counter() - began_s)
+        self.controller.on_dropped(self._dropped)
+        messages = self.service.answer(tracked, self.camera.now_s(), took_ms)
+        sent_s = self._send(messages)
+        if math.isfinite(sent_s):
+            self._latency.add(sent_s - frame.timestamp_s)
+        self._frames += 1
+        self._valid += tracked.track.valid
+        if self._on_track is not None:
+            self._on_track(tracked.track, messages)
+
+    def _lit(self, frame: Frame) -> Frame:
+        """Return a frame that says whether laser and arc were on, by the robot where its camera cannot."""
+        if self.camera.knows_light:
+            return frame
+        robot = self.service.robot
+        return replace(
+            frame,
+            laser_on=self._laser is not LaserState.OFF,
+            arc_on=robot is not None and robot.arc is Switch.ON,
+            current_a=NAN if robot is None else robot.current_a,
+        )
+
+    def _send(self, messages: Iterable[BusMessage]) -> float:
+        """Send messages, and return when the last offset among them went out, s."""
+        sent_s = NAN
+        for message in messages:
+            if not self.link.send(message):
+                self.controller.unsent(message)
+                continue
+            now_s = self.camera.now_s()
+            self.service.sent(message, now_s)
+            if isinstance(message, SeamOffset):
+                self._offsets[message.validity] += 1
+                sent_s = now_s
+        return sent_s

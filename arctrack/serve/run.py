@@ -1,0 +1,192 @@
+"""A live run of a cell file: what it needs is built and warmed up, then the loop has the process."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack, contextmanager
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from arctrack.cameras.camera import Camera
+from arctrack.cameras.recording import RecordingCamera
+from arctrack.cameras.shared_frames import SharedFramesError
+from arctrack.cameras.shared_memory import SharedMemoryCamera
+from arctrack.cell_file import CellFile, as_the_job_says, jobs_for
+from arctrack.errors import ArctrackError, in_file
+from arctrack.recorded_poses import seam_limits
+from arctrack.recording import Recording, read_recording
+from arctrack.serve.loop import LiveLoop, LoopResult, OnTrack, Service
+from arctrack.serve.played_poses import PlayedPoses
+from arctrack.serve.process import Watchdog, garbage_left
+from arctrack.service.bus_poses import BusPoses
+from arctrack.service.controller import Controller
+from arctrack.service.frame_tracking import FrameTracking
+from arctrack.service.pose_watch import nominal_path
+from arctrack.service.tracking_service import TrackingService
+from noise_model.effects import pose_time_s
+from noise_model.setup import Setup
+from noise_model.transforms import invert
+from robot_io import SOURCES, Link, LinkError, Source, Trusted
+from tracker.seam.correction import Correction
+from tracker.warm_up import OnCompiled
+
+HEARD = Trusted(robot=(Source.LIVE,), tracker=SOURCES)
+"""The robot must be a live one; a tracker of any source is another one."""
+
+
+@dataclass(frozen=True)
+class Cast:
+    """Who plays in a run: a camera, and what answers its frames by the robot's job number."""
+
+    camera: Camera
+    services: dict[int, Service]
+    trackings: tuple[FrameTracking, ...]
+    source: Source
+
+
+@contextmanager
+def opened_loop(
+    cell: CellFile,
+    job_number: int | None = None,
+    on_compiled: OnCompiled | None = None,
+    on_track: OnTrack | None = None,
+    **bus_options: Any,
+) -> Iterator[LiveLoop]:
+    """Build a cell's loop, warm it up, and open its bus last.
+
+    Parameters
+    ----------
+    cell : CellFile
+        The cell.
+    job_number : int, optional
+        Which of the jobs a recording's seam is; by default the only one. A live robot names its job itself.
+    on_compiled : callable, optional
+        Hears what is compiled.
+    on_track : callable, optional
+        Hears each track, and what was sent of it.
+    **bus_options
+        What else python-can needs.
+
+    Yields
+    ------
+    LiveLoop
+        The loop; nothing was sent yet.
+
+    Raises
+    ------
+    ArctrackError
+        If the cell file states no camera, or camera or bus cannot be opened.
+    """
+    with ExitStack() as opened:
+        cast = cast_of(cell, job_number)
+        opened.callback(cast.camera.close)
+        for tracking in cast.trackings:
+            tracking.tracker.warm_up(on_compiled)
+        # On a bus where it is heard, a tracker must not wait for anything.
+        try:
+            link = Link(
+                cell.bus.interface,
+                cell.bus.channel,
+                bitrate_bit_s=cell.bus.bit_rate_bit_s,
+                source=cast.source,
+                trusted=HEARD,
+                **bus_options,
+            )
+        except LinkError as error:
+            raise in_file(cell.path, f"[bus] {error}") from error
+        opened.callback(link.close)
+        yield LiveLoop(cast.camera, link, cast.services, cast.source is Source.LIVE, on_track)
+
+
+def run(loop: LiveLoop, goes_on: Callable[[], bool], watchdog_s: float) -> LoopResult:
+    """Let a loop have this process until it does not go on; its last offset is REFUSED.
+
+    Parameters
+    ----------
+    loop : LiveLoop
+        The loop.
+    goes_on : callable
+        Says whether to go on: asked some hundred times a second.
+    watchdog_s : float
+        How long a turn may take before the process is ended, s.
+
+    Returns
+    -------
+    LoopResult
+        What the run came to.
+    """
+    with garbage_left(), Watchdog(watchdog_s) as watchdog:
+        loop.camera.begin()
+        try:
+            while goes_on() and not loop.is_over:
+                loop.turn()
+                watchdog.feed()
+        finally:
+            loop.close()
+    return loop.result()
+
+
+def cast_of(cell: CellFile, job_number: int | None = None) -> Cast:
+    """Return a cell file's camera, and what answers its frames.
+
+    Raises ArctrackError if the file states none, if it cannot be opened, or if a job's stripe is not in view.
+    """
+    camera = cell.camera
+    if camera.kind is None or camera.name is None:
+        raise in_file(
+            cell.path, "[camera] kind: missing; state kind and name, such as shared_memory and cell"
+        )
+    if camera.kind == "recording":
+        recording = read_recording(cell.path.parent / camera.name, cell.setup.path)
+        return _played(cell, as_the_job_says(recording, cell, job_number), job_number)
+    if job_number is not None:
+        raise ArctrackError(f"--job {job_number}: a live robot names its job itself; leave it out")
+    return _live(cell, camera.name)
+
+
+def _live(cell: CellFile, frames: str) -> Cast:
+    """Return the camera of a name, and what answers a live robot."""
+    setup_file = cell.setup
+    jobs = {number: job.to_job(setup_file.setup, cell.limits) for number, job in cell.jobs.items()}
+    controller = Controller(jobs, Source.LIVE, cell.policy)
+    T_tool_controllertool = setup_file.T_tool_controllertool
+    T_controllertool_tool = np.eye(4) if T_tool_controllertool is None else invert(T_tool_controllertool)
+    services: dict[int, Service] = {}
+    trackings: list[FrameTracking] = []
+    for number, job in cell.jobs.items():
+        setup = job.setup_for(setup_file.setup)
+        poses = BusPoses(
+            nominal_path(setup.joint),
+            cell.plausibility,
+            seam_limits(cell.camera.frame_rate_hz),
+            cell.policy,
+            T_controllertool_tool,
+            pose_time_s(setup, 0.0),
+        )
+        trackings.append(_tracking(cell, setup, job.correction))
+        services[number] = TrackingService(controller, poses, trackings[-1])
+    try:
+        camera = SharedMemoryCamera(frames, setup_file.setup)
+    except SharedFramesError as error:
+        raise in_file(cell.path, f"[camera] name: {error}; start what publishes them first") from None
+    return Cast(camera, services, tuple(trackings), Source.LIVE)
+
+
+def _played(cell: CellFile, recording: Recording, job_number: int | None) -> Cast:
+    """Return a recording as camera, and what answers its frames as one of a cell's jobs."""
+    number, jobs = jobs_for(recording, cell, job_number)
+    assert number is not None
+    controller = Controller(jobs, Source.REPLAY, cell.policy)
+    poses = PlayedPoses(recording, cell.plausibility, cell.policy)
+    tracking = _tracking(cell, recording.setup, recording.correction)
+    services: dict[int, Service] = {number: TrackingService(controller, poses, tracking)}
+    return Cast(RecordingCamera(recording), services, (tracking,), Source.REPLAY)
+
+
+def _tracking(cell: CellFile, setup: Setup, correction: Correction) -> FrameTracking:
+    try:
+        return FrameTracking(setup, correction)
+    except ValueError as error:
+        raise in_file(cell.setup.path, str(error)) from error

@@ -1,0 +1,175 @@
+"""The simulated cell beside a live run: its cell file, its process, and how far its torch is off the seam."""
+
+from __future__ import annotations
+
+import math
+import multiprocessing
+import signal
+import socket
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from multiprocessing.connection import Connection
+from pathlib import Path
+
+import numpy as np
+import tomlkit
+
+from arctrack.cell.live.serve import serve_cell
+from arctrack.cell.robot import Robot
+from arctrack.cell.weld.closed_loop import SETTLED_TIME_CONSTANTS, LoopPlan, setup_of, world_of
+from arctrack.cell_file.new import write_new_cell
+from arctrack.errors import ArctrackError
+from arctrack.new import commented_setup
+from robot_io import BusMessage, GateReason, SeamOffset, TrackerStatus, Validity
+from tracker import flags
+from tracker.state import Track
+
+INTERFACE, GROUP = "udp_multicast", "239.74.163.2"
+ENDS_S = 10.0
+"""How long robot and camera may take to end, s."""
+
+Samples = list[tuple[float, float]]
+"""By the machine's monotonic time, s, how far the torch was off the seam, mm."""
+
+
+@dataclass(frozen=True)
+class TorchError:
+    """How far the torch was off the seam from the lock on, mm, and how long that was watched, s."""
+
+    rms_mm: float
+    max_mm: float
+    watched_s: float
+
+
+@dataclass
+class Lock:
+    """Hears a run's tracks, and notes from when on its torch follows: see `ClosedLoop.lock_s`.
+
+    Attributes
+    ----------
+    at_s : float
+        The machine's monotonic time, s; infinite before the lock.
+    """
+
+    plan: LoopPlan
+    at_s: float = field(default=math.inf)
+
+    def on_track(self, track: Track, messages: list[BusMessage]) -> None:
+        """Take a track, and what was sent of it."""
+        is_valid = any(isinstance(m, SeamOffset) and m.validity is Validity.VALID for m in messages)
+        is_free = any(isinstance(m, TrackerStatus) and m.gate_reason is GateReason.NONE for m in messages)
+        is_measured = not track.flags & flags.OFFSET_EXTRAPOLATED.mask
+        if math.isinf(self.at_s) and is_valid and is_free and is_measured:
+            world = world_of(self.plan, setup_of(self.plan))
+            follows_s = world.latency_s + SETTLED_TIME_CONSTANTS * world.time_constant_s
+            self.at_s = track.timestamp_s + follows_s
+
+
+class SimulatedCell:
+    """A robot and its camera, as processes beside this one.
+
+    Attributes
+    ----------
+    bus_options : dict
+        What python-can needs beside interface and channel: nobody else hears this bus.
+    """
+
+    def __init__(self, plan: LoopPlan, frames: str) -> None:
+        self.bus_options = {"port": _free_port(), "hop_limit": 0}
+        spawn = multiprocessing.get_context("spawn")
+        self._told, other_end = spawn.Pipe()
+        self._process = spawn.Process(target=_run, args=(plan, frames, self.bus_options, other_end))
+        self._process.start()
+        other_end.close()
+        self._receive()
+
+    def end(self) -> Samples:
+        """End it, and return how far its torch was off the seam."""
+        self._told.send(True)
+        samples: Samples = self._receive()
+        self._process.join(ENDS_S)
+        return samples
+
+    def close(self) -> None:
+        """End it, however it is."""
+        self._told.close()
+        self._process.join(ENDS_S)
+        if self._process.is_alive():
+            self._process.kill()
+
+    def _receive(self) -> Samples:
+        try:
+            answer = self._told.recv()
+        except (EOFError, ConnectionResetError):
+            raise ArctrackError("the simulated cell ended by itself") from None
+        if isinstance(answer, str):
+            raise ArctrackError(answer)
+        return list(answer)
+
+
+@contextmanager
+def simulated_cell(plan: LoopPlan, frames: str) -> Iterator[SimulatedCell]:
+    """Run a cell meanwhile; it is ready when it is given.
+
+    Parameters
+    ----------
+    plan : LoopPlan
+        What is welded.
+    frames : str
+        The name of its frames.
+    """
+    cell = SimulatedCell(plan, frames)
+    try:
+        yield cell
+    finally:
+        cell.close()
+
+
+def write_simulated_cell(folder: Path, plan: LoopPlan, interface: str, channel: str, frames: str) -> Path:
+    """Write the cell file of a simulated cell and its setup into a new folder, and return the cell file.
+
+    Raises ArctrackError if the folder holds anything, or if it cannot be written.
+    """
+    cell_path, setup_path = write_new_cell(folder, plan.joint, plan.material)
+    setup_path.write_text(commented_setup(setup_of(plan)), encoding="utf-8")
+    document = tomlkit.parse(cell_path.read_text(encoding="utf-8"))
+    document["bus"].update({"interface": interface, "channel": channel})
+    document["camera"].update({"frame_rate_hz": plan.rate_hz, "kind": "shared_memory", "name": frames})
+    cell_path.write_text(tomlkit.dumps(document), encoding="utf-8")
+    return cell_path
+
+
+def torch_error(samples: Samples, from_s: float, to_s: float) -> TorchError | None:
+    """Return how far the torch was off the seam from one time to another, s; None if nothing was seen."""
+    off_mm = np.array([off for time_s, off in samples if from_s <= time_s <= to_s])
+    if len(off_mm) == 0:
+        return None
+    return TorchError(float(np.sqrt((off_mm**2).mean())), float(off_mm.max()), to_s - from_s)
+
+
+def _run(plan: LoopPlan, frames: str, bus_options: dict[str, int], told: Connection) -> None:
+    """Run robot and camera until the other end says so, or is closed."""
+    # Ctrl-C is meant for the tracker, which ends this.
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    samples: Samples = []
+
+    def goes_on(robot: Robot) -> bool:
+        off_mm = robot.offset_mm - np.array(robot.world.seam_mm(robot.station_mm))
+        samples.append((time.monotonic(), math.hypot(*off_mm)))
+        return not told.poll()
+
+    try:
+        serve_cell(plan, INTERFACE, GROUP, frames, goes_on, lambda: told.send([]), **bus_options)
+        told.send(samples)
+    except ArctrackError as error:
+        told.send(str(error))
+    except BrokenPipeError:
+        return
+
+
+def _free_port() -> int:
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as free:
+        free.bind(("", 0))
+        return int(free.getsockname()[1])

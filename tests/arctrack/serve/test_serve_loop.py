@@ -1,0 +1,324 @@
+"""The live loop, driven turn by turn: a robot on a virtual bus, a camera whose frames are drawn here."""
+
+from __future__ import annotations
+
+import itertools
+from collections import Counter
+from dataclasses import astuple, replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+import tomlkit
+
+from arctrack.cameras.camera import UnreadableFrame
+from arctrack.cameras.recording import RecordingCamera
+from arctrack.cell.robot import WELDING
+from arctrack.cell_file import CellFile, as_the_job_says, read_cell_file
+from arctrack.cell_file.new import write_new_cell
+from arctrack.recording import read_recording
+from arctrack.replay import ReplayOptions, replay_recording
+from arctrack.serve.loop import LiveLoop
+from arctrack.serve.run import cast_of
+from arctrack.service.bus_poses import BusPoses
+from arctrack.service.controller import Controller
+from arctrack.service.frame_tracking import FrameTracking
+from arctrack.service.job import Job
+from arctrack.service.policy import ServicePolicy
+from arctrack.service.pose_watch import nominal_path
+from arctrack.service.tracking_service import TrackingService
+from noise_model.condition import Condition
+from noise_model.forward import draw_frame
+from noise_model.setup import Setup
+from noise_model.surface.joint import SeamLine
+from robot_io import (
+    Command,
+    GateReason,
+    LaserState,
+    Link,
+    PoseKind,
+    RobotPosePosition,
+    RobotPoseRotation,
+    SeamOffset,
+    Source,
+    Switch,
+    TrackerCommand,
+    TrackerHeartbeat,
+    TrackerStatus,
+    Validity,
+)
+from robot_io.poses.plausibility_limits import PlausibilityLimits
+from tracker.seam.innovation import InnovationLimits
+from tracker.state import Frame
+
+CHANNELS = (f"test_serve_{n}" for n in itertools.count())
+SPEED_MM_S, STEP_S, PERIOD_S = 10.0, 0.01, 0.08
+SEAM_LEFT_MM = 0.6
+
+
+class DrawnCamera:
+    """A camera without light sensors: frames that a test takes, on the test's clock."""
+
+    knows_light = False
+    is_over = False
+
+    def __init__(self) -> None:
+        self.time_s, self.dropped, self.laser_on = 1.0, 0, False
+        self.frame: Frame | UnreadableFrame | None = None
+
+    def begin(self) -> None:
+        self.frame = None
+
+    def now_s(self) -> float:
+        return self.time_s
+
+    def newest(self) -> Frame | UnreadableFrame | None:
+        frame, self.frame = self.frame, None
+        return frame
+
+    def switch_laser(self, is_on: bool) -> LaserState:
+        self.laser_on = is_on
+        return LaserState.ON if is_on else LaserState.OFF
+
+    def close(self) -> None:
+        self.frame = None
+
+
+class Stage:
+    """A robot that travels along a seam, its camera, and the loop; `run` lets time pass in small steps."""
+
+    def __init__(self, setup: Setup) -> None:
+        channel = next(CHANNELS)
+        self.setup, self.camera = setup, DrawnCamera()
+        self.link, self.robot = Link(channel=channel), Link(channel=channel)
+        jobs = {number: Job(setup.joint.type, poses_proven=True) for number in (1, 2)}
+        controller = Controller(jobs)
+        path, limits = nominal_path(setup.joint), PlausibilityLimits()
+        self.services = {
+            number: TrackingService(
+                controller,
+                BusPoses(path, limits, InnovationLimits(), ServicePolicy()),
+                FrameTracking(setup),
+            )
+            for number in jobs
+        }
+        self.tracks = []
+        self.loop = LiveLoop(
+            self.camera, self.link, self.services, on_track=lambda track, _: self.tracks.append(track)
+        )
+        self.command = TrackerCommand(Command.DISARM, True, True, 0, 1, None, Switch.ON)
+        self.steps = 0
+        self.takes = True
+        self.rng = np.random.default_rng(1)
+
+    def run(self, seconds: float) -> list:
+        """Let time pass, and return what the robot heard."""
+        heard = []
+        for _ in range(round(seconds / STEP_S)):
+            self.camera.time_s += STEP_S
+            self._say()
+            if self.takes and self.steps % round(PERIOD_S / STEP_S) == 0:
+                self.camera.frame = self._shot()
+            self.steps += 1
+            self.loop.turn(0.0)
+            heard += [received.message for received in self.robot.receive(0.0)]
+        return heard
+
+    def close(self) -> list:
+        """Let the loop end, and return what the robot heard of it."""
+        self.loop.close()
+        return [received.message for received in self.robot.receive(0.0)]
+
+    @property
+    def place_mm(self) -> float:
+        return 40.0 + SPEED_MM_S * self.camera.time_s
+
+    def _say(self) -> None:
+        self.robot.send(RobotPosePosition(self.place_mm, 0.0, 0.0, PoseKind.ACTUAL))
+        self.robot.send(RobotPoseRotation.from_quaternion((0.0, 0.0, 0.0, 1.0), 0.0))
+        self.robot.send(WELDING)
+        self.robot.send(self.command)
+
+    def _shot(self) -> Frame:
+        T_base_tool = np.eye(4)
+        T_base_tool[0, 3] = self.place_mm
+        exposure_s = self.setup.camera.exposure_s
+        lit = Condition(float(self.camera.laser_on), 1.0, exposure_s)
+        image_dn = draw_frame(self.setup, T_base_tool, lit, self.rng, seam=SeamLine(y_mm=SEAM_LEFT_MM))
+        return Frame(self.steps, self.camera.time_s, image_dn, exposure_s)
+
+
+@pytest.fixture
+def stage(seen_setup: Setup):
+    stage = Stage(seen_setup)
+    with stage.link, stage.robot:
+        yield stage
+
+
+def of_type(heard: list, kind: type) -> list:
+    return [message for message in heard if isinstance(message, kind)]
+
+
+@pytest.mark.slow
+def test_a_loop_sends_what_it_tracks_and_goes_on_without_a_camera(stage: Stage) -> None:
+    before = stage.run(0.4)
+    assert {offset.validity for offset in of_type(before, SeamOffset)} == {Validity.REFUSED}
+    # Nobody commanded the laser on: the frames are dark, and the heartbeat says so.
+    assert {beat.laser for beat in of_type(before, TrackerHeartbeat)} == {LaserState.OFF}
+    assert all({"laser_off", "pose_refused"} & {*track.flag_names} for track in stage.tracks)
+    assert "laser_off" in stage.tracks[-1].flag_names
+
+    stage.command = replace(stage.command, command=Command.TRACK)
+    armed = stage.run(1.6)
+    offsets = of_type(armed, SeamOffset)
+    assert offsets[-1].validity is Validity.VALID
+    assert offsets[-1].offset_y_mm == pytest.approx(SEAM_LEFT_MM, abs=0.1)
+    assert stage.camera.laser_on
+
+    stage.takes = False
+    stopped = stage.run(0.6)
+    reasons = [status.gate_reason for status in of_type(stopped, TrackerStatus)]
+    assert reasons[-1] is GateReason.CAMERA_STOPPED
+    assert of_type(stopped, SeamOffset)[-1].validity is Validity.REFUSED
+    assert len(of_type(stopped, TrackerHeartbeat)) >= 5
+
+    stage.takes = True
+    stage.run(0.2)
+    result = stage.loop.result()
+    assert result.frames == len(stage.tracks)
+    assert result.valid == sum(track.valid for track in stage.tracks)
+    assert 0.0 <= result.p50_ms <= result.p99_ms <= result.max_ms < 1000.0 * PERIOD_S
+
+    last = stage.close()
+    assert of_type(last, SeamOffset)[-1].validity is Validity.REFUSED
+    assert not stage.camera.laser_on
+
+
+@pytest.mark.slow
+def test_after_disarm_and_with_another_job_nothing_is_known_of_the_seam(stage: Stage) -> None:
+    stage.command = replace(stage.command, command=Command.DISARM)
+    stage.run(0.1)
+    stage.command = replace(stage.command, command=Command.TRACK)
+    stage.run(0.9)
+    first, second = stage.services[1].tracking.tracker, stage.services[2].tracking.tracker
+    assert first.state.frames > 5
+    assert second.state.frames == 0
+    stage.command = replace(stage.command, command=Command.DISARM)
+    stage.run(0.02)
+    assert first.state.frames <= 1
+    stage.command = replace(stage.command, job_number=2)
+    stage.run(0.1)
+    stage.command = replace(stage.command, command=Command.TRACK)
+    stage.run(0.9)
+    assert second.state.frames > 5
+    # A number that no job has leaves the seam as it was, and nothing goes out.
+    stage.command = replace(stage.command, job_number=3)
+    heard = stage.run(0.3)
+    assert of_type(heard, TrackerStatus)[-1].gate_reason is GateReason.JOB_UNKNOWN
+    assert stage.loop.service is stage.services[2]
+
+
+def test_the_newest_frame_wins_and_the_robot_hears_how_many_were_dropped(stage: Stage) -> None:
+    stage.takes = False
+    stage.run(0.1)
+    stage.camera.dropped = 256
+    # The pose after it is still to come.
+    stage.camera.time_s += 0.005
+    stage.camera.frame = stage._shot()
+    stage.loop.turn(0.0)
+    assert stage.tracks == []
+    stage.camera.frame = stage._shot()
+    heard = stage.run(0.01)
+    assert len(stage.tracks) == 1
+    assert stage.loop.result().dropped == 257
+    assert of_type(heard, TrackerStatus)[0].dropped_frames_mod256 == 1
+
+
+def test_a_frame_that_cannot_be_read_is_told(stage: Stage) -> None:
+    stage.takes = False
+    stage.run(0.1)
+    stage.camera.frame = UnreadableFrame(7, stage.camera.time_s, "is torn")
+    heard = stage.run(0.03)
+    assert [status.frame_unreadable for status in of_type(heard, TrackerStatus)] == [True]
+    assert stage.tracks[0].flag_names == ("frame_unreadable",)
+
+
+def test_a_camera_that_does_not_know_the_light_is_told_it_by_the_robot(stage: Stage) -> None:
+    stage.takes = False
+    frame = stage.loop._lit(stage._shot())
+    assert (frame.laser_on, frame.arc_on) == (True, False)
+    stage.run(0.05)
+    frame = stage.loop._lit(stage._shot())
+    assert (frame.laser_on, frame.arc_on, frame.current_a) == (False, True, WELDING.current_a)
+
+
+class Clock:
+    """Time that a test lets pass."""
+
+    def __init__(self) -> None:
+        self.now_s = 100.0
+
+    def __call__(self) -> float:
+        return self.now_s
+
+
+def cell_of(folder: Path, recording: Path) -> CellFile:
+    """Return a cell whose camera is a recording."""
+    cell_path, setup_path = write_new_cell(folder, "v_groove", "mild_steel")
+    setup_path.write_bytes((recording / "recording.toml").read_bytes())
+    document = tomlkit.parse(cell_path.read_text())
+    document["bus"]["channel"] = next(CHANNELS)
+    document["camera"].update({"kind": "recording", "name": str(recording)})
+    cell_path.write_text(tomlkit.dumps(document))
+    return read_cell_file(cell_path)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["simulated", "flawed_recording"])
+def test_a_recording_that_is_played_gives_the_tracks_of_its_replay(
+    name: str, tmp_path: Path, request: pytest.FixtureRequest
+) -> None:
+    path = request.getfixturevalue(name)
+    cell = cell_of(tmp_path / "cell", path)
+    recording = as_the_job_says(read_recording(path, cell.setup.path), cell, None)
+    options = ReplayOptions(cell=cell, pictures=False)
+    replayed = replay_recording(recording, tmp_path / "results", options)
+    cast = cast_of(cell)
+    assert cast.source is Source.REPLAY
+    tracks, offsets = [], Counter()
+
+    def on_track(track, messages):
+        tracks.append(track)
+        offsets.update(message.validity for message in messages if isinstance(message, SeamOffset))
+
+    clock = Clock()
+    with Link(channel=cell.bus.channel, source=cast.source) as link:
+        camera = RecordingCamera(recording, clock)
+        loop = LiveLoop(camera, link, cast.services, False, on_track)
+        camera.begin()
+        while not loop.is_over:
+            clock.now_s += 0.003
+            loop.turn(0.0)
+    assert len(tracks) == len(recording.rows)
+    assert loop.result().dropped == 0
+    for live, kept in zip(tracks, replayed.tracks, strict=True):
+        assert repr(astuple(replace(live, stripe=None))) == repr(astuple(kept))
+    # No robot stands where the recorded one stood.
+    assert set(offsets) == {Validity.REFUSED}
+
+
+def test_a_recording_that_is_not_asked_in_time_drops_frames(simulated: Path) -> None:
+    clock = Clock()
+    recording = read_recording(simulated)
+    camera = RecordingCamera(recording, clock)
+    assert camera.now_s() == camera.now_s()
+    camera.begin()
+    first = camera.newest()
+    assert (first.index, camera.newest()) == (recording.rows[0].index, None)
+    clock.now_s += recording.rows[5].timestamp_s - recording.rows[0].timestamp_s
+    assert camera.newest().index == recording.rows[5].index
+    assert camera.dropped == 4
+    assert not camera.is_over
+    clock.now_s += 1000.0
+    assert camera.newest().index == recording.rows[-1].index
+    assert camera.is_over

@@ -1,0 +1,76 @@
+"""The process of a live run: scheduling, watchdog, latency, and what else it says of itself."""
+
+from __future__ import annotations
+
+import gc
+import math
+import os
+import subprocess
+import sys
+import textwrap
+
+import pytest
+
+from arctrack.cell_file import ProcessChoice
+from arctrack.serve.latency import LatencyCounts
+from arctrack.serve.process import garbage_left, schedule
+
+HANGS = """
+    import time
+    from arctrack.serve.process import Watchdog
+    with Watchdog(0.2) as watchdog:
+        for _ in range(4):
+            time.sleep(0.1)
+            watchdog.feed()
+        print("fed", flush=True)
+        time.sleep(30.0)
+"""
+
+
+def test_what_the_machine_allows_is_set_and_what_not_is_said() -> None:
+    before = os.sched_getaffinity(0)
+    cpu = min(before)
+    try:
+        assert schedule(ProcessChoice(cpus=(cpu,))) == ([f"[process] cpus = [{cpu}]: set"], [])
+        assert os.sched_getaffinity(0) == {cpu}
+    finally:
+        os.sched_setaffinity(0, before)
+    done, refused = schedule(ProcessChoice(cpus=(4095,)))
+    assert done == []
+    (line,) = refused
+    assert line.startswith("[process] cpus = [4095]: ")
+    assert str(sorted(before)) in line
+    assert schedule(ProcessChoice()) == ([], [])
+
+
+@pytest.mark.slow
+def test_a_process_that_hangs_is_ended_and_says_where() -> None:
+    words = [sys.executable, "-c", textwrap.dedent(HANGS)]
+    done = subprocess.run(words, capture_output=True, text=True, check=False)
+    assert done.stdout == "fed\n"
+    assert done.returncode == 1
+    assert "Timeout" in done.stderr
+    assert 'File "<string>", line 9' in done.stderr
+
+
+def test_no_garbage_is_collected_meanwhile() -> None:
+    with garbage_left():
+        assert not gc.isenabled()
+        assert gc.get_freeze_count() > 0
+    assert gc.isenabled()
+    assert gc.get_freeze_count() == 0
+
+
+def test_latencies_are_counted_to_a_bin() -> None:
+    counts = LatencyCounts()
+    assert all(map(math.isnan, (counts.quantile_ms(0.5), counts.max_ms)))
+    for n in range(100):
+        counts.add(0.001 * (n + 0.55))
+    counts.add(7.0)
+    assert counts.quantile_ms(0.5) == pytest.approx(50.6, abs=0.1)
+    assert counts.quantile_ms(0.99) == pytest.approx(99.6, abs=0.1)
+    assert counts.max_ms == 7000.0
+    assert counts.quantile_ms(1.0) == 1000.0
+    one = LatencyCounts()
+    one.add(0.00112)
+    assert one.quantile_ms(0.99) == one.max_ms == pytest.approx(1.12)
