@@ -140,7 +140,9 @@ def measure(
         reach_mm >= SEARCH_REACH_MM,
     )
     reading = replace(reading, stripe=look.stripe)
-    if not _is_stripe(asked, geometry, expected, look):
+    # An arc lights rims that end as a fan does.
+    seeks_ends = geometry.setup.laser.fan_half_angle_deg is None and not arc.is_on
+    if not _is_stripe(asked, geometry, expected, look, seeks_ends):
         return reading
     reading = replace(reading, scatter=look.scatter)
     profile = profile_of(geometry, scene, frame, expected, look, reach_mm, seam.slope_sigma)
@@ -182,9 +184,9 @@ def _closed_joint(
 
 
 def _is_stripe(
-    asked: Checks, geometry: SensorGeometry, expected: ExpectedStripe, look: StripeReading
+    asked: Checks, geometry: SensorGeometry, expected: ExpectedStripe, look: StripeReading, seeks_ends: bool
 ) -> bool:
-    """Ask whether what was read is a stripe, and whether all of it was seen."""
+    """Ask whether what was read is a stripe, and whether all of it was seen, up to ends that it may show."""
     stripe = look.stripe
     asked.ask(checks.LINES_SATURATED, int(stripe.saturated.sum()), 0.0)
     asked.ask(checks.STRIPE_INSIDE, not leaves_image(expected, stripe.position_px, geometry.n_pos))
@@ -198,7 +200,14 @@ def _is_stripe(
         return False
     if share < WHOLE_SHARE:
         band = look.band
-        seen = seen_share(expected, stripe.position_px, stripe.amplitude_e, band.variance, band.censored)
+        seen = seen_share(
+            expected,
+            stripe.position_px,
+            stripe.amplitude_e,
+            band.variance,
+            band.censored,
+            seeks_ends,
+        )
         if not asked.ask(checks.CLEAR_LINES_HELD, seen, MIN_SEEN):
             return False
     asked.ask(checks.STRIPE_WHOLE, share, WHOLE_SHARE)

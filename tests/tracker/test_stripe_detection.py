@@ -7,18 +7,22 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 from rendered import CURRENT_A, EXPOSURE_S, SEED, frame_of, pose_at, small_setup
 
 from noise_model.surface.brdf import TABLE_1
 from noise_model.surface.joint import SeamLine
 from tracker.state import Frame
 from tracker.stripe.detection import (
+    ABSENT_COST,
     CHANCE_SIGMAS,
     CLEAR_SIGMAS,
     LOBE,
     LOBE_MARGIN,
     MIN_RATIO,
     evidence_ratio,
+    fan_ends,
     leaves_image,
     own_lobes,
     path_of,
@@ -131,7 +135,7 @@ def test_lines_that_would_show_it_and_do_not_are_counted() -> None:
     position, amplitude = np.full((2, N_SCAN), np.nan)
     position[:100], amplitude[:100] = 30.0, amplitude_e
     variance, censored = np.full((N_SCAN, N), dark_e2, np.float32), np.zeros((N_SCAN, N), np.bool_)
-    args = expected, position, amplitude, variance, censored
+    args = expected, position, amplitude, variance, censored, False
     assert seen_share(*args) == pytest.approx(0.5)
     censored[100:120, 7] = True
     variance[120:140, 50] = 1e9
@@ -149,11 +153,43 @@ def test_lines_that_would_show_it_and_do_not_are_counted() -> None:
     just = dark_e2 * (float(score[0, 0]) / CLEAR_SIGMAS) ** 2
     for factor, share in ((0.65, 0.5), (1.05, 1.0)):
         even = np.full((N_SCAN, N), factor * just, np.float32)
-        assert seen_share(expected, position, amplitude, even, np.zeros_like(censored)) == pytest.approx(
-            share
-        )
+        assert seen_share(
+            expected, position, amplitude, even, np.zeros_like(censored), False
+        ) == pytest.approx(share)
     nothing = np.full(N_SCAN, np.nan)
-    assert np.isnan(seen_share(expected, nothing, nothing, variance, censored))
+    assert np.isnan(seen_share(expected, nothing, nothing, variance, censored, False))
+
+
+def test_beyond_the_ends_of_an_unstated_fan_nothing_is_missed() -> None:
+    """A fan lights 80 of 200 lines and misses three amid them; what lies astray is no stripe of it."""
+    expected = ExpectedStripe(*np.tile([[30.0], [3.0], [0.0]], N_SCAN), EVERYWHERE, EVERYWHERE)
+    variance, censored = np.full((N_SCAN, N), 2500.0, np.float32), np.zeros((N_SCAN, N), np.bool_)
+
+    def share(holds: np.ndarray, seeks_ends: bool) -> float:
+        position, amplitude = np.where(holds, 30.0, np.nan), np.where(holds, 4000.0, np.nan)
+        return seen_share(expected, position, amplitude, variance, censored, seeks_ends)
+
+    lines = np.arange(N_SCAN)
+    fan = (lines >= 60) & (lines < 140) & ~np.isin(lines, (80, 81, 100))
+    assert share(fan, False) == pytest.approx(77.0 / N_SCAN)
+    assert share(fan, True) == pytest.approx(77.0 / 80.0)
+    astray = np.isin(lines, (0, 10, 20))
+    assert share(fan | astray, True) == pytest.approx(77.0 / 83.0)
+    # So narrow a fan must be stated.
+    narrow = (lines >= 60) & (lines < 126)
+    assert share(narrow, True) == pytest.approx(66.0 / N_SCAN)
+    assert share(narrow | (lines == 126), True) == 1.0
+    # Lines that hold it by turns show no fan.
+    assert share(lines % 4 < 2, True) == pytest.approx(0.5)
+
+
+@settings(max_examples=200, deadline=None)
+@given(st.lists(st.sampled_from((-1, 0, 1)), min_size=1, max_size=30))
+def test_a_fans_ends_are_those_of_the_best_of_all_intervals(lines: list[int]) -> None:
+    holds, absent = np.array(lines) > 0, np.array(lines) < 0
+    worth = holds - ABSENT_COST * absent
+    best = max(worth[i:j].sum() for i in range(len(lines) + 1) for j in range(i, len(lines) + 1))
+    assert worth[fan_ends(holds, absent)].sum() == pytest.approx(best)
 
 
 @pytest.mark.slow

@@ -37,6 +37,15 @@ MIN_SEEN, CLEAR_SIGMAS = 0.5, 10.0
 WEAK = 0.25
 """There it may have this share of the light that it has in the lines that hold it, in the median."""
 
+ABSENT_COST = 3.0
+"""Where a fan's ends are sought, a line that would show the stripe and does not counts as so many that do.
+
+So at least three in four of these lines hold it between the ends.
+"""
+
+LEAST_FAN = 1.0 / 3.0
+"""A fan that lights a smaller share of the joint's scan lines must be stated: a scratch may light as many."""
+
 
 @kernel(allocates=True)
 def path_of(offsets_px: Int64, expected_px: Float64, position_px: Float64) -> Int64:
@@ -117,13 +126,15 @@ def seen_share(
     amplitude_e: Float64,
     variance_e2: Float32,
     censored: Bool,
+    seeks_ends: bool,
 ) -> float:
     """Return in which share of the scan lines that would show it clearly a stripe was found; NaN for none.
 
     `position_px`, `amplitude_e` (n_scan,) are those of the lines that hold it, NaN in the others;
     `variance_e2`, without the stripe's light, and `censored` (n_scan, depth) those of the pixels among which
     it was sought. Of a bell of sigma w the matched filter, whose template's mean is taken out, sees
-    A sqrt(0.52 w / V) sigmas. What saturates may hide anything.
+    A sqrt(0.52 w / V) sigmas. What saturates may hide anything. If it is not known where the laser's fan ends
+    (`seeks_ends`), nothing is missed beyond the ends that it shows, and what was found there is astray.
     """
     holds = np.isfinite(position_px)
     if not holds.any():
@@ -132,8 +143,25 @@ def seen_share(
     worst_e2 = np.where(censored.any(axis=1), np.inf, variance_e2.max(axis=1))
     with np.errstate(invalid="ignore"):
         clear = weak_e * np.sqrt(0.52 * expected.sigma_px / worst_e2) > CLEAR_SIGMAS
-    n_found, n_absent = np.count_nonzero(holds), np.count_nonzero(expected.shown & clear & ~holds)
+    absent = expected.shown & clear & ~holds
+    n_found, n_absent = np.count_nonzero(holds), np.count_nonzero(absent)
+    lit = fan_ends(holds, absent)
+    n_lit = np.count_nonzero(holds[lit])
+    if seeks_ends and n_lit >= LEAST_FAN * np.count_nonzero(expected.shown):
+        n_found, n_absent = n_lit, np.count_nonzero(absent[lit]) + n_found - n_lit
     return n_found / (n_found + n_absent)
+
+
+def fan_ends(holds: Bool, absent: Bool) -> slice:
+    """Return the scan lines (n_scan,) that a fan lights, from its one end to the other.
+
+    They are the interval with the largest sum over the lines that hold a stripe, less ABSENT_COST for each
+    line that would show it and does not (Kadane; Bentley 1984, Communications of the ACM 27, 865).
+    """
+    total = np.concatenate([[0.0], np.cumsum(holds - ABSENT_COST * absent)])
+    lowest = np.minimum.accumulate(total)
+    end = int(np.argmax(total - lowest))
+    return slice(int(np.argmin(total[: end + 1])), end)
 
 
 def leaves_image(expected: ExpectedStripe, position_px: Float64, n_pos: int) -> bool:
