@@ -250,14 +250,17 @@ def _estimated(problem: _Problem, limits: LagLimits) -> Lag:
     J = problem.jacobian(dead_s, constant_s)
     freedom = len(residuals) - J.shape[1]
     variance = float(residuals @ residuals) / freedom
-    covariance = variance * _memory(residuals) * np.linalg.pinv(J.T @ J)
+    # Its rows times themselves are the covariance: no sum of variances comes out below 0, however near to
+    # each other two columns are.
+    inverse = np.linalg.pinv(J)
+    noise = math.sqrt(variance * _memory(residuals))
     n_lags = 2 if problem.first_order else 1
-    gain_sigma = math.sqrt(covariance[n_lags, n_lags])
+    gain_sigma = noise * float(np.linalg.norm(inverse[n_lags]))
     if not best[0] > limits.gain_sigmas * gain_sigma or np.ptp(J[:, n_lags]) == 0.0:
         return Lag(unestimated=LagUnestimated.TOO_STILL)
     if max(dead_s, constant_s) > limits.longest_s - limits.step_s:
         return Lag(unestimated=LagUnestimated.AT_BOUND)
-    sigma_s = math.sqrt(float(covariance[:n_lags, :n_lags].sum()))
+    sigma_s = noise * float(np.linalg.norm(inverse[:n_lags].sum(axis=0)))
     lag_s = dead_s + constant_s
     if not sigma_s <= limits.sigma_s:
         return Lag(unestimated=LagUnestimated.TOO_UNSURE)

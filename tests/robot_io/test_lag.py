@@ -152,6 +152,21 @@ def test_what_is_too_little_or_too_far_is_named():
     assert estimate_lag(world.commanded, slow, bounded).unestimated is LagUnestimated.AT_BOUND
 
 
+def test_nuisances_that_are_one_and_the_same_leave_a_lag_or_a_reason():
+    """A sum of variances that rounding makes negative once ended a live run."""
+    sent_s, seen_s = 0.1 * np.arange(40), np.arange(0.7, 4.0, 0.02)
+    for seed in (85, 150, 188, 295):
+        rng = np.random.default_rng(seed)
+        offsets_mm = np.append(0.0, 3.0 + rng.normal(0, 10.0 ** rng.uniform(-9, -2), 39))
+        noise_mm = rng.normal(0, 10.0 ** rng.uniform(-9, -2), len(seen_s))
+        seen = Motion(seen_s, np.interp(seen_s - 0.16, sent_s, offsets_mm) + noise_mm)
+        drift = seen_s / seen_s[-1]
+        near = drift * (1.0 + 1e-9 * rng.normal(size=len(seen_s)))
+        nuisances = np.column_stack([drift, near] * 2) * 10.0 ** rng.uniform(-2, 5)
+        lag = estimate_lag(Motion(sent_s, offsets_mm), seen, LIMITS, nuisances=nuisances)
+        assert (lag.unestimated is None) == (lag.sigma_s >= 0.0)
+
+
 @settings(max_examples=25, deadline=None)
 @given(
     seed=st.integers(0, 10**6), constant=st.floats(0.01, 0.5), between=st.sampled_from(["held", "straight"])

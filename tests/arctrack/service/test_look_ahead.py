@@ -119,7 +119,7 @@ def test_looking_ahead_takes_a_torch_along_a_bent_seam_in_the_cell():
             draw_world(rng), slope=(-0.05, 0.0), bend_mm=1.0, bend_length_mm=120.0, speed_mm_s=10.0
         )
         cell = Cell(world, rng)
-        cell.tracker.looks_ahead = looks_ahead
+        cell.tracker.poses.looks_ahead = looks_ahead
         cell.run(8.0)
         errors = np.array([error for t_s, error in cell.torch_error_mm if t_s > 4.0])
         off_mm.append(math.sqrt((errors**2).mean()))
