@@ -41,24 +41,23 @@ def serve(
     own pace.
     """
     from arctrack.cell_file import read_cell_file
-    from arctrack.cli import console
 
     if simulated == (cell is not None):
         raise ArctrackError("serve: give a cell file, or --simulated")
     if cell is None:
         _serve_simulated(job, seconds)
         return
-    console.say(*_result_lines(_serve(read_cell_file(cell), job, seconds)))
+    serve_cell_file(read_cell_file(cell), job, seconds)
 
 
-def _serve(
+def serve_cell_file(
     cell: CellFile,
-    job: int | None,
-    seconds: float | None,
+    job: int | None = None,
+    seconds: float | None = None,
     on_track: OnTrack | None = None,
     **bus_options: int,
-) -> LoopResult:
-    """Run a cell live, and say when it is ready."""
+) -> None:
+    """Run a cell live, say when it is ready, and what it came to."""
     from arctrack.cli import console
     from arctrack.serve.process import schedule
     from arctrack.serve.run import opened_loop, run
@@ -75,7 +74,8 @@ def _serve(
                 *done, f"ready: {cell.camera.kind} {cell.camera.name}, bus {cell.bus}; Ctrl-C ends it"
             )
             ends_s = math.inf if seconds is None else time.monotonic() + seconds
-            return run(loop, lambda: not is_asked() and time.monotonic() < ends_s, cell.policy.watchdog_s)
+            result = run(loop, lambda: not is_asked() and time.monotonic() < ends_s, cell.policy.watchdog_s)
+    console.say(*_result_lines(result))
 
 
 def _serve_simulated(job: int | None, seconds: float | None) -> None:
@@ -89,16 +89,14 @@ def _serve_simulated(job: int | None, seconds: float | None) -> None:
     plan = LoopPlan(joint="lap", length_mm=LIVE_MM, rate_hz=10.0, size_px=REAL_TIME_PX)
     frames = f"simulated-{os.getpid()}"
     lock = simulated.Lock(plan)
-    with tempfile.TemporaryDirectory() as folder:
-        path = simulated.write_simulated_cell(
+    with interruptible("serve was", "nothing was sent"), tempfile.TemporaryDirectory() as folder:
+        cell = simulated.write_simulated_cell(
             Path(folder) / "cell", plan, simulated.INTERFACE, simulated.GROUP, frames
         )
-        cell = read_cell_file(path)
-        with simulated.simulated_cell(plan, frames) as robot:
-            result = _serve(cell, job, seconds, lock.on_track, **robot.bus_options)
+        with simulated.SimulatedCell(plan, frames) as robot:
+            serve_cell_file(read_cell_file(cell), job, seconds, lock.on_track, **robot.bus_options)
             ended_s = time.monotonic()
             samples = robot.end()
-    console.say(*_result_lines(result))
     error = simulated.torch_error(samples, lock.at_s, ended_s)
     if error is None:
         console.say("the torch never locked onto the seam")

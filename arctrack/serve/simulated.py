@@ -7,8 +7,6 @@ import multiprocessing
 import signal
 import socket
 import time
-from collections.abc import Iterator
-from contextlib import contextmanager
 from dataclasses import dataclass, field
 from multiprocessing.connection import Connection
 from pathlib import Path
@@ -70,6 +68,13 @@ class Lock:
 class SimulatedCell:
     """A robot and its camera, as processes beside this one.
 
+    Parameters
+    ----------
+    plan : LoopPlan
+        What is welded.
+    frames : str
+        The name of its frames.
+
     Attributes
     ----------
     bus_options : dict
@@ -79,25 +84,30 @@ class SimulatedCell:
     def __init__(self, plan: LoopPlan, frames: str) -> None:
         self.bus_options = {"port": _free_port(), "hop_limit": 0}
         spawn = multiprocessing.get_context("spawn")
-        self._told, other_end = spawn.Pipe()
-        self._process = spawn.Process(target=_run, args=(plan, frames, self.bus_options, other_end))
+        self._told, self._other_end = spawn.Pipe()
+        self._process = spawn.Process(target=_run, args=(plan, frames, self.bus_options, self._other_end))
+
+    def __enter__(self) -> SimulatedCell:
         self._process.start()
-        other_end.close()
-        self._receive()
+        self._other_end.close()
+        try:
+            self._receive()
+        except BaseException:
+            self.__exit__()
+            raise
+        return self
 
-    def end(self) -> Samples:
-        """End it, and return how far its torch was off the seam."""
-        self._told.send(True)
-        samples: Samples = self._receive()
-        self._process.join(ENDS_S)
-        return samples
-
-    def close(self) -> None:
-        """End it, however it is."""
+    def __exit__(self, *_exception: object) -> None:
+        # It ends once nobody listens.
         self._told.close()
         self._process.join(ENDS_S)
         if self._process.is_alive():
             self._process.kill()
+
+    def end(self) -> Samples:
+        """End it, and return how far its torch was off the seam."""
+        self._told.send(True)
+        return self._receive()
 
     def _receive(self) -> Samples:
         try:
@@ -107,24 +117,6 @@ class SimulatedCell:
         if isinstance(answer, str):
             raise ArctrackError(answer)
         return list(answer)
-
-
-@contextmanager
-def simulated_cell(plan: LoopPlan, frames: str) -> Iterator[SimulatedCell]:
-    """Run a cell meanwhile; it is ready when it is given.
-
-    Parameters
-    ----------
-    plan : LoopPlan
-        What is welded.
-    frames : str
-        The name of its frames.
-    """
-    cell = SimulatedCell(plan, frames)
-    try:
-        yield cell
-    finally:
-        cell.close()
 
 
 def write_simulated_cell(folder: Path, plan: LoopPlan, interface: str, channel: str, frames: str) -> Path:
