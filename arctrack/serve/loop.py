@@ -185,6 +185,7 @@ class LiveLoop:
         self._valid += tracked.track.valid
         if self._on_track is not None:
             self._on_track(tracked.track, messages)
+        self.service.poses.rest(self.camera.now_s())
 
     def _lit(self, frame: Frame) -> Frame:
         """Return a frame that says whether laser and arc were on, by the robot where its camera cannot."""

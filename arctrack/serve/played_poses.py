@@ -74,3 +74,6 @@ class PlayedPoses:
 
     def sent(self, offset: SeamOffset, now_s: float) -> None:
         """Do nothing: the robot that was recorded follows nobody."""
+
+    def rest(self, now_s: float) -> None:
+        """Do nothing."""

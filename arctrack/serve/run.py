@@ -164,6 +164,7 @@ def _live(cell: CellFile, frames: str) -> Cast:
             cell.policy,
             T_controllertool_tool,
             pose_time_s(setup, 0.0),
+            estimates_later=True,
         )
         trackings.append(_tracking(cell, setup, job.correction))
         services[number] = TrackingService(controller, poses, trackings[-1])

@@ -48,6 +48,8 @@ class BusPoses:
         The tool in the tool frame of the controller that sends the poses, mm; by default they are one.
     late_s : float
         How much later than true the controller stamps its poses, s.
+    estimates_later : bool
+        Whether the robot's lag is estimated in `rest` alone: in real time an offset must not wait for it.
 
     Attributes
     ----------
@@ -67,11 +69,13 @@ class BusPoses:
         policy: ServicePolicy,
         T_controllertool_tool: Float64 | None = None,
         late_s: float = 0.0,
+        estimates_later: bool = False,
     ) -> None:
         self._path, self._limits, self._seam_limits = path, limits, seam_limits
         self._status_age_s = policy.status_age_s
         self._T_controllertool_tool = T_controllertool_tool
-        self._late_s, self.looks_ahead = late_s, True
+        self._late_s, self._estimates_later = late_s, estimates_later
+        self.looks_ahead = True
         self._wait_s = WAIT_PERIODS * cycle_time_s(message_layout(RobotPosePosition.__name__))
         self.begin()
 
@@ -125,8 +129,13 @@ class BusPoses:
 
     def lead(self, now_s: float) -> Lead:
         """Return how far ahead of the torch an offset is to be asked for."""
-        lead = self.look_ahead.lead(now_s)
-        return lead if self.looks_ahead else AT_ONCE
+        if not self._estimates_later:
+            self.look_ahead.update(now_s)
+        return self.look_ahead.lead() if self.looks_ahead else AT_ONCE
+
+    def rest(self, now_s: float) -> None:
+        """Do what takes longer, while no frame waits."""
+        self.look_ahead.update(now_s)
 
     def sent(self, offset: SeamOffset, now_s: float) -> None:
         """Take an offset that went out at a time, s."""

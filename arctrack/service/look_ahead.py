@@ -102,11 +102,14 @@ class LookAhead:
         if not self._commanded or captured_s > self._commanded[-1][0]:
             self._commanded.append((captured_s, offset.offset_y_mm))
 
-    def lead(self, now_s: float) -> Lead:
-        """Return how far to look ahead at a time, s; estimates anew where it is time to."""
+    def update(self, now_s: float) -> None:
+        """Estimate the lag anew where it is time to: that takes as long as some frames' steps."""
         if not 0.0 <= now_s - self._estimated_s < self.policy.every_s:
             self._estimated_s = now_s
             self._judge(self._estimate())
+
+    def lead(self) -> Lead:
+        """Return how far to look ahead."""
         if self.lag.unestimated is not None or len(self._commanded) < 2:
             return AT_ONCE
         time_s = self.lag.lag_s + 0.5 * self._period_s()

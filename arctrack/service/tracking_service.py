@@ -57,6 +57,9 @@ class Poses(Protocol):
     def sent(self, offset: SeamOffset, now_s: float) -> None:
         """Take an offset that went out at a time, s."""
 
+    def rest(self, now_s: float) -> None:
+        """Do what takes longer, while no frame waits."""
+
 
 class SeamTracking(Protocol[Shown]):
     """What makes a track of a frame; see `FrameTracking`."""

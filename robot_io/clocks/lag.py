@@ -16,6 +16,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, field, fields
 from enum import Enum
+from functools import cached_property
 from typing import Literal
 
 import numpy as np
@@ -209,6 +210,27 @@ class _Problem:
         times_s = self.times_s - dead_time_s
         return _between_knots(self.commanded, knots, times_s, time_constant_s, self.between)
 
+    @cached_property
+    def _basis(self) -> Float64:
+        """An orthonormal basis (n, k) of the nuisances."""
+        U, s, _ = np.linalg.svd(self.columns, full_matrices=False)
+        return np.asarray(U[:, s > s[0] * len(s) * np.finfo(float).eps])
+
+    @cached_property
+    def _seen_beside_mm(self) -> Float64:
+        """What was seen, without what nuisances can explain of it."""
+        return np.asarray(self.seen_mm - self._basis @ (self._basis.T @ self.seen_mm))
+
+    def projected(self, dead_time_s: float, time_constant_s: float) -> tuple[float, Float64]:
+        """Return the best gain at a lag, and the residuals where the nuisances are the best as well."""
+        response = self.response(dead_time_s, time_constant_s)
+        beside = response - self._basis @ (self._basis.T @ response)
+        power = float(beside @ beside)
+        if power <= np.finfo(float).eps * float(response @ response):
+            return 0.0, self._seen_beside_mm
+        gain = float(beside @ self._seen_beside_mm) / power
+        return gain, self._seen_beside_mm - gain * beside
+
     def linear(self, dead_time_s: float, time_constant_s: float) -> tuple[Float64, Float64]:
         """Return the best gain and nuisances at a lag, and the residuals."""
         A = np.column_stack([self.response(dead_time_s, time_constant_s), self.columns])
@@ -219,7 +241,7 @@ class _Problem:
     def residuals(self, unknown: Float64) -> Float64:
         """Return the residuals where gain and nuisances are the best (variable projection)."""
         time_constant_s = float(unknown[1]) if self.first_order else 0.0
-        return self.linear(float(unknown[0]), time_constant_s)[1]
+        return self.projected(float(unknown[0]), time_constant_s)[1]
 
     def jacobian(self, dead_time_s: float, time_constant_s: float) -> Float64:
         """Return the derivatives of the model by dead time, time constant if sought, gain and nuisances."""
@@ -279,8 +301,8 @@ def _grid(problem: _Problem, limits: LagLimits) -> list[tuple[float, float, floa
     tried = []
     for dead_s in np.arange(0.0, limits.longest_s, limits.step_s).tolist():
         for constant_s in constants_s:
-            best, residuals = problem.linear(dead_s, constant_s)
-            total = float(residuals @ residuals) if best[0] > 0.0 else math.inf
+            gain, residuals = problem.projected(dead_s, constant_s)
+            total = float(residuals @ residuals) if gain > 0.0 else math.inf
             tried.append((total, dead_s, constant_s))
     return tried
 

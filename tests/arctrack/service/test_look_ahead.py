@@ -19,6 +19,11 @@ DISARM = TrackerCommand(Command.DISARM, True, True, 0, 1, 1, Switch.ON)
 DEAD_S, CONSTANT_S, SPEED_MM_S = 0.07, 0.09, 10.0
 
 
+def lead_at(ahead, now_s):
+    ahead.update(now_s)
+    return ahead.lead()
+
+
 def offset(y_mm, validity=Validity.VALID, age_ms=15.0):
     return SeamOffset(y_mm, 0.0, age_ms, 0.9, validity)
 
@@ -45,7 +50,7 @@ def drive(ahead, seconds=4.0, weave_hz=1.7, disarmed=True, begin_s=0.0, gap_s=No
             ahead.sent(offset(u), t_s)
         else:
             ahead.see(sample(t_s, y), gap_s is None or not gap_s[0] < t_s < gap_s[1])
-        ahead.lead(t_s)
+        lead_at(ahead, t_s)
 
 
 @pytest.mark.parametrize("weave_hz", [0.9, 1.7, 3.3])
@@ -55,7 +60,7 @@ def test_a_soft_start_tells_the_lag_beside_any_weave(weave_hz):
     assert abs(ahead.lag.lag_s - (DEAD_S + CONSTANT_S)) < 4.0 * ahead.lag.sigma_s
     assert ahead.lag.sigma_s < 0.005
     # Half a period of the frames on top.
-    lead = ahead.lead(4.0)
+    lead = lead_at(ahead, 4.0)
     assert lead.time_s == pytest.approx(ahead.lag.lag_s + 0.02, abs=1e-9)
     assert lead.way_mm == pytest.approx(SPEED_MM_S * lead.time_s, rel=1e-6)
 
@@ -64,7 +69,7 @@ def test_a_robot_that_was_not_seen_at_nought_tells_nothing_by_its_soft_start():
     ahead = LookAhead(PATH)
     drive(ahead, disarmed=False)
     assert ahead.lag.unestimated is not None
-    assert ahead.lead(4.0) == AT_ONCE
+    assert lead_at(ahead, 4.0) == AT_ONCE
 
 
 def test_what_is_doubted_or_of_unknown_age_or_refused_is_forgotten():
@@ -76,14 +81,14 @@ def test_what_is_doubted_or_of_unknown_age_or_refused_is_forgotten():
         ahead.see(sample(0.01 * n, 0.0, age_s=math.nan), True)
     ahead.sent(offset(1.0), 2.0)
     ahead.sent(offset(1.0), 2.04)
-    assert ahead.lead(2.1) == AT_ONCE
+    assert lead_at(ahead, 2.1) == AT_ONCE
     ahead = LookAhead(PATH)
     drive(ahead)
-    assert ahead.lead(4.0).way_mm > 0.0
+    assert lead_at(ahead, 4.0).way_mm > 0.0
     ahead.sent(offset(math.nan, Validity.REFUSED), 4.0)
     # The lag is the robot's own and stays; how fast it goes is seen anew.
     assert ahead.lag.unestimated is None
-    assert ahead.lead(4.0) == AT_ONCE
+    assert lead_at(ahead, 4.0) == AT_ONCE
 
 
 def test_the_better_estimate_is_kept_until_another_lag_shows():
@@ -107,7 +112,7 @@ def test_a_robot_that_goes_back_is_not_looked_ahead_of():
     for n in range(1, 61):
         back = sample(4.0 + 0.01 * n, 3.0)
         ahead.see(replace(back, position_base_mm=(40.0 - 0.2 * n, 3.0, 0.0)), True)
-    assert ahead.lead(4.6).way_mm == 0.0
+    assert lead_at(ahead, 4.6).way_mm == 0.0
 
 
 @pytest.mark.slow
