@@ -33,12 +33,11 @@ def expect_stripe(geometry: SensorGeometry, scene: Scene) -> ExpectedStripe | No
         )
         points_tool = transform(T_tool_joint, points_joint)
         points_camera = transform(invert(setup.camera.T_tool_camera), points_tool)
-        if not (points_camera[:, 2] > 1.0).all():
-            return None
+        is_before = points_camera[:, 2] > 1.0
         at = geometry.scan_points(setup.camera.project(points_camera))
         order = np.argsort(at[:, 0], kind="stable")
-        order = order[_is_in_sight(setup, points_joint[:, 1], scene)[order]]
-        if at[order[-1], 0] < 0.0 or at[order[0], 0] > geometry.n_scan - 1:
+        order = order[(is_before & _is_in_sight(setup, points_joint[:, 1], scene))[order]]
+        if len(order) == 0 or at[order[-1], 0] < 0.0 or at[order[0], 0] > geometry.n_scan - 1:
             return None
         position.append(np.interp(scan, at[order, 0], at[order, 1]))
         light = _strength(setup, points_joint, points_tool, normals_joint, scene.T_joint_tool)

@@ -185,6 +185,21 @@ def test_what_lies_behind_the_camera_is_none() -> None:
     assert expect_stripe(SensorGeometry.of(setup), scene) is None
 
 
+def test_a_leg_that_rises_behind_the_camera_leaves_the_rest_expected() -> None:
+    setup = small_setup("fillet")
+    setup = replace(setup, joint=replace(setup.joint, dimensions={"included_angle_deg": 30.0}))
+    geometry, pose = SensorGeometry.of(setup), pose_at(0.0)
+    scene = make_scene(setup, pose.T_base_tool, SEAM)
+    expected, twin = expect_stripe(geometry, scene), expect_stripe_plain(geometry, scene)
+    assert expected is not None
+    assert twin is not None
+    center, _ = drawn(setup, pose, geometry)
+    off_px = center - expected.position_px - expected.bias_px
+    assert np.isfinite(off_px).sum() >= 15
+    assert np.nanmedian(np.abs(off_px)) < 0.05
+    np.testing.assert_allclose(expected.position_px, twin.position_px, rtol=0.0, atol=1e-8)
+
+
 def test_a_stripe_that_cannot_be_seen_is_no_setup() -> None:
     setup = small_setup("v_groove")
     behind = replace(setup, laser=replace(setup.laser, plane_in_tool=(1.0, 0.0, 0.0, -500.0)))

@@ -140,12 +140,12 @@ def _cut_and_project(
     with_light: bool,
     points_px: Float64,
     light: Float64,
-) -> bool:
+) -> None:
     """Cut a plane `shift_mm` beside the sheet with the section at y (n,) and look at it.
 
     `face` (n,) are the faces that the points lie on. Writes the image points `points_px` (n, 2) as (scan,
-    position) and, `with_light`, the stripe's `light` there, the sheet's own Gaussian divided out. False if a
-    point lies behind the camera.
+    position), NaN behind the camera, and, `with_light`, the stripe's `light` there, the sheet's own Gaussian
+    divided out.
     """
     nx, ny, nz, d = sheet.plane[0], sheet.plane[1], sheet.plane[2], sheet.plane[3] - shift_mm
     T, x = T_joint_camera, start_x
@@ -163,7 +163,8 @@ def _cut_and_project(
         wx, wy, wz = T[0, 3] - P[0], T[1, 3] - P[1], T[2, 3] - P[2]
         depth = -(T[0, 2] * wx + T[1, 2] * wy + T[2, 2] * wz)
         if not depth > NEAREST_MM:
-            return False
+            points_px[i, 0] = points_px[i, 1] = light[i] = math.nan
+            continue
         a = -(T[0, 0] * wx + T[1, 0] * wy + T[2, 0] * wz) / depth
         b = -(T[0, 1] * wx + T[1, 1] * wy + T[2, 1] * wz) / depth
         X, Y, _, _, _, _ = distorted(a, b, lens)
@@ -181,7 +182,6 @@ def _cut_and_project(
         normal = face_normal(k, x, vertices, corrugation)
         lit = sheet_reflected(sheet, material, P, normal, omega_r)
         light[i] = lit / gaussian if gaussian > 0.0 else 0.0
-    return True
 
 
 @kernel(allocates=True)
@@ -292,7 +292,6 @@ def _expect(
     lift = ridge(tool_mm[0], corrugation)[0]
     _hide_behind(y, z, T_joint_camera[1, 3], T_joint_camera[2, 3] - lift, is_seen)
     _hide_behind(y, z, sheet.origin[1], sheet.origin[2] - lift, is_seen)
-    in_sight = np.flatnonzero(is_seen)
     n_planes = planes.shape[0]
     places, strengths = np.empty((n_planes, n_scan)), np.empty((n_planes, n_scan))
     faces = np.empty((n_planes, n_scan), dtype=np.int64)
@@ -300,7 +299,7 @@ def _expect(
         shift = planes[k] * sheet.sigma
         # Of three the bias is made of the flanks' light.
         with_light = shift != 0.0 or n_planes > FLANKS.shape[0]
-        if not _cut_and_project(
+        _cut_and_project(
             y,
             face,
             vertices,
@@ -315,8 +314,8 @@ def _expect(
             with_light,
             points_px,
             light,
-        ):
-            return False
+        )
+        in_sight = np.flatnonzero(is_seen & np.isfinite(points_px[:, 0]))
         if not _per_line(points_px, light, face, in_sight, places[k], strengths[k], faces[k]):
             return False
     middle = n_planes // 2
