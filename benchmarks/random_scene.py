@@ -246,7 +246,10 @@ def _balanced(setup: Setup, world: SweptJoint, T_base_tool: Float64) -> Setup:
     small = setup.camera.coarser(8)
     bright = replace(setup, camera=small, arc=replace(setup.arc, radiance_e=1.0))
     light = SweptWorld(bright, world, Speckle(0.0, 1.0), Surroundings()).arc_light(T_base_tool)
-    share = min(0.12 / float(light.mean()), 0.8 / float(np.quantile(light, 0.97)))
+    mean, bright = float(light.mean()), float(np.quantile(light, 0.97))
+    if mean == 0.0:
+        return setup
+    share = min(0.12 / mean, 0.8 / bright if bright > 0.0 else math.inf)
     return replace(setup, arc=replace(setup.arc, radiance_e=share * setup.sensor.full_well_e))
 
 

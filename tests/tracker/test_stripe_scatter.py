@@ -10,6 +10,7 @@ import pytest
 import rendered
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from scipy.ndimage import gaussian_filter
 
 from noise_model.arc.map import make_scene
 from noise_model.arrays import Float64
@@ -19,6 +20,7 @@ from tracker.geometry import SensorGeometry
 from tracker.state import Frame
 from tracker.stripe.expected import expect_stripe
 from tracker.stripe.scatter import (
+    BRIGHTNESS_LAGS,
     CORE_SIGMAS,
     LAGS,
     LENGTHS,
@@ -26,6 +28,7 @@ from tracker.stripe.scatter import (
     MEDIAN_CHI2,
     MIN_DIFFERENCES,
     MIN_MEANS,
+    MIN_PER_FAR_LAG,
     MIN_PER_LAG,
     MIN_SEEN_SHARE,
     MIN_WIDTH_LIMIT_LN,
@@ -46,7 +49,8 @@ seeds = st.integers(0, 2**32 - 1)
 
 def shown(of: Float64, sigma: Float64, amplitude: Float64) -> tuple[Float64, Float64, Float64]:
     """What `differences` shows of centres off their expected places."""
-    by_lag, by_length, brightness = np.empty(len(LAGS)), np.empty(len(LENGTHS)), np.empty(len(LAGS))
+    by_lag, by_length = np.empty(len(LAGS)), np.empty(len(LENGTHS))
+    brightness = np.empty(len(BRIGHTNESS_LAGS))
     # Columns of the lines' fits: of another layout it would be compiled once more.
     centers, amplitudes = np.column_stack([of, amplitude]).T
     expected = np.zeros(len(of))
@@ -91,8 +95,10 @@ def test_differences_are_their_twin(seed: int, n: int, lost: float) -> None:
         )
         twin = beyond(of_three(mean, 1), own_of_three(own, 1), float(length), MIN_MEANS)
         assert found == pytest.approx(twin, nan_ok=True)
+    least = [MIN_DIFFERENCES] * len(LAGS) + [MIN_PER_FAR_LAG * int(BRIGHTNESS_LAGS[-1])]
     bright = [
-        beyond(of_three(amplitude, lag), np.zeros(n - 2 * lag), 1.0, MIN_DIFFERENCES) for lag in LAGS.tolist()
+        beyond(of_three(amplitude, lag), np.zeros(max(n - 2 * lag, 0)), 1.0, enough)
+        for lag, enough in zip(BRIGHTNESS_LAGS.tolist(), least, strict=True)
     ]
     assert brightness == pytest.approx(np.array(bright) / np.nanmedian(amplitude) ** 2, nan_ok=True)
 
@@ -183,8 +189,8 @@ def test_speckle_squared_is_its_twin(seed: int, contrast: float) -> None:
 
 
 def frame(value: float) -> FrameScatter:
-    by_lag = np.full(len(LAGS), value)
-    return FrameScatter(by_lag, np.full(len(LENGTHS), value), by_lag, *(np.array(value) for _ in range(3)))
+    sizes = len(LAGS), len(LENGTHS), len(BRIGHTNESS_LAGS)
+    return FrameScatter(*(np.full(n, value) for n in sizes), *(np.array(value) for _ in range(3)))
 
 
 @pytest.mark.parametrize("alike", [0.0, 0.5, 0.8])
@@ -198,6 +204,28 @@ def test_neighbours_brightness_is_as_alike_as_it_was_drawn(alike: float) -> None
     learned = NO_SCATTER.with_frame(FrameScatter(*seen, *(np.array(math.nan),) * 3))
     assert learned.brightness_contrast == pytest.approx(contrast, rel=0.15)
     assert learned.brightness_alike == pytest.approx(alike, abs=0.1)
+
+
+def test_grains_that_reach_far_add_what_they_move_centres_together() -> None:
+    """An isotropic texture beneath a sheet: twice the covariances of centroids 9 to 16 lines apart."""
+    rng, n, half, width = np.random.default_rng(12), 2000, 12, 3.0
+    across = np.arange(-half, half + 1.0)
+    bell = np.exp(-0.5 * (across / width) ** 2)
+    seen, apart = [], []
+    for _ in range(8):
+        field = gaussian_filter(rng.normal(size=(n, 4 * half)), 9.0, mode="wrap")[:, : 2 * half + 1]
+        light = np.exp(0.15 * field / field.std()) * bell
+        amplitude = light.sum(axis=1)
+        centroid = light @ across / amplitude
+        centroid -= centroid.mean()
+        seen.append(shown(centroid, np.full(n, 1e-3), 1e4 * amplitude))
+        apart.append([np.mean(centroid[r:] * centroid[: n - r]) for r in range(9, 17)])
+    learned = NO_SCATTER
+    for of_frame in seen:
+        learned = learned.with_frame(FrameScatter(*of_frame, *(np.array(math.nan),) * 3))
+    nothing = np.zeros(1)
+    together = learned.widened(nothing, width)[1] ** 2 - learned.widened(nothing, 0.0)[1] ** 2
+    assert together[0] == pytest.approx(2.0 * np.mean(apart, axis=0).sum(), rel=0.3)
 
 
 def test_the_first_frame_counts_whole_and_old_ones_fade() -> None:
@@ -224,7 +252,7 @@ def test_a_frame_that_shows_nothing_changes_nothing() -> None:
         assert (scatter.line_variance_px2, scatter.mean_variance_px2) == (0.0, 0.0)
         assert (scatter.weighing_contrast, scatter.brightness_contrast) == (0.0, 0.0)
         assert (scatter.width_factor, scatter.width_limit_ln) == (1.0, MIN_WIDTH_LIMIT_LN)
-        for widened in scatter.widened(sigma):
+        for widened in scatter.widened(sigma, 3.0):
             np.testing.assert_allclose(widened, sigma)
 
 

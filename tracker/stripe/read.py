@@ -209,7 +209,8 @@ def read_stripe(
         band.background[:], offsets = plain, near
         score, start, fits, saturated, seen = fit(offsets=offsets, learned=learned)
     scatter = scatter.with_frame(seen)
-    sigma, together = scatter.widened(own_sigma(fits, expected.sigma_px))
+    sheet_px = _sheet_px(fits, geometry.setup.camera.psf_sigma_px)
+    sigma, together = scatter.widened(own_sigma(fits, expected.sigma_px), sheet_px)
     smooth, smooth_sigma = smooth_stripe(fits[:, 0], sigma, together)
     odd = odd_residuals(band.charge, band.background, band.censored, fits, lows, CELL)
     alike = float(np.nanmedian((together / sigma) ** 2)) if np.isfinite(sigma).any() else 1.0
@@ -234,6 +235,14 @@ def read_stripe(
         learned,
         misfit_sigma_px(odd, fits, alike),
     )
+
+
+def _sheet_px(fits: Float64, psf_sigma_px: float) -> float:
+    """Return the sheet's 1 sigma in the image, px, of the fits (n_scan, 7) of lines; 0 of none."""
+    widths_px = fits[np.isfinite(fits[:, 3]), 3]
+    if not len(widths_px):
+        return 0.0
+    return math.sqrt(max(float(np.median(widths_px)) ** 2 - psf_sigma_px**2, 0.0))
 
 
 def _told_of_two(

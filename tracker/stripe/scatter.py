@@ -12,6 +12,17 @@ among its neighbours. The median of d^2 over that of chi^2 with one degree of fr
 whatever corners and spatter do (Allan 1966, Proc. IEEE 54, 221, for means of growing length; Rousseeuw and
 Croux 1993, JASA 88, 1273, for the median). What all frames so far say is averaged before it is used: no
 setup states it.
+
+Grains of a texture reach farther than centres can be compared, for a joint's corners are near. They show in
+the stripe's brightness. A bell of 1 sigma w on metal whose ln(reflectance) rises by b across it is the same
+bell b w^2 farther. On an isotropic texture of covariance C(r) the slopes b of lines r apart have the
+covariance -C'(r) / r. Beyond L lines that adds to a line's variance among neighbours
+
+    2 w^4 integral of -C'(r) / r dr = w^4 (C(L) - C(2 L)) / (L ln 2)
+
+with C linear in ln r from L to 2 L, and constant beyond. The brightness' second differences have the variance
+V(L) = C(0) - 4/3 C(L) + 1/3 C(2 L), so that C(L) - C(2 L) = 3/4 (V(2 L) - V(L)). The image's scale along the
+stripe is taken to be that across it.
 """
 
 from __future__ import annotations
@@ -28,6 +39,9 @@ from tracker.stripe.fit import WINDOW_SIGMAS
 
 LAGS = np.array([1, 2, 4, 8])
 """How many lines apart centres are compared: speckle's grains reach over a few."""
+
+BRIGHTNESS_LAGS = np.append(LAGS, 2 * LAGS[-1])
+"""How many lines apart their brightness is compared."""
 
 LENGTHS = np.array([2, 4, 8, 16])
 """Over how many lines centres are averaged."""
@@ -47,6 +61,12 @@ MIN_PER_LAG, MIN_MEANS, MIN_MEANS_SEARCHING = 32, 36, 72
 A joint off its expected place has four corners, each of which spoils two of the first and three of the
 second. A third of spoilt differences triples the variance that their median says. While the joint
 is still searched that would hide it: a sixth costs a half.
+"""
+
+MIN_PER_FAR_LAG = 24
+"""So many differences of brightness tell something, for each line of the farthest lag.
+
+A joint's four corners spoil two for each, a third of them at most.
 """
 
 CORE_SIGMAS = 1.5
@@ -78,8 +98,8 @@ REMEMBERED = 10
 class FrameScatter(NamedTuple):
     """What one frame shows beyond photons' noise; NaN where it shows nothing.
 
-    `by_lag` and `by_length`, px^2: the centres' variance beyond the lines' own. `brightness`, by lag: the
-    square of the amplitudes' contrast; `speckle`: that of a pixel's light about the fitted bell.
+    `by_lag` and `by_length`, px^2: the centres' variance beyond the lines' own. `brightness`, by its lags:
+    the square of the amplitudes' contrast; `speckle`: that of a pixel's light about the fitted bell.
     `ln_width` and `width_variance`: the median of ln(width / expected width) and its robust variance.
     """
 
@@ -94,7 +114,7 @@ class FrameScatter(NamedTuple):
 _NOTHING = FrameScatter(
     np.full(len(LAGS), math.nan),
     np.full(len(LENGTHS), math.nan),
-    np.full(len(LAGS), math.nan),
+    np.full(len(BRIGHTNESS_LAGS), math.nan),
     *(np.array(math.nan) for _ in range(3)),
 )
 
@@ -131,7 +151,7 @@ class Scatter:
         Second differences over L lines have the variance (1 - r) (3 - r) / 3, r = rho^L, over that of lines
         far apart. A grain is rounder than that law: L = 2 tells its width best.
         """
-        near = float(self.average.brightness[LAGS == 2][0])
+        near = float(self.average.brightness[BRIGHTNESS_LAGS == 2][0])
         if not self._brightness_plateau > 0.0 or math.isnan(near):
             return 0.0
         of_two = 2.0 - math.sqrt(1.0 + 3.0 * near / self._brightness_plateau)
@@ -139,8 +159,15 @@ class Scatter:
 
     @property
     def _brightness_plateau(self) -> float:
-        known = self.average.brightness[np.isfinite(self.average.brightness)]
+        of_grains = self.average.brightness[: len(LAGS)]
+        known = of_grains[np.isfinite(of_grains)]
         return float(known.max()) if len(known) else 0.0
+
+    @property
+    def _texture(self) -> float:
+        """What a texture adds to a line's variance among neighbours, over the fourth power of its sigma."""
+        near, far = self.average.brightness[-2:].tolist()
+        return max(0.75 * (far - near) / (float(LAGS[-1]) * math.log(2.0)), 0.0) if far > near else 0.0
 
     @property
     def speckle_contrast(self) -> float:
@@ -176,10 +203,14 @@ class Scatter:
         mixed = (_averaged(before, now, weight) for before, now in zip(self.average, seen, strict=True))
         return Scatter(FrameScatter(*mixed), self.frames + 1)
 
-    def widened(self, sigma_px: Float64) -> tuple[Float64, Float64]:
-        """Return the lines' 1 sigma (n,) with the scatter, and that which counts among neighbours."""
-        own = sigma_px**2
-        return np.sqrt(own + self.line_variance_px2), np.sqrt(own + self.mean_variance_px2)
+    def widened(self, sigma_px: Float64, sheet_px: float) -> tuple[Float64, Float64]:
+        """Return the lines' 1 sigma (n,) with the scatter, and that which counts among neighbours.
+
+        `sheet_px` is the sheet's 1 sigma in the image, without what the lens spreads.
+        """
+        own, texture_px2 = sigma_px**2, self._texture * sheet_px**4
+        together = own + self.mean_variance_px2 + texture_px2
+        return np.sqrt(own + self.line_variance_px2), np.sqrt(together)
 
 
 NO_SCATTER = Scatter()
@@ -233,7 +264,8 @@ def frame_scatter(
     pixels' contrast, as `speckle_squared` has it; `is_searching` says whether the joint may be far off its
     expected place.
     """
-    by_lag, by_length, brightness = np.empty(len(LAGS)), np.empty(len(LENGTHS)), np.empty(len(LAGS))
+    by_lag, by_length = np.empty(len(LAGS)), np.empty(len(LENGTHS))
+    brightness = np.empty(len(BRIGHTNESS_LAGS))
     min_means = MIN_MEANS_SEARCHING if is_searching else MIN_MEANS
     differences(
         fits[:, 0], expected_px, sigma_px, fits[:, 2], LAGS, LENGTHS, min_means, by_lag, by_length, brightness
@@ -333,7 +365,7 @@ def differences(
     """Write the variances by second differences, by lag and of means, less the lines' own, px^2.
 
     Fewer than `min_means` differences of means tell nothing. Into `brightness` goes the square of the
-    amplitudes' contrast, by lag.
+    amplitudes' contrast, by lag, and by twice the last lag.
     """
     n = position_px.shape[0]
     off, variances, amplitudes = np.empty(n), np.empty(n), np.empty(n)
@@ -348,6 +380,8 @@ def differences(
     for k in range(len(lags)):
         by_lag[k] = _variance_of(off, lags[k], MIN_PER_LAG * lags[k]) - _own_variance_of(variances, lags[k])
         brightness[k] = _variance_of(amplitude_e, lags[k], MIN_DIFFERENCES) / typical_e**2
+    last = 2 * lags[-1]
+    brightness[len(lags)] = _variance_of(amplitude_e, last, MIN_PER_FAR_LAG * last) / typical_e**2
     for k in range(len(lengths)):
         length = lengths[k]
         means, own = np.empty(n // length), np.empty(n // length)
