@@ -111,13 +111,9 @@ def _result_lines(result: LoopResult) -> list[str]:
     """Return what a run came to in words."""
     offsets = ", ".join(f"{name} {count}" for name, count in result.offsets.items()) or "none"
     reasons = ", ".join(f"{name} {count}" for name, count in result.reasons.items()) or "none"
-    lines = [
+    return [
         f"frames: {result.frames}, dropped {result.dropped}, tracks valid {result.valid}",
         f"offsets: {offsets}; not as measured: {reasons}",
+        f"mid-exposure to send: {result.capture_to_send}",
+        f"arrival to send: {result.arrival_to_send}",
     ]
-    if math.isfinite(result.max_ms):
-        lines.append(
-            f"latency from mid-exposure to send: p50 {result.p50_ms:.1f} ms, p99 {result.p99_ms:.1f} ms, "
-            f"at most {result.max_ms:.1f} ms"
-        )
-    return lines

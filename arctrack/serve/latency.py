@@ -3,11 +3,26 @@
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass
 
 import numpy as np
 
 BIN_MS, BINS = 0.1, 10_000
 """A bin's width, ms, and how many there are: up to a second. What is later is in the last one."""
+
+
+@dataclass(frozen=True)
+class Quantiles:
+    """The median, the 99 % quantile and the largest of times, ms; NaN without any."""
+
+    p50_ms: float
+    p99_ms: float
+    max_ms: float
+
+    def __str__(self) -> str:
+        if math.isnan(self.max_ms):
+            return "none"
+        return f"p50 {self.p50_ms:.1f} ms, p99 {self.p99_ms:.1f} ms, at most {self.max_ms:.1f} ms"
 
 
 class LatencyCounts:
@@ -31,7 +46,11 @@ class LatencyCounts:
         if not took_ms <= self.max_ms:
             self.max_ms = took_ms
 
-    def quantile_ms(self, share: float) -> float:
+    def quantiles(self) -> Quantiles:
+        """Return what the times come to."""
+        return Quantiles(self._quantile_ms(0.5), self._quantile_ms(0.99), self.max_ms)
+
+    def _quantile_ms(self, share: float) -> float:
         """Return the upper end of the bin below which a share of the times lies, ms; NaN without any."""
         total = int(self._counts.sum())
         if total == 0:

@@ -13,7 +13,7 @@ from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, replace
 
 from arctrack.cameras.camera import Camera, UnreadableFrame
-from arctrack.serve.latency import LatencyCounts
+from arctrack.serve.latency import LatencyCounts, Quantiles
 from arctrack.service.pose_watch import BEGINNING
 from arctrack.service.tracking_service import TrackingService
 from robot_io import (
@@ -53,8 +53,8 @@ class LoopResult:
         How many offsets went out, by validity.
     reasons : mapping of str to int
         Why the gate did not let the tracks' own offsets out.
-    p50_ms, p99_ms, max_ms : float
-        From a frame's mid-exposure to the sending of its offset, ms; NaN without one.
+    capture_to_send, arrival_to_send : Quantiles
+        From a frame's mid-exposure, and from when the loop had it, to the sending of its offset.
     """
 
     frames: int
@@ -62,9 +62,8 @@ class LoopResult:
     valid: int
     offsets: Mapping[str, int]
     reasons: Mapping[str, int]
-    p50_ms: float
-    p99_ms: float
-    max_ms: float
+    capture_to_send: Quantiles
+    arrival_to_send: Quantiles
 
 
 class LiveLoop:
@@ -103,7 +102,8 @@ class LiveLoop:
         self._laser = LaserState.UNKNOWN
         self._frames = self._valid = 0
         self._offsets: Counter[Validity] = Counter()
-        self._latency = LatencyCounts()
+        self._arrived_s = NAN
+        self._since_capture, self._since_arrival = LatencyCounts(), LatencyCounts()
 
     @property
     def is_over(self) -> bool:
@@ -118,7 +118,7 @@ class LiveLoop:
         frame = self.camera.newest()
         if frame is not None:
             self._replaced += self._waiting is not None
-            self._waiting = frame
+            self._waiting, self._arrived_s = frame, self.camera.now_s()
         waiting = self._waiting
         if waiting is not None and self.service.poses.is_settled(waiting.timestamp_s, self.camera.now_s()):
             self._waiting = None
@@ -138,9 +138,8 @@ class LiveLoop:
             valid=self._valid,
             offsets={validity.name: count for validity, count in sorted(self._offsets.items())},
             reasons={reason.name: count for reason, count in sorted(self.controller.reasons.items())},
-            p50_ms=self._latency.quantile_ms(0.5),
-            p99_ms=self._latency.quantile_ms(0.99),
-            max_ms=self._latency.max_ms,
+            capture_to_send=self._since_capture.quantiles(),
+            arrival_to_send=self._since_arrival.quantiles(),
         )
 
     @property
@@ -180,7 +179,8 @@ class LiveLoop:
         messages = self.service.answer(tracked, self.camera.now_s(), took_ms)
         sent_s = self._send(messages)
         if math.isfinite(sent_s):
-            self._latency.add(sent_s - frame.timestamp_s)
+            self._since_capture.add(sent_s - frame.timestamp_s)
+            self._since_arrival.add(sent_s - self._arrived_s)
         self._frames += 1
         self._valid += tracked.track.valid
         if self._on_track is not None:

@@ -14,6 +14,9 @@ from arctrack.cell_file import ProcessChoice
 
 _MCL_CURRENT, _MCL_FUTURE = 1, 2
 
+STDERR = 2
+"""The stream of errors itself, whatever Python writes to instead."""
+
 REARMED_S = 0.1
 """So often the watchdog is set anew: that takes a tenth of a millisecond."""
 
@@ -107,4 +110,4 @@ class Watchdog:
         now_s = time.monotonic()
         if now_s - self._fed_s > REARMED_S:
             self._fed_s = now_s
-            faulthandler.dump_traceback_later(self._limit_s, exit=True)
+            faulthandler.dump_traceback_later(self._limit_s, exit=True, file=STDERR)

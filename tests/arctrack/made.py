@@ -8,7 +8,9 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+import tomlkit
 
+from arctrack.cell_file.new import write_new_cell
 from arctrack.nominal import nominal_setup
 from arctrack.recording import RecordingWriter, VideoFormat
 from noise_model.setup import Setup
@@ -95,3 +97,14 @@ def assert_cell(value: float | None, cell: str) -> None:
     else:
         assert value is not None
         assert abs(value - float(cell)) <= 1e-4
+
+
+def playing_cell(folder: Path, recording: Path) -> Path:
+    """Return the cell file of a cell whose camera is a recording, on a bus of its own."""
+    cell_path, setup_path = write_new_cell(folder, "v_groove", "mild_steel")
+    setup_path.write_bytes((recording / "recording.toml").read_bytes())
+    document = tomlkit.parse(cell_path.read_text())
+    document["bus"]["channel"] = str(folder)
+    document["camera"].update({"kind": "recording", "name": str(recording)})
+    cell_path.write_text(tomlkit.dumps(document))
+    return cell_path

@@ -61,31 +61,38 @@ def run_camera(shots: Connection, plan: LoopPlan, name: str) -> None:
     eye.look(0.0)
     # Before there are frames: a tracker takes the line once it finds them.
     remove_line(name)
-    with SharedFramesWriter(name, camera.height, camera.width, setup.sensor.dtype) as frames:
-        shots.send(True)
-        index = 0
-        while True:
-            try:
+    try:
+        with SharedFramesWriter(name, camera.height, camera.width, setup.sensor.dtype) as frames:
+            shots.send(True)
+            _publish(shots, eye, frames, name)
+    finally:
+        remove_line(name)
+
+
+def _publish(shots: Connection, eye: RenderedEye, frames: SharedFramesWriter, name: str) -> None:
+    """Publish until the other end is closed."""
+    robot, index = eye.robot, 0
+    while True:
+        try:
+            shot = shots.recv()
+            while shots.poll():
                 shot = shots.recv()
-                while shots.poll():
-                    shot = shots.recv()
-            except (EOFError, ConnectionResetError):
-                return
-            robot.station_mm, robot.weave_s = shot.station_mm, shot.weave_s
-            robot.offset_mm, robot.status = np.array(shot.offset_mm), shot.status
-            eye.is_laser_on = is_laser_on(name)
-            image_dn = eye.look(0.0)
-            assert image_dn is not None
-            arc_on = shot.status.arc is Switch.ON
-            frames.publish(
-                Frame(
-                    index=index,
-                    timestamp_s=shot.captured_s,
-                    image_dn=image_dn,
-                    exposure_s=camera.exposure_s,
-                    current_a=shot.status.current_a,
-                    laser_on=eye.is_laser_on,
-                    arc_on=arc_on,
-                )
+        except (EOFError, ConnectionResetError):
+            return
+        robot.station_mm, robot.weave_s = shot.station_mm, shot.weave_s
+        robot.offset_mm, robot.status = np.array(shot.offset_mm), shot.status
+        eye.is_laser_on = is_laser_on(name)
+        image_dn = eye.look(0.0)
+        assert image_dn is not None
+        frames.publish(
+            Frame(
+                index=index,
+                timestamp_s=shot.captured_s,
+                image_dn=image_dn,
+                exposure_s=eye.setup.camera.exposure_s,
+                current_a=shot.status.current_a,
+                laser_on=eye.is_laser_on,
+                arc_on=shot.status.arc is Switch.ON,
             )
-            index += 1
+        )
+        index += 1

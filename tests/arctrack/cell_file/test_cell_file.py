@@ -11,7 +11,14 @@ import pytest
 import tomlkit
 from typer.testing import CliRunner
 
-from arctrack.cell_file import CellFile, as_the_job_says, jobs_for, read_cell_file
+from arctrack.cell_file import (
+    CameraChoice,
+    CellFile,
+    ProcessChoice,
+    as_the_job_says,
+    jobs_for,
+    read_cell_file,
+)
 from arctrack.cell_file.new import commented_cell, write_new_cell
 from arctrack.cli import app
 from arctrack.errors import ArctrackError
@@ -75,6 +82,8 @@ def test_what_stands_behind_a_mark_in_it_can_be_taken_as_it_is(new_cell: Path) -
     assert {*tomllib.loads("\n".join(lines))["gate"]} == {f.name for f in fields(GateLimits)}
     cell = read_cell_file(path)
     assert (cell.limits, cell.policy) == (GateLimits(), ServicePolicy())
+    assert cell.camera == CameraChoice(25.0, "shared_memory", "cell")
+    assert cell.process == ProcessChoice(50, (1,), True)
     job = cell.jobs[1]
     assert job.joint is not None
     assert job.joint.type == "half_v"
@@ -112,6 +121,14 @@ def test_the_page_shows_a_cell_file_that_can_be_read(new_cell: Path) -> None:
         (lambda d: d["bus"].update(bitrate=1), "[bus] bitrate: is not known; did you mean 'bit_rate_bit_s'?"),
         (lambda d: d["bus"].update(bit_rate_bit_s=20_000), "25 frames a second take 264 % of it; choose a"),
         (lambda d: d["camera"].update(frame_rate_hz=0.0), "[camera] frame_rate_hz = 0.0: input should be gr"),
+        (
+            lambda d: d["camera"].update(kind="shared_memory"),
+            "[camera] name: missing; a camera is",
+        ),
+        (lambda d: d["camera"].update(name="cell"), "[camera] kind: missing; a camera is stated by kind and"),
+        (lambda d: d["camera"].update(kind="v4l2", name="0"), "[camera] kind = 'v4l2': "),
+        (lambda d: d["process"].update(priority=0), "[process] priority = 0: input should be greater than"),
+        (lambda d: d["process"].update(cpus=[]), "[process] cpus"),
         (lambda d: d["gate"].update(jump=2.0), "[gate] jump: is not known; did you mean 'jump_mm'?"),
         (lambda d: d["gate"].update(hold_s=0.0), "[gate] hold_s: is 0.0; it must be positive and finite"),
         (lambda d: d["gate"].update(hold_s=float("nan")), "[gate] hold_s = nan: must be a finite number"),

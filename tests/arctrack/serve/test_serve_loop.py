@@ -9,13 +9,12 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-import tomlkit
+from made import playing_cell
 
 from arctrack.cameras.camera import UnreadableFrame
 from arctrack.cameras.recording import RecordingCamera
 from arctrack.cell.robot import WELDING
-from arctrack.cell_file import CellFile, as_the_job_says, read_cell_file
-from arctrack.cell_file.new import write_new_cell
+from arctrack.cell_file import as_the_job_says, read_cell_file
 from arctrack.recording import read_recording
 from arctrack.replay import ReplayOptions, replay_recording
 from arctrack.serve.loop import LiveLoop
@@ -187,7 +186,9 @@ def test_a_loop_sends_what_it_tracks_and_goes_on_without_a_camera(stage: Stage) 
     result = stage.loop.result()
     assert result.frames == len(stage.tracks)
     assert result.valid == sum(track.valid for track in stage.tracks)
-    assert 0.0 <= result.p50_ms <= result.p99_ms <= result.max_ms < 1000.0 * PERIOD_S
+    late = result.capture_to_send
+    assert 0.0 <= late.p50_ms <= late.p99_ms <= late.max_ms < 1000.0 * PERIOD_S
+    assert result.arrival_to_send.max_ms <= late.max_ms
 
     last = stage.close()
     assert of_type(last, SeamOffset)[-1].validity is Validity.REFUSED
@@ -262,24 +263,13 @@ class Clock:
         return self.now_s
 
 
-def cell_of(folder: Path, recording: Path) -> CellFile:
-    """Return a cell whose camera is a recording."""
-    cell_path, setup_path = write_new_cell(folder, "v_groove", "mild_steel")
-    setup_path.write_bytes((recording / "recording.toml").read_bytes())
-    document = tomlkit.parse(cell_path.read_text())
-    document["bus"]["channel"] = next(CHANNELS)
-    document["camera"].update({"kind": "recording", "name": str(recording)})
-    cell_path.write_text(tomlkit.dumps(document))
-    return read_cell_file(cell_path)
-
-
 @pytest.mark.slow
 @pytest.mark.parametrize("name", ["simulated", "flawed_recording"])
 def test_a_recording_that_is_played_gives_the_tracks_of_its_replay(
     name: str, tmp_path: Path, request: pytest.FixtureRequest
 ) -> None:
     path = request.getfixturevalue(name)
-    cell = cell_of(tmp_path / "cell", path)
+    cell = read_cell_file(playing_cell(tmp_path / "cell", path))
     recording = as_the_job_says(read_recording(path, cell.setup.path), cell, None)
     options = ReplayOptions(cell=cell, pictures=False)
     replayed = replay_recording(recording, tmp_path / "results", options)
