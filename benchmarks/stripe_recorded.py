@@ -10,6 +10,9 @@ Nobody knows the truth of a recorded frame. Told is, of the scan lines between t
 - gross: the share of these beyond 2 sigmas of the stripe from the running median of all readers' median;
 - along: 1 sigma of a centre about the straight line through those 4 sigmas before and behind it, px;
 - still: 1 sigma from frame to frame where the sensor stood still, px; nan where it moved.
+
+Of ours it is told how well its sigmas hold: 1 sigma of second differences, of lines and of means over 16,
+over what their stated sigmas say. Lines and means lie too far apart to be off alike.
 """
 
 from __future__ import annotations
@@ -35,6 +38,9 @@ GROSS_SIGMAS, APART_SIGMAS = 2.0, 4.0
 STILL_MM = 1e-3
 STEGER_SHARE = 1.0 / math.sqrt(3.0)
 """Steger's filter for a stripe of a width has this share of it as its sigma."""
+
+MEAN_LINES = 16
+"""Over so many neighbours means are taken whose sigma is held against what is stated."""
 
 Reader = Callable[[Integers, float], Float64]
 PEERS: dict[str, tuple[Reader, float, float]] = {
@@ -78,6 +84,19 @@ def _filled(line: Float64) -> Float64:
     return np.interp(np.arange(len(line)), held, line[held]) if len(held) else line
 
 
+def pull(values: Float64, variances: Float64, apart: int) -> float:
+    """Return 1 sigma of second differences so far apart along values (n_frames, n) over what is stated."""
+    off = values[:, : -2 * apart] - 2.0 * values[:, apart:-apart] + values[:, 2 * apart :]
+    stated = variances[:, : -2 * apart] + 4.0 * variances[:, apart:-apart] + variances[:, 2 * apart :]
+    return 1.4826 * float(np.nanmedian(np.abs(off / np.sqrt(stated))))
+
+
+def means(values: Float64) -> Float64:
+    """Return the means (n_frames, n // MEAN_LINES) of neighbours; a mean without one of its lines is NaN."""
+    n = values.shape[1] // MEAN_LINES
+    return values[:, : n * MEAN_LINES].reshape(len(values), n, MEAN_LINES).mean(axis=2)
+
+
 def width_of(tracker: Tracker) -> float:
     """Return the stripe's sigma, px, as the last frame was read."""
     reading = tracker.reading
@@ -92,7 +111,7 @@ def tell(folder: Path, most: int) -> None:
     tracker = Tracker(arctrack.read_recording(folder).setup)
     along_rows = tracker.geometry.along_rows
     centres: dict[str, list[Float64]] = {name: [] for name in ("ours", *PEERS)}
-    widths, places = [], []
+    widths, places, own_px, beside_px = [], [], [], []
     pairs = frames_of(folder, most)
     for frame, pose in pairs:
         stripe = tracker.step(frame, pose).stripe
@@ -100,6 +119,8 @@ def tell(folder: Path, most: int) -> None:
         width_px = width_of(tracker)
         image = frame.image_dn if along_rows else np.ascontiguousarray(frame.image_dn.T)
         centres["ours"].append(stripe.position_px)
+        own_px.append(stripe.sigma_px)
+        beside_px.append(stripe.beside_px)
         for name, (read, share, _) in PEERS.items():
             centres[name].append(read(image, share * width_px))
         widths.append(width_px)
@@ -111,6 +132,11 @@ def tell(folder: Path, most: int) -> None:
     lines = slice(int(lit[0]), int(lit[-1]) + 1)
     moved = [np.abs(a - b).max() > STILL_MM for a, b in itertools.pairwise(places)]
     print(f"\n{folder.name}: {len(pairs)} frames, sigma {width_px:.1f} px, {lines.stop - lines.start} lines")
+    ours, own, beside = (np.array(values)[:, lines] for values in (centres["ours"], own_px, beside_px))
+    apart = math.ceil(APART_SIGMAS * width_px)
+    alone = pull(ours, own**2, apart)
+    together = pull(means(ours), means(beside**2) / MEAN_LINES, math.ceil(apart / MEAN_LINES))
+    print(f"ours over its stated sigma: lines {alone:.2f}, means over {MEAN_LINES} {together:.2f}")
     print(f"{'':20} {'held':>6} {'gross':>7} {'along':>8} {'still':>8}")
     for name, centre in stack.items():
         own = PEERS[name][2] if name in PEERS else 0.0
@@ -120,7 +146,6 @@ def tell(folder: Path, most: int) -> None:
             np.where(np.abs(centre - middle) <= GROSS_SIGMAS * width_px, centre, np.nan),
             width_px * math.sqrt(max(1.0 - own * own, 0.0)),
         )[:, lines]
-        apart = math.ceil(APART_SIGMAS * width_px)
         bend = (smooth[:, : -2 * apart] - 2.0 * smooth[:, apart:-apart] + smooth[:, 2 * apart :]) / math.sqrt(
             6.0
         )

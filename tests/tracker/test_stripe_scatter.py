@@ -54,7 +54,8 @@ def shown(of: Float64, sigma: Float64, amplitude: Float64) -> tuple[Float64, Flo
     # Columns of the lines' fits: of another layout it would be compiled once more.
     centers, amplitudes = np.column_stack([of, amplitude]).T
     expected = np.zeros(len(of))
-    differences(centers, expected, sigma, amplitudes, LAGS, LENGTHS, MIN_MEANS, by_lag, by_length, brightness)
+    lags = LAGS, LENGTHS, BRIGHTNESS_LAGS
+    differences(centers, expected, sigma, amplitudes, *lags, MIN_MEANS, by_lag, by_length, brightness)
     return by_lag, by_length, brightness
 
 

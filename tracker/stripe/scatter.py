@@ -38,7 +38,13 @@ from noise_model.kernel import kernel
 from tracker.stripe.fit import WINDOW_SIGMAS
 
 LAGS = np.array([1, 2, 4, 8])
-"""How many lines apart centres are compared: speckle's grains reach over a few."""
+"""How many lines apart centres are compared: speckle's grains reach over a few.
+
+These and LENGTHS are those of a stripe of USUAL_PX at most: a wider one's lines are alike over more.
+"""
+
+USUAL_PX = 5.0
+"""1 sigma of a stripe, px, up to which lines as far apart as the longest lag scatter by themselves."""
 
 BRIGHTNESS_LAGS = np.append(LAGS, 2 * LAGS[-1])
 """How many lines apart their brightness is compared."""
@@ -208,7 +214,9 @@ class Scatter:
 
         `sheet_px` is the sheet's 1 sigma in the image, without what the lens spreads.
         """
-        own, texture_px2 = sigma_px**2, self._texture * sheet_px**4
+        own = sigma_px**2
+        # Of a texture finer than itself a sheet sees the mean.
+        texture_px2 = self._texture * sheet_px**4 if sheet_px <= LAGS[-1] else 0.0
         together = own + self.mean_variance_px2 + texture_px2
         return np.sqrt(own + self.line_variance_px2), np.sqrt(together)
 
@@ -267,8 +275,20 @@ def frame_scatter(
     by_lag, by_length = np.empty(len(LAGS)), np.empty(len(LENGTHS))
     brightness = np.empty(len(BRIGHTNESS_LAGS))
     min_means = MIN_MEANS_SEARCHING if is_searching else MIN_MEANS
+    known_px = fits[np.isfinite(fits[:, 3]), 3]
+    times = max(round(float(np.median(known_px)) / USUAL_PX), 1) if len(known_px) else 1
     differences(
-        fits[:, 0], expected_px, sigma_px, fits[:, 2], LAGS, LENGTHS, min_means, by_lag, by_length, brightness
+        fits[:, 0],
+        expected_px,
+        sigma_px,
+        fits[:, 2],
+        times * LAGS,
+        times * LENGTHS,
+        BRIGHTNESS_LAGS,
+        min_means,
+        by_lag,
+        by_length,
+        brightness,
     )
     ln_width = np.log(fits[:, 3] / width_px)
     known = ln_width[np.isfinite(ln_width)]
@@ -357,6 +377,7 @@ def differences(
     amplitude_e: Float64,
     lags: Int64,
     lengths: Int64,
+    brightness_lags: Int64,
     min_means: int,
     by_lag: Float64,
     by_length: Float64,
@@ -365,7 +386,7 @@ def differences(
     """Write the variances by second differences, by lag and of means, less the lines' own, px^2.
 
     Fewer than `min_means` differences of means tell nothing. Into `brightness` goes the square of the
-    amplitudes' contrast, by lag, and by twice the last lag.
+    amplitudes' contrast, by its own lags, of which the last asks for more differences.
     """
     n = position_px.shape[0]
     off, variances, amplitudes = np.empty(n), np.empty(n), np.empty(n)
@@ -379,9 +400,10 @@ def differences(
     typical_e = np.median(amplitudes[:held]) if held > 0 else math.nan
     for k in range(len(lags)):
         by_lag[k] = _variance_of(off, lags[k], MIN_PER_LAG * lags[k]) - _own_variance_of(variances, lags[k])
-        brightness[k] = _variance_of(amplitude_e, lags[k], MIN_DIFFERENCES) / typical_e**2
-    last = 2 * lags[-1]
-    brightness[len(lags)] = _variance_of(amplitude_e, last, MIN_PER_FAR_LAG * last) / typical_e**2
+    for k in range(len(brightness_lags)):
+        lag = brightness_lags[k]
+        least = MIN_PER_FAR_LAG * lag if k == len(brightness_lags) - 1 else MIN_DIFFERENCES
+        brightness[k] = _variance_of(amplitude_e, lag, least) / typical_e**2
     for k in range(len(lengths)):
         length = lengths[k]
         means, own = np.empty(n // length), np.empty(n // length)
