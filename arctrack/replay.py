@@ -34,15 +34,14 @@ from arctrack.recording.results import (
 from arctrack.recording.score import score
 from arctrack.report.replay.seen import Seen, SeenFile
 from arctrack.service.controller import Controller
+from arctrack.service.heard import TRUSTED
 from arctrack.service.seam_measured import seam_measured
 from arctrack.tracking import tracker_of
 from robot_io import (
-    SOURCES,
     BusLogError,
     Link,
     LinkError,
     Source,
-    Trusted,
     Verdict,
 )
 from robot_io.poses.plausibility import Implausibility
@@ -57,9 +56,6 @@ if TYPE_CHECKING:
     from arctrack.report.replay.pictures import ReplayPictures
 
 DEFAULT_BUS = "virtual:arctrack"
-HEARD = Trusted(robot=(Source.LIVE,), tracker=SOURCES)
-"""The robot must be a live one; a tracker of any source is another one."""
-
 RESULTS_FOLDER = "results"
 
 
@@ -226,7 +222,7 @@ def _replay(
                 bitrate_bit_s=bit_rate_bit_s,
                 log_paths=(folder / BUS_LOG,),
                 source=Source.REPLAY,
-                trusted=HEARD,
+                trusted=TRUSTED,
             )
         )
         # Only now do an earlier run's files go: what was sent over a bus that is not there cannot be again.

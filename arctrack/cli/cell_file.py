@@ -62,6 +62,7 @@ def _lines(read: CellFile) -> list[str]:
         f"bus: {bus} at {bus.bit_rate_bit_s / 1000.0:g} kbit/s; {rate_hz:g} frames of the camera "
         f"make {frames_per_s(rate_hz):.0f} frames on it a second, at most "
         f"{100.0 * read.bus_load:.0f} % of its load",
+        *([] if read.camera.kind is None else [f"camera: {read.camera.kind} {read.camera.name}"]),
         *(f"job {number}: {_of_job(read, job)}" for number, job in read.jobs.items()),
     ]
 

@@ -23,17 +23,15 @@ from arctrack.serve.process import Watchdog, garbage_left
 from arctrack.service.bus_poses import BusPoses
 from arctrack.service.controller import Controller
 from arctrack.service.frame_tracking import FrameTracking
+from arctrack.service.heard import TRUSTED
 from arctrack.service.pose_watch import nominal_path
 from arctrack.service.tracking_service import TrackingService
 from noise_model.effects import pose_time_s
 from noise_model.setup import Setup
 from noise_model.transforms import invert
-from robot_io import SOURCES, Link, LinkError, Source, Trusted
+from robot_io import Link, LinkError, Source
 from tracker.seam.correction import Correction
 from tracker.warm_up import OnCompiled
-
-HEARD = Trusted(robot=(Source.LIVE,), tracker=SOURCES)
-"""The robot must be a live one; a tracker of any source is another one."""
 
 
 @dataclass(frozen=True)
@@ -91,7 +89,7 @@ def opened_loop(
                 cell.bus.channel,
                 bitrate_bit_s=cell.bus.bit_rate_bit_s,
                 source=cast.source,
-                trusted=HEARD,
+                trusted=TRUSTED,
                 **bus_options,
             )
         except LinkError as error:

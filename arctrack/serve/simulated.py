@@ -7,7 +7,7 @@ import multiprocessing
 import signal
 import socket
 import time
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from multiprocessing.connection import Connection
 from pathlib import Path
 
@@ -45,6 +45,11 @@ class TorchError:
 class Lock:
     """Hears a run's tracks, and notes from when on its torch follows: see `ClosedLoop.lock_s`.
 
+    Parameters
+    ----------
+    plan : LoopPlan
+        What is welded.
+
     Attributes
     ----------
     at_s : float
@@ -52,7 +57,11 @@ class Lock:
     """
 
     plan: LoopPlan
-    at_s: float = field(default=math.inf)
+    at_s: float = math.inf
+
+    def __post_init__(self) -> None:
+        world = world_of(self.plan, setup_of(self.plan))
+        self._follows_s = world.latency_s + SETTLED_TIME_CONSTANTS * world.time_constant_s
 
     def on_track(self, track: Track, messages: list[BusMessage]) -> None:
         """Take a track, and what was sent of it."""
@@ -60,9 +69,7 @@ class Lock:
         is_free = any(isinstance(m, TrackerStatus) and m.gate_reason is GateReason.NONE for m in messages)
         is_measured = not track.flags & flags.OFFSET_EXTRAPOLATED.mask
         if math.isinf(self.at_s) and is_valid and is_free and is_measured:
-            world = world_of(self.plan, setup_of(self.plan))
-            follows_s = world.latency_s + SETTLED_TIME_CONSTANTS * world.time_constant_s
-            self.at_s = track.timestamp_s + follows_s
+            self.at_s = track.timestamp_s + self._follows_s
 
 
 class SimulatedCell:

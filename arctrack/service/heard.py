@@ -5,9 +5,12 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Generic, TypeVar
 
-from robot_io import BusMessage
+from robot_io import SOURCES, BusMessage, Source, Trusted
 
 M = TypeVar("M", bound=BusMessage)
+
+TRUSTED = Trusted(robot=(Source.LIVE,), tracker=SOURCES)
+"""The robot must be a live one; a tracker of any source is another one."""
 
 
 @dataclass(frozen=True)

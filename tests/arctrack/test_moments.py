@@ -22,8 +22,9 @@ from arctrack.errors import ArctrackError
 from arctrack.moments import PosesVerdict, RealTime, RecordingTime, assumed_command, assumed_robot
 from arctrack.pose_agreement import PoseAgreement
 from arctrack.recording import FrameRow, read_recording
-from arctrack.replay import HEARD, ReplayOptions, replay_recording
+from arctrack.replay import ReplayOptions, replay_recording
 from arctrack.service.controller import Controller
+from arctrack.service.heard import TRUSTED
 from arctrack.service.job import Job
 from robot_io import (
     BusLogReader,
@@ -143,7 +144,7 @@ class Robot:
 def replaying(
     channel: str, rows: list[FrameRow] = ROWS, poses_verdict: PosesVerdict = trusted
 ) -> tuple[Link, Controller, RealTime]:
-    link = Link("virtual", channel, source=Source.REPLAY, trusted=HEARD)
+    link = Link("virtual", channel, source=Source.REPLAY, trusted=TRUSTED)
     controller = Controller(JOB, Source.REPLAY)
     return link, controller, RealTime(rows, link, controller, PoseAgreement(STILL), poses_verdict)
 

@@ -18,6 +18,7 @@ from arctrack.cameras.shared_frames import SharedFramesError, SharedFramesReader
 from arctrack.cell.live.real_time import RealBus, RealTimeScheduler
 from arctrack.cell.live.serve import serve_cell
 from arctrack.cell.weld.closed_loop import LoopPlan, setup_of
+from arctrack.cell_file import CameraChoice, read_cell_file
 from arctrack.cli import app
 from arctrack.errors import ArctrackError
 from robot_io import (
@@ -149,9 +150,14 @@ def test_a_robot_and_its_camera_are_processes_that_a_tracker_finds_and_that_leav
 def test_the_command_says_where_robot_and_frames_are(tmp_path):
     name = f"command-{os.getpid()}"
     words = ["cell", "serve", "--bus", "virtual:live", "--frames", name, "--seconds", "0.2"]
+    words += ["--write-cell", str(tmp_path / "cell")]
     done = CliRunner().invoke(app, words)
     assert done.exit_code == 0, done.output
     assert f"robot on virtual:live, frames as '{name}'" in done.output
+    cell = read_cell_file(tmp_path / "cell" / "cell.toml")
+    assert str(cell.bus) == "virtual:live"
+    assert cell.camera == CameraChoice(10.0, "shared_memory", name)
+    assert (cell.setup.setup.camera.width, cell.setup.setup.joint.type) == (320, "lap")
     assert not path_of(name).exists()
 
 

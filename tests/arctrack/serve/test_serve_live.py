@@ -15,7 +15,14 @@ import pytest
 
 from arctrack.cameras.shared_frames import SharedFramesReader
 from arctrack.cell.weld.closed_loop import LoopPlan
-from arctrack.serve.simulated import write_simulated_cell
+from arctrack.serve.simulated import (
+    GROUP,
+    INTERFACE,
+    SimulatedCell,
+    TorchError,
+    torch_error,
+    write_simulated_cell,
+)
 from robot_io import (
     ANY_SOURCE,
     Command,
@@ -29,21 +36,24 @@ from robot_io import (
 
 PLAN = LoopPlan(joint="lap", length_mm=1000.0, rate_hz=10.0, size_px=(160, 120))
 
-CELL = """
-    import sys
-    from arctrack.cell.live.serve import serve_cell
-    from arctrack.cell.weld.closed_loop import LoopPlan
-    plan = LoopPlan(joint="lap", length_mm=1000.0, rate_hz=10.0, size_px=(160, 120))
-    serve_cell(
-        plan, "udp_multicast", "239.74.163.2", sys.argv[1], lambda robot: robot.now_s < 120.0,
-        lambda: print("ready", flush=True), port=int(sys.argv[2]), hop_limit=0,
-    )
-"""
 TRACKER = """
     import sys
     from arctrack.cell_file import read_cell_file
+    from arctrack.cli import console
     from arctrack.cli.serve import serve_cell_file
-    serve_cell_file(read_cell_file(sys.argv[1]), port=int(sys.argv[2]), hop_limit=0)
+    from tracker.warm_up import heard_compilations
+
+    say, seen = console.say, []
+
+    def noted(*lines):
+        seen.append((set(sys.modules), len(compiled)))
+        say(*lines)
+
+    console.say = noted
+    with heard_compilations(None) as compiled:
+        serve_cell_file(read_cell_file(sys.argv[1]), port=int(sys.argv[2]), hop_limit=0)
+    ready, ended = seen
+    print(f"after ready: loaded {sorted(ended[0] - ready[0])}, compiled {ended[1] - ready[1]}")
 """
 
 
@@ -79,52 +89,72 @@ def started(script: str, *words: str) -> subprocess.Popen:
 
 @pytest.mark.slow
 def test_a_robot_follows_offsets_of_another_process_until_that_ends_or_is_killed(multicast, tmp_path: Path):
-    name, port = f"serve-{os.getpid()}", str(multicast["port"])
-    cell = write_simulated_cell(tmp_path / "cell", PLAN, "udp_multicast", "239.74.163.2", name)
-    processes = [started(CELL, name, port)]
+    name = f"serve-{os.getpid()}"
+    cell = write_simulated_cell(tmp_path / "cell", PLAN, INTERFACE, GROUP, name)
+    processes = []
     try:
-        assert processes[0].stdout.readline() == "ready\n"
-        with can.Bus(**multicast, ignore_config=True) as bus, SharedFramesReader(name) as camera:
-            ear = Ear(bus)
-            processes.append(started(TRACKER, str(cell), port))
+        with (
+            SimulatedCell(PLAN, name) as robot,
+            can.Bus(**(multicast | robot.bus_options), ignore_config=True) as bus,
+            SharedFramesReader(name) as camera,
+        ):
+            ear, words = Ear(bus), (str(cell), str(robot.bus_options["port"]))
+            processes.append(started(TRACKER, *words))
             ear.listen(lambda: sum(o.validity is Validity.VALID for o in ear.offsets()) >= 20)
             assert ear.is_usable()
-            armed = next(
-                n
-                for n, message in enumerate(ear.messages)
-                if isinstance(message, TrackerCommand) and message.command is Command.TRACK
-            )
-            before = [m.validity for m in ear.messages[:armed] if isinstance(m, SeamOffset)]
-            assert set(before) == {Validity.REFUSED}
-            limits = GateLimits()
-            valid = [offset for offset in ear.offsets() if offset.validity is Validity.VALID]
-            assert max(abs(offset.offset_y_mm) for offset in valid) <= limits.range_y_mm
-            assert max(abs(offset.offset_z_mm) for offset in valid) <= limits.range_z_mm
-            assert valid[-1].offset_y_mm == pytest.approx(PLAN.displaced_mm, abs=0.3)
+            _check_offsets(ear)
 
-            processes[1].send_signal(signal.SIGTERM)
-            ear.listen(lambda: processes[1].poll() is not None)
-            assert processes[1].returncode == 0
-            ready, said = processes[1].stdout.read().splitlines()[:2]
+            processes[0].send_signal(signal.SIGTERM)
+            ear.listen(lambda: processes[0].poll() is not None)
+            assert processes[0].returncode == 0
+            ready, said, *_, late = processes[0].stdout.read().splitlines()
             assert ready.startswith(f"ready: shared_memory {name}, bus udp_multicast:239.74.163.2")
             assert said.startswith("frames: ")
+            assert late == "after ready: loaded [], compiled 0"
             # What the robot says next came after all of that.
             heard = len(ear.messages)
             ear.listen(lambda: sum(isinstance(m, TrackerCommand) for m in ear.messages[heard:]) >= 2)
             assert ear.offsets()[-1].validity is Validity.REFUSED
             assert not ear.is_usable()
 
-            processes.append(started(TRACKER, str(cell), port))
+            processes.append(started(TRACKER, *words))
             ear.listen(ear.is_usable)
-            processes[2].kill()
+            processes[1].kill()
             ear.listen(lambda: not ear.is_usable())
             # Nobody keeps the laser on.
-            dark = []
-            ear.listen(lambda: dark or _is_dark(camera, dark))
+            dark: list = []
+            ear.listen(lambda: _is_dark(camera, dark))
+            samples = robot.end()
+        # It began 3 mm beside the seam, and was taken there.
+        assert samples[0][1] == pytest.approx(PLAN.displaced_mm)
+        assert min(off_mm for _, off_mm in samples) < 0.5
     finally:
         for process in processes:
             process.kill()
             process.communicate()
+
+
+def _check_offsets(ear: Ear) -> None:
+    """Check that nothing was VALID before the robot wanted it, and nothing beyond the gate's limits."""
+    armed = next(
+        n
+        for n, message in enumerate(ear.messages)
+        if isinstance(message, TrackerCommand) and message.command is Command.TRACK
+    )
+    before = [m.validity for m in ear.messages[:armed] if isinstance(m, SeamOffset)]
+    assert set(before) == {Validity.REFUSED}
+    limits = GateLimits()
+    valid = [offset for offset in ear.offsets() if offset.validity is Validity.VALID]
+    assert max(abs(offset.offset_y_mm) for offset in valid) <= limits.range_y_mm
+    assert max(abs(offset.offset_z_mm) for offset in valid) <= limits.range_z_mm
+    assert valid[-1].offset_y_mm == pytest.approx(PLAN.displaced_mm, abs=0.3)
+
+
+def test_the_torch_is_judged_from_the_lock_to_the_end() -> None:
+    samples = [(0.0, 3.0), (1.0, 0.3), (2.0, 0.4), (3.0, 2.0)]
+    judged = torch_error(samples, 0.5, 2.5)
+    assert judged == TorchError(pytest.approx(0.125**0.5), 0.4, 2.0)
+    assert torch_error(samples, float("inf"), 2.5) is None
 
 
 def _is_dark(camera: SharedFramesReader, dark: list) -> bool:

@@ -18,7 +18,7 @@ from arctrack.cell_file import as_the_job_says, read_cell_file
 from arctrack.recording import read_recording
 from arctrack.replay import ReplayOptions, replay_recording
 from arctrack.serve.loop import LiveLoop
-from arctrack.serve.run import cast_of
+from arctrack.serve.run import cast_of, run
 from arctrack.service.bus_poses import BusPoses
 from arctrack.service.controller import Controller
 from arctrack.service.frame_tracking import FrameTracking
@@ -251,6 +251,19 @@ def test_a_camera_that_does_not_know_the_light_is_told_it_by_the_robot(stage: St
     stage.run(0.05)
     frame = stage.loop._lit(stage._shot())
     assert (frame.laser_on, frame.arc_on, frame.current_a) == (False, True, WELDING.current_a)
+
+
+def test_an_error_of_the_program_ends_with_a_refusal(stage: Stage) -> None:
+    def fail():
+        raise RuntimeError("the camera's driver fell over")
+
+    stage.run(0.1)
+    stage.camera.newest = fail
+    with pytest.raises(RuntimeError, match="fell over"):
+        run(stage.loop, lambda: True, 60.0)
+    heard = [received.message for received in stage.robot.receive(0.0)]
+    assert of_type(heard, TrackerStatus)[-1].gate_reason is GateReason.SHUTTING_DOWN
+    assert of_type(heard, SeamOffset)[-1].validity is Validity.REFUSED
 
 
 class Clock:
