@@ -120,7 +120,8 @@ class PoseWatch:
 
     def see(self, seam: SeamMeasured) -> None:
         """Take a measurement of the seam, as the pose at its capture puts it."""
-        self._seam = self._seam.with_seam(seam, self._seam_limits)
+        moving = seam.at_speed(self._poses.speed_mm_s, self._seam_limits)
+        self._seam = self._seam.with_seam(moving, self._seam_limits)
 
     def doubt(self, now_s: float) -> Implausibility | SeamMotion | None:
         """Return why poses are not trusted at a time, s; None where they are."""

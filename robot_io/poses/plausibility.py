@@ -35,7 +35,7 @@ class Implausibility(Enum):
 
     UNPROVEN = "too few poses yet"
     AGE_UNKNOWN = "the sender does not say how old a pose is"
-    TIME_REPEATED = "two poses of the same time"
+    TIME_REPEATED = "another pose of the same time"
     TIME_BACKWARDS = "a pose older than the one before"
     STOPPED = "no poses for too long"
     SPEED = "faster than the robot moves"
@@ -124,6 +124,11 @@ class Plausibility:
     clean_from_s: float = math.nan
     anchor: _Anchor | None = None
 
+    @property
+    def speed_mm_s(self) -> float:
+        """The tool's speed by the newest samples, mm/s; 0 before there are two."""
+        return _speed_mm_s(self.window) if len(self.window) > 1 else 0.0
+
     def at(self, now_s: float, limits: PlausibilityLimits) -> Implausibility | None:
         """Return the doubt at a time: poses may have stopped since the last.
 
@@ -174,6 +179,8 @@ def update(
     place = None if path is None else path.place(sample.position_base_mm)
     newest = _Kept(sample.timestamp_s, sample.position_base_mm, sample.quaternion_xyzw, place)
     state = _with_status(state, newest.time_s, seen.robot, limits)
+    if _is_same_sample(state.window, newest, limits):
+        return state
     clock, window = _on_the_clock(state.window, newest, limits)
     if clock is Implausibility.TIME_REPEATED:
         return _doubted(state, clock)
@@ -229,6 +236,22 @@ def _unsteady(state: Plausibility, until_s: float) -> Plausibility:
     if anchor is not None:
         anchor = replace(anchor, is_steady=False)
     return replace(state, steady_from_s=until_s, anchor=anchor)
+
+
+def _is_same_sample(window: tuple[_Kept, ...], newest: _Kept, limits: PlausibilityLimits) -> bool:
+    """Say whether a sample is the last one, sent again with its age: it says nothing new, and nothing wrong.
+
+    Both times have the jitter of their ways over the bus.
+    """
+    if not window:
+        return False
+    last = window[-1]
+    apart_s = limits.sigmas * math.sqrt(2.0) * limits.time_jitter_s
+    return (
+        newest.position_mm == last.position_mm
+        and newest.quaternion == last.quaternion
+        and abs(newest.time_s - last.time_s) <= apart_s
+    )
 
 
 def _on_the_clock(

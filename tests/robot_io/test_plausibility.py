@@ -322,6 +322,35 @@ def test_times_that_repeat_or_run_backwards_are_named():
     assert recovers(back)
 
 
+@pytest.mark.parametrize("times", [2, 3])
+def test_a_sample_that_comes_again_with_its_age_says_nothing_new(times):
+    """Some controllers send poses more often than they sample them; each way over the bus has its jitter."""
+    rng, taken, count = np.random.default_rng(3), None, 0
+
+    def again(_, seen):
+        nonlocal taken, count
+        if count % times == 0:
+            taken = seen.sample
+        count += 1
+        jittered_s = taken.timestamp_s + float(rng.normal(0.0, 0.0005))
+        return replace(seen, sample=replace(taken, timestamp_s=jittered_s))
+
+    assert names(doubts(Robot().seen(4.0, again)), 0.35) == {None}
+
+
+def test_a_sample_that_comes_again_for_good_has_stopped():
+    robot = Robot()
+    state = Plausibility()
+    for seen in robot.seen(1.0):
+        state = update(state, seen, LIMITS, PATH)
+        last_s = seen.sample.timestamp_s
+    assert state.doubt is None
+    for _ in range(30):
+        state = update(state, seen, LIMITS, PATH)
+    assert state.at(last_s + 0.9 * LIMITS.gap_s, LIMITS) is None
+    assert state.at(last_s + 1.1 * LIMITS.gap_s, LIMITS) is Implausibility.STOPPED
+
+
 @pytest.mark.parametrize("step_s", [-1.0, -0.2])
 def test_a_clock_set_back_is_named_and_recovers(step_s):
     found = doubts(

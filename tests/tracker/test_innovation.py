@@ -166,3 +166,24 @@ def test_limits_must_be_positive_and_finite(name):
     for bad in (0, -1, math.inf, math.nan):
         with pytest.raises(ValueError, match=name):
             InnovationLimits(**{name: bad})
+
+
+def test_a_fast_weave_whose_poses_are_off_by_a_millisecond_is_no_contradiction():
+    """A weave at up to 42 mm/s moves the seam by 0.04 mm in a millisecond, beyond a sharp image's sigma."""
+    weave_mm, rate = 2.4, 2.0 * math.pi * 2.8
+    verdicts = {0.001: [], 0.1: []}
+    for late_s, motions_seen in verdicts.items():
+        for seed in range(20):
+            rng, state = np.random.default_rng(seed), SeamInnovation()
+            for n in range(150):
+                t_s = n / RATE_HZ
+                off_mm = weave_mm * (math.sin(rate * (t_s - late_s)) - math.sin(rate * t_s))
+                y, z = seam_mm(6.5 * t_s) + rng.normal(0.0, 0.03, 2)
+                measured = SeamMeasured(6.5 * t_s, (y + off_mm, z), (0.03, 0.03))
+                speed_mm_s = math.hypot(6.5, weave_mm * rate * math.cos(rate * t_s))
+                state = state.with_seam(measured.at_speed(speed_mm_s, LIMITS), LIMITS)
+                if state.motion is SeamMotion.CONTRADICTED:
+                    break
+            motions_seen.append(state.motion)
+    assert set(verdicts[0.001]) == {SeamMotion.CONSISTENT}
+    assert set(verdicts[0.1]) == {SeamMotion.CONTRADICTED}

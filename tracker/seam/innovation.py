@@ -50,6 +50,9 @@ class InnovationLimits:
         A single innovation counts for so many sigmas at most (chosen: one bad frame alone cannot fail it).
     gap_mm : float
         A station this far off the last begins anew, mm (chosen: a third of the length over which seams bend).
+    pose_time_s : float
+        1 sigma of a pose's time against its frame's, s (the age's rounding to 1 ms, and a wait for the bus of
+        up to some frames of 0.25 ms, alike over many frames).
 
     Raises
     ------
@@ -62,6 +65,7 @@ class InnovationLimits:
     sigma_floor_mm: float = 0.03
     most_sigmas: float = 4.0
     gap_mm: float = 20.0
+    pose_time_s: float = 0.001
 
     def __post_init__(self) -> None:
         for name in (f.name for f in fields(self)):
@@ -86,12 +90,21 @@ class SeamMeasured:
     displacement_mm : tuple (2,)
         The seam's displacement (y, z) from that line, mm, joint frame, as the pose at the capture puts it.
     sigma_mm : tuple (2,)
-        1 sigma of each, mm.
+        1 sigma of each, mm, of the image alone.
     """
 
     station_mm: float
     displacement_mm: tuple[float, float]
     sigma_mm: tuple[float, float]
+
+    def at_speed(self, speed_mm_s: float, limits: InnovationLimits) -> SeamMeasured:
+        """Return it with its sigma of a tool at a speed, mm/s, whose time is as unsure as the limits say.
+
+        Of a tool that weaves at v a pose that is off by t puts the seam aside by v t.
+        """
+        by_mm = limits.pose_time_s * speed_mm_s
+        y_mm, z_mm = self.sigma_mm
+        return replace(self, sigma_mm=(math.hypot(y_mm, by_mm), math.hypot(z_mm, by_mm)))
 
 
 @dataclass(frozen=True)
