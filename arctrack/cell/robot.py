@@ -37,6 +37,9 @@ WELDING = RobotStatus(
     path_section=0,
 )
 
+CORRECTION_MM_S = 30.0
+"""How fast a controller lets a correction of its path act, mm/s: its axes' acceleration is limited."""
+
 DISARMED = TrackerCommand(Command.DISARM, True, True, 0, 1, 1, Switch.ON)
 
 
@@ -114,7 +117,18 @@ class Robot:
         if motion is MotionState.MOVING:
             self.station_mm += self.world.speed_mm_s * elapsed_s
             self.weave_s += elapsed_s
-            share = 1.0 - math.exp(-elapsed_s / self.world.time_constant_s)
-            self.offset_mm = self.offset_mm + share * (self._wanted_mm - self.offset_mm)
+            self._follow(elapsed_s)
         elif motion is MotionState.RETRACTING:
             self.station_mm -= RETRACT_MM_S * elapsed_s
+
+    def _follow(self, elapsed_s: float) -> None:
+        """Follow what is wanted by a first-order lag, no faster than a controller lets a correction act."""
+        lag_s = self.world.time_constant_s
+        off_mm = self._wanted_mm - self.offset_mm
+        far_mm, near_mm = math.hypot(*off_mm), CORRECTION_MM_S * lag_s
+        # At the largest speed up to where the lag itself is slower.
+        fast_s = min(max((far_mm - near_mm) / CORRECTION_MM_S, 0.0), elapsed_s)
+        if fast_s > 0.0:
+            self.offset_mm = self.offset_mm + CORRECTION_MM_S * fast_s / far_mm * off_mm
+            off_mm = self._wanted_mm - self.offset_mm
+        self.offset_mm = self.offset_mm + (1.0 - math.exp(-(elapsed_s - fast_s) / lag_s)) * off_mm

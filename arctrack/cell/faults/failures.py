@@ -10,7 +10,7 @@ import numpy as np
 from arctrack.cell.bus import BusTrouble
 from arctrack.cell.cell import Cell
 from arctrack.cell.faults import pose_faults
-from arctrack.cell.faults.kind import DELAYED, POSES, Begin, End, FaultKind
+from arctrack.cell.faults.kind import DELAYED, LONGEST_S, POSES, Begin, End, FaultKind
 from arctrack.cell.robot_party import SOURCE
 from arctrack.cell.tracker_party import Camera
 from robot_io import (
@@ -230,7 +230,16 @@ FAULTS: tuple[FaultKind, ...] = (
     FaultKind("poses stop", _poses(pose_faults.stop), POSES, 0.13),
     FaultKind("poses jump", _poses(pose_faults.jump), POSES, 0.05),
     FaultKind("poses run backwards", _poses(pose_faults.delayed(lambda t_s: 2.0 * t_s)), POSES, 0.3),
-    FaultKind("poses repeat", _poses(pose_faults.repeat), POSES, 0.1),
+    FaultKind(
+        "poses repeat with their age",
+        _poses(pose_faults.repeated(as_new=False)),
+        note="a sample that is sent again says nothing new",
+    ),
+    FaultKind(
+        "poses repeat as new",
+        _poses(pose_faults.repeated(as_new=True)),
+        note="late by two cycles at most; told where the tool goes fast",
+    ),
     FaultKind("poses freeze", _poses(pose_faults.freeze), POSES, 0.25),
     FaultKind("y mirrored", _poses(pose_faults.mirror_y), POSES, 0.05),
     FaultKind("y mirrored from the start", _poses(pose_faults.mirror_y), POSES, 0.0, from_start=True),
@@ -245,7 +254,11 @@ FAULTS: tuple[FaultKind, ...] = (
         from_start=True,
     ),
     FaultKind(
-        "poses drift", _poses(pose_faults.drift), recovery_s=3.5, note="a seam that runs off looks the same"
+        "poses drift",
+        _poses(pose_faults.drift),
+        recovery_s=3.5,
+        follows_mm=pose_faults.DRIFT_MM_S[1] * LONGEST_S,
+        note="a seam that runs off looks the same: the torch follows",
     ),
     FaultKind("status lost", _said(lambda _: None), frozenset({R.ROBOT_STATUS_STALE}), 0.25),
     FaultKind("status with a bad CRC", _bad_crc, frozenset({R.ROBOT_STATUS_STALE}), 0.25),

@@ -18,6 +18,9 @@ End = Callable[[], None]
 Begin = Callable[[Cell, np.random.Generator], End]
 """Begins a fault in a cell, with what chance decides."""
 
+LONGEST_S = 0.9
+"""A fault lasts no longer by itself, s."""
+
 POSES = frozenset({GateReason.POSE_IMPLAUSIBLE})
 DELAYED = frozenset({GateReason.BUS_DELAYED})
 
@@ -44,6 +47,8 @@ class FaultKind:
         How long it lasts in a world, s; by default a time is drawn.
     recovery_s : float
         How long after its end all is to be well again, s.
+    follows_mm : float
+        How far the torch follows what nothing can tell from a seam that runs off, mm, at most.
     note : str
         What the table says of it.
     """
@@ -56,4 +61,5 @@ class FaultKind:
     is_slow_bus: bool = False
     lasts_s: Callable[[World], float] | None = None
     recovery_s: float = 1.6
+    follows_mm: float = 0.0
     note: str = ""

@@ -11,6 +11,12 @@ import numpy as np
 from arctrack.cell.cell import Cell
 from arctrack.cell.robot_party import Spoil, Told
 
+CYCLE_S = 0.01
+"""A robot tells a pose so often, s."""
+
+DRIFT_MM_S = (0.2, 1.0)
+"""How fast poses drift, mm/s."""
+
 Spoiler = Callable[[Cell, np.random.Generator, float], Spoil]
 """Draws what is wrong with poses from a time, s, on."""
 
@@ -74,20 +80,23 @@ class _Shadow:
         return replace(told, place_mm=(x - world.speed_mm_s * back_s, y + weave_mm, z))
 
 
-def repeat(_cell: Cell, rng: np.random.Generator, _begun_s: float) -> Spoil:
-    """Tell each pose two or three times."""
-    kept: list[Told] = []
-    times = int(rng.integers(2, 4))
+def repeated(as_new: bool) -> Spoiler:
+    """Tell each pose two or three times: as new each time, or honest about its age."""
 
-    def spoil(_: float, told: Told) -> Told:
-        # The same sample again, and honest about its age.
-        if len(kept) % times == 0:
-            kept.append(told)
-        else:
-            kept.append(replace(kept[-1], age_s=kept[-1].age_s + 0.01))
-        return kept[-1]
+    def spoiler(_cell: Cell, rng: np.random.Generator, _begun_s: float) -> Spoil:
+        kept: list[Told] = []
+        times = int(rng.integers(2, 4))
 
-    return spoil
+        def spoil(_: float, told: Told) -> Told:
+            if len(kept) % times == 0:
+                kept.append(told)
+            else:
+                kept.append(kept[-1] if as_new else replace(kept[-1], age_s=kept[-1].age_s + CYCLE_S))
+            return kept[-1]
+
+        return spoil
+
+    return spoiler
 
 
 def mirror_y(_cell: Cell, _rng: np.random.Generator, _begun_s: float) -> Spoil:
@@ -116,8 +125,8 @@ def conjugate(_cell: Cell, _rng: np.random.Generator, _begun_s: float) -> Spoil:
 
 
 def drift(_cell: Cell, rng: np.random.Generator, begun_s: float) -> Spoil:
-    """Tell a place that goes off by 0.2 to 1 mm/s."""
-    rate_mm_s = float(rng.choice((-1.0, 1.0)) * rng.uniform(0.2, 1.0))
+    """Tell a place that goes off at `DRIFT_MM_S`."""
+    rate_mm_s = float(rng.choice((-1.0, 1.0)) * rng.uniform(*DRIFT_MM_S))
 
     def spoil(now_s: float, told: Told) -> Told:
         x, y, z = told.place_mm

@@ -12,13 +12,13 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from arctrack.cell.cell import USABLE, Cell, Heard
-from arctrack.cell.faults.kind import FaultKind
+from arctrack.cell.faults.kind import LONGEST_S, FaultKind
 from arctrack.cell.faults.kinds import KINDS
 from arctrack.cell.world import draw_world
 from robot_io import GateLimits, GateReason, Validity
 
-BEGIN_S, LONGEST_S = (1.0, 1.3), 0.9
-"""When a fault begins, and how long it lasts at most, s."""
+BEGIN_S = (1.0, 1.3)
+"""When a fault begins, s."""
 
 SETTLED_S = 0.2
 """For so long before the end offsets must be VALID again."""
@@ -143,7 +143,7 @@ def _broken(cell: Cell, schedule: Schedule, until_s: float) -> Iterator[str]:
         if bad is not None:
             yield f"{name} at {bad.came_s:.3f} s: {bad.offset}"
     yield from _wrongly_told(cell, schedule, usable)
-    yield from _not_recovered(cell, until_s)
+    yield from _not_recovered(cell, schedule.kind, until_s)
 
 
 def _limits_of(cell: Cell) -> GateLimits:
@@ -174,7 +174,7 @@ def _wrongly_told(cell: Cell, schedule: Schedule, usable: Sequence[Heard]) -> It
         yield f"said {', '.join(sorted(r.name for r in wrong))}"
 
 
-def _not_recovered(cell: Cell, until_s: float) -> Iterator[str]:
+def _not_recovered(cell: Cell, kind: FaultKind, until_s: float) -> Iterator[str]:
     last = cell.validities(until_s - SETTLED_S, until_s)
     if set(last) != {Validity.VALID}:
         said = {r.name for t_s, r in cell.reasons if t_s >= until_s - SETTLED_S}
@@ -182,5 +182,5 @@ def _not_recovered(cell: Cell, until_s: float) -> Iterator[str]:
         yield f"not VALID again at the end: {dict(last)}, {sorted(said)}, poses: {doubt}"
         return
     error_mm = cell.torch_error_mm[-1][1]
-    if error_mm > TORCH_MM:
+    if error_mm > TORCH_MM + kind.follows_mm:
         yield f"the torch is off by {error_mm:.2f} mm at the end"

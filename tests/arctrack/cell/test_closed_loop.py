@@ -11,7 +11,7 @@ from typer.testing import CliRunner
 
 from arctrack.cell.cell import Cell
 from arctrack.cell.faults.welding import ARC_FAULT
-from arctrack.cell.robot import Robot
+from arctrack.cell.robot import CORRECTION_MM_S, Robot
 from arctrack.cell.weld.closed_loop import ClosedLoop, LoopPlan
 from arctrack.cell.world import draw_world
 from arctrack.cli import app
@@ -54,6 +54,26 @@ def test_a_run_is_a_table_a_picture_and_some_lines(tmp_path):
     image = cv2.imread(str(tmp_path / "out" / "run.png"))
     assert image is not None
     assert image.std() > 10.0
+
+
+def test_a_robot_corrects_its_path_no_faster_than_it_may():
+    """A far offset acts at the largest speed until the lag is slower; small steps add to a large one."""
+    world = replace(draw_world(np.random.default_rng(2)), latency_s=0.0, time_constant_s=0.03)
+    whole, stepwise = Robot(world), Robot(world)
+    offset = SeamOffset(4.8, -1.4, 10.0, 1.0, Validity.VALID)
+    for robot in (whole, stepwise):
+        robot.hear(offset, 0.0)
+    whole.advance(0.2)
+    places = [np.zeros(2)]
+    for n in range(1, 201):
+        stepwise.advance(0.001 * n)
+        places.append(stepwise.offset_mm)
+    np.testing.assert_allclose(whole.offset_mm, stepwise.offset_mm, atol=1e-9)
+    speeds_mm_s = np.linalg.norm(np.diff(places, axis=0), axis=1) / 0.001
+    assert speeds_mm_s.max() == pytest.approx(CORRECTION_MM_S)
+    # 5 mm less the 0.9 mm at which the lag is as slow take 4.1 / 30 s, then it is a lag's.
+    left_mm = 0.9 * math.exp(-(0.2 - 4.1 / 30.0) / 0.03)
+    assert math.hypot(4.8 - whole.offset_mm[0], -1.4 - whole.offset_mm[1]) == pytest.approx(left_mm)
 
 
 def test_an_offset_that_comes_twice_moves_the_robot_once():
