@@ -32,6 +32,12 @@ SEARCH_STEP_MM = 0.1
 CLEAR_OF_EDGE_MM = 0.3
 """Points nearer to the upright side than this wait until it is found."""
 
+ON_FACE_SIGMAS = 2.0
+"""A point beside the upright side that lies farther off a face may hold light of both.
+
+One in twenty of a face's own points does, and is outvoted by its neighbours.
+"""
+
 GAP, ROOT, TAN, DEPTH_LEFT, DEPTH_RIGHT, SLOPE_LEFT, SLOPE_RIGHT = range(7)
 PRIOR_SIGMA = np.array([0.3, 5.0, 0.04, 0.3, 0.3, 0.03, 0.03])
 """1 sigma of the gap, the root's height, tan(bevel), both depths (mm), both plate slopes."""
@@ -105,7 +111,8 @@ def _beside_the_upright(profile: Profile, fit: ShapeFit, wall: float) -> tuple[i
     y = profile.y_mm - wall
     over_plate = profile.z_mm - (p[ROOT] + p[DEPTH_RIGHT] + p[SLOPE_RIGHT] * y)
     over_groove = profile.z_mm - (p[ROOT] + np.maximum(y - p[GAP], 0.0) / p[TAN])
-    near, limit = np.abs(y) < 5.0 * CLEAR_OF_EDGE_MM, 0.25 * p[DEPTH_RIGHT]
+    near = np.abs(y) < 5.0 * CLEAR_OF_EDGE_MM
+    limit = np.minimum(0.25 * p[DEPTH_RIGHT], ON_FACE_SIGMAS * np.abs(profile.dz_mm) * profile.sigma_px)
     return neighbours_of_edge(near & (np.abs(over_plate) < limit), near & (np.abs(over_groove) < limit))
 
 
