@@ -13,6 +13,7 @@ from hypothesis import strategies as st
 from rendered import pose_at, rolled
 
 from arctrack.nominal import DIMENSIONS, nominal_setup
+from arctrack.simulate import balance
 from noise_model.condition import Condition
 from noise_model.effects import REGISTRY
 from noise_model.forward import draw_frame
@@ -189,3 +190,15 @@ def test_no_frame_raises(data: st.DataObject) -> None:
     for _ in range(data.draw(st.integers(1, 5))):
         pose = data.draw(poses())
         assert_told(tracker.step(data.draw(frames(setup, pose)), pose))
+
+
+def test_a_stripe_none_of_whose_lines_lies_on_a_plate_is_refused() -> None:
+    """Random blocks in which lines are read, none of them where a plate of an edge joint would be."""
+    setup = balance(nominal_setup("edge", "zn_coated", width=320, height=240))
+    rng = np.random.default_rng(277)
+    size = int(rng.integers(20, 33))
+    blocks = rng.integers(0, 256, (240 // size + 1, 320 // size + 1))
+    image = np.kron(blocks, np.ones((size, size)))[:240, :320].astype(np.uint8)
+    track = Tracker(setup).step(Frame(0, 0.0, image, 0.005), Pose(np.eye(4)))
+    assert not track.valid
+    assert_told(track)

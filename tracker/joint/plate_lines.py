@@ -91,9 +91,9 @@ class PlateLines:
 
     def _leave_out_dim(self) -> None:
         """Take lines as unread that hold a stripe where the plates' is, but hardly any of its light."""
-        if self.light is None or self.image_dn is None:
-            return
         plates = np.flatnonzero(self.sees > 0.0)
+        if self.light is None or self.image_dn is None or not len(plates):
+            return
         scans = self.away * (self.first_scan + plates)
         width_px = float(np.nanmedian(self.light.width_px[scans]))
         brightness = self._brightness(scans, self.light.position_px[scans], width_px)
