@@ -127,7 +127,7 @@ class Plausibility:
     @property
     def speed_mm_s(self) -> float:
         """The tool's speed by the newest samples, mm/s; 0 before there are two."""
-        return _speed_mm_s(self.window) if len(self.window) > 1 else 0.0
+        return _speed_mm_s(self.window) if self.window else 0.0
 
     def at(self, now_s: float, limits: PlausibilityLimits) -> Implausibility | None:
         """Return the doubt at a time: poses may have stopped since the last.

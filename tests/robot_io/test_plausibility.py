@@ -338,6 +338,16 @@ def test_a_sample_that_comes_again_with_its_age_says_nothing_new(times):
     assert names(doubts(Robot().seen(4.0, again)), 0.35) == {None}
 
 
+def test_the_speed_is_that_of_the_newest_samples():
+    state = Plausibility()
+    assert state.speed_mm_s == 0.0
+    for n, seen in enumerate(Robot(speed_mm_s=12.0, weave_mm=0.0, jitter_s=0.0).seen(0.3)):
+        state = update(state, seen, LIMITS, PATH)
+        if n == 0:
+            assert state.speed_mm_s == 0.0
+    assert state.speed_mm_s == pytest.approx(12.0, rel=0.1)
+
+
 def test_a_sample_that_comes_again_for_good_has_stopped():
     robot = Robot()
     state = Plausibility()
