@@ -16,8 +16,8 @@ from arctrack.service.pose_watch import PoseWatch, nominal_path
 from noise_model.transforms import invert
 from robot_io import BusLogError, BusLogReader, GateReason, PoseKind, PoseSample, Received, RobotStatus
 from robot_io.clocks.sync import SyncLimits
-from robot_io.poses.plausibility import Implausibility
 from robot_io.poses.plausibility_limits import PlausibilityLimits
+from robot_io.poses.pose_questions import Implausibility
 from tracker.seam.innovation import InnovationLimits, SeamMeasured, SeamMotion
 
 GAP_PERIODS = 4.0

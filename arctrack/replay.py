@@ -44,8 +44,8 @@ from robot_io import (
     Source,
     Verdict,
 )
-from robot_io.poses.plausibility import Implausibility
 from robot_io.poses.plausibility_limits import PlausibilityLimits
+from robot_io.poses.pose_questions import Implausibility
 from tracker import flags
 from tracker.measure import Reading
 from tracker.seam.innovation import SeamMeasured

@@ -34,9 +34,9 @@ TESTS = {
     "robot_io/protocol/protect.py": ("tests/robot_io/test_protect.py",),
     "robot_io/gate.py": ("tests/robot_io/test_gate.py",),
     "robot_io/poses/pose_buffer.py": ("tests/robot_io/test_pose_buffer.py",),
-    "robot_io/poses/plausibility.py": (
-        "tests/robot_io/test_plausibility.py",
-        "tests/robot_io/test_plausibility_bounds.py",
+    **dict.fromkeys(
+        ("robot_io/poses/plausibility.py", "robot_io/poses/pose_questions.py"),
+        ("tests/robot_io/test_plausibility.py", "tests/robot_io/test_plausibility_bounds.py"),
     ),
 }
 """The modules whose tests must see what is wrong, and these tests."""

@@ -22,8 +22,9 @@ from robot_io import (
 )
 from robot_io.clocks.sync import ClockSync, SyncLimits
 from robot_io.poses.nominal_path import NominalPath
-from robot_io.poses.plausibility import Implausibility, Plausibility, PoseSeen, clock_set, update
+from robot_io.poses.plausibility import Plausibility, clock_set, update
 from robot_io.poses.plausibility_limits import PlausibilityLimits
+from robot_io.poses.pose_questions import Implausibility, PoseSeen
 from tracker.seam.innovation import InnovationLimits, SeamInnovation, SeamMeasured, SeamMotion
 
 BEGINNING = (Command.DISARM, Command.RESET)

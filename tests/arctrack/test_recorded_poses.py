@@ -27,8 +27,8 @@ from robot_io import (
     RobotPoseRotation,
     Verdict,
 )
-from robot_io.poses.plausibility import Implausibility
 from robot_io.poses.plausibility_limits import PlausibilityLimits
+from robot_io.poses.pose_questions import Implausibility
 from tracker.state import NAN, Pose, Track
 
 EXAMPLE = Path(__file__).parents[2] / "examples" / "v_groove"

@@ -11,8 +11,9 @@ from scipy.spatial.transform import Rotation
 
 from robot_io import MotionState, PoseKind, PoseSample, RobotMode, RobotStatus, Switch, WeldingState
 from robot_io.poses.nominal_path import NominalPath
-from robot_io.poses.plausibility import Implausibility, Plausibility, PoseSeen, update
+from robot_io.poses.plausibility import Plausibility, update
 from robot_io.poses.plausibility_limits import PlausibilityLimits
+from robot_io.poses.pose_questions import Implausibility, PoseSeen
 from robot_io.protocol.messages import RobotPoseRotation
 
 LIMITS = PlausibilityLimits()

@@ -11,7 +11,8 @@ from scipy.spatial.transform import Rotation
 
 from robot_io import MotionState, PoseKind
 from robot_io.poses.nominal_path import NominalPath
-from robot_io.poses.plausibility import Implausibility, Plausibility, PoseSeen, clock_set, turn_rad, update
+from robot_io.poses.plausibility import Plausibility, clock_set, update
+from robot_io.poses.pose_questions import Implausibility, PoseSeen, turn_rad
 from tests.robot_io.moving_robot import LIMITS, PATH, Robot, doubts, moved, on_the_bus, status
 
 FAULT_S, END_S = 2.0, 3.0

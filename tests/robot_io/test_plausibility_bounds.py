@@ -12,7 +12,8 @@ from scipy.spatial.transform import Rotation
 
 from robot_io import MotionState
 from robot_io.poses.nominal_path import NominalPath
-from robot_io.poses.plausibility import Implausibility, Plausibility, PoseSeen, update
+from robot_io.poses.plausibility import Plausibility, update
+from robot_io.poses.pose_questions import Implausibility, PoseSeen
 from tests.robot_io.moving_robot import LIMITS, Robot, doubts, moved, on_the_bus, status
 from tests.robot_io.test_plausibility import FAULT_S, names
 

@@ -22,8 +22,8 @@ from robot_io import (
 )
 from robot_io.clocks.sync import SyncLimits
 from robot_io.poses.nominal_path import NominalPath
-from robot_io.poses.plausibility import Implausibility
 from robot_io.poses.plausibility_limits import PlausibilityLimits
+from robot_io.poses.pose_questions import Implausibility
 from tracker.seam.innovation import InnovationLimits, SeamMeasured, SeamMotion
 
 PATH = NominalPath(((0.0, 0.0, 0.0), (300.0, 0.0, 0.0)))
