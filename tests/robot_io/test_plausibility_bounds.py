@@ -14,7 +14,7 @@ from robot_io import MotionState
 from robot_io.poses.nominal_path import NominalPath
 from robot_io.poses.plausibility import Plausibility, update
 from robot_io.poses.pose_questions import Implausibility, PoseSeen
-from tests.robot_io.moving_robot import LIMITS, Robot, doubts, moved, on_the_bus, status
+from tests.robot_io.moving_robot import LIMITS, PATH, Robot, doubts, moved, on_the_bus, status
 from tests.robot_io.test_plausibility import FAULT_S, names
 
 STEP_S = 1.0 / 64.0
@@ -281,3 +281,33 @@ def test_a_tool_looks_along_a_seam_wherever_that_runs(q, turned_deg):
     doubt = update(Plausibility(), seen, LIMITS, path).doubt
     is_along = max(abs(turned_deg[1]), abs(turned_deg[2])) < 45 and abs(turned_deg[0]) < 60
     assert (doubt is Implausibility.AGAINST_SEAM) != is_along
+
+
+@pytest.mark.parametrize(
+    ("place_mm", "beyond_mm"),
+    [
+        ((10.0, 40.0 + LIMITS.lateral_mm, 0.0), (0.0, 0.5, 0.0)),
+        ((10.0, 40.0 - LIMITS.lateral_mm, 0.0), (0.0, -0.5, 0.0)),
+        ((10.0, 40.0, LIMITS.above_mm), (0.0, 0.0, 0.5)),
+        ((10.0, 40.0, -LIMITS.below_mm), (0.0, 0.0, -0.5)),
+        ((-LIMITS.ends_mm, 40.0, 0.0), (-0.5, 0.0, 0.0)),
+        ((300.0 + LIMITS.ends_mm, 40.0, 0.0), (0.5, 0.0, 0.0)),
+    ],
+)
+def test_the_tool_may_be_exactly_so_far_from_the_seam(place_mm, beyond_mm):
+    assert after(steps(1.0, 1.25), path=PATH, place_mm=place_mm).doubt is None
+    x, y, z = (p + b for p, b in zip(place_mm, beyond_mm, strict=True))
+    assert after([1.0], path=PATH, place_mm=(x, y, z)).doubt is Implausibility.OFF_SEAM
+
+
+@pytest.mark.parametrize(("turned", "is_rejoined"), [(0.999, True), (1.001, False)])
+def test_after_a_doubt_the_tool_is_turned_as_before(turned, is_rejoined):
+    trusted = after(steps(1.0, 1.5))
+    doubted = after([1.5 + STEP_S], state=trusted, place_mm=(60.0, 40.0, 0.0))
+    assert doubted.doubt is Implausibility.SPEED
+    half = math.radians(0.5 * turned * LIMITS.rejoin_deg)
+    quaternion = (math.sin(half), 0.0, 0.0, math.cos(half))
+    # The gap lets it turn: nothing is asked of the way in between.
+    from_s = 1.75
+    back = after(steps(from_s, from_s + 0.5), state=doubted, quaternion=quaternion)
+    assert back.doubt is (None if is_rejoined else Implausibility.NOT_REJOINED)
