@@ -11,6 +11,7 @@ from arctrack.cell.bus import BusTrouble
 from arctrack.cell.cell import Cell
 from arctrack.cell.faults import pose_faults
 from arctrack.cell.faults.kind import DELAYED, LONGEST_S, POSES, Begin, End, FaultKind
+from arctrack.cell.faults.welding import rearm
 from arctrack.cell.robot_party import SOURCE
 from arctrack.cell.tracker_party import Camera
 from robot_io import (
@@ -50,6 +51,17 @@ def _poses(spoiler: pose_faults.Spoiler) -> Begin:
         return end
 
     return begin
+
+
+def _drift(cell: Cell, rng: np.random.Generator) -> End:
+    """Let poses drift and be right again. Nothing tells which of both is right: the seam is begun anew."""
+    end_drift = _poses(pose_faults.drift)(cell, rng)
+
+    def end() -> None:
+        end_drift()
+        rearm(cell, Command.DISARM)
+
+    return end
 
 
 def _said(change: Callable[[RobotStatus], RobotStatus | None]) -> Begin:
@@ -182,8 +194,7 @@ def _second_tracker(cell: Cell, rng: np.random.Generator) -> End:
 
     def end() -> None:
         ended.append(True)
-        cell.command(Command.RESET, is_new_request=True)
-        cell.scheduler.at(cell.scheduler.now_s + 0.25, lambda: cell.command(Command.TRACK))
+        rearm(cell, Command.RESET)
 
     return end
 
@@ -255,10 +266,10 @@ FAULTS: tuple[FaultKind, ...] = (
     ),
     FaultKind(
         "poses drift",
-        _poses(pose_faults.drift),
+        _drift,
         recovery_s=3.5,
         follows_mm=pose_faults.DRIFT_MM_S[1] * LONGEST_S,
-        note="a seam that runs off looks the same: the torch follows",
+        note="a seam that runs off looks the same: the torch follows, until the robot disarms",
     ),
     FaultKind("status lost", _said(lambda _: None), frozenset({R.ROBOT_STATUS_STALE}), 0.25),
     FaultKind("status with a bad CRC", _bad_crc, frozenset({R.ROBOT_STATUS_STALE}), 0.25),
