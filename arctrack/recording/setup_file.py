@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -214,8 +214,12 @@ def _filter_table(of_filter: Filter | FilterCurve | None) -> dict[str, Any]:
     return table
 
 
+def _stated(record: Any, left_out: str = "") -> dict[str, Any]:
+    """Return a record's fields: what it has derived of them since, and keeps, is no part of a setup."""
+    return {f.name: getattr(record, f.name) for f in fields(record) if f.name != left_out}
+
+
 def _tables(setup: Setup) -> dict[str, dict[str, Any]]:
-    camera = {name: value for name, value in vars(setup.camera).items() if name != "T_tool_camera"}
     joint = {
         "type": setup.joint.type,
         **setup.joint.dimensions,
@@ -223,17 +227,17 @@ def _tables(setup: Setup) -> dict[str, dict[str, Any]]:
         "surface_normal_in_base": setup.joint.surface_normal_in_base,
     }
     tables: dict[str, dict[str, Any]] = {
-        "camera": camera,
-        "sensor": {name: value for name, value in vars(setup.sensor).items() if name != "bend"},
+        "camera": _stated(setup.camera, "T_tool_camera"),
+        "sensor": _stated(setup.sensor, "bend"),
         "filter": _filter_table(setup.filter),
         "laser": {
             name: value
-            for name, value in vars(setup.laser).items()
-            if name != "profile_exponent" and value is not None
+            for name, value in _stated(setup.laser, "profile_exponent").items()
+            if value is not None
         },
-        "arc": dict(vars(setup.arc)),
-        "material": {name: value for name, value in vars(setup.material).items() if name != "lobe"},
-        "tolerance": dict(vars(setup.tolerance)),
+        "arc": _stated(setup.arc),
+        "material": _stated(setup.material, "lobe"),
+        "tolerance": _stated(setup.tolerance),
         "joint": joint,
     }
     plain = {

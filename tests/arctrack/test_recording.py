@@ -97,6 +97,12 @@ def test_setup_text_comes_back(tmp_path: Path) -> None:
     assert format_setup(stated.setup) == text
 
 
+def test_what_a_camera_has_derived_is_no_part_of_its_setup() -> None:
+    fresh, used = small_setup(), small_setup()
+    assert used.camera.intrinsics.fx == used.camera.fx
+    assert format_setup(used) == format_setup(fresh)
+
+
 def test_a_misspelt_tool_frame_is_reported(tmp_path: Path) -> None:
     pose = "translation_mm = [1.0, 2.0, 3.0]\nquaternion_xyzw = [1.0, 0.0, 0.0, 0.0]\n"
     text = format_setup(small_setup()) + f"[robot.controller_tool_to_tool]\n{pose}"
