@@ -38,6 +38,9 @@ ON_FACE_SIGMAS = 2.0
 One in twenty of a face's own points does, and is outvoted by its neighbours.
 """
 
+BENT_MM = 0.2
+"""So far a face may bend off its straight line beside the upright side."""
+
 GAP, ROOT, TAN, DEPTH_LEFT, DEPTH_RIGHT, SLOPE_LEFT, SLOPE_RIGHT = range(7)
 PRIOR_SIGMA = np.array([0.3, 5.0, 0.04, 0.3, 0.3, 0.03, 0.03])
 """1 sigma of the gap, the root's height, tan(bevel), both depths (mm), both plate slopes."""
@@ -112,7 +115,8 @@ def _beside_the_upright(profile: Profile, fit: ShapeFit, wall: float) -> tuple[i
     over_plate = profile.z_mm - (p[ROOT] + p[DEPTH_RIGHT] + p[SLOPE_RIGHT] * y)
     over_groove = profile.z_mm - (p[ROOT] + np.maximum(y - p[GAP], 0.0) / p[TAN])
     near = np.abs(y) < 5.0 * CLEAR_OF_EDGE_MM
-    limit = np.minimum(0.25 * p[DEPTH_RIGHT], ON_FACE_SIGMAS * np.abs(profile.dz_mm) * profile.sigma_px)
+    sure_mm = np.hypot(BENT_MM, ON_FACE_SIGMAS * np.abs(profile.dz_mm) * profile.sigma_px)
+    limit = np.minimum(0.25 * p[DEPTH_RIGHT], sure_mm)
     return neighbours_of_edge(near & (np.abs(over_plate) < limit), near & (np.abs(over_groove) < limit))
 
 
