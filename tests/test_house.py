@@ -74,9 +74,10 @@ FOLDERS_MAY_IMPORT: dict[str, dict[str, set[str]]] = {
         "blind_check": {"recording"},
         "service": set(),
         "cell_file": {"recording", "service"},
-        "cameras": {"recording"},
+        "journal": set(),
+        "cameras": {"recording", "journal"},
         "cell": {"service", "cameras"},
-        "serve": {"recording", "service", "cell_file", "cameras", "cell"},
+        "serve": {"recording", "service", "cell_file", "cameras", "cell", "journal"},
         "setup_check": {"recording", "check"},
         "report": {
             "recording",

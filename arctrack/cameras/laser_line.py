@@ -13,7 +13,7 @@ import time
 from contextlib import suppress
 from pathlib import Path
 
-from arctrack.cameras.shared_frames import memory_folder
+from arctrack.journal.ring import memory_folder
 
 HOLD_S = 0.3
 """So long the laser stays on after it was switched on last: as long as the longest look at a frame, twice."""

@@ -10,20 +10,21 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
-from arctrack.cameras import shared_frames
 from arctrack.cameras.shared_frames import (
-    SLOT,
+    FIELDS,
     SharedFramesError,
     SharedFramesReader,
     SharedFramesWriter,
     path_of,
 )
+from arctrack.journal import ring
+from arctrack.journal.ring import PAGE_BYTES, SLOT
 from tracker.state import Frame
 
 
 @pytest.fixture
 def name(tmp_path, monkeypatch):
-    monkeypatch.setattr(shared_frames, "MEMORY", tmp_path)
+    monkeypatch.setattr(ring, "MEMORY", tmp_path)
     return "camera"
 
 
@@ -66,8 +67,7 @@ def test_who_comes_late_sees_what_comes_from_then_on(name):
 def test_a_frame_that_is_not_whole_is_not_read(name):
     with SharedFramesWriter(name, 6, 8) as writer, SharedFramesReader(name) as reader:
         writer.publish(frame(1))
-        memory = writer._memory
-        at_byte = writer._layout.slot_at(0)
+        memory, at_byte = writer._ring._memory, PAGE_BYTES
         whole = bytes(memory[at_byte : at_byte + 8])
         # It is being written: its sequence is odd.
         memory[at_byte : at_byte + 8] = (1).to_bytes(8, "little")
@@ -77,7 +77,7 @@ def test_a_frame_that_is_not_whole_is_not_read(name):
         assert reader.newest() is None
         memory[at_byte : at_byte + 8] = whole
         # A pixel of another frame.
-        pixel = at_byte + SLOT.size + 5
+        pixel = at_byte + SLOT.size + FIELDS.size + 5
         memory[pixel] ^= 1
         assert reader.newest() is None
         memory[pixel] ^= 1
@@ -98,10 +98,11 @@ WRITER = """
     import sys, time
     from pathlib import Path
     import numpy as np
-    from arctrack.cameras import shared_frames
+    from arctrack.cameras.shared_frames import SharedFramesWriter
+    from arctrack.journal import ring
     from tracker.state import Frame
-    shared_frames.MEMORY = Path(sys.argv[1])
-    writer = shared_frames.SharedFramesWriter("camera", 240, 320)
+    ring.MEMORY = Path(sys.argv[1])
+    writer = SharedFramesWriter("camera", 240, 320)
     for index in range(10**9):
         image = np.full((240, 320), index % 251, np.uint8)
         writer.publish(Frame(index, time.monotonic(), image, 0.005, float(index)))

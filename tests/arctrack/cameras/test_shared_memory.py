@@ -8,18 +8,19 @@ import numpy as np
 import pytest
 from made import small_setup
 
-from arctrack.cameras import laser_line, shared_frames, shared_memory
+from arctrack.cameras import laser_line, shared_memory
 from arctrack.cameras.camera import UnreadableFrame
 from arctrack.cameras.laser_line import is_laser_on, line_path, remove_line
 from arctrack.cameras.shared_frames import SharedFramesError, SharedFramesWriter
 from arctrack.cameras.shared_memory import SharedMemoryCamera
+from arctrack.journal import ring
 from robot_io import LaserState
 from tracker.state import Frame
 
 
 @pytest.fixture
 def name(tmp_path, monkeypatch):
-    monkeypatch.setattr(shared_frames, "MEMORY", tmp_path)
+    monkeypatch.setattr(ring, "MEMORY", tmp_path)
     return "camera"
 
 
