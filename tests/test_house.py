@@ -74,7 +74,7 @@ FOLDERS_MAY_IMPORT: dict[str, dict[str, set[str]]] = {
         "blind_check": {"recording"},
         "service": set(),
         "cell_file": {"recording", "service"},
-        "journal": set(),
+        "journal": {"service"},
         "cameras": {"recording", "journal"},
         "cell": {"service", "cameras"},
         "serve": {"recording", "service", "cell_file", "cameras", "cell", "journal"},

@@ -110,6 +110,28 @@ class TrackerState:
         return flags.FOLLOW_STOPPED.mask if self.steering.is_stopped else 0
 
 
+@dataclass(frozen=True)
+class StepInputs:
+    """What a step took beside the frame; with the frame it gives the same track, bit for bit.
+
+    Attributes
+    ----------
+    state : TrackerState
+        What the step before handed on.
+    pose : Pose or None
+        The tool's pose at the capture, None where it was refused.
+    lead : Lead
+        How far ahead of the torch the offset was asked for.
+    keeps_state : bool
+        Whether what the step found counts for the next one: not where poses were doubted.
+    """
+
+    state: TrackerState
+    pose: Pose | None
+    lead: Lead = AT_ONCE
+    keeps_state: bool = True
+
+
 def step(
     geometry: SensorGeometry,
     state: TrackerState,

@@ -178,7 +178,7 @@ class RingReader:
                 remove_if_dead(path)
                 raise RingError(f"{name!r}: who published them is dead")
             self._memory = mmap.mmap(self._file, 0, prot=mmap.PROT_READ)
-            magic, self.slots, record_bytes, kind, _ = HEADER.unpack_from(self._memory, 0)
+            magic, slots, record_bytes, kind, _ = HEADER.unpack_from(self._memory, 0)
             if magic != MAGIC:
                 raise RingError(f"{name!r}: are not there yet, or of another version")
         except (OSError, ValueError, struct.error) as error:
@@ -187,7 +187,7 @@ class RingReader:
         except RingError:
             os.close(self._file)
             raise
-        self.kind = kind.rstrip(b"\0")
+        self.slots, self.kind = int(slots), kind.rstrip(b"\0")
         self._slot_bytes = _slot_bytes(record_bytes)
 
     @property

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 
 from arctrack.service.look_ahead import LookAhead
 from arctrack.service.policy import ServicePolicy
@@ -13,6 +14,7 @@ from robot_io import (
     PoseAt,
     PoseBuffer,
     PoseError,
+    PoseSample,
     Received,
     RobotPosePosition,
     SeamOffset,
@@ -59,6 +61,8 @@ class BusPoses:
         How late the robot follows.
     looks_ahead : bool
         Whether offsets are asked for where the torch will be once they act.
+    on_sample : callable or None
+        Hears each pose, its time on the frames' clock, and when it was read, s.
     """
 
     def __init__(
@@ -76,6 +80,7 @@ class BusPoses:
         self._T_controllertool_tool = T_controllertool_tool
         self._late_s, self._estimates_later = late_s, estimates_later
         self.looks_ahead = True
+        self.on_sample: Callable[[PoseSample, float], None] | None = None
         self._wait_s = WAIT_PERIODS * cycle_time_s(message_layout(RobotPosePosition.__name__))
         self.begin()
 
@@ -98,6 +103,8 @@ class BusPoses:
         sample = self.watch.hear(received, now_s)
         if sample is None:
             return
+        if self.on_sample is not None:
+            self.on_sample(sample, now_s)
         self.look_ahead.see(sample, self.watch.doubt(now_s) is None)
         try:
             self._buffer.push_quaternion(sample.timestamp_s, sample.position_base_mm, sample.quaternion_xyzw)

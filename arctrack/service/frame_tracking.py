@@ -2,17 +2,19 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 from arctrack.service.seam_measured import seam_measured
 from noise_model.setup import Setup
 from robot_io import PoseAt, PoseStatus, RobotStatus
 from tracker import flags
+from tracker.measure import Reading
 from tracker.seam.correction import UNSTATED, Correction
 from tracker.seam.innovation import SeamMeasured
 from tracker.seam.steer import Lead
 from tracker.state import Frame, Pose, Track
-from tracker.step import TrackerState
+from tracker.step import StepInputs, TrackerState
 from tracker.tracker import Tracker
 
 
@@ -44,6 +46,16 @@ class Capture:
     lead: Lead
 
 
+@dataclass(frozen=True)
+class Step:
+    """A step that was taken: the frame, what the step took beside it, and what came of it."""
+
+    frame: Frame
+    inputs: StepInputs
+    track: Track
+    reading: Reading | None
+
+
 class FrameTracking:
     """The tracker of one seam.
 
@@ -58,10 +70,13 @@ class FrameTracking:
     ----------
     tracker : Tracker
         The tracker.
+    on_step : callable or None
+        Hears each step.
     """
 
     def __init__(self, setup: Setup, correction: Correction = UNSTATED) -> None:
         self.tracker = Tracker(setup, correction=correction)
+        self.on_step: Callable[[Step], None] | None = None
 
     def begin(self) -> None:
         """Forget the seam: another part comes."""
@@ -95,5 +110,8 @@ class FrameTracking:
         hand_eye_mm2 = self.tracker.state.steering.hand_eye_variance_mm2
         if not capture.is_trusted:
             self.tracker.state = before
+        if self.on_step is not None:
+            inputs = StepInputs(before, pose, capture.lead, capture.is_trusted)
+            self.on_step(Step(shown, inputs, track, self.tracker.reading))
         setup = self.tracker.geometry.setup
         return track, seam_measured(setup, track, pose, hand_eye_mm2) if track.valid else None

@@ -1,0 +1,195 @@
+"""What a live run hands on: an entry for each frame, a view of the newest one, and the state of it all."""
+
+from __future__ import annotations
+
+import pickle
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+import numpy as np
+
+from noise_model.arrays import UInt8
+from noise_model.surface.joint import SeamLine
+from robot_io import (
+    Fault,
+    GateReason,
+    LaserState,
+    PoseSample,
+    RobotStatus,
+    SeamOffset,
+    Source,
+    TrackerCommand,
+)
+from robot_io import TrackerState as ServiceState
+from tracker.arc.level import ArcLevel
+from tracker.joint.measured import MeasuredJoint
+from tracker.state import NAN, Frame, Track
+from tracker.step import StepInputs
+
+EIGHTH = 8
+"""Parts of a record begin at multiples of so many bytes."""
+
+NO_IMAGE = np.empty((0, 0), np.uint8)
+
+
+@dataclass(frozen=True)
+class HeardPose:
+    """A pose of the robot, its time on the frames' clock, and when it was read, s."""
+
+    sample: PoseSample
+    read_s: float
+
+
+@dataclass(frozen=True)
+class Entry:
+    """A frame that was tracked.
+
+    Attributes
+    ----------
+    frame : Frame
+        The frame as the tracker saw it.
+    inputs : StepInputs
+        What the step took beside it.
+    track : Track
+        What came of it, without stripe and checks.
+    offset : SeamOffset or None
+        The offset that went out.
+    job_number : int
+        The job whose seam it is.
+    poses : tuple of HeardPose
+        The poses that came since the entry before.
+    arrived_s, sent_s : float
+        When the loop had the frame, and when its offset went out, s; NaN where it did not.
+    took_ms : float
+        How long the step took, ms.
+    dropped : int
+        How many frames were dropped since the start.
+    """
+
+    frame: Frame
+    inputs: StepInputs
+    track: Track
+    offset: SeamOffset | None
+    job_number: int
+    poses: tuple[HeardPose, ...] = ()
+    arrived_s: float = NAN
+    sent_s: float = NAN
+    took_ms: float = NAN
+    dropped: int = 0
+
+
+@dataclass(frozen=True)
+class View:
+    """What was seen in a frame, for those who look: its entry's position, and more than that holds.
+
+    Attributes
+    ----------
+    position : int
+        Of the frame's entry, from the first.
+    track : Track
+        The track with its stripe.
+    seam : SeamLine or None
+        Where the seam was looked for; None where nothing was.
+    reach_mm : float
+        How far about it, mm.
+    arc : ArcLevel or None
+        The arc's light.
+    joint : MeasuredJoint or None
+        The joint that was fitted.
+    """
+
+    position: int
+    track: Track
+    seam: SeamLine | None = None
+    reach_mm: float = NAN
+    arc: ArcLevel | None = None
+    joint: MeasuredJoint | None = None
+
+
+@dataclass(frozen=True)
+class Status:
+    """How the run stands.
+
+    Attributes
+    ----------
+    now_s, wall_s : float
+        The time on the frames' clock and of the day, s.
+    source : Source
+        Whether the run is live.
+    state : ServiceState
+        The state that the robot is told.
+    fault : Fault
+        What holds until RESET.
+    laser : LaserState
+        What the laser does.
+    reason : GateReason
+        Why the newest offset did not go out as measured; NONE where it did.
+    offset : SeamOffset or None
+        The newest offset that went out.
+    robot : RobotStatus or None
+        What the robot said last.
+    command : TrackerCommand or None
+        What it wants of the tracker.
+    job_number : int
+        The job whose seam is tracked.
+    frames, valid, dropped : int
+        How many frames were tracked, tracked validly, and dropped.
+    offsets, reasons : mapping of str to int
+        How many offsets went out by validity, and why not as measured.
+    faults : mapping of str to int
+        The bus' faults.
+    capture_ms, arrival_ms : tuple (3,)
+        Median, 99 % and largest time from mid-exposure and from the frame's arrival to its offset, ms.
+    frame_s : float
+        When the newest frame was taken, s; NaN before the first.
+    """
+
+    now_s: float
+    wall_s: float
+    source: Source
+    state: ServiceState
+    fault: Fault
+    laser: LaserState
+    reason: GateReason
+    offset: SeamOffset | None
+    robot: RobotStatus | None
+    command: TrackerCommand | None
+    job_number: int
+    frames: int
+    valid: int
+    dropped: int
+    offsets: Mapping[str, int] = field(default_factory=dict)
+    reasons: Mapping[str, int] = field(default_factory=dict)
+    faults: Mapping[str, int] = field(default_factory=dict)
+    capture_ms: tuple[float, float, float] = (NAN, NAN, NAN)
+    arrival_ms: tuple[float, float, float] = (NAN, NAN, NAN)
+    frame_s: float = NAN
+
+
+def pack(record: object) -> bytes:
+    """Return a record as bytes, padded to a multiple of eight."""
+    packed = pickle.dumps(record, pickle.HIGHEST_PROTOCOL)
+    return packed + bytes(-len(packed) % EIGHTH)
+
+
+def unpack(packed: UInt8) -> Any:
+    """Return what `pack` made bytes of: this user's own processes alone write there."""
+    return pickle.loads(packed.data)
+
+
+def pack_entry(entry: Entry) -> tuple[bytes, bytes, UInt8]:
+    """Return an entry as parts of a record: how long the second is, all but the image, the image."""
+    image = np.ascontiguousarray(entry.frame.image_dn)
+    frame = replace(entry.frame, image_dn=NO_IMAGE)
+    packed = pack((image.shape, image.dtype.str, replace(entry, frame=frame)))
+    return len(packed).to_bytes(EIGHTH, "little"), packed, image.view(np.uint8)
+
+
+def unpack_entry(record: UInt8) -> Entry:
+    """Return the entry of a record."""
+    begin = EIGHTH + int.from_bytes(record[:EIGHTH].tobytes(), "little")
+    shape, dtype, entry = unpack(record[EIGHTH:begin])
+    held: Entry = entry
+    image = record[begin:].view(np.dtype(dtype)).reshape(shape)
+    return replace(held, frame=replace(held.frame, image_dn=image))

@@ -1,0 +1,91 @@
+"""A live run's journal: what is written comes out the same, newest first, and what is gone is None."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from arctrack.journal import ring
+from arctrack.journal.journal import MIN_SLOTS, Journal, JournalReader, slots_for
+from arctrack.journal.records import Entry, HeardPose, View
+from arctrack.journal.ring import RingError
+from robot_io import PoseKind, PoseSample
+from tracker.state import Frame, Pose, Track
+from tracker.step import StepInputs, TrackerState
+
+SHAPE = (6, 8)
+
+
+@pytest.fixture
+def journal(tmp_path, monkeypatch):
+    monkeypatch.setattr(ring, "MEMORY", tmp_path)
+    journal = Journal("run", SHAPE, np.uint16, MIN_SLOTS)
+    yield journal
+    journal.close()
+    assert not list(tmp_path.iterdir())
+
+
+def entry(index):
+    image = np.full(SHAPE, 1000 * index, np.uint16)
+    pose = Pose(np.diag([1.0, 1.0, 1.0, 1.0 + index]))
+    return Entry(
+        Frame(index, index / 3.0, image, 0.005),
+        StepInputs(TrackerState(), pose),
+        Track(index, 0.0, 0),
+        None,
+        1,
+    )
+
+
+def test_an_entry_comes_out_as_it_was_written(journal):
+    pose = HeardPose(PoseSample(1 / 3, (1.0, 2.0, 3.0), (0.0, 0.0, 0.0, 1.0), PoseKind.ACTUAL, 0.004), 0.5)
+    journal.hear(pose)
+    assert journal.add(entry(7)) == 0
+    assert journal.add(entry(8)) == 1
+    reader = JournalReader("run")
+    read = reader.entry(0)
+    assert read.frame.timestamp_s == 7 / 3.0
+    np.testing.assert_array_equal(read.frame.image_dn, np.full(SHAPE, 7000, np.uint16))
+    np.testing.assert_array_equal(read.inputs.pose.T_base_tool, entry(7).inputs.pose.T_base_tool)
+    assert read.poses == (pose,)
+    assert reader.entry(1).poses == ()
+    assert reader.entry(2) is None
+    reader.close()
+
+
+def test_the_oldest_entries_go(journal):
+    for index in range(20):
+        journal.add(entry(index))
+    reader = JournalReader("run")
+    assert (reader.count, reader.first) == (20, 20 - MIN_SLOTS)
+    assert reader.entry(reader.first - 1) is None
+    assert [reader.entry(k).frame.index for k in range(reader.first, 20)] == list(range(12, 20))
+    reader.close()
+
+
+def test_the_newest_view_and_status_are_told(journal):
+    reader = JournalReader("run")
+    assert reader.newest_view() is None
+    assert reader.status() is None
+    for index in range(9):
+        journal.show(View(index, Track(index, 0.0, 0)))
+    assert reader.newest_view().position == 8
+    reader.close()
+
+
+def test_what_does_not_fit_is_counted_and_nothing_raises(journal):
+    large = entry(1)
+    journal.add(Entry(large.frame, large.inputs, Track(1, 0.0, 0, stripe=np.zeros(20_000)), None, 1))
+    assert journal.lost == 1
+    assert JournalReader("run").count == 0
+
+
+def test_a_reader_without_a_run_says_so(tmp_path, monkeypatch):
+    monkeypatch.setattr(ring, "MEMORY", tmp_path)
+    with pytest.raises(RingError, match="nobody"):
+        JournalReader("run")
+
+
+def test_what_is_saved_is_not_written_over_meanwhile():
+    assert slots_for(30.0, 200.0) == 7500
+    assert slots_for(0.0, 25.0) == MIN_SLOTS
