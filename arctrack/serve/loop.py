@@ -10,20 +10,25 @@ import math
 import time
 from collections import Counter
 from collections.abc import Callable, Iterable, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import astuple, dataclass, replace
 
 from arctrack.cameras.camera import Camera, UnreadableFrame
+from arctrack.journal.records import Status
+from arctrack.serve.keeper import Keeper
 from arctrack.serve.latency import LatencyCounts, Quantiles
 from arctrack.service.pose_watch import BEGINNING
 from arctrack.service.tracking_service import TrackingService
 from robot_io import (
     BusMessage,
+    GateReason,
     LaserState,
     Link,
     Received,
     SeamOffset,
+    Source,
     Switch,
     TrackerCommand,
+    TrackerStatus,
     Validity,
 )
 from tracker.state import NAN, Frame, Track
@@ -33,6 +38,9 @@ TURN_S = 0.002
 
 MAX_MESSAGES = 64
 """So many messages are read in a turn at most: a robot that talks all the time must not hold a frame up."""
+
+TIME_DIGITS = 6
+"""A recording states times to a microsecond."""
 
 Service = TrackingService[Frame | None]
 OnTrack = Callable[[Track, list[BusMessage]], None]
@@ -78,10 +86,12 @@ class LiveLoop:
     services : mapping of int to TrackingService
         What answers, by the number by which the robot names its job; all have one controller. Until the
         robot names one of them the first one tracks.
-    is_live : bool
-        Whether the robot's commands choose the seam. A recording has its own.
+    source : Source
+        Where frames come from. In a live run the robot's commands choose the seam; a recording has its own.
     on_track : callable, optional
         Hears each track, and what was sent of it.
+    keeper : Keeper, optional
+        Writes the journal.
     """
 
     def __init__(
@@ -89,12 +99,14 @@ class LiveLoop:
         camera: Camera,
         link: Link,
         services: Mapping[int, Service],
-        is_live: bool = True,
+        source: Source = Source.LIVE,
         on_track: OnTrack | None = None,
+        keeper: Keeper | None = None,
     ) -> None:
         self.camera, self.link = camera, link
-        self._services, self._is_live, self._on_track = services, is_live, on_track
-        self.service = next(iter(services.values()))
+        self._services, self._source, self._on_track = services, source, on_track
+        self._keeper = keeper
+        self._job_number, self.service = next(iter(services.items()))
         self.controller = self.service.controller
         self._command: TrackerCommand | None = None
         self._waiting: Frame | UnreadableFrame | None = None
@@ -102,7 +114,9 @@ class LiveLoop:
         self._laser = LaserState.UNKNOWN
         self._frames = self._valid = 0
         self._offsets: Counter[Validity] = Counter()
-        self._arrived_s = NAN
+        self._offset: SeamOffset | None
+        self._reason, self._offset = GateReason.NOT_ARMED, None
+        self._arrived_s = self._frame_s = NAN
         self._since_capture, self._since_arrival = LatencyCounts(), LatencyCounts()
 
     @property
@@ -118,17 +132,46 @@ class LiveLoop:
         frame = self.camera.newest()
         if frame is not None:
             self._replaced += self._waiting is not None
-            self._waiting, self._arrived_s = frame, self.camera.now_s()
+            self._waiting = replace(frame, timestamp_s=_stated_s(frame.timestamp_s))
+            self._arrived_s = self.camera.now_s()
         waiting = self._waiting
         if waiting is not None and self.service.poses.is_settled(waiting.timestamp_s, self.camera.now_s()):
             self._waiting = None
             self._track(waiting)
         self._send(self.service.poll(self.camera.now_s()))
+        if self._keeper is not None:
+            self._keeper.tell(self.camera.now_s(), self.status)
 
     def close(self) -> None:
         """Send the last refusal, and switch the laser off."""
         self.controller.on_laser(self.camera.switch_laser(False))
         self._send(self.controller.close(self.camera.now_s()))
+
+    def status(self) -> Status:
+        """Return how the run stands."""
+        result = self.result()
+        return Status(
+            now_s=self.camera.now_s(),
+            wall_s=time.time(),
+            source=self._source,
+            state=self.controller.state,
+            fault=self.controller.fault,
+            laser=self._laser,
+            reason=self._reason,
+            offset=self._offset,
+            robot=self.service.robot,
+            command=self._command,
+            job_number=self._job_number,
+            frames=result.frames,
+            valid=result.valid,
+            dropped=result.dropped,
+            offsets=result.offsets,
+            reasons=result.reasons,
+            faults={fault.value: count for fault, count in self.link.faults.items() if count},
+            capture_ms=astuple(result.capture_to_send),
+            arrival_ms=astuple(result.arrival_to_send),
+            frame_s=self._frame_s,
+        )
 
     def result(self) -> LoopResult:
         """Return what the run has come to so far."""
@@ -156,7 +199,7 @@ class LiveLoop:
             wait_s = 0.0
 
     def _hear(self, received: Received) -> None:
-        if self._is_live and isinstance(received.message, TrackerCommand):
+        if self._source is Source.LIVE and isinstance(received.message, TrackerCommand):
             self._obey(received.message)
         self._send(self.service.hear(received, self.camera.now_s()))
 
@@ -165,7 +208,8 @@ class LiveLoop:
         before, self._command = self._command, command
         service = None if command.job_number is None else self._services.get(command.job_number)
         if service is not None and service is not self.service:
-            self.service = service
+            assert command.job_number is not None
+            self.service, self._job_number = service, command.job_number
             service.begin()
         elif command.command in BEGINNING and (before is None or before.command not in BEGINNING):
             self.service.tracking.begin()
@@ -182,7 +226,11 @@ class LiveLoop:
             self._since_capture.add(sent_s - frame.timestamp_s)
             self._since_arrival.add(sent_s - self._arrived_s)
         self._frames += 1
+        self._frame_s = frame.timestamp_s
         self._valid += tracked.track.valid
+        if self._keeper is not None:
+            offset = next((message for message in messages if isinstance(message, SeamOffset)), None)
+            self._keeper.on_sent(offset, self._job_number, self._arrived_s, sent_s, took_ms, self._dropped)
         if self._on_track is not None:
             self._on_track(tracked.track, messages)
         self.service.poses.rest(self.camera.now_s())
@@ -210,5 +258,13 @@ class LiveLoop:
             self.service.sent(message, now_s)
             if isinstance(message, SeamOffset):
                 self._offsets[message.validity] += 1
-                sent_s = now_s
+                self._offset, sent_s = message, now_s
+            elif isinstance(message, TrackerStatus):
+                self._reason = message.gate_reason
         return sent_s
+
+
+def _stated_s(time_s: float) -> float:
+    """Return a time that a recording can state, the same or just before."""
+    stated_s = round(time_s, TIME_DIGITS)
+    return stated_s if stated_s <= time_s else round(stated_s - 10.0**-TIME_DIGITS, TIME_DIGITS)

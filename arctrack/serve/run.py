@@ -95,7 +95,7 @@ def opened_loop(
         except LinkError as error:
             raise in_file(cell.path, f"[bus] {error}") from error
         opened.callback(link.close)
-        yield LiveLoop(cast.camera, link, cast.services, cast.source is Source.LIVE, on_track)
+        yield LiveLoop(cast.camera, link, cast.services, cast.source, on_track)
 
 
 def run(loop: LiveLoop, goes_on: Callable[[], bool], watchdog_s: float) -> LoopResult:

@@ -1,0 +1,84 @@
+"""What a live loop writes into its journal, and how often."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import replace
+
+from arctrack.journal.journal import Journal
+from arctrack.journal.records import Entry, HeardPose, Status, View
+from arctrack.service.frame_tracking import Step
+from robot_io import PoseSample, SeamOffset
+
+VIEW_S = 0.04
+"""Nobody sees more pictures a second than 25."""
+
+STATUS_S = 0.1
+
+
+class Keeper:
+    """Writes a run's journal, after an offset went out.
+
+    Parameters
+    ----------
+    journal : Journal
+        Where it writes.
+    """
+
+    def __init__(self, journal: Journal) -> None:
+        self._journal = journal
+        self._step: Step | None = None
+        self._shown_s = self._told_s = -math.inf
+
+    def on_step(self, step: Step) -> None:
+        """Take a step that was taken."""
+        self._step = step
+
+    def on_pose(self, sample: PoseSample, read_s: float) -> None:
+        """Take a pose that was read at a time, s."""
+        self._journal.hear(HeardPose(sample, read_s))
+
+    def on_sent(
+        self,
+        offset: SeamOffset | None,
+        job_number: int,
+        arrived_s: float,
+        sent_s: float,
+        took_ms: float,
+        dropped: int,
+    ) -> None:
+        """Write the step's entry: its offset went out, or none did; see `Entry`."""
+        step, self._step = self._step, None
+        if step is None:
+            # A frame that could not be read: there was no step.
+            return
+        position = self._journal.add(
+            Entry(
+                step.frame,
+                step.inputs,
+                replace(step.track, stripe=None, checks=()),
+                offset,
+                job_number,
+                arrived_s=arrived_s,
+                sent_s=sent_s,
+                took_ms=took_ms,
+                dropped=dropped,
+            )
+        )
+        if not 0.0 <= arrived_s - self._shown_s < VIEW_S:
+            self._shown_s = arrived_s
+            self._journal.show(_view(position, step))
+
+    def tell(self, now_s: float, status: Callable[[], Status]) -> None:
+        """Write how the run stands, where it is time for it."""
+        if not 0.0 <= now_s - self._told_s < STATUS_S:
+            self._told_s = now_s
+            self._journal.tell(status())
+
+
+def _view(position: int, step: Step) -> View:
+    reading = step.reading
+    if reading is None:
+        return View(position, step.track)
+    return View(position, step.track, reading.seam, reading.reach_mm, reading.arc, reading.joint)
