@@ -16,7 +16,7 @@ import numpy as np
 from arctrack.errors import ArctrackError, in_file
 from arctrack.explain_lines import Refusals, SigmaParts, refusals, sigma_parts
 from arctrack.recording import BadFrame, Recording
-from arctrack.tracking import tracker_of
+from arctrack.tracking import RecordedTracking
 from noise_model.arc.map import ArcKernel, Scene, arc_frame, arc_kernel, make_scene
 from noise_model.arrays import Float32, Float64
 from noise_model.instrument.sensor import variance_e2
@@ -113,20 +113,20 @@ def explain(
     Raises ArctrackError if the recording has no such frame, or if it cannot be read.
     """
     position = position_of(recording, index)
-    tracker = tracker_of(recording, use_arc_map)
-    poses = recording.pose_buffer()
+    tracking = RecordedTracking(recording, use_arc_map)
     for n, earlier in enumerate(recording.frames(range(position))):
         if not isinstance(earlier, BadFrame):
-            tracker.step(earlier, recording.pose_at(poses, earlier.timestamp_s))
+            tracking.step(earlier)
         if on_frame is not None:
             on_frame(n + 1)
     (frame,) = recording.frames([position])
     if isinstance(frame, BadFrame):
         raise ArctrackError(f"{frame.message}: there is nothing to explain; choose another frame")
-    pose = recording.pose_at(poses, frame.timestamp_s)
-    geometry, before = tracker.geometry, tracker.state
+    inputs = tracking.inputs_for(frame)
+    pose, before = inputs.pose, inputs.state
+    tracker, geometry = tracking.tracker, tracking.tracker.geometry
     after, track, reading = step_and_reading(
-        geometry, before, frame, pose, Work.of(geometry), use_arc_map, tracker.correction
+        geometry, before, frame, pose, Work.of(geometry), use_arc_map, tracker.correction, inputs.lead
     )
     look = None
     if pose is not None and reading is not None:

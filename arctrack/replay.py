@@ -36,7 +36,7 @@ from arctrack.report.replay.seen import Seen, SeenFile
 from arctrack.service.controller import Controller
 from arctrack.service.heard import TRUSTED
 from arctrack.service.seam_measured import seam_measured
-from arctrack.tracking import tracker_of
+from arctrack.tracking import RecordedTracking, tracker_of
 from robot_io import (
     BusLogError,
     Link,
@@ -316,16 +316,15 @@ def _check_bus(options: ReplayOptions) -> None:
 
 
 def _steps(recording: Recording, use_arc_map: bool) -> Iterator[Step]:
-    poses = recording.pose_buffer()
-    tracker = tracker_of(recording, use_arc_map)
+    tracking = RecordedTracking(recording, use_arc_map)
+    tracker = tracking.tracker
     for row, frame in zip(recording.rows, recording.frames(), strict=True):
         if isinstance(frame, BadFrame):
             raised = flags.FRAME_UNREADABLE.mask | tracker.state.lasting_flags
             yield Step(row, frame, None, Track(row.index, row.timestamp_s, raised), None, NAN, None)
             continue
-        pose = recording.pose_at(poses, frame.timestamp_s)
         began_ns = time.perf_counter_ns()
-        track = tracker.step(frame, pose)
+        pose, track = tracking.step(frame)
         took_ms = (time.perf_counter_ns() - began_ns) / 1e6
         of_hand_eye = tracker.state.steering.hand_eye_variance_mm2
         seam = seam_measured(recording.setup, track, pose, of_hand_eye)

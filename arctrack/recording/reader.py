@@ -23,6 +23,7 @@ from arctrack.recording.poses import (
     read_poses,
     runs_against_travel,
 )
+from arctrack.recording.steps import STATE_JSON, STEPS_CSV, RecordedSteps, read_steps
 from arctrack.recording.tables import FrameRow, PoseTable, Truth, read_frame_rows, read_truth_csv
 from noise_model.arrays import Float64
 from noise_model.effects import pose_time_s
@@ -63,6 +64,8 @@ class Recording:
         The folder of PNGs, or the video.
     warnings : tuple of str
         One line each.
+    steps : RecordedSteps or None
+        What a live run's steps took beside the frames; None where that was not kept.
     """
 
     path: Path
@@ -76,6 +79,7 @@ class Recording:
     poses: PoseTable
     frame_source: Path
     warnings: tuple[str, ...]
+    steps: RecordedSteps | None = None
 
     def __repr__(self) -> str:
         joint, metal = self.setup.joint.type, printable(self.setup.material.name)
@@ -114,7 +118,7 @@ class Recording:
         bool
             Whether writing there would change what is read.
         """
-        names = (setup_file.FILE_NAME, FRAMES_CSV, TRUTH_CSV, CSV_NAME, *LOG_NAMES)
+        names = (setup_file.FILE_NAME, FRAMES_CSV, TRUTH_CSV, CSV_NAME, *LOG_NAMES, STEPS_CSV, STATE_JSON)
         sources = [self.setup_path, self.frame_source, *(self.path / name for name in names)]
         return any(real(path).is_relative_to(real(source)) for source in sources)
 
@@ -286,6 +290,7 @@ def read_recording(
         poses=poses,
         frame_source=source,
         warnings=(*stated.warnings, *frame_warnings, *pose_warnings, *source_warnings),
+        steps=read_steps(folder),
     )
     return fitted(recording) if must_fit else recording
 

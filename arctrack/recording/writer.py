@@ -10,7 +10,7 @@ import csv
 import math
 from collections.abc import Iterable
 from contextlib import ExitStack
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from types import TracebackType
 from typing import Self, TextIO
@@ -22,6 +22,22 @@ from arctrack.recording.reader import FRAMES_CSV, TRUTH_CSV, UNFINISHED_SUFFIX
 from noise_model.arrays import Float64
 from noise_model.setup import Setup, require_setup
 from tracker.state import Frame, frame_misfit
+
+TIME_FORMAT, VALUE_FORMAT = ".6f", ".10g"
+"""How frames.csv states times, and currents and exposures."""
+
+
+def as_stated(frame: Frame) -> Frame:
+    """Return a frame with time, current and exposure as frames.csv can state them; the time is no later."""
+    stated_s = float(format(frame.timestamp_s, TIME_FORMAT))
+    if stated_s > frame.timestamp_s:
+        stated_s = float(format(stated_s - 1e-6, TIME_FORMAT))
+    return replace(
+        frame,
+        timestamp_s=stated_s,
+        current_a=float(format(frame.current_a, VALUE_FORMAT)),
+        exposure_s=float(format(frame.exposure_s, VALUE_FORMAT)),
+    )
 
 
 @dataclass(frozen=True)
@@ -112,17 +128,17 @@ class RecordingWriter:
         else:
             path = frames.png_path(self._folder / frames.FOLDER_NAME, frame.index)
             path.write_bytes(png.encode(frame.image_dn))
-        current_a = "" if math.isnan(frame.current_a) else f"{frame.current_a:.10g}"
+        current_a = "" if math.isnan(frame.current_a) else format(frame.current_a, VALUE_FORMAT)
         self._append(
             FRAMES_CSV,
             tables.FRAME_COLUMNS,
             (
                 str(frame.index),
-                f"{frame.timestamp_s:.6f}",
+                format(frame.timestamp_s, TIME_FORMAT),
                 str(int(frame.laser_on)),
                 str(int(frame.arc_on)),
                 current_a,
-                f"{frame.exposure_s:.10g}",
+                format(frame.exposure_s, VALUE_FORMAT),
             ),
         )
 

@@ -14,6 +14,7 @@ from dataclasses import astuple, dataclass, replace
 
 from arctrack.cameras.camera import Camera, UnreadableFrame
 from arctrack.journal.records import Status
+from arctrack.recording.writer import as_stated
 from arctrack.serve.keeper import Keeper
 from arctrack.serve.latency import LatencyCounts, Quantiles
 from arctrack.service.pose_watch import BEGINNING
@@ -38,9 +39,6 @@ TURN_S = 0.002
 
 MAX_MESSAGES = 64
 """So many messages are read in a turn at most: a robot that talks all the time must not hold a frame up."""
-
-TIME_DIGITS = 6
-"""A recording states times to a microsecond."""
 
 Service = TrackingService[Frame | None]
 OnTrack = Callable[[Track, list[BusMessage]], None]
@@ -132,7 +130,7 @@ class LiveLoop:
         frame = self.camera.newest()
         if frame is not None:
             self._replaced += self._waiting is not None
-            self._waiting = replace(frame, timestamp_s=_stated_s(frame.timestamp_s))
+            self._waiting = as_stated(frame) if isinstance(frame, Frame) else frame
             self._arrived_s = self.camera.now_s()
         waiting = self._waiting
         if waiting is not None and self.service.poses.is_settled(waiting.timestamp_s, self.camera.now_s()):
@@ -240,12 +238,13 @@ class LiveLoop:
         if self.camera.knows_light:
             return frame
         robot = self.service.robot
-        return replace(
+        lit = replace(
             frame,
             laser_on=self._laser is not LaserState.OFF,
             arc_on=robot is not None and robot.arc is Switch.ON,
             current_a=NAN if robot is None else robot.current_a,
         )
+        return as_stated(lit)
 
     def _send(self, messages: Iterable[BusMessage]) -> float:
         """Send messages, and return when the last offset among them went out, s."""
@@ -262,9 +261,3 @@ class LiveLoop:
             elif isinstance(message, TrackerStatus):
                 self._reason = message.gate_reason
         return sent_s
-
-
-def _stated_s(time_s: float) -> float:
-    """Return a time that a recording can state, the same or just before."""
-    stated_s = round(time_s, TIME_DIGITS)
-    return stated_s if stated_s <= time_s else round(stated_s - 10.0**-TIME_DIGITS, TIME_DIGITS)

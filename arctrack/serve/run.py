@@ -180,6 +180,9 @@ def _played(cell: CellFile, recording: Recording, job_number: int | None) -> Cas
     controller = Controller(jobs, Source.REPLAY, cell.policy)
     poses = PlayedPoses(recording, cell.plausibility, cell.policy)
     tracking = _tracking(cell, recording.setup, recording.correction)
+    poses.on_begin = tracking.begin
+    if recording.steps is not None:
+        tracking.tracker.state = recording.steps.state
     services: dict[int, Service] = {number: TrackingService(controller, poses, tracking)}
     return Cast(RecordingCamera(recording), services, (tracking,), Source.REPLAY)
 
