@@ -77,7 +77,8 @@ FOLDERS_MAY_IMPORT: dict[str, dict[str, set[str]]] = {
         "journal": {"service"},
         "cameras": {"recording", "journal"},
         "cell": {"service", "cameras"},
-        "serve": {"recording", "service", "cell_file", "cameras", "cell", "journal"},
+        "black_box": {"recording", "journal"},
+        "serve": {"recording", "service", "cell_file", "cameras", "cell", "journal", "black_box"},
         "setup_check": {"recording", "check"},
         "report": {
             "recording",

@@ -73,6 +73,22 @@ class ProcessChoice:
 
 
 @dataclass(frozen=True)
+class BlackBoxChoice:
+    """The black box of a live run.
+
+    Parameters
+    ----------
+    seconds : float
+        How far back it reaches, s; 0 for none.
+    folder : str
+        Where its recordings go, from the cell file on.
+    """
+
+    seconds: float = 30.0
+    folder: str = "black_box"
+
+
+@dataclass(frozen=True)
 class CellJob:
     """A job of the cell file.
 
@@ -163,6 +179,8 @@ class CellFile:
         The jobs, by the number by which the robot names them.
     process : ProcessChoice
         How a live run is scheduled.
+    black_box : BlackBoxChoice
+        What a live run keeps.
     """
 
     path: Path
@@ -174,6 +192,7 @@ class CellFile:
     plausibility: PlausibilityLimits
     jobs: Mapping[int, CellJob]
     process: ProcessChoice
+    black_box: BlackBoxChoice
 
     @property
     def bus_load(self) -> float:

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal, TypeAlias, get_type_h
 
 from pydantic import Field, FiniteFloat, create_model
 
+from arctrack.cell_file.choices import BlackBoxChoice
 from arctrack.recording.key_errors import place
 from arctrack.recording.setup_model import FollowTable, JointTable, Number, Table
 from arctrack.service.job import PartLimits
@@ -70,6 +71,13 @@ class ProcessTable(Table):
     lock_memory: bool = False
 
 
+class BlackBoxTable(Table):
+    """[black_box], every key optional."""
+
+    seconds: Annotated[FiniteFloat, Field(ge=0.0, le=3600.0)] = BlackBoxChoice.seconds
+    folder: Annotated[str, Field(min_length=1)] = BlackBoxChoice.folder
+
+
 class PartTable(Table):
     """[jobs.N.part], every key optional."""
 
@@ -102,6 +110,7 @@ class CellToml(Table):
     service: ServiceTable = Field(default_factory=ServiceTable)
     plausibility: PlausibilityTable = Field(default_factory=PlausibilityTable)
     process: ProcessTable = Field(default_factory=ProcessTable)
+    black_box: BlackBoxTable = Field(default_factory=BlackBoxTable)
     jobs: dict[str, JobTable] = Field(min_length=1)
 
 

@@ -52,6 +52,11 @@ _JOBS = """\
 # cpus = [1]                           # the processors that it may run on
 # lock_memory = true                   # no memory is swapped out
 
+[black_box]
+# What a live run keeps: its latest frames go to disk on a fault, as a recording that replays the same.
+# seconds = 30.0                       # 0: nothing is kept
+# folder = "black_box"                 # from this file on
+
 # A job for each number by which the robot names one, TrackerCommand.job_number.
 [jobs.1]
 name = "first job"

@@ -9,7 +9,14 @@ from typing import TypeVar
 
 from pydantic import ValidationError
 
-from arctrack.cell_file.choices import BusChoice, CameraChoice, CellFile, CellJob, ProcessChoice
+from arctrack.cell_file.choices import (
+    BlackBoxChoice,
+    BusChoice,
+    CameraChoice,
+    CellFile,
+    CellJob,
+    ProcessChoice,
+)
 from arctrack.cell_file.model import (
     FORMAT,
     MAX_JOB_NUMBER,
@@ -88,6 +95,7 @@ def _cell(path: Path, model: CellToml, setup: SetupFile) -> CellFile:
         plausibility=_record(PlausibilityLimits, model.plausibility, "plausibility limit", "plausibility"),
         jobs=dict(sorted((_number(key), _job(key, table)) for key, table in model.jobs.items())),
         process=_process(model.process),
+        black_box=BlackBoxChoice(model.black_box.seconds, model.black_box.folder),
     )
     for number, job in cell.jobs.items():
         _within(str(number), partial(job.to_job, setup.setup, limits))

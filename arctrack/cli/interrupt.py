@@ -7,6 +7,9 @@ import threading
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 
+ENDING = (signal.SIGINT, signal.SIGTERM)
+"""What ends a run."""
+
 
 class InterruptedCommandError(Exception):
     """A command that Ctrl-C or SIGTERM ended; its text says what was interrupted and what is kept."""
@@ -28,14 +31,24 @@ def interruptible(what: str, kept: str) -> Iterator[None]:
 
 
 @contextmanager
-def stoppable() -> Iterator[Callable[[], bool]]:
-    """Give what says whether Ctrl-C or SIGTERM has asked what runs within to end; nothing is interrupted."""
-    asked = threading.Event()
+def stoppable(*others: signal.Signals) -> Iterator[Callable[[], set[signal.Signals]]]:
+    """Give what says which signals came since it was asked last; nothing that runs within is interrupted.
+
+    The signals are Ctrl-C's, SIGTERM, and others that are named.
+    """
+    came: set[signal.Signals] = set()
+
+    def take() -> set[signal.Signals]:
+        taken = came.copy()
+        came.difference_update(taken)
+        return taken
+
     before = {
-        number: signal.signal(number, lambda *_: asked.set()) for number in (signal.SIGINT, signal.SIGTERM)
+        number: signal.signal(number, lambda which, _: came.add(signal.Signals(which)))
+        for number in (*ENDING, *others)
     }
     try:
-        yield asked.is_set
+        yield take
     finally:
         for number, handler in before.items():
             signal.signal(number, handler)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import os
+import signal
 import tempfile
 import time
 from contextlib import ExitStack
@@ -13,12 +14,16 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from arctrack.cli.cell import LIVE_MM
-from arctrack.cli.interrupt import interruptible, stoppable
+from arctrack.cli.interrupt import ENDING, interruptible, stoppable
 from arctrack.errors import ArctrackError
 
 if TYPE_CHECKING:
     from arctrack.cell_file import CellFile
     from arctrack.serve.loop import LoopResult, OnTrack
+
+
+ANSWER_S = 60.0
+"""How long an answer of the black box may take after a run, s."""
 
 
 def serve(
@@ -60,22 +65,30 @@ def serve_cell_file(
     """Run a cell live, say when it is ready, and what it came to."""
     from arctrack.cli import console
     from arctrack.serve.process import schedule
-    from arctrack.serve.run import opened_loop, run
+    from arctrack.serve.run import LiveRun, opened_run, run
 
     console.warn(cell.setup.warnings)
     with ExitStack() as opened:
         with interruptible("serve was", "nothing was sent"), console.progress() as bar:
             on_compiled = console.compiling(bar, "serve")
-            loop = opened.enter_context(opened_loop(cell, job, on_compiled, on_track, **bus_options))
+            live: LiveRun = opened.enter_context(opened_run(cell, job, on_compiled, on_track, **bus_options))
             done, refused = schedule(cell.process)
-        with stoppable() as is_asked:
+        with stoppable(signal.SIGUSR1) as came:
             console.warn(refused)
             console.say(
                 *done, f"ready: {cell.camera.kind} {cell.camera.name}, bus {cell.bus}; Ctrl-C ends it"
             )
             ends_s = math.inf if seconds is None else time.monotonic() + seconds
-            result = run(loop, lambda: not is_asked() and time.monotonic() < ends_s, cell.policy.watchdog_s)
-    console.say(*_result_lines(result))
+
+            def goes_on() -> bool:
+                signals = came()
+                if signal.SIGUSR1 in signals and live.black_box is not None:
+                    live.black_box.save("asked by SIGUSR1")
+                return signals.isdisjoint(ENDING) and time.monotonic() < ends_s
+
+            result = run(live.loop, goes_on, cell.policy.watchdog_s)
+            saved = [] if live.black_box is None else [*live.black_box.answers(ANSWER_S)]
+    console.say(*saved, *_result_lines(result))
 
 
 def _serve_simulated(job: int | None, seconds: float | None) -> None:

@@ -16,7 +16,7 @@ import numpy as np
 import numpy.typing as npt
 
 from arctrack.journal.records import Entry, HeardPose, Status, View, pack, pack_entry, unpack, unpack_entry
-from arctrack.journal.ring import RingReader, RingWriter, ring_bytes
+from arctrack.journal.ring import RingReader, RingWriter, remove_if_dead, ring_bytes, ring_path
 
 ENTRY_BYTES = 96 * 1024
 """All of an entry but its image: a tracker's state has 40 kB at most, POSES 30 kB."""
@@ -46,6 +46,12 @@ def view_name(name: str) -> str:
 def status_name(name: str) -> str:
     """Return the name of a run's ring of statuses."""
     return f"status-{name}"
+
+
+def remove_dead_journal(name: str) -> None:
+    """Remove what a run left behind whose process is dead."""
+    for ring in (entries_name(name), view_name(name), status_name(name)):
+        remove_if_dead(ring_path(ring))
 
 
 def slots_for(kept_s: float, rate_hz: float) -> int:

@@ -19,6 +19,7 @@ import tempfile
 import time
 import zlib
 from collections.abc import Sequence
+from contextlib import suppress
 from pathlib import Path
 from types import TracebackType
 from typing import Self
@@ -235,6 +236,15 @@ class RingReader:
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
         self.close()
+
+
+def remove_dead_rings() -> None:
+    """Remove all that crashed writers left behind."""
+    for path in memory_folder().glob(f"{PREFIX}*"):
+        with suppress(OSError), path.open("rb") as file:
+            is_dead = file.read(len(MAGIC)) == MAGIC and not _is_locked(file.fileno())
+            if is_dead:
+                remove_if_dead(path)
 
 
 def remove_if_dead(path: Path) -> None:

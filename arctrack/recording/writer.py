@@ -107,6 +107,11 @@ class RecordingWriter:
             )
             self._opened.enter_context(self._video)
 
+    @property
+    def unfinished_path(self) -> Path:
+        """The folder in which the recording grows until it is closed."""
+        return self._folder
+
     def write_frame(self, frame: Frame) -> None:
         """Append a frame and its line in frames.csv.
 

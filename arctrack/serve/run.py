@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
@@ -9,14 +10,22 @@ from typing import Any
 
 import numpy as np
 
+from arctrack.black_box.ask import BlackBoxAsker
+from arctrack.black_box.recorder import END, RecorderOptions, run_recorder
+from arctrack.black_box.save import JobSetup
 from arctrack.cameras.camera import Camera
 from arctrack.cameras.recording import RecordingCamera
 from arctrack.cameras.shared_frames import SharedFramesError
 from arctrack.cameras.shared_memory import SharedMemoryCamera
 from arctrack.cell_file import CellFile, as_the_job_says, jobs_for
+from arctrack.cell_file.job_setup import job_setup_text
 from arctrack.errors import ArctrackError, in_file
+from arctrack.journal.journal import Journal, slots_for
+from arctrack.journal.ring import RingError, remove_dead_rings
 from arctrack.recorded_poses import seam_limits
 from arctrack.recording import Recording, read_recording
+from arctrack.serve.beside import Beside, ended
+from arctrack.serve.keeper import Keeper
 from arctrack.serve.loop import LiveLoop, LoopResult, OnTrack, Service
 from arctrack.serve.played_poses import PlayedPoses
 from arctrack.serve.process import Watchdog, garbage_left
@@ -40,19 +49,27 @@ class Cast:
 
     camera: Camera
     services: dict[int, Service]
-    trackings: tuple[FrameTracking, ...]
+    trackings: dict[int, FrameTracking]
     source: Source
 
 
+@dataclass(frozen=True)
+class LiveRun:
+    """A loop that is ready to run, and what is beside it: None where the cell has none."""
+
+    loop: LiveLoop
+    black_box: BlackBoxAsker | None
+
+
 @contextmanager
-def opened_loop(
+def opened_run(
     cell: CellFile,
     job_number: int | None = None,
     on_compiled: OnCompiled | None = None,
     on_track: OnTrack | None = None,
     **bus_options: Any,
-) -> Iterator[LiveLoop]:
-    """Build a cell's loop, warm it up, and open its bus last.
+) -> Iterator[LiveRun]:
+    """Build a cell's loop and what is beside it, warm it up, and open its bus last.
 
     Parameters
     ----------
@@ -69,8 +86,8 @@ def opened_loop(
 
     Yields
     ------
-    LiveLoop
-        The loop; nothing was sent yet.
+    LiveRun
+        The run; nothing was sent yet.
 
     Raises
     ------
@@ -80,7 +97,8 @@ def opened_loop(
     with ExitStack() as opened:
         cast = cast_of(cell, job_number)
         opened.callback(cast.camera.close)
-        for tracking in cast.trackings:
+        kept = opened.enter_context(_kept(cell, cast))
+        for tracking in cast.trackings.values():
             tracking.tracker.warm_up(on_compiled)
         # On a bus where it is heard, a tracker must not wait for anything.
         try:
@@ -95,7 +113,9 @@ def opened_loop(
         except LinkError as error:
             raise in_file(cell.path, f"[bus] {error}") from error
         opened.callback(link.close)
-        yield LiveLoop(cast.camera, link, cast.services, cast.source, on_track)
+        keeper = None if kept is None else kept.keeper
+        loop = LiveLoop(cast.camera, link, cast.services, cast.source, on_track, keeper)
+        yield LiveRun(loop, None if kept is None else kept.black_box)
 
 
 def run(loop: LiveLoop, goes_on: Callable[[], bool], watchdog_s: float) -> LoopResult:
@@ -126,6 +146,44 @@ def run(loop: LiveLoop, goes_on: Callable[[], bool], watchdog_s: float) -> LoopR
     return loop.result()
 
 
+@dataclass(frozen=True)
+class _Kept:
+    keeper: Keeper
+    black_box: BlackBoxAsker
+
+
+@contextmanager
+def _kept(cell: CellFile, cast: Cast) -> Iterator[_Kept | None]:
+    """Keep a run's journal, and have processes beside it that read it; None where nobody would."""
+    kept_s = cell.black_box.seconds
+    if kept_s == 0.0:
+        yield None
+        return
+    setup, rate_hz, name = cell.setup.setup, cell.camera.frame_rate_hz, f"{os.getpid()}"
+    shape = (setup.camera.height, setup.camera.width)
+    jobs = {
+        number: JobSetup(tracking.tracker.geometry.setup, job_setup_text(cell, number))
+        for number, tracking in cast.trackings.items()
+    }
+    folder = cell.path.parent / cell.black_box.folder
+    with ExitStack() as opened:
+        remove_dead_rings()
+        try:
+            journal = Journal(name, shape, setup.sensor.dtype, slots_for(kept_s, rate_hz))
+        except RingError as error:
+            raise in_file(cell.path, f"[black_box] seconds = {kept_s:g}: {error}; choose fewer") from None
+        opened.callback(journal.close)
+        options = RecorderOptions(name, folder, kept_s, rate_hz, jobs)
+        recorder = opened.enter_context(ended(Beside("black box", run_recorder, (options,)), END))
+        recorder.wait_ready()
+        keeper = Keeper(journal)
+        for number, service in cast.services.items():
+            cast.trackings[number].on_step = keeper.on_step
+            if isinstance(service.poses, BusPoses):
+                service.poses.on_sample = keeper.on_pose
+        yield _Kept(keeper, BlackBoxAsker(recorder.told))
+
+
 def cast_of(cell: CellFile, job_number: int | None = None) -> Cast:
     """Return a cell file's camera, and what answers its frames.
 
@@ -152,7 +210,7 @@ def _live(cell: CellFile, frames: str) -> Cast:
     T_tool_controllertool = setup_file.T_tool_controllertool
     T_controllertool_tool = np.eye(4) if T_tool_controllertool is None else invert(T_tool_controllertool)
     services: dict[int, Service] = {}
-    trackings: list[FrameTracking] = []
+    trackings: dict[int, FrameTracking] = {}
     for number, job in cell.jobs.items():
         setup = job.setup_for(setup_file.setup)
         poses = BusPoses(
@@ -164,13 +222,13 @@ def _live(cell: CellFile, frames: str) -> Cast:
             pose_time_s(setup, 0.0),
             estimates_later=True,
         )
-        trackings.append(_tracking(cell, setup, job.correction))
-        services[number] = TrackingService(controller, poses, trackings[-1])
+        trackings[number] = _tracking(cell, setup, job.correction)
+        services[number] = TrackingService(controller, poses, trackings[number])
     try:
         camera = SharedMemoryCamera(frames, setup_file.setup)
     except SharedFramesError as error:
         raise in_file(cell.path, f"[camera] name: {error}; start what publishes them first") from None
-    return Cast(camera, services, tuple(trackings), Source.LIVE)
+    return Cast(camera, services, trackings, Source.LIVE)
 
 
 def _played(cell: CellFile, recording: Recording, job_number: int | None) -> Cast:
@@ -184,7 +242,7 @@ def _played(cell: CellFile, recording: Recording, job_number: int | None) -> Cas
     if recording.steps is not None:
         tracking.tracker.state = recording.steps.state
     services: dict[int, Service] = {number: TrackingService(controller, poses, tracking)}
-    return Cast(RecordingCamera(recording), services, (tracking,), Source.REPLAY)
+    return Cast(RecordingCamera(recording), services, {number: tracking}, Source.REPLAY)
 
 
 def _tracking(cell: CellFile, setup: Setup, correction: Correction) -> FrameTracking:

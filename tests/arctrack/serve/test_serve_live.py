@@ -12,9 +12,12 @@ from pathlib import Path
 
 import can
 import pytest
+from made import results_of
 
 from arctrack.cameras.shared_frames import SharedFramesReader
 from arctrack.cell.weld.closed_loop import LoopPlan
+from arctrack.recording import read_recording
+from arctrack.replay import ReplayOptions, replay_recording
 from arctrack.serve.simulated import (
     GROUP,
     INTERFACE,
@@ -35,6 +38,9 @@ from robot_io import (
 )
 
 PLAN = LoopPlan(joint="lap", length_mm=1000.0, rate_hz=10.0, size_px=(160, 120))
+
+SENT = ("offset_y_mm", "offset_z_mm", "compute_ms", "pose_doubt")
+"""Columns that say what went out, and when."""
 
 TRACKER = """
     import sys
@@ -104,11 +110,15 @@ def test_a_robot_follows_offsets_of_another_process_until_that_ends_or_is_killed
             assert ear.is_usable()
             _check_offsets(ear)
 
+            processes[0].send_signal(signal.SIGUSR1)
+            boxes = cell.parent / "black_box"
+            ear.listen(lambda: any(boxes.glob("*_asked_by_SIGUSR1")))
             processes[0].send_signal(signal.SIGTERM)
             ear.listen(lambda: processes[0].poll() is not None)
             assert processes[0].returncode == 0
-            ready, said, *_, late = processes[0].stdout.read().splitlines()
+            ready, saved, said, *_, late = processes[0].stdout.read().splitlines()
             assert ready.startswith(f"ready: shared_memory {name}, bus udp_multicast:239.74.163.2")
+            assert saved.startswith("black box: saved ")
             assert said.startswith("frames: ")
             assert late == "after ready: loaded [], compiled 0"
             # What the robot says next came after all of that.
@@ -125,6 +135,7 @@ def test_a_robot_follows_offsets_of_another_process_until_that_ends_or_is_killed
             dark: list = []
             ear.listen(lambda: _is_dark(camera, dark))
             samples = robot.end()
+        _check_black_boxes(boxes)
         # It began 3 mm beside the seam, and was taken there.
         assert samples[0][1] == pytest.approx(PLAN.displaced_mm)
         assert min(off_mm for _, off_mm in samples) < 0.5
@@ -132,6 +143,19 @@ def test_a_robot_follows_offsets_of_another_process_until_that_ends_or_is_killed
         for process in processes:
             process.kill()
             process.communicate()
+
+
+def _check_black_boxes(folder: Path) -> None:
+    """Replay what was saved on request, and of the run that was killed: to the tracks of the runs."""
+    (asked,), (killed,) = folder.glob("*_asked_by_SIGUSR1"), folder.glob("*_run_ended_by_itself")
+    for saved in (asked, killed):
+        replay_recording(read_recording(saved), saved / "again", ReplayOptions(pictures=False))
+        again, live = results_of(saved / "again"), results_of(saved / "live")
+        assert sum(row["valid"] == "1" for row in live) >= 5
+        told = [name for name in live[0] if name not in SENT]
+        assert [[row[name] for name in told] for row in again] == [
+            [row[name] for name in told] for row in live
+        ]
 
 
 def _check_offsets(ear: Ear) -> None:

@@ -1,0 +1,241 @@
+"""A live run's black box: its recording replays to the tracks of the run, bit for bit."""
+
+from __future__ import annotations
+
+import json
+import multiprocessing
+from dataclasses import asdict, replace
+from itertools import takewhile
+from pathlib import Path
+
+import numpy as np
+import pytest
+from made import playing_cell
+
+from arctrack.black_box.recorder import FaultWatch, RecorderOptions, run_recorder
+from arctrack.black_box.save import JobSetup, NothingToSaveError, save_window
+from arctrack.cell_file import read_cell_file
+from arctrack.cell_file.job_setup import job_setup_text
+from arctrack.journal import ring
+from arctrack.journal.journal import Journal, JournalReader, slots_for
+from arctrack.journal.records import Status
+from arctrack.recording import read_recording
+from arctrack.recording.steps import read_state, write_state
+from arctrack.serve.keeper import Keeper
+from arctrack.serve.loop import LiveLoop
+from arctrack.serve.run import cast_of, run
+from arctrack.service.frame_tracking import Capture, FrameTracking
+from arctrack.tracking import RecordedTracking
+from robot_io import (
+    Fault,
+    GateReason,
+    LaserState,
+    Link,
+    PoseStatus,
+    SeamOffset,
+    Source,
+    TrackerState,
+    Validity,
+)
+from tracker.seam.steer import AT_ONCE, Lead
+from tracker.state import Track
+
+RUN = "black-box"
+EXAMPLE = Path(__file__).resolve().parents[3] / "examples" / "v_groove"
+
+
+@pytest.fixture
+def memory(tmp_path, monkeypatch):
+    folder = tmp_path / "memory"
+    folder.mkdir()
+    monkeypatch.setattr(ring, "MEMORY", folder)
+    return folder
+
+
+def told(track: Track) -> dict:
+    return asdict(replace(track, stripe=None, checks=()))
+
+
+class Run:
+    """The example as a live run sees it: poses that are doubted or refused, a seam that begins anew."""
+
+    def __init__(self, journal: Journal) -> None:
+        self.recording = read_recording(EXAMPLE)
+        self.setup = self.recording.setup
+        self.tracking = FrameTracking(self.setup, self.recording.correction)
+        self.keeper = Keeper(journal)
+        self.tracking.on_step = self.keeper.on_step
+        self.tracks: list[Track] = []
+
+    def go(self, frames: int) -> None:
+        buffer = self.recording.pose_buffer()
+        for n, frame in enumerate(list(self.recording.frames(range(frames)))):
+            pose = buffer.at(frame.timestamp_s)
+            if n == 3:
+                pose = replace(pose, status=PoseStatus.REFUSED)
+            if n == 9:
+                self.tracking.begin()
+            lead = AT_ONCE if n < 5 else Lead(0.01 * n / 3.0, n / 7.0)
+            capture = Capture(frame.index, frame.timestamp_s, pose, None, n not in (6, 7), lead)
+            track, _ = self.tracking.track(frame, capture)
+            self.tracks.append(track)
+            offset = SeamOffset(0.1 * n, 0.0, 10.0, 0.9, Validity.VALID)
+            self.keeper.on_sent(offset, 1, frame.timestamp_s + 0.01, frame.timestamp_s + 0.02, 2.0, 0)
+
+    @property
+    def jobs(self) -> dict[int, JobSetup]:
+        return {1: JobSetup(self.setup, (EXAMPLE / "recording.toml").read_text())}
+
+    def journal_for(self) -> tuple[tuple[int, int], str]:
+        return (self.setup.camera.height, self.setup.camera.width), str(self.setup.sensor.dtype)
+
+
+def a_run(frames: int = 14, slots: int = 40) -> tuple[Run, Journal]:
+    camera, sensor = (setup := read_recording(EXAMPLE).setup).camera, setup.sensor
+    journal = Journal(RUN, (camera.height, camera.width), sensor.dtype, slots)
+    live = Run(journal)
+    live.go(frames)
+    return live, journal
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("kept_s", "slots", "count"), [(30.0, 40, 14), (0.45, 40, None), (30.0, 8, 8)])
+def test_a_saved_window_replays_to_the_same_tracks(memory, tmp_path, kept_s, slots, count) -> None:
+    live, journal = a_run(slots=slots)
+    path = save_window(JournalReader(RUN), kept_s, live.jobs, 25.0, tmp_path / "saved", "asked")
+    journal.close()
+    saved = read_recording(path)
+    assert count is None or len(saved.rows) == count
+    assert len(saved.rows) >= 3
+    tracking = RecordedTracking(saved, True)
+    replayed = [tracking.step(frame)[1] for frame in saved.frames()]
+    for seen, again in zip(live.tracks[-len(replayed) :], replayed, strict=True):
+        np.testing.assert_equal(told(again), told(seen))
+    assert sum(track.valid for track in replayed) >= 3
+    assert json.loads((path / "black_box.json").read_text())["frames"] == len(saved.rows)
+    assert (path / "live" / "results.csv").read_text().count("\n") == len(saved.rows) + 1
+
+
+def test_a_state_comes_back_the_same(memory, tmp_path) -> None:
+    live, journal = a_run(6)
+    journal.close()
+    path = tmp_path / "state.json"
+    write_state(path, live.tracking.tracker.state)
+    again = read_state(path)
+    write_state(tmp_path / "again.json", again)
+    assert (tmp_path / "again.json").read_bytes() == path.read_bytes()
+    np.testing.assert_array_equal(again.history.stations_mm, live.tracking.tracker.state.history.stations_mm)
+    assert again.history.displacements_mm.shape == live.tracking.tracker.state.history.displacements_mm.shape
+
+
+def test_nothing_to_save_is_said(memory, tmp_path) -> None:
+    journal = Journal(RUN, (6, 8), np.uint8, 8)
+    with pytest.raises(NothingToSaveError):
+        save_window(JournalReader(RUN), 30.0, {}, 25.0, tmp_path / "saved", "asked")
+    journal.close()
+
+
+def status(**changes) -> Status:
+    nothing = Status(
+        0.0,
+        0.0,
+        Source.LIVE,
+        TrackerState.TRACKING,
+        Fault.NONE,
+        LaserState.ON,
+        GateReason.NONE,
+        SeamOffset(0.0, 0.0, 1.0, 0.9, Validity.VALID),
+        None,
+        None,
+        1,
+        0,
+        0,
+        0,
+    )
+    return replace(nothing, **changes)
+
+
+def refused(reason: GateReason) -> Status:
+    return status(reason=reason, offset=SeamOffset(0.0, 0.0, 1.0, 0.9, Validity.REFUSED))
+
+
+def test_a_fault_is_saved_once_and_what_is_commanded_is_none() -> None:
+    watch = FaultWatch()
+    assert watch.look(refused(GateReason.CAMERA_STOPPED)) is None
+    assert watch.look(status()) is None
+    assert watch.look(refused(GateReason.NOT_ARMED)) is None
+    assert watch.look(status()) is None
+    assert watch.look(refused(GateReason.CAMERA_STOPPED)) == "refused_camera_stopped"
+    assert watch.look(refused(GateReason.CAMERA_STOPPED)) is None
+    assert watch.look(status(fault=Fault.OTHER_TRACKER)) == "fault_other_tracker"
+    assert watch.look(status(fault=Fault.OTHER_TRACKER)) is None
+
+
+@pytest.mark.slow
+def test_a_run_that_dies_leaves_its_last_frames(tmp_path) -> None:
+    """The recorder is another process; the run's end of the connection closes without a word."""
+    live, journal = a_run(5)
+    spawn = multiprocessing.get_context("spawn")
+    told_end, its_end = spawn.Pipe()
+    options = RecorderOptions(RUN, tmp_path / "boxes", 30.0, 25.0, live.jobs)
+    process = spawn.Process(target=run_recorder, args=(options, its_end))
+    process.start()
+    its_end.close()
+    try:
+        assert told_end.recv() == []
+        told_end.send({"save": "a look / at it"})
+        (saved,) = told_end.recv().values()
+        assert Path(saved).name.endswith("_a_look___at_it")
+        assert len(read_recording(saved).rows) == 5
+        told_end.close()
+        process.join(30.0)
+        assert process.exitcode == 0
+        (last,) = (tmp_path / "boxes").glob("*_run_ended_by_itself")
+        assert len(read_recording(last).rows) == 5
+    finally:
+        process.kill()
+        journal.close()
+
+
+@pytest.mark.slow
+def test_a_recording_that_is_played_fills_the_journal(memory, tmp_path) -> None:
+    cell = read_cell_file(playing_cell(tmp_path / "cell", EXAMPLE))
+    cast = cast_of(cell)
+    setup = cell.setup.setup
+    journal = Journal(
+        RUN, (setup.camera.height, setup.camera.width), setup.sensor.dtype, slots_for(9.0, 25.0)
+    )
+    keeper = Keeper(journal)
+    for tracking in cast.trackings.values():
+        tracking.tracker.warm_up()
+        tracking.on_step = keeper.on_step
+    tracks: list[Track] = []
+    with Link(channel=str(tmp_path), source=Source.REPLAY) as link:
+        loop = LiveLoop(
+            cast.camera, link, cast.services, Source.REPLAY, lambda track, _: tracks.append(track), keeper
+        )
+        result = run(loop, lambda: True, 60.0)
+    jobs = {1: JobSetup(setup, job_setup_text(cell, 1))}
+    path = save_window(JournalReader(RUN), 60.0, jobs, 25.0, tmp_path / "saved", "asked")
+    assert JournalReader(RUN).status().frames in (result.frames, result.frames - 1, result.frames - 2)
+    journal.close()
+    # Frames that this machine was too late for are not there; the others replay the same.
+    saved = read_recording(path)
+    assert [row.index for row in saved.rows] == [track.frame for track in tracks]
+    tracking = RecordedTracking(saved, True)
+    for frame, seen in zip(saved.frames(), tracks, strict=True):
+        np.testing.assert_equal(told(tracking.step(frame)[1]), told(seen))
+    # As a camera it gives them too.
+    again: list[Track] = []
+    cast = cast_of(read_cell_file(playing_cell(tmp_path / "again", path)))
+    with Link(channel=str(tmp_path), source=Source.REPLAY) as link:
+        run(
+            LiveLoop(cast.camera, link, cast.services, Source.REPLAY, lambda track, _: again.append(track)),
+            lambda: True,
+            60.0,
+        )
+    # Up to the first frame that this machine was too late for.
+    both = list(takewhile(lambda pair: pair[0].frame == pair[1].frame, zip(tracks, again, strict=False)))
+    assert both
+    for seen, other in both:
+        np.testing.assert_equal(told(other), told(seen))
