@@ -151,11 +151,13 @@ def _check_black_boxes(folder: Path) -> None:
     for saved in (asked, killed):
         replay_recording(read_recording(saved), saved / "again", ReplayOptions(pictures=False))
         again, live = results_of(saved / "again"), results_of(saved / "live")
-        assert sum(row["valid"] == "1" for row in live) >= 5
-        told = [name for name in live[0] if name not in SENT]
-        assert [[row[name] for name in told] for row in again] == [
-            [row[name] for name in told] for row in live
-        ]
+        assert any(row["valid"] == "1" for row in live)
+        assert [told(row) for row in again] == [told(row) for row in live]
+
+
+def told(row: dict[str, str]) -> dict[str, str]:
+    """Return what a row says of the track."""
+    return {name: cell for name, cell in row.items() if name not in SENT}
 
 
 def _check_offsets(ear: Ear) -> None:
