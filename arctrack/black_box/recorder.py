@@ -105,7 +105,8 @@ def run_recorder(
     is answered by {"saved": path} or {"error": text}. Where the run's process ends without a word, its last
     frames are saved.
     """
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    for number in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(number, signal.SIG_IGN)
     os.nice(niceness)
     reader = JournalReader(options.run)
     told.send([])

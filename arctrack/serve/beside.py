@@ -36,7 +36,7 @@ class Beside:
         self,
         name: str,
         target: Callable[..., None],
-        arguments: tuple[Any, ...],
+        arguments: tuple[Any, ...] = (),
         others: tuple[Connection, ...] = (),
     ) -> None:
         self.name = name

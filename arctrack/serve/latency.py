@@ -13,16 +13,18 @@ BIN_MS, BINS = 0.1, 10_000
 
 @dataclass(frozen=True)
 class Quantiles:
-    """The median, the 99 % quantile and the largest of times, ms; NaN without any."""
+    """The median, the quantiles of 99 and 99.9 %, and the largest of times, ms; NaN without any."""
 
     p50_ms: float
     p99_ms: float
+    p999_ms: float
     max_ms: float
 
     def __str__(self) -> str:
         if math.isnan(self.max_ms):
             return "none"
-        return f"p50 {self.p50_ms:.1f} ms, p99 {self.p99_ms:.1f} ms, at most {self.max_ms:.1f} ms"
+        quantiles = f"p50 {self.p50_ms:.1f} ms, p99 {self.p99_ms:.1f} ms, p99.9 {self.p999_ms:.1f} ms"
+        return f"{quantiles}, at most {self.max_ms:.1f} ms"
 
 
 class LatencyCounts:
@@ -48,7 +50,8 @@ class LatencyCounts:
 
     def quantiles(self) -> Quantiles:
         """Return what the times come to."""
-        return Quantiles(self._quantile_ms(0.5), self._quantile_ms(0.99), self.max_ms)
+        p50_ms, p99_ms, p999_ms = map(self._quantile_ms, (0.5, 0.99, 0.999))
+        return Quantiles(p50_ms, p99_ms, p999_ms, self.max_ms)
 
     def _quantile_ms(self, share: float) -> float:
         """Return the upper end of the bin below which a share of the times lies, ms; NaN without any."""

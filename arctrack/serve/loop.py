@@ -10,7 +10,7 @@ import math
 import time
 from collections import Counter
 from collections.abc import Callable, Iterable, Mapping
-from dataclasses import astuple, dataclass, replace
+from dataclasses import dataclass, replace
 
 from arctrack.cameras.camera import Camera, UnreadableFrame
 from arctrack.journal.records import Status
@@ -34,8 +34,11 @@ from robot_io import (
 )
 from tracker.state import NAN, Frame, Track
 
-TURN_S = 0.002
-"""So long a turn waits for a message; a frame that came meanwhile waits as long at most."""
+TURN_S, NEAR_S = 0.002, 0.0002
+"""So long a turn waits for a message; a frame that comes meanwhile waits as long at most.
+
+About the time at which the next frame is expected it is the shorter one.
+"""
 
 MAX_MESSAGES = 64
 """So many messages are read in a turn at most: a robot that talks all the time must not hold a frame up."""
@@ -114,7 +117,7 @@ class LiveLoop:
         self._offsets: Counter[Validity] = Counter()
         self._offset: SeamOffset | None
         self._reason, self._offset = GateReason.NOT_ARMED, None
-        self._arrived_s = self._frame_s = NAN
+        self._arrived_s = self._period_s = self._frame_s = NAN
         self._since_capture, self._since_arrival = LatencyCounts(), LatencyCounts()
 
     @property
@@ -122,16 +125,17 @@ class LiveLoop:
         """Whether nothing is left to be tracked, now or ever."""
         return self.camera.is_over and self._waiting is None
 
-    def turn(self, wait_s: float = TURN_S) -> None:
+    def turn(self, wait_s: float | None = None) -> None:
         """Hear the bus, switch the laser, track the newest frame once its pose is there, send what is due."""
-        self._listen(wait_s)
+        self._listen(self._wait_s() if wait_s is None else wait_s)
         self._laser = self.camera.switch_laser(self.controller.is_laser_on(self.camera.now_s()))
         self.controller.on_laser(self._laser)
         frame = self.camera.newest()
         if frame is not None:
             self._replaced += self._waiting is not None
             self._waiting = as_stated(frame) if isinstance(frame, Frame) else frame
-            self._arrived_s = self.camera.now_s()
+            now_s = self.camera.now_s()
+            self._period_s, self._arrived_s = now_s - self._arrived_s, now_s
         waiting = self._waiting
         if waiting is not None and self.service.poses.is_settled(waiting.timestamp_s, self.camera.now_s()):
             self._waiting = None
@@ -166,8 +170,8 @@ class LiveLoop:
             offsets=result.offsets,
             reasons=result.reasons,
             faults={fault.value: count for fault, count in self.link.faults.items() if count},
-            capture_ms=astuple(result.capture_to_send),
-            arrival_ms=astuple(result.arrival_to_send),
+            capture_ms=_shown(result.capture_to_send),
+            arrival_ms=_shown(result.arrival_to_send),
             frame_s=self._frame_s,
         )
 
@@ -186,6 +190,14 @@ class LiveLoop:
     @property
     def _dropped(self) -> int:
         return self.camera.dropped + self._replaced
+
+    def _wait_s(self) -> float:
+        """Return how long a message may be waited for: until the next frame is expected, and then shortly."""
+        if self._waiting is not None:
+            return NEAR_S
+        until_s = self._arrived_s + self._period_s - self.camera.now_s()
+        # Written so that a camera that stopped, or was not seen twice, has the longer wait.
+        return min(max(until_s, NEAR_S), TURN_S) if until_s > -self._period_s else TURN_S
 
     def _listen(self, wait_s: float) -> None:
         """Read what waits on the bus; wait for the first message alone."""
@@ -261,3 +273,8 @@ class LiveLoop:
             elif isinstance(message, TrackerStatus):
                 self._reason = message.gate_reason
         return sent_s
+
+
+def _shown(quantiles: Quantiles) -> tuple[float, float, float]:
+    """Return the quantiles that a status shows, ms."""
+    return quantiles.p50_ms, quantiles.p99_ms, quantiles.max_ms

@@ -26,6 +26,7 @@ from arctrack.recorded_poses import seam_limits
 from arctrack.recording import Recording, read_recording
 from arctrack.serve.beside import Beside, ended
 from arctrack.serve.keeper import Keeper
+from arctrack.serve.lag_process import LagBeside, estimate_lags
 from arctrack.serve.loop import LiveLoop, LoopResult, OnTrack, Service
 from arctrack.serve.played_poses import PlayedPoses
 from arctrack.serve.process import Watchdog, garbage_left
@@ -33,6 +34,7 @@ from arctrack.service.bus_poses import BusPoses
 from arctrack.service.controller import Controller
 from arctrack.service.frame_tracking import FrameTracking
 from arctrack.service.heard import TRUSTED
+from arctrack.service.look_ahead import LagEstimator
 from arctrack.service.pose_watch import nominal_path
 from arctrack.service.tracking_service import TrackingService
 from noise_model.effects import pose_time_s
@@ -95,11 +97,13 @@ def opened_run(
         If the cell file states no camera, or camera or bus cannot be opened.
     """
     with ExitStack() as opened:
-        cast = cast_of(cell, job_number)
+        lag = opened.enter_context(ended(Beside("lag", estimate_lags)))
+        cast = cast_of(cell, job_number, LagBeside(lag.told))
         opened.callback(cast.camera.close)
         kept = opened.enter_context(_kept(cell, cast))
         for tracking in cast.trackings.values():
             tracking.tracker.warm_up(on_compiled)
+        lag.wait_ready()
         # On a bus where it is heard, a tracker must not wait for anything.
         try:
             link = Link(
@@ -184,8 +188,8 @@ def _kept(cell: CellFile, cast: Cast) -> Iterator[_Kept | None]:
         yield _Kept(keeper, BlackBoxAsker(recorder.told))
 
 
-def cast_of(cell: CellFile, job_number: int | None = None) -> Cast:
-    """Return a cell file's camera, and what answers its frames.
+def cast_of(cell: CellFile, job_number: int | None = None, lag_estimator: LagEstimator | None = None) -> Cast:
+    """Return a cell file's camera, and what answers its frames; see `BusPoses` of the estimator.
 
     Raises ArctrackError if the file states none, if it cannot be opened, or if a job's stripe is not in view.
     """
@@ -199,10 +203,10 @@ def cast_of(cell: CellFile, job_number: int | None = None) -> Cast:
         return _played(cell, as_the_job_says(recording, cell, job_number), job_number)
     if job_number is not None:
         raise ArctrackError(f"--job {job_number}: a live robot names its job itself; leave it out")
-    return _live(cell, camera.name)
+    return _live(cell, camera.name, lag_estimator)
 
 
-def _live(cell: CellFile, frames: str) -> Cast:
+def _live(cell: CellFile, frames: str, lag_estimator: LagEstimator | None) -> Cast:
     """Return the camera of a name, and what answers a live robot."""
     setup_file = cell.setup
     jobs = {number: job.to_job(setup_file.setup, cell.limits) for number, job in cell.jobs.items()}
@@ -220,7 +224,7 @@ def _live(cell: CellFile, frames: str) -> Cast:
             cell.policy,
             T_controllertool_tool,
             pose_time_s(setup, 0.0),
-            estimates_later=True,
+            lag_estimator=lag_estimator,
         )
         trackings[number] = _tracking(cell, setup, job.correction)
         services[number] = TrackingService(controller, poses, trackings[number])

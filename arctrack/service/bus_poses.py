@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 
-from arctrack.service.look_ahead import LookAhead
+from arctrack.service.look_ahead import LagEstimator, LagNow, LookAhead
 from arctrack.service.policy import ServicePolicy
 from arctrack.service.pose_watch import PoseWatch
 from noise_model.arrays import Float64
@@ -16,10 +16,7 @@ from robot_io import (
     PoseError,
     PoseSample,
     Received,
-    RobotPosePosition,
     SeamOffset,
-    cycle_time_s,
-    message_layout,
 )
 from robot_io.clocks.sync import SyncLimits
 from robot_io.poses.nominal_path import NominalPath
@@ -28,9 +25,6 @@ from tracker.seam.innovation import InnovationLimits, SeamMeasured
 from tracker.seam.steer import AT_ONCE, Lead
 
 KEPT_POSES = 256
-
-WAIT_PERIODS = 2.0
-"""So many periods a frame waits for the pose after it: one until it is sampled, one for its way."""
 
 
 class BusPoses:
@@ -50,8 +44,9 @@ class BusPoses:
         The tool in the tool frame of the controller that sends the poses, mm; by default they are one.
     late_s : float
         How much later than true the controller stamps its poses, s.
-    estimates_later : bool
-        Whether the robot's lag is estimated in `rest` alone: in real time an offset must not wait for it.
+    lag_estimator : LagEstimator, optional
+        What estimates the robot's lag in real time, where an offset must not wait for it; by default it is
+        estimated at once.
 
     Attributes
     ----------
@@ -73,15 +68,15 @@ class BusPoses:
         policy: ServicePolicy,
         T_controllertool_tool: Float64 | None = None,
         late_s: float = 0.0,
-        estimates_later: bool = False,
+        lag_estimator: LagEstimator | None = None,
     ) -> None:
         self._path, self._limits, self._seam_limits = path, limits, seam_limits
         self._status_age_s = policy.status_age_s
         self._T_controllertool_tool = T_controllertool_tool
-        self._late_s, self._estimates_later = late_s, estimates_later
+        self._late_s, self._lag_estimator = late_s, lag_estimator
         self.looks_ahead = True
         self.on_sample: Callable[[PoseSample, float], None] | None = None
-        self._wait_s = WAIT_PERIODS * cycle_time_s(message_layout(RobotPosePosition.__name__))
+        self._wait_s = policy.pose_wait_s
         self.begin()
 
     def begin(self) -> None:
@@ -94,7 +89,7 @@ class BusPoses:
             self._status_age_s,
             self._T_controllertool_tool,
         )
-        self.look_ahead = LookAhead(self._path)
+        self.look_ahead = LookAhead(self._path, estimator=self._lag_estimator or LagNow())
         self._forget_poses()
 
     def hear(self, received: Received, now_s: float) -> None:
@@ -136,7 +131,7 @@ class BusPoses:
 
     def lead(self, now_s: float) -> Lead:
         """Return how far ahead of the torch an offset is to be asked for."""
-        if not self._estimates_later:
+        if self._lag_estimator is None:
             self.look_ahead.update(now_s)
         return self.look_ahead.lead() if self.looks_ahead else AT_ONCE
 

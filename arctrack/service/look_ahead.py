@@ -11,7 +11,8 @@ from __future__ import annotations
 import math
 from collections import deque
 from dataclasses import dataclass, field, replace
-from itertools import cycle, pairwise
+from itertools import cycle
+from typing import Protocol
 
 import numpy as np
 from scipy.optimize import minimize_scalar
@@ -33,6 +34,49 @@ class _Place:
     lateral_mm: float
 
 
+@dataclass(frozen=True)
+class Motions:
+    """What was commanded, and what was seen of the tool beside its path."""
+
+    commanded: Motion
+    seen: Motion
+
+
+class LagEstimator(Protocol):
+    """Estimates lags, at once or meanwhile."""
+
+    def ask(self, motions: Motions) -> None:
+        """Take what an estimate rests on. What was asked before and not answered yet goes before."""
+
+    def answer(self) -> Lag | None:
+        """Return the estimate that was asked for, None while there is none; each is returned once."""
+
+
+class LagNow:
+    """Estimates a lag at once.
+
+    Parameters
+    ----------
+    policy : LookAheadPolicy
+        How the weave is looked for.
+    limits : LagLimits
+        What an estimate asks.
+    """
+
+    def __init__(self, policy: LookAheadPolicy | None = None, limits: LagLimits | None = None) -> None:
+        self._policy, self._limits = policy or LookAheadPolicy(), limits or LagLimits()
+        self._lag: Lag | None = None
+
+    def ask(self, motions: Motions) -> None:
+        """Estimate the lag."""
+        self._lag = lag_of(motions, self._policy, self._limits)
+
+    def answer(self) -> Lag | None:
+        """Return the estimate."""
+        lag, self._lag = self._lag, None
+        return lag
+
+
 @dataclass
 class LookAhead:
     """Collects what was commanded and what the tool did, and estimates the lag now and then.
@@ -48,6 +92,8 @@ class LookAhead:
         How much is collected, and how often it is looked at.
     limits : LagLimits
         What an estimate asks.
+    estimator : LagEstimator
+        What estimates the lag; by default it does so at once.
 
     Attributes
     ----------
@@ -58,6 +104,7 @@ class LookAhead:
     path: NominalPath
     policy: LookAheadPolicy = field(default_factory=LookAheadPolicy)
     limits: LagLimits = field(default_factory=LagLimits)
+    estimator: LagEstimator = field(default_factory=LagNow)
     lag: Lag = NOTHING_YET
 
     def __post_init__(self) -> None:
@@ -65,6 +112,7 @@ class LookAhead:
         self._places: deque[_Place] = deque()
         self._commanded: deque[tuple[float, float]] = deque()
         self._estimated_s = -math.inf
+        self._period_s = math.nan
 
     def hear(self, message: BusMessage) -> None:
         """Take what the robot commands: after DISARM it stands on its programmed path before it welds on."""
@@ -103,16 +151,19 @@ class LookAhead:
             self._commanded.append((captured_s, offset.offset_y_mm))
 
     def update(self, now_s: float) -> None:
-        """Estimate the lag anew where it is time to: that takes as long as some frames' steps."""
+        """Have the lag estimated anew where it is time to, and take an estimate that is there."""
         if not 0.0 <= now_s - self._estimated_s < self.policy.every_s:
             self._estimated_s = now_s
-            self._judge(self._estimate())
+            self._ask()
+        lag = self.estimator.answer()
+        if lag is not None:
+            self._judge(lag)
 
     def lead(self) -> Lead:
         """Return how far to look ahead."""
         if self.lag.unestimated is not None or len(self._commanded) < 2:
             return AT_ONCE
-        time_s = self.lag.lag_s + 0.5 * self._period_s()
+        time_s = self.lag.lag_s + 0.5 * self._period_s
         return Lead(time_s, time_s * self._speed_mm_s())
 
     def _judge(self, lag: Lag) -> None:
@@ -128,34 +179,40 @@ class LookAhead:
         if kept.unestimated is not None or lag.sigma_s <= kept.sigma_s or apart:
             self.lag = lag
 
-    def _estimate(self) -> Lag:
+    def _ask(self) -> None:
         if len(self._commanded) < 2 or len(self._places) < self.limits.min_samples:
-            return NOTHING_YET
+            self._judge(NOTHING_YET)
+            return
         sent_s, offsets_mm = np.array(self._commanded).T
+        self._period_s = float(np.median(np.diff(sent_s)))
         seen = Motion(
             np.array([place.time_s for place in self._places]),
             np.array([place.lateral_mm for place in self._places]),
         )
-        commanded = Motion(sent_s, offsets_mm)
-        nuisances = _weave(commanded, seen, self.limits, self.policy)
-        lag = estimate_lag(commanded, seen, self.limits, nuisances=nuisances)
-        return replace(lag, sigma_s=math.hypot(lag.sigma_s, self.policy.timing_sigma_s))
-
-    def _period_s(self) -> float:
-        return float(np.median([later - sooner for (sooner, _), (later, _) in pairwise(self._commanded)]))
+        self.estimator.ask(Motions(Motion(sent_s, offsets_mm), seen))
 
     def _speed_mm_s(self) -> float:
         """Return the speed along the path over the last moment, 0 where the tool goes back or is not seen."""
         if not self._places:
             return 0.0
-        last = self._places[-1]
-        first = next(p for p in self._places if p.time_s >= last.time_s - self.policy.speed_s)
+        first = last = self._places[-1]
+        for place in reversed(self._places):
+            if place.time_s < last.time_s - self.policy.speed_s:
+                break
+            first = place
         elapsed_s = last.time_s - first.time_s
         return max(last.station_mm - first.station_mm, 0.0) / elapsed_s if elapsed_s > 0.0 else 0.0
 
     def _forget(self) -> None:
         self._places.clear()
         self._commanded.clear()
+
+
+def lag_of(motions: Motions, policy: LookAheadPolicy, limits: LagLimits) -> Lag:
+    """Return the lag between what was commanded and what was seen, beside a weave."""
+    nuisances = _weave(motions.commanded, motions.seen, limits, policy)
+    lag = estimate_lag(motions.commanded, motions.seen, limits, nuisances=nuisances)
+    return replace(lag, sigma_s=math.hypot(lag.sigma_s, policy.timing_sigma_s))
 
 
 def _weave(commanded: Motion, seen: Motion, limits: LagLimits, policy: LookAheadPolicy) -> Float64:

@@ -1,0 +1,60 @@
+"""The robot's lag, estimated in a process beside the loop: that takes as long as some frames' steps."""
+
+from __future__ import annotations
+
+import os
+import signal
+from contextlib import suppress
+from multiprocessing.connection import Connection
+
+from arctrack.service.look_ahead import Motions, lag_of
+from arctrack.service.policy import LookAheadPolicy
+from robot_io.clocks.lag import Lag, LagLimits
+
+NICENESS = 5
+
+
+class LagBeside:
+    """Asks a process for estimates; the loop waits for none.
+
+    Parameters
+    ----------
+    connection : Connection
+        To the process.
+    """
+
+    def __init__(self, connection: Connection) -> None:
+        self._connection = connection
+        self._is_asked = False
+
+    def ask(self, motions: Motions) -> None:
+        """Send what an estimate rests on, unless the process still has what it was sent before."""
+        if not self._is_asked:
+            with suppress(BrokenPipeError):
+                self._connection.send(motions)
+                self._is_asked = True
+
+    def answer(self) -> Lag | None:
+        """Return an estimate that has come."""
+        if not (self._is_asked and self._connection.poll()):
+            return None
+        try:
+            lag: Lag = self._connection.recv()
+        except (EOFError, ConnectionResetError):
+            return None
+        self._is_asked = False
+        return lag
+
+
+def estimate_lags(told: Connection) -> None:
+    """Say that it is ready, and answer each `Motions` with the lag, until the other end is closed."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    signal.signal(signal.SIGTERM, signal.SIG_IGN)
+    os.nice(NICENESS)
+    policy, limits = LookAheadPolicy(), LagLimits()
+    told.send([])
+    while True:
+        try:
+            told.send(lag_of(told.recv(), policy, limits))
+        except (EOFError, ConnectionResetError, BrokenPipeError):
+            return
