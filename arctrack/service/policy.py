@@ -62,8 +62,8 @@ class ServicePolicy:
     pose_wait_s: float = _seconds(
         0.02,
         "longest wait of a frame for the pose after it",
-        "two periods of 10 ms: one until it is sampled, one for its way; extrapolated instead, a weave of 2 mm "
-        "at 3 Hz is off by 0.04 mm",
+        "two periods of 10 ms: one until it is sampled, one for its way; extrapolated instead, a weave of "
+        "2 mm at 3 Hz is off by 0.04 mm",
     )
     watchdog_s: float = _seconds(
         2.0,
