@@ -78,7 +78,7 @@ def serve_cell(
             raise ArctrackError(f"--frames {frames}: the camera did not begin; is the name in use?") from None
         if on_ready is not None:
             on_ready()
-        _run_robot(plan, can_bus, shots.send, lambda robot: goes_on(robot) and camera.is_alive())
+        run_robot(plan, can_bus, shots.send, lambda robot: goes_on(robot) and camera.is_alive())
         if not camera.is_alive():
             raise ArctrackError(f"--frames {frames}: the camera ended")
     finally:
@@ -115,9 +115,10 @@ class _Program:
         self._robot.command = replace(self._robot.command, command=command)
 
 
-def _run_robot(
+def run_robot(
     plan: LoopPlan, can_bus: can.BusABC, shoot: Callable[[Shot], None], goes_on: Callable[[Robot], bool]
 ) -> None:
+    """Be the robot on a bus until it does not go on; `shoot` hears where it is at each capture."""
     scheduler = RealTimeScheduler()
     bus = RealBus(can_bus, scheduler)
     party = RobotParty(Robot(world_of(plan, setup_of(plan))), bus, scheduler)
