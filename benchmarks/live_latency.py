@@ -23,7 +23,8 @@ import sys
 import tempfile
 import textwrap
 import time
-from dataclasses import replace
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
 from multiprocessing.connection import Connection
 from pathlib import Path
 
@@ -43,7 +44,7 @@ from noise_model.forward import Renderer, draw_frame
 from noise_model.setup import Setup
 from tracker.state import Frame
 
-RATE_HZ, EXPOSURE_S = 200.0, 0.001
+EXPOSURE_S, SETTLES_S = 0.001, 10.0
 RENDERED = 50
 """So many frames are drawn; they come again and again."""
 
@@ -72,6 +73,31 @@ TRACKER = """
 """
 
 
+@dataclass(frozen=True)
+class Process:
+    """A process of a run: the share of a core that it took, its memory, MB, and what it is."""
+
+    cpu: float
+    resident_mb: float
+    what: str
+
+
+@dataclass(frozen=True)
+class Measured:
+    """What a run came to.
+
+    `frames`, `late_s` and `is_valid` (n,): each frame's number, the time from its mid-exposure to its offset,
+    and whether that was VALID. `loop_mb` (m, 2): the loop's own memory, MB, by seconds.
+    """
+
+    frames: np.ndarray
+    late_s: np.ndarray
+    is_valid: np.ndarray
+    processes: list[Process]
+    loop_mb: np.ndarray
+    lines: list[str]
+
+
 def bench_setup(plan: LoopPlan) -> Setup:
     """Return the plan's setup with the bench's exposure."""
     setup = setup_of(plan)
@@ -93,7 +119,7 @@ def publish(plan: LoopPlan, name: str, told: Connection) -> None:
             image = images[index % RENDERED]
             now_s = time.monotonic()
             frames.publish(Frame(index, now_s - EXPOSURE_S / 2.0, image, EXPOSURE_S, 120.0))
-            index, due_s = index + 1, due_s + 1.0 / RATE_HZ
+            index, due_s = index + 1, due_s + 1.0 / plan.rate_hz
             time.sleep(max(0.0, due_s - time.monotonic()))
 
 
@@ -111,7 +137,7 @@ def drive(plan: LoopPlan, port: int, told: Connection) -> None:
     bus.shutdown()
 
 
-def started(target, *arguments) -> Connection:
+def started(target: Callable[..., None], *arguments: object) -> Connection:
     """Start a process and wait until it is ready; closing the connection ends it."""
     spawn = multiprocessing.get_context("spawn")
     told, its_end = spawn.Pipe()
@@ -121,24 +147,14 @@ def started(target, *arguments) -> Connection:
     return told
 
 
-def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
-    parser.add_argument("--seconds", type=float, default=60.0, help="how long, after the first ten")
-    parser.add_argument("--joint", default="lap")
-    parser.add_argument("--browsers", type=int, default=0, help="so many look at the page")
-    parser.add_argument("--saves", action="store_true", help="the black box saves all the time")
-    parser.add_argument("--priority", type=int, default=50, help="real-time priority of the loop, 0 for none")
-    parser.add_argument("--pose-wait", type=float, default=0.0, help="[service] pose_wait_s")
-    options = parser.parse_args()
-
-    plan = LoopPlan(
-        joint=options.joint,
-        displaced_mm=0.0,
-        weave_mm=0.0,
-        length_mm=10_000.0,
-        rate_hz=RATE_HZ,
-        size_px=(640, 480),
-    )
+def measured(
+    plan: LoopPlan,
+    seconds: float,
+    choices: Mapping[str, Mapping[str, object]],
+    browsers: int = 0,
+    saves: bool = False,
+) -> Measured:
+    """Run camera, robot and tracker for a time after SETTLES_S; `choices` are keys of the cell file."""
     name = f"bench-{os.getpid()}"
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as free:
         free.bind(("", 0))
@@ -147,39 +163,58 @@ def main() -> None:
         cell = write_simulated_cell(Path(folder) / "cell", plan, INTERFACE, GROUP, name)
         (cell.parent / "setup.toml").write_text(commented_setup(bench_setup(plan)))
         document = tomlkit.parse(cell.read_text())
-        document["service"]["pose_wait_s"] = options.pose_wait
-        if options.priority:
-            document["process"].update({"priority": options.priority, "lock_memory": True})
+        for table, keys in choices.items():
+            document[table].update(keys)
         cell.write_text(tomlkit.dumps(document))
-        camera = started(publish, plan, name)
-        robot = started(drive, plan, port)
+        camera, robot = started(publish, plan, name), started(drive, plan, port)
         rows_path = Path(folder) / "rows.npy"
-        count = str(int((options.seconds + 120.0) * RATE_HZ))
-        command = [
-            sys.executable,
-            "-c",
-            textwrap.dedent(TRACKER),
-            str(cell),
-            str(port),
-            str(rows_path),
-            count,
-        ]
+        words = (str(cell), str(port), str(rows_path), str(int((seconds + 300.0) * plan.rate_hz)))
+        command = [sys.executable, "-c", textwrap.dedent(TRACKER), *words]
         tracker = subprocess.Popen(command, stdout=subprocess.PIPE, text=True)
-        lines = _until_ready(tracker)
-        print(*lines, sep="\n", flush=True)
-        browsers = [_browser(lines) for _ in range(options.browsers)]
-        _watch(tracker, options.seconds, options.saves)
-        tracker.send_signal(signal.SIGTERM)
-        print(tracker.communicate(timeout=300.0)[0])
-        for browser in browsers:
-            browser.kill()
-        camera.close()
-        robot.close()
-        _print_rows(np.load(rows_path))
+        try:
+            lines = _until_ready(tracker)
+            looking = [_browser(lines) for _ in range(browsers)]
+            time.sleep(SETTLES_S)
+            processes, loop_mb = _watched(tracker, seconds, saves)
+            tracker.send_signal(signal.SIGTERM)
+            lines += tracker.communicate(timeout=300.0)[0].splitlines()
+            for browser in looking:
+                browser.kill()
+        finally:
+            tracker.kill()
+            camera.close()
+            robot.close()
+        rows = np.load(rows_path)[int(SETTLES_S * plan.rate_hz) :]
+    return Measured(rows[:, 0], rows[:, 1], rows[:, 2] > 0.0, processes, loop_mb, lines)
 
 
-def _until_ready(tracker: subprocess.Popen) -> list[str]:
-    lines = []
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
+    parser.add_argument("--seconds", type=float, default=60.0, help="how long, after the first ten")
+    parser.add_argument("--rate", type=float, default=200.0, help="frames a second")
+    parser.add_argument("--joint", default="lap")
+    parser.add_argument("--browsers", type=int, default=0, help="so many look at the page")
+    parser.add_argument("--saves", action="store_true", help="the black box saves all the time")
+    parser.add_argument("--priority", type=int, default=50, help="real-time priority of the loop, 0 for none")
+    parser.add_argument("--pose-wait", type=float, default=0.0, help="[service] pose_wait_s")
+    options = parser.parse_args()
+    plan = bench_plan(options.joint, options.rate, (640, 480))
+    choices: dict[str, dict[str, object]] = {"service": {"pose_wait_s": options.pose_wait}}
+    if options.priority:
+        choices["process"] = {"priority": options.priority, "lock_memory": True}
+    _print(measured(plan, options.seconds, choices, options.browsers, options.saves), plan.rate_hz)
+
+
+def bench_plan(joint: str, rate_hz: float, size_px: tuple[int, int]) -> LoopPlan:
+    """Return what is welded: a seam where the program has it, for longer than any run."""
+    return LoopPlan(
+        joint=joint, displaced_mm=0.0, weave_mm=0.0, length_mm=10_000.0, rate_hz=rate_hz, size_px=size_px
+    )
+
+
+def _until_ready(tracker: subprocess.Popen[str]) -> list[str]:
+    assert tracker.stdout is not None
+    lines: list[str] = []
     while not lines or not lines[-1].startswith("ready"):
         line = tracker.stdout.readline()
         assert line, "the tracker ended"
@@ -187,52 +222,50 @@ def _until_ready(tracker: subprocess.Popen) -> list[str]:
     return lines
 
 
-def _browser(lines: list[str]) -> subprocess.Popen:
+def _browser(lines: list[str]) -> subprocess.Popen[bytes]:
     raise SystemExit("no page yet")
 
 
-def _watch(tracker: subprocess.Popen, seconds: float, saves: bool) -> None:
-    """Let it run, and print what each of its processes takes."""
-    time.sleep(10.0)
-    whole = psutil.Process(tracker.pid)
-    processes = [whole, *whole.children(recursive=True)]
+def _watched(tracker: subprocess.Popen[str], seconds: float, saves: bool) -> tuple[list[Process], np.ndarray]:
+    """Let it run, and return what each of its processes took, and the loop's own memory."""
+    loop = psutil.Process(tracker.pid)
+    processes = [loop, *loop.children(recursive=True)]
     before = {process: process.cpu_times() for process in processes}
-    resident: list[tuple[float, float]] = []
     began_s = time.monotonic()
-    while time.monotonic() - began_s < seconds:
+    loop_mb = []
+    while (elapsed_s := time.monotonic() - began_s) < seconds:
+        loop_mb.append((elapsed_s, loop.memory_full_info().uss / 1e6))
         if saves:
             tracker.send_signal(signal.SIGUSR1)
-        time.sleep(min(10.0, seconds / 6.0))
-        memory = whole.memory_full_info()
-        resident.append((time.monotonic() - began_s, memory.uss / 1e6))
-    took_s = time.monotonic() - began_s
+        time.sleep(min(10.0, seconds - elapsed_s))
+    taken = []
     for process in processes:
-        after, first = process.cpu_times(), before[process]
-        share = (after.user + after.system - first.user - first.system) / took_s
-        what = "loop" if process is whole else " ".join(process.cmdline())[-40:]
-        resident_mb = process.memory_info().rss / 1e6
-        print(f"process {process.pid}: {100.0 * share:.0f} % of a core, {resident_mb:.0f} MB, {what}")
-    times_s, uss_mb = np.array(resident).T
-    slope = np.polyfit(times_s, uss_mb, 1)[0] * 60.0 if len(resident) > 2 else float("nan")
-    print(f"the loop's own memory: {uss_mb[0]:.1f} to {uss_mb[-1]:.1f} MB, {slope:+.3f} MB a minute")
+        now, first = process.cpu_times(), before[process]
+        cpu = (now.user + now.system - first.user - first.system) / elapsed_s
+        what = "loop" if process is loop else " ".join(process.cmdline())[-60:]
+        taken.append(Process(cpu, process.memory_info().rss / 1e6, what))
+    return taken, np.array(loop_mb)
 
 
-def _print_rows(rows: np.ndarray) -> None:
-    """Print what the frames after the first ten seconds came to."""
-    rows = rows[int(10.0 * RATE_HZ) :]
-    frames, late_ms, valid = rows[:, 0], 1000.0 * rows[:, 1], rows[:, 2]
-    steps = np.diff(frames)
-    print(f"frames {len(rows)}, valid offsets {int(valid.sum())}, missed {int((steps - 1).sum())}")
+def _print(run: Measured, rate_hz: float) -> None:
+    """Print what a run came to."""
+    print(*run.lines, sep="\n")
+    for process in run.processes:
+        print(f"{100.0 * process.cpu:.0f} % of a core, {process.resident_mb:.0f} MB, {process.what}")
+    times_s, own_mb = run.loop_mb.T
+    slope = np.polyfit(times_s, own_mb, 1)[0] * 60.0 if len(own_mb) > 2 else float("nan")
+    print(f"the loop's own memory: {own_mb[0]:.1f} to {own_mb[-1]:.1f} MB, {slope:+.3f} MB a minute")
+    missed = int((np.diff(run.frames) - 1).sum())
+    print(f"frames {len(run.frames)}, valid offsets {int(run.is_valid.sum())}, missed {missed}")
+    late_ms = 1000.0 * run.late_s
     for what, shift_ms in (("mid-exposure", 0.0), ("published", 500.0 * EXPOSURE_S)):
-        times = late_ms - shift_ms
-        p50, p99, p999 = np.quantile(times, [0.5, 0.99, 0.999])
-        print(f"{what} to CAN: p50 {p50:.2f}, p99 {p99:.2f}, p99.9 {p999:.2f}, max {times.max():.2f} ms")
-    minutes = np.array_split(late_ms, max(1, round(len(late_ms) / (60.0 * RATE_HZ))))
+        p50, p99, p999 = np.quantile(late_ms - shift_ms, [0.5, 0.99, 0.999])
+        most = late_ms.max() - shift_ms
+        print(f"{what} to CAN: p50 {p50:.2f}, p99 {p99:.2f}, p99.9 {p999:.2f}, max {most:.2f} ms")
+    minutes = np.array_split(late_ms, max(1, round(len(late_ms) / (60.0 * rate_hz))))
     p99s = np.array([np.quantile(minute, 0.99) for minute in minutes])
     spread = p99s.std(ddof=1) / np.sqrt(len(p99s)) if len(p99s) > 1 else float("nan")
     print(f"p99 by minutes: mean {p99s.mean():.2f} ± {2.0 * spread:.2f} ms (2 sigma of the mean)")
-    interval = np.diff(late_ms / 1000.0 + frames / RATE_HZ)
-    print(f"between offsets: {1000 * interval.min():.2f} to {1000 * interval.max():.2f} ms")
 
 
 if __name__ == "__main__":
