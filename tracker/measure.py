@@ -9,6 +9,7 @@ import numpy as np
 
 from noise_model.arc.map import Scene, arc_kernel, make_scene
 from noise_model.arc_source import level as current_level
+from noise_model.median import known_median, median
 from noise_model.setup import Setup
 from noise_model.surface.joint import SeamLine, seam_height_mm
 from tracker import checks
@@ -178,7 +179,7 @@ def _closed_joint(
     geometry: SensorGeometry, scene: Scene, look: StripeReading, profile: Profile
 ) -> MeasuredJoint | None:
     """Return the closed joint whose line the image shows beside the stripe, None where it shows none."""
-    stripe_sigma_px = float(np.nanmedian(look.fits[:, 3]))
+    stripe_sigma_px = known_median(look.fits[:, 3])
     line = read_image_line(geometry, scene, look.stripe.smooth_px, stripe_sigma_px, profile)
     return None if line is None else fit_closed_joint(profile, geometry.setup.joint, line)
 
@@ -194,7 +195,7 @@ def _is_stripe(
     if not asked.ask(checks.LINES_HELD, share, MIN_HELD_SHARE):
         return False
     path = path_of(look.offsets_px, expected.position_px, stripe.position_px)
-    width_px = float(np.median(expected.sigma_px)) * look.learned.width_factor
+    width_px = median(expected.sigma_px) * look.learned.width_factor
     ratio = evidence_ratio(look.score, path, expected.shown, width_px)
     if not asked.ask(checks.STRIPE_EVIDENCE, ratio, MIN_RATIO):
         return False

@@ -13,6 +13,7 @@ from noise_model.arrays import Float64, Integers
 from noise_model.instrument.camera import Intrinsics, undistorted
 from noise_model.instrument.laser import plane_in
 from noise_model.kernel import kernel
+from noise_model.median import median
 from noise_model.surface.faces import ridge
 from noise_model.transforms import invert, transform
 from tracker.geometry import SensorGeometry
@@ -114,7 +115,7 @@ def triangulate(
         order = np.argsort(y, kind="stable")
         # Rows that lie strided in memory are another type to the kernels, which they would compile for anew.
         y, z, dy, dz, sigma = np.take(points, order, axis=1)
-        scan, column = scan[order], float(np.median(np.diff(y)))
+        scan, column = scan[order], median(np.diff(y))
     return Profile(y, z, dy, dz, sigma, scan, column, beside_px[scan.astype(np.int64)])
 
 

@@ -11,6 +11,7 @@ from dataclasses import replace
 import numpy as np
 
 from noise_model.arrays import Float64
+from noise_model.median import median
 from noise_model.surface.joint import Joint
 from tracker.joint.evidence import evidence_nats
 from tracker.joint.fillet import fit_fillet
@@ -63,8 +64,8 @@ def _off_alike(profile: Profile, measured: MeasuredJoint | None) -> MeasuredJoin
     off_px = ALIKE_OFF_PX
     near = np.abs(profile.y_mm - measured.y_mm) < NEAR_MM
     if profile.bias_px is not None and near.any():
-        off_px = math.hypot(off_px, BIAS_SHARE * float(np.median(np.abs(profile.bias_px[near]))))
-    off_mm = off_px * np.array([np.median(profile.dy_mm), np.median(profile.dz_mm)])
+        off_px = math.hypot(off_px, BIAS_SHARE * median(np.abs(profile.bias_px[near])))
+    off_mm = off_px * np.array([median(profile.dy_mm), median(profile.dz_mm)])
     return replace(measured, covariance_mm2=measured.covariance_mm2 + np.outer(off_mm, off_mm))
 
 

@@ -33,6 +33,7 @@ import numpy as np
 
 from noise_model.arrays import Bool, Float64
 from noise_model.kernel import kernel
+from noise_model.median import median
 from tracker.joint.measured import section_at
 from tracker.joint.section_fit import BISQUARE_WIDTH, MAD_SIGMA, MIN_ALONG_MM, tukey_loss
 from tracker.profile import Profile
@@ -94,7 +95,7 @@ def wander_of(off: Float64) -> Wander:
     The wander's share that is kept is sum(c_k c_(k+1)) / sum(c_k^2) over LAGS, its variance c_1 over that.
     Outliers are left out. Residuals smaller than their sigmas are taken for as large.
     """
-    width = BISQUARE_WIDTH * max(1.0, MAD_SIGMA * float(np.median(np.abs(off))))
+    width = BISQUARE_WIDTH * max(1.0, MAD_SIGMA * median(np.abs(off)))
     core = np.where(np.abs(off) < width, off, 0.0)
     n = len(core)
     c = np.array([core[lag:] @ core[: n - lag] for lag in range(LAGS + 2)]) / n

@@ -10,6 +10,7 @@ import numpy as np
 
 from noise_model.arrays import Bool, Float64
 from noise_model.kernel import kernel
+from noise_model.median import median
 from noise_model.surface.joint import Joint, section
 from tracker.joint.measured import (
     OFF_SIGMAS,
@@ -67,7 +68,7 @@ def fit_lap(profile: Profile, joint: Joint, camera_mm: Float64, laser_mm: Float6
     z_s, step, slope_lower, slope_upper = shape.parameters.tolist()
     sheets = Sheets(y_0, z_s, step, slope_lower, slope_upper)
     lines = profile.by_scan()
-    off_mm = OFF_SIGMAS * float(np.median(np.abs(profile.dz_mm) * profile.sigma_px))
+    off_mm = OFF_SIGMAS * median(np.abs(profile.dz_mm) * profile.sigma_px)
     limit_mm = max(MIN_OFF_SHEET * thickness, min(off_mm, ON_SHEET * thickness))
     near_sheets(lines.y_mm, lines.z_mm, sheets, limit_mm, on_upper, on_lower)
     before, behind = neighbours_of_edge(on_upper, on_lower)
@@ -106,7 +107,7 @@ def fit_lap(profile: Profile, joint: Joint, camera_mm: Float64, laser_mm: Float6
 def roll_of(y_mm: Float64, z_mm: Float64) -> float:
     """Return the slope that both sheets have, the median of that of pairs of points (n,)."""
     apart = len(y_mm) // ROLL_BY
-    return float(np.median((z_mm[apart:] - z_mm[:-apart]) / (y_mm[apart:] - y_mm[:-apart])))
+    return median((z_mm[apart:] - z_mm[:-apart]) / (y_mm[apart:] - y_mm[:-apart]))
 
 
 class Sheets(NamedTuple):

@@ -8,6 +8,7 @@ from typing import NamedTuple
 import numpy as np
 
 from noise_model.arrays import Bool, Float64, Int64
+from noise_model.median import known_median, median
 from tracker.joint.evidence import gap_evidence_nats
 from tracker.joint.measured import OnFace
 from tracker.profile import Profile
@@ -95,9 +96,9 @@ class PlateLines:
         if self.light is None or self.image_dn is None or not len(plates):
             return
         scans = self.away * (self.first_scan + plates)
-        width_px = float(np.nanmedian(self.light.width_px[scans]))
+        width_px = known_median(self.light.width_px[scans])
         brightness = self._brightness(scans, self.light.position_px[scans], width_px)
-        self.sees[plates[brightness < DIM_SHARE * np.median(brightness)]] = UNREAD
+        self.sees[plates[brightness < DIM_SHARE * median(brightness)]] = UNREAD
 
     def _leave_out_hidden(self) -> None:
         """Let lines say nothing that hold saturated pixels where the plates' stripe would be read."""
@@ -194,10 +195,10 @@ class PlateLines:
         plates = plates[np.argsort(np.minimum(abs(plates - first), abs(plates - last)))[: 2 * BRIGHT_LINES]]
         scans = self.away * (self.first_scan + np.sort(plates))
         path_px = np.interp(between, np.sort(plates), self.light.position_px[scans])
-        width_px = float(np.nanmedian(self.light.width_px[scans]))
+        width_px = known_median(self.light.width_px[scans])
         held = self._brightness(self.away * (self.first_scan + between), path_px, width_px)
         whole = self._brightness(scans, self.light.position_px[scans], width_px)
-        return float(np.median(held)) > HELD_SHARE * float(np.median(whole))
+        return median(held) > HELD_SHARE * median(whole)
 
     def _brightness(self, scans: Int64, path_px: Float64, width_px: float) -> Float64:
         """Return how much brighter scan lines (n,) are about a path (n,), px, than beside it, DN."""

@@ -14,6 +14,7 @@ import math
 import numpy as np
 
 from noise_model.arrays import Bool, Float64
+from noise_model.median import median
 from tracker.joint.measured import ShapeFit, fit_shape
 from tracker.joint.section_fit import tukey_loss
 from tracker.profile import Profile
@@ -67,9 +68,7 @@ def weigh_root(
     if used is not None:
         clear &= used
     # Errors of neighbours are alike: so many lines say as much as one.
-    alike = (
-        float(np.median((profile.beside_px[clear] / profile.sigma_px[clear]) ** 2)) if clear.any() else 1.0
-    )
+    alike = median((profile.beside_px[clear] / profile.sigma_px[clear]) ** 2) if clear.any() else 1.0
     fits, evidence = [], []
     prior_of_gaps = prior_of(float(start[gap]), float(prior_sigma[gap]))
     for gap_mm, cell_mm, prior in zip(GAPS, CELLS_MM, prior_of_gaps, strict=True):

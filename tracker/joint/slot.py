@@ -12,6 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from noise_model.arrays import Bool
+from noise_model.median import median
 from noise_model.surface.joint import Joint
 from tracker.joint.evidence import places_of
 from tracker.joint.image_line import ImageLine
@@ -66,7 +67,7 @@ def fit_slot(profile: Profile, joint: Joint) -> MeasuredJoint | None:
     thickness, gap = joint.dimensions["thickness_mm"], joint.dimensions["gap_mm"]
     is_edge = joint.type == "edge"
     limit_mm = _on_plate_mm(joint)
-    y_0 = float(np.median(profile.y_mm))
+    y_0 = median(profile.y_mm)
     everywhere = np.ones(len(profile.y_mm), dtype=bool)
     plates = _plates(profile, y_0, everywhere)
     if plates is None:
@@ -238,7 +239,7 @@ def _raised(profile: Profile, fit: ShapeFit, y_0: float, ends_mm: Pair) -> float
 
 def _plates(profile: Profile, y_0: float, used: Bool) -> ShapeFit | None:
     """Fit a line to the plates on either side of a place."""
-    start = np.array([float(np.median(profile.z_mm)), 0.0, 0.0, 0.0, y_0])
+    start = np.array([median(profile.z_mm), 0.0, 0.0, 0.0, y_0])
     return fit_shape(profile, SHEETS, start, PRIOR_SIGMA, used)
 
 

@@ -12,6 +12,7 @@ import numpy as np
 
 from noise_model.arrays import Bool, Float32, Float64, Int64
 from noise_model.kernel import kernel
+from noise_model.median import median
 from tracker.stripe.expected import ExpectedStripe
 from tracker.stripe.viterbi import GAIN_CAP, OFFSET_STEP, TEMPLATE_SIGMAS, write_template
 
@@ -139,7 +140,7 @@ def seen_share(
     holds = np.isfinite(position_px)
     if not holds.any():
         return math.nan
-    weak_e = WEAK * float(np.median(amplitude_e[holds]))
+    weak_e = WEAK * median(amplitude_e[holds])
     worst_e2 = np.where(censored.any(axis=1), np.inf, variance_e2.max(axis=1))
     with np.errstate(invalid="ignore"):
         clear = weak_e * np.sqrt(0.52 * expected.sigma_px / worst_e2) > CLEAR_SIGMAS

@@ -10,6 +10,7 @@ import numpy as np
 
 from noise_model.arc.map import CELL, ArcKernel, ArcMap
 from noise_model.arrays import Bool, Float32, Float64, Int64
+from noise_model.median import known_median, median
 from tracker.arc.level import MAP_SIGMA, ArcLevel
 from tracker.arc.transmission import Transmission
 from tracker.geometry import SensorGeometry
@@ -126,7 +127,7 @@ class StripeReading:
             self.scatter.brightness_alike,
             psf_sigma_px,
             sheet_lines,
-            float(np.median(sigma_px)) if len(sigma_px) else math.nan,
+            median(sigma_px) if len(sigma_px) else math.nan,
         )
 
 
@@ -213,7 +214,7 @@ def read_stripe(
     sigma, together = scatter.widened(own_sigma(fits, expected.sigma_px), sheet_px)
     smooth, smooth_sigma = smooth_stripe(fits[:, 0], sigma, together)
     odd = odd_residuals(band.charge, band.background, band.censored, fits, lows, CELL)
-    alike = float(np.nanmedian((together / sigma) ** 2)) if np.isfinite(sigma).any() else 1.0
+    alike = known_median((together / sigma) ** 2) if np.isfinite(sigma).any() else 1.0
     stripe = Stripe(
         fits[:, 0], sigma, smooth, smooth_sigma, fits[:, 2], saturated, geometry.along_rows, together
     )
@@ -242,7 +243,7 @@ def _sheet_px(fits: Float64, psf_sigma_px: float) -> float:
     widths_px = fits[np.isfinite(fits[:, 3]), 3]
     if not len(widths_px):
         return 0.0
-    return math.sqrt(max(float(np.median(widths_px)) ** 2 - psf_sigma_px**2, 0.0))
+    return math.sqrt(max(median(widths_px) ** 2 - psf_sigma_px**2, 0.0))
 
 
 def _told_of_two(
@@ -259,7 +260,7 @@ def _told_of_two(
     """
     if np.isnan(off_px).all():
         return math.inf, None
-    brighter_px, sigma_px = float(np.nanmedian(off_px)), reach_px / REACH_SIGMAS
+    brighter_px, sigma_px = known_median(off_px), reach_px / REACH_SIGMAS
     weaker_px = brighter_px + apart_px
     by_light = 2.0 * math.log(REFLECTED_SHARE) * math.log(share) / REFLECTED_SIGMA_LN**2
     odds = by_light + (weaker_px**2 - brighter_px**2) / (2.0 * sigma_px**2)

@@ -35,6 +35,7 @@ import numpy as np
 
 from noise_model.arrays import Bool, Float32, Float64, Int64
 from noise_model.kernel import kernel
+from noise_model.median import median
 from tracker.stripe.fit import WINDOW_SIGMAS
 
 LAGS = np.array([1, 2, 4, 8])
@@ -233,7 +234,7 @@ def own_sigma(fits: Float64, expected_px: Float64) -> Float64:
     """
     excess = np.maximum(fits[:, 4] - np.sqrt(1.0 / (WINDOW_SIGMAS * expected_px)), 1.0)
     known = excess[np.isfinite(excess)]
-    usual = float(np.median(known)) if len(known) else 1.0
+    usual = median(known) if len(known) else 1.0
     return np.asarray(fits[:, 1] * np.sqrt(np.maximum(1.0 / usual, 1.0 / excess)))
 
 
@@ -276,7 +277,7 @@ def frame_scatter(
     brightness = np.empty(len(BRIGHTNESS_LAGS))
     min_means = MIN_MEANS_SEARCHING if is_searching else MIN_MEANS
     known_px = fits[np.isfinite(fits[:, 3]), 3]
-    times = max(round(float(np.median(known_px)) / USUAL_PX), 1) if len(known_px) else 1
+    times = max(round(median(known_px) / USUAL_PX), 1) if len(known_px) else 1
     differences(
         fits[:, 0],
         expected_px,
@@ -294,8 +295,8 @@ def frame_scatter(
     known = ln_width[np.isfinite(ln_width)]
     middle, variance = math.nan, math.nan
     if len(known) >= MIN_DIFFERENCES:
-        middle = float(np.median(known))
-        variance = float(np.median((known - middle) ** 2)) / MEDIAN_CHI2
+        middle = median(known)
+        variance = median((known - middle) ** 2) / MEDIAN_CHI2
     return FrameScatter(
         by_lag, by_length, brightness, *(np.array(value) for value in (speckle, middle, variance))
     )

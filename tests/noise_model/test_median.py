@@ -1,0 +1,31 @@
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from noise_model.median import known_median, median
+
+numbers = st.floats(-1e9, 1e9)
+
+
+@given(st.lists(numbers, min_size=1, max_size=40))
+def test_the_median_is_numpys_bit_for_bit(values):
+    assert median(values) == np.median(values)
+    assert median(np.array([values, values]).T[:, 1]) == np.median(values)
+
+
+@given(st.lists(numbers | st.just(float("nan")), min_size=1, max_size=40))
+def test_the_known_median_is_numpys(values):
+    known = [value for value in values if value == value]
+    if known:
+        assert known_median(values) == np.nanmedian(values)
+        assert len(known) == len(values) or np.isnan(median(values))
+    else:
+        assert np.isnan(known_median(values))
+
+
+@pytest.mark.parametrize("middle", [median, known_median])
+def test_of_nothing_the_median_is_not_known(middle):
+    assert np.isnan(middle([]))
