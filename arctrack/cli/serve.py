@@ -64,20 +64,23 @@ def serve_cell_file(
 ) -> None:
     """Run a cell live, say when it is ready, and what it came to."""
     from arctrack.cli import console
+    from arctrack.serve.notify import Notifier
     from arctrack.serve.process import schedule
     from arctrack.serve.run import LiveRun, opened_run, run
 
     console.warn(cell.setup.warnings)
+    notifier = Notifier()
     with ExitStack() as opened:
+        opened.callback(notifier.close)
         with interruptible("serve was", "nothing was sent"), console.progress() as bar:
             on_compiled = console.compiling(bar, "serve")
             live: LiveRun = opened.enter_context(opened_run(cell, job, on_compiled, on_track, **bus_options))
             done, refused = schedule(cell.process)
         with stoppable(signal.SIGUSR1) as came:
             console.warn(refused)
-            console.say(
-                *done, f"ready: {cell.camera.kind} {cell.camera.name}, bus {cell.bus}; Ctrl-C ends it"
-            )
+            ready = f"ready: {cell.camera.kind} {cell.camera.name}, bus {cell.bus}"
+            console.say(*done, f"{ready}; Ctrl-C ends it")
+            notifier.ready(ready)
             ends_s = math.inf if seconds is None else time.monotonic() + seconds
 
             def goes_on() -> bool:
@@ -86,7 +89,8 @@ def serve_cell_file(
                     live.black_box.save("asked by SIGUSR1")
                 return signals.isdisjoint(ENDING) and time.monotonic() < ends_s
 
-            result = run(live.loop, goes_on, cell.policy.watchdog_s)
+            result = run(live.loop, goes_on, cell.policy.watchdog_s, notifier)
+            notifier.stopping()
             saved = [] if live.black_box is None else [*live.black_box.answers(ANSWER_S)]
     console.say(*saved, *_result_lines(result))
 

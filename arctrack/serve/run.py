@@ -28,6 +28,7 @@ from arctrack.serve.beside import Beside, ended
 from arctrack.serve.keeper import Keeper
 from arctrack.serve.lag_process import LagBeside, estimate_lags
 from arctrack.serve.loop import LiveLoop, LoopResult, OnTrack, Service
+from arctrack.serve.notify import Notifier
 from arctrack.serve.played_poses import PlayedPoses
 from arctrack.serve.process import Watchdog, garbage_left
 from arctrack.service.bus_poses import BusPoses
@@ -122,7 +123,9 @@ def opened_run(
         yield LiveRun(loop, None if kept is None else kept.black_box)
 
 
-def run(loop: LiveLoop, goes_on: Callable[[], bool], watchdog_s: float) -> LoopResult:
+def run(
+    loop: LiveLoop, goes_on: Callable[[], bool], watchdog_s: float, notifier: Notifier | None = None
+) -> LoopResult:
     """Let a loop have this process until it does not go on; its last offset is REFUSED.
 
     Parameters
@@ -133,6 +136,8 @@ def run(loop: LiveLoop, goes_on: Callable[[], bool], watchdog_s: float) -> LoopR
         Says whether to go on: asked some hundred times a second.
     watchdog_s : float
         How long a turn may take before the process is ended, s.
+    notifier : Notifier, optional
+        What the service manager is told by.
 
     Returns
     -------
@@ -145,6 +150,8 @@ def run(loop: LiveLoop, goes_on: Callable[[], bool], watchdog_s: float) -> LoopR
             while goes_on() and not loop.is_over:
                 loop.turn()
                 watchdog.feed()
+                if notifier is not None:
+                    notifier.goes_on()
         finally:
             loop.close()
     return loop.result()

@@ -1,0 +1,52 @@
+"""What a service manager is told, over a real datagram socket."""
+
+from __future__ import annotations
+
+import os
+import socket
+import time
+from contextlib import closing
+
+import pytest
+
+from arctrack.serve.notify import Notifier
+
+
+@pytest.fixture(params=["file", "abstract"])
+def manager(request, tmp_path):
+    path = f"{tmp_path}/notify" if request.param == "file" else f"@arctrack-test-{os.getpid()}"
+    with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as listening:
+        listening.bind(path if request.param == "file" else "\0" + path[1:])
+        listening.settimeout(5.0)
+        yield path, listening
+
+
+def test_systemd_hears_ready_watchdog_and_stopping(manager) -> None:
+    path, listening = manager
+    stated = {"NOTIFY_SOCKET": path, "WATCHDOG_USEC": "40000", "WATCHDOG_PID": str(os.getpid())}
+    with closing(Notifier(stated)) as notifier:
+        notifier.ready("ready: a camera")
+        assert listening.recv(100) == b"READY=1\nSTATUS=ready: a camera"
+        notifier.goes_on()
+        notifier.goes_on()
+        assert listening.recv(100) == b"WATCHDOG=1"
+        time.sleep(0.02)
+        notifier.goes_on()
+        notifier.stopping()
+    assert [listening.recv(100), listening.recv(100)] == [b"WATCHDOG=1", b"STOPPING=1"]
+
+
+def test_another_process_watchdog_is_not_fed(manager) -> None:
+    path, listening = manager
+    with closing(Notifier({"NOTIFY_SOCKET": path, "WATCHDOG_USEC": "1000", "WATCHDOG_PID": "1"})) as notifier:
+        notifier.goes_on()
+        notifier.stopping()
+    assert listening.recv(100) == b"STOPPING=1"
+
+
+def test_nothing_is_sent_where_nobody_listens(tmp_path) -> None:
+    for environment in ({}, {"NOTIFY_SOCKET": str(tmp_path / "gone")}):
+        with closing(Notifier(environment)) as notifier:
+            notifier.ready("ready")
+            notifier.goes_on()
+            notifier.stopping()
