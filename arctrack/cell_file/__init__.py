@@ -1,6 +1,13 @@
 """The cell file: the choices for a cell, beside the facts that its setup holds."""
 
-from arctrack.cell_file.choices import BusChoice, CameraChoice, CellFile, CellJob, ProcessChoice
+from arctrack.cell_file.choices import (
+    BusChoice,
+    CameraChoice,
+    CellFile,
+    CellJob,
+    MonitorChoice,
+    ProcessChoice,
+)
 from arctrack.cell_file.reader import read_cell_file
 from arctrack.cell_file.recorded import as_the_job_says, jobs_for
 
@@ -9,6 +16,7 @@ __all__ = [
     "CameraChoice",
     "CellFile",
     "CellJob",
+    "MonitorChoice",
     "ProcessChoice",
     "as_the_job_says",
     "jobs_for",

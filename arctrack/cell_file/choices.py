@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
+from ipaddress import ip_address
 from pathlib import Path
 
 from arctrack.errors import ArctrackError, in_file
@@ -20,6 +21,9 @@ from tracker.seam.correction import Correction
 
 DEEP = ("v_groove", "half_v")
 """The joints whose depth a track tells."""
+
+MIN_TOKEN_LETTERS = 16
+"""A shorter token can be guessed."""
 
 
 @dataclass(frozen=True)
@@ -86,6 +90,51 @@ class BlackBoxChoice:
 
     seconds: float = 30.0
     folder: str = "black_box"
+
+
+@dataclass(frozen=True)
+class MonitorChoice:
+    """The monitor page of a live run.
+
+    Parameters
+    ----------
+    host : str
+        The address on which it is served.
+    port : int
+        Its port; 0 takes a free one.
+    token : str or None
+        What a browser must bring; None lets everybody on this machine look.
+    enabled : bool
+        Whether there is a page.
+
+    Raises
+    ------
+    ValueError
+        For a page that other machines reach without a token; it names the key.
+    """
+
+    host: str = "127.0.0.1"
+    port: int = 8765
+    token: str | None = field(default=None, repr=False)
+    enabled: bool = True
+
+    def __post_init__(self) -> None:
+        if self.token is None and not is_loopback(self.host):
+            raise ValueError(
+                f"[monitor] token: missing; with host = {self.host!r} other machines reach the page: state a "
+                f"secret of {MIN_TOKEN_LETTERS} letters or more, such as python3 -c 'import secrets; "
+                f"print(secrets.token_urlsafe())' prints"
+            )
+
+
+def is_loopback(host: str) -> bool:
+    """Say whether an address is reached from its own machine alone."""
+    if host == "localhost":
+        return True
+    try:
+        return ip_address(host).is_loopback
+    except ValueError:
+        return False
 
 
 @dataclass(frozen=True)
@@ -179,6 +228,8 @@ class CellFile:
         The jobs, by the number by which the robot names them.
     process : ProcessChoice
         How a live run is scheduled.
+    monitor : MonitorChoice
+        The page of a live run.
     black_box : BlackBoxChoice
         What a live run keeps.
     """
@@ -192,6 +243,7 @@ class CellFile:
     plausibility: PlausibilityLimits
     jobs: Mapping[int, CellJob]
     process: ProcessChoice
+    monitor: MonitorChoice
     black_box: BlackBoxChoice
 
     @property

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal, TypeAlias, get_type_h
 
 from pydantic import Field, FiniteFloat, create_model
 
-from arctrack.cell_file.choices import BlackBoxChoice
+from arctrack.cell_file.choices import MIN_TOKEN_LETTERS, BlackBoxChoice, MonitorChoice
 from arctrack.recording.key_errors import place
 from arctrack.recording.setup_model import FollowTable, JointTable, Number, Table
 from arctrack.service.job import PartLimits
@@ -71,6 +71,15 @@ class ProcessTable(Table):
     lock_memory: bool = False
 
 
+class MonitorTable(Table):
+    """[monitor], every key optional."""
+
+    host: str = Field(default=MonitorChoice.host, min_length=1)
+    port: int = Field(default=MonitorChoice.port, ge=0, le=65_535)
+    token: Annotated[str, Field(min_length=MIN_TOKEN_LETTERS)] | None = None
+    enabled: bool = True
+
+
 class BlackBoxTable(Table):
     """[black_box], every key optional."""
 
@@ -110,6 +119,7 @@ class CellToml(Table):
     service: ServiceTable = Field(default_factory=ServiceTable)
     plausibility: PlausibilityTable = Field(default_factory=PlausibilityTable)
     process: ProcessTable = Field(default_factory=ProcessTable)
+    monitor: MonitorTable = Field(default_factory=MonitorTable)
     black_box: BlackBoxTable = Field(default_factory=BlackBoxTable)
     jobs: dict[str, JobTable] = Field(min_length=1)
 

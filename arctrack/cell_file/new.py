@@ -57,6 +57,13 @@ _JOBS = """\
 # seconds = 30.0                       # 0: nothing is kept
 # folder = "black_box"                 # from this file on
 
+[monitor]
+# The page of a live run. Other machines reach it where host says so; then a token must be stated.
+# enabled = true
+# host = "127.0.0.1"                   # "0.0.0.0": each address of this machine
+# port = 8765                          # 0: a free one, which arctrack serve says
+# token = "sixteen letters or more"
+
 # A job for each number by which the robot names one, TrackerCommand.job_number.
 [jobs.1]
 name = "first job"

@@ -15,6 +15,7 @@ from arctrack.cell_file.choices import (
     CameraChoice,
     CellFile,
     CellJob,
+    MonitorChoice,
     ProcessChoice,
 )
 from arctrack.cell_file.model import (
@@ -23,6 +24,7 @@ from arctrack.cell_file.model import (
     CameraTable,
     CellToml,
     JobTable,
+    MonitorTable,
     ProcessTable,
     unknown_keys,
 )
@@ -95,6 +97,7 @@ def _cell(path: Path, model: CellToml, setup: SetupFile) -> CellFile:
         plausibility=_record(PlausibilityLimits, model.plausibility, "plausibility limit", "plausibility"),
         jobs=dict(sorted((_number(key), _job(key, table)) for key, table in model.jobs.items())),
         process=_process(model.process),
+        monitor=_monitor(model.monitor),
         black_box=BlackBoxChoice(model.black_box.seconds, model.black_box.folder),
     )
     for number, job in cell.jobs.items():
@@ -117,6 +120,10 @@ def _camera(table: CameraTable) -> CameraChoice:
 def _process(table: ProcessTable) -> ProcessChoice:
     cpus = None if table.cpus is None else tuple(table.cpus)
     return ProcessChoice(table.priority, cpus, table.lock_memory)
+
+
+def _monitor(table: MonitorTable) -> MonitorChoice:
+    return MonitorChoice(table.host, table.port, table.token, table.enabled)
 
 
 def _record(record: Callable[..., R], table: Table, called: str, name: str) -> R:

@@ -15,8 +15,25 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from arctrack.journal.records import Entry, HeardPose, Status, View, pack, pack_entry, unpack, unpack_entry
-from arctrack.journal.ring import RingReader, RingWriter, remove_if_dead, ring_bytes, ring_path
+from arctrack.journal.records import (
+    Entry,
+    GapReport,
+    HeardPose,
+    Status,
+    View,
+    pack,
+    pack_entry,
+    unpack,
+    unpack_entry,
+)
+from arctrack.journal.ring import (
+    RingError,
+    RingReader,
+    RingWriter,
+    remove_if_dead,
+    ring_bytes,
+    ring_path,
+)
 
 ENTRY_BYTES = 96 * 1024
 """All of an entry but its image: a tracker's state has 40 kB at most, POSES 30 kB."""
@@ -52,6 +69,11 @@ def remove_dead_journal(name: str) -> None:
     """Remove what a run left behind whose process is dead."""
     for ring in (entries_name(name), view_name(name), status_name(name)):
         remove_if_dead(ring_path(ring))
+
+
+def gap_name(name: str) -> str:
+    """Return the name of a run's ring of gap reports, which another process writes."""
+    return f"gap-{name}"
 
 
 def slots_for(kept_s: float, rate_hz: float) -> int:
@@ -155,6 +177,8 @@ class JournalReader:
     """
 
     def __init__(self, name: str) -> None:
+        self._name = name
+        self._gaps: RingReader | None = None
         self._entries = RingReader(entries_name(name))
         self._views = RingReader(view_name(name))
         self._statuses = RingReader(status_name(name))
@@ -189,10 +213,24 @@ class JournalReader:
         status: Status | None = _newest(self._statuses)
         return status
 
+    def gap(self) -> GapReport | None:
+        """Return the newest gap report, None before the first and where nobody writes them."""
+        if self._gaps is not None and not self._gaps.is_writer_alive:
+            self._gaps.close()
+            self._gaps = None
+        if self._gaps is None:
+            try:
+                self._gaps = RingReader(gap_name(self._name))
+            except RingError:
+                return None
+        report: GapReport | None = _newest(self._gaps)
+        return report
+
     def close(self) -> None:
         """Read no more."""
-        for ring in (self._entries, self._views, self._statuses):
-            ring.close()
+        for ring in (self._entries, self._views, self._statuses, self._gaps):
+            if ring is not None:
+                ring.close()
 
 
 def _newest(ring: RingReader) -> Any:

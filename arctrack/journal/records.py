@@ -167,6 +167,36 @@ class Status:
     frame_s: float = NAN
 
 
+@dataclass(frozen=True)
+class GapReport:
+    """Whether the setup explains the latest frames, and what the arc looks like in them.
+
+    Attributes
+    ----------
+    time_s : float
+        When the newest frame that it rests on was taken, s.
+    is_gap : bool
+        Whether the arc map no longer explains the frames.
+    text : str
+        What that looks like, in plain words; empty where nothing is said.
+    since_wall_s : float
+        Since when it has been so, time of the day, s; NaN where there is no gap.
+    arc_level, arc_level_sigma : float
+        The arc's output over the expected one, and its 1 sigma; NaN where it is not known.
+    arc_height_mm, arc_height_sigma_mm : float
+        How high the arc's centre is above the surface, and its 1 sigma, mm; NaN where it is not known.
+    """
+
+    time_s: float
+    is_gap: bool
+    text: str = ""
+    since_wall_s: float = NAN
+    arc_level: float = NAN
+    arc_level_sigma: float = NAN
+    arc_height_mm: float = NAN
+    arc_height_sigma_mm: float = NAN
+
+
 def pack(record: object) -> bytes:
     """Return a record as bytes, padded to a multiple of eight."""
     packed = pickle.dumps(record, pickle.HIGHEST_PROTOCOL)

@@ -14,6 +14,7 @@ from typer.testing import CliRunner
 from arctrack.cell_file import (
     CameraChoice,
     CellFile,
+    MonitorChoice,
     ProcessChoice,
     as_the_job_says,
     jobs_for,
@@ -84,6 +85,7 @@ def test_what_stands_behind_a_mark_in_it_can_be_taken_as_it_is(new_cell: Path) -
     assert (cell.limits, cell.policy) == (GateLimits(), ServicePolicy())
     assert cell.camera == CameraChoice(25.0, "shared_memory", "cell")
     assert cell.process == ProcessChoice(50, (1,), True)
+    assert cell.monitor == MonitorChoice(token="sixteen letters or more")
     job = cell.jobs[1]
     assert job.joint is not None
     assert job.joint.type == "half_v"
@@ -129,6 +131,8 @@ def test_the_page_shows_a_cell_file_that_can_be_read(new_cell: Path) -> None:
         (lambda d: d["camera"].update(kind="v4l2", name="0"), "[camera] kind = 'v4l2': "),
         (lambda d: d["process"].update(priority=0), "[process] priority = 0: input should be greater than"),
         (lambda d: d["process"].update(cpus=[]), "[process] cpus"),
+        (lambda d: d["monitor"].update(host="0.0.0.0"), "[monitor] token: missing; with host = '0.0.0.0' "),
+        (lambda d: d["monitor"].update(token="short"), "[monitor] token"),
         (lambda d: d["gate"].update(jump=2.0), "[gate] jump: is not known; did you mean 'jump_mm'?"),
         (lambda d: d["gate"].update(hold_s=0.0), "[gate] hold_s: is 0.0; it must be positive and finite"),
         (lambda d: d["gate"].update(hold_s=float("nan")), "[gate] hold_s = nan: must be a finite number"),

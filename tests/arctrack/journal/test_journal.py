@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from arctrack.journal import ring
-from arctrack.journal.journal import MIN_SLOTS, Journal, JournalReader, slots_for
-from arctrack.journal.records import Entry, HeardPose, View
-from arctrack.journal.ring import RingError
+from arctrack.journal.journal import MIN_SLOTS, Journal, JournalReader, gap_name, slots_for
+from arctrack.journal.records import Entry, GapReport, HeardPose, View, pack
+from arctrack.journal.ring import RingError, RingWriter
 from robot_io import PoseKind, PoseSample
 from tracker.state import Frame, Pose, Track
 from tracker.step import StepInputs, TrackerState
@@ -70,6 +70,17 @@ def test_the_newest_view_and_status_are_told(journal):
     for index in range(9):
         journal.show(View(index, Track(index, 0.0, 0)))
     assert reader.newest_view().position == 8
+    reader.close()
+
+
+def test_gap_reports_are_read_while_somebody_writes_them(journal):
+    reader = JournalReader("run")
+    for text in ("window film", "arc lower"):
+        assert reader.gap() is None
+        with RingWriter(gap_name("run"), 4, 4096) as gaps:
+            assert reader.gap() is None
+            gaps.write(pack(GapReport(1.0, True, text)))
+            assert reader.gap().text == text
     reader.close()
 
 
