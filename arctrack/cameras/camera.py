@@ -28,16 +28,38 @@ class UnreadableFrame:
     problem: str
 
 
-class Camera(Protocol):
-    """Frames as they come, and the laser whose stripe they show.
+@dataclass(frozen=True)
+class CameraTraits:
+    """What a camera knows of the light, and has a hold on.
 
     Attributes
     ----------
-    knows_light : bool
-        Whether its frames say if laser and arc were on, and the current; else robot and tracker say it.
+    knows_arc : bool
+        Whether its frames say if the arc was on, and the current; else the robot says it.
+    switches_laser : bool
+        Whether it switches the laser.
+    interleaves : bool
+        Whether it takes frames without the laser in between, of the arc's light alone.
     """
 
-    knows_light: bool
+    knows_arc: bool
+    switches_laser: bool
+    interleaves: bool = False
+
+
+SHARED = CameraTraits(knows_arc=True, switches_laser=True)
+"""Another process publishes frames, knows what they show, and heeds the camera's line."""
+
+PLAYED = CameraTraits(knows_arc=True, switches_laser=False)
+"""All is recorded."""
+
+
+class Camera(Protocol):
+    """Frames as they come, and the laser whose stripe they show."""
+
+    @property
+    def traits(self) -> CameraTraits:
+        """What it knows of the light, and has a hold on."""
 
     @property
     def dropped(self) -> int:

@@ -6,7 +6,7 @@ import math
 import time
 from collections.abc import Callable
 
-from arctrack.cameras.camera import UnreadableFrame
+from arctrack.cameras.camera import PLAYED, UnreadableFrame
 from arctrack.recording import BadFrame, FrameRow, Recording
 from robot_io import LaserState
 from tracker.state import Frame
@@ -23,7 +23,7 @@ class RecordingCamera:
         The clock that its pace is measured by, s.
     """
 
-    knows_light = True
+    traits = PLAYED
 
     def __init__(self, recording: Recording, monotonic_s: Callable[[], float] = time.monotonic) -> None:
         self._monotonic_s = monotonic_s

@@ -110,7 +110,8 @@ class SharedFramesReader:
     Attributes
     ----------
     missed : int
-        How many frames were published and not read.
+        How many frames were taken and not read. A number that is skipped is a frame that was lost before it
+        could be published.
 
     Raises
     ------
@@ -131,6 +132,7 @@ class SharedFramesReader:
             raise SharedFramesError(f"frames {name!r}: are of another version")
         self._shape, self._dtype = (height, width), np.dtype(dtype.rstrip(b"\0").decode())
         self._seen = self._ring.count
+        self._index: int | None = None
 
     @property
     def shape(self) -> tuple[int, int]:
@@ -153,9 +155,12 @@ class SharedFramesReader:
         if newest is None:
             return None
         position, record = newest
-        self.missed += position - self._seen
-        self._seen = position + 1
-        return unpack_frame(record, record[FIELDS.size :].view(self._dtype).reshape(self._shape))
+        frame = unpack_frame(record, record[FIELDS.size :].view(self._dtype).reshape(self._shape))
+        skipped = -1 if self._index is None else frame.index - self._index - 1
+        # Of numbers that do not rise, nothing is known but how many were published.
+        self.missed += max(skipped, position - self._seen)
+        self._seen, self._index = position + 1, frame.index
+        return frame
 
     def close(self) -> None:
         """Read no more."""

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import time
 
-from arctrack.cameras.camera import UnreadableFrame
-from arctrack.cameras.laser_line import LaserLine
+from arctrack.cameras.camera import SHARED, CameraTraits, UnreadableFrame
+from arctrack.cameras.camera_line import CameraLine
 from arctrack.cameras.shared_frames import SharedFramesError, SharedFramesReader
 from noise_model.setup import Setup
 from robot_io import LaserState
@@ -24,6 +24,8 @@ class SharedMemoryCamera:
         The frames' name.
     setup : Setup
         Which frames are expected.
+    traits : CameraTraits, optional
+        What its publisher knows of the light; by default all of it.
 
     Raises
     ------
@@ -31,23 +33,22 @@ class SharedMemoryCamera:
         If nobody publishes such frames, or they do not fit the setup.
     """
 
-    knows_light = True
     is_over = False
 
-    def __init__(self, name: str, setup: Setup) -> None:
-        self._name, self._setup = name, setup
+    def __init__(self, name: str, setup: Setup, traits: CameraTraits = SHARED) -> None:
+        self._name, self._setup, self.traits = name, setup, traits
         self._reader: SharedFramesReader | None = SharedFramesReader(name)
         problem = frame_misfit(self._reader.shape, self._reader.dtype, setup)
         if problem is not None:
             self._reader.close()
             raise SharedFramesError(f"frames {name!r}: each {problem}")
-        self._laser = LaserLine(name)
+        self._line = CameraLine(name)
         self._dropped_before = 0
         self._looked_s = time.monotonic()
 
     @property
     def dropped(self) -> int:
-        """How many frames were published since `begin` and not handed out."""
+        """How many frames were taken since `begin` and not handed out."""
         return self._dropped_before + (0 if self._reader is None else self._reader.missed)
 
     def begin(self) -> None:
@@ -72,12 +73,14 @@ class SharedMemoryCamera:
 
     def switch_laser(self, is_on: bool) -> LaserState:
         """Switch the laser; on must be said again and again."""
-        self._laser.switch(is_on)
+        self._line.switch_laser(is_on)
+        if not self.traits.switches_laser:
+            return LaserState.UNKNOWN
         return LaserState.ON if is_on else LaserState.OFF
 
     def close(self) -> None:
         """Read no more; the laser goes off."""
-        self._laser.close()
+        self._line.close()
         if self._reader is not None:
             self._reader.close()
 
@@ -94,4 +97,4 @@ class SharedMemoryCamera:
         except SharedFramesError:
             return
         # Another camera took the old line away.
-        self._laser = LaserLine(self._name)
+        self._line = CameraLine(self._name)

@@ -128,8 +128,9 @@ def _result_lines(result: LoopResult) -> list[str]:
     """Return what a run came to in words."""
     offsets = ", ".join(f"{name} {count}" for name, count in result.offsets.items()) or "none"
     reasons = ", ".join(f"{name} {count}" for name, count in result.reasons.items()) or "none"
+    dark = f", without the laser {result.dark}" if result.dark else ""
     return [
-        f"frames: {result.frames}, dropped {result.dropped}, tracks valid {result.valid}",
+        f"frames: {result.frames}, dropped {result.dropped}, tracks valid {result.valid}{dark}",
         f"offsets: {offsets}; not as measured: {reasons}",
         f"mid-exposure to send: {result.capture_to_send}",
         f"arrival to send: {result.arrival_to_send}",

@@ -44,6 +44,9 @@ MAX_MESSAGES = 64
 """So many messages are read in a turn at most: a robot that talks all the time must not hold a frame up."""
 
 Service = TrackingService[Frame | None]
+OnDark = Callable[[Frame], None]
+"""Hears each frame that was taken without the laser in between: the arc's light alone."""
+
 OnTrack = Callable[[Track, list[BusMessage]], None]
 """Hears each track, and what was sent of it."""
 
@@ -54,8 +57,9 @@ class LoopResult:
 
     Attributes
     ----------
-    frames, dropped : int
-        How many frames were tracked, and how many were not for a newer one.
+    frames, dropped, dark : int
+        How many frames were tracked, how many were not for a newer one, and how many were taken without the
+        laser in between.
     valid : int
         How many tracks are valid.
     offsets : mapping of str to int
@@ -68,6 +72,7 @@ class LoopResult:
 
     frames: int
     dropped: int
+    dark: int
     valid: int
     offsets: Mapping[str, int]
     reasons: Mapping[str, int]
@@ -93,6 +98,8 @@ class LiveLoop:
         Hears each track, and what was sent of it.
     keeper : Keeper, optional
         Writes the journal.
+    on_dark : callable, optional
+        Hears each frame of the arc's light alone; it is not tracked.
     """
 
     def __init__(
@@ -103,17 +110,18 @@ class LiveLoop:
         source: Source = Source.LIVE,
         on_track: OnTrack | None = None,
         keeper: Keeper | None = None,
+        on_dark: OnDark | None = None,
     ) -> None:
         self.camera, self.link = camera, link
         self._services, self._source, self._on_track = services, source, on_track
-        self._keeper = keeper
+        self._keeper, self._on_dark = keeper, on_dark
         self._job_number, self.service = next(iter(services.items()))
         self.controller = self.service.controller
         self._command: TrackerCommand | None = None
         self._waiting: Frame | UnreadableFrame | None = None
         self._replaced = 0
         self._laser = LaserState.UNKNOWN
-        self._frames = self._valid = 0
+        self._frames = self._valid = self._dark = 0
         self._offsets: Counter[Validity] = Counter()
         self._offset: SeamOffset | None
         self._reason, self._offset = GateReason.NOT_ARMED, None
@@ -130,7 +138,7 @@ class LiveLoop:
         self._listen(self._wait_s() if wait_s is None else wait_s)
         self._laser = self.camera.switch_laser(self.controller.is_laser_on(self.camera.now_s()))
         self.controller.on_laser(self._laser)
-        frame = self.camera.newest()
+        frame = self._without_dark(self.camera.newest())
         if frame is not None:
             self._replaced += self._waiting is not None
             self._waiting = as_stated(frame) if isinstance(frame, Frame) else frame
@@ -180,6 +188,7 @@ class LiveLoop:
         return LoopResult(
             frames=self._frames,
             dropped=self._dropped,
+            dark=self._dark,
             valid=self._valid,
             offsets={validity.name: count for validity, count in sorted(self._offsets.items())},
             reasons={reason.name: count for reason, count in sorted(self.controller.reasons.items())},
@@ -224,6 +233,16 @@ class LiveLoop:
         elif command.command in BEGINNING and (before is None or before.command not in BEGINNING):
             self.service.tracking.begin()
 
+    def _without_dark(self, frame: Frame | UnreadableFrame | None) -> Frame | UnreadableFrame | None:
+        """Return a frame unless it is one of the arc's light alone, which neither waits nor is tracked."""
+        is_between = self.camera.traits.interleaves and self._laser is LaserState.ON
+        if not is_between or not isinstance(frame, Frame) or frame.laser_on:
+            return frame
+        self._dark += 1
+        if self._on_dark is not None:
+            self._on_dark(self._lit(frame))
+        return None
+
     def _track(self, frame: Frame | UnreadableFrame) -> None:
         began_s = time.perf_counter()
         shown = self._lit(frame) if isinstance(frame, Frame) else None
@@ -247,12 +266,12 @@ class LiveLoop:
 
     def _lit(self, frame: Frame) -> Frame:
         """Return a frame that says whether laser and arc were on, by the robot where its camera cannot."""
-        if self.camera.knows_light:
+        if self.camera.traits.knows_arc:
             return frame
         robot = self.service.robot
         lit = replace(
             frame,
-            laser_on=self._laser is not LaserState.OFF,
+            laser_on=frame.laser_on and self._laser is not LaserState.OFF,
             arc_on=robot is not None and robot.arc is Switch.ON,
             current_a=NAN if robot is None else robot.current_a,
         )

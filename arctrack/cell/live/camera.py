@@ -8,7 +8,7 @@ from multiprocessing.connection import Connection
 
 import numpy as np
 
-from arctrack.cameras.laser_line import is_laser_on, remove_line
+from arctrack.cameras.camera_line import is_laser_on, remove_line
 from arctrack.cameras.shared_frames import SharedFramesWriter
 from arctrack.cell.robot import Robot
 from arctrack.cell.weld.closed_loop import LoopPlan, setup_of, world_of
@@ -49,7 +49,7 @@ class Shot:
 def run_camera(shots: Connection, plan: LoopPlan, name: str) -> None:
     """Publish a frame for each shot that comes, the newest where several wait, until the other end is closed.
 
-    The laser is on unless a tracker drives its line (`arctrack.cameras.laser_line`) and lets it be off. Once
+    The laser is on unless a tracker drives its line (`arctrack.cameras.camera_line`) and lets it be off. Once
     the camera is ready, its kernels compiled, it says so over the same connection.
     """
     # Whoever runs the robot ends this process by closing its end.

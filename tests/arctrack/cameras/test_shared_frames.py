@@ -54,6 +54,18 @@ def test_the_newest_frame_is_read_once_and_those_before_it_are_missed(name):
             writer.publish(frame(1, dtype=np.uint16))
 
 
+def test_a_number_that_is_skipped_is_a_frame_that_was_lost(name):
+    with SharedFramesWriter(name, 6, 8) as writer, SharedFramesReader(name) as reader:
+        for index in (40, 41, 44, 45):
+            writer.publish(frame(index))
+            reader.newest()
+        assert reader.missed == 2
+        # Its numbers begin anew.
+        for index in (3, 4):
+            writer.publish(frame(index))
+        assert (reader.newest().index, reader.missed) == (4, 3)
+
+
 def test_who_comes_late_sees_what_comes_from_then_on(name):
     with SharedFramesWriter(name, 6, 8, np.uint16) as writer:
         writer.publish(frame(1, dtype=np.uint16))

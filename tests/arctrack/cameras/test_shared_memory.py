@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 from made import small_setup
 
-from arctrack.cameras import laser_line, shared_memory
+from arctrack.cameras import camera_line, shared_memory
 from arctrack.cameras.camera import UnreadableFrame
-from arctrack.cameras.laser_line import is_laser_on, line_path, remove_line
+from arctrack.cameras.camera_line import is_laser_on, line_path, remove_line
 from arctrack.cameras.shared_frames import SharedFramesError, SharedFramesWriter
 from arctrack.cameras.shared_memory import SharedMemoryCamera
 from arctrack.journal import ring
@@ -95,7 +95,7 @@ def test_the_laser_goes_off_by_itself_unless_it_is_kept_on(name, monkeypatch):
         assert is_laser_on(name)
         assert camera.switch_laser(False) is LaserState.OFF
         assert not is_laser_on(name)
-        monkeypatch.setattr(laser_line, "HOLD_S", 0.0)
+        monkeypatch.setattr(camera_line, "HOLD_S", 0.0)
         camera.switch_laser(True)
         assert not is_laser_on(name)
         camera.close()
@@ -104,3 +104,16 @@ def test_the_laser_goes_off_by_itself_unless_it_is_kept_on(name, monkeypatch):
     assert not is_laser_on(name)
     remove_line(name)
     assert is_laser_on(name)
+
+
+def test_a_line_that_is_written_meanwhile_leaves_the_laser_off(name):
+    with writer_of(name, small_setup()):
+        camera = SharedMemoryCamera(name, small_setup())
+        camera.switch_laser(True)
+        whole = line_path(name).read_bytes()
+        line_path(name).write_bytes(whole[:8] + b"?" + whole[9:])
+        assert not is_laser_on(name)
+        line_path(name).write_bytes(whole)
+        assert is_laser_on(name)
+        camera.close()
+    remove_line(name)

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from made import playing_cell
 
-from arctrack.cameras.camera import UnreadableFrame
+from arctrack.cameras.camera import CameraTraits, UnreadableFrame
 from arctrack.cameras.recording import RecordingCamera
 from arctrack.cell.robot import WELDING
 from arctrack.cell_file import as_the_job_says, read_cell_file
@@ -58,7 +58,7 @@ SEAM_LEFT_MM = 0.6
 class DrawnCamera:
     """A camera without light sensors: frames that a test takes, on the test's clock."""
 
-    knows_light = False
+    traits = CameraTraits(knows_arc=False, switches_laser=True)
     is_over = False
 
     def __init__(self) -> None:
@@ -251,6 +251,29 @@ def test_a_camera_that_does_not_know_the_light_is_told_it_by_the_robot(stage: St
     stage.run(0.05)
     frame = stage.loop._lit(stage._shot())
     assert (frame.laser_on, frame.arc_on, frame.current_a) == (False, True, WELDING.current_a)
+
+
+@pytest.mark.slow
+def test_a_frame_without_the_laser_between_others_changes_nothing_but_a_count(stage: Stage) -> None:
+    stage.camera.traits = replace(stage.camera.traits, interleaves=True)
+    dark, shot = [], stage._shot
+    stage.loop._on_dark = dark.append
+    stage.run(0.1)
+    stage.command = replace(stage.command, command=Command.TRACK)
+    stage.run(1.2)
+    took, valid = len(stage.tracks), stage.loop.result().valid
+    stage._shot = lambda: replace(shot(), laser_on=stage.steps % 3 != 0)
+    heard = stage.run(1.2)
+    result = stage.loop.result()
+    assert result.dark == len(dark) == 5
+    assert all(frame.arc_on and frame.current_a == WELDING.current_a for frame in dark)
+    assert {offset.validity for offset in of_type(heard, SeamOffset)} == {Validity.VALID}
+    assert result.valid - valid == len(stage.tracks) - took == 10
+    # Where nobody commands the laser on, a dark frame is no frame in between.
+    stage.command = replace(stage.command, command=Command.DISARM)
+    stage.run(0.4)
+    assert stage.loop.result().dark == 5
+    assert "laser_off" in stage.tracks[-1].flag_names
 
 
 def test_an_error_of_the_program_ends_with_a_refusal(stage: Stage) -> None:

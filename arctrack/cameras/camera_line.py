@@ -1,0 +1,124 @@
+"""What a tracker wants of a camera, from one process to another through memory that they share.
+
+The line holds how long the laser is on, the exposure that is wanted, and when the arc is at its base current.
+Laser and pulse hold until a time. Who drives the line says so again and again: a driver that dies, or stops,
+lets the time run out, and the laser goes off by itself.
+"""
+
+from __future__ import annotations
+
+import math
+import mmap
+import os
+import struct
+import time
+import zlib
+from contextlib import suppress
+from dataclasses import astuple, dataclass, replace
+from pathlib import Path
+
+from arctrack.journal.ring import memory_folder
+
+HOLD_S = 0.3
+"""So long the laser stays on after it was switched on last: as long as the longest look at a frame, twice."""
+
+_WANTED, _CHECKSUM = struct.Struct("<6d"), struct.Struct("<I")
+_BYTES = _WANTED.size + _CHECKSUM.size
+
+LOOKS = 100
+"""So often a reader looks again at a line that is written meanwhile."""
+
+
+@dataclass(frozen=True)
+class Wanted:
+    """What a tracker wants; times are of the host's monotonic clock.
+
+    Attributes
+    ----------
+    laser_until_s : float
+        The laser is on until then, s.
+    exposure_s : float
+        The exposure, s; NaN for the camera's own.
+    base_begin_s : float
+        When a base phase of the pulsed arc began, s; NaN where no pulse is known.
+    period_s : float
+        The pulse's period, s.
+    base_s : float
+        How long each base phase lasts, s.
+    pulse_until_s : float
+        What is known of the pulse holds until then, s.
+    """
+
+    laser_until_s: float = 0.0
+    exposure_s: float = math.nan
+    base_begin_s: float = math.nan
+    period_s: float = math.nan
+    base_s: float = math.nan
+    pulse_until_s: float = 0.0
+
+
+WIRED_ON = Wanted(laser_until_s=math.inf)
+"""What is wanted of a camera whose line nobody ever drove: its laser is on for good."""
+
+
+def line_path(name: str) -> Path:
+    """Return where the line of a camera's name lies."""
+    return memory_folder() / f"arctrack-line-{name}"
+
+
+class CameraLine:
+    """Drives the line of a camera; the laser is off at first.
+
+    Parameters
+    ----------
+    name : str
+        The name of the camera's frames.
+    """
+
+    def __init__(self, name: str) -> None:
+        file = os.open(line_path(name), os.O_RDWR | os.O_CREAT, 0o600)
+        try:
+            os.ftruncate(file, _BYTES)
+            self._memory = mmap.mmap(file, _BYTES)
+        finally:
+            os.close(file)
+        self._write(Wanted())
+
+    def switch_laser(self, is_on: bool) -> None:
+        """Switch the laser; on lasts for HOLD_S."""
+        self._write(replace(self._wanted, laser_until_s=time.monotonic() + HOLD_S if is_on else 0.0))
+
+    def close(self) -> None:
+        """Switch the laser off for good."""
+        if not self._memory.closed:
+            self.switch_laser(False)
+            self._memory.close()
+
+    def _write(self, wanted: Wanted) -> None:
+        self._wanted = wanted
+        packed = _WANTED.pack(*astuple(wanted))
+        self._memory[:] = packed + _CHECKSUM.pack(zlib.crc32(packed))
+
+
+def read_line(name: str) -> Wanted:
+    """Return what is wanted of a camera; `WIRED_ON` where nobody ever drove its line."""
+    for _ in range(LOOKS):
+        try:
+            held = line_path(name).read_bytes()
+        except FileNotFoundError:
+            return WIRED_ON
+        packed, checksum = held[: _WANTED.size], held[_WANTED.size :]
+        if len(held) == _BYTES and checksum == _CHECKSUM.pack(zlib.crc32(packed)):
+            return Wanted(*_WANTED.unpack(packed))
+    return Wanted()
+
+
+def is_laser_on(name: str) -> bool:
+    """Return whether a laser is on; one that nobody ever drove is on for good."""
+    return time.monotonic() < read_line(name).laser_until_s
+
+
+def remove_line(name: str) -> None:
+    """Remove a line, as the camera does that begins or ends."""
+    with suppress(FileNotFoundError):
+        line_path(name).unlink()
