@@ -112,7 +112,7 @@ def _diagnosed(
     train = _comparable(observed, holdout)
     tell("fitting nuisances", 0.05)
     model = LinearizedModel(train, threads)
-    before, random_before = _baseline(model, without)
+    before, random_before = baseline_of(model, without)
     # Pixels are weighed with the read noise that is seen; that of bins comes from the bins themselves.
     seen = observed.with_read_noise(random_before.read_ratio)
     validation = held_out(train, VALIDATION_SHARE)
@@ -227,7 +227,7 @@ def _never_falling(on_stage: OnStage) -> OnStage:
     return tell
 
 
-def _baseline(model: LinearizedModel, without: Sequence[str]) -> tuple[Refit, RandomEffects]:
+def baseline_of(model: LinearizedModel, without: Sequence[str]) -> tuple[Refit, RandomEffects]:
     """Fit the nuisances alone; random effects are counted as noise."""
     model.take_tangents(model.neutral, {})
     fitted = refit(model, {}, model.neutral)

@@ -66,11 +66,12 @@ UNKNOWN = ArcLevel(np.nan, np.nan, 0.0, np.nan)
 class Unlit(NamedTuple):
     """Pixels that the laser does not light: the arc's light at its expected output, and the charge, (n,) e-.
 
-    The charge is less the other light that is stated.
+    The charge is less the other light that is stated. `pixels` (n,) are counted by scan line.
     """
 
     arc_e: Float64
     charge_e: Float64
+    pixels: Int64
 
 
 def unlit_by_the_laser(
@@ -102,8 +103,8 @@ def unlit_by_the_laser(
         charge_e,
     )
     m, other = seen_arc(light, transmission, pixels[:n])
-    n = _only_seen(m, charge_e, other)
-    return Unlit(m[:n], charge_e[:n])
+    n = _only_seen(m, charge_e, other, pixels)
+    return Unlit(m[:n], charge_e[:n], pixels[:n])
 
 
 def estimate_arc_level(geometry: SensorGeometry, unlit: Unlit) -> ArcLevel:
@@ -113,7 +114,7 @@ def estimate_arc_level(geometry: SensorGeometry, unlit: Unlit) -> ArcLevel:
     level map)^2, the black level's prior is its tolerance. Where the pixels ask for one far beyond that,
     light of the hall is in it, and nothing is known of it before.
     """
-    m, e = unlit
+    m, e = unlit.arc_e, unlit.charge_e
     if len(m) < MIN_PIXELS or not (m > 0.0).any():
         return UNKNOWN
     sensor, tolerance = geometry.setup.sensor, geometry.setup.tolerance
@@ -176,12 +177,12 @@ def _off_stripe(
 
 
 @kernel
-def _only_seen(map_e: Float64, charge_e: Float64, other_e: Float64) -> int:
+def _only_seen(map_e: Float64, charge_e: Float64, other_e: Float64, pixels: Int64) -> int:
     """Move the pixels whose `map_e` (n,) is known to the front, other light taken off; return how many."""
     n = 0
     for i in range(map_e.shape[0]):
         if math.isfinite(map_e[i]):
-            map_e[n], charge_e[n] = map_e[i], charge_e[i] - other_e[i]
+            map_e[n], charge_e[n], pixels[n] = map_e[i], charge_e[i] - other_e[i], pixels[i]
             n += 1
     return n
 

@@ -1,0 +1,115 @@
+"""When the arc map no longer explains what is seen: a cumulative sum over each frame's misfit.
+
+A track's `map_misfit` is the residual of the arc map over its stated sigma. Its logarithm, averaged over a
+block of time so that neighbouring frames count once, is compared with what the run began with. The sum
+
+    S_b = max(0, S_{b-1} + z_b - DRIFT)
+
+of the standardised blocks z is Page's test (1954, Biometrika 41, 100), the quickest for its rate of false
+alarms (Moustakides 1986, Ann. Stat. 14, 1379). It alarms above DECIDE; the change began where S last was 0.
+"""
+
+from __future__ import annotations
+
+import math
+import statistics
+from dataclasses import dataclass, field
+
+from tracker.state import Track
+
+
+@dataclass(frozen=True)
+class GapPolicy:
+    """When a gap is told.
+
+    Parameters
+    ----------
+    block_s : float
+        How long a block is, s (a texture's patches pass in half a second at 10 mm/s).
+    learn_blocks : int
+        From how many blocks the run's own level and scatter are taken (chosen; half a minute).
+    min_frames : int
+        A block of fewer frames that tell a misfit is none.
+    min_sigma : float
+        The least scatter of a block's mean ln(misfit): thirty blocks know their own to an eighth (chosen).
+    drift, decide : float
+        In sigmas: half the shift that is to be found quickly, and the sum that alarms. With 0.5 and 12 the
+        run length without a gap is 10^6 blocks for independent ones (Siegmund 1985, Sequential Analysis,
+        Eq. 2.56), and a shift of 3 sigmas is told after five blocks.
+    explained : float
+        A misfit up to this is within what the map states, whatever the run began with.
+    """
+
+    block_s: float = 1.0
+    learn_blocks: int = 30
+    min_frames: int = 4
+    min_sigma: float = 0.05
+    drift: float = 0.5
+    decide: float = 12.0
+    explained: float = 1.2
+
+
+@dataclass
+class GapWatch:
+    """Hears each track, and says whether the map still explains what is seen.
+
+    Parameters
+    ----------
+    policy : GapPolicy
+        When a gap is told.
+
+    Attributes
+    ----------
+    is_gap : bool
+        Whether it no longer does.
+    since_s : float
+        Since when, s, on the frames' clock; NaN while it does.
+    misfit : float
+        The newest block's misfit, NaN before the first.
+    """
+
+    policy: GapPolicy = field(default_factory=GapPolicy)
+    is_gap: bool = False
+    since_s: float = math.nan
+    misfit: float = math.nan
+
+    def __post_init__(self) -> None:
+        self._block: list[float] = []
+        self._block_s = -math.inf
+        self._learned: list[float] = []
+        self._sum, self._rising_s = 0.0, math.nan
+
+    @property
+    def inflation(self) -> float:
+        """By how much the map's stated sigma is too small at present, 1 where it is not."""
+        return max(1.0, self.misfit) if self.is_gap else 1.0
+
+    def see(self, track: Track) -> None:
+        """Take a track; one without a misfit says nothing."""
+        if not track.map_misfit > 0.0 or math.isinf(track.map_misfit):
+            return
+        if not 0.0 <= track.timestamp_s - self._block_s < self.policy.block_s:
+            if len(self._block) >= self.policy.min_frames:
+                self._end_block(statistics.fmean(self._block), self._block_s)
+            self._block, self._block_s = [], track.timestamp_s
+        self._block.append(math.log(track.map_misfit))
+
+    def _end_block(self, level: float, began_s: float) -> None:
+        policy = self.policy
+        self.misfit = math.exp(level)
+        if len(self._learned) < policy.learn_blocks:
+            self._learned.append(level)
+        # What a run begins with is no excuse: a map that explains nothing then is a gap as well.
+        explained = math.log(policy.explained)
+        usual = min(statistics.median(self._learned), explained)
+        spread = statistics.median([abs(block - usual) for block in self._learned])
+        sigma = max(1.4826 * spread, policy.min_sigma)
+        z = (level - usual) / sigma if level > explained else min(0.0, (level - usual) / sigma)
+        before = self._sum
+        self._sum = min(max(0.0, before + z - policy.drift), 2.0 * policy.decide)
+        if before == 0.0 and self._sum > 0.0:
+            self._rising_s = began_s
+        if self._sum == 0.0:
+            self.is_gap, self.since_s = False, math.nan
+        elif self._sum > policy.decide and not self.is_gap:
+            self.is_gap, self.since_s = True, self._rising_s

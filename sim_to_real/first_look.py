@@ -1,0 +1,92 @@
+"""A first look at a gap: how large it is, and which single effects would close most of it, in some seconds.
+
+It is the diagnosis' own baseline and score test on a dozen frames. No effect is fitted, nothing is held out:
+what it names is what to look at first. `diagnose` judges.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from threadpoolctl import threadpool_limits
+
+from noise_model.setup import Setup
+from sim_to_real.data.binned import PoseAt, observe
+from sim_to_real.diagnose import baseline_of
+from sim_to_real.fit.linearized_model import LinearizedModel
+from sim_to_real.search.hypothesis import MIN_MEAN_SQUARE
+from sim_to_real.search.probe_points import FAMILIES
+from sim_to_real.search.score_test import score_effects
+from tracker.state import Frame
+
+GAP_MEAN_SQUARE = 1.5
+"""From so large a mean square of the bins on there is something to explain: the model's floor is in them."""
+
+MIN_CLOSED, MAX_RIVAL_SHARE = 0.5, 0.5
+"""An effect is named where it closes half of the gap, and leaves half at most of what the next best leaves."""
+
+
+@dataclass(frozen=True)
+class FirstLook:
+    """What a first look shows.
+
+    Attributes
+    ----------
+    mean_square : float
+        Of the residuals over their stated sigmas, with the nuisances fitted; about 1 without a gap.
+    closed : tuple of (str, float)
+        The effects that would close most of the gap, and the share that each leaves closed, the best first.
+    """
+
+    mean_square: float
+    closed: tuple[tuple[str, float], ...]
+
+    @property
+    def is_gap(self) -> bool:
+        """Whether the nominal model leaves something to explain."""
+        return self.mean_square > GAP_MEAN_SQUARE
+
+    @property
+    def likely(self) -> tuple[str, ...]:
+        """The effects that may be it: one, or all that nothing tells apart; none where none closes half."""
+        if not self.is_gap or not self.closed or self.closed[0][1] < MIN_CLOSED:
+            return ()
+        remaining = 1.0 - self.closed[0][1]
+        return tuple(
+            name
+            for name, closed in self.closed
+            if closed >= MIN_CLOSED and remaining > MAX_RIVAL_SHARE * (1.0 - closed)
+        )
+
+
+def first_look(setup: Setup, frames: Sequence[Frame], pose_at: PoseAt) -> FirstLook:
+    """Look at a recording's frames.
+
+    Parameters
+    ----------
+    setup : Setup
+        The nominal setup.
+    frames : sequence of Frame
+        A dozen frames from different places.
+    pose_at : callable
+        Gives the tool's pose at a time, None where there is none.
+
+    Returns
+    -------
+    FirstLook
+        The gap and the effects.
+
+    Raises
+    ------
+    ValueError
+        For a setup without arc, filter or metal, or if nothing in the frames can be compared.
+    """
+    setup.require("a first look", "arc", "filter", "material")
+    with threadpool_limits(1, user_api="blas"):
+        model = LinearizedModel(observe(setup, frames, pose_at), 1)
+        baseline, _ = baseline_of(model, ())
+        scores = score_effects(model, baseline, list(FAMILIES))
+    gap = max(baseline.mean_square - MIN_MEAN_SQUARE, 1e-9)
+    closed = [(score.id, (baseline.mean_square * (1.0 - score.residual_fraction)) / gap) for score in scores]
+    return FirstLook(baseline.mean_square, tuple((name, min(share, 1.0)) for name, share in closed))

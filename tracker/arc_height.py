@@ -1,0 +1,192 @@
+"""The arc's height and output from its own light: what is noise to the stripe says how long the arc is.
+
+Off the stripe a pixel's charge is, for small departures h of the arc's height,
+
+    e_i = level (M_i + h dM_i/dh) (1 + g_i) + black + n_i
+
+with the arc map M at the stated height, its derivative by two maps, and noise n of photons and electronics.
+g is what the map itself is wrong by: a smooth relative error of 1 sigma MAP_SIGMA over FORM_PX of the image's
+diagonal, and one that goes from pixel to pixel (texture). With both as covariances the best unbiased estimate
+is that of generalised least squares (Aitken 1936, Proc. R. Soc. Edinburgh 55, 42), and its covariance says
+what a smooth error of the map makes of it: a thousand pixels do not average that away.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.linalg import cho_factor, cho_solve
+
+from noise_model.arc.map import arc_kernel, make_scene
+from noise_model.arrays import Float64
+from noise_model.setup import Setup
+from noise_model.surface.joint import SeamLine
+from tracker.arc.level import HUBER, MAP_SIGMA, MIN_PIXELS, unlit_by_the_laser
+from tracker.arc.transmission import ArcLight, Transmission, seen_arc
+from tracker.geometry import SensorGeometry
+from tracker.measure import expected_output
+from tracker.state import NAN, Frame, Pose
+from tracker.stripe.read import arc_map_of
+
+STEP_MM = 0.5
+"""The derivative is taken over so much to either side."""
+
+FORM_SHARE = 0.25
+"""The map's smooth error is alike over so much of the image's diagonal: lobes and shadows are as wide."""
+
+TEXTURE_SIGMA = 0.05
+"""1 sigma of the metal's own texture from pixel to pixel, relative."""
+
+MAX_HEIGHT_SIGMA_MM = 2.0
+"""A height less certain than this is not known: arcs are as long."""
+
+MAX_HEIGHT_MM = 8.0
+"""No arc's centre stands farther off its place: the effect `arc_length` goes so far."""
+
+MAX_STEPS, ROBUST_STEPS = 3, 4
+"""Steps of the height, each about the one before, and of the weights in each."""
+
+
+@dataclass(frozen=True)
+class ArcHeight:
+    """The arc's output and height as its light shows them; NaN where it does not.
+
+    Attributes
+    ----------
+    level, level_sigma : float
+        The output over the expected one, and its 1 sigma.
+    height_mm, height_sigma_mm : float
+        How far the arc's centre stands above the stated one, mm, along the tool's axis, and its 1 sigma.
+    chi2 : float
+        What is left, per pixel, over what is expected: 1 where the map is as good as stated.
+    """
+
+    level: float = NAN
+    level_sigma: float = NAN
+    height_mm: float = NAN
+    height_sigma_mm: float = NAN
+    chi2: float = NAN
+
+
+NOT_KNOWN = ArcHeight()
+
+
+class ArcHeightEstimator:
+    """Estimates the arc's height from frames of a setup.
+
+    Parameters
+    ----------
+    geometry : SensorGeometry
+        The setup with its tables.
+    """
+
+    def __init__(self, geometry: SensorGeometry) -> None:
+        self._geometry = geometry
+
+    def estimate(
+        self,
+        frame: Frame,
+        pose: Pose,
+        seam: SeamLine,
+        stripe_px: Float64 | None,
+        keep_off_px: float,
+        surface_sigma_mm: float,
+    ) -> ArcHeight:
+        """Estimate the arc's output and height.
+
+        Parameters
+        ----------
+        frame : Frame
+            A frame with the arc on.
+        pose : Pose
+            The tool's pose.
+        seam : SeamLine
+            Where the seam is.
+        stripe_px : array (n_scan,) or None
+            Where the stripe is on each scan line, px, NaN where there is none; None with the laser off.
+        keep_off_px : float
+            How far from it the laser's light reaches, px.
+        surface_sigma_mm : float
+            1 sigma of the surface's height below the torch, mm: the arc stands on it.
+
+        Returns
+        -------
+        ArcHeight
+            The estimate; not known where too little of the arc's light is seen, or it says too little.
+        """
+        geometry = self._geometry
+        if make_scene(geometry.setup, pose.T_base_tool, seam).below_surface:
+            return NOT_KNOWN
+        output = expected_output(geometry.setup, frame)
+
+        def light(height_mm: float) -> tuple[ArcLight, Transmission | None]:
+            setup = _raised(geometry.setup, height_mm)
+            scene = make_scene(setup, pose.T_base_tool, seam)
+            arc_e = arc_map_of(geometry, arc_kernel(setup, scene, output)).at
+            return arc_e, Transmission.of(geometry, scene, arc_e, output)
+
+        unlit = unlit_by_the_laser(geometry, *light(0.0), frame.image_dn, stripe_px, keep_off_px)
+        if len(unlit.arc_e) < MIN_PIXELS:
+            return NOT_KNOWN
+
+        def light_e(height_mm: float) -> Float64:
+            return np.asarray(seen_arc(*light(height_mm), unlit.pixels)[0], np.float64)
+
+        scan, position = np.divmod(unlit.pixels, geometry.n_pos)
+        places = np.column_stack([scan, position]) / math.hypot(geometry.n_scan, geometry.n_pos)
+        about_mm, map_e, height = 0.0, unlit.arc_e, NOT_KNOWN
+        for _ in range(MAX_STEPS):
+            slope_e = (light_e(about_mm + STEP_MM) - light_e(about_mm - STEP_MM)) / (2.0 * STEP_MM)
+            told = np.isfinite(slope_e + map_e)
+            moved = _fitted(geometry, map_e[told], slope_e[told], unlit.charge_e[told], places[told])
+            height = replace(moved, height_mm=about_mm + moved.height_mm)
+            if not abs(moved.height_mm) > STEP_MM or not abs(height.height_mm) <= MAX_HEIGHT_MM:
+                break
+            about_mm, map_e = height.height_mm, light_e(height.height_mm)
+        return replace(height, height_sigma_mm=math.hypot(height.height_sigma_mm, surface_sigma_mm))
+
+
+def _raised(setup: Setup, height_mm: float) -> Setup:
+    """Return a setup whose arc stands higher."""
+    x_mm, y_mm, z_mm = setup.arc.center_in_tool_mm
+    return replace(setup, arc=replace(setup.arc, center_in_tool_mm=(x_mm, y_mm, z_mm + height_mm)))
+
+
+def _fitted(
+    geometry: SensorGeometry, map_e: Float64, slope_e: Float64, charge_e: Float64, places: Float64
+) -> ArcHeight:
+    """Fit output, height and black level to charges (n,) by generalised least squares, spatter left out."""
+    columns = np.column_stack([map_e, slope_e, np.ones_like(map_e)])
+    black_sigma_e = max(geometry.setup.tolerance.black_level_dn * geometry.setup.sensor.gain_e_per_dn, 1e-3)
+    prior = np.diag([0.0, 0.0, black_sigma_e**-2])
+    apart2 = ((places[:, None] - places[None]) ** 2).sum(axis=2)
+    alike = MAP_SIGMA**2 * np.exp(-0.5 * apart2 / FORM_SHARE**2)
+    dark_e2 = geometry.dark_variance_at(charge_e)
+    level = max(float(np.median(charge_e) / max(float(np.median(map_e)), 1e-9)), 1e-3)
+    spread, found, covariance, chi2 = np.ones(len(map_e)), np.zeros(3), prior, math.nan
+    for _ in range(ROBUST_STEPS):
+        mean_e = level * map_e
+        own_e2 = (np.maximum(mean_e, 0.0) + dark_e2 + (TEXTURE_SIGMA * mean_e) ** 2) * spread
+        factor = cho_factor(np.diag(own_e2) + np.outer(mean_e, mean_e) * alike, lower=True)
+        weighted = cho_solve(factor, columns)
+        try:
+            covariance = np.linalg.inv(columns.T @ weighted + prior)
+        except np.linalg.LinAlgError:
+            return NOT_KNOWN
+        found = covariance @ (weighted.T @ charge_e)
+        residual_e = charge_e - columns @ found
+        chi2 = float(residual_e @ cho_solve(factor, residual_e)) / len(map_e)
+        # The smooth part is no spatter: what a pixel is off beyond it is.
+        rough_e = own_e2 * cho_solve(factor, residual_e)
+        size = np.abs(rough_e) / np.sqrt(own_e2 / spread)
+        spread = np.maximum(1.0, size / HUBER)
+        level = max(float(found[0]), 1e-3)
+    covariance = covariance * max(1.0, chi2)
+    height_mm = float(found[1] / found[0]) if found[0] > 0.0 else math.nan
+    to_height = np.array([-height_mm, 1.0, 0.0]) / level
+    height_sigma_mm = math.sqrt(float(to_height @ covariance @ to_height)) if found[0] > 0.0 else math.nan
+    if not height_sigma_mm < MAX_HEIGHT_SIGMA_MM:
+        height_mm = height_sigma_mm = math.nan
+    return ArcHeight(float(found[0]), math.sqrt(float(covariance[0, 0])), height_mm, height_sigma_mm, chi2)
