@@ -24,7 +24,7 @@ GAP_MEAN_SQUARE = 1.5
 """From so large a mean square of the bins on there is something to explain: the model's floor is in them."""
 
 MIN_CLOSED, MAX_RIVAL_SHARE = 0.5, 0.5
-"""An effect is named where it closes half of the gap, and leaves half at most of what the next best leaves."""
+"""An effect is named where it closes half of the gap and leaves half at most of what the next one leaves."""
 
 
 @dataclass(frozen=True)

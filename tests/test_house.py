@@ -78,7 +78,8 @@ FOLDERS_MAY_IMPORT: dict[str, dict[str, set[str]]] = {
         "cameras": {"recording", "journal"},
         "cell": {"service", "cameras"},
         "black_box": {"recording", "journal"},
-        "serve": {"recording", "service", "cell_file", "cameras", "cell", "journal", "black_box"},
+        "watch": {"journal"},
+        "serve": {"recording", "service", "cell_file", "cameras", "cell", "journal", "black_box", "watch"},
         "setup_check": {"recording", "check"},
         "report": {
             "recording",

@@ -23,7 +23,7 @@ from noise_model.arc.map import arc_kernel, make_scene
 from noise_model.arrays import Float64
 from noise_model.setup import Setup
 from noise_model.surface.joint import SeamLine
-from tracker.arc.level import HUBER, MAP_SIGMA, MIN_PIXELS, unlit_by_the_laser
+from tracker.arc.level import HUBER, MAP_SIGMA, MAX_SIGMA, MIN_PIXELS, unlit_by_the_laser
 from tracker.arc.transmission import ArcLight, Transmission, seen_arc
 from tracker.geometry import SensorGeometry
 from tracker.measure import expected_output
@@ -32,6 +32,12 @@ from tracker.stripe.read import arc_map_of
 
 STEP_MM = 0.5
 """The derivative is taken over so much to either side."""
+
+BLOW_SIGMA_MM, RADIUS_SIGMA = 0.3, 0.05
+"""1 sigma of where the arc stands beside its place, mm, and of its radius, relative: a steady arc's.
+
+They are fitted along, for what they do to the light resembles what the height does.
+"""
 
 FORM_SHARE = 0.25
 """The map's smooth error is alike over so much of the image's diagonal: lobes and shadows are as wide."""
@@ -73,6 +79,23 @@ class ArcHeight:
 NOT_KNOWN = ArcHeight()
 
 
+@dataclass(frozen=True)
+class Departure:
+    """By how much the arc stands higher, and beside its place, mm, and its radius over the stated one."""
+
+    height_mm: float = 0.0
+    x_mm: float = 0.0
+    y_mm: float = 0.0
+    radius_ratio: float = 1.0
+
+    def applied_to(self, setup: Setup) -> Setup:
+        """Return a setup whose arc departs so."""
+        x_mm, y_mm, z_mm = setup.arc.center_in_tool_mm
+        center_mm = (x_mm + self.x_mm, y_mm + self.y_mm, z_mm + self.height_mm)
+        radius_mm = setup.arc.radius_mm * self.radius_ratio
+        return replace(setup, arc=replace(setup.arc, center_in_tool_mm=center_mm, radius_mm=radius_mm))
+
+
 class ArcHeightEstimator:
     """Estimates the arc's height from frames of a setup.
 
@@ -83,7 +106,7 @@ class ArcHeightEstimator:
     """
 
     def __init__(self, geometry: SensorGeometry) -> None:
-        self._geometry = geometry
+        self.geometry = geometry
 
     def estimate(
         self,
@@ -116,77 +139,90 @@ class ArcHeightEstimator:
         ArcHeight
             The estimate; not known where too little of the arc's light is seen, or it says too little.
         """
-        geometry = self._geometry
+        geometry = self.geometry
         if make_scene(geometry.setup, pose.T_base_tool, seam).below_surface:
             return NOT_KNOWN
         output = expected_output(geometry.setup, frame)
 
-        def light(height_mm: float) -> tuple[ArcLight, Transmission | None]:
-            setup = _raised(geometry.setup, height_mm)
+        def light(departure: Departure) -> tuple[ArcLight, Transmission | None]:
+            setup = departure.applied_to(geometry.setup)
             scene = make_scene(setup, pose.T_base_tool, seam)
             arc_e = arc_map_of(geometry, arc_kernel(setup, scene, output)).at
             return arc_e, Transmission.of(geometry, scene, arc_e, output)
 
-        unlit = unlit_by_the_laser(geometry, *light(0.0), frame.image_dn, stripe_px, keep_off_px)
+        unlit = unlit_by_the_laser(geometry, *light(Departure()), frame.image_dn, stripe_px, keep_off_px)
         if len(unlit.arc_e) < MIN_PIXELS:
             return NOT_KNOWN
 
-        def light_e(height_mm: float) -> Float64:
-            return np.asarray(seen_arc(*light(height_mm), unlit.pixels)[0], np.float64)
+        def light_e(departure: Departure) -> Float64:
+            return np.asarray(seen_arc(*light(departure), unlit.pixels)[0], np.float64)
 
         scan, position = np.divmod(unlit.pixels, geometry.n_pos)
         places = np.column_stack([scan, position]) / math.hypot(geometry.n_scan, geometry.n_pos)
         about_mm, map_e, height = 0.0, unlit.arc_e, NOT_KNOWN
         for _ in range(MAX_STEPS):
-            slope_e = (light_e(about_mm + STEP_MM) - light_e(about_mm - STEP_MM)) / (2.0 * STEP_MM)
-            told = np.isfinite(slope_e + map_e)
-            moved = _fitted(geometry, map_e[told], slope_e[told], unlit.charge_e[told], places[told])
+            about = Departure(height_mm=about_mm)
+            slope_e = light_e(replace(about, height_mm=about_mm + STEP_MM)) - light_e(
+                replace(about, height_mm=about_mm - STEP_MM)
+            )
+            columns_e = np.column_stack(
+                [
+                    map_e,
+                    slope_e / (2.0 * STEP_MM),
+                    light_e(replace(about, x_mm=BLOW_SIGMA_MM)) - map_e,
+                    light_e(replace(about, y_mm=BLOW_SIGMA_MM)) - map_e,
+                    light_e(replace(about, radius_ratio=1.0 + RADIUS_SIGMA)) - map_e,
+                    np.ones_like(map_e),
+                ]
+            )
+            told = np.isfinite(columns_e).all(axis=1)
+            moved = _fitted(geometry, columns_e[told], unlit.charge_e[told], places[told])
             height = replace(moved, height_mm=about_mm + moved.height_mm)
             if not abs(moved.height_mm) > STEP_MM or not abs(height.height_mm) <= MAX_HEIGHT_MM:
                 break
-            about_mm, map_e = height.height_mm, light_e(height.height_mm)
+            about_mm, map_e = height.height_mm, light_e(Departure(height_mm=height.height_mm))
         return replace(height, height_sigma_mm=math.hypot(height.height_sigma_mm, surface_sigma_mm))
 
 
-def _raised(setup: Setup, height_mm: float) -> Setup:
-    """Return a setup whose arc stands higher."""
-    x_mm, y_mm, z_mm = setup.arc.center_in_tool_mm
-    return replace(setup, arc=replace(setup.arc, center_in_tool_mm=(x_mm, y_mm, z_mm + height_mm)))
+def _fitted(geometry: SensorGeometry, columns: Float64, charge_e: Float64, places: Float64) -> ArcHeight:
+    """Fit output, height and the rest to charges (n,) by generalised least squares, spatter left out.
 
-
-def _fitted(
-    geometry: SensorGeometry, map_e: Float64, slope_e: Float64, charge_e: Float64, places: Float64
-) -> ArcHeight:
-    """Fit output, height and black level to charges (n,) by generalised least squares, spatter left out."""
-    columns = np.column_stack([map_e, slope_e, np.ones_like(map_e)])
+    `columns` (n, 6) are the arc's light, its change with the height per mm, those for 1 sigma of the arc's
+    place (x, y) and its radius, and the black level's.
+    """
+    map_e = columns[:, 0]
     black_sigma_e = max(geometry.setup.tolerance.black_level_dn * geometry.setup.sensor.gain_e_per_dn, 1e-3)
-    prior = np.diag([0.0, 0.0, black_sigma_e**-2])
     apart2 = ((places[:, None] - places[None]) ** 2).sum(axis=2)
     alike = MAP_SIGMA**2 * np.exp(-0.5 * apart2 / FORM_SHARE**2)
     dark_e2 = geometry.dark_variance_at(charge_e)
     level = max(float(np.median(charge_e) / max(float(np.median(map_e)), 1e-9)), 1e-3)
-    spread, found, covariance, chi2 = np.ones(len(map_e)), np.zeros(3), prior, math.nan
+    spread, fitted, covariance, chi2 = np.ones(len(map_e)), np.zeros(6), np.eye(6), math.nan
     for _ in range(ROBUST_STEPS):
         mean_e = level * map_e
         own_e2 = (np.maximum(mean_e, 0.0) + dark_e2 + (TEXTURE_SIGMA * mean_e) ** 2) * spread
         factor = cho_factor(np.diag(own_e2) + np.outer(mean_e, mean_e) * alike, lower=True)
         weighted = cho_solve(factor, columns)
+        # Each counts in units of its sigma, times the output.
+        prior = np.diag([0.0, 0.0, level**-2, level**-2, level**-2, black_sigma_e**-2])
         try:
             covariance = np.linalg.inv(columns.T @ weighted + prior)
         except np.linalg.LinAlgError:
             return NOT_KNOWN
-        found = covariance @ (weighted.T @ charge_e)
-        residual_e = charge_e - columns @ found
+        fitted = covariance @ (weighted.T @ charge_e)
+        residual_e = charge_e - columns @ fitted
         chi2 = float(residual_e @ cho_solve(factor, residual_e)) / len(map_e)
         # The smooth part is no spatter: what a pixel is off beyond it is.
         rough_e = own_e2 * cho_solve(factor, residual_e)
         size = np.abs(rough_e) / np.sqrt(own_e2 / spread)
         spread = np.maximum(1.0, size / HUBER)
-        level = max(float(found[0]), 1e-3)
+        level = max(float(fitted[0]), 1e-3)
     covariance = covariance * max(1.0, chi2)
-    height_mm = float(found[1] / found[0]) if found[0] > 0.0 else math.nan
-    to_height = np.array([-height_mm, 1.0, 0.0]) / level
-    height_sigma_mm = math.sqrt(float(to_height @ covariance @ to_height)) if found[0] > 0.0 else math.nan
+    height_mm = float(fitted[1] / fitted[0]) if fitted[0] > 0.0 else math.nan
+    to_height = np.array([-height_mm, 1.0, 0.0, 0.0, 0.0, 0.0]) / level
+    height_sigma_mm = math.sqrt(float(to_height @ covariance @ to_height)) if fitted[0] > 0.0 else math.nan
     if not height_sigma_mm < MAX_HEIGHT_SIGMA_MM:
         height_mm = height_sigma_mm = math.nan
-    return ArcHeight(float(found[0]), math.sqrt(float(covariance[0, 0])), height_mm, height_sigma_mm, chi2)
+    level, level_sigma = float(fitted[0]), math.sqrt(float(covariance[0, 0]))
+    if not level_sigma < MAX_SIGMA * max(level, 1.0):
+        level = level_sigma = math.nan
+    return ArcHeight(level, level_sigma, height_mm, height_sigma_mm, chi2)

@@ -38,6 +38,7 @@ from arctrack.service.heard import TRUSTED
 from arctrack.service.look_ahead import LagEstimator
 from arctrack.service.pose_watch import nominal_path
 from arctrack.service.tracking_service import TrackingService
+from arctrack.watch.process import WatchOptions, run_watch
 from noise_model.effects import pose_time_s
 from noise_model.setup import Setup
 from noise_model.transforms import invert
@@ -186,7 +187,10 @@ def _kept(cell: CellFile, cast: Cast) -> Iterator[_Kept | None]:
         opened.callback(journal.close)
         options = RecorderOptions(name, folder, kept_s, rate_hz, jobs)
         recorder = opened.enter_context(ended(Beside("black box", run_recorder, (options,)), END))
-        recorder.wait_ready()
+        watch_options = WatchOptions(name, {number: job.setup for number, job in jobs.items()})
+        watch = opened.enter_context(ended(Beside("watch", run_watch, (watch_options,))))
+        for beside in (recorder, watch):
+            beside.wait_ready()
         keeper = Keeper(journal)
         for number, service in cast.services.items():
             cast.trackings[number].on_step = keeper.on_step

@@ -17,6 +17,9 @@ from dataclasses import dataclass, field
 
 from tracker.state import Track
 
+MAD_SIGMA = 1.4826
+"""A normal law's sigma over its median deviation."""
+
 
 @dataclass(frozen=True)
 class GapPolicy:
@@ -30,8 +33,9 @@ class GapPolicy:
         From how many blocks the run's own level and scatter are taken (chosen; half a minute).
     min_frames : int
         A block of fewer frames that tell a misfit is none.
-    min_sigma : float
-        The least scatter of a block's mean ln(misfit): thirty blocks know their own to an eighth (chosen).
+    prior_sigma, prior_blocks : float
+        The scatter of a block's mean ln(misfit) that is taken at first, and how many blocks that counts for:
+        few blocks do not know their own (chosen: twice what simulated runs show).
     drift, decide : float
         In sigmas: half the shift that is to be found quickly, and the sum that alarms. With 0.5 and 12 the
         run length without a gap is 10^6 blocks for independent ones (Siegmund 1985, Sequential Analysis,
@@ -43,7 +47,8 @@ class GapPolicy:
     block_s: float = 1.0
     learn_blocks: int = 30
     min_frames: int = 4
-    min_sigma: float = 0.05
+    prior_sigma: float = 0.2
+    prior_blocks: int = 10
     drift: float = 0.5
     decide: float = 12.0
     explained: float = 1.2
@@ -79,11 +84,6 @@ class GapWatch:
         self._learned: list[float] = []
         self._sum, self._rising_s = 0.0, math.nan
 
-    @property
-    def inflation(self) -> float:
-        """By how much the map's stated sigma is too small at present, 1 where it is not."""
-        return max(1.0, self.misfit) if self.is_gap else 1.0
-
     def see(self, track: Track) -> None:
         """Take a track; one without a misfit says nothing."""
         if not track.map_misfit > 0.0 or math.isinf(track.map_misfit):
@@ -101,9 +101,11 @@ class GapWatch:
             self._learned.append(level)
         # What a run begins with is no excuse: a map that explains nothing then is a gap as well.
         explained = math.log(policy.explained)
-        usual = min(statistics.median(self._learned), explained)
-        spread = statistics.median([abs(block - usual) for block in self._learned])
-        sigma = max(1.4826 * spread, policy.min_sigma)
+        began, count = statistics.median(self._learned), len(self._learned)
+        usual = min(began, explained)
+        spread = MAD_SIGMA * statistics.median([abs(block - began) for block in self._learned])
+        prior, weight = policy.prior_sigma, policy.prior_blocks
+        sigma = math.sqrt((weight * prior**2 + count * spread**2) / (weight + count))
         z = (level - usual) / sigma if level > explained else min(0.0, (level - usual) / sigma)
         before = self._sum
         self._sum = min(max(0.0, before + z - policy.drift), 2.0 * policy.decide)

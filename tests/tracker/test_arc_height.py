@@ -1,0 +1,67 @@
+"""The arc's height from its light: arcs that stand elsewhere, on metal that is not the stated one."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from arctrack.nominal import nominal_setup
+from arctrack.simulate import balance
+from noise_model.condition import Condition
+from noise_model.forward import draw_frame
+from noise_model.surface.joint import SeamLine
+from tracker.arc_height import ArcHeight, ArcHeightEstimator
+from tracker.geometry import SensorGeometry
+from tracker.state import Frame, Pose
+
+pytestmark = pytest.mark.slow
+
+SURFACE_SIGMA_MM = 0.2
+
+
+def estimated(joint: str, seed: int) -> tuple[float, ArcHeight]:
+    """Return a true height and its estimate: the metal's lobe, the arc's size and place are off as well."""
+    rng = np.random.default_rng(seed)
+    setup = balance(nominal_setup(joint, "mild_steel", width=320, height=240))
+    height_mm = rng.uniform(-1.0, 2.0)
+    effects = {
+        "arc_length": {"height_mm": height_mm},
+        "roughness_change": {"c2_ln": rng.normal(0.0, 0.1)},
+        "arc_radius": {"radius_ratio": rng.normal(1.0, 0.05)},
+        "arc_deflection": {"x_mm": rng.normal(0.0, 0.3), "y_mm": rng.normal(0.0, 0.3)},
+    }
+    pose = np.eye(4)
+    pose[:3, 3] = 60.0 + rng.uniform(0.0, 5.0), 0.0, 1.0
+    # The plate lies higher or lower than its seam is known.
+    seam = SeamLine(z_mm=rng.normal(0.0, SURFACE_SIGMA_MM))
+    lit = Condition(0.0, 1.2, setup.camera.exposure_s)
+    image = draw_frame(replace(setup, effects=effects), pose, lit, rng, seam=seam)
+    frame = Frame(0, 0.0, image, setup.camera.exposure_s, laser_on=False)
+    estimator = ArcHeightEstimator(SensorGeometry.of(setup))
+    return height_mm, estimator.estimate(frame, Pose(pose), SeamLine(), None, 0.0, SURFACE_SIGMA_MM)
+
+
+@pytest.mark.parametrize("joint", ["v_groove", "lap"])
+def test_heights_are_within_their_sigma(joint: str) -> None:
+    worlds = [estimated(joint, seed) for seed in range(8)]
+    z = np.array([(height.height_mm - true_mm) / height.height_sigma_mm for true_mm, height in worlds])
+    assert np.isfinite(z).all()
+    assert np.sqrt((z**2).mean()) < 1.5
+    assert max(height.height_sigma_mm for _, height in worlds) < 0.6
+    # The heights themselves differ by more.
+    assert np.ptp([true_mm for true_mm, _ in worlds]) > 1.5
+    levels = [(height.level - 1.2) / height.level_sigma for _, height in worlds]
+    assert np.sqrt(np.mean(np.square(levels))) < 2.0
+
+
+def test_an_arc_that_is_hidden_says_nothing() -> None:
+    setup = balance(nominal_setup("v_groove", "mild_steel", width=160, height=120))
+    image = np.zeros((120, 160), np.uint8)
+    estimator = ArcHeightEstimator(SensorGeometry.of(setup))
+    frame = Frame(0, 0.0, image, setup.camera.exposure_s, laser_on=False)
+    pose = np.eye(4)
+    pose[:3, 3] = 60.0, 0.0, 1.0
+    height = estimator.estimate(frame, Pose(pose), SeamLine(), None, 0.0, SURFACE_SIGMA_MM)
+    assert np.isnan(height.height_mm)
