@@ -44,7 +44,7 @@ from noise_model.forward import Renderer, draw_frame
 from noise_model.setup import Setup
 from tracker.state import Frame
 
-EXPOSURE_S, SETTLES_S = 0.001, 10.0
+EXPOSURE_S, SETTLES_S = 0.001, 5.0
 RENDERED = 50
 """So many frames are drawn; they come again and again."""
 
@@ -57,18 +57,20 @@ TRACKER = """
     from tracker.warm_up import heard_compilations
 
     rows = np.full((int(sys.argv[4]), 3), math.nan)
-    count = 0
+    count, before = 0, None
 
     def note(track, messages):
-        global count
+        global count, before
+        if before is None:
+            before = len(compiled)
         if count < len(rows):
             valid = any(isinstance(m, SeamOffset) and m.validity == 0 for m in messages)
             rows[count] = track.frame, time.monotonic() - track.timestamp_s, valid
             count += 1
 
     with heard_compilations(None) as compiled:
-        before = len(compiled)
         serve_cell_file(read_cell_file(sys.argv[1]), on_track=note, port=int(sys.argv[2]), hop_limit=0)
+        print(f"compiled after ready: {len(compiled) - before}")
     np.save(sys.argv[3], rows[:count])
 """
 
@@ -190,7 +192,7 @@ def measured(
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
-    parser.add_argument("--seconds", type=float, default=60.0, help="how long, after the first ten")
+    parser.add_argument("--seconds", type=float, default=60.0, help="how long, after the first five")
     parser.add_argument("--rate", type=float, default=200.0, help="frames a second")
     parser.add_argument("--joint", default="lap")
     parser.add_argument("--browsers", type=int, default=0, help="so many look at the page")
@@ -237,7 +239,7 @@ def _watched(tracker: subprocess.Popen[str], seconds: float, saves: bool) -> tup
         loop_mb.append((elapsed_s, loop.memory_full_info().uss / 1e6))
         if saves:
             tracker.send_signal(signal.SIGUSR1)
-        time.sleep(min(10.0, seconds - elapsed_s))
+        time.sleep(min(10.0, seconds / 6.0, seconds - elapsed_s))
     taken = []
     for process in processes:
         now, first = process.cpu_times(), before[process]
