@@ -80,6 +80,7 @@ FOLDERS_MAY_IMPORT: dict[str, dict[str, set[str]]] = {
         "black_box": {"recording", "journal"},
         "watch": {"journal"},
         "serve": {"recording", "service", "cell_file", "cameras", "cell", "journal", "black_box", "watch"},
+        "doctor": {"cell_file", "service", "cameras", "journal", "serve"},
         "setup_check": {"recording", "check"},
         "report": {
             "recording",
@@ -109,6 +110,7 @@ FOLDERS_MAY_IMPORT: dict[str, dict[str, set[str]]] = {
             "cell_file",
             "cell",
             "serve",
+            "doctor",
             "report",
             "calibrating",
         },

@@ -8,7 +8,7 @@ from arctrack.cell_file.choices import (
     MonitorChoice,
     ProcessChoice,
 )
-from arctrack.cell_file.reader import read_cell_file
+from arctrack.cell_file.reader import is_cell_file, read_cell_file
 from arctrack.cell_file.recorded import as_the_job_says, jobs_for
 
 __all__ = [
@@ -19,6 +19,7 @@ __all__ = [
     "MonitorChoice",
     "ProcessChoice",
     "as_the_job_says",
+    "is_cell_file",
     "jobs_for",
     "read_cell_file",
 ]

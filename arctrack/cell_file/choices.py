@@ -25,6 +25,9 @@ DEEP = ("v_groove", "half_v")
 MIN_TOKEN_LETTERS = 16
 """A shorter token can be guessed."""
 
+HIGH_LOAD = 0.7
+"""Above it messages of low priority wait for long, as for any bus of fixed priorities."""
+
 
 @dataclass(frozen=True)
 class BusChoice:

@@ -85,6 +85,14 @@ def read_cell_file(path: Path | str) -> CellFile:
         raise in_file(path, str(error)) from None
 
 
+def is_cell_file(path: Path) -> bool:
+    """Return whether a file states that it is a cell file; False for what cannot be read."""
+    try:
+        return parse_toml(read_text(path, LIMITS.toml_bytes)).get("format") == FORMAT
+    except (OSError, ValueError):
+        return False
+
+
 def _cell(path: Path, model: CellToml, setup: SetupFile) -> CellFile:
     limits = _record(GateLimits, model.gate, "gate limit", "gate")
     cell = CellFile(

@@ -14,6 +14,7 @@ from arctrack.cli.check import check
 from arctrack.cli.diagnose import diagnose
 from arctrack.cli.diagnose_check import TwoWordGroup
 from arctrack.cli.diagnose_check import check as blind_check
+from arctrack.cli.doctor import doctor
 from arctrack.cli.exit_codes import BAD_INPUT, INTERRUPTED
 from arctrack.cli.explain import explain
 from arctrack.cli.figures import figures
@@ -53,6 +54,7 @@ app.command(epilog="Example: arctrack simulate /tmp/lap --joint lap --material z
 app.command(epilog="Example: arctrack plan examples/v_groove --out /tmp/plan")(plan)
 app.command(epilog="Example: arctrack diagnose monday tuesday --workers 2")(diagnose)
 app.command(epilog="Example: arctrack serve --simulated --seconds 30")(serve)
+app.command(epilog="Example: arctrack doctor /tmp/my_cell/cell.toml")(doctor)
 app.command(epilog="Example: arctrack warm examples/v_groove")(warm)
 app.add_typer(blind_check)
 app.add_typer(calibrate)

@@ -16,9 +16,6 @@ if TYPE_CHECKING:
 
 __all__ = ["cell"]
 
-HIGH_LOAD = 0.7
-"""Above it messages of low priority wait for long, as for any bus of fixed priorities."""
-
 
 @cell.command(epilog="Example: arctrack cell new /tmp/my_cell --joint lap")
 def new(
@@ -41,6 +38,7 @@ def check(file: Annotated[Path, typer.Argument(help="The cell file, cell.toml.")
     The exit code is 1 where the setup has keys that are not known, or the bus is loaded above 70 %.
     """
     from arctrack.cell_file import read_cell_file
+    from arctrack.cell_file.choices import HIGH_LOAD
     from arctrack.cli import console
 
     read = read_cell_file(file)

@@ -6,6 +6,9 @@ BAD_INPUT = 2
 WARNED = 1
 """A check that has warnings, of a recording that can be tracked."""
 
+UNFIT = 1
+"""A machine that cannot run a cell live."""
+
 NOTHING_TRACKED = 3
 """A recording of which no frame is valid."""
 

@@ -16,7 +16,7 @@ def warm(
     setups: Annotated[
         list[Path] | None,
         typer.Argument(
-            help="Recordings, or recording.toml files; without any, the nominal setup of each joint."
+            help="Recordings, recording.toml or cell.toml files; without any, each joint's nominal setup."
         ),
     ] = None,
 ) -> None:
@@ -44,11 +44,20 @@ def warm(
 
 def _chosen(paths: list[Path]) -> list[tuple[str, Setup, Correction]]:
     """Return name, setup and correction of each path, or of each joint's nominal setup."""
+    from arctrack.cell_file import is_cell_file, read_cell_file
     from arctrack.cli.setups import read_setup
     from arctrack.nominal import DIMENSIONS, nominal_setup
     from tracker.seam.correction import UNSTATED
 
     if not paths:
         return [(joint, nominal_setup(joint, "mild_steel"), UNSTATED) for joint in DIMENSIONS]
-    read = [(path, read_setup(path)) for path in paths]
-    return [(str(path), setup_file.setup, setup_file.correction) for path, setup_file in read]
+    chosen: list[tuple[str, Setup, Correction]] = []
+    for path in paths:
+        if is_cell_file(path):
+            cell = read_cell_file(path)
+            jobs = cell.jobs.items()
+            chosen += [(f"{path} job {n}", j.setup_for(cell.setup.setup), j.correction) for n, j in jobs]
+        else:
+            setup_file = read_setup(path)
+            chosen.append((str(path), setup_file.setup, setup_file.correction))
+    return chosen

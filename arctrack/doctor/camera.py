@@ -1,0 +1,100 @@
+"""The camera: whether it is there, how many frames come, and how old they are when they come."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+from arctrack.cameras.camera import Camera, UnreadableFrame
+from arctrack.cell_file import CellFile
+from arctrack.doctor.finding import Finding, State, judged
+from arctrack.doctor.policy import POLICY
+from arctrack.errors import ArctrackError
+from arctrack.serve.latency import LatencyCounts, Quantiles
+from arctrack.serve.run import cast_of
+
+LOOKS_PER_S = 1000.0
+SLOW_SHARE = 0.9
+"""A camera that gives fewer of the frames that are stated is slow: a second's count is off by one at most."""
+
+
+@dataclass(frozen=True)
+class Watched:
+    """What a camera gave.
+
+    Parameters
+    ----------
+    frames, unreadable : int
+        How many frames came, and how many of them cannot be used.
+    rate_hz : float
+        Frames a second.
+    age : Quantiles
+        From a frame's mid-exposure to its arrival.
+    """
+
+    frames: int
+    unreadable: int
+    rate_hz: float
+    age: Quantiles
+
+
+def watch(camera: Camera, seconds: float) -> Watched:
+    """Look at what a camera gives, for some seconds, or until it is over."""
+    ages, frames, unreadable = LatencyCounts(), 0, 0
+    camera.begin()
+    began_s = time.monotonic()
+    while time.monotonic() - began_s < seconds and not camera.is_over:
+        frame = camera.newest()
+        if frame is not None:
+            frames += 1
+            unreadable += isinstance(frame, UnreadableFrame)
+            ages.add(camera.now_s() - frame.timestamp_s)
+        time.sleep(1.0 / LOOKS_PER_S)
+    watched_s = time.monotonic() - began_s
+    return Watched(frames, unreadable, (frames + camera.dropped) / watched_s, ages.quantiles())
+
+
+def camera_findings(cell: CellFile) -> Iterator[Finding | Watched]:
+    """Yield what is to be said of a cell's camera, and what it gave where it is live.
+
+    What opens it is what opens it for a run, whatever its kind. Its laser is off meanwhile.
+    """
+    kind, name = cell.camera.kind, cell.camera.name
+    if kind is None:
+        cure = "state [camera] kind and name"
+        yield Finding("camera", State.WARNING, "the cell file states none: nothing is run live", cure)
+        return
+    job_number = next(iter(cell.jobs)) if kind == "recording" else None
+    try:
+        camera = cast_of(cell, job_number).camera
+    except ArctrackError as error:
+        yield Finding("camera", State.FAILED, str(error))
+        return
+    try:
+        yield Finding("camera", State.OK, f"{kind} {name} opens")
+        watched = watch(camera, POLICY.listen_s)
+    finally:
+        camera.close()
+    yield from frames_findings(watched, cell.camera.frame_rate_hz)
+    if kind != "recording" and watched.frames > 0:
+        yield watched
+
+
+def frames_findings(watched: Watched, rate_hz: float) -> Iterator[Finding]:
+    """Yield what is to be said of the frames that came, where so many a second are stated."""
+    if watched.frames == 0:
+        cure = "start the camera; is it waiting for a trigger?"
+        yield Finding("frames", State.FAILED, f"none came in {POLICY.listen_s:g} s", cure)
+        return
+    text = f"{watched.rate_hz:.1f} a second, the cell file states {rate_hz:g}"
+    cure = "state what it gives in [camera] frame_rate_hz, or see what slows it"
+    few = f"{watched.frames} came: too few to tell how many come a second"
+    if watched.frames * SLOW_SHARE > 1.0 and rate_hz * POLICY.listen_s > 10.0:
+        yield judged("frames", text, State.WARNING, cure, watched.rate_hz >= SLOW_SHARE * rate_hz)
+    else:
+        yield Finding("frames", State.OK, few)
+    if watched.unreadable:
+        text = f"{watched.unreadable} of {watched.frames} do not fit the setup"
+        yield Finding("frames", State.FAILED, text, "state width, height and bits of the camera in the setup")
+    yield Finding("age", State.OK, f"from mid-exposure to arrival {watched.age}")

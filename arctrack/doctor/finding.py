@@ -1,0 +1,44 @@
+"""What a check of the machine came to."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from enum import Enum
+
+
+class State(Enum):
+    """How a check ended; a live run cannot do with what failed."""
+
+    OK = "ok"
+    WARNING = "warning"
+    FAILED = "failed"
+
+
+@dataclass(frozen=True)
+class Finding:
+    """A check in words.
+
+    Parameters
+    ----------
+    name : str
+        What was looked at.
+    state : State
+        How it ended.
+    text : str
+        What was seen, on one line.
+    cure : str
+        What to do about it; empty where it is ok.
+    """
+
+    name: str
+    state: State
+    text: str
+    cure: str = ""
+
+    def __str__(self) -> str:
+        return f"{self.name}: {self.text}" + (f"; {self.cure}" if self.cure else "")
+
+
+def judged(name: str, text: str, problem: State, cure: str, is_good: bool) -> Finding:
+    """Return a finding that is ok, or else the problem with its cure."""
+    return Finding(name, State.OK, text) if is_good else Finding(name, problem, text, cure)

@@ -1,0 +1,69 @@
+"""The limits of the checks: each with its unit, its role, its source and what hangs on it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+
+def _limit(value: float, unit: str, role: str, source: str, sensitivity: str) -> float:
+    metadata = {"unit": unit, "role": role, "source": source, "sensitivity": sensitivity}
+    limit: float = field(default=value, metadata=metadata)
+    return limit
+
+
+@dataclass(frozen=True)
+class DoctorPolicy:
+    """What a machine is held against. Each field's metadata states unit, role, source and sensitivity.
+
+    Parameters
+    ----------
+    clock_step_s : float
+        The largest step of the monotonic clock, s.
+    wake_up_s, wake_ups : float, int
+        How long a sleep is whose lateness is measured, s, and how many there are.
+    listen_s : float
+        How long robot and camera are waited for, s.
+    disk_free_bytes : float
+        The least room on a disk, bytes.
+    ethernet_payload_bytes_s : float
+        What a gigabit line carries of image data, bytes/s.
+    steps : int
+        How many steps of the tracker are timed.
+    """
+
+    clock_step_s: float = _limit(
+        1e-5,
+        "s",
+        "largest step of the clock",
+        "a hundredth of what the bus rounds ages to",
+        "none below 1 ms",
+    )
+    wake_up_s: float = _limit(
+        0.002, "s", "sleep that is timed", "a turn of the loop waits as long", "longer ones are as late"
+    )
+    wake_ups: int = 450
+    listen_s: float = _limit(
+        1.0,
+        "s",
+        "wait for robot and camera",
+        "the slowest message comes each second",
+        "a slow camera needs more",
+    )
+    disk_free_bytes: float = _limit(
+        1e9,
+        "bytes",
+        "least room on a disk",
+        "30 s of 1 MB frames at 25 Hz, compressed",
+        "the recordings' size",
+    )
+    ethernet_payload_bytes_s: float = _limit(
+        119e6,
+        "bytes/s",
+        "payload of gigabit Ethernet",
+        "125 MB/s less headers at 9000 bytes a packet, and a share for commands",
+        "the rows of an image, in proportion",
+    )
+    steps: int = 240
+
+
+POLICY = DoctorPolicy()
