@@ -21,6 +21,9 @@ MAX_INTERVALS = 2.5
 MAX_CPU = {"loop": 0.5, "beside": 0.25}
 """The share of a core that the loop may take at this rate, and each of the processes beside it."""
 
+MAX_GROWTH_MB = 2.0
+"""By how much the loop's own memory may grow over the run."""
+
 
 @pytest.fixture
 def bench(monkeypatch: pytest.MonkeyPatch) -> Any:
@@ -50,7 +53,7 @@ def test_a_live_run_keeps_its_budgets(bench: Any) -> None:
     assert loop.what == "loop"
     assert loop.cpu <= MAX_CPU["loop"]
     assert max(process.cpu for process in others) <= MAX_CPU["beside"]
-    # Nothing grows, beyond what a first black box or page may load.
+    # What others read of its memory is no longer its own: it may fall.
     assert len(run.loop_mb) >= 3
-    assert np.ptp(run.loop_mb[:, 1]) < 5.0
+    assert run.loop_mb[-1, 1] - run.loop_mb[0, 1] < MAX_GROWTH_MB
     assert "compiled after ready: 0" in run.lines
