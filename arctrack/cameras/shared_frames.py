@@ -149,6 +149,11 @@ class SharedFramesReader:
         """Whether a process still publishes: what it leaves is the last that it wrote."""
         return self._ring.is_writer_alive
 
+    @property
+    def is_newest_read(self) -> bool:
+        """Whether no frame was published since the last look."""
+        return self._ring.count == self._seen
+
     def newest(self) -> Frame | None:
         """Return the newest frame that was not read yet, None where there is none; its image is a copy."""
         newest = self._ring.newest(self._seen)

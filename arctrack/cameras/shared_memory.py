@@ -33,8 +33,6 @@ class SharedMemoryCamera:
         If nobody publishes such frames, or they do not fit the setup.
     """
 
-    is_over = False
-
     def __init__(self, name: str, setup: Setup, traits: CameraTraits = SHARED) -> None:
         self._name, self._setup, self.traits = name, setup, traits
         self._reader: SharedFramesReader | None = SharedFramesReader(name)
@@ -50,6 +48,16 @@ class SharedMemoryCamera:
     def dropped(self) -> int:
         """How many frames were taken since `begin` and not handed out."""
         return self._dropped_before + (0 if self._reader is None else self._reader.missed)
+
+    @property
+    def is_over(self) -> bool:
+        """False: another writer may begin."""
+        return False
+
+    @property
+    def is_newest_read(self) -> bool:
+        """Whether no frame waits."""
+        return self._reader is None or self._reader.is_newest_read
 
     def begin(self) -> None:
         """Let frames count from now on."""

@@ -3,6 +3,7 @@
 from arctrack.cell_file.choices import (
     BusChoice,
     CameraChoice,
+    CaptureChoice,
     CellFile,
     CellJob,
     MonitorChoice,
@@ -14,6 +15,7 @@ from arctrack.cell_file.recorded import as_the_job_says, jobs_for
 __all__ = [
     "BusChoice",
     "CameraChoice",
+    "CaptureChoice",
     "CellFile",
     "CellJob",
     "MonitorChoice",

@@ -42,6 +42,48 @@ class BusChoice:
 
 
 @dataclass(frozen=True)
+class CaptureChoice:
+    """How a camera takes frames that arctrack itself captures.
+
+    Parameters
+    ----------
+    loop : bool
+        Whether a file begins again at its end.
+    rows : tuple (2,) or None
+        The first row of the sensor that is read, and how many; None for the camera's own region.
+    trigger : str
+        What begins a frame: free, software or hardware.
+    trigger_line : str or None
+        The camera's line that triggers it.
+    laser_line : str or None
+        The camera's line that the laser hangs on; None where the camera has no hold on it.
+    laser : str
+        How the line drives it: strobe, during each exposure, or switch.
+    interleave : int or None
+        Each such frame is taken without the laser; None for none.
+    """
+
+    loop: bool = False
+    rows: tuple[int, int] | None = None
+    trigger: str = "free"
+    trigger_line: str | None = None
+    laser_line: str | None = None
+    laser: str = "strobe"
+    interleave: int | None = None
+
+
+KEYS_OF_KIND = {
+    "shared_memory": (),
+    "recording": (),
+    "video": ("loop",),
+    "folder": ("loop",),
+    "device": (),
+    "gige": ("rows", "trigger", "trigger_line", "laser_line", "laser", "interleave"),
+}
+"""What may be stated beside kind, name and frame_rate_hz."""
+
+
+@dataclass(frozen=True)
 class CameraChoice:
     """The camera.
 
@@ -53,11 +95,14 @@ class CameraChoice:
         What it is, such as shared_memory; None where nothing is run live.
     name : str or None
         Which one of its kind.
+    capture : CaptureChoice
+        How it takes frames.
     """
 
     frame_rate_hz: float
     kind: str | None = None
     name: str | None = None
+    capture: CaptureChoice = CaptureChoice()
 
 
 @dataclass(frozen=True)

@@ -24,6 +24,7 @@ MAX_JOB_NUMBER = 65_534
 """The largest job number that the bus carries."""
 
 Range = Annotated[list[Number], Field(min_length=2, max_length=2)]
+Rows = Annotated[list[Annotated[int, Field(ge=0)]], Field(min_length=2, max_length=2)]
 Rate = Annotated[FiniteFloat, Field(gt=0.0, le=10_000.0)]
 
 
@@ -59,8 +60,15 @@ class CameraTable(Table):
     """[camera]."""
 
     frame_rate_hz: Rate
-    kind: Literal["shared_memory", "recording"] | None = None
+    kind: Literal["shared_memory", "recording", "video", "folder", "device", "gige"] | None = None
     name: Annotated[str, Field(min_length=1)] | None = None
+    loop: bool | None = None
+    rows: Rows | None = None
+    trigger: Literal["free", "software", "hardware"] | None = None
+    trigger_line: Annotated[str, Field(min_length=1)] | None = None
+    laser_line: Annotated[str, Field(min_length=1)] | None = None
+    laser: Literal["strobe", "switch"] | None = None
+    interleave: Annotated[int, Field(ge=2)] | None = None
 
 
 class ProcessTable(Table):

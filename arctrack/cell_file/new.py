@@ -34,6 +34,7 @@ bit_rate_bit_s = 500000
 frame_rate_hz = 25.0                   # four messages go out with each frame: it makes the bus' load
 # kind = "shared_memory"               # another process publishes frames; "recording": one is played
 # name = "cell"                        # the frames' name, or the recording's folder
+# Other kinds: "gige", "device", "video", "folder". docs/reference/cameras.md has their names and keys.
 
 [gate]
 """

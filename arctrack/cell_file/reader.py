@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import fields
 from functools import partial
 from pathlib import Path
 from typing import TypeVar
@@ -10,9 +11,11 @@ from typing import TypeVar
 from pydantic import ValidationError
 
 from arctrack.cell_file.choices import (
+    KEYS_OF_KIND,
     BlackBoxChoice,
     BusChoice,
     CameraChoice,
+    CaptureChoice,
     CellFile,
     CellJob,
     MonitorChoice,
@@ -122,7 +125,37 @@ def _camera(table: CameraTable) -> CameraChoice:
     if (table.kind is None) != (table.name is None):
         missing = "kind" if table.kind is None else "name"
         raise ValueError(f"[camera] {missing}: missing; a camera is stated by kind and name")
-    return CameraChoice(table.frame_rate_hz, table.kind, table.name)
+    return CameraChoice(table.frame_rate_hz, table.kind, table.name, _capture(table))
+
+
+def _capture(table: CameraTable) -> CaptureChoice:
+    """Return how a camera takes frames; ValueError for a key that does not belong to its kind."""
+    stated = {
+        choice.name: getattr(table, choice.name)
+        for choice in fields(CaptureChoice)
+        if getattr(table, choice.name) is not None
+    }
+    known = () if table.kind is None else KEYS_OF_KIND[table.kind]
+    for key in stated:
+        if key not in known:
+            kinds = ", ".join(kind for kind, keys in KEYS_OF_KIND.items() if key in keys)
+            raise ValueError(f"[camera] {key}: is of kind {kinds} alone; leave it out")
+    if table.rows is not None:
+        if table.rows[1] == 0:
+            raise ValueError(
+                f"[camera] rows = {table.rows}: is the first row and how many; choose one at least"
+            )
+        stated["rows"] = tuple(table.rows)
+    if (table.trigger == "hardware") != (table.trigger_line is not None):
+        raise ValueError("[camera] trigger_line: goes with trigger = 'hardware', and it with trigger_line")
+    if table.laser is not None and table.laser_line is None:
+        raise ValueError("[camera] laser: says how laser_line drives the laser; state laser_line too")
+    if table.interleave is not None and (table.trigger != "software" or table.laser_line is None):
+        raise ValueError(
+            f"[camera] interleave = {table.interleave}: the laser is switched before a frame is triggered; "
+            "state trigger = 'software' and laser_line too"
+        )
+    return CaptureChoice(**stated)
 
 
 def _process(table: ProcessTable) -> ProcessChoice:

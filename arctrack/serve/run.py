@@ -25,6 +25,7 @@ from arctrack.journal.ring import RingError, remove_dead_rings
 from arctrack.recorded_poses import seam_limits
 from arctrack.recording import Recording, read_recording
 from arctrack.serve.beside import Beside, ended
+from arctrack.serve.captured import CapturedCamera
 from arctrack.serve.keeper import Keeper
 from arctrack.serve.lag_process import LagBeside, estimate_lags
 from arctrack.serve.loop import LiveLoop, LoopResult, OnTrack, Service
@@ -239,6 +240,9 @@ def _live(cell: CellFile, frames: str, lag_estimator: LagEstimator | None) -> Ca
         )
         trackings[number] = _tracking(cell, setup, job.correction)
         services[number] = TrackingService(controller, poses, trackings[number])
+    if cell.camera.kind != "shared_memory":
+        camera: SharedMemoryCamera = CapturedCamera(cell.camera, cell.path, setup_file.setup)
+        return Cast(camera, services, trackings, Source.LIVE)
     try:
         camera = SharedMemoryCamera(frames, setup_file.setup)
     except SharedFramesError as error:

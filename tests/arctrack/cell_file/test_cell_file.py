@@ -129,6 +129,31 @@ def test_the_page_shows_a_cell_file_that_can_be_read(new_cell: Path) -> None:
         ),
         (lambda d: d["camera"].update(name="cell"), "[camera] kind: missing; a camera is stated by kind and"),
         (lambda d: d["camera"].update(kind="v4l2", name="0"), "[camera] kind = 'v4l2': "),
+        (
+            lambda d: d["camera"].update(kind="gige", name="a", loop=True),
+            "[camera] loop: is of kind video, folder alone; leave it out",
+        ),
+        (
+            lambda d: d["camera"].update(kind="video", name="a", rows=[0, 9]),
+            "[camera] rows: is of kind gige alone; leave it out",
+        ),
+        (lambda d: d["camera"].update(rows=[0, 9]), "[camera] rows: is of kind gige alone; leave it out"),
+        (
+            lambda d: d["camera"].update(kind="gige", name="a", rows=[3, 0]),
+            "[camera] rows = [3, 0]: is the first row and how",
+        ),
+        (
+            lambda d: d["camera"].update(kind="gige", name="a", trigger="hardware"),
+            "[camera] trigger_line: goes with trigger",
+        ),
+        (
+            lambda d: d["camera"].update(kind="gige", name="a", laser="strobe"),
+            "[camera] laser: says how laser_line drives",
+        ),
+        (
+            lambda d: d["camera"].update(kind="gige", name="a", interleave=4),
+            "[camera] interleave = 4: the laser is switched",
+        ),
         (lambda d: d["process"].update(priority=0), "[process] priority = 0: input should be greater than"),
         (lambda d: d["process"].update(cpus=[]), "[process] cpus"),
         (lambda d: d["monitor"].update(host="0.0.0.0"), "[monitor] token: missing; with host = '0.0.0.0' "),

@@ -1,0 +1,87 @@
+"""The process that captures: a source's frames into shared memory, until its parent is gone."""
+
+from __future__ import annotations
+
+import signal
+from collections.abc import Callable
+from dataclasses import replace
+from functools import partial
+from multiprocessing.connection import Connection
+
+from arctrack.cameras.camera_line import read_line, remove_line
+from arctrack.cameras.capture.source import Ask, FrameSource
+from arctrack.cameras.shared_frames import SharedFramesError, SharedFramesWriter
+from arctrack.errors import ArctrackError
+from noise_model.setup import Setup
+
+OPENED_AGAIN_S = 1.0
+"""After so long a source that failed is opened anew, s."""
+
+OVER = "over"
+"""What is told of a source that has ended by itself."""
+
+Open = Callable[[Ask], FrameSource]
+
+
+def run_capture(open_source: Open, setup: Setup, name: str, told: Connection) -> None:
+    """Publish a source's frames under a name, from the first word over the connection until it is closed.
+
+    It says 'ready', or 'error: ' and why, once the source is open; 'over' once it has ended. A source that
+    fails later is opened anew, again and again.
+    """
+    # Ctrl-C is meant for the tracker, which ends this.
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    remove_line(name)
+    try:
+        source = open_source(partial(read_line, name))
+        try:
+            camera = setup.camera
+            with SharedFramesWriter(name, camera.height, camera.width, setup.sensor.dtype) as frames:
+                told.send("ready")
+                told.recv()
+                _publish(source, open_source, frames, name, told)
+        finally:
+            source.close()
+    except (ArctrackError, SharedFramesError) as error:
+        told.send(f"error: {error}")
+    except (EOFError, ConnectionResetError, BrokenPipeError):
+        return
+    finally:
+        remove_line(name)
+
+
+def _publish(
+    source: FrameSource, open_source: Open, frames: SharedFramesWriter, name: str, told: Connection
+) -> None:
+    """Publish until the parent is gone."""
+    first = latest = 0
+    source.begin()
+    while not told.poll():
+        if source.is_over:
+            told.send(OVER)
+            told.recv()
+            return
+        try:
+            frame = source.read()
+        except ArctrackError:
+            source.close()
+            again = _opened_again(open_source, name, told)
+            if again is None:
+                return
+            source, first = again, latest + 1
+            continue
+        if frame is not None:
+            latest = first + frame.index
+            frames.publish(replace(frame, index=latest))
+
+
+def _opened_again(open_source: Open, name: str, told: Connection) -> FrameSource | None:
+    """Return a source that failed and was opened anew; None once the parent is gone."""
+    while not told.poll(OPENED_AGAIN_S):
+        try:
+            source = open_source(partial(read_line, name))
+        except ArctrackError:
+            continue
+        source.begin()
+        return source
+    return None

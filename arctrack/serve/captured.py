@@ -1,0 +1,94 @@
+"""A camera that a process beside the loop captures: drivers and decoding never touch the loop."""
+
+from __future__ import annotations
+
+import os
+from functools import partial
+from pathlib import Path
+
+from arctrack.cameras.camera import CameraTraits
+from arctrack.cameras.capture.device import device_source
+from arctrack.cameras.capture.files import folder_source, sidecar_of, video_source
+from arctrack.cameras.capture.gige import gige_source
+from arctrack.cameras.capture.process import OVER, Open, run_capture
+from arctrack.cameras.shared_frames import path_of
+from arctrack.cameras.shared_memory import SharedMemoryCamera
+from arctrack.cell_file import CameraChoice
+from arctrack.errors import ArctrackError, in_file
+from arctrack.serve.beside import Beside
+from noise_model.setup import Setup
+
+
+class CapturedCamera(SharedMemoryCamera):
+    """Reads what a process beside this one captures.
+
+    Parameters
+    ----------
+    choice : CameraChoice
+        Which camera.
+    cell_path : Path
+        The cell file: what it names lies beside it.
+    setup : Setup
+        Which frames are expected.
+
+    Raises
+    ------
+    ArctrackError
+        If the camera cannot be opened, or its frames do not fit the setup.
+    """
+
+    def __init__(self, choice: CameraChoice, cell_path: Path, setup: Setup) -> None:
+        opened, traits = _opening(choice, cell_path, setup)
+        name = f"captured-{os.getpid()}"
+        self._beside = Beside("camera", run_capture, (opened, setup, name))
+        try:
+            self._beside.wait_ready()
+            super().__init__(name, setup, traits)
+        except ArctrackError as error:
+            self._beside.end()
+            text = str(error)
+            raise in_file(cell_path, text) if text.startswith("[camera]") else error from None
+        self._is_ended = False
+
+    @property
+    def frames_path(self) -> Path:
+        """Where its frames lie in memory."""
+        return path_of(self._name)
+
+    @property
+    def is_over(self) -> bool:
+        """Whether a file has come to its end, and all of it was handed out."""
+        if not self._is_ended and self._beside.told.poll():
+            try:
+                self._is_ended = self._beside.told.recv() == OVER
+            except (EOFError, ConnectionResetError):
+                # It ended otherwise: the camera stopped.
+                return False
+        return self._is_ended and self.is_newest_read
+
+    def begin(self) -> None:
+        """Let it capture."""
+        self._beside.told.send(True)
+
+    def close(self) -> None:
+        """Read no more, and let the process end."""
+        super().close()
+        self._beside.end()
+
+
+def _opening(choice: CameraChoice, cell_path: Path, setup: Setup) -> tuple[Open, CameraTraits]:
+    """Return what opens a camera in its process, and what it knows of the light."""
+    assert choice.name is not None
+    options = choice.capture
+    if choice.kind in ("video", "folder"):
+        path = (cell_path.parent / choice.name).absolute()
+        traits = CameraTraits(knows_arc=sidecar_of(path).exists(), switches_laser=False)
+        if choice.kind == "video":
+            return partial(video_source, path, setup, options.loop), traits
+        return partial(folder_source, path, setup, choice.frame_rate_hz, options.loop), traits
+    if choice.kind == "device":
+        traits = CameraTraits(knows_arc=False, switches_laser=False)
+        return partial(device_source, choice.name, setup, choice.frame_rate_hz), traits
+    switches = options.laser_line is not None
+    traits = CameraTraits(False, switches, interleaves=options.interleave is not None)
+    return partial(gige_source, choice, setup), traits
