@@ -50,13 +50,10 @@ class LatencyCounts:
 
     def quantiles(self) -> Quantiles:
         """Return what the times come to."""
-        p50_ms, p99_ms, p999_ms = map(self._quantile_ms, (0.5, 0.99, 0.999))
+        total = np.cumsum(self._counts)
+        if total[-1] == 0:
+            return Quantiles(math.nan, math.nan, math.nan, math.nan)
+        # The upper end of the bin below which a share of the times lies.
+        bins = np.searchsorted(total, np.array([0.5, 0.99, 0.999]) * total[-1])
+        p50_ms, p99_ms, p999_ms = np.minimum(BIN_MS * (bins + 1), self.max_ms).tolist()
         return Quantiles(p50_ms, p99_ms, p999_ms, self.max_ms)
-
-    def _quantile_ms(self, share: float) -> float:
-        """Return the upper end of the bin below which a share of the times lies, ms; NaN without any."""
-        total = int(self._counts.sum())
-        if total == 0:
-            return math.nan
-        position = int(np.searchsorted(np.cumsum(self._counts), share * total))
-        return min(BIN_MS * (position + 1), self.max_ms)

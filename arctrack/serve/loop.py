@@ -40,6 +40,9 @@ TURN_S, NEAR_S = 0.002, 0.0002
 About the time at which the next frame is expected it is the shorter one.
 """
 
+CHECK_S = 0.001
+"""So often it is looked whether something is due: the turns about a frame's arrival are shorter."""
+
 MAX_MESSAGES = 64
 """So many messages are read in a turn at most: a robot that talks all the time must not hold a frame up."""
 
@@ -125,7 +128,7 @@ class LiveLoop:
         self._offsets: Counter[Validity] = Counter()
         self._offset: SeamOffset | None
         self._reason, self._offset = GateReason.NOT_ARMED, None
-        self._arrived_s = self._period_s = self._frame_s = NAN
+        self._arrived_s = self._period_s = self._frame_s = self._checked_s = NAN
         self._since_capture, self._since_arrival = LatencyCounts(), LatencyCounts()
 
     @property
@@ -136,8 +139,12 @@ class LiveLoop:
     def turn(self, wait_s: float | None = None) -> None:
         """Hear the bus, switch the laser, track the newest frame once its pose is there, send what is due."""
         self._listen(self._wait_s() if wait_s is None else wait_s)
-        self._laser = self.camera.switch_laser(self.controller.is_laser_on(self.camera.now_s()))
-        self.controller.on_laser(self._laser)
+        now_s = self.camera.now_s()
+        is_time = not 0.0 <= now_s - self._checked_s < CHECK_S
+        if is_time:
+            self._checked_s = now_s
+            self._laser = self.camera.switch_laser(self.controller.is_laser_on(now_s))
+            self.controller.on_laser(self._laser)
         frame = self._without_dark(self.camera.newest())
         if frame is not None:
             self._replaced += self._waiting is not None
@@ -148,9 +155,10 @@ class LiveLoop:
         if waiting is not None and self.service.poses.is_settled(waiting.timestamp_s, self.camera.now_s()):
             self._waiting = None
             self._track(waiting)
-        self._send(self.service.poll(self.camera.now_s()))
-        if self._keeper is not None:
-            self._keeper.tell(self.camera.now_s(), self.status)
+        if is_time:
+            self._send(self.service.poll(self.camera.now_s()))
+            if self._keeper is not None:
+                self._keeper.tell(self.camera.now_s(), self.status)
 
     def close(self) -> None:
         """Send the last refusal, and switch the laser off."""

@@ -117,7 +117,6 @@ class TrackingService(Generic[Shown]):
         if isinstance(received.message, RobotStatus):
             self._robot = received.message
         self.poses.hear(received, now_s)
-        self._judge_poses(now_s)
         return self.controller.on_message(received, now_s)
 
     def track(self, shown: Shown, index: int, captured_s: float, now_s: float) -> Tracked:
