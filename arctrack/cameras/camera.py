@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Protocol
 
-from robot_io import LaserState
+from robot_io import LaserState, RobotPulse
 from tracker.state import Frame
 
 
@@ -80,6 +80,9 @@ class Camera(Protocol):
 
     def switch_laser(self, is_on: bool) -> LaserState:
         """Switch the laser, and return what it does; UNKNOWN where the camera has no hold on it."""
+
+    def tell_pulse(self, pulse: RobotPulse, came_at_s: float) -> None:
+        """Take the arc's pulse as the robot said it at a time, s: frames are best in its base phase."""
 
     def close(self) -> None:
         """Take no more frames; the laser goes off."""

@@ -18,9 +18,13 @@ from dataclasses import astuple, dataclass, replace
 from pathlib import Path
 
 from arctrack.journal.ring import memory_folder
+from robot_io import RobotPulse
 
 HOLD_S = 0.3
 """So long the laser stays on after it was switched on last: as long as the longest look at a frame, twice."""
+
+PULSE_HOLD_S = 0.35
+"""So long a pulse holds after the robot told it last: three cycles and a half, two may be lost."""
 
 _WANTED, _CHECKSUM = struct.Struct("<6d"), struct.Struct("<I")
 _BYTES = _WANTED.size + _CHECKSUM.size
@@ -87,6 +91,21 @@ class CameraLine:
     def switch_laser(self, is_on: bool) -> None:
         """Switch the laser; on lasts for HOLD_S."""
         self._write(replace(self._wanted, laser_until_s=time.monotonic() + HOLD_S if is_on else 0.0))
+
+    def tell_pulse(self, pulse: RobotPulse, came_at_s: float) -> None:
+        """Tell the arc's pulse as the robot said it at a monotonic time, s; none where it says unknown."""
+        if not pulse.period_us or not pulse.base_us or not math.isfinite(pulse.begin_age_ms):
+            self._write(replace(self._wanted, pulse_until_s=0.0))
+            return
+        self._write(
+            replace(
+                self._wanted,
+                base_begin_s=came_at_s - pulse.begin_age_ms / 1000.0,
+                period_s=pulse.period_us / 1e6,
+                base_s=pulse.base_us / 1e6,
+                pulse_until_s=came_at_s + PULSE_HOLD_S,
+            )
+        )
 
     def close(self) -> None:
         """Switch the laser off for good."""

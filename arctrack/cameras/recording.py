@@ -8,7 +8,7 @@ from collections.abc import Callable
 
 from arctrack.cameras.camera import PLAYED, UnreadableFrame
 from arctrack.recording import BadFrame, FrameRow, Recording
-from robot_io import LaserState
+from robot_io import LaserState, RobotPulse
 from tracker.state import Frame
 
 
@@ -71,6 +71,9 @@ class RecordingCamera:
     def switch_laser(self, is_on: bool) -> LaserState:
         """Do nothing: what the laser did is recorded."""
         return LaserState.UNKNOWN
+
+    def tell_pulse(self, pulse: RobotPulse, came_at_s: float) -> None:
+        """Do nothing: when frames were taken is recorded."""
 
     def close(self) -> None:
         """Play no more."""

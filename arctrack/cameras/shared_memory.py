@@ -8,7 +8,7 @@ from arctrack.cameras.camera import SHARED, CameraTraits, UnreadableFrame
 from arctrack.cameras.camera_line import CameraLine
 from arctrack.cameras.shared_frames import SharedFramesError, SharedFramesReader
 from noise_model.setup import Setup
-from robot_io import LaserState
+from robot_io import LaserState, RobotPulse
 from tracker.state import Frame, frame_misfit
 
 LOOK_AGAIN_S = 0.5
@@ -85,6 +85,10 @@ class SharedMemoryCamera:
         if not self.traits.switches_laser:
             return LaserState.UNKNOWN
         return LaserState.ON if is_on else LaserState.OFF
+
+    def tell_pulse(self, pulse: RobotPulse, came_at_s: float) -> None:
+        """Tell who takes the frames of the arc's pulse, said at a time, s; it holds for some cycles."""
+        self._line.tell_pulse(pulse, came_at_s)
 
     def close(self) -> None:
         """Read no more; the laser goes off."""

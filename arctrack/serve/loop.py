@@ -25,6 +25,7 @@ from robot_io import (
     LaserState,
     Link,
     Received,
+    RobotPulse,
     SeamOffset,
     Source,
     Switch,
@@ -228,6 +229,8 @@ class LiveLoop:
     def _hear(self, received: Received) -> None:
         if self._source is Source.LIVE and isinstance(received.message, TrackerCommand):
             self._obey(received.message)
+        if isinstance(received.message, RobotPulse):
+            self.camera.tell_pulse(received.message, self.camera.now_s() - received.max_age_s)
         self._send(self.service.hear(received, self.camera.now_s()))
 
     def _obey(self, command: TrackerCommand) -> None:

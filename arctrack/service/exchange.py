@@ -21,6 +21,7 @@ from robot_io import (
     RobotMode,
     RobotPosePosition,
     RobotPoseRotation,
+    RobotPulse,
     RobotStatus,
     RobotSync,
     Switch,
@@ -60,7 +61,7 @@ def exchange() -> Iterator[tuple[float, str, BusMessage, int, bytes]]:
         if n < 2:
             said.append(replace(_COMMAND, command=Command.DISARM if n == 0 else Command.TRACK))
         if n == 0:
-            said.append(RobotSync(1, 1_000_000, 620))
+            said += [RobotSync(1, 1_000_000, 620), RobotPulse(20_000, 12_000, 3.0)]
         answers: list[BusMessage] = []
         for message in said:
             yield now_s, "robot", message, *robot.protect(message)

@@ -292,6 +292,15 @@ class TrackerSyncEcho(BusMessage):
 
 
 @dataclass(frozen=True)
+class RobotPulse(BusMessage):
+    """The pulse of the welding current, and how long ago a base phase began."""
+
+    period_us: int | None
+    base_us: int | None
+    begin_age_ms: float
+
+
+@dataclass(frozen=True)
 class RobotStatus(BusMessage):
     """What the robot and the power source are doing."""
 
@@ -387,6 +396,7 @@ MESSAGE_TYPES: tuple[type[BusMessage], ...] = (
     SeamPoint,
     RobotSync,
     TrackerSyncEcho,
+    RobotPulse,
     RobotStatus,
     TrackerCommand,
     SeamGeometry,

@@ -24,6 +24,7 @@ from robot_io.protocol.messages import (
     RobotMode,
     RobotPosePosition,
     RobotPoseRotation,
+    RobotPulse,
     RobotStatus,
     RobotSync,
     SeamGeometry,
@@ -78,6 +79,7 @@ EXAMPLES: tuple[BusMessage, ...] = (
     SeamPoint(447.5, -88.0, math.nan),
     RobotSync(9, 12_345_678, None),
     TrackerSyncEcho(9, 1500, Source.LIVE),
+    RobotPulse(20_000, 12_000, 3.4),
     TrackerHeartbeat(
         TrackerState.TRACKING, Source.LIVE, LaserState.ON, Fault.NONE, 7, RequestResult.DONE, 12, 200
     ),

@@ -97,6 +97,7 @@ def test_layout_changes_only_together_with_the_version():
         (1, 2, 0): LAYOUT_1_2_0,
         (1, 3, 0): LAYOUT_1_3_0,
         (1, 3, 1): LAYOUT_1_3_0,
+        (1, 4, 0): LAYOUT_1_4_0,
     }
     version = dbc_version()
     assert checksums[version.major, version.minor, version.patch] == layout_checksum()
@@ -114,3 +115,4 @@ LAYOUT_1_0_0 = 0xF5A298
 LAYOUT_1_1_0 = 0xFF894D
 LAYOUT_1_2_0 = 0xAD60DA
 LAYOUT_1_3_0 = 0x976BA9
+LAYOUT_1_4_0 = 0xD7EEE7

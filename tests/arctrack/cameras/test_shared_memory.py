@@ -10,11 +10,11 @@ from made import small_setup
 
 from arctrack.cameras import camera_line, shared_memory
 from arctrack.cameras.camera import UnreadableFrame
-from arctrack.cameras.camera_line import is_laser_on, line_path, remove_line
+from arctrack.cameras.camera_line import PULSE_HOLD_S, is_laser_on, line_path, read_line, remove_line
 from arctrack.cameras.shared_frames import SharedFramesError, SharedFramesWriter
 from arctrack.cameras.shared_memory import SharedMemoryCamera
 from arctrack.journal import ring
-from robot_io import LaserState
+from robot_io import LaserState, RobotPulse
 from tracker.state import Frame
 
 
@@ -114,6 +114,24 @@ def test_a_line_that_is_written_meanwhile_leaves_the_laser_off(name):
         line_path(name).write_bytes(whole[:8] + b"?" + whole[9:])
         assert not is_laser_on(name)
         line_path(name).write_bytes(whole)
+        assert is_laser_on(name)
+        camera.close()
+    remove_line(name)
+
+
+def test_the_arcs_pulse_is_told_until_it_is_too_old_or_there_is_none(name):
+    with writer_of(name, small_setup()):
+        camera = SharedMemoryCamera(name, small_setup())
+        camera.switch_laser(True)
+        camera.tell_pulse(RobotPulse(20_000, 12_000, 3.0), 50.0)
+        wanted = read_line(name)
+        assert (wanted.base_begin_s, wanted.period_s, wanted.base_s) == pytest.approx((49.997, 0.02, 0.012))
+        assert wanted.pulse_until_s == 50.0 + PULSE_HOLD_S
+        for unknown in (RobotPulse(None, 12_000, 3.0), RobotPulse(20_000, None, 3.0), RobotPulse(0, 0, 3.0)):
+            camera.tell_pulse(RobotPulse(20_000, 12_000, 3.0), 50.0)
+            camera.tell_pulse(unknown, 51.0)
+            assert read_line(name).pulse_until_s == 0.0
+        # The laser is as it was.
         assert is_laser_on(name)
         camera.close()
     remove_line(name)

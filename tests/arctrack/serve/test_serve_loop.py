@@ -38,6 +38,7 @@ from robot_io import (
     PoseKind,
     RobotPosePosition,
     RobotPoseRotation,
+    RobotPulse,
     SeamOffset,
     Source,
     Switch,
@@ -64,6 +65,10 @@ class DrawnCamera:
     def __init__(self) -> None:
         self.time_s, self.dropped, self.laser_on = 1.0, 0, False
         self.frame: Frame | UnreadableFrame | None = None
+        self.pulses = []
+
+    def tell_pulse(self, pulse, came_at_s):
+        self.pulses.append((pulse, came_at_s))
 
     def begin(self) -> None:
         self.frame = None
@@ -274,6 +279,15 @@ def test_a_frame_without_the_laser_between_others_changes_nothing_but_a_count(st
     stage.run(0.4)
     assert stage.loop.result().dark == 5
     assert "laser_off" in stage.tracks[-1].flag_names
+
+
+def test_the_camera_is_told_of_the_arcs_pulse(stage: Stage) -> None:
+    pulse = RobotPulse(20_000, 12_000, 3.0)
+    stage.robot.send(pulse)
+    stage.run(0.02)
+    ((told, came_at_s),) = stage.camera.pulses
+    assert told == pulse
+    assert 0.0 <= stage.camera.time_s - came_at_s < 0.1
 
 
 def test_an_error_of_the_program_ends_with_a_refusal(stage: Stage) -> None:

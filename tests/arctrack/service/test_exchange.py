@@ -40,8 +40,8 @@ def test_the_load_is_that_of_the_longest_frames() -> None:
     # Davis et al., table of the paper: 8 bytes of data, 135 bits.
     assert frame_bits(8) == 135
     assert frame_bits(0) == 55
-    # Poses, status, command and sync of the robot; heartbeat, echo and version of the tracker; four a frame.
-    assert frames_per_s(50.0) == pytest.approx(200 + 50 + 10 + 10 + 10 + 10 + 1 + 4 * 50)
+    # Poses, status, command, sync, pulse of the robot; heartbeat, echo, version of the tracker; four a frame.
+    assert frames_per_s(50.0) == pytest.approx(200 + 50 + 10 + 10 + 10 + 10 + 10 + 1 + 4 * 50)
 
 
 def test_the_exchange_starts_softly() -> None:
