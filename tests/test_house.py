@@ -79,7 +79,18 @@ FOLDERS_MAY_IMPORT: dict[str, dict[str, set[str]]] = {
         "cell": {"service", "cameras"},
         "black_box": {"recording", "journal"},
         "watch": {"journal"},
-        "serve": {"recording", "service", "cell_file", "cameras", "cell", "journal", "black_box", "watch"},
+        "monitor": {"recording", "cell_file", "journal", "report"},
+        "serve": {
+            "recording",
+            "service",
+            "cell_file",
+            "cameras",
+            "cell",
+            "journal",
+            "monitor",
+            "black_box",
+            "watch",
+        },
         "doctor": {"cell_file", "service", "cameras", "journal", "serve"},
         "setup_check": {"recording", "check"},
         "report": {
@@ -119,7 +130,7 @@ FOLDERS_MAY_IMPORT: dict[str, dict[str, set[str]]] = {
 FUNCTIONS = (ast.FunctionDef, ast.AsyncFunctionDef)
 MAX_FUNCTION_LINES = 100
 NAMES_SAYING_NOTHING = {"of", "one", "found", "at", "left"}
-ONLY_IN_ARCTRACK = {"matplotlib", "jinja2", "rich", "typer", "pydantic", "av", "aiohttp"}
+ONLY_IN_ARCTRACK = {"matplotlib", "jinja2", "rich", "typer", "pydantic", "av", "aiohttp", "prometheus_client"}
 
 
 @functools.cache

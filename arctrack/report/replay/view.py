@@ -73,8 +73,11 @@ class Viewer:
         if truth is not None:
             self.truth_mm = dict(zip(truth.frames.tolist(), truth.seam_tool_mm, strict=True))
 
-    def view(self, frame: Frame | None, seen: Seen) -> View:
-        """Return the view of a frame, None if it could not be read."""
+    def view(self, frame: Frame | None, seen: Seen, shows_arc_light: bool = True) -> View:
+        """Return the view of a frame, None if it could not be read.
+
+        The light that is expected over the whole image takes most of the time; it can be left out.
+        """
         geometry, track, reading = self.geometry, seen.track, seen.reading
         camera, sensor = geometry.setup.camera, geometry.setup.sensor
         nowhere = np.full((geometry.n_scan, 2), np.nan)
@@ -92,7 +95,7 @@ class Viewer:
         )
         if frame is None or reading is None or reading.scene.below_surface:
             return empty
-        seen_so_far = replace(empty, arc_grey=self._arc_grey(frame, reading))
+        seen_so_far = replace(empty, arc_grey=self._arc_grey(frame, reading)) if shows_arc_light else empty
         expected = expect_stripe(geometry, reading.scene)
         if expected is None:
             return seen_so_far

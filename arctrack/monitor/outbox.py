@@ -1,0 +1,62 @@
+"""What waits to be sent to a browser: little, and the newest of it. A slow browser holds nobody up."""
+
+from __future__ import annotations
+
+import asyncio
+from collections import deque
+from enum import Enum
+
+MAX_WAITING = 32
+"""So many messages wait for a browser at most; where there are more, the oldest go."""
+
+Message = str | bytes
+
+
+class Kind(Enum):
+    """What a message tells."""
+
+    HELLO = "hello"
+    STATUS = "status"
+    POINTS = "points"
+    PICTURE = "picture"
+    HEAT = "heat"
+
+
+COUNTS_ALONE = frozenset({Kind.STATUS, Kind.PICTURE, Kind.HEAT})
+"""Of these the newest says all: an older one that still waits is not sent."""
+
+
+class Outbox:
+    """The messages that wait for one browser.
+
+    Attributes
+    ----------
+    dropped : int
+        How many were not sent for newer ones.
+    """
+
+    def __init__(self) -> None:
+        self._waiting: deque[tuple[Kind, Message]] = deque()
+        self._filled = asyncio.Event()
+        self.dropped = 0
+
+    def __len__(self) -> int:
+        return len(self._waiting)
+
+    def put(self, kind: Kind, message: Message) -> None:
+        """Let a message wait, in the place of an older one where only the newest counts."""
+        before = len(self._waiting)
+        if kind in COUNTS_ALONE:
+            self._waiting = deque(held for held in self._waiting if held[0] is not kind)
+        while len(self._waiting) >= MAX_WAITING:
+            self._waiting.popleft()
+        self.dropped += before - len(self._waiting)
+        self._waiting.append((kind, message))
+        self._filled.set()
+
+    async def take(self) -> Message:
+        """Return the message that waits longest, as soon as there is one."""
+        while not self._waiting:
+            self._filled.clear()
+            await self._filled.wait()
+        return self._waiting.popleft()[1]

@@ -1,0 +1,178 @@
+"""A run for the page to show: the example's frames, tracked, and written into a journal over and over."""
+
+from __future__ import annotations
+
+import os
+import threading
+import time
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import replace
+from functools import cache
+from multiprocessing.connection import Connection
+from pathlib import Path
+
+from arctrack.journal.journal import MIN_SLOTS, Journal, gap_name
+from arctrack.journal.records import Entry, GapReport, Status, View, pack
+from arctrack.journal.ring import RingWriter
+from arctrack.monitor.options import MonitorOptions
+from arctrack.monitor.run import run_monitor
+from arctrack.recording import Recording, read_recording
+from arctrack.serve.beside import Beside, ended
+from robot_io import (
+    Command,
+    Fault,
+    GateReason,
+    LaserState,
+    MotionState,
+    RobotMode,
+    RobotStatus,
+    SeamOffset,
+    Source,
+    Switch,
+    TrackerCommand,
+    TrackerState,
+    Validity,
+    WeldingState,
+)
+from tracker.step import StepInputs
+from tracker.tracker import Tracker
+
+EXAMPLE = Path(__file__).parents[3] / "examples" / "v_groove"
+PERIOD_S = 0.05
+FIRST, FRAMES = 6, 8
+"""The example's first frames show laser or arc alone."""
+
+TITLE = "cell.toml, shared_memory side_wall"
+TOKEN = "a token of the tests"
+
+Tracked = tuple[Entry, View]
+
+
+@cache
+def example() -> Recording:
+    return read_recording(EXAMPLE)
+
+
+@cache
+def tracked() -> Sequence[Tracked]:
+    """Return entries and views of some of the example's frames."""
+    recording = example()
+    tracker, poses = Tracker(recording.setup), recording.pose_buffer()
+    shown = []
+    for position, frame in enumerate(recording.frames(range(FIRST, FIRST + FRAMES))):
+        pose = recording.pose_at(poses, frame.timestamp_s)
+        before = tracker.state
+        track = tracker.step(frame, pose)
+        reading = tracker.reading
+        validity = Validity.VALID if track.valid else Validity.REFUSED
+        offset = SeamOffset(track.offset_y_mm, track.offset_z_mm, 24.0, 0.98, validity)
+        entry = Entry(
+            frame, StepInputs(before, pose), replace(track, stripe=None, checks=()), offset, 7, took_ms=4.0
+        )
+        view = View(position, track, reading.seam, reading.reach_mm, reading.arc, reading.joint)
+        shown.append((entry, view))
+    return shown
+
+
+class ShownRun:
+    """Writes a run's journal, twenty frames a second, until it is told to stop; tests change `status`."""
+
+    def __init__(self, name: str) -> None:
+        height, width = tracked()[0][0].frame.image_dn.shape
+        self.journal = Journal(name, (height, width), example().setup.sensor.dtype, MIN_SLOTS)
+        self.gaps: RingWriter | None = None
+        self.status = Status(
+            now_s=0.0,
+            wall_s=0.0,
+            source=Source.LIVE,
+            state=TrackerState.TRACKING,
+            fault=Fault.NONE,
+            laser=LaserState.ON,
+            reason=GateReason.NONE,
+            offset=None,
+            robot=RobotStatus(
+                mode=RobotMode.AUTOMATIC,
+                motion=MotionState.MOVING,
+                welding=WeldingState.WELDING,
+                arc=Switch.ON,
+                emergency_stop=Switch.OFF,
+                correction=Switch.ON,
+                weave=Switch.OFF,
+                current_a=120.0,
+                travel_speed_mm_s=4.0,
+                path_section=1,
+            ),
+            command=TrackerCommand(Command.TRACK, True, True, 0, 7, None, Switch.ON),
+            job_number=7,
+            frames=0,
+            valid=0,
+            dropped=3,
+            offsets={"VALID": 11, "REFUSED": 2},
+            reasons={"NOT_ARMED": 2},
+            faults={"repeated": 1},
+            capture_ms=(24.0, 31.5, 40.0),
+            arrival_ms=(4.0, 8.0, 11.0),
+        )
+        self._ended = threading.Event()
+        self._thread = threading.Thread(target=self._write)
+        self._began_s = time.monotonic()
+        self.count = 0
+        self.turn()
+        self._thread.start()
+
+    def turn(self) -> None:
+        """Write the next frame."""
+        entry, view = tracked()[self.count % FRAMES]
+        now_s = time.monotonic()
+        frame = replace(entry.frame, index=self.count, timestamp_s=now_s - 0.024)
+        entry = replace(entry, frame=frame, arrived_s=now_s - 0.005, sent_s=now_s)
+        self.count += 1
+        self.status = replace(
+            self.status,
+            now_s=now_s,
+            wall_s=time.time(),
+            frames=self.count,
+            valid=self.count,
+            frame_s=frame.timestamp_s,
+            offset=entry.offset,
+        )
+        position = self.journal.add(entry)
+        self.journal.show(replace(view, position=position))
+        self.journal.tell(self.status)
+
+    def report_gap(self, name: str, text: str) -> None:
+        """Let a gap watch say what it sees."""
+        self.gaps = RingWriter(gap_name(name), 4, 4096)
+        report = GapReport(0.0, True, text, time.time() - 60.0, 0.93, 0.01, 2.61, 0.04)
+        self.gaps.write(pack(report))
+
+    def _write(self) -> None:
+        while not self._ended.wait(PERIOD_S):
+            self.turn()
+
+    def stop(self) -> None:
+        """Write no more."""
+        self._ended.set()
+        self._thread.join()
+
+    def close(self) -> None:
+        self.stop()
+        self.journal.close()
+        if self.gaps is not None:
+            self.gaps.close()
+
+
+@contextmanager
+def shown_run(suffix: str, black_box: Connection | None = None) -> Iterator[tuple[ShownRun, str, str]]:
+    """Yield a run, its name, and the address of its page, in a process of its own."""
+    name = f"monitor-{suffix}-{os.getpid()}"
+    setup = example().setup
+    options = MonitorOptions(name, {7: setup}, token=TOKEN, title=TITLE, job_names={7: "side wall"})
+    run = ShownRun(name)
+    try:
+        others = () if black_box is None else (black_box,)
+        with ended(Beside("monitor", run_monitor, (options,), others)) as beside:
+            yield run, name, beside.wait_ready()
+    finally:
+        run.close()
