@@ -75,6 +75,30 @@ TRACKER = """
 """
 
 
+BROWSERS = """
+    import asyncio, sys
+    import aiohttp
+
+    async def look(session, url):
+        heard = 0
+        try:
+            async with session.ws_connect(url + "ws", max_msg_size=0) as page:
+                async for message in page:
+                    heard += len(message.data)
+        except aiohttp.ClientError:
+            pass
+        return heard
+
+    async def main():
+        async with aiohttp.ClientSession() as session:
+            heard = await asyncio.gather(*(look(session, sys.argv[1]) for _ in range(int(sys.argv[2]))))
+        print("browsers heard, MB:", *(f"{n / 1e6:.1f}" for n in heard))
+
+    asyncio.run(main())
+"""
+"""Browsers as the page sees them: they take all that it sends. What they draw is another machine's work."""
+
+
 @dataclass(frozen=True)
 class Process:
     """A process of a run: the share of a core that it took, its memory, MB, and what it is."""
@@ -175,13 +199,13 @@ def measured(
         tracker = subprocess.Popen(command, stdout=subprocess.PIPE, text=True)
         try:
             lines = _until_ready(tracker)
-            looking = [_browser(lines) for _ in range(browsers)]
+            looking = _browsers(lines, browsers) if browsers else None
             time.sleep(SETTLES_S)
             processes, loop_mb = _watched(tracker, seconds, saves)
             tracker.send_signal(signal.SIGTERM)
             lines += tracker.communicate(timeout=300.0)[0].splitlines()
-            for browser in looking:
-                browser.kill()
+            if looking is not None:
+                lines += looking.communicate()[0].splitlines()
         finally:
             tracker.kill()
             camera.close()
@@ -224,8 +248,11 @@ def _until_ready(tracker: subprocess.Popen[str]) -> list[str]:
     return lines
 
 
-def _browser(lines: list[str]) -> subprocess.Popen[bytes]:
-    raise SystemExit("no page yet")
+def _browsers(lines: list[str], count: int) -> subprocess.Popen[str]:
+    """Look at the page that the tracker's lines name, so many times at once."""
+    (url,) = (line.partition(": ")[2] for line in lines if line.startswith("page: "))
+    command = [sys.executable, "-c", textwrap.dedent(BROWSERS), url, str(count)]
+    return subprocess.Popen(command, stdout=subprocess.PIPE, text=True)
 
 
 def _watched(tracker: subprocess.Popen[str], seconds: float, saves: bool) -> tuple[list[Process], np.ndarray]:
@@ -236,7 +263,9 @@ def _watched(tracker: subprocess.Popen[str], seconds: float, saves: bool) -> tup
     began_s = time.monotonic()
     loop_mb = []
     while (elapsed_s := time.monotonic() - began_s) < seconds:
-        loop_mb.append((elapsed_s, loop.memory_full_info().uss / 1e6))
+        # Not what smaps says: whoever reads that holds up the process whose memory it is.
+        memory = loop.memory_info()
+        loop_mb.append((elapsed_s, (memory.rss - memory.shared) / 1e6))
         if saves:
             tracker.send_signal(signal.SIGUSR1)
         time.sleep(min(10.0, seconds / 6.0, seconds - elapsed_s))

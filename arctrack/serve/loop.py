@@ -35,10 +35,11 @@ from robot_io import (
 )
 from tracker.state import NAN, Frame, Track
 
-TURN_S, NEAR_S = 0.002, 0.0002
+TURN_S, NEAR_S, SPIN_S = 0.002, 0.0002, 0.0005
 """So long a turn waits for a message; a frame that comes meanwhile waits as long at most.
 
-About the time at which the next frame is expected it is the shorter one.
+Once the next frame is due it is the second; so near the time when it is expected, nothing is waited for: a
+process that sleeps is woken late.
 """
 
 CHECK_S = 0.001
@@ -214,8 +215,12 @@ class LiveLoop:
         if self._waiting is not None:
             return NEAR_S
         until_s = self._arrived_s + self._period_s - self.camera.now_s()
-        # Written so that a camera that stopped, or was not seen twice, has the longer wait.
-        return min(max(until_s, NEAR_S), TURN_S) if until_s > -self._period_s else TURN_S
+        # Written so that a camera that stopped, or was not seen twice, has the longest wait.
+        if not until_s > -self._period_s:
+            return TURN_S
+        if abs(until_s) <= SPIN_S:
+            return 0.0
+        return min(until_s - SPIN_S, TURN_S) if until_s > 0.0 else NEAR_S
 
     def _listen(self, wait_s: float) -> None:
         """Read what waits on the bus; wait for the first message alone."""
