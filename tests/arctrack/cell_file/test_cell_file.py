@@ -253,7 +253,7 @@ def test_the_commands_say_what_a_cell_does(tmp_path: Path, changed: Callable[[Ch
 
     done = run(app, ["cell", "check", str(changed(much))])
     assert done.exit_code == 1
-    assert "the bus is loaded to 83 %: what is last may wait" in " ".join(done.output.split())
+    assert "the bus is loaded to 84 %: what is last may wait" in " ".join(done.output.split())
     assert (
         "job 1: first job, a v_groove; y within 3 mm, bias -0.5 mm; z not corrected; bridges 8 mm; "
         "gap 0 to 1.5 mm; angle 55 to 65 deg" in done.output
