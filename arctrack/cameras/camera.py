@@ -81,6 +81,9 @@ class Camera(Protocol):
     def switch_laser(self, is_on: bool) -> LaserState:
         """Switch the laser, and return what it does; UNKNOWN where the camera has no hold on it."""
 
+    def want_exposure(self, exposure_s: float) -> None:
+        """Ask for an exposure, s; each frame says which one it had."""
+
     def tell_pulse(self, pulse: RobotPulse, came_at_s: float) -> None:
         """Take the arc's pulse as the robot said it at a time, s: frames are best in its base phase."""
 

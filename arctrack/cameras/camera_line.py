@@ -92,6 +92,10 @@ class CameraLine:
         """Switch the laser; on lasts for HOLD_S."""
         self._write(replace(self._wanted, laser_until_s=time.monotonic() + HOLD_S if is_on else 0.0))
 
+    def want_exposure(self, exposure_s: float) -> None:
+        """Ask for an exposure, s, from the next frame on."""
+        self._write(replace(self._wanted, exposure_s=exposure_s))
+
     def tell_pulse(self, pulse: RobotPulse, came_at_s: float) -> None:
         """Tell the arc's pulse as the robot said it at a monotonic time, s; none where it says unknown."""
         if not pulse.period_us or not pulse.base_us or not math.isfinite(pulse.begin_age_ms):

@@ -72,6 +72,9 @@ class RecordingCamera:
         """Do nothing: what the laser did is recorded."""
         return LaserState.UNKNOWN
 
+    def want_exposure(self, exposure_s: float) -> None:
+        """Do nothing: exposures are recorded."""
+
     def tell_pulse(self, pulse: RobotPulse, came_at_s: float) -> None:
         """Do nothing: when frames were taken is recorded."""
 

@@ -86,6 +86,10 @@ class SharedMemoryCamera:
             return LaserState.UNKNOWN
         return LaserState.ON if is_on else LaserState.OFF
 
+    def want_exposure(self, exposure_s: float) -> None:
+        """Ask who takes the frames for an exposure, s."""
+        self._line.want_exposure(exposure_s)
+
     def tell_pulse(self, pulse: RobotPulse, came_at_s: float) -> None:
         """Tell who takes the frames of the arc's pulse, said at a time, s; it holds for some cycles."""
         self._line.tell_pulse(pulse, came_at_s)

@@ -61,6 +61,10 @@ class CaptureChoice:
         How the line drives it: strobe, during each exposure, or switch.
     interleave : int or None
         Each such frame is taken without the laser; None for none.
+    exposure : str
+        Whether the exposure is fixed, the setup's, or predicted.
+    exposure_range_s : tuple (2,) or None
+        The least and the largest exposure that may be predicted, s.
     """
 
     loop: bool = False
@@ -70,15 +74,26 @@ class CaptureChoice:
     laser_line: str | None = None
     laser: str = "strobe"
     interleave: int | None = None
+    exposure: str = "fixed"
+    exposure_range_s: tuple[float, float] | None = None
 
 
 KEYS_OF_KIND = {
-    "shared_memory": (),
+    "shared_memory": ("exposure", "exposure_range_s"),
     "recording": (),
     "video": ("loop",),
     "folder": ("loop",),
     "device": (),
-    "gige": ("rows", "trigger", "trigger_line", "laser_line", "laser", "interleave"),
+    "gige": (
+        "rows",
+        "trigger",
+        "trigger_line",
+        "laser_line",
+        "laser",
+        "interleave",
+        "exposure",
+        "exposure_range_s",
+    ),
 }
 """What may be stated beside kind, name and frame_rate_hz."""
 

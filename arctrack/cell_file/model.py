@@ -69,6 +69,8 @@ class CameraTable(Table):
     laser_line: Annotated[str, Field(min_length=1)] | None = None
     laser: Literal["strobe", "switch"] | None = None
     interleave: Annotated[int, Field(ge=2)] | None = None
+    exposure: Literal["fixed", "predicted"] | None = None
+    exposure_range_s: Range | None = None
 
 
 class ProcessTable(Table):

@@ -155,6 +155,15 @@ def _capture(table: CameraTable) -> CaptureChoice:
             f"[camera] interleave = {table.interleave}: the laser is switched before a frame is triggered; "
             "state trigger = 'software' and laser_line too"
         )
+    if (table.exposure == "predicted") != (table.exposure_range_s is not None):
+        raise ValueError(
+            "[camera] exposure_range_s: goes with exposure = 'predicted', and it with exposure_range_s"
+        )
+    if table.exposure_range_s is not None:
+        least_s, most_s = table.exposure_range_s
+        if not 0.0 < least_s < most_s:
+            raise ValueError(f"[camera] exposure_range_s = {table.exposure_range_s}: must rise from above 0")
+        stated["exposure_range_s"] = (least_s, most_s)
     return CaptureChoice(**stated)
 
 

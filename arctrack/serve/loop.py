@@ -15,10 +15,12 @@ from dataclasses import dataclass, replace
 from arctrack.cameras.camera import Camera, UnreadableFrame
 from arctrack.journal.records import Status
 from arctrack.recording.writer import as_stated
+from arctrack.serve.exposure import ExposureChooser
 from arctrack.serve.keeper import Keeper
 from arctrack.serve.latency import LatencyCounts, Quantiles
+from arctrack.service.frame_tracking import FrameTracking
 from arctrack.service.pose_watch import BEGINNING
-from arctrack.service.tracking_service import TrackingService
+from arctrack.service.tracking_service import Tracked, TrackingService
 from robot_io import (
     BusMessage,
     GateReason,
@@ -105,6 +107,8 @@ class LiveLoop:
         Writes the journal.
     on_dark : callable, optional
         Hears each frame of the arc's light alone; it is not tracked.
+    exposure : ExposureChooser, optional
+        Chooses the exposure of the frames to come.
     """
 
     def __init__(
@@ -116,10 +120,12 @@ class LiveLoop:
         on_track: OnTrack | None = None,
         keeper: Keeper | None = None,
         on_dark: OnDark | None = None,
+        exposure: ExposureChooser | None = None,
     ) -> None:
         self.camera, self.link = camera, link
         self._services, self._source, self._on_track = services, source, on_track
         self._keeper, self._on_dark = keeper, on_dark
+        self._exposure = exposure
         self._job_number, self.service = next(iter(services.items()))
         self.controller = self.service.controller
         self._command: TrackerCommand | None = None
@@ -278,7 +284,17 @@ class LiveLoop:
             self._keeper.on_sent(offset, self._job_number, self._arrived_s, sent_s, took_ms, self._dropped)
         if self._on_track is not None:
             self._on_track(tracked.track, messages)
+        if self._exposure is not None and shown is not None:
+            self._choose_exposure(shown, tracked)
         self.service.poses.rest(self.camera.now_s())
+
+    def _choose_exposure(self, shown: Frame, tracked: Tracked) -> None:
+        assert self._exposure is not None
+        tracking = self.service.tracking
+        if isinstance(tracking, FrameTracking):
+            wanted_s = self._exposure.choose(tracking, shown, tracked.track, tracked.T_base_tool)
+            if wanted_s is not None:
+                self.camera.want_exposure(wanted_s)
 
     def _lit(self, frame: Frame) -> Frame:
         """Return a frame that says whether laser and arc were on, by the robot where its camera cannot."""

@@ -26,6 +26,7 @@ from arctrack.recorded_poses import seam_limits
 from arctrack.recording import Recording, read_recording
 from arctrack.serve.beside import Beside, ended
 from arctrack.serve.captured import CapturedCamera
+from arctrack.serve.exposure import ExposureChooser
 from arctrack.serve.keeper import Keeper
 from arctrack.serve.lag_process import LagBeside, estimate_lags
 from arctrack.serve.loop import LiveLoop, LoopResult, OnTrack, Service
@@ -121,7 +122,9 @@ def opened_run(
             raise in_file(cell.path, f"[bus] {error}") from error
         opened.callback(link.close)
         keeper = None if kept is None else kept.keeper
-        loop = LiveLoop(cast.camera, link, cast.services, cast.source, on_track, keeper)
+        loop = LiveLoop(
+            cast.camera, link, cast.services, cast.source, on_track, keeper, exposure=_chooser(cell)
+        )
         yield LiveRun(loop, None if kept is None else kept.black_box)
 
 
@@ -157,6 +160,11 @@ def run(
         finally:
             loop.close()
     return loop.result()
+
+
+def _chooser(cell: CellFile) -> ExposureChooser | None:
+    range_s = cell.camera.capture.exposure_range_s
+    return None if range_s is None else ExposureChooser(range_s, cell.camera.frame_rate_hz)
 
 
 @dataclass(frozen=True)

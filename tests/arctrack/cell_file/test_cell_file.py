@@ -154,6 +154,16 @@ def test_the_page_shows_a_cell_file_that_can_be_read(new_cell: Path) -> None:
             lambda d: d["camera"].update(kind="gige", name="a", interleave=4),
             "[camera] interleave = 4: the laser is switched",
         ),
+        (
+            lambda d: d["camera"].update(kind="gige", name="a", exposure="predicted"),
+            "[camera] exposure_range_s",
+        ),
+        (
+            lambda d: d["camera"].update(
+                kind="gige", name="a", exposure="predicted", exposure_range_s=[0.01, 0.001]
+            ),
+            "[camera] exposure_range_s = [0.01, 0.001]: must rise from above 0",
+        ),
         (lambda d: d["process"].update(priority=0), "[process] priority = 0: input should be greater than"),
         (lambda d: d["process"].update(cpus=[]), "[process] cpus"),
         (lambda d: d["monitor"].update(host="0.0.0.0"), "[monitor] token: missing; with host = '0.0.0.0' "),

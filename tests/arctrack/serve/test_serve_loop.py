@@ -17,6 +17,7 @@ from arctrack.cell.robot import WELDING
 from arctrack.cell_file import as_the_job_says, read_cell_file
 from arctrack.recording import read_recording
 from arctrack.replay import ReplayOptions, replay_recording
+from arctrack.serve.exposure import ExposureChooser
 from arctrack.serve.loop import LiveLoop
 from arctrack.serve.run import cast_of, run
 from arctrack.service.bus_poses import BusPoses
@@ -65,10 +66,13 @@ class DrawnCamera:
     def __init__(self) -> None:
         self.time_s, self.dropped, self.laser_on = 1.0, 0, False
         self.frame: Frame | UnreadableFrame | None = None
-        self.pulses = []
+        self.pulses, self.exposures_s = [], []
 
     def tell_pulse(self, pulse, came_at_s):
         self.pulses.append((pulse, came_at_s))
+
+    def want_exposure(self, exposure_s):
+        self.exposures_s.append(exposure_s)
 
     def begin(self) -> None:
         self.frame = None
@@ -146,7 +150,7 @@ class Stage:
     def _shot(self) -> Frame:
         T_base_tool = np.eye(4)
         T_base_tool[0, 3] = self.place_mm
-        exposure_s = self.setup.camera.exposure_s
+        exposure_s = self.camera.exposures_s[-1] if self.camera.exposures_s else self.setup.camera.exposure_s
         lit = Condition(float(self.camera.laser_on), 1.0, exposure_s)
         image_dn = draw_frame(self.setup, T_base_tool, lit, self.rng, seam=SeamLine(y_mm=SEAM_LEFT_MM))
         return Frame(self.steps, self.camera.time_s, image_dn, exposure_s)
@@ -198,6 +202,27 @@ def test_a_loop_sends_what_it_tracks_and_goes_on_without_a_camera(stage: Stage) 
     last = stage.close()
     assert of_type(last, SeamOffset)[-1].validity is Validity.REFUSED
     assert not stage.camera.laser_on
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("factor", [0.1, 6.0])
+def test_the_exposure_goes_to_where_the_stripe_is_known_best(stage: Stage, factor: float) -> None:
+    own_s = stage.setup.camera.exposure_s
+    stage.loop._exposure = ExposureChooser((0.05 * own_s, 20.0 * own_s), 1.0 / PERIOD_S)
+    stage.camera.exposures_s = [factor * own_s]
+    stage.run(0.1)
+    stage.command = replace(stage.command, command=Command.TRACK)
+    stage.run(2.0)
+    first, last = stage.tracks[2], stage.tracks[-1]
+    chosen_s = stage.camera.exposures_s[1:]
+    assert chosen_s
+    # Each choice is better by enough: it comes to rest.
+    assert len(chosen_s) <= 3
+    assert (chosen_s[-1] > factor * own_s) == (factor < 1.0)
+    assert last.valid
+    # The same arc, whatever the exposure.
+    assert last.arc_level == pytest.approx(stage.tracks[4].arc_level, rel=0.1)
+    assert last.sigma_y_mm < 1.05 * first.sigma_y_mm or not first.valid
 
 
 @pytest.mark.slow
