@@ -75,7 +75,7 @@ FOLDERS_MAY_IMPORT: dict[str, dict[str, set[str]]] = {
         "service": set(),
         "cell_file": {"recording", "service"},
         "journal": {"service"},
-        "cameras": {"recording", "journal"},
+        "cameras": {"recording", "importing", "cell_file", "journal"},
         "cell": {"service", "cameras"},
         "black_box": {"recording", "journal"},
         "watch": {"journal"},
