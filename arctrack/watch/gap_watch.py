@@ -7,12 +7,15 @@ block of time so that neighbouring frames count once, is compared with what the 
 
 of the standardised blocks z is Page's test (1954, Biometrika 41, 100), the quickest for its rate of false
 alarms (Moustakides 1986, Ann. Stat. 14, 1379). It alarms above DECIDE; the change began where S last was 0.
+Neighbouring blocks are alike, r; so z is over the sigma of a long sum's blocks, s sqrt((1 + r) / (1 - r)).
 """
 
 from __future__ import annotations
 
+import itertools
 import math
 import statistics
+from collections import deque
 from dataclasses import dataclass, field
 
 from tracker.state import Track
@@ -30,12 +33,16 @@ class GapPolicy:
     block_s : float
         How long a block is, s (a texture's patches pass in half a second at 10 mm/s).
     learn_blocks : int
-        From how many blocks the run's own level and scatter are taken (chosen; half a minute).
+        From how many blocks without a gap the run's own level and scatter are taken at most (chosen; ten
+        minutes: what half a minute tells of them, when neighbours are alike, makes false alarms).
+    alike_blocks, max_alike : int, float
+        From how many blocks on neighbours' likeness is taken from them, and how much at most (chosen: fewer
+        do not tell it; beyond it a change could not be told from them).
     min_frames : int
         A block of fewer frames that tell a misfit is none.
     prior_sigma, prior_blocks : float
         The scatter of a block's mean ln(misfit) that is taken at first, and how many blocks that counts for:
-        few blocks do not know their own (chosen: twice what simulated runs show).
+        few blocks do not know their own (simulated runs show 0.07 to 0.12, alike by 0.5).
     drift, decide : float
         In sigmas: half the shift that is to be found quickly, and the sum that alarms. With 0.5 and 12 the
         run length without a gap is 10^6 blocks for independent ones (Siegmund 1985, Sequential Analysis,
@@ -45,7 +52,9 @@ class GapPolicy:
     """
 
     block_s: float = 1.0
-    learn_blocks: int = 30
+    learn_blocks: int = 600
+    alike_blocks: int = 30
+    max_alike: float = 0.8
     min_frames: int = 4
     prior_sigma: float = 0.2
     prior_blocks: int = 10
@@ -82,7 +91,17 @@ class GapWatch:
         self._block: list[float] = []
         self._block_s = -math.inf
         self._learned: list[float] = []
+        self._recent: deque[float] = deque(maxlen=self.policy.alike_blocks)
+        self._explained = math.log(self.policy.explained)
+        self._usual, self._sigma = 0.0, self.policy.prior_sigma
         self._sum, self._rising_s = 0.0, math.nan
+
+    def accept(self) -> None:
+        """Take the misfit of the last blocks for explained: only what is beyond it is a gap from now on."""
+        self._learned = list(self._recent)
+        self._learn()
+        self._explained = max(self._explained, self._usual)
+        self._sum, self.is_gap, self.since_s = 0.0, False, math.nan
 
     def see(self, track: Track) -> None:
         """Take a track; one without a misfit says nothing."""
@@ -97,17 +116,14 @@ class GapWatch:
     def _end_block(self, level: float, began_s: float) -> None:
         policy = self.policy
         self.misfit = math.exp(level)
-        if len(self._learned) < policy.learn_blocks:
+        self._recent.append(level)
+        if len(self._learned) < policy.learn_blocks and not self.is_gap:
             self._learned.append(level)
+            self._learn()
         # What a run begins with is no excuse: a map that explains nothing then is a gap as well.
-        explained = math.log(policy.explained)
-        began, count = statistics.median(self._learned), len(self._learned)
-        usual = min(began, explained)
-        spread = MAD_SIGMA * statistics.median([abs(block - began) for block in self._learned])
-        prior, weight = policy.prior_sigma, policy.prior_blocks
-        sigma = math.sqrt((weight * prior**2 + count * spread**2) / (weight + count))
-        z = (level - usual) / sigma if level > explained else min(0.0, (level - usual) / sigma)
+        z = (level - min(self._usual, self._explained)) / self._sigma
         before = self._sum
+        z = z if level > self._explained else min(0.0, z)
         self._sum = min(max(0.0, before + z - policy.drift), 2.0 * policy.decide)
         if before == 0.0 and self._sum > 0.0:
             self._rising_s = began_s
@@ -115,3 +131,17 @@ class GapWatch:
             self.is_gap, self.since_s = False, math.nan
         elif self._sum > policy.decide and not self.is_gap:
             self.is_gap, self.since_s = True, self._rising_s
+
+    def _learn(self) -> None:
+        """Take the usual level and its sigma, of a long sum's blocks, from the blocks that were learned."""
+        policy, count = self.policy, len(self._learned)
+        self._usual = statistics.median(self._learned)
+        off = [block - self._usual for block in self._learned]
+        spread = MAD_SIGMA * statistics.median(map(abs, off))
+        square = math.fsum(block * block for block in off)
+        if count >= policy.alike_blocks and square > 0.0:
+            product = math.fsum(block * other for block, other in itertools.pairwise(off))
+            alike = min(max(product / square, 0.0), policy.max_alike)
+            spread *= math.sqrt((1.0 + alike) / (1.0 - alike))
+        prior, weight = policy.prior_sigma, policy.prior_blocks
+        self._sigma = math.sqrt((weight * prior**2 + count * spread**2) / (weight + count))

@@ -185,6 +185,10 @@ class RunWatch:
             look = first_look(setup, [entry.frame for entry in chosen], poses.get)
         except ValueError as error:
             return f"no look at it: {error}"
+        if not look.is_gap:
+            # Values within the setup's tolerances explain it: from here on only a change is a gap.
+            self._watch.accept()
+            return ""
         likely = " or ".join(name.replace("_", " ") for name in look.likely)
         return f"looks like {likely}" if likely else "looks like nothing that is known"
 

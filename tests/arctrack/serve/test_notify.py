@@ -4,10 +4,13 @@ from __future__ import annotations
 
 import os
 import socket
+import subprocess
+import sys
 import time
 from contextlib import closing
 
 import pytest
+from made import playing_cell
 
 from arctrack.serve.notify import Notifier
 
@@ -50,3 +53,22 @@ def test_nothing_is_sent_where_nobody_listens(tmp_path) -> None:
             notifier.ready("ready")
             notifier.goes_on()
             notifier.stopping()
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("manager", ["abstract"], indirect=True)
+def test_a_live_run_tells_that_it_is_ready_goes_on_and_ends(manager, simulated, tmp_path) -> None:
+    path, listening = manager
+    cell = playing_cell(tmp_path / "cell", simulated)
+    environment = {**os.environ, "NOTIFY_SOCKET": path, "WATCHDOG_USEC": "200000"}
+    environment.pop("WATCHDOG_PID", None)
+    words = [sys.executable, "-c", "import arctrack.cli; arctrack.cli.main()", "serve", str(cell)]
+    listening.settimeout(60.0)
+    with subprocess.Popen(words, stdout=subprocess.DEVNULL, env=environment) as run:
+        told = [listening.recv(1000).decode()]
+        while told[-1] != "STOPPING=1":
+            told.append(listening.recv(1000).decode())
+    assert run.returncode == 0
+    ready, *fed, _ = told
+    assert ready.startswith(f"READY=1\nSTATUS=ready: recording {simulated}")
+    assert set(fed) == {"WATCHDOG=1"}

@@ -64,6 +64,30 @@ def test_a_map_that_is_wrong_from_the_start_is_told() -> None:
     assert seen[-1][1] <= 2.0
 
 
+def test_what_was_accepted_is_no_gap_and_a_change_from_there_is() -> None:
+    watch, told = GapWatch(), []
+    levels = blocks(180, np.random.default_rng(5)) + 0.5
+    levels[120:] += 0.8
+    for block, level in enumerate(levels):
+        for n in range(10):
+            watch.see(Track(n, block + n / RATE_HZ, 0, map_misfit=math.exp(level)))
+        if block == 50:
+            assert watch.is_gap
+            watch.accept()
+        told.append(watch.is_gap)
+    assert not any(told[50:120])
+    assert told[130]
+    assert watch.since_s == pytest.approx(120.0, abs=3.0)
+
+
+@pytest.mark.parametrize("alike", [0.3, 0.6])
+def test_runs_whose_blocks_are_alike_tell_none(alike: float) -> None:
+    # What half a minute tells of a level is off by half a sigma then: learned for ever it told some.
+    for run in range(5):
+        levels = math.log(1.15) + blocks(2000, np.random.default_rng([7, run]), alike)
+        assert not any(is_gap for is_gap, _ in watched(levels))
+
+
 def test_a_gap_that_goes_is_over() -> None:
     levels = blocks(200, np.random.default_rng(4))
     levels[40:60] += 0.8
