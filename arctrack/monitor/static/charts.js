@@ -16,6 +16,11 @@ export class Points {
     this.validity = new Uint8Array(CAPACITY);
   }
   clear() { this.count = 0; }
+  // How much of a time, s, is shown: a part of it as long as the points fill no more.
+  window(shownS, nowS) {
+    const spanS = this.count ? nowS - this.columns.time[this.first % CAPACITY] : 0;
+    return spanS > shownS / 3 ? shownS : spanS > shownS / 6 ? shownS / 3 : shownS / 6;
+  }
   get first() { return Math.max(0, this.count - CAPACITY); }
   add([time, y, sigmaY, z, sigmaZ, validity, latency]) {
     const k = this.count % CAPACITY, c = this.columns;
@@ -72,7 +77,7 @@ export class TimeChart {
     const context = this.surface.clear(), { width, height } = this.surface;
     const box = { left: 46, right: width - 8, top: 8, bottom: height - 20 };
     if (box.bottom - box.top < 20) return;
-    const [low, high] = this.range(), shownS = this.options.shownS;
+    const shownS = this.points.window(this.options.shownS, this.nowS), [low, high] = this.range(shownS);
     const step = niceStep(high - low, (box.bottom - box.top) / 26);
     const bottom = Math.floor(low / step + 1e-9) * step, top = Math.ceil(high / step - 1e-9) * step;
     const yOf = (value) => box.bottom - ((value - bottom) / (top - bottom)) * (box.bottom - box.top);
@@ -100,20 +105,20 @@ export class TimeChart {
       context.fillStyle = COLOURS.soft; context.fillText(spelled(value, digits), box.left - 6, y);
     }
     context.textBaseline = "top";
-    for (let back = 0; back <= shownS; back += 60) {
+    for (let back = 0; back <= shownS; back += shownS / 3) {
       const x = box.right - (back / shownS) * (box.right - box.left);
       context.strokeStyle = COLOURS.grid; context.beginPath(); context.moveTo(x, box.top); context.lineTo(x, box.bottom); context.stroke();
       context.textAlign = back === 0 ? "right" : back === shownS ? "left" : "center";
-      context.fillText(back === 0 ? "now" : `−${back / 60} min`, x, box.bottom + 6);
+      context.fillText(back === 0 ? "now" : back % 60 ? `−${back} s` : `−${back / 60} min`, x, box.bottom + 6);
     }
   }
   // Lowest and highest value that are shown; sigmas beyond three times the values' own span do not count.
-  range() {
+  range(shownS) {
     const { points, options } = this, values = points.columns[this.name], sigmas = this.sigmaName && points.columns[this.sigmaName];
     let low = Infinity, high = -Infinity;
     for (let n = points.first; n < points.count; n += 1) {
       const k = n % CAPACITY, value = values[k];
-      if (!(points.columns.time[k] >= this.nowS - options.shownS) || Number.isNaN(value)) continue;
+      if (!(points.columns.time[k] >= this.nowS - shownS) || Number.isNaN(value)) continue;
       const reach = sigmas && sigmas[k] < options.minSpan ? 2 * sigmas[k] : 0;
       low = Math.min(low, value - reach); high = Math.max(high, value + reach);
     }

@@ -102,8 +102,8 @@ function tiles() {
   say("rate", value(status.rate_hz, 1));
   say("dropped", `${status.dropped}`);
   say("frames", `of ${status.frames + status.dropped}`);
-  say("arc-level", status.arc.is_on ? value(status.arc.level, 2) : "off");
-  say("arc-level-sigma", status.arc.is_on ? withSigma(status.arc.level_sigma, 2) : "");
+  say("arc-level", status.arc.is_on ? value(status.arc.level, 3) : "off");
+  say("arc-level-sigma", status.arc.is_on ? withSigma(status.arc.level_sigma, 3) : "");
   say("arc-height", value(status.arc.height_mm, 2));
   say("arc-height-sigma", withSigma(status.arc.height_sigma_mm, 2));
 }

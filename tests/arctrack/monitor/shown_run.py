@@ -6,7 +6,7 @@ import os
 import threading
 import time
 from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import replace
 from functools import cache
 from multiprocessing.connection import Connection
@@ -18,7 +18,7 @@ from arctrack.journal.ring import RingWriter
 from arctrack.monitor.options import MonitorOptions
 from arctrack.monitor.run import run_monitor
 from arctrack.recording import Recording, read_recording
-from arctrack.serve.beside import Beside, ended
+from arctrack.serve.beside import SPAWN, Beside, ended
 from robot_io import (
     Command,
     Fault,
@@ -76,12 +76,16 @@ def tracked() -> Sequence[Tracked]:
 
 
 class ShownRun:
-    """Writes a run's journal, twenty frames a second, until it is told to stop; tests change `status`."""
+    """Writes a run's journal, twenty frames a second, until it is told to stop.
+
+    Tests put into `changes` what the next statuses are to say.
+    """
 
     def __init__(self, name: str) -> None:
         height, width = tracked()[0][0].frame.image_dn.shape
         self.journal = Journal(name, (height, width), example().setup.sensor.dtype, MIN_SLOTS)
         self.gaps: RingWriter | None = None
+        self.changes: dict[str, object] = {}
         self.status = Status(
             now_s=0.0,
             wall_s=0.0,
@@ -137,6 +141,7 @@ class ShownRun:
             frame_s=frame.timestamp_s,
             offset=entry.offset,
         )
+        self.status = replace(self.status, **self.changes)
         position = self.journal.add(entry)
         self.journal.show(replace(view, position=position))
         self.journal.tell(self.status)
@@ -161,6 +166,19 @@ class ShownRun:
         self.journal.close()
         if self.gaps is not None:
             self.gaps.close()
+
+
+def answering_black_box() -> Connection:
+    """Return an end of a connection; at the other one what is asked to be saved is saved."""
+    black_box, asked = SPAWN.Pipe()
+
+    def answer() -> None:
+        with suppress(EOFError, ConnectionResetError):
+            while True:
+                black_box.send({"saved": f"black_boxes/{black_box.recv()['save']}"})
+
+    threading.Thread(target=answer, daemon=True).start()
+    return asked
 
 
 @contextmanager
