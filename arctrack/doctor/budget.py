@@ -164,15 +164,15 @@ def budget_finding(budget: Budget) -> Finding:
     return judged("latency", text, problem, cure, budget.at_most_s <= budget.capture_age_s)
 
 
-def bandwidth_finding(setup: Setup, rate_hz: float) -> Finding:
-    """Say what part of a gigabit line a camera's images take."""
+def bandwidth_finding(setup: Setup, rate_hz: float, is_ethernet: bool) -> Finding:
+    """Say what part of a gigabit line a camera's images take; too much is no use where it hangs on one."""
     camera, bits = setup.camera, 8 * pixel_bytes(setup)
     sent_s, rows = transfer_s(image_bytes(setup)), max_rows(camera.width, pixel_bytes(setup), rate_hz)
     return judged(
         "bandwidth",
         f"{camera.height} rows of {camera.width} px, {bits} bit, {rate_hz:g} a second take "
         f"{100.0 * rate_hz * sent_s:.0f} % of gigabit Ethernet, {1e3 * sent_s:.1f} ms each",
-        State.WARNING,
+        State.FAILED if is_ethernet else State.WARNING,
         f"it carries {rows} rows at this rate: read fewer, or use a faster line",
         camera.height <= rows,
     )

@@ -18,6 +18,7 @@ from arctrack.journal.ring import memory_folder
 PACKAGES = ("arctrack", "numpy", "numba", "opencv-contrib-python-headless", "python-can", "av", "aiohttp")
 PROCESSORS = Path("/sys/devices/system/cpu")
 STATUS = Path("/proc/self/status")
+RECEIVE_LIMIT = Path("/proc/sys/net/core/rmem_max")
 LIMITS_CURE = "give the user {key} in /etc/security/limits.conf and log in anew"
 CAP_IPC_LOCK = 14
 UNLIMITED = resource.RLIM_INFINITY
@@ -129,6 +130,22 @@ def own_memory_lock_finding(more_bytes: int, is_asked: bool) -> Finding:
     may_exceed = bool(int(status["CapEff"], 16) >> CAP_IPC_LOCK & 1)
     limit_bytes, _ = resource.getrlimit(resource.RLIMIT_MEMLOCK)
     return memory_lock_finding(limit_bytes, may_exceed, mapped_bytes + more_bytes, is_asked)
+
+
+def receive_buffer_finding(limit_bytes: int, image_bytes: int) -> Finding:
+    """Return whether the kernel may hold an image that comes over Ethernet while its reader waits."""
+    return judged(
+        "receive buffer",
+        f"net.core.rmem_max {limit_bytes} bytes, an image has {image_bytes}",
+        State.WARNING,
+        f"packets are lost while its reader waits; sysctl net.core.rmem_max={max(2 * image_bytes, 2**24)}",
+        limit_bytes >= image_bytes,
+    )
+
+
+def own_receive_buffer_finding(image_bytes: int) -> Finding:
+    """Return the same for this machine's limit."""
+    return receive_buffer_finding(int(RECEIVE_LIMIT.read_text(encoding="ascii")), image_bytes)
 
 
 def shared_memory_finding(needed_bytes: int) -> Finding:

@@ -23,6 +23,7 @@ from arctrack.doctor.finding import Finding, State
 from arctrack.doctor.host import (
     disk_finding,
     own_memory_lock_finding,
+    own_receive_buffer_finding,
     scheduler_findings,
     shared_memory_finding,
     versions_finding,
@@ -31,6 +32,8 @@ from arctrack.doctor.policy import POLICY
 from arctrack.doctor.steps import FRAMES, NotCompiledError, StepTimes, require_compiled, time_steps
 from arctrack.journal.journal import journal_bytes
 from tracker.tracker import Tracker
+
+GIGE = "gige"
 
 Steps = Callable[[str, int], Callable[[int], None]]
 """Begins to show how far a stage is, by its name and by how many steps it has."""
@@ -97,7 +100,9 @@ def examine_cell(
     yield own_memory_lock_finding(shared_bytes, choice.lock_memory)
     yield shared_memory_finding(shared_bytes)
     yield disk_finding(cell.path.parent / cell.black_box.folder)
-    yield bandwidth_finding(setup, rate_hz)
+    yield bandwidth_finding(setup, rate_hz, cell.camera.kind == GIGE)
+    if cell.camera.kind == GIGE:
+        yield own_receive_buffer_finding(image_bytes(setup))
     watched: Watched | None = None
     for seen in camera_findings(cell):
         if isinstance(seen, Watched):

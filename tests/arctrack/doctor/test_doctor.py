@@ -36,6 +36,8 @@ from arctrack.doctor.host import (
     governor_finding,
     memory_lock_finding,
     own_memory_lock_finding,
+    own_receive_buffer_finding,
+    receive_buffer_finding,
     scheduler_findings,
     shared_memory_finding,
 )
@@ -70,6 +72,21 @@ def test_this_machines_clock_memory_and_disk_are_told(tmp_path: Path) -> None:
 )
 def test_a_slow_clock_is_warned_of(source: str, state: State) -> None:
     assert clock_source_finding(source).state is state
+
+
+@given(st.integers(1, 2**26), st.integers(1, 2**26))
+def test_a_receive_buffer_holds_an_image(limit: int, image_bytes: int) -> None:
+    said = receive_buffer_finding(limit, image_bytes)
+    assert (said.state is State.OK) == (limit >= image_bytes)
+    # What the cure sets is enough.
+    assert (
+        said.state is State.OK or receive_buffer_finding(int(said.cure.split("=")[1]), image_bytes).cure == ""
+    )
+
+
+def test_this_machines_receive_buffer_is_told() -> None:
+    assert own_receive_buffer_finding(1).state is State.OK
+    assert own_receive_buffer_finding(2**40).state is State.WARNING
 
 
 def test_a_governor_that_saves_power_is_warned_of() -> None:

@@ -107,7 +107,8 @@ def test_a_step_that_was_not_timed_is_not_known(tmp_path: Path) -> None:
 
 def test_more_rows_than_fit_are_named(tmp_path: Path) -> None:
     setup = read_cell_file(write_new_cell(tmp_path / "cell", "lap", "zn_coated")[0]).setup.setup
-    assert bandwidth_finding(setup, 25.0).state is State.OK
-    slow = bandwidth_finding(setup, 1000.0)
+    assert bandwidth_finding(setup, 25.0, is_ethernet=True).state is State.OK
+    slow = bandwidth_finding(setup, 1000.0, is_ethernet=False)
     assert slow.state is State.WARNING
     assert "it carries 185 rows" in slow.cure
+    assert bandwidth_finding(setup, 1000.0, is_ethernet=True).state is State.FAILED
