@@ -52,9 +52,10 @@ def estimate_lags(told: Connection) -> None:
     signal.signal(signal.SIGTERM, signal.SIG_IGN)
     os.nice(NICENESS)
     policy, limits = LookAheadPolicy(), LagLimits()
-    told.send([])
-    while True:
-        try:
+    # Whoever started it may be gone before it is ready.
+    try:
+        told.send([])
+        while True:
             told.send(lag_of(told.recv(), policy, limits))
-        except (EOFError, ConnectionResetError, BrokenPipeError):
-            return
+    except (EOFError, ConnectionResetError, BrokenPipeError):
+        return

@@ -2,9 +2,14 @@
 
 from __future__ import annotations
 
+import signal
+import subprocess
+import sys
+import textwrap
 import time
 from dataclasses import replace
 from fractions import Fraction
+from pathlib import Path
 
 import av
 import cv2
@@ -201,6 +206,42 @@ def test_a_process_beside_captures_a_video_and_ends_with_it(tmp_path):
     assert not shared.exists()
     with pytest.raises(ArctrackError, match=r"other.mkv: there is no such file"):
         CapturedCamera(replace(choice, name="other.mkv"), tmp_path / "cell.toml", setup)
+
+
+PARENT = """
+    import sys, time
+    from pathlib import Path
+    sys.path.insert(0, sys.argv[2])
+    from made import small_setup
+    from arctrack.cell_file import CameraChoice, CaptureChoice
+    from arctrack.serve.captured import CapturedCamera
+
+    if __name__ == "__main__":
+        choice = CameraChoice(20.0, "video", "weld.mkv", CaptureChoice(loop=True))
+        camera = CapturedCamera(choice, Path(sys.argv[1]) / "cell.toml", small_setup())
+        camera.begin()
+        while camera.newest() is None:
+            time.sleep(0.01)
+        print(camera.frames_path, flush=True)
+        time.sleep(600.0)
+"""
+
+
+@pytest.mark.slow
+def test_what_captures_ends_with_a_parent_that_is_killed(tmp_path):
+    setup = small_setup()
+    written(tmp_path / "weld.mkv", noise_frames(setup, 3), setup)
+    script = tmp_path / "parent.py"
+    script.write_text(textwrap.dedent(PARENT))
+    command = [sys.executable, str(script), str(tmp_path), str(Path(__file__).parents[1])]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as parent:
+        shared = Path(parent.stdout.readline().strip())
+        assert shared.is_file()
+        parent.send_signal(signal.SIGKILL)
+        until_s = time.monotonic() + 30.0
+        while shared.exists() and time.monotonic() < until_s:
+            time.sleep(0.05)
+    assert not shared.exists()
 
 
 @given(

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import fcntl
 import subprocess
 import sys
+import tempfile
 import time
 from dataclasses import replace
 from itertools import pairwise
@@ -68,6 +70,13 @@ class Wants:
 
 @pytest.fixture
 def fake(request):
+    # The camera's port is the same for all: one test at a time has it, whichever worker runs it.
+    with (Path(tempfile.gettempdir()) / "arctrack-fake-gige.lock").open("w") as turn:
+        fcntl.flock(turn, fcntl.LOCK_EX)
+        yield from running_fake(request)
+
+
+def running_fake(request):
     pytest.importorskip("gi", reason="PyGObject is not installed", exc_type=ImportError)
     from arctrack.cameras.capture.genicam import aravis
 
