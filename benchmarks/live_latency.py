@@ -189,6 +189,7 @@ def measured(
         cell = write_simulated_cell(Path(folder) / "cell", plan, INTERFACE, GROUP, name)
         (cell.parent / "setup.toml").write_text(commented_setup(bench_setup(plan)))
         document = tomlkit.parse(cell.read_text())
+        document["monitor"] = {"port": 0}
         for table, keys in choices.items():
             document[table].update(keys)
         cell.write_text(tomlkit.dumps(document))

@@ -60,6 +60,7 @@ def serve_cell_file(
     job: int | None = None,
     seconds: float | None = None,
     on_track: OnTrack | None = None,
+    is_simulated: bool = False,
     **bus_options: int,
 ) -> None:
     """Run a cell live, say when it is ready, and what it came to."""
@@ -74,24 +75,29 @@ def serve_cell_file(
         opened.callback(notifier.close)
         with interruptible("serve was", "nothing was sent"), console.progress() as bar:
             on_compiled = console.compiling(bar, "serve")
-            live: LiveRun = opened.enter_context(opened_run(cell, job, on_compiled, on_track, **bus_options))
+            live: LiveRun = opened.enter_context(
+                opened_run(cell, job, on_compiled, on_track, is_simulated, **bus_options)
+            )
             done, refused = schedule(cell.process)
         with stoppable(signal.SIGUSR1) as came:
-            console.warn(refused)
+            beside = live.beside
+            console.warn([*refused, *(() if beside is None else beside.warnings)])
+            page = [] if beside is None or beside.page is None else [f"page: {beside.page}"]
             ready = f"ready: {cell.camera.kind} {cell.camera.name}, bus {cell.bus}"
-            console.say(*done, f"{ready}; Ctrl-C ends it")
+            console.say(*done, *page, f"{ready}; Ctrl-C ends it")
             notifier.ready(ready)
+            black_box = None if beside is None else beside.black_box
             ends_s = math.inf if seconds is None else time.monotonic() + seconds
 
             def goes_on() -> bool:
                 signals = came()
-                if signal.SIGUSR1 in signals and live.black_box is not None:
-                    live.black_box.save("asked by SIGUSR1")
+                if signal.SIGUSR1 in signals and black_box is not None:
+                    black_box.save("asked by SIGUSR1")
                 return signals.isdisjoint(ENDING) and time.monotonic() < ends_s
 
             result = run(live.loop, goes_on, cell.policy.watchdog_s, notifier)
             notifier.stopping()
-            saved = [] if live.black_box is None else [*live.black_box.answers(ANSWER_S)]
+            saved = [] if black_box is None else [*black_box.answers(ANSWER_S)]
     console.say(*saved, *_result_lines(result))
 
 
@@ -111,7 +117,7 @@ def _serve_simulated(job: int | None, seconds: float | None) -> None:
             Path(folder) / "cell", plan, simulated.INTERFACE, simulated.GROUP, frames
         )
         with simulated.SimulatedCell(plan, frames) as robot:
-            serve_cell_file(read_cell_file(cell), job, seconds, lock.on_track, **robot.bus_options)
+            serve_cell_file(read_cell_file(cell), job, seconds, lock.on_track, True, **robot.bus_options)
             ended_s = time.monotonic()
             samples = robot.end()
     error = simulated.torch_error(samples, lock.at_s, ended_s)

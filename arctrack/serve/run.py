@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
@@ -10,24 +9,19 @@ from typing import Any
 
 import numpy as np
 
-from arctrack.black_box.ask import BlackBoxAsker
-from arctrack.black_box.recorder import END, RecorderOptions, run_recorder
-from arctrack.black_box.save import JobSetup
 from arctrack.cameras.camera import Camera
 from arctrack.cameras.recording import RecordingCamera
 from arctrack.cameras.shared_frames import SharedFramesError
 from arctrack.cameras.shared_memory import SharedMemoryCamera
 from arctrack.cell_file import CellFile, as_the_job_says, jobs_for
-from arctrack.cell_file.job_setup import job_setup_text
 from arctrack.errors import ArctrackError, in_file
-from arctrack.journal.journal import Journal, slots_for
-from arctrack.journal.ring import RingError, remove_dead_rings
 from arctrack.recorded_poses import seam_limits
 from arctrack.recording import Recording, read_recording
 from arctrack.serve.beside import Beside, ended
 from arctrack.serve.captured import CapturedCamera
 from arctrack.serve.exposure import ExposureChooser
 from arctrack.serve.keeper import Keeper
+from arctrack.serve.kept import Kept, kept
 from arctrack.serve.lag_process import LagBeside, estimate_lags
 from arctrack.serve.loop import LiveLoop, LoopResult, OnTrack, Service
 from arctrack.serve.notify import Notifier
@@ -40,7 +34,6 @@ from arctrack.service.heard import TRUSTED
 from arctrack.service.look_ahead import LagEstimator
 from arctrack.service.pose_watch import nominal_path
 from arctrack.service.tracking_service import TrackingService
-from arctrack.watch.process import WatchOptions, run_watch
 from noise_model.effects import pose_time_s
 from noise_model.setup import Setup
 from noise_model.transforms import invert
@@ -61,10 +54,10 @@ class Cast:
 
 @dataclass(frozen=True)
 class LiveRun:
-    """A loop that is ready to run, and what is beside it: None where the cell has none."""
+    """A loop that is ready to run, and what is beside it; None where the cell asks for nothing."""
 
     loop: LiveLoop
-    black_box: BlackBoxAsker | None
+    beside: Kept | None
 
 
 @contextmanager
@@ -73,6 +66,7 @@ def opened_run(
     job_number: int | None = None,
     on_compiled: OnCompiled | None = None,
     on_track: OnTrack | None = None,
+    is_simulated: bool = False,
     **bus_options: Any,
 ) -> Iterator[LiveRun]:
     """Build a cell's loop and what is beside it, warm it up, and open its bus last.
@@ -87,6 +81,8 @@ def opened_run(
         Hears what is compiled.
     on_track : callable, optional
         Hears each track, and what was sent of it.
+    is_simulated : bool
+        Whether robot and camera are simulated, and the page says so.
     **bus_options
         What else python-can needs.
 
@@ -104,7 +100,8 @@ def opened_run(
         lag = opened.enter_context(ended(Beside("lag", estimate_lags)))
         cast = cast_of(cell, job_number, LagBeside(lag.told))
         opened.callback(cast.camera.close)
-        kept = opened.enter_context(_kept(cell, cast))
+        setups = {number: tracking.tracker.geometry.setup for number, tracking in cast.trackings.items()}
+        beside = opened.enter_context(kept(cell, setups, is_simulated))
         for tracking in cast.trackings.values():
             tracking.tracker.warm_up(on_compiled)
         lag.wait_ready()
@@ -121,11 +118,21 @@ def opened_run(
         except LinkError as error:
             raise in_file(cell.path, f"[bus] {error}") from error
         opened.callback(link.close)
-        keeper = None if kept is None else kept.keeper
+        keeper = None if beside is None else beside.keeper
+        if keeper is not None:
+            _let_hear(keeper, cast)
         loop = LiveLoop(
             cast.camera, link, cast.services, cast.source, on_track, keeper, exposure=_chooser(cell)
         )
-        yield LiveRun(loop, None if kept is None else kept.black_box)
+        yield LiveRun(loop, beside)
+
+
+def _let_hear(keeper: Keeper, cast: Cast) -> None:
+    """Let what writes the journal hear each step and each pose."""
+    for number, service in cast.services.items():
+        cast.trackings[number].on_step = keeper.on_step
+        if isinstance(service.poses, BusPoses):
+            service.poses.on_sample = keeper.on_pose
 
 
 def run(
@@ -165,47 +172,6 @@ def run(
 def _chooser(cell: CellFile) -> ExposureChooser | None:
     range_s = cell.camera.capture.exposure_range_s
     return None if range_s is None else ExposureChooser(range_s, cell.camera.frame_rate_hz)
-
-
-@dataclass(frozen=True)
-class _Kept:
-    keeper: Keeper
-    black_box: BlackBoxAsker
-
-
-@contextmanager
-def _kept(cell: CellFile, cast: Cast) -> Iterator[_Kept | None]:
-    """Keep a run's journal, and have processes beside it that read it; None where nobody would."""
-    kept_s = cell.black_box.seconds
-    if kept_s == 0.0:
-        yield None
-        return
-    setup, rate_hz, name = cell.setup.setup, cell.camera.frame_rate_hz, f"{os.getpid()}"
-    shape = (setup.camera.height, setup.camera.width)
-    jobs = {
-        number: JobSetup(tracking.tracker.geometry.setup, job_setup_text(cell, number))
-        for number, tracking in cast.trackings.items()
-    }
-    folder = cell.path.parent / cell.black_box.folder
-    with ExitStack() as opened:
-        remove_dead_rings()
-        try:
-            journal = Journal(name, shape, setup.sensor.dtype, slots_for(kept_s, rate_hz))
-        except RingError as error:
-            raise in_file(cell.path, f"[black_box] seconds = {kept_s:g}: {error}; choose fewer") from None
-        opened.callback(journal.close)
-        options = RecorderOptions(name, folder, kept_s, rate_hz, jobs)
-        recorder = opened.enter_context(ended(Beside("black box", run_recorder, (options,)), END))
-        watch_options = WatchOptions(name, {number: job.setup for number, job in jobs.items()})
-        watch = opened.enter_context(ended(Beside("watch", run_watch, (watch_options,))))
-        for beside in (recorder, watch):
-            beside.wait_ready()
-        keeper = Keeper(journal)
-        for number, service in cast.services.items():
-            cast.trackings[number].on_step = keeper.on_step
-            if isinstance(service.poses, BusPoses):
-                service.poses.on_sample = keeper.on_pose
-        yield _Kept(keeper, BlackBoxAsker(recorder.told))
 
 
 def cast_of(cell: CellFile, job_number: int | None = None, lag_estimator: LagEstimator | None = None) -> Cast:

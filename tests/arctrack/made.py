@@ -106,5 +106,6 @@ def playing_cell(folder: Path, recording: Path) -> Path:
     document = tomlkit.parse(cell_path.read_text())
     document["bus"]["channel"] = str(folder)
     document["camera"].update({"kind": "recording", "name": str(recording)})
+    document["monitor"] = {"enabled": False}
     cell_path.write_text(tomlkit.dumps(document))
     return cell_path

@@ -12,7 +12,7 @@ from pathlib import Path
 
 import can
 import pytest
-from made import results_of
+from made import replace_in, results_of
 
 from arctrack.cameras.shared_frames import SharedFramesReader
 from arctrack.cell.weld.closed_loop import LoopPlan
@@ -97,6 +97,7 @@ def started(script: str, *words: str) -> subprocess.Popen:
 def test_a_robot_follows_offsets_of_another_process_until_that_ends_or_is_killed(multicast, tmp_path: Path):
     name = f"serve-{os.getpid()}"
     cell = write_simulated_cell(tmp_path / "cell", PLAN, INTERFACE, GROUP, name)
+    replace_in(cell, "# port = 8765", "port = 0")
     processes = []
     try:
         with (
@@ -116,7 +117,8 @@ def test_a_robot_follows_offsets_of_another_process_until_that_ends_or_is_killed
             processes[0].send_signal(signal.SIGTERM)
             ear.listen(lambda: processes[0].poll() is not None)
             assert processes[0].returncode == 0
-            ready, saved, said, *_, late = processes[0].stdout.read().splitlines()
+            page, ready, saved, said, *_, late = processes[0].stdout.read().splitlines()
+            assert page.startswith("page: http://127.0.0.1:")
             assert ready.startswith(f"ready: shared_memory {name}, bus udp_multicast:239.74.163.2")
             assert saved.startswith("black box: saved ")
             assert said.startswith("frames: ")
