@@ -121,14 +121,13 @@ def status_content(
 
 def _arc(gap: GapReport | None, arc: ArcLevel | None) -> dict[str, Number | bool]:
     """Return the arc's level in the newest view, and its height by the gap watch."""
-    is_on = arc is not None and arc.is_on
     level, sigma, misfit = (
         (arc.level, arc.sigma, arc.misfit)
         if arc is not None and arc.is_on
         else (math.nan, math.nan, math.nan)
     )
     return {
-        "is_on": is_on,
+        "is_on": None if arc is None else arc.is_on,
         "level": number(level),
         "level_sigma": number(sigma, 4),
         "misfit": number(misfit, 2),

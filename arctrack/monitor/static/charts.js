@@ -2,7 +2,7 @@
 
 const CAPACITY = 8192;
 const VALIDITIES = { VALID: 0, HELD: 1, REFUSED: 2 };
-const COLOURS = { ink: "#eef3f7", soft: "#a3b1bd", grid: "#2a3540", green: "#35d48f", amber: "#ffb52e", red: "#ff6257",
+const COLOURS = { ink: "#eef3f7", soft: "#a3b1bd", grid: "#2a3540", panel: "#151c23", green: "#35d48f", amber: "#ffb52e", red: "#ff6257",
   band: "rgba(53, 212, 143, .25)", stripe: "#ff9d2e", expected: "#6ec5ff", joint: "#f487ff" };
 
 const orNaN = (value) => (value === null ? NaN : value);
@@ -181,8 +181,10 @@ export class TimeChart {
     const y = Math.round(yOf(this.line)) + 0.5;
     context.strokeStyle = COLOURS.ink; context.lineWidth = 1; context.setLineDash([6, 5]);
     context.beginPath(); context.moveTo(box.left, y); context.lineTo(box.right, y); context.stroke(); context.setLineDash([]);
-    context.fillStyle = COLOURS.ink; context.textAlign = "left"; context.textBaseline = y < box.top + 18 ? "top" : "bottom";
-    context.fillText(`99 %: ${spelled(this.line, 1)} ms`, box.left + 6, y < box.top + 18 ? y + 3 : y - 3);
+    const text = `99 %: ${spelled(this.line, this.line < 100 ? 1 : 0)} ms`, middle = y < box.top + 18 ? y + 11 : y - 10;
+    context.fillStyle = COLOURS.panel; context.fillRect(box.left + 2, middle - 8, context.measureText(text).width + 8, 16);
+    context.fillStyle = COLOURS.ink; context.textAlign = "left"; context.textBaseline = "middle";
+    context.fillText(text, box.left + 6, middle);
   }
 }
 

@@ -98,12 +98,12 @@ function tiles() {
     say(`offset-${axis}`, value(status[`offset_${axis}_mm`], 2, true));
     say(`sigma-${axis}`, withSigma(status[`sigma_${axis}_mm`], 2) || held);
   }
-  say("latency", value(status.capture_ms[1], 1));
+  say("latency", value(status.capture_ms[1], status.capture_ms[1] < 100 ? 1 : 0));
   say("rate", value(status.rate_hz, 1));
   say("dropped", `${status.dropped}`);
   say("frames", `of ${status.frames + status.dropped}`);
-  say("arc-level", status.arc.is_on ? value(status.arc.level, 3) : "off");
-  say("arc-level-sigma", status.arc.is_on ? withSigma(status.arc.level_sigma, 3) : "");
+  say("arc-level", status.arc.is_on === false ? "off" : value(status.arc.level, 3));
+  say("arc-level-sigma", withSigma(status.arc.level_sigma, 3));
   say("arc-height", value(status.arc.height_mm, 2));
   say("arc-height-sigma", withSigma(status.arc.height_sigma_mm, 2));
 }
