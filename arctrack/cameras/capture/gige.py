@@ -28,7 +28,7 @@ IDS_GO_ROUND = 65_535
 """Frame ids of 16 bits go from 1 to this."""
 
 SILENT_S = 2.0
-"""After so long without a frame it is asked whether the camera still answers, s."""
+"""After so long without a frame a camera counts as lost, unless it waits for its trigger's line, s."""
 
 LOST_PERIODS = 3
 """After so many periods a frame that was triggered comes no more."""
@@ -223,9 +223,18 @@ class GigeSource:
         )
 
     def _ask_whether_there(self) -> None:
-        if time.monotonic() - self._heard_s > SILENT_S:
-            self._heard_s = time.monotonic()
-            self._camera.get_exposure_time()
+        """Raise ArctrackError where a camera gives no frame that should, or is not ours any more."""
+        if time.monotonic() - self._heard_s <= SILENT_S:
+            return
+        # One that was switched off and on answers, and knows nothing of us.
+        waits_for_line = self._choice.capture.trigger == "hardware"
+        if not (waits_for_line and self._is_ours()):
+            raise ArctrackError(f"[camera] name = {self._choice.name!r}: gives no frame any more")
+        self._heard_s = time.monotonic()
+
+    def _is_ours(self) -> bool:
+        self._camera.get_exposure_time()
+        return not self._camera.is_gv_device() or bool(self._camera.get_device().is_controller())
 
     def _failed(self, error: Any) -> ArctrackError:
         return ArctrackError(f"[camera] name = {self._choice.name!r}: {error.message}")
