@@ -66,6 +66,8 @@ class RecorderOptions:
         The frames' rate, by which their video is played.
     jobs : mapping of int to JobSetup
         The jobs' setups.
+    saves_faults : bool
+        Whether faults are saved too, and not requests alone.
     """
 
     run: str
@@ -73,6 +75,7 @@ class RecorderOptions:
     kept_s: float
     rate_hz: float
     jobs: Mapping[int, JobSetup]
+    saves_faults: bool = True
 
 
 class FaultWatch:
@@ -120,7 +123,8 @@ def run_recorder(
             except (EOFError, ConnectionResetError):
                 open_ends.remove(end)
                 if end is told:
-                    recorder.save("run_ended_by_itself")
+                    if options.saves_faults:
+                        recorder.save("run_ended_by_itself")
                     remove_dead_journal(options.run)
                     return
                 continue
@@ -130,7 +134,8 @@ def run_recorder(
             answer = recorder.save(str(message["save"]))
             with suppress(BrokenPipeError):
                 end.send(answer)
-        recorder.look()
+        if options.saves_faults:
+            recorder.look()
 
 
 class _Recorder:

@@ -41,9 +41,9 @@ def serve(
 ) -> None:
     """Track live: frames of the cell's camera and poses off its bus in, offsets onto the bus.
 
-    It says ready once all is compiled, loaded and open. Ctrl-C or SIGTERM ends it: the last offset is
-    REFUSED, the laser goes off, and it prints what the run came to. A recording as camera is played at its
-    own pace.
+    It says ready once all is compiled, loaded and open, and at which address a browser shows the run. Ctrl-C
+    or SIGTERM ends it: the last offset is REFUSED, the laser goes off, and it prints what the run came to.
+    SIGUSR1 saves the black box. A recording as camera is played at its own pace.
     """
     from arctrack.cell_file import read_cell_file
 
@@ -114,7 +114,12 @@ def _serve_simulated(job: int | None, seconds: float | None) -> None:
     lock = simulated.Lock(plan)
     with interruptible("serve was", "nothing was sent"), tempfile.TemporaryDirectory() as folder:
         cell = simulated.write_simulated_cell(
-            Path(folder) / "cell", plan, simulated.INTERFACE, simulated.GROUP, frames
+            Path(folder) / "cell",
+            plan,
+            simulated.INTERFACE,
+            simulated.GROUP,
+            frames,
+            Path.cwd() / "black_box",
         )
         with simulated.SimulatedCell(plan, frames) as robot:
             serve_cell_file(read_cell_file(cell), job, seconds, lock.on_track, True, **robot.bus_options)

@@ -88,7 +88,8 @@ def kept(cell: CellFile, setups: Mapping[int, Setup], is_simulated: bool = False
         recorder = None
         if kept_s:
             asked = () if box_end is None else (box_end,)
-            options = _recorder_options(cell, run, setups)
+            # A simulated cell's faults are this machine's load; nobody wants their files.
+            options = _recorder_options(cell, run, setups, saves_faults=not is_simulated)
             recorder = opened.enter_context(ended(Beside("black box", run_recorder, (options,), asked), END))
         page: str | None = None
         warnings: tuple[str, ...] = ()
@@ -102,10 +103,12 @@ def kept(cell: CellFile, setups: Mapping[int, Setup], is_simulated: bool = False
         )
 
 
-def _recorder_options(cell: CellFile, run: str, setups: Mapping[int, Setup]) -> RecorderOptions:
+def _recorder_options(
+    cell: CellFile, run: str, setups: Mapping[int, Setup], saves_faults: bool
+) -> RecorderOptions:
     jobs = {number: JobSetup(setup, job_setup_text(cell, number)) for number, setup in setups.items()}
     folder = cell.path.parent / cell.black_box.folder
-    return RecorderOptions(run, folder, cell.black_box.seconds, cell.camera.frame_rate_hz, jobs)
+    return RecorderOptions(run, folder, cell.black_box.seconds, cell.camera.frame_rate_hz, jobs, saves_faults)
 
 
 def _page(

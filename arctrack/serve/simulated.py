@@ -126,8 +126,12 @@ class SimulatedCell:
         return list(answer)
 
 
-def write_simulated_cell(folder: Path, plan: LoopPlan, interface: str, channel: str, frames: str) -> Path:
+def write_simulated_cell(
+    folder: Path, plan: LoopPlan, interface: str, channel: str, frames: str, black_box: Path | None = None
+) -> Path:
     """Write the cell file of a simulated cell and its setup into a new folder, and return the cell file.
+
+    Its black box goes into a folder that is named, by default into one beside the file.
 
     Raises ArctrackError if the folder holds anything, or if it cannot be written.
     """
@@ -136,6 +140,8 @@ def write_simulated_cell(folder: Path, plan: LoopPlan, interface: str, channel: 
     document = tomlkit.parse(cell_path.read_text(encoding="utf-8"))
     document["bus"].update({"interface": interface, "channel": channel})
     document["camera"].update({"frame_rate_hz": plan.rate_hz, "kind": "shared_memory", "name": frames})
+    if black_box is not None:
+        document["black_box"]["folder"] = str(black_box)
     cell_path.write_text(tomlkit.dumps(document), encoding="utf-8")
     return cell_path
 
