@@ -114,9 +114,10 @@ def test_only_what_is_seen_is_kept() -> None:
     map_e, charge, other = rng.uniform(0.0, 9.0, (3, 200))
     map_e[rng.random(200) < 0.3] = np.nan
     seen = np.isfinite(map_e)
-    want = map_e[seen], (charge - other)[seen]
-    n = _only_seen(map_e, charge, other)
-    np.testing.assert_array_equal((map_e[:n], charge[:n]), want)
+    pixels = rng.permutation(200)
+    want = map_e[seen], (charge - other)[seen], pixels[seen]
+    n = _only_seen(map_e, charge, other, pixels)
+    np.testing.assert_array_equal((map_e[:n], charge[:n], pixels[:n]), want)
 
 
 def test_spatter_does_not_move_it(geometry: SensorGeometry) -> None:
