@@ -45,6 +45,9 @@ from noise_model.setup import Setup
 from tracker.state import Frame
 
 EXPOSURE_S, SETTLES_S = 0.001, 5.0
+SPEED_MM_S = 2.0
+"""So slow that ten minutes end before the bus' largest coordinate, 1638 mm."""
+
 RENDERED = 50
 """So many frames are drawn; they come again and again."""
 
@@ -235,7 +238,13 @@ def main() -> None:
 def bench_plan(joint: str, rate_hz: float, size_px: tuple[int, int]) -> LoopPlan:
     """Return what is welded: a seam where the program has it, for longer than any run."""
     return LoopPlan(
-        joint=joint, displaced_mm=0.0, weave_mm=0.0, length_mm=10_000.0, rate_hz=rate_hz, size_px=size_px
+        joint=joint,
+        displaced_mm=0.0,
+        weave_mm=0.0,
+        length_mm=10_000.0,
+        speed_mm_s=SPEED_MM_S,
+        rate_hz=rate_hz,
+        size_px=size_px,
     )
 
 

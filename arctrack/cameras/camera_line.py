@@ -136,11 +136,6 @@ def read_line(name: str) -> Wanted:
     return Wanted()
 
 
-def is_laser_on(name: str) -> bool:
-    """Return whether a laser is on; one that nobody ever drove is on for good."""
-    return time.monotonic() < read_line(name).laser_until_s
-
-
 def remove_line(name: str) -> None:
     """Remove a line, as the camera does that begins or ends."""
     with suppress(FileNotFoundError):

@@ -60,6 +60,8 @@ class Robot:
         What it wants of the tracker.
     offset_mm : array (2,)
         The offset (y, z) that it has reached, mm.
+    parts : int
+        How many parts were there before this one.
     """
 
     world: World
@@ -69,11 +71,19 @@ class Robot:
     station_mm: float = 0.0
     now_s: float = 0.0
     weave_s: float = 0.0
+    parts: int = 0
     _wanted_mm: Float64 = field(default_factory=lambda: np.zeros(2))
     _queue: list[tuple[float, Float64]] = field(default_factory=list)
 
     def __post_init__(self) -> None:
         self.status = replace(self.status, travel_speed_mm_s=self.world.speed_mm_s)
+
+    def begin_again(self) -> None:
+        """Stand where the path begins, without an offset: another part is there."""
+        self.station_mm = self.weave_s = 0.0
+        self.offset_mm = self._wanted_mm = np.zeros(2)
+        self._queue.clear()
+        self.parts += 1
 
     def hear(self, offset: SeamOffset, now_s: float) -> None:
         """Take an offset: absolute, and only if it is VALID or HELD; an axis that is unknown stays."""

@@ -29,7 +29,10 @@ ENDS_S = 10.0
 """How long robot and camera may take to end, s."""
 
 Samples = list[tuple[float, float]]
-"""By the machine's monotonic time, s, how far the torch was off the seam, mm."""
+"""By the machine's monotonic time, s, how far the torch was off the seam, mm; NaN while it locks on anew."""
+
+LOCKING_MM = 80.0
+"""So far a further part's seam is followed before the torch is judged: the first part's lock takes 50 mm."""
 
 
 @dataclass(frozen=True)
@@ -148,7 +151,7 @@ def write_simulated_cell(
 
 def torch_error(samples: Samples, from_s: float, to_s: float) -> TorchError | None:
     """Return how far the torch was off the seam from one time to another, s; None if nothing was seen."""
-    off_mm = np.array([off for time_s, off in samples if from_s <= time_s <= to_s])
+    off_mm = np.array([off for time_s, off in samples if from_s <= time_s <= to_s and not math.isnan(off)])
     if len(off_mm) == 0:
         return None
     return TorchError(float(np.sqrt((off_mm**2).mean())), float(off_mm.max()), to_s - from_s)
@@ -162,7 +165,8 @@ def _run(plan: LoopPlan, frames: str, bus_options: dict[str, int], told: Connect
 
     def goes_on(robot: Robot) -> bool:
         off_mm = robot.offset_mm - np.array(robot.world.seam_mm(robot.station_mm))
-        samples.append((time.monotonic(), math.hypot(*off_mm)))
+        is_locking = robot.parts > 0 and robot.station_mm < LOCKING_MM
+        samples.append((time.monotonic(), math.nan if is_locking else math.hypot(*off_mm)))
         return not told.poll()
 
     try:

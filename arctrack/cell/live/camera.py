@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+import math
 import signal
+import time
 from dataclasses import dataclass
 from multiprocessing.connection import Connection
 
 import numpy as np
 
-from arctrack.cameras.camera_line import is_laser_on, remove_line
+from arctrack.cameras.camera_line import read_line, remove_line
 from arctrack.cameras.shared_frames import SharedFramesWriter
 from arctrack.cell.robot import Robot
 from arctrack.cell.weld.closed_loop import LoopPlan, setup_of, world_of
@@ -49,7 +51,8 @@ class Shot:
 def run_camera(shots: Connection, plan: LoopPlan, name: str) -> None:
     """Publish a frame for each shot that comes, the newest where several wait, until the other end is closed.
 
-    The laser is on unless a tracker drives its line (`arctrack.cameras.camera_line`) and lets it be off. Once
+    The laser is on unless a tracker drives its line (`arctrack.cameras.camera_line`) and lets it be off; the
+    exposure is the setup's unless it says another. Once
     the camera is ready, its kernels compiled, it says so over the same connection.
     """
     # Whoever runs the robot ends this process by closing its end.
@@ -81,7 +84,8 @@ def _publish(shots: Connection, eye: RenderedEye, frames: SharedFramesWriter, na
             return
         robot.station_mm, robot.weave_s = shot.station_mm, shot.weave_s
         robot.offset_mm, robot.status = np.array(shot.offset_mm), shot.status
-        eye.is_laser_on = is_laser_on(name)
+        wanted = read_line(name)
+        eye.is_laser_on, eye.exposure_s = time.monotonic() < wanted.laser_until_s, wanted.exposure_s
         image_dn = eye.look(0.0)
         assert image_dn is not None
         frames.publish(
@@ -89,7 +93,7 @@ def _publish(shots: Connection, eye: RenderedEye, frames: SharedFramesWriter, na
                 index=index,
                 timestamp_s=shot.captured_s,
                 image_dn=image_dn,
-                exposure_s=eye.setup.camera.exposure_s,
+                exposure_s=eye.setup.camera.exposure_s if math.isnan(eye.exposure_s) else eye.exposure_s,
                 current_a=shot.status.current_a,
                 laser_on=eye.is_laser_on,
                 arc_on=shot.status.arc is Switch.ON,

@@ -17,6 +17,7 @@ from arctrack.cell.live.camera import Shot, run_camera
 from arctrack.cell.live.real_time import RealBus, RealTimeScheduler
 from arctrack.cell.robot import Robot
 from arctrack.cell.robot_party import RobotParty
+from arctrack.cell.scheduler import Scheduler
 from arctrack.cell.weld.closed_loop import LoopPlan, setup_of, world_of
 from arctrack.errors import ArctrackError
 from robot_io import Command, Received, TrackerHeartbeat
@@ -29,6 +30,12 @@ CAMERA_ENDS_S = 5.0
 
 SILENT_S = 0.5
 """A tracker that was not heard for so long is gone."""
+
+MAX_PART_MM = 1500.0
+"""No part is longer: coordinates on the bus reach to 1638 mm."""
+
+CHANGED_S = 0.3
+"""So long after the end of a part the next one is there: the tracker has heard DISARM three times."""
 
 
 def serve_cell(
@@ -89,15 +96,26 @@ def serve_cell(
         can_bus.shutdown()
 
 
-class _Program:
+class Program:
     """What the robot's program wants of the tracker: nothing before it hears one, and none that fell silent.
 
-    A tracker that begins must be disarmed first. So TRACK comes ARMED_S after its first heartbeat.
+    A tracker that begins must be disarmed first. So TRACK comes ARMED_S after its first heartbeat. At a
+    part's end it is disarmed; then the next part is there, and all begins again.
+
+    Parameters
+    ----------
+    party : RobotParty
+        The robot.
+    scheduler : Scheduler
+        When.
+    part_mm : float
+        How long a part is, mm.
     """
 
-    def __init__(self, party: RobotParty, scheduler: RealTimeScheduler) -> None:
-        self._robot, self._scheduler = party.robot, scheduler
+    def __init__(self, party: RobotParty, scheduler: Scheduler, part_mm: float) -> None:
+        self._robot, self._scheduler, self._part_mm = party.robot, scheduler, part_mm
         self._beat_s = self._since_s = -math.inf
+        self._ended_s = math.inf
         party.on_message = self._hear
         scheduler.every(0.02, self._command, 0.0007)
 
@@ -110,7 +128,13 @@ class _Program:
 
     def _command(self) -> None:
         now_s = self._scheduler.now_s
-        is_there = now_s - self._beat_s <= SILENT_S and now_s - self._since_s >= ARMED_S
+        if math.isinf(self._ended_s) and self._robot.station_mm >= self._part_mm:
+            self._ended_s = now_s
+        elif now_s - self._ended_s >= CHANGED_S:
+            self._robot.begin_again()
+            self._since_s, self._ended_s = now_s, math.inf
+        is_welding = now_s - self._since_s >= ARMED_S and math.isinf(self._ended_s)
+        is_there = now_s - self._beat_s <= SILENT_S and is_welding
         command = Command.TRACK if is_there else Command.DISARM
         self._robot.command = replace(self._robot.command, command=command)
 
@@ -123,7 +147,7 @@ def run_robot(
     bus = RealBus(can_bus, scheduler)
     party = RobotParty(Robot(world_of(plan, setup_of(plan))), bus, scheduler)
     robot = party.robot
-    _Program(party, scheduler)
+    Program(party, scheduler, min(plan.length_mm, MAX_PART_MM))
 
     def capture() -> None:
         robot.advance(scheduler.now_s)

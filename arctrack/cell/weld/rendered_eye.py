@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 
@@ -56,6 +57,8 @@ class RenderedEye:
         From which station of the path to which the joint is under a tack, mm.
     is_laser_on : bool
         Whether the laser is on.
+    exposure_s : float
+        The exposure, s; NaN for the true setup's own.
     aside_mm : float
         How much farther to the left the seam lies than the world says, mm: out of the camera's view.
     """
@@ -67,6 +70,7 @@ class RenderedEye:
     arc_level: Callable[[float], float] | None = None
     tacks_mm: tuple[tuple[float, float], ...] = ()
     is_laser_on: bool = True
+    exposure_s: float = math.nan
     aside_mm: float = 0.0
     part_seed: int = field(init=False)
 
@@ -86,8 +90,8 @@ class RenderedEye:
     def look(self, off_mm: float) -> Shown:
         """Return the image (H, W), DN, that the camera takes now of a seam so far to the left, mm."""
         T_base_tool, seam = self.robot.T_base_tool(), self._seam(off_mm + self.aside_mm)
-        laser_level, exposure_s = float(self.is_laser_on), self._true.camera.exposure_s
-        condition = Condition(laser_level, self._arc_level(), exposure_s, self.robot.now_s)
+        exposure_s = self._true.camera.exposure_s if math.isnan(self.exposure_s) else self.exposure_s
+        condition = Condition(float(self.is_laser_on), self._arc_level(), exposure_s, self.robot.now_s)
         image_dn = draw_frame(
             self._true,
             T_base_tool,

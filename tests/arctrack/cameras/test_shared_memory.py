@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from dataclasses import replace
 
 import numpy as np
@@ -10,7 +11,7 @@ from made import small_setup
 
 from arctrack.cameras import camera_line, shared_memory
 from arctrack.cameras.camera import UnreadableFrame
-from arctrack.cameras.camera_line import PULSE_HOLD_S, is_laser_on, line_path, read_line, remove_line
+from arctrack.cameras.camera_line import PULSE_HOLD_S, line_path, read_line, remove_line
 from arctrack.cameras.shared_frames import SharedFramesError, SharedFramesWriter
 from arctrack.cameras.shared_memory import SharedMemoryCamera
 from arctrack.journal import ring
@@ -22,6 +23,10 @@ from tracker.state import Frame
 def name(tmp_path, monkeypatch):
     monkeypatch.setattr(ring, "MEMORY", tmp_path)
     return "camera"
+
+
+def is_lit(name):
+    return time.monotonic() < read_line(name).laser_until_s
 
 
 def published(writer, setup, index):
@@ -57,7 +62,7 @@ def test_frames_count_from_the_beginning_on_and_another_writer_is_found(name, mo
         assert (camera.newest().index, camera.dropped) == (9, 2)
         # The line is its own again.
         camera.switch_laser(True)
-        assert is_laser_on(name)
+        assert is_lit(name)
     camera.close()
 
 
@@ -87,23 +92,23 @@ def test_frames_that_become_another_size_cannot_be_read(name, monkeypatch):
 def test_the_laser_goes_off_by_itself_unless_it_is_kept_on(name, monkeypatch):
     setup = small_setup()
     # Nobody drives it: it is wired to be on.
-    assert is_laser_on(name)
+    assert is_lit(name)
     with writer_of(name, setup):
         camera = SharedMemoryCamera(name, setup)
-        assert not is_laser_on(name)
+        assert not is_lit(name)
         assert camera.switch_laser(True) is LaserState.ON
-        assert is_laser_on(name)
+        assert is_lit(name)
         assert camera.switch_laser(False) is LaserState.OFF
-        assert not is_laser_on(name)
+        assert not is_lit(name)
         monkeypatch.setattr(camera_line, "HOLD_S", 0.0)
         camera.switch_laser(True)
-        assert not is_laser_on(name)
+        assert not is_lit(name)
         camera.close()
-    assert not is_laser_on(name)
+    assert not is_lit(name)
     line_path(name).write_bytes(b"")
-    assert not is_laser_on(name)
+    assert not is_lit(name)
     remove_line(name)
-    assert is_laser_on(name)
+    assert is_lit(name)
 
 
 def test_a_line_that_is_written_meanwhile_leaves_the_laser_off(name):
@@ -112,9 +117,9 @@ def test_a_line_that_is_written_meanwhile_leaves_the_laser_off(name):
         camera.switch_laser(True)
         whole = line_path(name).read_bytes()
         line_path(name).write_bytes(whole[:8] + b"?" + whole[9:])
-        assert not is_laser_on(name)
+        assert not is_lit(name)
         line_path(name).write_bytes(whole)
-        assert is_laser_on(name)
+        assert is_lit(name)
         camera.close()
     remove_line(name)
 
@@ -132,6 +137,6 @@ def test_the_arcs_pulse_is_told_until_it_is_too_old_or_there_is_none(name):
             camera.tell_pulse(unknown, 51.0)
             assert read_line(name).pulse_until_s == 0.0
         # The laser is as it was.
-        assert is_laser_on(name)
+        assert is_lit(name)
         camera.close()
     remove_line(name)
