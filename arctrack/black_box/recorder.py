@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import os
-import signal
 import time
 from collections.abc import Mapping
 from contextlib import suppress
@@ -26,8 +24,6 @@ AFTERMATH_S = 2.0
 
 MIN_BETWEEN_S, MAX_FAULTS_SAVED = 60.0, 20
 """A fault that comes again fills no disk: so long between two, so many in a run. Requests are not counted."""
-
-NICENESS = 10
 
 COMMANDED = frozenset(
     {
@@ -99,18 +95,13 @@ class FaultWatch:
         return None
 
 
-def run_recorder(
-    options: RecorderOptions, told: Connection, *asked: Connection, niceness: int = NICENESS
-) -> None:
+def run_recorder(options: RecorderOptions, told: Connection, *asked: Connection) -> None:
     """Keep a run's black box until its other end says so, or is gone.
 
     Over `told` it says that it is ready. It, and each connection of `asked`, may send {"save": reason}; that
     is answered by {"saved": path} or {"error": text}. Where the run's process ends without a word, its last
     frames are saved.
     """
-    for number in (signal.SIGINT, signal.SIGTERM):
-        signal.signal(number, signal.SIG_IGN)
-    os.nice(niceness)
     reader = JournalReader(options.run)
     told.send([])
     recorder = _Recorder(options, reader)

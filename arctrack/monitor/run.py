@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import asyncio
 import os
-import signal
 import socket
 from multiprocessing.connection import Connection
 
@@ -18,9 +17,6 @@ from arctrack.monitor.feed import Feed
 from arctrack.monitor.options import MonitorOptions
 from arctrack.monitor.saver import Saver
 from arctrack.monitor.server import Server
-
-NICENESS = 10
-"""The page yields to the run's own processes."""
 
 CLOSED_S = 1.0
 """So long requests may take to end, s."""
@@ -40,9 +36,6 @@ def run_monitor(options: MonitorOptions, told: Connection, black_box: Connection
     black_box : Connection, optional
         To the black box: it is sent {"save": reason}, and answers {"saved": path} or {"error": text}.
     """
-    # Ctrl-C is meant for the tracker, which ends this.
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
-    os.nice(NICENESS)
     cv2.setNumThreads(1)
     try:
         reader = JournalReader(options.journal)

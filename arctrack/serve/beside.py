@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import multiprocessing
+import os
+import signal
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from multiprocessing.connection import Connection
@@ -30,6 +32,8 @@ class Beside:
         What comes before its end of the connection.
     others : tuple of Connection
         Other ends that it takes over; they are closed here.
+    niceness : int
+        By how much it yields to other processes.
     """
 
     def __init__(
@@ -38,11 +42,15 @@ class Beside:
         target: Callable[..., None],
         arguments: tuple[Any, ...] = (),
         others: tuple[Connection, ...] = (),
+        niceness: int = 0,
     ) -> None:
         self.name = name
         self.told, its_end = SPAWN.Pipe()
         self._process = SPAWN.Process(
-            target=target, args=(*arguments, its_end, *others), name=f"arctrack {name}", daemon=True
+            target=_begin,
+            args=(niceness, target, *arguments, its_end, *others),
+            name=f"arctrack {name}",
+            daemon=True,
         )
         self._process.start()
         for end in (its_end, *others):
@@ -67,6 +75,14 @@ class Beside:
         self._process.join(ENDS_S)
         if self._process.is_alive():
             self._process.kill()
+
+
+def _begin(niceness: int, target: Callable[..., None], *arguments: Any) -> None:
+    """Run a process beside: Ctrl-C and the end of a service are meant for the loop, which ends it."""
+    for number in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(number, signal.SIG_IGN)
+    os.nice(niceness)
+    target(*arguments)
 
 
 @contextmanager

@@ -24,6 +24,9 @@ from arctrack.serve.keeper import Keeper
 from arctrack.watch.process import WatchOptions, run_watch
 from noise_model.setup import Setup
 
+PAGE_NICENESS, BLACK_BOX_NICENESS, WATCH_NICENESS = 10, 10, 15
+"""By how much each yields to the loop and to whoever publishes frames: what a person waits for goes first."""
+
 
 @dataclass(frozen=True)
 class Kept:
@@ -83,14 +86,16 @@ def kept(cell: CellFile, setups: Mapping[int, Setup], is_simulated: bool = False
         except RingError as error:
             raise in_file(cell.path, f"[black_box] seconds = {kept_s:g}: {error}; choose fewer") from None
         opened.callback(journal.close)
-        watch = opened.enter_context(ended(Beside("watch", run_watch, (WatchOptions(run, setups),))))
+        watching = Beside("watch", run_watch, (WatchOptions(run, setups),), niceness=WATCH_NICENESS)
+        watch = opened.enter_context(ended(watching))
         page_end, box_end = multiprocessing.Pipe() if cell.monitor.enabled and kept_s else (None, None)
         recorder = None
         if kept_s:
             asked = () if box_end is None else (box_end,)
             # A simulated cell's faults are this machine's load; nobody wants their files.
             options = _recorder_options(cell, run, setups, saves_faults=not is_simulated)
-            recorder = opened.enter_context(ended(Beside("black box", run_recorder, (options,), asked), END))
+            recording = Beside("black box", run_recorder, (options,), asked, BLACK_BOX_NICENESS)
+            recorder = opened.enter_context(ended(recording, END))
         page: str | None = None
         warnings: tuple[str, ...] = ()
         if cell.monitor.enabled:
@@ -117,7 +122,7 @@ def _page(
     """Start the page, and return where it is, and what is wrong: a run goes on without it."""
     others = () if black_box is None else (black_box,)
     options = options_of(cell, run, is_simulated)
-    beside = opened.enter_context(ended(Beside("page", run_monitor, (options,), others)))
+    beside = opened.enter_context(ended(Beside("page", run_monitor, (options,), others, PAGE_NICENESS)))
     try:
         return str(beside.wait_ready()), ()
     except ArctrackError as error:

@@ -2,16 +2,12 @@
 
 from __future__ import annotations
 
-import os
-import signal
 from contextlib import suppress
 from multiprocessing.connection import Connection
 
 from arctrack.service.look_ahead import Motions, lag_of
 from arctrack.service.policy import LookAheadPolicy
 from robot_io.clocks.lag import Lag, LagLimits
-
-NICENESS = 5
 
 
 class LagBeside:
@@ -48,9 +44,6 @@ class LagBeside:
 
 def estimate_lags(told: Connection) -> None:
     """Say that it is ready, and answer each `Motions` with the lag, until the other end is closed."""
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
-    signal.signal(signal.SIGTERM, signal.SIG_IGN)
-    os.nice(NICENESS)
     policy, limits = LookAheadPolicy(), LagLimits()
     # Whoever started it may be gone before it is ready.
     try:

@@ -41,6 +41,9 @@ from robot_io import Link, LinkError, Source
 from tracker.seam.correction import Correction
 from tracker.warm_up import OnCompiled
 
+LAG_NICENESS = 5
+"""By how much the estimate of the robot's lag yields: nobody waits for it."""
+
 
 @dataclass(frozen=True)
 class Cast:
@@ -97,7 +100,7 @@ def opened_run(
         If the cell file states no camera, or camera or bus cannot be opened.
     """
     with ExitStack() as opened:
-        lag = opened.enter_context(ended(Beside("lag", estimate_lags)))
+        lag = opened.enter_context(ended(Beside("lag", estimate_lags, niceness=LAG_NICENESS)))
         cast = cast_of(cell, job_number, LagBeside(lag.told))
         opened.callback(cast.camera.close)
         setups = {number: tracking.tracker.geometry.setup for number, tracking in cast.trackings.items()}

@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import math
-import os
-import signal
 from collections.abc import Mapping
 from dataclasses import dataclass
 from multiprocessing.connection import Connection
@@ -34,7 +32,6 @@ SETTLED_S = 5.0
 """So long after a gap began it is looked at: before, most frames are from before it."""
 
 REPORT_BYTES = 4096
-NICENESS = 15
 
 
 @dataclass(frozen=True)
@@ -47,9 +44,6 @@ class WatchOptions:
 
 def run_watch(options: WatchOptions, told: Connection) -> None:
     """Watch a run until the other end is closed, and publish a `GapReport` each second."""
-    for number in (signal.SIGINT, signal.SIGTERM):
-        signal.signal(number, signal.SIG_IGN)
-    os.nice(NICENESS)
     try:
         reader = JournalReader(options.run)
         ring = RingWriter(gap_name(options.run), 4, REPORT_BYTES)

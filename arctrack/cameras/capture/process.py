@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import signal
 from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
@@ -29,9 +28,6 @@ def run_capture(open_source: Open, setup: Setup, name: str, told: Connection) ->
     It says 'ready', or 'error: ' and why, once the source is open; 'over' once it has ended. A source that
     fails later is opened anew, again and again.
     """
-    # Ctrl-C and the end of a service are meant for the tracker, which ends this.
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
-    signal.signal(signal.SIGTERM, signal.SIG_IGN)
     remove_line(name)
     try:
         source = open_source(partial(read_line, name))
