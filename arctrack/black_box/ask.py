@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from contextlib import suppress
 from multiprocessing.connection import Connection
 
 
 class BlackBoxAsker:
     """Asks over a connection, and hears the answers when they come; nobody waits.
+
+    While it saves, what is asked besides is passed over: requests that queue would be answered long after.
 
     Parameters
     ----------
@@ -18,21 +19,26 @@ class BlackBoxAsker:
 
     def __init__(self, connection: Connection) -> None:
         self._connection = connection
-        self._asked = 0
+        self._is_asked = False
+        self._told: list[str] = []
 
     def save(self, reason: str) -> None:
-        """Ask that the latest frames be saved."""
-        with suppress(BrokenPipeError):
-            self._connection.send({"save": reason})
-            self._asked += 1
+        """Ask that the latest frames be saved, unless that is under way."""
+        self._hear(0.0)
+        if not self._is_asked:
+            with suppress(BrokenPipeError):
+                self._connection.send({"save": reason})
+                self._is_asked = True
 
-    def answers(self, wait_s: float = 0.0) -> Iterator[str]:
-        """Yield a line for each answer that has come, or comes within a time, s."""
-        while self._asked and self._connection.poll(wait_s):
+    def answers(self, wait_s: float = 0.0) -> list[str]:
+        """Return a line for each answer that was not returned yet; one may come within a time, s."""
+        self._hear(wait_s)
+        told, self._told = self._told, []
+        return told
+
+    def _hear(self, wait_s: float) -> None:
+        if self._is_asked and self._connection.poll(wait_s):
             answer = self._connection.recv()
-            self._asked -= 1
-            yield (
-                f"black box: saved {answer['saved']}"
-                if "saved" in answer
-                else (f"black box: {answer['error']}")
-            )
+            self._is_asked = False
+            said = f"saved {answer['saved']}" if "saved" in answer else answer["error"]
+            self._told.append(f"black box: {said}")

@@ -97,7 +97,7 @@ def serve_cell_file(
 
             result = run(live.loop, goes_on, cell.policy.watchdog_s, notifier)
             notifier.stopping()
-            saved = [] if black_box is None else [*black_box.answers(ANSWER_S)]
+            saved = [] if black_box is None else black_box.answers(ANSWER_S)
     console.say(*saved, *_result_lines(result))
 
 

@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 from made import playing_cell
 
+from arctrack.black_box.ask import BlackBoxAsker
 from arctrack.black_box.recorder import FaultWatch, RecorderOptions, run_recorder
 from arctrack.black_box.save import JobSetup, NothingToSaveError, save_window
 from arctrack.cell_file import read_cell_file
@@ -169,6 +170,22 @@ def test_a_fault_is_saved_once_and_what_is_commanded_is_none() -> None:
     assert watch.look(refused(GateReason.CAMERA_STOPPED)) is None
     assert watch.look(status(fault=Fault.OTHER_TRACKER)) == "fault_other_tracker"
     assert watch.look(status(fault=Fault.OTHER_TRACKER)) is None
+
+
+def test_a_request_during_a_save_is_covered_by_it() -> None:
+    end, box = multiprocessing.Pipe()
+    asker = BlackBoxAsker(end)
+    assert asker.answers() == []
+    for _ in range(3):
+        asker.save("asked")
+    assert box.recv() == {"save": "asked"}
+    assert not box.poll()
+    box.send({"saved": "here"})
+    asker.save("again")
+    assert box.recv() == {"save": "again"}
+    box.send({"error": "no frame was tracked yet"})
+    assert asker.answers() == ["black box: saved here", "black box: no frame was tracked yet"]
+    assert asker.answers() == []
 
 
 @pytest.mark.slow
