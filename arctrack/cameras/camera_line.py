@@ -17,7 +17,7 @@ from contextlib import suppress
 from dataclasses import astuple, dataclass, replace
 from pathlib import Path
 
-from arctrack.journal.ring import memory_folder
+from arctrack.journal.ring import LOOKS, memory_folder
 from robot_io import RobotPulse
 
 HOLD_S = 0.3
@@ -28,9 +28,6 @@ PULSE_HOLD_S = 0.35
 
 _WANTED, _CHECKSUM = struct.Struct("<6d"), struct.Struct("<I")
 _BYTES = _WANTED.size + _CHECKSUM.size
-
-LOOKS = 100
-"""So often a reader looks again at a line that is written meanwhile."""
 
 
 @dataclass(frozen=True)

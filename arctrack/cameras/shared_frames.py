@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import struct
 from pathlib import Path
-from types import TracebackType
-from typing import Any, Self
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
+from arctrack.closing import Closing
 from arctrack.journal.ring import RingError, RingReader, RingWriter, ring_path
 from tracker.state import Frame
 
@@ -50,7 +50,7 @@ def unpack_frame(fields: npt.NDArray[np.uint8], image_dn: npt.NDArray[Any]) -> F
     return Frame(index, timestamp_s, image_dn, exposure_s, current_a, bool(laser_on), bool(arc_on))
 
 
-class SharedFramesWriter:
+class SharedFramesWriter(Closing):
     """Publishes frames under a name; who reads them makes it wait for nothing.
 
     Parameters
@@ -90,16 +90,8 @@ class SharedFramesWriter:
         """Take the frames away."""
         self._ring.close()
 
-    def __enter__(self) -> Self:
-        return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        self.close()
-
-
-class SharedFramesReader:
+class SharedFramesReader(Closing):
     """Reads the newest frame of a name.
 
     Parameters
@@ -170,14 +162,6 @@ class SharedFramesReader:
     def close(self) -> None:
         """Read no more."""
         self._ring.close()
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        self.close()
 
 
 def _said(error: RingError) -> str:

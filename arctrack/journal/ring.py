@@ -21,12 +21,11 @@ import zlib
 from collections.abc import Sequence
 from contextlib import suppress
 from pathlib import Path
-from types import TracebackType
-from typing import Self
 
 import numpy as np
 import numpy.typing as npt
 
+from arctrack.closing import Closing
 from noise_model.arrays import UInt8
 
 MAGIC = b"ARCRNG01"
@@ -66,7 +65,7 @@ def ring_bytes(slots: int, record_bytes: int) -> int:
     return PAGE_BYTES + slots * _slot_bytes(record_bytes)
 
 
-class RingWriter:
+class RingWriter(Closing):
     """Writes records under a name; who reads them makes it wait for nothing.
 
     Parameters
@@ -138,16 +137,8 @@ class RingWriter:
         self._memory.close()
         os.close(self._file)
 
-    def __enter__(self) -> Self:
-        return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        self.close()
-
-
-class RingReader:
+class RingReader(Closing):
     """Reads records of a name.
 
     Parameters
@@ -228,14 +219,6 @@ class RingReader:
         if not self._memory.closed:
             self._memory.close()
             os.close(self._file)
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        self.close()
 
 
 def remove_dead_rings() -> None:

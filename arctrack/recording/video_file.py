@@ -4,11 +4,12 @@ from __future__ import annotations
 
 from fractions import Fraction
 from pathlib import Path
-from types import TracebackType
-from typing import Literal, Self
+from typing import Literal
 
 import av
 from av.video.stream import VideoStream
+
+from arctrack.closing import Closing
 
 
 def address(path: Path) -> str:
@@ -16,7 +17,7 @@ def address(path: Path) -> str:
     return str(path.absolute())
 
 
-class VideoFile:
+class VideoFile(Closing):
     """A video file with one stream; what was written before a crash can be played once it is closed."""
 
     def __init__(self, path: Path, codec: Literal["ffv1", "libx264"], rate: Fraction) -> None:
@@ -27,11 +28,3 @@ class VideoFile:
         """Write what is buffered and close the file."""
         self._container.mux(self._stream.encode())
         self._container.close()
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        self.close()
