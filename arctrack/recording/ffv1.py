@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import zlib
 from collections.abc import Iterable, Iterator
+from contextlib import contextmanager
 from fractions import Fraction
-from itertools import islice
+from itertools import count, islice
 from pathlib import Path
 
 import av
@@ -15,10 +16,10 @@ from av.video.codeccontext import VideoCodecContext
 from av.video.stream import VideoStream
 
 from arctrack.errors import in_file
-from arctrack.recording.video_file import VideoFile, address
+from arctrack.recording.video_file import VideoFile, opened_video
 from noise_model.arrays import Integers
 
-CODECS = ("ffv1",)
+CODECS, CONTAINERS = ("ffv1",), ("matroska",)
 PIXEL_FORMATS = {"gray": np.uint8, "gray16le": np.uint16}
 
 CHECKSUMS_SOUGHT_IN = 8
@@ -30,24 +31,7 @@ _REVERSED_BITS = bytes(int(f"{byte:08b}"[::-1], 2) for byte in range(256))
 
 def open_video(path: Path) -> av.container.InputContainer:
     """Open a video in a Matroska file; ArctrackError unless it is FFV1. Nothing is decoded yet."""
-    try:
-        # Told what it is: in search of a format FFmpeg takes a script for one, and opens what that names.
-        container = av.open(
-            address(path), mode="r", format="matroska", options={"codec_whitelist": ",".join(CODECS)}
-        )
-    except FileNotFoundError:
-        raise in_file(path, "there is no such file") from None
-    except (av.error.FFmpegError, OSError) as error:
-        raise in_file(path, f"cannot be read as a video: {error.strerror}") from None
-    streams = container.streams.video
-    if not streams:
-        container.close()
-        raise in_file(path, "holds no video")
-    codec = streams[0].codec_context.name
-    if codec not in CODECS:
-        container.close()
-        raise in_file(path, f"holds {codec}: must be ffv1 with gray or gray16le, which is exact")
-    return container
+    return opened_video(path, CODECS, "must be ffv1 with gray or gray16le, which is exact", CONTAINERS)
 
 
 def grey_size(path: Path) -> tuple[int, int]:
@@ -72,14 +56,29 @@ def check_video(path: Path, width: int, height: int) -> None:
 
 def read_video(path: Path, positions: Iterable[int]) -> Iterator[Integers | str]:
     """Yield the frames (H, W) at rising positions (from 0), or what is wrong with one, as text."""
+    with _packets(path) as packets:
+        for position in positions:
+            yield packets.frame(position)
+
+
+def read_whole_video(path: Path) -> Iterator[Integers | str]:
+    """Yield all frames (H, W) of a video in order, or what is wrong with one, as text."""
+    with _packets(path) as packets:
+        for position in count():
+            frame = packets.frame(position)
+            if packets.is_over:
+                return
+            yield frame
+
+
+@contextmanager
+def _packets(path: Path) -> Iterator[_Packets]:
     has_checksums = carries_checksums(path)
     with open_video(path) as container:
         stream = container.streams.video[0]
         # Frame threads delay the output; with one thread a packet in is a frame out.
         stream.codec_context.thread_count = 1
-        packets = _Packets(container, stream, has_checksums)
-        for position in positions:
-            yield packets.frame(position)
+        yield _Packets(container, stream, has_checksums)
 
 
 def count_frames(path: Path) -> int:
@@ -105,7 +104,7 @@ def _payloads(packets: Iterator[av.Packet[VideoStream]]) -> Iterator[av.Packet[V
 
 
 class _Packets:
-    """Walks through a video's packets; its state is the place in the file."""
+    """Walks through a video's packets; its state is the place in the file, and whether that is its end."""
 
     def __init__(
         self, container: av.container.InputContainer, stream: VideoStream, has_checksums: bool
@@ -113,6 +112,7 @@ class _Packets:
         self._packets = _payloads(container.demux(stream))
         self._codec: VideoCodecContext = stream.codec_context
         self._next = 0
+        self.is_over = False
         self._has_checksums = has_checksums
         self._broken_until_keyframe = False
 
@@ -120,6 +120,7 @@ class _Packets:
         while True:
             packet = next(self._packets, None)
             if packet is None:
+                self.is_over = True
                 return f"the video ends after {self._next} frames"
             self._next += 1
             wanted = self._next > position

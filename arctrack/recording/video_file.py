@@ -1,7 +1,8 @@
-"""A video that is written frame by frame, whatever its codec."""
+"""Videos, whatever their codec: opened to be read, or written frame by frame."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from fractions import Fraction
 from pathlib import Path
 from typing import Literal
@@ -10,11 +11,54 @@ import av
 from av.video.stream import VideoStream
 
 from arctrack.closing import Closing
+from arctrack.errors import in_file
 
 
 def address(path: Path) -> str:
     """Return a path as FFmpeg takes it: what stands before a colon in a relative one would be a protocol."""
     return str(path.absolute())
+
+
+def opened_video(
+    path: Path, codecs: Sequence[str], needed: str, containers: Sequence[str]
+) -> av.container.InputContainer:
+    """Open a video to be read; nothing is decoded yet.
+
+    Parameters
+    ----------
+    path : Path
+        The file.
+    codecs, containers : sequence of str
+        What it may be, by FFmpeg's names.
+    needed : str
+        What is said of one that is another.
+
+    Raises
+    ------
+    ArctrackError
+        If there is no such file, or it is no video of these kinds.
+    """
+    # Told what it is: in search of a format FFmpeg takes a script for one, and opens what that names.
+    options = {"codec_whitelist": ",".join(codecs)}
+    if len(containers) > 1:
+        options["format_whitelist"] = ",".join(containers)
+    try:
+        container = av.open(
+            address(path),
+            mode="r",
+            format=containers[0] if len(containers) == 1 else None,
+            options=options,
+        )
+    except FileNotFoundError:
+        raise in_file(path, "there is no such file") from None
+    except (av.error.FFmpegError, OSError) as error:
+        raise in_file(path, f"cannot be read as a video: {error.strerror}") from None
+    streams = container.streams.video
+    codec = streams[0].codec_context.name if streams else "no video"
+    if codec not in codecs:
+        container.close()
+        raise in_file(path, f"holds {codec}: {needed}")
+    return container
 
 
 class VideoFile(Closing):

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from itertools import count
 from pathlib import Path
 
 import av
@@ -11,12 +10,12 @@ import numpy as np
 
 from arctrack.errors import in_file
 from arctrack.recording import ffv1
-from arctrack.recording.video_file import address
+from arctrack.recording.video_file import opened_video
 from noise_model.arrays import Integers
 
 CODECS = ("ffv1", "h264")
 CONTAINERS = ("matroska", "webm", "mov", "mp4", "m4a", "3gp", "3g2", "mj2", "avi")
-"""FFmpeg's names. In search of a format it takes a script for one, and opens what that names."""
+"""FFmpeg's names."""
 
 
 class LumaVideo:
@@ -63,9 +62,7 @@ class LumaVideo:
     def frames(self) -> Iterator[Integers | None]:
         """Yield the frames (H, W) in order; None for one that is damaged."""
         if self._is_exact:
-            for image in ffv1.read_video(self._path, count()):
-                if isinstance(image, str) and "ends after" in image:
-                    return
+            for image in ffv1.read_whole_video(self._path):
                 yield None if isinstance(image, str) else image
             return
         with self._opened() as container:
@@ -87,16 +84,4 @@ class LumaVideo:
         return np.ascontiguousarray(rows[: frame.height, : frame.width], dtype=self.dtype)
 
     def _opened(self) -> av.container.InputContainer:
-        options = {"format_whitelist": ",".join(CONTAINERS), "codec_whitelist": ",".join(CODECS)}
-        try:
-            container = av.open(address(self._path), mode="r", options=options)
-        except FileNotFoundError:
-            raise in_file(self._path, "there is no such file") from None
-        except (av.error.FFmpegError, OSError) as error:
-            raise in_file(self._path, f"cannot be read as a video: {error.strerror}") from None
-        streams = container.streams.video
-        codec = streams[0].codec_context.name if streams else "no video"
-        if codec not in CODECS:
-            container.close()
-            raise in_file(self._path, f"holds {codec}: FFV1 or H.264 is needed")
-        return container
+        return opened_video(self._path, CODECS, "FFV1 or H.264 is needed", CONTAINERS)
