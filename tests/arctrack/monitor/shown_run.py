@@ -12,6 +12,7 @@ from functools import cache
 from multiprocessing.connection import Connection
 from pathlib import Path
 
+from arctrack.cell.robot import WELDING
 from arctrack.journal.journal import MIN_SLOTS, Journal, gap_name
 from arctrack.journal.records import Entry, GapReport, Status, View, pack
 from arctrack.journal.ring import RingWriter
@@ -24,16 +25,12 @@ from robot_io import (
     Fault,
     GateReason,
     LaserState,
-    MotionState,
-    RobotMode,
-    RobotStatus,
     SeamOffset,
     Source,
     Switch,
     TrackerCommand,
     TrackerState,
     Validity,
-    WeldingState,
 )
 from tracker.step import StepInputs
 from tracker.tracker import Tracker
@@ -95,18 +92,7 @@ class ShownRun:
             laser=LaserState.ON,
             reason=GateReason.NONE,
             offset=None,
-            robot=RobotStatus(
-                mode=RobotMode.AUTOMATIC,
-                motion=MotionState.MOVING,
-                welding=WeldingState.WELDING,
-                arc=Switch.ON,
-                emergency_stop=Switch.OFF,
-                correction=Switch.ON,
-                weave=Switch.OFF,
-                current_a=120.0,
-                travel_speed_mm_s=4.0,
-                path_section=1,
-            ),
+            robot=replace(WELDING, weave=Switch.OFF, travel_speed_mm_s=4.0, path_section=1),
             command=TrackerCommand(Command.TRACK, True, True, 0, 7, None, Switch.ON),
             job_number=7,
             frames=0,
