@@ -62,6 +62,7 @@ FOLDERS_MAY_IMPORT: dict[str, dict[str, set[str]]] = {
         "search": {"data", "fit"},
         "variance": {"data", "fit"},
         "locate": {"data", "fit"},
+        "evidence": {"data", "fit", "search", "locate"},
         "decision": {"data", "fit", "search", "variance"},
         "check": {"data", "fit", "search", "decision"},
     },

@@ -18,7 +18,7 @@ from noise_model.forward import Layers, Renderer
 from noise_model.instrument.camera import Camera
 from noise_model.instrument.sensor import linearise, respond_moments, saturation_dn
 from noise_model.setup import Setup
-from sim_to_real.data.blocks import block_means
+from sim_to_real.data.blocks import block_means, dilated
 from sim_to_real.data.photon_transfer import PhotonTransfer, photon_transfer
 from tracker.seam.curve import SeamCurve
 from tracker.seam_observations import TRIANGULATION_EFFECTS, SeamObservations
@@ -44,6 +44,9 @@ THINNING = 4
 
 STRIPE_SHARE = 0.02
 """A bin is in the stripe if the laser puts more than this share of its peak there."""
+
+STRIPE_RIM_BINS = 5
+"""The side of the square by which the stripe is dilated to have its rim."""
 
 STRATA = ("dark", "laser", "arc", "both")
 """The strata of frames: what is on."""
@@ -137,6 +140,18 @@ class Observed:
         return self.seam.through(
             *self.seam_observations.in_joint(known), self.seam_observations.variances_mm2
         )
+
+    def with_stripe_rim(self) -> Observed:
+        """Return the same with light rendered about the stripe, too: what blurs into it, where it moves to.
+
+        Without it bins beside the stripe have the light of its nearest bin: its tails are 4 % too bright.
+        """
+        frames = []
+        for frame in self.frames:
+            stripe = np.zeros_like(frame.keep)
+            stripe[frame.keep] = frame.in_stripe
+            frames.append(replace(frame, rendered=frame.rendered | dilated(stripe, STRIPE_RIM_BINS)))
+        return replace(self, frames=tuple(frames))
 
     def with_read_noise(self, ratio: float) -> Observed:
         """Return the same with the stated read noise times a ratio."""

@@ -69,6 +69,15 @@ class Refit:
         return self.x[: self.n_nuisances]
 
     @property
+    def blocks(self) -> Iterator[tuple[str, slice]]:
+        """Yield each effect with the slice of x that holds its parameters, or the frames' levels.
+
+        The last one's goes on to the end: a trend's amplitudes come after all effects.
+        """
+        for name, block in _blocks(self.ids, self.n_nuisances, len(self.arc_ln)):
+            yield name, slice(block.start, len(self.x) if name == self.ids[-1] else block.stop)
+
+    @property
     def n_parameters(self) -> int:
         """The number of fitted parameters beside the nuisances; frames' levels count about their mean."""
         unlit = len(self.arc_ln) - max(self.n_lit - 1, 1) if FLICKER in self.ids else 0

@@ -8,11 +8,13 @@ what an effect itself moves.
 
 from __future__ import annotations
 
+import copy
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from typing import TypeVar
 
+import cv2
 import numpy as np
 import numpy.typing as npt
 from scipy.ndimage import distance_transform_edt
@@ -63,6 +65,9 @@ MIN_CHORD_DEVIATION_MM = 0.03
 MAX_SEAM_SIGMAS = 2.0
 """A fitted seam's bends are believed up to so many sigmas: a gap may have bent it."""
 
+FOURTH, ONE = np.array([1.0, -4.0, 6.0, -4.0, 1.0], dtype=np.float32), np.ones(1, dtype=np.float32)
+"""The taps of a fourth difference, and of none."""
+
 N_CACHED = 8
 """So many renderings of a recording's frames are cached."""
 
@@ -92,7 +97,7 @@ class FrameLight:
     """The light of a frame's bins that count (n,), e-, that has passed effects, lens and exposure.
 
     `arc_factor` and `laser_factor` (n,) are what became of one unit of the rendered light; `black_dn` comes
-    on top of the sensor's own.
+    on top of the sensor's own. `fourth_e` (n,) is the fourth difference of the laser's light between bins.
     """
 
     sensor: Sensor
@@ -101,6 +106,7 @@ class FrameLight:
     other_e: Float32
     arc_factor: Float32
     laser_factor: Float32
+    fourth_e: Float32
     black_dn: float = 0.0
 
     def mean_dn(self, more_e: float = 0.0) -> Float64:
@@ -145,10 +151,15 @@ class LinearizedModel:
 
     def take_tangents(self, anchor: Float64, effects: Effects, trend: Trend | None = None) -> None:
         """Take the derivatives of light about nuisances (p,) and effects."""
-        setup = self.observed.setup
-        self._tangents = self.over_frames(
+        self._tangents = self.anchored_at(anchor, effects, trend)._tangents
+
+    def anchored_at(self, anchor: Float64, effects: Effects, trend: Trend | None = None) -> LinearizedModel:
+        """Return the model with light's derivatives about nuisances (p,) and effects; caches are shared."""
+        setup, anchored = self.observed.setup, copy.copy(self)
+        anchored._tangents = self.over_frames(
             lambda frame: self._tangents_of(frame, anchor, effects_in_frame(effects, trend, setup, frame))
         )
+        return anchored
 
     def widen_noise_for_bends(self, nuisance: Float64, effects: Effects) -> None:
         """Widen the noise of bins that the arc lights past edges which the model takes to be straight.
@@ -376,6 +387,7 @@ class LinearizedModel:
             light.other[keep],
             _factor(light.arc[keep], rendered.arc_e[keep], frame.condition.arc_level * exposure),
             _factor(light.laser[keep], rendered.laser_e[keep], frame.condition.laser_level * exposure),
+            _fourth_difference(light.laser)[keep],
         )
 
     def _tangents_of(self, frame: ObservedFrame, anchor: Float64, effects: Effects) -> Tangents:
@@ -457,6 +469,13 @@ def _factor(passed_e: Float32, rendered_e: Float32, known: float) -> Float32:
     with np.errstate(divide="ignore", invalid="ignore"):
         factor = np.nan_to_num(np.clip(passed_e / rendered_e, 0.0, MAX_LIGHT_FACTOR * known))
     return np.asarray(factor, dtype=np.float32)
+
+
+def _fourth_difference(image: Float32) -> Float32:
+    """Return the fourth difference of an image (h, w) along rows plus that along columns."""
+    along_rows = cv2.sepFilter2D(image, -1, FOURTH, ONE, borderType=cv2.BORDER_REFLECT_101)
+    along_columns = cv2.sepFilter2D(image, -1, ONE, FOURTH, borderType=cv2.BORDER_REFLECT_101)
+    return np.asarray(along_rows + along_columns, dtype=np.float32)
 
 
 def _slope(here_e: Float32, there_e: Float32, step: float) -> Float32:

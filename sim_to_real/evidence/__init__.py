@@ -1,0 +1,1 @@
+"""The evidence of hypotheses about a gap: error model, log evidence, posterior."""

@@ -1,0 +1,175 @@
+"""The coordinates in which each stage acts, as bases of smooth functions.
+
+What a stage does wrong is a simple function of its own coordinates: a sensor's of the grey level, a lens' of
+the place in the image, a metal's of the angles, a source's of time and direction. The same bases serve twice.
+Times the light, they are what an unknown cause at that stage would do. Times what an effect does, they are
+how its form may be off.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+from noise_model.arrays import Float32
+from noise_model.effects.effect import Stage
+from sim_to_real.fit.nuisances import N_LEVELS, SEAM_FROM
+from sim_to_real.locate.covariates import Covariates
+
+IN_EACH_FRAME = "arc in each frame"
+"""The free term that stands for an arc that flickers."""
+
+ADDED_DN = 50.0
+"""What a free term of size 1 adds where it adds to the image, DN."""
+
+MOVED_DEG, MOVED_MM = 2.0, 2.5
+"""What a free term of size 1 turns and moves the camera by."""
+
+
+@dataclass(frozen=True, eq=False)
+class FreeTerm:
+    """An unknown cause at a stage: any smooth function of some coordinates, in columns (n, k)."""
+
+    stage: Stage
+    name: str
+    columns: Float32
+
+
+@dataclass(frozen=True, eq=False)
+class _Basis:
+    stage: Stage
+    name: str
+    functions: Float32
+    light: Float32
+
+
+def free_terms(covariates: Covariates) -> tuple[FreeTerm, ...]:
+    """Return the terms of an unknown cause: of each basis, of each stage's bases together, of all of them."""
+    bases = _bases(covariates)
+    terms = [
+        FreeTerm(basis.stage, basis.name, basis.functions * basis.light[:, np.newaxis]) for basis in bases
+    ]
+    for stage in dict.fromkeys(basis.stage for basis in bases):
+        together = [term.columns for term in terms if term.stage is stage]
+        if len(together) > 1:
+            terms.append(FreeTerm(stage, "all of these", np.hstack(together)))
+    return (*terms, *_displacements(covariates))
+
+
+def form_functions(covariates: Covariates) -> Mapping[Stage, Float32]:
+    """Return the functions (n, k) of each stage's coordinates by which an effect's form may be off."""
+    everywhere = np.ones((len(covariates.frame), 1), dtype=np.float32)
+    bases = _bases(covariates)
+    return {
+        stage: np.hstack([everywhere, *(basis.functions for basis in bases if basis.stage is stage)])
+        for stage in Stage
+    }
+
+
+def _bases(covariates: Covariates) -> list[_Basis]:
+    values, per_dn = covariates.values, 1.0 / covariates.sigma_dn
+    arc, laser = covariates.arc_dn * per_dn, covariates.laser_dn * per_dn
+    light, added = arc + laser, ADDED_DN * per_dn
+    frames = np.unique(covariates.frame)
+    in_frame = (covariates.frame[:, np.newaxis] == frames).astype(np.float32)
+    rho2 = (values["radius"] / max(float(np.max(values["radius"], initial=0.0)), 1e-9)) ** 2
+    radial = np.column_stack([np.ones_like(rho2), rho2, rho2**2]).astype(np.float32)
+    exposed = values["exposure"] / max(float(np.max(values["exposure"], initial=0.0)), 1e-9)
+    current = values["current"] / max(float(np.max(values["current"], initial=0.0)), 1e-9)
+    lit = np.where(values["current"] > 0.0, exposed, 0.0) * added
+    mean_light = _mean_in_frame(covariates, frames) * per_dn
+    image = hats_2d(values["row"], values["column"], 5, 6)
+
+    def along(name: str, count: int) -> Float32:
+        return hats(values[name], count)
+
+    return [
+        _Basis(Stage.SOURCE, IN_EACH_FRAME, in_frame, arc),
+        _Basis(Stage.SOURCE, "arc over the field", radial, arc),
+        _Basis(Stage.SOURCE, "arc over the angle of incidence", along("theta_i", 5), arc),
+        _Basis(Stage.SOURCE, "arc over the azimuth", along("phi_r", 5), arc),
+        _Basis(Stage.ILLUMINATION, "laser in each frame", in_frame, laser),
+        _Basis(Stage.ILLUMINATION, "laser along columns", along("column", 9), laser),
+        _Basis(Stage.ILLUMINATION, "laser along rows", along("row", 5), laser),
+        _Basis(Stage.SURFACE, "arc over the half angle", along("half_angle", 9), arc),
+        _Basis(Stage.SURFACE, "arc over the angle of incidence", along("theta_i", 5), arc),
+        _Basis(Stage.SURFACE, "arc over the angle of view", along("theta_r", 5), arc),
+        _Basis(Stage.SURFACE, "arc over the azimuth", along("phi_r", 5), arc),
+        _Basis(Stage.SURFACE, "laser over the angle of view", along("theta_r", 4), laser),
+        _Basis(Stage.SURFACE, "arc between faces", along("concavity", 4), current * lit),
+        _Basis(Stage.MEDIUM, "arc over the distance", along("distance", 6), arc),
+        _Basis(Stage.MEDIUM, "light over time", along("time", 4), light),
+        _Basis(Stage.MEDIUM, "light about the arc, with its current", along("distance", 6), current * lit),
+        _Basis(Stage.MEDIUM, "light about the arc", along("distance", 6), lit),
+        _Basis(Stage.OPTICS, "light over the image", image, light),
+        _Basis(Stage.OPTICS, "mean light over the field", radial[:, :2], mean_light),
+        _Basis(Stage.SENSOR, "grey level", along("gray_level", 9), added),
+        _Basis(Stage.SENSOR, "light in each frame", in_frame, light),
+        _Basis(Stage.SENSOR, "rows", along("row", 5), added),
+    ]
+
+
+def _displacements(covariates: Covariates) -> list[FreeTerm]:
+    """Return the camera's pose and its lens' distortion; and the pose in each frame, as a wrong clock's."""
+    pose = covariates.tangents[:, N_LEVELS:SEAM_FROM]
+    values = covariates.values
+    reach = max(float(np.max(np.abs(values["column"]), initial=1.0)), 1.0)
+    x = (values["column"] - np.mean(values["column"])) / reach
+    y = (values["row"] - np.mean(values["row"])) / reach
+    # A camera turned about x and y sees the image shifted down and along its rows.
+    outward = pose[:, 1] * x - pose[:, 0] * y
+    distortion = np.column_stack([outward, 4.0 * outward * (x**2 + y**2)])
+    sizes = np.array([MOVED_DEG] * 3 + [MOVED_MM] * 3, dtype=np.float32)
+    in_frame = (covariates.frame[:, np.newaxis] == np.unique(covariates.frame)).astype(np.float32)
+    shifted = (in_frame[:, :, np.newaxis] * pose[:, np.newaxis, 3:]).reshape(len(pose), -1)
+    return [
+        FreeTerm(
+            Stage.GEOMETRY,
+            "pose of the camera, distortion",
+            np.hstack([pose * sizes, distortion]).astype(np.float32),
+        ),
+        FreeTerm(Stage.TIMING, "pose in each frame", np.asarray(0.3 * shifted, dtype=np.float32)),
+    ]
+
+
+def _mean_in_frame(covariates: Covariates, frames: np.ndarray) -> Float32:
+    """Return the mean predicted light (n,), DN, of each bin's frame."""
+    place = np.searchsorted(frames, covariates.frame)
+    total = np.bincount(place, covariates.light_dn, len(frames))
+    count = np.bincount(place, minlength=len(frames))
+    return np.asarray((total / np.maximum(count, 1))[place], dtype=np.float32)
+
+
+def hats(values: Float32, count: int) -> Float32:
+    """Return the hat functions (n, k) of values (n,): each falls from 1 at its knot to 0 at the next ones.
+
+    Knots lie at quantiles of the values; there are fewer for few distinct values. NaN belongs to no hat.
+    """
+    known = np.isfinite(values)
+    distinct = np.unique(values[known])
+    knots = (
+        np.unique(
+            np.quantile(
+                distinct if len(distinct) <= count else values[known],
+                np.linspace(0.0, 1.0, min(count, max(len(distinct), 1))),
+            )
+        )
+        if len(distinct)
+        else distinct
+    )
+    if len(knots) < 2:
+        return np.asarray(known, dtype=np.float32)[:, np.newaxis]
+    functions = np.zeros((len(values), len(knots)), dtype=np.float32)
+    lower = np.clip(np.searchsorted(knots, values[known], side="right") - 1, 0, len(knots) - 2)
+    share = np.clip((values[known] - knots[lower]) / np.diff(knots)[lower], 0.0, 1.0)
+    rows = np.flatnonzero(known)
+    functions[rows, lower], functions[rows, lower + 1] = 1.0 - share, share
+    return functions
+
+
+def hats_2d(rows: Float32, columns: Float32, n_rows: int, n_columns: int) -> Float32:
+    """Return products of hats of row and column (n, k): piecewise bilinear functions over the image."""
+    along_rows, along_columns = hats(rows, n_rows), hats(columns, n_columns)
+    return (along_rows[:, :, np.newaxis] * along_columns[:, np.newaxis, :]).reshape(len(rows), -1)

@@ -1,0 +1,235 @@
+"""What the images of a recording may be off by without a gap, and by the form of an effect.
+
+Three kinds of error, each a covariance: noise, as the recording's bins have it; the model's own error, smooth
+over the image and from frame to frame, and every effect of the catalogue at a negligible size; and the error
+of an effect's form, a smooth share of what the effect does, in the coordinates of its stage.
+"""
+
+from __future__ import annotations
+
+import itertools
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from noise_model.arrays import Bool, Float32, Float64, Int64
+from noise_model.effects import REGISTRY
+from noise_model.effects.effect import Stage
+from sim_to_real.evidence.coordinates import FreeTerm, form_functions, free_terms, hats_2d
+from sim_to_real.evidence.metric import Metric, log_evidence, robust_weights
+from sim_to_real.evidence.policy import Policy
+from sim_to_real.fit.gauss_newton import Refit
+from sim_to_real.locate.covariates import Covariates
+from sim_to_real.search.score_test import ScoreTest
+
+IMAGE_KNOTS = (6, 7)
+"""Knots of the model's own error over rows and columns."""
+
+ROWS_SEED = 0
+"""The seed of the choice of bins."""
+
+MIN_STEP_SIGMAS = 0.05
+"""The shortest probe step, in sigmas of its parameter's prior, by which a column is scaled to one sigma."""
+
+
+@dataclass(frozen=True, eq=False)
+class Columns:
+    """What one prior sigma of each of some sizes changes (n, k), and the `sides` (k,) that sizes have.
+
+    See `metric.log_evidence` for sides.
+    """
+
+    changes: Float32
+    sides: Float64
+
+    @classmethod
+    def free(cls, changes: Float32) -> Columns:
+        """Return columns of unbounded sizes."""
+        return cls(changes, np.zeros(changes.shape[1]))
+
+    @classmethod
+    def along_probes(cls, score: ScoreTest, rows: Int64) -> Columns:
+        """Return what one prior sigma of each of an effect's probe points changes in some bins."""
+        sigmas = np.array([parameter.prior_sigma for parameter in REGISTRY[score.id].parameters])
+        lengths = np.max(np.abs(score.steps) / sigmas, axis=1)
+        # Where light ends is no step of a parameter: the change to its shape counts as one.
+        lengths = np.where(lengths > 0.0, np.maximum(lengths, MIN_STEP_SIGMAS), 1.0)
+        low, high = np.array(score.step_limits()).T
+        changes = np.asarray(score.signature[rows] / lengths, dtype=np.float32)
+        return cls(changes, 1.0 * (low == 0.0) - 1.0 * (high == 0.0))
+
+    def beside(self, others: Columns) -> Columns:
+        """Return both, side by side."""
+        return Columns(np.hstack([self.changes, others.changes]), np.concatenate([self.sides, others.sides]))
+
+
+@dataclass(frozen=True, eq=False)
+class Linearized:
+    """A hypothesis about its fit: residuals (n,) at its priors' means, and what its sizes change."""
+
+    residuals: Float64
+    columns: Columns
+
+    @classmethod
+    def of(cls, fitted: Refit, rows: Int64) -> Linearized:
+        """Return a fit's linear form in some bins."""
+        return cls._about(fitted, fitted.residuals, np.ones(len(fitted.x), dtype=np.bool_), rows)
+
+    @classmethod
+    def without(cls, fitted: Refit, name: str | None, residuals: Float64, rows: Int64) -> Linearized:
+        """Return the same without one of a fit's effects, or without any; `residuals` (n,) are those of it.
+
+        They are of all bins, at the fit's other parameters.
+        """
+        kept = np.ones(len(fitted.x), dtype=np.bool_)
+        for effect, block in fitted.blocks:
+            kept[block] = name is not None and effect != name
+        return cls._about(fitted, residuals, kept, rows)
+
+    @classmethod
+    def _about(cls, fitted: Refit, residuals: Float64, kept: Bool, rows: Int64) -> Linearized:
+        parameters = list(itertools.compress(fitted.quadratic.parameters, kept))
+        starts, sigmas = np.array([(p.start, p.prior_sigma) for p in parameters]).T
+        J = fitted.jacobian[rows][:, kept]
+        at_start = residuals[rows] + J @ (starts - fitted.x[kept])
+        sides = np.array([1.0 * (p.lower == p.start) - 1.0 * (p.upper == p.start) for p in parameters])
+        return cls(at_start, Columns(np.asarray(J * sigmas, dtype=np.float32), sides))
+
+
+@dataclass(frozen=True, eq=False)
+class ErrorModel:
+    """The errors of a recording's bins `rows` (n,), as a metric, and the terms of an unknown cause there."""
+
+    rows: Int64
+    metric: Metric
+    free_terms: tuple[FreeTerm, ...]
+    form_functions: Mapping[Stage, Float32]
+
+    @classmethod
+    def of(
+        cls,
+        covariates: Covariates,
+        start: Refit,
+        scores: Sequence[ScoreTest],
+        psf_sigma_bins: float,
+        policy: Policy,
+    ) -> ErrorModel:
+        """Return the errors about a fit without effects; `scores` hold what each effect does to the bins.
+
+        `psf_sigma_bins` is the point-spread function's 1 sigma, in bins.
+        """
+        rows = chosen_rows(covariates, policy.n_bins)
+        chosen = covariates.subset(rows)
+        terms, forms = free_terms(chosen), form_functions(chosen)
+        effects = [
+            np.hstack([Columns.along_probes(family, rows).changes for family in score.families])
+            for score in scores
+        ]
+        sampling = psf_sigma_bins**2 * _fourth_difference(start, covariates)[rows]
+        floor = np.hstack(
+            [_smooth_error(chosen, policy), sampling, *(_negligible(e, policy) for e in effects)]
+        )
+        at_start = Linearized.of(start, rows)
+        every = np.hstack([at_start.columns.changes, floor, *(term.columns for term in terms), *effects])
+        weights = robust_weights(at_start.residuals, every, policy.tail_dof)
+        return cls(rows, Metric.of(floor.astype(np.float32), weights), terms, forms)
+
+    def log_evidence(self, hypothesis: Linearized, *further: Columns) -> float:
+        """Return ln Z, nats, of a hypothesis, with further columns."""
+        columns = hypothesis.columns
+        for more in further:
+            columns = columns.beside(more)
+        return self.metric.log_evidence(hypothesis.residuals, columns.changes, columns.sides)
+
+    def likeliest(self, hypothesis: Linearized) -> Float64:
+        """Return the likeliest sizes (k,) of a hypothesis' columns, in sigmas of their priors."""
+        changes = hypothesis.columns.changes
+        information = self.metric.products(changes, changes) + np.eye(changes.shape[1])
+        along = self.metric.products(changes, hypothesis.residuals[:, np.newaxis])[:, 0]
+        return np.asarray(-np.linalg.solve(information, along))
+
+    def table(self, hypothesis: Linearized, blocks: Sequence[Columns]) -> EvidenceTable:
+        """Return what gives the evidence of a hypothesis with any of some blocks of columns."""
+        columns = [hypothesis.columns, *blocks]
+        every = np.column_stack([*(block.changes for block in columns), hypothesis.residuals])
+        ends = np.cumsum([0, *(len(block.sides) for block in columns)])
+        sides = np.concatenate([block.sides for block in columns])
+        return EvidenceTable(self.metric.products(every, every), sides, ends)
+
+    def form_error(self, effect: str, change: Float64 | Float32) -> Columns:
+        """Return the error of an effect's form; `change` (n,) is what the effect does."""
+        share = np.float32(REGISTRY[effect].form_rel)
+        functions = self.form_functions[REGISTRY[effect].stage]
+        return Columns.free(np.asarray(share * functions * change[:, np.newaxis], dtype=np.float32))
+
+
+@dataclass(frozen=True, eq=False)
+class EvidenceTable:
+    """The products of a hypothesis' columns, of further blocks, which end at `ends`, and of the residuals."""
+
+    products: Float64
+    sides: Float64
+    ends: Int64
+
+    def log_evidence(self, *chosen: int, size: float = 1.0) -> float:
+        """Return ln Z, nats, of the hypothesis with some blocks, by number, whose sizes are scaled."""
+        blocks = [np.arange(self.ends[n + 1], self.ends[n + 2]) for n in chosen]
+        places = np.concatenate([np.arange(self.ends[1]), *blocks])
+        kept = np.append(places, len(self.products) - 1)
+        scale = np.ones(len(kept))
+        scale[self.ends[1] : -1] = size
+        products = self.products[np.ix_(kept, kept)] * np.outer(scale, scale)
+        return log_evidence(products, self.sides[places])
+
+
+def chosen_rows(covariates: Covariates, count: int) -> Int64:
+    """Return the places (n,) of at most so many bins that are compared, half of them in the stripe."""
+    draw = np.random.default_rng(ROWS_SEED)
+    usable = np.isfinite(covariates.sigma_dn)
+    chosen = []
+    for members in (usable & ~covariates.in_stripe, usable & covariates.in_stripe):
+        places = np.flatnonzero(members)
+        chosen.append(draw.permutation(places)[: count // 2])
+    return np.sort(np.concatenate(chosen))
+
+
+def _negligible(columns: Float32, policy: Policy) -> Float32:
+    """Return what an effect at a negligible size changes (n, k), all of its families together."""
+    rms = np.sqrt(np.mean(columns**2, axis=0))
+    sizes = np.minimum(policy.negligible, policy.negligible_rms / np.maximum(rms, 1e-6))
+    return np.asarray(columns * sizes / math.sqrt(columns.shape[1]), dtype=np.float32)
+
+
+def _fourth_difference(start: Refit, covariates: Covariates) -> Float32:
+    """Return what a fourth difference of the laser's light over 24 changes in all bins (n, 1).
+
+    A kernel whose fourth moment is off by m is off by m / 24 of it. Three taps of variance v have the fourth
+    moment v, a Gaussian has 3 v^2, so bins that hardly resolve a stripe are off by about v / 24.
+    """
+    parts = [light.dn_per_e() * light.fourth_e / 24.0 for light in start.lights]
+    return np.asarray(np.concatenate(parts) / covariates.sigma_dn, dtype=np.float32)[:, np.newaxis]
+
+
+def _smooth_error(covariates: Covariates, policy: Policy) -> Float32:
+    """Return the columns (n, k) of the model's own error over the image and from frame to frame."""
+    per_dn = 1.0 / covariates.sigma_dn
+    sources = [covariates.arc_dn * per_dn, covariates.laser_dn * per_dn]
+    rows, columns = covariates.values["row"], covariates.values["column"]
+    image = hats_2d(rows, columns, *IMAGE_KNOTS)
+    in_frame = (covariates.frame[:, np.newaxis] == np.unique(covariates.frame)).astype(np.float32)
+    tilts = [_centred(rows), _centred(columns)]
+    over_image = [policy.image_rel * image * source[:, np.newaxis] for source in sources]
+    over_frames = [
+        policy.frame_rel * in_frame * (tilt * source)[:, np.newaxis]
+        for source in sources
+        for tilt in (np.ones_like(source), *tilts)
+    ]
+    return np.hstack([*over_image, *over_frames]).astype(np.float32)
+
+
+def _centred(values: Float32) -> Float32:
+    """Return values (n,) from -1 to 1."""
+    low, high = float(np.min(values, initial=0.0)), float(np.max(values, initial=1.0))
+    return np.asarray(2.0 * (values - low) / max(high - low, 1.0) - 1.0, dtype=np.float32)

@@ -1,0 +1,109 @@
+"""Hypotheses about a gap with their log evidence, and the posterior over all of them.
+
+No gap; one effect of the catalogue, or several; an unknown cause at one of the stages. All are compared by
+one quantity. An effect's form may be off: its evidence is the mean over a form that is exact and one that is
+off by a share of what the effect does (`Effect.form_rel`). An unknown cause is any smooth function of the
+coordinates of some stage, of any of several sizes.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.special import logsumexp
+
+from noise_model.effects.effect import Stage
+from sim_to_real.evidence.error_model import Linearized
+from sim_to_real.evidence.policy import Policy
+from sim_to_real.fit.gauss_newton import Refit
+
+
+@dataclass(frozen=True, eq=False)
+class Hypothesis:
+    """Effects fitted together; none is no gap.
+
+    `exact` is the log evidence of the effects' own form, `off` that of a form that may be off, nats.
+    `neutral` is no gap about the same nuisances, `fewer` the evidence there of these effects without one.
+    """
+
+    refit: Refit
+    exact: float
+    off: float
+    neutral: Linearized
+    fewer: Mapping[frozenset[str], float]
+
+    @property
+    def ids(self) -> tuple[str, ...]:
+        """The effects."""
+        return self.refit.ids
+
+    @property
+    def evidence(self) -> float:
+        """The log evidence, nats, the form exact or off with equal probability."""
+        return float(np.logaddexp(self.exact, self.off) - math.log(2.0))
+
+
+@dataclass(frozen=True)
+class Unknown:
+    """An unknown cause: the log evidence, nats, of each free term, by stage and name."""
+
+    terms: Mapping[tuple[Stage, str], float]
+
+    @property
+    def evidence(self) -> float:
+        """The log evidence, nats, all terms equally probable."""
+        return float(logsumexp(list(self.terms.values())) - math.log(len(self.terms)))
+
+    @property
+    def likeliest(self) -> tuple[Stage, str]:
+        """The likeliest term's stage and name."""
+        return max(self.terms, key=lambda term: self.terms[term])
+
+
+@dataclass(frozen=True, eq=False)
+class Posterior:
+    """The probabilities of no gap, of hypotheses with effects, likeliest first, and of an unknown cause."""
+
+    none: Hypothesis
+    hypotheses: tuple[Hypothesis, ...]
+    unknown: Unknown
+    p_none: float
+    p: tuple[float, ...]
+    p_unknown: float
+
+    @classmethod
+    def of(
+        cls,
+        none: Hypothesis,
+        hypotheses: Sequence[Hypothesis],
+        unknown: Unknown,
+        n_effects: int,
+        policy: Policy,
+    ) -> Posterior:
+        """Weigh hypotheses by evidence and prior odds; `n_effects` share the odds of one effect evenly."""
+        some = sorted(hypotheses, key=lambda h: -_weight(h.evidence, len(h.ids), n_effects, policy))
+        ln = [
+            none.evidence / policy.temperature,
+            *(_weight(h.evidence, len(h.ids), n_effects, policy) for h in some),
+            unknown.evidence / policy.temperature + policy.ln_odds_unknown,
+        ]
+        p_none, *p, p_unknown = np.exp(np.array(ln) - logsumexp(ln)).tolist()
+        return cls(none, tuple(some), unknown, p_none, tuple(p), p_unknown)
+
+    @property
+    def of_effects(self) -> dict[str, float]:
+        """The probability that each effect is there, alone or with others."""
+        total: dict[str, float] = {}
+        for hypothesis, probability in zip(self.hypotheses, self.p, strict=True):
+            for name in hypothesis.ids:
+                total[name] = total.get(name, 0.0) + probability
+        return total
+
+
+def _weight(evidence: float, n: int, n_effects: int, policy: Policy) -> float:
+    """Return ln of the unnormalised probability of a hypothesis of n effects."""
+    ln_odds = policy.ln_odds_effect + (n - 1) * policy.ln_odds_further - n * math.log(max(n_effects, 1))
+    return evidence / policy.temperature + ln_odds

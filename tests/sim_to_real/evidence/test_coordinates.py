@@ -1,0 +1,70 @@
+"""The coordinates of the stages, and what an unknown cause at one of them explains."""
+
+import numpy as np
+import pytest
+
+from noise_model.effects.effect import Stage
+from sim_to_real.evidence.coordinates import form_functions, free_terms, hats, hats_2d
+from sim_to_real.evidence.metric import Metric
+from tests.sim_to_real.planted import planted
+
+
+@pytest.fixture(scope="module")
+def covariates():
+    return planted(n_frames=12, shape=(12, 16))
+
+
+def test_hats_are_a_partition_of_one():
+    values = np.random.default_rng(0).uniform(3.0, 9.0, 200).astype(np.float32)
+    values[:5] = np.nan
+    functions = hats(values, 6)
+    assert functions.shape == (200, 6)
+    np.testing.assert_allclose(functions[5:].sum(axis=1), 1.0, rtol=1e-6)
+    assert not functions[:5].any()
+    # A straight line lies within their span.
+    line = np.linalg.lstsq(functions[5:], values[5:], rcond=None)[0]
+    np.testing.assert_allclose(functions[5:] @ line, values[5:], atol=1e-4)
+
+
+def test_few_values_have_a_hat_each():
+    functions = hats(np.array([1.0, 4.0, 1.0, 4.0], dtype=np.float32), 5)
+    np.testing.assert_array_equal(functions, [[1, 0], [0, 1], [1, 0], [0, 1]])
+    assert hats(np.full(3, 2.0, dtype=np.float32), 5).tolist() == [[1.0], [1.0], [1.0]]
+
+
+def test_over_the_image_they_are_products():
+    rows, columns = (part.ravel().astype(np.float32) for part in np.indices((7, 9)))
+    functions = hats_2d(rows, columns, 3, 4)
+    assert functions.shape == (63, 12)
+    np.testing.assert_allclose(functions.sum(axis=1), 1.0, rtol=1e-6)
+
+
+def test_every_stage_has_functions_for_forms_and_terms_for_the_unknown(covariates):
+    forms, terms = form_functions(covariates), free_terms(covariates)
+    assert set(forms) == set(Stage) == {term.stage for term in terms}
+    assert all(functions.shape[0] == len(covariates.frame) for functions in forms.values())
+    assert len({(term.stage, term.name) for term in terms}) == len(terms)
+
+
+@pytest.mark.parametrize(
+    ("stage", "gap"),
+    [
+        (Stage.SURFACE, lambda c: c.arc_dn * 0.004 * (c.values["half_angle"] - 40.0)),
+        (Stage.SENSOR, lambda c: 3.0 * np.sin(c.values["gray_level"] / 25.0)),
+        (Stage.ILLUMINATION, lambda c: c.laser_dn * 0.1 * np.sin(c.values["column"] / 5.0)),
+        (Stage.SOURCE, lambda c: c.arc_dn * 0.1 * np.cos(3.1 * c.frame)),
+    ],
+)
+def test_a_gap_is_likeliest_at_the_stage_where_it_arises(covariates, stage, gap):
+    rng = np.random.default_rng(2)
+    residuals = np.nan_to_num(gap(covariates)) + rng.standard_normal(len(covariates.frame))
+    n = len(residuals)
+    metric = Metric(np.ones(n, dtype=np.float32), np.zeros((1, n)))
+    evidence = {
+        (term.stage, term.name): metric.log_evidence(residuals, np.float32(0.1) * term.columns)
+        for term in free_terms(covariates)
+    }
+    nothing = metric.log_evidence(residuals, np.zeros((n, 1)))
+    best = max(evidence, key=evidence.get)
+    assert best[0] is stage
+    assert evidence[best] > nothing + 20.0

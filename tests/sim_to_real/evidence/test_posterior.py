@@ -1,0 +1,92 @@
+"""The posterior over hypotheses, and the verdict that it gives."""
+
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from noise_model.effects.effect import Stage
+from sim_to_real.diagnosis import Verdict
+from sim_to_real.evidence.hypotheses import Hypothesis, Posterior, Unknown
+from sim_to_real.evidence.judgement import judge
+from sim_to_real.evidence.policy import Policy
+
+POLICY = Policy(temperature=1.0, ln_odds_effect=0.0, ln_odds_further=-2.0, ln_odds_unknown=-1.0)
+TERM = Stage.SURFACE, "arc over the half angle"
+
+
+def hypothesis(nats, *ids, off=None):
+    return Hypothesis(SimpleNamespace(ids=ids), nats, nats if off is None else off, None, {})
+
+
+def posterior(*hypotheses, none=0.0, unknown=-20.0, n_effects=10):
+    return Posterior.of(hypothesis(none), hypotheses, Unknown({TERM: unknown}), n_effects, POLICY)
+
+
+def test_probabilities_add_up_to_one_likeliest_first():
+    weighed = posterior(hypothesis(3.0, "fume"), hypothesis(5.0, "gamma"), unknown=2.0)
+    assert weighed.p_none + sum(weighed.p) + weighed.p_unknown == pytest.approx(1.0)
+    assert [h.ids for h in weighed.hypotheses] == [("gamma",), ("fume",)]
+    # 5 nats over no gap, of ten effects that share its odds.
+    assert weighed.p[0] / weighed.p_none == pytest.approx(np.exp(5.0) / 10.0)
+    assert weighed.p_unknown / weighed.p_none == pytest.approx(np.exp(2.0 - 1.0))
+
+
+def test_a_further_effect_has_odds_of_its_own():
+    weighed = posterior(hypothesis(5.0, "gamma"), hypothesis(9.0, "gamma", "fume"))
+    assert weighed.p[0] / weighed.p[1] == pytest.approx(np.exp(5.0 - 9.0 + 2.0) * 10.0)
+    assert weighed.of_effects["gamma"] == pytest.approx(sum(weighed.p))
+    assert weighed.of_effects["fume"] == pytest.approx(weighed.p[1])
+
+
+def test_a_form_may_be_exact_or_off():
+    assert hypothesis(4.0, "gamma", off=4.0).evidence == pytest.approx(4.0)
+    assert hypothesis(4.0, "gamma", off=-90.0).evidence == pytest.approx(4.0 - np.log(2.0))
+    assert hypothesis(-90.0, "gamma", off=4.0).evidence == pytest.approx(4.0 - np.log(2.0))
+
+
+def test_of_several_terms_an_unknown_cause_is_the_mean():
+    two = Unknown({TERM: 3.0, (Stage.SENSOR, "rows"): -50.0})
+    assert two.evidence == pytest.approx(3.0 - np.log(2.0))
+    assert two.likeliest == TERM
+
+
+@pytest.mark.parametrize(
+    ("hypotheses", "unknown", "verdict", "named", "ambiguous"),
+    [
+        ((), -20.0, Verdict.NO_GAP, (), ()),
+        ((hypothesis(1.0, "gamma"),), -20.0, Verdict.NO_GAP, (), ()),
+        ((hypothesis(20.0, "gamma"), hypothesis(3.0, "fume")), 4.0, Verdict.EFFECTS, ("gamma",), ()),
+        ((hypothesis(20.0, "gamma"),), 30.0, Verdict.UNKNOWN, (), ()),
+        (
+            (hypothesis(20.0, "gamma"), hypothesis(19.5, "fume"), hypothesis(9.0, "defocus")),
+            4.0,
+            Verdict.AMBIGUOUS,
+            (),
+            (("gamma", "fume"),),
+        ),
+        (
+            (hypothesis(20.0, "gamma"), hypothesis(60.0, "gamma", "fume")),
+            4.0,
+            Verdict.EFFECTS,
+            ("gamma", "fume"),
+            (),
+        ),
+    ],
+)
+def test_what_leads_is_the_verdict(hypotheses, unknown, verdict, named, ambiguous):
+    judgement = judge(posterior(*hypotheses, unknown=unknown), POLICY)
+    assert judgement.verdict is verdict
+    assert set(judgement.named) == set(named)
+    assert judgement.ambiguous == ambiguous
+    if named:
+        assert set(judgement.leader.ids) == set(named)
+
+
+def test_an_effect_that_all_likely_hypotheses_share_is_named_alone():
+    """Whether fume is there too is open; gamma is there either way."""
+    weighed = posterior(hypothesis(20.0, "gamma"), hypothesis(24.0, "gamma", "fume"))
+    judgement = judge(weighed, POLICY)
+    assert judgement.verdict is Verdict.EFFECTS
+    assert judgement.named == ("gamma",)
+    assert judgement.leader.ids == ("gamma",)
