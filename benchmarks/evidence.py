@@ -1,6 +1,6 @@
 """The evidence of every hypothesis about a recording: no gap, effects, pairs of them, an unknown cause.
 
-    python benchmarks/evidence.py RECORDING ... [--without EFFECT ...]
+    python benchmarks/evidence.py RECORDING ... [--without EFFECT] ...
 
 `arctrack diagnose` does not judge by it yet. Beside the verdict that the posterior gives stands what each
 hypothesis has over no gap, nats, and its probability.
@@ -9,6 +9,7 @@ hypothesis has over no gap, nats, and its probability.
 from __future__ import annotations
 
 import argparse
+import sys
 import time
 from pathlib import Path
 
@@ -41,7 +42,11 @@ def posterior_of(path: Path, without: list[str]) -> Posterior:
     excluded = excluded_effects(setup, without)
     before, _ = baseline_of(model, excluded)
     values = covariates(model, before)
-    return weigh(model, before, values, excluded, lambda text, share: None).posterior
+    return weigh(model, before, values, excluded, _tell)
+
+
+def _tell(text: str, share: float) -> None:
+    print(f"  {text} …", file=sys.stderr, flush=True)
 
 
 def print_posterior(path: Path, without: list[str]) -> None:

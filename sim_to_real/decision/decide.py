@@ -16,6 +16,7 @@ from noise_model.arrays import Bool, Float64
 from sim_to_real.diagnosis import Verdict
 from sim_to_real.fit.gauss_newton import FLICKER, MIN_EVIDENCE_NATS, Refit, converged, refit
 from sim_to_real.fit.linearized_model import LinearizedModel
+from sim_to_real.fit.nuisances import BIASED_MEAN_SQUARE
 from sim_to_real.search.hypothesis import (
     MAX_MISFIT_AT_FLOOR,
     MIN_VISIBLE_MISFIT,
@@ -40,9 +41,6 @@ from sim_to_real.search.single_effects import (
     with_trends,
 )
 from sim_to_real.search.stepwise import best_beside
-
-BIASED_MEAN_SQUARE = 10.0
-"""From this mean square on the gap has biased the baseline's nuisances."""
 
 MIN_UNKNOWN_MEAN_SQUARE = 2.0
 """From this mean square on there is a gap, even if no effect of the catalogue helps."""

@@ -17,6 +17,7 @@ from noise_model.arrays import Float32
 from noise_model.effects.effect import Stage
 from sim_to_real.fit.nuisances import N_LEVELS, SEAM_FROM
 from sim_to_real.locate.covariates import Covariates
+from sim_to_real.locate.spline_term import hats_at, pairwise_products
 
 IN_EACH_FRAME = "arc in each frame"
 """The free term that stands for an arc that flickers."""
@@ -26,6 +27,9 @@ ADDED_DN = 50.0
 
 MOVED_DEG, MOVED_MM = 2.0, 2.5
 """What a free term of size 1 turns and moves the camera by."""
+
+MOVED_IN_FRAME_MM = 0.3
+"""What a free term of size 1 moves the camera by in each frame, as a wrong clock does."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -46,7 +50,7 @@ class _Basis:
 
 
 def free_terms(covariates: Covariates) -> tuple[FreeTerm, ...]:
-    """Return the terms of an unknown cause: of each basis, of each stage's bases together, of all of them."""
+    """Return the terms of an unknown cause: of each basis, of a stage's bases together, of displacements."""
     bases = _bases(covariates)
     terms = [
         FreeTerm(basis.stage, basis.name, basis.functions * basis.light[:, np.newaxis]) for basis in bases
@@ -72,14 +76,13 @@ def _bases(covariates: Covariates) -> list[_Basis]:
     values, per_dn = covariates.values, 1.0 / covariates.sigma_dn
     arc, laser = covariates.arc_dn * per_dn, covariates.laser_dn * per_dn
     light, added = arc + laser, ADDED_DN * per_dn
-    frames = np.unique(covariates.frame)
-    in_frame = (covariates.frame[:, np.newaxis] == frames).astype(np.float32)
+    in_frame = in_each_frame(covariates)
     rho2 = (values["radius"] / max(float(np.max(values["radius"], initial=0.0)), 1e-9)) ** 2
     radial = np.column_stack([np.ones_like(rho2), rho2, rho2**2]).astype(np.float32)
     exposed = values["exposure"] / max(float(np.max(values["exposure"], initial=0.0)), 1e-9)
     current = values["current"] / max(float(np.max(values["current"], initial=0.0)), 1e-9)
     lit = np.where(values["current"] > 0.0, exposed, 0.0) * added
-    mean_light = _mean_in_frame(covariates, frames) * per_dn
+    mean_light = _mean_in_frame(covariates) * per_dn
     image = hats_2d(values["row"], values["column"], 5, 6)
 
     def along(name: str, count: int) -> Float32:
@@ -122,54 +125,37 @@ def _displacements(covariates: Covariates) -> list[FreeTerm]:
     outward = pose[:, 1] * x - pose[:, 0] * y
     distortion = np.column_stack([outward, 4.0 * outward * (x**2 + y**2)])
     sizes = np.array([MOVED_DEG] * 3 + [MOVED_MM] * 3, dtype=np.float32)
-    in_frame = (covariates.frame[:, np.newaxis] == np.unique(covariates.frame)).astype(np.float32)
-    shifted = (in_frame[:, :, np.newaxis] * pose[:, np.newaxis, 3:]).reshape(len(pose), -1)
+    shifted = np.float32(MOVED_IN_FRAME_MM) * pairwise_products(in_each_frame(covariates), pose[:, 3:])
     return [
         FreeTerm(
             Stage.GEOMETRY,
             "pose of the camera, distortion",
             np.hstack([pose * sizes, distortion]).astype(np.float32),
         ),
-        FreeTerm(Stage.TIMING, "pose in each frame", np.asarray(0.3 * shifted, dtype=np.float32)),
+        FreeTerm(Stage.TIMING, "pose in each frame", shifted),
     ]
 
 
-def _mean_in_frame(covariates: Covariates, frames: np.ndarray) -> Float32:
+def _mean_in_frame(covariates: Covariates) -> Float32:
     """Return the mean predicted light (n,), DN, of each bin's frame."""
-    place = np.searchsorted(frames, covariates.frame)
-    total = np.bincount(place, covariates.light_dn, len(frames))
-    count = np.bincount(place, minlength=len(frames))
-    return np.asarray((total / np.maximum(count, 1))[place], dtype=np.float32)
+    total, count = np.bincount(covariates.frame, covariates.light_dn), np.bincount(covariates.frame)
+    return np.asarray((total / np.maximum(count, 1))[covariates.frame], dtype=np.float32)
 
 
 def hats(values: Float32, count: int) -> Float32:
-    """Return the hat functions (n, k) of values (n,): each falls from 1 at its knot to 0 at the next ones.
-
-    Knots lie at quantiles of the values; there are fewer for few distinct values. NaN belongs to no hat.
-    """
-    known = np.isfinite(values)
-    distinct = np.unique(values[known])
-    knots = (
-        np.unique(
-            np.quantile(
-                distinct if len(distinct) <= count else values[known],
-                np.linspace(0.0, 1.0, min(count, max(len(distinct), 1))),
-            )
-        )
-        if len(distinct)
-        else distinct
-    )
-    if len(knots) < 2:
-        return np.asarray(known, dtype=np.float32)[:, np.newaxis]
-    functions = np.zeros((len(values), len(knots)), dtype=np.float32)
-    lower = np.clip(np.searchsorted(knots, values[known], side="right") - 1, 0, len(knots) - 2)
-    share = np.clip((values[known] - knots[lower]) / np.diff(knots)[lower], 0.0, 1.0)
-    rows = np.flatnonzero(known)
-    functions[rows, lower], functions[rows, lower + 1] = 1.0 - share, share
-    return functions
+    """Return at most so many hat functions (n, k) of values (n,): at their quantiles, or at each of few."""
+    known = values[np.isfinite(values)]
+    distinct = np.unique(known)
+    if len(distinct) > count:
+        distinct = np.unique(np.quantile(known, np.linspace(0.0, 1.0, count)))
+    return hats_at(distinct, values)
 
 
 def hats_2d(rows: Float32, columns: Float32, n_rows: int, n_columns: int) -> Float32:
     """Return products of hats of row and column (n, k): piecewise bilinear functions over the image."""
-    along_rows, along_columns = hats(rows, n_rows), hats(columns, n_columns)
-    return (along_rows[:, :, np.newaxis] * along_columns[:, np.newaxis, :]).reshape(len(rows), -1)
+    return pairwise_products(hats(rows, n_rows), hats(columns, n_columns))
+
+
+def in_each_frame(covariates: Covariates) -> Float32:
+    """Return for each frame (n, n_frames) whether a bin is in it."""
+    return np.asarray(covariates.frame[:, np.newaxis] == np.unique(covariates.frame), dtype=np.float32)

@@ -17,10 +17,11 @@ import numpy as np
 from noise_model.arrays import Bool, Float32, Float64, Int64
 from noise_model.effects import REGISTRY
 from noise_model.effects.effect import Stage
-from sim_to_real.evidence.coordinates import FreeTerm, form_functions, free_terms, hats_2d
+from sim_to_real.evidence.coordinates import FreeTerm, form_functions, free_terms, hats_2d, in_each_frame
 from sim_to_real.evidence.metric import Metric, log_evidence, robust_weights
 from sim_to_real.evidence.policy import Policy
 from sim_to_real.fit.gauss_newton import Refit
+from sim_to_real.fit.linearized_model import LinearizedModel
 from sim_to_real.locate.covariates import Covariates
 from sim_to_real.search.score_test import ScoreTest
 
@@ -110,16 +111,13 @@ class ErrorModel:
     @classmethod
     def of(
         cls,
+        model: LinearizedModel,
         covariates: Covariates,
         start: Refit,
         scores: Sequence[ScoreTest],
-        psf_sigma_bins: float,
         policy: Policy,
     ) -> ErrorModel:
-        """Return the errors about a fit without effects; `scores` hold what each effect does to the bins.
-
-        `psf_sigma_bins` is the point-spread function's 1 sigma, in bins.
-        """
+        """Return the errors about a fit without effects; `scores` hold what each effect does to the bins."""
         rows = chosen_rows(covariates, policy.n_bins)
         chosen = covariates.subset(rows)
         terms, forms = free_terms(chosen), form_functions(chosen)
@@ -127,7 +125,7 @@ class ErrorModel:
             np.hstack([Columns.along_probes(family, rows).changes for family in score.families])
             for score in scores
         ]
-        sampling = psf_sigma_bins**2 * _fourth_difference(start, covariates)[rows]
+        sampling = _sampling_error(model, start, covariates)[rows]
         floor = np.hstack(
             [_smooth_error(chosen, policy), sampling, *(_negligible(e, policy) for e in effects)]
         )
@@ -202,14 +200,17 @@ def _negligible(columns: Float32, policy: Policy) -> Float32:
     return np.asarray(columns * sizes / math.sqrt(columns.shape[1]), dtype=np.float32)
 
 
-def _fourth_difference(start: Refit, covariates: Covariates) -> Float32:
-    """Return what a fourth difference of the laser's light over 24 changes in all bins (n, 1).
+def _sampling_error(model: LinearizedModel, start: Refit, covariates: Covariates) -> Float32:
+    """Return what bins do to a stripe that they hardly resolve, in all bins (n, 1).
 
-    A kernel whose fourth moment is off by m is off by m / 24 of it. Three taps of variance v have the fourth
-    moment v, a Gaussian has 3 v^2, so bins that hardly resolve a stripe are off by about v / 24.
+    A kernel whose fourth moment is off by m is off by m / 24 of a fourth difference. Three taps of variance v
+    have the fourth moment v, a Gaussian has 3 v^2, so bins are off by about v / 24.
     """
-    parts = [light.dn_per_e() * light.fourth_e / 24.0 for light in start.lights]
-    return np.asarray(np.concatenate(parts) / covariates.sigma_dn, dtype=np.float32)[:, np.newaxis]
+    variance = model.observed.binned.camera.psf_sigma_px**2
+    fourth_e = model.laser_fourth_differences(start.nuisance)
+    parts = [light.dn_per_e() * of_frame for light, of_frame in zip(start.lights, fourth_e, strict=True)]
+    error_dn = variance / 24.0 * np.concatenate(parts)
+    return np.asarray(error_dn / covariates.sigma_dn, dtype=np.float32)[:, np.newaxis]
 
 
 def _smooth_error(covariates: Covariates, policy: Policy) -> Float32:
@@ -218,7 +219,7 @@ def _smooth_error(covariates: Covariates, policy: Policy) -> Float32:
     sources = [covariates.arc_dn * per_dn, covariates.laser_dn * per_dn]
     rows, columns = covariates.values["row"], covariates.values["column"]
     image = hats_2d(rows, columns, *IMAGE_KNOTS)
-    in_frame = (covariates.frame[:, np.newaxis] == np.unique(covariates.frame)).astype(np.float32)
+    in_frame = in_each_frame(covariates)
     tilts = [_centred(rows), _centred(columns)]
     over_image = [policy.image_rel * image * source[:, np.newaxis] for source in sources]
     over_frames = [

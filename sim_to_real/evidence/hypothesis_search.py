@@ -22,7 +22,7 @@ from sim_to_real.evidence.error_model import Columns, ErrorModel, EvidenceTable,
 from sim_to_real.evidence.hypotheses import Hypothesis, Unknown
 from sim_to_real.evidence.policy import Policy
 from sim_to_real.fit.gauss_newton import FLICKER, Refit, refit, refit_from
-from sim_to_real.fit.linearized_model import INTERREFLECTION, RENDERED_EFFECTS, LinearizedModel
+from sim_to_real.fit.linearized_model import INTERREFLECTION, RENDERED_EFFECTS, Effects, LinearizedModel
 from sim_to_real.fit.trend import MIN_DRIVER_RANGE, TREND_EFFECTS, Driver, Trend, trend_among
 from sim_to_real.search.probe_points import EXPENSIVE
 from sim_to_real.search.score_test import ScoreTest
@@ -77,22 +77,23 @@ class HypothesisSearch:
         exact = self.errors.log_evidence(linear)
         if not fitted.ids:
             return Hypothesis(fitted, exact, exact, linear, {})
+        at_none = self._residuals_with(fitted, {})
         form_errors, fewer = [], {}
         for name in fitted.ids:
-            residuals = self._residuals_without(fitted, name)
-            others = frozenset(fitted.ids) - {name}
-            fewer[others] = self.errors.log_evidence(Linearized.without(fitted, name, residuals, rows))
+            others = {other: values for other, values in fitted.effects.items() if other != name}
+            residuals = self._residuals_with(fitted, others) if others else at_none
+            if others:
+                without = Linearized.without(fitted, name, residuals, rows)
+                fewer[frozenset(others)] = self.errors.log_evidence(without)
             if name != FLICKER:
                 form_errors.append(self.errors.form_error(name, (fitted.residuals - residuals)[rows]))
         off = self.errors.log_evidence(linear, *form_errors) if form_errors else exact
-        at_none = self.model.residuals(self.model.lights(fitted.nuisance, {}))
         return Hypothesis(fitted, exact, off, Linearized.without(fitted, None, at_none, rows), fewer)
 
-    def _residuals_without(self, fitted: Refit, name: str) -> Float64:
-        """Return the residuals (n,) of a fit without one of its effects."""
-        others = {other: values for other, values in fitted.effects.items() if other != name}
-        trend = trend_among(fitted.trend, others)
-        return self.model.residuals(self.model.lights(fitted.nuisance, others, trend))
+    def _residuals_with(self, fitted: Refit, effects: Effects) -> Float64:
+        """Return the residuals (n,) at a fit's nuisances with some of its effects."""
+        trend = trend_among(fitted.trend, effects)
+        return self.model.residuals(self.model.lights(fitted.nuisance, effects, trend))
 
     def none(self, before: Hypothesis, others: Iterable[Hypothesis]) -> Hypothesis:
         """Return no gap, about the nuisances of whichever fit makes it likeliest.
@@ -113,10 +114,13 @@ class HypothesisSearch:
             for h in every
         ]
 
-    def unknown(self, fits: Iterable[Hypothesis]) -> Unknown:
-        """Return an unknown cause: each free term about the nuisances of whichever fit makes it likeliest."""
+    def free_terms_beside(self, hypothesis: Hypothesis) -> EvidenceTable:
+        """Return the evidence of each free term about a hypothesis' nuisances."""
         blocks = [Columns.free(term.columns) for term in self.errors.free_terms]
-        tables = [self.errors.table(fit.neutral, blocks) for fit in fits]
+        return self.errors.table(hypothesis.neutral, blocks)
+
+    def unknown(self, tables: Sequence[EvidenceTable]) -> Unknown:
+        """Return an unknown cause: each free term in whichever of some tables makes it likeliest."""
         sizes = self.policy.free_sizes
         terms: dict[tuple[Stage, str], float] = {}
         for n, term in enumerate(self.errors.free_terms):
@@ -238,7 +242,7 @@ class HypothesisSearch:
         """Return the evidence along an effect's probe points, the best family's, its form exact or off."""
         first = self._first_family(score)
         exact = [self._probes.log_evidence(first + n) for n in range(len(score.families))]
-        best = Columns.along_probes(score.families[int(np.argmax(exact))], self.errors.rows)
+        best = self._columns[first + int(np.argmax(exact))]
         form = self.errors.form_error(score.id, best.changes.sum(axis=1))
         return max(max(exact), self.errors.log_evidence(self._at_start, best, form))
 
@@ -302,8 +306,7 @@ class HypothesisSearch:
                 continue
             names = frozenset((*single.ids, family.id))
             gained = table.log_evidence(n) - single.exact - self._nats(self.policy.ln_odds_further)
-            if gained > max(0.0, pairs[names][0] if names in pairs else 0.0):
-                pairs[names] = gained, {**single.refit.effects, family.id: family.start}
+            _keep_better(pairs, names, gained, {**single.refit.effects, family.id: family.start})
         return pairs
 
     def _pairs_alone(self) -> Pairs:
@@ -319,9 +322,13 @@ class HypothesisSearch:
         for first, second in itertools.combinations(places, 2):
             names = frozenset((self._families[first].id, self._families[second].id))
             gained = self._probes.log_evidence(first, second) - alone - needed
-            if len(names) == 2 and gained > max(0.0, pairs[names][0] if names in pairs else 0.0):
-                pairs[names] = (
-                    gained,
-                    {self._families[k].id: self._families[k].start for k in (first, second)},
-                )
+            if len(names) == 2:
+                starts = {self._families[k].id: self._families[k].start for k in (first, second)}
+                _keep_better(pairs, names, gained, starts)
         return pairs
+
+
+def _keep_better(pairs: Pairs, names: frozenset[str], gained: float, starts: Mapping[str, Values]) -> None:
+    """Keep a pair that gains anything, with its best families."""
+    if gained > (pairs[names][0] if names in pairs else 0.0):
+        pairs[names] = gained, starts

@@ -20,7 +20,6 @@ class Judgement:
     leader: Hypothesis
     named: tuple[str, ...]
     ambiguous: tuple[tuple[str, ...], ...]
-    confidence: float
 
 
 def judge(posterior: Posterior, policy: Policy) -> Judgement:
@@ -32,19 +31,17 @@ def judge(posterior: Posterior, policy: Policy) -> Judgement:
     """
     of_effects = sum(posterior.p)
     if posterior.p_none >= max(of_effects, posterior.p_unknown):
-        return Judgement(Verdict.NO_GAP, posterior.none, (), (), posterior.p_none)
+        return Judgement(Verdict.NO_GAP, posterior.none, (), ())
     if posterior.p_unknown > of_effects or not posterior.hypotheses:
-        return Judgement(Verdict.UNKNOWN, posterior.none, (), (), posterior.p_unknown)
+        return Judgement(Verdict.UNKNOWN, posterior.none, (), ())
     sure = [name for name, p in posterior.of_effects.items() if p >= policy.named * of_effects]
     leader = next((h for h in posterior.hypotheses if set(h.ids) == set(sure)), posterior.hypotheses[0])
     if sure:
-        confidence = min(posterior.of_effects[name] for name in sure)
-        return Judgement(Verdict.EFFECTS, leader, tuple(sure), (), confidence)
+        return Judgement(Verdict.EFFECTS, leader, tuple(sure), ())
     likely = [
         h.ids
         for h, p in zip(posterior.hypotheses, posterior.p, strict=True)
         if p >= policy.possible * of_effects
     ]
-    leader = posterior.hypotheses[0]
     members = tuple(dict.fromkeys(name for ids in likely for name in ids))
-    return Judgement(Verdict.AMBIGUOUS, leader, (), (members,), posterior.p[0])
+    return Judgement(Verdict.AMBIGUOUS, leader, (), (members,))

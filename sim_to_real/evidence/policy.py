@@ -13,6 +13,8 @@ class Policy:
     ----------
     negligible : float
         1 sigma of what every effect may be off in a recording without a gap, in sigmas of its prior.
+    negligible_rms : float
+        Its root mean square over all bins is no larger than this, in sigmas of their noise.
     image_rel, frame_rel : float
         1 sigma of the model's own smooth error over the image and from frame to frame, relative to the light.
     tail_dof : float
@@ -45,4 +47,4 @@ class Policy:
 
 
 POLICY = Policy()
-"""The policy of every diagnosis."""
+"""The policy of every posterior."""

@@ -97,7 +97,7 @@ class FrameLight:
     """The light of a frame's bins that count (n,), e-, that has passed effects, lens and exposure.
 
     `arc_factor` and `laser_factor` (n,) are what became of one unit of the rendered light; `black_dn` comes
-    on top of the sensor's own. `fourth_e` (n,) is the fourth difference of the laser's light between bins.
+    on top of the sensor's own.
     """
 
     sensor: Sensor
@@ -106,7 +106,6 @@ class FrameLight:
     other_e: Float32
     arc_factor: Float32
     laser_factor: Float32
-    fourth_e: Float32
     black_dn: float = 0.0
 
     def mean_dn(self, more_e: float = 0.0) -> Float64:
@@ -364,9 +363,20 @@ class LinearizedModel:
             )
         return self._rendered[key]
 
-    def _frame_light(
+    def laser_fourth_differences(self, anchor: Float64) -> list[Float32]:
+        """Return the fourth difference of the laser's light from bin to bin (n,), e-, of each frame."""
+        true = apply_setup_effects(self._setup({}, anchor))
+
+        def of_frame(frame: ObservedFrame) -> Float32:
+            _, light = self._passed_light(frame, true, anchor, {})
+            return _fourth_difference(light.laser)[frame.keep]
+
+        return self.over_frames(of_frame)
+
+    def _passed_light(
         self, frame: ObservedFrame, true: Setup, anchor: Float64, effects: Effects
-    ) -> FrameLight:
+    ) -> tuple[Rendered, Light]:
+        """Return a frame's light as it was rendered, and after effects, lens and exposure."""
         rendered = self._render(frame, anchor, effects)
         condition = apply_condition_effects(true, apply_levels(frame.condition, anchor))
         light = Light.of(
@@ -378,6 +388,12 @@ class LinearizedModel:
             # What bounces is smooth: where it was computed first it may stay, for all that nuisances move.
             self._bounced[frame.position] = bounced_light(view, self._bounced.get(frame.position))
         pass_on(true, light, view, condition)
+        return rendered, light
+
+    def _frame_light(
+        self, frame: ObservedFrame, true: Setup, anchor: Float64, effects: Effects
+    ) -> FrameLight:
+        rendered, light = self._passed_light(frame, true, anchor, effects)
         keep = frame.keep
         exposure = frame.condition.exposure_s / self.observed.setup.camera.exposure_s
         return FrameLight(
@@ -387,7 +403,6 @@ class LinearizedModel:
             light.other[keep],
             _factor(light.arc[keep], rendered.arc_e[keep], frame.condition.arc_level * exposure),
             _factor(light.laser[keep], rendered.laser_e[keep], frame.condition.laser_level * exposure),
-            _fourth_difference(light.laser)[keep],
         )
 
     def _tangents_of(self, frame: ObservedFrame, anchor: Float64, effects: Effects) -> Tangents:

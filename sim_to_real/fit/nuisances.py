@@ -19,6 +19,9 @@ N_LEVELS, N_CAMERA = 3, 6
 SEAM_FROM = N_LEVELS + N_CAMERA
 """The first nuisances are levels, then come those of the camera's pose and of the seam."""
 
+BIASED_MEAN_SQUARE = 10.0
+"""From this mean square of a fit without effects on the gap has biased its nuisances."""
+
 SEAM_WITHIN_SIGMAS = 30.0
 """A seam may lie so many of its sigmas from where the tracker sees it: finding the seam is daily work."""
 

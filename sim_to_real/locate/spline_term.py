@@ -136,6 +136,15 @@ def hat_basis(values: Float32, knots: int = N_KNOTS) -> Float32:
         places = np.unique(np.quantile(values[known], np.linspace(0.0, 1.0, knots)))
     else:
         places = distinct
+    return hats_at(places, values)
+
+
+def hats_at(places: Float32 | Float64, values: Float32) -> Float32:
+    """Return the hat functions (n, k) of values (n,), knots at rising places (k,); one for fewer than two.
+
+    NaN belongs to no hat.
+    """
+    known = np.isfinite(values)
     if len(places) < 2:
         return np.asarray(known, dtype=np.float32)[:, np.newaxis]
     X = np.zeros((len(values), len(places)), dtype=np.float32)
@@ -152,7 +161,12 @@ def hat_basis_2d(covariates: Covariates, knots: tuple[int, int] = N_KNOTS_2D) ->
         hat_basis(covariates.values[name], count)
         for name, count in zip(("row", "column"), knots, strict=True)
     )
-    product = of_row[:, :, np.newaxis] * of_column[:, np.newaxis, :]
+    return pairwise_products(of_row, of_column)
+
+
+def pairwise_products(first: Float32, second: Float32) -> Float32:
+    """Return the products (n, k j) of each of some functions (n, k) with each of others (n, j)."""
+    product = first[:, :, np.newaxis] * second[:, np.newaxis, :]
     return np.asarray(product.reshape(len(product), -1))
 
 
