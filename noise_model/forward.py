@@ -26,6 +26,7 @@ from noise_model.instrument.camera import Rays, blur
 from noise_model.instrument.sensor import expose, respond_moments, saturation_dn
 from noise_model.setup import Setup
 from noise_model.stripe import SheetSeen, crossed_by_borders, sheet_seen, stripe_light
+from noise_model.surface.brdf import lobe_numbers
 from noise_model.surface.joint import NOMINAL_SEAM, Seam, SeamLine
 from noise_model.view import View
 
@@ -87,6 +88,17 @@ class Layers:
     view: View
     stretches: tuple[tuple[Integers, View], ...] = ()
 
+    def with_metal(self, setup: Setup) -> Layers:
+        """Return the layers of a setup that differs by its metal alone.
+
+        Both share what their views keep: where rays end, what the laser reaches, the arc as the surface sees
+        it. Nothing that is rendered here keeps what depends on the metal.
+        """
+        return Layers(
+            replace(self.view, setup=setup),
+            tuple((pixels, replace(view, setup=setup)) for pixels, view in self.stretches),
+        )
+
     @cached_property
     def arc_e(self) -> Float32:
         """The arc's light (...,), e- for `camera.exposure_s`, at its nominal output; 0 past the workpiece."""
@@ -140,7 +152,8 @@ class Layers:
 
 
 def _arc_light(view: View) -> Float32:
-    kernel = arc_kernel(view.setup, view.scene)
+    kept = view.keep("arc_kernel", lambda: arc_kernel(view.setup, view.scene))
+    kernel = kept._replace(material=lobe_numbers(view.setup.material))
     xy = np.ascontiguousarray(view.xy.reshape(-1, 2))
     arc_e, _ = arc_at(kernel, xy, view.cos4.reshape(-1), np.arange(view.cos4.size))
     return np.nan_to_num(arc_e).reshape(view.shape)

@@ -136,7 +136,8 @@ class View:
         """Return what was computed under a name before, or compute and keep it.
 
         It goes with the pose: `dataclasses.replace` of a setup that renders alike hands it on. What is kept
-        may depend on that setup's geometry, source, surface and filter, not on effects on the image.
+        may depend on that setup's geometry, source, surface and filter, not on effects on the image; for
+        `Layers.with_metal`, what rendering keeps depends on no metal.
         """
         if name not in self._kept:
             self._kept[name] = compute()

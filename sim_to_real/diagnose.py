@@ -4,69 +4,46 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import replace
 
+import numpy as np
 from threadpoolctl import threadpool_limits
 
-from noise_model.arrays import Bool, Float64
+from noise_model.arrays import Bool
 from noise_model.effects import REGISTRY
 from noise_model.setup import Setup
 from sim_to_real.data.binned import Observed, PoseAt, observe
-from sim_to_real.data.cross_validation import held_out, middle_of_each_stratum
-from sim_to_real.decision.decide import Decision, decide, open_pair
-from sim_to_real.decision.holdout_checks import (
-    checked_on_holdout,
-    names_negligible,
-    random_shares,
-    required_probability,
-    with_compression,
-    with_random_effects,
-    with_withheld,
-    without_negligible,
-    without_unconfirmed,
-)
-from sim_to_real.decision.holdout_gap import (
-    excess_map,
-    measure_gap,
-    pixel_misfits,
-    predict_holdout,
-    probability_improved,
-)
-from sim_to_real.decision.optimal_design import best_measurement
+from sim_to_real.data.cross_validation import held_out
+from sim_to_real.decision.holdout_gap import excess_map, measure_gap, predict_holdout
+from sim_to_real.decision.next_experiment import next_measurement
 from sim_to_real.decision.seam_error import seam_errors_mm
 from sim_to_real.diagnosis import (
     Diagnosis,
     Estimate,
     Named,
     Next,
-    Predicted,
     Ranked,
+    Reason,
     ReportedTrend,
     Verdict,
     excluded_effects,
 )
+from sim_to_real.evidence.hypotheses import Hypothesis, Posterior
+from sim_to_real.evidence.judgement import Judgement, judge
+from sim_to_real.evidence.policy import POLICY
+from sim_to_real.evidence.weigh import Weighed, weigh
 from sim_to_real.fit.gauss_newton import Refit, converged, refit
-from sim_to_real.fit.linearized_model import Effects, LinearizedModel
-from sim_to_real.locate.covariates import Covariates, NominalFit, covariates
+from sim_to_real.fit.linearized_model import LinearizedModel
+from sim_to_real.locate.covariates import covariates
 from sim_to_real.locate.residual_structure import locate
 from sim_to_real.locate.spline_term import gap_size, spline_terms
-from sim_to_real.locate.stage import stages
-from sim_to_real.search.hypothesis import Hypothesis, cross_validated
-from sim_to_real.search.identifiability import smallest_detectable
-from sim_to_real.search.single_effects import Search
-from sim_to_real.search.stepwise import with_shares
 from sim_to_real.variance.random_effects import RandomEffects, random_effects
 from tracker.state import Frame
 
 HOLDOUT_SHARE, VALIDATION_SHARE = 0.25, 0.34
-"""The share of frames held out of every fit, and of the others that held out while effects are chosen."""
+"""The share of frames held out of every fit, and of the others that held out of free functions' fits."""
 
-NAMING_RELIABILITY = 0.95
-"""The share of confidently named effects that were right in blind recordings.
-
-Another form of an effect, or one outside the catalogue, can be mimicked.
-docs/research/blind_check.md has the figures.
-"""
+MAX_REASONS = 6
+"""So many hypotheses with effects are reported."""
 
 OnStage = Callable[[str, float], None]
 
@@ -111,83 +88,51 @@ def _diagnosed(
     holdout = held_out(observed, HOLDOUT_SHARE)
     train = _comparable(observed, holdout)
     tell("fitting nuisances", 0.05)
-    model = LinearizedModel(train, threads)
-    before, random_before = baseline_of(model, without)
+    model, before, random_before = baseline_of(LinearizedModel(train, threads), without)
     # Pixels are weighed with the read noise that is seen; that of bins comes from the bins themselves.
     seen = observed.with_read_noise(random_before.read_ratio)
-    validation = held_out(train, VALIDATION_SHARE)
-    choosing = model.subset(~validation)
-    baseline = cross_validated(choosing, refit(choosing, {}, before.nuisance))
-
-    # If there are too few frames to hold out any, all of them validate.
-    validating = validation if validation.any() else ~validation
-    validation_frames = middle_of_each_stratum(seen.subset(~holdout).subset(validating))
-
-    def misfits(fits: Sequence[Refit]) -> Float64:
-        return pixel_misfits(validation_frames, choosing, fits, random_before.effects)
-
-    search = Search(choosing, without, misfits, lambda text, share: tell(text, 0.1 + 0.5 * share))
-    decision = with_random_effects(decide(search, baseline), baseline, random_before)
-    chosen, share = with_shares(choosing, baseline, decision.chosen)
-    decision = replace(decision, chosen=chosen)
-
-    tell("fitting all frames", 0.65)
-    named = decision.chosen.refit.effects
-    after = before
-    if named:
-        fitted = decision.chosen.refit
-        after = converged(model, refit(model, named, fitted.nuisance, steps=0, trend=fitted.trend))
-    tell("predicting the frames held out", 0.75)
-
-    def predicted_of(after: Refit, random: Effects) -> Predicted:
-        return predict_holdout(
-            seen.subset(holdout),
-            model,
-            (before, {}),
-            (after, random),
-            lambda done: tell("predicting the frames held out", 0.75 + 0.15 * done),
-        )
-
-    random = random_effects(model, after, without)
-    predicted = predicted_of(after, random.effects)
-    gap = measure_gap(predicted, setup, seam_errors_mm(setup, frames, pose_at, model, after))
-    # The mean of a random effect is seldom where it is seen: it must not decide whether others help.
-    plain = predicted_of(after, {}) if named and random.effects else predicted
-    helps = not named or probability_improved(plain) >= required_probability(decision, baseline)
-    if named and (not helps or names_negligible(decision, baseline, gap, model.stated_values)):
-        without_it = without_negligible if helps else without_unconfirmed
-        decision, after, share = without_it(decision, baseline, random_before), before, {}
-        random = random_effects(model, after, without)
-        predicted = predicted_of(after, random.effects)
-        gap = measure_gap(predicted, setup, seam_errors_mm(setup, frames, pose_at, model, after))
-    decision = checked_on_holdout(decision, baseline, gap)
-    decision = with_compression(decision, baseline, random)
-    if without:
-        decision = with_withheld(decision, random_effects(model, before, ()), without)
-    tell("locating the gap", 0.9)
+    tell("looking at every effect", 0.1)
     of_bins = covariates(model, before)
+    weighed = weigh(model, before, of_bins, without, lambda text, share: tell(text, 0.1 + 0.6 * share))
+    judgement = judge(weighed.posterior, POLICY)
+    after = _after(model, before, judgement)
+    tell("predicting the frames held out", 0.75)
+    random = random_effects(model, after, without)
+    predicted = predict_holdout(
+        seen.subset(holdout),
+        model,
+        (before, {}),
+        (after, random.effects),
+        lambda done: tell("predicting the frames held out", 0.75 + 0.15 * done),
+    )
+    gap = measure_gap(predicted, setup, seam_errors_mm(setup, frames, pose_at, model, after))
+    verdict = _with_random_effects(
+        judgement.verdict, random, random_effects(model, before, ()) if without else random, without
+    )
+    tell("locating the gap", 0.9)
     effects: tuple[Named, ...] = ()
-    if decision.verdict in (Verdict.EFFECTS, Verdict.AMBIGUOUS):
-        effects = _named(decision, after, random, _with_random_shares(share, random_before, random))
-    stage = effects[0].stage if effects else _simplest_stage(model, before, of_bins, decision.verdict)
+    if verdict in (Verdict.EFFECTS, Verdict.AMBIGUOUS):
+        effects = _named(judgement, after, weighed, random, random_before)
+    stage = effects[0].stage if effects else weighed.posterior.unknown.stage.value
     where = locate(of_bins, before.residuals, stage, excess_map(predicted))
     of_after = of_bins if after is before else covariates(model, after)
-    size = gap_size(of_bins, before.residuals, ~validation)
-    terms = spline_terms(of_after, after.residuals, ~validation, size)
+    training = ~held_out(train, VALIDATION_SHARE)
+    terms = spline_terms(of_after, after.residuals, training, gap_size(of_bins, before.residuals, training))
     tell("done", 1.0)
     return Diagnosis(
-        decision.verdict,
+        verdict,
         effects,
-        ranking(decision, baseline, random),
-        decision.ambiguous,
+        ranking(weighed, random),
+        judgement.ambiguous,
         gap,
         where,
-        _next_measurement(choosing, decision),
-        decision.indistinguishable,
-        smallest_detectable(decision.signatures, decision.scores),
+        _next(model, weighed, judgement),
+        weighed.not_resolvable,
+        weighed.smallest,
         (terms[0].name, terms[0].closed) if terms else None,
         (*after.ids, *random.effects),
         predicted,
+        reasons(weighed.posterior),
     )
 
 
@@ -227,9 +172,11 @@ def _never_falling(on_stage: OnStage) -> OnStage:
     return tell
 
 
-def baseline_of(model: LinearizedModel, without: Sequence[str]) -> tuple[Refit, RandomEffects]:
-    """Fit the nuisances alone; random effects are counted as noise."""
-    model.take_tangents(model.neutral, {})
+def baseline_of(
+    model: LinearizedModel, without: Sequence[str]
+) -> tuple[LinearizedModel, Refit, RandomEffects]:
+    """Fit the nuisances alone, and return the model there; random effects are counted as noise."""
+    model = model.anchored_at(model.neutral, {})
     fitted = refit(model, {}, model.neutral)
     model.mask_edges(fitted.nuisance, {})
     model.widen_noise_for_bends(fitted.nuisance, {})
@@ -237,39 +184,42 @@ def baseline_of(model: LinearizedModel, without: Sequence[str]) -> tuple[Refit, 
     random = random_effects(model, fitted, without)
     if random.effects:
         model.take_noise(random.sigmas_dn)
-        fitted = refit(model, {}, fitted.nuisance)
-    return fitted, random
+    model = model.anchored_at(fitted.nuisance, {})
+    return model, refit(model, {}, fitted.nuisance), random
 
 
-def _simplest_stage(model: LinearizedModel, before: Refit, of_bins: Covariates, verdict: Verdict) -> str:
-    """Return the stage at which the residual is simplest: of the fit or, with a gap, of the stated values."""
-    if verdict is Verdict.NO_GAP:
-        return stages(model, [(before, of_bins)])[0].stage
-    model.take_tangents(model.neutral, {})
-    start = NominalFit.of(model)
-    return stages(model, [(before, of_bins), (start, covariates(model, start))])[0].stage
+def _with_random_effects(
+    verdict: Verdict, random: RandomEffects, all_random: RandomEffects, without: Sequence[str]
+) -> Verdict:
+    """Return the verdict with random effects: named beside others, or alone where nothing else is amiss.
 
-
-def _next_measurement(model: LinearizedModel, decision: Decision) -> Next | None:
-    """Return the measurement that would tell apart what is open; None if nothing is."""
-    pair = open_pair(decision)
-    return None if pair is None else best_measurement(model, *(hypothesis.refit for hypothesis in pair))
+    `all_random` are those found with nothing withheld: a gap that only a withheld one explains is unknown.
+    """
+    if verdict is not Verdict.NO_GAP:
+        return verdict
+    if random.effects:
+        return Verdict.EFFECTS
+    return Verdict.UNKNOWN if set(all_random.effects) & set(without) else verdict
 
 
 def _named(
-    decision: Decision, after: Refit, random: RandomEffects, share: Mapping[str, float]
+    judgement: Judgement, after: Refit, weighed: Weighed, random: RandomEffects, random_before: RandomEffects
 ) -> tuple[Named, ...]:
-    """Return the effects of the best fit and random effects, the largest share first.
+    """Return the effects that are named, as fitted, and random effects, the largest share first.
 
-    A confidence is a posterior probability times `NAMING_RELIABILITY`.
+    Of an ambiguous verdict they are those of the likeliest hypothesis.
     """
+    posterior = weighed.posterior
+    shown = after.ids if judgement.verdict is Verdict.AMBIGUOUS else judgement.named
+    effects = {name: values for name, values in after.effects.items() if name in shown}
     sigmas = {**after.sigmas, **random.sigmas}
-    confidence = {**random.confidence, **dict.fromkeys(after.ids, decision.posterior_probability)}
+    confidence = {**random.confidence, **posterior.of_effects}
+    share = _with_random_shares(shares(posterior, judgement.leader), random_before, random)
     named = [
         Named(
             name,
             REGISTRY[name].stage.value,
-            NAMING_RELIABILITY * confidence[name],
+            confidence[name],
             share[name],
             {
                 parameter.name: Estimate(values[parameter.name], sigmas[name][parameter.name], parameter.unit)
@@ -278,9 +228,47 @@ def _named(
             },
             _trend(after, name),
         )
-        for name, values in {**after.effects, **random.effects}.items()
+        for name, values in {**effects, **random.effects}.items()
     ]
     return tuple(sorted(named, key=lambda effect: -effect.share))
+
+
+def _after(model: LinearizedModel, before: Refit, judgement: Judgement) -> Refit:
+    """Return the leading hypothesis' effects fitted to all bins alike, as the fit before is."""
+    fitted = judgement.leader.refit
+    if not fitted.ids:
+        return before
+    there = model.anchored_at(fitted.nuisance, fitted.effects, fitted.trend)
+    return refit(there, fitted.effects, fitted.nuisance, trend=fitted.trend)
+
+
+def _next(model: LinearizedModel, weighed: Weighed, judgement: Judgement) -> Next | None:
+    """Return what to record next where effects are in question."""
+    if judgement.verdict not in (Verdict.EFFECTS, Verdict.AMBIGUOUS):
+        return None
+    return next_measurement(model, weighed.posterior, weighed.errors, POLICY)
+
+
+def shares(posterior: Posterior, leader: Hypothesis) -> dict[str, float]:
+    """Return each effect's share of the gap that all close together: Shapley's value (1953)."""
+    names = leader.ids
+    if len(names) < 2:
+        return dict.fromkeys(names, 1.0)
+    # The likeliest comes first, of the forms of one effect too.
+    alone = {h.ids[0]: h.refit.mean_square for h in reversed(posterior.hypotheses) if len(h.ids) == 1}
+    most, least = posterior.none.refit.mean_square, leader.refit.mean_square
+    floor = min(1.0, least)
+
+    def size(mean_square: float) -> float:
+        return math.sqrt(max(mean_square - floor, 0.0))
+
+    first, second = names
+    total = max(size(most) - size(least), 1e-9)
+    # What was not fitted alone closes nothing by itself.
+    closes = [size(most) - size(min(alone.get(name, most), most)) for name in (first, second)]
+    of_first = 0.5 * (closes[0] + total - closes[1]) / total
+    of_first = float(np.clip(of_first, 0.0, 1.0))
+    return {first: of_first, second: 1.0 - of_first}
 
 
 def _trend(after: Refit, name: str) -> ReportedTrend | None:
@@ -302,7 +290,7 @@ def _with_random_shares(
     share: Mapping[str, float], before: RandomEffects, random: RandomEffects
 ) -> dict[str, float]:
     """Return the shares of all named effects; a random effect has its share of the gap before any fit."""
-    of_random = random_shares(before)
+    of_random = {name: 1.0 - (1.0 - before.closed[name]) ** 2 for name in before.effects}
     scatters = {name: of_random.get(name, 0.0) for name in random.effects}
     rest = max(1.0 - sum(scatters.values()), 0.0) if share else 0.0
     total = rest + sum(scatters.values())
@@ -311,30 +299,37 @@ def _with_random_shares(
     return {name: part / total if total > 0.0 else 1.0 / len(of_all) for name, part in of_all.items()}
 
 
-def ranking(decision: Decision, baseline: Hypothesis, random: RandomEffects) -> tuple[Ranked, ...]:
-    """Return all single effects, best first, with the share of the gap's size that each closes.
-
-    Confidences are as in `_named`.
-    """
+def ranking(weighed: Weighed, random: RandomEffects) -> tuple[Ranked, ...]:
+    """Return all single effects, best first, with the share of the gap's size that each closes."""
+    posterior = weighed.posterior
+    pairs = zip(posterior.hypotheses, posterior.p, strict=True)
+    singles = [(h, p) for h, p in pairs if len(h.ids) == 1]
+    singles = [(h, p) for n, (h, p) in enumerate(singles) if h.ids not in [g.ids for g, _ in singles[:n]]]
     # Below the model's floor the best effect counts as closing all.
-    floor = min([1.0, *(single.cv_mean_square for single in decision.singles)])
-    size = math.sqrt(max(baseline.cv_mean_square - floor, 0.0))
+    floor = min([1.0, *(single.refit.mean_square for single, _ in singles)])
+    size = math.sqrt(max(posterior.none.refit.mean_square - floor, 0.0))
     ranked = []
-    # A bound-limited effect may stand behind a less likely one: they keep their order.
-    evidence = math.inf
-    for single, confidence in zip(decision.singles, decision.posterior_probabilities, strict=True):
-        remainder = math.sqrt(max(single.cv_mean_square - floor, 0.0))
+    for single, p in singles:
+        remainder = math.sqrt(max(single.refit.mean_square - floor, 0.0))
         closed = 1.0 - remainder / size if size else math.nan
-        evidence = min(evidence, single.evidence - baseline.evidence)
-        candidate = Ranked(
-            single.ids[-1], NAMING_RELIABILITY * float(confidence), closed, single.is_bound_limited
-        )
-        ranked.append((evidence, candidate))
+        ranked.append((single.evidence - posterior.none.evidence, Ranked(single.ids[0], p, closed)))
     ranked += [
-        (
-            random.evidence[name],
-            Ranked(name, NAMING_RELIABILITY * random.confidence[name], random.closed[name], is_random=True),
-        )
+        (random.evidence[name], Ranked(name, random.confidence[name], random.closed[name], is_random=True))
         for name in random.evidence
     ]
     return tuple(candidate for _, candidate in sorted(ranked, key=lambda pair: -pair[0]))
+
+
+def reasons(posterior: Posterior) -> tuple[Reason, ...]:
+    """Return no gap, an unknown cause and the likeliest hypotheses with effects, the most probable first."""
+    stage, term = posterior.unknown.likeliest
+    none, unknown = posterior.none.evidence, posterior.unknown.evidence
+    where = term if stage is None else f"{stage.value}, {term}"
+    some = list(zip(posterior.hypotheses, posterior.p, strict=True))
+    best = max([none, unknown, *(hypothesis.evidence for hypothesis, _ in some)]) - none
+    compared = [
+        Reason("no gap", (), 0.0, best, posterior.p_none),
+        Reason(f"unknown: {where}", (), unknown - none, best, posterior.p_unknown),
+        *(Reason(" and ".join(h.ids), h.ids, h.evidence - none, best, p) for h, p in some[:MAX_REASONS]),
+    ]
+    return tuple(sorted(compared, key=lambda reason: (-reason.probability, -reason.evidence)))

@@ -62,17 +62,13 @@ class Named:
 class Ranked:
     """An effect that was fitted by itself: how probable it is, and the share of the gap that it closes.
 
-    The confidences of effects that change a frame's mean are of exclusive hypotheses: one of these effects
-    is there, or none. They add up to no more than 1. The confidence of an effect that `is_random` is the
-    probability that it is there, whatever else is: such confidences need not add up to 1.
-
-    An effect that `is_bound_limited` would close more with values beyond its bounds: it explains nothing.
+    The confidence of an effect that changes a frame's mean is the probability that it and nothing else is
+    amiss. That of an effect that `is_random` is the probability that it is there, whatever else is.
     """
 
     id: str
     confidence: float
     gap_closed: float
-    is_bound_limited: bool = False
     is_random: bool = False
 
 
@@ -124,7 +120,7 @@ class Curve:
 class Where:
     """Where the gap lies.
 
-    `stage` is that of what is named, else the one at which the residual becomes simplest; `covariates`
+    `stage` is that of what is named, else that of the likeliest unknown cause; `covariates`
     explain the largest share first; `image` holds the shares of patterns in the image (row, column, radial,
     mirrored, fixed, stripe_band); `strata` the gap of dark, laser, arc, both frames and of the stripe's band.
     `z` (H, W): by how many sigmas the held-out residual at each pixel exceeds its noise, negative where it is
@@ -145,6 +141,21 @@ class Next:
     experiment: str
     separates: tuple[str, ...]
     resolves: bool
+
+
+@dataclass(frozen=True)
+class Reason:
+    """A hypothesis that was compared: effects, log evidence over no gap, nats, and probability.
+
+    `name` says which it is: no gap, an unknown cause with its likeliest stage and term, or effects. `best` is
+    the largest evidence of all: what separates the two.
+    """
+
+    name: str
+    effects: tuple[str, ...]
+    evidence: float
+    best: float
+    probability: float
 
 
 @dataclass(frozen=True, eq=False)
@@ -169,9 +180,10 @@ class Diagnosis:
 
     `effects` are those that the verdict names, `ranking` all that were fitted, best first. `ambiguous_with`
     are sets of effects that explain the gap equally well, `not_resolvable` pairs that this recording cannot
-    tell apart, `smallest` the smallest magnitude of each effect that it would show. `spline_term` is the best
+    tell apart, `smallest` the smallest magnitude of each effect that would show. `spline_term` is the best
     free function of a covariate and the share of the gap that it closes beyond the named effects.
-    `after_with` are the effects in the predictions after, whether the verdict names them or not.
+    `after_with` are the effects in the predictions after, whether the verdict names them or not. `reasons`
+    are the hypotheses that were compared, the most probable first.
     """
 
     verdict: Verdict
@@ -186,6 +198,7 @@ class Diagnosis:
     spline_term: tuple[str, float] | None
     after_with: tuple[str, ...]
     predicted: Predicted
+    reasons: tuple[Reason, ...] = ()
 
 
 def excluded_effects(setup: Setup, without: Sequence[str]) -> tuple[str, ...]:

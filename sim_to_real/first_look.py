@@ -15,13 +15,15 @@ from noise_model.setup import Setup
 from sim_to_real.data.binned import PoseAt, observe
 from sim_to_real.diagnose import baseline_of
 from sim_to_real.fit.linearized_model import LinearizedModel
-from sim_to_real.search.hypothesis import MIN_MEAN_SQUARE
 from sim_to_real.search.probe_points import FAMILIES
 from sim_to_real.search.score_test import score_effects
 from tracker.state import Frame
 
 GAP_MEAN_SQUARE = 1.5
 """From so large a mean square of the bins on there is something to explain: the model's floor is in them."""
+
+MIN_MEAN_SQUARE = 0.6
+"""A model without a gap leaves so much at least."""
 
 MIN_CLOSED, MAX_RIVAL_SHARE = 0.5, 0.5
 """An effect is named where it closes half of the gap and leaves half at most of what the next one leaves."""
@@ -84,8 +86,8 @@ def first_look(setup: Setup, frames: Sequence[Frame], pose_at: PoseAt) -> FirstL
     """
     setup.require("a first look", "arc", "filter", "material")
     with threadpool_limits(1, user_api="blas"):
-        model = LinearizedModel(observe(setup, frames, pose_at), 1)
-        baseline, _ = baseline_of(model, ())
+        observed = observe(setup, frames, pose_at)
+        model, baseline, _ = baseline_of(LinearizedModel(observed, 1), ())
         scores = score_effects(model, baseline, list(FAMILIES))
     gap = max(baseline.mean_square - MIN_MEAN_SQUARE, 1e-9)
     closed = [(score.id, (baseline.mean_square * (1.0 - score.residual_fraction)) / gap) for score in scores]

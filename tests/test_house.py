@@ -63,7 +63,7 @@ FOLDERS_MAY_IMPORT: dict[str, dict[str, set[str]]] = {
         "variance": {"data", "fit"},
         "locate": {"data", "fit"},
         "evidence": {"data", "fit", "search", "locate"},
-        "decision": {"data", "fit", "search", "variance"},
+        "decision": {"data", "fit", "search", "variance", "evidence"},
         "check": {"data", "fit", "search", "decision"},
     },
     "arctrack": {

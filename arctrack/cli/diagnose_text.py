@@ -86,6 +86,7 @@ def _lines(diagnosis: Diagnosis) -> Iterator[tuple[str, str]]:
         yield "residual", f"{' → '.join(words.number(value) for value in gap.rms_dn)} DN rms"
         parts = (f"{where.stage}: {words.PLACES.get(where.stage, '')}", words.follows(where))
         yield "where", "; ".join(part for part in parts if part)
+        yield "evidence", words.because(diagnosis)
     for effect in diagnosis.effects:
         values = [f"{name} = {words.estimate(value)}" for name, value in effect.parameters.items()]
         values += [words.trend(effect.trend)] if effect.trend is not None else []
@@ -106,7 +107,7 @@ def _rankings(diagnosis: Diagnosis) -> Iterator[Table]:
     exclusive = [candidate for candidate in diagnosis.ranking if not candidate.is_random]
     present = [candidate for candidate in words.random_ranking(diagnosis) if words.is_likely(candidate)]
     if exclusive:
-        yield _table("effect", words.probability_heading(diagnosis), exclusive[:MAX_RANKED])
+        yield _table("effect", words.ALONE, exclusive[:MAX_RANKED])
     if present:
         yield _table("random effect", words.PRESENT, present)
 

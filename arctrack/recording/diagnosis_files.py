@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from arctrack.output import write_whole, writing
-from sim_to_real.diagnosis import Diagnosis, Named, Next, Predicted, Ranked, Where
+from sim_to_real.diagnosis import Diagnosis, Named, Next, Predicted, Ranked, Reason, Where
 
 FORMAT = "arctrack-diagnosis/1"
 REPORT_JSON, WHERE_NPZ, PREDICTED_NPZ = "report.json", "where.npz", "predicted.npz"
@@ -62,6 +62,7 @@ def report(diagnosis: Diagnosis) -> dict[str, Any]:
         "smallest_detectable": {name: asdict(least) for name, least in diagnosis.smallest.items()},
         "left_over": _left_over(diagnosis.spline_term),
         "after_with": diagnosis.after_with,
+        "reasons": [_reason(reason) for reason in diagnosis.reasons],
     }
     rounded: dict[str, Any] = plain(content, DIGITS)
     return rounded
@@ -80,12 +81,17 @@ def _named(effect: Named) -> dict[str, Any]:
 
 
 def _ranked(candidate: Ranked) -> dict[str, Any]:
-    ranked = {
-        "id": candidate.id,
-        "confidence": candidate.confidence,
-        "gap_closed": candidate.gap_closed,
+    return {"id": candidate.id, "confidence": candidate.confidence, "gap_closed": candidate.gap_closed}
+
+
+def _reason(reason: Reason) -> dict[str, Any]:
+    return {
+        "rule": f"evidence of {reason.name}, nats over no gap",
+        "value": reason.evidence,
+        "limit": reason.best,
+        "probability": reason.probability,
+        "effects": reason.effects,
     }
-    return {**ranked, "is_held_back": True} if candidate.is_bound_limited else ranked
 
 
 def _before_after(values: tuple[float, float]) -> dict[str, float]:

@@ -24,11 +24,11 @@ Values = Mapping[str, float]
 Draw = np.random.Generator | None
 """None for the mean and variance of a random effect; a generator for one realisation of it."""
 
-ANOTHER_VALUE, UNSTATED = 0.05, 0.5
+ANOTHER_VALUE, UNSTATED, ANY_FORM = 0.05, 0.5, 1.0
 """By which share an effect's form may be off if it is but another value of what a setup states.
 
-And if it depends on much that no setup states: where the fume drifts, what else stands about a joint, how a
-response that is no power runs, what mirrors the laser, where the hall's lamps hang.
+And if it depends on much that no setup states: where the fume drifts, what else stands about a joint, what
+mirrors the laser, where the hall's lamps hang. And if it stands for any form: a response that is no power.
 """
 
 OnCodes = Callable[[Integers, Sensor, Values], Integers]

@@ -11,7 +11,7 @@ from noise_model.arrays import Float64, Integers
 from noise_model.condition import Condition
 from noise_model.effects import drift
 from noise_model.effects.compression import BEST_QUALITY, compressed, compressed_variance
-from noise_model.effects.effect import UNSTATED, Draw, Effect, Stage, Values
+from noise_model.effects.effect import ANY_FORM, Draw, Effect, Stage, Values
 from noise_model.effects.light import Light
 from noise_model.fit import Parameter
 from noise_model.instrument.sensor import Sensor
@@ -131,7 +131,7 @@ EFFECTS = (
         ),
         typical={"gamma": 0.7},
         setup=_gamma,
-        form_rel=UNSTATED,
+        form_rel=ANY_FORM,
     ),
     Effect(
         id="black_level",

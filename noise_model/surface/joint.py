@@ -325,6 +325,14 @@ class BentSeam:
         if has_ridges:
             turns = max(turns, np.ptp([line.y_mm for line in lines]) / STRETCH_ASIDE_MM)
         count = max(1, min(1 + int(turns), round((last - first) / STRETCH_MM)))
+        return cls.in_stretches(line_at, seen_mm, torch_mm, count)
+
+    @classmethod
+    def in_stretches(
+        cls, line_at: Callable[[float], SeamLine], seen_mm: tuple[float, float], torch_mm: float, count: int
+    ) -> BentSeam:
+        """Return the same in so many stretches."""
+        first, last = seen_mm
         step = (last - first) / count
         stretches = tuple(line_at(float(first + step * (n + 0.5))) for n in range(count))
         ground = line_at(torch_mm)

@@ -18,7 +18,7 @@ from noise_model.forward import Layers, Renderer
 from noise_model.instrument.camera import Camera
 from noise_model.instrument.sensor import linearise, respond_moments, saturation_dn
 from noise_model.setup import Setup
-from sim_to_real.data.blocks import block_means, dilated
+from sim_to_real.data.blocks import block_means, dilated, near_face_edges
 from sim_to_real.data.photon_transfer import PhotonTransfer, photon_transfer
 from tracker.seam.curve import SeamCurve
 from tracker.seam_observations import TRIANGULATION_EFFECTS, SeamObservations
@@ -39,14 +39,17 @@ FLOOR_REL, FLOOR_DN = 0.006, 0.05
 MAX_ARC_STEP_REL = 0.5
 """A bin counts if the arc's light changes to its neighbours by a smaller share: it is off shadow edges."""
 
-THINNING = 4
-"""Off the stripe one bin in so many counts, along rows and columns: neighbours there say the same."""
+EDGE_SIDE_BINS = 5
+"""The side of the square about a bin that must be free of edges."""
+
+N_ACROSS = 27
+"""Off the stripe about so many bins count along a row, and as far apart along columns."""
 
 STRIPE_SHARE = 0.02
 """A bin is in the stripe if the laser puts more than this share of its peak there."""
 
 STRIPE_RIM_BINS = 5
-"""The side of the square by which the stripe is dilated to have its rim."""
+"""The side of the square by which the stripe is dilated: what blurs into it, or where it moves to."""
 
 STRATA = ("dark", "laser", "arc", "both")
 """The strata of frames: what is on."""
@@ -59,8 +62,8 @@ class ObservedFrame:
     `stratum` is what is on, `condition` the stated one, `stations_mm` the first and last
     station of the seam that are seen, and the torch's.
     `image_dn` (H, W) is the frame, `binned_dn` (h, w) its means over bins. `keep` (h, w) are the bins that
-    count: unsaturated, off edges of joint and shadow, thinned off the stripe; `kept_dn` (n,) their means,
-    `rendered` (h, w) are those and the saturated ones, whose light may overflow;
+    count: unsaturated, off edges of joint and shadow, thinned; `kept_dn` (n,) their means,
+    `rendered` (h, w) are those, the saturated ones, whose light may overflow, and the stripe with its rim;
     `sigma_dn` (n,) the noise of these with the model's floor, `in_stripe` (n,) whether the laser lights them.
     `shown_dn2` (n,) is the part of that noise's square which the recording shows beyond the stated noise.
     `stated_e` (h, w) is the light that the nominal setup puts there along the tracked seam, e-.
@@ -121,11 +124,6 @@ class Observed:
         """The frames (n_frames,) that the arc lights and in which a bin counts: not all is saturated."""
         return self.lit & (self.counts > 0)
 
-    @property
-    def shows_laser(self) -> Bool:
-        """The frames (n_frames,) that the laser lights and in which a bin counts."""
-        return self.striped & (self.counts > 0)
-
     @cached_property
     def counts(self) -> Int64:
         """How many bins of each frame count (n_frames,)."""
@@ -140,18 +138,6 @@ class Observed:
         return self.seam.through(
             *self.seam_observations.in_joint(known), self.seam_observations.variances_mm2
         )
-
-    def with_stripe_rim(self) -> Observed:
-        """Return the same with light rendered about the stripe, too: what blurs into it, where it moves to.
-
-        Without it bins beside the stripe have the light of its nearest bin: its tails are 4 % too bright.
-        """
-        frames = []
-        for frame in self.frames:
-            stripe = np.zeros_like(frame.keep)
-            stripe[frame.keep] = frame.in_stripe
-            frames.append(replace(frame, rendered=frame.rendered | dilated(stripe, STRIPE_RIM_BINS)))
-        return replace(self, frames=tuple(frames))
 
     def with_read_noise(self, ratio: float) -> Observed:
         """Return the same with the stated read noise times a ratio."""
@@ -271,7 +257,7 @@ def _observed(
         frame.image_dn,
         binned_dn,
         keep,
-        keep | ~usable,
+        keep | ~usable | dilated(in_stripe, STRIPE_RIM_BINS),
         sigma_dn[keep],
         in_stripe[keep],
         _stated_e(setup, layers, condition),
@@ -328,22 +314,23 @@ def bins_that_count(setup: Setup, layers: Layers, condition: Condition, usable: 
     """Return the bins (h, w) that count, and those in the stripe."""
     keep = usable & on_one_face(layers.faces)
     thin = np.zeros_like(keep)
-    thin[::THINNING, ::THINNING] = True
+    apart = max(1, round(keep.shape[1] / N_ACROSS))
+    thin[::apart, ::apart] = True
     if condition.arc_level > 0.0:
         keep &= _changes_slowly(layers.arc_e)
     in_stripe = np.zeros_like(keep)
     if condition.laser_level > 0.0:
         in_stripe = layers.laser_e > STRIPE_SHARE * setup.laser.peak_e
-    return keep & (thin | in_stripe), in_stripe
+    rows, columns = np.indices(keep.shape)
+    return keep & (thin | (in_stripe & ((rows + columns) % 2 == 0))), in_stripe
 
 
 def on_one_face(faces: Integers) -> Bool:
-    """Return which bins (h, w) see one face of the joint, as their neighbours do."""
-    same = faces >= 0
-    for axis in (0, 1):
-        for shift in (-1, 1):
-            same &= np.roll(faces, shift, axis=axis) == faces
-    return np.asarray(same)
+    """Return which bins (h, w) see one face of the joint, as all in the square about them do.
+
+    Nuisances move edges: one that comes into a bin would count for more than all else that they move.
+    """
+    return ~near_face_edges(faces, EDGE_SIDE_BINS)
 
 
 def _changes_slowly(image: Float32) -> Bool:

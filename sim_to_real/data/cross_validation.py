@@ -7,7 +7,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from noise_model.arrays import Bool, Int64
+from noise_model.arrays import Bool
 from sim_to_real.data.binned import Observed
 
 SAME_CONDITION_REL = 0.05
@@ -38,28 +38,12 @@ def held_out(observed: Observed, share: float) -> Bool:
     return held
 
 
-def middle_of_each_stratum(observed: Observed) -> Observed:
-    """Return the middle frame of each stratum."""
-    chosen = np.zeros(len(observed.frames), dtype=bool)
-    chosen[[members[len(members) // 2] for members in _strata(observed)]] = True
-    return observed.subset(chosen)
-
-
-def folds(observed: Observed, count: int) -> Int64:
-    """Return each frame's fold (n_frames,), 0 to count - 1; the frames of a stratum are dealt out in turn."""
-    fold = np.zeros(len(observed.frames), dtype=np.int64)
-    dealt = 0
-    for members in _strata(observed):
-        for member in members:
-            fold[member] = dealt % count
-            dealt += 1
-    return fold
-
-
-def shows_same_sources(observed: Observed, chosen: Bool) -> bool:
-    """Say whether some frames (n_frames,) show laser and arc, each if any of all frames does."""
-    shown = observed.shows_laser, observed.shows_arc
-    return bool(chosen.any()) and all(shows[chosen].any() == shows.any() for shows in shown)
+def _strata(observed: Observed) -> list[list[int]]:
+    """Return the positions of the frames of each stratum, in time."""
+    strata = defaultdict(list)
+    for frame in observed.frames:
+        strata[frame.stratum].append(frame.position)
+    return [strata[name] for name in sorted(strata)]
 
 
 def _conditions(observed: Observed) -> list[tuple[str, int, int]]:
@@ -80,11 +64,3 @@ def _condition_groups(values: Sequence[float]) -> list[int]:
     group = np.zeros(len(levels), dtype=np.int64)
     group[order[1:]] = np.cumsum(is_apart)
     return list(map(int, group))
-
-
-def _strata(observed: Observed) -> list[list[int]]:
-    """Return the positions of the frames of each stratum, in time."""
-    strata = defaultdict(list)
-    for frame in observed.frames:
-        strata[frame.stratum].append(frame.position)
-    return [strata[name] for name in sorted(strata)]

@@ -45,12 +45,6 @@ N_BOOTSTRAP = 400
 INTERVAL_PERCENT = 2.5, 97.5
 """The ends of a 95 % interval, percent of the draws."""
 
-CHANCE_SIGMAS = 3.0
-"""A sum of products may be off by so many sigmas by chance."""
-
-MAX_SQUARE = 25.0
-"""Squares of residuals are cut here where a few streaks must not decide."""
-
 
 def predict_holdout(
     holdout: Observed,
@@ -86,41 +80,6 @@ def predict_holdout(
         variance_after if same_random else _variances([first for first, _, _ in predictions], counts),
         variance_after,
     )
-
-
-def pixel_misfits(aside: Observed, model: LinearizedModel, fits: Sequence[Refit], random: Effects) -> Float64:
-    """Return fits' misfits (n,) in pixels of validation frames, over that of the model's floor.
-
-    A misfit is the mean product of neighbouring residuals, along rows and columns. Noise does not add to it,
-    even if it is not as stated. Each of `fits` is predicted with the random effects besides. What so few
-    pixels may show by chance is added to the floor.
-    """
-
-    def sums(frame: ObservedFrame) -> Float64:
-        renderer = Renderer(len(fits))
-        predictions = [_predict(aside.setup, model, frame, fitted, random, renderer) for fitted in fits]
-        counts = _valid_pixels(aside.setup, model, frame, fits[0], predictions, renderer)
-        light_dn = predictions[0].mean_dn - aside.setup.sensor.black_level_dn
-        floor = np.hypot(FLOOR_REL * light_dn, FLOOR_DN)
-        products = [
-            _neighbour_products(frame.image_dn - prediction.mean_dn, prediction.variance_dn2, counts)
-            for prediction in predictions
-        ]
-        return np.array(
-            [*products, _neighbour_products(floor, predictions[0].variance_dn2, counts), counts.sum()]
-        )
-
-    total = np.sum(list(model.in_parallel(sums, aside.frames)), axis=0)
-    # Each pixel is in two products, each of variance 1 if it is noise.
-    by_chance = CHANCE_SIGMAS * np.sqrt(0.5 * total[-1])
-    return np.asarray(total[:-2] / (total[-2] + by_chance))
-
-
-def _neighbour_products(residuals_dn: Float64, variance: Float64, counts: Bool) -> float:
-    """Return the sum over pixels (H, W) of the mean product with the next ones in row and column."""
-    limit = np.sqrt(MAX_SQUARE)
-    r = np.where(counts, np.clip(residuals_dn / np.sqrt(np.where(counts, variance, 1.0)), -limit, limit), 0.0)
-    return 0.5 * float(np.sum(r[1:] * r[:-1]) + np.sum(r[:, 1:] * r[:, :-1]))
 
 
 def _variances(predictions: Sequence[Prediction], counts: Sequence[Bool]) -> Float32:
@@ -236,18 +195,6 @@ def measure_gap(predicted: Predicted, setup: Setup, seam_mm: tuple[float, float]
     ]
     closed = _closed(before, after, floor)
     return Gap(before, after, floor, closed, (float(low), float(high)), (rms[0], rms[1]), seam_mm)
-
-
-def probability_improved(predicted: Predicted, seed: int = 0) -> float:
-    """Return the share of bootstrap draws of blocks in which residuals are smaller after than before."""
-    counts = np.isfinite(predicted.variance)
-    before, after = (
-        np.minimum(_squares(predicted.recorded - mean, predicted.variance, counts), MAX_SQUARE)
-        for mean in (predicted.before, predicted.after)
-    )
-    blocks = in_blocks((before - after).sum(axis=0), BLOCK_PX).sum(axis=(-3, -1)).ravel()
-    draws = np.random.default_rng(seed).integers(0, len(blocks), (N_BOOTSTRAP, len(blocks)))
-    return float(np.mean(blocks[draws].sum(axis=1) > 0.0))
 
 
 def _squares(residuals_dn: Float64 | Float32, variance: Float64 | Float32, counts: Bool) -> Float64:

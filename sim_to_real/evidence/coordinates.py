@@ -8,6 +8,7 @@ how its form may be off.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 
@@ -22,6 +23,9 @@ from sim_to_real.locate.spline_term import hats_at, pairwise_products
 IN_EACH_FRAME = "arc in each frame"
 """The free term that stands for an arc that flickers."""
 
+TOGETHER, ANYTHING = "all of these", "anything"
+"""The free terms of all of a stage's bases, and of all bases."""
+
 ADDED_DN = 50.0
 """What a free term of size 1 adds where it adds to the image, DN."""
 
@@ -34,9 +38,12 @@ MOVED_IN_FRAME_MM = 0.3
 
 @dataclass(frozen=True, eq=False)
 class FreeTerm:
-    """An unknown cause at a stage: any smooth function of some coordinates, in columns (n, k)."""
+    """An unknown cause at a stage: any smooth function of some coordinates, in columns (n, k).
 
-    stage: Stage
+    One is of no stage: any of these functions.
+    """
+
+    stage: Stage | None
     name: str
     columns: Float32
 
@@ -50,7 +57,7 @@ class _Basis:
 
 
 def free_terms(covariates: Covariates) -> tuple[FreeTerm, ...]:
-    """Return the terms of an unknown cause: of each basis, of a stage's bases together, of displacements."""
+    """Return the terms of an unknown cause: of bases, of a stage's together, of displacements, of all."""
     bases = _bases(covariates)
     terms = [
         FreeTerm(basis.stage, basis.name, basis.functions * basis.light[:, np.newaxis]) for basis in bases
@@ -58,18 +65,24 @@ def free_terms(covariates: Covariates) -> tuple[FreeTerm, ...]:
     for stage in dict.fromkeys(basis.stage for basis in bases):
         together = [term.columns for term in terms if term.stage is stage]
         if len(together) > 1:
-            terms.append(FreeTerm(stage, "all of these", np.hstack(together)))
-    return (*terms, *_displacements(covariates))
+            terms.append(FreeTerm(stage, TOGETHER, np.hstack(together)))
+    terms += _displacements(covariates)
+    every = np.hstack([term.columns for term in terms if term.name != TOGETHER])
+    return (*terms, FreeTerm(None, ANYTHING, every))
 
 
 def form_functions(covariates: Covariates) -> Mapping[Stage, Float32]:
-    """Return the functions (n, k) of each stage's coordinates by which an effect's form may be off."""
+    """Return the functions (n, k) of each stage's coordinates by which an effect's form may be off.
+
+    With sizes of unit variance their sum has about unit variance in each bin: each basis has its part.
+    """
     everywhere = np.ones((len(covariates.frame), 1), dtype=np.float32)
     bases = _bases(covariates)
-    return {
-        stage: np.hstack([everywhere, *(basis.functions for basis in bases if basis.stage is stage)])
-        for stage in Stage
-    }
+    forms: dict[Stage, Float32] = {}
+    for stage in Stage:
+        parts = [everywhere, *(basis.functions for basis in bases if basis.stage is stage)]
+        forms[stage] = np.asarray(np.hstack(parts) / math.sqrt(len(parts)), dtype=np.float32)
+    return forms
 
 
 def _bases(covariates: Covariates) -> list[_Basis]:
@@ -107,7 +120,7 @@ def _bases(covariates: Covariates) -> list[_Basis]:
         _Basis(Stage.MEDIUM, "light about the arc, with its current", along("distance", 6), current * lit),
         _Basis(Stage.MEDIUM, "light about the arc", along("distance", 6), lit),
         _Basis(Stage.OPTICS, "light over the image", image, light),
-        _Basis(Stage.OPTICS, "mean light over the field", radial[:, :2], mean_light),
+        _Basis(Stage.OPTICS, "mean light over the image", image, mean_light),
         _Basis(Stage.SENSOR, "grey level", along("gray_level", 9), added),
         _Basis(Stage.SENSOR, "light in each frame", in_frame, light),
         _Basis(Stage.SENSOR, "rows", along("row", 5), added),

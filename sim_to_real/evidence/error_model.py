@@ -17,13 +17,17 @@ import numpy as np
 from noise_model.arrays import Bool, Float32, Float64, Int64
 from noise_model.effects import REGISTRY
 from noise_model.effects.effect import Stage
+from noise_model.setup import Tolerance
 from sim_to_real.evidence.coordinates import FreeTerm, form_functions, free_terms, hats_2d, in_each_frame
-from sim_to_real.evidence.metric import Metric, log_evidence, robust_weights
+from sim_to_real.evidence.metric import Metric, MetricLoss, log_evidence, robust_weights
 from sim_to_real.evidence.policy import Policy
 from sim_to_real.fit.gauss_newton import Refit
 from sim_to_real.fit.linearized_model import LinearizedModel
 from sim_to_real.locate.covariates import Covariates
 from sim_to_real.search.score_test import ScoreTest
+
+HAND_EYE = "hand_eye"
+"""The effect that the setup's tolerance is about."""
 
 IMAGE_KNOTS = (6, 7)
 """Knots of the model's own error over rows and columns."""
@@ -53,17 +57,21 @@ class Columns:
     @classmethod
     def along_probes(cls, score: ScoreTest, rows: Int64) -> Columns:
         """Return what one prior sigma of each of an effect's probe points changes in some bins."""
-        sigmas = np.array([parameter.prior_sigma for parameter in REGISTRY[score.id].parameters])
-        lengths = np.max(np.abs(score.steps) / sigmas, axis=1)
-        # Where light ends is no step of a parameter: the change to its shape counts as one.
-        lengths = np.where(lengths > 0.0, np.maximum(lengths, MIN_STEP_SIGMAS), 1.0)
         low, high = np.array(score.step_limits()).T
-        changes = np.asarray(score.signature[rows] / lengths, dtype=np.float32)
+        changes = np.asarray(score.signature[rows] / probe_sigmas(score), dtype=np.float32)
         return cls(changes, 1.0 * (low == 0.0) - 1.0 * (high == 0.0))
 
     def beside(self, others: Columns) -> Columns:
         """Return both, side by side."""
         return Columns(np.hstack([self.changes, others.changes]), np.concatenate([self.sides, others.sides]))
+
+
+def probe_sigmas(score: ScoreTest) -> Float64:
+    """Return how far (k,) an effect's probe points are, in sigmas of their parameters' priors."""
+    sigmas = np.array([parameter.prior_sigma for parameter in REGISTRY[score.id].parameters])
+    lengths = np.max(np.abs(score.steps) / sigmas, axis=1)
+    # Where light ends is no step of a parameter: the change to its shape counts as one.
+    return np.where(lengths > 0.0, np.maximum(lengths, MIN_STEP_SIGMAS), 1.0)
 
 
 @dataclass(frozen=True, eq=False)
@@ -118,16 +126,22 @@ class ErrorModel:
         policy: Policy,
     ) -> ErrorModel:
         """Return the errors about a fit without effects; `scores` hold what each effect does to the bins."""
-        rows = chosen_rows(covariates, policy.n_bins)
+        fourth_dn = _fourth_differences_dn(model, start)
+        rows = chosen_rows(covariates, policy.n_bins, _is_resolved(covariates, fourth_dn, policy.max_ripple))
         chosen = covariates.subset(rows)
         terms, forms = free_terms(chosen), form_functions(chosen)
         effects = [
             np.hstack([Columns.along_probes(family, rows).changes for family in score.families])
             for score in scores
         ]
-        sampling = _sampling_error(model, start, covariates)[rows]
+        sampling = _sampling_error(model, covariates, fourth_dn)[rows]
         floor = np.hstack(
-            [_smooth_error(chosen, policy), sampling, *(_negligible(e, policy) for e in effects)]
+            [
+                _smooth_error(chosen, policy),
+                sampling,
+                *(_negligible(columns, policy) for columns in effects),
+                *(_tolerated(score, model.observed.setup.tolerance, rows) for score in scores),
+            ]
         )
         at_start = Linearized.of(start, rows)
         every = np.hstack([at_start.columns.changes, floor, *(term.columns for term in terms), *effects])
@@ -141,12 +155,10 @@ class ErrorModel:
             columns = columns.beside(more)
         return self.metric.log_evidence(hypothesis.residuals, columns.changes, columns.sides)
 
-    def likeliest(self, hypothesis: Linearized) -> Float64:
-        """Return the likeliest sizes (k,) of a hypothesis' columns, in sigmas of their priors."""
-        changes = hypothesis.columns.changes
-        information = self.metric.products(changes, changes) + np.eye(changes.shape[1])
-        along = self.metric.products(changes, hypothesis.residuals[:, np.newaxis])[:, 0]
-        return np.asarray(-np.linalg.solve(information, along))
+    @property
+    def loss(self) -> MetricLoss:
+        """What residuals of all bins cost in a fit."""
+        return MetricLoss(self.metric, self.rows)
 
     def table(self, hypothesis: Linearized, blocks: Sequence[Columns]) -> EvidenceTable:
         """Return what gives the evidence of a hypothesis with any of some blocks of columns."""
@@ -154,7 +166,7 @@ class ErrorModel:
         every = np.column_stack([*(block.changes for block in columns), hypothesis.residuals])
         ends = np.cumsum([0, *(len(block.sides) for block in columns)])
         sides = np.concatenate([block.sides for block in columns])
-        return EvidenceTable(self.metric.products(every, every), sides, ends)
+        return EvidenceTable(self.metric.products(every, every), sides, ends, len(every))
 
     def form_error(self, effect: str, change: Float64 | Float32) -> Columns:
         """Return the error of an effect's form; `change` (n,) is what the effect does."""
@@ -165,29 +177,43 @@ class ErrorModel:
 
 @dataclass(frozen=True, eq=False)
 class EvidenceTable:
-    """The products of a hypothesis' columns, of further blocks, which end at `ends`, and of the residuals."""
+    """The products of a hypothesis' columns, of further blocks, which end at `ends`, and of residuals.
+
+    There are `count` residuals.
+    """
 
     products: Float64
     sides: Float64
     ends: Int64
+    count: int
 
     def log_evidence(self, *chosen: int, size: float = 1.0) -> float:
         """Return ln Z, nats, of the hypothesis with some blocks, by number, whose sizes are scaled."""
-        blocks = [np.arange(self.ends[n + 1], self.ends[n + 2]) for n in chosen]
-        places = np.concatenate([np.arange(self.ends[1]), *blocks])
+        places = np.concatenate([np.arange(self.ends[1]), *map(self._places, chosen)])
         kept = np.append(places, len(self.products) - 1)
         scale = np.ones(len(kept))
         scale[self.ends[1] : -1] = size
         products = self.products[np.ix_(kept, kept)] * np.outer(scale, scale)
-        return log_evidence(products, self.sides[places])
+        return log_evidence(products, self.sides[places], self.count)
+
+    def likeliest(self, *chosen: int) -> list[Float64]:
+        """Return the likeliest sizes (k,) of each of some blocks, by number, fitted together."""
+        blocks = [np.arange(self.ends[1]), *map(self._places, chosen)]
+        places = np.concatenate(blocks)
+        information = self.products[np.ix_(places, places)] + np.eye(len(places))
+        sizes = -np.linalg.solve(information, self.products[places, -1])
+        return np.split(sizes, np.cumsum([len(block) for block in blocks]))[1:-1]
+
+    def _places(self, block: int) -> Int64:
+        return np.arange(self.ends[block + 1], self.ends[block + 2])
 
 
-def chosen_rows(covariates: Covariates, count: int) -> Int64:
-    """Return the places (n,) of at most so many bins that are compared, half of them in the stripe."""
+def chosen_rows(covariates: Covariates, count: int, with_stripe: bool) -> Int64:
+    """Return the places (n,) of at most so many bins to compare; half of them are in the stripe, if any."""
     draw = np.random.default_rng(ROWS_SEED)
     usable = np.isfinite(covariates.sigma_dn)
     chosen = []
-    for members in (usable & ~covariates.in_stripe, usable & covariates.in_stripe):
+    for members in (usable & ~covariates.in_stripe, usable & covariates.in_stripe & with_stripe):
         places = np.flatnonzero(members)
         chosen.append(draw.permutation(places)[: count // 2])
     return np.sort(np.concatenate(chosen))
@@ -200,16 +226,41 @@ def _negligible(columns: Float32, policy: Policy) -> Float32:
     return np.asarray(columns * sizes / math.sqrt(columns.shape[1]), dtype=np.float32)
 
 
-def _sampling_error(model: LinearizedModel, start: Refit, covariates: Covariates) -> Float32:
+def _tolerated(score: ScoreTest, tolerance: Tolerance, rows: Int64) -> Float32:
+    """Return what a camera's pose that is off within its tolerance changes (n, k); nothing of other effects.
+
+    It moves where the tracker sees the seam, too, which the pose among the nuisances does not.
+    """
+    if score.id != HAND_EYE:
+        return np.zeros((len(rows), 0), dtype=np.float32)
+    within = {"deg": tolerance.hand_eye_deg, "mm": tolerance.hand_eye_mm}
+    sizes = [within[parameter.unit] / parameter.prior_sigma for parameter in REGISTRY[HAND_EYE].parameters]
+    per_sigma = Columns.along_probes(score, rows).changes
+    moved = np.argmax(np.abs(score.steps), axis=1)
+    return np.asarray(per_sigma * np.array(sizes)[moved], dtype=np.float32)
+
+
+def _fourth_differences_dn(model: LinearizedModel, start: Refit) -> Float64:
+    """Return the fourth difference of the laser's light between bins (n,), DN, of all frames' bins."""
+    fourth_e = model.laser_fourth_differences(start.nuisance)
+    parts = [light.dn_per_e() * of_frame for light, of_frame in zip(start.lights, fourth_e, strict=True)]
+    return np.concatenate(parts)
+
+
+def _is_resolved(covariates: Covariates, fourth_dn: Float64, max_ripple: float) -> bool:
+    """Say whether bins resolve the stripe: its fourth difference is no more than so much of its light."""
+    of_stripe = covariates.in_stripe
+    ripple, light = np.square(fourth_dn[of_stripe]), np.square(covariates.laser_dn[of_stripe])
+    return bool(np.sum(ripple) <= max_ripple**2 * np.sum(light))
+
+
+def _sampling_error(model: LinearizedModel, covariates: Covariates, fourth_dn: Float64) -> Float32:
     """Return what bins do to a stripe that they hardly resolve, in all bins (n, 1).
 
     A kernel whose fourth moment is off by m is off by m / 24 of a fourth difference. Three taps of variance v
     have the fourth moment v, a Gaussian has 3 v^2, so bins are off by about v / 24.
     """
-    variance = model.observed.binned.camera.psf_sigma_px**2
-    fourth_e = model.laser_fourth_differences(start.nuisance)
-    parts = [light.dn_per_e() * of_frame for light, of_frame in zip(start.lights, fourth_e, strict=True)]
-    error_dn = variance / 24.0 * np.concatenate(parts)
+    error_dn = model.observed.binned.camera.psf_sigma_px**2 / 24.0 * fourth_dn
     return np.asarray(error_dn / covariates.sigma_dn, dtype=np.float32)[:, np.newaxis]
 
 

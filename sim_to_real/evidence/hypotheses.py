@@ -9,8 +9,10 @@ coordinates of some stage, of any of several sizes.
 from __future__ import annotations
 
 import math
+from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from typing import TypeAlias
 
 import numpy as np
 from scipy.special import logsumexp
@@ -19,6 +21,9 @@ from noise_model.effects.effect import Stage
 from sim_to_real.evidence.error_model import Linearized
 from sim_to_real.evidence.policy import Policy
 from sim_to_real.fit.gauss_newton import Refit
+
+Term: TypeAlias = tuple[Stage | None, str]
+"""A free term's stage and name."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -50,7 +55,7 @@ class Hypothesis:
 class Unknown:
     """An unknown cause: the log evidence, nats, of each free term, by stage and name."""
 
-    terms: Mapping[tuple[Stage, str], float]
+    terms: Mapping[Term, float]
 
     @property
     def evidence(self) -> float:
@@ -58,9 +63,17 @@ class Unknown:
         return float(logsumexp(list(self.terms.values())) - math.log(len(self.terms)))
 
     @property
-    def likeliest(self) -> tuple[Stage, str]:
+    def likeliest(self) -> Term:
         """The likeliest term's stage and name."""
         return max(self.terms, key=lambda term: self.terms[term])
+
+    @property
+    def stage(self) -> Stage:
+        """The stage of the likeliest term that has one."""
+        of_stages = {term: nats for term, nats in self.terms.items() if term[0] is not None}
+        stage, _ = max(of_stages, key=lambda term: of_stages[term])
+        assert stage is not None
+        return stage
 
 
 @dataclass(frozen=True, eq=False)
@@ -83,11 +96,22 @@ class Posterior:
         n_effects: int,
         policy: Policy,
     ) -> Posterior:
-        """Weigh hypotheses by evidence and prior odds; `n_effects` share the odds of one effect evenly."""
-        some = sorted(hypotheses, key=lambda h: -_weight(h.evidence, len(h.ids), n_effects, policy))
+        """Weigh hypotheses by evidence and prior odds; `n_effects` share the odds of one effect evenly.
+
+        The same effects constant, and as they change in the course of a weld, share their odds too.
+        """
+        forms = Counter(frozenset(hypothesis.ids) for hypothesis in hypotheses)
+
+        def weight(hypothesis: Hypothesis) -> float:
+            n = len(hypothesis.ids)
+            ln_odds = policy.ln_odds_effect + (n - 1) * policy.ln_odds_further - n * math.log(n_effects)
+            ln_odds -= math.log(forms[frozenset(hypothesis.ids)])
+            return hypothesis.evidence / policy.temperature + ln_odds
+
+        some = sorted(hypotheses, key=weight, reverse=True)
         ln = [
             none.evidence / policy.temperature,
-            *(_weight(h.evidence, len(h.ids), n_effects, policy) for h in some),
+            *map(weight, some),
             unknown.evidence / policy.temperature + policy.ln_odds_unknown,
         ]
         p_none, *p, p_unknown = np.exp(np.array(ln) - logsumexp(ln)).tolist()
@@ -101,9 +125,3 @@ class Posterior:
             for name in hypothesis.ids:
                 total[name] = total.get(name, 0.0) + probability
         return total
-
-
-def _weight(evidence: float, n: int, n_effects: int, policy: Policy) -> float:
-    """Return ln of the unnormalised probability of a hypothesis of n effects."""
-    ln_odds = policy.ln_odds_effect + (n - 1) * policy.ln_odds_further - n * math.log(max(n_effects, 1))
-    return evidence / policy.temperature + ln_odds

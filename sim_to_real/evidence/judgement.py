@@ -13,7 +13,7 @@ from sim_to_real.evidence.policy import Policy
 class Judgement:
     """A verdict: `leader` is the hypothesis whose fit is shown, `named` its effects that are named.
 
-    `ambiguous` are the hypotheses, by their effects, that share the posterior where none is named.
+    `ambiguous` holds the effects of the hypotheses that share the posterior where none is named.
     """
 
     verdict: Verdict
@@ -34,14 +34,13 @@ def judge(posterior: Posterior, policy: Policy) -> Judgement:
         return Judgement(Verdict.NO_GAP, posterior.none, (), ())
     if posterior.p_unknown > of_effects or not posterior.hypotheses:
         return Judgement(Verdict.UNKNOWN, posterior.none, (), ())
+    weighed = list(zip(posterior.hypotheses, posterior.p, strict=True))
+    likely = [hypothesis for hypothesis, p in weighed if p >= policy.possible * of_effects]
     sure = [name for name, p in posterior.of_effects.items() if p >= policy.named * of_effects]
-    leader = next((h for h in posterior.hypotheses if set(h.ids) == set(sure)), posterior.hypotheses[0])
-    if sure:
-        return Judgement(Verdict.EFFECTS, leader, tuple(sure), ())
-    likely = [
-        h.ids
-        for h, p in zip(posterior.hypotheses, posterior.p, strict=True)
-        if p >= policy.possible * of_effects
-    ]
-    members = tuple(dict.fromkeys(name for ids in likely for name in ids))
-    return Judgement(Verdict.AMBIGUOUS, leader, (), (members,))
+    if sure or len(weighed) < 2:
+        leader = next((h for h in likely if set(h.ids) == set(sure)), posterior.hypotheses[0])
+        return Judgement(Verdict.EFFECTS, leader, tuple(sure or leader.ids), ())
+    # Where the next ones are many and none of them likely, the first of these stands for them.
+    undecided = likely if len(likely) > 1 else posterior.hypotheses[:2]
+    members = tuple(dict.fromkeys(name for hypothesis in undecided for name in hypothesis.ids))
+    return Judgement(Verdict.AMBIGUOUS, posterior.hypotheses[0], (), (members,))

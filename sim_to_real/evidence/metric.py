@@ -12,13 +12,24 @@ not linear this is Laplace's approximation (MacKay 1992, Neural Computation 4, 4
 
 from __future__ import annotations
 
+import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.linalg import solve_triangular
-from scipy.special import log_ndtr
+from scipy.linalg import cho_solve, solve_triangular
+from scipy.optimize import lsq_linear
+from scipy.special import erfcx, log_ndtr
 
-from noise_model.arrays import Float32, Float64
+from noise_model.arrays import Float32, Float64, Int64
+from noise_model.fit import Parameter
+from sim_to_real.fit.quadratic import Quadratic
+
+MAX_RESCALES = 6
+"""The errors' size is adjusted to what is left so often at most."""
+
+AT_BOUND = 1e-9
+"""A size this near its bound, in sigmas of its prior, is at it."""
 
 MIN_EIGENVALUE = 0.05
 """Directions of the model's own error with a smaller variance than this, over noise, are left out."""
@@ -58,26 +69,98 @@ class Metric:
         `sides` (k,) are those of `log_evidence`; without them no size is bounded.
         """
         both: Float64 = np.column_stack([columns, residuals]).astype(np.float64)
-        return log_evidence(self.products(both, both), np.zeros(columns.shape[1]) if sides is None else sides)
+        some = np.zeros(columns.shape[1]) if sides is None else sides
+        return log_evidence(self.products(both, both), some, len(residuals))
 
 
-def log_evidence(products: Float64, sides: Float64) -> float:
-    """Return ln Z, nats, from the products (k + 1, k + 1) of columns and, last, of the residuals.
+SETTLED_NATS = 0.5
+"""A step of a fit that gains fewer nats is the last."""
+
+
+@dataclass(frozen=True, eq=False)
+class MetricLoss:
+    """The cost of a fit's residuals in a metric: that of the bins `rows` (n,) among all."""
+
+    metric: Metric
+    rows: Int64
+    prior_weight: float = 1.0
+
+    def about(self, r: Float64) -> MetricLoss:
+        """Return the loss for a step from any residuals: it is always the same."""
+        return self
+
+    def cost(self, r: Float64) -> float:
+        """Return the cost of residuals (n,) of all bins: twice the nats that they take."""
+        here = r[self.rows, np.newaxis]
+        return float(self.metric.products(here, here)[0, 0])
+
+    def quadratic(self, parameters: Sequence[Parameter], x: Float64, r: Float64, J: Float64) -> Quadratic:
+        """Return the cost about parameters x (p,) with residuals r (n,) and their derivatives J (n, p)."""
+        both = np.column_stack([J[self.rows], r[self.rows]])
+        products = self.metric.products(both, both)
+        return Quadratic(tuple(parameters), x, products[:-1, :-1], -products[:-1, -1], products[-1, -1])
+
+    def is_converged(self, cost: float, gained: float) -> bool:
+        """Say whether a step that gained so much ends a fit of some cost."""
+        return gained < 2.0 * SETTLED_NATS
+
+
+def log_evidence(products: Float64, sides: Float64, count: int) -> float:
+    """Return ln Z, nats, from the products (k + 1, k + 1) of columns and, last, of `count` residuals.
 
     `sides` (k,) are 1 for sizes that only positive values have, -1 for negative ones, 0 for both. A bounded
-    size has a half-normal prior: with m and s its mean and sigma without the bound, Z is 2 Phi(m / s) times
-    as large. Of several bounded sizes each is taken by itself.
+    size has a half-normal prior.
+
+    All errors may be larger than stated, by one factor: what a hypothesis leaves sets it, where that is more
+    than the errors are. So two that leave much differ by the ratio of what they leave, as one would compare
+    them who knows nothing of the errors' size.
     """
-    information, along = products[:-1, :-1] + np.eye(len(products) - 1), products[:-1, -1]
+    variance, nats = 1.0, -math.inf
+    for _ in range(MAX_RESCALES):
+        at_variance, cost = _at_variance(products, sides, variance)
+        nats = max(nats, at_variance - 0.5 * count * math.log(variance))
+        before, variance = variance, max(1.0, cost / max(count, 1))
+        if abs(math.log(variance / before)) < 0.01:
+            break
+    return nats
+
+
+def _at_variance(products: Float64, sides: Float64, variance: float) -> tuple[float, float]:
+    """Return ln Z, nats, with all errors' variance so many times as large, and the residuals' cost there.
+
+    The cost is that of the stated errors, at the likeliest sizes x within their bounds. Along a size at its
+    bound the exponent is -g x - h x^2 / 2, with h the information that the free sizes leave of it. With its
+    prior it adds ln erfcx(g / sqrt(2 h)) - ln(h) / 2. A bounded size off its bound, of sigma s, adds
+    ln 2 Phi(x / s).
+    """
+    information = products[:-1, :-1] / variance + np.eye(len(products) - 1)
+    along = products[:-1, -1] / variance
     root = np.linalg.cholesky(information)
-    explained = solve_triangular(root, along, lower=True)
-    unbounded = -0.5 * (products[-1, -1] - explained @ explained) - np.log(np.diag(root)).sum()
-    places = np.flatnonzero(sides)
-    if not len(places):
-        return float(unbounded)
-    inverse = solve_triangular(root, np.eye(len(root))[:, places], lower=True)
-    mean, sigma = -inverse.T @ explained, np.sqrt(np.sum(inverse**2, axis=0))
-    return float(unbounded + np.sum(np.log(2.0) + log_ndtr(sides[places] * mean / sigma)))
+    sizes = -cho_solve((root, True), along)
+    is_bounded = sides != 0.0
+    at_bound = is_bounded & (sides * sizes < 0.0)
+    if at_bound.any():
+        low, high = np.where(sides > 0.0, 0.0, -np.inf), np.where(sides < 0.0, 0.0, np.inf)
+        target = -solve_triangular(root, along, lower=True)
+        sizes = lsq_linear(root.T, target, (low, high), method="bvls").x
+        at_bound = is_bounded & (np.abs(sizes) < AT_BOUND)
+        sizes = np.where(at_bound, 0.0, sizes)
+        root = np.linalg.cholesky(information[np.ix_(~at_bound, ~at_bound)])
+    gained = sizes @ along + 0.5 * sizes @ information @ sizes
+    nats = -0.5 * products[-1, -1] / variance - gained - np.log(np.diag(root)).sum()
+    off_bound = is_bounded[~at_bound]
+    if off_bound.any():
+        inverse = solve_triangular(root, np.eye(len(root))[:, off_bound], lower=True)
+        sigma = np.sqrt(np.sum(inverse**2, axis=0))
+        off = is_bounded & ~at_bound
+        nats += np.sum(np.log(2.0) + log_ndtr(sides[off] * sizes[off] / sigma))
+    if at_bound.any():
+        gradient = (sides * (information @ sizes + along))[at_bound]
+        taken = solve_triangular(root, information[np.ix_(~at_bound, at_bound)], lower=True)
+        remaining = np.diag(information)[at_bound] - np.sum(taken**2, axis=0)
+        nats += np.sum(np.log(erfcx(gradient / np.sqrt(2.0 * remaining))) - 0.5 * np.log(remaining))
+    cost = products[-1, -1] + 2.0 * sizes @ products[:-1, -1] + sizes @ products[:-1, :-1] @ sizes
+    return float(nats), float(cost)
 
 
 def compressed(columns: Float32) -> Float32:

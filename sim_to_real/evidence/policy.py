@@ -21,6 +21,9 @@ class Policy:
         Degrees of freedom of Student's distribution, from which robust weights come.
     n_bins : int
         So many bins are compared, half of them in the stripe: neighbours say much the same.
+    max_ripple : float
+        Bins resolve a stripe whose fourth difference is no larger than this, relative to its light. One that
+        they do not resolve is not compared: without a gap it is off by 1.06 sigmas at 0.9, by 1.44 at 1.8.
     temperature : float
         The log evidence counts divided by this: what the error model leaves out.
     ln_odds_effect, ln_odds_further, ln_odds_unknown : float
@@ -32,11 +35,12 @@ class Policy:
     """
 
     negligible: float = 0.05
-    negligible_rms: float = 0.2
+    negligible_rms: float = 0.1
     image_rel: float = 0.004
     frame_rel: float = 0.003
     tail_dof: float = 6.0
     n_bins: int = 9000
+    max_ripple: float = 1.0
     temperature: float = 3.0
     ln_odds_effect: float = 0.0
     ln_odds_further: float = -3.0

@@ -2,9 +2,17 @@
 
 from __future__ import annotations
 
+import itertools
+import math
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 
-from sim_to_real.evidence.error_model import ErrorModel
+import numpy as np
+
+from noise_model.arrays import Float64
+from noise_model.effects import REGISTRY
+from sim_to_real.diagnosis import Estimate
+from sim_to_real.evidence.error_model import ErrorModel, Linearized
 from sim_to_real.evidence.hypotheses import Posterior
 from sim_to_real.evidence.hypothesis_search import HypothesisSearch
 from sim_to_real.evidence.policy import POLICY
@@ -13,7 +21,77 @@ from sim_to_real.fit.linearized_model import LinearizedModel
 from sim_to_real.fit.nuisances import BIASED_MEAN_SQUARE
 from sim_to_real.locate.covariates import Covariates
 from sim_to_real.search.probe_points import FAMILIES
-from sim_to_real.search.score_test import score_effects
+from sim_to_real.search.score_test import ScoreTest, score_effects
+
+MIN_NATS = 3.0
+"""The evidence over no gap from which on an effect shows."""
+
+ALIKE_COSINE = 0.98
+"""Two effects are not resolvable if the cosine between what they change is larger."""
+
+MIN_SPAN_REL = 1e-6
+"""Directions of a span with a smaller share of the largest product are rounding."""
+
+
+@dataclass(frozen=True, eq=False)
+class Weighed:
+    """The posterior, with the effects' scores, the error model and the linear form of no gap behind it."""
+
+    posterior: Posterior
+    scores: tuple[ScoreTest, ...]
+    errors: ErrorModel
+    start: Linearized
+
+    @property
+    def not_resolvable(self) -> tuple[tuple[str, str], ...]:
+        """The pairs of effects that this recording cannot tell apart, by what their probe points change."""
+        columns = [score.signature[self.errors.rows] for score in self.scores]
+        ends = np.cumsum([0, *(changes.shape[1] for changes in columns)])
+        seen = self._seen(np.hstack(columns)) if columns else np.zeros((0, 0))
+        blocks = [slice(ends[n], ends[n + 1]) for n in range(len(columns))]
+        pairs = []
+        for n, m in itertools.combinations(range(len(columns)), 2):
+            cosines = principal_cosines(
+                seen[blocks[n], blocks[n]], seen[blocks[n], blocks[m]], seen[blocks[m], blocks[m]]
+            )
+            # All of the smaller span must lie within the larger: the smallest cosine counts.
+            if len(cosines) and cosines.min() > ALIKE_COSINE:
+                pairs.append((self.scores[n].id, self.scores[m].id))
+        return tuple(pairs)
+
+    @property
+    def smallest(self) -> dict[str, Estimate]:
+        """The smallest magnitude of each effect whose evidence would show, if any would."""
+        magnitudes = {}
+        for score in self.scores:
+            per_square = float(self._seen(score.signature[self.errors.rows][:, :1])[0, 0])
+            # Where light ends is a place, and has no magnitude.
+            if per_square > 0.0 and score.steps[0].any():
+                moved = int(np.flatnonzero(score.steps[0])[0])
+                parameter = REGISTRY[score.id].parameters[moved]
+                ratio = math.sqrt(2.0 * MIN_NATS / per_square)
+                magnitudes[score.id] = Estimate(
+                    abs(float(score.steps[0, moved])) * ratio, math.nan, parameter.unit
+                )
+        return magnitudes
+
+    def _seen(self, changes: Float64) -> Float64:
+        """Return the products (k, k) of changes (n, k), what nuisances take on projected out."""
+        metric, nuisances = self.errors.metric, self.start.columns.changes
+        own, cross = metric.products(changes, changes), metric.products(nuisances, changes)
+        information = metric.products(nuisances, nuisances) + np.eye(nuisances.shape[1])
+        return np.asarray(own - cross.T @ np.linalg.solve(information, cross))
+
+
+def principal_cosines(first: Float64, between: Float64, second: Float64) -> Float64:
+    """Return the cosines between two spans from the products of their columns, as many as the smaller has."""
+
+    def inverse_root(products: Float64) -> Float64:
+        values, vectors = np.linalg.eigh(products)
+        seen = values > MIN_SPAN_REL * max(float(values.max(initial=0.0)), 1e-12)
+        return np.asarray(vectors[:, seen] / np.sqrt(values[seen]))
+
+    return np.asarray(np.linalg.svd(inverse_root(first).T @ between @ inverse_root(second), compute_uv=False))
 
 
 def weigh(
@@ -22,23 +100,29 @@ def weigh(
     of_bins: Covariates,
     without: Sequence[str],
     on_stage: Callable[[str, float], None],
-) -> Posterior:
-    """Weigh all hypotheses about what a fit without effects leaves; effects `without` are no candidates."""
-    model, start = model.anchored_at(before.nuisance, {}), before
+) -> Weighed:
+    """Weigh all hypotheses about what a fit without effects leaves; effects `without` are no candidates.
+
+    The model's derivatives are those about that fit.
+    """
+    start = before
     if before.mean_square > BIASED_MEAN_SQUARE:
         # A large gap biases the nuisances so far that no effect could fit: start from the stated values.
         model = model.anchored_at(model.neutral, {})
         start = refit(model, {}, model.neutral, steps=0)
-    scores = score_effects(model, start, [name for name in FAMILIES if name not in without])
-    errors = ErrorModel.of(model, of_bins, start, scores, POLICY)
+    every_score = score_effects(model, start, list(FAMILIES))
+    errors = ErrorModel.of(model, of_bins, start, every_score, POLICY)
+    scores = [score for score in every_score if score.id not in without]
     search = HypothesisSearch(model, start, scores, errors, POLICY, without, on_stage)
-    fits = [before] if start is before else [before, start]
-    without_effects = [search.settled(search.hypothesis(fit)) for fit in fits]
+    fits = [search.fit([{}], fit.nuisance) for fit in ([before] if start is before else [before, start])]
+    without_effects = sorted((search.hypothesis(fit) for fit in fits), key=lambda h: -h.exact)
     tables = [search.free_terms_beside(hypothesis) for hypothesis in without_effects]
-    none = search.none(without_effects[0], without_effects[1:])
-    singles = search.singles(none, search.unknown(tables))
-    every = search.compared([*singles, *search.pairs(singles, none)])
+    singles = search.singles(without_effects[0], tables)
     # The fits may have come to nuisances about which no gap or an unknown cause is likelier.
-    unknown = search.unknown([*tables, *(search.free_terms_beside(single) for single in singles[:1])])
+    tables += [search.free_terms_beside(single) for single in singles[:1]]
+    unknown = search.unknown(tables)
+    every = search.compared([*singles, *search.pairs(singles, unknown.evidence)])
     none = search.none(without_effects[0], [*without_effects[1:], *every])
-    return Posterior.of(none, every, unknown, len(scores), POLICY)
+    unknown = search.unknown([*tables, search.free_terms_beside(none)])
+    posterior = Posterior.of(none, every, unknown, len(scores), POLICY)
+    return Weighed(posterior, tuple(scores), errors, Linearized.of(start, errors.rows))

@@ -12,24 +12,15 @@ import numpy as np
 from noise_model.arrays import Float64
 from noise_model.effects import REGISTRY, Values
 from noise_model.fit import Parameter, within_bounds
-from noise_model.robust import sigma_of
 from sim_to_real.fit.linearized_model import RENDERED_EFFECTS, FrameLight, LinearizedModel
+from sim_to_real.fit.loss import HuberLoss, LossAbout, huber_bound, huber_weights
 from sim_to_real.fit.quadratic import Quadratic
-from sim_to_real.fit.trend import Trend, trend_among
-
-HUBER_SIGMAS = 3.0
-"""Huber's bound, in robust sigmas of the residuals."""
-
-MIN_EVIDENCE_NATS = 3.0
-"""Evidence by which effects must beat their absence, nats."""
+from sim_to_real.fit.trend import Trend
 
 MAX_ITERATIONS = 8
 """Steps at most."""
 
-CONVERGED_REL = 1e-3
-"""A step that lowers the cost by a smaller share is the last."""
-
-START_DAMPING, MIN_DAMPING, MAX_DAMPING, DAMPING_FACTOR = 1e-3, 1e-9, 1e3, 0.1
+START_DAMPING, MIN_DAMPING, MAX_DAMPING, DAMPING_FACTOR = 1e-3, 1e-6, 1e3, 0.1
 """The damping's start and bounds, and its factor after a step that helps; else it is divided by it."""
 
 MAX_RELINEARIZATIONS, MIN_IMPROVEMENT_REL = 3, 0.1
@@ -78,25 +69,15 @@ class Refit:
             yield name, slice(block.start, len(self.x) if name == self.ids[-1] else block.stop)
 
     @property
-    def n_parameters(self) -> int:
-        """The number of fitted parameters beside the nuisances; frames' levels count about their mean."""
-        unlit = len(self.arc_ln) - max(self.n_lit - 1, 1) if FLICKER in self.ids else 0
-        return len(self.x) - self.n_nuisances - unlit
-
-    @property
     def n_lit(self) -> int:
         """The number of frames with an arc level of their own."""
         return int(np.count_nonzero(self.arc_ln))
 
     @property
     def sigmas(self) -> dict[str, dict[str, float]]:
-        """1 sigma of the effects' parameters, with the residuals' own spread as noise.
-
-        Only `quadratic.N_EFFECTIVE` residuals count as independent: neighbours share the model's error.
-        """
-        prior = np.diag([1.0 / parameter.prior_sigma**2 for parameter in self.quadratic.parameters])
-        information = self.quadratic.information.sum(axis=0) / self.quadratic.prior_weight
-        covariance = np.linalg.pinv(information + prior)
+        """1 sigma of the effects' parameters, as the loss that was minimised has it."""
+        prior = np.diag(1.0 / self.quadratic.prior_sigmas**2)
+        covariance = np.linalg.pinv(self.quadratic.information / self.quadratic.prior_weight + prior)
         sigma, sigmas = np.sqrt(np.maximum(np.diag(covariance), 0.0)), {}
         for name, block in _blocks(self.ids, self.n_nuisances, len(self.arc_ln)):
             if name == FLICKER:
@@ -106,18 +87,10 @@ class Refit:
                 sigmas[name] = _parameters_by_name(name, sigma[block])
         return sigmas
 
-    def split_parameters(self, x: Float64) -> tuple[Float64, dict[str, dict[str, float]], Trend | None]:
-        """Return nuisances, effects and trend at other parameters (p,); frames' own levels stay."""
-        effects = {
-            name: self.effects[name] if name == FLICKER else _parameters_by_name(name, x[block])
-            for name, block in _blocks(self.ids, self.n_nuisances, len(self.arc_ln))
-        }
-        return x[: self.n_nuisances], effects, _trend_at(self.trend, x)
-
     @property
     def mean_square(self) -> float:
         """The residuals' weighted mean square."""
-        return self.quadratic.mean_square(self.x)
+        return float(self.weights @ self.residuals**2) / len(self.residuals)
 
 
 def refit(
@@ -126,6 +99,7 @@ def refit(
     nuisance: Float64,
     steps: int = MAX_ITERATIONS,
     trend: Trend | None = None,
+    loss_about: LossAbout = HuberLoss.about,
 ) -> Refit:
     """Fit nuisances (p,) and effects' parameters to all frames, from the values given.
 
@@ -140,32 +114,32 @@ def refit(
     J, is_current = problem.jacobian(x, lights, r), True
     damping = START_DAMPING
     for _ in range(steps):
-        bound = huber_bound(r)
-        quadratic = problem.quadratic(x, r, J, bound)
-        weight = quadratic.prior_weight
-        cost = problem.cost(x, r, bound, weight)
-        gained = 0.0
+        loss = loss_about(r)
+        quadratic = loss.quadratic(problem.parameters, x, r, J)
+        cost = loss.cost(r) + quadratic.prior_cost(x)
+        is_last = True
         while damping < MAX_DAMPING:
             x_new = quadratic.solve(damping=damping)
+            if loss.is_converged(cost, quadratic.total(x) - quadratic.total(x_new)):
+                break
             lights_new = problem.lights(x_new)
             r_new = model.residuals(lights_new)
-            new = problem.cost(x_new, r_new, bound, weight)
+            new = loss.cost(r_new) + quadratic.prior_cost(x_new)
             if new < cost:
-                gained = (cost - new) / cost
+                is_last = loss.is_converged(cost, cost - new)
                 J = broyden_update(J, x_new - x, r_new - r)
                 x, r, lights = x_new, r_new, lights_new
                 damping = max(damping * DAMPING_FACTOR, MIN_DAMPING)
                 break
             damping /= DAMPING_FACTOR
-        if gained < CONVERGED_REL and is_current:
+        if is_last and is_current:
             break
         # Derivatives that need rendering are expensive: they are updated as long as steps with them help.
-        is_current = gained < CONVERGED_REL or not problem.is_rendered
+        is_current = is_last or not problem.is_rendered
         if is_current:
             J, damping = problem.jacobian(x, lights, r), min(damping, START_DAMPING)
     if not is_current:
         J = problem.jacobian(x, lights, r)
-    bound = huber_bound(r)
     return Refit(
         problem.ids,
         x,
@@ -174,16 +148,11 @@ def refit(
         problem.arc_ln(x),
         r,
         J,
-        huber_weights(r, bound),
-        problem.quadratic(x, r, J, bound),
+        huber_weights(r, huber_bound(r)),
+        loss_about(r).quadratic(problem.parameters, x, r, J),
         tuple(lights),
         problem.trend_at(x),
     )
-
-
-def refit_from(model: LinearizedModel, fitted: Refit, effects: Mapping[str, Values]) -> Refit:
-    """Fit effects from a fit's nuisances, with the fit's trend if it is of one of them."""
-    return refit(model, effects, fitted.nuisance, trend=trend_among(fitted.trend, effects))
 
 
 def _blocks(ids: Sequence[str], n_nuisances: int, n_frames: int) -> Iterator[tuple[str, slice]]:
@@ -208,8 +177,8 @@ def _parameters_by_name(effect: str, values: Float64) -> dict[str, float]:
 def converged(model: LinearizedModel, fitted: Refit) -> Refit:
     """Return a fit after light and tangents have been rendered anew at its result, until it stays."""
     for _ in range(MAX_RELINEARIZATIONS):
-        model.take_tangents(fitted.nuisance, fitted.effects, fitted.trend)
-        again = refit(model, fitted.effects, fitted.nuisance, trend=fitted.trend)
+        there = model.anchored_at(fitted.nuisance, fitted.effects, fitted.trend)
+        again = refit(there, fitted.effects, fitted.nuisance, trend=fitted.trend)
         if again.mean_square > (1.0 - MIN_IMPROVEMENT_REL) * fitted.mean_square:
             return min(again, fitted, key=lambda fit: fit.mean_square)
         fitted = again
@@ -225,16 +194,6 @@ def broyden_update(J: Float64, step: Float64, residual_change: Float64) -> Float
     weight = np.where(size > 0.0, size, 1.0) ** 2 * step
     length = float(step @ weight)
     return J + np.outer(residual_change - J @ step, weight / length) if length > 0.0 else J
-
-
-def huber_bound(r: Float64) -> float:
-    """Return Huber's bound for residuals (n,), proportional to their own spread."""
-    return HUBER_SIGMAS * max(1.0, sigma_of(r))
-
-
-def huber_weights(r: Float64, bound: float) -> Float64:
-    """Return Huber's weights (n,)."""
-    return np.asarray(np.minimum(1.0, bound / np.maximum(np.abs(r), bound)))
 
 
 @dataclass(frozen=True)
@@ -334,18 +293,6 @@ class _Problem:
         moved[i] += -parameter.step if x[i] + parameter.step > parameter.upper else parameter.step
         change = self.model.residuals(self.lights(moved)) - r
         return np.asarray(change[:, np.newaxis] / (moved[i] - x[i]))
-
-    def quadratic(self, x: Float64, r: Float64, J: Float64, bound: float) -> Quadratic:
-        """Return the cost about x."""
-        return Quadratic.of(self.parameters, x, r, J, huber_weights(r, bound), self.model.observed.counts)
-
-    def cost(self, x: Float64, r: Float64, bound: float, prior_weight: float) -> float:
-        """Return Huber's loss of residuals (n,) plus the priors' cost."""
-        size = np.abs(r)
-        of_data = np.sum(np.where(size > bound, 2.0 * bound * size - bound**2, size**2))
-        starts = np.array([p.start for p in self.parameters])
-        sigmas = np.array([p.prior_sigma for p in self.parameters])
-        return float(of_data + prior_weight * np.sum(((x - starts) / sigmas) ** 2))
 
 
 def mean_removal(model: LinearizedModel) -> Float64:

@@ -139,7 +139,9 @@ class LinearizedModel:
         self.nuisances = nuisances(observed)
         self.neutral = np.zeros(len(self.nuisances))
         self._tangents: list[Tangents] | None = None
-        self._rendered: dict[tuple[int, bytes, object], Rendered] = {}
+        self._rendered: dict[tuple[object, ...], Rendered] = {}
+        self._of_sources: dict[tuple[object, ...], Float32] = {}
+        self._layers: dict[tuple[object, ...], Layers] = {}
         self._nearest = [_nearest(frame.rendered) for frame in observed.frames]
         self._bounced: dict[int, BouncedLight] = {}
         self._rays: dict[tuple[object, ...], Rays] = {}
@@ -147,10 +149,6 @@ class LinearizedModel:
         self._seams: dict[tuple[object, ...], BentSeam] = {}
         self._threads = threads
         self._executor = ThreadPoolExecutor(threads)
-
-    def take_tangents(self, anchor: Float64, effects: Effects, trend: Trend | None = None) -> None:
-        """Take the derivatives of light about nuisances (p,) and effects."""
-        self._tangents = self.anchored_at(anchor, effects, trend)._tangents
 
     def anchored_at(self, anchor: Float64, effects: Effects, trend: Trend | None = None) -> LinearizedModel:
         """Return the model with light's derivatives about nuisances (p,) and effects; caches are shared."""
@@ -179,9 +177,6 @@ class LinearizedModel:
         position = {old: new for new, old in enumerate(np.flatnonzero(chosen).tolist())}
         if self._tangents is not None:
             subset._tangents = [self._tangents[old] for old in position]
-        for (old, anchor, effects), rendered in self._rendered.items():
-            if old in position:
-                subset._rendered[position[old], anchor, effects] = rendered
         subset._bounced = {position[old]: light for old, light in self._bounced.items() if old in position}
         return subset
 
@@ -235,6 +230,8 @@ class LinearizedModel:
         self, of_frame: Callable[[ObservedFrame], Result], frames: Sequence[ObservedFrame]
     ) -> Iterator[Result]:
         """Yield a function's result for each of some frames, in order, computed in parallel."""
+        if self._threads == 1:
+            return map(of_frame, frames)
         return self._executor.map(of_frame, frames)
 
     def lights(self, anchor: Float64, effects: Effects, trend: Trend | None = None) -> list[FrameLight]:
@@ -250,8 +247,9 @@ class LinearizedModel:
             )
 
         # Here and not where frames are rendered: several of them are at work at once there.
-        for oldest in list(self._rendered)[: -N_CACHED * len(self.observed.frames)]:
-            del self._rendered[oldest]
+        for cache in (self._rendered, self._of_sources, self._layers):
+            for oldest in list(cache)[: -N_CACHED * len(self.observed.frames)]:
+                del cache[oldest]
         return self.over_frames(of_frame)
 
     def stated_values(self, name: str) -> dict[str, float]:
@@ -344,24 +342,38 @@ class LinearizedModel:
         return self._rays[camera.geometry]
 
     def _render(self, frame: ObservedFrame, anchor: Float64, effects: Effects) -> Rendered:
-        rendering = tuple(
-            (name, tuple(values.values())) for name, values in effects.items() if name in RENDERED_EFFECTS
-        )
-        key = (frame.position, anchor[N_LEVELS:].tobytes(), rendering)
+        key = _rendering_key(frame, anchor, effects)
         if key not in self._rendered:
             setup = apply_setup_effects(self._setup(effects, anchor))
+            layers = self._layers_of(frame, anchor, effects).with_metal(setup)
             T_base_tool = frame.T_base_tool_in(setup)
-            seam = self.seam(frame, anchor, effects)
-            rays = self._rays_of(setup.camera)
-            layers = look(setup, T_base_tool, seam, rays, np.flatnonzero(frame.rendered))
+            seam, rays = self.seam(frame, anchor, effects), self._rays_of(setup.camera)
             nearest = self._nearest[frame.position]
-            dark = np.zeros(nearest.shape, dtype=np.float32)
+
+            def light(unmoved_by: Stage, is_on: bool, of_layers: Callable[[], Float32]) -> Float32:
+                if not is_on:
+                    return np.zeros(nearest.shape, dtype=np.float32)
+                of_source = (unmoved_by, *_rendering_key(frame, anchor, effects, unmoved_by))
+                if of_source not in self._of_sources:
+                    self._of_sources[of_source] = of_layers()[nearest]
+                return self._of_sources[of_source]
+
             self._rendered[key] = Rendered(
                 View.of(setup, T_base_tool, seam.middle, rays, ground=seam.ground, coarse=True),
-                layers.arc_e[nearest] if frame.condition.arc_level > 0.0 else dark,
-                layers.laser_e[nearest] if frame.condition.laser_level > 0.0 else dark,
+                light(Stage.ILLUMINATION, frame.condition.arc_level > 0.0, lambda: layers.arc_e),
+                light(Stage.SOURCE, frame.condition.laser_level > 0.0, lambda: layers.laser_e),
             )
         return self._rendered[key]
+
+    def _layers_of(self, frame: ObservedFrame, anchor: Float64, effects: Effects) -> Layers:
+        """Return what a frame shows with some metal: another one does not change what rays meet."""
+        key = _rendering_key(frame, anchor, effects, Stage.SURFACE)
+        if key not in self._layers:
+            setup = apply_setup_effects(self._setup(effects, anchor))
+            seam, rays = self.seam(frame, anchor, effects), self._rays_of(setup.camera)
+            bins = np.flatnonzero(frame.rendered)
+            self._layers[key] = look(setup, frame.T_base_tool_in(setup), seam, rays, bins)
+        return self._layers[key]
 
     def laser_fourth_differences(self, anchor: Float64) -> list[Float32]:
         """Return the fourth difference of the laser's light from bin to bin (n,), e-, of each frame."""
@@ -451,6 +463,22 @@ class LinearizedModel:
             slopes_of(lambda layers: layers.arc_e) if frame.condition.arc_level > 0.0 else None,
             slopes_of(lambda layers: layers.laser_e) if frame.condition.laser_level > 0.0 else None,
         )
+
+
+def _rendering_key(
+    frame: ObservedFrame, anchor: Float64, effects: Effects, unmoved_by: Stage | None = None
+) -> tuple[object, ...]:
+    """Return what a frame's rendering depends on; effects of a stage that does not move it are left out.
+
+    What happens to the arc does not change the laser's light, nor the other way round, and neither does
+    metal change what rays meet.
+    """
+    rendering = tuple(
+        (name, *values.items())
+        for name, values in effects.items()
+        if name in RENDERED_EFFECTS and REGISTRY[name].stage is not unmoved_by
+    )
+    return frame.position, anchor[N_LEVELS:].tobytes(), rendering
 
 
 def _tracked_with(effects: Effects) -> tuple[object, ...]:

@@ -117,13 +117,6 @@ def trend_among(trend: Trend | None, effects: Mapping[str, Values]) -> Trend | N
     return trend if trend is not None and trend.effect in effects else None
 
 
-def effects_at_ends(effects: Mapping[str, Values], trend: Trend | None) -> tuple[Mapping[str, Values], ...]:
-    """Return effects at both ends of a trend's driver; without a trend, the effects alone."""
-    if trend is None:
-        return (effects,)
-    return tuple({**effects, trend.effect: values} for values in trend.values_at_ends(effects[trend.effect]))
-
-
 def _driver_value(setup: Setup, driver: Driver, frame: ObservedFrame) -> float:
     if driver is Driver.TIME:
         return frame.condition.timestamp_s

@@ -144,23 +144,6 @@ class Fitted(Protocol):
         ...
 
 
-@dataclass(frozen=True, eq=False)
-class NominalFit:
-    """The model at its stated values, as a `Fitted`: no gap has biased its nuisances."""
-
-    nuisance: Float64
-    lights: tuple[FrameLight, ...]
-    residuals: Float64
-    jacobian: Float64
-
-    @classmethod
-    def of(cls, model: LinearizedModel) -> NominalFit:
-        """Return the stated values' residuals; tangents must have been taken at the neutral nuisances."""
-        lights = model.lights(model.neutral, {})
-        residuals, jacobian = model.residuals(lights), model.nuisance_columns(lights)
-        return cls(model.neutral, tuple(lights), residuals, jacobian)
-
-
 def covariates(model: LinearizedModel, fit: Fitted) -> Covariates:
     """Gather the covariates of every bin that counts, with the light and the nuisances of a fit."""
     anchor = fit.nuisance

@@ -3,18 +3,15 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 
 import numpy as np
 from scipy.ndimage import distance_transform_edt
 
 from noise_model.arrays import Bool, Float32, Float64, Int64, Integers
-from noise_model.robust import sigma_of
-from sim_to_real.data.binned import STRATA, THINNING
+from sim_to_real.data.binned import STRATA
 from sim_to_real.diagnosis import Curve, Where
 from sim_to_real.locate.covariates import UNITS, Covariates
 from sim_to_real.locate.spline_term import (
-    MIN_EXCESS,
     SPLINE_FOLDS,
     SPLINE_FORMS,
     CrossValidation,
@@ -37,12 +34,6 @@ IMAGE_FUNCTIONS = (("row", "row"), ("column", "column"), ("radial", "radius"))
 
 MIN_LIGHT_SIGMAS = 5.0
 """A ratio is formed only of light that stands out by so many sigmas."""
-
-SPARK_SIGMAS = 5.0
-"""Beyond so many robust sigmas a difference between neighbours is a spark."""
-
-MIN_PAIRS = 200
-"""With fewer pairs of neighbours their noise is not measured."""
 
 
 def locate(covariates: Covariates, residuals: Float64, stage: str, z: Float32) -> Where:
@@ -213,51 +204,3 @@ def _fixed(covariates: Covariates, residuals: Float64, weight: Float32) -> float
         numbers = variance * train_b[seen] / (variance * train_A[seen] + 1.0)
         gained += float(np.sum(2.0 * numbers * b[k, seen] - numbers**2 * A[k, seen]))
     return gained / len(residuals)
-
-
-@dataclass(frozen=True)
-class NoiseShares:
-    """The shares of the excess that are noise from bin to bin, in the stripe's band and the rest, and sparks.
-
-    Sparks are differences between neighbours that are too large for their usual spread.
-    """
-
-    rest: float
-    stripe_band: float
-    sparks: float
-
-
-def noise_shares(covariates: Covariates, residuals: Float64) -> NoiseShares:
-    """Return the shares of the excess that neighbours do not have in common.
-
-    Half the mean square of differences between neighbours is noise. Neighbours lie along rows or columns,
-    whichever differ less: off the stripe `THINNING` bins apart, else one. The share is 0 if there are too
-    few.
-    """
-    min_total = MIN_EXCESS * max(len(residuals), 1)
-    excess = max(float(np.sum(residuals**2 - 1.0)), min_total)
-    noise, sparks = {False: 0.0, True: 0.0}, 0.0
-    for in_stripe, apart in ((False, THINNING), (True, 1)):
-        differences = [_differences(covariates, residuals, in_stripe, apart, axis) for axis in (0, 1)]
-        told = [d for d in differences if len(d) >= MIN_PAIRS]
-        if told:
-            count = float(np.sum(covariates.in_stripe == in_stripe))
-            d = min(told, key=lambda of_axis: float(np.mean(of_axis**2)))
-            usual = SPARK_SIGMAS * max(1.0, sigma_of(d))
-            steady = float(np.mean(np.minimum(np.abs(d), usual) ** 2))
-            noise[in_stripe] = max(0.0, steady - 1.0) * count / excess
-            sparks += (float(np.mean(d**2)) - steady) * count / excess
-    return NoiseShares(noise[False], noise[True], sparks)
-
-
-def _differences(
-    covariates: Covariates, residuals: Float64, in_stripe: bool, apart: int, axis: int
-) -> Float64:
-    """Return differences between neighbours along an axis over sqrt(2), in the stripe's band or the rest."""
-    values = np.where(covariates.in_stripe == in_stripe, residuals, np.nan).astype(np.float32)
-    parts = [np.empty(0, dtype=np.float32)]
-    for frame in np.unique(covariates.frame):
-        image = covariates.image(int(frame), values)
-        ahead = image[apart:] - image[:-apart] if axis == 0 else image[:, apart:] - image[:, :-apart]
-        parts.append(ahead[np.isfinite(ahead)])
-    return np.asarray(np.concatenate(parts).astype(np.float64) / np.sqrt(2.0))

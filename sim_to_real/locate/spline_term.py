@@ -16,7 +16,7 @@ from functools import cached_property
 import numpy as np
 
 from noise_model.arrays import Bool, Float32, Float64, Int64
-from sim_to_real.fit.gauss_newton import huber_bound, huber_weights
+from sim_to_real.fit.loss import huber_bound, huber_weights
 from sim_to_real.locate.covariates import UNITS, Covariates
 
 N_KNOTS, N_KNOTS_2D = 9, (6, 7)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
 from noise_model.effects import REGISTRY, Values
@@ -153,40 +153,6 @@ N_PARTS: Mapping[str, int] = {"dirty_window": len(PATCHES)}
 
 EXPENSIVE: Mapping[str, Values] = {INTERREFLECTION: {"albedo": 0.35}}
 """Effects that take longer than all others together, tried last; and where their fit starts."""
-
-NEGLIGIBLE = 0.1
-"""An effect smaller than this share of its prior's sigma is negligible."""
-
-
-def effect_size(effects: Mapping[str, Values], stated: Callable[[str], Values]) -> float:
-    """Return the largest distance of effects' parameters from what is `stated`, in their priors' sigmas.
-
-    Only parameters that probe points vary count, not those of an effect's shape.
-    """
-    origins = {name: stated(name) for name in effects}
-    return max(
-        abs(effects[name][parameter.name] - origins[name][parameter.name]) / parameter.prior_sigma
-        for name in effects
-        for parameter in REGISTRY[name].parameters
-        if name not in FAMILIES or parameter.name in _probed_parameters(name)
-    )
-
-
-def _probed_parameters(name: str) -> set[str]:
-    """Return the parameters that an effect's probe points vary, those of all its parts."""
-    numbers = range(1, N_PARTS.get(name, 1) + 1)
-    return {
-        key
-        for n in numbers
-        for family in FAMILIES[name]
-        for point in family.for_part(n).probe_points
-        for key in point
-    }
-
-
-def is_negligible(effects: Mapping[str, Values], stated: Callable[[str], Values]) -> bool:
-    """Say whether effects hardly differ from what is `stated`."""
-    return effect_size(effects, stated) < NEGLIGIBLE
 
 
 def first_neutral_part(name: str, origin: Values) -> int:

@@ -16,20 +16,17 @@ import numpy as np
 from noise_model.arrays import Float64
 from noise_model.effects import REGISTRY, Values
 from noise_model.fit import Parameter, within_bounds
-from sim_to_real.fit.gauss_newton import FLICKER, Refit, frame_level_columns
+from sim_to_real.fit.gauss_newton import Refit
 from sim_to_real.fit.linearized_model import FrameLight, LinearizedModel
+from sim_to_real.fit.loss import HuberLoss
 from sim_to_real.fit.quadratic import Quadratic
-from sim_to_real.fit.trend import MIN_DRIVER_RANGE, TREND_EFFECTS, Driver, Trend
 from sim_to_real.search.probe_points import FAMILIES, N_PARTS, Family, first_neutral_part, probe_points_about
 
 MIN_STEP = 0.05
 """The shortest first step of a fit, in distances of a probe point: at neutral some effects have no slope."""
 
 MAX_STEP = 3.0
-"""How far a line is extrapolated, in distances of its probe point; a trend's ends go twice as far."""
-
-MAX_STARTS = 3
-"""An effect is fitted from the best points of so many families at most."""
+"""How far a line is extrapolated, in distances of its probe point."""
 
 MAX_FRACTION_FURTHER_PART = 0.9
 """A further part of an effect with several, such as a patch, must leave less than this share of the cost."""
@@ -37,7 +34,7 @@ MAX_FRACTION_FURTHER_PART = 0.9
 
 @dataclass(frozen=True, eq=False)
 class ScoreTest:
-    """The score of one effect: the share of the cost that it leaves, and where a fit should start.
+    """The score of one effect: the share of the cost that it leaves, and what it changes where it is tried.
 
     `signature` (n, k) is the change of the residuals at its probe points, `steps` (k, p) is how far these lie
     from `origin`. `others` are the scores of the effect's other families, the best first.
@@ -45,7 +42,6 @@ class ScoreTest:
 
     id: str
     residual_fraction: float
-    start: dict[str, float]
     signature: Float64
     origin: dict[str, float]
     steps: Float64
@@ -55,13 +51,6 @@ class ScoreTest:
     def families(self) -> tuple[ScoreTest, ...]:
         """The scores of all of the effect's families, the best first."""
         return (self, *self.others)
-
-    @property
-    def n_parameters(self) -> int:
-        """The number of a fit's parameters; of arc_flicker the lit frames' levels about their mean."""
-        if self.id == FLICKER:
-            return max(int(np.any(self.signature, axis=0).sum()) - 1, 1)
-        return len(REGISTRY[self.id].parameters)
 
     def step_limits(self, farthest: float = MAX_STEP) -> list[tuple[float, float]]:
         """Return the limits of each step within the parameters' bounds, and within `farthest` steps."""
@@ -80,81 +69,12 @@ class ScoreTest:
         values = within_bounds(parameters, np.array(list(self.origin.values())) + offset)
         return dict(zip((parameter.name for parameter in parameters), values.tolist(), strict=True))
 
-    @property
-    def starts(self) -> list[dict[str, float]]:
-        """Where fits should start: the cost may have several minima."""
-        return [family.start for family in self.families[:MAX_STARTS]]
-
-
-@dataclass(frozen=True, eq=False)
-class TrendScore:
-    """The score of an effect with a trend: the share of the cost left, where its middle starts, its trend."""
-
-    residual_fraction: float
-    start: dict[str, float]
-    trend: Trend
-
 
 def score_effects(model: LinearizedModel, baseline: Refit, ids: Sequence[str]) -> list[ScoreTest]:
     """Return the scores of effects added to the baseline's, those that leave least first."""
     r = model.residuals(_rendered_lights(model, baseline, baseline.effects))
     scores = [_score_effect(model, baseline, r, name) for name in ids]
     return sorted(scores, key=lambda score: score.residual_fraction)
-
-
-def rescored(baseline: Refit, scores: Sequence[ScoreTest]) -> list[ScoreTest]:
-    """Return scores beside another baseline's effects, with the signatures that were taken before.
-
-    Nothing is predicted anew, and where a fit should start is not updated.
-    """
-
-    def fraction_of(score: ScoreTest) -> float:
-        return solve_along(baseline, baseline.residuals, score.signature, score.step_limits())[0]
-
-    return [
-        replace(score, residual_fraction=min(fraction_of(family) for family in score.families))
-        for score in scores
-        if score.id not in baseline.ids
-    ]
-
-
-def score_trends(model: LinearizedModel, baseline: Refit, scores: Sequence[ScoreTest]) -> list[TrendScore]:
-    """Return scores of effects with a trend along each driver, those first that leave least.
-
-    The baseline is the one of the scores. With the driver's position u from -1 to 1, a probe point's change
-    is weighted in each frame by t_k (1 - u) / 2 + t'_k (1 + u) / 2: t_k and t'_k are the steps at the two
-    ends. A driver that does not change is left out.
-    """
-    r = model.residuals(_rendered_lights(model, baseline, baseline.effects))
-    trend_scores = []
-    for score in scores:
-        for driver in Driver if score.id in TREND_EFFECTS else ():
-            trend = Trend.of(model.observed, score.id, driver)
-            if trend.half_range > MIN_DRIVER_RANGE:
-                u = trend.driver_positions(model.observed)[:, np.newaxis]
-                of_families = [_trend_score(baseline, r, family, trend, u) for family in score.families]
-                trend_scores.append(min(of_families, key=lambda trend_score: trend_score.residual_fraction))
-    return sorted(trend_scores, key=lambda trend_score: trend_score.residual_fraction)
-
-
-def _trend_score(baseline: Refit, r: Float64, score: ScoreTest, trend: Trend, u: Float64) -> TrendScore:
-    """Return the score of one family with a trend; u (n, 1) is the driver's position at each residual."""
-    ends = np.hstack([0.5 * (1.0 - u) * score.signature, 0.5 * (1.0 + u) * score.signature])
-    fraction, t = solve_along(baseline, r, ends, 2 * score.step_limits(2.0 * MAX_STEP))
-    low, high = t.reshape(2, -1) @ score.steps
-    return TrendScore(
-        fraction,
-        score.parameters_moved(0.5 * (low + high)),
-        replace(trend, amplitude=tuple((0.5 * (high - low)).tolist())),
-    )
-
-
-def score_flicker(model: LinearizedModel, baseline: Refit) -> ScoreTest:
-    """Return the score of arc_flicker: each frame has an arc level of its own, a column each."""
-    levels, neutral = frame_level_columns(model, baseline.jacobian[:, 0]), dict(REGISTRY[FLICKER].neutral)
-    score = ScoreTest(FLICKER, 1.0, neutral, levels, neutral, np.zeros((levels.shape[1], len(neutral))))
-    fraction, _ = solve_along(baseline, baseline.residuals, levels, score.step_limits())
-    return replace(score, residual_fraction=fraction)
 
 
 def _rendered_lights(
@@ -224,21 +144,16 @@ def _score_families(
         shaped.update(family.shape)
     points = probe_points_about(name, origin, [point for family in families for point in family.probe_points])
     steps = np.array([[point.get(key, value) - value for key, value in shaped.items()] for point in points])
-    score = ScoreTest(name, 1.0, {}, columns, shaped, steps)
-    fraction, t = solve_along(baseline, r, columns, score.step_limits())
-    return replace(score, residual_fraction=fraction, start=score.parameters_along(t))
+    score = ScoreTest(name, 1.0, columns, shaped, steps)
+    return replace(score, residual_fraction=fraction_along(baseline, r, columns, score.step_limits()))
 
 
-def solve_along(
+def fraction_along(
     baseline: Refit, r: Float64, columns: Float64, limits: Sequence[tuple[float, float]]
-) -> tuple[float, Float64]:
-    """Return the share of the cost left at the best steps t (k,) along columns (n, k), and t.
-
-    Nuisances are fitted with t.
-    """
+) -> float:
+    """Return the share of the cost left at the best steps along columns (n, k) and the nuisances."""
     quadratic = with_columns(baseline, r, columns, limits)
-    x = quadratic.solve()
-    return float(quadratic.costs(x).sum() / quadratic.chi2.sum()), x[len(baseline.x) :]
+    return quadratic.cost(quadratic.solve()) / quadratic.chi2
 
 
 def with_columns(
@@ -249,13 +164,15 @@ def with_columns(
         Parameter(f"t_{k}", "", 0.0, np.inf, low, high, 1e-3 * (high - low))
         for k, (low, high) in enumerate(limits)
     ]
-    return Quadratic.of(
+    J = np.hstack([baseline.jacobian, columns])
+    weighted = baseline.weights[:, np.newaxis] * J
+    return Quadratic(
         (*baseline.quadratic.parameters, *t),
         np.concatenate([baseline.x, np.zeros(len(t))]),
-        r,
-        np.hstack([baseline.jacobian, columns]),
-        baseline.weights,
-        baseline.quadratic.counts,
+        J.T @ weighted,
+        -(weighted.T @ r),
+        float(baseline.weights @ r**2),
+        HuberLoss.about(r).prior_weight,
     )
 
 

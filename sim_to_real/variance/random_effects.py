@@ -20,7 +20,7 @@ from noise_model.effects import REGISTRY
 from noise_model.effects.compression import BLOCK_PX, compressed_variance, quantisation_steps
 from sim_to_real.data.binned import Observed, ObservedFrame, variances_dn2
 from sim_to_real.data.blocks import block_means
-from sim_to_real.fit.gauss_newton import MIN_EVIDENCE_NATS, Refit
+from sim_to_real.fit.gauss_newton import Refit
 from sim_to_real.fit.linearized_model import LinearizedModel
 from sim_to_real.fit.nuisances import WITHIN_SIGMAS
 from sim_to_real.variance.compression import find_compression
@@ -36,6 +36,9 @@ from sim_to_real.variance.speckle import WHITE_ERROR_REL, fit_speckle
 
 VARIANCE_ERROR_REL = 0.02
 """1 sigma of a predicted variance's relative error: rounding, the response near black."""
+
+MIN_EVIDENCE_NATS = 3.0
+"""The evidence over its absence from which on a random effect is named, nats."""
 
 MIN_LIT_FRAMES = 3
 """A source's random effects are sought if so many frames show the source."""

@@ -21,6 +21,7 @@ from sim_to_real.diagnosis import (
     Next,
     Predicted,
     Ranked,
+    Reason,
     Verdict,
     Where,
 )
@@ -68,7 +69,22 @@ def example(verdict: Verdict, setup: Setup, effects: Effects = GAMMA) -> Diagnos
         spline_term=("half_angle times_arc", 0.62) if verdict is Verdict.UNKNOWN else None,
         after_with=() if verdict is Verdict.NO_GAP else tuple(effects),
         predicted=predicted,
+        reasons=reasons(next(iter(effects)), verdict),
     )
+
+
+def reasons(name: str, verdict: Verdict) -> tuple[Reason, ...]:
+    """Return what was compared: an effect, an unknown cause, and no gap."""
+    if verdict is Verdict.NO_GAP:
+        return (Reason("no gap", (), 0.0, 0.0, 0.99), Reason(name, (name,), -2.0, 0.0, 0.01))
+    cause, best = "unknown: sensor, grey level", 340.0
+    nats = {name: 310.0, cause: best} if verdict is Verdict.UNKNOWN else {name: best, cause: 310.0}
+    compared = [
+        Reason(key, (key,) if key == name else (), value, best, float(value == best))
+        for key, value in nats.items()
+    ]
+    compared.sort(key=lambda reason: -reason.evidence)
+    return (*compared, Reason("no gap", (), 0.0, best, 0.0))
 
 
 def estimates(name: str, values: Mapping[str, float]) -> dict[str, Estimate]:

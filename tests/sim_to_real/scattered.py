@@ -129,4 +129,4 @@ def observed_frame(n, image, arc, laser):
 def as_passed(nominal, frame, arc, laser):
     arc_e, laser_e = (block_means(light, BIN_PX)[frame.keep].astype(np.float32) for light in (arc, laser))
     item = np.ones_like(arc_e)
-    return FrameLight(nominal.sensor, arc_e, laser_e, np.zeros_like(arc_e), item, item)
+    return FrameLight(nominal.sensor, arc_e, laser_e, np.zeros_like(arc_e), item, item, np.zeros_like(arc_e))

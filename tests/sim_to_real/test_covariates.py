@@ -2,14 +2,20 @@ import numpy as np
 import pytest
 
 from noise_model.surface.joint import Joint, section
-from sim_to_real.locate.covariates import NominalFit, concavity, covariates
+from sim_to_real.fit.gauss_newton import refit
+from sim_to_real.locate.covariates import concavity, covariates
 from tests.sim_to_real.small import small_recording
+
+
+def nominal_fit(expected):
+    """The model at its stated values."""
+    return refit(expected, {}, expected.neutral, steps=0)
 
 
 @pytest.fixture(scope="module")
 def nominal(tmp_path_factory):
     expected = small_recording(tmp_path_factory.mktemp("covariates") / "nominal", {})
-    return expected, covariates(expected, NominalFit.of(expected))
+    return expected, covariates(expected, nominal_fit(expected))
 
 
 @pytest.mark.slow
@@ -19,7 +25,7 @@ def test_every_bin_that_counts_has_its_frame_light_and_noise(nominal):
     assert len(values.frame) == sum(int(frame.keep.sum()) for frame in frames)
     assert values.n_frames == len(frames)
     recorded = np.concatenate([frame.kept_dn for frame in frames])
-    r = NominalFit.of(expected).residuals
+    r = nominal_fit(expected).residuals
     np.testing.assert_allclose(values.predicted_dn + r * values.sigma_dn, recorded, atol=1e-3)
     black = expected.observed.setup.sensor.black_level_dn
     np.testing.assert_allclose(black + values.light_dn, values.predicted_dn, atol=1e-3)

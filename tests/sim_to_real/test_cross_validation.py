@@ -1,14 +1,12 @@
-"""Frames held back and folds: every kind of condition on either side."""
+"""Frames held back: every kind of condition on either side."""
 
 from types import SimpleNamespace
 
 import numpy as np
-import pytest
 from hypothesis import example, given
 from hypothesis import strategies as st
 
-from sim_to_real.data.cross_validation import folds, held_out, middle_of_each_stratum, shows_same_sources
-from tests.sim_to_real.verdicts import seen
+from sim_to_real.data.cross_validation import held_out
 
 STRATA = ["dark", "laser", "arc", "both"]
 KINDS = st.lists(st.sampled_from(STRATA), min_size=1, max_size=40)
@@ -55,23 +53,6 @@ def test_every_condition_is_left_to_fit_and_as_many_are_held_as_that_allows(cond
         assert held[of_kind].sum() == min(of_kind.sum() - n_conditions, wanted)
 
 
-@pytest.mark.slow
-@given(KINDS, st.integers(2, 6))
-def test_folds_share_the_frames_evenly(kinds, count):
-    fold = folds(recording(kinds), count)
-    sizes = np.bincount(fold, minlength=count)
-    assert sizes.max() - sizes.min() <= 1
-
-
-@given(KINDS)
-def test_the_middle_frame_of_each_kind_stands_for_it(kinds):
-    chosen = middle_of_each_stratum(recording(kinds))
-    assert sorted(kinds[n] for n in chosen) == sorted(set(kinds))
-    for n in chosen:
-        before, behind = (sum(kind == kinds[n] for kind in values) for values in (kinds[:n], kinds[n + 1 :]))
-        assert behind in (before, before - 1)
-
-
 def test_measured_exposures_that_scatter_are_one_condition():
     kinds = ["laser", "both"] * 12
     scatters = 1.0 + 1e-3 * np.random.default_rng(0).standard_normal(24)
@@ -80,20 +61,3 @@ def test_measured_exposures_that_scatter_are_one_condition():
     assert [int(held[kind::2].sum()) for kind in (0, 1)] == [3, 3]
     assert not held[:8].all()
     assert not held[8:].all()
-
-
-def test_frames_see_as_much_if_each_source_is_on_in_one_of_them():
-    observed = seen(["dark", "laser", "arc", "both", "laser"])
-    assert shows_same_sources(observed, np.array([False, False, False, True, False]))
-    assert shows_same_sources(observed, np.array([False, True, True, False, False]))
-    assert not shows_same_sources(observed, np.array([True, True, False, False, True]))
-    assert not shows_same_sources(observed, np.zeros(5, dtype=bool))
-    assert shows_same_sources(seen(["dark", "dark"]), np.array([True, False]))
-
-
-def test_a_saturated_frame_does_not_see_what_lights_it():
-    observed = seen(["laser", "arc", "arc"], [9, 0, 9])
-    assert not shows_same_sources(observed, np.array([True, True, False]))
-    assert shows_same_sources(observed, np.array([True, False, True]))
-    # What no frame shows none can lose.
-    assert shows_same_sources(seen(["laser", "arc"], [9, 0]), np.array([True, False]))

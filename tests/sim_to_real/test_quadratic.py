@@ -1,95 +1,51 @@
-"""The cost of a fit as a quadratic of each frame."""
+"""The cost of a fit as a quadratic, and the loss that it comes from."""
 
 import numpy as np
 import pytest
 from scipy.optimize import least_squares
 
 from noise_model.fit import Parameter
-from sim_to_real.fit.quadratic import N_EFFECTIVE, Quadratic
+from sim_to_real.evidence.metric import Metric, MetricLoss
+from sim_to_real.fit.loss import N_EFFECTIVE, HuberLoss
+from sim_to_real.fit.quadratic import Quadratic
 
-COUNTS = np.array([30, 50, 40])
+N = 120
+STARTS, SIGMA = np.array([0.0, 0.1, 0.2]), 2.0
 
 
 def problem(seed, bounds=(-np.inf, np.inf)):
     rng = np.random.default_rng(seed)
-    J = rng.standard_normal((COUNTS.sum(), 3))
-    r = rng.standard_normal(COUNTS.sum()) + J @ [0.5, -1.0, 2.0]
-    w = rng.uniform(0.2, 1.0, COUNTS.sum())
-    parameters = tuple(Parameter(f"p{i}", "", 0.1 * i, 2.0, *bounds) for i in range(3))
-    return parameters, np.array([0.0, 0.1, 0.2]), r, J, w
+    J = rng.standard_normal((N, 3))
+    r = rng.standard_normal(N) + J @ [0.5, -1.0, 2.0]
+    parameters = tuple(Parameter(f"p{i}", "", start, SIGMA, *bounds) for i, start in enumerate(STARTS))
+    return parameters, STARTS, r, J
+
+
+def of_squares(parameters, x, r, J, prior_weight=1.0):
+    """The quadratic of plain least squares."""
+    return Quadratic(parameters, x, J.T @ J, -J.T @ r, r @ r, prior_weight)
 
 
 @pytest.mark.parametrize("bounds", [(-np.inf, np.inf), (-0.4, 0.9)])
-def test_the_minimum_is_that_of_plain_least_squares(bounds):
-    parameters, x, r, J, w = problem(1, bounds)
-    chosen = np.array([True, False, True])
-    rows = np.repeat(chosen, COUNTS)
-    starts, sigmas = np.array([0.0, 0.1, 0.2]), 2.0
-
-    # So many of all residuals are independent, and what is left is their variance.
-    weight = (w @ r**2) / min(len(r), N_EFFECTIVE)
+@pytest.mark.parametrize("prior_weight", [1.0, 30.0])
+def test_the_minimum_is_that_of_plain_least_squares(bounds, prior_weight):
+    parameters, x, r, J = problem(1, bounds)
 
     def residuals(value):
-        pulls = np.sqrt(weight) * (value - starts) / sigmas
-        return np.concatenate([np.sqrt(w[rows]) * (r + J @ (value - x))[rows], pulls])
+        return np.concatenate([r + J @ (value - x), np.sqrt(prior_weight) * (value - STARTS) / SIGMA])
 
-    expected = least_squares(residuals, np.clip(x, *bounds), bounds=bounds, xtol=1e-14, ftol=1e-14).x
-    result = Quadratic.of(parameters, x, r, J, w, COUNTS).solve(chosen)
-    np.testing.assert_allclose(result, expected, atol=1e-6)
-
-
-def test_what_is_fixed_stays_and_the_others_are_best_beside_it():
-    parameters, x, r, J, w = problem(5)
-    result = Quadratic.of(parameters, x, r, J, w, COUNTS).solve(fixed=slice(1, 2))
-    assert result[1] == x[1]
-    others = [0, 2]
-    weight = (w @ r**2) / min(len(r), N_EFFECTIVE)
-    A = J[:, others].T @ (w[:, np.newaxis] * J[:, others]) + weight / 4.0 * np.eye(2)
-    # x starts where the priors pull to.
-    np.testing.assert_allclose(result[others] - x[others], np.linalg.solve(A, -J[:, others].T @ (w * r)))
-
-
-def test_about_another_point_it_is_the_same():
-    parameters, x, r, J, w = problem(8)
-    here, there = Quadratic.of(parameters, x, r, J, w, COUNTS), np.array([0.4, -0.3, 1.0])
-    moved = Quadratic.of(parameters, there, r + J @ (there - x), J, w, COUNTS)
-    result = here.expanded_at(there)
-    for name in ("x", "information", "gradient", "chi2"):
-        np.testing.assert_allclose(getattr(result, name), getattr(moved, name))
-
-
-def test_along_some_of_the_parameters_all_frames_at_once_it_is_the_same():
-    parameters, x, r, J, w = problem(6, (-0.4, 0.9))
-    whole, kept = Quadratic.of(parameters, x, r, J, w, COUNTS), np.array([0, 2])
-    some = whole.summed().restricted_to(kept)
-    np.testing.assert_allclose(some.solve(), whole.solve(fixed=slice(1, 2))[kept])
-    value = np.array([0.3, x[1], -0.1])
-    np.testing.assert_allclose(some.costs(value[kept]), whole.costs(value).sum())
-
-
-def test_costs_are_the_weighted_squares_of_each_frame():
-    parameters, x, r, J, w = problem(2)
-    value = np.array([0.3, -0.2, 1.0])
-    there = w * (r + J @ (value - x)) ** 2
-    expected = [part.sum() for part in np.split(there, np.cumsum(COUNTS)[:-1])]
-    np.testing.assert_allclose(Quadratic.of(parameters, x, r, J, w, COUNTS).costs(value), expected)
-
-
-def test_what_is_known_before_counts_the_more_the_more_is_left():
-    """Residuals of ten times the size, the model off by as much: priors keep the parameters nearer."""
-    parameters, x, r, J, w = problem(4)
-    J = 0.05 * J
-    near, far = (Quadratic.of(parameters, x, scale * r, J, w, COUNTS) for scale in (1.0, 10.0))
-    assert far.prior_weight == pytest.approx(100.0 * near.prior_weight)
-    every = np.ones(3, dtype=bool)
-    assert np.linalg.norm(far.solve(every) - x) < 3.0 * np.linalg.norm(near.solve(every) - x)
+    expected = least_squares(residuals, np.clip(x, *bounds), bounds=bounds, xtol=1e-14, ftol=1e-14)
+    quadratic = of_squares(parameters, x, r, J, prior_weight)
+    result = quadratic.solve()
+    np.testing.assert_allclose(result, expected.x, atol=1e-6)
+    assert quadratic.total(result) == pytest.approx(2.0 * expected.cost)
 
 
 def test_a_direction_that_nothing_sees_stays_where_it_is():
-    parameters, x, r, J, w = problem(3)
+    parameters, x, r, J = problem(3)
     free = tuple(Parameter(p.name, "", p.start) for p in parameters)
     J[:, 2] = 0.0
-    result = Quadratic.of(free, x, r, J, w, COUNTS).solve(np.ones(3, dtype=bool))
+    result = of_squares(free, x, r, J).solve()
     assert result[2] == x[2]
     assert np.isfinite(result).all()
 
@@ -97,8 +53,41 @@ def test_a_direction_that_nothing_sees_stays_where_it_is():
 def test_no_parameter_ends_beyond_its_bounds_even_by_rounding():
     low, high = -1.0 / 30.0, 0.7 / 3.0
     for seed in range(200):
-        parameters, x, r, J, w = problem(seed, (low, high))
+        parameters, x, r, J = problem(seed, (low, high))
         inside = np.clip(x + np.random.default_rng(seed).uniform(-0.3, 0.9, 3), low, high)
-        result = Quadratic.of(parameters, inside, r, J, w, COUNTS).solve()
+        result = of_squares(parameters, inside, r, J).solve()
         assert (result >= low).all()
         assert (result <= high).all()
+
+
+def test_hubers_loss_has_the_slope_that_its_quadratic_has():
+    parameters, x, r, J = problem(5)
+    r[:5] += 40.0
+    loss = HuberLoss.about(r)
+    quadratic, step = loss.quadratic(parameters, x, r, J), 1e-6
+    for i, direction in enumerate(np.eye(3)):
+        ahead, back = (loss.cost(r + sign * step * J @ direction) for sign in (1.0, -1.0))
+        assert (ahead - back) / (2.0 * step) == pytest.approx(-2.0 * quadratic.gradient[i], rel=1e-5)
+
+
+def test_what_is_known_before_counts_the_more_the_more_is_left():
+    """Residuals of ten times the size, the model off by as much: priors keep the parameters nearer."""
+    r = problem(4)[2]
+    near, far = (HuberLoss.about(scale * r).prior_weight for scale in (3.0, 30.0))
+    assert far == pytest.approx(100.0 * near)
+    assert near == pytest.approx(9.0 * r @ r / min(N, N_EFFECTIVE), rel=0.2)
+
+
+def test_a_metric_s_cost_is_that_of_the_whole_covariance():
+    """Of the bins that count; twice what they take from the log density."""
+    parameters, x, r, J = problem(6)
+    draw = np.random.default_rng(6)
+    rows = np.sort(draw.permutation(N)[:50])
+    floor, weights = draw.standard_normal((50, 4)).astype(np.float32), draw.uniform(0.3, 1.0, 50)
+    loss = MetricLoss(Metric.of(floor, weights.astype(np.float32)), rows)
+    inverse = np.linalg.inv(np.diag(1.0 / weights) + floor @ floor.T)
+    assert loss.cost(r) == pytest.approx(r[rows] @ inverse @ r[rows], rel=1e-4)
+    quadratic = loss.quadratic(parameters, x, r, J)
+    np.testing.assert_allclose(quadratic.information, J[rows].T @ inverse @ J[rows], rtol=1e-4, atol=1e-3)
+    np.testing.assert_allclose(quadratic.gradient, -J[rows].T @ inverse @ r[rows], rtol=1e-4, atol=1e-3)
+    assert quadratic.chi2 == pytest.approx(loss.cost(r))

@@ -8,7 +8,6 @@ from sim_to_real.locate.residual_structure import (
     curve_along,
     image_shares,
     locate,
-    noise_shares,
     strata_gaps,
 )
 from sim_to_real.locate.spline_term import CrossValidation
@@ -115,17 +114,3 @@ def test_patterns_of_the_image_are_told_apart():
         assert result[name] > 0.85, name
         assert max(others.values()) < result[name] - 0.1, name
     assert shares(bins, noise(bins) + 0.1 * bins.light_dn * numbers[bins.bins])["fixed"] > 0.8
-
-
-def test_noise_from_bin_to_bin_is_told_from_what_neighbours_share():
-    bins = planted()
-    rest, sparks = np.where(bins.in_stripe, 0.0, 1.0), np.zeros(len(bins.frame))
-    sparks[np.random.default_rng(6).integers(0, len(sparks), 60)] = 120.0
-    noisy = noise_shares(bins, noise(bins) * (1.0 + 2.0 * rest))
-    grainy = noise_shares(bins, noise(bins) * (3.0 - 2.0 * rest))
-    sparky = noise_shares(bins, noise(bins) + sparks)
-    smooth = noise_shares(bins, noise(bins) + 3.0 * np.sin(bins.values["column"] / 10.0))
-    assert (noisy.rest, grainy.stripe_band) == pytest.approx((1.0, 1.0), abs=0.08)
-    assert (noisy.stripe_band, grainy.rest) == pytest.approx((0.0, 0.0), abs=0.02)
-    assert sparky.sparks > 0.8 > 0.1 > max(noisy.sparks, grainy.sparks, smooth.sparks)
-    assert max(smooth.rest, smooth.stripe_band) < 0.2

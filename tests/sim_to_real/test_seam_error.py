@@ -13,7 +13,7 @@ def errors_mm(path, hidden, **camera):
     """What the tracker's seam is off if effects are hidden from it, and once it knows them."""
     setup, frames, pose_at = recorded(path, hidden, **camera)
     expected = LinearizedModel(observe(setup, frames, pose_at))
-    expected.take_tangents(expected.neutral, hidden)
+    expected = expected.anchored_at(expected.neutral, hidden)
     true = refit(expected, hidden, expected.neutral, steps=0)
     return seam_errors_mm(setup, frames, pose_at, expected, true)
 

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from tracker.seam.curve import N_MODES, SeamCurve
+from tracker.seam.curve import MIN_STRETCHES, N_MODES, STRETCH_OFF_MM, SeamCurve
 
 
 def tracked(y_of, sigma_mm=0.01, has_ridges=False):
@@ -44,9 +44,15 @@ def test_stretches_are_tangents_and_more_where_it_turns():
     straight = tracked(lambda station: 0.1)
     bent = tracked(lambda station: 2e-3 * (station - 45.0) ** 2)
     none = np.zeros(straight.n_modes)
-    assert len(straight.bent(none, 30.0, 60.0, 0.0).lines) == 1
+    assert len(straight.bent(none, 30.0, 60.0, 0.0).lines) == MIN_STRETCHES
     lines = bent.bent(none, 30.0, 60.0, 0.0).lines
-    assert len(lines) > 3
+    assert len(lines) > 2 * MIN_STRETCHES
+    # Where two stretches meet, their tangents are as near the parabola as they should be.
+    apart = 0.5 * (lines[1].station_mm - lines[0].station_mm)
+    assert 2e-3 * apart**2 <= 1.2 * STRETCH_OFF_MM
+    # A fit that bends the seam further has as many: light would jump where their number changes.
+    bends = np.full(bent.n_modes, 2.0)
+    assert len(bent.bent(bends, 30.0, 60.0, 0.0).lines) == len(lines)
     for line in lines:
         assert line.slope_y == pytest.approx(4e-3 * (line.station_mm - 45.0), abs=0.01)
 

@@ -7,6 +7,7 @@ are the fewest numbers that say how the seam really runs.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 
@@ -14,7 +15,7 @@ import numpy as np
 from scipy.linalg import cho_factor, cho_solve
 
 from noise_model.arrays import Float64
-from noise_model.surface.joint import BentSeam, SeamLine
+from noise_model.surface.joint import STRETCH_ASIDE_MM, BentSeam, SeamLine
 from tracker.seam.gaussian_process import SLOPE_SIGMA
 
 PRIOR_OFFSET_MM = 5.0
@@ -31,6 +32,9 @@ SYSTEMATIC_MM, SYSTEMATIC_SLOPE = 0.3, 0.01
 
 N_MODES = (5, 3)
 """Modes of y and of z: a stripe would not show further ones."""
+
+STRETCH_OFF_MM, MIN_STRETCHES = 0.001, 3
+"""How far straight stretches may be off a seam where they meet, and their least number: a fit may bend it."""
 
 GRID_MM = 1.0
 """Spacing of the stations at which curves are given."""
@@ -120,9 +124,25 @@ class SeamCurve:
     def bent(self, coefficients: Float64, first_mm: float, last_mm: float, torch_mm: float) -> BentSeam:
         """Return the seam from first to last as straight stretches, tangents at their middles.
 
-        The arc stands at the height that the seam has at the torch's station.
+        The arc stands at the height that the seam has at the torch's station. The stretches are as many for
+        all coefficients: light would jump where their number changes.
         """
-        return BentSeam.along(self.tangents(coefficients), (first_mm, last_mm), torch_mm, self.has_ridges)
+        count = self._stretches(first_mm, last_mm)
+        return BentSeam.in_stretches(self.tangents(coefficients), (first_mm, last_mm), torch_mm, count)
+
+    def _stretches(self, first_mm: float, last_mm: float) -> int:
+        """Return how many stretches show the mean.
+
+        A curve that turns evenly by t over a length l is off the tangents at the middles of n stretches by
+        t l / 8 n^2 where these meet.
+        """
+        mean = self.mean_mm[:, (self.stations_mm >= first_mm) & (self.stations_mm <= last_mm)]
+        if mean.shape[1] < 2:
+            return MIN_STRETCHES
+        turn = float(np.ptp(np.gradient(mean, GRID_MM, axis=1), axis=1).max())
+        count = math.ceil(math.sqrt(turn * (last_mm - first_mm) / (8.0 * STRETCH_OFF_MM)))
+        aside = math.ceil(float(np.ptp(mean[0])) / STRETCH_ASIDE_MM) if self.has_ridges else 0
+        return max(count, aside, MIN_STRETCHES)
 
     def tangents(self, coefficients: Float64) -> Callable[[float], SeamLine]:
         """Return the function that gives the seam's tangent at a station, mm, for coefficients (m,)."""

@@ -178,7 +178,7 @@ def _rankings(diagnosis: Diagnosis) -> list[Ranking]:
     if diagnosis.verdict is Verdict.NO_GAP:
         return []
     exclusive = [candidate for candidate in diagnosis.ranking if not candidate.is_random][:MAX_RANKED]
-    headings = f"closes {words.IN_BINS}", words.probability_heading(diagnosis)
+    headings = f"closes {words.IN_BINS}", words.ALONE
     random_headings = f"closes {words.IN_PIXELS}", words.PRESENT
     tables = [
         Ranking("effect", *headings, _rows(diagnosis, exclusive)),

@@ -6,7 +6,7 @@ import math
 from collections.abc import Sequence
 
 from noise_model.effects import REGISTRY
-from sim_to_real.diagnosis import Diagnosis, Estimate, Gap, Ranked, ReportedTrend, Verdict, Where
+from sim_to_real.diagnosis import Diagnosis, Estimate, Gap, Ranked, Reason, ReportedTrend, Verdict, Where
 
 NO_VALUE = "–"
 
@@ -95,11 +95,7 @@ def headline(diagnosis: Diagnosis) -> str:
     if diagnosis.verdict is Verdict.AMBIGUOUS:
         alike = "; and ".join(_alternatives(ids) for ids in diagnosis.ambiguous_with)
         return f"There is a gap of {sigmas(gap.before)}. This recording cannot tell what causes it: {alike}."
-    unexplained = f"There is a gap of {sigmas(gap.before)} that no effect of the catalogue explains"
-    if diagnosis.ranking and diagnosis.ranking[0].is_bound_limited:
-        nearest = diagnosis.ranking[0].id
-        return f"{unexplained}: {nearest} comes nearest, but only with values beyond its bounds."
-    return f"{unexplained}."
+    return f"There is a gap of {sigmas(gap.before)} that no effect of the catalogue explains."
 
 
 def how_far(diagnosis: Diagnosis) -> str:
@@ -241,15 +237,8 @@ def percent(share: float) -> str:
     return f"{100.0 * share:.0f} %".replace("-", "−") if math.isfinite(share) else NO_VALUE
 
 
-def exclusion(diagnosis: Diagnosis) -> str:
-    """Return what the probabilities of single effects take for granted, in one sentence."""
-    heading = probability_heading(diagnosis)
-    if heading == "if one of these":
-        return "they hold if one of these effects is the cause, which this verdict doubts."
-    if heading == "if one alone":
-        return "they hold if one effect alone were the cause, but several are named together."
-    return "one of these effects is there, or none."
-
+ALONE = "it alone"
+"""The heading over the probabilities that one effect is all that is amiss."""
 
 PRESENT = "is there"
 """The heading over the probabilities of random effects: each may be there, whatever else is."""
@@ -268,14 +257,22 @@ def is_likely(candidate: Ranked) -> bool:
     return candidate.confidence >= MIN_PRESENT
 
 
-def probability_heading(diagnosis: Diagnosis) -> str:
-    """Return the heading over the probabilities of single effects, which are exclusive hypotheses."""
-    if diagnosis.verdict is Verdict.UNKNOWN:
-        return "if one of these"
-    is_random = {candidate.id for candidate in diagnosis.ranking if candidate.is_random}
-    if sum(effect.id not in is_random for effect in diagnosis.effects) > 1:
-        return "if one alone"
-    return "probability"
+def because(diagnosis: Diagnosis) -> str:
+    """Return what the two likeliest hypotheses have over no gap, empty without any."""
+    if len(diagnosis.reasons) < 2:
+        return ""
+    best, following = diagnosis.reasons[:2]
+    return f"{_over_no_gap(best)}; next {_over_no_gap(following)}"
+
+
+def _over_no_gap(reason: Reason) -> str:
+    return f"{reason.name} {number(reason.evidence)} nats" if reason.evidence else reason.name
+
+
+def nats_behind(reason: Reason) -> str:
+    """Return how far a hypothesis is behind the one with the most evidence."""
+    behind = reason.best - reason.evidence
+    return f"{number(behind)} nats behind" if behind > 0.0 else "the most"
 
 
 def probability(value: float) -> str:

@@ -49,6 +49,10 @@ def test_of_several_terms_an_unknown_cause_is_the_mean():
     two = Unknown({TERM: 3.0, (Stage.SENSOR, "rows"): -50.0})
     assert two.evidence == pytest.approx(3.0 - np.log(2.0))
     assert two.likeliest == TERM
+    # What is of no stage may be likelier: the stage is that of the likeliest term that has one.
+    anything = Unknown({(None, "anything"): 9.0, TERM: 3.0, (Stage.SENSOR, "rows"): -50.0})
+    assert anything.likeliest == (None, "anything")
+    assert anything.stage is Stage.SURFACE
 
 
 @pytest.mark.parametrize(

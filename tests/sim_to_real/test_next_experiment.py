@@ -1,7 +1,7 @@
-"""What looks the same, the least that shows, and what an experiment would show."""
+"""What an experiment would show, and which one leaves the least open."""
 
 import math
-from types import SimpleNamespace
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -9,82 +9,47 @@ import pytest
 from arctrack.nominal import nominal_setup
 from noise_model.condition import Condition
 from noise_model.effects import REGISTRY
-from noise_model.fit import Parameter
 from sim_to_real.data.binned import ObservedFrame
 from sim_to_real.decision.experiments import BY_NAME, MENU, WITNESS
-from sim_to_real.decision.optimal_design import best_measurement, is_recorded, planned_frame, with_experiment
-from sim_to_real.fit.gauss_newton import FRAME_LEVEL, refit
-from sim_to_real.fit.quadratic import N_EFFECTIVE, Quadratic
-from sim_to_real.search.identifiability import not_resolvable, projected_signatures, smallest_detectable
-from sim_to_real.search.score_test import ScoreTest
+from sim_to_real.decision.next_experiment import (
+    expected_certainty,
+    is_recorded,
+    next_measurement,
+    planned_frame,
+)
+from sim_to_real.evidence.hypotheses import Posterior
+from sim_to_real.evidence.hypothesis_search import HypothesisSearch
+from sim_to_real.evidence.policy import POLICY
+from sim_to_real.evidence.weigh import weigh
+from sim_to_real.fit.gauss_newton import refit
+from sim_to_real.locate.covariates import covariates
 from tests.sim_to_real.small import small_recording
 
-N = 400
-RNG = np.random.default_rng(7)
-A, B, C, NUISANCE = RNG.standard_normal((4, N))
+
+def test_an_experiment_that_parts_all_leaves_one():
+    weights = np.array([0.5, 0.5])
+    apart = np.zeros((2, 2, 3))
+    # The first tells nothing, the second all, the third tells only if the first hypothesis is right.
+    apart[0, 1], apart[1, 0] = [0.0, 60.0, 60.0], [0.0, 60.0, 0.0]
+    certainty = expected_certainty(apart, weights, 1.0)
+    assert certainty[0] == pytest.approx(0.5)
+    assert certainty[1] == pytest.approx(1.0)
+    assert certainty[2] == pytest.approx(math.sqrt(0.5))
+    # What counts less tells less.
+    assert expected_certainty(apart / 30.0, weights, 3.0)[1] < 0.7
 
 
-def screened(name, *columns):
-    """Looked at one place each, half a unit of the first parameter away."""
-    return ScoreTest(name, 1.0, {}, np.column_stack(columns), {}, np.full((len(columns), 1), 0.5))
-
-
-def baseline(jacobian):
-    parameters = tuple(Parameter(f"n{i}", "", 0.0) for i in range(jacobian.shape[1]))
-    return SimpleNamespace(quadratic=SimpleNamespace(parameters=parameters), jacobian=jacobian)
-
-
-def test_nuisances_are_projected_out():
-    signatures = projected_signatures(
-        baseline(NUISANCE[:, None]), [screened("arc_length", A + 50.0 * NUISANCE)]
+def left_open(model, *names):
+    """The posterior of a recording if two effects of the catalogue are equally probable, and its errors."""
+    others = [name for name in REGISTRY if name not in names]
+    before = refit(model, {}, model.neutral)
+    weighed = weigh(model, before, covariates(model, before), others, lambda text, share: None)
+    search = HypothesisSearch(
+        model, before, weighed.scores, weighed.errors, POLICY, others, lambda text, share: None
     )
-    assert abs(signatures["arc_length"][:N, 0] @ NUISANCE) < 1e-6 * N
-    expected = A - NUISANCE * (A @ NUISANCE) / (NUISANCE @ NUISANCE)
-    np.testing.assert_allclose(signatures["arc_length"][:N, 0], expected, atol=1e-6)
-
-
-def test_effects_that_a_nuisance_makes_alike_are_a_pair():
-    looked = [
-        screened("arc_length", A),
-        screened("arc_radius", -2.0 * A + 30.0 * NUISANCE),
-        screened("gamma", B),
-    ]
-    signatures = projected_signatures(baseline(NUISANCE[:, None]), looked)
-    assert not_resolvable(signatures) == (("arc_length", "arc_radius"),)
-
-
-def test_one_that_lies_within_the_span_of_another_cannot_be_told_from_it():
-    looked = [screened("arc_length", A + B), screened("hand_eye", A, B), screened("gamma", C)]
-    signatures = projected_signatures(baseline(NUISANCE[:, None]), looked)
-    assert not_resolvable(signatures) == (("arc_length", "hand_eye"),)
-
-
-def test_the_least_that_shows_outweighs_what_its_parameter_costs():
-    item = screened("arc_length", A)
-    signatures = projected_signatures(baseline(np.zeros((N, 1))), [item])
-    least = smallest_detectable(signatures, [item])["arc_length"]
-    added = (least.value / 0.5) ** 2 * float(A @ A) / N
-    assert 0.5 * N_EFFECTIVE * math.log1p(added) == pytest.approx(3.0 + 0.5 * math.log(N_EFFECTIVE))
-    assert least.unit == "mm"
-
-
-def test_frames_to_come_count_as_often_as_they_are_taken_and_have_levels_of_their_own():
-    draw = np.random.default_rng(3)
-    seen_J, more_J = draw.standard_normal((40, 3)), draw.standard_normal((20, 4))
-    seen_r, more_r = draw.standard_normal(40), draw.standard_normal(20)
-    more_J[:10, 3] = more_J[10:, 2] = 0.0
-    names = ("a", "b", f"{FRAME_LEVEL}0"), ("a", "b", f"{FRAME_LEVEL}0", f"{FRAME_LEVEL}1")
-    values = [tuple(Parameter(name, "", 0.0) for name in some) for some in names]
-    seen = Quadratic.of(values[0], np.zeros(3), seen_r, seen_J, np.ones(40), np.array([40]))
-    more = Quadratic.of(values[1], np.zeros(4), more_r, more_J, np.ones(20), np.array([10, 10]))
-    both = with_experiment(seen, more, 1, 3)
-    J = np.zeros((70, 5))
-    J[:40, :3] = seen_J
-    J[40:, [0, 1, 3, 4]] = np.tile(more_J[10:], (3, 1))
-    r = np.concatenate([seen_r, np.tile(more_r[10:], 3)])
-    x = np.linalg.lstsq(J, -r, rcond=None)[0]
-    assert both.mean_square(x) == pytest.approx(np.mean((r + J @ x) ** 2))
-    np.testing.assert_allclose(both.costs(x), [np.sum(part**2) for part in np.split(r + J @ x, [40])])
+    starts = {score.id: search.looks.starts_of(score) for score in weighed.scores}
+    fitted = tuple(search.hypothesis(search.fit(starts[name], before.nuisance)) for name in names)
+    return replace(weighed.posterior, hypotheses=fitted, p=(0.5,) * len(fitted)), weighed.errors
 
 
 def test_every_effect_has_a_witness():
@@ -98,18 +63,14 @@ def test_every_effect_has_a_witness():
         # How bright the arc is nobody knows so exactly: it takes on what becomes of the exposure.
         ({"laser_power_drift": {"rate_per_s": -0.1}}, "exposure_drift", False),
         # The stripe alone throws a haze as even as an offset; the arc's is much more.
-        ({"veiling_glare": {"share": 0.1}}, "black_level", True),
+        ({"veiling_glare": {"share": 0.4}}, "black_level", True),
     ],
 )
 def test_what_tells_two_effects_of_a_dry_run_apart(hidden, rival, tells, tmp_path):
-    expected = small_recording(tmp_path / "made", hidden)
+    expected = small_recording(tmp_path / "made", hidden, 3)
     dry = expected.subset(np.array([frame.stratum == "laser" for frame in expected.observed.frames]))
-    ((name, values),) = hidden.items()
-    fits = [
-        refit(dry, {id: given}, dry.neutral)
-        for id, given in ((name, values), (rival, REGISTRY[rival].typical))
-    ]
-    measurement = best_measurement(dry, *fits)
+    ((name, _),) = hidden.items()
+    measurement = next_measurement(dry, *left_open(dry, name, rival), POLICY)
     assert measurement.separates == (name, rival)
     assert measurement.resolves == tells
     if tells:
@@ -191,6 +152,12 @@ def test_no_experiment_is_asked_for_that_the_recording_holds(tmp_path):
     assert recorded == {"dark", "laser", "arc", "exposure", "current"}
     only = observed.subset(np.array([frame.stratum == "laser" for frame in observed.frames]))
     assert [experiment.key for experiment in MENU if is_recorded(experiment, only)] == ["laser"]
-    fits = [refit(model, {name: REGISTRY[name].typical}, model.neutral) for name in ("veiling_glare", "fume")]
-    experiment = BY_NAME.get(best_measurement(model, *fits).experiment)
+    experiment = BY_NAME.get(
+        next_measurement(model, *left_open(model, "veiling_glare", "fume"), POLICY).experiment
+    )
     assert experiment is None or experiment.key not in recorded
+
+
+def test_where_nothing_is_open_nothing_is_asked_for():
+    sure = Posterior(None, (None, None), None, 0.0, (0.99, 0.01), 0.0)
+    assert next_measurement(None, sure, None, POLICY) is None

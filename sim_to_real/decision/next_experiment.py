@@ -1,0 +1,220 @@
+"""The next experiment: the one after which the posterior is expected to be surest.
+
+Each hypothesis that is alive predicts an experiment's frames, with the uncertainty that its parameters have
+after what was recorded. With linear Gaussian predictions the evidence that frames as one predicts them take
+from another is a closed form, and with it the posterior that is expected (Lindley 1956, Ann. Math. Stat. 27,
+986: the expected information of an experiment).
+"""
+
+from __future__ import annotations
+
+import itertools
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.linalg import solve_triangular
+from scipy.special import logsumexp
+
+from noise_model.arrays import Float64
+from noise_model.condition import Condition
+from noise_model.instrument.sensor import saturation_dn
+from noise_model.setup import Setup
+from noise_model.transforms import moved
+from sim_to_real.data.binned import (
+    STRIPE_RIM_BINS,
+    Observed,
+    ObservedFrame,
+    bins_that_count,
+    stated_layers,
+    variances_dn2,
+)
+from sim_to_real.data.blocks import dilated
+from sim_to_real.decision.experiments import MENU, N_MORE, WITNESS, Experiment
+from sim_to_real.diagnosis import Next
+from sim_to_real.evidence.error_model import ErrorModel, Linearized
+from sim_to_real.evidence.hypotheses import Hypothesis, Posterior
+from sim_to_real.evidence.policy import Policy
+from sim_to_real.fit.gauss_newton import FRAME_LEVEL, refit
+from sim_to_real.fit.linearized_model import LinearizedModel
+
+MAX_BINS = 500
+"""Bins of one frame that count as independent: neighbours share the model's error."""
+
+RECORDED_REL = 0.1
+"""A recording holds an experiment if exposure and current of a frame differ from its by a smaller share."""
+
+SATURATION_SIGMAS = 3.0
+"""A bin whose mean is fewer sigmas below saturation may hold saturated pixels."""
+
+
+def planned_frame(experiment: Experiment, frame: ObservedFrame, setup: Setup) -> ObservedFrame:
+    """Return the frame that an experiment would give at the time of an existing one."""
+    condition = Condition.of(
+        setup,
+        laser_on=experiment.laser_on,
+        arc_on=experiment.arc_on,
+        current_a=experiment.current * setup.arc.current_a,
+        exposure_s=experiment.exposure * setup.camera.exposure_s,
+        timestamp_s=frame.condition.timestamp_s,
+    )
+
+    def pose_at(timestamp_s: float) -> Float64:
+        run_s = frame.timestamp_s + experiment.speed * (timestamp_s - frame.timestamp_s)
+        return moved(frame.pose_at(run_s), experiment.turn_deg, experiment.move_mm)
+
+    return replace(frame, condition=condition, pose_at=pose_at)
+
+
+def is_recorded(experiment: Experiment, observed: Observed) -> bool:
+    """Say whether a recording holds frames of an experiment; of one that moves the tool it never does."""
+    setup = observed.setup
+    if any(experiment.turn_deg) or any(experiment.move_mm) or experiment.speed != 1.0:
+        return False
+
+    def is_like(condition: Condition) -> bool:
+        current = condition.arc_level ** (1.0 / setup.arc.current_exponent)
+        return (
+            (condition.laser_level > 0.0) == experiment.laser_on
+            and (condition.arc_level > 0.0) == experiment.arc_on
+            and math.isclose(
+                condition.exposure_s, experiment.exposure * setup.camera.exposure_s, rel_tol=RECORDED_REL
+            )
+            and (not experiment.arc_on or math.isclose(current, experiment.current, rel_tol=RECORDED_REL))
+        )
+
+    return any(is_like(frame.condition) for frame in observed.frames)
+
+
+def next_measurement(
+    model: LinearizedModel, posterior: Posterior, errors: ErrorModel, policy: Policy
+) -> Next | None:
+    """Return the experiment after which the least is left open, on average; None if nothing is open now.
+
+    Each hypothesis that is still alive predicts each experiment's frames, with its posterior's uncertainty:
+    what a rival could adapt to tells nothing. Experiments that the recording holds already are not asked for.
+    If none would leave one hypothesis `policy.named`, a witness is to be added.
+    """
+    alive = [
+        (hypothesis, p)
+        for hypothesis, p in zip(posterior.hypotheses, posterior.p, strict=True)
+        if p >= policy.possible * sum(posterior.p)
+    ]
+    if len(alive) < 2 or len({frozenset(hypothesis.ids) for hypothesis, _ in alive}) < 2:
+        return None
+    weights = np.array([p for _, p in alive]) / sum(p for _, p in alive)
+    hypotheses = [hypothesis for hypothesis, _ in alive]
+    kept = expected_certainty(_nats_apart(model, hypotheses, errors), weights, policy.temperature)
+    kept[[is_recorded(experiment, model.observed) for experiment in MENU]] = 0.0
+    best = int(np.argmax(kept))
+    ids = tuple(dict.fromkeys(name for hypothesis in hypotheses for name in hypothesis.ids))
+    if kept[best] >= policy.named:
+        return Next(MENU[best].name, ids, True)
+    return Next(f"{WITNESS[ids[0]]}, as a witness", ids, False)
+
+
+def expected_certainty(nats: Float64, weights: Float64, temperature: float) -> Float64:
+    """Return exp(-entropy) of the posterior that is expected after each experiment (n,).
+
+    `nats` (h, g, n) are by how much the evidence of hypothesis h, if it is right, gains on that of g.
+    """
+    ln = np.log(weights)[np.newaxis, :, np.newaxis] - nats / temperature
+    ln -= logsumexp(ln, axis=1, keepdims=True)
+    entropy = -np.sum(np.exp(ln) * ln, axis=1)
+    return np.asarray(np.exp(-weights @ entropy))
+
+
+def _nats_apart(model: LinearizedModel, hypotheses: Sequence[Hypothesis], errors: ErrorModel) -> Float64:
+    """Return by how many nats each experiment tells hypothesis h, if right, from g: (h, g, n)."""
+    planned = _planned(model)
+    forecasts = [_forecast(planned, hypothesis, errors) for hypothesis in hypotheses]
+    apart = np.zeros((len(forecasts), len(forecasts), len(MENU)))
+    for (h, right), (g, rival) in itertools.permutations(enumerate(forecasts), 2):
+        apart[h, g] = [_surprise(planned, right, rival, n) for n in range(len(MENU))]
+    return apart
+
+
+@dataclass(frozen=True, eq=False)
+class _Forecast:
+    """What a hypothesis expects of each planned frame, DN: means (n,), and how far they may be off (n, p)."""
+
+    means_dn: tuple[Float64, ...]
+    spreads_dn: tuple[Float64, ...]
+
+
+def _forecast(planned: LinearizedModel, hypothesis: Hypothesis, errors: ErrorModel) -> _Forecast:
+    fitted = hypothesis.refit
+    there = planned.anchored_at(fitted.nuisance, fitted.effects, fitted.trend)
+    ahead = refit(there, fitted.effects, fitted.nuisance, steps=0, trend=fitted.trend)
+    sigmas = np.array([parameter.prior_sigma for parameter in ahead.quadratic.parameters])
+    seen = Linearized.of(fitted, errors.rows).columns.changes
+    information = errors.metric.products(seen, seen) + np.eye(seen.shape[1])
+    # A frame's own level is new in each frame: nothing has been seen of it.
+    shared = np.array([not p.name.startswith(FRAME_LEVEL) for p in fitted.quadratic.parameters])
+    own = np.array([parameter.name.startswith(FRAME_LEVEL) for parameter in ahead.quadratic.parameters])
+    root = solve_triangular(np.linalg.cholesky(information), np.eye(len(information)), lower=True).T[shared]
+    spread_by = np.zeros((len(own), root.shape[1] + int(own.sum())))
+    spread_by[~own, : root.shape[1]] = root
+    spread_by[own, root.shape[1] :] = np.eye(int(own.sum()))
+    ends = np.cumsum([0, *planned.observed.counts])
+    spread = (ahead.jacobian * sigmas) @ spread_by
+    return _Forecast(
+        tuple(light.mean_dn() for light in ahead.lights),
+        tuple(spread[start:end] for start, end in itertools.pairwise(ends)),
+    )
+
+
+def _surprise(planned: LinearizedModel, right: _Forecast, rival: _Forecast, n: int) -> float:
+    """Return ln of how much less likely a rival makes the n-th experiment as the right one predicts it.
+
+    Half of d^T (S + J J^T)^-1 d, with S the noise of `N_MORE` frames and the model's floor.
+    """
+    mean_dn, setup = right.means_dn[n], planned.observed.setup
+    noise_dn2, floor_dn2 = variances_dn2(mean_dn, setup)
+    variance = noise_dn2 / planned.observed.bin_px**2 / N_MORE + floor_dn2
+    dark = mean_dn < saturation_dn(setup.sensor) - SATURATION_SIGMAS * np.sqrt(noise_dn2)
+    weight = np.where(dark, 1.0 / variance, 0.0) * min(1.0, MAX_BINS / max(len(mean_dn), 1))
+    difference, J = rival.means_dn[n] - mean_dn, rival.spreads_dn[n]
+    information = J.T @ (weight[:, np.newaxis] * J) + np.eye(J.shape[1])
+    along = J.T @ (weight * difference)
+    return float(0.5 * (weight @ difference**2 - along @ np.linalg.solve(information, along)))
+
+
+def _planned(model: LinearizedModel) -> LinearizedModel:
+    """Return the model for the menu's frames, a frame for each experiment."""
+    observed, template = model.observed, _template(model)
+    frames = tuple(
+        _with_bins_of_pose(
+            replace(planned_frame(experiment, template, observed.setup), position=position), observed
+        )
+        for position, experiment in enumerate(MENU)
+    )
+    return LinearizedModel(replace(observed, frames=frames))
+
+
+def _with_bins_of_pose(frame: ObservedFrame, observed: Observed) -> ObservedFrame:
+    """Return a frame with the bins that count from its own pose."""
+    setup, binned = observed.setup, observed.binned
+    stations_mm, layers = stated_layers(setup, binned, frame.T_base_tool_in(setup), observed.seam)
+    anywhere = np.ones(layers.view.shape, dtype=np.bool_)
+    keep, in_stripe = bins_that_count(binned, layers, frame.condition, anywhere)
+    return replace(
+        frame,
+        stations_mm=stations_mm,
+        keep=keep,
+        rendered=keep | dilated(in_stripe, STRIPE_RIM_BINS),
+        in_stripe=in_stripe[keep],
+        # There is no image yet: what it would show is counted in DN.
+        sigma_dn=np.ones(int(keep.sum())),
+    )
+
+
+def _template(model: LinearizedModel) -> ObservedFrame:
+    """Return the last of the frames that show most sources."""
+    frames = model.observed.frames
+    shows = max(int(f.condition.arc_level > 0.0) + int(f.condition.laser_level > 0.0) for f in frames)
+    best = [
+        f for f in frames if int(f.condition.arc_level > 0.0) + int(f.condition.laser_level > 0.0) == shows
+    ]
+    return best[-1]

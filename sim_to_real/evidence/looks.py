@@ -1,0 +1,158 @@
+"""A first look at effects and pairs, without a fit: the evidence along probe points, and where fits start.
+
+The residual is taken to go straight between no effect and each probe point, and along the derivatives with
+the nuisances. Along these lines the evidence of each effect has a closed form, and that of each pair.
+"""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from noise_model.arrays import Float64
+from noise_model.effects import Values
+from sim_to_real.evidence.error_model import (
+    Columns,
+    ErrorModel,
+    EvidenceTable,
+    Linearized,
+    probe_sigmas,
+)
+from sim_to_real.fit.gauss_newton import FLICKER, Refit
+from sim_to_real.fit.linearized_model import Effects
+from sim_to_real.search.score_test import ScoreTest
+
+MAX_PAIRS, MAX_STARTS = 2, 3
+"""So many pairs of either kind are worth a fit at most; and so many of an effect's families."""
+
+START_SHARES = 1.0, 0.4, 0.1
+"""At these shares of the likeliest step a fit may start: at the one where least is left."""
+
+FAMILIES_IN_PAIRS = 2
+"""So many families of each effect are looked at in pairs."""
+
+
+@dataclass(frozen=True, eq=False)
+class PairLook:
+    """Two effects that are worth a fit: from any of some starts, at some nuisances."""
+
+    starts: Sequence[Effects]
+    nuisance: Float64
+
+    @property
+    def ids(self) -> frozenset[str]:
+        """The two effects."""
+        return frozenset(self.starts[0])
+
+
+@dataclass(frozen=True, eq=False)
+class Looks:
+    """What a first look shows: `scores` are the effects' at `start`, a fit without effects."""
+
+    start: Refit
+    scores: Sequence[ScoreTest]
+    errors: ErrorModel
+
+    @cached_property
+    def none(self) -> float:
+        """The evidence of no gap about the start: what looks from there gain on."""
+        return self.errors.log_evidence(self._at_start)
+
+    def evidence(self, score: ScoreTest) -> float:
+        """Return the evidence along an effect's probe points, the best family's, its form exact or off."""
+        first = self._first_family(score)
+        exact = [self._probes.log_evidence(first + n) for n in range(len(score.families))]
+        best = self._columns[first + int(np.argmax(exact))]
+        form = self.errors.form_error(score.id, best.changes.sum(axis=1))
+        return max(max(exact), self.errors.log_evidence(self._at_start, best, form))
+
+    def starts_of(self, score: ScoreTest) -> list[Effects]:
+        """Return where fits of an effect may start, along its likeliest families."""
+        first = self._first_family(score)
+        ranked = sorted(range(len(score.families)), key=lambda n: -self._probes.log_evidence(first + n))
+        return [start for n in ranked[:MAX_STARTS] for start in self._starts(self._probes, first + n)]
+
+    def _starts(self, table: EvidenceTable, *families: int) -> list[Effects]:
+        """Return effects at shares of the likeliest steps along some families, by number, fitted together."""
+        sizes = table.likeliest(*families)
+        return [
+            dict(self._along(n, share * size) for n, size in zip(families, sizes, strict=True))
+            for share in START_SHARES
+        ]
+
+    def _along(self, n: int, sizes: Float64) -> tuple[str, Values]:
+        """Return an effect and its parameters at some sizes (k,) of its n-th family's probe points."""
+        family = self._families[n]
+        low, high = np.array(family.step_limits()).T
+        return family.id, family.parameters_along(np.clip(sizes / probe_sigmas(family), low, high))
+
+    @cached_property
+    def _at_start(self) -> Linearized:
+        return Linearized.of(self.start, self.errors.rows)
+
+    @cached_property
+    def _families(self) -> list[ScoreTest]:
+        """All effects' families, an effect's after another's."""
+        return [family for score in self.scores for family in score.families]
+
+    @cached_property
+    def _columns(self) -> list[Columns]:
+        return [Columns.along_probes(family, self.errors.rows) for family in self._families]
+
+    @cached_property
+    def _probes(self) -> EvidenceTable:
+        """The evidence of all families at the start."""
+        return self.errors.table(self._at_start, self._columns)
+
+    def _first_family(self, score: ScoreTest) -> int:
+        """Return the place of an effect's first family among all."""
+        return next(n for n, family in enumerate(self._families) if family.id == score.id)
+
+    def pairs_beside(self, fitted: Refit, exact: float, needed: float) -> list[PairLook]:
+        """Return pairs of a fit's effect and another one that gains as much as is needed beside it, nats.
+
+        `exact` is the fit's own evidence.
+        """
+        if FLICKER in fitted.ids:
+            return []
+        table = self.errors.table(Linearized.of(fitted, self.errors.rows), self._columns)
+        gains: dict[tuple[int, ...], float] = {
+            (n,): table.log_evidence(n) - exact
+            for n, family in enumerate(self._families)
+            if family.id not in fitted.ids
+        }
+        return [
+            # What changes in the course of the weld comes last: its amplitudes end the parameters.
+            PairLook([{**start, **fitted.effects} for start in self._starts(table, n)], fitted.nuisance)
+            for (n,) in self._worth_fitting(gains, needed)
+        ]
+
+    def pairs_alone(self, needed: float) -> list[PairLook]:
+        """Return pairs that beat every single effect at the start by as much as is needed, nats."""
+        exact = [self._probes.log_evidence(n) for n in range(len(self._families))]
+        places = []
+        for score in self.scores:
+            first = self._first_family(score)
+            own = range(first, first + len(score.families))
+            places += sorted(own, key=lambda n: -exact[n])[:FAMILIES_IN_PAIRS]
+        gains: dict[tuple[int, ...], float] = {
+            pair: self._probes.log_evidence(*pair) - max(exact)
+            for pair in itertools.combinations(places, 2)
+            if self._families[pair[0]].id != self._families[pair[1]].id
+        }
+        return [
+            PairLook(self._starts(self._probes, *pair), self.start.nuisance)
+            for pair in self._worth_fitting(gains, needed)
+        ]
+
+    def _worth_fitting(self, gains: Mapping[tuple[int, ...], float], needed: float) -> list[tuple[int, ...]]:
+        """Return the families, by number, that gain as much as is needed, once for the same effects."""
+        best: dict[tuple[str, ...], tuple[int, ...]] = {}
+        for families in sorted(gains, key=lambda families: -gains[families]):
+            if gains[families] > needed:
+                best.setdefault(tuple(self._families[n].id for n in families), families)
+        return list(best.values())[:MAX_PAIRS]
