@@ -198,9 +198,12 @@ def test_a_joint_with_faces_in_shadow_is_no_hindrance() -> None:
 @pytest.mark.slow
 def test_what_does_not_settle_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
     setup = small_setup()
+    seen = frames(setup, SeamLine(45.0, 0.4, -0.2))[:3]
+    stated = moved(setup.camera.T_tool_camera, 5.0 * CHANGE[:3], 5.0 * CHANGE[3:6])
+    setup = replace(setup, camera=replace(setup.camera, T_tool_camera=stated))
     monkeypatch.setattr(hand_eye, "MAX_ROUNDS", 1)
     with pytest.raises(ValueError, match="camera and seam do not settle in 1 rounds"):
-        estimate_hand_eye(setup, frames(setup, SeamLine(45.0, 0.4, -0.2))[:3])
+        estimate_hand_eye(setup, seen)
 
 
 @pytest.mark.slow
