@@ -28,6 +28,7 @@ from sim_to_real.evidence.looks import Looks
 from sim_to_real.evidence.policy import Policy
 from sim_to_real.fit.gauss_newton import FLICKER, Refit, refit
 from sim_to_real.fit.linearized_model import INTERREFLECTION, Effects, LinearizedModel
+from sim_to_real.fit.nuisances import BIASED_MEAN_SQUARE
 from sim_to_real.fit.trend import MIN_DRIVER_RANGE, TREND_EFFECTS, Driver, Trend, trend_among
 from sim_to_real.search.probe_points import EXPENSIVE
 from sim_to_real.search.score_test import ScoreTest
@@ -43,6 +44,12 @@ SURPRISE_NATS = 4.0
 
 MUCH_SURPRISE, LITTLE_SURPRISE, FLOOR_MEAN_SQUARE = 0.7, 0.3, 1.0
 """And by this share of what the best fit gains; the second once a fit leaves no more than the floor."""
+
+MOVING = tuple(name for name, effect in REGISTRY.items() if effect.stage in (Stage.GEOMETRY, Stage.TIMING))
+"""Effects that move the image: while nothing explains a large gap they are fitted whatever their look.
+
+A straight line foretells little of a stripe that lies elsewhere.
+"""
 
 BOUNCES = Stage.SURFACE, Stage.MEDIUM, Stage.OPTICS
 """The stages whose free terms come near light that bounces: no fit of it is likelier than all of them."""
@@ -153,13 +160,15 @@ class HypothesisSearch:
         fitted: list[Hypothesis] = []
         # Light that bounces comes last: what others explain better than free terms near it needs no fit.
         ranked = sorted(looks.keys() - {INTERREFLECTION}, key=lambda name: (-looks[name], name))[:MAX_SINGLES]
-        for n, name in enumerate([*ranked, *(looks.keys() & {INTERREFLECTION})]):
+        moving = [name for name in MOVING if name in looks and name not in ranked]
+        for n, name in enumerate([*ranked, *moving, *(looks.keys() & {INTERREFLECTION})]):
             gained = max((hypothesis.evidence - none.evidence for hypothesis in fitted), default=0.0)
             at_floor = any(hypothesis.refit.mean_square < FLOOR_MEAN_SQUARE for hypothesis in fitted)
             share = LITTLE_SURPRISE if at_floor else MUCH_SURPRISE
             if name == INTERREFLECTION and looks[name] < gained:
                 continue
-            if looks[name] < self._needed((1.0 - share) * gained):
+            is_open = name in MOVING and not at_floor and self.start.mean_square > BIASED_MEAN_SQUARE
+            if looks[name] < self._needed((1.0 - share) * gained) and not is_open:
                 continue
             self.on_stage(f"fitting {name}", 0.2 + 0.6 * n / MAX_SINGLES)
             fitted.append(self.hypothesis(self.fit(starts[name], self.start.nuisance)))
