@@ -31,7 +31,7 @@ from sim_to_real.evidence.hypotheses import Hypothesis, Posterior
 from sim_to_real.evidence.judgement import Judgement, judge
 from sim_to_real.evidence.policy import POLICY
 from sim_to_real.evidence.weigh import Weighed, weigh
-from sim_to_real.fit.gauss_newton import Refit, converged, refit
+from sim_to_real.fit.gauss_newton import Refit, converged, refit, refit_there
 from sim_to_real.fit.linearized_model import LinearizedModel
 from sim_to_real.locate.covariates import covariates
 from sim_to_real.locate.residual_structure import locate
@@ -236,10 +236,7 @@ def _named(
 def _after(model: LinearizedModel, before: Refit, judgement: Judgement) -> Refit:
     """Return the leading hypothesis' effects fitted to all bins alike, as the fit before is."""
     fitted = judgement.leader.refit
-    if not fitted.ids:
-        return before
-    there = model.anchored_at(fitted.nuisance, fitted.effects, fitted.trend)
-    return refit(there, fitted.effects, fitted.nuisance, trend=fitted.trend)
+    return refit_there(model, fitted) if fitted.ids else before
 
 
 def _next(model: LinearizedModel, weighed: Weighed, judgement: Judgement) -> Next | None:
@@ -254,8 +251,7 @@ def shares(posterior: Posterior, leader: Hypothesis) -> dict[str, float]:
     names = leader.ids
     if len(names) < 2:
         return dict.fromkeys(names, 1.0)
-    # The likeliest comes first, of the forms of one effect too.
-    alone = {h.ids[0]: h.refit.mean_square for h in reversed(posterior.hypotheses) if len(h.ids) == 1}
+    alone = {name: single.refit.mean_square for name, (single, _) in posterior.singles.items()}
     most, least = posterior.none.refit.mean_square, leader.refit.mean_square
     floor = min(1.0, least)
 
@@ -302,17 +298,15 @@ def _with_random_shares(
 def ranking(weighed: Weighed, random: RandomEffects) -> tuple[Ranked, ...]:
     """Return all single effects, best first, with the share of the gap's size that each closes."""
     posterior = weighed.posterior
-    pairs = zip(posterior.hypotheses, posterior.p, strict=True)
-    singles = [(h, p) for h, p in pairs if len(h.ids) == 1]
-    singles = [(h, p) for n, (h, p) in enumerate(singles) if h.ids not in [g.ids for g, _ in singles[:n]]]
+    singles = posterior.singles
     # Below the model's floor the best effect counts as closing all.
-    floor = min([1.0, *(single.refit.mean_square for single, _ in singles)])
+    floor = min([1.0, *(single.refit.mean_square for single, _ in singles.values())])
     size = math.sqrt(max(posterior.none.refit.mean_square - floor, 0.0))
     ranked = []
-    for single, p in singles:
+    for name, (single, p) in singles.items():
         remainder = math.sqrt(max(single.refit.mean_square - floor, 0.0))
         closed = 1.0 - remainder / size if size else math.nan
-        ranked.append((single.evidence - posterior.none.evidence, Ranked(single.ids[0], p, closed)))
+        ranked.append((single.evidence - posterior.none.evidence, Ranked(name, p, closed)))
     ranked += [
         (random.evidence[name], Ranked(name, random.confidence[name], random.closed[name], is_random=True))
         for name in random.evidence

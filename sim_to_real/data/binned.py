@@ -115,11 +115,6 @@ class Observed:
         return np.array([frame.condition.arc_level > 0.0 for frame in self.frames], dtype=np.bool_)
 
     @property
-    def striped(self) -> Bool:
-        """The frames (n_frames,) that the laser lights."""
-        return np.array([frame.condition.laser_level > 0.0 for frame in self.frames], dtype=np.bool_)
-
-    @property
     def shows_arc(self) -> Bool:
         """The frames (n_frames,) that the arc lights and in which a bin counts: not all is saturated."""
         return self.lit & (self.counts > 0)

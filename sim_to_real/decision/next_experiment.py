@@ -17,7 +17,7 @@ import numpy as np
 from scipy.linalg import solve_triangular
 from scipy.special import logsumexp
 
-from noise_model.arrays import Float64
+from noise_model.arrays import Bool, Float64
 from noise_model.condition import Condition
 from noise_model.instrument.sensor import saturation_dn
 from noise_model.setup import Setup
@@ -36,7 +36,7 @@ from sim_to_real.diagnosis import Next
 from sim_to_real.evidence.error_model import ErrorModel, Linearized
 from sim_to_real.evidence.hypotheses import Hypothesis, Posterior
 from sim_to_real.evidence.policy import Policy
-from sim_to_real.fit.gauss_newton import FRAME_LEVEL, refit
+from sim_to_real.fit.gauss_newton import FRAME_LEVEL, Refit, refit_there
 from sim_to_real.fit.linearized_model import LinearizedModel
 
 MAX_BINS = 500
@@ -101,7 +101,7 @@ def next_measurement(
         for hypothesis, p in zip(posterior.hypotheses, posterior.p, strict=True)
         if p >= policy.possible * sum(posterior.p)
     ]
-    if len(alive) < 2 or len({frozenset(hypothesis.ids) for hypothesis, _ in alive}) < 2:
+    if len({frozenset(hypothesis.ids) for hypothesis, _ in alive}) < 2:
         return None
     weights = np.array([p for _, p in alive]) / sum(p for _, p in alive)
     hypotheses = [hypothesis for hypothesis, _ in alive]
@@ -145,24 +145,26 @@ class _Forecast:
 
 def _forecast(planned: LinearizedModel, hypothesis: Hypothesis, errors: ErrorModel) -> _Forecast:
     fitted = hypothesis.refit
-    there = planned.anchored_at(fitted.nuisance, fitted.effects, fitted.trend)
-    ahead = refit(there, fitted.effects, fitted.nuisance, steps=0, trend=fitted.trend)
-    sigmas = np.array([parameter.prior_sigma for parameter in ahead.quadratic.parameters])
+    ahead = refit_there(planned, fitted, steps=0)
     seen = Linearized.of(fitted, errors.rows).columns.changes
     information = errors.metric.products(seen, seen) + np.eye(seen.shape[1])
     # A frame's own level is new in each frame: nothing has been seen of it.
-    shared = np.array([not p.name.startswith(FRAME_LEVEL) for p in fitted.quadratic.parameters])
-    own = np.array([parameter.name.startswith(FRAME_LEVEL) for parameter in ahead.quadratic.parameters])
+    shared, own = ~_of_one_frame(fitted), _of_one_frame(ahead)
     root = solve_triangular(np.linalg.cholesky(information), np.eye(len(information)), lower=True).T[shared]
     spread_by = np.zeros((len(own), root.shape[1] + int(own.sum())))
     spread_by[~own, : root.shape[1]] = root
     spread_by[own, root.shape[1] :] = np.eye(int(own.sum()))
     ends = np.cumsum([0, *planned.observed.counts])
-    spread = (ahead.jacobian * sigmas) @ spread_by
+    spread = (ahead.jacobian * ahead.quadratic.prior_sigmas) @ spread_by
     return _Forecast(
         tuple(light.mean_dn() for light in ahead.lights),
         tuple(spread[start:end] for start, end in itertools.pairwise(ends)),
     )
+
+
+def _of_one_frame(fitted: Refit) -> Bool:
+    """Return which parameters (p,) of a fit are a single frame's own."""
+    return np.array([parameter.name.startswith(FRAME_LEVEL) for parameter in fitted.quadratic.parameters])
 
 
 def _surprise(planned: LinearizedModel, right: _Forecast, rival: _Forecast, n: int) -> float:

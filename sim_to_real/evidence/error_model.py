@@ -99,8 +99,8 @@ class Linearized:
 
     @classmethod
     def _about(cls, fitted: Refit, residuals: Float64, kept: Bool, rows: Int64) -> Linearized:
-        parameters = list(itertools.compress(fitted.quadratic.parameters, kept))
-        starts, sigmas = np.array([(p.start, p.prior_sigma) for p in parameters]).T
+        quadratic, parameters = fitted.quadratic, itertools.compress(fitted.quadratic.parameters, kept)
+        starts, sigmas = quadratic.prior_starts[kept], quadratic.prior_sigmas[kept]
         J = fitted.jacobian[rows][:, kept]
         at_start = residuals[rows] + J @ (starts - fitted.x[kept])
         sides = np.array([1.0 * (p.lower == p.start) - 1.0 * (p.upper == p.start) for p in parameters])

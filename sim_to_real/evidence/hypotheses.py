@@ -118,6 +118,15 @@ class Posterior:
         return cls(none, tuple(some), unknown, p_none, tuple(p), p_unknown)
 
     @property
+    def singles(self) -> dict[str, tuple[Hypothesis, float]]:
+        """Each effect by itself with its probability, likeliest first; of several forms the likeliest."""
+        singles: dict[str, tuple[Hypothesis, float]] = {}
+        for hypothesis, probability in zip(self.hypotheses, self.p, strict=True):
+            if len(hypothesis.ids) == 1:
+                singles.setdefault(hypothesis.ids[0], (hypothesis, probability))
+        return singles
+
+    @property
     def of_effects(self) -> dict[str, float]:
         """The probability that each effect is there, alone or with others."""
         total: dict[str, float] = {}

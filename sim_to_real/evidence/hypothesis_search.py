@@ -11,6 +11,7 @@ import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import TypeAlias
 
 import numpy as np
 
@@ -20,18 +21,20 @@ from sim_to_real.evidence.coordinates import IN_EACH_FRAME
 from sim_to_real.evidence.error_model import (
     Columns,
     ErrorModel,
-    EvidenceTable,
     Linearized,
 )
 from sim_to_real.evidence.hypotheses import Hypothesis, Term, Unknown
 from sim_to_real.evidence.looks import Looks
 from sim_to_real.evidence.policy import Policy
-from sim_to_real.fit.gauss_newton import FLICKER, Refit, refit
+from sim_to_real.fit.gauss_newton import FLICKER, Refit, refit, refit_there
 from sim_to_real.fit.linearized_model import INTERREFLECTION, Effects, LinearizedModel
 from sim_to_real.fit.nuisances import BIASED_MEAN_SQUARE
 from sim_to_real.fit.trend import MIN_DRIVER_RANGE, TREND_EFFECTS, Driver, Trend, trend_among
 from sim_to_real.search.probe_points import EXPENSIVE
 from sim_to_real.search.score_test import ScoreTest
+
+FreeTerms: TypeAlias = Mapping[Term, Sequence[float]]
+"""The evidence of each free term, nats, at each size that its columns may have."""
 
 MAX_SINGLES, MAX_TRENDS = 10, 3
 """So many effects are fitted at most; so many of the likeliest ones are fitted as changing in time, too."""
@@ -120,41 +123,35 @@ class HypothesisSearch:
             for h in every
         ]
 
-    def free_terms_beside(self, hypothesis: Hypothesis) -> EvidenceTable:
+    def free_terms_beside(self, hypothesis: Hypothesis) -> FreeTerms:
         """Return the evidence of each free term about a hypothesis' nuisances."""
         blocks = [Columns.free(term.columns) for term in self.errors.free_terms]
-        return self.errors.table(hypothesis.neutral, blocks)
+        table = self.errors.table(hypothesis.neutral, blocks)
+        return {
+            (term.stage, term.name): [table.log_evidence(n, size=size) for size in self.policy.free_sizes]
+            for n, term in enumerate(self.errors.free_terms)
+        }
 
-    def unknown(self, tables: Sequence[EvidenceTable]) -> Unknown:
-        """Return an unknown cause: each free term in whichever of some tables makes it likeliest.
+    def unknown(self, beside: Sequence[FreeTerms]) -> Unknown:
+        """Return an unknown cause: each free term about whichever nuisances make it likeliest.
 
         A level of the arc in each frame is no unknown cause where a flickering arc is a candidate.
         """
         return Unknown(
             {
                 term: nats
-                for term, nats in self.free_evidence(tables).items()
+                for term, nats in likeliest(beside).items()
                 if term != (Stage.SOURCE, IN_EACH_FRAME) or FLICKER in self.without
             }
         )
 
-    def free_evidence(self, tables: Sequence[EvidenceTable]) -> dict[Term, float]:
-        """Return the evidence of each free term, in whichever of some tables makes it likeliest."""
-        sizes = self.policy.free_sizes
-        terms: dict[Term, float] = {}
-        for n, term in enumerate(self.errors.free_terms):
-            each = [max(table.log_evidence(n, size=size) for table in tables) for size in sizes]
-            terms[term.stage, term.name] = float(np.logaddexp.reduce(each) - np.log(len(sizes)))
-        return terms
-
-    def singles(self, none: Hypothesis, tables: Sequence[EvidenceTable]) -> list[Hypothesis]:
+    def singles(self, none: Hypothesis, beside: Sequence[FreeTerms]) -> list[Hypothesis]:
         """Return the single effects whose fit could change the posterior, likeliest first.
 
         A fit gains on its first look by what is not linear, which is little where the gap is small.
         """
-        free = self.free_evidence(tables)
         looks = {score.id: self.looks.evidence(score) - self.looks.none for score in self.scores}
-        looks |= {name: look - none.evidence for name, look in self._stand_ins(free).items()}
+        looks |= {name: look - none.evidence for name, look in self._stand_ins(likeliest(beside)).items()}
         starts: dict[str, Sequence[Effects]] = {**STARTS_OF_STAND_INS}
         starts |= {score.id: self.looks.starts_of(score) for score in self.scores}
         fitted: list[Hypothesis] = []
@@ -172,7 +169,7 @@ class HypothesisSearch:
                 continue
             self.on_stage(f"fitting {name}", 0.2 + 0.6 * n / MAX_SINGLES)
             fitted.append(self.hypothesis(self.fit(starts[name], self.start.nuisance)))
-        unknown = self.unknown(tables).evidence
+        unknown = self.unknown(beside).evidence
         settled = self._settled(fitted, unknown)
         trends = [trend for single in settled[:MAX_TRENDS] for trend in self._with_trends(single)]
         return sorted([*self._settled(trends, unknown), *settled], key=_evidence, reverse=True)
@@ -261,11 +258,7 @@ class HypothesisSearch:
     def settled(self, best: Hypothesis) -> Hypothesis:
         """Return a hypothesis about its likeliest parameters, light rendered anew there until it stays."""
         for _ in range(MAX_ROUNDS):
-            fitted = best.refit
-            there = self.model.anchored_at(fitted.nuisance, fitted.effects, fitted.trend)
-            again = refit(
-                there, fitted.effects, fitted.nuisance, trend=fitted.trend, loss_about=self.errors.loss.about
-            )
+            again = refit_there(self.model, best.refit, self.errors.loss.about)
             before, best = best, self.hypothesis(again)
             if abs(best.exact - before.exact) < SETTLED_NATS:
                 break
@@ -301,6 +294,15 @@ class HypothesisSearch:
             for name, values in pair.refit.effects.items()
             if name not in known
         ]
+
+
+def likeliest(beside: Sequence[FreeTerms]) -> dict[Term, float]:
+    """Return the evidence of each free term, nats, about whichever nuisances make it likeliest."""
+    evidence: dict[Term, float] = {}
+    for term in beside[0]:
+        of_sizes = np.max([free_terms[term] for free_terms in beside], axis=0)
+        evidence[term] = float(np.logaddexp.reduce(of_sizes) - np.log(len(of_sizes)))
+    return evidence
 
 
 def _evidence(hypothesis: Hypothesis) -> float:

@@ -64,17 +64,14 @@ class Looks:
 
     def evidence(self, score: ScoreTest) -> float:
         """Return the evidence along an effect's probe points, the best family's, its form exact or off."""
-        first = self._first_family(score)
-        exact = [self._probes.log_evidence(first + n) for n in range(len(score.families))]
-        best = self._columns[first + int(np.argmax(exact))]
+        likeliest = self._ranked(score)[0]
+        best = self._columns[likeliest]
         form = self.errors.form_error(score.id, best.changes.sum(axis=1))
-        return max(max(exact), self.errors.log_evidence(self._at_start, best, form))
+        return max(self._exact[likeliest], self.errors.log_evidence(self._at_start, best, form))
 
     def starts_of(self, score: ScoreTest) -> list[Effects]:
         """Return where fits of an effect may start, along its likeliest families."""
-        first = self._first_family(score)
-        ranked = sorted(range(len(score.families)), key=lambda n: -self._probes.log_evidence(first + n))
-        return [start for n in ranked[:MAX_STARTS] for start in self._starts(self._probes, first + n)]
+        return [start for n in self._ranked(score)[:MAX_STARTS] for start in self._starts(self._probes, n)]
 
     def _starts(self, table: EvidenceTable, *families: int) -> list[Effects]:
         """Return effects at shares of the likeliest steps along some families, by number, fitted together."""
@@ -108,9 +105,15 @@ class Looks:
         """The evidence of all families at the start."""
         return self.errors.table(self._at_start, self._columns)
 
-    def _first_family(self, score: ScoreTest) -> int:
-        """Return the place of an effect's first family among all."""
-        return next(n for n, family in enumerate(self._families) if family.id == score.id)
+    @cached_property
+    def _exact(self) -> list[float]:
+        """The evidence of each family, nats."""
+        return [self._probes.log_evidence(n) for n in range(len(self._families))]
+
+    def _ranked(self, score: ScoreTest) -> list[int]:
+        """Return an effect's families, by number among all, the likeliest first."""
+        own = [n for n, family in enumerate(self._families) if family.id == score.id]
+        return sorted(own, key=lambda n: -self._exact[n])
 
     def pairs_beside(self, fitted: Refit, exact: float, needed: float) -> list[PairLook]:
         """Return pairs of a fit's effect and another one that gains as much as is needed beside it, nats.
@@ -133,14 +136,10 @@ class Looks:
 
     def pairs_alone(self, needed: float) -> list[PairLook]:
         """Return pairs that beat every single effect at the start by as much as is needed, nats."""
-        exact = [self._probes.log_evidence(n) for n in range(len(self._families))]
-        places = []
-        for score in self.scores:
-            first = self._first_family(score)
-            own = range(first, first + len(score.families))
-            places += sorted(own, key=lambda n: -exact[n])[:FAMILIES_IN_PAIRS]
+        places = [n for score in self.scores for n in self._ranked(score)[:FAMILIES_IN_PAIRS]]
+        alone = max(self._exact)
         gains: dict[tuple[int, ...], float] = {
-            pair: self._probes.log_evidence(*pair) - max(exact)
+            pair: self._probes.log_evidence(*pair) - alone
             for pair in itertools.combinations(places, 2)
             if self._families[pair[0]].id != self._families[pair[1]].id
         }

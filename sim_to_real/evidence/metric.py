@@ -73,7 +73,7 @@ class Metric:
         return log_evidence(self.products(both, both), some, len(residuals))
 
 
-SETTLED_NATS = 0.5
+LAST_STEP_NATS = 0.5
 """A step of a fit that gains fewer nats is the last."""
 
 
@@ -83,7 +83,6 @@ class MetricLoss:
 
     metric: Metric
     rows: Int64
-    prior_weight: float = 1.0
 
     def about(self, r: Float64) -> MetricLoss:
         """Return the loss for a step from any residuals: it is always the same."""
@@ -102,7 +101,7 @@ class MetricLoss:
 
     def is_converged(self, cost: float, gained: float) -> bool:
         """Say whether a step that gained so much ends a fit of some cost."""
-        return gained < 2.0 * SETTLED_NATS
+        return gained < 2.0 * LAST_STEP_NATS
 
 
 def log_evidence(products: Float64, sides: Float64, count: int) -> float:

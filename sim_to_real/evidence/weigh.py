@@ -116,13 +116,13 @@ def weigh(
     search = HypothesisSearch(model, start, scores, errors, POLICY, without, on_stage)
     fits = [search.fit([{}], fit.nuisance) for fit in ([before] if start is before else [before, start])]
     without_effects = sorted((search.hypothesis(fit) for fit in fits), key=lambda h: -h.exact)
-    tables = [search.free_terms_beside(hypothesis) for hypothesis in without_effects]
-    singles = search.singles(without_effects[0], tables)
+    beside = [search.free_terms_beside(hypothesis) for hypothesis in without_effects]
+    singles = search.singles(without_effects[0], beside)
     # The fits may have come to nuisances about which no gap or an unknown cause is likelier.
-    tables += [search.free_terms_beside(single) for single in singles[:1]]
-    unknown = search.unknown(tables)
+    beside += [search.free_terms_beside(single) for single in singles[:1]]
+    unknown = search.unknown(beside)
     every = search.compared([*singles, *search.pairs(singles, unknown.evidence)])
     none = search.none(without_effects[0], [*without_effects[1:], *every])
-    unknown = search.unknown([*tables, search.free_terms_beside(none)])
+    unknown = search.unknown([*beside, search.free_terms_beside(none)])
     posterior = Posterior.of(none, every, unknown, len(scores), POLICY)
     return Weighed(posterior, tuple(scores), errors, Linearized.of(start, errors.rows))

@@ -174,11 +174,21 @@ def _parameters_by_name(effect: str, values: Float64) -> dict[str, float]:
     return dict(zip(names, values.tolist(), strict=True))
 
 
+def refit_there(
+    model: LinearizedModel,
+    fitted: Refit,
+    loss_about: LossAbout = HuberLoss.about,
+    steps: int = MAX_ITERATIONS,
+) -> Refit:
+    """Return what a fit's effects come to from there, light and derivatives rendered anew."""
+    there = model.anchored_at(fitted.nuisance, fitted.effects, fitted.trend)
+    return refit(there, fitted.effects, fitted.nuisance, steps, fitted.trend, loss_about)
+
+
 def converged(model: LinearizedModel, fitted: Refit) -> Refit:
     """Return a fit after light and tangents have been rendered anew at its result, until it stays."""
     for _ in range(MAX_RELINEARIZATIONS):
-        there = model.anchored_at(fitted.nuisance, fitted.effects, fitted.trend)
-        again = refit(there, fitted.effects, fitted.nuisance, trend=fitted.trend)
+        again = refit_there(model, fitted)
         if again.mean_square > (1.0 - MIN_IMPROVEMENT_REL) * fitted.mean_square:
             return min(again, fitted, key=lambda fit: fit.mean_square)
         fitted = again

@@ -170,16 +170,6 @@ class LinearizedModel:
         """Leave out bins at the edges of faces, for nuisances (p,) and effects."""
         self.take_noise(self.over_frames(lambda frame: self._off_edges(frame, nuisance, effects)))
 
-    def subset(self, chosen: Bool) -> LinearizedModel:
-        """Return the model of some of the frames (n_frames,), with their part of the cache."""
-        subset = LinearizedModel(self.observed.subset(chosen), self._threads)
-        subset._rays = self._rays
-        position = {old: new for new, old in enumerate(np.flatnonzero(chosen).tolist())}
-        if self._tangents is not None:
-            subset._tangents = [self._tangents[old] for old in position]
-        subset._bounced = {position[old]: light for old, light in self._bounced.items() if old in position}
-        return subset
-
     def take_noise(self, sigmas_dn: Sequence[Float64]) -> None:
         """Set the noise of the bins that count, (n,) for each frame; inf leaves a bin out."""
         self.take_frames(
@@ -345,23 +335,23 @@ class LinearizedModel:
         key = _rendering_key(frame, anchor, effects)
         if key not in self._rendered:
             setup = apply_setup_effects(self._setup(effects, anchor))
-            layers = self._layers_of(frame, anchor, effects).with_metal(setup)
             T_base_tool = frame.T_base_tool_in(setup)
             seam, rays = self.seam(frame, anchor, effects), self._rays_of(setup.camera)
             nearest = self._nearest[frame.position]
 
-            def light(unmoved_by: Stage, is_on: bool, of_layers: Callable[[], Float32]) -> Float32:
+            def light(unmoved_by: Stage, is_on: bool, of_layers: Callable[[Layers], Float32]) -> Float32:
                 if not is_on:
                     return np.zeros(nearest.shape, dtype=np.float32)
                 of_source = (unmoved_by, *_rendering_key(frame, anchor, effects, unmoved_by))
                 if of_source not in self._of_sources:
-                    self._of_sources[of_source] = of_layers()[nearest]
+                    layers = self._layers_of(frame, anchor, effects).with_metal(setup)
+                    self._of_sources[of_source] = of_layers(layers)[nearest]
                 return self._of_sources[of_source]
 
             self._rendered[key] = Rendered(
                 View.of(setup, T_base_tool, seam.middle, rays, ground=seam.ground, coarse=True),
-                light(Stage.ILLUMINATION, frame.condition.arc_level > 0.0, lambda: layers.arc_e),
-                light(Stage.SOURCE, frame.condition.laser_level > 0.0, lambda: layers.laser_e),
+                light(Stage.ILLUMINATION, frame.condition.arc_level > 0.0, lambda layers: layers.arc_e),
+                light(Stage.SOURCE, frame.condition.laser_level > 0.0, lambda layers: layers.laser_e),
             )
         return self._rendered[key]
 

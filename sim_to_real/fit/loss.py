@@ -29,11 +29,6 @@ CONVERGED_REL = 1e-3
 class Loss(Protocol):
     """A cost of residuals (n,) whose form stays during a step, and its quadratic approximation."""
 
-    @property
-    def prior_weight(self) -> float:
-        """How often the priors' cost counts."""
-        ...
-
     def cost(self, r: Float64) -> float:
         """Return the cost of residuals (n,)."""
         ...

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -17,7 +17,8 @@ from noise_model.setup import Setup
 from noise_model.surface.joint import Section, corrugation_height
 from noise_model.view import View
 from sim_to_real.data.binned import STRATA, Observed, ObservedFrame
-from sim_to_real.fit.linearized_model import FrameLight, LinearizedModel
+from sim_to_real.fit.gauss_newton import Refit
+from sim_to_real.fit.linearized_model import LinearizedModel
 from sim_to_real.fit.nuisances import apply_nuisances
 
 UNITS: Mapping[str, str] = {
@@ -117,34 +118,7 @@ class Covariates:
         return image
 
 
-class Fitted(Protocol):
-    """Nuisances (p,), the light of each frame there, whitened residuals (n,) and their derivatives (n, >= p).
-
-    A `Refit` is one.
-    """
-
-    @property
-    def nuisance(self) -> Float64:
-        """The nuisances (p,)."""
-        ...
-
-    @property
-    def lights(self) -> Sequence[FrameLight]:
-        """The light of each frame."""
-        ...
-
-    @property
-    def residuals(self) -> Float64:
-        """The residuals over their noise (n,)."""
-        ...
-
-    @property
-    def jacobian(self) -> Float64:
-        """The residuals' derivatives (n, >= p), those with the nuisances first."""
-        ...
-
-
-def covariates(model: LinearizedModel, fit: Fitted) -> Covariates:
+def covariates(model: LinearizedModel, fit: Refit) -> Covariates:
     """Gather the covariates of every bin that counts, with the light and the nuisances of a fit."""
     anchor = fit.nuisance
     observed = model.observed

@@ -8,7 +8,7 @@ out, with finite steps in place of derivatives.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -17,7 +17,7 @@ from noise_model.arrays import Float64
 from noise_model.effects import REGISTRY, Values
 from noise_model.fit import Parameter, within_bounds
 from sim_to_real.fit.gauss_newton import Refit
-from sim_to_real.fit.linearized_model import FrameLight, LinearizedModel
+from sim_to_real.fit.linearized_model import LinearizedModel
 from sim_to_real.fit.loss import HuberLoss
 from sim_to_real.fit.quadratic import Quadratic
 from sim_to_real.search.probe_points import FAMILIES, N_PARTS, Family, first_neutral_part, probe_points_about
@@ -52,39 +52,25 @@ class ScoreTest:
         """The scores of all of the effect's families, the best first."""
         return (self, *self.others)
 
-    def step_limits(self, farthest: float = MAX_STEP) -> list[tuple[float, float]]:
-        """Return the limits of each step within the parameters' bounds, and within `farthest` steps."""
+    def step_limits(self) -> list[tuple[float, float]]:
+        """Return the limits of each step within the parameters' bounds, and within `MAX_STEP` steps."""
         start = np.array(list(self.origin.values()))
-        return [_step_limits(REGISTRY[self.id].parameters, start, step, farthest) for step in self.steps]
+        return [_step_limits(REGISTRY[self.id].parameters, start, step) for step in self.steps]
 
     def parameters_along(self, t: Float64) -> dict[str, float]:
         """Return the parameters after steps t (k,) towards the probe points, at least `MIN_STEP`."""
         steps = t if np.abs(t).max() > MIN_STEP else np.full(len(t), MIN_STEP)
-        return self.parameters_moved(steps @ self.steps)
-
-    def parameters_moved(self, offset: Float64) -> dict[str, float]:
-        """Return the parameters at an offset (p,) from the origin, within their bounds."""
         parameters = REGISTRY[self.id].parameters
         # On a bound by rounding is beyond it.
-        values = within_bounds(parameters, np.array(list(self.origin.values())) + offset)
+        values = within_bounds(parameters, np.array(list(self.origin.values())) + steps @ self.steps)
         return dict(zip((parameter.name for parameter in parameters), values.tolist(), strict=True))
 
 
 def score_effects(model: LinearizedModel, baseline: Refit, ids: Sequence[str]) -> list[ScoreTest]:
-    """Return the scores of effects added to the baseline's, those that leave least first."""
-    r = model.residuals(_rendered_lights(model, baseline, baseline.effects))
+    """Return the scores of effects beside a fit without any, those that leave least first."""
+    r = model.residuals(model.lights(baseline.nuisance, {}))
     scores = [_score_effect(model, baseline, r, name) for name in ids]
     return sorted(scores, key=lambda score: score.residual_fraction)
-
-
-def _rendered_lights(
-    model: LinearizedModel, baseline: Refit, effects: Mapping[str, Values]
-) -> list[FrameLight]:
-    """Return the light at the baseline's nuisances with other effects."""
-    by = np.zeros((len(baseline.arc_ln), baseline.n_nuisances))
-    by[:, 0] = baseline.arc_ln
-    lights = model.lights(baseline.nuisance, effects, baseline.trend)
-    return [model.extrapolated(*parts) for parts in zip(model.observed.frames, lights, by, strict=True)]
 
 
 @dataclass(frozen=True, eq=False)
@@ -128,7 +114,7 @@ def _try_family(
     family_of_part = family.for_part(part)
     shaped, columns = {**origin, **family_of_part.shape}, []
     for point in probe_points_about(name, origin, family_of_part.probe_points):
-        lights = _rendered_lights(model, baseline, {**baseline.effects, name: {**shaped, **point}})
+        lights = model.lights(baseline.nuisance, {name: {**shaped, **point}})
         columns.append(model.residuals(lights) - r)
     return _Trial(family, np.column_stack(columns))
 
@@ -176,11 +162,9 @@ def with_columns(
     )
 
 
-def _step_limits(
-    parameters: Sequence[Parameter], start: Float64, step: Float64, farthest: float
-) -> tuple[float, float]:
-    """Return how many steps (p,) back and forth stay within the parameters' bounds and `farthest`."""
-    low, high = -farthest, farthest
+def _step_limits(parameters: Sequence[Parameter], start: Float64, step: Float64) -> tuple[float, float]:
+    """Return how many steps (p,) back and forth stay within the parameters' bounds and `MAX_STEP`."""
+    low, high = -MAX_STEP, MAX_STEP
     for parameter, value, by in zip(parameters, start, step, strict=True):
         if by != 0.0:
             ends = sorted(((parameter.lower - value) / by, (parameter.upper - value) / by))

@@ -52,3 +52,10 @@ def small_recording(path, effects, coarser=SMALL, stated=None):
         observed = observe(replace(setup, effects=stated or {}), frames, pose_at)
     expected = LinearizedModel(observed)
     return expected.anchored_at(expected.neutral, {})
+
+
+def of_stratum(expected, stratum):
+    """The model of a recording's frames of one kind."""
+    chosen = np.array([frame.stratum == stratum for frame in expected.observed.frames])
+    some = LinearizedModel(expected.observed.subset(chosen))
+    return some.anchored_at(some.neutral, {})

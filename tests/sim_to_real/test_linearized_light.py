@@ -12,7 +12,7 @@ from noise_model.surface.joint import BentSeam, SeamLine
 from sim_to_real.data.binned import stated_condition
 from sim_to_real.fit.linearized_model import EDGE_E, EDGE_SHARE, LinearizedModel
 from sim_to_real.fit.nuisances import N_LEVELS, SEAM_FROM
-from tests.sim_to_real.small import small_recording
+from tests.sim_to_real.small import of_stratum, small_recording
 from tracker.state import Frame
 
 
@@ -23,7 +23,7 @@ def expected(tmp_path_factory):
 
 def test_derivatives_foretell_what_is_rendered_after_a_small_move(expected):
     # Of the arc: a coarse bin's blur spreads a stripe, which derivatives of what is rendered do not know.
-    arc = expected.subset(np.array([frame.stratum == "arc" for frame in expected.observed.frames]))
+    arc = of_stratum(expected, "arc")
     place = arc.neutral.copy()
     place[N_LEVELS:SEAM_FROM] = 0.02, -0.02, 0.03, 0.03, -0.03, 0.02
     here = arc.lights(arc.neutral, {})
@@ -89,7 +89,7 @@ def test_each_pixel_shows_the_face_of_its_own_stretch(expected):
 def test_a_long_exposure_does_not_cut_derivatives_off(expected):
     """The slopes of what is eight times as bright are eight times as large."""
     frames = [frame for frame in expected.observed.frames if frame.stratum == "laser"]
-    laser = expected.subset(np.array([frame.stratum == "laser" for frame in expected.observed.frames]))
+    laser = of_stratum(expected, "laser")
     longer = [
         replace(frame, condition=replace(frame.condition, exposure_s=8.0 * frame.condition.exposure_s))
         for frame in laser.observed.frames

@@ -2,6 +2,7 @@
 
 import math
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -23,7 +24,7 @@ from sim_to_real.evidence.policy import POLICY
 from sim_to_real.evidence.weigh import weigh
 from sim_to_real.fit.gauss_newton import refit
 from sim_to_real.locate.covariates import covariates
-from tests.sim_to_real.small import small_recording
+from tests.sim_to_real.small import of_stratum, small_recording
 
 
 def test_an_experiment_that_parts_all_leaves_one():
@@ -68,7 +69,7 @@ def test_every_effect_has_a_witness():
 )
 def test_what_tells_two_effects_of_a_dry_run_apart(hidden, rival, tells, tmp_path):
     expected = small_recording(tmp_path / "made", hidden, 3)
-    dry = expected.subset(np.array([frame.stratum == "laser" for frame in expected.observed.frames]))
+    dry = of_stratum(expected, "laser")
     ((name, _),) = hidden.items()
     measurement = next_measurement(dry, *left_open(dry, name, rival), POLICY)
     assert measurement.separates == (name, rival)
@@ -159,5 +160,6 @@ def test_no_experiment_is_asked_for_that_the_recording_holds(tmp_path):
 
 
 def test_where_nothing_is_open_nothing_is_asked_for():
-    sure = Posterior(None, (None, None), None, 0.0, (0.99, 0.01), 0.0)
+    likely, other = (SimpleNamespace(ids=(name,)) for name in ("gamma", "fume"))
+    sure = Posterior(None, (likely, other), None, 0.0, (0.99, 0.01), 0.0)
     assert next_measurement(None, sure, None, POLICY) is None
