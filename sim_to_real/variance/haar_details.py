@@ -189,14 +189,18 @@ class FixedPattern:
 
 
 def fixed_pattern(
-    details: Sequence[HaarDetails], keeps: Sequence[Bool], using: VarianceSizes
+    details: Sequence[HaarDetails], keeps: Sequence[Bool], using: VarianceSizes, places: Sequence[int]
 ) -> FixedPattern:
-    """Return what recurs in the details of the same pixels; `keeps` (h, w) are the frames' bins."""
+    """Return what recurs in the details of the same pixels; `keeps` (h, w) are the frames' bins.
+
+    Frames of one of the `places` (n_frames,) show the same of the part, whose own pattern recurs too: what
+    they share counts for nothing.
+    """
     variances = [frame.variance(using, using.laser_small) for frame in details]
-    pixels, pixels_sigma = _recurring([frame.small for frame in details], details, keeps, variances)
+    pixels, pixels_sigma = _recurring([frame.small for frame in details], details, keeps, variances, places)
     if not details[0].across.shape[1]:
         return FixedPattern(pixels, pixels_sigma, 0.0, 0.0)
-    both, both_sigma = _recurring([frame.across for frame in details], details, keeps, variances)
+    both, both_sigma = _recurring([frame.across for frame in details], details, keeps, variances, places)
     columns = (both - pixels) / COLUMN_GAIN
     n_columns = max(int(np.any(keeps, axis=(0, 1)).sum()), 1)
     sampled = columns * math.sqrt(2.0 / n_columns)
@@ -210,21 +214,25 @@ def _recurring(
     details: Sequence[HaarDetails],
     keeps: Sequence[Bool],
     variances: Sequence[Float64],
+    places: Sequence[int],
 ) -> tuple[float, float]:
     """Return the relative variance of details (n, k) that recur, and its 1 sigma.
 
-    Only products of different frames count: their noise does not recur.
+    Only products of frames of different places count: their noise does not recur.
     """
     shape, k = keeps[0].shape, parts[0].shape[1]
-    first, squares = np.zeros((*shape, k)), np.zeros((*shape, k))
-    light, light_squares = np.zeros(shape), np.zeros(shape)
-    for part, frame, keep, variance in zip(parts, details, keeps, variances, strict=True):
-        cap = CLIP_SIGMAS * np.sqrt(variance)[:, np.newaxis]
-        weighted = np.clip(part, -cap, cap) * (np.sqrt(frame.light) / variance)[:, np.newaxis]
-        first[keep] += weighted
-        squares[keep] += weighted**2
-        light[keep] += frame.light / variance
-        light_squares[keep] += (frame.light / variance) ** 2
-    over = float(np.sum(first**2 - squares))
-    under = k * float(np.sum(light**2 - light_squares))
+    every, light_of_all = np.zeros((*shape, k)), np.zeros(shape)
+    over = under = 0.0
+    for place in sorted(set(places)):
+        here, light = np.zeros((*shape, k)), np.zeros(shape)
+        for n in (n for n, of_frame in enumerate(places) if of_frame == place):
+            variance, keep = variances[n], keeps[n]
+            cap = CLIP_SIGMAS * np.sqrt(variance)[:, np.newaxis]
+            over_noise = np.clip(parts[n], -cap, cap) * (np.sqrt(details[n].light) / variance)[:, np.newaxis]
+            here[keep] += over_noise
+            light[keep] += details[n].light / variance
+        over -= float(np.sum(here**2))
+        under -= k * float(np.sum(light**2))
+        every, light_of_all = every + here, light_of_all + light
+    over, under = over + float(np.sum(every**2)), under + k * float(np.sum(light_of_all**2))
     return (over / under, math.sqrt(2.0 / under)) if under > 0.0 else (0.0, math.inf)

@@ -18,6 +18,8 @@ from scipy.stats import norm
 from noise_model.arrays import Bool, Float64
 from noise_model.effects import REGISTRY
 from noise_model.effects.compression import BLOCK_PX, compressed_variance, quantisation_steps
+from noise_model.stripe import stripe_depth_mm
+from noise_model.transforms import transform
 from sim_to_real.data.binned import Observed, ObservedFrame, variances_dn2
 from sim_to_real.data.blocks import block_means
 from sim_to_real.fit.gauss_newton import Refit
@@ -170,7 +172,8 @@ def _read_ratio(fit: VarianceSizes, pixels: Sequence[HaarDetails]) -> tuple[floa
     """Return the seen read noise over the stated one, and its 1 sigma."""
     ratio = math.sqrt(max(1.0 + fit.read, 1e-3))
     # The sigma of a square is 2 ratio times the ratio's own.
-    return ratio, 0.5 / ratio * math.hypot(math.sqrt(fit.covariance[0, 0]), _size_error(fit, pixels, "read"))
+    error = _size_error(fit, pixels, "read", fit.laser_small)
+    return ratio, 0.5 / ratio * math.hypot(math.sqrt(fit.covariance[0, 0]), error)
 
 
 def _read_noise(
@@ -198,7 +201,7 @@ def _fixed_pattern(
     """Return the fixed pattern, if there are enough frames in which it could recur."""
     if sum(frame.stratum != "dark" for frame in observed.frames) < MIN_LIT_FRAMES:
         return []
-    seen = fixed_pattern(pixels, keeps, fit)
+    seen = fixed_pattern(pixels, keeps, fit, _places(observed))
     if not math.isfinite(seen.pixels_sigma):
         return []
     of_pixels, of_columns = max(seen.pixels, 0.0), max(seen.columns, 0.0)
@@ -217,14 +220,33 @@ def _fixed_pattern(
     ]
 
 
+def _places(observed: Observed) -> list[int]:
+    """Return which place of the part each frame shows (n_frames,): the same within a pixel."""
+    setup = observed.setup
+    first: list[Float64] = []
+    pixel_mm = abs(stripe_depth_mm(setup)) / setup.camera.fx
+    places: list[int] = []
+    for frame in observed.frames:
+        corners = transform(frame.T_base_tool_in(setup), np.eye(3) * setup.laser.origin_in_tool_mm[2])
+        moved_mm = [float(np.max(np.linalg.norm(corners - other, axis=1))) for other in first]
+        near = [n for n, by in enumerate(moved_mm) if by < pixel_mm]
+        if not near:
+            first.append(corners)
+        places.append(near[0] if near else len(first) - 1)
+    return places
+
+
 def _laser_speckle(
     fit: VarianceSizes, pixels: Sequence[HaarDetails], observed: Observed
 ) -> list[_RandomEffect]:
     """Return the speckle, if there are enough frames with the laser on."""
     if sum(bool(frame.in_stripe.any()) for frame in observed.frames) < MIN_LIT_FRAMES:
         return []
-    error = math.hypot(_size_error(fit, pixels, "laser"), _pattern_error(fit, pixels, observed))
-    seen = fit_speckle(fit, error, observed.bin_px)
+    of_pattern = _pattern_error(fit, pixels, observed)
+    with_it, without = (
+        math.hypot(_size_error(fit, pixels, "laser", size), of_pattern) for size in (fit.laser_small, 0.0)
+    )
+    seen = fit_speckle(fit, with_it, without, observed.bin_px)
     return [
         _RandomEffect(
             "laser_speckle",
@@ -287,9 +309,12 @@ def _compressed_excess(frame: ObservedFrame, observed: Observed, quality: float)
     return block_means(compressed_dn2 / stated_dn2 - 1.0, observed.bin_px)[frame.keep]
 
 
-def _size_error(fit: VarianceSizes, pixels: Sequence[HaarDetails], name: str) -> float:
-    """Return a size's error if all variances have the relative error that the fit leaves."""
-    ratios = [getattr(details, name) / details.variance(fit, fit.laser_small) for details in pixels]
+def _size_error(fit: VarianceSizes, pixels: Sequence[HaarDetails], name: str, of_laser: float) -> float:
+    """Return a size's error if all variances have the relative error that the fit leaves.
+
+    `of_laser` is the size that goes with the laser's light: without speckle none of its variance is there.
+    """
+    ratios = [getattr(details, name) / details.variance(fit, of_laser) for details in pixels]
     over = np.concatenate(ratios)
     error_rel = math.hypot(VARIANCE_ERROR_REL, fit.error_rel)
     return error_rel * float(np.sum(over)) / max(float(np.sum(over**2)), 1e-12)

@@ -53,17 +53,21 @@ def variance_kept(grain_px: float, weights: Float64) -> float:
     return float(weights @ correlation @ weights) ** 2
 
 
-def fit_speckle(sizes: VarianceSizes, error: float, bin_px: int) -> Speckle:
-    """Return the speckle that fits the two sizes that go with the laser's light; `error` is that of either.
+def fit_speckle(sizes: VarianceSizes, error: float, error_without: float, bin_px: int) -> Speckle:
+    """Return the speckle that fits the two sizes that go with the laser's light.
 
-    Priors are the catalogue's. Without speckle the sizes are the model's own error.
+    `error` is that of either if there is speckle, `error_without` if there is none: the sizes are the model's
+    own error then, a share of the variance that there is without. Priors are the catalogue's.
     """
     measured = np.array([sizes.laser_small, sizes.laser_large])
     known = np.array([True, bin_px >= DETAIL_PX])
-    covariance = sizes.covariance[2:, 2:] + np.diag(np.full(2, error**2 + WHITE_ERROR_REL**4))
+    covariance, of_none = (
+        sizes.covariance[2:, 2:] + np.diag(np.full(2, e**2 + WHITE_ERROR_REL**4))
+        for e in (error, error_without)
+    )
     kept = np.array([[variance_kept(g, w) for w in (SMALL_WEIGHTS, LARGE_WEIGHTS)] for g in GRAINS_PX])
     predicted = CONTRASTS[:, np.newaxis, np.newaxis] ** 2 * kept
-    without = _ln_normal(measured[known], np.zeros(known.sum()), covariance[np.ix_(known, known)])
+    without = _ln_normal(measured[known], np.zeros(known.sum()), of_none[np.ix_(known, known)])
     spread = covariance + np.einsum("cgi,ij->cgij", (CORRELATION_ERROR_REL * predicted) ** 2, np.eye(2))
     with_it = _ln_normal(measured[known], predicted[..., known], spread[..., known, :][..., known])
     prior = _ln_prior("contrast", CONTRASTS)[:, np.newaxis] + _ln_prior("grain_px", GRAINS_PX)

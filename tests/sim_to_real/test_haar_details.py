@@ -116,17 +116,29 @@ def test_what_stays_with_pixels_and_with_columns_comes_back(pixels, columns):
     expected, fitted = recorded(np.random.default_rng(8), Scattering(pixels=pixels, columns=columns))
     frames = expected.observed.frames
     values = [haar_details(f, light, BIN_PX) for f, light in zip(frames, fitted.lights, strict=True)]
-    result = fixed_pattern(values, [frame.keep for frame in frames], fit_sizes(values))
+    result = fixed_pattern(values, [frame.keep for frame in frames], fit_sizes(values), range(len(frames)))
     assert result.pixels == pytest.approx(pixels**2, rel=0.1, abs=4.0 * result.pixels_sigma)
     assert result.columns == pytest.approx(columns**2, abs=4.0 * result.columns_sigma)
     assert result.pixels_sigma < 0.003**2
+
+
+def test_what_the_part_shows_again_in_a_place_is_no_pattern_of_pixels():
+    expected, fitted = recorded(np.random.default_rng(8), Scattering(pixels=0.03))
+    frames = expected.observed.frames
+    values = [haar_details(f, light, BIN_PX) for f, light in zip(frames, fitted.lights, strict=True)]
+    keeps, fit = [frame.keep for frame in frames], fit_sizes(values)
+    assert fixed_pattern(values, keeps, fit, [0] * len(frames)).pixels_sigma == np.inf
+    # Two places tell less than one for each frame, and the same.
+    two = fixed_pattern(values, keeps, fit, [n % 2 for n in range(len(frames))])
+    assert two.pixels == pytest.approx(0.03**2, rel=0.2)
+    assert two.pixels_sigma > fixed_pattern(values, keeps, fit, range(len(frames))).pixels_sigma
 
 
 def test_fresh_noise_that_goes_with_light_does_not_come_back():
     rng, keep = np.random.default_rng(4), np.ones((40, 50), dtype=bool)
     values = [made(rng, 2_000, gain=0.03) for _ in range(10)]
     fit = fit_sizes(values)
-    result = fixed_pattern(values, [keep] * 10, fit)
+    result = fixed_pattern(values, [keep] * 10, fit, range(10))
     assert fit.light == pytest.approx(0.03**2, rel=0.1)
     assert abs(result.pixels) < 4.0 * result.pixels_sigma < 0.1 * fit.light
     assert np.sum(SECOND_DIFFERENCE.sum(axis=0) ** 2) == of_details.COLUMN_GAIN

@@ -38,7 +38,7 @@ def of_speckle(contrast, grain_px):
 
 @pytest.mark.parametrize(("contrast", "grain_px"), [(0.06, 0.6), (0.1, 1.0), (0.3, 1.5)])
 def test_contrast_and_grain_come_back(contrast, grain_px):
-    speckle_fit = fit_speckle(of_speckle(contrast, grain_px), 1e-5, BIN_PX)
+    speckle_fit = fit_speckle(of_speckle(contrast, grain_px), 1e-5, 1e-5, BIN_PX)
     assert speckle_fit.evidence > 20.0
     assert speckle_fit.contrast == pytest.approx(contrast, abs=2.0 * speckle_fit.sigmas[0])
     assert speckle_fit.grain_px == pytest.approx(grain_px, abs=2.0 * speckle_fit.sigmas[1])
@@ -48,15 +48,24 @@ def test_contrast_and_grain_come_back(contrast, grain_px):
 
 def test_without_speckle_there_is_none():
     nothing = VarianceSizes(0.0, 0.0, 0.0, 0.0, SURE, 0.0)
-    assert fit_speckle(nothing, 1e-5, BIN_PX).evidence < -1.0
+    assert fit_speckle(nothing, 1e-5, 1e-5, BIN_PX).evidence < -1.0
     # White noise that goes with the laser as little as the model may be off.
     little = VarianceSizes(0.0, 0.0, 1e-5, 1e-5, SURE, 0.0)
-    assert fit_speckle(little, 1e-5, BIN_PX).evidence < 0.0
+    assert fit_speckle(little, 1e-5, 1e-5, BIN_PX).evidence < 0.0
 
 
 def test_small_bins_tell_it_by_their_one_detail():
-    speckle_fit = fit_speckle(of_speckle(0.2, 0.8), 1e-5, 2)
+    speckle_fit = fit_speckle(of_speckle(0.2, 0.8), 1e-5, 1e-5, 2)
     assert speckle_fit.evidence > 20.0
     # Contrast and grain are not told apart: its sigma says so.
     assert speckle_fit.contrast == pytest.approx(0.2, abs=2.0 * speckle_fit.sigmas[0])
     assert speckle_fit.sigmas[0] > 0.02
+
+
+def test_scatter_many_times_the_noise_is_speckle_however_badly_the_variance_fits():
+    contrast, grain_px = 0.5, 0.9
+    # The fitted variance is off by a half along the light. Without speckle it would be a hundredth of it.
+    error = 0.5 * contrast**2
+    speckle_fit = fit_speckle(of_speckle(contrast, grain_px), error, 0.01 * error, BIN_PX)
+    assert speckle_fit.evidence > 20.0
+    assert fit_speckle(of_speckle(contrast, grain_px), error, error, BIN_PX).evidence < 3.0
