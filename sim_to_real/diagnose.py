@@ -33,6 +33,7 @@ from sim_to_real.evidence.policy import POLICY
 from sim_to_real.evidence.weigh import Weighed, weigh
 from sim_to_real.fit.gauss_newton import Refit, converged, refit, refit_there
 from sim_to_real.fit.linearized_model import LinearizedModel
+from sim_to_real.fit.metal_of_stripe import metal_of_stripe
 from sim_to_real.locate.covariates import covariates
 from sim_to_real.locate.residual_structure import locate
 from sim_to_real.locate.spline_term import gap_size, spline_terms
@@ -62,10 +63,17 @@ def diagnose(
     `on_stage` is told what is being done and the share of all work that is done. Frames are predicted on so
     many `threads`; one is best where other processes are at work.
 
-    Raises ValueError for a setup without arc, filter or metal, for an unknown effect, if no frame has a pose,
-    if no frame can be held out of the fit, and if nothing in the frames can be compared.
+    A setup without arc, filter or metal leaves out the effects that need them. The metal is then the one that
+    the stripe shows.
+
+    Raises ValueError for a frame with the arc on where arc, filter or metal is missing, for an unknown
+    effect, if no frame has a pose, if no frame can be held out of the fit, and if nothing in the frames can
+    be compared.
     """
-    setup.require("a diagnosis", "arc", "filter", "material")
+    n_lit = sum(frame.arc_on and not frame.current_a <= 0.0 for frame in frames)
+    if n_lit:
+        lit = f"the diagnosis of the {n_lit} of {len(frames)} frames whose arc_on is 1 in frames.csv"
+        setup.require(lit, "arc", "filter", "material")
     for name in without:
         if name not in REGISTRY:
             raise ValueError(f"{name}: no such effect, there are {', '.join(REGISTRY)}")
@@ -87,6 +95,10 @@ def _diagnosed(
     observed = observe(setup, frames, pose_at)
     holdout = held_out(observed, HOLDOUT_SHARE)
     train = _comparable(observed, holdout)
+    if "material" in setup.missing:
+        tell("fitting the metal", 0.03)
+        change = metal_of_stripe(train, threads)
+        observed, train = observed.of_metal(change), train.of_metal(change)
     tell("fitting nuisances", 0.05)
     model, before, random_before = baseline_of(LinearizedModel(train, threads), without)
     # Pixels are weighed with the read noise that is seen; that of bins comes from the bins themselves.

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from enum import Enum
 
 from noise_model.arrays import Float32, Float64, Int64, Integers
-from noise_model.effects import not_followed
+from noise_model.effects import not_predicted
 from noise_model.setup import Setup
 
 
@@ -202,5 +202,5 @@ class Diagnosis:
 
 
 def excluded_effects(setup: Setup, without: Sequence[str]) -> tuple[str, ...]:
-    """Return the effects that are no candidates: those withheld, and those not predicted for the joint."""
-    return tuple(dict.fromkeys((*without, *not_followed(setup.joint))))
+    """Return the effects that are no candidates: those withheld, and those of which nothing is predicted."""
+    return tuple(dict.fromkeys((*without, *not_predicted(setup))))

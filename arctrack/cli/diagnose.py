@@ -43,8 +43,9 @@ def diagnose(
 ) -> None:
     """Compare recordings with the model: is there a gap, where, which effect causes it, how far it closes.
 
-    Writes report.html, report.json, where.npz and predicted.npz. A recording that fails does not stop the
-    others; the exit code is then 2.
+    Writes report.html, report.json, where.npz and predicted.npz. Frames whose arc is on need the setup's
+    tables of arc, filter and material; a plain laser's need none of them. A recording that fails does not
+    stop the others; the exit code is then 2.
     """
     from arctrack.cli import console
     from arctrack.cli.diagnose_text import print_many, print_one

@@ -34,7 +34,7 @@ __all__ = [
     "apply_condition_effects",
     "apply_setup_effects",
     "checked",
-    "not_followed",
+    "not_predicted",
     "pose_time_s",
 ]
 
@@ -65,9 +65,14 @@ def checked(
     return {name: effect.complete(effects[name]) for name, effect in REGISTRY.items() if name in effects}
 
 
-def not_followed(joint: Joint) -> tuple[str, ...]:
-    """Return the effects that are not predicted for a joint."""
-    return tuple(name for name, effect in REGISTRY.items() if not effect.is_followed(joint))
+def not_predicted(setup: Setup) -> tuple[str, ...]:
+    """Return the effects that nothing can be predicted of: for the joint, or without a missing section."""
+    missing = set(setup.missing)
+    return tuple(
+        name
+        for name, effect in REGISTRY.items()
+        if not effect.is_followed(setup.joint) or missing & set(effect.needs)
+    )
 
 
 def acting(setup: Setup) -> Iterator[tuple[Effect, dict[str, float]]]:

@@ -11,7 +11,7 @@ from scipy.special import ndtr
 from noise_model.arrays import Float32
 from noise_model.condition import Condition
 from noise_model.effects import drift
-from noise_model.effects.effect import UNSTATED, Draw, Effect, Stage, Values
+from noise_model.effects.effect import ANY_SCENE, Draw, Effect, Stage, Values
 from noise_model.effects.light import Light
 from noise_model.effects.pattern import in_image_px, normal_field, part_seed
 from noise_model.fit import Parameter
@@ -120,7 +120,7 @@ EFFECTS = (
         source="Goodman, Speckle Phenomena in Optics; Dorsch, Haeusler, Herrmann 1994, Appl. Opt. 33, 1306. "
         "The optics say how large both are: `noise_model.plan.noise.expected_speckle`",
         parameters=(
-            Parameter("contrast", "", 0.0, 0.2, 0.0, 1.0, 0.005),
+            Parameter("contrast", "", 0.0, 0.5, 0.0, 1.0, 0.005),
             Parameter("grain_px", "px", 1.0, 0.5, 0.25, 10.0, 0.05),
         ),
         typical={"contrast": 0.3, "grain_px": 1.0},
@@ -173,6 +173,7 @@ EFFECTS = (
         ),
         typical={"level_e": 3000.0, "texture": 0.2},
         light=_ambient_light,
-        form_rel=UNSTATED,
+        form_rel=ANY_SCENE,
+        is_textured=True,
     ),
 )

@@ -196,6 +196,7 @@ EFFECTS = (
         ),
         typical={"peak_e": 30_000.0, "length_mm": 15.0},
         light=_hot_metal_glow,
+        needs=("arc",),
     ),
     Effect(
         id="spatter",
@@ -230,6 +231,7 @@ EFFECTS = (
         ),
         typical={"extinction_per_m": 2.0, "scatter": 0.05},
         light=_fume,
+        needs=("arc",),
         form_rel=UNSTATED,
     ),
 )

@@ -99,7 +99,8 @@ class ObservedFrame:
 class Observed:
     """A recording's frames, and its seam as the tracker found it by `seam_observations`.
 
-    `setup` is as stated, `binned` the same with a camera of `bin_px` wide bins.
+    `setup` is as stated, `binned` the same with a camera of `bin_px` wide bins. `is_metal_fitted` says that
+    nobody stated the metal, and that it is the one which the stripe shows.
     """
 
     setup: Setup
@@ -108,6 +109,7 @@ class Observed:
     seam: SeamCurve
     seam_observations: SeamObservations
     frames: tuple[ObservedFrame, ...]
+    is_metal_fitted: bool = False
 
     @property
     def lit(self) -> Bool:
@@ -133,6 +135,11 @@ class Observed:
         return self.seam.through(
             *self.seam_observations.in_joint(known), self.seam_observations.variances_mm2
         )
+
+    def of_metal(self, change: Callable[[Setup], Setup]) -> Observed:
+        """Return the same of another metal, which no setup states; `change` puts it in place."""
+        setup, binned = change(self.setup), change(self.binned)
+        return replace(self, setup=setup, binned=binned, is_metal_fitted=True)
 
     def with_read_noise(self, ratio: float) -> Observed:
         """Return the same with the stated read noise times a ratio."""

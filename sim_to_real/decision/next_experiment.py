@@ -54,7 +54,7 @@ def planned_frame(experiment: Experiment, frame: ObservedFrame, setup: Setup) ->
     condition = Condition.of(
         setup,
         laser_on=experiment.laser_on,
-        arc_on=experiment.arc_on,
+        arc_on=experiment.arc_on and setup.arc.shines,
         current_a=experiment.current * setup.arc.current_a,
         exposure_s=experiment.exposure * setup.camera.exposure_s,
         timestamp_s=frame.condition.timestamp_s,
@@ -72,16 +72,18 @@ def is_recorded(experiment: Experiment, observed: Observed) -> bool:
     setup = observed.setup
     if any(experiment.turn_deg) or any(experiment.move_mm) or experiment.speed != 1.0:
         return False
+    # Without an arc the menu's arc is off: the same frames may stand there twice.
+    arc_on = experiment.arc_on and setup.arc.shines
 
     def is_like(condition: Condition) -> bool:
         current = condition.arc_level ** (1.0 / setup.arc.current_exponent)
         return (
             (condition.laser_level > 0.0) == experiment.laser_on
-            and (condition.arc_level > 0.0) == experiment.arc_on
+            and (condition.arc_level > 0.0) == arc_on
             and math.isclose(
                 condition.exposure_s, experiment.exposure * setup.camera.exposure_s, rel_tol=RECORDED_REL
             )
-            and (not experiment.arc_on or math.isclose(current, experiment.current, rel_tol=RECORDED_REL))
+            and (not arc_on or math.isclose(current, experiment.current, rel_tol=RECORDED_REL))
         )
 
     return any(is_like(frame.condition) for frame in observed.frames)

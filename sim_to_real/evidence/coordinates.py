@@ -26,6 +26,9 @@ IN_EACH_FRAME = "arc in each frame"
 TOGETHER, ANYTHING = "all of these", "anything"
 """The free terms of all of a stage's bases, and of all bases."""
 
+PART_KNOTS = (9, 6)
+"""Knots of the scene's texture along the seam and across it."""
+
 ADDED_DN = 50.0
 """What a free term of size 1 adds where it adds to the image, DN."""
 
@@ -57,7 +60,10 @@ class _Basis:
 
 
 def free_terms(covariates: Covariates) -> tuple[FreeTerm, ...]:
-    """Return the terms of an unknown cause: of bases, of a stage's together, of displacements, of all."""
+    """Return the terms of an unknown cause: of bases, of a stage's together, of displacements, of all.
+
+    Those that change nothing, of the arc where none burns, are no causes.
+    """
     bases = _bases(covariates)
     terms = [
         FreeTerm(basis.stage, basis.name, basis.functions * basis.light[:, np.newaxis]) for basis in bases
@@ -66,8 +72,10 @@ def free_terms(covariates: Covariates) -> tuple[FreeTerm, ...]:
         together = [term.columns for term in terms if term.stage is stage]
         if len(together) > 1:
             terms.append(FreeTerm(stage, TOGETHER, np.hstack(together)))
+    terms.append(FreeTerm(Stage.ILLUMINATION, "light of the hall over the part", _hall(covariates)))
     terms += _displacements(covariates)
     every = np.hstack([term.columns for term in terms if term.name != TOGETHER])
+    terms = [term for term in terms if term.columns.any()]
     return (*terms, FreeTerm(None, ANYTHING, every))
 
 
@@ -83,6 +91,12 @@ def form_functions(covariates: Covariates) -> Mapping[Stage, Float32]:
         parts = [everywhere, *(basis.functions for basis in bases if basis.stage is stage)]
         forms[stage] = np.asarray(np.hstack(parts) / math.sqrt(len(parts)), dtype=np.float32)
     return forms
+
+
+def texture(covariates: Covariates) -> Float32:
+    """Return smooth functions (n, k) of the place on the part: how the scene's brightness may vary."""
+    along_mm, aside_mm = covariates.part_mm.T
+    return hats_2d(along_mm, aside_mm, *PART_KNOTS)
 
 
 def _bases(covariates: Covariates) -> list[_Basis]:
@@ -125,6 +139,13 @@ def _bases(covariates: Covariates) -> list[_Basis]:
         _Basis(Stage.SENSOR, "light in each frame", in_frame, light),
         _Basis(Stage.SENSOR, "rows", along("row", 5), added),
     ]
+
+
+def _hall(covariates: Covariates) -> Float32:
+    """Return what light that shows the part's texture adds (n, k), whatever laser and arc do."""
+    exposed = covariates.values["exposure"]
+    added = ADDED_DN * exposed / max(float(np.max(exposed, initial=0.0)), 1e-9) / covariates.sigma_dn
+    return np.asarray(texture(covariates) * added[:, np.newaxis], dtype=np.float32)
 
 
 def _displacements(covariates: Covariates) -> list[FreeTerm]:

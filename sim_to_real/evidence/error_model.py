@@ -18,7 +18,15 @@ from noise_model.arrays import Bool, Float32, Float64, Int64
 from noise_model.effects import REGISTRY
 from noise_model.effects.effect import Stage
 from noise_model.setup import Tolerance
-from sim_to_real.evidence.coordinates import FreeTerm, form_functions, free_terms, hats_2d, in_each_frame
+from sim_to_real.data.binned import Observed
+from sim_to_real.evidence.coordinates import (
+    FreeTerm,
+    form_functions,
+    free_terms,
+    hats_2d,
+    in_each_frame,
+    texture,
+)
 from sim_to_real.evidence.metric import Metric, MetricLoss, log_evidence, robust_weights
 from sim_to_real.evidence.policy import Policy
 from sim_to_real.fit.gauss_newton import Refit
@@ -115,6 +123,7 @@ class ErrorModel:
     metric: Metric
     free_terms: tuple[FreeTerm, ...]
     form_functions: Mapping[Stage, Float32]
+    texture: Float32
 
     @classmethod
     def of(
@@ -139,14 +148,18 @@ class ErrorModel:
             [
                 _smooth_error(chosen, policy),
                 sampling,
-                *(_negligible(columns, policy) for columns in effects),
+                *(
+                    columns if _is_open(model.observed, score.id) else _negligible(columns, policy)
+                    for score, columns in zip(scores, effects, strict=True)
+                ),
                 *(_tolerated(score, model.observed.setup.tolerance, rows) for score in scores),
             ]
         )
         at_start = Linearized.of(start, rows)
         every = np.hstack([at_start.columns.changes, floor, *(term.columns for term in terms), *effects])
         weights = robust_weights(at_start.residuals, every, policy.tail_dof)
-        return cls(rows, Metric.of(floor.astype(np.float32), weights), terms, forms)
+        metric = Metric.of(floor.astype(np.float32), weights)
+        return cls(rows, metric, terms, forms, texture(chosen))
 
     def log_evidence(self, hypothesis: Linearized, *further: Columns) -> float:
         """Return ln Z, nats, of a hypothesis, with further columns."""
@@ -171,7 +184,8 @@ class ErrorModel:
     def form_error(self, effect: str, change: Float64 | Float32) -> Columns:
         """Return the error of an effect's form; `change` (n,) is what the effect does."""
         share = np.float32(REGISTRY[effect].form_rel)
-        functions = self.form_functions[REGISTRY[effect].stage]
+        is_textured, stage = REGISTRY[effect].is_textured, REGISTRY[effect].stage
+        functions = self.texture if is_textured else self.form_functions[stage]
         return Columns.free(np.asarray(share * functions * change[:, np.newaxis], dtype=np.float32))
 
 
@@ -217,6 +231,11 @@ def chosen_rows(covariates: Covariates, count: int, with_stripe: bool) -> Int64:
         places = np.flatnonzero(members)
         chosen.append(draw.permutation(places)[: count // 2])
     return np.sort(np.concatenate(chosen))
+
+
+def _is_open(observed: Observed, name: str) -> bool:
+    """Say whether an effect is but another value of what no setup states: the metal that the stripe shows."""
+    return observed.is_metal_fitted and "material" in REGISTRY[name].needs
 
 
 def _negligible(columns: Float32, policy: Policy) -> Float32:

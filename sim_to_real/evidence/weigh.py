@@ -10,7 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from noise_model.arrays import Float64
-from noise_model.effects import REGISTRY
+from noise_model.effects import REGISTRY, not_predicted
 from sim_to_real.diagnosis import Estimate
 from sim_to_real.evidence.error_model import ErrorModel, Linearized
 from sim_to_real.evidence.hypotheses import Posterior
@@ -110,7 +110,9 @@ def weigh(
         # A large gap biases the nuisances so far that no effect could fit: start from the stated values.
         model = model.anchored_at(model.neutral, {})
         start = refit(model, {}, model.neutral, steps=0)
-    every_score = score_effects(model, start, list(FAMILIES))
+    # Of some effects nothing can be predicted, and some change nothing that the recording shows.
+    predicted = [name for name in FAMILIES if name not in not_predicted(model.observed.setup)]
+    every_score = [score for score in score_effects(model, start, predicted) if score.is_seen]
     errors = ErrorModel.of(model, of_bins, start, every_score, POLICY)
     scores = [score for score in every_score if score.id not in without]
     search = HypothesisSearch(model, start, scores, errors, POLICY, without, on_stage)

@@ -64,6 +64,7 @@ PER_BIN = (
     "arc_dn",
     "laser_dn",
     "predicted_dn",
+    "part_mm",
     "tangents",
 )
 """The arrays of `Covariates` with an entry for each bin, beside the values."""
@@ -75,7 +76,8 @@ class Covariates:
 
     `values` are the covariates by name, see `UNITS`; `frame` is the frame's position, `bins` the place in the
     flattened frame of bins `shape` (h, w), `stratum` an index into `STRATA`; `sigma_dn` the noise. `arc_dn`,
-    `laser_dn` and `predicted_dn` are the predicted light of the sources and the predicted mean, DN.
+    `laser_dn` and `predicted_dn` are the predicted light of the sources and the predicted mean, DN;
+    `part_mm` (n, 2) is the place on the part, along the seam and to its left, NaN past it.
     `tangents` (n, p) are the changes of the whitened prediction with the `nuisances`, whose values are
     `anchor` (p,).
     """
@@ -90,6 +92,7 @@ class Covariates:
     arc_dn: Float32
     laser_dn: Float32
     predicted_dn: Float32
+    part_mm: Float32
     tangents: Float32
     nuisances: tuple[Parameter, ...]
     anchor: Float64
@@ -150,6 +153,7 @@ def covariates(model: LinearizedModel, fit: Refit) -> Covariates:
                 "arc_dn": dn_per_e * light.arc_e,
                 "laser_dn": dn_per_e * light.laser_e,
                 "predicted_dn": predicted_dn,
+                "part_mm": view.surface[0][:, :2],
             }
         )
 
@@ -167,6 +171,7 @@ def covariates(model: LinearizedModel, fit: Refit) -> Covariates:
         joined("arc_dn"),
         joined("laser_dn"),
         joined("predicted_dn"),
+        joined("part_mm"),
         -fit.jacobian[:, : len(anchor)].astype(np.float32),
         model.nuisances,
         anchor,

@@ -52,6 +52,11 @@ class ScoreTest:
         """The scores of all of the effect's families, the best first."""
         return (self, *self.others)
 
+    @property
+    def is_seen(self) -> bool:
+        """Whether the effect changes any bin at all."""
+        return any(score.signature.any() for score in self.families)
+
     def step_limits(self) -> list[tuple[float, float]]:
         """Return the limits of each step within the parameters' bounds, and within `MAX_STEP` steps."""
         start = np.array(list(self.origin.values()))

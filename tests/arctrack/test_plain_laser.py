@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import json
 import shutil
 from dataclasses import replace
 from pathlib import Path
@@ -129,7 +130,6 @@ def test_commands_that_need_no_arc(command: str, said: str, path: Path, tmp_path
     ("command", "missing"),
     [
         (("plan",), "[arc], [filter], [material] are missing: a plan needs"),
-        (("diagnose",), "[arc], [filter], [material] are missing: a diagnosis needs"),
         (("calibrate", "hand-eye"), "[arc], [material] are missing: the hand-eye estimate needs"),
     ],
 )
@@ -137,6 +137,29 @@ def test_commands_that_need_more_say_what(
     command: tuple[str, ...], missing: str, path: Path, tmp_path: Path, refusal: Refusal
 ) -> None:
     assert missing in refusal(*command, path, "--out", tmp_path / "out")
+
+
+def test_the_diagnosis_of_frames_with_an_arc_needs_what_the_arc_does(
+    path: Path, tmp_path: Path, refusal: Refusal
+) -> None:
+    copy = Path(shutil.copytree(path, tmp_path / "r"))
+    frames = (copy / "frames.csv").read_text()
+    (copy / "frames.csv").write_text(frames.replace(",1,0,0,", ",1,1,100,"))
+    said = refusal("diagnose", copy, "--out", tmp_path / "out")
+    assert f"{copy}: [arc], [filter], [material] are missing: the diagnosis of the " in said
+    assert " frames whose arc_on is 1 in frames.csv needs them; state them" in said
+
+
+@pytest.mark.slow
+def test_it_is_diagnosed(path: Path, tmp_path: Path) -> None:
+    code, said = run("diagnose", path, "--out", tmp_path / "out")
+    assert code == 0, said
+    report = json.loads((tmp_path / "out" / "report.json").read_text())
+    assert report["verdict"] == "no_gap"
+    ranked = {candidate["id"] for candidate in report["ranking"]}
+    assert not ranked & {name for name, effect in REGISTRY.items() if effect.needs}
+    page = (tmp_path / "out" / "report.html").read_text()
+    assert "Left out of the catalogue: arc_length," in page
 
 
 def test_a_filters_curve_needs_its_index(path: Path, tmp_path: Path, refusal: Refusal) -> None:

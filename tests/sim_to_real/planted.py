@@ -45,6 +45,7 @@ def planted(n_frames=24, shape=(24, 32), seed=0):
         arc_dn.astype(np.float32),
         laser_dn.astype(np.float32),
         values["gray_level"].astype(np.float32),
+        np.column_stack([row + 0.8 * frame, column]).astype(np.float32),
         np.zeros((len(frame), 9), dtype=np.float32),
         tuple(Parameter(f"p{n}", "", 0.0, 1.0, -3.0, 3.0, 0.1) for n in range(9)),
         np.zeros(9),

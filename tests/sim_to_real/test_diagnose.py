@@ -7,6 +7,8 @@ import pytest
 
 from arctrack.nominal import nominal_setup
 from arctrack.simulate import SimulationPlan
+from noise_model.arc_source import NO_ARC
+from noise_model.surface.brdf import UNSTATED_METAL
 from sim_to_real.diagnose import diagnose
 from sim_to_real.diagnosis import Verdict, excluded_effects
 from tests.sim_to_real.small import EXACT, example_setup, recorded
@@ -113,6 +115,26 @@ def test_bounced_light_in_a_u_is_no_candidate():
     assert excluded_effects(groove, ("gamma",)) == ("gamma",)
     assert excluded_effects(u, ("gamma",)) == ("gamma", "interreflection")
     assert excluded_effects(u, ("interreflection",)) == ("interreflection",)
+
+
+def test_what_needs_a_section_that_is_missing_is_no_candidate():
+    stated = example_setup()
+    no_arc, no_filter, no_metal = (
+        replace(stated, **{part: none})
+        for part, none in (("arc", NO_ARC), ("filter", None), ("material", UNSTATED_METAL))
+    )
+    assert "arc_length" in excluded_effects(no_arc, ())
+    assert "hot_metal_glow" in excluded_effects(no_arc, ())
+    assert excluded_effects(no_filter, ()) == ("argon_line_leak", "filter_shift")
+    assert "brdf_tail" in excluded_effects(no_metal, ())
+    for setup in (no_arc, no_filter, no_metal):
+        assert "ghost_stripe" not in excluded_effects(setup, ())
+
+
+def test_an_arc_that_nobody_stated_is_refused(short):
+    setup, frames, pose_at = short
+    with pytest.raises(ValueError, match=r"^\[arc\] is missing: the diagnosis of the \d+ of 32 frames"):
+        diagnose(replace(setup, arc=NO_ARC), frames, pose_at)
 
 
 def test_what_scatters_is_named_beside_what_changes_the_mean(tmp_path):

@@ -1,5 +1,7 @@
 """The coordinates of the stages, and what an unknown cause at one of them explains."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -42,12 +44,21 @@ def test_over_the_image_they_are_products():
 def test_every_stage_has_functions_for_forms_and_terms_for_the_unknown(covariates):
     forms, terms = form_functions(covariates), free_terms(covariates)
     assert set(forms) == set(Stage)
-    assert {term.stage for term in terms} == {*Stage, None}
+    # Planted frames have no tangents: neither a pose nor a clock changes them.
+    assert {term.stage for term in terms} == {*Stage, None} - {Stage.GEOMETRY, Stage.TIMING}
     # Two hats beside each other share a bin, and powers of the field angle add up.
     for functions in forms.values():
         variance = np.sum(functions**2, axis=1)
         assert 0.2 < variance.min() <= variance.max() < 2.0
     assert len({(term.stage, term.name) for term in terms}) == len(terms)
+
+
+def test_without_an_arc_nothing_of_it_is_a_cause(covariates):
+    plain = replace(covariates, arc_dn=np.zeros_like(covariates.arc_dn))
+    plain = replace(plain, values={**plain.values, "current": np.zeros_like(plain.arc_dn)})
+    terms = free_terms(plain)
+    assert Stage.SOURCE not in {term.stage for term in terms}
+    assert all(term.columns.any() for term in terms)
 
 
 @pytest.mark.parametrize(
@@ -57,6 +68,8 @@ def test_every_stage_has_functions_for_forms_and_terms_for_the_unknown(covariate
         (Stage.SENSOR, lambda c: 3.0 * np.sin(c.values["gray_level"] / 25.0)),
         (Stage.ILLUMINATION, lambda c: c.laser_dn * 0.1 * np.sin(c.values["column"] / 5.0)),
         (Stage.SOURCE, lambda c: c.arc_dn * 0.1 * np.cos(3.1 * c.frame)),
+        # Half of the part is brighter, and travels through the image.
+        (Stage.ILLUMINATION, lambda c: 4.0 * (c.part_mm[:, 0] > 9.0)),
     ],
 )
 def test_a_gap_is_likeliest_at_the_stage_where_it_arises(covariates, stage, gap):

@@ -1,0 +1,46 @@
+"""The metal that no setup states, as the laser's stripe shows it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+
+from noise_model.effects import REGISTRY
+from noise_model.setup import Setup
+from noise_model.surface.brdf import TABLE_1, Material
+from sim_to_real.data.binned import Observed
+from sim_to_real.fit.gauss_newton import refit
+from sim_to_real.fit.linearized_model import LinearizedModel
+
+METAL_EFFECTS = ("wrong_material", "roughness_change")
+"""The effects whose parameters are a metal's kappas and c2."""
+
+
+def metal_of_stripe(observed: Observed, threads: int) -> Callable[[Setup], Setup]:
+    """Return what puts the metal that a recording's stripe shows in place of an unstated one.
+
+    Of the paper's Table 1 the metal with which least is left is taken, and its kappas and c2 are fitted from
+    there with the nuisances. How bright the stripe is stays the laser's `peak_e`: kappas only say how its
+    brightness goes with the angles.
+    """
+    fits = []
+    for material in TABLE_1.values():
+        model = LinearizedModel(observed.of_metal(_of(material)), threads)
+        model = model.anchored_at(model.neutral, {})
+        fits.append((refit(model, {}, model.neutral), model, material))
+    start, model, material = min(fits, key=lambda fit: fit[0].mean_square)
+    fitted = refit(model, {name: REGISTRY[name].neutral for name in METAL_EFFECTS}, start.nuisance)
+
+    def change(setup: Setup) -> Setup:
+        setup = _of(material)(setup)
+        for name in METAL_EFFECTS:
+            apply = REGISTRY[name].setup
+            assert apply is not None
+            setup = apply(setup, fitted.effects[name])
+        return replace(setup, material=replace(setup.material, name="as the stripe shows it"))
+
+    return change
+
+
+def _of(material: Material) -> Callable[[Setup], Setup]:
+    return lambda setup: replace(setup, material=material)
