@@ -175,22 +175,31 @@ def open_labels(*folders: Path) -> Opened:
     """
     asked: list[Asked] = []
     of_seed: dict[int, Path] = {}
-    cases: list[Case] = []
+    every: list[Case] = []
     for folder in folders:
-        sealed, secret = _verified(folder)
-        options = Asked(**secret["asked"])
+        options = Asked(**_verified(folder)[1]["asked"])
         if options.seed in of_seed:
             other = of_seed[options.seed]
             raise in_file(folder, f"is of the seed {options.seed} as is {other}: they share recordings")
         of_seed[options.seed] = folder
         asked.append(options)
         mark = f"{real(folder).name}/" if len(folders) > 1 else ""
-        for name, seal in sorted(sealed.items()):
-            case = _case(folder, Run(name, seal["sha256"]), seal["again"], secret["labels"][name]["label"])
-            cases.append(replace(case, name=mark + name))
+        every += [replace(case, name=mark + case.name) for case in cases(folder)]
     n_planned = sum(len(options.plan()) for options in asked)
     tiers = "".join(tier for tier in TIERS if any(tier in options.tiers for options in asked))
-    return Opened(tuple(asked), n_planned, len(cases), score(cases, tiers))
+    return Opened(tuple(asked), n_planned, len(every), score(every, tiers))
+
+
+def cases(folder: Path) -> list[Case]:
+    """Return the recordings of a check, what they hide and what was answered; writes nothing.
+
+    Raises ArctrackError if a label is not the one that was sealed, or a result not that of this seal.
+    """
+    sealed, secret = _verified(folder)
+    return [
+        _case(folder, Run(name, seal["sha256"]), seal["again"], secret["labels"][name]["label"])
+        for name, seal in sorted(sealed.items())
+    ]
 
 
 def scores_json(opened: Opened) -> dict[str, Any]:

@@ -135,18 +135,18 @@ class ErrorModel:
         policy: Policy,
     ) -> ErrorModel:
         """Return the errors about a fit without effects; `scores` hold what each effect does to the bins."""
-        fourth_dn = _fourth_differences_dn(model, start)
-        rows = chosen_rows(covariates, policy.n_bins, _is_resolved(covariates, fourth_dn, policy.max_ripple))
+        fourth_dn = fourth_differences_dn(model, start)
+        rows = chosen_rows(covariates, policy.n_bins, is_resolved(covariates, fourth_dn, policy.max_ripple))
         chosen = covariates.subset(rows)
         terms, forms = free_terms(chosen), form_functions(chosen)
         effects = [
             np.hstack([Columns.along_probes(family, rows).changes for family in score.families])
             for score in scores
         ]
-        sampling = _sampling_error(model, covariates, fourth_dn)[rows]
+        sampling = sampling_error(model, covariates, fourth_dn)[rows]
         floor = np.hstack(
             [
-                _smooth_error(chosen, policy),
+                smooth_error(chosen, policy),
                 sampling,
                 *(
                     columns if _is_open(model.observed, score.id) else _negligible(columns, policy)
@@ -259,21 +259,21 @@ def _tolerated(score: ScoreTest, tolerance: Tolerance, rows: Int64) -> Float32:
     return np.asarray(per_sigma * np.array(sizes)[moved], dtype=np.float32)
 
 
-def _fourth_differences_dn(model: LinearizedModel, start: Refit) -> Float64:
+def fourth_differences_dn(model: LinearizedModel, start: Refit) -> Float64:
     """Return the fourth difference of the laser's light between bins (n,), DN, of all frames' bins."""
     fourth_e = model.laser_fourth_differences(start.nuisance)
     parts = [light.dn_per_e() * of_frame for light, of_frame in zip(start.lights, fourth_e, strict=True)]
     return np.concatenate(parts)
 
 
-def _is_resolved(covariates: Covariates, fourth_dn: Float64, max_ripple: float) -> bool:
+def is_resolved(covariates: Covariates, fourth_dn: Float64, max_ripple: float) -> bool:
     """Say whether bins resolve the stripe: its fourth difference is no more than so much of its light."""
     of_stripe = covariates.in_stripe
     ripple, light = np.square(fourth_dn[of_stripe]), np.square(covariates.laser_dn[of_stripe])
     return bool(np.sum(ripple) <= max_ripple**2 * np.sum(light))
 
 
-def _sampling_error(model: LinearizedModel, covariates: Covariates, fourth_dn: Float64) -> Float32:
+def sampling_error(model: LinearizedModel, covariates: Covariates, fourth_dn: Float64) -> Float32:
     """Return what bins do to a stripe that they hardly resolve, in all bins (n, 1).
 
     A kernel whose fourth moment is off by m is off by m / 24 of a fourth difference. Three taps of variance v
@@ -283,7 +283,7 @@ def _sampling_error(model: LinearizedModel, covariates: Covariates, fourth_dn: F
     return np.asarray(error_dn / covariates.sigma_dn, dtype=np.float32)[:, np.newaxis]
 
 
-def _smooth_error(covariates: Covariates, policy: Policy) -> Float32:
+def smooth_error(covariates: Covariates, policy: Policy) -> Float32:
     """Return the columns (n, k) of the model's own error over the image and from frame to frame."""
     per_dn = 1.0 / covariates.sigma_dn
     sources = [covariates.arc_dn * per_dn, covariates.laser_dn * per_dn]
