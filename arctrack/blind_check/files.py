@@ -37,6 +37,7 @@ class AskedTable(Table):
     quiet_draws: int
     tiers: str
     seed: int
+    width_px: int = 640
 
 
 class LabelTable(Table):

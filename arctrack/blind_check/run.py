@@ -33,6 +33,7 @@ from arctrack.recording.reader import UNFINISHED_SUFFIX
 from sim_to_real.check.case import FAILED, Answer, Case
 from sim_to_real.check.plan import TIERS, Planned, plan
 from sim_to_real.check.score import Scores, score
+from sim_to_real.check.world_stated import WIDTH_PX
 from sim_to_real.decision.experiments import BY_NAME, Experiment
 from tracker.state import Frame
 
@@ -51,15 +52,21 @@ OnDone = Callable[[str, int, int], None]
 
 @dataclass(frozen=True)
 class Asked:
-    """What a check is made of: recordings an effect, recordings without any, tiers, and the seed of all."""
+    """What a check is made of: recordings an effect, recordings without any, tiers, and the seed of all.
+
+    Images are `width_px` wide.
+    """
 
     draws: int
     quiet_draws: int
     tiers: str
     seed: int
+    width_px: int = WIDTH_PX
 
     def plan(self) -> tuple[Planned, ...]:
-        """Return the recordings that are to be made; ArctrackError for tiers that there are not."""
+        """Return the recordings to make; ArctrackError for tiers or a width that there are not."""
+        if WIDTH_PX % self.width_px:
+            raise ArctrackError(f"--width {self.width_px}: must divide {WIDTH_PX}")
         try:
             return plan(self.draws, self.quiet_draws, self.tiers, self.seed)
         except ValueError as error:
@@ -117,7 +124,7 @@ def make(folder: Path, asked: Asked, workers: int, on_done: OnDone) -> None:
     missing = [(name, recording) for name, recording in planned.items() if name not in sealed["recordings"]]
     # Light is rendered once for each world: no two workers shall begin with the same.
     missing.sort(key=lambda pair: _turn_of_world(pair[0], planned))
-    for (name, recording), label in _over(partial(_render, folder), missing, workers):
+    for (name, recording), label in _over(partial(_render, folder, asked.width_px), missing, workers):
         salt = secrets.token_hex(16)
         secret["labels"][name] = {"salt": salt, "label": label}
         seal = {"sha256": _seal(salt, label), "again": recording.tier == "A" and "B" in asked.tiers}
@@ -152,7 +159,8 @@ def more(folder: Path, workers: int, on_done: OnDone) -> None:
     Raises ArctrackError as `open_labels`, and if Mitsuba is missing.
     """
     sealed, secret = _verified(folder)
-    planned = {f"{run.number:04d}": run for run in Asked(**secret["asked"]).plan()}
+    asked = Asked(**secret["asked"])
+    planned = {f"{run.number:04d}": run for run in asked.plan()}
     runs = []
     for name, seal in sorted(sealed.items()):
         if secret["labels"][name]["label"]["effects"]:
@@ -162,7 +170,7 @@ def more(folder: Path, workers: int, on_done: OnDone) -> None:
     missing = _missing(folder, runs)
     sources = [(run, planned[run.name], secret["labels"][run.name]["salt"]) for run in missing]
     n_done = len(runs) - len(missing)
-    for (run, _, _), result in _over(partial(_taken, folder), sources, workers):
+    for (run, _, _), result in _over(partial(_taken, folder, asked.width_px), sources, workers):
         n_done += 1
         _keep(folder, run, result, n_done, len(runs), on_done)
 
@@ -273,13 +281,13 @@ def _turn_of_world(name: str, planned: Mapping[str, Planned]) -> int:
     return sum(other < name and recording.world_seed == world for other, recording in planned.items())
 
 
-def _render(folder: Path, named: tuple[str, Planned]) -> dict[str, Any]:
+def _render(folder: Path, width_px: int, named: tuple[str, Planned]) -> dict[str, Any]:
     """Make a recording, if it is not there, and return its label. The truth is not written beside it."""
     from sim_to_real.check.scenario import make
 
     name, planned = named
     with _renderer():
-        scenario = _drawn(planned)
+        scenario = _drawn(planned, width_px)
         path = folder / RECORDINGS / name
         if not path.exists():
             recorded = make(scenario, folder / CACHE)
@@ -287,7 +295,7 @@ def _render(folder: Path, named: tuple[str, Planned]) -> dict[str, Any]:
     return scenario.labels
 
 
-def _render_longer(folder: Path, run: Run, planned: Planned, salt: str) -> None:
+def _render_longer(folder: Path, run: Run, planned: Planned, width_px: int, salt: str) -> None:
     """Make a recording that goes on with an experiment, if it is not there: the frames there are, and more.
 
     Raises ValueError if the label that is drawn is not the one that was sealed.
@@ -298,7 +306,7 @@ def _render_longer(folder: Path, run: Run, planned: Planned, salt: str) -> None:
     path = folder / run.recording
     if path.exists():
         return
-    scenario = _drawn(planned)
+    scenario = _drawn(planned, width_px)
     if _seal(salt, scenario.labels) != run.seal:
         raise ValueError("what is drawn now is not what was sealed: the renderer has changed since")
     longer = make(followed_by(scenario, run.experiment), folder / CACHE, scenario.n_run)
@@ -306,7 +314,7 @@ def _render_longer(folder: Path, run: Run, planned: Planned, salt: str) -> None:
     _record(path, longer, (*_frames(read_recording(folder / RECORDINGS / run.name)), *longer.frames))
 
 
-def _drawn(planned: Planned) -> Scenario:
+def _drawn(planned: Planned, width_px: int) -> Scenario:
     from sim_to_real.check.scenario import draw
 
     return draw(
@@ -317,6 +325,7 @@ def _drawn(planned: Planned) -> Scenario:
         effects=planned.effects,
         form=planned.form,
         is_dry=planned.is_dry,
+        width_px=width_px,
     )
 
 
@@ -371,13 +380,13 @@ def _in_words(answer: Answer) -> str:
     return " ".join((answer.verdict, *answer.named, f"({answer.wall_s:.0f} s)"))
 
 
-def _taken(folder: Path, source: tuple[Run, Planned, str]) -> dict[str, Any]:
+def _taken(folder: Path, width_px: int, source: tuple[Run, Planned, str]) -> dict[str, Any]:
     """Make a recording that goes on with an experiment, and return its result; no label is diagnosed with."""
     run, planned, salt = source
     started = time.perf_counter(), time.process_time()
     with _renderer():
         try:
-            _render_longer(folder, run, planned, salt)
+            _render_longer(folder, run, planned, width_px, salt)
         except ImportError:
             raise
         except Exception as error:

@@ -31,7 +31,15 @@ from sim_to_real.check.world import (
 )
 from sim_to_real.check.world_effect import CATALOGUE, Generator, Hidden, Moment
 from sim_to_real.check.world_light import Studio, TrueWorld
-from sim_to_real.check.world_stated import CURRENT_A, EXPOSURE_S, Continued, Motion, balanced, draw_stated
+from sim_to_real.check.world_stated import (
+    CURRENT_A,
+    EXPOSURE_S,
+    WIDTH_PX,
+    Continued,
+    Motion,
+    balanced,
+    draw_stated,
+)
 from sim_to_real.check.world_surface import Departure, TrueSurface
 from sim_to_real.decision.experiments import N_MORE, Experiment
 from tracker.state import Frame
@@ -145,12 +153,14 @@ def draw(
     form: str | None = None,
     strength: float | None = None,
     is_dry: bool = False,
+    width_px: int = WIDTH_PX,
 ) -> Scenario:
     """Draw a scenario; what is given is not drawn.
 
     `world_seed` is the seed itself without it. `effects` are ids, as many as the tier has; `form` names one
     effect's form; `strength` is 0 for about three times what noise and tolerance hide, 1 for clearly visible.
-    `is_dry` leaves the arc out of tier F's plain run. Equal arguments give equal scenarios.
+    `is_dry` leaves the arc out of tier F's plain run. Images are `width_px` wide. Equal arguments give equal
+    scenarios.
 
     Raises ValueError for an unknown tier, joint, effect or form, and for effects that the tier or the joint
     cannot have. Raises ImportError where Mitsuba cannot start: the nominal arc is balanced with it.
@@ -159,7 +169,7 @@ def draw(
         raise ValueError(f"tier {tier!r} is not known: there are {', '.join(TIERS)}")
     of_world = np.random.default_rng([seed if world_seed is None else world_seed, 0])
     of_effects, of_values, of_order = (np.random.default_rng([seed, n]) for n in (1, 2, 3))
-    stated, motion = draw_stated(of_world, joint)
+    stated, motion = draw_stated(of_world, joint, width_px)
     stated = balanced(stated, motion, LOOKED_AT_S)
     departure = Departure(
         of_world.uniform(-1.0, 1.0), of_world.uniform(100.0, 200.0), of_world.uniform(-0.01, 0.01)

@@ -26,6 +26,7 @@ from sim_to_real.decision.experiments import Experiment
 JOINTS = ("v_groove", "lap", "corrugation")
 METALS = (Material("mild_steel", 0.021, 0.326, 112.0), Material("zn_coated", 0.495, 0.153, 8.331))
 
+WIDTH_PX = 640
 CURRENT_A, EXPOSURE_S = 100.0, 0.005
 
 ARC_MEAN, ARC_PEAK, PEAK_QUANTILE = 0.15, 0.9, 0.98
@@ -109,11 +110,15 @@ class Continued:
         return min(max((time_s - self.from_s) / (self.to_s - self.from_s), 0.0), 1.0)
 
 
-def draw_stated(draw: Generator, joint: str | None) -> tuple[Setup, Motion]:
+def draw_stated(draw: Generator, joint: str | None, width_px: int = WIDTH_PX) -> tuple[Setup, Motion]:
     """Draw a nominal setup, its `[arc] radiance_e` still 1, and a motion; `joint` is drawn if None.
 
-    Raises ValueError for a joint that there is not.
+    Its camera has images so wide; every other one looks from beside the seam's plane, but at laps.
+
+    Raises ValueError for a joint or a width that there is not.
     """
+    if width_px < 1 or WIDTH_PX % width_px:
+        raise ValueError(f"width_px = {width_px}: must divide {WIDTH_PX}")
     drawn = JOINTS[draw.integers(len(JOINTS))]
     joint_type = drawn if joint is None else joint
     dimensions = {
@@ -133,9 +138,12 @@ def draw_stated(draw: Generator, joint: str | None) -> tuple[Setup, Motion]:
     arc_height_mm = {"lap": dimensions["lap"].get("thickness_mm", 0.0), "corrugation": 1.5}.get(
         joint_type, 0.0
     )
-    seen_from = (-20.0, 0.0, 135.0) if joint_type == "lap" else (95.0, 0.0, 130.0)
+    beside_mm = round(draw.uniform(25.0, 40.0)) * draw.choice([-1.0, 1.0]) * draw.integers(2)
+    seen_from = (
+        (-20.0, 0.0, 135.0) if joint_type == "lap" else (95.0 - 0.4 * abs(beside_mm), beside_mm, 130.0)
+    )
     camera = Camera(
-        width=640,
+        width=WIDTH_PX,
         height=480,
         fx=2190.0,
         fy=2190.0,
@@ -144,7 +152,7 @@ def draw_stated(draw: Generator, joint: str | None) -> tuple[Setup, Motion]:
         T_tool_camera=_looking(np.array(seen_from), np.array([36.0, 0.0, 0.0])),
         focal_length_mm=16.2,
         exposure_s=EXPOSURE_S,
-    )
+    ).coarser(WIDTH_PX // width_px)
     stated_joint = Joint(
         joint_type,
         {name: float(value) for name, value in dimensions[joint_type].items()},
@@ -190,9 +198,11 @@ def balanced(stated: Setup, motion: Motion, times_s: tuple[float, ...]) -> Setup
 
 
 def _looking(from_mm: Float64, at_mm: Float64) -> Float64:
-    """Return T_tool_camera of a camera whose x axis runs along the tool's -y."""
+    """Return T_tool_camera of a camera whose x axis runs along the tool's -y, as far as it can."""
     forward = (at_mm - from_mm) / np.linalg.norm(at_mm - from_mm)
     right = np.array([0.0, -1.0, 0.0])
+    right = right - (right @ forward) * forward
+    right /= np.linalg.norm(right)
     T_tool_camera = np.eye(4)
     T_tool_camera[:3, :3] = np.column_stack([right, np.cross(forward, right), forward])
     T_tool_camera[:3, 3] = from_mm
