@@ -60,9 +60,7 @@ from sim_to_real.data.binned import observe, variances_dn2
 from sim_to_real.evidence.coordinates import TOGETHER, free_terms
 from sim_to_real.evidence.error_model import (
     Linearized,
-    chosen_rows,
-    fourth_differences_dn,
-    is_resolved,
+    compared_bins,
     sampling_error,
     smooth_error,
 )
@@ -143,13 +141,13 @@ def nominal_of(path: Path) -> tuple[Nominal, dict[str, Summary]]:
     model = LinearizedModel(observe(recording.setup, frames, partial(pose_at, recording.pose_buffer())))
     model, fitted = without_effects(model)
     of_bins = covariates(model, fitted)
-    fourth_dn = fourth_differences_dn(model, fitted)
-    rows = chosen_rows(of_bins, POLICY.n_bins, is_resolved(of_bins, fourth_dn, POLICY.max_ripple))
-    chosen = of_bins.subset(rows)
-    linear = Linearized.of(fitted, rows)
-    errors = smooth_error(chosen, POLICY), sampling_error(model, of_bins, fourth_dn)[rows]
+    bins = compared_bins(model, of_bins, fitted, POLICY)
+    model, chosen = model.with_bins(bins), of_bins.subset(bins)
+    fitted = refit(model, {}, fitted.nuisance, steps=0)
+    linear = Linearized.of(fitted)
+    errors = smooth_error(chosen, POLICY), sampling_error(model, chosen, fitted)
     columns = np.hstack([linear.columns.changes, *errors])
-    shares = (share[rows] for share in noise_shares(model, fitted))
+    shares = noise_shares(model, fitted)
     single = (values.astype(np.float32) for values in (linear.residuals, columns, *shares))
     nominal = Nominal(*single, recording.setup.tolerance.read_noise_rel)
     terms = [term.columns for term in free_terms(chosen) if term.name != TOGETHER and term.stage is not None]

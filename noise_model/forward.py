@@ -17,7 +17,7 @@ import numpy as np
 import numpy.typing as npt
 
 from noise_model.arc.map import Scene, arc_at, arc_frame, arc_kernel
-from noise_model.arrays import Bool, Float32, Float64, Integers
+from noise_model.arrays import Bool, Float32, Float64, Int64, Integers
 from noise_model.condition import Condition
 from noise_model.effects import acting, apply_condition_effects, apply_setup_effects
 from noise_model.effects.effect import Draw
@@ -94,6 +94,8 @@ class Layers:
         Both share what their views keep: where rays end, what the laser reaches, the arc as the surface sees
         it. Nothing that is rendered here keeps what depends on the metal.
         """
+        if setup is self.view.setup:
+            return self
         return Layers(
             replace(self.view, setup=setup),
             tuple((pixels, replace(view, setup=setup)) for pixels, view in self.stretches),
@@ -105,11 +107,20 @@ class Layers:
         if not self.view.is_frame:
             return self._of_stretches(_arc_light)
         if not self.stretches:
-            return _filled(self.view, self.view.scene)
-        # The stretches of a whole frame are not filled by themselves: cells are squares.
+            return _filled(self.view, self.view.scene, np.arange(self.view.cos4.size)).reshape(
+                self.view.shape
+            )
         return self._assembled(
-            [(pixels, _filled(self.view, view.scene).reshape(-1)[pixels]) for pixels, view in self.stretches]
+            [(pixels, _filled(self.view, view.scene, pixels)) for pixels, view in self.stretches]
         )
+
+    def arc_e_in(self, chosen: Bool) -> Float32:
+        """Return the arc's light, as `arc_e`, of chosen ones (n,) of some pixels alone: (k,)."""
+        light = np.zeros(chosen.size, dtype=np.float32)
+        for pixels, view in self.stretches or ((np.arange(chosen.size), self.view),):
+            mine = np.flatnonzero(chosen[pixels])
+            light[pixels[mine]] = _arc_light_in(view, mine)
+        return light[chosen]
 
     @cached_property
     def laser_e(self) -> Float32:
@@ -152,22 +163,36 @@ class Layers:
 
 
 def _arc_light(view: View) -> Float32:
+    return _arc_light_in(view, np.arange(view.cos4.size)).reshape(view.shape)
+
+
+def _arc_light_in(view: View, pixels: Int64) -> Float32:
+    """Return the arc's light in some of a view's pixels (k,)."""
     kept = view.keep("arc_kernel", lambda: arc_kernel(view.setup, view.scene))
     kernel = kept._replace(material=lobe_numbers(view.setup.material))
     xy = np.ascontiguousarray(view.xy.reshape(-1, 2))
-    arc_e, _ = arc_at(kernel, xy, view.cos4.reshape(-1), np.arange(view.cos4.size))
-    return np.nan_to_num(arc_e).reshape(view.shape)
+    arc_e, _ = arc_at(kernel, xy, view.cos4.reshape(-1), pixels)
+    return np.nan_to_num(arc_e)
 
 
-def _filled(frame: View, scene: Scene) -> Float32:
-    """Return the arc's light (H, W) of a whole frame in a scene."""
-    kernel, (height, width) = arc_kernel(frame.setup, scene), frame.shape
+def _filled(frame: View, scene: Scene, pixels: Integers) -> Float32:
+    """Return the arc's light (n,) of some pixels of a whole frame in a scene.
+
+    The box about them is filled.
+    """
+    kernel = arc_kernel(frame.setup, scene)
     xy, cos4 = np.ascontiguousarray(frame.xy.reshape(-1, 2)), frame.cos4.reshape(-1)
     some_e, _ = arc_at(kernel, xy, cos4, np.arange(0, frame.cos4.size, FILL_SAMPLE))
     floor_e = FILL_FLOOR * float(np.nan_to_num(some_e).max())
-    filled = arc_frame(kernel, xy, cos4, (height, width), FILL_TOLERANCE, floor_e)
+    rows, columns = np.divmod(pixels, frame.shape[1])
+    first = rows.min(), columns.min()
+    box = tuple(slice(low, places.max() + 1) for low, places in zip(first, (rows, columns), strict=True))
+    xy, cos4 = np.ascontiguousarray(frame.xy[box].reshape(-1, 2)), frame.cos4[box].ravel()
+    shape = frame.cos4[box].shape
+    filled = arc_frame(kernel, xy, cos4, (shape[0], shape[1]), FILL_TOLERANCE, floor_e)
     # A polynomial through what is dark may swing below.
-    return np.maximum(np.nan_to_num(filled), np.float32(0.0))
+    light: Float32 = np.maximum(np.nan_to_num(filled[rows - first[0], columns - first[1]]), np.float32(0.0))
+    return light
 
 
 class Renderer:
@@ -225,13 +250,11 @@ def look(
     view = View.of(setup, T_base_tool, seam.middle, rays, pixels, ground=seam.ground)
     if stretch is None:
         stretch = seam.stretch_at(view.surface[0][..., 0].reshape(-1))
-    all_pixels = np.arange(view.cos4.size) if pixels is None else np.asarray(pixels)
     stretches = []
     for i, line in enumerate(seam.lines):
         where = np.flatnonzero(stretch == i)
         if len(where):
-            of_line = View.of(setup, T_base_tool, line, rays, all_pixels[where], ground=seam.ground)
-            stretches.append((where, of_line))
+            stretches.append((where, view.part(where, line, T_base_tool, seam.ground)))
     return Layers(view, tuple(stretches))
 
 

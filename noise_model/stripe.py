@@ -71,10 +71,12 @@ def _sheet_seen(view: View) -> SheetSeen:
         depth = laser.origin_in_tool_mm[2] - points_tool[..., 2]
         reach = laser.reach_sigmas * laser.stripe_sigma_mm * np.abs(depth) / laser.origin_in_tool_mm[2]
         near = np.abs(points_tool @ plane[:3] + plane[3]) < reach
+    shaded = np.zeros(view.shape, dtype=np.bool_)
+    if not near.any():
+        return SheetSeen(near, shaded)
     origin_joint = transform(where.T_joint_tool, laser.origin_mm)
     is_free = np.empty(np.count_nonzero(near), dtype=np.bool_)
     ways_are_open(points[near], origin_joint, where.shape.vertices, where.shape.corrugation, is_free)
-    shaded = np.zeros(view.shape, dtype=np.bool_)
     shaded[near] = ~is_free | (beyond_fan_mm(points_tool[near], laser) > 0.0)
     return SheetSeen(near, shaded)
 
@@ -87,9 +89,11 @@ def stripe_light(view: View) -> Float32:
     """
     setup, sheet = view.setup, sheet_seen(view)
     lit = sheet.near & ~sheet.shaded
+    image = np.zeros(view.shape, dtype=np.float32)
+    if not lit.any():
+        return image
     points, normals, _ = view.surface
     light = reflected_sheet(setup, points[lit], normals[lit], view.scene.T_joint_tool)
-    image = np.zeros(view.shape, dtype=np.float32)
     image[lit] = light * view.cos4[lit] * (setup.laser.peak_e / stripe_reference(setup))
     return image
 

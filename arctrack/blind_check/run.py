@@ -66,7 +66,7 @@ class Asked:
     def plan(self) -> tuple[Planned, ...]:
         """Return the recordings to make; ArctrackError for tiers or a width that there are not."""
         if WIDTH_PX % self.width_px:
-            raise ArctrackError(f"--width {self.width_px}: must divide {WIDTH_PX}")
+            raise ArctrackError(f"--width-px {self.width_px}: must divide {WIDTH_PX}")
         try:
             return plan(self.draws, self.quiet_draws, self.tiers, self.seed)
         except ValueError as error:

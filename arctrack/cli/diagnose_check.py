@@ -58,13 +58,13 @@ def make(
         ),
     ] = "ABCDEF",
     seed: Annotated[int, typer.Option(min=0, help="Seed of all that is drawn at random.")] = 0,
-    width: Annotated[int, typer.Option(min=1, help="Width of the images, px: 640, 320 or 160.")] = 640,
+    width_px: Annotated[int, typer.Option(min=1, help="Width of the images: 640, 320 or 160 px.")] = 640,
     workers: Workers = 1,
 ) -> None:
     """Make recordings with hidden effects and seal their labels; what is there is not made again."""
     from arctrack.blind_check import run as engine
 
-    engine.make(out, engine.Asked(draws, quiet_draws, tiers, seed, width), workers, _say)
+    engine.make(out, engine.Asked(draws, quiet_draws, tiers, seed, width_px), workers, _say)
     typer.echo(f"{out / engine.SEALED}: all labels are sealed; arctrack diagnose check run {out}")
 
 

@@ -26,8 +26,9 @@ from noise_model.instrument.camera import Camera
 from noise_model.kernel import kernel
 from noise_model.setup import Setup
 from noise_model.surface.brdf import lobe_numbers
+from noise_model.surface.faces import ridge
 from noise_model.surface.joint import NOMINAL_SEAM, SeamLine, Section, corrugation_height, seam_frame, section
-from noise_model.surface.ray_casting import MISS, surface_height
+from noise_model.surface.ray_casting import MISS
 from noise_model.surface.visibility import horizon_tables, is_curved_lap
 from noise_model.transforms import invert, transform
 
@@ -194,13 +195,51 @@ def _rim_rays(
 
 def _metal_cuts(radius: float, scene: Scene) -> bool:
     """Say whether the sheets of a lap whose edge is not straight may cut into the luminous half-sphere."""
-    if not is_curved_lap(scene.shape.vertices, scene.shape.corrugation, scene.bend):
+    vertices, corrugation = scene.shape.vertices, scene.shape.corrugation
+    if not is_curved_lap(vertices, corrugation, scene.bend):
         return False
+    x, y, z = scene.center_mm.tolist()
+    return bool(any_below((x, y - scene.bend[1], z), radius, ON_HALF_SPHERE, vertices, corrugation))
+
+
+def _on_half_sphere() -> Float64:
+    """Return directions (n, 3) all over the upper half-sphere."""
     tau, delta = np.meshgrid(np.linspace(0.0, 0.5 * np.pi, 10), np.linspace(0.0, 2.0 * np.pi, 24))
     sin = np.sin(tau)
-    outward = np.stack([sin * np.cos(delta), sin * np.sin(delta), np.cos(tau)], axis=-1)
-    on_arc = scene.center_mm - np.array([0.0, scene.bend[1], 0.0]) + radius * outward
-    return bool((on_arc[..., 2] < surface_height(on_arc, scene.shape) - 1e-6).any())
+    return np.stack([sin * np.cos(delta), sin * np.sin(delta), np.cos(tau)], axis=-1).reshape(-1, 3)
+
+
+ON_HALF_SPHERE = _on_half_sphere()
+"""Where it is seen whether metal cuts into the arc."""
+
+CUT_MM = 1e-6
+"""A point so far below the surface is below it."""
+
+
+@kernel
+def any_below(
+    center: tuple[float, float, float],
+    radius: float,
+    outward: Float64,
+    vertices: Float64,
+    corrugation: Float64,
+) -> bool:
+    """Say whether a sphere's point in any of some directions (n, 3) lies below a section's surface.
+
+    `center` is the sphere's, mm, joint frame. The plain twin compares with `ray_casting.surface_height`.
+    """
+    for i in range(outward.shape[0]):
+        y = center[1] + radius * outward[i, 1]
+        # The face's right end: the last vertex that is not beyond y.
+        j = 0
+        while j < vertices.shape[0] - 2 and vertices[j + 1, 0] <= y:
+            j += 1
+        share = min(max((y - vertices[j, 0]) / (vertices[j + 1, 0] - vertices[j, 0]), 0.0), 1.0)
+        plain = vertices[j, 1] + share * (vertices[j + 1, 1] - vertices[j, 1])
+        height = plain + ridge(center[0] + radius * outward[i, 0], corrugation)[0]
+        if center[2] + radius * outward[i, 2] < height - CUT_MM:
+            return True
+    return False
 
 
 def arc_kernel(

@@ -37,8 +37,13 @@ class Light:
 
     def pass_through(self, operator: Callable[[Float32], Float32]) -> None:
         """Apply a linear operator on images to the light of every source."""
-        self.arc, self.laser, self.other = operator(self.arc), operator(self.laser), operator(self.other)
-        self.modes = {name: operator(mode) for name, mode in self.modes.items()}
+
+        def passed(image: Float32) -> Float32:
+            # A source that is off stays dark.
+            return operator(image) if image.any() else image
+
+        self.arc, self.laser, self.other = passed(self.arc), passed(self.laser), passed(self.other)
+        self.modes = {name: passed(mode) for name, mode in self.modes.items()}
 
     def scale(self, factor: float | Float32) -> None:
         """Multiply the light of every source; what scatters goes with the square."""

@@ -66,7 +66,8 @@ class ObservedFrame:
     `rendered` (h, w) are those, the saturated ones, whose light may overflow, and the stripe with its rim;
     `sigma_dn` (n,) the noise of these with the model's floor, `in_stripe` (n,) whether the laser lights them.
     `shown_dn2` (n,) is the part of that noise's square which the recording shows beyond the stated noise.
-    `stated_e` (h, w) is the light that the nominal setup puts there along the tracked seam, e-.
+    `stated_e` (h, w) is the light that the nominal setup puts there along the tracked seam, e-, and
+    `stated_arc_e` that of the arc, for the nominal exposure and output.
     """
 
     position: int
@@ -83,12 +84,30 @@ class ObservedFrame:
     sigma_dn: Float64
     in_stripe: Bool
     stated_e: Float32
+    stated_arc_e: Float32
     shown_dn2: Float64
 
-    @property
+    @cached_property
+    def bins(self) -> Int64:
+        """The places (n,) of the bins that count in the flattened frame."""
+        return np.flatnonzero(self.keep)
+
+    @cached_property
     def kept_dn(self) -> Float64:
         """The means of the bins that count (n,)."""
-        return self.binned_dn[self.keep].astype(np.float64)
+        return self.binned_dn.reshape(-1)[self.bins].astype(np.float64)
+
+    def with_bins(self, chosen: Int64) -> ObservedFrame:
+        """Return the frame with some of its bins alone, (n,) by their places among those that count."""
+        keep = np.zeros_like(self.keep)
+        keep.reshape(-1)[self.bins[chosen]] = True
+        return replace(
+            self,
+            keep=keep,
+            sigma_dn=self.sigma_dn[chosen],
+            in_stripe=self.in_stripe[chosen],
+            shown_dn2=self.shown_dn2[chosen],
+        )
 
     def T_base_tool_in(self, setup: Setup, later_s: float = 0.0) -> Float64:
         """Return the tool's pose as the frame was taken, by a setup's clocks, or somewhat later."""
@@ -263,6 +282,7 @@ def _observed(
         sigma_dn[keep],
         in_stripe[keep],
         _stated_e(setup, layers, condition),
+        layers.arc_e if condition.arc_level > 0.0 else np.zeros_like(binned_dn),
         shown_dn2[keep],
     )
 

@@ -148,7 +148,7 @@ class _Forecast:
 def _forecast(planned: LinearizedModel, hypothesis: Hypothesis, errors: ErrorModel) -> _Forecast:
     fitted = hypothesis.refit
     ahead = refit_there(planned, fitted, steps=0)
-    seen = Linearized.of(fitted, errors.rows).columns.changes
+    seen = Linearized.of(fitted).columns.changes
     information = errors.metric.products(seen, seen) + np.eye(seen.shape[1])
     # A frame's own level is new in each frame: nothing has been seen of it.
     shared, own = ~_of_one_frame(fitted), _of_one_frame(ahead)
@@ -209,6 +209,7 @@ def _with_bins_of_pose(frame: ObservedFrame, observed: Observed) -> ObservedFram
         keep=keep,
         rendered=keep | dilated(in_stripe, STRIPE_RIM_BINS),
         in_stripe=in_stripe[keep],
+        stated_arc_e=layers.arc_e,
         # There is no image yet: what it would show is counted in DN.
         sigma_dn=np.ones(int(keep.sum())),
     )

@@ -27,7 +27,7 @@ from sim_to_real.evidence.coordinates import (
     in_each_frame,
     texture,
 )
-from sim_to_real.evidence.metric import Metric, MetricLoss, log_evidence, robust_weights
+from sim_to_real.evidence.metric import Metric, MetricLoss, compressed, log_evidence, robust_weights
 from sim_to_real.evidence.policy import Policy
 from sim_to_real.fit.gauss_newton import Refit
 from sim_to_real.fit.linearized_model import LinearizedModel
@@ -40,7 +40,7 @@ HAND_EYE = "hand_eye"
 IMAGE_KNOTS = (6, 7)
 """Knots of the model's own error over rows and columns."""
 
-ROWS_SEED = 0
+BINS_SEED = 0
 """The seed of the choice of bins."""
 
 MIN_STEP_SIGMAS = 0.05
@@ -63,10 +63,10 @@ class Columns:
         return cls(changes, np.zeros(changes.shape[1]))
 
     @classmethod
-    def along_probes(cls, score: ScoreTest, rows: Int64) -> Columns:
-        """Return what one prior sigma of each of an effect's probe points changes in some bins."""
+    def along_probes(cls, score: ScoreTest) -> Columns:
+        """Return what one prior sigma of each of an effect's probe points changes."""
         low, high = np.array(score.step_limits()).T
-        changes = np.asarray(score.signature[rows] / probe_sigmas(score), dtype=np.float32)
+        changes = np.asarray(score.signature / probe_sigmas(score), dtype=np.float32)
         return cls(changes, 1.0 * (low == 0.0) - 1.0 * (high == 0.0))
 
     def beside(self, others: Columns) -> Columns:
@@ -90,36 +90,35 @@ class Linearized:
     columns: Columns
 
     @classmethod
-    def of(cls, fitted: Refit, rows: Int64) -> Linearized:
-        """Return a fit's linear form in some bins."""
-        return cls._about(fitted, fitted.residuals, np.ones(len(fitted.x), dtype=np.bool_), rows)
+    def of(cls, fitted: Refit) -> Linearized:
+        """Return a fit's linear form."""
+        return cls._about(fitted, fitted.residuals, np.ones(len(fitted.x), dtype=np.bool_))
 
     @classmethod
-    def without(cls, fitted: Refit, name: str | None, residuals: Float64, rows: Int64) -> Linearized:
-        """Return the same without one of a fit's effects, or without any; `residuals` (n,) are those of it.
+    def without(cls, fitted: Refit, name: str | None, residuals: Float64) -> Linearized:
+        """Return the same without one of a fit's effects, or without any.
 
-        They are of all bins, at the fit's other parameters.
+        `residuals` (n,) are those of it, at the fit's other parameters.
         """
         kept = np.ones(len(fitted.x), dtype=np.bool_)
         for effect, block in fitted.blocks:
             kept[block] = name is not None and effect != name
-        return cls._about(fitted, residuals, kept, rows)
+        return cls._about(fitted, residuals, kept)
 
     @classmethod
-    def _about(cls, fitted: Refit, residuals: Float64, kept: Bool, rows: Int64) -> Linearized:
+    def _about(cls, fitted: Refit, residuals: Float64, kept: Bool) -> Linearized:
         quadratic, parameters = fitted.quadratic, itertools.compress(fitted.quadratic.parameters, kept)
         starts, sigmas = quadratic.prior_starts[kept], quadratic.prior_sigmas[kept]
-        J = fitted.jacobian[rows][:, kept]
-        at_start = residuals[rows] + J @ (starts - fitted.x[kept])
+        J = fitted.jacobian[:, kept]
+        at_start = residuals + J @ (starts - fitted.x[kept])
         sides = np.array([1.0 * (p.lower == p.start) - 1.0 * (p.upper == p.start) for p in parameters])
         return cls(at_start, Columns(np.asarray(J * sigmas, dtype=np.float32), sides))
 
 
 @dataclass(frozen=True, eq=False)
 class ErrorModel:
-    """The errors of a recording's bins `rows` (n,), as a metric, and the terms of an unknown cause there."""
+    """The errors of a recording's bins (n,), as a metric, and the terms of an unknown cause there."""
 
-    rows: Int64
     metric: Metric
     free_terms: tuple[FreeTerm, ...]
     form_functions: Mapping[Stage, Float32]
@@ -135,31 +134,26 @@ class ErrorModel:
         policy: Policy,
     ) -> ErrorModel:
         """Return the errors about a fit without effects; `scores` hold what each effect does to the bins."""
-        fourth_dn = fourth_differences_dn(model, start)
-        rows = chosen_rows(covariates, policy.n_bins, is_resolved(covariates, fourth_dn, policy.max_ripple))
-        chosen = covariates.subset(rows)
-        terms, forms = free_terms(chosen), form_functions(chosen)
+        terms, forms = free_terms(covariates), form_functions(covariates)
         effects = [
-            np.hstack([Columns.along_probes(family, rows).changes for family in score.families])
-            for score in scores
+            np.hstack([Columns.along_probes(family).changes for family in score.families]) for score in scores
         ]
-        sampling = sampling_error(model, covariates, fourth_dn)[rows]
         floor = np.hstack(
             [
-                smooth_error(chosen, policy),
-                sampling,
+                smooth_error(covariates, policy),
+                sampling_error(model, covariates, start),
                 *(
                     columns if _is_open(model.observed, score.id) else _negligible(columns, policy)
                     for score, columns in zip(scores, effects, strict=True)
                 ),
-                *(_tolerated(score, model.observed.setup.tolerance, rows) for score in scores),
+                *(_tolerated(score, model.observed.setup.tolerance) for score in scores),
             ]
         )
-        at_start = Linearized.of(start, rows)
+        at_start = Linearized.of(start)
         every = np.hstack([at_start.columns.changes, floor, *(term.columns for term in terms), *effects])
-        weights = robust_weights(at_start.residuals, every, policy.tail_dof)
+        weights = robust_weights(at_start.residuals, compressed(every), policy.tail_dof)
         metric = Metric.of(floor.astype(np.float32), weights)
-        return cls(rows, metric, terms, forms, texture(chosen))
+        return cls(metric, terms, forms, texture(covariates))
 
     def log_evidence(self, hypothesis: Linearized, *further: Columns) -> float:
         """Return ln Z, nats, of a hypothesis, with further columns."""
@@ -170,8 +164,8 @@ class ErrorModel:
 
     @property
     def loss(self) -> MetricLoss:
-        """What residuals of all bins cost in a fit."""
-        return MetricLoss(self.metric, self.rows)
+        """What residuals cost in a fit."""
+        return MetricLoss(self.metric)
 
     def table(self, hypothesis: Linearized, blocks: Sequence[Columns]) -> EvidenceTable:
         """Return what gives the evidence of a hypothesis with any of some blocks of columns."""
@@ -222,14 +216,18 @@ class EvidenceTable:
         return np.arange(self.ends[block + 1], self.ends[block + 2])
 
 
-def chosen_rows(covariates: Covariates, count: int, with_stripe: bool) -> Int64:
-    """Return the places (n,) of at most so many bins to compare; half of them are in the stripe, if any."""
-    draw = np.random.default_rng(ROWS_SEED)
+def compared_bins(model: LinearizedModel, covariates: Covariates, before: Refit, policy: Policy) -> Int64:
+    """Return the places (n,) of the bins to compare, at most `policy.n_bins`.
+
+    Half of them are in the stripe, if there is one that bins resolve in a fit without effects.
+    """
+    with_stripe = _is_resolved(covariates, _fourth_differences_dn(model, before), policy.max_ripple)
+    draw = np.random.default_rng(BINS_SEED)
     usable = np.isfinite(covariates.sigma_dn)
     chosen = []
     for members in (usable & ~covariates.in_stripe, usable & covariates.in_stripe & with_stripe):
         places = np.flatnonzero(members)
-        chosen.append(draw.permutation(places)[: count // 2])
+        chosen.append(draw.permutation(places)[: policy.n_bins // 2])
     return np.sort(np.concatenate(chosen))
 
 
@@ -245,41 +243,41 @@ def _negligible(columns: Float32, policy: Policy) -> Float32:
     return np.asarray(columns * sizes / math.sqrt(columns.shape[1]), dtype=np.float32)
 
 
-def _tolerated(score: ScoreTest, tolerance: Tolerance, rows: Int64) -> Float32:
+def _tolerated(score: ScoreTest, tolerance: Tolerance) -> Float32:
     """Return what a camera's pose that is off within its tolerance changes (n, k); nothing of other effects.
 
     It moves where the tracker sees the seam, too, which the pose among the nuisances does not.
     """
     if score.id != HAND_EYE:
-        return np.zeros((len(rows), 0), dtype=np.float32)
+        return np.zeros((len(score.signature), 0), dtype=np.float32)
     within = {"deg": tolerance.hand_eye_deg, "mm": tolerance.hand_eye_mm}
     sizes = [within[parameter.unit] / parameter.prior_sigma for parameter in REGISTRY[HAND_EYE].parameters]
-    per_sigma = Columns.along_probes(score, rows).changes
+    per_sigma = Columns.along_probes(score).changes
     moved = np.argmax(np.abs(score.steps), axis=1)
     return np.asarray(per_sigma * np.array(sizes)[moved], dtype=np.float32)
 
 
-def fourth_differences_dn(model: LinearizedModel, start: Refit) -> Float64:
+def _fourth_differences_dn(model: LinearizedModel, start: Refit) -> Float64:
     """Return the fourth difference of the laser's light between bins (n,), DN, of all frames' bins."""
     fourth_e = model.laser_fourth_differences(start.nuisance)
     parts = [light.dn_per_e() * of_frame for light, of_frame in zip(start.lights, fourth_e, strict=True)]
     return np.concatenate(parts)
 
 
-def is_resolved(covariates: Covariates, fourth_dn: Float64, max_ripple: float) -> bool:
+def _is_resolved(covariates: Covariates, fourth_dn: Float64, max_ripple: float) -> bool:
     """Say whether bins resolve the stripe: its fourth difference is no more than so much of its light."""
     of_stripe = covariates.in_stripe
     ripple, light = np.square(fourth_dn[of_stripe]), np.square(covariates.laser_dn[of_stripe])
     return bool(np.sum(ripple) <= max_ripple**2 * np.sum(light))
 
 
-def sampling_error(model: LinearizedModel, covariates: Covariates, fourth_dn: Float64) -> Float32:
+def sampling_error(model: LinearizedModel, covariates: Covariates, start: Refit) -> Float32:
     """Return what bins do to a stripe that they hardly resolve, in all bins (n, 1).
 
     A kernel whose fourth moment is off by m is off by m / 24 of a fourth difference. Three taps of variance v
     have the fourth moment v, a Gaussian has 3 v^2, so bins are off by about v / 24.
     """
-    error_dn = model.observed.binned.camera.psf_sigma_px**2 / 24.0 * fourth_dn
+    error_dn = model.observed.binned.camera.psf_sigma_px**2 / 24.0 * _fourth_differences_dn(model, start)
     return np.asarray(error_dn / covariates.sigma_dn, dtype=np.float32)[:, np.newaxis]
 
 

@@ -49,7 +49,7 @@ MUCH_SURPRISE, LITTLE_SURPRISE, FLOOR_MEAN_SQUARE = 0.7, 0.3, 1.0
 """And by this share of what the best fit gains; the second once a fit leaves no more than the floor."""
 
 MOVING = tuple(name for name, effect in REGISTRY.items() if effect.stage in (Stage.GEOMETRY, Stage.TIMING))
-"""Effects that move the image: while nothing explains a large gap they are fitted whatever their look.
+"""Effects that move the image: while an unknown cause of a large gap leads, all of them are fitted.
 
 A straight line foretells little of a stripe that lies elsewhere.
 """
@@ -81,8 +81,7 @@ class HypothesisSearch:
 
     def hypothesis(self, fitted: Refit) -> Hypothesis:
         """Return a fit with its evidence, and with that of fewer effects about the same nuisances."""
-        rows = self.errors.rows
-        linear = Linearized.of(fitted, rows)
+        linear = Linearized.of(fitted)
         exact = self.errors.log_evidence(linear)
         if not fitted.ids:
             return Hypothesis(fitted, exact, exact, linear, {})
@@ -92,12 +91,12 @@ class HypothesisSearch:
             others = {other: values for other, values in fitted.effects.items() if other != name}
             residuals = self._residuals_with(fitted, others) if others else at_none
             if others:
-                without = Linearized.without(fitted, name, residuals, rows)
+                without = Linearized.without(fitted, name, residuals)
                 fewer[frozenset(others)] = self.errors.log_evidence(without)
             if name != FLICKER:
-                form_errors.append(self.errors.form_error(name, (fitted.residuals - residuals)[rows]))
+                form_errors.append(self.errors.form_error(name, fitted.residuals - residuals))
         off = self.errors.log_evidence(linear, *form_errors) if form_errors else exact
-        return Hypothesis(fitted, exact, off, Linearized.without(fitted, None, at_none, rows), fewer)
+        return Hypothesis(fitted, exact, off, Linearized.without(fitted, None, at_none), fewer)
 
     def _residuals_with(self, fitted: Refit, effects: Effects) -> Float64:
         """Return the residuals (n,) at a fit's nuisances with some of its effects."""
@@ -155,6 +154,7 @@ class HypothesisSearch:
         starts: dict[str, Sequence[Effects]] = {**STARTS_OF_STAND_INS}
         starts |= {score.id: self.looks.starts_of(score) for score in self.scores}
         fitted: list[Hypothesis] = []
+        unknown, is_large = self.unknown(beside).evidence, self.start.mean_square > BIASED_MEAN_SQUARE
         # Light that bounces comes last: what others explain better than free terms near it needs no fit.
         ranked = sorted(looks.keys() - {INTERREFLECTION}, key=lambda name: (-looks[name], name))[:MAX_SINGLES]
         moving = [name for name in MOVING if name in looks and name not in ranked]
@@ -164,12 +164,11 @@ class HypothesisSearch:
             share = LITTLE_SURPRISE if at_floor else MUCH_SURPRISE
             if name == INTERREFLECTION and looks[name] < gained:
                 continue
-            is_open = name in MOVING and not at_floor and self.start.mean_square > BIASED_MEAN_SQUARE
+            is_open = name in MOVING and is_large and gained < unknown - none.evidence
             if looks[name] < self._needed((1.0 - share) * gained) and not is_open:
                 continue
             self.on_stage(f"fitting {name}", 0.2 + 0.6 * n / MAX_SINGLES)
             fitted.append(self.hypothesis(self.fit(starts[name], self.start.nuisance)))
-        unknown = self.unknown(beside).evidence
         settled = self._settled(fitted, unknown)
         trends = [trend for single in settled[:MAX_TRENDS] for trend in self._with_trends(single)]
         return sorted([*self._settled(trends, unknown), *settled], key=_evidence, reverse=True)
@@ -283,16 +282,19 @@ class HypothesisSearch:
             trend = trend_among(best.refit.trend, look.starts[0])
             fitted.append(self.hypothesis(self.fit(look.starts, look.nuisance, trend)))
         settled = self._settled(fitted, max(rival, best.evidence))
-        return [*settled, *self._alone(settled[:1], singles)]
+        return [*settled, *(alone for pair in settled[:1] for alone in self._alone(pair, singles))]
 
-    def _alone(self, pairs: Sequence[Hypothesis], singles: Sequence[Hypothesis]) -> list[Hypothesis]:
-        """Return those effects of pairs by themselves that were not fitted alone: one of two may suffice."""
+    def _alone(self, pair: Hypothesis, singles: Sequence[Hypothesis]) -> list[Hypothesis]:
+        """Return those effects of a pair by themselves that were not fitted alone: one of two may suffice.
+
+        Without the other one it must not lose most of what the pair gains.
+        """
         known = {name for single in singles for name in single.ids}
+        needed = self._needed((1.0 - LITTLE_SURPRISE) * (pair.exact - self.looks.none))
         return [
             self.settled(self.hypothesis(self.fit([{name: values}], pair.refit.nuisance)))
-            for pair in pairs
             for name, values in pair.refit.effects.items()
-            if name not in known
+            if name not in known and pair.fewer[frozenset({name})] - self.looks.none >= needed
         ]
 
 

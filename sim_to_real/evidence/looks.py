@@ -89,7 +89,7 @@ class Looks:
 
     @cached_property
     def _at_start(self) -> Linearized:
-        return Linearized.of(self.start, self.errors.rows)
+        return Linearized.of(self.start)
 
     @cached_property
     def _families(self) -> list[ScoreTest]:
@@ -98,7 +98,7 @@ class Looks:
 
     @cached_property
     def _columns(self) -> list[Columns]:
-        return [Columns.along_probes(family, self.errors.rows) for family in self._families]
+        return [Columns.along_probes(family) for family in self._families]
 
     @cached_property
     def _probes(self) -> EvidenceTable:
@@ -122,7 +122,7 @@ class Looks:
         """
         if FLICKER in fitted.ids:
             return []
-        table = self.errors.table(Linearized.of(fitted, self.errors.rows), self._columns)
+        table = self.errors.table(Linearized.of(fitted), self._columns)
         gains: dict[tuple[int, ...], float] = {
             (n,): table.log_evidence(n) - exact
             for n, family in enumerate(self._families)

@@ -21,7 +21,7 @@ from scipy.linalg import cho_solve, solve_triangular
 from scipy.optimize import lsq_linear
 from scipy.special import erfcx, log_ndtr
 
-from noise_model.arrays import Float32, Float64, Int64
+from noise_model.arrays import Float32, Float64
 from noise_model.fit import Parameter
 from sim_to_real.fit.quadratic import Quadratic
 
@@ -79,23 +79,21 @@ LAST_STEP_NATS = 0.5
 
 @dataclass(frozen=True, eq=False)
 class MetricLoss:
-    """The cost of a fit's residuals in a metric: that of the bins `rows` (n,) among all."""
+    """The cost of a fit's residuals in a metric."""
 
     metric: Metric
-    rows: Int64
 
     def about(self, r: Float64) -> MetricLoss:
         """Return the loss for a step from any residuals: it is always the same."""
         return self
 
     def cost(self, r: Float64) -> float:
-        """Return the cost of residuals (n,) of all bins: twice the nats that they take."""
-        here = r[self.rows, np.newaxis]
-        return float(self.metric.products(here, here)[0, 0])
+        """Return the cost of residuals (n,): twice the nats that they take."""
+        return float(self.metric.products(r[:, np.newaxis], r[:, np.newaxis])[0, 0])
 
     def quadratic(self, parameters: Sequence[Parameter], x: Float64, r: Float64, J: Float64) -> Quadratic:
         """Return the cost about parameters x (p,) with residuals r (n,) and their derivatives J (n, p)."""
-        both = np.column_stack([J[self.rows], r[self.rows]])
+        both = np.column_stack([J, r])
         products = self.metric.products(both, both)
         return Quadratic(tuple(parameters), x, products[:-1, :-1], -products[:-1, -1], products[-1, -1])
 

@@ -6,13 +6,14 @@ import itertools
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
 from noise_model.arrays import Float64
 from noise_model.effects import REGISTRY, not_predicted
 from sim_to_real.diagnosis import Estimate
-from sim_to_real.evidence.error_model import ErrorModel, Linearized
+from sim_to_real.evidence.error_model import ErrorModel, Linearized, compared_bins
 from sim_to_real.evidence.hypotheses import Posterior
 from sim_to_real.evidence.hypothesis_search import HypothesisSearch
 from sim_to_real.evidence.policy import POLICY
@@ -45,12 +46,8 @@ class Weighed:
     @property
     def not_resolvable(self) -> tuple[tuple[str, str], ...]:
         """The pairs of effects that this recording cannot tell apart, by what their probe points change."""
-        columns = [score.signature[self.errors.rows] for score in self.scores]
-        ends = np.cumsum([0, *(changes.shape[1] for changes in columns)])
-        seen = self._seen(np.hstack(columns)) if columns else np.zeros((0, 0))
-        blocks = [slice(ends[n], ends[n + 1]) for n in range(len(columns))]
-        pairs = []
-        for n, m in itertools.combinations(range(len(columns)), 2):
+        seen, blocks, pairs = self._seen, self._blocks, []
+        for n, m in itertools.combinations(range(len(blocks)), 2):
             cosines = principal_cosines(
                 seen[blocks[n], blocks[n]], seen[blocks[n], blocks[m]], seen[blocks[m], blocks[m]]
             )
@@ -63,8 +60,8 @@ class Weighed:
     def smallest(self) -> dict[str, Estimate]:
         """The smallest magnitude of each effect whose evidence would show, if any would."""
         magnitudes = {}
-        for score in self.scores:
-            per_square = float(self._seen(score.signature[self.errors.rows][:, :1])[0, 0])
+        for score, block in zip(self.scores, self._blocks, strict=True):
+            per_square = float(self._seen[block.start, block.start])
             # Where light ends is a place, and has no magnitude.
             if per_square > 0.0 and score.steps[0].any():
                 moved = int(np.flatnonzero(score.steps[0])[0])
@@ -75,8 +72,16 @@ class Weighed:
                 )
         return magnitudes
 
-    def _seen(self, changes: Float64) -> Float64:
-        """Return the products (k, k) of changes (n, k), what nuisances take on projected out."""
+    @property
+    def _blocks(self) -> list[slice]:
+        """Where each effect's probe points are among those of all."""
+        ends = np.cumsum([0, *(score.signature.shape[1] for score in self.scores)])
+        return [slice(start, end) for start, end in itertools.pairwise(ends.tolist())]
+
+    @cached_property
+    def _seen(self) -> Float64:
+        """The products (k, k) of what all probe points change, what nuisances take on projected out."""
+        changes = np.hstack([np.zeros((len(self.start.residuals), 0)), *(s.signature for s in self.scores)])
         metric, nuisances = self.errors.metric, self.start.columns.changes
         own, cross = metric.products(changes, changes), metric.products(nuisances, changes)
         information = metric.products(nuisances, nuisances) + np.eye(nuisances.shape[1])
@@ -105,7 +110,9 @@ def weigh(
 
     The model's derivatives are those about that fit.
     """
-    start = before
+    bins = compared_bins(model, of_bins, before, POLICY)
+    model, of_bins = model.with_bins(bins), of_bins.subset(bins)
+    start = before = refit(model, {}, before.nuisance, steps=0)
     if before.mean_square > BIASED_MEAN_SQUARE:
         # A large gap biases the nuisances so far that no effect could fit: start from the stated values.
         model = model.anchored_at(model.neutral, {})
@@ -127,4 +134,4 @@ def weigh(
     none = search.none(without_effects[0], [*without_effects[1:], *every])
     unknown = search.unknown([*beside, search.free_terms_beside(none)])
     posterior = Posterior.of(none, every, unknown, len(scores), POLICY)
-    return Weighed(posterior, tuple(scores), errors, Linearized.of(start, errors.rows))
+    return Weighed(posterior, tuple(scores), errors, Linearized.of(start))

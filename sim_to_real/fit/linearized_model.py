@@ -27,6 +27,7 @@ from noise_model.instrument.camera import Camera, Rays
 from noise_model.instrument.sensor import Sensor, respond_moments
 from noise_model.interreflection.model import BouncedLight, bounced_light
 from noise_model.setup import Setup
+from noise_model.surface.brdf import Material
 from noise_model.surface.joint import BentSeam
 from noise_model.view import View
 from sim_to_real.data.binned import Observed, ObservedFrame, on_one_face
@@ -56,6 +57,9 @@ EDGE_SHARE, EDGE_E = 0.01, 2.0
 CHARGE_STEP_E = 1.0
 """Step of the derivative with charge."""
 
+LIT_SHARE = 1e-3
+"""Where the stated arc puts less than this share of its brightest light, it says nothing of another arc's."""
+
 MAX_LIGHT_FACTOR = 4.0
 """The largest factor by which an effect can change light, over what exposure and current do."""
 
@@ -76,6 +80,9 @@ RENDERED_EFFECTS = frozenset(
 ) - {"gamma", "black_level", "read_noise", "defocus"}
 """The effects that need a new rendering."""
 
+WRONG_MATERIAL = "wrong_material"
+"""The effect that changes a metal's kappas alone."""
+
 INTERREFLECTION = "interreflection"
 """The effect whose light takes longest to compute."""
 
@@ -84,7 +91,9 @@ INTERREFLECTION = "interreflection"
 class Rendered:
     """What a pose shows (h, w), e- for the nominal exposure and output, before any effect on the image.
 
-    Light is rendered in the bins that count and in saturated ones; the others take that of the nearest.
+    The laser's light is rendered in `ObservedFrame.rendered`; other bins take that of the nearest. The arc's
+    is smooth but at edges: it is rendered in the bins that count, and others change from the stated light by
+    the factor of the nearest.
     """
 
     view: View
@@ -127,6 +136,13 @@ class Tangents:
     arc_e: Float32 | None
     laser_e: Float32 | None
 
+    def subset(self, chosen: Int64) -> Tangents:
+        """Return those of some bins (k,)."""
+        arc_e, laser_e = (
+            of_all if of_all is None else of_all[:, chosen] for of_all in (self.arc_e, self.laser_e)
+        )
+        return Tangents(arc_e, laser_e)
+
 
 class LinearizedModel:
     """The model of a recording's frames, with a cache of what it has rendered.
@@ -143,6 +159,7 @@ class LinearizedModel:
         self._of_sources: dict[tuple[object, ...], Float32] = {}
         self._layers: dict[tuple[object, ...], Layers] = {}
         self._nearest = [_nearest(frame.rendered) for frame in observed.frames]
+        self._nearest_kept = [_nearest(frame.keep) for frame in observed.frames]
         self._bounced: dict[int, BouncedLight] = {}
         self._rays: dict[tuple[object, ...], Rays] = {}
         self._curves: dict[tuple[object, ...], SeamCurve] = {}
@@ -157,6 +174,17 @@ class LinearizedModel:
             lambda frame: self._tangents_of(frame, anchor, effects_in_frame(effects, trend, setup, frame))
         )
         return anchored
+
+    def with_bins(self, chosen: Int64) -> LinearizedModel:
+        """Return the model of some bins alone; `chosen` (n,) are their places among those of all frames."""
+        ends = np.cumsum(self.observed.counts)
+        starts = ends - self.observed.counts
+        parts = [chosen[(chosen >= s) & (chosen < e)] - s for s, e in zip(starts, ends, strict=True)]
+        frames = [f.with_bins(part) for f, part in zip(self.observed.frames, parts, strict=True)]
+        fewer = LinearizedModel(replace(self.observed, frames=tuple(frames)), self._threads)
+        if self._tangents is not None:
+            fewer._tangents = [t.subset(part) for t, part in zip(self._tangents, parts, strict=True)]
+        return fewer
 
     def widen_noise_for_bends(self, nuisance: Float64, effects: Effects) -> None:
         """Widen the noise of bins that the arc lights past edges which the model takes to be straight.
@@ -203,7 +231,7 @@ class LinearizedModel:
                 T_base_tool,
                 BentSeam(seam.lines, replace(seam.ground, y_mm=seam.ground.y_mm + beside)),
                 self._rays_of(setup.camera),
-                np.flatnonzero(frame.keep),
+                frame.bins,
             ).arc_e
             for beside in (0.0, 2.0 * deviation_mm, -2.0 * deviation_mm)
         ]
@@ -331,38 +359,86 @@ class LinearizedModel:
             self._rays[camera.geometry] = Rays.of(camera)
         return self._rays[camera.geometry]
 
-    def _render(self, frame: ObservedFrame, anchor: Float64, effects: Effects) -> Rendered:
+    def _render(self, frame: ObservedFrame, true: Setup, anchor: Float64, effects: Effects) -> Rendered:
         key = _rendering_key(frame, anchor, effects)
         if key not in self._rendered:
-            setup = apply_setup_effects(self._setup(effects, anchor))
-            T_base_tool = frame.T_base_tool_in(setup)
-            seam, rays = self.seam(frame, anchor, effects), self._rays_of(setup.camera)
-            nearest = self._nearest[frame.position]
-
-            def light(unmoved_by: Stage, is_on: bool, of_layers: Callable[[Layers], Float32]) -> Float32:
-                if not is_on:
-                    return np.zeros(nearest.shape, dtype=np.float32)
-                of_source = (unmoved_by, *_rendering_key(frame, anchor, effects, unmoved_by))
-                if of_source not in self._of_sources:
-                    layers = self._layers_of(frame, anchor, effects).with_metal(setup)
-                    self._of_sources[of_source] = of_layers(layers)[nearest]
-                return self._of_sources[of_source]
-
+            seam, rays = self.seam(frame, anchor, effects), self._rays_of(true.camera)
             self._rendered[key] = Rendered(
-                View.of(setup, T_base_tool, seam.middle, rays, ground=seam.ground, coarse=True),
-                light(Stage.ILLUMINATION, frame.condition.arc_level > 0.0, lambda layers: layers.arc_e),
-                light(Stage.SOURCE, frame.condition.laser_level > 0.0, lambda layers: layers.laser_e),
+                View.of(true, frame.T_base_tool_in(true), seam.middle, rays, ground=seam.ground, coarse=True),
+                self._arc_e(frame, true, anchor, effects),
+                self._laser_e(frame, true, anchor, effects),
             )
         return self._rendered[key]
 
-    def _layers_of(self, frame: ObservedFrame, anchor: Float64, effects: Effects) -> Layers:
+    def _arc_e(self, frame: ObservedFrame, true: Setup, anchor: Float64, effects: Effects) -> Float32:
+        """Return the arc's light in all bins (h, w), e-.
+
+        It is linear in a metal's kappas: what each of them reflects serves for all metals of the same lobe.
+        """
+        if frame.condition.arc_level == 0.0:
+            return np.zeros(frame.keep.shape, dtype=np.float32)
+        metal = true.material
+        if WRONG_MATERIAL not in effects:
+            return self._arc_of_metal(frame, true, anchor, effects, metal, ())
+        others = {name: values for name, values in effects.items() if name != WRONG_MATERIAL}
+        diffuse_e, specular_e = (
+            self._arc_of_metal(
+                frame,
+                true,
+                anchor,
+                others,
+                replace(metal, kappa_diff=diffuse, kappa_spec=specular),
+                (diffuse,),
+            )
+            for diffuse, specular in ((1.0, 0.0), (0.0, 1.0))
+        )
+        return np.float32(metal.kappa_diff) * diffuse_e + np.float32(metal.kappa_spec) * specular_e
+
+    def _arc_of_metal(
+        self,
+        frame: ObservedFrame,
+        true: Setup,
+        anchor: Float64,
+        effects: Effects,
+        metal: Material,
+        unit: tuple[float, ...],
+    ) -> Float32:
+        """Return the arc's light in all bins (h, w), e-, of a metal: `unit` says which of its parts alone."""
+        key = (*unit, Stage.ILLUMINATION, *_rendering_key(frame, anchor, effects, Stage.ILLUMINATION))
+        if key not in self._of_sources:
+            layers = self._layers_of(frame, true, anchor, effects).with_metal(replace(true, material=metal))
+            self._of_sources[key] = self._arc_everywhere(frame, layers.arc_e_in(frame.keep[frame.rendered]))
+        return self._of_sources[key]
+
+    def _laser_e(self, frame: ObservedFrame, true: Setup, anchor: Float64, effects: Effects) -> Float32:
+        """Return the laser's light in all bins (h, w), e-."""
+        if frame.condition.laser_level == 0.0:
+            return np.zeros(frame.keep.shape, dtype=np.float32)
+        key = (Stage.SOURCE, *_rendering_key(frame, anchor, effects, Stage.SOURCE))
+        if key not in self._of_sources:
+            layers = self._layers_of(frame, true, anchor, effects).with_metal(true)
+            self._of_sources[key] = layers.laser_e[self._nearest[frame.position]]
+        return self._of_sources[key]
+
+    def _arc_everywhere(self, frame: ObservedFrame, kept_e: Float32) -> Float32:
+        """Return the arc's light in all bins (h, w) from that in those that count (n,), e-."""
+        stated_e, nearest = frame.stated_arc_e, self._nearest_kept[frame.position]
+        if not len(kept_e):
+            return stated_e
+        stated_kept_e = stated_e.reshape(-1)[frame.bins]
+        is_lit = stated_kept_e > LIT_SHARE * float(stated_kept_e.max())
+        factor = np.where(is_lit, kept_e / np.where(is_lit, stated_kept_e, 1.0), 0.0)
+        everywhere = np.where(is_lit[nearest], stated_e * factor[nearest], kept_e[nearest]).astype(np.float32)
+        everywhere.reshape(-1)[frame.bins] = kept_e
+        return everywhere
+
+    def _layers_of(self, frame: ObservedFrame, true: Setup, anchor: Float64, effects: Effects) -> Layers:
         """Return what a frame shows with some metal: another one does not change what rays meet."""
         key = _rendering_key(frame, anchor, effects, Stage.SURFACE)
         if key not in self._layers:
-            setup = apply_setup_effects(self._setup(effects, anchor))
-            seam, rays = self.seam(frame, anchor, effects), self._rays_of(setup.camera)
+            seam, rays = self.seam(frame, anchor, effects), self._rays_of(true.camera)
             bins = np.flatnonzero(frame.rendered)
-            self._layers[key] = look(setup, frame.T_base_tool_in(setup), seam, rays, bins)
+            self._layers[key] = look(true, frame.T_base_tool_in(true), seam, rays, bins)
         return self._layers[key]
 
     def laser_fourth_differences(self, anchor: Float64) -> list[Float32]:
@@ -379,7 +455,7 @@ class LinearizedModel:
         self, frame: ObservedFrame, true: Setup, anchor: Float64, effects: Effects
     ) -> tuple[Rendered, Light]:
         """Return a frame's light as it was rendered, and after effects, lens and exposure."""
-        rendered = self._render(frame, anchor, effects)
+        rendered = self._render(frame, true, anchor, effects)
         condition = apply_condition_effects(true, apply_levels(frame.condition, anchor))
         light = Light.of(
             np.float32(condition.arc_level) * rendered.arc_e,
@@ -396,22 +472,23 @@ class LinearizedModel:
         self, frame: ObservedFrame, true: Setup, anchor: Float64, effects: Effects
     ) -> FrameLight:
         rendered, light = self._passed_light(frame, true, anchor, effects)
-        keep = frame.keep
+        bins = frame.bins
         exposure = frame.condition.exposure_s / self.observed.setup.camera.exposure_s
+        arc_e, laser_e = light.arc.reshape(-1)[bins], light.laser.reshape(-1)[bins]
         return FrameLight(
             true.sensor,
-            light.arc[keep],
-            light.laser[keep],
-            light.other[keep],
-            _factor(light.arc[keep], rendered.arc_e[keep], frame.condition.arc_level * exposure),
-            _factor(light.laser[keep], rendered.laser_e[keep], frame.condition.laser_level * exposure),
+            arc_e,
+            laser_e,
+            light.other.reshape(-1)[bins],
+            _factor(arc_e, rendered.arc_e.reshape(-1)[bins], frame.condition.arc_level * exposure),
+            _factor(laser_e, rendered.laser_e.reshape(-1)[bins], frame.condition.laser_level * exposure),
         )
 
     def _tangents_of(self, frame: ObservedFrame, anchor: Float64, effects: Effects) -> Tangents:
         setup = self._setup(effects, anchor)
         T_base_tool = frame.T_base_tool_in(setup)
         seam = self.seam(frame, anchor, effects)
-        bins = np.flatnonzero(frame.keep)
+        bins = frame.bins
 
         def rendered(setup: Setup, seam: BentSeam, stretch: Int64 | None) -> Layers:
             true = apply_setup_effects(setup)
@@ -499,9 +576,10 @@ def _factor(passed_e: Float32, rendered_e: Float32, known: float) -> Float32:
 
     `known` is what exposure and level alone make of it.
     """
-    with np.errstate(divide="ignore", invalid="ignore"):
-        factor = np.nan_to_num(np.clip(passed_e / rendered_e, 0.0, MAX_LIGHT_FACTOR * known))
-    return np.asarray(factor, dtype=np.float32)
+    factor = np.zeros_like(passed_e)
+    with np.errstate(over="ignore"):
+        np.divide(passed_e, rendered_e, out=factor, where=rendered_e > 0.0)
+    return np.clip(factor, np.float32(0.0), np.float32(MAX_LIGHT_FACTOR * known))
 
 
 def _fourth_difference(image: Float32) -> Float32:

@@ -459,7 +459,9 @@ def test_checks_of_several_seeds_are_scored_together(made: Path, tmp_path: Path)
     assert (rates["unknown_B"].right, rates["unknown_B"].of) == (1, 1)
     assert opened.scores.failures == (("other/0001", "not diagnosed"),)
     result = command("open", made, other)
-    assert result.stdout.startswith("`--draws 1 --quiet-draws 1 --tiers ABE --seed 3`, `--draws 1 ")
+    assert result.stdout.startswith(
+        "`--draws 1 --quiet-draws 1 --tiers ABE --seed 3 --width-px 640`, `--draws 1 "
+    )
     assert not (made / "table.md").exists()
 
 

@@ -122,6 +122,7 @@ def observed_frame(n, image, arc, laser):
         np.full(int(keep.sum()), 0.5),
         in_stripe[keep],
         block_means(arc + laser, BIN_PX).astype(np.float32),
+        block_means(arc, BIN_PX).astype(np.float32),
         np.zeros(int(keep.sum())),
     )
 

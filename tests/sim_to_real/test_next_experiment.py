@@ -94,7 +94,7 @@ def planned():
     setup = nominal_setup("v_groove", "mild_steel", width=48, height=36)
     dark = Condition(0.0, 0.0, 0.001, 1.1)
     nothing = np.zeros((0, 0))
-    values = ObservedFrame(0, 11, 1.1, "dark", dark, travelling, (0.0, 0.0, 0.0), *8 * [nothing])
+    values = ObservedFrame(0, 11, 1.1, "dark", dark, travelling, (0.0, 0.0, 0.0), *9 * [nothing])
     return {item.key: planned_frame(item, values, setup) for item in MENU}
 
 

@@ -29,7 +29,7 @@ def looks():
     start = SimpleNamespace(nuisance=np.zeros(1))
     scores = [family("veiling_glare", 60.0 * GLARE, 0.05), family("black_level", 40.0 * OFFSET, 2.0)]
     metric = Metric(np.ones(N, dtype=np.float32), np.zeros((1, N)))
-    made = Looks(start, scores, ErrorModel(np.arange(N), metric, (), {}))
+    made = Looks(start, scores, ErrorModel(metric, (), {}, np.ones((N, 1), dtype=np.float32)))
     made.__dict__["_at_start"] = Linearized(
         residuals, Columns.free(NUISANCE[:, np.newaxis].astype(np.float32))
     )

@@ -29,7 +29,7 @@ def looked(name, *columns):
 def weighed(nuisances, *scores):
     """What was weighed with noise of unit variance, with nuisances of a wide prior."""
     metric = Metric(np.ones(N, dtype=np.float32), np.zeros((1, N)))
-    errors = SimpleNamespace(rows=np.arange(N), metric=metric)
+    errors = SimpleNamespace(metric=metric)
     start = Linearized(np.zeros(N), Columns.free((1e3 * nuisances).astype(np.float32)))
     return Weighed(None, scores, errors, start)
 
