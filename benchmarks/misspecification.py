@@ -65,9 +65,9 @@ from sim_to_real.evidence.error_model import (
     smooth_error,
 )
 from sim_to_real.evidence.policy import POLICY
+from sim_to_real.fit.covariates import Covariates, covariates
 from sim_to_real.fit.gauss_newton import Refit, refit
 from sim_to_real.fit.linearized_model import LinearizedModel
-from sim_to_real.locate.covariates import Covariates, covariates
 
 N_FITTED, N_VALIDATION = 2000, 300
 """Draws that the flow is fitted to and the discrepancy taken to, and those that densities rank among."""

@@ -27,21 +27,21 @@ from sim_to_real.diagnosis import (
     Verdict,
     excluded_effects,
 )
+from sim_to_real.evidence.error_model import Linearized
+from sim_to_real.evidence.free_functions import FreeFunctions, all_families, locate
 from sim_to_real.evidence.hypotheses import Hypothesis, Posterior
 from sim_to_real.evidence.judgement import Judgement, judge
 from sim_to_real.evidence.policy import POLICY
 from sim_to_real.evidence.weigh import Weighed, weigh
+from sim_to_real.fit.covariates import Covariates, covariates
 from sim_to_real.fit.gauss_newton import Refit, converged, refit, refit_there
 from sim_to_real.fit.linearized_model import LinearizedModel
 from sim_to_real.fit.metal_of_stripe import metal_of_stripe
-from sim_to_real.locate.covariates import covariates
-from sim_to_real.locate.residual_structure import locate
-from sim_to_real.locate.spline_term import gap_size, spline_terms
 from sim_to_real.variance.random_effects import RandomEffects, random_effects
 from tracker.state import Frame
 
-HOLDOUT_SHARE, VALIDATION_SHARE = 0.25, 0.34
-"""The share of frames held out of every fit, and of the others that held out of free functions' fits."""
+HOLDOUT_SHARE = 0.25
+"""The share of frames held out of every fit."""
 
 MAX_REASONS = 6
 """So many hypotheses with effects are reported."""
@@ -125,11 +125,10 @@ def _diagnosed(
     effects: tuple[Named, ...] = ()
     if verdict in (Verdict.EFFECTS, Verdict.AMBIGUOUS):
         effects = _named(judgement, after, weighed, random, random_before)
-    stage = effects[0].stage if effects else weighed.posterior.unknown.stage.value
-    where = locate(of_bins, before.residuals, stage, excess_map(predicted))
-    of_after = of_bins if after is before else covariates(model, after)
-    training = ~held_out(train, VALIDATION_SHARE)
-    terms = spline_terms(of_after, after.residuals, training, gap_size(of_bins, before.residuals, training))
+    functions = _free_functions(weighed, judgement, of_bins)
+    stages = weighed.posterior.unknown.stages(POLICY.temperature)
+    stage = effects[0].stage if effects else max(stages, key=lambda name: stages[name])
+    where = locate(functions, of_bins, before.residuals, stage, stages, excess_map(predicted))
     tell("done", 1.0)
     return Diagnosis(
         verdict,
@@ -141,7 +140,7 @@ def _diagnosed(
         _next(model, weighed, judgement),
         weighed.not_resolvable,
         weighed.smallest,
-        (terms[0].name, terms[0].closed) if terms else None,
+        functions.left_over,
         (*after.ids, *random.effects),
         predicted,
         reasons(weighed.posterior),
@@ -249,6 +248,14 @@ def _after(model: LinearizedModel, before: Refit, judgement: Judgement) -> Refit
     """Return the leading hypothesis' effects fitted to all bins alike, as the fit before is."""
     fitted = judgement.leader.refit
     return refit_there(model, fitted) if fitted.ids else before
+
+
+def _free_functions(weighed: Weighed, judgement: Judgement, of_bins: Covariates) -> FreeFunctions:
+    """Return the free functions beside no gap and beside the leading hypothesis."""
+    none, leader = weighed.posterior.none.neutral, judgement.leader.refit
+    named = Linearized.of(leader) if leader.ids else none
+    families = all_families(of_bins, weighed.bins)
+    return FreeFunctions.of(weighed.errors, families, none, named, POLICY)
 
 
 def _next(model: LinearizedModel, weighed: Weighed, judgement: Judgement) -> Next | None:

@@ -101,33 +101,38 @@ class Gap:
 
 @dataclass(frozen=True, eq=False)
 class Curve:
-    """The residual along a covariate, in groups (g,) of bins: mean and 95 % band over frames, in sigmas.
+    """The function of a covariate that explains most of the residual, at knots (k,): mean and 95 % band.
 
-    `log_ratio` is the median of ln(recorded / predicted light) in the groups, NaN where it is dark.
+    By its `form` it "adds" DN, or multiplies light as "times_arc", "times_laser" or "times_light", by 1 plus
+    the function. It is about its own mean. `r2` is the share that it explains of the excess over all errors,
+    `nats` its log evidence over no function. A covariate that does not vary has no knots.
     """
 
     name: str
     unit: str
     r2: float
+    form: str
+    nats: float
     centers: Float64
     mean: Float64
     low: Float64
     high: Float64
-    log_ratio: Float64
 
 
 @dataclass(frozen=True, eq=False)
 class Where:
     """Where the gap lies.
 
-    `stage` is that of what is named, else that of the likeliest unknown cause; `covariates`
-    explain the largest share first; `image` holds the shares of patterns in the image (row, column, radial,
-    mirrored, fixed, stripe_band); `strata` the gap of dark, laser, arc, both frames and of the stripe's band.
+    `stage` is that of what is named, else the most probable of `stages`, which holds the probability that an
+    unknown cause acts at each stage; `covariates` explain the largest share first; `image` holds the shares
+    of patterns in the image (row, column, radial, mirrored, fixed, stripe_band); `strata` the gap of dark,
+    laser, arc, both frames and of the stripe's band.
     `z` (H, W): by how many sigmas the held-out residual at each pixel exceeds its noise, negative where it is
     darker than predicted.
     """
 
     stage: str
+    stages: Mapping[str, float]
     covariates: tuple[Curve, ...]
     image: Mapping[str, float]
     strata: Mapping[str, float]
@@ -180,7 +185,7 @@ class Diagnosis:
 
     `effects` are those that the verdict names, `ranking` all that were fitted, best first. `ambiguous_with`
     are sets of effects that explain the gap equally well, `not_resolvable` pairs that this recording cannot
-    tell apart, `smallest` the smallest magnitude of each effect that would show. `spline_term` is the best
+    tell apart, `smallest` the smallest magnitude of each effect that would show. `left_over` is the best
     free function of a covariate and the share of the gap that it closes beyond the named effects.
     `after_with` are the effects in the predictions after, whether the verdict names them or not. `reasons`
     are the hypotheses that were compared, the most probable first.
@@ -195,7 +200,7 @@ class Diagnosis:
     next: Next | None
     not_resolvable: tuple[tuple[str, str], ...]
     smallest: Mapping[str, Estimate]
-    spline_term: tuple[str, float] | None
+    left_over: tuple[str, float] | None
     after_with: tuple[str, ...]
     predicted: Predicted
     reasons: tuple[Reason, ...] = ()

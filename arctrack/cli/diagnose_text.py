@@ -91,8 +91,8 @@ def _lines(diagnosis: Diagnosis) -> Iterator[tuple[str, str]]:
         values = [f"{name} = {words.estimate(value)}" for name, value in effect.parameters.items()]
         values += [words.trend(effect.trend)] if effect.trend is not None else []
         yield effect.id if diagnosis.verdict is Verdict.EFFECTS else f"if {effect.id}", ", ".join(values)
-    if diagnosis.verdict is Verdict.UNKNOWN and diagnosis.spline_term is not None:
-        yield "left over", words.spline_term(*diagnosis.spline_term)
+    if diagnosis.verdict is Verdict.UNKNOWN and diagnosis.left_over is not None:
+        yield "left over", words.left_over(*diagnosis.left_over)
     if diagnosis.not_resolvable:
         pairs = [" | ".join(pair) for pair in diagnosis.not_resolvable[:MAX_PAIRS]]
         more = len(diagnosis.not_resolvable) - len(pairs)

@@ -60,7 +60,7 @@ def report(diagnosis: Diagnosis) -> dict[str, Any]:
         "next": _next(diagnosis.next),
         "not_resolvable": diagnosis.not_resolvable,
         "smallest_detectable": {name: asdict(least) for name, least in diagnosis.smallest.items()},
-        "left_over": _left_over(diagnosis.spline_term),
+        "left_over": _left_over(diagnosis.left_over),
         "after_with": diagnosis.after_with,
         "reasons": [_reason(reason) for reason in diagnosis.reasons],
     }
@@ -101,7 +101,11 @@ def _before_after(values: tuple[float, float]) -> dict[str, float]:
 def _where(where: Where) -> dict[str, Any]:
     return {
         "stage": where.stage,
-        "covariates": [{"name": curve.name, "r2": curve.r2} for curve in where.covariates],
+        "stages": where.stages,
+        "covariates": [
+            {"name": curve.name, "r2": curve.r2, "nats": curve.nats, "form": curve.form}
+            for curve in where.covariates
+        ],
         "strata": where.strata,
         "image": where.image,
         "map": WHERE_NPZ,

@@ -16,9 +16,8 @@ import numpy as np
 
 from noise_model.arrays import Float32
 from noise_model.effects.effect import Stage
+from sim_to_real.fit.covariates import Covariates
 from sim_to_real.fit.nuisances import N_LEVELS, SEAM_FROM
-from sim_to_real.locate.covariates import Covariates
-from sim_to_real.locate.spline_term import hats_at, pairwise_products
 
 IN_EACH_FRAME = "arc in each frame"
 """The free term that stands for an arc that flickers."""
@@ -177,17 +176,33 @@ def _mean_in_frame(covariates: Covariates) -> Float32:
 
 
 def hats(values: Float32, count: int) -> Float32:
-    """Return at most so many hat functions (n, k) of values (n,): at their quantiles, or at each of few."""
-    known = values[np.isfinite(values)]
-    distinct = np.unique(known)
-    if len(distinct) > count:
-        distinct = np.unique(np.quantile(known, np.linspace(0.0, 1.0, count)))
-    return hats_at(distinct, values)
+    """Return at most so many hat functions (n, k) of values (n,): at their quantiles, or at each of few.
+
+    Each falls from 1 at its knot to 0 at the next ones. NaN belongs to no hat.
+    """
+    known = np.isfinite(values)
+    places = np.unique(values[known])
+    if len(places) > count:
+        places = np.unique(np.quantile(values[known], np.linspace(0.0, 1.0, count)))
+    if len(places) < 2:
+        return np.asarray(known, dtype=np.float32)[:, np.newaxis]
+    X = np.zeros((len(values), len(places)), dtype=np.float32)
+    lower = np.clip(np.searchsorted(places, values[known], side="right") - 1, 0, len(places) - 2)
+    share = np.clip((values[known] - places[lower]) / np.diff(places)[lower], 0.0, 1.0)
+    rows = np.flatnonzero(known)
+    X[rows, lower], X[rows, lower + 1] = 1.0 - share, share
+    return X
 
 
 def hats_2d(rows: Float32, columns: Float32, n_rows: int, n_columns: int) -> Float32:
     """Return products of hats of row and column (n, k): piecewise bilinear functions over the image."""
     return pairwise_products(hats(rows, n_rows), hats(columns, n_columns))
+
+
+def pairwise_products(first: Float32, second: Float32) -> Float32:
+    """Return the products (n, k j) of each of some functions (n, k) with each of others (n, j)."""
+    product = first[:, :, np.newaxis] * second[:, np.newaxis, :]
+    return np.asarray(product.reshape(len(product), -1))
 
 
 def in_each_frame(covariates: Covariates) -> Float32:

@@ -27,11 +27,18 @@ from sim_to_real.evidence.coordinates import (
     in_each_frame,
     texture,
 )
-from sim_to_real.evidence.metric import Metric, MetricLoss, compressed, log_evidence, robust_weights
+from sim_to_real.evidence.metric import (
+    Metric,
+    MetricLoss,
+    compressed,
+    log_evidence,
+    rescaled,
+    robust_weights,
+)
 from sim_to_real.evidence.policy import Policy
+from sim_to_real.fit.covariates import Covariates
 from sim_to_real.fit.gauss_newton import Refit
 from sim_to_real.fit.linearized_model import LinearizedModel
-from sim_to_real.locate.covariates import Covariates
 from sim_to_real.search.score_test import ScoreTest
 
 HAND_EYE = "hand_eye"
@@ -169,11 +176,22 @@ class ErrorModel:
 
     def table(self, hypothesis: Linearized, blocks: Sequence[Columns]) -> EvidenceTable:
         """Return what gives the evidence of a hypothesis with any of some blocks of columns."""
-        columns = [hypothesis.columns, *blocks]
-        every = np.column_stack([*(block.changes for block in columns), hypothesis.residuals])
-        ends = np.cumsum([0, *(len(block.sides) for block in columns)])
-        sides = np.concatenate([block.sides for block in columns])
-        return EvidenceTable(self.metric.products(every, every), sides, ends, len(every))
+        return self.tables([hypothesis], blocks)[0]
+
+    def tables(self, hypotheses: Sequence[Linearized], blocks: Sequence[Columns]) -> list[EvidenceTable]:
+        """Return what gives the evidence of each of some hypotheses with any of some blocks of columns."""
+        own = [np.column_stack([h.columns.changes, h.residuals]) for h in hypotheses]
+        every = np.column_stack([*own, *(block.changes for block in blocks)])
+        products = self.metric.products(every, every)
+        ends = np.cumsum([0, *(part.shape[1] for part in own)])
+        tables = []
+        for hypothesis, first, last in zip(hypotheses, ends, ends[1:] - 1, strict=False):
+            columns = [hypothesis.columns, *blocks]
+            places = [*range(first, last), *range(ends[-1], len(products)), last]
+            sides = np.concatenate([block.sides for block in columns])
+            block_ends = np.cumsum([0, *(len(block.sides) for block in columns)])
+            tables.append(EvidenceTable(products[np.ix_(places, places)], sides, block_ends, len(every)))
+        return tables
 
     def form_error(self, effect: str, change: Float64 | Float32) -> Columns:
         """Return the error of an effect's form; `change` (n,) is what the effect does."""
@@ -181,6 +199,21 @@ class ErrorModel:
         is_textured, stage = REGISTRY[effect].is_textured, REGISTRY[effect].stage
         functions = self.texture if is_textured else self.form_functions[stage]
         return Columns.free(np.asarray(share * functions * change[:, np.newaxis], dtype=np.float32))
+
+
+@dataclass(frozen=True, eq=False)
+class Sizes:
+    """The posterior of sizes: mean (k,) and covariance (k, k), and the log evidence with them, nats.
+
+    `mean_square` is the cost of what remains per degree of freedom, tr (I - H)^2 with H the hat matrix: an
+    estimate of all errors' variance over the stated one that has no bias (Hastie and Tibshirani 1990,
+    Generalized Additive Models, 3.5).
+    """
+
+    nats: float
+    mean: Float64
+    covariance: Float64
+    mean_square: float
 
 
 @dataclass(frozen=True, eq=False)
@@ -197,12 +230,26 @@ class EvidenceTable:
 
     def log_evidence(self, *chosen: int, size: float = 1.0) -> float:
         """Return ln Z, nats, of the hypothesis with some blocks, by number, whose sizes are scaled."""
+        return log_evidence(*self._part(chosen, size), self.count)
+
+    def sizes(self, *chosen: int, size: float = 1.0) -> Sizes:
+        """Return the sizes of some blocks, by number, after what was seen; before, their sigma is `size`."""
+        products, sides = self._part(chosen, size)
+        nats, variance, cost = rescaled(products, sides, self.count)
+        P = products[:-1, :-1] / variance
+        covariance = np.asarray(np.linalg.inv(P + np.eye(len(P))), dtype=np.float64)
+        mean = -covariance @ products[:-1, -1] / variance
+        dof = self.count - len(P) + float(np.sum(covariance**2))
+        of_blocks = slice(self.ends[1], None)
+        return Sizes(nats, size * mean[of_blocks], size**2 * covariance[of_blocks, of_blocks], cost / dof)
+
+    def _part(self, chosen: Sequence[int], size: float) -> tuple[Float64, Float64]:
+        """Return the products and the sides of the hypothesis with some blocks, whose sizes are scaled."""
         places = np.concatenate([np.arange(self.ends[1]), *map(self._places, chosen)])
         kept = np.append(places, len(self.products) - 1)
         scale = np.ones(len(kept))
         scale[self.ends[1] : -1] = size
-        products = self.products[np.ix_(kept, kept)] * np.outer(scale, scale)
-        return log_evidence(products, self.sides[places], self.count)
+        return self.products[np.ix_(kept, kept)] * np.outer(scale, scale), self.sides[places]
 
     def likeliest(self, *chosen: int) -> list[Float64]:
         """Return the likeliest sizes (k,) of each of some blocks, by number, fitted together."""

@@ -67,13 +67,17 @@ class Unknown:
         """The likeliest term's stage and name."""
         return max(self.terms, key=lambda term: self.terms[term])
 
-    @property
-    def stage(self) -> Stage:
-        """The stage of the likeliest term that has one."""
-        of_stages = {term: nats for term, nats in self.terms.items() if term[0] is not None}
-        stage, _ = max(of_stages, key=lambda term: of_stages[term])
-        assert stage is not None
-        return stage
+    def stages(self, temperature: float) -> dict[str, float]:
+        """Return the probability of each stage: that of all its terms together, equally probable before.
+
+        The evidence counts divided by the temperature, as it does in a `Posterior`.
+        """
+        of_stage: dict[str, list[float]] = {}
+        for (stage, _), nats in self.terms.items():
+            if stage is not None:
+                of_stage.setdefault(stage.value, []).append(nats)
+        ln = np.array([logsumexp(nats) for nats in of_stage.values()]) / temperature
+        return dict(zip(of_stage, np.exp(ln - logsumexp(ln)).tolist(), strict=True))
 
 
 @dataclass(frozen=True, eq=False)

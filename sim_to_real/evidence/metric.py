@@ -59,7 +59,9 @@ class Metric:
     def products(self, columns: Float64 | Float32, others: Float64 | Float32) -> Float64:
         """Return the products (k, j) of columns (n, k) with others (n, j)."""
         a, b = np.asarray(columns, dtype=np.float64), np.asarray(others, dtype=np.float64)
-        return (a * self.weights[:, np.newaxis]).T @ b - (self.projected @ a).T @ (self.projected @ b)
+        projected = self.projected @ a
+        others_projected = projected if others is columns else self.projected @ b
+        return (a * self.weights[:, np.newaxis]).T @ b - projected.T @ others_projected
 
     def log_evidence(
         self, residuals: Float64 | Float32, columns: Float64 | Float32, sides: Float64 | None = None
@@ -112,6 +114,14 @@ def log_evidence(products: Float64, sides: Float64, count: int) -> float:
     than the errors are. So two that leave much differ by the ratio of what they leave, as one would compare
     them who knows nothing of the errors' size.
     """
+    return rescaled(products, sides, count)[0]
+
+
+def rescaled(products: Float64, sides: Float64, count: int) -> tuple[float, float, float]:
+    """Return ln Z as `log_evidence` does, the errors' variance there over the stated one, and the cost there.
+
+    The cost is that of the stated errors.
+    """
     variance, nats = 1.0, -math.inf
     for _ in range(MAX_RESCALES):
         at_variance, cost = _at_variance(products, sides, variance)
@@ -119,7 +129,7 @@ def log_evidence(products: Float64, sides: Float64, count: int) -> float:
         before, variance = variance, max(1.0, cost / max(count, 1))
         if abs(math.log(variance / before)) < 0.01:
             break
-    return nats
+    return nats, variance, cost
 
 
 def _at_variance(products: Float64, sides: Float64, variance: float) -> tuple[float, float]:

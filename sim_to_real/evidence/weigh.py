@@ -10,17 +10,17 @@ from functools import cached_property
 
 import numpy as np
 
-from noise_model.arrays import Float64
+from noise_model.arrays import Float64, Int64
 from noise_model.effects import REGISTRY, not_predicted
 from sim_to_real.diagnosis import Estimate
 from sim_to_real.evidence.error_model import ErrorModel, Linearized, compared_bins
 from sim_to_real.evidence.hypotheses import Posterior
 from sim_to_real.evidence.hypothesis_search import HypothesisSearch
 from sim_to_real.evidence.policy import POLICY
+from sim_to_real.fit.covariates import Covariates
 from sim_to_real.fit.gauss_newton import Refit, refit
 from sim_to_real.fit.linearized_model import LinearizedModel
 from sim_to_real.fit.nuisances import BIASED_MEAN_SQUARE
-from sim_to_real.locate.covariates import Covariates
 from sim_to_real.search.probe_points import FAMILIES
 from sim_to_real.search.score_test import ScoreTest, score_effects
 
@@ -36,12 +36,16 @@ MIN_SPAN_REL = 1e-6
 
 @dataclass(frozen=True, eq=False)
 class Weighed:
-    """The posterior, with the effects' scores, the error model and the linear form of no gap behind it."""
+    """The posterior, with the effects' scores, the error model and the linear form of no gap behind it.
+
+    `bins` (n,) are the places of the bins that are compared among all.
+    """
 
     posterior: Posterior
     scores: tuple[ScoreTest, ...]
     errors: ErrorModel
     start: Linearized
+    bins: Int64
 
     @property
     def not_resolvable(self) -> tuple[tuple[str, str], ...]:
@@ -134,4 +138,4 @@ def weigh(
     none = search.none(without_effects[0], [*without_effects[1:], *every])
     unknown = search.unknown([*beside, search.free_terms_beside(none)])
     posterior = Posterior.of(none, every, unknown, len(scores), POLICY)
-    return Weighed(posterior, tuple(scores), errors, Linearized.of(start))
+    return Weighed(posterior, tuple(scores), errors, Linearized.of(start), bins)

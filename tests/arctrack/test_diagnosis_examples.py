@@ -66,7 +66,7 @@ def example(verdict: Verdict, setup: Setup, effects: Effects = GAMMA) -> Diagnos
         else None,
         not_resolvable=(("wrong_material", "fume"), ("arc_length", "arc_radius")),
         smallest={"gamma": Estimate(0.02, math.nan, ""), "arc_length": Estimate(0.3, math.nan, "mm")},
-        spline_term=("half_angle times_arc", 0.62) if verdict is Verdict.UNKNOWN else None,
+        left_over=("half_angle times_arc", 0.62) if verdict is Verdict.UNKNOWN else None,
         after_with=() if verdict is Verdict.NO_GAP else tuple(effects),
         predicted=predicted,
         reasons=reasons(next(iter(effects)), verdict),
@@ -127,12 +127,12 @@ def where(predicted: Predicted, stage: str, is_gap: bool) -> Where:
     centers = np.linspace(5.0, 200.0, 12)
     size = 4.0 if is_gap else 0.1
     mean = size * np.sin(centers / 60.0)
-    log_ratio = np.where(centers > 20.0, 0.1 * mean, np.nan)
-    curve = Curve("gray_level", "DN", 0.81, centers, mean, mean - 0.4, mean + 0.4, log_ratio)
-    signs = np.array([-1.0, 1.0])
-    weave = Curve("velocity_sign", "", 0.14, signs, signs, signs - 0.2, signs + 0.2, np.full(2, np.nan))
+    curve = Curve("gray_level", "DN", 0.81, "adds", 340.0, centers, mean, mean - 0.4, mean + 0.4)
+    signs, shares = np.array([-1.0, 1.0]), np.array([-0.1, 0.1])
+    weave = Curve("velocity_sign", "", 0.14, "times_arc", 31.0, signs, shares, shares - 0.02, shares + 0.02)
     return Where(
         stage=stage,
+        stages={stage: 0.96, "timing": 0.035, "geometry": 0.005},
         covariates=(curve, weave),
         image={"row": 0.1, "radial": 0.24, "fixed": 0.36, "stripe_band": math.nan},
         strata={"dark": 0.0, "laser": 0.9, "arc": size, "both": 3.0, "stripe_band": math.nan},

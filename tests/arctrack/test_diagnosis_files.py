@@ -31,9 +31,10 @@ def test_keys_and_types(verdict: Verdict, seen_setup: Setup, tmp_path: Path) -> 
     assert list(gap) == ["before", "after", "floor", "closed", "ci95", "rms_dn", "seam_mm"]
     assert all(list(gap[name]) == ["before", "after"] for name in ("rms_dn", "seam_mm"))
     where = content["where"]
-    assert list(where) == ["stage", "covariates", "strata", "image", "map"]
+    assert list(where) == ["stage", "stages", "covariates", "strata", "image", "map"]
     assert where["stage"] in {stage.value for stage in Stage}
-    assert where["covariates"][0] == {"name": "gray_level", "r2": 0.81}
+    assert where["stages"] == {where["stage"]: 0.96, "timing": 0.035, "geometry": 0.005}
+    assert where["covariates"][0] == {"name": "gray_level", "r2": 0.81, "nats": 340.0, "form": "adds"}
     assert where["map"] == "where.npz"
     assert content["not_resolvable"] == [["wrong_material", "fume"], ["arc_length", "arc_radius"]]
 

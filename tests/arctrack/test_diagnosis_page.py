@@ -204,7 +204,8 @@ def test_what_no_quantity_explains_is_said_and_not_drawn(seen_setup: Setup, reco
         "no single quantity explains more than 2 % of it; a pattern fixed in the image explains 36 % of it"
     )
     assert text in read(page(replace(found, where=none), recording)).text
-    assert "the residual along" not in page(replace(found, where=none), recording)
+    assert "what differs along" not in page(replace(found, where=none), recording)
+    assert "what differs along" in page(found, recording)
     assert words.follows(found.where) == "it goes with grey level (81 %) and direction of the weave (14 %)"
 
 
@@ -230,6 +231,8 @@ def test_what_is_open_is_said(seen_setup: Setup, recording: Recording) -> None:
     assert "predicted after" not in unknown.text
     assert "unknown: sensor, grey level340 natsthe most> 99 %" in unknown.text
     assert "veiling_glare310 nats30 nats behind< 1 %" in unknown.text
+    assert "By evidence: optics (96 %) and timing (4 %)." in unknown.text
+    assert "By evidence" not in ambiguous.text
     for reader in (ambiguous, unknown):
         assert "--apply" not in reader.text
     no_gap = read(page(example(Verdict.NO_GAP, seen_setup), recording))

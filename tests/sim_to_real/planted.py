@@ -2,8 +2,7 @@
 
 import numpy as np
 
-from noise_model.fit import Parameter
-from sim_to_real.locate.covariates import UNITS, Covariates
+from sim_to_real.fit.covariates import UNITS, Covariates
 
 
 def planted(n_frames=24, shape=(24, 32), seed=0):
@@ -47,6 +46,4 @@ def planted(n_frames=24, shape=(24, 32), seed=0):
         values["gray_level"].astype(np.float32),
         np.column_stack([row + 0.8 * frame, column]).astype(np.float32),
         np.zeros((len(frame), 9), dtype=np.float32),
-        tuple(Parameter(f"p{n}", "", 0.0, 1.0, -3.0, 3.0, 0.1) for n in range(9)),
-        np.zeros(9),
     )

@@ -22,8 +22,8 @@ from sim_to_real.evidence.hypotheses import Posterior
 from sim_to_real.evidence.hypothesis_search import HypothesisSearch
 from sim_to_real.evidence.policy import POLICY
 from sim_to_real.evidence.weigh import weigh
+from sim_to_real.fit.covariates import covariates
 from sim_to_real.fit.gauss_newton import refit
-from sim_to_real.locate.covariates import covariates
 from tests.sim_to_real.small import of_stratum, small_recording
 
 

@@ -7,8 +7,8 @@ import pytest
 from sim_to_real.evidence.error_model import ErrorModel
 from sim_to_real.evidence.looks import Looks
 from sim_to_real.evidence.policy import POLICY
+from sim_to_real.fit.covariates import covariates
 from sim_to_real.fit.gauss_newton import refit
-from sim_to_real.locate.covariates import covariates
 from sim_to_real.search.score_test import score_effects
 from tests.sim_to_real.small import small_recording
 

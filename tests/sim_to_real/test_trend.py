@@ -10,9 +10,9 @@ import arctrack.simulate
 from noise_model.effects import REGISTRY
 from noise_model.forward import draw_frame
 from sim_to_real.evidence.weigh import weigh
+from sim_to_real.fit.covariates import covariates
 from sim_to_real.fit.gauss_newton import converged, refit
 from sim_to_real.fit.trend import Driver, Trend
-from sim_to_real.locate.covariates import covariates
 from tests.sim_to_real.small import small_recording
 
 FINE = 3

@@ -7,13 +7,12 @@ from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
-from matplotlib.axes import Axes
 
 from arctrack.report import style
 from arctrack.report.diagnosis.words import percent, quantity
 from arctrack.report.embedded import CHANGE, EXCESS, Scale, binned, coloured, png, scale, svg
 from arctrack.report.image import visible
-from noise_model.arrays import Float32, Float64, Integers
+from noise_model.arrays import Float32, Integers
 from noise_model.instrument.sensor import Sensor
 from sim_to_real.diagnosis import Curve, Predicted
 
@@ -31,6 +30,14 @@ MAX_RESIDUAL_SIGMAS = 10.0
 
 FEW = 3
 """A curve of so few points is drawn as points."""
+
+CURVE_LABELS = {
+    "adds": "added [DN]",
+    "times_arc": "arc light, recorded / predicted",
+    "times_laser": "laser light, recorded / predicted",
+    "times_light": "light, recorded / predicted",
+}
+"""What a free function of each form is."""
 
 
 @dataclass(frozen=True)
@@ -91,25 +98,18 @@ def residual_map(z: Float32) -> tuple[str, Scale]:
 
 
 def curve_picture(curve: Curve) -> str:
-    """Return a residual along its covariate, with its band, and what is recorded over what is predicted."""
-    has_ratio = bool(np.isfinite(curve.log_ratio).any())
-    title = f"{quantity(curve.name)}: explains {percent(curve.r2)}"
-    figure = style.new_figure(5.0, 4.4 if has_ratio else 2.9, title)
-    upper, *lower = figure.subplots(2 if has_ratio else 1, 1, sharex=True, squeeze=False)[:, 0]
-    label = quantity(curve.name, curve.unit)
-    style.plain(upper, "" if has_ratio else label, "residual [σ]")
-    upper.axhline(0.0, color=style.BLACK, linewidth=0.8)
-    _line(upper, curve, curve.mean, style.BLUE)
-    band = np.stack([curve.mean - curve.low, curve.high - curve.mean])
+    """Return a free function of a covariate about its mean, with its 95 % band."""
+    figure = style.new_figure(5.0, 3.2, f"{quantity(curve.name)}: explains {percent(curve.r2)}")
+    axes = style.plain(figure.subplots(), quantity(curve.name, curve.unit), CURVE_LABELS[curve.form])
+    neutral = 0.0 if curve.form == "adds" else 1.0
+    low, mean, high = (neutral + values for values in (curve.low, curve.mean, curve.high))
+    axes.axhline(neutral, color=style.BLACK, linewidth=0.8)
     if len(curve.centers) > FEW:
-        upper.fill_between(curve.centers, curve.low, curve.high, color=style.SKY, alpha=0.45, linewidth=0)
+        axes.plot(curve.centers, mean, marker="o", markersize=3, color=style.BLUE)
+        axes.fill_between(curve.centers, low, high, color=style.SKY, alpha=0.45, linewidth=0)
     else:
-        upper.set_xticks(curve.centers)
-        upper.errorbar(curve.centers, curve.mean, np.maximum(band, 0.0), fmt="none", ecolor=style.BLUE)
-    if has_ratio:
-        style.plain(lower[0], label, "recorded / predicted")
-        lower[0].axhline(1.0, color=style.BLACK, linewidth=0.8)
-        _line(lower[0], curve, np.exp(curve.log_ratio), style.VERMILLION)
+        axes.set_xticks(curve.centers)
+        axes.errorbar(curve.centers, mean, [mean - low, high - mean], fmt="o", markersize=4, color=style.BLUE)
     return svg(figure)
 
 
@@ -126,11 +126,6 @@ def _mean_square(recorded: Integers, mean: Float32, variance: Float32) -> Float3
     square = np.minimum((recorded - mean) ** 2 / variance, MAX_RESIDUAL_SIGMAS**2)
     counts = np.isfinite(variance)
     return np.asarray(np.where(counts, square, 0.0).sum(axis=(1, 2)) / np.maximum(counts.sum(axis=(1, 2)), 1))
-
-
-def _line(axes: Axes, curve: Curve, values: Float64, colour: str) -> None:
-    joined = "-" if len(curve.centers) > FEW else ""
-    axes.plot(curve.centers, values, linestyle=joined or "none", marker="o", markersize=3, color=colour)
 
 
 def _grey(image_dn: npt.NDArray[np.generic], sensor: Sensor) -> str:

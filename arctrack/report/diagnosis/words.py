@@ -68,6 +68,9 @@ CERTAIN_SHARE = 0.995
 MIN_R2 = 0.05
 """A covariate or pattern that explains a smaller share of the residual is not worth mentioning."""
 
+MIN_STAGE_PROBABILITY = 0.01
+"""A less probable stage is not mentioned."""
+
 MAX_FOLLOWED = 3
 """So many covariates are named at most."""
 
@@ -181,6 +184,13 @@ def seam_sentence(diagnosis: Diagnosis, bears_mm: float) -> str:
 def is_same_seam(before_mm: float, after_mm: float) -> bool:
     """Say whether two errors of the seam are the same, for all that they are worth."""
     return abs(before_mm - after_mm) <= max(SAME_SEAM_REL * before_mm, SAME_SEAM_MM)
+
+
+def stages(where: Where) -> str:
+    """Return the stages at which an unknown cause may act, with their probabilities, the likeliest first."""
+    ranked = sorted(where.stages.items(), key=lambda pair: -pair[1])
+    told = [pair for pair in ranked[1:] if pair[1] >= MIN_STAGE_PROBABILITY]
+    return listed([f"{name} ({probability(p)})" for name, p in (ranked[0], *told)], "and")
 
 
 def follows(where: Where) -> str:
@@ -321,7 +331,7 @@ def free_function(name: str) -> str:
     return f"a free function of {quantity(covariate)} {FORMS[form]}"
 
 
-def spline_term(name: str, share: float) -> str:
+def left_over(name: str, share: float) -> str:
     """Return how much of the gap a free function closes beyond the catalogue."""
     if share < MIN_CLOSED:
         return "no free function of a single quantity closes any more of it"

@@ -49,10 +49,18 @@ def test_of_several_terms_an_unknown_cause_is_the_mean():
     two = Unknown({TERM: 3.0, (Stage.SENSOR, "rows"): -50.0})
     assert two.evidence == pytest.approx(3.0 - np.log(2.0))
     assert two.likeliest == TERM
-    # What is of no stage may be likelier: the stage is that of the likeliest term that has one.
-    anything = Unknown({(None, "anything"): 9.0, TERM: 3.0, (Stage.SENSOR, "rows"): -50.0})
-    assert anything.likeliest == (None, "anything")
-    assert anything.stage is Stage.SURFACE
+
+
+def test_a_stage_is_as_probable_as_all_its_terms_together():
+    # What is of no stage may be likelier than all, and says nothing of the stage.
+    terms = {(None, "anything"): 9.0, (Stage.SENSOR, "rows"): 3.0, (Stage.SENSOR, "grey level"): 3.0}
+    unknown = Unknown({**terms, TERM: 3.0, (Stage.OPTICS, "light over the image"): -300.0})
+    assert unknown.likeliest == (None, "anything")
+    stages = unknown.stages(2.0)
+    assert list(stages) == ["sensor", "surface", "optics"]
+    assert stages["sensor"] / stages["surface"] == pytest.approx(2.0**0.5)
+    assert stages["optics"] < 1e-9
+    assert sum(stages.values()) == pytest.approx(1.0)
 
 
 @pytest.mark.parametrize(

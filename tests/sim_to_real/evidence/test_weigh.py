@@ -9,8 +9,8 @@ from noise_model.effects import REGISTRY
 from sim_to_real.evidence.error_model import Columns, Linearized
 from sim_to_real.evidence.metric import Metric
 from sim_to_real.evidence.weigh import MIN_NATS, Weighed, principal_cosines, weigh
+from sim_to_real.fit.covariates import covariates
 from sim_to_real.fit.gauss_newton import refit
-from sim_to_real.locate.covariates import covariates
 from sim_to_real.search.score_test import ScoreTest
 from tests.sim_to_real.small import small_recording
 

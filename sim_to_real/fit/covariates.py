@@ -11,7 +11,6 @@ import numpy.typing as npt
 
 from noise_model.arrays import Bool, Float32, Float64, Int32, Integers
 from noise_model.effects import apply_setup_effects
-from noise_model.fit import Parameter
 from noise_model.instrument.camera import Rays
 from noise_model.setup import Setup
 from noise_model.surface.joint import Section, corrugation_height
@@ -78,8 +77,7 @@ class Covariates:
     flattened frame of bins `shape` (h, w), `stratum` an index into `STRATA`; `sigma_dn` the noise. `arc_dn`,
     `laser_dn` and `predicted_dn` are the predicted light of the sources and the predicted mean, DN;
     `part_mm` (n, 2) is the place on the part, along the seam and to its left, NaN past it.
-    `tangents` (n, p) are the changes of the whitened prediction with the `nuisances`, whose values are
-    `anchor` (p,).
+    `tangents` (n, p) are the changes of the whitened prediction with the nuisances.
     """
 
     shape: tuple[int, int]
@@ -94,13 +92,6 @@ class Covariates:
     predicted_dn: Float32
     part_mm: Float32
     tangents: Float32
-    nuisances: tuple[Parameter, ...]
-    anchor: Float64
-
-    @property
-    def n_frames(self) -> int:
-        """The number of frames, those without a bin at the end left out."""
-        return int(self.frame.max(initial=-1)) + 1
 
     @property
     def light_dn(self) -> Float32:
@@ -173,8 +164,6 @@ def covariates(model: LinearizedModel, fit: Refit) -> Covariates:
         joined("predicted_dn"),
         joined("part_mm"),
         -fit.jacobian[:, : len(anchor)].astype(np.float32),
-        model.nuisances,
-        anchor,
     )
 
 

@@ -1,1 +1,0 @@
-"""Where the gap lies: in which stage, and along which covariate."""
