@@ -120,7 +120,25 @@ def draw_stated(draw: Generator, joint: str | None, width_px: int = WIDTH_PX) ->
     if width_px < 1 or WIDTH_PX % width_px:
         raise ValueError(f"width_px = {width_px}: must divide {WIDTH_PX}")
     drawn = JOINTS[draw.integers(len(JOINTS))]
-    joint_type = drawn if joint is None else joint
+    stated_joint = _draw_joint(draw, drawn if joint is None else joint)
+    # Steel mirrors a lap's arc beside the image: there is nothing to see there.
+    is_steel = bool(draw.random() < 0.5) and stated_joint.type in ("v_groove", "flat")
+    # The arc stands on the sheet that it burns to.
+    arc_height_mm = stated_joint.dimensions.get("thickness_mm", 0.0)
+    stated = Setup(
+        camera=_draw_camera(draw, stated_joint.type).coarser(WIDTH_PX // width_px),
+        sensor=Sensor(bits=8, gain_e_per_dn=80.0, black_level_dn=4.0, read_noise_e=45.0, full_well_e=20400.0),
+        filter=Filter(center_nm=690.0, fwhm_nm=10.0, effective_index=1.8),
+        laser=Laser(690.0, (1.0, 0.0, 0.0, -35.0), (35.0, 0.0, 140.0), 0.45, 5000.0),
+        arc=Arc(3.0, (0.0, 0.0, arc_height_mm), 1.0, CURRENT_A, 1.3),
+        material=METALS[0] if is_steel else METALS[1],
+        joint=stated_joint,
+    )
+    return stated, _draw_motion(draw, stated_joint)
+
+
+def _draw_joint(draw: Generator, joint_type: str) -> Joint:
+    """Draw a joint's dimensions; those of other types are drawn too, so that a type changes nothing else."""
     dimensions = {
         "flat": {},
         "v_groove": {
@@ -133,16 +151,16 @@ def draw_stated(draw: Generator, joint: str | None, width_px: int = WIDTH_PX) ->
     }
     if joint_type not in dimensions:
         raise ValueError(f"joint {joint_type!r} is not known: there are {', '.join(dimensions)}")
-    # Steel mirrors a lap's arc beside the image: there is nothing to see there.
-    is_steel = bool(draw.random() < 0.5) and joint_type in ("v_groove", "flat")
-    arc_height_mm = {"lap": dimensions["lap"].get("thickness_mm", 0.0), "corrugation": 1.5}.get(
-        joint_type, 0.0
-    )
+    size = {name: float(value) for name, value in dimensions[joint_type].items()}
+    return Joint(joint_type, size, ((-90.0, 0.0, 0.0), (230.0, 0.0, 0.0)))
+
+
+def _draw_camera(draw: Generator, joint_type: str) -> Camera:
+    """Draw the camera's place: ahead, and in every other world 25 to 40 mm beside the seam's plane."""
     beside_mm = round(draw.uniform(25.0, 40.0)) * draw.choice([-1.0, 1.0]) * draw.integers(2)
-    seen_from = (
-        (-20.0, 0.0, 135.0) if joint_type == "lap" else (95.0 - 0.4 * abs(beside_mm), beside_mm, 130.0)
-    )
-    camera = Camera(
+    ahead = 95.0 - 0.4 * abs(beside_mm), beside_mm, 130.0
+    seen_from = (-20.0, 0.0, 135.0) if joint_type == "lap" else ahead
+    return Camera(
         width=WIDTH_PX,
         height=480,
         fx=2190.0,
@@ -152,25 +170,13 @@ def draw_stated(draw: Generator, joint: str | None, width_px: int = WIDTH_PX) ->
         T_tool_camera=_looking(np.array(seen_from), np.array([36.0, 0.0, 0.0])),
         focal_length_mm=16.2,
         exposure_s=EXPOSURE_S,
-    ).coarser(WIDTH_PX // width_px)
-    stated_joint = Joint(
-        joint_type,
-        {name: float(value) for name, value in dimensions[joint_type].items()},
-        ((-90.0, 0.0, 0.0), (230.0, 0.0, 0.0)),
     )
-    stated = Setup(
-        camera=camera,
-        sensor=Sensor(bits=8, gain_e_per_dn=80.0, black_level_dn=4.0, read_noise_e=45.0, full_well_e=20400.0),
-        filter=Filter(center_nm=690.0, fwhm_nm=10.0, effective_index=1.8),
-        laser=Laser(690.0, (1.0, 0.0, 0.0, -35.0), (35.0, 0.0, 140.0), 0.45, 5000.0),
-        arc=Arc(3.0, (0.0, 0.0, arc_height_mm), 1.0, CURRENT_A, 1.3),
-        material=METALS[0] if is_steel else METALS[1],
-        joint=stated_joint,
-    )
-    turn = 2.0 * math.pi
-    phases = draw.uniform(0.0, turn, 4)
-    motion = Motion(
-        joint=stated_joint,
+
+
+def _draw_motion(draw: Generator, joint: Joint) -> Motion:
+    phases = draw.uniform(0.0, 2.0 * math.pi, 4)
+    return Motion(
+        joint=joint,
         speed_mm_s=draw.uniform(7.0, 9.0),
         yaw_deg=draw.uniform(-3.0, 3.0),
         height_mm=1.3,
@@ -179,7 +185,6 @@ def draw_stated(draw: Generator, joint: str | None, width_px: int = WIDTH_PX) ->
         roll=(draw.uniform(2.5, 4.5), draw.uniform(2.4, 3.3), phases[2]),
         pitch=(draw.uniform(2.5, 4.5), draw.uniform(1.6, 2.3), phases[3]),
     )
-    return stated, motion
 
 
 def balanced(stated: Setup, motion: Motion, times_s: tuple[float, ...]) -> Setup:
