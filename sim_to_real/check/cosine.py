@@ -31,12 +31,13 @@ def cosines(setup: Setup, frames: Sequence[Frame], pose_at: PoseAt) -> dict[str,
     """
     observed = observe(setup, frames, pose_at)
     sampled = observed.subset(np.arange(len(observed.frames)) % FRAME_STEP == 0)
-    return _cosines(observed, [name for name in REGISTRY if name not in EXPENSIVE]) | _cosines(
+    return cosines_of(observed, [name for name in REGISTRY if name not in EXPENSIVE]) | cosines_of(
         sampled, EXPENSIVE
     )
 
 
-def _cosines(observed: Observed, ids: Iterable[str]) -> dict[str, float]:
+def cosines_of(observed: Observed, ids: Iterable[str]) -> dict[str, float]:
+    """Return the cosine between frames' residual and the signature of some effects, by id, see `cosines`."""
     model = LinearizedModel(observed)
     recorded_dn = np.concatenate([frame.kept_dn for frame in observed.frames])
     nominal_dn = _predicted_dn(model, {})

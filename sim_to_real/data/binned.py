@@ -180,14 +180,24 @@ def observe(setup: Setup, frames: Sequence[Frame], pose_at: PoseAt) -> Observed:
     posed = [frame for frame in frames if pose_at(frame.timestamp_s) is not None]
     if not posed:
         raise ValueError("no frame has a pose: there is nothing to compare with a prediction")
-    first_s = frames[0].timestamp_s
     poses = [_tool(pose_at, frame) for frame in posed]
+    sightings = SeamObservations.of(setup, posed, poses)
+    return observe_along(setup, posed, poses, sightings, frames[0].timestamp_s)
+
+
+def observe_along(
+    setup: Setup,
+    posed: Sequence[Frame],
+    poses: Sequence[Callable[[float], Float64]],
+    seam_observations: SeamObservations,
+    first_s: float,
+) -> Observed:
+    """Gather frames with their poses along a seam that was seen; the recording began at `first_s`."""
     true = apply_setup_effects(setup)
     stations_mm = [
         make_scene(true, T(pose_time_s(setup, frame.timestamp_s))).stations_mm
         for T, frame in zip(poses, posed, strict=True)
     ]
-    seam_observations = SeamObservations.of(setup, posed, poses)
     ends_mm = np.min(stations_mm), np.max(stations_mm)
     has_ridges = setup.joint.has_ridges
     seam = SeamCurve.of(

@@ -2,13 +2,12 @@
 
 from dataclasses import replace
 from pathlib import Path
-from unittest.mock import patch
 
 import numpy as np
 
 from arctrack.recording import pose_at, read_recording
 from arctrack.simulate import SimulationPlan, simulate_recording
-from sim_to_real.data.binned import observe
+from sim_to_real.data.binned import observe_along
 from sim_to_real.fit.linearized_model import LinearizedModel
 from tracker.seam_observations import SeamObservations
 
@@ -40,17 +39,30 @@ def recorded(path, effects, plan=EXACT, coarser=SMALL):
 
 def small_recording(path, effects, coarser=SMALL, stated=None):
     """The model held against such a recording, its setup stating effects; the seam is taken as nominal."""
-    in_joint = SeamObservations.in_joint
+    setup, frames, pose_at = recorded(path, effects, coarser=coarser)
+    return held_against(replace(setup, effects=stated or {}), frames, pose_at)
 
-    def nominal(sightings, setup):
-        stations, displacements = in_joint(sightings, setup)
+
+class OnNominalSeam(SeamObservations):
+    """Sightings of a seam that lies where the setup says."""
+
+    def in_joint(self, setup):
+        stations, displacements = super().in_joint(setup)
         return stations, np.zeros_like(displacements)
 
-    # Not the tracker's own error with so coarse a camera is looked at: a bin at an edge would show it.
-    with patch.object(SeamObservations, "in_joint", nominal):
-        setup, frames, pose_at = recorded(path, effects, coarser=coarser)
-        observed = observe(replace(setup, effects=stated or {}), frames, pose_at)
-    expected = LinearizedModel(observed)
+
+def held_against(setup, frames, pose_at):
+    """The model held against frames; the seam is taken as nominal.
+
+    Not the tracker's own error with so coarse a camera is looked at: a bin at an edge would show it.
+    """
+    poses = [
+        lambda t, frame=frame: (pose_at(t) or pose_at(frame.timestamp_s)).T_base_tool for frame in frames
+    ]
+    sightings = SeamObservations.of(setup, frames, poses)
+    nominal = OnNominalSeam(**vars(sightings))
+    observed = observe_along(setup, frames, poses, nominal, frames[0].timestamp_s)
+    expected = LinearizedModel(replace(observed, seam_observations=sightings))
     return expected.anchored_at(expected.neutral, {})
 
 

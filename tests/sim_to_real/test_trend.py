@@ -1,19 +1,18 @@
 """Effects whose size changes from frame to frame."""
 
 from dataclasses import replace
-from unittest.mock import patch
 
 import numpy as np
 import pytest
 
-import arctrack.simulate
 from noise_model.effects import REGISTRY
 from noise_model.forward import draw_frame
+from sim_to_real.data.binned import stated_condition
 from sim_to_real.evidence.weigh import weigh
 from sim_to_real.fit.covariates import covariates
 from sim_to_real.fit.gauss_newton import converged, refit
 from sim_to_real.fit.trend import Driver, Trend
-from tests.sim_to_real.small import small_recording
+from tests.sim_to_real.small import held_against, recorded, small_recording
 
 FINE = 3
 """So fine a camera sees an arc that moves by a millimetre and little else."""
@@ -53,16 +52,24 @@ def test_values_stay_within_their_bounds(observed):
     )
 
 
-def blown(setup, T_base_tool, condition, rng, **drawn):
-    values = {"x_mm": 0.0, "y_mm": GROWS_MM_S * condition.timestamp_s}
-    there = replace(setup, effects={**setup.effects, "arc_deflection": values})
-    return draw_frame(there, T_base_tool, condition, rng, **drawn)
+def blown_recording(path):
+    """The model held against a recording whose arc is blown ever farther to the left."""
+    setup, frames, pose_at = recorded(path, {}, coarser=FINE)
+    rng = np.random.default_rng(5)
+
+    def blown(frame):
+        condition = stated_condition(setup, frame, frames[0].timestamp_s)
+        values = {"x_mm": 0.0, "y_mm": GROWS_MM_S * condition.timestamp_s}
+        there = replace(setup, effects={**setup.effects, "arc_deflection": values})
+        image_dn = draw_frame(there, pose_at(frame.timestamp_s).T_base_tool, condition, rng)
+        return replace(frame, image_dn=image_dn)
+
+    return held_against(setup, [blown(frame) for frame in frames], pose_at)
 
 
 @pytest.mark.slow
 def test_an_arc_that_is_blown_ever_farther_grows_with_time(tmp_path):
-    with patch.object(arctrack.simulate, "draw_frame", blown):
-        expected = small_recording(tmp_path / "blown", {}, FINE)
+    expected = blown_recording(tmp_path / "blown")
     stays = refit(expected, {"arc_deflection": {}}, expected.neutral)
     trend = Trend.of(expected.observed, "arc_deflection", Driver.TIME)
     changes = converged(expected, refit(expected, stays.effects, stays.nuisance, trend=trend))
@@ -79,8 +86,7 @@ def test_an_arc_that_is_blown_ever_farther_grows_with_time(tmp_path):
 
 @pytest.mark.slow
 def test_a_change_is_looked_for_where_a_constant_effect_leaves_something(tmp_path):
-    with patch.object(arctrack.simulate, "draw_frame", blown):
-        expected = small_recording(tmp_path / "blown", {}, FINE)
+    expected = blown_recording(tmp_path / "blown")
     without = [name for name in REGISTRY if name != "arc_deflection"]
     before = refit(expected, {}, expected.neutral)
     weighed = weigh(expected, before, covariates(expected, before), without, lambda text, share: None)

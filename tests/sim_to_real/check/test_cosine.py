@@ -3,9 +3,8 @@
 import numpy as np
 import pytest
 
-from noise_model.effects import REGISTRY
-from sim_to_real.check import cosine as module
-from sim_to_real.check.cosine import cosine, cosines
+from sim_to_real.check.cosine import cosine, cosines_of
+from sim_to_real.data.binned import observe
 from tests.sim_to_real.small import recorded
 
 TRIED = (
@@ -30,10 +29,8 @@ def test_a_cosine_is_that_of_the_angle():
 
 @pytest.mark.slow
 @pytest.mark.parametrize("planted", [{"gamma": {"gamma": 1.2}}, {"arc_length": {"height_mm": -1.0}}])
-def test_a_planted_signature_is_found(planted, tmp_path, monkeypatch):
-    monkeypatch.setattr(module, "REGISTRY", {name: REGISTRY[name] for name in TRIED})
-    monkeypatch.setattr(module, "EXPENSIVE", {"fume"})
-    found = cosines(*recorded(tmp_path / "made", planted))
+def test_a_planted_signature_is_found(planted, tmp_path):
+    found = cosines_of(observe(*recorded(tmp_path / "made", planted)), TRIED)
     assert list(found) == list(TRIED)
     # What only scatters frames about their mean has no signature.
     assert np.isnan(found.pop("arc_flicker"))

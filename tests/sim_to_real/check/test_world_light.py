@@ -15,10 +15,9 @@ from noise_model.interreflection.model import bounced_light as modelled_bounces
 from noise_model.surface.brdf import Lobe, Material, reflectance
 from noise_model.surface.joint import BentSeam, SeamLine
 from noise_model.view import View
-from sim_to_real.check import world_bounce
 from sim_to_real.check.agreement import BLOCK_PX
 from sim_to_real.check.blocks import compare_blocks
-from sim_to_real.check.world_bounce import Bounces, bounced_light
+from sim_to_real.check.world_bounce import STEP_PX, Bounces, bounced_light
 from sim_to_real.check.world_light import Lens, TrueWorld
 from sim_to_real.check.world_metal import STATED_LOBE, LobeShape
 from sim_to_real.check.world_optics import point_spread
@@ -215,10 +214,9 @@ def test_a_lens_sends_rays_where_its_form_says():
 
 
 @pytest.mark.parametrize("joint", ["v_groove", "corrugation"])
-def test_bounced_light_is_about_the_models_and_grows_with_the_albedo(monkeypatch, joint):
-    monkeypatch.setattr(world_bounce, "STEP_PX", 4)
-    gathered = np.s_[2::4, 2::4]
-    setup = setup_of(joint, width=160)
+def test_bounced_light_is_about_the_models_and_grows_with_the_albedo(joint):
+    gathered = np.s_[STEP_PX // 2 :: STEP_PX, STEP_PX // 2 :: STEP_PX]
+    setup = setup_of(joint, width=400)
     world = TrueWorld(setup, np.eye(4))
     studio = studio_of(world)
     sight = studio.sight(pose())
