@@ -153,7 +153,7 @@ class ErrorModel:
                     columns if _is_open(model.observed, score.id) else _negligible(columns, policy)
                     for score, columns in zip(scores, effects, strict=True)
                 ),
-                *(_tolerated(score, model.observed.setup.tolerance) for score in scores),
+                *(tolerated(score, model.observed.setup.tolerance) for score in scores),
             ]
         )
         at_start = Linearized.of(start)
@@ -290,7 +290,7 @@ def _negligible(columns: Float32, policy: Policy) -> Float32:
     return np.asarray(columns * sizes / math.sqrt(columns.shape[1]), dtype=np.float32)
 
 
-def _tolerated(score: ScoreTest, tolerance: Tolerance) -> Float32:
+def tolerated(score: ScoreTest, tolerance: Tolerance) -> Float32:
     """Return what a camera's pose that is off within its tolerance changes (n, k); nothing of other effects.
 
     It moves where the tracker sees the seam, too, which the pose among the nuisances does not.
