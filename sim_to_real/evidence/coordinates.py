@@ -63,15 +63,15 @@ def free_terms(covariates: Covariates) -> tuple[FreeTerm, ...]:
 
     Those that change nothing, of the arc where none burns, are no causes.
     """
-    bases = _bases(covariates)
     terms = [
-        FreeTerm(basis.stage, basis.name, basis.functions * basis.light[:, np.newaxis]) for basis in bases
+        FreeTerm(basis.stage, basis.name, basis.functions * basis.light[:, np.newaxis])
+        for basis in _bases(covariates)
     ]
-    for stage in dict.fromkeys(basis.stage for basis in bases):
+    terms += _additions(covariates)
+    for stage in dict.fromkeys(term.stage for term in terms):
         together = [term.columns for term in terms if term.stage is stage]
         if len(together) > 1:
             terms.append(FreeTerm(stage, TOGETHER, np.hstack(together)))
-    terms.append(FreeTerm(Stage.ILLUMINATION, "light of the hall over the part", _hall(covariates)))
     terms += _displacements(covariates)
     every = np.hstack([term.columns for term in terms if term.name != TOGETHER])
     terms = [term for term in terms if term.columns.any()]
@@ -140,11 +140,22 @@ def _bases(covariates: Covariates) -> list[_Basis]:
     ]
 
 
-def _hall(covariates: Covariates) -> Float32:
-    """Return what light that shows the part's texture adds (n, k), whatever laser and arc do."""
-    exposed = covariates.values["exposure"]
-    added = ADDED_DN * exposed / max(float(np.max(exposed, initial=0.0)), 1e-9) / covariates.sigma_dn
-    return np.asarray(texture(covariates) * added[:, np.newaxis], dtype=np.float32)
+def _additions(covariates: Covariates) -> list[FreeTerm]:
+    """Return what adds to the image whatever laser and arc do: a scene that the hall lights, an offset."""
+    exposed, always = covariates.values["exposure"], np.ones_like(covariates.sigma_dn)
+    return [
+        FreeTerm(stage, name, np.asarray(functions * _added(covariates, size)[:, np.newaxis], np.float32))
+        for stage, name, functions, size in (
+            (Stage.ILLUMINATION, "light of the hall over the part", texture(covariates), exposed),
+            (Stage.SENSOR, "offset in each frame", in_each_frame(covariates), always),
+        )
+    ]
+
+
+def _added(covariates: Covariates, size: Float32) -> Float32:
+    """Return what a term of size 1 adds to bins (n,), over their noise; it goes with a `size` (n,)."""
+    largest = max(float(np.max(size, initial=0.0)), 1e-9)
+    return np.asarray(ADDED_DN * size / largest / covariates.sigma_dn, dtype=np.float32)
 
 
 def _displacements(covariates: Covariates) -> list[FreeTerm]:

@@ -68,6 +68,7 @@ def test_without_an_arc_nothing_of_it_is_a_cause(covariates):
         (Stage.SENSOR, lambda c: 3.0 * np.sin(c.values["gray_level"] / 25.0)),
         (Stage.ILLUMINATION, lambda c: c.laser_dn * 0.1 * np.sin(c.values["column"] / 5.0)),
         (Stage.SOURCE, lambda c: c.arc_dn * 0.1 * np.cos(3.1 * c.frame)),
+        (Stage.SENSOR, lambda c: 2.0 * np.cos(3.1 * c.frame)),
         # Half of the part is brighter, and travels through the image.
         (Stage.ILLUMINATION, lambda c: 4.0 * (c.part_mm[:, 0] > 9.0)),
     ],
