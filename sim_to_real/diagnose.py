@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping, Sequence
+from typing import NamedTuple
 
 import numpy as np
 from threadpoolctl import threadpool_limits
@@ -19,8 +20,10 @@ from sim_to_real.decision.seam_error import seam_errors_mm
 from sim_to_real.diagnosis import (
     Diagnosis,
     Estimate,
+    Gap,
     Named,
     Next,
+    Predicted,
     Ranked,
     Reason,
     ReportedTrend,
@@ -106,18 +109,13 @@ def _diagnosed(
     tell("looking at every effect", 0.1)
     of_bins = covariates(model, before)
     weighed = weigh(model, before, of_bins, without, lambda text, share: tell(text, 0.1 + 0.6 * share))
-    judgement = judge(weighed.posterior, POLICY)
-    after = _after(model, before, judgement)
     tell("predicting the frames held out", 0.75)
-    random = random_effects(model, after, without)
-    predicted = predict_holdout(
-        seen.subset(holdout),
-        model,
-        (before, {}),
-        (after, random.effects),
-        lambda done: tell("predicting the frames held out", 0.75 + 0.15 * done),
-    )
-    gap = measure_gap(predicted, setup, seam_errors_mm(setup, frames, pose_at, model, after))
+    held_out_frames = HeldOut(setup, frames, pose_at, seen.subset(holdout), model, before, without, tell)
+    assessed = held_out_frames.assess(judge(weighed.posterior, POLICY))
+    while assessed.is_refuted:
+        weighed = weighed.without(assessed.judgement.leader)
+        assessed = held_out_frames.assess(judge(weighed.posterior, POLICY))
+    judgement, after, random, predicted, gap = assessed
     verdict = _with_random_effects(
         judgement.verdict, random, random_effects(model, before, ()) if without else random, without
     )
@@ -145,6 +143,49 @@ def _diagnosed(
         predicted,
         reasons(weighed.posterior),
     )
+
+
+class Assessed(NamedTuple):
+    """A judgement on frames held out: its fit, random effects beside it, predictions, the gap."""
+
+    judgement: Judgement
+    after: Refit
+    random: RandomEffects
+    predicted: Predicted
+    gap: Gap
+
+    @property
+    def is_refuted(self) -> bool:
+        """Whether a clear gap becomes larger with the effects that are to explain it."""
+        return bool(self.after.ids) and self.gap.is_clear_after and self.gap.after > self.gap.before
+
+
+class HeldOut(NamedTuple):
+    """Frames held out of all fits, and what predicts them: the model of the others, the fit before."""
+
+    setup: Setup
+    frames: Sequence[Frame]
+    pose_at: PoseAt
+    observed: Observed
+    model: LinearizedModel
+    before: Refit
+    without: Sequence[str]
+    tell: OnStage
+
+    def assess(self, judgement: Judgement) -> Assessed:
+        """Return a judgement on these frames, its effects fitted to all bins alike, as the fit before is."""
+        fitted = judgement.leader.refit
+        after = refit_there(self.model, fitted) if fitted.ids else self.before
+        random = random_effects(self.model, after, self.without)
+        predicted = predict_holdout(
+            self.observed,
+            self.model,
+            (self.before, {}),
+            (after, random.effects),
+            lambda done: self.tell("predicting the frames held out", 0.75 + 0.15 * done),
+        )
+        seam_mm = seam_errors_mm(self.setup, self.frames, self.pose_at, self.model, after)
+        return Assessed(judgement, after, random, predicted, measure_gap(predicted, self.setup, seam_mm))
 
 
 def _comparable(observed: Observed, holdout: Bool) -> Observed:
@@ -242,12 +283,6 @@ def _named(
         for name, values in {**effects, **random.effects}.items()
     ]
     return tuple(sorted(named, key=lambda effect: -effect.share))
-
-
-def _after(model: LinearizedModel, before: Refit, judgement: Judgement) -> Refit:
-    """Return the leading hypothesis' effects fitted to all bins alike, as the fit before is."""
-    fitted = judgement.leader.refit
-    return refit_there(model, fitted) if fitted.ids else before
 
 
 def _free_functions(weighed: Weighed, judgement: Judgement, of_bins: Covariates) -> FreeFunctions:

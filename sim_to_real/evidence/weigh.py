@@ -5,7 +5,7 @@ from __future__ import annotations
 import itertools
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -14,7 +14,7 @@ from noise_model.arrays import Float64, Int64
 from noise_model.effects import REGISTRY, not_predicted
 from sim_to_real.diagnosis import Estimate
 from sim_to_real.evidence.error_model import ErrorModel, Linearized, compared_bins
-from sim_to_real.evidence.hypotheses import Posterior
+from sim_to_real.evidence.hypotheses import Hypothesis, Posterior
 from sim_to_real.evidence.hypothesis_search import HypothesisSearch
 from sim_to_real.evidence.policy import POLICY
 from sim_to_real.fit.covariates import Covariates
@@ -46,6 +46,13 @@ class Weighed:
     errors: ErrorModel
     start: Linearized
     bins: Int64
+
+    def without(self, refuted: Hypothesis) -> Weighed:
+        """Return the same without a hypothesis that other frames have refuted."""
+        posterior = self.posterior
+        kept = [hypothesis for hypothesis in posterior.hypotheses if hypothesis is not refuted]
+        weighed = Posterior.of(posterior.none, kept, posterior.unknown, len(self.scores), POLICY)
+        return replace(self, posterior=weighed)
 
     @property
     def not_resolvable(self) -> tuple[tuple[str, str], ...]:

@@ -1,6 +1,7 @@
 """A recording with a hidden effect is diagnosed: what it is, how large, how far the gap shrinks."""
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -9,8 +10,8 @@ from arctrack.nominal import nominal_setup
 from arctrack.simulate import SimulationPlan
 from noise_model.arc_source import NO_ARC
 from noise_model.surface.brdf import UNSTATED_METAL
-from sim_to_real.diagnose import diagnose
-from sim_to_real.diagnosis import Verdict, excluded_effects
+from sim_to_real.diagnose import Assessed, diagnose
+from sim_to_real.diagnosis import Gap, Verdict, excluded_effects
 from tests.sim_to_real.small import EXACT, example_setup, recorded
 
 pytestmark = pytest.mark.slow
@@ -145,6 +146,22 @@ def test_what_scatters_is_named_beside_what_changes_the_mean(tmp_path):
     reported = diagnosis.predicted
     lit = np.isfinite(reported.variance)
     assert np.mean(reported.variance_after[lit] > 1.5 * reported.variance[lit]) > 0.3
+
+
+@pytest.mark.parametrize(
+    ("ids", "before", "after", "is_refuted"),
+    [
+        (("gamma",), 3.0, 10.0, True),
+        (("gamma",), 3.0, 1.0, False),
+        # No clear gap is left.
+        (("gamma",), 0.1, 0.2, False),
+        # Nothing was to explain it.
+        ((), 3.0, 3.1, False),
+    ],
+)
+def test_effects_that_enlarge_the_gap_of_frames_held_out_are_refuted(ids, before, after, is_refuted):
+    gap = Gap(before, after, 0.2, 0.5, (0.4, 0.6), (1.0, 1.0), (0.1, 0.1))
+    assert Assessed(None, SimpleNamespace(ids=ids), None, None, gap).is_refuted is is_refuted
 
 
 def test_reasons_say_what_was_compared(with_gamma):

@@ -12,7 +12,7 @@ NO_VALUE = "–"
 
 PLACES = {
     "source": "the arc itself",
-    "illumination": "the laser",
+    "illumination": "the laser, or light of the hall",
     "surface": "the metal",
     "medium": "the air between part and camera",
     "optics": "window, lens and filter",

@@ -1,13 +1,17 @@
 """All hypotheses about a recording, looked at, fitted and weighed."""
 
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
 from noise_model.effects import REGISTRY
+from noise_model.effects.effect import Stage
 from sim_to_real.evidence.error_model import Columns, Linearized
+from sim_to_real.evidence.hypotheses import Hypothesis, Posterior, Unknown
 from sim_to_real.evidence.metric import Metric
+from sim_to_real.evidence.policy import POLICY
 from sim_to_real.evidence.weigh import MIN_NATS, Weighed, principal_cosines, weigh
 from sim_to_real.fit.covariates import covariates
 from sim_to_real.fit.gauss_newton import refit
@@ -52,6 +56,22 @@ def test_the_least_that_shows_has_so_many_nats():
     # An end is a place, and has no smallest magnitude.
     end = ScoreTest("uneven_fan", 1.0, A[:, None], {}, np.zeros((1, 3)))
     assert weighed(np.zeros((N, 1)), end).smallest == {}
+
+
+def test_what_is_refuted_leaves_its_probability_to_all_others():
+    none, gamma, fume = (
+        Hypothesis(SimpleNamespace(ids=ids), nats, nats, None, {})
+        for ids, nats in (((), 0.0), (("gamma",), 3000.0), (("fume",), 500.0))
+    )
+    unknown = Unknown({(Stage.SENSOR, "rows"): 900.0})
+    scores = looked("gamma", A), looked("fume", B)
+    posterior = Posterior.of(none, [gamma, fume], unknown, len(scores), POLICY)
+    before = replace(weighed(np.zeros((N, 1)), *scores), posterior=posterior)
+    after = before.without(gamma).posterior
+    assert posterior.p[0] > 0.99
+    assert after.hypotheses == (fume,)
+    assert after.p_unknown > 0.99
+    assert after.p_none + after.p_unknown + sum(after.p) == pytest.approx(1.0)
 
 
 def test_cosines_are_those_between_the_spans():
