@@ -35,7 +35,7 @@ def weighed(nuisances, *scores):
     metric = Metric(np.ones(N, dtype=np.float32), np.zeros((1, N)))
     errors = SimpleNamespace(metric=metric)
     start = Linearized(np.zeros(N), Columns.free((1e3 * nuisances).astype(np.float32)))
-    return Weighed(None, scores, errors, start)
+    return Weighed(None, scores, errors, start, np.arange(N))
 
 
 def test_effects_that_a_nuisance_makes_alike_are_a_pair():
