@@ -45,6 +45,8 @@ def left_open(model, *names):
     others = [name for name in REGISTRY if name not in names]
     before = refit(model, {}, model.neutral)
     weighed = weigh(model, before, covariates(model, before), others, lambda text, share: None)
+    model = model.with_bins(weighed.bins)
+    before = refit(model, {}, before.nuisance, steps=0)
     search = HypothesisSearch(
         model, before, weighed.scores, weighed.errors, POLICY, others, lambda text, share: None
     )
