@@ -378,6 +378,13 @@ def reasons(posterior: Posterior) -> tuple[Reason, ...]:
     compared = [
         Reason("no gap", (), 0.0, best, posterior.p_none),
         Reason(f"unknown: {where}", (), unknown - none, best, posterior.p_unknown),
-        *(Reason(" and ".join(h.ids), h.ids, h.evidence - none, best, p) for h, p in some[:MAX_REASONS]),
+        *(Reason(_in_words(h.refit), h.ids, h.evidence - none, best, p) for h, p in some[:MAX_REASONS]),
     ]
     return tuple(sorted(compared, key=lambda reason: (-reason.probability, -reason.evidence)))
+
+
+def _in_words(fitted: Refit) -> str:
+    """Return a hypothesis' effects, and of the one that changes with what."""
+    trend = fitted.trend
+    changing = {} if trend is None else {trend.effect: f" that changes with {trend.driver.value}"}
+    return " and ".join(name + changing.get(name, "") for name in fitted.ids)
