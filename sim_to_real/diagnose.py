@@ -28,6 +28,7 @@ from sim_to_real.diagnosis import (
     Reason,
     ReportedTrend,
     Verdict,
+    Where,
     excluded_effects,
 )
 from sim_to_real.evidence.error_model import Linearized
@@ -124,9 +125,7 @@ def _diagnosed(
     if verdict in (Verdict.EFFECTS, Verdict.AMBIGUOUS):
         effects = _named(judgement, after, weighed, random, random_before)
     functions = _free_functions(weighed, judgement, of_bins)
-    stages = weighed.posterior.unknown.stages(POLICY.temperature)
-    stage = effects[0].stage if effects else max(stages, key=lambda name: stages[name])
-    where = locate(functions, of_bins, before.residuals, stage, stages, excess_map(predicted))
+    where = _located(functions, weighed.posterior, of_bins, before, effects, predicted)
     tell("done", 1.0)
     return Diagnosis(
         verdict,
@@ -186,6 +185,20 @@ class HeldOut(NamedTuple):
         )
         seam_mm = seam_errors_mm(self.setup, self.frames, self.pose_at, self.model, after)
         return Assessed(judgement, after, random, predicted, measure_gap(predicted, self.setup, seam_mm))
+
+
+def _located(
+    functions: FreeFunctions,
+    posterior: Posterior,
+    of_bins: Covariates,
+    before: Refit,
+    effects: Sequence[Named],
+    predicted: Predicted,
+) -> Where:
+    """Return where the gap lies: at the first named effect's stage, or at the unknown cause's likeliest."""
+    stages = posterior.unknown.stages(POLICY.temperature)
+    stage = effects[0].stage if effects else max(stages, key=lambda name: stages[name])
+    return locate(functions, of_bins, before.residuals, stage, stages, excess_map(predicted))
 
 
 def _comparable(observed: Observed, holdout: Bool) -> Observed:
