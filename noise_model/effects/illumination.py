@@ -11,7 +11,7 @@ from scipy.special import ndtr
 from noise_model.arrays import Float32
 from noise_model.condition import Condition
 from noise_model.effects import drift
-from noise_model.effects.effect import ANY_SCENE, Draw, Effect, Stage, Values
+from noise_model.effects.effect import ANY_SCENE, UNSTATED, Draw, Effect, Stage, Values
 from noise_model.effects.light import Light
 from noise_model.effects.pattern import in_image_px, normal_field, part_seed
 from noise_model.fit import Parameter
@@ -109,6 +109,7 @@ EFFECTS = (
         parameters=drift.PARAMETERS,
         typical={"rate_per_s": -0.2},
         condition=_laser_power_drift,
+        form_rel=UNSTATED,
     ),
     Effect(
         id="laser_speckle",

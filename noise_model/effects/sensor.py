@@ -11,7 +11,7 @@ from noise_model.arrays import Float64, Integers
 from noise_model.condition import Condition
 from noise_model.effects import drift
 from noise_model.effects.compression import BEST_QUALITY, compressed, compressed_variance
-from noise_model.effects.effect import ANY_FORM, Draw, Effect, Stage, Values
+from noise_model.effects.effect import ANY_FORM, UNSTATED, Draw, Effect, Stage, Values
 from noise_model.effects.light import Light
 from noise_model.fit import Parameter
 from noise_model.instrument.sensor import Sensor
@@ -92,6 +92,7 @@ EFFECTS = (
         parameters=drift.PARAMETERS,
         typical={"rate_per_s": 0.2},
         condition=_exposure_drift,
+        form_rel=UNSTATED,
     ),
     Effect(
         id="fixed_pattern",
