@@ -10,18 +10,17 @@ which what is said has the largest probability of being right, over all recordin
 from __future__ import annotations
 
 import argparse
+import itertools
 import json
 import math
-from collections import Counter
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
-from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
-from scipy.special import logsumexp
 
+from sim_to_real.evidence.hypotheses import Posterior
 from sim_to_real.evidence.judgement import judge
 from sim_to_real.evidence.policy import POLICY, Policy
 from sim_to_real.search.probe_points import FAMILIES
@@ -34,56 +33,51 @@ VARIED = ("temperature", "ln_odds_effect", "ln_odds_further", "ln_odds_unknown",
 TEMPERATURES = (1.0, 1.5, 2.0, 2.5, 3.0, 4.0, 5.0, 7.0, 10.0)
 
 UNKNOWN = "evidence of unknown"
+"""How the rule of an unknown cause begins in a report."""
+
+MIN_LN = -30.0
+"""What is less probable counts as improbable as this."""
+
+
+@dataclass(frozen=True)
+class Told:
+    """A hypothesis as a report tells it: effects, and the log evidence, nats."""
+
+    ids: tuple[str, ...]
+    evidence: float
 
 
 @dataclass(frozen=True)
 class Compared:
-    """The hypotheses of a recording: effects, None for unknown, with evidence, nats, and ln prior odds.
+    """What was compared in a recording: no gap, hypotheses with effects, an unknown cause.
 
-    The odds are those that no policy holds: effects share theirs evenly, and forms of the same effects.
-    `hidden` is what is right, None if that is not in the catalogue.
+    `n_effects` were candidates. `hidden` is what is right, None if that is not in the catalogue.
     """
 
-    name: str
-    hypotheses: tuple[frozenset[str] | None, ...]
-    evidence: tuple[float, ...]
-    ln_odds: tuple[float, ...]
+    none: Told
+    hypotheses: tuple[Told, ...]
+    unknown: Told
+    n_effects: int
     hidden: frozenset[str] | None
 
-    def ln_posterior(self, policy: Policy) -> np.ndarray:
-        """Return the ln probabilities (n,) that a policy gives."""
-        ln = [
-            nats / policy.temperature + odds + _ln_odds(effects, policy)
-            for effects, nats, odds in zip(self.hypotheses, self.evidence, self.ln_odds, strict=True)
-        ]
-        return np.array(ln) - logsumexp(ln)
+    def posterior(self, policy: Policy) -> Posterior:
+        """Return the posterior that a policy gives."""
+        told: Any = self
+        return Posterior.of(told.none, told.hypotheses, told.unknown, self.n_effects, policy)
 
     def verdict(self, policy: Policy) -> tuple[Any, ...]:
         """Return the verdict, with what is named and what shares the posterior."""
-        p = dict(zip(range(len(self.hypotheses)), np.exp(self.ln_posterior(policy)), strict=True))
-        unknown = next(n for n, effects in enumerate(self.hypotheses) if effects is None)
-        none = self.hypotheses.index(frozenset())
-        ranked = sorted((n for n in p if n not in (unknown, none)), key=lambda n: -p[n])
-        of_effects: dict[str, float] = {}
-        for n in ranked:
-            for name in self.hypotheses[n] or ():
-                of_effects[name] = of_effects.get(name, 0.0) + p[n]
-        posterior: Any = SimpleNamespace(
-            none=SimpleNamespace(ids=()),
-            hypotheses=[SimpleNamespace(ids=tuple(sorted(self.hypotheses[n] or ()))) for n in ranked],
-            p=[p[n] for n in ranked],
-            p_none=p[none],
-            p_unknown=p[unknown],
-            of_effects=of_effects,
-        )
-        said = judge(posterior, policy)
+        said = judge(self.posterior(policy), policy)
         return said.verdict, frozenset(said.named), frozenset(map(frozenset, said.ambiguous))
 
-
-def _ln_odds(effects: frozenset[str] | None, policy: Policy) -> float:
-    if effects is None:
-        return policy.ln_odds_unknown
-    return policy.ln_odds_effect + (len(effects) - 1) * policy.ln_odds_further if effects else 0.0
+    def ln_right(self, policy: Policy) -> float:
+        """Return ln of the probability that a policy gives to what is right, `MIN_LN` at least."""
+        posterior = self.posterior(policy)
+        each = zip(posterior.hypotheses, posterior.p, strict=True)
+        right = sum(p for hypothesis, p in each if frozenset(hypothesis.ids) == self.hidden)
+        if not self.hidden:
+            right = posterior.p_unknown if self.hidden is None else posterior.p_none
+        return max(math.log(max(right, math.exp(MIN_LN))), MIN_LN)
 
 
 def compared(folder: Path) -> Iterator[Compared]:
@@ -91,19 +85,18 @@ def compared(folder: Path) -> Iterator[Compared]:
     labels = json.loads((folder / "labels.json").read_text(encoding="utf-8"))["labels"]
     for path in sorted((folder / "results").glob("*.json")):
         result = json.loads(path.read_text(encoding="utf-8"))
-        if result["problem"] is not None:
+        if result["problem"] is not None or result["experiment"] is not None:
             continue
         reasons = result["report"]["reasons"]
-        effects = [None if r["rule"].startswith(UNKNOWN) else frozenset(r["effects"]) for r in reasons]
-        if result["experiment"] is not None or frozenset() not in effects or None not in effects:
-            continue
+        told = [Told(tuple(reason["effects"]), reason["value"]) for reason in reasons]
+        is_unknown = [reason["rule"].startswith(UNKNOWN) for reason in reasons]
+        (none,) = (h for h, is_it in zip(told, is_unknown, strict=True) if not is_it and not h.ids)
+        (unknown,) = itertools.compress(told, is_unknown)
         hidden: frozenset[str] | None = frozenset(labels[result["recording"]]["label"]["effects"])
         if hidden and hidden & set(result["without"]):
             hidden = None
-        forms, n_effects = Counter(effects), len(FAMILIES) - len(result["without"])
-        ln_odds = [-len(e or ()) * math.log(n_effects) - math.log(forms[e]) for e in effects]
-        evidence = [reason["value"] - reason["limit"] for reason in reasons]
-        yield Compared(path.stem, tuple(effects), tuple(evidence), tuple(ln_odds), hidden)
+        n_effects = len(FAMILIES) - len(result["without"])
+        yield Compared(none, tuple(h for h in told if h.ids), unknown, n_effects, hidden)
 
 
 def main() -> None:
@@ -124,14 +117,7 @@ def main() -> None:
     print("\n| temperature | mean ln probability of what is right |\n| --- | --- |")
     for temperature in TEMPERATURES:
         policy = replace(POLICY, temperature=temperature)
-        print(f"| {temperature:g} | {np.mean([_ln_right(recording, policy) for recording in every]):.3f} |")
-
-
-def _ln_right(recording: Compared, policy: Policy) -> float:
-    """Return ln of the probability that a policy gives to what is right, -30 at least."""
-    ln, hidden = recording.ln_posterior(policy), recording.hidden
-    right = [value for effects, value in zip(recording.hypotheses, ln, strict=True) if effects == hidden]
-    return max(float(logsumexp(right)) if right else -30.0, -30.0)
+        print(f"| {temperature:g} | {np.mean([recording.ln_right(policy) for recording in every]):.3f} |")
 
 
 if __name__ == "__main__":

@@ -105,7 +105,7 @@ class Layers:
     def arc_e(self) -> Float32:
         """The arc's light (...,), e- for `camera.exposure_s`, at its nominal output; 0 past the workpiece."""
         if not self.view.is_frame:
-            return self._of_stretches(_arc_light)
+            return self.arc_e_in(np.ones(self.view.cos4.size, dtype=np.bool_)).reshape(self.view.shape)
         if not self.stretches:
             return _filled(self.view, self.view.scene, np.arange(self.view.cos4.size)).reshape(
                 self.view.shape
@@ -119,7 +119,7 @@ class Layers:
         light = np.zeros(chosen.size, dtype=np.float32)
         for pixels, view in self.stretches or ((np.arange(chosen.size), self.view),):
             mine = np.flatnonzero(chosen[pixels])
-            light[pixels[mine]] = _arc_light_in(view, mine)
+            light[pixels[mine]] = _arc_light(view, mine)
         return light[chosen]
 
     @cached_property
@@ -162,11 +162,7 @@ class Layers:
         return image.reshape(self.view.shape)
 
 
-def _arc_light(view: View) -> Float32:
-    return _arc_light_in(view, np.arange(view.cos4.size)).reshape(view.shape)
-
-
-def _arc_light_in(view: View, pixels: Int64) -> Float32:
+def _arc_light(view: View, pixels: Int64) -> Float32:
     """Return the arc's light in some of a view's pixels (k,)."""
     kept = view.keep("arc_kernel", lambda: arc_kernel(view.setup, view.scene))
     kernel = kept._replace(material=lobe_numbers(view.setup.material))

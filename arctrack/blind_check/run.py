@@ -68,7 +68,7 @@ class Asked:
         if WIDTH_PX % self.width_px:
             raise ArctrackError(f"--width-px {self.width_px}: must divide {WIDTH_PX}")
         try:
-            return plan(self.draws, self.quiet_draws, self.tiers, self.seed)
+            return plan(self.draws, self.quiet_draws, self.tiers, self.seed, self.width_px)
         except ValueError as error:
             raise ArctrackError(f"--tiers {self.tiers}: {error}") from None
 
@@ -124,7 +124,7 @@ def make(folder: Path, asked: Asked, workers: int, on_done: OnDone) -> None:
     missing = [(name, recording) for name, recording in planned.items() if name not in sealed["recordings"]]
     # Light is rendered once for each world: no two workers shall begin with the same.
     missing.sort(key=lambda pair: _turn_of_world(pair[0], planned))
-    for (name, recording), label in _over(partial(_render, folder, asked.width_px), missing, workers):
+    for (name, recording), label in _over(partial(_render, folder), missing, workers):
         salt = secrets.token_hex(16)
         secret["labels"][name] = {"salt": salt, "label": label}
         seal = {"sha256": _seal(salt, label), "again": recording.tier == "A" and "B" in asked.tiers}
@@ -159,8 +159,7 @@ def more(folder: Path, workers: int, on_done: OnDone) -> None:
     Raises ArctrackError as `open_labels`, and if Mitsuba is missing.
     """
     sealed, secret = _verified(folder)
-    asked = Asked(**secret["asked"])
-    planned = {f"{run.number:04d}": run for run in asked.plan()}
+    planned = {f"{run.number:04d}": run for run in Asked(**secret["asked"]).plan()}
     runs = []
     for name, seal in sorted(sealed.items()):
         if secret["labels"][name]["label"]["effects"]:
@@ -170,7 +169,7 @@ def more(folder: Path, workers: int, on_done: OnDone) -> None:
     missing = _missing(folder, runs)
     sources = [(run, planned[run.name], secret["labels"][run.name]["salt"]) for run in missing]
     n_done = len(runs) - len(missing)
-    for (run, _, _), result in _over(partial(_taken, folder, asked.width_px), sources, workers):
+    for (run, _, _), result in _over(partial(_taken, folder), sources, workers):
         n_done += 1
         _keep(folder, run, result, n_done, len(runs), on_done)
 
@@ -185,14 +184,15 @@ def open_labels(*folders: Path) -> Opened:
     of_seed: dict[int, Path] = {}
     every: list[Case] = []
     for folder in folders:
-        options = Asked(**_verified(folder)[1]["asked"])
+        sealed, secret = _verified(folder)
+        options = Asked(**secret["asked"])
         if options.seed in of_seed:
             other = of_seed[options.seed]
             raise in_file(folder, f"is of the seed {options.seed} as is {other}: they share recordings")
         of_seed[options.seed] = folder
         asked.append(options)
         mark = f"{real(folder).name}/" if len(folders) > 1 else ""
-        every += [replace(case, name=mark + case.name) for case in cases(folder)]
+        every += [replace(case, name=mark + case.name) for case in _cases(folder, sealed, secret)]
     n_planned = sum(len(options.plan()) for options in asked)
     tiers = "".join(tier for tier in TIERS if any(tier in options.tiers for options in asked))
     return Opened(tuple(asked), n_planned, len(every), score(every, tiers))
@@ -203,7 +203,10 @@ def cases(folder: Path) -> list[Case]:
 
     Raises ArctrackError if a label is not the one that was sealed, or a result not that of this seal.
     """
-    sealed, secret = _verified(folder)
+    return _cases(folder, *_verified(folder))
+
+
+def _cases(folder: Path, sealed: Mapping[str, Any], secret: Mapping[str, Any]) -> list[Case]:
     return [
         _case(folder, Run(name, seal["sha256"]), seal["again"], secret["labels"][name]["label"])
         for name, seal in sorted(sealed.items())
@@ -281,13 +284,13 @@ def _turn_of_world(name: str, planned: Mapping[str, Planned]) -> int:
     return sum(other < name and recording.world_seed == world for other, recording in planned.items())
 
 
-def _render(folder: Path, width_px: int, named: tuple[str, Planned]) -> dict[str, Any]:
+def _render(folder: Path, named: tuple[str, Planned]) -> dict[str, Any]:
     """Make a recording, if it is not there, and return its label. The truth is not written beside it."""
     from sim_to_real.check.scenario import make
 
     name, planned = named
     with _renderer():
-        scenario = _drawn(planned, width_px)
+        scenario = _drawn(planned)
         path = folder / RECORDINGS / name
         if not path.exists():
             recorded = make(scenario, folder / CACHE)
@@ -295,7 +298,7 @@ def _render(folder: Path, width_px: int, named: tuple[str, Planned]) -> dict[str
     return scenario.labels
 
 
-def _render_longer(folder: Path, run: Run, planned: Planned, width_px: int, salt: str) -> None:
+def _render_longer(folder: Path, run: Run, planned: Planned, salt: str) -> None:
     """Make a recording that goes on with an experiment, if it is not there: the frames there are, and more.
 
     Raises ValueError if the label that is drawn is not the one that was sealed.
@@ -306,7 +309,7 @@ def _render_longer(folder: Path, run: Run, planned: Planned, width_px: int, salt
     path = folder / run.recording
     if path.exists():
         return
-    scenario = _drawn(planned, width_px)
+    scenario = _drawn(planned)
     if _seal(salt, scenario.labels) != run.seal:
         raise ValueError("what is drawn now is not what was sealed: the renderer has changed since")
     longer = make(followed_by(scenario, run.experiment), folder / CACHE, scenario.n_run)
@@ -314,7 +317,7 @@ def _render_longer(folder: Path, run: Run, planned: Planned, width_px: int, salt
     _record(path, longer, (*_frames(read_recording(folder / RECORDINGS / run.name)), *longer.frames))
 
 
-def _drawn(planned: Planned, width_px: int) -> Scenario:
+def _drawn(planned: Planned) -> Scenario:
     from sim_to_real.check.scenario import draw
 
     return draw(
@@ -325,7 +328,7 @@ def _drawn(planned: Planned, width_px: int) -> Scenario:
         effects=planned.effects,
         form=planned.form,
         is_dry=planned.is_dry,
-        width_px=width_px,
+        width_px=planned.width_px,
     )
 
 
@@ -380,13 +383,13 @@ def _in_words(answer: Answer) -> str:
     return " ".join((answer.verdict, *answer.named, f"({answer.wall_s:.0f} s)"))
 
 
-def _taken(folder: Path, width_px: int, source: tuple[Run, Planned, str]) -> dict[str, Any]:
+def _taken(folder: Path, source: tuple[Run, Planned, str]) -> dict[str, Any]:
     """Make a recording that goes on with an experiment, and return its result; no label is diagnosed with."""
     run, planned, salt = source
     started = time.perf_counter(), time.process_time()
     with _renderer():
         try:
-            _render_longer(folder, run, planned, width_px, salt)
+            _render_longer(folder, run, planned, salt)
         except ImportError:
             raise
         except Exception as error:

@@ -10,7 +10,7 @@ import numpy as np
 
 from sim_to_real.check.world import FORMS
 from sim_to_real.check.world_effect import CATALOGUE
-from sim_to_real.check.world_stated import JOINTS, draw_stated
+from sim_to_real.check.world_stated import JOINTS, WIDTH_PX, draw_stated
 
 TIERS = "ABCDEF"
 """B has no recordings of its own: it diagnoses those of A again, what they hide withheld."""
@@ -62,10 +62,13 @@ class Planned:
     effects: tuple[str, ...]
     form: str | None = None
     is_dry: bool = False
+    width_px: int = WIDTH_PX
 
 
-def plan(draws: int, quiet_draws: int, tiers: str = TIERS, seed: int = 0) -> tuple[Planned, ...]:
-    """Return what to make, by number.
+def plan(
+    draws: int, quiet_draws: int, tiers: str = TIERS, seed: int = 0, width_px: int = WIDTH_PX
+) -> tuple[Planned, ...]:
+    """Return what to make, by number, with images so wide.
 
     Tier A hides each effect `draws` times, C each that has another form than the catalogue's, D deals all
     effects out in pairs so often; E hides nothing in `quiet_draws` recordings. F hides each effect `draws`
@@ -80,7 +83,10 @@ def plan(draws: int, quiet_draws: int, tiers: str = TIERS, seed: int = 0) -> tup
     shuffle = np.random.default_rng([seed, 0])
     planned = list(_contents(draws, quiet_draws, tiers, seed, shuffle))
     numbers = shuffle.permutation(len(planned)) + 1
-    numbered = [replace(recording, number=int(n)) for recording, n in zip(planned, numbers, strict=True)]
+    numbered = [
+        replace(recording, number=int(n), width_px=width_px)
+        for recording, n in zip(planned, numbers, strict=True)
+    ]
     return tuple(sorted(numbered, key=lambda recording: recording.number))
 
 
