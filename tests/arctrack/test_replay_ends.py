@@ -84,6 +84,9 @@ class Robot:
 def replaying(path: Path, out: Path, bus: dict[str, Any]) -> subprocess.Popen[bytes]:
     """Start a replay onto a bus whose port is that of this test."""
     code = (
+        # What a shell starts in the background ignores SIGINT, and so would its children.
+        "import signal\n"
+        "signal.signal(signal.SIGINT, signal.default_int_handler)\n"
         "import can.interfaces.udp_multicast.bus as udp\n"
         f"udp.UdpMulticastBus.DEFAULT_PORT = {bus['port']}\n"
         "init = udp.UdpMulticastBus.__init__\n"
