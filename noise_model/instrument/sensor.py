@@ -7,7 +7,9 @@ has no bend.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 import numpy.typing as npt
@@ -211,22 +213,25 @@ def cut_moments(mean: Float64, variance: Float64, low: float, high: float) -> tu
 def _read_table(mean: Float64, sigma: Float64, sensor: Sensor) -> tuple[Float64, Float64]:
     """Return the unrounded DN's moments (n,) of charges near zero, linear between a table's nodes."""
     ln_sigma = np.log(sigma)
-    first = float(ln_sigma.min())
-    z = np.arange(-SMOOTH_FROM, SMOOTH_FROM + TABLE_STEPS[0], TABLE_STEPS[0])
-    lns = first + TABLE_STEPS[1] * np.arange(2 + int((float(ln_sigma.max()) - first) / TABLE_STEPS[1]))
-    place = np.stack([(mean / sigma - z[0]) / TABLE_STEPS[0], (ln_sigma - first) / TABLE_STEPS[1]])
-    table = _table(z, np.exp(lns), sensor)
+    # Whole steps: frames whose noise is alike read the same table.
+    first, last = (math.floor(float(end) / TABLE_STEPS[1]) for end in (ln_sigma.min(), ln_sigma.max()))
+    place = np.stack([(mean / sigma + SMOOTH_FROM) / TABLE_STEPS[0], ln_sigma / TABLE_STEPS[1] - first])
+    table = _table(first, last + 1, sensor)
     of_mean, of_variance = (map_coordinates(values, place, order=1, mode="nearest") for values in table)
     unit = sigma**sensor.gamma
     return sensor.black_level_dn + unit * of_mean, unit**2 * of_variance
 
 
-def _table(z: Float64, sigma: Float64, sensor: Sensor) -> tuple[Float64, Float64]:
-    """Return the unrounded DN's mean over black and variance (len(z), len(sigma)) of charges (z + n) sigma.
+@lru_cache(maxsize=32)
+def _table(first: int, last: int, sensor: Sensor) -> tuple[Float64, Float64]:
+    """Return the unrounded DN's mean over black and variance (n_z, n_sigma) of charges (z + n) sigma.
 
-    n is normal; in units of sigma^gamma and of its square, on which they hardly depend on sigma any more.
-    Gauss-Legendre from kink to kink: zero charge, full well and the ends of the scale.
+    n is normal; z lies within `SMOOTH_FROM`, ln(sigma) from the `first` to the `last` whole step. They are in
+    units of sigma^gamma and of its square, on which they hardly depend on sigma any more. Gauss-Legendre from
+    kink to kink: zero charge, full well and the ends of the scale.
     """
+    z = np.arange(-SMOOTH_FROM, SMOOTH_FROM + TABLE_STEPS[0], TABLE_STEPS[0])
+    sigma = np.exp(TABLE_STEPS[1] * np.arange(first, last + 1))
     kinks_e = np.array([0.0, sensor.full_well_e, *np.asarray(linearise([0, sensor.max_dn], sensor))])
     edges = np.empty((len(z), len(sigma), len(kinks_e) + 2))
     edges[..., 0], edges[..., -1] = -TABLE_REACH, TABLE_REACH

@@ -11,6 +11,7 @@ import itertools
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
@@ -30,6 +31,7 @@ from sim_to_real.evidence.coordinates import (
 from sim_to_real.evidence.metric import (
     Metric,
     MetricLoss,
+    Seen,
     compressed,
     log_evidence,
     rescaled,
@@ -123,6 +125,15 @@ class Linearized:
 
 
 @dataclass(frozen=True, eq=False)
+class Blocks:
+    """Blocks of columns side by side as the metric sees them: their `sides`, and `products` (k, k)."""
+
+    sides: tuple[Float64, ...]
+    seen: Seen
+    products: Float64
+
+
+@dataclass(frozen=True, eq=False)
 class ErrorModel:
     """The errors of a recording's bins (n,), as a metric, and the terms of an unknown cause there."""
 
@@ -145,21 +156,21 @@ class ErrorModel:
         effects = [
             np.hstack([Columns.along_probes(family).changes for family in score.families]) for score in scores
         ]
-        floor = np.hstack(
-            [
-                smooth_error(covariates, policy),
-                sampling_error(model, covariates, start),
-                *(
-                    columns if _is_open(model.observed, score.id) else _negligible(columns, policy)
-                    for score, columns in zip(scores, effects, strict=True)
-                ),
-                *(tolerated(score, model.observed.setup.tolerance) for score in scores),
-            ]
-        )
+        floor = [
+            smooth_error(covariates, policy),
+            sampling_error(model, covariates, start),
+            *(tolerated(score, model.observed.setup.tolerance) for score in scores),
+        ]
         at_start = Linearized.of(start)
-        every = np.hstack([at_start.columns.changes, floor, *(term.columns for term in terms), *effects])
+        every = np.hstack(
+            [at_start.columns.changes, *floor, *(term.columns for term in terms), *effects], dtype=np.float32
+        )
         weights = robust_weights(at_start.residuals, compressed(every), policy.tail_dof)
-        metric = Metric.of(floor.astype(np.float32), weights)
+        floor += [
+            columns if _is_open(model.observed, score.id) else _negligible(columns, policy)
+            for score, columns in zip(scores, effects, strict=True)
+        ]
+        metric = Metric.of(np.hstack(floor, dtype=np.float32), weights)
         return cls(metric, terms, forms, texture(covariates))
 
     def log_evidence(self, hypothesis: Linearized, *further: Columns) -> float:
@@ -174,24 +185,32 @@ class ErrorModel:
         """What residuals cost in a fit."""
         return MetricLoss(self.metric)
 
-    def table(self, hypothesis: Linearized, blocks: Sequence[Columns]) -> EvidenceTable:
-        """Return what gives the evidence of a hypothesis with any of some blocks of columns."""
-        return self.tables([hypothesis], blocks)[0]
+    @cached_property
+    def free_blocks(self) -> Blocks:
+        """The free terms, a block each."""
+        return self.blocks([Columns.free(term.columns) for term in self.free_terms])
 
-    def tables(self, hypotheses: Sequence[Linearized], blocks: Sequence[Columns]) -> list[EvidenceTable]:
-        """Return what gives the evidence of each of some hypotheses with any of some blocks of columns."""
-        own = [np.column_stack([h.columns.changes, h.residuals]) for h in hypotheses]
-        every = np.column_stack([*own, *(block.changes for block in blocks)])
-        products = self.metric.products(every, every)
-        ends = np.cumsum([0, *(part.shape[1] for part in own)])
-        tables = []
-        for hypothesis, first, last in zip(hypotheses, ends, ends[1:] - 1, strict=False):
-            columns = [hypothesis.columns, *blocks]
-            places = [*range(first, last), *range(ends[-1], len(products)), last]
-            sides = np.concatenate([block.sides for block in columns])
-            block_ends = np.cumsum([0, *(len(block.sides) for block in columns)])
-            tables.append(EvidenceTable(products[np.ix_(places, places)], sides, block_ends, len(every)))
-        return tables
+    def blocks(self, blocks: Sequence[Columns]) -> Blocks:
+        """Return blocks of columns that hypotheses may have: `table` tells their evidence."""
+        none = np.zeros((len(self.metric.root_weights), 0), dtype=np.float32)
+        seen = self.metric.seen(np.hstack([none, *(block.changes for block in blocks)]))
+        return Blocks(tuple(block.sides for block in blocks), seen, seen.products(seen))
+
+    def table(self, hypothesis: Linearized, blocks: Blocks) -> EvidenceTable:
+        """Return what gives the evidence of a hypothesis with any of some blocks of columns."""
+        columns, residuals = hypothesis.columns, hypothesis.residuals
+        own = self.metric.seen(np.column_stack([columns.changes, residuals]))
+        products, between = own.products(own), own.products(blocks.seen)
+        table = np.block(
+            [
+                [products[:-1, :-1], between[:-1], products[:-1, -1:]],
+                [between[:-1].T, blocks.products, between[-1:].T],
+                [products[-1:, :-1], between[-1:], products[-1:, -1:]],
+            ]
+        )
+        sides = [columns.sides, *blocks.sides]
+        ends = np.cumsum([0, *(len(of_block) for of_block in sides)])
+        return EvidenceTable(table, np.concatenate(sides), ends, len(residuals))
 
     def form_error(self, effect: str, change: Float64 | Float32) -> Columns:
         """Return the error of an effect's form; `change` (n,) is what the effect does."""

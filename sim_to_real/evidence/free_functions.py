@@ -122,9 +122,9 @@ class FreeFunctions:
         hypotheses = [none] if named is none else [none, named]
         beside: list[dict[str, FreeFunction]] = [{} for _ in hypotheses]
         for name, of_forms in families.items():
-            blocks = [Columns.free(family.changes) for family in of_forms]
-            for functions, table in zip(beside, errors.tables(hypotheses, blocks), strict=True):
-                functions[name] = FreeFunction.likeliest(table, of_forms, policy)
+            blocks = errors.blocks([Columns.free(family.changes) for family in of_forms])
+            for functions, hypothesis in zip(beside, hypotheses, strict=True):
+                functions[name] = FreeFunction.likeliest(errors.table(hypothesis, blocks), of_forms, policy)
         return cls(beside[0], beside[-1])
 
     @cached_property

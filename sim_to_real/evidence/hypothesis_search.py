@@ -18,11 +18,7 @@ import numpy as np
 from noise_model.arrays import Float64
 from noise_model.effects import REGISTRY, Stage
 from sim_to_real.evidence.coordinates import IN_EACH_FRAME
-from sim_to_real.evidence.error_model import (
-    Columns,
-    ErrorModel,
-    Linearized,
-)
+from sim_to_real.evidence.error_model import ErrorModel, Linearized
 from sim_to_real.evidence.hypotheses import Hypothesis, Term, Unknown
 from sim_to_real.evidence.looks import Looks
 from sim_to_real.evidence.policy import Policy
@@ -124,8 +120,7 @@ class HypothesisSearch:
 
     def free_terms_beside(self, hypothesis: Hypothesis) -> FreeTerms:
         """Return the evidence of each free term about a hypothesis' nuisances."""
-        blocks = [Columns.free(term.columns) for term in self.errors.free_terms]
-        table = self.errors.table(hypothesis.neutral, blocks)
+        table = self.errors.table(hypothesis.neutral, self.errors.free_blocks)
         return {
             (term.stage, term.name): [table.log_evidence(n, size=size) for size in self.policy.free_sizes]
             for n, term in enumerate(self.errors.free_terms)

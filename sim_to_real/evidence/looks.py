@@ -16,6 +16,7 @@ import numpy as np
 from noise_model.arrays import Float64
 from noise_model.effects import Values
 from sim_to_real.evidence.error_model import (
+    Blocks,
     Columns,
     ErrorModel,
     EvidenceTable,
@@ -101,9 +102,13 @@ class Looks:
         return [Columns.along_probes(family) for family in self._families]
 
     @cached_property
+    def _blocks(self) -> Blocks:
+        return self.errors.blocks(self._columns)
+
+    @cached_property
     def _probes(self) -> EvidenceTable:
         """The evidence of all families at the start."""
-        return self.errors.table(self._at_start, self._columns)
+        return self.errors.table(self._at_start, self._blocks)
 
     @cached_property
     def _exact(self) -> list[float]:
@@ -122,7 +127,7 @@ class Looks:
         """
         if FLICKER in fitted.ids:
             return []
-        table = self.errors.table(Linearized.of(fitted), self._columns)
+        table = self.errors.table(Linearized.of(fitted), self._blocks)
         gains: dict[tuple[int, ...], float] = {
             (n,): table.log_evidence(n) - exact
             for n, family in enumerate(self._families)

@@ -36,32 +36,48 @@ MIN_EIGENVALUE = 0.05
 
 
 @dataclass(frozen=True, eq=False)
+class Seen:
+    """Columns (n, k) as a metric sees them: times the roots of its weights, and `projected` (m, k)."""
+
+    weighted: Float64
+    projected: Float64
+
+    def products(self, others: Seen) -> Float64:
+        """Return the products (k, j) with others (n, j) in the metric."""
+        # Of one array with itself BLAS computes half of the products.
+        return np.asarray(self.weighted.T @ others.weighted - self.projected.T @ others.projected)
+
+
+@dataclass(frozen=True, eq=False)
 class Metric:
     """The product a^T C^-1 b of columns (n, k).
 
-    `weights` (n,) are robust ones, `projected` (m, n) is L^-1 F^T W with L L^T = I + F^T W F.
+    `root_weights` (n,) are the roots of robust weights, `projector` (m, n) is L^-1 F^T W^1/2 with
+    L L^T = I + F^T W F.
     """
 
-    weights: Float32
-    projected: Float64
+    root_weights: Float64
+    projector: Float64
 
     @classmethod
     def of(cls, floor: Float32, weights: Float32) -> Metric:
         """Return the metric of the model's own error in columns (n, m) and of weights (n,)."""
-        compact = compressed(floor).astype(np.float64)
-        weighted = compact * weights[:, np.newaxis]
-        information = weighted.T @ compact
+        root_weights = np.sqrt(weights.astype(np.float64))
+        weighted = compressed(floor) * root_weights[:, np.newaxis]
+        information = weighted.T @ weighted
         information[np.diag_indices_from(information)] += 1.0
         root = np.linalg.cholesky(information)
-        projected = solve_triangular(root, weighted.T, lower=True)
-        return cls(weights, projected)
+        return cls(root_weights, solve_triangular(root, weighted.T, lower=True))
+
+    def seen(self, columns: Float64 | Float32) -> Seen:
+        """Return columns (n, k) as the metric sees them, to be multiplied with any others."""
+        weighted = columns * self.root_weights[:, np.newaxis]
+        return Seen(weighted, self.projector @ weighted)
 
     def products(self, columns: Float64 | Float32, others: Float64 | Float32) -> Float64:
         """Return the products (k, j) of columns (n, k) with others (n, j)."""
-        a, b = np.asarray(columns, dtype=np.float64), np.asarray(others, dtype=np.float64)
-        projected = self.projected @ a
-        others_projected = projected if others is columns else self.projected @ b
-        return (a * self.weights[:, np.newaxis]).T @ b - projected.T @ others_projected
+        seen = self.seen(columns)
+        return seen.products(seen if others is columns else self.seen(others))
 
     def log_evidence(
         self, residuals: Float64 | Float32, columns: Float64 | Float32, sides: Float64 | None = None

@@ -104,7 +104,7 @@ def test_the_covariate_of_a_gap_leads_and_its_stage_is_the_likeliest(bins, gap, 
     assert curves[0].nats > 50.0
     assert max(curve.nats for curve in curves if curve.name not in leading) < curves[0].nats - 50.0
     errors, none = errors_of(bins), beside_levels(bins, residuals)
-    table = errors.table(none, [Columns.free(term.columns) for term in errors.free_terms])
+    table = errors.table(none, errors.free_blocks)
     evidence = {
         (term.stage, term.name): table.log_evidence(n, size=0.1) for n, term in enumerate(errors.free_terms)
     }
@@ -146,7 +146,7 @@ def test_bands_hold_the_true_curve(bins, name, form, size):
         gap = true(x) * light + off[0] * chosen.arc_dn + off[1] * chosen.laser_dn + off[2]
         none = beside_levels(bins, noise(bins, 100 + seed))
         none = replace(none, residuals=none.residuals + gap)
-        table = errors.table(none, [Columns.free(family.changes) for family in families])
+        table = errors.table(none, errors.blocks([Columns.free(family.changes) for family in families]))
         function = {name: FreeFunction.likeliest(table, families, POLICY)}
         curve = FreeFunctions(function, function).curve(name)
         if curve.form == form:
