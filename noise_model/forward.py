@@ -22,10 +22,10 @@ from noise_model.condition import Condition
 from noise_model.effects import acting, apply_condition_effects, apply_setup_effects
 from noise_model.effects.effect import Draw
 from noise_model.effects.light import Light
-from noise_model.instrument.camera import Rays, blur
+from noise_model.instrument.camera import Rays, blur, blur_inner
 from noise_model.instrument.sensor import expose, respond_moments, saturation_dn
 from noise_model.setup import Setup
-from noise_model.stripe import SheetSeen, crossed_by_borders, sheet_seen, stripe_light
+from noise_model.stripe import SheetSeen, crossed_by_borders, sheet_seen, stripe_light, stripe_reference
 from noise_model.surface.brdf import lobe_numbers
 from noise_model.surface.joint import NOMINAL_SEAM, Seam, SeamLine
 from noise_model.view import View
@@ -130,7 +130,9 @@ class Layers:
         shares tell where a stripe ends. The point-spread function, which holds the pixel's aperture, comes on
         top: an edge is somewhat softer than it should be, 0.74 px for 0.7.
         """
-        light = self._of_stretches(stripe_light)
+        setup = self.view.setup
+        unit_e = setup.laser.peak_e / stripe_reference(setup)
+        light = self._of_stretches(lambda view: stripe_light(view, unit_e))
         if not self.view.is_frame:
             return light
         sheet = SheetSeen(
@@ -141,7 +143,7 @@ class Layers:
         for pixels, view in self.stretches or ((np.arange(light.size), self.view),):
             mine = np.flatnonzero(across[pixels].any(axis=1))
             offsets_px = WITHIN_PIXEL_PX * across[pixels[mine], np.newaxis]
-            light.reshape(-1)[pixels[mine]] = stripe_light(view.about(mine, offsets_px)).mean(axis=1)
+            light.reshape(-1)[pixels[mine]] = stripe_light(view.about(mine, offsets_px), unit_e).mean(axis=1)
         return light
 
     @cached_property
@@ -413,6 +415,9 @@ def pass_on(true: Setup, light: Light, view: View, condition: Condition, rng: Dr
             effect.light(light, view, condition, values, rng)
     if view.is_frame:
         light.pass_through(lambda image: blur(image, true.camera.psf_sigma_px))
+    elif view.inner is not None:
+        inner, around = view.inner
+        light.pass_through(lambda values: blur_inner(values, inner, around, true.camera.psf_sigma_px))
     light.scale(condition.exposure_s / true.camera.exposure_s)
     for effect, values in acting(true):
         if effect.image is not None:

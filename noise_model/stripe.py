@@ -20,7 +20,7 @@ from noise_model.instrument.laser import (
 from noise_model.kernel import kernel
 from noise_model.setup import Setup
 from noise_model.surface.brdf import LobeNumbers, lobe_numbers
-from noise_model.surface.ray_casting import ways_are_open
+from noise_model.surface.ray_casting import way_is_open, ways_are_open
 from noise_model.transforms import cross, invert, transform
 from noise_model.view import View
 
@@ -81,21 +81,53 @@ def _sheet_seen(view: View) -> SheetSeen:
     return SheetSeen(near, shaded)
 
 
-def stripe_light(view: View) -> Float32:
+def stripe_light(view: View, unit_e: float) -> Float32:
     """Return the laser stripe (...,), e- for `camera.exposure_s`, before the point-spread function.
 
-    The sheet's irradiance times f_r towards the camera, scaled so that a flat plate at tool height under a
-    level pose peaks at `peak_e` in the middle column; of each pixel that at its centre.
+    The sheet's irradiance times f_r towards the camera, scaled by `unit_e` so that a flat plate at tool
+    height under a level pose peaks at `peak_e` in the middle column; of each pixel that at its centre.
     """
-    setup, sheet = view.setup, sheet_seen(view)
-    lit = sheet.near & ~sheet.shaded
-    image = np.zeros(view.shape, dtype=np.float32)
-    if not lit.any():
-        return image
+    setup, where = view.setup, view.scene
     points, normals, _ = view.surface
-    light = reflected_sheet(setup, points[lit], normals[lit], view.scene.T_joint_tool)
-    image[lit] = light * view.cos4[lit] * (setup.laser.peak_e / stripe_reference(setup))
-    return image
+    light = np.empty(view.cos4.size)
+    _light_open(
+        points.reshape(-1, 3),
+        normals.reshape(-1, 3),
+        where.T_joint_camera[:3, 3],
+        sheet_of(setup.laser, where.T_joint_tool),
+        lobe_numbers(setup.material),
+        setup.laser.reach_sigmas,
+        where.shape.vertices,
+        where.shape.corrugation,
+        light,
+    )
+    return np.asarray(light.reshape(view.shape) * (view.cos4 * unit_e), dtype=np.float32)
+
+
+@kernel(allocates=True)
+def _light_open(
+    points: Float64,
+    normals: Float64,
+    camera: Float64,
+    sheet: Sheet,
+    material: LobeNumbers,
+    reach: float,
+    vertices: Float64,
+    corrugation: Float64,
+    light: Float64,
+) -> None:
+    """Write the light (n,) of `reflected_sheet` up to a reach, 0 where the sheet's way is not free.
+
+    The plain twin is `reflected_sheet` where `sheet_seen` says that the sheet is near and not shaded.
+    """
+    for i in range(points.shape[0]):
+        P = points[i]
+        x, y, z = camera[0] - P[0], camera[1] - P[1], camera[2] - P[2]
+        distance = math.sqrt(x * x + y * y + z * z)
+        omega_r = (x / distance, y / distance, z / distance)
+        light[i] = sheet_reflected(sheet, material, P, normals[i], omega_r, reach)
+        if light[i] != 0.0 and not way_is_open(P, sheet.origin, vertices, corrugation):
+            light[i] = 0.0
 
 
 def crossed_by_borders(faces: Integers, sheet: SheetSeen) -> Bool:

@@ -9,7 +9,7 @@ from typing import TypeVar, cast
 import numpy as np
 
 from noise_model.arc.map import Scene, make_scene
-from noise_model.arrays import Float32, Float64, Int32, Integers
+from noise_model.arrays import Float32, Float64, Int32, Int64, Integers
 from noise_model.instrument.camera import Rays, fall_off
 from noise_model.setup import Setup
 from noise_model.surface.joint import NOMINAL_SEAM, SeamLine
@@ -27,7 +27,8 @@ class View:
     lens' fall-off. `is_frame` says that the pixels are a whole frame in image order; of others the first
     `n_even` are an even sample of it, all of them if it is None. `coarse` lets what is dear and smooth, light
     that bounces, be followed at fewer points, and the laser's not at all. `part_seed` says which part lies
-    there, by the pattern on its metal; None for another one in each frame that is drawn.
+    there, by the pattern on its metal; None for another one in each frame that is drawn. `inner` are those of
+    some pixels that have their neighbours in view, and where these are, see `camera.blur_inner`.
     """
 
     setup: Setup
@@ -39,6 +40,7 @@ class View:
     n_even: int | None = None
     coarse: bool = False
     part_seed: int | None = None
+    inner: tuple[Int64, Int64] | None = None
     _kept: dict[str, object] = field(default_factory=dict, repr=False)
 
     @classmethod

@@ -114,29 +114,31 @@ def make_scene(
     if setup.arc.on_surface:
         # Over the surface the arc keeps its height, and a tilted tool carries its foot sideways.
         # The way down is upright, and an inclined sheet's ridges are not.
-        foot = center[0] - laid.slope_z * center[2]
-        for _ in range(FOOT_STEPS):
+        foot, height = center[0] - laid.slope_z * center[2], 0.0
+        for _ in range(FOOT_STEPS if shape.corrugation[0] > 0.0 else 0):
             height = float(corrugation_height(foot, shape.corrugation))
             foot = center[0] - laid.slope_z * (center[2] - height)
         center[0], center[2] = foot + laid.slope_z * offset[2], offset[2] + height
-        if ground is not None:
-            center[2] += _higher_mm(laid, ground, center)
-    bend = seam.slope_y - laid.slope_y, _beside_mm(laid, seam if ground is None else ground, center)
-    return Scene(T_joint_tool, T_joint_camera, setup.camera, center, shape, bend)
+    beside = 0.0
+    stands_on = seam if ground is None else ground
+    if stands_on is not laid:
+        T_seam_ground = invert(laid.frame()) @ stands_on.frame()
+        if setup.arc.on_surface and ground is not None:
+            center[2] += _higher_mm(T_seam_ground, center)
+        beside = _beside_mm(T_seam_ground, center)
+    return Scene(
+        T_joint_tool, T_joint_camera, setup.camera, center, shape, (seam.slope_y - laid.slope_y, beside)
+    )
 
 
-def _higher_mm(seam: SeamLine, ground: SeamLine, point_mm: Float64) -> float:
+def _higher_mm(T_seam_ground: Float64, point_mm: Float64) -> float:
     """Return how much higher another stretch's plate lies than the seam's own, at a point of its frame."""
-    T_seam_ground = invert(seam.frame()) @ ground.frame()
     up, origin = T_seam_ground[:3, 2], T_seam_ground[:3, 3]
     return float(origin[2] - (up[:2] @ (point_mm[:2] - origin[:2])) / up[2])
 
 
-def _beside_mm(seam: SeamLine, ground: SeamLine, point_mm: Float64) -> float:
+def _beside_mm(T_seam_ground: Float64, point_mm: Float64) -> float:
     """Return how far to the left another stretch's seam runs of a seam's own, at a point of its frame."""
-    if ground is seam:
-        return 0.0
-    T_seam_ground = invert(seam.frame()) @ ground.frame()
     along, origin = T_seam_ground[:3, 0], T_seam_ground[:3, 3]
     return float(origin[1] + along[1] / along[0] * (point_mm[0] - origin[0]))
 

@@ -11,7 +11,7 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
-from noise_model.arrays import Float32, Float64
+from noise_model.arrays import Float32, Float64, Int64
 from noise_model.kernel import kernel
 
 NARROW_PX = 0.65
@@ -354,6 +354,31 @@ class Rays:
         )
 
 
+def _narrow_taps(psf_sigma_px: float) -> Float32:
+    side = 0.5 * psf_sigma_px**2
+    return np.array([side, 1.0 - 2.0 * side, side], dtype=np.float32)
+
+
+def neighbours(pixels: Int64, shape: tuple[int, int]) -> Int64:
+    """Return the 3 x 3 pixels about each of some (n, 9), as places in the flattened image, rim reflected."""
+    rows, columns = (
+        size - 1 - np.abs(size - 1 - np.abs(place[:, np.newaxis] + np.arange(-1, 2)))
+        for place, size in zip(np.divmod(pixels, shape[1]), shape, strict=True)
+    )
+    return np.asarray(rows[:, :, np.newaxis] * shape[1] + columns[:, np.newaxis]).reshape(len(pixels), 9)
+
+
+def blur_inner(values: Float32, inner: Int64, around: Int64, psf_sigma_px: float) -> Float32:
+    """Return values (n,) of some pixels, `inner` ones (k,) blurred as `blur` does below `NARROW_PX`.
+
+    `around` (k, 9) says where their `neighbours` are among the n.
+    """
+    taps = _narrow_taps(psf_sigma_px)
+    blurred = values.copy()
+    blurred[inner] = values[around] @ np.outer(taps, taps).ravel()
+    return blurred
+
+
 def blur(image: Float32, psf_sigma_px: float) -> Float32:
     """Convolve an image (H, W) with the Gaussian point-spread function; the rim is reflected.
 
@@ -363,8 +388,7 @@ def blur(image: Float32, psf_sigma_px: float) -> Float32:
     if psf_sigma_px == 0.0:
         return image
     if psf_sigma_px < NARROW_PX:
-        side = 0.5 * psf_sigma_px**2
-        taps = np.array([side, 1.0 - 2.0 * side, side], dtype=np.float32)
+        taps = _narrow_taps(psf_sigma_px)
         blurred = cv2.sepFilter2D(image, -1, taps, taps, borderType=cv2.BORDER_REFLECT_101)
     else:
         radius = int(np.ceil(4.0 * psf_sigma_px))

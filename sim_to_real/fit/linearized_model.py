@@ -23,7 +23,7 @@ from noise_model.arrays import Bool, Float32, Float64, Int64
 from noise_model.effects import REGISTRY, Effect, Stage, Values, apply_condition_effects, apply_setup_effects
 from noise_model.effects.light import Light
 from noise_model.forward import Layers, look, pass_on
-from noise_model.instrument.camera import Camera, Rays
+from noise_model.instrument.camera import NARROW_PX, Camera, Rays, neighbours
 from noise_model.instrument.sensor import Sensor, respond_moments
 from noise_model.interreflection.model import BouncedLight, bounced_light
 from noise_model.setup import Setup
@@ -80,6 +80,11 @@ RENDERED_EFFECTS = frozenset(
 ) - {"gamma", "black_level", "read_noise", "defocus"}
 """The effects that need a new rendering."""
 
+SPREADING_EFFECTS = frozenset(
+    {"interreflection", "dirty_window", "ghost_stripe", "veiling_glare", "blooming"}
+)
+"""The effects by which a bin's light comes from elsewhere in the image."""
+
 WRONG_MATERIAL = "wrong_material"
 """The effect that changes a metal's kappas alone."""
 
@@ -88,8 +93,52 @@ INTERREFLECTION = "interreflection"
 
 
 @dataclass(frozen=True, eq=False)
+class Predicted:
+    """The bins of a frame that are predicted: all of it (h, w), or those that count and about these (m,).
+
+    `places` are theirs in the flattened frame, `rendered` (r,) those of the bins that are rendered, and
+    `nearest` says which of these is nearest to each. `kept` (k,) are those that count, among all, and
+    `is_kept` (r,) says it of those rendered. `inner` is that of a `View`, None for a whole frame.
+    """
+
+    frame: ObservedFrame
+    places: Int64
+    rendered: Int64
+    nearest: npt.NDArray[np.intp]
+    kept: Int64
+    is_kept: Bool
+    inner: tuple[Int64, Int64] | None
+
+    @classmethod
+    def whole(cls, frame: ObservedFrame) -> Predicted:
+        """Return all bins: what spreads over the image comes from all of them."""
+        every, rendered = np.arange(frame.keep.size), np.flatnonzero(frame.rendered)
+        nearest = _nearest(frame.rendered)
+        return cls(frame, every, rendered, nearest, frame.bins, frame.keep[frame.rendered], None)
+
+    @classmethod
+    def near(cls, frame: ObservedFrame) -> Predicted:
+        """Return the bins that count and their neighbours, which the lens blurs into them."""
+        around = neighbours(frame.bins, (frame.keep.shape[0], frame.keep.shape[1]))
+        places = np.unique(around)
+        is_near = np.zeros_like(frame.keep)
+        is_near.reshape(-1)[places] = True
+        shown = is_near & frame.rendered
+        kept = np.searchsorted(places, frame.bins)
+        return cls(
+            frame,
+            places,
+            np.flatnonzero(shown),
+            _nearest(shown)[is_near] if len(places) else np.zeros(0, dtype=np.intp),
+            kept,
+            frame.keep[shown],
+            (kept, np.searchsorted(places, around)),
+        )
+
+
+@dataclass(frozen=True, eq=False)
 class Rendered:
-    """What a pose shows (h, w), e- for the nominal exposure and output, before any effect on the image.
+    """What a pose shows (...,), e- for the nominal exposure and output, before any effect on the image.
 
     The laser's light is rendered in `ObservedFrame.rendered`; other bins take that of the nearest. The arc's
     is smooth but at edges: it is rendered in the bins that count, and others change from the stated light by
@@ -158,7 +207,8 @@ class LinearizedModel:
         self._rendered: dict[tuple[object, ...], Rendered] = {}
         self._of_sources: dict[tuple[object, ...], Float32] = {}
         self._layers: dict[tuple[object, ...], Layers] = {}
-        self._nearest = [_nearest(frame.rendered) for frame in observed.frames]
+        self._whole = [Predicted.whole(frame) for frame in observed.frames]
+        self._near = [Predicted.near(frame) for frame in observed.frames]
         self._nearest_kept = [_nearest(frame.keep) for frame in observed.frames]
         self._bounced: dict[int, BouncedLight] = {}
         self._rays: dict[tuple[object, ...], Rays] = {}
@@ -359,31 +409,34 @@ class LinearizedModel:
             self._rays[camera.geometry] = Rays.of(camera)
         return self._rays[camera.geometry]
 
-    def _render(self, frame: ObservedFrame, true: Setup, anchor: Float64, effects: Effects) -> Rendered:
-        key = _rendering_key(frame, anchor, effects)
+    def _render(self, bins: Predicted, true: Setup, anchor: Float64, effects: Effects) -> Rendered:
+        key = _rendering_key(bins, anchor, effects)
         if key not in self._rendered:
+            frame = bins.frame
             seam, rays = self.seam(frame, anchor, effects), self._rays_of(true.camera)
+            T_base_tool, pixels = frame.T_base_tool_in(true), None if bins.inner is None else bins.places
+            view = View.of(true, T_base_tool, seam.middle, rays, pixels, ground=seam.ground, coarse=True)
             self._rendered[key] = Rendered(
-                View.of(true, frame.T_base_tool_in(true), seam.middle, rays, ground=seam.ground, coarse=True),
-                self._arc_e(frame, true, anchor, effects),
-                self._laser_e(frame, true, anchor, effects),
+                replace(view, inner=bins.inner),
+                self._arc_e(bins, true, anchor, effects),
+                self._laser_e(bins, true, anchor, effects),
             )
         return self._rendered[key]
 
-    def _arc_e(self, frame: ObservedFrame, true: Setup, anchor: Float64, effects: Effects) -> Float32:
-        """Return the arc's light in all bins (h, w), e-.
+    def _arc_e(self, bins: Predicted, true: Setup, anchor: Float64, effects: Effects) -> Float32:
+        """Return the arc's light in the bins that are predicted (...,), e-.
 
         It is linear in a metal's kappas: what each of them reflects serves for all metals of the same lobe.
         """
-        if frame.condition.arc_level == 0.0:
-            return np.zeros(frame.keep.shape, dtype=np.float32)
+        if bins.frame.condition.arc_level == 0.0:
+            return np.zeros(bins.nearest.shape, dtype=np.float32)
         metal = true.material
         if WRONG_MATERIAL not in effects:
-            return self._arc_of_metal(frame, true, anchor, effects, metal, ())
+            return self._arc_of_metal(bins, true, anchor, effects, metal, ())
         others = {name: values for name, values in effects.items() if name != WRONG_MATERIAL}
         diffuse_e, specular_e = (
             self._arc_of_metal(
-                frame,
+                bins,
                 true,
                 anchor,
                 others,
@@ -396,28 +449,33 @@ class LinearizedModel:
 
     def _arc_of_metal(
         self,
-        frame: ObservedFrame,
+        bins: Predicted,
         true: Setup,
         anchor: Float64,
         effects: Effects,
         metal: Material,
         unit: tuple[float, ...],
     ) -> Float32:
-        """Return the arc's light in all bins (h, w), e-, of a metal: `unit` says which of its parts alone."""
-        key = (*unit, Stage.ILLUMINATION, *_rendering_key(frame, anchor, effects, Stage.ILLUMINATION))
+        """Return the arc's light in the bins that are predicted (...,), e-, of a metal.
+
+        `unit` says which of its parts alone.
+        """
+        key = (*unit, Stage.ILLUMINATION, *_rendering_key(bins, anchor, effects, Stage.ILLUMINATION))
         if key not in self._of_sources:
-            layers = self._layers_of(frame, true, anchor, effects).with_metal(replace(true, material=metal))
-            self._of_sources[key] = self._arc_everywhere(frame, layers.arc_e_in(frame.keep[frame.rendered]))
+            of_metal = true if metal is true.material else replace(true, material=metal)
+            layers = self._layers_of(bins, true, anchor, effects).with_metal(of_metal)
+            everywhere = self._arc_everywhere(bins.frame, layers.arc_e_in(bins.is_kept))
+            self._of_sources[key] = everywhere.reshape(-1)[bins.places].reshape(bins.nearest.shape)
         return self._of_sources[key]
 
-    def _laser_e(self, frame: ObservedFrame, true: Setup, anchor: Float64, effects: Effects) -> Float32:
-        """Return the laser's light in all bins (h, w), e-."""
-        if frame.condition.laser_level == 0.0:
-            return np.zeros(frame.keep.shape, dtype=np.float32)
-        key = (Stage.SOURCE, *_rendering_key(frame, anchor, effects, Stage.SOURCE))
+    def _laser_e(self, bins: Predicted, true: Setup, anchor: Float64, effects: Effects) -> Float32:
+        """Return the laser's light in the bins that are predicted (...,), e-."""
+        if bins.frame.condition.laser_level == 0.0:
+            return np.zeros(bins.nearest.shape, dtype=np.float32)
+        key = (Stage.SOURCE, *_rendering_key(bins, anchor, effects, Stage.SOURCE))
         if key not in self._of_sources:
-            layers = self._layers_of(frame, true, anchor, effects).with_metal(true)
-            self._of_sources[key] = layers.laser_e[self._nearest[frame.position]]
+            layers = self._layers_of(bins, true, anchor, effects).with_metal(true)
+            self._of_sources[key] = layers.laser_e[bins.nearest]
         return self._of_sources[key]
 
     def _arc_everywhere(self, frame: ObservedFrame, kept_e: Float32) -> Float32:
@@ -432,13 +490,13 @@ class LinearizedModel:
         everywhere.reshape(-1)[frame.bins] = kept_e
         return everywhere
 
-    def _layers_of(self, frame: ObservedFrame, true: Setup, anchor: Float64, effects: Effects) -> Layers:
-        """Return what a frame shows with some metal: another one does not change what rays meet."""
-        key = _rendering_key(frame, anchor, effects, Stage.SURFACE)
+    def _layers_of(self, bins: Predicted, true: Setup, anchor: Float64, effects: Effects) -> Layers:
+        """Return what bins show with some metal: another one does not change what rays meet."""
+        key = _rendering_key(bins, anchor, effects, Stage.SURFACE)
         if key not in self._layers:
-            seam, rays = self.seam(frame, anchor, effects), self._rays_of(true.camera)
-            bins = np.flatnonzero(frame.rendered)
-            self._layers[key] = look(true, frame.T_base_tool_in(true), seam, rays, bins)
+            seam, rays = self.seam(bins.frame, anchor, effects), self._rays_of(true.camera)
+            T_base_tool = bins.frame.T_base_tool_in(true)
+            self._layers[key] = look(true, T_base_tool, seam, rays, bins.rendered)
         return self._layers[key]
 
     def laser_fourth_differences(self, anchor: Float64) -> list[Float32]:
@@ -446,17 +504,17 @@ class LinearizedModel:
         true = apply_setup_effects(self._setup({}, anchor))
 
         def of_frame(frame: ObservedFrame) -> Float32:
-            _, light = self._passed_light(frame, true, anchor, {})
+            _, light = self._passed_light(self._whole[frame.position], true, anchor, {})
             return _fourth_difference(light.laser)[frame.keep]
 
         return self.over_frames(of_frame)
 
     def _passed_light(
-        self, frame: ObservedFrame, true: Setup, anchor: Float64, effects: Effects
+        self, bins: Predicted, true: Setup, anchor: Float64, effects: Effects
     ) -> tuple[Rendered, Light]:
-        """Return a frame's light as it was rendered, and after effects, lens and exposure."""
-        rendered = self._render(frame, true, anchor, effects)
-        condition = apply_condition_effects(true, apply_levels(frame.condition, anchor))
+        """Return light as it was rendered, and after effects, lens and exposure."""
+        rendered = self._render(bins, true, anchor, effects)
+        condition = apply_condition_effects(true, apply_levels(bins.frame.condition, anchor))
         light = Light.of(
             np.float32(condition.arc_level) * rendered.arc_e,
             np.float32(condition.laser_level) * rendered.laser_e,
@@ -464,24 +522,27 @@ class LinearizedModel:
         view = replace(rendered.view, setup=true)
         if INTERREFLECTION in effects:
             # What bounces is smooth: where it was computed first it may stay, for all that nuisances move.
-            self._bounced[frame.position] = bounced_light(view, self._bounced.get(frame.position))
+            position = bins.frame.position
+            self._bounced[position] = bounced_light(view, self._bounced.get(position))
         pass_on(true, light, view, condition)
         return rendered, light
 
     def _frame_light(
         self, frame: ObservedFrame, true: Setup, anchor: Float64, effects: Effects
     ) -> FrameLight:
-        rendered, light = self._passed_light(frame, true, anchor, effects)
-        bins = frame.bins
+        spreads = true.camera.psf_sigma_px >= NARROW_PX or not SPREADING_EFFECTS.isdisjoint(true.effects)
+        bins = (self._whole if spreads else self._near)[frame.position]
+        rendered, light = self._passed_light(bins, true, anchor, effects)
+        kept = bins.kept
         exposure = frame.condition.exposure_s / self.observed.setup.camera.exposure_s
-        arc_e, laser_e = light.arc.reshape(-1)[bins], light.laser.reshape(-1)[bins]
+        arc_e, laser_e = light.arc.reshape(-1)[kept], light.laser.reshape(-1)[kept]
         return FrameLight(
             true.sensor,
             arc_e,
             laser_e,
-            light.other.reshape(-1)[bins],
-            _factor(arc_e, rendered.arc_e.reshape(-1)[bins], frame.condition.arc_level * exposure),
-            _factor(laser_e, rendered.laser_e.reshape(-1)[bins], frame.condition.laser_level * exposure),
+            light.other.reshape(-1)[kept],
+            _factor(arc_e, rendered.arc_e.reshape(-1)[kept], frame.condition.arc_level * exposure),
+            _factor(laser_e, rendered.laser_e.reshape(-1)[kept], frame.condition.laser_level * exposure),
         )
 
     def _tangents_of(self, frame: ObservedFrame, anchor: Float64, effects: Effects) -> Tangents:
@@ -533,9 +594,9 @@ class LinearizedModel:
 
 
 def _rendering_key(
-    frame: ObservedFrame, anchor: Float64, effects: Effects, unmoved_by: Stage | None = None
+    bins: Predicted, anchor: Float64, effects: Effects, unmoved_by: Stage | None = None
 ) -> tuple[object, ...]:
-    """Return what a frame's rendering depends on; effects of a stage that does not move it are left out.
+    """Return what bins' rendering depends on; effects of a stage that does not move it are left out.
 
     What happens to the arc does not change the laser's light, nor the other way round, and neither does
     metal change what rays meet.
@@ -545,7 +606,7 @@ def _rendering_key(
         for name, values in effects.items()
         if name in RENDERED_EFFECTS and REGISTRY[name].stage is not unmoved_by
     )
-    return frame.position, anchor[N_LEVELS:].tobytes(), rendering
+    return bins, anchor[N_LEVELS:].tobytes(), rendering
 
 
 def _tracked_with(effects: Effects) -> tuple[object, ...]:

@@ -13,10 +13,11 @@ from noise_model.condition import Condition
 from noise_model.effects import REGISTRY, checked
 from noise_model.forward import FILL_TOLERANCE, Renderer, draw_frame, predict
 from noise_model.instrument.camera import Camera, Rays
-from noise_model.stripe import check_stripe, reflected_sheet, stripe_reference
+from noise_model.stripe import check_stripe, reflected_sheet, sheet_seen, stripe_light, stripe_reference
 from noise_model.surface.brdf import Lobe
 from noise_model.surface.joint import NOMINAL_SEAM, SeamLine
 from noise_model.transforms import invert, moved
+from noise_model.view import View
 
 LEVEL = scenes.pose()
 TURNED = scenes.pose((4.0, 0.5, 1.0), (3.0, -2.0, 4.0))
@@ -237,6 +238,24 @@ def test_the_sheets_kernel_is_its_plain_twin(lobe):
     assert found == pytest.approx(plain, rel=1e-4, abs=1e-9 * plain.max())
     assert np.count_nonzero(plain > 1e-6 * plain.max()) > 20
     assert not reflected_sheet(setup, points * np.nan, normals, T_joint_tool).any()
+
+
+@pytest.mark.parametrize("half_angle_deg", [None, 24.0])
+def test_a_views_stripe_is_the_sheets_light_where_it_is_near_and_not_shaded(half_angle_deg):
+    setup = scenes.setup("lap", of_camera=sharp(width=320, height=240))
+    origin, half = (35.0, -60.0, 140.0), half_angle_deg
+    laser = dataclasses.replace(setup.laser, origin_in_tool_mm=origin, fan_half_angle_deg=half)
+    setup = dataclasses.replace(setup, laser=laser)
+    view = View.of(setup, scenes.pose())
+    points, normals, _ = view.surface
+    seen = sheet_seen(view)
+    lit = seen.near & ~seen.shaded
+    plain = np.zeros(view.shape)
+    plain[lit] = reflected_sheet_plain(setup, points[lit], normals[lit], view.scene.T_joint_tool)
+    light = stripe_light(view, 1000.0)
+    np.testing.assert_allclose(light, 1000.0 * view.cos4 * plain, rtol=1e-4, atol=1e-4 * light.max())
+    assert (seen.near & seen.shaded).any()
+    assert np.count_nonzero(light > 0.1 * light.max()) > 20
 
 
 def test_a_laps_edge_throws_a_shadow():

@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from noise_model.instrument.camera import Camera, Rays, blur, undistorted
+from noise_model.instrument.camera import Camera, Rays, blur, blur_inner, neighbours, undistorted
 
 CAMERA = Camera(
     width=64,
@@ -135,6 +135,20 @@ def test_blur_keeps_energy_and_spreads_by_the_psf(psf_sigma_px):
 def test_blur_of_an_even_image_changes_nothing_up_to_the_rim():
     even = np.full((30, 40), 123.0, np.float32)
     np.testing.assert_allclose(blur(even, 1.7), even, rtol=1e-5)
+
+
+def test_some_pixels_are_blurred_as_their_image_is_up_to_the_rim():
+    image = np.random.default_rng(1).uniform(0.0, 1000.0, (9, 12)).astype(np.float32)
+    inner = np.array([0, 11, 40, 41, 96, 107])
+    around = neighbours(inner, image.shape)
+    pixels = np.unique(around)
+    values = image.reshape(-1)[pixels]
+    places = np.searchsorted(pixels, inner)
+    blurred = blur_inner(values, places, np.searchsorted(pixels, around), 0.4)
+    np.testing.assert_allclose(blurred[places], blur(image, 0.4).reshape(-1)[inner], rtol=1e-5)
+    assert np.abs(blurred[places] - values[places]).min() > 1.0
+    others = np.setdiff1d(np.arange(len(pixels)), places)
+    np.testing.assert_array_equal(blurred[others], values[others])
 
 
 def test_no_psf_is_no_blur():

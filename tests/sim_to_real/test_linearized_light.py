@@ -133,3 +133,18 @@ def test_what_is_remembered_of_other_effects_does_not_change_light(tmp_path, eff
         np.testing.assert_array_equal(here.laser_e, there.laser_e)
         moved |= bool((here.arc_e != before.arc_e).any() or (here.laser_e != before.laser_e).any())
     assert moved
+
+
+@pytest.mark.parametrize("name", ["fume", "uneven_fan", "plate_outline", "arc_length", "exposure_drift"])
+def test_bins_alone_show_what_they_show_in_a_whole_frame(expected, monkeypatch, name):
+    effects = {name: REGISTRY[name].complete(REGISTRY[name].typical)}
+    alone = expected.lights(expected.neutral, effects)
+    monkeypatch.setattr(expected, "_near", expected._whole)
+    whole = expected.lights(expected.neutral, effects)
+    for light, in_frame in zip(alone, whole, strict=True):
+        for source in ("arc_e", "laser_e", "other_e", "arc_factor", "laser_factor"):
+            want = getattr(in_frame, source)
+            np.testing.assert_allclose(
+                getattr(light, source), want, rtol=1e-4, atol=1e-4 * want.max(initial=1.0)
+            )
+    assert any((light.arc_e > 0.0).any() for light in alone)
