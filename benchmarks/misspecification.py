@@ -58,7 +58,7 @@ from noise_model.arrays import Float32, Float64
 from sim_to_real.check.case import Case
 from sim_to_real.check.score import Rate
 from sim_to_real.data.binned import observe, variances_dn2
-from sim_to_real.evidence.coordinates import TOGETHER, free_terms
+from sim_to_real.evidence.coordinates import free_terms
 from sim_to_real.evidence.error_model import (
     HAND_EYE,
     Linearized,
@@ -156,8 +156,7 @@ def nominal_of(path: Path) -> tuple[Nominal, dict[str, Summary]]:
     shares = noise_shares(model, fitted)
     single = (values.astype(np.float32) for values in (linear.residuals, columns, *shares))
     nominal = Nominal(*single, tolerance.read_noise_rel)
-    terms = [term.columns for term in free_terms(chosen) if term.name != TOGETHER and term.stage is not None]
-    left = [nominal.remainder(term.T).T for term in terms]
+    left = [nominal.remainder(columns.T).T for columns in free_terms(chosen).columns]
     return nominal, dict(zip(SUMMARIES, (of_spans(left), of_cells(chosen)), strict=True))
 
 

@@ -33,7 +33,7 @@ from sim_to_real.diagnosis import (
 )
 from sim_to_real.evidence.error_model import Linearized
 from sim_to_real.evidence.free_functions import FreeFunctions, all_families, locate
-from sim_to_real.evidence.hypotheses import Hypothesis, Posterior
+from sim_to_real.evidence.hypotheses import Hypothesis, Posterior, Unknown
 from sim_to_real.evidence.judgement import Judgement, judge
 from sim_to_real.evidence.policy import POLICY
 from sim_to_real.evidence.weigh import Weighed, weigh
@@ -383,17 +383,26 @@ def ranking(weighed: Weighed, random: RandomEffects) -> tuple[Ranked, ...]:
 
 def reasons(posterior: Posterior) -> tuple[Reason, ...]:
     """Return no gap, an unknown cause and the likeliest hypotheses with effects, the most probable first."""
-    stage, term = posterior.unknown.likeliest
     none, unknown = posterior.none.evidence, posterior.unknown.evidence
-    where = term if stage is None else f"{stage.value}, {term}"
-    some = list(zip(posterior.hypotheses, posterior.p, strict=True))
-    best = max([none, unknown, *(hypothesis.evidence for hypothesis, _ in some)]) - none
+    some = list(zip(posterior.hypotheses, posterior.p, posterior.p_beside, strict=True))
+    best = max([none, unknown, *(hypothesis.evidence for hypothesis, _, _ in some)]) - none
     compared = [
         Reason("no gap", (), 0.0, best, posterior.p_none),
-        Reason(f"unknown: {where}", (), unknown - none, best, posterior.p_unknown),
-        *(Reason(_in_words(h.refit), h.ids, h.evidence - none, best, p) for h, p in some[:MAX_REASONS]),
+        Reason(_unknown_in_words(posterior.unknown), (), unknown - none, best, posterior.p_alone),
     ]
+    for hypothesis, p, p_beside in some[:MAX_REASONS]:
+        words = _in_words(hypothesis.refit)
+        compared.append(Reason(words, hypothesis.ids, hypothesis.evidence - none, best, p))
+        if (beside := hypothesis.beside) is not None:
+            words = f"{words} beside {_unknown_in_words(beside)}"
+            compared.append(Reason(words, hypothesis.ids, beside.evidence - none, best, p_beside))
     return tuple(sorted(compared, key=lambda reason: (-reason.probability, -reason.evidence)))
+
+
+def _unknown_in_words(unknown: Unknown) -> str:
+    """Return an unknown cause with its likeliest stage and term."""
+    stage, term = unknown.likeliest
+    return f"unknown: {term}" if stage is None else f"unknown: {stage.value}, {term}"
 
 
 def _in_words(fitted: Refit) -> str:

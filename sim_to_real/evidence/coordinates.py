@@ -11,10 +11,11 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
-from noise_model.arrays import Float32
+from noise_model.arrays import Bool, Float32, Float64
 from noise_model.effects.effect import Stage
 from sim_to_real.fit.covariates import Covariates
 from sim_to_real.fit.nuisances import N_LEVELS, SEAM_FROM
@@ -28,26 +29,40 @@ TOGETHER, ANYTHING = "all of these", "anything"
 PART_KNOTS = (9, 6)
 """Knots of the scene's texture along the seam and across it."""
 
+PROFILE_KNOTS, BESIDE_KNOTS = 11, 49
+"""Knots over the distance from the laser's sheet: of the stripe's profile, and of light beside the stripe.
+
+A second stripe is as narrow as the first: there are as many knots as stripes have room side by side.
+"""
+
 ADDED_DN = 50.0
 """What a free term of size 1 adds where it adds to the image, DN."""
 
 MOVED_DEG, MOVED_MM = 2.0, 2.5
 """What a free term of size 1 turns and moves the camera by."""
 
-MOVED_IN_FRAME_MM = 0.3
-"""What a free term of size 1 moves the camera by in each frame, as a wrong clock does."""
+TURNED_IN_FRAME_DEG, MOVED_IN_FRAME_MM = 0.3, 0.3
+"""What a free term of size 1 turns and moves the camera by in each frame, as a wrong clock does."""
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True)
 class FreeTerm:
-    """An unknown cause at a stage: any smooth function of some coordinates, in columns (n, k).
+    """An unknown cause at a stage: any smooth function of some coordinates.
 
-    One is of no stage: any of these functions.
+    `blocks` are the numbers of its blocks of columns, see `FreeTerms`. A term of no stage has all of them.
     """
 
     stage: Stage | None
     name: str
-    columns: Float32
+    blocks: tuple[int, ...]
+
+
+@dataclass(frozen=True, eq=False)
+class FreeTerms:
+    """All terms of an unknown cause, and the `columns` (n, k) of the blocks that they are made of."""
+
+    terms: tuple[FreeTerm, ...]
+    columns: tuple[Float32, ...]
 
 
 @dataclass(frozen=True, eq=False)
@@ -58,37 +73,51 @@ class _Basis:
     light: Float32
 
 
-def free_terms(covariates: Covariates) -> tuple[FreeTerm, ...]:
-    """Return the terms of an unknown cause: of bases, of a stage's together, of displacements, of all.
+class _Free(NamedTuple):
+    stage: Stage
+    name: str
+    columns: Float32
+
+
+def free_terms(covariates: Covariates) -> FreeTerms:
+    """Return the terms of an unknown cause: of bases, of displacements, of a stage's together, of all.
 
     Those that change nothing, of the arc where none burns, are no causes.
     """
-    terms = [
-        FreeTerm(basis.stage, basis.name, basis.functions * basis.light[:, np.newaxis])
+    every = [
+        _Free(basis.stage, basis.name, basis.functions * basis.light[:, np.newaxis])
         for basis in _bases(covariates)
     ]
-    terms += _additions(covariates)
-    for stage in dict.fromkeys(term.stage for term in terms):
-        together = [term.columns for term in terms if term.stage is stage]
+    every = [
+        free for free in (*every, *_additions(covariates), *_displacements(covariates)) if free.columns.any()
+    ]
+    terms = [FreeTerm(free.stage, free.name, (n,)) for n, free in enumerate(every)]
+    for stage in dict.fromkeys(free.stage for free in every):
+        together = tuple(n for n, free in enumerate(every) if free.stage is stage)
         if len(together) > 1:
-            terms.append(FreeTerm(stage, TOGETHER, np.hstack(together)))
-    terms += _displacements(covariates)
-    every = np.hstack([term.columns for term in terms if term.name != TOGETHER])
-    terms = [term for term in terms if term.columns.any()]
-    return (*terms, FreeTerm(None, ANYTHING, every))
+            terms.append(FreeTerm(stage, TOGETHER, together))
+    terms.append(FreeTerm(None, ANYTHING, tuple(range(len(every)))))
+    return FreeTerms(tuple(terms), tuple(free.columns for free in every))
 
 
-def form_functions(covariates: Covariates) -> Mapping[Stage, Float32]:
-    """Return the functions (n, k) of each stage's coordinates by which an effect's form may be off.
+def form_functions(covariates: Covariates) -> Mapping[Stage, tuple[Float32, ...]]:
+    """Return functions (n, k) by which the form of a stage's effects may be off: of each of its coordinates.
 
-    With sizes of unit variance their sum has about unit variance in each bin: each basis has its part.
+    The last ones are those of all of them together. With sizes of unit variance the sum of each has about
+    unit variance in each bin.
     """
     everywhere = np.ones((len(covariates.frame), 1), dtype=np.float32)
     bases = _bases(covariates)
-    forms: dict[Stage, Float32] = {}
+    forms: dict[Stage, tuple[Float32, ...]] = {}
     for stage in Stage:
-        parts = [everywhere, *(basis.functions for basis in bases if basis.stage is stage)]
-        forms[stage] = np.asarray(np.hstack(parts) / math.sqrt(len(parts)), dtype=np.float32)
+        # Some bases differ by the light alone.
+        parts = list({id(b.functions): b.functions for b in bases if b.stage is stage}.values())
+        chosen = [[everywhere, part] for part in parts]
+        if len(parts) != 1:
+            chosen.append([everywhere, *parts])
+        forms[stage] = tuple(
+            np.asarray(np.hstack(some) / math.sqrt(len(some)), dtype=np.float32) for some in chosen
+        )
     return forms
 
 
@@ -108,8 +137,11 @@ def _bases(covariates: Covariates) -> list[_Basis]:
     exposed = values["exposure"] / max(float(np.max(values["exposure"], initial=0.0)), 1e-9)
     current = values["current"] / max(float(np.max(values["current"], initial=0.0)), 1e-9)
     lit = np.where(values["current"] > 0.0, exposed, 0.0) * added
-    mean_light = _mean_in_frame(covariates) * per_dn
-    image = hats_2d(values["row"], values["column"], 5, 6)
+    mean_light = _mean_in_frame(covariates, covariates.light_dn) * per_dn
+    image, distance = hats_2d(values["row"], values["column"], 5, 6), hats(values["distance"], 6)
+    beside_mm = values["beside_sheet"]
+    profile = hats(np.where(covariates.in_stripe, beside_mm, np.float32(np.nan)), PROFILE_KNOTS)
+    laser_on = _mean_in_frame(covariates, covariates.laser_dn) > 0.0
 
     def along(name: str, count: int) -> Float32:
         return hats(values[name], count)
@@ -122,17 +154,21 @@ def _bases(covariates: Covariates) -> list[_Basis]:
         _Basis(Stage.ILLUMINATION, "laser in each frame", in_frame, laser),
         _Basis(Stage.ILLUMINATION, "laser along columns", along("column", 9), laser),
         _Basis(Stage.ILLUMINATION, "laser along rows", along("row", 5), laser),
+        _Basis(Stage.ILLUMINATION, "laser across its sheet", profile, laser),
+        _Basis(Stage.SURFACE, "light over the part", texture(covariates), light),
         _Basis(Stage.SURFACE, "arc over the half angle", along("half_angle", 9), arc),
         _Basis(Stage.SURFACE, "arc over the angle of incidence", along("theta_i", 5), arc),
         _Basis(Stage.SURFACE, "arc over the angle of view", along("theta_r", 5), arc),
         _Basis(Stage.SURFACE, "arc over the azimuth", along("phi_r", 5), arc),
         _Basis(Stage.SURFACE, "laser over the angle of view", along("theta_r", 4), laser),
         _Basis(Stage.SURFACE, "arc between faces", along("concavity", 4), current * lit),
-        _Basis(Stage.MEDIUM, "arc over the distance", along("distance", 6), arc),
+        _Basis(Stage.MEDIUM, "arc over the distance", distance, arc),
         _Basis(Stage.MEDIUM, "light over time", along("time", 4), light),
-        _Basis(Stage.MEDIUM, "light about the arc, with its current", along("distance", 6), current * lit),
-        _Basis(Stage.MEDIUM, "light about the arc", along("distance", 6), lit),
+        _Basis(Stage.MEDIUM, "light about the arc, with its current", distance, current * lit),
+        _Basis(Stage.MEDIUM, "light about the arc", distance, lit),
         _Basis(Stage.OPTICS, "light over the image", image, light),
+        _Basis(Stage.OPTICS, "light over the radius", radial, light),
+        _Basis(Stage.OPTICS, "light beside the stripe", even_hats(beside_mm, BESIDE_KNOTS), laser_on * added),
         _Basis(Stage.OPTICS, "mean light over the image", image, mean_light),
         _Basis(Stage.SENSOR, "grey level", along("gray_level", 9), added),
         _Basis(Stage.SENSOR, "light in each frame", in_frame, light),
@@ -140,11 +176,11 @@ def _bases(covariates: Covariates) -> list[_Basis]:
     ]
 
 
-def _additions(covariates: Covariates) -> list[FreeTerm]:
+def _additions(covariates: Covariates) -> list[_Free]:
     """Return what adds to the image whatever laser and arc do: a scene that the hall lights, an offset."""
     exposed, always = covariates.values["exposure"], np.ones_like(covariates.sigma_dn)
     return [
-        FreeTerm(stage, name, np.asarray(functions * _added(covariates, size)[:, np.newaxis], np.float32))
+        _Free(stage, name, np.asarray(functions * _added(covariates, size)[:, np.newaxis], np.float32))
         for stage, name, functions, size in (
             (Stage.ILLUMINATION, "light of the hall over the part", texture(covariates), exposed),
             (Stage.SENSOR, "offset in each frame", in_each_frame(covariates), always),
@@ -158,7 +194,7 @@ def _added(covariates: Covariates, size: Float32) -> Float32:
     return np.asarray(ADDED_DN * size / largest / covariates.sigma_dn, dtype=np.float32)
 
 
-def _displacements(covariates: Covariates) -> list[FreeTerm]:
+def _displacements(covariates: Covariates) -> list[_Free]:
     """Return the camera's pose and its lens' distortion; and the pose in each frame, as a wrong clock's."""
     pose = covariates.tangents[:, N_LEVELS:SEAM_FROM]
     values = covariates.values
@@ -169,20 +205,23 @@ def _displacements(covariates: Covariates) -> list[FreeTerm]:
     outward = pose[:, 1] * x - pose[:, 0] * y
     distortion = np.column_stack([outward, 4.0 * outward * (x**2 + y**2)])
     sizes = np.array([MOVED_DEG] * 3 + [MOVED_MM] * 3, dtype=np.float32)
-    shifted = np.float32(MOVED_IN_FRAME_MM) * pairwise_products(in_each_frame(covariates), pose[:, 3:])
+    in_frame = in_each_frame(covariates)
+    turned = pairwise_products(in_frame, np.float32(TURNED_IN_FRAME_DEG) * pose[:, :3])
+    shifted = pairwise_products(in_frame, np.float32(MOVED_IN_FRAME_MM) * pose[:, 3:])
     return [
-        FreeTerm(
+        _Free(
             Stage.GEOMETRY,
             "pose of the camera, distortion",
             np.hstack([pose * sizes, distortion]).astype(np.float32),
         ),
-        FreeTerm(Stage.TIMING, "pose in each frame", shifted),
+        _Free(Stage.TIMING, "turn in each frame", turned),
+        _Free(Stage.TIMING, "shift in each frame", shifted),
     ]
 
 
-def _mean_in_frame(covariates: Covariates) -> Float32:
-    """Return the mean predicted light (n,), DN, of each bin's frame."""
-    total, count = np.bincount(covariates.frame, covariates.light_dn), np.bincount(covariates.frame)
+def _mean_in_frame(covariates: Covariates, light_dn: Float32) -> Float32:
+    """Return the mean of light (n,), DN, over each bin's frame."""
+    total, count = np.bincount(covariates.frame, light_dn), np.bincount(covariates.frame)
     return np.asarray((total / np.maximum(count, 1))[covariates.frame], dtype=np.float32)
 
 
@@ -195,6 +234,18 @@ def hats(values: Float32, count: int) -> Float32:
     places = np.unique(values[known])
     if len(places) > count:
         places = np.unique(np.quantile(values[known], np.linspace(0.0, 1.0, count)))
+    return _hats_at(values, known, places)
+
+
+def even_hats(values: Float32, count: int) -> Float32:
+    """Return so many hat functions (n, k) of values (n,), their knots as far apart from each other."""
+    known = np.isfinite(values)
+    low, high = np.min(values[known], initial=np.inf), np.max(values[known], initial=-np.inf)
+    return _hats_at(values, known, np.linspace(low, high, count) if low < high else np.zeros(0))
+
+
+def _hats_at(values: Float32, known: Bool, places: Float64 | Float32) -> Float32:
+    """Return hat functions (n, k) of those values (n,) that are known, with knots at some places (k,)."""
     if len(places) < 2:
         return np.asarray(known, dtype=np.float32)[:, np.newaxis]
     X = np.zeros((len(values), len(places)), dtype=np.float32)

@@ -7,13 +7,14 @@ of an effect's form, a smooth share of what the effect does, in the coordinates 
 
 from __future__ import annotations
 
+import functools
 import itertools
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from functools import cached_property
 
 import numpy as np
+from scipy.special import logsumexp
 
 from noise_model.arrays import Bool, Float32, Float64, Int64
 from noise_model.effects import REGISTRY
@@ -21,7 +22,7 @@ from noise_model.effects.effect import Stage
 from noise_model.setup import Tolerance
 from sim_to_real.data.binned import Observed
 from sim_to_real.evidence.coordinates import (
-    FreeTerm,
+    FreeTerms,
     form_functions,
     free_terms,
     hats_2d,
@@ -101,24 +102,32 @@ class Linearized:
     @classmethod
     def of(cls, fitted: Refit) -> Linearized:
         """Return a fit's linear form."""
-        return cls._about(fitted, fitted.residuals, np.ones(len(fitted.x), dtype=np.bool_))
+        return cls._about(fitted, fitted.residuals, fitted.jacobian, np.ones(len(fitted.x), dtype=np.bool_))
 
     @classmethod
-    def without(cls, fitted: Refit, name: str | None, residuals: Float64) -> Linearized:
+    def without(cls, fitted: Refit, name: str | None, residuals: Float64, by_nuisance: Float64) -> Linearized:
         """Return the same without one of a fit's effects, or without any.
 
-        `residuals` (n,) are those of it, at the fit's other parameters.
+        `residuals` (n,) are those of it, at the fit's other parameters, and `by_nuisance` (n, m) what
+        nuisances change of them. Along the fit's own derivatives a level of the laser could stand for light
+        that only the effect makes of it.
         """
+        jacobian = np.hstack([by_nuisance, fitted.jacobian[:, fitted.n_nuisances :]])
         kept = np.ones(len(fitted.x), dtype=np.bool_)
         for effect, block in fitted.blocks:
             kept[block] = name is not None and effect != name
-        return cls._about(fitted, residuals, kept)
+        return cls._about(fitted, residuals, jacobian, kept)
+
+    def beside(self, *further: Columns) -> Linearized:
+        """Return a hypothesis with further columns."""
+        return Linearized(self.residuals, functools.reduce(Columns.beside, further, self.columns))
 
     @classmethod
-    def _about(cls, fitted: Refit, residuals: Float64, kept: Bool) -> Linearized:
+    def _about(cls, fitted: Refit, residuals: Float64, jacobian: Float64, kept: Bool) -> Linearized:
+        """Return the linear form with those parameters that are kept (p,); derivatives are (n, p)."""
         quadratic, parameters = fitted.quadratic, itertools.compress(fitted.quadratic.parameters, kept)
         starts, sigmas = quadratic.prior_starts[kept], quadratic.prior_sigmas[kept]
-        J = fitted.jacobian[:, kept]
+        J = jacobian[:, kept]
         at_start = residuals + J @ (starts - fitted.x[kept])
         sides = np.array([1.0 * (p.lower == p.start) - 1.0 * (p.upper == p.start) for p in parameters])
         return cls(at_start, Columns(np.asarray(J * sigmas, dtype=np.float32), sides))
@@ -138,8 +147,8 @@ class ErrorModel:
     """The errors of a recording's bins (n,), as a metric, and the terms of an unknown cause there."""
 
     metric: Metric
-    free_terms: tuple[FreeTerm, ...]
-    form_functions: Mapping[Stage, Float32]
+    free_terms: FreeTerms
+    form_functions: Mapping[Stage, tuple[Float32, ...]]
     texture: Float32
 
     @classmethod
@@ -162,9 +171,7 @@ class ErrorModel:
             *(tolerated(score, model.observed.setup.tolerance) for score in scores),
         ]
         at_start = Linearized.of(start)
-        every = np.hstack(
-            [at_start.columns.changes, *floor, *(term.columns for term in terms), *effects], dtype=np.float32
-        )
+        every = np.hstack([at_start.columns.changes, *floor, *terms.columns, *effects], dtype=np.float32)
         weights = robust_weights(at_start.residuals, compressed(every), policy.tail_dof)
         floor += [
             columns if _is_open(model.observed, score.id) else _negligible(columns, policy)
@@ -175,20 +182,18 @@ class ErrorModel:
 
     def log_evidence(self, hypothesis: Linearized, *further: Columns) -> float:
         """Return ln Z, nats, of a hypothesis, with further columns."""
-        columns = hypothesis.columns
-        for more in further:
-            columns = columns.beside(more)
-        return self.metric.log_evidence(hypothesis.residuals, columns.changes, columns.sides)
+        every = hypothesis.beside(*further)
+        return self.metric.log_evidence(every.residuals, every.columns.changes, every.columns.sides)
 
     @property
     def loss(self) -> MetricLoss:
         """What residuals cost in a fit."""
         return MetricLoss(self.metric)
 
-    @cached_property
+    @functools.cached_property
     def free_blocks(self) -> Blocks:
-        """The free terms, a block each."""
-        return self.blocks([Columns.free(term.columns) for term in self.free_terms])
+        """The blocks that free terms are made of."""
+        return self.blocks([Columns.free(columns) for columns in self.free_terms.columns])
 
     def blocks(self, blocks: Sequence[Columns]) -> Blocks:
         """Return blocks of columns that hypotheses may have: `table` tells their evidence."""
@@ -212,12 +217,33 @@ class ErrorModel:
         ends = np.cumsum([0, *(len(of_block) for of_block in sides)])
         return EvidenceTable(table, np.concatenate(sides), ends, len(residuals))
 
-    def form_error(self, effect: str, change: Float64 | Float32) -> Columns:
-        """Return the error of an effect's form; `change` (n,) is what the effect does."""
+    def form_errors(self, effect: str, change: Float64 | Float32) -> list[Columns]:
+        """Return the errors that an effect's form may have; `change` (n,) is what the effect does.
+
+        They are functions of one coordinate each, the last of all coordinates together.
+        """
         share = np.float32(REGISTRY[effect].form_rel)
         is_textured, stage = REGISTRY[effect].is_textured, REGISTRY[effect].stage
-        functions = self.texture if is_textured else self.form_functions[stage]
-        return Columns.free(np.asarray(share * functions * change[:, np.newaxis], dtype=np.float32))
+        some = (self.texture,) if is_textured else self.form_functions[stage]
+        by_size = change[:, np.newaxis]
+        return [Columns.free(np.asarray(share * functions * by_size, np.float32)) for functions in some]
+
+    def log_evidence_off(self, hypothesis: Linearized, forms: Sequence[Sequence[Columns]]) -> float:
+        """Return ln Z, nats, of a hypothesis with effects whose `forms` are off, each by any of its errors.
+
+        All are equally probable: those of one effect, beside the last one of each other effect.
+        """
+        blocks = list(itertools.chain(*forms))
+        ends = np.cumsum([len(errors) for errors in forms])
+        last = set((ends - 1).tolist())
+        choices = {
+            frozenset(last - {end - 1} | {n})
+            for end, errors in zip(ends, forms, strict=True)
+            for n in range(end - len(errors), end)
+        }
+        table = self.table(hypothesis, self.blocks(blocks))
+        nats = [table.log_evidence(*sorted(choice)) for choice in choices]
+        return float(logsumexp(sorted(nats)) - math.log(len(nats)))
 
 
 @dataclass(frozen=True, eq=False)

@@ -3,7 +3,8 @@
 No gap; one effect of the catalogue, or several; an unknown cause at one of the stages. All are compared by
 one quantity. An effect's form may be off: its evidence is the mean over a form that is exact and one that is
 off by a share of what the effect does (`Effect.form_rel`). An unknown cause is any smooth function of the
-coordinates of some stage, of any of several sizes.
+coordinates of some stage, of any of several sizes. It may act alone or beside effects. Two effects that mimic
+a third one leave much that an unknown cause beside them explains.
 """
 
 from __future__ import annotations
@@ -24,31 +25,6 @@ from sim_to_real.fit.gauss_newton import Refit
 
 Term: TypeAlias = tuple[Stage | None, str]
 """A free term's stage and name."""
-
-
-@dataclass(frozen=True, eq=False)
-class Hypothesis:
-    """Effects fitted together; none is no gap.
-
-    `exact` is the log evidence of the effects' own form, `off` that of a form that may be off, nats.
-    `neutral` is no gap about the same nuisances, `fewer` the evidence there of these effects without one.
-    """
-
-    refit: Refit
-    exact: float
-    off: float
-    neutral: Linearized
-    fewer: Mapping[frozenset[str], float]
-
-    @property
-    def ids(self) -> tuple[str, ...]:
-        """The effects."""
-        return self.refit.ids
-
-    @property
-    def evidence(self) -> float:
-        """The log evidence, nats, the form exact or off with equal probability."""
-        return float(np.logaddexp(self.exact, self.off) - math.log(2.0))
 
 
 @dataclass(frozen=True)
@@ -81,15 +57,51 @@ class Unknown:
 
 
 @dataclass(frozen=True, eq=False)
+class Hypothesis:
+    """Effects fitted together; none is no gap.
+
+    `exact` is the log evidence of the effects' own form, `off` that of a form that may be off, nats.
+    `neutral` is no gap about the same nuisances, `fewer` the evidence there of these effects without one.
+    `beside` is an unknown cause beside the effects, where it was looked for.
+    """
+
+    refit: Refit
+    exact: float
+    off: float
+    neutral: Linearized
+    fewer: Mapping[frozenset[str], float]
+    beside: Unknown | None = None
+
+    @property
+    def ids(self) -> tuple[str, ...]:
+        """The effects."""
+        return self.refit.ids
+
+    @property
+    def evidence(self) -> float:
+        """The log evidence, nats, the form exact or off with equal probability."""
+        return float(np.logaddexp(self.exact, self.off) - math.log(2.0))
+
+
+@dataclass(frozen=True, eq=False)
 class Posterior:
-    """The probabilities of no gap, of hypotheses with effects, likeliest first, and of an unknown cause."""
+    """The probabilities of no gap, of hypotheses with effects, likeliest first, and of an unknown cause.
+
+    `p_beside` are those of an unknown cause beside each hypothesis' effects, `p_alone` that of one alone.
+    """
 
     none: Hypothesis
     hypotheses: tuple[Hypothesis, ...]
     unknown: Unknown
     p_none: float
     p: tuple[float, ...]
-    p_unknown: float
+    p_beside: tuple[float, ...]
+    p_alone: float
+
+    @property
+    def p_unknown(self) -> float:
+        """The probability that an unknown cause acts, alone or beside effects."""
+        return self.p_alone + sum(self.p_beside)
 
     @classmethod
     def of(
@@ -106,20 +118,23 @@ class Posterior:
         """
         forms = Counter(frozenset(hypothesis.ids) for hypothesis in hypotheses)
 
-        def weight(hypothesis: Hypothesis) -> float:
+        def weight(hypothesis: Hypothesis, nats: float) -> float:
             n = len(hypothesis.ids)
             ln_odds = policy.ln_odds_effect + (n - 1) * policy.ln_odds_further - n * math.log(n_effects)
-            ln_odds -= math.log(forms[frozenset(hypothesis.ids)])
-            return hypothesis.evidence / policy.temperature + ln_odds
+            return nats / policy.temperature + ln_odds - math.log(forms[frozenset(hypothesis.ids)])
 
-        some = sorted(hypotheses, key=weight, reverse=True)
+        some = sorted(hypotheses, key=lambda h: weight(h, h.evidence), reverse=True)
         ln = [
             none.evidence / policy.temperature,
-            *map(weight, some),
+            *(weight(h, h.evidence) for h in some),
+            *(
+                -math.inf if h.beside is None else weight(h, h.beside.evidence) + policy.ln_odds_unknown
+                for h in some
+            ),
             unknown.evidence / policy.temperature + policy.ln_odds_unknown,
         ]
-        p_none, *p, p_unknown = np.exp(np.array(ln) - logsumexp(ln)).tolist()
-        return cls(none, tuple(some), unknown, p_none, tuple(p), p_unknown)
+        p_none, *p, p_alone = np.exp(np.array(ln) - logsumexp(ln)).tolist()
+        return cls(none, tuple(some), unknown, p_none, tuple(p[: len(some)]), tuple(p[len(some) :]), p_alone)
 
     @property
     def singles(self) -> dict[str, tuple[Hypothesis, float]]:
@@ -132,7 +147,7 @@ class Posterior:
 
     @property
     def of_effects(self) -> dict[str, float]:
-        """The probability that each effect is there, alone or with others."""
+        """The probability that each effect is there, alone or with others, and nothing unknown beside."""
         total: dict[str, float] = {}
         for hypothesis, probability in zip(self.hypotheses, self.p, strict=True):
             for name in hypothesis.ids:

@@ -19,10 +19,10 @@ from noise_model.arrays import Float64
 from noise_model.effects import REGISTRY, Stage
 from sim_to_real.evidence.coordinates import IN_EACH_FRAME
 from sim_to_real.evidence.error_model import ErrorModel, Linearized
-from sim_to_real.evidence.hypotheses import Hypothesis, Term, Unknown
-from sim_to_real.evidence.looks import Looks
+from sim_to_real.evidence.hypotheses import Hypothesis, Posterior, Term, Unknown
+from sim_to_real.evidence.looks import Looks, PairLook
 from sim_to_real.evidence.policy import Policy
-from sim_to_real.fit.gauss_newton import FLICKER, Refit, refit, refit_there
+from sim_to_real.fit.gauss_newton import FLICKER, LEVEL_SIGMA, Refit, refit, refit_there
 from sim_to_real.fit.linearized_model import INTERREFLECTION, Effects, LinearizedModel
 from sim_to_real.fit.nuisances import BIASED_MEAN_SQUARE
 from sim_to_real.fit.trend import MIN_DRIVER_RANGE, TREND_EFFECTS, Driver, Trend, trend_among
@@ -81,23 +81,30 @@ class HypothesisSearch:
         exact = self.errors.log_evidence(linear)
         if not fitted.ids:
             return Hypothesis(fitted, exact, exact, linear, {})
-        at_none = self._residuals_with(fitted, {})
-        form_errors, fewer = [], {}
+        none, change = self._without(fitted, None)
+        forms, fewer = [], {}
         for name in fitted.ids:
-            others = {other: values for other, values in fitted.effects.items() if other != name}
-            residuals = self._residuals_with(fitted, others) if others else at_none
+            others = frozenset(fitted.ids) - {name}
             if others:
-                without = Linearized.without(fitted, name, residuals)
-                fewer[frozenset(others)] = self.errors.log_evidence(without)
+                without, change = self._without(fitted, name)
+                fewer[others] = self.errors.log_evidence(without)
             if name != FLICKER:
-                form_errors.append(self.errors.form_error(name, fitted.residuals - residuals))
-        off = self.errors.log_evidence(linear, *form_errors) if form_errors else exact
-        return Hypothesis(fitted, exact, off, Linearized.without(fitted, None, at_none), fewer)
+                forms.append(self.errors.form_errors(name, change))
+        off = self.errors.log_evidence_off(linear, forms) if forms else exact
+        return Hypothesis(fitted, exact, off, none, fewer)
 
-    def _residuals_with(self, fitted: Refit, effects: Effects) -> Float64:
-        """Return the residuals (n,) at a fit's nuisances with some of its effects."""
-        trend = trend_among(fitted.trend, effects)
-        return self.model.residuals(self.model.lights(fitted.nuisance, effects, trend))
+    def _without(self, fitted: Refit, name: str | None) -> tuple[Linearized, Float64]:
+        """Return a fit without one of its effects, or without any, and what that changes (n,)."""
+        effects = {other: values for other, values in fitted.effects.items() if name not in (None, other)}
+        lights = self.model.lights(fitted.nuisance, effects, trend_among(fitted.trend, effects))
+        if FLICKER in effects:
+            by = np.zeros((len(lights), fitted.n_nuisances))
+            by[:, 0] = fitted.arc_ln
+            frames = self.model.observed.frames
+            lights = [self.model.extrapolated(*parts) for parts in zip(frames, lights, by, strict=True)]
+        residuals = self.model.residuals(lights)
+        without = Linearized.without(fitted, name, residuals, self.model.nuisance_columns(lights))
+        return without, fitted.residuals - residuals
 
     def none(self, before: Hypothesis, others: Iterable[Hypothesis]) -> Hypothesis:
         """Return no gap, about the nuisances of whichever fit makes it likeliest.
@@ -120,10 +127,35 @@ class HypothesisSearch:
 
     def free_terms_beside(self, hypothesis: Hypothesis) -> FreeTerms:
         """Return the evidence of each free term about a hypothesis' nuisances."""
-        table = self.errors.table(hypothesis.neutral, self.errors.free_blocks)
+        return self._free_terms(hypothesis.neutral)
+
+    def with_unknown_beside_likely(self, posterior: Posterior) -> list[Hypothesis]:
+        """Return a posterior's hypotheses, those that have a part of it with an unknown cause beside them."""
+        weighed = zip(posterior.hypotheses, posterior.p, strict=True)
+        return [h if p < self.policy.possible else self._with_unknown(h) for h, p in weighed]
+
+    def _with_unknown(self, hypothesis: Hypothesis) -> Hypothesis:
+        """Return a hypothesis with an unknown cause beside its effects, their form exact or off."""
+        linear, forms = (
+            Linearized.of(hypothesis.refit),
+            [
+                self.errors.form_errors(name, self._without(hypothesis.refit, name)[1])[-1]
+                for name in hypothesis.ids
+                if name != FLICKER
+            ],
+        )
+        exact, off = self._free_terms(linear), self._free_terms(linear.beside(*forms))
+        mean = {term: (np.logaddexp(exact[term], off[term]) - math.log(2.0)).tolist() for term in exact}
+        return replace(hypothesis, beside=self.unknown([mean]))
+
+    def _free_terms(self, linear: Linearized) -> FreeTerms:
+        """Return the evidence of each free term beside a hypothesis."""
+        table = self.errors.table(linear, self.errors.free_blocks)
         return {
-            (term.stage, term.name): [table.log_evidence(n, size=size) for size in self.policy.free_sizes]
-            for n, term in enumerate(self.errors.free_terms)
+            (term.stage, term.name): [
+                table.log_evidence(*term.blocks, size=size) for size in self.policy.free_sizes
+            ]
+            for term in self.errors.free_terms.terms
         }
 
     def unknown(self, beside: Sequence[FreeTerms]) -> Unknown:
@@ -226,15 +258,14 @@ class HypothesisSearch:
         Those are a level of the arc for each frame, and light that bounces, which takes longer to compute
         than all other effects together.
         """
-        shows_arc = int(self.model.observed.shows_arc.sum())
         is_flat = self.model.observed.setup.joint.type == "flat"
         looks = {}
-        if shows_arc > 2:
+        if self._may_flicker:
             looks[FLICKER] = free[Stage.SOURCE, IN_EACH_FRAME]
-        if shows_arc > 0 and not is_flat:
+        if self.model.observed.shows_arc.any() and not is_flat and INTERREFLECTION not in self.without:
             # Light that bounces is a function of several stages' coordinates: any of them may come nearest.
             looks[INTERREFLECTION] = max(nats for (stage, _), nats in free.items() if stage in BOUNCES)
-        return {name: look for name, look in looks.items() if name not in self.without}
+        return looks
 
     def fit(self, starts: Sequence[Effects], nuisance: Float64, trend: Trend | None = None) -> Refit:
         """Return the likeliest fit of effects from some starts, light extrapolated from the start's.
@@ -271,6 +302,7 @@ class HypothesisSearch:
         if best.refit.mean_square > FLOOR_MEAN_SQUARE:
             known = {look.ids for look in looks}
             looks += [look for look in self.looks.pairs_alone(needed) if look.ids not in known]
+            looks += self._flicker_beside(best, needed)
         fitted = []
         for look in looks:
             self.on_stage(f"fitting {' and '.join(sorted(look.ids))}", 0.8)
@@ -278,6 +310,23 @@ class HypothesisSearch:
             fitted.append(self.hypothesis(self.fit(look.starts, look.nuisance, trend)))
         settled = self._settled(fitted, max(rival, best.evidence))
         return [*settled, *(alone for pair in settled[:1] for alone in self._alone(pair, singles))]
+
+    def _flicker_beside(self, best: Hypothesis, needed: float) -> list[PairLook]:
+        """Return a flickering arc beside an effect, where a first look says that it gains enough, nats."""
+        wanted = (Stage.SOURCE, IN_EACH_FRAME)
+        terms = [term for term in self.errors.free_terms.terms if (term.stage, term.name) == wanted]
+        if not self._may_flicker or FLICKER in best.ids or not terms:
+            return []
+        table = self.errors.table(Linearized.of(best.refit), self.errors.free_blocks)
+        if table.log_evidence(*terms[0].blocks, size=LEVEL_SIGMA) - best.exact < needed:
+            return []
+        both = {**STARTS_OF_STAND_INS[FLICKER][0], **best.refit.effects}
+        return [PairLook([both], best.refit.nuisance)]
+
+    @property
+    def _may_flicker(self) -> bool:
+        """Whether an arc that flickers is a candidate: of two frames none could be told from a level."""
+        return int(self.model.observed.shows_arc.sum()) > 2 and FLICKER not in self.without
 
     def _alone(self, pair: Hypothesis, singles: Sequence[Hypothesis]) -> list[Hypothesis]:
         """Return those effects of a pair by themselves that were not fitted alone: one of two may suffice.

@@ -23,7 +23,7 @@ from sim_to_real.evidence.error_model import (
     Linearized,
     probe_sigmas,
 )
-from sim_to_real.fit.gauss_newton import FLICKER, Refit
+from sim_to_real.fit.gauss_newton import Refit
 from sim_to_real.fit.linearized_model import Effects
 from sim_to_real.search.score_test import ScoreTest
 
@@ -67,8 +67,8 @@ class Looks:
         """Return the evidence along an effect's probe points, the best family's, its form exact or off."""
         likeliest = self._ranked(score)[0]
         best = self._columns[likeliest]
-        form = self.errors.form_error(score.id, best.changes.sum(axis=1))
-        return max(self._exact[likeliest], self.errors.log_evidence(self._at_start, best, form))
+        forms = self.errors.form_errors(score.id, best.changes.sum(axis=1))
+        return max(self._exact[likeliest], self.errors.log_evidence(self._at_start, best, forms[-1]))
 
     def starts_of(self, score: ScoreTest) -> list[Effects]:
         """Return where fits of an effect may start, along its likeliest families."""
@@ -125,8 +125,6 @@ class Looks:
 
         `exact` is the fit's own evidence.
         """
-        if FLICKER in fitted.ids:
-            return []
         table = self.errors.table(Linearized.of(fitted), self._blocks)
         gains: dict[tuple[int, ...], float] = {
             (n,): table.log_evidence(n) - exact

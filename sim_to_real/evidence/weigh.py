@@ -145,4 +145,6 @@ def weigh(
     none = search.none(without_effects[0], [*without_effects[1:], *every])
     unknown = search.unknown([*beside, search.free_terms_beside(none)])
     posterior = Posterior.of(none, every, unknown, len(scores), POLICY)
+    some = search.with_unknown_beside_likely(posterior)
+    posterior = Posterior.of(none, some, unknown, len(scores), POLICY)
     return Weighed(posterior, tuple(scores), errors, Linearized.of(start), bins)

@@ -12,6 +12,7 @@ import numpy.typing as npt
 from noise_model.arrays import Bool, Float32, Float64, Int32, Integers
 from noise_model.effects import apply_setup_effects
 from noise_model.instrument.camera import Rays
+from noise_model.instrument.laser import plane_in
 from noise_model.setup import Setup
 from noise_model.surface.joint import Section, corrugation_height
 from noise_model.view import View
@@ -33,6 +34,7 @@ UNITS: Mapping[str, str] = {
     "time": "s",
     "velocity_sign": "",
     "concavity": "",
+    "beside_sheet": "mm",
     "row": "px",
     "column": "px",
     "radius": "px",
@@ -44,6 +46,7 @@ point source in the middle of the luminous half-sphere, R / 2 above its centre, 
 plate's plane; phi_r = 0 on the side opposite the arc. These four are NaN while the arc is off.
 `velocity_sign` says whether the tool goes to the left of travel (1), to the right (-1) or neither (0).
 `concavity` is the share of the light of a diffuse sky that other faces of the joint keep from the point.
+`beside_sheet` is how far the point lies before the laser's sheet (behind it: less than 0).
 `row`, `column` and `radius`, from the principal point, are in pixels of the recording.
 """
 
@@ -125,6 +128,7 @@ def covariates(model: LinearizedModel, fit: Refit) -> Covariates:
         bins = np.flatnonzero(frame.keep)
         view = View.of(true, T_base_tool, seam.middle, rays, bins, ground=seam.ground)
         values = _of_surface(view) | _of_frame(observed, frame, true, len(bins)) | _of_image(observed, view)
+        values["beside_sheet"] = _beside_sheet_mm(view)
         if frame.condition.arc_level == 0.0:
             for name in ("distance", "theta_i", "phi_r", "half_angle"):
                 values[name] = np.full(len(bins), np.nan)
@@ -214,6 +218,12 @@ def concavity(points_mm: Float64, normals: Float64, shape: Section) -> Float64:
         low = np.where(hides & (aside < 0.0), np.maximum(low, aside), low)
         high = np.where(hides & (aside >= 0.0), np.minimum(high, aside), high)
     return np.asarray(1.0 - 0.5 * np.maximum(high - low, 0.0))
+
+
+def _beside_sheet_mm(view: View) -> Float64:
+    """Return how far bins' places on the part lie before the laser's sheet (n,), mm; NaN past the part."""
+    *normal, offset_mm = plane_in(view.scene.T_joint_tool, view.setup.laser.plane)
+    return np.asarray(view.surface[0] @ np.array(normal) + offset_mm)
 
 
 def _of_frame(observed: Observed, frame: ObservedFrame, true: Setup, n: int) -> dict[str, Float64]:

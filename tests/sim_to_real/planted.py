@@ -16,7 +16,8 @@ def planted(n_frames=24, shape=(24, 32), seed=0):
     place = 30.0 * draw.random(n_frames)[frame]
     distance = 20.0 + np.hypot(column - place, 0.7 * row)
     arc_dn = np.where(arc_on, current / 100.0 * 2e5 / distance**2.2, 0.0)
-    in_stripe = laser_on & (np.abs(row - 8.0 - 6.0 * draw.random(n_frames)[frame]) < 3.0)
+    beside_stripe = row - 8.0 - 6.0 * draw.random(n_frames)[frame]
+    in_stripe = laser_on & (np.abs(beside_stripe) < 3.0)
     laser_dn = np.where(in_stripe, 60.0 * (1.0 + 0.3 * np.sin(column / 6.0)), 0.0)
     angles = {name: 20.0 + 40.0 * draw.random(len(frame)) for name in UNITS if UNITS[name] == "deg"}
     radius = np.hypot(row - shape[0] / 2.0, column - shape[1] / 2.0)
@@ -29,6 +30,7 @@ def planted(n_frames=24, shape=(24, 32), seed=0):
         "time": 0.1 * frame,
         "velocity_sign": np.sign(np.sin(frame * 0.9)),
         "concavity": np.where(column < 10, 0.4, 0.0),
+        "beside_sheet": 0.8 * beside_stripe,
         "row": row,
         "column": column,
         "radius": radius,

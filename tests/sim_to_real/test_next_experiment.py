@@ -163,5 +163,5 @@ def test_no_experiment_is_asked_for_that_the_recording_holds(tmp_path):
 
 def test_where_nothing_is_open_nothing_is_asked_for():
     likely, other = (SimpleNamespace(ids=(name,)) for name in ("gamma", "fume"))
-    sure = Posterior(None, (likely, other), None, 0.0, (0.99, 0.01), 0.0)
+    sure = Posterior(None, (likely, other), None, 0.0, (0.99, 0.01), (0.0, 0.0), 0.0)
     assert next_measurement(None, sure, None, POLICY) is None

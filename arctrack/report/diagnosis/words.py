@@ -42,6 +42,7 @@ COVARIATES = {
     "gray_level": "grey level",
     "velocity_sign": "direction of the weave",
     "concavity": "how much the joint's faces see of each other",
+    "beside_sheet": "distance from the laser's sheet",
     "radius": "distance from the principal point",
     "row, column": "row and column",
     "mirrored": "the arc's mirror image",

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from noise_model.effects.effect import Stage
-from sim_to_real.evidence.coordinates import form_functions, free_terms, hats, hats_2d
+from sim_to_real.evidence.coordinates import TOGETHER, even_hats, form_functions, free_terms, hats, hats_2d
 from sim_to_real.evidence.metric import Metric
 from tests.sim_to_real.planted import planted
 
@@ -34,6 +34,15 @@ def test_few_values_have_a_hat_each():
     assert hats(np.full(3, 2.0, dtype=np.float32), 5).tolist() == [[1.0], [1.0], [1.0]]
 
 
+def test_even_hats_stand_as_far_apart_from_each_other():
+    values = np.array([0.0, 1.0, 1.5, 40.0, np.nan], dtype=np.float32)
+    expected = np.zeros((5, 41))
+    expected[0, 0] = expected[1, 1] = expected[3, 40] = 1.0
+    expected[2, 1:3] = 0.5
+    np.testing.assert_allclose(even_hats(values, 41), expected, atol=1e-6)
+    assert not even_hats(np.full(3, np.nan, dtype=np.float32), 4).any()
+
+
 def test_over_the_image_they_are_products():
     rows, columns = (part.ravel().astype(np.float32) for part in np.indices((7, 9)))
     functions = hats_2d(rows, columns, 3, 4)
@@ -42,23 +51,45 @@ def test_over_the_image_they_are_products():
 
 
 def test_every_stage_has_functions_for_forms_and_terms_for_the_unknown(covariates):
-    forms, terms = form_functions(covariates), free_terms(covariates)
+    forms, free = form_functions(covariates), free_terms(covariates)
     assert set(forms) == set(Stage)
     # Planted frames have no tangents: neither a pose nor a clock changes them.
-    assert {term.stage for term in terms} == {*Stage, None} - {Stage.GEOMETRY, Stage.TIMING}
-    # Two hats beside each other share a bin, and powers of the field angle add up.
-    for functions in forms.values():
+    assert {term.stage for term in free.terms} == {*Stage, None} - {Stage.GEOMETRY, Stage.TIMING}
+    # Two hats beside each other share a bin, powers of the field angle add up; a profile ends.
+    for functions in (of_coordinate for of_stage in forms.values() for of_coordinate in of_stage):
         variance = np.sum(functions**2, axis=1)
         assert 0.2 < variance.min() <= variance.max() < 2.0
-    assert len({(term.stage, term.name) for term in terms}) == len(terms)
+    assert len({(term.stage, term.name) for term in free.terms}) == len(free.terms)
+
+
+def test_the_terms_of_a_stage_together_have_all_its_blocks(covariates):
+    terms = free_terms(covariates).terms
+    together = {term.stage: set(term.blocks) for term in terms if term.name == TOGETHER}
+    assert len(together) > 3
+    for stage, blocks in together.items():
+        alone = [term.blocks for term in terms if term.stage is stage and term.name != TOGETHER]
+        assert blocks == {number for (number,) in alone}
+
+
+def test_forms_of_a_stage_are_those_of_each_coordinate_and_of_all(covariates):
+    *each, every = form_functions(covariates)[Stage.SENSOR]
+    counts = [functions.shape[1] for functions in each]
+    # A constant is among the functions of each: grey levels, frames, rows.
+    assert counts[1:] == [1 + 12, 1 + 5]
+    assert every.shape[1] == 1 + sum(count - 1 for count in counts)
 
 
 def test_without_an_arc_nothing_of_it_is_a_cause(covariates):
     plain = replace(covariates, arc_dn=np.zeros_like(covariates.arc_dn))
     plain = replace(plain, values={**plain.values, "current": np.zeros_like(plain.arc_dn)})
-    terms = free_terms(plain)
-    assert Stage.SOURCE not in {term.stage for term in terms}
-    assert all(term.columns.any() for term in terms)
+    free = free_terms(plain)
+    assert Stage.SOURCE not in {term.stage for term in free.terms}
+    assert all(columns.any() for columns in free.columns)
+
+
+def lasers(covariates):
+    """The bins (n,) of frames with the laser on."""
+    return np.isin(covariates.frame, np.unique(covariates.frame[covariates.in_stripe]))
 
 
 @pytest.mark.parametrize(
@@ -69,6 +100,10 @@ def test_without_an_arc_nothing_of_it_is_a_cause(covariates):
         (Stage.ILLUMINATION, lambda c: c.laser_dn * 0.1 * np.sin(c.values["column"] / 5.0)),
         (Stage.SOURCE, lambda c: c.arc_dn * 0.1 * np.cos(3.1 * c.frame)),
         (Stage.SENSOR, lambda c: 2.0 * np.cos(3.1 * c.frame)),
+        # The stripe is wider; a second stripe stands beside it; the metal is dull in places.
+        (Stage.ILLUMINATION, lambda c: c.laser_dn * 0.1 * (c.values["beside_sheet"] ** 2 - 2.0)),
+        (Stage.OPTICS, lambda c: 4.0 * (lasers(c) & (np.abs(c.values["beside_sheet"] + 6.0) < 1.0))),
+        (Stage.SURFACE, lambda c: c.light_dn * 0.1 * np.sin(c.part_mm[:, 0] / 3.0)),
         # Half of the part is brighter, and travels through the image.
         (Stage.ILLUMINATION, lambda c: 4.0 * (c.part_mm[:, 0] > 9.0)),
     ],
@@ -77,10 +112,12 @@ def test_a_gap_is_likeliest_at_the_stage_where_it_arises(covariates, stage, gap)
     rng = np.random.default_rng(2)
     residuals = np.nan_to_num(gap(covariates)) + rng.standard_normal(len(covariates.frame))
     n = len(residuals)
-    metric = Metric(np.ones(n, dtype=np.float32), np.zeros((1, n)))
+    metric, free = Metric(np.ones(n, dtype=np.float32), np.zeros((1, n))), free_terms(covariates)
     evidence = {
-        (term.stage, term.name): metric.log_evidence(residuals, np.float32(0.1) * term.columns)
-        for term in free_terms(covariates)
+        (term.stage, term.name): metric.log_evidence(
+            residuals, np.float32(0.1) * np.hstack([free.columns[n] for n in term.blocks])
+        )
+        for term in free.terms
     }
     nothing = metric.log_evidence(residuals, np.zeros((n, 1)))
     best = max(evidence, key=evidence.get)

@@ -106,7 +106,8 @@ def test_the_covariate_of_a_gap_leads_and_its_stage_is_the_likeliest(bins, gap, 
     errors, none = errors_of(bins), beside_levels(bins, residuals)
     table = errors.table(none, errors.free_blocks)
     evidence = {
-        (term.stage, term.name): table.log_evidence(n, size=0.1) for n, term in enumerate(errors.free_terms)
+        (term.stage, term.name): table.log_evidence(*term.blocks, size=0.1)
+        for term in errors.free_terms.terms
     }
     stages = Unknown(evidence).stages(POLICY.temperature)
     assert max(stages, key=lambda name: stages[name]) == stage

@@ -15,8 +15,9 @@ POLICY = Policy(temperature=1.0, ln_odds_effect=0.0, ln_odds_further=-2.0, ln_od
 TERM = Stage.SURFACE, "arc over the half angle"
 
 
-def hypothesis(nats, *ids, off=None):
-    return Hypothesis(SimpleNamespace(ids=ids), nats, nats if off is None else off, None, {})
+def hypothesis(nats, *ids, off=None, beside=None):
+    unknown = None if beside is None else Unknown({TERM: beside})
+    return Hypothesis(SimpleNamespace(ids=ids), nats, nats if off is None else off, None, {}, unknown)
 
 
 def posterior(*hypotheses, none=0.0, unknown=-20.0, n_effects=10):
@@ -37,6 +38,15 @@ def test_a_further_effect_has_odds_of_its_own():
     assert weighed.p[0] / weighed.p[1] == pytest.approx(np.exp(5.0 - 9.0 + 2.0) * 10.0)
     assert weighed.of_effects["gamma"] == pytest.approx(sum(weighed.p))
     assert weighed.of_effects["fume"] == pytest.approx(weighed.p[1])
+
+
+def test_an_unknown_cause_beside_effects_has_the_odds_of_both():
+    weighed = posterior(hypothesis(5.0, "gamma", beside=9.0), hypothesis(4.0, "fume"))
+    assert weighed.p_beside == (pytest.approx(weighed.p[0] * np.exp(9.0 - 5.0 - 1.0)), 0.0)
+    assert weighed.p_unknown == pytest.approx(weighed.p_alone + weighed.p_beside[0])
+    assert weighed.p_none + sum(weighed.p) + weighed.p_unknown == pytest.approx(1.0)
+    # What an unknown cause has to help does not count as the effect's.
+    assert weighed.of_effects["gamma"] == weighed.p[0]
 
 
 def test_a_form_may_be_exact_or_off():
@@ -70,6 +80,9 @@ def test_a_stage_is_as_probable_as_all_its_terms_together():
         ((hypothesis(1.0, "gamma"),), -20.0, Verdict.NO_GAP, (), ()),
         ((hypothesis(20.0, "gamma"), hypothesis(3.0, "fume")), 4.0, Verdict.EFFECTS, ("gamma",), ()),
         ((hypothesis(20.0, "gamma"),), 30.0, Verdict.UNKNOWN, (), ()),
+        # An unknown cause beside a mimic explains more than the mimic alone, or does not.
+        ((hypothesis(20.0, "gamma", beside=26.0),), 4.0, Verdict.UNKNOWN, (), ()),
+        ((hypothesis(20.0, "gamma", beside=16.0),), 4.0, Verdict.EFFECTS, ("gamma",), ()),
         (
             (hypothesis(20.0, "gamma"), hypothesis(19.5, "fume"), hypothesis(9.0, "defocus")),
             4.0,
