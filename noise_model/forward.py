@@ -16,7 +16,7 @@ from typing import TypeVar
 import numpy as np
 import numpy.typing as npt
 
-from noise_model.arc.map import Scene, arc_at, arc_frame, arc_kernel
+from noise_model.arc.map import Scene, arc_at, arc_frame, arc_kernel, make_scenes
 from noise_model.arrays import Bool, Float32, Float64, Int64, Integers
 from noise_model.condition import Condition
 from noise_model.effects import acting, apply_condition_effects, apply_setup_effects
@@ -28,6 +28,7 @@ from noise_model.setup import Setup
 from noise_model.stripe import SheetSeen, crossed_by_borders, sheet_seen, stripe_light, stripe_reference
 from noise_model.surface.brdf import lobe_numbers
 from noise_model.surface.joint import NOMINAL_SEAM, Seam, SeamLine
+from noise_model.surface.ray_casting import MISS
 from noise_model.view import View
 
 FILL_TOLERANCE, FILL_FLOOR, FILL_SAMPLE = 3e-4, 1e-4, 101
@@ -169,8 +170,9 @@ def _arc_light(view: View, pixels: Int64) -> Float32:
     kept = view.keep("arc_kernel", lambda: arc_kernel(view.setup, view.scene))
     kernel = kept._replace(material=lobe_numbers(view.setup.material))
     xy = np.ascontiguousarray(view.xy.reshape(-1, 2))
-    arc_e, _ = arc_at(kernel, xy, view.cos4.reshape(-1), pixels)
-    return np.nan_to_num(arc_e)
+    arc_e, faces = arc_at(kernel, xy, view.cos4.reshape(-1), pixels)
+    arc_e[faces == MISS] = 0.0
+    return arc_e
 
 
 def _filled(frame: View, scene: Scene, pixels: Integers) -> Float32:
@@ -248,12 +250,9 @@ def look(
     view = View.of(setup, T_base_tool, seam.middle, rays, pixels, ground=seam.ground)
     if stretch is None:
         stretch = seam.stretch_at(view.surface[0][..., 0].reshape(-1))
-    stretches = []
-    for i, line in enumerate(seam.lines):
-        where = np.flatnonzero(stretch == i)
-        if len(where):
-            stretches.append((where, view.part(where, line, T_base_tool, seam.ground)))
-    return Layers(view, tuple(stretches))
+    scenes = make_scenes(setup, T_base_tool, seam.lines, seam.ground)
+    shown = [(np.flatnonzero(stretch == i), scene) for i, scene in enumerate(scenes)]
+    return Layers(view, tuple((where, view.part(where, scene)) for where, scene in shown if len(where)))
 
 
 def _remember(

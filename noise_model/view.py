@@ -69,9 +69,8 @@ class View:
         xy, cos4 = rays.xy.reshape(-1, 2)[pixels], rays.cos4.reshape(-1)[pixels]
         return cls(setup, scene, uv, xy, cos4, False, coarse=coarse)
 
-    def part(self, pixels: Integers, seam: SeamLine, T_base_tool: Float64, ground: SeamLine) -> View:
-        """Look at some of its pixels (n,) from the same pose, where the seam runs otherwise, see `of`."""
-        scene = make_scene(self.setup, T_base_tool, seam, ground)
+    def part(self, pixels: Integers, scene: Scene) -> View:
+        """Look at some of its pixels (n,) from the same pose, where the seam runs otherwise: in a scene."""
         uv_px, xy = self.uv_px.reshape(-1, 2)[pixels], self.xy.reshape(-1, 2)[pixels]
         return View(self.setup, scene, uv_px, xy, self.cos4.reshape(-1)[pixels], False, coarse=self.coarse)
 

@@ -11,6 +11,7 @@ piecewise polynomials and `fill` the filling of bands and frames from them.
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache
 
@@ -104,43 +105,56 @@ def make_scene(
     it go with it; but ridges stay across the nominal line when the seam between them turns. `ground` is
     another stretch of a bent seam, on whose surface the arc stands.
     """
-    laid = replace(seam, slope_y=0.0) if setup.joint.has_ridges and seam.slope_y != 0.0 else seam
-    T_base_joint = seam_frame(setup.joint, _ahead(setup, T_base_tool)) @ laid.frame()
-    T_joint_tool = invert(T_base_joint) @ T_base_tool
+    return make_scenes(setup, T_base_tool, (seam,), ground)[0]
+
+
+def make_scenes(
+    setup: Setup, T_base_tool: Float64, seams: Sequence[SeamLine], ground: SeamLine | None = None
+) -> list[Scene]:
+    """Return the scenes of a pose along each of some stretches of the seam, see `make_scene`."""
+    has_ridges = setup.joint.has_ridges
+    laid = [replace(seam, slope_y=0.0) if has_ridges and seam.slope_y != 0.0 else seam for seam in seams]
+    T_nominal_tool = invert(seam_frame(setup.joint, _ahead(setup, T_base_tool))) @ T_base_tool
+    T_laid_nominal = _inverted(np.array([line.frame() for line in laid]))
+    T_joint_tool = T_laid_nominal @ T_nominal_tool
     T_joint_camera = T_joint_tool @ setup.camera.T_tool_camera
     shape = section(setup.joint)
     offset = np.asarray(setup.arc.center_in_tool_mm)
-    center = T_joint_tool[:3, :3] @ offset + T_joint_tool[:3, 3]
+    center = T_joint_tool[:, :3, :3] @ offset + T_joint_tool[:, :3, 3]
+    # Where another stretch's plate and seam run, or the seam's own that no ridge follows.
+    T_laid_ground = T_laid_nominal @ np.array([(ground or seam).frame() for seam in seams])
+    along, up, origin = (T_laid_ground[:, :3, column] for column in (0, 2, 3))
     if setup.arc.on_surface:
         # Over the surface the arc keeps its height, and a tilted tool carries its foot sideways.
         # The way down is upright, and an inclined sheet's ridges are not.
-        foot, height = center[0] - laid.slope_z * center[2], 0.0
+        slope_z = np.array([line.slope_z for line in laid])
+        foot, height = center[:, 0] - slope_z * center[:, 2], np.zeros(len(seams))
         for _ in range(FOOT_STEPS if shape.corrugation[0] > 0.0 else 0):
-            height = float(corrugation_height(foot, shape.corrugation))
-            foot = center[0] - laid.slope_z * (center[2] - height)
-        center[0], center[2] = foot + laid.slope_z * offset[2], offset[2] + height
-    beside = 0.0
-    stands_on = seam if ground is None else ground
-    if stands_on is not laid:
-        T_seam_ground = invert(laid.frame()) @ stands_on.frame()
-        if setup.arc.on_surface and ground is not None:
-            center[2] += _higher_mm(T_seam_ground, center)
-        beside = _beside_mm(T_seam_ground, center)
-    return Scene(
-        T_joint_tool, T_joint_camera, setup.camera, center, shape, (seam.slope_y - laid.slope_y, beside)
-    )
+            height = corrugation_height(foot, shape.corrugation)
+            foot = center[:, 0] - slope_z * (center[:, 2] - height)
+        center[:, 0], center[:, 2] = foot + slope_z * offset[2], offset[2] + height
+        if ground is not None:
+            beside = up[:, :2] * (center[:, :2] - origin[:, :2])
+            center[:, 2] += origin[:, 2] - beside.sum(axis=1) / up[:, 2]
+    beside_mm = origin[:, 1] + along[:, 1] / along[:, 0] * (center[:, 0] - origin[:, 0])
+    bends = [
+        (seam.slope_y - line.slope_y, 0.0 if (ground or seam) is line else aside_mm)
+        for seam, line, aside_mm in zip(seams, laid, beside_mm.tolist(), strict=True)
+    ]
+    placed = zip(T_joint_tool, T_joint_camera, center, bends, strict=True)
+    return [
+        Scene(T_tool, T_camera, setup.camera, arc_mm, shape, bend)
+        for T_tool, T_camera, arc_mm, bend in placed
+    ]
 
 
-def _higher_mm(T_seam_ground: Float64, point_mm: Float64) -> float:
-    """Return how much higher another stretch's plate lies than the seam's own, at a point of its frame."""
-    up, origin = T_seam_ground[:3, 2], T_seam_ground[:3, 3]
-    return float(origin[2] - (up[:2] @ (point_mm[:2] - origin[:2])) / up[2])
-
-
-def _beside_mm(T_seam_ground: Float64, point_mm: Float64) -> float:
-    """Return how far to the left another stretch's seam runs of a seam's own, at a point of its frame."""
-    along, origin = T_seam_ground[:3, 0], T_seam_ground[:3, 3]
-    return float(origin[1] + along[1] / along[0] * (point_mm[0] - origin[0]))
+def _inverted(T_a_b: Float64) -> Float64:
+    """Return T_b_a (n, 4, 4) of rigid T_a_b (n, 4, 4)."""
+    T_b_a = np.zeros_like(T_a_b)
+    T_b_a[:, :3, :3] = T_a_b[:, :3, :3].swapaxes(1, 2)
+    T_b_a[:, :3, 3:] = -T_b_a[:, :3, :3] @ T_a_b[:, :3, 3:]
+    T_b_a[:, 3, 3] = 1.0
+    return T_b_a
 
 
 def _ahead(setup: Setup, T_base_tool: Float64) -> Float64:
