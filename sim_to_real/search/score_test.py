@@ -155,14 +155,14 @@ def with_columns(
         Parameter(f"t_{k}", "", 0.0, np.inf, low, high, 1e-3 * (high - low))
         for k, (low, high) in enumerate(limits)
     ]
-    J = np.hstack([baseline.jacobian, columns])
-    weighted = baseline.weights[:, np.newaxis] * J
+    weighted, weighted_r = baseline.weights[:, np.newaxis] * columns, baseline.weights * r
+    across = baseline.jacobian.T @ weighted
     return Quadratic(
         (*baseline.quadratic.parameters, *t),
         np.concatenate([baseline.x, np.zeros(len(t))]),
-        J.T @ weighted,
-        -(weighted.T @ r),
-        float(baseline.weights @ r**2),
+        np.block([[baseline.quadratic.information, across], [across.T, columns.T @ weighted]]),
+        -np.concatenate([baseline.jacobian.T @ weighted_r, columns.T @ weighted_r]),
+        float(weighted_r @ r),
         HuberLoss.about(r).prior_weight,
     )
 
