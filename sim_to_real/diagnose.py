@@ -35,7 +35,7 @@ from sim_to_real.evidence.error_model import Linearized
 from sim_to_real.evidence.free_functions import FreeFunctions, all_families, locate
 from sim_to_real.evidence.hypotheses import Hypothesis, Posterior, Unknown
 from sim_to_real.evidence.judgement import Judgement, judge
-from sim_to_real.evidence.policy import POLICY
+from sim_to_real.evidence.policy import POLICY, Policy
 from sim_to_real.evidence.weigh import Weighed, weigh
 from sim_to_real.fit.covariates import Covariates, covariates
 from sim_to_real.fit.gauss_newton import Refit, converged, refit, refit_there
@@ -61,11 +61,12 @@ def diagnose(
     without: Sequence[str] = (),
     on_stage: OnStage | None = None,
     threads: int = 1,
+    policy: Policy = POLICY,
 ) -> Diagnosis:
     """Diagnose a recording's frames; `without` takes effects out of the catalogue, see `excluded_effects`.
 
     `on_stage` is told what is being done and the share of all work that is done. Frames are predicted on so
-    many `threads`; one is best where other processes are at work.
+    many `threads`; one is best where other processes are at work. `policy` has the judgement's constants.
 
     A setup without arc, filter or metal leaves out the effects that need them. The metal is then the one that
     the stripe shows.
@@ -84,7 +85,7 @@ def diagnose(
     # Many small matrices: the threads of BLAS would wait for each other longer than they compute.
     with threadpool_limits(1, user_api="blas"):
         tell = _never_falling(on_stage or _silent)
-        return _diagnosed(setup, frames, pose_at, excluded_effects(setup, without), tell, threads)
+        return _diagnosed(setup, frames, pose_at, excluded_effects(setup, without), tell, threads, policy)
 
 
 def _diagnosed(
@@ -94,6 +95,7 @@ def _diagnosed(
     without: Sequence[str],
     tell: OnStage,
     threads: int,
+    policy: Policy,
 ) -> Diagnosis:
     tell("tracking the seam", 0.0)
     observed = observe(setup, frames, pose_at)
@@ -109,13 +111,15 @@ def _diagnosed(
     seen = observed.with_read_noise(random_before.read_ratio)
     tell("looking at every effect", 0.1)
     of_bins = covariates(model, before)
-    weighed = weigh(model, before, of_bins, without, lambda text, share: tell(text, 0.1 + 0.6 * share))
+    weighed = weigh(
+        model, before, of_bins, without, lambda text, share: tell(text, 0.1 + 0.6 * share), policy
+    )
     tell("predicting the frames held out", 0.75)
     held_out_frames = HeldOut(setup, frames, pose_at, seen.subset(holdout), model, before, without, tell)
-    assessed = held_out_frames.assess(judge(weighed.posterior, POLICY))
+    assessed = held_out_frames.assess(judge(weighed.posterior, policy))
     while assessed.is_refuted:
         weighed = weighed.without(assessed.judgement.leader)
-        assessed = held_out_frames.assess(judge(weighed.posterior, POLICY))
+        assessed = held_out_frames.assess(judge(weighed.posterior, policy))
     judgement, after, random, predicted, gap = assessed
     verdict = _with_random_effects(
         judgement.verdict, random, random_effects(model, before, ()) if without else random, without
@@ -125,7 +129,7 @@ def _diagnosed(
     if verdict in (Verdict.EFFECTS, Verdict.AMBIGUOUS):
         effects = _named(judgement, after, weighed, random, random_before)
     functions = _free_functions(weighed, judgement, of_bins)
-    where = _located(functions, weighed.posterior, of_bins, before, effects, predicted)
+    where = _located(functions, weighed, of_bins, before, effects, predicted)
     tell("done", 1.0)
     return Diagnosis(
         verdict,
@@ -189,14 +193,14 @@ class HeldOut(NamedTuple):
 
 def _located(
     functions: FreeFunctions,
-    posterior: Posterior,
+    weighed: Weighed,
     of_bins: Covariates,
     before: Refit,
     effects: Sequence[Named],
     predicted: Predicted,
 ) -> Where:
     """Return where the gap lies: at the first named effect's stage, or at the unknown cause's likeliest."""
-    stages = posterior.unknown.stages(POLICY.temperature)
+    stages = weighed.posterior.unknown.stages(weighed.policy.temperature)
     stage = effects[0].stage if effects else max(stages, key=lambda name: stages[name])
     return locate(functions, of_bins, before.residuals, stage, stages, excess_map(predicted))
 
@@ -303,14 +307,14 @@ def _free_functions(weighed: Weighed, judgement: Judgement, of_bins: Covariates)
     none, leader = weighed.posterior.none.neutral, judgement.leader.refit
     named = Linearized.of(leader) if leader.ids else none
     families = all_families(of_bins, weighed.bins)
-    return FreeFunctions.of(weighed.errors, families, none, named, POLICY)
+    return FreeFunctions.of(weighed.errors, families, none, named, weighed.policy)
 
 
 def _next(model: LinearizedModel, weighed: Weighed, judgement: Judgement) -> Next | None:
     """Return what to record next where effects are in question."""
     if judgement.verdict not in (Verdict.EFFECTS, Verdict.AMBIGUOUS):
         return None
-    return next_measurement(model, weighed.posterior, weighed.errors, POLICY)
+    return next_measurement(model, weighed.posterior, weighed.errors, weighed.policy)
 
 
 def shares(posterior: Posterior, leader: Hypothesis) -> dict[str, float]:

@@ -28,9 +28,9 @@ ANOTHER_VALUE, UNSTATED, ANY_FORM, ANY_SCENE = 0.05, 0.5, 1.0, 3.0
 """By which share an effect's form may be off if it is but another value of what a setup states.
 
 And if it depends on much that no setup states: where the fume drifts, what else stands about a joint, what
-mirrors the laser, how a drift goes on. And if it stands for any form: a response that is no power. And if it
-shows any scene: the reflectances of scaled steel and of paper, 3 % and 90 %, lie within two such of 16 %,
-their geometric mean.
+mirrors the laser, how a drift goes on, how far dark current lifts the rows that are read last. And if it
+stands for any form: a response that is no power. And if it shows any scene: the reflectances of scaled steel
+and of paper, 3 % and 90 %, lie within two such of 16 %, their geometric mean.
 """
 
 OnCodes = Callable[[Integers, Sensor, Values], Integers]

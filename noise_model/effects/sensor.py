@@ -143,6 +143,7 @@ EFFECTS = (
         parameters=(Parameter("offset_dn", "DN", 0.0, 5.0, -100.0, 1000.0, 0.02),),
         typical={"offset_dn": 8.0},
         setup=_black_level,
+        form_rel=UNSTATED,
     ),
     Effect(
         id="read_noise",

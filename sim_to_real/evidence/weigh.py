@@ -16,7 +16,7 @@ from sim_to_real.diagnosis import Estimate
 from sim_to_real.evidence.error_model import ErrorModel, Linearized, compared_bins
 from sim_to_real.evidence.hypotheses import Hypothesis, Posterior
 from sim_to_real.evidence.hypothesis_search import HypothesisSearch
-from sim_to_real.evidence.policy import POLICY
+from sim_to_real.evidence.policy import POLICY, Policy
 from sim_to_real.fit.covariates import Covariates
 from sim_to_real.fit.gauss_newton import Refit, refit
 from sim_to_real.fit.linearized_model import LinearizedModel
@@ -46,12 +46,13 @@ class Weighed:
     errors: ErrorModel
     start: Linearized
     bins: Int64
+    policy: Policy = POLICY
 
     def without(self, refuted: Hypothesis) -> Weighed:
         """Return the same without a hypothesis that other frames have refuted."""
         posterior = self.posterior
         kept = [hypothesis for hypothesis in posterior.hypotheses if hypothesis is not refuted]
-        weighed = Posterior.of(posterior.none, kept, posterior.unknown, len(self.scores), POLICY)
+        weighed = Posterior.of(posterior.none, kept, posterior.unknown, len(self.scores), self.policy)
         return replace(self, posterior=weighed)
 
     @property
@@ -116,12 +117,13 @@ def weigh(
     of_bins: Covariates,
     without: Sequence[str],
     on_stage: Callable[[str, float], None],
+    policy: Policy = POLICY,
 ) -> Weighed:
     """Weigh all hypotheses about what a fit without effects leaves; effects `without` are no candidates.
 
     The model's derivatives are those about that fit.
     """
-    bins = compared_bins(model, of_bins, before, POLICY)
+    bins = compared_bins(model, of_bins, before, policy)
     model, of_bins = model.with_bins(bins), of_bins.subset(bins)
     start = before = refit(model, {}, before.nuisance, steps=0)
     if before.mean_square > BIASED_MEAN_SQUARE:
@@ -131,9 +133,9 @@ def weigh(
     # Of some effects nothing can be predicted, and some change nothing that the recording shows.
     predicted = [name for name in FAMILIES if name not in not_predicted(model.observed.setup)]
     every_score = [score for score in score_effects(model, start, predicted) if score.is_seen]
-    errors = ErrorModel.of(model, of_bins, start, every_score, POLICY)
+    errors = ErrorModel.of(model, of_bins, start, every_score, policy)
     scores = [score for score in every_score if score.id not in without]
-    search = HypothesisSearch(model, start, scores, errors, POLICY, without, on_stage)
+    search = HypothesisSearch(model, start, scores, errors, policy, without, on_stage)
     fits = [search.fit([{}], fit.nuisance) for fit in ([before] if start is before else [before, start])]
     without_effects = sorted((search.hypothesis(fit) for fit in fits), key=lambda h: -h.exact)
     beside = [search.free_terms_beside(hypothesis) for hypothesis in without_effects]
@@ -144,7 +146,7 @@ def weigh(
     every = search.compared([*singles, *search.pairs(singles, unknown.evidence)])
     none = search.none(without_effects[0], [*without_effects[1:], *every])
     unknown = search.unknown([*beside, search.free_terms_beside(none)])
-    posterior = Posterior.of(none, every, unknown, len(scores), POLICY)
+    posterior = Posterior.of(none, every, unknown, len(scores), policy)
     some = search.with_unknown_beside_likely(posterior)
-    posterior = Posterior.of(none, some, unknown, len(scores), POLICY)
-    return Weighed(posterior, tuple(scores), errors, Linearized.of(start), bins)
+    posterior = Posterior.of(none, some, unknown, len(scores), policy)
+    return Weighed(posterior, tuple(scores), errors, Linearized.of(start), bins, policy)
