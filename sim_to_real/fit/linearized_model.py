@@ -564,10 +564,13 @@ class LinearizedModel:
             steps.append((rendered(self._setup(effects, there), seam, stretch), there[j] - anchor[j]))
         for name, step in SEAM_STEPS:
             steps.append((rendered(setup, _shifted(seam, name, step), stretch), step))
+        # The laser does not know where the arc stands.
+        on_ground = []
         for axis in ("y_mm", "z_mm"):
             moved_mm = getattr(seam.ground, axis) + GROUND_STEP_MM
             beside = replace(seam, ground=replace(seam.ground, **{axis: moved_mm}))
-            steps.append((rendered(setup, beside, stretch), GROUND_STEP_MM))
+            if frame.condition.arc_level > 0.0:
+                on_ground.append((rendered(setup, beside, stretch), GROUND_STEP_MM))
         # A mode moves each pixel's own stretch of the seam, and turns it about its middle.
         stations = np.array([line.station_mm for line in seam.lines])
         stations_of_bins = stations[stretch]
@@ -575,20 +578,23 @@ class LinearizedModel:
         modes = [curve.mode_at(n, stations_of_bins) for n in range(curve.n_modes)]
         at_torch = [curve.mode_at(n, np.array(frame.stations_mm[2]))[0] for n in range(curve.n_modes)]
 
-        def slopes_of(light: Callable[[Layers], Float32]) -> Float32:
-            by_step = [_slope(light(here), light(there), step) for there, step in steps]
-            by_y, by_z, by_slope_y, by_slope_z, by_ground_y, by_ground_z = by_step[N_CAMERA:]
+        def slopes_of(
+            light: Callable[[Layers], Float32], further: Sequence[tuple[Layers, float]] = ()
+        ) -> Float32:
+            by_step = [_slope(light(here), light(there), step) for there, step in (*steps, *further)]
+            by_y, by_z, by_slope_y, by_slope_z, *by_ground = by_step[N_CAMERA:]
             by_mode = []
             for n, (displacement, slope) in enumerate(modes):
                 is_y = n < N_MODES[0]
                 by_place, by_slope = (by_y, by_slope_y) if is_y else (by_z, by_slope_z)
-                by_ground = by_ground_y if is_y else by_ground_z
                 change = displacement.astype(np.float32) * by_place + slope.astype(np.float32) * by_slope
-                by_mode.append(change + np.float32(at_torch[n]) * by_ground)
+                if by_ground:
+                    change += np.float32(at_torch[n]) * by_ground[0 if is_y else 1]
+                by_mode.append(change)
             return np.stack([*by_step[:N_CAMERA], *by_mode])
 
         return Tangents(
-            slopes_of(lambda layers: layers.arc_e) if frame.condition.arc_level > 0.0 else None,
+            slopes_of(lambda layers: layers.arc_e, on_ground) if frame.condition.arc_level > 0.0 else None,
             slopes_of(lambda layers: layers.laser_e) if frame.condition.laser_level > 0.0 else None,
         )
 
