@@ -228,6 +228,26 @@ class ErrorModel:
         by_size = change[:, np.newaxis]
         return [Columns.free(np.asarray(share * functions * by_size, np.float32)) for functions in some]
 
+    def form_errors_apart(self, effect: str, change: Float64 | Float32) -> list[tuple[int, float]]:
+        """Return errors of an effect's form where the effect itself does nothing: free blocks, and sizes.
+
+        A second stripe that is blurred puts light where a sharp one puts none. Each is a free function of the
+        effect's stage, by number; its size is such that its root mean square over all bins is a share of
+        that of what the effect does, `change` (n,).
+        """
+        share, stage = REGISTRY[effect].form_rel, REGISTRY[effect].stage
+        size = share * math.sqrt(float(np.mean(np.square(change))))
+        blocks = [
+            term.blocks[0] for term in self.free_terms.terms if term.stage is stage and len(term.blocks) == 1
+        ]
+        return [(block, size / self._free_rms[block]) for block in blocks]
+
+    @functools.cached_property
+    def _free_rms(self) -> list[float]:
+        """The root mean square over all bins of each free function of size 1."""
+        per_bin = [np.einsum("nk,nk->n", columns, columns) for columns in self.free_terms.columns]
+        return [math.sqrt(float(np.mean(squares))) for squares in per_bin]
+
     def log_evidence_off(self, hypothesis: Linearized, forms: Sequence[Sequence[Columns]]) -> float:
         """Return ln Z, nats, of a hypothesis with effects whose `forms` are off, each by any of its errors.
 

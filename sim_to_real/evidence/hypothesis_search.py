@@ -18,7 +18,7 @@ import numpy as np
 from noise_model.arrays import Float64
 from noise_model.effects import REGISTRY, Stage
 from sim_to_real.evidence.coordinates import IN_EACH_FRAME
-from sim_to_real.evidence.error_model import ErrorModel, Linearized
+from sim_to_real.evidence.error_model import ErrorModel, EvidenceTable, Linearized
 from sim_to_real.evidence.hypotheses import Hypothesis, Posterior, Term, Unknown
 from sim_to_real.evidence.looks import Looks, PairLook
 from sim_to_real.evidence.policy import Policy
@@ -43,6 +43,9 @@ SURPRISE_NATS = 4.0
 
 MUCH_SURPRISE, LITTLE_SURPRISE, FLOOR_MEAN_SQUARE = 0.7, 0.3, 1.0
 """And by this share of what the best fit gains; the second once a fit leaves no more than the floor."""
+
+MIN_IN_FULL = 3
+"""So many of the likeliest hypotheses are weighed in full, however likely they are."""
 
 MOVING = tuple(name for name, effect in REGISTRY.items() if effect.stage in (Stage.GEOMETRY, Stage.TIMING))
 """Effects that move the image: while an unknown cause of a large gap leads, all of them are fitted.
@@ -127,30 +130,43 @@ class HypothesisSearch:
 
     def free_terms_beside(self, hypothesis: Hypothesis) -> FreeTerms:
         """Return the evidence of each free term about a hypothesis' nuisances."""
-        return self._free_terms(hypothesis.neutral)
+        return self._free_terms(self._table(hypothesis.neutral))
 
-    def with_unknown_beside_likely(self, posterior: Posterior) -> list[Hypothesis]:
-        """Return a posterior's hypotheses, those that have a part of it with an unknown cause beside them."""
-        weighed = zip(posterior.hypotheses, posterior.p, strict=True)
-        return [h if p < self.policy.possible else self._with_unknown(h) for h, p in weighed]
+    def likely_in_full(self, posterior: Posterior) -> list[Hypothesis]:
+        """Return a posterior's hypotheses, the likely ones with all that may be beside their effects.
 
-    def _with_unknown(self, hypothesis: Hypothesis) -> Hypothesis:
-        """Return a hypothesis with an unknown cause beside its effects, their form exact or off."""
-        linear, forms = (
-            Linearized.of(hypothesis.refit),
-            [
-                self.errors.form_errors(name, self._without(hypothesis.refit, name)[1])[-1]
-                for name in hypothesis.ids
-                if name != FLICKER
-            ],
-        )
-        exact, off = self._free_terms(linear), self._free_terms(linear.beside(*forms))
+        That is an unknown cause, and errors of their forms where the effects themselves do nothing.
+        """
+        weighed = zip(posterior.hypotheses, posterior.p, range(len(posterior.p)), strict=True)
+        return [
+            self._in_full(h) if n < MIN_IN_FULL or p >= self.policy.possible else h for h, p, n in weighed
+        ]
+
+    def _in_full(self, hypothesis: Hypothesis) -> Hypothesis:
+        """Return a hypothesis with an unknown cause beside its effects, and more of their forms' errors."""
+        fitted = hypothesis.refit
+        changes = {name: self._without(fitted, name)[1] for name in fitted.ids if name != FLICKER}
+        linear = Linearized.of(fitted)
+        forms = [self.errors.form_errors(name, change)[-1] for name, change in changes.items()]
+        tables = self._table(linear), self._table(linear.beside(*forms))
+        exact, off = map(self._free_terms, tables)
         mean = {term: (np.logaddexp(exact[term], off[term]) - math.log(2.0)).tolist() for term in exact}
+        apart = [
+            table.log_evidence(block, size=size)
+            for name, change in changes.items()
+            for block, size in self.errors.form_errors_apart(name, change)
+            for table in tables
+        ]
+        if apart:
+            nats = float(np.logaddexp.reduce(apart)) - math.log(len(apart))
+            hypothesis = replace(hypothesis, off=float(np.logaddexp(hypothesis.off, nats)) - math.log(2.0))
         return replace(hypothesis, beside=self.unknown([mean]))
 
-    def _free_terms(self, linear: Linearized) -> FreeTerms:
+    def _table(self, linear: Linearized) -> EvidenceTable:
+        return self.errors.table(linear, self.errors.free_blocks)
+
+    def _free_terms(self, table: EvidenceTable) -> FreeTerms:
         """Return the evidence of each free term beside a hypothesis."""
-        table = self.errors.table(linear, self.errors.free_blocks)
         return {
             (term.stage, term.name): [
                 table.log_evidence(*term.blocks, size=size) for size in self.policy.free_sizes

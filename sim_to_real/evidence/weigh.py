@@ -147,6 +147,6 @@ def weigh(
     none = search.none(without_effects[0], [*without_effects[1:], *every])
     unknown = search.unknown([*beside, search.free_terms_beside(none)])
     posterior = Posterior.of(none, every, unknown, len(scores), policy)
-    some = search.with_unknown_beside_likely(posterior)
+    some = search.likely_in_full(posterior)
     posterior = Posterior.of(none, some, unknown, len(scores), policy)
     return Weighed(posterior, tuple(scores), errors, Linearized.of(start), bins, policy)
